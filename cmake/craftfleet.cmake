@@ -1,0 +1,41 @@
+# How a room, a program and a test are declared.
+
+# Warnings for our code only; third-party headers come in as SYSTEM. -ffp-contract=off: a fused multiply-add would change
+# last bits, and games must be the same on every CPU.
+add_library(craftfleet_flags INTERFACE)
+target_compile_options(craftfleet_flags INTERFACE -Wall -Wextra -Werror -ffp-contract=off)
+if(CMAKE_CXX_COMPILER_ID MATCHES "Clang")
+  target_compile_options(craftfleet_flags INTERFACE -Wthread-safety)
+endif()
+
+# craftfleet_library(NAME world SRCS ... DEPS ...): static library craftfleet_world with the alias craftfleet::world.
+function(craftfleet_library)
+  cmake_parse_arguments(ARG "" "NAME" "SRCS;DEPS" ${ARGN})
+  add_library(craftfleet_${ARG_NAME} STATIC ${ARG_SRCS})
+  add_library(craftfleet::${ARG_NAME} ALIAS craftfleet_${ARG_NAME})
+  target_include_directories(craftfleet_${ARG_NAME} PUBLIC ${PROJECT_SOURCE_DIR})
+  target_link_libraries(craftfleet_${ARG_NAME} PUBLIC ${ARG_DEPS} PRIVATE craftfleet_flags)
+endfunction()
+
+# craftfleet_program(NAME craftfleet-actor SRCS ... DEPS ...): an installed executable in build/bin.
+function(craftfleet_program)
+  cmake_parse_arguments(ARG "" "NAME" "SRCS;DEPS" ${ARGN})
+  add_executable(${ARG_NAME} ${ARG_SRCS})
+  target_link_libraries(${ARG_NAME} PRIVATE ${ARG_DEPS} craftfleet_flags)
+  install(TARGETS ${ARG_NAME} RUNTIME DESTINATION ${CMAKE_INSTALL_BINDIR})
+endfunction()
+
+# craftfleet_test(NAME fragment_queue_test LABELS unit;tsan SRCS ... DEPS ...): one GoogleTest executable, one ctest entry per
+# TEST so that `ctest` counts cases. CRAFTFLEET_SOURCE_DIR tells tests where tests/data lies.
+function(craftfleet_test)
+  cmake_parse_arguments(ARG "" "NAME;TIMEOUT" "SRCS;DEPS;LABELS" ${ARGN})
+  add_executable(${ARG_NAME} ${ARG_SRCS})
+  target_link_libraries(${ARG_NAME} PRIVATE ${ARG_DEPS} GTest::gmock GTest::gtest_main craftfleet_flags)
+  target_compile_definitions(${ARG_NAME} PRIVATE CRAFTFLEET_SOURCE_DIR="${PROJECT_SOURCE_DIR}"
+                                                 CRAFTFLEET_BIN_DIR="${CMAKE_BINARY_DIR}/bin")
+  if(NOT ARG_TIMEOUT)
+    set(ARG_TIMEOUT 300)
+  endif()
+  gtest_discover_tests(${ARG_NAME} DISCOVERY_TIMEOUT 60 PROPERTIES LABELS "${ARG_LABELS}" TIMEOUT ${ARG_TIMEOUT})
+endfunction()
+include(GoogleTest)

@@ -1,0 +1,43 @@
+// The random stream of one episode: MT19937 read as numpy's RandomState reads it. The order of draws is part of the
+// rules. Thread-compatible: one thread at a time. Source: determinism page, section 4.
+
+#ifndef CRAFTFLEET_ENVSERVER_WORLD_RANDOM_STREAM_H_
+#define CRAFTFLEET_ENVSERVER_WORLD_RANDOM_STREAM_H_
+
+#include <array>
+#include <cstdint>
+
+#include <absl/types/span.h>
+
+namespace craftfleet {
+
+class RandomStream {
+ public:
+  static constexpr int kStateWords = 624;
+  using State = std::array<uint32_t, kStateWords>;
+
+  explicit RandomStream(uint32_t seed = 0);
+
+  // One double in [0, 1): two words.
+  double Uniform();
+  // Fills `out` with what out.size() calls of Uniform() would give, in order, much faster.
+  void FillUniform(absl::Span<double> out);
+  // One integer in [0, n), n in 1..2^32-1: no word for n = 1, else one word a try.
+  uint32_t Below(uint32_t n);
+
+  // For snapshots and traces: the words and how many of them are used, 0..624 (624: the twist comes with the next
+  // draw).
+  const State& state() const { return words_; }
+  int position() const { return position_; }
+  void Restore(const State& words, int position);
+
+ private:
+  uint32_t Next();
+
+  State words_;
+  int position_;
+};
+
+}  // namespace craftfleet
+
+#endif  // CRAFTFLEET_ENVSERVER_WORLD_RANDOM_STREAM_H_
