@@ -1,0 +1,33 @@
+// The name of an environment: `crafter`, or `crafter:` and options joined by commas, such as
+// `crafter:appearance=25/25/25/25,numbers=easy-x2,inventory=off`.
+
+#ifndef CRAFTFLEET_COMMON_ENV_NAME_H_
+#define CRAFTFLEET_COMMON_ENV_NAME_H_
+
+#include <array>
+#include <string>
+
+#include <absl/status/statusor.h>
+#include <absl/strings/string_view.h>
+
+namespace craftfleet {
+
+struct EnvName {
+  // Whether trees, cows, zombies, stone, coal and skeletons have variants; how often each, in percent, sum 100.
+  bool appearance = false;
+  std::array<int, 4> percentages = {100, 0, 0, 0};
+  // How many things a new world has, for tree, coal, cow, zombie, skeleton: q a quarter, h half, s the ordinary number,
+  // d double, f four times. Always the five letters: names are resolved.
+  std::string numbers = "sssss";
+  // Whether the picture shows the inventory.
+  bool inventory = true;
+
+  // InvalidArgument names the bad part and lists what is allowed.
+  static absl::StatusOr<EnvName> Parse(absl::string_view name);
+  // The canonical name: options in the order above, defaults left out, numbers by name where they have one.
+  std::string ToString() const;
+};
+
+}  // namespace craftfleet
+
+#endif  // CRAFTFLEET_COMMON_ENV_NAME_H_

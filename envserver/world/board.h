@@ -1,0 +1,106 @@
+// The cells of a world, the objects that stand on them, and the chunks in which creatures are counted.
+// Source: Crafter's rules (Objects, Chunk balance); determinism page, section 1.
+
+#ifndef CRAFTFLEET_ENVSERVER_WORLD_BOARD_H_
+#define CRAFTFLEET_ENVSERVER_WORLD_BOARD_H_
+
+#include <array>
+#include <cstdint>
+#include <vector>
+
+#include <absl/types/span.h>
+
+#include "envserver/world/types.h"
+
+namespace craftfleet {
+
+inline constexpr int kChunkSize = 12;      // cells a side; the last chunks of a row or column may be smaller
+inline constexpr int kNumObjectTypes = 7;  // with kNone
+
+struct Object {
+  ObjectType type = ObjectType::kNone;
+  Variant variant = kNoVariant;
+  bool removed = false;  // off the board, but its update may still run; true only inside a step
+  int16_t health = 0;    // 0 or more; the player's is in its inventory, not here
+  Position position;
+  Position facing;      // player and arrow; a unit direction
+  int32_t counter = 0;  // zombie: cooldown, skeleton: reload, plant: grown; in steps
+  int64_t entered = 0;  // rank of its entry into its chunk among all entries so far
+};
+
+struct Cell {
+  Material material = Material::kNone;
+  Variant variant = kNoVariant;
+  uint16_t object = 0;  // index in objects() + 1; 0: none
+};
+
+// Counts that balancing needs, kept up to date with every change.
+struct Chunk {
+  Position min;                                    // its upper left cell
+  Position max;                                    // one past its lower right cell
+  std::array<int32_t, kNumMaterials> materials{};  // cells of each
+  std::array<int32_t, kNumObjectTypes> objects{};  // of each type
+};
+
+// Keeps cells, objects and chunks consistent: one object a cell, each counted in its chunk. Positions given must lie
+// inside unless said otherwise. Thread-compatible: one thread at a time.
+class Board {
+ public:
+  Board(int width, int height);
+
+  // All cells kNone, no objects, no chunk known.
+  void Clear();
+
+  int width() const { return width_; }
+  int height() const { return height_; }
+  bool Inside(Position p) const {
+    return static_cast<unsigned>(p.x) < static_cast<unsigned>(width_) &&
+           static_cast<unsigned>(p.y) < static_cast<unsigned>(height_);
+  }
+  const Cell& cell(Position p) const { return cells_[Index(p)]; }
+  // kNone outside.
+  Material material(Position p) const { return Inside(p) ? cell(p).material : Material::kNone; }
+  // Index of the object at `p`, or -1; `p` may lie outside.
+  int ObjectAt(Position p) const { return Inside(p) ? cell(p).object - 1 : -1; }
+
+  // In order of creation. After Compact() all are live.
+  absl::Span<const Object> objects() const { return objects_; }
+  Object& object(int index) { return objects_[index]; }
+  const Object& object(int index) const { return objects_[index]; }
+
+  void SetMaterial(Position p, Material material, Variant variant);
+  // Puts `object` on its position, a free cell; returns its index. Its chunk becomes known.
+  int Add(Object object);
+  // Takes an object off the board; its index stays valid until Compact().
+  void Remove(int index);
+  // Puts an object on `target`, a free cell. A removed object stays where it is.
+  void Move(int index, Position target);
+  // Drops removed objects: later ones move up.
+  void Compact();
+
+  const Chunk& chunk(int index) const { return chunks_[index]; }
+  int num_chunks() const { return static_cast<int>(chunks_.size()); }
+  int ChunkIndex(Position p) const { return p.x / kChunkSize * chunks_down_ + p.y / kChunkSize; }
+  // Indices of the chunks that ever held an object, in the order in which they first did.
+  absl::Span<const int16_t> known_chunks() const { return known_chunks_; }
+
+ private:
+  int Index(Position p) const { return p.x * height_ + p.y; }
+  // Counts the object in its chunk as the latest to enter.
+  void Enter(Object& object);
+
+  int width_;
+  int height_;
+  int chunks_down_;
+  std::vector<Cell> cells_;  // [x][y]
+  std::vector<Object> objects_;
+  std::vector<Chunk> chunks_;  // [x / 12][y / 12]
+  std::vector<int16_t> known_chunks_;
+  std::vector<bool> chunk_known_;
+  int64_t entries_ = 0;
+  bool any_removed_ = false;
+};
+
+}  // namespace craftfleet
+
+#endif  // CRAFTFLEET_ENVSERVER_WORLD_BOARD_H_

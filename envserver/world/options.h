@@ -1,0 +1,49 @@
+// What a world is like: size, length and the CrafterOOD settings.
+// Source: Crafter's rules; CrafterOOD page (letters, percentages, thresholds).
+
+#ifndef CRAFTFLEET_ENVSERVER_WORLD_OPTIONS_H_
+#define CRAFTFLEET_ENVSERVER_WORLD_OPTIONS_H_
+
+#include <array>
+#include <string>
+
+#include <absl/status/status.h>
+
+#include "common/env_name.h"
+
+namespace craftfleet {
+
+inline constexpr int kNumVariants = 4;
+
+// World generation makes the thing where a uniform draw is above the threshold: the higher, the rarer. Each in 0..1.
+struct NumberThresholds {
+  double tree = 0.8;
+  double coal = 0.85;
+  double cow = 0.985;
+  double zombie = 0.993;
+  double skeleton = 0.95;
+};
+
+struct WorldOptions {
+  int width = 64;          // cells; 4..256
+  int height = 64;         // cells; 4..256
+  int view_width = 9;      // cells across the picture, 1..63; 2 * max(view) is how far from the player things happen
+  int view_height = 9;     // cells down the picture with the inventory's ceil(16 / view_width) rows, 1..63
+  int length = 10000;      // steps of an episode, 0..1,000,000,000; 0: no limit
+  std::string appearance;  // letters whose things have variants: any of t w c z s u k i p, each once; empty: none
+  std::array<int, kNumVariants> percentages = {100, 0, 0, 0};  // of the variants, each 0..100, sum 100
+  NumberThresholds numbers;
+
+  // The settings that the name asks for (its inventory setting concerns the picture, not the world), else the defaults.
+  static WorldOptions FromEnvName(const EnvName& name);
+  // InvalidArgument names the field, its value and what was expected.
+  absl::Status Validate() const;
+
+  int inventory_rows() const { return (16 + view_width - 1) / view_width; }
+  // Objects at this L1 distance of the player or farther stand still.
+  int update_distance() const { return 2 * (view_width > view_height ? view_width : view_height); }
+};
+
+}  // namespace craftfleet
+
+#endif  // CRAFTFLEET_ENVSERVER_WORLD_OPTIONS_H_

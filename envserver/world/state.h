@@ -1,0 +1,51 @@
+// Everything that a step of the game can change.
+
+#ifndef CRAFTFLEET_ENVSERVER_WORLD_STATE_H_
+#define CRAFTFLEET_ENVSERVER_WORLD_STATE_H_
+
+#include <array>
+#include <cstdint>
+
+#include "common/crafter.h"
+#include "envserver/world/board.h"
+#include "envserver/world/options.h"
+#include "envserver/world/random_stream.h"
+
+namespace craftfleet {
+
+inline constexpr int kMaxItem = 9;
+
+// What the player has and feels; where it stands is objects()[0].
+struct Player {
+  bool sleeping = false;
+  std::array<int8_t, kNumItems> inventory{};             // 0..9
+  std::array<int32_t, kNumAchievements> achievements{};  // times in this episode
+  double hunger = 0;
+  double thirst = 0;
+  double fatigue = 0;
+  double recover = 0;
+  int last_health = kMaxItem;  // at the end of its previous update
+
+  int item(Item which) const { return inventory[static_cast<int>(which)]; }
+  int8_t& item(Item which) { return inventory[static_cast<int>(which)]; }
+  int health() const { return item(Item::kHealth); }
+};
+
+struct WorldState {
+  explicit WorldState(const WorldOptions& world_options);
+
+  WorldOptions options;  // constant after construction
+  int64_t seed = 0;
+  int64_t episode = 0;  // counts from 1; 0 before the first reset
+  int64_t step = 0;     // of this episode
+  double daylight = 0;
+  double episode_reward = 0;
+  int last_health = kMaxItem;  // at the previous step's end
+  Player player;
+  Board board;
+  RandomStream random;
+};
+
+}  // namespace craftfleet
+
+#endif  // CRAFTFLEET_ENVSERVER_WORLD_STATE_H_

@@ -1,0 +1,91 @@
+// One game of Crafter without its picture: the rules, bit for bit those of Crafter 1.8.3 (and of CrafterOOD).
+
+#ifndef CRAFTFLEET_ENVSERVER_WORLD_WORLD_H_
+#define CRAFTFLEET_ENVSERVER_WORLD_WORLD_H_
+
+#include <cstdint>
+#include <string>
+#include <vector>
+
+#include <absl/status/status.h>
+#include <absl/status/statusor.h>
+#include <absl/strings/string_view.h>
+#include <absl/types/span.h>
+
+#include "common/crafter.h"
+#include "common/types.h"
+#include "envserver/world/options.h"
+#include "envserver/world/random_stream.h"
+#include "envserver/world/state.h"
+#include "envserver/world/types.h"
+
+namespace craftfleet {
+
+// What one step gave.
+struct StepOutcome {
+  double reward = 0;
+  StepEnd end = StepEnd::kNone;
+  uint32_t unlocked = 0;  // bit a: achievement a was unlocked for the first time in this episode
+};
+
+// A world is ready to play after Create(), in its first episode. After a step that ends the episode call Reset() (or go
+// on: nothing breaks, the episode stays over). The picture of a night draws from random(): whoever renders does it once
+// after Create() and after each Reset() and Step(), as Crafter does. Thread-compatible: one thread at a time. Source:
+// Crafter's rules; determinism page.
+class World {
+ public:
+  // InvalidArgument: options that Validate() refuses.
+  static absl::StatusOr<World> Create(const WorldOptions& options, int64_t seed);
+
+  // Starts the next episode.
+  void Reset();
+  StepOutcome Step(Action action);
+
+  const WorldOptions& options() const { return state_.options; }
+  int64_t seed() const { return state_.seed; }
+  int64_t episode() const { return state_.episode; }  // from 1
+  int64_t episode_seed() const;                       // what seeded this episode's random stream, 0..2^31-2
+  int64_t step() const { return state_.step; }        // of this episode
+  double daylight() const { return state_.daylight; }
+  double episode_reward() const { return state_.episode_reward; }  // sum over this episode
+
+  // kNone outside the world.
+  Material material(Position p) const { return state_.board.material(p); }
+  // kNoVariant outside the world.
+  Variant variant(Position p) const { return state_.board.Inside(p) ? state_.board.cell(p).variant : kNoVariant; }
+  // The live objects in order of creation; the first is the player.
+  absl::Span<const Object> objects() const { return state_.board.objects(); }
+  // A plant that gives food: Object::counter, the steps it has grown, is above this.
+  static constexpr int kRipeAfter = 300;
+
+  const Player& player() const { return state_.player; }
+  Position player_position() const { return objects()[0].position; }
+  Position player_facing() const { return objects()[0].facing; }
+
+  // uint8[width][height], y fastest: materials, overlaid with objects (player 13, cow 14, zombie 15, skeleton 16, arrow
+  // 17, plant 18). `out` has width * height elements.
+  void SemanticView(absl::Span<uint8_t> out) const;
+
+  RandomStream& random() { return state_.random; }
+  const RandomStream& random() const { return state_.random; }
+
+  // The whole game as bytes, with `stream` in the place of random(): a caller that draws pictures stores the stream as
+  // it was before the last one, and draws it again after Restore(). About 8 KB + 24 bytes an object for 64x64 cells.
+  std::string Save(const RandomStream& stream) const;
+  // Goes on where Save() was called, in this world or in another with the same options; the seed comes with the
+  // snapshot.
+  //   InvalidArgument: the snapshot of a world with other options, or of another version.
+  //   DataLoss: cut, damaged or impossible bytes. On failure the world is unchanged.
+  absl::Status Restore(absl::string_view snapshot);
+
+ private:
+  friend class WorldEditor;  // stages situations; defined by tests only
+
+  explicit World(const WorldOptions& options) : state_(options) {}
+
+  WorldState state_;
+};
+
+}  // namespace craftfleet
+
+#endif  // CRAFTFLEET_ENVSERVER_WORLD_WORLD_H_
