@@ -1,0 +1,33 @@
+// A clock that moves only when told to.
+
+#ifndef CRAFTFLEET_TESTS_FAKES_FAKE_CLOCK_H_
+#define CRAFTFLEET_TESTS_FAKES_FAKE_CLOCK_H_
+
+#include <absl/base/thread_annotations.h>
+#include <absl/time/time.h>
+
+#include "common/clock.h"
+#include "common/mutex.h"
+
+namespace craftfleet {
+
+// Thread-safe. Starts at 2023-11-14 22:13:20 UTC.
+class FakeClock : public Clock {
+ public:
+  absl::Time Now() override ABSL_LOCKS_EXCLUDED(mu_) {
+    const MutexLock lock(&mu_);
+    return now_;
+  }
+  void Advance(absl::Duration by) ABSL_LOCKS_EXCLUDED(mu_) {
+    const MutexLock lock(&mu_);
+    now_ += by;
+  }
+
+ private:
+  Mutex mu_;
+  absl::Time now_ ABSL_GUARDED_BY(mu_) = absl::FromUnixSeconds(1'700'000'000);
+};
+
+}  // namespace craftfleet
+
+#endif  // CRAFTFLEET_TESTS_FAKES_FAKE_CLOCK_H_
