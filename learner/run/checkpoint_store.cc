@@ -1,0 +1,143 @@
+#include "learner/run/checkpoint_store.h"
+
+#include <algorithm>
+#include <cmath>
+
+#include <absl/strings/match.h>
+#include <absl/strings/numbers.h>
+#include <absl/strings/str_cat.h>
+#include <absl/strings/str_format.h>
+#include <absl/strings/str_join.h>
+#include <absl/strings/strip.h>
+
+#include "common/files.h"
+#include "common/status_macros.h"
+
+namespace craftfleet {
+namespace {
+
+constexpr absl::string_view kNamePrefix = "iter-";
+constexpr absl::string_view kTemporaryPrefix = ".tmp-";
+
+// -1 if `name` is not a checkpoint's.
+int64_t IterationOf(absl::string_view name) {
+  int64_t iteration = -1;
+  if (!absl::ConsumePrefix(&name, kNamePrefix) || !absl::SimpleAtoi(name, &iteration)) return -1;
+  return iteration;
+}
+
+absl::StatusOr<std::vector<std::string>> ListCheckpoints(const std::string& folder) {
+  CRAFTFLEET_ASSIGN_OR_RETURN(std::vector<std::string> names, ListFolder(folder));
+  names.erase(std::remove_if(names.begin(), names.end(), [](const std::string& n) { return IterationOf(n) < 0; }),
+              names.end());
+  std::sort(names.begin(), names.end(),
+            [](const std::string& a, const std::string& b) { return IterationOf(a) > IterationOf(b); });
+  return names;
+}
+
+}  // namespace
+
+std::string CheckpointName(int64_t iteration) { return absl::StrFormat("%s%08d", kNamePrefix, iteration); }
+
+absl::StatusOr<std::string> FindCheckpoint(const std::string& path) {
+  if (PathExists(JoinPath(path, "MANIFEST"))) return path;
+  for (const std::string& folder : {JoinPath(path, "checkpoints"), path}) {
+    const absl::StatusOr<std::vector<std::string>> names = ListCheckpoints(folder);
+    if (names.ok() && !names->empty()) return JoinPath(folder, names->front());
+  }
+  return absl::NotFoundError(
+      absl::StrCat("no checkpoint at ", path, ": want a run's folder, or one like <logdir>/checkpoints/iter-00000010"));
+}
+
+absl::StatusOr<CheckpointStore> CheckpointStore::Open(const std::string& folder) {
+  CRAFTFLEET_RETURN_IF_ERROR(CreateFolders(folder));
+  CRAFTFLEET_ASSIGN_OR_RETURN(const std::vector<std::string> names, ListFolder(folder));
+  for (const std::string& name : names) {
+    if (absl::StartsWith(name, kTemporaryPrefix)) CRAFTFLEET_RETURN_IF_ERROR(RemoveAll(JoinPath(folder, name)));
+  }
+  return CheckpointStore(folder);
+}
+
+absl::Status CheckpointStore::Write(const Checkpoint& checkpoint) {
+  const std::string name = CheckpointName(checkpoint.state.iteration());
+  if (PathExists(PathOf(name))) {
+    if (LoadCheckpoint(PathOf(name), "").ok()) return absl::OkStatus();
+    CRAFTFLEET_RETURN_IF_ERROR(Remove(name));
+  }
+  const std::string temporary = PathOf(absl::StrCat(kTemporaryPrefix, name));
+  absl::Status status = WriteCheckpointFiles(temporary, checkpoint);
+  if (status.ok()) status = RenameSynced(temporary, PathOf(name));
+  if (!status.ok()) {
+    // The first error is the one to tell; what can't be removed now goes at the next Open.
+    RemoveAll(temporary).IgnoreError();
+    return status;
+  }
+  return Prune(checkpoint.state.config().checkpoint().keep());
+}
+
+absl::StatusOr<std::vector<std::string>> CheckpointStore::ListNewestFirst() const { return ListCheckpoints(folder_); }
+
+absl::StatusOr<Checkpoint> CheckpointStore::Load(const std::string& name, absl::string_view agent) const {
+  CRAFTFLEET_ASSIGN_OR_RETURN(const std::vector<std::string> names, ListNewestFirst());
+  if (std::find(names.begin(), names.end(), name) == names.end()) {
+    return absl::NotFoundError(absl::StrCat("no checkpoint ", name, " in ", folder_, ", which has ",
+                                            names.empty() ? "none" : absl::StrJoin(names, ", ")));
+  }
+  return LoadCheckpoint(PathOf(name), agent);
+}
+
+absl::StatusOr<Checkpoint> CheckpointStore::LoadLatest(absl::string_view agent) const {
+  CRAFTFLEET_ASSIGN_OR_RETURN(const std::vector<std::string> names, ListNewestFirst());
+  if (names.empty()) return absl::NotFoundError(absl::StrCat("no checkpoint in ", folder_));
+  absl::StatusOr<Checkpoint> newest = LoadCheckpoint(PathOf(names.front()), agent);
+  if (newest.ok()) return newest;
+  for (size_t i = 1; i < names.size(); ++i) {
+    if (!LoadCheckpoint(PathOf(names[i]), agent).ok()) continue;
+    return absl::Status(newest.status().code(),
+                        absl::StrCat(newest.status().message(), "; the previous good one is ", names[i],
+                                     ": resume from it with --resume_from=", names[i]));
+  }
+  return newest;
+}
+
+absl::Status CheckpointStore::DiscardNewerThan(int64_t iteration) {
+  CRAFTFLEET_ASSIGN_OR_RETURN(const std::vector<std::string> names, ListNewestFirst());
+  for (const std::string& name : names) {
+    if (IterationOf(name) > iteration) CRAFTFLEET_RETURN_IF_ERROR(Remove(name));
+  }
+  return absl::OkStatus();
+}
+
+std::string CheckpointStore::PathOf(absl::string_view name) const { return JoinPath(folder_, name); }
+
+absl::Status CheckpointStore::Remove(const std::string& name) {
+  // Renamed first, so that a kill amid the removal leaves no torn checkpoint under a good name.
+  const std::string doomed = PathOf(absl::StrCat(kTemporaryPrefix, "old-", name));
+  CRAFTFLEET_RETURN_IF_ERROR(RenameSynced(PathOf(name), doomed));
+  return RemoveAll(doomed);
+}
+
+absl::Status CheckpointStore::Prune(size_t keep) {
+  CRAFTFLEET_ASSIGN_OR_RETURN(const std::vector<std::string> names, ListNewestFirst());
+  if (names.size() <= keep) return absl::OkStatus();
+  const std::string best = BestOf(names);
+  for (size_t i = keep; i < names.size(); ++i) {
+    if (names[i] != best) CRAFTFLEET_RETURN_IF_ERROR(Remove(names[i]));
+  }
+  return absl::OkStatus();
+}
+
+std::string CheckpointStore::BestOf(const std::vector<std::string>& newest_first) const {
+  std::string best;
+  double best_score = 0;
+  for (const std::string& name : newest_first) {
+    const absl::StatusOr<v1::CheckpointState> state = LoadCheckpointState(PathOf(name));
+    if (!state.ok()) continue;
+    if (best.empty()) best_score = state->best_score();
+    if (state->best_score() < best_score) break;
+    best = name;
+  }
+  return std::isfinite(best_score) ? best : "";
+}
+
+}  // namespace craftfleet

@@ -1,0 +1,60 @@
+#include "learner/run/event_log.h"
+
+#include <absl/strings/str_cat.h>
+#include <absl/time/time.h>
+
+#include "common/crc32c.h"
+#include "common/status_macros.h"
+
+namespace craftfleet {
+namespace {
+
+constexpr absl::string_view kFileVersion = "brain.Event:2";
+
+template <typename T>
+std::string LittleEndian(T value) {
+  std::string bytes;
+  for (size_t i = 0; i < sizeof(T); ++i) bytes.push_back(static_cast<char>(value >> (8 * i)));
+  return bytes;
+}
+
+std::string MaskedCrc(absl::string_view bytes) {
+  const uint32_t crc = Crc32c(bytes);
+  return LittleEndian<uint32_t>(((crc >> 15) | (crc << 17)) + 0xA282EAD8U);
+}
+
+std::string Frame(absl::string_view data) {
+  const std::string length = LittleEndian<uint64_t>(data.size());
+  return absl::StrCat(length, MaskedCrc(length), data, MaskedCrc(data));
+}
+
+}  // namespace
+
+absl::StatusOr<EventLog> EventLog::Open(const std::string& path, Clock* clock) {
+  CRAFTFLEET_ASSIGN_OR_RETURN(AppendFile file, AppendFile::Open(path));
+  EventLog log(std::move(file), clock);
+  if (log.file_.length() == 0) {
+    v1::Event event;
+    event.set_file_version(std::string(kFileVersion));
+    CRAFTFLEET_RETURN_IF_ERROR(log.Append(std::move(event)));
+  }
+  return log;
+}
+
+absl::Status EventLog::AddScalars(int64_t step, absl::Span<const Scalar> scalars) {
+  v1::Event event;
+  event.set_step(step);
+  for (const Scalar& scalar : scalars) {
+    v1::EventSummary::Value* value = event.mutable_summary()->add_value();
+    value->set_tag(scalar.tag);
+    value->set_simple_value(static_cast<float>(scalar.value));
+  }
+  return Append(std::move(event));
+}
+
+absl::Status EventLog::Append(v1::Event event) {
+  event.set_wall_time(absl::ToDoubleSeconds(clock_->Now() - absl::UnixEpoch()));
+  return file_.Append(Frame(event.SerializeAsString()));
+}
+
+}  // namespace craftfleet

@@ -1,0 +1,49 @@
+// TensorBoard's event file: scalars over environment steps.
+// Source: the TFRecord framing (length, masked CRC-32C of the length, data, masked CRC-32C of the data; little-endian)
+// and event.proto, as TensorFlow's documentation states them.
+
+#ifndef CRAFTFLEET_LEARNER_RUN_EVENT_LOG_H_
+#define CRAFTFLEET_LEARNER_RUN_EVENT_LOG_H_
+
+#include <cstdint>
+#include <string>
+#include <utility>
+
+#include <absl/status/status.h>
+#include <absl/status/statusor.h>
+#include <absl/strings/string_view.h>
+#include <absl/types/span.h>
+
+#include "common/clock.h"
+#include "craftfleet/v1/event.pb.h"
+#include "learner/run/append_file.h"
+
+namespace craftfleet {
+
+struct Scalar {
+  std::string tag;  // "train/reward"
+  double value = 0;
+};
+
+// Thread-compatible: one thread at a time.
+class EventLog {
+ public:
+  // `clock` outlives the log; it gives the events' wall time. An empty file gets its version record.
+  static absl::StatusOr<EventLog> Open(const std::string& path, Clock* clock);
+
+  // Appends one event with all `scalars` at environment step `step`. Errors as AppendFile::Append.
+  absl::Status AddScalars(int64_t step, absl::Span<const Scalar> scalars);
+
+  AppendFile& file() { return file_; }
+
+ private:
+  EventLog(AppendFile file, Clock* clock) : file_(std::move(file)), clock_(clock) {}
+  absl::Status Append(v1::Event event);
+
+  AppendFile file_;
+  Clock* clock_;
+};
+
+}  // namespace craftfleet
+
+#endif  // CRAFTFLEET_LEARNER_RUN_EVENT_LOG_H_

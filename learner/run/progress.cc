@@ -1,0 +1,87 @@
+#include "learner/run/progress.h"
+
+#include <algorithm>
+
+#include <absl/strings/str_cat.h>
+#include <absl/strings/str_format.h>
+
+#include "common/crafter.h"
+
+namespace craftfleet {
+namespace {
+
+constexpr absl::Duration kFirstLine = absl::Seconds(2);
+constexpr absl::Duration kPlainInterval = absl::Seconds(10);
+constexpr absl::Duration kTerminalInterval = absl::Milliseconds(500);
+
+// 1234567 -> "1,234,567"
+std::string WithCommas(int64_t value) {
+  std::string text = absl::StrCat(value);
+  for (int i = static_cast<int>(text.size()) - 3; i > 0; i -= 3) text.insert(i, ",");
+  return text;
+}
+
+// "3d4h", "2h5m", "13m20s", "8s"
+std::string FormatTimeLeft(double seconds) {
+  const int64_t s = static_cast<int64_t>(seconds + 0.5);
+  if (s >= 86400) return absl::StrCat(s / 86400, "d", s % 86400 / 3600, "h");
+  if (s >= 3600) return absl::StrCat(s / 3600, "h", s % 3600 / 60, "m");
+  if (s >= 60) return absl::StrCat(s / 60, "m", s % 60, "s");
+  return absl::StrCat(s, "s");
+}
+
+}  // namespace
+
+std::string FormatProgress(const ProgressState& state) {
+  const double percent = 100.0 * static_cast<double>(state.steps) / static_cast<double>(state.total_steps);
+  const double steps_left = static_cast<double>(std::max<int64_t>(0, state.total_steps - state.steps));
+  std::string line =
+      absl::StrFormat("%s/%s steps %.1f%% | ", WithCommas(state.steps), WithCommas(state.total_steps), percent);
+  if (state.steps_per_second > 0) {
+    absl::StrAppendFormat(&line, "%.0f/s | %s left | ", state.steps_per_second,
+                          FormatTimeLeft(steps_left / state.steps_per_second));
+  } else {
+    line += "-/s | - left | ";
+  }
+  if (state.episodes > 0) {
+    absl::StrAppendFormat(&line, "reward %.1f length %.0f | score %.2f | ", state.reward, state.length, state.score);
+  } else {
+    line += "reward - length - | score - | ";
+  }
+  absl::StrAppendFormat(&line, "unlocked %d/%d", state.unlocked, kNumAchievements);
+  return line;
+}
+
+ProgressPrinter::ProgressPrinter(const Options& options, std::ostream* out, Clock* clock)
+    : options_(options), out_(out), clock_(clock), start_(clock->Now()), next_(start_ + kFirstLine) {}
+
+void ProgressPrinter::Update(int64_t steps, const ScoreBoard& score) {
+  const absl::Time now = clock_->Now();
+  if (now < next_) return;
+  next_ = now + (options_.terminal ? kTerminalInterval : kPlainInterval);
+  Print(steps, score);
+}
+
+void ProgressPrinter::Finish(int64_t steps, const ScoreBoard& score) {
+  Print(steps, score);
+  if (options_.terminal) *out_ << "\n";
+  out_->flush();
+}
+
+void ProgressPrinter::Print(int64_t steps, const ScoreBoard& score) {
+  const double seconds = absl::ToDoubleSeconds(clock_->Now() - start_);
+  ProgressState state;
+  state.steps = steps;
+  state.total_steps = options_.total_steps;
+  state.steps_per_second = seconds > 0 ? static_cast<double>(steps - options_.start_steps) / seconds : 0;
+  state.episodes = score.episodes();
+  state.reward = score.RecentReward();
+  state.length = score.RecentLength();
+  state.score = score.Score();
+  state.unlocked = score.Unlocked();
+  // \033[K clears what a longer line left behind.
+  *out_ << (options_.terminal ? "\r" : "") << FormatProgress(state) << (options_.terminal ? "\033[K" : "\n");
+  out_->flush();
+}
+
+}  // namespace craftfleet

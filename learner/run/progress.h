@@ -1,0 +1,62 @@
+// The line that a person watches while a run trains.
+
+#ifndef CRAFTFLEET_LEARNER_RUN_PROGRESS_H_
+#define CRAFTFLEET_LEARNER_RUN_PROGRESS_H_
+
+#include <cstdint>
+#include <ostream>
+#include <string>
+
+#include <absl/time/time.h>
+
+#include "common/clock.h"
+#include "learner/run/score.h"
+
+namespace craftfleet {
+
+struct ProgressState {
+  int64_t steps = 0;            // environment steps accepted so far
+  int64_t total_steps = 0;      // 1 or more
+  double steps_per_second = 0;  // 0: not known yet
+  int64_t episodes = 0;         // finished so far; without any, what follows is shown as "-"
+  double reward = 0;            // mean of the last 100 episodes
+  double length = 0;            // the same, steps
+  double score = 0;             // Crafter's score over all episodes
+  int unlocked = 0;             // achievements unlocked so far, 0..22
+};
+
+// "12,288/1,000,000 steps 1.2% | 1234/s | 13m20s left | reward 2.3 length 187 | score 3.12 | unlocked 9/22"; no
+// newline, at most 100 columns for runs of up to 100 million steps.
+std::string FormatProgress(const ProgressState& state);
+
+// Prints progress: on a terminal one line in place, elsewhere a line every 10 s; the first after 2 s.
+// Thread-compatible: one thread at a time.
+class ProgressPrinter {
+ public:
+  struct Options {
+    bool terminal = false;    // `out` is one
+    int64_t start_steps = 0;  // environment steps done before this start
+    int64_t total_steps = 1;
+  };
+  // `out` and `clock` outlive the printer. Speed is counted from now on.
+  ProgressPrinter(const Options& options, std::ostream* out, Clock* clock);
+
+  // Call often: prints when it is time to.
+  void Update(int64_t steps, const ScoreBoard& score);
+
+  // Prints the last line, whatever the time, and ends it.
+  void Finish(int64_t steps, const ScoreBoard& score);
+
+ private:
+  void Print(int64_t steps, const ScoreBoard& score);
+
+  const Options options_;
+  std::ostream* const out_;
+  Clock* const clock_;
+  const absl::Time start_;
+  absl::Time next_;
+};
+
+}  // namespace craftfleet
+
+#endif  // CRAFTFLEET_LEARNER_RUN_PROGRESS_H_

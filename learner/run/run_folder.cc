@@ -1,0 +1,150 @@
+#include "learner/run/run_folder.h"
+
+#include <algorithm>
+#include <random>
+#include <utility>
+#include <vector>
+
+#include <absl/strings/str_cat.h>
+#include <absl/strings/str_format.h>
+#include <absl/time/time.h>
+#include <nlohmann/json.hpp>
+
+#include "common/config.h"
+#include "common/files.h"
+#include "common/status_macros.h"
+#include "learner/run/epoch.h"
+
+namespace craftfleet {
+namespace {
+
+constexpr char kConfigFile[] = "config.txt";
+constexpr char kStatsFile[] = "stats.jsonl";
+// TensorBoard reads files with "tfevents" in their name.
+constexpr char kEventsFile[] = "events.out.tfevents.craftfleet";
+
+std::string MakeRunId(absl::Time now) {
+  std::random_device random;
+  return absl::StrFormat("%s-%06x", absl::FormatTime("%Y%m%d-%H%M%S", now, absl::UTCTimeZone()), random() & 0xFFFFFF);
+}
+
+std::string DescribeRun(const std::string& run_id, uint64_t seed, const ProgramInfo& program) {
+  const nlohmann::ordered_json description = {{"run_id", run_id},
+                                              {"program_version", program.version},
+                                              {"git_revision", program.git_revision},
+                                              {"seed", seed},
+                                              {"texture_digest", program.texture_digest}};
+  return description.dump(2) + "\n";
+}
+
+std::string BaseName(const std::string& path) { return path.substr(path.find_last_of('/') + 1); }
+
+}  // namespace
+
+RunFolder::RunFolder(std::string logdir, FolderLock lock, StatsLog stats, EventLog events, CheckpointStore checkpoints,
+                     ProgramInfo program)
+    : logdir_(std::move(logdir)),
+      lock_(std::move(lock)),
+      program_(std::move(program)),
+      stats_(std::move(stats)),
+      events_(std::move(events)),
+      checkpoints_(std::move(checkpoints)) {}
+
+absl::StatusOr<std::unique_ptr<RunFolder>> RunFolder::Open(const std::string& logdir, FolderLock lock,
+                                                           const ProgramInfo& program, Clock* clock) {
+  CRAFTFLEET_ASSIGN_OR_RETURN(AppendFile stats, AppendFile::Open(JoinPath(logdir, kStatsFile)));
+  CRAFTFLEET_ASSIGN_OR_RETURN(EventLog events, EventLog::Open(JoinPath(logdir, kEventsFile), clock));
+  CRAFTFLEET_ASSIGN_OR_RETURN(CheckpointStore checkpoints, CheckpointStore::Open(JoinPath(logdir, "checkpoints")));
+  return std::unique_ptr<RunFolder>(new RunFolder(logdir, std::move(lock), StatsLog(std::move(stats)),
+                                                  std::move(events), std::move(checkpoints), program));
+}
+
+absl::StatusOr<std::unique_ptr<RunFolder>> RunFolder::Create(const std::string& logdir, const v1::RunConfig& config,
+                                                             const ProgramInfo& program, Clock* clock) {
+  CRAFTFLEET_RETURN_IF_ERROR(CreateFolders(logdir));
+  CRAFTFLEET_ASSIGN_OR_RETURN(FolderLock lock, FolderLock::Acquire(logdir));
+  if (PathExists(JoinPath(logdir, kConfigFile))) {
+    return absl::AlreadyExistsError(
+        absl::StrCat(logdir, " already has a run: go on with it by --resume, or use another --logdir"));
+  }
+  CRAFTFLEET_ASSIGN_OR_RETURN(std::unique_ptr<RunFolder> folder, Open(logdir, std::move(lock), program, clock));
+  folder->run_id_ = MakeRunId(clock->Now());
+  folder->config_ = config;
+  CRAFTFLEET_ASSIGN_OR_RETURN(folder->epoch_, NextEpoch(logdir));
+  CRAFTFLEET_RETURN_IF_ERROR(
+      ReplaceFile(JoinPath(logdir, "run.json"), DescribeRun(folder->run_id_, config.seed(), program)));
+  // Last, because it marks the folder as one with a run.
+  CRAFTFLEET_RETURN_IF_ERROR(ReplaceFile(JoinPath(logdir, kConfigFile), FormatRunConfig(config)));
+  return folder;
+}
+
+absl::StatusOr<ResumedRun> RunFolder::Resume(const std::string& logdir, const ResumeOptions& options,
+                                             const ProgramInfo& program, Clock* clock) {
+  if (!PathExists(JoinPath(logdir, kConfigFile))) {
+    return absl::NotFoundError(absl::StrCat("no run to resume in ", logdir, ": it has no ", kConfigFile));
+  }
+  CRAFTFLEET_ASSIGN_OR_RETURN(FolderLock lock, FolderLock::Acquire(logdir));
+  ResumedRun run;
+  CRAFTFLEET_ASSIGN_OR_RETURN(run.folder, Open(logdir, std::move(lock), program, clock));
+  const CheckpointStore& checkpoints = run.folder->checkpoints_;
+  CRAFTFLEET_ASSIGN_OR_RETURN(run.checkpoint, options.from.empty() ? checkpoints.LoadLatest(options.agent)
+                                                                   : checkpoints.Load(options.from, options.agent));
+  CRAFTFLEET_RETURN_IF_ERROR(run.folder->CheckFits(run.checkpoint.state));
+  CRAFTFLEET_RETURN_IF_ERROR(run.folder->GoBackTo(run.checkpoint.state));
+  CRAFTFLEET_ASSIGN_OR_RETURN(run.folder->epoch_, NextEpoch(logdir));
+  return run;
+}
+
+absl::Status RunFolder::AddEpisodes(absl::Span<const Episode> episodes) {
+  CRAFTFLEET_RETURN_IF_ERROR(stats_.Append(episodes));
+  for (const Episode& episode : episodes) score_.Add(episode);
+  return absl::OkStatus();
+}
+
+absl::Status RunFolder::WriteCheckpoint(Checkpoint checkpoint) {
+  if (score_.episodes() > 0) best_score_ = std::max(best_score_, score_.RecentReward());
+  v1::CheckpointState& state = checkpoint.state;
+  state.set_program_version(program_.version);
+  state.set_run_id(run_id_);
+  *state.mutable_config() = config_;
+  state.set_texture_digest(program_.texture_digest);
+  state.set_best_score(best_score_);
+  state.clear_logs();
+  for (AppendFile* log : Logs()) {
+    // A checkpoint must not know of more than the logs have after a power cut.
+    CRAFTFLEET_RETURN_IF_ERROR(log->Sync());
+    v1::LogLength* length = state.add_logs();
+    length->set_file(BaseName(log->path()));
+    length->set_bytes(log->length());
+  }
+  return checkpoints_.Write(checkpoint);
+}
+
+std::array<AppendFile*, 2> RunFolder::Logs() { return {&stats_.file(), &events_.file()}; }
+
+absl::Status RunFolder::CheckFits(const v1::CheckpointState& state) const {
+  if (state.texture_digest() == program_.texture_digest) return absl::OkStatus();
+  return absl::FailedPreconditionError(absl::StrCat("the run in ", logdir_, " was played with textures ",
+                                                    state.texture_digest(), ", this program has ",
+                                                    program_.texture_digest, ": give the run's by --textures"));
+}
+
+absl::Status RunFolder::GoBackTo(const v1::CheckpointState& state) {
+  for (AppendFile* log : Logs()) {
+    const auto length = std::find_if(state.logs().begin(), state.logs().end(),
+                                     [&](const v1::LogLength& l) { return l.file() == BaseName(log->path()); });
+    if (length == state.logs().end()) {
+      return absl::DataLossError(absl::StrCat("the checkpoint does not know the length of ", log->path()));
+    }
+    CRAFTFLEET_RETURN_IF_ERROR(log->TruncateTo(length->bytes()));
+  }
+  CRAFTFLEET_RETURN_IF_ERROR(checkpoints_.DiscardNewerThan(state.iteration()));
+  CRAFTFLEET_ASSIGN_OR_RETURN(const std::vector<Episode> episodes, ReadStats(stats_.file().path()));
+  for (const Episode& episode : episodes) score_.Add(episode);
+  run_id_ = state.run_id();
+  config_ = state.config();
+  best_score_ = state.best_score();
+  return absl::OkStatus();
+}
+
+}  // namespace craftfleet

@@ -1,0 +1,106 @@
+// The folder of one run: what it is, its logs, its checkpoints, its score so far.
+//   config.txt   the configuration as it ran        run.json   run id, versions, seed, texture digest
+//   stats.jsonl  one line per training episode      events.out.tfevents.craftfleet   curves for TensorBoard
+//   checkpoints/ iter-00000010 ...                  epoch, lock   see epoch.h, folder_lock.h
+
+#ifndef CRAFTFLEET_LEARNER_RUN_RUN_FOLDER_H_
+#define CRAFTFLEET_LEARNER_RUN_RUN_FOLDER_H_
+
+#include <array>
+#include <cstdint>
+#include <limits>
+#include <memory>
+#include <string>
+
+#include <absl/status/status.h>
+#include <absl/status/statusor.h>
+#include <absl/types/span.h>
+
+#include "common/clock.h"
+#include "common/types.h"
+#include "craftfleet/v1/config.pb.h"
+#include "learner/run/checkpoint_store.h"
+#include "learner/run/event_log.h"
+#include "learner/run/folder_lock.h"
+#include "learner/run/score.h"
+#include "learner/run/stats_log.h"
+
+namespace craftfleet {
+
+// The program that writes a run folder.
+struct ProgramInfo {
+  std::string version;         // "0.1.0"
+  std::string git_revision;    // "39702b5"
+  std::string texture_digest;  // of the textures in use
+};
+
+struct ResumeOptions {
+  std::string from;   // a checkpoint's name ("iter-00000020"); empty: the newest
+  std::string agent;  // refuse a run of another agent; empty: any
+};
+
+struct ResumedRun;
+
+// Thread-compatible: one thread at a time. Locks the folder for its lifetime.
+class RunFolder {
+ public:
+  // Starts a run in `logdir`, which is created if need be. `config` is complete (ResolveRunConfig); `clock` outlives
+  // this.
+  //   AlreadyExists: the folder has a run.   FailedPrecondition: another process uses it.
+  static absl::StatusOr<std::unique_ptr<RunFolder>> Create(const std::string& logdir, const v1::RunConfig& config,
+                                                           const ProgramInfo& program, Clock* clock);
+
+  // Goes back to a checkpoint: cuts the logs to the lengths it knows, counts their episodes again and removes later
+  // checkpoints.
+  //   NotFound: no run there, or none with a checkpoint.   FailedPrecondition: in use, other textures, other agent.
+  //   DataLoss: the checkpoint is torn, or a log is shorter than it was then.
+  static absl::StatusOr<ResumedRun> Resume(const std::string& logdir, const ResumeOptions& options,
+                                           const ProgramInfo& program, Clock* clock);
+
+  const std::string& logdir() const { return logdir_; }
+  const std::string& run_id() const { return run_id_; }  // "20240131-154500-a1b2c3", UTC
+  const v1::RunConfig& config() const { return config_; }
+  int64_t epoch() const { return epoch_; }  // of this start, from 1
+
+  // Appends to stats.jsonl and counts towards the score. On failure nothing is counted.
+  absl::Status AddEpisodes(absl::Span<const Episode> episodes);
+
+  EventLog& events() { return events_; }
+  const ScoreBoard& score() const { return score_; }
+  const CheckpointStore& checkpoints() const { return checkpoints_; }
+
+  // Syncs the logs, then writes. Fills in everything of the state that the folder knows: program, run id,
+  // configuration, texture digest, log lengths, best score. Errors as CheckpointStore::Write.
+  absl::Status WriteCheckpoint(Checkpoint checkpoint);
+
+ private:
+  RunFolder(std::string logdir, FolderLock lock, StatsLog stats, EventLog events, CheckpointStore checkpoints,
+            ProgramInfo program);
+  // Opened, not begun: Create and Resume fill in run id, configuration and epoch.
+  static absl::StatusOr<std::unique_ptr<RunFolder>> Open(const std::string& logdir, FolderLock lock,
+                                                         const ProgramInfo& program, Clock* clock);
+  absl::Status CheckFits(const v1::CheckpointState& state) const;
+  absl::Status GoBackTo(const v1::CheckpointState& state);
+  std::array<AppendFile*, 2> Logs();
+
+  const std::string logdir_;
+  const FolderLock lock_;
+  const ProgramInfo program_;
+  std::string run_id_;
+  v1::RunConfig config_;
+  int64_t epoch_ = 0;
+  StatsLog stats_;
+  EventLog events_;
+  CheckpointStore checkpoints_;
+  ScoreBoard score_;
+  double best_score_ = -std::numeric_limits<double>::infinity();
+};
+
+struct ResumedRun {
+  std::unique_ptr<RunFolder> folder;
+  Checkpoint checkpoint;
+};
+
+}  // namespace craftfleet
+
+#endif  // CRAFTFLEET_LEARNER_RUN_RUN_FOLDER_H_

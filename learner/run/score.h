@@ -1,0 +1,51 @@
+// How well a run plays: Crafter's score and the means that its learning curve shows.
+// Source: the protocol page, "Training protocol"; golden: tests/data/agents/score.json.
+
+#ifndef CRAFTFLEET_LEARNER_RUN_SCORE_H_
+#define CRAFTFLEET_LEARNER_RUN_SCORE_H_
+
+#include <array>
+#include <cstdint>
+#include <deque>
+#include <utility>
+
+#include "common/crafter.h"
+#include "common/types.h"
+
+namespace craftfleet {
+
+using AchievementPercentages = std::array<double, kNumAchievements>;  // 0..100, in the order of kAchievementNames
+
+// exp(mean of ln(1 + percentage)) - 1 over the 22 achievements; 0..100.
+double CrafterScore(const AchievementPercentages& percentages);
+
+// Adds up finished episodes. Rewards count rounded to one decimal, so a board made again from stats.jsonl is the same.
+// Thread-compatible: one thread at a time.
+class ScoreBoard {
+ public:
+  void Add(const Episode& episode);
+
+  int64_t episodes() const { return episodes_; }
+
+  // Over all episodes; 0 while there are none.
+  AchievementPercentages SuccessPercentages() const;  // episodes that unlocked it at least once
+  double Score() const { return CrafterScore(SuccessPercentages()); }
+  double MeanReward() const;
+  double MeanLength() const;
+  int Unlocked() const;  // achievements unlocked in at least one episode; 0..22
+
+  // Over the last 100 episodes, fewer at the start; 0 while there are none.
+  double RecentReward() const;
+  double RecentLength() const;
+
+ private:
+  int64_t episodes_ = 0;
+  double reward_sum_ = 0;
+  int64_t length_sum_ = 0;
+  std::array<int64_t, kNumAchievements> unlocked_in_{};  // episodes
+  std::deque<std::pair<double, int64_t>> recent_;        // reward, length
+};
+
+}  // namespace craftfleet
+
+#endif  // CRAFTFLEET_LEARNER_RUN_SCORE_H_

@@ -1,0 +1,48 @@
+// stats.jsonl: one JSON object per finished episode, as Crafter's own recorder writes it.
+// Source: the protocol page, "Files other tools read"; Crafter's analysis scripts read this file.
+
+#ifndef CRAFTFLEET_LEARNER_RUN_STATS_LOG_H_
+#define CRAFTFLEET_LEARNER_RUN_STATS_LOG_H_
+
+#include <string>
+#include <utility>
+#include <vector>
+
+#include <absl/status/status.h>
+#include <absl/status/statusor.h>
+#include <absl/types/span.h>
+
+#include "common/types.h"
+#include "learner/run/append_file.h"
+
+namespace craftfleet {
+
+// What Python's round(reward, 1) gives: the exact binary value, ties to even.
+double RoundReward(double reward);
+
+// {"length": 163, "reward": 1.1, "achievement_collect_coal": 0, ...} and a newline, byte for byte as Python's
+// json.dumps.
+std::string FormatStatsLine(const Episode& episode);
+
+// Reads a whole stats.jsonl; `step` of the episodes is 0 and rewards are rounded.
+//   DataLoss: a line that is cut off, is no JSON object, lacks a key, has one too many, or one of another type: names
+//   the line and the key.
+absl::StatusOr<std::vector<Episode>> ReadStats(const std::string& path);
+
+// Thread-compatible: one thread at a time.
+class StatsLog {
+ public:
+  explicit StatsLog(AppendFile file) : file_(std::move(file)) {}
+
+  // Appends a line per episode, all or none, readable by others at once. Errors as AppendFile::Append.
+  absl::Status Append(absl::Span<const Episode> episodes);
+
+  AppendFile& file() { return file_; }
+
+ private:
+  AppendFile file_;
+};
+
+}  // namespace craftfleet
+
+#endif  // CRAFTFLEET_LEARNER_RUN_STATS_LOG_H_
