@@ -17,6 +17,9 @@ namespace craftfleet {
 inline constexpr int kChunkSize = 12;      // cells a side; the last chunks of a row or column may be smaller
 inline constexpr int kNumObjectTypes = 7;  // with kNone
 
+// A plant gives food once it has grown (Object::counter) for more steps than this.
+inline constexpr int kRipeAfter = 300;
+
 struct Object {
   ObjectType type = ObjectType::kNone;
   Variant variant = kNoVariant;
@@ -36,6 +39,7 @@ struct Cell {
 
 // Counts that balancing needs, kept up to date with every change.
 struct Chunk {
+  bool known = false;                              // whether it ever held an object
   Position min;                                    // its upper left cell
   Position max;                                    // one past its lower right cell
   std::array<int32_t, kNumMaterials> materials{};  // cells of each
@@ -58,6 +62,8 @@ class Board {
            static_cast<unsigned>(p.y) < static_cast<unsigned>(height_);
   }
   const Cell& cell(Position p) const { return cells_[Index(p)]; }
+  // [x][y], y fastest.
+  absl::Span<const Cell> cells() const { return cells_; }
   // kNone outside.
   Material material(Position p) const { return Inside(p) ? cell(p).material : Material::kNone; }
   // Index of the object at `p`, or -1; `p` may lie outside.
@@ -77,17 +83,22 @@ class Board {
   void Move(int index, Position target);
   // Drops removed objects: later ones move up.
   void Compact();
+  // Makes a chunk known, if it is not.
+  void LearnChunk(int index);
 
   const Chunk& chunk(int index) const { return chunks_[index]; }
   int num_chunks() const { return static_cast<int>(chunks_.size()); }
   int ChunkIndex(Position p) const { return p.x / kChunkSize * chunks_down_ + p.y / kChunkSize; }
   // Indices of the chunks that ever held an object, in the order in which they first did.
   absl::Span<const int16_t> known_chunks() const { return known_chunks_; }
+  // How often an object entered a chunk; what the next one gets as Object::entered.
+  int64_t entries() const { return entries_; }
+  void set_entries(int64_t entries) { entries_ = entries; }
 
  private:
   int Index(Position p) const { return p.x * height_ + p.y; }
   // Counts the object in its chunk as the latest to enter.
-  void Enter(Object& object);
+  void Enter(Object* object);
 
   int width_;
   int height_;
@@ -96,7 +107,6 @@ class Board {
   std::vector<Object> objects_;
   std::vector<Chunk> chunks_;  // [x / 12][y / 12]
   std::vector<int16_t> known_chunks_;
-  std::vector<bool> chunk_known_;
   int64_t entries_ = 0;
   bool any_removed_ = false;
 };

@@ -8,12 +8,17 @@
 #include <string>
 
 #include <absl/status/status.h>
+#include <absl/strings/string_view.h>
 
 #include "common/env_name.h"
 
 namespace craftfleet {
 
 inline constexpr int kNumVariants = 4;
+// Letters of appearance: tree water cow zombie stone coal skeleton iron player.
+inline constexpr absl::string_view kAppearanceLetters = "twczsukip";
+// Those whose things come in variant 0 only.
+inline constexpr absl::string_view kLettersWithOneVariant = "wip";
 
 // World generation makes the thing where a uniform draw is above the threshold: the higher, the rarer. Each in 0..1.
 struct NumberThresholds {
@@ -25,8 +30,8 @@ struct NumberThresholds {
 };
 
 struct WorldOptions {
-  int width = 64;          // cells; 4..256
-  int height = 64;         // cells; 4..256
+  int width = 64;          // cells; 4..250
+  int height = 64;         // cells; 4..250
   int view_width = 9;      // cells across the picture, 1..63; 2 * max(view) is how far from the player things happen
   int view_height = 9;     // cells down the picture with the inventory's ceil(16 / view_width) rows, 1..63
   int length = 10000;      // steps of an episode, 0..1,000,000,000; 0: no limit

@@ -55,8 +55,6 @@ class World {
   Variant variant(Position p) const { return state_.board.Inside(p) ? state_.board.cell(p).variant : kNoVariant; }
   // The live objects in order of creation; the first is the player.
   absl::Span<const Object> objects() const { return state_.board.objects(); }
-  // A plant that gives food: Object::counter, the steps it has grown, is above this.
-  static constexpr int kRipeAfter = 300;
 
   const Player& player() const { return state_.player; }
   Position player_position() const { return objects()[0].position; }

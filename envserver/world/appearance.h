@@ -1,0 +1,22 @@
+// Which of its variants a new cell or creature gets. Source: CrafterOOD page, "Appearance variants".
+
+#ifndef CRAFTFLEET_ENVSERVER_WORLD_APPEARANCE_H_
+#define CRAFTFLEET_ENVSERVER_WORLD_APPEARANCE_H_
+
+#include "envserver/world/options.h"
+#include "envserver/world/random_stream.h"
+#include "envserver/world/types.h"
+
+namespace craftfleet {
+
+// One draw where the setting's letters name the thing, else none and kNoVariant.
+Variant DrawVariant(const WorldOptions& options, Material material, RandomStream* random);
+Variant DrawVariant(const WorldOptions& options, ObjectType type, RandomStream* random);
+
+// Whether the thing can have this variant (none included) under these settings.
+bool IsPossibleVariant(const WorldOptions& options, Material material, Variant variant);
+bool IsPossibleVariant(const WorldOptions& options, ObjectType type, Variant variant);
+
+}  // namespace craftfleet
+
+#endif  // CRAFTFLEET_ENVSERVER_WORLD_APPEARANCE_H_

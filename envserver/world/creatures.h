@@ -1,0 +1,24 @@
+// What cows, zombies, skeletons, arrows and plants do in a step, and how each begins.
+// Source: Crafter's rules, "Cow" to "Plant"; determinism page, section 3.
+
+#ifndef CRAFTFLEET_ENVSERVER_WORLD_CREATURES_H_
+#define CRAFTFLEET_ENVSERVER_WORLD_CREATURES_H_
+
+#include "envserver/world/board.h"
+#include "envserver/world/state.h"
+#include "envserver/world/types.h"
+
+namespace craftfleet {
+
+// A new object of any type but the player, not yet on the board; no draws.
+Object MakeObject(ObjectType type, Position position);
+
+// Adds a cow, zombie or skeleton to a free cell; draws its variant.
+void AddCreature(ObjectType type, Position position, WorldState* state);
+
+// Any object but the player.
+void UpdateObject(int index, WorldState* state);
+
+}  // namespace craftfleet
+
+#endif  // CRAFTFLEET_ENVSERVER_WORLD_CREATURES_H_
