@@ -36,12 +36,13 @@ std::string KnownFields(absl::string_view message) {
   return absl::StrCat(" (known fields of ", descriptor->name(), ": ", absl::StrJoin(names, ", "), ")");
 }
 
-// "learning_rate: " if the text before `column` of `line` ends in "learning_rate:", else "".
+// "learning_rate: " if the text before `column` of `line` ends in "learning_rate:" or, for a number's sign,
+// "learning_rate: -"; else "".
 std::string FieldBefore(absl::string_view line, int column) {
   absl::string_view before = absl::StripTrailingAsciiWhitespace(line.substr(0, column));
+  if (absl::ConsumeSuffix(&before, "-")) before = absl::StripTrailingAsciiWhitespace(before);
   if (!absl::ConsumeSuffix(&before, ":")) return "";
-  const size_t start = before.find_last_of(" \t{;,");
-  return absl::StrCat(before.substr(start == absl::string_view::npos ? 0 : start + 1), ": ");
+  return absl::StrCat(before.substr(before.find_last_of(" \t{;,") + 1), ": ");
 }
 
 // Keeps the first error, with the place made readable.

@@ -5,6 +5,7 @@
 #include <utility>
 #include <vector>
 
+#include <absl/strings/match.h>
 #include <absl/strings/numbers.h>
 #include <absl/strings/str_cat.h>
 #include <absl/strings/str_format.h>
@@ -47,8 +48,10 @@ absl::StatusOr<std::vector<std::string>> ReadManifest(const std::string& folder)
     return absl::InvalidArgumentError(absl::StrCat(folder, " is not a checkpoint: its ", kManifest,
                                                    " does not begin with \"", kFormatPrefix, "\" and a number"));
   }
-  absl::string_view program = lines.size() > 1 ? lines[1] : "";
-  if (!absl::ConsumePrefix(&program, kProgramPrefix)) return Torn(folder, "MANIFEST has no program version");
+  if (lines.size() < 2 || !absl::StartsWith(lines[1], kProgramPrefix)) {
+    return Torn(folder, "MANIFEST has no program version");
+  }
+  const std::string program = lines[1].substr(kProgramPrefix.size());
   if (format > kCheckpointFormat) {
     return absl::FailedPreconditionError(
         absl::StrCat("checkpoint ", folder, " has format ", format, ", written by craftfleet ", program,

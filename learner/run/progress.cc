@@ -38,17 +38,17 @@ std::string FormatProgress(const ProgressState& state) {
   std::string line =
       absl::StrFormat("%s/%s steps %.1f%% | ", WithCommas(state.steps), WithCommas(state.total_steps), percent);
   if (state.steps_per_second > 0) {
-    absl::StrAppendFormat(&line, "%.0f/s | %s left | ", state.steps_per_second,
+    absl::StrAppendFormat(&line, "%.0f/s, %s left | ", state.steps_per_second,
                           FormatTimeLeft(steps_left / state.steps_per_second));
   } else {
-    line += "-/s | - left | ";
+    line += "-/s, - left | ";
   }
   if (state.episodes > 0) {
-    absl::StrAppendFormat(&line, "reward %.1f length %.0f | score %.2f | ", state.reward, state.length, state.score);
+    absl::StrAppendFormat(&line, "reward %.1f len %.0f | score %.2f, ", state.reward, state.length, state.score);
   } else {
-    line += "reward - length - | score - | ";
+    line += "reward - len - | score -, ";
   }
-  absl::StrAppendFormat(&line, "unlocked %d/%d", state.unlocked, kNumAchievements);
+  absl::StrAppendFormat(&line, "%d/%d unlocked", state.unlocked, kNumAchievements);
   return line;
 }
 

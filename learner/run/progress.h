@@ -25,7 +25,7 @@ struct ProgressState {
   int unlocked = 0;             // achievements unlocked so far, 0..22
 };
 
-// "12,288/1,000,000 steps 1.2% | 1234/s | 13m20s left | reward 2.3 length 187 | score 3.12 | unlocked 9/22"; no
+// "12,288/1,000,000 steps 1.2% | 1234/s, 13m20s left | reward 2.3 length 187 | score 3.12 | unlocked 9/22"; no
 // newline, at most 100 columns for runs of up to 100 million steps.
 std::string FormatProgress(const ProgressState& state);
 

@@ -1,0 +1,208 @@
+#include "common/config.h"
+
+#include <functional>
+#include <limits>
+#include <string>
+
+#include <gmock/gmock.h>
+#include <google/protobuf/util/message_differencer.h>
+#include <gtest/gtest.h>
+
+#include "tests/fakes/status_matchers.h"
+
+namespace craftfleet {
+namespace {
+
+using google::protobuf::util::MessageDifferencer;
+using testing::AllOf;
+using testing::HasSubstr;
+using testing::StartsWith;
+
+v1::RunConfig Resolved() { return ResolveRunConfig(DefaultRunConfig()).value(); }
+
+// The paper's hyperparameters for PPO-CNN (agents page), written out again.
+TEST(RunConfig, DefaultsAreThePapers) {
+  const v1::RunConfig config = Resolved();
+  EXPECT_EQ(config.agent(), "ppo_cnn");
+  EXPECT_EQ(config.env().name(), "crafter");
+  EXPECT_EQ(config.steps(), 1'000'000);
+  EXPECT_EQ(config.seed(), 0U);
+  EXPECT_EQ(config.lanes(), 16);
+  EXPECT_EQ(config.fragment_steps(), 256);
+  EXPECT_EQ(config.tile(), 8);
+  EXPECT_EQ(config.gradient_shards(), 2);
+  EXPECT_EQ(config.ppo().rollout_steps(), 4096);
+  EXPECT_EQ(config.ppo().minibatch_size(), 128);
+  EXPECT_EQ(config.ppo().epochs(), 4);
+  EXPECT_EQ(config.ppo().learning_rate(), 3e-4);
+  EXPECT_EQ(config.ppo().gamma(), 0.95);
+  EXPECT_EQ(config.ppo().gae_lambda(), 0.65);
+  EXPECT_EQ(config.ppo().clip(), 0.2);
+  EXPECT_EQ(config.ppo().value_coefficient(), 0.5);
+  EXPECT_EQ(config.ppo().entropy_coefficient(), 0);
+  EXPECT_EQ(config.ppo().max_gradient_norm(), 0.5);
+  EXPECT_EQ(config.ppo().adam_epsilon(), 1e-5);
+  EXPECT_FALSE(config.ppo().truncation_is_terminal());
+  EXPECT_EQ(config.checkpoint().every_iterations(), 10);
+  EXPECT_EQ(config.checkpoint().keep(), 3);
+}
+
+TEST(RunConfig, AnEmptyFileIsTheDefault) {
+  EXPECT_TRUE(MessageDifferencer::Equals(ParseRunConfig("", "run.txt").value(), DefaultRunConfig()));
+}
+
+TEST(RunConfig, AGivenValueCountsEvenIfItIsZero) {
+  const v1::RunConfig config =
+      ParseRunConfig("seed: 7  # lucky\nppo { gae_lambda: 0 truncation_is_terminal: true }\nenv { length: 500 }", "f")
+          .value();
+  EXPECT_EQ(config.seed(), 7U);
+  EXPECT_EQ(config.ppo().gae_lambda(), 0);
+  EXPECT_TRUE(config.ppo().truncation_is_terminal());
+  EXPECT_EQ(config.env().length(), 500);
+  EXPECT_EQ(config.env().name(), "crafter");
+  EXPECT_EQ(config.ppo().gamma(), 0.95);
+}
+
+TEST(RunConfig, AnUnknownFieldIsRefusedWithItsPlaceAndTheKnownOnes) {
+  EXPECT_THAT(
+      ParseRunConfig("seed: 1\nppo {\n  learning_rat: 1e-3\n}\n", "runs/a.txt"),
+      StatusIs(absl::StatusCode::kInvalidArgument,
+               AllOf(StartsWith("runs/a.txt:3:15: "), HasSubstr("\"learning_rat\""),
+                     HasSubstr("known fields of PpoConfig: rollout_steps, minibatch_size, epochs, learning_rate, "))));
+}
+
+TEST(RunConfig, ABadValueIsRefusedWithItsPlaceAndField) {
+  EXPECT_THAT(ParseRunConfig("ppo { learning_rate: fast }", "a.txt"),
+              StatusIs(absl::StatusCode::kInvalidArgument,
+                       AllOf(StartsWith("a.txt:1:22: learning_rate: "), HasSubstr("fast"))));
+  EXPECT_THAT(ParseRunConfig("\nlanes: -99999999999", "a.txt"),
+              StatusIs(absl::StatusCode::kInvalidArgument, AllOf(StartsWith("a.txt:2:"), HasSubstr("lanes"))));
+  EXPECT_THAT(ParseRunConfig("seed: 1 seed: 2", "a.txt"),
+              StatusIs(absl::StatusCode::kInvalidArgument, AllOf(StartsWith("a.txt:1:"), HasSubstr("seed"))));
+  EXPECT_THAT(ParseRunConfig("ppo {", "a.txt"), StatusIs(absl::StatusCode::kInvalidArgument, StartsWith("a.txt:1:")));
+  EXPECT_THAT(ParseRunConfig("\xFF\xFE{]", "a.txt"),
+              StatusIs(absl::StatusCode::kInvalidArgument, StartsWith("a.txt:")));
+}
+
+TEST(RunConfig, WhatIsFormattedReadsBackTheSame) {
+  v1::RunConfig config = Resolved();
+  config.set_seed(std::numeric_limits<uint64_t>::max());
+  config.mutable_env()->set_name("crafter:numbers=easy-x2,inventory=off");
+  config.mutable_ppo()->set_learning_rate(0.1 + 0.2);
+  config.mutable_ppo()->set_gae_lambda(0);
+  const std::string text = FormatRunConfig(config);
+  EXPECT_TRUE(MessageDifferencer::Equals(ParseRunConfig(text, "f").value(), config)) << text;
+}
+
+TEST(RunConfig, FormatIsStable) {
+  EXPECT_EQ(FormatRunConfig(Resolved()), R"(agent: "ppo_cnn"
+env {
+  name: "crafter"
+  frame_size: 0
+  length: 0
+}
+steps: 1000000
+seed: 0
+lanes: 16
+fragment_steps: 256
+tile: 8
+gradient_shards: 2
+ppo {
+  rollout_steps: 4096
+  minibatch_size: 128
+  epochs: 4
+  learning_rate: 0.0003
+  gamma: 0.95
+  gae_lambda: 0.65
+  clip: 0.2
+  value_coefficient: 0.5
+  entropy_coefficient: 0
+  max_gradient_norm: 0.5
+  adam_epsilon: 1e-05
+  truncation_is_terminal: false
+}
+checkpoint {
+  every_iterations: 10
+  keep: 3
+}
+)");
+}
+
+TEST(RunConfig, FragmentStepsFollowFromRolloutAndLanes) {
+  const auto fragment_steps = [](int rollout, int lanes) {
+    v1::RunConfig config = DefaultRunConfig();
+    config.mutable_ppo()->set_rollout_steps(rollout);
+    config.mutable_ppo()->set_minibatch_size(lanes * 2);
+    config.set_lanes(lanes);
+    return ResolveRunConfig(config).value().fragment_steps();
+  };
+  EXPECT_EQ(fragment_steps(4096, 16), 256);
+  EXPECT_EQ(fragment_steps(4096, 1), 256);
+  EXPECT_EQ(fragment_steps(4096, 64), 64);
+  EXPECT_EQ(fragment_steps(3000, 10), 150);  // 300 steps a lane: 256 does not divide it
+  EXPECT_EQ(fragment_steps(514, 1), 2);      // 514 = 2 * 257
+}
+
+TEST(RunConfig, GivenFragmentStepsStay) {
+  v1::RunConfig config = DefaultRunConfig();
+  config.set_fragment_steps(64);
+  EXPECT_EQ(ResolveRunConfig(config).value().fragment_steps(), 64);
+  config.set_fragment_steps(0);
+  EXPECT_THAT(ResolveRunConfig(config),
+              StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("fragment_steps is 0, want 1..16384")));
+}
+
+struct BadValue {
+  const char* want;  // in the message
+  std::function<void(v1::RunConfig*)> spoil;
+};
+
+class RunConfigRange : public testing::TestWithParam<BadValue> {};
+
+TEST_P(RunConfigRange, ABadValueIsRefusedByName) {
+  v1::RunConfig config = Resolved();
+  ASSERT_THAT(ValidateRunConfig(config), IsOk());
+  GetParam().spoil(&config);
+  EXPECT_THAT(ValidateRunConfig(config), StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr(GetParam().want)));
+}
+
+constexpr double kNan = std::numeric_limits<double>::quiet_NaN();
+
+INSTANTIATE_TEST_SUITE_P(
+    EachField, RunConfigRange,
+    testing::Values(
+        BadValue{"agent is empty", [](auto* c) { c->set_agent(""); }},
+        BadValue{"env.name is empty", [](auto* c) { c->mutable_env()->set_name(""); }},
+        BadValue{"env.frame_size is 8, want 9..1024", [](auto* c) { c->mutable_env()->set_frame_size(8); }},
+        BadValue{"env.length is -1, want 0..", [](auto* c) { c->mutable_env()->set_length(-1); }},
+        BadValue{"steps is 0, want 1..", [](auto* c) { c->set_steps(0); }},
+        BadValue{"lanes is 0, want 1..4096", [](auto* c) { c->set_lanes(0); }},
+        BadValue{"fragment_steps is 20000, want 1..16384", [](auto* c) { c->set_fragment_steps(20000); }},
+        BadValue{"tile is 0, want 1..256", [](auto* c) { c->set_tile(0); }},
+        BadValue{"gradient_shards is 0, want 1..256", [](auto* c) { c->set_gradient_shards(0); }},
+        BadValue{"ppo.rollout_steps is 0", [](auto* c) { c->mutable_ppo()->set_rollout_steps(0); }},
+        BadValue{"ppo.minibatch_size is 0", [](auto* c) { c->mutable_ppo()->set_minibatch_size(0); }},
+        BadValue{"ppo.epochs is 0, want 1..1000", [](auto* c) { c->mutable_ppo()->set_epochs(0); }},
+        BadValue{"ppo.learning_rate is -1, want 0..1", [](auto* c) { c->mutable_ppo()->set_learning_rate(-1); }},
+        BadValue{"ppo.learning_rate is nan", [](auto* c) { c->mutable_ppo()->set_learning_rate(kNan); }},
+        BadValue{"ppo.gamma is 1.5, want 0..1", [](auto* c) { c->mutable_ppo()->set_gamma(1.5); }},
+        BadValue{"ppo.gae_lambda is 2, want 0..1", [](auto* c) { c->mutable_ppo()->set_gae_lambda(2); }},
+        BadValue{"ppo.clip is 0, want more than 0", [](auto* c) { c->mutable_ppo()->set_clip(0); }},
+        BadValue{"ppo.clip is nan", [](auto* c) { c->mutable_ppo()->set_clip(kNan); }},
+        BadValue{"ppo.value_coefficient is -1", [](auto* c) { c->mutable_ppo()->set_value_coefficient(-1); }},
+        BadValue{"ppo.entropy_coefficient is -1", [](auto* c) { c->mutable_ppo()->set_entropy_coefficient(-1); }},
+        BadValue{"ppo.max_gradient_norm is 0", [](auto* c) { c->mutable_ppo()->set_max_gradient_norm(0); }},
+        BadValue{"ppo.adam_epsilon is 0", [](auto* c) { c->mutable_ppo()->set_adam_epsilon(0); }},
+        BadValue{"checkpoint.every_iterations is 0", [](auto* c) { c->mutable_checkpoint()->set_every_iterations(0); }},
+        BadValue{"checkpoint.keep is 0, want 1..1000", [](auto* c) { c->mutable_checkpoint()->set_keep(0); }},
+        // How values go together.
+        BadValue{"ppo.rollout_steps is 4096, want a multiple of lanes (3)", [](auto* c) { c->set_lanes(3); }},
+        BadValue{"ppo.rollout_steps is 4096, want a multiple of lanes * fragment_steps (1600)",
+                 [](auto* c) { c->set_fragment_steps(100); }},
+        BadValue{"ppo.rollout_steps is 4096, want a multiple of ppo.minibatch_size (100)",
+                 [](auto* c) { c->mutable_ppo()->set_minibatch_size(100); }},
+        BadValue{"ppo.minibatch_size is 128, want a multiple of gradient_shards (3)",
+                 [](auto* c) { c->set_gradient_shards(3); }}));
+
+}  // namespace
+}  // namespace craftfleet

@@ -1,0 +1,36 @@
+// Makes writing fail as a full disk does, without one.
+
+#ifndef CRAFTFLEET_TESTS_FAKES_FILE_SIZE_LIMIT_H_
+#define CRAFTFLEET_TESTS_FAKES_FILE_SIZE_LIMIT_H_
+
+#include <sys/resource.h>
+
+#include <csignal>
+
+#include "common/check.h"
+
+namespace craftfleet {
+
+// While it lives, no file of this process grows beyond `bytes`: write() writes up to there, then fails with EFBIG.
+class FileSizeLimit {
+ public:
+  explicit FileSizeLimit(rlim_t bytes) : old_handler_(std::signal(SIGXFSZ, SIG_IGN)) {
+    CRAFTFLEET_CHECK(::getrlimit(RLIMIT_FSIZE, &old_) == 0);
+    const rlimit limit = {bytes, old_.rlim_max};
+    CRAFTFLEET_CHECK(::setrlimit(RLIMIT_FSIZE, &limit) == 0);
+  }
+  ~FileSizeLimit() {
+    CRAFTFLEET_CHECK(::setrlimit(RLIMIT_FSIZE, &old_) == 0);
+    std::signal(SIGXFSZ, old_handler_);
+  }
+  FileSizeLimit(const FileSizeLimit&) = delete;
+  FileSizeLimit& operator=(const FileSizeLimit&) = delete;
+
+ private:
+  rlimit old_{};
+  void (*old_handler_)(int);
+};
+
+}  // namespace craftfleet
+
+#endif  // CRAFTFLEET_TESTS_FAKES_FILE_SIZE_LIMIT_H_

@@ -1,0 +1,36 @@
+// Matchers for absl::Status and absl::StatusOr, which the packaged Abseil lacks.
+
+#ifndef CRAFTFLEET_TESTS_FAKES_STATUS_MATCHERS_H_
+#define CRAFTFLEET_TESTS_FAKES_STATUS_MATCHERS_H_
+
+#include <string>
+
+#include <absl/status/status.h>
+#include <absl/status/statusor.h>
+#include <gmock/gmock.h>
+
+namespace craftfleet {
+
+inline const absl::Status& ToStatus(const absl::Status& status) { return status; }
+
+template <typename T>
+const absl::Status& ToStatus(const absl::StatusOr<T>& value) {
+  return value.status();
+}
+
+// EXPECT_THAT(Load(path), IsOk());
+MATCHER(IsOk, "is ok") {
+  *result_listener << ToStatus(arg).ToString();
+  return ToStatus(arg).ok();
+}
+
+// EXPECT_THAT(Load(path), StatusIs(absl::StatusCode::kDataLoss, HasSubstr("is torn")));
+MATCHER_P2(StatusIs, code, message, "has code " + absl::StatusCodeToString(code) + " and a message that fits") {
+  *result_listener << ToStatus(arg).ToString();
+  return ToStatus(arg).code() == code &&
+         testing::ExplainMatchResult(message, std::string(ToStatus(arg).message()), result_listener);
+}
+
+}  // namespace craftfleet
+
+#endif  // CRAFTFLEET_TESTS_FAKES_STATUS_MATCHERS_H_

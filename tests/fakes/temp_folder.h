@@ -1,0 +1,40 @@
+// A folder of its own for a test.
+
+#ifndef CRAFTFLEET_TESTS_FAKES_TEMP_FOLDER_H_
+#define CRAFTFLEET_TESTS_FAKES_TEMP_FOLDER_H_
+
+#include <cstdlib>
+#include <filesystem>
+#include <string>
+
+#include <absl/strings/string_view.h>
+#include <gtest/gtest.h>
+
+#include "common/check.h"
+#include "common/files.h"
+
+namespace craftfleet {
+
+// Made anew, removed with all in it at the end.
+class TempFolder {
+ public:
+  TempFolder() : path_(JoinPath(testing::TempDir(), "craftfleet-XXXXXX")) {
+    CRAFTFLEET_CHECK(::mkdtemp(&path_[0]) != nullptr);
+  }
+  ~TempFolder() {
+    std::error_code ignored;
+    std::filesystem::remove_all(path_, ignored);
+  }
+  TempFolder(const TempFolder&) = delete;
+  TempFolder& operator=(const TempFolder&) = delete;
+
+  const std::string& path() const { return path_; }
+  std::string operator/(absl::string_view name) const { return JoinPath(path_, name); }
+
+ private:
+  std::string path_;
+};
+
+}  // namespace craftfleet
+
+#endif  // CRAFTFLEET_TESTS_FAKES_TEMP_FOLDER_H_

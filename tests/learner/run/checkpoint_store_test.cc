@@ -1,0 +1,281 @@
+#include "learner/run/checkpoint_store.h"
+
+#include <sys/wait.h>
+#include <unistd.h>
+
+#include <csignal>
+#include <limits>
+#include <string>
+#include <vector>
+
+#include <absl/strings/str_cat.h>
+#include <absl/strings/str_format.h>
+#include <absl/strings/str_replace.h>
+#include <gmock/gmock.h>
+#include <google/protobuf/util/message_differencer.h>
+#include <gtest/gtest.h>
+
+#include "common/crc32c.h"
+#include "common/files.h"
+#include "tests/fakes/file_size_limit.h"
+#include "tests/fakes/status_matchers.h"
+#include "tests/fakes/temp_folder.h"
+#include "tests/learner/run/run_samples.h"
+
+namespace craftfleet {
+namespace {
+
+using google::protobuf::util::MessageDifferencer;
+using testing::AllOf;
+using testing::ElementsAre;
+using testing::EndsWith;
+using testing::HasSubstr;
+using testing::Not;
+
+class CheckpointStoreTest : public testing::Test {
+ protected:
+  void Write(int64_t iteration, double best_score = 0) {
+    ASSERT_THAT(store_.Write(SampleCheckpoint(iteration, best_score)), IsOk());
+  }
+  std::vector<std::string> Names() { return store_.ListNewestFirst().value(); }
+  std::string PathOf(int64_t iteration, const std::string& file) {
+    return temp_ / absl::StrCat(CheckpointName(iteration), "/", file);
+  }
+  // Replaces text in a file of checkpoint `iteration`.
+  void Edit(int64_t iteration, const std::string& file, const std::string& from, const std::string& to) {
+    const std::string text = ReadFile(PathOf(iteration, file)).value();
+    ASSERT_THAT(text, HasSubstr(from));
+    ASSERT_THAT(WriteFileSynced(PathOf(iteration, file), absl::StrReplaceAll(text, {{from, to}})), IsOk());
+  }
+  // Writes `bytes` as `file`, with the manifest adapted to them.
+  void Forge(int64_t iteration, const std::string& file, const std::string& bytes) {
+    const auto line = [&](const std::string& content) {
+      return absl::StrFormat("%s %d %08x", file, content.size(), Crc32c(content));
+    };
+    Edit(iteration, "MANIFEST", line(ReadFile(PathOf(iteration, file)).value()), line(bytes));
+    ASSERT_THAT(WriteFileSynced(PathOf(iteration, file), bytes), IsOk());
+  }
+
+  const TempFolder temp_;
+  CheckpointStore store_ = CheckpointStore::Open(temp_.path()).value();
+};
+
+TEST_F(CheckpointStoreTest, GivesBackWhatWasWritten) {
+  const Checkpoint written = SampleCheckpoint(10, 2.5);
+  ASSERT_THAT(store_.Write(written), IsOk());
+  const auto loaded = store_.Load("iter-00000010", "ppo_cnn");
+  ASSERT_THAT(loaded, IsOk());
+  EXPECT_EQ(loaded->weights, written.weights);
+  EXPECT_EQ(loaded->optimizer, written.optimizer);
+  v1::CheckpointState state = written.state;
+  state.set_format(kCheckpointFormat);
+  EXPECT_TRUE(MessageDifferencer::Equals(loaded->state, state));
+}
+
+TEST_F(CheckpointStoreTest, TheManifestIsText) {
+  Write(10);
+  const std::string manifest = ReadFile(PathOf(10, "MANIFEST")).value();
+  EXPECT_THAT(manifest, testing::MatchesRegex("craftfleet checkpoint, format 1\n"
+                                              "program 0.1.0\n"
+                                              "state.pb [0-9]+ [0-9a-f]+\n"
+                                              "weights.safetensors 3010 [0-9a-f]+\n"
+                                              "optimizer.safetensors 14 [0-9a-f]+\n"));
+}
+
+TEST_F(CheckpointStoreTest, KeepsTheNewestThreeAndTheBest) {
+  Write(10, 1.0);
+  EXPECT_THAT(Names(), ElementsAre("iter-00000010"));
+  Write(20, 3.0);  // the best from here on
+  Write(30, 3.0);
+  Write(40, 3.0);
+  Write(50, 3.0);
+  EXPECT_THAT(Names(), ElementsAre("iter-00000050", "iter-00000040", "iter-00000030", "iter-00000020"));
+  Write(60, 3.0);
+  EXPECT_THAT(Names(), ElementsAre("iter-00000060", "iter-00000050", "iter-00000040", "iter-00000020"));
+  Write(70, 3.5);
+  EXPECT_THAT(Names(), ElementsAre("iter-00000070", "iter-00000060", "iter-00000050"));
+  EXPECT_THAT(ListFolder(temp_.path()).value(), testing::SizeIs(3));
+}
+
+TEST_F(CheckpointStoreTest, WithoutAnEpisodeNoneIsTheBest) {
+  for (int64_t iteration = 0; iteration < 5; ++iteration) Write(iteration, -std::numeric_limits<double>::infinity());
+  EXPECT_THAT(Names(), ElementsAre("iter-00000004", "iter-00000003", "iter-00000002"));
+}
+
+TEST_F(CheckpointStoreTest, OrdersByNumberNotByText) {
+  Write(99'999'999);
+  Write(100'000'000);
+  EXPECT_THAT(Names(), ElementsAre("iter-100000000", "iter-99999999"));
+  EXPECT_EQ(store_.LoadLatest("").value().state.iteration(), 100'000'000);
+}
+
+TEST_F(CheckpointStoreTest, ATornFileIsNamedAndThePreviousGoodOneOffered) {
+  Write(10);
+  Write(20);
+  Write(30);
+  const std::string weights = ReadFile(PathOf(30, "weights.safetensors")).value();
+  ASSERT_THAT(WriteFileSynced(PathOf(30, "weights.safetensors"), weights.substr(0, 1000)), IsOk());
+  EXPECT_THAT(store_.LoadLatest(""),
+              StatusIs(absl::StatusCode::kDataLoss,
+                       testing::StrEq("checkpoint " + temp_ / "iter-00000030" +
+                                      " is torn: weights.safetensors has 1000 of 3010 bytes; the previous good one is "
+                                      "iter-00000020: resume from it with --resume_from=iter-00000020")));
+  EXPECT_THAT(store_.Load("iter-00000020", ""), IsOk());
+}
+
+TEST_F(CheckpointStoreTest, OnlyAGoodOneIsOffered) {
+  Write(10);
+  Write(20);
+  Write(30);
+  ASSERT_THAT(RemoveAll(PathOf(20, "state.pb")), IsOk());
+  ASSERT_THAT(RemoveAll(PathOf(30, "optimizer.safetensors")), IsOk());
+  EXPECT_THAT(
+      store_.LoadLatest(""),
+      StatusIs(absl::StatusCode::kDataLoss, AllOf(HasSubstr("iter-00000030 is torn: optimizer.safetensors is missing"),
+                                                  EndsWith("--resume_from=iter-00000010"))));
+  ASSERT_THAT(RemoveAll(PathOf(10, "state.pb")), IsOk());
+  EXPECT_THAT(store_.LoadLatest(""), StatusIs(absl::StatusCode::kDataLoss, Not(HasSubstr("resume_from"))));
+}
+
+TEST_F(CheckpointStoreTest, AFlippedBitIsFound) {
+  Write(10);
+  Edit(10, "weights.safetensors", "weights 10", "weights 11");
+  EXPECT_THAT(store_.LoadLatest(""),
+              StatusIs(absl::StatusCode::kDataLoss, HasSubstr("is torn: weights.safetensors has checksum ")));
+}
+
+TEST_F(CheckpointStoreTest, ACutManifestIsTorn) {
+  Write(10);
+  const std::string manifest = ReadFile(PathOf(10, "MANIFEST")).value();
+  const auto load_cut = [&](size_t length) {
+    EXPECT_THAT(WriteFileSynced(PathOf(10, "MANIFEST"), manifest.substr(0, length)), IsOk());
+    return store_.LoadLatest("").status();
+  };
+  constexpr auto kDataLoss = absl::StatusCode::kDataLoss;
+  EXPECT_THAT(load_cut(manifest.find("program") + 3),
+              StatusIs(kDataLoss, HasSubstr("MANIFEST has no program version")));
+  EXPECT_THAT(load_cut(manifest.find("weights")), StatusIs(kDataLoss, HasSubstr("does not list weights.safetensors")));
+  EXPECT_THAT(load_cut(manifest.size() - 4), StatusIs(kDataLoss, HasSubstr("optimizer.safetensors has checksum")));
+  EXPECT_THAT(load_cut(0), StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("is not a checkpoint")));
+}
+
+TEST_F(CheckpointStoreTest, ANewerFormatIsRefusedWithTheVersionThatWroteIt) {
+  Write(10);
+  Edit(10, "MANIFEST", "format 1\nprogram 0.1.0", "format 2\nprogram 3.1.4");
+  EXPECT_THAT(store_.LoadLatest(""),
+              StatusIs(absl::StatusCode::kFailedPrecondition,
+                       AllOf(HasSubstr("has format 2, written by craftfleet 3.1.4"), HasSubstr("up to 1"))));
+}
+
+TEST_F(CheckpointStoreTest, AnotherAgentIsRefused) {
+  Write(10);
+  EXPECT_THAT(store_.LoadLatest("oc_sa"),
+              StatusIs(absl::StatusCode::kFailedPrecondition, HasSubstr("is of agent ppo_cnn, not of oc_sa")));
+}
+
+TEST_F(CheckpointStoreTest, AStateThatMakesNoSenseIsRefused) {
+  Write(10);
+  Forge(10, "state.pb", "\xFF\xFF\xFF garbage");
+  EXPECT_THAT(store_.LoadLatest(""),
+              StatusIs(absl::StatusCode::kDataLoss, HasSubstr("state.pb is not a CheckpointState")));
+  v1::CheckpointState state = SampleCheckpoint(10).state;
+  state.mutable_lanes()->RemoveLast();
+  Forge(10, "state.pb", state.SerializeAsString());
+  EXPECT_THAT(store_.LoadLatest(""),
+              StatusIs(absl::StatusCode::kDataLoss, HasSubstr("has 15 lanes, its configuration 16")));
+  state = SampleCheckpoint(10).state;
+  state.mutable_config()->mutable_ppo()->set_gamma(7);
+  Forge(10, "state.pb", state.SerializeAsString());
+  EXPECT_THAT(store_.LoadLatest(""), StatusIs(absl::StatusCode::kDataLoss, HasSubstr("ppo.gamma is 7")));
+  state = SampleCheckpoint(10).state;
+  state.set_env_steps(-1);
+  Forge(10, "state.pb", state.SerializeAsString());
+  EXPECT_THAT(store_.LoadLatest(""), StatusIs(absl::StatusCode::kDataLoss, HasSubstr("a counter is negative")));
+}
+
+TEST_F(CheckpointStoreTest, AnEmptyStoreOrAnUnknownNameIsNotFound) {
+  EXPECT_THAT(store_.LoadLatest(""), StatusIs(absl::StatusCode::kNotFound, HasSubstr(temp_.path())));
+  Write(10);
+  EXPECT_THAT(
+      store_.Load("iter-00000011", ""),
+      StatusIs(absl::StatusCode::kNotFound, AllOf(HasSubstr("iter-00000011"), EndsWith("which has iter-00000010"))));
+  EXPECT_THAT(store_.Load("../x", ""), StatusIs(absl::StatusCode::kNotFound, HasSubstr("../x")));
+}
+
+TEST_F(CheckpointStoreTest, AFullDiskLeavesEarlierOnesAndNoHalfOne) {
+  Write(10);
+  {
+    const FileSizeLimit limit(2000);  // the state fits, the weights do not
+    EXPECT_THAT(store_.Write(SampleCheckpoint(20)),
+                StatusIs(absl::StatusCode::kResourceExhausted, HasSubstr("weights.safetensors")));
+  }
+  EXPECT_THAT(ListFolder(temp_.path()).value(), ElementsAre("iter-00000010"));
+  EXPECT_EQ(store_.LoadLatest("").value().state.iteration(), 10);
+  Write(20);
+  EXPECT_EQ(store_.LoadLatest("").value().state.iteration(), 20);
+}
+
+TEST_F(CheckpointStoreTest, AWholeOneOfTheSameIterationStaysATornOneIsReplaced) {
+  Write(10, 1.0);
+  Write(10, 2.0);
+  EXPECT_EQ(store_.LoadLatest("").value().state.best_score(), 1.0);
+  ASSERT_THAT(RemoveAll(PathOf(10, "state.pb")), IsOk());
+  Write(10, 2.0);
+  EXPECT_EQ(store_.LoadLatest("").value().state.best_score(), 2.0);
+}
+
+TEST_F(CheckpointStoreTest, LeftoversOfAKilledWriterGoAtTheNextStart) {
+  Write(10);
+  ASSERT_THAT(CreateFolders(temp_ / ".tmp-iter-00000020"), IsOk());
+  ASSERT_THAT(WriteFileSynced(temp_ / ".tmp-iter-00000020/state.pb", "half"), IsOk());
+  EXPECT_THAT(Names(), ElementsAre("iter-00000010"));
+  ASSERT_THAT(CheckpointStore::Open(temp_.path()), IsOk());
+  EXPECT_THAT(ListFolder(temp_.path()).value(), ElementsAre("iter-00000010"));
+}
+
+TEST_F(CheckpointStoreTest, DiscardsThoseOfLaterIterations) {
+  Write(10);
+  Write(20);
+  Write(30);
+  ASSERT_THAT(store_.DiscardNewerThan(10), IsOk());
+  EXPECT_THAT(ListFolder(temp_.path()).value(), ElementsAre("iter-00000010"));
+}
+
+TEST_F(CheckpointStoreTest, WhenTheWriterIsKilledTheNewestIsAlwaysWhole) {
+  Write(1);
+  int64_t newest = 1;
+  for (int round = 0; round < 20; ++round) {
+    const pid_t writer = ::fork();
+    ASSERT_GE(writer, 0);
+    if (writer == 0) {
+      for (int64_t iteration = newest + 1;; ++iteration) {
+        if (!store_.Write(SampleCheckpoint(iteration)).ok()) ::_exit(1);
+      }
+    }
+    ::usleep(500 + 1700 * round);  // the kill has to hit at many places; nothing is waited for
+    ASSERT_EQ(::kill(writer, SIGKILL), 0);
+    int status = 0;
+    ASSERT_EQ(::waitpid(writer, &status, 0), writer);
+    ASSERT_TRUE(WIFSIGNALED(status));
+    store_ = CheckpointStore::Open(temp_.path()).value();
+    const auto loaded = store_.LoadLatest("ppo_cnn");
+    ASSERT_THAT(loaded, IsOk());
+    EXPECT_GE(loaded->state.iteration(), newest);
+    newest = loaded->state.iteration();
+  }
+  EXPECT_GT(newest, 1);
+}
+
+TEST(FindCheckpoint, TakesACheckpointOrARunFolder) {
+  const TempFolder run;
+  CheckpointStore store = CheckpointStore::Open(run / "checkpoints").value();
+  EXPECT_THAT(FindCheckpoint(run.path()), StatusIs(absl::StatusCode::kNotFound, HasSubstr(run.path())));
+  ASSERT_THAT(store.Write(SampleCheckpoint(10)), IsOk());
+  ASSERT_THAT(store.Write(SampleCheckpoint(20)), IsOk());
+  EXPECT_EQ(FindCheckpoint(run.path()).value(), run / "checkpoints/iter-00000020");
+  EXPECT_EQ(FindCheckpoint(run / "checkpoints").value(), run / "checkpoints/iter-00000020");
+  EXPECT_EQ(FindCheckpoint(run / "checkpoints/iter-00000010").value(), run / "checkpoints/iter-00000010");
+}
+
+}  // namespace
+}  // namespace craftfleet

@@ -1,0 +1,135 @@
+#include "learner/run/progress.h"
+
+#include <sstream>
+#include <string>
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include "tests/fakes/fake_clock.h"
+#include "tests/learner/run/run_samples.h"
+
+namespace craftfleet {
+namespace {
+
+using testing::HasSubstr;
+using testing::StartsWith;
+
+ProgressState Sample() {
+  ProgressState state;
+  state.steps = 12288;
+  state.total_steps = 1'000'000;
+  state.steps_per_second = 1234.4;
+  state.episodes = 75;
+  state.reward = 2.31;
+  state.length = 186.6;
+  state.score = 3.119;
+  state.unlocked = 9;
+  return state;
+}
+
+TEST(FormatProgress, SaysHowFarHowFastAndHowWell) {
+  EXPECT_EQ(FormatProgress(Sample()),
+            "12,288/1,000,000 steps 1.2% | 1234/s, 13m20s left | reward 2.3 len 187 | score 3.12, 9/22 unlocked");
+}
+
+TEST(FormatProgress, ShowsADashForWhatIsNotKnownYet) {
+  ProgressState state;
+  state.total_steps = 500;
+  EXPECT_EQ(FormatProgress(state), "0/500 steps 0.0% | -/s, - left | reward - len - | score -, 0/22 unlocked");
+}
+
+TEST(FormatProgress, ShowsTimeLeftInUnitsThatFit) {
+  const auto left = [](double steps_per_second) {
+    ProgressState state = Sample();
+    state.steps = 0;
+    state.steps_per_second = steps_per_second;
+    const std::string line = FormatProgress(state);
+    const size_t start = line.find("/s, ") + 4;
+    return line.substr(start, line.find(" left") - start);
+  };
+  EXPECT_EQ(left(1e6), "1s");
+  EXPECT_EQ(left(16667), "1m0s");
+  EXPECT_EQ(left(100), "2h46m");
+  EXPECT_EQ(left(4), "2d21h");
+}
+
+TEST(FormatProgress, PastTheGoalNothingIsLeft) {
+  ProgressState state = Sample();
+  state.steps = 1'003'520;
+  EXPECT_THAT(FormatProgress(state), StartsWith("1,003,520/1,000,000 steps 100.4% | 1234/s, 0s left"));
+}
+
+TEST(FormatProgress, FitsATerminal) {
+  ProgressState state = Sample();
+  state.steps = 888'888;
+  state.steps_per_second = 888;
+  state.reward = 10.5;
+  state.length = 999;
+  state.score = 22.22;
+  state.unlocked = 22;
+  EXPECT_LE(FormatProgress(state).size(), 100U) << FormatProgress(state);
+  state.steps = 88'888'888;
+  state.total_steps = 100'000'000;
+  EXPECT_LE(FormatProgress(state).size(), 113U) << FormatProgress(state);
+}
+
+class ProgressPrinterTest : public testing::Test {
+ protected:
+  ProgressPrinter Make(bool terminal) { return ProgressPrinter({terminal, 4000, 10'000}, &out_, &clock_); }
+
+  // What was printed since the last call.
+  std::string Printed() {
+    const std::string text = out_.str();
+    out_.str("");
+    return text;
+  }
+
+  FakeClock clock_;
+  std::ostringstream out_;
+  ScoreBoard score_;
+};
+
+TEST_F(ProgressPrinterTest, WithoutATerminalALineEveryTenSecondsTheFirstAfterTwo) {
+  ProgressPrinter printer = Make(false);
+  clock_.Advance(absl::Seconds(1.9));
+  printer.Update(4100, score_);
+  EXPECT_EQ(Printed(), "");
+  clock_.Advance(absl::Seconds(0.1));
+  printer.Update(4200, score_);
+  EXPECT_THAT(Printed(), StartsWith("4,200/10,000 steps 42.0% | 100/s, 58s left | "));
+  clock_.Advance(absl::Seconds(9.9));
+  printer.Update(4300, score_);
+  EXPECT_EQ(Printed(), "");
+  clock_.Advance(absl::Seconds(0.1));
+  printer.Update(4600, score_);
+  const std::string line = Printed();
+  EXPECT_THAT(line, StartsWith("4,600/10,000 steps 46.0% | 50/s, "));
+  EXPECT_EQ(line.back(), '\n');
+}
+
+TEST_F(ProgressPrinterTest, OnATerminalOneLineInPlace) {
+  ProgressPrinter printer = Make(true);
+  clock_.Advance(absl::Seconds(2));
+  printer.Update(4200, score_);
+  clock_.Advance(absl::Seconds(0.5));
+  printer.Update(4300, score_);
+  const std::string text = Printed();
+  EXPECT_THAT(text, StartsWith("\r4,200/10,000"));
+  EXPECT_THAT(text, HasSubstr("\033[K\r4,300/10,000"));
+  EXPECT_EQ(text.find('\n'), std::string::npos);
+  printer.Finish(10'000, score_);
+  EXPECT_THAT(Printed(), testing::AllOf(StartsWith("\r10,000/10,000 steps 100.0%"), testing::EndsWith("\033[K\n")));
+}
+
+TEST_F(ProgressPrinterTest, FinishPrintsWhateverTheTime) {
+  ProgressPrinter printer = Make(false);
+  score_.Add(SampleEpisode(100, 3.0));
+  printer.Finish(4000, score_);
+  const std::string line = Printed();
+  EXPECT_THAT(line, HasSubstr("| -/s, - left | reward 3.0 len 100 | score "));
+  EXPECT_THAT(line, testing::EndsWith("11/22 unlocked\n"));
+}
+
+}  // namespace
+}  // namespace craftfleet

@@ -1,0 +1,201 @@
+#include "learner/run/run_folder.h"
+
+#include <unistd.h>
+
+#include <string>
+
+#include <absl/strings/str_cat.h>
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+#include <nlohmann/json.hpp>
+
+#include "common/config.h"
+#include "common/files.h"
+#include "learner/run/epoch.h"
+#include "tests/fakes/fake_clock.h"
+#include "tests/fakes/file_size_limit.h"
+#include "tests/fakes/status_matchers.h"
+#include "tests/fakes/temp_folder.h"
+#include "tests/learner/run/run_samples.h"
+
+namespace craftfleet {
+namespace {
+
+using testing::AllOf;
+using testing::ElementsAre;
+using testing::HasSubstr;
+
+TEST(Epoch, CountsStarts) {
+  const TempFolder folder;
+  EXPECT_EQ(ReadEpoch(folder.path()).value(), 0);
+  EXPECT_EQ(NextEpoch(folder.path()).value(), 1);
+  EXPECT_EQ(NextEpoch(folder.path()).value(), 2);
+  EXPECT_EQ(ReadEpoch(folder.path()).value(), 2);
+  for (const char* garbage : {"", "x", "-1", "0", "1 2"}) {
+    ASSERT_THAT(WriteFileSynced(folder / "epoch", garbage), IsOk());
+    EXPECT_THAT(NextEpoch(folder.path()), StatusIs(absl::StatusCode::kDataLoss, HasSubstr(folder / "epoch")))
+        << garbage;
+  }
+}
+
+class RunFolderTest : public testing::Test {
+ protected:
+  std::unique_ptr<RunFolder> Create() {
+    auto folder = RunFolder::Create(logdir_, ResolveRunConfig(DefaultRunConfig()).value(), program_, &clock_);
+    EXPECT_THAT(folder, IsOk());
+    return folder.ok() ? *std::move(folder) : nullptr;
+  }
+  absl::StatusOr<ResumedRun> Resume(const ResumeOptions& options = {}) {
+    return RunFolder::Resume(logdir_, options, program_, &clock_);
+  }
+
+  // A run of two iterations with a checkpoint after each, then some more that no checkpoint knows of.
+  void MakeRun() {
+    auto folder = Create();
+    for (int64_t iteration = 1; iteration <= 3; ++iteration) {
+      ASSERT_THAT(folder->AddEpisodes({SampleEpisode(100 * iteration, 1.0 * iteration), SampleEpisode(10, 0)}), IsOk());
+      ASSERT_THAT(folder->events().AddScalars(4096 * iteration, {{"train/reward", 1.0 * iteration}}), IsOk());
+      if (iteration == 3) break;
+      ASSERT_THAT(folder->WriteCheckpoint(SampleCheckpoint(iteration)), IsOk());
+    }
+  }
+
+  const TempFolder temp_;
+  const std::string logdir_ = temp_ / "runs/a";
+  const ProgramInfo program_{"0.1.0", "39702b5", "digest1"};
+  FakeClock clock_;
+};
+
+TEST_F(RunFolderTest, SaysWhatTheRunIs) {
+  const auto folder = Create();
+  ASSERT_NE(folder, nullptr);
+  EXPECT_THAT(folder->run_id(), testing::MatchesRegex("20231114-221320-[0-9a-f]{6}"));
+  EXPECT_EQ(folder->epoch(), 1);
+  EXPECT_EQ(ReadFile(logdir_ + "/config.txt").value(), FormatRunConfig(folder->config()));
+  EXPECT_EQ(nlohmann::json::parse(ReadFile(logdir_ + "/run.json").value()),
+            nlohmann::json({{"run_id", folder->run_id()},
+                            {"program_version", "0.1.0"},
+                            {"git_revision", "39702b5"},
+                            {"seed", 0},
+                            {"texture_digest", "digest1"}}));
+  EXPECT_THAT(ListFolder(logdir_).value(),
+              ElementsAre("checkpoints", "config.txt", "epoch", "events.out.tfevents.craftfleet", "lock", "run.json",
+                          "stats.jsonl"));
+}
+
+TEST_F(RunFolderTest, ANewRunIsRefusedWhereThereIsOne) {
+  ASSERT_NE(Create(), nullptr);
+  const auto second = RunFolder::Create(logdir_, DefaultRunConfig(), program_, &clock_);
+  EXPECT_THAT(second, StatusIs(absl::StatusCode::kAlreadyExists,
+                               AllOf(HasSubstr(logdir_), HasSubstr("--resume"), HasSubstr("--logdir"))));
+}
+
+TEST_F(RunFolderTest, ASecondLearnerIsRefusedWithTheProcessOfTheFirst) {
+  const auto first = Create();
+  const auto matcher = StatusIs(absl::StatusCode::kFailedPrecondition,
+                                HasSubstr(absl::StrCat("in use by process ", ::getpid(), " on ")));
+  EXPECT_THAT(RunFolder::Create(logdir_, DefaultRunConfig(), program_, &clock_), matcher);
+  EXPECT_THAT(Resume(), matcher);
+}
+
+TEST_F(RunFolderTest, ResumeGoesBackToTheCheckpoint) {
+  MakeRun();
+  const auto run = Resume();
+  ASSERT_THAT(run, IsOk());
+  EXPECT_EQ(run->checkpoint.state.iteration(), 2);
+  EXPECT_EQ(run->folder->run_id(), run->checkpoint.state.run_id());
+  EXPECT_EQ(run->folder->epoch(), 2);
+  EXPECT_EQ(run->folder->config().lanes(), 16);
+  EXPECT_EQ(run->folder->score().episodes(), 4);
+  EXPECT_EQ(ReadFile(logdir_ + "/stats.jsonl").value(),
+            absl::StrCat(FormatStatsLine(SampleEpisode(100, 1)), FormatStatsLine(SampleEpisode(10, 0)),
+                         FormatStatsLine(SampleEpisode(200, 2)), FormatStatsLine(SampleEpisode(10, 0))));
+}
+
+TEST_F(RunFolderTest, AResumedRunLeavesTheSameFilesAsOneNeverStopped) {
+  MakeRun();
+  const std::string stats = ReadFile(logdir_ + "/stats.jsonl").value();
+  const std::string events = ReadFile(logdir_ + "/events.out.tfevents.craftfleet").value();
+  auto run = Resume();
+  ASSERT_THAT(run, IsOk());
+  ASSERT_THAT(run->folder->AddEpisodes({SampleEpisode(300, 3), SampleEpisode(10, 0)}), IsOk());
+  ASSERT_THAT(run->folder->events().AddScalars(4096 * 3, {{"train/reward", 3}}), IsOk());
+  EXPECT_EQ(ReadFile(logdir_ + "/stats.jsonl").value(), stats);
+  EXPECT_EQ(ReadFile(logdir_ + "/events.out.tfevents.craftfleet").value(), events);
+}
+
+TEST_F(RunFolderTest, ResumeFromAnOlderCheckpointLeavesTheNewerBehind) {
+  MakeRun();
+  {
+    const auto run = Resume({"iter-00000001", ""});
+    ASSERT_THAT(run, IsOk());
+    EXPECT_EQ(run->folder->score().episodes(), 2);
+    EXPECT_THAT(run->folder->checkpoints().ListNewestFirst().value(), ElementsAre("iter-00000001"));
+  }
+  EXPECT_EQ(Resume().value().checkpoint.state.iteration(), 1);
+}
+
+TEST_F(RunFolderTest, ACheckpointKnowsTheRun) {
+  MakeRun();
+  const v1::CheckpointState state = Resume().value().checkpoint.state;
+  EXPECT_EQ(state.program_version(), "0.1.0");
+  EXPECT_EQ(state.texture_digest(), "digest1");
+  EXPECT_EQ(state.config().agent(), "ppo_cnn");
+  EXPECT_EQ(state.lanes(3).snapshot(), "snapshot of lane 3");
+  // Means after the checkpoints: 0.5, then 0.75.
+  EXPECT_EQ(state.best_score(), 0.75);
+  ASSERT_EQ(state.logs_size(), 2);
+  EXPECT_EQ(state.logs(0).file(), "stats.jsonl");
+  EXPECT_EQ(state.logs(1).file(), "events.out.tfevents.craftfleet");
+}
+
+TEST_F(RunFolderTest, TheBestScoreOutlivesWorseTimes) {
+  auto folder = Create();
+  ASSERT_THAT(folder->AddEpisodes({SampleEpisode(10, 5)}), IsOk());
+  ASSERT_THAT(folder->WriteCheckpoint(SampleCheckpoint(1)), IsOk());
+  ASSERT_THAT(folder->AddEpisodes({SampleEpisode(10, 0)}), IsOk());
+  ASSERT_THAT(folder->WriteCheckpoint(SampleCheckpoint(2)), IsOk());
+  EXPECT_EQ(folder->checkpoints().LoadLatest("").value().state.best_score(), 5);
+  folder.reset();
+  auto run = Resume();
+  ASSERT_THAT(run->folder->WriteCheckpoint(SampleCheckpoint(3)), IsOk());
+  EXPECT_EQ(run->folder->checkpoints().LoadLatest("").value().state.best_score(), 5);
+}
+
+TEST_F(RunFolderTest, WhatCannotBeResumedIsRefused) {
+  EXPECT_THAT(Resume(), StatusIs(absl::StatusCode::kNotFound, HasSubstr("no run to resume in " + logdir_)));
+  Create();
+  EXPECT_THAT(Resume(), StatusIs(absl::StatusCode::kNotFound, HasSubstr("no checkpoint in " + logdir_)));
+}
+
+TEST_F(RunFolderTest, ARunOfOtherTexturesOrAnotherAgentIsRefused) {
+  MakeRun();
+  EXPECT_THAT(RunFolder::Resume(logdir_, {}, {"0.1.0", "39702b5", "digest2"}, &clock_),
+              StatusIs(absl::StatusCode::kFailedPrecondition,
+                       AllOf(HasSubstr("digest1"), HasSubstr("digest2"), HasSubstr("--textures"))));
+  EXPECT_THAT(Resume({"", "oc_sa"}), StatusIs(absl::StatusCode::kFailedPrecondition, HasSubstr("oc_sa")));
+  EXPECT_EQ(ReadEpoch(logdir_).value(), 1);
+}
+
+TEST_F(RunFolderTest, ALogThatLostBytesIsRefused) {
+  MakeRun();
+  ASSERT_EQ(::truncate((logdir_ + "/stats.jsonl").c_str(), 100), 0);
+  EXPECT_THAT(Resume(), StatusIs(absl::StatusCode::kDataLoss, HasSubstr("stats.jsonl has 100 bytes")));
+}
+
+TEST_F(RunFolderTest, AFullDiskIsAnErrorAndNothingIsCounted) {
+  auto folder = Create();
+  {
+    const FileSizeLimit limit(100);
+    EXPECT_THAT(folder->AddEpisodes({SampleEpisode(10, 1)}),
+                StatusIs(absl::StatusCode::kResourceExhausted, HasSubstr("stats.jsonl")));
+    EXPECT_THAT(folder->WriteCheckpoint(SampleCheckpoint(1)),
+                StatusIs(absl::StatusCode::kResourceExhausted, HasSubstr("state.pb")));
+  }
+  EXPECT_EQ(folder->score().episodes(), 0);
+  EXPECT_THAT(folder->AddEpisodes({SampleEpisode(10, 1)}), IsOk());
+  EXPECT_THAT(folder->WriteCheckpoint(SampleCheckpoint(1)), IsOk());
+}
+
+}  // namespace
+}  // namespace craftfleet

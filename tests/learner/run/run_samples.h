@@ -1,0 +1,47 @@
+// Episodes and checkpoints to test with.
+
+#ifndef CRAFTFLEET_TESTS_LEARNER_RUN_RUN_SAMPLES_H_
+#define CRAFTFLEET_TESTS_LEARNER_RUN_RUN_SAMPLES_H_
+
+#include <cstdint>
+#include <string>
+
+#include "common/config.h"
+#include "common/types.h"
+#include "learner/run/checkpoint.h"
+
+namespace craftfleet {
+
+// Every second achievement is unlocked, `length` times modulo 3.
+inline Episode SampleEpisode(int64_t length, double reward) {
+  Episode episode;
+  episode.length = length;
+  episode.reward = reward;
+  for (int i = 0; i < kNumAchievements; i += 2) episode.achievements[i] = static_cast<int32_t>(length % 3);
+  return episode;
+}
+
+inline Checkpoint SampleCheckpoint(int64_t iteration, double best_score = 0) {
+  Checkpoint checkpoint;
+  checkpoint.weights = "weights " + std::to_string(iteration) + std::string(3000, 'w');
+  checkpoint.optimizer = "optimizer " + std::to_string(iteration) + std::string("\0\n", 2);
+  v1::CheckpointState& state = checkpoint.state;
+  *state.mutable_config() = ResolveRunConfig(DefaultRunConfig()).value();
+  state.set_program_version("0.1.0");
+  state.set_run_id("20231114-221320-abcdef");
+  state.set_iteration(iteration);
+  state.set_env_steps(iteration * 4096);
+  state.set_policy_version(iteration);
+  state.set_optimizer_steps(iteration * 128);
+  state.set_best_score(best_score);
+  for (int lane = 0; lane < state.config().lanes(); ++lane) {
+    v1::LaneState* lane_state = state.add_lanes();
+    lane_state->set_next_fragment(iteration);
+    lane_state->set_snapshot("snapshot of lane " + std::to_string(lane));
+  }
+  return checkpoint;
+}
+
+}  // namespace craftfleet
+
+#endif  // CRAFTFLEET_TESTS_LEARNER_RUN_RUN_SAMPLES_H_

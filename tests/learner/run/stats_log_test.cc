@@ -1,0 +1,158 @@
+#include "learner/run/stats_log.h"
+
+#include <cmath>
+#include <string>
+#include <vector>
+
+#include <absl/strings/str_cat.h>
+#include <absl/strings/str_replace.h>
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+#include <nlohmann/json.hpp>
+
+#include "common/crafter.h"
+#include "common/files.h"
+#include "tests/fakes/file_size_limit.h"
+#include "tests/fakes/status_matchers.h"
+#include "tests/fakes/temp_folder.h"
+#include "tests/learner/run/run_samples.h"
+
+namespace craftfleet {
+namespace {
+
+using testing::HasSubstr;
+
+std::string RewardText(double reward) {
+  const std::string line = FormatStatsLine(SampleEpisode(1, reward));
+  const size_t start = line.find("\"reward\": ") + 10;
+  return line.substr(start, line.find(',', start) - start);
+}
+
+TEST(StatsLine, IsWhatPythonsJsonDumpsPrints) {
+  Episode episode;
+  episode.length = 163;
+  episode.reward = 1.0776035110335536;
+  for (int i = 0; i < kNumAchievements; ++i) episode.achievements[i] = i;
+  EXPECT_EQ(FormatStatsLine(episode),
+            "{\"length\": 163, \"reward\": 1.1, \"achievement_collect_coal\": 0, \"achievement_collect_diamond\": 1, "
+            "\"achievement_collect_drink\": 2, \"achievement_collect_iron\": 3, \"achievement_collect_sapling\": 4, "
+            "\"achievement_collect_stone\": 5, \"achievement_collect_wood\": 6, \"achievement_defeat_skeleton\": 7, "
+            "\"achievement_defeat_zombie\": 8, \"achievement_eat_cow\": 9, \"achievement_eat_plant\": 10, "
+            "\"achievement_make_iron_pickaxe\": 11, \"achievement_make_iron_sword\": 12, "
+            "\"achievement_make_stone_pickaxe\": 13, \"achievement_make_stone_sword\": 14, "
+            "\"achievement_make_wood_pickaxe\": 15, \"achievement_make_wood_sword\": 16, "
+            "\"achievement_place_furnace\": 17, \"achievement_place_plant\": 18, \"achievement_place_stone\": 19, "
+            "\"achievement_place_table\": 20, \"achievement_wake_up\": 21}\n");
+}
+
+// Right-hand sides printed by CPython 3.11: json.dumps(round(x, 1)).
+TEST(StatsLine, RoundsRewardsAsPythonDoes) {
+  EXPECT_EQ(RewardText(0.05), "0.1");
+  EXPECT_EQ(RewardText(0.15), "0.1");
+  EXPECT_EQ(RewardText(0.25), "0.2");
+  EXPECT_EQ(RewardText(0.35), "0.3");
+  EXPECT_EQ(RewardText(0.45), "0.5");
+  EXPECT_EQ(RewardText(0.75), "0.8");
+  EXPECT_EQ(RewardText(0.85), "0.8");
+  EXPECT_EQ(RewardText(0.95), "0.9");
+  EXPECT_EQ(RewardText(1.05), "1.1");
+  EXPECT_EQ(RewardText(1.25), "1.2");
+  EXPECT_EQ(RewardText(2.675), "2.7");
+  EXPECT_EQ(RewardText(9.95), "9.9");
+  EXPECT_EQ(RewardText(10), "10.0");
+  EXPECT_EQ(RewardText(123456.75), "123456.8");
+  EXPECT_EQ(RewardText(21.049999999999997), "21.0");
+  EXPECT_EQ(RewardText(-0.8999999999999999), "-0.9");
+  EXPECT_EQ(RewardText(-0.25), "-0.2");
+  EXPECT_EQ(RewardText(-0.05), "-0.1");
+  EXPECT_EQ(RewardText(-0.04), "-0.0");
+  EXPECT_EQ(RewardText(-0.0), "-0.0");
+  EXPECT_EQ(RewardText(0), "0.0");
+}
+
+TEST(StatsLine, RoundedRewardIsTheNumberThatIsPrinted) {
+  EXPECT_EQ(RoundReward(1.0776035110335536), 1.1);
+  EXPECT_EQ(RoundReward(0.25), 0.2);
+  EXPECT_TRUE(std::signbit(RoundReward(-0.04)));
+}
+
+TEST(StatsLog, ReadsBackWhatWasAppended) {
+  const TempFolder folder;
+  StatsLog log(AppendFile::Open(folder / "stats.jsonl").value());
+  ASSERT_THAT(log.Append({SampleEpisode(100, 2.06), SampleEpisode(10000, -0.9)}), IsOk());
+  ASSERT_THAT(log.Append({}), IsOk());
+  ASSERT_THAT(log.Append({SampleEpisode(7, 0)}), IsOk());
+  const std::vector<Episode> episodes = ReadStats(folder / "stats.jsonl").value();
+  ASSERT_EQ(episodes.size(), 3U);
+  EXPECT_EQ(episodes[0].length, 100);
+  EXPECT_EQ(episodes[0].reward, 2.1);
+  EXPECT_EQ(episodes[0].achievements, SampleEpisode(100, 0).achievements);
+  EXPECT_EQ(episodes[1].length, 10000);
+  EXPECT_EQ(episodes[1].reward, -0.9);
+  EXPECT_EQ(episodes[2].length, 7);
+}
+
+TEST(StatsLog, CanBeCutBackAndGoneOnWith) {
+  const TempFolder folder;
+  const std::string path = folder / "stats.jsonl";
+  {
+    StatsLog log(AppendFile::Open(path).value());
+    ASSERT_THAT(log.Append({SampleEpisode(1, 0)}), IsOk());
+    ASSERT_THAT(log.Append({SampleEpisode(2, 0)}), IsOk());
+  }
+  const int64_t first_line = FormatStatsLine(SampleEpisode(1, 0)).size();
+  StatsLog log(AppendFile::Open(path).value());
+  EXPECT_EQ(log.file().length(), 2 * first_line);
+  ASSERT_THAT(log.file().TruncateTo(first_line), IsOk());
+  ASSERT_THAT(log.Append({SampleEpisode(3, 0)}), IsOk());
+  EXPECT_EQ(log.file().length(), 2 * first_line);
+  EXPECT_EQ(ReadFile(path).value(), FormatStatsLine(SampleEpisode(1, 0)) + FormatStatsLine(SampleEpisode(3, 0)));
+  EXPECT_THAT(log.file().TruncateTo(100'000),
+              StatusIs(absl::StatusCode::kDataLoss, HasSubstr("the checkpoint saw 100000")));
+}
+
+TEST(StatsLog, AFullDiskIsAnErrorAndLeavesNoHalfLine) {
+  const TempFolder folder;
+  const std::string path = folder / "stats.jsonl";
+  StatsLog log(AppendFile::Open(path).value());
+  ASSERT_THAT(log.Append({SampleEpisode(1, 0)}), IsOk());
+  const std::string before = ReadFile(path).value();
+  {
+    const FileSizeLimit limit(before.size() + 100);
+    EXPECT_THAT(log.Append({SampleEpisode(2, 0)}), StatusIs(absl::StatusCode::kResourceExhausted, HasSubstr(path)));
+    EXPECT_EQ(ReadFile(path).value(), before);
+  }
+  ASSERT_THAT(log.Append({SampleEpisode(3, 0)}), IsOk());
+  EXPECT_EQ(ReadStats(path).value().back().length, 3);
+}
+
+absl::Status ReadStatsText(const std::string& text) {
+  const TempFolder folder;
+  EXPECT_THAT(WriteFileSynced(folder / "stats.jsonl", text), IsOk());
+  return ReadStats(folder / "stats.jsonl").status();
+}
+
+TEST(ReadStats, RefusesGarbageNamingTheLine) {
+  const std::string good = FormatStatsLine(SampleEpisode(5, 1));
+  ASSERT_THAT(ReadStatsText(good), IsOk());
+  EXPECT_THAT(ReadStatsText(""), IsOk());
+  const auto second_line = [&](absl::string_view from, absl::string_view to) {
+    const std::string changed = absl::StrReplaceAll(good, {{from, to}});
+    EXPECT_NE(changed, good);
+    return ReadStatsText(good + changed);
+  };
+  constexpr auto kDataLoss = absl::StatusCode::kDataLoss;
+  EXPECT_THAT(second_line("\n", ""), StatusIs(kDataLoss, HasSubstr("stats.jsonl:2: the line is cut off")));
+  EXPECT_THAT(second_line("}", ""), StatusIs(kDataLoss, HasSubstr(":2: not a JSON object")));
+  EXPECT_THAT(second_line(": 5", ": \"5\""), StatusIs(kDataLoss, HasSubstr(":2: \"length\" is \"5\", want 1..")));
+  EXPECT_THAT(second_line(": 5", ": 0"), StatusIs(kDataLoss, HasSubstr("\"length\" is 0")));
+  EXPECT_THAT(second_line("1.0", "null"), StatusIs(kDataLoss, HasSubstr("\"reward\"")));
+  EXPECT_THAT(second_line("_eat_cow\": 0", "_eat_cow\": -1"),
+              StatusIs(kDataLoss, HasSubstr("\"achievement_eat_cow\" is -1")));
+  EXPECT_THAT(second_line("eat_cow", "eat_crow"), StatusIs(kDataLoss, HasSubstr("no \"achievement_eat_cow\"")));
+  EXPECT_THAT(second_line("}", ", \"x\": 1}"), StatusIs(kDataLoss, HasSubstr("has 25 keys, want 24")));
+  EXPECT_THAT(ReadStatsText("\n"), StatusIs(kDataLoss, HasSubstr(":1: not a JSON object")));
+}
+
+}  // namespace
+}  // namespace craftfleet
