@@ -1,0 +1,244 @@
+#include "actor/actor.h"
+
+#include <unistd.h>
+
+#include <algorithm>
+#include <random>
+#include <utility>
+
+#include <absl/strings/str_format.h>
+#include <absl/time/clock.h>
+
+#include "common/agent/agent_spec.h"
+#include "common/agent/torch_setup.h"
+#include "common/log.h"
+#include "common/status_macros.h"
+#include "common/wire/protocol.h"
+#include "common/wire/status_service.h"
+
+namespace craftfleet {
+namespace {
+
+constexpr absl::Duration kRetryPause = absl::Seconds(1);
+constexpr absl::Duration kSayAgain = absl::Seconds(10);  // between two lines about the same trouble
+constexpr int kPollMs = 500;                             // long poll for permits; a tenth of the lease
+
+// A new name at each start, so that a restarted actor is never taken for its former self.
+std::string UniqueName() {
+  char host[256] = "host";
+  gethostname(host, sizeof(host) - 1);
+  return absl::StrFormat("%s-%d-%08x", host, getpid(), std::random_device()());
+}
+
+bool IsTransient(const absl::Status& status) {
+  return status.code() == absl::StatusCode::kUnavailable || status.code() == absl::StatusCode::kDeadlineExceeded;
+}
+
+}  // namespace
+
+absl::Status Actor::Options::Validate() const {
+  if (env_servers.empty()) return absl::InvalidArgumentError("--envservers is empty, want at least one address");
+  if (threads < 1 || threads > 256) {
+    return absl::InvalidArgumentError(absl::StrFormat("--threads=%d, want 1..256", threads));
+  }
+  if (capacity < 1 || capacity > 4096) {
+    return absl::InvalidArgumentError(absl::StrFormat("--max_lanes=%d, want 1..4096", capacity));
+  }
+  return absl::OkStatus();
+}
+
+absl::StatusOr<std::unique_ptr<Actor>> Actor::Create(const Options& options) {
+  CRAFTFLEET_RETURN_IF_ERROR(options.Validate());
+  return std::unique_ptr<Actor>(new Actor(options));
+}
+
+Actor::Actor(const Options& options)
+    : options_(options),
+      name_(UniqueName()),
+      learner_(options.learner),
+      permits_(options.threads),
+      sender_(&learner_, name_, &permits_) {}
+
+Actor::~Actor() {
+  Stop();
+  StopLoops();
+}
+
+absl::Status Actor::Run() {
+  absl::Status status = Join();
+  if (status.ok()) status = StartLoops();
+  if (status.ok()) status = KeepPermits();
+  StopLoops();
+  learner_.Leave(name_);
+  MutexLock lock(&mu_);
+  if (!loop_error_.ok()) return loop_error_;
+  return status.code() == absl::StatusCode::kCancelled ? absl::OkStatus() : status;
+}
+
+void Actor::Stop() {
+  MutexLock lock(&mu_);
+  stopping_ = true;
+  changed_.NotifyAll();
+}
+
+absl::Status Actor::Join() {
+  v1::JoinRequest request;
+  request.set_protocol_version(wire::kProtocolVersion);
+  request.set_run_id(joined_.run_id());
+  request.set_actor(name_);
+  request.set_cpu(CpuDescription());
+  request.set_address(options_.address);
+  absl::Time said = absl::InfinitePast();
+  while (!stopping()) {
+    absl::StatusOr<v1::JoinReply> reply = learner_.Join(request);
+    if (reply.ok()) {
+      joined_ = *std::move(reply);
+      MutexLock lock(&mu_);
+      run_id_ = joined_.run_id();
+      LogInfo("%s: joined run %s, epoch %d", learner_.name(), joined_.run_id(), joined_.epoch());
+      return absl::OkStatus();
+    }
+    if (!IsTransient(reply.status())) return reply.status();
+    if (absl::Now() - said > kSayAgain) {
+      said = absl::Now();
+      LogWarning("%s; trying again until it answers", reply.status().message());
+    }
+    Pause(kRetryPause);
+  }
+  return absl::CancelledError("stopping");
+}
+
+absl::Status Actor::StartLoops() {
+  const v1::RunConfig& config = joined_.config();
+  CRAFTFLEET_ASSIGN_OR_RETURN(const AgentSpec spec, FindAgent(config.agent()));
+  permits_.SetTile(config.tile());
+  policies_ = std::make_unique<PolicySource>(&learner_, spec, config.tile());
+
+  v1::SessionHello hello;
+  hello.set_protocol_version(wire::kProtocolVersion);
+  hello.set_run_id(joined_.run_id());
+  hello.set_texture_digest(joined_.texture_digest());
+  *hello.mutable_env() = config.env();
+  hello.set_client(name_);
+
+  MutexLock lock(&mu_);
+  for (int i = 0; i < options_.threads; ++i) {
+    ActorLoop::Options loop = {i, config, static_cast<int>(spec.frame_bytes())};
+    loops_.push_back(std::make_unique<ActorLoop>(
+        loop, &learner_, &permits_, policies_.get(), &sender_,
+        std::make_unique<EnvPool>(options_.env_servers, hello, static_cast<int>(spec.frame_bytes()))));
+  }
+  for (const auto& loop : loops_) threads_.emplace_back([this, loop = loop.get()] { RunLoop(loop); });
+  sender_.Start();
+  return absl::OkStatus();
+}
+
+void Actor::RunLoop(ActorLoop* loop) {
+  const absl::Status status = loop->Run();
+  if (status.ok()) return;
+  MutexLock lock(&mu_);
+  if (loop_error_.ok()) loop_error_ = status;
+  stopping_ = true;
+  changed_.NotifyAll();
+}
+
+absl::Status Actor::KeepPermits() {
+  absl::Time said = absl::InfinitePast();
+  while (!stopping()) {
+    v1::PermitRequest request;
+    request.set_actor(name_);
+    request.set_epoch(joined_.epoch());
+    request.set_capacity(options_.capacity);
+    request.set_wait_ms(kPollMs);
+    for (const HeldPermit& permit : permits_.Active()) {
+      if (permit.epoch != joined_.epoch()) continue;
+      v1::Permit* message = request.add_active();
+      message->set_lane(permit.lane);
+      message->set_fragment(permit.fragment);
+      message->set_policy_version(permit.policy_version);
+    }
+    const absl::StatusOr<v1::PermitReply> reply = learner_.GetPermits(request);
+    if (reply.ok()) {
+      if (reply->finished()) return absl::OkStatus();
+      if (reply->lost_size() > 0) LogWarning("%d permits lapsed: others play these fragments", reply->lost_size());
+      for (const v1::Permit& lost : reply->lost()) {
+        permits_.Release({joined_.epoch(), lost.lane(), lost.fragment(), lost.policy_version()});
+      }
+      for (const v1::Permit& permit : reply->granted()) {
+        permits_.Add({joined_.epoch(), permit.lane(), permit.fragment(), permit.policy_version()});
+      }
+    } else if (reply.status().code() == absl::StatusCode::kAborted) {
+      LogInfo("%s", reply.status().message());
+      permits_.DropWaiting();
+      CRAFTFLEET_RETURN_IF_ERROR(Join());
+    } else if (IsTransient(reply.status())) {
+      if (absl::Now() - said > kSayAgain) LogWarning("%s; trying again until it answers", reply.status().message());
+      said = absl::Now();
+      Pause(kRetryPause);
+    } else {
+      return reply.status();
+    }
+  }
+  return absl::CancelledError("stopping");
+}
+
+void Actor::StopLoops() {
+  permits_.Close();
+  {
+    MutexLock lock(&mu_);
+    for (const auto& loop : loops_) loop->Cancel();
+  }
+  sender_.Stop();
+  for (std::thread& thread : threads_) {
+    if (thread.joinable()) thread.join();
+  }
+}
+
+bool Actor::stopping() const {
+  MutexLock lock(&mu_);
+  return stopping_;
+}
+
+void Actor::Pause(absl::Duration pause) {
+  MutexLock lock(&mu_);
+  changed_.WaitFor(&mu_, pause, [this]() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_) { return stopping_; });
+}
+
+void Actor::FillStatus(v1::StatusReply* reply) const {
+  MutexLock lock(&mu_);
+  reply->set_run_id(run_id_);
+  int64_t steps = 0;
+  int64_t abandoned = 0;
+  double policy_s = 0;
+  double env_s = 0;
+  double send_s = 0;
+  for (const auto& loop : loops_) {
+    const LoopCounters& counters = loop->counters();
+    steps += counters.steps;
+    abandoned += counters.abandoned;
+    policy_s += static_cast<double>(counters.policy_ns) * 1e-9;
+    env_s += static_cast<double>(counters.env_ns) * 1e-9;
+    send_s += static_cast<double>(counters.send_ns) * 1e-9;
+  }
+  wire::AddMetric("env_steps", static_cast<double>(steps), "steps", reply);
+  wire::AddMetric("fragments_accepted", static_cast<double>(sender_.accepted()), "fragments", reply);
+  wire::AddMetric("fragments_refused", static_cast<double>(sender_.refused()), "fragments", reply);
+  wire::AddMetric("fragments_resent", static_cast<double>(sender_.resent()), "fragments", reply);
+  wire::AddMetric("fragments_abandoned", static_cast<double>(abandoned), "fragments", reply);
+  wire::AddMetric("permits", static_cast<double>(permits_.Active().size()), "lanes", reply);
+  wire::AddMetric("policy_time", policy_s, "s", reply);
+  wire::AddMetric("env_wait_time", env_s, "s", reply);
+  wire::AddMetric("send_time", send_s, "s", reply);
+  v1::Peer* learner = reply->add_peers();
+  learner->set_name(learner_.name());
+  learner->set_role("learner");
+  learner->set_address(options_.learner.address);
+  for (const wire::Endpoint& server : options_.env_servers) {
+    v1::Peer* peer = reply->add_peers();
+    peer->set_name("environment server " + server.address);
+    peer->set_role("envserver");
+    peer->set_address(server.address);
+  }
+}
+
+}  // namespace craftfleet

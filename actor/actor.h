@@ -1,0 +1,83 @@
+// An actor: joins a learner, plays what it is permitted to, until the run is over.
+
+#ifndef CRAFTFLEET_ACTOR_ACTOR_H_
+#define CRAFTFLEET_ACTOR_ACTOR_H_
+
+#include <memory>
+#include <string>
+#include <thread>
+#include <vector>
+
+#include <absl/status/status.h>
+#include <absl/status/statusor.h>
+
+#include "actor/actor_loop.h"
+#include "actor/fragment_sender.h"
+#include "actor/learner_client.h"
+#include "actor/permit_book.h"
+#include "actor/policy_source.h"
+#include "common/mutex.h"
+#include "common/wire/channel.h"
+#include "craftfleet/v1/status.pb.h"
+
+namespace craftfleet {
+
+// Run is called once; Stop and FillStatus from any thread. The way of a fragment: Run (asks for permits) => ActorLoop
+// (one thread each) => FragmentSender (one thread).
+class Actor {
+ public:
+  struct Options {
+    wire::Endpoint learner;
+    std::vector<wire::Endpoint> env_servers;  // at least one
+    int threads = 1;                          // loops, 1..256
+    int capacity = 4096;                      // lanes to play at once, 1..4096
+    std::string address;                      // where its status service listens, for the learner's status page
+    absl::Status Validate() const;            // InvalidArgument names the flag and its range
+  };
+
+  static absl::StatusOr<std::unique_ptr<Actor>> Create(const Options& options);
+  ~Actor();
+
+  // Plays until the run is over or Stop is called (both ok). Waits, and says so, while the learner or the environment
+  // servers can't be reached.
+  //   FailedPrecondition: the handshake does not match.   Others: trouble that waiting can't mend.
+  absl::Status Run();
+  // Gives back what it holds; Run returns within seconds. Idempotent.
+  void Stop() ABSL_LOCKS_EXCLUDED(mu_);
+
+  void FillStatus(v1::StatusReply* reply) const ABSL_LOCKS_EXCLUDED(mu_);
+
+ private:
+  explicit Actor(const Options& options);
+
+  // Joins the learner, and tries until it answers.   Cancelled: Stop was called.
+  absl::Status Join();
+  // Begins to play by the configuration that the learner gave.
+  absl::Status StartLoops() ABSL_LOCKS_EXCLUDED(mu_);
+  // Asks for permits and hands them out until the run is over.
+  absl::Status KeepPermits();
+  void StopLoops() ABSL_LOCKS_EXCLUDED(mu_);
+  void RunLoop(ActorLoop* loop) ABSL_LOCKS_EXCLUDED(mu_);
+  bool stopping() const ABSL_LOCKS_EXCLUDED(mu_);
+  void Pause(absl::Duration pause) ABSL_LOCKS_EXCLUDED(mu_);
+
+  const Options options_;
+  const std::string name_;  // unique: host-process-random
+  const LearnerClient learner_;
+  PermitBook permits_;
+  FragmentSender sender_;
+  v1::JoinReply joined_;  // the last one; of Run's thread
+  std::unique_ptr<PolicySource> policies_;
+  std::vector<std::thread> threads_;
+
+  mutable Mutex mu_;
+  CondVar changed_;
+  bool stopping_ ABSL_GUARDED_BY(mu_) = false;
+  absl::Status loop_error_ ABSL_GUARDED_BY(mu_);
+  std::string run_id_ ABSL_GUARDED_BY(mu_);
+  std::vector<std::unique_ptr<ActorLoop>> loops_ ABSL_GUARDED_BY(mu_);  // filled once
+};
+
+}  // namespace craftfleet
+
+#endif  // CRAFTFLEET_ACTOR_ACTOR_H_

@@ -1,0 +1,175 @@
+#include "actor/actor_loop.h"
+
+#include <algorithm>
+#include <utility>
+
+#include <absl/strings/str_format.h>
+#include <absl/time/clock.h>
+
+#include "common/keyed_random.h"
+#include "common/log.h"
+#include "common/seeds.h"
+#include "common/status_macros.h"
+
+namespace craftfleet {
+namespace {
+
+// Adds the time of a scope to a counter.
+class Stopwatch {
+ public:
+  explicit Stopwatch(std::atomic<int64_t>* total_ns) : total_ns_(total_ns), start_(absl::GetCurrentTimeNanos()) {}
+  ~Stopwatch() { *total_ns_ += absl::GetCurrentTimeNanos() - start_; }
+
+ private:
+  std::atomic<int64_t>* const total_ns_;
+  const int64_t start_;
+};
+
+// Trouble that passes: the fragment is played again, here or elsewhere.
+bool Passes(const absl::Status& status) {
+  return status.code() == absl::StatusCode::kUnavailable || status.code() == absl::StatusCode::kAborted ||
+         status.code() == absl::StatusCode::kDeadlineExceeded;
+}
+
+constexpr absl::Duration kPause = absl::Milliseconds(200);  // before playing on after trouble
+
+}  // namespace
+
+ActorLoop::ActorLoop(const Options& options, const LearnerClient* learner, PermitBook* permits, PolicySource* policies,
+                     FragmentSender* sender, std::unique_ptr<EnvPool> envs)
+    : options_(options),
+      learner_(learner),
+      permits_(permits),
+      policies_(policies),
+      sender_(sender),
+      envs_(std::move(envs)) {}
+
+absl::Status ActorLoop::Run() {
+  while (true) {
+    std::vector<HeldPermit> permits = permits_->Take(options_.index);
+    if (permits.empty()) return absl::OkStatus();
+    const absl::Status status = RunFragment(permits);
+    if (status.ok()) continue;
+    Abandon(permits);
+    if (status.code() == absl::StatusCode::kCancelled) return absl::OkStatus();
+    if (!Passes(status)) return status;
+    LogWarning("%d fragments given back: %s", permits.size(), status.message());
+    permits_->WaitForClose(kPause);
+  }
+}
+
+absl::Status ActorLoop::RunFragment(const std::vector<HeldPermit>& permits) {
+  const HeldPermit& first = permits.front();
+  for (const HeldPermit& permit : permits) {
+    if (permit.policy_version != first.policy_version || permit.epoch != first.epoch) {
+      return absl::AbortedError("permits of two iterations at once");
+    }
+  }
+  CRAFTFLEET_ASSIGN_OR_RETURN(const std::shared_ptr<const Policy> policy, policies_->Get(first.policy_version));
+  CRAFTFLEET_RETURN_IF_ERROR(OpenLanes(permits));
+
+  std::map<int, const HeldPermit*> by_lane;
+  std::vector<int> lanes;
+  for (const HeldPermit& permit : permits) {
+    by_lane[permit.lane] = &permit;
+    lanes.push_back(permit.lane);
+  }
+  lanes = envs_->Arrange(std::move(lanes));
+  std::vector<HeldPermit> arranged;
+  for (const int lane : lanes) arranged.push_back(*by_lane[lane]);
+
+  CRAFTFLEET_RETURN_IF_ERROR(PlaySteps(*policy, arranged));
+  return SendFragments(*policy, arranged);
+}
+
+absl::Status ActorLoop::OpenLanes(const std::vector<HeldPermit>& permits) {
+  std::vector<EnvClient::Lane> to_open;
+  for (const HeldPermit& permit : permits) {
+    const auto held = held_.find(permit.lane);
+    if (held != held_.end() && held->second.epoch == permit.epoch && held->second.next_fragment == permit.fragment) {
+      continue;
+    }
+    CRAFTFLEET_ASSIGN_OR_RETURN(std::string snapshot,
+                                learner_->GetSnapshot(permit.epoch, permit.lane, permit.fragment));
+    to_open.push_back({permit.lane, LaneSeed(options_.config.seed(), permit.lane), 1, std::move(snapshot)});
+  }
+  if (to_open.empty()) return absl::OkStatus();
+  std::string frames;
+  CRAFTFLEET_RETURN_IF_ERROR(envs_->Open(to_open, &frames));
+  for (size_t i = 0; i < to_open.size(); ++i) {
+    held_[to_open[i].lane].frame = std::string(Frame(frames, i));
+  }
+  return absl::OkStatus();
+}
+
+absl::Status ActorLoop::PlaySteps(const Policy& policy, const std::vector<HeldPermit>& permits) {
+  const int steps = options_.config.fragment_steps();
+  std::vector<int> lanes;
+  frames_.clear();
+  builders_.resize(permits.size());
+  for (size_t row = 0; row < permits.size(); ++row) {
+    const HeldPermit& permit = permits[row];
+    lanes.push_back(permit.lane);
+    frames_.append(held_[permit.lane].frame);
+    builders_[row].Start(permit.epoch, permit.lane, permit.fragment, permit.policy_version, steps,
+                         options_.frame_bytes);
+  }
+  std::vector<double> noise(lanes.size());
+  for (int t = 0; t < steps; ++t) {
+    for (size_t row = 0; row < lanes.size(); ++row) {
+      noise[row] = ActionNoise(options_.config.seed(), lanes[row], permits[row].fragment * steps + t);
+    }
+    ActResult act;
+    {
+      Stopwatch watch(&counters_.policy_ns);
+      CRAFTFLEET_ASSIGN_OR_RETURN(act, policy.Act(frames_, lanes, noise));
+    }
+    {
+      Stopwatch watch(&counters_.env_ns);
+      CRAFTFLEET_RETURN_IF_ERROR(envs_->Step(lanes, act.actions, /*snapshot=*/t + 1 == steps, &batch_));
+    }
+    CRAFTFLEET_RETURN_IF_ERROR(AppendStep(policy, lanes, act));
+    counters_.steps += static_cast<int64_t>(lanes.size());
+  }
+  return absl::OkStatus();
+}
+
+absl::Status ActorLoop::AppendStep(const Policy& policy, const std::vector<int>& lanes, const ActResult& act) {
+  size_t ended = 0;
+  size_t truncated = 0;
+  for (size_t row = 0; row < lanes.size(); ++row) {
+    const StepEnd end = batch_.ends[row];
+    builders_[row].Append(Frame(frames_, row), act.actions[row], act.log_probs[row], act.values[row],
+                          batch_.rewards[row], end);
+    if (end == StepEnd::kNone) continue;
+    builders_[row].AddEpisode(batch_.episodes[ended++]);
+    if (end != StepEnd::kTruncated) continue;
+    CRAFTFLEET_ASSIGN_OR_RETURN(const std::vector<float> value,
+                                policy.Values(Frame(batch_.last_frames, truncated++), {lanes[row]}));
+    builders_[row].AddTruncationValue(value[0]);
+  }
+  frames_.swap(batch_.frames);
+  return absl::OkStatus();
+}
+
+absl::Status ActorLoop::SendFragments(const Policy& policy, const std::vector<HeldPermit>& permits) {
+  std::vector<int> lanes;
+  for (const HeldPermit& permit : permits) lanes.push_back(permit.lane);
+  CRAFTFLEET_ASSIGN_OR_RETURN(const std::vector<float> bootstrap, policy.Values(frames_, lanes));
+  Stopwatch watch(&counters_.send_ns);
+  for (size_t row = 0; row < permits.size(); ++row) {
+    held_[lanes[row]] = {permits[row].epoch, permits[row].fragment + 1, std::string(Frame(frames_, row))};
+    CRAFTFLEET_RETURN_IF_ERROR(sender_->Push(builders_[row].Finish(bootstrap[row], std::move(batch_.snapshots[row]))));
+  }
+  return absl::OkStatus();
+}
+
+void ActorLoop::Abandon(const std::vector<HeldPermit>& permits) {
+  // The games stand somewhere inside the fragment: whoever plays it next begins with the snapshot.
+  held_.clear();
+  envs_->Reset();
+  counters_.abandoned += static_cast<int64_t>(permits.size());
+  for (const HeldPermit& permit : permits) permits_->Release(permit);
+}
+
+}  // namespace craftfleet

@@ -1,0 +1,82 @@
+// One session with one environment server.
+
+#ifndef CRAFTFLEET_ACTOR_ENV_CLIENT_H_
+#define CRAFTFLEET_ACTOR_ENV_CLIENT_H_
+
+#include <memory>
+#include <string>
+
+#include <absl/status/status.h>
+#include <absl/strings/string_view.h>
+#include <absl/time/time.h>
+#include <absl/types/span.h>
+
+#include "common/mutex.h"
+#include "common/types.h"
+#include "common/wire/channel.h"
+#include "craftfleet/v1/environment.grpc.pb.h"
+
+namespace craftfleet {
+
+// A session ends with its first error; Connect begins a new one, without games. Errors name the server's address.
+//   Unavailable: the server can't be reached or went away: connect again, later.
+//   FailedPrecondition: the handshake does not match.   InvalidArgument: a request was wrong.   Cancelled: Cancel was
+//   called.
+// Owned by one thread; Cancel may be called from any.
+class EnvClient {
+ public:
+  struct Lane {
+    int lane = 0;
+    int64_t seed = 0;
+    int64_t episode = 1;   // of a new game
+    std::string snapshot;  // empty: a new game
+  };
+
+  // `hello` is what each session begins with.
+  EnvClient(wire::Endpoint server, v1::SessionHello hello, int frame_bytes);
+  ~EnvClient();
+
+  // Begins a session; waits at most `timeout` for the server. `hello` as in the constructor.
+  absl::Status Connect(absl::Duration timeout) ABSL_LOCKS_EXCLUDED(mu_);
+  bool connected() const { return stream_ != nullptr; }
+
+  // Opens games; their observations, uint8[n,H,W,3], go to `frames`.
+  absl::Status Open(absl::Span<const Lane> lanes, std::string* frames);
+  absl::Status Close(absl::Span<const int> lanes);
+
+  // A step in two halves, so that several servers can work at once: SendStep, then ReceiveStep. After an error of
+  // either the session is over.
+  absl::Status SendStep(absl::Span<const int> lanes, absl::Span<const Action> actions, bool snapshot);
+  absl::Status ReceiveStep(StepBatch* batch);
+
+  // Ends the session at once, from any thread, and every later one.
+  void Cancel() ABSL_LOCKS_EXCLUDED(mu_);
+  // Ends the session.
+  void Disconnect() ABSL_LOCKS_EXCLUDED(mu_);
+
+  const std::string& address() const { return server_.address; }
+
+ private:
+  absl::Status Send();
+  absl::Status Receive();
+  // The session's error, after a failed read or write.
+  absl::Status Broken() ABSL_LOCKS_EXCLUDED(mu_);
+
+  const wire::Endpoint server_;
+  const v1::SessionHello hello_;
+  const int frame_bytes_;
+  const std::unique_ptr<v1::EnvironmentService::Stub> stub_;
+
+  v1::PlayRequest request_;  // reused: fresh messages cost page faults
+  v1::PlayReply reply_;
+  std::unique_ptr<grpc::ClientReaderWriter<v1::PlayRequest, v1::PlayReply>> stream_;
+  int lanes_sent_ = 0;  // of the step under way
+
+  Mutex mu_;
+  std::unique_ptr<grpc::ClientContext> context_ ABSL_GUARDED_BY(mu_);
+  bool cancelled_ ABSL_GUARDED_BY(mu_) = false;
+};
+
+}  // namespace craftfleet
+
+#endif  // CRAFTFLEET_ACTOR_ENV_CLIENT_H_

@@ -1,0 +1,183 @@
+#include "actor/env_pool.h"
+
+#include <algorithm>
+#include <limits>
+#include <utility>
+
+#include <absl/strings/str_cat.h>
+#include <absl/strings/str_join.h>
+#include <absl/time/clock.h>
+
+#include "common/check.h"
+#include "common/log.h"
+#include "common/status_macros.h"
+
+namespace craftfleet {
+namespace {
+
+constexpr absl::Duration kConnectTimeout = absl::Seconds(3);
+constexpr absl::Duration kFirstBackoff = absl::Milliseconds(500);
+constexpr absl::Duration kLastBackoff = absl::Seconds(5);
+
+template <typename T>
+void AppendTo(std::vector<T>* all, std::vector<T>* part) {
+  std::move(part->begin(), part->end(), std::back_inserter(*all));
+}
+
+// Empties `batch`, keeping its buffers.
+void Clear(StepBatch* batch) {
+  batch->frames.clear();
+  batch->last_frames.clear();
+  batch->rewards.clear();
+  batch->ends.clear();
+  batch->episodes.clear();
+  batch->snapshots.clear();
+}
+
+}  // namespace
+
+EnvPool::EnvPool(const std::vector<wire::Endpoint>& servers, const v1::SessionHello& hello, int frame_bytes)
+    : frame_bytes_(frame_bytes), servers_(servers.size()) {
+  for (size_t i = 0; i < servers.size(); ++i) {
+    servers_[i].client = std::make_unique<EnvClient>(servers[i], hello, frame_bytes);
+  }
+}
+
+absl::Status EnvPool::Open(absl::Span<const EnvClient::Lane> lanes, std::string* frames) {
+  CRAFTFLEET_RETURN_IF_ERROR(ConnectServers());
+  std::vector<std::vector<int>> rows(servers_.size());
+  for (size_t row = 0; row < lanes.size(); ++row) {
+    Close({lanes[row].lane});
+    const size_t server = LeastLoaded();
+    rows[server].push_back(static_cast<int>(row));
+    server_of_[lanes[row].lane] = server;
+    ++servers_[server].lanes;
+  }
+  frames->resize(lanes.size() * frame_bytes_);
+  for (size_t server = 0; server < servers_.size(); ++server) {
+    if (rows[server].empty()) continue;
+    if (absl::Status status = OpenOn(server, lanes, rows[server], frames); !status.ok()) {
+      Reset();
+      return status;
+    }
+  }
+  return absl::OkStatus();
+}
+
+absl::Status EnvPool::OpenOn(size_t server, absl::Span<const EnvClient::Lane> lanes, absl::Span<const int> rows,
+                             std::string* frames) {
+  std::vector<EnvClient::Lane> here;
+  for (const int row : rows) here.push_back(lanes[row]);
+  std::string here_frames;
+  CRAFTFLEET_RETURN_IF_ERROR(servers_[server].client->Open(here, &here_frames));
+  for (size_t i = 0; i < rows.size(); ++i) {
+    frames->replace(static_cast<size_t>(rows[i]) * frame_bytes_, frame_bytes_, here_frames, i * frame_bytes_,
+                    frame_bytes_);
+  }
+  return absl::OkStatus();
+}
+
+std::vector<int> EnvPool::Arrange(std::vector<int> lanes) const {
+  std::stable_sort(lanes.begin(), lanes.end(), [this](int a, int b) { return server_of_.at(a) < server_of_.at(b); });
+  return lanes;
+}
+
+absl::Status EnvPool::Step(absl::Span<const int> lanes, absl::Span<const Action> actions, bool snapshot,
+                           StepBatch* batch) {
+  absl::Status status = SendAndReceive(lanes, actions, snapshot, batch);
+  if (!status.ok()) Reset();
+  return status;
+}
+
+absl::Status EnvPool::SendAndReceive(absl::Span<const int> lanes, absl::Span<const Action> actions, bool snapshot,
+                                     StepBatch* batch) {
+  for (size_t i = 0; i < servers_.size(); ++i) {
+    const auto [first, last] = RowsOn(i, lanes);
+    if (first == last) continue;
+    CRAFTFLEET_RETURN_IF_ERROR(servers_[i].client->SendStep(lanes.subspan(first, last - first),
+                                                            actions.subspan(first, last - first), snapshot));
+  }
+  Clear(batch);
+  for (size_t i = 0; i < servers_.size(); ++i) {
+    const auto [first, last] = RowsOn(i, lanes);
+    if (first == last) continue;
+    StepBatch& part = servers_[i].batch;
+    CRAFTFLEET_RETURN_IF_ERROR(servers_[i].client->ReceiveStep(&part));
+    if (last - first == lanes.size()) {  // the only one: no copy
+      std::swap(*batch, part);
+      return absl::OkStatus();
+    }
+    batch->frames.append(part.frames);
+    batch->last_frames.append(part.last_frames);
+    AppendTo(&batch->rewards, &part.rewards);
+    AppendTo(&batch->ends, &part.ends);
+    AppendTo(&batch->episodes, &part.episodes);
+    AppendTo(&batch->snapshots, &part.snapshots);
+  }
+  return absl::OkStatus();
+}
+
+std::pair<size_t, size_t> EnvPool::RowsOn(size_t server, absl::Span<const int> lanes) const {
+  const auto before = [this](int lane, size_t s) { return server_of_.at(lane) < s; };
+  const auto first = std::lower_bound(lanes.begin(), lanes.end(), server, before);
+  const auto last = std::lower_bound(first, lanes.end(), server + 1, before);
+  return {first - lanes.begin(), last - lanes.begin()};
+}
+
+void EnvPool::Close(absl::Span<const int> lanes) {
+  for (const int lane : lanes) {
+    const auto found = server_of_.find(lane);
+    if (found == server_of_.end()) continue;
+    Server& server = servers_[found->second];
+    --server.lanes;
+    // A game that stays open at a failing server goes with its session.
+    server.client->Close({lane}).IgnoreError();
+    server_of_.erase(found);
+  }
+}
+
+void EnvPool::Reset() {
+  for (Server& server : servers_) {
+    server.client->Disconnect();
+    server.lanes = 0;
+  }
+  server_of_.clear();
+}
+
+void EnvPool::Cancel() {
+  for (Server& server : servers_) server.client->Cancel();
+}
+
+absl::Status EnvPool::ConnectServers() {
+  std::vector<std::string> errors;
+  bool any = false;
+  for (Server& server : servers_) {
+    absl::Status status = absl::OkStatus();
+    if (!server.client->connected()) {
+      status = absl::UnavailableError(absl::StrCat("environment server ", server.client->address(), ": not reachable"));
+      if (absl::Now() >= server.next_try) {
+        status = server.client->Connect(kConnectTimeout);
+        if (!status.ok() && status.code() != absl::StatusCode::kUnavailable) return status;
+        server.backoff =
+            status.ok() ? absl::ZeroDuration() : std::clamp(2 * server.backoff, kFirstBackoff, kLastBackoff);
+        server.next_try = absl::Now() + server.backoff;
+        if (!status.ok()) LogWarning("%s; trying again in %s", status.message(), absl::FormatDuration(server.backoff));
+      }
+    }
+    any |= status.ok();
+    if (!status.ok()) errors.emplace_back(status.message());
+  }
+  return any ? absl::OkStatus() : absl::UnavailableError(absl::StrJoin(errors, "; "));
+}
+
+size_t EnvPool::LeastLoaded() const {
+  size_t best = servers_.size();
+  for (size_t i = 0; i < servers_.size(); ++i) {
+    if (!servers_[i].client->connected()) continue;
+    if (best == servers_.size() || servers_[i].lanes < servers_[best].lanes) best = i;
+  }
+  CRAFTFLEET_CHECK(best < servers_.size());
+  return best;
+}
+
+}  // namespace craftfleet

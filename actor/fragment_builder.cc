@@ -1,0 +1,45 @@
+#include "actor/fragment_builder.h"
+
+#include <utility>
+
+namespace craftfleet {
+
+void FragmentBuilder::Start(int64_t epoch, int lane, int64_t number, int64_t policy_version, int steps,
+                            int frame_bytes) {
+  fragment_ = Fragment();
+  fragment_.epoch = epoch;
+  fragment_.lane = lane;
+  fragment_.number = number;
+  fragment_.policy_version = policy_version;
+  fragment_.frames.reserve(static_cast<size_t>(steps) * frame_bytes);
+  fragment_.actions.reserve(steps);
+  fragment_.log_probs.reserve(steps);
+  fragment_.values.reserve(steps);
+  fragment_.rewards.reserve(steps);
+  fragment_.ends.reserve(steps);
+}
+
+void FragmentBuilder::Append(absl::string_view frame, Action action, float log_prob, float value, float reward,
+                             StepEnd end) {
+  fragment_.frames.append(frame.data(), frame.size());
+  fragment_.actions.push_back(static_cast<char>(action));
+  fragment_.log_probs.push_back(log_prob);
+  fragment_.values.push_back(value);
+  fragment_.rewards.push_back(reward);
+  fragment_.ends.push_back(end);
+}
+
+void FragmentBuilder::AddEpisode(Episode episode) {
+  episode.step = size() - 1;
+  fragment_.episodes.push_back(episode);
+}
+
+void FragmentBuilder::AddTruncationValue(float value) { fragment_.truncation_values.push_back(value); }
+
+Fragment FragmentBuilder::Finish(float bootstrap_value, std::string snapshot) {
+  fragment_.bootstrap_value = bootstrap_value;
+  fragment_.snapshot = std::move(snapshot);
+  return std::move(fragment_);
+}
+
+}  // namespace craftfleet

@@ -1,0 +1,69 @@
+// Sends finished fragments to the learner, until each has its verdict.
+
+#ifndef CRAFTFLEET_ACTOR_FRAGMENT_SENDER_H_
+#define CRAFTFLEET_ACTOR_FRAGMENT_SENDER_H_
+
+#include <atomic>
+#include <cstdint>
+#include <deque>
+#include <memory>
+#include <string>
+#include <thread>
+
+#include "actor/learner_client.h"
+#include "actor/permit_book.h"
+#include "common/closable_queue.h"
+#include "common/mutex.h"
+#include "common/types.h"
+
+namespace craftfleet {
+
+// One thread, one stream. A fragment is kept until the learner answered for it: when the stream breaks it is sent again
+// on the next one, and the learner accepts it at most once. Its permit is released with the verdict. Thread-safe.
+class FragmentSender {
+ public:
+  FragmentSender(const LearnerClient* learner, std::string actor, PermitBook* permits);
+  ~FragmentSender();
+
+  void Start();
+  // Takes a fragment; blocks while `kQueueCapacity` of them wait.   Cancelled: stopping.
+  absl::Status Push(Fragment fragment) { return queue_.Push(std::move(fragment)); }
+  // Sends nothing more; fragments without a verdict are lost (another actor will play them). Idempotent.
+  void Stop() ABSL_LOCKS_EXCLUDED(mu_);
+
+  int64_t accepted() const { return accepted_.load(); }
+  int64_t refused() const { return refused_.load(); }
+  int64_t resent() const { return resent_.load(); }
+
+ private:
+  using Stream = grpc::ClientReaderWriter<v1::FragmentMessage, v1::FragmentVerdict>;
+  static constexpr size_t kQueueCapacity = 64;  // fragments waiting
+  static constexpr size_t kWindow = 8;          // fragments sent and not answered for; bounds what gRPC buffers
+
+  void Run();
+  // Sends and reads verdicts until the stream breaks or Stop.
+  absl::Status Serve(Stream* stream);
+  absl::Status ReadVerdict(Stream* stream);
+  // Logs why the stream broke; drops the fragment that the learner calls wrong.
+  void Explain(const absl::Status& status, const absl::Status& end);
+  bool stopping() const { return queue_.closed(); }
+
+  const LearnerClient* const learner_;
+  const std::string actor_;
+  PermitBook* const permits_;
+  ClosableQueue<Fragment> queue_{kQueueCapacity};
+  std::deque<v1::FragmentMessage> unanswered_;  // oldest first; the thread's own
+
+  std::atomic<int64_t> accepted_{0};
+  std::atomic<int64_t> refused_{0};
+  std::atomic<int64_t> resent_{0};
+
+  Mutex mu_;
+  CondVar stopped_;
+  std::unique_ptr<grpc::ClientContext> context_ ABSL_GUARDED_BY(mu_);
+  std::thread thread_;
+};
+
+}  // namespace craftfleet
+
+#endif  // CRAFTFLEET_ACTOR_FRAGMENT_SENDER_H_

@@ -1,0 +1,87 @@
+#include "actor/learner_client.h"
+
+#include <absl/strings/str_cat.h>
+#include <absl/strings/str_format.h>
+
+#include "common/wire/grpc_status.h"
+
+namespace craftfleet {
+namespace {
+
+constexpr absl::Duration kCallTimeout = absl::Seconds(4);       // below the 5 s within which a user hears of trouble
+constexpr absl::Duration kWeightsTimeout = absl::Seconds(120);  // half a gigabyte over a slow link
+constexpr int kWeightsWaitMs = 1000;
+
+}  // namespace
+
+LearnerClient::LearnerClient(wire::Endpoint learner)
+    : name_(absl::StrCat("learner ", learner.address)),
+      channel_(std::move(learner.channel)),
+      stub_(v1::LearnerService::NewStub(channel_)) {}
+
+absl::StatusOr<v1::JoinReply> LearnerClient::Join(const v1::JoinRequest& request) const {
+  grpc::ClientContext context;
+  wire::SetDeadline(&context, kCallTimeout);
+  v1::JoinReply reply;
+  const grpc::Status status = stub_->Join(&context, request, &reply);
+  if (!status.ok()) return wire::FromGrpc(status, name_);
+  return reply;
+}
+
+absl::StatusOr<v1::PermitReply> LearnerClient::GetPermits(const v1::PermitRequest& request) const {
+  grpc::ClientContext context;
+  wire::SetDeadline(&context, kCallTimeout + absl::Milliseconds(request.wait_ms()));
+  v1::PermitReply reply;
+  const grpc::Status status = stub_->GetPermits(&context, request, &reply);
+  if (!status.ok()) return wire::FromGrpc(status, name_);
+  return reply;
+}
+
+absl::StatusOr<std::string> LearnerClient::GetSnapshot(int64_t epoch, int lane, int64_t fragment) const {
+  grpc::ClientContext context;
+  wire::SetDeadline(&context, kCallTimeout);
+  v1::SnapshotRequest request;
+  request.set_epoch(epoch);
+  request.set_lane(lane);
+  request.set_fragment(fragment);
+  v1::SnapshotReply reply;
+  const grpc::Status status = stub_->GetSnapshot(&context, request, &reply);
+  if (!status.ok()) return wire::FromGrpc(status, name_);
+  return std::move(*reply.mutable_snapshot());
+}
+
+void LearnerClient::Leave(const std::string& actor) const {
+  grpc::ClientContext context;
+  wire::SetDeadline(&context, absl::Seconds(1));
+  v1::LeaveRequest request;
+  request.set_actor(actor);
+  v1::LeaveReply reply;
+  // A learner that does not hear this notices by the lease.
+  stub_->Leave(&context, request, &reply);
+}
+
+absl::StatusOr<std::pair<int64_t, std::string>> LearnerClient::GetWeights(int64_t version) const {
+  grpc::ClientContext context;
+  wire::SetDeadline(&context, kWeightsTimeout);
+  v1::WeightsRequest request;
+  request.set_at_least(version);
+  request.set_wait_ms(kWeightsWaitMs);
+  const auto stream = stub_->GetWeights(&context, request);
+  std::pair<int64_t, std::string> weights = {-1, ""};
+  int64_t total_bytes = 0;
+  v1::WeightsChunk chunk;
+  while (stream->Read(&chunk)) {
+    weights.first = chunk.policy_version();
+    total_bytes = chunk.total_bytes();
+    weights.second.append(chunk.data());
+  }
+  const grpc::Status status = stream->Finish();
+  if (!status.ok()) return wire::FromGrpc(status, name_);
+  if (static_cast<int64_t>(weights.second.size()) != total_bytes) {
+    return absl::DataLossError(
+        absl::StrFormat("%s: %d bytes of weights, want %d", name_, weights.second.size(), total_bytes));
+  }
+  return weights;
+}
+
+}  // namespace craftfleet

@@ -1,0 +1,51 @@
+// Calls to the learner, each with a deadline. Errors name the learner's address.
+
+#ifndef CRAFTFLEET_ACTOR_LEARNER_CLIENT_H_
+#define CRAFTFLEET_ACTOR_LEARNER_CLIENT_H_
+
+#include <cstdint>
+#include <memory>
+#include <string>
+#include <utility>
+
+#include <absl/status/status.h>
+#include <absl/status/statusor.h>
+#include <absl/time/time.h>
+
+#include "common/wire/channel.h"
+#include "craftfleet/v1/learner.grpc.pb.h"
+
+namespace craftfleet {
+
+// Thread-safe.
+//   Unavailable, DeadlineExceeded: the learner can't be reached or does not answer: try again.
+//   Others as learner.proto says for each call.
+class LearnerClient {
+ public:
+  explicit LearnerClient(wire::Endpoint learner);
+
+  absl::StatusOr<v1::JoinReply> Join(const v1::JoinRequest& request) const;
+  absl::StatusOr<v1::PermitReply> GetPermits(const v1::PermitRequest& request) const;
+  absl::StatusOr<std::string> GetSnapshot(int64_t epoch, int lane, int64_t fragment) const;
+  void Leave(const std::string& actor) const;
+
+  // The weights of `version` or a later one: (version, safetensors bytes).
+  absl::StatusOr<std::pair<int64_t, std::string>> GetWeights(int64_t version) const;
+
+  // A stream for fragments; `context` ends it.
+  std::unique_ptr<grpc::ClientReaderWriter<v1::FragmentMessage, v1::FragmentVerdict>> PushFragments(
+      grpc::ClientContext* context) const {
+    return stub_->PushFragments(context);
+  }
+
+  const std::string& name() const { return name_; }
+
+ private:
+  const std::string name_;  // "learner ADDRESS"
+  const std::shared_ptr<grpc::Channel> channel_;
+  const std::unique_ptr<v1::LearnerService::Stub> stub_;
+};
+
+}  // namespace craftfleet
+
+#endif  // CRAFTFLEET_ACTOR_LEARNER_CLIENT_H_

@@ -1,0 +1,39 @@
+// The policy of a wanted version, fetched when it is not at hand.
+
+#ifndef CRAFTFLEET_ACTOR_POLICY_SOURCE_H_
+#define CRAFTFLEET_ACTOR_POLICY_SOURCE_H_
+
+#include <cstdint>
+#include <memory>
+
+#include <absl/status/statusor.h>
+
+#include "actor/learner_client.h"
+#include "common/agent/agent_spec.h"
+#include "common/agent/policy.h"
+#include "common/mutex.h"
+
+namespace craftfleet {
+
+// Keeps the last policy. Thread-safe; one thread fetches while the others wait for it.
+class PolicySource {
+ public:
+  PolicySource(const LearnerClient* learner, AgentSpec spec, int tile);
+
+  // The policy of exactly `version`.
+  //   Aborted: the learner is at a later one.   Others as LearnerClient::GetWeights and Policy::Create.
+  absl::StatusOr<std::shared_ptr<const Policy>> Get(int64_t version) ABSL_LOCKS_EXCLUDED(mu_);
+
+ private:
+  const LearnerClient* const learner_;
+  const AgentSpec spec_;
+  const int tile_;
+
+  Mutex mu_;
+  int64_t version_ ABSL_GUARDED_BY(mu_) = -1;
+  std::shared_ptr<const Policy> policy_ ABSL_GUARDED_BY(mu_);
+};
+
+}  // namespace craftfleet
+
+#endif  // CRAFTFLEET_ACTOR_POLICY_SOURCE_H_

@@ -1,0 +1,194 @@
+#include "common/wire/convert.h"
+
+#include <algorithm>
+#include <cmath>
+#include <string>
+#include <utility>
+
+#include <absl/strings/str_format.h>
+#include <absl/strings/string_view.h>
+
+#include "common/status_macros.h"
+
+namespace craftfleet::wire {
+namespace {
+
+absl::Status WrongSize(absl::string_view field, int64_t size, int64_t wanted, absl::string_view unit) {
+  return absl::InvalidArgumentError(absl::StrFormat("%s: %d %s, want %d", field, size, unit, wanted));
+}
+
+absl::Status CheckSize(absl::string_view field, int64_t size, int64_t wanted, absl::string_view unit) {
+  return size == wanted ? absl::OkStatus() : WrongSize(field, size, wanted, unit);
+}
+
+// `values` has `wanted` finite numbers.
+absl::Status ReadFloats(absl::string_view field, const google::protobuf::RepeatedField<float>& values, int wanted,
+                        std::vector<float>* out) {
+  CRAFTFLEET_RETURN_IF_ERROR(CheckSize(field, values.size(), wanted, "numbers"));
+  for (const float value : values) {
+    if (!std::isfinite(value))
+      return absl::InvalidArgumentError(absl::StrFormat("%s: holds %f, want finite numbers", field, value));
+  }
+  out->assign(values.begin(), values.end());
+  return absl::OkStatus();
+}
+
+absl::Status ReadEnds(absl::string_view bytes, int wanted, std::vector<StepEnd>* ends) {
+  CRAFTFLEET_RETURN_IF_ERROR(CheckSize("ends", static_cast<int64_t>(bytes.size()), wanted, "bytes"));
+  ends->resize(bytes.size());
+  for (size_t i = 0; i < bytes.size(); ++i) {
+    const int end = static_cast<unsigned char>(bytes[i]);
+    if (end > 2) return absl::InvalidArgumentError(absl::StrFormat("ends: %d at %d, want 0..2", end, i));
+    (*ends)[i] = static_cast<StepEnd>(end);
+  }
+  return absl::OkStatus();
+}
+
+std::string EndsToBytes(const std::vector<StepEnd>& ends) {
+  return {reinterpret_cast<const char*>(ends.data()), ends.size()};
+}
+
+absl::Status CheckActions(absl::string_view actions) {
+  for (size_t i = 0; i < actions.size(); ++i) {
+    const int action = static_cast<unsigned char>(actions[i]);
+    if (action >= kNumActions) {
+      return absl::InvalidArgumentError(absl::StrFormat("action %d at %d, want 0..%d", action, i, kNumActions - 1));
+    }
+  }
+  return absl::OkStatus();
+}
+
+void EpisodesToProto(const std::vector<Episode>& episodes,
+                     google::protobuf::RepeatedPtrField<v1::EpisodeMessage>* out) {
+  out->Clear();
+  for (const Episode& episode : episodes) {
+    v1::EpisodeMessage* message = out->Add();
+    message->set_step(episode.step);
+    message->set_length(episode.length);
+    message->set_reward(episode.reward);
+    message->mutable_achievements()->Assign(episode.achievements.begin(), episode.achievements.end());
+  }
+}
+
+// Episodes must match the ends: one for each, in order.
+absl::Status ReadEpisodes(const google::protobuf::RepeatedPtrField<v1::EpisodeMessage>& messages, int ended, int steps,
+                          std::vector<Episode>* episodes) {
+  CRAFTFLEET_RETURN_IF_ERROR(CheckSize("episodes", messages.size(), ended, "episodes"));
+  episodes->clear();
+  for (const v1::EpisodeMessage& message : messages) {
+    Episode episode;
+    episode.step = message.step();
+    episode.length = message.length();
+    episode.reward = message.reward();
+    if (episode.step < 0 || episode.step >= steps || episode.length < 1 || !std::isfinite(episode.reward)) {
+      return absl::InvalidArgumentError(absl::StrFormat(
+          "episodes: step %d, length %d, reward %f; want a step in 0..%d, a length of at least 1, a finite reward",
+          episode.step, episode.length, episode.reward, steps - 1));
+    }
+    CRAFTFLEET_RETURN_IF_ERROR(CheckSize("achievements", message.achievements_size(), kNumAchievements, "counts"));
+    std::copy(message.achievements().begin(), message.achievements().end(), episode.achievements.begin());
+    episodes->push_back(episode);
+  }
+  return absl::OkStatus();
+}
+
+int CountEnded(const std::vector<StepEnd>& ends) {
+  return static_cast<int>(ends.size() - std::count(ends.begin(), ends.end(), StepEnd::kNone));
+}
+
+int CountTruncated(const std::vector<StepEnd>& ends) {
+  return static_cast<int>(std::count(ends.begin(), ends.end(), StepEnd::kTruncated));
+}
+
+}  // namespace
+
+v1::FragmentMessage ToProto(Fragment fragment) {
+  v1::FragmentMessage message;
+  message.set_epoch(fragment.epoch);
+  message.set_lane(fragment.lane);
+  message.set_number(fragment.number);
+  message.set_policy_version(fragment.policy_version);
+  *message.mutable_frames() = std::move(fragment.frames);
+  *message.mutable_actions() = std::move(fragment.actions);
+  message.mutable_log_probs()->Assign(fragment.log_probs.begin(), fragment.log_probs.end());
+  message.mutable_values()->Assign(fragment.values.begin(), fragment.values.end());
+  message.mutable_rewards()->Assign(fragment.rewards.begin(), fragment.rewards.end());
+  message.set_ends(EndsToBytes(fragment.ends));
+  message.mutable_truncation_values()->Assign(fragment.truncation_values.begin(), fragment.truncation_values.end());
+  message.set_bootstrap_value(fragment.bootstrap_value);
+  EpisodesToProto(fragment.episodes, message.mutable_episodes());
+  *message.mutable_snapshot() = std::move(fragment.snapshot);
+  return message;
+}
+
+absl::StatusOr<Fragment> FromProto(v1::FragmentMessage* message, const FragmentShape& shape) {
+  Fragment fragment;
+  if (message->lane() < 0 || message->lane() >= shape.lanes) {
+    return absl::InvalidArgumentError(absl::StrFormat("lane %d, want 0..%d", message->lane(), shape.lanes - 1));
+  }
+  fragment.epoch = message->epoch();
+  fragment.lane = message->lane();
+  fragment.number = message->number();
+  fragment.policy_version = message->policy_version();
+  CRAFTFLEET_RETURN_IF_ERROR(CheckSize("frames", static_cast<int64_t>(message->frames().size()),
+                                       static_cast<int64_t>(shape.steps) * shape.frame_bytes, "bytes"));
+  CRAFTFLEET_RETURN_IF_ERROR(
+      CheckSize("actions", static_cast<int64_t>(message->actions().size()), shape.steps, "bytes"));
+  CRAFTFLEET_RETURN_IF_ERROR(CheckActions(message->actions()));
+  CRAFTFLEET_RETURN_IF_ERROR(ReadFloats("log_probs", message->log_probs(), shape.steps, &fragment.log_probs));
+  CRAFTFLEET_RETURN_IF_ERROR(ReadFloats("values", message->values(), shape.steps, &fragment.values));
+  CRAFTFLEET_RETURN_IF_ERROR(ReadFloats("rewards", message->rewards(), shape.steps, &fragment.rewards));
+  CRAFTFLEET_RETURN_IF_ERROR(ReadEnds(message->ends(), shape.steps, &fragment.ends));
+  CRAFTFLEET_RETURN_IF_ERROR(ReadFloats("truncation_values", message->truncation_values(),
+                                        CountTruncated(fragment.ends), &fragment.truncation_values));
+  if (!std::isfinite(message->bootstrap_value())) return absl::InvalidArgumentError("bootstrap_value is not finite");
+  fragment.bootstrap_value = message->bootstrap_value();
+  CRAFTFLEET_RETURN_IF_ERROR(
+      ReadEpisodes(message->episodes(), CountEnded(fragment.ends), shape.steps, &fragment.episodes));
+  if (message->snapshot().empty())
+    return absl::InvalidArgumentError("snapshot is empty, want the game after the last step");
+  fragment.frames = std::move(*message->mutable_frames());
+  fragment.actions = std::move(*message->mutable_actions());
+  fragment.snapshot = std::move(*message->mutable_snapshot());
+  return fragment;
+}
+
+void ToProto(StepBatch* batch, v1::PlayReply* message) {
+  message->mutable_frames()->swap(batch->frames);
+  message->mutable_last_frames()->swap(batch->last_frames);
+  message->mutable_rewards()->Assign(batch->rewards.begin(), batch->rewards.end());
+  message->mutable_ends()->assign(reinterpret_cast<const char*>(batch->ends.data()), batch->ends.size());
+  EpisodesToProto(batch->episodes, message->mutable_episodes());
+  message->clear_snapshots();
+  for (std::string& snapshot : batch->snapshots) message->add_snapshots(std::move(snapshot));
+}
+
+absl::Status FromProto(v1::PlayReply* message, int lanes, int frame_bytes, StepBatch* batch) {
+  const int64_t frame_size = frame_bytes;
+  CRAFTFLEET_RETURN_IF_ERROR(
+      CheckSize("frames", static_cast<int64_t>(message->frames().size()), lanes * frame_size, "bytes"));
+  CRAFTFLEET_RETURN_IF_ERROR(ReadFloats("rewards", message->rewards(), lanes, &batch->rewards));
+  CRAFTFLEET_RETURN_IF_ERROR(ReadEnds(message->ends(), lanes, &batch->ends));
+  CRAFTFLEET_RETURN_IF_ERROR(CheckSize("last_frames", static_cast<int64_t>(message->last_frames().size()),
+                                       CountTruncated(batch->ends) * frame_size, "bytes"));
+  CRAFTFLEET_RETURN_IF_ERROR(ReadEpisodes(message->episodes(), CountEnded(batch->ends), 1, &batch->episodes));
+  if (message->snapshots_size() != 0) {
+    CRAFTFLEET_RETURN_IF_ERROR(CheckSize("snapshots", message->snapshots_size(), lanes, "snapshots"));
+  }
+  batch->frames.swap(*message->mutable_frames());
+  batch->last_frames.swap(*message->mutable_last_frames());
+  batch->snapshots.clear();
+  for (std::string& snapshot : *message->mutable_snapshots()) batch->snapshots.push_back(std::move(snapshot));
+  return absl::OkStatus();
+}
+
+absl::Status ActionsFromProto(const v1::StepLanes& request, std::vector<Action>* actions) {
+  CRAFTFLEET_RETURN_IF_ERROR(
+      CheckSize("actions", static_cast<int64_t>(request.actions().size()), request.lanes_size(), "bytes"));
+  CRAFTFLEET_RETURN_IF_ERROR(CheckActions(request.actions()));
+  actions->clear();
+  for (const char action : request.actions()) actions->push_back(static_cast<Action>(action));
+  return absl::OkStatus();
+}
+
+}  // namespace craftfleet::wire

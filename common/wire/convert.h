@@ -1,0 +1,41 @@
+// Protobuf messages <-> the plain structs of common/types.h. What comes off the wire is checked here and nowhere else.
+// Frames and snapshots are moved, not copied: the messages are left without them.
+
+#ifndef CRAFTFLEET_COMMON_WIRE_CONVERT_H_
+#define CRAFTFLEET_COMMON_WIRE_CONVERT_H_
+
+#include <vector>
+
+#include <absl/status/status.h>
+#include <absl/status/statusor.h>
+
+#include "common/types.h"
+#include "craftfleet/v1/environment.pb.h"
+#include "craftfleet/v1/learner.pb.h"
+
+namespace craftfleet::wire {
+
+// What a valid fragment looks like in this run.
+struct FragmentShape {
+  int lanes = 0;        // lane is in 0..lanes-1
+  int steps = 0;        // T
+  int frame_bytes = 0;  // H*W*3
+};
+
+v1::FragmentMessage ToProto(Fragment fragment);
+
+// InvalidArgument: a field of the wrong size or out of range; the message names it, the value and what was expected.
+absl::StatusOr<Fragment> FromProto(v1::FragmentMessage* message, const FragmentShape& shape);
+
+// `message` is reused: capacity of its buffers is kept. `batch` gives its frames away.
+void ToProto(StepBatch* batch, v1::PlayReply* message);
+
+// The reply to a step of `lanes` lanes; checks sizes and ranges like FromProto above.
+absl::Status FromProto(v1::PlayReply* message, int lanes, int frame_bytes, StepBatch* batch);
+
+// One action per lane, each 0..16. InvalidArgument otherwise.
+absl::Status ActionsFromProto(const v1::StepLanes& request, std::vector<Action>* actions);
+
+}  // namespace craftfleet::wire
+
+#endif  // CRAFTFLEET_COMMON_WIRE_CONVERT_H_

@@ -1,0 +1,19 @@
+// absl::Status <-> grpc::Status; the codes have the same numbers.
+
+#ifndef CRAFTFLEET_COMMON_WIRE_GRPC_STATUS_H_
+#define CRAFTFLEET_COMMON_WIRE_GRPC_STATUS_H_
+
+#include <absl/status/status.h>
+#include <absl/strings/string_view.h>
+#include <grpcpp/support/status.h>
+
+namespace craftfleet::wire {
+
+grpc::Status ToGrpc(const absl::Status& status);
+
+// `context` is put before the message ("learner 10.0.0.1:50051: ...") of a failed status.
+absl::Status FromGrpc(const grpc::Status& status, absl::string_view context);
+
+}  // namespace craftfleet::wire
+
+#endif  // CRAFTFLEET_COMMON_WIRE_GRPC_STATUS_H_

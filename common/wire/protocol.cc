@@ -1,0 +1,34 @@
+#include "common/wire/protocol.h"
+
+#include <absl/strings/str_format.h>
+
+namespace craftfleet::wire {
+namespace {
+
+bool Differ(absl::string_view a, absl::string_view b) { return !a.empty() && !b.empty() && a != b; }
+
+}  // namespace
+
+absl::Status CheckHandshake(absl::string_view us, const Handshake& ours, absl::string_view them,
+                            const Handshake& theirs) {
+  if (ours.protocol_version != theirs.protocol_version) {
+    const bool they_are_older = theirs.protocol_version < ours.protocol_version;
+    return absl::FailedPreconditionError(
+        absl::StrFormat("this %s speaks protocol version %d, the %s %d: upgrade the %s", us, ours.protocol_version,
+                        them, theirs.protocol_version, they_are_older ? them : us));
+  }
+  if (Differ(ours.run_id, theirs.run_id)) {
+    return absl::FailedPreconditionError(
+        absl::StrFormat("this %s serves run %s, the %s belongs to run %s: check the address given to the %s, or wait "
+                        "until the other run ends",
+                        us, ours.run_id, them, theirs.run_id, them));
+  }
+  if (Differ(ours.texture_digest, theirs.texture_digest)) {
+    return absl::FailedPreconditionError(
+        absl::StrFormat("this %s draws with textures %s, the %s with %s: give both the same --textures", us,
+                        ours.texture_digest, them, theirs.texture_digest));
+  }
+  return absl::OkStatus();
+}
+
+}  // namespace craftfleet::wire

@@ -1,0 +1,90 @@
+#include "envserver/env_batch.h"
+
+#include <algorithm>
+#include <utility>
+
+#include <absl/strings/str_format.h>
+
+#include "common/status_macros.h"
+
+namespace craftfleet {
+namespace {
+
+absl::Span<uint8_t> Row(std::string* frames, size_t row, size_t frame_bytes) {
+  return absl::MakeSpan(reinterpret_cast<uint8_t*>(&(*frames)[row * frame_bytes]), frame_bytes);
+}
+
+}  // namespace
+
+absl::Status EnvBatch::Open(absl::Span<const OpenLane> lanes, std::string* frames) {
+  if (lanes.size() + games_.size() > kMaxLanes) {
+    return absl::InvalidArgumentError(absl::StrFormat(
+        "%d lanes more on top of %d open ones, want at most %d in a session", lanes.size(), games_.size(), kMaxLanes));
+  }
+  frames->resize(lanes.size() * renderer_->frame_bytes());
+  for (size_t row = 0; row < lanes.size(); ++row) {
+    CRAFTFLEET_RETURN_IF_ERROR(OpenOne(lanes[row], Row(frames, row, renderer_->frame_bytes())));
+  }
+  return absl::OkStatus();
+}
+
+absl::Status EnvBatch::OpenOne(const OpenLane& lane, absl::Span<uint8_t> frame) {
+  if (lane.lane < 0) return absl::InvalidArgumentError(absl::StrFormat("lane %d, want at least 0", lane.lane));
+  if (lane.episode < 1 || lane.episode > kMaxEpisode) {
+    return absl::InvalidArgumentError(
+        absl::StrFormat("lane %d: episode %d, want 1..%d", lane.lane, lane.episode, kMaxEpisode));
+  }
+  CRAFTFLEET_ASSIGN_OR_RETURN(Game game, Game::Create(renderer_, lane.seed, frame));
+  if (!lane.snapshot.empty()) {
+    if (absl::Status status = game.Restore(lane.snapshot, frame); !status.ok()) {
+      return absl::InvalidArgumentError(absl::StrFormat("lane %d: %s", lane.lane, status.message()));
+    }
+  } else {
+    for (int64_t episode = 1; episode < lane.episode; ++episode) game.Reset(frame);
+  }
+  games_.erase(lane.lane);
+  games_.emplace(lane.lane, std::move(game));
+  return absl::OkStatus();
+}
+
+absl::Status EnvBatch::Step(absl::Span<const int> lanes, absl::Span<const Action> actions, bool snapshot,
+                            StepBatch* batch) {
+  CRAFTFLEET_RETURN_IF_ERROR(Find(lanes));
+  batch->frames.resize(lanes.size() * renderer_->frame_bytes());
+  batch->last_frames.clear();
+  batch->rewards.resize(lanes.size());
+  batch->ends.resize(lanes.size());
+  batch->episodes.clear();
+  batch->snapshots.clear();
+  for (size_t row = 0; row < lanes.size(); ++row) {
+    const Game::PlayedStep played = chosen_[row]->StepAndAutoReset(
+        actions[row], Row(&batch->frames, row, renderer_->frame_bytes()), &batch->last_frames);
+    batch->rewards[row] = static_cast<float>(played.outcome.reward);
+    batch->ends[row] = played.outcome.end;
+    if (played.episode.has_value()) batch->episodes.push_back(*played.episode);
+    if (snapshot) batch->snapshots.push_back(chosen_[row]->Save());
+  }
+  return absl::OkStatus();
+}
+
+void EnvBatch::Close(absl::Span<const int> lanes) {
+  for (const int lane : lanes) games_.erase(lane);
+}
+
+absl::Status EnvBatch::Find(absl::Span<const int> lanes) {
+  chosen_.clear();
+  for (const int lane : lanes) {
+    const auto game = games_.find(lane);
+    if (game == games_.end()) {
+      return absl::InvalidArgumentError(absl::StrFormat(
+          "lane %d is not open in this session, which has %d lanes: open it first", lane, games_.size()));
+    }
+    if (std::find(chosen_.begin(), chosen_.end(), &game->second) != chosen_.end()) {
+      return absl::InvalidArgumentError(absl::StrFormat("lane %d is named twice in one step", lane));
+    }
+    chosen_.push_back(&game->second);
+  }
+  return absl::OkStatus();
+}
+
+}  // namespace craftfleet

@@ -1,0 +1,66 @@
+// The games of one session, by lane.
+
+#ifndef CRAFTFLEET_ENVSERVER_ENV_BATCH_H_
+#define CRAFTFLEET_ENVSERVER_ENV_BATCH_H_
+
+#include <cstdint>
+#include <map>
+#include <memory>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include <absl/status/status.h>
+#include <absl/strings/string_view.h>
+#include <absl/types/span.h>
+
+#include "common/types.h"
+#include "envserver/game.h"
+
+namespace craftfleet {
+
+// Thread-compatible: one thread at a time.
+class EnvBatch {
+ public:
+  static constexpr int kMaxLanes = 4096;         // games of one session
+  static constexpr int64_t kMaxEpisode = 10000;  // first episode that can be asked for
+
+  // A game to begin or to go on with.
+  struct OpenLane {
+    int lane = 0;
+    int64_t seed = 0;
+    int64_t episode = 1;         // of a new game, 1..kMaxEpisode
+    absl::string_view snapshot;  // empty: a new game
+  };
+
+  explicit EnvBatch(std::shared_ptr<const Renderer> renderer) : renderer_(std::move(renderer)) {}
+
+  // Opens `lanes` (one that is open already starts anew) and writes their observations, uint8[n,H,W,3], to `frames`.
+  //   InvalidArgument: a lane below 0, too many lanes, an episode out of range, or a snapshot that is not of such a
+  //   game.
+  absl::Status Open(absl::Span<const OpenLane> lanes, std::string* frames);
+
+  // One step of each of `lanes` with its action. An ended game goes on with its next episode: the row has the result of
+  // the last step and the first frame of the new episode. With `snapshot` the games' states after the step are given
+  // too.
+  //   InvalidArgument: a lane that is not open or named twice; nothing was stepped.
+  absl::Status Step(absl::Span<const int> lanes, absl::Span<const Action> actions, bool snapshot, StepBatch* batch);
+
+  // Drops games. Lanes that are not open are ignored.
+  void Close(absl::Span<const int> lanes);
+
+  int size() const { return static_cast<int>(games_.size()); }
+
+ private:
+  absl::Status OpenOne(const OpenLane& lane, absl::Span<uint8_t> frame);
+  // Sets `chosen_`.
+  absl::Status Find(absl::Span<const int> lanes);
+
+  const std::shared_ptr<const Renderer> renderer_;
+  std::map<int, Game> games_;
+  std::vector<Game*> chosen_;  // the games of the current request, in its order
+};
+
+}  // namespace craftfleet
+
+#endif  // CRAFTFLEET_ENVSERVER_ENV_BATCH_H_

@@ -1,0 +1,68 @@
+// The gRPC face of an environment server.
+
+#ifndef CRAFTFLEET_ENVSERVER_ENV_SERVICE_H_
+#define CRAFTFLEET_ENVSERVER_ENV_SERVICE_H_
+
+#include <atomic>
+#include <cstdint>
+#include <map>
+#include <memory>
+#include <string>
+
+#include <absl/status/statusor.h>
+
+#include "common/mutex.h"
+#include "craftfleet/v1/environment.grpc.pb.h"
+#include "craftfleet/v1/status.pb.h"
+#include "envserver/env_batch.h"
+#include "envserver/render/textures.h"
+
+namespace craftfleet {
+
+// Serves any number of sessions, one gRPC thread each, that belong to one run at a time. Thread-safe.
+class EnvServiceImpl final : public v1::EnvironmentService::Service {
+ public:
+  // Textures in `texture_dir`, read once. The status of Textures::Load when they are missing or broken.
+  static absl::StatusOr<std::unique_ptr<EnvServiceImpl>> Create(const std::string& texture_dir);
+
+  grpc::Status Play(grpc::ServerContext* context,
+                    grpc::ServerReaderWriter<v1::PlayReply, v1::PlayRequest>* stream) override;
+
+  // Counts, rates and sessions for the status page.
+  void FillStatus(v1::StatusReply* reply) const ABSL_LOCKS_EXCLUDED(mu_);
+  // Seconds spent stepping and drawing games, over all sessions.
+  double step_seconds() const { return static_cast<double>(step_ns_.load()) * 1e-9; }
+
+ private:
+  struct Session {
+    std::string client;
+    std::string address;
+    int lanes = 0;
+  };
+  class SessionGuard;
+
+  EnvServiceImpl(std::shared_ptr<const Textures> textures, std::string texture_digest);
+
+  absl::Status Serve(const std::string& peer, grpc::ServerReaderWriter<v1::PlayReply, v1::PlayRequest>* stream);
+  // Handshake and what the games look like. FailedPrecondition or InvalidArgument: this session can't be served.
+  absl::StatusOr<std::shared_ptr<const Renderer>> Greet(const v1::SessionHello& hello) const;
+  // Takes the server for `run_id`.   FailedPrecondition: it has sessions of another run.
+  absl::Status EnterRun(const std::string& run_id) ABSL_LOCKS_EXCLUDED(mu_);
+  absl::Status Handle(const v1::PlayRequest& request, EnvBatch* batch, StepBatch* step, v1::PlayReply* reply);
+
+  const std::shared_ptr<const Textures> textures_;
+  const std::string texture_digest_;
+
+  std::atomic<int64_t> steps_{0};
+  std::atomic<int64_t> episodes_{0};
+  std::atomic<int64_t> step_ns_{0};
+  std::atomic<int64_t> rejected_{0};  // sessions ended by a bad request
+
+  mutable Mutex mu_;
+  std::string run_id_ ABSL_GUARDED_BY(mu_);  // of the sessions at hand; kept after the last one for the status page
+  std::map<const void*, Session> sessions_ ABSL_GUARDED_BY(mu_);
+};
+
+}  // namespace craftfleet
+
+#endif  // CRAFTFLEET_ENVSERVER_ENV_SERVICE_H_

@@ -1,0 +1,140 @@
+// Who may play what: the learner's book of lanes, permits and actors.
+
+#ifndef CRAFTFLEET_LEARNER_LANE_LEDGER_H_
+#define CRAFTFLEET_LEARNER_LANE_LEDGER_H_
+
+#include <cstdint>
+#include <map>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include <absl/status/status.h>
+#include <absl/status/statusor.h>
+#include <absl/strings/string_view.h>
+#include <absl/time/time.h>
+#include <absl/types/span.h>
+
+#include "common/clock.h"
+#include "common/mutex.h"
+
+namespace craftfleet {
+
+// Leave to collect one fragment.
+struct Permit {
+  int lane = 0;
+  int64_t fragment = 0;        // per lane, from 0
+  int64_t policy_version = 0;  // weights to play it with
+  friend bool operator==(const Permit& a, const Permit& b) {
+    return a.lane == b.lane && a.fragment == b.fragment && a.policy_version == b.policy_version;
+  }
+  friend bool operator!=(const Permit& a, const Permit& b) { return !(a == b); }
+};
+
+// A lane as last accepted: what a checkpoint keeps of it.
+struct LaneRecord {
+  int64_t next_fragment = 0;
+  std::string snapshot;  // the game before that fragment; empty: its first game, not begun yet
+};
+
+// Synchronous permits: within an iteration each lane gets them one after the other, all under the
+// iteration's weights. An actor gets its fair share of the lanes: those that it played before first (it holds their
+// games), then those that nobody holds or whose holder has more than its share, at last, when a lane was left lying for
+// `Options::patience`, anybody's. A permit lapses when its actor has not asked for `lease`. A fragment is accepted at
+// most once. Thread-safe.
+class LaneLedger {
+ public:
+  struct Options {
+    int lanes = 16;  // 1..
+    absl::Duration lease = absl::Seconds(5);
+    absl::Duration patience = absl::Seconds(1);
+  };
+  enum class Verdict { kAccepted, kDuplicate, kExpired };
+  struct Grant {
+    std::vector<Permit> granted;
+    std::vector<Permit> lost;  // of those renewed: lapsed and free again, or given to another
+    bool finished = false;
+  };
+  struct ActorInfo {
+    std::string name;
+    std::string address;
+    int permits = 0;
+    int64_t fragments = 0;  // accepted
+    absl::Duration idle;    // since its last word
+  };
+
+  LaneLedger(const Options& options, std::vector<LaneRecord> lanes, Clock* clock);
+
+  // Makes `actor` known, or renews it.
+  void Join(absl::string_view actor, absl::string_view address) ABSL_LOCKS_EXCLUDED(mu_);
+  // Forgets `actor` and frees its permits.
+  void Leave(absl::string_view actor) ABSL_LOCKS_EXCLUDED(mu_);
+
+  // Renews `active` and grants further permits up to `capacity` lanes in all; waits up to `wait` while there is nothing
+  // to say.
+  //   Aborted: `actor` is not known: it must join (again).
+  absl::StatusOr<Grant> GetPermits(absl::string_view actor, absl::Span<const Permit> active, int capacity,
+                                   absl::Duration wait) ABSL_LOCKS_EXCLUDED(mu_);
+
+  // Decides on a fragment and, when it is accepted, takes its lane one fragment further. `snapshot` is copied then.
+  //   InvalidArgument: the weights' version is not the permit's.
+  absl::StatusOr<Verdict> Accept(absl::string_view actor, const Permit& fragment, const std::string& snapshot)
+      ABSL_LOCKS_EXCLUDED(mu_);
+
+  // The state before `fragment` of `lane`.   Aborted: the lane is at another fragment.   InvalidArgument: no such lane.
+  absl::StatusOr<std::string> Snapshot(int lane, int64_t fragment) const ABSL_LOCKS_EXCLUDED(mu_);
+
+  // Opens the next iteration: permits for fragments up to `last_fragment` (excluded) of each lane, under
+  // `policy_version`.
+  void OpenIteration(int64_t last_fragment, int64_t policy_version) ABSL_LOCKS_EXCLUDED(mu_);
+  // The run is over: actors are told to leave.
+  void Finish() ABSL_LOCKS_EXCLUDED(mu_);
+  // Waits until every actor has left, at most `timeout`.
+  void WaitUntilEmpty(absl::Duration timeout) ABSL_LOCKS_EXCLUDED(mu_);
+
+  std::vector<LaneRecord> Records() const ABSL_LOCKS_EXCLUDED(mu_);
+  std::vector<ActorInfo> Actors() const ABSL_LOCKS_EXCLUDED(mu_);
+
+ private:
+  struct Lane {
+    LaneRecord record;
+    std::string holder;            // the actor that has its game, if any
+    std::optional<Permit> permit;  // out at `holder`
+  };
+  struct Actor {
+    std::string address;
+    absl::Time last_word;
+    int64_t fragments = 0;
+  };
+
+  // Why an actor may have a lane, strongest first.
+  enum class Claim { kOwn, kSpare, kLeftLying, kNone };
+
+  // Forgets actors whose lease ran out, with their permits.
+  void ExpireLeases() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
+  void Forget(const std::string& actor) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
+  // Takes back the permits of `actor` that it does not name; returns those it names without holding them.
+  std::vector<Permit> Renew(const std::string& actor, absl::Span<const Permit> active)
+      ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
+  std::vector<Permit> GrantTo(const std::string& actor, int capacity) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
+  Claim ClaimOn(const Lane& lane, const std::string& actor) const ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
+  int HeldBy(const std::string& actor) const ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
+  int PermitsOf(const std::string& actor) const ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
+  int FairShare() const ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
+
+  const Options options_;
+  Clock* const clock_;
+
+  mutable Mutex mu_;
+  CondVar changed_;
+  std::vector<Lane> lanes_ ABSL_GUARDED_BY(mu_);
+  std::map<std::string, Actor> actors_ ABSL_GUARDED_BY(mu_);
+  int64_t last_fragment_ ABSL_GUARDED_BY(mu_) = 0;
+  absl::Time opened_ ABSL_GUARDED_BY(mu_);  // when the iteration began
+  int64_t policy_version_ ABSL_GUARDED_BY(mu_) = 0;
+  bool finished_ ABSL_GUARDED_BY(mu_) = false;
+};
+
+}  // namespace craftfleet
+
+#endif  // CRAFTFLEET_LEARNER_LANE_LEDGER_H_

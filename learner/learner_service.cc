@@ -1,0 +1,191 @@
+#include "learner/learner_service.h"
+
+#include <algorithm>
+#include <utility>
+#include <vector>
+
+#include <absl/strings/str_format.h>
+
+#include "common/log.h"
+#include "common/status_macros.h"
+#include "common/version.h"
+#include "common/wire/grpc_status.h"
+#include "common/wire/protocol.h"
+#include "common/wire/status_service.h"
+
+namespace craftfleet {
+namespace {
+
+constexpr int kMaxWaitMs = 2000;          // of a long poll
+constexpr size_t kChunkBytes = 2u << 20;  // of weights
+
+absl::Duration WaitTime(int wait_ms) { return absl::Milliseconds(std::clamp(wait_ms, 0, kMaxWaitMs)); }
+
+Permit FromProto(const v1::Permit& message) { return {message.lane(), message.fragment(), message.policy_version()}; }
+
+void AddPermits(const std::vector<Permit>& permits, google::protobuf::RepeatedPtrField<v1::Permit>* out) {
+  for (const Permit& permit : permits) {
+    v1::Permit* message = out->Add();
+    message->set_lane(permit.lane);
+    message->set_fragment(permit.fragment);
+    message->set_policy_version(permit.policy_version);
+  }
+}
+
+v1::FragmentVerdict::Verdict ToProto(LaneLedger::Verdict verdict) {
+  switch (verdict) {
+    case LaneLedger::Verdict::kAccepted:
+      return v1::FragmentVerdict::ACCEPTED;
+    case LaneLedger::Verdict::kDuplicate:
+      return v1::FragmentVerdict::DUPLICATE;
+    case LaneLedger::Verdict::kExpired:
+      return v1::FragmentVerdict::EXPIRED;
+  }
+  return v1::FragmentVerdict::VERDICT_UNSPECIFIED;
+}
+
+}  // namespace
+
+LearnerServiceImpl::LearnerServiceImpl(const Options& options, LaneLedger* ledger, WeightStore* weights,
+                                       FragmentQueue* fragments)
+    : options_(options), ledger_(ledger), weights_(weights), fragments_(fragments) {}
+
+grpc::Status LearnerServiceImpl::Join(grpc::ServerContext* /*context*/, const v1::JoinRequest* request,
+                                      v1::JoinReply* reply) {
+  const wire::Handshake ours = {wire::kProtocolVersion, options_.run_id, ""};
+  const wire::Handshake theirs = {request->protocol_version(), request->run_id(), ""};
+  if (absl::Status status = wire::CheckHandshake("learner", ours, "actor", theirs); !status.ok()) {
+    LogWarning("actor %s refused: %s", request->actor(), status.message());
+    return wire::ToGrpc(status);
+  }
+  if (request->actor().empty()) return wire::ToGrpc(absl::InvalidArgumentError("actor is empty, want a unique name"));
+  WarnIfCpusDiffer(*request);
+  ledger_->Join(request->actor(), request->address());
+  reply->set_run_id(options_.run_id);
+  reply->set_epoch(options_.epoch);
+  *reply->mutable_config() = options_.config;
+  reply->set_texture_digest(options_.texture_digest);
+  reply->set_lease_ms(static_cast<int>(absl::ToInt64Milliseconds(options_.lease)));
+  reply->set_program_version(std::string(ProgramVersion()));
+  return grpc::Status::OK;
+}
+
+grpc::Status LearnerServiceImpl::GetPermits(grpc::ServerContext* /*context*/, const v1::PermitRequest* request,
+                                            v1::PermitReply* reply) {
+  if (absl::Status status = CheckEpoch(request->epoch()); !status.ok()) return wire::ToGrpc(status);
+  std::vector<Permit> active;
+  for (const v1::Permit& permit : request->active()) active.push_back(FromProto(permit));
+  absl::StatusOr<LaneLedger::Grant> grant =
+      ledger_->GetPermits(request->actor(), active, request->capacity(), WaitTime(request->wait_ms()));
+  if (!grant.ok()) return wire::ToGrpc(grant.status());
+  AddPermits(grant->granted, reply->mutable_granted());
+  AddPermits(grant->lost, reply->mutable_lost());
+  reply->set_finished(grant->finished);
+  return grpc::Status::OK;
+}
+
+grpc::Status LearnerServiceImpl::PushFragments(
+    grpc::ServerContext* /*context*/, grpc::ServerReaderWriter<v1::FragmentVerdict, v1::FragmentMessage>* stream) {
+  v1::FragmentMessage message;
+  v1::FragmentVerdict reply;
+  while (stream->Read(&message)) {
+    absl::StatusOr<v1::FragmentVerdict::Verdict> verdict = TakeIn(&message);
+    if (!verdict.ok()) {
+      if (verdict.status().code() == absl::StatusCode::kInvalidArgument) {
+        ++rejected_;
+        LogWarning("fragment of actor %s refused: %s", message.actor(), verdict.status().message());
+      }
+      return wire::ToGrpc(verdict.status());
+    }
+    reply.set_lane(message.lane());
+    reply.set_number(message.number());
+    reply.set_verdict(*verdict);
+    if (!stream->Write(reply)) break;
+  }
+  return grpc::Status::OK;
+}
+
+absl::StatusOr<v1::FragmentVerdict::Verdict> LearnerServiceImpl::TakeIn(v1::FragmentMessage* message) {
+  if (message->epoch() != options_.epoch) {
+    ++expired_;
+    return v1::FragmentVerdict::EXPIRED;
+  }
+  CRAFTFLEET_ASSIGN_OR_RETURN(Fragment fragment, wire::FromProto(message, options_.shape));
+  CRAFTFLEET_ASSIGN_OR_RETURN(
+      const LaneLedger::Verdict verdict,
+      ledger_->Accept(message->actor(), {fragment.lane, fragment.number, fragment.policy_version}, fragment.snapshot));
+  if (verdict == LaneLedger::Verdict::kAccepted) {
+    ++accepted_;
+    CRAFTFLEET_RETURN_IF_ERROR(fragments_->Push(std::move(fragment)));
+  } else {
+    ++(verdict == LaneLedger::Verdict::kDuplicate ? duplicates_ : expired_);
+  }
+  return ToProto(verdict);
+}
+
+grpc::Status LearnerServiceImpl::GetWeights(grpc::ServerContext* /*context*/, const v1::WeightsRequest* request,
+                                            grpc::ServerWriter<v1::WeightsChunk>* writer) {
+  const WeightStore::Weights weights = weights_->Wait(request->at_least(), WaitTime(request->wait_ms()));
+  if (weights.bytes == nullptr || weights.version < request->at_least()) {
+    return wire::ToGrpc(absl::DeadlineExceededError(
+        absl::StrFormat("policy version %d is not there yet, the last is %d", request->at_least(), weights.version)));
+  }
+  v1::WeightsChunk chunk;
+  chunk.set_policy_version(weights.version);
+  chunk.set_total_bytes(static_cast<int64_t>(weights.bytes->size()));
+  for (size_t offset = 0; offset < weights.bytes->size(); offset += kChunkBytes) {
+    chunk.mutable_data()->assign(*weights.bytes, offset, kChunkBytes);
+    if (!writer->Write(chunk)) break;
+  }
+  return grpc::Status::OK;
+}
+
+grpc::Status LearnerServiceImpl::GetSnapshot(grpc::ServerContext* /*context*/, const v1::SnapshotRequest* request,
+                                             v1::SnapshotReply* reply) {
+  if (absl::Status status = CheckEpoch(request->epoch()); !status.ok()) return wire::ToGrpc(status);
+  absl::StatusOr<std::string> snapshot = ledger_->Snapshot(request->lane(), request->fragment());
+  if (!snapshot.ok()) return wire::ToGrpc(snapshot.status());
+  reply->set_snapshot(*std::move(snapshot));
+  return grpc::Status::OK;
+}
+
+grpc::Status LearnerServiceImpl::Leave(grpc::ServerContext* /*context*/, const v1::LeaveRequest* request,
+                                       v1::LeaveReply* /*reply*/) {
+  ledger_->Leave(request->actor());
+  return grpc::Status::OK;
+}
+
+void LearnerServiceImpl::FillStatus(v1::StatusReply* reply) const {
+  reply->set_run_id(options_.run_id);
+  wire::AddMetric("epoch", static_cast<double>(options_.epoch), "", reply);
+  wire::AddMetric("fragments_accepted", static_cast<double>(accepted_.load()), "fragments", reply);
+  wire::AddMetric("fragments_duplicate", static_cast<double>(duplicates_.load()), "fragments", reply);
+  wire::AddMetric("fragments_expired", static_cast<double>(expired_.load()), "fragments", reply);
+  wire::AddMetric("fragments_rejected", static_cast<double>(rejected_.load()), "fragments", reply);
+  wire::AddMetric("fragments_queued", static_cast<double>(fragments_->size()), "fragments", reply);
+  for (const LaneLedger::ActorInfo& actor : ledger_->Actors()) {
+    v1::Peer* peer = reply->add_peers();
+    peer->set_name(actor.name);
+    peer->set_role("actor");
+    peer->set_address(actor.address);
+    peer->set_state(absl::StrFormat("%d permits, %d fragments accepted", actor.permits, actor.fragments));
+    peer->set_last_seen_s(absl::ToDoubleSeconds(actor.idle));
+  }
+}
+
+absl::Status LearnerServiceImpl::CheckEpoch(int64_t epoch) const {
+  if (epoch == options_.epoch) return absl::OkStatus();
+  return absl::AbortedError(absl::StrFormat("epoch %d, but the learner is in epoch %d since its last start: join again",
+                                            epoch, options_.epoch));
+}
+
+void LearnerServiceImpl::WarnIfCpusDiffer(const v1::JoinRequest& request) {
+  MutexLock lock(&mu_);
+  if (first_cpu_.empty()) first_cpu_ = request.cpu();
+  if (warned_ || request.cpu() == first_cpu_) return;
+  warned_ = true;
+  LogWarning("actor %s runs on \"%s\", others on \"%s\": results will depend on who plays in the last bits",
+             request.actor(), request.cpu(), first_cpu_);
+}
+
+}  // namespace craftfleet

@@ -1,0 +1,75 @@
+// The gRPC face of the learner: converts and hands over.
+
+#ifndef CRAFTFLEET_LEARNER_LEARNER_SERVICE_H_
+#define CRAFTFLEET_LEARNER_LEARNER_SERVICE_H_
+
+#include <atomic>
+#include <cstdint>
+#include <string>
+
+#include "common/closable_queue.h"
+#include "common/mutex.h"
+#include "common/types.h"
+#include "common/wire/convert.h"
+#include "craftfleet/v1/learner.grpc.pb.h"
+#include "craftfleet/v1/status.pb.h"
+#include "learner/lane_ledger.h"
+#include "learner/weight_store.h"
+
+namespace craftfleet {
+
+// Accepted fragments on their way to the trainer; permits bound their number.
+using FragmentQueue = ClosableQueue<Fragment>;
+
+// Thread-safe. The pointers must outlive it.
+class LearnerServiceImpl final : public v1::LearnerService::Service {
+ public:
+  struct Options {
+    std::string run_id;
+    int64_t epoch = 0;     // start number of the learner
+    v1::RunConfig config;  // resolved
+    std::string texture_digest;
+    wire::FragmentShape shape;
+    absl::Duration lease;  // told to actors
+  };
+
+  LearnerServiceImpl(const Options& options, LaneLedger* ledger, WeightStore* weights, FragmentQueue* fragments);
+
+  grpc::Status Join(grpc::ServerContext* context, const v1::JoinRequest* request, v1::JoinReply* reply) override;
+  grpc::Status GetPermits(grpc::ServerContext* context, const v1::PermitRequest* request,
+                          v1::PermitReply* reply) override;
+  grpc::Status PushFragments(grpc::ServerContext* context,
+                             grpc::ServerReaderWriter<v1::FragmentVerdict, v1::FragmentMessage>* stream) override;
+  grpc::Status GetWeights(grpc::ServerContext* context, const v1::WeightsRequest* request,
+                          grpc::ServerWriter<v1::WeightsChunk>* writer) override;
+  grpc::Status GetSnapshot(grpc::ServerContext* context, const v1::SnapshotRequest* request,
+                           v1::SnapshotReply* reply) override;
+  grpc::Status Leave(grpc::ServerContext* context, const v1::LeaveRequest* request, v1::LeaveReply* reply) override;
+
+  // Counts of fragments and the actors as peers.
+  void FillStatus(v1::StatusReply* reply) const;
+
+ private:
+  absl::Status CheckEpoch(int64_t epoch) const;
+  absl::StatusOr<v1::FragmentVerdict::Verdict> TakeIn(v1::FragmentMessage* message);
+  // A synchronous fleet on unlike CPUs is not bit for bit: says so once.
+  void WarnIfCpusDiffer(const v1::JoinRequest& request) ABSL_LOCKS_EXCLUDED(mu_);
+
+  const Options options_;
+  LaneLedger* const ledger_;
+  WeightStore* const weights_;
+  FragmentQueue* const fragments_;
+
+  std::atomic<int64_t> accepted_{0};
+  std::atomic<int64_t> duplicates_{0};
+  std::atomic<int64_t> expired_{0};
+  std::atomic<int64_t> rejected_{0};
+
+  Mutex mu_;
+  std::string first_cpu_ ABSL_GUARDED_BY(mu_);
+  bool warned_ ABSL_GUARDED_BY(mu_) = false;
+};
+
+}  // namespace craftfleet
+
+#endif  // CRAFTFLEET_LEARNER_LEARNER_SERVICE_H_
