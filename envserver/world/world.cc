@@ -25,11 +25,11 @@ Player NewPlayer() {
 
 void UpdateObjects(Action action, WorldState* state) {
   Board& board = state->board;
+  // Objects that are added on the way wait for the next step.
+  const int count = static_cast<int>(board.objects().size());
   UpdatePlayer(action, state);
   const Position player = board.object(0).position;
   const int reach = state->options.update_distance();
-  // Objects that are added on the way wait for the next step.
-  const int count = static_cast<int>(board.objects().size());
   for (int i = 1; i < count; ++i) {
     if (Distance(board.object(i).position, player) < reach) UpdateObject(i, state);
   }

@@ -1,0 +1,17 @@
+// Reads gzip files, and plain ones as they are.
+
+#ifndef CRAFTFLEET_TESTS_GOLDEN_GZIP_FILE_H_
+#define CRAFTFLEET_TESTS_GOLDEN_GZIP_FILE_H_
+
+#include <string>
+
+#include <absl/status/statusor.h>
+
+namespace craftfleet {
+
+//   NotFound: no such file. DataLoss: cut or damaged. Both name the file.
+absl::StatusOr<std::string> ReadGzipFile(const std::string& path);
+
+}  // namespace craftfleet
+
+#endif  // CRAFTFLEET_TESTS_GOLDEN_GZIP_FILE_H_

@@ -1,0 +1,26 @@
+// The fields of a trace line, taken from a world. Source: README of the golden data, the table of keys.
+
+#ifndef CRAFTFLEET_TESTS_GOLDEN_TRACE_FIELDS_H_
+#define CRAFTFLEET_TESTS_GOLDEN_TRACE_FIELDS_H_
+
+#include <cstdint>
+#include <string>
+
+#include <absl/strings/string_view.h>
+#include <absl/types/span.h>
+#include <nlohmann/json.hpp>
+
+#include "envserver/world/world.h"
+
+namespace craftfleet {
+
+// zlib's crc32 as 8 lower-case hex digits.
+std::string CrcText(absl::string_view bytes);
+std::string CrcText(absl::Span<const uint8_t> bytes);
+
+// All fields of the state, in the order of the table: `ep` to `mtp`, then `mvar` and `ovar`; without `img`.
+nlohmann::ordered_json TraceFields(const World& world);
+
+}  // namespace craftfleet
+
+#endif  // CRAFTFLEET_TESTS_GOLDEN_TRACE_FIELDS_H_
