@@ -1,0 +1,30 @@
+#!/usr/bin/env bash
+# Configures and builds everything; programs land in <build folder>/bin (build/bin for release).
+#
+# Usage: deploy/build.sh [PRESET]
+#   PRESET  release (default), debug, asan-ubsan or tsan: see CMakePresets.json
+#   JOBS    environment variable: compilers at a time; default: one per core, as far as memory goes
+
+set -euo pipefail
+
+usage() { sed -n '2,/^$/s/^# \{0,1\}//p' "$0"; }
+case "${1:-}" in
+  -h | --help) usage; exit 0 ;;
+  -*) echo "build.sh: unknown argument '$1'" >&2; usage >&2; exit 2 ;;
+esac
+preset=${1:-release}
+cd "$(dirname "$0")/.."
+
+# A file that includes LibTorch takes up to 2 GB to compile.
+memory_kib=$(awk '/^MemAvailable:/ {print $2}' /proc/meminfo)
+if [ -r /sys/fs/cgroup/memory.max ] && [ "$(cat /sys/fs/cgroup/memory.max)" != max ]; then
+  limit_kib=$(($(cat /sys/fs/cgroup/memory.max) / 1024))
+  [ "$limit_kib" -ge "$memory_kib" ] || memory_kib=$limit_kib
+fi
+jobs=$(nproc)
+by_memory=$((memory_kib / (2 * 1024 * 1024)))
+[ "$by_memory" -ge "$jobs" ] || jobs=$by_memory
+[ "$jobs" -ge 1 ] || jobs=1
+
+cmake --preset "$preset"
+cmake --build --preset "$preset" --parallel "${JOBS:-$jobs}"

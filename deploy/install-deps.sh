@@ -1,0 +1,53 @@
+#!/usr/bin/env bash
+# Installs what CraftFleet is built and tested with, from Debian's own packages (Debian 12 or later).
+# Does nothing when all of it is there; uses sudo when not run as root.
+#
+# Usage: deploy/install-deps.sh
+
+set -euo pipefail
+
+usage() { sed -n '2,/^$/s/^# \{0,1\}//p' "$0"; }
+case "${1:-}" in
+  "") ;;
+  -h | --help) usage; exit 0 ;;
+  *) echo "install-deps.sh: unknown argument '$1'" >&2; usage >&2; exit 2 ;;
+esac
+
+packages=(
+  g++ cmake ninja-build git pkg-config
+  protobuf-compiler protobuf-compiler-grpc libprotobuf-dev libgrpc++-dev libssl-dev
+  libabsl-dev nlohmann-json3-dev zlib1g-dev
+  libtorch-dev
+  libopenblas0-pthread  # with the reference BLAS, training is several times slower
+  libopencv-dev
+  libgtest-dev libgmock-dev libbenchmark-dev
+)
+
+if ! command -v apt-get >/dev/null || ! command -v dpkg-query >/dev/null; then
+  echo "install-deps.sh: no apt here. Install by your system's own means what Debian calls:" >&2
+  echo "  ${packages[*]}" >&2
+  exit 1
+fi
+
+missing=()
+for package in "${packages[@]}"; do
+  status=$(dpkg-query --show --showformat='${Status}' "$package" 2>/dev/null || true)
+  [ "$status" = "install ok installed" ] || missing+=("$package")
+done
+if [ ${#missing[@]} -eq 0 ]; then
+  echo "All ${#packages[@]} packages are installed."
+  exit 0
+fi
+
+as_root=(env DEBIAN_FRONTEND=noninteractive)
+if [ "$(id -u)" -ne 0 ]; then
+  if ! command -v sudo >/dev/null; then
+    echo "install-deps.sh: neither root nor sudo here. Have an administrator install: ${missing[*]}" >&2
+    exit 1
+  fi
+  as_root=(sudo "${as_root[@]}")
+fi
+
+echo "Installing: ${missing[*]}"
+"${as_root[@]}" apt-get update -qq
+"${as_root[@]}" apt-get install -y -qq --no-install-recommends "${missing[@]}"

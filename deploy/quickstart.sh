@@ -1,0 +1,50 @@
+#!/usr/bin/env bash
+# From a fresh checkout to a trained agent: installs what is missing, builds, trains PPO-CNN on Crafter in one process,
+# evaluates it, says where the results lie.
+#
+# Usage: deploy/quickstart.sh [--steps=N] [--seed=N]
+#   --steps=N  environment steps to train for; default 100000
+#   --seed=N   of the run; default 1
+
+set -euo pipefail
+
+usage() { sed -n '2,/^$/s/^# \{0,1\}//p' "$0"; }
+steps=100000
+seed=1
+for argument in "$@"; do
+  case "$argument" in
+    -h | --help) usage; exit 0 ;;
+    --steps=*) steps=${argument#*=} ;;
+    --seed=*) seed=${argument#*=} ;;
+    *) echo "quickstart.sh: unknown argument '$argument'" >&2; usage >&2; exit 2 ;;
+  esac
+done
+if ! [[ $steps =~ ^[0-9]+$ && $seed =~ ^[0-9]+$ ]]; then
+  echo "quickstart.sh: --steps and --seed want whole numbers" >&2
+  exit 2
+fi
+cd "$(dirname "$0")/.."
+
+deploy/install-deps.sh
+deploy/build.sh release
+
+number=1
+while [ -e "runs/quickstart-$number" ]; do number=$((number + 1)); done
+logdir=runs/quickstart-$number
+
+echo
+echo "Training PPO-CNN on Crafter for $steps steps into $logdir (stop it with Ctrl-C; it can be resumed)."
+build/bin/craftfleet train --agent=ppo_cnn --env=crafter --steps="$steps" --seed="$seed" --lanes=16 --logdir="$logdir"
+
+echo
+echo "Evaluating its last checkpoint over 20 episodes."
+build/bin/craftfleet eval --checkpoint="$logdir" --episodes=20
+
+cat <<RESULTS
+
+Results in $logdir:
+  stats.jsonl     one line per training episode, as Crafter's own recorder writes it
+  events.out.*    curves; watch them with: tensorboard --logdir $logdir
+  checkpoints/    weights and everything needed to resume
+  config.txt      the configuration as it ran
+RESULTS
