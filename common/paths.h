@@ -1,0 +1,18 @@
+// Where the installed files of this project lie.
+
+#ifndef CRAFTFLEET_COMMON_PATHS_H_
+#define CRAFTFLEET_COMMON_PATHS_H_
+
+#include <string>
+
+#include <absl/status/statusor.h>
+
+namespace craftfleet {
+
+// The textures that come with the programs: ../share/craftfleet/textures from the running program's folder, whatever
+// the working directory. NotFound: there is no such folder.
+absl::StatusOr<std::string> DefaultTextureDir();
+
+}  // namespace craftfleet
+
+#endif  // CRAFTFLEET_COMMON_PATHS_H_

@@ -1,0 +1,55 @@
+#include "envserver/game.h"
+
+#include <utility>
+
+#include "common/status_macros.h"
+
+namespace craftfleet {
+
+absl::StatusOr<Game> Game::Create(std::shared_ptr<const Renderer> renderer, int64_t seed, absl::Span<uint8_t> frame) {
+  CRAFTFLEET_ASSIGN_OR_RETURN(World world, World::Create(renderer->world_options(), seed));
+  Game game(std::move(renderer), std::move(world));
+  game.Draw(frame);
+  return game;
+}
+
+void Game::Reset(absl::Span<uint8_t> frame) {
+  world_.Reset();
+  Draw(frame);
+}
+
+StepOutcome Game::Step(Action action, absl::Span<uint8_t> frame) {
+  const StepOutcome outcome = world_.Step(action);
+  Draw(frame);
+  return outcome;
+}
+
+Game::PlayedStep Game::StepAndAutoReset(Action action, absl::Span<uint8_t> frame, std::string* last_frames) {
+  PlayedStep played{world_.Step(action), absl::nullopt};
+  if (played.outcome.end == StepEnd::kTruncated) {
+    Draw(frame);
+    last_frames->append(reinterpret_cast<const char*>(frame.data()), frame.size());
+  }
+  if (played.outcome.end != StepEnd::kNone) {
+    Episode& episode = played.episode.emplace();
+    episode.length = world_.step();
+    episode.reward = world_.episode_reward();
+    episode.achievements = world_.player().achievements;
+    world_.Reset();
+  }
+  Draw(frame);
+  return played;
+}
+
+absl::Status Game::Restore(absl::string_view snapshot, absl::Span<uint8_t> frame) {
+  CRAFTFLEET_RETURN_IF_ERROR(world_.Restore(snapshot));
+  Draw(frame);
+  return absl::OkStatus();
+}
+
+void Game::Draw(absl::Span<uint8_t> frame) {
+  before_picture_ = world_.random();
+  renderer_->Render(world_, &world_.random(), frame);
+}
+
+}  // namespace craftfleet

@@ -1,0 +1,35 @@
+// Textures at the sizes that a picture needs, and one drawn over another.
+// Source: determinism page, section 8 (NEAREST resize, alpha draw).
+
+#ifndef CRAFTFLEET_ENVSERVER_RENDER_IMAGE_H_
+#define CRAFTFLEET_ENVSERVER_RENDER_IMAGE_H_
+
+#include <vector>
+
+#include <absl/types/span.h>
+
+#include "envserver/render/textures.h"
+
+namespace craftfleet {
+
+// Column by column, as the map is drawn and its noise is drawn from the stream.
+struct Image {
+  int width = 0;
+  int height = 0;
+  std::vector<Pixel> pixels;  // [width][height]
+
+  Pixel at(int x, int y) const { return pixels[x * height + y]; }
+};
+
+// For each of `to` pixels the pixel of `from` that it shows. The position is accumulated, as in the original: the exact
+// fraction picks other pixels at some sizes.
+std::vector<int> NearestIndices(int from, int to);
+
+Image Resize(const Texture& texture, int width, int height);
+
+// Draws each pixel of `over` by its alpha onto the pixel of `canvas` in the same place. Equal sizes.
+void Blend(absl::Span<const Pixel> over, absl::Span<Pixel> canvas);
+
+}  // namespace craftfleet
+
+#endif  // CRAFTFLEET_ENVSERVER_RENDER_IMAGE_H_

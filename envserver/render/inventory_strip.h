@@ -1,0 +1,41 @@
+// The lower part of the picture: an icon and a digit for each item that the player has.
+// Source: Crafter's rules, "The picture"; determinism page, section 8 (Items).
+
+#ifndef CRAFTFLEET_ENVSERVER_RENDER_INVENTORY_STRIP_H_
+#define CRAFTFLEET_ENVSERVER_RENDER_INVENTORY_STRIP_H_
+
+#include <array>
+#include <cstdint>
+#include <vector>
+
+#include <absl/types/span.h>
+
+#include "common/crafter.h"
+#include "envserver/render/picture_layout.h"
+#include "envserver/render/textures.h"
+#include "envserver/world/state.h"
+
+namespace craftfleet {
+
+// Immutable after construction: may be shared between threads.
+class InventoryStrip {
+ public:
+  InventoryStrip(const Textures& textures, const PictureLayout& layout);
+
+  // Draws onto `frame`, uint8[height][width][3], whose strip is black.
+  void Draw(const std::array<int8_t, kNumItems>& inventory, absl::Span<uint8_t> frame) const;
+
+ private:
+  // Of one cell: uint8[cell_height][cell_width][3].
+  const uint8_t* CellOf(int item, int amount) const {
+    return cells_.data() + (item * kMaxItem + amount - 1) * cell_bytes_;
+  }
+
+  PictureLayout layout_;
+  int cell_bytes_;
+  std::vector<uint8_t> cells_;  // [item][amount - 1]
+};
+
+}  // namespace craftfleet
+
+#endif  // CRAFTFLEET_ENVSERVER_RENDER_INVENTORY_STRIP_H_

@@ -1,0 +1,96 @@
+#include "envserver/render/light.h"
+
+#include <cstdint>
+
+#include "common/multiversion.h"
+
+namespace craftfleet {
+namespace {
+
+// The night's tint, doubled: what a channel tends to in the dark is half of (its dimmed value + this).
+constexpr int32_t kTwiceTintGreen = 16;
+constexpr int32_t kTwiceTintBlue = 64;
+
+struct Rgb {
+  int32_t red;
+  int32_t green;
+  int32_t blue;
+};
+
+Rgb Unpack(Pixel pixel) {
+  return {static_cast<int32_t>(pixel & 255), static_cast<int32_t>(pixel >> 8 & 255),
+          static_cast<int32_t>(pixel >> 16 & 255)};
+}
+
+Pixel Pack(int32_t red, int32_t green, int32_t blue) { return red | green << 8 | blue << 16; }
+
+// Floats hold every step exactly: the sum stays below 2^24.
+int32_t Luma(Rgb c) {
+  const float sum = 19595.0f * static_cast<float>(c.red) + 38470.0f * static_cast<float>(c.green) +
+                    7471.0f * static_cast<float>(c.blue) + 32768.0f;
+  return static_cast<int32_t>(sum * (1.0f / 65536));
+}
+
+// Colour turned down to 0.4.
+int32_t Dim(int32_t channel, float luma) {
+  return static_cast<int32_t>(luma + 0.4f * (static_cast<float>(channel) - luma));
+}
+
+// daylight * day + (1 - daylight) * night / 2; halving is exact, so it may be done to the factor.
+int32_t Mix(double daylight, int32_t day, double half_dark, int32_t twice_night) {
+  return static_cast<int32_t>(daylight * day + half_dark * twice_night);
+}
+
+// `night` is the canvas with its noise.
+Pixel Lit(double daylight, double half_dark, Rgb canvas, Rgb night) {
+  const auto luma = static_cast<float>(Luma(night));
+  return Pack(Mix(daylight, canvas.red, half_dark, Dim(night.red, luma)),
+              Mix(daylight, canvas.green, half_dark, Dim(night.green, luma) + kTwiceTintGreen),
+              Mix(daylight, canvas.blue, half_dark, Dim(night.blue, luma) + kTwiceTintBlue));
+}
+
+CRAFTFLEET_MULTIVERSION void DayLoop(double daylight, int count, Pixel* pixels) {
+  const double half_dark = 0.5 * (1 - daylight);
+  for (int i = 0; i < count; ++i) {
+    const Rgb canvas = Unpack(pixels[i]);
+    pixels[i] = Lit(daylight, half_dark, canvas, canvas);
+  }
+}
+
+CRAFTFLEET_MULTIVERSION void NightLoop(double daylight, const double* __restrict noise, const double* __restrict cover,
+                                       int count, Pixel* __restrict pixels) {
+  const double half_dark = 0.5 * (1 - daylight);
+  const double amount = 2 * (kNoiseBelow - daylight);
+  for (int i = 0; i < count; ++i) {
+    const Rgb canvas = Unpack(pixels[i]);
+    const double covered = amount * cover[i];
+    const double clear = 1 - covered;
+    const double grain = covered * (32 + 95 * noise[i]);
+    const Rgb night = {static_cast<int32_t>(clear * canvas.red + grain),
+                       static_cast<int32_t>(clear * canvas.green + grain),
+                       static_cast<int32_t>(clear * canvas.blue + grain)};
+    pixels[i] = Lit(daylight, half_dark, canvas, night);
+  }
+}
+
+CRAFTFLEET_MULTIVERSION void SleepLoop(int count, Pixel* pixels) {
+  for (int i = 0; i < count; ++i) {
+    const int32_t half = Luma(Unpack(pixels[i])) >> 1;
+    pixels[i] = Pack(half, half, half + 8);
+  }
+}
+
+}  // namespace
+
+void LightByDay(double daylight, absl::Span<Pixel> pixels) {
+  DayLoop(daylight, static_cast<int>(pixels.size()), pixels.data());
+}
+
+void LightByNight(double daylight, absl::Span<const double> noise, absl::Span<const double> cover,
+                  absl::Span<Pixel> pixels) {
+  NightLoop(daylight, noise.data(), cover.data(), static_cast<int>(pixels.size()), pixels.data());
+}
+
+void LightAsleep(absl::Span<Pixel> pixels) { SleepLoop(static_cast<int>(pixels.size()), pixels.data()); }
+
+}  // namespace craftfleet

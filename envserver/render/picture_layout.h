@@ -1,0 +1,46 @@
+// Where the parts of a picture lie: the local map above, the inventory below, a black border where the cells don't fill
+// the size. Source: Crafter's rules, "The picture"; determinism page, section 8.
+
+#ifndef CRAFTFLEET_ENVSERVER_RENDER_PICTURE_LAYOUT_H_
+#define CRAFTFLEET_ENVSERVER_RENDER_PICTURE_LAYOUT_H_
+
+#include <absl/status/statusor.h>
+
+#include "envserver/world/options.h"
+
+namespace craftfleet {
+
+struct RenderOptions {
+  int width = 64;         // pixels, 2 * view_width..2048
+  int height = 64;        // pixels, 2 * view_height..2048
+  bool inventory = true;  // off: its part stays black, nothing else changes
+
+  // InvalidArgument names the field, its value and the range that the view allows.
+  absl::Status Validate(const WorldOptions& world) const;
+};
+
+// Lengths in pixels unless said otherwise.
+struct PictureLayout {
+  // Both options must be valid.
+  PictureLayout(const WorldOptions& world, const RenderOptions& options);
+
+  int width;        // of the whole picture
+  int height;       // of the whole picture
+  int cell_width;   // of one cell
+  int cell_height;  // of one cell
+  int columns;      // cells across
+  int map_rows;     // cells down the map
+  int item_rows;    // cells down the inventory
+  int border_left;
+  int border_top;
+
+  int map_width() const { return columns * cell_width; }
+  int map_height() const { return map_rows * cell_height; }
+  int frame_bytes() const { return width * height * 3; }
+  // Of the red byte of a pixel, counted from the upper left corner inside the border.
+  int Offset(int x, int y) const { return ((border_top + y) * width + border_left + x) * 3; }
+};
+
+}  // namespace craftfleet
+
+#endif  // CRAFTFLEET_ENVSERVER_RENDER_PICTURE_LAYOUT_H_

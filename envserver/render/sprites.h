@@ -1,0 +1,38 @@
+// Which texture shows which thing on the map. A sprite is a material, creature, player, arrow or plant in one of its
+// looks; sprites are numbered densely, so that a renderer can keep them in an array.
+// Source: Crafter's rules, "The picture"; CrafterOOD page, "Appearance variants".
+
+#ifndef CRAFTFLEET_ENVSERVER_RENDER_SPRITES_H_
+#define CRAFTFLEET_ENVSERVER_RENDER_SPRITES_H_
+
+#include <string>
+#include <vector>
+
+#include "envserver/world/board.h"
+#include "envserver/world/options.h"
+#include "envserver/world/types.h"
+
+namespace craftfleet {
+
+using Sprite = int;  // 0..kNumSprites-1
+
+inline constexpr int kNumSpriteKinds = 26;
+inline constexpr int kLooksPerKind = kNumVariants + 1;  // without variant, then variant 0..3
+inline constexpr int kNumSprites = kNumSpriteKinds * kLooksPerKind;
+
+// `material` is not kNone.
+Sprite SpriteOf(Material material, Variant variant);
+// `sleeping` is the player's state and matters for the player only.
+Sprite SpriteOf(const Object& object, bool sleeping);
+
+// The texture's name: "tree", "tree2", "player-left".
+std::string SpriteName(Sprite sprite);
+// Whether it is an appearance variant, "tree2", of a plain sprite.
+bool IsVariant(Sprite sprite);
+
+// Every sprite that a world with these options can show.
+std::vector<Sprite> SpritesInUse(const WorldOptions& options);
+
+}  // namespace craftfleet
+
+#endif  // CRAFTFLEET_ENVSERVER_RENDER_SPRITES_H_
