@@ -1,0 +1,69 @@
+// Every golden trace and picture of the reference game, replayed. They need the reference's textures, which are not part
+// of this project: without CRAFTFLEET_GOLDEN_DIR the tests are skipped.
+
+#include <cstdlib>
+#include <filesystem>
+#include <string>
+#include <vector>
+
+#include <absl/strings/match.h>
+#include <gtest/gtest.h>
+
+#include "common/files.h"
+#include "tests/fakes/status_matchers.h"
+#include "tests/golden/trace_replayer.h"
+
+namespace craftfleet {
+namespace {
+
+namespace fs = std::filesystem;
+
+class Golden : public testing::Test {
+ protected:
+  void SetUp() override {
+    const char* folder = std::getenv("CRAFTFLEET_GOLDEN_DIR");
+    if (folder == nullptr) GTEST_SKIP() << "CRAFTFLEET_GOLDEN_DIR is not set";
+    golden_ = folder;
+  }
+
+  std::string Textures(const std::string& set) const { return (golden_ / ".." / "assets" / set).string(); }
+
+  void ReplayAll(const std::string& folder, int num_traces) const {
+    const std::string path = (golden_ / "crafter" / folder).string();
+    const absl::StatusOr<std::vector<std::string>> names = ListFolder(path);
+    ASSERT_THAT(names, IsOk());
+    int replayed = 0;
+    for (const std::string& name : *names) {
+      if (!absl::EndsWith(name, ".jsonl.gz")) continue;
+      const bool variants = folder == "ood" || absl::StrContains(name, "scenario-ood");
+      const auto report = ReplayTrace(JoinPath(path, name), Textures(variants ? "crafter-ood" : "crafter"));
+      ASSERT_THAT(report, IsOk());
+      EXPECT_EQ(report->difference, "") << name;
+      EXPECT_GT(report->steps, 0) << name;
+      ++replayed;
+    }
+    EXPECT_EQ(replayed, num_traces);
+  }
+
+  void ReplayPictures(const std::string& folder, const std::string& textures) const {
+    const auto report = ReplayFrames((golden_ / "crafter" / folder / "frames.jsonl").string(), Textures(textures));
+    ASSERT_THAT(report, IsOk());
+    EXPECT_EQ(report->difference, "");
+    EXPECT_GT(report->frames, report->steps);
+  }
+
+  fs::path golden_;
+};
+
+TEST_F(Golden, PlainGamesReplayFieldByField) { ReplayAll("", 32); }
+TEST_F(Golden, FarmsReplayFieldByField) { ReplayAll("farm", 4); }
+TEST_F(Golden, AnEpisodeToItsLengthReplaysFieldByField) { ReplayAll("long", 1); }
+TEST_F(Golden, VariantGamesReplayFieldByField) { ReplayAll("ood", 16); }
+TEST_F(Golden, StagedSituationsReplayFieldByField) { ReplayAll("scenario", 21); }
+TEST_F(Golden, PicturesOfPlainGamesAreTheSame) { ReplayPictures("", "crafter"); }
+TEST_F(Golden, PicturesOfFarmsAreTheSame) { ReplayPictures("farm", "crafter"); }
+TEST_F(Golden, PicturesOfALongEpisodeAreTheSame) { ReplayPictures("long", "crafter"); }
+TEST_F(Golden, PicturesOfVariantGamesAreTheSame) { ReplayPictures("ood", "crafter-ood"); }
+
+}  // namespace
+}  // namespace craftfleet
