@@ -1,0 +1,66 @@
+#include "common/agent/linear.h"
+
+#include <cstdint>
+
+#include <ATen/ATen.h>
+#include <torch/csrc/autograd/custom_function.h>
+
+// oneDNN's C API; its header is not among LibTorch's. Row-major C = alpha * op(A) * op(B) + beta * C. Null where
+// libdnnl is not a library of its own.
+extern "C" int dnnl_sgemm(char transpose_a, char transpose_b, int64_t m, int64_t n, int64_t k, float alpha,
+                          const float* a, int64_t lda, const float* b, int64_t ldb, float beta, float* c, int64_t ldc)
+    __attribute__((weak));
+
+namespace craftfleet {
+namespace {
+
+enum class Form { kPlain, kTransposed };
+
+// op(a) * op(b) + beta * c, where beta is 0 or 1 and c a contiguous result in place.
+void MultiplyInto(Form form_a, const at::Tensor& a, Form form_b, const at::Tensor& b, float beta, at::Tensor* c) {
+  const auto letter = [](Form form) { return form == Form::kTransposed ? 'T' : 'N'; };
+  const int64_t inner = form_a == Form::kTransposed ? a.size(0) : a.size(1);
+  if (LinearUsesOneDnn()) {
+    dnnl_sgemm(letter(form_a), letter(form_b), c->size(0), c->size(1), inner, 1.0F, a.data_ptr<float>(), a.size(1),
+               b.data_ptr<float>(), b.size(1), beta, c->data_ptr<float>(), c->size(1));
+    return;
+  }
+  const auto op = [](Form form, const at::Tensor& x) { return form == Form::kTransposed ? x.t() : x; };
+  at::addmm_out(*c, *c, op(form_a, a), op(form_b, b), beta, 1.0F);
+}
+
+struct LinearFunction : torch::autograd::Function<LinearFunction> {
+  // NOLINTNEXTLINE(readability-identifier-naming): the name that autograd calls
+  static at::Tensor forward(torch::autograd::AutogradContext* context, const at::Tensor& input,
+                            const at::Tensor& weight, const at::Tensor& bias) {
+    const at::Tensor rows = input.contiguous();
+    context->save_for_backward({rows, weight});
+    at::Tensor output = bias.expand({rows.size(0), weight.size(0)}).contiguous();
+    MultiplyInto(Form::kPlain, rows, Form::kTransposed, weight, 1.0F, &output);
+    return output;
+  }
+
+  // NOLINTNEXTLINE(readability-identifier-naming): the name that autograd calls
+  static torch::autograd::variable_list backward(torch::autograd::AutogradContext* context,
+                                                 torch::autograd::variable_list output_gradients) {
+    const torch::autograd::variable_list saved = context->get_saved_variables();
+    const at::Tensor& input = saved[0];
+    const at::Tensor& weight = saved[1];
+    const at::Tensor gradient = output_gradients[0].contiguous();
+    at::Tensor input_gradient = at::empty_like(input);
+    at::Tensor weight_gradient = at::empty_like(weight);
+    MultiplyInto(Form::kPlain, gradient, Form::kPlain, weight, 0.0F, &input_gradient);
+    MultiplyInto(Form::kTransposed, gradient, Form::kPlain, input, 0.0F, &weight_gradient);
+    return {input_gradient, weight_gradient, gradient.sum(0)};
+  }
+};
+
+}  // namespace
+
+at::Tensor Linear(const at::Tensor& input, const at::Tensor& weight, const at::Tensor& bias) {
+  return LinearFunction::apply(input, weight, bias);
+}
+
+bool LinearUsesOneDnn() { return dnnl_sgemm != nullptr; }
+
+}  // namespace craftfleet

@@ -1,0 +1,129 @@
+#include "common/agent/policy.h"
+
+#include <algorithm>
+#include <cmath>
+#include <cstring>
+#include <exception>
+#include <utility>
+
+#include <ATen/ATen.h>
+#include <absl/status/status.h>
+#include <absl/strings/str_cat.h>
+
+#include "common/agent/categorical.h"
+#include "common/agent/policy_net.h"
+#include "common/agent/torch_setup.h"
+#include "common/agent/weights.h"
+#include "common/status_macros.h"
+
+namespace craftfleet {
+namespace {
+
+// Which input each row of each tile shows.
+using TileRows = std::vector<std::vector<int>>;
+constexpr int kNoInput = -1;
+
+// Deals inputs to the first tile whose row is free.
+TileRows DealRows(absl::Span<const int> lanes, int tile) {
+  TileRows tiles;
+  std::vector<size_t> used(tile, 0);  // tiles in which the row is taken
+  for (size_t i = 0; i < lanes.size(); ++i) {
+    const int row = lanes[i] % tile;
+    if (used[row] == tiles.size()) tiles.emplace_back(tile, kNoInput);
+    tiles[used[row]++][row] = static_cast<int>(i);
+  }
+  return tiles;
+}
+
+bool AllFinite(absl::Span<const float> values) {
+  return std::all_of(values.begin(), values.end(), [](float value) { return std::isfinite(value); });
+}
+
+}  // namespace
+
+Policy::Policy(const AgentSpec& spec, std::vector<float> weights, int tile)
+    : frame_bytes_(spec.frame_bytes()),
+      frame_size_(spec.frame_size),
+      tile_(tile),
+      weights_(std::move(weights)),
+      net_(std::make_unique<PolicyNet>(spec, absl::MakeSpan(weights_))) {}
+
+Policy::~Policy() = default;
+
+absl::StatusOr<std::unique_ptr<const Policy>> Policy::Create(const AgentSpec& spec, absl::string_view weights,
+                                                             int tile) {
+  if (tile < 1 || tile > kMaxTile) {
+    return absl::InvalidArgumentError(absl::StrCat("tile is ", tile, ", want 1..", kMaxTile));
+  }
+  CRAFTFLEET_ASSIGN_OR_RETURN(std::vector<float> values, LoadWeights(spec, weights));
+  return std::unique_ptr<const Policy>(new Policy(spec, std::move(values), tile));
+}
+
+absl::StatusOr<ActResult> Policy::Act(absl::string_view frames, absl::Span<const int> lanes,
+                                      absl::Span<const double> noise) const {
+  if (noise.size() != lanes.size()) {
+    return absl::InvalidArgumentError(absl::StrCat(noise.size(), " noise values for ", lanes.size(), " lanes"));
+  }
+  CRAFTFLEET_ASSIGN_OR_RETURN(Outputs outputs, Evaluate(frames, lanes));
+  return Choose(std::move(outputs), [&](size_t row, const Categorical& odds) { return odds.Sample(noise[row]); });
+}
+
+absl::StatusOr<ActResult> Policy::ActGreedily(absl::string_view frames, absl::Span<const int> lanes) const {
+  CRAFTFLEET_ASSIGN_OR_RETURN(Outputs outputs, Evaluate(frames, lanes));
+  return Choose(std::move(outputs), [](size_t, const Categorical& odds) { return odds.Greedy(); });
+}
+
+absl::StatusOr<std::vector<float>> Policy::Values(absl::string_view frames, absl::Span<const int> lanes) const {
+  CRAFTFLEET_ASSIGN_OR_RETURN(Outputs outputs, Evaluate(frames, lanes));
+  return std::move(outputs.values);
+}
+
+ActResult Policy::Choose(Outputs outputs, absl::FunctionRef<Action(size_t, const Categorical&)> choose) {
+  ActResult result;
+  for (size_t row = 0; row < outputs.values.size(); ++row) {
+    const Categorical odds(&outputs.logits[row * kNumActions]);
+    const Action action = choose(row, odds);
+    result.actions.push_back(action);
+    result.log_probs.push_back(static_cast<float>(odds.log_probs[static_cast<int>(action)]));
+  }
+  result.values = std::move(outputs.values);
+  return result;
+}
+
+absl::StatusOr<Policy::Outputs> Policy::Evaluate(absl::string_view frames, absl::Span<const int> lanes) const {
+  if (frames.size() != lanes.size() * frame_bytes_) {
+    return absl::InvalidArgumentError(
+        absl::StrCat(frames.size(), " bytes of frames for ", lanes.size(), " lanes, want ", frame_bytes_, " a lane"));
+  }
+  SetUpTorchThread();
+  Outputs outputs{std::vector<float>(lanes.size() * kNumActions), std::vector<float>(lanes.size())};
+  const std::vector<uint8_t> no_frame(frame_bytes_, 0);
+  try {
+    const c10::InferenceMode inference;
+    at::Tensor input = at::empty({tile_, frame_size_, frame_size_, 3});
+    for (const std::vector<int>& rows : DealRows(lanes, tile_)) {
+      std::vector<const uint8_t*> row_frames(tile_, no_frame.data());
+      for (int row = 0; row < tile_; ++row) {
+        if (rows[row] != kNoInput) {
+          row_frames[row] = reinterpret_cast<const uint8_t*>(frames.data()) + rows[row] * frame_bytes_;
+        }
+      }
+      ScaleFrames(row_frames, frame_bytes_, input.data_ptr<float>());
+      const PolicyNet::Output output = net_->Forward(input);
+      for (int row = 0; row < tile_; ++row) {
+        if (rows[row] == kNoInput) continue;
+        std::memcpy(&outputs.logits[rows[row] * kNumActions], output.logits.data_ptr<float>() + row * kNumActions,
+                    kNumActions * sizeof(float));
+        outputs.values[rows[row]] = output.values.data_ptr<float>()[row];
+      }
+    }
+  } catch (const std::exception& error) {
+    return absl::InternalError(absl::StrCat("policy: ", error.what()));
+  }
+  if (!AllFinite(outputs.logits) || !AllFinite(outputs.values)) {
+    return absl::InternalError("policy: logits or values are not finite");
+  }
+  return outputs;
+}
+
+}  // namespace craftfleet

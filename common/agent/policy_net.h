@@ -1,0 +1,52 @@
+// The network of an agent: feature extractor and two heads, on LibTorch. Include it only where tensors are at home;
+// acting goes through common/agent/policy.h.
+
+#ifndef CRAFTFLEET_COMMON_AGENT_POLICY_NET_H_
+#define CRAFTFLEET_COMMON_AGENT_POLICY_NET_H_
+
+#include <cstdint>
+#include <vector>
+
+#include <ATen/core/Tensor.h>
+#include <absl/types/span.h>
+
+#include "common/agent/agent_spec.h"
+
+namespace craftfleet {
+
+// Computes on weights that lie in someone else's flat array (AgentSpec's order), so that replicas share them and an
+// optimiser writes them in place. Thread-compatible; with weights at rest, several threads may call Forward.
+// Source: Stanic et al. 2022; "The agents", section 3; golden agents/ppo_cnn.json.
+class PolicyNet {
+ public:
+  struct Output {
+    at::Tensor logits;  // float[N,17]
+    at::Tensor values;  // float[N]
+  };
+
+  // For training. Backward passes add to `gradients`. Both spans are float[spec.param_count] and outlive the net.
+  PolicyNet(const AgentSpec& spec, absl::Span<float> weights, absl::Span<float> gradients);
+
+  // For acting: `weights` don't change any more.
+  PolicyNet(const AgentSpec& spec, absl::Span<float> weights);
+
+  // frames float[N,H,W,3], values 0..1.
+  Output Forward(const at::Tensor& frames) const;
+
+ private:
+  struct Layer {
+    at::Tensor weight;
+    at::Tensor bias;
+  };
+
+  explicit PolicyNet(const std::vector<at::Tensor>& params);
+
+  Layer conv1_, conv2_, conv3_, outmap_, action_net_, value_net_;
+};
+
+// Frames as the net wants them: `out` is float[n,H,W,3] in 0..1, each of `frames` points to `frame_bytes` bytes.
+void ScaleFrames(absl::Span<const uint8_t* const> frames, int64_t frame_bytes, float* out);
+
+}  // namespace craftfleet
+
+#endif  // CRAFTFLEET_COMMON_AGENT_POLICY_NET_H_

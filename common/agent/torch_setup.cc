@@ -1,0 +1,65 @@
+#include "common/agent/torch_setup.h"
+
+#include <malloc.h>
+
+#include <fstream>
+#include <istream>
+#include <sstream>
+
+#include <ATen/Context.h>
+#include <ATen/Parallel.h>
+#include <ATen/Version.h>
+#include <absl/strings/match.h>
+#include <absl/strings/str_cat.h>
+#include <absl/strings/string_view.h>
+#include <absl/types/optional.h>
+
+#include "common/agent/linear.h"
+
+// OpenBLAS' own function; null under another BLAS.
+extern "C" void openblas_set_num_threads(int threads) __attribute__((weak));
+
+namespace craftfleet {
+namespace {
+
+// The rest of the first line that begins with `prefix`.
+absl::optional<std::string> ValueAfter(absl::string_view prefix, std::istream* lines) {
+  for (std::string line; std::getline(*lines, line);) {
+    if (absl::StartsWith(line, prefix)) return line.substr(prefix.size());
+  }
+  return absl::nullopt;
+}
+
+}  // namespace
+
+void SetUpTorchProcess() {
+  constexpr int kBytes = 32 << 20;  // glibc refuses a higher M_MMAP_THRESHOLD
+  mallopt(M_MMAP_THRESHOLD, kBytes);
+  mallopt(M_TRIM_THRESHOLD, 1 << 30);
+  SetUpTorchThread();
+}
+
+void SetUpTorchThread() {
+  thread_local bool is_set_up = false;
+  if (is_set_up) return;
+  at::set_num_threads(1);
+  // Ignores at::set_num_threads.
+  if (openblas_set_num_threads != nullptr) openblas_set_num_threads(1);
+  at::globalContext().setFlushDenormal(true);
+  is_set_up = true;
+}
+
+std::string SlowMathWarning() {
+  if (LinearUsesOneDnn() || openblas_set_num_threads != nullptr || at::hasMKL()) return "";
+  return "LibTorch runs on the reference BLAS: install libopenblas0-pthread; without it training is 4.5 times slower";
+}
+
+std::string CpuDescription() {
+  std::ifstream info("/proc/cpuinfo");
+  const std::string model = ValueAfter("model name\t: ", &info).value_or("unknown CPU");
+  // The only place where LibTorch 1.13 says which instructions it chose.
+  std::istringstream config(at::show_config());
+  return absl::StrCat(model, ", ", ValueAfter("  - CPU capability usage: ", &config).value_or("plain"));
+}
+
+}  // namespace craftfleet

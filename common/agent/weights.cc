@@ -1,0 +1,68 @@
+#include "common/agent/weights.h"
+
+#include <cstring>
+
+#include <absl/strings/match.h>
+#include <absl/strings/str_cat.h>
+#include <absl/strings/str_join.h>
+
+#include "common/status_macros.h"
+
+namespace craftfleet {
+namespace {
+
+std::string FormatShape(const std::vector<int64_t>& shape) { return absl::StrCat("[", absl::StrJoin(shape, ","), "]"); }
+
+}  // namespace
+
+std::vector<SafeTensor> AsTensors(const AgentSpec& spec, absl::string_view prefix, absl::Span<const float> values) {
+  std::vector<SafeTensor> tensors;
+  for (const ParamSpec& param : spec.params) {
+    const char* data = reinterpret_cast<const char*>(values.data() + param.offset);
+    tensors.push_back({absl::StrCat(prefix, param.name), param.shape, {data, param.size * sizeof(float)}});
+  }
+  return tensors;
+}
+
+absl::Status CopyTensors(const AgentSpec& spec, absl::string_view prefix, absl::Span<const SafeTensor> tensors,
+                         absl::Span<float> values) {
+  std::map<std::string, const SafeTensor*> by_name;
+  for (const SafeTensor& tensor : tensors) {
+    if (absl::StartsWith(tensor.name, prefix)) by_name.emplace(tensor.name.substr(prefix.size()), &tensor);
+  }
+  std::vector<absl::string_view> sources;
+  for (const ParamSpec& param : spec.params) {
+    const auto found = by_name.find(param.name);
+    if (found == by_name.end()) {
+      return absl::InvalidArgumentError(absl::StrCat(spec.name, ": tensor \"", prefix, param.name, "\" is missing"));
+    }
+    if (found->second->shape != param.shape) {
+      return absl::InvalidArgumentError(absl::StrCat(spec.name, ": tensor \"", prefix, param.name, "\" has shape ",
+                                                     FormatShape(found->second->shape), ", want ",
+                                                     FormatShape(param.shape)));
+    }
+    sources.push_back(found->second->data);
+    by_name.erase(found);
+  }
+  if (!by_name.empty()) {
+    return absl::InvalidArgumentError(
+        absl::StrCat(spec.name, " has no tensor \"", prefix, by_name.begin()->first, "\""));
+  }
+  for (size_t i = 0; i < sources.size(); ++i) {
+    std::memcpy(values.data() + spec.params[i].offset, sources[i].data(), sources[i].size());
+  }
+  return absl::OkStatus();
+}
+
+std::string SaveWeights(const AgentSpec& spec, absl::Span<const float> weights) {
+  return WriteSafetensors({AsTensors(spec, "", weights), {{"agent", spec.name}, {"format", "pt"}}});
+}
+
+absl::StatusOr<std::vector<float>> LoadWeights(const AgentSpec& spec, absl::string_view bytes) {
+  CRAFTFLEET_ASSIGN_OR_RETURN(const SafeTensors file, ReadSafetensors(bytes));
+  std::vector<float> weights(spec.param_count);
+  CRAFTFLEET_RETURN_IF_ERROR(CopyTensors(spec, "", file.tensors, absl::MakeSpan(weights)));
+  return weights;
+}
+
+}  // namespace craftfleet

@@ -1,0 +1,37 @@
+// An agent's weights <-> bytes (safetensors).
+
+#ifndef CRAFTFLEET_COMMON_AGENT_WEIGHTS_H_
+#define CRAFTFLEET_COMMON_AGENT_WEIGHTS_H_
+
+#include <map>
+#include <string>
+#include <vector>
+
+#include <absl/status/status.h>
+#include <absl/status/statusor.h>
+#include <absl/strings/string_view.h>
+#include <absl/types/span.h>
+
+#include "common/agent/agent_spec.h"
+#include "common/agent/safetensors.h"
+
+namespace craftfleet {
+
+// A view of `values`, float[spec.param_count], as the spec's tensors, each name behind `prefix`.
+std::vector<SafeTensor> AsTensors(const AgentSpec& spec, absl::string_view prefix, absl::Span<const float> values);
+
+// Copies the tensors whose names begin with `prefix` into `values`, float[spec.param_count], untouched on failure.
+//   InvalidArgument: one is missing, unknown or of another shape; named.
+absl::Status CopyTensors(const AgentSpec& spec, absl::string_view prefix, absl::Span<const SafeTensor> tensors,
+                         absl::Span<float> values);
+
+// `weights` is float[spec.param_count].
+std::string SaveWeights(const AgentSpec& spec, absl::Span<const float> weights);
+
+// The inverse. `bytes` may come from anyone.
+//   InvalidArgument: not safetensors, or not this agent's parameters; says which.
+absl::StatusOr<std::vector<float>> LoadWeights(const AgentSpec& spec, absl::string_view bytes);
+
+}  // namespace craftfleet
+
+#endif  // CRAFTFLEET_COMMON_AGENT_WEIGHTS_H_

@@ -1,0 +1,76 @@
+#include "common/cpu_quota.h"
+
+#include <sched.h>
+
+#include <algorithm>
+#include <fstream>
+#include <iterator>
+#include <vector>
+
+#include <absl/strings/numbers.h>
+#include <absl/strings/str_cat.h>
+#include <absl/strings/str_split.h>
+
+namespace craftfleet {
+namespace {
+
+// The file's text; empty if it can't be read.
+std::string ReadText(const std::string& path) {
+  std::ifstream file(path);
+  return {std::istreambuf_iterator<char>(file), std::istreambuf_iterator<char>()};
+}
+
+// The limit of one cgroup folder: v2's file, else v1's two.
+absl::optional<double> FolderLimit(const std::string& folder) {
+  if (const std::string v2 = ReadText(folder + "/cpu.max"); !v2.empty()) return ParseCpuMax(v2);
+  return ParseCpuMax(
+      absl::StrCat(ReadText(folder + "/cpu.cfs_quota_us"), " ", ReadText(folder + "/cpu.cfs_period_us")));
+}
+
+// This process's own cgroup: "/" where it can't be told.
+std::string OwnCgroup() {
+  for (const absl::string_view line : absl::StrSplit(ReadText("/proc/self/cgroup"), '\n')) {
+    const std::vector<std::string> fields = absl::StrSplit(line, absl::MaxSplits(':', 2));
+    if (fields.size() != 3) continue;
+    const std::vector<std::string> controllers = absl::StrSplit(fields[1], ',');
+    if (fields[1].empty() || std::count(controllers.begin(), controllers.end(), "cpu") > 0) return fields[2];
+  }
+  return "/";
+}
+
+}  // namespace
+
+absl::optional<double> ParseCpuMax(absl::string_view text) {
+  const std::vector<absl::string_view> words = absl::StrSplit(text, absl::ByAnyChar(" \n"), absl::SkipEmpty());
+  double quota = 0;
+  double period = 0;
+  if (words.size() != 2 || !absl::SimpleAtod(words[0], &quota) || !absl::SimpleAtod(words[1], &period)) {
+    return absl::nullopt;
+  }
+  if (!(quota > 0 && period > 0)) return absl::nullopt;
+  return quota / period;
+}
+
+absl::optional<double> CgroupCpuLimit(const std::string& root, const std::string& path) {
+  absl::optional<double> tightest;
+  std::string at = path == "/" ? "" : path;
+  while (true) {
+    const absl::optional<double> limit = FolderLimit(root + at);
+    if (limit.has_value()) tightest = std::min(limit.value(), tightest.value_or(*limit));
+    const size_t slash = at.rfind('/');
+    if (slash == std::string::npos) return tightest;
+    at.resize(slash);
+  }
+}
+
+int DefaultThreads() {
+  cpu_set_t mask;
+  double cpus = sched_getaffinity(0, sizeof(mask), &mask) == 0 ? CPU_COUNT(&mask) : 1;
+  const std::string path = OwnCgroup();
+  for (const char* root : {"/sys/fs/cgroup", "/sys/fs/cgroup/cpu"}) {
+    cpus = std::min(cpus, CgroupCpuLimit(root, path).value_or(cpus));
+  }
+  return std::max(1, static_cast<int>(cpus));
+}
+
+}  // namespace craftfleet

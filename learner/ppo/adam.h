@@ -1,0 +1,37 @@
+// Adam (Kingma & Ba 2015) over a flat array of parameters, with clipping by the global gradient norm.
+
+#ifndef CRAFTFLEET_LEARNER_PPO_ADAM_H_
+#define CRAFTFLEET_LEARNER_PPO_ADAM_H_
+
+#include <cstdint>
+#include <vector>
+
+#include <absl/types/span.h>
+
+#include "common/worker_pool.h"
+
+namespace craftfleet {
+
+struct AdamOptions {
+  double learning_rate = 3e-4;
+  double beta1 = 0.9;
+  double beta2 = 0.999;
+  double epsilon = 1e-5;
+  double max_gradient_norm = 0.5;
+};
+
+struct AdamState {
+  int64_t steps = 0;              // taken so far
+  std::vector<float> exp_avg;     // [parameters] running mean of the gradient
+  std::vector<float> exp_avg_sq;  // [parameters] and of its square
+};
+
+// Adds the gradients of the shards in their order into the first, then takes one step on `weights`, in place. All spans
+// have the same length. Shares the work out over `workers`; their number does not change a bit of the result.
+// Returns the L2 norm of the summed gradient before clipping; if it is not finite, weights and state are untouched.
+double AdamStep(const AdamOptions& options, absl::Span<const absl::Span<float>> gradients, absl::Span<float> weights,
+                AdamState* state, WorkerPool* workers);
+
+}  // namespace craftfleet
+
+#endif  // CRAFTFLEET_LEARNER_PPO_ADAM_H_

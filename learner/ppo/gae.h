@@ -1,0 +1,35 @@
+// Generalised advantage estimation (Schulman et al. 2016).
+
+#ifndef CRAFTFLEET_LEARNER_PPO_GAE_H_
+#define CRAFTFLEET_LEARNER_PPO_GAE_H_
+
+#include <absl/types/span.h>
+
+#include "common/types.h"
+
+namespace craftfleet {
+
+struct GaeOptions {
+  double gamma = 0.95;
+  double lambda = 0.65;
+  bool truncation_is_terminal = false;  // true: nothing to bootstrap from at the length limit, as the authors' code
+};
+
+// Consecutive steps of one lane.
+struct LaneSteps {
+  absl::Span<const float> rewards;            // [T]
+  absl::Span<const float> values;             // [T]
+  absl::Span<const StepEnd> ends;             // [T]
+  absl::Span<const float> truncation_values;  // [number of kTruncated in ends]: of each such episode's last frame
+  float bootstrap_value = 0;                  // of the observation after the last step
+};
+
+// Writes advantages[T] and returns[T] = advantages + values. T > 0. The arithmetic, its mix of float and double
+// included, is that of the reference: golden agents/gae.json, bit for bit.
+// Source: "The agents", section 1.
+void ComputeGae(const LaneSteps& steps, const GaeOptions& options, absl::Span<float> advantages,
+                absl::Span<float> returns);
+
+}  // namespace craftfleet
+
+#endif  // CRAFTFLEET_LEARNER_PPO_GAE_H_

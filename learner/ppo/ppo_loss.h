@@ -1,0 +1,49 @@
+// PPO's loss with its gradient by hand: no LibTorch, exact in double.
+
+#ifndef CRAFTFLEET_LEARNER_PPO_PPO_LOSS_H_
+#define CRAFTFLEET_LEARNER_PPO_PPO_LOSS_H_
+
+#include <absl/types/span.h>
+
+#include "common/crafter.h"
+
+namespace craftfleet {
+
+struct PpoLossOptions {
+  double clip = 0.2;  // of the probability ratio, +-
+  double value_coefficient = 0.5;
+  double entropy_coefficient = 0;
+};
+
+// What the loss compares the network's output with.
+struct PpoTargets {
+  absl::Span<const Action> actions;    // [n]
+  absl::Span<const float> log_probs;   // [n] when the actions were chosen
+  absl::Span<const float> advantages;  // [n] normalised
+  absl::Span<const float> returns;     // [n]
+};
+
+// Sums over rows; divided by the number of rows they are the means of "The agents", section 1.
+struct PpoLossSums {
+  double policy_loss = 0;
+  double value_loss = 0;
+  double entropy = 0;
+  double approx_kl = 0;  // (ratio - 1) - log ratio
+  double clipped = 0;    // rows with |ratio - 1| > clip
+
+  void Add(const PpoLossSums& other);
+};
+
+// Of logits float[n,17] and values float[n]. Writes the gradient of (policy loss + value_coefficient * value loss -
+// entropy_coefficient * entropy) summed over the rows and divided by `rows_in_batch`, so that the gradients of the
+// parts of a minibatch add up to the minibatch's.
+PpoLossSums PpoLoss(absl::Span<const float> logits, absl::Span<const float> values, const PpoTargets& targets,
+                    const PpoLossOptions& options, int rows_in_batch, absl::Span<float> logits_gradient,
+                    absl::Span<float> values_gradient);
+
+// (x - mean) / (standard deviation with n-1, + 1e-8), in place. n > 1.
+void Normalise(absl::Span<float> advantages);
+
+}  // namespace craftfleet
+
+#endif  // CRAFTFLEET_LEARNER_PPO_PPO_LOSS_H_

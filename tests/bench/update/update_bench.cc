@@ -1,0 +1,110 @@
+// Times of acting and learning: one inference tile, one minibatch and a whole PPO update.
+// Usage: update_bench [seconds a figure, default 2]
+
+#include <algorithm>
+#include <cstdio>
+#include <cstdlib>
+#include <ctime>
+#include <functional>
+
+#include <absl/time/clock.h>
+#include <absl/time/time.h>
+
+#include "common/agent/initial_weights.h"
+#include "common/agent/policy.h"
+#include "common/agent/torch_setup.h"
+#include "common/agent/weights.h"
+#include "common/keyed_random.h"
+#include "learner/ppo/ppo_updater.h"
+#include "tests/agent/golden_agent.h"
+
+namespace craftfleet {
+namespace {
+
+constexpr int kMinibatch = 128;
+constexpr int kSteps = 8 * kMinibatch;  // of a rollout
+
+struct Times {
+  double wall_ms;
+  double cpu_ms;  // of all threads: what counts on a machine that others use too
+};
+
+double Median(std::vector<double> values) {
+  std::nth_element(values.begin(), values.begin() + values.size() / 2, values.end());
+  return values[values.size() / 2];
+}
+
+// Medians of the calls that fit in `limit`, after two to warm up.
+Times Measure(absl::Duration limit, const std::function<void()>& call) {
+  for (int i = 0; i < 2; ++i) call();
+  std::vector<double> wall_ms;
+  std::vector<double> cpu_ms;
+  for (const absl::Time end = absl::Now() + limit; absl::Now() < end || wall_ms.size() < 3;) {
+    const absl::Time start = absl::Now();
+    const std::clock_t cpu_start = std::clock();
+    call();
+    cpu_ms.push_back(1e3 * static_cast<double>(std::clock() - cpu_start) / CLOCKS_PER_SEC);
+    wall_ms.push_back(absl::ToDoubleMilliseconds(absl::Now() - start));
+  }
+  return {Median(wall_ms), Median(cpu_ms)};
+}
+
+void BenchTiles(absl::Duration limit) {
+  const AgentSpec spec = *FindAgent("ppo_cnn");
+  const std::string weights = SaveWeights(spec, InitialWeights(spec, 1));
+  for (const int tile : {1, 8, 16, 64}) {
+    const auto policy = *Policy::Create(spec, weights, tile);
+    const std::string frames = testing::GoldenFrames(1, tile, spec.frame_size);
+    std::vector<int> lanes;
+    for (int lane = 0; lane < tile; ++lane) lanes.push_back(lane);
+    const std::vector<double> noise(tile, 0.5);
+    const Times times = Measure(limit, [&] { (void)policy->Act(frames, lanes, noise); });
+    std::printf("act, tile of %2d: %.3f ms (CPU %.3f), %.0f frames/s of CPU\n", tile, times.wall_ms, times.cpu_ms,
+                tile / times.cpu_ms * 1e3);
+  }
+}
+
+void BenchUpdate(absl::Duration limit) {
+  v1::RunConfig config;
+  config.set_agent("ppo_cnn");
+  config.set_gradient_shards(2);
+  v1::PpoConfig* ppo = config.mutable_ppo();
+  ppo->set_minibatch_size(kMinibatch);
+  ppo->set_epochs(1);
+  ppo->set_learning_rate(3e-4);
+  ppo->set_clip(0.2);
+  ppo->set_value_coefficient(0.5);
+  ppo->set_max_gradient_norm(0.5);
+  ppo->set_adam_epsilon(1e-5);
+  const std::string frames = testing::GoldenFrames(1, kSteps, 64);
+  Rollout rollout;
+  for (int i = 0; i < kSteps; ++i) {
+    rollout.frames.push_back(reinterpret_cast<const uint8_t*>(&frames[i * 64 * 64 * 3]));
+    rollout.actions.push_back(static_cast<Action>(i % kNumActions));
+    rollout.log_probs.push_back(-2.833F);
+    rollout.values.push_back(0);
+    rollout.advantages.push_back(static_cast<float>(ActionNoise(1, i, 0)));
+    rollout.returns.push_back(static_cast<float>(ActionNoise(1, i, 1)));
+  }
+  for (const int threads : {1, 2}) {
+    const auto updater = *PpoUpdater::Create(config, threads);
+    int64_t iteration = 0;
+    const Times times = Measure(limit, [&] { (void)updater->Update(iteration++, rollout, [] { return false; }); });
+    const double minibatches = kSteps / kMinibatch;
+    std::printf("update, minibatch of %d, %d thread(s): %.2f ms (CPU %.2f); 4096 steps x 4 epochs: %.2f s\n",
+                kMinibatch, threads, times.wall_ms / minibatches, times.cpu_ms / minibatches,
+                times.wall_ms / minibatches * 4096 * 4 / kMinibatch / 1e3);
+  }
+}
+
+}  // namespace
+}  // namespace craftfleet
+
+int main(int argc, char** argv) {
+  craftfleet::SetUpTorchProcess();
+  const absl::Duration limit = absl::Seconds(argc > 1 ? std::atof(argv[1]) : 2);
+  std::printf("%s\n%s", craftfleet::CpuDescription().c_str(), craftfleet::SlowMathWarning().c_str());
+  craftfleet::BenchTiles(limit);
+  craftfleet::BenchUpdate(limit);
+  return 0;
+}

@@ -1,0 +1,211 @@
+#include "learner/ppo/ppo_updater.h"
+
+#include <cmath>
+#include <cstring>
+#include <limits>
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include "common/agent/safetensors.h"
+#include "common/agent/weights.h"
+#include "common/keyed_random.h"
+#include "tests/agent/golden_agent.h"
+
+namespace craftfleet {
+namespace {
+
+using testing::GoldenFrames;
+using testing::GoldenWeights;
+using ::testing::HasSubstr;
+using testing::ReadGolden;
+
+const std::function<bool()> kNeverStop = [] { return false; };
+
+v1::RunConfig SmallConfig(int minibatch_size) {
+  v1::RunConfig config;
+  config.set_agent("ppo_cnn");
+  config.set_seed(7);
+  config.set_gradient_shards(2);
+  v1::PpoConfig* ppo = config.mutable_ppo();
+  ppo->set_minibatch_size(minibatch_size);
+  ppo->set_epochs(1);
+  ppo->set_learning_rate(1e-4);
+  ppo->set_clip(0.2);
+  ppo->set_value_coefficient(0.5);
+  ppo->set_max_gradient_norm(0.5);
+  ppo->set_adam_epsilon(1e-5);
+  return config;
+}
+
+// A rollout together with the frames it points to.
+struct OwnedRollout {
+  std::string frames;
+  Rollout rollout;
+};
+
+OwnedRollout WithFrames(uint32_t seed, int n) {
+  OwnedRollout owned{GoldenFrames(seed, n, 64), {}};
+  for (int i = 0; i < n; ++i) {
+    owned.rollout.frames.push_back(reinterpret_cast<const uint8_t*>(&owned.frames[i * 64 * 64 * 3]));
+  }
+  return owned;
+}
+
+OwnedRollout RandomRollout(uint32_t seed, int n) {
+  OwnedRollout owned = WithFrames(seed, n);
+  Rollout& rollout = owned.rollout;
+  for (int i = 0; i < n; ++i) {
+    const auto uniform = [&](int k) { return static_cast<float>(ActionNoise(seed, i, k)); };
+    rollout.actions.push_back(static_cast<Action>(uniform(0) * kNumActions));
+    rollout.log_probs.push_back(-2.8F + 0.1F * uniform(1));
+    rollout.values.push_back(uniform(2));
+    rollout.advantages.push_back(uniform(3) - 0.5F);
+    rollout.returns.push_back(rollout.values.back() + rollout.advantages.back());
+  }
+  return owned;
+}
+
+// An optimiser that has not stepped yet, for Load.
+std::string FreshOptimizer(const v1::RunConfig& config) { return (*PpoUpdater::Create(config, 1))->SaveOptimizer(); }
+
+// What a run of `iterations` updates leaves behind.
+std::string TrainedState(const v1::RunConfig& config, int threads, int iterations) {
+  const OwnedRollout owned = RandomRollout(11, 64);
+  const auto updater = *PpoUpdater::Create(config, threads);
+  for (int i = 0; i < iterations; ++i) {
+    EXPECT_TRUE(updater->Update(i, owned.rollout, kNeverStop).ok());
+  }
+  return updater->SaveWeights() + updater->SaveOptimizer();
+}
+
+TEST(PpoUpdater, ThreeStepsOnOneMinibatchMatchTheGolden) {
+  const nlohmann::json golden = ReadGolden("ppo_cnn.json");
+  const nlohmann::json& batch = golden["ppo_minibatch"];
+  OwnedRollout owned = WithFrames(batch["frames_seed"], batch["n"]);
+  for (const int action : batch["actions"]) owned.rollout.actions.push_back(static_cast<Action>(action));
+  owned.rollout.log_probs = batch["old_log_prob"].get<std::vector<float>>();
+  owned.rollout.advantages = batch["advantages"].get<std::vector<float>>();
+  owned.rollout.returns = batch["returns"].get<std::vector<float>>();
+  owned.rollout.values = owned.rollout.returns;
+
+  const v1::RunConfig config = SmallConfig(batch["n"]);
+  const auto updater = *PpoUpdater::Create(config, 2);
+  const AgentSpec& spec = updater->spec();
+  ASSERT_TRUE(updater->Load(SaveWeights(spec, GoldenWeights(spec, golden)), FreshOptimizer(config)).ok());
+  for (size_t i = 0; i < batch["steps"].size(); ++i) {
+    const nlohmann::json& step = batch["steps"][i];
+    const absl::StatusOr<UpdateStats> stats = updater->Update(static_cast<int64_t>(i), owned.rollout, kNeverStop);
+    ASSERT_TRUE(stats.ok()) << stats.status();
+    // The first step compares outputs; the later ones follow Adam, which divides small gradients by themselves.
+    const double tolerance = i == 0 ? 2e-5 : 1e-2;
+    EXPECT_NEAR(stats->policy_loss, step["policy_loss"].get<double>(), tolerance);
+    EXPECT_NEAR(stats->value_loss, step["value_loss"].get<double>(), tolerance);
+    EXPECT_NEAR(stats->entropy, -step["entropy_loss"].get<double>(), tolerance);
+    EXPECT_NEAR(stats->approx_kl, step["approx_kl"].get<double>(), tolerance);
+    EXPECT_NEAR(stats->clip_fraction, step["clip_fraction"].get<double>(), i == 0 ? 0 : 0.0626);
+    const double norm = step["grad_norm_total"];
+    EXPECT_NEAR(stats->gradient_norm, norm, norm * (i == 0 ? 1e-3 : 1e-2));
+    if (i > 0) continue;
+    // Adam's first mean is (1 - beta1) * the clipped gradient.
+    const std::string bytes = updater->SaveOptimizer();
+    const SafeTensors state = *ReadSafetensors(bytes);
+    const double scale = 0.1 * 0.5 / norm;
+    for (const SafeTensor& tensor : state.tensors) {
+      const auto known = step["grad_norms"].find(tensor.name.substr(tensor.name.find('.') + 1));
+      if (tensor.name.rfind("exp_avg.", 0) != 0) continue;
+      ASSERT_NE(known, step["grad_norms"].end()) << tensor.name;
+      double squares = 0;
+      for (size_t at = 0; at < tensor.data.size(); at += sizeof(float)) {
+        float value = 0;
+        std::memcpy(&value, tensor.data.data() + at, sizeof(float));
+        squares += double{value} * value;
+      }
+      EXPECT_NEAR(std::sqrt(squares) / scale, known->get<double>(), known->get<double>() * 1e-3) << tensor.name;
+    }
+  }
+  EXPECT_EQ(updater->optimizer_steps(), 3);
+}
+
+TEST(PpoUpdater, ThreadsDoNotChangeABit) {
+  const v1::RunConfig config = SmallConfig(32);
+  const std::string one = TrainedState(config, 1, 2);
+  EXPECT_EQ(TrainedState(config, 1, 2) == one, true);
+  EXPECT_EQ(TrainedState(config, 2, 2) == one, true);
+  EXPECT_EQ(TrainedState(config, 3, 2) == one, true);
+}
+
+TEST(PpoUpdater, ResumedRunEqualsTheUninterruptedOne) {
+  const v1::RunConfig config = SmallConfig(32);
+  const OwnedRollout owned = RandomRollout(11, 64);
+  const auto first = *PpoUpdater::Create(config, 2);
+  for (int i = 0; i < 2; ++i) ASSERT_TRUE(first->Update(i, owned.rollout, kNeverStop).ok());
+  const auto second = *PpoUpdater::Create(config, 2);
+  ASSERT_TRUE(second->Load(first->SaveWeights(), first->SaveOptimizer()).ok());
+  EXPECT_EQ(second->optimizer_steps(), 4);
+  ASSERT_TRUE(second->Update(2, owned.rollout, kNeverStop).ok());
+  EXPECT_TRUE(second->SaveWeights() + second->SaveOptimizer() == TrainedState(config, 2, 3));
+}
+
+TEST(PpoUpdater, StoppedUpdateChangesNothing) {
+  const OwnedRollout owned = RandomRollout(11, 64);
+  const auto updater = *PpoUpdater::Create(SmallConfig(32), 2);
+  ASSERT_TRUE(updater->Update(0, owned.rollout, kNeverStop).ok());
+  const std::string before = updater->SaveWeights() + updater->SaveOptimizer();
+  int asked = 0;
+  const auto stopped = updater->Update(1, owned.rollout, [&] { return ++asked == 2; });
+  EXPECT_EQ(stopped.status().code(), absl::StatusCode::kCancelled);
+  EXPECT_EQ(asked, 2);
+  EXPECT_TRUE(updater->SaveWeights() + updater->SaveOptimizer() == before);
+}
+
+TEST(PpoUpdater, GradientThatIsNotFiniteIsDataLossAndChangesNothing) {
+  OwnedRollout owned = RandomRollout(11, 64);
+  owned.rollout.returns[5] = std::numeric_limits<float>::infinity();
+  const auto updater = *PpoUpdater::Create(SmallConfig(32), 1);
+  const std::string before = updater->SaveWeights() + updater->SaveOptimizer();
+  const auto stats = updater->Update(0, owned.rollout, kNeverStop);
+  EXPECT_EQ(stats.status().code(), absl::StatusCode::kDataLoss) << stats.status();
+  EXPECT_TRUE(updater->SaveWeights() + updater->SaveOptimizer() == before);
+}
+
+TEST(PpoUpdater, RefusesSizesThatDoNotDivide) {
+  const auto updater = *PpoUpdater::Create(SmallConfig(32), 1);
+  const auto stats = updater->Update(0, RandomRollout(1, 40).rollout, kNeverStop);
+  EXPECT_EQ(stats.status().code(), absl::StatusCode::kInvalidArgument);
+  EXPECT_THAT(std::string(stats.status().message()), HasSubstr("40"));
+  v1::RunConfig config = SmallConfig(32);
+  config.set_gradient_shards(3);
+  EXPECT_THAT(std::string(PpoUpdater::Create(config, 1).status().message()), HasSubstr("gradient_shards"));
+}
+
+TEST(PpoUpdater, LoadRefusesWhatIsNotTheAgentsAndKeepsItsState) {
+  const auto updater = *PpoUpdater::Create(SmallConfig(32), 1);
+  const std::string weights = updater->SaveWeights();
+  const std::string optimizer = updater->SaveOptimizer();
+  EXPECT_EQ(updater->Load(optimizer, optimizer).code(), absl::StatusCode::kInvalidArgument);
+  EXPECT_EQ(updater->Load(weights, weights).code(), absl::StatusCode::kInvalidArgument);
+  EXPECT_THAT(std::string(updater->Load(weights, weights).message()),
+              HasSubstr("exp_avg.features_extractor.cnn.0.weight"));
+  EXPECT_TRUE(updater->SaveWeights() == weights);
+}
+
+TEST(PpoUpdater, LearnsToPreferTheRewardedAction) {
+  OwnedRollout owned = RandomRollout(11, 128);
+  Rollout& rollout = owned.rollout;
+  for (size_t i = 0; i < rollout.size(); ++i) rollout.advantages[i] = rollout.actions[i] == Action::kDo ? 1.0F : -0.1F;
+  v1::RunConfig config = SmallConfig(64);
+  config.mutable_ppo()->set_epochs(4);
+  const auto updater = *PpoUpdater::Create(config, 2);
+  UpdateStats first;
+  UpdateStats last;
+  for (int i = 0; i < 10; ++i) {
+    last = *updater->Update(i, rollout, kNeverStop);
+    if (i == 0) first = last;
+  }
+  EXPECT_LT(last.policy_loss, first.policy_loss - 0.05);
+  EXPECT_LT(last.value_loss, first.value_loss);
+}
+
+}  // namespace
+}  // namespace craftfleet
