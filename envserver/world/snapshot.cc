@@ -289,7 +289,9 @@ absl::Status RestoreState(absl::string_view snapshot, WorldState* state) {
   }
   if (checksum != Crc32c(reader.rest())) return absl::DataLossError("snapshot: cut or damaged (its checksum differs)");
   const std::string options = EncodeOptions(state->options);
-  if (reader.GetBytes(options.size()) != options) {
+  const absl::string_view found = reader.GetBytes(options.size());
+  CRAFTFLEET_RETURN_IF_ERROR(reader.status());
+  if (found != options) {
     return absl::InvalidArgumentError(
         absl::StrCat("snapshot: of a world with other options than this one's ", DescribeOptions(state->options)));
   }

@@ -1,0 +1,158 @@
+#include <cstdint>
+#include <cstring>
+#include <random>
+#include <string>
+
+#include <gmock/gmock.h>
+
+#include "common/crc32c.h"
+#include "envserver/world/world.h"
+#include "tests/envserver/world/invariants.h"
+#include "tests/fakes/status_matchers.h"
+
+namespace craftfleet {
+namespace {
+
+using testing::HasSubstr;
+
+constexpr size_t kChecksumAt = 8;
+constexpr size_t kBodyAt = 12;
+
+World NewWorld(const WorldOptions& options = {}, int64_t seed = 5) { return *World::Create(options, seed); }
+
+// Some way into a game, with creatures about.
+World PlayedWorld() {
+  WorldOptions options;
+  options.appearance = "tczsuk";
+  options.percentages = {25, 25, 25, 25};
+  World world = NewWorld(options);
+  for (int i = 0; i < 60; ++i) world.Step(static_cast<Action>(i % 6));
+  return world;
+}
+
+std::string Save(const World& world) { return world.Save(world.random()); }
+
+// With a checksum that fits, so that what was changed is looked at.
+std::string Sealed(std::string snapshot) {
+  const uint32_t checksum = Crc32c(absl::string_view(snapshot).substr(kBodyAt));
+  for (int i = 0; i < 4; ++i) snapshot[kChecksumAt + i] = static_cast<char>(checksum >> (8 * i));
+  return snapshot;
+}
+
+TEST(Snapshot, ComesBackInAnotherWorldOfTheSameOptions) {
+  const World saved = PlayedWorld();
+  World other = NewWorld(saved.options(), 99);
+  ASSERT_THAT(other.Restore(Save(saved)), IsOk());
+  EXPECT_EQ(other.seed(), saved.seed());
+  EXPECT_EQ(other.step(), 60);
+  EXPECT_EQ(other.daylight(), saved.daylight());
+  EXPECT_EQ(other.episode_reward(), saved.episode_reward());
+  EXPECT_EQ(Save(other), Save(saved));
+}
+
+TEST(Snapshot, HoldsTheStreamItIsGiven) {
+  const World saved = PlayedWorld();
+  RandomStream stream(1234);
+  stream.Uniform();
+  World other = NewWorld(saved.options());
+  ASSERT_THAT(other.Restore(saved.Save(stream)), IsOk());
+  EXPECT_EQ(other.random().position(), stream.position());
+  EXPECT_EQ(other.random().Uniform(), stream.Uniform());
+}
+
+TEST(Snapshot, IsAtMost64KilobytesFor64x64Cells) {
+  WorldOptions options;
+  options.numbers = {0.2, 0.4, 0.91, 0.96, 0.8};  // as many creatures as there can be
+  EXPECT_LT(Save(NewWorld(options)).size(), 64u << 10);
+  EXPECT_LT(Save(NewWorld()).size(), 12u << 10);
+}
+
+TEST(Snapshot, OfOtherOptionsIsRefused) {
+  const std::string snapshot = Save(NewWorld());
+  WorldOptions larger;
+  larger.width = 65;
+  WorldOptions longer;
+  longer.length = 0;
+  WorldOptions rarer;
+  rarer.numbers.tree = 0.9;
+  WorldOptions varied;
+  varied.appearance = "t";
+  for (const WorldOptions& options : {larger, longer, rarer, varied}) {
+    World world = NewWorld(options);
+    const std::string before = Save(world);
+    EXPECT_THAT(world.Restore(snapshot), StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("other options")));
+    EXPECT_EQ(Save(world), before);
+  }
+}
+
+TEST(Snapshot, OfAnotherVersionIsRefused) {
+  World world = NewWorld();
+  std::string snapshot = Save(world);
+  snapshot[7] = 2;
+  EXPECT_THAT(world.Restore(snapshot), StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("version 2, want 1")));
+}
+
+TEST(Snapshot, TornAtAnyLengthIsRefused) {
+  World world = PlayedWorld();
+  const std::string snapshot = Save(world);
+  for (size_t size = 0; size < snapshot.size(); ++size) {
+    ASSERT_THAT(world.Restore(snapshot.substr(0, size)), StatusIs(absl::StatusCode::kDataLoss, HasSubstr("snapshot")))
+        << size;
+  }
+  EXPECT_THAT(world.Restore(snapshot + "x"), StatusIs(absl::StatusCode::kDataLoss, HasSubstr("checksum")));
+  EXPECT_EQ(Save(world), snapshot);
+}
+
+TEST(Snapshot, TornAndSealedAgainIsRefused) {
+  World world = PlayedWorld();
+  const std::string snapshot = Save(world);
+  for (size_t size = kBodyAt; size < snapshot.size(); size += size < 300 ? 1 : 37) {
+    ASSERT_THAT(world.Restore(Sealed(snapshot.substr(0, size))),
+                StatusIs(absl::StatusCode::kDataLoss, HasSubstr("snapshot")))
+        << size;
+  }
+  EXPECT_THAT(world.Restore(Sealed(snapshot + "x")), StatusIs(absl::StatusCode::kDataLoss, HasSubstr("left over")));
+}
+
+TEST(Snapshot, WithAnyByteFlippedIsRefused) {
+  World world = PlayedWorld();
+  const std::string snapshot = Save(world);
+  std::mt19937 random(1);
+  for (int i = 0; i < 2000; ++i) {
+    std::string flipped = snapshot;
+    flipped[random() % flipped.size()] ^= static_cast<char>(1 + random() % 255);
+    ASSERT_FALSE(world.Restore(flipped).ok()) << i;
+  }
+  EXPECT_EQ(Save(world), snapshot);
+}
+
+// A snapshot made by an adversary has a checksum that fits: it is refused, or gives a world that can be played.
+TEST(Snapshot, HostileOnesHarmNothing) {
+  const std::string snapshot = Save(PlayedWorld());
+  std::mt19937 random(2);
+  int refused = 0;
+  for (int i = 0; i < 3000; ++i) {
+    World world = PlayedWorld();
+    std::string hostile = snapshot;
+    for (uint32_t flips = 1 + random() % 4; flips > 0; --flips) {
+      // More in the parts with structure than in the stream's words and the cells.
+      const size_t at = random() % 3 == 0   ? random() % hostile.size()
+                        : random() % 2 == 0 ? kBodyAt + random() % 280
+                                            : hostile.size() - 1 - random() % 2500;
+      hostile[at] = static_cast<char>(random());
+    }
+    if (!world.Restore(Sealed(hostile)).ok()) {
+      ++refused;
+      ASSERT_EQ(Save(world), snapshot) << i;
+      continue;
+    }
+    for (int step = 0; step < 12; ++step) world.Step(static_cast<Action>(random() % kNumActions));
+    world.Reset();
+    ASSERT_EQ(BrokenInvariant(world), "") << i;
+  }
+  EXPECT_GT(refused, 1000);
+  EXPECT_LT(refused, 3000);
+}
+
+}  // namespace
+}  // namespace craftfleet
