@@ -32,6 +32,7 @@ std::string KnownFields(absl::string_view message) {
   const Descriptor* descriptor = DescriptorPool::generated_pool()->FindMessageTypeByName(parts[1]);
   if (descriptor == nullptr) return "";
   std::vector<std::string> names;
+  names.reserve(descriptor->field_count());
   for (int i = 0; i < descriptor->field_count(); ++i) names.push_back(descriptor->field(i)->name());
   return absl::StrCat(" (known fields of ", descriptor->name(), ": ", absl::StrJoin(names, ", "), ")");
 }
@@ -166,11 +167,12 @@ v1::RunConfig DefaultRunConfig() {
 }
 
 absl::StatusOr<v1::RunConfig> ParseRunConfig(absl::string_view text, absl::string_view filename) {
+  const std::string bytes(text);
   FirstError error(text, filename);
   TextFormat::Parser parser;
   parser.RecordErrorsTo(&error);
   v1::RunConfig given;
-  if (!parser.ParseFromString(std::string(text), &given)) {
+  if (!parser.ParseFromString(bytes, &given)) {
     return error.status().ok() ? absl::InvalidArgumentError(absl::StrCat(filename, ": not protobuf text format"))
                                : error.status();
   }

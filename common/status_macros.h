@@ -18,11 +18,13 @@
 #define CRAFTFLEET_ASSIGN_OR_RETURN(lhs, expr) \
   CRAFTFLEET_ASSIGN_OR_RETURN_IMPL_(CRAFTFLEET_CONCAT_(craftfleet_or_, __LINE__), lhs, expr)
 
+// NOLINTBEGIN(bugprone-macro-parentheses): `lhs` may be a declaration.
 #define CRAFTFLEET_CONCAT_INNER_(a, b) a##b
 #define CRAFTFLEET_CONCAT_(a, b) CRAFTFLEET_CONCAT_INNER_(a, b)
 #define CRAFTFLEET_ASSIGN_OR_RETURN_IMPL_(result, lhs, expr) \
   auto result = (expr);                                      \
   if (!result.ok()) return std::move(result).status();       \
   lhs = *std::move(result)
+// NOLINTEND(bugprone-macro-parentheses)
 
 #endif  // CRAFTFLEET_COMMON_STATUS_MACROS_H_

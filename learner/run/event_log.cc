@@ -9,7 +9,7 @@
 namespace craftfleet {
 namespace {
 
-constexpr absl::string_view kFileVersion = "brain.Event:2";
+constexpr char kFileVersion[] = "brain.Event:2";
 
 template <typename T>
 std::string LittleEndian(T value) {
@@ -35,7 +35,7 @@ absl::StatusOr<EventLog> EventLog::Open(const std::string& path, Clock* clock) {
   EventLog log(std::move(file), clock);
   if (log.file_.length() == 0) {
     v1::Event event;
-    event.set_file_version(std::string(kFileVersion));
+    event.set_file_version(kFileVersion);
     CRAFTFLEET_RETURN_IF_ERROR(log.Append(std::move(event)));
   }
   return log;

@@ -1,6 +1,7 @@
 #include "learner/run/progress.h"
 
 #include <algorithm>
+#include <cmath>
 
 #include <absl/strings/str_cat.h>
 #include <absl/strings/str_format.h>
@@ -23,7 +24,7 @@ std::string WithCommas(int64_t value) {
 
 // "3d4h", "2h5m", "13m20s", "8s"
 std::string FormatTimeLeft(double seconds) {
-  const int64_t s = static_cast<int64_t>(seconds + 0.5);
+  const int64_t s = std::llround(seconds);
   if (s >= 86400) return absl::StrCat(s / 86400, "d", s % 86400 / 3600, "h");
   if (s >= 3600) return absl::StrCat(s / 3600, "h", s % 3600 / 60, "m");
   if (s >= 60) return absl::StrCat(s / 60, "m", s % 60, "s");

@@ -95,6 +95,11 @@ absl::StatusOr<ResumedRun> RunFolder::Resume(const std::string& logdir, const Re
   return run;
 }
 
+absl::Status RunFolder::SetSteps(int64_t steps) {
+  config_.set_steps(steps);
+  return ReplaceFile(JoinPath(logdir_, kConfigFile), FormatRunConfig(config_));
+}
+
 absl::Status RunFolder::AddEpisodes(absl::Span<const Episode> episodes) {
   CRAFTFLEET_RETURN_IF_ERROR(stats_.Append(episodes));
   for (const Episode& episode : episodes) score_.Add(episode);

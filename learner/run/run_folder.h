@@ -62,6 +62,9 @@ class RunFolder {
   const v1::RunConfig& config() const { return config_; }
   int64_t epoch() const { return epoch_; }  // of this start, from 1
 
+  // Makes the run longer or shorter, environment steps: the one thing that may change when it is resumed.
+  absl::Status SetSteps(int64_t steps);
+
   // Appends to stats.jsonl and counts towards the score. On failure nothing is counted.
   absl::Status AddEpisodes(absl::Span<const Episode> episodes);
 

@@ -25,10 +25,10 @@ MATCHER(IsOk, "is ok") {
 }
 
 // EXPECT_THAT(Load(path), StatusIs(absl::StatusCode::kDataLoss, HasSubstr("is torn")));
-MATCHER_P2(StatusIs, code, message, "has code " + absl::StatusCodeToString(code) + " and a message that fits") {
+MATCHER_P2(StatusIs, code, message, "has that code and a message that fits") {
   *result_listener << ToStatus(arg).ToString();
-  return ToStatus(arg).code() == code &&
-         testing::ExplainMatchResult(message, std::string(ToStatus(arg).message()), result_listener);
+  const std::string text(ToStatus(arg).message());
+  return ToStatus(arg).code() == code && testing::ExplainMatchResult(message, text, result_listener);
 }
 
 }  // namespace craftfleet

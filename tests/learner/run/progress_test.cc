@@ -80,7 +80,7 @@ class ProgressPrinterTest : public testing::Test {
 
   // What was printed since the last call.
   std::string Printed() {
-    const std::string text = out_.str();
+    std::string text = out_.str();
     out_.str("");
     return text;
   }

@@ -28,8 +28,9 @@ struct GoldenEpisode {
 std::vector<GoldenEpisode> ReadGolden() {
   const auto golden = nlohmann::json::parse(ReadFile(CRAFTFLEET_SOURCE_DIR "/tests/data/agents/score.json").value());
   EXPECT_EQ(golden["achievement_order"].size(), kAchievementNames.size());
-  for (int i = 0; i < kNumAchievements; ++i)
+  for (int i = 0; i < kNumAchievements; ++i) {
     EXPECT_EQ(golden["achievement_order"][i], std::string(kAchievementNames[i]));
+  }
   std::vector<GoldenEpisode> episodes;
   for (const auto& row : golden["episodes"]) {
     GoldenEpisode golden_episode{Episode{}, row["after"]};
