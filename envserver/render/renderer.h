@@ -43,9 +43,16 @@ class Renderer {
  private:
   Renderer(const Textures& textures, const WorldOptions& world, const RenderOptions& options);
 
-  // Fills `map`, Pixel[map_width][map_height] and kCopyGroup more; already lit where `lit_by_day`.
-  void PaintMap(const World& world, bool lit_by_day, absl::Span<Pixel> map) const;
-  // Copies map to frame.
+  struct MapView;
+
+  // Of a sprite that worlds with these options can show.
+  absl::Span<const Pixel> Tile(Sprite sprite) const;
+  // Fills `map`, Pixel[map_width][map_height] and space for a group of pixels more; lit where `lit_by_day`.
+  void PaintMap(const World& world, bool lit_by_day, Pixel* map) const;
+  void LayGround(MapView* view) const;
+  void LayObjects(MapView* view) const;
+  // A new tile: the ground, an object on it unless empty, and the day's light if it is lit tile by tile.
+  const Pixel* MakeTile(absl::Span<const Pixel> ground, absl::Span<const Pixel> object, MapView* view) const;
   void WriteMap(const Pixel* map, uint8_t* frame) const;
 
   const WorldOptions world_options_;
@@ -55,7 +62,7 @@ class Renderer {
   // Tiles are textures at a cell's size, Pixel[cell_width][tile_stride_]; a column is padded to whole groups.
   const int tile_stride_;
   const int tile_pixels_;
-  std::vector<std::vector<Pixel>> tiles_;  // by sprite; empty: not in use; last: outside the world
+  std::vector<std::vector<Pixel>> tiles_;  // by sprite; empty: no texture; the last one: outside the world
   std::vector<double> cover_;              // [map_width][map_height]: the night's vignette
 };
 

@@ -6,6 +6,7 @@
 #include <absl/strings/string_view.h>
 
 #include "common/check.h"
+#include "envserver/world/appearance.h"
 
 namespace craftfleet {
 namespace {
@@ -23,18 +24,26 @@ enum Kind : int {
 };
 static_assert(kRipePlant + 1 == kNumSpriteKinds);
 
-struct KindInfo {
+struct ObjectKind {
   absl::string_view name;
-  char letter;  // under which the appearance setting names it; ' ' for kinds without variants
+  ObjectType type;
 };
 
-constexpr std::array<KindInfo, kNumSpriteKinds> kKinds = {{
-    {"water", 'w'},       {"grass", ' '},        {"stone", 's'},       {"path", ' '},         {"sand", ' '},
-    {"tree", 't'},        {"lava", ' '},         {"coal", 'u'},        {"iron", 'i'},         {"diamond", ' '},
-    {"table", ' '},       {"furnace", ' '},      {"player-left", 'p'}, {"player-right", 'p'}, {"player-up", 'p'},
-    {"player-down", 'p'}, {"player-sleep", 'p'}, {"cow", 'c'},         {"zombie", 'z'},       {"skeleton", 'k'},
-    {"arrow-left", ' '},  {"arrow-right", ' '},  {"arrow-up", ' '},    {"arrow-down", ' '},   {"plant", ' '},
-    {"plant-ripe", ' '},
+constexpr std::array<ObjectKind, kNumSpriteKinds - kPlayer> kObjectKinds = {{
+    {"player-left", ObjectType::kPlayer},
+    {"player-right", ObjectType::kPlayer},
+    {"player-up", ObjectType::kPlayer},
+    {"player-down", ObjectType::kPlayer},
+    {"player-sleep", ObjectType::kPlayer},
+    {"cow", ObjectType::kCow},
+    {"zombie", ObjectType::kZombie},
+    {"skeleton", ObjectType::kSkeleton},
+    {"arrow-left", ObjectType::kArrow},
+    {"arrow-right", ObjectType::kArrow},
+    {"arrow-up", ObjectType::kArrow},
+    {"arrow-down", ObjectType::kArrow},
+    {"plant", ObjectType::kPlant},
+    {"plant-ripe", ObjectType::kPlant},
 }};
 
 Sprite Look(int kind, Variant variant) { return kind * kLooksPerKind + variant + 1; }
@@ -70,24 +79,18 @@ Sprite SpriteOf(const Object& object, bool sleeping) {
 }
 
 std::string SpriteName(Sprite sprite) {
-  const absl::string_view name = kKinds[sprite / kLooksPerKind].name;
+  const int kind = sprite / kLooksPerKind;
+  const absl::string_view name = kind < kPlayer ? kMaterialNames[kind + 1] : kObjectKinds[kind - kPlayer].name;
   return IsVariant(sprite) ? absl::StrCat(name, sprite % kLooksPerKind - 1) : std::string(name);
 }
 
 bool IsVariant(Sprite sprite) { return sprite % kLooksPerKind != 0; }
 
-std::vector<Sprite> SpritesInUse(const WorldOptions& options) {
-  std::vector<Sprite> sprites;
-  for (int kind = 0; kind < kNumSpriteKinds; ++kind) {
-    // Also where the thing has variants: one staged or placed without a draw has none.
-    sprites.push_back(Look(kind, kNoVariant));
-    if (options.appearance.find(kKinds[kind].letter) == std::string::npos) continue;
-    for (Variant variant = 0; variant < kNumVariants; ++variant) {
-      // A draw of exactly 0 gives the first variant, whatever its percentage.
-      if (variant == 0 || options.percentages[variant] > 0) sprites.push_back(Look(kind, variant));
-    }
-  }
-  return sprites;
+bool IsPossible(const WorldOptions& options, Sprite sprite) {
+  const int kind = sprite / kLooksPerKind;
+  const auto variant = static_cast<Variant>(sprite % kLooksPerKind - 1);
+  return kind < kPlayer ? IsPossibleVariant(options, static_cast<Material>(kind + 1), variant)
+                        : IsPossibleVariant(options, kObjectKinds[kind - kPlayer].type, variant);
 }
 
 }  // namespace craftfleet

@@ -6,7 +6,6 @@
 #define CRAFTFLEET_ENVSERVER_RENDER_SPRITES_H_
 
 #include <string>
-#include <vector>
 
 #include "envserver/world/board.h"
 #include "envserver/world/options.h"
@@ -30,8 +29,8 @@ std::string SpriteName(Sprite sprite);
 // Whether it is an appearance variant, "tree2", of a plain sprite.
 bool IsVariant(Sprite sprite);
 
-// Every sprite that a world with these options can show.
-std::vector<Sprite> SpritesInUse(const WorldOptions& options);
+// Whether a world with these options can show it.
+bool IsPossible(const WorldOptions& options, Sprite sprite);
 
 }  // namespace craftfleet
 

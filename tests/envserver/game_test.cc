@@ -1,0 +1,159 @@
+#include "envserver/game.h"
+
+#include <memory>
+#include <string>
+#include <vector>
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include "common/paths.h"
+#include "tests/fakes/status_matchers.h"
+#include "tests/golden/world_editor.h"
+
+namespace craftfleet {
+namespace {
+
+using testing::_;
+
+std::shared_ptr<const Renderer> MakeRenderer(int length = 10000) {
+  WorldOptions world;
+  world.length = length;
+  const auto renderer = Renderer::Create(**Textures::Load(*DefaultTextureDir()), world, RenderOptions());
+  EXPECT_THAT(renderer, IsOk());
+  return *renderer;
+}
+
+// A game and the buffer for its picture.
+struct Played {
+  Played(std::shared_ptr<const Renderer> renderer, int64_t seed)
+      : frame(renderer->frame_bytes()), game(*Game::Create(std::move(renderer), seed, absl::MakeSpan(frame))) {}
+
+  Game::PlayedStep Step(Action action) { return game.StepAndAutoReset(action, absl::MakeSpan(frame), &last_frames); }
+  WorldState& state() { return WorldEditor::State(const_cast<World*>(&game.world())); }
+
+  std::vector<uint8_t> frame;
+  std::string last_frames;
+  Game game;
+};
+
+Action RandomAction(RandomStream* random) { return static_cast<Action>(random->Below(kNumActions)); }
+
+// Saves `played` and plays on from there in a game that had another past: both go the same way.
+void ExpectToGoOnTheSame(Played* played, const std::shared_ptr<const Renderer>& renderer) {
+  Played other(renderer, 999);
+  for (int i = 0; i < 30; ++i) other.Step(Action::kMoveUp);
+  ASSERT_THAT(other.game.Restore(played->game.Save(), absl::MakeSpan(other.frame)), IsOk());
+  EXPECT_EQ(other.frame, played->frame);
+  EXPECT_EQ(other.game.Save(), played->game.Save());
+  RandomStream actions(5);
+  for (int i = 0; i < 200; ++i) {
+    const Action action = RandomAction(&actions);
+    const Game::PlayedStep expected = played->Step(action);
+    const Game::PlayedStep actual = other.Step(action);
+    ASSERT_EQ(actual.outcome.reward, expected.outcome.reward) << i;
+    ASSERT_EQ(actual.outcome.end, expected.outcome.end) << i;
+    ASSERT_EQ(actual.episode.has_value(), expected.episode.has_value()) << i;
+    ASSERT_EQ(other.frame, played->frame) << i;
+  }
+}
+
+TEST(Game, SnapshotByDayGoesOnTheSame) {
+  const auto renderer = MakeRenderer();
+  Played played(renderer, 1);
+  ExpectToGoOnTheSame(&played, renderer);
+}
+
+TEST(Game, SnapshotByNightGoesOnTheSame) {
+  const auto renderer = MakeRenderer();
+  Played played(renderer, 2);
+  played.state().step = 199;
+  for (int i = 0; i < 3; ++i) played.Step(Action::kNoop);
+  ASSERT_LT(played.game.world().daylight(), 0.1);
+  ExpectToGoOnTheSame(&played, renderer);
+}
+
+TEST(Game, SnapshotAsleepGoesOnTheSame) {
+  const auto renderer = MakeRenderer();
+  Played played(renderer, 3);
+  played.state().step = 160;
+  played.state().player.item(Item::kEnergy) = 1;
+  for (int i = 0; i < 3; ++i) played.Step(Action::kSleep);
+  ASSERT_TRUE(played.game.world().player().sleeping);
+  ExpectToGoOnTheSame(&played, renderer);
+}
+
+TEST(Game, SnapshotAfterATruncationGoesOnTheSame) {
+  const auto renderer = MakeRenderer(165);
+  Played played(renderer, 4);
+  for (int i = 0; i < 164; ++i) ASSERT_EQ(played.Step(Action::kNoop).outcome.end, StepEnd::kNone) << i;
+  ASSERT_EQ(played.Step(Action::kNoop).outcome.end, StepEnd::kTruncated);
+  ASSERT_EQ(played.game.world().episode(), 2);
+  ExpectToGoOnTheSame(&played, renderer);
+}
+
+TEST(Game, SnapshotOfAnotherGameIsRefusedAndChangesNothing) {
+  Played longer(MakeRenderer(10000), 1);
+  Played shorter(MakeRenderer(500), 1);
+  shorter.Step(Action::kMoveLeft);
+  const std::vector<uint8_t> frame = shorter.frame;
+  const std::string before = shorter.game.Save();
+  EXPECT_THAT(shorter.game.Restore(longer.game.Save(), absl::MakeSpan(shorter.frame)),
+              StatusIs(absl::StatusCode::kInvalidArgument, _));
+  EXPECT_EQ(shorter.frame, frame);
+  EXPECT_EQ(shorter.game.Save(), before);
+}
+
+// The same game by hand: Crafter's loop of step and reset.
+TEST(Game, AutoResetGivesTheFramesOfStepAndReset) {
+  const auto renderer = MakeRenderer(170);
+  Played automatic(renderer, 6);
+  Played manual(renderer, 6);
+  RandomStream actions(6);
+  int truncated = 0;
+  int died = 0;
+  for (int i = 0; i < 2000; ++i) {
+    const Action action = RandomAction(&actions);
+    automatic.last_frames.clear();
+    const Game::PlayedStep played = automatic.Step(action);
+    const StepOutcome outcome = manual.game.Step(action, absl::MakeSpan(manual.frame));
+    ASSERT_EQ(played.outcome.reward, outcome.reward);
+    ASSERT_EQ(played.outcome.end, outcome.end);
+    ASSERT_EQ(played.outcome.unlocked, outcome.unlocked);
+    if (outcome.end == StepEnd::kTruncated) {
+      ++truncated;
+      ASSERT_EQ(automatic.last_frames, std::string(manual.frame.begin(), manual.frame.end()));
+    } else {
+      ASSERT_EQ(automatic.last_frames, "");
+    }
+    died += outcome.end == StepEnd::kTerminated;
+    if (outcome.end != StepEnd::kNone) manual.game.Reset(absl::MakeSpan(manual.frame));
+    ASSERT_EQ(automatic.frame, manual.frame) << i;
+  }
+  EXPECT_GT(truncated, 0);
+  EXPECT_GT(died, 0);
+}
+
+TEST(Game, AFinishedEpisodeIsCounted) {
+  Played played(MakeRenderer(40), 7);
+  double reward = 0;
+  for (int i = 0; i < 39; ++i) reward += played.Step(Action::kMoveRight).outcome.reward;
+  played.state().player.achievements[static_cast<int>(Achievement::kEatCow)] = 3;
+  const Game::PlayedStep last = played.Step(Action::kMoveRight);
+  ASSERT_TRUE(last.episode.has_value());
+  EXPECT_EQ(last.episode->length, 40);
+  EXPECT_DOUBLE_EQ(last.episode->reward, reward + last.outcome.reward);
+  EXPECT_EQ(last.episode->achievements[static_cast<int>(Achievement::kEatCow)], 3);
+  EXPECT_EQ(played.game.world().step(), 0);
+  EXPECT_FALSE(played.Step(Action::kNoop).episode.has_value());
+}
+
+TEST(Game, WorldOptionsOfTheRendererAreTheGames) {
+  Played played(MakeRenderer(123), 8);
+  EXPECT_EQ(played.game.world().options().length, 123);
+  EXPECT_EQ(played.game.world().seed(), 8);
+  EXPECT_EQ(played.game.world().episode(), 1);
+}
+
+}  // namespace
+}  // namespace craftfleet

@@ -1,0 +1,104 @@
+#include "envserver/render/textures.h"
+
+#include <filesystem>
+#include <string>
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+#include <opencv2/core.hpp>
+#include <opencv2/imgcodecs.hpp>
+
+#include "common/files.h"
+#include "common/paths.h"
+#include "tests/fakes/status_matchers.h"
+#include "tests/fakes/temp_folder.h"
+
+namespace craftfleet {
+namespace {
+
+using testing::AllOf;
+using testing::HasSubstr;
+
+// A copy of our textures to spoil.
+class SpoiledTextures : public testing::Test {
+ protected:
+  void SetUp() override {
+    const auto folder = DefaultTextureDir();
+    ASSERT_THAT(folder, IsOk());
+    std::filesystem::copy(*folder, folder_.path(), std::filesystem::copy_options::recursive);
+    ASSERT_THAT(Textures::Load(folder_.path()), IsOk());
+  }
+
+  void WritePicture(const std::string& name, int width, int height, int type) {
+    ASSERT_TRUE(cv::imwrite(folder_ / name, cv::Mat(height, width, type, cv::Scalar(10, 20, 30, 40))));
+  }
+  void Write(const std::string& name, absl::string_view bytes) {
+    ASSERT_THAT(WriteFileSynced(folder_ / name, bytes), IsOk());
+  }
+
+  TempFolder folder_;
+};
+
+TEST_F(SpoiledTextures, AMissingFileIsNamed) {
+  std::filesystem::remove(folder_ / "furnace.png");
+  EXPECT_THAT(Textures::Load(folder_.path()), StatusIs(absl::StatusCode::kNotFound, HasSubstr("furnace.png")));
+}
+
+TEST_F(SpoiledTextures, AMissingFolderIsNamed) {
+  EXPECT_THAT(Textures::Load(folder_ / "nowhere"), StatusIs(absl::StatusCode::kNotFound, HasSubstr("nowhere")));
+}
+
+TEST_F(SpoiledTextures, AnUnreadableFileIsNamed) {
+  for (const std::string bytes : {"", "not a picture", "\x89PNG\r\n\x1a\n"}) {
+    Write("cow.png", bytes);
+    EXPECT_THAT(Textures::Load(folder_.path()),
+                StatusIs(absl::StatusCode::kInvalidArgument, AllOf(HasSubstr("cow.png"), HasSubstr("unreadable"))));
+  }
+}
+
+TEST_F(SpoiledTextures, AFileOfAnotherSizeIsNamed) {
+  WritePicture("health.png", 16, 17, CV_8UC4);
+  EXPECT_THAT(Textures::Load(folder_.path()),
+              StatusIs(absl::StatusCode::kInvalidArgument,
+                       AllOf(HasSubstr("health.png"), HasSubstr("16x17"), HasSubstr("want a PNG of 16x16"))));
+}
+
+TEST_F(SpoiledTextures, AFileOfAnotherDepthIsNamed) {
+  WritePicture("9.png", 16, 16, CV_16UC3);
+  EXPECT_THAT(Textures::Load(folder_.path()), StatusIs(absl::StatusCode::kInvalidArgument,
+                                                       AllOf(HasSubstr("9.png"), HasSubstr("3 channels of 16 bits"))));
+  WritePicture("9.png", 16, 16, CV_8UC1);
+  EXPECT_THAT(Textures::Load(folder_.path()),
+              StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("1 channels of 8 bits")));
+}
+
+TEST_F(SpoiledTextures, OnlyVariantsMayBeMissing) {
+  std::filesystem::remove(folder_ / "tree3.png");
+  const auto textures = Textures::Load(folder_.path());
+  ASSERT_THAT(textures, IsOk());
+  EXPECT_EQ((*textures)->Find("tree3"), nullptr);
+  EXPECT_NE((*textures)->Find("tree2"), nullptr);
+  EXPECT_EQ((*textures)->PathOf("tree3"), folder_ / "tree3.png");
+}
+
+TEST_F(SpoiledTextures, ReadsColoursInOrder) {
+  WritePicture("sand.png", 16, 16, CV_8UC4);  // blue 10, green 20, red 30, alpha 40
+  WritePicture("path.png", 16, 16, CV_8UC3);
+  const auto textures = Textures::Load(folder_.path());
+  ASSERT_THAT(textures, IsOk());
+  EXPECT_EQ((*textures)->Find("sand")->pixels[5], 30u | 20u << 8 | 10u << 16 | 40u << 24);
+  EXPECT_EQ((*textures)->Find("path")->pixels[5], 30u | 20u << 8 | 10u << 16 | 255u << 24);
+}
+
+TEST_F(SpoiledTextures, ReadsPixelsRowByRow) {
+  cv::Mat picture(16, 16, CV_8UC3, cv::Scalar(0, 0, 0));
+  picture.at<cv::Vec3b>(3, 14) = {0, 0, 200};  // row 3, column 14
+  ASSERT_TRUE(cv::imwrite(folder_ / "sand.png", picture));
+  const auto textures = Textures::Load(folder_.path());
+  ASSERT_THAT(textures, IsOk());
+  EXPECT_EQ((*textures)->Find("sand")->pixels[3 * 16 + 14] & 0xffffff, 200u);
+  EXPECT_EQ((*textures)->Find("sand")->pixels[14 * 16 + 3] & 0xffffff, 0u);
+}
+
+}  // namespace
+}  // namespace craftfleet
