@@ -5,6 +5,7 @@
 #define CRAFTFLEET_COMMON_KEYED_RANDOM_H_
 
 #include <cstdint>
+#include <initializer_list>
 
 #include "common/seeds.h"
 

@@ -35,7 +35,7 @@ struct LinearFunction : torch::autograd::Function<LinearFunction> {
                             const at::Tensor& weight, const at::Tensor& bias) {
     const at::Tensor rows = input.contiguous();
     context->save_for_backward({rows, weight});
-    at::Tensor output = bias.expand({rows.size(0), weight.size(0)}).contiguous();
+    at::Tensor output = bias.expand({rows.size(0), weight.size(0)}).clone(at::MemoryFormat::Contiguous);
     MultiplyInto(Form::kPlain, rows, Form::kTransposed, weight, 1.0F, &output);
     return output;
   }

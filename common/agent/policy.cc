@@ -46,7 +46,7 @@ Policy::Policy(const AgentSpec& spec, std::vector<float> weights, int tile)
       frame_size_(spec.frame_size),
       tile_(tile),
       weights_(std::move(weights)),
-      net_(std::make_unique<PolicyNet>(spec, absl::MakeSpan(weights_))) {}
+      net_(std::make_unique<PolicyNet>(spec, PolicyNet::Use::kActing, absl::MakeSpan(weights_))) {}
 
 Policy::~Policy() = default;
 

@@ -15,23 +15,29 @@
 namespace craftfleet {
 
 // Computes on weights that lie in someone else's flat array (AgentSpec's order), so that replicas share them and an
-// optimiser writes them in place. Thread-compatible; with weights at rest, several threads may call Forward.
+// optimiser writes them in place. Thread-compatible; without gradients, several threads may call Forward.
 // Source: Stanic et al. 2022; "The agents", section 3; golden agents/ppo_cnn.json.
 class PolicyNet {
  public:
+  enum class Use {
+    kActing,    // the weights never change: they are copied into the layout that is quickest to read
+    kTraining,  // the weights may change between calls; Forward's output is good for one backward pass
+  };
   struct Output {
     at::Tensor logits;  // float[N,17]
     at::Tensor values;  // float[N]
   };
 
-  // For training. Backward passes add to `gradients`. Both spans are float[spec.param_count] and outlive the net.
-  PolicyNet(const AgentSpec& spec, absl::Span<float> weights, absl::Span<float> gradients);
-
-  // For acting: `weights` don't change any more.
-  PolicyNet(const AgentSpec& spec, absl::Span<float> weights);
+  // `weights`, float[spec.param_count], outlive the net.
+  PolicyNet(const AgentSpec& spec, Use use, absl::Span<float> weights);
 
   // frames float[N,H,W,3], values 0..1.
   Output Forward(const at::Tensor& frames) const;
+
+  // Training: the gradient of each parameter since the last ClearGradients, in the spec's order. The spans hold until
+  // the next backward pass or ClearGradients.
+  std::vector<absl::Span<float>> gradients() const;
+  void ClearGradients();
 
  private:
   struct Layer {
@@ -39,8 +45,7 @@ class PolicyNet {
     at::Tensor bias;
   };
 
-  explicit PolicyNet(const std::vector<at::Tensor>& params);
-
+  std::vector<at::Tensor> params_;  // in the spec's order; the layers below share them
   Layer conv1_, conv2_, conv3_, outmap_, action_net_, value_net_;
 };
 

@@ -5,26 +5,50 @@
 #include <cmath>
 #include <cstddef>
 
+#include "common/multiversion.h"
+
 namespace craftfleet {
 namespace {
 
-// Values a part of the work covers: fixed, so that sums don't depend on the number of threads.
+// A part of the work: a stretch of one piece of the gradient.
+struct Block {
+  size_t piece;
+  size_t offset;          // in the piece
+  size_t weights_offset;  // in the flat array
+};
+
+// Values in a block: fixed, so that sums don't depend on the number of threads.
 constexpr size_t kBlock = 16384;
 
-// Adds `other` to `sum`.
-void AddTo(absl::Span<float> sum, absl::Span<const float> other) {
-  for (size_t i = 0; i < sum.size(); ++i) sum[i] += other[i];
+std::vector<Block> CutIntoBlocks(const ShardGradient& gradient) {
+  std::vector<Block> blocks;
+  size_t piece_start = 0;
+  for (size_t piece = 0; piece < gradient.size(); ++piece) {
+    for (size_t offset = 0; offset < gradient[piece].size(); offset += kBlock) {
+      blocks.push_back({piece, offset, piece_start + offset});
+    }
+    piece_start += gradient[piece].size();
+  }
+  return blocks;
 }
 
-double SumOfSquares(absl::Span<const float> values) {
+// The loops below work on bare pointers: through spans the compiler does not see that nothing overlaps.
+
+CRAFTFLEET_MULTIVERSION
+void AddTo(float* __restrict sum, const float* __restrict other, size_t size) {
+  for (size_t i = 0; i < size; ++i) sum[i] += other[i];
+}
+
+CRAFTFLEET_MULTIVERSION
+double SumOfSquares(const float* values, size_t size) {
   // Independent sums, so that the compiler may use vectors.
   std::array<double, 8> sums{};
   size_t i = 0;
-  for (; i + sums.size() <= values.size(); i += sums.size()) {
+  for (; i + sums.size() <= size; i += sums.size()) {
     for (size_t k = 0; k < sums.size(); ++k) sums[k] += static_cast<double>(values[i + k]) * values[i + k];
   }
   double total = 0;
-  for (; i < values.size(); ++i) total += static_cast<double>(values[i]) * values[i];
+  for (; i < size; ++i) total += static_cast<double>(values[i]) * values[i];
   for (const double sum : sums) total += sum;
   return total;
 }
@@ -41,9 +65,10 @@ struct Step {
   float epsilon;
 };
 
-void Apply(const Step& step, absl::Span<const float> gradient, absl::Span<float> exp_avg, absl::Span<float> exp_avg_sq,
-           absl::Span<float> weights) {
-  for (size_t i = 0; i < weights.size(); ++i) {
+CRAFTFLEET_MULTIVERSION
+void Apply(Step step, size_t size, const float* __restrict gradient, float* __restrict exp_avg,
+           float* __restrict exp_avg_sq, float* __restrict weights) {
+  for (size_t i = 0; i < size; ++i) {
     const float g = gradient[i] * step.gradient_scale;
     exp_avg[i] = exp_avg[i] * step.beta1 + g * step.one_minus_beta1;
     exp_avg_sq[i] = exp_avg_sq[i] * step.beta2 + g * g * step.one_minus_beta2;
@@ -53,18 +78,18 @@ void Apply(const Step& step, absl::Span<const float> gradient, absl::Span<float>
 
 }  // namespace
 
-double AdamStep(const AdamOptions& options, absl::Span<const absl::Span<float>> gradients, absl::Span<float> weights,
+double AdamStep(const AdamOptions& options, absl::Span<const ShardGradient> shards, absl::Span<float> weights,
                 AdamState* state, WorkerPool* workers) {
-  const size_t size = weights.size();
-  const int blocks = static_cast<int>((size + kBlock - 1) / kBlock);
-  const absl::Span<float> gradient = gradients[0];
-  std::vector<double> squares(blocks);
-  workers->Run(blocks, [&](int block) {
-    const absl::Span<float> sum = gradient.subspan(block * kBlock, kBlock);
-    for (size_t shard = 1; shard < gradients.size(); ++shard) {
-      AddTo(sum, gradients[shard].subspan(block * kBlock, kBlock));
-    }
-    squares[block] = SumOfSquares(sum);
+  const std::vector<Block> blocks = CutIntoBlocks(shards[0]);
+  const int count = static_cast<int>(blocks.size());
+  const auto part_of = [&](const ShardGradient& shard, int i) {
+    return shard[blocks[i].piece].subspan(blocks[i].offset, kBlock);
+  };
+  std::vector<double> squares(count);
+  workers->Run(count, [&](int i) {
+    const absl::Span<float> sum = part_of(shards[0], i);
+    for (const ShardGradient& other : shards.subspan(1)) AddTo(sum.data(), part_of(other, i).data(), sum.size());
+    squares[i] = SumOfSquares(sum.data(), sum.size());
   });
   double total = 0;
   for (const double square : squares) total += square;
@@ -80,10 +105,11 @@ double AdamStep(const AdamOptions& options, absl::Span<const absl::Span<float>> 
                      static_cast<float>(options.learning_rate / (1 - std::pow(options.beta1, t))),
                      static_cast<float>(1 / std::sqrt(1 - std::pow(options.beta2, t))),
                      static_cast<float>(options.epsilon)};
-  workers->Run(blocks, [&](int block) {
-    const size_t first = block * kBlock;
-    Apply(step, gradient.subspan(first, kBlock), absl::MakeSpan(state->exp_avg).subspan(first, kBlock),
-          absl::MakeSpan(state->exp_avg_sq).subspan(first, kBlock), weights.subspan(first, kBlock));
+  workers->Run(count, [&](int i) {
+    const absl::Span<const float> gradient = part_of(shards[0], i);
+    const size_t offset = blocks[i].weights_offset;
+    Apply(step, gradient.size(), gradient.data(), state->exp_avg.data() + offset, state->exp_avg_sq.data() + offset,
+          weights.data() + offset);
   });
   return norm;
 }

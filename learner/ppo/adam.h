@@ -26,10 +26,14 @@ struct AdamState {
   std::vector<float> exp_avg_sq;  // [parameters] and of its square
 };
 
-// Adds the gradients of the shards in their order into the first, then takes one step on `weights`, in place. All spans
-// have the same length. Shares the work out over `workers`; their number does not change a bit of the result.
-// Returns the L2 norm of the summed gradient before clipping; if it is not finite, weights and state are untouched.
-double AdamStep(const AdamOptions& options, absl::Span<const absl::Span<float>> gradients, absl::Span<float> weights,
+// One shard's gradient: consecutive pieces (parameters) that together are as long as the weights.
+using ShardGradient = std::vector<absl::Span<float>>;
+
+// Adds the gradients of the shards in their order into the first, then takes one step on `weights`, in place. At least
+// one shard; all are cut into the same pieces. Shares the work out over `workers`; their number does not change a bit
+// of the result. Returns the L2 norm of the summed gradient before clipping; if it is not finite, weights and state are
+// untouched.
+double AdamStep(const AdamOptions& options, absl::Span<const ShardGradient> shards, absl::Span<float> weights,
                 AdamState* state, WorkerPool* workers);
 
 }  // namespace craftfleet

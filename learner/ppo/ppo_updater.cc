@@ -66,11 +66,8 @@ std::vector<T> Gather(const std::vector<T>& values, absl::Span<const int> rows) 
 
 struct PpoUpdater::Shard {
   Shard(const AgentSpec& spec, absl::Span<float> weights, int rows)
-      : gradients(spec.param_count),
-        net(spec, weights, absl::MakeSpan(gradients)),
-        frames(at::empty({rows, spec.frame_size, spec.frame_size, 3})) {}
+      : net(spec, PolicyNet::Use::kTraining, weights), frames(at::empty({rows, spec.frame_size, spec.frame_size, 3})) {}
 
-  std::vector<float> gradients;  // [param_count]
   PolicyNet net;
   at::Tensor frames;    // float[rows,H,W,3]
   PpoLossSums sums;     // of the last minibatch
@@ -153,11 +150,11 @@ absl::StatusOr<PpoLossSums> PpoUpdater::RunMinibatch(const Rollout& rollout, abs
                     absl::MakeConstSpan(advantages).subspan(first, shard_rows), shards_[i].get());
   });
   PpoLossSums sums;
-  std::vector<absl::Span<float>> gradients;
+  std::vector<ShardGradient> gradients;
   for (const std::unique_ptr<Shard>& shard : shards_) {
     CRAFTFLEET_RETURN_IF_ERROR(shard->status);
     sums.Add(shard->sums);
-    gradients.push_back(absl::MakeSpan(shard->gradients));
+    gradients.push_back(shard->net.gradients());
   }
   const double norm = AdamStep(AdamOptionsOf(config_), gradients, absl::MakeSpan(weights_), &adam_, &workers_);
   if (!std::isfinite(norm)) {
@@ -182,7 +179,7 @@ void PpoUpdater::ComputeGradient(const Rollout& rollout, absl::Span<const int> r
     shard->sums = PpoLoss(FloatSpan(output.logits), FloatSpan(output.values), {actions, log_probs, advantages, returns},
                           {config_.clip(), config_.value_coefficient(), config_.entropy_coefficient()},
                           config_.minibatch_size(), FloatSpan(by_logits), FloatSpan(by_values));
-    std::fill(shard->gradients.begin(), shard->gradients.end(), 0.0F);
+    shard->net.ClearGradients();
     torch::autograd::backward({output.logits, output.values}, {by_logits, by_values});
     shard->status = absl::OkStatus();
   } catch (const std::exception& error) {

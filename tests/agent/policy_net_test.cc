@@ -54,9 +54,8 @@ TEST(PolicyNet, ForwardMatchesTheGolden) {
   const AgentSpec spec = *FindAgent("ppo_cnn");
   std::vector<float> weights = GoldenWeights(spec, golden);
   const at::Tensor input = AsInput(GoldenFrames(golden["frames"]["seed"], golden["frames"]["n"], 64), spec);
-  std::vector<float> gradients(weights.size());
-  for (const PolicyNet& net : {PolicyNet(spec, absl::MakeSpan(weights)),
-                               PolicyNet(spec, absl::MakeSpan(weights), absl::MakeSpan(gradients))}) {
+  for (const PolicyNet::Use use : {PolicyNet::Use::kActing, PolicyNet::Use::kTraining}) {
+    const PolicyNet net(spec, use, absl::MakeSpan(weights));
     const PolicyNet::Output output = net.Forward(input);
     const nlohmann::json& forward = golden["forward"];
     for (int row = 0; row < 4; ++row) {
@@ -77,7 +76,7 @@ TEST(PolicyNet, FirstPolicyIsNearlyUniform) {
   SetUpTorchThread();
   const AgentSpec spec = *FindAgent("ppo_cnn");
   std::vector<float> weights = InitialWeights(spec, 1);
-  const PolicyNet net(spec, absl::MakeSpan(weights));
+  const PolicyNet net(spec, PolicyNet::Use::kActing, absl::MakeSpan(weights));
   const PolicyNet::Output output = net.Forward(AsInput(GoldenFrames(5, 32, 64), spec));
   for (int row = 0; row < 32; ++row) {
     const Categorical odds(output.logits.data_ptr<float>() + row * kNumActions);
@@ -89,17 +88,19 @@ TEST(Linear, ValueAndGradientsAreThoseOfTheMatrixProduct) {
   SetUpTorchThread();
   at::manual_seed(3);
   const auto leaf = [](at::IntArrayRef shape) { return at::randn(shape).set_requires_grad(true); };
-  const at::Tensor input = leaf({5, 7});
   const at::Tensor weight = leaf({3, 7});
   const at::Tensor bias = leaf({3});
-  const at::Tensor by_output = at::randn({5, 3});
-  const at::Tensor output = Linear(input, weight, bias);
-  const at::Tensor expected = at::linear(input, weight, bias);
-  EXPECT_TRUE(at::allclose(output, expected, 1e-5, 1e-6));
-  const auto gradients = torch::autograd::grad({output}, {input, weight, bias}, {by_output});
-  const auto expected_gradients = torch::autograd::grad({expected}, {input, weight, bias}, {by_output});
-  for (size_t i = 0; i < gradients.size(); ++i) {
-    EXPECT_TRUE(at::allclose(gradients[i], expected_gradients[i], 1e-5, 1e-6)) << i;
+  for (const int rows : {1, 5}) {
+    const at::Tensor input = leaf({rows, 7});
+    const at::Tensor by_output = at::randn({rows, 3});
+    const at::Tensor expected = at::linear(input, weight, bias);
+    const at::Tensor output = Linear(input, weight, bias);
+    EXPECT_TRUE(at::allclose(output, expected, 1e-5, 1e-6));
+    const auto gradients = torch::autograd::grad({output}, {input, weight, bias}, {by_output});
+    const auto expected_gradients = torch::autograd::grad({expected}, {input, weight, bias}, {by_output});
+    for (size_t i = 0; i < gradients.size(); ++i) {
+      EXPECT_TRUE(at::allclose(gradients[i], expected_gradients[i], 1e-5, 1e-6)) << i;
+    }
   }
 }
 

@@ -1,0 +1,157 @@
+#include "common/agent/policy.h"
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+#include <thread>
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include "common/agent/initial_weights.h"
+#include "common/agent/weights.h"
+#include "common/keyed_random.h"
+#include "tests/agent/golden_agent.h"
+
+namespace craftfleet {
+namespace {
+
+using testing::GoldenFrames;
+using testing::GoldenWeights;
+using testing::ReadGolden;
+
+constexpr int kFrameBytes = 64 * 64 * 3;
+
+std::unique_ptr<const Policy> GoldenPolicy(int tile) {
+  const AgentSpec spec = *FindAgent("ppo_cnn");
+  return *Policy::Create(spec, SaveWeights(spec, GoldenWeights(spec, ReadGolden("ppo_cnn.json"))), tile);
+}
+
+// What the policy makes of these lanes' frames, one after the other.
+struct LaneFrames {
+  std::vector<int> lanes;
+  std::string frames;
+};
+
+// Lane l's frame is the l-th of the goldens' generator.
+LaneFrames FramesOf(const std::vector<int>& lanes, uint32_t seed) {
+  const std::string all = GoldenFrames(seed, *std::max_element(lanes.begin(), lanes.end()) + 1, 64);
+  LaneFrames result{lanes, ""};
+  for (const int lane : lanes) result.frames += all.substr(static_cast<size_t>(lane) * kFrameBytes, kFrameBytes);
+  return result;
+}
+
+ActResult ActOn(const Policy& policy, const LaneFrames& input) {
+  std::vector<double> noise;
+  for (const int lane : input.lanes) noise.push_back(ActionNoise(1, lane, 0));
+  return *policy.Act(input.frames, input.lanes, noise);
+}
+
+TEST(Policy, GreedyActionsAndValuesMatchTheGolden) {
+  const nlohmann::json golden = ReadGolden("ppo_cnn.json");
+  const std::string frames = GoldenFrames(golden["frames"]["seed"], golden["frames"]["n"], 64);
+  const ActResult result = *GoldenPolicy(8)->ActGreedily(frames, {0, 1, 2, 3});
+  for (int i = 0; i < 4; ++i) {
+    EXPECT_EQ(static_cast<int>(result.actions[i]), golden["forward"]["greedy_actions"][i].get<int>());
+    EXPECT_NEAR(result.log_probs[i], golden["forward"]["greedy_log_prob"][i].get<double>(), 1e-5);
+    EXPECT_NEAR(result.values[i], golden["forward"]["values"][i].get<double>(), 1e-5);
+  }
+}
+
+TEST(Policy, WhatALaneGetsDoesNotDependOnTheOthers) {
+  const auto policy = GoldenPolicy(8);
+  const std::vector<int> all_lanes = {0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15};
+  const ActResult all = ActOn(*policy, FramesOf(all_lanes, 12345));
+  const std::vector<std::vector<int>> subsets = {
+      {0}, {7}, {15}, {3, 11}, {11, 3}, {9, 1, 4, 12, 0}, {15, 14, 13, 12, 11, 10, 9, 8, 7, 6, 5, 4, 3, 2, 1, 0}};
+  for (const std::vector<int>& lanes : subsets) {
+    const LaneFrames input = FramesOf(lanes, 12345);
+    const ActResult some = ActOn(*policy, input);
+    EXPECT_EQ(*policy->Values(input.frames, input.lanes), some.values);
+    for (size_t i = 0; i < lanes.size(); ++i) {
+      EXPECT_EQ(some.actions[i], all.actions[lanes[i]]) << lanes[i];
+      EXPECT_EQ(some.log_probs[i], all.log_probs[lanes[i]]) << lanes[i];
+      EXPECT_EQ(some.values[i], all.values[lanes[i]]) << lanes[i];
+    }
+  }
+}
+
+TEST(Policy, WhatALaneGetsDoesNotDependOnTheOthersFrames) {
+  const auto policy = GoldenPolicy(8);
+  LaneFrames input = FramesOf({0, 1, 2, 3, 4, 5, 6, 7}, 12345);
+  const ActResult before = ActOn(*policy, input);
+  const std::string others = GoldenFrames(99, 8, 64);
+  for (int lane = 0; lane < 8; ++lane) {
+    LaneFrames changed = input;
+    for (int other = 0; other < 8; ++other) {
+      if (other == lane) continue;
+      changed.frames.replace(other * kFrameBytes, kFrameBytes, others, other * kFrameBytes, kFrameBytes);
+    }
+    const ActResult after = ActOn(*policy, changed);
+    EXPECT_EQ(after.log_probs[lane], before.log_probs[lane]);
+    EXPECT_EQ(after.values[lane], before.values[lane]);
+    EXPECT_NE(after.values[(lane + 1) % 8], before.values[(lane + 1) % 8]);
+  }
+}
+
+TEST(Policy, ALaneMayComeMoreThanOnce) {
+  const auto policy = GoldenPolicy(4);
+  const std::string frames = GoldenFrames(1, 3, 64);
+  const std::vector<float> together = *policy->Values(frames, {2, 2, 2});
+  for (int i = 0; i < 3; ++i) {
+    EXPECT_EQ((*policy->Values(absl::string_view(frames).substr(i * kFrameBytes, kFrameBytes), {2}))[0], together[i]);
+  }
+}
+
+TEST(Policy, NoiseDrawsActionsByTheirProbability) {
+  const auto policy = GoldenPolicy(1);
+  const std::string frame = GoldenFrames(12345, 1, 64);
+  const nlohmann::json log_probs = ReadGolden("ppo_cnn.json")["forward"]["log_softmax"][0];
+  double cumulative = 0;
+  for (int action = 0; action < kNumActions; ++action) {
+    const double probability = std::exp(log_probs[action].get<double>());
+    const ActResult result = *policy->Act(frame, {0}, {cumulative + probability / 2});
+    EXPECT_EQ(static_cast<int>(result.actions[0]), action);
+    EXPECT_NEAR(result.log_probs[0], log_probs[action].get<double>(), 1e-5);
+    cumulative += probability;
+  }
+}
+
+TEST(Policy, ThreadsShareItAndGetTheSame) {
+  const auto policy = GoldenPolicy(8);
+  const LaneFrames input = FramesOf({0, 1, 2, 3, 4, 5, 6, 7}, 12345);
+  const std::vector<float> expected = *policy->Values(input.frames, input.lanes);
+  std::vector<std::vector<float>> results(3);
+  std::vector<std::thread> threads;
+  for (std::vector<float>& result : results) {
+    threads.emplace_back([&] { result = *policy->Values(input.frames, input.lanes); });
+  }
+  for (std::thread& thread : threads) thread.join();
+  for (const std::vector<float>& result : results) EXPECT_EQ(result, expected);
+}
+
+TEST(Policy, NoLanesNoActions) {
+  const ActResult result = *GoldenPolicy(8)->Act("", {}, {});
+  EXPECT_TRUE(result.actions.empty());
+}
+
+TEST(Policy, RefusesWhatDoesNotFitTogether) {
+  const auto policy = GoldenPolicy(8);
+  EXPECT_EQ(policy->Act(std::string(kFrameBytes, 0), {0}, {}).status().code(), absl::StatusCode::kInvalidArgument);
+  EXPECT_THAT(std::string(policy->Values(std::string(100, 0), {0}).status().message()), ::testing::HasSubstr("12288"));
+  const AgentSpec spec = *FindAgent("ppo_cnn");
+  EXPECT_THAT(std::string(Policy::Create(spec, SaveWeights(spec, InitialWeights(spec, 1)), 0).status().message()),
+              ::testing::HasSubstr("tile is 0"));
+  EXPECT_EQ(Policy::Create(spec, "rubbish", 8).status().code(), absl::StatusCode::kInvalidArgument);
+}
+
+TEST(Policy, WeightsThatAreNotFiniteAreAnError) {
+  const AgentSpec spec = *FindAgent("ppo_cnn");
+  std::vector<float> weights = InitialWeights(spec, 1);
+  weights.back() = std::numeric_limits<float>::quiet_NaN();
+  const auto policy = *Policy::Create(spec, SaveWeights(spec, weights), 1);
+  EXPECT_EQ(policy->Values(std::string(kFrameBytes, 0), {0}).status().code(), absl::StatusCode::kInternal);
+}
+
+}  // namespace
+}  // namespace craftfleet
