@@ -64,7 +64,8 @@ Actor::~Actor() {
   StopLoops();
 }
 
-absl::Status Actor::Run() {
+absl::Status Actor::Run(absl::string_view address) {
+  address_ = std::string(address);
   absl::Status status = Join();
   if (status.ok()) status = StartLoops();
   if (status.ok()) status = KeepPermits();
@@ -87,7 +88,7 @@ absl::Status Actor::Join() {
   request.set_run_id(joined_.run_id());
   request.set_actor(name_);
   request.set_cpu(CpuDescription());
-  request.set_address(options_.address);
+  request.set_address(address_);
   absl::Time said = absl::InfinitePast();
   while (!stopping()) {
     absl::StatusOr<v1::JoinReply> reply = learner_.Join(request);

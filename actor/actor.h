@@ -31,7 +31,6 @@ class Actor {
     std::vector<wire::Endpoint> env_servers;  // at least one
     int threads = 1;                          // loops, 1..256
     int capacity = 4096;                      // lanes to play at once, 1..4096
-    std::string address;                      // where its status service listens, for the learner's status page
     absl::Status Validate() const;            // InvalidArgument names the flag and its range
   };
 
@@ -41,7 +40,8 @@ class Actor {
   // Plays until the run is over or Stop is called (both ok). Waits, and says so, while the learner or the environment
   // servers can't be reached.
   //   FailedPrecondition: the handshake does not match.   Others: trouble that waiting can't mend.
-  absl::Status Run();
+  // `address` is where its status service listens, for the learner's status page.
+  absl::Status Run(absl::string_view address);
   // Gives back what it holds; Run returns within seconds. Idempotent.
   void Stop() ABSL_LOCKS_EXCLUDED(mu_);
 
@@ -66,7 +66,8 @@ class Actor {
   const LearnerClient learner_;
   PermitBook permits_;
   FragmentSender sender_;
-  v1::JoinReply joined_;  // the last one; of Run's thread
+  std::string address_;   // of Run's thread, like the next
+  v1::JoinReply joined_;  // the last one
   std::unique_ptr<PolicySource> policies_;
   std::vector<std::thread> threads_;
 

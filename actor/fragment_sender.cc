@@ -1,6 +1,5 @@
 #include "actor/fragment_sender.h"
 
-#include <optional>
 #include <utility>
 
 #include <absl/strings/str_cat.h>
@@ -60,44 +59,42 @@ void FragmentSender::Run() {
 }
 
 void FragmentSender::Explain(const absl::Status& status, const absl::Status& end) {
-  if (end.code() == absl::StatusCode::kInvalidArgument && !unanswered_.empty()) {
+  if (end.code() == absl::StatusCode::kInvalidArgument && unanswered_.has_value()) {
     LogError("%s; the fragment is dropped", end.message());
-    permits_->Release(PermitOf(unanswered_.front()));
-    unanswered_.pop_front();
+    permits_->Release(PermitOf(*unanswered_));
+    unanswered_.reset();
     ++refused_;
   } else {
-    LogWarning("%s; %d fragments will be sent again", (end.ok() ? status : end).message(), unanswered_.size());
+    LogWarning("%s; fragments wait and will be sent again", (end.ok() ? status : end).message());
   }
 }
 
 absl::Status FragmentSender::Serve(Stream* stream) {
-  for (const v1::FragmentMessage& message : unanswered_) {
-    if (!stream->Write(message)) return absl::UnavailableError("stream to the learner broke");
+  if (unanswered_.has_value()) {
     ++resent_;
+    CRAFTFLEET_RETURN_IF_ERROR(SendAndHear(stream));
   }
   while (true) {
-    while (unanswered_.size() >= kWindow || (!unanswered_.empty() && queue_.size() == 0)) {
-      CRAFTFLEET_RETURN_IF_ERROR(ReadVerdict(stream));
-    }
     std::optional<Fragment> fragment = queue_.Pop(absl::InfiniteDuration());
     if (!fragment.has_value()) return absl::CancelledError("stopping");
-    unanswered_.push_back(wire::ToProto(*std::move(fragment)));
-    unanswered_.back().set_actor(actor_);
-    if (!stream->Write(unanswered_.back())) return absl::UnavailableError("stream to the learner broke");
+    unanswered_ = wire::ToProto(*std::move(fragment));
+    unanswered_->set_actor(actor_);
+    CRAFTFLEET_RETURN_IF_ERROR(SendAndHear(stream));
   }
 }
 
-absl::Status FragmentSender::ReadVerdict(Stream* stream) {
+absl::Status FragmentSender::SendAndHear(Stream* stream) {
   v1::FragmentVerdict verdict;
-  if (!stream->Read(&verdict)) return absl::UnavailableError("stream to the learner broke");
-  const v1::FragmentMessage& message = unanswered_.front();
-  if (verdict.lane() != message.lane() || verdict.number() != message.number()) {
+  if (!stream->Write(*unanswered_) || !stream->Read(&verdict))
+    return absl::UnavailableError(learner_->name() + ": the stream of fragments broke");
+  if (verdict.lane() != unanswered_->lane() || verdict.number() != unanswered_->number()) {
     return absl::InternalError(absl::StrCat("verdict on fragment ", verdict.number(), " of lane ", verdict.lane(),
-                                            ", want fragment ", message.number(), " of lane ", message.lane()));
+                                            ", want fragment ", unanswered_->number(), " of lane ",
+                                            unanswered_->lane()));
   }
   ++(verdict.verdict() == v1::FragmentVerdict::EXPIRED ? refused_ : accepted_);
-  permits_->Release(PermitOf(message));
-  unanswered_.pop_front();
+  permits_->Release(PermitOf(*unanswered_));
+  unanswered_.reset();
   return absl::OkStatus();
 }
 

@@ -5,8 +5,8 @@
 
 #include <atomic>
 #include <cstdint>
-#include <deque>
 #include <memory>
+#include <optional>
 #include <string>
 #include <thread>
 
@@ -38,12 +38,13 @@ class FragmentSender {
  private:
   using Stream = grpc::ClientReaderWriter<v1::FragmentMessage, v1::FragmentVerdict>;
   static constexpr size_t kQueueCapacity = 64;  // fragments waiting
-  static constexpr size_t kWindow = 8;          // fragments sent and not answered for; bounds what gRPC buffers
 
   void Run();
   // Sends and reads verdicts until the stream breaks or Stop.
   absl::Status Serve(Stream* stream);
-  absl::Status ReadVerdict(Stream* stream);
+  // Sends `unanswered_` and waits for its verdict: with more than one under way both ends could wait in Write for the
+  // other.
+  absl::Status SendAndHear(Stream* stream);
   // Logs why the stream broke; drops the fragment that the learner calls wrong.
   void Explain(const absl::Status& status, const absl::Status& end);
   bool stopping() const { return queue_.closed(); }
@@ -52,7 +53,7 @@ class FragmentSender {
   const std::string actor_;
   PermitBook* const permits_;
   ClosableQueue<Fragment> queue_{kQueueCapacity};
-  std::deque<v1::FragmentMessage> unanswered_;  // oldest first; the thread's own
+  std::optional<v1::FragmentMessage> unanswered_;  // sent, without a verdict; the thread's own
 
   std::atomic<int64_t> accepted_{0};
   std::atomic<int64_t> refused_{0};

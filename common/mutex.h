@@ -4,6 +4,7 @@
 #ifndef CRAFTFLEET_COMMON_MUTEX_H_
 #define CRAFTFLEET_COMMON_MUTEX_H_
 
+#include <algorithm>
 #include <chrono>
 #include <condition_variable>
 #include <mutex>
@@ -46,10 +47,12 @@ class CondVar {
     lock.release();
   }
 
-  // The same for at most `timeout`. Returns the predicate's last value.
+  // The same for at most `timeout`, which may be infinite. Returns the predicate's last value.
   template <typename Predicate>
   bool WaitFor(Mutex* mu, absl::Duration timeout, Predicate predicate) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu) {
     std::unique_lock<std::mutex> lock(mu->mu_, std::adopt_lock);
+    // wait_for adds the timeout to now, which would overflow.
+    timeout = std::min(timeout, absl::Hours(24 * 365));
     const bool held = cv_.wait_for(lock, absl::ToChronoNanoseconds(timeout), predicate);
     lock.release();
     return held;

@@ -16,7 +16,9 @@
 
 namespace craftfleet::wire {
 
-// A peer's address for messages and the channel to it. In-process channels have the address "in-process".
+inline constexpr char kInProcess[] = "in-process";
+
+// A peer's address for messages (kInProcess where there is none) and the channel to it.
 struct Endpoint {
   std::string address;
   std::shared_ptr<grpc::Channel> channel;

@@ -81,7 +81,7 @@ Server::Server(std::unique_ptr<grpc::Server> server, std::string address)
 
 Server::~Server() { Stop(absl::Milliseconds(200)); }
 
-Endpoint Server::InProcess() { return {"in-process", server_->InProcessChannel(ClientArguments())}; }
+Endpoint Server::InProcess() { return {kInProcess, server_->InProcessChannel(ClientArguments())}; }
 
 void Server::Stop(absl::Duration timeout) {
   server_->Shutdown(std::chrono::system_clock::now() + absl::ToChronoMilliseconds(timeout));

@@ -37,6 +37,8 @@ class Server {
   // A channel without a socket.
   Endpoint InProcess();
 
+  // Blocks until Stop was called.
+  void Wait() { server_->Wait(); }
   // Refuses new calls, gives running ones until `timeout`, then cancels them. Idempotent.
   void Stop(absl::Duration timeout);
 

@@ -1,0 +1,59 @@
+// craftfleet-actor: plays for a learner, with games of environment servers.
+
+#include <absl/flags/flag.h>
+
+#include "actor/actor.h"
+#include "common/agent/torch_setup.h"
+#include "common/cpu_quota.h"
+#include "common/log.h"
+#include "common/program.h"
+#include "common/status_macros.h"
+#include "common/wire/server.h"
+#include "common/wire/status_service.h"
+
+ABSL_FLAG(std::string, learner, "127.0.0.1:50051", "address of the learner, HOST:PORT");
+ABSL_FLAG(std::string, envservers, "127.0.0.1:50061", "addresses of environment servers, joined by commas");
+ABSL_FLAG(int32_t, threads, 0, "threads that play; 0: as many as the CPU quota allows");
+ABSL_FLAG(int32_t, max_lanes, 4096, "games to play side by side at most; the learner gives each actor its share");
+ABSL_FLAG(std::string, listen, "127.0.0.1:0", "address to serve status on, HOST:PORT; port 0: any free one");
+ABSL_FLAG(bool, insecure, false, "allow --listen beyond this host, without TLS");
+
+namespace craftfleet {
+namespace {
+
+constexpr char kProgram[] = "craftfleet-actor";
+constexpr char kUsage[] =
+    R"(craftfleet-actor plays for a learner: it fetches configuration and weights from it, games from environment servers, and
+sends what it played. It may come and go at any time; what it leaves unfinished another actor plays.
+
+  craftfleet-actor --learner=127.0.0.1:50051 --envservers=127.0.0.1:50061,127.0.0.1:50062)";
+
+absl::Status Run() {
+  SetUpTorchProcess();
+  Actor::Options options;
+  const std::string learner = absl::GetFlag(FLAGS_learner);
+  CRAFTFLEET_RETURN_IF_ERROR(wire::CheckAddress("learner", learner));
+  options.learner = wire::Connect(learner);
+  CRAFTFLEET_ASSIGN_OR_RETURN(const std::vector<std::string> servers,
+                              wire::SplitAddresses("envservers", absl::GetFlag(FLAGS_envservers)));
+  for (const std::string& server : servers) options.env_servers.push_back(wire::Connect(server));
+  options.threads = absl::GetFlag(FLAGS_threads) == 0 ? DefaultThreads() : absl::GetFlag(FLAGS_threads);
+  options.capacity = absl::GetFlag(FLAGS_max_lanes);
+  CRAFTFLEET_ASSIGN_OR_RETURN(const std::unique_ptr<Actor> actor, Actor::Create(options));
+  wire::StatusServiceImpl status("actor", [&actor](v1::StatusReply* reply) { actor->FillStatus(reply); });
+  CRAFTFLEET_ASSIGN_OR_RETURN(
+      const std::unique_ptr<wire::Server> server,
+      wire::Server::Create({absl::GetFlag(FLAGS_listen), absl::GetFlag(FLAGS_insecure)}, {&status}));
+  StopSignal signal([&actor] { actor->Stop(); });
+  if (const std::string warning = SlowMathWarning(); !warning.empty()) LogWarning("%s", warning);
+  LogInfo("status on %s", server->address());
+  return actor->Run(server->address());
+}
+
+}  // namespace
+}  // namespace craftfleet
+
+int main(int argc, char** argv) {
+  craftfleet::ParseFlags(craftfleet::kProgram, craftfleet::kUsage, argc, argv);
+  return craftfleet::ExitCode(craftfleet::kProgram, craftfleet::Run());
+}

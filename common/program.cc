@@ -1,0 +1,107 @@
+#include "common/program.h"
+
+#include <signal.h>
+#include <unistd.h>
+
+#include <cerrno>
+#include <cstdio>
+#include <cstdlib>
+#include <map>
+#include <utility>
+#include <vector>
+
+#include <absl/flags/parse.h>
+#include <absl/flags/reflection.h>
+#include <absl/strings/match.h>
+#include <absl/strings/str_format.h>
+#include <absl/strings/str_replace.h>
+
+#include "common/check.h"
+#include "common/version.h"
+
+namespace craftfleet {
+namespace {
+
+constexpr char kSignalByte = 's';
+constexpr char kEndByte = 'e';
+
+// Written by the signal handler, which can't be handed anything.
+int g_signal_pipe[2] = {-1, -1};
+
+void OnSignal(int /*signal*/) {
+  const int saved_errno = errno;
+  [[maybe_unused]] const ssize_t written = write(g_signal_pipe[1], &kSignalByte, 1);
+  errno = saved_errno;
+}
+
+void PrintHelp(absl::string_view program, absl::string_view usage) {
+  std::map<absl::string_view, const absl::CommandLineFlag*> ours;
+  for (const auto& [name, flag] : absl::GetAllFlags()) {
+    if (!absl::StrContains(flag->Filename(), "absl/")) ours[name] = flag;
+  }
+  absl::PrintF("%s\n", usage);
+  if (!ours.empty()) absl::PrintF("\nFlags of %s:\n", program);
+  for (const auto& [name, flag] : ours) {
+    const std::string value = flag->DefaultValue();
+    absl::PrintF("  --%s%s\n      %s\n", name, value.empty() ? "" : absl::StrFormat(" (default %s)", value),
+                 absl::StrReplaceAll(flag->Help(), {{"\n", "\n      "}}));
+  }
+  absl::PrintF("  --help, --version\n");
+}
+
+}  // namespace
+
+void ParseFlags(absl::string_view program, absl::string_view usage, int argc, char** argv) {
+  // gRPC's own log speaks of internals; what matters reaches the user through our messages.
+  setenv("GRPC_VERBOSITY", "NONE", /*overwrite=*/0);
+  for (int i = 1; i < argc; ++i) {
+    const absl::string_view argument = argv[i];
+    if (argument == "--help" || argument == "-help" || argument == "-h") {
+      PrintHelp(program, usage);
+      std::exit(0);
+    }
+    if (argument == "--version") {
+      absl::PrintF("%s\n", VersionText(program));
+      std::exit(0);
+    }
+  }
+  const std::vector<char*> rest = absl::ParseCommandLine(argc, argv);
+  if (rest.size() > 1) {
+    absl::FPrintF(stderr, "%s: \"%s\" is no flag; see %s --help\n", program, rest[1], program);
+    std::exit(1);
+  }
+}
+
+int ExitCode(absl::string_view program, const absl::Status& status) {
+  if (status.ok()) return 0;
+  absl::FPrintF(stderr, "%s: %s\n", program, status.message());
+  return 1;
+}
+
+StopSignal::StopSignal(std::function<void()> stop) {
+  CRAFTFLEET_CHECK(pipe(g_signal_pipe) == 0);
+  thread_ = std::thread([stop = std::move(stop)] {
+    int signals = 0;
+    char byte = 0;
+    while (read(g_signal_pipe[0], &byte, 1) == 1 && byte == kSignalByte) {
+      if (++signals > 1) _exit(130);
+      stop();
+    }
+  });
+  struct sigaction action = {};
+  action.sa_handler = OnSignal;
+  action.sa_flags = SA_RESTART;
+  sigaction(SIGTERM, &action, nullptr);
+  sigaction(SIGINT, &action, nullptr);
+}
+
+StopSignal::~StopSignal() {
+  signal(SIGTERM, SIG_DFL);
+  signal(SIGINT, SIG_DFL);
+  [[maybe_unused]] const ssize_t written = write(g_signal_pipe[1], &kEndByte, 1);
+  thread_.join();
+  close(g_signal_pipe[0]);
+  close(g_signal_pipe[1]);
+}
+
+}  // namespace craftfleet

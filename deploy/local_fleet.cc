@@ -1,0 +1,35 @@
+#include "deploy/local_fleet.h"
+
+#include <thread>
+
+#include "common/status_macros.h"
+
+namespace craftfleet {
+
+absl::StatusOr<std::unique_ptr<LocalFleet>> LocalFleet::Create(const Learner::Options& options) {
+  std::unique_ptr<LocalFleet> fleet(new LocalFleet);
+  CRAFTFLEET_ASSIGN_OR_RETURN(fleet->env_service_, EnvServiceImpl::Create(options.texture_dir));
+  CRAFTFLEET_ASSIGN_OR_RETURN(fleet->env_server_, wire::Server::Create({}, {fleet->env_service_.get()}));
+  CRAFTFLEET_ASSIGN_OR_RETURN(fleet->learner_, Learner::Create(options));
+  Actor::Options actor;
+  actor.learner = fleet->learner_->InProcess();
+  actor.env_servers = {fleet->env_server_->InProcess()};
+  actor.threads = options.threads;
+  CRAFTFLEET_ASSIGN_OR_RETURN(fleet->actor_, Actor::Create(actor));
+  return fleet;
+}
+
+absl::Status LocalFleet::Run() {
+  absl::Status played;
+  std::thread actor([this, &played] {
+    played = actor_->Run(wire::kInProcess);
+    // Without its only actor the learner would wait for ever.
+    if (!played.ok()) learner_->Stop();
+  });
+  const absl::Status trained = learner_->Run();
+  actor_->Stop();
+  actor.join();
+  return trained.ok() ? played : trained;
+}
+
+}  // namespace craftfleet

@@ -1,0 +1,149 @@
+#include "learner/learner.h"
+
+#include <algorithm>
+#include <utility>
+#include <vector>
+
+#include <absl/strings/str_cat.h>
+#include <absl/strings/str_format.h>
+#include <absl/strings/str_replace.h>
+#include <google/protobuf/util/message_differencer.h>
+
+#include "common/agent/agent_spec.h"
+#include "common/config.h"
+#include "common/env_name.h"
+#include "common/files.h"
+#include "common/log.h"
+#include "common/status_macros.h"
+#include "common/texture_digest.h"
+#include "common/version.h"
+
+namespace craftfleet {
+namespace {
+
+constexpr absl::Duration kLease = absl::Seconds(5);
+
+// Fills in what follows from the rest and checks all of it.
+absl::StatusOr<v1::RunConfig> CompleteConfig(v1::RunConfig config) {
+  CRAFTFLEET_ASSIGN_OR_RETURN(config, ResolveRunConfig(std::move(config)));
+  CRAFTFLEET_ASSIGN_OR_RETURN(const AgentSpec spec, FindAgent(config.agent()));
+  CRAFTFLEET_ASSIGN_OR_RETURN(const EnvName env, EnvName::Parse(config.env().name()));
+  config.mutable_env()->set_name(env.ToString());
+  if (config.env().frame_size() == 0) config.mutable_env()->set_frame_size(spec.frame_size);
+  if (config.env().frame_size() != spec.frame_size) {
+    return absl::InvalidArgumentError(absl::StrFormat("env.frame_size: %d, want %d, which %s looks at",
+                                                      config.env().frame_size(), spec.frame_size, spec.name));
+  }
+  return config;
+}
+
+// FailedPrecondition unless the run in `logdir` has the configuration `asked`, but for its steps.
+absl::Status CheckSameRun(const std::string& logdir, v1::RunConfig asked) {
+  const std::string path = JoinPath(logdir, "config.txt");
+  CRAFTFLEET_ASSIGN_OR_RETURN(const std::string text, ReadFile(path));
+  CRAFTFLEET_ASSIGN_OR_RETURN(const v1::RunConfig stored, ParseRunConfig(text, path));
+  asked.set_steps(stored.steps());
+  google::protobuf::util::MessageDifferencer differencer;
+  std::string differences;
+  differencer.ReportDifferencesToString(&differences);
+  if (differencer.Compare(stored, asked)) return absl::OkStatus();
+  return absl::FailedPreconditionError(absl::StrCat(
+      "the run in ", logdir,
+      " has another configuration (only steps may change): ", absl::StrReplaceAll(differences, {{"\n", "; "}})));
+}
+
+std::vector<LaneRecord> LaneRecords(const v1::RunConfig& config, const v1::CheckpointState& state) {
+  std::vector<LaneRecord> lanes(config.lanes());
+  for (int i = 0; i < std::min(config.lanes(), state.lanes_size()); ++i) {
+    lanes[i] = {state.lanes(i).next_fragment(), state.lanes(i).snapshot()};
+  }
+  return lanes;
+}
+
+LaneLedger::Options LedgerOptions(const v1::RunConfig& config) {
+  LaneLedger::Options options;
+  options.lanes = config.lanes();
+  options.lease = kLease;
+  return options;
+}
+
+size_t FragmentsPerIteration(const v1::RunConfig& config) {
+  return static_cast<size_t>(config.ppo().rollout_steps() / config.fragment_steps());
+}
+
+}  // namespace
+
+struct Learner::Loaded {
+  v1::RunConfig config;
+  std::unique_ptr<Clock> clock;
+  std::unique_ptr<RunFolder> folder;
+  std::unique_ptr<PpoUpdater> updater;
+  v1::CheckpointState state;  // empty for a new run
+  std::string texture_digest;
+};
+
+absl::StatusOr<std::unique_ptr<Learner>> Learner::Create(const Options& options) {
+  CRAFTFLEET_RETURN_IF_ERROR(options.server.Validate());
+  CRAFTFLEET_ASSIGN_OR_RETURN(const v1::RunConfig config, CompleteConfig(options.config));
+  CRAFTFLEET_ASSIGN_OR_RETURN(Loaded loaded, Load(options, config));
+  std::unique_ptr<Learner> learner(new Learner(options, std::move(loaded)));
+  CRAFTFLEET_ASSIGN_OR_RETURN(learner->server_,
+                              wire::Server::Create(options.server, {&learner->service_, &learner->status_service_}));
+  return learner;
+}
+
+absl::StatusOr<Learner::Loaded> Learner::Load(const Options& options, const v1::RunConfig& config) {
+  Loaded loaded;
+  loaded.config = config;
+  loaded.clock = std::make_unique<RealClock>();
+  CRAFTFLEET_ASSIGN_OR_RETURN(loaded.texture_digest, TextureDigest(options.texture_dir));
+  const ProgramInfo program = {std::string(ProgramVersion()), std::string(GitRevision()), loaded.texture_digest};
+  CRAFTFLEET_ASSIGN_OR_RETURN(loaded.updater, PpoUpdater::Create(config, options.threads));
+  if (!options.resume) {
+    CRAFTFLEET_ASSIGN_OR_RETURN(loaded.folder, RunFolder::Create(options.logdir, config, program, loaded.clock.get()));
+    return loaded;
+  }
+  CRAFTFLEET_RETURN_IF_ERROR(CheckSameRun(options.logdir, config));
+  CRAFTFLEET_ASSIGN_OR_RETURN(ResumedRun run, RunFolder::Resume(options.logdir, {options.resume_from, config.agent()},
+                                                                program, loaded.clock.get()));
+  CRAFTFLEET_RETURN_IF_ERROR(loaded.updater->Load(run.checkpoint.weights, run.checkpoint.optimizer));
+  CRAFTFLEET_RETURN_IF_ERROR(run.folder->SetSteps(config.steps()));
+  loaded.folder = std::move(run.folder);
+  loaded.state = std::move(run.checkpoint.state);
+  LogInfo("run %s goes on after iteration %d, %d steps", loaded.folder->run_id(), loaded.state.iteration(),
+          loaded.state.env_steps());
+  return loaded;
+}
+
+Learner::Learner(const Options& options, Loaded loaded)
+    : config_(std::move(loaded.config)),
+      clock_(std::move(loaded.clock)),
+      folder_(std::move(loaded.folder)),
+      updater_(std::move(loaded.updater)),
+      ledger_(LedgerOptions(config_), LaneRecords(config_, loaded.state), clock_.get()),
+      fragments_(FragmentsPerIteration(config_)),
+      progress_({options.progress_in_place, loaded.state.env_steps(), config_.steps()},
+                options.progress != nullptr ? options.progress : &null_stream_, clock_.get()),
+      trainer_(config_, loaded.state,
+               {folder_.get(), updater_.get(), &ledger_, &weights_, &fragments_, &progress_, clock_.get()}),
+      service_({folder_->run_id(),
+                folder_->epoch(),
+                config_,
+                loaded.texture_digest,
+                {config_.lanes(), config_.fragment_steps(), static_cast<int>(updater_->spec().frame_bytes())},
+                kLease},
+               &ledger_, &weights_, &fragments_),
+      status_service_("learner", [this](v1::StatusReply* reply) {
+        service_.FillStatus(reply);
+        trainer_.FillStatus(reply);
+      }) {}
+
+absl::Status Learner::Run() {
+  absl::Status status = trainer_.Run();
+  // Actors hear within their next poll that the run is over.
+  ledger_.WaitUntilEmpty(absl::Seconds(2));
+  server_->Stop(absl::Milliseconds(500));
+  return status;
+}
+
+}  // namespace craftfleet

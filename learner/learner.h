@@ -1,0 +1,82 @@
+// The learner process: run folder, trainer and gRPC server put together.
+
+#ifndef CRAFTFLEET_LEARNER_LEARNER_H_
+#define CRAFTFLEET_LEARNER_LEARNER_H_
+
+#include <memory>
+#include <ostream>
+#include <string>
+
+#include <absl/status/status.h>
+#include <absl/status/statusor.h>
+
+#include "common/clock.h"
+#include "common/wire/server.h"
+#include "common/wire/status_service.h"
+#include "craftfleet/v1/config.pb.h"
+#include "learner/lane_ledger.h"
+#include "learner/learner_service.h"
+#include "learner/ppo/ppo_updater.h"
+#include "learner/run/progress.h"
+#include "learner/run/run_folder.h"
+#include "learner/trainer.h"
+#include "learner/weight_store.h"
+
+namespace craftfleet {
+
+// Run is called once, from one thread; the rest is thread-safe.
+class Learner {
+ public:
+  struct Options {
+    v1::RunConfig config;  // as asked for; completed here
+    std::string logdir;
+    bool resume = false;      // go on with the run in `logdir`
+    std::string resume_from;  // checkpoint to go back to; empty: the newest
+    std::string texture_dir;  // whose digest workers must match
+    wire::Server::Options server;
+    int threads = 1;                   // for the update, 1..256
+    std::ostream* progress = nullptr;  // not null: progress lines go there
+    bool progress_in_place = false;    // it is a terminal
+  };
+
+  // Opens the run folder, loads the checkpoint and starts to listen.
+  //   InvalidArgument: a value of the configuration; names it.   AlreadyExists: `logdir` has a run and `resume` is off.
+  //   FailedPrecondition: the run in `logdir` has another configuration (only `steps` may change); names the field.
+  //   Others as RunFolder and wire::Server.
+  static absl::StatusOr<std::unique_ptr<Learner>> Create(const Options& options);
+
+  // Trains to the end or until Stop.
+  absl::Status Run();
+  // Ends Run: within a minibatch and the time to write a checkpoint. Idempotent.
+  void Stop() { trainer_.Stop(); }
+
+  wire::Endpoint InProcess() { return server_->InProcess(); }
+  const std::string& address() const { return server_->address(); }
+  const std::string& run_id() const { return folder_->run_id(); }
+  const Trainer& trainer() const { return trainer_; }
+  const v1::RunConfig& config() const { return config_; }
+
+ private:
+  struct Loaded;  // run folder, updater and the state they stand at
+
+  Learner(const Options& options, Loaded loaded);
+  static absl::StatusOr<Loaded> Load(const Options& options, const v1::RunConfig& config);
+
+  const v1::RunConfig config_;
+  const std::unique_ptr<Clock> clock_;
+  const std::unique_ptr<RunFolder> folder_;
+  const std::unique_ptr<PpoUpdater> updater_;
+  LaneLedger ledger_;
+  WeightStore weights_;
+  FragmentQueue fragments_;
+  std::ostream null_stream_{nullptr};
+  ProgressPrinter progress_;
+  Trainer trainer_;
+  LearnerServiceImpl service_;
+  wire::StatusServiceImpl status_service_;
+  std::unique_ptr<wire::Server> server_;  // last: its threads use all of the above
+};
+
+}  // namespace craftfleet
+
+#endif  // CRAFTFLEET_LEARNER_LEARNER_H_

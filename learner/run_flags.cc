@@ -1,0 +1,96 @@
+#include "learner/run_flags.h"
+
+#include <unistd.h>
+
+#include <cstdint>
+#include <iostream>
+#include <optional>
+#include <utility>
+
+#include <absl/flags/flag.h>
+#include <absl/strings/str_format.h>
+
+#include "common/config.h"
+#include "common/cpu_quota.h"
+#include "common/files.h"
+#include "common/paths.h"
+#include "common/status_macros.h"
+
+ABSL_FLAG(std::optional<std::string>, agent, std::nullopt, "which agent learns: ppo_cnn");
+ABSL_FLAG(std::optional<std::string>, env, std::nullopt,
+          "what it plays: crafter, or with options joined by commas, such as\n"
+          "crafter:numbers=easy-x2,appearance=25/25/25/25,inventory=off");
+ABSL_FLAG(std::optional<int64_t>, steps, std::nullopt,
+          "environment steps, all lanes together; the run ends with the iteration that reaches them [1000000]");
+ABSL_FLAG(std::optional<uint64_t>, seed, std::nullopt, "seed of everything random in the run [0]");
+ABSL_FLAG(std::optional<int32_t>, lanes, std::nullopt, "games played side by side [16]");
+ABSL_FLAG(std::string, logdir, "", "folder of the run: configuration, stats.jsonl, curves, checkpoints (needed)");
+ABSL_FLAG(bool, resume, false, "go on with the run in --logdir as if it had never stopped; only --steps may differ");
+ABSL_FLAG(std::string, resume_from, "", "with --resume: the checkpoint to go back to, like iter-00000020 [the newest]");
+ABSL_FLAG(std::string, config, "",
+          "file with the run's configuration in protobuf text format, such as another run's config.txt;\n"
+          "flags given beside it win");
+ABSL_FLAG(std::string, textures, "",
+          "folder with Crafter's textures as PNG, such as crafter/assets of the Python package\n"
+          "[the ones that come with this program]");
+ABSL_FLAG(int32_t, threads, 0, "threads of this process for its computing; 0: as many as its CPU quota allows");
+ABSL_FLAG(bool, insecure, false, "allow --listen beyond this host, without TLS");
+
+namespace craftfleet {
+namespace {
+
+absl::StatusOr<v1::RunConfig> BaseConfig() {
+  const std::string config = absl::GetFlag(FLAGS_config);
+  if (config.empty() && !absl::GetFlag(FLAGS_resume)) return DefaultRunConfig();
+  const std::string path = config.empty() ? JoinPath(absl::GetFlag(FLAGS_logdir), "config.txt") : config;
+  absl::StatusOr<std::string> text = ReadFile(path);
+  if (!text.ok()) {
+    return absl::Status(text.status().code(),
+                        config.empty() ? absl::StrFormat("--resume: no run in --logdir=%s (%s)",
+                                                         absl::GetFlag(FLAGS_logdir), text.status().message())
+                                       : absl::StrFormat("--config: %s", text.status().message()));
+  }
+  return ParseRunConfig(*text, path);
+}
+
+}  // namespace
+
+absl::StatusOr<Learner::Options> LearnerOptionsFromFlags() {
+  Learner::Options options;
+  options.logdir = absl::GetFlag(FLAGS_logdir);
+  if (options.logdir.empty()) {
+    return absl::InvalidArgumentError("--logdir is missing: the folder that the run is to be written to");
+  }
+  options.resume = absl::GetFlag(FLAGS_resume);
+  options.resume_from = absl::GetFlag(FLAGS_resume_from);
+  if (!options.resume && !options.resume_from.empty()) {
+    return absl::InvalidArgumentError("--resume_from wants --resume beside it");
+  }
+  CRAFTFLEET_ASSIGN_OR_RETURN(options.config, BaseConfig());
+  if (const auto agent = absl::GetFlag(FLAGS_agent)) options.config.set_agent(*agent);
+  if (const auto env = absl::GetFlag(FLAGS_env)) options.config.mutable_env()->set_name(*env);
+  if (const auto steps = absl::GetFlag(FLAGS_steps)) options.config.set_steps(*steps);
+  if (const auto seed = absl::GetFlag(FLAGS_seed)) options.config.set_seed(*seed);
+  if (const auto lanes = absl::GetFlag(FLAGS_lanes)) options.config.set_lanes(*lanes);
+  CRAFTFLEET_ASSIGN_OR_RETURN(options.texture_dir, TextureDirFromFlags());
+  CRAFTFLEET_ASSIGN_OR_RETURN(options.threads, ThreadsFromFlags());
+  options.server.insecure = absl::GetFlag(FLAGS_insecure);
+  options.progress = &std::cout;
+  options.progress_in_place = isatty(STDOUT_FILENO) == 1;
+  return options;
+}
+
+absl::StatusOr<std::string> TextureDirFromFlags() {
+  const std::string folder = absl::GetFlag(FLAGS_textures);
+  return folder.empty() ? DefaultTextureDir() : folder;
+}
+
+absl::StatusOr<int> ThreadsFromFlags() {
+  const int threads = absl::GetFlag(FLAGS_threads);
+  if (threads < 0 || threads > 256) {
+    return absl::InvalidArgumentError(absl::StrFormat("--threads=%d, want 0..256", threads));
+  }
+  return threads == 0 ? DefaultThreads() : threads;
+}
+
+}  // namespace craftfleet

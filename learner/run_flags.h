@@ -1,0 +1,27 @@
+// The flags of a training run, shared by craftfleet-learner and craftfleet-train.
+
+#ifndef CRAFTFLEET_LEARNER_RUN_FLAGS_H_
+#define CRAFTFLEET_LEARNER_RUN_FLAGS_H_
+
+#include <string>
+
+#include <absl/status/statusor.h>
+
+#include "learner/learner.h"
+
+namespace craftfleet {
+
+// What the flags ask for: defaults, or the stored configuration with --resume; over them --config; over that the flags
+// that were given. Progress goes to standard output.
+//   InvalidArgument names the flag or the file and line.
+absl::StatusOr<Learner::Options> LearnerOptionsFromFlags();
+
+// --textures, or the textures that come with the programs.
+absl::StatusOr<std::string> TextureDirFromFlags();
+
+// --threads, or what the cgroup's CPU quota gives. InvalidArgument: out of range.
+absl::StatusOr<int> ThreadsFromFlags();
+
+}  // namespace craftfleet
+
+#endif  // CRAFTFLEET_LEARNER_RUN_FLAGS_H_
