@@ -18,32 +18,66 @@ namespace craftfleet {
 namespace {
 
 constexpr Pixel kGrey = 127 | 127 << 8 | 127 << 16;
-constexpr Sprite kOutside = kNumSprites;
-constexpr int kCopyGroup = 8;  // pixels that CopyColumn moves at once
+
+// A tile by number: the sprites, then the outside, then what was made for the picture, an object on its ground each.
+constexpr int kOutside = kNumSprites;
+constexpr int kFirstMade = kOutside + 1;
+
+// Copies are made in groups of a fixed size, which takes a third of the time of exact ones.
+constexpr int kPixelGroup = 8;
+constexpr int kByteGroup = 32;
+
 // Scratch up to these sizes lies on the stack: enough for 64x64 pictures.
 constexpr int kSmallView = 9 * 7;
 constexpr int kSmallTile = 7 * 8;
-constexpr int kSmallMap = 63 * 49 + kCopyGroup;
+constexpr int kSmallRgbTile = 7 * 32;
+constexpr int kSmallMap = 63 * 49 + kPixelGroup;
 
-Sprite GroundAt(const World& world, Position p) {
+int RoundUp(int value, int multiple) { return (value + multiple - 1) / multiple * multiple; }
+
+int GroundAt(const World& world, Position p) {
   const Material material = world.material(p);
   return material == Material::kNone ? kOutside : SpriteOf(material, world.variant(p));
 }
 
-// Copies `count` pixels and up to kCopyGroup - 1 more: moves of a fixed size take a third of the time.
-void CopyColumn(const Pixel* from, int count, Pixel* to) {
-  for (int i = 0; i < count; i += kCopyGroup) std::memcpy(to + i, from + i, kCopyGroup * sizeof(Pixel));
+// Copies `count` elements and the rest of the last group.
+template <int kGroup, typename T>
+void CopyGroups(const T* from, int count, T* to) {
+  for (int i = 0; i < count; i += kGroup) std::memcpy(to + i, from + i, kGroup * sizeof(T));
+}
+
+// Writes Pixel[width][height], `stride` pixels from column to column, as rows of red, green and blue, and after each
+// row one byte 0.
+void WriteRows(const Pixel* columns, int stride, int width, int height, uint8_t* rows, int row_bytes) {
+  for (int y = 0; y < height; ++y) {
+    const Pixel* from = columns + y;
+    uint8_t* to = rows + y * row_bytes;
+    // The alpha, 0, falls on the next pixel's red.
+    const auto write = [&] {
+      std::memcpy(to, from, sizeof(Pixel));
+      from += stride;
+      to += 3;
+    };
+    int x = 0;
+    for (; x + 4 <= width; x += 4) {  // by hand: 0.6 instead of 1.1 us a map of 63x49
+      write();
+      write();
+      write();
+      write();
+    }
+    for (; x < width; ++x) write();
+  }
 }
 
 }  // namespace
 
-// What Render() works with while it paints the map.
-struct Renderer::MapView {
-  const World& world;
-  Position corner;      // the world's cell in the upper left corner of the view; may lie outside
-  bool lit_by_day;      // tiles are lit one by one; else the map is lit as a whole, later
-  const Pixel** cells;  // [columns][map_rows]: the tile that each shows
-  Pixel* free_tile;     // where the next tile made for this picture goes
+// What the cells of the view show.
+struct Renderer::Scene {
+  Scene(int num_cells, int tile_pixels) : tiles(num_cells), made(num_cells * tile_pixels) {}
+
+  absl::FixedArray<int, kSmallView> tiles;                // [columns][map_rows]: number of the tile
+  absl::FixedArray<Pixel, kSmallView * kSmallTile> made;  // the tiles from kFirstMade on
+  int num_made = 0;
 };
 
 absl::StatusOr<std::shared_ptr<const Renderer>> Renderer::Create(const Textures& textures, const WorldOptions& world,
@@ -64,8 +98,9 @@ Renderer::Renderer(const Textures& textures, const WorldOptions& world, const Re
       layout_(world, options),
       strip_(textures, layout_),
       inventory_(options.inventory),
-      tile_stride_((layout_.cell_height + kCopyGroup - 1) / kCopyGroup * kCopyGroup),
+      tile_stride_(RoundUp(layout_.cell_height, kPixelGroup)),
       tile_pixels_(layout_.cell_width * tile_stride_),
+      rgb_stride_(RoundUp(layout_.cell_width * 3 + 1, kByteGroup)),
       tiles_(kNumSprites + 1),
       cover_(Vignette(layout_.map_width(), layout_.map_height())) {
   tiles_[kOutside].assign(tile_pixels_, kGrey);
@@ -80,90 +115,109 @@ Renderer::Renderer(const Textures& textures, const WorldOptions& world, const Re
   }
 }
 
-absl::Span<const Pixel> Renderer::Tile(Sprite sprite) const {
-  CRAFTFLEET_CHECK(!tiles_[sprite].empty());
-  return tiles_[sprite];
-}
-
 void Renderer::Render(const World& world, RandomStream* random, absl::Span<uint8_t> frame) const {
   CRAFTFLEET_CHECK(static_cast<int>(frame.size()) == frame_bytes());
-  const bool noisy = world.daylight() < kNoiseBelow;
-  absl::FixedArray<Pixel, kSmallMap> buffer(cover_.size() + kCopyGroup);
-  PaintMap(world, !noisy, buffer.data());
-  const absl::Span<Pixel> map(buffer.data(), cover_.size());
-  if (noisy) {
-    absl::FixedArray<double, kSmallMap> noise(map.size());
-    random->FillUniform(absl::MakeSpan(noise));
-    LightByNight(world.daylight(), noise, cover_, map);
-  }
-  if (world.player().sleeping) LightAsleep(map);
+  Scene scene(layout_.columns * layout_.map_rows, tile_pixels_);
+  LayGround(world, &scene);
+  LayObjects(world, &scene);
   std::memset(frame.data(), 0, frame.size());
-  WriteMap(map.data(), frame.data());
+  if (world.daylight() < kNoiseBelow) {
+    DrawMapByNight(world, scene, random, frame.data());
+  } else {
+    DrawMapByDay(world, scene, frame.data());
+  }
   if (inventory_) strip_.Draw(world.player().inventory, frame);
 }
 
-void Renderer::PaintMap(const World& world, bool lit_by_day, Pixel* map) const {
-  const size_t num_cells = layout_.columns * layout_.map_rows;
-  absl::FixedArray<const Pixel*, kSmallView> cells(num_cells);
-  // At most one for each of the ground's sprites in view and one for each object.
-  absl::FixedArray<Pixel, 2 * kSmallView * kSmallTile> made_tiles(2 * num_cells * tile_pixels_);
+Position Renderer::Corner(const World& world) const {
   const Position player = world.player_position();
-  MapView view = {world,
-                  {player.x - layout_.columns / 2, player.y - layout_.map_rows / 2},
-                  lit_by_day,
-                  cells.data(),
-                  made_tiles.data()};
-  LayGround(&view);
-  LayObjects(&view);
+  return {player.x - layout_.columns / 2, player.y - layout_.map_rows / 2};
+}
+
+const Pixel* Renderer::Tile(const Scene& scene, int tile) const {
+  if (tile >= kFirstMade) return scene.made.data() + (tile - kFirstMade) * tile_pixels_;
+  CRAFTFLEET_CHECK(!tiles_[tile].empty());
+  return tiles_[tile].data();
+}
+
+void Renderer::LayGround(const World& world, Scene* scene) const {
+  const Position corner = Corner(world);
+  for (int x = 0; x < layout_.columns; ++x) {
+    for (int y = 0; y < layout_.map_rows; ++y) {
+      scene->tiles[x * layout_.map_rows + y] = GroundAt(world, corner + Position{x, y});
+    }
+  }
+}
+
+void Renderer::LayObjects(const World& world, Scene* scene) const {
+  const Position corner = Corner(world);
+  for (const Object& object : world.objects()) {
+    const int x = object.position.x - corner.x;
+    const int y = object.position.y - corner.y;
+    if (x < 0 || x >= layout_.columns || y < 0 || y >= layout_.map_rows) continue;
+    int& tile = scene->tiles[x * layout_.map_rows + y];
+    Pixel* made = scene->made.data() + scene->num_made * tile_pixels_;
+    std::copy_n(Tile(*scene, tile), tile_pixels_, made);
+    const Pixel* sprite = Tile(*scene, SpriteOf(object, world.player().sleeping));
+    Blend(absl::MakeConstSpan(sprite, tile_pixels_), absl::MakeSpan(made, tile_pixels_));
+    tile = kFirstMade + scene->num_made++;
+  }
+}
+
+void Renderer::DrawMapByNight(const World& world, const Scene& scene, RandomStream* random, uint8_t* frame) const {
+  const size_t map_pixels = cover_.size();
+  absl::FixedArray<Pixel, kSmallMap> buffer(map_pixels + kPixelGroup);
+  Pixel* to = buffer.data();
   for (int x = 0; x < layout_.columns; ++x) {
     for (int i = 0; i < layout_.cell_width; ++i) {
       // What a copy writes past its cell, the next one overwrites.
-      for (int y = 0; y < layout_.map_rows; ++y, map += layout_.cell_height) {
-        CopyColumn(cells[x * layout_.map_rows + y] + i * tile_stride_, layout_.cell_height, map);
+      for (int y = 0; y < layout_.map_rows; ++y, to += layout_.cell_height) {
+        const Pixel* tile = Tile(scene, scene.tiles[x * layout_.map_rows + y]);
+        CopyGroups<kPixelGroup>(tile + i * tile_stride_, layout_.cell_height, to);
       }
     }
   }
+  absl::FixedArray<double, kSmallMap> noise(map_pixels);
+  random->FillUniform(absl::MakeSpan(noise));
+  const absl::Span<Pixel> map(buffer.data(), map_pixels);
+  LightByNight(world.daylight(), noise, cover_, map);
+  if (world.player().sleeping) LightAsleep(map);
+  WriteRows(map.data(), layout_.map_height(), layout_.map_width(), layout_.map_height(), frame + layout_.Offset(0, 0),
+            layout_.width * 3);
 }
 
-void Renderer::LayGround(MapView* view) const {
-  std::array<const Pixel*, kNumSprites + 1> laid{};
-  for (int x = 0; x < layout_.columns; ++x) {
-    for (int y = 0; y < layout_.map_rows; ++y) {
-      const Sprite sprite = GroundAt(view->world, view->corner + Position{x, y});
-      const Pixel*& tile = laid[sprite];
-      if (tile == nullptr) tile = view->lit_by_day ? MakeTile(Tile(sprite), {}, view) : Tile(sprite).data();
-      view->cells[x * layout_.map_rows + y] = tile;
+void Renderer::DrawMapByDay(const World& world, const Scene& scene, uint8_t* frame) const {
+  const int rgb_tile_bytes = layout_.cell_height * rgb_stride_;
+  absl::FixedArray<uint8_t, kSmallView * kSmallRgbTile> finished(scene.tiles.size() * rgb_tile_bytes);
+  absl::FixedArray<const uint8_t*, kFirstMade + kSmallView> rgb_of_tile(kFirstMade + scene.num_made, nullptr);
+  absl::FixedArray<const uint8_t*, kSmallView> cells(scene.tiles.size());
+  uint8_t* free_rgb = finished.data();
+  for (size_t i = 0; i < cells.size(); ++i) {
+    const uint8_t*& rgb = rgb_of_tile[scene.tiles[i]];
+    if (rgb == nullptr) {
+      rgb = free_rgb;
+      FinishTile(world, Tile(scene, scene.tiles[i]), free_rgb);
+      free_rgb += rgb_tile_bytes;
+    }
+    cells[i] = rgb;
+  }
+  for (int y = 0; y < layout_.map_height(); ++y) {
+    uint8_t* to = frame + layout_.Offset(0, y);
+    const int row = y % layout_.cell_height * rgb_stride_;
+    // What a copy writes past its cell, the next one overwrites; past the last cell of a row it is black.
+    for (int i = y / layout_.cell_height; i < static_cast<int>(cells.size()); i += layout_.map_rows) {
+      CopyGroups<kByteGroup>(cells[i] + row, layout_.cell_width * 3, to);
+      to += layout_.cell_width * 3;
     }
   }
 }
 
-void Renderer::LayObjects(MapView* view) const {
-  for (const Object& object : view->world.objects()) {
-    const int x = object.position.x - view->corner.x;
-    const int y = object.position.y - view->corner.y;
-    if (x < 0 || x >= layout_.columns || y < 0 || y >= layout_.map_rows) continue;
-    view->cells[x * layout_.map_rows + y] = MakeTile(Tile(GroundAt(view->world, object.position)),
-                                                     Tile(SpriteOf(object, view->world.player().sleeping)), view);
-  }
-}
-
-const Pixel* Renderer::MakeTile(absl::Span<const Pixel> ground, absl::Span<const Pixel> object, MapView* view) const {
-  const absl::Span<Pixel> tile(view->free_tile, tile_pixels_);
-  view->free_tile += tile_pixels_;
-  std::copy(ground.begin(), ground.end(), tile.begin());
-  if (!object.empty()) Blend(object, tile);
-  if (view->lit_by_day) LightByDay(view->world.daylight(), tile);
-  return tile.data();
-}
-
-void Renderer::WriteMap(const Pixel* map, uint8_t* frame) const {
-  const int width = layout_.map_width();
-  const int height = layout_.map_height();
-  for (int y = 0; y < height; ++y) {
-    uint8_t* row = frame + layout_.Offset(0, y);
-    // The fourth byte, 0, falls on the next pixel: that of the map is still to be written, all others are black.
-    for (int x = 0; x < width; ++x) std::memcpy(row + 3 * x, map + x * height + y, sizeof(Pixel));
-  }
+void Renderer::FinishTile(const World& world, const Pixel* tile, uint8_t* rgb) const {
+  absl::FixedArray<Pixel, kSmallTile> lit(tile, tile + tile_pixels_);
+  LightByDay(world.daylight(), absl::MakeSpan(lit));
+  if (world.player().sleeping) LightAsleep(absl::MakeSpan(lit));
+  std::memset(rgb, 0, layout_.cell_height * rgb_stride_);
+  WriteRows(lit.data(), tile_stride_, layout_.cell_width, layout_.cell_height, rgb, rgb_stride_);
 }
 
 }  // namespace craftfleet

@@ -43,26 +43,29 @@ class Renderer {
  private:
   Renderer(const Textures& textures, const WorldOptions& world, const RenderOptions& options);
 
-  struct MapView;
+  struct Scene;
 
-  // Of a sprite that worlds with these options can show.
-  absl::Span<const Pixel> Tile(Sprite sprite) const;
-  // Fills `map`, Pixel[map_width][map_height] and space for a group of pixels more; lit where `lit_by_day`.
-  void PaintMap(const World& world, bool lit_by_day, Pixel* map) const;
-  void LayGround(MapView* view) const;
-  void LayObjects(MapView* view) const;
-  // A new tile: the ground, an object on it unless empty, and the day's light if it is lit tile by tile.
-  const Pixel* MakeTile(absl::Span<const Pixel> ground, absl::Span<const Pixel> object, MapView* view) const;
-  void WriteMap(const Pixel* map, uint8_t* frame) const;
+  // The world's cell in the upper left corner of the view; may lie outside.
+  Position Corner(const World& world) const;
+  // Pixel[cell_width][tile_stride_].
+  const Pixel* Tile(const Scene& scene, int tile) const;
+  void LayGround(const World& world, Scene* scene) const;
+  void LayObjects(const World& world, Scene* scene) const;
+  // The noise is a pixel's own: the map is lit as a whole.
+  void DrawMapByNight(const World& world, const Scene& scene, RandomStream* random, uint8_t* frame) const;
+  // Cells with the same tile look the same: each tile is lit once and copied.
+  void DrawMapByDay(const World& world, const Scene& scene, uint8_t* frame) const;
+  // Lights a tile by day; `rgb` is uint8[cell_height][rgb_stride_], rows filled up with 0.
+  void FinishTile(const World& world, const Pixel* tile, uint8_t* rgb) const;
 
   const WorldOptions world_options_;
   const PictureLayout layout_;
   const InventoryStrip strip_;
   const bool inventory_;
-  // Tiles are textures at a cell's size, Pixel[cell_width][tile_stride_]; a column is padded to whole groups.
-  const int tile_stride_;
-  const int tile_pixels_;
-  std::vector<std::vector<Pixel>> tiles_;  // by sprite; empty: no texture; the last one: outside the world
+  const int tile_stride_;                  // pixels from one column of a tile to the next; whole copy groups
+  const int tile_pixels_;                  // of a tile
+  const int rgb_stride_;                   // bytes from one row of a finished tile to the next; whole copy groups
+  std::vector<std::vector<Pixel>> tiles_;  // by sprite, empty without a texture; the last one: outside the world
   std::vector<double> cover_;              // [map_width][map_height]: the night's vignette
 };
 

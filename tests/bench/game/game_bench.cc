@@ -1,0 +1,123 @@
+// What a step of the game costs, whole and by part, on one thread. How to run and read it: tests/bench/README.md.
+
+#include <memory>
+#include <string>
+#include <vector>
+
+#include <benchmark/benchmark.h>
+
+#include "common/check.h"
+#include "common/paths.h"
+#include "envserver/game.h"
+#include "envserver/world/balance.h"
+#include "tests/golden/world_editor.h"
+
+namespace craftfleet {
+namespace {
+
+constexpr int kSeeds = 8;
+constexpr int kNightStep = 200;  // daylight 0.02
+
+Action RandomAction(RandomStream* random) { return static_cast<Action>(random->Below(kNumActions)); }
+
+std::shared_ptr<const Renderer> MakeRenderer() {
+  const auto folder = DefaultTextureDir();
+  CRAFTFLEET_CHECK(folder.ok());
+  const auto textures = Textures::Load(*folder);
+  CRAFTFLEET_CHECK(textures.ok());
+  return *Renderer::Create(**textures, WorldOptions(), RenderOptions());
+}
+
+// Worlds some random steps into their first episodes, their players alive.
+std::vector<World> PlayedWorlds(int steps) {
+  std::vector<World> worlds;
+  RandomStream actions(1);
+  for (int seed = 0; seed < kSeeds; ++seed) {
+    worlds.push_back(*World::Create(WorldOptions(), seed));
+    for (int i = 0; i < steps; ++i) {
+      WorldEditor::State(&worlds.back()).player.item(Item::kHealth) = kMaxItem;
+      worlds.back().Step(RandomAction(&actions));
+    }
+  }
+  return worlds;
+}
+
+// Random actions, pictures and resets: items_per_second is steps a second.
+void WholeGame(benchmark::State& state) {
+  const auto renderer = MakeRenderer();
+  std::vector<uint8_t> frame(renderer->frame_bytes());
+  std::string last_frames;
+  std::vector<Game> games;
+  for (int seed = 0; seed < kSeeds; ++seed) games.push_back(*Game::Create(renderer, seed, absl::MakeSpan(frame)));
+  RandomStream actions(1);
+  int64_t episodes = 0;
+  for (auto _ : state) {
+    for (Game& game : games) {
+      const auto played = game.StepAndAutoReset(RandomAction(&actions), absl::MakeSpan(frame), &last_frames);
+      episodes += played.episode.has_value();
+    }
+    last_frames.clear();
+    benchmark::DoNotOptimize(frame.data());
+  }
+  state.SetItemsProcessed(state.iterations() * kSeeds);
+  state.counters["steps_per_episode"] = static_cast<double>(state.iterations()) * kSeeds / episodes;
+}
+
+// Steps on which no chunk is balanced.
+void Rules(benchmark::State& state) {
+  std::vector<World> worlds = PlayedWorlds(50);
+  RandomStream actions(1);
+  for (auto _ : state) {
+    for (World& world : worlds) {
+      WorldState& world_state = WorldEditor::State(&world);
+      world_state.player.item(Item::kHealth) = kMaxItem;
+      world_state.step -= world_state.step % 10 == 9 ? 9 : 0;
+      benchmark::DoNotOptimize(world.Step(RandomAction(&actions)));
+    }
+  }
+  state.SetItemsProcessed(state.iterations() * kSeeds);
+}
+
+// Done on every tenth step.
+void Balance(benchmark::State& state) {
+  std::vector<World> worlds = PlayedWorlds(static_cast<int>(state.range(0)));
+  for (auto _ : state) {
+    for (World& world : worlds) {
+      BalanceChunks(&WorldEditor::State(&world));
+      WorldEditor::State(&world).board.Compact();
+    }
+  }
+  state.SetItemsProcessed(state.iterations() * kSeeds);
+}
+
+void Reset(benchmark::State& state) {
+  World world = *World::Create(WorldOptions(), 0);
+  for (auto _ : state) world.Reset();
+  state.SetItemsProcessed(state.iterations());
+}
+
+void Picture(benchmark::State& state, int steps, bool sleeping) {
+  const auto renderer = MakeRenderer();
+  std::vector<uint8_t> frame(renderer->frame_bytes());
+  std::vector<World> worlds = PlayedWorlds(steps);
+  for (World& world : worlds) WorldEditor::State(&world).player.sleeping = sleeping;
+  for (auto _ : state) {
+    for (World& world : worlds) {
+      renderer->Render(world, &world.random(), absl::MakeSpan(frame));
+      benchmark::DoNotOptimize(frame.data());
+    }
+  }
+  state.SetItemsProcessed(state.iterations() * kSeeds);
+}
+
+BENCHMARK(WholeGame)->MinTime(20);
+BENCHMARK(Rules);
+BENCHMARK(Balance)->Arg(50)->Arg(kNightStep);
+BENCHMARK(Reset);
+BENCHMARK_CAPTURE(Picture, day, 50, false);
+BENCHMARK_CAPTURE(Picture, night, kNightStep, false);
+BENCHMARK_CAPTURE(Picture, asleep_by_day, 50, true);
+BENCHMARK_CAPTURE(Picture, asleep_by_night, kNightStep, true);
+
+}  // namespace
+}  // namespace craftfleet
