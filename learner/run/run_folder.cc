@@ -37,6 +37,23 @@ std::string DescribeRun(const std::string& run_id, uint64_t seed, const ProgramI
   return description.dump(2) + "\n";
 }
 
+// AlreadyExists if `logdir` has a run. One that ended before its first checkpoint (its port was in use, say) has
+// nothing to go on with: its logs are removed.
+absl::Status ClearUnbegunRun(const std::string& logdir) {
+  if (!PathExists(JoinPath(logdir, kConfigFile))) return absl::OkStatus();
+  CRAFTFLEET_ASSIGN_OR_RETURN(const CheckpointStore checkpoints,
+                              CheckpointStore::Open(JoinPath(logdir, "checkpoints")));
+  CRAFTFLEET_ASSIGN_OR_RETURN(const std::vector<std::string> names, checkpoints.ListNewestFirst());
+  if (!names.empty()) {
+    return absl::AlreadyExistsError(
+        absl::StrCat(logdir, " already has a run: go on with it by --resume, or use another --logdir"));
+  }
+  for (const char* file : {kConfigFile, kStatsFile, kEventsFile}) {
+    CRAFTFLEET_RETURN_IF_ERROR(RemoveAll(JoinPath(logdir, file)));
+  }
+  return absl::OkStatus();
+}
+
 std::string BaseName(const std::string& path) { return path.substr(path.find_last_of('/') + 1); }
 
 }  // namespace
@@ -63,10 +80,7 @@ absl::StatusOr<std::unique_ptr<RunFolder>> RunFolder::Create(const std::string& 
                                                              const ProgramInfo& program, Clock* clock) {
   CRAFTFLEET_RETURN_IF_ERROR(CreateFolders(logdir));
   CRAFTFLEET_ASSIGN_OR_RETURN(FolderLock lock, FolderLock::Acquire(logdir));
-  if (PathExists(JoinPath(logdir, kConfigFile))) {
-    return absl::AlreadyExistsError(
-        absl::StrCat(logdir, " already has a run: go on with it by --resume, or use another --logdir"));
-  }
+  CRAFTFLEET_RETURN_IF_ERROR(ClearUnbegunRun(logdir));
   CRAFTFLEET_ASSIGN_OR_RETURN(std::unique_ptr<RunFolder> folder, Open(logdir, std::move(lock), program, clock));
   folder->run_id_ = MakeRunId(clock->Now());
   folder->config_ = config;

@@ -46,6 +46,7 @@ class RunFolder {
  public:
   // Starts a run in `logdir`, which is created if need be. `config` is complete (ResolveRunConfig); `clock` outlives
   // this.
+  // A run there that ended before its first checkpoint is replaced.
   //   AlreadyExists: the folder has a run.   FailedPrecondition: another process uses it.
   static absl::StatusOr<std::unique_ptr<RunFolder>> Create(const std::string& logdir, const v1::RunConfig& config,
                                                            const ProgramInfo& program, Clock* clock);

@@ -84,10 +84,26 @@ TEST_F(RunFolderTest, SaysWhatTheRunIs) {
 }
 
 TEST_F(RunFolderTest, ANewRunIsRefusedWhereThereIsOne) {
-  ASSERT_NE(Create(), nullptr);
+  ASSERT_NO_FATAL_FAILURE(MakeRun());
   const auto second = RunFolder::Create(logdir_, DefaultRunConfig(), program_, &clock_);
   EXPECT_THAT(second, StatusIs(absl::StatusCode::kAlreadyExists,
                                AllOf(HasSubstr(logdir_), HasSubstr("--resume"), HasSubstr("--logdir"))));
+}
+
+TEST_F(RunFolderTest, ARunThatEndedBeforeItsFirstCheckpointGivesWay) {
+  ASSERT_THAT(Create()->AddEpisodes({SampleEpisode(100, 1)}), IsOk());
+  const auto second = Create();
+  ASSERT_NE(second, nullptr);
+  EXPECT_EQ(ReadFile(logdir_ + "/stats.jsonl").value(), "");
+}
+
+TEST_F(RunFolderTest, AResumedRunMayBeMadeLonger) {
+  ASSERT_NO_FATAL_FAILURE(MakeRun());
+  auto run = Resume();
+  ASSERT_THAT(run, IsOk());
+  ASSERT_THAT(run->folder->SetSteps(2'000'000), IsOk());
+  EXPECT_EQ(run->folder->config().steps(), 2'000'000);
+  EXPECT_THAT(ReadFile(logdir_ + "/config.txt").value(), HasSubstr("steps: 2000000"));
 }
 
 TEST_F(RunFolderTest, ASecondLearnerIsRefusedWithTheProcessOfTheFirst) {
