@@ -14,26 +14,22 @@ namespace craftfleet {
 namespace {
 
 Material MountainMaterial(uint16_t traits, const NumberThresholds& numbers, RandomStream* random) {
-  if ((traits & kCave) != 0 && (traits & kPeak) != 0) return Material::kPath;
-  if ((traits & kTunnel) != 0) return Material::kPath;
+  if ((traits & (kCave | kTunnel)) != 0) return Material::kPath;
   if ((traits & kCoalVein) != 0 && random->Uniform() > numbers.coal) return Material::kCoal;
   if ((traits & kIronVein) != 0 && random->Uniform() > 0.75) return Material::kIron;
   if ((traits & kHigh) != 0 && random->Uniform() > 0.994) return Material::kDiamond;
-  if ((traits & kPeak) != 0 && (traits & kLavaField) != 0) return Material::kLava;
+  if ((traits & kLavaField) != 0) return Material::kLava;
   return Material::kStone;
 }
 
 Material DrawMaterial(uint16_t traits, const NumberThresholds& numbers, RandomStream* random) {
   if ((traits & kStart) != 0) return Material::kGrass;
   if ((traits & kMountain) != 0) return MountainMaterial(traits, numbers, random);
-  if ((traits & kShore) != 0 && (traits & kSandy) != 0) return Material::kSand;
+  if ((traits & kSandy) != 0) return Material::kSand;
   if ((traits & kSea) != 0) return Material::kWater;
   if ((traits & kForest) != 0 && random->Uniform() > numbers.tree) return Material::kTree;
   return Material::kGrass;
 }
-
-// A path that is no cave.
-bool InTunnel(uint16_t traits) { return (traits & kTunnel) != 0 && !((traits & kCave) != 0 && (traits & kPeak) != 0); }
 
 ObjectType DrawCreature(const WorldState& state, Position p, uint16_t traits, RandomStream* random) {
   const Material material = state.board.cell(p).material;
@@ -46,7 +42,7 @@ ObjectType DrawCreature(const WorldState& state, Position p, uint16_t traits, Ra
     return ObjectType::kCow;
   }
   if (squared_distance > 10 * 10 && random->Uniform() > numbers.zombie) return ObjectType::kZombie;
-  if (material == Material::kPath && InTunnel(traits) && random->Uniform() > numbers.skeleton) {
+  if ((traits & kTunnel) != 0 && random->Uniform() > numbers.skeleton) {
     return ObjectType::kSkeleton;
   }
   return ObjectType::kNone;

@@ -46,12 +46,15 @@ struct Extras {
     first[number] = first_point;
     second[number] = second_point;
   }
+  // In either order of the picks.
+  constexpr void SetMiddle(int pick, int other, int32_t first_point, int32_t second_point) {
+    Set(8 * pick + other, first_point, second_point);
+    Set(8 * other + pick, first_point, second_point);
+  }
 };
-// Sets of axes have the bits x 1, y 2, z 4. Cases: low region: the axes. High: 8 + axes. Middle: 16 + axes; where one
-// pick lies on the far side and one on the near, 32 + far axes + 8 * near axis.
-constexpr int kHighCase = 8;
-constexpr int kMiddleCase = 16;
-constexpr int kMixedCase = 32;
+// Sets of axes have the bits x 1, y 2, z 4. Case numbers: low region 8 * 0 + axes, high region 8 * 7 + axes, middle
+// region 8 * one pick + other pick, see MiddleCase().
+constexpr int kHighCase = 8 * 7;
 constexpr Extras MakeExtras() {
   Extras extras;
   extras.Set(1, Pack(1, -1, 0, 0), Pack(1, 0, -1, 0));
@@ -60,24 +63,28 @@ constexpr Extras MakeExtras() {
   extras.Set(3, Pack(1, 1, 0, 2), Pack(1, 1, -1, 1));
   extras.Set(5, Pack(1, 0, 1, 2), Pack(1, -1, 1, 1));
   extras.Set(6, Pack(0, 1, 1, 2), Pack(-1, 1, 1, 1));
-  extras.Set(kHighCase + 3, Pack(2, 1, 0, 3), Pack(1, 1, 0, 3, 0, 1, 0));
-  extras.Set(kHighCase + 5, Pack(2, 0, 1, 3), Pack(1, 0, 2, 3));
-  extras.Set(kHighCase + 6, Pack(0, 1, 1, 3, 0, 1, 0), Pack(0, 1, 2, 3));
-  extras.Set(kHighCase + 1, Pack(1, 0, 0, 1), Pack(2, 0, 0, 2));
-  extras.Set(kHighCase + 2, Pack(0, 1, 0, 1), Pack(0, 2, 0, 2));
-  extras.Set(kHighCase + 4, Pack(0, 0, 1, 1), Pack(0, 0, 2, 2));
-  extras.Set(kMiddleCase + 1, Pack(1, 1, 1, 3), Pack(2, 0, 0, 2));
-  extras.Set(kMiddleCase + 2, Pack(1, 1, 1, 3), Pack(0, 2, 0, 2));
-  extras.Set(kMiddleCase + 4, Pack(1, 1, 1, 3), Pack(0, 0, 2, 2));
-  extras.Set(kMiddleCase + 3, Pack(0, 0, 0, 0), Pack(1, 1, -1, 1));
-  extras.Set(kMiddleCase + 5, Pack(0, 0, 0, 0), Pack(1, -1, 1, 1));
-  extras.Set(kMiddleCase + 6, Pack(0, 0, 0, 0), Pack(-1, 1, 1, 1));
-  extras.Set(kMixedCase + 3 + 0, Pack(1, 1, -1, 1), Pack(0, 0, 0, 2, 2, 0, 0));
-  extras.Set(kMixedCase + 3 + 8, Pack(1, 1, -1, 1), Pack(0, 0, 0, 2, 0, 2, 0));
-  extras.Set(kMixedCase + 5 + 0, Pack(1, -1, 1, 1), Pack(0, 0, 0, 2, 2, 0, 0));
-  extras.Set(kMixedCase + 5 + 16, Pack(1, -1, 1, 1), Pack(0, 0, 0, 2, 0, 0, 2));
-  extras.Set(kMixedCase + 6 + 8, Pack(-1, 1, 1, 1), Pack(0, 0, 0, 2, 0, 2, 0));
-  extras.Set(kMixedCase + 6 + 16, Pack(-1, 1, 1, 1), Pack(0, 0, 0, 2, 0, 0, 2));
+  // The axes are those on which the extras are not farther: they stand out on the others.
+  extras.Set(kHighCase + 4, Pack(2, 1, 0, 3), Pack(1, 1, 0, 3, 0, 1, 0));
+  extras.Set(kHighCase + 2, Pack(2, 0, 1, 3), Pack(1, 0, 2, 3));
+  extras.Set(kHighCase + 1, Pack(0, 1, 1, 3, 0, 1, 0), Pack(0, 1, 2, 3));
+  extras.Set(kHighCase + 6, Pack(1, 0, 0, 1), Pack(2, 0, 0, 2));
+  extras.Set(kHighCase + 5, Pack(0, 1, 0, 1), Pack(0, 2, 0, 2));
+  extras.Set(kHighCase + 3, Pack(0, 0, 1, 1), Pack(0, 0, 2, 2));
+  // Both picks far: beyond the far corner, and twice their common axis.
+  extras.SetMiddle(3, 5, Pack(1, 1, 1, 3), Pack(2, 0, 0, 2));
+  extras.SetMiddle(3, 6, Pack(1, 1, 1, 3), Pack(0, 2, 0, 2));
+  extras.SetMiddle(5, 6, Pack(1, 1, 1, 3), Pack(0, 0, 2, 2));
+  // Both near: the origin, and both axes less the third.
+  extras.SetMiddle(1, 2, Pack(0, 0, 0, 0), Pack(1, 1, -1, 1));
+  extras.SetMiddle(1, 4, Pack(0, 0, 0, 0), Pack(1, -1, 1, 1));
+  extras.SetMiddle(2, 4, Pack(0, 0, 0, 0), Pack(-1, 1, 1, 1));
+  // One far, one near: the far pair less the third axis, and twice the near axis.
+  extras.SetMiddle(3, 1, Pack(1, 1, -1, 1), Pack(0, 0, 0, 2, 2, 0, 0));
+  extras.SetMiddle(3, 2, Pack(1, 1, -1, 1), Pack(0, 0, 0, 2, 0, 2, 0));
+  extras.SetMiddle(5, 1, Pack(1, -1, 1, 1), Pack(0, 0, 0, 2, 2, 0, 0));
+  extras.SetMiddle(5, 4, Pack(1, -1, 1, 1), Pack(0, 0, 0, 2, 0, 0, 2));
+  extras.SetMiddle(6, 2, Pack(-1, 1, 1, 1), Pack(0, 0, 0, 2, 0, 2, 0));
+  extras.SetMiddle(6, 4, Pack(-1, 1, 1, 1), Pack(0, 0, 0, 2, 0, 0, 2));
   return extras;
 }
 constexpr Extras kExtras = MakeExtras();
@@ -87,49 +94,56 @@ constexpr int kBlock = 64;  // points worked on at a time: their intermediate va
 // Intermediate values of the points, one array each so that loops over points vectorise.
 struct Block {
   double x[kBlock], y[kBlock], z[kBlock];     // displacement from the cube's origin
-  int32_t i[kBlock], j[kBlock], k[kBlock];    // the cube's origin in the lattice
+  int32_t origin[kBlock];                     // index of the cube's origin in the lattice
   double fx[kBlock], fy[kBlock], fz[kBlock];  // place inside the skewed cube, 0..1
   int32_t region[kBlock];
   int32_t extras[kBlock];  // case number
   double value[kBlock];
 };
 
+// Cases and axes are computed as doubles, by choices between two values each: only so do the loops vectorise.
+inline double Larger(double a, double b) { return a > b ? a : b; }
+inline double Smaller(double a, double b) { return a < b ? a : b; }
+
 // The axes that tell the case in the low region: of the two with the larger parts, the larger one when the origin is
 // nearer
-// (`origin`) than one of them, else both. All comparisons and selections, no branches. (`&` and `|` on purpose.)
-inline int32_t LowAxes(double x, double y, double z, double origin) {
-  const bool z_for_y = (x >= y) & (z > y);
-  const bool z_for_x = (x < y) & (z > x);
-  const double a = z_for_x ? z : x;
-  const double b = z_for_y ? z : y;
-  const int32_t a_axis = z_for_x ? 4 : 1;
-  const int32_t b_axis = z_for_y ? 4 : 2;
-  const int32_t larger = b > a ? b_axis : a_axis;
-  return (origin > a) | (origin > b) ? larger : a_axis | b_axis;
+// (`origin`) than one of them, else both.
+inline double LowAxes(double x, double y, double z, double origin) {
+  const double a = x < y ? Larger(z, x) : x;
+  const double b = x < y ? y : Larger(z, y);
+  const double a_axis = x < y ? (z > x ? 4.0 : 1.0) : 1.0;
+  const double b_axis = x < y ? 2.0 : (z > y ? 4.0 : 2.0);
+  const double larger = b > a ? b_axis : a_axis;
+  return origin > Smaller(a, b) ? larger : a_axis + b_axis;
 }
 
-// In the middle region there is a near axis and a far pair of axes for each of xy, xz, yz: by how much the pair's sum
-// is away from 1 decides between pairs, its sign between near and far.
-inline int32_t MiddleCase(double x, double y, double z) {
+// In the middle region each of xy, xz, yz has a far pick, the two axes, and a near one, the third axis: the sign of the
+// pair's sum, less 1, decides. The two picks that count are those of the two sums farthest from 0.
+inline double MiddleCase(double x, double y, double z) {
   const double xy = x + y - 1;
   const double xz = x + z - 1;
   const double yz = y + z - 1;
-  const int32_t yz_axes = yz > 0 ? 6 : 1;
-  const double a_size = std::abs(xy);
-  const double b_size = std::abs(xz);
-  const double c_size = std::abs(yz);
-  const bool c_for_a = (a_size <= b_size) & (a_size < c_size);
-  const bool c_for_b = (a_size > b_size) & (b_size < c_size);
-  const int32_t a = c_for_a ? yz_axes : xy > 0 ? 3 : 4;
-  const int32_t b = c_for_b ? yz_axes : xz > 0 ? 5 : 2;
-  const bool a_far = (c_for_a ? yz : xy) > 0;
-  const bool b_far = (c_for_b ? yz : xz) > 0;
-  const int32_t same = kMiddleCase + (a_far ? a & b : a | b);
-  const int32_t mixed = kMixedCase + (a_far ? a : b) + 8 * ((a_far ? b : a) >> 1);
-  return a_far == b_far ? same : mixed;
+  const double xy_size = std::abs(xy);
+  const double xz_size = std::abs(xz);
+  const double yz_size = std::abs(yz);
+  const double xy_pick = xy > 0 ? 3.0 : 4.0;
+  const double xz_pick = xz > 0 ? 5.0 : 2.0;
+  const double yz_pick = yz > 0 ? 6.0 : 1.0;
+  const double first = xy_size <= xz_size ? (xy_size < yz_size ? yz_pick : xy_pick) : xy_pick;
+  const double second = xy_size <= xz_size ? xz_pick : (xz_size < yz_size ? yz_pick : xz_pick);
+  return 8 * first + second;
 }
 
-CRAFTFLEET_MULTIVERSION void Locate(const double* x, const double* y, double z, int count, Block* block) {
+// The lattice points in reach of a plane's area: index of (i, j, k) = i * stride_i + j * stride_j + k - first.
+struct Lattice {
+  const uint32_t* gradients;
+  int32_t stride_i;
+  int32_t stride_j;
+  int32_t first;
+};
+
+CRAFTFLEET_MULTIVERSION void Locate(const Lattice& lattice, const double* x, const double* y, double z, int count,
+                                    Block* block) {
   for (int n = 0; n < count; ++n) {
     const double stretch = (x[n] + y[n] + z) * kStretch;
     const double sx = x[n] + stretch;
@@ -142,9 +156,7 @@ CRAFTFLEET_MULTIVERSION void Locate(const double* x, const double* y, double z, 
     block->x[n] = x[n] - (i + squish);
     block->y[n] = y[n] - (j + squish);
     block->z[n] = z - (k + squish);
-    block->i[n] = static_cast<int32_t>(i);
-    block->j[n] = static_cast<int32_t>(j);
-    block->k[n] = static_cast<int32_t>(k);
+    block->origin[n] = static_cast<int32_t>(i * lattice.stride_i + j * lattice.stride_j + k - lattice.first);
     block->fx[n] = sx - i;
     block->fy[n] = sy - j;
     block->fz[n] = sz - k;
@@ -157,30 +169,21 @@ CRAFTFLEET_MULTIVERSION void Classify(int count, Block* block) {
     const double y = block->fy[n];
     const double z = block->fz[n];
     const double sum = x + y + z;
-    const bool low = sum <= 1;
-    const bool high = sum >= 2;
+    const double sign = sum >= 2 ? -1.0 : 1.0;
     // The high region is the low one turned about.
-    const int32_t axes = LowAxes(high ? -x : x, high ? -y : y, high ? -z : z, high ? sum - 3 : 1 - sum);
-    const int32_t outer = high ? kHighCase + 7 - axes : axes;
-    const int32_t middle = MiddleCase(x, y, z);
-    block->region[n] = low ? kLow : high ? kHigh : kMiddle;
-    block->extras[n] = low | high ? outer : middle;
+    const double axes = LowAxes(sign * x, sign * y, sign * z, sum >= 2 ? sum - 3 : 1 - sum);
+    const double middle_or_high = sum >= 2 ? kHighCase + axes : MiddleCase(x, y, z);
+    const double region_if_not_low = sum >= 2 ? double{kHigh} : double{kMiddle};
+    block->region[n] = static_cast<int32_t>(sum <= 1 ? double{kLow} : region_if_not_low);
+    block->extras[n] = static_cast<int32_t>(sum <= 1 ? axes : middle_or_high);
   }
 }
 
-struct Tables {
-  const int32_t* permutation;
-  const int32_t* gradients;
-};
-
-// What a lattice point at (i, j, k) gives at the displacement (x, y, z).
-inline double Contribution(const Tables& tables, int32_t i, int32_t j, int32_t k, double x, double y, double z) {
-  int32_t index = tables.permutation[i & 255];
-  index = tables.permutation[(index + j) & 255];
-  const int32_t gradient = tables.gradients[(index + k) & 255];
-  const double gx = static_cast<int8_t>(gradient);
-  const double gy = static_cast<int8_t>(gradient >> 8);
-  const double gz = static_cast<int8_t>(gradient >> 16);
+// What a lattice point gives at the displacement (x, y, z) from it.
+inline double Contribution(uint32_t gradient, double x, double y, double z) {
+  const double gx = static_cast<int32_t>(gradient << 24) >> 24;
+  const double gy = static_cast<int32_t>(gradient << 16) >> 24;
+  const double gz = static_cast<int32_t>(gradient << 8) >> 24;
   double attenuation = 2 - x * x - y * y - z * z;
   const bool counts = attenuation > 0;
   attenuation *= attenuation;
@@ -188,17 +191,17 @@ inline double Contribution(const Tables& tables, int32_t i, int32_t j, int32_t k
   return counts ? contribution : 0.0;
 }
 
-CRAFTFLEET_MULTIVERSION void AddCorner(const Tables& tables, const Corner& corner, int count, Block* block) {
+CRAFTFLEET_MULTIVERSION void AddCorner(const Lattice& lattice, const Corner& corner, int count, Block* block) {
   const double squish = (corner.i + corner.j + corner.k) * kSquish;
+  const uint32_t* gradients = lattice.gradients + corner.i * lattice.stride_i + corner.j * lattice.stride_j + corner.k;
   for (int n = 0; n < count; ++n) {
-    const double contribution =
-        Contribution(tables, block->i[n] + corner.i, block->j[n] + corner.j, block->k[n] + corner.k,
-                     block->x[n] - corner.i - squish, block->y[n] - corner.j - squish, block->z[n] - corner.k - squish);
+    const double contribution = Contribution(gradients[block->origin[n]], block->x[n] - corner.i - squish,
+                                             block->y[n] - corner.j - squish, block->z[n] - corner.k - squish);
     block->value[n] += (block->region[n] & corner.regions) != 0 ? contribution : 0.0;
   }
 }
 
-CRAFTFLEET_MULTIVERSION void AddExtra(const Tables& tables, const int32_t* points, int count, Block* block) {
+CRAFTFLEET_MULTIVERSION void AddExtra(const Lattice& lattice, const int32_t* points, int count, Block* block) {
   for (int n = 0; n < count; ++n) {
     const int32_t point = points[block->extras[n]];
     const int32_t i = (point & 3) - 1;
@@ -208,8 +211,8 @@ CRAFTFLEET_MULTIVERSION void AddExtra(const Tables& tables, const int32_t* point
     const int32_t late_i = point >> 8 & 3;
     const int32_t late_j = point >> 10 & 3;
     const int32_t late_k = point >> 12 & 3;
-    block->value[n] += Contribution(tables, block->i[n] + i + late_i, block->j[n] + j + late_j,
-                                    block->k[n] + k + late_k, block->x[n] - i - squish - late_i,
+    const int32_t offset = (i + late_i) * lattice.stride_i + (j + late_j) * lattice.stride_j + k + late_k;
+    block->value[n] += Contribution(lattice.gradients[block->origin[n] + offset], block->x[n] - i - squish - late_i,
                                     block->y[n] - j - squish - late_j, block->z[n] - k - squish - late_k);
   }
 }
@@ -219,7 +222,7 @@ int64_t NextState(int64_t state) {
 }
 
 // Components are 11 on one axis, 4 on the others; the sign of each axis is a bit of number / 3.
-int32_t PackedGradient(int number) {
+uint32_t PackedGradient(int number) {
   constexpr int kSigns[8][3] = {{-1, 1, 1},  {1, 1, 1},  {-1, -1, 1},  {1, -1, 1},
                                 {-1, 1, -1}, {1, 1, -1}, {-1, -1, -1}, {1, -1, -1}};
   uint32_t packed = 0;
@@ -227,13 +230,13 @@ int32_t PackedGradient(int number) {
     const int component = kSigns[number / 3][axis] * (number % 3 == axis ? 11 : 4);
     packed |= static_cast<uint32_t>(static_cast<uint8_t>(component)) << (8 * axis);
   }
-  return static_cast<int32_t>(packed);
+  return packed;
 }
 
 }  // namespace
 
 SimplexNoise::SimplexNoise(int64_t seed) {
-  std::array<int32_t, 256> source;
+  std::array<uint8_t, 256> source;
   std::iota(source.begin(), source.end(), 0);
   int64_t state = NextState(NextState(NextState(seed)));
   for (int i = 255; i >= 0; --i) {
@@ -242,23 +245,46 @@ SimplexNoise::SimplexNoise(int64_t seed) {
     const int64_t r = remainder < 0 ? remainder + i + 1 : remainder;
     permutation_[i] = source[r];
     source[r] = source[i];
-    gradients_[i] = PackedGradient(permutation_[i] % 24);
+  }
+  for (size_t i = 0; i < gradients_.size(); ++i) gradients_[i] = PackedGradient(permutation_[i % 256] % 24);
+}
+
+NoisePlane::NoisePlane(const SimplexNoise& noise, const Area& area, double z) : z_(z) {
+  // A cube's points reach from -1 to 2 beyond its origin; one more each way for rounding.
+  const auto first = [](double coordinate) { return static_cast<int>(std::floor(coordinate)) - 2; };
+  const auto last = [](double coordinate) { return static_cast<int>(std::floor(coordinate)) + 3; };
+  const double stretch_low = (area.max_x + area.max_y + z) * kStretch;
+  const double stretch_high = (area.min_x + area.min_y + z) * kStretch;
+  min_i_ = first(area.min_x + (area.min_x + area.max_y + z) * kStretch);
+  min_j_ = first(area.min_y + (area.max_x + area.min_y + z) * kStretch);
+  min_k_ = first(z + stretch_low);
+  const int max_i = last(area.max_x + (area.max_x + area.min_y + z) * kStretch);
+  const int max_j = last(area.max_y + (area.min_x + area.max_y + z) * kStretch);
+  stride_j_ = last(z + stretch_high) - min_k_ + 1;
+  stride_i_ = (max_j - min_j_ + 1) * stride_j_;
+  CRAFTFLEET_CHECK(stride_j_ <= 256);
+  gradients_.resize(static_cast<size_t>(max_i - min_i_ + 1) * stride_i_);
+  uint32_t* out = gradients_.data();
+  for (int i = min_i_; i <= max_i; ++i) {
+    for (int j = min_j_; j <= max_j; ++j) {
+      const int row = noise.permutation_[(noise.permutation_[i & 255] + j) & 255];
+      out = std::copy_n(&noise.gradients_[(row + min_k_) & 255], stride_j_, out);
+    }
   }
 }
 
-void SimplexNoise::Evaluate(absl::Span<const double> x, absl::Span<const double> y, double z,
-                            absl::Span<double> out) const {
+void NoisePlane::Evaluate(absl::Span<const double> x, absl::Span<const double> y, absl::Span<double> out) const {
   CRAFTFLEET_CHECK(x.size() == out.size() && y.size() == out.size());
-  const Tables tables = {permutation_.data(), gradients_.data()};
+  const Lattice lattice = {gradients_.data(), stride_i_, stride_j_, min_i_ * stride_i_ + min_j_ * stride_j_ + min_k_};
   Block block;
   for (size_t begin = 0; begin < out.size(); begin += kBlock) {
     const int count = static_cast<int>(std::min<size_t>(kBlock, out.size() - begin));
-    Locate(x.data() + begin, y.data() + begin, z, count, &block);
+    Locate(lattice, x.data() + begin, y.data() + begin, z_, count, &block);
     Classify(count, &block);
     std::fill_n(block.value, count, 0.0);
-    for (const Corner& corner : kCorners) AddCorner(tables, corner, count, &block);
-    AddExtra(tables, kExtras.first, count, &block);
-    AddExtra(tables, kExtras.second, count, &block);
+    for (const Corner& corner : kCorners) AddCorner(lattice, corner, count, &block);
+    AddExtra(lattice, kExtras.first, count, &block);
+    AddExtra(lattice, kExtras.second, count, &block);
     for (int n = 0; n < count; ++n) out[begin + n] = block.value[n] / kNorm;
   }
 }

@@ -1,4 +1,4 @@
-// OpenSimplex noise in three dimensions, bit for bit that of the opensimplex package.
+// OpenSimplex noise in three dimensions, bit for bit that of the opensimplex package, on planes of constant z.
 // Source: determinism page, section 6.
 
 #ifndef CRAFTFLEET_ENVSERVER_WORLD_SIMPLEX_NOISE_H_
@@ -6,23 +6,46 @@
 
 #include <array>
 #include <cstdint>
+#include <vector>
 
 #include <absl/types/span.h>
 
 namespace craftfleet {
 
-// Immutable after construction: any number of threads.
+// The noise lies within this bound, as the sum of all lattice points' greatest contributions does (1.02).
+inline constexpr double kNoiseBound = 1.1;
+
+// What a seed decides. Immutable after construction.
 class SimplexNoise {
  public:
   explicit SimplexNoise(int64_t seed);
 
-  // out[n] = noise at (x[n], y[n], z), about -0.9..0.9. Coordinates within +-2^30. Many points at a time are much
-  // faster.
-  void Evaluate(absl::Span<const double> x, absl::Span<const double> y, double z, absl::Span<double> out) const;
+ private:
+  friend class NoisePlane;
+
+  std::array<uint8_t, 256> permutation_;
+  std::array<uint32_t, 512> gradients_;  // of each permuted value, three signed bytes, x lowest; twice in a row
+};
+
+// The noise in a rectangle at one z. Immutable after construction.
+class NoisePlane {
+ public:
+  struct Area {
+    double min_x, max_x;
+    double min_y, max_y;
+  };
+
+  // Time and memory grow with the area: 4 bytes a lattice point. A thousand units are its limit in each direction.
+  NoisePlane(const SimplexNoise& noise, const Area& area, double z);
+
+  // out[n] = noise at (x[n], y[n], z), all inside the area. Many points at a time are much faster.
+  void Evaluate(absl::Span<const double> x, absl::Span<const double> y, absl::Span<double> out) const;
 
  private:
-  std::array<int32_t, 256> permutation_;  // 0..255
-  std::array<int32_t, 256> gradients_;    // of each permuted value, three signed bytes: x lowest
+  const double z_;
+  int min_i_, min_j_, min_k_;        // of the lattice points in reach
+  int stride_i_, stride_j_;          // in gradients_
+  std::vector<uint32_t> gradients_;  // [i][j][k]
 };
 
 }  // namespace craftfleet

@@ -12,24 +12,24 @@
 
 namespace craftfleet {
 
-// A cell's traits, one bit each. Of those that a rule would not ask for, the bit may be missing.
+// A cell's traits, one bit each.
 enum Trait : uint16_t {
-  kStart = 1 << 0,      // start > 0.5: the meadow around the player
+  kStart = 1 << 0,      // start > 0.5: the meadow around the player; such a cell has no other trait
   kMountain = 1 << 1,   // mountain > 0.15
   kHigh = 1 << 2,       // mountain > 0.18
   kPeak = 1 << 3,       // mountain > 0.3
   kCave = 1 << 4,       // of peaks: s(x, y, 6, {7: 1}) > 0.15
-  kTunnel = 1 << 5,     // of mountains: s(2x, y/5, 7, {3: 1}) > 0.4 or s(x/5, 2y, 7, {3: 1}) > 0.4
-  kCoalVein = 1 << 6,   // of mountains: s(x, y, 1, {8: 1}) > 0
-  kIronVein = 1 << 7,   // of mountains: s(x, y, 2, {6: 1}) > 0.4
-  kLavaField = 1 << 8,  // of peaks: s(x, y, 6, {5: 1}) > 0.35
+  kTunnel = 1 << 5,     // of mountains but caves: s(2x, y/5, 7, {3: 1}) > 0.4 or s(x/5, 2y, 7, {3: 1}) > 0.4
+  kCoalVein = 1 << 6,   // of mountains but paths: s(x, y, 1, {8: 1}) > 0
+  kIronVein = 1 << 7,   // of mountains but paths: s(x, y, 2, {6: 1}) > 0.4
+  kLavaField = 1 << 8,  // of peaks but paths: s(x, y, 6, {5: 1}) > 0.35
   kShore = 1 << 9,      // 0.25 < water <= 0.35
   kSea = 1 << 10,       // 0.3 < water
-  kSandy = 1 << 11,     // of shores: s(x, y, 4, {9: 1}) > -0.2
-  kForest = 1 << 12,    // of land: s(x, y, 5, {7: 1}) > 0
+  kSandy = 1 << 11,     // of shores but mountains: s(x, y, 4, {9: 1}) > -0.2
+  kForest = 1 << 12,    // of the rest but the sea: s(x, y, 5, {7: 1}) > 0
 };
 
-// Traits[width * height], index x * height + y, of a world in which the player starts at `player`.
+// uint16[width][height], y fastest, for a world in which the player starts at `player`.
 std::vector<uint16_t> ComputeTraits(const SimplexNoise& noise, int width, int height, Position player);
 
 }  // namespace craftfleet

@@ -11,7 +11,8 @@ namespace {
 
 double At(const SimplexNoise& noise, double x, double y, double z) {
   double value = 0;
-  noise.Evaluate(absl::MakeConstSpan(&x, 1), absl::MakeConstSpan(&y, 1), z, absl::MakeSpan(&value, 1));
+  NoisePlane(noise, {x, x, y, y}, z)
+      .Evaluate(absl::MakeConstSpan(&x, 1), absl::MakeConstSpan(&y, 1), absl::MakeSpan(&value, 1));
   return value;
 }
 
@@ -63,7 +64,7 @@ TEST(SimplexNoise, ManyPointsAtATimeAreTheSameAsOneByOne) {
     y.push_back(std::fmod(i * 0.61, 13.0) - 5);
   }
   std::vector<double> all(x.size());
-  noise.Evaluate(x, y, 3, absl::MakeSpan(all));
+  NoisePlane(noise, {-3, 8, -5, 8}, 3).Evaluate(x, y, absl::MakeSpan(all));
   for (size_t i = 0; i < x.size(); ++i) EXPECT_EQ(all[i], At(noise, x[i], y[i], 3)) << i;
 }
 
