@@ -1,0 +1,65 @@
+// A program of the build, run by a test.
+
+#ifndef CRAFTFLEET_TESTS_INTEGRATION_PROCESS_H_
+#define CRAFTFLEET_TESTS_INTEGRATION_PROCESS_H_
+
+#include <sys/types.h>
+
+#include <memory>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include <absl/status/statusor.h>
+#include <absl/strings/string_view.h>
+#include <absl/time/time.h>
+
+namespace craftfleet {
+
+// Killed when the object goes, and by the kernel when the thread that started it ends, so that nothing outlives a test
+// that crashes or is killed itself. Thread-compatible.
+class Process {
+ public:
+  // Starts `program`, a name in build/bin or a path with a slash, with standard output and error in the files
+  // LOG_PREFIX.out and LOG_PREFIX.err, made anew.
+  //   NotFound: no such program.   Others: a log that can't be written.
+  static absl::StatusOr<std::unique_ptr<Process>> Start(const std::string& program,
+                                                        const std::vector<std::string>& arguments,
+                                                        const std::string& log_prefix);
+  ~Process();
+  Process(const Process&) = delete;
+  Process& operator=(const Process&) = delete;
+
+  // Sends `signal`; nothing once Wait saw the end.
+  void Signal(int signal);
+  // Waits for the end: the exit code, or 128 + signal. Nothing when it runs on after `timeout`.
+  std::optional<int> Wait(absl::Duration timeout);
+  // SIGKILL and wait. Idempotent.
+  void Kill();
+
+  // Waits until `text` is in standard output or error. False: not within `timeout`, or the process ended without it.
+  bool WaitForText(absl::string_view text, absl::Duration timeout) const;
+  // The word after `before` in standard error, as programs that listen print it: "listening on 127.0.0.1:41234",
+  // "status on 127.0.0.1:41235".
+  //   DeadlineExceeded: not there within `timeout`; the message has what was printed instead.
+  absl::StatusOr<std::string> WaitForAddress(absl::string_view before = "listening on ",
+                                             absl::Duration timeout = absl::Seconds(20)) const;
+
+  std::string Out() const;
+  std::string Err() const;
+  pid_t pid() const { return pid_; }
+
+ private:
+  Process(pid_t pid, int pid_descriptor, std::string log_prefix);
+  // Waits for the process to end without collecting it. False: it runs on.
+  bool WaitForEnd(absl::Duration timeout) const;
+
+  const pid_t pid_;
+  const int pid_descriptor_;
+  const std::string log_prefix_;
+  std::optional<int> exit_code_;
+};
+
+}  // namespace craftfleet
+
+#endif  // CRAFTFLEET_TESTS_INTEGRATION_PROCESS_H_

@@ -1,0 +1,75 @@
+#include "tests/integration/process.h"
+
+#include <signal.h>
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include "tests/fakes/status_matchers.h"
+#include "tests/fakes/temp_folder.h"
+
+namespace craftfleet {
+namespace {
+
+using testing::HasSubstr;
+
+TEST(Process, TellsExitCodeAndWhatWasPrinted) {
+  const TempFolder folder;
+  auto process = Process::Start("/bin/sh", {"-c", "echo to out; echo to err >&2; exit 3"}, folder / "p");
+  ASSERT_THAT(process, IsOk());
+  EXPECT_EQ((*process)->Wait(absl::Seconds(10)), 3);
+  EXPECT_EQ((*process)->Out(), "to out\n");
+  EXPECT_EQ((*process)->Err(), "to err\n");
+  EXPECT_EQ((*process)->Wait(absl::ZeroDuration()), 3);
+}
+
+TEST(Process, SignalsAndTellsOfThem) {
+  const TempFolder folder;
+  auto process = Process::Start("/bin/sh", {"-c", "exec sleep 60"}, folder / "p");
+  ASSERT_THAT(process, IsOk());
+  EXPECT_EQ((*process)->Wait(absl::Milliseconds(20)), std::nullopt);
+  (*process)->Signal(SIGTERM);
+  EXPECT_EQ((*process)->Wait(absl::Seconds(10)), 128 + SIGTERM);
+}
+
+TEST(Process, IsKilledWithItsObject) {
+  const TempFolder folder;
+  pid_t pid = 0;
+  {
+    auto process = Process::Start("/bin/sh", {"-c", "trap '' TERM; exec sleep 60"}, folder / "p");
+    ASSERT_THAT(process, IsOk());
+    pid = (*process)->pid();
+    EXPECT_EQ(kill(pid, 0), 0);
+  }
+  EXPECT_NE(kill(pid, 0), 0);
+}
+
+TEST(Process, FindsAddressOnceItsLineIsWhole) {
+  const TempFolder folder;
+  auto process = Process::Start(
+      "/bin/sh", {"-c", "printf 'x info: listening on 127.0.0.1:4' >&2; sleep 0.1; echo '1234 now' >&2; exec sleep 60"},
+      folder / "p");
+  ASSERT_THAT(process, IsOk());
+  const auto address = (*process)->WaitForAddress();
+  ASSERT_THAT(address, IsOk());
+  EXPECT_EQ(*address, "127.0.0.1:41234");
+  EXPECT_TRUE((*process)->WaitForText("now", absl::Seconds(10)));
+}
+
+TEST(Process, StopsWaitingWhenTheProcessEnded) {
+  const TempFolder folder;
+  auto process = Process::Start("/bin/sh", {"-c", "echo broken >&2"}, folder / "p");
+  ASSERT_THAT(process, IsOk());
+  EXPECT_FALSE((*process)->WaitForText("listening", absl::InfiniteDuration()));
+  EXPECT_THAT((*process)->WaitForAddress("status on ", absl::InfiniteDuration()),
+              StatusIs(absl::StatusCode::kDeadlineExceeded, HasSubstr("broken")));
+}
+
+TEST(Process, NamesProgramThatIsNotThere) {
+  const TempFolder folder;
+  EXPECT_THAT(Process::Start("no-such-program", {}, folder / "p"),
+              StatusIs(absl::StatusCode::kNotFound, HasSubstr("bin/no-such-program")));
+}
+
+}  // namespace
+}  // namespace craftfleet
