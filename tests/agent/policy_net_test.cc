@@ -22,8 +22,8 @@ using testing::ReadGolden;
 at::Tensor AsInput(const std::string& frames, const AgentSpec& spec) {
   const int n = static_cast<int>(frames.size() / spec.frame_bytes());
   at::Tensor input = at::empty({n, spec.frame_size, spec.frame_size, 3});
-  std::vector<const uint8_t*> rows;
-  for (int i = 0; i < n; ++i) rows.push_back(reinterpret_cast<const uint8_t*>(&frames[i * spec.frame_bytes()]));
+  std::vector<const uint8_t*> rows(n);
+  for (int i = 0; i < n; ++i) rows[i] = reinterpret_cast<const uint8_t*>(&frames[i * spec.frame_bytes()]);
   ScaleFrames(rows, spec.frame_bytes(), input.data_ptr<float>());
   return input;
 }

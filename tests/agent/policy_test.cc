@@ -123,6 +123,7 @@ TEST(Policy, ThreadsShareItAndGetTheSame) {
   const std::vector<float> expected = *policy->Values(input.frames, input.lanes);
   std::vector<std::vector<float>> results(3);
   std::vector<std::thread> threads;
+  threads.reserve(results.size());
   for (std::vector<float>& result : results) {
     threads.emplace_back([&] { result = *policy->Values(input.frames, input.lanes); });
   }

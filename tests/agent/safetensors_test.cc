@@ -28,7 +28,7 @@ std::string File(const std::string& header, const std::string& data) {
 std::string ErrorOf(absl::string_view bytes) {
   const absl::Status status = ReadSafetensors(bytes).status();
   EXPECT_EQ(status.code(), absl::StatusCode::kInvalidArgument) << status;
-  return std::string(status.message());
+  return status.ToString();
 }
 
 TEST(Safetensors, WrittenBytesAreThoseOfTheFormat) {
@@ -113,7 +113,7 @@ TEST(Weights, RefusesMissingUnknownAndMisshapenTensorsByName) {
   const auto error_of = [&](const std::vector<SafeTensor>& tensors) {
     const absl::Status status = LoadWeights(spec, WriteSafetensors({tensors, {}})).status();
     EXPECT_EQ(status.code(), absl::StatusCode::kInvalidArgument) << status;
-    return std::string(status.message());
+    return status.ToString();
   };
   std::vector<SafeTensor> tensors = AsTensors(spec, "", weights);
   tensors.pop_back();

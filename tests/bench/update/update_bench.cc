@@ -6,6 +6,9 @@
 #include <cstdlib>
 #include <ctime>
 #include <functional>
+#include <numeric>
+#include <string>
+#include <vector>
 
 #include <absl/time/clock.h>
 #include <absl/time/time.h>
@@ -55,8 +58,8 @@ void BenchTiles(absl::Duration limit) {
   for (const int tile : {1, 8, 16, 64}) {
     const auto policy = *Policy::Create(spec, weights, tile);
     const std::string frames = testing::GoldenFrames(1, tile, spec.frame_size);
-    std::vector<int> lanes;
-    for (int lane = 0; lane < tile; ++lane) lanes.push_back(lane);
+    std::vector<int> lanes(tile);
+    std::iota(lanes.begin(), lanes.end(), 0);
     const std::vector<double> noise(tile, 0.5);
     const Times times = Measure(limit, [&] { (void)policy->Act(frames, lanes, noise); });
     std::printf("act, tile of %2d: %.3f ms (CPU %.3f), %.0f frames/s of CPU\n", tile, times.wall_ms, times.cpu_ms,
@@ -90,10 +93,10 @@ void BenchUpdate(absl::Duration limit) {
     const auto updater = *PpoUpdater::Create(config, threads);
     int64_t iteration = 0;
     const Times times = Measure(limit, [&] { (void)updater->Update(iteration++, rollout, [] { return false; }); });
-    const double minibatches = kSteps / kMinibatch;
+    constexpr int kMinibatches = kSteps / kMinibatch;
     std::printf("update, minibatch of %d, %d thread(s): %.2f ms (CPU %.2f); 4096 steps x 4 epochs: %.2f s\n",
-                kMinibatch, threads, times.wall_ms / minibatches, times.cpu_ms / minibatches,
-                times.wall_ms / minibatches * 4096 * 4 / kMinibatch / 1e3);
+                kMinibatch, threads, times.wall_ms / kMinibatches, times.cpu_ms / kMinibatches,
+                times.wall_ms / kMinibatches * 4096 * 4 / kMinibatch / 1e3);
   }
 }
 

@@ -33,7 +33,7 @@ struct Example {
   PpoTargets targets() const { return {actions, log_probs, advantages, returns}; }
 };
 
-const PpoLossOptions kOptions = {0.2, 0.5, 0.01};
+constexpr PpoLossOptions kOptions = {0.2, 0.5, 0.01};
 
 double TotalLoss(const Example& example) {
   std::vector<float> by_logits(kRows * kNumActions);

@@ -4,6 +4,7 @@
 #include <cstring>
 #include <limits>
 
+#include <absl/strings/match.h>
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
@@ -20,7 +21,7 @@ using testing::GoldenWeights;
 using ::testing::HasSubstr;
 using testing::ReadGolden;
 
-const std::function<bool()> kNeverStop = [] { return false; };
+bool NeverStop() { return false; }
 
 v1::RunConfig SmallConfig(int minibatch_size) {
   v1::RunConfig config;
@@ -74,7 +75,7 @@ std::string TrainedState(const v1::RunConfig& config, int threads, int iteration
   const OwnedRollout owned = RandomRollout(11, 64);
   const auto updater = *PpoUpdater::Create(config, threads);
   for (int i = 0; i < iterations; ++i) {
-    EXPECT_TRUE(updater->Update(i, owned.rollout, kNeverStop).ok());
+    EXPECT_TRUE(updater->Update(i, owned.rollout, NeverStop).ok());
   }
   return updater->SaveWeights() + updater->SaveOptimizer();
 }
@@ -95,7 +96,7 @@ TEST(PpoUpdater, ThreeStepsOnOneMinibatchMatchTheGolden) {
   ASSERT_TRUE(updater->Load(SaveWeights(spec, GoldenWeights(spec, golden)), FreshOptimizer(config)).ok());
   for (size_t i = 0; i < batch["steps"].size(); ++i) {
     const nlohmann::json& step = batch["steps"][i];
-    const absl::StatusOr<UpdateStats> stats = updater->Update(static_cast<int64_t>(i), owned.rollout, kNeverStop);
+    const absl::StatusOr<UpdateStats> stats = updater->Update(static_cast<int64_t>(i), owned.rollout, NeverStop);
     ASSERT_TRUE(stats.ok()) << stats.status();
     // The first step compares outputs; the later ones follow Adam, which divides small gradients by themselves.
     const double tolerance = i == 0 ? 2e-5 : 1e-2;
@@ -113,7 +114,7 @@ TEST(PpoUpdater, ThreeStepsOnOneMinibatchMatchTheGolden) {
     const double scale = 0.1 * 0.5 / norm;
     for (const SafeTensor& tensor : state.tensors) {
       const auto known = step["grad_norms"].find(tensor.name.substr(tensor.name.find('.') + 1));
-      if (tensor.name.rfind("exp_avg.", 0) != 0) continue;
+      if (!absl::StartsWith(tensor.name, "exp_avg.")) continue;
       ASSERT_NE(known, step["grad_norms"].end()) << tensor.name;
       double squares = 0;
       for (size_t at = 0; at < tensor.data.size(); at += sizeof(float)) {
@@ -139,18 +140,18 @@ TEST(PpoUpdater, ResumedRunEqualsTheUninterruptedOne) {
   const v1::RunConfig config = SmallConfig(32);
   const OwnedRollout owned = RandomRollout(11, 64);
   const auto first = *PpoUpdater::Create(config, 2);
-  for (int i = 0; i < 2; ++i) ASSERT_TRUE(first->Update(i, owned.rollout, kNeverStop).ok());
+  for (int i = 0; i < 2; ++i) ASSERT_TRUE(first->Update(i, owned.rollout, NeverStop).ok());
   const auto second = *PpoUpdater::Create(config, 2);
   ASSERT_TRUE(second->Load(first->SaveWeights(), first->SaveOptimizer()).ok());
   EXPECT_EQ(second->optimizer_steps(), 4);
-  ASSERT_TRUE(second->Update(2, owned.rollout, kNeverStop).ok());
+  ASSERT_TRUE(second->Update(2, owned.rollout, NeverStop).ok());
   EXPECT_TRUE(second->SaveWeights() + second->SaveOptimizer() == TrainedState(config, 2, 3));
 }
 
 TEST(PpoUpdater, StoppedUpdateChangesNothing) {
   const OwnedRollout owned = RandomRollout(11, 64);
   const auto updater = *PpoUpdater::Create(SmallConfig(32), 2);
-  ASSERT_TRUE(updater->Update(0, owned.rollout, kNeverStop).ok());
+  ASSERT_TRUE(updater->Update(0, owned.rollout, NeverStop).ok());
   const std::string before = updater->SaveWeights() + updater->SaveOptimizer();
   int asked = 0;
   const auto stopped = updater->Update(1, owned.rollout, [&] { return ++asked == 2; });
@@ -164,14 +165,14 @@ TEST(PpoUpdater, GradientThatIsNotFiniteIsDataLossAndChangesNothing) {
   owned.rollout.returns[5] = std::numeric_limits<float>::infinity();
   const auto updater = *PpoUpdater::Create(SmallConfig(32), 1);
   const std::string before = updater->SaveWeights() + updater->SaveOptimizer();
-  const auto stats = updater->Update(0, owned.rollout, kNeverStop);
+  const auto stats = updater->Update(0, owned.rollout, NeverStop);
   EXPECT_EQ(stats.status().code(), absl::StatusCode::kDataLoss) << stats.status();
   EXPECT_TRUE(updater->SaveWeights() + updater->SaveOptimizer() == before);
 }
 
 TEST(PpoUpdater, RefusesSizesThatDoNotDivide) {
   const auto updater = *PpoUpdater::Create(SmallConfig(32), 1);
-  const auto stats = updater->Update(0, RandomRollout(1, 40).rollout, kNeverStop);
+  const auto stats = updater->Update(0, RandomRollout(1, 40).rollout, NeverStop);
   EXPECT_EQ(stats.status().code(), absl::StatusCode::kInvalidArgument);
   EXPECT_THAT(std::string(stats.status().message()), HasSubstr("40"));
   v1::RunConfig config = SmallConfig(32);
@@ -200,7 +201,7 @@ TEST(PpoUpdater, LearnsToPreferTheRewardedAction) {
   UpdateStats first;
   UpdateStats last;
   for (int i = 0; i < 10; ++i) {
-    last = *updater->Update(i, rollout, kNeverStop);
+    last = *updater->Update(i, rollout, NeverStop);
     if (i == 0) first = last;
   }
   EXPECT_LT(last.policy_loss, first.policy_loss - 0.05);

@@ -47,7 +47,7 @@ TEST(Rollout, RefusesAFragmentWhoseFieldsDisagree) {
     const absl::Status status = AppendFragment(fragment, kFrameBytes, {}, &rollout);
     EXPECT_EQ(status.code(), absl::StatusCode::kInvalidArgument);
     EXPECT_EQ(rollout.size(), 0);
-    return std::string(status.message());
+    return status.ToString();
   };
   using ::testing::HasSubstr;
   EXPECT_THAT(error_of([](Fragment* f) { f->frames.pop_back(); }),
