@@ -1,18 +1,22 @@
 #include "envserver/world/terrain.h"
 
 #include <algorithm>
-#include <array>
 #include <cmath>
-#include <numeric>
+#include <iterator>
 
 #include <absl/types/span.h>
 
-#include "common/check.h"
+#include "common/multiversion.h"
 
 namespace craftfleet {
 namespace {
 
 constexpr int kBlock = 512;  // cells worked on at a time: their intermediate values stay in the first cache
+
+// Place of a cell of the world.
+struct Place {
+  uint8_t x, y;
+};
 
 // s(x * x_scale, y * y_scale, z, {size: 1}) for all cells of a world.
 class Layer {
@@ -27,21 +31,20 @@ class Layer {
   };
 
   Layer(const SimplexNoise& noise, const Shape& shape, int width, int height)
-      : height_(height),
-        x_(Coordinates(width, shape.x_times, shape.x_divided, shape.size)),
+      : x_(Coordinates(width, shape.x_times, shape.x_divided, shape.size)),
         y_(Coordinates(height, shape.y_times, shape.y_divided, shape.size)),
         plane_(noise, {x_.front(), x_.back(), y_.front(), y_.back()}, shape.z) {}
 
-  // values[n] = of cells[n], indices x * height + y.
-  void Sample(absl::Span<const int> cells, absl::Span<double> values) const {
-    std::array<double, kBlock> x;
-    std::array<double, kBlock> y;
-    CRAFTFLEET_CHECK(cells.size() <= kBlock);
-    for (size_t n = 0; n < cells.size(); ++n) {
-      x[n] = x_[cells[n] / height_];
-      y[n] = y_[cells[n] % height_];
+  // values[n] = at places[n], for at most kBlock of them.
+  void Sample(absl::Span<const Place> places, double* values) const {
+    double x[kBlock];
+    double y[kBlock];
+    for (size_t n = 0; n < places.size(); ++n) {
+      x[n] = x_[places[n].x];
+      y[n] = y_[places[n].y];
     }
-    plane_.Evaluate(absl::MakeConstSpan(x.data(), cells.size()), absl::MakeConstSpan(y.data(), cells.size()), values);
+    const size_t count = places.size();
+    plane_.Evaluate(absl::MakeConstSpan(x, count), absl::MakeConstSpan(y, count), absl::MakeSpan(values, count));
   }
 
  private:
@@ -52,7 +55,6 @@ class Layer {
     return coordinates;
   }
 
-  int height_;
   std::vector<double> x_;
   std::vector<double> y_;
   NoisePlane plane_;
@@ -78,23 +80,27 @@ constexpr LayerTrait kLayerTraits[] = {
     {{5, 7}, 0, kStart | kMountain | kSandy | kSea, 0, kForest},
 };
 
+// What decides the traits of cells before their layers; one array each so that loops over cells vectorise.
 struct Heights {
-  double water;     // without the start's part
-  double mountain;  // without the start's and water's part
+  double water[kBlock];     // without the start's part
+  double mountain[kBlock];  // without the start's and the water's part
+  double start[kBlock];
 };
 
-// Those traits that heights and start alone decide.
-uint16_t BaseTraits(const Heights& heights, double start) {
-  if (start > 0.5) return kStart;
-  const double water = heights.water - 2 * start;
-  const double mountain = heights.mountain - (4 * start + 0.3 * water);
-  uint16_t traits = 0;
-  if (mountain > 0.15) traits |= kMountain;
-  if (mountain > 0.18) traits |= kHigh;
-  if (mountain > 0.3) traits |= kPeak;
-  if (0.25 < water && water <= 0.35) traits |= kShore;
-  if (0.3 < water) traits |= kSea;
-  return traits;
+// The traits that heights alone decide. A sum of choices between doubles: only so does the loop vectorise.
+CRAFTFLEET_MULTIVERSION void BaseTraits(const Heights& heights, int count, uint16_t* traits) {
+  for (int n = 0; n < count; ++n) {
+    const double start = heights.start[n];
+    const double water = heights.water[n] - 2 * start;
+    const double mountain = heights.mountain[n] - (4 * start + 0.3 * water);
+    double sum = mountain > 0.15 ? double{kMountain} : 0.0;
+    sum += mountain > 0.18 ? double{kHigh} : 0.0;
+    sum += mountain > 0.3 ? double{kPeak} : 0.0;
+    sum += water > 0.3 ? double{kSea} : 0.0;
+    const double shore_or_not = water <= 0.35 ? double{kShore} : 0.0;
+    sum += water > 0.25 ? shore_or_not : 0.0;
+    traits[n] = static_cast<uint16_t>(static_cast<int32_t>(start > 0.5 ? double{kStart} : sum));
+  }
 }
 
 double Logistic(double value) { return 1 / (1 + std::exp(-value)); }
@@ -102,85 +108,89 @@ double Logistic(double value) { return 1 / (1 + std::exp(-value)); }
 class Terrain {
  public:
   Terrain(const SimplexNoise& noise, int width, int height, Position player)
-      : height_(height),
-        player_(player),
+      : player_(player),
         start_(noise, {8, 3}, width, height),
         water_(noise, {3, 15}, width, height),
         fine_water_(noise, {3, 5}, width, height),
         mountain_(noise, {0, 15}, width, height),
         fine_mountain_(noise, {0, 5}, width, height) {
+    layers_.reserve(std::size(kLayerTraits));
     for (const LayerTrait& rule : kLayerTraits) layers_.emplace_back(noise, rule.shape, width, height);
   }
 
-  // traits[n] of the cells from `first`, at most kBlock.
-  void Compute(int first, absl::Span<uint16_t> traits) const {
-    ComputeBase(first, traits);
-    for (size_t i = 0; i < layers_.size(); ++i) AddTrait(kLayerTraits[i], layers_[i], first, traits);
+  // traits[n] of the cells at places[n], at most kBlock.
+  void Compute(absl::Span<const Place> places, uint16_t* traits) const {
+    Heights heights;
+    ComputeHeights(places, &heights);
+    ComputeBase(places, &heights, traits);
+    for (size_t i = 0; i < layers_.size(); ++i) AddTrait(kLayerTraits[i], layers_[i], places, traits);
   }
 
  private:
-  void ComputeBase(int first, absl::Span<uint16_t> traits) const {
-    std::array<int, kBlock> cell_array;
-    const absl::Span<int> cells = absl::MakeSpan(cell_array).first(traits.size());
-    std::iota(cells.begin(), cells.end(), first);
-    std::array<double, kBlock> water;
-    std::array<double, kBlock> fine_water;
-    std::array<double, kBlock> mountain;
-    std::array<double, kBlock> fine_mountain;
-    water_.Sample(cells, absl::MakeSpan(water).first(cells.size()));
-    fine_water_.Sample(cells, absl::MakeSpan(fine_water).first(cells.size()));
-    mountain_.Sample(cells, absl::MakeSpan(mountain).first(cells.size()));
-    fine_mountain_.Sample(cells, absl::MakeSpan(fine_mountain).first(cells.size()));
-    std::array<Heights, kBlock> heights;
-    for (size_t n = 0; n < cells.size(); ++n) {
-      heights[n].water = water[n] + 0.15 * fine_water[n] + 0.1;
-      heights[n].mountain = (mountain[n] + 0.3 * fine_mountain[n]) / 1.3;
+  void ComputeHeights(absl::Span<const Place> places, Heights* heights) const {
+    double fine_water[kBlock];
+    double fine_mountain[kBlock];
+    water_.Sample(places, heights->water);
+    fine_water_.Sample(places, fine_water);
+    mountain_.Sample(places, heights->mountain);
+    fine_mountain_.Sample(places, fine_mountain);
+    for (size_t n = 0; n < places.size(); ++n) {
+      heights->water[n] = heights->water[n] + 0.15 * fine_water[n] + 0.1;
+      heights->mountain[n] = (heights->mountain[n] + 0.3 * fine_mountain[n]) / 1.3;
     }
-    ApplyStart(cells, heights.data(), traits);
   }
 
   // Far from the player start is next to nothing: its noise is looked at only where it could make a difference.
-  void ApplyStart(absl::Span<const int> cells, const Heights* heights, absl::Span<uint16_t> traits) const {
-    std::array<int, kBlock> near_cells;
-    std::array<int, kBlock> near;
-    int num_near = 0;
-    for (size_t n = 0; n < cells.size(); ++n) {
-      const double most = Logistic(4 - DistanceToPlayer(cells[n]) + 2 * kNoiseBound);
-      traits[n] = BaseTraits(heights[n], most);
-      constexpr double kBelowZero = -1e-9;  // so that no rounding matters
-      if (traits[n] == BaseTraits(heights[n], kBelowZero)) continue;
-      near_cells[num_near] = cells[n];
-      near[num_near++] = static_cast<int>(n);
+  void ComputeBase(absl::Span<const Place> places, Heights* heights, uint16_t* traits) const {
+    constexpr double kFar = 16;  // cells
+    const double most_far_start = Logistic(4 - kFar + 2 * kNoiseBound);
+    constexpr double kBelowZero = -1e-9;  // so that no rounding matters
+    const int count = static_cast<int>(places.size());
+    uint16_t other_traits[kBlock];
+    std::fill_n(heights->start, count, most_far_start);
+    BaseTraits(*heights, count, other_traits);
+    std::fill_n(heights->start, count, kBelowZero);
+    BaseTraits(*heights, count, traits);
+
+    Place asked[kBlock];
+    int asked_at[kBlock];
+    int num_asked = 0;
+    for (int n = 0; n < count; ++n) {
+      asked[num_asked] = places[n];
+      asked_at[num_asked] = n;
+      num_asked += static_cast<int>(traits[n] != other_traits[n] || SquaredDistance(places[n]) < kFar * kFar);
     }
-    std::array<double, kBlock> noise;
-    start_.Sample(absl::MakeConstSpan(near_cells).first(num_near), absl::MakeSpan(noise).first(num_near));
-    for (int i = 0; i < num_near; ++i) {
-      const double start = Logistic(4 - DistanceToPlayer(near_cells[i]) + 2 * noise[i]);
-      traits[near[i]] = BaseTraits(heights[near[i]], start);
+    double noise[kBlock];
+    start_.Sample(absl::MakeConstSpan(asked, num_asked), noise);
+    for (int i = 0; i < num_asked; ++i) {
+      heights->start[asked_at[i]] = Logistic(4 - std::sqrt(SquaredDistance(asked[i])) + 2 * noise[i]);
     }
+    if (num_asked > 0) BaseTraits(*heights, count, traits);
   }
 
-  static void AddTrait(const LayerTrait& rule, const Layer& layer, int first, absl::Span<uint16_t> traits) {
-    std::array<int, kBlock> cells;
+  static void AddTrait(const LayerTrait& rule, const Layer& layer, absl::Span<const Place> places, uint16_t* traits) {
+    Place asked[kBlock];
+    int asked_at[kBlock];
     int count = 0;
-    for (size_t n = 0; n < traits.size(); ++n) {
-      cells[count] = first + static_cast<int>(n);
-      count += static_cast<int>((traits[n] & (rule.of | rule.not_of)) == rule.of);
+    const int mask = rule.of | rule.not_of;
+    for (size_t n = 0; n < places.size(); ++n) {
+      asked[count] = places[n];
+      asked_at[count] = static_cast<int>(n);
+      count += static_cast<int>((traits[n] & mask) == rule.of);
     }
-    std::array<double, kBlock> values;
-    layer.Sample(absl::MakeConstSpan(cells).first(count), absl::MakeSpan(values).first(count));
+    double values[kBlock];
+    layer.Sample(absl::MakeConstSpan(asked, count), values);
     for (int i = 0; i < count; ++i) {
-      if (values[i] > rule.threshold) traits[cells[i] - first] |= rule.trait;
+      if (values[i] > rule.threshold) traits[asked_at[i]] |= rule.trait;
     }
   }
 
-  double DistanceToPlayer(int cell) const {
-    const double dx = cell / height_ - player_.x;
-    const double dy = cell % height_ - player_.y;
-    return std::sqrt(dx * dx + dy * dy);
+  double SquaredDistance(Place place) const {
+    const double dx = place.x - player_.x;
+    const double dy = place.y - player_.y;
+    return dx * dx + dy * dy;
   }
 
-  const int height_;
   const Position player_;
   const Layer start_;
   const Layer water_;
@@ -193,11 +203,16 @@ class Terrain {
 }  // namespace
 
 std::vector<uint16_t> ComputeTraits(const SimplexNoise& noise, int width, int height, Position player) {
+  std::vector<Place> places;
+  places.reserve(static_cast<size_t>(width) * height);
+  for (int x = 0; x < width; ++x) {
+    for (int y = 0; y < height; ++y) places.push_back({static_cast<uint8_t>(x), static_cast<uint8_t>(y)});
+  }
   const Terrain terrain(noise, width, height, player);
-  std::vector<uint16_t> traits(static_cast<size_t>(width) * height);
-  for (size_t first = 0; first < traits.size(); first += kBlock) {
-    const size_t count = std::min<size_t>(kBlock, traits.size() - first);
-    terrain.Compute(static_cast<int>(first), absl::MakeSpan(traits).subspan(first, count));
+  std::vector<uint16_t> traits(places.size());
+  for (size_t first = 0; first < places.size(); first += kBlock) {
+    const size_t count = std::min<size_t>(kBlock, places.size() - first);
+    terrain.Compute(absl::MakeConstSpan(places).subspan(first, count), traits.data() + first);
   }
   return traits;
 }
