@@ -127,7 +127,7 @@ absl::Status Actor::StartLoops() {
     ActorLoop::Options loop = {i, config, static_cast<int>(spec.frame_bytes())};
     loops_.push_back(std::make_unique<ActorLoop>(
         loop, &learner_, &permits_, policies_.get(), &sender_,
-        std::make_unique<EnvPool>(options_.env_servers, hello, static_cast<int>(spec.frame_bytes()))));
+        std::make_unique<EnvPool>(options_.env_servers, hello, static_cast<int>(spec.frame_bytes())), &rate_));
   }
   for (const auto& loop : loops_) threads_.emplace_back([this, loop = loop.get()] { RunLoop(loop); });
   sender_.Start();
@@ -173,8 +173,10 @@ absl::Status Actor::KeepPermits() {
       permits_.DropWaiting();
       CRAFTFLEET_RETURN_IF_ERROR(Join());
     } else if (IsTransient(reply.status())) {
-      if (absl::Now() - said > kSayAgain) LogWarning("%s; trying again until it answers", reply.status().message());
-      said = absl::Now();
+      if (absl::Now() - said > kSayAgain) {
+        said = absl::Now();
+        LogWarning("%s; trying again until it answers", reply.status().message());
+      }
       Pause(kRetryPause);
     } else {
       return reply.status();
@@ -222,6 +224,7 @@ void Actor::FillStatus(v1::StatusReply* reply) const {
     send_s += static_cast<double>(counters.send_ns) * 1e-9;
   }
   wire::AddMetric("env_steps", static_cast<double>(steps), "steps", reply);
+  wire::AddMetric("steps_per_second", rate_.PerSecond(), "steps/s", reply);
   wire::AddMetric("fragments_accepted", static_cast<double>(sender_.accepted()), "fragments", reply);
   wire::AddMetric("fragments_refused", static_cast<double>(sender_.refused()), "fragments", reply);
   wire::AddMetric("fragments_resent", static_cast<double>(sender_.resent()), "fragments", reply);

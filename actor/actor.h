@@ -16,7 +16,9 @@
 #include "actor/learner_client.h"
 #include "actor/permit_book.h"
 #include "actor/policy_source.h"
+#include "common/clock.h"
 #include "common/mutex.h"
+#include "common/rate_meter.h"
 #include "common/wire/channel.h"
 #include "craftfleet/v1/status.pb.h"
 
@@ -64,6 +66,8 @@ class Actor {
   const Options options_;
   const std::string name_;  // unique: host-process-random
   const LearnerClient learner_;
+  RealClock clock_;
+  RateMeter rate_{&clock_};  // of environment steps
   PermitBook permits_;
   FragmentSender sender_;
   std::string address_;   // of Run's thread, like the next

@@ -36,13 +36,14 @@ constexpr absl::Duration kPause = absl::Milliseconds(200);  // before playing on
 }  // namespace
 
 ActorLoop::ActorLoop(const Options& options, const LearnerClient* learner, PermitBook* permits, PolicySource* policies,
-                     FragmentSender* sender, std::unique_ptr<EnvPool> envs)
+                     FragmentSender* sender, std::unique_ptr<EnvPool> envs, RateMeter* rate)
     : options_(options),
       learner_(learner),
       permits_(permits),
       policies_(policies),
       sender_(sender),
-      envs_(std::move(envs)) {}
+      envs_(std::move(envs)),
+      rate_(rate) {}
 
 absl::Status ActorLoop::Run() {
   while (true) {
@@ -130,6 +131,7 @@ absl::Status ActorLoop::PlaySteps(const Policy& policy, const std::vector<HeldPe
     }
     CRAFTFLEET_RETURN_IF_ERROR(AppendStep(policy, lanes, act));
     counters_.steps += static_cast<int64_t>(lanes.size());
+    rate_->Add(static_cast<int64_t>(lanes.size()));
   }
   return absl::OkStatus();
 }

@@ -19,7 +19,7 @@
 #include "actor/permit_book.h"
 #include "actor/policy_source.h"
 #include "common/agent/policy.h"
-#include "common/mutex.h"
+#include "common/rate_meter.h"
 #include "craftfleet/v1/config.pb.h"
 
 namespace craftfleet {
@@ -43,8 +43,9 @@ class ActorLoop {
     int frame_bytes = 0;
   };
 
+  // Steps are counted into `rate`.
   ActorLoop(const Options& options, const LearnerClient* learner, PermitBook* permits, PolicySource* policies,
-            FragmentSender* sender, std::unique_ptr<EnvPool> envs);
+            FragmentSender* sender, std::unique_ptr<EnvPool> envs, RateMeter* rate);
 
   // Plays until the permit book closes. Returns ok then, or the first error that waiting can't mend.
   absl::Status Run();
@@ -79,6 +80,7 @@ class ActorLoop {
   PolicySource* const policies_;
   FragmentSender* const sender_;
   const std::unique_ptr<EnvPool> envs_;
+  RateMeter* const rate_;
 
   std::map<int, Held> held_;               // by lane
   std::vector<FragmentBuilder> builders_;  // by row

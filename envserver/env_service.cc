@@ -109,6 +109,7 @@ absl::Status EnvServiceImpl::Handle(const v1::PlayRequest& request, EnvBatch* ba
       CRAFTFLEET_RETURN_IF_ERROR(batch->Step(request.step().lanes(), actions, request.step().snapshot(), step));
       step_ns_ += absl::GetCurrentTimeNanos() - start;
       steps_ += static_cast<int64_t>(actions.size());
+      rate_.Add(static_cast<int64_t>(actions.size()));
       episodes_ += static_cast<int64_t>(step->episodes.size());
       wire::ToProto(step, reply);
       return absl::OkStatus();
@@ -149,6 +150,7 @@ void EnvServiceImpl::FillStatus(v1::StatusReply* reply) const {
   wire::AddMetric("sessions_rejected", static_cast<double>(rejected_.load()), "", reply);
   wire::AddMetric("lanes", lanes, "lanes", reply);
   wire::AddMetric("env_steps", static_cast<double>(steps_.load()), "steps", reply);
+  wire::AddMetric("steps_per_second", rate_.PerSecond(), "steps/s", reply);
   wire::AddMetric("episodes", static_cast<double>(episodes_.load()), "episodes", reply);
   wire::AddMetric("step_time", step_seconds(), "s", reply);
 }

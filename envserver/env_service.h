@@ -11,7 +11,9 @@
 
 #include <absl/status/statusor.h>
 
+#include "common/clock.h"
 #include "common/mutex.h"
+#include "common/rate_meter.h"
 #include "craftfleet/v1/environment.grpc.pb.h"
 #include "craftfleet/v1/status.pb.h"
 #include "envserver/env_batch.h"
@@ -53,6 +55,8 @@ class EnvServiceImpl final : public v1::EnvironmentService::Service {
   const std::shared_ptr<const Textures> textures_;
   const std::string texture_digest_;
 
+  RealClock clock_;
+  RateMeter rate_{&clock_};  // of steps
   std::atomic<int64_t> steps_{0};
   std::atomic<int64_t> episodes_{0};
   std::atomic<int64_t> step_ns_{0};

@@ -14,6 +14,7 @@ namespace craftfleet {
 namespace {
 
 constexpr absl::Duration kProgressTick = absl::Milliseconds(200);
+constexpr absl::Duration kSayWaiting = absl::Seconds(15);
 
 double Seconds(const std::atomic<int64_t>& ns) { return static_cast<double>(ns.load()) * 1e-9; }
 
@@ -80,10 +81,18 @@ absl::Status Trainer::RunIteration() {
 absl::StatusOr<std::vector<Fragment>> Trainer::Collect() {
   const size_t wanted = static_cast<size_t>(config_.lanes()) * fragments_per_lane();
   std::vector<Fragment> fragments;
+  absl::Time last_news = parts_.clock->Now();
   while (fragments.size() < wanted) {
     if (stopping_) return absl::CancelledError("stopping");
     std::optional<Fragment> fragment = parts_.fragments->Pop(kProgressTick);
-    if (fragment.has_value()) fragments.push_back(*std::move(fragment));
+    if (fragment.has_value()) {
+      fragments.push_back(*std::move(fragment));
+      last_news = parts_.clock->Now();
+    } else if (parts_.clock->Now() - last_news > kSayWaiting) {
+      last_news = parts_.clock->Now();
+      LogInfo("waiting for actors: %d of %d fragments are here, %d actors have joined", fragments.size(), wanted,
+              parts_.ledger->Actors().size());
+    }
     parts_.progress->Update(counters_.env_steps + static_cast<int64_t>(fragments.size()) * config_.fragment_steps(),
                             parts_.folder->score());
   }
