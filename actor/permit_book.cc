@@ -1,5 +1,6 @@
 #include "actor/permit_book.h"
 
+#include <algorithm>
 #include <utility>
 
 namespace craftfleet {
@@ -12,7 +13,7 @@ void PermitBook::SetTile(int tile) {
 void PermitBook::Add(const HeldPermit& permit) {
   MutexLock lock(&mu_);
   if (!active_.insert(permit).second) return;
-  waiting_[(permit.lane / tile_) % waiting_.size()].push_back(permit);
+  waiting_[LoopOf(permit.lane)].push_back(permit);
   changed_.NotifyAll();
 }
 
@@ -26,6 +27,8 @@ std::vector<HeldPermit> PermitBook::Take(int loop) {
 void PermitBook::Release(const HeldPermit& permit) {
   MutexLock lock(&mu_);
   active_.erase(permit);
+  std::vector<HeldPermit>& waiting = waiting_[LoopOf(permit.lane)];
+  waiting.erase(std::remove(waiting.begin(), waiting.end(), permit), waiting.end());
 }
 
 std::vector<HeldPermit> PermitBook::Active() const {
@@ -45,6 +48,8 @@ void PermitBook::WaitForClose(absl::Duration timeout) {
   MutexLock lock(&mu_);
   changed_.WaitFor(&mu_, timeout, [this]() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_) { return closed_; });
 }
+
+size_t PermitBook::LoopOf(int lane) const { return (lane / tile_) % waiting_.size(); }
 
 void PermitBook::Close() {
   MutexLock lock(&mu_);

@@ -3,6 +3,7 @@
 #ifndef CRAFTFLEET_ACTOR_PERMIT_BOOK_H_
 #define CRAFTFLEET_ACTOR_PERMIT_BOOK_H_
 
+#include <cstddef>
 #include <cstdint>
 #include <set>
 #include <tuple>
@@ -20,6 +21,10 @@ struct HeldPermit {
   int lane = 0;
   int64_t fragment = 0;
   int64_t policy_version = 0;
+  friend bool operator==(const HeldPermit& a, const HeldPermit& b) {
+    return std::tie(a.epoch, a.lane, a.fragment, a.policy_version) ==
+           std::tie(b.epoch, b.lane, b.fragment, b.policy_version);
+  }
   friend bool operator<(const HeldPermit& a, const HeldPermit& b) {
     return std::tie(a.epoch, a.lane, a.fragment, a.policy_version) <
            std::tie(b.epoch, b.lane, b.fragment, b.policy_version);
@@ -37,7 +42,7 @@ class PermitBook {
   void Add(const HeldPermit& permit) ABSL_LOCKS_EXCLUDED(mu_);
   // Everything that waits for `loop`; blocks while there is nothing. Empty: Close was called.
   std::vector<HeldPermit> Take(int loop) ABSL_LOCKS_EXCLUDED(mu_);
-  // The fragment was answered for, or will not be played by us.
+  // The fragment was answered for, or will not be played by us: a loop that has not taken it won't.
   void Release(const HeldPermit& permit) ABSL_LOCKS_EXCLUDED(mu_);
   // All permits at hand, taken or not.
   std::vector<HeldPermit> Active() const ABSL_LOCKS_EXCLUDED(mu_);
@@ -49,6 +54,8 @@ class PermitBook {
   void Close() ABSL_LOCKS_EXCLUDED(mu_);
 
  private:
+  size_t LoopOf(int lane) const ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
+
   mutable Mutex mu_;
   CondVar changed_;
   int tile_ ABSL_GUARDED_BY(mu_) = 1;

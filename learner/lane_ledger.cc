@@ -144,7 +144,11 @@ void LaneLedger::Forget(const std::string& actor) {
 std::vector<Permit> LaneLedger::Renew(const std::string& actor, absl::Span<const Permit> active) {
   for (Lane& lane : lanes_) {
     if (lane.holder != actor || !lane.permit.has_value()) continue;
-    if (std::find(active.begin(), active.end(), *lane.permit) == active.end()) lane.permit.reset();
+    if (std::find(active.begin(), active.end(), *lane.permit) != active.end()) continue;
+    lane.permit.reset();
+    lane.holder.clear();
+    actors_[actor].gave_back = clock_->Now();
+    changed_.NotifyAll();
   }
   std::vector<Permit> lost;
   for (const Permit& permit : active) {
@@ -157,7 +161,12 @@ std::vector<Permit> LaneLedger::Renew(const std::string& actor, absl::Span<const
   return lost;
 }
 
+bool LaneLedger::IsPausing(const std::string& actor) const {
+  return actors_.size() > 1 && clock_->Now() - actors_.at(actor).gave_back <= options_.patience;
+}
+
 std::vector<Permit> LaneLedger::GrantTo(const std::string& actor, int capacity) {
+  if (IsPausing(actor)) return {};
   int room = std::min(capacity, FairShare()) - PermitsOf(actor);
   std::vector<Permit> granted;
   for (const Claim wanted : {Claim::kOwn, Claim::kSpare, Claim::kLeftLying}) {

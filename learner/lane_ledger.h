@@ -40,8 +40,9 @@ struct LaneRecord {
 // Synchronous permits: within an iteration each lane gets them one after the other, all under the
 // iteration's weights. An actor gets its fair share of the lanes: those that it played before first (it holds their
 // games), then those that nobody holds or whose holder has more than its share, at last, when a lane was left lying for
-// `Options::patience`, anybody's. A permit lapses when its actor has not asked for `lease`. A fragment is accepted at
-// most once. Thread-safe.
+// `Options::patience`, anybody's. An actor that gives permits back, because it can't play, gets no other for `patience`
+// where there are more actors, who may. A permit lapses when its actor has not asked for `lease`. A fragment is
+// accepted at most once. Thread-safe.
 class LaneLedger {
  public:
   struct Options {
@@ -104,6 +105,7 @@ class LaneLedger {
   struct Actor {
     std::string address;
     absl::Time last_word;
+    absl::Time gave_back = absl::InfinitePast();  // permits, the last time
     int64_t fragments = 0;
   };
 
@@ -116,6 +118,7 @@ class LaneLedger {
   // Takes back the permits of `actor` that it does not name; returns those it names without holding them.
   std::vector<Permit> Renew(const std::string& actor, absl::Span<const Permit> active)
       ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
+  bool IsPausing(const std::string& actor) const ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
   std::vector<Permit> GrantTo(const std::string& actor, int capacity) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
   Claim ClaimOn(const Lane& lane, const std::string& actor) const ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
   int HeldBy(const std::string& actor) const ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);

@@ -1,0 +1,67 @@
+#include "learner/weight_store.h"
+
+#include <string>
+#include <thread>
+#include <vector>
+
+#include <gtest/gtest.h>
+
+namespace craftfleet {
+namespace {
+
+std::shared_ptr<const std::string> Bytes(int64_t version) {
+  return std::make_shared<std::string>("weights " + std::to_string(version));
+}
+
+TEST(WeightStore, HasNothingBeforeTheFirstVersion) {
+  WeightStore store;
+  const WeightStore::Weights weights = store.Wait(0, absl::Milliseconds(5));
+  EXPECT_EQ(weights.version, -1);
+  EXPECT_EQ(weights.bytes, nullptr);
+}
+
+TEST(WeightStore, GivesTheLastVersionAtOnce) {
+  WeightStore store;
+  store.Publish(3, Bytes(3));
+  store.Publish(4, Bytes(4));
+  for (const int64_t wanted : {0, 3, 4}) {
+    const WeightStore::Weights weights = store.Wait(wanted, absl::InfiniteDuration());
+    EXPECT_EQ(weights.version, 4);
+    EXPECT_EQ(*weights.bytes, "weights 4");
+  }
+}
+
+TEST(WeightStore, GivesTheLastVersionWhenTheWantedOneDoesNotComeInTime) {
+  WeightStore store;
+  store.Publish(3, Bytes(3));
+  EXPECT_EQ(store.Wait(4, absl::Milliseconds(5)).version, 3);
+}
+
+TEST(WeightStore, BytesStayWithThoseWhoTookThem) {
+  WeightStore store;
+  store.Publish(1, Bytes(1));
+  const WeightStore::Weights taken = store.Wait(1, absl::ZeroDuration());
+  store.Publish(2, Bytes(2));
+  EXPECT_EQ(*taken.bytes, "weights 1");
+}
+
+TEST(WeightStore, PublishWakesThoseWhoWaitForIt) {
+  constexpr int64_t kVersions = 200;
+  WeightStore store;
+  std::vector<std::thread> readers;
+  for (int r = 0; r < 4; ++r) {
+    readers.emplace_back([&store] {
+      for (int64_t version = 0; version < kVersions;) {
+        const WeightStore::Weights weights = store.Wait(version, absl::InfiniteDuration());
+        EXPECT_GE(weights.version, version);
+        EXPECT_EQ(*weights.bytes, *Bytes(weights.version));
+        version = weights.version + 1;
+      }
+    });
+  }
+  for (int64_t version = 0; version < kVersions; ++version) store.Publish(version, Bytes(version));
+  for (std::thread& reader : readers) reader.join();
+}
+
+}  // namespace
+}  // namespace craftfleet
