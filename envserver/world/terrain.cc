@@ -13,6 +13,8 @@ namespace {
 
 constexpr int kBlock = 512;  // cells worked on at a time: their intermediate values stay in the first cache
 
+constexpr int kLanes = 16;   // divides kBlock
+
 // Place of a cell of the world.
 struct Place {
   uint8_t x, y;
@@ -35,7 +37,7 @@ class Layer {
         y_(Coordinates(height, shape.y_times, shape.y_divided, shape.size)),
         plane_(noise, {x_.front(), x_.back(), y_.front(), y_.back()}, shape.z) {}
 
-  // values[n] = at places[n], for at most kBlock of them.
+  // values[n] = at places[n], for at most kBlock of them; `values` has room for kBlock.
   void Sample(absl::Span<const Place> places, double* values) const {
     double x[kBlock];
     double y[kBlock];
@@ -43,7 +45,12 @@ class Layer {
       x[n] = x_[places[n].x];
       y[n] = y_[places[n].y];
     }
-    const size_t count = places.size();
+    // Whole vectors only: the rest of a loop would cost more than some points too many.
+    size_t count = places.size();
+    for (; count % kLanes != 0; ++count) {
+      x[count] = x_[0];
+      y[count] = y_[0];
+    }
     plane_.Evaluate(absl::MakeConstSpan(x, count), absl::MakeConstSpan(y, count), absl::MakeSpan(values, count));
   }
 
