@@ -70,30 +70,43 @@ void EpisodesToProto(const std::vector<Episode>& episodes,
   }
 }
 
-// Episodes must match the ends: one for each, in order.
-absl::Status ReadEpisodes(const google::protobuf::RepeatedPtrField<v1::EpisodeMessage>& messages, int ended, int steps,
-                          std::vector<Episode>* episodes) {
-  CRAFTFLEET_RETURN_IF_ERROR(CheckSize("episodes", messages.size(), ended, "episodes"));
-  episodes->clear();
-  for (const v1::EpisodeMessage& message : messages) {
-    Episode episode;
-    episode.step = message.step();
-    episode.length = message.length();
-    episode.reward = message.reward();
-    if (episode.step < 0 || episode.step >= steps || episode.length < 1 || !std::isfinite(episode.reward)) {
-      return absl::InvalidArgumentError(absl::StrFormat(
-          "episodes: step %d, length %d, reward %f; want a step in 0..%d, a length of at least 1, a finite reward",
-          episode.step, episode.length, episode.reward, steps - 1));
-    }
-    CRAFTFLEET_RETURN_IF_ERROR(CheckSize("achievements", message.achievements_size(), kNumAchievements, "counts"));
-    std::copy(message.achievements().begin(), message.achievements().end(), episode.achievements.begin());
-    episodes->push_back(episode);
+absl::Status ReadEpisode(const v1::EpisodeMessage& message, int step, Episode* episode) {
+  if (message.step() != step || message.length() < 1 || !std::isfinite(message.reward())) {
+    return absl::InvalidArgumentError(
+        absl::StrFormat("episodes: step %d, length %d, reward %f; want step %d, where it ended, a length of at least "
+                        "1, a finite reward",
+                        message.step(), message.length(), message.reward(), step));
+  }
+  CRAFTFLEET_RETURN_IF_ERROR(CheckSize("achievements", message.achievements_size(), kNumAchievements, "counts"));
+  for (const int32_t count : message.achievements()) {
+    if (count < 0) return absl::InvalidArgumentError(absl::StrFormat("achievements: %d, want at least 0", count));
+  }
+  episode->step = message.step();
+  episode->length = message.length();
+  episode->reward = message.reward();
+  std::copy(message.achievements().begin(), message.achievements().end(), episode->achievements.begin());
+  return absl::OkStatus();
+}
+
+// One episode for each of the steps at which one ended, in order.
+absl::Status ReadEpisodes(const google::protobuf::RepeatedPtrField<v1::EpisodeMessage>& messages,
+                          const std::vector<int>& end_steps, std::vector<Episode>* episodes) {
+  CRAFTFLEET_RETURN_IF_ERROR(
+      CheckSize("episodes", messages.size(), static_cast<int64_t>(end_steps.size()), "episodes"));
+  episodes->resize(end_steps.size());
+  for (int i = 0; i < messages.size(); ++i) {
+    CRAFTFLEET_RETURN_IF_ERROR(ReadEpisode(messages[i], end_steps[i], &(*episodes)[i]));
   }
   return absl::OkStatus();
 }
 
-int CountEnded(const std::vector<StepEnd>& ends) {
-  return static_cast<int>(ends.size() - std::count(ends.begin(), ends.end(), StepEnd::kNone));
+// The steps of a fragment at which an episode ended.
+std::vector<int> EndSteps(const std::vector<StepEnd>& ends) {
+  std::vector<int> steps;
+  for (size_t t = 0; t < ends.size(); ++t) {
+    if (ends[t] != StepEnd::kNone) steps.push_back(static_cast<int>(t));
+  }
+  return steps;
 }
 
 int CountTruncated(const std::vector<StepEnd>& ends) {
@@ -143,8 +156,7 @@ absl::StatusOr<Fragment> FromProto(v1::FragmentMessage* message, const FragmentS
                                         CountTruncated(fragment.ends), &fragment.truncation_values));
   if (!std::isfinite(message->bootstrap_value())) return absl::InvalidArgumentError("bootstrap_value is not finite");
   fragment.bootstrap_value = message->bootstrap_value();
-  CRAFTFLEET_RETURN_IF_ERROR(
-      ReadEpisodes(message->episodes(), CountEnded(fragment.ends), shape.steps, &fragment.episodes));
+  CRAFTFLEET_RETURN_IF_ERROR(ReadEpisodes(message->episodes(), EndSteps(fragment.ends), &fragment.episodes));
   if (message->snapshot().empty())
     return absl::InvalidArgumentError("snapshot is empty, want the game after the last step");
   fragment.frames = std::move(*message->mutable_frames());
@@ -171,7 +183,9 @@ absl::Status FromProto(v1::PlayReply* message, int lanes, int frame_bytes, StepB
   CRAFTFLEET_RETURN_IF_ERROR(ReadEnds(message->ends(), lanes, &batch->ends));
   CRAFTFLEET_RETURN_IF_ERROR(CheckSize("last_frames", static_cast<int64_t>(message->last_frames().size()),
                                        CountTruncated(batch->ends) * frame_size, "bytes"));
-  CRAFTFLEET_RETURN_IF_ERROR(ReadEpisodes(message->episodes(), CountEnded(batch->ends), 1, &batch->episodes));
+  // A reply is of one step: the step of each episode is 0.
+  const std::vector<int> end_steps(EndSteps(batch->ends).size(), 0);
+  CRAFTFLEET_RETURN_IF_ERROR(ReadEpisodes(message->episodes(), end_steps, &batch->episodes));
   if (message->snapshots_size() != 0) {
     CRAFTFLEET_RETURN_IF_ERROR(CheckSize("snapshots", message->snapshots_size(), lanes, "snapshots"));
   }

@@ -1,5 +1,7 @@
 #include "common/wire/server.h"
 
+#include <arpa/inet.h>
+
 #include <chrono>
 #include <mutex>
 #include <utility>
@@ -18,9 +20,14 @@
 namespace craftfleet::wire {
 namespace {
 
+bool IsUnixSocket(absl::string_view address) { return absl::StartsWith(address, "unix:"); }
+
 bool IsLoopback(absl::string_view address) {
-  return absl::StartsWith(address, "unix:") || absl::StartsWith(address, "127.") ||
-         absl::StartsWith(address, "localhost:") || absl::StartsWith(address, "[::1]:");
+  if (IsUnixSocket(address)) return true;
+  const std::string host(address.substr(0, address.rfind(':')));
+  in_addr number{};
+  const bool in_127 = inet_pton(AF_INET, host.c_str(), &number) == 1 && (ntohl(number.s_addr) >> 24) == 127;
+  return in_127 || host == "localhost" || host == "[::1]";
 }
 
 // Health and reflection hook into every builder made after this.
@@ -65,14 +72,16 @@ absl::StatusOr<std::unique_ptr<Server>> Server::Create(const Options& options,
   builder.SetMaxSendMessageSize(kMaxMessageBytes);
   for (grpc::Service* service : services) builder.RegisterService(service);
   std::unique_ptr<grpc::Server> server = builder.BuildAndStart();
-  const bool bound = options.address.empty() || absl::StartsWith(options.address, "unix:") || port != 0;
+  const bool bound = options.address.empty() || port != 0;
   if (server == nullptr || !bound) {
     return absl::UnavailableError(absl::StrFormat(
         "cannot listen on %s: the port is in use, or the host is not this machine; choose another --listen",
         options.address));
   }
   std::string address = options.address;
-  if (port != 0) address = absl::StrCat(absl::string_view(address).substr(0, address.rfind(':')), ":", port);
+  // For a socket's path `port` is 1.
+  if (port != 0 && !IsUnixSocket(address))
+    address = absl::StrCat(absl::string_view(address).substr(0, address.rfind(':')), ":", port);
   return std::unique_ptr<Server>(new Server(std::move(server), std::move(address)));
 }
 

@@ -1,0 +1,88 @@
+#include "common/wire/channel.h"
+
+#include <sys/socket.h>
+#include <sys/un.h>
+#include <unistd.h>
+
+#include <string>
+
+#include <absl/time/clock.h>
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include "common/wire/server.h"
+#include "tests/fakes/status_matchers.h"
+#include "tests/fakes/temp_folder.h"
+
+namespace craftfleet::wire {
+namespace {
+
+using testing::AllOf;
+using testing::ElementsAre;
+using testing::HasSubstr;
+
+TEST(Address, IsHostAndPortOrASocketsPath) {
+  for (const char* address :
+       {"127.0.0.1:50051", "learner:1", "[::1]:65535", "learner.fleet.svc:0", "unix:/tmp/x", "unix:x"}) {
+    EXPECT_THAT(CheckAddress("listen", address), IsOk()) << address;
+  }
+}
+
+TEST(Address, NamesFlagAndValueThatIsNone) {
+  for (const char* address : {"", "localhost", ":50051", "localhost:", "localhost:http", "localhost:-1",
+                              "localhost:65536", "localhost:5 0", "unix:", "50051"}) {
+    EXPECT_THAT(CheckAddress("learner", address),
+                StatusIs(absl::StatusCode::kInvalidArgument,
+                         AllOf(HasSubstr("--learner: \"" + std::string(address) + "\""), HasSubstr("HOST:PORT"))))
+        << address;
+  }
+}
+
+TEST(Address, ListsAreSplitAtCommas) {
+  const auto addresses = SplitAddresses("envservers", "a:1,b:2,,");
+  ASSERT_THAT(addresses, IsOk());
+  EXPECT_THAT(*addresses, ElementsAre("a:1", "b:2"));
+  EXPECT_THAT(SplitAddresses("envservers", "a:1,b"),
+              StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("--envservers: \"b\"")));
+  for (const char* list : {"", " ", ","}) {
+    EXPECT_THAT(SplitAddresses("envservers", list),
+                StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("--envservers is empty")));
+  }
+}
+
+TEST(WaitUntilConnected, ReachesAServerOnLoopback) {
+  const auto server = Server::Create({"127.0.0.1:0"}, {});
+  ASSERT_THAT(server, IsOk());
+  EXPECT_THAT(WaitUntilConnected("learner", Connect((*server)->address()), absl::Seconds(10)), IsOk());
+}
+
+TEST(WaitUntilConnected, NamesWhoCannotBeReached) {
+  std::string address;
+  {
+    const auto server = Server::Create({"127.0.0.1:0"}, {});
+    ASSERT_THAT(server, IsOk());
+    address = (*server)->address();
+  }
+  EXPECT_THAT(WaitUntilConnected("learner", Connect(address), absl::Seconds(10)),
+              StatusIs(absl::StatusCode::kUnavailable, "learner " + address + ": connection refused"));
+}
+
+// A socket that takes the connection and never says a word, like a process that is stopped.
+TEST(WaitUntilConnected, GivesUpAfterItsTimeout) {
+  const TempFolder folder;
+  const std::string path = folder / "s";
+  const int listener = socket(AF_UNIX, SOCK_STREAM, 0);
+  sockaddr_un name = {};
+  name.sun_family = AF_UNIX;
+  path.copy(name.sun_path, sizeof(name.sun_path) - 1);
+  ASSERT_EQ(bind(listener, reinterpret_cast<const sockaddr*>(&name), sizeof(name)), 0);
+  ASSERT_EQ(listen(listener, 1), 0);
+  const absl::Time start = absl::Now();
+  EXPECT_THAT(WaitUntilConnected("learner", Connect("unix:" + path), absl::Milliseconds(300)),
+              StatusIs(absl::StatusCode::kUnavailable, HasSubstr("unix:" + path + ": no answer within 300ms")));
+  EXPECT_LT(absl::Now() - start, absl::Seconds(2));
+  close(listener);
+}
+
+}  // namespace
+}  // namespace craftfleet::wire

@@ -1,0 +1,189 @@
+#include "common/wire/server.h"
+
+#include <memory>
+#include <string>
+#include <thread>
+#include <vector>
+
+#include <absl/time/clock.h>
+#include <gmock/gmock.h>
+#include <grpcpp/completion_queue.h>
+#include <grpcpp/generic/generic_stub.h>
+#include <grpcpp/support/byte_buffer.h>
+#include <gtest/gtest.h>
+
+#include "common/version.h"
+#include "common/wire/grpc_status.h"
+#include "common/wire/status_service.h"
+#include "craftfleet/v1/environment.grpc.pb.h"
+#include "tests/fakes/status_matchers.h"
+#include "tests/fakes/temp_folder.h"
+
+namespace craftfleet::wire {
+namespace {
+
+using testing::AllOf;
+using testing::HasSubstr;
+
+std::unique_ptr<Server> Listen(const std::string& address, const std::vector<grpc::Service*>& services = {}) {
+  auto server = Server::Create({address}, services);
+  EXPECT_THAT(server, IsOk());
+  return server.ok() ? *std::move(server) : nullptr;
+}
+
+// The next event must be a success.
+bool Next(grpc::CompletionQueue* queue) {
+  void* tag = nullptr;
+  bool ok = false;
+  return queue->Next(&tag, &ok) && ok;
+}
+
+// One message to `method` and the first one back, as a client without our protos would send it.
+absl::StatusOr<std::string> Call(const Endpoint& server, const std::string& method, const std::string& request) {
+  grpc::GenericStub stub(server.channel);
+  grpc::ClientContext context;
+  SetDeadline(&context, absl::Seconds(10));
+  grpc::CompletionQueue queue;
+  const auto call = stub.PrepareCall(&context, method, &queue);
+  const grpc::Slice slice(request);
+  grpc::ByteBuffer reply;
+  call->StartCall(nullptr);
+  if (Next(&queue)) {
+    call->Write(grpc::ByteBuffer(&slice, 1), nullptr);
+    Next(&queue);
+    call->WritesDone(nullptr);
+    Next(&queue);
+    call->Read(&reply, nullptr);
+    Next(&queue);
+  }
+  grpc::Status status;
+  call->Finish(&status, nullptr);
+  Next(&queue);
+  if (!status.ok()) return FromGrpc(status, method);
+  std::vector<grpc::Slice> slices;
+  if (!reply.Dump(&slices).ok()) return absl::InternalError("no reply");
+  std::string bytes;
+  for (const grpc::Slice& part : slices) bytes.append(reinterpret_cast<const char*>(part.begin()), part.size());
+  return bytes;
+}
+
+TEST(Server, ListensOnAFreePortAndTellsIt) {
+  const auto server = Listen("127.0.0.1:0");
+  EXPECT_THAT(server->address(), testing::MatchesRegex("127\\.0\\.0\\.1:[1-9][0-9]*"));
+}
+
+TEST(Server, ListensOnAUnixSocket) {
+  const TempFolder folder;
+  const auto server = Listen("unix:" + (folder / "s"));
+  EXPECT_EQ(server->address(), "unix:" + (folder / "s"));
+  EXPECT_THAT(WaitUntilConnected("server", Connect(server->address()), absl::Seconds(10)), IsOk());
+}
+
+TEST(Server, NamesAPortThatIsInUse) {
+  const auto first = Listen("127.0.0.1:0");
+  EXPECT_THAT(Server::Create({first->address()}, {}),
+              StatusIs(absl::StatusCode::kUnavailable,
+                       AllOf(HasSubstr("cannot listen on " + first->address()), HasSubstr("in use"))));
+}
+
+TEST(Server, ThePortIsFreeAgainAfterIt) {
+  auto first = Listen("127.0.0.1:0");
+  const std::string address = first->address();
+  first.reset();
+  EXPECT_EQ(Listen(address)->address(), address);
+}
+
+TEST(Server, RefusesToReachBeyondThisHostUntold) {
+  for (const char* address : {"0.0.0.0:0", "[::]:0", "10.0.0.1:80", "learner:80", "127.example.com:80",
+                              "127.0.0.1.example.com:80", "localhost.example.com:80"}) {
+    EXPECT_THAT(Server::Create({address}, {}),
+                StatusIs(absl::StatusCode::kInvalidArgument,
+                         AllOf(HasSubstr("--listen=" + std::string(address)), HasSubstr("--insecure"))));
+    EXPECT_THAT((Server::Options{address, /*insecure=*/true}.Validate()), IsOk());
+  }
+  for (const char* address : {"127.0.0.1:0", "127.1.2.3:0", "localhost:0", "[::1]:0", "unix:x", ""}) {
+    EXPECT_THAT(Server::Options{address}.Validate(), IsOk()) << address;
+  }
+  EXPECT_THAT(Listen("127.0.0.1:0"), testing::NotNull());
+}
+
+TEST(Server, RefusesWhatIsNoAddress) {
+  EXPECT_THAT(Server::Create({"127.0.0.1"}, {}),
+              StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("--listen: \"127.0.0.1\"")));
+}
+
+// Kubernetes probes and `grpc_health_probe` ask this: grpc.health.v1.
+TEST(Server, SaysThatItIsHealthy) {
+  const auto server = Listen("127.0.0.1:0");
+  const auto reply = Call(Connect(server->address()), "/grpc.health.v1.Health/Check", /*of the whole server*/ "");
+  ASSERT_THAT(reply, IsOk());
+  EXPECT_EQ(*reply, "\x08\x01");  // status: SERVING
+}
+
+// grpcurl and grpc_cli ask this: grpc.reflection.v1alpha.
+TEST(Server, ListsItsServices) {
+  v1::EnvironmentService::Service environment;
+  const auto server = Listen("127.0.0.1:0", {&environment});
+  const std::string list_services("\x3a\x00", 2);
+  const auto reply =
+      Call(Connect(server->address()), "/grpc.reflection.v1alpha.ServerReflection/ServerReflectionInfo", list_services);
+  ASSERT_THAT(reply, IsOk());
+  EXPECT_THAT(*reply, AllOf(HasSubstr("craftfleet.v1.EnvironmentService"), HasSubstr("grpc.health.v1.Health")));
+}
+
+TEST(Server, TellsItsStatus) {
+  StatusServiceImpl service("actor", [](v1::StatusReply* reply) {
+    reply->set_run_id("run-7");
+    AddMetric("env_steps", 123, "steps", reply);
+  });
+  const auto server = Server::Create({}, {&service});
+  ASSERT_THAT(server, IsOk());
+  grpc::ClientContext context;
+  v1::StatusReply reply;
+  ASSERT_TRUE(v1::StatusService::NewStub((*server)->InProcess().channel)
+                  ->GetStatus(&context, v1::StatusRequest(), &reply)
+                  .ok());
+  EXPECT_EQ(reply.role(), "actor");
+  EXPECT_THAT(reply.version(), HasSubstr(std::string(ProgramVersion())));
+  EXPECT_EQ(reply.run_id(), "run-7");
+  EXPECT_GE(reply.uptime_s(), 0);
+  ASSERT_EQ(reply.metrics_size(), 1);
+  EXPECT_EQ(reply.metrics(0).name(), "env_steps");
+  EXPECT_EQ(reply.metrics(0).value(), 123);
+  EXPECT_EQ(reply.metrics(0).unit(), "steps");
+}
+
+// A stream that never ends by itself.
+class EndlessService : public v1::EnvironmentService::Service {
+ public:
+  grpc::Status Play(grpc::ServerContext* /*context*/,
+                    grpc::ServerReaderWriter<v1::PlayReply, v1::PlayRequest>* stream) override {
+    v1::PlayRequest request;
+    while (stream->Read(&request)) stream->Write({});
+    return grpc::Status::OK;
+  }
+};
+
+TEST(Server, StopDoesNotWaitForStreamsBeyondItsTimeout) {
+  EndlessService service;
+  const auto server = Listen("127.0.0.1:0", {&service});
+  grpc::ClientContext context;
+  const Endpoint endpoint = Connect(server->address());
+  const auto stub = v1::EnvironmentService::NewStub(endpoint.channel);
+  const auto stream = stub->Play(&context);
+  v1::PlayReply reply;
+  ASSERT_TRUE(stream->Write({}));
+  ASSERT_TRUE(stream->Read(&reply));
+
+  std::thread waiting([&server] { server->Wait(); });
+  const absl::Time start = absl::Now();
+  server->Stop(absl::Milliseconds(100));
+  waiting.join();
+  EXPECT_LT(absl::Now() - start, absl::Seconds(3));
+  EXPECT_FALSE(stream->Read(&reply));
+  EXPECT_FALSE(stream->Finish().ok());
+  server->Stop(absl::Milliseconds(100));
+}
+
+}  // namespace
+}  // namespace craftfleet::wire
