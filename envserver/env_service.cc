@@ -18,16 +18,23 @@
 
 namespace craftfleet {
 
-// Counts a session as long as it lives.
+// Counts a session from Enter on, as long as it lives.
 class EnvServiceImpl::SessionGuard {
  public:
-  SessionGuard(EnvServiceImpl* service, std::string client, std::string address) : service_(service) {
-    MutexLock lock(&service_->mu_);
-    service_->sessions_[this] = {std::move(client), std::move(address), 0};
-  }
+  explicit SessionGuard(EnvServiceImpl* service) : service_(service) {}
   ~SessionGuard() {
     MutexLock lock(&service_->mu_);
     service_->sessions_.erase(this);
+  }
+  // Takes the server for the session's run.   FailedPrecondition: it has sessions of another.
+  absl::Status Enter(const v1::SessionHello& hello, const std::string& address) {
+    MutexLock lock(&service_->mu_);
+    std::string& run_id = service_->run_id_;
+    if (service_->sessions_.empty() || run_id.empty()) run_id = hello.run_id();
+    CRAFTFLEET_RETURN_IF_ERROR(wire::CheckHandshake("environment server", {wire::kProtocolVersion, run_id, ""}, "actor",
+                                                    {wire::kProtocolVersion, hello.run_id(), ""}));
+    service_->sessions_[this] = {hello.client(), address, 0};
+    return absl::OkStatus();
   }
   void SetLanes(int lanes) {
     MutexLock lock(&service_->mu_);
@@ -64,8 +71,8 @@ absl::Status EnvServiceImpl::Serve(const std::string& peer,
   if (!stream->Read(&request)) return absl::OkStatus();
   if (!request.has_hello()) return absl::InvalidArgumentError("a session begins with hello");
   CRAFTFLEET_ASSIGN_OR_RETURN(std::shared_ptr<const Renderer> renderer, Greet(request.hello()));
-  CRAFTFLEET_RETURN_IF_ERROR(EnterRun(request.hello().run_id()));
-  SessionGuard session(this, request.hello().client(), peer);
+  SessionGuard session(this);
+  CRAFTFLEET_RETURN_IF_ERROR(session.Enter(request.hello(), peer));
   reply.set_program_version(std::string(ProgramVersion()));
   EnvBatch batch(std::move(renderer));
   StepBatch step;
@@ -90,13 +97,6 @@ absl::StatusOr<std::shared_ptr<const Renderer>> EnvServiceImpl::Greet(const v1::
   picture.height = hello.env().frame_size();
   picture.inventory = name.inventory;
   return Renderer::Create(*textures_, world, picture);
-}
-
-absl::Status EnvServiceImpl::EnterRun(const std::string& run_id) {
-  MutexLock lock(&mu_);
-  if (sessions_.empty()) run_id_ = run_id;
-  return wire::CheckHandshake("environment server", {wire::kProtocolVersion, run_id_, ""}, "actor",
-                              {wire::kProtocolVersion, run_id, ""});
 }
 
 absl::Status EnvServiceImpl::Handle(const v1::PlayRequest& request, EnvBatch* batch, StepBatch* step,

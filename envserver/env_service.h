@@ -48,8 +48,6 @@ class EnvServiceImpl final : public v1::EnvironmentService::Service {
   absl::Status Serve(const std::string& peer, grpc::ServerReaderWriter<v1::PlayReply, v1::PlayRequest>* stream);
   // Handshake and what the games look like. FailedPrecondition or InvalidArgument: this session can't be served.
   absl::StatusOr<std::shared_ptr<const Renderer>> Greet(const v1::SessionHello& hello) const;
-  // Takes the server for `run_id`.   FailedPrecondition: it has sessions of another run.
-  absl::Status EnterRun(const std::string& run_id) ABSL_LOCKS_EXCLUDED(mu_);
   absl::Status Handle(const v1::PlayRequest& request, EnvBatch* batch, StepBatch* step, v1::PlayReply* reply);
 
   const std::shared_ptr<const Textures> textures_;

@@ -1,0 +1,164 @@
+#include "envserver/env_batch.h"
+
+#include <memory>
+#include <string>
+#include <vector>
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include "common/paths.h"
+#include "tests/fakes/status_matchers.h"
+
+namespace craftfleet {
+namespace {
+
+using testing::ElementsAre;
+using testing::HasSubstr;
+using testing::IsEmpty;
+using testing::SizeIs;
+
+std::shared_ptr<const Renderer> MakeRenderer(int length = 10000) {
+  WorldOptions world;
+  world.length = length;
+  return *Renderer::Create(**Textures::Load(*DefaultTextureDir()), world, RenderOptions());
+}
+
+// A game played by hand, without batch.
+struct Played {
+  Played(const std::shared_ptr<const Renderer>& renderer, int64_t seed)
+      : frame(renderer->frame_bytes(), '\0'), game(*Game::Create(renderer, seed, Bytes())) {}
+  absl::Span<uint8_t> Bytes() { return absl::MakeSpan(reinterpret_cast<uint8_t*>(frame.data()), frame.size()); }
+  Game::PlayedStep Step(Action action) { return game.StepAndAutoReset(action, Bytes(), &last_frames); }
+
+  std::string frame;
+  std::string last_frames;
+  Game game;
+};
+
+TEST(EnvBatch, RowsStandInTheOrderOfTheRequest) {
+  const auto renderer = MakeRenderer();
+  EnvBatch batch(renderer);
+  Played three(renderer, 33);
+  Played one(renderer, 11);
+  std::string frames;
+  ASSERT_THAT(batch.Open({{3, 33, 1, ""}, {1, 11, 1, ""}}, &frames), IsOk());
+  EXPECT_EQ(frames, three.frame + one.frame);
+  StepBatch step;
+  for (int i = 0; i < 20; ++i) {
+    const Action action = i % 2 == 0 ? Action::kMoveLeft : Action::kMoveDown;
+    ASSERT_THAT(batch.Step({1, 3}, {action, Action::kDo}, /*snapshot=*/true, &step), IsOk());
+    const auto of_one = one.Step(action);
+    const auto of_three = three.Step(Action::kDo);
+    ASSERT_EQ(step.frames, one.frame + three.frame) << i;
+    EXPECT_THAT(step.rewards,
+                ElementsAre(static_cast<float>(of_one.outcome.reward), static_cast<float>(of_three.outcome.reward)));
+    EXPECT_THAT(step.snapshots, ElementsAre(one.game.Save(), three.game.Save()));
+  }
+}
+
+TEST(EnvBatch, LanesThatAreNotNamedStandStill) {
+  const auto renderer = MakeRenderer();
+  EnvBatch batch(renderer);
+  Played two(renderer, 2);
+  std::string frames;
+  ASSERT_THAT(batch.Open({{1, 1, 1, ""}, {2, 2, 1, ""}}, &frames), IsOk());
+  StepBatch step;
+  for (int i = 0; i < 10; ++i) ASSERT_THAT(batch.Step({1}, {Action::kMoveUp}, false, &step), IsOk());
+  EXPECT_THAT(step.snapshots, IsEmpty());
+  ASSERT_THAT(batch.Step({2}, {Action::kMoveUp}, false, &step), IsOk());
+  two.Step(Action::kMoveUp);
+  EXPECT_EQ(step.frames, two.frame);
+}
+
+TEST(EnvBatch, AnEndedGameGoesOnWithItsNextEpisode) {
+  const auto renderer = MakeRenderer(5);
+  EnvBatch batch(renderer);
+  Played played(renderer, 7);
+  std::string frames;
+  ASSERT_THAT(batch.Open({{0, 7, 1, ""}, {1, 7, 2, ""}}, &frames), IsOk());
+  const std::string second_episode = frames.substr(played.frame.size());
+  StepBatch step;
+  for (int i = 0; i < 5; ++i) {
+    ASSERT_THAT(batch.Step({0}, {Action::kMoveRight}, false, &step), IsOk());
+    played.Step(Action::kMoveRight);
+  }
+  EXPECT_THAT(step.ends, ElementsAre(StepEnd::kTruncated));
+  EXPECT_EQ(step.last_frames, played.last_frames);
+  EXPECT_EQ(step.frames, second_episode);
+  ASSERT_THAT(step.episodes, SizeIs(1));
+  EXPECT_EQ(step.episodes[0].length, 5);
+  ASSERT_THAT(batch.Step({0}, {Action::kNoop}, false, &step), IsOk());
+  EXPECT_THAT(step.episodes, IsEmpty());
+  EXPECT_EQ(step.last_frames, "");
+}
+
+TEST(EnvBatch, ASnapshotGoesOnInAnotherBatch) {
+  const auto renderer = MakeRenderer();
+  EnvBatch first(renderer);
+  std::string frames;
+  StepBatch step;
+  ASSERT_THAT(first.Open({{5, 55, 1, ""}}, &frames), IsOk());
+  for (int i = 0; i < 30; ++i) ASSERT_THAT(first.Step({5}, {Action::kMoveUp}, i == 29, &step), IsOk());
+  EnvBatch second(renderer);
+  ASSERT_THAT(second.Open({{9, 0, 1, step.snapshots[0]}}, &frames), IsOk());
+  EXPECT_EQ(frames, step.frames);
+  StepBatch other;
+  for (int i = 0; i < 30; ++i) {
+    ASSERT_THAT(first.Step({5}, {Action::kMoveRight}, true, &step), IsOk());
+    ASSERT_THAT(second.Step({9}, {Action::kMoveRight}, true, &other), IsOk());
+    ASSERT_EQ(other.frames, step.frames);
+    ASSERT_EQ(other.snapshots, step.snapshots);
+  }
+}
+
+TEST(EnvBatch, OpenAgainBeginsAnew) {
+  EnvBatch batch(MakeRenderer());
+  std::string frames;
+  StepBatch step;
+  ASSERT_THAT(batch.Open({{0, 1, 1, ""}}, &frames), IsOk());
+  const std::string first = frames;
+  for (int i = 0; i < 10; ++i) ASSERT_THAT(batch.Step({0}, {Action::kMoveUp}, false, &step), IsOk());
+  ASSERT_THAT(batch.Open({{0, 1, 1, ""}}, &frames), IsOk());
+  EXPECT_EQ(frames, first);
+  EXPECT_EQ(batch.size(), 1);
+}
+
+TEST(EnvBatch, RefusesWhatItCannotOpen) {
+  EnvBatch batch(MakeRenderer());
+  std::string frames;
+  const auto refused = [&](const EnvBatch::OpenLane& lane, const std::string& error) {
+    EXPECT_THAT(batch.Open({lane}, &frames), StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr(error)));
+  };
+  refused({-1, 0, 1, ""}, "lane -1, want at least 0");
+  refused({4, 0, 0, ""}, "lane 4: episode 0, want 1..10000");
+  refused({4, 0, 10001, ""}, "lane 4: episode 10001, want 1..10000");
+  refused({4, 0, 1, "no snapshot at all"}, "lane 4: ");
+  EXPECT_EQ(batch.size(), 0);
+  const std::vector<EnvBatch::OpenLane> many(EnvBatch::kMaxLanes + 1);
+  EXPECT_THAT(batch.Open(many, &frames),
+              StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("4097 lanes more on top of 0 open ones")));
+}
+
+TEST(EnvBatch, AStepOfAWrongLaneStepsNothing) {
+  const auto renderer = MakeRenderer();
+  EnvBatch batch(renderer);
+  Played played(renderer, 1);
+  std::string frames;
+  StepBatch step;
+  ASSERT_THAT(batch.Open({{0, 1, 1, ""}, {1, 1, 1, ""}}, &frames), IsOk());
+  batch.Close({1, 17});
+  EXPECT_EQ(batch.size(), 1);
+  EXPECT_THAT(
+      batch.Step({0, 1}, {Action::kMoveUp, Action::kMoveUp}, false, &step),
+      StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("lane 1 is not open in this session, which has 1")));
+  EXPECT_THAT(batch.Step({0, 0}, {Action::kMoveUp, Action::kMoveUp}, false, &step),
+              StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("lane 0 is named twice")));
+  ASSERT_THAT(batch.Step({0}, {Action::kMoveUp}, true, &step), IsOk());
+  played.Step(Action::kMoveUp);
+  EXPECT_EQ(step.frames, played.frame);
+  EXPECT_THAT(step.snapshots, ElementsAre(played.game.Save()));
+}
+
+}  // namespace
+}  // namespace craftfleet

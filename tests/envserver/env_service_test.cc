@@ -1,0 +1,379 @@
+#include "envserver/env_service.h"
+
+#include <functional>
+#include <memory>
+#include <string>
+#include <thread>
+#include <utility>
+#include <vector>
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include "common/paths.h"
+#include "common/texture_digest.h"
+#include "common/wire/grpc_status.h"
+#include "common/wire/protocol.h"
+#include "common/wire/server.h"
+#include "envserver/game.h"
+#include "tests/fakes/status_matchers.h"
+
+namespace craftfleet {
+namespace {
+
+using testing::AllOf;
+using testing::HasSubstr;
+
+constexpr int kLength = 60;  // of an episode
+
+v1::PlayRequest Hello(const std::string& run_id) {
+  v1::PlayRequest request;
+  v1::SessionHello* hello = request.mutable_hello();
+  hello->set_protocol_version(wire::kProtocolVersion);
+  hello->set_run_id(run_id);
+  hello->set_texture_digest(*TextureDigest(*DefaultTextureDir()));
+  hello->mutable_env()->set_name("crafter");
+  hello->mutable_env()->set_frame_size(64);
+  hello->mutable_env()->set_length(kLength);
+  hello->set_client("a test");
+  return request;
+}
+
+v1::PlayRequest Open(int lane, int64_t seed, const std::string& snapshot = "") {
+  v1::PlayRequest request;
+  v1::OpenLanes::Lane* message = request.mutable_open()->add_lanes();
+  message->set_lane(lane);
+  message->set_seed(seed);
+  message->set_snapshot(snapshot);
+  return request;
+}
+
+v1::PlayRequest Step(const std::vector<int>& lanes, const std::string& actions, bool snapshot = false) {
+  v1::PlayRequest request;
+  request.mutable_step()->mutable_lanes()->Assign(lanes.begin(), lanes.end());
+  request.mutable_step()->set_actions(actions);
+  request.mutable_step()->set_snapshot(snapshot);
+  return request;
+}
+
+// A session that may say anything.
+class Session {
+ public:
+  explicit Session(const wire::Endpoint& server) : stub_(v1::EnvironmentService::NewStub(server.channel)) {
+    wire::SetDeadline(&context_, absl::Seconds(60));
+    stream_ = stub_->Play(&context_);
+  }
+
+  // The reply, or the status with which the server ended the session.
+  absl::StatusOr<v1::PlayReply> Say(const v1::PlayRequest& request) {
+    v1::PlayReply reply;
+    if (stream_->Write(request) && stream_->Read(&reply)) return reply;
+    const absl::Status end = wire::FromGrpc(stream_->Finish(), "server");
+    return end.ok() ? absl::InternalError("the session ended well") : end;
+  }
+  void Leave() {
+    stream_->WritesDone();
+    EXPECT_TRUE(stream_->Finish().ok());
+  }
+
+ private:
+  grpc::ClientContext context_;
+  const std::unique_ptr<v1::EnvironmentService::Stub> stub_;
+  std::unique_ptr<grpc::ClientReaderWriter<v1::PlayRequest, v1::PlayReply>> stream_;
+};
+
+// A session on lane 7 that plays well, beside the same game played without a server.
+class Witness {
+ public:
+  explicit Witness(const wire::Endpoint& server)
+      : session_(server), frame_(64 * 64 * 3, '\0'), game_(*Game::Create(MakeRenderer(), 77, Bytes())) {
+    EXPECT_THAT(session_.Say(Hello("run-a")), IsOk());
+    const auto opened = session_.Say(Open(7, 77));
+    EXPECT_THAT(opened, IsOk());
+    EXPECT_EQ(opened->frames(), frame_);
+  }
+
+  void PlayOn(int steps) {
+    for (int i = 0; i < steps; ++i) {
+      const int action = (++steps_ * 5) % kNumActions;
+      const auto reply = session_.Say(Step({7}, std::string(1, static_cast<char>(action)), true));
+      ASSERT_THAT(reply, IsOk());
+      std::string last_frames;
+      const Game::PlayedStep played = game_.StepAndAutoReset(static_cast<Action>(action), Bytes(), &last_frames);
+      ASSERT_EQ(reply->frames(), frame_) << "step " << steps_;
+      ASSERT_EQ(reply->last_frames(), last_frames);
+      ASSERT_EQ(reply->rewards(0), static_cast<float>(played.outcome.reward));
+      ASSERT_EQ(reply->ends()[0], static_cast<char>(played.outcome.end));
+      ASSERT_EQ(reply->episodes_size(), played.episode.has_value() ? 1 : 0);
+      if (played.episode.has_value()) {
+        ASSERT_EQ(reply->episodes(0).length(), played.episode->length);
+      }
+      ASSERT_EQ(reply->snapshots(0), game_.Save());
+    }
+  }
+
+ private:
+  static std::shared_ptr<const Renderer> MakeRenderer() {
+    WorldOptions world;
+    world.length = kLength;
+    return *Renderer::Create(**Textures::Load(*DefaultTextureDir()), world, RenderOptions());
+  }
+  absl::Span<uint8_t> Bytes() { return absl::MakeSpan(reinterpret_cast<uint8_t*>(frame_.data()), frame_.size()); }
+
+  Session session_;
+  std::string frame_;
+  Game game_;
+  int steps_ = 0;
+};
+
+class EnvServiceTest : public testing::Test {
+ protected:
+  EnvServiceTest()
+      : service_(*EnvServiceImpl::Create(*DefaultTextureDir())), server_(*wire::Server::Create({}, {service_.get()})) {}
+
+  wire::Endpoint server() { return server_->InProcess(); }
+  v1::StatusReply Status() const {
+    v1::StatusReply reply;
+    service_->FillStatus(&reply);
+    return reply;
+  }
+
+  const std::unique_ptr<EnvServiceImpl> service_;
+  const std::unique_ptr<wire::Server> server_;
+};
+
+TEST_F(EnvServiceTest, StepsGiveTheFramesOfTheGame) {
+  Witness witness(server());
+  witness.PlayOn(2 * kLength + 5);
+}
+
+TEST_F(EnvServiceTest, HelloTellsTheVersion) {
+  Session session(server());
+  const auto greeted = session.Say(Hello("run-a"));
+  ASSERT_THAT(greeted, IsOk());
+  EXPECT_FALSE(greeted->program_version().empty());
+  EXPECT_TRUE(session.Say(Open(0, 1))->program_version().empty());
+  session.Leave();
+}
+
+TEST_F(EnvServiceTest, ASnapshotGoesOnInAnotherSession) {
+  Session first(server());
+  ASSERT_THAT(first.Say(Hello("run-a")), IsOk());
+  ASSERT_THAT(first.Say(Open(0, 5)), IsOk());
+  for (int i = 0; i < 20; ++i) ASSERT_THAT(first.Say(Step({0}, "\x02")), IsOk());
+  const auto last = first.Say(Step({0}, "\x02", true));
+  ASSERT_THAT(last, IsOk());
+  Session second(server());
+  ASSERT_THAT(second.Say(Hello("run-a")), IsOk());
+  EXPECT_EQ(second.Say(Open(3, 0, last->snapshots(0)))->frames(), last->frames());
+  EXPECT_EQ(second.Say(Step({3}, "\x05"))->frames(), first.Say(Step({0}, "\x05"))->frames());
+}
+
+TEST_F(EnvServiceTest, ClosedLanesAreGone) {
+  Session session(server());
+  ASSERT_THAT(session.Say(Hello("run-a")), IsOk());
+  ASSERT_THAT(session.Say(Open(4, 1)), IsOk());
+  v1::PlayRequest close;
+  close.mutable_close()->add_lanes(4);
+  ASSERT_THAT(session.Say(close), IsOk());
+  EXPECT_THAT(session.Say(Step({4}, "\x01")), StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("lane 4")));
+}
+
+TEST_F(EnvServiceTest, StatusTellsSessionsAndSteps) {
+  Session session(server());
+  ASSERT_THAT(session.Say(Hello("run-a")), IsOk());
+  ASSERT_THAT(session.Say(Open(4, 1)), IsOk());
+  ASSERT_THAT(session.Say(Step({4}, std::string(1, '\0'))), IsOk());
+  ASSERT_THAT(session.Say(Step({4}, std::string(1, '\0'))), IsOk());
+  const v1::StatusReply status = Status();
+  EXPECT_EQ(status.run_id(), "run-a");
+  ASSERT_EQ(status.peers_size(), 1);
+  EXPECT_EQ(status.peers(0).name(), "a test");
+  EXPECT_EQ(status.peers(0).state(), "1 lanes");
+  for (const v1::Metric& metric : status.metrics()) {
+    if (metric.name() == "env_steps") {
+      EXPECT_EQ(metric.value(), 2);
+    }
+  }
+  session.Leave();
+}
+
+TEST_F(EnvServiceTest, AnotherRunWaitsUntilTheFirstHasLeft) {
+  auto first = std::make_unique<Session>(server());
+  ASSERT_THAT(first->Say(Hello("run-a")), IsOk());
+  EXPECT_THAT(Session(server()).Say(Hello("run-b")),
+              StatusIs(absl::StatusCode::kFailedPrecondition, AllOf(HasSubstr("run-a"), HasSubstr("run-b"))));
+  first->Leave();
+  EXPECT_THAT(Session(server()).Say(Hello("run-b")), IsOk());
+}
+
+// An evaluation belongs to no run; it must not open the door for two.
+TEST_F(EnvServiceTest, ASessionOfNoRunLetsOneRunIn) {
+  Session evaluation(server());
+  ASSERT_THAT(evaluation.Say(Hello("")), IsOk());
+  Session first(server());
+  ASSERT_THAT(first.Say(Hello("run-a")), IsOk());
+  EXPECT_THAT(Session(server()).Say(Hello("run-b")),
+              StatusIs(absl::StatusCode::kFailedPrecondition, HasSubstr("run-a")));
+  EXPECT_THAT(Session(server()).Say(Hello("")), IsOk());
+}
+
+TEST_F(EnvServiceTest, OneOfTwoRunsThatComeAtOnceIsRefused) {
+  for (int round = 0; round < 20; ++round) {
+    Session a(server());
+    Session b(server());
+    absl::StatusOr<v1::PlayReply> answer_a;
+    std::thread thread([&] { answer_a = a.Say(Hello("run-a")); });
+    const absl::StatusOr<v1::PlayReply> answer_b = b.Say(Hello("run-b"));
+    thread.join();
+    EXPECT_NE(answer_a.ok(), answer_b.ok());
+    (answer_a.ok() ? a : b).Leave();
+  }
+}
+
+// What a client says wrong: `requests` in order, of which the last is answered by an error.
+struct Misdeed {
+  std::string what;
+  std::function<std::vector<v1::PlayRequest>()> requests;
+  absl::StatusCode code;
+  std::vector<std::string> message;
+};
+
+class Misdeeds : public EnvServiceTest, public testing::WithParamInterface<Misdeed> {};
+
+TEST_P(Misdeeds, EndThatSessionAndHarmNoOther) {
+  Witness witness(server());
+  witness.PlayOn(3);
+  Session session(server());
+  std::vector<v1::PlayRequest> requests = GetParam().requests();
+  const v1::PlayRequest last = requests.back();
+  requests.pop_back();
+  for (const v1::PlayRequest& request : requests) ASSERT_THAT(session.Say(request), IsOk());
+  const auto reply = session.Say(last);
+  for (const std::string& part : GetParam().message) EXPECT_THAT(reply, StatusIs(GetParam().code, HasSubstr(part)));
+  witness.PlayOn(3);
+  EXPECT_EQ(Status().peers_size(), 1);
+}
+
+v1::PlayRequest HelloBut(const std::function<void(v1::SessionHello*)>& change) {
+  v1::PlayRequest request = Hello("run-a");
+  change(request.mutable_hello());
+  return request;
+}
+
+std::string SnapshotOfAnotherLength() {
+  WorldOptions world;
+  world.length = kLength + 1;
+  const auto renderer = *Renderer::Create(**Textures::Load(*DefaultTextureDir()), world, RenderOptions());
+  std::vector<uint8_t> frame(renderer->frame_bytes());
+  return Game::Create(renderer, 1, absl::MakeSpan(frame))->Save();
+}
+
+const std::vector<Misdeed>& AllMisdeeds() {
+  using Requests = std::vector<v1::PlayRequest>;
+  constexpr auto kInvalid = absl::StatusCode::kInvalidArgument;
+  constexpr auto kPrecondition = absl::StatusCode::kFailedPrecondition;
+  static const auto* const misdeeds = new std::vector<Misdeed>{
+      {"NoHello", [] { return Requests{Open(0, 1)}; }, kInvalid, {"a session begins with hello"}},
+      {"HelloTwice",
+       [] {
+         return Requests{Hello("run-a"), Hello("run-a")};
+       },
+       kInvalid,
+       {"hello came twice"}},
+      {"EmptyRequest",
+       [] {
+         return Requests{Hello("run-a"), {}};
+       },
+       kInvalid,
+       {"want open, step or close"}},
+      {"OlderProtocol",
+       [] { return Requests{HelloBut([](auto* h) { h->set_protocol_version(0); })}; },
+       kPrecondition,
+       {"speaks protocol version 1, the actor 0", "upgrade the actor"}},
+      {"OtherTextures",
+       [] { return Requests{HelloBut([](auto* h) { h->set_texture_digest("0123456789abcdef"); })}; },
+       kPrecondition,
+       {"0123456789abcdef", "--textures"}},
+      {"OtherRun",
+       [] { return Requests{Hello("run-b")}; },
+       kPrecondition,
+       {"serves run run-a", "belongs to run run-b"}},
+      {"UnknownGame",
+       [] { return Requests{HelloBut([](auto* h) { h->mutable_env()->set_name("pong"); })}; },
+       kInvalid,
+       {"environment \"pong\"", "want \"crafter\""}},
+      {"UnknownOption",
+       [] { return Requests{HelloBut([](auto* h) { h->mutable_env()->set_name("crafter:colour=red"); })}; },
+       kInvalid,
+       {"unknown option \"colour", "want one of"}},
+      {"TinyFrames",
+       [] { return Requests{HelloBut([](auto* h) { h->mutable_env()->set_frame_size(3); })}; },
+       kInvalid,
+       {"picture width 3, want "}},
+      {"NegativeLength",
+       [] { return Requests{HelloBut([](auto* h) { h->mutable_env()->set_length(-5); })}; },
+       kInvalid,
+       {"length -5, want "}},
+      {"UnknownLane",
+       [] {
+         return Requests{Hello("run-a"), Open(0, 1), Step({0, 3}, "\x01\x01")};
+       },
+       kInvalid,
+       {"lane 3 is not open"}},
+      {"AnotherSessionsLane",
+       [] {
+         return Requests{Hello("run-a"), Step({7}, "\x01")};
+       },
+       kInvalid,
+       {"lane 7 is not open in this session"}},
+      {"LaneTwice",
+       [] {
+         return Requests{Hello("run-a"), Open(0, 1), Step({0, 0}, "\x01\x01")};
+       },
+       kInvalid,
+       {"lane 0 is named twice"}},
+      {"Action17",
+       [] {
+         return Requests{Hello("run-a"), Open(0, 1), Step({0}, "\x11")};
+       },
+       kInvalid,
+       {"action 17 at 0, want 0..16"}},
+      {"ActionMissing",
+       [] {
+         return Requests{Hello("run-a"), Open(0, 1), Step({0}, "")};
+       },
+       kInvalid,
+       {"actions: 0 bytes, want 1"}},
+      {"GarbageSnapshot",
+       [] {
+         return Requests{Hello("run-a"), Open(2, 1, std::string(9000, 'x'))};
+       },
+       kInvalid,
+       {"lane 2: "}},
+      {"SnapshotOfAnotherGame",
+       [] {
+         return Requests{Hello("run-a"), Open(2, 1, SnapshotOfAnotherLength())};
+       },
+       kInvalid,
+       {"lane 2: "}},
+      {"NegativeLane",
+       [] {
+         return Requests{Hello("run-a"), Open(-2, 1)};
+       },
+       kInvalid,
+       {"lane -2, want at least 0"}},
+  };
+  return *misdeeds;
+}
+
+INSTANTIATE_TEST_SUITE_P(EnvService, Misdeeds, testing::ValuesIn(AllMisdeeds()),
+                         [](const auto& info) { return info.param.what; });
+
+TEST(EnvService, NamesATextureFolderThatIsNotThere) {
+  EXPECT_THAT(EnvServiceImpl::Create("/no/such/folder"),
+              StatusIs(absl::StatusCode::kNotFound, HasSubstr("/no/such/folder")));
+}
+
+}  // namespace
+}  // namespace craftfleet
