@@ -165,17 +165,19 @@ void Renderer::LayObjects(const World& world, Scene* scene) const {
 }
 
 void Renderer::DrawMapByNight(const World& world, const Scene& scene, RandomStream* random, uint8_t* frame) const {
+  absl::FixedArray<const Pixel*, kSmallView> cells(scene.tiles.size());
+  for (size_t i = 0; i < cells.size(); ++i) cells[i] = Tile(scene, scene.tiles[i]);
   const size_t map_pixels = cover_.size();
   absl::FixedArray<Pixel, kSmallMap> buffer(map_pixels + kPixelGroup);
+  // Pixels may alias the layout: in locals, it need not be read again after each copy.
+  const int map_rows = layout_.map_rows;
+  const int cell_height = layout_.cell_height;
   Pixel* to = buffer.data();
-  for (int x = 0; x < layout_.columns; ++x) {
-    for (int i = 0; i < layout_.cell_width; ++i) {
-      // What a copy writes past its cell, the next one overwrites.
-      for (int y = 0; y < layout_.map_rows; ++y, to += layout_.cell_height) {
-        const Pixel* tile = Tile(scene, scene.tiles[x * layout_.map_rows + y]);
-        CopyGroups<kPixelGroup>(tile + i * tile_stride_, layout_.cell_height, to);
-      }
-    }
+  for (int x = 0; x < layout_.map_width(); ++x) {
+    const Pixel* const* column = &cells[x / layout_.cell_width * map_rows];
+    const int offset = x % layout_.cell_width * tile_stride_;
+    // What a copy writes past its cell, the next one overwrites.
+    for (int y = 0; y < map_rows; ++y, to += cell_height) CopyGroups<kPixelGroup>(column[y] + offset, cell_height, to);
   }
   absl::FixedArray<double, kSmallMap> noise(map_pixels);
   random->FillUniform(absl::MakeSpan(noise));
@@ -201,13 +203,17 @@ void Renderer::DrawMapByDay(const World& world, const Scene& scene, uint8_t* fra
     }
     cells[i] = rgb;
   }
+  // Bytes may alias the layout: in locals, it need not be read again after each copy.
+  const int num_cells = static_cast<int>(cells.size());
+  const int map_rows = layout_.map_rows;
+  const int cell_bytes = layout_.cell_width * 3;
   for (int y = 0; y < layout_.map_height(); ++y) {
     uint8_t* to = frame + layout_.Offset(0, y);
     const int row = y % layout_.cell_height * rgb_stride_;
     // What a copy writes past its cell, the next one overwrites; past the last cell of a row it is black.
-    for (int i = y / layout_.cell_height; i < static_cast<int>(cells.size()); i += layout_.map_rows) {
-      CopyGroups<kByteGroup>(cells[i] + row, layout_.cell_width * 3, to);
-      to += layout_.cell_width * 3;
+    for (int i = y / layout_.cell_height; i < num_cells; i += map_rows) {
+      CopyGroups<kByteGroup>(cells[i] + row, cell_bytes, to);
+      to += cell_bytes;
     }
   }
 }

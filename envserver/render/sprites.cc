@@ -80,8 +80,9 @@ Sprite SpriteOf(const Object& object, bool sleeping) {
 
 std::string SpriteName(Sprite sprite) {
   const int kind = sprite / kLooksPerKind;
-  const absl::string_view name = kind < kPlayer ? kMaterialNames[kind + 1] : kObjectKinds[kind - kPlayer].name;
-  return IsVariant(sprite) ? absl::StrCat(name, sprite % kLooksPerKind - 1) : std::string(name);
+  std::string name(kind < kPlayer ? kMaterialNames[kind + 1] : kObjectKinds[kind - kPlayer].name);
+  if (IsVariant(sprite)) absl::StrAppend(&name, sprite % kLooksPerKind - 1);
+  return name;
 }
 
 bool IsVariant(Sprite sprite) { return sprite % kLooksPerKind != 0; }
@@ -89,8 +90,8 @@ bool IsVariant(Sprite sprite) { return sprite % kLooksPerKind != 0; }
 bool IsPossible(const WorldOptions& options, Sprite sprite) {
   const int kind = sprite / kLooksPerKind;
   const auto variant = static_cast<Variant>(sprite % kLooksPerKind - 1);
-  return kind < kPlayer ? IsPossibleVariant(options, static_cast<Material>(kind + 1), variant)
-                        : IsPossibleVariant(options, kObjectKinds[kind - kPlayer].type, variant);
+  if (kind >= kPlayer) return IsPossibleVariant(options, kObjectKinds[kind - kPlayer].type, variant);
+  return IsPossibleVariant(options, static_cast<Material>(kind + 1), variant);
 }
 
 }  // namespace craftfleet

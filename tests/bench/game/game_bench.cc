@@ -31,6 +31,7 @@ std::shared_ptr<const Renderer> MakeRenderer() {
 // Worlds some random steps into their first episodes, their players alive.
 std::vector<World> PlayedWorlds(int steps) {
   std::vector<World> worlds;
+  worlds.reserve(kSeeds);
   RandomStream actions(1);
   for (int seed = 0; seed < kSeeds; ++seed) {
     worlds.push_back(*World::Create(WorldOptions(), seed));
@@ -48,10 +49,11 @@ void WholeGame(benchmark::State& state) {
   std::vector<uint8_t> frame(renderer->frame_bytes());
   std::string last_frames;
   std::vector<Game> games;
+  games.reserve(kSeeds);
   for (int seed = 0; seed < kSeeds; ++seed) games.push_back(*Game::Create(renderer, seed, absl::MakeSpan(frame)));
   RandomStream actions(1);
   int64_t episodes = 0;
-  for (auto _ : state) {
+  while (state.KeepRunning()) {
     for (Game& game : games) {
       const auto played = game.StepAndAutoReset(RandomAction(&actions), absl::MakeSpan(frame), &last_frames);
       episodes += played.episode.has_value();
@@ -67,7 +69,7 @@ void WholeGame(benchmark::State& state) {
 void Rules(benchmark::State& state) {
   std::vector<World> worlds = PlayedWorlds(50);
   RandomStream actions(1);
-  for (auto _ : state) {
+  while (state.KeepRunning()) {
     for (World& world : worlds) {
       WorldState& world_state = WorldEditor::State(&world);
       world_state.player.item(Item::kHealth) = kMaxItem;
@@ -81,7 +83,7 @@ void Rules(benchmark::State& state) {
 // Done on every tenth step.
 void Balance(benchmark::State& state) {
   std::vector<World> worlds = PlayedWorlds(static_cast<int>(state.range(0)));
-  for (auto _ : state) {
+  while (state.KeepRunning()) {
     for (World& world : worlds) {
       BalanceChunks(&WorldEditor::State(&world));
       WorldEditor::State(&world).board.Compact();
@@ -92,7 +94,7 @@ void Balance(benchmark::State& state) {
 
 void Reset(benchmark::State& state) {
   World world = *World::Create(WorldOptions(), 0);
-  for (auto _ : state) world.Reset();
+  while (state.KeepRunning()) world.Reset();
   state.SetItemsProcessed(state.iterations());
 }
 
@@ -101,7 +103,7 @@ void Picture(benchmark::State& state, int steps, bool sleeping) {
   std::vector<uint8_t> frame(renderer->frame_bytes());
   std::vector<World> worlds = PlayedWorlds(steps);
   for (World& world : worlds) WorldEditor::State(&world).player.sleeping = sleeping;
-  for (auto _ : state) {
+  while (state.KeepRunning()) {
     for (World& world : worlds) {
       renderer->Render(world, &world.random(), absl::MakeSpan(frame));
       benchmark::DoNotOptimize(frame.data());

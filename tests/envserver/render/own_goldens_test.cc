@@ -9,11 +9,11 @@
 #include <nlohmann/json.hpp>
 
 #include "common/files.h"
+#include "common/gzip_file.h"
 #include "common/paths.h"
 #include "envserver/render/renderer.h"
 #include "envserver/world/daylight.h"
 #include "tests/fakes/status_matchers.h"
-#include "tests/golden/gzip_file.h"
 #include "tests/golden/trace_fields.h"
 #include "tests/golden/world_editor.h"
 

@@ -95,7 +95,7 @@ void DrawItems(const Textures& textures, const World& world, const PictureLayout
                 static_cast<int>(row * layout.cell_height + inset * layout.cell_height), false);
   };
   for (int item = 0; item < kNumItems; ++item) {
-    const int amount = world.player().inventory[item];
+    const int amount = world.player().item(static_cast<Item>(item));
     if (amount < 1) continue;
     draw(kItemNames[item], item, 0.8, 0.1);
     draw(absl::StrCat(amount), item, 0.6, 0.4);
