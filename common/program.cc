@@ -51,7 +51,8 @@ void PrintHelp(absl::string_view program, absl::string_view usage) {
 
 }  // namespace
 
-void ParseFlags(absl::string_view program, absl::string_view usage, int argc, char** argv) {
+std::vector<std::string> ParseFlagsAndArguments(absl::string_view program, absl::string_view usage, int argc,
+                                                char** argv) {
   // gRPC's own log speaks of internals; what matters reaches the user through our messages.
   setenv("GRPC_VERBOSITY", "NONE", /*overwrite=*/0);
   for (int i = 1; i < argc; ++i) {
@@ -66,8 +67,13 @@ void ParseFlags(absl::string_view program, absl::string_view usage, int argc, ch
     }
   }
   const std::vector<char*> rest = absl::ParseCommandLine(argc, argv);
-  if (rest.size() > 1) {
-    absl::FPrintF(stderr, "%s: \"%s\" is no flag; see %s --help\n", program, rest[1], program);
+  return {rest.begin() + 1, rest.end()};
+}
+
+void ParseFlags(absl::string_view program, absl::string_view usage, int argc, char** argv) {
+  const std::vector<std::string> rest = ParseFlagsAndArguments(program, usage, argc, argv);
+  if (!rest.empty()) {
+    absl::FPrintF(stderr, "%s: \"%s\" is no flag; see %s --help\n", program, rest[0], program);
     std::exit(1);
   }
 }

@@ -6,6 +6,7 @@
 #include <functional>
 #include <string>
 #include <thread>
+#include <vector>
 
 #include <absl/status/status.h>
 #include <absl/strings/string_view.h>
@@ -16,6 +17,10 @@ namespace craftfleet {
 // Ends the process: with 0 after --help and --version, with 1 after an unknown flag, a value that does not parse, or an
 // argument that is no flag; standard error says which.
 void ParseFlags(absl::string_view program, absl::string_view usage, int argc, char** argv);
+
+// The same for a program that takes arguments beside its flags: returns them, in order.
+std::vector<std::string> ParseFlagsAndArguments(absl::string_view program, absl::string_view usage, int argc,
+                                                char** argv);
 
 // The exit code for `status`: 0, or 1 after printing "<program>: <message>" to standard error.
 int ExitCode(absl::string_view program, const absl::Status& status);

@@ -12,7 +12,7 @@
 
 #include "common/check.h"
 #include "common/crafter.h"
-#include "common/files.h"
+#include "common/gzip_file.h"
 #include "common/status_macros.h"
 
 namespace craftfleet {
@@ -68,7 +68,7 @@ std::string FormatStatsLine(const Episode& episode) {
 }
 
 absl::StatusOr<std::vector<Episode>> ReadStats(const std::string& path) {
-  CRAFTFLEET_ASSIGN_OR_RETURN(const std::string text, ReadFile(path));
+  CRAFTFLEET_ASSIGN_OR_RETURN(const std::string text, ReadGzipFile(path));
   std::vector<Episode> episodes;
   std::vector<absl::string_view> lines = absl::StrSplit(text, '\n');
   const bool cut_off = !lines.back().empty();

@@ -24,9 +24,9 @@ double RoundReward(double reward);
 // json.dumps.
 std::string FormatStatsLine(const Episode& episode);
 
-// Reads a whole stats.jsonl; `step` of the episodes is 0 and rewards are rounded.
-//   DataLoss: a line that is cut off, is no JSON object, lacks a key, has one too many, or one of another type: names
-//   the line and the key.
+// Reads a whole stats.jsonl, gzipped or plain; `step` of the episodes is 0 and rewards are rounded.
+//   NotFound: no such file.   DataLoss: damaged gzip data; a line that is cut off, is no JSON object, lacks a key, has
+//   one too many, or one of another type: names the line and the key.
 absl::StatusOr<std::vector<Episode>> ReadStats(const std::string& path);
 
 // Thread-compatible: one thread at a time.

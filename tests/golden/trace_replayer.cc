@@ -13,11 +13,11 @@
 #include <nlohmann/json.hpp>
 
 #include "common/env_name.h"
+#include "common/gzip_file.h"
 #include "common/status_macros.h"
 #include "envserver/render/renderer.h"
 #include "envserver/render/textures.h"
 #include "envserver/world/world.h"
-#include "tests/golden/gzip_file.h"
 #include "tests/golden/trace_fields.h"
 #include "tests/golden/world_editor.h"
 

@@ -1,4 +1,4 @@
-#include "tests/golden/gzip_file.h"
+#include "common/gzip_file.h"
 
 #include <zlib.h>
 

@@ -1,7 +1,7 @@
 // Reads gzip files, and plain ones as they are.
 
-#ifndef CRAFTFLEET_TESTS_GOLDEN_GZIP_FILE_H_
-#define CRAFTFLEET_TESTS_GOLDEN_GZIP_FILE_H_
+#ifndef CRAFTFLEET_COMMON_GZIP_FILE_H_
+#define CRAFTFLEET_COMMON_GZIP_FILE_H_
 
 #include <string>
 
@@ -14,4 +14,4 @@ absl::StatusOr<std::string> ReadGzipFile(const std::string& path);
 
 }  // namespace craftfleet
 
-#endif  // CRAFTFLEET_TESTS_GOLDEN_GZIP_FILE_H_
+#endif  // CRAFTFLEET_COMMON_GZIP_FILE_H_
