@@ -1,0 +1,288 @@
+#include "learner/learner_service.h"
+
+#include <memory>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include "common/wire/grpc_status.h"
+#include "common/wire/protocol.h"
+#include "common/wire/server.h"
+#include "tests/fakes/fake_clock.h"
+#include "tests/fakes/status_matchers.h"
+#include "tests/fakes/wire_samples.h"
+
+namespace craftfleet {
+namespace {
+
+using testing::AllOf;
+using testing::HasSubstr;
+
+constexpr int64_t kEpoch = 4;
+constexpr int64_t kVersion = 11;
+
+LearnerServiceImpl::Options ServiceOptions() {
+  LearnerServiceImpl::Options options;
+  options.run_id = "run-a";
+  options.epoch = kEpoch;
+  options.config.set_lanes(kSampleShape.lanes);
+  options.texture_digest = "digest";
+  options.shape = kSampleShape;
+  options.lease = absl::Seconds(5);
+  return options;
+}
+
+// The service with a real book of lanes behind it, and calls to it as a client makes them.
+class LearnerServiceTest : public testing::Test {
+ protected:
+  LearnerServiceTest() {
+    ledger_.OpenIteration(2, kVersion);
+    server_ = *wire::Server::Create({}, {&service_});
+    stub_ = v1::LearnerService::NewStub(server_->InProcess().channel);
+  }
+
+  // Calls one of the stub's unary methods.
+  template <typename Request, typename Reply>
+  absl::StatusOr<Reply> Call(grpc::Status (v1::LearnerService::Stub::*method)(grpc::ClientContext*, const Request&,
+                                                                              Reply*),
+                             const Request& request) {
+    grpc::ClientContext context;
+    wire::SetDeadline(&context, absl::Seconds(20));
+    Reply reply;
+    const grpc::Status status = (stub_.get()->*method)(&context, request, &reply);
+    if (!status.ok()) return wire::FromGrpc(status, "learner");
+    return reply;
+  }
+
+  absl::StatusOr<v1::JoinReply> Join(const std::string& actor, const std::string& run_id = "",
+                                     int protocol_version = wire::kProtocolVersion) {
+    v1::JoinRequest request;
+    request.set_protocol_version(protocol_version);
+    request.set_run_id(run_id);
+    request.set_actor(actor);
+    return Call(&v1::LearnerService::Stub::Join, request);
+  }
+  absl::StatusOr<v1::PermitReply> GetPermits(const std::string& actor, int64_t epoch = kEpoch) {
+    v1::PermitRequest request;
+    request.set_actor(actor);
+    request.set_epoch(epoch);
+    request.set_capacity(100);
+    return Call(&v1::LearnerService::Stub::GetPermits, request);
+  }
+  absl::StatusOr<v1::SnapshotReply> GetSnapshot(int lane, int64_t fragment, int64_t epoch = kEpoch) {
+    v1::SnapshotRequest request;
+    request.set_epoch(epoch);
+    request.set_lane(lane);
+    request.set_fragment(fragment);
+    return Call(&v1::LearnerService::Stub::GetSnapshot, request);
+  }
+  // Joins and takes every permit.
+  void Enter(const std::string& actor) {
+    ASSERT_THAT(Join(actor), IsOk());
+    const auto permits = GetPermits(actor);
+    ASSERT_THAT(permits, IsOk());
+    ASSERT_EQ(permits->granted_size(), kSampleShape.lanes);
+    EXPECT_EQ(permits->granted(1).lane(), 1);
+    EXPECT_EQ(permits->granted(1).fragment(), 0);
+    EXPECT_EQ(permits->granted(1).policy_version(), kVersion);
+  }
+  // Sends `messages` down one stream: the verdicts, or the error that ended it.
+  absl::StatusOr<std::vector<v1::FragmentVerdict>> Push(const std::vector<v1::FragmentMessage>& messages) {
+    grpc::ClientContext context;
+    wire::SetDeadline(&context, absl::Seconds(20));
+    const auto stream = stub_->PushFragments(&context);
+    std::vector<v1::FragmentVerdict> verdicts;
+    v1::FragmentVerdict verdict;
+    for (const v1::FragmentMessage& message : messages) {
+      if (stream->Write(message) && stream->Read(&verdict)) verdicts.push_back(verdict);
+    }
+    stream->WritesDone();
+    const grpc::Status status = stream->Finish();
+    if (!status.ok()) return wire::FromGrpc(status, "learner");
+    return verdicts;
+  }
+  double Metric(const std::string& name) const {
+    v1::StatusReply reply;
+    service_.FillStatus(&reply);
+    for (const v1::Metric& metric : reply.metrics()) {
+      if (metric.name() == name) return metric.value();
+    }
+    ADD_FAILURE() << "no metric " << name;
+    return -1;
+  }
+
+  FakeClock clock_;
+  LaneLedger ledger_{{kSampleShape.lanes}, std::vector<LaneRecord>(kSampleShape.lanes), &clock_};
+  WeightStore weights_;
+  FragmentQueue fragments_{100};
+  LearnerServiceImpl service_{ServiceOptions(), &ledger_, &weights_, &fragments_};
+  std::unique_ptr<wire::Server> server_;
+  std::unique_ptr<v1::LearnerService::Stub> stub_;
+};
+
+v1::FragmentMessage Message(const std::string& actor, int lane, int64_t number, int64_t version = kVersion,
+                            int64_t epoch = kEpoch) {
+  v1::FragmentMessage message = wire::ToProto(SampleFragment(lane, number, version, epoch));
+  message.set_actor(actor);
+  return message;
+}
+
+TEST_F(LearnerServiceTest, JoinTellsAboutTheRun) {
+  const auto reply = Join("a");
+  ASSERT_THAT(reply, IsOk());
+  EXPECT_EQ(reply->run_id(), "run-a");
+  EXPECT_EQ(reply->epoch(), kEpoch);
+  EXPECT_EQ(reply->config().lanes(), kSampleShape.lanes);
+  EXPECT_EQ(reply->texture_digest(), "digest");
+  EXPECT_EQ(reply->lease_ms(), 5000);
+  EXPECT_FALSE(reply->program_version().empty());
+  EXPECT_THAT(Join("b", "run-a"), IsOk()) << "an actor that comes back";
+}
+
+TEST_F(LearnerServiceTest, JoinRefusesWhoDoesNotFit) {
+  EXPECT_THAT(Join("a", "", 2), StatusIs(absl::StatusCode::kFailedPrecondition, HasSubstr("upgrade the learner")));
+  EXPECT_THAT(Join("a", "run-b"), StatusIs(absl::StatusCode::kFailedPrecondition, HasSubstr("belongs to run run-b")));
+  EXPECT_THAT(Join(""), StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("actor is empty")));
+  EXPECT_THAT(GetPermits("a"), StatusIs(absl::StatusCode::kAborted, HasSubstr("join again")));
+}
+
+TEST_F(LearnerServiceTest, PermitsAreForThisEpoch) {
+  ASSERT_THAT(Join("a"), IsOk());
+  EXPECT_THAT(
+      GetPermits("a", kEpoch - 1),
+      StatusIs(absl::StatusCode::kAborted, AllOf(HasSubstr("epoch 3"), HasSubstr("epoch 4"), HasSubstr("join again"))));
+}
+
+TEST_F(LearnerServiceTest, AFragmentReachesTheTrainerAsItWasSent) {
+  Enter("a");
+  const auto verdicts = Push({Message("a", 1, 0), Message("a", 0, 0)});
+  ASSERT_THAT(verdicts, IsOk());
+  ASSERT_EQ(verdicts->size(), 2);
+  EXPECT_EQ((*verdicts)[0].lane(), 1);
+  EXPECT_EQ((*verdicts)[0].number(), 0);
+  EXPECT_EQ((*verdicts)[0].verdict(), v1::FragmentVerdict::ACCEPTED);
+  EXPECT_EQ((*verdicts)[1].lane(), 0);
+  ExpectSameFragments(*fragments_.Pop(absl::ZeroDuration()), SampleFragment(1, 0, kVersion, kEpoch));
+  ExpectSameFragments(*fragments_.Pop(absl::ZeroDuration()), SampleFragment(0, 0, kVersion, kEpoch));
+  EXPECT_EQ(GetSnapshot(1, 1)->snapshot(), SampleFragment(1, 0, kVersion).snapshot);
+}
+
+TEST_F(LearnerServiceTest, AFragmentSentTwiceIsTakenOnce) {
+  Enter("a");
+  const auto verdicts = Push({Message("a", 1, 0), Message("a", 1, 0)});
+  ASSERT_THAT(verdicts, IsOk());
+  EXPECT_EQ((*verdicts)[1].verdict(), v1::FragmentVerdict::DUPLICATE);
+  EXPECT_EQ(fragments_.size(), 1);
+  EXPECT_EQ(Metric("fragments_accepted"), 1);
+  EXPECT_EQ(Metric("fragments_duplicate"), 1);
+}
+
+TEST_F(LearnerServiceTest, FragmentsWithoutPermitAreExpired) {
+  Enter("a");
+  const auto verdicts = Push({Message("b", 0, 0), Message("a", 0, 1), Message("a", 0, 0, kVersion, kEpoch - 1)});
+  ASSERT_THAT(verdicts, IsOk());
+  ASSERT_EQ(verdicts->size(), 3);
+  for (const v1::FragmentVerdict& verdict : *verdicts) EXPECT_EQ(verdict.verdict(), v1::FragmentVerdict::EXPIRED);
+  EXPECT_EQ((*verdicts)[2].number(), 0);
+  EXPECT_EQ(fragments_.size(), 0);
+  EXPECT_EQ(Metric("fragments_expired"), 3);
+}
+
+TEST_F(LearnerServiceTest, AWrongFragmentEndsItsStreamAndHarmsNoOther) {
+  Enter("a");
+  const auto refused = [this](v1::FragmentMessage message, const std::string& error) {
+    EXPECT_THAT(Push({std::move(message)}), StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr(error)));
+  };
+  v1::FragmentMessage cut = Message("a", 0, 0);
+  cut.mutable_frames()->pop_back();
+  refused(cut, "frames: 59 bytes, want 60");
+  v1::FragmentMessage wild = Message("a", 0, 0);
+  (*wild.mutable_actions())[1] = 17;
+  refused(wild, "action 17 at 1, want 0..16");
+  refused(Message("a", 3, 0), "lane 3, want 0..2");
+  refused(Message("a", 0, 0, kVersion - 1), "policy_version 10 for fragment 0 of lane 0, want 11");
+  EXPECT_EQ(Metric("fragments_rejected"), 4);
+
+  const auto verdicts = Push({Message("a", 0, 0)});
+  ASSERT_THAT(verdicts, IsOk());
+  EXPECT_EQ((*verdicts)[0].verdict(), v1::FragmentVerdict::ACCEPTED);
+}
+
+TEST_F(LearnerServiceTest, TakesNothingInOnceItStops) {
+  Enter("a");
+  fragments_.Close();
+  EXPECT_THAT(Push({Message("a", 0, 0)}), StatusIs(absl::StatusCode::kCancelled, HasSubstr("queue closed")));
+}
+
+TEST_F(LearnerServiceTest, WeightsComeInChunks) {
+  std::string bytes((4 << 20) + 5, '\0');
+  for (size_t i = 0; i < bytes.size(); ++i) bytes[i] = static_cast<char>(i * 31 + (i >> 16));
+  weights_.Publish(kVersion, std::make_shared<std::string>(bytes));
+  grpc::ClientContext context;
+  v1::WeightsRequest request;
+  request.set_at_least(kVersion - 1);
+  const auto stream = stub_->GetWeights(&context, request);
+  v1::WeightsChunk chunk;
+  std::string received;
+  std::vector<size_t> sizes;
+  while (stream->Read(&chunk)) {
+    EXPECT_EQ(chunk.policy_version(), kVersion);
+    EXPECT_EQ(chunk.total_bytes(), static_cast<int64_t>(bytes.size()));
+    sizes.push_back(chunk.data().size());
+    received += chunk.data();
+  }
+  EXPECT_TRUE(stream->Finish().ok());
+  EXPECT_EQ(received, bytes);
+  EXPECT_THAT(sizes, testing::ElementsAre(2 << 20, 2 << 20, 5));
+}
+
+TEST_F(LearnerServiceTest, WeightsThatAreNotThereYetAreSaidToBe) {
+  weights_.Publish(kVersion, std::make_shared<std::string>("w"));
+  grpc::ClientContext context;
+  v1::WeightsRequest request;
+  request.set_at_least(kVersion + 1);
+  request.set_wait_ms(10);
+  v1::WeightsChunk chunk;
+  const auto stream = stub_->GetWeights(&context, request);
+  EXPECT_FALSE(stream->Read(&chunk));
+  EXPECT_THAT(wire::FromGrpc(stream->Finish(), "learner"),
+              StatusIs(absl::StatusCode::kDeadlineExceeded,
+                       AllOf(HasSubstr("policy version 12 is not there yet"), HasSubstr("the last is 11"))));
+}
+
+TEST_F(LearnerServiceTest, SnapshotsAreOfTheNextFragment) {
+  ASSERT_THAT(GetSnapshot(2, 0), IsOk());
+  EXPECT_EQ(GetSnapshot(2, 0)->snapshot(), "") << "not begun yet";
+  EXPECT_THAT(GetSnapshot(2, 1), StatusIs(absl::StatusCode::kAborted, HasSubstr("lane 2 is at fragment 0, not 1")));
+  EXPECT_THAT(GetSnapshot(3, 0), StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("lane 3, want 0..2")));
+  EXPECT_THAT(GetSnapshot(2, 0, kEpoch + 1), StatusIs(absl::StatusCode::kAborted, HasSubstr("join again")));
+}
+
+TEST_F(LearnerServiceTest, WhoLeavesGivesHisLanesBack) {
+  Enter("a");
+  v1::LeaveRequest request;
+  request.set_actor("a");
+  ASSERT_THAT(Call(&v1::LearnerService::Stub::Leave, request), IsOk());
+  Enter("b");
+  const auto verdicts = Push({Message("a", 0, 0)});
+  EXPECT_EQ((*verdicts)[0].verdict(), v1::FragmentVerdict::EXPIRED);
+}
+
+TEST_F(LearnerServiceTest, StatusNamesTheActors) {
+  Enter("a");
+  ASSERT_THAT(Push({Message("a", 0, 0)}), IsOk());
+  clock_.Advance(absl::Seconds(3));
+  v1::StatusReply reply;
+  service_.FillStatus(&reply);
+  EXPECT_EQ(reply.run_id(), "run-a");
+  ASSERT_EQ(reply.peers_size(), 1);
+  EXPECT_EQ(reply.peers(0).name(), "a");
+  EXPECT_EQ(reply.peers(0).state(), "2 permits, 1 fragments accepted");
+  EXPECT_EQ(reply.peers(0).last_seen_s(), 3);
+}
+
+}  // namespace
+}  // namespace craftfleet
