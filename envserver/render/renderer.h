@@ -36,8 +36,6 @@ class Renderer {
   void Render(const World& world, RandomStream* random, absl::Span<uint8_t> frame) const;
 
   const WorldOptions& world_options() const { return world_options_; }
-  int width() const { return layout_.width; }
-  int height() const { return layout_.height; }
   int frame_bytes() const { return layout_.frame_bytes(); }
 
  private:
