@@ -50,14 +50,14 @@ absl::Status ParseAppearance(absl::string_view value, EnvName* name) {
 absl::Status ParseNumbers(absl::string_view value, EnvName* name) {
   for (const NumberSetting& setting : kNumberSettings) {
     if (value == setting.name) {
-      name->numbers = std::string(setting.letters);
+      name->numbers = absl::StrCat(setting.letters);
       return absl::OkStatus();
     }
   }
   if (value.size() != name->numbers.size() || value.find_first_not_of("qhsdf") != absl::string_view::npos) {
     return absl::InvalidArgumentError(absl::StrCat("numbers \"", value, "\", want one of ", kNumbers));
   }
-  name->numbers = std::string(value);
+  name->numbers = absl::StrCat(value);
   return absl::OkStatus();
 }
 
@@ -113,7 +113,7 @@ std::string EnvName::ToString() const {
     options.push_back(absl::StrCat("numbers=", setting));
   }
   if (!inventory) options.push_back("inventory=off");
-  return options.empty() ? std::string(kGame) : absl::StrCat(kGame, ":", absl::StrJoin(options, ","));
+  return absl::StrCat(kGame, options.empty() ? "" : ":", absl::StrJoin(options, ","));
 }
 
 }  // namespace craftfleet

@@ -1,6 +1,6 @@
 #include "envserver/world/appearance.h"
 
-#include <string>
+#include <absl/strings/match.h>
 
 namespace craftfleet {
 namespace {
@@ -39,7 +39,7 @@ char LetterOf(ObjectType type) {
 }
 
 Variant DrawForLetter(const WorldOptions& options, char letter, RandomStream* random) {
-  if (options.appearance.find(letter) == std::string::npos) return kNoVariant;
+  if (!absl::StrContains(options.appearance, letter)) return kNoVariant;
   const double sample = random->Uniform() * 100;
   int variant = 0;
   int cumulative = options.percentages[0];
@@ -50,8 +50,8 @@ Variant DrawForLetter(const WorldOptions& options, char letter, RandomStream* ra
 
 bool IsPossibleForLetter(const WorldOptions& options, char letter, Variant variant) {
   if (variant == kNoVariant) return true;
-  return options.appearance.find(letter) != std::string::npos && variant >= 0 && variant < kNumVariants &&
-         (variant == 0 || kLettersWithOneVariant.find(letter) == absl::string_view::npos);
+  return absl::StrContains(options.appearance, letter) && variant >= 0 && variant < kNumVariants &&
+         (variant == 0 || !absl::StrContains(kLettersWithOneVariant, letter));
 }
 
 }  // namespace

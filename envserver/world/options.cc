@@ -2,6 +2,7 @@
 
 #include <numeric>
 
+#include <absl/strings/match.h>
 #include <absl/strings/str_cat.h>
 #include <absl/strings/str_join.h>
 #include <absl/strings/string_view.h>
@@ -34,7 +35,7 @@ NumberThresholds ThresholdsOf(absl::string_view letters) {
 
 WorldOptions WorldOptions::FromEnvName(const EnvName& name) {
   WorldOptions options;
-  if (name.appearance) options.appearance = std::string(kPaperLetters);
+  if (name.appearance) options.appearance = absl::StrCat(kPaperLetters);
   options.percentages = name.percentages;
   options.numbers = ThresholdsOf(name.numbers);
   return options;
@@ -57,12 +58,11 @@ absl::Status WorldOptions::Validate() const {
   }
   for (size_t i = 0; i < appearance.size(); ++i) {
     const char letter = appearance[i];
-    if (kAppearanceLetters.find(letter) == absl::string_view::npos ||
-        appearance.find(letter, i + 1) != std::string::npos) {
+    if (!absl::StrContains(kAppearanceLetters, letter) || appearance.find(letter, i + 1) != std::string::npos) {
       return absl::InvalidArgumentError(absl::StrCat("appearance \"", appearance, "\", want letters of \"",
                                                      kAppearanceLetters, "\", each at most once"));
     }
-    if (kLettersWithOneVariant.find(letter) != absl::string_view::npos && percentages[0] != 100) {
+    if (absl::StrContains(kLettersWithOneVariant, letter) && percentages[0] != 100) {
       return absl::InvalidArgumentError(absl::StrCat("appearance \"", appearance, "\" with percentages ",
                                                      absl::StrJoin(percentages, "/"), ": '", std::string(1, letter),
                                                      "' has one variant only, want 100/0/0/0"));

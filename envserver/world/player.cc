@@ -16,20 +16,20 @@ struct Amount {
 
 struct CollectRule {
   Material material;
+  Material leaves;
   Amount needs;
   Item gives;
-  double probability;
-  Material leaves;
   Achievement achievement;
+  double probability;
 };
 constexpr CollectRule kCollectRules[] = {
-    {Material::kTree, {}, Item::kWood, 1, Material::kGrass, Achievement::kCollectWood},
-    {Material::kStone, {Item::kWoodPickaxe, 1}, Item::kStone, 1, Material::kPath, Achievement::kCollectStone},
-    {Material::kCoal, {Item::kWoodPickaxe, 1}, Item::kCoal, 1, Material::kPath, Achievement::kCollectCoal},
-    {Material::kIron, {Item::kStonePickaxe, 1}, Item::kIron, 1, Material::kPath, Achievement::kCollectIron},
-    {Material::kDiamond, {Item::kIronPickaxe, 1}, Item::kDiamond, 1, Material::kPath, Achievement::kCollectDiamond},
-    {Material::kWater, {}, Item::kDrink, 1, Material::kWater, Achievement::kCollectDrink},
-    {Material::kGrass, {}, Item::kSapling, 0.1, Material::kGrass, Achievement::kCollectSapling},
+    {Material::kTree, Material::kGrass, {}, Item::kWood, Achievement::kCollectWood, 1},
+    {Material::kStone, Material::kPath, {Item::kWoodPickaxe, 1}, Item::kStone, Achievement::kCollectStone, 1},
+    {Material::kCoal, Material::kPath, {Item::kWoodPickaxe, 1}, Item::kCoal, Achievement::kCollectCoal, 1},
+    {Material::kIron, Material::kPath, {Item::kStonePickaxe, 1}, Item::kIron, Achievement::kCollectIron, 1},
+    {Material::kDiamond, Material::kPath, {Item::kIronPickaxe, 1}, Item::kDiamond, Achievement::kCollectDiamond, 1},
+    {Material::kWater, Material::kWater, {}, Item::kDrink, Achievement::kCollectDrink, 1},
+    {Material::kGrass, Material::kGrass, {}, Item::kSapling, Achievement::kCollectSapling, 0.1},
 };
 
 struct PlaceRule {

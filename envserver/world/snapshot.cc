@@ -210,8 +210,8 @@ void PutObjects(const Board& board, Writer* writer) {
     writer->Put(object.health);
     writer->Put(static_cast<int16_t>(object.position.x));
     writer->Put(static_cast<int16_t>(object.position.y));
-    writer->Put(static_cast<int8_t>(object.facing.x));
-    writer->Put(static_cast<int8_t>(object.facing.y));
+    writer->Put(static_cast<int16_t>(object.facing.x));
+    writer->Put(static_cast<int16_t>(object.facing.y));
     writer->Put(object.counter);
     writer->Put(object.entered);
   }
@@ -226,8 +226,8 @@ Object GetObject(bool player, int64_t entries, Reader* reader) {
   object.health = reader->Get<int16_t>("health", 0, std::numeric_limits<int16_t>::max());
   object.position.x = reader->GetAny<int16_t>();
   object.position.y = reader->GetAny<int16_t>();
-  object.facing.x = reader->Get<int8_t>("facing", -1, 1);
-  object.facing.y = reader->Get<int8_t>("facing", -1, 1);
+  object.facing.x = reader->Get<int16_t>("facing", -1, 1);
+  object.facing.y = reader->Get<int16_t>("facing", -1, 1);
   object.counter = reader->Get<int32_t>("counter", 0, kMaxCount);
   object.entered = reader->Get<int64_t>("entry", 0, entries - 1);
   return object;

@@ -21,8 +21,8 @@ namespace craftfleet {
 //   stream        position uint16; words uint32[624]
 //   cells         uint8[width][height]: material + 16 * (variant + 1)
 //   known chunks  count uint16; indices uint16
-//   objects       entries int64; count uint16; of each type, variant int8; health, x, y int16; facing int8[2];
-//                 counter int32; entered int64
+//   objects       entries int64; count uint16; of each type uint8; variant int8; health, x, y, facing x, y
+//                 int16; counter int32; entered int64
 std::string SaveState(const WorldState& state, const RandomStream& stream);
 absl::Status RestoreState(absl::string_view snapshot, WorldState* state);
 

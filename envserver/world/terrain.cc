@@ -13,7 +13,7 @@ namespace {
 
 constexpr int kBlock = 512;  // cells worked on at a time: their intermediate values stay in the first cache
 
-constexpr int kLanes = 16;   // divides kBlock
+constexpr int kLanes = 16;  // divides kBlock
 
 // Place of a cell of the world.
 struct Place {
@@ -70,21 +70,21 @@ class Layer {
 // A trait that cells with all of the traits `of`, and none of `not_of`, have where a layer is above the threshold.
 struct LayerTrait {
   Layer::Shape shape;
+  double threshold;
   uint16_t of;
   uint16_t not_of;
-  double threshold;
   Trait trait;
 };
 // In an order in which each rule's `of` and `not_of` are known before.
 constexpr LayerTrait kLayerTraits[] = {
-    {{6, 7}, kPeak, 0, 0.15, kCave},
-    {{7, 3, 2, 1, 1, 5}, kMountain, kCave, 0.4, kTunnel},
-    {{7, 3, 1, 5, 2, 1}, kMountain, kCave | kTunnel, 0.4, kTunnel},
-    {{1, 8}, kMountain, kCave | kTunnel, 0, kCoalVein},
-    {{2, 6}, kMountain, kCave | kTunnel, 0.4, kIronVein},
-    {{6, 5}, kPeak, kCave | kTunnel, 0.35, kLavaField},
-    {{4, 9}, kShore, kStart | kMountain, -0.2, kSandy},
-    {{5, 7}, 0, kStart | kMountain | kSandy | kSea, 0, kForest},
+    {{6, 7}, 0.15, kPeak, 0, kCave},
+    {{7, 3, 2, 1, 1, 5}, 0.4, kMountain, kCave, kTunnel},
+    {{7, 3, 1, 5, 2, 1}, 0.4, kMountain, kCave | kTunnel, kTunnel},
+    {{1, 8}, 0, kMountain, kCave | kTunnel, kCoalVein},
+    {{2, 6}, 0.4, kMountain, kCave | kTunnel, kIronVein},
+    {{6, 5}, 0.35, kPeak, kCave | kTunnel, kLavaField},
+    {{4, 9}, -0.2, kShore, kStart | kMountain, kSandy},
+    {{5, 7}, 0, 0, kStart | kMountain | kSandy | kSea, kForest},
 };
 
 // What decides the traits of cells before their layers; one array each so that loops over cells vectorise.

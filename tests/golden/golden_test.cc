@@ -1,5 +1,5 @@
-// Every golden trace and picture of the reference game, replayed. They need the reference's textures, which are not part
-// of this project: without CRAFTFLEET_GOLDEN_DIR the tests are skipped.
+// Every golden trace and picture of the reference game, replayed. They need the reference's textures, which are not
+// part of this project: without CRAFTFLEET_GOLDEN_DIR the tests are skipped.
 
 #include <cstdlib>
 #include <filesystem>

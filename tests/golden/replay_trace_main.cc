@@ -1,5 +1,4 @@
-// replay_trace [--textures=DIR] FILE...: plays golden traces again and says whether all is as recorded. A file named
-// frames.jsonl stands for the traces it names, with their pictures. Exit code: 0 all agree, 1 a difference or an error.
+// replay_trace: plays golden traces again and says whether all is as recorded.
 
 #include <cstdio>
 #include <filesystem>
@@ -7,13 +6,11 @@
 #include <vector>
 
 #include <absl/flags/flag.h>
-#include <absl/flags/parse.h>
-#include <absl/flags/usage.h>
-#include <absl/flags/usage_config.h>
 #include <absl/status/statusor.h>
+#include <absl/strings/str_cat.h>
 
 #include "common/paths.h"
-#include "common/version.h"
+#include "common/program.h"
 #include "tests/golden/trace_replayer.h"
 
 ABSL_FLAG(std::string, textures, "", "folder with the textures' PNG files; default: those that come with the programs");
@@ -21,12 +18,22 @@ ABSL_FLAG(std::string, textures, "", "folder with the textures' PNG files; defau
 namespace craftfleet {
 namespace {
 
+constexpr char kProgram[] = "replay_trace";
+constexpr char kUsage[] =
+    R"(replay_trace plays golden traces again and compares every field of every line, the picture's checksum included.
+
+  replay_trace [--textures=DIR] FILE...
+
+A file named frames.jsonl stands for the traces that it names, with their pictures byte for byte. For each file, one line:
+"ok" with the steps and frames that agree, or the first step and field that differ, with what was expected and found.
+Exit code 1 if anything differs or a file can't be read.)";
+
 // Prints the file's line; says whether all agrees.
 bool ReplayFile(const std::string& path, const std::string& textures) {
   const bool frames = std::filesystem::path(path).filename() == "frames.jsonl";
   const absl::StatusOr<ReplayReport> report = frames ? ReplayFrames(path, textures) : ReplayTrace(path, textures);
   if (!report.ok()) {
-    std::fprintf(stderr, "%s: error: %s\n", path.c_str(), report.status().ToString().c_str());
+    std::fprintf(stderr, "%s: error: %s\n", path.c_str(), absl::StrCat(report.status().message()).c_str());
     return false;
   }
   if (!report->difference.empty()) {
@@ -38,22 +45,21 @@ bool ReplayFile(const std::string& path, const std::string& textures) {
   return true;
 }
 
-int Run(const std::vector<char*>& files) {
+int Run(const std::vector<std::string>& files) {
   std::string textures = absl::GetFlag(FLAGS_textures);
   if (textures.empty()) {
     absl::StatusOr<std::string> folder = DefaultTextureDir();
     if (!folder.ok()) {
-      std::fprintf(stderr, "replay_trace: %s\n", folder.status().ToString().c_str());
-      return 1;
+      return ExitCode(kProgram, folder.status());
     }
     textures = *std::move(folder);
   }
   if (files.empty()) {
-    std::fprintf(stderr, "replay_trace: no files given, want [--textures=DIR] FILE...\n");
+    std::fprintf(stderr, "%s: no files given, want [--textures=DIR] FILE...\n", kProgram);
     return 1;
   }
   bool agree = true;
-  for (const char* file : files) agree = ReplayFile(file, textures) && agree;
+  for (const std::string& file : files) agree = ReplayFile(file, textures) && agree;
   return agree ? 0 : 1;
 }
 
@@ -61,11 +67,5 @@ int Run(const std::vector<char*>& files) {
 }  // namespace craftfleet
 
 int main(int argc, char** argv) {
-  absl::SetProgramUsageMessage("replays golden traces and compares every field: replay_trace [--textures=DIR] FILE...");
-  absl::FlagsUsageConfig config;
-  config.version_string = [] { return craftfleet::VersionText("replay_trace") + "\n"; };
-  absl::SetFlagsUsageConfig(config);
-  std::vector<char*> files = absl::ParseCommandLine(argc, argv);
-  files.erase(files.begin());  // the program
-  return craftfleet::Run(files);
+  return craftfleet::Run(craftfleet::ParseFlagsAndArguments(craftfleet::kProgram, craftfleet::kUsage, argc, argv));
 }

@@ -16,7 +16,7 @@ namespace {
 std::string BrokenPlayer(const World& world) {
   const Player& player = world.player();
   for (int i = 0; i < kNumItems; ++i) {
-    const int amount = player.inventory[i];
+    const int amount = player.item(static_cast<Item>(i));
     if (amount < 0 || amount > kMaxItem) return absl::StrCat(kItemNames[i], " is ", amount);
   }
   const Position facing = world.player_facing();

@@ -56,7 +56,7 @@ std::string PlayOneGame(uint32_t seed) {
   for (int step = 0; step < kSteps; ++step) {
     if (random() % 40 == 0) {
       const absl::Status restored = twin->Restore(world->Save(world->random()));
-      if (!restored.ok()) return std::string(restored.message());
+      if (!restored.ok()) return restored.ToString();
       twin_follows = true;
     }
     const Action action = RandomAction(&random);
