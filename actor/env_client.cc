@@ -104,7 +104,9 @@ absl::Status EnvClient::Broken() {
   stream_ = nullptr;
   MutexLock lock(&mu_);
   if (cancelled_) return absl::CancelledError("stopping");
-  return status.ok() ? absl::UnavailableError(absl::StrCat(context, ": ended the session")) : status;
+  // A server that stops may end its sessions by OK or by Cancelled; the latter would read as if we were stopping.
+  const bool stopped = status.ok() || status.code() == absl::StatusCode::kCancelled;
+  return stopped ? absl::UnavailableError(absl::StrCat(context, ": ended the session")) : status;
 }
 
 }  // namespace craftfleet

@@ -44,10 +44,28 @@ EnvPool::EnvPool(const std::vector<wire::Endpoint>& servers, const v1::SessionHe
 }
 
 absl::Status EnvPool::Open(absl::Span<const EnvClient::Lane> lanes, std::string* frames) {
-  CRAFTFLEET_RETURN_IF_ERROR(ConnectServers());
+  absl::Status status = ConnectServers();
+  if (status.ok()) status = CloseOpenOnes(lanes);
+  if (status.ok()) status = Spread(lanes, frames);
+  if (!status.ok()) Reset();
+  return status;
+}
+
+absl::Status EnvPool::CloseOpenOnes(absl::Span<const EnvClient::Lane> lanes) {
+  for (const EnvClient::Lane& lane : lanes) {
+    const auto found = server_of_.find(lane.lane);
+    if (found == server_of_.end()) continue;
+    Server& server = servers_[found->second];
+    CRAFTFLEET_RETURN_IF_ERROR(server.client->Close({lane.lane}));
+    --server.lanes;
+    server_of_.erase(found);
+  }
+  return absl::OkStatus();
+}
+
+absl::Status EnvPool::Spread(absl::Span<const EnvClient::Lane> lanes, std::string* frames) {
   std::vector<std::vector<int>> rows(servers_.size());
   for (size_t row = 0; row < lanes.size(); ++row) {
-    Close({lanes[row].lane});
     const size_t server = LeastLoaded();
     rows[server].push_back(static_cast<int>(row));
     server_of_[lanes[row].lane] = server;
@@ -55,11 +73,7 @@ absl::Status EnvPool::Open(absl::Span<const EnvClient::Lane> lanes, std::string*
   }
   frames->resize(lanes.size() * frame_bytes_);
   for (size_t server = 0; server < servers_.size(); ++server) {
-    if (rows[server].empty()) continue;
-    if (absl::Status status = OpenOn(server, lanes, rows[server], frames); !status.ok()) {
-      Reset();
-      return status;
-    }
+    if (!rows[server].empty()) CRAFTFLEET_RETURN_IF_ERROR(OpenOn(server, lanes, rows[server], frames));
   }
   return absl::OkStatus();
 }
@@ -122,18 +136,6 @@ std::pair<size_t, size_t> EnvPool::RowsOn(size_t server, absl::Span<const int> l
   const auto first = std::lower_bound(lanes.begin(), lanes.end(), server, before);
   const auto last = std::lower_bound(first, lanes.end(), server + 1, before);
   return {first - lanes.begin(), last - lanes.begin()};
-}
-
-void EnvPool::Close(absl::Span<const int> lanes) {
-  for (const int lane : lanes) {
-    const auto found = server_of_.find(lane);
-    if (found == server_of_.end()) continue;
-    Server& server = servers_[found->second];
-    --server.lanes;
-    // A game that stays open at a failing server goes with its session.
-    server.client->Close({lane}).IgnoreError();
-    server_of_.erase(found);
-  }
 }
 
 void EnvPool::Reset() {

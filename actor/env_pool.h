@@ -25,7 +25,7 @@ class EnvPool {
   EnvPool(const std::vector<wire::Endpoint>& servers, const v1::SessionHello& hello, int frame_bytes);
 
   // Opens games (one that is open already begins anew); their observations, uint8[n,H,W,3], go to `frames`.
-  //   Unavailable: no server can be reached; names each.   Others as EnvClient; then every game is closed.
+  //   Unavailable: no server can be reached; names each.   Others as EnvClient. After an error every game is closed.
   absl::Status Open(absl::Span<const EnvClient::Lane> lanes, std::string* frames);
 
   // The open lanes in the order in which Step wants them: server by server.
@@ -34,8 +34,6 @@ class EnvPool {
   // Steps `lanes`, arranged; rows of `batch` stand in their order. After an error every game is closed.
   absl::Status Step(absl::Span<const int> lanes, absl::Span<const Action> actions, bool snapshot, StepBatch* batch);
 
-  // Drops games that play elsewhere now; takes no notice of lanes that are not open.
-  void Close(absl::Span<const int> lanes);
   // Ends all sessions, and with them all games.
   void Reset();
 
@@ -53,6 +51,10 @@ class EnvPool {
 
   // Connects to servers whose time has come. Unavailable: none is connected.
   absl::Status ConnectServers();
+  // Closes those of `lanes` that are open.
+  absl::Status CloseOpenOnes(absl::Span<const EnvClient::Lane> lanes);
+  // Opens `lanes`, none of them open, on the servers that have fewest.
+  absl::Status Spread(absl::Span<const EnvClient::Lane> lanes, std::string* frames);
   size_t LeastLoaded() const;
   absl::Status OpenOn(size_t server, absl::Span<const EnvClient::Lane> lanes, absl::Span<const int> rows,
                       std::string* frames);

@@ -1,0 +1,248 @@
+#include "actor/env_pool.h"
+
+#include <map>
+#include <memory>
+#include <string>
+#include <thread>
+#include <utility>
+#include <vector>
+
+#include <absl/strings/str_cat.h>
+#include <absl/time/clock.h>
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include "tests/fakes/env_server.h"
+#include "tests/fakes/status_matchers.h"
+
+namespace craftfleet {
+namespace {
+
+using testing::AllOf;
+using testing::ElementsAre;
+using testing::HasSubstr;
+
+constexpr int kFrameBytes = 64 * 64 * 3;
+constexpr int kLength = 50;  // of an episode
+
+std::vector<EnvClient::Lane> NewLanes(const std::vector<int>& lanes) {
+  std::vector<EnvClient::Lane> open;
+  for (const int lane : lanes) open.push_back({lane, lane + 100, 1, ""});
+  return open;
+}
+
+// What the games of some lanes look like, whoever runs them.
+struct Seen {
+  // Steps every lane once, with actions that depend on lane and step alone.
+  absl::Status Step(EnvPool* pool, bool snapshot = false) {
+    std::vector<int> lanes;
+    for (const auto& [lane, frame] : frames) lanes.push_back(lane);
+    lanes = pool->Arrange(lanes);
+    std::vector<Action> actions;
+    for (const int lane : lanes) actions.push_back(static_cast<Action>((lane * 3 + steps * 5) % kNumActions));
+    StepBatch batch;
+    if (absl::Status status = pool->Step(lanes, actions, snapshot, &batch); !status.ok()) return status;
+    ++steps;
+    for (size_t row = 0; row < lanes.size(); ++row) {
+      frames[lanes[row]] = batch.frames.substr(row * kFrameBytes, kFrameBytes);
+      rewards[lanes[row]] += batch.rewards[row];
+      if (snapshot) snapshots[lanes[row]] = batch.snapshots[row];
+    }
+    episodes += static_cast<int>(batch.episodes.size());
+    EXPECT_EQ(batch.last_frames.size(), batch.episodes.size() * kFrameBytes);
+    return absl::OkStatus();
+  }
+  absl::Status Open(EnvPool* pool, const std::vector<EnvClient::Lane>& lanes) {
+    std::string opened;
+    if (absl::Status status = pool->Open(lanes, &opened); !status.ok()) return status;
+    for (size_t i = 0; i < lanes.size(); ++i) frames[lanes[i].lane] = opened.substr(i * kFrameBytes, kFrameBytes);
+    return absl::OkStatus();
+  }
+
+  std::map<int, std::string> frames;
+  std::map<int, std::string> snapshots;
+  std::map<int, double> rewards;
+  int episodes = 0;
+  int steps = 0;
+};
+
+EnvPool PoolOf(const std::vector<const EnvServer*>& servers) {
+  std::vector<wire::Endpoint> endpoints;
+  for (const EnvServer* server : servers) endpoints.push_back(server->Connect());
+  return {endpoints, SampleHello(kLength), kFrameBytes};
+}
+
+TEST(EnvPool, GamesDoNotDependOnHowTheyAreSpread) {
+  const EnvServer servers[3];
+  EnvPool one = PoolOf({&servers[0]});
+  EnvPool three = PoolOf({&servers[0], &servers[1], &servers[2]});
+  Seen by_one;
+  Seen by_three;
+  const std::vector<int> lanes = {4, 0, 7, 2, 9};
+  ASSERT_THAT(by_one.Open(&one, NewLanes(lanes)), IsOk());
+  ASSERT_THAT(by_three.Open(&three, NewLanes(lanes)), IsOk());
+  EXPECT_EQ(by_three.frames, by_one.frames);
+  for (int i = 0; i < kLength + 5; ++i) {
+    ASSERT_THAT(by_one.Step(&one, i % 2 == 0), IsOk());
+    ASSERT_THAT(by_three.Step(&three, i % 2 == 0), IsOk());
+    ASSERT_EQ(by_three.frames, by_one.frames) << i;
+    ASSERT_EQ(by_three.snapshots, by_one.snapshots) << i;
+  }
+  EXPECT_EQ(by_one.episodes, 5);
+  EXPECT_EQ(by_three.episodes, 5);
+  EXPECT_EQ(by_three.rewards, by_one.rewards);
+}
+
+TEST(EnvPool, SpreadsGamesEvenly) {
+  const EnvServer servers[2];
+  EnvPool pool = PoolOf({&servers[0], &servers[1]});
+  Seen seen;
+  ASSERT_THAT(seen.Open(&pool, NewLanes({0, 1, 2, 3})), IsOk());
+  EXPECT_THAT(pool.Arrange({3, 2, 1, 0}), ElementsAre(2, 0, 3, 1));
+  ASSERT_THAT(seen.Open(&pool, NewLanes({2})), IsOk()) << "again";
+  for (const EnvServer& server : servers) {
+    v1::StatusReply status;
+    server.service->FillStatus(&status);
+    ASSERT_EQ(status.peers_size(), 1);
+    EXPECT_EQ(status.peers(0).state(), "2 lanes");
+  }
+}
+
+// The games go on elsewhere from their snapshots as if nothing had been.
+TEST(EnvPool, AServerThatGoesTakesNothingWithIt) {
+  const EnvServer spare;
+  EnvPool untroubled_pool = PoolOf({&spare});
+  Seen untroubled;
+  ASSERT_THAT(untroubled.Open(&untroubled_pool, NewLanes({0, 1, 2, 3})), IsOk());
+
+  const EnvServer servers[2];
+  EnvPool pool = PoolOf({&servers[0], &servers[1]});
+  Seen seen;
+  ASSERT_THAT(seen.Open(&pool, NewLanes({0, 1, 2, 3})), IsOk());
+  for (int i = 0; i < 10; ++i) ASSERT_THAT(seen.Step(&pool, true), IsOk());
+  const Seen saved = seen;
+  for (int i = 0; i < 3; ++i) ASSERT_THAT(seen.Step(&pool), IsOk());
+  servers[1].server->Stop(absl::Milliseconds(50));
+  // Not Cancelled: nobody here asked for it.
+  EXPECT_THAT(seen.Step(&pool), StatusIs(absl::StatusCode::kUnavailable, HasSubstr(servers[1].server->address())));
+
+  seen = saved;
+  std::vector<EnvClient::Lane> lanes;
+  for (const auto& [lane, snapshot] : saved.snapshots) lanes.push_back({lane, lane + 100, 1, snapshot});
+  ASSERT_THAT(seen.Open(&pool, lanes), IsOk());
+  for (int i = 0; i < 10; ++i) ASSERT_THAT(untroubled.Step(&untroubled_pool), IsOk());
+  EXPECT_EQ(seen.frames, untroubled.frames);
+  for (int i = 0; i < kLength; ++i) {
+    ASSERT_THAT(seen.Step(&pool), IsOk());
+    ASSERT_THAT(untroubled.Step(&untroubled_pool), IsOk());
+    ASSERT_EQ(seen.frames, untroubled.frames) << i;
+  }
+}
+
+TEST(EnvPool, AServerThatGoesWhileLanesOpenIsAnError) {
+  const EnvServer servers[2];
+  EnvPool pool = PoolOf({&servers[0], &servers[1]});
+  Seen seen;
+  ASSERT_THAT(seen.Open(&pool, NewLanes({0, 1})), IsOk());
+  servers[1].server->Stop(absl::Milliseconds(50));
+  EXPECT_THAT(seen.Open(&pool, NewLanes({1})),
+              StatusIs(absl::StatusCode::kUnavailable, HasSubstr(servers[1].server->address())));
+  ASSERT_THAT(seen.Open(&pool, NewLanes({0, 1})), IsOk());
+  EXPECT_THAT(seen.Step(&pool), IsOk());
+}
+
+TEST(EnvPool, NamesEveryServerWhenNoneCanBeReached) {
+  std::vector<wire::Endpoint> endpoints;
+  {
+    const EnvServer gone[2];
+    for (const EnvServer& server : gone) endpoints.push_back(server.Connect());
+  }
+  EnvPool pool(endpoints, SampleHello(kLength), kFrameBytes);
+  std::string frames;
+  for (int i = 0; i < 2; ++i) {  // the second time it waits before it tries again
+    EXPECT_THAT(pool.Open(NewLanes({0}), &frames),
+                StatusIs(absl::StatusCode::kUnavailable,
+                         AllOf(HasSubstr(endpoints[0].address), HasSubstr(endpoints[1].address))));
+  }
+}
+
+TEST(EnvPool, PlaysWithTheServersThatAreLeft) {
+  const EnvServer here;
+  wire::Endpoint gone;
+  {
+    const EnvServer server;
+    gone = server.Connect();
+  }
+  EnvPool pool({gone, here.Connect()}, SampleHello(kLength), kFrameBytes);
+  Seen seen;
+  ASSERT_THAT(seen.Open(&pool, NewLanes({0, 1})), IsOk());
+  EXPECT_THAT(seen.Step(&pool), IsOk());
+}
+
+TEST(EnvPool, AServerThatDoesNotFitIsAnErrorToAct) {
+  const EnvServer server;
+  v1::SessionHello hello = SampleHello(kLength);
+  hello.set_texture_digest("0123456789abcdef");
+  EnvPool pool({server.Connect()}, hello, kFrameBytes);
+  std::string frames;
+  EXPECT_THAT(pool.Open(NewLanes({0}), &frames),
+              StatusIs(absl::StatusCode::kFailedPrecondition,
+                       AllOf(HasSubstr(server.server->address()), HasSubstr("--textures"))));
+}
+
+// Greets, then takes requests in and never answers.
+class SilentService : public v1::EnvironmentService::Service {
+ public:
+  grpc::Status Play(grpc::ServerContext* /*context*/,
+                    grpc::ServerReaderWriter<v1::PlayReply, v1::PlayRequest>* stream) override {
+    v1::PlayRequest request;
+    stream->Read(&request);
+    stream->Write({});
+    while (stream->Read(&request)) {
+    }
+    return grpc::Status::OK;
+  }
+};
+
+TEST(EnvPool, CancelEndsACallThatWaits) {
+  SilentService service;
+  const auto server = *wire::Server::Create({"127.0.0.1:0"}, {&service});
+  EnvPool pool({wire::Connect(server->address())}, SampleHello(kLength), kFrameBytes);
+  absl::Status status;
+  std::thread opening([&] {
+    std::string frames;
+    status = pool.Open(NewLanes({0}), &frames);
+  });
+  absl::SleepFor(absl::Milliseconds(100));  // most likely it waits by now; if not, it is refused at once
+  pool.Cancel();
+  opening.join();
+  EXPECT_THAT(status, StatusIs(absl::StatusCode::kCancelled, "stopping"));
+  std::string frames;
+  EXPECT_THAT(pool.Open(NewLanes({0}), &frames), StatusIs(absl::StatusCode::kCancelled, "stopping"));
+}
+
+// Answers everything with one byte of frames.
+class BabblingService : public v1::EnvironmentService::Service {
+ public:
+  grpc::Status Play(grpc::ServerContext* /*context*/,
+                    grpc::ServerReaderWriter<v1::PlayReply, v1::PlayRequest>* stream) override {
+    v1::PlayRequest request;
+    v1::PlayReply reply;
+    reply.set_frames("x");
+    while (stream->Read(&request)) stream->Write(reply);
+    return grpc::Status::OK;
+  }
+};
+
+TEST(EnvPool, ARepliesShapeIsChecked) {
+  BabblingService service;
+  const auto server = *wire::Server::Create({"127.0.0.1:0"}, {&service});
+  EnvPool pool({wire::Connect(server->address())}, SampleHello(kLength), kFrameBytes);
+  std::string frames;
+  EXPECT_THAT(pool.Open(NewLanes({0}), &frames),
+              StatusIs(absl::StatusCode::kInternal, HasSubstr(absl::StrCat("environment server ", server->address(),
+                                                                           ": 1 bytes of frames, want 12288"))));
+}
+
+}  // namespace
+}  // namespace craftfleet
