@@ -2,13 +2,16 @@
 # Installs what CraftFleet is built and tested with, from Debian's own packages (Debian 12 or later).
 # Does nothing when all of it is there; uses sudo when not run as root.
 #
-# Usage: deploy/install-deps.sh
+# Usage: deploy/install-deps.sh [--developer]
+#   --developer  also what the other builds and checks of .ci/run need: clang with its tools, shellcheck
 
 set -euo pipefail
 
+developer=
 usage() { sed -n '2,/^$/s/^# \{0,1\}//p' "$0"; }
 case "${1:-}" in
   "") ;;
+  --developer) developer=yes ;;
   -h | --help) usage; exit 0 ;;
   *) echo "install-deps.sh: unknown argument '$1'" >&2; usage >&2; exit 2 ;;
 esac
@@ -22,6 +25,9 @@ packages=(
   libopencv-dev
   libgtest-dev libgmock-dev libbenchmark-dev
 )
+if [ -n "$developer" ]; then
+  packages+=(clang libclang-rt-14-dev llvm clang-format clang-tidy shellcheck)
+fi
 
 if ! command -v apt-get >/dev/null || ! command -v dpkg-query >/dev/null; then
   echo "install-deps.sh: no apt here. Install by your system's own means what Debian calls:" >&2
