@@ -3,6 +3,7 @@
 #include <utility>
 
 #include <absl/strings/str_cat.h>
+#include <absl/time/clock.h>
 
 #include "common/log.h"
 #include "common/status_macros.h"
@@ -13,6 +14,7 @@ namespace craftfleet {
 namespace {
 
 constexpr absl::Duration kRetryPause = absl::Milliseconds(500);
+constexpr absl::Duration kSayAgain = absl::Seconds(10);  // between two lines about the same trouble
 
 HeldPermit PermitOf(const v1::FragmentMessage& message) {
   return {message.epoch(), message.lane(), message.number(), message.policy_version()};
@@ -31,11 +33,7 @@ void FragmentSender::Start() {
 
 void FragmentSender::Stop() {
   queue_.Close();
-  {
-    MutexLock lock(&mu_);
-    if (context_ != nullptr) context_->TryCancel();
-    stopped_.NotifyAll();
-  }
+  Cancel();
   if (thread_.joinable()) thread_.join();
 }
 
@@ -48,24 +46,33 @@ void FragmentSender::Run() {
       context_ = std::make_unique<grpc::ClientContext>();
       stream = learner_->PushFragments(context_.get());
     }
-    const absl::Status status = Serve(stream.get());
-    // Ends the call; after an error of the stream this has its status.
+    absl::Status status = Serve(stream.get());
+    // After a wrong verdict the stream is still open.
+    if (absl::IsInternal(status)) Cancel();
     const absl::Status end = wire::FromGrpc(stream->Finish(), learner_->name());
-    if (!stopping()) Explain(status, end);
+    if (absl::IsUnavailable(status) && !end.ok()) status = end;  // says why the stream broke
+    if (!stopping()) Explain(status);
     MutexLock lock(&mu_);
     context_ = nullptr;
     stopped_.WaitFor(&mu_, kRetryPause, [this] { return stopping(); });
   }
 }
 
-void FragmentSender::Explain(const absl::Status& status, const absl::Status& end) {
-  if (end.code() == absl::StatusCode::kInvalidArgument && unanswered_.has_value()) {
-    LogError("%s; the fragment is dropped", end.message());
+void FragmentSender::Cancel() {
+  MutexLock lock(&mu_);
+  if (context_ != nullptr) context_->TryCancel();
+  stopped_.NotifyAll();
+}
+
+void FragmentSender::Explain(const absl::Status& why) {
+  if (absl::IsInvalidArgument(why) && unanswered_.has_value()) {
+    LogError("%s; the fragment is dropped", why.message());
     permits_->Release(PermitOf(*unanswered_));
     unanswered_.reset();
     ++refused_;
-  } else {
-    LogWarning("%s; fragments wait and will be sent again", (end.ok() ? status : end).message());
+  } else if (absl::Now() - said_ > kSayAgain) {
+    said_ = absl::Now();
+    LogWarning("%s; fragments wait and will be sent again", why.message());
   }
 }
 

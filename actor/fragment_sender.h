@@ -45,15 +45,18 @@ class FragmentSender {
   // Sends `unanswered_` and waits for its verdict: with more than one under way both ends could wait in Write for the
   // other.
   absl::Status SendAndHear(Stream* stream);
-  // Logs why the stream broke; drops the fragment that the learner calls wrong.
-  void Explain(const absl::Status& status, const absl::Status& end);
+  // Logs why the stream ended; drops the fragment that the learner calls wrong.
+  void Explain(const absl::Status& why);
+  // Ends the stream at hand, and the pause before the next one if stopping.
+  void Cancel() ABSL_LOCKS_EXCLUDED(mu_);
   bool stopping() const { return queue_.closed(); }
 
   const LearnerClient* const learner_;
   const std::string actor_;
   PermitBook* const permits_;
   ClosableQueue<Fragment> queue_{kQueueCapacity};
-  std::optional<v1::FragmentMessage> unanswered_;  // sent, without a verdict; the thread's own
+  std::optional<v1::FragmentMessage> unanswered_;  // sent, without a verdict; the thread's own, like the next
+  absl::Time said_ = absl::InfinitePast();         // that fragments wait
 
   std::atomic<int64_t> accepted_{0};
   std::atomic<int64_t> refused_{0};

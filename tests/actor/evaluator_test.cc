@@ -1,0 +1,140 @@
+#include "actor/evaluator.h"
+
+#include <algorithm>
+#include <string>
+#include <vector>
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include "common/agent/torch_setup.h"
+#include "common/keyed_random.h"
+#include "envserver/game.h"
+#include "tests/fakes/env_server.h"
+#include "tests/fakes/sample_policy.h"
+#include "tests/fakes/status_matchers.h"
+#include "tests/fakes/wire_samples.h"
+
+namespace craftfleet {
+namespace {
+
+using testing::HasSubstr;
+
+constexpr int kLength = 30;  // of an episode
+
+class EvaluatorTest : public testing::Test {
+ protected:
+  static void SetUpTestSuite() { SetUpTorchProcess(); }
+
+  absl::StatusOr<std::vector<Episode>> Run(const EvaluationOptions& options, uint64_t weights = 1) {
+    EnvClient client(env_.Connect(), SampleHello(kLength), 64 * 64 * 3);
+    if (absl::Status status = client.Connect(absl::Seconds(10)); !status.ok()) return status;
+    finished_.clear();
+    return Evaluate(options, *SamplePolicy(weights), &client, [this](int n) { finished_.push_back(n); });
+  }
+
+  const EnvServer env_;
+  std::vector<int> finished_;  // what progress was told
+};
+
+EvaluationOptions Options(int episodes, int lanes) {
+  EvaluationOptions options;
+  options.seed = 5;
+  options.episodes = episodes;
+  options.lanes = lanes;
+  return options;
+}
+
+bool Same(const std::vector<Episode>& a, const std::vector<Episode>& b) {
+  return std::equal(a.begin(), a.end(), b.begin(), b.end(), [](const Episode& x, const Episode& y) {
+    return x.length == y.length && x.reward == y.reward && x.achievements == y.achievements;
+  });
+}
+
+TEST_F(EvaluatorTest, TheResultDoesNotDependOnHowManyEpisodesRunAtOnce) {
+  const auto one = Run(Options(6, 1));
+  ASSERT_THAT(one, IsOk());
+  EXPECT_EQ(finished_.back(), 6);
+  for (const int lanes : {1, 4, 16}) {
+    const auto many = Run(Options(6, lanes));
+    ASSERT_THAT(many, IsOk());
+    ExpectSameEpisodes(*many, *one);
+    EXPECT_EQ(finished_.back(), 6);
+  }
+}
+
+TEST_F(EvaluatorTest, TheLikeliestActionsDoNotDependOnItEither) {
+  EvaluationOptions options = Options(3, 1);
+  options.greedy = true;
+  const auto one = Run(options);
+  options.lanes = 2;
+  const auto two = Run(options);
+  ASSERT_THAT(one, IsOk());
+  ASSERT_THAT(two, IsOk());
+  ExpectSameEpisodes(*two, *one);
+  EXPECT_FALSE(Same(*one, *Run(Options(3, 1)))) << "drawn actions are others";
+}
+
+TEST_F(EvaluatorTest, SeedAndWeightsMakeAnotherResult) {
+  const auto first = Run(Options(4, 16));
+  ASSERT_THAT(first, IsOk());
+  EXPECT_FALSE(Same(*first, *Run(Options(4, 16), /*weights=*/2)));
+  EvaluationOptions other_seed = Options(4, 16);
+  other_seed.seed = 6;
+  EXPECT_FALSE(Same(*first, *Run(other_seed)));
+}
+
+TEST_F(EvaluatorTest, LaterEpisodesAreTheSameAloneAndInTheRow) {
+  const auto all = Run(Options(5, 16));
+  ASSERT_THAT(all, IsOk());
+  EvaluationOptions options = Options(2, 16);
+  options.first_episode = 4;
+  const auto last = Run(options);
+  ASSERT_THAT(last, IsOk());
+  ExpectSameEpisodes(*last, {(*all)[3], (*all)[4]});
+}
+
+// The same by hand: a game without server and the policy on one frame at a time.
+TEST_F(EvaluatorTest, PlaysTheGameOfTheSeed) {
+  WorldOptions world;
+  world.length = kLength;
+  const auto renderer = *Renderer::Create(**Textures::Load(*DefaultTextureDir()), world, RenderOptions());
+  std::string frame(renderer->frame_bytes(), '\0');
+  const auto bytes = absl::MakeSpan(reinterpret_cast<uint8_t*>(frame.data()), frame.size());
+  Game game = *Game::Create(renderer, 5, bytes);
+  const auto policy = SamplePolicy(1);
+  absl::optional<Episode> episode;
+  for (int64_t step = 0; !episode.has_value(); ++step) {
+    std::string last_frames;
+    const ActResult act = *policy->Act(frame, {1}, {ActionNoise(5, 1, step)});
+    episode = game.StepAndAutoReset(act.actions[0], bytes, &last_frames).episode;
+  }
+  const auto evaluated = Run(Options(1, 1));
+  ASSERT_THAT(evaluated, IsOk());
+  ExpectSameEpisodes(*evaluated, {*episode});
+}
+
+TEST_F(EvaluatorTest, RefusesOptionsOutOfRange) {
+  const auto refused = [](const EvaluationOptions& options, const std::string& error) {
+    EXPECT_THAT(options.Validate(), StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr(error)));
+  };
+  refused(Options(0, 1), "--episodes=0");
+  refused(Options(10001, 1), "--episodes=10001");
+  refused(Options(1, 0), "--lanes=0, want 1..256");
+  refused(Options(1, 257), "--lanes=257, want 1..256");
+  EvaluationOptions beyond = Options(2, 1);
+  beyond.first_episode = 10000;
+  refused(beyond, "none beyond episode 10000");
+  EXPECT_THAT(Run(Options(0, 1)), StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("--episodes")));
+}
+
+TEST_F(EvaluatorTest, TellsThatTheServerWentAway) {
+  EnvClient client(env_.Connect(), SampleHello(kLength), 64 * 64 * 3);
+  ASSERT_THAT(client.Connect(absl::Seconds(10)), IsOk());
+  const auto result =
+      Evaluate(Options(4, 4), *SamplePolicy(1), &client, [this](int) { env_.server->Stop(absl::Milliseconds(10)); });
+  EXPECT_THAT(result, StatusIs(absl::StatusCode::kUnavailable, HasSubstr(env_.server->address())));
+}
+
+}  // namespace
+}  // namespace craftfleet

@@ -1,0 +1,78 @@
+#include "actor/policy_source.h"
+
+#include <memory>
+#include <string>
+#include <thread>
+#include <vector>
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include "common/wire/server.h"
+#include "tests/fakes/fake_learner_service.h"
+#include "tests/fakes/sample_policy.h"
+#include "tests/fakes/status_matchers.h"
+
+namespace craftfleet {
+namespace {
+
+using testing::AllOf;
+using testing::HasSubstr;
+
+std::vector<v1::WeightsChunk> Chunks(int64_t version, const std::string& bytes) {
+  std::vector<v1::WeightsChunk> chunks(2);
+  for (size_t i = 0; i < chunks.size(); ++i) {
+    chunks[i].set_policy_version(version);
+    chunks[i].set_total_bytes(static_cast<int64_t>(bytes.size()));
+    chunks[i].set_data(i == 0 ? bytes.substr(0, 1000) : bytes.substr(1000));
+  }
+  return chunks;
+}
+
+class PolicySourceTest : public testing::Test {
+ protected:
+  FakeLearnerService service_;
+  const std::unique_ptr<wire::Server> server_ = *wire::Server::Create({}, {&service_});
+  const LearnerClient client_{server_->InProcess()};
+  PolicySource source_{&client_, *FindAgent("ppo_cnn"), 8};
+};
+
+TEST_F(PolicySourceTest, FetchesAVersionOnce) {
+  service_.SetWeights(Chunks(3, SampleWeights(1)));
+  const auto first = source_.Get(3);
+  ASSERT_THAT(first, IsOk());
+  service_.SetWeights({});
+  EXPECT_EQ(source_.Get(3).value(), *first);
+}
+
+TEST_F(PolicySourceTest, IsAskedByManyAtOnce) {
+  service_.SetWeights(Chunks(3, SampleWeights(1)));
+  std::vector<std::thread> threads;
+  for (int i = 0; i < 4; ++i) threads.emplace_back([this] { EXPECT_THAT(source_.Get(3), IsOk()); });
+  for (std::thread& thread : threads) thread.join();
+}
+
+TEST_F(PolicySourceTest, ALaterVersionIsNotThePermitsButIsKept) {
+  service_.SetWeights(Chunks(4, SampleWeights(1)));
+  EXPECT_THAT(source_.Get(3), StatusIs(absl::StatusCode::kAborted,
+                                       AllOf(HasSubstr("weights are at version 4"), HasSubstr("permit is for 3"))));
+  service_.SetWeights({});
+  EXPECT_THAT(source_.Get(4), IsOk());
+}
+
+TEST_F(PolicySourceTest, WeightsThatAreCutAreAnError) {
+  std::vector<v1::WeightsChunk> chunks = Chunks(3, SampleWeights(1));
+  chunks.pop_back();
+  service_.SetWeights(chunks);
+  EXPECT_THAT(source_.Get(3), StatusIs(absl::StatusCode::kDataLoss, HasSubstr("1000 bytes of weights, want")));
+  service_.SetWeights(Chunks(3, SampleWeights(1)));
+  EXPECT_THAT(source_.Get(3), IsOk());
+}
+
+TEST_F(PolicySourceTest, WeightsThatAreNoneAreAnError) {
+  service_.SetWeights(Chunks(3, std::string(5000, 'x')));
+  EXPECT_THAT(source_.Get(3), StatusIs(absl::StatusCode::kInvalidArgument, testing::Not(testing::IsEmpty())));
+}
+
+}  // namespace
+}  // namespace craftfleet

@@ -1,0 +1,34 @@
+// Weights and a policy to test with.
+
+#ifndef CRAFTFLEET_TESTS_FAKES_SAMPLE_POLICY_H_
+#define CRAFTFLEET_TESTS_FAKES_SAMPLE_POLICY_H_
+
+#include <cstdint>
+#include <memory>
+#include <string>
+#include <vector>
+
+#include "common/agent/agent_spec.h"
+#include "common/agent/policy.h"
+#include "common/agent/weights.h"
+#include "common/keyed_random.h"
+
+namespace craftfleet {
+
+// Weights of a ppo_cnn, safetensors: small random numbers, so that its actions depend on what it sees.
+inline std::string SampleWeights(uint64_t seed) {
+  const AgentSpec spec = *FindAgent("ppo_cnn");
+  std::vector<float> weights(spec.param_count);
+  for (size_t i = 0; i < weights.size(); ++i) {
+    weights[i] = static_cast<float>(UnitInterval(KeyedBits(RandomUse::kInitialWeights, seed, i, 0)) - 0.5) * 0.2F;
+  }
+  return SaveWeights(spec, weights);
+}
+
+inline std::unique_ptr<const Policy> SamplePolicy(uint64_t seed, int tile = 8) {
+  return *Policy::Create(*FindAgent("ppo_cnn"), SampleWeights(seed), tile);
+}
+
+}  // namespace craftfleet
+
+#endif  // CRAFTFLEET_TESTS_FAKES_SAMPLE_POLICY_H_

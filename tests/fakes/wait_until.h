@@ -1,0 +1,24 @@
+// Waits for something that another thread or process will do.
+
+#ifndef CRAFTFLEET_TESTS_FAKES_WAIT_UNTIL_H_
+#define CRAFTFLEET_TESTS_FAKES_WAIT_UNTIL_H_
+
+#include <functional>
+
+#include <absl/time/clock.h>
+#include <absl/time/time.h>
+
+namespace craftfleet {
+
+// True as soon as `condition` holds; false when it does not within `timeout`.
+inline bool WaitUntil(const std::function<bool()>& condition, absl::Duration timeout = absl::Seconds(30)) {
+  for (const absl::Time deadline = absl::Now() + timeout; absl::Now() < deadline;
+       absl::SleepFor(absl::Milliseconds(1))) {
+    if (condition()) return true;
+  }
+  return condition();
+}
+
+}  // namespace craftfleet
+
+#endif  // CRAFTFLEET_TESTS_FAKES_WAIT_UNTIL_H_
