@@ -1,0 +1,342 @@
+// Actors with a real book of lanes and real games: what they send is what was played, whatever happens around them.
+
+#include "actor/actor.h"
+
+#include <algorithm>
+#include <memory>
+#include <string>
+#include <thread>
+#include <tuple>
+#include <utility>
+#include <vector>
+
+#include <absl/time/clock.h>
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include "common/agent/torch_setup.h"
+#include "common/keyed_random.h"
+#include "common/seeds.h"
+#include "envserver/game.h"
+#include "learner/learner_service.h"
+#include "tests/fakes/env_server.h"
+#include "tests/fakes/sample_policy.h"
+#include "tests/fakes/status_matchers.h"
+#include "tests/fakes/temp_folder.h"
+#include "tests/fakes/wait_until.h"
+#include "tests/fakes/wire_samples.h"
+
+namespace craftfleet {
+namespace {
+
+using testing::AllOf;
+using testing::HasSubstr;
+using testing::IsEmpty;
+
+constexpr int kLanes = 4;
+constexpr int kSteps = 8;                      // of a fragment
+constexpr int64_t kFragmentsPerIteration = 2;  // of a lane
+constexpr int kLength = 11;                    // of an episode: one ends in most fragments
+constexpr int kFrameBytes = 64 * 64 * 3;
+
+v1::RunConfig Config() {
+  v1::RunConfig config;
+  config.set_agent("ppo_cnn");
+  *config.mutable_env() = SampleHello(kLength).env();
+  config.set_seed(3);
+  config.set_lanes(kLanes);
+  config.set_fragment_steps(kSteps);
+  config.set_tile(2);
+  return config;
+}
+
+// A learner that hands out work and learns nothing: iteration i is played with weights i.
+class StandInLearner {
+ public:
+  StandInLearner(const std::string& address, int64_t epoch, std::vector<LaneRecord> lanes,
+                 const std::string& texture_digest = "")
+      : ledger_({kLanes}, std::move(lanes), &clock_),
+        service_({"run-a", epoch, Config(), texture_digest, {kLanes, kSteps, kFrameBytes}, absl::Seconds(5)}, &ledger_,
+                 &weights_, &fragments_),
+        server_(*wire::Server::Create({address}, {&service_})) {}
+
+  void Open(int64_t iteration) {
+    weights_.Publish(iteration, std::make_shared<std::string>(SampleWeights(iteration)));
+    ledger_.OpenIteration((iteration + 1) * kFragmentsPerIteration, iteration);
+  }
+  // The fragments of the open iteration, in order; fewer after a minute.
+  std::vector<Fragment> Collect() {
+    std::vector<Fragment> fragments;
+    while (fragments.size() < kLanes * kFragmentsPerIteration) {
+      auto fragment = fragments_.Pop(absl::Minutes(1));
+      if (!fragment.has_value()) break;
+      fragments.push_back(*std::move(fragment));
+    }
+    std::sort(fragments.begin(), fragments.end(), [](const Fragment& a, const Fragment& b) {
+      return std::tie(a.lane, a.number) < std::tie(b.lane, b.number);
+    });
+    return fragments;
+  }
+  LaneLedger& ledger() { return ledger_; }
+  FragmentQueue& fragments() { return fragments_; }
+  wire::Endpoint Connect() const { return wire::Connect(server_->address()); }
+
+ private:
+  RealClock clock_;
+  LaneLedger ledger_;
+  WeightStore weights_;
+  FragmentQueue fragments_{100};
+  LearnerServiceImpl service_;
+  std::unique_ptr<wire::Server> server_;
+};
+
+// An actor on a thread of its own.
+class RunningActor {
+ public:
+  RunningActor(const wire::Endpoint& learner, const std::vector<wire::Endpoint>& env_servers, int threads = 1) {
+    Actor::Options options;
+    options.learner = learner;
+    options.env_servers = env_servers;
+    options.threads = threads;
+    actor_ = *Actor::Create(options);
+    thread_ = std::thread([this] { status_ = actor_->Run("no address"); });
+  }
+  ~RunningActor() {
+    actor_->Stop();
+    Join().IgnoreError();
+  }
+  // What Run returned.
+  absl::Status Join() {
+    if (thread_.joinable()) thread_.join();
+    return status_;
+  }
+  void Stop() { actor_->Stop(); }
+  double Metric(const std::string& name) const {
+    v1::StatusReply reply;
+    actor_->FillStatus(&reply);
+    for (const v1::Metric& metric : reply.metrics()) {
+      if (metric.name() == name) return metric.value();
+    }
+    return -1;
+  }
+
+ private:
+  std::unique_ptr<Actor> actor_;
+  std::thread thread_;
+  absl::Status status_;
+};
+
+// The games of all lanes played without actor, server or learner: what the fragments of the run must be.
+class Reference {
+ public:
+  Reference() {
+    WorldOptions world;
+    world.length = kLength;
+    const auto renderer = *Renderer::Create(**Textures::Load(*DefaultTextureDir()), world, RenderOptions());
+    for (int lane = 0; lane < kLanes; ++lane) {
+      frames_.emplace_back(kFrameBytes, '\0');
+      games_.push_back(*Game::Create(renderer, LaneSeed(Config().seed(), lane), Bytes(lane)));
+    }
+  }
+
+  std::vector<Fragment> Play(int64_t iteration) {
+    const auto policy = SamplePolicy(iteration, Config().tile());
+    std::vector<Fragment> fragments;
+    for (int lane = 0; lane < kLanes; ++lane) {
+      for (int64_t i = 0; i < kFragmentsPerIteration; ++i) {
+        fragments.push_back(PlayOne(*policy, lane, iteration * kFragmentsPerIteration + i, iteration));
+      }
+    }
+    return fragments;
+  }
+
+ private:
+  absl::Span<uint8_t> Bytes(int lane) {
+    return absl::MakeSpan(reinterpret_cast<uint8_t*>(frames_[lane].data()), frames_[lane].size());
+  }
+
+  Fragment PlayOne(const Policy& policy, int lane, int64_t number, int64_t version) {
+    Fragment fragment;
+    fragment.epoch = 1;
+    fragment.lane = lane;
+    fragment.number = number;
+    fragment.policy_version = version;
+    for (int t = 0; t < kSteps; ++t) {
+      const double noise = ActionNoise(Config().seed(), lane, number * kSteps + t);
+      const ActResult act = *policy.Act(frames_[lane], {lane}, {noise});
+      fragment.frames += frames_[lane];
+      fragment.actions.push_back(static_cast<char>(act.actions[0]));
+      fragment.log_probs.push_back(act.log_probs[0]);
+      fragment.values.push_back(act.values[0]);
+      std::string last_frame;
+      const Game::PlayedStep played = games_[lane].StepAndAutoReset(act.actions[0], Bytes(lane), &last_frame);
+      fragment.rewards.push_back(static_cast<float>(played.outcome.reward));
+      fragment.ends.push_back(played.outcome.end);
+      if (played.outcome.end == StepEnd::kTruncated) {
+        fragment.truncation_values.push_back(policy.Values(last_frame, {lane})->front());
+      }
+      if (!played.episode.has_value()) continue;
+      fragment.episodes.push_back(*played.episode);
+      fragment.episodes.back().step = t;
+    }
+    fragment.bootstrap_value = policy.Values(frames_[lane], {lane})->front();
+    fragment.snapshot = games_[lane].Save();
+    return fragment;
+  }
+
+  std::vector<std::string> frames_;
+  std::vector<Game> games_;
+};
+
+class ActorTest : public testing::Test {
+ protected:
+  static void SetUpTestSuite() { SetUpTorchProcess(); }
+
+  std::string LearnerAddress() const { return "unix:" + (folder_ / "learner"); }
+  // The iteration's fragments are those of the reference.
+  void ExpectIteration(StandInLearner* learner, int64_t iteration, int64_t epoch = 1) {
+    const std::vector<Fragment> fragments = learner->Collect();
+    std::vector<Fragment> wanted = reference_.Play(iteration);
+    ASSERT_EQ(fragments.size(), wanted.size());
+    for (size_t i = 0; i < wanted.size(); ++i) {
+      SCOPED_TRACE(testing::Message() << "lane " << wanted[i].lane << " fragment " << wanted[i].number);
+      wanted[i].epoch = epoch;
+      ExpectSameFragments(fragments[i], wanted[i]);
+    }
+  }
+
+  const TempFolder folder_;
+  const EnvServer env_;
+  Reference reference_;
+  std::unique_ptr<StandInLearner> learner_ =
+      std::make_unique<StandInLearner>(LearnerAddress(), 1, std::vector<LaneRecord>(kLanes));
+};
+
+TEST_F(ActorTest, SendsTheGamesThatItPlayed) {
+  RunningActor actor(learner_->Connect(), {env_.Connect()});
+  for (int64_t iteration = 0; iteration < 3; ++iteration) {
+    learner_->Open(iteration);
+    ExpectIteration(learner_.get(), iteration);
+  }
+  EXPECT_TRUE(WaitUntil([&] { return actor.Metric("fragments_accepted") == 3 * kLanes * kFragmentsPerIteration; }));
+  EXPECT_EQ(actor.Metric("env_steps"), 3 * kLanes * kFragmentsPerIteration * kSteps);
+  EXPECT_EQ(actor.Metric("fragments_abandoned"), 0);
+}
+
+TEST_F(ActorTest, ManyActorsPlayWhatOneWould) {
+  const EnvServer second;
+  RunningActor a(learner_->Connect(), {env_.Connect(), second.Connect()}, 2);
+  RunningActor b(learner_->Connect(), {second.Connect()});
+  RunningActor c(learner_->Connect(), {env_.Connect()}, 3);
+  for (int64_t iteration = 0; iteration < 3; ++iteration) {
+    learner_->Open(iteration);
+    ExpectIteration(learner_.get(), iteration);
+  }
+}
+
+TEST_F(ActorTest, LeavesWhenTheRunIsOver) {
+  RunningActor actor(learner_->Connect(), {env_.Connect()});
+  ASSERT_TRUE(WaitUntil([this] { return learner_->ledger().Actors().size() == 1; }));
+  learner_->ledger().Finish();
+  EXPECT_THAT(actor.Join(), IsOk());
+  EXPECT_THAT(learner_->ledger().Actors(), IsEmpty());
+}
+
+TEST_F(ActorTest, AStoppedActorGivesItsLanesToOthers) {
+  auto first = std::make_unique<RunningActor>(learner_->Connect(), std::vector<wire::Endpoint>{env_.Connect()});
+  learner_->Open(0);
+  ExpectIteration(learner_.get(), 0);
+  learner_->Open(1);  // stopped somewhere within its fragments
+  const absl::Time start = absl::Now();
+  first->Stop();
+  EXPECT_THAT(first->Join(), IsOk());
+  EXPECT_LT(absl::Now() - start, absl::Seconds(5));
+  RunningActor second(learner_->Connect(), {env_.Connect()});
+  ExpectIteration(learner_.get(), 1);
+}
+
+TEST_F(ActorTest, GoesOnWhenAnEnvironmentServerGoes) {
+  const EnvServer second;
+  RunningActor actor(learner_->Connect(), {env_.Connect(), second.Connect()});
+  learner_->Open(0);
+  ExpectIteration(learner_.get(), 0);
+  second.server->Stop(absl::Milliseconds(10));
+  learner_->Open(1);
+  ExpectIteration(learner_.get(), 1);
+  EXPECT_GT(actor.Metric("fragments_abandoned"), 0);
+}
+
+TEST_F(ActorTest, GoesOnWhenTheLearnerCameBack) {
+  RunningActor actor(learner_->Connect(), {env_.Connect()});
+  learner_->Open(0);
+  ExpectIteration(learner_.get(), 0);
+  const std::vector<LaneRecord> checkpoint = learner_->ledger().Records();
+  learner_->Open(1);
+  ASSERT_TRUE(learner_->fragments().Pop(absl::Minutes(1)).has_value()) << "within the iteration";
+  learner_.reset();
+  learner_ = std::make_unique<StandInLearner>(LearnerAddress(), 2, checkpoint);
+  learner_->Open(1);
+  ExpectIteration(learner_.get(), 1, 2);
+}
+
+// Its lanes must not stand still until it can play.
+TEST_F(ActorTest, OneThatCannotPlayLetsOthersPlay) {
+  wire::Endpoint gone;
+  {
+    const EnvServer server;
+    gone = server.Connect();
+  }
+  RunningActor unable(learner_->Connect(), {gone});
+  ASSERT_TRUE(WaitUntil([this] { return learner_->ledger().Actors().size() == 1; }));
+  learner_->Open(0);
+  ASSERT_TRUE(WaitUntil([&] { return unable.Metric("fragments_abandoned") > 0; }));
+  RunningActor able(learner_->Connect(), {env_.Connect()});
+  const absl::Time start = absl::Now();
+  ExpectIteration(learner_.get(), 0);
+  learner_->Open(1);
+  ExpectIteration(learner_.get(), 1);
+  EXPECT_LT(absl::Now() - start, absl::Seconds(20));
+  EXPECT_EQ(unable.Metric("fragments_accepted"), 0);
+}
+
+TEST_F(ActorTest, WaitsForALearnerThatIsNotThereYet) {
+  learner_.reset();
+  RunningActor actor(wire::Connect(LearnerAddress()), {env_.Connect()});
+  absl::SleepFor(absl::Milliseconds(300));
+  learner_ = std::make_unique<StandInLearner>(LearnerAddress(), 1, std::vector<LaneRecord>(kLanes));
+  learner_->Open(0);
+  ExpectIteration(learner_.get(), 0);
+}
+
+TEST_F(ActorTest, StopsWhileItWaitsForALearner) {
+  learner_.reset();
+  RunningActor actor(wire::Connect(LearnerAddress()), {env_.Connect()});
+  absl::SleepFor(absl::Milliseconds(100));
+  const absl::Time start = absl::Now();
+  actor.Stop();
+  EXPECT_THAT(actor.Join(), IsOk());
+  EXPECT_LT(absl::Now() - start, absl::Seconds(6));
+}
+
+TEST_F(ActorTest, EndsWhenTheTexturesDiffer) {
+  learner_.reset();
+  learner_ = std::make_unique<StandInLearner>(LearnerAddress(), 1, std::vector<LaneRecord>(kLanes), "0123456789abcdef");
+  RunningActor actor(learner_->Connect(), {env_.Connect()});
+  learner_->Open(0);
+  EXPECT_THAT(actor.Join(), StatusIs(absl::StatusCode::kFailedPrecondition,
+                                     AllOf(HasSubstr(env_.server->address()), HasSubstr("0123456789abcdef"))));
+}
+
+TEST(ActorOptions, AreCheckedByName) {
+  const wire::Endpoint somewhere = wire::Connect("127.0.0.1:1");
+  EXPECT_THAT((Actor::Options{somewhere, {}, 1, 1}.Validate()),
+              StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("--envservers is empty")));
+  EXPECT_THAT((Actor::Options{somewhere, {somewhere}, 0, 1}.Validate()),
+              StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("--threads=0, want 1..256")));
+  EXPECT_THAT((Actor::Options{somewhere, {somewhere}, 1, 4097}.Validate()),
+              StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("--max_lanes=4097, want 1..4096")));
+  EXPECT_THAT((Actor::Options{somewhere, {somewhere}, 256, 4096}.Validate()), IsOk());
+}
+
+}  // namespace
+}  // namespace craftfleet
