@@ -25,7 +25,8 @@ Axis RoundAxis(double low, double high, int most_steps) {
       const double first = std::floor(low / step + 1e-9);
       const double last = std::ceil(high / step - 1e-9);
       if (last - first > most_steps) continue;
-      for (double tick = first; tick <= last; ++tick) axis.ticks.push_back(tick * step);
+      const int steps = static_cast<int>(last - first);
+      for (int i = 0; i <= steps; ++i) axis.ticks.push_back((first + i) * step);
       axis.low = axis.ticks.front();
       axis.high = axis.ticks.back();
       return axis;

@@ -18,7 +18,7 @@ constexpr int kFractionBits = 4;  // of OpenCV's coordinates
 constexpr int kFont = cv::FONT_HERSHEY_SIMPLEX;
 constexpr double kFontCapitals = 21;  // pixels, at font scale 1
 
-cv::Scalar ToScalar(const Color& color) { return {double(color.blue), double(color.green), double(color.red)}; }
+cv::Scalar ToScalar(const Color& color) { return cv::Scalar(color.blue, color.green, color.red); }
 
 cv::Point ToFixed(const Point& point) {
   constexpr double kUnits = kScale * (1 << kFractionBits);
@@ -38,9 +38,10 @@ std::vector<std::vector<Point>> Cut(absl::Span<const Point> points, double dash)
     Point from = points[i - 1];
     const Point to = points[i];
     double length = std::hypot(to.x - from.x, to.y - from.y);
-    for (; length > left; left = dash) {
+    while (length > left) {
       from = {from.x + (to.x - from.x) * left / length, from.y + (to.y - from.y) * left / length};
       length -= left;
+      left = dash;
       if (inside) {
         dashes.back().push_back(from);
       } else {
@@ -71,14 +72,14 @@ void Canvas::DrawLine(absl::Span<const Point> points, const Stroke& stroke) {
                 std::max(1, static_cast<int>(std::lround(stroke.width * kScale))), cv::LINE_AA, kFractionBits);
 }
 
-void Canvas::DrawText(absl::string_view text, Point at, TextPlace place, double size, const Color& color) {
+void Canvas::DrawText(const std::string& text, Point at, TextPlace place, double size, const Color& color) {
   if (place == TextPlace::kCenter) at.x -= TextWidth(text, size) / 2;
   if (place == TextPlace::kRight) at.x -= TextWidth(text, size);
-  cv::putText(pixels_, std::string(text), cv::Point2d(at.x * kScale, at.y * kScale), kFont, FontScale(size),
-              ToScalar(color), FontThickness(size), cv::LINE_AA);
+  cv::putText(pixels_, text, cv::Point2d(at.x * kScale, at.y * kScale), kFont, FontScale(size), ToScalar(color),
+              FontThickness(size), cv::LINE_AA);
 }
 
-void Canvas::DrawTextUpwards(absl::string_view text, Point at, double size, const Color& color) {
+void Canvas::DrawTextUpwards(const std::string& text, Point at, double size, const Color& color) {
   const int length = static_cast<int>(std::ceil(TextWidth(text, size)));
   const int height = static_cast<int>(std::ceil(2 * size));  // room below the base line and above the capitals
   Canvas level(length, height);
@@ -91,9 +92,9 @@ void Canvas::DrawTextUpwards(absl::string_view text, Point at, double size, cons
   turned(place - corner).copyTo(pixels_(place));
 }
 
-double Canvas::TextWidth(absl::string_view text, double size) {
+double Canvas::TextWidth(const std::string& text, double size) {
   int base_line = 0;
-  return cv::getTextSize(std::string(text), kFont, FontScale(size), FontThickness(size), &base_line).width /
+  return cv::getTextSize(text, kFont, FontScale(size), FontThickness(size), &base_line).width /
          static_cast<double>(kScale);
 }
 

@@ -6,7 +6,6 @@
 #include <cstdint>
 #include <string>
 
-#include <absl/strings/string_view.h>
 #include <absl/types/span.h>
 #include <opencv2/core/mat.hpp>
 
@@ -41,10 +40,10 @@ class Canvas {
   // Through `points`, in order.
   void DrawLine(absl::Span<const Point> points, const Stroke& stroke);
   // `at` is on the text's base line; `size` is the height of its capitals. ASCII only.
-  void DrawText(absl::string_view text, Point at, TextPlace place, double size, const Color& color);
+  void DrawText(const std::string& text, Point at, TextPlace place, double size, const Color& color);
   // The same turned by 90 degrees: reads upwards, centred on `at`.
-  void DrawTextUpwards(absl::string_view text, Point at, double size, const Color& color);
-  static double TextWidth(absl::string_view text, double size);
+  void DrawTextUpwards(const std::string& text, Point at, double size, const Color& color);
+  static double TextWidth(const std::string& text, double size);
 
   // The picture as a PNG file.
   std::string EncodePng() const;

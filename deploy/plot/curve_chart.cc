@@ -76,6 +76,7 @@ std::vector<std::string> ShortNames(absl::Span<const std::string> paths) {
   size_t shared = 0;
   while (!parts.empty() && all_share(shared)) ++shared;
   std::vector<std::string> names;
+  names.reserve(parts.size());
   for (const auto& own : parts) names.push_back(absl::StrJoin(own.begin() + shared, own.end(), "/"));
   return names;
 }

@@ -8,7 +8,6 @@
 namespace craftfleet {
 namespace {
 
-using testing::DoubleNear;
 using testing::ElementsAre;
 using testing::Pointwise;
 

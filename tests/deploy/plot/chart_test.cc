@@ -56,8 +56,7 @@ TEST(DrawChart, HigherValuesStandHigherOnOneScale) {
 }
 
 TEST(DrawChart, NamesEachLineOnceInALegendThatWraps) {
-  std::vector<ChartLine> lines;
-  for (int i = 0; i < 6; ++i) lines.push_back(Line("a line with a rather long name", kBlue, {{0, 0.0}, {1, 1.0 * i}}));
+  std::vector<ChartLine> lines(6, Line("a line with a rather long name", kBlue, {{0, 0}, {1, 1}}));
   lines.push_back(Line("red", kRed, {{0, 0}, {1, 1}}));
   const Picture picture(DrawChart({{"", "", "", lines}, {"", "", "", lines}}, {800, 500}));
   // Three rows of up to three names: strokes of seven lines, 34 pixels long.

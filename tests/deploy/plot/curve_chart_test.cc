@@ -8,7 +8,7 @@ namespace {
 
 using testing::ElementsAre;
 
-NamedCurve Curve(const std::string& name, std::vector<int64_t> steps) {
+NamedCurve Curve(const std::string& name, const std::vector<int64_t>& steps) {
   NamedCurve curve = {name, {}};
   for (const int64_t step : steps) curve.curve.push_back({step / 100, step, 0.001 * step, 0.002 * step});
   return curve;

@@ -19,6 +19,7 @@ using testing::HasSubstr;
 
 std::vector<Episode> SampleEpisodes(int count) {
   std::vector<Episode> episodes;
+  episodes.reserve(count);
   for (int i = 0; i < count; ++i) episodes.push_back(SampleEpisode(100 + i * 7 % 31, 0.1 * (i % 29) - 1));
   return episodes;
 }
