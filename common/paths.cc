@@ -15,4 +15,8 @@ absl::StatusOr<std::string> DefaultTextureDir() {
   return absl::NotFoundError(absl::StrCat("no textures in ", folder.string(), ", want --textures=DIR"));
 }
 
+absl::StatusOr<std::string> TextureDir(const std::string& folder) {
+  return folder.empty() ? DefaultTextureDir() : folder;
+}
+
 }  // namespace craftfleet

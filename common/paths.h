@@ -13,6 +13,9 @@ namespace craftfleet {
 // the working directory. NotFound: there is no such folder.
 absl::StatusOr<std::string> DefaultTextureDir();
 
+// What --textures means: `folder`, or DefaultTextureDir() if it is empty.
+absl::StatusOr<std::string> TextureDir(const std::string& folder);
+
 }  // namespace craftfleet
 
 #endif  // CRAFTFLEET_COMMON_PATHS_H_

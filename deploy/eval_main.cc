@@ -51,10 +51,7 @@ struct Games {
 };
 
 absl::StatusOr<Games> OpenGames(const v1::EnvConfig& env, const AgentSpec& spec) {
-  std::string textures = absl::GetFlag(FLAGS_textures);
-  if (textures.empty()) {
-    CRAFTFLEET_ASSIGN_OR_RETURN(textures, DefaultTextureDir());
-  }
+  CRAFTFLEET_ASSIGN_OR_RETURN(const std::string textures, TextureDir(absl::GetFlag(FLAGS_textures)));
   Games games;
   CRAFTFLEET_ASSIGN_OR_RETURN(games.service, EnvServiceImpl::Create(textures));
   CRAFTFLEET_ASSIGN_OR_RETURN(games.server, wire::Server::Create({}, {games.service.get()}));

@@ -29,10 +29,7 @@ It may come and go at any time; games that it held go on elsewhere from their la
   craftfleet status --address=127.0.0.1:50061)";
 
 absl::Status Run() {
-  std::string textures = absl::GetFlag(FLAGS_textures);
-  if (textures.empty()) {
-    CRAFTFLEET_ASSIGN_OR_RETURN(textures, DefaultTextureDir());
-  }
+  CRAFTFLEET_ASSIGN_OR_RETURN(const std::string textures, TextureDir(absl::GetFlag(FLAGS_textures)));
   CRAFTFLEET_ASSIGN_OR_RETURN(const std::unique_ptr<EnvServiceImpl> service, EnvServiceImpl::Create(textures));
   wire::StatusServiceImpl status("envserver", [&service](v1::StatusReply* reply) { service->FillStatus(reply); });
   const wire::Server::Options options = {absl::GetFlag(FLAGS_listen), absl::GetFlag(FLAGS_insecure)};

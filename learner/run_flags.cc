@@ -53,6 +53,15 @@ absl::StatusOr<v1::RunConfig> BaseConfig() {
   return ParseRunConfig(*text, path);
 }
 
+// --threads, or what the cgroup's CPU quota gives.
+absl::StatusOr<int> ThreadsFromFlags() {
+  const int threads = absl::GetFlag(FLAGS_threads);
+  if (threads < 0 || threads > 256) {
+    return absl::InvalidArgumentError(absl::StrFormat("--threads=%d, want 0..256", threads));
+  }
+  return threads == 0 ? DefaultThreads() : threads;
+}
+
 }  // namespace
 
 absl::StatusOr<Learner::Options> LearnerOptionsFromFlags() {
@@ -72,25 +81,12 @@ absl::StatusOr<Learner::Options> LearnerOptionsFromFlags() {
   if (const auto steps = absl::GetFlag(FLAGS_steps)) options.config.set_steps(*steps);
   if (const auto seed = absl::GetFlag(FLAGS_seed)) options.config.set_seed(*seed);
   if (const auto lanes = absl::GetFlag(FLAGS_lanes)) options.config.set_lanes(*lanes);
-  CRAFTFLEET_ASSIGN_OR_RETURN(options.texture_dir, TextureDirFromFlags());
+  CRAFTFLEET_ASSIGN_OR_RETURN(options.texture_dir, TextureDir(absl::GetFlag(FLAGS_textures)));
   CRAFTFLEET_ASSIGN_OR_RETURN(options.threads, ThreadsFromFlags());
   options.server.insecure = absl::GetFlag(FLAGS_insecure);
   options.progress = &std::cout;
   options.progress_in_place = isatty(STDOUT_FILENO) == 1;
   return options;
-}
-
-absl::StatusOr<std::string> TextureDirFromFlags() {
-  const std::string folder = absl::GetFlag(FLAGS_textures);
-  return folder.empty() ? DefaultTextureDir() : folder;
-}
-
-absl::StatusOr<int> ThreadsFromFlags() {
-  const int threads = absl::GetFlag(FLAGS_threads);
-  if (threads < 0 || threads > 256) {
-    return absl::InvalidArgumentError(absl::StrFormat("--threads=%d, want 0..256", threads));
-  }
-  return threads == 0 ? DefaultThreads() : threads;
 }
 
 }  // namespace craftfleet

@@ -3,8 +3,6 @@
 #ifndef CRAFTFLEET_LEARNER_RUN_FLAGS_H_
 #define CRAFTFLEET_LEARNER_RUN_FLAGS_H_
 
-#include <string>
-
 #include <absl/status/statusor.h>
 
 #include "learner/learner.h"
@@ -15,12 +13,6 @@ namespace craftfleet {
 // that were given. Progress goes to standard output.
 //   InvalidArgument names the flag or the file and line.
 absl::StatusOr<Learner::Options> LearnerOptionsFromFlags();
-
-// --textures, or the textures that come with the programs.
-absl::StatusOr<std::string> TextureDirFromFlags();
-
-// --threads, or what the cgroup's CPU quota gives. InvalidArgument: out of range.
-absl::StatusOr<int> ThreadsFromFlags();
 
 }  // namespace craftfleet
 

@@ -46,20 +46,14 @@ bool ReplayFile(const std::string& path, const std::string& textures) {
 }
 
 int Run(const std::vector<std::string>& files) {
-  std::string textures = absl::GetFlag(FLAGS_textures);
-  if (textures.empty()) {
-    absl::StatusOr<std::string> folder = DefaultTextureDir();
-    if (!folder.ok()) {
-      return ExitCode(kProgram, folder.status());
-    }
-    textures = *std::move(folder);
-  }
+  const absl::StatusOr<std::string> textures = TextureDir(absl::GetFlag(FLAGS_textures));
+  if (!textures.ok()) return ExitCode(kProgram, textures.status());
   if (files.empty()) {
     std::fprintf(stderr, "%s: no files given, want [--textures=DIR] FILE...\n", kProgram);
     return 1;
   }
   bool agree = true;
-  for (const std::string& file : files) agree = ReplayFile(file, textures) && agree;
+  for (const std::string& file : files) agree = ReplayFile(file, *textures) && agree;
   return agree ? 0 : 1;
 }
 
