@@ -6,7 +6,8 @@
 
 #include <absl/strings/str_cat.h>
 #include <absl/strings/str_format.h>
-#include <absl/strings/str_replace.h>
+#include <absl/strings/str_join.h>
+#include <absl/strings/str_split.h>
 #include <google/protobuf/util/message_differencer.h>
 
 #include "common/agent/agent_spec.h"
@@ -47,9 +48,9 @@ absl::Status CheckSameRun(const std::string& logdir, v1::RunConfig asked) {
   std::string differences;
   differencer.ReportDifferencesToString(&differences);
   if (differencer.Compare(stored, asked)) return absl::OkStatus();
+  const std::vector<absl::string_view> lines = absl::StrSplit(differences, '\n', absl::SkipEmpty());
   return absl::FailedPreconditionError(absl::StrCat(
-      "the run in ", logdir,
-      " has another configuration (only steps may change): ", absl::StrReplaceAll(differences, {{"\n", "; "}})));
+      "the run in ", logdir, " has another configuration (only steps may change): ", absl::StrJoin(lines, "; ")));
 }
 
 std::vector<LaneRecord> LaneRecords(const v1::RunConfig& config, const v1::CheckpointState& state) {
@@ -84,8 +85,13 @@ struct Learner::Loaded {
 
 absl::StatusOr<std::unique_ptr<Learner>> Learner::Create(const Options& options) {
   CRAFTFLEET_RETURN_IF_ERROR(options.server.Validate());
-  CRAFTFLEET_ASSIGN_OR_RETURN(const v1::RunConfig config, CompleteConfig(options.config));
-  CRAFTFLEET_ASSIGN_OR_RETURN(Loaded loaded, Load(options, config));
+  absl::StatusOr<v1::RunConfig> config = CompleteConfig(options.config);
+  if (!config.ok() && options.resume) {
+    return absl::Status(config.status().code(),
+                        absl::StrCat("with --resume only --steps may change: ", config.status().message()));
+  }
+  if (!config.ok()) return config.status();
+  CRAFTFLEET_ASSIGN_OR_RETURN(Loaded loaded, Load(options, *config));
   std::unique_ptr<Learner> learner(new Learner(options, std::move(loaded)));
   CRAFTFLEET_ASSIGN_OR_RETURN(learner->server_,
                               wire::Server::Create(options.server, {&learner->service_, &learner->status_service_}));
@@ -142,7 +148,6 @@ absl::Status Learner::Run() {
   absl::Status status = trainer_.Run();
   // Actors hear within their next poll that the run is over.
   ledger_.WaitUntilEmpty(absl::Seconds(2));
-  server_->Stop(absl::Milliseconds(500));
   return status;
 }
 

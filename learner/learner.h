@@ -24,7 +24,8 @@
 
 namespace craftfleet {
 
-// Run is called once, from one thread; the rest is thread-safe.
+// Run is called once, from one thread; the rest is thread-safe. It serves as long as it lives: an actor that still
+// talks over InProcess() once the server is gone would crash within gRPC 1.51.
 class Learner {
  public:
   struct Options {

@@ -34,8 +34,7 @@ Trainer::Trainer(const v1::RunConfig& config, const v1::CheckpointState& state, 
 absl::Status Trainer::Run() {
   start_ = parts_.clock->Now();
   parts_.weights->Publish(policy_version_, std::make_shared<std::string>(parts_.updater->SaveWeights()));
-  if (counters_.iteration == 0) CRAFTFLEET_RETURN_IF_ERROR(WriteCheckpoint());
-  absl::Status status = absl::OkStatus();
+  absl::Status status = counters_.iteration == 0 ? WriteCheckpoint() : absl::OkStatus();
   while (status.ok() && !finished()) status = RunIteration();
   parts_.ledger->Finish();
   parts_.progress->Finish(counters_.env_steps, parts_.folder->score());

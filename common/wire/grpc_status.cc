@@ -10,6 +10,19 @@ static_assert(static_cast<int>(absl::StatusCode::kUnavailable) == static_cast<in
 static_assert(static_cast<int>(absl::StatusCode::kUnauthenticated) ==
               static_cast<int>(grpc::StatusCode::UNAUTHENTICATED));
 
+namespace {
+
+// gRPC has no words for a call that the server doesn't know.
+std::string Message(const grpc::Status& status) {
+  if (!status.error_message().empty()) return status.error_message();
+  if (status.error_code() == grpc::StatusCode::UNIMPLEMENTED) {
+    return "does not know this call: another program, or an older one, listens there";
+  }
+  return absl::StatusCodeToString(static_cast<absl::StatusCode>(status.error_code()));
+}
+
+}  // namespace
+
 grpc::Status ToGrpc(const absl::Status& status) {
   if (status.ok()) return grpc::Status::OK;
   return {static_cast<grpc::StatusCode>(status.code()), std::string(status.message())};
@@ -17,7 +30,7 @@ grpc::Status ToGrpc(const absl::Status& status) {
 
 absl::Status FromGrpc(const grpc::Status& status, absl::string_view context) {
   if (status.ok()) return absl::OkStatus();
-  return {static_cast<absl::StatusCode>(status.error_code()), absl::StrCat(context, ": ", status.error_message())};
+  return {static_cast<absl::StatusCode>(status.error_code()), absl::StrCat(context, ": ", Message(status))};
 }
 
 }  // namespace craftfleet::wire

@@ -2,6 +2,7 @@
 
 #include <functional>
 #include <memory>
+#include <ostream>
 #include <string>
 #include <thread>
 #include <utility>
@@ -237,6 +238,7 @@ struct Misdeed {
   std::function<std::vector<v1::PlayRequest>()> requests;
   absl::StatusCode code;
   std::vector<std::string> message;
+  friend void PrintTo(const Misdeed& misdeed, std::ostream* out) { *out << misdeed.what; }
 };
 
 class Misdeeds : public EnvServiceTest, public testing::WithParamInterface<Misdeed> {};

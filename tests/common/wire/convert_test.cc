@@ -3,6 +3,7 @@
 #include <cmath>
 #include <functional>
 #include <limits>
+#include <ostream>
 #include <string>
 #include <vector>
 
@@ -27,6 +28,7 @@ struct Wrong {
   std::string what;
   std::function<void(Message*)> damage;
   std::string error;
+  friend void PrintTo(const Wrong& wrong, std::ostream* out) { *out << wrong.what; }
 };
 
 TEST(ConvertFragment, ComesBackAsItWent) {

@@ -62,5 +62,12 @@ TEST(GrpcStatus, EveryCodeGoesThereAndBack) {
   EXPECT_THAT(FromGrpc(grpc::Status::OK, "x"), IsOk());
 }
 
+TEST(GrpcStatus, AStatusWithoutWordsGetsSome) {
+  EXPECT_THAT(FromGrpc({grpc::StatusCode::UNIMPLEMENTED, ""}, "learner 10.0.0.1:5"),
+              StatusIs(absl::StatusCode::kUnimplemented, HasSubstr("learner 10.0.0.1:5: does not know this call")));
+  EXPECT_THAT(FromGrpc({grpc::StatusCode::UNAVAILABLE, ""}, "x"),
+              StatusIs(absl::StatusCode::kUnavailable, "x: UNAVAILABLE"));
+}
+
 }  // namespace
 }  // namespace craftfleet::wire

@@ -1,0 +1,181 @@
+// What real programs say to flags, configuration files and textures that are wrong: what, where, and what was expected.
+
+#include <filesystem>
+#include <ostream>
+#include <string>
+#include <vector>
+
+#include <absl/strings/str_split.h>
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include "common/version.h"
+#include "tests/integration/small_run.h"
+
+namespace craftfleet {
+namespace {
+
+using testing::HasSubstr;
+using testing::IsEmpty;
+using testing::Not;
+using testing::StartsWith;
+
+// A command line and what standard error must have. "@" stands for the test's folder, which has config.txt.
+struct BadCommand {
+  std::string what;
+  std::string program;
+  std::vector<std::string> arguments;
+  std::vector<std::string> error;
+  friend void PrintTo(const BadCommand& command, std::ostream* out) { *out << command.what; }
+};
+
+class BadCommandTest : public SmallRunTest, public testing::WithParamInterface<BadCommand> {};
+
+TEST_P(BadCommandTest, IsRefusedInOneLineThatSaysWhatIsWrong) {
+  std::vector<std::string> arguments = GetParam().arguments;
+  for (std::string& argument : arguments) {
+    if (const size_t at = argument.find('@'); at != std::string::npos) argument.replace(at, 1, folder_.path());
+  }
+  const Ended ended = Run(GetParam().program, arguments);
+  EXPECT_EQ(ended.exit_code, 1);
+  for (const std::string& part : GetParam().error) EXPECT_THAT(ended.err, HasSubstr(part));
+  EXPECT_EQ(std::vector<std::string>(absl::StrSplit(ended.err, '\n', absl::SkipEmpty())).size(), 1) << ended.err;
+  EXPECT_THAT(ended.out, IsEmpty());
+  EXPECT_FALSE(PathExists(Logdir("run"))) << "nothing is begun";
+}
+
+const std::vector<BadCommand>& BadCommands() {
+  static const std::string train = "craftfleet-train";
+  static const std::string learner = "craftfleet-learner";
+  static const std::string actor = "craftfleet-actor";
+  static const std::string server = "craftfleet-envserver";
+  static const auto* const commands = new std::vector<BadCommand>{
+      {"UnknownFlag", train, {"--logdir=@/run", "--lnes=3"}, {"'lnes'"}},
+      {"NoFlag", train, {"--logdir=@/run", "lanes=3"}, {"\"lanes=3\" is no flag", "--help"}},
+      {"NoLanes", train, {"--logdir=@/run", "--lanes=0"}, {"lanes is 0, want 1..4096"}},
+      {"NegativeLanes", train, {"--logdir=@/run", "--lanes=-3"}, {"lanes is -3, want 1..4096"}},
+      {"StepsThatAreNoNumber", train, {"--logdir=@/run", "--steps=abc"}, {"'abc'", "'steps'"}},
+      {"NoSteps", train, {"--logdir=@/run", "--steps=0"}, {"steps is 0, want 1.."}},
+      {"LanesThatDoNotDivide", train, {"--logdir=@/run", "--lanes=7"}, {"ppo.rollout_steps", "lanes (7)"}},
+      {"UnknownAgent", train, {"--logdir=@/run", "--agent=nope"}, {"\"nope\"", "known agents: ppo_cnn"}},
+      {"UnknownGame", train, {"--logdir=@/run", "--env=pong"}, {"unknown game \"pong\", want \"crafter\""}},
+      {"UnknownNumbers", train, {"--logdir=@/run", "--env=crafter:numbers=nope"}, {"numbers \"nope\"", "easy-x2"}},
+      {"UnknownEnvOption", train, {"--logdir=@/run", "--env=crafter:colour=red"}, {"\"colour", "inventory=on|off"}},
+      {"NoLogdir", train, {}, {"--logdir is missing"}},
+      {"LogdirThatCannotBe", train, {"--logdir=/proc/no/such"}, {"/proc/no"}},
+      {"TooManyThreads", train, {"--logdir=@/run", "--threads=999"}, {"--threads=999, want 0..256"}},
+      {"NoConfigFile", train, {"--logdir=@/run", "--config=@/none.txt"}, {"--config: ", "/none.txt", "No such file"}},
+      {"ResumeWithoutRun", train, {"--logdir=@/run", "--resume"}, {"--resume: no run in --logdir=", "/run"}},
+      {"ResumeFromWithoutResume", train, {"--logdir=@/run", "--resume_from=x"}, {"--resume_from wants --resume"}},
+      {"NoTextureFolder", train, {"--logdir=@/run", "--textures=@/none"}, {"/none", "No such file"}},
+      {"NoTextureFolderForLearner", learner, {"--logdir=@/run", "--textures=@/none"}, {"/none", "No such file"}},
+      {"NoTextureFolderForServer", server, {"--textures=@/none"}, {"/none", "No such file"}},
+      {"LearnerBeyondLoopback",
+       learner,
+       {"--logdir=@/run", "--listen=0.0.0.0:0"},
+       {"--listen=0.0.0.0:0 reaches beyond this host", "--insecure"}},
+      {"ServerBeyondLoopback", server, {"--listen=0.0.0.0:0"}, {"--listen=0.0.0.0:0", "--insecure"}},
+      {"ListenWithoutPort", server, {"--listen=127.0.0.1"}, {"--listen: \"127.0.0.1\" is no address, want HOST:PORT"}},
+      {"LearnerThatIsNoAddress", actor, {"--learner=here"}, {"--learner: \"here\" is no address"}},
+      {"OneServerThatIsNoAddress", actor, {"--envservers=127.0.0.1:1,x"}, {"--envservers: \"x\" is no address"}},
+      {"NoServers", actor, {"--envservers="}, {"--envservers is empty"}},
+      {"NegativeThreads", actor, {"--threads=-1"}, {"--threads=-1, want"}},
+      {"NoLanesForActor", actor, {"--max_lanes=0"}, {"--max_lanes=0, want 1..4096"}},
+      {"NoCheckpoint", "craftfleet-eval", {}, {"--checkpoint is missing"}},
+      {"CheckpointThatIsNone", "craftfleet-eval", {"--checkpoint=@"}, {"no checkpoint at /", "want a run's folder"}},
+      {"NoEpisodes", "craftfleet-eval", {"--checkpoint=@", "--episodes=0"}, {"--episodes=0", "at least 1"}},
+      {"StatusOfNoAddress", "craftfleet-status", {"--address=x"}, {"--address: \"x\" is no address"}},
+      {"StatusOfNobody", "craftfleet-status", {"--address=127.0.0.1:1"}, {"127.0.0.1:1", "refused"}},
+      {"UnknownCommand", "craftfleet", {"nope"}, {"there is no command \"nope\"", "--help"}},
+  };
+  return *commands;
+}
+
+INSTANTIATE_TEST_SUITE_P(BadInput, BadCommandTest, testing::ValuesIn(BadCommands()),
+                         [](const auto& info) { return info.param.what; });
+
+class BadInputTest : public SmallRunTest {};
+
+TEST_F(BadInputTest, AConfigFilesErrorsHaveFileLineAndField) {
+  ASSERT_THAT(WriteFileSynced(config(), "lanes: 4\nppo {\n  rollout_stps: 64\n}\n"), IsOk());
+  Ended ended = Run("craftfleet-train", Flags("run"));
+  EXPECT_EQ(ended.exit_code, 1);
+  EXPECT_THAT(ended.err, HasSubstr(config() + ":3:"));
+  EXPECT_THAT(ended.err, HasSubstr("\"rollout_stps\""));
+  EXPECT_THAT(ended.err, HasSubstr("known fields of PpoConfig: rollout_steps, "));
+
+  ASSERT_THAT(WriteFileSynced(config(), "lanes: 4\nsteps: many\n"), IsOk());
+  ended = Run("craftfleet-train", Flags("run"));
+  EXPECT_EQ(ended.exit_code, 1);
+  EXPECT_THAT(ended.err, HasSubstr(config() + ":2:"));
+  EXPECT_THAT(ended.err, HasSubstr("steps: "));
+  EXPECT_FALSE(PathExists(Logdir("run")));
+}
+
+TEST_F(BadInputTest, ATextureThatIsMissingOrNoneIsNamed) {
+  const std::string textures = folder_ / "textures";
+  std::filesystem::copy(JoinPath(CRAFTFLEET_BIN_DIR, "../share/craftfleet/textures"), textures);
+  ASSERT_THAT(RemoveAll(textures + "/stone.png"), IsOk());
+  Ended ended = Run("craftfleet-envserver", {"--textures=" + textures});
+  EXPECT_EQ(ended.exit_code, 1);
+  EXPECT_THAT(ended.err, HasSubstr(textures + "/stone.png"));
+
+  ASSERT_THAT(WriteFileSynced(textures + "/stone.png", "no picture"), IsOk());
+  ended = Run("craftfleet-envserver", {"--textures=" + textures});
+  EXPECT_EQ(ended.exit_code, 1);
+  EXPECT_THAT(ended.err, HasSubstr(textures + "/stone.png"));
+}
+
+TEST_F(BadInputTest, EvalRefusesAnEnvironmentThatIsNone) {
+  Train("run");
+  const Ended ended = Run("craftfleet-eval", {"--checkpoint=" + Logdir("run"), "--env=crafter:bogus"});
+  EXPECT_EQ(ended.exit_code, 1);
+  EXPECT_THAT(ended.err, HasSubstr("unknown option \"bogus\", want one of"));
+}
+
+// Every program that is installed, and the developers' one.
+class EveryProgram : public SmallRunTest, public testing::WithParamInterface<std::string> {};
+
+TEST_P(EveryProgram, HelpTellsWhatItIsForAndItsFlags) {
+  const Ended ended = Run(GetParam(), {"--help"});
+  EXPECT_EQ(ended.exit_code, 0);
+  EXPECT_THAT(ended.err, IsEmpty());
+  EXPECT_THAT(ended.out, Not(IsEmpty()));
+  EXPECT_THAT(ended.out, HasSubstr(GetParam().substr(0, GetParam().find('-'))));
+}
+
+TEST_P(EveryProgram, VersionIsOneLine) {
+  const Ended ended = Run(GetParam(), {"--version"});
+  EXPECT_EQ(ended.exit_code, 0);
+  EXPECT_THAT(ended.out, HasSubstr(std::string(ProgramVersion())));
+  EXPECT_EQ(ended.out.find('\n'), ended.out.size() - 1);
+  EXPECT_THAT(ended.err, IsEmpty());
+}
+
+TEST_P(EveryProgram, AnUnknownFlagIsNamed) {
+  const Ended ended = Run(GetParam(), {"--no_such_flag=1"});
+  EXPECT_EQ(ended.exit_code, 1);
+  if (GetParam() != "craftfleet") {
+    EXPECT_THAT(ended.err, HasSubstr("no_such_flag"));
+  }
+}
+
+INSTANTIATE_TEST_SUITE_P(BadInput, EveryProgram,
+                         testing::Values("craftfleet", "craftfleet-train", "craftfleet-eval", "craftfleet-status",
+                                         "craftfleet-learner", "craftfleet-actor", "craftfleet-envserver",
+                                         "craftfleet-curve", "replay_trace"),
+                         [](const auto& info) {
+                           std::string name;
+                           for (const char c : info.param) name += c == '-' ? '_' : c;
+                           return name;
+                         });
+
+TEST_F(BadInputTest, TheCommandFindsItsPrograms) {
+  const Ended ended = Run("craftfleet", {"train", "--help"});
+  EXPECT_EQ(ended.exit_code, 0);
+  EXPECT_THAT(ended.out, StartsWith("craftfleet train trains an agent"));
+  EXPECT_THAT(ended.out, HasSubstr("--logdir"));
+}
+
+}  // namespace
+}  // namespace craftfleet

@@ -1,0 +1,218 @@
+// Run folders that are in the way, damaged, or on a disk that is full.
+
+#include <sys/resource.h>
+
+#include <filesystem>
+#include <memory>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include <absl/strings/str_replace.h>
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include "tests/fakes/wait_until.h"
+#include "tests/integration/small_run.h"
+
+namespace craftfleet {
+namespace {
+
+using testing::HasSubstr;
+
+class BadRunFolderTest : public SmallRunTest {
+ protected:
+  std::string ReadLog(const std::string& run, const std::string& file) const {
+    return ReadFile(JoinPath(Logdir(run), file)).value_or("none");
+  }
+  void Damage(const std::string& path, const std::string& from, const std::string& to) {
+    const std::string text = ReadFile(path).value_or("");
+    ASSERT_THAT(text, HasSubstr(from));
+    ASSERT_THAT(WriteFileSynced(path, absl::StrReplaceAll(text, {{from, to}})), IsOk());
+  }
+};
+
+TEST_F(BadRunFolderTest, ARunIsNotWrittenOver) {
+  Train("run");
+  const std::string stats = ReadLog("run", "stats.jsonl");
+  const Ended ended = Run("craftfleet-train", Flags("run"));
+  EXPECT_EQ(ended.exit_code, 1);
+  EXPECT_THAT(ended.err, HasSubstr(Logdir("run") + " already has a run: go on with it by --resume"));
+  EXPECT_EQ(ReadLog("run", "stats.jsonl"), stats);
+}
+
+TEST_F(BadRunFolderTest, ARunThatIsGoingOnIsNamedWithItsProcess) {
+  const auto learner = Start("craftfleet-learner", Flags("run", {"--listen=127.0.0.1:0"}));
+  ASSERT_THAT(learner->WaitForAddress(), IsOk());
+  for (const std::vector<std::string>& more : {std::vector<std::string>{}, {"--resume"}}) {
+    const Ended ended = Run("craftfleet-train", Flags("run", more));
+    EXPECT_EQ(ended.exit_code, 1);
+    EXPECT_THAT(ended.err, HasSubstr("is in use by process " + std::to_string(learner->pid())));
+  }
+}
+
+TEST_F(BadRunFolderTest, ResumeRefusesAnotherConfiguration) {
+  Train("run");
+  const auto refused = [this](const std::string& flag, const std::string& error) {
+    const Ended ended = Run("craftfleet-train", {"--resume", "--logdir=" + Logdir("run"), flag});
+    EXPECT_EQ(ended.exit_code, 1);
+    EXPECT_THAT(ended.err, HasSubstr(error));
+    EXPECT_THAT(ended.err, HasSubstr("steps may change"));
+  };
+  refused("--lanes=2", "lanes: 4 -> 2");
+  refused("--lanes=8", "lanes * fragment_steps (128)");
+  refused("--seed=4", "seed: 3 -> 4");
+  refused("--env=crafter:inventory=off", "\"crafter\" -> \"crafter:inventory=off\"");
+}
+
+TEST_F(BadRunFolderTest, ResumeRefusesOtherTextures) {
+  Train("run");
+  const std::string textures = folder_ / "textures";
+  std::filesystem::copy(JoinPath(CRAFTFLEET_BIN_DIR, "../share/craftfleet/textures"), textures);
+  std::filesystem::copy_file(textures + "/sand.png", textures + "/stone.png",
+                             std::filesystem::copy_options::overwrite_existing);
+  const Ended ended = Run("craftfleet-train", {"--resume", "--logdir=" + Logdir("run"), "--textures=" + textures});
+  EXPECT_EQ(ended.exit_code, 1);
+  EXPECT_THAT(ended.err, HasSubstr("was played with textures"));
+}
+
+TEST_F(BadRunFolderTest, ATornCheckpointIsNotUsedAndThePreviousOneIsOffered) {
+  Train("run");
+  const std::string weights = Checkpoint("run", 3) + "/weights.safetensors";
+  const std::string bytes = ReadFile(weights).value();
+  ASSERT_THAT(WriteFileSynced(weights, absl::string_view(bytes).substr(0, bytes.size() / 2)), IsOk());
+  const std::vector<std::string> resume = {"--resume", "--logdir=" + Logdir("run"), "--steps=256"};
+  Ended ended = Run("craftfleet-train", resume);
+  EXPECT_EQ(ended.exit_code, 1);
+  EXPECT_THAT(ended.err, HasSubstr(Checkpoint("run", 3) + " is torn: weights.safetensors has "));
+  EXPECT_THAT(ended.err, HasSubstr("resume from it with --resume_from=iter-00000002"));
+
+  std::vector<std::string> from = resume;
+  from.push_back("--resume_from=iter-00000002");
+  ended = Run("craftfleet-train", from);
+  EXPECT_EQ(ended.exit_code, 0) << ended.err;
+  EXPECT_TRUE(PathExists(Checkpoint("run", 4)));
+  EXPECT_EQ(ReadFile(weights).value(), bytes) << "iteration 3 once more, the same";
+}
+
+TEST_F(BadRunFolderTest, AFlippedBitIsFound) {
+  Train("run");
+  const std::string optimizer = Checkpoint("run", 3) + "/optimizer.safetensors";
+  std::string bytes = ReadFile(optimizer).value();
+  bytes[bytes.size() / 2] = static_cast<char>(bytes[bytes.size() / 2] ^ 1);
+  ASSERT_THAT(WriteFileSynced(optimizer, bytes), IsOk());
+  const Ended ended = Run("craftfleet-train", {"--resume", "--logdir=" + Logdir("run"), "--steps=256"});
+  EXPECT_EQ(ended.exit_code, 1);
+  EXPECT_THAT(ended.err, HasSubstr("optimizer.safetensors"));
+  EXPECT_THAT(ended.err, HasSubstr("iter-00000002"));
+}
+
+TEST_F(BadRunFolderTest, ACheckpointOfANewerFormatIsRefused) {
+  Train("run");
+  Damage(Checkpoint("run", 3) + "/MANIFEST", "format 1", "format 2");
+  for (const auto& [program, flag] :
+       {std::pair<std::string, std::string>{"craftfleet-train", "--logdir="}, {"craftfleet-eval", "--checkpoint="}}) {
+    std::vector<std::string> arguments = {flag + Logdir("run")};
+    if (program == "craftfleet-train") arguments.emplace_back("--resume");
+    const Ended ended = Run(program, arguments);
+    EXPECT_EQ(ended.exit_code, 1);
+    EXPECT_THAT(ended.err, HasSubstr("has format 2, written by craftfleet"));
+    EXPECT_THAT(ended.err, HasSubstr("reads formats up to 1: use that version or a newer one"));
+  }
+}
+
+TEST_F(BadRunFolderTest, CheckpointsThatAreNotThereAreListed) {
+  Train("run");
+  Ended ended =
+      Run("craftfleet-train", {"--resume", "--resume_from=iter-00000009", "--logdir=" + Logdir("run"), "--steps=256"});
+  EXPECT_EQ(ended.exit_code, 1);
+  EXPECT_THAT(ended.err, HasSubstr("no checkpoint iter-00000009"));
+  EXPECT_THAT(ended.err, HasSubstr("which has iter-00000003, iter-00000002"));
+}
+
+TEST_F(BadRunFolderTest, ALogThatLostLinesIsRefused) {
+  Train("run");
+  ASSERT_THAT(WriteFileSynced(Logdir("run") + "/stats.jsonl", "{}\n"), IsOk());
+  const Ended ended = Run("craftfleet-train", {"--resume", "--logdir=" + Logdir("run"), "--steps=256"});
+  EXPECT_EQ(ended.exit_code, 1);
+  EXPECT_THAT(ended.err, HasSubstr("stats.jsonl has 3 bytes, the checkpoint saw "));
+}
+
+// A learner whose disk fills up, with the rest of its fleet. SIGXFSZ would kill it first where a limit stands in for a
+// full disk.
+class FullDiskTest : public BadRunFolderTest {
+ protected:
+  void StartLearner(const std::vector<std::string>& more) {
+    std::vector<std::string> words = {"-c", "trap '' XFSZ; exec \"$0\" \"$@\"",
+                                      JoinPath(CRAFTFLEET_BIN_DIR, "craftfleet-learner")};
+    const std::vector<std::string> flags = Flags("run", more);
+    words.insert(words.end(), flags.begin(), flags.end());
+    learner_ = Start("/bin/bash", words);
+    ASSERT_THAT(learner_->WaitForAddress(), IsOk());
+    // The first checkpoint, before any game, must still fit.
+    ASSERT_TRUE(WaitUntil([this] { return PathExists(Checkpoint("run", 0)); }, kPatience));
+  }
+  void StartWorkers() {
+    server_ = Start("craftfleet-envserver", {"--listen=127.0.0.1:0"});
+    actor_ = Start("craftfleet-actor", {"--learner=" + learner_->WaitForAddress().value(),
+                                        "--envservers=" + server_->WaitForAddress().value()});
+  }
+  // No file of the learner grows beyond `bytes` from now on.
+  void LimitFiles(rlim_t bytes) {
+    const rlimit limit = {bytes, RLIM_INFINITY};
+    ASSERT_EQ(prlimit(learner_->pid(), RLIMIT_FSIZE, &limit, nullptr), 0);
+  }
+
+  std::unique_ptr<Process> learner_;
+  std::unique_ptr<Process> server_;
+  std::unique_ptr<Process> actor_;
+};
+
+TEST_F(FullDiskTest, TrainingGoesOnAndCatchesUpWhenThereIsRoomAgain) {
+  Damage(config(), "steps: 192", "steps: 1280");
+  Train("quiet");
+  StartLearner({"--listen=127.0.0.1:0"});
+  LimitFiles(4096);  // some ten lines of stats.jsonl, and what it says on standard error
+  StartWorkers();
+  EXPECT_TRUE(learner_->WaitForText("/run/stats.jsonl: File too large", kPatience)) << learner_->Err();
+  LimitFiles(RLIM_INFINITY);
+  const Ended ended = Finish(learner_.get());
+  EXPECT_EQ(ended.exit_code, 0) << ended.err;
+  EXPECT_THAT(ended.err, HasSubstr("error: checkpoint of iteration 1: "));
+  EXPECT_THAT(ended.err, HasSubstr("training goes on and tries again"));
+  EXPECT_FALSE(PathExists(Checkpoint("run", 1)));
+  EXPECT_EQ(ReadLog("run", "stats.jsonl"), ReadLog("quiet", "stats.jsonl"));
+  const std::string last = "checkpoints/iter-00000020/weights.safetensors";
+  EXPECT_NE(ReadLog("run", last), "none");
+  EXPECT_TRUE(ReadLog("run", last) == ReadLog("quiet", last));
+}
+
+TEST_F(FullDiskTest, TheEndOfTheRunTellsWhatCouldNotBeWritten) {
+  StartLearner({"--listen=127.0.0.1:0"});
+  LimitFiles(1 << 20);  // enough for the logs
+  StartWorkers();
+  const Ended ended = Finish(learner_.get());
+  EXPECT_EQ(ended.exit_code, 1);
+  EXPECT_THAT(ended.err, HasSubstr("error: checkpoint of iteration 1: "));
+  EXPECT_THAT(ended.err, HasSubstr("error: checkpoint of iteration 3: "));
+  EXPECT_THAT(ended.err, HasSubstr("craftfleet-learner: "));
+  EXPECT_THAT(ended.err, HasSubstr("weights.safetensors: File too large"));
+  EXPECT_THAT(ReadLog("run", "stats.jsonl"), HasSubstr("\"length\": 20"));
+  // What was there before stands, and the run can go on from it.
+  const Ended resumed = Run("craftfleet-train", {"--resume", "--logdir=" + Logdir("run")});
+  EXPECT_EQ(resumed.exit_code, 0) << resumed.err;
+  EXPECT_TRUE(PathExists(Checkpoint("run", 3)));
+}
+
+TEST_F(FullDiskTest, ARunThatCannotBeginSaysWhy) {
+  const Ended ended = Run("/bin/bash", {"-c", "trap '' XFSZ; ulimit -f 100; exec \"$0\" \"$@\"",
+                                        JoinPath(CRAFTFLEET_BIN_DIR, "craftfleet-train"), "--config=" + config(),
+                                        "--logdir=" + Logdir("run")});
+  EXPECT_EQ(ended.exit_code, 1);
+  EXPECT_THAT(ended.err, HasSubstr(Logdir("run")));
+  EXPECT_THAT(ended.err, HasSubstr("File too large"));
+  Train("run");
+}
+
+}  // namespace
+}  // namespace craftfleet

@@ -1,0 +1,78 @@
+// Programs of the build and a run that ends within seconds.
+
+#ifndef CRAFTFLEET_TESTS_INTEGRATION_SMALL_RUN_H_
+#define CRAFTFLEET_TESTS_INTEGRATION_SMALL_RUN_H_
+
+#include <memory>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include <absl/time/time.h>
+#include <gtest/gtest.h>
+
+#include "common/files.h"
+#include "tests/fakes/status_matchers.h"
+#include "tests/fakes/temp_folder.h"
+#include "tests/integration/process.h"
+
+namespace craftfleet {
+
+inline constexpr absl::Duration kPatience = absl::Seconds(120);  // sanitizer builds are slow
+
+// What a program left behind that has ended.
+struct Ended {
+  int exit_code = -1;  // -1: it ran on and was killed
+  std::string out;
+  std::string err;
+};
+
+class SmallRunTest : public testing::Test {
+ protected:
+  // Three iterations of 64 steps on 4 lanes, a checkpoint after each.
+  static constexpr char kConfig[] = R"(
+    steps: 192  lanes: 4  seed: 3  fragment_steps: 16
+    env { length: 20 }
+    ppo { rollout_steps: 64  minibatch_size: 32  epochs: 1 }
+    checkpoint { every_iterations: 1  keep: 20 }
+  )";
+
+  SmallRunTest() { EXPECT_THAT(WriteFileSynced(config(), kConfig), IsOk()); }
+
+  std::string config() const { return folder_ / "config.txt"; }
+  std::string Logdir(const std::string& run) const { return folder_ / run; }
+  std::string Checkpoint(const std::string& run, int iteration) const {
+    return JoinPath(Logdir(run), "checkpoints/iter-0000000" + std::to_string(iteration));
+  }
+  // The flags of the small run.
+  std::vector<std::string> Flags(const std::string& run, const std::vector<std::string>& more = {}) const {
+    std::vector<std::string> flags = {"--config=" + config(), "--logdir=" + Logdir(run)};
+    flags.insert(flags.end(), more.begin(), more.end());
+    return flags;
+  }
+
+  std::unique_ptr<Process> Start(const std::string& program, const std::vector<std::string>& arguments) {
+    auto process = Process::Start(program, arguments, folder_ / ("process-" + std::to_string(++processes_)));
+    EXPECT_THAT(process, IsOk());
+    return process.ok() ? *std::move(process) : nullptr;
+  }
+  Ended Run(const std::string& program, const std::vector<std::string>& arguments) {
+    return Finish(Start(program, arguments).get());
+  }
+  static Ended Finish(Process* process) {
+    const int exit_code = process->Wait(kPatience).value_or(-1);
+    return {exit_code, process->Out(), process->Err()};
+  }
+  // Trains the small run in one process.
+  void Train(const std::string& run) {
+    const Ended ended = Run("craftfleet-train", Flags(run));
+    ASSERT_EQ(ended.exit_code, 0) << ended.err;
+  }
+
+  const TempFolder folder_;
+  int processes_ = 0;
+};
+
+}  // namespace craftfleet
+
+#endif  // CRAFTFLEET_TESTS_INTEGRATION_SMALL_RUN_H_
