@@ -1,6 +1,9 @@
 #include "common/wire/channel.h"
 
+#include <grpc/grpc.h>
+
 #include <chrono>
+#include <mutex>
 
 #include <absl/status/status.h>
 #include <absl/strings/match.h>
@@ -14,6 +17,11 @@
 #include "common/wire/protocol.h"
 
 namespace craftfleet::wire {
+
+void KeepGrpcUp() {
+  static std::once_flag once;
+  std::call_once(once, grpc_init);
+}
 
 grpc::ChannelArguments ClientArguments() {
   grpc::ChannelArguments arguments;
@@ -31,6 +39,7 @@ grpc::ChannelArguments ClientArguments() {
 }
 
 Endpoint Connect(absl::string_view address) {
+  KeepGrpcUp();
   return {std::string(address),
           grpc::CreateCustomChannel(std::string(address), grpc::InsecureChannelCredentials(), ClientArguments())};
 }
@@ -64,7 +73,9 @@ absl::Status WaitUntilConnected(absl::string_view who, const Endpoint& endpoint,
     const grpc_connectivity_state state = endpoint.channel->GetState(/*try_to_connect=*/true);
     if (state == GRPC_CHANNEL_READY) return absl::OkStatus();
     if (state == GRPC_CHANNEL_TRANSIENT_FAILURE) {
-      return absl::UnavailableError(absl::StrFormat("%s %s: connection refused", who, endpoint.address));
+      return absl::UnavailableError(
+          absl::StrFormat("%s %s: cannot connect: nothing listens there, the host is unknown or it does not answer",
+                          who, endpoint.address));
     }
     if (!endpoint.channel->WaitForStateChange(state, deadline)) {
       return absl::UnavailableError(

@@ -24,6 +24,10 @@ struct Endpoint {
   std::shared_ptr<grpc::Channel> channel;
 };
 
+// Keeps gRPC from shutting down with its last channel or server: in 1.51 that waits up to 10 s for a poller every now
+// and then. Connect and Server::Create call it.
+void KeepGrpcUp();
+
 // Message limits and keepalive: a dead peer is noticed within 10 seconds.
 grpc::ChannelArguments ClientArguments();
 

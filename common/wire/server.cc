@@ -56,6 +56,7 @@ absl::Status Server::Options::Validate() const {
 absl::StatusOr<std::unique_ptr<Server>> Server::Create(const Options& options,
                                                        const std::vector<grpc::Service*>& services) {
   CRAFTFLEET_RETURN_IF_ERROR(options.Validate());
+  KeepGrpcUp();
   InstallPlugins();
   grpc::ServerBuilder builder;
   int port = 0;

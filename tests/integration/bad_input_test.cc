@@ -85,7 +85,10 @@ const std::vector<BadCommand>& BadCommands() {
       {"CheckpointThatIsNone", "craftfleet-eval", {"--checkpoint=@"}, {"no checkpoint at /", "want a run's folder"}},
       {"NoEpisodes", "craftfleet-eval", {"--checkpoint=@", "--episodes=0"}, {"--episodes=0", "at least 1"}},
       {"StatusOfNoAddress", "craftfleet-status", {"--address=x"}, {"--address: \"x\" is no address"}},
-      {"StatusOfNobody", "craftfleet-status", {"--address=127.0.0.1:1"}, {"127.0.0.1:1", "refused"}},
+      {"StatusOfNobody",
+       "craftfleet-status",
+       {"--address=127.0.0.1:1"},
+       {"127.0.0.1:1: cannot connect: nothing listens there"}},
       {"UnknownCommand", "craftfleet", {"nope"}, {"there is no command \"nope\"", "--help"}},
   };
   return *commands;

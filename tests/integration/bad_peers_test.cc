@@ -1,0 +1,195 @@
+// Peers that are away, come late, are someone else, or talk nonsense.
+
+#include <sys/socket.h>
+#include <sys/un.h>
+#include <unistd.h>
+
+#include <csignal>
+#include <filesystem>
+#include <memory>
+#include <random>
+#include <string>
+#include <vector>
+
+#include <absl/time/clock.h>
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+#include <nlohmann/json.hpp>
+
+#include "tests/integration/small_run.h"
+
+namespace craftfleet {
+namespace {
+
+using testing::HasSubstr;
+
+constexpr absl::Duration kSoon = absl::Seconds(5);  // within which a user hears what is wrong
+
+class BadPeersTest : public SmallRunTest {
+ protected:
+  // An address that is free until somebody listens there.
+  std::string Address(const std::string& name) const { return "unix:" + (folder_ / name); }
+
+  std::unique_ptr<Process> StartLearner(const std::string& run, const std::string& address) {
+    return Start("craftfleet-learner", Flags(run, {"--listen=" + address}));
+  }
+  std::unique_ptr<Process> StartServer(const std::string& address, const std::vector<std::string>& more = {}) {
+    std::vector<std::string> arguments = {"--listen=" + address};
+    arguments.insert(arguments.end(), more.begin(), more.end());
+    auto server = Start("craftfleet-envserver", arguments);
+    EXPECT_THAT(server->WaitForAddress("listening on ", kPatience), IsOk());
+    return server;
+  }
+  std::unique_ptr<Process> StartActor(const std::string& learner, const std::string& servers) {
+    return Start("craftfleet-actor", {"--learner=" + learner, "--envservers=" + servers});
+  }
+  void ExpectToFinish(Process* process) {
+    const Ended ended = Finish(process);
+    EXPECT_EQ(ended.exit_code, 0) << ended.err;
+  }
+  // The run is completed, and the process ends soon after that.
+  void ExpectToComplete(Process* learner) {
+    EXPECT_TRUE(learner->WaitForText("the run is complete", kPatience)) << learner->Err();
+    EXPECT_EQ(learner->Wait(kSoon), 0) << learner->Err();
+  }
+};
+
+TEST_F(BadPeersTest, APortThatIsInUseIsNamedAndNothingIsLeftBehind) {
+  const auto server = Start("craftfleet-envserver", {"--listen=127.0.0.1:0"});
+  const std::string address = server->WaitForAddress().value();
+  Ended ended = Run("craftfleet-envserver", {"--listen=" + address});
+  EXPECT_EQ(ended.exit_code, 1);
+  EXPECT_THAT(ended.err, HasSubstr("cannot listen on " + address + ": the port is in use"));
+  ended = Run("craftfleet-learner", Flags("run", {"--listen=" + address}));
+  EXPECT_EQ(ended.exit_code, 1);
+  EXPECT_THAT(ended.err, HasSubstr("cannot listen on " + address));
+  Train("run");  // the same folder
+}
+
+TEST_F(BadPeersTest, AnActorWaitsForItsLearner) {
+  const auto server = StartServer(Address("server"));
+  const auto actor = StartActor(Address("learner"), Address("server"));
+  EXPECT_TRUE(actor->WaitForText("warning: learner " + Address("learner") + ": ", kSoon)) << actor->Err();
+  EXPECT_TRUE(actor->WaitForText("trying again until it answers", kSoon)) << actor->Err();
+  const auto learner = StartLearner("run", Address("learner"));
+  ExpectToComplete(learner.get());
+  ExpectToFinish(actor.get());
+}
+
+TEST_F(BadPeersTest, AnActorWaitsForItsEnvironmentServer) {
+  const auto learner = StartLearner("run", Address("learner"));
+  const auto actor = StartActor(Address("learner"), Address("server"));
+  EXPECT_TRUE(actor->WaitForText("joined run", kPatience)) << actor->Err();
+  EXPECT_TRUE(actor->WaitForText("warning: environment server " + Address("server") + ": ", kSoon)) << actor->Err();
+  const auto server = StartServer(Address("server"));
+  ExpectToComplete(learner.get());
+  ExpectToFinish(actor.get());
+}
+
+TEST_F(BadPeersTest, AnActorPlaysWithTheServersThatAreThere) {
+  const auto server = StartServer(Address("server"));
+  const auto learner = StartLearner("run", Address("learner"));
+  const auto actor = StartActor(Address("learner"), Address("away") + "," + Address("server"));
+  ExpectToComplete(learner.get());
+  EXPECT_THAT(actor->Err(), HasSubstr("environment server " + Address("away")));
+}
+
+TEST_F(BadPeersTest, AnEnvironmentServerIsNoLearner) {
+  const auto server = StartServer(Address("server"));
+  const Ended ended = Finish(StartActor(Address("server"), Address("server")).get());
+  EXPECT_EQ(ended.exit_code, 1);
+  EXPECT_THAT(ended.err, HasSubstr("learner " + Address("server") + ": does not know this call"));
+}
+
+TEST_F(BadPeersTest, ALearnerIsNoEnvironmentServer) {
+  const auto learner = StartLearner("run", Address("learner"));
+  const Ended ended = Finish(StartActor(Address("learner"), Address("learner")).get());
+  EXPECT_EQ(ended.exit_code, 1);
+  EXPECT_THAT(ended.err, HasSubstr("environment server " + Address("learner") + ": does not know this call"));
+}
+
+TEST_F(BadPeersTest, OtherTexturesAreNoticed) {
+  const std::string textures = folder_ / "textures";
+  std::filesystem::copy(JoinPath(CRAFTFLEET_BIN_DIR, "../share/craftfleet/textures"), textures);
+  std::filesystem::copy_file(textures + "/sand.png", textures + "/stone.png",
+                             std::filesystem::copy_options::overwrite_existing);
+  const auto server = StartServer(Address("server"), {"--textures=" + textures});
+  const auto learner = StartLearner("run", Address("learner"));
+  const Ended ended = Finish(StartActor(Address("learner"), Address("server")).get());
+  EXPECT_EQ(ended.exit_code, 1);
+  EXPECT_THAT(ended.err, HasSubstr("environment server " + Address("server")));
+  EXPECT_THAT(ended.err, HasSubstr("give both the same --textures"));
+}
+
+TEST_F(BadPeersTest, AServerThatPlaysForAnotherRunSaysSo) {
+  const auto server = StartServer(Address("server"));
+  const auto first = StartLearner("first", Address("first-learner"));
+  const auto first_actor = StartActor(Address("first-learner"), Address("server"));
+  const auto second = StartLearner("second", Address("second-learner"));
+  // Held within its run, so that its session stays.
+  ASSERT_TRUE(first_actor->WaitForText("joined run", kPatience));
+  while (Run("craftfleet-status", {"--address=" + Address("server")}).out.find("actor") == std::string::npos) {
+    ASSERT_EQ(first->Wait(absl::ZeroDuration()), std::nullopt) << "over before it was seen";
+  }
+  first->Signal(SIGSTOP);
+  const Ended ended = Finish(StartActor(Address("second-learner"), Address("server")).get());
+  first->Signal(SIGCONT);
+  EXPECT_EQ(ended.exit_code, 1);
+  EXPECT_THAT(ended.err, HasSubstr("this environment server serves run "));
+  EXPECT_THAT(ended.err, HasSubstr("wait until the other run ends"));
+  ExpectToComplete(first.get());
+}
+
+TEST_F(BadPeersTest, StatusTellsWhoIsThere) {
+  const auto server = StartServer(Address("server"));
+  const auto learner = StartLearner("run", Address("learner"));
+  ASSERT_THAT(learner->WaitForAddress("listening on ", kPatience), IsOk());
+  for (const std::string role : {"learner", "server"}) {
+    const Ended ended = Run("craftfleet-status", {"--address=" + Address(role), "--json"});
+    EXPECT_EQ(ended.exit_code, 0) << ended.err;
+    const auto json = nlohmann::json::parse(ended.out, nullptr, /*allow_exceptions=*/false);
+    ASSERT_TRUE(json.is_object()) << ended.out;
+    EXPECT_EQ(json["role"], role == "learner" ? "learner" : "envserver");
+    EXPECT_GT(json["metrics"].size(), 3);
+  }
+}
+
+TEST_F(BadPeersTest, StatusOfAProcessThatDoesNotAnswerEndsWithinSeconds) {
+  const auto server = StartServer(Address("server"));
+  server->Signal(SIGSTOP);
+  const absl::Time start = absl::Now();
+  const Ended ended = Run("craftfleet-status", {"--address=" + Address("server")});
+  EXPECT_EQ(ended.exit_code, 1);
+  EXPECT_THAT(ended.err, HasSubstr(Address("server") + ": cannot connect: "));
+  EXPECT_LT(absl::Now() - start, absl::Seconds(8));
+}
+
+// Connects and writes `bytes`, without regard for any answer.
+void SendBytes(const std::string& path, const std::string& bytes) {
+  const int connection = socket(AF_UNIX, SOCK_STREAM, 0);
+  sockaddr_un name = {};
+  name.sun_family = AF_UNIX;
+  path.copy(name.sun_path, sizeof(name.sun_path) - 1);
+  ASSERT_EQ(connect(connection, reinterpret_cast<const sockaddr*>(&name), sizeof(name)), 0);
+  EXPECT_GT(send(connection, bytes.data(), bytes.size(), MSG_NOSIGNAL), 0);
+  close(connection);
+}
+
+TEST_F(BadPeersTest, NonsenseOnThePortHarmsNobody) {
+  const auto server = StartServer(Address("server"));
+  const auto learner = StartLearner("run", Address("learner"));
+  ASSERT_THAT(learner->WaitForAddress("listening on ", kPatience), IsOk());
+  std::mt19937 random(7);
+  for (int i = 0; i < 50; ++i) {
+    std::string bytes = i % 2 == 0 ? "PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n" : "GET / HTTP/1.1\r\n\r\n";
+    for (int j = 0; j < 1000; ++j) bytes.push_back(static_cast<char>(random() % 256));
+    SendBytes(folder_ / "learner", bytes);
+    SendBytes(folder_ / "server", bytes);
+  }
+  const auto actor = StartActor(Address("learner"), Address("server"));
+  ExpectToComplete(learner.get());
+  EXPECT_EQ(server->Wait(absl::ZeroDuration()), std::nullopt);
+}
+
+}  // namespace
+}  // namespace craftfleet
