@@ -66,7 +66,8 @@ absl::Status ActorLoop::RunFragment(const std::vector<HeldPermit>& permits) {
       return absl::AbortedError("permits of two iterations at once");
     }
   }
-  CRAFTFLEET_ASSIGN_OR_RETURN(const std::shared_ptr<const Policy> policy, policies_->Get(first.policy_version));
+  CRAFTFLEET_ASSIGN_OR_RETURN(const std::shared_ptr<const Policy> policy,
+                              policies_->Get(first.epoch, first.policy_version));
   CRAFTFLEET_RETURN_IF_ERROR(OpenLanes(permits));
 
   std::map<int, const HeldPermit*> by_lane;

@@ -12,12 +12,13 @@ namespace craftfleet {
 PolicySource::PolicySource(const LearnerClient* learner, AgentSpec spec, int tile)
     : learner_(learner), spec_(std::move(spec)), tile_(tile) {}
 
-absl::StatusOr<std::shared_ptr<const Policy>> PolicySource::Get(int64_t version) {
+absl::StatusOr<std::shared_ptr<const Policy>> PolicySource::Get(int64_t epoch, int64_t version) {
   MutexLock lock(&mu_);
-  if (version_ == version) return policy_;
+  if (epoch_ == epoch && version_ == version) return policy_;
   CRAFTFLEET_ASSIGN_OR_RETURN(const auto weights, learner_->GetWeights(version));
   const auto& [fetched, bytes] = weights;
   CRAFTFLEET_ASSIGN_OR_RETURN(policy_, Policy::Create(spec_, bytes, tile_));
+  epoch_ = epoch;
   version_ = fetched;
   if (fetched != version) {
     return absl::AbortedError(absl::StrFormat("weights are at version %d, the permit is for %d", fetched, version));

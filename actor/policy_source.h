@@ -20,9 +20,9 @@ class PolicySource {
  public:
   PolicySource(const LearnerClient* learner, AgentSpec spec, int tile);
 
-  // The policy of exactly `version`.
+  // The policy of exactly `version` in the learner's start `epoch`: a learner that came back computes its weights anew.
   //   Aborted: the learner is at a later one.   Others as LearnerClient::GetWeights and Policy::Create.
-  absl::StatusOr<std::shared_ptr<const Policy>> Get(int64_t version) ABSL_LOCKS_EXCLUDED(mu_);
+  absl::StatusOr<std::shared_ptr<const Policy>> Get(int64_t epoch, int64_t version) ABSL_LOCKS_EXCLUDED(mu_);
 
  private:
   const LearnerClient* const learner_;
@@ -30,6 +30,7 @@ class PolicySource {
   const int tile_;
 
   Mutex mu_;
+  int64_t epoch_ ABSL_GUARDED_BY(mu_) = -1;
   int64_t version_ ABSL_GUARDED_BY(mu_) = -1;
   std::shared_ptr<const Policy> policy_ ABSL_GUARDED_BY(mu_);
 };

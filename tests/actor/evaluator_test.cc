@@ -33,7 +33,7 @@ class EvaluatorTest : public testing::Test {
     return Evaluate(options, *SamplePolicy(weights), &client, [this](int n) { finished_.push_back(n); });
   }
 
-  const EnvServer env_;
+  EnvServer env_;
   std::vector<int> finished_;  // what progress was told
 };
 

@@ -39,39 +39,48 @@ class PolicySourceTest : public testing::Test {
 
 TEST_F(PolicySourceTest, FetchesAVersionOnce) {
   service_.SetWeights(Chunks(3, SampleWeights(1)));
-  const auto first = source_.Get(3);
+  const auto first = source_.Get(1, 3);
   ASSERT_THAT(first, IsOk());
   service_.SetWeights({});
-  EXPECT_EQ(source_.Get(3).value(), *first);
+  EXPECT_EQ(source_.Get(1, 3).value(), *first);
 }
 
 TEST_F(PolicySourceTest, IsAskedByManyAtOnce) {
   service_.SetWeights(Chunks(3, SampleWeights(1)));
   std::vector<std::thread> threads;
-  for (int i = 0; i < 4; ++i) threads.emplace_back([this] { EXPECT_THAT(source_.Get(3), IsOk()); });
+  for (int i = 0; i < 4; ++i) threads.emplace_back([this] { EXPECT_THAT(source_.Get(1, 3), IsOk()); });
   for (std::thread& thread : threads) thread.join();
 }
 
 TEST_F(PolicySourceTest, ALaterVersionIsNotThePermitsButIsKept) {
   service_.SetWeights(Chunks(4, SampleWeights(1)));
-  EXPECT_THAT(source_.Get(3), StatusIs(absl::StatusCode::kAborted,
-                                       AllOf(HasSubstr("weights are at version 4"), HasSubstr("permit is for 3"))));
+  EXPECT_THAT(source_.Get(1, 3), StatusIs(absl::StatusCode::kAborted,
+                                          AllOf(HasSubstr("weights are at version 4"), HasSubstr("permit is for 3"))));
   service_.SetWeights({});
-  EXPECT_THAT(source_.Get(4), IsOk());
+  EXPECT_THAT(source_.Get(1, 4), IsOk());
+}
+
+TEST_F(PolicySourceTest, AnotherStartOfTheLearnerIsAskedAgain) {
+  service_.SetWeights(Chunks(3, SampleWeights(1)));
+  const auto before = source_.Get(1, 3);
+  ASSERT_THAT(before, IsOk());
+  const auto after = source_.Get(2, 3);
+  ASSERT_THAT(after, IsOk());
+  EXPECT_NE(*after, *before);
 }
 
 TEST_F(PolicySourceTest, WeightsThatAreCutAreAnError) {
   std::vector<v1::WeightsChunk> chunks = Chunks(3, SampleWeights(1));
   chunks.pop_back();
   service_.SetWeights(chunks);
-  EXPECT_THAT(source_.Get(3), StatusIs(absl::StatusCode::kDataLoss, HasSubstr("1000 bytes of weights, want")));
+  EXPECT_THAT(source_.Get(1, 3), StatusIs(absl::StatusCode::kDataLoss, HasSubstr("1000 bytes of weights, want")));
   service_.SetWeights(Chunks(3, SampleWeights(1)));
-  EXPECT_THAT(source_.Get(3), IsOk());
+  EXPECT_THAT(source_.Get(1, 3), IsOk());
 }
 
 TEST_F(PolicySourceTest, WeightsThatAreNoneAreAnError) {
   service_.SetWeights(Chunks(3, std::string(5000, 'x')));
-  EXPECT_THAT(source_.Get(3), StatusIs(absl::StatusCode::kInvalidArgument, testing::Not(testing::IsEmpty())));
+  EXPECT_THAT(source_.Get(1, 3), StatusIs(absl::StatusCode::kInvalidArgument, testing::Not(testing::IsEmpty())));
 }
 
 }  // namespace
