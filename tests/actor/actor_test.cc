@@ -206,7 +206,7 @@ class ActorTest : public testing::Test {
   }
 
   const TempFolder folder_;
-  const EnvServer env_;
+  EnvServer env_;
   Reference reference_;
   std::unique_ptr<StandInLearner> learner_ =
       std::make_unique<StandInLearner>(LearnerAddress(), 1, std::vector<LaneRecord>(kLanes));
