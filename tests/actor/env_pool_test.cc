@@ -27,6 +27,7 @@ constexpr int kLength = 50;  // of an episode
 
 std::vector<EnvClient::Lane> NewLanes(const std::vector<int>& lanes) {
   std::vector<EnvClient::Lane> open;
+  open.reserve(lanes.size());
   for (const int lane : lanes) open.push_back({lane, lane + 100, 1, ""});
   return open;
 }
@@ -39,6 +40,7 @@ struct Seen {
     for (const auto& [lane, frame] : frames) lanes.push_back(lane);
     lanes = pool->Arrange(lanes);
     std::vector<Action> actions;
+    actions.reserve(lanes.size());
     for (const int lane : lanes) actions.push_back(static_cast<Action>((lane * 3 + steps * 5) % kNumActions));
     StepBatch batch;
     if (absl::Status status = pool->Step(lanes, actions, snapshot, &batch); !status.ok()) return status;
@@ -68,6 +70,7 @@ struct Seen {
 
 EnvPool PoolOf(const std::vector<const EnvServer*>& servers) {
   std::vector<wire::Endpoint> endpoints;
+  endpoints.reserve(servers.size());
   for (const EnvServer* server : servers) endpoints.push_back(server->Connect());
   return {endpoints, SampleHello(kLength), kFrameBytes};
 }

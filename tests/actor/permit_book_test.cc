@@ -83,6 +83,7 @@ TEST(PermitBook, DropWaitingLeavesWhatIsBeingPlayed) {
 TEST(PermitBook, CloseWakesEveryLoop) {
   PermitBook book(3);
   std::vector<std::thread> loops;
+  loops.reserve(3);
   for (int loop = 0; loop < 3; ++loop) {
     loops.emplace_back([&book, loop] { EXPECT_THAT(book.Take(loop), IsEmpty()); });
   }
@@ -102,6 +103,7 @@ TEST(PermitBook, HandsEachPermitToOneLoopBetweenThreads) {
   book.SetTile(2);
   std::vector<std::set<HeldPermit>> played(kLoops);
   std::vector<std::thread> loops;
+  loops.reserve(kLoops);
   for (int loop = 0; loop < kLoops; ++loop) {
     loops.emplace_back([&book, &mine = played[loop], loop] {
       for (auto permits = book.Take(loop); !permits.empty(); permits = book.Take(loop)) {

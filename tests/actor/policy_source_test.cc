@@ -48,6 +48,7 @@ TEST_F(PolicySourceTest, FetchesAVersionOnce) {
 TEST_F(PolicySourceTest, IsAskedByManyAtOnce) {
   service_.SetWeights(Chunks(3, SampleWeights(1)));
   std::vector<std::thread> threads;
+  threads.reserve(4);
   for (int i = 0; i < 4; ++i) threads.emplace_back([this] { EXPECT_THAT(source_.Get(1, 3), IsOk()); });
   for (std::thread& thread : threads) thread.join();
 }

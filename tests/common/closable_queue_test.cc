@@ -69,6 +69,7 @@ TEST(ClosableQueue, CloseWakesBlockedPush) {
 TEST(ClosableQueue, CloseWakesEveryBlockedPop) {
   ClosableQueue<int> queue(1);
   std::vector<std::thread> poppers;
+  poppers.reserve(4);
   for (int i = 0; i < 4; ++i) {
     poppers.emplace_back([&] { EXPECT_EQ(queue.Pop(absl::InfiniteDuration()), std::nullopt); });
   }
@@ -96,6 +97,7 @@ TEST(ClosableQueue, LosesAndDoublesNothingBetweenThreads) {
   constexpr int kItems = 2000;
   ClosableQueue<int> queue(5);
   std::vector<std::thread> producers;
+  producers.reserve(kProducers);
   for (int p = 0; p < kProducers; ++p) {
     producers.emplace_back([&queue, p] {
       for (int i = 0; i < kItems; ++i) ASSERT_THAT(queue.Push(p * kItems + i), IsOk());
@@ -103,6 +105,7 @@ TEST(ClosableQueue, LosesAndDoublesNothingBetweenThreads) {
   }
   std::vector<std::vector<int>> got(kConsumers);
   std::vector<std::thread> consumers;
+  consumers.reserve(kConsumers);
   for (int c = 0; c < kConsumers; ++c) {
     consumers.emplace_back([&queue, &mine = got[c]] {
       while (const auto item = queue.Pop(absl::InfiniteDuration())) mine.push_back(*item);

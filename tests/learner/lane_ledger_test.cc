@@ -57,6 +57,7 @@ class Book {
 
 std::vector<int> Lanes(const std::vector<Permit>& permits) {
   std::vector<int> lanes;
+  lanes.reserve(permits.size());
   for (const Permit& permit : permits) lanes.push_back(permit.lane);
   return lanes;
 }

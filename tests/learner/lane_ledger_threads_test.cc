@@ -115,6 +115,7 @@ TEST(LaneLedgerThreads, EveryFragmentIsAcceptedExactlyOnce) {
   Referee referee;
   ledger.OpenIteration(kFragmentsPerIteration, 0);
   std::vector<std::thread> actors;
+  actors.reserve(8);
   for (int number = 0; number < 8; ++number) {
     actors.emplace_back([&ledger, &referee, number] { WildActor(number, &ledger, &referee).Run(); });
   }

@@ -49,6 +49,7 @@ TEST(WeightStore, PublishWakesThoseWhoWaitForIt) {
   constexpr int64_t kVersions = 200;
   WeightStore store;
   std::vector<std::thread> readers;
+  readers.reserve(4);
   for (int r = 0; r < 4; ++r) {
     readers.emplace_back([&store] {
       for (int64_t version = 0; version < kVersions;) {
