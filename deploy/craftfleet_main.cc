@@ -19,6 +19,7 @@ constexpr char kUsage[] =
   craftfleet train    train in one process
   craftfleet eval     score a checkpoint
   craftfleet curve    draw the learning curves of runs
+  craftfleet envs     list the environments and what their worlds have
   craftfleet status   ask a process of the fleet what it is doing
   craftfleet COMMAND --help tells more about each.
 
