@@ -3,70 +3,18 @@
 #include <algorithm>
 #include <cstdint>
 #include <limits>
-#include <vector>
 
-#include <absl/strings/ascii.h>
 #include <absl/strings/str_cat.h>
-#include <absl/strings/str_join.h>
-#include <absl/strings/str_split.h>
 #include <absl/strings/string_view.h>
-#include <google/protobuf/descriptor.h>
-#include <google/protobuf/io/tokenizer.h>
 #include <google/protobuf/text_format.h>
 
 #include "common/status_macros.h"
+#include "common/text_format.h"
 
 namespace craftfleet {
 namespace {
 
-using google::protobuf::Descriptor;
-using google::protobuf::DescriptorPool;
-using google::protobuf::TextFormat;
-
 constexpr int32_t kMaxDerivedFragmentSteps = 256;
-
-// " (known fields of RunConfig: agent, env, ...)" for an error about an unknown field, else "".
-std::string KnownFields(absl::string_view message) {
-  const std::vector<std::string> parts = absl::StrSplit(message, '"');
-  if (parts.size() < 2 || !absl::StrContains(message, "no field named")) return "";
-  const Descriptor* descriptor = DescriptorPool::generated_pool()->FindMessageTypeByName(parts[1]);
-  if (descriptor == nullptr) return "";
-  std::vector<std::string> names;
-  names.reserve(descriptor->field_count());
-  for (int i = 0; i < descriptor->field_count(); ++i) names.push_back(descriptor->field(i)->name());
-  return absl::StrCat(" (known fields of ", descriptor->name(), ": ", absl::StrJoin(names, ", "), ")");
-}
-
-// "learning_rate: " if the text before `column` of `line` ends in "learning_rate:" or, for a number's sign,
-// "learning_rate: -"; else "".
-std::string FieldBefore(absl::string_view line, int column) {
-  absl::string_view before = absl::StripTrailingAsciiWhitespace(line.substr(0, column));
-  if (absl::ConsumeSuffix(&before, "-")) before = absl::StripTrailingAsciiWhitespace(before);
-  if (!absl::ConsumeSuffix(&before, ":")) return "";
-  return absl::StrCat(before.substr(before.find_last_of(" \t{;,") + 1), ": ");
-}
-
-// Keeps the first error, with the place made readable.
-class FirstError : public google::protobuf::io::ErrorCollector {
- public:
-  FirstError(absl::string_view text, absl::string_view filename)
-      : lines_(absl::StrSplit(text, '\n')), filename_(filename) {}
-
-  void AddError(int line, google::protobuf::io::ColumnNumber column, const std::string& message) override {
-    if (!status_.ok()) return;
-    const bool known_place = line >= 0 && line < static_cast<int>(lines_.size());
-    const std::string field = known_place ? FieldBefore(lines_[line], column) : "";
-    const std::string place = line >= 0 ? absl::StrCat(":", line + 1, ":", column + 1) : "";
-    status_ = absl::InvalidArgumentError(absl::StrCat(filename_, place, ": ", field, message, KnownFields(message)));
-  }
-
-  const absl::Status& status() const { return status_; }
-
- private:
-  const std::vector<absl::string_view> lines_;
-  const absl::string_view filename_;
-  absl::Status status_;
-};
 
 // Collects the first value that is out of range.
 class RangeCheck {
@@ -167,15 +115,8 @@ v1::RunConfig DefaultRunConfig() {
 }
 
 absl::StatusOr<v1::RunConfig> ParseRunConfig(absl::string_view text, absl::string_view filename) {
-  const std::string bytes(text);
-  FirstError error(text, filename);
-  TextFormat::Parser parser;
-  parser.RecordErrorsTo(&error);
   v1::RunConfig given;
-  if (!parser.ParseFromString(bytes, &given)) {
-    return error.status().ok() ? absl::InvalidArgumentError(absl::StrCat(filename, ": not protobuf text format"))
-                               : error.status();
-  }
+  CRAFTFLEET_RETURN_IF_ERROR(ParseTextFormat(text, filename, &given));
   v1::RunConfig config = DefaultRunConfig();
   config.MergeFrom(given);
   return config;
@@ -199,7 +140,7 @@ absl::Status ValidateRunConfig(const v1::RunConfig& config) {
 
 std::string FormatRunConfig(const v1::RunConfig& config) {
   std::string text;
-  TextFormat::PrintToString(config, &text);
+  google::protobuf::TextFormat::PrintToString(config, &text);
   return text;
 }
 
