@@ -108,7 +108,7 @@ absl::Status Run() {
   CRAFTFLEET_ASSIGN_OR_RETURN(const std::string folder, FindCheckpoint(absl::GetFlag(FLAGS_checkpoint)));
   CRAFTFLEET_ASSIGN_OR_RETURN(const Checkpoint checkpoint, LoadCheckpoint(folder, ""));
   const v1::RunConfig& config = checkpoint.state.config();
-  CRAFTFLEET_ASSIGN_OR_RETURN(const AgentSpec spec, FindAgent(config.agent()));
+  CRAFTFLEET_ASSIGN_OR_RETURN(const AgentSpec spec, MakeAgentSpec(config));
   CRAFTFLEET_ASSIGN_OR_RETURN(const std::unique_ptr<const Policy> policy,
                               Policy::Create(spec, checkpoint.weights, config.tile()));
   v1::EnvConfig env = config.env();

@@ -10,27 +10,27 @@
 #include <absl/status/statusor.h>
 #include <absl/strings/string_view.h>
 
-namespace craftfleet {
+#include "common/agent/nets/params.h"
+#include "craftfleet/v1/config.pb.h"
 
-// One tensor of a network. All parameters of an agent lie in one flat array, each row-major, in the spec's order.
-struct ParamSpec {
-  std::string name;            // "features_extractor.cnn.0.weight": also its name in saved weights
-  std::vector<int64_t> shape;  // linear [out, in], convolution [out, in, k, k]
-  int64_t offset = 0;          // of its first value in the flat array
-  int64_t size = 0;            // values
-  double gain = 0;             // it starts orthogonal, [out, everything else], times this; 0: it starts at zero
-};
+namespace craftfleet {
 
 struct AgentSpec {
   std::string name;               // "ppo_cnn"
+  v1::NetworkConfig network;      // complete
   int frame_size = 0;             // pixels, width and height of the frames it wants
   std::vector<ParamSpec> params;  // offsets ascending, without gaps
   int64_t param_count = 0;        // values, all parameters together
+  int state_size = 0;             // floats of recurrent state a lane: h and c of each LSTM; 0: feed-forward
 
   int64_t frame_bytes() const { return int64_t{3} * frame_size * frame_size; }  // of one frame uint8[H,W,3]
 };
 
-// Source: Stanic et al. 2022; layers as in "The agents", sections 2, 3 and 6.
+// The agent that a run's `agent` names, with the changes of its `network`.
+//   InvalidArgument: as ResolveNetwork (common/agent_presets.h).
+absl::StatusOr<AgentSpec> MakeAgentSpec(const v1::RunConfig& config);
+
+// The agent as its name stands.
 //   InvalidArgument: unknown name; lists the known ones.
 absl::StatusOr<AgentSpec> FindAgent(absl::string_view name);
 

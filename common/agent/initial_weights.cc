@@ -1,5 +1,6 @@
 #include "common/agent/initial_weights.h"
 
+#include <algorithm>
 #include <array>
 #include <cmath>
 #include <cstddef>
@@ -63,25 +64,63 @@ void OrthonormaliseRows(int64_t count, int64_t length, std::vector<double>* matr
   }
 }
 
+// The numbers of `param`, an orthogonal matrix.
+void FillOrthogonal(const ParamSpec& param, uint64_t seed, float* weight) {
+  const int64_t outputs = param.shape[0];
+  const int64_t inputs = param.size / outputs;
+  const bool wide = outputs <= inputs;
+  std::vector<double> matrix = Normals(seed, Fnv1a64(param.name), param.size);
+  OrthonormaliseRows(wide ? outputs : inputs, wide ? inputs : outputs, &matrix);
+  for (int64_t out = 0; out < outputs; ++out) {
+    for (int64_t in = 0; in < inputs; ++in) {
+      const double value = wide ? matrix[out * inputs + in] : matrix[in * outputs + out];
+      weight[out * inputs + in] = static_cast<float>(param.init.scale * value);
+    }
+  }
+}
+
+// U(-1, 1).
+double SignedUniform(const ParamSpec& param, uint64_t seed, int64_t i) {
+  const uint64_t stream = Fnv1a64(param.name);
+  return 2 * UnitInterval(KeyedBits(RandomUse::kInitialWeights, seed, stream, static_cast<uint64_t>(i))) - 1;
+}
+
+void FillRowNorm(const ParamSpec& param, uint64_t seed, float* weight) {
+  const int64_t columns = param.size / param.shape[0];
+  std::vector<double> row(columns);
+  for (int64_t first = 0; first < param.size; first += columns) {
+    for (int64_t k = 0; k < columns; ++k) row[k] = SignedUniform(param, seed, first + k);
+    const double scale = param.init.scale / std::sqrt(Dot(row, row));
+    for (int64_t k = 0; k < columns; ++k) weight[first + k] = static_cast<float>(scale * row[k]);
+  }
+}
+
+void Fill(const ParamSpec& param, uint64_t seed, float* weight) {
+  const double scale = param.init.scale;
+  switch (param.init.kind) {
+    case ParamInit::Kind::kConstant:
+      std::fill_n(weight, param.size, static_cast<float>(scale));
+      return;
+    case ParamInit::Kind::kNormal: {
+      const std::vector<double> normals = Normals(seed, Fnv1a64(param.name), param.size);
+      for (int64_t i = 0; i < param.size; ++i) weight[i] = static_cast<float>(scale * normals[i]);
+      return;
+    }
+    case ParamInit::Kind::kUniform:
+      for (int64_t i = 0; i < param.size; ++i) weight[i] = static_cast<float>(scale * SignedUniform(param, seed, i));
+      return;
+    case ParamInit::Kind::kOrthogonal:
+      return FillOrthogonal(param, seed, weight);
+    case ParamInit::Kind::kRowNorm:
+      return FillRowNorm(param, seed, weight);
+  }
+}
+
 }  // namespace
 
 std::vector<float> InitialWeights(const AgentSpec& spec, uint64_t seed) {
-  std::vector<float> weights(spec.param_count, 0.0F);
-  for (const ParamSpec& param : spec.params) {
-    if (param.gain == 0) continue;
-    const int64_t outputs = param.shape[0];
-    const int64_t inputs = param.size / outputs;
-    const bool wide = outputs <= inputs;
-    std::vector<double> matrix = Normals(seed, Fnv1a64(param.name), param.size);
-    OrthonormaliseRows(wide ? outputs : inputs, wide ? inputs : outputs, &matrix);
-    float* weight = weights.data() + param.offset;
-    for (int64_t out = 0; out < outputs; ++out) {
-      for (int64_t in = 0; in < inputs; ++in) {
-        const double value = wide ? matrix[out * inputs + in] : matrix[in * outputs + out];
-        weight[out * inputs + in] = static_cast<float>(param.gain * value);
-      }
-    }
-  }
+  std::vector<float> weights(spec.param_count);
+  for (const ParamSpec& param : spec.params) Fill(param, seed, weights.data() + param.offset);
   return weights;
 }
 

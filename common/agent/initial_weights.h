@@ -10,9 +10,9 @@
 
 namespace craftfleet {
 
-// float[spec.param_count]: each weight a uniformly drawn orthogonal matrix (rows orthonormal if it is wide, columns if
-// it is tall) times its gain, biases zero. A function of `seed` and the parameters' names alone.
-// Source: "The agents", section 2.
+// float[spec.param_count]: each parameter as its `init` says; orthogonal matrices have orthonormal rows if they are
+// wide, columns if they are tall. A function of `seed` and the parameters' names alone.
+// Source: "The agents", sections 2 and 9.
 std::vector<float> InitialWeights(const AgentSpec& spec, uint64_t seed);
 
 }  // namespace craftfleet

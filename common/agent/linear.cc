@@ -35,8 +35,10 @@ struct LinearFunction : torch::autograd::Function<LinearFunction> {
                             const at::Tensor& weight, const at::Tensor& bias) {
     const at::Tensor rows = input.contiguous();
     context->save_for_backward({rows, weight});
-    at::Tensor output = bias.expand({rows.size(0), weight.size(0)}).clone(at::MemoryFormat::Contiguous);
-    MultiplyInto(Form::kPlain, rows, Form::kTransposed, weight, 1.0F, &output);
+    const int64_t shape[] = {rows.size(0), weight.size(0)};
+    at::Tensor output = bias.defined() ? bias.expand(shape).clone(at::MemoryFormat::Contiguous) : at::empty(shape);
+    context->saved_data["has_bias"] = bias.defined();
+    MultiplyInto(Form::kPlain, rows, Form::kTransposed, weight, bias.defined() ? 1.0F : 0.0F, &output);
     return output;
   }
 
@@ -51,7 +53,8 @@ struct LinearFunction : torch::autograd::Function<LinearFunction> {
     at::Tensor weight_gradient = at::empty_like(weight);
     MultiplyInto(Form::kPlain, gradient, Form::kPlain, weight, 0.0F, &input_gradient);
     MultiplyInto(Form::kTransposed, gradient, Form::kPlain, input, 0.0F, &weight_gradient);
-    return {input_gradient, weight_gradient, gradient.sum(0)};
+    const bool has_bias = context->saved_data["has_bias"].toBool();
+    return {input_gradient, weight_gradient, has_bias ? gradient.sum(0) : at::Tensor()};
   }
 };
 

@@ -7,7 +7,7 @@
 
 namespace craftfleet {
 
-// input float[N,in] * weight float[out,in]^T + bias float[out] -> float[N,out].
+// input float[N,in] * weight float[out,in]^T + bias float[out], if it is defined -> float[N,out].
 //
 // Debian's OpenBLAS 0.3.21 doesn't know CPUs newer than itself and then runs SSE3 kernels; oneDNN, which LibTorch
 // brings anyway, is 4-5 times as fast there and up to 1.3 times where OpenBLAS knows the CPU. Without dnnl_sgemm in the

@@ -2,7 +2,6 @@
 
 #include <algorithm>
 #include <cmath>
-#include <cstring>
 #include <exception>
 #include <utility>
 
@@ -44,6 +43,7 @@ bool AllFinite(absl::Span<const float> values) {
 Policy::Policy(const AgentSpec& spec, std::vector<float> weights, int tile)
     : frame_bytes_(spec.frame_bytes()),
       frame_size_(spec.frame_size),
+      state_size_(spec.state_size),
       tile_(tile),
       weights_(std::move(weights)),
       net_(std::make_unique<PolicyNet>(spec, PolicyNet::Use::kActing, absl::MakeSpan(weights_))) {}
@@ -60,21 +60,25 @@ absl::StatusOr<std::unique_ptr<const Policy>> Policy::Create(const AgentSpec& sp
 }
 
 absl::StatusOr<ActResult> Policy::Act(absl::string_view frames, absl::Span<const int> lanes,
-                                      absl::Span<const double> noise) const {
+                                      absl::Span<const double> noise, absl::Span<float> states) const {
   if (noise.size() != lanes.size()) {
     return absl::InvalidArgumentError(absl::StrCat(noise.size(), " noise values for ", lanes.size(), " lanes"));
   }
-  CRAFTFLEET_ASSIGN_OR_RETURN(Outputs outputs, Evaluate(frames, lanes));
+  CRAFTFLEET_ASSIGN_OR_RETURN(Outputs outputs, Evaluate(frames, lanes, states));
+  std::copy(outputs.states.begin(), outputs.states.end(), states.begin());
   return Choose(std::move(outputs), [&](size_t row, const Categorical& odds) { return odds.Sample(noise[row]); });
 }
 
-absl::StatusOr<ActResult> Policy::ActGreedily(absl::string_view frames, absl::Span<const int> lanes) const {
-  CRAFTFLEET_ASSIGN_OR_RETURN(Outputs outputs, Evaluate(frames, lanes));
+absl::StatusOr<ActResult> Policy::ActGreedily(absl::string_view frames, absl::Span<const int> lanes,
+                                              absl::Span<float> states) const {
+  CRAFTFLEET_ASSIGN_OR_RETURN(Outputs outputs, Evaluate(frames, lanes, states));
+  std::copy(outputs.states.begin(), outputs.states.end(), states.begin());
   return Choose(std::move(outputs), [](size_t, const Categorical& odds) { return odds.Greedy(); });
 }
 
-absl::StatusOr<std::vector<float>> Policy::Values(absl::string_view frames, absl::Span<const int> lanes) const {
-  CRAFTFLEET_ASSIGN_OR_RETURN(Outputs outputs, Evaluate(frames, lanes));
+absl::StatusOr<std::vector<float>> Policy::Values(absl::string_view frames, absl::Span<const int> lanes,
+                                                  absl::Span<const float> states) const {
+  CRAFTFLEET_ASSIGN_OR_RETURN(Outputs outputs, Evaluate(frames, lanes, states));
   return std::move(outputs.values);
 }
 
@@ -90,40 +94,54 @@ ActResult Policy::Choose(Outputs outputs, absl::FunctionRef<Action(size_t, const
   return result;
 }
 
-absl::StatusOr<Policy::Outputs> Policy::Evaluate(absl::string_view frames, absl::Span<const int> lanes) const {
+absl::StatusOr<Policy::Outputs> Policy::Evaluate(absl::string_view frames, absl::Span<const int> lanes,
+                                                 absl::Span<const float> states) const {
   if (frames.size() != lanes.size() * frame_bytes_) {
     return absl::InvalidArgumentError(
         absl::StrCat(frames.size(), " bytes of frames for ", lanes.size(), " lanes, want ", frame_bytes_, " a lane"));
   }
+  if (states.size() != lanes.size() * state_size_) {
+    return absl::InvalidArgumentError(absl::StrCat(states.size(), " floats of recurrent state for ", lanes.size(),
+                                                   " lanes, want ", state_size_, " a lane"));
+  }
   SetUpTorchThread();
-  Outputs outputs{std::vector<float>(lanes.size() * kNumActions), std::vector<float>(lanes.size())};
-  const std::vector<uint8_t> no_frame(frame_bytes_, 0);
+  Outputs outputs{std::vector<float>(lanes.size() * kNumActions), std::vector<float>(lanes.size()),
+                  std::vector<float>(states.size())};
   try {
     const c10::InferenceMode inference;
-    at::Tensor input = at::empty({tile_, frame_size_, frame_size_, 3});
-    for (const std::vector<int>& rows : DealRows(lanes, tile_)) {
-      std::vector<const uint8_t*> row_frames(tile_, no_frame.data());
-      for (int row = 0; row < tile_; ++row) {
-        if (rows[row] != kNoInput) {
-          row_frames[row] = reinterpret_cast<const uint8_t*>(frames.data()) + rows[row] * frame_bytes_;
-        }
-      }
-      ScaleFrames(row_frames, frame_bytes_, input.data_ptr<float>());
-      const PolicyNet::Output output = net_->Forward(input);
-      for (int row = 0; row < tile_; ++row) {
-        if (rows[row] == kNoInput) continue;
-        std::memcpy(&outputs.logits[rows[row] * kNumActions], output.logits.data_ptr<float>() + row * kNumActions,
-                    kNumActions * sizeof(float));
-        outputs.values[rows[row]] = output.values.data_ptr<float>()[row];
-      }
-    }
+    for (const std::vector<int>& rows : DealRows(lanes, tile_)) EvaluateTile(frames, rows, states, &outputs);
   } catch (const std::exception& error) {
     return absl::InternalError(absl::StrCat("policy: ", error.what()));
   }
-  if (!AllFinite(outputs.logits) || !AllFinite(outputs.values)) {
-    return absl::InternalError("policy: logits or values are not finite");
+  if (!AllFinite(outputs.logits) || !AllFinite(outputs.values) || !AllFinite(outputs.states)) {
+    return absl::InternalError("policy: logits, values or recurrent state are not finite");
   }
   return outputs;
+}
+
+void Policy::EvaluateTile(absl::string_view frames, absl::Span<const int> rows, absl::Span<const float> states,
+                          Outputs* outputs) const {
+  const std::vector<uint8_t> no_frame(frame_bytes_, 0);
+  std::vector<const uint8_t*> row_frames(tile_, no_frame.data());
+  Segments segments{std::vector<int>(tile_, 1), at::zeros({tile_, state_size_})};
+  for (int row = 0; row < tile_; ++row) {
+    if (rows[row] == kNoInput) continue;
+    row_frames[row] = reinterpret_cast<const uint8_t*>(frames.data()) + rows[row] * frame_bytes_;
+    std::copy_n(states.begin() + rows[row] * state_size_, state_size_,
+                segments.states.data_ptr<float>() + row * state_size_);
+  }
+  at::Tensor input = at::empty({tile_, frame_size_, frame_size_, 3});
+  ScaleFrames(row_frames, frame_bytes_, input.data_ptr<float>());
+  const PolicyNet::Output output = net_->Forward(input, segments);
+  for (int row = 0; row < tile_; ++row) {
+    if (rows[row] == kNoInput) continue;
+    std::copy_n(output.logits.data_ptr<float>() + row * kNumActions, kNumActions,
+                outputs->logits.begin() + rows[row] * kNumActions);
+    outputs->values[rows[row]] = output.values.data_ptr<float>()[row];
+    if (state_size_ == 0) continue;
+    std::copy_n(output.states.data_ptr<float>() + row * state_size_, state_size_,
+                outputs->states.begin() + rows[row] * state_size_);
+  }
 }
 
 }  // namespace craftfleet

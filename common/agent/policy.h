@@ -44,20 +44,28 @@ class Policy {
 
   // Draws the action of each row: frame i of `frames`, uint8[n,H,W,3], was seen on lanes[i] (>= 0), and noise[i], in
   // [0,1), draws its action (see ActionNoise). A lane may come more than once.
-  //   InvalidArgument: the three don't have the same n.   Internal: LibTorch failed, or the output is not finite.
-  absl::StatusOr<ActResult> Act(absl::string_view frames, absl::Span<const int> lanes,
-                                absl::Span<const double> noise) const;
+  // `states`, float[n,state_size()], is the recurrent state of each row, zero where an episode begins; it becomes the
+  // state after the step, unless the call fails.
+  //   InvalidArgument: they don't have the same n.   Internal: LibTorch failed, or the output is not finite.
+  absl::StatusOr<ActResult> Act(absl::string_view frames, absl::Span<const int> lanes, absl::Span<const double> noise,
+                                absl::Span<float> states) const;
 
   // The same with the likeliest action of each row.
-  absl::StatusOr<ActResult> ActGreedily(absl::string_view frames, absl::Span<const int> lanes) const;
+  absl::StatusOr<ActResult> ActGreedily(absl::string_view frames, absl::Span<const int> lanes,
+                                        absl::Span<float> states) const;
 
   // float[n]: the values alone, to bootstrap from.
-  absl::StatusOr<std::vector<float>> Values(absl::string_view frames, absl::Span<const int> lanes) const;
+  absl::StatusOr<std::vector<float>> Values(absl::string_view frames, absl::Span<const int> lanes,
+                                            absl::Span<const float> states) const;
+
+  // Floats of recurrent state a lane; 0 for feed-forward agents, whose states are empty.
+  int state_size() const { return state_size_; }
 
  private:
   struct Outputs {
     std::vector<float> logits;  // [n,17]
     std::vector<float> values;  // [n]
+    std::vector<float> states;  // [n,state_size] after the step
   };
 
   Policy(const AgentSpec& spec, std::vector<float> weights, int tile);
@@ -65,10 +73,15 @@ class Policy {
   // `choose(row, distribution)` is the action of each row.
   static ActResult Choose(Outputs outputs, absl::FunctionRef<Action(size_t, const Categorical&)> choose);
 
-  absl::StatusOr<Outputs> Evaluate(absl::string_view frames, absl::Span<const int> lanes) const;
+  absl::StatusOr<Outputs> Evaluate(absl::string_view frames, absl::Span<const int> lanes,
+                                   absl::Span<const float> states) const;
+  // One tile: row r shows input rows[r]. Writes those inputs' outputs.
+  void EvaluateTile(absl::string_view frames, absl::Span<const int> rows, absl::Span<const float> states,
+                    Outputs* outputs) const;
 
   const int64_t frame_bytes_;
   const int frame_size_;
+  const int state_size_;
   const int tile_;
   std::vector<float> weights_;  // float[param_count]; the net looks into it
   std::unique_ptr<const PolicyNet> net_;

@@ -1,5 +1,5 @@
-// The network of an agent: feature extractor and two heads, on LibTorch. Include it only where tensors are at home;
-// acting goes through common/agent/policy.h.
+// The network of an agent with its weights, on LibTorch. Include it only where tensors are at home; acting goes through
+// common/agent/policy.h.
 
 #ifndef CRAFTFLEET_COMMON_AGENT_POLICY_NET_H_
 #define CRAFTFLEET_COMMON_AGENT_POLICY_NET_H_
@@ -8,31 +8,35 @@
 #include <vector>
 
 #include <ATen/core/Tensor.h>
+#include <absl/types/optional.h>
 #include <absl/types/span.h>
 
 #include "common/agent/agent_spec.h"
+#include "common/agent/nets/network.h"
+#include "common/agent/nets/param_tensors.h"
+#include "common/agent/nets/segments.h"
 
 namespace craftfleet {
 
 // Computes on weights that lie in someone else's flat array (AgentSpec's order), so that replicas share them and an
 // optimiser writes them in place. Thread-compatible; without gradients, several threads may call Forward.
-// Source: Stanic et al. 2022; "The agents", section 3; golden agents/ppo_cnn.json.
+// Source: Stanic et al. 2022; "The agents"; goldens agents/*.json.
 class PolicyNet {
  public:
   enum class Use {
     kActing,    // the weights never change: they are copied into the layout that is quickest to read
     kTraining,  // the weights may change between calls; Forward's output is good for one backward pass
   };
-  struct Output {
-    at::Tensor logits;  // float[N,17]
-    at::Tensor values;  // float[N]
-  };
+  using Output = NetOutput;
 
   // `weights`, float[spec.param_count], outlive the net.
   PolicyNet(const AgentSpec& spec, Use use, absl::Span<float> weights);
 
-  // frames float[N,H,W,3], values 0..1.
-  Output Forward(const at::Tensor& frames) const;
+  // frames float[N,H,W,3], values 0..1. `segments` say how the rows follow each other; feed-forward agents ignore them.
+  // In training, `dropout` decides what attention drops: `key` from the run's seed and the minibatch's number,
+  // `first_row` where these rows begin in the minibatch, so that shards drop what the whole would. Acting gives none.
+  Output Forward(const at::Tensor& frames, const Segments& segments = {},
+                 const absl::optional<Dropout>& dropout = absl::nullopt) const;
 
   // Training: the gradient of each parameter since the last ClearGradients, in the spec's order. The spans hold until
   // the next backward pass or ClearGradients.
@@ -40,13 +44,8 @@ class PolicyNet {
   void ClearGradients();
 
  private:
-  struct Layer {
-    at::Tensor weight;
-    at::Tensor bias;
-  };
-
-  std::vector<at::Tensor> params_;  // in the spec's order; the layers below share them
-  Layer conv1_, conv2_, conv3_, outmap_, action_net_, value_net_;
+  ParamTensors params_;
+  Network network_;
 };
 
 // Frames as the net wants them: `out` is float[n,H,W,3] in 0..1, each of `frames` points to `frame_bytes` bytes.

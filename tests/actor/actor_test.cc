@@ -163,7 +163,7 @@ class Reference {
     fragment.policy_version = version;
     for (int t = 0; t < kSteps; ++t) {
       const double noise = ActionNoise(Config().seed(), lane, number * kSteps + t);
-      const ActResult act = *policy.Act(frames_[lane], {lane}, {noise});
+      const ActResult act = *policy.Act(frames_[lane], {lane}, {noise}, {});
       fragment.frames += frames_[lane];
       fragment.actions.push_back(static_cast<char>(act.actions[0]));
       fragment.log_probs.push_back(act.log_probs[0]);
@@ -173,14 +173,14 @@ class Reference {
       fragment.rewards.push_back(static_cast<float>(played.outcome.reward));
       fragment.ends.push_back(played.outcome.end);
       if (played.outcome.end == StepEnd::kTruncated) {
-        fragment.truncation_values.push_back(policy.Values(last_frame, {lane})->front());
+        fragment.truncation_values.push_back(policy.Values(last_frame, {lane}, {})->front());
       }
       if (!played.episode.has_value()) continue;
       fragment.episodes.push_back(*played.episode);
       fragment.episodes.back().step = t;
     }
-    fragment.bootstrap_value = policy.Values(frames_[lane], {lane})->front();
-    fragment.snapshot = games_[lane].Save();
+    fragment.bootstrap_value = policy.Values(frames_[lane], {lane}, {})->front();
+    fragment.snapshot.game = games_[lane].Save();
     return fragment;
   }
 

@@ -106,7 +106,7 @@ TEST_F(EvaluatorTest, PlaysTheGameOfTheSeed) {
   absl::optional<Episode> episode;
   for (int64_t step = 0; !episode.has_value(); ++step) {
     std::string last_frames;
-    const ActResult act = *policy->Act(frame, {1}, {ActionNoise(5, 1, step)});
+    const ActResult act = *policy->Act(frame, {1}, {ActionNoise(5, 1, step)}, {});
     episode = game.StepAndAutoReset(act.actions[0], bytes, &last_frames).episode;
   }
   const auto evaluated = Run(Options(1, 1));

@@ -10,8 +10,8 @@ namespace {
 AgentSpec OneLayer(int64_t outputs, int64_t inputs, double gain) {
   AgentSpec spec;
   spec.param_count = outputs * inputs + outputs;
-  spec.params = {{"layer.weight", {outputs, inputs}, 0, outputs * inputs, gain},
-                 {"layer.bias", {outputs}, outputs * inputs, outputs, 0}};
+  spec.params = {{"layer.weight", {outputs, inputs}, 0, outputs * inputs, {ParamInit::Kind::kOrthogonal, gain}},
+                 {"layer.bias", {outputs}, outputs * inputs, outputs, {}}};
   return spec;
 }
 
@@ -20,7 +20,7 @@ TEST(InitialWeights, AreOrthogonalTimesTheirGainAndBiasesAreZero) {
     const std::vector<float> weights = InitialWeights(spec, 3);
     for (const ParamSpec& param : spec.params) {
       const float* weight = &weights[param.offset];
-      if (param.gain == 0) {
+      if (param.init.kind == ParamInit::Kind::kConstant) {
         for (int64_t i = 0; i < param.size; ++i) ASSERT_EQ(weight[i], 0) << param.name;
         continue;
       }
@@ -30,7 +30,8 @@ TEST(InitialWeights, AreOrthogonalTimesTheirGainAndBiasesAreZero) {
         for (int64_t b = 0; b <= a; b += 7) {
           double dot = 0;
           for (int64_t k = 0; k < columns; ++k) dot += double{weight[a * columns + k]} * weight[b * columns + k];
-          EXPECT_NEAR(dot / (param.gain * param.gain), a == b ? 1 : 0, 1e-6) << param.name << " " << a << " " << b;
+          EXPECT_NEAR(dot / (param.init.scale * param.init.scale), a == b ? 1 : 0, 1e-6)
+              << param.name << " " << a << " " << b;
         }
       }
     }

@@ -44,13 +44,13 @@ LaneFrames FramesOf(const std::vector<int>& lanes, uint32_t seed) {
 ActResult ActOn(const Policy& policy, const LaneFrames& input) {
   std::vector<double> noise;
   for (const int lane : input.lanes) noise.push_back(ActionNoise(1, lane, 0));
-  return *policy.Act(input.frames, input.lanes, noise);
+  return *policy.Act(input.frames, input.lanes, noise, {});
 }
 
 TEST(Policy, GreedyActionsAndValuesMatchTheGolden) {
   const nlohmann::json golden = ReadGolden("ppo_cnn.json");
   const std::string frames = GoldenFrames(golden["frames"]["seed"], golden["frames"]["n"], 64);
-  const ActResult result = *GoldenPolicy(8)->ActGreedily(frames, {0, 1, 2, 3});
+  const ActResult result = *GoldenPolicy(8)->ActGreedily(frames, {0, 1, 2, 3}, {});
   for (int i = 0; i < 4; ++i) {
     EXPECT_EQ(static_cast<int>(result.actions[i]), golden["forward"]["greedy_actions"][i].get<int>());
     EXPECT_NEAR(result.log_probs[i], golden["forward"]["greedy_log_prob"][i].get<double>(), 1e-5);
@@ -67,7 +67,7 @@ TEST(Policy, WhatALaneGetsDoesNotDependOnTheOthers) {
   for (const std::vector<int>& lanes : subsets) {
     const LaneFrames input = FramesOf(lanes, 12345);
     const ActResult some = ActOn(*policy, input);
-    EXPECT_EQ(*policy->Values(input.frames, input.lanes), some.values);
+    EXPECT_EQ(*policy->Values(input.frames, input.lanes, {}), some.values);
     for (size_t i = 0; i < lanes.size(); ++i) {
       EXPECT_EQ(some.actions[i], all.actions[lanes[i]]) << lanes[i];
       EXPECT_EQ(some.log_probs[i], all.log_probs[lanes[i]]) << lanes[i];
@@ -97,9 +97,10 @@ TEST(Policy, WhatALaneGetsDoesNotDependOnTheOthersFrames) {
 TEST(Policy, ALaneMayComeMoreThanOnce) {
   const auto policy = GoldenPolicy(4);
   const std::string frames = GoldenFrames(1, 3, 64);
-  const std::vector<float> together = *policy->Values(frames, {2, 2, 2});
+  const std::vector<float> together = *policy->Values(frames, {2, 2, 2}, {});
   for (int i = 0; i < 3; ++i) {
-    EXPECT_EQ((*policy->Values(absl::string_view(frames).substr(i * kFrameBytes, kFrameBytes), {2}))[0], together[i]);
+    EXPECT_EQ((*policy->Values(absl::string_view(frames).substr(i * kFrameBytes, kFrameBytes), {2}, {}))[0],
+              together[i]);
   }
 }
 
@@ -110,7 +111,7 @@ TEST(Policy, NoiseDrawsActionsByTheirProbability) {
   double cumulative = 0;
   for (int action = 0; action < kNumActions; ++action) {
     const double probability = std::exp(log_probs[action].get<double>());
-    const ActResult result = *policy->Act(frame, {0}, {cumulative + probability / 2});
+    const ActResult result = *policy->Act(frame, {0}, {cumulative + probability / 2}, {});
     EXPECT_EQ(static_cast<int>(result.actions[0]), action);
     EXPECT_NEAR(result.log_probs[0], log_probs[action].get<double>(), 1e-5);
     cumulative += probability;
@@ -120,26 +121,27 @@ TEST(Policy, NoiseDrawsActionsByTheirProbability) {
 TEST(Policy, ThreadsShareItAndGetTheSame) {
   const auto policy = GoldenPolicy(8);
   const LaneFrames input = FramesOf({0, 1, 2, 3, 4, 5, 6, 7}, 12345);
-  const std::vector<float> expected = *policy->Values(input.frames, input.lanes);
+  const std::vector<float> expected = *policy->Values(input.frames, input.lanes, {});
   std::vector<std::vector<float>> results(3);
   std::vector<std::thread> threads;
   threads.reserve(results.size());
   for (std::vector<float>& result : results) {
-    threads.emplace_back([&] { result = *policy->Values(input.frames, input.lanes); });
+    threads.emplace_back([&] { result = *policy->Values(input.frames, input.lanes, {}); });
   }
   for (std::thread& thread : threads) thread.join();
   for (const std::vector<float>& result : results) EXPECT_EQ(result, expected);
 }
 
 TEST(Policy, NoLanesNoActions) {
-  const ActResult result = *GoldenPolicy(8)->Act("", {}, {});
+  const ActResult result = *GoldenPolicy(8)->Act("", {}, {}, {});
   EXPECT_TRUE(result.actions.empty());
 }
 
 TEST(Policy, RefusesWhatDoesNotFitTogether) {
   const auto policy = GoldenPolicy(8);
-  EXPECT_EQ(policy->Act(std::string(kFrameBytes, 0), {0}, {}).status().code(), absl::StatusCode::kInvalidArgument);
-  EXPECT_THAT(std::string(policy->Values(std::string(100, 0), {0}).status().message()), ::testing::HasSubstr("12288"));
+  EXPECT_EQ(policy->Act(std::string(kFrameBytes, 0), {0}, {}, {}).status().code(), absl::StatusCode::kInvalidArgument);
+  EXPECT_THAT(std::string(policy->Values(std::string(100, 0), {0}, {}).status().message()),
+              ::testing::HasSubstr("12288"));
   const AgentSpec spec = *FindAgent("ppo_cnn");
   EXPECT_THAT(std::string(Policy::Create(spec, SaveWeights(spec, InitialWeights(spec, 1)), 0).status().message()),
               ::testing::HasSubstr("tile is 0"));
@@ -151,7 +153,7 @@ TEST(Policy, WeightsThatAreNotFiniteAreAnError) {
   std::vector<float> weights = InitialWeights(spec, 1);
   weights.back() = std::numeric_limits<float>::quiet_NaN();
   const auto policy = *Policy::Create(spec, SaveWeights(spec, weights), 1);
-  EXPECT_EQ(policy->Values(std::string(kFrameBytes, 0), {0}).status().code(), absl::StatusCode::kInternal);
+  EXPECT_EQ(policy->Values(std::string(kFrameBytes, 0), {0}, {}).status().code(), absl::StatusCode::kInternal);
 }
 
 }  // namespace

@@ -61,7 +61,7 @@ void BenchTiles(absl::Duration limit) {
     std::vector<int> lanes(tile);
     std::iota(lanes.begin(), lanes.end(), 0);
     const std::vector<double> noise(tile, 0.5);
-    const Times times = Measure(limit, [&] { (void)policy->Act(frames, lanes, noise); });
+    const Times times = Measure(limit, [&] { (void)policy->Act(frames, lanes, noise, {}); });
     std::printf("act, tile of %2d: %.3f ms (CPU %.3f), %.0f frames/s of CPU\n", tile, times.wall_ms, times.cpu_ms,
                 tile / times.cpu_ms * 1e3);
   }

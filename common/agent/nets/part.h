@@ -1,0 +1,39 @@
+// One part of a network between frames and features. No LibTorch here.
+
+#ifndef CRAFTFLEET_COMMON_AGENT_NETS_PART_H_
+#define CRAFTFLEET_COMMON_AGENT_NETS_PART_H_
+
+#include <cstdint>
+
+#include <absl/types/optional.h>
+
+namespace at {
+class Tensor;
+}
+
+namespace craftfleet {
+
+struct ParamTensors;
+
+// What decides which attention probabilities drop out in a forward pass of training: a function of (key, row, place),
+// whatever the threads.
+struct Dropout {
+  uint64_t key = 0;       // of the minibatch
+  int64_t first_row = 0;  // the minibatch's row that is row 0 of this pass
+};
+
+// Parts follow each other: the output of one is the input of the next. A map is float[N,C,H,W], channels last in
+// memory; features are float[N,F].
+// A part's constructor adds its parameters to a ParamList. Immutable and thread-safe.
+class Part {
+ public:
+  virtual ~Part() = default;
+
+  // `dropout`: given in training alone.
+  virtual at::Tensor Forward(const ParamTensors& params, const at::Tensor& input,
+                             const absl::optional<Dropout>& dropout) const = 0;
+};
+
+}  // namespace craftfleet
+
+#endif  // CRAFTFLEET_COMMON_AGENT_NETS_PART_H_

@@ -1,0 +1,47 @@
+// Checks of a configuration's values, with messages that name the field.
+
+#ifndef CRAFTFLEET_COMMON_RANGE_CHECK_H_
+#define CRAFTFLEET_COMMON_RANGE_CHECK_H_
+
+#include <cstdint>
+#include <string>
+
+#include <absl/status/status.h>
+#include <absl/strings/str_cat.h>
+#include <absl/strings/string_view.h>
+
+namespace craftfleet {
+
+// Collects the first value that is out of range.
+class RangeCheck {
+ public:
+  // NaN is never within.
+  template <typename T>
+  void Within(absl::string_view field, T value, T low, T high) {
+    if (!(value >= low && value <= high)) Fail(absl::StrCat(field, " is ", value, ", want ", low, "..", high));
+  }
+  void Positive(absl::string_view field, double value, double high) {
+    if (!(value > 0 && value <= high)) Fail(absl::StrCat(field, " is ", value, ", want more than 0, at most ", high));
+  }
+  void Named(absl::string_view field, absl::string_view value) {
+    if (value.empty()) Fail(absl::StrCat(field, " is empty, want a name"));
+  }
+  void Multiple(absl::string_view field, int64_t value, absl::string_view of, int64_t divisor) {
+    if (value % divisor != 0) Fail(absl::StrCat(field, " is ", value, ", want a multiple of ", of, " (", divisor, ")"));
+  }
+  // For what none of the above says.
+  void That(bool condition, absl::string_view message) {
+    if (!condition) Fail(std::string(message));
+  }
+  const absl::Status& status() const { return status_; }  // InvalidArgument, or OK
+
+ private:
+  void Fail(const std::string& message) {
+    if (status_.ok()) status_ = absl::InvalidArgumentError(message);
+  }
+  absl::Status status_;
+};
+
+}  // namespace craftfleet
+
+#endif  // CRAFTFLEET_COMMON_RANGE_CHECK_H_
