@@ -15,14 +15,14 @@ constexpr absl::Duration kFirstLine = absl::Seconds(2);
 constexpr absl::Duration kPlainInterval = absl::Seconds(10);
 constexpr absl::Duration kTerminalInterval = absl::Milliseconds(500);
 
-// 1234567 -> "1,234,567"
+}  // namespace
+
 std::string WithCommas(int64_t value) {
   std::string text = absl::StrCat(value);
   for (int i = static_cast<int>(text.size()) - 3; i > 0; i -= 3) text.insert(i, ",");
   return text;
 }
 
-// "3d4h", "2h5m", "13m20s", "8s"
 std::string FormatTimeLeft(double seconds) {
   const int64_t s = std::llround(seconds);
   if (s >= 86400) return absl::StrCat(s / 86400, "d", s % 86400 / 3600, "h");
@@ -30,8 +30,6 @@ std::string FormatTimeLeft(double seconds) {
   if (s >= 60) return absl::StrCat(s / 60, "m", s % 60, "s");
   return absl::StrCat(s, "s");
 }
-
-}  // namespace
 
 std::string FormatProgress(const ProgressState& state) {
   const double percent = 100.0 * static_cast<double>(state.steps) / static_cast<double>(state.total_steps);

@@ -14,6 +14,12 @@
 
 namespace craftfleet {
 
+// 1234567 -> "1,234,567"
+std::string WithCommas(int64_t value);
+
+// "3d4h", "2h5m", "13m20s", "8s"
+std::string FormatTimeLeft(double seconds);
+
 struct ProgressState {
   int64_t steps = 0;            // environment steps accepted so far
   int64_t total_steps = 0;      // 1 or more

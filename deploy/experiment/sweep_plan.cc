@@ -1,0 +1,101 @@
+#include "deploy/experiment/sweep_plan.h"
+
+#include <algorithm>
+#include <set>
+
+#include <absl/strings/match.h>
+#include <absl/strings/str_cat.h>
+#include <absl/strings/str_join.h>
+
+#include "common/files.h"
+#include "common/status_macros.h"
+
+namespace craftfleet {
+namespace {
+
+bool Contains(const std::vector<std::string>& items, const std::string& item) {
+  return std::find(items.begin(), items.end(), item) != items.end();
+}
+
+bool IsOrLiesIn(absl::string_view cell, absl::string_view wanted) {
+  return cell == wanted || absl::StartsWith(cell, absl::StrCat(wanted, "/"));
+}
+
+SweepJob MakeJob(const Cell& cell, int seed, const SweepSettings& settings) {
+  SweepJob job;
+  const std::string folder = JoinPath(settings.logdir, cell.folder);
+  job.name = absl::StrCat(cell.folder, "/seed", seed);
+  job.folder = JoinPath(folder, absl::StrCat("seed", seed));
+  job.config_path = JoinPath(folder, "cell.txt");
+  job.config_text = CellConfigFile(cell);
+  job.config = cell.config;
+  if (settings.steps > 0) job.config.set_steps(settings.steps);
+  const std::string logdir = absl::StrCat("--logdir=", job.folder);
+  const std::string steps = absl::StrCat("--steps=", job.config.steps());
+  job.start = {absl::StrCat("--config=", job.config_path), absl::StrCat("--seed=", seed), steps, logdir};
+  job.resume = {"--resume", steps, logdir};
+  for (std::vector<std::string>* arguments : {&job.start, &job.resume}) {
+    arguments->insert(arguments->end(), settings.train_flags.begin(), settings.train_flags.end());
+  }
+  return job;
+}
+
+}  // namespace
+
+absl::StatusOr<std::vector<const Cell*>> SelectCells(absl::Span<const Experiment> experiments,
+                                                     const CellFilter& filter) {
+  std::vector<const Cell*> selected;
+  std::vector<std::string> names;
+  std::set<std::string> found;
+  for (const Experiment& experiment : experiments) {
+    names.push_back(experiment.name);
+    if (!filter.experiments.empty() && !Contains(filter.experiments, experiment.name)) continue;
+    for (const Cell& cell : experiment.cells) {
+      const auto wanted = std::find_if(filter.cells.begin(), filter.cells.end(),
+                                       [&](const std::string& name) { return IsOrLiesIn(cell.name, name); });
+      if (!filter.cells.empty() && wanted == filter.cells.end()) continue;
+      if (!filter.cells.empty()) found.insert(*wanted);
+      selected.push_back(&cell);
+    }
+  }
+  for (const std::string& name : filter.experiments) {
+    if (Contains(names, name)) continue;
+    return absl::InvalidArgumentError(
+        absl::StrCat("no experiment \"", name, "\"; there are ", absl::StrJoin(names, ", ")));
+  }
+  for (const std::string& name : filter.cells) {
+    if (found.count(name) > 0) continue;
+    return absl::InvalidArgumentError(absl::StrCat("no cell \"", name, "\"; --list names them"));
+  }
+  return selected;
+}
+
+std::vector<SweepJob> PlanSweep(absl::Span<const Cell* const> cells, const SweepSettings& settings) {
+  std::vector<const Cell*> distinct;
+  std::set<std::string> folders;
+  for (const Cell* cell : cells) {
+    if (folders.insert(cell->folder).second) distinct.push_back(cell);
+  }
+  std::vector<SweepJob> jobs;
+  jobs.reserve(distinct.size() * settings.seeds);
+  for (int seed = 1; seed <= settings.seeds; ++seed) {
+    for (const Cell* cell : distinct) jobs.push_back(MakeJob(*cell, seed, settings));
+  }
+  return jobs;
+}
+
+std::string CellConfigFile(const Cell& cell) {
+  return absl::StrCat("# ", cell.experiment, ", ", cell.name, "; what is not said has its default.\n",
+                      cell.config_text);
+}
+
+absl::Status WriteCellConfigs(absl::Span<const Cell* const> cells, const std::string& folder) {
+  for (const Cell* cell : cells) {
+    const std::string path = JoinPath(folder, absl::StrCat(cell->experiment, "/", cell->name, ".txt"));
+    CRAFTFLEET_RETURN_IF_ERROR(CreateFolders(path.substr(0, path.rfind('/'))));
+    CRAFTFLEET_RETURN_IF_ERROR(WriteFileSynced(path, CellConfigFile(*cell)));
+  }
+  return absl::OkStatus();
+}
+
+}  // namespace craftfleet
