@@ -121,6 +121,8 @@ absl::Status Actor::StartLoops() {
   hello.set_texture_digest(joined_.texture_digest());
   *hello.mutable_env() = config.env();
   hello.set_client(name_);
+  evaluations_ = std::make_unique<EvaluationWorker>(
+      EvaluationWorker::Options{name_, options_.env_servers, hello, spec, config.tile()}, &learner_);
 
   MutexLock lock(&mu_);
   for (int i = 0; i < options_.threads; ++i) {
@@ -151,6 +153,8 @@ absl::Status Actor::KeepPermits() {
     request.set_epoch(joined_.epoch());
     request.set_capacity(options_.capacity);
     request.set_wait_ms(kPollMs);
+    request.set_evaluates(true);
+    request.set_evaluation(evaluations_->current(joined_.epoch()));
     for (const HeldPermit& permit : permits_.Active()) {
       if (permit.epoch != joined_.epoch()) continue;
       v1::Permit* message = request.add_active();
@@ -168,6 +172,7 @@ absl::Status Actor::KeepPermits() {
       for (const v1::Permit& permit : reply->granted()) {
         permits_.Add({joined_.epoch(), permit.lane(), permit.fragment(), permit.policy_version()});
       }
+      if (reply->has_evaluation()) evaluations_->Give(joined_.epoch(), reply->evaluation());
     } else if (reply.status().code() == absl::StatusCode::kAborted) {
       LogInfo("%s", reply.status().message());
       permits_.DropWaiting();
@@ -192,6 +197,7 @@ void Actor::StopLoops() {
     for (const auto& loop : loops_) loop->Cancel();
   }
   sender_.Stop();
+  if (evaluations_ != nullptr) evaluations_->Stop();
   for (std::thread& thread : threads_) {
     if (thread.joinable()) thread.join();
   }

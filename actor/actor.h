@@ -12,6 +12,7 @@
 #include <absl/status/statusor.h>
 
 #include "actor/actor_loop.h"
+#include "actor/evaluation_worker.h"
 #include "actor/fragment_sender.h"
 #include "actor/learner_client.h"
 #include "actor/permit_book.h"
@@ -25,7 +26,7 @@
 namespace craftfleet {
 
 // Run is called once; Stop and FillStatus from any thread. The way of a fragment: Run (asks for permits) => ActorLoop
-// (one thread each) => FragmentSender (one thread).
+// (one thread each) => FragmentSender (one thread). Evaluations are played beside (EvaluationWorker, one thread).
 class Actor {
  public:
   struct Options {
@@ -73,6 +74,7 @@ class Actor {
   std::string address_;   // of Run's thread, like the next
   v1::JoinReply joined_;  // the last one
   std::unique_ptr<PolicySource> policies_;
+  std::unique_ptr<EvaluationWorker> evaluations_;
   std::vector<std::thread> threads_;
 
   mutable Mutex mu_;

@@ -3,6 +3,7 @@
 #include <absl/strings/str_cat.h>
 #include <absl/strings/str_format.h>
 
+#include "common/status_macros.h"
 #include "common/wire/grpc_status.h"
 
 namespace craftfleet {
@@ -61,11 +62,29 @@ void LearnerClient::Leave(const std::string& actor) const {
 }
 
 absl::StatusOr<std::pair<int64_t, std::string>> LearnerClient::GetWeights(int64_t version) const {
-  grpc::ClientContext context;
-  wire::SetDeadline(&context, kWeightsTimeout);
   v1::WeightsRequest request;
   request.set_at_least(version);
   request.set_wait_ms(kWeightsWaitMs);
+  return ReceiveWeights(request);
+}
+
+absl::StatusOr<std::string> LearnerClient::GetEvaluationWeights(int64_t id) const {
+  v1::WeightsRequest request;
+  request.set_evaluation(id);
+  CRAFTFLEET_ASSIGN_OR_RETURN(auto weights, ReceiveWeights(request));
+  return std::move(weights.second);
+}
+
+absl::Status LearnerClient::FinishEvaluation(const v1::EvaluationResult& result) const {
+  grpc::ClientContext context;
+  wire::SetDeadline(&context, kCallTimeout);
+  v1::EvaluationReply reply;
+  return wire::FromGrpc(stub_->FinishEvaluation(&context, result, &reply), name_);
+}
+
+absl::StatusOr<std::pair<int64_t, std::string>> LearnerClient::ReceiveWeights(const v1::WeightsRequest& request) const {
+  grpc::ClientContext context;
+  wire::SetDeadline(&context, kWeightsTimeout);
   const auto stream = stub_->GetWeights(&context, request);
   std::pair<int64_t, std::string> weights = {-1, ""};
   int64_t total_bytes = 0;

@@ -32,6 +32,10 @@ class LearnerClient {
   // The weights of `version` or a later one: (version, safetensors bytes).
   absl::StatusOr<std::pair<int64_t, std::string>> GetWeights(int64_t version) const;
 
+  // The weights to play evaluation task `id` with.
+  absl::StatusOr<std::string> GetEvaluationWeights(int64_t id) const;
+  absl::Status FinishEvaluation(const v1::EvaluationResult& result) const;
+
   // A stream for fragments; `context` ends it.
   std::unique_ptr<grpc::ClientReaderWriter<v1::FragmentMessage, v1::FragmentVerdict>> PushFragments(
       grpc::ClientContext* context) const {
@@ -41,6 +45,8 @@ class LearnerClient {
   const std::string& name() const { return name_; }
 
  private:
+  absl::StatusOr<std::pair<int64_t, std::string>> ReceiveWeights(const v1::WeightsRequest& request) const;
+
   const std::string name_;  // "learner ADDRESS"
   const std::shared_ptr<grpc::Channel> channel_;
   const std::unique_ptr<v1::LearnerService::Stub> stub_;

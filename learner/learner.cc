@@ -35,6 +35,9 @@ absl::StatusOr<v1::RunConfig> CompleteConfig(v1::RunConfig config) {
     return absl::InvalidArgumentError(absl::StrFormat("env.frame_size: %d, want %d, which %s looks at",
                                                       config.env().frame_size(), spec.frame_size, spec.name));
   }
+  if (config.eval().env().empty()) config.mutable_eval()->set_env(config.env().name());
+  CRAFTFLEET_ASSIGN_OR_RETURN(const EnvName eval_env, EnvName::Parse(config.eval().env()));
+  config.mutable_eval()->set_env(eval_env.ToString());
   return config;
 }
 
@@ -79,7 +82,7 @@ struct Learner::Loaded {
   std::unique_ptr<Clock> clock;
   std::unique_ptr<RunFolder> folder;
   std::unique_ptr<PpoUpdater> updater;
-  v1::CheckpointState state;  // empty for a new run
+  Checkpoint checkpoint;  // empty for a new run; without weights and optimiser, which the updater has
   std::string texture_digest;
 };
 
@@ -115,9 +118,11 @@ absl::StatusOr<Learner::Loaded> Learner::Load(const Options& options, const v1::
   CRAFTFLEET_RETURN_IF_ERROR(loaded.updater->Load(run.checkpoint.weights, run.checkpoint.optimizer));
   CRAFTFLEET_RETURN_IF_ERROR(run.folder->SetSteps(config.steps()));
   loaded.folder = std::move(run.folder);
-  loaded.state = std::move(run.checkpoint.state);
-  LogInfo("run %s goes on after iteration %d, %d steps", loaded.folder->run_id(), loaded.state.iteration(),
-          loaded.state.env_steps());
+  loaded.checkpoint = std::move(run.checkpoint);
+  loaded.checkpoint.weights.clear();
+  loaded.checkpoint.optimizer.clear();
+  LogInfo("run %s goes on after iteration %d, %d steps", loaded.folder->run_id(), loaded.checkpoint.state.iteration(),
+          loaded.checkpoint.state.env_steps());
   return loaded;
 }
 
@@ -126,19 +131,22 @@ Learner::Learner(const Options& options, Loaded loaded)
       clock_(std::move(loaded.clock)),
       folder_(std::move(loaded.folder)),
       updater_(std::move(loaded.updater)),
-      ledger_(LedgerOptions(config_), LaneRecords(config_, loaded.state), clock_.get()),
+      ledger_(LedgerOptions(config_), LaneRecords(config_, loaded.checkpoint.state), clock_.get()),
       fragments_(FragmentsPerIteration(config_)),
-      progress_({options.progress_in_place, loaded.state.env_steps(), config_.steps()},
+      evaluation_book_(kLease, clock_.get()),
+      evaluations_(config_.eval(), loaded.checkpoint, &evaluation_book_, folder_.get()),
+      progress_({options.progress_in_place, loaded.checkpoint.state.env_steps(), config_.steps()},
                 options.progress != nullptr ? options.progress : &null_stream_, clock_.get()),
-      trainer_(config_, loaded.state,
-               {folder_.get(), updater_.get(), &ledger_, &weights_, &fragments_, &progress_, clock_.get()}),
+      trainer_(
+          config_, loaded.checkpoint.state,
+          {folder_.get(), updater_.get(), &ledger_, &weights_, &fragments_, &evaluations_, &progress_, clock_.get()}),
       service_({folder_->run_id(),
                 folder_->epoch(),
                 config_,
                 loaded.texture_digest,
                 {config_.lanes(), config_.fragment_steps(), static_cast<int>(updater_->spec().frame_bytes())},
                 kLease},
-               &ledger_, &weights_, &fragments_),
+               &ledger_, &weights_, &fragments_, &evaluation_book_),
       status_service_("learner", [this](v1::StatusReply* reply) {
         service_.FillStatus(reply);
         trainer_.FillStatus(reply);

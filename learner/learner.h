@@ -14,6 +14,8 @@
 #include "common/wire/server.h"
 #include "common/wire/status_service.h"
 #include "craftfleet/v1/config.pb.h"
+#include "learner/evaluation_book.h"
+#include "learner/evaluation_schedule.h"
 #include "learner/lane_ledger.h"
 #include "learner/learner_service.h"
 #include "learner/ppo/ppo_updater.h"
@@ -70,6 +72,8 @@ class Learner {
   LaneLedger ledger_;
   WeightStore weights_;
   FragmentQueue fragments_;
+  EvaluationBook evaluation_book_;
+  EvaluationSchedule evaluations_;
   std::ostream null_stream_{nullptr};
   ProgressPrinter progress_;
   Trainer trainer_;

@@ -1,6 +1,7 @@
 #include "learner/learner_service.h"
 
 #include <algorithm>
+#include <optional>
 #include <utility>
 #include <vector>
 
@@ -47,8 +48,8 @@ v1::FragmentVerdict::Verdict ToProto(LaneLedger::Verdict verdict) {
 }  // namespace
 
 LearnerServiceImpl::LearnerServiceImpl(const Options& options, LaneLedger* ledger, WeightStore* weights,
-                                       FragmentQueue* fragments)
-    : options_(options), ledger_(ledger), weights_(weights), fragments_(fragments) {}
+                                       FragmentQueue* fragments, EvaluationBook* evaluations)
+    : options_(options), ledger_(ledger), weights_(weights), fragments_(fragments), evaluations_(evaluations) {}
 
 grpc::Status LearnerServiceImpl::Join(grpc::ServerContext* /*context*/, const v1::JoinRequest* request,
                                       v1::JoinReply* reply) {
@@ -73,6 +74,7 @@ grpc::Status LearnerServiceImpl::Join(grpc::ServerContext* /*context*/, const v1
 grpc::Status LearnerServiceImpl::GetPermits(grpc::ServerContext* /*context*/, const v1::PermitRequest* request,
                                             v1::PermitReply* reply) {
   if (absl::Status status = CheckEpoch(request->epoch()); !status.ok()) return wire::ToGrpc(status);
+  evaluations_->Renew(request->actor(), request->evaluation());
   std::vector<Permit> active;
   for (const v1::Permit& permit : request->active()) active.push_back(FromProto(permit));
   absl::StatusOr<LaneLedger::Grant> grant =
@@ -81,7 +83,22 @@ grpc::Status LearnerServiceImpl::GetPermits(grpc::ServerContext* /*context*/, co
   AddPermits(grant->granted, reply->mutable_granted());
   AddPermits(grant->lost, reply->mutable_lost());
   reply->set_finished(grant->finished);
+  OfferEvaluation(*request, reply);
   return grpc::Status::OK;
+}
+
+void LearnerServiceImpl::OfferEvaluation(const v1::PermitRequest& request, v1::PermitReply* reply) {
+  if (!request.evaluates() || request.evaluation() != 0) return;
+  const std::optional<EvaluationBook::Task> task = evaluations_->Take(request.actor());
+  if (!task.has_value()) return;
+  v1::EvaluationTask* message = reply->mutable_evaluation();
+  message->set_id(task->id);
+  *message->mutable_env() = options_.config.env();
+  message->mutable_env()->set_name(options_.config.eval().env());
+  message->set_seed(options_.config.eval().seed());
+  message->set_first_episode(task->first_episode);
+  message->set_episodes(task->episodes);
+  message->set_greedy(task->greedy);
 }
 
 grpc::Status LearnerServiceImpl::PushFragments(
@@ -125,19 +142,32 @@ absl::StatusOr<v1::FragmentVerdict::Verdict> LearnerServiceImpl::TakeIn(v1::Frag
 
 grpc::Status LearnerServiceImpl::GetWeights(grpc::ServerContext* /*context*/, const v1::WeightsRequest* request,
                                             grpc::ServerWriter<v1::WeightsChunk>* writer) {
-  const WeightStore::Weights weights = weights_->Wait(request->at_least(), WaitTime(request->wait_ms()));
-  if (weights.bytes == nullptr || weights.version < request->at_least()) {
-    return wire::ToGrpc(absl::DeadlineExceededError(
-        absl::StrFormat("policy version %d is not there yet, the last is %d", request->at_least(), weights.version)));
-  }
+  const absl::StatusOr<WeightStore::Weights> weights = FindWeights(*request);
+  if (!weights.ok()) return wire::ToGrpc(weights.status());
   v1::WeightsChunk chunk;
-  chunk.set_policy_version(weights.version);
-  chunk.set_total_bytes(static_cast<int64_t>(weights.bytes->size()));
-  for (size_t offset = 0; offset < weights.bytes->size(); offset += kChunkBytes) {
-    chunk.mutable_data()->assign(*weights.bytes, offset, kChunkBytes);
+  chunk.set_policy_version(weights->version);
+  chunk.set_total_bytes(static_cast<int64_t>(weights->bytes->size()));
+  for (size_t offset = 0; offset < weights->bytes->size(); offset += kChunkBytes) {
+    chunk.mutable_data()->assign(*weights->bytes, offset, kChunkBytes);
     if (!writer->Write(chunk)) break;
   }
   return grpc::Status::OK;
+}
+
+absl::StatusOr<WeightStore::Weights> LearnerServiceImpl::FindWeights(const v1::WeightsRequest& request) const {
+  if (request.evaluation() != 0) {
+    std::shared_ptr<const std::string> bytes = evaluations_->Weights(request.evaluation());
+    if (bytes == nullptr) {
+      return absl::AbortedError(absl::StrFormat("evaluation task %d is over", request.evaluation()));
+    }
+    return WeightStore::Weights{0, std::move(bytes)};
+  }
+  WeightStore::Weights weights = weights_->Wait(request.at_least(), WaitTime(request.wait_ms()));
+  if (weights.bytes == nullptr || weights.version < request.at_least()) {
+    return absl::DeadlineExceededError(
+        absl::StrFormat("policy version %d is not there yet, the last is %d", request.at_least(), weights.version));
+  }
+  return weights;
 }
 
 grpc::Status LearnerServiceImpl::GetSnapshot(grpc::ServerContext* /*context*/, const v1::SnapshotRequest* request,
@@ -149,9 +179,19 @@ grpc::Status LearnerServiceImpl::GetSnapshot(grpc::ServerContext* /*context*/, c
   return grpc::Status::OK;
 }
 
+grpc::Status LearnerServiceImpl::FinishEvaluation(grpc::ServerContext* /*context*/, const v1::EvaluationResult* request,
+                                                  v1::EvaluationReply* /*reply*/) {
+  if (absl::Status status = CheckEpoch(request->epoch()); !status.ok()) return wire::ToGrpc(status);
+  const absl::StatusOr<std::vector<Episode>> episodes = wire::FromProto(*request);
+  const absl::Status status = episodes.ok() ? evaluations_->Finish(request->id(), *episodes) : episodes.status();
+  if (!status.ok()) LogWarning("evaluation by actor %s refused: %s", request->actor(), status.message());
+  return wire::ToGrpc(status);
+}
+
 grpc::Status LearnerServiceImpl::Leave(grpc::ServerContext* /*context*/, const v1::LeaveRequest* request,
                                        v1::LeaveReply* /*reply*/) {
   ledger_->Leave(request->actor());
+  evaluations_->Renew(request->actor(), 0);
   return grpc::Status::OK;
 }
 

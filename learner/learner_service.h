@@ -13,6 +13,7 @@
 #include "common/wire/convert.h"
 #include "craftfleet/v1/learner.grpc.pb.h"
 #include "craftfleet/v1/status.pb.h"
+#include "learner/evaluation_book.h"
 #include "learner/lane_ledger.h"
 #include "learner/weight_store.h"
 
@@ -33,7 +34,8 @@ class LearnerServiceImpl final : public v1::LearnerService::Service {
     absl::Duration lease;  // told to actors
   };
 
-  LearnerServiceImpl(const Options& options, LaneLedger* ledger, WeightStore* weights, FragmentQueue* fragments);
+  LearnerServiceImpl(const Options& options, LaneLedger* ledger, WeightStore* weights, FragmentQueue* fragments,
+                     EvaluationBook* evaluations);
 
   grpc::Status Join(grpc::ServerContext* context, const v1::JoinRequest* request, v1::JoinReply* reply) override;
   grpc::Status GetPermits(grpc::ServerContext* context, const v1::PermitRequest* request,
@@ -44,6 +46,8 @@ class LearnerServiceImpl final : public v1::LearnerService::Service {
                           grpc::ServerWriter<v1::WeightsChunk>* writer) override;
   grpc::Status GetSnapshot(grpc::ServerContext* context, const v1::SnapshotRequest* request,
                            v1::SnapshotReply* reply) override;
+  grpc::Status FinishEvaluation(grpc::ServerContext* context, const v1::EvaluationResult* request,
+                                v1::EvaluationReply* reply) override;
   grpc::Status Leave(grpc::ServerContext* context, const v1::LeaveRequest* request, v1::LeaveReply* reply) override;
 
   // Counts of fragments and the actors as peers.
@@ -51,6 +55,8 @@ class LearnerServiceImpl final : public v1::LearnerService::Service {
 
  private:
   absl::Status CheckEpoch(int64_t epoch) const;
+  void OfferEvaluation(const v1::PermitRequest& request, v1::PermitReply* reply);
+  absl::StatusOr<WeightStore::Weights> FindWeights(const v1::WeightsRequest& request) const;
   absl::StatusOr<v1::FragmentVerdict::Verdict> TakeIn(v1::FragmentMessage* message);
   // A synchronous fleet on unlike CPUs is not bit for bit: says so once.
   void WarnIfCpusDiffer(const v1::JoinRequest& request) ABSL_LOCKS_EXCLUDED(mu_);
@@ -59,6 +65,7 @@ class LearnerServiceImpl final : public v1::LearnerService::Service {
   LaneLedger* const ledger_;
   WeightStore* const weights_;
   FragmentQueue* const fragments_;
+  EvaluationBook* const evaluations_;
 
   std::atomic<int64_t> accepted_{0};
   std::atomic<int64_t> duplicates_{0};

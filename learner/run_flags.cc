@@ -20,6 +20,8 @@ ABSL_FLAG(std::optional<std::string>, agent, std::nullopt, "which agent learns: 
 ABSL_FLAG(std::optional<std::string>, env, std::nullopt,
           "what it plays: crafter, or with options joined by commas, such as\n"
           "crafter:numbers=easy-x2,appearance=25/25/25/25,inventory=off");
+ABSL_FLAG(std::optional<std::string>, eval_env, std::nullopt,
+          "what evaluation episodes are played on, such as crafter:appearance=0/33/33/34 [as --env]");
 ABSL_FLAG(std::optional<int64_t>, steps, std::nullopt,
           "environment steps, all lanes together; the run ends with the iteration that reaches them [1000000]");
 ABSL_FLAG(std::optional<uint64_t>, seed, std::nullopt, "seed of everything random in the run [0]");
@@ -78,6 +80,7 @@ absl::StatusOr<Learner::Options> LearnerOptionsFromFlags() {
   CRAFTFLEET_ASSIGN_OR_RETURN(options.config, BaseConfig());
   if (const auto agent = absl::GetFlag(FLAGS_agent)) options.config.set_agent(*agent);
   if (const auto env = absl::GetFlag(FLAGS_env)) options.config.mutable_env()->set_name(*env);
+  if (const auto env = absl::GetFlag(FLAGS_eval_env)) options.config.mutable_eval()->set_env(*env);
   if (const auto steps = absl::GetFlag(FLAGS_steps)) options.config.set_steps(*steps);
   if (const auto seed = absl::GetFlag(FLAGS_seed)) options.config.set_seed(*seed);
   if (const auto lanes = absl::GetFlag(FLAGS_lanes)) options.config.set_lanes(*lanes);

@@ -33,11 +33,12 @@ Trainer::Trainer(const v1::RunConfig& config, const v1::CheckpointState& state, 
 
 absl::Status Trainer::Run() {
   start_ = parts_.clock->Now();
-  parts_.weights->Publish(policy_version_, std::make_shared<std::string>(parts_.updater->SaveWeights()));
+  PublishWeights();
   absl::Status status = counters_.iteration == 0 ? WriteCheckpoint() : absl::OkStatus();
   while (status.ok() && !finished()) status = RunIteration();
-  parts_.ledger->Finish();
   parts_.progress->Finish(counters_.env_steps, parts_.folder->score());
+  if (status.ok()) parts_.evaluations->OnEnd(counters_.env_steps, weights_, [this] { return stopping_.load(); });
+  parts_.ledger->Finish();
   if (!status.ok() && status.code() != absl::StatusCode::kCancelled) return status;
   return checkpointed_ == counters_.iteration ? absl::OkStatus() : WriteCheckpoint();
 }
@@ -109,14 +110,22 @@ absl::Status Trainer::FinishIteration(const std::vector<Fragment>& fragments, co
   for (const Fragment& fragment : fragments) {
     unlogged_.insert(unlogged_.end(), fragment.episodes.begin(), fragment.episodes.end());
   }
-  parts_.weights->Publish(policy_version_, std::make_shared<std::string>(parts_.updater->SaveWeights()));
+  PublishWeights();
   WriteLogs(stats);
-  if (counters_.iteration % config_.checkpoint().every_iterations() != 0) return absl::OkStatus();
+  parts_.evaluations->OnIteration(counters_.env_steps - config_.ppo().rollout_steps(), counters_.env_steps, weights_,
+                                  [this] { return stopping_.load(); });
+  // The last one is written after the last evaluation.
+  if (finished() || counters_.iteration % config_.checkpoint().every_iterations() != 0) return absl::OkStatus();
   if (absl::Status status = WriteCheckpoint(); !status.ok()) {
     LogError("checkpoint of iteration %d: %s; training goes on and tries again after %d iterations",
              counters_.iteration.load(), status.message(), config_.checkpoint().every_iterations());
   }
   return absl::OkStatus();
+}
+
+void Trainer::PublishWeights() {
+  weights_ = std::make_shared<const std::string>(parts_.updater->SaveWeights());
+  parts_.weights->Publish(policy_version_, weights_);
 }
 
 void Trainer::WriteLogs(const UpdateStats& stats) {
@@ -162,7 +171,8 @@ absl::Status Trainer::WriteCheckpoint() {
     message->set_next_fragment(lane.next_fragment);
     message->set_snapshot(lane.snapshot);
   }
-  checkpoint.weights = parts_.updater->SaveWeights();
+  parts_.evaluations->FillCheckpoint(&checkpoint);
+  checkpoint.weights = *weights_;
   checkpoint.optimizer = parts_.updater->SaveOptimizer();
   CRAFTFLEET_RETURN_IF_ERROR(parts_.folder->WriteCheckpoint(std::move(checkpoint)));
   checkpointed_ = counters_.iteration;

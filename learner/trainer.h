@@ -6,6 +6,7 @@
 #include <atomic>
 #include <cstdint>
 #include <memory>
+#include <string>
 #include <vector>
 
 #include <absl/status/status.h>
@@ -15,6 +16,7 @@
 #include "common/types.h"
 #include "craftfleet/v1/config.pb.h"
 #include "craftfleet/v1/status.pb.h"
+#include "learner/evaluation_schedule.h"
 #include "learner/lane_ledger.h"
 #include "learner/learner_service.h"
 #include "learner/ppo/ppo_updater.h"
@@ -46,6 +48,7 @@ class Trainer {
     LaneLedger* ledger;
     WeightStore* weights;
     FragmentQueue* fragments;
+    EvaluationSchedule* evaluations;
     ProgressPrinter* progress;
     Clock* clock;
   };
@@ -53,8 +56,8 @@ class Trainer {
   // Begins after `state`, whose weights and optimiser are in the updater.
   Trainer(const v1::RunConfig& config, const v1::CheckpointState& state, const Parts& parts);
 
-  // Trains until the configured steps are done or Stop is called; both end with a checkpoint of the last finished
-  // iteration.
+  // Trains until the configured steps are done, and evaluates then, or until Stop is called; both end with a checkpoint
+  // of the last finished iteration.
   //   Errors that training can't outlive: of the update, or the last checkpoint can't be written.
   absl::Status Run();
   // Ends the run after the current minibatch; an unfinished iteration is dropped.
@@ -69,6 +72,8 @@ class Trainer {
   absl::Status RunIteration();
   absl::StatusOr<std::vector<Fragment>> Collect();
   absl::Status FinishIteration(const std::vector<Fragment>& fragments, const UpdateStats& stats);
+  // Makes the updater's weights those that are played and evaluated.
+  void PublishWeights();
   void WriteLogs(const UpdateStats& stats);
   absl::Status WriteCheckpoint();
   int fragments_per_lane() const;
@@ -80,6 +85,7 @@ class Trainer {
 
   // The run at the end of the last finished iteration: what a checkpoint holds.
   int64_t policy_version_;
+  std::shared_ptr<const std::string> weights_;  // of that version, safetensors
   std::vector<LaneRecord> lanes_;
   std::vector<Episode> unlogged_;  // episodes that could not be written yet
   int64_t checkpointed_ = -1;      // iteration of the last checkpoint

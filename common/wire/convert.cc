@@ -165,6 +165,19 @@ absl::StatusOr<Fragment> FromProto(v1::FragmentMessage* message, const FragmentS
   return fragment;
 }
 
+v1::EvaluationResult ToProto(const std::vector<Episode>& episodes) {
+  v1::EvaluationResult message;
+  EpisodesToProto(episodes, message.mutable_episodes());
+  for (v1::EpisodeMessage& episode : *message.mutable_episodes()) episode.set_step(0);
+  return message;
+}
+
+absl::StatusOr<std::vector<Episode>> FromProto(const v1::EvaluationResult& message) {
+  std::vector<Episode> episodes;
+  CRAFTFLEET_RETURN_IF_ERROR(ReadEpisodes(message.episodes(), std::vector<int>(message.episodes_size(), 0), &episodes));
+  return episodes;
+}
+
 void ToProto(StepBatch* batch, v1::PlayReply* message) {
   message->mutable_frames()->swap(batch->frames);
   message->mutable_last_frames()->swap(batch->last_frames);

@@ -27,6 +27,10 @@ v1::FragmentMessage ToProto(Fragment fragment);
 // InvalidArgument: a field of the wrong size or out of range; the message names it, the value and what was expected.
 absl::StatusOr<Fragment> FromProto(v1::FragmentMessage* message, const FragmentShape& shape);
 
+// Whole episodes; `step` of them is 0. Checked as above.
+v1::EvaluationResult ToProto(const std::vector<Episode>& episodes);
+absl::StatusOr<std::vector<Episode>> FromProto(const v1::EvaluationResult& message);
+
 // `message` is reused: capacity of its buffers is kept. `batch` gives its frames away.
 void ToProto(StepBatch* batch, v1::PlayReply* message);
 

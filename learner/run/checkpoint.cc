@@ -1,6 +1,5 @@
 #include "learner/run/checkpoint.h"
 
-#include <array>
 #include <cstdint>
 #include <utility>
 #include <vector>
@@ -12,6 +11,7 @@
 #include <absl/strings/str_split.h>
 #include <absl/strings/strip.h>
 
+#include "common/check.h"
 #include "common/config.h"
 #include "common/crc32c.h"
 #include "common/files.h"
@@ -26,6 +26,10 @@ constexpr absl::string_view kProgramPrefix = "program ";
 constexpr absl::string_view kStateFile = "state.pb";
 constexpr absl::string_view kWeightsFile = "weights.safetensors";
 constexpr absl::string_view kOptimizerFile = "optimizer.safetensors";
+
+std::string EvaluationFile(const v1::PendingEvaluation& evaluation) {
+  return absl::StrFormat("evaluation-%d.safetensors", evaluation.number());
+}
 
 std::string ManifestLine(absl::string_view name, absl::string_view bytes) {
   return absl::StrFormat("%s %d %08x\n", name, bytes.size(), Crc32c(bytes));
@@ -91,6 +95,11 @@ absl::Status CheckState(const v1::CheckpointState& state) {
     return absl::InvalidArgumentError(
         absl::StrCat("it has ", state.lanes_size(), " lanes, its configuration ", state.config().lanes()));
   }
+  for (const v1::PendingEvaluation& evaluation : state.pending()) {
+    if (evaluation.number() < 1 || evaluation.first_episode() < 1 || evaluation.episodes() < 1) {
+      return absl::InvalidArgumentError("a pending evaluation has a number, an episode or a count below 1");
+    }
+  }
   return absl::OkStatus();
 }
 
@@ -111,8 +120,14 @@ absl::Status WriteCheckpointFiles(const std::string& folder, const Checkpoint& c
   v1::CheckpointState state = checkpoint.state;
   state.set_format(kCheckpointFormat);
   const std::string state_bytes = state.SerializeAsString();
-  const std::array<std::pair<absl::string_view, const std::string*>, 3> files = {
-      {{kStateFile, &state_bytes}, {kWeightsFile, &checkpoint.weights}, {kOptimizerFile, &checkpoint.optimizer}}};
+  CRAFTFLEET_CHECK(static_cast<int>(checkpoint.evaluation_weights.size()) == state.pending_size());
+  std::vector<std::pair<std::string, const std::string*>> files = {
+      {std::string(kStateFile), &state_bytes},
+      {std::string(kWeightsFile), &checkpoint.weights},
+      {std::string(kOptimizerFile), &checkpoint.optimizer}};
+  for (int i = 0; i < state.pending_size(); ++i) {
+    files.emplace_back(EvaluationFile(state.pending(i)), checkpoint.evaluation_weights[i].get());
+  }
   std::string manifest =
       absl::StrCat(kFormatPrefix, kCheckpointFormat, "\n", kProgramPrefix, state.program_version(), "\n");
   for (const auto& [name, bytes] : files) {
@@ -134,6 +149,10 @@ absl::StatusOr<Checkpoint> LoadCheckpoint(const std::string& folder, absl::strin
   CRAFTFLEET_ASSIGN_OR_RETURN(checkpoint.state, ReadState(folder, manifest));
   CRAFTFLEET_ASSIGN_OR_RETURN(checkpoint.weights, ReadListedFile(folder, kWeightsFile, manifest));
   CRAFTFLEET_ASSIGN_OR_RETURN(checkpoint.optimizer, ReadListedFile(folder, kOptimizerFile, manifest));
+  for (const v1::PendingEvaluation& evaluation : checkpoint.state.pending()) {
+    CRAFTFLEET_ASSIGN_OR_RETURN(std::string weights, ReadListedFile(folder, EvaluationFile(evaluation), manifest));
+    checkpoint.evaluation_weights.push_back(std::make_shared<const std::string>(std::move(weights)));
+  }
   const std::string& own_agent = checkpoint.state.config().agent();
   if (!agent.empty() && own_agent != agent) {
     return absl::FailedPreconditionError(absl::StrCat("checkpoint ", folder, " is of agent ", own_agent, ", not of ",

@@ -1,5 +1,6 @@
 // A checkpoint: a folder with all that a run needs to go on as if never stopped.
 //   weights.safetensors, optimizer.safetensors   tensors; bytes here
+//   evaluation-1.safetensors, ...                weights of evaluations that are not over
 //   state.pb                                     CheckpointState
 //   MANIFEST                                     text: format, program version, then name, size and CRC-32C of each
 //   file
@@ -7,7 +8,9 @@
 #ifndef CRAFTFLEET_LEARNER_RUN_CHECKPOINT_H_
 #define CRAFTFLEET_LEARNER_RUN_CHECKPOINT_H_
 
+#include <memory>
 #include <string>
+#include <vector>
 
 #include <absl/status/status.h>
 #include <absl/status/statusor.h>
@@ -21,8 +24,9 @@ inline constexpr int kCheckpointFormat = 1;
 
 struct Checkpoint {
   v1::CheckpointState state;
-  std::string weights;    // safetensors
-  std::string optimizer;  // safetensors
+  std::string weights;                                                 // safetensors
+  std::string optimizer;                                               // safetensors
+  std::vector<std::shared_ptr<const std::string>> evaluation_weights;  // of state.pending(), in its order; safetensors
 };
 
 // Writes `checkpoint` into `folder`, which is created, and syncs all of it but the folder's own name.

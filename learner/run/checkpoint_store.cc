@@ -18,6 +18,7 @@ namespace {
 
 constexpr absl::string_view kNamePrefix = "iter-";
 constexpr absl::string_view kTemporaryPrefix = ".tmp-";
+constexpr absl::string_view kReplacedPrefix = ".replaced-";
 
 // -1 if `name` is not a checkpoint's.
 int64_t IterationOf(absl::string_view name) {
@@ -33,6 +34,18 @@ absl::StatusOr<std::vector<std::string>> ListCheckpoints(const std::string& fold
   std::sort(names.begin(), names.end(),
             [](const std::string& a, const std::string& b) { return IterationOf(a) > IterationOf(b); });
   return names;
+}
+
+// A kill while a checkpoint was being replaced: the old one counts unless the new one is in its place.
+absl::Status EndReplacement(const std::string& folder, const std::string& replaced) {
+  const std::string name = replaced.substr(kReplacedPrefix.size());
+  if (PathExists(JoinPath(folder, name))) return RemoveAll(JoinPath(folder, replaced));
+  return RenameSynced(JoinPath(folder, replaced), JoinPath(folder, name));
+}
+
+// Whether nothing happened to the run between two checkpoints of the same iteration.
+bool SameEvaluations(const v1::CheckpointState& a, const v1::CheckpointState& b) {
+  return a.pending_size() == b.pending_size() && a.final_evaluation_steps() == b.final_evaluation_steps();
 }
 
 }  // namespace
@@ -54,19 +67,25 @@ absl::StatusOr<CheckpointStore> CheckpointStore::Open(const std::string& folder)
   CRAFTFLEET_ASSIGN_OR_RETURN(const std::vector<std::string> names, ListFolder(folder));
   for (const std::string& name : names) {
     if (absl::StartsWith(name, kTemporaryPrefix)) CRAFTFLEET_RETURN_IF_ERROR(RemoveAll(JoinPath(folder, name)));
+    if (absl::StartsWith(name, kReplacedPrefix)) CRAFTFLEET_RETURN_IF_ERROR(EndReplacement(folder, name));
   }
   return CheckpointStore(folder);
 }
 
 absl::Status CheckpointStore::Write(const Checkpoint& checkpoint) {
   const std::string name = CheckpointName(checkpoint.state.iteration());
+  const std::string replaced = PathOf(absl::StrCat(kReplacedPrefix, name));
   if (PathExists(PathOf(name))) {
-    if (LoadCheckpoint(PathOf(name), "").ok()) return absl::OkStatus();
-    CRAFTFLEET_RETURN_IF_ERROR(Remove(name));
+    const absl::StatusOr<Checkpoint> there = LoadCheckpoint(PathOf(name), "");
+    if (there.ok() && SameEvaluations(there->state, checkpoint.state)) return absl::OkStatus();
+    if (!there.ok()) CRAFTFLEET_RETURN_IF_ERROR(Remove(name));
   }
   const std::string temporary = PathOf(absl::StrCat(kTemporaryPrefix, name));
   absl::Status status = WriteCheckpointFiles(temporary, checkpoint);
+  const bool replaces = PathExists(PathOf(name));
+  if (status.ok() && replaces) status = RenameSynced(PathOf(name), replaced);
   if (status.ok()) status = RenameSynced(temporary, PathOf(name));
+  if (status.ok() && replaces) status = RemoveAll(replaced);
   if (!status.ok()) {
     // The first error is the one to tell; what can't be removed now goes at the next Open.
     RemoveAll(temporary).IgnoreError();

@@ -31,7 +31,7 @@ class CheckpointStore {
 
   // Writes `checkpoint` under a temporary name, syncs, renames; then removes old ones beyond the newest
   // `config.checkpoint.keep` and the best, which is the first to have reached the newest one's `best_score`. One of the
-  // same iteration that is whole is left as it is.
+  // same iteration is replaced if it is torn or the run was evaluated since, else left as it is.
   //   ResourceExhausted: disk, quota or file size limit full. On any error of writing the earlier checkpoints stand as
   //   before and no part of this one is left.
   absl::Status Write(const Checkpoint& checkpoint);

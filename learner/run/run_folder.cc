@@ -1,6 +1,7 @@
 #include "learner/run/run_folder.h"
 
 #include <algorithm>
+#include <array>
 #include <random>
 #include <utility>
 #include <vector>
@@ -19,7 +20,9 @@ namespace craftfleet {
 namespace {
 
 constexpr char kConfigFile[] = "config.txt";
-constexpr char kStatsFile[] = "stats.jsonl";
+// By EpisodeKind.
+constexpr std::array<const char*, kNumEpisodeKinds> kEpisodeFiles = {
+    "stats.jsonl", "eval_argmax.jsonl", "eval_sampled.jsonl", "final_argmax.jsonl", "final_sampled.jsonl"};
 // TensorBoard reads files with "tfevents" in their name.
 constexpr char kEventsFile[] = "events.out.tfevents.craftfleet";
 
@@ -48,32 +51,35 @@ absl::Status ClearUnbegunRun(const std::string& logdir) {
     return absl::AlreadyExistsError(
         absl::StrCat(logdir, " already has a run: go on with it by --resume, or use another --logdir"));
   }
-  for (const char* file : {kConfigFile, kStatsFile, kEventsFile}) {
-    CRAFTFLEET_RETURN_IF_ERROR(RemoveAll(JoinPath(logdir, file)));
-  }
-  return absl::OkStatus();
+  for (const char* file : kEpisodeFiles) CRAFTFLEET_RETURN_IF_ERROR(RemoveAll(JoinPath(logdir, file)));
+  CRAFTFLEET_RETURN_IF_ERROR(RemoveAll(JoinPath(logdir, kEventsFile)));
+  return RemoveAll(JoinPath(logdir, kConfigFile));
 }
 
 std::string BaseName(const std::string& path) { return path.substr(path.find_last_of('/') + 1); }
 
 }  // namespace
 
-RunFolder::RunFolder(std::string logdir, FolderLock lock, StatsLog stats, EventLog events, CheckpointStore checkpoints,
-                     ProgramInfo program)
+RunFolder::RunFolder(std::string logdir, FolderLock lock, std::vector<EpisodeLog> episodes, EventLog events,
+                     CheckpointStore checkpoints, ProgramInfo program)
     : logdir_(std::move(logdir)),
       lock_(std::move(lock)),
       program_(std::move(program)),
-      stats_(std::move(stats)),
+      episodes_(std::move(episodes)),
       events_(std::move(events)),
       checkpoints_(std::move(checkpoints)) {}
 
 absl::StatusOr<std::unique_ptr<RunFolder>> RunFolder::Open(const std::string& logdir, FolderLock lock,
                                                            const ProgramInfo& program, Clock* clock) {
-  CRAFTFLEET_ASSIGN_OR_RETURN(AppendFile stats, AppendFile::Open(JoinPath(logdir, kStatsFile)));
+  std::vector<EpisodeLog> episodes;
+  for (const char* name : kEpisodeFiles) {
+    CRAFTFLEET_ASSIGN_OR_RETURN(AppendFile file, AppendFile::Open(JoinPath(logdir, name)));
+    episodes.push_back({StatsLog(std::move(file)), {}});
+  }
   CRAFTFLEET_ASSIGN_OR_RETURN(EventLog events, EventLog::Open(JoinPath(logdir, kEventsFile), clock));
   CRAFTFLEET_ASSIGN_OR_RETURN(CheckpointStore checkpoints, CheckpointStore::Open(JoinPath(logdir, "checkpoints")));
-  return std::unique_ptr<RunFolder>(new RunFolder(logdir, std::move(lock), StatsLog(std::move(stats)),
-                                                  std::move(events), std::move(checkpoints), program));
+  return std::unique_ptr<RunFolder>(
+      new RunFolder(logdir, std::move(lock), std::move(episodes), std::move(events), std::move(checkpoints), program));
 }
 
 absl::StatusOr<std::unique_ptr<RunFolder>> RunFolder::Create(const std::string& logdir, const v1::RunConfig& config,
@@ -115,13 +121,28 @@ absl::Status RunFolder::SetSteps(int64_t steps) {
 }
 
 absl::Status RunFolder::AddEpisodes(absl::Span<const Episode> episodes) {
-  CRAFTFLEET_RETURN_IF_ERROR(stats_.Append(episodes));
-  for (const Episode& episode : episodes) score_.Add(episode);
+  EpisodeLog& log = Log(EpisodeKind::kTraining);
+  CRAFTFLEET_RETURN_IF_ERROR(log.stats.Append(episodes));
+  for (const Episode& episode : episodes) log.score.Add(episode);
+  return absl::OkStatus();
+}
+
+absl::Status RunFolder::AddEvaluation(bool final, absl::Span<const Episode> argmax, absl::Span<const Episode> sampled) {
+  EpisodeLog& argmax_log = Log(final ? EpisodeKind::kFinalArgmax : EpisodeKind::kArgmax);
+  EpisodeLog& sampled_log = Log(final ? EpisodeKind::kFinalSampled : EpisodeKind::kSampled);
+  const int64_t length_before = argmax_log.stats.file().length();
+  CRAFTFLEET_RETURN_IF_ERROR(argmax_log.stats.Append(argmax));
+  if (absl::Status status = sampled_log.stats.Append(sampled); !status.ok()) {
+    CRAFTFLEET_RETURN_IF_ERROR(argmax_log.stats.file().TruncateTo(length_before));
+    return status;
+  }
+  for (const Episode& episode : argmax) argmax_log.score.Add(episode);
+  for (const Episode& episode : sampled) sampled_log.score.Add(episode);
   return absl::OkStatus();
 }
 
 absl::Status RunFolder::WriteCheckpoint(Checkpoint checkpoint) {
-  if (score_.episodes() > 0) best_score_ = std::max(best_score_, score_.RecentReward());
+  if (score().episodes() > 0) best_score_ = std::max(best_score_, score().RecentReward());
   v1::CheckpointState& state = checkpoint.state;
   state.set_program_version(program_.version);
   state.set_run_id(run_id_);
@@ -139,7 +160,11 @@ absl::Status RunFolder::WriteCheckpoint(Checkpoint checkpoint) {
   return checkpoints_.Write(checkpoint);
 }
 
-std::array<AppendFile*, 2> RunFolder::Logs() { return {&stats_.file(), &events_.file()}; }
+std::vector<AppendFile*> RunFolder::Logs() {
+  std::vector<AppendFile*> logs = {&events_.file()};
+  for (EpisodeLog& log : episodes_) logs.push_back(&log.stats.file());
+  return logs;
+}
 
 absl::Status RunFolder::CheckFits(const v1::CheckpointState& state) const {
   if (state.texture_digest() == program_.texture_digest) return absl::OkStatus();
@@ -158,8 +183,10 @@ absl::Status RunFolder::GoBackTo(const v1::CheckpointState& state) {
     CRAFTFLEET_RETURN_IF_ERROR(log->TruncateTo(length->bytes()));
   }
   CRAFTFLEET_RETURN_IF_ERROR(checkpoints_.DiscardNewerThan(state.iteration()));
-  CRAFTFLEET_ASSIGN_OR_RETURN(const std::vector<Episode> episodes, ReadStats(stats_.file().path()));
-  for (const Episode& episode : episodes) score_.Add(episode);
+  for (EpisodeLog& log : episodes_) {
+    CRAFTFLEET_ASSIGN_OR_RETURN(const std::vector<Episode> episodes, ReadStats(log.stats.file().path()));
+    for (const Episode& episode : episodes) log.score.Add(episode);
+  }
   run_id_ = state.run_id();
   config_ = state.config();
   best_score_ = state.best_score();

@@ -1,16 +1,19 @@
 // The folder of one run: what it is, its logs, its checkpoints, its score so far.
 //   config.txt   the configuration as it ran        run.json   run id, versions, seed, texture digest
 //   stats.jsonl  one line per training episode      events.out.tfevents.craftfleet   curves for TensorBoard
+//   eval_argmax.jsonl, eval_sampled.jsonl           evaluation episodes during training, lines as in stats.jsonl
+//   final_argmax.jsonl, final_sampled.jsonl         evaluation episodes after training
 //   checkpoints/ iter-00000010 ...                  epoch, lock   see epoch.h, folder_lock.h
 
 #ifndef CRAFTFLEET_LEARNER_RUN_RUN_FOLDER_H_
 #define CRAFTFLEET_LEARNER_RUN_RUN_FOLDER_H_
 
-#include <array>
+#include <cstddef>
 #include <cstdint>
 #include <limits>
 #include <memory>
 #include <string>
+#include <vector>
 
 #include <absl/status/status.h>
 #include <absl/status/statusor.h>
@@ -39,6 +42,10 @@ struct ResumeOptions {
   std::string agent;  // refuse a run of another agent; empty: any
 };
 
+// Which of a run's episodes; each kind has a log of its own.
+enum class EpisodeKind { kTraining, kArgmax, kSampled, kFinalArgmax, kFinalSampled };
+inline constexpr int kNumEpisodeKinds = 5;
+
 struct ResumedRun;
 
 // Thread-compatible: one thread at a time. Locks the folder for its lifetime.
@@ -66,11 +73,13 @@ class RunFolder {
   // Makes the run longer or shorter, environment steps: the one thing that may change when it is resumed.
   absl::Status SetSteps(int64_t steps);
 
-  // Appends to stats.jsonl and counts towards the score. On failure nothing is counted.
+  // Appends training episodes to stats.jsonl and counts them towards the score. On failure nothing is counted.
   absl::Status AddEpisodes(absl::Span<const Episode> episodes);
+  // The same for an evaluation, during training or after it; all of it or nothing.
+  absl::Status AddEvaluation(bool final, absl::Span<const Episode> argmax, absl::Span<const Episode> sampled);
 
   EventLog& events() { return events_; }
-  const ScoreBoard& score() const { return score_; }
+  const ScoreBoard& score(EpisodeKind kind = EpisodeKind::kTraining) const { return Log(kind).score; }
   const CheckpointStore& checkpoints() const { return checkpoints_; }
 
   // Syncs the logs, then writes. Fills in everything of the state that the folder knows: program, run id,
@@ -78,14 +87,21 @@ class RunFolder {
   absl::Status WriteCheckpoint(Checkpoint checkpoint);
 
  private:
-  RunFolder(std::string logdir, FolderLock lock, StatsLog stats, EventLog events, CheckpointStore checkpoints,
-            ProgramInfo program);
+  struct EpisodeLog {
+    StatsLog stats;
+    ScoreBoard score;
+  };
+
+  RunFolder(std::string logdir, FolderLock lock, std::vector<EpisodeLog> episodes, EventLog events,
+            CheckpointStore checkpoints, ProgramInfo program);
   // Opened, not begun: Create and Resume fill in run id, configuration and epoch.
   static absl::StatusOr<std::unique_ptr<RunFolder>> Open(const std::string& logdir, FolderLock lock,
                                                          const ProgramInfo& program, Clock* clock);
   absl::Status CheckFits(const v1::CheckpointState& state) const;
   absl::Status GoBackTo(const v1::CheckpointState& state);
-  std::array<AppendFile*, 2> Logs();
+  std::vector<AppendFile*> Logs();
+  EpisodeLog& Log(EpisodeKind kind) { return episodes_[static_cast<size_t>(kind)]; }
+  const EpisodeLog& Log(EpisodeKind kind) const { return episodes_[static_cast<size_t>(kind)]; }
 
   const std::string logdir_;
   const FolderLock lock_;
@@ -93,10 +109,9 @@ class RunFolder {
   std::string run_id_;
   v1::RunConfig config_;
   int64_t epoch_ = 0;
-  StatsLog stats_;
+  std::vector<EpisodeLog> episodes_;  // by kind
   EventLog events_;
   CheckpointStore checkpoints_;
-  ScoreBoard score_;
   double best_score_ = -std::numeric_limits<double>::infinity();
 };
 

@@ -1,6 +1,7 @@
 // The promise of synchronous training, on real processes over loopback: who plays, who dies and who is resumed changes
 // nothing.
 
+#include <algorithm>
 #include <csignal>
 #include <memory>
 #include <string>
@@ -27,12 +28,15 @@ constexpr char kConfig[] = R"(
   env { length: 90 }
   ppo { rollout_steps: 1024  minibatch_size: 128  epochs: 2 }
   checkpoint { every_iterations: 2  keep: 20 }
+  eval { every_steps: 3000  episodes: 2  final_episodes: 3 }
 )";
 constexpr char kLastCheckpoint[] = "checkpoints/iter-00000010";
 constexpr absl::Duration kPatience = absl::Seconds(120);  // sanitizer builds are slow
 
 struct Result {
   std::string stats;
+  std::string evaluations;  // during training
+  std::string final_evaluation;
   std::string weights;
   std::string optimizer;
 };
@@ -47,6 +51,9 @@ class FleetTest : public testing::Test {
     ASSERT_EQ(train->Wait(kPatience), 0) << train->Err();
     quiet_ = new Result(Read("quiet"));
     ASSERT_THAT(quiet_->stats, HasSubstr("\"length\": 90,"));
+    // Three evaluations of two episodes of each kind, then three of each kind at the end.
+    ASSERT_EQ(Lines(quiet_->evaluations), 2 * 3 * 2 + 1);
+    ASSERT_EQ(Lines(quiet_->final_evaluation), 2 * 3 + 1);
   }
   static void TearDownTestSuite() {
     delete quiet_;
@@ -94,15 +101,23 @@ class FleetTest : public testing::Test {
     ASSERT_TRUE(PathExists(path)) << path;
   }
 
+  static int64_t Lines(const std::string& text) { return std::count(text.begin(), text.end(), '\n'); }
   static Result Read(const std::string& run) {
     const std::string checkpoint = Logdir(run) + "/" + kLastCheckpoint;
-    return {ReadFile(Logdir(run) + "/stats.jsonl").value_or("none"),
+    const auto log = [&](const std::string& name) { return ReadFile(Logdir(run) + "/" + name).value_or("none"); };
+    return {log("stats.jsonl"), log("eval_argmax.jsonl") + "\n" + log("eval_sampled.jsonl"),
+            log("final_argmax.jsonl") + "\n" + log("final_sampled.jsonl"),
             ReadFile(checkpoint + "/weights.safetensors").value_or("none"),
             ReadFile(checkpoint + "/optimizer.safetensors").value_or("none")};
   }
   static void ExpectLikeQuiet(const std::string& run) {
+    ExpectTrainedLikeQuiet(run);
+    EXPECT_EQ(Read(run).final_evaluation, quiet_->final_evaluation);
+  }
+  static void ExpectTrainedLikeQuiet(const std::string& run) {
     const Result result = Read(run);
     EXPECT_EQ(result.stats, quiet_->stats);
+    EXPECT_EQ(result.evaluations, quiet_->evaluations);
     EXPECT_TRUE(result.weights == quiet_->weights);
     EXPECT_TRUE(result.optimizer == quiet_->optimizer);
   }
@@ -188,7 +203,7 @@ TEST_F(FleetTest, AFinishedRunMayBeMadeLonger) {
   ASSERT_EQ(train->Wait(kPatience), 0) << train->Err();
   train = Train("longer", {"--resume"});
   EXPECT_EQ(train->Wait(kPatience), 0) << train->Err();
-  ExpectLikeQuiet("longer");
+  ExpectTrainedLikeQuiet("longer");
 }
 
 }  // namespace

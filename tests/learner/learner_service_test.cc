@@ -29,6 +29,9 @@ LearnerServiceImpl::Options ServiceOptions() {
   options.run_id = "run-a";
   options.epoch = kEpoch;
   options.config.set_lanes(kSampleShape.lanes);
+  options.config.mutable_env()->set_frame_size(64);
+  options.config.mutable_eval()->set_env("crafter:numbers=easy-x2");
+  options.config.mutable_eval()->set_seed(7);
   options.texture_digest = "digest";
   options.shape = kSampleShape;
   options.lease = absl::Seconds(5);
@@ -118,7 +121,8 @@ class LearnerServiceTest : public testing::Test {
   LaneLedger ledger_{{kSampleShape.lanes}, std::vector<LaneRecord>(kSampleShape.lanes), &clock_};
   WeightStore weights_;
   FragmentQueue fragments_{100};
-  LearnerServiceImpl service_{ServiceOptions(), &ledger_, &weights_, &fragments_};
+  EvaluationBook evaluations_{absl::Seconds(5), &clock_};
+  LearnerServiceImpl service_{ServiceOptions(), &ledger_, &weights_, &fragments_, &evaluations_};
   std::unique_ptr<wire::Server> server_;
   std::unique_ptr<v1::LearnerService::Stub> stub_;
 };
@@ -282,6 +286,61 @@ TEST_F(LearnerServiceTest, StatusNamesTheActors) {
   EXPECT_EQ(reply.peers(0).name(), "a");
   EXPECT_EQ(reply.peers(0).state(), "2 permits, 1 fragments accepted");
   EXPECT_EQ(reply.peers(0).last_seen_s(), 3);
+}
+
+TEST_F(LearnerServiceTest, AnEvaluationGoesToAnActorThatPlaysThemAndComesBack) {
+  ASSERT_THAT(Join("a"), IsOk());
+  evaluations_.Add({1, 4096, 11, 2, false, std::make_shared<std::string>("old weights")});
+  ASSERT_FALSE(GetPermits("a")->has_evaluation()) << "it did not say that it evaluates";
+  const auto ask = [&](int64_t at_hand) {
+    v1::PermitRequest request;
+    request.set_actor("a");
+    request.set_epoch(kEpoch);
+    request.set_evaluates(true);
+    request.set_evaluation(at_hand);
+    return *Call(&v1::LearnerService::Stub::GetPermits, request);
+  };
+  const v1::EvaluationTask task = ask(0).evaluation();
+  EXPECT_EQ(task.env().name(), "crafter:numbers=easy-x2");
+  EXPECT_EQ(task.env().frame_size(), 64);
+  EXPECT_EQ(task.seed(), 7);
+  EXPECT_EQ(task.first_episode(), 11);
+  EXPECT_EQ(task.episodes(), 2);
+  EXPECT_TRUE(task.greedy());
+  EXPECT_FALSE(ask(task.id()).has_evaluation()) << "one at a time";
+
+  const auto weights = [&]() -> absl::StatusOr<std::string> {
+    grpc::ClientContext context;
+    v1::WeightsRequest request;
+    request.set_evaluation(task.id());
+    v1::WeightsChunk chunk;
+    const auto stream = stub_->GetWeights(&context, request);
+    stream->Read(&chunk);
+    if (const grpc::Status status = stream->Finish(); !status.ok()) return wire::FromGrpc(status, "learner");
+    return chunk.data();
+  };
+  EXPECT_EQ(weights().value(), "old weights");
+
+  v1::EvaluationResult result;
+  result.set_actor("a");
+  result.set_epoch(kEpoch);
+  result.set_id(task.id());
+  EXPECT_THAT(Call(&v1::LearnerService::Stub::FinishEvaluation, result),
+              StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("0 episodes, want 2")));
+  for (int i = 0; i < 2; ++i) {
+    v1::EpisodeMessage* episode = result.add_episodes();
+    episode->set_length(30 + i);
+    for (int k = 0; k < kNumAchievements; ++k) episode->add_achievements(0);
+  }
+  EXPECT_THAT(Call(&v1::LearnerService::Stub::FinishEvaluation, result), IsOk());
+  EXPECT_THAT(weights(), StatusIs(absl::StatusCode::kAborted, HasSubstr("is over")));
+  result.set_epoch(kEpoch - 1);
+  EXPECT_THAT(Call(&v1::LearnerService::Stub::FinishEvaluation, result),
+              StatusIs(absl::StatusCode::kAborted, HasSubstr("join again")));
+  result.set_epoch(kEpoch);
+  result.mutable_episodes(1)->set_length(0);
+  EXPECT_THAT(Call(&v1::LearnerService::Stub::FinishEvaluation, result),
+              StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("length 0")));
 }
 
 }  // namespace

@@ -4,7 +4,9 @@
 #include <unistd.h>
 
 #include <csignal>
+#include <cstdio>
 #include <limits>
+#include <memory>
 #include <string>
 #include <vector>
 
@@ -222,6 +224,35 @@ TEST_F(CheckpointStoreTest, AWholeOneOfTheSameIterationStaysATornOneIsReplaced) 
   ASSERT_THAT(RemoveAll(PathOf(10, "state.pb")), IsOk());
   Write(10, 2.0);
   EXPECT_EQ(store_.LoadLatest("").value().state.best_score(), 2.0);
+}
+
+TEST_F(CheckpointStoreTest, OneWhoseRunWasEvaluatedSinceIsReplaced) {
+  Checkpoint waiting = SampleCheckpoint(10, 1.0);
+  v1::PendingEvaluation* pending = waiting.state.add_pending();
+  pending->set_number(3);
+  pending->set_first_episode(21);
+  pending->set_episodes(5);
+  waiting.evaluation_weights = {std::make_shared<std::string>("weights of then")};
+  ASSERT_THAT(store_.Write(waiting), IsOk());
+  const Checkpoint loaded = store_.LoadLatest("").value();
+  ASSERT_EQ(loaded.evaluation_weights.size(), 1u);
+  EXPECT_EQ(*loaded.evaluation_weights[0], "weights of then");
+  EXPECT_EQ(loaded.state.pending(0).first_episode(), 21);
+
+  Write(10, 2.0);
+  EXPECT_EQ(store_.LoadLatest("").value().state.pending_size(), 0);
+  EXPECT_THAT(ListFolder(temp_.path()).value(), ElementsAre("iter-00000010"));
+}
+
+TEST_F(CheckpointStoreTest, AKillAmidAReplacementLeavesOneOfTheTwo) {
+  Write(10);
+  ASSERT_EQ(std::rename((temp_ / "iter-00000010").c_str(), (temp_ / ".replaced-iter-00000010").c_str()), 0);
+  ASSERT_THAT(CheckpointStore::Open(temp_.path()), IsOk());
+  EXPECT_THAT(ListFolder(temp_.path()).value(), ElementsAre("iter-00000010")) << "the old one is back";
+  ASSERT_THAT(CreateFolders(temp_ / ".replaced-iter-00000010"), IsOk());
+  ASSERT_THAT(CheckpointStore::Open(temp_.path()), IsOk());
+  EXPECT_THAT(ListFolder(temp_.path()).value(), ElementsAre("iter-00000010")) << "the new one was there already";
+  EXPECT_THAT(store_.LoadLatest(""), IsOk());
 }
 
 TEST_F(CheckpointStoreTest, LeftoversOfAKilledWriterGoAtTheNextStart) {

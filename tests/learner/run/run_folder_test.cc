@@ -79,8 +79,9 @@ TEST_F(RunFolderTest, SaysWhatTheRunIs) {
                             {"seed", 0},
                             {"texture_digest", "digest1"}}));
   EXPECT_THAT(ListFolder(logdir_).value(),
-              ElementsAre("checkpoints", "config.txt", "epoch", "events.out.tfevents.craftfleet", "lock", "run.json",
-                          "stats.jsonl"));
+              ElementsAre("checkpoints", "config.txt", "epoch", "eval_argmax.jsonl", "eval_sampled.jsonl",
+                          "events.out.tfevents.craftfleet", "final_argmax.jsonl", "final_sampled.jsonl", "lock",
+                          "run.json", "stats.jsonl"));
 }
 
 TEST_F(RunFolderTest, ANewRunIsRefusedWhereThereIsOne) {
@@ -160,9 +161,10 @@ TEST_F(RunFolderTest, ACheckpointKnowsTheRun) {
   EXPECT_EQ(state.lanes(3).snapshot(), "snapshot of lane 3");
   // Means after the checkpoints: 0.5, then 0.75.
   EXPECT_EQ(state.best_score(), 0.75);
-  ASSERT_EQ(state.logs_size(), 2);
-  EXPECT_EQ(state.logs(0).file(), "stats.jsonl");
-  EXPECT_EQ(state.logs(1).file(), "events.out.tfevents.craftfleet");
+  std::vector<std::string> logs;
+  for (const v1::LogLength& log : state.logs()) logs.push_back(log.file());
+  EXPECT_THAT(logs, ElementsAre("events.out.tfevents.craftfleet", "stats.jsonl", "eval_argmax.jsonl",
+                                "eval_sampled.jsonl", "final_argmax.jsonl", "final_sampled.jsonl"));
 }
 
 TEST_F(RunFolderTest, TheBestScoreOutlivesWorseTimes) {
@@ -211,6 +213,38 @@ TEST_F(RunFolderTest, AFullDiskIsAnErrorAndNothingIsCounted) {
   EXPECT_EQ(folder->score().episodes(), 0);
   EXPECT_THAT(folder->AddEpisodes({SampleEpisode(10, 1)}), IsOk());
   EXPECT_THAT(folder->WriteCheckpoint(SampleCheckpoint(1)), IsOk());
+}
+
+TEST_F(RunFolderTest, EvaluationsHaveLogsAndScoresOfTheirOwnThatResumeCutsBack) {
+  {
+    const auto folder = Create();
+    ASSERT_THAT(folder->AddEvaluation(false, {SampleEpisode(1, 1)}, {SampleEpisode(2, 2), SampleEpisode(3, 3)}),
+                IsOk());
+    ASSERT_THAT(folder->WriteCheckpoint(SampleCheckpoint(1)), IsOk());
+    ASSERT_THAT(folder->AddEvaluation(false, {SampleEpisode(4, 4)}, {SampleEpisode(5, 5)}), IsOk());
+    ASSERT_THAT(folder->AddEvaluation(true, {SampleEpisode(6, 6)}, {SampleEpisode(7, 7)}), IsOk());
+    EXPECT_EQ(folder->score(EpisodeKind::kFinalSampled).MeanReward(), 7);
+    EXPECT_EQ(folder->score().episodes(), 0);
+  }
+  const auto run = Resume();
+  ASSERT_THAT(run, IsOk());
+  EXPECT_EQ(run->folder->score(EpisodeKind::kArgmax).episodes(), 1);
+  EXPECT_EQ(run->folder->score(EpisodeKind::kSampled).MeanLength(), 2.5);
+  EXPECT_EQ(run->folder->score(EpisodeKind::kFinalArgmax).episodes(), 0);
+  EXPECT_EQ(ReadFile(logdir_ + "/eval_argmax.jsonl").value(), FormatStatsLine(SampleEpisode(1, 1)));
+  EXPECT_EQ(ReadFile(logdir_ + "/final_sampled.jsonl").value(), "");
+}
+
+TEST_F(RunFolderTest, AnEvaluationIsLoggedWholeOrNotAtAll) {
+  const auto folder = Create();
+  const std::string line = FormatStatsLine(SampleEpisode(1, 1));
+  {
+    const FileSizeLimit limit(static_cast<int64_t>(line.size()));
+    EXPECT_THAT(folder->AddEvaluation(false, {SampleEpisode(1, 1)}, {SampleEpisode(1, 1), SampleEpisode(1, 1)}),
+                StatusIs(absl::StatusCode::kResourceExhausted, HasSubstr("eval_sampled.jsonl")));
+  }
+  EXPECT_EQ(ReadFile(logdir_ + "/eval_argmax.jsonl").value(), "");
+  EXPECT_EQ(folder->score(EpisodeKind::kArgmax).episodes(), 0);
 }
 
 }  // namespace

@@ -1,0 +1,98 @@
+#include "actor/evaluation_worker.h"
+
+#include <utility>
+
+#include "actor/evaluator.h"
+#include "common/agent/policy.h"
+#include "common/log.h"
+#include "common/status_macros.h"
+#include "common/wire/convert.h"
+
+namespace craftfleet {
+namespace {
+
+constexpr absl::Duration kConnectTimeout = absl::Seconds(5);
+
+}  // namespace
+
+EvaluationWorker::EvaluationWorker(const Options& options, const LearnerClient* learner)
+    : options_(options), learner_(learner), thread_([this] { Run(); }) {}
+
+EvaluationWorker::~EvaluationWorker() { Stop(); }
+
+void EvaluationWorker::Give(int64_t epoch, const v1::EvaluationTask& task) {
+  const MutexLock lock(&mu_);
+  if (job_.has_value()) return;
+  job_ = Job{epoch, task};
+  changed_.NotifyAll();
+}
+
+int64_t EvaluationWorker::current(int64_t epoch) const {
+  const MutexLock lock(&mu_);
+  return job_.has_value() && job_->epoch == epoch ? job_->task.id() : 0;
+}
+
+void EvaluationWorker::Stop() {
+  {
+    const MutexLock lock(&mu_);
+    stopping_ = true;
+    if (env_ != nullptr) env_->Cancel();
+    changed_.NotifyAll();
+  }
+  if (thread_.joinable()) thread_.join();
+}
+
+void EvaluationWorker::Run() {
+  while (true) {
+    Job job;
+    {
+      const MutexLock lock(&mu_);
+      changed_.Wait(&mu_, [this]() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_) { return stopping_ || job_.has_value(); });
+      if (stopping_) return;
+      job = *job_;
+    }
+    const absl::Status status = Play(job);
+    const MutexLock lock(&mu_);
+    env_ = nullptr;
+    job_.reset();
+    if (!status.ok() && !stopping_) LogWarning("evaluation task %d given back: %s", job.task.id(), status.message());
+  }
+}
+
+absl::Status EvaluationWorker::Play(const Job& job) {
+  CRAFTFLEET_ASSIGN_OR_RETURN(const std::string weights, learner_->GetEvaluationWeights(job.task.id()));
+  CRAFTFLEET_ASSIGN_OR_RETURN(const std::unique_ptr<const Policy> policy,
+                              Policy::Create(options_.spec, weights, options_.tile));
+  CRAFTFLEET_ASSIGN_OR_RETURN(EnvClient * env, Connect(job.task.env()));
+  EvaluationOptions evaluation;
+  evaluation.seed = job.task.seed();
+  evaluation.first_episode = job.task.first_episode();
+  evaluation.episodes = job.task.episodes();
+  evaluation.greedy = job.task.greedy();
+  CRAFTFLEET_ASSIGN_OR_RETURN(const std::vector<Episode> episodes, Evaluate(evaluation, *policy, env, [](int) {}));
+  v1::EvaluationResult result = wire::ToProto(episodes);
+  result.set_actor(options_.actor);
+  result.set_epoch(job.epoch);
+  result.set_id(job.task.id());
+  return learner_->FinishEvaluation(result);
+}
+
+absl::StatusOr<EnvClient*> EvaluationWorker::Connect(const v1::EnvConfig& env) {
+  v1::SessionHello hello = options_.hello;
+  *hello.mutable_env() = env;
+  absl::Status status;
+  for (const wire::Endpoint& server : options_.env_servers) {
+    EnvClient* client = nullptr;
+    {
+      const MutexLock lock(&mu_);
+      if (stopping_) return absl::CancelledError("stopping");
+      env_ = std::make_unique<EnvClient>(server, hello, static_cast<int>(options_.spec.frame_bytes()));
+      client = env_.get();
+    }
+    status = client->Connect(kConnectTimeout);
+    if (status.ok()) return client;
+  }
+  return status;
+}
+
+}  // namespace craftfleet

@@ -1,0 +1,109 @@
+#include "learner/evaluation_schedule.h"
+
+#include <algorithm>
+#include <limits>
+#include <utility>
+#include <vector>
+
+#include "common/log.h"
+
+namespace craftfleet {
+namespace {
+
+constexpr absl::Duration kTick = absl::Milliseconds(200);
+constexpr size_t kAnyNumber = std::numeric_limits<size_t>::max();
+
+}  // namespace
+
+EvaluationSchedule::EvaluationSchedule(const v1::EvalConfig& config, const Checkpoint& checkpoint, EvaluationBook* book,
+                                       RunFolder* folder)
+    : config_(config),
+      book_(book),
+      folder_(folder),
+      begun_(checkpoint.state.evaluations()),
+      next_episode_(std::max<int64_t>(checkpoint.state.next_eval_episode(), 1)),
+      final_evaluation_steps_(checkpoint.state.final_evaluation_steps()) {
+  for (int i = 0; i < checkpoint.state.pending_size(); ++i) {
+    const v1::PendingEvaluation& pending = checkpoint.state.pending(i);
+    book_->Add({pending.number(), pending.env_steps(), pending.first_episode(), pending.episodes(), pending.final(),
+                checkpoint.evaluation_weights[i]});
+  }
+}
+
+void EvaluationSchedule::OnIteration(int64_t steps_before, int64_t env_steps,
+                                     const std::shared_ptr<const std::string>& weights,
+                                     const std::function<bool()>& should_stop) {
+  const int64_t every = config_.every_steps();
+  const bool due = every > 0 && env_steps / every > steps_before / every;
+  LogFinished(due ? kMaxPending : kAnyNumber, should_stop);
+  if (due) Begin(env_steps, config_.episodes(), /*final=*/false, weights);
+}
+
+void EvaluationSchedule::OnEnd(int64_t env_steps, const std::shared_ptr<const std::string>& weights,
+                               const std::function<bool()>& should_stop) {
+  if (config_.final_episodes() > 0 && final_evaluation_steps_ != env_steps) {
+    Begin(env_steps, config_.final_episodes(), /*final=*/true, weights);
+    final_evaluation_steps_ = env_steps;
+  }
+  if (book_->Pending().empty()) return;
+  LogInfo("training is over; waiting for its last evaluations, %d argmax and %d sampled episodes",
+          config_.final_episodes(), config_.final_episodes());
+  LogFinished(1, should_stop);
+}
+
+void EvaluationSchedule::Begin(int64_t env_steps, int episodes, bool final,
+                               const std::shared_ptr<const std::string>& weights) {
+  book_->Add({++begun_, env_steps, next_episode_, episodes, final, weights});
+  // A run that is made longer goes on with the episodes that it would have come to without its first end.
+  if (!final) next_episode_ += int64_t{2} * episodes;
+}
+
+void EvaluationSchedule::LogFinished(size_t below, const std::function<bool()>& should_stop) {
+  while (LogFront(absl::ZeroDuration())) {
+  }
+  while (book_->Pending().size() >= below && !should_stop()) LogFront(kTick);
+}
+
+bool EvaluationSchedule::LogFront(absl::Duration timeout) {
+  const std::optional<FinishedEvaluation> finished = book_->Front(timeout);
+  if (!finished.has_value()) return false;
+  const Evaluation& evaluation = finished->evaluation;
+  if (absl::Status status = folder_->AddEvaluation(evaluation.final, finished->argmax, finished->sampled);
+      !status.ok()) {
+    LogError("%s; the evaluation at %d steps waits for the next iteration", status.message(), evaluation.env_steps);
+    return false;
+  }
+  book_->Pop();
+  const ScoreBoard& argmax = folder_->score(evaluation.final ? EpisodeKind::kFinalArgmax : EpisodeKind::kArgmax);
+  const ScoreBoard& sampled = folder_->score(evaluation.final ? EpisodeKind::kFinalSampled : EpisodeKind::kSampled);
+  const std::string group = evaluation.final ? "final/" : "eval/";
+  const std::vector<Scalar> scalars = {{group + "argmax_score", argmax.Score()},
+                                       {group + "argmax_reward", argmax.RecentReward()},
+                                       {group + "sampled_score", sampled.Score()},
+                                       {group + "sampled_reward", sampled.RecentReward()}};
+  if (absl::Status status = folder_->events().AddScalars(evaluation.env_steps, scalars); !status.ok()) {
+    LogError("%s; curves miss a point", status.message());
+  }
+  LogInfo("evaluation %d, after %d steps: score over %d argmax episodes %.2f, over %d sampled episodes %.2f",
+          evaluation.number, evaluation.env_steps, argmax.episodes(), argmax.Score(), sampled.episodes(),
+          sampled.Score());
+  return true;
+}
+
+void EvaluationSchedule::FillCheckpoint(Checkpoint* checkpoint) const {
+  v1::CheckpointState& state = checkpoint->state;
+  state.set_evaluations(begun_);
+  state.set_next_eval_episode(next_episode_);
+  state.set_final_evaluation_steps(final_evaluation_steps_);
+  for (Evaluation& evaluation : book_->Pending()) {
+    v1::PendingEvaluation* pending = state.add_pending();
+    pending->set_number(evaluation.number);
+    pending->set_env_steps(evaluation.env_steps);
+    pending->set_first_episode(evaluation.first_episode);
+    pending->set_episodes(evaluation.episodes);
+    pending->set_final(evaluation.final);
+    checkpoint->evaluation_weights.push_back(std::move(evaluation.weights));
+  }
+}
+
+}  // namespace craftfleet
