@@ -18,6 +18,8 @@ constexpr char kUsage[] =
 
   craftfleet train    train in one process
   craftfleet eval     score a checkpoint
+  craftfleet sweep    run experiments: every cell of a table, with several seeds
+  craftfleet report   make the paper's tables and figures from runs
   craftfleet curve    draw the learning curves of runs
   craftfleet envs     list the environments and what their worlds have
   craftfleet status   ask a process of the fleet what it is doing
