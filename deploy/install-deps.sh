@@ -23,7 +23,7 @@ packages=(
   libtorch-dev
   libopenblas0-pthread  # with the reference BLAS, training is several times slower
   libopencv-dev
-  libgtest-dev libgmock-dev libbenchmark-dev
+  libgtest-dev libgmock-dev libbenchmark-dev python3
 )
 if [ -n "$developer" ]; then
   packages+=(clang libclang-rt-14-dev llvm clang-format clang-tidy shellcheck)

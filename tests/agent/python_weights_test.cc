@@ -1,0 +1,46 @@
+// Weights travel: a checkpoint's weights as Python reads them.
+
+#include <array>
+#include <cstdio>
+#include <string>
+
+#include <absl/strings/str_cat.h>
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include "common/agent/weights.h"
+#include "common/files.h"
+#include "tests/agent/golden_agent.h"
+
+namespace craftfleet {
+namespace {
+
+// What `command` prints, errors included.
+std::string OutputOf(const std::string& command) {
+  FILE* pipe = ::popen(absl::StrCat(command, " 2>&1").c_str(), "r");
+  if (pipe == nullptr) return "popen failed";
+  std::string output;
+  std::array<char, 4096> buffer;
+  while (const size_t n = std::fread(buffer.data(), 1, buffer.size(), pipe)) output.append(buffer.data(), n);
+  ::pclose(pipe);
+  return output;
+}
+
+TEST(PythonWeights, HaveTheGoldensNamesShapesAndNumbers) {
+  const std::string file = absl::StrCat(::testing::TempDir(), "/craftfleet-python-weights.safetensors");
+  const testing::GoldenAgent agent("lstm_cnn");
+  const std::string scripts = absl::StrCat(CRAFTFLEET_SOURCE_DIR, "/tests/");
+  const std::string command =
+      absl::StrCat("python3 ", scripts, "agent/check_weights.py ", file, " ", scripts, "data/agents/lstm_cnn.json");
+  ASSERT_TRUE(WriteFileSynced(file, SaveWeights(agent.spec, agent.weights)).ok());
+  EXPECT_EQ(OutputOf(command), "18 tensors, 1525170 values agree\n");
+
+  std::vector<float> other = agent.weights;
+  other[agent.spec.params[1].offset + 2] = 0.5F;
+  ASSERT_TRUE(WriteFileSynced(file, SaveWeights(agent.spec, other)).ok());
+  EXPECT_THAT(OutputOf(command), ::testing::StartsWith("features_extractor.cnn.0.bias[2] is 0.5, want "));
+  EXPECT_TRUE(RemoveAll(file).ok());
+}
+
+}  // namespace
+}  // namespace craftfleet
