@@ -32,13 +32,13 @@ void MultiplyInto(Form form_a, const at::Tensor& a, Form form_b, const at::Tenso
 struct LinearFunction : torch::autograd::Function<LinearFunction> {
   // NOLINTNEXTLINE(readability-identifier-naming): the name that autograd calls
   static at::Tensor forward(torch::autograd::AutogradContext* context, const at::Tensor& input,
-                            const at::Tensor& weight, const at::Tensor& bias) {
+                            const at::Tensor& weight, const c10::optional<at::Tensor>& bias) {
     const at::Tensor rows = input.contiguous();
     context->save_for_backward({rows, weight});
     const int64_t shape[] = {rows.size(0), weight.size(0)};
-    at::Tensor output = bias.defined() ? bias.expand(shape).clone(at::MemoryFormat::Contiguous) : at::empty(shape);
-    context->saved_data["has_bias"] = bias.defined();
-    MultiplyInto(Form::kPlain, rows, Form::kTransposed, weight, bias.defined() ? 1.0F : 0.0F, &output);
+    at::Tensor output = bias ? bias->expand(shape).clone(at::MemoryFormat::Contiguous) : at::empty(shape);
+    context->saved_data["has_bias"] = bias.has_value();
+    MultiplyInto(Form::kPlain, rows, Form::kTransposed, weight, bias ? 1.0F : 0.0F, &output);
     return output;
   }
 
@@ -61,7 +61,7 @@ struct LinearFunction : torch::autograd::Function<LinearFunction> {
 }  // namespace
 
 at::Tensor Linear(const at::Tensor& input, const at::Tensor& weight, const at::Tensor& bias) {
-  return LinearFunction::apply(input, weight, bias);
+  return LinearFunction::apply(input, weight, bias.defined() ? c10::make_optional(bias) : c10::nullopt);
 }
 
 bool LinearUsesOneDnn() { return dnnl_sgemm != nullptr; }

@@ -1,7 +1,11 @@
 #include "tests/agent/golden_agent.h"
 
 #include <fstream>
+#include <utility>
 
+#include <ATen/ATen.h>
+
+#include "common/agent/policy_net.h"
 #include "common/check.h"
 #include "common/seeds.h"
 
@@ -13,21 +17,42 @@ nlohmann::json ReadGolden(const std::string& file) {
   return nlohmann::json::parse(stream);
 }
 
+namespace {
+
+// u_i of the goldens, i from 0: in [-1, 1).
+class SignedUniforms {
+ public:
+  explicit SignedUniforms(const std::string& name) {
+    for (const char c : name) hash_ = (hash_ ^ static_cast<unsigned char>(c)) * 0x100000001B3ULL;
+  }
+  double operator[](int64_t i) const {
+    const uint64_t z = MixBits(hash_ + static_cast<uint64_t>(i + 1) * 0x9E3779B97F4A7C15ULL);
+    return (static_cast<double>(z >> 40) - 8388608.0) / 8388608.0;
+  }
+
+ private:
+  uint64_t hash_ = 0xCBF29CE484222325ULL;  // FNV-1a
+};
+
+}  // namespace
+
 std::vector<float> GoldenWeights(const AgentSpec& spec, const nlohmann::json& golden) {
   std::vector<float> weights(spec.param_count);
   CRAFTFLEET_CHECK(golden["params"].size() == spec.params.size());
   for (size_t p = 0; p < spec.params.size(); ++p) {
     const ParamSpec& param = spec.params[p];
     const double scale = golden["params"][p]["scale"];
-    uint64_t hash = 0xCBF29CE484222325ULL;  // FNV-1a
-    for (const char c : param.name) hash = (hash ^ static_cast<unsigned char>(c)) * 0x100000001B3ULL;
-    for (int64_t i = 0; i < param.size; ++i) {
-      const uint64_t z = MixBits(hash + static_cast<uint64_t>(i + 1) * 0x9E3779B97F4A7C15ULL);
-      const double u = (static_cast<double>(z >> 40) - 8388608.0) / 8388608.0;
-      weights[param.offset + i] = static_cast<float>(scale * u);
-    }
+    const SignedUniforms u(param.name);
+    for (int64_t i = 0; i < param.size; ++i) weights[param.offset + i] = static_cast<float>(scale * u[i]);
   }
   return weights;
+}
+
+std::vector<float> GoldenUniforms(const std::string& tag, int64_t n, double low, double high) {
+  const SignedUniforms u(tag);
+  std::vector<float> values(n);
+  for (int64_t i = 0; i < n; ++i) values[i] = static_cast<float>(low + (high - low) * (u[i] + 1) / 2);
+  return values;
 }
 
 std::string GoldenFrames(uint32_t seed, int n, int size) {
@@ -48,6 +73,27 @@ std::string GoldenFrames(uint32_t seed, int n, int size) {
     }
   }
   return frames;
+}
+
+at::Tensor AsInput(const std::string& frames, const AgentSpec& spec) {
+  const int64_t n = static_cast<int64_t>(frames.size()) / spec.frame_bytes();
+  at::Tensor input = at::empty({n, spec.frame_size, spec.frame_size, 3});
+  std::vector<const uint8_t*> rows(n);
+  for (int64_t i = 0; i < n; ++i) rows[i] = reinterpret_cast<const uint8_t*>(&frames[i * spec.frame_bytes()]);
+  ScaleFrames(rows, spec.frame_bytes(), input.data_ptr<float>());
+  return input;
+}
+
+GoldenAgent::GoldenAgent(const std::string& name) : golden(ReadGolden(name + ".json")) {
+  absl::StatusOr<AgentSpec> published = FindAgent(name + "_published");
+  spec = published.ok() ? *std::move(published) : *FindAgent(name);
+  weights = GoldenWeights(spec, golden);
+}
+
+int64_t ByteSum(const std::string& frames) {
+  int64_t sum = 0;
+  for (const char byte : frames) sum += static_cast<unsigned char>(byte);
+  return sum;
 }
 
 }  // namespace craftfleet::testing

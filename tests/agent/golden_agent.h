@@ -7,6 +7,7 @@
 #include <string>
 #include <vector>
 
+#include <ATen/core/Tensor.h>
 #include <nlohmann/json.hpp>
 
 #include "common/agent/agent_spec.h"
@@ -19,8 +20,26 @@ nlohmann::json ReadGolden(const std::string& file);
 // float[param_count], each parameter by its `name` and `scale` in the golden.
 std::vector<float> GoldenWeights(const AgentSpec& spec, const nlohmann::json& golden);
 
+// float[n] in [low, high): U(`tag`, n, low, high) of the goldens.
+std::vector<float> GoldenUniforms(const std::string& tag, int64_t n, double low, double high);
+
 // uint8[n,size,size,3]: random blocks of 4x4 pixels.
 std::string GoldenFrames(uint32_t seed, int n, int size);
+
+// Frames as a network takes them: float[n,size,size,3] in 0..1.
+at::Tensor AsInput(const std::string& frames, const AgentSpec& spec);
+
+// One of the goldens' six agents, all of them as published, with its weights.
+struct GoldenAgent {
+  explicit GoldenAgent(const std::string& name);  // of the golden: "oc_sa"
+
+  nlohmann::json golden;
+  AgentSpec spec;
+  std::vector<float> weights;
+};
+
+// Sum of the bytes, by which the goldens check frames.
+int64_t ByteSum(const std::string& frames);
 
 }  // namespace craftfleet::testing
 

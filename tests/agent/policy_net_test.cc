@@ -15,62 +15,8 @@
 namespace craftfleet {
 namespace {
 
+using testing::AsInput;
 using testing::GoldenFrames;
-using testing::GoldenWeights;
-using testing::ReadGolden;
-
-at::Tensor AsInput(const std::string& frames, const AgentSpec& spec) {
-  const int n = static_cast<int>(frames.size() / spec.frame_bytes());
-  at::Tensor input = at::empty({n, spec.frame_size, spec.frame_size, 3});
-  std::vector<const uint8_t*> rows(n);
-  for (int i = 0; i < n; ++i) rows[i] = reinterpret_cast<const uint8_t*>(&frames[i * spec.frame_bytes()]);
-  ScaleFrames(rows, spec.frame_bytes(), input.data_ptr<float>());
-  return input;
-}
-
-TEST(GoldenAgent, FormulasGiveTheGoldensWeightsAndFrames) {
-  const nlohmann::json golden = ReadGolden("ppo_cnn.json");
-  const AgentSpec spec = *FindAgent("ppo_cnn");
-  EXPECT_EQ(spec.param_count, golden["param_count"]);
-  const std::vector<float> weights = GoldenWeights(spec, golden);
-  for (size_t p = 0; p < spec.params.size(); ++p) {
-    const nlohmann::json& param = golden["params"][p];
-    EXPECT_EQ(spec.params[p].name, param["name"]);
-    EXPECT_EQ(spec.params[p].shape, param["shape"].get<std::vector<int64_t>>());
-    for (size_t i = 0; i < param["first3"].size(); ++i) {
-      EXPECT_EQ(weights[spec.params[p].offset + i], param["first3"][i].get<float>());
-    }
-  }
-  int64_t sum = 0;
-  for (const char byte : GoldenFrames(golden["frames"]["seed"], golden["frames"]["n"], 64)) {
-    sum += static_cast<unsigned char>(byte);
-  }
-  EXPECT_EQ(sum, golden["frames"]["byte_sum"]);
-}
-
-TEST(PolicyNet, ForwardMatchesTheGolden) {
-  SetUpTorchThread();
-  const nlohmann::json golden = ReadGolden("ppo_cnn.json");
-  const AgentSpec spec = *FindAgent("ppo_cnn");
-  std::vector<float> weights = GoldenWeights(spec, golden);
-  const at::Tensor input = AsInput(GoldenFrames(golden["frames"]["seed"], golden["frames"]["n"], 64), spec);
-  for (const PolicyNet::Use use : {PolicyNet::Use::kActing, PolicyNet::Use::kTraining}) {
-    const PolicyNet net(spec, use, absl::MakeSpan(weights));
-    const PolicyNet::Output output = net.Forward(input);
-    const nlohmann::json& forward = golden["forward"];
-    for (int row = 0; row < 4; ++row) {
-      // 1e-5: the golden comes from other convolution code.
-      EXPECT_NEAR(output.values[row].item<float>(), forward["values"][row].get<double>(), 1e-5);
-      const Categorical odds(output.logits.data_ptr<float>() + row * kNumActions);
-      EXPECT_EQ(static_cast<int>(odds.Greedy()), forward["greedy_actions"][row].get<int>());
-      EXPECT_NEAR(odds.Entropy(), forward["entropy"][row].get<double>(), 1e-5);
-      for (int i = 0; i < kNumActions; ++i) {
-        EXPECT_NEAR(output.logits[row][i].item<float>(), forward["logits_raw"][row][i].get<double>(), 1e-5);
-        EXPECT_NEAR(odds.log_probs[i], forward["log_softmax"][row][i].get<double>(), 1e-5);
-      }
-    }
-  }
-}
 
 TEST(PolicyNet, FirstPolicyIsNearlyUniform) {
   SetUpTorchThread();

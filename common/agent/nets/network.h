@@ -6,6 +6,7 @@
 
 #include <cstdint>
 #include <memory>
+#include <string>
 #include <vector>
 
 #include <absl/types/optional.h>
@@ -30,11 +31,19 @@ class Network {
   // Floats of recurrent state; 0: feed-forward.
   int64_t state_size() const { return core_.has_value() ? core_->state_size() : 0; }
 
-  // frames float[N,H,W,3], values 0..1. `segments` count for recurrent networks alone.
+  // frames float[N,H,W,3], values 0..1 -> float[N,F]: what core or heads get.
+  at::Tensor Features(const ParamTensors& params, const at::Tensor& frames,
+                      const absl::optional<Dropout>& dropout) const;
+
+  // frames as above. `segments` count for recurrent networks alone.
   NetOutput Forward(const ParamTensors& params, const at::Tensor& frames, const Segments& segments,
                     const absl::optional<Dropout>& dropout) const;
 
  private:
+  // Appends the parts between frames and features; returns how many features there are.
+  int64_t AddExtractor(const v1::NetworkConfig& config, ParamList* params);
+  void AddObjectModule(const v1::NetworkConfig& config, const std::string& name, ParamList* params);
+
   std::vector<std::unique_ptr<Part>> parts_;  // from the frames' map to features
   absl::optional<LinearLayer> action_net_;
   absl::optional<LinearLayer> value_net_;

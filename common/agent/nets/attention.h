@@ -1,0 +1,38 @@
+// What self- and cross-attention have in common. Include it only where tensors are at home.
+
+#ifndef CRAFTFLEET_COMMON_AGENT_NETS_ATTENTION_H_
+#define CRAFTFLEET_COMMON_AGENT_NETS_ATTENTION_H_
+
+#include <cstdint>
+
+#include <ATen/core/Tensor.h>
+#include <absl/types/optional.h>
+
+#include "common/agent/nets/part.h"
+
+namespace craftfleet {
+
+constexpr int64_t kAttentionWidth = 256;  // of queries, keys and values, all heads together
+
+// Patches from one side of a map to the other.
+constexpr int64_t PatchesPerSide(int64_t size, int64_t patch, int64_t stride) { return (size - patch) / stride + 1; }
+
+// map float[N,C,H,W] -> float[N,patches,C*patch*patch]: squares of `patch` pixels every `stride` pixels, row by row,
+// each flattened in the order C,H,W. What is left over at the right and the bottom is not looked at.
+at::Tensor CutPatches(const at::Tensor& map, int64_t patch, int64_t stride);
+
+struct AttentionOptions {
+  int64_t heads = 1;            // divides kAttentionWidth
+  bool competition = false;     // softmax over queries, then each query's weights divided by their sum
+  double drop_probability = 0;  // of a weight, in training
+  int64_t layer = 0;            // in its network: layers drop independently
+};
+
+// softmax(q k^T / sqrt(width of a head)) v, heads side by side: queries float[N,Q,256] or [Q,256] for every row, keys
+// and values float[N,T,256] -> float[N,Q,256]. Kept weights are divided by the probability to be kept.
+at::Tensor Attend(const at::Tensor& queries, const at::Tensor& keys, const at::Tensor& values,
+                  const AttentionOptions& options, const absl::optional<Dropout>& dropout);
+
+}  // namespace craftfleet
+
+#endif  // CRAFTFLEET_COMMON_AGENT_NETS_ATTENTION_H_

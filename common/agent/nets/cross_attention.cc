@@ -1,0 +1,65 @@
+#include "common/agent/nets/cross_attention.h"
+
+#include <vector>
+
+#include <ATen/ATen.h>
+
+#include "common/agent/nets/attention.h"
+#include "common/agent/nets/convolutions.h"
+#include "common/agent/nets/param_tensors.h"
+
+namespace craftfleet {
+namespace {
+
+constexpr double kPi = 3.141592653589793;
+constexpr int64_t kScales = 6;
+constexpr int64_t kPositionWidth = 2 * kScales + 1;
+
+int64_t TokenWidth(int64_t patch) { return Convolutions::kChannels * patch * patch + kPositionWidth; }
+
+// float[count,13] of p from -1 to 1 over the tokens in order: sin(p s pi) and cos(p s pi) for six scales s from 1 to 5,
+// then p.
+at::Tensor Positions(int64_t count) {
+  const at::Tensor places = at::linspace(-1, 1, count).unsqueeze(1);
+  const at::Tensor angles = places * at::linspace(1, 5, kScales) * kPi;
+  return at::cat({angles.sin(), angles.cos(), places}, 1);
+}
+
+}  // namespace
+
+CrossAttention::CrossAttention(const std::string& name, const Options& options, ParamList* params)
+    : options_(options),
+      slots_(params->Add(name + ".slots", {options.slots, kAttentionWidth}, {ParamInit::Kind::kNormal, 1})),
+      to_q_(name + ".layer.to_q", kAttentionWidth, kAttentionWidth, kHiddenInit, Bias::kNone, params),
+      to_kv_(name + ".layer.to_kv", TokenWidth(options.patch), 2 * kAttentionWidth, kHiddenInit, Bias::kNone, params) {
+  if (options.layer_norm) {
+    norm_slots_.emplace(name + ".layer.norm_slots", kAttentionWidth, NormLayer::Over::kFeatures, params);
+    norm_tokens_.emplace(name + ".layer.norm_tokens", TokenWidth(options.patch), NormLayer::Over::kFeatures, params);
+  }
+  if (!options.residual_mlp) return;
+  if (options.layer_norm) {
+    norm_mlp_.emplace(name + ".layer.norm_mlp", kAttentionWidth, NormLayer::Over::kFeatures, params);
+  }
+  mlp_in_.emplace(name + ".layer.mlp.0", kAttentionWidth, kAttentionWidth, kHiddenInit, Bias::kZero, params);
+  mlp_out_.emplace(name + ".layer.mlp.2", kAttentionWidth, kAttentionWidth, kHiddenInit, Bias::kZero, params);
+}
+
+at::Tensor CrossAttention::Forward(const ParamTensors& params, const at::Tensor& input,
+                                   const absl::optional<Dropout>& dropout) const {
+  const auto normed = [&](const absl::optional<NormLayer>& norm, const at::Tensor& x) {
+    return norm.has_value() ? norm->Forward(params, x) : x;
+  };
+  const at::Tensor patches = CutPatches(input, options_.patch, options_.stride);
+  const at::Tensor positions = Positions(patches.size(1)).expand({patches.size(0), patches.size(1), kPositionWidth});
+  const at::Tensor tokens = normed(norm_tokens_, at::cat({patches, positions}, 2));
+  const std::vector<at::Tensor> keys_values = to_kv_.Forward(params, tokens).chunk(2, -1);
+  const at::Tensor queries = to_q_.Forward(params, normed(norm_slots_, params[slots_]));
+  at::Tensor x = Attend(queries, keys_values[0], keys_values[1],
+                        {options_.heads, options_.slot_competition, options_.dropout, 0}, dropout);
+  if (mlp_in_.has_value()) {
+    x = x + mlp_out_->Forward(params, mlp_in_->Forward(params, normed(norm_mlp_, x)).relu_());
+  }
+  return x.mean(1);
+}
+
+}  // namespace craftfleet

@@ -1,0 +1,48 @@
+// OC-CA: learned slots look for objects among patches. No LibTorch here.
+
+#ifndef CRAFTFLEET_COMMON_AGENT_NETS_CROSS_ATTENTION_H_
+#define CRAFTFLEET_COMMON_AGENT_NETS_CROSS_ATTENTION_H_
+
+#include <cstdint>
+#include <string>
+
+#include <absl/types/optional.h>
+
+#include "common/agent/nets/layers.h"
+#include "common/agent/nets/part.h"
+
+namespace craftfleet {
+
+// A map of 64 channels to the mean of the slots: 256 features. Source: Stanic et al. 2022; "The agents", section 4.
+class CrossAttention : public Part {
+ public:
+  struct Options {
+    int64_t patch = 16;   // pixels
+    int64_t stride = 16;  // pixels
+    int64_t heads = 8;
+    int64_t slots = 8;
+    double dropout = 0;             // of attention weights
+    bool residual_mlp = false;      // each slot x becomes x + W2 relu(W1 x), 256 wide
+    bool layer_norm = false;        // of slots and tokens before they are multiplied, and of the MLP's input
+    bool slot_competition = false;  // softmax over slots (Locatello et al. 2020)
+  };
+  CrossAttention(const std::string& name, const Options& options, ParamList* params);
+
+  at::Tensor Forward(const ParamTensors& params, const at::Tensor& input,
+                     const absl::optional<Dropout>& dropout) const override;
+
+ private:
+  const Options options_;
+  ParamIndex slots_;                       // `name`.slots [slots,256]
+  LinearLayer to_q_;                       // `name`.layer.to_q
+  LinearLayer to_kv_;                      // `name`.layer.to_kv: keys, then values
+  absl::optional<NormLayer> norm_slots_;   // `name`.layer.norm_slots
+  absl::optional<NormLayer> norm_tokens_;  // `name`.layer.norm_tokens
+  absl::optional<NormLayer> norm_mlp_;     // `name`.layer.norm_mlp
+  absl::optional<LinearLayer> mlp_in_;     // `name`.layer.mlp.0
+  absl::optional<LinearLayer> mlp_out_;    // `name`.layer.mlp.2
+};
+
+}  // namespace craftfleet
+
+#endif  // CRAFTFLEET_COMMON_AGENT_NETS_CROSS_ATTENTION_H_

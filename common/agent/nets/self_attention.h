@@ -1,0 +1,41 @@
+// OC-SA: patches and a CLS token attend to each other. No LibTorch here.
+
+#ifndef CRAFTFLEET_COMMON_AGENT_NETS_SELF_ATTENTION_H_
+#define CRAFTFLEET_COMMON_AGENT_NETS_SELF_ATTENTION_H_
+
+#include <cstdint>
+#include <string>
+#include <vector>
+
+#include "common/agent/nets/layers.h"
+#include "common/agent/nets/part.h"
+
+namespace craftfleet {
+
+// A map of 64 channels to the CLS row of the second layer: 256 features. No residual connection, norm, feed-forward
+// layer or output projection. Source: Stanic et al. 2022; "The agents", section 4.
+class SelfAttention : public Part {
+ public:
+  struct Options {
+    int64_t patch = 12;  // pixels
+    int64_t stride = 8;  // pixels
+    int64_t heads = 8;
+    bool cls_learned = true;  // false: zeros, as the published code
+    bool positions = true;    // false: none, as the published code
+    double dropout = 0.1;     // of attention weights
+  };
+  SelfAttention(const std::string& name, const Options& options, ParamList* params);
+
+  at::Tensor Forward(const ParamTensors& params, const at::Tensor& input,
+                     const absl::optional<Dropout>& dropout) const override;
+
+ private:
+  const Options options_;
+  ParamIndex cls_ = kNoParam;        // `name`.trafo.cls [token width]
+  LinearLayer embedding_;            // `name`.trafo.emb_proj
+  std::vector<LinearLayer> layers_;  // `name`.trafo.layers.<i>.qkv_net: queries, keys, values
+};
+
+}  // namespace craftfleet
+
+#endif  // CRAFTFLEET_COMMON_AGENT_NETS_SELF_ATTENTION_H_
