@@ -3,44 +3,23 @@
 #include <algorithm>
 #include <cstdint>
 #include <limits>
+#include <utility>
 
 #include <absl/strings/str_cat.h>
 #include <absl/strings/string_view.h>
 #include <google/protobuf/text_format.h>
 
+#include "common/agent_presets.h"
+#include "common/range_check.h"
 #include "common/status_macros.h"
 #include "common/text_format.h"
 
 namespace craftfleet {
 namespace {
 
+constexpr absl::string_view kDefaultAgent = "ppo_cnn";
 constexpr int32_t kMaxDerivedFragmentSteps = 256;
-
-// Collects the first value that is out of range.
-class RangeCheck {
- public:
-  // NaN is never within.
-  template <typename T>
-  void Within(absl::string_view field, T value, T low, T high) {
-    if (!(value >= low && value <= high)) Fail(absl::StrCat(field, " is ", value, ", want ", low, "..", high));
-  }
-  void Positive(absl::string_view field, double value, double high) {
-    if (!(value > 0 && value <= high)) Fail(absl::StrCat(field, " is ", value, ", want more than 0, at most ", high));
-  }
-  void Named(absl::string_view field, absl::string_view value) {
-    if (value.empty()) Fail(absl::StrCat(field, " is empty, want a name"));
-  }
-  void Multiple(absl::string_view field, int64_t value, absl::string_view of, int64_t divisor) {
-    if (value % divisor != 0) Fail(absl::StrCat(field, " is ", value, ", want a multiple of ", of, " (", divisor, ")"));
-  }
-  const absl::Status& status() const { return status_; }
-
- private:
-  void Fail(const std::string& message) {
-    if (status_.ok()) status_ = absl::InvalidArgumentError(message);
-  }
-  absl::Status status_;
-};
+constexpr int32_t kMaxDerivedRecurrentFragmentSteps = 32;
 
 absl::Status CheckRanges(const v1::RunConfig& config) {
   RangeCheck check;
@@ -66,15 +45,25 @@ absl::Status CheckRanges(const v1::RunConfig& config) {
   check.Within("ppo.entropy_coefficient", ppo.entropy_coefficient(), 0.0, 100.0);
   check.Positive("ppo.max_gradient_norm", ppo.max_gradient_norm(), 1e6);
   check.Positive("ppo.adam_epsilon", ppo.adam_epsilon(), 1);
+  check.That(ppo.value_norm_decay() >= 0 && ppo.value_norm_decay() < 1,
+             absl::StrCat("ppo.value_norm_decay is ", ppo.value_norm_decay(), ", want at least 0, less than 1"));
   check.Within("checkpoint.every_iterations", config.checkpoint().every_iterations(), 1, 1'000'000);
   check.Within("checkpoint.keep", config.checkpoint().keep(), 1, 1000);
+  const v1::EvalConfig& eval = config.eval();
+  check.Within("eval.every_steps", eval.every_steps(), int64_t{0}, int64_t{1'000'000'000'000});
+  check.Within("eval.episodes", eval.episodes(), 0, 10'000);
+  check.Within("eval.final_episodes", eval.final_episodes(), 0, 10'000);
+  check.Within("eval.seed", eval.seed(), int64_t{0}, int64_t{std::numeric_limits<int32_t>::max()});
   return check.status();
 }
 
 // Needs values within their ranges.
 absl::Status CheckRelations(const v1::RunConfig& config) {
+  CRAFTFLEET_ASSIGN_OR_RETURN(const v1::NetworkConfig network, ResolveNetwork(config));
   RangeCheck check;
   const v1::PpoConfig& ppo = config.ppo();
+  check.That(!network.recurrent() || ppo.recurrent_batches() != v1::PpoConfig::RECURRENT_BATCHES_UNSPECIFIED,
+             "ppo.recurrent_batches is RECURRENT_BATCHES_UNSPECIFIED, want SEGMENTS or PUBLISHED");
   check.Multiple("ppo.rollout_steps", ppo.rollout_steps(), "lanes", config.lanes());
   check.Multiple("ppo.rollout_steps", ppo.rollout_steps(), "lanes * fragment_steps",
                  int64_t{config.lanes()} * config.fragment_steps());
@@ -83,11 +72,9 @@ absl::Status CheckRelations(const v1::RunConfig& config) {
   return check.status();
 }
 
-}  // namespace
-
-v1::RunConfig DefaultRunConfig() {
+// What all agents share; each may differ (common/agent_presets.cc).
+v1::RunConfig PaperConfig() {
   v1::RunConfig config;
-  config.set_agent("ppo_cnn");
   config.mutable_env()->set_name("crafter");
   config.mutable_env()->set_frame_size(0);
   config.mutable_env()->set_length(0);
@@ -109,23 +96,47 @@ v1::RunConfig DefaultRunConfig() {
   ppo.set_max_gradient_norm(0.5);
   ppo.set_adam_epsilon(1e-5);
   ppo.set_truncation_is_terminal(false);
+  ppo.set_recurrent_batches(v1::PpoConfig::SEGMENTS);
+  ppo.set_value_norm_decay(0);
   config.mutable_checkpoint()->set_every_iterations(10);
   config.mutable_checkpoint()->set_keep(3);
+  v1::EvalConfig& eval = *config.mutable_eval();
+  eval.set_every_steps(50'000);
+  eval.set_episodes(5);
+  eval.set_final_episodes(20);
+  eval.set_seed(0);
   return config;
 }
 
+}  // namespace
+
+absl::StatusOr<v1::RunConfig> DefaultRunConfig(absl::string_view agent) {
+  CRAFTFLEET_ASSIGN_OR_RETURN(v1::RunConfig preset, AgentPreset(agent));
+  preset.clear_network();
+  v1::RunConfig config = PaperConfig();
+  config.MergeFrom(preset);
+  config.set_agent(std::string(agent));
+  return config;
+}
+
+v1::RunConfig DefaultRunConfig() { return DefaultRunConfig(kDefaultAgent).value(); }
+
 absl::StatusOr<v1::RunConfig> ParseRunConfig(absl::string_view text, absl::string_view filename) {
-  v1::RunConfig given;
-  CRAFTFLEET_RETURN_IF_ERROR(ParseTextFormat(text, filename, &given));
-  v1::RunConfig config = DefaultRunConfig();
-  config.MergeFrom(given);
+  v1::RunConfig config;
+  CRAFTFLEET_RETURN_IF_ERROR(ParseTextFormat(text, filename, &config));
   return config;
 }
 
 absl::StatusOr<v1::RunConfig> ResolveRunConfig(v1::RunConfig config) {
+  CRAFTFLEET_ASSIGN_OR_RETURN(v1::RunConfig defaults,
+                              DefaultRunConfig(config.has_agent() ? config.agent() : kDefaultAgent));
+  defaults.MergeFrom(config);
+  config = std::move(defaults);
+  CRAFTFLEET_ASSIGN_OR_RETURN(const v1::NetworkConfig network, ResolveNetwork(config));
   const int32_t lane_steps = config.lanes() > 0 ? config.ppo().rollout_steps() / config.lanes() : 0;
   if (!config.has_fragment_steps() && lane_steps > 0) {
-    int32_t fragment_steps = std::min(lane_steps, kMaxDerivedFragmentSteps);
+    int32_t fragment_steps =
+        std::min(lane_steps, network.recurrent() ? kMaxDerivedRecurrentFragmentSteps : kMaxDerivedFragmentSteps);
     while (lane_steps % fragment_steps != 0) --fragment_steps;
     config.set_fragment_steps(fragment_steps);
   }

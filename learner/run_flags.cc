@@ -16,7 +16,7 @@
 #include "common/paths.h"
 #include "common/status_macros.h"
 
-ABSL_FLAG(std::optional<std::string>, agent, std::nullopt, "which agent learns: ppo_cnn");
+ABSL_FLAG(std::optional<std::string>, agent, std::nullopt, "which agent learns; craftfleet agents lists them [ppo_cnn]");
 ABSL_FLAG(std::optional<std::string>, env, std::nullopt,
           "what it plays: crafter, or with options joined by commas, such as\n"
           "crafter:numbers=easy-x2,appearance=25/25/25/25,inventory=off");
@@ -43,7 +43,7 @@ namespace {
 
 absl::StatusOr<v1::RunConfig> BaseConfig() {
   const std::string config = absl::GetFlag(FLAGS_config);
-  if (config.empty() && !absl::GetFlag(FLAGS_resume)) return DefaultRunConfig();
+  if (config.empty() && !absl::GetFlag(FLAGS_resume)) return v1::RunConfig();
   const std::string path = config.empty() ? JoinPath(absl::GetFlag(FLAGS_logdir), "config.txt") : config;
   absl::StatusOr<std::string> text = ReadFile(path);
   if (!text.ok()) {

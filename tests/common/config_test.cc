@@ -43,18 +43,54 @@ TEST(RunConfig, DefaultsAreThePapers) {
   EXPECT_EQ(config.ppo().max_gradient_norm(), 0.5);
   EXPECT_EQ(config.ppo().adam_epsilon(), 1e-5);
   EXPECT_FALSE(config.ppo().truncation_is_terminal());
+  EXPECT_EQ(config.ppo().recurrent_batches(), v1::PpoConfig::SEGMENTS);
+  EXPECT_EQ(config.ppo().value_norm_decay(), 0);
   EXPECT_EQ(config.checkpoint().every_iterations(), 10);
   EXPECT_EQ(config.checkpoint().keep(), 3);
+  EXPECT_EQ(config.eval().every_steps(), 50'000);
+  EXPECT_EQ(config.eval().episodes(), 5);
+  EXPECT_EQ(config.eval().final_episodes(), 20);
+  EXPECT_EQ(config.eval().seed(), 0);
+  EXPECT_FALSE(config.has_network());
 }
 
-TEST(RunConfig, AnEmptyFileIsTheDefault) {
-  EXPECT_TRUE(MessageDifferencer::Equals(ParseRunConfig("", "run.txt").value(), DefaultRunConfig()));
+v1::RunConfig FromText(const std::string& text) { return ResolveRunConfig(ParseRunConfig(text, "f").value()).value(); }
+
+TEST(RunConfig, AnEmptyFileIsTheDefault) { EXPECT_TRUE(MessageDifferencer::Equals(FromText(""), Resolved())); }
+
+TEST(RunConfig, AnAgentBringsItsOwnDefaults) {
+  const v1::RunConfig resnet = FromText("agent: \"ppo_resnet\" ppo { epochs: 5 }");
+  EXPECT_EQ(resnet.lanes(), 8);
+  EXPECT_EQ(resnet.fragment_steps(), 256);
+  EXPECT_EQ(resnet.ppo().epochs(), 5);  // the file's
+  EXPECT_EQ(resnet.ppo().minibatch_size(), 512);
+  EXPECT_EQ(resnet.ppo().entropy_coefficient(), 0.01);
+  EXPECT_EQ(resnet.ppo().value_norm_decay(), 0.99);
+  EXPECT_EQ(resnet.ppo().learning_rate(), 3e-4);
+  EXPECT_EQ(FromText("agent: \"lstm_cnn\"").fragment_steps(), 32);
+  EXPECT_EQ(FromText("agent: \"lstm_cnn\" fragment_steps: 64").fragment_steps(), 64);
+  const v1::RunConfig published = FromText("agent: \"lstm_cnn_published\"");
+  EXPECT_EQ(published.ppo().recurrent_batches(), v1::PpoConfig::PUBLISHED);
+  EXPECT_TRUE(published.ppo().truncation_is_terminal());
+  EXPECT_EQ(published.ppo().learning_rate(), 1e-4);
+}
+
+TEST(RunConfig, ARecurrentNetworkHasShortFragmentsWhateverTheAgentIsCalled) {
+  EXPECT_EQ(FromText("agent: \"ppo_cnn\" network { recurrent: true critic: LSTM }").fragment_steps(), 32);
+  EXPECT_EQ(FromText("agent: \"lstm_cnn\" network { recurrent: false }").fragment_steps(), 256);
+}
+
+TEST(RunConfig, AnUnknownAgentListsTheKnownOnes) {
+  EXPECT_THAT(ResolveRunConfig(ParseRunConfig("agent: \"ppo_rnn\"", "f").value()),
+              StatusIs(absl::StatusCode::kInvalidArgument,
+                       AllOf(HasSubstr("agent \"ppo_rnn\" is unknown"), HasSubstr("ppo_cnn, lstm_cnn, "))));
 }
 
 TEST(RunConfig, AGivenValueCountsEvenIfItIsZero) {
-  const v1::RunConfig config =
-      ParseRunConfig("seed: 7  # lucky\nppo { gae_lambda: 0 truncation_is_terminal: true }\nenv { length: 500 }", "f")
-          .value();
+  const v1::RunConfig config = FromText(
+      "seed: 7  # lucky\nppo { gae_lambda: 0 truncation_is_terminal: true }\nenv { length: 500 }\neval { every_steps: "
+      "0 }");
+  EXPECT_EQ(config.eval().every_steps(), 0);
   EXPECT_EQ(config.seed(), 7U);
   EXPECT_EQ(config.ppo().gae_lambda(), 0);
   EXPECT_TRUE(config.ppo().truncation_is_terminal());
@@ -120,10 +156,18 @@ ppo {
   max_gradient_norm: 0.5
   adam_epsilon: 1e-05
   truncation_is_terminal: false
+  recurrent_batches: SEGMENTS
+  value_norm_decay: 0
 }
 checkpoint {
   every_iterations: 10
   keep: 3
+}
+eval {
+  every_steps: 50000
+  episodes: 5
+  final_episodes: 20
+  seed: 0
 }
 )");
 }
@@ -193,6 +237,14 @@ INSTANTIATE_TEST_SUITE_P(
         BadValue{"ppo.entropy_coefficient is -1", [](auto* c) { c->mutable_ppo()->set_entropy_coefficient(-1); }},
         BadValue{"ppo.max_gradient_norm is 0", [](auto* c) { c->mutable_ppo()->set_max_gradient_norm(0); }},
         BadValue{"ppo.adam_epsilon is 0", [](auto* c) { c->mutable_ppo()->set_adam_epsilon(0); }},
+        BadValue{"ppo.value_norm_decay is 1, want at least 0, less than 1",
+                 [](auto* c) { c->mutable_ppo()->set_value_norm_decay(1); }},
+        BadValue{"eval.every_steps is -1, want 0..", [](auto* c) { c->mutable_eval()->set_every_steps(-1); }},
+        BadValue{"eval.episodes is -1, want 0..10000", [](auto* c) { c->mutable_eval()->set_episodes(-1); }},
+        BadValue{"eval.final_episodes is 20000, want", [](auto* c) { c->mutable_eval()->set_final_episodes(20000); }},
+        BadValue{"eval.seed is -1, want 0..2147483647", [](auto* c) { c->mutable_eval()->set_seed(-1); }},
+        BadValue{"agent \"x\" is unknown", [](auto* c) { c->set_agent("x"); }},
+        BadValue{"network.frame_size is 30, want 36..256", [](auto* c) { c->mutable_network()->set_frame_size(30); }},
         BadValue{"checkpoint.every_iterations is 0", [](auto* c) { c->mutable_checkpoint()->set_every_iterations(0); }},
         BadValue{"checkpoint.keep is 0, want 1..1000", [](auto* c) { c->mutable_checkpoint()->set_keep(0); }},
         // How values go together.
@@ -202,7 +254,11 @@ INSTANTIATE_TEST_SUITE_P(
         BadValue{"ppo.rollout_steps is 4096, want a multiple of ppo.minibatch_size (100)",
                  [](auto* c) { c->mutable_ppo()->set_minibatch_size(100); }},
         BadValue{"ppo.minibatch_size is 128, want a multiple of gradient_shards (3)",
-                 [](auto* c) { c->set_gradient_shards(3); }}));
+                 [](auto* c) { c->set_gradient_shards(3); }},
+        BadValue{"ppo.recurrent_batches is RECURRENT_BATCHES_UNSPECIFIED, want SEGMENTS or PUBLISHED", [](auto* c) {
+                   c->set_agent("lstm_cnn");
+                   c->mutable_ppo()->clear_recurrent_batches();
+                 }}));
 
 }  // namespace
 }  // namespace craftfleet

@@ -21,8 +21,8 @@ constexpr char kPaper[] = CRAFTFLEET_SOURCE_DIR "/deploy/experiments/paper.txt";
 constexpr char kAxes[] = R"(
   axes {
     name: "agent"
-    choices { name: "a" label: "Agent A" config { agent: "agent_a" } }
-    choices { name: "b" config { agent: "agent_b" } }
+    choices { name: "a" label: "Agent A" config { agent: "ppo_cnn" } }
+    choices { name: "b" config { agent: "ppo_spcnn" } }
   }
   axes {
     name: "gamma"
@@ -52,7 +52,7 @@ TEST(ParseExperiments, AProductHasEveryCombinationTheLastAxisFastest) {
   EXPECT_EQ(cell.experiment, "t");
   EXPECT_EQ(cell.folder, "t/b/gamma=0.5");
   EXPECT_THAT(cell.choices, ElementsAre(1, 0));
-  EXPECT_EQ(cell.config.agent(), "agent_b");
+  EXPECT_EQ(cell.config.agent(), "ppo_spcnn");
   EXPECT_EQ(cell.config.ppo().gamma(), 0.5);
   EXPECT_EQ(cell.config.ppo().clip(), DefaultRunConfig().ppo().clip());
 }
@@ -89,7 +89,7 @@ TEST(ParseExperiments, TheBaseLiesUnderTheChoices) {
 TEST(ParseExperiments, CellsOfOneConfigurationShareTheFirstOnesFolder) {
   const auto file = Parse(R"(
     experiments { name: "t" axes { axis: "agent" } }
-    experiments { name: "u" base { agent: "agent_b" } axes { axis: "gamma" } })");
+    experiments { name: "u" base { agent: "ppo_spcnn" } axes { axis: "gamma" } })");
   ASSERT_THAT(file, IsOk());
   EXPECT_EQ(file->at(1).cells[0].folder, "u/gamma=0.5");
   EXPECT_EQ(file->at(1).cells[1].folder, "t/b");
