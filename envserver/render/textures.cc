@@ -1,5 +1,7 @@
 #include "envserver/render/textures.h"
 
+#include <utility>
+
 #include <absl/strings/str_cat.h>
 #include <opencv2/core.hpp>
 #include <opencv2/imgcodecs.hpp>
@@ -15,7 +17,7 @@ namespace {
 
 constexpr absl::string_view kWanted = "want a PNG of 16x16 pixels, 8-bit RGB or RGBA";
 
-absl::Status Refused(const std::string& path, absl::string_view what) {
+absl::Status Refused(absl::string_view path, absl::string_view what) {
   return absl::InvalidArgumentError(absl::StrCat("texture ", path, ": ", what, ", ", kWanted));
 }
 
@@ -28,8 +30,9 @@ cv::Mat Decode(std::string& bytes) {
   }
 }
 
-absl::StatusOr<Texture> LoadTexture(const std::string& path) {
-  CRAFTFLEET_ASSIGN_OR_RETURN(std::string bytes, ReadFile(path));
+}  // namespace
+
+absl::StatusOr<Texture> DecodeTexture(std::string bytes, absl::string_view path) {
   const cv::Mat image = bytes.empty() ? cv::Mat() : Decode(bytes);
   if (image.empty()) return Refused(path, "unreadable");
   if (image.depth() != CV_8U || (image.channels() != 3 && image.channels() != 4)) {
@@ -49,13 +52,13 @@ absl::StatusOr<Texture> LoadTexture(const std::string& path) {
   return texture;
 }
 
-}  // namespace
-
 absl::StatusOr<std::shared_ptr<const Textures>> Textures::Load(const std::string& folder) {
   auto textures = std::make_shared<Textures>();
   textures->folder_ = folder;
   const auto load = [&](const std::string& name) -> absl::Status {
-    CRAFTFLEET_ASSIGN_OR_RETURN(textures->textures_[name], LoadTexture(textures->PathOf(name)));
+    const std::string path = textures->PathOf(name);
+    CRAFTFLEET_ASSIGN_OR_RETURN(std::string bytes, ReadFile(path));
+    CRAFTFLEET_ASSIGN_OR_RETURN(textures->textures_[name], DecodeTexture(std::move(bytes), path));
     return absl::OkStatus();
   };
   for (Sprite sprite = 0; sprite < kNumSprites; ++sprite) {

@@ -25,6 +25,10 @@ struct Texture {
   std::array<Pixel, kTextureSize * kTextureSize> pixels{};  // [y][x]; alpha 255 where the file has none
 };
 
+// The picture in `bytes`, the content of a file.
+//   InvalidArgument: no picture, not 8-bit RGB or RGBA, or not 16x16; names `path`.
+absl::StatusOr<Texture> DecodeTexture(std::string bytes, absl::string_view path);
+
 class Textures {
  public:
   // Reads "<name>.png" of every sprite, item and digit from `folder`. Those of appearance variants may be missing: the

@@ -69,6 +69,10 @@ std::string FormatStatsLine(const Episode& episode) {
 
 absl::StatusOr<std::vector<Episode>> ReadStats(const std::string& path) {
   CRAFTFLEET_ASSIGN_OR_RETURN(const std::string text, ReadGzipFile(path));
+  return ParseStats(text, path);
+}
+
+absl::StatusOr<std::vector<Episode>> ParseStats(absl::string_view text, absl::string_view path) {
   std::vector<Episode> episodes;
   std::vector<absl::string_view> lines = absl::StrSplit(text, '\n');
   const bool cut_off = !lines.back().empty();

@@ -10,6 +10,7 @@
 
 #include <absl/status/status.h>
 #include <absl/status/statusor.h>
+#include <absl/strings/string_view.h>
 #include <absl/types/span.h>
 
 #include "common/types.h"
@@ -23,6 +24,9 @@ double RoundReward(double reward);
 // {"length": 163, "reward": 1.1, "achievement_collect_coal": 0, ...} and a newline, byte for byte as Python's
 // json.dumps.
 std::string FormatStatsLine(const Episode& episode);
+
+// The episodes of `text`, a whole stats.jsonl; errors name `path` and the line, as below.
+absl::StatusOr<std::vector<Episode>> ParseStats(absl::string_view text, absl::string_view path);
 
 // Reads a whole stats.jsonl, gzipped or plain; `step` of the episodes is 0 and rewards are rounded.
 //   NotFound: no such file.   DataLoss: damaged gzip data; a line that is cut off, is no JSON object, lacks a key, has

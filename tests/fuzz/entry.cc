@@ -1,0 +1,6 @@
+#include "tests/fuzz/fuzz_target.h"
+
+extern "C" int LLVMFuzzerTestOneInput(const uint8_t* data, size_t size) {
+  craftfleet::TryInput({reinterpret_cast<const char*>(data), size});
+  return 0;
+}

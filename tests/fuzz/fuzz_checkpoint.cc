@@ -1,0 +1,70 @@
+// A checkpoint's files: refused, or with a state that makes sense. The first byte chooses the file that is changed; the
+// manifest's checksums are right otherwise, so that the search gets beyond them.
+
+#include <cstdlib>
+
+#include "common/check.h"
+#include "common/config.h"
+#include "common/files.h"
+#include "learner/run/checkpoint.h"
+#include "tests/fuzz/fuzz_target.h"
+
+namespace craftfleet {
+namespace {
+
+Checkpoint SoundCheckpoint() {
+  v1::RunConfig config;
+  config.set_agent("ppo_cnn");
+  config.set_lanes(2);
+  Checkpoint checkpoint;
+  checkpoint.weights = "weights";
+  checkpoint.optimizer = "optimizer";
+  v1::CheckpointState& state = checkpoint.state;
+  *state.mutable_config() = *ResolveRunConfig(config);
+  state.set_program_version("0.1.0");
+  state.set_run_id("20231114-221320-abcdef");
+  state.set_iteration(3);
+  state.set_env_steps(12288);
+  for (int lane = 0; lane < 2; ++lane) state.add_lanes()->set_snapshot("a game");
+  return checkpoint;
+}
+
+// In memory where there is such a folder.
+const std::string& Folder() {
+  static const std::string* folder = [] {
+    std::string path = PathExists("/dev/shm") ? "/dev/shm/craftfleet-fuzz-XXXXXX" : "/tmp/craftfleet-fuzz-XXXXXX";
+    CRAFTFLEET_CHECK(::mkdtemp(path.data()) != nullptr);
+    std::atexit([] { RemoveAll(Folder()).IgnoreError(); });
+    return new std::string(path);
+  }();
+  return *folder;
+}
+
+}  // namespace
+
+void TryInput(absl::string_view input) {
+  if (input.empty()) return;
+  const std::string folder = JoinPath(Folder(), "checkpoint");
+  Checkpoint checkpoint = SoundCheckpoint();
+  const absl::string_view rest = input.substr(1);
+  const bool state_changes = (input[0] & 1) == 0;
+  if (state_changes && !checkpoint.state.ParseFromArray(rest.data(), static_cast<int>(rest.size()))) return;
+  checkpoint.state.clear_pending();  // their weights are not there
+  CRAFTFLEET_CHECK(WriteCheckpointFiles(folder, checkpoint).ok());
+  if (!state_changes) CRAFTFLEET_CHECK(WriteFileSynced(JoinPath(folder, "MANIFEST"), rest).ok());
+  const auto loaded = LoadCheckpoint(folder, "");
+  if (!loaded.ok()) return;
+  CRAFTFLEET_CHECK(ValidateRunConfig(loaded->state.config()).ok());
+  CRAFTFLEET_CHECK(loaded->state.lanes_size() == loaded->state.config().lanes());
+  CRAFTFLEET_CHECK(loaded->state.iteration() >= 0 && loaded->state.env_steps() >= 0);
+}
+
+std::vector<std::string> SoundInputs() {
+  const Checkpoint checkpoint = SoundCheckpoint();
+  const std::string folder = JoinPath(Folder(), "sound");
+  CRAFTFLEET_CHECK(WriteCheckpointFiles(folder, checkpoint).ok());
+  return {std::string(1, '\0') + checkpoint.state.SerializeAsString(),
+          std::string(1, '\1') + ReadFile(JoinPath(folder, "MANIFEST")).value()};
+}
+
+}  // namespace craftfleet

@@ -1,0 +1,130 @@
+// What actors send to a learner. The first byte chooses the call; whatever comes, the books stay sound.
+
+#include "common/check.h"
+#include "common/clock.h"
+#include "common/wire/protocol.h"
+#include "learner/learner_service.h"
+#include "tests/fakes/wire_samples.h"
+#include "tests/fuzz/fuzz_target.h"
+
+namespace craftfleet {
+namespace {
+
+constexpr int64_t kEpoch = 1;
+constexpr int64_t kVersion = 5;
+
+struct Service {
+  Service() {
+    ledger.Join("a", "");
+    ledger.OpenIteration(2, kVersion);
+    weights.Publish(kVersion, std::make_shared<std::string>("weights"));
+    evaluations.Add({1, 4096, 1, 2, false, std::make_shared<std::string>("old weights")});
+  }
+  static LearnerServiceImpl::Options Options() {
+    LearnerServiceImpl::Options options;
+    options.run_id = "run-a";
+    options.epoch = kEpoch;
+    options.config.set_lanes(kSampleShape.lanes);
+    options.shape = kSampleShape;
+    options.lease = absl::Seconds(5);
+    return options;
+  }
+
+  RealClock clock;
+  LaneLedger ledger{{kSampleShape.lanes}, std::vector<LaneRecord>(kSampleShape.lanes), &clock};
+  WeightStore weights;
+  FragmentQueue fragments{100};
+  EvaluationBook evaluations{absl::Seconds(5), &clock};
+  LearnerServiceImpl service{Options(), &ledger, &weights, &fragments, &evaluations};
+};
+
+template <typename Request, typename Reply>
+void Call(LearnerServiceImpl* service,
+          grpc::Status (LearnerServiceImpl::*method)(grpc::ServerContext*, const Request*, Reply*),
+          absl::string_view bytes) {
+  Request request;
+  Reply reply;
+  if (request.ParseFromArray(bytes.data(), static_cast<int>(bytes.size()))) {
+    (service->*method)(nullptr, &request, &reply);
+  }
+}
+
+// A fragment that is taken has the run's shape.
+void Push(Service* service, absl::string_view bytes) {
+  v1::FragmentMessage message;
+  if (!message.ParseFromArray(bytes.data(), static_cast<int>(bytes.size()))) return;
+  const std::string actor = message.actor();
+  const auto fragment = wire::FromProto(&message, kSampleShape);
+  if (!fragment.ok()) return;
+  CRAFTFLEET_CHECK(fragment->lane >= 0 && fragment->lane < kSampleShape.lanes);
+  CRAFTFLEET_CHECK(static_cast<int>(fragment->actions.size()) == kSampleShape.steps);
+  CRAFTFLEET_CHECK(static_cast<int>(fragment->frames.size()) == kSampleShape.steps * kSampleShape.frame_bytes);
+  service->ledger.Accept(actor, {fragment->lane, fragment->number, fragment->policy_version}, fragment->snapshot)
+      .status()
+      .IgnoreError();
+}
+
+template <typename Message>
+std::string Input(char call, const Message& message) {
+  return call + message.SerializeAsString();
+}
+
+}  // namespace
+
+void TryInput(absl::string_view input) {
+  if (input.empty()) return;
+  Service service;
+  const absl::string_view bytes = input.substr(1);
+  switch (input[0] % 6) {
+    case 0:
+      Call(&service.service, &LearnerServiceImpl::Join, bytes);
+      break;
+    case 1:
+      Call(&service.service, &LearnerServiceImpl::GetPermits, bytes);
+      break;
+    case 2:
+      Push(&service, bytes);
+      break;
+    case 3:
+      Call(&service.service, &LearnerServiceImpl::GetSnapshot, bytes);
+      break;
+    case 4:
+      Call(&service.service, &LearnerServiceImpl::FinishEvaluation, bytes);
+      break;
+    default:
+      Call(&service.service, &LearnerServiceImpl::Leave, bytes);
+  }
+  const std::vector<LaneRecord> lanes = service.ledger.Records();
+  CRAFTFLEET_CHECK(static_cast<int>(lanes.size()) == kSampleShape.lanes);
+  for (const LaneRecord& lane : lanes) CRAFTFLEET_CHECK(lane.next_fragment >= 0 && lane.next_fragment <= 2);
+  CRAFTFLEET_CHECK(service.evaluations.Pending().size() == 1);
+  v1::StatusReply status;
+  service.service.FillStatus(&status);
+}
+
+std::vector<std::string> SoundInputs() {
+  v1::JoinRequest join;
+  join.set_protocol_version(wire::kProtocolVersion);
+  join.set_actor("b");
+  v1::PermitRequest permits;
+  permits.set_actor("a");
+  permits.set_epoch(kEpoch);
+  permits.set_capacity(4);
+  permits.set_evaluates(true);
+  v1::Permit* permit = permits.add_active();
+  permit->set_policy_version(kVersion);
+  v1::FragmentMessage fragment = wire::ToProto(SampleFragment(1, 0, kVersion));
+  fragment.set_actor("a");
+  v1::SnapshotRequest snapshot;
+  snapshot.set_epoch(kEpoch);
+  snapshot.set_lane(1);
+  v1::EvaluationResult result = wire::ToProto({EndedEpisode(0, 9), EndedEpisode(0, 12)});
+  result.set_epoch(kEpoch);
+  result.set_id(2);
+  v1::LeaveRequest leave;
+  leave.set_actor("a");
+  return {Input('\0', join),     Input('\1', permits), Input('\2', fragment),
+          Input('\3', snapshot), Input('\4', result),  Input('\5', leave)};
+}
+
+}  // namespace craftfleet
