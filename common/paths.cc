@@ -7,12 +7,18 @@
 
 namespace craftfleet {
 
-absl::StatusOr<std::string> DefaultTextureDir() {
+absl::StatusOr<std::string> InstalledPath(const std::string& name) {
   std::error_code error;
   const std::filesystem::path program = std::filesystem::read_symlink("/proc/self/exe", error);
-  const std::filesystem::path folder = program.parent_path().parent_path() / "share/craftfleet/textures";
-  if (!error && std::filesystem::is_directory(folder, error)) return folder.string();
-  return absl::NotFoundError(absl::StrCat("no textures in ", folder.string(), ", want --textures=DIR"));
+  const std::filesystem::path path = program.parent_path().parent_path() / "share/craftfleet" / name;
+  if (!error && std::filesystem::exists(path, error)) return path.string();
+  return absl::NotFoundError(absl::StrCat(path.string(), " is not there"));
+}
+
+absl::StatusOr<std::string> DefaultTextureDir() {
+  absl::StatusOr<std::string> folder = InstalledPath("textures");
+  if (folder.ok()) return folder;
+  return absl::NotFoundError(absl::StrCat(folder.status().message(), ", want --textures=DIR"));
 }
 
 absl::StatusOr<std::string> TextureDir(const std::string& folder) {

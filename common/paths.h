@@ -9,8 +9,11 @@
 
 namespace craftfleet {
 
-// The textures that come with the programs: ../share/craftfleet/textures from the running program's folder, whatever
-// the working directory. NotFound: there is no such folder.
+// ../share/craftfleet/`name` from the running program's folder, whatever the working directory. NotFound: it is not
+// there.
+absl::StatusOr<std::string> InstalledPath(const std::string& name);
+
+// The textures that come with the programs. NotFound: there is no such folder.
 absl::StatusOr<std::string> DefaultTextureDir();
 
 // What --textures means: `folder`, or DefaultTextureDir() if it is empty.

@@ -72,6 +72,22 @@ void Canvas::DrawLine(absl::Span<const Point> points, const Stroke& stroke) {
                 std::max(1, static_cast<int>(std::lround(stroke.width * kScale))), cv::LINE_AA, kFractionBits);
 }
 
+void Canvas::FillPolygon(absl::Span<const Point> points, const Color& color, double opacity) {
+  if (points.size() < 3) return;
+  std::vector<cv::Point> outline;
+  outline.reserve(points.size());
+  for (const Point& point : points) outline.push_back(ToFixed(point));
+  cv::Mat filled = pixels_.clone();
+  cv::fillPoly(filled, std::vector<std::vector<cv::Point>>{outline}, ToScalar(color), cv::LINE_AA, kFractionBits);
+  cv::addWeighted(filled, opacity, pixels_, 1 - opacity, 0, pixels_);
+}
+
+void Canvas::FillRectangle(const Point& corner, const Point& opposite, const Color& color) {
+  const auto pixel = [](double x) { return static_cast<int>(std::lround(x * kScale)); };
+  cv::rectangle(pixels_, {pixel(corner.x), pixel(corner.y)}, {pixel(opposite.x) - 1, pixel(opposite.y) - 1},
+                ToScalar(color), cv::FILLED);
+}
+
 void Canvas::DrawText(const std::string& text, Point at, TextPlace place, double size, const Color& color) {
   if (place == TextPlace::kCenter) at.x -= TextWidth(text, size) / 2;
   if (place == TextPlace::kRight) at.x -= TextWidth(text, size);

@@ -39,6 +39,9 @@ class Canvas {
 
   // Through `points`, in order.
   void DrawLine(absl::Span<const Point> points, const Stroke& stroke);
+  // Three points or more, else nothing; `opacity` 0..1.
+  void FillPolygon(absl::Span<const Point> points, const Color& color, double opacity = 1);
+  void FillRectangle(const Point& corner, const Point& opposite, const Color& color);
   // `at` is on the text's base line; `size` is the height of its capitals. ASCII only.
   void DrawText(const std::string& text, Point at, TextPlace place, double size, const Color& color);
   // The same turned by 90 degrees: reads upwards, centred on `at`.

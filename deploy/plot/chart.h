@@ -12,10 +12,18 @@
 
 namespace craftfleet {
 
+// How far a line's values spread at a place.
+struct BandPoint {
+  double x = 0;
+  double low = 0;
+  double high = 0;
+};
+
 struct ChartLine {
-  std::string name;  // for the legend, ASCII
+  std::string name;  // for the legend, ASCII; without one it is not in the legend
   Stroke stroke;
-  std::vector<Point> points;  // in the axes' units, x ascending
+  std::vector<Point> points;    // in the axes' units, x ascending
+  std::vector<BandPoint> band;  // shaded beneath all lines, x ascending; may be empty
 };
 
 struct ChartPanel {

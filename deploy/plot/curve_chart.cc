@@ -7,6 +7,8 @@
 #include <absl/strings/str_split.h>
 #include <absl/strings/strip.h>
 
+#include "deploy/plot/look.h"
+
 namespace craftfleet {
 namespace {
 
@@ -15,10 +17,6 @@ constexpr int kFewestEpisodes = 10;  // figures over fewer are noise and are not
 constexpr double kRunWidth = 1.8;
 constexpr double kReferenceWidth = 1.4;
 
-// Told apart by people with any colour vision (Okabe and Ito 2008).
-constexpr Color kRunColors[] = {{0, 114, 178},  {213, 94, 0},  {0, 158, 115}, {204, 121, 167},
-                                {86, 180, 233}, {230, 159, 0}, {0, 0, 0}};
-
 // Shade and dash, pixels.
 struct ReferenceLook {
   uint8_t grey;
@@ -26,7 +24,7 @@ struct ReferenceLook {
 };
 constexpr ReferenceLook kReferenceLooks[] = {{90, 9}, {150, 9}, {90, 4}, {150, 4}};
 
-Stroke RunStroke(size_t number) { return {kRunColors[number % std::size(kRunColors)], kRunWidth}; }
+Stroke RunStroke(size_t number) { return {SeriesColor(number), kRunWidth}; }
 
 Stroke ReferenceStroke(size_t number) {
   const auto [grey, dash] = kReferenceLooks[number % std::size(kReferenceLooks)];
@@ -47,7 +45,7 @@ LearningCurve CutOff(const LearningCurve& curve, int64_t steps) {
 }
 
 ChartLine LineOf(const std::string& name, const LearningCurve& curve, double CurvePoint::*value, const Stroke& stroke) {
-  ChartLine line = {name, stroke, {}};
+  ChartLine line = {name, stroke, {}, {}};
   for (const CurvePoint& point : curve) {
     if (point.episodes < kFewestEpisodes && &point != &curve.back()) continue;
     line.points.push_back({static_cast<double>(point.steps), point.*value});

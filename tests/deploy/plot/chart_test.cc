@@ -11,7 +11,7 @@ constexpr Color kBlue = {0, 114, 178};
 constexpr Color kRed = {213, 94, 0};
 
 ChartLine Line(const std::string& name, const Color& color, std::vector<Point> points) {
-  return {name, {color, 3}, std::move(points)};
+  return {name, {color, 3}, std::move(points), {}};
 }
 
 // The first row, from above, in which at least `count` pixels of `area` have that colour; -1: none.
