@@ -111,7 +111,7 @@ absl::Status Actor::Join() {
 
 absl::Status Actor::StartLoops() {
   const v1::RunConfig& config = joined_.config();
-  CRAFTFLEET_ASSIGN_OR_RETURN(const AgentSpec spec, FindAgent(config.agent()));
+  CRAFTFLEET_ASSIGN_OR_RETURN(const AgentSpec spec, MakeAgentSpec(config));
   permits_.SetTile(config.tile());
   policies_ = std::make_unique<PolicySource>(&learner_, spec, config.tile());
 
@@ -126,7 +126,7 @@ absl::Status Actor::StartLoops() {
 
   MutexLock lock(&mu_);
   for (int i = 0; i < options_.threads; ++i) {
-    ActorLoop::Options loop = {i, config, static_cast<int>(spec.frame_bytes())};
+    ActorLoop::Options loop = {i, config, static_cast<int>(spec.frame_bytes()), spec.state_size};
     loops_.push_back(std::make_unique<ActorLoop>(
         loop, &learner_, &permits_, policies_.get(), &sender_,
         std::make_unique<EnvPool>(options_.env_servers, hello, static_cast<int>(spec.frame_bytes())), &rate_));

@@ -86,45 +86,58 @@ absl::Status ActorLoop::RunFragment(const std::vector<HeldPermit>& permits) {
 
 absl::Status ActorLoop::OpenLanes(const std::vector<HeldPermit>& permits) {
   std::vector<EnvClient::Lane> to_open;
+  std::vector<std::vector<float>> states;
   for (const HeldPermit& permit : permits) {
     const auto held = held_.find(permit.lane);
     if (held != held_.end() && held->second.epoch == permit.epoch && held->second.next_fragment == permit.fragment) {
       continue;
     }
-    CRAFTFLEET_ASSIGN_OR_RETURN(std::string snapshot,
-                                learner_->GetSnapshot(permit.epoch, permit.lane, permit.fragment));
-    to_open.push_back({permit.lane, LaneSeed(options_.config.seed(), permit.lane), 1, std::move(snapshot)});
+    CRAFTFLEET_ASSIGN_OR_RETURN(LaneSnapshot snapshot,
+                                learner_->GetSnapshot(permit.epoch, permit.lane, permit.fragment, options_.state_size));
+    to_open.push_back({permit.lane, LaneSeed(options_.config.seed(), permit.lane), 1, std::move(snapshot.game)});
+    states.push_back(std::move(snapshot.state));
   }
   if (to_open.empty()) return absl::OkStatus();
   std::string frames;
   CRAFTFLEET_RETURN_IF_ERROR(envs_->Open(to_open, &frames));
   for (size_t i = 0; i < to_open.size(); ++i) {
-    held_[to_open[i].lane].frame = std::string(Frame(frames, i));
+    Held& held = held_[to_open[i].lane];
+    held.frame = std::string(Frame(frames, i));
+    held.state = std::move(states[i]);
   }
   return absl::OkStatus();
 }
 
-absl::Status ActorLoop::PlaySteps(const Policy& policy, const std::vector<HeldPermit>& permits) {
-  const int steps = options_.config.fragment_steps();
-  std::vector<int> lanes;
+void ActorLoop::StartFragments(const std::vector<HeldPermit>& permits) {
   frames_.clear();
+  states_.clear();
   builders_.resize(permits.size());
   for (size_t row = 0; row < permits.size(); ++row) {
     const HeldPermit& permit = permits[row];
-    lanes.push_back(permit.lane);
-    frames_.append(held_[permit.lane].frame);
-    builders_[row].Start(permit.epoch, permit.lane, permit.fragment, permit.policy_version, steps,
-                         options_.frame_bytes);
+    const Held& held = held_[permit.lane];
+    frames_.append(held.frame);
+    states_.insert(states_.end(), held.state.begin(), held.state.end());
+    builders_[row].Start(permit.epoch, permit.lane, permit.fragment, permit.policy_version,
+                         options_.config.fragment_steps(), options_.frame_bytes);
   }
+}
+
+absl::Status ActorLoop::PlaySteps(const Policy& policy, const std::vector<HeldPermit>& permits) {
+  const int steps = options_.config.fragment_steps();
+  const bool keep_every_state = options_.config.ppo().recurrent_batches() == v1::PpoConfig::PUBLISHED;
+  std::vector<int> lanes;
+  for (const HeldPermit& permit : permits) lanes.push_back(permit.lane);
+  StartFragments(permits);
   std::vector<double> noise(lanes.size());
   for (int t = 0; t < steps; ++t) {
     for (size_t row = 0; row < lanes.size(); ++row) {
       noise[row] = ActionNoise(options_.config.seed(), lanes[row], permits[row].fragment * steps + t);
+      if (t == 0 || keep_every_state) builders_[row].AddState(State(row));
     }
     ActResult act;
     {
       Stopwatch watch(&counters_.policy_ns);
-      CRAFTFLEET_ASSIGN_OR_RETURN(act, policy.Act(frames_, lanes, noise));
+      CRAFTFLEET_ASSIGN_OR_RETURN(act, policy.Act(frames_, lanes, noise, absl::MakeSpan(states_)));
     }
     {
       Stopwatch watch(&counters_.env_ns);
@@ -146,10 +159,13 @@ absl::Status ActorLoop::AppendStep(const Policy& policy, const std::vector<int>&
                           batch_.rewards[row], end);
     if (end == StepEnd::kNone) continue;
     builders_[row].AddEpisode(batch_.episodes[ended++]);
-    if (end != StepEnd::kTruncated) continue;
-    CRAFTFLEET_ASSIGN_OR_RETURN(const std::vector<float> value,
-                                policy.Values(Frame(batch_.last_frames, truncated++), {lanes[row]}));
-    builders_[row].AddTruncationValue(value[0]);
+    if (end == StepEnd::kTruncated) {
+      CRAFTFLEET_ASSIGN_OR_RETURN(const std::vector<float> value,
+                                  policy.Values(Frame(batch_.last_frames, truncated++), {lanes[row]}, State(row)));
+      builders_[row].AddTruncationValue(value[0]);
+    }
+    const absl::Span<float> state = State(row);
+    std::fill(state.begin(), state.end(), 0.0F);
   }
   frames_.swap(batch_.frames);
   return absl::OkStatus();
@@ -158,11 +174,13 @@ absl::Status ActorLoop::AppendStep(const Policy& policy, const std::vector<int>&
 absl::Status ActorLoop::SendFragments(const Policy& policy, const std::vector<HeldPermit>& permits) {
   std::vector<int> lanes;
   for (const HeldPermit& permit : permits) lanes.push_back(permit.lane);
-  CRAFTFLEET_ASSIGN_OR_RETURN(const std::vector<float> bootstrap, policy.Values(frames_, lanes));
+  CRAFTFLEET_ASSIGN_OR_RETURN(const std::vector<float> bootstrap, policy.Values(frames_, lanes, states_));
   Stopwatch watch(&counters_.send_ns);
   for (size_t row = 0; row < permits.size(); ++row) {
-    held_[lanes[row]] = {permits[row].epoch, permits[row].fragment + 1, std::string(Frame(frames_, row))};
-    CRAFTFLEET_RETURN_IF_ERROR(sender_->Push(builders_[row].Finish(bootstrap[row], std::move(batch_.snapshots[row]))));
+    const std::vector<float> state(State(row).begin(), State(row).end());
+    held_[lanes[row]] = {permits[row].epoch, permits[row].fragment + 1, std::string(Frame(frames_, row)), state};
+    CRAFTFLEET_RETURN_IF_ERROR(
+        sender_->Push(builders_[row].Finish(bootstrap[row], {std::move(batch_.snapshots[row]), state})));
   }
   return absl::OkStatus();
 }

@@ -11,6 +11,8 @@
 #include <vector>
 
 #include <absl/status/status.h>
+#include <absl/strings/string_view.h>
+#include <absl/types/span.h>
 
 #include "actor/env_pool.h"
 #include "actor/fragment_builder.h"
@@ -41,6 +43,7 @@ class ActorLoop {
     int index = 0;  // of this loop, for the permit book
     v1::RunConfig config;
     int frame_bytes = 0;
+    int state_size = 0;  // of the agent's recurrent state
   };
 
   // Steps are counted into `rate`.
@@ -59,19 +62,25 @@ class ActorLoop {
   struct Held {
     int64_t epoch = 0;
     int64_t next_fragment = 0;
-    std::string frame;  // uint8[H,W,3]: its current observation
+    std::string frame;         // uint8[H,W,3]: its current observation
+    std::vector<float> state;  // [state_size] before it
   };
 
   // Plays one fragment of each permit's lane, all under one version.
   absl::Status RunFragment(const std::vector<HeldPermit>& permits);
   absl::Status OpenLanes(const std::vector<HeldPermit>& permits);
-  // T steps of the lanes, arranged; builders_ hold the result, frames_ the observations after it.
+  // Takes the observations and states of the lanes, arranged, and begins their fragments.
+  void StartFragments(const std::vector<HeldPermit>& permits);
+  // T steps of the lanes, arranged; builders_ hold the result, frames_ and states_ what the policy sees next.
   absl::Status PlaySteps(const Policy& policy, const std::vector<HeldPermit>& permits);
   absl::Status AppendStep(const Policy& policy, const std::vector<int>& lanes, const ActResult& act);
   absl::Status SendFragments(const Policy& policy, const std::vector<HeldPermit>& permits);
   void Abandon(const std::vector<HeldPermit>& permits);
   absl::string_view Frame(const std::string& frames, size_t row) const {
     return absl::string_view(frames).substr(row * options_.frame_bytes, options_.frame_bytes);
+  }
+  absl::Span<float> State(size_t row) {
+    return absl::MakeSpan(states_).subspan(row * options_.state_size, options_.state_size);
   }
 
   const Options options_;
@@ -85,6 +94,7 @@ class ActorLoop {
   std::map<int, Held> held_;               // by lane
   std::vector<FragmentBuilder> builders_;  // by row
   std::string frames_;                     // uint8[n,H,W,3]: what the policy sees next
+  std::vector<float> states_;              // [n,state_size] before it
   StepBatch batch_;                        // reused
   LoopCounters counters_;
 };

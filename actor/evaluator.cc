@@ -39,24 +39,34 @@ class Evaluation {
   struct Playing {
     int64_t step = 0;
     std::string frame;
+    std::vector<float> state;  // recurrent, zero at the episode's start
   };
 
   absl::Status Open(int64_t episode) {
-    return env_->Open({{static_cast<int>(episode), options_.seed, episode, ""}},
-                      &playing_[static_cast<int>(episode)].frame);
+    Playing& game = playing_[static_cast<int>(episode)];
+    game.state.resize(policy_.state_size());
+    return env_->Open({{static_cast<int>(episode), options_.seed, episode, ""}}, &game.frame);
   }
 
   absl::Status Step() {
     std::vector<int> lanes;
     std::vector<double> noise;
     std::string frames;
-    for (auto& [lane, game] : playing_) {
+    std::vector<float> states;
+    for (const auto& [lane, game] : playing_) {
       lanes.push_back(lane);
       noise.push_back(ActionNoise(static_cast<uint64_t>(options_.seed), lane, game.step));
       frames.append(game.frame);
+      states.insert(states.end(), game.state.begin(), game.state.end());
     }
-    CRAFTFLEET_ASSIGN_OR_RETURN(
-        const ActResult act, options_.greedy ? policy_.ActGreedily(frames, lanes) : policy_.Act(frames, lanes, noise));
+    CRAFTFLEET_ASSIGN_OR_RETURN(const ActResult act,
+                                options_.greedy ? policy_.ActGreedily(frames, lanes, absl::MakeSpan(states))
+                                                : policy_.Act(frames, lanes, noise, absl::MakeSpan(states)));
+    const float* state = states.data();
+    for (auto& [lane, game] : playing_) {
+      std::copy_n(state, game.state.size(), game.state.begin());
+      state += game.state.size();
+    }
     CRAFTFLEET_RETURN_IF_ERROR(env_->SendStep(lanes, act.actions, /*snapshot=*/false));
     CRAFTFLEET_RETURN_IF_ERROR(env_->ReceiveStep(&batch_));
     return TakeIn(lanes);

@@ -19,6 +19,10 @@ void FragmentBuilder::Start(int64_t epoch, int lane, int64_t number, int64_t pol
   fragment_.ends.reserve(steps);
 }
 
+void FragmentBuilder::AddState(absl::Span<const float> state) {
+  fragment_.states.insert(fragment_.states.end(), state.begin(), state.end());
+}
+
 void FragmentBuilder::Append(absl::string_view frame, Action action, float log_prob, float value, float reward,
                              StepEnd end) {
   fragment_.frames.append(frame.data(), frame.size());
@@ -36,7 +40,7 @@ void FragmentBuilder::AddEpisode(Episode episode) {
 
 void FragmentBuilder::AddTruncationValue(float value) { fragment_.truncation_values.push_back(value); }
 
-Fragment FragmentBuilder::Finish(float bootstrap_value, std::string snapshot) {
+Fragment FragmentBuilder::Finish(float bootstrap_value, LaneSnapshot snapshot) {
   fragment_.bootstrap_value = bootstrap_value;
   fragment_.snapshot = std::move(snapshot);
   return std::move(fragment_);

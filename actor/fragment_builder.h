@@ -6,6 +6,7 @@
 #include <cstdint>
 
 #include <absl/strings/string_view.h>
+#include <absl/types/span.h>
 
 #include "common/types.h"
 
@@ -17,6 +18,8 @@ class FragmentBuilder {
   // Begins a fragment of `steps` steps; memory for `steps` frames of `frame_bytes` is taken at once.
   void Start(int64_t epoch, int lane, int64_t number, int64_t policy_version, int steps, int frame_bytes);
 
+  // The recurrent state before the step that is appended next: once, before the first step, or before each.
+  void AddState(absl::Span<const float> state);
   // One transition: what the policy saw and did, and what came of it.
   void Append(absl::string_view frame, Action action, float log_prob, float value, float reward, StepEnd end);
   // The episode that ended with the step appended last.
@@ -27,7 +30,7 @@ class FragmentBuilder {
   // Number of steps appended so far, 0..T.
   int size() const { return static_cast<int>(fragment_.rewards.size()); }
 
-  Fragment Finish(float bootstrap_value, std::string snapshot);
+  Fragment Finish(float bootstrap_value, LaneSnapshot snapshot);
 
  private:
   Fragment fragment_;

@@ -4,6 +4,7 @@
 #include <absl/strings/str_format.h>
 
 #include "common/status_macros.h"
+#include "common/wire/convert.h"
 #include "common/wire/grpc_status.h"
 
 namespace craftfleet {
@@ -38,7 +39,8 @@ absl::StatusOr<v1::PermitReply> LearnerClient::GetPermits(const v1::PermitReques
   return reply;
 }
 
-absl::StatusOr<std::string> LearnerClient::GetSnapshot(int64_t epoch, int lane, int64_t fragment) const {
+absl::StatusOr<LaneSnapshot> LearnerClient::GetSnapshot(int64_t epoch, int lane, int64_t fragment,
+                                                        int state_size) const {
   grpc::ClientContext context;
   wire::SetDeadline(&context, kCallTimeout);
   v1::SnapshotRequest request;
@@ -48,7 +50,10 @@ absl::StatusOr<std::string> LearnerClient::GetSnapshot(int64_t epoch, int lane, 
   v1::SnapshotReply reply;
   const grpc::Status status = stub_->GetSnapshot(&context, request, &reply);
   if (!status.ok()) return wire::FromGrpc(status, name_);
-  return std::move(*reply.mutable_snapshot());
+  absl::StatusOr<LaneSnapshot> snapshot = wire::FromProto(&reply, state_size);
+  if (snapshot.ok()) return snapshot;
+  return absl::InvalidArgumentError(
+      absl::StrFormat("%s: snapshot of lane %d: %s", name_, lane, snapshot.status().message()));
 }
 
 void LearnerClient::Leave(const std::string& actor) const {

@@ -12,6 +12,7 @@
 #include <absl/status/statusor.h>
 #include <absl/time/time.h>
 
+#include "common/types.h"
 #include "common/wire/channel.h"
 #include "craftfleet/v1/learner.grpc.pb.h"
 
@@ -26,7 +27,8 @@ class LearnerClient {
 
   absl::StatusOr<v1::JoinReply> Join(const v1::JoinRequest& request) const;
   absl::StatusOr<v1::PermitReply> GetPermits(const v1::PermitRequest& request) const;
-  absl::StatusOr<std::string> GetSnapshot(int64_t epoch, int lane, int64_t fragment) const;
+  // `state_size` is that of the agent (AgentSpec).   InvalidArgument: the learner's snapshot has another.
+  absl::StatusOr<LaneSnapshot> GetSnapshot(int64_t epoch, int lane, int64_t fragment, int state_size) const;
   void Leave(const std::string& actor) const;
 
   // The weights of `version` or a later one: (version, safetensors bytes).

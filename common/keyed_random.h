@@ -16,6 +16,7 @@ enum class RandomUse : uint64_t {
   kActionNoise = 1,
   kMinibatchOrder = 2,
   kInitialWeights = 3,
+  kDropout = 4,
 };
 
 // 64 random bits.

@@ -37,6 +37,15 @@ struct StepBatch {
   std::vector<std::string> snapshots;  // [n] where asked for, else empty
 };
 
+// Where a lane stands between two fragments: all that it takes to go on with it elsewhere, bit for bit.
+struct LaneSnapshot {
+  std::string game;          // its state; empty: the lane's first game, not begun yet
+  std::vector<float> state;  // [S] recurrent state of the policy; zero at an episode's start
+  friend bool operator==(const LaneSnapshot& a, const LaneSnapshot& b) {
+    return a.game == b.game && a.state == b.state;
+  }
+};
+
 // T consecutive steps of one lane under one version of the weights. Byte buffers are std::string so that they move into
 // and out of protobuf messages without a copy.
 struct Fragment {
@@ -53,7 +62,10 @@ struct Fragment {
   std::vector<float> truncation_values;  // [number of kTruncated in ends]: value of each such episode's last frame
   float bootstrap_value = 0;             // value of the observation after the last step
   std::vector<Episode> episodes;         // ended in this fragment, in step order
-  std::string snapshot;                  // the game's state after the last step
+  // [k,S] recurrent states, S floats each (AgentSpec::state_size): before the first step, k = 1, or, for
+  // recurrent_batches PUBLISHED, before each, k = T.
+  std::vector<float> states;
+  LaneSnapshot snapshot;  // after the last step
 };
 
 }  // namespace craftfleet

@@ -51,7 +51,7 @@ absl::StatusOr<LaneLedger::Grant> LaneLedger::GetPermits(absl::string_view actor
 }
 
 absl::StatusOr<LaneLedger::Verdict> LaneLedger::Accept(absl::string_view actor, const Permit& fragment,
-                                                       const std::string& snapshot) {
+                                                       const LaneSnapshot& snapshot) {
   MutexLock lock(&mu_);
   CRAFTFLEET_CHECK(fragment.lane >= 0 && fragment.lane < options_.lanes);
   Lane& lane = lanes_[fragment.lane];
@@ -75,7 +75,7 @@ absl::StatusOr<LaneLedger::Verdict> LaneLedger::Accept(absl::string_view actor, 
   return Verdict::kAccepted;
 }
 
-absl::StatusOr<std::string> LaneLedger::Snapshot(int lane, int64_t fragment) const {
+absl::StatusOr<LaneSnapshot> LaneLedger::Snapshot(int lane, int64_t fragment) const {
   MutexLock lock(&mu_);
   if (lane < 0 || lane >= options_.lanes) {
     return absl::InvalidArgumentError(absl::StrFormat("lane %d, want 0..%d", lane, options_.lanes - 1));

@@ -17,6 +17,7 @@
 
 #include "common/clock.h"
 #include "common/mutex.h"
+#include "common/types.h"
 
 namespace craftfleet {
 
@@ -34,7 +35,7 @@ struct Permit {
 // A lane as last accepted: what a checkpoint keeps of it.
 struct LaneRecord {
   int64_t next_fragment = 0;
-  std::string snapshot;  // the game before that fragment; empty: its first game, not begun yet
+  LaneSnapshot snapshot;  // before that fragment
 };
 
 // Synchronous permits: within an iteration each lane gets them one after the other, all under the
@@ -79,11 +80,11 @@ class LaneLedger {
 
   // Decides on a fragment and, when it is accepted, takes its lane one fragment further. `snapshot` is copied then.
   //   InvalidArgument: the weights' version is not the permit's.
-  absl::StatusOr<Verdict> Accept(absl::string_view actor, const Permit& fragment, const std::string& snapshot)
+  absl::StatusOr<Verdict> Accept(absl::string_view actor, const Permit& fragment, const LaneSnapshot& snapshot)
       ABSL_LOCKS_EXCLUDED(mu_);
 
   // The state before `fragment` of `lane`.   Aborted: the lane is at another fragment.   InvalidArgument: no such lane.
-  absl::StatusOr<std::string> Snapshot(int lane, int64_t fragment) const ABSL_LOCKS_EXCLUDED(mu_);
+  absl::StatusOr<LaneSnapshot> Snapshot(int lane, int64_t fragment) const ABSL_LOCKS_EXCLUDED(mu_);
 
   // Opens the next iteration: permits for fragments up to `last_fragment` (excluded) of each lane, under
   // `policy_version`.

@@ -27,7 +27,7 @@ constexpr absl::Duration kLease = absl::Seconds(5);
 // Fills in what follows from the rest and checks all of it.
 absl::StatusOr<v1::RunConfig> CompleteConfig(v1::RunConfig config) {
   CRAFTFLEET_ASSIGN_OR_RETURN(config, ResolveRunConfig(std::move(config)));
-  CRAFTFLEET_ASSIGN_OR_RETURN(const AgentSpec spec, FindAgent(config.agent()));
+  CRAFTFLEET_ASSIGN_OR_RETURN(const AgentSpec spec, MakeAgentSpec(config));
   CRAFTFLEET_ASSIGN_OR_RETURN(const EnvName env, EnvName::Parse(config.env().name()));
   config.mutable_env()->set_name(env.ToString());
   if (config.env().frame_size() == 0) config.mutable_env()->set_frame_size(spec.frame_size);
@@ -45,7 +45,8 @@ absl::StatusOr<v1::RunConfig> CompleteConfig(v1::RunConfig config) {
 absl::Status CheckSameRun(const std::string& logdir, v1::RunConfig asked) {
   const std::string path = JoinPath(logdir, "config.txt");
   CRAFTFLEET_ASSIGN_OR_RETURN(const std::string text, ReadFile(path));
-  CRAFTFLEET_ASSIGN_OR_RETURN(const v1::RunConfig stored, ParseRunConfig(text, path));
+  CRAFTFLEET_ASSIGN_OR_RETURN(v1::RunConfig stored, ParseRunConfig(text, path));
+  CRAFTFLEET_ASSIGN_OR_RETURN(stored, CompleteConfig(std::move(stored)));
   asked.set_steps(stored.steps());
   google::protobuf::util::MessageDifferencer differencer;
   std::string differences;
@@ -56,12 +57,34 @@ absl::Status CheckSameRun(const std::string& logdir, v1::RunConfig asked) {
       "the run in ", logdir, " has another configuration (only steps may change): ", absl::StrJoin(lines, "; ")));
 }
 
-std::vector<LaneRecord> LaneRecords(const v1::RunConfig& config, const v1::CheckpointState& state) {
-  std::vector<LaneRecord> lanes(config.lanes());
+// Lanes as the checkpoint has them, new ones without one. `state_size` is that of the agent.
+std::vector<LaneRecord> LaneRecords(const v1::RunConfig& config, const v1::CheckpointState& state, int state_size) {
+  std::vector<LaneRecord> lanes(config.lanes(), {0, {"", std::vector<float>(state_size)}});
   for (int i = 0; i < std::min(config.lanes(), state.lanes_size()); ++i) {
-    lanes[i] = {state.lanes(i).next_fragment(), state.lanes(i).snapshot()};
+    const v1::LaneState& lane = state.lanes(i);
+    lanes[i] = {lane.next_fragment(), {lane.snapshot(), {lane.state().begin(), lane.state().end()}}};
   }
   return lanes;
+}
+
+// DataLoss unless each lane of the checkpoint has a recurrent state of the agent's size.
+absl::Status CheckLaneStates(const v1::CheckpointState& state, int state_size) {
+  for (int i = 0; i < state.lanes_size(); ++i) {
+    if (state.lanes(i).state_size() == state_size) continue;
+    return absl::DataLossError(absl::StrFormat("the checkpoint's lane %d has a recurrent state of %d numbers, want %d",
+                                               i, state.lanes(i).state_size(), state_size));
+  }
+  return absl::OkStatus();
+}
+
+wire::FragmentShape FragmentShapeOf(const v1::RunConfig& config, const AgentSpec& spec) {
+  wire::FragmentShape shape;
+  shape.lanes = config.lanes();
+  shape.steps = config.fragment_steps();
+  shape.frame_bytes = static_cast<int>(spec.frame_bytes());
+  shape.state_size = spec.state_size;
+  shape.states = config.ppo().recurrent_batches() == v1::PpoConfig::PUBLISHED ? config.fragment_steps() : 1;
+  return shape;
 }
 
 LaneLedger::Options LedgerOptions(const v1::RunConfig& config) {
@@ -116,6 +139,7 @@ absl::StatusOr<Learner::Loaded> Learner::Load(const Options& options, const v1::
   CRAFTFLEET_ASSIGN_OR_RETURN(ResumedRun run, RunFolder::Resume(options.logdir, {options.resume_from, config.agent()},
                                                                 program, loaded.clock.get()));
   CRAFTFLEET_RETURN_IF_ERROR(loaded.updater->Load(run.checkpoint.weights, run.checkpoint.optimizer));
+  CRAFTFLEET_RETURN_IF_ERROR(CheckLaneStates(run.checkpoint.state, loaded.updater->spec().state_size));
   CRAFTFLEET_RETURN_IF_ERROR(run.folder->SetSteps(config.steps()));
   loaded.folder = std::move(run.folder);
   loaded.checkpoint = std::move(run.checkpoint);
@@ -131,20 +155,21 @@ Learner::Learner(const Options& options, Loaded loaded)
       clock_(std::move(loaded.clock)),
       folder_(std::move(loaded.folder)),
       updater_(std::move(loaded.updater)),
-      ledger_(LedgerOptions(config_), LaneRecords(config_, loaded.checkpoint.state), clock_.get()),
+      ledger_(LedgerOptions(config_), LaneRecords(config_, loaded.checkpoint.state, updater_->spec().state_size),
+              clock_.get()),
       fragments_(FragmentsPerIteration(config_)),
       evaluation_book_(kLease, clock_.get()),
       evaluations_(config_.eval(), loaded.checkpoint, &evaluation_book_, folder_.get()),
       progress_({options.progress_in_place, loaded.checkpoint.state.env_steps(), config_.steps()},
                 options.progress != nullptr ? options.progress : &null_stream_, clock_.get()),
-      trainer_(
-          config_, loaded.checkpoint.state,
-          {folder_.get(), updater_.get(), &ledger_, &weights_, &fragments_, &evaluations_, &progress_, clock_.get()}),
+      trainer_(config_, loaded.checkpoint.state,
+               {folder_.get(), updater_.get(), &ledger_, &weights_, &fragments_, &evaluations_, &progress_,
+                clock_.get()}),
       service_({folder_->run_id(),
                 folder_->epoch(),
                 config_,
                 loaded.texture_digest,
-                {config_.lanes(), config_.fragment_steps(), static_cast<int>(updater_->spec().frame_bytes())},
+                FragmentShapeOf(config_, updater_->spec()),
                 kLease},
                &ledger_, &weights_, &fragments_, &evaluation_book_),
       status_service_("learner", [this](v1::StatusReply* reply) {

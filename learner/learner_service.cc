@@ -173,9 +173,9 @@ absl::StatusOr<WeightStore::Weights> LearnerServiceImpl::FindWeights(const v1::W
 grpc::Status LearnerServiceImpl::GetSnapshot(grpc::ServerContext* /*context*/, const v1::SnapshotRequest* request,
                                              v1::SnapshotReply* reply) {
   if (absl::Status status = CheckEpoch(request->epoch()); !status.ok()) return wire::ToGrpc(status);
-  absl::StatusOr<std::string> snapshot = ledger_->Snapshot(request->lane(), request->fragment());
+  absl::StatusOr<LaneSnapshot> snapshot = ledger_->Snapshot(request->lane(), request->fragment());
   if (!snapshot.ok()) return wire::ToGrpc(snapshot.status());
-  reply->set_snapshot(*std::move(snapshot));
+  *reply = wire::ToProto(*std::move(snapshot));
   return grpc::Status::OK;
 }
 

@@ -55,13 +55,10 @@ absl::Status Trainer::RunIteration() {
   CRAFTFLEET_ASSIGN_OR_RETURN(const std::vector<Fragment> fragments, Collect());
   const int64_t collected = absl::ToUnixNanos(parts_.clock->Now());
 
-  GaeOptions gae;
-  gae.gamma = config_.ppo().gamma();
-  gae.lambda = config_.ppo().gae_lambda();
-  gae.truncation_is_terminal = config_.ppo().truncation_is_terminal();
   Rollout rollout;
+  const RolloutOptions options = parts_.updater->rollout_options();
   for (const Fragment& fragment : fragments) {
-    CRAFTFLEET_RETURN_IF_ERROR(AppendFragment(fragment, parts_.updater->spec().frame_bytes(), gae, &rollout));
+    CRAFTFLEET_RETURN_IF_ERROR(AppendFragment(fragment, options, &rollout));
   }
   const int64_t batched = absl::ToUnixNanos(parts_.clock->Now());
   const auto should_stop = [this] {
@@ -169,7 +166,8 @@ absl::Status Trainer::WriteCheckpoint() {
   for (const LaneRecord& lane : lanes_) {
     v1::LaneState* message = state.add_lanes();
     message->set_next_fragment(lane.next_fragment);
-    message->set_snapshot(lane.snapshot);
+    message->set_snapshot(lane.snapshot.game);
+    message->mutable_state()->Assign(lane.snapshot.state.begin(), lane.snapshot.state.end());
   }
   parts_.evaluations->FillCheckpoint(&checkpoint);
   checkpoint.weights = *weights_;

@@ -130,7 +130,9 @@ v1::FragmentMessage ToProto(Fragment fragment) {
   message.mutable_truncation_values()->Assign(fragment.truncation_values.begin(), fragment.truncation_values.end());
   message.set_bootstrap_value(fragment.bootstrap_value);
   EpisodesToProto(fragment.episodes, message.mutable_episodes());
-  *message.mutable_snapshot() = std::move(fragment.snapshot);
+  message.mutable_states()->Assign(fragment.states.begin(), fragment.states.end());
+  *message.mutable_snapshot() = std::move(fragment.snapshot.game);
+  message.mutable_last_state()->Assign(fragment.snapshot.state.begin(), fragment.snapshot.state.end());
   return message;
 }
 
@@ -157,12 +159,30 @@ absl::StatusOr<Fragment> FromProto(v1::FragmentMessage* message, const FragmentS
   if (!std::isfinite(message->bootstrap_value())) return absl::InvalidArgumentError("bootstrap_value is not finite");
   fragment.bootstrap_value = message->bootstrap_value();
   CRAFTFLEET_RETURN_IF_ERROR(ReadEpisodes(message->episodes(), EndSteps(fragment.ends), &fragment.episodes));
+  CRAFTFLEET_RETURN_IF_ERROR(
+      ReadFloats("states", message->states(), shape.states * shape.state_size, &fragment.states));
+  CRAFTFLEET_RETURN_IF_ERROR(
+      ReadFloats("last_state", message->last_state(), shape.state_size, &fragment.snapshot.state));
   if (message->snapshot().empty())
     return absl::InvalidArgumentError("snapshot is empty, want the game after the last step");
   fragment.frames = std::move(*message->mutable_frames());
   fragment.actions = std::move(*message->mutable_actions());
-  fragment.snapshot = std::move(*message->mutable_snapshot());
+  fragment.snapshot.game = std::move(*message->mutable_snapshot());
   return fragment;
+}
+
+v1::SnapshotReply ToProto(LaneSnapshot snapshot) {
+  v1::SnapshotReply message;
+  *message.mutable_snapshot() = std::move(snapshot.game);
+  message.mutable_state()->Assign(snapshot.state.begin(), snapshot.state.end());
+  return message;
+}
+
+absl::StatusOr<LaneSnapshot> FromProto(v1::SnapshotReply* message, int state_size) {
+  LaneSnapshot snapshot;
+  CRAFTFLEET_RETURN_IF_ERROR(ReadFloats("state", message->state(), state_size, &snapshot.state));
+  snapshot.game = std::move(*message->mutable_snapshot());
+  return snapshot;
 }
 
 v1::EvaluationResult ToProto(const std::vector<Episode>& episodes) {

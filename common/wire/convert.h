@@ -20,12 +20,19 @@ struct FragmentShape {
   int lanes = 0;        // lane is in 0..lanes-1
   int steps = 0;        // T
   int frame_bytes = 0;  // H*W*3
+  int state_size = 0;   // floats of a recurrent state (S); 0: feed-forward
+  int states = 1;       // recurrent states that come with it: 1 or `steps`
 };
 
 v1::FragmentMessage ToProto(Fragment fragment);
 
 // InvalidArgument: a field of the wrong size or out of range; the message names it, the value and what was expected.
 absl::StatusOr<Fragment> FromProto(v1::FragmentMessage* message, const FragmentShape& shape);
+
+v1::SnapshotReply ToProto(LaneSnapshot snapshot);
+
+// `state_size` as in FragmentShape. InvalidArgument: the state has another size or is not finite.
+absl::StatusOr<LaneSnapshot> FromProto(v1::SnapshotReply* message, int state_size);
 
 // Whole episodes; `step` of them is 0. Checked as above.
 v1::EvaluationResult ToProto(const std::vector<Episode>& episodes);

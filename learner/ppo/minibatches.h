@@ -1,4 +1,4 @@
-// In which order an epoch visits the steps of a rollout.
+// Which steps of a rollout make up each minibatch of an epoch.
 
 #ifndef CRAFTFLEET_LEARNER_PPO_MINIBATCHES_H_
 #define CRAFTFLEET_LEARNER_PPO_MINIBATCHES_H_
@@ -6,11 +6,48 @@
 #include <cstdint>
 #include <vector>
 
+#include <absl/types/span.h>
+
+#include "learner/ppo/rollout.h"
+
 namespace craftfleet {
 
-// A permutation of 0..count-1, each equally likely, that follows from the run's seed, the iteration and the epoch.
-// Consecutive pieces are the epoch's minibatches.
-std::vector<int> MinibatchOrder(uint64_t run_seed, int64_t iteration, int epoch, int count);
+// What an epoch's random choices follow from.
+struct EpochKey {
+  uint64_t run_seed = 0;
+  int64_t iteration = 0;
+  int epoch = 0;
+};
+
+constexpr int kPadding = -1;
+
+// Steps that are learnt from at once.
+struct Minibatch {
+  std::vector<int> rows;     // of the rollout, segment after segment; kPadding: a step of zeros
+  std::vector<int> lengths;  // of the segments, which the network sees as sequences; empty: each step stands alone
+};
+
+// A permutation of 0..count-1, each equally likely.
+std::vector<int> ShuffledOrder(const EpochKey& key, int count);
+
+// All steps in a shuffled order, `size` in each minibatch. n is a multiple of `size`.
+std::vector<Minibatch> StepMinibatches(const EpochKey& key, int n, int size);
+
+// For recurrent agents: fragments, cut where an episode starts, are segments. Their order is shuffled; each minibatch
+// takes whole ones in that order and ends where a segment does, as near as can be to the next multiple of `size`. Every
+// step is in one minibatch; there are n / size of them, fewer only where a segment is longer than `size`, and their
+// sizes differ from `size` by at most the length of the longest segment.
+std::vector<Minibatch> SegmentMinibatches(const EpochKey& key, absl::Span<const RowStart> starts, int size);
+
+// The same as the paper's authors' code does it: the rollout, turned so that it begins at a random step, is cut into
+// slices of `size` steps (the last may be shorter), these into segments at episode and lane starts. Zeros fill all
+// segments of a minibatch up to the longest, and count in every mean.
+// Source: "The agents", section 5; golden `recurrent_minibatches`.
+std::vector<Minibatch> PublishedMinibatches(const EpochKey& key, absl::Span<const RowStart> starts, int size);
+
+// At most `shards` parts that hold the minibatch's segments, each whole, the longest ones dealt first, each to the part
+// that has fewest steps by then; without segments, equal consecutive parts.
+std::vector<Minibatch> CutIntoShards(const Minibatch& minibatch, int shards);
 
 }  // namespace craftfleet
 

@@ -58,7 +58,7 @@ void Normalise(absl::Span<float> advantages) {
   const double mean = sum / advantages.size();
   double squares = 0;
   for (const float x : advantages) squares += (x - mean) * (x - mean);
-  const double deviation = std::sqrt(squares / (advantages.size() - 1));
+  const double deviation = std::sqrt(squares / std::max<size_t>(advantages.size() - 1, 1));
   for (float& x : advantages) x = static_cast<float>((x - mean) / (deviation + 1e-8));
 }
 

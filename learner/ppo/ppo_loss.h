@@ -41,7 +41,7 @@ PpoLossSums PpoLoss(absl::Span<const float> logits, absl::Span<const float> valu
                     const PpoLossOptions& options, int rows_in_batch, absl::Span<float> logits_gradient,
                     absl::Span<float> values_gradient);
 
-// (x - mean) / (standard deviation with n-1, + 1e-8), in place. n > 1.
+// (x - mean) / (standard deviation with n-1, + 1e-8), in place; a single number becomes 0. n > 0.
 void Normalise(absl::Span<float> advantages);
 
 }  // namespace craftfleet

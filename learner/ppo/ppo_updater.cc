@@ -8,6 +8,7 @@
 #include <ATen/ATen.h>
 #include <absl/strings/numbers.h>
 #include <absl/strings/str_cat.h>
+#include <absl/strings/str_format.h>
 #include <absl/types/span.h>
 #include <torch/csrc/autograd/autograd.h>
 
@@ -15,8 +16,8 @@
 #include "common/agent/policy_net.h"
 #include "common/agent/torch_setup.h"
 #include "common/agent/weights.h"
+#include "common/keyed_random.h"
 #include "common/status_macros.h"
-#include "learner/ppo/minibatches.h"
 
 namespace craftfleet {
 namespace {
@@ -24,6 +25,9 @@ namespace {
 constexpr char kStepsKey[] = "steps";
 constexpr char kExpAvg[] = "exp_avg.";
 constexpr char kExpAvgSq[] = "exp_avg_sq.";
+constexpr char kValueMean[] = "value_norm.mean";
+constexpr char kValueMeanSquare[] = "value_norm.mean_square";
+constexpr char kValueWeight[] = "value_norm.weight";
 
 absl::Span<float> FloatSpan(const at::Tensor& tensor) {
   return absl::MakeSpan(tensor.data_ptr<float>(), tensor.numel());
@@ -53,29 +57,68 @@ double ExplainedVariance(const Rollout& rollout) {
   return variance > 0 ? 1 - Variance(errors) / variance : 0;
 }
 
-// The chosen elements of `values`.
+// The chosen elements of `values`; `padding` for kPadding.
 template <typename T>
-std::vector<T> Gather(const std::vector<T>& values, absl::Span<const int> rows) {
+std::vector<T> Gather(const std::vector<T>& values, absl::Span<const int> rows, T padding = T()) {
   std::vector<T> chosen;
   chosen.reserve(rows.size());
-  for (const int row : rows) chosen.push_back(values[row]);
+  for (const int row : rows) chosen.push_back(row == kPadding ? padding : values[row]);
   return chosen;
+}
+
+// The segments of `part` with the states before them.
+Segments SegmentsOf(const Rollout& rollout, const Minibatch& part, int state_size) {
+  Segments segments{part.lengths, at::zeros({static_cast<int64_t>(part.lengths.size()), state_size})};
+  auto* state = segments.states.data_ptr<float>();
+  size_t first = 0;
+  for (const int length : part.lengths) {
+    const float* const before = rollout.states[part.rows[first]];
+    if (before != nullptr) std::copy_n(before, state_size, state);
+    state += state_size;
+    first += length;
+  }
+  return segments;
+}
+
+// Sums over `rows` rows as means.
+PpoLossSums Means(PpoLossSums sums, size_t rows) {
+  for (double* sum : {&sums.policy_loss, &sums.value_loss, &sums.entropy, &sums.approx_kl, &sums.clipped}) *sum /= rows;
+  return sums;
+}
+
+// Digits enough that the number comes back bit for bit.
+std::string Exactly(double number) { return absl::StrFormat("%.17g", number); }
+
+absl::Status ReadNumber(const SafeTensors& file, absl::string_view key, double* number) {
+  const auto entry = file.metadata.find(std::string(key));
+  if (entry != file.metadata.end() && absl::SimpleAtod(entry->second, number) && std::isfinite(*number)) {
+    return absl::OkStatus();
+  }
+  return absl::InvalidArgumentError(absl::StrCat("the optimiser's metadata \"", key, "\" is not a number"));
 }
 
 }  // namespace
 
 struct PpoUpdater::Shard {
-  Shard(const AgentSpec& spec, absl::Span<float> weights, int rows)
-      : net(spec, PolicyNet::Use::kTraining, weights), frames(at::empty({rows, spec.frame_size, spec.frame_size, 3})) {}
+  Shard(const AgentSpec& spec, absl::Span<float> weights)
+      : net(spec, PolicyNet::Use::kTraining, weights), frames(at::empty({0})) {}
 
   PolicyNet net;
-  at::Tensor frames;    // float[rows,H,W,3]
+  at::Tensor frames;    // float[rows,H,W,3], reused
   PpoLossSums sums;     // of the last minibatch
   absl::Status status;  // likewise
 };
 
+struct PpoUpdater::Batch {
+  std::vector<Minibatch> parts;   // for the shards
+  std::vector<size_t> firsts;     // [parts] the row of the batch that each begins with
+  std::vector<float> advantages;  // [n] normalised
+  std::vector<float> returns;     // [n] normalised where values are
+  uint64_t dropout_key = 0;
+};
+
 absl::StatusOr<std::unique_ptr<PpoUpdater>> PpoUpdater::Create(const v1::RunConfig& config, int threads) {
-  CRAFTFLEET_ASSIGN_OR_RETURN(AgentSpec spec, FindAgent(config.agent()));
+  CRAFTFLEET_ASSIGN_OR_RETURN(AgentSpec spec, MakeAgentSpec(config));
   if (config.gradient_shards() < 1 || config.ppo().minibatch_size() % config.gradient_shards() != 0) {
     return absl::InvalidArgumentError(absl::StrCat("ppo.minibatch_size is ", config.ppo().minibatch_size(),
                                                    ", want a multiple of gradient_shards, ", config.gradient_shards()));
@@ -87,98 +130,138 @@ PpoUpdater::PpoUpdater(AgentSpec spec, const v1::RunConfig& config, int threads)
     : spec_(std::move(spec)),
       config_(config.ppo()),
       seed_(config.seed()),
+      no_frame_(spec_.frame_bytes()),
       workers_(threads, SetUpTorchThread),
-      weights_(InitialWeights(spec_, seed_)),
-      adam_{0, std::vector<float>(spec_.param_count), std::vector<float>(spec_.param_count)} {
-  const int rows = config_.minibatch_size() / config.gradient_shards();
+      state_{InitialWeights(spec_, seed_),
+             {0, std::vector<float>(spec_.param_count), std::vector<float>(spec_.param_count)},
+             {}} {
   for (int i = 0; i < config.gradient_shards(); ++i) {
-    shards_.push_back(std::make_unique<Shard>(spec_, absl::MakeSpan(weights_), rows));
+    shards_.push_back(std::make_unique<Shard>(spec_, absl::MakeSpan(state_.weights)));
   }
 }
 
 PpoUpdater::~PpoUpdater() = default;
 
+RolloutOptions PpoUpdater::rollout_options() const {
+  RolloutOptions options;
+  options.frame_bytes = spec_.frame_bytes();
+  options.state_size = spec_.state_size;
+  options.every_state = config_.recurrent_batches() == v1::PpoConfig::PUBLISHED;
+  options.gae.gamma = config_.gamma();
+  options.gae.lambda = config_.gae_lambda();
+  options.gae.truncation_is_terminal = config_.truncation_is_terminal();
+  options.value_scale = state_.value_norm.Scale();
+  return options;
+}
+
 absl::StatusOr<UpdateStats> PpoUpdater::Update(int64_t iteration, const Rollout& rollout,
                                                const std::function<bool()>& should_stop) {
-  if (rollout.size() == 0 || rollout.size() % config_.minibatch_size() != 0) {
+  const bool cuts_evenly = spec_.state_size > 0 || rollout.size() % config_.minibatch_size() == 0;
+  if (rollout.size() == 0 || !cuts_evenly) {
     return absl::InvalidArgumentError(absl::StrCat(
         "a rollout of ", rollout.size(), " steps, want a multiple of ppo.minibatch_size, ", config_.minibatch_size()));
   }
   SetUpTorchThread();
-  const std::vector<float> weights_before = weights_;
-  const AdamState adam_before = adam_;
+  State before = state_;
   absl::StatusOr<UpdateStats> stats = RunEpochs(iteration, rollout, should_stop);
-  if (!stats.ok()) {
-    std::copy(weights_before.begin(), weights_before.end(), weights_.begin());
-    adam_ = adam_before;
-  }
+  if (!stats.ok()) Restore(std::move(before));
   return stats;
+}
+
+std::vector<Minibatch> PpoUpdater::MakeMinibatches(const EpochKey& key, const Rollout& rollout) const {
+  const int size = config_.minibatch_size();
+  if (spec_.state_size == 0) return StepMinibatches(key, static_cast<int>(rollout.size()), size);
+  if (config_.recurrent_batches() == v1::PpoConfig::PUBLISHED) return PublishedMinibatches(key, rollout.starts, size);
+  return SegmentMinibatches(key, rollout.starts, size);
 }
 
 absl::StatusOr<UpdateStats> PpoUpdater::RunEpochs(int64_t iteration, const Rollout& rollout,
                                                   const std::function<bool()>& should_stop) {
-  const int steps = static_cast<int>(rollout.size());
-  const int size = config_.minibatch_size();
-  const int minibatches = steps / size * config_.epochs();
   UpdateStats stats;
+  int count = 0;
   for (int epoch = 0; epoch < config_.epochs(); ++epoch) {
-    const std::vector<int> order = MinibatchOrder(seed_, iteration, epoch, steps);
-    for (int first = 0; first < steps; first += size) {
-      CRAFTFLEET_ASSIGN_OR_RETURN(const PpoLossSums sums,
-                                  RunMinibatch(rollout, absl::MakeSpan(order).subspan(first, size), &stats));
-      stats.policy_loss += sums.policy_loss / size / minibatches;
-      stats.value_loss += sums.value_loss / size / minibatches;
-      stats.entropy += sums.entropy / size / minibatches;
-      stats.clip_fraction += sums.clipped / size / minibatches;
-      if (epoch + 1 == config_.epochs()) stats.approx_kl += sums.approx_kl / steps;
+    const std::vector<Minibatch> minibatches = MakeMinibatches({seed_, iteration, epoch}, rollout);
+    const bool last_epoch = epoch + 1 == config_.epochs();
+    for (const Minibatch& minibatch : minibatches) {
+      CRAFTFLEET_ASSIGN_OR_RETURN(const PpoLossSums means, RunMinibatch(rollout, minibatch, &stats));
+      stats.policy_loss += means.policy_loss;
+      stats.value_loss += means.value_loss;
+      stats.entropy += means.entropy;
+      stats.clip_fraction += means.clipped;
+      if (last_epoch) stats.approx_kl += means.approx_kl / static_cast<double>(minibatches.size());
+      ++count;
       if (should_stop()) return absl::CancelledError("the update was stopped; nothing is changed");
     }
   }
-  stats.gradient_norm /= minibatches;
+  for (double* sum :
+       {&stats.policy_loss, &stats.value_loss, &stats.entropy, &stats.clip_fraction, &stats.gradient_norm}) {
+    *sum /= count;
+  }
   stats.explained_variance = ExplainedVariance(rollout);
   return stats;
 }
 
-absl::StatusOr<PpoLossSums> PpoUpdater::RunMinibatch(const Rollout& rollout, absl::Span<const int> rows,
-                                                     UpdateStats* stats) {
-  std::vector<float> advantages = Gather(rollout.advantages, rows);
-  Normalise(absl::MakeSpan(advantages));
-  const size_t shard_rows = rows.size() / shards_.size();
-  workers_.Run(static_cast<int>(shards_.size()), [&](int i) {
-    const size_t first = i * shard_rows;
-    ComputeGradient(rollout, rows.subspan(first, shard_rows),
-                    absl::MakeConstSpan(advantages).subspan(first, shard_rows), shards_[i].get());
-  });
-  PpoLossSums sums;
-  std::vector<ShardGradient> gradients;
-  for (const std::unique_ptr<Shard>& shard : shards_) {
-    CRAFTFLEET_RETURN_IF_ERROR(shard->status);
-    sums.Add(shard->sums);
-    gradients.push_back(shard->net.gradients());
+PpoUpdater::Batch PpoUpdater::MakeBatch(const Rollout& rollout, const Minibatch& minibatch) {
+  Batch batch;
+  batch.parts = CutIntoShards(minibatch, static_cast<int>(shards_.size()));
+  std::vector<int> rows;
+  for (const Minibatch& part : batch.parts) {
+    batch.firsts.push_back(rows.size());
+    rows.insert(rows.end(), part.rows.begin(), part.rows.end());
   }
-  const double norm = AdamStep(AdamOptionsOf(config_), gradients, absl::MakeSpan(weights_), &adam_, &workers_);
-  if (!std::isfinite(norm)) {
-    return absl::DataLossError(absl::StrCat("the gradient's norm is ", norm, " at optimiser step ", adam_.steps + 1));
+  batch.advantages = Gather(rollout.advantages, rows);
+  Normalise(absl::MakeSpan(batch.advantages));
+  batch.returns = Gather(rollout.returns, rows);
+  if (config_.value_norm_decay() > 0) {
+    state_.value_norm.Update(batch.returns, config_.value_norm_decay());
+    const ValueScale scale = state_.value_norm.Scale();
+    for (float& target : batch.returns) target = scale.Normalise(target);
   }
-  stats->gradient_norm += norm;
-  return sums;
+  batch.dropout_key = KeyedBits(RandomUse::kDropout, seed_, static_cast<uint64_t>(state_.adam.steps), 0);
+  return batch;
 }
 
-void PpoUpdater::ComputeGradient(const Rollout& rollout, absl::Span<const int> rows, absl::Span<const float> advantages,
-                                 Shard* shard) {
+absl::StatusOr<PpoLossSums> PpoUpdater::RunMinibatch(const Rollout& rollout, const Minibatch& minibatch,
+                                                     UpdateStats* stats) {
+  const Batch batch = MakeBatch(rollout, minibatch);
+  workers_.Run(static_cast<int>(batch.parts.size()),
+               [&](int i) { ComputeGradient(rollout, batch, i, shards_[i].get()); });
+  PpoLossSums sums;
+  std::vector<ShardGradient> gradients;
+  for (size_t i = 0; i < batch.parts.size(); ++i) {
+    CRAFTFLEET_RETURN_IF_ERROR(shards_[i]->status);
+    sums.Add(shards_[i]->sums);
+    gradients.push_back(shards_[i]->net.gradients());
+  }
+  const double norm =
+      AdamStep(AdamOptionsOf(config_), gradients, absl::MakeSpan(state_.weights), &state_.adam, &workers_);
+  if (!std::isfinite(norm)) {
+    return absl::DataLossError(
+        absl::StrCat("the gradient's norm is ", norm, " at optimiser step ", state_.adam.steps + 1));
+  }
+  stats->gradient_norm += norm;
+  return Means(sums, batch.advantages.size());
+}
+
+void PpoUpdater::ComputeGradient(const Rollout& rollout, const Batch& batch, size_t part, Shard* shard) {
   try {
-    const std::vector<const uint8_t*> frames = Gather(rollout.frames, rows);
-    ScaleFrames(frames, spec_.frame_bytes(), shard->frames.data_ptr<float>());
-    const PolicyNet::Output output = shard->net.Forward(shard->frames);
+    const std::vector<int>& rows = batch.parts[part].rows;
+    const size_t first = batch.firsts[part];
+    shard->frames.resize_({static_cast<int64_t>(rows.size()), spec_.frame_size, spec_.frame_size, 3});
+    ScaleFrames(Gather(rollout.frames, rows, no_frame_.data()), spec_.frame_bytes(), shard->frames.data_ptr<float>());
+    const PolicyNet::Output output =
+        shard->net.Forward(shard->frames, SegmentsOf(rollout, batch.parts[part], spec_.state_size),
+                           Dropout{batch.dropout_key, static_cast<int64_t>(first)});
 
     const std::vector<Action> actions = Gather(rollout.actions, rows);
     const std::vector<float> log_probs = Gather(rollout.log_probs, rows);
-    const std::vector<float> returns = Gather(rollout.returns, rows);
+    const auto advantages = absl::MakeConstSpan(batch.advantages).subspan(first, rows.size());
+    const auto returns = absl::MakeConstSpan(batch.returns).subspan(first, rows.size());
     const at::Tensor by_logits = at::empty_like(output.logits);
     const at::Tensor by_values = at::empty_like(output.values);
     shard->sums = PpoLoss(FloatSpan(output.logits), FloatSpan(output.values), {actions, log_probs, advantages, returns},
                           {config_.clip(), config_.value_coefficient(), config_.entropy_coefficient()},
-                          config_.minibatch_size(), FloatSpan(by_logits), FloatSpan(by_values));
+                          static_cast<int>(batch.advantages.size()), FloatSpan(by_logits), FloatSpan(by_values));
     shard->net.ClearGradients();
     torch::autograd::backward({output.logits, output.values}, {by_logits, by_values});
     shard->status = absl::OkStatus();
@@ -187,26 +270,46 @@ void PpoUpdater::ComputeGradient(const Rollout& rollout, absl::Span<const int> r
   }
 }
 
-std::string PpoUpdater::SaveWeights() const { return craftfleet::SaveWeights(spec_, weights_); }
+void PpoUpdater::Restore(State state) {
+  // In place: the shards' nets look into the weights.
+  std::copy(state.weights.begin(), state.weights.end(), state_.weights.begin());
+  state_.adam = std::move(state.adam);
+  state_.value_norm = state.value_norm;
+}
+
+std::string PpoUpdater::SaveWeights() const { return craftfleet::SaveWeights(spec_, state_.weights); }
 
 std::string PpoUpdater::SaveOptimizer() const {
-  SafeTensors file{AsTensors(spec_, kExpAvg, adam_.exp_avg), {{kStepsKey, absl::StrCat(adam_.steps)}}};
-  for (SafeTensor& tensor : AsTensors(spec_, kExpAvgSq, adam_.exp_avg_sq)) file.tensors.push_back(std::move(tensor));
+  SafeTensors file{AsTensors(spec_, kExpAvg, state_.adam.exp_avg), {{kStepsKey, absl::StrCat(state_.adam.steps)}}};
+  for (SafeTensor& tensor : AsTensors(spec_, kExpAvgSq, state_.adam.exp_avg_sq)) {
+    file.tensors.push_back(std::move(tensor));
+  }
+  if (config_.value_norm_decay() > 0) {
+    file.metadata[kValueMean] = Exactly(state_.value_norm.mean);
+    file.metadata[kValueMeanSquare] = Exactly(state_.value_norm.mean_square);
+    file.metadata[kValueWeight] = Exactly(state_.value_norm.weight);
+  }
   return WriteSafetensors(file);
 }
 
 absl::Status PpoUpdater::Load(absl::string_view weights, absl::string_view optimizer) {
-  CRAFTFLEET_ASSIGN_OR_RETURN(const std::vector<float> new_weights, LoadWeights(spec_, weights));
+  State state;
+  CRAFTFLEET_ASSIGN_OR_RETURN(state.weights, LoadWeights(spec_, weights));
   CRAFTFLEET_ASSIGN_OR_RETURN(const SafeTensors file, ReadSafetensors(optimizer));
-  AdamState adam = adam_;
-  CRAFTFLEET_RETURN_IF_ERROR(CopyTensors(spec_, kExpAvg, file.tensors, absl::MakeSpan(adam.exp_avg)));
-  CRAFTFLEET_RETURN_IF_ERROR(CopyTensors(spec_, kExpAvgSq, file.tensors, absl::MakeSpan(adam.exp_avg_sq)));
+  state.adam.exp_avg.resize(spec_.param_count);
+  state.adam.exp_avg_sq.resize(spec_.param_count);
+  CRAFTFLEET_RETURN_IF_ERROR(CopyTensors(spec_, kExpAvg, file.tensors, absl::MakeSpan(state.adam.exp_avg)));
+  CRAFTFLEET_RETURN_IF_ERROR(CopyTensors(spec_, kExpAvgSq, file.tensors, absl::MakeSpan(state.adam.exp_avg_sq)));
   const auto steps = file.metadata.find(kStepsKey);
-  if (steps == file.metadata.end() || !absl::SimpleAtoi(steps->second, &adam.steps) || adam.steps < 0) {
+  if (steps == file.metadata.end() || !absl::SimpleAtoi(steps->second, &state.adam.steps) || state.adam.steps < 0) {
     return absl::InvalidArgumentError("the optimiser's metadata \"steps\" is not a count");
   }
-  std::copy(new_weights.begin(), new_weights.end(), weights_.begin());
-  adam_ = std::move(adam);
+  if (config_.value_norm_decay() > 0) {
+    CRAFTFLEET_RETURN_IF_ERROR(ReadNumber(file, kValueMean, &state.value_norm.mean));
+    CRAFTFLEET_RETURN_IF_ERROR(ReadNumber(file, kValueMeanSquare, &state.value_norm.mean_square));
+    CRAFTFLEET_RETURN_IF_ERROR(ReadNumber(file, kValueWeight, &state.value_norm.weight));
+  }
+  Restore(std::move(state));
   return absl::OkStatus();
 }
 

@@ -10,20 +10,26 @@
 namespace craftfleet {
 namespace {
 
-absl::Status CheckFragment(const Fragment& fragment, int64_t frame_bytes) {
+absl::Status CheckFragment(const Fragment& fragment, const RolloutOptions& options) {
   const size_t steps = fragment.actions.size();
+  if (steps == 0) {
+    return absl::InvalidArgumentError(
+        absl::StrCat("fragment ", fragment.number, " of lane ", fragment.lane, " has no steps"));
+  }
   const auto has = [&](absl::string_view field, size_t size, size_t want) {
     if (size == want) return absl::OkStatus();
     return absl::InvalidArgumentError(absl::StrCat("fragment ", fragment.number, " of lane ", fragment.lane, ": ", size,
                                                    " ", field, " for ", steps, " steps, want ", want));
   };
-  CRAFTFLEET_RETURN_IF_ERROR(has("bytes of frames", fragment.frames.size(), steps * frame_bytes));
+  CRAFTFLEET_RETURN_IF_ERROR(has("bytes of frames", fragment.frames.size(), steps * options.frame_bytes));
   CRAFTFLEET_RETURN_IF_ERROR(has("log_probs", fragment.log_probs.size(), steps));
   CRAFTFLEET_RETURN_IF_ERROR(has("values", fragment.values.size(), steps));
   CRAFTFLEET_RETURN_IF_ERROR(has("rewards", fragment.rewards.size(), steps));
   CRAFTFLEET_RETURN_IF_ERROR(has("ends", fragment.ends.size(), steps));
   const size_t truncations = std::count(fragment.ends.begin(), fragment.ends.end(), StepEnd::kTruncated);
   CRAFTFLEET_RETURN_IF_ERROR(has("truncation_values", fragment.truncation_values.size(), truncations));
+  const size_t states = options.every_state ? steps : 1;
+  CRAFTFLEET_RETURN_IF_ERROR(has("numbers of states", fragment.states.size(), states * options.state_size));
   for (const char action : fragment.actions) {
     const int number = static_cast<unsigned char>(action);
     if (number >= kNumActions) {
@@ -34,22 +40,50 @@ absl::Status CheckFragment(const Fragment& fragment, int64_t frame_bytes) {
   return absl::OkStatus();
 }
 
+// Why the fragment's step `t` may not go on from the row before it.
+RowStart StartOf(const Fragment& fragment, size_t t, const Rollout& rollout) {
+  if (t > 0) return fragment.ends[t - 1] == StepEnd::kNone ? RowStart::kNone : RowStart::kEpisode;
+  if (fragment.lane != rollout.last_lane) return RowStart::kLane;
+  return rollout.last_end == StepEnd::kNone ? RowStart::kFragment : RowStart::kEpisode;
+}
+
+void AppendStates(const Fragment& fragment, const RolloutOptions& options, Rollout* rollout) {
+  for (size_t t = 0; t < fragment.actions.size(); ++t) {
+    rollout->starts.push_back(StartOf(fragment, t, *rollout));
+    const bool kept = options.state_size > 0 && (t == 0 || options.every_state);
+    rollout->states.push_back(kept ? &fragment.states[t * options.state_size] : nullptr);
+  }
+  rollout->last_lane = fragment.lane;
+  rollout->last_end = fragment.ends.back();
+}
+
+// Values as the GAE wants them, and the advantages and returns that follow.
+void AppendAdvantages(const Fragment& fragment, const RolloutOptions& options, Rollout* rollout) {
+  const size_t first = rollout->values.size();
+  const size_t steps = fragment.values.size();
+  const ValueScale& scale = options.value_scale;
+  for (const float value : fragment.values) rollout->values.push_back(scale.Denormalise(value));
+  std::vector<float> truncation_values;
+  for (const float value : fragment.truncation_values) truncation_values.push_back(scale.Denormalise(value));
+  rollout->advantages.resize(first + steps);
+  rollout->returns.resize(first + steps);
+  ComputeGae({fragment.rewards, absl::MakeConstSpan(rollout->values).subspan(first), fragment.ends, truncation_values,
+              scale.Denormalise(fragment.bootstrap_value)},
+             options.gae, absl::MakeSpan(rollout->advantages).subspan(first),
+             absl::MakeSpan(rollout->returns).subspan(first));
+}
+
 }  // namespace
 
-absl::Status AppendFragment(const Fragment& fragment, int64_t frame_bytes, const GaeOptions& gae, Rollout* rollout) {
-  CRAFTFLEET_RETURN_IF_ERROR(CheckFragment(fragment, frame_bytes));
-  const size_t first = rollout->size();
-  const size_t steps = fragment.actions.size();
-  for (size_t t = 0; t < steps; ++t) {
-    rollout->frames.push_back(reinterpret_cast<const uint8_t*>(fragment.frames.data()) + t * frame_bytes);
+absl::Status AppendFragment(const Fragment& fragment, const RolloutOptions& options, Rollout* rollout) {
+  CRAFTFLEET_RETURN_IF_ERROR(CheckFragment(fragment, options));
+  for (size_t t = 0; t < fragment.actions.size(); ++t) {
+    rollout->frames.push_back(reinterpret_cast<const uint8_t*>(fragment.frames.data()) + t * options.frame_bytes);
     rollout->actions.push_back(static_cast<Action>(fragment.actions[t]));
   }
   rollout->log_probs.insert(rollout->log_probs.end(), fragment.log_probs.begin(), fragment.log_probs.end());
-  rollout->values.insert(rollout->values.end(), fragment.values.begin(), fragment.values.end());
-  rollout->advantages.resize(first + steps);
-  rollout->returns.resize(first + steps);
-  ComputeGae({fragment.rewards, fragment.values, fragment.ends, fragment.truncation_values, fragment.bootstrap_value},
-             gae, absl::MakeSpan(rollout->advantages).subspan(first), absl::MakeSpan(rollout->returns).subspan(first));
+  AppendStates(fragment, options, rollout);
+  AppendAdvantages(fragment, options, rollout);
   return absl::OkStatus();
 }
 

@@ -12,10 +12,20 @@
 #include "common/crafter.h"
 #include "common/types.h"
 #include "learner/ppo/gae.h"
+#include "learner/ppo/value_norm.h"
 
 namespace craftfleet {
 
-// Rows are steps. Frames stay where they are: in the fragments, which must outlive the rollout.
+// Whether a row goes on from the row before it.
+enum class RowStart : uint8_t {
+  kNone = 0,  // it does: the next step of the same episode
+  kFragment,  // so it does, but in another fragment
+  kLane,      // another lane, in the middle of an episode
+  kEpisode,   // the first step of an episode
+};
+
+// Rows are steps, lane after lane. Frames and recurrent states stay where they are: in the fragments, which must
+// outlive the rollout.
 struct Rollout {
   std::vector<const uint8_t*> frames;  // [n] -> uint8[H,W,3]
   std::vector<Action> actions;         // [n]
@@ -23,14 +33,27 @@ struct Rollout {
   std::vector<float> values;           // [n] likewise
   std::vector<float> advantages;       // [n] not normalised
   std::vector<float> returns;          // [n]
+  std::vector<RowStart> starts;        // [n]
+  std::vector<const float*> states;    // [n] -> float[S] before the step; null: zero, or not kept (kNone)
+  int last_lane = -1;                  // of the last row
+  StepEnd last_end = StepEnd::kNone;   // likewise
 
   size_t size() const { return actions.size(); }
 };
 
-// Adds the fragment's T steps, with advantages from GAE over the fragment alone.
+struct RolloutOptions {
+  int64_t frame_bytes = 0;
+  int state_size = 0;        // of the agent's recurrent state (S)
+  bool every_state = false;  // fragments hold the state before each step, not just the first
+  GaeOptions gae;
+  ValueScale value_scale;  // of the values in fragments
+};
+
+// Adds the fragment's T steps, with advantages from GAE over the fragment alone. Fragments come lane after lane, each
+// lane's in order.
 //   InvalidArgument: the fragment's fields don't have T steps (frames: T * frame_bytes bytes), or an action is not
 //   0..16; the rollout is untouched.
-absl::Status AppendFragment(const Fragment& fragment, int64_t frame_bytes, const GaeOptions& gae, Rollout* rollout);
+absl::Status AppendFragment(const Fragment& fragment, const RolloutOptions& options, Rollout* rollout);
 
 }  // namespace craftfleet
 

@@ -14,6 +14,7 @@ namespace {
 Fragment Build(FragmentBuilder* builder, int lane, int64_t number) {
   const Fragment sample = SampleFragment(lane, number, 9, 3);
   builder->Start(3, lane, number, 9, kSampleShape.steps, kSampleShape.frame_bytes);
+  builder->AddState(sample.states);
   size_t ended = 0;
   for (int t = 0; t < kSampleShape.steps; ++t) {
     EXPECT_EQ(builder->size(), t);
@@ -38,6 +39,7 @@ TEST(FragmentBuilder, NothingOfAnEarlierFragmentIsLeft) {
   FragmentBuilder builder;
   Build(&builder, 1, 4);
   builder.Start(3, 1, 5, 9, kSampleShape.steps, kSampleShape.frame_bytes);
+  builder.AddState({1, 2});
   builder.Append("left behind!", Action::kDo, 0, 0, 0, StepEnd::kTerminated);  // then the environment server went
   builder.AddEpisode(EndedEpisode(0, 1));
   ExpectSameFragments(Build(&builder, 2, 0), SampleFragment(2, 0, 9, 3));

@@ -12,7 +12,7 @@
 
 namespace craftfleet {
 
-inline constexpr wire::FragmentShape kSampleShape = {3, 5, 12};  // lanes, steps, frame bytes
+inline constexpr wire::FragmentShape kSampleShape = {3, 5, 12, 2, 1};  // lanes, steps, frame bytes, state size, states
 
 inline Episode EndedEpisode(int step, int64_t length) {
   Episode episode;
@@ -41,7 +41,10 @@ inline Fragment SampleFragment(int lane, int64_t number, int64_t policy_version,
   fragment.truncation_values = {0.75F};
   fragment.bootstrap_value = -1.25F;
   fragment.episodes = {EndedEpisode(1, 166), EndedEpisode(3, 2)};
-  fragment.snapshot = "the game of lane " + std::to_string(lane) + std::string("\0after", 6) + std::to_string(number);
+  fragment.states = {0.25F, -static_cast<float>(lane)};
+  fragment.snapshot.game =
+      "the game of lane " + std::to_string(lane) + std::string("\0after", 6) + std::to_string(number);
+  fragment.snapshot.state = {-0.5F, static_cast<float>(number)};
   return fragment;
 }
 
@@ -81,7 +84,9 @@ inline void ExpectSameFragments(const Fragment& actual, const Fragment& wanted) 
   EXPECT_EQ(actual.truncation_values, wanted.truncation_values);
   EXPECT_EQ(actual.bootstrap_value, wanted.bootstrap_value);
   ExpectSameEpisodes(actual.episodes, wanted.episodes);
-  EXPECT_EQ(actual.snapshot, wanted.snapshot);
+  EXPECT_EQ(actual.states, wanted.states);
+  EXPECT_EQ(actual.snapshot.game, wanted.snapshot.game);
+  EXPECT_EQ(actual.snapshot.state, wanted.snapshot.state);
 }
 
 }  // namespace craftfleet

@@ -46,7 +46,7 @@ class Book {
     return Ask(actor, {}, capacity).granted;
   }
   Verdict Push(const std::string& actor, const Permit& permit) {
-    const auto verdict = ledger.Accept(actor, permit, "after " + std::to_string(permit.fragment));
+    const auto verdict = ledger.Accept(actor, permit, {"after " + std::to_string(permit.fragment), {1.5F}});
     EXPECT_THAT(verdict, IsOk());
     return verdict.value_or(Verdict::kExpired);
   }
@@ -125,9 +125,9 @@ TEST(LaneLedger, GrantsAreForTheNextFragmentUnderTheIterationsWeights) {
 }
 
 TEST(LaneLedger, GoesOnFromGivenRecords) {
-  Book book({{7, "seven"}, {6, "six"}}, 7);
+  Book book({{7, {"seven", {7}}}, {6, {"six", {6}}}}, 7);
   EXPECT_THAT(book.Enter("a"), ElementsAre(Permit{1, 6, kVersion}));
-  EXPECT_EQ(book.ledger.Snapshot(0, 7).value(), "seven");
+  EXPECT_EQ(book.ledger.Snapshot(0, 7).value(), (LaneSnapshot{"seven", {7}}));
 }
 
 TEST(LaneLedger, AnUnknownActorMustJoin) {
@@ -248,20 +248,20 @@ TEST(LaneLedger, RefusesFragmentsWithoutPermit) {
 TEST(LaneLedger, RefusesFragmentsOfOtherWeights) {
   Book book(1);
   const Permit permit = book.Enter("a")[0];
-  EXPECT_THAT(book.ledger.Accept("a", {0, 0, kVersion - 1}, "s"),
+  EXPECT_THAT(book.ledger.Accept("a", {0, 0, kVersion - 1}, {"s", {}}),
               StatusIs(absl::StatusCode::kInvalidArgument,
                        AllOf(HasSubstr("policy_version 19"), HasSubstr("lane 0"), HasSubstr("want 20"))));
   EXPECT_EQ(book.Push("a", permit), Verdict::kAccepted) << "the permit still stands";
 }
 
 TEST(LaneLedger, KeepsTheSnapshotOfTheLastAcceptedFragment) {
-  Book book({{3, "before 3"}}, 5);
+  Book book({{3, {"before 3", {0.5F}}}}, 5);
   const Permit permit = book.Enter("a")[0];
-  EXPECT_EQ(book.ledger.Snapshot(0, 3).value(), "before 3");
+  EXPECT_EQ(book.ledger.Snapshot(0, 3).value(), (LaneSnapshot{"before 3", {0.5F}}));
   EXPECT_EQ(book.Push("a", permit), Verdict::kAccepted);
   EXPECT_EQ(book.Push("a", permit), Verdict::kDuplicate);
-  EXPECT_EQ(book.ledger.Snapshot(0, 4).value(), "after 3");
-  EXPECT_EQ(book.ledger.Records()[0].snapshot, "after 3");
+  EXPECT_EQ(book.ledger.Snapshot(0, 4).value(), (LaneSnapshot{"after 3", {1.5F}}));
+  EXPECT_EQ(book.ledger.Records()[0].snapshot, (LaneSnapshot{"after 3", {1.5F}}));
   EXPECT_THAT(book.ledger.Snapshot(0, 3),
               StatusIs(absl::StatusCode::kAborted, HasSubstr("lane 0 is at fragment 4, not 3")));
   for (const int lane : {-1, 1}) {

@@ -95,7 +95,7 @@ class WildActor {
       }
       if (Chance(10)) continue;
       for (int times = Chance(20) ? 2 : 1; times > 0; --times) {
-        const auto verdict = ledger_->Accept(name, permit, absl::StrCat(permit.lane, "/", permit.fragment + 1));
+        const auto verdict = ledger_->Accept(name, permit, {absl::StrCat(permit.lane, "/", permit.fragment + 1), {}});
         ASSERT_THAT(verdict, IsOk());
         if (*verdict == LaneLedger::Verdict::kAccepted) referee_->Count(permit);
       }
@@ -129,7 +129,7 @@ TEST(LaneLedgerThreads, EveryFragmentIsAcceptedExactlyOnce) {
     for (int lane = 0; lane < kLanes; ++lane) {
       const int64_t next = kFragmentsPerIteration * (iteration + 1);
       ASSERT_EQ(ledger.Records()[lane].next_fragment, next);
-      ASSERT_EQ(ledger.Snapshot(lane, next).value(), absl::StrCat(lane, "/", next));
+      ASSERT_EQ(ledger.Snapshot(lane, next).value().game, absl::StrCat(lane, "/", next));
     }
     ledger.OpenIteration(kFragmentsPerIteration * (iteration + 2), iteration + 1);
   }

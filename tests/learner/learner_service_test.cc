@@ -171,7 +171,9 @@ TEST_F(LearnerServiceTest, AFragmentReachesTheTrainerAsItWasSent) {
   EXPECT_EQ((*verdicts)[1].lane(), 0);
   ExpectSameFragments(*fragments_.Pop(absl::ZeroDuration()), SampleFragment(1, 0, kVersion, kEpoch));
   ExpectSameFragments(*fragments_.Pop(absl::ZeroDuration()), SampleFragment(0, 0, kVersion, kEpoch));
-  EXPECT_EQ(GetSnapshot(1, 1)->snapshot(), SampleFragment(1, 0, kVersion).snapshot);
+  auto snapshot = GetSnapshot(1, 1);
+  ASSERT_THAT(snapshot, IsOk());
+  EXPECT_EQ(wire::FromProto(&*snapshot, kSampleShape.state_size).value(), SampleFragment(1, 0, kVersion).snapshot);
 }
 
 TEST_F(LearnerServiceTest, AFragmentSentTwiceIsTakenOnce) {

@@ -85,7 +85,10 @@ void ExpectShape(const Fragment& fragment) {
   ASSERT_EQ(fragment.ends.size(), steps);
   ASSERT_TRUE(AllFinite(fragment.log_probs) && AllFinite(fragment.values) && AllFinite(fragment.rewards));
   ASSERT_TRUE(AllFinite(fragment.truncation_values) && std::isfinite(fragment.bootstrap_value));
-  ASSERT_FALSE(fragment.snapshot.empty());
+  ASSERT_EQ(fragment.states.size(), kSampleShape.state_size);
+  ASSERT_EQ(fragment.snapshot.state.size(), kSampleShape.state_size);
+  ASSERT_TRUE(AllFinite(fragment.states) && AllFinite(fragment.snapshot.state));
+  ASSERT_FALSE(fragment.snapshot.game.empty());
   ExpectSoundEpisodes(fragment.ends, fragment.episodes, fragment.truncation_values.size());
 }
 

@@ -49,6 +49,30 @@ TEST(ConvertFragment, MovesItsBuffers) {
   EXPECT_EQ(wire::FromProto(&message, kSampleShape)->frames.data(), frames);
 }
 
+TEST(ConvertFragment, HoldsTheStateBeforeEachStepWhereItIsWanted) {
+  wire::FragmentShape shape = kSampleShape;
+  shape.states = shape.steps;
+  v1::FragmentMessage message = wire::ToProto(SampleFragment(2, 7, 40, 3));
+  EXPECT_THAT(wire::FromProto(&message, shape),
+              StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("states: 2 numbers, want 10")));
+  Fragment fragment = SampleFragment(2, 7, 40, 3);
+  fragment.states = {0, 1, 2, 3, 4, 5, 6, 7, 8, 9};
+  message = wire::ToProto(fragment);
+  ExpectSameFragments(*wire::FromProto(&message, shape), fragment);
+}
+
+TEST(ConvertSnapshot, ComesBackAsItWent) {
+  const LaneSnapshot sent = SampleFragment(1, 2, 3).snapshot;
+  v1::SnapshotReply message = wire::ToProto(sent);
+  EXPECT_EQ(*wire::FromProto(&message, 2), sent);
+  message = wire::ToProto(sent);
+  EXPECT_THAT(wire::FromProto(&message, 512),
+              StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("state: 2 numbers, want 512")));
+  message.set_state(1, kNan);
+  EXPECT_THAT(wire::FromProto(&message, 2),
+              StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("state: holds nan")));
+}
+
 class WrongFragment : public testing::TestWithParam<Wrong<v1::FragmentMessage>> {};
 
 TEST_P(WrongFragment, IsRefusedByName) {
@@ -96,6 +120,10 @@ const std::vector<Wrong<FragmentMessage>>& WrongFragments() {
        "achievements: 21 counts, want 22"},
       {"AchievementBelow0", [](FragmentMessage* m) { m->mutable_episodes(0)->set_achievements(3, -1); },
        "achievements: -1, want at least 0"},
+      {"StatesShort", [](FragmentMessage* m) { m->mutable_states()->RemoveLast(); }, "states: 1 numbers, want 2"},
+      {"StateInfinite", [](FragmentMessage* m) { m->set_states(1, kInfinity); }, "states: holds inf"},
+      {"NoLastState", [](FragmentMessage* m) { m->clear_last_state(); }, "last_state: 0 numbers, want 2"},
+      {"LastStateNan", [](FragmentMessage* m) { m->set_last_state(0, kNan); }, "last_state: holds nan"},
       {"NoSnapshot", [](FragmentMessage* m) { m->clear_snapshot(); }, "snapshot is empty"},
   };
   return *wrong;

@@ -1,17 +1,15 @@
 #include "learner/ppo/ppo_updater.h"
 
-#include <cmath>
-#include <cstring>
 #include <limits>
+#include <map>
 
-#include <absl/strings/match.h>
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
-#include "common/agent/safetensors.h"
 #include "common/agent/weights.h"
 #include "common/keyed_random.h"
 #include "tests/agent/golden_agent.h"
+#include "tests/learner/ppo/update_samples.h"
 
 namespace craftfleet {
 namespace {
@@ -20,24 +18,6 @@ using testing::GoldenFrames;
 using testing::GoldenWeights;
 using ::testing::HasSubstr;
 using testing::ReadGolden;
-
-bool NeverStop() { return false; }
-
-v1::RunConfig SmallConfig(int minibatch_size) {
-  v1::RunConfig config;
-  config.set_agent("ppo_cnn");
-  config.set_seed(7);
-  config.set_gradient_shards(2);
-  v1::PpoConfig* ppo = config.mutable_ppo();
-  ppo->set_minibatch_size(minibatch_size);
-  ppo->set_epochs(1);
-  ppo->set_learning_rate(1e-4);
-  ppo->set_clip(0.2);
-  ppo->set_value_coefficient(0.5);
-  ppo->set_max_gradient_norm(0.5);
-  ppo->set_adam_epsilon(1e-5);
-  return config;
-}
 
 // A rollout together with the frames it points to.
 struct OwnedRollout {
@@ -66,9 +46,6 @@ OwnedRollout RandomRollout(uint32_t seed, int n) {
   }
   return owned;
 }
-
-// An optimiser that has not stepped yet, for Load.
-std::string FreshOptimizer(const v1::RunConfig& config) { return (*PpoUpdater::Create(config, 1))->SaveOptimizer(); }
 
 // What a run of `iterations` updates leaves behind.
 std::string TrainedState(const v1::RunConfig& config, int threads, int iterations) {
@@ -108,21 +85,11 @@ TEST(PpoUpdater, ThreeStepsOnOneMinibatchMatchTheGolden) {
     const double norm = step["grad_norm_total"];
     EXPECT_NEAR(stats->gradient_norm, norm, norm * (i == 0 ? 1e-3 : 1e-2));
     if (i > 0) continue;
-    // Adam's first mean is (1 - beta1) * the clipped gradient.
-    const std::string bytes = updater->SaveOptimizer();
-    const SafeTensors state = *ReadSafetensors(bytes);
-    const double scale = 0.1 * 0.5 / norm;
-    for (const SafeTensor& tensor : state.tensors) {
-      const auto known = step["grad_norms"].find(tensor.name.substr(tensor.name.find('.') + 1));
-      if (!absl::StartsWith(tensor.name, "exp_avg.")) continue;
-      ASSERT_NE(known, step["grad_norms"].end()) << tensor.name;
-      double squares = 0;
-      for (size_t at = 0; at < tensor.data.size(); at += sizeof(float)) {
-        float value = 0;
-        std::memcpy(&value, tensor.data.data() + at, sizeof(float));
-        squares += double{value} * value;
-      }
-      EXPECT_NEAR(std::sqrt(squares) / scale, known->get<double>(), known->get<double>() * 1e-3) << tensor.name;
+    const std::map<std::string, double> norms = FirstGradientNorms(*updater, norm);
+    EXPECT_EQ(norms.size(), step["grad_norms"].size());
+    for (const auto& [name, value] : norms) {
+      const double known = step["grad_norms"].at(name);
+      EXPECT_NEAR(value, known, known * 1e-3) << name;
     }
   }
   EXPECT_EQ(updater->optimizer_steps(), 3);
@@ -189,6 +156,46 @@ TEST(PpoUpdater, LoadRefusesWhatIsNotTheAgentsAndKeepsItsState) {
   EXPECT_THAT(std::string(updater->Load(weights, weights).message()),
               HasSubstr("exp_avg.features_extractor.cnn.0.weight"));
   EXPECT_TRUE(updater->SaveWeights() == weights);
+}
+
+TEST(PpoUpdater, NormalisedValuesGoOnAsIfNeverStopped) {
+  v1::RunConfig config = SmallConfig(32);
+  config.mutable_ppo()->set_value_norm_decay(0.9);
+  const OwnedRollout owned = RandomRollout(11, 64);
+  const auto first = *PpoUpdater::Create(config, 2);
+  EXPECT_EQ(first->rollout_options().value_scale.deviation, 1) << "no targets yet";
+  for (int i = 0; i < 2; ++i) ASSERT_TRUE(first->Update(i, owned.rollout, NeverStop).ok());
+  const auto second = *PpoUpdater::Create(config, 2);
+  ASSERT_TRUE(second->Load(first->SaveWeights(), first->SaveOptimizer()).ok());
+  const ValueScale scale = second->rollout_options().value_scale;
+  EXPECT_EQ(scale.mean, first->rollout_options().value_scale.mean);
+  EXPECT_EQ(scale.deviation, first->rollout_options().value_scale.deviation);
+  EXPECT_NEAR(scale.mean, 0.5, 0.2) << "of returns that are the sum of uniforms in 0..1 and -0.5..0.5";
+  ASSERT_TRUE(second->Update(2, owned.rollout, NeverStop).ok());
+  EXPECT_TRUE(second->SaveWeights() + second->SaveOptimizer() == TrainedState(config, 2, 3));
+
+  const absl::Status status = second->Load(first->SaveWeights(), FreshOptimizer(SmallConfig(32)));
+  EXPECT_THAT(std::string(status.message()), HasSubstr("value_norm.mean"));
+}
+
+TEST(PpoUpdater, AStoppedUpdateLeavesTheValueNormaliserAsItWas) {
+  v1::RunConfig config = SmallConfig(32);
+  config.mutable_ppo()->set_value_norm_decay(0.9);
+  const auto updater = *PpoUpdater::Create(config, 2);
+  ASSERT_FALSE(updater->Update(0, RandomRollout(11, 64).rollout, [] { return true; }).ok());
+  EXPECT_EQ(updater->SaveOptimizer(), FreshOptimizer(config));
+}
+
+// The value head learns the same from returns that are a hundred times as large.
+TEST(PpoUpdater, NormalisedValueLossDoesNotDependOnTheReturnsScale) {
+  v1::RunConfig config = SmallConfig(32);
+  config.mutable_ppo()->set_value_norm_decay(0.9);
+  OwnedRollout owned = RandomRollout(11, 64);
+  const UpdateStats stats = *(*PpoUpdater::Create(config, 2))->Update(0, owned.rollout, NeverStop);
+  for (float& target : owned.rollout.returns) target *= 100;
+  const UpdateStats scaled = *(*PpoUpdater::Create(config, 2))->Update(0, owned.rollout, NeverStop);
+  EXPECT_NEAR(scaled.value_loss, stats.value_loss, stats.value_loss * 1e-4);
+  EXPECT_NEAR(stats.value_loss, 1, 0.3) << "the head begins at zero";
 }
 
 TEST(PpoUpdater, LearnsToPreferTheRewardedAction) {

@@ -7,6 +7,15 @@ namespace craftfleet {
 namespace {
 
 constexpr int kFrameBytes = 12;
+constexpr int kStateSize = 2;
+
+RolloutOptions Options(const GaeOptions& gae = {}) {
+  RolloutOptions options;
+  options.frame_bytes = kFrameBytes;
+  options.state_size = kStateSize;
+  options.gae = gae;
+  return options;
+}
 
 Fragment TwoSteps() {
   Fragment fragment;
@@ -19,6 +28,7 @@ Fragment TwoSteps() {
   fragment.rewards = {1, 2};
   fragment.ends = {StepEnd::kNone, StepEnd::kTerminated};
   fragment.bootstrap_value = 7;
+  fragment.states = {0.5F, -0.5F};
   return fragment;
 }
 
@@ -26,9 +36,9 @@ TEST(Rollout, AppendsTheFragmentsStepsWithTheirAdvantages) {
   const Fragment first = TwoSteps();
   const Fragment second = TwoSteps();
   Rollout rollout;
-  const GaeOptions gae = {0.5, 0.5, false};
-  ASSERT_TRUE(AppendFragment(first, kFrameBytes, gae, &rollout).ok());
-  ASSERT_TRUE(AppendFragment(second, kFrameBytes, gae, &rollout).ok());
+  const RolloutOptions options = Options({0.5, 0.5, false});
+  ASSERT_TRUE(AppendFragment(first, options, &rollout).ok());
+  ASSERT_TRUE(AppendFragment(second, options, &rollout).ok());
   ASSERT_EQ(rollout.size(), 4);
   EXPECT_EQ(rollout.frames[1], reinterpret_cast<const uint8_t*>(first.frames.data()) + kFrameBytes);
   EXPECT_EQ(rollout.frames[2], reinterpret_cast<const uint8_t*>(second.frames.data()));
@@ -39,12 +49,62 @@ TEST(Rollout, AppendsTheFragmentsStepsWithTheirAdvantages) {
   EXPECT_EQ(rollout.returns, (std::vector<float>{6.5, 2, 6.5, 2}));
 }
 
+// An agent whose value head says (value - 2) / 4.
+TEST(Rollout, ValuesAreDenormalisedBeforeAdvantages) {
+  RolloutOptions options = Options({0.5, 0.5, false});
+  Fragment plain = TwoSteps();
+  plain.ends = {StepEnd::kTruncated, StepEnd::kNone};
+  plain.truncation_values = {6};
+  Fragment scaled = plain;
+  scaled.values = {2, 4.5F};
+  scaled.truncation_values = {1};
+  scaled.bootstrap_value = 1.25F;
+  Rollout wanted;
+  ASSERT_TRUE(AppendFragment(plain, options, &wanted).ok());
+  options.value_scale = {2, 4};
+  Rollout rollout;
+  ASSERT_TRUE(AppendFragment(scaled, options, &rollout).ok());
+  EXPECT_EQ(rollout.values, wanted.values);
+  EXPECT_EQ(rollout.advantages, wanted.advantages);
+  EXPECT_EQ(rollout.returns, wanted.returns);
+}
+
+TEST(Rollout, RowsKnowWhereTheyStartAndFromWhichState) {
+  std::vector<Fragment> fragments(5, TwoSteps());
+  fragments[0].ends = {StepEnd::kNone, StepEnd::kNone};
+  fragments[1].ends = {StepEnd::kTruncated, StepEnd::kTerminated};
+  fragments[1].truncation_values = {0};
+  fragments[3].lane = 4;
+  fragments[3].ends = {StepEnd::kNone, StepEnd::kNone};
+  fragments[4].lane = 4;
+  Rollout rollout;
+  for (const Fragment& fragment : fragments) ASSERT_TRUE(AppendFragment(fragment, Options(), &rollout).ok());
+  using S = RowStart;
+  EXPECT_EQ(rollout.starts, (std::vector<S>{S::kLane, S::kNone, S::kFragment, S::kEpisode, S::kEpisode, S::kNone,
+                                            S::kLane, S::kNone, S::kFragment, S::kNone}));
+  for (size_t i = 0; i < fragments.size(); ++i) {
+    EXPECT_EQ(rollout.states[2 * i], fragments[i].states.data());
+    EXPECT_EQ(rollout.states[2 * i + 1], nullptr);
+  }
+}
+
+TEST(Rollout, EveryStepHasItsStateWhereFragmentsHoldIt) {
+  Fragment fragment = TwoSteps();
+  fragment.states = {1, 2, 3, 4};
+  RolloutOptions options = Options();
+  options.every_state = true;
+  Rollout rollout;
+  ASSERT_TRUE(AppendFragment(fragment, options, &rollout).ok());
+  EXPECT_EQ(rollout.states[0], &fragment.states[0]);
+  EXPECT_EQ(rollout.states[1], &fragment.states[2]);
+}
+
 TEST(Rollout, RefusesAFragmentWhoseFieldsDisagree) {
   const auto error_of = [](void (*spoil)(Fragment*)) {
     Fragment fragment = TwoSteps();
     spoil(&fragment);
     Rollout rollout;
-    const absl::Status status = AppendFragment(fragment, kFrameBytes, {}, &rollout);
+    const absl::Status status = AppendFragment(fragment, Options(), &rollout);
     EXPECT_EQ(status.code(), absl::StatusCode::kInvalidArgument);
     EXPECT_EQ(rollout.size(), 0);
     return status.ToString();
@@ -57,6 +117,9 @@ TEST(Rollout, RefusesAFragmentWhoseFieldsDisagree) {
   EXPECT_THAT(error_of([](Fragment* f) { f->rewards.push_back(0); }), HasSubstr("3 rewards"));
   EXPECT_THAT(error_of([](Fragment* f) { f->ends.pop_back(); }), HasSubstr("1 ends"));
   EXPECT_THAT(error_of([](Fragment* f) { f->ends[0] = StepEnd::kTruncated; }), HasSubstr("0 truncation_values"));
+  EXPECT_THAT(error_of([](Fragment* f) { f->states.pop_back(); }),
+              HasSubstr("1 numbers of states for 2 steps, want 2"));
+  EXPECT_THAT(error_of([](Fragment* f) { f->actions.clear(); }), HasSubstr("fragment 9 of lane 3 has no steps"));
   EXPECT_THAT(error_of([](Fragment* f) { f->actions[1] = 17; }),
               HasSubstr("fragment 9 of lane 3: action 17, want 0..16"));
 }

@@ -1,0 +1,39 @@
+// Normalised value targets: the value head predicts returns with their running mean and variance taken out.
+
+#ifndef CRAFTFLEET_LEARNER_PPO_VALUE_NORM_H_
+#define CRAFTFLEET_LEARNER_PPO_VALUE_NORM_H_
+
+#include <cstdint>
+
+#include <absl/types/span.h>
+
+namespace craftfleet {
+
+// value = mean + deviation * what the value head says.
+struct ValueScale {
+  double mean = 0;
+  double deviation = 1;
+
+  float Denormalise(float value) const { return static_cast<float>(mean + deviation * value); }
+  float Normalise(float value) const { return static_cast<float>((value - mean) / deviation); }
+};
+
+// Running mean and mean square of the targets, exponentially weighted: a step's share in them decays by `decay` with
+// each minibatch that comes after it. `weight` is what all shares add up to; dividing by it corrects the bias towards
+// the zeros that they start from.
+// Source: "The agents", section 9.
+struct ValueNorm {
+  double mean = 0;         // not corrected
+  double mean_square = 0;  // likewise
+  double weight = 0;       // 0: no targets yet
+
+  // Takes in a minibatch of returns, n > 0. `decay` is in (0, 1).
+  void Update(absl::Span<const float> returns, double decay);
+
+  // With a variance of at least 0.01; mean 0 and deviation 1 before the first Update.
+  ValueScale Scale() const;
+};
+
+}  // namespace craftfleet
+
+#endif  // CRAFTFLEET_LEARNER_PPO_VALUE_NORM_H_

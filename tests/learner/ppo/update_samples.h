@@ -1,0 +1,64 @@
+// Configurations of updates to test with, and what to look at afterwards.
+
+#ifndef CRAFTFLEET_TESTS_LEARNER_PPO_UPDATE_SAMPLES_H_
+#define CRAFTFLEET_TESTS_LEARNER_PPO_UPDATE_SAMPLES_H_
+
+#include <cmath>
+#include <cstring>
+#include <map>
+#include <string>
+
+#include <absl/strings/match.h>
+
+#include "common/agent/safetensors.h"
+#include "craftfleet/v1/config.pb.h"
+#include "learner/ppo/ppo_updater.h"
+
+namespace craftfleet {
+
+inline bool NeverStop() { return false; }
+
+inline v1::RunConfig SmallConfig(int minibatch_size, const std::string& agent = "ppo_cnn") {
+  v1::RunConfig config;
+  config.set_agent(agent);
+  config.set_seed(7);
+  config.set_gradient_shards(2);
+  v1::PpoConfig* ppo = config.mutable_ppo();
+  ppo->set_minibatch_size(minibatch_size);
+  ppo->set_epochs(1);
+  ppo->set_learning_rate(1e-4);
+  ppo->set_clip(0.2);
+  ppo->set_value_coefficient(0.5);
+  ppo->set_max_gradient_norm(0.5);
+  ppo->set_adam_epsilon(1e-5);
+  return config;
+}
+
+// An optimiser that has not stepped yet, for Load.
+inline std::string FreshOptimizer(const v1::RunConfig& config) {
+  return (*PpoUpdater::Create(config, 1))->SaveOptimizer();
+}
+
+// The L2 norm of each parameter's gradient in the optimiser's first step, whose norm in all was `norm`, clipped at 0.5.
+inline std::map<std::string, double> FirstGradientNorms(const PpoUpdater& updater, double norm) {
+  const std::string bytes = updater.SaveOptimizer();
+  const SafeTensors state = *ReadSafetensors(bytes);
+  // Adam's first mean is (1 - beta1) * the clipped gradient.
+  const double scale = 0.1 * 0.5 / norm;
+  std::map<std::string, double> norms;
+  for (const SafeTensor& tensor : state.tensors) {
+    if (!absl::StartsWith(tensor.name, "exp_avg.")) continue;
+    double squares = 0;
+    for (size_t at = 0; at < tensor.data.size(); at += sizeof(float)) {
+      float value = 0;
+      std::memcpy(&value, tensor.data.data() + at, sizeof(float));
+      squares += double{value} * value;
+    }
+    norms[std::string(tensor.name.substr(tensor.name.find('.') + 1))] = std::sqrt(squares) / scale;
+  }
+  return norms;
+}
+
+}  // namespace craftfleet
+
+#endif  // CRAFTFLEET_TESTS_LEARNER_PPO_UPDATE_SAMPLES_H_
