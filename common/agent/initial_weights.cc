@@ -9,6 +9,7 @@
 #include <absl/types/span.h>
 
 #include "common/keyed_random.h"
+#include "common/multiversion.h"
 
 namespace craftfleet {
 namespace {
@@ -48,18 +49,78 @@ double Dot(absl::Span<const double> a, absl::Span<const double> b) {
   return rest;
 }
 
-// Modified Gram-Schmidt over the `count` rows of `length` >= `count`. From normal numbers it gives the uniform
-// distribution, as QR with a positive diagonal of R does.
-void OrthonormaliseRows(int64_t count, int64_t length, std::vector<double>* matrix) {
-  const auto row = [&](int64_t i) { return absl::MakeSpan(matrix->data() + i * length, length); };
+// out[0..n) += factors[m * factor_stride] * rows[m * stride + 0..n), over m in 0..count.
+CRAFTFLEET_MULTIVERSION
+void AddMultiples(const double* factors, int64_t factor_stride, const double* rows, int64_t stride, int64_t count,
+                  int64_t n, double* out) {
+  constexpr int64_t kAtOnce = 8;  // rows, so that `out` is read and written less often
+  int64_t m = 0;
+  for (; m + kAtOnce <= count; m += kAtOnce) {
+    const double* f = factors + m * factor_stride;
+    const double* r = rows + m * stride;
+    const int64_t s = stride;
+    const double f0 = f[0], f1 = f[factor_stride], f2 = f[2 * factor_stride], f3 = f[3 * factor_stride];
+    const double f4 = f[4 * factor_stride], f5 = f[5 * factor_stride], f6 = f[6 * factor_stride],
+                 f7 = f[7 * factor_stride];
+    for (int64_t k = 0; k < n; ++k) {
+      out[k] += ((f0 * r[k] + f1 * r[s + k]) + (f2 * r[2 * s + k] + f3 * r[3 * s + k])) +
+                ((f4 * r[4 * s + k] + f5 * r[5 * s + k]) + (f6 * r[6 * s + k] + f7 * r[7 * s + k]));
+    }
+  }
+  for (; m < count; ++m) {
+    const double f = factors[m * factor_stride];
+    for (int64_t k = 0; k < n; ++k) out[k] += f * rows[m * stride + k];
+  }
+}
+
+constexpr int64_t kChunk = 128;  // columns at a time, so that those of all rows stay in the cache
+
+// The lower triangle of matrix * matrix^T, [count,count].
+std::vector<double> GramMatrix(int64_t count, int64_t length, const std::vector<double>& matrix) {
+  std::vector<double> gram(count * count, 0.0);
+  std::vector<double> columns(kChunk * count);  // [kChunk,count]
+  for (int64_t first = 0; first < length; first += kChunk) {
+    const int64_t width = std::min(kChunk, length - first);
+    for (int64_t i = 0; i < count; ++i) {
+      for (int64_t k = 0; k < width; ++k) columns[k * count + i] = matrix[i * length + first + k];
+    }
+    for (int64_t i = 0; i < count; ++i) {
+      AddMultiples(&columns[i], count, columns.data(), count, width, i + 1, &gram[i * count]);
+    }
+  }
+  return gram;
+}
+
+// Cholesky's decomposition in place: the lower triangle of a positive definite matrix becomes L of L * L^T.
+void Decompose(int64_t count, std::vector<double>* matrix) {
+  double* l = matrix->data();
   for (int64_t i = 0; i < count; ++i) {
-    const absl::Span<double> unit = row(i);
-    const double norm = std::sqrt(Dot(unit, unit));
-    for (double& x : unit) x /= norm;
-    for (int64_t j = i + 1; j < count; ++j) {
-      const absl::Span<double> other = row(j);
-      const double projection = Dot(unit, other);
-      for (int64_t k = 0; k < length; ++k) other[k] -= projection * unit[k];
+    double* row = l + i * count;
+    for (int64_t j = 0; j <= i; ++j) {
+      const double* other = l + j * count;
+      const double rest = row[j] - Dot({row, static_cast<size_t>(j)}, {other, static_cast<size_t>(j)});
+      row[j] = i == j ? std::sqrt(rest) : rest / other[j];
+    }
+  }
+}
+
+// Makes the `count` rows of `length` >= `count` orthonormal: the inverse of their Gram matrix' Cholesky factor times
+// the matrix, which is what Gram-Schmidt gives, but in blocks. From normal numbers it is the uniform distribution, as
+// QR with a positive diagonal of R.
+void OrthonormaliseRows(int64_t count, int64_t length, std::vector<double>* matrix) {
+  std::vector<double> factor = GramMatrix(count, length, *matrix);
+  Decompose(count, &factor);
+  for (double& x : factor) x = -x;
+  std::vector<double> chunk(count * kChunk);  // [count,kChunk]
+  for (int64_t first = 0; first < length; first += kChunk) {
+    const int64_t width = std::min(kChunk, length - first);
+    for (int64_t i = 0; i < count; ++i) {
+      double* row = &chunk[i * kChunk];
+      double* place = matrix->data() + i * length + first;
+      std::copy_n(place, width, row);
+      AddMultiples(&factor[i * count], 1, chunk.data(), kChunk, i, width, row);
+      for (int64_t k = 0; k < width; ++k) row[k] /= -factor[i * count + i];
+      std::copy_n(row, width, place);
     }
   }
 }
@@ -70,7 +131,11 @@ void FillOrthogonal(const ParamSpec& param, uint64_t seed, float* weight) {
   const int64_t inputs = param.size / outputs;
   const bool wide = outputs <= inputs;
   std::vector<double> matrix = Normals(seed, Fnv1a64(param.name), param.size);
-  OrthonormaliseRows(wide ? outputs : inputs, wide ? inputs : outputs, &matrix);
+  const int64_t count = wide ? outputs : inputs;
+  const int64_t length = wide ? inputs : outputs;
+  OrthonormaliseRows(count, length, &matrix);
+  // A matrix that is nearly square is ill-conditioned and needs a second time.
+  if (length < 4 * count) OrthonormaliseRows(count, length, &matrix);
   for (int64_t out = 0; out < outputs; ++out) {
     for (int64_t in = 0; in < inputs; ++in) {
       const double value = wide ? matrix[out * inputs + in] : matrix[in * outputs + out];
