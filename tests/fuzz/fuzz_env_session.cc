@@ -49,7 +49,7 @@ v1::PlayRequest Hello() {
   v1::SessionHello* hello = request.mutable_hello();
   hello->set_protocol_version(wire::kProtocolVersion);
   hello->mutable_env()->set_name("crafter");
-  hello->mutable_env()->set_frame_size(16);
+  hello->mutable_env()->set_frame_size(27);
   return request;
 }
 
