@@ -21,6 +21,7 @@ constexpr char kUsage[] =
   craftfleet sweep    run experiments: every cell of a table, with several seeds
   craftfleet report   make the paper's tables and figures from runs
   craftfleet curve    draw the learning curves of runs
+  craftfleet agents   list the agents and what their networks are made of
   craftfleet envs     list the environments and what their worlds have
   craftfleet status   ask a process of the fleet what it is doing
   craftfleet COMMAND --help tells more about each.
