@@ -39,9 +39,11 @@ constexpr int64_t kFragmentsPerIteration = 2;  // of a lane
 constexpr int kLength = 11;                    // of an episode: one ends in most fragments
 constexpr int kFrameBytes = 64 * 64 * 3;
 
-v1::RunConfig Config() {
+// Recurrent agents keep the state before each step, which shows all of what happened to it.
+v1::RunConfig Config(const std::string& agent) {
   v1::RunConfig config;
-  config.set_agent("ppo_cnn");
+  config.set_agent(agent);
+  config.mutable_ppo()->set_recurrent_batches(v1::PpoConfig::PUBLISHED);
   *config.mutable_env() = SampleHello(kLength).env();
   config.set_seed(3);
   config.set_lanes(kLanes);
@@ -50,18 +52,28 @@ v1::RunConfig Config() {
   return config;
 }
 
+wire::FragmentShape Shape(const std::string& agent) {
+  const int state_size = FindAgent(agent)->state_size;
+  return {kLanes, kSteps, kFrameBytes, state_size, kSteps};
+}
+
+std::vector<LaneRecord> NewLanes(const std::string& agent) {
+  return std::vector<LaneRecord>(kLanes, {0, {"", std::vector<float>(FindAgent(agent)->state_size)}});
+}
+
 // A learner that hands out work and learns nothing: iteration i is played with weights i.
 class StandInLearner {
  public:
-  StandInLearner(const std::string& address, int64_t epoch, std::vector<LaneRecord> lanes,
+  StandInLearner(const std::string& agent, const std::string& address, int64_t epoch, std::vector<LaneRecord> lanes,
                  const std::string& texture_digest = "")
-      : ledger_({kLanes}, std::move(lanes), &clock_),
-        service_({"run-a", epoch, Config(), texture_digest, {kLanes, kSteps, kFrameBytes}, absl::Seconds(5)}, &ledger_,
-                 &weights_, &fragments_),
+      : agent_(agent),
+        ledger_({kLanes}, std::move(lanes), &clock_),
+        service_({"run-a", epoch, Config(agent), texture_digest, Shape(agent), absl::Seconds(5)}, &ledger_, &weights_,
+                 &fragments_, &evaluations_),
         server_(*wire::Server::Create({address}, {&service_})) {}
 
   void Open(int64_t iteration) {
-    weights_.Publish(iteration, std::make_shared<std::string>(SampleWeights(iteration)));
+    weights_.Publish(iteration, std::make_shared<std::string>(SampleWeights(iteration, agent_)));
     ledger_.OpenIteration((iteration + 1) * kFragmentsPerIteration, iteration);
   }
   // The fragments of the open iteration, in order; fewer after a minute.
@@ -82,8 +94,10 @@ class StandInLearner {
   wire::Endpoint Connect() const { return wire::Connect(server_->address()); }
 
  private:
+  const std::string agent_;
   RealClock clock_;
   LaneLedger ledger_;
+  EvaluationBook evaluations_{absl::Seconds(5), &clock_};
   WeightStore weights_;
   FragmentQueue fragments_{100};
   LearnerServiceImpl service_;
@@ -129,18 +143,19 @@ class RunningActor {
 // The games of all lanes played without actor, server or learner: what the fragments of the run must be.
 class Reference {
  public:
-  Reference() {
+  explicit Reference(const std::string& agent) : agent_(agent) {
     WorldOptions world;
     world.length = kLength;
     const auto renderer = *Renderer::Create(**Textures::Load(*DefaultTextureDir()), world, RenderOptions());
     for (int lane = 0; lane < kLanes; ++lane) {
       frames_.emplace_back(kFrameBytes, '\0');
-      games_.push_back(*Game::Create(renderer, LaneSeed(Config().seed(), lane), Bytes(lane)));
+      games_.push_back(*Game::Create(renderer, LaneSeed(Config(agent).seed(), lane), Bytes(lane)));
+      states_.emplace_back(FindAgent(agent)->state_size);
     }
   }
 
   std::vector<Fragment> Play(int64_t iteration) {
-    const auto policy = SamplePolicy(iteration, Config().tile());
+    const auto policy = SamplePolicy(iteration, Config(agent_).tile(), agent_);
     std::vector<Fragment> fragments;
     for (int lane = 0; lane < kLanes; ++lane) {
       for (int64_t i = 0; i < kFragmentsPerIteration; ++i) {
@@ -162,8 +177,10 @@ class Reference {
     fragment.number = number;
     fragment.policy_version = version;
     for (int t = 0; t < kSteps; ++t) {
-      const double noise = ActionNoise(Config().seed(), lane, number * kSteps + t);
-      const ActResult act = *policy.Act(frames_[lane], {lane}, {noise}, {});
+      const double noise = ActionNoise(Config(agent_).seed(), lane, number * kSteps + t);
+      std::vector<float>& state = states_[lane];
+      fragment.states.insert(fragment.states.end(), state.begin(), state.end());
+      const ActResult act = *policy.Act(frames_[lane], {lane}, {noise}, absl::MakeSpan(state));
       fragment.frames += frames_[lane];
       fragment.actions.push_back(static_cast<char>(act.actions[0]));
       fragment.log_probs.push_back(act.log_probs[0]);
@@ -173,25 +190,31 @@ class Reference {
       fragment.rewards.push_back(static_cast<float>(played.outcome.reward));
       fragment.ends.push_back(played.outcome.end);
       if (played.outcome.end == StepEnd::kTruncated) {
-        fragment.truncation_values.push_back(policy.Values(last_frame, {lane}, {})->front());
+        fragment.truncation_values.push_back(policy.Values(last_frame, {lane}, state)->front());
       }
+      if (played.outcome.end != StepEnd::kNone) state.assign(state.size(), 0);
       if (!played.episode.has_value()) continue;
       fragment.episodes.push_back(*played.episode);
       fragment.episodes.back().step = t;
     }
-    fragment.bootstrap_value = policy.Values(frames_[lane], {lane}, {})->front();
-    fragment.snapshot.game = games_[lane].Save();
+    fragment.bootstrap_value = policy.Values(frames_[lane], {lane}, states_[lane])->front();
+    fragment.snapshot = {games_[lane].Save(), states_[lane]};
     return fragment;
   }
 
+  const std::string agent_;
   std::vector<std::string> frames_;
+  std::vector<std::vector<float>> states_;
   std::vector<Game> games_;
 };
 
-class ActorTest : public testing::Test {
+class ActorTest : public testing::TestWithParam<std::string> {
  protected:
   static void SetUpTestSuite() { SetUpTorchProcess(); }
 
+  std::unique_ptr<StandInLearner> MakeLearner(const std::string& texture_digest = "") const {
+    return std::make_unique<StandInLearner>(GetParam(), LearnerAddress(), 1, NewLanes(GetParam()), texture_digest);
+  }
   std::string LearnerAddress() const { return "unix:" + (folder_ / "learner"); }
   // The iteration's fragments are those of the reference.
   void ExpectIteration(StandInLearner* learner, int64_t iteration, int64_t epoch = 1) {
@@ -207,12 +230,11 @@ class ActorTest : public testing::Test {
 
   const TempFolder folder_;
   EnvServer env_;
-  Reference reference_;
-  std::unique_ptr<StandInLearner> learner_ =
-      std::make_unique<StandInLearner>(LearnerAddress(), 1, std::vector<LaneRecord>(kLanes));
+  Reference reference_{GetParam()};
+  std::unique_ptr<StandInLearner> learner_ = MakeLearner();
 };
 
-TEST_F(ActorTest, SendsTheGamesThatItPlayed) {
+TEST_P(ActorTest, SendsTheGamesThatItPlayed) {
   RunningActor actor(learner_->Connect(), {env_.Connect()});
   for (int64_t iteration = 0; iteration < 3; ++iteration) {
     learner_->Open(iteration);
@@ -223,7 +245,7 @@ TEST_F(ActorTest, SendsTheGamesThatItPlayed) {
   EXPECT_EQ(actor.Metric("fragments_abandoned"), 0);
 }
 
-TEST_F(ActorTest, ManyActorsPlayWhatOneWould) {
+TEST_P(ActorTest, ManyActorsPlayWhatOneWould) {
   const EnvServer second;
   RunningActor a(learner_->Connect(), {env_.Connect(), second.Connect()}, 2);
   RunningActor b(learner_->Connect(), {second.Connect()});
@@ -234,7 +256,7 @@ TEST_F(ActorTest, ManyActorsPlayWhatOneWould) {
   }
 }
 
-TEST_F(ActorTest, LeavesWhenTheRunIsOver) {
+TEST_P(ActorTest, LeavesWhenTheRunIsOver) {
   RunningActor actor(learner_->Connect(), {env_.Connect()});
   ASSERT_TRUE(WaitUntil([this] { return learner_->ledger().Actors().size() == 1; }));
   learner_->ledger().Finish();
@@ -242,7 +264,7 @@ TEST_F(ActorTest, LeavesWhenTheRunIsOver) {
   EXPECT_THAT(learner_->ledger().Actors(), IsEmpty());
 }
 
-TEST_F(ActorTest, AStoppedActorGivesItsLanesToOthers) {
+TEST_P(ActorTest, AStoppedActorGivesItsLanesToOthers) {
   auto first = std::make_unique<RunningActor>(learner_->Connect(), std::vector<wire::Endpoint>{env_.Connect()});
   learner_->Open(0);
   ExpectIteration(learner_.get(), 0);
@@ -255,7 +277,7 @@ TEST_F(ActorTest, AStoppedActorGivesItsLanesToOthers) {
   ExpectIteration(learner_.get(), 1);
 }
 
-TEST_F(ActorTest, GoesOnWhenAnEnvironmentServerGoes) {
+TEST_P(ActorTest, GoesOnWhenAnEnvironmentServerGoes) {
   const EnvServer second;
   RunningActor actor(learner_->Connect(), {env_.Connect(), second.Connect()});
   learner_->Open(0);
@@ -266,7 +288,7 @@ TEST_F(ActorTest, GoesOnWhenAnEnvironmentServerGoes) {
   EXPECT_GT(actor.Metric("fragments_abandoned"), 0);
 }
 
-TEST_F(ActorTest, GoesOnWhenTheLearnerCameBack) {
+TEST_P(ActorTest, GoesOnWhenTheLearnerCameBack) {
   RunningActor actor(learner_->Connect(), {env_.Connect()});
   learner_->Open(0);
   ExpectIteration(learner_.get(), 0);
@@ -274,13 +296,13 @@ TEST_F(ActorTest, GoesOnWhenTheLearnerCameBack) {
   learner_->Open(1);
   ASSERT_TRUE(learner_->fragments().Pop(absl::Minutes(1)).has_value()) << "within the iteration";
   learner_.reset();
-  learner_ = std::make_unique<StandInLearner>(LearnerAddress(), 2, checkpoint);
+  learner_ = std::make_unique<StandInLearner>(GetParam(), LearnerAddress(), 2, checkpoint);
   learner_->Open(1);
   ExpectIteration(learner_.get(), 1, 2);
 }
 
 // Its lanes must not stand still until it can play.
-TEST_F(ActorTest, OneThatCannotPlayLetsOthersPlay) {
+TEST_P(ActorTest, OneThatCannotPlayLetsOthersPlay) {
   wire::Endpoint gone;
   {
     const EnvServer server;
@@ -299,16 +321,16 @@ TEST_F(ActorTest, OneThatCannotPlayLetsOthersPlay) {
   EXPECT_EQ(unable.Metric("fragments_accepted"), 0);
 }
 
-TEST_F(ActorTest, WaitsForALearnerThatIsNotThereYet) {
+TEST_P(ActorTest, WaitsForALearnerThatIsNotThereYet) {
   learner_.reset();
   RunningActor actor(wire::Connect(LearnerAddress()), {env_.Connect()});
   absl::SleepFor(absl::Milliseconds(300));
-  learner_ = std::make_unique<StandInLearner>(LearnerAddress(), 1, std::vector<LaneRecord>(kLanes));
+  learner_ = MakeLearner();
   learner_->Open(0);
   ExpectIteration(learner_.get(), 0);
 }
 
-TEST_F(ActorTest, StopsWhileItWaitsForALearner) {
+TEST_P(ActorTest, StopsWhileItWaitsForALearner) {
   learner_.reset();
   RunningActor actor(wire::Connect(LearnerAddress()), {env_.Connect()});
   absl::SleepFor(absl::Milliseconds(100));
@@ -318,14 +340,17 @@ TEST_F(ActorTest, StopsWhileItWaitsForALearner) {
   EXPECT_LT(absl::Now() - start, absl::Seconds(6));
 }
 
-TEST_F(ActorTest, EndsWhenTheTexturesDiffer) {
+TEST_P(ActorTest, EndsWhenTheTexturesDiffer) {
   learner_.reset();
-  learner_ = std::make_unique<StandInLearner>(LearnerAddress(), 1, std::vector<LaneRecord>(kLanes), "0123456789abcdef");
+  learner_ = MakeLearner("0123456789abcdef");
   RunningActor actor(learner_->Connect(), {env_.Connect()});
   learner_->Open(0);
   EXPECT_THAT(actor.Join(), StatusIs(absl::StatusCode::kFailedPrecondition,
                                      AllOf(HasSubstr(env_.server->address()), HasSubstr("0123456789abcdef"))));
 }
+
+INSTANTIATE_TEST_SUITE_P(Actor, ActorTest, testing::Values("ppo_cnn", "lstm_cnn"),
+                         [](const auto& info) { return info.param; });
 
 TEST(ActorOptions, AreCheckedByName) {
   const wire::Endpoint somewhere = wire::Connect("127.0.0.1:1");

@@ -26,11 +26,12 @@ class EvaluatorTest : public testing::Test {
  protected:
   static void SetUpTestSuite() { SetUpTorchProcess(); }
 
-  absl::StatusOr<std::vector<Episode>> Run(const EvaluationOptions& options, uint64_t weights = 1) {
+  absl::StatusOr<std::vector<Episode>> Run(const EvaluationOptions& options, uint64_t weights = 1,
+                                           const std::string& agent = "ppo_cnn") {
     EnvClient client(env_.Connect(), SampleHello(kLength), 64 * 64 * 3);
     if (absl::Status status = client.Connect(absl::Seconds(10)); !status.ok()) return status;
     finished_.clear();
-    return Evaluate(options, *SamplePolicy(weights), &client, [this](int n) { finished_.push_back(n); });
+    return Evaluate(options, *SamplePolicy(weights, 8, agent), &client, [this](int n) { finished_.push_back(n); });
   }
 
   EnvServer env_;
@@ -61,6 +62,16 @@ TEST_F(EvaluatorTest, TheResultDoesNotDependOnHowManyEpisodesRunAtOnce) {
     ExpectSameEpisodes(*many, *one);
     EXPECT_EQ(finished_.back(), 6);
   }
+}
+
+// Each begins with a recurrent state of zero, whatever was played before.
+TEST_F(EvaluatorTest, EpisodesOfARecurrentAgentDoNotDependOnEachOther) {
+  const auto all = Run(Options(6, 4), 1, "lstm_cnn");
+  ASSERT_THAT(all, IsOk());
+  ExpectSameEpisodes(*Run(Options(6, 1), 1, "lstm_cnn"), *all);
+  EvaluationOptions last = Options(2, 2);
+  last.first_episode = 5;
+  ExpectSameEpisodes(*Run(last, 1, "lstm_cnn"), {all->begin() + 4, all->end()});
 }
 
 TEST_F(EvaluatorTest, TheLikeliestActionsDoNotDependOnItEither) {

@@ -15,9 +15,9 @@
 
 namespace craftfleet {
 
-// Weights of a ppo_cnn, safetensors: small random numbers, so that its actions depend on what it sees.
-inline std::string SampleWeights(uint64_t seed) {
-  const AgentSpec spec = *FindAgent("ppo_cnn");
+// Weights of an agent, safetensors: small random numbers, so that its actions depend on what it sees.
+inline std::string SampleWeights(uint64_t seed, const std::string& agent = "ppo_cnn") {
+  const AgentSpec spec = *FindAgent(agent);
   std::vector<float> weights(spec.param_count);
   for (size_t i = 0; i < weights.size(); ++i) {
     weights[i] = static_cast<float>(UnitInterval(KeyedBits(RandomUse::kInitialWeights, seed, i, 0)) - 0.5) * 0.2F;
@@ -25,8 +25,8 @@ inline std::string SampleWeights(uint64_t seed) {
   return SaveWeights(spec, weights);
 }
 
-inline std::unique_ptr<const Policy> SamplePolicy(uint64_t seed, int tile = 8) {
-  return *Policy::Create(*FindAgent("ppo_cnn"), SampleWeights(seed), tile);
+inline std::unique_ptr<const Policy> SamplePolicy(uint64_t seed, int tile = 8, const std::string& agent = "ppo_cnn") {
+  return *Policy::Create(*FindAgent(agent), SampleWeights(seed, agent), tile);
 }
 
 }  // namespace craftfleet

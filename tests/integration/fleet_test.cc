@@ -30,6 +30,14 @@ constexpr char kConfig[] = R"(
   checkpoint { every_iterations: 2  keep: 20 }
   eval { every_steps: 3000  episodes: 2  final_episodes: 3 }
 )";
+// Likewise, with recurrent states that matter.
+constexpr char kRecurrentConfig[] = R"(
+  agent: "lstm_cnn"  steps: 2560  lanes: 4  seed: 3  fragment_steps: 16
+  env { length: 90 }
+  eval { every_steps: 0  final_episodes: 0 }
+  ppo { rollout_steps: 256  minibatch_size: 64  epochs: 2 }
+  checkpoint { every_iterations: 2  keep: 20 }
+)";
 constexpr char kLastCheckpoint[] = "checkpoints/iter-00000010";
 constexpr absl::Duration kPatience = absl::Seconds(120);  // sanitizer builds are slow
 
@@ -45,12 +53,7 @@ class FleetTest : public testing::Test {
  protected:
   // The undisturbed run in one process that every other must equal.
   static void SetUpTestSuite() {
-    shared_ = new TempFolder;
-    ASSERT_THAT(WriteFileSynced(*shared_ / "config.txt", kConfig), IsOk());
-    const auto train = Train("quiet", {});
-    ASSERT_EQ(train->Wait(kPatience), 0) << train->Err();
-    quiet_ = new Result(Read("quiet"));
-    ASSERT_THAT(quiet_->stats, HasSubstr("\"length\": 90,"));
+    ASSERT_NO_FATAL_FAILURE(TrainQuietly(kConfig));
     // Three evaluations of two episodes of each kind, then three of each kind at the end.
     ASSERT_EQ(Lines(quiet_->evaluations), 2 * 3 * 2 + 1);
     ASSERT_EQ(Lines(quiet_->final_evaluation), 2 * 3 + 1);
@@ -58,6 +61,15 @@ class FleetTest : public testing::Test {
   static void TearDownTestSuite() {
     delete quiet_;
     delete shared_;
+  }
+
+  static void TrainQuietly(const std::string& config) {
+    shared_ = new TempFolder;
+    ASSERT_THAT(WriteFileSynced(*shared_ / "config.txt", config), IsOk());
+    const auto train = Train("quiet", {});
+    ASSERT_EQ(train->Wait(kPatience), 0) << train->Err();
+    quiet_ = new Result(Read("quiet"));
+    ASSERT_THAT(quiet_->stats, HasSubstr("\"length\": 90,"));
   }
 
   static std::string Logdir(const std::string& run) { return *shared_ / run; }
@@ -122,6 +134,42 @@ class FleetTest : public testing::Test {
     EXPECT_TRUE(result.optimizer == quiet_->optimizer);
   }
 
+  // Actors and servers come and go while the run goes on.
+  static void PlayWithKills() {
+    const auto learner = StartLearner("kills", "127.0.0.1:0");
+    auto first_server = StartServer("kills-server1");
+    const auto second_server = StartServer("kills-server2");
+    const std::string learner_address = learner->WaitForAddress().value();
+    const std::string first_address = first_server->WaitForAddress().value();
+    const std::string servers = first_address + "," + second_server->WaitForAddress().value();
+    auto first_actor = StartActor("kills-actor1", learner_address, servers);
+    const auto second_actor = StartActor("kills-actor2", learner_address, servers);
+    const auto third_actor = StartActor("kills-actor3", learner_address, servers);
+
+    WaitForCheckpoint("kills", 2);
+    first_actor->Kill();
+    first_actor = StartActor("kills-actor1-again", learner_address, servers);
+    WaitForCheckpoint("kills", 4);
+    first_server->Kill();
+    first_server = StartServer("kills-server1-again", first_address);
+    ASSERT_FALSE(learner->Wait(absl::ZeroDuration()).has_value()) << "the run ended before the kills";
+
+    EXPECT_EQ(learner->Wait(kPatience), 0) << learner->Err();
+    ExpectLikeQuiet("kills");
+  }
+  static void OutliveTheLearner() {
+    auto learner = StartLearner("learner-killed", "127.0.0.1:0");
+    const auto server = StartServer("learner-killed-server");
+    const std::string learner_address = learner->WaitForAddress().value();
+    const auto actor = StartActor("learner-killed-actor", learner_address, server->WaitForAddress().value());
+    WaitForCheckpoint("learner-killed", 4);
+    learner->Kill();
+    learner = StartLearner("learner-killed", learner_address, {"--resume"});
+    EXPECT_EQ(learner->Wait(kPatience), 0) << learner->Err();
+    EXPECT_EQ(actor->Wait(absl::Seconds(10)), 0) << actor->Err();
+    ExpectLikeQuiet("learner-killed");
+  }
+
   static TempFolder* shared_;
   static Result* quiet_;
 };
@@ -140,28 +188,7 @@ TEST_F(FleetTest, OneActorAndOneServerEqualOneProcess) {
   EXPECT_EQ(server->Wait(absl::Seconds(10)), 0) << server->Err();
 }
 
-TEST_F(FleetTest, ThreeActorsAndTwoServersWithKillsEqualOneProcess) {
-  const auto learner = StartLearner("kills", "127.0.0.1:0");
-  auto first_server = StartServer("kills-server1");
-  const auto second_server = StartServer("kills-server2");
-  const std::string learner_address = learner->WaitForAddress().value();
-  const std::string first_address = first_server->WaitForAddress().value();
-  const std::string servers = first_address + "," + second_server->WaitForAddress().value();
-  auto first_actor = StartActor("kills-actor1", learner_address, servers);
-  const auto second_actor = StartActor("kills-actor2", learner_address, servers);
-  const auto third_actor = StartActor("kills-actor3", learner_address, servers);
-
-  WaitForCheckpoint("kills", 2);
-  first_actor->Kill();
-  first_actor = StartActor("kills-actor1-again", learner_address, servers);
-  WaitForCheckpoint("kills", 4);
-  first_server->Kill();
-  first_server = StartServer("kills-server1-again", first_address);
-  ASSERT_FALSE(learner->Wait(absl::ZeroDuration()).has_value()) << "the run ended before the kills";
-
-  EXPECT_EQ(learner->Wait(kPatience), 0) << learner->Err();
-  ExpectLikeQuiet("kills");
-}
+TEST_F(FleetTest, ThreeActorsAndTwoServersWithKillsEqualOneProcess) { PlayWithKills(); }
 
 TEST_F(FleetTest, ARunStoppedByASignalGoesOnAsIfNeverStopped) {
   auto train = Train("stopped", {});
@@ -185,18 +212,7 @@ TEST_F(FleetTest, AKilledRunGoesOnAsIfNeverStopped) {
   ExpectLikeQuiet("killed");
 }
 
-TEST_F(FleetTest, AFleetOutlivesItsLearner) {
-  auto learner = StartLearner("learner-killed", "127.0.0.1:0");
-  const auto server = StartServer("learner-killed-server");
-  const std::string learner_address = learner->WaitForAddress().value();
-  const auto actor = StartActor("learner-killed-actor", learner_address, server->WaitForAddress().value());
-  WaitForCheckpoint("learner-killed", 4);
-  learner->Kill();
-  learner = StartLearner("learner-killed", learner_address, {"--resume"});
-  EXPECT_EQ(learner->Wait(kPatience), 0) << learner->Err();
-  EXPECT_EQ(actor->Wait(absl::Seconds(10)), 0) << actor->Err();
-  ExpectLikeQuiet("learner-killed");
-}
+TEST_F(FleetTest, AFleetOutlivesItsLearner) { OutliveTheLearner(); }
 
 TEST_F(FleetTest, AFinishedRunMayBeMadeLonger) {
   auto train = Train("longer", {"--steps=4096"});
@@ -205,6 +221,16 @@ TEST_F(FleetTest, AFinishedRunMayBeMadeLonger) {
   EXPECT_EQ(train->Wait(kPatience), 0) << train->Err();
   ExpectTrainedLikeQuiet("longer");
 }
+
+// Recurrent states travel with fragments, snapshots and checkpoints.
+class RecurrentFleetTest : public FleetTest {
+ protected:
+  static void SetUpTestSuite() { TrainQuietly(kRecurrentConfig); }
+};
+
+TEST_F(RecurrentFleetTest, ThreeActorsAndTwoServersWithKillsEqualOneProcess) { PlayWithKills(); }
+
+TEST_F(RecurrentFleetTest, AFleetOutlivesItsLearner) { OutliveTheLearner(); }
 
 }  // namespace
 }  // namespace craftfleet
