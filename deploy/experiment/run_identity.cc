@@ -2,6 +2,7 @@
 
 #include <absl/strings/str_cat.h>
 
+#include "common/agent_presets.h"
 #include "common/config.h"
 #include "common/env_name.h"
 
@@ -37,6 +38,8 @@ std::string RunIdentity(const v1::RunConfig& config) {
   shaping.clear_checkpoint();
   shaping.clear_tile();
   shaping.clear_gradient_shards();
+  // Whole, so that it does not matter whether a value was given or came with the agent.
+  *shaping.mutable_network() = ResolveNetwork(config).value_or(config.network());
   shaping.clear_eval();
   shaping.mutable_eval()->set_env(CanonicalEnv(EvalEnv(config)));
   shaping.mutable_env()->set_name(CanonicalEnv(config.env().name()));

@@ -1,5 +1,7 @@
 #include "deploy/plot/legend.h"
 
+#include <cmath>
+
 #include "deploy/plot/look.h"
 
 namespace craftfleet {
@@ -33,7 +35,7 @@ void Legend::Draw(const Point& corner, Canvas* canvas) const {
   for (const auto& row : rows_) {
     double x = corner.x;
     for (const LegendEntry& entry : row) {
-      const double cap = entry.stroke.width / 2;  // lines end round
+      const double cap = std::floor(entry.stroke.width / 4) * 2;  // thick lines end round
       canvas->DrawLine({{x + cap, y}, {x + kStroke - 8 - cap, y}}, entry.stroke);
       canvas->DrawText(entry.name, {x + kStroke, y + kTextSize / 2}, TextPlace::kLeft, kTextSize, kTextColor);
       x += WidthOf(entry);

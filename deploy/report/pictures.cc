@@ -163,9 +163,7 @@ Picture ScorePicture(const ExperimentResult& experiment, const PaperFigures& pap
     const PaperFigure* figure = paper.Find(experiment.name, cell.name, "train");
     const Spread spread = cell.group == nullptr ? Spread{} : cell.group->Over(MeasureNamed("train").value);
     if (figure == nullptr && spread.n == 0) continue;
-    const bool several = experiment.axes.size() > 1 && !cell.axes.empty();
-    chart.categories.push_back(several ? absl::StrCat(experiment.axes[cell.axes[0]].name, " ", cell.label)
-                                       : cell.label);
+    chart.categories.push_back(cell.label);
     ours.bars.push_back(BarOf(spread));
     theirs.bars.push_back(figure == nullptr ? std::nullopt
                                             : std::optional<Bar>({figure->mean, figure->deviation.value_or(0)}));

@@ -187,6 +187,15 @@ TEST(RunIdentity, LeavesOutWhatDoesNotShapeTheRun) {
   EXPECT_EQ(RunIdentity(other), RunIdentity(config));
 }
 
+TEST(RunIdentity, AValueOfTheAgentsOwnIsTheSameGivenOrNot) {
+  const v1::RunConfig config = Resolved(DefaultRunConfig("oc_ca").value());
+  v1::RunConfig other = config;
+  other.mutable_network()->set_heads(8);
+  EXPECT_EQ(RunIdentity(other), RunIdentity(config));
+  other.mutable_network()->set_heads(4);
+  EXPECT_NE(RunIdentity(other), RunIdentity(config));
+}
+
 TEST(RunIdentity, TellsApartWhatDoes) {
   const v1::RunConfig config = Resolved(DefaultRunConfig());
   std::set<std::string> identities = {RunIdentity(config)};
@@ -199,7 +208,7 @@ TEST(RunIdentity, TellsApartWhatDoes) {
   add([](v1::RunConfig* c) { c->set_steps(2'000'000); });
   add([](v1::RunConfig* c) { c->set_lanes(1); });
   add([](v1::RunConfig* c) { c->mutable_ppo()->set_gamma(0.9); });
-  add([](v1::RunConfig* c) { c->mutable_network()->set_heads(4); });
+  add([](v1::RunConfig* c) { c->mutable_network()->set_recurrent(true); });
   add([](v1::RunConfig* c) { c->mutable_env()->set_name("crafter:inventory=off"); });
   add([](v1::RunConfig* c) { c->mutable_eval()->set_env("crafter:numbers=easy-x2"); });
 }

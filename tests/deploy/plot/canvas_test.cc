@@ -36,6 +36,26 @@ TEST(Canvas, DashesAreAsLongAsTheGapsAroundACornerToo) {
   for (const int gap : {20, 40, 60, 80}) EXPECT_TRUE(picture.Is(gap, 50, kWhite)) << gap;
 }
 
+TEST(Canvas, FillsRectanglesToThePixel) {
+  Canvas canvas(100, 100);
+  canvas.FillRectangle({10, 20}, {30, 50}, kBlue);
+  const Picture picture(canvas.EncodePng());
+  EXPECT_EQ(picture.Count(kBlue), 20 * 30);
+  EXPECT_TRUE(picture.Is(10, 20, kBlue));
+  EXPECT_TRUE(picture.Is(29, 49, kBlue));
+  EXPECT_TRUE(picture.Is(30, 50, kWhite));
+}
+
+TEST(Canvas, FillsPolygonsOverWhatIsThereAsFarAsTheyAreOpaque) {
+  Canvas canvas(100, 100);
+  canvas.FillPolygon({{10, 10}, {90, 10}, {90, 90}, {10, 90}}, kBlue);
+  canvas.FillPolygon({{50, 0}, {100, 0}, {100, 100}, {50, 100}}, kWhite, 0.5);
+  const Picture picture(canvas.EncodePng());
+  EXPECT_TRUE(picture.Is(30, 50, kBlue));
+  EXPECT_TRUE(picture.Is(70, 50, {127, 184, 216}));
+  EXPECT_TRUE(picture.Is(95, 50, kWhite));
+}
+
 TEST(Canvas, PutsTextLeftOfOrAroundAPoint) {
   Canvas canvas(200, 100);
   canvas.DrawText("wood", {100, 30}, TextPlace::kRight, 12, kBlue);

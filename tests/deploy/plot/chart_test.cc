@@ -79,5 +79,23 @@ TEST(DrawChart, ASinglePointIsEnough) {
   EXPECT_GT(Picture(DrawChart(panels, {})).Count(kBlue), 0);
 }
 
+TEST(DrawChart, ABandIsShadedBetweenItsEdges) {
+  ChartLine line = Line("a", kBlue, {{0, 5}, {10, 5}});
+  const Picture plain(DrawChart({{"t", "x", "y", {line}}}, {600, 400}));
+  line.band = {{0, 4, 6}, {10, 4, 6}};
+  const Picture shaded(DrawChart({{"t", "x", "y", {line}}}, {600, 400}));
+  constexpr Color kShade = {209, 230, 241};  // blue over white at 18 %
+  EXPECT_LT(plain.Count(kShade), 500);
+  EXPECT_GT(shaded.Count(kShade), 5000);
+}
+
+TEST(DrawChart, ALineWithoutANameIsNotInTheLegend) {
+  const ChartLine named = Line("a", kBlue, {{0, 5}, {10, 5}});
+  ChartLine unnamed = Line("", kRed, {{0, 1}, {10, 1}});
+  const Picture picture(DrawChart({{"t", "x", "y", {named, unnamed}}}, {600, 400}));
+  EXPECT_EQ(picture.Count(cv::Rect(0, 350, 600, 50), kRed), 0);
+  EXPECT_GT(picture.Count(cv::Rect(0, 350, 600, 50), kBlue), 50);
+}
+
 }  // namespace
 }  // namespace craftfleet
