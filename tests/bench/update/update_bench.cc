@@ -67,9 +67,25 @@ void BenchTiles(absl::Duration limit) {
   }
 }
 
-void BenchUpdate(absl::Duration limit) {
+// Steps of 16 lanes in fragments of 32; an episode is 170 steps long, as a beginner's.
+Rollout SampleRollout(const std::string& frames, const float* state) {
+  Rollout rollout;
+  for (int i = 0; i < kSteps; ++i) {
+    rollout.frames.push_back(reinterpret_cast<const uint8_t*>(&frames[i * 64 * 64 * 3]));
+    rollout.actions.push_back(static_cast<Action>(i % kNumActions));
+    rollout.log_probs.push_back(-2.833F);
+    rollout.values.push_back(0);
+    rollout.advantages.push_back(static_cast<float>(ActionNoise(1, i, 0)));
+    rollout.returns.push_back(static_cast<float>(ActionNoise(1, i, 1)));
+    rollout.starts.push_back(i % 170 == 0 ? RowStart::kEpisode : i % 32 == 0 ? RowStart::kFragment : RowStart::kNone);
+    rollout.states.push_back(state);
+  }
+  return rollout;
+}
+
+void BenchUpdate(absl::Duration limit, const std::string& agent) {
   v1::RunConfig config;
-  config.set_agent("ppo_cnn");
+  config.set_agent(agent);
   config.set_gradient_shards(2);
   v1::PpoConfig* ppo = config.mutable_ppo();
   ppo->set_minibatch_size(kMinibatch);
@@ -80,23 +96,18 @@ void BenchUpdate(absl::Duration limit) {
   ppo->set_max_gradient_norm(0.5);
   ppo->set_adam_epsilon(1e-5);
   const std::string frames = testing::GoldenFrames(1, kSteps, 64);
-  Rollout rollout;
-  for (int i = 0; i < kSteps; ++i) {
-    rollout.frames.push_back(reinterpret_cast<const uint8_t*>(&frames[i * 64 * 64 * 3]));
-    rollout.actions.push_back(static_cast<Action>(i % kNumActions));
-    rollout.log_probs.push_back(-2.833F);
-    rollout.values.push_back(0);
-    rollout.advantages.push_back(static_cast<float>(ActionNoise(1, i, 0)));
-    rollout.returns.push_back(static_cast<float>(ActionNoise(1, i, 1)));
-  }
+  const std::vector<float> state(FindAgent(agent)->state_size, 0.1F);
+  const Rollout rollout = SampleRollout(frames, state.data());
   for (const int threads : {1, 2}) {
     const auto updater = *PpoUpdater::Create(config, threads);
     int64_t iteration = 0;
     const Times times = Measure(limit, [&] { (void)updater->Update(iteration++, rollout, [] { return false; }); });
     constexpr int kMinibatches = kSteps / kMinibatch;
-    std::printf("update, minibatch of %d, %d thread(s): %.2f ms (CPU %.2f); 4096 steps x 4 epochs: %.2f s\n",
-                kMinibatch, threads, times.wall_ms / kMinibatches, times.cpu_ms / kMinibatches,
-                times.wall_ms / kMinibatches * 4096 * 4 / kMinibatch / 1e3);
+    std::printf(
+        "%s update, minibatch of %d, %d thread(s): %.2f ms (CPU %.2f), %.0f samples/s of CPU; 4096 steps x 4 epochs: "
+        "%.2f s\n",
+        agent.c_str(), kMinibatch, threads, times.wall_ms / kMinibatches, times.cpu_ms / kMinibatches,
+        kSteps / times.cpu_ms * 1e3, times.wall_ms / kMinibatches * 4096 * 4 / kMinibatch / 1e3);
   }
 }
 
@@ -108,6 +119,6 @@ int main(int argc, char** argv) {
   const absl::Duration limit = absl::Seconds(argc > 1 ? std::atof(argv[1]) : 2);
   std::printf("%s\n%s", craftfleet::CpuDescription().c_str(), craftfleet::SlowMathWarning().c_str());
   craftfleet::BenchTiles(limit);
-  craftfleet::BenchUpdate(limit);
+  for (const char* agent : {"ppo_cnn", "lstm_cnn"}) craftfleet::BenchUpdate(limit, agent);
   return 0;
 }
