@@ -1,6 +1,10 @@
 #include "common/agent/initial_weights.h"
 
+#include <algorithm>
 #include <cmath>
+#include <string>
+#include <utility>
+#include <vector>
 
 #include <gtest/gtest.h>
 
@@ -54,6 +58,63 @@ TEST(InitialWeights, FollowFromTheSeedAlone) {
   const AgentSpec spec = *FindAgent("ppo_cnn");
   EXPECT_EQ(InitialWeights(spec, 1), InitialWeights(spec, 1));
   EXPECT_NE(InitialWeights(spec, 1), InitialWeights(spec, 2));
+}
+
+// Least, greatest and mean square of the parameter `name`.
+struct Range {
+  float least = 0;
+  float greatest = 0;
+  double mean_square = 0;
+};
+
+Range RangeOf(const std::string& agent, const std::string& name) {
+  const AgentSpec spec = *FindAgent(agent);
+  const std::vector<float> weights = InitialWeights(spec, 4);
+  Range range;
+  for (const ParamSpec& param : spec.params) {
+    if (param.name != name) continue;
+    for (int64_t i = param.offset; i < param.offset + param.size; ++i) {
+      range.least = std::min(range.least, weights[i]);
+      range.greatest = std::max(range.greatest, weights[i]);
+      range.mean_square += double{weights[i]} * weights[i] / static_cast<double>(param.size);
+    }
+  }
+  return range;
+}
+
+// The agents page, section 2.
+TEST(InitialWeights, LstmAndItsCriticAreUniform) {
+  for (const char* const name : {"lstm_actor.weight_ih_l0", "lstm_actor.weight_hh_l0", "lstm_actor.bias_ih_l0"}) {
+    const Range range = RangeOf("lstm_cnn", name);
+    EXPECT_GE(range.least, -1.0F / 16) << name;
+    EXPECT_LE(range.greatest, 1.0F / 16) << name;
+    EXPECT_NEAR(range.mean_square, 1.0 / 256 / 3, 1e-4) << name;
+  }
+  const double bound = 1 / std::sqrt(512.0);
+  const Range critic = RangeOf("lstm_cnn", "critic.weight");
+  EXPECT_LE(critic.greatest, bound);
+  EXPECT_GT(critic.greatest, 0.99 * bound);
+  EXPECT_LT(critic.least, -0.99 * bound);
+  EXPECT_GT(RangeOf("lstm_cnn", "critic.bias").greatest, 0.9 * bound);
+}
+
+TEST(InitialWeights, SlotsAndClsAreStandardNormal) {
+  EXPECT_NEAR(RangeOf("oc_ca", "features_extractor.rsn.slots").mean_square, 1, 5 * std::sqrt(2.0 / 2048));
+  EXPECT_NEAR(RangeOf("oc_sa", "features_extractor.rsn.trafo.cls").mean_square, 1, 5 * std::sqrt(2.0 / 9216));
+}
+
+// Rows by the thousand are orthonormalised in blocks, whose edges must not show; a square matrix twice.
+TEST(InitialWeights, BlocksOfAnySizeGiveOrthonormalRows) {
+  for (const auto& [rows, columns] : std::vector<std::pair<int, int>>{{19, 300}, {16, 128}, {129, 129}, {3, 1000}}) {
+    const std::vector<float> weights = InitialWeights(OneLayer(rows, columns, 1.0), 3);
+    for (int a = 0; a < rows; ++a) {
+      for (int b = 0; b <= a; ++b) {
+        double dot = 0;
+        for (int k = 0; k < columns; ++k) dot += double{weights[a * columns + k]} * weights[b * columns + k];
+        ASSERT_NEAR(dot, a == b ? 1 : 0, 1e-6) << rows << "x" << columns << " " << a << " " << b;
+      }
+    }
+  }
 }
 
 TEST(InitialWeights, LookNormalBeforeTheyAreOrthogonal) {

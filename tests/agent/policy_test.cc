@@ -137,6 +137,68 @@ TEST(Policy, NoLanesNoActions) {
   EXPECT_TRUE(result.actions.empty());
 }
 
+std::unique_ptr<const Policy> RecurrentPolicy(int tile) {
+  const testing::GoldenAgent agent("lstm_cnn");
+  return *Policy::Create(agent.spec, SaveWeights(agent.spec, agent.weights), tile);
+}
+
+TEST(Policy, RecurrentStatesAdvanceWhenActingAndStayForValues) {
+  const auto policy = RecurrentPolicy(4);
+  ASSERT_EQ(policy->state_size(), 512);
+  const std::string frames = GoldenFrames(1, 2, 64);
+  std::vector<float> states(2 * 512);
+  const std::vector<float> zeros = states;
+  const std::vector<float> values = *policy->Values(frames, {0, 1}, states);
+  EXPECT_EQ(states, zeros);
+  const ActResult first = *policy->Act(frames, {0, 1}, {0.5, 0.5}, absl::MakeSpan(states));
+  EXPECT_EQ(first.values, values);
+  EXPECT_NE(states, zeros);
+  std::vector<float> greedy_states = zeros;
+  ASSERT_TRUE(policy->ActGreedily(frames, {0, 1}, absl::MakeSpan(greedy_states)).ok());
+  EXPECT_EQ(greedy_states, states);
+  const ActResult second = *policy->Act(frames, {0, 1}, {0.5, 0.5}, absl::MakeSpan(states));
+  EXPECT_NE(second.log_probs, first.log_probs);  // the same frames, another past
+}
+
+TEST(Policy, WhatARecurrentLaneGetsDoesNotDependOnTheOthers) {
+  const auto policy = RecurrentPolicy(4);
+  const LaneFrames input = FramesOf({0, 1, 2, 3, 4, 5}, 12345);
+  std::vector<float> states = testing::GoldenUniforms("h0", 6 * 512, -1, 1);
+  const std::vector<float> before = states;
+  const std::vector<double> noise(6, 0.3);
+  const ActResult all = *policy->Act(input.frames, input.lanes, noise, absl::MakeSpan(states));
+  for (const int lane : input.lanes) {
+    std::vector<float> alone(before.begin() + lane * 512, before.begin() + (lane + 1) * 512);
+    const ActResult result =
+        *policy->Act(input.frames.substr(lane * kFrameBytes, kFrameBytes), {lane}, {0.3}, absl::MakeSpan(alone));
+    EXPECT_EQ(result.log_probs[0], all.log_probs[lane]) << lane;
+    EXPECT_EQ(result.values[0], all.values[lane]) << lane;
+    EXPECT_TRUE(std::equal(alone.begin(), alone.end(), states.begin() + lane * 512)) << lane;
+  }
+}
+
+// The same for the parts that the small agents don't have.
+TEST(Policy, WhatALaneGetsFromAttentionDoesNotDependOnTheOthers) {
+  for (const char* const name : {"oc_sa", "oc_ca", "ppo_resnet"}) {
+    const AgentSpec spec = *FindAgent(name);
+    const auto policy = *Policy::Create(spec, SaveWeights(spec, InitialWeights(spec, 1)), 4);
+    const std::string frames = GoldenFrames(12345, 3, spec.frame_size);
+    const std::vector<float> all = *policy->Values(frames, {0, 1, 2}, {});
+    for (int lane = 0; lane < 3; ++lane) {
+      const std::string frame = frames.substr(lane * spec.frame_bytes(), spec.frame_bytes());
+      EXPECT_EQ((*policy->Values(frame, {lane}, {}))[0], all[lane]) << name << " " << lane;
+    }
+  }
+}
+
+TEST(Policy, RefusesStatesOfAnotherSize) {
+  std::vector<float> states(512);
+  EXPECT_THAT(std::string(RecurrentPolicy(4)->Act(GoldenFrames(1, 1, 64), {0}, {0.5}, {}).status().message()),
+              ::testing::HasSubstr("0 floats of recurrent state for 1 lanes, want 512 a lane"));
+  EXPECT_EQ(GoldenPolicy(4)->Act(GoldenFrames(1, 1, 64), {0}, {0.5}, absl::MakeSpan(states)).status().code(),
+            absl::StatusCode::kInvalidArgument);
+}
+
 TEST(Policy, RefusesWhatDoesNotFitTogether) {
   const auto policy = GoldenPolicy(8);
   EXPECT_EQ(policy->Act(std::string(kFrameBytes, 0), {0}, {}, {}).status().code(), absl::StatusCode::kInvalidArgument);

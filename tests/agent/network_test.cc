@@ -1,0 +1,254 @@
+// Parts and whole networks: what the goldens don't show.
+
+#include "common/agent/nets/network.h"
+
+#include <algorithm>
+#include <cmath>
+#include <numeric>
+#include <string>
+#include <tuple>
+#include <utility>
+#include <vector>
+
+#include <ATen/ATen.h>
+#include <google/protobuf/text_format.h>
+#include <gtest/gtest.h>
+#include <torch/csrc/autograd/autograd.h>
+
+#include "common/agent/initial_weights.h"
+#include "common/agent/nets/attention.h"
+#include "common/agent/nets/self_attention.h"
+#include "common/agent/policy_net.h"
+#include "common/agent/torch_setup.h"
+#include "tests/agent/golden_agent.h"
+
+namespace craftfleet {
+namespace {
+
+using testing::AsInput;
+using testing::GoldenFrames;
+
+// The spec of `agent` with the changes that `network` makes.
+AgentSpec SpecOf(const std::string& agent, const std::string& network) {
+  v1::RunConfig config;
+  config.set_agent(agent);
+  EXPECT_TRUE(google::protobuf::TextFormat::ParseFromString(network, config.mutable_network())) << network;
+  return *MakeAgentSpec(config);
+}
+
+// An agent with starting weights and inputs for it.
+struct Sample {
+  Sample(const std::string& agent, const std::string& network, int rows)
+      : spec(SpecOf(agent, network)),
+        weights(InitialWeights(spec, 1)),
+        net(spec, PolicyNet::Use::kTraining, absl::MakeSpan(weights)),
+        input(AsInput(GoldenFrames(3, rows, spec.frame_size), spec)) {}
+
+  AgentSpec spec;
+  std::vector<float> weights;
+  PolicyNet net;
+  at::Tensor input;
+};
+
+class Ablation : public ::testing::TestWithParam<const char*> {};
+
+TEST_P(Ablation, LearnsEveryParameterAndStartsNearlyUniform) {
+  SetUpTorchThread();
+  Sample sample("oc_ca", GetParam(), 2);
+  const PolicyNet::Output output = sample.net.Forward(sample.input, {{2}, at::zeros({1, sample.spec.state_size})});
+  ASSERT_EQ(output.logits.sizes(), (std::vector<int64_t>{2, 17}));
+  EXPECT_LT(output.logits.abs().max().item<float>(), 0.5);
+  torch::autograd::backward({output.logits.pow(2).sum() + output.values.sum()}, {});
+  const std::vector<absl::Span<float>> gradients = sample.net.gradients();
+  for (size_t p = 0; p < gradients.size(); ++p) {
+    double squares = 0;
+    for (const float x : gradients[p]) squares += double{x} * x;
+    EXPECT_TRUE(std::isfinite(squares)) << sample.spec.params[p].name;
+    EXPECT_GT(squares, 0) << sample.spec.params[p].name;
+  }
+}
+
+INSTANTIATE_TEST_SUITE_P(OcCa, Ablation,
+                         ::testing::Values("frame_size: 40 slots: 1", "frame_size: 40 slots: 16",
+                                           "frame_size: 40 heads: 1", "frame_size: 40 heads: 16",
+                                           "frame_size: 24 patch: 1 stride: 1", "frame_size: 24 patch: 8 stride: 8",
+                                           "frame_size: 24 patch: 12 stride: 8", "frame_size: 24 patch: 12 stride: 12",
+                                           "frame_size: 24 patch: 16 stride: 8", "frame_size: 40 residual_mlp: true",
+                                           "frame_size: 40 layer_norm: true",
+                                           "frame_size: 40 residual_mlp: true layer_norm: true",
+                                           "frame_size: 40 slot_competition: true", "frame_size: 64",
+                                           "frame_size: 40 recurrent: true critic: LINEAR"));
+
+TEST(CutPatches, AreSquaresRowByRowFlattenedByChannel) {
+  // Value 100 c + 10 y + x of a 2-channel 5x5 map.
+  const at::Tensor map = at::empty({1, 2, 5, 5});
+  for (int c = 0; c < 2; ++c) {
+    for (int y = 0; y < 5; ++y) {
+      for (int x = 0; x < 5; ++x) map[0][c][y][x] = 100 * c + 10 * y + x;
+    }
+  }
+  const at::Tensor patches = CutPatches(map, 2, 2);  // the last row and column are left over
+  ASSERT_EQ(patches.sizes(), (std::vector<int64_t>{1, 4, 8}));
+  EXPECT_TRUE(patches[0][1].equal(at::tensor({2.F, 3.F, 12.F, 13.F, 102.F, 103.F, 112.F, 113.F})));
+  EXPECT_TRUE(patches[0][2].equal(at::tensor({20.F, 21.F, 30.F, 31.F, 120.F, 121.F, 130.F, 131.F})));
+  EXPECT_EQ(PatchesPerSide(72, 12, 8), 8);
+  EXPECT_EQ(PatchesPerSide(72, 16, 16), 4);
+}
+
+// Attention by its definition, one number after the other. `competition`: softmax over queries.
+at::Tensor SlowAttention(const at::Tensor& q, const at::Tensor& k, const at::Tensor& v, int heads, bool competition) {
+  const int64_t width = 256 / heads;
+  const at::Tensor out = at::zeros({k.size(0), q.size(0), 256});
+  for (int64_t n = 0; n < k.size(0); ++n) {
+    for (int head = 0; head < heads; ++head) {
+      const auto part = [&](const at::Tensor& x) { return x.narrow(-1, head * width, width); };
+      const at::Tensor scores = part(q).mm(part(k[n]).t()) / std::sqrt(static_cast<double>(width));
+      at::Tensor weights = scores.exp() / scores.exp().sum(competition ? 0 : 1, true);
+      if (competition) weights = weights / weights.sum(1, true);
+      part(out[n]).copy_(weights.mm(part(v[n])));
+    }
+  }
+  return out;
+}
+
+TEST(Attend, IsAttentionByItsDefinition) {
+  SetUpTorchThread();
+  at::manual_seed(1);
+  const at::Tensor q = at::randn({3, 256});
+  const at::Tensor k = at::randn({2, 5, 256});
+  const at::Tensor v = at::randn({2, 5, 256});
+  for (const int heads : {1, 4, 8}) {
+    for (const bool competition : {false, true}) {
+      const at::Tensor output = Attend(q, k, v, {heads, competition, 0, 0}, absl::nullopt);
+      EXPECT_TRUE(at::allclose(output, SlowAttention(q, k, v, heads, competition), 1e-4, 1e-5)) << heads;
+    }
+  }
+}
+
+TEST(Attend, DropsByKeyLayerAndRowAndKeepsTheMean) {
+  SetUpTorchThread();
+  const at::Tensor q = at::zeros({100, 256});
+  const at::Tensor k = at::zeros({4, 100, 256});
+  const at::Tensor v = at::ones({4, 100, 256});
+  const auto attend = [&](uint64_t key, int64_t first_row, int64_t layer, int64_t rows) {
+    return Attend(q, k.narrow(0, 0, rows), v.narrow(0, 0, rows), {8, false, 0.1, layer}, Dropout{key, first_row});
+  };
+  const at::Tensor all = attend(7, 0, 0, 4);
+  EXPECT_NEAR(all.mean().item<float>(), 1, 0.002);              // 320,000 weights; its deviation is 0.0006
+  EXPECT_NEAR(all.var().item<float>(), 0.1 / 0.9 / 100, 1e-4);  // of a mean over 100 weights
+  EXPECT_TRUE(all.equal(attend(7, 0, 0, 4)));
+  EXPECT_TRUE(all.narrow(0, 2, 2).equal(attend(7, 2, 0, 2)));  // whoever computes the rows
+  EXPECT_FALSE(all.equal(attend(8, 0, 0, 4)));
+  EXPECT_FALSE(all.equal(attend(7, 0, 1, 4)));
+  EXPECT_FALSE(all[0].equal(all[1]));
+}
+
+TEST(Network, DropoutChangesUpdatesOfOcSaAlone) {
+  SetUpTorchThread();
+  Sample sa("oc_sa", "frame_size: 20", 2);
+  const at::Tensor plain = sa.net.Forward(sa.input).values;
+  EXPECT_FALSE(plain.equal(sa.net.Forward(sa.input, {}, Dropout{5, 0}).values));
+  EXPECT_TRUE(
+      sa.net.Forward(sa.input, {}, Dropout{5, 0}).values.equal(sa.net.Forward(sa.input, {}, Dropout{5, 0}).values));
+  Sample ca("oc_ca", "frame_size: 20", 2);
+  EXPECT_TRUE(ca.net.Forward(ca.input).values.equal(ca.net.Forward(ca.input, {}, Dropout{5, 0}).values));
+}
+
+// What OC-SA makes of four patches, and of the same with the first two swapped.
+std::pair<at::Tensor, at::Tensor> BeforeAndAfterSwap(bool positions) {
+  ParamList params;
+  const SelfAttention part("sa", {2, 2, 8, true, positions, 0}, &params);
+  at::manual_seed(4);
+  ParamTensors tensors;
+  for (const ParamSpec& param : params.specs()) tensors.tensors.push_back(at::randn(param.shape) * 0.1);
+  const at::Tensor map = at::randn({1, 64, 4, 4});
+  const at::Tensor swapped = map.clone();
+  swapped.narrow(2, 0, 2).narrow(3, 0, 2).copy_(map.narrow(2, 0, 2).narrow(3, 2, 2));
+  swapped.narrow(2, 0, 2).narrow(3, 2, 2).copy_(map.narrow(2, 0, 2).narrow(3, 0, 2));
+  return {part.Forward(tensors, map, absl::nullopt), part.Forward(tensors, swapped, absl::nullopt)};
+}
+
+TEST(SelfAttention, KnowsWherePatchesAreByTheirPositionsAlone) {
+  SetUpTorchThread();
+  const auto [without, without_swapped] = BeforeAndAfterSwap(false);
+  EXPECT_TRUE(at::allclose(without, without_swapped, 1e-4, 1e-4));
+  const auto [with, with_swapped] = BeforeAndAfterSwap(true);
+  EXPECT_FALSE(at::allclose(with, with_swapped, 1e-2, 1e-2));
+}
+
+// Steps one by one, as acting does, with the state handed on.
+std::tuple<at::Tensor, at::Tensor, at::Tensor> OneByOne(const PolicyNet& net, const at::Tensor& frames,
+                                                        at::Tensor state) {
+  std::vector<at::Tensor> logits;
+  std::vector<at::Tensor> values;
+  for (int64_t step = 0; step < frames.size(0); ++step) {
+    const PolicyNet::Output output = net.Forward(frames.narrow(0, step, 1), {{1}, state});
+    logits.push_back(output.logits);
+    values.push_back(output.values);
+    state = output.states;
+  }
+  return {at::cat(logits), at::cat(values), state};
+}
+
+TEST(Network, SegmentsGiveWhatStepsOneByOneGive) {
+  SetUpTorchThread();
+  for (const char* critic : {"critic: LINEAR", "critic: LSTM"}) {
+    Sample sample("lstm_cnn", critic, 12);
+    ASSERT_EQ(sample.spec.state_size, critic == std::string("critic: LSTM") ? 1024 : 512);
+    at::manual_seed(2);
+    const std::vector<int> lengths = {2, 5, 1, 4};  // neither sorted nor equal
+    const at::Tensor states = at::randn({4, sample.spec.state_size});
+    const PolicyNet::Output output = sample.net.Forward(sample.input, {lengths, states});
+    int64_t first = 0;
+    for (int i = 0; i < 4; ++i) {
+      const auto [logits, values, last] =
+          OneByOne(sample.net, sample.input.narrow(0, first, lengths[i]), states.narrow(0, i, 1));
+      EXPECT_TRUE(at::allclose(output.logits.narrow(0, first, lengths[i]), logits, 1e-4, 1e-5)) << critic << i;
+      EXPECT_TRUE(at::allclose(output.values.narrow(0, first, lengths[i]), values, 1e-4, 1e-5)) << critic << i;
+      EXPECT_TRUE(at::allclose(output.states.narrow(0, i, 1), last, 1e-4, 1e-5)) << critic << i;
+      first += lengths[i];
+    }
+  }
+}
+
+TEST(Network, LstmCriticHasItsOwnParametersAndLearnsThem) {
+  SetUpTorchThread();
+  Sample sample("lstm_cnn", "critic: LSTM", 4);
+  EXPECT_EQ(sample.spec.params[12].name, "lstm_actor.weight_ih_l0");
+  EXPECT_EQ(sample.spec.params[16].name, "lstm_critic.weight_ih_l0");
+  EXPECT_EQ(sample.spec.params.size(), 20U);
+  const PolicyNet::Output output = sample.net.Forward(sample.input, {{4}, at::zeros({1, 1024})});
+  torch::autograd::backward({output.values.sum() + output.logits.pow(2).sum()}, {});
+  EXPECT_EQ(sample.net.gradients().size(), 20U);
+}
+
+// The agents page, section 9.
+TEST(Resnet, HasItsSizeAndStartsWithTheGivenRowNorms) {
+  SetUpTorchThread();
+  Sample sample("ppo_resnet", "", 2);
+  EXPECT_EQ(sample.spec.param_count, 3'948'306);
+  const PolicyNet::Output output = sample.net.Forward(sample.input);
+  EXPECT_LT(output.logits.abs().max().item<float>(), 0.5);
+  EXPECT_NE(output.values[0].item<float>(), output.values[1].item<float>());
+  const auto expect_norm = [&](const std::string& name, double expected) {
+    for (const ParamSpec& param : sample.spec.params) {
+      if (param.name != name) continue;
+      const int64_t columns = param.size / param.shape[0];
+      for (int64_t row = 0; row < param.shape[0]; row += 31) {
+        const float* begin = &sample.weights[param.offset + row * columns];
+        EXPECT_NEAR(std::sqrt(std::inner_product(begin, begin + columns, begin, 0.0)), expected, 1e-5) << name;
+      }
+      return;
+    }
+    ADD_FAILURE() << "no parameter " << name;
+  };
+  expect_norm("features_extractor.stacks.0.first.layer.weight", 1);
+  expect_norm("features_extractor.stacks.1.blocks.1.conv0.layer.weight", std::sqrt(1 / std::sqrt(6.0)));
+  expect_norm("features_extractor.linear0.layer.weight", 1.4);
+  expect_norm("features_extractor.linear1.layer.weight", 1);
+  expect_norm("action_net.weight", 0.01);
+  expect_norm("value_net.weight", 0.1);
+}
+
+}  // namespace
+}  // namespace craftfleet
