@@ -12,11 +12,7 @@ extern "C" int dnnl_sgemm(char transpose_a, char transpose_b, int64_t m, int64_t
     __attribute__((weak));
 
 namespace craftfleet {
-namespace {
 
-enum class Form { kPlain, kTransposed };
-
-// op(a) * op(b) + beta * c, where beta is 0 or 1 and c a contiguous result in place.
 void MultiplyInto(Form form_a, const at::Tensor& a, Form form_b, const at::Tensor& b, float beta, at::Tensor* c) {
   const auto letter = [](Form form) { return form == Form::kTransposed ? 'T' : 'N'; };
   const int64_t inner = form_a == Form::kTransposed ? a.size(0) : a.size(1);
@@ -28,6 +24,8 @@ void MultiplyInto(Form form_a, const at::Tensor& a, Form form_b, const at::Tenso
   const auto op = [](Form form, const at::Tensor& x) { return form == Form::kTransposed ? x.t() : x; };
   at::addmm_out(*c, *c, op(form_a, a), op(form_b, b), beta, 1.0F);
 }
+
+namespace {
 
 struct LinearFunction : torch::autograd::Function<LinearFunction> {
   // NOLINTNEXTLINE(readability-identifier-naming): the name that autograd calls

@@ -14,6 +14,12 @@ namespace craftfleet {
 // process (LibTorch's own binaries hide it) the product is at::mm.
 at::Tensor Linear(const at::Tensor& input, const at::Tensor& weight, const at::Tensor& bias);
 
+enum class Form { kPlain, kTransposed };
+
+// c = op(a) * op(b) + beta * c in place, without autograd; beta is 0 or 1, all three contiguous matrices. As Linear
+// multiplies.
+void MultiplyInto(Form form_a, const at::Tensor& a, Form form_b, const at::Tensor& b, float beta, at::Tensor* c);
+
 // Whether Linear runs on oneDNN, so that the BLAS does not matter.
 bool LinearUsesOneDnn();
 

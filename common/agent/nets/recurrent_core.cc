@@ -8,6 +8,7 @@
 
 #include <ATen/ATen.h>
 
+#include "common/agent/nets/lstm.h"
 #include "common/agent/nets/param_tensors.h"
 #include "common/agent/nets/segments.h"
 #include "common/check.h"
@@ -37,7 +38,7 @@ struct LstmLayer::Packing {
   at::Tensor inverse_rows;  // int64[N] the packed row of each input row
   at::Tensor segments;      // int64[k] by descending length
   at::Tensor inverse_segments;
-  at::Tensor batch_sizes;  // int64[longest] segments that have a step t
+  std::vector<int64_t> batch_sizes;  // [longest] segments that have a step t
 };
 
 LstmLayer::Packing::Packing(const std::vector<int>& lengths) {
@@ -48,20 +49,18 @@ LstmLayer::Packing::Packing(const std::vector<int>& lengths) {
   std::stable_sort(by_length.begin(), by_length.end(), [&](int64_t a, int64_t b) { return lengths[a] > lengths[b]; });
 
   std::vector<int64_t> packed;
-  std::vector<int64_t> sizes;
   for (int step = 0; !lengths.empty() && step < lengths[by_length[0]]; ++step) {
     const size_t before = packed.size();
     for (const int64_t segment : by_length) {
       if (step >= lengths[segment]) break;
       packed.push_back(first_rows[segment] + step);
     }
-    sizes.push_back(static_cast<int64_t>(packed.size() - before));
+    batch_sizes.push_back(static_cast<int64_t>(packed.size() - before));
   }
   rows = IndexTensor(packed);
   inverse_rows = IndexTensor(Inverse(packed));
   segments = IndexTensor(by_length);
   inverse_segments = IndexTensor(Inverse(by_length));
-  batch_sizes = IndexTensor(sizes);
 }
 
 LstmLayer::LstmLayer(const std::string& name, int64_t inputs, ParamList* params)
@@ -72,14 +71,11 @@ LstmLayer::LstmLayer(const std::string& name, int64_t inputs, ParamList* params)
 
 at::Tensor LstmLayer::Forward(const ParamTensors& params, const at::Tensor& features, const Packing& packing,
                               const at::Tensor& states, at::Tensor* last_states) const {
-  const at::Tensor ordered = states.index_select(0, packing.segments).unsqueeze(0);
-  const auto [output, h, c] =
-      at::lstm(features.index_select(0, packing.rows), packing.batch_sizes,
-               {ordered.narrow(2, 0, kHidden).contiguous(), ordered.narrow(2, kHidden, kHidden).contiguous()},
-               {params[weight_ih_], params[weight_hh_], params[bias_ih_], params[bias_hh_]}, /*has_biases=*/true,
-               /*num_layers=*/1, /*dropout=*/0, /*train=*/false, /*bidirectional=*/false);
-  *last_states = at::cat({h, c}, 2).squeeze(0).index_select(0, packing.inverse_segments);
-  return output.index_select(0, packing.inverse_rows);
+  const LstmOutput result =
+      Lstm(features.index_select(0, packing.rows), packing.batch_sizes, states.index_select(0, packing.segments),
+           {params[weight_ih_], params[weight_hh_], params[bias_ih_], params[bias_hh_]});
+  *last_states = result.last_states.index_select(0, packing.inverse_segments);
+  return result.outputs.index_select(0, packing.inverse_rows);
 }
 
 RecurrentCore::RecurrentCore(int64_t inputs, Critic critic, ParamList* params)
