@@ -127,17 +127,22 @@ void Sweep::Work() {
 absl::Status Sweep::RunJob(size_t index) {
   const SweepJob& job = jobs_[index];
   CRAFTFLEET_RETURN_IF_ERROR(PrepareFolder(job));
-  CRAFTFLEET_RETURN_IF_ERROR(WaitUntilFree(job));
-  CRAFTFLEET_RETURN_IF_ERROR(CheckConfiguration(job));
-  CRAFTFLEET_ASSIGN_OR_RETURN(const RunState before, ReadRunState(job.folder, job.config.steps()));
-  if (before.finished) return absl::OkStatus();
-  CRAFTFLEET_RETURN_IF_ERROR(RunChild(index, before));
-  CRAFTFLEET_ASSIGN_OR_RETURN(const RunState after, ReadRunState(job.folder, job.config.steps()));
-  if (after.finished) return absl::OkStatus();
-  MutexLock lock(&mu_);
-  if (stopping_) return absl::CancelledError("stopping");
-  return absl::InternalError(
-      absl::StrFormat("it ended at %d of %d steps; see %s", after.steps, job.config.steps(), LogPath(job)));
+  for (;;) {
+    CRAFTFLEET_RETURN_IF_ERROR(WaitUntilFree(job));
+    CRAFTFLEET_RETURN_IF_ERROR(CheckConfiguration(job));
+    CRAFTFLEET_ASSIGN_OR_RETURN(const RunState before, ReadRunState(job.folder, job.config.steps()));
+    if (before.finished) return absl::OkStatus();
+    const absl::Status status = RunChild(index, before);
+    CRAFTFLEET_ASSIGN_OR_RETURN(const RunState after, ReadRunState(job.folder, job.config.steps()));
+    if (after.finished) return absl::OkStatus();
+    // Another process that had been started before, but had not locked the folder yet, made ours fail.
+    if (absl::IsInternal(status) && absl::IsFailedPrecondition(FolderLock::Acquire(job.folder).status())) continue;
+    CRAFTFLEET_RETURN_IF_ERROR(status);
+    MutexLock lock(&mu_);
+    if (stopping_) return absl::CancelledError("stopping");
+    return absl::InternalError(
+        absl::StrFormat("it ended at %d of %d steps; see %s", after.steps, job.config.steps(), LogPath(job)));
+  }
 }
 
 absl::Status Sweep::RunChild(size_t index, const RunState& before) {

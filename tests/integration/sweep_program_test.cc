@@ -1,0 +1,113 @@
+// `craftfleet sweep` and `craftfleet report` as programs, over real training.
+
+#include <csignal>
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include "tests/integration/small_run.h"
+
+namespace craftfleet {
+namespace {
+
+using testing::HasSubstr;
+using testing::Not;
+
+// Two cells of 192 steps.
+class SweepProgramTest : public SmallRunTest {
+ protected:
+  SweepProgramTest() {
+    EXPECT_THAT(WriteFileSynced(experiments(), R"(
+      axes {
+        name: "gamma"
+        choices { name: "gamma=0.9" config { ppo { gamma: 0.9 } } }
+        choices { name: "gamma=0.5" config { ppo { gamma: 0.5 } } }
+      }
+      experiments {
+        name: "small"
+        base {
+          steps: 192  lanes: 4  fragment_steps: 16
+          env { length: 20 }
+          ppo { rollout_steps: 64  minibatch_size: 32  epochs: 1 }
+          eval { every_steps: 64  episodes: 1  final_episodes: 2 }
+          checkpoint { every_iterations: 1 }
+        }
+        axes { axis: "gamma" }
+      })"),
+                IsOk());
+  }
+
+  std::string experiments() const { return folder_ / "experiments.txt"; }
+  std::string RunFolder(const std::string& run) const { return folder_ / ("runs/small/" + run); }
+  std::vector<std::string> SweepArguments(const std::vector<std::string>& more = {}) const {
+    std::vector<std::string> arguments = {experiments(), "--seeds=2", "--jobs=2", "--logdir=" + (folder_ / "runs")};
+    arguments.insert(arguments.end(), more.begin(), more.end());
+    return arguments;
+  }
+  Ended Sweep(const std::vector<std::string>& more = {}) { return Run("craftfleet-sweep", SweepArguments(more)); }
+};
+
+TEST_F(SweepProgramTest, RunsResumesReportsAndNeverRunsAFinishedCellAgain) {
+  // Killed at once, wherever it is: its children go on or are resumed.
+  const std::unique_ptr<Process> killed = Start("craftfleet-sweep", SweepArguments());
+  ASSERT_TRUE(killed->WaitForText("begins: ", kPatience));
+  killed->Kill();
+
+  const Ended first = Sweep();
+  ASSERT_EQ(first.exit_code, 0) << first.out << first.err;
+  EXPECT_THAT(first.out, HasSubstr("4 done, 0 running, 0 left, 0 failed | 768/768 steps"));
+  for (const char* run : {"gamma=0.9/seed1", "gamma=0.9/seed2", "gamma=0.5/seed1", "gamma=0.5/seed2"}) {
+    EXPECT_TRUE(PathExists(RunFolder(run) + "/final_sampled.jsonl")) << run;
+    EXPECT_TRUE(PathExists(RunFolder(run) + "/log.txt")) << run;
+  }
+
+  const std::string log = ReadFile(RunFolder("gamma=0.5/seed2") + "/log.txt").value();
+  const Ended second = Sweep();
+  EXPECT_EQ(second.exit_code, 0);
+  EXPECT_THAT(second.out, HasSubstr("4 runs, of which 4 are done already"));
+  EXPECT_THAT(second.out, Not(HasSubstr("begins")));
+  EXPECT_EQ(ReadFile(RunFolder("gamma=0.5/seed2") + "/log.txt").value(), log);
+
+  const Ended report =
+      Run("craftfleet-report", {folder_ / "runs", "--experiments=" + experiments(), "--out=" + (folder_ / "report")});
+  ASSERT_EQ(report.exit_code, 0) << report.err;
+  EXPECT_THAT(report.out, HasSubstr("4 runs, 4 complete"));
+  EXPECT_THAT(ReadFile(folder_ / "report/report.md").value(), HasSubstr("2 of 2 cells have a complete run"));
+}
+
+TEST_F(SweepProgramTest, SigtermStopsItsRunsAndTheSameCommandGoesOn) {
+  const std::unique_ptr<Process> sweep = Start("craftfleet-sweep", SweepArguments({"--steps=100000"}));
+  ASSERT_TRUE(sweep->WaitForText("begins: ", kPatience));
+  sweep->Signal(SIGTERM);
+  EXPECT_EQ(sweep->Wait(kPatience), 1);
+  EXPECT_THAT(sweep->Err(), HasSubstr("stopped with 0 of 4 runs done; the same command goes on"));
+  const Ended list = Sweep({"--list"});
+  EXPECT_THAT(list.out, HasSubstr("0 of 2 done"));
+  const Ended rest = Sweep();
+  EXPECT_EQ(rest.exit_code, 0) << rest.out << rest.err;
+}
+
+TEST_F(SweepProgramTest, BadArgumentsAreNamed) {
+  EXPECT_THAT(Run("craftfleet-sweep", {}).err, HasSubstr("name one file with experiments"));
+  EXPECT_THAT(Run("craftfleet-sweep", {"/nowhere.txt"}).err, HasSubstr("/nowhere.txt"));
+  EXPECT_THAT(Run("craftfleet-sweep", {experiments()}).err, HasSubstr("--logdir is missing"));
+  EXPECT_THAT(Sweep({"--jobs=0"}).err, HasSubstr("--jobs=0, want 1..1000"));
+  EXPECT_THAT(Sweep({"--experiment=x"}).err, HasSubstr("no experiment \"x\"; there are small"));
+  EXPECT_THAT(Run("craftfleet-report", {"--out=r"}).err, HasSubstr("name at least one folder with runs"));
+  EXPECT_THAT(Run("craftfleet-report", {"/nowhere", "--out=r"}).err, HasSubstr("/nowhere: no such folder"));
+  EXPECT_THAT(Run("craftfleet-report", {folder_.path()}).err, HasSubstr("--out is missing"));
+  EXPECT_THAT(Run("craftfleet-envs", {"--worlds=0"}).err, HasSubstr("worlds is 0, want 1..100000"));
+}
+
+TEST_F(SweepProgramTest, ADryRunOnlyPrintsTheCommands) {
+  const Ended ended = Sweep({"--dry_run", "--cell=gamma=0.5", "--threads=1", "--textures=/t"});
+  EXPECT_EQ(ended.exit_code, 0) << ended.err;
+  EXPECT_THAT(ended.out, HasSubstr("craftfleet train --config=" + (folder_ / "runs/small/gamma=0.5/cell.txt") +
+                                   " --seed=2 --steps=192 --logdir=" + RunFolder("gamma=0.5/seed2") +
+                                   " --threads=1 --textures=/t\n"));
+  EXPECT_THAT(ended.out, Not(HasSubstr("gamma=0.9")));
+  EXPECT_FALSE(PathExists(folder_ / "runs"));
+}
+
+}  // namespace
+}  // namespace craftfleet
