@@ -1,9 +1,7 @@
 #include "actor/actor.h"
 
-#include <unistd.h>
-
 #include <algorithm>
-#include <random>
+#include <functional>
 #include <utility>
 
 #include <absl/strings/str_format.h>
@@ -11,24 +9,20 @@
 
 #include "common/agent/agent_spec.h"
 #include "common/agent/torch_setup.h"
+#include "common/backoff.h"
 #include "common/log.h"
 #include "common/status_macros.h"
 #include "common/wire/protocol.h"
 #include "common/wire/status_service.h"
+#include "common/worker_name.h"
 
 namespace craftfleet {
 namespace {
 
-constexpr absl::Duration kRetryPause = absl::Seconds(1);
+constexpr absl::Duration kFirstRetry = absl::Milliseconds(250);
+constexpr absl::Duration kLastRetry = absl::Seconds(4);
 constexpr absl::Duration kSayAgain = absl::Seconds(10);  // between two lines about the same trouble
 constexpr int kPollMs = 500;                             // long poll for permits; a tenth of the lease
-
-// A new name at each start, so that a restarted actor is never taken for its former self.
-std::string UniqueName() {
-  char host[256] = "host";
-  gethostname(host, sizeof(host) - 1);
-  return absl::StrFormat("%s-%d-%08x", host, getpid(), std::random_device()());
-}
 
 bool IsTransient(const absl::Status& status) {
   return status.code() == absl::StatusCode::kUnavailable || status.code() == absl::StatusCode::kDeadlineExceeded;
@@ -37,7 +31,6 @@ bool IsTransient(const absl::Status& status) {
 }  // namespace
 
 absl::Status Actor::Options::Validate() const {
-  if (env_servers.empty()) return absl::InvalidArgumentError("--envservers is empty, want at least one address");
   if (threads < 1 || threads > 256) {
     return absl::InvalidArgumentError(absl::StrFormat("--threads=%d, want 1..256", threads));
   }
@@ -54,7 +47,7 @@ absl::StatusOr<std::unique_ptr<Actor>> Actor::Create(const Options& options) {
 
 Actor::Actor(const Options& options)
     : options_(options),
-      name_(UniqueName()),
+      name_(UniqueWorkerName()),
       learner_(options.learner),
       permits_(options.threads),
       sender_(&learner_, name_, &permits_) {}
@@ -90,6 +83,7 @@ absl::Status Actor::Join() {
   request.set_cpu(CpuDescription());
   request.set_address(address_);
   absl::Time said = absl::InfinitePast();
+  Backoff backoff(kFirstRetry, kLastRetry);
   while (!stopping()) {
     absl::StatusOr<v1::JoinReply> reply = learner_.Join(request);
     if (reply.ok()) {
@@ -104,7 +98,7 @@ absl::Status Actor::Join() {
       said = absl::Now();
       LogWarning("%s; trying again until it answers", reply.status().message());
     }
-    Pause(kRetryPause);
+    Pause(backoff.Next());
   }
   return absl::CancelledError("stopping");
 }
@@ -129,7 +123,9 @@ absl::Status Actor::StartLoops() {
     ActorLoop::Options loop = {i, config, static_cast<int>(spec.frame_bytes()), spec.state_size};
     loops_.push_back(std::make_unique<ActorLoop>(
         loop, &learner_, &permits_, policies_.get(), &sender_,
-        std::make_unique<EnvPool>(options_.env_servers, hello, static_cast<int>(spec.frame_bytes())), &rate_));
+        std::make_unique<EnvPool>(options_.env_servers, hello, static_cast<int>(spec.frame_bytes()),
+                                  std::hash<std::string>()(name_) + i),
+        &rate_));
   }
   for (const auto& loop : loops_) threads_.emplace_back([this, loop = loop.get()] { RunLoop(loop); });
   sender_.Start();
@@ -147,6 +143,7 @@ void Actor::RunLoop(ActorLoop* loop) {
 
 absl::Status Actor::KeepPermits() {
   absl::Time said = absl::InfinitePast();
+  Backoff backoff(kFirstRetry, kLastRetry);
   while (!stopping()) {
     v1::PermitRequest request;
     request.set_actor(name_);
@@ -154,6 +151,10 @@ absl::Status Actor::KeepPermits() {
     request.set_capacity(options_.capacity);
     request.set_wait_ms(kPollMs);
     request.set_evaluates(true);
+    if (options_.env_servers->uses_registry()) {
+      request.set_wants_env_servers(true);
+      request.set_env_servers_generation(env_servers_generation_);
+    }
     request.set_evaluation(evaluations_->current(joined_.epoch()));
     for (const HeldPermit& permit : permits_.Active()) {
       if (permit.epoch != joined_.epoch()) continue;
@@ -164,7 +165,12 @@ absl::Status Actor::KeepPermits() {
     }
     const absl::StatusOr<v1::PermitReply> reply = learner_.GetPermits(request);
     if (reply.ok()) {
+      backoff.Reset();
       if (reply->finished()) return absl::OkStatus();
+      if (reply->env_servers_generation() != env_servers_generation_) {
+        env_servers_generation_ = reply->env_servers_generation();
+        options_.env_servers->SetRegistered({reply->env_servers().begin(), reply->env_servers().end()});
+      }
       if (reply->lost_size() > 0) LogWarning("%d permits lapsed: others play these fragments", reply->lost_size());
       for (const v1::Permit& lost : reply->lost()) {
         permits_.Release({joined_.epoch(), lost.lane(), lost.fragment(), lost.policy_version()});
@@ -182,7 +188,7 @@ absl::Status Actor::KeepPermits() {
         said = absl::Now();
         LogWarning("%s; trying again until it answers", reply.status().message());
       }
-      Pause(kRetryPause);
+      Pause(backoff.Next());
     } else {
       return reply.status();
     }
@@ -243,7 +249,7 @@ void Actor::FillStatus(v1::StatusReply* reply) const {
   learner->set_name(learner_.name());
   learner->set_role("learner");
   learner->set_address(options_.learner.address);
-  for (const wire::Endpoint& server : options_.env_servers) {
+  for (const wire::Endpoint& server : options_.env_servers->Servers()) {
     v1::Peer* peer = reply->add_peers();
     peer->set_name("environment server " + server.address);
     peer->set_role("envserver");

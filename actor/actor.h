@@ -12,6 +12,7 @@
 #include <absl/status/statusor.h>
 
 #include "actor/actor_loop.h"
+#include "actor/env_directory.h"
 #include "actor/evaluation_worker.h"
 #include "actor/fragment_sender.h"
 #include "actor/learner_client.h"
@@ -31,10 +32,10 @@ class Actor {
  public:
   struct Options {
     wire::Endpoint learner;
-    std::vector<wire::Endpoint> env_servers;  // at least one
-    int threads = 1;                          // loops, 1..256
-    int capacity = 4096;                      // lanes to play at once, 1..4096
-    absl::Status Validate() const;            // InvalidArgument names the flag and its range
+    std::shared_ptr<EnvDirectory> env_servers;
+    int threads = 1;                // loops, 1..256
+    int capacity = 4096;            // lanes to play at once, 1..4096
+    absl::Status Validate() const;  // InvalidArgument names the flag and its range
   };
 
   static absl::StatusOr<std::unique_ptr<Actor>> Create(const Options& options);
@@ -71,8 +72,9 @@ class Actor {
   RateMeter rate_{&clock_};  // of environment steps
   PermitBook permits_;
   FragmentSender sender_;
-  std::string address_;   // of Run's thread, like the next
-  v1::JoinReply joined_;  // the last one
+  std::string address_;                 // of Run's thread, like the next
+  v1::JoinReply joined_;                // the last one
+  int64_t env_servers_generation_ = 0;  // of the learner's registry, as last heard
   std::unique_ptr<PolicySource> policies_;
   std::unique_ptr<EvaluationWorker> evaluations_;
   std::vector<std::thread> threads_;

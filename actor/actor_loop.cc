@@ -6,6 +6,7 @@
 #include <absl/strings/str_format.h>
 #include <absl/time/clock.h>
 
+#include "common/backoff.h"
 #include "common/keyed_random.h"
 #include "common/log.h"
 #include "common/seeds.h"
@@ -31,7 +32,9 @@ bool Passes(const absl::Status& status) {
          status.code() == absl::StatusCode::kDeadlineExceeded;
 }
 
-constexpr absl::Duration kPause = absl::Milliseconds(200);  // before playing on after trouble
+// Before playing on after trouble.
+constexpr absl::Duration kFirstPause = absl::Milliseconds(100);
+constexpr absl::Duration kLastPause = absl::Seconds(2);
 
 }  // namespace
 
@@ -46,16 +49,20 @@ ActorLoop::ActorLoop(const Options& options, const LearnerClient* learner, Permi
       rate_(rate) {}
 
 absl::Status ActorLoop::Run() {
+  Backoff backoff(kFirstPause, kLastPause);
   while (true) {
     std::vector<HeldPermit> permits = permits_->Take(options_.index);
     if (permits.empty()) return absl::OkStatus();
     const absl::Status status = RunFragment(permits);
-    if (status.ok()) continue;
+    if (status.ok()) {
+      backoff.Reset();
+      continue;
+    }
     Abandon(permits);
     if (status.code() == absl::StatusCode::kCancelled) return absl::OkStatus();
     if (!Passes(status)) return status;
     LogWarning("%d fragments given back: %s", permits.size(), status.message());
-    permits_->WaitForClose(kPause);
+    permits_->WaitForClose(backoff.Next());
   }
 }
 
@@ -68,6 +75,7 @@ absl::Status ActorLoop::RunFragment(const std::vector<HeldPermit>& permits) {
   }
   CRAFTFLEET_ASSIGN_OR_RETURN(const std::shared_ptr<const Policy> policy,
                               policies_->Get(first.epoch, first.policy_version));
+  for (const int lane : envs_->Refresh()) held_.erase(lane);
   CRAFTFLEET_RETURN_IF_ERROR(OpenLanes(permits));
 
   std::map<int, const HeldPermit*> by_lane;

@@ -33,6 +33,11 @@ absl::Status EnvClient::Connect(absl::Duration timeout) {
   return Receive();
 }
 
+bool EnvClient::Reachable() const {
+  return server_.address == wire::kInProcess ||
+         server_.channel->GetState(/*try_to_connect=*/true) == GRPC_CHANNEL_READY;
+}
+
 absl::Status EnvClient::Open(absl::Span<const Lane> lanes, std::string* frames) {
   v1::OpenLanes* open = request_.mutable_open();
   open->Clear();

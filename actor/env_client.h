@@ -39,6 +39,8 @@ class EnvClient {
   // Begins a session; waits at most `timeout` for the server. `hello` as in the constructor.
   absl::Status Connect(absl::Duration timeout) ABSL_LOCKS_EXCLUDED(mu_);
   bool connected() const { return stream_ != nullptr; }
+  // Whether the server can be connected to without waiting; if not, it is being tried now.
+  bool Reachable() const;
 
   // Opens games; their observations, uint8[n,H,W,3], go to `frames`.
   absl::Status Open(absl::Span<const Lane> lanes, std::string* frames);

@@ -16,8 +16,6 @@ namespace craftfleet {
 namespace {
 
 constexpr absl::Duration kConnectTimeout = absl::Seconds(3);
-constexpr absl::Duration kFirstBackoff = absl::Milliseconds(500);
-constexpr absl::Duration kLastBackoff = absl::Seconds(5);
 
 template <typename T>
 void AppendTo(std::vector<T>* all, std::vector<T>* part) {
@@ -36,11 +34,78 @@ void Clear(StepBatch* batch) {
 
 }  // namespace
 
-EnvPool::EnvPool(const std::vector<wire::Endpoint>& servers, const v1::SessionHello& hello, int frame_bytes)
-    : frame_bytes_(frame_bytes), servers_(servers.size()) {
-  for (size_t i = 0; i < servers.size(); ++i) {
-    servers_[i].client = std::make_unique<EnvClient>(servers[i], hello, frame_bytes);
+EnvPool::EnvPool(std::shared_ptr<EnvDirectory> directory, const v1::SessionHello& hello, int frame_bytes, size_t first)
+    : directory_(std::move(directory)), hello_(hello), frame_bytes_(frame_bytes), first_(first) {
+  FollowDirectory();
+}
+
+std::vector<int> EnvPool::Refresh() {
+  std::vector<int> closed = FollowDirectory();
+  for (const auto& server : servers_) {
+    // Only where it takes no waiting; the rest is for ConnectServers.
+    if (server->client->connected() || absl::Now() < server->next_try || !server->client->Reachable()) continue;
+    if (absl::Status status = Connect(server.get(), absl::ZeroDuration()); !status.ok()) {
+      LogWarning("%s", status.message());
+    }
   }
+  Balance(&closed);
+  return closed;
+}
+
+std::vector<int> EnvPool::FollowDirectory() {
+  if (generation_ == directory_->generation()) return {};
+  generation_ = directory_->generation();
+  std::vector<std::unique_ptr<Server>> servers;
+  const MutexLock lock(&mu_);
+  servers.swap(servers_);
+  std::map<size_t, size_t> index_now;  // of servers that stay, by the one they had
+  for (wire::Endpoint& endpoint : directory_->Servers()) {
+    const auto known = std::find_if(servers.begin(), servers.end(), [&](const auto& server) {
+      return server != nullptr && server->client->address() == endpoint.address;
+    });
+    if (known != servers.end()) {
+      index_now[known - servers.begin()] = servers_.size();
+      servers_.push_back(std::move(*known));
+      continue;
+    }
+    servers_.push_back(std::make_unique<Server>());
+    servers_.back()->client = std::make_unique<EnvClient>(std::move(endpoint), hello_, frame_bytes_);
+    if (cancelled_) servers_.back()->client->Cancel();
+  }
+  std::vector<int> closed;
+  std::map<int, size_t> server_of;
+  for (const auto& [lane, server] : server_of_) {
+    if (const auto now = index_now.find(server); now != index_now.end()) {
+      server_of[lane] = now->second;
+    } else {
+      closed.push_back(lane);
+    }
+  }
+  server_of_ = std::move(server_of);
+  return closed;
+}
+
+void EnvPool::Balance(std::vector<int>* closed) {
+  while (true) {
+    Server* fullest = nullptr;
+    Server* emptiest = nullptr;
+    for (const auto& server : servers_) {
+      if (!server->client->connected()) continue;
+      if (fullest == nullptr || server->lanes > fullest->lanes) fullest = server.get();
+      if (emptiest == nullptr || server->lanes < emptiest->lanes) emptiest = server.get();
+    }
+    if (fullest == nullptr || fullest->lanes < emptiest->lanes + 2) break;
+    const auto lane = std::find_if(server_of_.begin(), server_of_.end(),
+                                   [&](const auto& entry) { return servers_[entry.second].get() == fullest; });
+    // A server that fails at this will be seen to fail at the next step.
+    fullest->client->Close({lane->first}).IgnoreError();
+    closed->push_back(lane->first);
+    server_of_.erase(lane);
+    --fullest->lanes;
+    ++emptiest->lanes;  // where it will be opened
+  }
+  for (const auto& server : servers_) server->lanes = 0;
+  for (const auto& [lane, server] : server_of_) ++servers_[server]->lanes;
 }
 
 absl::Status EnvPool::Open(absl::Span<const EnvClient::Lane> lanes, std::string* frames) {
@@ -55,7 +120,7 @@ absl::Status EnvPool::CloseOpenOnes(absl::Span<const EnvClient::Lane> lanes) {
   for (const EnvClient::Lane& lane : lanes) {
     const auto found = server_of_.find(lane.lane);
     if (found == server_of_.end()) continue;
-    Server& server = servers_[found->second];
+    Server& server = *servers_[found->second];
     CRAFTFLEET_RETURN_IF_ERROR(server.client->Close({lane.lane}));
     --server.lanes;
     server_of_.erase(found);
@@ -69,7 +134,7 @@ absl::Status EnvPool::Spread(absl::Span<const EnvClient::Lane> lanes, std::strin
     const size_t server = LeastLoaded();
     rows[server].push_back(static_cast<int>(row));
     server_of_[lanes[row].lane] = server;
-    ++servers_[server].lanes;
+    ++servers_[server]->lanes;
   }
   frames->resize(lanes.size() * frame_bytes_);
   for (size_t server = 0; server < servers_.size(); ++server) {
@@ -83,7 +148,7 @@ absl::Status EnvPool::OpenOn(size_t server, absl::Span<const EnvClient::Lane> la
   std::vector<EnvClient::Lane> here;
   for (const int row : rows) here.push_back(lanes[row]);
   std::string here_frames;
-  CRAFTFLEET_RETURN_IF_ERROR(servers_[server].client->Open(here, &here_frames));
+  CRAFTFLEET_RETURN_IF_ERROR(servers_[server]->client->Open(here, &here_frames));
   for (size_t i = 0; i < rows.size(); ++i) {
     frames->replace(static_cast<size_t>(rows[i]) * frame_bytes_, frame_bytes_, here_frames, i * frame_bytes_,
                     frame_bytes_);
@@ -108,15 +173,15 @@ absl::Status EnvPool::SendAndReceive(absl::Span<const int> lanes, absl::Span<con
   for (size_t i = 0; i < servers_.size(); ++i) {
     const auto [first, last] = RowsOn(i, lanes);
     if (first == last) continue;
-    CRAFTFLEET_RETURN_IF_ERROR(servers_[i].client->SendStep(lanes.subspan(first, last - first),
-                                                            actions.subspan(first, last - first), snapshot));
+    CRAFTFLEET_RETURN_IF_ERROR(servers_[i]->client->SendStep(lanes.subspan(first, last - first),
+                                                             actions.subspan(first, last - first), snapshot));
   }
   Clear(batch);
   for (size_t i = 0; i < servers_.size(); ++i) {
     const auto [first, last] = RowsOn(i, lanes);
     if (first == last) continue;
-    StepBatch& part = servers_[i].batch;
-    CRAFTFLEET_RETURN_IF_ERROR(servers_[i].client->ReceiveStep(&part));
+    StepBatch& part = servers_[i]->batch;
+    CRAFTFLEET_RETURN_IF_ERROR(servers_[i]->client->ReceiveStep(&part));
     if (last - first == lanes.size()) {  // the only one: no copy
       std::swap(*batch, part);
       return absl::OkStatus();
@@ -139,44 +204,60 @@ std::pair<size_t, size_t> EnvPool::RowsOn(size_t server, absl::Span<const int> l
 }
 
 void EnvPool::Reset() {
-  for (Server& server : servers_) {
-    server.client->Disconnect();
-    server.lanes = 0;
+  for (const auto& server : servers_) {
+    server->client->Disconnect();
+    server->lanes = 0;
   }
   server_of_.clear();
 }
 
 void EnvPool::Cancel() {
-  for (Server& server : servers_) server.client->Cancel();
+  const MutexLock lock(&mu_);
+  cancelled_ = true;
+  for (const auto& server : servers_) server->client->Cancel();
 }
 
 absl::Status EnvPool::ConnectServers() {
   std::vector<std::string> errors;
   bool any = false;
-  for (Server& server : servers_) {
+  for (const auto& server : servers_) any |= server->client->connected() || server->client->Reachable();
+  if (servers_.empty()) errors.emplace_back("no environment server is known yet");
+  for (const auto& server : servers_) {
     absl::Status status = absl::OkStatus();
-    if (!server.client->connected()) {
-      status = absl::UnavailableError(absl::StrCat("environment server ", server.client->address(), ": not reachable"));
-      if (absl::Now() >= server.next_try) {
-        status = server.client->Connect(kConnectTimeout);
+    if (!server->client->connected()) {
+      status =
+          absl::UnavailableError(absl::StrCat("environment server ", server->client->address(), ": not reachable"));
+      // Nobody waits for a server that does not answer while there is another.
+      if (absl::Now() >= server->next_try && (!any || server->client->Reachable())) {
+        status = Connect(server.get(), kConnectTimeout);
         if (!status.ok() && status.code() != absl::StatusCode::kUnavailable) return status;
-        server.backoff =
-            status.ok() ? absl::ZeroDuration() : std::clamp(2 * server.backoff, kFirstBackoff, kLastBackoff);
-        server.next_try = absl::Now() + server.backoff;
-        if (!status.ok()) LogWarning("%s; trying again in %s", status.message(), absl::FormatDuration(server.backoff));
+        if (!status.ok()) LogWarning("%s", status.message());
       }
     }
-    any |= status.ok();
     if (!status.ok()) errors.emplace_back(status.message());
+    any |= status.ok();
   }
-  return any ? absl::OkStatus() : absl::UnavailableError(absl::StrJoin(errors, "; "));
+  const bool connected =
+      std::any_of(servers_.begin(), servers_.end(), [](const auto& server) { return server->client->connected(); });
+  return connected ? absl::OkStatus() : absl::UnavailableError(absl::StrJoin(errors, "; "));
+}
+
+absl::Status EnvPool::Connect(Server* server, absl::Duration timeout) {
+  absl::Status status = server->client->Connect(timeout);
+  if (status.ok()) {
+    server->backoff.Reset();
+  } else {
+    server->next_try = absl::Now() + server->backoff.Next();
+  }
+  return status;
 }
 
 size_t EnvPool::LeastLoaded() const {
   size_t best = servers_.size();
-  for (size_t i = 0; i < servers_.size(); ++i) {
-    if (!servers_[i].client->connected()) continue;
-    if (best == servers_.size() || servers_[i].lanes < servers_[best].lanes) best = i;
+  for (size_t k = 0; k < servers_.size(); ++k) {
+    const size_t i = (first_ + k) % servers_.size();
+    if (!servers_[i]->client->connected()) continue;
+    if (best == servers_.size() || servers_[i]->lanes < servers_[best]->lanes) best = i;
   }
   CRAFTFLEET_CHECK(best < servers_.size());
   return best;

@@ -3,6 +3,8 @@
 #ifndef CRAFTFLEET_ACTOR_ENV_POOL_H_
 #define CRAFTFLEET_ACTOR_ENV_POOL_H_
 
+#include <cstddef>
+#include <cstdint>
 #include <map>
 #include <memory>
 #include <string>
@@ -13,16 +15,24 @@
 #include <absl/types/span.h>
 
 #include "actor/env_client.h"
+#include "actor/env_directory.h"
+#include "common/backoff.h"
+#include "common/mutex.h"
 #include "common/types.h"
 
 namespace craftfleet {
 
 // Games are opened on the reachable server that has fewest of them. When a server fails all games of the pool are
-// closed; the caller opens them again, which lands on the servers that are left. Owned by one thread; Cancel may be
-// called from any.
+// closed; the caller opens them again, which lands on the servers that are left. Servers that come and go between
+// fragments are taken in by Refresh. Owned by one thread; Cancel may be called from any.
 class EnvPool {
  public:
-  EnvPool(const std::vector<wire::Endpoint>& servers, const v1::SessionHello& hello, int frame_bytes);
+  // `first` says which of equally loaded servers is taken, so that many pools don't all begin with the same one.
+  EnvPool(std::shared_ptr<EnvDirectory> directory, const v1::SessionHello& hello, int frame_bytes, size_t first = 0);
+
+  // Follows the directory: takes in new servers, leaves those that are gone, and closes games where a server has at
+  // least two more than another. Returns the lanes that were closed: open them again. Never waits for a server.
+  std::vector<int> Refresh();
 
   // Opens games (one that is open already begins anew); their observations, uint8[n,H,W,3], go to `frames`.
   //   Unavailable: no server can be reached; names each.   Others as EnvClient. After an error every game is closed.
@@ -38,19 +48,24 @@ class EnvPool {
   void Reset();
 
   // Ends all sessions for good; from any thread.
-  void Cancel();
+  void Cancel() ABSL_LOCKS_EXCLUDED(mu_);
 
  private:
   struct Server {
     std::unique_ptr<EnvClient> client;
     absl::Time next_try = absl::InfinitePast();  // to connect
-    absl::Duration backoff = absl::ZeroDuration();
+    Backoff backoff{absl::Milliseconds(250), absl::Seconds(5)};
     int lanes = 0;
     StepBatch batch;  // reused
   };
 
-  // Connects to servers whose time has come. Unavailable: none is connected.
+  // Makes servers_ those of the directory. Returns the lanes that were open on others.
+  std::vector<int> FollowDirectory() ABSL_LOCKS_EXCLUDED(mu_);
+  // Connects to servers whose time has come, and waits for one if none is connected. Unavailable: none can be.
   absl::Status ConnectServers();
+  absl::Status Connect(Server* server, absl::Duration timeout);
+  // Closes games on the fullest servers until none has two more than another.
+  void Balance(std::vector<int>* closed);
   // Closes those of `lanes` that are open.
   absl::Status CloseOpenOnes(absl::Span<const EnvClient::Lane> lanes);
   // Opens `lanes`, none of them open, on the servers that have fewest.
@@ -63,9 +78,16 @@ class EnvPool {
   absl::Status SendAndReceive(absl::Span<const int> lanes, absl::Span<const Action> actions, bool snapshot,
                               StepBatch* batch);
 
+  const std::shared_ptr<EnvDirectory> directory_;
+  const v1::SessionHello hello_;
   const int frame_bytes_;
-  std::vector<Server> servers_;
+  const size_t first_;
+  int64_t generation_ = 0;           // of the directory, as followed
   std::map<int, size_t> server_of_;  // index into servers_, by lane
+
+  Mutex mu_;  // guards the list of servers against Cancel; its owner alone changes it
+  std::vector<std::unique_ptr<Server>> servers_;
+  bool cancelled_ ABSL_GUARDED_BY(mu_) = false;
 };
 
 }  // namespace craftfleet

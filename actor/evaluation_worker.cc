@@ -80,8 +80,8 @@ absl::Status EvaluationWorker::Play(const Job& job) {
 absl::StatusOr<EnvClient*> EvaluationWorker::Connect(const v1::EnvConfig& env) {
   v1::SessionHello hello = options_.hello;
   *hello.mutable_env() = env;
-  absl::Status status;
-  for (const wire::Endpoint& server : options_.env_servers) {
+  absl::Status status = absl::UnavailableError("no environment server is known yet");
+  for (const wire::Endpoint& server : options_.env_servers->Servers()) {
     EnvClient* client = nullptr;
     {
       const MutexLock lock(&mu_);

@@ -8,15 +8,14 @@
 #include <optional>
 #include <string>
 #include <thread>
-#include <vector>
 
 #include <absl/status/status.h>
 
 #include "actor/env_client.h"
+#include "actor/env_directory.h"
 #include "actor/learner_client.h"
 #include "common/agent/agent_spec.h"
 #include "common/mutex.h"
-#include "common/wire/channel.h"
 #include "craftfleet/v1/environment.pb.h"
 #include "craftfleet/v1/learner.pb.h"
 
@@ -27,7 +26,7 @@ class EvaluationWorker {
  public:
   struct Options {
     std::string actor;  // name, as it joined
-    std::vector<wire::Endpoint> env_servers;
+    std::shared_ptr<EnvDirectory> env_servers;
     v1::SessionHello hello;  // of a session; its environment is replaced by the task's
     AgentSpec spec;
     int tile = 1;

@@ -12,7 +12,9 @@
 #include "common/wire/status_service.h"
 
 ABSL_FLAG(std::string, learner, "127.0.0.1:50051", "address of the learner, HOST:PORT");
-ABSL_FLAG(std::string, envservers, "127.0.0.1:50061", "addresses of environment servers, joined by commas");
+ABSL_FLAG(std::string, envservers, "127.0.0.1:50061",
+          "environment servers, joined by commas: HOST:PORT; dns:HOST:PORT for every address behind a name,\n"
+          "looked up again every 3 s; learner for those that were started with --learner");
 ABSL_FLAG(int32_t, threads, 0, "threads that play; 0: as many as the CPU quota allows");
 ABSL_FLAG(int32_t, max_lanes, 4096, "games to play side by side at most; the learner gives each actor its share");
 ABSL_FLAG(std::string, listen, "127.0.0.1:0", "address to serve status on, HOST:PORT; port 0: any free one");
@@ -34,9 +36,7 @@ absl::Status Run() {
   const std::string learner = absl::GetFlag(FLAGS_learner);
   CRAFTFLEET_RETURN_IF_ERROR(wire::CheckAddress("learner", learner));
   options.learner = wire::Connect(learner);
-  CRAFTFLEET_ASSIGN_OR_RETURN(const std::vector<std::string> servers,
-                              wire::SplitAddresses("envservers", absl::GetFlag(FLAGS_envservers)));
-  for (const std::string& server : servers) options.env_servers.push_back(wire::Connect(server));
+  CRAFTFLEET_ASSIGN_OR_RETURN(options.env_servers, EnvDirectory::Parse("envservers", absl::GetFlag(FLAGS_envservers)));
   options.threads = absl::GetFlag(FLAGS_threads) == 0 ? DefaultThreads() : absl::GetFlag(FLAGS_threads);
   options.capacity = absl::GetFlag(FLAGS_max_lanes);
   CRAFTFLEET_ASSIGN_OR_RETURN(const std::unique_ptr<Actor> actor, Actor::Create(options));

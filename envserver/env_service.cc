@@ -25,6 +25,7 @@ class EnvServiceImpl::SessionGuard {
   ~SessionGuard() {
     MutexLock lock(&service_->mu_);
     service_->sessions_.erase(this);
+    service_->changed_.NotifyAll();
   }
   // Takes the server for the session's run.   FailedPrecondition: it has sessions of another.
   absl::Status Enter(const v1::SessionHello& hello, const std::string& address) {
@@ -39,6 +40,7 @@ class EnvServiceImpl::SessionGuard {
   void SetLanes(int lanes) {
     MutexLock lock(&service_->mu_);
     service_->sessions_[this].lanes = lanes;
+    service_->changed_.NotifyAll();
   }
 
  private:
@@ -132,6 +134,16 @@ absl::Status EnvServiceImpl::Handle(const v1::PlayRequest& request, EnvBatch* ba
       break;
   }
   return absl::InvalidArgumentError("an empty request, want open, step or close");
+}
+
+void EnvServiceImpl::WaitUntilEmpty(absl::Duration timeout) {
+  const MutexLock lock(&mu_);
+  changed_.WaitFor(&mu_, timeout, [this]() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_) {
+    for (const auto& [key, session] : sessions_) {
+      if (session.lanes > 0) return false;
+    }
+    return true;
+  });
 }
 
 void EnvServiceImpl::FillStatus(v1::StatusReply* reply) const {

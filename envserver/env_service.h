@@ -32,6 +32,8 @@ class EnvServiceImpl final : public v1::EnvironmentService::Service {
 
   // Counts, rates and sessions for the status page.
   void FillStatus(v1::StatusReply* reply) const ABSL_LOCKS_EXCLUDED(mu_);
+  // Waits until no session has a game, at most `timeout`.
+  void WaitUntilEmpty(absl::Duration timeout) ABSL_LOCKS_EXCLUDED(mu_);
   // Seconds spent stepping and drawing games, over all sessions.
   double step_seconds() const { return static_cast<double>(step_ns_.load()) * 1e-9; }
 
@@ -61,6 +63,7 @@ class EnvServiceImpl final : public v1::EnvironmentService::Service {
   std::atomic<int64_t> rejected_{0};  // sessions ended by a bad request
 
   mutable Mutex mu_;
+  CondVar changed_;                          // games of a session
   std::string run_id_ ABSL_GUARDED_BY(mu_);  // of the sessions at hand; kept after the last one for the status page
   std::map<const void*, Session> sessions_ ABSL_GUARDED_BY(mu_);
 };

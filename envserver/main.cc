@@ -6,12 +6,18 @@
 #include "common/paths.h"
 #include "common/program.h"
 #include "common/status_macros.h"
+#include "common/texture_digest.h"
+#include "common/wire/channel.h"
 #include "common/wire/server.h"
 #include "common/wire/status_service.h"
+#include "envserver/announcer.h"
 #include "envserver/env_service.h"
 
 ABSL_FLAG(std::string, listen, "127.0.0.1:50061",
           "address to serve actors and status on, HOST:PORT; port 0: any free one");
+ABSL_FLAG(std::string, learner, "",
+          "address of a learner to register with, so that actors with --envservers=learner find this server");
+ABSL_FLAG(std::string, advertise, "", "with --learner: the address that actors are told, HOST:PORT [--listen]");
 ABSL_FLAG(bool, insecure, false, "allow --listen beyond this host, without TLS");
 ABSL_FLAG(std::string, textures, "",
           "folder with Crafter's textures as PNG; must be the same as the learner's\n"
@@ -26,7 +32,25 @@ constexpr char kUsage[] =
 It may come and go at any time; games that it held go on elsewhere from their last snapshot.
 
   craftfleet-envserver --listen=127.0.0.1:50061
+  craftfleet-envserver --listen=127.0.0.1:0 --learner=127.0.0.1:50051
   craftfleet status --address=127.0.0.1:50061)";
+
+constexpr absl::Duration kMoveOut = absl::Seconds(3);  // for actors to move their games
+
+// Null without --learner.
+absl::StatusOr<std::unique_ptr<Announcer>> AnnounceIfAsked(const std::string& listens_on, const std::string& textures) {
+  const std::string learner = absl::GetFlag(FLAGS_learner);
+  const std::string advertise = absl::GetFlag(FLAGS_advertise);
+  if (learner.empty()) {
+    if (advertise.empty()) return nullptr;
+    return absl::InvalidArgumentError("--advertise wants --learner beside it");
+  }
+  CRAFTFLEET_RETURN_IF_ERROR(wire::CheckAddress("learner", learner));
+  const std::string address = advertise.empty() ? listens_on : advertise;
+  CRAFTFLEET_RETURN_IF_ERROR(wire::CheckAddress("advertise", address));
+  CRAFTFLEET_ASSIGN_OR_RETURN(const std::string digest, TextureDigest(textures));
+  return std::make_unique<Announcer>(wire::Connect(learner), address, digest);
+}
 
 absl::Status Run() {
   CRAFTFLEET_ASSIGN_OR_RETURN(const std::string textures, TextureDir(absl::GetFlag(FLAGS_textures)));
@@ -35,8 +59,15 @@ absl::Status Run() {
   const wire::Server::Options options = {absl::GetFlag(FLAGS_listen), absl::GetFlag(FLAGS_insecure)};
   CRAFTFLEET_ASSIGN_OR_RETURN(const std::unique_ptr<wire::Server> server,
                               wire::Server::Create(options, {service.get(), &status}));
-  StopSignal signal([&server] { server->Stop(absl::Milliseconds(500)); });
   LogInfo("listening on %s", server->address());
+  CRAFTFLEET_ASSIGN_OR_RETURN(const std::unique_ptr<Announcer> announcer, AnnounceIfAsked(server->address(), textures));
+  StopSignal signal([&] {
+    if (announcer != nullptr) {
+      announcer->Leave();
+      service->WaitUntilEmpty(kMoveOut);
+    }
+    server->Stop(absl::Milliseconds(500));
+  });
   server->Wait();
   return absl::OkStatus();
 }

@@ -159,19 +159,16 @@ Learner::Learner(const Options& options, Loaded loaded)
               clock_.get()),
       fragments_(FragmentsPerIteration(config_)),
       evaluation_book_(kLease, clock_.get()),
+      env_servers_(kLease, clock_.get()),
       evaluations_(config_.eval(), loaded.checkpoint, &evaluation_book_, folder_.get()),
       progress_({options.progress_in_place, loaded.checkpoint.state.env_steps(), config_.steps()},
                 options.progress != nullptr ? options.progress : &null_stream_, clock_.get()),
-      trainer_(config_, loaded.checkpoint.state,
-               {folder_.get(), updater_.get(), &ledger_, &weights_, &fragments_, &evaluations_, &progress_,
-                clock_.get()}),
-      service_({folder_->run_id(),
-                folder_->epoch(),
-                config_,
-                loaded.texture_digest,
-                FragmentShapeOf(config_, updater_->spec()),
-                kLease},
-               &ledger_, &weights_, &fragments_, &evaluation_book_),
+      trainer_(
+          config_, loaded.checkpoint.state,
+          {folder_.get(), updater_.get(), &ledger_, &weights_, &fragments_, &evaluations_, &progress_, clock_.get()}),
+      service_({folder_->run_id(), folder_->epoch(), config_, loaded.texture_digest,
+                FragmentShapeOf(config_, updater_->spec()), kLease},
+               &ledger_, &weights_, &fragments_, &evaluation_book_, &env_servers_),
       status_service_("learner", [this](v1::StatusReply* reply) {
         service_.FillStatus(reply);
         trainer_.FillStatus(reply);

@@ -21,6 +21,7 @@
 #include "learner/ppo/ppo_updater.h"
 #include "learner/run/progress.h"
 #include "learner/run/run_folder.h"
+#include "learner/server_registry.h"
 #include "learner/trainer.h"
 #include "learner/weight_store.h"
 
@@ -73,6 +74,7 @@ class Learner {
   WeightStore weights_;
   FragmentQueue fragments_;
   EvaluationBook evaluation_book_;
+  ServerRegistry env_servers_;
   EvaluationSchedule evaluations_;
   std::ostream null_stream_{nullptr};
   ProgressPrinter progress_;

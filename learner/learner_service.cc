@@ -10,6 +10,7 @@
 #include "common/log.h"
 #include "common/status_macros.h"
 #include "common/version.h"
+#include "common/wire/channel.h"
 #include "common/wire/grpc_status.h"
 #include "common/wire/protocol.h"
 #include "common/wire/status_service.h"
@@ -48,8 +49,14 @@ v1::FragmentVerdict::Verdict ToProto(LaneLedger::Verdict verdict) {
 }  // namespace
 
 LearnerServiceImpl::LearnerServiceImpl(const Options& options, LaneLedger* ledger, WeightStore* weights,
-                                       FragmentQueue* fragments, EvaluationBook* evaluations)
-    : options_(options), ledger_(ledger), weights_(weights), fragments_(fragments), evaluations_(evaluations) {}
+                                       FragmentQueue* fragments, EvaluationBook* evaluations,
+                                       ServerRegistry* env_servers)
+    : options_(options),
+      ledger_(ledger),
+      weights_(weights),
+      fragments_(fragments),
+      evaluations_(evaluations),
+      env_servers_(env_servers) {}
 
 grpc::Status LearnerServiceImpl::Join(grpc::ServerContext* /*context*/, const v1::JoinRequest* request,
                                       v1::JoinReply* reply) {
@@ -84,7 +91,17 @@ grpc::Status LearnerServiceImpl::GetPermits(grpc::ServerContext* /*context*/, co
   AddPermits(grant->lost, reply->mutable_lost());
   reply->set_finished(grant->finished);
   OfferEvaluation(*request, reply);
+  TellEnvServers(*request, reply);
   return grpc::Status::OK;
+}
+
+void LearnerServiceImpl::TellEnvServers(const v1::PermitRequest& request, v1::PermitReply* reply) {
+  if (!request.wants_env_servers()) return;
+  int64_t generation = 0;
+  const std::vector<ServerRegistry::Server> servers = env_servers_->Servers(&generation);
+  reply->set_env_servers_generation(generation);
+  if (generation == request.env_servers_generation()) return;
+  for (const ServerRegistry::Server& server : servers) reply->add_env_servers(server.address);
 }
 
 void LearnerServiceImpl::OfferEvaluation(const v1::PermitRequest& request, v1::PermitReply* reply) {
@@ -188,6 +205,27 @@ grpc::Status LearnerServiceImpl::FinishEvaluation(grpc::ServerContext* /*context
   return wire::ToGrpc(status);
 }
 
+grpc::Status LearnerServiceImpl::Announce(grpc::ServerContext* /*context*/, const v1::Announcement* request,
+                                          v1::AnnounceReply* reply) {
+  const wire::Handshake ours = {wire::kProtocolVersion, "", options_.texture_digest};
+  const wire::Handshake theirs = {request->protocol_version(), "", request->texture_digest()};
+  absl::Status status = wire::CheckHandshake("learner", ours, "environment server", theirs);
+  if (status.ok() && request->name().empty()) status = absl::InvalidArgumentError("name is empty, want a unique one");
+  if (status.ok()) status = wire::CheckAddress("advertise", request->address());
+  if (!status.ok()) {
+    LogWarning("environment server %s refused: %s", request->name(), status.message());
+    return wire::ToGrpc(status);
+  }
+  if (request->leaving()) {
+    env_servers_->Leave(request->name());
+  } else {
+    env_servers_->Announce(request->name(), request->address());
+  }
+  reply->set_run_id(options_.run_id);
+  reply->set_lease_ms(static_cast<int>(absl::ToInt64Milliseconds(options_.lease)));
+  return grpc::Status::OK;
+}
+
 grpc::Status LearnerServiceImpl::Leave(grpc::ServerContext* /*context*/, const v1::LeaveRequest* request,
                                        v1::LeaveReply* /*reply*/) {
   ledger_->Leave(request->actor());
@@ -203,6 +241,13 @@ void LearnerServiceImpl::FillStatus(v1::StatusReply* reply) const {
   wire::AddMetric("fragments_expired", static_cast<double>(expired_.load()), "fragments", reply);
   wire::AddMetric("fragments_rejected", static_cast<double>(rejected_.load()), "fragments", reply);
   wire::AddMetric("fragments_queued", static_cast<double>(fragments_->size()), "fragments", reply);
+  for (const ServerRegistry::Server& server : env_servers_->Servers()) {
+    v1::Peer* peer = reply->add_peers();
+    peer->set_name(server.name);
+    peer->set_role("envserver");
+    peer->set_address(server.address);
+    peer->set_last_seen_s(absl::ToDoubleSeconds(server.idle));
+  }
   for (const LaneLedger::ActorInfo& actor : ledger_->Actors()) {
     v1::Peer* peer = reply->add_peers();
     peer->set_name(actor.name);

@@ -15,6 +15,7 @@
 #include "craftfleet/v1/status.pb.h"
 #include "learner/evaluation_book.h"
 #include "learner/lane_ledger.h"
+#include "learner/server_registry.h"
 #include "learner/weight_store.h"
 
 namespace craftfleet {
@@ -35,7 +36,7 @@ class LearnerServiceImpl final : public v1::LearnerService::Service {
   };
 
   LearnerServiceImpl(const Options& options, LaneLedger* ledger, WeightStore* weights, FragmentQueue* fragments,
-                     EvaluationBook* evaluations);
+                     EvaluationBook* evaluations, ServerRegistry* env_servers);
 
   grpc::Status Join(grpc::ServerContext* context, const v1::JoinRequest* request, v1::JoinReply* reply) override;
   grpc::Status GetPermits(grpc::ServerContext* context, const v1::PermitRequest* request,
@@ -48,6 +49,8 @@ class LearnerServiceImpl final : public v1::LearnerService::Service {
                            v1::SnapshotReply* reply) override;
   grpc::Status FinishEvaluation(grpc::ServerContext* context, const v1::EvaluationResult* request,
                                 v1::EvaluationReply* reply) override;
+  grpc::Status Announce(grpc::ServerContext* context, const v1::Announcement* request,
+                        v1::AnnounceReply* reply) override;
   grpc::Status Leave(grpc::ServerContext* context, const v1::LeaveRequest* request, v1::LeaveReply* reply) override;
 
   // Counts of fragments and the actors as peers.
@@ -55,6 +58,7 @@ class LearnerServiceImpl final : public v1::LearnerService::Service {
 
  private:
   absl::Status CheckEpoch(int64_t epoch) const;
+  void TellEnvServers(const v1::PermitRequest& request, v1::PermitReply* reply);
   void OfferEvaluation(const v1::PermitRequest& request, v1::PermitReply* reply);
   absl::StatusOr<WeightStore::Weights> FindWeights(const v1::WeightsRequest& request) const;
   absl::StatusOr<v1::FragmentVerdict::Verdict> TakeIn(v1::FragmentMessage* message);
@@ -66,6 +70,7 @@ class LearnerServiceImpl final : public v1::LearnerService::Service {
   WeightStore* const weights_;
   FragmentQueue* const fragments_;
   EvaluationBook* const evaluations_;
+  ServerRegistry* const env_servers_;
 
   std::atomic<int64_t> accepted_{0};
   std::atomic<int64_t> duplicates_{0};

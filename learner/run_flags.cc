@@ -16,7 +16,8 @@
 #include "common/paths.h"
 #include "common/status_macros.h"
 
-ABSL_FLAG(std::optional<std::string>, agent, std::nullopt, "which agent learns; craftfleet agents lists them [ppo_cnn]");
+ABSL_FLAG(std::optional<std::string>, agent, std::nullopt,
+          "which agent learns; craftfleet agents lists them [ppo_cnn]");
 ABSL_FLAG(std::optional<std::string>, env, std::nullopt,
           "what it plays: crafter, or with options joined by commas, such as\n"
           "crafter:numbers=easy-x2,appearance=25/25/25/25,inventory=off");

@@ -9,7 +9,6 @@
 #include <absl/strings/match.h>
 #include <absl/strings/numbers.h>
 #include <absl/strings/str_format.h>
-#include <absl/strings/str_split.h>
 #include <grpcpp/create_channel.h>
 #include <grpcpp/security/credentials.h>
 
@@ -54,16 +53,6 @@ absl::Status CheckAddress(absl::string_view flag, absl::string_view address) {
         absl::StrFormat("--%s: \"%s\" is no address, want HOST:PORT or unix:PATH", flag, address));
   }
   return absl::OkStatus();
-}
-
-absl::StatusOr<std::vector<std::string>> SplitAddresses(absl::string_view flag, absl::string_view list) {
-  std::vector<std::string> addresses = absl::StrSplit(list, ',', absl::SkipWhitespace());
-  if (addresses.empty()) {
-    return absl::InvalidArgumentError(
-        absl::StrFormat("--%s is empty, want HOST:PORT, more of them after commas", flag));
-  }
-  for (const std::string& address : addresses) CRAFTFLEET_RETURN_IF_ERROR(CheckAddress(flag, address));
-  return addresses;
 }
 
 absl::Status WaitUntilConnected(absl::string_view who, const Endpoint& endpoint, absl::Duration timeout) {

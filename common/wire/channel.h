@@ -37,9 +37,6 @@ Endpoint Connect(absl::string_view address);
 // InvalidArgument, naming the flag, unless `address` looks like HOST:PORT (port 0..65535) or unix:PATH.
 absl::Status CheckAddress(absl::string_view flag, absl::string_view address);
 
-// Splits a comma-separated list of addresses and checks each.
-absl::StatusOr<std::vector<std::string>> SplitAddresses(absl::string_view flag, absl::string_view list);
-
 // Connects now. Unavailable, naming `who` and the address: refused, or no answer within `timeout`.
 absl::Status WaitUntilConnected(absl::string_view who, const Endpoint& endpoint, absl::Duration timeout);
 

@@ -110,7 +110,7 @@ class RunningActor {
   RunningActor(const wire::Endpoint& learner, const std::vector<wire::Endpoint>& env_servers, int threads = 1) {
     Actor::Options options;
     options.learner = learner;
-    options.env_servers = env_servers;
+    options.env_servers = std::make_shared<EnvDirectory>(env_servers);
     options.threads = threads;
     actor_ = *Actor::Create(options);
     thread_ = std::thread([this] { status_ = actor_->Run("no address"); });

@@ -14,6 +14,7 @@
 
 #include "tests/fakes/env_server.h"
 #include "tests/fakes/status_matchers.h"
+#include "tests/fakes/wait_until.h"
 
 namespace craftfleet {
 namespace {
@@ -21,6 +22,7 @@ namespace {
 using testing::AllOf;
 using testing::ElementsAre;
 using testing::HasSubstr;
+using testing::IsEmpty;
 
 constexpr int kFrameBytes = 64 * 64 * 3;
 constexpr int kLength = 50;  // of an episode
@@ -68,11 +70,15 @@ struct Seen {
   int steps = 0;
 };
 
+std::shared_ptr<EnvDirectory> Listing(std::vector<wire::Endpoint> servers) {
+  return std::make_shared<EnvDirectory>(std::move(servers));
+}
+
 EnvPool PoolOf(const std::vector<const EnvServer*>& servers) {
   std::vector<wire::Endpoint> endpoints;
   endpoints.reserve(servers.size());
   for (const EnvServer* server : servers) endpoints.push_back(server->Connect());
-  return {endpoints, SampleHello(kLength), kFrameBytes};
+  return {Listing(endpoints), SampleHello(kLength), kFrameBytes};
 }
 
 TEST(EnvPool, GamesDoNotDependOnHowTheyAreSpread) {
@@ -142,6 +148,47 @@ TEST(EnvPool, AServerThatGoesTakesNothingWithIt) {
   }
 }
 
+std::string LanesOn(const EnvServer& server) {
+  v1::StatusReply status;
+  server.service->FillStatus(&status);
+  return status.peers_size() == 1 ? status.peers(0).state() : "no session";
+}
+
+TEST(EnvPool, GamesMoveWhenServersComeAndGo) {
+  const EnvServer servers[3];
+  const auto directory = EnvDirectory::Parse("envservers", "learner").value();
+  EnvPool pool(directory, SampleHello(kLength), kFrameBytes);
+  Seen seen;
+  EXPECT_THAT(seen.Open(&pool, NewLanes({0})),
+              StatusIs(absl::StatusCode::kUnavailable, HasSubstr("no environment server is known")));
+  const std::vector<std::string> addresses = {servers[0].server->address(), servers[1].server->address(),
+                                              servers[2].server->address()};
+  directory->SetRegistered({addresses[0]});
+  EXPECT_THAT(pool.Refresh(), IsEmpty());
+  ASSERT_THAT(seen.Open(&pool, NewLanes({0, 1, 2, 3, 4, 5})), IsOk());
+  EXPECT_EQ(LanesOn(servers[0]), "6 lanes");
+
+  directory->SetRegistered(addresses);
+  std::vector<int> moved;
+  // Connecting takes its time, which nobody waits for.
+  ASSERT_TRUE(WaitUntil([&] {
+    for (const int lane : pool.Refresh()) moved.push_back(lane);
+    return moved.size() == 4;
+  }));
+  ASSERT_THAT(seen.Open(&pool, NewLanes(moved)), IsOk());
+  for (const EnvServer& server : servers) EXPECT_EQ(LanesOn(server), "2 lanes");
+  EXPECT_THAT(pool.Refresh(), IsEmpty()) << "even as it is";
+  EXPECT_THAT(seen.Step(&pool), IsOk());
+
+  directory->SetRegistered({addresses[1], addresses[2]});
+  const std::vector<int> left = pool.Refresh();
+  EXPECT_EQ(left.size(), 2u);
+  ASSERT_THAT(seen.Open(&pool, NewLanes(left)), IsOk());
+  EXPECT_TRUE(WaitUntil([&] { return LanesOn(servers[0]) == "no session"; }));
+  EXPECT_EQ(LanesOn(servers[1]), "3 lanes");
+  EXPECT_THAT(seen.Step(&pool), IsOk());
+}
+
 TEST(EnvPool, AServerThatGoesWhileLanesOpenIsAnError) {
   const EnvServer servers[2];
   EnvPool pool = PoolOf({&servers[0], &servers[1]});
@@ -160,7 +207,7 @@ TEST(EnvPool, NamesEveryServerWhenNoneCanBeReached) {
     const EnvServer gone[2];
     for (const EnvServer& server : gone) endpoints.push_back(server.Connect());
   }
-  EnvPool pool(endpoints, SampleHello(kLength), kFrameBytes);
+  EnvPool pool(Listing(endpoints), SampleHello(kLength), kFrameBytes);
   std::string frames;
   for (int i = 0; i < 2; ++i) {  // the second time it waits before it tries again
     EXPECT_THAT(pool.Open(NewLanes({0}), &frames),
@@ -176,7 +223,7 @@ TEST(EnvPool, PlaysWithTheServersThatAreLeft) {
     const EnvServer server;
     gone = server.Connect();
   }
-  EnvPool pool({gone, here.Connect()}, SampleHello(kLength), kFrameBytes);
+  EnvPool pool(Listing({gone, here.Connect()}), SampleHello(kLength), kFrameBytes);
   Seen seen;
   ASSERT_THAT(seen.Open(&pool, NewLanes({0, 1})), IsOk());
   EXPECT_THAT(seen.Step(&pool), IsOk());
@@ -186,7 +233,7 @@ TEST(EnvPool, AServerThatDoesNotFitIsAnErrorToAct) {
   const EnvServer server;
   v1::SessionHello hello = SampleHello(kLength);
   hello.set_texture_digest("0123456789abcdef");
-  EnvPool pool({server.Connect()}, hello, kFrameBytes);
+  EnvPool pool(Listing({server.Connect()}), hello, kFrameBytes);
   std::string frames;
   EXPECT_THAT(pool.Open(NewLanes({0}), &frames),
               StatusIs(absl::StatusCode::kFailedPrecondition,
@@ -210,7 +257,7 @@ class SilentService : public v1::EnvironmentService::Service {
 TEST(EnvPool, CancelEndsACallThatWaits) {
   SilentService service;
   const auto server = *wire::Server::Create({"127.0.0.1:0"}, {&service});
-  EnvPool pool({wire::Connect(server->address())}, SampleHello(kLength), kFrameBytes);
+  EnvPool pool(Listing({wire::Connect(server->address())}), SampleHello(kLength), kFrameBytes);
   absl::Status status;
   std::thread opening([&] {
     std::string frames;
@@ -240,7 +287,7 @@ class BabblingService : public v1::EnvironmentService::Service {
 TEST(EnvPool, ARepliesShapeIsChecked) {
   BabblingService service;
   const auto server = *wire::Server::Create({"127.0.0.1:0"}, {&service});
-  EnvPool pool({wire::Connect(server->address())}, SampleHello(kLength), kFrameBytes);
+  EnvPool pool(Listing({wire::Connect(server->address())}), SampleHello(kLength), kFrameBytes);
   std::string frames;
   EXPECT_THAT(pool.Open(NewLanes({0}), &frames),
               StatusIs(absl::StatusCode::kInternal, HasSubstr(absl::StrCat("environment server ", server->address(),

@@ -35,7 +35,8 @@ struct Service {
   WeightStore weights;
   FragmentQueue fragments{100};
   EvaluationBook evaluations{absl::Seconds(5), &clock};
-  LearnerServiceImpl service{Options(), &ledger, &weights, &fragments, &evaluations};
+  ServerRegistry env_servers{absl::Seconds(5), &clock};
+  LearnerServiceImpl service{Options(), &ledger, &weights, &fragments, &evaluations, &env_servers};
 };
 
 template <typename Request, typename Reply>
@@ -75,7 +76,7 @@ void TryInput(absl::string_view input) {
   if (input.empty()) return;
   Service service;
   const absl::string_view bytes = input.substr(1);
-  switch (input[0] % 6) {
+  switch (input[0] % 7) {
     case 0:
       Call(&service.service, &LearnerServiceImpl::Join, bytes);
       break;
@@ -91,8 +92,11 @@ void TryInput(absl::string_view input) {
     case 4:
       Call(&service.service, &LearnerServiceImpl::FinishEvaluation, bytes);
       break;
-    default:
+    case 5:
       Call(&service.service, &LearnerServiceImpl::Leave, bytes);
+      break;
+    default:
+      Call(&service.service, &LearnerServiceImpl::Announce, bytes);
   }
   const std::vector<LaneRecord> lanes = service.ledger.Records();
   CRAFTFLEET_CHECK(static_cast<int>(lanes.size()) == kSampleShape.lanes);
@@ -111,6 +115,7 @@ std::vector<std::string> SoundInputs() {
   permits.set_epoch(kEpoch);
   permits.set_capacity(4);
   permits.set_evaluates(true);
+  permits.set_wants_env_servers(true);
   v1::Permit* permit = permits.add_active();
   permit->set_policy_version(kVersion);
   v1::FragmentMessage fragment = wire::ToProto(SampleFragment(1, 0, kVersion));
@@ -123,8 +128,12 @@ std::vector<std::string> SoundInputs() {
   result.set_id(2);
   v1::LeaveRequest leave;
   leave.set_actor("a");
-  return {Input('\0', join),     Input('\1', permits), Input('\2', fragment),
-          Input('\3', snapshot), Input('\4', result),  Input('\5', leave)};
+  v1::Announcement announcement;
+  announcement.set_protocol_version(wire::kProtocolVersion);
+  announcement.set_name("s");
+  announcement.set_address("10.0.0.1:50061");
+  return {Input('\0', join),   Input('\1', permits), Input('\2', fragment),    Input('\3', snapshot),
+          Input('\4', result), Input('\5', leave),   Input('\6', announcement)};
 }
 
 }  // namespace craftfleet

@@ -122,7 +122,8 @@ class LearnerServiceTest : public testing::Test {
   WeightStore weights_;
   FragmentQueue fragments_{100};
   EvaluationBook evaluations_{absl::Seconds(5), &clock_};
-  LearnerServiceImpl service_{ServiceOptions(), &ledger_, &weights_, &fragments_, &evaluations_};
+  ServerRegistry env_servers_{absl::Seconds(5), &clock_};
+  LearnerServiceImpl service_{ServiceOptions(), &ledger_, &weights_, &fragments_, &evaluations_, &env_servers_};
   std::unique_ptr<wire::Server> server_;
   std::unique_ptr<v1::LearnerService::Stub> stub_;
 };

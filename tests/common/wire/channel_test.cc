@@ -38,18 +38,6 @@ TEST(Address, NamesFlagAndValueThatIsNone) {
   }
 }
 
-TEST(Address, ListsAreSplitAtCommas) {
-  const auto addresses = SplitAddresses("envservers", "a:1,b:2,,");
-  ASSERT_THAT(addresses, IsOk());
-  EXPECT_THAT(*addresses, ElementsAre("a:1", "b:2"));
-  EXPECT_THAT(SplitAddresses("envservers", "a:1,b"),
-              StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("--envservers: \"b\"")));
-  for (const char* list : {"", " ", ","}) {
-    EXPECT_THAT(SplitAddresses("envservers", list),
-                StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("--envservers is empty")));
-  }
-}
-
 TEST(WaitUntilConnected, ReachesAServerOnLoopback) {
   const auto server = Server::Create({"127.0.0.1:0"}, {});
   ASSERT_THAT(server, IsOk());

@@ -1,0 +1,144 @@
+#include "actor/env_directory.h"
+
+#include <netdb.h>
+#include <resolv.h>
+#include <sys/socket.h>
+
+#include <algorithm>
+#include <set>
+#include <utility>
+
+#include <absl/strings/str_cat.h>
+#include <absl/strings/str_split.h>
+#include <absl/strings/strip.h>
+#include <absl/time/time.h>
+
+#include "common/log.h"
+#include "common/status_macros.h"
+
+namespace craftfleet {
+namespace {
+
+constexpr absl::Duration kLookUpEvery = absl::Seconds(3);
+constexpr char kListed[] = "listed";
+constexpr char kRegistry[] = "learner";
+constexpr absl::string_view kDnsPrefix = "dns:";
+
+// Every address behind host:port, as gRPC writes them. NotFound: none; says why.
+absl::StatusOr<std::vector<std::string>> LookUp(const std::string& host, const std::string& port) {
+  addrinfo hints = {};
+  hints.ai_family = AF_UNSPEC;
+  hints.ai_socktype = SOCK_STREAM;
+  addrinfo* found = nullptr;
+  if (const int error = getaddrinfo(host.c_str(), port.c_str(), &hints, &found); error != 0) {
+    return absl::NotFoundError(absl::StrCat("--envservers: no address behind ", host, ": ", gai_strerror(error)));
+  }
+  std::set<std::string> addresses;
+  for (const addrinfo* entry = found; entry != nullptr; entry = entry->ai_next) {
+    char numeric[NI_MAXHOST];
+    if (getnameinfo(entry->ai_addr, entry->ai_addrlen, numeric, sizeof(numeric), nullptr, 0, NI_NUMERICHOST) != 0) {
+      continue;
+    }
+    addresses.insert(entry->ai_family == AF_INET6 ? absl::StrCat("[", numeric, "]:", port)
+                                                  : absl::StrCat(numeric, ":", port));
+  }
+  freeaddrinfo(found);
+  return std::vector<std::string>(addresses.begin(), addresses.end());
+}
+
+}  // namespace
+
+EnvDirectory::EnvDirectory(std::vector<wire::Endpoint> servers) {
+  for (wire::Endpoint& server : servers) {
+    std::string address = server.address;
+    servers_.emplace(std::move(address), std::move(server));
+  }
+}
+
+absl::StatusOr<std::shared_ptr<EnvDirectory>> EnvDirectory::Parse(absl::string_view flag, absl::string_view list) {
+  const std::vector<std::string> entries = absl::StrSplit(list, ',', absl::SkipWhitespace());
+  if (entries.empty()) {
+    return absl::InvalidArgumentError(
+        absl::StrCat("--", flag, " is empty, want HOST:PORT, dns:HOST:PORT or learner, more of them after commas"));
+  }
+  std::shared_ptr<EnvDirectory> directory(new EnvDirectory);
+  std::vector<std::string> listed;
+  for (const std::string& entry : entries) {
+    absl::string_view address = entry;
+    if (entry == kRegistry) {
+      directory->uses_registry_ = true;
+    } else if (absl::ConsumePrefix(&address, kDnsPrefix)) {
+      CRAFTFLEET_RETURN_IF_ERROR(wire::CheckAddress(flag, address));
+      const size_t colon = address.rfind(':');
+      directory->names_.push_back({std::string(address.substr(0, colon)), std::string(address.substr(colon + 1))});
+    } else {
+      CRAFTFLEET_RETURN_IF_ERROR(wire::CheckAddress(flag, entry));
+      listed.push_back(entry);
+    }
+  }
+  directory->Replace(kListed, std::move(listed));
+  if (!directory->names_.empty()) {
+    directory->resolver_ = std::thread([raw = directory.get()] { raw->KeepLookingUp(); });
+  }
+  return directory;
+}
+
+EnvDirectory::~EnvDirectory() {
+  {
+    const MutexLock lock(&mu_);
+    stopping_ = true;
+    changed_.NotifyAll();
+  }
+  if (resolver_.joinable()) resolver_.join();
+}
+
+void EnvDirectory::SetRegistered(std::vector<std::string> addresses) { Replace(kRegistry, std::move(addresses)); }
+
+std::vector<wire::Endpoint> EnvDirectory::Servers() const {
+  const MutexLock lock(&mu_);
+  std::vector<wire::Endpoint> servers;
+  for (const auto& [address, server] : servers_) servers.push_back(server);
+  return servers;
+}
+
+void EnvDirectory::KeepLookingUp() {
+  // A name server that does not answer must not hold up the end: two tries of a second.
+  res_init();
+  _res.retrans = 1;
+  _res.retry = 2;
+  std::string last_error;
+  while (true) {
+    for (const Name& name : names_) {
+      absl::StatusOr<std::vector<std::string>> addresses = LookUp(name.host, name.port);
+      // While a name can't be looked up, what it meant last still counts.
+      if (addresses.ok()) {
+        Replace(absl::StrCat(kDnsPrefix, name.host, ":", name.port), *std::move(addresses));
+        last_error.clear();
+      } else if (last_error != addresses.status().message()) {
+        last_error = std::string(addresses.status().message());
+        LogWarning("%s; looking again every %s", last_error, absl::FormatDuration(kLookUpEvery));
+      }
+    }
+    const MutexLock lock(&mu_);
+    changed_.WaitFor(&mu_, kLookUpEvery, [this]() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_) { return stopping_; });
+    if (stopping_) return;
+  }
+}
+
+void EnvDirectory::Replace(const std::string& source, std::vector<std::string> addresses) {
+  std::sort(addresses.begin(), addresses.end());
+  const MutexLock lock(&mu_);
+  if (addresses_[source] == addresses) return;
+  addresses_[source] = std::move(addresses);
+  std::map<std::string, wire::Endpoint> servers;
+  for (const auto& [name, list] : addresses_) {
+    for (const std::string& address : list) {
+      const auto known = servers_.find(address);
+      servers[address] = known != servers_.end() ? known->second : wire::Connect(address);
+    }
+  }
+  servers_ = std::move(servers);
+  ++generation_;
+}
+
+}  // namespace craftfleet

@@ -1,0 +1,71 @@
+#include "envserver/announcer.h"
+
+#include <utility>
+
+#include <absl/strings/str_cat.h>
+
+#include "common/backoff.h"
+#include "common/log.h"
+#include "common/wire/grpc_status.h"
+#include "common/wire/protocol.h"
+#include "common/worker_name.h"
+
+namespace craftfleet {
+namespace {
+
+constexpr absl::Duration kEvery = absl::Seconds(1);  // a fifth of the learner's lease
+constexpr absl::Duration kTimeout = absl::Seconds(2);
+
+}  // namespace
+
+Announcer::Announcer(wire::Endpoint learner, const std::string& address, const std::string& texture_digest)
+    : learner_(std::move(learner)), stub_(v1::LearnerService::NewStub(learner_.channel)) {
+  announcement_.set_protocol_version(wire::kProtocolVersion);
+  announcement_.set_name(UniqueWorkerName());
+  announcement_.set_address(address);
+  announcement_.set_texture_digest(texture_digest);
+  thread_ = std::thread([this] { Run(); });
+}
+
+Announcer::~Announcer() { Leave(); }
+
+void Announcer::Leave() {
+  {
+    const MutexLock lock(&mu_);
+    leaving_ = true;
+    changed_.NotifyAll();
+  }
+  if (thread_.joinable()) thread_.join();
+}
+
+void Announcer::Run() {
+  Backoff backoff(absl::Milliseconds(250), absl::Seconds(4));
+  std::string last_error;
+  bool known = false;
+  while (true) {
+    const absl::Status status = Announce(/*leaving=*/false);
+    if (status.ok() && !known) LogInfo("learner %s knows of this server", learner_.address);
+    if (!status.ok() && last_error != status.message()) {
+      LogWarning("%s; trying again until it answers", status.message());
+    }
+    known = status.ok();
+    last_error = std::string(status.message());
+    if (known) backoff.Reset();
+    const MutexLock lock(&mu_);
+    changed_.WaitFor(&mu_, known ? kEvery : backoff.Next(),
+                     [this]() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_) { return leaving_; });
+    if (leaving_) break;
+  }
+  // A learner that does not hear this notices by the lease.
+  if (known) Announce(/*leaving=*/true).IgnoreError();
+}
+
+absl::Status Announcer::Announce(bool leaving) {
+  announcement_.set_leaving(leaving);
+  grpc::ClientContext context;
+  wire::SetDeadline(&context, kTimeout);
+  v1::AnnounceReply reply;
+  return wire::FromGrpc(stub_->Announce(&context, announcement_, &reply), absl::StrCat("learner ", learner_.address));
+}
+
+}  // namespace craftfleet

@@ -1,0 +1,45 @@
+// Tells a learner that this environment server is there.
+
+#ifndef CRAFTFLEET_ENVSERVER_ANNOUNCER_H_
+#define CRAFTFLEET_ENVSERVER_ANNOUNCER_H_
+
+#include <memory>
+#include <string>
+#include <thread>
+
+#include <absl/status/status.h>
+#include <absl/time/time.h>
+
+#include "common/mutex.h"
+#include "common/wire/channel.h"
+#include "craftfleet/v1/learner.grpc.pb.h"
+
+namespace craftfleet {
+
+// Announces on a thread of its own, every second, whether the learner is there or not. Thread-safe.
+class Announcer {
+ public:
+  // `address` is where actors find the server.
+  Announcer(wire::Endpoint learner, const std::string& address, const std::string& texture_digest);
+  ~Announcer();
+
+  // Takes the announcement back, so that actors move their games, and ends the thread. Idempotent.
+  void Leave() ABSL_LOCKS_EXCLUDED(mu_);
+
+ private:
+  void Run() ABSL_LOCKS_EXCLUDED(mu_);
+  absl::Status Announce(bool leaving);
+
+  const wire::Endpoint learner_;
+  const std::unique_ptr<v1::LearnerService::Stub> stub_;
+  v1::Announcement announcement_;
+
+  Mutex mu_;
+  CondVar changed_;
+  bool leaving_ ABSL_GUARDED_BY(mu_) = false;
+  std::thread thread_;
+};
+
+}  // namespace craftfleet
+
+#endif  // CRAFTFLEET_ENVSERVER_ANNOUNCER_H_
