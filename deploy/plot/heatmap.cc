@@ -150,8 +150,8 @@ std::string DrawHeatmaps(absl::Span<const Heatmap> maps, int across) {
                 static_cast<int>(std::ceil(kMargin + step_y * down + kScaleRow)));
   const Scale scale = ScaleOf(maps);
   for (size_t i = 0; i < maps.size(); ++i) {
-    const auto column = static_cast<double>(i % across);
-    const auto row = static_cast<double>(i / across);
+    const int column = static_cast<int>(i) % across;
+    const int row = static_cast<int>(i) / across;
     DrawMap(maps[i], layouts[i], scale, {kMargin + step_x * column, kMargin + step_y * row}, &canvas);
   }
   DrawScale(scale, {kMargin + layouts[0].labels, kMargin + step_y * down}, &canvas);
