@@ -21,7 +21,7 @@ absl::StatusOr<AgentSpec> MakeAgentSpec(const v1::RunConfig& config) {
 
 absl::StatusOr<AgentSpec> FindAgent(absl::string_view name) {
   v1::RunConfig config;
-  config.set_agent(std::string(name));
+  config.set_agent(name.data(), name.size());
   return MakeAgentSpec(config);
 }
 

@@ -40,7 +40,8 @@ at::Tensor CutPatches(const at::Tensor& map, int64_t patch, int64_t stride) {
 
 at::Tensor Attend(const at::Tensor& queries, const at::Tensor& keys, const at::Tensor& values,
                   const AttentionOptions& options, const absl::optional<Dropout>& dropout) {
-  const double scale = 1 / std::sqrt(static_cast<double>(kAttentionWidth / options.heads));
+  const int64_t head_width = kAttentionWidth / options.heads;
+  const double scale = 1 / std::sqrt(static_cast<double>(head_width));
   const at::Tensor scores = at::matmul(SplitHeads(queries, options.heads) * scale,
                                        SplitHeads(keys, options.heads).transpose(-2, -1));  // [N,heads,Q,T]
   at::Tensor weights;

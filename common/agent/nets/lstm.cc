@@ -128,7 +128,7 @@ struct LstmFunction : torch::autograd::Function<LstmFunction> {
                                   const at::Tensor& gates, const at::Tensor& cells_before, const at::Tensor& tanh_cells,
                                   const at::Tensor& by_outputs) {
     const int64_t hidden = hidden_weight.size(1);
-    const at::Tensor by_gates = at::empty_like(gates);
+    at::Tensor by_gates = at::empty_like(gates);
     const at::Tensor by_hidden = at::zeros({batch_sizes.front(), hidden});
     const at::Tensor by_cells = at::zeros({batch_sizes.front(), hidden});
     int64_t first = gates.size(0);
@@ -143,8 +143,9 @@ struct LstmFunction : torch::autograd::Function<LstmFunction> {
             by_cells.data_ptr<float>() + row * hidden, by_gates.data_ptr<float>() + 4 * at);
       }
       at::Tensor before = by_hidden.narrow(0, 0, *count);
-      if (first > 0)
+      if (first > 0) {
         MultiplyInto(Form::kPlain, by_gates.narrow(0, first, *count), Form::kPlain, hidden_weight, 0.0F, &before);
+      }
     }
     return by_gates;
   }

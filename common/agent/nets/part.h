@@ -5,11 +5,8 @@
 
 #include <cstdint>
 
+#include <ATen/core/ATen_fwd.h>
 #include <absl/types/optional.h>
-
-namespace at {
-class Tensor;
-}
 
 namespace craftfleet {
 
