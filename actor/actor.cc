@@ -20,7 +20,7 @@ namespace craftfleet {
 namespace {
 
 constexpr absl::Duration kFirstRetry = absl::Milliseconds(250);
-constexpr absl::Duration kLastRetry = absl::Seconds(4);
+constexpr absl::Duration kLastRetry = absl::Seconds(2);
 constexpr absl::Duration kSayAgain = absl::Seconds(10);  // between two lines about the same trouble
 constexpr int kPollMs = 500;                             // long poll for permits; a tenth of the lease
 

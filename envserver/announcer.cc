@@ -39,7 +39,7 @@ void Announcer::Leave() {
 }
 
 void Announcer::Run() {
-  Backoff backoff(absl::Milliseconds(250), absl::Seconds(4));
+  Backoff backoff(absl::Milliseconds(250), absl::Seconds(2));
   std::string last_error;
   bool known = false;
   while (true) {
