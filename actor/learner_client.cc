@@ -21,12 +21,18 @@ LearnerClient::LearnerClient(wire::Endpoint learner)
       channel_(std::move(learner.channel)),
       stub_(v1::LearnerService::NewStub(channel_)) {}
 
+absl::Status LearnerClient::FromCall(const grpc::Status& status) const {
+  // None of these calls is cancelled by us, so the learner did it, which stops.
+  if (status.error_code() == grpc::StatusCode::CANCELLED) return absl::UnavailableError(name_ + ": it is stopping");
+  return wire::FromGrpc(status, name_);
+}
+
 absl::StatusOr<v1::JoinReply> LearnerClient::Join(const v1::JoinRequest& request) const {
   grpc::ClientContext context;
   wire::SetDeadline(&context, kCallTimeout);
   v1::JoinReply reply;
   const grpc::Status status = stub_->Join(&context, request, &reply);
-  if (!status.ok()) return wire::FromGrpc(status, name_);
+  if (!status.ok()) return FromCall(status);
   return reply;
 }
 
@@ -35,7 +41,7 @@ absl::StatusOr<v1::PermitReply> LearnerClient::GetPermits(const v1::PermitReques
   wire::SetDeadline(&context, kCallTimeout + absl::Milliseconds(request.wait_ms()));
   v1::PermitReply reply;
   const grpc::Status status = stub_->GetPermits(&context, request, &reply);
-  if (!status.ok()) return wire::FromGrpc(status, name_);
+  if (!status.ok()) return FromCall(status);
   return reply;
 }
 
@@ -49,7 +55,7 @@ absl::StatusOr<LaneSnapshot> LearnerClient::GetSnapshot(int64_t epoch, int lane,
   request.set_fragment(fragment);
   v1::SnapshotReply reply;
   const grpc::Status status = stub_->GetSnapshot(&context, request, &reply);
-  if (!status.ok()) return wire::FromGrpc(status, name_);
+  if (!status.ok()) return FromCall(status);
   absl::StatusOr<LaneSnapshot> snapshot = wire::FromProto(&reply, state_size);
   if (snapshot.ok()) return snapshot;
   return absl::InvalidArgumentError(
@@ -84,7 +90,7 @@ absl::Status LearnerClient::FinishEvaluation(const v1::EvaluationResult& result)
   grpc::ClientContext context;
   wire::SetDeadline(&context, kCallTimeout);
   v1::EvaluationReply reply;
-  return wire::FromGrpc(stub_->FinishEvaluation(&context, result, &reply), name_);
+  return FromCall(stub_->FinishEvaluation(&context, result, &reply));
 }
 
 absl::StatusOr<std::pair<int64_t, std::string>> LearnerClient::ReceiveWeights(const v1::WeightsRequest& request) const {
@@ -100,7 +106,7 @@ absl::StatusOr<std::pair<int64_t, std::string>> LearnerClient::ReceiveWeights(co
     weights.second.append(chunk.data());
   }
   const grpc::Status status = stream->Finish();
-  if (!status.ok()) return wire::FromGrpc(status, name_);
+  if (!status.ok()) return FromCall(status);
   if (static_cast<int64_t>(weights.second.size()) != total_bytes) {
     return absl::DataLossError(
         absl::StrFormat("%s: %d bytes of weights, want %d", name_, weights.second.size(), total_bytes));

@@ -47,6 +47,9 @@ class LearnerClient {
   const std::string& name() const { return name_; }
 
  private:
+  // The error of a unary call or a download that has ended.
+  absl::Status FromCall(const grpc::Status& status) const;
+
   absl::StatusOr<std::pair<int64_t, std::string>> ReceiveWeights(const v1::WeightsRequest& request) const;
 
   const std::string name_;  // "learner ADDRESS"

@@ -66,8 +66,9 @@ std::vector<int> ShuffledOrder(const EpochKey& key, int count) {
 std::vector<Minibatch> StepMinibatches(const EpochKey& key, int n, int size) {
   const std::vector<int> order = ShuffledOrder(key, n);
   std::vector<Minibatch> minibatches;
-  for (auto first = order.begin(); first != order.end(); first += size)
+  for (auto first = order.begin(); first != order.end(); first += size) {
     minibatches.push_back({{first, first + size}, {}});
+  }
   return minibatches;
 }
 

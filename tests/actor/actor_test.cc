@@ -16,6 +16,7 @@
 
 #include "common/agent/torch_setup.h"
 #include "common/keyed_random.h"
+#include "common/log.h"
 #include "common/seeds.h"
 #include "envserver/game.h"
 #include "learner/learner_service.h"
@@ -69,7 +70,7 @@ class StandInLearner {
       : agent_(agent),
         ledger_({kLanes}, std::move(lanes), &clock_),
         service_({"run-a", epoch, Config(agent), texture_digest, Shape(agent), absl::Seconds(5)}, &ledger_, &weights_,
-                 &fragments_, &evaluations_),
+                 &fragments_, &evaluations_, &env_servers_),
         server_(*wire::Server::Create({address}, {&service_})) {}
 
   void Open(int64_t iteration) {
@@ -98,6 +99,7 @@ class StandInLearner {
   RealClock clock_;
   LaneLedger ledger_;
   EvaluationBook evaluations_{absl::Seconds(5), &clock_};
+  ServerRegistry env_servers_{absl::Seconds(5), &clock_};
   WeightStore weights_;
   FragmentQueue fragments_{100};
   LearnerServiceImpl service_;
@@ -113,7 +115,10 @@ class RunningActor {
     options.env_servers = std::make_shared<EnvDirectory>(env_servers);
     options.threads = threads;
     actor_ = *Actor::Create(options);
-    thread_ = std::thread([this] { status_ = actor_->Run("no address"); });
+    thread_ = std::thread([this] {
+      status_ = actor_->Run("no address");
+      if (!status_.ok()) LogWarning("the actor ended: %s", status_.message());
+    });
   }
   ~RunningActor() {
     actor_->Stop();
@@ -354,13 +359,12 @@ INSTANTIATE_TEST_SUITE_P(Actor, ActorTest, testing::Values("ppo_cnn", "lstm_cnn"
 
 TEST(ActorOptions, AreCheckedByName) {
   const wire::Endpoint somewhere = wire::Connect("127.0.0.1:1");
-  EXPECT_THAT((Actor::Options{somewhere, {}, 1, 1}.Validate()),
-              StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("--envservers is empty")));
-  EXPECT_THAT((Actor::Options{somewhere, {somewhere}, 0, 1}.Validate()),
+  const auto servers = std::make_shared<EnvDirectory>(std::vector<wire::Endpoint>{somewhere});
+  EXPECT_THAT((Actor::Options{somewhere, servers, 0, 1}.Validate()),
               StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("--threads=0, want 1..256")));
-  EXPECT_THAT((Actor::Options{somewhere, {somewhere}, 1, 4097}.Validate()),
+  EXPECT_THAT((Actor::Options{somewhere, servers, 1, 4097}.Validate()),
               StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("--max_lanes=4097, want 1..4096")));
-  EXPECT_THAT((Actor::Options{somewhere, {somewhere}, 256, 4096}.Validate()), IsOk());
+  EXPECT_THAT((Actor::Options{somewhere, servers, 256, 4096}.Validate()), IsOk());
 }
 
 }  // namespace
