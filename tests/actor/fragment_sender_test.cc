@@ -64,7 +64,7 @@ TEST_F(FragmentSenderTest, SendsFragmentsInOrderAndReleasesTheirPermits) {
   EXPECT_EQ(sender_.resent(), 0);
   v1::FragmentMessage third = service_.received()[2];
   EXPECT_EQ(third.actor(), "an actor");
-  ExpectSameFragments(*wire::FromProto(&third, {5, 5, 12}), SampleFragment(2, 0, 5));
+  ExpectSameFragments(*wire::FromProto(&third, kSampleShape), SampleFragment(2, 0, 5));
 }
 
 TEST_F(FragmentSenderTest, SendsAgainWhatHadNoVerdictWhenTheStreamBroke) {

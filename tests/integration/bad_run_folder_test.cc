@@ -194,7 +194,7 @@ TEST_F(FullDiskTest, TheEndOfTheRunTellsWhatCouldNotBeWritten) {
   const Ended ended = Finish(learner_.get());
   EXPECT_EQ(ended.exit_code, 1);
   EXPECT_THAT(ended.err, HasSubstr("error: checkpoint of iteration 1: "));
-  EXPECT_THAT(ended.err, HasSubstr("error: checkpoint of iteration 3: "));
+  EXPECT_THAT(ended.err, HasSubstr("error: checkpoint of iteration 2: "));
   EXPECT_THAT(ended.err, HasSubstr("craftfleet-learner: "));
   EXPECT_THAT(ended.err, HasSubstr("weights.safetensors: File too large"));
   EXPECT_THAT(ReadLog("run", "stats.jsonl"), HasSubstr("\"length\": 20"));

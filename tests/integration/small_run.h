@@ -35,6 +35,7 @@ class SmallRunTest : public testing::Test {
     env { length: 20 }
     ppo { rollout_steps: 64  minibatch_size: 32  epochs: 1 }
     checkpoint { every_iterations: 1  keep: 20 }
+    eval { every_steps: 0  final_episodes: 0 }
   )";
 
   SmallRunTest() { EXPECT_THAT(WriteFileSynced(config(), kConfig), IsOk()); }
