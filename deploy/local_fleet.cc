@@ -13,8 +13,7 @@ absl::StatusOr<std::unique_ptr<LocalFleet>> LocalFleet::Create(const Learner::Op
   CRAFTFLEET_ASSIGN_OR_RETURN(fleet->learner_, Learner::Create(options));
   Actor::Options actor;
   actor.learner = fleet->learner_->InProcess();
-  actor.env_servers =
-      std::make_shared<EnvDirectory>(std::vector<wire::Endpoint>{fleet->env_server_->InProcess()});
+  actor.env_servers = std::make_shared<EnvDirectory>(std::vector<wire::Endpoint>{fleet->env_server_->InProcess()});
   actor.threads = options.threads;
   CRAFTFLEET_ASSIGN_OR_RETURN(fleet->actor_, Actor::Create(actor));
   return fleet;
