@@ -1,0 +1,34 @@
+#!/usr/bin/env bash
+# Copies what is worth keeping of a finished run: configuration, versions and seed, episode and evaluation logs (gzipped),
+# and its learning curve. No event files and no optimiser.
+#
+# Usage: deploy/experiments/collect.sh [--weights] RUN_FOLDER RESULT_FOLDER
+#   --weights  also the newest checkpoint's weights
+
+set -euo pipefail
+
+usage() { sed -n '2,/^$/s/^# \{0,1\}//p' "$0"; }
+weights=
+while [ $# -gt 0 ]; do
+  case "$1" in
+    -h | --help) usage; exit 0 ;;
+    --weights) weights=yes; shift ;;
+    -*) echo "collect.sh: unknown argument '$1'" >&2; usage >&2; exit 2 ;;
+    *) break ;;
+  esac
+done
+[ $# -eq 2 ] || { usage >&2; exit 2; }
+run=$1
+result=$2
+[ -f "$run/config.txt" ] || { echo "collect.sh: $run is no run's folder: it has no config.txt" >&2; exit 1; }
+
+mkdir -p "$result"
+cp "$run/config.txt" "$run/run.json" "$result/"
+for log in stats eval_argmax eval_sampled final_argmax final_sampled; do
+  [ ! -s "$run/$log.jsonl" ] || gzip -9 --no-name --stdout "$run/$log.jsonl" >"$result/$log.jsonl.gz"
+done
+if [ -n "$weights" ]; then
+  newest=$(find "$run/checkpoints" -maxdepth 1 -name 'iter-*' | sort | tail -n 1)
+  cp "$newest/weights.safetensors" "$result/"
+fi
+"$(dirname "$0")/../../build/bin/craftfleet" curve --out="$result/curve.png" "$run"
