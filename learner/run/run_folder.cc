@@ -177,6 +177,7 @@ absl::Status RunFolder::GoBackTo(const v1::CheckpointState& state) {
   for (AppendFile* log : Logs()) {
     const auto length = std::find_if(state.logs().begin(), state.logs().end(),
                                      [&](const v1::LogLength& l) { return l.file() == BaseName(log->path()); });
+    if (length == state.logs().end() && log->length() == 0) continue;  // an older program did not have it
     if (length == state.logs().end()) {
       return absl::DataLossError(absl::StrCat("the checkpoint does not know the length of ", log->path()));
     }
