@@ -38,6 +38,11 @@ bool EnvClient::Reachable() const {
          server_.channel->GetState(/*try_to_connect=*/true) == GRPC_CHANNEL_READY;
 }
 
+bool EnvClient::Failing() const {
+  return server_.address != wire::kInProcess &&
+         server_.channel->GetState(/*try_to_connect=*/false) == GRPC_CHANNEL_TRANSIENT_FAILURE;
+}
+
 absl::Status EnvClient::Open(absl::Span<const Lane> lanes, std::string* frames) {
   v1::OpenLanes* open = request_.mutable_open();
   open->Clear();

@@ -41,6 +41,8 @@ class EnvClient {
   bool connected() const { return stream_ != nullptr; }
   // Whether the server can be connected to without waiting; if not, it is being tried now.
   bool Reachable() const;
+  // Whether the last try to connect has failed.
+  bool Failing() const;
 
   // Opens games; their observations, uint8[n,H,W,3], go to `frames`.
   absl::Status Open(absl::Span<const Lane> lanes, std::string* frames);

@@ -42,10 +42,14 @@ EnvPool::EnvPool(std::shared_ptr<EnvDirectory> directory, const v1::SessionHello
 std::vector<int> EnvPool::Refresh() {
   std::vector<int> closed = FollowDirectory();
   for (const auto& server : servers_) {
+    if (server->client->connected() || absl::Now() < server->next_try) continue;
     // Only where it takes no waiting; the rest is for ConnectServers.
-    if (server->client->connected() || absl::Now() < server->next_try || !server->client->Reachable()) continue;
-    if (absl::Status status = Connect(server.get(), absl::ZeroDuration()); !status.ok()) {
-      LogWarning("%s", status.message());
+    if (server->client->Reachable()) {
+      const absl::Status status = Connect(server.get(), absl::ZeroDuration());
+      if (!status.ok()) LogWarning("%s", status.message());
+    } else if (server->client->Failing() && !server->missed) {
+      server->missed = true;
+      LogWarning("environment server %s: not reachable; it gets games as soon as it is", server->client->address());
     }
   }
   Balance(&closed);
@@ -246,6 +250,7 @@ absl::Status EnvPool::Connect(Server* server, absl::Duration timeout) {
   absl::Status status = server->client->Connect(timeout);
   if (status.ok()) {
     server->backoff.Reset();
+    server->missed = false;
   } else {
     server->next_try = absl::Now() + server->backoff.Next();
   }

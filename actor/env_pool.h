@@ -55,6 +55,7 @@ class EnvPool {
     std::unique_ptr<EnvClient> client;
     absl::Time next_try = absl::InfinitePast();  // to connect
     Backoff backoff{absl::Milliseconds(250), absl::Seconds(5)};
+    bool missed = false;  // it was said that it can't be reached
     int lanes = 0;
     StepBatch batch;  // reused
   };

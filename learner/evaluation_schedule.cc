@@ -5,12 +5,15 @@
 #include <utility>
 #include <vector>
 
+#include <absl/time/clock.h>
+
 #include "common/log.h"
 
 namespace craftfleet {
 namespace {
 
 constexpr absl::Duration kTick = absl::Milliseconds(200);
+constexpr absl::Duration kSayWaiting = absl::Seconds(15);
 constexpr size_t kAnyNumber = std::numeric_limits<size_t>::max();
 
 }  // namespace
@@ -61,7 +64,15 @@ void EvaluationSchedule::Begin(int64_t env_steps, int episodes, bool final,
 void EvaluationSchedule::LogFinished(size_t below, const std::function<bool()>& should_stop) {
   while (LogFront(absl::ZeroDuration())) {
   }
-  while (book_->Pending().size() >= below && !should_stop()) LogFront(kTick);
+  absl::Time last_news = absl::Now();
+  while (book_->Pending().size() >= below && !should_stop()) {
+    if (LogFront(kTick)) {
+      last_news = absl::Now();
+    } else if (absl::Now() - last_news > kSayWaiting) {
+      last_news = absl::Now();
+      LogInfo("waiting for actors to play %d evaluations", book_->Pending().size());
+    }
+  }
 }
 
 bool EvaluationSchedule::LogFront(absl::Duration timeout) {

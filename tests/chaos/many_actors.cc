@@ -1,0 +1,156 @@
+// Many actors that play nothing, over real connections: how a learner bears up. Started by scale.sh.
+//   many_actors --learner=HOST:PORT --actors=200 --seconds=600
+
+#include <algorithm>
+#include <atomic>
+#include <cstdio>
+#include <memory>
+#include <string>
+#include <thread>
+#include <vector>
+
+#include <absl/flags/flag.h>
+#include <absl/strings/str_cat.h>
+#include <absl/time/clock.h>
+
+#include "actor/learner_client.h"
+#include "common/agent/agent_spec.h"
+#include "common/program.h"
+#include "common/status_macros.h"
+#include "common/wire/channel.h"
+#include "common/wire/convert.h"
+#include "common/wire/protocol.h"
+#include "craftfleet/v1/status.grpc.pb.h"
+
+ABSL_FLAG(std::string, learner, "127.0.0.1:50051", "address of the learner");
+ABSL_FLAG(int32_t, actors, 200, "actors, each with a connection and a thread of its own");
+ABSL_FLAG(int32_t, seconds, 600, "how long");
+
+namespace craftfleet {
+namespace {
+
+constexpr size_t kSnapshotBytes = 12000;
+constexpr double kFairRatio = 1.2;
+constexpr double kStatusLimitMs = 50;
+
+// Asks for permits and answers each with a fragment of black frames.
+class EmptyActor {
+ public:
+  EmptyActor(const std::string& learner, int number)
+      : client_(wire::Connect(learner)), name_(absl::StrCat("empty-", number)) {}
+
+  absl::Status Play(const std::atomic<bool>& stopping) {
+    v1::JoinRequest join;
+    join.set_protocol_version(wire::kProtocolVersion);
+    join.set_actor(name_);
+    CRAFTFLEET_ASSIGN_OR_RETURN(const v1::JoinReply joined, client_.Join(join));
+    CRAFTFLEET_ASSIGN_OR_RETURN(const AgentSpec spec, MakeAgentSpec(joined.config()));
+    grpc::ClientContext context;
+    const auto stream = client_.PushFragments(&context);
+    while (!stopping) {
+      v1::PermitRequest request;
+      request.set_actor(name_);
+      request.set_epoch(joined.epoch());
+      request.set_capacity(4096);
+      request.set_wait_ms(500);
+      CRAFTFLEET_ASSIGN_OR_RETURN(const v1::PermitReply reply, client_.GetPermits(request));
+      if (reply.finished()) break;
+      for (const v1::Permit& permit : reply.granted()) {
+        v1::FragmentMessage message = Fill(joined, spec, permit);
+        v1::FragmentVerdict verdict;
+        if (!stream->Write(message) || !stream->Read(&verdict)) return absl::UnavailableError("the stream ended");
+        if (verdict.verdict() == v1::FragmentVerdict::ACCEPTED) ++fragments_;
+      }
+    }
+    stream->WritesDone();
+    stream->Finish();
+    client_.Leave(name_);
+    return absl::OkStatus();
+  }
+
+  int64_t fragments() const { return fragments_; }
+
+ private:
+  v1::FragmentMessage Fill(const v1::JoinReply& joined, const AgentSpec& spec, const v1::Permit& permit) const {
+    const int steps = joined.config().fragment_steps();
+    Fragment fragment;
+    fragment.epoch = joined.epoch();
+    fragment.lane = permit.lane();
+    fragment.number = permit.fragment();
+    fragment.policy_version = permit.policy_version();
+    fragment.frames.assign(steps * spec.frame_bytes(), '\0');
+    fragment.actions.assign(steps, '\0');
+    fragment.log_probs.assign(steps, -2.833F);
+    fragment.values.assign(steps, 0);
+    fragment.rewards.assign(steps, 0);
+    for (int t = 0; t < steps; ++t) fragment.rewards[t] = static_cast<float>((permit.lane() + t) % 3);
+    fragment.ends.assign(steps, StepEnd::kNone);
+    fragment.snapshot.game.assign(kSnapshotBytes, 's');
+    v1::FragmentMessage message = wire::ToProto(std::move(fragment));
+    message.set_actor(name_);
+    return message;
+  }
+
+  const LearnerClient client_;
+  const std::string name_;
+  std::atomic<int64_t> fragments_{0};
+};
+
+double StatusMs(v1::StatusService::Stub* stub) {
+  grpc::ClientContext context;
+  wire::SetDeadline(&context, absl::Seconds(10));
+  v1::StatusReply reply;
+  const absl::Time start = absl::Now();
+  if (!stub->GetStatus(&context, {}, &reply).ok()) return 10000;
+  return absl::ToDoubleMilliseconds(absl::Now() - start);
+}
+
+absl::Status Run() {
+  const std::string address = absl::GetFlag(FLAGS_learner);
+  std::atomic<bool> stopping{false};
+  std::vector<std::unique_ptr<EmptyActor>> actors;
+  std::vector<std::thread> threads;
+  std::atomic<int> failed{0};
+  for (int i = 0; i < absl::GetFlag(FLAGS_actors); ++i) {
+    actors.push_back(std::make_unique<EmptyActor>(address, i));
+    threads.emplace_back([&, actor = actors.back().get()] {
+      const absl::Status status = actor->Play(stopping);
+      if (!status.ok()) {
+        ++failed;
+        std::fprintf(stderr, "an actor ended: %s\n", status.ToString().c_str());
+      }
+    });
+  }
+  const wire::Endpoint learner = wire::Connect(address);
+  const auto status = v1::StatusService::NewStub(learner.channel);
+  std::vector<double> answers_ms;
+  const absl::Time end = absl::Now() + absl::Seconds(absl::GetFlag(FLAGS_seconds));
+  for (StatusMs(status.get()); absl::Now() < end; absl::SleepFor(absl::Seconds(1))) {
+    answers_ms.push_back(StatusMs(status.get()));
+  }
+  stopping = true;
+  for (std::thread& thread : threads) thread.join();
+
+  std::vector<int64_t> fragments;
+  for (const auto& actor : actors) fragments.push_back(actor->fragments());
+  const auto [fewest, most] = std::minmax_element(fragments.begin(), fragments.end());
+  std::sort(answers_ms.begin(), answers_ms.end());
+  const double ratio = *fewest > 0 ? static_cast<double>(*most) / static_cast<double>(*fewest) : 1e9;
+  std::printf("%zu actors, %d failed; fragments of an actor %ld to %ld, ratio %.2f (want below %.1f)\n", actors.size(),
+              failed.load(), static_cast<long>(*fewest), static_cast<long>(*most), ratio, kFairRatio);
+  std::printf("status: median %.1f ms, 99th percentile %.1f, slowest %.1f (want below %.0f)\n",
+              answers_ms[answers_ms.size() / 2], answers_ms[answers_ms.size() * 99 / 100], answers_ms.back(),
+              kStatusLimitMs);
+  if (failed > 0 || ratio >= kFairRatio || answers_ms[answers_ms.size() * 99 / 100] >= kStatusLimitMs) {
+    return absl::InternalError("not as wanted");
+  }
+  return absl::OkStatus();
+}
+
+}  // namespace
+}  // namespace craftfleet
+
+int main(int argc, char** argv) {
+  craftfleet::ParseFlags("many_actors", "Many actors that play nothing; see tests/chaos/README.md.", argc, argv);
+  return craftfleet::ExitCode("many_actors", craftfleet::Run());
+}
