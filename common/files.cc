@@ -26,10 +26,10 @@ absl::Status SyncDescriptor(int descriptor, const std::string& path) {
 }  // namespace
 
 absl::Status FileError(int error_number, absl::string_view what, absl::string_view path) {
-  const std::string message = absl::StrCat(what, " ", path);
-  const absl::Status status = absl::ErrnoToStatus(error_number, message);
+  // Not absl::ErrnoToStatus: the table of texts in the packaged library looks like a race to ThreadSanitizer.
+  const std::string message = absl::StrCat(what, " ", path, ": ", std::generic_category().message(error_number));
   const bool full = error_number == ENOSPC || error_number == EDQUOT || error_number == EFBIG;
-  return full ? absl::ResourceExhaustedError(status.message()) : status;
+  return full ? absl::ResourceExhaustedError(message) : absl::Status(absl::ErrnoToStatusCode(error_number), message);
 }
 
 std::string JoinPath(absl::string_view folder, absl::string_view name) {
