@@ -2,29 +2,36 @@
 # Installs what CraftFleet is built and tested with, from Debian's own packages (Debian 12 or later).
 # Does nothing when all of it is there; uses sudo when not run as root.
 #
-# Usage: deploy/install-deps.sh [--developer]
+# Usage: deploy/install-deps.sh [--tests] [--developer]
+#   --tests      also what some tests look at deployments with, and are skipped without: Slurm, a YAML parser
 #   --developer  also what the other builds and checks of .ci/run need: clang with its tools, shellcheck
 
 set -euo pipefail
 
+tests=
 developer=
 usage() { sed -n '2,/^$/s/^# \{0,1\}//p' "$0"; }
-case "${1:-}" in
-  "") ;;
-  --developer) developer=yes ;;
-  -h | --help) usage; exit 0 ;;
-  *) echo "install-deps.sh: unknown argument '$1'" >&2; usage >&2; exit 2 ;;
-esac
+for argument in "$@"; do
+  case "$argument" in
+    --tests) tests=yes ;;
+    --developer) developer=yes ;;
+    -h | --help) usage; exit 0 ;;
+    *) echo "install-deps.sh: unknown argument '$argument'" >&2; usage >&2; exit 2 ;;
+  esac
+done
 
 packages=(
   g++ cmake ninja-build git pkg-config
   protobuf-compiler protobuf-compiler-grpc libprotobuf-dev libgrpc++-dev libssl-dev
-  libabsl-dev nlohmann-json3-dev zlib1g-dev
+  libabsl-dev nlohmann-json3-dev zlib1g-dev libpng-dev
   libtorch-dev
   libopenblas0-pthread  # with the reference BLAS, training is several times slower
   libopencv-dev
   libgtest-dev libgmock-dev libbenchmark-dev python3
 )
+if [ -n "$tests" ]; then
+  packages+=(python3-yaml munge slurmctld slurmd slurm-client)
+fi
 if [ -n "$developer" ]; then
   packages+=(clang libclang-rt-14-dev llvm clang-format clang-tidy shellcheck)
 fi

@@ -57,9 +57,9 @@ run_suite() {
 }
 
 if [ "$suites" = release ]; then
-  deploy/install-deps.sh
+  deploy/install-deps.sh --tests
 else
-  deploy/install-deps.sh --developer
+  deploy/install-deps.sh --tests --developer
 fi
 for suite in ${suites//,/ }; do
   if deploy/build.sh "$suite"; then

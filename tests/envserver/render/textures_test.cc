@@ -1,5 +1,7 @@
 #include "envserver/render/textures.h"
 
+#include <zlib.h>
+
 #include <filesystem>
 #include <string>
 
@@ -88,6 +90,29 @@ TEST_F(SpoiledTextures, ReadsColoursInOrder) {
   ASSERT_THAT(textures, IsOk());
   EXPECT_EQ((*textures)->Find("sand")->pixels[5], 30u | 20u << 8 | 10u << 16 | 40u << 24);
   EXPECT_EQ((*textures)->Find("path")->pixels[5], 30u | 20u << 8 | 10u << 16 | 255u << 24);
+}
+
+TEST_F(SpoiledTextures, AFileThatIsCutOffIsNamed) {
+  const std::string whole = ReadFile(folder_ / "cow.png").value();
+  for (const size_t length : {whole.size() / 3, whole.size() / 2, whole.size() - 20}) {
+    Write("cow.png", whole.substr(0, length));
+    EXPECT_THAT(Textures::Load(folder_.path()),
+                StatusIs(absl::StatusCode::kInvalidArgument, AllOf(HasSubstr("cow.png"), HasSubstr("unreadable"))));
+  }
+}
+
+// As Python's readers take them.
+TEST_F(SpoiledTextures, ColoursAreTakenAsTheyStandWhateverGammaTheFileHas) {
+  WritePicture("sand.png", 16, 16, CV_8UC4);
+  const std::string plain = ReadFile(folder_ / "sand.png").value();
+  std::string chunk("gAMA\x00\x01\x86\xa0", 8);  // linear light
+  const uLong crc = crc32(0, reinterpret_cast<const Bytef*>(chunk.data()), 8);
+  for (const int shift : {24, 16, 8, 0}) chunk.push_back(static_cast<char>(crc >> shift & 0xff));
+  constexpr size_t kAfterHeader = 33;
+  Write("sand.png", plain.substr(0, kAfterHeader) + std::string("\0\0\0\4", 4) + chunk + plain.substr(kAfterHeader));
+  const auto textures = Textures::Load(folder_.path());
+  ASSERT_THAT(textures, IsOk());
+  EXPECT_EQ((*textures)->Find("sand")->pixels[0], 30u | 20u << 8 | 10u << 16 | 40u << 24);
 }
 
 TEST_F(SpoiledTextures, ReadsPixelsRowByRow) {
