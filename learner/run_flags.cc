@@ -15,6 +15,7 @@
 #include "common/files.h"
 #include "common/paths.h"
 #include "common/status_macros.h"
+#include "learner/run/checkpoint_store.h"
 
 ABSL_FLAG(std::optional<std::string>, agent, std::nullopt,
           "which agent learns; craftfleet agents lists them [ppo_cnn]");
@@ -29,6 +30,8 @@ ABSL_FLAG(std::optional<uint64_t>, seed, std::nullopt, "seed of everything rando
 ABSL_FLAG(std::optional<int32_t>, lanes, std::nullopt, "games played side by side [16]");
 ABSL_FLAG(std::string, logdir, "", "folder of the run: configuration, stats.jsonl, curves, checkpoints (needed)");
 ABSL_FLAG(bool, resume, false, "go on with the run in --logdir as if it had never stopped; only --steps may differ");
+ABSL_FLAG(bool, autoresume, false,
+          "as --resume if --logdir has a run, else begin one: for what starts the same command again after it ended");
 ABSL_FLAG(std::string, resume_from, "", "with --resume: the checkpoint to go back to, like iter-00000020 [the newest]");
 ABSL_FLAG(std::string, config, "",
           "file with the run's configuration in protobuf text format, such as another run's config.txt;\n"
@@ -42,9 +45,14 @@ ABSL_FLAG(bool, insecure, false, "allow --listen beyond this host, without TLS")
 namespace craftfleet {
 namespace {
 
-absl::StatusOr<v1::RunConfig> BaseConfig() {
+bool Resuming() {
+  return absl::GetFlag(FLAGS_resume) ||
+         (absl::GetFlag(FLAGS_autoresume) && FindCheckpoint(absl::GetFlag(FLAGS_logdir)).ok());
+}
+
+absl::StatusOr<v1::RunConfig> BaseConfig(bool resume) {
   const std::string config = absl::GetFlag(FLAGS_config);
-  if (config.empty() && !absl::GetFlag(FLAGS_resume)) return v1::RunConfig();
+  if (config.empty() && !resume) return v1::RunConfig();
   const std::string path = config.empty() ? JoinPath(absl::GetFlag(FLAGS_logdir), "config.txt") : config;
   absl::StatusOr<std::string> text = ReadFile(path);
   if (!text.ok()) {
@@ -73,12 +81,12 @@ absl::StatusOr<Learner::Options> LearnerOptionsFromFlags() {
   if (options.logdir.empty()) {
     return absl::InvalidArgumentError("--logdir is missing: the folder that the run is to be written to");
   }
-  options.resume = absl::GetFlag(FLAGS_resume);
+  options.resume = Resuming();
   options.resume_from = absl::GetFlag(FLAGS_resume_from);
-  if (!options.resume && !options.resume_from.empty()) {
+  if (!absl::GetFlag(FLAGS_resume) && !options.resume_from.empty()) {
     return absl::InvalidArgumentError("--resume_from wants --resume beside it");
   }
-  CRAFTFLEET_ASSIGN_OR_RETURN(options.config, BaseConfig());
+  CRAFTFLEET_ASSIGN_OR_RETURN(options.config, BaseConfig(options.resume));
   if (const auto agent = absl::GetFlag(FLAGS_agent)) options.config.set_agent(*agent);
   if (const auto env = absl::GetFlag(FLAGS_env)) options.config.mutable_env()->set_name(*env);
   if (const auto env = absl::GetFlag(FLAGS_eval_env)) options.config.mutable_eval()->set_env(*env);

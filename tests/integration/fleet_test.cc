@@ -212,6 +212,16 @@ TEST_F(FleetTest, AKilledRunGoesOnAsIfNeverStopped) {
   ExpectLikeQuiet("killed");
 }
 
+TEST_F(FleetTest, TheSameCommandBeginsARunAndGoesOnWithIt) {
+  auto train = Train("again", {"--autoresume"});
+  WaitForCheckpoint("again", 4);
+  train->Kill();
+  train = Train("again", {"--autoresume"});
+  EXPECT_EQ(train->Wait(kPatience), 0) << train->Err();
+  EXPECT_THAT(train->Err(), HasSubstr("goes on after iteration"));
+  ExpectLikeQuiet("again");
+}
+
 TEST_F(FleetTest, AFleetOutlivesItsLearner) { OutliveTheLearner(); }
 
 TEST_F(FleetTest, AFinishedRunMayBeMadeLonger) {
