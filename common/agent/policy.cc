@@ -34,6 +34,11 @@ TileRows DealRows(absl::Span<const int> lanes, int tile) {
   return tiles;
 }
 
+absl::optional<PatchGrid> PatchesOf(const AgentSpec& spec) {
+  if (spec.network.objects() == v1::NetworkConfig::NO_OBJECTS) return absl::nullopt;
+  return PatchGrid{spec.frame_size, spec.network.patch(), spec.network.stride()};
+}
+
 bool AllFinite(absl::Span<const float> values) {
   return std::all_of(values.begin(), values.end(), [](float value) { return std::isfinite(value); });
 }
@@ -41,9 +46,11 @@ bool AllFinite(absl::Span<const float> values) {
 }  // namespace
 
 Policy::Policy(const AgentSpec& spec, std::vector<float> weights, int tile)
-    : frame_bytes_(spec.frame_bytes()),
+    : agent_(spec.name),
+      frame_bytes_(spec.frame_bytes()),
       frame_size_(spec.frame_size),
       state_size_(spec.state_size),
+      patches_(PatchesOf(spec)),
       tile_(tile),
       weights_(std::move(weights)),
       net_(std::make_unique<PolicyNet>(spec, PolicyNet::Use::kActing, absl::MakeSpan(weights_))) {}
@@ -80,6 +87,27 @@ absl::StatusOr<std::vector<float>> Policy::Values(absl::string_view frames, absl
                                                   absl::Span<const float> states) const {
   CRAFTFLEET_ASSIGN_OR_RETURN(Outputs outputs, Evaluate(frames, lanes, states));
   return std::move(outputs.values);
+}
+
+absl::StatusOr<AttentionMap> Policy::Attention(absl::string_view frame) const {
+  if (!patches_.has_value()) {
+    return absl::InvalidArgumentError(
+        absl::StrCat("agent ", agent_, " has no attention to show; oc_sa and oc_ca have"));
+  }
+  if (static_cast<int64_t>(frame.size()) != frame_bytes_) {
+    return absl::InvalidArgumentError(absl::StrCat(frame.size(), " bytes of a frame, want ", frame_bytes_));
+  }
+  SetUpTorchThread();
+  try {
+    const c10::InferenceMode inference;
+    at::Tensor input = at::empty({1, frame_size_, frame_size_, 3});
+    ScaleFrames({reinterpret_cast<const uint8_t*>(frame.data())}, frame_bytes_, input.data_ptr<float>());
+    const at::Tensor weights = net_->Attention(input).contiguous();
+    const float* values = weights.data_ptr<float>();
+    return AttentionMap{*patches_, static_cast<int>(weights.size(1)), {values, values + weights.numel()}};
+  } catch (const std::exception& error) {
+    return absl::InternalError(absl::StrCat("attention: ", error.what()));
+  }
 }
 
 ActResult Policy::Choose(Outputs outputs, absl::FunctionRef<Action(size_t, const Categorical&)> choose) {

@@ -5,14 +5,17 @@
 
 #include <cstdint>
 #include <memory>
+#include <string>
 #include <vector>
 
 #include <absl/functional/function_ref.h>
 #include <absl/status/statusor.h>
 #include <absl/strings/string_view.h>
+#include <absl/types/optional.h>
 #include <absl/types/span.h>
 
 #include "common/agent/agent_spec.h"
+#include "common/agent/attention_map.h"
 #include "common/agent/categorical.h"
 #include "common/crafter.h"
 
@@ -58,6 +61,10 @@ class Policy {
   absl::StatusOr<std::vector<float>> Values(absl::string_view frames, absl::Span<const int> lanes,
                                             absl::Span<const float> states) const;
 
+  // Where the agent looks when it sees `frame`, uint8[H,W,3]. Costs about as much as acting on it once more.
+  //   InvalidArgument: not the bytes of a frame, or an agent without attention.   Internal: LibTorch failed.
+  absl::StatusOr<AttentionMap> Attention(absl::string_view frame) const;
+
   // Floats of recurrent state a lane; 0 for feed-forward agents, whose states are empty.
   int state_size() const { return state_size_; }
 
@@ -79,9 +86,11 @@ class Policy {
   void EvaluateTile(absl::string_view frames, absl::Span<const int> rows, absl::Span<const float> states,
                     Outputs* outputs) const;
 
+  const std::string agent_;
   const int64_t frame_bytes_;
   const int frame_size_;
   const int state_size_;
+  const absl::optional<PatchGrid> patches_;  // of agents with attention
   const int tile_;
   std::vector<float> weights_;  // float[param_count]; the net looks into it
   std::unique_ptr<const PolicyNet> net_;

@@ -33,6 +33,8 @@ PolicyNet::Output PolicyNet::Forward(const at::Tensor& frames, const Segments& s
   return network_.Forward(params_, frames, segments, dropout);
 }
 
+at::Tensor PolicyNet::Attention(const at::Tensor& frames) const { return network_.Attention(params_, frames); }
+
 std::vector<absl::Span<float>> PolicyNet::gradients() const {
   std::vector<absl::Span<float>> gradients;
   for (const at::Tensor& param : params_.tensors) {

@@ -38,6 +38,10 @@ class PolicyNet {
   Output Forward(const at::Tensor& frames, const Segments& segments = {},
                  const absl::optional<Dropout>& dropout = absl::nullopt) const;
 
+  // frames as above -> float[N,views,patches]: how much each view attends to each patch (nets/part.h). Only for agents
+  // with an object module.
+  at::Tensor Attention(const at::Tensor& frames) const;
+
   // Training: the gradient of each parameter since the last ClearGradients, in the spec's order. The spans hold until
   // the next backward pass or ClearGradients.
   std::vector<absl::Span<float>> gradients() const;

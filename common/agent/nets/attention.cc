@@ -38,19 +38,19 @@ at::Tensor CutPatches(const at::Tensor& map, int64_t patch, int64_t stride) {
   return at::im2col(map, {patch, patch}, /*dilation=*/{1, 1}, /*padding=*/{0, 0}, {stride, stride}).transpose(1, 2);
 }
 
-at::Tensor Attend(const at::Tensor& queries, const at::Tensor& keys, const at::Tensor& values,
-                  const AttentionOptions& options, const absl::optional<Dropout>& dropout) {
+at::Tensor AttentionWeights(const at::Tensor& queries, const at::Tensor& keys, const AttentionOptions& options) {
   const int64_t head_width = kAttentionWidth / options.heads;
   const double scale = 1 / std::sqrt(static_cast<double>(head_width));
   const at::Tensor scores = at::matmul(SplitHeads(queries, options.heads) * scale,
                                        SplitHeads(keys, options.heads).transpose(-2, -1));  // [N,heads,Q,T]
-  at::Tensor weights;
-  if (options.competition) {
-    weights = scores.softmax(-2) + kCompetitionEpsilon;
-    weights = weights / weights.sum(-1, /*keepdim=*/true);
-  } else {
-    weights = scores.softmax(-1);
-  }
+  if (!options.competition) return scores.softmax(-1);
+  const at::Tensor shares = scores.softmax(-2) + kCompetitionEpsilon;
+  return shares / shares.sum(-1, /*keepdim=*/true);
+}
+
+at::Tensor Attend(const at::Tensor& queries, const at::Tensor& keys, const at::Tensor& values,
+                  const AttentionOptions& options, const absl::optional<Dropout>& dropout) {
+  at::Tensor weights = AttentionWeights(queries, keys, options);
   if (dropout.has_value() && options.drop_probability > 0) {
     weights = weights * DropoutMask(weights.sizes(), options.drop_probability, options.layer, *dropout);
   }

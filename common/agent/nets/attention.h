@@ -28,8 +28,12 @@ struct AttentionOptions {
   int64_t layer = 0;            // in its network: layers drop independently
 };
 
-// softmax(q k^T / sqrt(width of a head)) v, heads side by side: queries float[N,Q,256] or [Q,256] for every row, keys
-// and values float[N,T,256] -> float[N,Q,256]. Kept weights are divided by the probability to be kept.
+// softmax(q k^T / sqrt(width of a head)): queries float[N,Q,256] or [Q,256] for every row, keys float[N,T,256] ->
+// float[N,heads,Q,T], how much each query of each head attends to each token. Nothing is dropped.
+at::Tensor AttentionWeights(const at::Tensor& queries, const at::Tensor& keys, const AttentionOptions& options);
+
+// These weights times the values, heads side by side: values float[N,T,256] -> float[N,Q,256]. Kept weights are divided
+// by the probability to be kept.
 at::Tensor Attend(const at::Tensor& queries, const at::Tensor& keys, const at::Tensor& values,
                   const AttentionOptions& options, const absl::optional<Dropout>& dropout);
 

@@ -25,6 +25,10 @@ at::Tensor Positions(int64_t count) {
   return at::cat({angles.sin(), angles.cos(), places}, 1);
 }
 
+at::Tensor Normed(const absl::optional<NormLayer>& norm, const ParamTensors& params, const at::Tensor& x) {
+  return norm.has_value() ? norm->Forward(params, x) : x;
+}
+
 }  // namespace
 
 CrossAttention::CrossAttention(const std::string& name, const Options& options, ParamList* params)
@@ -44,22 +48,31 @@ CrossAttention::CrossAttention(const std::string& name, const Options& options, 
   mlp_out_.emplace(name + ".layer.mlp.2", kAttentionWidth, kAttentionWidth, kHiddenInit, Bias::kZero, params);
 }
 
-at::Tensor CrossAttention::Forward(const ParamTensors& params, const at::Tensor& input,
-                                   const absl::optional<Dropout>& dropout) const {
-  const auto normed = [&](const absl::optional<NormLayer>& norm, const at::Tensor& x) {
-    return norm.has_value() ? norm->Forward(params, x) : x;
-  };
+at::Tensor CrossAttention::Queries(const ParamTensors& params) const {
+  return to_q_.Forward(params, Normed(norm_slots_, params, params[slots_]));
+}
+
+std::vector<at::Tensor> CrossAttention::KeysValues(const ParamTensors& params, const at::Tensor& input) const {
   const at::Tensor patches = CutPatches(input, options_.patch, options_.stride);
   const at::Tensor positions = Positions(patches.size(1)).expand({patches.size(0), patches.size(1), kPositionWidth});
-  const at::Tensor tokens = normed(norm_tokens_, at::cat({patches, positions}, 2));
-  const std::vector<at::Tensor> keys_values = to_kv_.Forward(params, tokens).chunk(2, -1);
-  const at::Tensor queries = to_q_.Forward(params, normed(norm_slots_, params[slots_]));
-  at::Tensor x = Attend(queries, keys_values[0], keys_values[1],
+  const at::Tensor tokens = Normed(norm_tokens_, params, at::cat({patches, positions}, 2));
+  return to_kv_.Forward(params, tokens).chunk(2, -1);
+}
+
+at::Tensor CrossAttention::Forward(const ParamTensors& params, const at::Tensor& input,
+                                   const absl::optional<Dropout>& dropout) const {
+  const std::vector<at::Tensor> keys_values = KeysValues(params, input);
+  at::Tensor x = Attend(Queries(params), keys_values[0], keys_values[1],
                         {options_.heads, options_.slot_competition, options_.dropout, 0}, dropout);
   if (mlp_in_.has_value()) {
-    x = x + mlp_out_->Forward(params, mlp_in_->Forward(params, normed(norm_mlp_, x)).relu_());
+    x = x + mlp_out_->Forward(params, mlp_in_->Forward(params, Normed(norm_mlp_, params, x)).relu_());
   }
   return x.mean(1);
+}
+
+at::Tensor CrossAttention::Attention(const ParamTensors& params, const at::Tensor& input) const {
+  return AttentionWeights(Queries(params), KeysValues(params, input)[0], {options_.heads, options_.slot_competition})
+      .mean(1);
 }
 
 }  // namespace craftfleet

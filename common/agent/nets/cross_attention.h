@@ -14,7 +14,7 @@
 namespace craftfleet {
 
 // A map of 64 channels to the mean of the slots: 256 features. Source: Stanic et al. 2022; "The agents", section 4.
-class CrossAttention : public Part {
+class CrossAttention : public AttentionPart {
  public:
   struct Options {
     int64_t patch = 16;   // pixels
@@ -30,8 +30,15 @@ class CrossAttention : public Part {
 
   at::Tensor Forward(const ParamTensors& params, const at::Tensor& input,
                      const absl::optional<Dropout>& dropout) const override;
+  // Of each slot, mean over its heads.
+  at::Tensor Attention(const ParamTensors& params, const at::Tensor& input) const override;
 
  private:
+  // Of the slots, float[slots,256].
+  at::Tensor Queries(const ParamTensors& params) const;
+  // Of the tokens, float[N,patches,256] each.
+  std::vector<at::Tensor> KeysValues(const ParamTensors& params, const at::Tensor& input) const;
+
   const Options options_;
   ParamIndex slots_;                       // `name`.slots [slots,256]
   LinearLayer to_q_;                       // `name`.layer.to_q

@@ -1,5 +1,7 @@
 #include "common/agent/nets/network.h"
 
+#include <utility>
+
 #include <ATen/ATen.h>
 
 #include "common/agent/nets/attention.h"
@@ -9,6 +11,7 @@
 #include "common/agent/nets/resnet.h"
 #include "common/agent/nets/segments.h"
 #include "common/agent/nets/self_attention.h"
+#include "common/check.h"
 #include "common/crafter.h"
 
 namespace craftfleet {
@@ -40,7 +43,9 @@ int64_t Network::AddExtractor(const v1::NetworkConfig& config, ParamList* params
   }
   if (config.objects() != v1::NetworkConfig::NO_OBJECTS) {
     parts_.push_back(std::make_unique<Convolutions>(Convolutions::SizePreserving(name + ".precnn.cnn", params)));
-    AddObjectModule(config, name + ".rsn", params);
+    std::unique_ptr<AttentionPart> objects = MakeObjectModule(config, name + ".rsn", params);
+    attention_ = objects.get();
+    parts_.push_back(std::move(objects));
     return kAttentionWidth;
   }
   int64_t size = config.frame_size();
@@ -55,12 +60,12 @@ int64_t Network::AddExtractor(const v1::NetworkConfig& config, ParamList* params
   return kFeatures;
 }
 
-void Network::AddObjectModule(const v1::NetworkConfig& config, const std::string& name, ParamList* params) {
+std::unique_ptr<AttentionPart> Network::MakeObjectModule(const v1::NetworkConfig& config, const std::string& name,
+                                                         ParamList* params) {
   if (config.objects() == v1::NetworkConfig::SELF_ATTENTION) {
     const SelfAttention::Options options = {config.patch(),       config.stride(),    config.heads(),
                                             config.cls_learned(), config.positions(), config.dropout()};
-    parts_.push_back(std::make_unique<SelfAttention>(name, options, params));
-    return;
+    return std::make_unique<SelfAttention>(name, options, params);
   }
   CrossAttention::Options options;
   options.patch = config.patch();
@@ -71,7 +76,7 @@ void Network::AddObjectModule(const v1::NetworkConfig& config, const std::string
   options.residual_mlp = config.residual_mlp();
   options.layer_norm = config.layer_norm();
   options.slot_competition = config.slot_competition();
-  parts_.push_back(std::make_unique<CrossAttention>(name, options, params));
+  return std::make_unique<CrossAttention>(name, options, params);
 }
 
 at::Tensor Network::Features(const ParamTensors& params, const at::Tensor& frames,
@@ -94,6 +99,16 @@ NetOutput Network::Forward(const ParamTensors& params, const at::Tensor& frames,
   output.logits = action_net_->Forward(params, actor_features);
   output.values = value_net_->Forward(params, critic_features).squeeze(1);
   return output;
+}
+
+at::Tensor Network::Attention(const ParamTensors& params, const at::Tensor& frames) const {
+  CRAFTFLEET_CHECK(attention_ != nullptr);
+  at::Tensor x = frames.permute({0, 3, 1, 2});
+  for (const std::unique_ptr<Part>& part : parts_) {
+    if (part.get() == attention_) break;
+    x = part->Forward(params, x, absl::nullopt);
+  }
+  return attention_->Attention(params, x);
 }
 
 }  // namespace craftfleet

@@ -39,12 +39,17 @@ class Network {
   NetOutput Forward(const ParamTensors& params, const at::Tensor& frames, const Segments& segments,
                     const absl::optional<Dropout>& dropout) const;
 
+  // frames as above -> float[N,views,patches]: see AttentionPart. Only for networks with an object module.
+  at::Tensor Attention(const ParamTensors& params, const at::Tensor& frames) const;
+
  private:
   // Appends the parts between frames and features; returns how many features there are.
   int64_t AddExtractor(const v1::NetworkConfig& config, ParamList* params);
-  void AddObjectModule(const v1::NetworkConfig& config, const std::string& name, ParamList* params);
+  static std::unique_ptr<AttentionPart> MakeObjectModule(const v1::NetworkConfig& config, const std::string& name,
+                                                         ParamList* params);
 
   std::vector<std::unique_ptr<Part>> parts_;  // from the frames' map to features
+  const AttentionPart* attention_ = nullptr;  // of parts_, if there is one
   absl::optional<LinearLayer> action_net_;
   absl::optional<LinearLayer> value_net_;
   absl::optional<RecurrentCore> core_;

@@ -31,6 +31,14 @@ class Part {
                              const absl::optional<Dropout>& dropout) const = 0;
 };
 
+// A part that attends to patches of its map, and can tell to which.
+class AttentionPart : public Part {
+ public:
+  // The map of Forward -> float[N,views,patches]: how much each of its views (OC-SA: heads of the CLS token, OC-CA:
+  // slots) attends to each patch, patches in the order of CutPatches. As in acting: nothing is dropped.
+  virtual at::Tensor Attention(const ParamTensors& params, const at::Tensor& input) const = 0;
+};
+
 }  // namespace craftfleet
 
 #endif  // CRAFTFLEET_COMMON_AGENT_NETS_PART_H_

@@ -41,18 +41,37 @@ SelfAttention::SelfAttention(const std::string& name, const Options& options, Pa
   }
 }
 
-at::Tensor SelfAttention::Forward(const ParamTensors& params, const at::Tensor& input,
-                                  const absl::optional<Dropout>& dropout) const {
+at::Tensor SelfAttention::Tokens(const ParamTensors& params, const at::Tensor& input) const {
   const at::Tensor patches = embedding_.Forward(params, CutPatches(input, options_.patch, options_.stride));
   const at::Tensor cls = cls_ == kNoParam ? at::zeros({TokenWidth(options_.patch)}) : params[cls_];
   const at::Tensor embedded_cls = embedding_.Forward(params, cls.view({1, 1, -1}));
-  at::Tensor x = at::cat({embedded_cls.expand({patches.size(0), 1, kAttentionWidth}), patches}, 1);
-  if (options_.positions) x = x + Positions(x.size(1));
-  for (int i = 0; i < kLayers; ++i) {
-    const std::vector<at::Tensor> qkv = layers_[i].Forward(params, x).chunk(3, -1);
-    x = Attend(qkv[0], qkv[1], qkv[2], {options_.heads, false, options_.dropout, i}, dropout);
-  }
+  const at::Tensor tokens = at::cat({embedded_cls.expand({patches.size(0), 1, kAttentionWidth}), patches}, 1);
+  return options_.positions ? tokens + Positions(tokens.size(1)) : tokens;
+}
+
+std::vector<at::Tensor> SelfAttention::Project(const ParamTensors& params, int layer, const at::Tensor& tokens) const {
+  return layers_[layer].Forward(params, tokens).chunk(3, -1);
+}
+
+at::Tensor SelfAttention::Layer(const ParamTensors& params, int layer, const at::Tensor& tokens,
+                                const absl::optional<Dropout>& dropout) const {
+  const std::vector<at::Tensor> qkv = Project(params, layer, tokens);
+  return Attend(qkv[0], qkv[1], qkv[2], {options_.heads, false, options_.dropout, layer}, dropout);
+}
+
+at::Tensor SelfAttention::Forward(const ParamTensors& params, const at::Tensor& input,
+                                  const absl::optional<Dropout>& dropout) const {
+  at::Tensor x = Tokens(params, input);
+  for (int i = 0; i < kLayers; ++i) x = Layer(params, i, x, dropout);
   return x.select(1, 0);
+}
+
+at::Tensor SelfAttention::Attention(const ParamTensors& params, const at::Tensor& input) const {
+  at::Tensor x = Tokens(params, input);
+  for (int i = 0; i < kLayers - 1; ++i) x = Layer(params, i, x, absl::nullopt);
+  const std::vector<at::Tensor> qkv = Project(params, kLayers - 1, x);
+  const at::Tensor of_cls = AttentionWeights(qkv[0].narrow(1, 0, 1), qkv[1], {options_.heads}).squeeze(2);
+  return of_cls.narrow(2, 1, of_cls.size(2) - 1);
 }
 
 }  // namespace craftfleet

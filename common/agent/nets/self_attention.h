@@ -14,7 +14,7 @@ namespace craftfleet {
 
 // A map of 64 channels to the CLS row of the second layer: 256 features. No residual connection, norm, feed-forward
 // layer or output projection. Source: Stanic et al. 2022; "The agents", section 4.
-class SelfAttention : public Part {
+class SelfAttention : public AttentionPart {
  public:
   struct Options {
     int64_t patch = 12;  // pixels
@@ -28,8 +28,17 @@ class SelfAttention : public Part {
 
   at::Tensor Forward(const ParamTensors& params, const at::Tensor& input,
                      const absl::optional<Dropout>& dropout) const override;
+  // Of each head in the last layer. What the CLS token attends to itself is left out, so that a head's sum is below 1.
+  at::Tensor Attention(const ParamTensors& params, const at::Tensor& input) const override;
 
  private:
+  // float[N,1+patches,256]: the embedded CLS token and patches.
+  at::Tensor Tokens(const ParamTensors& params, const at::Tensor& input) const;
+  // Tokens -> queries, keys and values of `layer`.
+  std::vector<at::Tensor> Project(const ParamTensors& params, int layer, const at::Tensor& tokens) const;
+  at::Tensor Layer(const ParamTensors& params, int layer, const at::Tensor& tokens,
+                   const absl::optional<Dropout>& dropout) const;
+
   const Options options_;
   ParamIndex cls_ = kNoParam;        // `name`.trafo.cls [token width]
   LinearLayer embedding_;            // `name`.trafo.emb_proj

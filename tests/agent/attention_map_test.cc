@@ -1,0 +1,101 @@
+#include "common/agent/attention_map.h"
+
+#include <numeric>
+#include <vector>
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include "tests/fakes/status_matchers.h"
+
+namespace craftfleet {
+namespace {
+
+using testing::ElementsAre;
+using testing::ElementsAreArray;
+using testing::HasSubstr;
+
+TEST(PatchGrid, CountsWholeSquares) {
+  EXPECT_EQ((PatchGrid{72, 12, 8}.per_side()), 8);
+  EXPECT_EQ((PatchGrid{72, 12, 8}.count()), 64);
+  EXPECT_EQ((PatchGrid{72, 16, 16}.count()), 16);
+  EXPECT_EQ((PatchGrid{72, 72, 5}.count()), 1);
+  EXPECT_EQ((PatchGrid{3, 1, 1}.count()), 9);
+}
+
+TEST(SpreadOverPixels, GivesEachPatchItsOwnPixels) {
+  EXPECT_THAT(SpreadOverPixels({4, 2, 2}, {1, 2, 3, 4}), ElementsAreArray<float>({1, 1, 2, 2,  //
+                                                                                  1, 1, 2, 2,  //
+                                                                                  3, 3, 4, 4,  //
+                                                                                  3, 3, 4, 4}));
+}
+
+TEST(SpreadOverPixels, TakesTheMeanWherePatchesOverlap) {
+  EXPECT_THAT(SpreadOverPixels({3, 2, 1}, {1, 2, 3, 8}), ElementsAreArray<float>({1, 1.5, 2,  //
+                                                                                  2, 3.5, 5,  //
+                                                                                  3, 5.5, 8}));
+}
+
+TEST(SpreadOverPixels, LeavesTheRestAtRightAndBottomAtZero) {
+  EXPECT_THAT(SpreadOverPixels({3, 2, 2}, {5}), ElementsAreArray<float>({5, 5, 0,  //
+                                                                         5, 5, 0,  //
+                                                                         0, 0, 0}));
+}
+
+// The published overlay of OC-SA, with cells 12 pixels wide although the stride is 8, would have it at 36..47.
+TEST(SpreadOverPixels, DoesNotShiftOverlappingPatches) {
+  std::vector<float> weights(64);
+  weights[3 * 8 + 3] = 1;  // pixels 24..35
+  const std::vector<float> pixels = SpreadOverPixels({72, 12, 8}, weights);
+  const auto at = [&](int y, int x) { return pixels[y * 72 + x]; };
+  EXPECT_EQ(at(29, 29), 1) << "4..7 of the patch are its own in both directions";
+  EXPECT_EQ(at(24, 29), 0.5F) << "shared with the patch above";
+  EXPECT_EQ(at(24, 24), 0.25F) << "shared by four";
+  EXPECT_EQ(at(35, 35), 0.25F);
+  EXPECT_EQ(at(23, 29), 0);
+  EXPECT_EQ(at(29, 36), 0);
+  EXPECT_EQ(at(40, 40), 0);
+  EXPECT_EQ(std::accumulate(pixels.begin(), pixels.end(), 0.0F), (4 + 8 * 0.5F) * (4 + 8 * 0.5F));
+}
+
+// Eight patches reach to pixel 67.
+TEST(SpreadOverPixels, KeepsUniformAttentionUniform) {
+  const std::vector<float> pixels = SpreadOverPixels({72, 12, 8}, std::vector<float>(64, 0.25F));
+  for (int y = 0; y < 72; ++y) {
+    for (int x = 0; x < 72; ++x) {
+      ASSERT_FLOAT_EQ(pixels[y * 72 + x], x < 68 && y < 68 ? 0.25F : 0) << y << " " << x;
+    }
+  }
+}
+
+TEST(BrightnessOfPixels, IsTimesTheRootOfThePatchesAndAtMostOne) {
+  EXPECT_THAT(BrightnessOfPixels({4, 2, 2}, {0.25F, 0.5F, 0.75F, 0}), ElementsAreArray<float>({0.5, 0.5, 1, 1,  //
+                                                                                               0.5, 0.5, 1, 1,  //
+                                                                                               1, 1, 0, 0,      //
+                                                                                               1, 1, 0, 0}));
+}
+
+TEST(AttentionChoice, ReadsWhatAUserWrites) {
+  EXPECT_EQ(AttentionChoice::Parse("mean")->kind, AttentionChoice::Kind::kMean);
+  EXPECT_EQ(AttentionChoice::Parse("sum")->kind, AttentionChoice::Kind::kSum);
+  const AttentionChoice one = *AttentionChoice::Parse("7");
+  EXPECT_EQ(one.kind, AttentionChoice::Kind::kOne);
+  EXPECT_EQ(one.view, 7);
+  for (const char* bad : {"", "max", "-1", "1.5", "7x", "99999999999"}) {
+    EXPECT_THAT(AttentionChoice::Parse(bad), StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("want mean, sum")))
+        << bad;
+  }
+}
+
+TEST(AttentionChoice, ChoosesAmongViews) {
+  const AttentionMap map = {{4, 2, 2}, 2, {0.25, 0.5, 0.25, 0, 0.75, 0, 0, 0.25}};
+  EXPECT_THAT(*Choose(map, {AttentionChoice::Kind::kMean}), ElementsAre(0.5, 0.25, 0.125, 0.125));
+  EXPECT_THAT(*Choose(map, {AttentionChoice::Kind::kSum}), ElementsAre(1, 0.5, 0.25, 0.25));
+  EXPECT_THAT(*Choose(map, {AttentionChoice::Kind::kOne, 0}), ElementsAre(0.25, 0.5, 0.25, 0));
+  EXPECT_THAT(*Choose(map, {AttentionChoice::Kind::kOne, 1}), ElementsAre(0.75, 0, 0, 0.25));
+  EXPECT_THAT(Choose(map, {AttentionChoice::Kind::kOne, 2}),
+              StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("heads or slots 0..1")));
+}
+
+}  // namespace
+}  // namespace craftfleet
