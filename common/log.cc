@@ -1,13 +1,29 @@
 #include "common/log.h"
 
+#include <atomic>
 #include <cstdio>
-#include <string>
 
 #include <absl/time/clock.h>
-#include <absl/time/time.h>
+#include <nlohmann/json.hpp>
+
+#include "common/mutex.h"
 
 namespace craftfleet {
 namespace {
+
+// A process has one standard error, and so one log.
+struct ProcessLog {
+  LogOptions options;  // constant once there are threads
+  std::atomic<int64_t> warnings{0};
+  std::atomic<int64_t> errors{0};
+  Mutex mu;
+  std::string last_error ABSL_GUARDED_BY(mu);
+};
+
+ProcessLog& TheLog() {
+  static ProcessLog* const log = new ProcessLog;  // never deleted: threads may log until the process ends
+  return *log;
+}
 
 const char* LevelName(LogLevel level) {
   switch (level) {
@@ -21,12 +37,54 @@ const char* LevelName(LogLevel level) {
   return "?";
 }
 
+std::string EscapeControls(absl::string_view text) {
+  std::string line;
+  for (const char c : text) {
+    if (c == '\n') {
+      line += "\\n";
+    } else if (static_cast<unsigned char>(c) < 0x20 || c == 0x7f) {
+      absl::StrAppendFormat(&line, "\\x%02x", static_cast<unsigned char>(c));
+    } else {
+      line += c;
+    }
+  }
+  return line;
+}
+
 }  // namespace
 
+void SetUpLog(const LogOptions& options) { TheLog().options = options; }
+
+std::string FormatLogLine(const LogOptions& options, LogLevel level, absl::string_view text, absl::Time time) {
+  if (options.format == LogFormat::kText) {
+    return absl::StrFormat("%s %s: %s\n", absl::FormatTime("%H:%M:%E3S", time, absl::LocalTimeZone()), LevelName(level),
+                           EscapeControls(text));
+  }
+  nlohmann::ordered_json line;
+  line["time"] = absl::FormatTime("%Y-%m-%dT%H:%M:%E3SZ", time, absl::UTCTimeZone());
+  line["level"] = LevelName(level);
+  line["program"] = options.program;
+  line["message"] = std::string(text);
+  return line.dump(-1, ' ', /*ensure_ascii=*/false, nlohmann::ordered_json::error_handler_t::replace) + "\n";
+}
+
 void Log(LogLevel level, absl::string_view text) {
-  const std::string line = absl::StrFormat(
-      "%s %s: %s\n", absl::FormatTime("%H:%M:%E3S", absl::Now(), absl::LocalTimeZone()), LevelName(level), text);
+  ProcessLog& log = TheLog();
+  if (level == LogLevel::kWarning) ++log.warnings;
+  if (level == LogLevel::kError) {
+    ++log.errors;
+    const MutexLock lock(&log.mu);
+    log.last_error = std::string(text);
+  }
+  if (level < log.options.level) return;
+  const std::string line = FormatLogLine(log.options, level, text, absl::Now());
   std::fwrite(line.data(), 1, line.size(), stderr);
+}
+
+LogCounts CountLogged() {
+  ProcessLog& log = TheLog();
+  const MutexLock lock(&log.mu);
+  return {log.warnings.load(), log.errors.load(), log.last_error};
 }
 
 }  // namespace craftfleet

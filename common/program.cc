@@ -10,6 +10,7 @@
 #include <utility>
 #include <vector>
 
+#include <absl/flags/flag.h>
 #include <absl/flags/parse.h>
 #include <absl/flags/reflection.h>
 #include <absl/strings/match.h>
@@ -17,7 +18,41 @@
 #include <absl/strings/str_replace.h>
 
 #include "common/check.h"
+#include "common/log.h"
 #include "common/version.h"
+
+namespace craftfleet {
+
+// How absl reads and writes the flags below; found by argument-dependent lookup.
+bool AbslParseFlag(absl::string_view text, LogLevel* level, std::string* error) {
+  if (text == "info") *level = LogLevel::kInfo;
+  if (text == "warning") *level = LogLevel::kWarning;
+  if (text == "error") *level = LogLevel::kError;
+  const bool known = text == "info" || text == "warning" || text == "error";
+  if (!known) *error = "want info, warning or error";
+  return known;
+}
+
+std::string AbslUnparseFlag(LogLevel level) {
+  if (level == LogLevel::kInfo) return "info";
+  return level == LogLevel::kWarning ? "warning" : "error";
+}
+
+bool AbslParseFlag(absl::string_view text, LogFormat* format, std::string* error) {
+  *format = text == "json" ? LogFormat::kJson : LogFormat::kText;
+  const bool known = text == "json" || text == "text";
+  if (!known) *error = "want text or json";
+  return known;
+}
+
+std::string AbslUnparseFlag(LogFormat format) { return format == LogFormat::kJson ? "json" : "text"; }
+
+}  // namespace craftfleet
+
+ABSL_FLAG(craftfleet::LogLevel, log_level, craftfleet::LogLevel::kInfo,
+          "what is logged to standard error: info, warning (and worse) or error");
+ABSL_FLAG(craftfleet::LogFormat, log_format, craftfleet::LogFormat::kText,
+          "one line an event: text, or json for programs that collect logs");
 
 namespace craftfleet {
 namespace {
@@ -67,6 +102,7 @@ std::vector<std::string> ParseFlagsAndArguments(absl::string_view program, absl:
     }
   }
   const std::vector<char*> rest = absl::ParseCommandLine(argc, argv);
+  SetUpLog({absl::GetFlag(FLAGS_log_level), absl::GetFlag(FLAGS_log_format), std::string(program)});
   return {rest.begin() + 1, rest.end()};
 }
 
@@ -80,7 +116,11 @@ void ParseFlags(absl::string_view program, absl::string_view usage, int argc, ch
 
 int ExitCode(absl::string_view program, const absl::Status& status) {
   if (status.ok()) return 0;
-  absl::FPrintF(stderr, "%s: %s\n", program, status.message());
+  if (absl::GetFlag(FLAGS_log_format) == LogFormat::kJson) {
+    LogError("%s", status.message());
+  } else {
+    absl::FPrintF(stderr, "%s: %s\n", program, status.message());
+  }
   return 1;
 }
 
