@@ -1,6 +1,7 @@
 #include "learner/lane_ledger.h"
 
 #include <algorithm>
+#include <iterator>
 #include <utility>
 
 #include <absl/strings/str_format.h>
@@ -12,41 +13,46 @@ namespace craftfleet {
 LaneLedger::LaneLedger(const Options& options, std::vector<LaneRecord> lanes, Clock* clock)
     : options_(options), clock_(clock) {
   CRAFTFLEET_CHECK(static_cast<int>(lanes.size()) == options.lanes);
-  for (LaneRecord& record : lanes) lanes_.push_back({std::move(record), "", std::nullopt});
+  for (LaneRecord& record : lanes) lanes_.push_back({std::move(record), nullptr, std::nullopt, clock_->Now()});
 }
 
 void LaneLedger::Join(absl::string_view actor, absl::string_view address) {
   MutexLock lock(&mu_);
+  ExpireLeases();
   Actor& entry = actors_[std::string(actor)];
   entry.address = std::string(address);
   entry.last_word = clock_->Now();
+  entry.capacity = options_.lanes;  // until it says
 }
 
 void LaneLedger::Leave(absl::string_view actor) {
   MutexLock lock(&mu_);
-  Forget(std::string(actor));
+  if (const auto entry = actors_.find(std::string(actor)); entry != actors_.end()) Forget(entry);
   changed_.NotifyAll();
 }
 
 absl::StatusOr<LaneLedger::Grant> LaneLedger::GetPermits(absl::string_view actor_name, absl::Span<const Permit> active,
                                                          int capacity, absl::Duration wait) {
-  const std::string actor(actor_name);
+  const std::string name(actor_name);
   MutexLock lock(&mu_);
-  const auto known = actors_.find(actor);
+  const auto known = actors_.find(name);
   if (known != actors_.end()) known->second.last_word = clock_->Now();
   ExpireLeases();
-  if (known == actors_.end())
-    return absl::AbortedError(absl::StrFormat("actor %s is not known here: join again", actor));
+  if (known == actors_.end()) {
+    return absl::AbortedError(absl::StrFormat("actor %s is not known here: join again", name));
+  }
+  known->second.capacity = std::clamp(capacity, 0, options_.lanes);
 
   Grant grant;
-  grant.lost = Renew(actor, active);
+  grant.lost = Renew(&known->second, active);
   changed_.WaitFor(&mu_, wait, [&]() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_) {
-    if (actors_.count(actor) == 0) return true;
-    grant.granted = GrantTo(actor, capacity);
+    const auto still = actors_.find(name);
+    if (still == actors_.end()) return true;
+    grant.granted = GrantTo(&still->second);
     return !grant.granted.empty() || !grant.lost.empty() || finished_;
   });
   grant.finished = finished_;
-  if (const auto still = actors_.find(actor); still != actors_.end()) still->second.last_word = clock_->Now();
+  if (const auto still = actors_.find(name); still != actors_.end()) still->second.last_word = clock_->Now();
   return grant;
 }
 
@@ -56,7 +62,9 @@ absl::StatusOr<LaneLedger::Verdict> LaneLedger::Accept(absl::string_view actor, 
   CRAFTFLEET_CHECK(fragment.lane >= 0 && fragment.lane < options_.lanes);
   Lane& lane = lanes_[fragment.lane];
   if (fragment.fragment < lane.record.next_fragment) return Verdict::kDuplicate;
-  if (!lane.permit.has_value() || lane.holder != actor || lane.permit->fragment != fragment.fragment) {
+  const auto sender = actors_.find(std::string(actor));
+  if (sender == actors_.end() || lane.holder != &sender->second || !lane.permit.has_value() ||
+      lane.permit->fragment != fragment.fragment) {
     return Verdict::kExpired;
   }
   if (fragment.policy_version != lane.permit->policy_version) {
@@ -64,14 +72,12 @@ absl::StatusOr<LaneLedger::Verdict> LaneLedger::Accept(absl::string_view actor, 
                                                       fragment.policy_version, fragment.fragment, fragment.lane,
                                                       lane.permit->policy_version));
   }
-  lane.permit.reset();
+  EndPermit(&lane);
   lane.record.next_fragment = fragment.fragment + 1;
   lane.record.snapshot = snapshot;
-  if (const auto entry = actors_.find(lane.holder); entry != actors_.end()) {
-    ++entry->second.fragments;
-    entry->second.last_word = clock_->Now();
-  }
-  changed_.NotifyAll();
+  ++sender->second.fragments;
+  sender->second.last_word = clock_->Now();
+  if (lane.record.next_fragment < last_fragment_) changed_.NotifyAll();
   return Verdict::kAccepted;
 }
 
@@ -92,7 +98,7 @@ void LaneLedger::OpenIteration(int64_t last_fragment, int64_t policy_version) {
   MutexLock lock(&mu_);
   last_fragment_ = last_fragment;
   policy_version_ = policy_version;
-  opened_ = clock_->Now();
+  for (Lane& lane : lanes_) lane.idle_since = clock_->Now();
   changed_.NotifyAll();
 }
 
@@ -118,36 +124,45 @@ std::vector<LaneLedger::ActorInfo> LaneLedger::Actors() const {
   MutexLock lock(&mu_);
   std::vector<ActorInfo> infos;
   for (const auto& [name, actor] : actors_) {
-    infos.push_back({name, actor.address, PermitsOf(name), actor.fragments, clock_->Now() - actor.last_word});
+    infos.push_back({name, actor.address, actor.permits, actor.fragments, clock_->Now() - actor.last_word});
   }
   return infos;
 }
 
+int64_t LaneLedger::lapsed() const {
+  MutexLock lock(&mu_);
+  return lapsed_;
+}
+
 void LaneLedger::ExpireLeases() {
   const absl::Time now = clock_->Now();
-  std::vector<std::string> gone;
-  for (const auto& [name, actor] : actors_) {
-    if (now - actor.last_word > options_.lease) gone.push_back(name);
+  for (auto actor = actors_.begin(); actor != actors_.end();) {
+    const auto next = std::next(actor);
+    if (now - actor->second.last_word > options_.lease) {
+      lapsed_ += actor->second.permits;
+      Forget(actor);
+      changed_.NotifyAll();
+    }
+    actor = next;
   }
-  for (const std::string& name : gone) Forget(name);
 }
 
-void LaneLedger::Forget(const std::string& actor) {
-  actors_.erase(actor);
+void LaneLedger::Forget(std::map<std::string, Actor>::iterator actor) {
   for (Lane& lane : lanes_) {
-    if (lane.holder != actor) continue;
-    lane.holder.clear();
-    lane.permit.reset();
+    if (lane.holder != &actor->second) continue;
+    if (lane.permit.has_value()) EndPermit(&lane);
+    SetHolder(&lane, nullptr);
   }
+  actors_.erase(actor);
 }
 
-std::vector<Permit> LaneLedger::Renew(const std::string& actor, absl::Span<const Permit> active) {
+std::vector<Permit> LaneLedger::Renew(Actor* actor, absl::Span<const Permit> active) {
   for (Lane& lane : lanes_) {
     if (lane.holder != actor || !lane.permit.has_value()) continue;
     if (std::find(active.begin(), active.end(), *lane.permit) != active.end()) continue;
-    lane.permit.reset();
-    lane.holder.clear();
-    actors_[actor].gave_back = clock_->Now();
+    EndPermit(&lane);
+    SetHolder(&lane, nullptr);
+    actor->gave_back = clock_->Now();
     changed_.NotifyAll();
   }
   std::vector<Permit> lost;
@@ -161,21 +176,27 @@ std::vector<Permit> LaneLedger::Renew(const std::string& actor, absl::Span<const
   return lost;
 }
 
-bool LaneLedger::IsPausing(const std::string& actor) const {
-  return actors_.size() > 1 && clock_->Now() - actors_.at(actor).gave_back <= options_.patience;
+bool LaneLedger::IsPausing(const Actor& actor) const {
+  return actors_.size() > 1 && clock_->Now() - actor.gave_back <= options_.patience;
 }
 
-std::vector<Permit> LaneLedger::GrantTo(const std::string& actor, int capacity) {
-  if (IsPausing(actor)) return {};
-  int room = std::min(capacity, FairShare()) - PermitsOf(actor);
+std::vector<Permit> LaneLedger::GrantTo(Actor* actor) {
+  if (IsPausing(*actor)) return {};
+  const absl::Time now = clock_->Now();
+  const Shares shares = FairShares();
   std::vector<Permit> granted;
   for (const Claim wanted : {Claim::kOwn, Claim::kSpare, Claim::kLeftLying}) {
+    const int share = wanted == Claim::kLeftLying ? shares.Most() : shares.Of(*actor);
+    int room = std::min(actor->capacity, share) - actor->permits;
     for (int l = 0; l < options_.lanes && room > 0; ++l) {
       Lane& lane = lanes_[l];
-      if (lane.permit.has_value() || lane.record.next_fragment >= last_fragment_ || ClaimOn(lane, actor) != wanted)
+      if (lane.permit.has_value() || lane.record.next_fragment >= last_fragment_ ||
+          ClaimOn(lane, *actor, shares, now) != wanted) {
         continue;
-      lane.holder = actor;
+      }
+      SetHolder(&lane, actor);
       lane.permit = Permit{l, lane.record.next_fragment, policy_version_};
+      ++actor->permits;
       granted.push_back(*lane.permit);
       --room;
     }
@@ -183,27 +204,44 @@ std::vector<Permit> LaneLedger::GrantTo(const std::string& actor, int capacity) 
   return granted;
 }
 
-LaneLedger::Claim LaneLedger::ClaimOn(const Lane& lane, const std::string& actor) const {
-  if (lane.holder == actor) return Claim::kOwn;
-  const int share = FairShare();
-  const bool spare = lane.holder.empty() || HeldBy(lane.holder) > share;
-  if (spare && HeldBy(actor) < share) return Claim::kSpare;
-  return clock_->Now() - opened_ > options_.patience ? Claim::kLeftLying : Claim::kNone;
+LaneLedger::Claim LaneLedger::ClaimOn(const Lane& lane, const Actor& actor, const Shares& shares,
+                                      absl::Time now) const {
+  if (lane.holder == &actor) return Claim::kOwn;
+  const bool spare = lane.holder == nullptr || shares.IsOver(*lane.holder);
+  if (spare && actor.held < shares.Of(actor)) return Claim::kSpare;
+  return now - lane.idle_since > options_.patience ? Claim::kLeftLying : Claim::kNone;
 }
 
-int LaneLedger::HeldBy(const std::string& actor) const {
-  return static_cast<int>(
-      std::count_if(lanes_.begin(), lanes_.end(), [&](const Lane& lane) { return lane.holder == actor; }));
+LaneLedger::Shares LaneLedger::FairShares() const {
+  std::vector<int> capacities;
+  capacities.reserve(actors_.size());
+  for (const auto& [name, actor] : actors_) capacities.push_back(actor.capacity);
+  std::sort(capacities.begin(), capacities.end());
+  Shares shares;
+  int lanes = options_.lanes;
+  auto actors = static_cast<int>(capacities.size());
+  // Those that can't play a full share leave more to the others.
+  for (const int capacity : capacities) {
+    shares.all = lanes / actors;
+    shares.extra = lanes % actors;
+    if (capacity > shares.all) break;
+    lanes -= capacity;
+    --actors;
+  }
+  for (const auto& [name, actor] : actors_) shares.above += actor.held > shares.all ? 1 : 0;
+  return shares;
 }
 
-int LaneLedger::PermitsOf(const std::string& actor) const {
-  return static_cast<int>(std::count_if(
-      lanes_.begin(), lanes_.end(), [&](const Lane& lane) { return lane.holder == actor && lane.permit.has_value(); }));
+void LaneLedger::SetHolder(Lane* lane, Actor* actor) {
+  if (lane->holder != nullptr) --lane->holder->held;
+  if (actor != nullptr) ++actor->held;
+  lane->holder = actor;
 }
 
-int LaneLedger::FairShare() const {
-  const int actors = std::max<int>(1, static_cast<int>(actors_.size()));
-  return (options_.lanes + actors - 1) / actors;
+void LaneLedger::EndPermit(Lane* lane) {
+  --lane->holder->permits;
+  lane->permit.reset();
+  lane->idle_since = clock_->Now();
 }
 
 }  // namespace craftfleet

@@ -41,9 +41,10 @@ struct LaneRecord {
 // Synchronous permits: within an iteration each lane gets them one after the other, all under the
 // iteration's weights. An actor gets its fair share of the lanes: those that it played before first (it holds their
 // games), then those that nobody holds or whose holder has more than its share, at last, when a lane was left lying for
-// `Options::patience`, anybody's. An actor that gives permits back, because it can't play, gets no other for `patience`
-// where there are more actors, who may. A permit lapses when its actor has not asked for `lease`. A fragment is
-// accepted at most once. Thread-safe.
+// `Options::patience`, anybody's. Shares differ by one lane at most, but for actors that can't play as many. An actor
+// that gives permits back, because it can't play, gets no other for `patience` where there are more actors, who may.
+// A permit lapses when its actor has not asked for `lease`, and an actor is forgotten then. A fragment is accepted at
+// most once. Thread-safe.
 class LaneLedger {
  public:
   struct Options {
@@ -67,7 +68,7 @@ class LaneLedger {
 
   LaneLedger(const Options& options, std::vector<LaneRecord> lanes, Clock* clock);
 
-  // Makes `actor` known, or renews it.
+  // Makes `actor`, a name that no other worker ever had, known, or renews it.
   void Join(absl::string_view actor, absl::string_view address) ABSL_LOCKS_EXCLUDED(mu_);
   // Forgets `actor` and frees its permits.
   void Leave(absl::string_view actor) ABSL_LOCKS_EXCLUDED(mu_);
@@ -96,18 +97,33 @@ class LaneLedger {
 
   std::vector<LaneRecord> Records() const ABSL_LOCKS_EXCLUDED(mu_);
   std::vector<ActorInfo> Actors() const ABSL_LOCKS_EXCLUDED(mu_);
+  // Permits whose lease ran out, since the start.
+  int64_t lapsed() const ABSL_LOCKS_EXCLUDED(mu_);
 
  private:
-  struct Lane {
-    LaneRecord record;
-    std::string holder;            // the actor that has its game, if any
-    std::optional<Permit> permit;  // out at `holder`
-  };
   struct Actor {
     std::string address;
     absl::Time last_word;
     absl::Time gave_back = absl::InfinitePast();  // permits, the last time
+    int capacity = 0;                             // lanes that it can play at once, as it last said
+    int held = 0;                                 // lanes of which it is the holder
+    int permits = 0;                              // of these, with a permit out
     int64_t fragments = 0;
+  };
+  struct Lane {
+    LaneRecord record;
+    Actor* holder = nullptr;       // the actor that has its game, if any
+    std::optional<Permit> permit;  // out at `holder`
+    absl::Time idle_since;         // without a permit
+  };
+  // Each actor may hold `all` lanes, as far as it can play them, and `extra` of those that can one more.
+  struct Shares {
+    int all = 0;
+    int extra = 0;
+    int above = 0;  // actors that hold more than `all`
+    int Most() const { return all + (extra > 0 ? 1 : 0); }
+    bool IsOver(const Actor& actor) const { return actor.held > all + 1 || (actor.held > all && above > extra); }
+    int Of(const Actor& actor) const { return all + (above - (actor.held > all ? 1 : 0) < extra ? 1 : 0); }
   };
 
   // Why an actor may have a lane, strongest first.
@@ -115,16 +131,15 @@ class LaneLedger {
 
   // Forgets actors whose lease ran out, with their permits.
   void ExpireLeases() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
-  void Forget(const std::string& actor) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
+  void Forget(std::map<std::string, Actor>::iterator actor) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
   // Takes back the permits of `actor` that it does not name; returns those it names without holding them.
-  std::vector<Permit> Renew(const std::string& actor, absl::Span<const Permit> active)
-      ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
-  bool IsPausing(const std::string& actor) const ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
-  std::vector<Permit> GrantTo(const std::string& actor, int capacity) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
-  Claim ClaimOn(const Lane& lane, const std::string& actor) const ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
-  int HeldBy(const std::string& actor) const ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
-  int PermitsOf(const std::string& actor) const ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
-  int FairShare() const ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
+  std::vector<Permit> Renew(Actor* actor, absl::Span<const Permit> active) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
+  bool IsPausing(const Actor& actor) const ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
+  std::vector<Permit> GrantTo(Actor* actor) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
+  Claim ClaimOn(const Lane& lane, const Actor& actor, const Shares& shares, absl::Time now) const;
+  Shares FairShares() const ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
+  static void SetHolder(Lane* lane, Actor* actor);
+  void EndPermit(Lane* lane);
 
   const Options options_;
   Clock* const clock_;
@@ -132,9 +147,9 @@ class LaneLedger {
   mutable Mutex mu_;
   CondVar changed_;
   std::vector<Lane> lanes_ ABSL_GUARDED_BY(mu_);
-  std::map<std::string, Actor> actors_ ABSL_GUARDED_BY(mu_);
+  std::map<std::string, Actor> actors_ ABSL_GUARDED_BY(mu_);  // by name
+  int64_t lapsed_ ABSL_GUARDED_BY(mu_) = 0;
   int64_t last_fragment_ ABSL_GUARDED_BY(mu_) = 0;
-  absl::Time opened_ ABSL_GUARDED_BY(mu_);  // when the iteration began
   int64_t policy_version_ ABSL_GUARDED_BY(mu_) = 0;
   bool finished_ ABSL_GUARDED_BY(mu_) = false;
 };
