@@ -23,7 +23,7 @@ done
 packages=(
   g++ cmake ninja-build git pkg-config
   protobuf-compiler protobuf-compiler-grpc libprotobuf-dev libgrpc++-dev libssl-dev
-  libabsl-dev nlohmann-json3-dev zlib1g-dev libpng-dev
+  libabsl-dev nlohmann-json3-dev zlib1g-dev
   libtorch-dev
   libopenblas0-pthread  # with the reference BLAS, training is several times slower
   libopencv-dev

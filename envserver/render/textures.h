@@ -27,7 +27,7 @@ struct Texture {
 
 // The picture in `bytes`, the content of a file.
 //   InvalidArgument: no picture, not 8-bit RGB or RGBA, or not 16x16; names `path`.
-absl::StatusOr<Texture> DecodeTexture(absl::string_view bytes, absl::string_view path);
+absl::StatusOr<Texture> DecodeTexture(std::string bytes, absl::string_view path);
 
 class Textures {
  public:

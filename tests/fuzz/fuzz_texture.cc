@@ -9,7 +9,7 @@
 namespace craftfleet {
 
 void TryInput(absl::string_view input) {
-  const auto texture = DecodeTexture(input, "input.png");
+  const auto texture = DecodeTexture(std::string(input), "input.png");
   CRAFTFLEET_CHECK(texture.ok() || texture.status().code() == absl::StatusCode::kInvalidArgument);
 }
 
