@@ -42,3 +42,21 @@ function(craftfleet_test)
   gtest_discover_tests(${ARG_NAME} DISCOVERY_TIMEOUT 60 PROPERTIES LABELS "${labels}" TIMEOUT ${ARG_TIMEOUT})
 endfunction()
 include(GoogleTest)
+
+# craftfleet_python_test(NAME LocalFleet SCRIPT local_fleet_test.py LABELS integration): one ctest entry per `def test_...` of
+# the script, which ends with tests/fakes/python_case.py's main().
+function(craftfleet_python_test)
+  cmake_parse_arguments(ARG "" "NAME;SCRIPT;TIMEOUT" "LABELS" ${ARGN})
+  set(script ${CMAKE_CURRENT_SOURCE_DIR}/${ARG_SCRIPT})
+  set_property(DIRECTORY APPEND PROPERTY CMAKE_CONFIGURE_DEPENDS ${script})
+  if(NOT ARG_TIMEOUT)
+    set(ARG_TIMEOUT 300)
+  endif()
+  file(STRINGS ${script} lines REGEX "^ +def test_")
+  foreach(line IN LISTS lines)
+    string(REGEX REPLACE "^ +def test_([A-Za-z0-9_]+).*" "\\1" case "${line}")
+    add_test(NAME ${ARG_NAME}.${case} COMMAND python3 ${script} test_${case})
+    set_tests_properties(${ARG_NAME}.${case} PROPERTIES LABELS "${ARG_LABELS}" TIMEOUT ${ARG_TIMEOUT} SKIP_RETURN_CODE 77
+      ENVIRONMENT "CRAFTFLEET_BIN_DIR=${CMAKE_BINARY_DIR}/bin;CRAFTFLEET_SOURCE_DIR=${PROJECT_SOURCE_DIR};PYTHONDONTWRITEBYTECODE=1;PYTHONPATH=${PROJECT_SOURCE_DIR}")
+  endforeach()
+endfunction()

@@ -1,0 +1,133 @@
+#!/usr/bin/env bash
+# Runs a fleet on this machine: one learner, actors and environment servers as processes of their own, joined by Unix
+# sockets in a folder that only this user can enter. All of them are stopped when the run is complete, at Ctrl-C or
+# SIGTERM (the learner keeps its last iteration; the same command with --resume goes on), and when this script is killed.
+#
+# Usage: deploy/local-fleet.sh [--actors=N] [--envservers=M] [--bin=DIR] --logdir=DIR [LEARNER FLAG]...
+#   --actors=N       default 1
+#   --envservers=M   default 1
+#   --bin=DIR        folder of the programs; default: build/bin beside deploy/, else where PATH finds them
+#   --logdir=DIR     of the run; the workers' logs are appended to DIR/fleet/NAME.log
+#   LEARNER FLAG     as craftfleet-learner --help has them; --textures goes to the environment servers too
+# Exits as the learner does; with 1 when no actor or no environment server is left to play.
+
+set -euo pipefail
+
+usage() { sed -n '2,/^$/s/^# \{0,1\}//p' "$0"; }
+refuse() { echo "local-fleet.sh: $*" >&2; exit 2; }
+say() { echo "local-fleet.sh: $*" >&2; }
+
+bin=$(dirname "$0")/../build/bin
+[ -x "$bin/craftfleet-learner" ] || bin=$(dirname "$(command -v craftfleet-learner || echo "$bin/craftfleet-learner")")
+actors=1
+envservers=1
+logdir=
+learner_flags=()
+envserver_flags=()
+for argument in "$@"; do
+  case "$argument" in
+    -h | --help) usage; exit 0 ;;
+    --actors=*) actors=${argument#*=} ;;
+    --envservers=*) envservers=${argument#*=} ;;
+    --bin=*) bin=${argument#*=} ;;
+    --listen=*) refuse "$argument: the fleet talks over sockets of its own" ;;
+    --*)
+      learner_flags+=("$argument")
+      case "$argument" in
+        --logdir=*) logdir=${argument#*=} ;;
+        --textures=*) envserver_flags+=("$argument") ;;
+      esac
+      ;;
+    *) refuse "'$argument' is no flag of the form --NAME=VALUE; see --help" ;;
+  esac
+done
+[[ $actors =~ ^[1-9][0-9]{0,2}$ ]] || refuse "--actors=$actors, want 1..999"
+[[ $envservers =~ ^[1-9][0-9]{0,2}$ ]] || refuse "--envservers=$envservers, want 1..999"
+[ -n "$logdir" ] || refuse "--logdir is missing: the folder that the run is to be written to"
+for program in learner actor envserver; do
+  [ -x "$bin/craftfleet-$program" ] || refuse "$bin/craftfleet-$program is not there: build first (deploy/build.sh), or --bin=DIR"
+done
+
+sockets=$(mktemp -d "${TMPDIR:-/tmp}/craftfleet.XXXXXX")
+declare -A names=()  # of the workers that run, by process id
+
+# Each process has a group of its own, so that Ctrl-C reaches it once, through this script.
+set -m
+
+# Arguments: name, program, flags. The process is told to stop when this script is gone.
+start_worker() {
+  local name=$1
+  shift
+  setpriv --pdeathsig TERM "$@" </dev/null >>"$logdir/fleet/$name.log" 2>&1 &
+  names[$!]=$name
+}
+
+# Arguments: process ids. SIGTERM; SIGKILL for those that are still there after 15 s.
+stop() {
+  local deadline=$((SECONDS + 15)) pid
+  kill -TERM "$@" 2>/dev/null || true
+  for pid in "$@"; do
+    while kill -0 "$pid" 2>/dev/null && [ "$SECONDS" -lt "$deadline" ]; do sleep 0.05; done
+    kill -KILL "$pid" 2>/dev/null || true
+  done
+}
+
+clean_up() {
+  trap '' INT TERM
+  stop "${learner:-}" "${!names[@]}"
+  rm -rf "$sockets"
+}
+trap clean_up EXIT
+
+stopping=
+# shellcheck disable=SC2317  # called by the trap
+on_signal() {
+  [ -z "$stopping" ] && say "stopping"
+  stopping=yes
+  kill -TERM "$learner" 2>/dev/null || true
+}
+
+mkdir -p "$logdir/fleet"
+setpriv --pdeathsig TERM "$bin/craftfleet-learner" "${learner_flags[@]}" --listen="unix:$sockets/learner" </dev/null &
+learner=$!
+trap on_signal INT TERM
+
+servers=
+for ((i = 1; i <= envservers; i++)); do
+  start_worker "envserver-$i" "$bin/craftfleet-envserver" --listen="unix:$sockets/envserver-$i" "${envserver_flags[@]}"
+  servers+=,unix:$sockets/envserver-$i
+done
+threads=$(($(nproc) / actors))
+for ((i = 1; i <= actors; i++)); do
+  start_worker "actor-$i" "$bin/craftfleet-actor" --listen="unix:$sockets/actor-$i" --learner="unix:$sockets/learner" \
+    --envservers="${servers#,}" --threads="$((threads > 0 ? threads : 1))"
+done
+say "1 learner, $actors actors, $envservers environment servers; watch: craftfleet status --address=unix:$sockets/learner"
+
+# Arguments: a kind of worker, like actor. True while one of them runs.
+any_left() {
+  local name
+  for name in "${names[@]}"; do
+    [[ $name != "$1"-* ]] || return 0
+  done
+  return 1
+}
+
+while true; do
+  ended=
+  status=0
+  wait -n -p ended "$learner" "${!names[@]}" || status=$?
+  [ -n "${ended:-}" ] || continue  # a signal
+  if [ "$ended" = "$learner" ]; then
+    learner=
+    exit "$status"
+  fi
+  name=${names[$ended]}
+  unset "names[$ended]"
+  # When the run is over actors leave by themselves, some before the learner.
+  [ "$status" -eq 0 ] || say "$name ended with exit code $status: $(tail -n 1 "$logdir/fleet/$name.log")"
+  if [ "$status" -ne 0 ] && { ! any_left actor || ! any_left envserver; }; then
+    say "nobody is left to play: see $logdir/fleet"
+    exit 1
+  fi
+done

@@ -1,0 +1,110 @@
+"""deploy/local-fleet.sh: a fleet on this machine that leaves nothing behind."""
+
+import os
+import pathlib
+import signal
+import subprocess
+import tempfile
+import unittest
+
+from tests.fakes import python_case
+from tests.fakes.python_case import BIN, SOURCE, command_line, processes_with, wait_until
+
+
+class LocalFleet(unittest.TestCase):
+
+  def setUp(self):
+    self._temp = tempfile.TemporaryDirectory(prefix="craftfleet-")
+    self.addCleanup(self._temp.cleanup)
+    self.folder = pathlib.Path(self._temp.name)
+    (self.folder / "config.txt").write_text(python_case.SMALL_RUN)
+
+  def start(self, *flags, actors=2, envservers=2, steps=192):
+    process = subprocess.Popen(
+        [SOURCE / "deploy/local-fleet.sh", f"--bin={BIN}", f"--actors={actors}", f"--envservers={envservers}",
+         f"--config={self.folder}/config.txt", f"--logdir={self.folder}/run", "--threads=1", f"--steps={steps}", *flags],
+        stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, start_new_session=True,
+        env={"TMPDIR": str(self.folder), "PATH": "/usr/bin:/bin"})
+    self.addCleanup(process.stderr.close)
+    self.addCleanup(process.kill)
+    return process
+
+  def wait_for_checkpoint(self, iteration):
+    wait_until((self.folder / f"run/checkpoints/iter-{iteration:08}").exists, f"checkpoint {iteration}")
+
+  def processes(self, program=""):
+    return [pid for pid in processes_with(f"{self.folder}/craftfleet.") if program in command_line(pid)]
+
+  def expect_nothing_left(self):
+    self.assertEqual(self.processes(), [])
+    self.assertEqual(list(self.folder.glob("craftfleet.*")), [])
+
+  def finish(self, process):
+    errors = process.communicate(timeout=120)[1]
+    return process.returncode, errors
+
+  def test_ends_with_the_run_and_leaves_nothing_behind(self):
+    code, errors = self.finish(self.start())
+    self.assertEqual(code, 0, errors)
+    self.assertIn("the run is complete", errors)
+    self.wait_for_checkpoint(3)
+    self.expect_nothing_left()
+    self.assertEqual(sorted(log.name for log in (self.folder / "run/fleet").iterdir()),
+                     ["actor-1.log", "actor-2.log", "envserver-1.log", "envserver-2.log"])
+
+  def test_sigterm_stops_all_and_the_run_can_be_resumed(self):
+    process = self.start(steps=1000000)
+    self.wait_for_checkpoint(2)
+    self.assertEqual(len(self.processes()), 5)
+    process.terminate()
+    code, errors = self.finish(process)
+    self.assertEqual(code, 0, errors)
+    self.assertIn("stopped; go on with --resume", errors)
+    self.expect_nothing_left()
+    code, errors = self.finish(self.start("--resume", steps=192))
+    self.assertEqual(code, 0, errors)
+
+  def test_ctrl_c_reaches_each_process_once(self):
+    process = self.start(steps=1000000)
+    self.wait_for_checkpoint(1)
+    os.killpg(process.pid, signal.SIGINT)  # as a terminal does it: to the whole foreground group
+    code, errors = self.finish(process)
+    self.assertEqual(code, 0, errors)
+    self.assertIn("stopped; go on with --resume", errors)
+    self.expect_nothing_left()
+
+  def test_the_fleet_ends_when_the_script_is_killed(self):
+    process = self.start(steps=1000000)
+    self.wait_for_checkpoint(1)
+    process.kill()
+    process.wait()
+    wait_until(lambda: not self.processes(), "no process left")
+
+  def test_a_lost_worker_is_named_and_the_others_play_on(self):
+    process = self.start(steps=1000000)
+    self.wait_for_checkpoint(1)
+    subprocess.run(["kill", "-KILL", str(self.processes("craftfleet-actor")[0])], check=True)
+    line = wait_until(process.stderr.readline, "a line")
+    while "ended with exit code 137" not in line:
+      line = wait_until(process.stderr.readline, "the worker's end")
+    self.assertRegex(line, r"actor-[12] ended with exit code 137")
+    self.assertIsNone(process.poll())
+    subprocess.run(["kill", "-KILL", str(self.processes("craftfleet-actor")[0])], check=True)
+    code, errors = self.finish(process)
+    self.assertEqual(code, 1, errors)
+    self.assertIn("nobody is left to play", errors)
+    self.expect_nothing_left()
+
+  def test_bad_flags_are_refused_by_name(self):
+    for flag, message in (("--actors=0", "--actors=0, want 1..999"), ("--listen=0.0.0.0:1", "sockets of its own"),
+                          ("steps", "'steps' is no flag"), ("--bin=/nowhere", "/nowhere/craftfleet-learner is not there")):
+      code, errors = self.finish(self.start(flag))
+      self.assertEqual(code, 2, errors)
+      self.assertIn(message, errors)
+    code, errors = self.finish(self.start("--lanse=3"))
+    self.assertEqual(code, 1, errors)
+    self.assertIn("lanse", errors)
+    self.expect_nothing_left()
+
+
+python_case.main()

@@ -1,0 +1,66 @@
+"""What Python tests of programs and scripts share.
+
+A test file ends with `python_case.main()` and is run with the names of its cases, like `test_ends_with_the_run`, or
+without any for all of them. Environment: CRAFTFLEET_BIN_DIR, CRAFTFLEET_SOURCE_DIR.
+"""
+
+import os
+import pathlib
+import sys
+import time
+import unittest
+
+BIN = pathlib.Path(os.environ.get("CRAFTFLEET_BIN_DIR", "build/bin")).resolve()
+SOURCE = pathlib.Path(os.environ.get("CRAFTFLEET_SOURCE_DIR", ".")).resolve()
+SKIPPED = 77  # what CMake is told to count as skipped
+
+# Three iterations of 64 steps on 4 lanes, a checkpoint after each: over within seconds.
+SMALL_RUN = """
+steps: 192  lanes: 4  seed: 3  fragment_steps: 16
+env { length: 20 }
+ppo { rollout_steps: 64  minibatch_size: 32  epochs: 1 }
+checkpoint { every_iterations: 1  keep: 20 }
+eval { every_steps: 0  final_episodes: 0 }
+"""
+
+
+def wait_until(condition, what, seconds=60):
+  """Waits until `condition()` is true and returns its value; fails naming `what` after `seconds`."""
+  end = time.monotonic() + seconds
+  while True:
+    value = condition()
+    if value:
+      return value
+    if time.monotonic() > end:
+      raise AssertionError(f"not within {seconds} s: {what}")
+    time.sleep(0.02)
+
+
+def command_line(pid):
+  """Of a process, its arguments joined by spaces; "" when it has ended."""
+  try:
+    return pathlib.Path(f"/proc/{pid}/cmdline").read_bytes().replace(b"\0", b" ").decode(errors="replace")
+  except OSError:
+    return ""
+
+
+def processes_with(text):
+  """Ids of the running processes that have `text` in their command line, this one left out."""
+  pids = [int(entry.name) for entry in pathlib.Path("/proc").iterdir() if entry.name.isdigit()]
+  return [pid for pid in pids if pid != os.getpid() and text in command_line(pid)]
+
+
+def main():
+  """Runs the cases named on the command line, or all; exits with SKIPPED if every one of them was skipped."""
+  module = sys.modules["__main__"]
+  classes = [item for item in vars(module).values() if isinstance(item, type) and issubclass(item, unittest.TestCase)]
+  suite = unittest.TestSuite(
+      case for kind in classes for case in unittest.defaultTestLoader.loadTestsFromTestCase(kind)
+      if len(sys.argv) == 1 or case.id().rsplit(".", 1)[-1] in sys.argv[1:])
+  count = suite.countTestCases()
+  result = unittest.TextTestRunner(verbosity=2).run(suite)
+  if not result.wasSuccessful() or count == 0:
+    sys.exit(1)
+  for _, reason in result.skipped:
+    print("skipped:", reason)
+  sys.exit(SKIPPED if len(result.skipped) == count else 0)
