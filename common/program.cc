@@ -3,6 +3,7 @@
 #include <signal.h>
 #include <unistd.h>
 
+#include <atomic>
 #include <cerrno>
 #include <cstdio>
 #include <cstdlib>
@@ -59,11 +60,15 @@ namespace {
 
 constexpr char kSignalByte = 's';
 constexpr char kEndByte = 'e';
+constexpr int kForcedExitCode = 130;
 
 // Written by the signal handler, which can't be handed anything.
 int g_signal_pipe[2] = {-1, -1};
+std::atomic<int> g_signals{0};
 
 void OnSignal(int /*signal*/) {
+  // Here, because the thread may be busy stopping.
+  if (++g_signals > 1) _exit(kForcedExitCode);
   const int saved_errno = errno;
   [[maybe_unused]] const ssize_t written = write(g_signal_pipe[1], &kSignalByte, 1);
   errno = saved_errno;
@@ -90,6 +95,8 @@ std::vector<std::string> ParseFlagsAndArguments(absl::string_view program, absl:
                                                 char** argv) {
   // gRPC's own log speaks of internals; what matters reaches the user through our messages.
   setenv("GRPC_VERBOSITY", "NONE", /*overwrite=*/0);
+  // A file at its size limit is an error of the write, like a full disk, and not the end.
+  signal(SIGXFSZ, SIG_IGN);
   for (int i = 1; i < argc; ++i) {
     const absl::string_view argument = argv[i];
     if (argument == "--help" || argument == "-help" || argument == "-h") {
@@ -126,13 +133,10 @@ int ExitCode(absl::string_view program, const absl::Status& status) {
 
 StopSignal::StopSignal(std::function<void()> stop) {
   CRAFTFLEET_CHECK(pipe(g_signal_pipe) == 0);
+  g_signals = 0;
   thread_ = std::thread([stop = std::move(stop)] {
-    int signals = 0;
     char byte = 0;
-    while (read(g_signal_pipe[0], &byte, 1) == 1 && byte == kSignalByte) {
-      if (++signals > 1) _exit(130);
-      stop();
-    }
+    while (read(g_signal_pipe[0], &byte, 1) == 1 && byte == kSignalByte) stop();
   });
   struct sigaction action = {};
   action.sa_handler = OnSignal;

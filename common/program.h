@@ -27,8 +27,8 @@ std::vector<std::string> ParseFlagsAndArguments(absl::string_view program, absl:
 // --log_format=json.
 int ExitCode(absl::string_view program, const absl::Status& status);
 
-// Calls `stop` at the first SIGTERM or SIGINT, on a thread of its own; the second ends the process at once. One at a
-// time in a process; make it before other threads begin.
+// Calls `stop` at the first SIGTERM or SIGINT, on a thread of its own; the second ends the process at once, even while
+// `stop` runs. One at a time in a process; make it before other threads begin.
 class StopSignal {
  public:
   explicit StopSignal(std::function<void()> stop);
