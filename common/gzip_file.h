@@ -5,12 +5,19 @@
 
 #include <string>
 
+#include <absl/functional/function_ref.h>
+#include <absl/status/status.h>
 #include <absl/status/statusor.h>
+#include <absl/strings/string_view.h>
 
 namespace craftfleet {
 
 //   NotFound: no such file. DataLoss: cut or damaged. Both name the file.
 absl::StatusOr<std::string> ReadGzipFile(const std::string& path);
+
+// The same for a file of any size: calls `take` for one piece after the other, until it returns an error, which is
+// returned then.
+absl::Status ReadGzipPieces(const std::string& path, absl::FunctionRef<absl::Status(absl::string_view piece)> take);
 
 }  // namespace craftfleet
 

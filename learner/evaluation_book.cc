@@ -90,6 +90,11 @@ std::vector<Evaluation> EvaluationBook::Pending() const {
   return pending;
 }
 
+size_t EvaluationBook::pending() const {
+  const MutexLock lock(&mu_);
+  return entries_.size();
+}
+
 size_t EvaluationBook::IndexOf(int64_t id) const {
   const auto entry = std::find_if(entries_.begin(), entries_.end(),
                                   [&](const Entry& candidate) { return candidate.evaluation.number == id / 2; });

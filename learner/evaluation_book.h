@@ -72,6 +72,7 @@ class EvaluationBook {
   void Pop() ABSL_LOCKS_EXCLUDED(mu_);
   // All that were added and not popped, oldest first.
   std::vector<Evaluation> Pending() const ABSL_LOCKS_EXCLUDED(mu_);
+  size_t pending() const ABSL_LOCKS_EXCLUDED(mu_);  // their number
 
  private:
   struct Part {

@@ -48,7 +48,7 @@ void EvaluationSchedule::OnEnd(int64_t env_steps, const std::shared_ptr<const st
     Begin(env_steps, config_.final_episodes(), /*final=*/true, weights);
     final_evaluation_steps_ = env_steps;
   }
-  if (book_->Pending().empty()) return;
+  if (book_->pending() == 0) return;
   LogInfo("training is over; waiting for its last evaluations, %d argmax and %d sampled episodes",
           config_.final_episodes(), config_.final_episodes());
   LogFinished(1, should_stop);
@@ -65,12 +65,12 @@ void EvaluationSchedule::LogFinished(size_t below, const std::function<bool()>& 
   while (LogFront(absl::ZeroDuration())) {
   }
   absl::Time last_news = absl::Now();
-  while (book_->Pending().size() >= below && !should_stop()) {
+  while (book_->pending() >= below && !should_stop()) {
     if (LogFront(kTick)) {
       last_news = absl::Now();
     } else if (absl::Now() - last_news > kSayWaiting) {
       last_news = absl::Now();
-      LogInfo("waiting for actors to play %d evaluations", book_->Pending().size());
+      LogInfo("waiting for actors to play %d evaluations", book_->pending());
     }
   }
 }
@@ -79,11 +79,7 @@ bool EvaluationSchedule::LogFront(absl::Duration timeout) {
   const std::optional<FinishedEvaluation> finished = book_->Front(timeout);
   if (!finished.has_value()) return false;
   const Evaluation& evaluation = finished->evaluation;
-  if (absl::Status status = folder_->AddEvaluation(evaluation.final, finished->argmax, finished->sampled);
-      !status.ok()) {
-    LogError("%s; the evaluation at %d steps waits for the next iteration", status.message(), evaluation.env_steps);
-    return false;
-  }
+  folder_->AddEvaluation(evaluation.final, finished->argmax, finished->sampled);
   book_->Pop();
   const ScoreBoard& argmax = folder_->score(evaluation.final ? EpisodeKind::kFinalArgmax : EpisodeKind::kArgmax);
   const ScoreBoard& sampled = folder_->score(evaluation.final ? EpisodeKind::kFinalSampled : EpisodeKind::kSampled);
@@ -92,9 +88,8 @@ bool EvaluationSchedule::LogFront(absl::Duration timeout) {
                                        {group + "argmax_reward", argmax.RecentReward()},
                                        {group + "sampled_score", sampled.Score()},
                                        {group + "sampled_reward", sampled.RecentReward()}};
-  if (absl::Status status = folder_->events().AddScalars(evaluation.env_steps, scalars); !status.ok()) {
-    LogError("%s; curves miss a point", status.message());
-  }
+  folder_->AddScalars(evaluation.env_steps, scalars);
+  folder_->FlushLogs().IgnoreError();  // what can't be written waits; the trainer says so
   LogInfo("evaluation %d, after %d steps: score over %d argmax episodes %.2f, over %d sampled episodes %.2f",
           evaluation.number, evaluation.env_steps, argmax.episodes(), argmax.Score(), sampled.episodes(),
           sampled.Score());

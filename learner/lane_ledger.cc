@@ -47,10 +47,11 @@ absl::StatusOr<LaneLedger::Grant> LaneLedger::GetPermits(absl::string_view actor
   grant.lost = Renew(&known->second, active);
   changed_.WaitFor(&mu_, wait, [&]() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_) {
     const auto still = actors_.find(name);
-    if (still == actors_.end()) return true;
+    if (still == actors_.end() || closed_) return true;
     grant.granted = GrantTo(&still->second);
     return !grant.granted.empty() || !grant.lost.empty() || finished_;
   });
+  if (closed_) return absl::UnavailableError("the learner is stopping");
   grant.finished = finished_;
   if (const auto still = actors_.find(name); still != actors_.end()) still->second.last_word = clock_->Now();
   return grant;
@@ -105,6 +106,12 @@ void LaneLedger::OpenIteration(int64_t last_fragment, int64_t policy_version) {
 void LaneLedger::Finish() {
   MutexLock lock(&mu_);
   finished_ = true;
+  changed_.NotifyAll();
+}
+
+void LaneLedger::Close() {
+  MutexLock lock(&mu_);
+  closed_ = true;
   changed_.NotifyAll();
 }
 

@@ -75,7 +75,7 @@ class LaneLedger {
 
   // Renews `active` and grants further permits up to `capacity` lanes in all; waits up to `wait` while there is nothing
   // to say.
-  //   Aborted: `actor` is not known: it must join (again).
+  //   Aborted: `actor` is not known: it must join (again).   Unavailable: Close was called.
   absl::StatusOr<Grant> GetPermits(absl::string_view actor, absl::Span<const Permit> active, int capacity,
                                    absl::Duration wait) ABSL_LOCKS_EXCLUDED(mu_);
 
@@ -92,6 +92,8 @@ class LaneLedger {
   void OpenIteration(int64_t last_fragment, int64_t policy_version) ABSL_LOCKS_EXCLUDED(mu_);
   // The run is over: actors are told to leave.
   void Finish() ABSL_LOCKS_EXCLUDED(mu_);
+  // The learner stops within the run: grants nothing more and wakes every waiter. Actors wait for its next start.
+  void Close() ABSL_LOCKS_EXCLUDED(mu_);
   // Waits until every actor has left, at most `timeout`.
   void WaitUntilEmpty(absl::Duration timeout) ABSL_LOCKS_EXCLUDED(mu_);
 
@@ -152,6 +154,7 @@ class LaneLedger {
   int64_t last_fragment_ ABSL_GUARDED_BY(mu_) = 0;
   int64_t policy_version_ ABSL_GUARDED_BY(mu_) = 0;
   bool finished_ ABSL_GUARDED_BY(mu_) = false;
+  bool closed_ ABSL_GUARDED_BY(mu_) = false;
 };
 
 }  // namespace craftfleet

@@ -4,6 +4,7 @@
 #include <tuple>
 #include <utility>
 
+#include <absl/strings/str_cat.h>
 #include <absl/strings/str_format.h>
 
 #include "common/log.h"
@@ -15,17 +16,19 @@ namespace {
 
 constexpr absl::Duration kProgressTick = absl::Milliseconds(200);
 constexpr absl::Duration kSayWaiting = absl::Seconds(15);
-
-double Seconds(const std::atomic<int64_t>& ns) { return static_cast<double>(ns.load()) * 1e-9; }
+constexpr absl::Duration kRoomTick = absl::Seconds(1);  // between two looks for room on a full disk
+constexpr int64_t kMaxWaitingBytes = 64 << 20;          // of logs; 100,000 episodes
 
 }  // namespace
 
 Trainer::Trainer(const v1::RunConfig& config, const v1::CheckpointState& state, const Parts& parts)
     : config_(config),
       parts_(parts),
+      meter_(parts.clock, Activity::kOther),
       policy_version_(state.policy_version()),
       lanes_(parts.ledger->Records()),
-      train_seconds_(state.train_seconds()) {
+      train_seconds_(state.train_seconds()),
+      checkpoint_time_(parts.clock->Now()) {
   counters_.iteration = state.iteration();
   counters_.env_steps = state.env_steps();
   counters_.start_steps = state.env_steps();
@@ -33,45 +36,57 @@ Trainer::Trainer(const v1::RunConfig& config, const v1::CheckpointState& state, 
 
 absl::Status Trainer::Run() {
   start_ = parts_.clock->Now();
+  Show(0);
   PublishWeights();
   absl::Status status = counters_.iteration == 0 ? WriteCheckpoint() : absl::OkStatus();
   while (status.ok() && !finished()) status = RunIteration();
   parts_.progress->Finish(counters_.env_steps, parts_.folder->score());
   if (status.ok()) parts_.evaluations->OnEnd(counters_.env_steps, weights_, [this] { return stopping_.load(); });
-  parts_.ledger->Finish();
+  if (status.ok() && !stopping_) {
+    parts_.ledger->Finish();
+  } else {
+    parts_.ledger->Close();
+  }
   if (!status.ok() && status.code() != absl::StatusCode::kCancelled) return status;
-  return checkpointed_ == counters_.iteration ? absl::OkStatus() : WriteCheckpoint();
+  return checkpointed_ == counters_.iteration ? absl::OkStatus() : WriteLastCheckpoint();
 }
 
 void Trainer::Stop() {
-  stopping_ = true;
+  {
+    const MutexLock lock(&mu_);
+    stopping_ = true;
+    stopped_.NotifyAll();
+  }
   parts_.fragments->Close();
 }
 
 absl::Status Trainer::RunIteration() {
-  const int64_t begin = absl::ToUnixNanos(parts_.clock->Now());
+  const absl::Time begin = parts_.clock->Now();
+  {
+    const MutexLock lock(&mu_);
+    iteration_begin_ = begin;
+  }
+  meter_.BeginCycle();
   const int64_t iteration = counters_.iteration;
   parts_.ledger->OpenIteration((iteration + 1) * fragments_per_lane(), policy_version_);
+  meter_.Switch(Activity::kIntake);
   CRAFTFLEET_ASSIGN_OR_RETURN(const std::vector<Fragment> fragments, Collect());
-  const int64_t collected = absl::ToUnixNanos(parts_.clock->Now());
+  meter_.Switch(Activity::kOther);
 
   Rollout rollout;
   const RolloutOptions options = parts_.updater->rollout_options();
   for (const Fragment& fragment : fragments) {
     CRAFTFLEET_RETURN_IF_ERROR(AppendFragment(fragment, options, &rollout));
   }
-  const int64_t batched = absl::ToUnixNanos(parts_.clock->Now());
   const auto should_stop = [this] {
     parts_.progress->Update(counters_.env_steps + config_.ppo().rollout_steps(), parts_.folder->score());
     return stopping_.load();
   };
+  meter_.Switch(Activity::kUpdate);
   CRAFTFLEET_ASSIGN_OR_RETURN(const UpdateStats stats, parts_.updater->Update(iteration, rollout, should_stop));
-  const int64_t updated = absl::ToUnixNanos(parts_.clock->Now());
+  meter_.Switch(Activity::kOther);
   CRAFTFLEET_RETURN_IF_ERROR(FinishIteration(fragments, stats));
-
-  counters_.collect_ns += collected - begin;
-  counters_.update_ns += updated - batched;
-  counters_.other_ns += (batched - collected) + (absl::ToUnixNanos(parts_.clock->Now()) - updated);
+  Show(absl::ToDoubleSeconds(parts_.clock->Now() - begin));
   return absl::OkStatus();
 }
 
@@ -104,18 +119,21 @@ absl::Status Trainer::FinishIteration(const std::vector<Fragment>& fragments, co
   counters_.env_steps += config_.ppo().rollout_steps();
   ++policy_version_;
   lanes_ = parts_.ledger->Records();
-  for (const Fragment& fragment : fragments) {
-    unlogged_.insert(unlogged_.end(), fragment.episodes.begin(), fragment.episodes.end());
-  }
   PublishWeights();
-  WriteLogs(stats);
+  AddToLogs(fragments, stats);
+  FlushLogs();
   parts_.evaluations->OnIteration(counters_.env_steps - config_.ppo().rollout_steps(), counters_.env_steps, weights_,
                                   [this] { return stopping_.load(); });
   // The last one is written after the last evaluation.
-  if (finished() || counters_.iteration % config_.checkpoint().every_iterations() != 0) return absl::OkStatus();
-  if (absl::Status status = WriteCheckpoint(); !status.ok()) {
-    LogError("checkpoint of iteration %d: %s; training goes on and tries again after %d iterations",
-             counters_.iteration.load(), status.message(), config_.checkpoint().every_iterations());
+  if (finished()) return absl::OkStatus();
+  if (!checkpoint_missed_ && counters_.iteration % config_.checkpoint().every_iterations() != 0) {
+    return absl::OkStatus();
+  }
+  const absl::Status status = WriteCheckpoint();
+  checkpoint_missed_ = !status.ok();
+  if (!status.ok()) {
+    LogError("checkpoint of iteration %d: %s; training goes on and tries again after the next iteration",
+             counters_.iteration.load(), status.message());
   }
   return absl::OkStatus();
 }
@@ -123,14 +141,11 @@ absl::Status Trainer::FinishIteration(const std::vector<Fragment>& fragments, co
 void Trainer::PublishWeights() {
   weights_ = std::make_shared<const std::string>(parts_.updater->SaveWeights());
   parts_.weights->Publish(policy_version_, weights_);
+  counters_.policy_version = policy_version_;
 }
 
-void Trainer::WriteLogs(const UpdateStats& stats) {
-  if (absl::Status status = parts_.folder->AddEpisodes(unlogged_); status.ok()) {
-    unlogged_.clear();
-  } else {
-    LogError("%s; %d episodes wait for the next iteration", status.message(), unlogged_.size());
-  }
+void Trainer::AddToLogs(const std::vector<Fragment>& fragments, const UpdateStats& stats) {
+  for (const Fragment& fragment : fragments) parts_.folder->AddEpisodes(fragment.episodes);
   const ScoreBoard& score = parts_.folder->score();
   const double seconds = absl::ToDoubleSeconds(parts_.clock->Now() - start_);
   const auto steps = static_cast<double>(counters_.env_steps - counters_.start_steps);
@@ -149,13 +164,46 @@ void Trainer::WriteLogs(const UpdateStats& stats) {
       {"rollout/episodes", static_cast<double>(score.episodes())},
       {"time/steps_per_second", seconds > 0 ? steps / seconds : 0},
   };
-  if (absl::Status status = parts_.folder->events().AddScalars(counters_.env_steps, scalars); !status.ok()) {
-    LogError("%s; curves miss a point", status.message());
+  parts_.folder->AddScalars(counters_.env_steps, scalars);
+}
+
+void Trainer::FlushLogs() {
+  absl::Status status = parts_.folder->FlushLogs();
+  while (!status.ok()) {
+    const std::string trouble =
+        absl::StrFormat("%s; %d bytes of logs wait for room", status.message(), parts_.folder->waiting_bytes());
+    if (parts_.folder->waiting_bytes() < kMaxWaitingBytes) {
+      SayNowAndThen(trouble);
+      return;
+    }
+    WaitForRoom(absl::StrCat(trouble, ", and training with them"));
+    if (stopping_) return;
+    status = parts_.folder->FlushLogs();
   }
 }
 
+absl::Status Trainer::WriteLastCheckpoint() {
+  absl::Status status = WriteCheckpoint();
+  while (absl::IsResourceExhausted(status) && !stopping_) {
+    WaitForRoom(absl::StrCat(status.message(), "; the run's end is written as soon as there is room"));
+    status = WriteCheckpoint();
+  }
+  return status;
+}
+
+void Trainer::WaitForRoom(absl::string_view trouble) {
+  SayNowAndThen(trouble);
+  const MutexLock lock(&mu_);
+  stopped_.WaitFor(&mu_, kRoomTick, [this] { return stopping_.load(); });
+}
+
+void Trainer::SayNowAndThen(absl::string_view trouble) {
+  if (parts_.clock->Now() - said_ < kSayWaiting) return;
+  said_ = parts_.clock->Now();
+  LogError("%s", trouble);
+}
+
 absl::Status Trainer::WriteCheckpoint() {
-  if (!unlogged_.empty()) return absl::ResourceExhaustedError("stats.jsonl lacks episodes that can't be written yet");
   Checkpoint checkpoint;
   v1::CheckpointState& state = checkpoint.state;
   state.set_iteration(counters_.iteration);
@@ -174,6 +222,8 @@ absl::Status Trainer::WriteCheckpoint() {
   checkpoint.optimizer = parts_.updater->SaveOptimizer();
   CRAFTFLEET_RETURN_IF_ERROR(parts_.folder->WriteCheckpoint(std::move(checkpoint)));
   checkpointed_ = counters_.iteration;
+  const MutexLock lock(&mu_);
+  checkpoint_time_ = parts_.clock->Now();
   return absl::OkStatus();
 }
 
@@ -181,16 +231,35 @@ int Trainer::fragments_per_lane() const {
   return config_.ppo().rollout_steps() / (config_.lanes() * config_.fragment_steps());
 }
 
+void Trainer::Show(double seconds) {
+  const ScoreBoard& score = parts_.folder->score();
+  const MutexLock lock(&mu_);
+  shown_ = {seconds,       score.episodes(), score.RecentReward(), score.RecentLength(),
+            score.Score(), score.Unlocked()};
+}
+
 void Trainer::FillStatus(v1::StatusReply* reply) const {
-  const double seconds = Seconds(counters_.collect_ns) + Seconds(counters_.update_ns) + Seconds(counters_.other_ns);
-  const auto steps = static_cast<double>(counters_.env_steps - counters_.start_steps);
-  wire::AddMetric("iteration", static_cast<double>(counters_.iteration), "", reply);
-  wire::AddMetric("env_steps", static_cast<double>(counters_.env_steps), "steps", reply);
-  wire::AddMetric("env_steps_total", static_cast<double>(config_.steps()), "steps", reply);
-  wire::AddMetric("steps_per_second", seconds > 0 ? steps / seconds : 0, "steps/s", reply);
-  wire::AddMetric("collect_time", Seconds(counters_.collect_ns), "s", reply);
-  wire::AddMetric("update_time", Seconds(counters_.update_ns), "s", reply);
-  wire::AddMetric("other_time", Seconds(counters_.other_ns), "s", reply);
+  v1::ProcessSummary* summary = reply->mutable_summary();
+  wire::FillWork(meter_.Total(), meter_.Recent(), /*threads=*/1, summary);
+  wire::FillUsage(summary);
+  summary->set_lanes(config_.lanes());
+  summary->set_policy_version(counters_.policy_version);
+  const MutexLock lock(&mu_);
+  if (shown_.iteration_seconds > 0) {
+    // An iteration that takes longer than the last one is the slower for it.
+    const absl::Duration under_way = parts_.clock->Now() - iteration_begin_;
+    summary->set_steps_per_second(config_.ppo().rollout_steps() /
+                                  std::max(shown_.iteration_seconds, absl::ToDoubleSeconds(under_way)));
+  }
+  wire::AddMetric("iteration", static_cast<double>(counters_.iteration), reply);
+  wire::AddMetric("env_steps", static_cast<double>(counters_.env_steps), reply);
+  wire::AddMetric("env_steps_goal", static_cast<double>(config_.steps()), reply);
+  wire::AddMetric("episodes", static_cast<double>(shown_.episodes), reply);
+  wire::AddMetric("reward", shown_.reward, reply);
+  wire::AddMetric("episode_length", shown_.length, reply);
+  wire::AddMetric("crafter_score", shown_.score, reply);
+  wire::AddMetric("achievements_unlocked", shown_.unlocked, reply);
+  wire::AddMetric("checkpoint_age", absl::ToDoubleSeconds(parts_.clock->Now() - checkpoint_time_), reply);
 }
 
 }  // namespace craftfleet

@@ -11,8 +11,12 @@
 
 #include <absl/status/status.h>
 #include <absl/status/statusor.h>
+#include <absl/strings/string_view.h>
+#include <absl/time/time.h>
 
+#include "common/activity_meter.h"
 #include "common/clock.h"
+#include "common/mutex.h"
 #include "common/types.h"
 #include "craftfleet/v1/config.pb.h"
 #include "craftfleet/v1/status.pb.h"
@@ -27,14 +31,12 @@
 
 namespace craftfleet {
 
-// What the trainer has done and where its time went. Written by the trainer, read by anyone.
+// What the trainer has done. Written by the trainer, read by anyone.
 struct TrainerCounters {
   std::atomic<int64_t> iteration{0};    // finished
   std::atomic<int64_t> env_steps{0};    // accepted, over all starts of the run
   std::atomic<int64_t> start_steps{0};  // of these, before this start
-  std::atomic<int64_t> collect_ns{0};   // waiting for fragments
-  std::atomic<int64_t> update_ns{0};    // PPO
-  std::atomic<int64_t> other_ns{0};     // advantages, logs, checkpoints, publishing
+  std::atomic<int64_t> policy_version{-1};  // of the weights last published
 };
 
 // One iteration: open permits, wait for every lane's fragments, order them, advantages, PPO epochs, publish the
@@ -65,7 +67,9 @@ class Trainer {
 
   bool finished() const { return counters_.env_steps >= config_.steps(); }
   const TrainerCounters& counters() const { return counters_; }
-  void FillStatus(v1::StatusReply* reply) const;
+  // Where its thread's time goes.
+  const ActivityMeter& meter() const { return meter_; }
+  void FillStatus(v1::StatusReply* reply) const ABSL_LOCKS_EXCLUDED(mu_);
 
  private:
   // Cancelled: Stop was called.
@@ -74,23 +78,51 @@ class Trainer {
   absl::Status FinishIteration(const std::vector<Fragment>& fragments, const UpdateStats& stats);
   // Makes the updater's weights those that are played and evaluated.
   void PublishWeights();
-  void WriteLogs(const UpdateStats& stats);
+  void AddToLogs(const std::vector<Fragment>& fragments, const UpdateStats& stats);
+  // Writes what the logs have to say. What a full disk does not take waits, to be written after a later iteration; with
+  // kMaxWaitingBytes of it training waits for room.
+  void FlushLogs() ABSL_LOCKS_EXCLUDED(mu_);
   absl::Status WriteCheckpoint();
+  // The same after the last iteration: tries again while the disk is full, until Stop.
+  absl::Status WriteLastCheckpoint() ABSL_LOCKS_EXCLUDED(mu_);
+  // Says `trouble` and returns after a second, or at once when Stop was called.
+  void WaitForRoom(absl::string_view trouble) ABSL_LOCKS_EXCLUDED(mu_);
+  void SayNowAndThen(absl::string_view trouble);
+  // Takes the folder's score, and that of an iteration that took `seconds` (0: none has ended), for the status page.
+  void Show(double seconds) ABSL_LOCKS_EXCLUDED(mu_);
   int fragments_per_lane() const;
+
+  // What the status page shows, as of the last iteration.
+  struct Shown {
+    double iteration_seconds = 0;  // 0: none has ended since the start
+    int64_t episodes = 0;
+    double reward = 0;  // means of the last 100 episodes
+    double length = 0;
+    double score = 0;
+    int unlocked = 0;
+  };
 
   const v1::RunConfig config_;
   const Parts parts_;
   std::atomic<bool> stopping_{false};
   TrainerCounters counters_;
+  ActivityMeter meter_;
 
   // The run at the end of the last finished iteration: what a checkpoint holds.
   int64_t policy_version_;
   std::shared_ptr<const std::string> weights_;  // of that version, safetensors
   std::vector<LaneRecord> lanes_;
-  std::vector<Episode> unlogged_;  // episodes that could not be written yet
-  int64_t checkpointed_ = -1;      // iteration of the last checkpoint
-  double train_seconds_;           // before this start
+  int64_t checkpointed_ = -1;               // iteration of the last checkpoint
+  bool checkpoint_missed_ = false;          // the last one could not be written
+  absl::Time said_ = absl::InfinitePast();  // that the disk is full
+  double train_seconds_;                    // before this start
   absl::Time start_;
+
+  mutable Mutex mu_;
+  CondVar stopped_;
+  Shown shown_ ABSL_GUARDED_BY(mu_);
+  absl::Time iteration_begin_ ABSL_GUARDED_BY(mu_) = absl::InfiniteFuture();  // of the one under way
+  absl::Time checkpoint_time_ ABSL_GUARDED_BY(mu_);
 };
 
 }  // namespace craftfleet

@@ -25,18 +25,26 @@ absl::StatusOr<AppendFile> AppendFile::Open(const std::string& path) {
 }
 
 AppendFile::AppendFile(AppendFile&& other) noexcept
-    : path_(std::move(other.path_)), descriptor_(std::exchange(other.descriptor_, -1)), length_(other.length_) {}
+    : path_(std::move(other.path_)),
+      descriptor_(std::exchange(other.descriptor_, -1)),
+      length_(other.length_),
+      waiting_(std::move(other.waiting_)),
+      torn_(other.torn_) {}
 
 AppendFile::~AppendFile() {
   if (descriptor_ >= 0) ::close(descriptor_);
 }
 
-absl::Status AppendFile::Append(absl::string_view bytes) {
-  absl::Status status = WriteAll(descriptor_, bytes, path_);
+absl::Status AppendFile::Flush() {
+  if (torn_ && ::ftruncate(descriptor_, length_) != 0) return FileError(errno, "cannot cut back", path_);
+  torn_ = false;
+  if (waiting_.empty()) return absl::OkStatus();
+  absl::Status status = WriteAll(descriptor_, waiting_, path_);
   if (status.ok()) {
-    length_ += bytes.size();
-  } else if (::ftruncate(descriptor_, length_) != 0) {
-    status = absl::DataLossError(absl::StrCat(status.message(), "; the part written cannot be cut off again"));
+    length_ += waiting_bytes();
+    std::string().swap(waiting_);
+  } else {
+    torn_ = ::ftruncate(descriptor_, length_) != 0;
   }
   return status;
 }

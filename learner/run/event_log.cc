@@ -36,12 +36,13 @@ absl::StatusOr<EventLog> EventLog::Open(const std::string& path, Clock* clock) {
   if (log.file_.length() == 0) {
     v1::Event event;
     event.set_file_version(kFileVersion);
-    CRAFTFLEET_RETURN_IF_ERROR(log.Append(std::move(event)));
+    log.Append(std::move(event));
+    CRAFTFLEET_RETURN_IF_ERROR(log.file_.Flush());
   }
   return log;
 }
 
-absl::Status EventLog::AddScalars(int64_t step, absl::Span<const Scalar> scalars) {
+void EventLog::AddScalars(int64_t step, absl::Span<const Scalar> scalars) {
   v1::Event event;
   event.set_step(step);
   for (const Scalar& scalar : scalars) {
@@ -49,12 +50,12 @@ absl::Status EventLog::AddScalars(int64_t step, absl::Span<const Scalar> scalars
     value->set_tag(scalar.tag);
     value->set_simple_value(static_cast<float>(scalar.value));
   }
-  return Append(std::move(event));
+  Append(std::move(event));
 }
 
-absl::Status EventLog::Append(v1::Event event) {
+void EventLog::Append(v1::Event event) {
   event.set_wall_time(absl::ToDoubleSeconds(clock_->Now() - absl::UnixEpoch()));
-  return file_.Append(Frame(event.SerializeAsString()));
+  file_.Append(Frame(event.SerializeAsString()));
 }
 
 }  // namespace craftfleet

@@ -31,14 +31,15 @@ class EventLog {
   // `clock` outlives the log; it gives the events' wall time. An empty file gets its version record.
   static absl::StatusOr<EventLog> Open(const std::string& path, Clock* clock);
 
-  // Appends one event with all `scalars` at environment step `step`. Errors as AppendFile::Append.
-  absl::Status AddScalars(int64_t step, absl::Span<const Scalar> scalars);
+  // Appends one event with all `scalars` at environment step `step`; file().Flush() writes it.
+  void AddScalars(int64_t step, absl::Span<const Scalar> scalars);
 
   AppendFile& file() { return file_; }
+  const AppendFile& file() const { return file_; }
 
  private:
   EventLog(AppendFile file, Clock* clock) : file_(std::move(file)), clock_(clock) {}
-  absl::Status Append(v1::Event event);
+  void Append(v1::Event event);
 
   AppendFile file_;
   Clock* clock_;

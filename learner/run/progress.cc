@@ -78,6 +78,7 @@ void ProgressPrinter::Print(int64_t steps, const ScoreBoard& score) {
   state.length = score.RecentLength();
   state.score = score.Score();
   state.unlocked = score.Unlocked();
+  out_->clear();  // of a full disk, which may have room by now
   // \033[K clears what a longer line left behind.
   *out_ << (options_.terminal ? "\r" : "") << FormatProgress(state) << (options_.terminal ? "\033[K" : "\n");
   out_->flush();

@@ -120,25 +120,28 @@ absl::Status RunFolder::SetSteps(int64_t steps) {
   return ReplaceFile(JoinPath(logdir_, kConfigFile), FormatRunConfig(config_));
 }
 
-absl::Status RunFolder::AddEpisodes(absl::Span<const Episode> episodes) {
-  EpisodeLog& log = Log(EpisodeKind::kTraining);
-  CRAFTFLEET_RETURN_IF_ERROR(log.stats.Append(episodes));
-  for (const Episode& episode : episodes) log.score.Add(episode);
-  return absl::OkStatus();
+void RunFolder::AddEpisodes(absl::Span<const Episode> episodes) { Log(EpisodeKind::kTraining).Add(episodes); }
+
+void RunFolder::AddEvaluation(bool final, absl::Span<const Episode> argmax, absl::Span<const Episode> sampled) {
+  Log(final ? EpisodeKind::kFinalArgmax : EpisodeKind::kArgmax).Add(argmax);
+  Log(final ? EpisodeKind::kFinalSampled : EpisodeKind::kSampled).Add(sampled);
 }
 
-absl::Status RunFolder::AddEvaluation(bool final, absl::Span<const Episode> argmax, absl::Span<const Episode> sampled) {
-  EpisodeLog& argmax_log = Log(final ? EpisodeKind::kFinalArgmax : EpisodeKind::kArgmax);
-  EpisodeLog& sampled_log = Log(final ? EpisodeKind::kFinalSampled : EpisodeKind::kSampled);
-  const int64_t length_before = argmax_log.stats.file().length();
-  CRAFTFLEET_RETURN_IF_ERROR(argmax_log.stats.Append(argmax));
-  if (absl::Status status = sampled_log.stats.Append(sampled); !status.ok()) {
-    CRAFTFLEET_RETURN_IF_ERROR(argmax_log.stats.file().TruncateTo(length_before));
-    return status;
-  }
-  for (const Episode& episode : argmax) argmax_log.score.Add(episode);
-  for (const Episode& episode : sampled) sampled_log.score.Add(episode);
-  return absl::OkStatus();
+void RunFolder::EpisodeLog::Add(absl::Span<const Episode> episodes) {
+  stats.Append(episodes);
+  for (const Episode& episode : episodes) score.Add(episode);
+}
+
+absl::Status RunFolder::FlushLogs() {
+  absl::Status status;
+  for (AppendFile* log : Logs()) status.Update(log->Flush());
+  return status;
+}
+
+int64_t RunFolder::waiting_bytes() const {
+  int64_t bytes = events_.file().waiting_bytes();
+  for (const EpisodeLog& log : episodes_) bytes += log.stats.file().waiting_bytes();
+  return bytes;
 }
 
 absl::Status RunFolder::WriteCheckpoint(Checkpoint checkpoint) {
@@ -150,6 +153,7 @@ absl::Status RunFolder::WriteCheckpoint(Checkpoint checkpoint) {
   state.set_texture_digest(program_.texture_digest);
   state.set_best_score(best_score_);
   state.clear_logs();
+  CRAFTFLEET_RETURN_IF_ERROR(FlushLogs());
   for (AppendFile* log : Logs()) {
     // A checkpoint must not know of more than the logs have after a power cut.
     CRAFTFLEET_RETURN_IF_ERROR(log->Sync());
@@ -185,8 +189,8 @@ absl::Status RunFolder::GoBackTo(const v1::CheckpointState& state) {
   }
   CRAFTFLEET_RETURN_IF_ERROR(checkpoints_.DiscardNewerThan(state.iteration()));
   for (EpisodeLog& log : episodes_) {
-    CRAFTFLEET_ASSIGN_OR_RETURN(const std::vector<Episode> episodes, ReadStats(log.stats.file().path()));
-    for (const Episode& episode : episodes) log.score.Add(episode);
+    CRAFTFLEET_RETURN_IF_ERROR(
+        VisitStats(log.stats.file().path(), [&log](const Episode& episode) { log.score.Add(episode); }));
   }
   run_id_ = state.run_id();
   config_ = state.config();

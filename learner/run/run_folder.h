@@ -73,16 +73,22 @@ class RunFolder {
   // Makes the run longer or shorter, environment steps: the one thing that may change when it is resumed.
   absl::Status SetSteps(int64_t steps);
 
-  // Appends training episodes to stats.jsonl and counts them towards the score. On failure nothing is counted.
-  absl::Status AddEpisodes(absl::Span<const Episode> episodes);
-  // The same for an evaluation, during training or after it; all of it or nothing.
-  absl::Status AddEvaluation(bool final, absl::Span<const Episode> argmax, absl::Span<const Episode> sampled);
+  // Appends training episodes to stats.jsonl and counts them towards the score.
+  void AddEpisodes(absl::Span<const Episode> episodes);
+  // The same for an evaluation, during training or after it.
+  void AddEvaluation(bool final, absl::Span<const Episode> argmax, absl::Span<const Episode> sampled);
+  // Appends a point to each curve.
+  void AddScalars(int64_t step, absl::Span<const Scalar> scalars) { events_.AddScalars(step, scalars); }
 
-  EventLog& events() { return events_; }
+  // Writes what was added since the last time. What can't be written waits, to be written the next time.
+  //   ResourceExhausted: disk, quota or file size limit full.
+  absl::Status FlushLogs();
+  int64_t waiting_bytes() const;  // of the logs, not written yet
+
   const ScoreBoard& score(EpisodeKind kind = EpisodeKind::kTraining) const { return Log(kind).score; }
   const CheckpointStore& checkpoints() const { return checkpoints_; }
 
-  // Syncs the logs, then writes. Fills in everything of the state that the folder knows: program, run id,
+  // Flushes and syncs the logs, then writes. Fills in everything of the state that the folder knows: program, run id,
   // configuration, texture digest, log lengths, best score. Errors as CheckpointStore::Write.
   absl::Status WriteCheckpoint(Checkpoint checkpoint);
 
@@ -90,6 +96,7 @@ class RunFolder {
   struct EpisodeLog {
     StatsLog stats;
     ScoreBoard score;
+    void Add(absl::Span<const Episode> episodes);
   };
 
   RunFolder(std::string logdir, FolderLock lock, std::vector<EpisodeLog> episodes, EventLog events,

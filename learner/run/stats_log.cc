@@ -6,7 +6,6 @@
 #include <absl/strings/numbers.h>
 #include <absl/strings/str_cat.h>
 #include <absl/strings/str_format.h>
-#include <absl/strings/str_split.h>
 #include <absl/strings/string_view.h>
 #include <nlohmann/json.hpp>
 
@@ -50,6 +49,40 @@ absl::StatusOr<Episode> ParseStatsLine(absl::string_view line) {
   return episode;
 }
 
+// A stats.jsonl that comes in pieces.
+class StatsReader {
+ public:
+  StatsReader(absl::string_view path, absl::FunctionRef<void(const Episode&)> visit) : path_(path), visit_(visit) {}
+
+  absl::Status Read(absl::string_view piece) {
+    absl::StrAppend(&rest_, piece);
+    size_t start = 0;
+    for (size_t end = 0; (end = rest_.find('\n', start)) != std::string::npos; start = end + 1) {
+      const auto episode = ParseStatsLine(absl::string_view(rest_).substr(start, end - start));
+      ++lines_;
+      if (!episode.ok()) return Error(episode.status().message());
+      visit_(*episode);
+    }
+    rest_.erase(0, start);
+    return absl::OkStatus();
+  }
+  absl::Status End() {
+    if (rest_.empty()) return absl::OkStatus();
+    ++lines_;
+    return Error("the line is cut off");
+  }
+
+ private:
+  absl::Status Error(absl::string_view what) const {
+    return absl::DataLossError(absl::StrCat(path_, ":", lines_, ": ", what));
+  }
+
+  const absl::string_view path_;
+  const absl::FunctionRef<void(const Episode&)> visit_;
+  std::string rest_;  // of the last piece: a line without its end
+  int64_t lines_ = 0;
+};
+
 }  // namespace
 
 double RoundReward(double reward) {
@@ -68,30 +101,27 @@ std::string FormatStatsLine(const Episode& episode) {
 }
 
 absl::StatusOr<std::vector<Episode>> ReadStats(const std::string& path) {
-  CRAFTFLEET_ASSIGN_OR_RETURN(const std::string text, ReadGzipFile(path));
-  return ParseStats(text, path);
+  std::vector<Episode> episodes;
+  CRAFTFLEET_RETURN_IF_ERROR(VisitStats(path, [&](const Episode& episode) { episodes.push_back(episode); }));
+  return episodes;
+}
+
+absl::Status VisitStats(const std::string& path, absl::FunctionRef<void(const Episode&)> visit) {
+  StatsReader reader(path, visit);
+  CRAFTFLEET_RETURN_IF_ERROR(ReadGzipPieces(path, [&reader](absl::string_view piece) { return reader.Read(piece); }));
+  return reader.End();
 }
 
 absl::StatusOr<std::vector<Episode>> ParseStats(absl::string_view text, absl::string_view path) {
   std::vector<Episode> episodes;
-  std::vector<absl::string_view> lines = absl::StrSplit(text, '\n');
-  const bool cut_off = !lines.back().empty();
-  lines.pop_back();
-  for (const absl::string_view line : lines) {
-    absl::StatusOr<Episode> episode = ParseStatsLine(line);
-    if (!episode.ok()) {
-      return absl::DataLossError(absl::StrCat(path, ":", episodes.size() + 1, ": ", episode.status().message()));
-    }
-    episodes.push_back(*std::move(episode));
-  }
-  if (cut_off) return absl::DataLossError(absl::StrCat(path, ":", lines.size() + 1, ": the line is cut off"));
+  StatsReader reader(path, [&](const Episode& episode) { episodes.push_back(episode); });
+  CRAFTFLEET_RETURN_IF_ERROR(reader.Read(text));
+  CRAFTFLEET_RETURN_IF_ERROR(reader.End());
   return episodes;
 }
 
-absl::Status StatsLog::Append(absl::Span<const Episode> episodes) {
-  std::string lines;
-  for (const Episode& episode : episodes) lines += FormatStatsLine(episode);
-  return file_.Append(lines);
+void StatsLog::Append(absl::Span<const Episode> episodes) {
+  for (const Episode& episode : episodes) file_.Append(FormatStatsLine(episode));
 }
 
 }  // namespace craftfleet

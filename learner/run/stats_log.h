@@ -8,6 +8,7 @@
 #include <utility>
 #include <vector>
 
+#include <absl/functional/function_ref.h>
 #include <absl/status/status.h>
 #include <absl/status/statusor.h>
 #include <absl/strings/string_view.h>
@@ -33,15 +34,19 @@ absl::StatusOr<std::vector<Episode>> ParseStats(absl::string_view text, absl::st
 //   one too many, or one of another type: names the line and the key.
 absl::StatusOr<std::vector<Episode>> ReadStats(const std::string& path);
 
+// The same for a log of any length: calls `visit` for one episode after the other and keeps none.
+absl::Status VisitStats(const std::string& path, absl::FunctionRef<void(const Episode&)> visit);
+
 // Thread-compatible: one thread at a time.
 class StatsLog {
  public:
   explicit StatsLog(AppendFile file) : file_(std::move(file)) {}
 
-  // Appends a line per episode, all or none, readable by others at once. Errors as AppendFile::Append.
-  absl::Status Append(absl::Span<const Episode> episodes);
+  // Appends a line per episode; file().Flush() writes them.
+  void Append(absl::Span<const Episode> episodes);
 
   AppendFile& file() { return file_; }
+  const AppendFile& file() const { return file_; }
 
  private:
   AppendFile file_;

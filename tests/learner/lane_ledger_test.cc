@@ -384,6 +384,19 @@ TEST(LaneLedger, TellsThatTheRunIsOver) {
   EXPECT_THAT(book.ledger.Actors(), IsEmpty());
 }
 
+TEST(LaneLedger, CloseWakesThoseWhoWaitAndGrantsNothing) {
+  Book book(1, 0);
+  book.ledger.Join("a", "");
+  absl::Status status;
+  std::thread waiting([&] { status = book.ledger.GetPermits("a", {}, kAll, absl::InfiniteDuration()).status(); });
+  book.ledger.Close();
+  waiting.join();
+  EXPECT_THAT(status, StatusIs(absl::StatusCode::kUnavailable, HasSubstr("is stopping")));
+  book.ledger.OpenIteration(1, kVersion);
+  EXPECT_THAT(book.ledger.GetPermits("a", {}, kAll, absl::ZeroDuration()),
+              StatusIs(absl::StatusCode::kUnavailable, HasSubstr("is stopping")));
+}
+
 TEST(LaneLedger, ANewIterationWakesThoseWhoWait) {
   Book book(1, 0);
   book.ledger.Join("a", "");

@@ -82,7 +82,8 @@ TEST(EventLog, HoldsTheScalarsAdded) {
   auto log = EventLog::Open(folder / "events", &clock);
   ASSERT_THAT(log, IsOk());
   clock.Advance(absl::Milliseconds(1500));
-  ASSERT_THAT(log->AddScalars(4096, {{"train/reward", 1.5}, {"loss/value", -0.1}}), IsOk());
+  log->AddScalars(4096, {{"train/reward", 1.5}, {"loss/value", -0.1}});
+  ASSERT_THAT(log->file().Flush(), IsOk());
   const std::vector<v1::Event> events = ReadEvents(folder / "events");
   ASSERT_EQ(events.size(), 2U);
   EXPECT_EQ(events[1].step(), 4096);
@@ -100,28 +101,40 @@ TEST(EventLog, CanBeCutBackAndGoneOnWith) {
   int64_t length = 0;
   {
     auto log = EventLog::Open(folder / "events", &clock);
-    ASSERT_THAT(log->AddScalars(1, {{"a", 1}}), IsOk());
+    log->AddScalars(1, {{"a", 1}});
+    ASSERT_THAT(log->file().Flush(), IsOk());
     length = log->file().length();
-    ASSERT_THAT(log->AddScalars(2, {{"a", 2}}), IsOk());
+    log->AddScalars(2, {{"a", 2}});
+    ASSERT_THAT(log->file().Flush(), IsOk());
   }
   auto log = EventLog::Open(folder / "events", &clock);
   ASSERT_THAT(log->file().TruncateTo(length), IsOk());
-  ASSERT_THAT(log->AddScalars(3, {{"a", 3}}), IsOk());
+  log->AddScalars(3, {{"a", 3}});
+  ASSERT_THAT(log->file().Flush(), IsOk());
   const std::vector<v1::Event> events = ReadEvents(folder / "events");
   ASSERT_EQ(events.size(), 3U);
   EXPECT_EQ(events[1].step(), 1);
   EXPECT_EQ(events[2].step(), 3);
 }
 
-TEST(EventLog, AFullDiskIsAnErrorAndLeavesNoHalfRecord) {
+TEST(EventLog, WhatAFullDiskDoesNotTakeIsWrittenLaterWithTheTimeItHappened) {
   const TempFolder folder;
   FakeClock clock;
   auto log = EventLog::Open(folder / "events", &clock);
   {
     const FileSizeLimit limit(log->file().length() + 10);
-    EXPECT_THAT(log->AddScalars(1, {{"a", 1}}), StatusIs(absl::StatusCode::kResourceExhausted, testing::_));
+    log->AddScalars(1, {{"a", 1}});
+    EXPECT_THAT(log->file().Flush(), StatusIs(absl::StatusCode::kResourceExhausted, testing::_));
+    EXPECT_EQ(ReadEvents(folder / "events").size(), 1U) << "no half record";
   }
-  EXPECT_EQ(ReadEvents(folder / "events").size(), 1U);
+  clock.Advance(absl::Seconds(100));
+  log->AddScalars(2, {{"a", 2}});
+  ASSERT_THAT(log->file().Flush(), IsOk());
+  const std::vector<v1::Event> events = ReadEvents(folder / "events");
+  ASSERT_EQ(events.size(), 3U);
+  EXPECT_EQ(events[1].step(), 1);
+  EXPECT_EQ(events[1].wall_time(), 1'700'000'000.0);
+  EXPECT_EQ(events[2].wall_time(), 1'700'000'100.0);
 }
 
 }  // namespace

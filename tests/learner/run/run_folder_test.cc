@@ -53,8 +53,9 @@ class RunFolderTest : public testing::Test {
   void MakeRun() {
     auto folder = Create();
     for (int64_t iteration = 1; iteration <= 3; ++iteration) {
-      ASSERT_THAT(folder->AddEpisodes({SampleEpisode(100 * iteration, 1.0 * iteration), SampleEpisode(10, 0)}), IsOk());
-      ASSERT_THAT(folder->events().AddScalars(4096 * iteration, {{"train/reward", 1.0 * iteration}}), IsOk());
+      folder->AddEpisodes({SampleEpisode(100 * iteration, 1.0 * iteration), SampleEpisode(10, 0)});
+      folder->AddScalars(4096 * iteration, {{"train/reward", 1.0 * iteration}});
+      ASSERT_THAT(folder->FlushLogs(), IsOk());
       if (iteration == 3) break;
       ASSERT_THAT(folder->WriteCheckpoint(SampleCheckpoint(iteration)), IsOk());
     }
@@ -92,7 +93,11 @@ TEST_F(RunFolderTest, ANewRunIsRefusedWhereThereIsOne) {
 }
 
 TEST_F(RunFolderTest, ARunThatEndedBeforeItsFirstCheckpointGivesWay) {
-  ASSERT_THAT(Create()->AddEpisodes({SampleEpisode(100, 1)}), IsOk());
+  {
+    const auto first = Create();
+    first->AddEpisodes({SampleEpisode(100, 1)});
+    ASSERT_THAT(first->FlushLogs(), IsOk());
+  }
   const auto second = Create();
   ASSERT_NE(second, nullptr);
   EXPECT_EQ(ReadFile(logdir_ + "/stats.jsonl").value(), "");
@@ -135,8 +140,9 @@ TEST_F(RunFolderTest, AResumedRunLeavesTheSameFilesAsOneNeverStopped) {
   const std::string events = ReadFile(logdir_ + "/events.out.tfevents.craftfleet").value();
   auto run = Resume();
   ASSERT_THAT(run, IsOk());
-  ASSERT_THAT(run->folder->AddEpisodes({SampleEpisode(300, 3), SampleEpisode(10, 0)}), IsOk());
-  ASSERT_THAT(run->folder->events().AddScalars(4096 * 3, {{"train/reward", 3}}), IsOk());
+  run->folder->AddEpisodes({SampleEpisode(300, 3), SampleEpisode(10, 0)});
+  run->folder->AddScalars(4096 * 3, {{"train/reward", 3}});
+  ASSERT_THAT(run->folder->FlushLogs(), IsOk());
   EXPECT_EQ(ReadFile(logdir_ + "/stats.jsonl").value(), stats);
   EXPECT_EQ(ReadFile(logdir_ + "/events.out.tfevents.craftfleet").value(), events);
 }
@@ -169,9 +175,9 @@ TEST_F(RunFolderTest, ACheckpointKnowsTheRun) {
 
 TEST_F(RunFolderTest, TheBestScoreOutlivesWorseTimes) {
   auto folder = Create();
-  ASSERT_THAT(folder->AddEpisodes({SampleEpisode(10, 5)}), IsOk());
+  folder->AddEpisodes({SampleEpisode(10, 5)});
   ASSERT_THAT(folder->WriteCheckpoint(SampleCheckpoint(1)), IsOk());
-  ASSERT_THAT(folder->AddEpisodes({SampleEpisode(10, 0)}), IsOk());
+  folder->AddEpisodes({SampleEpisode(10, 0)});
   ASSERT_THAT(folder->WriteCheckpoint(SampleCheckpoint(2)), IsOk());
   EXPECT_EQ(folder->checkpoints().LoadLatest("").value().state.best_score(), 5);
   folder.reset();
@@ -201,28 +207,70 @@ TEST_F(RunFolderTest, ALogThatLostBytesIsRefused) {
   EXPECT_THAT(Resume(), StatusIs(absl::StatusCode::kDataLoss, HasSubstr("stats.jsonl has 100 bytes")));
 }
 
-TEST_F(RunFolderTest, AFullDiskIsAnErrorAndNothingIsCounted) {
-  auto folder = Create();
+// Each log, whichever of them had room, ends as it would have with room for all.
+TEST_F(RunFolderTest, WhatAFullDiskDoesNotTakeIsWrittenInOrderOnceThereIsRoom) {
+  const std::vector<std::string> files = {"stats.jsonl", "eval_argmax.jsonl", "eval_sampled.jsonl",
+                                          "events.out.tfevents.craftfleet"};
+  const auto add = [](RunFolder* folder, int64_t iteration) {
+    folder->AddEpisodes({SampleEpisode(iteration, 1), SampleEpisode(iteration + 50, 2)});
+    folder->AddScalars(iteration, {{"train/reward", 1.0}});
+    if (iteration % 2 == 0) folder->AddEvaluation(false, {SampleEpisode(iteration, 3)}, {SampleEpisode(iteration, 4)});
+  };
+  const auto read = [&] {
+    std::vector<std::string> contents;
+    for (const std::string& file : files) contents.push_back(ReadFile(JoinPath(logdir_, file)).value());
+    return contents;
+  };
+  {
+    const auto untroubled = Create();
+    for (int64_t iteration = 1; iteration <= 6; ++iteration) add(untroubled.get(), iteration);
+    ASSERT_THAT(untroubled->FlushLogs(), IsOk());
+  }
+  const std::vector<std::string> wanted = read();
+
+  const auto folder = Create();
+  add(folder.get(), 1);
+  ASSERT_THAT(folder->FlushLogs(), IsOk());
+  const std::vector<std::string> before = read();
+  {
+    // Room for the events, for a line of the evaluations' logs and for half a line of stats.jsonl.
+    const FileSizeLimit limit(static_cast<int64_t>(before[0].size()) + 200);
+    for (int64_t iteration = 2; iteration <= 5; ++iteration) {
+      add(folder.get(), iteration);
+      EXPECT_THAT(folder->FlushLogs(), StatusIs(absl::StatusCode::kResourceExhausted, HasSubstr("stats.jsonl")));
+      EXPECT_EQ(read()[0], before[0]) << "no half line";
+    }
+    EXPECT_THAT(folder->WriteCheckpoint(SampleCheckpoint(5)),
+                StatusIs(absl::StatusCode::kResourceExhausted, HasSubstr("stats.jsonl")));
+  }
+  EXPECT_GT(folder->waiting_bytes(), 0);
+  EXPECT_EQ(folder->score().episodes(), 10) << "the score does not wait";
+  add(folder.get(), 6);
+  ASSERT_THAT(folder->FlushLogs(), IsOk());
+  EXPECT_EQ(folder->waiting_bytes(), 0);
+  EXPECT_EQ(read(), wanted);
+  EXPECT_THAT(folder->WriteCheckpoint(SampleCheckpoint(6)), IsOk());
+}
+
+TEST_F(RunFolderTest, AFullDiskLeavesNoCheckpoint) {
+  const auto folder = Create();
   {
     const FileSizeLimit limit(100);
-    EXPECT_THAT(folder->AddEpisodes({SampleEpisode(10, 1)}),
-                StatusIs(absl::StatusCode::kResourceExhausted, HasSubstr("stats.jsonl")));
     EXPECT_THAT(folder->WriteCheckpoint(SampleCheckpoint(1)),
                 StatusIs(absl::StatusCode::kResourceExhausted, HasSubstr("state.pb")));
   }
-  EXPECT_EQ(folder->score().episodes(), 0);
-  EXPECT_THAT(folder->AddEpisodes({SampleEpisode(10, 1)}), IsOk());
+  EXPECT_THAT(folder->checkpoints().ListNewestFirst().value(), testing::IsEmpty());
   EXPECT_THAT(folder->WriteCheckpoint(SampleCheckpoint(1)), IsOk());
 }
 
 TEST_F(RunFolderTest, EvaluationsHaveLogsAndScoresOfTheirOwnThatResumeCutsBack) {
   {
     const auto folder = Create();
-    ASSERT_THAT(folder->AddEvaluation(false, {SampleEpisode(1, 1)}, {SampleEpisode(2, 2), SampleEpisode(3, 3)}),
-                IsOk());
+    folder->AddEvaluation(false, {SampleEpisode(1, 1)}, {SampleEpisode(2, 2), SampleEpisode(3, 3)});
     ASSERT_THAT(folder->WriteCheckpoint(SampleCheckpoint(1)), IsOk());
-    ASSERT_THAT(folder->AddEvaluation(false, {SampleEpisode(4, 4)}, {SampleEpisode(5, 5)}), IsOk());
-    ASSERT_THAT(folder->AddEvaluation(true, {SampleEpisode(6, 6)}, {SampleEpisode(7, 7)}), IsOk());
+    folder->AddEvaluation(false, {SampleEpisode(4, 4)}, {SampleEpisode(5, 5)});
+    folder->AddEvaluation(true, {SampleEpisode(6, 6)}, {SampleEpisode(7, 7)});
+    ASSERT_THAT(folder->FlushLogs(), IsOk());
     EXPECT_EQ(folder->score(EpisodeKind::kFinalSampled).MeanReward(), 7);
     EXPECT_EQ(folder->score().episodes(), 0);
   }
@@ -233,18 +281,6 @@ TEST_F(RunFolderTest, EvaluationsHaveLogsAndScoresOfTheirOwnThatResumeCutsBack) 
   EXPECT_EQ(run->folder->score(EpisodeKind::kFinalArgmax).episodes(), 0);
   EXPECT_EQ(ReadFile(logdir_ + "/eval_argmax.jsonl").value(), FormatStatsLine(SampleEpisode(1, 1)));
   EXPECT_EQ(ReadFile(logdir_ + "/final_sampled.jsonl").value(), "");
-}
-
-TEST_F(RunFolderTest, AnEvaluationIsLoggedWholeOrNotAtAll) {
-  const auto folder = Create();
-  const std::string line = FormatStatsLine(SampleEpisode(1, 1));
-  {
-    const FileSizeLimit limit(static_cast<int64_t>(line.size()));
-    EXPECT_THAT(folder->AddEvaluation(false, {SampleEpisode(1, 1)}, {SampleEpisode(1, 1), SampleEpisode(1, 1)}),
-                StatusIs(absl::StatusCode::kResourceExhausted, HasSubstr("eval_sampled.jsonl")));
-  }
-  EXPECT_EQ(ReadFile(logdir_ + "/eval_argmax.jsonl").value(), "");
-  EXPECT_EQ(folder->score(EpisodeKind::kArgmax).episodes(), 0);
 }
 
 }  // namespace

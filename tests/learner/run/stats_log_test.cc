@@ -79,9 +79,11 @@ TEST(StatsLine, RoundedRewardIsTheNumberThatIsPrinted) {
 TEST(StatsLog, ReadsBackWhatWasAppended) {
   const TempFolder folder;
   StatsLog log(AppendFile::Open(folder / "stats.jsonl").value());
-  ASSERT_THAT(log.Append({SampleEpisode(100, 2.06), SampleEpisode(10000, -0.9)}), IsOk());
-  ASSERT_THAT(log.Append({}), IsOk());
-  ASSERT_THAT(log.Append({SampleEpisode(7, 0)}), IsOk());
+  log.Append({SampleEpisode(100, 2.06), SampleEpisode(10000, -0.9)});
+  log.Append({});
+  ASSERT_THAT(log.file().Flush(), IsOk());
+  log.Append({SampleEpisode(7, 0)});
+  ASSERT_THAT(log.file().Flush(), IsOk());
   const std::vector<Episode> episodes = ReadStats(folder / "stats.jsonl").value();
   ASSERT_EQ(episodes.size(), 3U);
   EXPECT_EQ(episodes[0].length, 100);
@@ -97,33 +99,53 @@ TEST(StatsLog, CanBeCutBackAndGoneOnWith) {
   const std::string path = folder / "stats.jsonl";
   {
     StatsLog log(AppendFile::Open(path).value());
-    ASSERT_THAT(log.Append({SampleEpisode(1, 0)}), IsOk());
-    ASSERT_THAT(log.Append({SampleEpisode(2, 0)}), IsOk());
+    log.Append({SampleEpisode(1, 0), SampleEpisode(2, 0)});
+    ASSERT_THAT(log.file().Flush(), IsOk());
   }
   const int64_t first_line = FormatStatsLine(SampleEpisode(1, 0)).size();
   StatsLog log(AppendFile::Open(path).value());
   EXPECT_EQ(log.file().length(), 2 * first_line);
   ASSERT_THAT(log.file().TruncateTo(first_line), IsOk());
-  ASSERT_THAT(log.Append({SampleEpisode(3, 0)}), IsOk());
+  log.Append({SampleEpisode(3, 0)});
+  ASSERT_THAT(log.file().Flush(), IsOk());
   EXPECT_EQ(log.file().length(), 2 * first_line);
   EXPECT_EQ(ReadFile(path).value(), FormatStatsLine(SampleEpisode(1, 0)) + FormatStatsLine(SampleEpisode(3, 0)));
   EXPECT_THAT(log.file().TruncateTo(100'000),
               StatusIs(absl::StatusCode::kDataLoss, HasSubstr("the checkpoint saw 100000")));
 }
 
-TEST(StatsLog, AFullDiskIsAnErrorAndLeavesNoHalfLine) {
+TEST(StatsLog, AFullDiskIsAnErrorAndLeavesNoHalfLineAndNothingIsLost) {
   const TempFolder folder;
   const std::string path = folder / "stats.jsonl";
   StatsLog log(AppendFile::Open(path).value());
-  ASSERT_THAT(log.Append({SampleEpisode(1, 0)}), IsOk());
+  log.Append({SampleEpisode(1, 0)});
+  ASSERT_THAT(log.file().Flush(), IsOk());
   const std::string before = ReadFile(path).value();
   {
     const FileSizeLimit limit(before.size() + 100);
-    EXPECT_THAT(log.Append({SampleEpisode(2, 0)}), StatusIs(absl::StatusCode::kResourceExhausted, HasSubstr(path)));
+    log.Append({SampleEpisode(2, 0)});
+    EXPECT_THAT(log.file().Flush(), StatusIs(absl::StatusCode::kResourceExhausted, HasSubstr(path)));
     EXPECT_EQ(ReadFile(path).value(), before);
+    EXPECT_EQ(log.file().length(), static_cast<int64_t>(before.size()));
   }
-  ASSERT_THAT(log.Append({SampleEpisode(3, 0)}), IsOk());
-  EXPECT_EQ(ReadStats(path).value().back().length, 3);
+  log.Append({SampleEpisode(3, 0)});
+  ASSERT_THAT(log.file().Flush(), IsOk());
+  EXPECT_EQ(ReadFile(path).value(),
+            before + FormatStatsLine(SampleEpisode(2, 0)) + FormatStatsLine(SampleEpisode(3, 0)));
+}
+
+// More than is read at once, so that lines are cut by the pieces' ends.
+TEST(ReadStats, ReadsLogsOfAnyLength) {
+  const TempFolder folder;
+  StatsLog log(AppendFile::Open(folder / "stats.jsonl").value());
+  constexpr int64_t kEpisodes = 1000;
+  for (int64_t i = 1; i <= kEpisodes; ++i) log.Append({SampleEpisode(i, 0)});
+  ASSERT_THAT(log.file().Flush(), IsOk());
+  int64_t next = 1;
+  ASSERT_THAT(
+      VisitStats(folder / "stats.jsonl", [&next](const Episode& episode) { EXPECT_EQ(episode.length, next++); }),
+      IsOk());
+  EXPECT_EQ(next, kEpisodes + 1);
 }
 
 absl::Status ReadStatsText(const std::string& text) {
