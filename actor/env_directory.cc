@@ -55,13 +55,14 @@ EnvDirectory::EnvDirectory(std::vector<wire::Endpoint> servers) {
   }
 }
 
-absl::StatusOr<std::shared_ptr<EnvDirectory>> EnvDirectory::Parse(absl::string_view flag, absl::string_view list) {
+absl::StatusOr<std::shared_ptr<EnvDirectory>> EnvDirectory::Parse(absl::string_view flag, absl::string_view list,
+                                                                  const wire::ChannelSecurity& security) {
   const std::vector<std::string> entries = absl::StrSplit(list, ',', absl::SkipWhitespace());
   if (entries.empty()) {
     return absl::InvalidArgumentError(
         absl::StrCat("--", flag, " is empty, want HOST:PORT, dns:HOST:PORT or learner, more of them after commas"));
   }
-  std::shared_ptr<EnvDirectory> directory(new EnvDirectory);
+  std::shared_ptr<EnvDirectory> directory(new EnvDirectory(security));
   std::vector<std::string> listed;
   for (const std::string& entry : entries) {
     absl::string_view address = entry;
@@ -132,9 +133,12 @@ void EnvDirectory::Replace(const std::string& source, std::vector<std::string> a
   addresses_[source] = std::move(addresses);
   std::map<std::string, wire::Endpoint> servers;
   for (const auto& [name, list] : addresses_) {
+    absl::string_view host = name;
+    const bool is_dns = absl::ConsumePrefix(&host, kDnsPrefix);
+    const wire::ChannelSecurity security = is_dns ? security_.ForServer(host.substr(0, host.rfind(':'))) : security_;
     for (const std::string& address : list) {
       const auto known = servers_.find(address);
-      servers[address] = known != servers_.end() ? known->second : wire::Connect(address);
+      servers[address] = known != servers_.end() ? known->second : wire::Connect(address, security);
     }
   }
   servers_ = std::move(servers);

@@ -30,7 +30,9 @@ class EnvDirectory {
   //   dns:HOST:PORT          one at each address behind the name, which is looked up again every few seconds
   //   learner                those that registered with the learner
   //   InvalidArgument: an entry is none of these; names it.
-  static absl::StatusOr<std::shared_ptr<EnvDirectory>> Parse(absl::string_view flag, absl::string_view list);
+  // Certificates must carry the name of a dns: entry, where there is TLS.
+  static absl::StatusOr<std::shared_ptr<EnvDirectory>> Parse(absl::string_view flag, absl::string_view list,
+                                                             const wire::ChannelSecurity& security = {});
   ~EnvDirectory();
 
   // Whether the learner's registry is asked for, and what it says.
@@ -47,12 +49,13 @@ class EnvDirectory {
     std::string port;
   };
 
-  EnvDirectory() = default;
+  explicit EnvDirectory(const wire::ChannelSecurity& security) : security_(security) {}
   // Looks names up until the end.
   void KeepLookingUp() ABSL_LOCKS_EXCLUDED(mu_);
   // Makes `addresses` all that `source` has to offer.
   void Replace(const std::string& source, std::vector<std::string> addresses) ABSL_LOCKS_EXCLUDED(mu_);
 
+  const wire::ChannelSecurity security_;
   bool uses_registry_ = false;
   std::vector<Name> names_;
 

@@ -5,7 +5,6 @@
 
 #include "common/status_macros.h"
 #include "common/wire/convert.h"
-#include "common/wire/grpc_status.h"
 
 namespace craftfleet {
 namespace {
@@ -17,14 +16,14 @@ constexpr int kWeightsWaitMs = 1000;
 }  // namespace
 
 LearnerClient::LearnerClient(wire::Endpoint learner)
-    : name_(absl::StrCat("learner ", learner.address)),
-      channel_(std::move(learner.channel)),
-      stub_(v1::LearnerService::NewStub(channel_)) {}
+    : learner_(std::move(learner)),
+      name_(absl::StrCat("learner ", learner_.address)),
+      stub_(v1::LearnerService::NewStub(learner_.channel)) {}
 
 absl::Status LearnerClient::FromCall(const grpc::Status& status) const {
   // None of these calls is cancelled by us, so the learner did it, which stops.
   if (status.error_code() == grpc::StatusCode::CANCELLED) return absl::UnavailableError(name_ + ": it is stopping");
-  return wire::FromGrpc(status, name_);
+  return wire::FromCall(status, name_, learner_);
 }
 
 absl::StatusOr<v1::JoinReply> LearnerClient::Join(const v1::JoinRequest& request) const {

@@ -52,8 +52,8 @@ class LearnerClient {
 
   absl::StatusOr<std::pair<int64_t, std::string>> ReceiveWeights(const v1::WeightsRequest& request) const;
 
+  const wire::Endpoint learner_;
   const std::string name_;  // "learner ADDRESS"
-  const std::shared_ptr<grpc::Channel> channel_;
   const std::unique_ptr<v1::LearnerService::Stub> stub_;
 };
 

@@ -8,7 +8,8 @@
 #include "common/log.h"
 #include "common/program.h"
 #include "common/status_macros.h"
-#include "common/wire/server.h"
+#include "common/wire/channel_flags.h"
+#include "common/wire/server_flags.h"
 #include "common/wire/status_service.h"
 
 ABSL_FLAG(std::string, learner, "127.0.0.1:50051", "address of the learner, HOST:PORT");
@@ -18,7 +19,6 @@ ABSL_FLAG(std::string, envservers, "127.0.0.1:50061",
 ABSL_FLAG(int32_t, threads, 0, "threads that play; 0: as many as the CPU quota allows");
 ABSL_FLAG(int32_t, max_lanes, 4096, "games to play side by side at most; the learner gives each actor its share");
 ABSL_FLAG(std::string, listen, "127.0.0.1:0", "address to serve status on, HOST:PORT; port 0: any free one");
-ABSL_FLAG(bool, insecure, false, "allow --listen beyond this host, without TLS");
 
 namespace craftfleet {
 namespace {
@@ -35,15 +35,17 @@ absl::Status Run() {
   Actor::Options options;
   const std::string learner = absl::GetFlag(FLAGS_learner);
   CRAFTFLEET_RETURN_IF_ERROR(wire::CheckAddress("learner", learner));
-  options.learner = wire::Connect(learner);
-  CRAFTFLEET_ASSIGN_OR_RETURN(options.env_servers, EnvDirectory::Parse("envservers", absl::GetFlag(FLAGS_envservers)));
+  CRAFTFLEET_ASSIGN_OR_RETURN(const wire::ChannelSecurity security, wire::ChannelSecurityFromFlags());
+  options.learner = wire::Connect(learner, security);
+  CRAFTFLEET_ASSIGN_OR_RETURN(options.env_servers,
+                              EnvDirectory::Parse("envservers", absl::GetFlag(FLAGS_envservers), security));
   options.threads = absl::GetFlag(FLAGS_threads) == 0 ? DefaultThreads() : absl::GetFlag(FLAGS_threads);
   options.capacity = absl::GetFlag(FLAGS_max_lanes);
   CRAFTFLEET_ASSIGN_OR_RETURN(const std::unique_ptr<Actor> actor, Actor::Create(options));
   wire::StatusServiceImpl status("actor", [&actor](v1::StatusReply* reply) { actor->FillStatus(reply); });
   CRAFTFLEET_ASSIGN_OR_RETURN(
       const std::unique_ptr<wire::Server> server,
-      wire::Server::Create({absl::GetFlag(FLAGS_listen), absl::GetFlag(FLAGS_insecure)}, {&status}));
+      wire::Server::Create(wire::ServerOptionsFromFlags(absl::GetFlag(FLAGS_listen)), {&status}));
   StopSignal signal([&actor] { actor->Stop(); });
   if (const std::string warning = SlowMathWarning(); !warning.empty()) LogWarning("%s", warning);
   LogInfo("status on %s", server->address());

@@ -23,7 +23,8 @@ done
 packages=(
   g++ cmake ninja-build git pkg-config
   protobuf-compiler protobuf-compiler-grpc libprotobuf-dev libgrpc++-dev libssl-dev
-  libabsl-dev nlohmann-json3-dev zlib1g-dev
+  libabsl-dev nlohmann-json3-dev zlib1g-dev libzip-dev
+  openssl  # deploy/make-certs.sh
   libtorch-dev
   libopenblas0-pthread  # with the reference BLAS, training is several times slower
   libopencv-dev

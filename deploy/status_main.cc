@@ -9,7 +9,7 @@
 #include "common/program.h"
 #include "common/status_macros.h"
 #include "common/wire/channel.h"
-#include "common/wire/grpc_status.h"
+#include "common/wire/channel_flags.h"
 #include "craftfleet/v1/status.grpc.pb.h"
 
 ABSL_FLAG(std::string, address, "127.0.0.1:50051", "address of a learner, actor or environment server, HOST:PORT");
@@ -43,14 +43,15 @@ void Print(const v1::StatusReply& reply) {
 absl::Status Run() {
   const std::string address = absl::GetFlag(FLAGS_address);
   CRAFTFLEET_RETURN_IF_ERROR(wire::CheckAddress("address", address));
-  const wire::Endpoint endpoint = wire::Connect(address);
+  CRAFTFLEET_ASSIGN_OR_RETURN(const wire::ChannelSecurity security, wire::ChannelSecurityFromFlags());
+  const wire::Endpoint endpoint = wire::Connect(address, security);
   CRAFTFLEET_RETURN_IF_ERROR(wire::WaitUntilConnected("process", endpoint, absl::Seconds(3)));
   grpc::ClientContext context;
   wire::SetDeadline(&context, absl::Seconds(2));
   v1::StatusReply reply;
   const grpc::Status status =
       v1::StatusService::NewStub(endpoint.channel)->GetStatus(&context, v1::StatusRequest(), &reply);
-  if (!status.ok()) return wire::FromGrpc(status, address);
+  if (!status.ok()) return wire::FromCall(status, address, endpoint);
   if (!absl::GetFlag(FLAGS_json)) {
     Print(reply);
     return absl::OkStatus();

@@ -6,7 +6,6 @@
 
 #include "common/backoff.h"
 #include "common/log.h"
-#include "common/wire/grpc_status.h"
 #include "common/wire/protocol.h"
 #include "common/worker_name.h"
 
@@ -18,8 +17,11 @@ constexpr absl::Duration kTimeout = absl::Seconds(2);
 
 }  // namespace
 
-Announcer::Announcer(wire::Endpoint learner, const std::string& address, const std::string& texture_digest)
-    : learner_(std::move(learner)), stub_(v1::LearnerService::NewStub(learner_.channel)) {
+Announcer::Announcer(wire::Endpoint learner, const std::string& address, const std::string& texture_digest,
+                     std::function<v1::ProcessSummary()> summarize)
+    : learner_(std::move(learner)),
+      stub_(v1::LearnerService::NewStub(learner_.channel)),
+      summarize_(std::move(summarize)) {
   announcement_.set_protocol_version(wire::kProtocolVersion);
   announcement_.set_name(UniqueWorkerName());
   announcement_.set_address(address);
@@ -62,10 +64,12 @@ void Announcer::Run() {
 
 absl::Status Announcer::Announce(bool leaving) {
   announcement_.set_leaving(leaving);
+  *announcement_.mutable_summary() = summarize_();
   grpc::ClientContext context;
   wire::SetDeadline(&context, kTimeout);
   v1::AnnounceReply reply;
-  return wire::FromGrpc(stub_->Announce(&context, announcement_, &reply), absl::StrCat("learner ", learner_.address));
+  return wire::FromCall(stub_->Announce(&context, announcement_, &reply), absl::StrCat("learner ", learner_.address),
+                        learner_);
 }
 
 }  // namespace craftfleet

@@ -7,8 +7,8 @@
 #include "common/program.h"
 #include "common/status_macros.h"
 #include "common/texture_digest.h"
-#include "common/wire/channel.h"
-#include "common/wire/server.h"
+#include "common/wire/channel_flags.h"
+#include "common/wire/server_flags.h"
 #include "common/wire/status_service.h"
 #include "envserver/announcer.h"
 #include "envserver/env_service.h"
@@ -18,7 +18,6 @@ ABSL_FLAG(std::string, listen, "127.0.0.1:50061",
 ABSL_FLAG(std::string, learner, "",
           "address of a learner to register with, so that actors with --envservers=learner find this server");
 ABSL_FLAG(std::string, advertise, "", "with --learner: the address that actors are told, HOST:PORT [--listen]");
-ABSL_FLAG(bool, insecure, false, "allow --listen beyond this host, without TLS");
 ABSL_FLAG(std::string, textures, "",
           "folder with Crafter's textures as PNG; must be the same as the learner's\n"
           "[the ones that come with this program]");
@@ -49,16 +48,18 @@ absl::StatusOr<std::unique_ptr<Announcer>> AnnounceIfAsked(const std::string& li
   const std::string address = advertise.empty() ? listens_on : advertise;
   CRAFTFLEET_RETURN_IF_ERROR(wire::CheckAddress("advertise", address));
   CRAFTFLEET_ASSIGN_OR_RETURN(const std::string digest, TextureDigest(textures));
-  return std::make_unique<Announcer>(wire::Connect(learner), address, digest);
+  CRAFTFLEET_ASSIGN_OR_RETURN(const wire::ChannelSecurity security, wire::ChannelSecurityFromFlags());
+  return std::make_unique<Announcer>(wire::Connect(learner, security), address, digest,
+                                     [&service] { return service.Summary(); });
 }
 
 absl::Status Run() {
   CRAFTFLEET_ASSIGN_OR_RETURN(const std::string textures, TextureDir(absl::GetFlag(FLAGS_textures)));
   CRAFTFLEET_ASSIGN_OR_RETURN(const std::unique_ptr<EnvServiceImpl> service, EnvServiceImpl::Create(textures));
   wire::StatusServiceImpl status("envserver", [&service](v1::StatusReply* reply) { service->FillStatus(reply); });
-  const wire::Server::Options options = {absl::GetFlag(FLAGS_listen), absl::GetFlag(FLAGS_insecure)};
-  CRAFTFLEET_ASSIGN_OR_RETURN(const std::unique_ptr<wire::Server> server,
-                              wire::Server::Create(options, {service.get(), &status}));
+  CRAFTFLEET_ASSIGN_OR_RETURN(
+      const std::unique_ptr<wire::Server> server,
+      wire::Server::Create(wire::ServerOptionsFromFlags(absl::GetFlag(FLAGS_listen)), {service.get(), &status}));
   LogInfo("listening on %s", server->address());
   CRAFTFLEET_ASSIGN_OR_RETURN(const std::unique_ptr<Announcer> announcer, AnnounceIfAsked(server->address(), textures));
   StopSignal signal([&] {

@@ -15,6 +15,7 @@
 #include "common/files.h"
 #include "common/paths.h"
 #include "common/status_macros.h"
+#include "common/wire/server_flags.h"
 #include "learner/run/checkpoint_store.h"
 
 ABSL_FLAG(std::optional<std::string>, agent, std::nullopt,
@@ -40,7 +41,6 @@ ABSL_FLAG(std::string, textures, "",
           "folder with Crafter's textures as PNG, such as crafter/assets of the Python package\n"
           "[the ones that come with this program]");
 ABSL_FLAG(int32_t, threads, 0, "threads of this process for its computing; 0: as many as its CPU quota allows");
-ABSL_FLAG(bool, insecure, false, "allow --listen beyond this host, without TLS");
 
 namespace craftfleet {
 namespace {
@@ -95,7 +95,7 @@ absl::StatusOr<Learner::Options> LearnerOptionsFromFlags() {
   if (const auto lanes = absl::GetFlag(FLAGS_lanes)) options.config.set_lanes(*lanes);
   CRAFTFLEET_ASSIGN_OR_RETURN(options.texture_dir, TextureDir(absl::GetFlag(FLAGS_textures)));
   CRAFTFLEET_ASSIGN_OR_RETURN(options.threads, ThreadsFromFlags());
-  options.server.insecure = absl::GetFlag(FLAGS_insecure);
+  options.server = wire::ServerOptionsFromFlags(/*address=*/"");
   options.progress = &std::cout;
   options.progress_in_place = isatty(STDOUT_FILENO) == 1;
   return options;

@@ -10,7 +10,7 @@
 namespace craftfleet {
 
 // What the flags ask for: defaults, or the stored configuration with --resume; over them --config; over that the flags
-// that were given. Progress goes to standard output.
+// that were given. The server has no address yet. Progress goes to standard output.
 //   InvalidArgument names the flag or the file and line.
 absl::StatusOr<Learner::Options> LearnerOptionsFromFlags();
 

@@ -1,6 +1,8 @@
 #include "common/wire/channel.h"
 
+#include <errno.h>
 #include <grpc/grpc.h>
+#include <unistd.h>
 
 #include <chrono>
 #include <mutex>
@@ -8,14 +10,51 @@
 #include <absl/status/status.h>
 #include <absl/strings/match.h>
 #include <absl/strings/numbers.h>
+#include <absl/strings/str_cat.h>
 #include <absl/strings/str_format.h>
+#include <absl/strings/strip.h>
+#include <grpcpp/completion_queue.h>
 #include <grpcpp/create_channel.h>
+#include <grpcpp/generic/generic_stub.h>
 #include <grpcpp/security/credentials.h>
 
 #include "common/status_macros.h"
+#include "common/wire/grpc_status.h"
 #include "common/wire/protocol.h"
 
 namespace craftfleet::wire {
+
+namespace {
+
+// For the logs of others: "craftfleet-actor@host/1234".
+std::string WhoWeAre() {
+  char host[256] = "?";
+  gethostname(host, sizeof(host) - 1);
+  return absl::StrCat(program_invocation_short_name, "@", host, "/", getpid());
+}
+
+// What a channel that failed to connect says about it: a call that does not wait tells at once.
+std::string WhyNot(const Endpoint& endpoint) {
+  constexpr char kNobody[] = "nothing listens there, the host is unknown or it does not answer";
+  grpc::ClientContext context;
+  SetDeadline(&context, absl::Milliseconds(200));
+  grpc::CompletionQueue queue;
+  const grpc::ByteBuffer nothing;
+  grpc::ByteBuffer reply;
+  grpc::Status status;
+  const auto call =
+      grpc::GenericStub(endpoint.channel).PrepareUnaryCall(&context, "/grpc.health.v1.Health/Check", nothing, &queue);
+  call->StartCall();
+  call->Finish(&reply, &status, nullptr);
+  void* tag = nullptr;
+  bool ok = false;
+  queue.Next(&tag, &ok);
+  const absl::Status error = FromGrpc(status, "");
+  const absl::Status explained = endpoint.security.Explain(error, endpoint.address);
+  return explained == error ? kNobody : std::string(explained.message());
+}
+
+}  // namespace
 
 void KeepGrpcUp() {
   static std::once_flag once;
@@ -24,6 +63,7 @@ void KeepGrpcUp() {
 
 grpc::ChannelArguments ClientArguments() {
   grpc::ChannelArguments arguments;
+  arguments.SetUserAgentPrefix(WhoWeAre());
   arguments.SetMaxReceiveMessageSize(kMaxMessageBytes);
   arguments.SetMaxSendMessageSize(kMaxMessageBytes);
   arguments.SetInt(GRPC_ARG_KEEPALIVE_TIME_MS, 5000);
@@ -37,10 +77,12 @@ grpc::ChannelArguments ClientArguments() {
   return arguments;
 }
 
-Endpoint Connect(absl::string_view address) {
+Endpoint Connect(absl::string_view address, const ChannelSecurity& security) {
   KeepGrpcUp();
-  return {std::string(address),
-          grpc::CreateCustomChannel(std::string(address), grpc::InsecureChannelCredentials(), ClientArguments())};
+  grpc::ChannelArguments arguments = ClientArguments();
+  if (!security.server_name().empty()) arguments.SetSslTargetNameOverride(security.server_name());
+  return {std::string(address), grpc::CreateCustomChannel(std::string(address), security.Credentials(), arguments),
+          security};
 }
 
 absl::Status CheckAddress(absl::string_view flag, absl::string_view address) {
@@ -55,6 +97,12 @@ absl::Status CheckAddress(absl::string_view flag, absl::string_view address) {
   return absl::OkStatus();
 }
 
+absl::Status FromCall(const grpc::Status& status, absl::string_view who, const Endpoint& endpoint) {
+  if (status.ok()) return absl::OkStatus();
+  const absl::Status explained = endpoint.security.Explain(FromGrpc(status, ""), endpoint.address);
+  return {explained.code(), absl::StrCat(who, ": ", absl::StripPrefix(explained.message(), ": "))};
+}
+
 absl::Status WaitUntilConnected(absl::string_view who, const Endpoint& endpoint, absl::Duration timeout) {
   if (endpoint.address == kInProcess) return absl::OkStatus();  // always connected; has no state to ask for
   const auto deadline = std::chrono::system_clock::now() + absl::ToChronoMilliseconds(timeout);
@@ -63,8 +111,7 @@ absl::Status WaitUntilConnected(absl::string_view who, const Endpoint& endpoint,
     if (state == GRPC_CHANNEL_READY) return absl::OkStatus();
     if (state == GRPC_CHANNEL_TRANSIENT_FAILURE) {
       return absl::UnavailableError(
-          absl::StrFormat("%s %s: cannot connect: nothing listens there, the host is unknown or it does not answer",
-                          who, endpoint.address));
+          absl::StrFormat("%s %s: cannot connect: %s", who, endpoint.address, WhyNot(endpoint)));
     }
     if (!endpoint.channel->WaitForStateChange(state, deadline)) {
       return absl::UnavailableError(

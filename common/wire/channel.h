@@ -13,15 +13,19 @@
 #include <grpcpp/channel.h>
 #include <grpcpp/client_context.h>
 #include <grpcpp/support/channel_arguments.h>
+#include <grpcpp/support/status.h>
+
+#include "common/wire/security.h"
 
 namespace craftfleet::wire {
 
 inline constexpr char kInProcess[] = "in-process";
 
-// A peer's address for messages (kInProcess where there is none) and the channel to it.
+// A peer's address for messages (kInProcess where there is none), the channel to it and what that shows and wants.
 struct Endpoint {
   std::string address;
   std::shared_ptr<grpc::Channel> channel;
+  ChannelSecurity security = {};
 };
 
 // Keeps gRPC from shutting down with its last channel or server: in 1.51 that waits up to 10 s for a poller every now
@@ -32,12 +36,17 @@ void KeepGrpcUp();
 grpc::ChannelArguments ClientArguments();
 
 // Channel to HOST:PORT or unix:PATH. Connects lazily; never fails.
-Endpoint Connect(absl::string_view address);
+Endpoint Connect(absl::string_view address, const ChannelSecurity& security = {});
 
 // InvalidArgument, naming the flag, unless `address` looks like HOST:PORT (port 0..65535) or unix:PATH.
 absl::Status CheckAddress(absl::string_view flag, absl::string_view address);
 
-// Connects now. Unavailable, naming `who` and the address: refused, or no answer within `timeout`.
+// The error of a call to `endpoint`: "<who>: ..." with what to check about TLS, tokens and rights where it is about
+// them. Ok if `status` is.
+absl::Status FromCall(const grpc::Status& status, absl::string_view who, const Endpoint& endpoint);
+
+// Connects now. Unavailable, naming `who`, the address and what is wrong: refused, not trusted, or no answer within
+// `timeout`.
 absl::Status WaitUntilConnected(absl::string_view who, const Endpoint& endpoint, absl::Duration timeout);
 
 // Deadline for a unary call.

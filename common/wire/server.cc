@@ -11,14 +11,22 @@
 #include <absl/strings/str_format.h>
 #include <grpcpp/ext/proto_server_reflection_plugin.h>
 #include <grpcpp/health_check_service_interface.h>
+#include <grpcpp/resource_quota.h>
 #include <grpcpp/security/server_credentials.h>
 #include <grpcpp/server_builder.h>
 
 #include "common/status_macros.h"
+#include "common/wire/access.h"
+#include "common/wire/handshake_log.h"
 #include "common/wire/protocol.h"
 
 namespace craftfleet::wire {
 namespace {
+
+constexpr int kMaxStreamsPerConnection = 128;  // calls at once; an actor has less than ten
+constexpr int kHandshakeTimeoutMs = 10'000;    // for TLS and HTTP/2's first words
+constexpr int kMaxIdleMs = 300'000;            // of a connection without a call
+constexpr int kMaxThreads = 4096;              // each call that is served has one; beyond: RESOURCE_EXHAUSTED
 
 bool IsUnixSocket(absl::string_view address) { return absl::StartsWith(address, "unix:"); }
 
@@ -28,6 +36,22 @@ bool IsLoopback(absl::string_view address) {
   in_addr number{};
   const bool in_127 = inet_pton(AF_INET, host.c_str(), &number) == 1 && (ntohl(number.s_addr) >> 24) == 127;
   return in_127 || host == "localhost" || host == "[::1]";
+}
+
+// Limits and keepalive.
+void SetLimits(grpc::ServerBuilder* builder) {
+  builder->AddChannelArgument(GRPC_ARG_KEEPALIVE_TIME_MS, 5000);
+  builder->AddChannelArgument(GRPC_ARG_KEEPALIVE_TIMEOUT_MS, 4000);
+  builder->AddChannelArgument(GRPC_ARG_HTTP2_MIN_RECV_PING_INTERVAL_WITHOUT_DATA_MS, 1000);
+  builder->AddChannelArgument(GRPC_ARG_HTTP2_MAX_PING_STRIKES, 0);
+  builder->AddChannelArgument(GRPC_ARG_MAX_CONCURRENT_STREAMS, kMaxStreamsPerConnection);
+  builder->AddChannelArgument(GRPC_ARG_SERVER_HANDSHAKE_TIMEOUT_MS, kHandshakeTimeoutMs);
+  builder->AddChannelArgument(GRPC_ARG_MAX_CONNECTION_IDLE_MS, kMaxIdleMs);
+  builder->SetMaxReceiveMessageSize(kMaxMessageBytes);
+  builder->SetMaxSendMessageSize(kMaxMessageBytes);
+  grpc::ResourceQuota quota("craftfleet");
+  quota.SetMaxThreads(kMaxThreads);
+  builder->SetResourceQuota(quota);
 }
 
 // Health and reflection hook into every builder made after this.
@@ -42,12 +66,24 @@ void InstallPlugins() {
 }  // namespace
 
 absl::Status Server::Options::Validate() const {
+  CRAFTFLEET_RETURN_IF_ERROR(files.Validate());
+  const bool tls = !files.certificate.empty();
+  if (!access_file.empty() && !tls) {
+    return absl::InvalidArgumentError(
+        "--access_file wants --tls_cert and --tls_key beside it: without TLS nobody can show who he is");
+  }
+  if (max_connections_per_client < 1 || max_connections_per_client > 65536) {
+    return absl::InvalidArgumentError(
+        absl::StrFormat("--max_connections_per_client=%d, want 1..65536", max_connections_per_client));
+  }
+  if (!health_address.empty()) CRAFTFLEET_RETURN_IF_ERROR(CheckAddress("health_listen", health_address));
   if (address.empty()) return absl::OkStatus();
   CRAFTFLEET_RETURN_IF_ERROR(CheckAddress("listen", address));
-  if (!insecure && !IsLoopback(address)) {
+  if (!insecure && !tls && !IsLoopback(address)) {
     return absl::InvalidArgumentError(
-        absl::StrFormat("--listen=%s reaches beyond this host, where anyone could connect: listen on 127.0.0.1, or add "
-                        "--insecure if the network is trusted",
+        absl::StrFormat("--listen=%s reaches beyond this host, where anyone could connect: listen on 127.0.0.1, give a "
+                        "certificate (--tls_cert, --tls_key; --tls_ca to want one of clients), or add --insecure if "
+                        "the network is trusted",
                         address));
   }
   return absl::OkStatus();
@@ -58,44 +94,67 @@ absl::StatusOr<std::unique_ptr<Server>> Server::Create(const Options& options,
   CRAFTFLEET_RETURN_IF_ERROR(options.Validate());
   KeepGrpcUp();
   InstallPlugins();
-  grpc::ServerBuilder builder;
-  int port = 0;
-  if (!options.address.empty()) {
-    builder.AddListeningPort(options.address, grpc::InsecureServerCredentials(), &port);
+  std::shared_ptr<grpc::ServerCredentials> credentials = grpc::InsecureServerCredentials();
+  if (!options.files.certificate.empty()) {
+    LogFailedHandshakes();
+    credentials = TlsListenerCredentials(options.files, options.ask_clients && !options.files.authorities.empty());
   }
-  // Without this two servers could share a port and split its clients between them.
-  builder.AddChannelArgument(GRPC_ARG_ALLOW_REUSEPORT, 0);
-  builder.AddChannelArgument(GRPC_ARG_KEEPALIVE_TIME_MS, 5000);
-  builder.AddChannelArgument(GRPC_ARG_KEEPALIVE_TIMEOUT_MS, 4000);
-  builder.AddChannelArgument(GRPC_ARG_HTTP2_MIN_RECV_PING_INTERVAL_WITHOUT_DATA_MS, 1000);
-  builder.AddChannelArgument(GRPC_ARG_HTTP2_MAX_PING_STRIKES, 0);
-  builder.SetMaxReceiveMessageSize(kMaxMessageBytes);
-  builder.SetMaxSendMessageSize(kMaxMessageBytes);
-  for (grpc::Service* service : services) builder.RegisterService(service);
-  std::unique_ptr<grpc::Server> server = builder.BuildAndStart();
-  const bool bound = options.address.empty() || port != 0;
-  if (server == nullptr || !bound) {
-    return absl::UnavailableError(absl::StrFormat(
-        "cannot listen on %s: the port is in use, or the host is not this machine; choose another --listen",
-        options.address));
+  if (!options.access_file.empty()) {
+    CRAFTFLEET_ASSIGN_OR_RETURN(std::shared_ptr<AccessControl> access, AccessControl::Create(options.access_file));
+    credentials->SetAuthMetadataProcessor(MakeAccessProcessor(std::move(access)));
   }
-  std::string address = options.address;
-  // For a socket's path `port` is 1.
-  if (port != 0 && !IsUnixSocket(address))
-    address = absl::StrCat(absl::string_view(address).substr(0, address.rfind(':')), ":", port);
-  return std::unique_ptr<Server>(new Server(std::move(server), std::move(address)));
+  std::unique_ptr<Server> server(new Server);
+  CRAFTFLEET_ASSIGN_OR_RETURN(server->main_, Open(options, options.address, std::move(credentials), services));
+  if (!options.health_address.empty()) {
+    CRAFTFLEET_ASSIGN_OR_RETURN(server->health_,
+                                Open(options, options.health_address, grpc::InsecureServerCredentials(), {}));
+  }
+  return server;
 }
 
-Server::Server(std::unique_ptr<grpc::Server> server, std::string address)
-    : server_(std::move(server)), address_(std::move(address)) {}
+absl::StatusOr<Server::Port> Server::Open(const Options& options, const std::string& address,
+                                          std::shared_ptr<grpc::ServerCredentials> credentials,
+                                          const std::vector<grpc::Service*>& services) {
+  Port opened;
+  opened.address = address;
+  grpc::ServerBuilder builder;
+  int port = 0;
+  if (IsUnixSocket(address)) {
+    builder.AddListeningPort(address, std::move(credentials), &port);
+  } else if (!address.empty()) {
+    CRAFTFLEET_ASSIGN_OR_RETURN(opened.listener, Listener::Create({address, options.max_connections_per_client}));
+    port = opened.listener->port();
+    opened.address = absl::StrCat(absl::string_view(address).substr(0, address.rfind(':')), ":", port);
+    opened.acceptor = builder.experimental().AddExternalConnectionAcceptor(
+        grpc::ServerBuilder::experimental_type::ExternalConnectionType::FROM_FD, std::move(credentials));
+  }
+  SetLimits(&builder);
+  for (grpc::Service* service : services) builder.RegisterService(service);
+  opened.server = builder.BuildAndStart();
+  if (opened.server == nullptr || (!address.empty() && port == 0)) {
+    return absl::UnavailableError(absl::StrFormat("cannot listen on %s: choose another --listen", address));
+  }
+  if (opened.listener != nullptr) {
+    opened.listener->Start([acceptor = opened.acceptor.get()](int descriptor) {
+      grpc::experimental::ExternalConnectionAcceptor::NewConnectionParameters connection;
+      connection.fd = descriptor;
+      acceptor->HandleNewConnection(&connection);
+    });
+  }
+  return opened;
+}
 
 Server::~Server() { Stop(absl::Milliseconds(200)); }
 
-Endpoint Server::InProcess() { return {kInProcess, server_->InProcessChannel(ClientArguments())}; }
+Endpoint Server::InProcess() { return {kInProcess, main_.server->InProcessChannel(ClientArguments())}; }
 
 void Server::Stop(absl::Duration timeout) {
-  server_->Shutdown(std::chrono::system_clock::now() + absl::ToChronoMilliseconds(timeout));
-  server_->Wait();
+  for (Port* port : {&health_, &main_}) {
+    if (port->server == nullptr) continue;
+    if (port->listener != nullptr) port->listener->Stop();
+    port->server->Shutdown(std::chrono::system_clock::now() + absl::ToChronoMilliseconds(timeout));
+    port->server->Wait();
+  }
 }
 
 }  // namespace craftfleet::wire

@@ -14,6 +14,12 @@
 #include <grpcpp/server.h>
 
 #include "common/wire/channel.h"
+#include "common/wire/listener.h"
+#include "common/wire/security.h"
+
+namespace grpc::experimental {
+class ExternalConnectionAcceptor;
+}  // namespace grpc::experimental
 
 namespace craftfleet::wire {
 
@@ -21,32 +27,50 @@ namespace craftfleet::wire {
 class Server {
  public:
   struct Options {
-    std::string address;    // HOST:PORT (port 0: any free one) or unix:PATH; empty: in-process channels only
-    bool insecure = false;  // allow listening beyond loopback without TLS
+    std::string address;              // HOST:PORT (port 0: any free one) or unix:PATH; empty: in-process channels only
+    bool insecure = false;            // allow listening beyond loopback without TLS
+    TlsFiles files = {};              // with a certificate: TLS
+    bool ask_clients = true;          // with authorities too: clients must show a certificate from one of them
+    std::string access_file = {};     // who may do what; empty: who gets in may do all
+    std::string health_address = {};  // HOST:PORT of a plain port with nothing but health on it; empty: none
+    int max_connections_per_client = 1024;  // from one address, 1..65536
     absl::Status Validate() const;
   };
 
-  // InvalidArgument: a bad address, or one beyond loopback without `insecure`.   Unavailable: the port is in use or the
-  // host is not ours.
+  // InvalidArgument: a bad address, one beyond loopback with neither TLS nor `insecure`, or a bad file.   Unavailable:
+  // the port is in use or the host is not ours.
   static absl::StatusOr<std::unique_ptr<Server>> Create(const Options& options,
                                                         const std::vector<grpc::Service*>& services);
   ~Server();
 
   // The address to give to others, with the port in use.
-  const std::string& address() const { return address_; }
+  const std::string& address() const { return main_.address; }
+  // The same of the health port; empty: there is none.
+  const std::string& health_address() const { return health_.address; }
   // A channel without a socket.
   Endpoint InProcess();
 
   // Blocks until Stop was called.
-  void Wait() { server_->Wait(); }
+  void Wait() { main_.server->Wait(); }
   // Refuses new calls, gives running ones until `timeout`, then cancels them. Idempotent.
   void Stop(absl::Duration timeout);
 
  private:
-  Server(std::unique_ptr<grpc::Server> server, std::string address);
+  // A gRPC server and the listener that feeds it; none for unix: and in-process.
+  struct Port {
+    std::unique_ptr<grpc::experimental::ExternalConnectionAcceptor> acceptor;
+    std::unique_ptr<grpc::Server> server;
+    std::unique_ptr<Listener> listener;
+    std::string address;
+  };
 
-  const std::unique_ptr<grpc::Server> server_;
-  const std::string address_;
+  Server() = default;
+  static absl::StatusOr<Port> Open(const Options& options, const std::string& address,
+                                   std::shared_ptr<grpc::ServerCredentials> credentials,
+                                   const std::vector<grpc::Service*>& services);
+
+  Port main_;
+  Port health_;
 };
 
 }  // namespace craftfleet::wire

@@ -1,0 +1,203 @@
+#include "common/wire/access.h"
+
+#include <fnmatch.h>
+#include <grpc/grpc_security_constants.h>
+
+#include <algorithm>
+#include <optional>
+#include <utility>
+
+#include <absl/strings/ascii.h>
+#include <absl/strings/escaping.h>
+#include <absl/strings/match.h>
+#include <absl/strings/str_cat.h>
+#include <absl/strings/str_format.h>
+#include <absl/strings/str_join.h>
+#include <absl/strings/strip.h>
+#include <grpcpp/security/auth_context.h>
+#include <grpcpp/security/auth_metadata_processor.h>
+
+#include "common/log.h"
+#include "common/status_macros.h"
+#include "common/text_format.h"
+#include "common/wire/certificates.h"
+#include "common/wire/grpc_status.h"
+
+namespace craftfleet::wire {
+namespace {
+
+constexpr absl::string_view kBearer = "Bearer ";
+constexpr size_t kMaxLogged = 120;  // bytes of what a stranger says
+
+struct ServiceRight {
+  absl::string_view prefix;
+  v1::Right right;
+};
+constexpr ServiceRight kRights[] = {
+    {"/grpc.health.v1.Health/", v1::RIGHT_UNSPECIFIED}, {"/grpc.reflection.", v1::WATCH},
+    {"/craftfleet.v1.StatusService/", v1::WATCH},       {"/craftfleet.v1.LearnerService/", v1::WORK},
+    {"/craftfleet.v1.EnvironmentService/", v1::WORK},   {"/craftfleet.v1.AdminService/", v1::STEER},
+};
+
+bool FitsCertificate(const v1::AccessClient& client, const Caller& caller) {
+  return client.certificate().empty() ||
+         std::any_of(caller.certificate_names.begin(), caller.certificate_names.end(), [&](const std::string& name) {
+           return fnmatch(client.certificate().c_str(), name.c_str(), 0) == 0;
+         });
+}
+
+bool FitsToken(const v1::AccessClient& client, const Caller& caller) {
+  return client.token_sha256().empty() ||
+         (caller.token.has_value() && Sha256Hex(*caller.token) == client.token_sha256());
+}
+
+std::string Printable(absl::string_view text) { return absl::CHexEscape(text.substr(0, kMaxLogged)); }
+
+// "craftfleet-actor/host/12 (certificate actor-1, no token)".
+std::string Describe(const Caller& caller) {
+  return absl::StrCat(Printable(caller.program), " (",
+                      caller.certificate_names.empty()
+                          ? "no certificate"
+                          : absl::StrCat("certificate ", Printable(absl::StrJoin(caller.certificate_names, ", "))),
+                      caller.token.has_value() ? ", a token)" : ", no token)");
+}
+
+absl::Status CheckClient(const v1::AccessClient& client) {
+  if (client.name().empty()) return absl::InvalidArgumentError("a client has no name, which the log would give");
+  if (client.certificate().empty() && client.token_sha256().empty()) {
+    return absl::InvalidArgumentError(absl::StrFormat(
+        "client \"%s\" has neither certificate nor token_sha256; certificate: \"*\" stands for all certificates",
+        client.name()));
+  }
+  const std::string& digest = client.token_sha256();
+  const bool hexadecimal = std::all_of(digest.begin(), digest.end(), [](char c) { return absl::ascii_isxdigit(c); });
+  if (!digest.empty() && (digest.size() != 64 || !hexadecimal)) {
+    return absl::InvalidArgumentError(
+        absl::StrFormat("client \"%s\": token_sha256 has %d characters, want 64 hexadecimal digits: printf %%s "
+                        "\"$TOKEN\" | sha256sum",
+                        client.name(), digest.size()));
+  }
+  if (client.right().empty()) {
+    return absl::InvalidArgumentError(
+        absl::StrFormat("client \"%s\" has no right, want WATCH, WORK or STEER", client.name()));
+  }
+  return absl::OkStatus();
+}
+
+class AccessProcessor : public grpc::AuthMetadataProcessor {
+ public:
+  explicit AccessProcessor(std::shared_ptr<AccessControl> access) : access_(std::move(access)) {}
+
+  bool IsBlocking() const override { return false; }
+
+  grpc::Status Process(const InputMetadata& metadata, grpc::AuthContext* context, OutputMetadata* consumed,
+                       OutputMetadata* /*response*/) override {
+    Caller caller;
+    for (const char* property : {GRPC_X509_CN_PROPERTY_NAME, GRPC_X509_SAN_PROPERTY_NAME}) {
+      for (const grpc::string_ref& name : context->FindPropertyValues(property)) {
+        caller.certificate_names.emplace_back(name.data(), name.size());
+      }
+    }
+    absl::string_view path;
+    for (const auto& [key, value] : metadata) {
+      absl::string_view text(value.data(), value.size());
+      if (key == ":path") path = text;
+      if (key == "user-agent") caller.program = std::string(text);
+      if (key != "authorization") continue;
+      consumed->insert({std::string(key.data(), key.size()), std::string(text)});
+      if (absl::ConsumePrefix(&text, kBearer)) caller.token = std::string(text);
+    }
+    return ToGrpc(access_->Check(caller, path));
+  }
+
+ private:
+  const std::shared_ptr<AccessControl> access_;
+};
+
+}  // namespace
+
+v1::Right RightFor(absl::string_view path) {
+  for (const ServiceRight& entry : kRights) {
+    if (absl::StartsWith(path, entry.prefix)) return entry.right;
+  }
+  return v1::STEER;
+}
+
+absl::StatusOr<v1::Access> ParseAccess(absl::string_view text, absl::string_view filename) {
+  v1::Access access;
+  CRAFTFLEET_RETURN_IF_ERROR(ParseTextFormat(text, filename, &access));
+  for (v1::AccessClient& client : *access.mutable_client()) {
+    if (absl::Status status = CheckClient(client); !status.ok()) {
+      return absl::InvalidArgumentError(absl::StrCat(filename, ": ", status.message()));
+    }
+    absl::AsciiStrToLower(client.mutable_token_sha256());
+  }
+  return access;
+}
+
+absl::Status CheckAccess(const v1::Access& access, const Caller& caller, absl::string_view path) {
+  const v1::Right needed = RightFor(path);
+  if (needed == v1::RIGHT_UNSPECIFIED) return absl::OkStatus();
+  std::vector<std::string> known;
+  bool token_known = false;
+  for (const v1::AccessClient& client : access.client()) {
+    if (!FitsCertificate(client, caller) || !FitsToken(client, caller)) continue;
+    known.push_back(client.name());
+    token_known |= !client.token_sha256().empty();
+    if (std::find(client.right().begin(), client.right().end(), needed) != client.right().end()) {
+      return absl::OkStatus();
+    }
+  }
+  const std::string right = absl::AsciiStrToLower(v1::Right_Name(needed));
+  if (caller.token.has_value() && !token_known) {
+    return absl::UnauthenticatedError(
+        absl::StrFormat("%s: its token is not in the access file, or not with this certificate", Describe(caller)));
+  }
+  if (!known.empty()) {
+    return absl::PermissionDeniedError(absl::StrFormat("%s: it is \"%s\" in the access file, without the right to %s",
+                                                       Describe(caller), absl::StrJoin(known, "\", \""), right));
+  }
+  if (caller.certificate_names.empty()) {
+    return absl::UnauthenticatedError(absl::StrFormat("%s: it shows no token", Describe(caller)));
+  }
+  return absl::PermissionDeniedError(
+      absl::StrFormat("%s: the access file has no client with this certificate and no token", Describe(caller)));
+}
+
+absl::StatusOr<std::shared_ptr<AccessControl>> AccessControl::Create(const std::string& path) {
+  std::shared_ptr<AccessControl> control(new AccessControl(path));
+  const MutexLock lock(&control->mu_);
+  const std::optional<std::string> text = control->file_.ReadIfChanged();
+  if (!text.has_value()) return absl::NotFoundError(absl::StrFormat("--access_file=%s can't be read", path));
+  CRAFTFLEET_RETURN_IF_ERROR(control->Load(*text));
+  return control;
+}
+
+absl::Status AccessControl::Load(absl::string_view text) {
+  CRAFTFLEET_ASSIGN_OR_RETURN(access_, ParseAccess(text, file_.path()));
+  return absl::OkStatus();
+}
+
+absl::Status AccessControl::Check(const Caller& caller, absl::string_view path) {
+  absl::Status status;
+  {
+    const MutexLock lock(&mu_);
+    if (const std::optional<std::string> text = file_.ReadIfChanged()) {
+      if (absl::Status loaded = Load(*text); loaded.ok()) {
+        LogInfo("--access_file=%s was read again: %d clients", file_.path(), access_.client_size());
+      } else {
+        LogError("%s; the former access file stays in force", loaded.message());
+      }
+    }
+    status = CheckAccess(access_, caller, path);
+  }
+  if (status.ok()) return status;
+  log_.Warn(status.message(), absl::StrFormat("refused %s: %s", Printable(path), status.message()));
+  return absl::Status(status.code(), "not allowed; the log of the process that was called says why");
+}
+
+std::shared_ptr<grpc::AuthMetadataProcessor> MakeAccessProcessor(std::shared_ptr<AccessControl> access) {
+  return std::make_shared<AccessProcessor>(std::move(access));
+}
+
+}  // namespace craftfleet::wire

@@ -1,0 +1,31 @@
+// What can be said about certificate files before anybody connects.
+
+#ifndef CRAFTFLEET_COMMON_WIRE_CERTIFICATES_H_
+#define CRAFTFLEET_COMMON_WIRE_CERTIFICATES_H_
+
+#include <string>
+
+#include <absl/status/status.h>
+#include <absl/strings/string_view.h>
+#include <absl/time/time.h>
+
+namespace craftfleet::wire {
+
+// Ok if `certificate` is a PEM file with a certificate and `key` one with its private key. Dates are not looked at.
+//   InvalidArgument names the flag and the file.   Others: a file can't be read.
+absl::Status CheckKeyPair(const std::string& certificate, const std::string& key);
+
+// Ok if `authorities` is a PEM file with at least one certificate. Errors as above.
+absl::Status CheckAuthorities(const std::string& authorities);
+
+// Why others may refuse the first certificate of file `certificate` at time `now`: a clause such as "--tls_cert=a.pem
+// expired on 2026-01-31 12:00 UTC", or that it is not from one of `authorities` (not looked at if empty). Empty: no
+// reason is known.
+std::string CertificateTrouble(const std::string& certificate, const std::string& authorities, absl::Time now);
+
+// SHA-256 of `text`, 64 lower-case hexadecimal digits.
+std::string Sha256Hex(absl::string_view text);
+
+}  // namespace craftfleet::wire
+
+#endif  // CRAFTFLEET_COMMON_WIRE_CERTIFICATES_H_

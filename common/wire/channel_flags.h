@@ -1,0 +1,20 @@
+// The flags of every program that connects to another: --tls_cert, --tls_key, --tls_ca, --tls_server_name,
+// --token_file.
+
+#ifndef CRAFTFLEET_COMMON_WIRE_CHANNEL_FLAGS_H_
+#define CRAFTFLEET_COMMON_WIRE_CHANNEL_FLAGS_H_
+
+#include <absl/status/statusor.h>
+
+#include "common/wire/security.h"
+
+namespace craftfleet::wire {
+
+TlsFiles TlsFilesFromFlags();
+
+// What the flags ask for. Errors as ChannelSecurity::Create.
+absl::StatusOr<ChannelSecurity> ChannelSecurityFromFlags();
+
+}  // namespace craftfleet::wire
+
+#endif  // CRAFTFLEET_COMMON_WIRE_CHANNEL_FLAGS_H_

@@ -1,0 +1,224 @@
+#include "common/wire/listener.h"
+
+#include <fcntl.h>
+#include <netdb.h>
+#include <netinet/in.h>
+#include <netinet/tcp.h>
+#include <poll.h>
+#include <sys/epoll.h>
+#include <sys/resource.h>
+#include <sys/socket.h>
+#include <unistd.h>
+
+#include <algorithm>
+#include <cerrno>
+#include <system_error>
+#include <utility>
+
+#include <absl/strings/str_cat.h>
+#include <absl/strings/str_format.h>
+#include <absl/strings/strip.h>
+#include <absl/time/time.h>
+
+#include "common/check.h"
+#include "common/status_macros.h"
+#include "common/wire/handshake_log.h"
+
+namespace craftfleet::wire {
+namespace {
+
+constexpr int kBacklog = 1024;
+constexpr rlim_t kWantedDescriptors = 65536;
+constexpr rlim_t kKeptDescriptors = 128;  // for files, libraries, connections of our own
+constexpr int kUserTimeoutMs = 4000;      // data that a peer does not acknowledge, as the keepalive's timeout
+constexpr int kPauseMs = 100;             // after running out of descriptors
+
+void SetOption(int socket, int level, int option, int value) {
+  setsockopt(socket, level, option, &value, sizeof(value));
+}
+
+// The client's address without its port.
+std::string ClientOf(const sockaddr_storage& address, socklen_t size) {
+  char host[NI_MAXHOST];
+  if (getnameinfo(reinterpret_cast<const sockaddr*>(&address), size, host, sizeof(host), nullptr, 0, NI_NUMERICHOST) !=
+      0) {
+    return "?";
+  }
+  return host;
+}
+
+// How many connections the process can hold, two descriptors each.
+size_t MaxConnections() {
+  rlimit limit = {};
+  getrlimit(RLIMIT_NOFILE, &limit);
+  if (limit.rlim_cur < kWantedDescriptors) {
+    limit.rlim_cur = std::min(kWantedDescriptors, limit.rlim_max);
+    setrlimit(RLIMIT_NOFILE, &limit);
+    getrlimit(RLIMIT_NOFILE, &limit);
+  }
+  return limit.rlim_cur > 2 * kKeptDescriptors ? (limit.rlim_cur - kKeptDescriptors) / 2 : 16;
+}
+
+}  // namespace
+
+absl::StatusOr<std::unique_ptr<Listener>> Listener::Create(const Options& options) {
+  std::unique_ptr<Listener> listener(new Listener(options));
+  CRAFTFLEET_RETURN_IF_ERROR(listener->Bind());
+  listener->max_connections_ = MaxConnections();
+  return listener;
+}
+
+Listener::~Listener() { Stop(); }
+
+absl::Status Listener::Bind() {
+  const absl::string_view address = options_.address;
+  const size_t colon = address.rfind(':');
+  absl::string_view host = address.substr(0, colon);
+  if (absl::ConsumePrefix(&host, "[")) absl::ConsumeSuffix(&host, "]");
+  addrinfo hints = {};
+  hints.ai_family = AF_UNSPEC;
+  hints.ai_socktype = SOCK_STREAM;
+  hints.ai_flags = AI_PASSIVE | AI_NUMERICSERV;
+  addrinfo* found = nullptr;
+  const std::string service(address.substr(colon + 1));
+  if (const int error = getaddrinfo(std::string(host).c_str(), service.c_str(), &hints, &found); error != 0) {
+    return absl::UnavailableError(
+        absl::StrFormat("cannot listen on %s: %s; choose another address", address, gai_strerror(error)));
+  }
+  absl::Status status;
+  for (const addrinfo* entry = found; entry != nullptr; entry = entry->ai_next) status.Update(BindTo(*entry));
+  freeaddrinfo(found);
+  // A name like localhost may have addresses of a family that this machine lacks.
+  return sockets_.empty() ? status : absl::OkStatus();
+}
+
+absl::Status Listener::BindTo(const addrinfo& address) {
+  const auto error = [this](const char* what) {
+    const std::string reason = std::generic_category().message(errno);
+    return absl::UnavailableError(absl::StrFormat(
+        "cannot listen on %s: %s (%s: %s)", options_.address,
+        errno == EADDRINUSE ? "the port is in use; choose another" : "the host is not this machine, or not allowed",
+        what, reason));
+  };
+  const int socket = ::socket(address.ai_family, SOCK_STREAM | SOCK_NONBLOCK | SOCK_CLOEXEC, 0);
+  if (socket < 0) return error("socket");
+  SetOption(socket, SOL_SOCKET, SO_REUSEADDR, 1);
+  // What is accepted inherits these.
+  SetOption(socket, IPPROTO_TCP, TCP_NODELAY, 1);
+  SetOption(socket, IPPROTO_TCP, TCP_USER_TIMEOUT, kUserTimeoutMs);
+  sockaddr_storage wanted = {};
+  std::copy_n(reinterpret_cast<const char*>(address.ai_addr), address.ai_addrlen, reinterpret_cast<char*>(&wanted));
+  // The second address of a name gets the port that the first one got.
+  auto* port4 = &reinterpret_cast<sockaddr_in*>(&wanted)->sin_port;
+  auto* port = address.ai_family == AF_INET6 ? &reinterpret_cast<sockaddr_in6*>(&wanted)->sin6_port : port4;
+  if (*port == 0) *port = htons(static_cast<uint16_t>(port_));
+  if (bind(socket, reinterpret_cast<sockaddr*>(&wanted), address.ai_addrlen) != 0 || listen(socket, kBacklog) != 0) {
+    absl::Status status = error("bind");
+    close(socket);
+    return status;
+  }
+  socklen_t size = sizeof(wanted);
+  getsockname(socket, reinterpret_cast<sockaddr*>(&wanted), &size);
+  port_ = ntohs(*port);
+  sockets_.push_back(socket);
+  return absl::OkStatus();
+}
+
+void Listener::Start(Handle handle) {
+  handle_ = std::move(handle);
+  CRAFTFLEET_CHECK(pipe2(wake_up_, O_CLOEXEC) == 0);
+  poll_ = epoll_create1(EPOLL_CLOEXEC);
+  CRAFTFLEET_CHECK(poll_ >= 0);
+  for (const int descriptor : sockets_) {
+    epoll_event event = {EPOLLIN, {.fd = descriptor}};
+    epoll_ctl(poll_, EPOLL_CTL_ADD, descriptor, &event);
+  }
+  epoll_event event = {EPOLLIN, {.fd = wake_up_[0]}};
+  epoll_ctl(poll_, EPOLL_CTL_ADD, wake_up_[0], &event);
+  thread_ = std::thread([this] { Run(); });
+}
+
+void Listener::Stop() {
+  if (thread_.joinable()) {
+    [[maybe_unused]] const ssize_t written = write(wake_up_[1], "e", 1);
+    thread_.join();
+    close(wake_up_[0]);
+    close(wake_up_[1]);
+    close(poll_);
+  }
+  for (const int socket : sockets_) close(socket);
+  sockets_.clear();
+  for (const auto& [copy, client] : connections_) close(copy);
+  connections_.clear();
+}
+
+void Listener::Run() {
+  epoll_event events[64];
+  while (true) {
+    const int count = epoll_wait(poll_, events, 64, -1);
+    for (int i = 0; i < count; ++i) {
+      const int descriptor = events[i].data.fd;
+      if (descriptor == wake_up_[0]) return;
+      if (std::find(sockets_.begin(), sockets_.end(), descriptor) != sockets_.end()) {
+        Accept(descriptor);
+      } else {
+        Forget(descriptor);
+      }
+    }
+  }
+}
+
+void Listener::Accept(int socket) {
+  sockaddr_storage address = {};
+  socklen_t size = sizeof(address);
+  const int descriptor = accept4(socket, reinterpret_cast<sockaddr*>(&address), &size, SOCK_NONBLOCK | SOCK_CLOEXEC);
+  if (descriptor < 0) {
+    if (errno != EMFILE && errno != ENFILE && errno != ENOBUFS && errno != ENOMEM) return;  // the client left
+    log_.Warn("accept", absl::StrFormat("%s: a client has to wait: %s; raise the limit (ulimit -n)", options_.address,
+                                        std::generic_category().message(errno)));
+    poll(nullptr, 0, kPauseMs);
+    return;
+  }
+  const std::string client = ClientOf(address, size);
+  const auto known = per_client_.find(client);
+  const int open = known == per_client_.end() ? 0 : known->second;
+  if (connections_.size() >= max_connections_) {
+    log_.Warn("all", absl::StrFormat("%s: refused a connection from %s: there are %d, all that the limit of open files "
+                                     "allows; raise it (ulimit -n)",
+                                     options_.address, client, connections_.size()));
+  } else if (open >= options_.max_connections_per_client) {
+    log_.Warn(client, absl::StrFormat("%s: refused a connection from %s, which has %d, all that "
+                                      "--max_connections_per_client allows",
+                                      options_.address, client, open));
+  } else {
+    Admit(descriptor, client);
+    return;
+  }
+  close(descriptor);
+}
+
+void Listener::Admit(int descriptor, const std::string& client) {
+  const int copy = fcntl(descriptor, F_DUPFD_CLOEXEC, 0);
+  epoll_event event = {EPOLLRDHUP, {.fd = copy}};
+  if (copy < 0 || epoll_ctl(poll_, EPOLL_CTL_ADD, copy, &event) != 0) {
+    if (copy >= 0) close(copy);
+    close(descriptor);
+    return;
+  }
+  connections_[copy] = client;
+  ++per_client_[client];
+  NoteConnection(client);
+  handle_(descriptor);
+}
+
+// gRPC shuts a connection down before it closes it, which ends the copy too; so does a peer that leaves.
+void Listener::Forget(int copy) {
+  const auto connection = connections_.find(copy);
+  if (connection == connections_.end()) return;
+  const auto count = per_client_.find(connection->second);
+  if (--count->second == 0) per_client_.erase(count);
+  connections_.erase(connection);
+  close(copy);
+}
+
+}  // namespace craftfleet::wire

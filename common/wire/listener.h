@@ -1,0 +1,73 @@
+// Accepts connections for a gRPC server, within limits.
+
+#ifndef CRAFTFLEET_COMMON_WIRE_LISTENER_H_
+#define CRAFTFLEET_COMMON_WIRE_LISTENER_H_
+
+#include <functional>
+#include <map>
+#include <memory>
+#include <string>
+#include <thread>
+#include <vector>
+
+#include <absl/status/status.h>
+#include <absl/status/statusor.h>
+#include <absl/strings/string_view.h>
+
+#include "common/clock.h"
+#include "common/limited_log.h"
+
+struct addrinfo;
+
+namespace craftfleet::wire {
+
+// Listens on a TCP port and hands each connection over. gRPC's own listener is not used, because that of 1.51 knows no
+// limits and stops for good when the process runs out of file descriptors. Thread-compatible; one thread of its own.
+class Listener {
+ public:
+  struct Options {
+    std::string address;  // HOST:PORT; port 0: any free one
+    int max_connections_per_client = 1024;
+  };
+  // Takes over the descriptor of a connection; called on the listener's thread.
+  using Handle = std::function<void(int descriptor)>;
+
+  // Takes the port; connections wait until Start.
+  //   Unavailable: the port is in use, the host is unknown or not this machine.
+  static absl::StatusOr<std::unique_ptr<Listener>> Create(const Options& options);
+  ~Listener();
+
+  void Start(Handle handle);
+  // Frees the port. Connections that were handed over stay. Idempotent.
+  void Stop();
+
+  int port() const { return port_; }
+
+ private:
+  explicit Listener(const Options& options) : options_(options) {}
+
+  absl::Status Bind();
+  absl::Status BindTo(const addrinfo& address);
+  void Run();
+  void Accept(int socket);
+  // A connection that is handed over is watched through a copy of its descriptor, to know when it has ended.
+  void Admit(int descriptor, const std::string& client);
+  void Forget(int copy);
+
+  const Options options_;
+  RealClock clock_;
+  LimitedLog log_{&clock_};
+  Handle handle_;
+  int port_ = 0;
+  std::vector<int> sockets_;
+  int poll_ = -1;                           // epoll of sockets, copies and wake-up
+  int wake_up_[2] = {-1, -1};               // pipe: ends the thread
+  size_t max_connections_ = 0;              // in all, by the process' limit of descriptors
+  std::map<int, std::string> connections_;  // copy -> client; of the thread, like the next
+  std::map<std::string, int> per_client_;
+  std::thread thread_;
+};
+
+}  // namespace craftfleet::wire
+
+#endif  // CRAFTFLEET_COMMON_WIRE_LISTENER_H_

@@ -1,0 +1,188 @@
+#include "common/wire/security.h"
+
+#include <map>
+#include <optional>
+#include <utility>
+
+#include <absl/strings/ascii.h>
+#include <absl/strings/match.h>
+#include <absl/strings/str_cat.h>
+#include <absl/strings/str_format.h>
+#include <absl/time/clock.h>
+#include <grpcpp/security/credentials.h>
+#include <grpcpp/security/server_credentials.h>
+#include <grpcpp/security/tls_certificate_provider.h>
+#include <grpcpp/security/tls_credentials_options.h>
+
+#include "common/clock.h"
+#include "common/log.h"
+#include "common/mutex.h"
+#include "common/status_macros.h"
+#include "common/watched_file.h"
+#include "common/wire/certificates.h"
+
+namespace craftfleet::wire {
+namespace {
+
+using grpc::experimental::FileWatcherCertificateProvider;
+
+constexpr unsigned int kLookEverySeconds = 1;
+
+std::shared_ptr<FileWatcherCertificateProvider> Watch(const TlsFiles& files) {
+  return std::make_shared<FileWatcherCertificateProvider>(files.key, files.certificate, files.authorities,
+                                                          kLookEverySeconds);
+}
+
+// Adds the token of a file to each call.
+class TokenPlugin : public grpc::MetadataCredentialsPlugin {
+ public:
+  explicit TokenPlugin(const std::string& path) : file_(path, &clock_) {}
+
+  // NotFound, InvalidArgument: there is no token in the file.
+  absl::Status Load() ABSL_LOCKS_EXCLUDED(mu_) {
+    const MutexLock lock(&mu_);
+    Refresh();
+    return token_.empty() ? absl::InvalidArgumentError(absl::StrCat("--token_file=", file_.path(),
+                                                                    " can't be read or is empty, want one line"))
+                          : absl::OkStatus();
+  }
+
+  bool IsBlocking() const override { return false; }
+
+  grpc::Status GetMetadata(grpc::string_ref /*service_url*/, grpc::string_ref /*method*/,
+                           const grpc::AuthContext& /*context*/,
+                           std::multimap<std::string, std::string>* metadata) override {
+    const MutexLock lock(&mu_);
+    Refresh();
+    metadata->insert({"authorization", absl::StrCat("Bearer ", token_)});
+    return grpc::Status::OK;
+  }
+
+ private:
+  void Refresh() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_) {
+    const std::optional<std::string> text = file_.ReadIfChanged();
+    if (!text.has_value()) return;
+    const std::string token(absl::StripAsciiWhitespace(*text));
+    if (token.empty() || token.find_first_of("\r\n") != std::string::npos) {
+      LogError("--token_file=%s: want one line; the former token stays in use", file_.path());
+    } else {
+      token_ = token;
+    }
+  }
+
+  RealClock clock_;
+  Mutex mu_;
+  WatchedFile file_ ABSL_GUARDED_BY(mu_);
+  std::string token_ ABSL_GUARDED_BY(mu_);
+};
+
+}  // namespace
+
+absl::Status TlsFiles::Validate() const {
+  if (certificate.empty() != key.empty()) {
+    return absl::InvalidArgumentError(certificate.empty() ? "--tls_key wants --tls_cert beside it"
+                                                          : "--tls_cert wants --tls_key beside it");
+  }
+  if (!authorities.empty()) CRAFTFLEET_RETURN_IF_ERROR(CheckAuthorities(authorities));
+  if (certificate.empty()) return absl::OkStatus();
+  CRAFTFLEET_RETURN_IF_ERROR(CheckKeyPair(certificate, key));
+  const std::string trouble = CertificateTrouble(certificate, "", absl::Now());
+  if (!trouble.empty()) LogWarning("%s: others will refuse it until the file is replaced", trouble);
+  return absl::OkStatus();
+}
+
+absl::StatusOr<ChannelSecurity> ChannelSecurity::Create(const Options& options) {
+  CRAFTFLEET_RETURN_IF_ERROR(options.files.Validate());
+  ChannelSecurity security;
+  security.options_ = options;
+  if (!security.tls()) {
+    if (!options.token_file.empty()) {
+      return absl::InvalidArgumentError(
+          "--token_file wants --tls_ca beside it: without TLS the token could be read on its way");
+    }
+    if (!options.server_name.empty()) return absl::InvalidArgumentError("--tls_server_name wants --tls_ca beside it");
+    return security;
+  }
+  grpc::experimental::TlsChannelCredentialsOptions tls;
+  tls.set_certificate_provider(Watch(options.files));
+  tls.watch_root_certs();
+  if (!options.files.certificate.empty()) tls.watch_identity_key_cert_pairs();
+  security.credentials_ = grpc::experimental::TlsCredentials(tls);
+  if (!options.token_file.empty()) {
+    auto token = std::make_unique<TokenPlugin>(options.token_file);
+    CRAFTFLEET_RETURN_IF_ERROR(token->Load());
+    security.credentials_ =
+        grpc::CompositeChannelCredentials(security.credentials_, grpc::MetadataCredentialsFromPlugin(std::move(token)));
+  }
+  return security;
+}
+
+ChannelSecurity ChannelSecurity::ForServer(absl::string_view name) const {
+  ChannelSecurity security = *this;
+  if (tls() && security.options_.server_name.empty()) security.options_.server_name = std::string(name);
+  return security;
+}
+
+std::shared_ptr<grpc::ChannelCredentials> ChannelSecurity::Credentials() const {
+  return tls() ? credentials_ : grpc::InsecureChannelCredentials();
+}
+
+absl::Status ChannelSecurity::Explain(const absl::Status& error, absl::string_view address) const {
+  std::string text(error.message());
+  switch (error.code()) {
+    case absl::StatusCode::kUnavailable:
+      text = ExplainConnection(error.message(), address);
+      break;
+    case absl::StatusCode::kUnauthenticated:
+      absl::StrAppend(&text, options_.token_file.empty() ? ": it may want a token: give --token_file"
+                                                         : ": check the token in --token_file=" + options_.token_file);
+      break;
+    case absl::StatusCode::kPermissionDenied:
+      absl::StrAppend(&text, ": its --access_file gives this process' ",
+                      options_.token_file.empty() ? "certificate" : "token or certificate", " no right to this");
+      break;
+    default:
+      break;
+  }
+  return {error.code(), text};
+}
+
+std::string ChannelSecurity::ExplainConnection(absl::string_view error, absl::string_view address) const {
+  const TlsFiles& files = options_.files;
+  if (absl::StrContains(error, "wrong version number")) {
+    return "what listens there does not speak TLS: start it with --tls_cert and --tls_key, or leave --tls_ca out here";
+  }
+  if (absl::StrContains(error, "certificate verify failed")) {
+    return absl::StrCat("TLS: its certificate is not from an authority in --tls_ca=", files.authorities,
+                        ", or it has expired");
+  }
+  if (absl::StrContains(error, "erification")) {  // "Hostname Verification Check failed", in some spelling
+    const std::string name(server_name().empty() ? address.substr(0, address.rfind(':')) : server_name());
+    return absl::StrCat("TLS: its certificate is for another name than ", name,
+                        ": check the address, or give the name it is for as --tls_server_name");
+  }
+  const bool closed = absl::StrContains(error, "Socket closed") || absl::StrContains(error, "onnection reset") ||
+                      absl::StrContains(error, "Broken pipe");
+  if (!closed) return std::string(error);
+  if (!tls()) return "it closed the connection at once: if it speaks TLS, give --tls_ca";
+  if (files.certificate.empty()) {
+    return "TLS: it closed the connection: it may want a certificate: give --tls_cert and --tls_key";
+  }
+  const std::string trouble = CertificateTrouble(files.certificate, files.authorities, absl::Now());
+  return absl::StrCat("TLS: it closed the connection: it may have refused --tls_cert=", files.certificate,
+                      trouble.empty() ? "; its log says why" : ": " + trouble);
+}
+
+std::shared_ptr<grpc::ServerCredentials> TlsListenerCredentials(const TlsFiles& files, bool ask_clients) {
+  TlsFiles watched = files;
+  if (!ask_clients) watched.authorities.clear();
+  grpc::experimental::TlsServerCredentialsOptions tls(Watch(watched));
+  tls.watch_identity_key_cert_pairs();
+  if (ask_clients) {
+    tls.watch_root_certs();
+    tls.set_cert_request_type(GRPC_SSL_REQUEST_AND_REQUIRE_CLIENT_CERTIFICATE_AND_VERIFY);
+  }
+  return grpc::experimental::TlsServerCredentials(tls);
+}
+
+}  // namespace craftfleet::wire

@@ -1,0 +1,35 @@
+#include "common/wire/server_flags.h"
+
+#include <cstdint>
+#include <string>
+
+#include <absl/flags/flag.h>
+
+#include "common/wire/channel_flags.h"
+
+ABSL_FLAG(bool, insecure, false, "allow --listen beyond this host without TLS");
+ABSL_FLAG(bool, tls_client_certs, true, "with --tls_cert and --tls_ca: want a certificate of each client");
+ABSL_FLAG(std::string, access_file, "",
+          "who may watch, work and steer, in protobuf text format (access.proto); wants --tls_cert;\n"
+          "read again when it changes [who gets in may do all]");
+ABSL_FLAG(
+    std::string, health_listen, "",
+    "address of a second port, plain and with nothing but grpc.health.v1 on it, HOST:PORT, for probes that speak\n"
+    "no TLS [none]");
+ABSL_FLAG(int32_t, max_connections_per_client, 1024, "connections from one address at once, 1..65536");
+
+namespace craftfleet::wire {
+
+Server::Options ServerOptionsFromFlags(absl::string_view address) {
+  Server::Options options;
+  options.address = std::string(address);
+  options.insecure = absl::GetFlag(FLAGS_insecure);
+  options.files = TlsFilesFromFlags();
+  options.ask_clients = absl::GetFlag(FLAGS_tls_client_certs);
+  options.access_file = absl::GetFlag(FLAGS_access_file);
+  options.health_address = absl::GetFlag(FLAGS_health_listen);
+  options.max_connections_per_client = absl::GetFlag(FLAGS_max_connections_per_client);
+  return options;
+}
+
+}  // namespace craftfleet::wire

@@ -1,0 +1,18 @@
+// The flags of every program that listens: --insecure, --tls_client_certs, --access_file, --health_listen,
+// --max_connections_per_client, and those of channel_flags.h.
+
+#ifndef CRAFTFLEET_COMMON_WIRE_SERVER_FLAGS_H_
+#define CRAFTFLEET_COMMON_WIRE_SERVER_FLAGS_H_
+
+#include <absl/strings/string_view.h>
+
+#include "common/wire/server.h"
+
+namespace craftfleet::wire {
+
+// What the flags ask for, to listen on `address` (the program's --listen).
+Server::Options ServerOptionsFromFlags(absl::string_view address);
+
+}  // namespace craftfleet::wire
+
+#endif  // CRAFTFLEET_COMMON_WIRE_SERVER_FLAGS_H_
