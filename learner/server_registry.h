@@ -4,6 +4,7 @@
 #define CRAFTFLEET_LEARNER_SERVER_REGISTRY_H_
 
 #include <cstdint>
+#include <functional>
 #include <map>
 #include <string>
 #include <vector>
@@ -16,8 +17,8 @@
 
 namespace craftfleet {
 
-// A server that has said nothing for `lease` is forgotten. One that comes back at an address of another takes its
-// place: that one is gone. Thread-safe.
+// One server an address: one that comes back at the address of another takes its place, since that one is gone. A
+// server that has said nothing for `lease` is forgotten. Thread-safe.
 class ServerRegistry {
  public:
   struct Server {
@@ -32,12 +33,14 @@ class ServerRegistry {
   void Announce(absl::string_view name, absl::string_view address) ABSL_LOCKS_EXCLUDED(mu_);
   void Leave(absl::string_view name) ABSL_LOCKS_EXCLUDED(mu_);
 
-  // By name. `generation`, if not null, becomes another number, above 0, whenever the addresses have changed.
+  // By address. `generation`, if not null, becomes another number, above 0, whenever the addresses have changed.
   std::vector<Server> Servers(int64_t* generation = nullptr) ABSL_LOCKS_EXCLUDED(mu_);
+
+  absl::Duration lease() const { return lease_; }
 
  private:
   struct Entry {
-    std::string address;
+    std::string name;
     absl::Time last_word;
   };
 
@@ -46,7 +49,8 @@ class ServerRegistry {
   const absl::Duration lease_;
   Clock* const clock_;
   Mutex mu_;
-  std::map<std::string, Entry> servers_ ABSL_GUARDED_BY(mu_);
+  std::map<std::string, Entry, std::less<>> servers_ ABSL_GUARDED_BY(mu_);  // by address
+  absl::Time looked_ ABSL_GUARDED_BY(mu_) = absl::InfinitePast();           // for idle ones
   int64_t generation_ ABSL_GUARDED_BY(mu_) = 1;
 };
 
