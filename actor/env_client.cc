@@ -61,7 +61,7 @@ absl::Status EnvClient::Open(absl::Span<const Lane> lanes, std::string* frames) 
                                                reply_.frames().size(), wanted));
   }
   frames->swap(*reply_.mutable_frames());
-  return absl::OkStatus();
+  return TakeMoments(lanes.size());
 }
 
 absl::Status EnvClient::Close(absl::Span<const int> lanes) {
@@ -82,8 +82,20 @@ absl::Status EnvClient::SendStep(absl::Span<const int> lanes, absl::Span<const A
 absl::Status EnvClient::ReceiveStep(StepBatch* batch) {
   CRAFTFLEET_RETURN_IF_ERROR(Receive());
   const absl::Status status = wire::FromProto(&reply_, lanes_sent_, frame_bytes_, batch);
-  if (status.ok()) return status;
+  if (status.ok()) return TakeMoments(lanes_sent_);
   return absl::InternalError(absl::StrCat("environment server ", server_.address, ": ", status.message()));
+}
+
+absl::Status EnvClient::TakeMoments(size_t lanes) {
+  if (!hello_.has_recording()) return absl::OkStatus();
+  const int size = hello_.recording().picture_size();
+  absl::StatusOr<std::vector<Moment>> moments =
+      wire::MomentsFromProto(&reply_, static_cast<int>(lanes), frame_bytes_, size * size * 3);
+  if (!moments.ok()) {
+    return absl::InternalError(absl::StrCat("environment server ", server_.address, ": ", moments.status().message()));
+  }
+  moments_ = *std::move(moments);
+  return absl::OkStatus();
 }
 
 void EnvClient::Cancel() {

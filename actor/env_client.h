@@ -5,6 +5,7 @@
 
 #include <memory>
 #include <string>
+#include <vector>
 
 #include <absl/status/status.h>
 #include <absl/strings/string_view.h>
@@ -53,6 +54,10 @@ class EnvClient {
   absl::Status SendStep(absl::Span<const int> lanes, absl::Span<const Action> actions, bool snapshot);
   absl::Status ReceiveStep(StepBatch* batch);
 
+  // Of sessions with `hello.recording`: what the games of the last Open or ReceiveStep looked like after it, in its
+  // order; of a game that ended, the last moment of the episode that ended.
+  const std::vector<Moment>& moments() const { return moments_; }
+
   // Ends the session at once, from any thread, and every later one.
   void Cancel() ABSL_LOCKS_EXCLUDED(mu_);
   // Ends the session.
@@ -63,6 +68,8 @@ class EnvClient {
  private:
   absl::Status Send();
   absl::Status Receive();
+  // Sets `moments_` if the session records.
+  absl::Status TakeMoments(size_t lanes);
   // The session's error, after a failed read or write.
   absl::Status Broken() ABSL_LOCKS_EXCLUDED(mu_);
 
@@ -75,6 +82,7 @@ class EnvClient {
   v1::PlayReply reply_;
   std::unique_ptr<grpc::ClientReaderWriter<v1::PlayRequest, v1::PlayReply>> stream_;
   int lanes_sent_ = 0;  // of the step under way
+  std::vector<Moment> moments_;
 
   Mutex mu_;
   std::unique_ptr<grpc::ClientContext> context_ ABSL_GUARDED_BY(mu_);

@@ -19,8 +19,8 @@ constexpr int64_t kLastEpisode = 10000;
 // alone.
 class Evaluation {
  public:
-  Evaluation(const EvaluationOptions& options, const Policy& policy, EnvClient* env)
-      : options_(options), policy_(policy), env_(env) {}
+  Evaluation(const EvaluationOptions& options, const Policy& policy, EnvClient* env, EpisodeObserver* observer)
+      : options_(options), policy_(policy), env_(env), observer_(observer) {}
 
   absl::StatusOr<std::vector<Episode>> Run(const std::function<void(int)>& on_episode) {
     const int64_t end = options_.first_episode + options_.episodes;
@@ -45,7 +45,8 @@ class Evaluation {
   absl::Status Open(int64_t episode) {
     Playing& game = playing_[static_cast<int>(episode)];
     game.state.resize(policy_.state_size());
-    return env_->Open({{static_cast<int>(episode), options_.seed, episode, ""}}, &game.frame);
+    CRAFTFLEET_RETURN_IF_ERROR(env_->Open({{static_cast<int>(episode), options_.seed, episode, ""}}, &game.frame));
+    return observer_ == nullptr ? absl::OkStatus() : observer_->OnStart(episode, env_->moments()[0]);
   }
 
   absl::Status Step() {
@@ -69,7 +70,16 @@ class Evaluation {
     }
     CRAFTFLEET_RETURN_IF_ERROR(env_->SendStep(lanes, act.actions, /*snapshot=*/false));
     CRAFTFLEET_RETURN_IF_ERROR(env_->ReceiveStep(&batch_));
+    if (observer_ != nullptr) CRAFTFLEET_RETURN_IF_ERROR(Show(lanes, act.actions));
     return TakeIn(lanes);
+  }
+
+  absl::Status Show(const std::vector<int>& lanes, const std::vector<Action>& actions) {
+    for (size_t row = 0; row < lanes.size(); ++row) {
+      const ObservedStep step = {actions[row], batch_.rewards[row], batch_.ends[row]};
+      CRAFTFLEET_RETURN_IF_ERROR(observer_->OnStep(lanes[row], step, env_->moments()[row]));
+    }
+    return absl::OkStatus();
   }
 
   absl::Status TakeIn(const std::vector<int>& lanes) {
@@ -90,6 +100,7 @@ class Evaluation {
   const EvaluationOptions options_;
   const Policy& policy_;
   EnvClient* const env_;
+  EpisodeObserver* const observer_;  // may be null
   std::map<int, Playing> playing_;   // by episode number
   std::map<int, Episode> finished_;  // by episode number
   StepBatch batch_;
@@ -108,9 +119,9 @@ absl::Status EvaluationOptions::Validate() const {
 }
 
 absl::StatusOr<std::vector<Episode>> Evaluate(const EvaluationOptions& options, const Policy& policy, EnvClient* env,
-                                              const std::function<void(int)>& on_episode) {
+                                              const std::function<void(int)>& on_episode, EpisodeObserver* observer) {
   CRAFTFLEET_RETURN_IF_ERROR(options.Validate());
-  return Evaluation(options, policy, env).Run(on_episode);
+  return Evaluation(options, policy, env, observer).Run(on_episode);
 }
 
 }  // namespace craftfleet

@@ -11,6 +11,7 @@
 #include <absl/status/statusor.h>
 
 #include "actor/env_client.h"
+#include "actor/episode_observer.h"
 #include "common/agent/policy.h"
 #include "common/types.h"
 
@@ -26,10 +27,11 @@ struct EvaluationOptions {
 };
 
 // The episodes in order of their number. `env` is connected. `on_episode` is called after each with the number finished
-// so far.
-//   Errors as EnvClient and Policy.
+// so far. `observer`, if not null, sees all of it; `env` is a session that records then.
+//   Errors as EnvClient, Policy and EpisodeObserver.
 absl::StatusOr<std::vector<Episode>> Evaluate(const EvaluationOptions& options, const Policy& policy, EnvClient* env,
-                                              const std::function<void(int)>& on_episode);
+                                              const std::function<void(int)>& on_episode,
+                                              EpisodeObserver* observer = nullptr);
 
 }  // namespace craftfleet
 

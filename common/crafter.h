@@ -34,6 +34,7 @@ enum class Action : uint8_t {
 inline constexpr int kNumActions = 17;
 inline constexpr int kNumItems = 16;
 inline constexpr int kNumAchievements = 22;
+inline constexpr int kWorldSize = 64;  // cells, width and height
 
 inline constexpr std::array<absl::string_view, kNumActions> kActionNames = {"noop",
                                                                             "move_left",

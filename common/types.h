@@ -37,6 +37,17 @@ struct StepBatch {
   std::vector<std::string> snapshots;  // [n] where asked for, else empty
 };
 
+// What a game looks like at one moment, for videos and files of episodes.
+struct Moment {
+  std::string frame;                                     // uint8[H,W,3]: what the agent sees
+  std::string picture;                                   // uint8[S,S,3]: the same for people; empty if not asked for
+  std::string semantic;                                  // uint8[64,64], [x][y]: materials 1..12, objects 13..18
+  int player_x = 0;                                      // cells, 0..63
+  int player_y = 0;                                      // cells, 0..63
+  std::array<int32_t, kNumItems> inventory{};            // 0..9
+  std::array<int32_t, kNumAchievements> achievements{};  // times unlocked in this episode so far
+};
+
 // Where a lane stands between two fragments: all that it takes to go on with it elsewhere, bit for bit.
 struct LaneSnapshot {
   std::string game;          // its state; empty: the lane's first game, not begun yet

@@ -17,15 +17,24 @@ absl::Span<uint8_t> Row(std::string* frames, size_t row, size_t frame_bytes) {
 }  // namespace
 
 absl::Status EnvBatch::Open(absl::Span<const OpenLane> lanes, std::string* frames) {
-  if (lanes.size() + games_.size() > kMaxLanes) {
-    return absl::InvalidArgumentError(absl::StrFormat(
-        "%d lanes more on top of %d open ones, want at most %d in a session", lanes.size(), games_.size(), kMaxLanes));
-  }
+  CRAFTFLEET_RETURN_IF_ERROR(CheckRoom(lanes.size()));
+  moments_.clear();
   frames->resize(lanes.size() * renderer_->frame_bytes());
   for (size_t row = 0; row < lanes.size(); ++row) {
     CRAFTFLEET_RETURN_IF_ERROR(OpenOne(lanes[row], Row(frames, row, renderer_->frame_bytes())));
   }
   return absl::OkStatus();
+}
+
+absl::Status EnvBatch::CheckRoom(size_t more) const {
+  int64_t most = kMaxLanes;
+  if (recording_.has_value()) {
+    most = std::min(most, kMaxMomentBytes / (recording_->picture_bytes() + renderer_->frame_bytes()));
+  }
+  if (static_cast<int64_t>(more + games_.size()) <= most) return absl::OkStatus();
+  return absl::InvalidArgumentError(absl::StrFormat("%d lanes more on top of %d open ones, want at most %d in a %s",
+                                                    more, games_.size(), most,
+                                                    recording_.has_value() ? "session that records so" : "session"));
 }
 
 absl::Status EnvBatch::OpenOne(const OpenLane& lane, absl::Span<uint8_t> frame) {
@@ -42,6 +51,7 @@ absl::Status EnvBatch::OpenOne(const OpenLane& lane, absl::Span<uint8_t> frame) 
   } else {
     for (int64_t episode = 1; episode < lane.episode; ++episode) game.Reset(frame);
   }
+  if (recording_.has_value()) moments_.push_back(recording_->Take(game, frame));
   games_.erase(lane.lane);
   games_.emplace(lane.lane, std::move(game));
   return absl::OkStatus();
@@ -56,15 +66,29 @@ absl::Status EnvBatch::Step(absl::Span<const int> lanes, absl::Span<const Action
   batch->ends.resize(lanes.size());
   batch->episodes.clear();
   batch->snapshots.clear();
+  moments_.clear();
   for (size_t row = 0; row < lanes.size(); ++row) {
-    const Game::PlayedStep played = chosen_[row]->StepAndAutoReset(
-        actions[row], Row(&batch->frames, row, renderer_->frame_bytes()), &batch->last_frames);
+    const absl::Span<uint8_t> frame = Row(&batch->frames, row, renderer_->frame_bytes());
+    const Game::PlayedStep played = recording_.has_value()
+                                        ? StepAndRecord(actions[row], frame, chosen_[row], &batch->last_frames)
+                                        : chosen_[row]->StepAndAutoReset(actions[row], frame, &batch->last_frames);
     batch->rewards[row] = static_cast<float>(played.outcome.reward);
     batch->ends[row] = played.outcome.end;
     if (played.episode.has_value()) batch->episodes.push_back(*played.episode);
     if (snapshot) batch->snapshots.push_back(chosen_[row]->Save());
   }
   return absl::OkStatus();
+}
+
+Game::PlayedStep EnvBatch::StepAndRecord(Action action, absl::Span<uint8_t> frame, Game* game,
+                                         std::string* last_frames) {
+  Game::PlayedStep played{game->Step(action, frame), absl::nullopt};
+  moments_.push_back(recording_->Take(*game, frame));
+  if (played.outcome.end == StepEnd::kNone) return played;
+  if (played.outcome.end == StepEnd::kTruncated) last_frames->append(moments_.back().frame);
+  played.episode = game->EndedEpisode();
+  game->Reset(frame);
+  return played;
 }
 
 void EnvBatch::Close(absl::Span<const int> lanes) {

@@ -12,18 +12,21 @@
 
 #include <absl/status/status.h>
 #include <absl/strings/string_view.h>
+#include <absl/types/optional.h>
 #include <absl/types/span.h>
 
 #include "common/types.h"
 #include "envserver/game.h"
+#include "envserver/moment_taker.h"
 
 namespace craftfleet {
 
 // Thread-compatible: one thread at a time.
 class EnvBatch {
  public:
-  static constexpr int kMaxLanes = 4096;         // games of one session
-  static constexpr int64_t kMaxEpisode = 10000;  // first episode that can be asked for
+  static constexpr int kMaxLanes = 4096;                // games of one session
+  static constexpr int64_t kMaxEpisode = 10000;         // first episode that can be asked for
+  static constexpr int64_t kMaxMomentBytes = 64 << 20;  // of the moments of all games
 
   // A game to begin or to go on with.
   struct OpenLane {
@@ -33,11 +36,12 @@ class EnvBatch {
     absl::string_view snapshot;  // empty: a new game
   };
 
-  explicit EnvBatch(std::shared_ptr<const Renderer> renderer) : renderer_(std::move(renderer)) {}
+  explicit EnvBatch(std::shared_ptr<const Renderer> renderer, absl::optional<MomentTaker> recording = absl::nullopt)
+      : renderer_(std::move(renderer)), recording_(std::move(recording)) {}
 
   // Opens `lanes` (one that is open already starts anew) and writes their observations, uint8[n,H,W,3], to `frames`.
-  //   InvalidArgument: a lane below 0, too many lanes, an episode out of range, or a snapshot that is not of such a
-  //   game.
+  //   InvalidArgument: a lane below 0, too many lanes, more of them than kMaxMomentBytes allows to record, an episode
+  //   out of range, or a snapshot that is not of such a game.
   absl::Status Open(absl::Span<const OpenLane> lanes, std::string* frames);
 
   // One step of each of `lanes` with its action. An ended game goes on with its next episode: the row has the result of
@@ -46,19 +50,29 @@ class EnvBatch {
   //   InvalidArgument: a lane that is not open or named twice; nothing was stepped.
   absl::Status Step(absl::Span<const int> lanes, absl::Span<const Action> actions, bool snapshot, StepBatch* batch);
 
+  // With `recording`: what the games of the last Open or Step looked like after it, in its order; of a game that ended,
+  // the last moment of the episode that ended. May be taken away.
+  std::vector<Moment>& moments() { return moments_; }
+
   // Drops games. Lanes that are not open are ignored.
   void Close(absl::Span<const int> lanes);
 
   int size() const { return static_cast<int>(games_.size()); }
 
  private:
+  absl::Status CheckRoom(size_t more) const;
   absl::Status OpenOne(const OpenLane& lane, absl::Span<uint8_t> frame);
   // Sets `chosen_`.
   absl::Status Find(absl::Span<const int> lanes);
 
+  // As Game::StepAndAutoReset, and adds the moment after the step.
+  Game::PlayedStep StepAndRecord(Action action, absl::Span<uint8_t> frame, Game* game, std::string* last_frames);
+
   const std::shared_ptr<const Renderer> renderer_;
+  const absl::optional<MomentTaker> recording_;
   std::map<int, Game> games_;
   std::vector<Game*> chosen_;  // the games of the current request, in its order
+  std::vector<Moment> moments_;
 };
 
 }  // namespace craftfleet

@@ -72,11 +72,10 @@ absl::Status EnvServiceImpl::Serve(const std::string& peer,
   v1::PlayReply reply;
   if (!stream->Read(&request)) return absl::OkStatus();
   if (!request.has_hello()) return absl::InvalidArgumentError("a session begins with hello");
-  CRAFTFLEET_ASSIGN_OR_RETURN(std::shared_ptr<const Renderer> renderer, Greet(request.hello()));
+  CRAFTFLEET_ASSIGN_OR_RETURN(EnvBatch batch, Greet(request.hello()));
   SessionGuard session(this);
   CRAFTFLEET_RETURN_IF_ERROR(session.Enter(request.hello(), peer));
   reply.set_program_version(std::string(ProgramVersion()));
-  EnvBatch batch(std::move(renderer));
   StepBatch step;
   while (stream->Write(reply) && stream->Read(&request)) {
     reply.clear_program_version();
@@ -86,7 +85,7 @@ absl::Status EnvServiceImpl::Serve(const std::string& peer,
   return absl::OkStatus();
 }
 
-absl::StatusOr<std::shared_ptr<const Renderer>> EnvServiceImpl::Greet(const v1::SessionHello& hello) const {
+absl::StatusOr<EnvBatch> EnvServiceImpl::Greet(const v1::SessionHello& hello) const {
   const wire::Handshake ours = {wire::kProtocolVersion, "", texture_digest_};
   const wire::Handshake theirs = {hello.protocol_version(), hello.run_id(), hello.texture_digest()};
   CRAFTFLEET_RETURN_IF_ERROR(wire::CheckHandshake("environment server", ours, "actor", theirs));
@@ -98,7 +97,15 @@ absl::StatusOr<std::shared_ptr<const Renderer>> EnvServiceImpl::Greet(const v1::
   picture.width = hello.env().frame_size();
   picture.height = hello.env().frame_size();
   picture.inventory = name.inventory;
-  return Renderer::Create(*textures_, world, picture);
+  CRAFTFLEET_ASSIGN_OR_RETURN(std::shared_ptr<const Renderer> renderer, Renderer::Create(*textures_, world, picture));
+  if (!hello.has_recording()) return EnvBatch(std::move(renderer));
+  std::shared_ptr<const Renderer> larger;
+  if (hello.recording().picture_size() != 0) {
+    picture.width = hello.recording().picture_size();
+    picture.height = hello.recording().picture_size();
+    CRAFTFLEET_ASSIGN_OR_RETURN(larger, Renderer::Create(*textures_, world, picture));
+  }
+  return EnvBatch(std::move(renderer), MomentTaker(std::move(larger)));
 }
 
 absl::Status EnvServiceImpl::Handle(const v1::PlayRequest& request, EnvBatch* batch, StepBatch* step,
@@ -114,6 +121,7 @@ absl::Status EnvServiceImpl::Handle(const v1::PlayRequest& request, EnvBatch* ba
       rate_.Add(static_cast<int64_t>(actions.size()));
       episodes_ += static_cast<int64_t>(step->episodes.size());
       wire::ToProto(step, reply);
+      wire::ToProto(std::move(batch->moments()), reply);
       return absl::OkStatus();
     }
     case v1::PlayRequest::kOpen: {
@@ -122,7 +130,9 @@ absl::Status EnvServiceImpl::Handle(const v1::PlayRequest& request, EnvBatch* ba
         lanes.push_back({lane.lane(), lane.seed(), lane.episode() == 0 ? 1 : lane.episode(), lane.snapshot()});
       }
       reply->Clear();
-      return batch->Open(lanes, reply->mutable_frames());
+      CRAFTFLEET_RETURN_IF_ERROR(batch->Open(lanes, reply->mutable_frames()));
+      wire::ToProto(std::move(batch->moments()), reply);
+      return absl::OkStatus();
     }
     case v1::PlayRequest::kClose:
       reply->Clear();

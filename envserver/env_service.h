@@ -48,8 +48,8 @@ class EnvServiceImpl final : public v1::EnvironmentService::Service {
   EnvServiceImpl(std::shared_ptr<const Textures> textures, std::string texture_digest);
 
   absl::Status Serve(const std::string& peer, grpc::ServerReaderWriter<v1::PlayReply, v1::PlayRequest>* stream);
-  // Handshake and what the games look like. FailedPrecondition or InvalidArgument: this session can't be served.
-  absl::StatusOr<std::shared_ptr<const Renderer>> Greet(const v1::SessionHello& hello) const;
+  // Handshake, and a session's games, none open yet. FailedPrecondition or InvalidArgument: it can't be served.
+  absl::StatusOr<EnvBatch> Greet(const v1::SessionHello& hello) const;
   absl::Status Handle(const v1::PlayRequest& request, EnvBatch* batch, StepBatch* step, v1::PlayReply* reply);
 
   const std::shared_ptr<const Textures> textures_;

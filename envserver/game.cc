@@ -31,14 +31,19 @@ Game::PlayedStep Game::StepAndAutoReset(Action action, absl::Span<uint8_t> frame
     last_frames->append(reinterpret_cast<const char*>(frame.data()), frame.size());
   }
   if (played.outcome.end != StepEnd::kNone) {
-    Episode& episode = played.episode.emplace();
-    episode.length = world_.step();
-    episode.reward = world_.episode_reward();
-    episode.achievements = world_.player().achievements;
+    played.episode = EndedEpisode();
     world_.Reset();
   }
   Draw(frame);
   return played;
+}
+
+Episode Game::EndedEpisode() const {
+  Episode episode;
+  episode.length = world_.step();
+  episode.reward = world_.episode_reward();
+  episode.achievements = world_.player().achievements;
+  return episode;
 }
 
 absl::Status Game::Restore(absl::string_view snapshot, absl::Span<uint8_t> frame) {

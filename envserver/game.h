@@ -48,7 +48,12 @@ class Game {
   // failure game and frame are unchanged.
   absl::Status Restore(absl::string_view snapshot, absl::Span<uint8_t> frame);
 
+  // Of the current episode, when it has ended; its `step` is left 0.
+  Episode EndedEpisode() const;
+
   const World& world() const { return world_; }
+  // The world's stream as it was before the current picture was drawn: draws the same night again.
+  const RandomStream& before_picture() const { return before_picture_; }
 
  private:
   Game(std::shared_ptr<const Renderer> renderer, World world)
@@ -58,7 +63,7 @@ class Game {
 
   std::shared_ptr<const Renderer> renderer_;
   World world_;
-  RandomStream before_picture_;  // the world's stream as it was before the current picture was drawn
+  RandomStream before_picture_;
 };
 
 }  // namespace craftfleet

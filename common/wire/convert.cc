@@ -1,7 +1,9 @@
 #include "common/wire/convert.h"
 
 #include <algorithm>
+#include <array>
 #include <cmath>
+#include <limits>
 #include <string>
 #include <utility>
 
@@ -12,6 +14,9 @@
 
 namespace craftfleet::wire {
 namespace {
+
+constexpr int kMaxItemCount = 9;
+constexpr int kMaxUnlocks = std::numeric_limits<int32_t>::max();
 
 absl::Status WrongSize(absl::string_view field, int64_t size, int64_t wanted, absl::string_view unit) {
   return absl::InvalidArgumentError(absl::StrFormat("%s: %d %s, want %d", field, size, unit, wanted));
@@ -70,6 +75,21 @@ void EpisodesToProto(const std::vector<Episode>& episodes,
   }
 }
 
+// Each of `counts` is in 0..`highest`, and there are as many as `out` has room for.
+template <size_t kCount>
+absl::Status ReadCounts(absl::string_view field, const google::protobuf::RepeatedField<int32_t>& counts, int highest,
+                        std::array<int32_t, kCount>* out) {
+  CRAFTFLEET_RETURN_IF_ERROR(CheckSize(field, counts.size(), kCount, "counts"));
+  for (const int32_t count : counts) {
+    if (count < 0 || count > highest) {
+      return absl::InvalidArgumentError(absl::StrFormat(
+          "%s: %d, want %s", field, count, highest == kMaxUnlocks ? "at least 0" : absl::StrFormat("0..%d", highest)));
+    }
+  }
+  std::copy(counts.begin(), counts.end(), out->begin());
+  return absl::OkStatus();
+}
+
 absl::Status ReadEpisode(const v1::EpisodeMessage& message, int step, Episode* episode) {
   if (message.step() != step || message.length() < 1 || !std::isfinite(message.reward())) {
     return absl::InvalidArgumentError(
@@ -77,14 +97,10 @@ absl::Status ReadEpisode(const v1::EpisodeMessage& message, int step, Episode* e
                         "1, a finite reward",
                         message.step(), message.length(), message.reward(), step));
   }
-  CRAFTFLEET_RETURN_IF_ERROR(CheckSize("achievements", message.achievements_size(), kNumAchievements, "counts"));
-  for (const int32_t count : message.achievements()) {
-    if (count < 0) return absl::InvalidArgumentError(absl::StrFormat("achievements: %d, want at least 0", count));
-  }
+  CRAFTFLEET_RETURN_IF_ERROR(ReadCounts("achievements", message.achievements(), kMaxUnlocks, &episode->achievements));
   episode->step = message.step();
   episode->length = message.length();
   episode->reward = message.reward();
-  std::copy(message.achievements().begin(), message.achievements().end(), episode->achievements.begin());
   return absl::OkStatus();
 }
 
@@ -107,6 +123,28 @@ std::vector<int> EndSteps(const std::vector<StepEnd>& ends) {
     if (ends[t] != StepEnd::kNone) steps.push_back(static_cast<int>(t));
   }
   return steps;
+}
+
+absl::Status ReadMoment(v1::Moment* message, int frame_bytes, int picture_bytes, Moment* moment) {
+  const auto size_of = [](const std::string& bytes) { return static_cast<int64_t>(bytes.size()); };
+  CRAFTFLEET_RETURN_IF_ERROR(CheckSize("moment.frame", size_of(message->frame()), frame_bytes, "bytes"));
+  CRAFTFLEET_RETURN_IF_ERROR(CheckSize("moment.picture", size_of(message->picture()), picture_bytes, "bytes"));
+  CRAFTFLEET_RETURN_IF_ERROR(
+      CheckSize("moment.semantic", size_of(message->semantic()), kWorldSize * kWorldSize, "bytes"));
+  const auto inside = [](int32_t cell) { return cell >= 0 && cell < kWorldSize; };
+  if (!inside(message->player_x()) || !inside(message->player_y())) {
+    return absl::InvalidArgumentError(absl::StrFormat("moment.player: at %d, %d, want 0..%d", message->player_x(),
+                                                      message->player_y(), kWorldSize - 1));
+  }
+  CRAFTFLEET_RETURN_IF_ERROR(ReadCounts("moment.inventory", message->inventory(), kMaxItemCount, &moment->inventory));
+  CRAFTFLEET_RETURN_IF_ERROR(
+      ReadCounts("moment.achievements", message->achievements(), kMaxUnlocks, &moment->achievements));
+  moment->player_x = message->player_x();
+  moment->player_y = message->player_y();
+  moment->frame = std::move(*message->mutable_frame());
+  moment->picture = std::move(*message->mutable_picture());
+  moment->semantic = std::move(*message->mutable_semantic());
+  return absl::OkStatus();
 }
 
 int CountTruncated(const std::vector<StepEnd>& ends) {
@@ -227,6 +265,33 @@ absl::Status FromProto(v1::PlayReply* message, int lanes, int frame_bytes, StepB
   batch->snapshots.clear();
   for (std::string& snapshot : *message->mutable_snapshots()) batch->snapshots.push_back(std::move(snapshot));
   return absl::OkStatus();
+}
+
+void ToProto(std::vector<Moment> moments, v1::PlayReply* message) {
+  message->clear_moments();
+  for (Moment& moment : moments) {
+    v1::Moment* out = message->add_moments();
+    *out->mutable_frame() = std::move(moment.frame);
+    *out->mutable_picture() = std::move(moment.picture);
+    *out->mutable_semantic() = std::move(moment.semantic);
+    out->set_player_x(moment.player_x);
+    out->set_player_y(moment.player_y);
+    out->mutable_inventory()->Assign(moment.inventory.begin(), moment.inventory.end());
+    out->mutable_achievements()->Assign(moment.achievements.begin(), moment.achievements.end());
+  }
+}
+
+absl::StatusOr<std::vector<Moment>> MomentsFromProto(v1::PlayReply* message, int lanes, int frame_bytes,
+                                                     int picture_bytes) {
+  if (message->moments_size() == 0 && lanes > 0) {
+    return absl::UnimplementedError("it can't record episodes: upgrade it to this program's version");
+  }
+  CRAFTFLEET_RETURN_IF_ERROR(CheckSize("moments", message->moments_size(), lanes, "moments"));
+  std::vector<Moment> moments(lanes);
+  for (int i = 0; i < lanes; ++i) {
+    CRAFTFLEET_RETURN_IF_ERROR(ReadMoment(message->mutable_moments(i), frame_bytes, picture_bytes, &moments[i]));
+  }
+  return moments;
 }
 
 absl::Status ActionsFromProto(const v1::StepLanes& request, std::vector<Action>* actions) {

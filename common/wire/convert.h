@@ -44,6 +44,14 @@ void ToProto(StepBatch* batch, v1::PlayReply* message);
 // The reply to a step of `lanes` lanes; checks sizes and ranges like FromProto above.
 absl::Status FromProto(v1::PlayReply* message, int lanes, int frame_bytes, StepBatch* batch);
 
+// What a session that records is told beside frames.
+void ToProto(std::vector<Moment> moments, v1::PlayReply* message);
+
+// The moments of a reply about `lanes` lanes, with pictures of `picture_bytes`.
+//   Unimplemented: there are none, the server is too old to record.   InvalidArgument: as above.
+absl::StatusOr<std::vector<Moment>> MomentsFromProto(v1::PlayReply* message, int lanes, int frame_bytes,
+                                                     int picture_bytes);
+
 // One action per lane, each 0..16. InvalidArgument otherwise.
 absl::Status ActionsFromProto(const v1::StepLanes& request, std::vector<Action>* actions);
 

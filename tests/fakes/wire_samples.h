@@ -4,6 +4,7 @@
 #define CRAFTFLEET_TESTS_FAKES_WIRE_SAMPLES_H_
 
 #include <string>
+#include <vector>
 
 #include <gtest/gtest.h>
 
@@ -58,6 +59,33 @@ inline StepBatch SampleStepBatch() {
   batch.episodes = {EndedEpisode(0, 9), EndedEpisode(0, 10000)};
   batch.snapshots = {"one", std::string("t\0o", 3), "three"};
   return batch;
+}
+
+// Of frames of 12 bytes and pictures of 27.
+inline Moment SampleMoment(int number) {
+  Moment moment;
+  moment.frame = "frame of m." + std::to_string(number);
+  moment.picture = "a larger picture of moment " + std::to_string(number);
+  moment.picture.resize(27);
+  moment.semantic.assign(kWorldSize * kWorldSize, static_cast<char>(number % 19));
+  moment.player_x = 63 - number;
+  moment.player_y = number;
+  for (int i = 0; i < kNumItems; ++i) moment.inventory[i] = (i + number) % 10;
+  for (int i = 0; i < kNumAchievements; ++i) moment.achievements[i] = i * number;
+  return moment;
+}
+
+inline void ExpectSameMoments(const std::vector<Moment>& actual, const std::vector<Moment>& wanted) {
+  ASSERT_EQ(actual.size(), wanted.size());
+  for (size_t i = 0; i < wanted.size(); ++i) {
+    EXPECT_EQ(actual[i].frame, wanted[i].frame);
+    EXPECT_EQ(actual[i].picture, wanted[i].picture);
+    EXPECT_EQ(actual[i].semantic, wanted[i].semantic);
+    EXPECT_EQ(actual[i].player_x, wanted[i].player_x);
+    EXPECT_EQ(actual[i].player_y, wanted[i].player_y);
+    EXPECT_EQ(actual[i].inventory, wanted[i].inventory);
+    EXPECT_EQ(actual[i].achievements, wanted[i].achievements);
+  }
 }
 
 inline void ExpectSameEpisodes(const std::vector<Episode>& actual, const std::vector<Episode>& wanted) {

@@ -77,7 +77,7 @@ void TryInput(absl::string_view input) {
   v1::PlayReply reply;
   for (const v1::PlayRequest& request : Requests(input)) {
     // A picture of a million pixels is allowed and takes its time: not what is searched for here.
-    if (request.hello().env().frame_size() > 64) break;
+    if (request.hello().env().frame_size() > 64 || request.hello().recording().picture_size() > 64) break;
     if (!stream->Write(request) || !stream->Read(&reply)) break;
   }
   stream->WritesDone();
@@ -89,7 +89,10 @@ void TryInput(absl::string_view input) {
 std::vector<std::string> SoundInputs() {
   v1::PlayRequest close;
   close.mutable_close()->add_lanes(3);
-  return {Session({Hello(), Open(), Step(), Step(), close}), Session({Hello()}), Session({Hello(), Open(), Step()})};
+  v1::PlayRequest recording = Hello();
+  recording.mutable_hello()->mutable_recording()->set_picture_size(36);
+  return {Session({Hello(), Open(), Step(), Step(), close}), Session({Hello()}), Session({Hello(), Open(), Step()}),
+          Session({recording, Open(), Step()})};
 }
 
 }  // namespace craftfleet

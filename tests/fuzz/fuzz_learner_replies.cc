@@ -9,6 +9,7 @@ namespace {
 
 constexpr int kLanes = 3;
 constexpr int kFrameBytes = 12;
+constexpr int kPictureBytes = 27;
 constexpr int kStateSize = 2;
 
 }  // namespace
@@ -20,6 +21,8 @@ void TryInput(absl::string_view input) {
     v1::PlayReply reply;
     StepBatch batch;
     if (!reply.ParseFromArray(bytes.data(), static_cast<int>(bytes.size()))) return;
+    const auto moments = wire::MomentsFromProto(&reply, kLanes, kFrameBytes, kPictureBytes);
+    CRAFTFLEET_CHECK(!moments.ok() || moments->size() == kLanes);
     if (!wire::FromProto(&reply, kLanes, kFrameBytes, &batch).ok()) return;
     CRAFTFLEET_CHECK(batch.rewards.size() == kLanes && batch.ends.size() == kLanes);
     CRAFTFLEET_CHECK(batch.frames.size() == kLanes * kFrameBytes && batch.last_frames.size() % kFrameBytes == 0);
@@ -35,6 +38,7 @@ std::vector<std::string> SoundInputs() {
   StepBatch batch = SampleStepBatch();
   v1::PlayReply reply;
   wire::ToProto(&batch, &reply);
+  wire::ToProto(std::vector<Moment>{SampleMoment(1), SampleMoment(2), SampleMoment(3)}, &reply);
   v1::SnapshotReply snapshot;
   snapshot.set_snapshot("a game");
   snapshot.add_state(0.5F);

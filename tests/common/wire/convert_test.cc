@@ -200,6 +200,53 @@ const std::vector<Wrong<PlayReply>>& WrongReplies() {
 INSTANTIATE_TEST_SUITE_P(ConvertStepBatch, WrongReply, testing::ValuesIn(WrongReplies()),
                          [](const auto& info) { return info.param.what; });
 
+TEST(ConvertMoments, ComeBackAsTheyWent) {
+  const std::vector<Moment> sent = {SampleMoment(0), SampleMoment(9)};
+  v1::PlayReply message;
+  wire::ToProto(sent, &message);
+  v1::PlayReply received;
+  ASSERT_TRUE(received.ParseFromString(message.SerializeAsString()));
+  const auto moments = wire::MomentsFromProto(&received, 2, 12, 27);
+  ASSERT_THAT(moments, IsOk());
+  ExpectSameMoments(*moments, sent);
+  wire::ToProto(std::vector<Moment>{SampleMoment(3)}, &message);
+  EXPECT_EQ(message.moments_size(), 1) << "nothing of an earlier reply is left";
+}
+
+TEST(ConvertMoments, OfAServerThatKnowsNoneAreMissedClearly) {
+  v1::PlayReply message;
+  EXPECT_THAT(wire::MomentsFromProto(&message, 2, 12, 27),
+              StatusIs(absl::StatusCode::kUnimplemented, HasSubstr("upgrade it")));
+}
+
+class WrongMoment : public testing::TestWithParam<Wrong<v1::Moment>> {};
+
+TEST_P(WrongMoment, IsRefusedByName) {
+  v1::PlayReply message;
+  wire::ToProto(std::vector<Moment>{SampleMoment(1), SampleMoment(2)}, &message);
+  GetParam().damage(message.mutable_moments(1));
+  EXPECT_THAT(wire::MomentsFromProto(&message, 2, 12, 27),
+              StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr(GetParam().error)));
+}
+
+const std::vector<Wrong<v1::Moment>>& WrongMoments() {
+  static const auto* const wrong = new std::vector<Wrong<v1::Moment>>{
+      {"NoFrame", [](v1::Moment* m) { m->clear_frame(); }, "moment.frame: 0 bytes, want 12"},
+      {"PictureShort", [](v1::Moment* m) { m->mutable_picture()->pop_back(); }, "moment.picture: 26 bytes, want 27"},
+      {"SemanticLong", [](v1::Moment* m) { m->mutable_semantic()->push_back(1); }, "semantic: 4097 bytes, want 4096"},
+      {"PlayerLeftOfTheWorld", [](v1::Moment* m) { m->set_player_x(-1); }, "moment.player: at -1, 2, want 0..63"},
+      {"PlayerBelowTheWorld", [](v1::Moment* m) { m->set_player_y(64); }, "moment.player: at 61, 64, want 0..63"},
+      {"ItemsMissing", [](v1::Moment* m) { m->mutable_inventory()->RemoveLast(); }, "inventory: 15 counts, want 16"},
+      {"TenOfAnItem", [](v1::Moment* m) { m->set_inventory(4, 10); }, "moment.inventory: 10, want 0..9"},
+      {"AchievementTooMuch", [](v1::Moment* m) { m->add_achievements(1); }, "achievements: 23 counts, want 22"},
+      {"AchievementBelow0", [](v1::Moment* m) { m->set_achievements(0, -2); }, "achievements: -2, want at least 0"},
+  };
+  return *wrong;
+}
+
+INSTANTIATE_TEST_SUITE_P(ConvertMoments, WrongMoment, testing::ValuesIn(WrongMoments()),
+                         [](const auto& info) { return info.param.what; });
+
 TEST(ConvertActions, OnePerLane) {
   v1::StepLanes request;
   request.add_lanes(4);

@@ -1,0 +1,34 @@
+// Who looks on while episodes are played.
+
+#ifndef CRAFTFLEET_ACTOR_EPISODE_OBSERVER_H_
+#define CRAFTFLEET_ACTOR_EPISODE_OBSERVER_H_
+
+#include <cstdint>
+
+#include <absl/status/status.h>
+
+#include "common/crafter.h"
+#include "common/types.h"
+
+namespace craftfleet {
+
+struct ObservedStep {
+  Action action = Action::kNoop;
+  float reward = 0;
+  StepEnd end = StepEnd::kNone;  // another one: the step was the episode's last
+};
+
+// Sees each episode from its first moment to its last, several side by side. An error ends the evaluation. Called from
+// one thread.
+class EpisodeObserver {
+ public:
+  virtual ~EpisodeObserver() = default;
+  // Episode `number` of the environment begins.
+  virtual absl::Status OnStart(int64_t number, const Moment& moment) = 0;
+  // A step of it, and the moment after it.
+  virtual absl::Status OnStep(int64_t number, const ObservedStep& step, const Moment& moment) = 0;
+};
+
+}  // namespace craftfleet
+
+#endif  // CRAFTFLEET_ACTOR_EPISODE_OBSERVER_H_

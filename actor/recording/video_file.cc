@@ -1,0 +1,67 @@
+#include "actor/recording/video_file.h"
+
+#include <array>
+#include <utility>
+
+#include <absl/strings/str_cat.h>
+#include <opencv2/core/mat.hpp>
+#include <opencv2/imgproc.hpp>
+#include <opencv2/videoio.hpp>
+
+#include "common/check.h"
+#include "common/files.h"
+#include "common/status_macros.h"
+
+namespace craftfleet {
+namespace {
+
+// In the order of preference: browsers play the first.
+constexpr std::array<const char*, 2> kCodecs = {"avc1", "mp4v"};
+
+}  // namespace
+
+VideoFile::VideoFile(std::string path, int width, int height)
+    : path_(std::move(path)), width_(width), height_(height), writer_(std::make_unique<cv::VideoWriter>()) {}
+
+VideoFile::~VideoFile() {
+  if (writer_ == nullptr) return;
+  writer_->release();
+  RemoveAll(path_).IgnoreError();
+}
+
+absl::StatusOr<std::unique_ptr<VideoFile>> VideoFile::Create(const std::string& path, int width, int height) {
+  CRAFTFLEET_CHECK(width > 0 && height > 0 && width % 2 == 0 && height % 2 == 0);
+  CRAFTFLEET_RETURN_IF_ERROR(WriteFileSynced(path, ""));  // OpenCV does not say why a file can't be written
+  std::unique_ptr<VideoFile> video(new VideoFile(path, width, height));
+  for (const char* codec : kCodecs) {
+    try {
+      const int code = cv::VideoWriter::fourcc(codec[0], codec[1], codec[2], codec[3]);
+      if (video->writer_->open(path, cv::CAP_FFMPEG, code, kPicturesPerSecond, cv::Size(width, height))) return video;
+    } catch (const cv::Exception& error) {
+      return absl::InternalError(absl::StrCat(path, ": ", error.what()));
+    }
+  }
+  return absl::FailedPreconditionError(
+      absl::StrCat(path, ": this OpenCV writes neither H.264 nor MPEG-4 video: install one with FFmpeg"));
+}
+
+absl::Status VideoFile::Append(absl::string_view picture) {
+  CRAFTFLEET_CHECK(picture.size() == size_t{3} * width_ * height_);
+  try {
+    const cv::Mat rgb(height_, width_, CV_8UC3, const_cast<char*>(picture.data()));
+    cv::Mat bgr;
+    cv::cvtColor(rgb, bgr, cv::COLOR_RGB2BGR);
+    writer_->write(bgr);
+  } catch (const cv::Exception& error) {
+    return absl::InternalError(absl::StrCat(path_, ": ", error.what()));
+  }
+  return absl::OkStatus();
+}
+
+absl::Status VideoFile::Finish(const std::string& path) {
+  writer_->release();
+  writer_ = nullptr;
+  return RenameSynced(path_, path);
+}
+
+}  // namespace craftfleet

@@ -1,0 +1,49 @@
+// One video, written picture by picture.
+
+#ifndef CRAFTFLEET_ACTOR_RECORDING_VIDEO_FILE_H_
+#define CRAFTFLEET_ACTOR_RECORDING_VIDEO_FILE_H_
+
+#include <memory>
+#include <string>
+
+#include <absl/status/status.h>
+#include <absl/status/statusor.h>
+#include <absl/strings/string_view.h>
+
+namespace cv {
+class VideoWriter;
+}
+
+namespace craftfleet {
+
+// Owned by one thread. Without Finish, the destructor removes what was written.
+class VideoFile {
+ public:
+  static constexpr int kPicturesPerSecond = 15;
+
+  // An mp4 file, H.264 where OpenCV can write it, else MPEG-4; at `path` until Finish. Width and height are even,
+  // pixels.
+  //   The codes of common/files.h; FailedPrecondition: OpenCV can write neither.
+  static absl::StatusOr<std::unique_ptr<VideoFile>> Create(const std::string& path, int width, int height);
+  ~VideoFile();
+  VideoFile(const VideoFile&) = delete;
+  VideoFile& operator=(const VideoFile&) = delete;
+
+  // `picture` is uint8[height,width,3], RGB.   Internal: OpenCV failed.
+  absl::Status Append(absl::string_view picture);
+
+  // Ends the video and moves it to `path`.
+  absl::Status Finish(const std::string& path);
+
+ private:
+  VideoFile(std::string path, int width, int height);
+
+  const std::string path_;  // while it is being written
+  const int width_;
+  const int height_;
+  std::unique_ptr<cv::VideoWriter> writer_;
+};
+
+}  // namespace craftfleet
+
+#endif  // CRAFTFLEET_ACTOR_RECORDING_VIDEO_FILE_H_

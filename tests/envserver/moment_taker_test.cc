@@ -1,0 +1,146 @@
+#include "envserver/moment_taker.h"
+
+#include <memory>
+#include <string>
+#include <vector>
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include "common/keyed_random.h"
+#include "common/paths.h"
+#include "envserver/env_batch.h"
+#include "tests/fakes/status_matchers.h"
+
+namespace craftfleet {
+namespace {
+
+using testing::HasSubstr;
+using testing::IsEmpty;
+using testing::SizeIs;
+
+constexpr int kPictureSize = 144;
+
+std::shared_ptr<const Renderer> MakeRenderer(int size, int length) {
+  WorldOptions world;
+  world.length = length;
+  RenderOptions picture;
+  picture.width = size;
+  picture.height = size;
+  return *Renderer::Create(**Textures::Load(*DefaultTextureDir()), world, picture);
+}
+
+absl::Span<uint8_t> Bytes(std::string* text) {
+  return absl::MakeSpan(reinterpret_cast<uint8_t*>(text->data()), text->size());
+}
+
+Action ActionAt(int step) {
+  return static_cast<Action>(KeyedBits(RandomUse::kActionNoise, 5, 0, static_cast<uint64_t>(step)) % kNumActions);
+}
+
+// A game played by hand, without auto reset, from Crafter's own loop.
+struct ByHand {
+  explicit ByHand(int length)
+      : renderer(MakeRenderer(64, length)),
+        frame(renderer->frame_bytes(), '\0'),
+        game(*Game::Create(renderer, 7, Bytes(&frame))) {}
+
+  std::shared_ptr<const Renderer> renderer;
+  std::string frame;
+  Game game;
+};
+
+// Through a night and several ends: whoever looks on must not disturb the game's random stream.
+TEST(Recording, ChangesNothing) {
+  const auto renderer = MakeRenderer(64, 260);
+  EnvBatch plain(renderer);
+  EnvBatch recorded(renderer, MomentTaker(MakeRenderer(kPictureSize, 260)));
+  std::string frames;
+  std::string recorded_frames;
+  ASSERT_THAT(plain.Open({{0, 7, 1, ""}}, &frames), IsOk());
+  ASSERT_THAT(recorded.Open({{0, 7, 1, ""}}, &recorded_frames), IsOk());
+  EXPECT_EQ(recorded_frames, frames);
+  StepBatch step;
+  StepBatch recorded_step;
+  int ends = 0;
+  for (int i = 0; i < 600; ++i) {
+    ASSERT_THAT(plain.Step({0}, {ActionAt(i)}, true, &step), IsOk());
+    ASSERT_THAT(recorded.Step({0}, {ActionAt(i)}, true, &recorded_step), IsOk());
+    ASSERT_EQ(recorded_step.frames, step.frames) << i;
+    ASSERT_EQ(recorded_step.last_frames, step.last_frames);
+    ASSERT_EQ(recorded_step.rewards, step.rewards);
+    ASSERT_EQ(recorded_step.ends, step.ends);
+    ASSERT_EQ(recorded_step.snapshots, step.snapshots);
+    ASSERT_EQ(recorded_step.episodes.size(), step.episodes.size());
+    if (step.ends[0] == StepEnd::kNone) continue;
+    ++ends;
+    EXPECT_EQ(recorded_step.episodes[0].length, step.episodes[0].length);
+    EXPECT_EQ(recorded_step.episodes[0].reward, step.episodes[0].reward);
+    EXPECT_EQ(recorded_step.episodes[0].achievements, step.episodes[0].achievements);
+  }
+  EXPECT_GE(ends, 2);
+  EXPECT_THAT(plain.moments(), IsEmpty());
+}
+
+TEST(Recording, ShowsEachMomentOfAnEpisodeToItsLast) {
+  constexpr int kLength = 40;
+  ByHand played(kLength);
+  EnvBatch batch(played.renderer, MomentTaker(MakeRenderer(kPictureSize, kLength)));
+  std::string frames;
+  StepBatch step;
+  ASSERT_THAT(batch.Open({{3, 7, 1, ""}}, &frames), IsOk());
+  const auto larger = MakeRenderer(kPictureSize, kLength);
+  for (int i = 0; i <= kLength; ++i) {
+    SCOPED_TRACE(i);
+    if (i > 0) {
+      ASSERT_THAT(batch.Step({3}, {ActionAt(i)}, false, &step), IsOk());
+      played.game.Step(ActionAt(i), Bytes(&played.frame));
+    }
+    ASSERT_THAT(batch.moments(), SizeIs(1));
+    const Moment& moment = batch.moments()[0];
+    const World& world = played.game.world();
+    ASSERT_EQ(moment.frame, played.frame);
+    ASSERT_EQ(moment.player_x, world.player_position().x);
+    ASSERT_EQ(moment.player_y, world.player_position().y);
+    ASSERT_EQ(static_cast<int>(moment.semantic[moment.player_x * 64 + moment.player_y]), 13);
+    ASSERT_EQ(moment.inventory[0], world.player().health());
+    ASSERT_EQ(moment.achievements, world.player().achievements);
+    std::string picture(larger->frame_bytes(), '\0');
+    RandomStream random = played.game.before_picture();
+    larger->Render(world, &random, Bytes(&picture));
+    ASSERT_EQ(moment.picture, picture);
+  }
+  EXPECT_EQ(step.ends[0], StepEnd::kTruncated);
+  EXPECT_NE(step.frames, batch.moments()[0].frame) << "the next episode's first frame";
+}
+
+// The frame of a death, which nobody else asks for.
+TEST(Recording, ShowsTheDeath) {
+  ByHand played(10000);
+  EnvBatch batch(played.renderer, MomentTaker(nullptr));
+  std::string frames;
+  StepBatch step;
+  ASSERT_THAT(batch.Open({{0, 7, 1, ""}}, &frames), IsOk());
+  int length = 0;
+  do {
+    ASSERT_THAT(batch.Step({0}, {Action::kNoop}, false, &step), IsOk());
+    played.game.Step(Action::kNoop, Bytes(&played.frame));
+  } while (++length < 5000 && step.ends[0] == StepEnd::kNone);
+  ASSERT_EQ(step.ends[0], StepEnd::kTerminated);
+  EXPECT_EQ(batch.moments()[0].frame, played.frame);
+  EXPECT_EQ(batch.moments()[0].inventory[0], 0) << "health";
+  EXPECT_EQ(batch.moments()[0].picture, "");
+}
+
+TEST(Recording, OfTooManyLargePicturesIsRefused) {
+  const auto renderer = MakeRenderer(64, 100);
+  EnvBatch batch(renderer, MomentTaker(MakeRenderer(1024, 100)));
+  std::string frames;
+  const std::vector<EnvBatch::OpenLane> many(22);
+  EXPECT_THAT(batch.Open(many, &frames),
+              StatusIs(absl::StatusCode::kInvalidArgument,
+                       HasSubstr("22 lanes more on top of 0 open ones, want at most 21 in a session that records so")));
+}
+
+}  // namespace
+}  // namespace craftfleet
