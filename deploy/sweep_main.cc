@@ -1,5 +1,9 @@
 // craftfleet sweep: runs experiments.
 
+#include <unistd.h>
+
+#include <algorithm>
+#include <cerrno>
 #include <cstdint>
 #include <cstdio>
 #include <filesystem>
@@ -12,12 +16,15 @@
 #include <absl/strings/str_cat.h>
 #include <absl/strings/str_format.h>
 #include <absl/strings/str_join.h>
+#include <absl/strings/str_split.h>
 
 #include "common/cpu_quota.h"
+#include "common/files.h"
 #include "common/program.h"
 #include "common/status_macros.h"
 #include "deploy/experiment/experiments.h"
 #include "deploy/experiment/run_state.h"
+#include "deploy/experiment/slurm_array.h"
 #include "deploy/experiment/sweep.h"
 #include "deploy/experiment/sweep_plan.h"
 
@@ -26,12 +33,17 @@ ABSL_FLAG(std::vector<std::string>, cell, {},
           "cells to run, joined by commas: ppo_cnn, 94-2-2-2/ppo_cnn, or 94-2-2-2 for all below it [all]");
 ABSL_FLAG(int32_t, seeds, 10, "runs of each cell: seeds 1, 2, ...; 1..1000");
 ABSL_FLAG(int32_t, jobs, 1, "runs at a time, 1..1000");
+ABSL_FLAG(std::vector<std::string>, run, {}, "only these runs, joined by commas: table1/ppo_cnn/seed1 [all]");
+ABSL_FLAG(std::string, executor, "local",
+          "who runs them: local, as processes here; slurm, as one array job, whose tasks are requeued when preempted");
+ABSL_FLAG(std::string, slurm_flags, "",
+          "with --executor=slurm: flags for sbatch, like \"--partition=gpu --mem=8G --time=2-0\"");
 ABSL_FLAG(int64_t, steps, 0, "environment steps of each run, to try something; 0: as the experiment says");
 ABSL_FLAG(std::string, logdir, "", "folder of the runs: LOGDIR/EXPERIMENT/CELL/seed1, ... (needed to run)");
 ABSL_FLAG(bool, list, false, "only list the cells; with --logdir also how many of their runs are done");
-ABSL_FLAG(bool, dry_run, false, "only print the commands that would be run");
+ABSL_FLAG(bool, dry_run, false, "only print the commands that would be run, or with --executor=slurm the script");
 ABSL_FLAG(std::string, write_configs, "", "only write each cell's configuration to DIR/EXPERIMENT/CELL.txt");
-ABSL_FLAG(int32_t, threads, 0, "threads of each run; 0: the CPU quota shared among --jobs");
+ABSL_FLAG(int32_t, threads, 0, "threads of each run; 0: the CPU quota shared among --jobs; with --executor=slurm 1");
 ABSL_FLAG(std::string, textures, "",
           "textures of all runs, as for craftfleet train [the ones that come with this program]");
 
@@ -46,6 +58,7 @@ that fails is reported and does not stop the rest. Each run's output is in log.t
 
   craftfleet sweep deploy/experiments/paper.txt --list
   craftfleet sweep deploy/experiments/paper.txt --experiment=table1 --cell=ppo_cnn --seeds=3 --jobs=2 --logdir=runs/paper
+  craftfleet sweep deploy/experiments/paper.txt --executor=slurm --jobs=100 --logdir=/shared/runs/paper
   craftfleet report runs/paper --out=report)";
 
 absl::Status CheckFlags() {
@@ -56,14 +69,21 @@ absl::Status CheckFlags() {
   CRAFTFLEET_RETURN_IF_ERROR(within("seeds", absl::GetFlag(FLAGS_seeds), 1, 1000));
   CRAFTFLEET_RETURN_IF_ERROR(within("jobs", absl::GetFlag(FLAGS_jobs), 1, 1000));
   CRAFTFLEET_RETURN_IF_ERROR(within("threads", absl::GetFlag(FLAGS_threads), 0, 256));
+  if (const std::string executor = absl::GetFlag(FLAGS_executor); executor != "local" && executor != "slurm") {
+    return absl::InvalidArgumentError(absl::StrCat("--executor=", executor, ", want local or slurm"));
+  }
   return within("steps", absl::GetFlag(FLAGS_steps), 0, 1'000'000'000'000);
 }
 
-absl::StatusOr<std::string> TrainProgram() {
+std::filesystem::path OwnPath() {
   std::error_code error;
-  const std::filesystem::path own = std::filesystem::read_symlink("/proc/self/exe", error);
-  const std::filesystem::path train = own.parent_path() / "craftfleet-train";
-  if (!error && std::filesystem::exists(train, error)) return train.string();
+  return std::filesystem::read_symlink("/proc/self/exe", error);
+}
+
+absl::StatusOr<std::string> TrainProgram() {
+  const std::filesystem::path train = OwnPath().parent_path() / "craftfleet-train";
+  std::error_code error;
+  if (std::filesystem::exists(train, error)) return train.string();
   return absl::NotFoundError(absl::StrCat(train.string(), " is not there: it belongs beside this program"));
 }
 
@@ -104,6 +124,76 @@ absl::Status PrintCommands(const std::vector<SweepJob>& jobs) {
   return absl::OkStatus();
 }
 
+// Leaves in `jobs` those of --run.
+absl::Status KeepNamedRuns(std::vector<SweepJob>* jobs) {
+  const std::vector<std::string> names = absl::GetFlag(FLAGS_run);
+  if (names.empty()) return absl::OkStatus();
+  std::vector<SweepJob> kept;
+  for (const std::string& name : names) {
+    const auto job =
+        std::find_if(jobs->begin(), jobs->end(), [&](const SweepJob& other) { return other.name == name; });
+    if (job == jobs->end()) {
+      return absl::InvalidArgumentError(
+          absl::StrCat("--run: no run \"", name, "\", want one like ", jobs->front().name));
+    }
+    kept.push_back(*job);
+  }
+  *jobs = std::move(kept);
+  return absl::OkStatus();
+}
+
+// The script for the jobs that are left to run.
+absl::StatusOr<SlurmArray> MakeSlurmArray(const std::string& file, const std::string& logdir,
+                                          const std::vector<SweepJob>& jobs) {
+  SlurmArray array;
+  array.logs = JoinPath(logdir, "slurm");
+  array.at_a_time = absl::GetFlag(FLAGS_jobs);
+  array.threads = std::max(1, absl::GetFlag(FLAGS_threads));
+  array.command = {OwnPath().string(), std::filesystem::absolute(file).string(), absl::StrCat("--logdir=", logdir),
+                   absl::StrCat("--seeds=", absl::GetFlag(FLAGS_seeds)),
+                   absl::StrCat("--steps=", absl::GetFlag(FLAGS_steps))};
+  if (const std::string textures = absl::GetFlag(FLAGS_textures); !textures.empty()) {
+    array.command.push_back(absl::StrCat("--textures=", std::filesystem::absolute(textures).string()));
+  }
+  for (const SweepJob& job : jobs) {
+    CRAFTFLEET_ASSIGN_OR_RETURN(const RunState state, ReadRunState(job.folder, job.config.steps()));
+    if (!state.finished) array.runs.push_back(job.name);
+  }
+  return array;
+}
+
+// Becomes sbatch.
+absl::Status Submit(const SlurmArray& array) {
+  const std::string path = JoinPath(array.logs, "sweep.sbatch");
+  CRAFTFLEET_RETURN_IF_ERROR(CreateFolders(array.logs));
+  CRAFTFLEET_RETURN_IF_ERROR(ReplaceFile(path, SlurmArrayScript(array)));
+  std::vector<std::string> words = {"sbatch"};
+  for (const absl::string_view flag : absl::StrSplit(absl::GetFlag(FLAGS_slurm_flags), ' ', absl::SkipEmpty())) {
+    words.emplace_back(flag);
+  }
+  words.push_back(path);
+  std::vector<char*> pointers;
+  for (std::string& word : words) pointers.push_back(word.data());
+  pointers.push_back(nullptr);
+  absl::PrintF("%d runs are left; logs will be in %s\n", array.runs.size(), array.logs);
+  std::fflush(stdout);
+  execvp("sbatch", pointers.data());
+  const absl::Status error = FileError(errno, "cannot start", "sbatch");
+  return absl::Status(error.code(), absl::StrCat(error.message(), "; submit ", path, " where Slurm is"));
+}
+
+absl::Status RunOnSlurm(const std::string& file, const std::string& logdir, const std::vector<SweepJob>& jobs) {
+  CRAFTFLEET_ASSIGN_OR_RETURN(const SlurmArray array,
+                              MakeSlurmArray(file, std::filesystem::absolute(logdir).string(), jobs));
+  if (array.runs.empty()) {
+    absl::PrintF("%d runs, all of which are done already\n", jobs.size());
+    return absl::OkStatus();
+  }
+  if (!absl::GetFlag(FLAGS_dry_run)) return Submit(array);
+  absl::PrintF("%s", SlurmArrayScript(array));
+  return absl::OkStatus();
+}
+
 absl::Status Run(const std::vector<std::string>& arguments) {
   if (arguments.size() != 1) return absl::InvalidArgumentError("name one file with experiments; see --help");
   CRAFTFLEET_RETURN_IF_ERROR(CheckFlags());
@@ -121,6 +211,8 @@ absl::Status Run(const std::vector<std::string>& arguments) {
   if (absl::GetFlag(FLAGS_list)) return List(cells, settings);
   if (settings.logdir.empty()) return absl::InvalidArgumentError("--logdir is missing: the folder for the runs");
   std::vector<SweepJob> jobs = PlanSweep(cells, settings);
+  CRAFTFLEET_RETURN_IF_ERROR(KeepNamedRuns(&jobs));
+  if (absl::GetFlag(FLAGS_executor) == "slurm") return RunOnSlurm(arguments[0], settings.logdir, jobs);
   if (absl::GetFlag(FLAGS_dry_run)) return PrintCommands(jobs);
 
   Sweep::Options options;
@@ -138,5 +230,7 @@ absl::Status Run(const std::vector<std::string>& arguments) {
 int main(int argc, char** argv) {
   const std::vector<std::string> arguments =
       craftfleet::ParseFlagsAndArguments(craftfleet::kProgram, craftfleet::kUsage, argc, argv);
-  return craftfleet::ExitCode(craftfleet::kProgram, craftfleet::Run(arguments));
+  const absl::Status status = craftfleet::Run(arguments);
+  const int exit_code = craftfleet::ExitCode(craftfleet::kProgram, status);
+  return absl::IsCancelled(status) ? craftfleet::kSweepStopped : exit_code;
 }
