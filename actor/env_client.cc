@@ -122,7 +122,7 @@ absl::Status EnvClient::Broken() {
   const std::string context = absl::StrCat("environment server ", server_.address);
   if (stream_ == nullptr) return absl::UnavailableError(absl::StrCat(context, ": not connected"));
   stream_->WritesDone();
-  const absl::Status status = wire::FromGrpc(stream_->Finish(), context);
+  const absl::Status status = wire::FromCall(stream_->Finish(), context, server_);
   stream_ = nullptr;
   MutexLock lock(&mu_);
   if (cancelled_) return absl::CancelledError("stopping");

@@ -88,6 +88,7 @@ absl::Status Listener::Bind() {
   absl::Status status;
   for (const addrinfo* entry = found; entry != nullptr; entry = entry->ai_next) status.Update(BindTo(*entry));
   freeaddrinfo(found);
+  address_ = absl::StrCat(address.substr(0, colon), ":", port_);
   // A name like localhost may have addresses of a family that this machine lacks.
   return sockets_.empty() ? status : absl::OkStatus();
 }
@@ -174,7 +175,7 @@ void Listener::Accept(int socket) {
   const int descriptor = accept4(socket, reinterpret_cast<sockaddr*>(&address), &size, SOCK_NONBLOCK | SOCK_CLOEXEC);
   if (descriptor < 0) {
     if (errno != EMFILE && errno != ENFILE && errno != ENOBUFS && errno != ENOMEM) return;  // the client left
-    log_.Warn("accept", absl::StrFormat("%s: a client has to wait: %s; raise the limit (ulimit -n)", options_.address,
+    log_.Warn("accept", absl::StrFormat("%s: a client has to wait: %s; raise the limit (ulimit -n)", address_,
                                         std::generic_category().message(errno)));
     poll(nullptr, 0, kPauseMs);
     return;
@@ -185,11 +186,11 @@ void Listener::Accept(int socket) {
   if (connections_.size() >= max_connections_) {
     log_.Warn("all", absl::StrFormat("%s: refused a connection from %s: there are %d, all that the limit of open files "
                                      "allows; raise it (ulimit -n)",
-                                     options_.address, client, connections_.size()));
+                                     address_, client, connections_.size()));
   } else if (open >= options_.max_connections_per_client) {
     log_.Warn(client, absl::StrFormat("%s: refused a connection from %s, which has %d, all that "
                                       "--max_connections_per_client allows",
-                                      options_.address, client, open));
+                                      address_, client, open));
   } else {
     Admit(descriptor, client);
     return;

@@ -41,7 +41,8 @@ class Listener {
   // Frees the port. Connections that were handed over stay. Idempotent.
   void Stop();
 
-  int port() const { return port_; }
+  // HOST:PORT as asked for, with the port in use.
+  const std::string& address() const { return address_; }
 
  private:
   explicit Listener(const Options& options) : options_(options) {}
@@ -58,6 +59,7 @@ class Listener {
   RealClock clock_;
   LimitedLog log_{&clock_};
   Handle handle_;
+  std::string address_;
   int port_ = 0;
   std::vector<int> sockets_;
   int poll_ = -1;                           // epoll of sockets, copies and wake-up

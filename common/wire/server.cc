@@ -1,13 +1,10 @@
 #include "common/wire/server.h"
 
-#include <arpa/inet.h>
-
 #include <chrono>
 #include <mutex>
 #include <utility>
 
 #include <absl/strings/match.h>
-#include <absl/strings/str_cat.h>
 #include <absl/strings/str_format.h>
 #include <grpcpp/ext/proto_server_reflection_plugin.h>
 #include <grpcpp/health_check_service_interface.h>
@@ -29,14 +26,6 @@ constexpr int kMaxIdleMs = 300'000;            // of a connection without a call
 constexpr int kMaxThreads = 4096;              // each call that is served has one; beyond: RESOURCE_EXHAUSTED
 
 bool IsUnixSocket(absl::string_view address) { return absl::StartsWith(address, "unix:"); }
-
-bool IsLoopback(absl::string_view address) {
-  if (IsUnixSocket(address)) return true;
-  const std::string host(address.substr(0, address.rfind(':')));
-  in_addr number{};
-  const bool in_127 = inet_pton(AF_INET, host.c_str(), &number) == 1 && (ntohl(number.s_addr) >> 24) == 127;
-  return in_127 || host == "localhost" || host == "[::1]";
-}
 
 // Limits and keepalive.
 void SetLimits(grpc::ServerBuilder* builder) {
@@ -118,20 +107,19 @@ absl::StatusOr<Server::Port> Server::Open(const Options& options, const std::str
   Port opened;
   opened.address = address;
   grpc::ServerBuilder builder;
-  int port = 0;
+  int port = 1;
   if (IsUnixSocket(address)) {
     builder.AddListeningPort(address, std::move(credentials), &port);
   } else if (!address.empty()) {
     CRAFTFLEET_ASSIGN_OR_RETURN(opened.listener, Listener::Create({address, options.max_connections_per_client}));
-    port = opened.listener->port();
-    opened.address = absl::StrCat(absl::string_view(address).substr(0, address.rfind(':')), ":", port);
+    opened.address = opened.listener->address();
     opened.acceptor = builder.experimental().AddExternalConnectionAcceptor(
         grpc::ServerBuilder::experimental_type::ExternalConnectionType::FROM_FD, std::move(credentials));
   }
   SetLimits(&builder);
   for (grpc::Service* service : services) builder.RegisterService(service);
   opened.server = builder.BuildAndStart();
-  if (opened.server == nullptr || (!address.empty() && port == 0)) {
+  if (opened.server == nullptr || port == 0) {
     return absl::UnavailableError(absl::StrFormat("cannot listen on %s: choose another --listen", address));
   }
   if (opened.listener != nullptr) {

@@ -1,0 +1,65 @@
+#include "common/wire/certificates.h"
+
+#include <absl/time/clock.h>
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include "tests/fakes/status_matchers.h"
+#include "tests/fakes/temp_folder.h"
+#include "tests/fakes/test_certificates.h"
+
+namespace craftfleet::wire {
+namespace {
+
+using testing::AllOf;
+using testing::HasSubstr;
+
+class CertificatesTest : public testing::Test {
+ protected:
+  std::string Pem(const std::string& name) const { return folder_ / (name + ".pem"); }
+  std::string Key(const std::string& name) const { return folder_ / (name + ".key"); }
+
+  const TempFolder folder_;
+  TestAuthority ca_{folder_, "ca"};
+};
+
+TEST_F(CertificatesTest, AKeyMustBeTheCertificates) {
+  ca_.Issue("a", {"a"});
+  ca_.Issue("b", {"b"});
+  EXPECT_THAT(CheckKeyPair(Pem("a"), Key("a")), IsOk());
+  EXPECT_THAT(CheckKeyPair(Pem("a"), Key("b")),
+              StatusIs(absl::StatusCode::kInvalidArgument,
+                       "--tls_key=" + Key("b") + " is not the key of --tls_cert=" + Pem("a")));
+  EXPECT_THAT(CheckKeyPair(Key("a"), Key("a")),
+              StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("--tls_cert=" + Key("a") + ": no certificate")));
+  EXPECT_THAT(CheckKeyPair(Pem("a"), Pem("a")),
+              StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("--tls_key=" + Pem("a") + ": no private key")));
+  EXPECT_THAT(CheckKeyPair(Pem("away"), Key("a")), StatusIs(absl::StatusCode::kNotFound, HasSubstr(Pem("away"))));
+}
+
+TEST_F(CertificatesTest, AnAuthorityIsACertificate) {
+  EXPECT_THAT(CheckAuthorities(Pem("ca")), IsOk());
+  ca_.Issue("a", {"a"});
+  EXPECT_THAT(CheckAuthorities(Key("a")), StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("--tls_ca=")));
+}
+
+TEST_F(CertificatesTest, SaysWhatOthersWillNotLike) {
+  TestAuthority other(folder_, "other");
+  ca_.Issue("good", {"good"});
+  ca_.Issue("old", {"old", 1, true, -7200, -3600});
+  ca_.Issue("young", {"young", 1, true, 3600, 7200});
+  EXPECT_EQ(CertificateTrouble(Pem("good"), Pem("ca"), absl::Now()), "");
+  EXPECT_THAT(CertificateTrouble(Pem("old"), Pem("ca"), absl::Now()),
+              HasSubstr("--tls_cert=" + Pem("old") + " expired on 20"));
+  EXPECT_THAT(CertificateTrouble(Pem("young"), Pem("ca"), absl::Now()), HasSubstr("is not valid before 20"));
+  EXPECT_THAT(CertificateTrouble(Pem("good"), Pem("other"), absl::Now()),
+              AllOf(HasSubstr("not from an authority"), HasSubstr("--tls_ca=" + Pem("other"))));
+}
+
+// The standard's example: FIPS 180-2, "abc".
+TEST(Sha256, OfTheStandardsExample) {
+  EXPECT_EQ(Sha256Hex("abc"), "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad");
+}
+
+}  // namespace
+}  // namespace craftfleet::wire

@@ -1,0 +1,299 @@
+// TLS and tokens between a real server and real channels, on loopback.
+#include "common/wire/security.h"
+
+#include <sys/socket.h>
+
+#include <string>
+
+#include <absl/strings/str_format.h>
+#include <absl/time/clock.h>
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include "common/wire/certificates.h"
+#include "common/wire/channel.h"
+#include "common/wire/server.h"
+#include "common/wire/status_service.h"
+#include "craftfleet/v1/environment.grpc.pb.h"
+#include "craftfleet/v1/status.grpc.pb.h"
+#include "tests/fakes/status_matchers.h"
+#include "tests/fakes/temp_folder.h"
+#include "tests/fakes/test_certificates.h"
+#include "tests/fakes/wait_until.h"
+
+namespace craftfleet::wire {
+namespace {
+
+using testing::AllOf;
+using testing::HasSubstr;
+using testing::Not;
+
+// Echoes what it is sent.
+class EchoService : public v1::EnvironmentService::Service {
+ public:
+  grpc::Status Play(grpc::ServerContext* context,
+                    grpc::ServerReaderWriter<v1::PlayReply, v1::PlayRequest>* stream) override {
+    saw_token_ = context->client_metadata().count("authorization") > 0;
+    v1::PlayRequest request;
+    while (stream->Read(&request)) stream->Write({});
+    return grpc::Status::OK;
+  }
+  bool saw_token() const { return saw_token_; }
+
+ private:
+  std::atomic<bool> saw_token_{false};
+};
+
+class SecurityTest : public testing::Test {
+ protected:
+  SecurityTest() {
+    ca_.Issue("server", {"server", 100});
+    ca_.Issue("client", {"client", 200});
+  }
+
+  std::string Pem(const std::string& name) const { return folder_ / (name + ".pem"); }
+  TlsFiles Files(const std::string& name, const std::string& ca = "ca") const {
+    TlsFiles files;
+    if (!name.empty()) files = {Pem(name), folder_ / (name + ".key"), ""};
+    if (!ca.empty()) files.authorities = Pem(ca);
+    return files;
+  }
+  // A client that shows certificate `name`, none if empty.
+  ChannelSecurity Client(const std::string& name, const std::string& ca = "ca", const std::string& token = "") const {
+    auto security = ChannelSecurity::Create({Files(name, ca), "", token});
+    EXPECT_THAT(security, IsOk());
+    return *std::move(security);
+  }
+  std::unique_ptr<Server> Listen(const TlsFiles& files, const std::string& access_file = "", bool ask = true) {
+    Server::Options options;
+    options.address = "127.0.0.1:0";
+    options.files = files;
+    options.ask_clients = ask;
+    options.access_file = access_file;
+    auto server = Server::Create(options, {&status_, &echo_});
+    EXPECT_THAT(server, IsOk());
+    return *std::move(server);
+  }
+  std::string WriteToken(const std::string& name, const std::string& token) const {
+    EXPECT_THAT(ReplaceFile(folder_ / name, token + "\n"), IsOk());
+    return folder_ / name;
+  }
+  static absl::Status GetStatus(const Endpoint& endpoint) {
+    grpc::ClientContext context;
+    SetDeadline(&context, absl::Seconds(20));
+    v1::StatusReply reply;
+    return FromCall(v1::StatusService::NewStub(endpoint.channel)->GetStatus(&context, {}, &reply), "server", endpoint);
+  }
+  static absl::Status GetStatus(const std::string& address, const ChannelSecurity& security) {
+    return GetStatus(Connect(address, security));
+  }
+  // One message there and back on a stream.
+  static absl::Status Play(const std::string& address, const ChannelSecurity& security) {
+    const Endpoint endpoint = Connect(address, security);
+    grpc::ClientContext context;
+    SetDeadline(&context, absl::Seconds(20));
+    const auto stream = v1::EnvironmentService::NewStub(endpoint.channel)->Play(&context);
+    v1::PlayReply reply;
+    if (stream->Write({}) && stream->Read(&reply)) return absl::OkStatus();
+    return FromCall(stream->Finish(), "server", endpoint);
+  }
+  static std::string ErrorLog(const std::function<void()>& action) {
+    testing::internal::CaptureStderr();
+    action();
+    return testing::internal::GetCapturedStderr();
+  }
+
+  const TempFolder folder_;
+  TestAuthority ca_{folder_, "ca"};
+  StatusServiceImpl status_{"actor", [](v1::StatusReply* /*reply*/) {}};
+  EchoService echo_;
+};
+
+TEST_F(SecurityTest, BothSidesShowCertificates) {
+  const auto server = Listen(Files("server"));
+  EXPECT_THAT(GetStatus(server->address(), Client("client")), IsOk());
+  EXPECT_THAT(Play(server->address(), Client("client")), IsOk());
+  EXPECT_THAT(WaitUntilConnected("server", Connect(server->address(), Client("client")), absl::Seconds(10)), IsOk());
+}
+
+TEST_F(SecurityTest, ClientsNeedNoCertificateWhereNoneIsWanted) {
+  EXPECT_THAT(GetStatus(Listen(Files("server", ""))->address(), Client("")), IsOk());
+  EXPECT_THAT(GetStatus(Listen(Files("server"), "", /*ask=*/false)->address(), Client("")), IsOk());
+}
+
+TEST_F(SecurityTest, AClientWithoutCertificateIsRefused) {
+  const auto server = Listen(Files("server"));
+  const std::string log = ErrorLog([&] {
+    EXPECT_THAT(GetStatus(server->address(), Client("")),
+                StatusIs(absl::StatusCode::kUnavailable,
+                         AllOf(HasSubstr("server: TLS: "), HasSubstr("give --tls_cert and --tls_key"))));
+  });
+  EXPECT_THAT(log, HasSubstr("TLS: refused a client: it shows no certificate; connected just before: 127.0.0.1"));
+}
+
+TEST_F(SecurityTest, ACertificateOfAnotherAuthorityIsRefused) {
+  TestAuthority other(folder_, "other");
+  other.Issue("stranger", {"client"});
+  const auto server = Listen(Files("server"));
+  const std::string log = ErrorLog([&] {
+    EXPECT_THAT(
+        GetStatus(server->address(), Client("stranger")),
+        StatusIs(absl::StatusCode::kUnavailable, AllOf(HasSubstr("it may have refused --tls_cert=" + Pem("stranger")),
+                                                       HasSubstr("not from an authority in --tls_ca=" + Pem("ca")))));
+  });
+  EXPECT_THAT(log, HasSubstr("refused a client: its certificate has expired or is not from an authority in --tls_ca"));
+}
+
+TEST_F(SecurityTest, AnExpiredCertificateIsRefused) {
+  ca_.Issue("old", {"client", 1, true, -7200, -3600});
+  const auto server = Listen(Files("server"));
+  ErrorLog([&] {
+    EXPECT_THAT(GetStatus(server->address(), Client("old")),
+                StatusIs(absl::StatusCode::kUnavailable,
+                         AllOf(HasSubstr("--tls_cert=" + Pem("old")), HasSubstr("expired on 20"))));
+  });
+}
+
+TEST_F(SecurityTest, AServerOfAnotherAuthorityIsNotTrusted) {
+  TestAuthority other(folder_, "other");
+  other.Issue("stranger", {"stranger"});
+  const auto server = Listen(Files("stranger", ""));
+  const Endpoint endpoint = Connect(server->address(), Client(""));
+  EXPECT_THAT(GetStatus(endpoint),
+              StatusIs(absl::StatusCode::kUnavailable,
+                       HasSubstr("its certificate is not from an authority in --tls_ca=" + Pem("ca"))));
+  EXPECT_THAT(WaitUntilConnected("server", endpoint, absl::Seconds(10)),
+              StatusIs(absl::StatusCode::kUnavailable,
+                       AllOf(HasSubstr("server " + server->address() + ": cannot connect: TLS: its certificate"))));
+}
+
+TEST_F(SecurityTest, AServerMustBeWhoWasCalled) {
+  ca_.Issue("elsewhere", {"elsewhere", 1, /*local=*/false});
+  const auto server = Listen(Files("elsewhere", ""));
+  EXPECT_THAT(GetStatus(server->address(), Client("")),
+              StatusIs(absl::StatusCode::kUnavailable,
+                       AllOf(HasSubstr("for another name than 127.0.0.1"), HasSubstr("--tls_server_name"))));
+  EXPECT_THAT(GetStatus(server->address(), Client("").ForServer("elsewhere")), IsOk());
+}
+
+TEST_F(SecurityTest, WhoSpeaksTlsAndWhoDoesNotAreTold) {
+  const auto tls = Listen(Files("server", ""));
+  const auto plain = Listen({});
+  ErrorLog([&] {
+    EXPECT_THAT(GetStatus(tls->address(), {}), StatusIs(absl::StatusCode::kUnavailable, HasSubstr("give --tls_ca")));
+  });
+  EXPECT_THAT(GetStatus(plain->address(), Client("")),
+              StatusIs(absl::StatusCode::kUnavailable, HasSubstr("does not speak TLS")));
+}
+
+TEST_F(SecurityTest, TokensGiveRights) {
+  const std::string access = folder_ / "access.txt";
+  ASSERT_THAT(ReplaceFile(access, absl::StrFormat(R"(
+                client { name: "monitor" token_sha256: "%s" right: WATCH }
+                client { name: "worker" token_sha256: "%s" right: WORK })",
+                                                  Sha256Hex("monitor's"), Sha256Hex("worker's"))),
+              IsOk());
+  const auto server = Listen(Files("server", ""), access);
+  const std::string monitor = WriteToken("monitor", "monitor's");
+  const std::string worker = WriteToken("worker", "worker's");
+  const std::string wrong = WriteToken("wrong", "wrong");
+  EXPECT_THAT(GetStatus(server->address(), Client("", "ca", monitor)), IsOk());
+  EXPECT_THAT(Play(server->address(), Client("", "ca", worker)), IsOk());
+  EXPECT_FALSE(echo_.saw_token());
+
+  const std::string log = ErrorLog([&] {
+    EXPECT_THAT(
+        Play(server->address(), Client("", "ca", monitor)),
+        StatusIs(absl::StatusCode::kPermissionDenied, AllOf(HasSubstr("not allowed"), Not(HasSubstr("monitor\"")))));
+    EXPECT_THAT(GetStatus(server->address(), Client("", "ca", wrong)),
+                StatusIs(absl::StatusCode::kUnauthenticated, HasSubstr("check the token in --token_file=" + wrong)));
+    EXPECT_THAT(GetStatus(server->address(), Client("")),
+                StatusIs(absl::StatusCode::kUnauthenticated, HasSubstr("give --token_file")));
+  });
+  EXPECT_THAT(log, AllOf(HasSubstr("refused /craftfleet.v1.EnvironmentService/Play: security_test@"),
+                         HasSubstr("it is \"monitor\" in the access file, without the right to work"),
+                         HasSubstr("its token is not in the access file"), HasSubstr("it shows no token"),
+                         Not(HasSubstr("monitor's"))));
+}
+
+TEST_F(SecurityTest, ATokenIsReadAgain) {
+  const std::string access = folder_ / "access.txt";
+  ASSERT_THAT(ReplaceFile(access, absl::StrFormat("client { name: \"a\" token_sha256: \"%s\" right: WATCH }",
+                                                  Sha256Hex("new"))),
+              IsOk());
+  const auto server = Listen(Files("server", ""), access);
+  const Endpoint endpoint = Connect(server->address(), Client("", "ca", WriteToken("token", "old")));
+  ErrorLog([&] { EXPECT_FALSE(GetStatus(endpoint).ok()); });
+  WriteToken("token", "new");
+  ErrorLog([&] { EXPECT_TRUE(WaitUntil([&] { return GetStatus(endpoint).ok(); })); });
+}
+
+// The serial number of the certificate that the server shows on a new connection.
+std::string SerialOf(const std::string& address, const std::string& ca, const std::string& folder) {
+  const std::string file = folder + "/shown";
+  const std::string command = absl::StrFormat(
+      "openssl s_client -connect %s -CAfile %s -alpn h2 </dev/null 2>/dev/null | openssl x509 -noout -serial > %s",
+      address, ca, file);
+  if (std::system(command.c_str()) != 0) return "none";
+  return ReadFile(file).value_or("none");
+}
+
+TEST_F(SecurityTest, ReplacedCertificatesAreUsedAndNoConnectionIsLost) {
+  const auto server = Listen(Files("server"));
+  const Endpoint endpoint = Connect(server->address(), Client("client"));
+  grpc::ClientContext context;
+  const auto stream = v1::EnvironmentService::NewStub(endpoint.channel)->Play(&context);
+  v1::PlayReply reply;
+  ASSERT_TRUE(stream->Write({}) && stream->Read(&reply));
+  EXPECT_EQ(SerialOf(server->address(), Pem("ca"), folder_.path()), "serial=64\n");
+
+  // Both sides get new certificates, of a new authority.
+  TestAuthority next(folder_, "ca");
+  next.Issue("server", {"server", 101});
+  next.Issue("client", {"client", 201});
+  ErrorLog([&] {
+    EXPECT_TRUE(WaitUntil([&] { return SerialOf(server->address(), Pem("ca"), folder_.path()) == "serial=65\n"; }));
+    EXPECT_TRUE(WaitUntil([&] { return GetStatus(server->address(), Client("client")).ok(); }));
+  });
+  EXPECT_TRUE(stream->Write({}) && stream->Read(&reply));
+  stream->WritesDone();
+  EXPECT_TRUE(stream->Finish().ok());
+}
+
+TEST_F(SecurityTest, OptionsThatDoNotGoTogetherAreNamed) {
+  EXPECT_THAT(ChannelSecurity::Create({{}, "", "token"}),
+              StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("--token_file wants --tls_ca")));
+  EXPECT_THAT(ChannelSecurity::Create({{}, "name", ""}),
+              StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("--tls_server_name wants --tls_ca")));
+  EXPECT_THAT(ChannelSecurity::Create({{Pem("client"), "", ""}, "", ""}),
+              StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("--tls_cert wants --tls_key")));
+  EXPECT_THAT(ChannelSecurity::Create({Files("", "ca"), "", folder_ / "no token"}),
+              StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("--token_file=")));
+  Server::Options options;
+  options.access_file = "access.txt";
+  EXPECT_THAT(options.Validate(), StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("--access_file wants")));
+}
+
+TEST_F(SecurityTest, BeyondThisHostTlsIsEnough) {
+  Server::Options options;
+  options.address = "0.0.0.0:0";
+  EXPECT_THAT(options.Validate(), StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("--tls_cert")));
+  options.files = Files("server");
+  EXPECT_THAT(options.Validate(), IsOk());
+}
+
+// Probes that speak no TLS.
+TEST_F(SecurityTest, AHealthPortSaysNothingButHealth) {
+  Server::Options options;
+  options.address = "127.0.0.1:0";
+  options.files = Files("server");
+  options.health_address = "127.0.0.1:0";
+  const auto server = Server::Create(options, {&status_});
+  ASSERT_THAT(server, IsOk());
+  const Endpoint health = Connect((*server)->health_address());
+  EXPECT_THAT(WaitUntilConnected("server", health, absl::Seconds(10)), IsOk());
+  EXPECT_THAT(GetStatus(health), StatusIs(absl::StatusCode::kUnimplemented, HasSubstr("does not know this call")));
+}
+
+}  // namespace
+}  // namespace craftfleet::wire
