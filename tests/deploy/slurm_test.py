@@ -1,0 +1,140 @@
+"""deploy/slurm and `craftfleet sweep --executor=slurm` on a real Slurm that the test starts and stops."""
+
+import pathlib
+import subprocess
+import tempfile
+import unittest
+
+from tests.deploy.slurm_cluster import SlurmCluster, why_not
+from tests.fakes import python_case
+from tests.fakes.python_case import BIN, SOURCE, wait_until
+
+SCRIPT = SOURCE / "deploy/slurm/fleet.sbatch"
+# 2 actors and 2 environment servers, small enough for three nodes on one machine.
+PARTS = ["--cpus-per-task=1", "--mem-per-cpu=500", ":", "--ntasks=2", "--mem-per-cpu=500", ":", "--ntasks=2", "--mem-per-cpu=500"]
+EXPERIMENTS = """
+axes {
+  name: "gamma"
+  choices { name: "gamma=0.9" config { ppo { gamma: 0.9 } } }
+  choices { name: "gamma=0.5" config { ppo { gamma: 0.5 } } }
+}
+experiments {
+  name: "small"
+  base { %s }
+  axes { axis: "gamma" }
+}
+"""
+
+
+class Slurm(unittest.TestCase):
+
+  def setUp(self):
+    reason = why_not()
+    if reason:
+      self.skipTest(reason)
+    self._temp = tempfile.TemporaryDirectory(prefix="craftfleet-")
+    self.addCleanup(self._temp.cleanup)
+    self.folder = pathlib.Path(self._temp.name)
+    self.logdir = self.folder / "run"
+    (self.folder / "config.txt").write_text(python_case.SMALL_RUN)
+    # A checkout's layout around the programs of this build.
+    self.root = self.folder / "root"
+    (self.root / "build").mkdir(parents=True)
+    (self.root / "build/bin").symlink_to(BIN)
+    (self.root / "deploy").symlink_to(SOURCE / "deploy")
+    self.cluster = SlurmCluster()
+    self.cluster.env["CRAFTFLEET_ROOT"] = str(self.root)
+    self.cluster.__enter__()
+    self.addCleanup(self.cluster.__exit__)
+
+  def sbatch(self, *arguments):
+    out = self.cluster.run("sbatch", "--parsable", f"--output={self.folder}/job-%j.log", *arguments).stdout
+    return out.strip().split(";")[0]
+
+  def submit_fleet(self, steps):
+    return self.sbatch(*PARTS, SCRIPT, f"--config={self.folder}/config.txt", f"--logdir={self.logdir}", f"--steps={steps}",
+                       "--threads=1")
+
+  def job_log(self):
+    return "\n".join(file.read_text(errors="replace") for file in
+                     [*self.folder.glob("job-*.log"), *sorted((self.logdir / "fleet").glob("*.log"))])
+
+  def wait_for_checkpoint(self, iteration, logdir=None):
+    path = (logdir or self.logdir) / f"checkpoints/iter-{iteration:08}"
+    try:
+      wait_until(path.exists, f"checkpoint {iteration}", seconds=120)
+    except AssertionError as error:
+      raise AssertionError(f"{error}\n{self.job_log()}\n{self.cluster.logs()}") from None
+
+  def expect_state(self, job, *states):
+    try:
+      self.cluster.wait_for_state(job, *states)
+    except AssertionError as error:
+      raise AssertionError(f"{error}\n{self.job_log()}\n{self.cluster.logs()}") from None
+
+  def expect_bytes_of_one_process(self, steps):
+    alone = self.folder / "alone"
+    subprocess.run([BIN / "craftfleet-train", f"--config={self.folder}/config.txt", f"--logdir={alone}", f"--steps={steps}",
+                    "--threads=1"], check=True, capture_output=True, timeout=200)
+    self.assertEqual((self.logdir / "stats.jsonl").read_bytes(), (alone / "stats.jsonl").read_bytes())
+
+  def test_a_fleet_of_three_parts_trains_to_the_bytes_of_one_process(self):
+    job = self.submit_fleet(steps=192)
+    self.expect_state(job, "COMPLETED")
+    self.assertIn("2 actors, 2 environment servers", self.job_log())
+    self.assertIn("the run is complete", self.job_log())
+    self.assertNotIn("--insecure", self.job_log())
+    self.assertFalse((self.logdir / "fleet/tls/ca.key").exists())
+    self.expect_bytes_of_one_process(steps=192)
+
+  def test_a_preempted_fleet_goes_back_into_the_queue_and_on_as_if_never_stopped(self):
+    job = self.submit_fleet(steps=768)
+    self.wait_for_checkpoint(2)
+    urgent = self.sbatch("--partition=high", "--nodes=3", "--exclusive", "--wrap=sleep 1")
+    self.expect_state(urgent, "COMPLETED")
+    self.assertIn("stopped; go on with --resume", self.job_log())
+    self.assertIn("back into the queue", self.job_log())
+    self.expect_state(job, "COMPLETED")
+    self.assertEqual(self.cluster.job(job)["Restarts"], "1")
+    self.assertIn("goes on after iteration", self.job_log())
+    self.expect_bytes_of_one_process(steps=768)
+
+  def test_scancel_ends_a_fleet_for_good(self):
+    job = self.submit_fleet(steps=1000000)
+    self.wait_for_checkpoint(1)
+    self.cluster.run("scancel", job)
+    self.expect_state(job, "CANCELLED")
+    wait_until(lambda: self.cluster.run("squeue", "-h").stdout == "", "an empty queue")
+    self.assertNotIn("back into the queue", self.job_log())
+    self.assertEqual(python_case.processes_with(str(self.logdir)), [])
+
+  def test_a_job_that_lacks_something_says_what(self):
+    self.expect_state(self.sbatch(*PARTS, SCRIPT), "FAILED")
+    self.assertIn("--logdir is missing", self.job_log())
+    self.cluster.env["CRAFTFLEET_ROOT"] = str(self.folder)
+    self.expect_state(self.sbatch(*PARTS, SCRIPT, "--logdir=x"), "FAILED")
+    self.assertIn(f"{self.folder}/build/bin/craftfleet-learner is not there", self.job_log())
+    self.assertIn("start it with sbatch", self.cluster.run("bash", SCRIPT, "--logdir=x", check=False).stderr)
+
+  def sweep(self, *flags):
+    return self.cluster.run(BIN / "craftfleet-sweep", self.folder / "experiments.txt", "--seeds=2", "--executor=slurm",
+                            f"--logdir={self.folder}/runs", "--jobs=10", "--slurm_flags=--mem-per-cpu=400 --parsable", *flags)
+
+  def test_a_sweep_runs_as_an_array_and_a_stopped_task_is_requeued(self):
+    (self.folder / "experiments.txt").write_text(EXPERIMENTS % python_case.SMALL_RUN.replace("steps: 192", "steps: 1280", 1))
+    submitted = self.sweep()
+    self.assertIn("4 runs are left", submitted.stdout)
+    job = submitted.stdout.split()[-1]
+    self.wait_for_checkpoint(1, self.folder / "runs/small/gamma=0.9/seed1")
+    self.cluster.run("scancel", "--signal=TERM", f"{job}_0")
+    log = self.folder / f"runs/slurm/{job}_0.log"
+    wait_until(lambda: "back into the queue" in log.read_text(), "a task that is requeued")
+    wait_until(lambda: self.cluster.run("squeue", "-h").stdout == "", "an empty queue", seconds=200)
+    self.assertIn("goes on: small/gamma=0.9/seed1", log.read_text())
+    listed = subprocess.run([BIN / "craftfleet-sweep", self.folder / "experiments.txt", "--list", "--seeds=2",
+                             f"--logdir={self.folder}/runs"], capture_output=True, text=True, check=True).stdout
+    self.assertEqual(listed.count("2 of 2 done"), 2, listed + log.read_text())
+    self.assertIn("all of which are done already", self.sweep().stdout)
+
+
+python_case.main()
