@@ -1,0 +1,180 @@
+"""A fleet of real processes that a test can kill, pause and watch: on this machine, or spread over several hosts."""
+
+import json
+import pathlib
+import signal
+import socket
+import subprocess
+import threading
+import time
+
+WARM_UP_S = 120
+YOUNG_S = 4  # before that a process is still loading
+
+
+class Site:
+    """Where processes run and how others reach them: here, this machine's loopback."""
+
+    command_prefix = []  # of every command that is run here
+    flags = []           # of every process that listens here
+
+    def listen(self):
+        """An address, HOST:PORT, for one more process to listen on."""
+        with socket.socket() as probe:
+            probe.bind(("127.0.0.1", 0))
+            return f"127.0.0.1:{probe.getsockname()[1]}"
+
+    def reached_at(self, address):
+        """The address at which others find what listens on `address`."""
+        return address
+
+
+class Worker:
+    """A process that is started again with the same command whenever it was killed."""
+
+    def __init__(self, name, command, log):
+        self.name, self.command, self.log = name, [str(part) for part in command], log
+        self.process, self.started, self.paused = None, 0, False
+        self.start()
+
+    def start(self):
+        with open(self.log, "ab") as log:
+            self.process = subprocess.Popen(self.command, stdin=subprocess.DEVNULL, stdout=log, stderr=log)
+        self.started, self.paused = time.monotonic(), False
+
+    def restart(self):
+        self.process.kill()
+        self.process.wait()
+        self.start()
+
+    def pause(self):
+        self.process.send_signal(signal.SIGSTOP)
+        self.paused = True
+
+    def wake(self):
+        if self.paused:
+            self.process.send_signal(signal.SIGCONT)
+            self.paused = False
+
+    def ask_to_stop(self):
+        if self.process.poll() is None:
+            self.wake()
+            self.process.terminate()
+
+    def wait(self):
+        """Until it has stopped; SIGKILL after 15 s."""
+        try:
+            self.process.wait(15)
+        except subprocess.TimeoutExpired:
+            self.process.kill()
+            self.process.wait()
+
+    def resident_kib(self):
+        """None if it is gone."""
+        try:
+            status = pathlib.Path(f"/proc/{self.process.pid}/status").read_text(encoding="utf-8")
+        except OSError:
+            return None
+        return next((int(line.split()[1]) for line in status.splitlines() if line.startswith("VmRSS:")), None)
+
+
+class Fleet:
+    """A learner on `learner_site`; environment servers and actors dealt out over `sites`."""
+
+    def __init__(self, options, config, logdir, learner_site, sites):
+        self.bin, out = pathlib.Path(options.bin), pathlib.Path(options.out)
+        self.learner_site, self.learner_address = learner_site, learner_site.listen()
+        reached = learner_site.reached_at(self.learner_address)
+        learner = [*learner_site.command_prefix, self.bin / "craftfleet-learner", f"--config={config}",
+                   f"--logdir={logdir}", f"--listen={self.learner_address}", "--threads=1", *learner_site.flags]
+        self.learner = Worker("learner", learner, out / "learner.log")
+        self.workers = []
+        try:
+            for i in range(options.servers):
+                site = sites[i % len(sites)]
+                listen = site.listen()
+                command = [*site.command_prefix, self.bin / "craftfleet-envserver", f"--listen={listen}",
+                           f"--advertise={site.reached_at(listen)}", f"--learner={reached}", *site.flags]
+                self.workers.append(Worker(f"server{i}", command, out / f"server{i}.log"))
+            for i in range(options.actors):
+                site = sites[i % len(sites)]
+                command = [*site.command_prefix, self.bin / "craftfleet-actor", f"--learner={reached}",
+                           "--envservers=learner", "--threads=1"]
+                self.workers.append(Worker(f"actor{i}", command, out / f"actor{i}.log"))
+        except BaseException:
+            self.stop()
+            raise
+
+    def iteration(self):
+        """What the learner says, -1 while it says nothing."""
+        command = [*self.learner_site.command_prefix, self.bin / "craftfleet-status",
+                   f"--address={self.learner_address}", "--json"]
+        result = subprocess.run(command, capture_output=True, text=True, timeout=30, check=False)
+        if result.returncode != 0:
+            return -1
+        metrics = {metric["name"]: metric["value"] for metric in json.loads(result.stdout)["metrics"]}
+        return int(metrics["iteration"])
+
+    def all(self):
+        return [self.learner] + self.workers
+
+    def stop(self):
+        for worker in self.all():
+            worker.ask_to_stop()
+        for worker in self.all():
+            worker.wait()
+
+
+class Watch:
+    """Asks the learner for its iteration, again and again, on a thread of its own: a slow answer holds up nothing else."""
+
+    def __init__(self, fleet):
+        self.fleet, self.iteration, self.changed, self.slowest = fleet, 0, time.monotonic(), 0.0
+        self.stopping = threading.Event()
+        self.thread = threading.Thread(target=self.run)
+        self.thread.start()
+
+    def run(self):
+        while not self.stopping.wait(0.3):
+            latest = self.fleet.iteration()
+            if latest > self.iteration:
+                now = time.monotonic()
+                self.slowest, self.iteration, self.changed = max(self.slowest, now - self.changed), latest, now
+
+    def stop(self):
+        """Also counts the time since the last iteration, in which the run ended."""
+        self.stopping.set()
+        self.thread.join()
+        self.slowest = max(self.slowest, time.monotonic() - self.changed)
+
+
+class Memory:
+    """How the resident memory of each process grows while the test goes on, be it killed and started anew all the time.
+
+    A process is only compared with one of its own name that was about as old (a power of two of seconds; beyond two
+    minutes age is no excuse): memory may depend on how old a process is, but not on how long the run goes on."""
+
+    def __init__(self, start):
+        self.start, self.samples = start, {}
+
+    def note(self, worker, now):
+        kib, age = worker.resident_kib(), now - worker.started
+        if kib is None or age < YOUNG_S or now - self.start < WARM_UP_S:
+            return
+        age_class = int(min(age, WARM_UP_S)).bit_length()
+        self.samples.setdefault(worker.name, {}).setdefault(age_class, []).append((now - self.start, kib))
+
+    def growth(self):
+        """KiB a minute by name, for those seen for a minute or more: the common slope of all classes of age."""
+        slopes = {}
+        for name, classes in self.samples.items():
+            product, square, times = 0.0, 0.0, []
+            for points in classes.values():
+                mean_t = sum(t for t, _ in points) / len(points)
+                mean_kib = sum(kib for _, kib in points) / len(points)
+                product += sum((t - mean_t) * (kib - mean_kib) for t, kib in points)
+                square += sum((t - mean_t) ** 2 for t, _ in points)
+                times += [t for t, _ in points]
+            if max(times) - min(times) >= 60 and square > 0:
+                slopes[name] = 60 * product / square
+        return slopes

@@ -1,0 +1,235 @@
+#!/usr/bin/env python3
+"""chaos.py over a network: five hosts (network namespaces) on a bridge, and every connection has faults.
+
+The learner has one host; actors and environment servers are dealt out over the other four. Everyone is reached through a
+proxy on his host (proxy.py), which delays each message by 50 ms in either direction, stalls 1% of them for 1 s and resets
+connections; the cable of the last host carries 100 Mbit/s (tc tbf). Every now and then a host is cut off for 20 s, in
+turn by the proxies, which leaves its connections half open, and by its cable. Processes are killed and paused as well.
+Logs and weights must be the bytes of a quiet run in one process.
+
+  tests/chaos/netns.py --bin=build/bin --out=/tmp/netns              49 iterations, 20 to 30 minutes
+  tests/chaos/netns.py --bin=build/bin --out=/tmp/netns --short      the short form that the tests run
+
+Needs root, ip and tc; exits with 77, which means skipped, where they are missing. The namespaces are named
+craftfleet-PID-...; they go when the program ends, and those that a killed one left go when it is started again.
+"""
+
+import json
+import os
+import pathlib
+import re
+import shutil
+import signal
+import subprocess
+import sys
+
+from chaos import Chaos, arguments, compare, end_cleanly_when_stopped
+from fleet import Fleet, Site
+
+SKIPPED = 77
+HOSTS = 5
+SLOW_LINK = ["rate", "100mbit", "burst", "64kb", "latency", "400ms"]
+FAULTS = ["--delay_ms=50", "--stall_share=0.01", "--stall_ms=1000"]
+# Many lanes: every step is a round trip, so a lane should have few of them in an iteration.
+LONG_CONFIG = """steps: 200704 seed: 5 lanes: 128 fragment_steps: 32 checkpoint { every_iterations: 1 }
+  eval { every_steps: 0 final_episodes: 0 }"""
+SHORT_CONFIG = """steps: 1024 seed: 5 lanes: 32 fragment_steps: 16 env { length: 30 }
+  ppo { rollout_steps: 512 minibatch_size: 128 epochs: 2 } checkpoint { every_iterations: 1 }
+  eval { every_steps: 0 final_episodes: 0 }"""
+LONG_PACE = {"kill": 10, "learner": 120, "pause": 60, "reset": 5, "cut": 75}  # seconds from one to the next
+SHORT_PACE = {"kill": 15, "reset": 8, "cut": 18}
+
+
+def run(*command):
+    return subprocess.run(command, check=True, capture_output=True, text=True).stdout
+
+
+class Host(Site):
+    """A namespace. What listens on a port of it is reached through the proxy, a thousand ports further on."""
+
+    def __init__(self, name, number, ports, seed):
+        self.name, self.address, self.next_port = name, f"10.77.0.{number + 1}", 6000
+        self.ports, self.seed, self.proxy = ports, seed, None
+        self.command_prefix, self.flags = ["ip", "netns", "exec", name], ["--insecure"]
+
+    def listen(self):
+        self.next_port += 1
+        return f"{self.address}:{self.next_port - 1}"
+
+    def reached_at(self, address):
+        host, port = address.rsplit(":", 1)
+        return f"{host}:{int(port) + 1000}"
+
+    def start_proxy(self):
+        maps = [f"--map={self.address}:{7000 + i}={self.address}:{6000 + i}" for i in range(self.ports)]
+        self.proxy = subprocess.Popen(
+            [*self.command_prefix, sys.executable, pathlib.Path(__file__).parent / "proxy.py", *maps, *FAULTS,
+             f"--seed={self.seed}"], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, start_new_session=True)
+        if self.proxy.stdout.readline() != "ready\n":
+            sys.exit(f"the proxy of {self.name} did not start")
+
+    def tell_proxy(self, command):
+        self.proxy.stdin.write(command + "\n")
+        self.proxy.stdin.flush()
+
+    def report(self):
+        self.tell_proxy("report")
+        return json.loads(self.proxy.stdout.readline())
+
+
+class Network:
+    """The hosts, the bridge and the cables between them, which are pairs of virtual devices."""
+
+    PREFIX = "craftfleet-"
+
+    def __init__(self, options):
+        self.remove_leftovers()
+        self.prefix = f"{self.PREFIX}{os.getpid()}-"
+        self.switch = self.prefix + "switch"
+        ports = max(1, -(-options.servers // (HOSTS - 1)))
+        self.hosts = [Host(f"{self.prefix}{i}", i, ports, options.seed + i) for i in range(HOSTS)]
+        self.learner_host, self.worker_hosts = self.hosts[0], self.hosts[1:]
+
+    def build(self):
+        run("ip", "netns", "add", self.switch)
+        run("ip", "-n", self.switch, "link", "add", "name", "bridge", "type", "bridge")
+        run("ip", "-n", self.switch, "link", "set", "bridge", "up")
+        for host in self.hosts:
+            run("ip", "netns", "add", host.name)
+            run("ip", "link", "add", "name", "eth0", "netns", host.name, "type", "veth",
+                "peer", "name", self.cable(host), "netns", self.switch)
+            run("ip", "-n", self.switch, "link", "set", self.cable(host), "master", "bridge")
+            run("ip", "-n", host.name, "address", "add", f"{host.address}/24", "dev", "eth0")
+            for namespace, device in [(host.name, "lo"), (host.name, "eth0"), (self.switch, self.cable(host))]:
+                run("ip", "-n", namespace, "link", "set", device, "up")
+        slow = self.hosts[-1]
+        for namespace, device in [(slow.name, "eth0"), (self.switch, self.cable(slow))]:
+            run("tc", "-n", namespace, "qdisc", "add", "dev", device, "root", "tbf", *SLOW_LINK)
+        for host in self.hosts:
+            host.start_proxy()
+
+    @staticmethod
+    def cable(host):
+        """Its end at the switch."""
+        return "port" + host.name.rsplit("-", 1)[1]
+
+    def cut(self, host, by_cable):
+        if by_cable:
+            run("ip", "-n", self.switch, "link", "set", self.cable(host), "down")
+            return
+        host.tell_proxy("cut *")
+        for other in self.hosts:
+            other.tell_proxy(f"cut {host.address}")
+
+    def heal(self, host):
+        run("ip", "-n", self.switch, "link", "set", self.cable(host), "up")
+        host.tell_proxy("heal *")
+        for other in self.hosts:
+            other.tell_proxy(f"heal {host.address}")
+
+    def report(self):
+        """What the proxies did, all together, and how often a packet had to wait at the slow link."""
+        total = {}
+        for host in self.hosts:
+            for name, count in host.report().items():
+                total[name] = total.get(name, 0) + count
+        slow = self.hosts[-1]
+        queues = [json.loads(run("tc", "-n", namespace, "-s", "-j", "qdisc", "show", "dev", device))[0]
+                  for namespace, device in [(slow.name, "eth0"), (self.switch, self.cable(slow))]]
+        return total | {"slow_link_bytes": sum(queue["bytes"] for queue in queues),
+                        "slow_link_waits": sum(queue["overlimits"] for queue in queues)}
+
+    def remove(self):
+        for host in self.hosts:
+            if host.proxy is not None:
+                host.proxy.kill()
+                host.proxy.wait()
+        for namespace in [host.name for host in self.hosts] + [self.switch]:
+            self.remove_namespace(namespace)
+
+    @staticmethod
+    def remove_namespace(name):
+        """With the processes in it, if it is there."""
+        pids = subprocess.run(["ip", "netns", "pids", name], capture_output=True, text=True, check=False)
+        for pid in pids.stdout.split():
+            os.kill(int(pid), signal.SIGKILL)
+        subprocess.run(["ip", "netns", "delete", name], capture_output=True, check=False)
+
+    @classmethod
+    def remove_leftovers(cls):
+        """Of those that were killed before they could remove them."""
+        for name in run("ip", "netns", "list").split():
+            match = re.fullmatch(cls.PREFIX + r"(\d+)-\w+", name)
+            if match and not pathlib.Path(f"/proc/{match[1]}").exists():
+                cls.remove_namespace(name)
+
+
+class NetworkChaos(Chaos):
+    """Cuts off hosts and resets connections, too."""
+
+    def __init__(self, network, cut_s, *arguments_of_chaos):
+        super().__init__(*arguments_of_chaos)
+        self.network, self.cut_s = network, cut_s
+
+    def reset(self):
+        self.random.choice(self.network.hosts).tell_proxy("reset")
+
+    def cut(self):
+        host = self.random.choice(self.network.hosts)
+        self.network.cut(host, by_cable=self.counts["cut"] % 2 == 0)
+        self.endings.append((self.since + self.cut_s, lambda: self.network.heal(host)))
+
+    def figures(self):
+        return {**super().figures(), "network": self.network.report()}
+
+    def failures(self, since):
+        idle = [name for name, count in self.network.report().items() if count == 0]
+        return super().failures(since) + [f"the network had no {name}" for name in idle]
+
+
+def why_not():
+    """What is missing here; None if nothing is."""
+    for tool in ["ip", "tc"]:
+        if shutil.which(tool) is None:
+            return f"there is no program {tool} (Debian: iproute2)"
+    if os.geteuid() != 0:
+        return "network namespaces need root"
+    name = f"{Network.PREFIX}{os.getpid()}-probe"
+    try:
+        run("ip", "netns", "add", name)
+        run("ip", "-n", name, "link", "add", "name", "bridge", "type", "bridge")
+        run("ip", "-n", name, "link", "add", "name", "a", "type", "veth", "peer", "name", "b")
+        run("tc", "-n", name, "qdisc", "add", "dev", "a", "root", "tbf", *SLOW_LINK)
+    except subprocess.CalledProcessError as error:
+        return f"{' '.join(error.cmd)}: {error.stderr.strip()}"
+    finally:
+        Network.remove_namespace(name)
+    return None
+
+
+def main():
+    parser = arguments(__doc__)
+    parser.add_argument("--pace", default="", help="seconds from one event to the next, such as kill=2,cut=40,reset=0; 0: none")
+    options = parser.parse_args()
+    reason = why_not()
+    if reason is not None:
+        print(f"skipped: {reason}")
+        return SKIPPED
+    end_cleanly_when_stopped()
+    pace = dict(SHORT_PACE if options.short else LONG_PACE)
+    for event, every in (entry.split("=") for entry in options.pace.split(",") if entry):
+        pace[event] = float(every)
+    pace = {event: every for event, every in pace.items() if every > 0}
+    network = Network(options)
+    try:
+        network.build()
+        return compare(options, SHORT_CONFIG if options.short else LONG_CONFIG,
+                       lambda config, logdir: Fleet(options, config, logdir, network.learner_host,
+                                                    network.worker_hosts),
+                       lambda fleet: NetworkChaos(network, 6 if options.short else 20, fleet, options.seed, pace, 15))
+    finally:
+        network.remove()
+
+
+if __name__ == "__main__":
+    sys.exit(main())
