@@ -161,6 +161,7 @@ def record(options, figures, failures):
             "build": said_by(pathlib.Path(options.bin) / "craftfleet-learner", "--version"),
             "revision": said_by("git", "-C", here, "describe", "--always", "--dirty"),
             "cpus": os.cpu_count(), "figures": figures, "failures": failures}
+    (here / "results").mkdir(exist_ok=True)
     with open(here / "results" / "runs.jsonl", "a", encoding="utf-8") as results:
         results.write(json.dumps(line) + "\n")
 
