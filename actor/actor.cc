@@ -23,6 +23,7 @@ constexpr absl::Duration kFirstRetry = absl::Milliseconds(250);
 constexpr absl::Duration kLastRetry = absl::Seconds(2);
 constexpr absl::Duration kSayAgain = absl::Seconds(10);  // between two lines about the same trouble
 constexpr int kPollMs = 500;                             // long poll for permits; a tenth of the lease
+constexpr size_t kServersTold = 8;                       // environment servers the learner is told of, each poll
 
 bool IsTransient(const absl::Status& status) {
   return status.code() == absl::StatusCode::kUnavailable || status.code() == absl::StatusCode::kDeadlineExceeded;
@@ -125,7 +126,7 @@ absl::Status Actor::StartLoops() {
         loop, &learner_, &permits_, policies_.get(), &sender_,
         std::make_unique<EnvPool>(options_.env_servers, hello, static_cast<int>(spec.frame_bytes()),
                                   std::hash<std::string>()(name_) + i),
-        &rate_));
+        &servers_));
   }
   for (const auto& loop : loops_) threads_.emplace_back([this, loop = loop.get()] { RunLoop(loop); });
   sender_.Start();
@@ -156,6 +157,10 @@ absl::Status Actor::KeepPermits() {
       request.set_env_servers_generation(env_servers_generation_);
     }
     request.set_evaluation(evaluations_->current(joined_.epoch()));
+    *request.mutable_summary() = Summary();
+    if (!options_.env_servers->uses_registry()) {  // else they speak for themselves
+      for (v1::Peer& server : servers_.Next(kServersTold)) request.add_env_servers()->Swap(&server);
+    }
     for (const HeldPermit& permit : permits_.Active()) {
       if (permit.epoch != joined_.epoch()) continue;
       v1::Permit* message = request.add_active();
@@ -219,42 +224,46 @@ void Actor::Pause(absl::Duration pause) {
   changed_.WaitFor(&mu_, pause, [this]() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_) { return stopping_; });
 }
 
+v1::ProcessSummary Actor::Summary() const {
+  v1::ProcessSummary summary;
+  summary.set_lanes(static_cast<int>(permits_.Active().size()));
+  summary.set_policy_version(-1);
+  Work total;
+  Work recent;
+  const MutexLock lock(&mu_);
+  for (const auto& loop : loops_) {
+    total.Add(loop->meter().Total());
+    recent.Add(loop->meter().Recent());
+    summary.set_policy_version(std::max(summary.policy_version(), loop->policy_version()));
+  }
+  wire::FillWork(total, recent, static_cast<int>(loops_.size()), &summary);
+  wire::FillUsage(&summary);
+  return summary;
+}
+
 void Actor::FillStatus(v1::StatusReply* reply) const {
-  MutexLock lock(&mu_);
-  reply->set_run_id(run_id_);
+  *reply->mutable_summary() = Summary();
   int64_t steps = 0;
   int64_t abandoned = 0;
-  double policy_s = 0;
-  double env_s = 0;
-  double send_s = 0;
-  for (const auto& loop : loops_) {
-    const LoopCounters& counters = loop->counters();
-    steps += counters.steps;
-    abandoned += counters.abandoned;
-    policy_s += static_cast<double>(counters.policy_ns) * 1e-9;
-    env_s += static_cast<double>(counters.env_ns) * 1e-9;
-    send_s += static_cast<double>(counters.send_ns) * 1e-9;
+  {
+    const MutexLock lock(&mu_);
+    reply->set_run_id(run_id_);
+    for (const auto& loop : loops_) {
+      steps += loop->meter().Total().done;
+      abandoned += loop->abandoned();
+    }
   }
-  wire::AddMetric("env_steps", static_cast<double>(steps), "steps", reply);
-  wire::AddMetric("steps_per_second", rate_.PerSecond(), "steps/s", reply);
-  wire::AddMetric("fragments_accepted", static_cast<double>(sender_.accepted()), "fragments", reply);
-  wire::AddMetric("fragments_refused", static_cast<double>(sender_.refused()), "fragments", reply);
-  wire::AddMetric("fragments_resent", static_cast<double>(sender_.resent()), "fragments", reply);
-  wire::AddMetric("fragments_abandoned", static_cast<double>(abandoned), "fragments", reply);
-  wire::AddMetric("permits", static_cast<double>(permits_.Active().size()), "lanes", reply);
-  wire::AddMetric("policy_time", policy_s, "s", reply);
-  wire::AddMetric("env_wait_time", env_s, "s", reply);
-  wire::AddMetric("send_time", send_s, "s", reply);
+  reply->set_name(name_);
+  wire::AddMetric("env_steps", static_cast<double>(steps), reply);
+  wire::AddMetric("fragments_accepted", static_cast<double>(sender_.accepted()), reply);
+  wire::AddMetric("fragments_refused", static_cast<double>(sender_.refused()), reply);
+  wire::AddMetric("fragments_resent", static_cast<double>(sender_.resent()), reply);
+  wire::AddMetric("fragments_abandoned", static_cast<double>(abandoned), reply);
   v1::Peer* learner = reply->add_peers();
   learner->set_name(learner_.name());
   learner->set_role("learner");
   learner->set_address(options_.learner.address);
-  for (const wire::Endpoint& server : options_.env_servers->Servers()) {
-    v1::Peer* peer = reply->add_peers();
-    peer->set_name("environment server " + server.address);
-    peer->set_role("envserver");
-    peer->set_address(server.address);
-  }
+  for (v1::Peer& server : servers_.All()) reply->add_peers()->Swap(&server);
 }
 
 }  // namespace craftfleet

@@ -18,9 +18,8 @@
 #include "actor/learner_client.h"
 #include "actor/permit_book.h"
 #include "actor/policy_source.h"
-#include "common/clock.h"
+#include "actor/server_book.h"
 #include "common/mutex.h"
-#include "common/rate_meter.h"
 #include "common/wire/channel.h"
 #include "craftfleet/v1/status.pb.h"
 
@@ -62,14 +61,15 @@ class Actor {
   absl::Status KeepPermits();
   void StopLoops() ABSL_LOCKS_EXCLUDED(mu_);
   void RunLoop(ActorLoop* loop) ABSL_LOCKS_EXCLUDED(mu_);
+  // What the learner is told for its page about the fleet.
+  v1::ProcessSummary Summary() const ABSL_LOCKS_EXCLUDED(mu_);
   bool stopping() const ABSL_LOCKS_EXCLUDED(mu_);
   void Pause(absl::Duration pause) ABSL_LOCKS_EXCLUDED(mu_);
 
   const Options options_;
   const std::string name_;  // unique: host-process-random
   const LearnerClient learner_;
-  RealClock clock_;
-  RateMeter rate_{&clock_};  // of environment steps
+  ServerBook servers_;
   PermitBook permits_;
   FragmentSender sender_;
   std::string address_;                 // of Run's thread, like the next

@@ -4,7 +4,6 @@
 #include <utility>
 
 #include <absl/strings/str_format.h>
-#include <absl/time/clock.h>
 
 #include "common/backoff.h"
 #include "common/keyed_random.h"
@@ -14,17 +13,6 @@
 
 namespace craftfleet {
 namespace {
-
-// Adds the time of a scope to a counter.
-class Stopwatch {
- public:
-  explicit Stopwatch(std::atomic<int64_t>* total_ns) : total_ns_(total_ns), start_(absl::GetCurrentTimeNanos()) {}
-  ~Stopwatch() { *total_ns_ += absl::GetCurrentTimeNanos() - start_; }
-
- private:
-  std::atomic<int64_t>* const total_ns_;
-  const int64_t start_;
-};
 
 // Trouble that passes: the fragment is played again, here or elsewhere.
 bool Passes(const absl::Status& status) {
@@ -36,22 +24,27 @@ bool Passes(const absl::Status& status) {
 constexpr absl::Duration kFirstPause = absl::Milliseconds(100);
 constexpr absl::Duration kLastPause = absl::Seconds(2);
 
+constexpr absl::Duration kReportEvery = absl::Milliseconds(500);  // what is seen of environment servers
+
 }  // namespace
 
 ActorLoop::ActorLoop(const Options& options, const LearnerClient* learner, PermitBook* permits, PolicySource* policies,
-                     FragmentSender* sender, std::unique_ptr<EnvPool> envs, RateMeter* rate)
+                     FragmentSender* sender, std::unique_ptr<EnvPool> envs, ServerBook* servers)
     : options_(options),
       learner_(learner),
       permits_(permits),
       policies_(policies),
       sender_(sender),
       envs_(std::move(envs)),
-      rate_(rate) {}
+      servers_(servers) {}
 
 absl::Status ActorLoop::Run() {
   Backoff backoff(kFirstPause, kLastPause);
   while (true) {
+    ReportServers();
+    meter_.Switch(Activity::kPermits);
     std::vector<HeldPermit> permits = permits_->Take(options_.index);
+    meter_.Switch(Activity::kWire);
     if (permits.empty()) return absl::OkStatus();
     const absl::Status status = RunFragment(permits);
     if (status.ok()) {
@@ -75,6 +68,8 @@ absl::Status ActorLoop::RunFragment(const std::vector<HeldPermit>& permits) {
   }
   CRAFTFLEET_ASSIGN_OR_RETURN(const std::shared_ptr<const Policy> policy,
                               policies_->Get(first.epoch, first.policy_version));
+  if (policy_version_.exchange(first.policy_version) != first.policy_version) meter_.BeginCycle();
+  meter_.Switch(Activity::kEnvironment);
   for (const int lane : envs_->Refresh()) held_.erase(lane);
   CRAFTFLEET_RETURN_IF_ERROR(OpenLanes(permits));
 
@@ -142,18 +137,13 @@ absl::Status ActorLoop::PlaySteps(const Policy& policy, const std::vector<HeldPe
       noise[row] = ActionNoise(options_.config.seed(), lanes[row], permits[row].fragment * steps + t);
       if (t == 0 || keep_every_state) builders_[row].AddState(State(row));
     }
-    ActResult act;
-    {
-      Stopwatch watch(&counters_.policy_ns);
-      CRAFTFLEET_ASSIGN_OR_RETURN(act, policy.Act(frames_, lanes, noise, absl::MakeSpan(states_)));
-    }
-    {
-      Stopwatch watch(&counters_.env_ns);
-      CRAFTFLEET_RETURN_IF_ERROR(envs_->Step(lanes, act.actions, /*snapshot=*/t + 1 == steps, &batch_));
-    }
+    meter_.Switch(Activity::kInference);
+    CRAFTFLEET_ASSIGN_OR_RETURN(const ActResult act, policy.Act(frames_, lanes, noise, absl::MakeSpan(states_)));
+    meter_.Switch(Activity::kWire);
+    CRAFTFLEET_RETURN_IF_ERROR(envs_->Step(lanes, act.actions, /*snapshot=*/t + 1 == steps, &batch_));
+    meter_.Switch(Activity::kOther, Activity::kEnvironment, envs_->busy());
     CRAFTFLEET_RETURN_IF_ERROR(AppendStep(policy, lanes, act));
-    counters_.steps += static_cast<int64_t>(lanes.size());
-    rate_->Add(static_cast<int64_t>(lanes.size()));
+    meter_.Count(static_cast<int64_t>(lanes.size()));
   }
   return absl::OkStatus();
 }
@@ -182,8 +172,9 @@ absl::Status ActorLoop::AppendStep(const Policy& policy, const std::vector<int>&
 absl::Status ActorLoop::SendFragments(const Policy& policy, const std::vector<HeldPermit>& permits) {
   std::vector<int> lanes;
   for (const HeldPermit& permit : permits) lanes.push_back(permit.lane);
+  meter_.Switch(Activity::kInference);
   CRAFTFLEET_ASSIGN_OR_RETURN(const std::vector<float> bootstrap, policy.Values(frames_, lanes, states_));
-  Stopwatch watch(&counters_.send_ns);
+  meter_.Switch(Activity::kWire);
   for (size_t row = 0; row < permits.size(); ++row) {
     const std::vector<float> state(State(row).begin(), State(row).end());
     held_[lanes[row]] = {permits[row].epoch, permits[row].fragment + 1, std::string(Frame(frames_, row)), state};
@@ -197,8 +188,15 @@ void ActorLoop::Abandon(const std::vector<HeldPermit>& permits) {
   // The games stand somewhere inside the fragment: whoever plays it next begins with the snapshot.
   held_.clear();
   envs_->Reset();
-  counters_.abandoned += static_cast<int64_t>(permits.size());
+  abandoned_ += static_cast<int64_t>(permits.size());
   for (const HeldPermit& permit : permits) permits_->Release(permit);
+}
+
+void ActorLoop::ReportServers() {
+  const absl::Time now = clock_.Now();
+  if (now - reported_ < kReportEvery) return;
+  reported_ = now;
+  servers_->Update(options_.index, envs_->Report());
 }
 
 }  // namespace craftfleet

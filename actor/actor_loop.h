@@ -12,6 +12,7 @@
 
 #include <absl/status/status.h>
 #include <absl/strings/string_view.h>
+#include <absl/time/time.h>
 #include <absl/types/span.h>
 
 #include "actor/env_pool.h"
@@ -20,20 +21,13 @@
 #include "actor/learner_client.h"
 #include "actor/permit_book.h"
 #include "actor/policy_source.h"
+#include "actor/server_book.h"
+#include "common/activity_meter.h"
 #include "common/agent/policy.h"
-#include "common/rate_meter.h"
+#include "common/clock.h"
 #include "craftfleet/v1/config.pb.h"
 
 namespace craftfleet {
-
-// Where a loop's time goes, in nanoseconds, and what it did. Written by the loop, read by anyone.
-struct LoopCounters {
-  std::atomic<int64_t> steps{0};      // environment steps
-  std::atomic<int64_t> abandoned{0};  // fragments begun and not finished
-  std::atomic<int64_t> policy_ns{0};  // in the policy
-  std::atomic<int64_t> env_ns{0};     // waiting for environment servers
-  std::atomic<int64_t> send_ns{0};    // handing over fragments
-};
 
 // Takes what the permit book has for it and plays those lanes side by side, one fragment each. A lane that it holds at
 // that fragment goes on; another is restored from the learner's snapshot. Run is called from one thread.
@@ -46,16 +40,21 @@ class ActorLoop {
     int state_size = 0;  // of the agent's recurrent state
   };
 
-  // Steps are counted into `rate`.
+  // What it sees of the environment servers goes to `servers`.
   ActorLoop(const Options& options, const LearnerClient* learner, PermitBook* permits, PolicySource* policies,
-            FragmentSender* sender, std::unique_ptr<EnvPool> envs, RateMeter* rate);
+            FragmentSender* sender, std::unique_ptr<EnvPool> envs, ServerBook* servers);
 
   // Plays until the permit book closes. Returns ok then, or the first error that waiting can't mend.
   absl::Status Run();
   // Ends the environment sessions: a blocked step returns. From any thread.
   void Cancel() { envs_->Cancel(); }
 
-  const LoopCounters& counters() const { return counters_; }
+  // Where its time goes, and the environment steps that it played. From any thread, like the next two.
+  const ActivityMeter& meter() const { return meter_; }
+  // Fragments begun and not finished.
+  int64_t abandoned() const { return abandoned_.load(); }
+  // Version of the policy that it last played with; -1: none yet.
+  int64_t policy_version() const { return policy_version_.load(); }
 
  private:
   // A lane whose game is open here.
@@ -76,6 +75,7 @@ class ActorLoop {
   absl::Status AppendStep(const Policy& policy, const std::vector<int>& lanes, const ActResult& act);
   absl::Status SendFragments(const Policy& policy, const std::vector<HeldPermit>& permits);
   void Abandon(const std::vector<HeldPermit>& permits);
+  void ReportServers();
   absl::string_view Frame(const std::string& frames, size_t row) const {
     return absl::string_view(frames).substr(row * options_.frame_bytes, options_.frame_bytes);
   }
@@ -89,14 +89,19 @@ class ActorLoop {
   PolicySource* const policies_;
   FragmentSender* const sender_;
   const std::unique_ptr<EnvPool> envs_;
-  RateMeter* const rate_;
+  ServerBook* const servers_;
 
   std::map<int, Held> held_;               // by lane
   std::vector<FragmentBuilder> builders_;  // by row
   std::string frames_;                     // uint8[n,H,W,3]: what the policy sees next
   std::vector<float> states_;              // [n,state_size] before it
   StepBatch batch_;                        // reused
-  LoopCounters counters_;
+
+  RealClock clock_;
+  ActivityMeter meter_{&clock_, Activity::kPermits};
+  absl::Time reported_ = absl::InfinitePast();  // when servers_ was last told
+  std::atomic<int64_t> abandoned_{0};
+  std::atomic<int64_t> policy_version_{-1};
 };
 
 }  // namespace craftfleet

@@ -116,7 +116,11 @@ void EnvClient::Disconnect() {
 
 absl::Status EnvClient::Send() { return stream_ != nullptr && stream_->Write(request_) ? absl::OkStatus() : Broken(); }
 
-absl::Status EnvClient::Receive() { return stream_ != nullptr && stream_->Read(&reply_) ? absl::OkStatus() : Broken(); }
+absl::Status EnvClient::Receive() {
+  if (stream_ == nullptr || !stream_->Read(&reply_)) return Broken();
+  if (reply_.has_server()) summary_.Swap(reply_.mutable_server());
+  return absl::OkStatus();
+}
 
 absl::Status EnvClient::Broken() {
   const std::string context = absl::StrCat("environment server ", server_.address);

@@ -58,6 +58,11 @@ class EnvClient {
   // order; of a game that ended, the last moment of the episode that ended.
   const std::vector<Moment>& moments() const { return moments_; }
 
+  // How long the server was busy with the last reply.
+  absl::Duration busy() const { return absl::Nanoseconds(reply_.busy_ns()); }
+  // What it last told about itself; empty: nothing yet.
+  const v1::ProcessSummary& summary() const { return summary_; }
+
   // Ends the session at once, from any thread, and every later one.
   void Cancel() ABSL_LOCKS_EXCLUDED(mu_);
   // Ends the session.
@@ -82,6 +87,7 @@ class EnvClient {
   v1::PlayReply reply_;
   std::unique_ptr<grpc::ClientReaderWriter<v1::PlayRequest, v1::PlayReply>> stream_;
   int lanes_sent_ = 0;  // of the step under way
+  v1::ProcessSummary summary_;
   std::vector<Moment> moments_;
 
   Mutex mu_;

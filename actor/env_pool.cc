@@ -181,11 +181,13 @@ absl::Status EnvPool::SendAndReceive(absl::Span<const int> lanes, absl::Span<con
                                                              actions.subspan(first, last - first), snapshot));
   }
   Clear(batch);
+  busy_ = absl::ZeroDuration();
   for (size_t i = 0; i < servers_.size(); ++i) {
     const auto [first, last] = RowsOn(i, lanes);
     if (first == last) continue;
     StepBatch& part = servers_[i]->batch;
     CRAFTFLEET_RETURN_IF_ERROR(servers_[i]->client->ReceiveStep(&part));
+    busy_ = std::max(busy_, servers_[i]->client->busy());
     if (last - first == lanes.size()) {  // the only one: no copy
       std::swap(*batch, part);
       return absl::OkStatus();
@@ -205,6 +207,15 @@ std::pair<size_t, size_t> EnvPool::RowsOn(size_t server, absl::Span<const int> l
   const auto first = std::lower_bound(lanes.begin(), lanes.end(), server, before);
   const auto last = std::lower_bound(first, lanes.end(), server + 1, before);
   return {first - lanes.begin(), last - lanes.begin()};
+}
+
+std::vector<ServerBook::Server> EnvPool::Report() const {
+  std::vector<ServerBook::Server> report;
+  for (const auto& server : servers_) {
+    report.push_back(
+        {server->client->address(), server->client->connected(), server->lanes, server->client->summary()});
+  }
+  return report;
 }
 
 void EnvPool::Reset() {

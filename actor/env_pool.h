@@ -16,6 +16,7 @@
 
 #include "actor/env_client.h"
 #include "actor/env_directory.h"
+#include "actor/server_book.h"
 #include "common/backoff.h"
 #include "common/mutex.h"
 #include "common/types.h"
@@ -43,6 +44,11 @@ class EnvPool {
 
   // Steps `lanes`, arranged; rows of `batch` stand in their order. After an error every game is closed.
   absl::Status Step(absl::Span<const int> lanes, absl::Span<const Action> actions, bool snapshot, StepBatch* batch);
+
+  // How long the slowest server was busy with the last step.
+  absl::Duration busy() const { return busy_; }
+  // What is known of each server.
+  std::vector<ServerBook::Server> Report() const;
 
   // Ends all sessions, and with them all games.
   void Reset();
@@ -85,6 +91,7 @@ class EnvPool {
   const size_t first_;
   int64_t generation_ = 0;           // of the directory, as followed
   std::map<int, size_t> server_of_;  // index into servers_, by lane
+  absl::Duration busy_;
 
   Mutex mu_;  // guards the list of servers against Cancel; its owner alone changes it
   std::vector<std::unique_ptr<Server>> servers_;

@@ -9,6 +9,7 @@
 #include "common/program.h"
 #include "common/status_macros.h"
 #include "common/wire/channel_flags.h"
+#include "common/wire/metrics_flags.h"
 #include "common/wire/server_flags.h"
 #include "common/wire/status_service.h"
 
@@ -32,6 +33,8 @@ sends what it played. It may come and go at any time; what it leaves unfinished 
 
 absl::Status Run() {
   SetUpTorchProcess();
+  CRAFTFLEET_ASSIGN_OR_RETURN(const wire::MetricsServer::Options metrics_options,
+                              wire::MetricsOptionsFromFlags(wire::kAnyFreePort));
   Actor::Options options;
   const std::string learner = absl::GetFlag(FLAGS_learner);
   CRAFTFLEET_RETURN_IF_ERROR(wire::CheckAddress("learner", learner));
@@ -49,6 +52,8 @@ absl::Status Run() {
   StopSignal signal([&actor] { actor->Stop(); });
   if (const std::string warning = SlowMathWarning(); !warning.empty()) LogWarning("%s", warning);
   LogInfo("status on %s", server->address());
+  CRAFTFLEET_ASSIGN_OR_RETURN(const std::unique_ptr<wire::MetricsServer> metrics,
+                              wire::ServeMetrics(metrics_options, &status));
   return actor->Run(server->address());
 }
 

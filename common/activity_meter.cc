@@ -17,19 +17,26 @@ void Work::Add(const Work& other) {
 }
 
 ActivityMeter::ActivityMeter(Clock* clock, Activity first)
-    : clock_(clock), activity_(first), start_{clock->Now(), {}, 0}, now_(start_), marks_{start_} {}
+    : clock_(clock),
+      activity_(first),
+      switched_(clock->Now()),
+      start_{switched_, {}, 0},
+      now_(start_),
+      marks_{start_} {}
 
-void ActivityMeter::Switch(Activity next) { Switch(next, next, absl::ZeroDuration()); }
+absl::Duration ActivityMeter::Switch(Activity next) { return Switch(next, next, absl::ZeroDuration()); }
 
-void ActivityMeter::Switch(Activity next, Activity within, absl::Duration spent) {
+absl::Duration ActivityMeter::Switch(Activity next, Activity within, absl::Duration spent) {
   const absl::Time time = clock_->Now();
   const MutexLock lock(&mu_);
-  const double moved =
-      std::clamp(absl::ToDoubleSeconds(spent), 0.0, std::max(0.0, absl::ToDoubleSeconds(time - now_.time)));
+  const absl::Duration lasted = std::max(absl::ZeroDuration(), time - switched_);
+  const double moved = absl::ToDoubleSeconds(std::clamp(spent, absl::ZeroDuration(), lasted));
   Advance(time);
   now_.times[activity_] -= moved;
   now_.times[within] += moved;
   activity_ = next;
+  switched_ = time;
+  return lasted;
 }
 
 void ActivityMeter::Count(int64_t done) {

@@ -35,10 +35,10 @@ class ActivityMeter {
   // `clock` outlives the meter.
   ActivityMeter(Clock* clock, Activity first);
 
-  // Ends the activity under way and begins `next`.
-  void Switch(Activity next) ABSL_LOCKS_EXCLUDED(mu_);
+  // Ends the activity under way, begins `next`, and returns how long the one that ended had lasted.
+  absl::Duration Switch(Activity next) ABSL_LOCKS_EXCLUDED(mu_);
   // The same; `spent` of the time that ends now was spent on `within`.
-  void Switch(Activity next, Activity within, absl::Duration spent) ABSL_LOCKS_EXCLUDED(mu_);
+  absl::Duration Switch(Activity next, Activity within, absl::Duration spent) ABSL_LOCKS_EXCLUDED(mu_);
   // Counts what was done.
   void Count(int64_t done) ABSL_LOCKS_EXCLUDED(mu_);
   // A round of work begins, such as an iteration: Recent looks back over at least one whole round.
@@ -63,6 +63,7 @@ class ActivityMeter {
   Clock* const clock_;
   mutable Mutex mu_;
   Activity activity_ ABSL_GUARDED_BY(mu_);
+  absl::Time switched_ ABSL_GUARDED_BY(mu_);  // when it began
   const Mark start_;
   mutable Mark now_ ABSL_GUARDED_BY(mu_);
   mutable std::deque<Mark> marks_ ABSL_GUARDED_BY(mu_);      // about the window's age and younger, oldest first

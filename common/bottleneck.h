@@ -5,6 +5,8 @@
 
 #include <string>
 
+#include <absl/strings/string_view.h>
+
 #include "common/activity.h"
 
 namespace craftfleet {
@@ -21,10 +23,12 @@ struct FleetView {
   ByActivity actors_times;      // seconds of all actors' playing threads, the same
 };
 
+// "actors" and "environment servers" where there are none; "none": nothing to say.
+inline constexpr absl::string_view kBottleneckParts[] = {"none",        "actors", "environment servers", "learner",
+                                                         "environment", "wire",   "inference",           "permits"};
+
 struct Bottleneck {
-  // "none", "actors" or "environment servers" where there are none, or the activity that takes most: "environment",
-  // "wire", "inference", "permits", "learner"
-  std::string part;
+  std::string part;    // one of kBottleneckParts
   std::string advice;  // a sentence
 };
 

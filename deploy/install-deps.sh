@@ -23,7 +23,7 @@ done
 packages=(
   g++ cmake ninja-build git pkg-config
   protobuf-compiler protobuf-compiler-grpc libprotobuf-dev libgrpc++-dev libssl-dev
-  libabsl-dev nlohmann-json3-dev zlib1g-dev libzip-dev
+  libabsl-dev nlohmann-json3-dev zlib1g-dev libzip-dev prometheus-cpp-dev
   openssl  # deploy/make-certs.sh
   libtorch-dev
   libopenblas0-pthread  # with the reference BLAS, training is several times slower
@@ -31,7 +31,7 @@ packages=(
   libgtest-dev libgmock-dev libbenchmark-dev python3
 )
 if [ -n "$tests" ]; then
-  packages+=(python3-yaml munge slurmctld slurmd slurm-client)
+  packages+=(python3-yaml prometheus munge slurmctld slurmd slurm-client)
 fi
 if [ -n "$developer" ]; then
   packages+=(clang libclang-rt-14-dev llvm clang-format clang-tidy shellcheck)

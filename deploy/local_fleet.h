@@ -26,7 +26,7 @@ class LocalFleet {
   absl::Status Run();
   void Stop() { learner_->Stop(); }
 
-  const Learner& learner() const { return *learner_; }
+  Learner& learner() const { return *learner_; }
   const Actor& actor() const { return *actor_; }
   const EnvServiceImpl& env_service() const { return *env_service_; }
 

@@ -6,6 +6,7 @@
 #include "common/log.h"
 #include "common/program.h"
 #include "common/status_macros.h"
+#include "common/wire/metrics_flags.h"
 #include "deploy/local_fleet.h"
 #include "learner/run_flags.h"
 
@@ -28,14 +29,17 @@ Every hyperparameter is in the run's config.txt; an edited copy starts another r
 
 absl::Status Run() {
   SetUpTorchProcess();
+  CRAFTFLEET_ASSIGN_OR_RETURN(const wire::MetricsServer::Options metrics_options, wire::MetricsOptionsFromFlags(""));
   CRAFTFLEET_ASSIGN_OR_RETURN(Learner::Options options, LearnerOptionsFromFlags());
   options.server.address = absl::GetFlag(FLAGS_listen);
   CRAFTFLEET_ASSIGN_OR_RETURN(const std::unique_ptr<LocalFleet> fleet, LocalFleet::Create(options));
   StopSignal signal([&fleet] { fleet->Stop(); });
   if (const std::string warning = SlowMathWarning(); !warning.empty()) LogWarning("%s", warning);
-  const Learner& learner = fleet->learner();
+  Learner& learner = fleet->learner();
   LogInfo("run %s in %s%s%s", learner.run_id(), options.logdir, learner.address().empty() ? "" : "; listening on ",
           learner.address());
+  CRAFTFLEET_ASSIGN_OR_RETURN(const std::unique_ptr<wire::MetricsServer> metrics,
+                              wire::ServeMetrics(metrics_options, &learner.status()));
   CRAFTFLEET_RETURN_IF_ERROR(fleet->Run());
   LogInfo("%s", learner.trainer().finished() ? "the run is complete" : "stopped; go on with --resume");
   return absl::OkStatus();

@@ -3,6 +3,7 @@
 #ifndef CRAFTFLEET_ENVSERVER_ANNOUNCER_H_
 #define CRAFTFLEET_ENVSERVER_ANNOUNCER_H_
 
+#include <functional>
 #include <memory>
 #include <string>
 #include <thread>
@@ -19,8 +20,9 @@ namespace craftfleet {
 // Announces on a thread of its own, every second, whether the learner is there or not. Thread-safe.
 class Announcer {
  public:
-  // `address` is where actors find the server.
-  Announcer(wire::Endpoint learner, const std::string& address, const std::string& texture_digest);
+  // `address` is where actors find the server; `summarize` tells what the learner shows of it.
+  Announcer(wire::Endpoint learner, const std::string& address, const std::string& texture_digest,
+            std::function<v1::ProcessSummary()> summarize);
   ~Announcer();
 
   // Takes the announcement back, so that actors move their games, and ends the thread. Idempotent.
@@ -32,6 +34,7 @@ class Announcer {
 
   const wire::Endpoint learner_;
   const std::unique_ptr<v1::LearnerService::Stub> stub_;
+  const std::function<v1::ProcessSummary()> summarize_;
   v1::Announcement announcement_;
 
   Mutex mu_;

@@ -4,7 +4,6 @@
 #include <vector>
 
 #include <absl/strings/str_format.h>
-#include <absl/time/clock.h>
 
 #include "common/env_name.h"
 #include "common/log.h"
@@ -17,14 +16,20 @@
 #include "common/wire/status_service.h"
 
 namespace craftfleet {
+namespace {
+
+constexpr absl::Duration kSummarizeEvery = absl::Seconds(1);
+
+}  // namespace
 
 // Counts a session from Enter on, as long as it lives.
 class EnvServiceImpl::SessionGuard {
  public:
-  explicit SessionGuard(EnvServiceImpl* service) : service_(service) {}
+  explicit SessionGuard(EnvServiceImpl* service)
+      : service_(service), meter_(&service->clock_, Activity::kEnvironment) {}
   ~SessionGuard() {
     MutexLock lock(&service_->mu_);
-    service_->sessions_.erase(this);
+    if (service_->sessions_.erase(this) > 0) service_->ended_.Add(meter_.Total());
     service_->changed_.NotifyAll();
   }
   // Takes the server for the session's run.   FailedPrecondition: it has sessions of another.
@@ -34,7 +39,7 @@ class EnvServiceImpl::SessionGuard {
     if (service_->sessions_.empty() || run_id.empty()) run_id = hello.run_id();
     CRAFTFLEET_RETURN_IF_ERROR(wire::CheckHandshake("environment server", {wire::kProtocolVersion, run_id, ""}, "actor",
                                                     {wire::kProtocolVersion, hello.run_id(), ""}));
-    service_->sessions_[this] = {hello.client(), address, 0};
+    service_->sessions_[this] = {hello.client(), address, 0, &meter_};
     return absl::OkStatus();
   }
   void SetLanes(int lanes) {
@@ -42,9 +47,19 @@ class EnvServiceImpl::SessionGuard {
     service_->sessions_[this].lanes = lanes;
     service_->changed_.NotifyAll();
   }
+  // Adds what the client is told about the server, now and then.
+  void AddSummary(v1::PlayReply* reply) {
+    reply->clear_server();
+    if (service_->clock_.Now() < next_summary_) return;
+    next_summary_ = service_->clock_.Now() + kSummarizeEvery;
+    *reply->mutable_server() = service_->RecentSummary();
+  }
+  ActivityMeter* meter() { return &meter_; }
 
  private:
   EnvServiceImpl* const service_;
+  ActivityMeter meter_;
+  absl::Time next_summary_ = absl::InfinitePast();
 };
 
 absl::StatusOr<std::unique_ptr<EnvServiceImpl>> EnvServiceImpl::Create(const std::string& texture_dir) {
@@ -77,12 +92,22 @@ absl::Status EnvServiceImpl::Serve(const std::string& peer,
   CRAFTFLEET_RETURN_IF_ERROR(session.Enter(request.hello(), peer));
   reply.set_program_version(std::string(ProgramVersion()));
   StepBatch step;
-  while (stream->Write(reply) && stream->Read(&request)) {
+  while (true) {
+    const absl::Duration busy = session.meter()->Switch(Activity::kWire);
+    reply.set_busy_ns(absl::ToInt64Nanoseconds(busy));
+    session.AddSummary(&reply);
+    if (!stream->Write(reply)) return absl::OkStatus();
+    session.meter()->Switch(Activity::kIdle);
+    if (!stream->Read(&request)) return absl::OkStatus();
+    session.meter()->Switch(Activity::kEnvironment);
     reply.clear_program_version();
     CRAFTFLEET_RETURN_IF_ERROR(Handle(request, &batch, &step, &reply));
-    if (!request.has_step()) session.SetLanes(batch.size());
+    if (request.has_step()) {
+      session.meter()->Count(request.step().lanes_size());
+    } else {
+      session.SetLanes(batch.size());
+    }
   }
-  return absl::OkStatus();
 }
 
 absl::StatusOr<EnvBatch> EnvServiceImpl::Greet(const v1::SessionHello& hello) const {
@@ -114,11 +139,7 @@ absl::Status EnvServiceImpl::Handle(const v1::PlayRequest& request, EnvBatch* ba
     case v1::PlayRequest::kStep: {
       std::vector<Action> actions;
       CRAFTFLEET_RETURN_IF_ERROR(wire::ActionsFromProto(request.step(), &actions));
-      const int64_t start = absl::GetCurrentTimeNanos();
       CRAFTFLEET_RETURN_IF_ERROR(batch->Step(request.step().lanes(), actions, request.step().snapshot(), step));
-      step_ns_ += absl::GetCurrentTimeNanos() - start;
-      steps_ += static_cast<int64_t>(actions.size());
-      rate_.Add(static_cast<int64_t>(actions.size()));
       episodes_ += static_cast<int64_t>(step->episodes.size());
       wire::ToProto(step, reply);
       wire::ToProto(std::move(batch->moments()), reply);
@@ -156,25 +177,61 @@ void EnvServiceImpl::WaitUntilEmpty(absl::Duration timeout) {
   });
 }
 
-void EnvServiceImpl::FillStatus(v1::StatusReply* reply) const {
-  MutexLock lock(&mu_);
-  reply->set_run_id(run_id_);
+Work EnvServiceImpl::TotalWork() const {
+  const MutexLock lock(&mu_);
+  return TotalWorkLocked();
+}
+
+Work EnvServiceImpl::TotalWorkLocked() const {
+  Work work = ended_;
+  for (const auto& [key, session] : sessions_) work.Add(session.meter->Total());
+  return work;
+}
+
+v1::ProcessSummary EnvServiceImpl::Summary() const {
+  const MutexLock lock(&mu_);
+  return SummaryLocked();
+}
+
+v1::ProcessSummary EnvServiceImpl::SummaryLocked() const {
+  v1::ProcessSummary summary;
+  Work recent;
   int lanes = 0;
   for (const auto& [key, session] : sessions_) {
+    recent.Add(session.meter->Recent());
     lanes += session.lanes;
+  }
+  summary.set_lanes(lanes);
+  summary.set_policy_version(-1);
+  wire::FillWork(TotalWorkLocked(), recent, static_cast<int>(sessions_.size()), &summary);
+  wire::FillUsage(&summary);
+  return summary;
+}
+
+v1::ProcessSummary EnvServiceImpl::RecentSummary() {
+  const MutexLock lock(&mu_);
+  if (clock_.Now() - summarized_ >= kSummarizeEvery) {
+    summarized_ = clock_.Now();
+    recent_summary_ = SummaryLocked();
+  }
+  return recent_summary_;
+}
+
+void EnvServiceImpl::FillStatus(v1::StatusReply* reply) const {
+  const MutexLock lock(&mu_);
+  reply->set_run_id(run_id_);
+  for (const auto& [key, session] : sessions_) {
     v1::Peer* peer = reply->add_peers();
     peer->set_name(session.client);
     peer->set_role("actor");
     peer->set_address(session.address);
     peer->set_state(absl::StrFormat("%d lanes", session.lanes));
   }
-  wire::AddMetric("sessions", static_cast<double>(sessions_.size()), "", reply);
-  wire::AddMetric("sessions_rejected", static_cast<double>(rejected_.load()), "", reply);
-  wire::AddMetric("lanes", lanes, "lanes", reply);
-  wire::AddMetric("env_steps", static_cast<double>(steps_.load()), "steps", reply);
-  wire::AddMetric("steps_per_second", rate_.PerSecond(), "steps/s", reply);
-  wire::AddMetric("episodes", static_cast<double>(episodes_.load()), "episodes", reply);
-  wire::AddMetric("step_time", step_seconds(), "s", reply);
+  *reply->mutable_summary() = SummaryLocked();
+  wire::AddMetric("sessions", static_cast<double>(sessions_.size()), reply);
+  wire::AddMetric("sessions_rejected", static_cast<double>(rejected_.load()), reply);
+  wire::AddMetric("env_steps", static_cast<double>(TotalWorkLocked().done), reply);
+  wire::AddMetric("episodes", static_cast<double>(episodes_.load()), reply);
 }
 
 }  // namespace craftfleet

@@ -11,9 +11,9 @@
 
 #include <absl/status/statusor.h>
 
+#include "common/activity_meter.h"
 #include "common/clock.h"
 #include "common/mutex.h"
-#include "common/rate_meter.h"
 #include "craftfleet/v1/environment.grpc.pb.h"
 #include "craftfleet/v1/status.pb.h"
 #include "envserver/env_batch.h"
@@ -32,16 +32,19 @@ class EnvServiceImpl final : public v1::EnvironmentService::Service {
 
   // Counts, rates and sessions for the status page.
   void FillStatus(v1::StatusReply* reply) const ABSL_LOCKS_EXCLUDED(mu_);
+  // What the learner is told.
+  v1::ProcessSummary Summary() const ABSL_LOCKS_EXCLUDED(mu_);
   // Waits until no session has a game, at most `timeout`.
   void WaitUntilEmpty(absl::Duration timeout) ABSL_LOCKS_EXCLUDED(mu_);
-  // Seconds spent stepping and drawing games, over all sessions.
-  double step_seconds() const { return static_cast<double>(step_ns_.load()) * 1e-9; }
+  // Of all sessions since the start.
+  Work TotalWork() const ABSL_LOCKS_EXCLUDED(mu_);
 
  private:
   struct Session {
     std::string client;
     std::string address;
     int lanes = 0;
+    const ActivityMeter* meter = nullptr;  // of its thread
   };
   class SessionGuard;
 
@@ -55,17 +58,22 @@ class EnvServiceImpl final : public v1::EnvironmentService::Service {
   const std::shared_ptr<const Textures> textures_;
   const std::string texture_digest_;
 
+  Work TotalWorkLocked() const ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
+  v1::ProcessSummary SummaryLocked() const ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
+  // The summary as it was within the last second: it is told to every session.
+  v1::ProcessSummary RecentSummary() ABSL_LOCKS_EXCLUDED(mu_);
+
   RealClock clock_;
-  RateMeter rate_{&clock_};  // of steps
-  std::atomic<int64_t> steps_{0};
   std::atomic<int64_t> episodes_{0};
-  std::atomic<int64_t> step_ns_{0};
   std::atomic<int64_t> rejected_{0};  // sessions ended by a bad request
 
   mutable Mutex mu_;
   CondVar changed_;                          // games of a session
   std::string run_id_ ABSL_GUARDED_BY(mu_);  // of the sessions at hand; kept after the last one for the status page
   std::map<const void*, Session> sessions_ ABSL_GUARDED_BY(mu_);
+  Work ended_ ABSL_GUARDED_BY(mu_);  // of sessions that are over
+  v1::ProcessSummary recent_summary_ ABSL_GUARDED_BY(mu_);
+  absl::Time summarized_ ABSL_GUARDED_BY(mu_) = absl::InfinitePast();
 };
 
 }  // namespace craftfleet

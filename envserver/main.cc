@@ -8,6 +8,7 @@
 #include "common/status_macros.h"
 #include "common/texture_digest.h"
 #include "common/wire/channel_flags.h"
+#include "common/wire/metrics_flags.h"
 #include "common/wire/server_flags.h"
 #include "common/wire/status_service.h"
 #include "envserver/announcer.h"
@@ -37,7 +38,8 @@ It may come and go at any time; games that it held go on elsewhere from their la
 constexpr absl::Duration kMoveOut = absl::Seconds(3);  // for actors to move their games
 
 // Null without --learner.
-absl::StatusOr<std::unique_ptr<Announcer>> AnnounceIfAsked(const std::string& listens_on, const std::string& textures) {
+absl::StatusOr<std::unique_ptr<Announcer>> AnnounceIfAsked(const EnvServiceImpl& service, const std::string& listens_on,
+                                                           const std::string& textures) {
   const std::string learner = absl::GetFlag(FLAGS_learner);
   const std::string advertise = absl::GetFlag(FLAGS_advertise);
   if (learner.empty()) {
@@ -54,6 +56,8 @@ absl::StatusOr<std::unique_ptr<Announcer>> AnnounceIfAsked(const std::string& li
 }
 
 absl::Status Run() {
+  CRAFTFLEET_ASSIGN_OR_RETURN(const wire::MetricsServer::Options metrics_options,
+                              wire::MetricsOptionsFromFlags(wire::kAnyFreePort));
   CRAFTFLEET_ASSIGN_OR_RETURN(const std::string textures, TextureDir(absl::GetFlag(FLAGS_textures)));
   CRAFTFLEET_ASSIGN_OR_RETURN(const std::unique_ptr<EnvServiceImpl> service, EnvServiceImpl::Create(textures));
   wire::StatusServiceImpl status("envserver", [&service](v1::StatusReply* reply) { service->FillStatus(reply); });
@@ -61,7 +65,10 @@ absl::Status Run() {
       const std::unique_ptr<wire::Server> server,
       wire::Server::Create(wire::ServerOptionsFromFlags(absl::GetFlag(FLAGS_listen)), {service.get(), &status}));
   LogInfo("listening on %s", server->address());
-  CRAFTFLEET_ASSIGN_OR_RETURN(const std::unique_ptr<Announcer> announcer, AnnounceIfAsked(server->address(), textures));
+  CRAFTFLEET_ASSIGN_OR_RETURN(const std::unique_ptr<wire::MetricsServer> metrics,
+                              wire::ServeMetrics(metrics_options, &status));
+  CRAFTFLEET_ASSIGN_OR_RETURN(const std::unique_ptr<Announcer> announcer,
+                              AnnounceIfAsked(*service, server->address(), textures));
   StopSignal signal([&] {
     if (announcer != nullptr) {
       announcer->Leave();

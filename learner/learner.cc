@@ -18,6 +18,7 @@
 #include "common/status_macros.h"
 #include "common/texture_digest.h"
 #include "common/version.h"
+#include "learner/fleet_summary.h"
 
 namespace craftfleet {
 namespace {
@@ -160,6 +161,7 @@ Learner::Learner(const Options& options, Loaded loaded)
       fragments_(FragmentsPerIteration(config_)),
       evaluation_book_(kLease, clock_.get()),
       env_servers_(kLease, clock_.get()),
+      fleet_(kLease, clock_.get()),
       evaluations_(config_.eval(), loaded.checkpoint, &evaluation_book_, folder_.get()),
       progress_({options.progress_in_place, loaded.checkpoint.state.env_steps(), config_.steps()},
                 options.progress != nullptr ? options.progress : &null_stream_, clock_.get()),
@@ -168,11 +170,16 @@ Learner::Learner(const Options& options, Loaded loaded)
           {folder_.get(), updater_.get(), &ledger_, &weights_, &fragments_, &evaluations_, &progress_, clock_.get()}),
       service_({folder_->run_id(), folder_->epoch(), config_, loaded.texture_digest,
                 FragmentShapeOf(config_, updater_->spec()), kLease},
-               &ledger_, &weights_, &fragments_, &evaluation_book_, &env_servers_),
-      status_service_("learner", [this](v1::StatusReply* reply) {
-        service_.FillStatus(reply);
-        trainer_.FillStatus(reply);
-      }) {}
+               &ledger_, &weights_, &fragments_, &evaluation_book_, &env_servers_, &fleet_),
+      status_service_("learner", [this](v1::StatusReply* reply) { FillStatus(reply); }) {}
+
+void Learner::FillStatus(v1::StatusReply* reply) const {
+  service_.FillStatus(reply);
+  trainer_.FillStatus(reply);
+  FleetView view = ViewFleet(trainer_.meter().Recent(), *reply);
+  view.finished = trainer_.finished();
+  *reply->mutable_fleet() = SummarizeFleet(view);
+}
 
 absl::Status Learner::Run() {
   absl::Status status = trainer_.Run();

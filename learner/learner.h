@@ -16,6 +16,7 @@
 #include "craftfleet/v1/config.pb.h"
 #include "learner/evaluation_book.h"
 #include "learner/evaluation_schedule.h"
+#include "learner/fleet_book.h"
 #include "learner/lane_ledger.h"
 #include "learner/learner_service.h"
 #include "learner/ppo/ppo_updater.h"
@@ -58,12 +59,14 @@ class Learner {
   const std::string& address() const { return server_->address(); }
   const std::string& run_id() const { return folder_->run_id(); }
   const Trainer& trainer() const { return trainer_; }
+  wire::StatusServiceImpl& status() { return status_service_; }
   const v1::RunConfig& config() const { return config_; }
 
  private:
   struct Loaded;  // run folder, updater and the state they stand at
 
   Learner(const Options& options, Loaded loaded);
+  void FillStatus(v1::StatusReply* reply) const;
   static absl::StatusOr<Loaded> Load(const Options& options, const v1::RunConfig& config);
 
   const v1::RunConfig config_;
@@ -75,6 +78,7 @@ class Learner {
   FragmentQueue fragments_;
   EvaluationBook evaluation_book_;
   ServerRegistry env_servers_;
+  FleetBook fleet_;
   EvaluationSchedule evaluations_;
   std::ostream null_stream_{nullptr};
   ProgressPrinter progress_;

@@ -50,13 +50,14 @@ v1::FragmentVerdict::Verdict ToProto(LaneLedger::Verdict verdict) {
 
 LearnerServiceImpl::LearnerServiceImpl(const Options& options, LaneLedger* ledger, WeightStore* weights,
                                        FragmentQueue* fragments, EvaluationBook* evaluations,
-                                       ServerRegistry* env_servers)
+                                       ServerRegistry* env_servers, FleetBook* fleet)
     : options_(options),
       ledger_(ledger),
       weights_(weights),
       fragments_(fragments),
       evaluations_(evaluations),
-      env_servers_(env_servers) {}
+      env_servers_(env_servers),
+      fleet_(fleet) {}
 
 grpc::Status LearnerServiceImpl::Join(grpc::ServerContext* /*context*/, const v1::JoinRequest* request,
                                       v1::JoinReply* reply) {
@@ -69,6 +70,7 @@ grpc::Status LearnerServiceImpl::Join(grpc::ServerContext* /*context*/, const v1
   if (request->actor().empty()) return wire::ToGrpc(absl::InvalidArgumentError("actor is empty, want a unique name"));
   WarnIfCpusDiffer(*request);
   ledger_->Join(request->actor(), request->address());
+  fleet_->Heard("actor", request->actor(), request->address(), {});
   reply->set_run_id(options_.run_id);
   reply->set_epoch(options_.epoch);
   *reply->mutable_config() = options_.config;
@@ -87,6 +89,8 @@ grpc::Status LearnerServiceImpl::GetPermits(grpc::ServerContext* /*context*/, co
   absl::StatusOr<LaneLedger::Grant> grant =
       ledger_->GetPermits(request->actor(), active, request->capacity(), WaitTime(request->wait_ms()));
   if (!grant.ok()) return wire::ToGrpc(grant.status());
+  fleet_->Heard("actor", request->actor(), "", request->summary());
+  for (const v1::Peer& server : request->env_servers()) fleet_->HeardOf(server);
   AddPermits(grant->granted, reply->mutable_granted());
   AddPermits(grant->lost, reply->mutable_lost());
   reply->set_finished(grant->finished);
@@ -218,8 +222,10 @@ grpc::Status LearnerServiceImpl::Announce(grpc::ServerContext* /*context*/, cons
   }
   if (request->leaving()) {
     env_servers_->Leave(request->name());
+    fleet_->Left("envserver", request->name());
   } else {
     env_servers_->Announce(request->name(), request->address());
+    fleet_->Heard("envserver", request->name(), request->address(), request->summary());
   }
   reply->set_run_id(options_.run_id);
   reply->set_lease_ms(static_cast<int>(absl::ToInt64Milliseconds(options_.lease)));
@@ -229,32 +235,28 @@ grpc::Status LearnerServiceImpl::Announce(grpc::ServerContext* /*context*/, cons
 grpc::Status LearnerServiceImpl::Leave(grpc::ServerContext* /*context*/, const v1::LeaveRequest* request,
                                        v1::LeaveReply* /*reply*/) {
   ledger_->Leave(request->actor());
+  fleet_->Left("actor", request->actor());
   evaluations_->Renew(request->actor(), 0);
   return grpc::Status::OK;
 }
 
 void LearnerServiceImpl::FillStatus(v1::StatusReply* reply) const {
   reply->set_run_id(options_.run_id);
-  wire::AddMetric("epoch", static_cast<double>(options_.epoch), "", reply);
-  wire::AddMetric("fragments_accepted", static_cast<double>(accepted_.load()), "fragments", reply);
-  wire::AddMetric("fragments_duplicate", static_cast<double>(duplicates_.load()), "fragments", reply);
-  wire::AddMetric("fragments_expired", static_cast<double>(expired_.load()), "fragments", reply);
-  wire::AddMetric("fragments_rejected", static_cast<double>(rejected_.load()), "fragments", reply);
-  wire::AddMetric("fragments_queued", static_cast<double>(fragments_->size()), "fragments", reply);
-  for (const ServerRegistry::Server& server : env_servers_->Servers()) {
-    v1::Peer* peer = reply->add_peers();
-    peer->set_name(server.name);
-    peer->set_role("envserver");
-    peer->set_address(server.address);
-    peer->set_last_seen_s(absl::ToDoubleSeconds(server.idle));
-  }
-  for (const LaneLedger::ActorInfo& actor : ledger_->Actors()) {
-    v1::Peer* peer = reply->add_peers();
-    peer->set_name(actor.name);
-    peer->set_role("actor");
-    peer->set_address(actor.address);
-    peer->set_state(absl::StrFormat("%d permits, %d fragments accepted", actor.permits, actor.fragments));
-    peer->set_last_seen_s(absl::ToDoubleSeconds(actor.idle));
+  wire::AddMetric("epoch", static_cast<double>(options_.epoch), reply);
+  wire::AddMetric("fragments_accepted", static_cast<double>(accepted_.load()), reply);
+  wire::AddMetric("fragments_duplicate", static_cast<double>(duplicates_.load()), reply);
+  wire::AddMetric("fragments_expired", static_cast<double>(expired_.load()), reply);
+  wire::AddMetric("fragments_rejected", static_cast<double>(rejected_.load()), reply);
+  wire::AddMetric("fragments_queued", static_cast<double>(fragments_->size()), reply);
+  wire::AddMetric("permits_lapsed", static_cast<double>(ledger_->lapsed()), reply);
+  const std::vector<LaneLedger::ActorInfo> actors = ledger_->Actors();
+  for (v1::Peer& worker : fleet_->Workers()) {
+    const auto actor =
+        std::find_if(actors.begin(), actors.end(), [&](const auto& a) { return a.name == worker.name(); });
+    if (actor != actors.end()) {
+      worker.set_state(absl::StrFormat("%d permits, %d fragments accepted", actor->permits, actor->fragments));
+    }
+    reply->add_peers()->Swap(&worker);
   }
 }
 

@@ -14,6 +14,7 @@
 #include "craftfleet/v1/learner.grpc.pb.h"
 #include "craftfleet/v1/status.pb.h"
 #include "learner/evaluation_book.h"
+#include "learner/fleet_book.h"
 #include "learner/lane_ledger.h"
 #include "learner/server_registry.h"
 #include "learner/weight_store.h"
@@ -36,7 +37,7 @@ class LearnerServiceImpl final : public v1::LearnerService::Service {
   };
 
   LearnerServiceImpl(const Options& options, LaneLedger* ledger, WeightStore* weights, FragmentQueue* fragments,
-                     EvaluationBook* evaluations, ServerRegistry* env_servers);
+                     EvaluationBook* evaluations, ServerRegistry* env_servers, FleetBook* fleet);
 
   grpc::Status Join(grpc::ServerContext* context, const v1::JoinRequest* request, v1::JoinReply* reply) override;
   grpc::Status GetPermits(grpc::ServerContext* context, const v1::PermitRequest* request,
@@ -71,6 +72,7 @@ class LearnerServiceImpl final : public v1::LearnerService::Service {
   FragmentQueue* const fragments_;
   EvaluationBook* const evaluations_;
   ServerRegistry* const env_servers_;
+  FleetBook* const fleet_;
 
   std::atomic<int64_t> accepted_{0};
   std::atomic<int64_t> duplicates_{0};

@@ -9,6 +9,7 @@
 #include "common/log.h"
 #include "common/program.h"
 #include "common/status_macros.h"
+#include "common/wire/metrics_flags.h"
 #include "learner/learner.h"
 #include "learner/run_flags.h"
 
@@ -32,12 +33,16 @@ Go on after a stop or a crash: the same command with --resume.)";
 
 absl::Status Run() {
   SetUpTorchProcess();
+  CRAFTFLEET_ASSIGN_OR_RETURN(const wire::MetricsServer::Options metrics_options,
+                              wire::MetricsOptionsFromFlags(wire::kAnyFreePort));
   CRAFTFLEET_ASSIGN_OR_RETURN(Learner::Options options, LearnerOptionsFromFlags());
   options.server.address = absl::GetFlag(FLAGS_listen);
   CRAFTFLEET_ASSIGN_OR_RETURN(const std::unique_ptr<Learner> learner, Learner::Create(options));
   StopSignal signal([&learner] { learner->Stop(); });
   if (const std::string warning = SlowMathWarning(); !warning.empty()) LogWarning("%s", warning);
   LogInfo("run %s in %s; listening on %s", learner->run_id(), options.logdir, learner->address());
+  CRAFTFLEET_ASSIGN_OR_RETURN(const std::unique_ptr<wire::MetricsServer> metrics,
+                              wire::ServeMetrics(metrics_options, &learner->status()));
   CRAFTFLEET_RETURN_IF_ERROR(learner->Run());
   LogInfo("%s", learner->trainer().finished() ? "the run is complete" : "stopped; go on with --resume");
   return absl::OkStatus();

@@ -234,8 +234,7 @@ int Trainer::fragments_per_lane() const {
 void Trainer::Show(double seconds) {
   const ScoreBoard& score = parts_.folder->score();
   const MutexLock lock(&mu_);
-  shown_ = {seconds,       score.episodes(), score.RecentReward(), score.RecentLength(),
-            score.Score(), score.Unlocked()};
+  shown_ = {seconds, score.episodes(), score.RecentReward(), score.RecentLength(), score.Score(), score.Unlocked()};
 }
 
 void Trainer::FillStatus(v1::StatusReply* reply) const {

@@ -33,9 +33,9 @@ namespace craftfleet {
 
 // What the trainer has done. Written by the trainer, read by anyone.
 struct TrainerCounters {
-  std::atomic<int64_t> iteration{0};    // finished
-  std::atomic<int64_t> env_steps{0};    // accepted, over all starts of the run
-  std::atomic<int64_t> start_steps{0};  // of these, before this start
+  std::atomic<int64_t> iteration{0};        // finished
+  std::atomic<int64_t> env_steps{0};        // accepted, over all starts of the run
+  std::atomic<int64_t> start_steps{0};      // of these, before this start
   std::atomic<int64_t> policy_version{-1};  // of the weights last published
 };
 

@@ -1,5 +1,6 @@
 #include "common/wire/channel.h"
 
+#include <arpa/inet.h>
 #include <errno.h>
 #include <grpc/grpc.h>
 #include <unistd.h>
@@ -95,6 +96,14 @@ absl::Status CheckAddress(absl::string_view flag, absl::string_view address) {
         absl::StrFormat("--%s: \"%s\" is no address, want HOST:PORT or unix:PATH", flag, address));
   }
   return absl::OkStatus();
+}
+
+bool IsLoopback(absl::string_view address) {
+  if (absl::StartsWith(address, "unix:")) return true;
+  const std::string host(address.substr(0, address.rfind(':')));
+  in_addr number{};
+  const bool in_127 = inet_pton(AF_INET, host.c_str(), &number) == 1 && (ntohl(number.s_addr) >> 24) == 127;
+  return in_127 || host == "localhost" || host == "[::1]";
 }
 
 absl::Status FromCall(const grpc::Status& status, absl::string_view who, const Endpoint& endpoint) {

@@ -41,6 +41,9 @@ Endpoint Connect(absl::string_view address, const ChannelSecurity& security = {}
 // InvalidArgument, naming the flag, unless `address` looks like HOST:PORT (port 0..65535) or unix:PATH.
 absl::Status CheckAddress(absl::string_view flag, absl::string_view address);
 
+// Whether only this host reaches `address`, one that CheckAddress takes.
+bool IsLoopback(absl::string_view address);
+
 // The error of a call to `endpoint`: "<who>: ..." with what to check about TLS, tokens and rights where it is about
 // them. Ok if `status` is.
 absl::Status FromCall(const grpc::Status& status, absl::string_view who, const Endpoint& endpoint);

@@ -1,31 +1,145 @@
 #include "common/wire/status_service.h"
 
+#include <algorithm>
+#include <optional>
 #include <utility>
 
 #include <absl/strings/str_cat.h>
 #include <absl/time/clock.h>
 
+#include "common/check.h"
+#include "common/log.h"
+#include "common/metric_table.h"
+#include "common/process_usage.h"
 #include "common/version.h"
+#include "common/worker_name.h"
 
 namespace craftfleet::wire {
+namespace {
+
+constexpr absl::Duration kLookForCancel = absl::Milliseconds(100);
+constexpr int kDefaultIntervalMs = 1000;
+constexpr int kMinIntervalMs = 100;
+constexpr int kMaxIntervalMs = 60000;
+constexpr size_t kMaxErrorBytes = 300;  // of an error's text
+
+}  // namespace
 
 StatusServiceImpl::StatusServiceImpl(absl::string_view role, Fill fill)
-    : role_(role), fill_(std::move(fill)), start_(absl::Now()) {}
+    : role_(role), name_(UniqueWorkerName()), fill_(std::move(fill)), start_(absl::Now()) {}
+
+v1::StatusReply StatusServiceImpl::Snapshot() const {
+  v1::StatusReply reply;
+  reply.set_role(role_);
+  reply.set_name(name_);
+  reply.set_version(absl::StrCat(ProgramVersion(), " (", GitRevision(), ")"));
+  reply.set_uptime_s(absl::ToDoubleSeconds(absl::Now() - start_));
+  fill_(&reply);
+  const v1::ProcessSummary& summary = reply.summary();
+  AddMetric("steps_per_second", summary.steps_per_second(), &reply);
+  AddMetric("lanes", summary.lanes(), &reply);
+  if (role_ != "envserver") AddMetric("policy_version", static_cast<double>(summary.policy_version()), &reply);
+  AddMetric("uptime", reply.uptime_s(), &reply);
+  const ProcessUsage usage = ReadProcessUsage();
+  AddMetric("cpu_time", usage.cpu_seconds, &reply);
+  AddMetric("resident_memory", static_cast<double>(summary.memory_bytes()), &reply);
+  AddMetric("open_files", static_cast<double>(usage.open_files), &reply);
+  AddMetric("log_warnings", static_cast<double>(CountLogged().warnings), &reply);
+  AddMetric("log_errors", static_cast<double>(summary.errors()), &reply);
+  const MutexLock lock(&mu_);
+  reply.set_metrics_address(metrics_address_);
+  return reply;
+}
+
+void StatusServiceImpl::SetMetricsAddress(absl::string_view address) {
+  const MutexLock lock(&mu_);
+  metrics_address_ = std::string(address);
+}
 
 grpc::Status StatusServiceImpl::GetStatus(grpc::ServerContext* /*context*/, const v1::StatusRequest* /*request*/,
                                           v1::StatusReply* reply) {
-  reply->set_role(role_);
-  reply->set_version(absl::StrCat(ProgramVersion(), " (", GitRevision(), ")"));
-  reply->set_uptime_s(absl::ToDoubleSeconds(absl::Now() - start_));
-  fill_(reply);
+  *reply = Snapshot();
   return grpc::Status::OK;
 }
 
-void AddMetric(absl::string_view name, double value, absl::string_view unit, v1::StatusReply* reply) {
+grpc::Status StatusServiceImpl::WatchStatus(grpc::ServerContext* context, const v1::WatchRequest* request,
+                                            grpc::ServerWriter<v1::StatusReply>* writer) {
+  const int interval_ms = request->interval_ms() == 0 ? kDefaultIntervalMs : request->interval_ms();
+  if (interval_ms < kMinIntervalMs || interval_ms > kMaxIntervalMs) {
+    return {grpc::StatusCode::INVALID_ARGUMENT,
+            absl::StrCat("interval_ms ", interval_ms, ", want ", kMinIntervalMs, "..", kMaxIntervalMs)};
+  }
+  {
+    const MutexLock lock(&mu_);
+    if (watchers_ >= kMaxWatchers) {
+      return {grpc::StatusCode::RESOURCE_EXHAUSTED,
+              absl::StrCat(watchers_, " clients watch already: end one of them, or ask for single snapshots")};
+    }
+    ++watchers_;
+  }
+  while (writer->Write(Snapshot()) && WaitForNext(context, absl::Milliseconds(interval_ms))) {
+  }
+  const MutexLock lock(&mu_);
+  --watchers_;
+  return grpc::Status::OK;
+}
+
+bool StatusServiceImpl::WaitForNext(grpc::ServerContext* context, absl::Duration interval) {
+  for (const absl::Time next = absl::Now() + interval; !context->IsCancelled();) {
+    const absl::Duration left = next - absl::Now();
+    if (left <= absl::ZeroDuration()) return true;
+    const MutexLock lock(&mu_);
+    never_.WaitFor(&mu_, std::min(left, kLookForCancel), [] { return false; });
+  }
+  return false;
+}
+
+void AddMetric(absl::string_view name, double value, v1::StatusReply* reply) {
+  const MetricInfo* info = FindMetric(name);
+  CRAFTFLEET_CHECK(info != nullptr);
   v1::Metric* metric = reply->add_metrics();
   metric->set_name(std::string(name));
   metric->set_value(value);
-  metric->set_unit(std::string(unit));
+  metric->set_unit(std::string(info->unit));
+  metric->set_counter(info->counter);
+}
+
+void FillUsage(v1::ProcessSummary* summary) {
+  summary->set_memory_bytes(ReadProcessUsage().memory_bytes);
+  const LogCounts logged = CountLogged();
+  summary->set_errors(logged.errors);
+  summary->set_last_error(logged.last_error.substr(0, kMaxErrorBytes));
+}
+
+void FillWork(const Work& total, const Work& recent, int threads, v1::ProcessSummary* summary) {
+  summary->set_steps_per_second(recent.per_second);
+  summary->set_threads(threads);
+  const ByActivity shares = recent.times.Normalized();
+  for (const Activity activity : kActivities) {
+    if (total.times[activity] == 0) continue;
+    v1::ActivityTime* time = summary->add_times();
+    time->set_activity(std::string(ActivityName(activity)));
+    time->set_seconds(total.times[activity]);
+    time->set_share(shares[activity]);
+  }
+}
+
+ByActivity TimesOf(const v1::ProcessSummary& summary) {
+  ByActivity times;
+  for (const v1::ActivityTime& time : summary.times()) {
+    const std::optional<Activity> activity = ActivityByName(time.activity());
+    if (activity.has_value()) times[*activity] += time.share() * summary.threads();
+  }
+  return times;
+}
+
+void AddShares(const ByActivity& shares, google::protobuf::RepeatedPtrField<v1::ActivityTime>* times) {
+  for (const Activity activity : kActivities) {
+    if (shares[activity] == 0) continue;
+    v1::ActivityTime* time = times->Add();
+    time->set_activity(std::string(ActivityName(activity)));
+    time->set_share(shares[activity]);
+  }
 }
 
 }  // namespace craftfleet::wire

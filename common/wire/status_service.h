@@ -9,27 +9,60 @@
 #include <absl/strings/string_view.h>
 #include <absl/time/time.h>
 
+#include "common/activity_meter.h"
+#include "common/mutex.h"
 #include "craftfleet/v1/status.grpc.pb.h"
 
 namespace craftfleet::wire {
 
-// Fills in version and uptime and asks `fill` for the rest. Thread-safe if `fill` is.
+// What a process tells of itself, on request or as a stream. Thread-safe if `fill` is.
 class StatusServiceImpl final : public v1::StatusService::Service {
  public:
+  // Fills in what only the process' own parts know; its summary above all.
   using Fill = std::function<void(v1::StatusReply*)>;
+  static constexpr int kMaxWatchers = 32;
 
   StatusServiceImpl(absl::string_view role, Fill fill);
 
+  // The same for everyone who asks: this service and the metrics endpoint.
+  v1::StatusReply Snapshot() const ABSL_LOCKS_EXCLUDED(mu_);
+  // Where the process' metrics are served: told from now on.
+  void SetMetricsAddress(absl::string_view address) ABSL_LOCKS_EXCLUDED(mu_);
+
   grpc::Status GetStatus(grpc::ServerContext* context, const v1::StatusRequest* request,
                          v1::StatusReply* reply) override;
+  grpc::Status WatchStatus(grpc::ServerContext* context, const v1::WatchRequest* request,
+                           grpc::ServerWriter<v1::StatusReply>* writer) override;
 
  private:
+  // Waits `interval`; false: the client is gone or the server stops.
+  bool WaitForNext(grpc::ServerContext* context, absl::Duration interval) ABSL_LOCKS_EXCLUDED(mu_);
+
   const std::string role_;
+  const std::string name_;
   const Fill fill_;
   const absl::Time start_;
+
+  mutable Mutex mu_;
+  CondVar never_;  // nobody wakes those who wait: gRPC does not tell when a call is cancelled
+  int watchers_ ABSL_GUARDED_BY(mu_) = 0;
+  std::string metrics_address_ ABSL_GUARDED_BY(mu_);
 };
 
-void AddMetric(absl::string_view name, double value, absl::string_view unit, v1::StatusReply* reply);
+// Adds a metric of MetricTable, which knows its unit.
+void AddMetric(absl::string_view name, double value, v1::StatusReply* reply);
+
+// What every process says of itself: memory and errors.
+void FillUsage(v1::ProcessSummary* summary);
+
+// Rate, threads and times of a process whose `threads` working threads did `total` since the start, `recent` lately.
+void FillWork(const Work& total, const Work& recent, int threads, v1::ProcessSummary* summary);
+
+// A second's times of the process, all threads together.
+ByActivity TimesOf(const v1::ProcessSummary& summary);
+
+// Adds `shares` (parts of 1) to times without seconds.
+void AddShares(const ByActivity& shares, google::protobuf::RepeatedPtrField<v1::ActivityTime>* times);
 
 }  // namespace craftfleet::wire
 

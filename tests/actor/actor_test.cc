@@ -70,7 +70,7 @@ class StandInLearner {
       : agent_(agent),
         ledger_({kLanes}, std::move(lanes), &clock_),
         service_({"run-a", epoch, Config(agent), texture_digest, Shape(agent), absl::Seconds(5)}, &ledger_, &weights_,
-                 &fragments_, &evaluations_, &env_servers_),
+                 &fragments_, &evaluations_, &env_servers_, &fleet_),
         server_(*wire::Server::Create({address}, {&service_})) {}
 
   void Open(int64_t iteration) {
@@ -100,6 +100,7 @@ class StandInLearner {
   LaneLedger ledger_;
   EvaluationBook evaluations_{absl::Seconds(5), &clock_};
   ServerRegistry env_servers_{absl::Seconds(5), &clock_};
+  FleetBook fleet_{absl::Seconds(5), &clock_};
   WeightStore weights_;
   FragmentQueue fragments_{100};
   LearnerServiceImpl service_;

@@ -19,7 +19,7 @@ TEST_F(ActivityMeterTest, EveryMomentCountsAsOneActivity) {
   Spend(1);
   meter_.Switch(Activity::kInference);
   Spend(2);
-  meter_.Switch(Activity::kPermits);
+  EXPECT_EQ(meter_.Switch(Activity::kPermits), absl::Seconds(2));
   Spend(0.5);
   const Work work = meter_.Total();
   EXPECT_DOUBLE_EQ(work.times[Activity::kPermits], 1.5);

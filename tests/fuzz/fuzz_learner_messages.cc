@@ -36,7 +36,8 @@ struct Service {
   FragmentQueue fragments{100};
   EvaluationBook evaluations{absl::Seconds(5), &clock};
   ServerRegistry env_servers{absl::Seconds(5), &clock};
-  LearnerServiceImpl service{Options(), &ledger, &weights, &fragments, &evaluations, &env_servers};
+  FleetBook fleet{absl::Seconds(5), &clock};
+  LearnerServiceImpl service{Options(), &ledger, &weights, &fragments, &evaluations, &env_servers, &fleet};
 };
 
 template <typename Request, typename Reply>

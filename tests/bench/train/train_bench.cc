@@ -11,6 +11,7 @@
 #include <absl/strings/str_format.h>
 #include <absl/time/clock.h>
 
+#include "common/activity.h"
 #include "common/agent/torch_setup.h"
 #include "common/config.h"
 #include "common/cpu_quota.h"
@@ -31,49 +32,41 @@ constexpr char kUsage[] =
 prints environment steps per second, the shares of play (policy and games), wire (gRPC and conversion), update (PPO) and other
 (advantages, logs, checkpoints, waiting), and the peak of resident memory.)";
 
-// Seconds of each kind, summed over the play threads where there are several.
+// Seconds and steps since the start.
 struct Times {
   double wall = 0;
-  double collect = 0;
-  double update = 0;
-  double policy = 0;
-  double games = 0;     // stepping and drawing, inside the environment server
-  double env_wait = 0;  // games and the wire to them
-  double send = 0;
+  ByActivity trainer;
+  ByActivity play;  // summed over the play threads
   int64_t steps = 0;
 };
 
 Times Read(const LocalFleet& fleet) {
-  const TrainerCounters& trainer = fleet.learner().trainer().counters();
+  const Trainer& trainer = fleet.learner().trainer();
   v1::StatusReply actor;
   fleet.actor().FillStatus(&actor);
-  const auto metric = [&actor](absl::string_view name) {
-    for (const v1::Metric& m : actor.metrics()) {
-      if (m.name() == name) return m.value();
-    }
-    return 0.0;
-  };
   Times times;
   times.wall = absl::ToDoubleSeconds(absl::Now() - absl::UnixEpoch());
-  times.collect = static_cast<double>(trainer.collect_ns) * 1e-9;
-  times.update = static_cast<double>(trainer.update_ns) * 1e-9;
-  times.policy = metric("policy_time");
-  times.games = fleet.env_service().step_seconds();
-  times.env_wait = metric("env_wait_time");
-  times.send = metric("send_time");
-  times.steps = trainer.env_steps;
+  times.trainer = trainer.meter().Total().times;
+  for (const v1::ActivityTime& time : actor.summary().times()) {
+    times.play[*ActivityByName(time.activity())] = time.seconds();
+  }
+  times.steps = trainer.counters().env_steps;
   return times;
 }
 
 void Print(const Times& begin, const Times& end, int threads) {
   const double wall = end.wall - begin.wall;
-  const double collect = end.collect - begin.collect;
-  const double policy = end.policy - begin.policy;
-  const double games = end.games - begin.games;
-  const double wire = (end.env_wait - begin.env_wait) - games + (end.send - begin.send);
+  ByActivity trainer = end.trainer;
+  trainer.Add(begin.trainer, -1);
+  ByActivity play = end.play;
+  play.Add(begin.play, -1);
+  const double collect = trainer[Activity::kIntake];
+  const double policy = play[Activity::kInference];
+  const double games = play[Activity::kEnvironment];
+  const double wire = play[Activity::kWire];
   // Play threads work side by side: their sum is scaled to the time that collecting took.
   const double scale = collect / (policy + games + wire);
-  const double update = end.update - begin.update;
+  const double update = trainer[Activity::kUpdate];
   struct rusage usage = {};
   getrusage(RUSAGE_SELF, &usage);
   absl::PrintF("threads %d, %d steps in %.1f s\n", threads, end.steps - begin.steps, wall);

@@ -131,28 +131,6 @@ TEST(Server, ListsItsServices) {
   EXPECT_THAT(*reply, AllOf(HasSubstr("craftfleet.v1.EnvironmentService"), HasSubstr("grpc.health.v1.Health")));
 }
 
-TEST(Server, TellsItsStatus) {
-  StatusServiceImpl service("actor", [](v1::StatusReply* reply) {
-    reply->set_run_id("run-7");
-    AddMetric("env_steps", 123, "steps", reply);
-  });
-  const auto server = Server::Create({}, {&service});
-  ASSERT_THAT(server, IsOk());
-  grpc::ClientContext context;
-  v1::StatusReply reply;
-  ASSERT_TRUE(v1::StatusService::NewStub((*server)->InProcess().channel)
-                  ->GetStatus(&context, v1::StatusRequest(), &reply)
-                  .ok());
-  EXPECT_EQ(reply.role(), "actor");
-  EXPECT_THAT(reply.version(), HasSubstr(std::string(ProgramVersion())));
-  EXPECT_EQ(reply.run_id(), "run-7");
-  EXPECT_GE(reply.uptime_s(), 0);
-  ASSERT_EQ(reply.metrics_size(), 1);
-  EXPECT_EQ(reply.metrics(0).name(), "env_steps");
-  EXPECT_EQ(reply.metrics(0).value(), 123);
-  EXPECT_EQ(reply.metrics(0).unit(), "steps");
-}
-
 // A stream that never ends by itself.
 class EndlessService : public v1::EnvironmentService::Service {
  public:

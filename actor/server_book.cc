@@ -1,0 +1,52 @@
+#include "actor/server_book.h"
+
+#include <algorithm>
+#include <utility>
+
+#include <absl/strings/str_format.h>
+
+namespace craftfleet {
+
+void ServerBook::Update(int loop, std::vector<Server> servers) {
+  const MutexLock lock(&mu_);
+  seen_[loop] = std::move(servers);
+}
+
+std::vector<v1::Peer> ServerBook::All() const {
+  std::map<std::string, Server> servers;
+  {
+    const MutexLock lock(&mu_);
+    for (const auto& [loop, seen] : seen_) {
+      for (const Server& server : seen) {
+        Server& all = servers[server.address];
+        all.connected |= server.connected;
+        all.lanes += server.lanes;
+        if (server.connected) all.summary = server.summary;
+      }
+    }
+  }
+  std::vector<v1::Peer> peers;
+  for (auto& [address, server] : servers) {
+    v1::Peer& peer = peers.emplace_back();
+    peer.set_name("environment server " + address);
+    peer.set_role("envserver");
+    peer.set_address(address);
+    peer.set_health(server.connected ? v1::Peer::OK : v1::Peer::LOST);
+    peer.set_state(server.connected ? absl::StrFormat("%d lanes", server.lanes) : "not reachable");
+    if (server.summary.memory_bytes() > 0) *peer.mutable_summary() = std::move(server.summary);
+  }
+  return peers;
+}
+
+std::vector<v1::Peer> ServerBook::Next(size_t count) {
+  std::vector<v1::Peer> all = All();
+  const MutexLock lock(&mu_);
+  const auto first =
+      std::find_if(all.begin(), all.end(), [this](const v1::Peer& peer) { return peer.address() > last_; });
+  std::rotate(all.begin(), first, all.end());
+  if (all.size() > count) all.resize(count);
+  if (!all.empty()) last_ = all.back().address();
+  return all;
+}
+
+}  // namespace craftfleet

@@ -1,0 +1,31 @@
+#include "common/process_usage.h"
+
+#include <sys/resource.h>
+#include <unistd.h>
+
+#include <filesystem>
+#include <fstream>
+#include <iterator>
+#include <system_error>
+
+namespace craftfleet {
+
+ProcessUsage ReadProcessUsage() {
+  ProcessUsage usage;
+  rusage times = {};
+  if (getrusage(RUSAGE_SELF, &times) == 0) {
+    usage.cpu_seconds = static_cast<double>(times.ru_utime.tv_sec + times.ru_stime.tv_sec) +
+                        1e-6 * static_cast<double>(times.ru_utime.tv_usec + times.ru_stime.tv_usec);
+  }
+  int64_t size_pages = 0;
+  int64_t resident_pages = 0;
+  if (std::ifstream("/proc/self/statm") >> size_pages >> resident_pages) {
+    usage.memory_bytes = resident_pages * sysconf(_SC_PAGESIZE);
+  }
+  std::error_code error;
+  const std::filesystem::directory_iterator files("/proc/self/fd", error);
+  if (!error) usage.open_files = std::distance(begin(files), end(files)) - 1;  // less the one that lists them
+  return usage;
+}
+
+}  // namespace craftfleet

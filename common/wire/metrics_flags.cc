@@ -1,0 +1,37 @@
+#include "common/wire/metrics_flags.h"
+
+#include <optional>
+#include <string>
+
+#include <absl/flags/flag.h>
+
+#include "common/log.h"
+#include "common/status_macros.h"
+
+ABSL_FLAG(std::optional<std::string>, metrics_listen, std::nullopt,
+          "address to serve Prometheus metrics on, at http://HOST:PORT/metrics; empty: none\n"
+          "[any free port of this host, which the log tells; craftfleet train: none]");
+ABSL_FLAG(bool, metrics_insecure, false,
+          "allow --metrics_listen beyond this host; metrics are plain HTTP, for everyone who reaches them");
+
+namespace craftfleet::wire {
+
+absl::StatusOr<MetricsServer::Options> MetricsOptionsFromFlags(absl::string_view by_default) {
+  MetricsServer::Options options;
+  options.address = absl::GetFlag(FLAGS_metrics_listen).value_or(std::string(by_default));
+  options.insecure = absl::GetFlag(FLAGS_metrics_insecure);
+  CRAFTFLEET_RETURN_IF_ERROR(options.Validate());
+  return options;
+}
+
+absl::StatusOr<std::unique_ptr<MetricsServer>> ServeMetrics(const MetricsServer::Options& options,
+                                                            StatusServiceImpl* status) {
+  if (options.address.empty()) return nullptr;
+  CRAFTFLEET_ASSIGN_OR_RETURN(std::unique_ptr<MetricsServer> server,
+                              MetricsServer::Create(options, [status] { return status->Snapshot(); }));
+  status->SetMetricsAddress(server->url());
+  LogInfo("metrics on %s", server->url());
+  return server;
+}
+
+}  // namespace craftfleet::wire

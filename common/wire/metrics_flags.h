@@ -1,0 +1,28 @@
+// The flags of the Prometheus endpoint, the same in every program of the fleet.
+
+#ifndef CRAFTFLEET_COMMON_WIRE_METRICS_FLAGS_H_
+#define CRAFTFLEET_COMMON_WIRE_METRICS_FLAGS_H_
+
+#include <memory>
+
+#include <absl/status/statusor.h>
+#include <absl/strings/string_view.h>
+
+#include "common/wire/metrics_server.h"
+#include "common/wire/status_service.h"
+
+namespace craftfleet::wire {
+
+inline constexpr char kAnyFreePort[] = "127.0.0.1:0";
+
+// What the flags ask for; `by_default` is the address without them. InvalidArgument as MetricsServer::Options.
+absl::StatusOr<MetricsServer::Options> MetricsOptionsFromFlags(absl::string_view by_default);
+
+// Serves what `status`, which outlives the server, says; tells the address in the log and, from now on, in the status.
+// Null: options.address is empty.   Errors as MetricsServer::Create.
+absl::StatusOr<std::unique_ptr<MetricsServer>> ServeMetrics(const MetricsServer::Options& options,
+                                                            StatusServiceImpl* status);
+
+}  // namespace craftfleet::wire
+
+#endif  // CRAFTFLEET_COMMON_WIRE_METRICS_FLAGS_H_

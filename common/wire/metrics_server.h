@@ -1,0 +1,51 @@
+// The Prometheus endpoint of every process.
+
+#ifndef CRAFTFLEET_COMMON_WIRE_METRICS_SERVER_H_
+#define CRAFTFLEET_COMMON_WIRE_METRICS_SERVER_H_
+
+#include <functional>
+#include <memory>
+#include <string>
+
+#include <absl/status/status.h>
+#include <absl/status/statusor.h>
+
+#include "craftfleet/v1/status.pb.h"
+
+namespace prometheus {
+class Collectable;
+class Exposer;
+}  // namespace prometheus
+
+namespace craftfleet::wire {
+
+// Serves http://ADDRESS/metrics: what `snapshot` says at that moment, as prometheus_metrics.h names it. Plain HTTP.
+class MetricsServer {
+ public:
+  struct Options {
+    std::string address;    // HOST:PORT; port 0: any free one; empty: nowhere
+    bool insecure = false;  // allow an address beyond loopback: whoever reaches it can read the numbers
+    absl::Status Validate() const;
+  };
+
+  // `options.address` is not empty. `snapshot` is called from other threads, as long as the server lives.
+  //   InvalidArgument: a bad address, or one beyond loopback without `insecure`.   Unavailable: it can't be listened
+  //   on.
+  static absl::StatusOr<std::unique_ptr<MetricsServer>> Create(const Options& options,
+                                                               std::function<v1::StatusReply()> snapshot);
+  ~MetricsServer();
+
+  // "http://127.0.0.1:9464/metrics", with the port in use.
+  const std::string& url() const { return url_; }
+
+ private:
+  MetricsServer();
+
+  std::shared_ptr<prometheus::Collectable> collectable_;
+  std::unique_ptr<prometheus::Exposer> exposer_;
+  std::string url_;
+};
+
+}  // namespace craftfleet::wire
+
+#endif  // CRAFTFLEET_COMMON_WIRE_METRICS_SERVER_H_

@@ -1,0 +1,84 @@
+#include "common/wire/prometheus_metrics.h"
+
+#include <map>
+#include <string>
+#include <utility>
+
+#include <absl/strings/string_view.h>
+
+#include "common/activity.h"
+#include "common/bottleneck.h"
+#include "common/check.h"
+#include "common/metric_table.h"
+
+namespace craftfleet::wire {
+namespace {
+
+using prometheus::ClientMetric;
+using prometheus::MetricFamily;
+using prometheus::MetricType;
+
+// Collects samples into families, in the order in which metrics first come.
+class Families {
+ public:
+  explicit Families(std::string role) : role_(std::move(role)) {}
+
+  void Add(absl::string_view name, double value, std::vector<ClientMetric::Label> labels = {}) {
+    const MetricInfo* info = FindMetric(name);
+    CRAFTFLEET_CHECK(info != nullptr);
+    const auto [place, is_new] = place_.try_emplace(std::string(name), families_.size());
+    if (is_new) {
+      families_.push_back({PrometheusName(*info),
+                           std::string(info->help),
+                           info->counter ? MetricType::Counter : MetricType::Gauge,
+                           {}});
+    }
+    ClientMetric& metric = families_[place->second].metric.emplace_back();
+    metric.label = std::move(labels);
+    metric.label.push_back({"role", role_});
+    (info->counter ? metric.counter.value : metric.gauge.value) = value;
+  }
+  std::vector<MetricFamily> Take() { return std::move(families_); }
+
+ private:
+  const std::string role_;
+  std::vector<MetricFamily> families_;
+  std::map<std::string, size_t> place_;  // in families_, by name
+};
+
+void AddFleet(const v1::StatusReply& status, Families* families) {
+  std::map<std::string, double> shares;
+  for (const v1::ActivityTime& time : status.fleet().times()) shares[time.activity()] = time.share();
+  for (const Activity activity : kActivities) {
+    if (activity == Activity::kIdle) continue;  // of environment servers only
+    const std::string name(ActivityName(activity));
+    families->Add("fleet_time_share", shares[name], {{"activity", name}});
+  }
+  // All of them each time, so that a series goes back to 0.
+  for (const absl::string_view part : kBottleneckParts) {
+    families->Add("fleet_bottleneck", status.fleet().bottleneck() == part ? 1 : 0, {{"part", std::string(part)}});
+  }
+  std::map<std::pair<std::string, v1::Peer::Health>, int> workers;
+  for (const v1::Peer& peer : status.peers()) ++workers[{peer.role(), peer.health()}];
+  for (const char* worker : {"actor", "envserver"}) {
+    families->Add("workers", workers[{worker, v1::Peer::OK}], {{"worker", worker}, {"state", "ok"}});
+    families->Add("workers", workers[{worker, v1::Peer::LOST}], {{"worker", worker}, {"state", "lost"}});
+  }
+}
+
+}  // namespace
+
+std::vector<MetricFamily> ToMetricFamilies(const v1::StatusReply& status) {
+  Families families(status.role());
+  families.Add("info", 1, {{"name", status.name()}, {"version", status.version()}, {"run_id", status.run_id()}});
+  for (const v1::Metric& metric : status.metrics()) families.Add(metric.name(), metric.value());
+  families.Add("threads", status.summary().threads());
+  for (const v1::ActivityTime& time : status.summary().times()) {
+    families.Add("activity_time", time.seconds(), {{"activity", time.activity()}});
+    families.Add("time_share", time.share(), {{"activity", time.activity()}});
+  }
+  if (status.has_fleet()) AddFleet(status, &families);
+  return families.Take();
+}
+
+}  // namespace craftfleet::wire

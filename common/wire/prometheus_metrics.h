@@ -1,0 +1,19 @@
+// A process' status as Prometheus metrics.
+
+#ifndef CRAFTFLEET_COMMON_WIRE_PROMETHEUS_METRICS_H_
+#define CRAFTFLEET_COMMON_WIRE_PROMETHEUS_METRICS_H_
+
+#include <prometheus/metric_family.h>
+
+#include <vector>
+
+#include "craftfleet/v1/status.pb.h"
+
+namespace craftfleet::wire {
+
+// Every number of `status`, under the names of metric_table.h; each has the label `role`.
+std::vector<prometheus::MetricFamily> ToMetricFamilies(const v1::StatusReply& status);
+
+}  // namespace craftfleet::wire
+
+#endif  // CRAFTFLEET_COMMON_WIRE_PROMETHEUS_METRICS_H_

@@ -1,0 +1,104 @@
+#include "learner/fleet_book.h"
+
+#include <algorithm>
+#include <iterator>
+
+#include "common/activity.h"
+
+namespace craftfleet {
+namespace {
+
+constexpr char kEnvServer[] = "envserver";
+constexpr absl::Duration kRelayed = absl::Seconds(10);  // actors speak of their servers in turn, so less often
+constexpr size_t kMaxErrorBytes = 300;
+
+// What a worker sent, cut to what a page has room for.
+v1::ProcessSummary Cut(v1::ProcessSummary summary) {
+  if (summary.times_size() > kNumActivities) summary.clear_times();
+  if (summary.last_error().size() > kMaxErrorBytes) summary.mutable_last_error()->resize(kMaxErrorBytes);
+  return summary;
+}
+
+}  // namespace
+
+void FleetBook::Heard(absl::string_view role, absl::string_view name, absl::string_view address,
+                      const v1::ProcessSummary& summary) {
+  const MutexLock lock(&mu_);
+  if (role == kEnvServer) {
+    // One that came back, or of which actors spoke by its address alone, is the same to people.
+    for (auto it = workers_.begin(); it != workers_.end();) {
+      const bool same = it->first.first == role && it->first.second != name && it->second.address == address;
+      it = same ? workers_.erase(it) : std::next(it);
+    }
+  }
+  Worker& worker = workers_[{std::string(role), std::string(name)}];
+  if (!address.empty()) worker.address = std::string(address);
+  if (summary.ByteSizeLong() > 0) worker.summary = Cut(summary);
+  worker.last_word = clock_->Now();
+  worker.own_word = worker.last_word;
+  worker.left = false;
+  Forget();
+}
+
+void FleetBook::HeardOf(const v1::Peer& server) {
+  const MutexLock lock(&mu_);
+  for (const auto& [key, worker] : workers_) {
+    const bool same = key.first == kEnvServer && worker.address == server.address();
+    if (same && worker.own_word != absl::InfinitePast()) return;
+  }
+  const auto [entry, is_new] = workers_.try_emplace({kEnvServer, server.address()});
+  Worker& worker = entry->second;
+  if (is_new) {
+    worker.address = server.address();
+    worker.last_word = server.health() == v1::Peer::OK ? clock_->Now() : clock_->Now() - kRelayed;
+  }
+  if (server.health() == v1::Peer::OK) worker.last_word = clock_->Now();
+  if (server.has_summary()) worker.summary = Cut(server.summary());
+  Forget();
+}
+
+void FleetBook::Left(absl::string_view role, absl::string_view name) {
+  const MutexLock lock(&mu_);
+  const auto entry = workers_.find({std::string(role), std::string(name)});
+  if (entry == workers_.end()) return;
+  entry->second.left = true;
+  entry->second.last_word = clock_->Now();
+}
+
+std::vector<v1::Peer> FleetBook::Workers() const {
+  std::vector<v1::Peer> peers;
+  const MutexLock lock(&mu_);
+  for (const auto& [key, worker] : workers_) {
+    const v1::Peer::Health health = HealthOf(worker);
+    const absl::Duration silent = clock_->Now() - worker.last_word;
+    if (silent > (health == v1::Peer::LEFT ? kRememberLeft : kRememberLost)) continue;
+    v1::Peer& peer = peers.emplace_back();
+    peer.set_role(key.first);
+    peer.set_name(key.second);
+    peer.set_address(worker.address);
+    peer.set_health(health);
+    peer.set_last_seen_s(absl::ToDoubleSeconds(silent));
+    *peer.mutable_summary() = worker.summary;
+  }
+  return peers;
+}
+
+v1::Peer::Health FleetBook::HealthOf(const Worker& worker) const {
+  if (worker.left) return v1::Peer::LEFT;
+  const absl::Duration lease = worker.own_word == absl::InfinitePast() ? kRelayed : lease_;
+  return clock_->Now() - worker.last_word < lease ? v1::Peer::OK : v1::Peer::LOST;
+}
+
+void FleetBook::Forget() {
+  std::vector<std::pair<absl::Time, Key>> gone;
+  for (const auto& [key, worker] : workers_) {
+    if (HealthOf(worker) != v1::Peer::OK) gone.emplace_back(worker.last_word, key);
+  }
+  std::sort(gone.begin(), gone.end());
+  const absl::Time oldest = clock_->Now() - kRememberLost;
+  for (size_t i = 0; i < gone.size(); ++i) {
+    if (gone[i].first < oldest || gone.size() - i > kMaxGone) workers_.erase(gone[i].second);
+  }
+}
+
+}  // namespace craftfleet
