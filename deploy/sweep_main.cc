@@ -189,9 +189,12 @@ absl::Status RunOnSlurm(const std::string& file, const std::string& logdir, cons
     absl::PrintF("%d runs, all of which are done already\n", jobs.size());
     return absl::OkStatus();
   }
-  if (!absl::GetFlag(FLAGS_dry_run)) return Submit(array);
-  absl::PrintF("%s", SlurmArrayScript(array));
-  return absl::OkStatus();
+  if (absl::GetFlag(FLAGS_dry_run)) {
+    absl::PrintF("%s", SlurmArrayScript(array));
+    return absl::OkStatus();
+  }
+  for (const SweepJob& job : jobs) CRAFTFLEET_RETURN_IF_ERROR(PrepareFolder(job));
+  return Submit(array);
 }
 
 absl::Status Run(const std::vector<std::string>& arguments) {

@@ -42,12 +42,6 @@ absl::Status CheckConfiguration(const SweepJob& job) {
       absl::StrCat(path, " is not this cell's configuration (", job.config_path, "): use another --logdir"));
 }
 
-absl::Status PrepareFolder(const SweepJob& job) {
-  CRAFTFLEET_RETURN_IF_ERROR(CreateFolders(job.folder));
-  const absl::StatusOr<std::string> there = ReadFile(job.config_path);
-  return there.ok() && *there == job.config_text ? absl::OkStatus() : ReplaceFile(job.config_path, job.config_text);
-}
-
 }  // namespace
 
 Sweep::Sweep(std::vector<SweepJob> jobs, const Options& options, std::ostream* out, Clock* clock)
@@ -87,7 +81,9 @@ void Sweep::Stop() {
 void Sweep::LookAtFolders() {
   int done = 0;
   for (size_t i = 0; i < jobs_.size(); ++i) {
-    // A folder that can't be read is said so when its turn comes.
+    // Before any job begins, since those of a cell share its file. What is wrong with a folder is said when its turn
+    // comes.
+    PrepareFolder(jobs_[i]).IgnoreError();
     const RunState state = ReadRunState(jobs_[i].folder, jobs_[i].config.steps()).value_or(RunState());
     MutexLock lock(&mu_);
     entries_[i].first_steps = std::min(state.steps, jobs_[i].config.steps());

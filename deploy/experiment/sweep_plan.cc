@@ -84,6 +84,12 @@ std::vector<SweepJob> PlanSweep(absl::Span<const Cell* const> cells, const Sweep
   return jobs;
 }
 
+absl::Status PrepareFolder(const SweepJob& job) {
+  CRAFTFLEET_RETURN_IF_ERROR(CreateFolders(job.folder));
+  const absl::StatusOr<std::string> there = ReadFile(job.config_path);
+  return there.ok() && *there == job.config_text ? absl::OkStatus() : ReplaceFile(job.config_path, job.config_text);
+}
+
 std::string CellConfigFile(const Cell& cell) {
   return absl::StrCat("# ", cell.experiment, ", ", cell.name, "; what is not said has its default.\n",
                       cell.config_text);

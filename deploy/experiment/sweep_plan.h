@@ -47,6 +47,10 @@ struct SweepJob {
 // Seed 1 of every cell, then seed 2, ...; cells that share a folder are run once.
 std::vector<SweepJob> PlanSweep(absl::Span<const Cell* const> cells, const SweepSettings& settings);
 
+// Makes the run's folder, and writes the config file that it is started with unless it is there. The jobs of a cell
+// share that file: not from two threads or processes at once while it is missing.
+absl::Status PrepareFolder(const SweepJob& job);
+
 // What the cell's config file says, with a first line about where it comes from.
 std::string CellConfigFile(const Cell& cell);
 

@@ -133,7 +133,8 @@ class Slurm(unittest.TestCase):
     self.assertIn("goes on: small/gamma=0.9/seed1", log.read_text())
     listed = subprocess.run([BIN / "craftfleet-sweep", self.folder / "experiments.txt", "--list", "--seeds=2",
                              f"--logdir={self.folder}/runs"], capture_output=True, text=True, check=True).stdout
-    self.assertEqual(listed.count("2 of 2 done"), 2, listed + log.read_text())
+    self.assertEqual(listed.count("2 of 2 done"), 2, listed + "".join(
+        f"== {file}\n{file.read_text(errors='replace')}" for file in (self.folder / "runs").rglob("*.log")))
     self.assertIn("all of which are done already", self.sweep().stdout)
 
 
