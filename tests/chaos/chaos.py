@@ -13,9 +13,7 @@ no process may have grown or ended by itself. Long forms add what they saw to te
 """
 
 import argparse
-import datetime
 import json
-import os
 import pathlib
 import random
 import shutil
@@ -25,6 +23,7 @@ import sys
 import time
 
 from fleet import Fleet, Memory, Site, Watch
+from results import record
 
 LONG_CONFIG = """steps: 200704 seed: 5 lanes: 16 checkpoint { every_iterations: 2 }
   eval { every_steps: 50000 episodes: 5 final_episodes: 5 }"""
@@ -149,30 +148,18 @@ def differences(quiet, chaotic):
     return differing + [f"{name} differs" for name in COMPARED_OF_CHECKPOINT if not same(one / name, other / name)]
 
 
-def record(options, figures, failures):
-    """Adds a line about a long run to the results."""
-    def said_by(*command):
-        result = subprocess.run(command, capture_output=True, text=True, check=False)
-        return result.stdout.strip()
-
-    here = pathlib.Path(__file__).resolve().parent
-    line = {"date": datetime.datetime.now().isoformat(timespec="minutes"),
-            "command": " ".join([pathlib.Path(sys.argv[0]).name, *sys.argv[1:]]),
-            "build": said_by(pathlib.Path(options.bin) / "craftfleet-learner", "--version"),
-            "revision": said_by("git", "-C", here, "describe", "--always", "--dirty"),
-            "cpus": os.cpu_count(), "figures": figures, "failures": failures}
-    (here / "results").mkdir(exist_ok=True)
-    with open(here / "results" / "runs.jsonl", "a", encoding="utf-8") as results:
-        results.write(json.dumps(line) + "\n")
+def empty_folder(name):
+    shutil.rmtree(name, ignore_errors=True)
+    folder = pathlib.Path(name)
+    folder.mkdir(parents=True)
+    return folder
 
 
 def compare(options, config_text, make_fleet, make_chaos):
     """The quiet run, then the same with a fleet in chaos; says what came out. Returns the exit code.
 
     `make_fleet(config, logdir)` starts a fleet, `make_chaos(fleet)` says what is to happen to it."""
-    out = pathlib.Path(options.out)
-    shutil.rmtree(out, ignore_errors=True)
-    out.mkdir(parents=True)
+    out = empty_folder(options.out)
     config = out / "config.txt"
     config.write_text(config_text, encoding="utf-8")
     train_quietly(options, config, out / "quiet")
@@ -189,7 +176,7 @@ def compare(options, config_text, make_fleet, make_chaos):
     print(json.dumps(figures))
     print("FAILED: " + "; ".join(failures) if failures else "the same bytes as the quiet run")
     if not options.short:
-        record(options, figures, failures)
+        record(options.bin, figures, failures)
     return 1 if failures else 0
 
 
@@ -226,7 +213,8 @@ def main():
         del pace["learner"]
     here = Site()
     return compare(options, SHORT_CONFIG if options.short else LONG_CONFIG,
-                   lambda config, logdir: Fleet(options, config, logdir, here, [here]),
+                   lambda config, logdir: Fleet(options.bin, options.out, config, logdir, here, [here],
+                                                options.actors, options.servers),
                    lambda fleet: Chaos(fleet, options.seed, pace, 7 if options.short else 15, options.spare))
 
 

@@ -79,27 +79,28 @@ class Worker:
 
 
 class Fleet:
-    """A learner on `learner_site`; environment servers and actors dealt out over `sites`."""
+    """A learner on `learner_site`; environment servers and actors dealt out over `sites`. Logs go to the folder `out`."""
 
-    def __init__(self, options, config, logdir, learner_site, sites):
-        self.bin, out = pathlib.Path(options.bin), pathlib.Path(options.out)
+    def __init__(self, bin_folder, out, config, logdir, learner_site, sites, actors=0, servers=0,
+                 threads=1):
+        self.bin, out = pathlib.Path(bin_folder), pathlib.Path(out)
         self.learner_site, self.learner_address = learner_site, learner_site.listen()
         reached = learner_site.reached_at(self.learner_address)
         learner = [*learner_site.command_prefix, self.bin / "craftfleet-learner", f"--config={config}",
-                   f"--logdir={logdir}", f"--listen={self.learner_address}", "--threads=1", *learner_site.flags]
+                   f"--logdir={logdir}", f"--listen={self.learner_address}", f"--threads={threads}", *learner_site.flags]
         self.learner = Worker("learner", learner, out / "learner.log")
         self.workers = []
         try:
-            for i in range(options.servers):
+            for i in range(servers):
                 site = sites[i % len(sites)]
                 listen = site.listen()
                 command = [*site.command_prefix, self.bin / "craftfleet-envserver", f"--listen={listen}",
                            f"--advertise={site.reached_at(listen)}", f"--learner={reached}", *site.flags]
                 self.workers.append(Worker(f"server{i}", command, out / f"server{i}.log"))
-            for i in range(options.actors):
+            for i in range(actors):
                 site = sites[i % len(sites)]
                 command = [*site.command_prefix, self.bin / "craftfleet-actor", f"--learner={reached}",
-                           "--envservers=learner", "--threads=1"]
+                           "--envservers=learner", f"--threads={threads}"]
                 self.workers.append(Worker(f"actor{i}", command, out / f"actor{i}.log"))
         except BaseException:
             self.stop()

@@ -224,8 +224,8 @@ def main():
     try:
         network.build()
         return compare(options, SHORT_CONFIG if options.short else LONG_CONFIG,
-                       lambda config, logdir: Fleet(options, config, logdir, network.learner_host,
-                                                    network.worker_hosts),
+                       lambda config, logdir: Fleet(options.bin, options.out, config, logdir, network.learner_host,
+                                                    network.worker_hosts, options.actors, options.servers),
                        lambda fleet: NetworkChaos(network, 6 if options.short else 20, fleet, options.seed, pace, 15))
     finally:
         network.remove()

@@ -1,0 +1,87 @@
+#!/usr/bin/env python3
+"""One learner with many actors over real connections, which play nothing, and many lanes.
+
+Are shares fair (most / fewest fragments of an actor below 1.2), does the status service answer within 50 ms, does the
+learner's memory stand still (less than 1 MiB a minute after the second one)? The long form adds what it saw to
+tests/chaos/results/runs.jsonl.
+
+  tests/chaos/scale.py --bin=build/bin --out=/tmp/scale             200 actors, 1,000 lanes, 10 minutes
+  tests/chaos/scale.py --bin=build/bin --out=/tmp/scale --short     the short form that the tests run
+"""
+
+import argparse
+import json
+import pathlib
+import subprocess
+import sys
+import time
+
+from chaos import GROWTH_LIMIT_KIB_PER_MINUTE, empty_folder, end_cleanly_when_stopped
+from fleet import Fleet, Memory, Site
+from results import record
+
+# Fragments as short as can be, so that there are many.
+CONFIG = """steps: 1000000000 lanes: {lanes} fragment_steps: 4
+  ppo {{ rollout_steps: {rollout} minibatch_size: 100 epochs: 1 }} eval {{ every_steps: 0 final_episodes: 0 }}"""
+START_S = 60
+
+
+def run(options, fleet):
+    """Lets the actors loose. Returns figures and what was not as wanted."""
+    give_up = time.monotonic() + START_S
+    while fleet.iteration() < 0:
+        if time.monotonic() > give_up or fleet.learner.process.poll() is not None:
+            return {}, [f"the learner did not start: see {fleet.learner.log}"]
+        time.sleep(0.2)
+    bots = subprocess.Popen([pathlib.Path(options.bin) / "many_actors", f"--learner={fleet.learner_address}",
+                             f"--actors={options.actors}", f"--seconds={options.seconds}"],
+                            stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, text=True)
+    memory = Memory(time.monotonic())
+    try:
+        while bots.poll() is None:
+            memory.note(fleet.learner, time.monotonic())
+            time.sleep(0.5)
+        lines = bots.stdout.read().splitlines()
+    finally:
+        bots.kill()
+        bots.wait()
+    growth = memory.growth().get("learner")
+    figures = {**(json.loads(lines[-1]) if lines else {}), "iterations": fleet.iteration(),
+               "learner_resident_kib": fleet.learner.resident_kib(), "growth_kib_per_minute": growth}
+    failures = [] if bots.returncode == 0 else ["fragments, shares or answers are not as wanted"]
+    if growth is not None and growth > GROWTH_LIMIT_KIB_PER_MINUTE:
+        failures.append(f"the learner grows by {growth:.0f} KiB a minute, want at most {GROWTH_LIMIT_KIB_PER_MINUTE}")
+    if growth is None and not options.short:
+        failures.append("it was over before memory could be watched")
+    return figures, failures
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--bin", required=True, help="folder of the programs")
+    parser.add_argument("--out", required=True, help="folder for the run and logs; replaced")
+    parser.add_argument("--seconds", type=int, default=600)
+    parser.add_argument("--actors", type=int, default=200)
+    parser.add_argument("--lanes", type=int, default=1000)
+    parser.add_argument("--short", action="store_true", help="40 actors, 200 lanes, 15 s")
+    options = parser.parse_args()
+    if options.short:
+        options.seconds, options.actors, options.lanes = 15, 40, 200
+    end_cleanly_when_stopped()
+    config = empty_folder(options.out) / "config.txt"
+    config.write_text(CONFIG.format(lanes=options.lanes, rollout=4 * options.lanes), encoding="utf-8")
+    here = Site()
+    fleet = Fleet(options.bin, options.out, config, pathlib.Path(options.out) / "run", here, [])
+    try:
+        figures, failures = run(options, fleet)
+    finally:
+        fleet.stop()
+    print(json.dumps(figures))
+    print("FAILED: " + "; ".join(failures) if failures else "fair, quick and no bigger")
+    if not options.short:
+        record(options.bin, figures, failures)
+    return 1 if failures else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
