@@ -1,11 +1,8 @@
 #include "common/wire/metrics_server.h"
 
-#include <prometheus/collectable.h>
-#include <prometheus/exposer.h>
+#include <prometheus/text_serializer.h>
 
-#include <exception>
 #include <utility>
-#include <vector>
 
 #include <absl/strings/match.h>
 #include <absl/strings/str_cat.h>
@@ -18,14 +15,8 @@
 namespace craftfleet::wire {
 namespace {
 
-class StatusCollectable : public prometheus::Collectable {
- public:
-  explicit StatusCollectable(std::function<v1::StatusReply()> snapshot) : snapshot_(std::move(snapshot)) {}
-  std::vector<prometheus::MetricFamily> Collect() const override { return ToMetricFamilies(snapshot_()); }
-
- private:
-  const std::function<v1::StatusReply()> snapshot_;
-};
+constexpr char kPath[] = "/metrics";
+constexpr char kContentType[] = "text/plain; version=0.0.4; charset=utf-8";
 
 }  // namespace
 
@@ -48,28 +39,19 @@ absl::Status MetricsServer::Options::Validate() const {
 absl::StatusOr<std::unique_ptr<MetricsServer>> MetricsServer::Create(const Options& options,
                                                                      std::function<v1::StatusReply()> snapshot) {
   CRAFTFLEET_RETURN_IF_ERROR(options.Validate());
-  const size_t colon = options.address.rfind(':');
-  const std::string host = options.address.substr(0, colon);
-  // The HTTP server wants a number.
-  const std::string bind = (host == "localhost" ? "127.0.0.1" : host) + options.address.substr(colon);
-  std::unique_ptr<MetricsServer> server(new MetricsServer);
-  server->collectable_ = std::make_shared<StatusCollectable>(std::move(snapshot));
-  try {
-    // A client that sends nothing is put out after a while; two threads are enough for a scraper and a person.
-    server->exposer_ = std::make_unique<prometheus::Exposer>(std::vector<std::string>{
-        "listening_ports", bind, "num_threads", "2", "request_timeout_ms", "3000", "enable_keep_alive", "no"});
-    server->exposer_->RegisterCollectable(server->collectable_);
-    server->url_ = absl::StrCat("http://", host, ":", server->exposer_->GetListeningPorts().at(0), "/metrics");
-  } catch (const std::exception& error) {
-    return absl::UnavailableError(
-        absl::StrFormat("cannot serve metrics on %s (%s): the port is in use, or the host is not this machine; choose "
-                        "another --metrics_listen",
-                        options.address, error.what()));
+  absl::StatusOr<std::unique_ptr<HttpServer>> server =
+      HttpServer::Create(options.address, [snapshot = std::move(snapshot)](absl::string_view path) {
+        if (path != kPath) return HttpServer::Response{404, kContentType, "metrics are at /metrics\n"};
+        return HttpServer::Response{200, kContentType,
+                                    prometheus::TextSerializer().Serialize(ToMetricFamilies(snapshot()))};
+      });
+  if (!server.ok()) {
+    return absl::Status(server.status().code(), absl::StrCat("--metrics_listen: ", server.status().message()));
   }
-  return server;
+  return std::unique_ptr<MetricsServer>(new MetricsServer(*std::move(server)));
 }
 
-MetricsServer::MetricsServer() = default;
-MetricsServer::~MetricsServer() = default;
+MetricsServer::MetricsServer(std::unique_ptr<HttpServer> server)
+    : server_(std::move(server)), url_(absl::StrCat("http://", server_->address(), kPath)) {}
 
 }  // namespace craftfleet::wire

@@ -10,12 +10,8 @@
 #include <absl/status/status.h>
 #include <absl/status/statusor.h>
 
+#include "common/wire/http_server.h"
 #include "craftfleet/v1/status.pb.h"
-
-namespace prometheus {
-class Collectable;
-class Exposer;
-}  // namespace prometheus
 
 namespace craftfleet::wire {
 
@@ -33,17 +29,15 @@ class MetricsServer {
   //   on.
   static absl::StatusOr<std::unique_ptr<MetricsServer>> Create(const Options& options,
                                                                std::function<v1::StatusReply()> snapshot);
-  ~MetricsServer();
 
   // "http://127.0.0.1:9464/metrics", with the port in use.
   const std::string& url() const { return url_; }
 
  private:
-  MetricsServer();
+  explicit MetricsServer(std::unique_ptr<HttpServer> server);
 
-  std::shared_ptr<prometheus::Collectable> collectable_;
-  std::unique_ptr<prometheus::Exposer> exposer_;
-  std::string url_;
+  const std::unique_ptr<HttpServer> server_;
+  const std::string url_;
 };
 
 }  // namespace craftfleet::wire
