@@ -18,9 +18,9 @@ namespace craftfleet {
 namespace {
 
 // How much of a picture is left where nobody looks, and the light that falls where somebody does.
-constexpr float kDim = 0.35F;
+constexpr float kDim = 0.5F;
 constexpr float kLight[3] = {255, 190, 60};
-constexpr float kLightShare = 0.35F;
+constexpr float kLightShare = 0.4F;
 
 uint8_t ToByte(float value) { return static_cast<uint8_t>(std::lround(std::min(std::max(value, 0.0F), 255.0F))); }
 

@@ -1,6 +1,7 @@
 #include "actor/evaluator.h"
 
 #include <algorithm>
+#include <map>
 #include <string>
 #include <vector>
 
@@ -123,6 +124,74 @@ TEST_F(EvaluatorTest, PlaysTheGameOfTheSeed) {
   const auto evaluated = Run(Options(1, 1));
   ASSERT_THAT(evaluated, IsOk());
   ExpectSameEpisodes(*evaluated, {*episode});
+}
+
+// Keeps what it sees, by episode.
+class Diary : public EpisodeObserver {
+ public:
+  struct Story {
+    std::vector<Moment> moments;
+    std::vector<ObservedStep> steps;
+  };
+  absl::Status OnStart(int64_t number, const Moment& moment) override {
+    stories[number].moments.push_back(moment);
+    return absl::OkStatus();
+  }
+  absl::Status OnStep(int64_t number, const ObservedStep& step, const Moment& moment) override {
+    stories.at(number).steps.push_back(step);
+    stories.at(number).moments.push_back(moment);
+    return --steps_to_error == 0 ? absl::DataLossError("seen enough") : absl::OkStatus();
+  }
+  std::map<int64_t, Story> stories;
+  int steps_to_error = -1;
+};
+
+v1::SessionHello RecordingHello(int picture_size) {
+  v1::SessionHello hello = SampleHello(kLength);
+  hello.mutable_recording()->set_picture_size(picture_size);
+  return hello;
+}
+
+TEST_F(EvaluatorTest, AnObserverSeesEveryEpisodeFromItsFirstMomentToItsLast) {
+  const auto unseen = Run(Options(5, 3));
+  ASSERT_THAT(unseen, IsOk());
+  EnvClient client(env_.Connect(), RecordingHello(90), 64 * 64 * 3);
+  ASSERT_THAT(client.Connect(absl::Seconds(10)), IsOk());
+  Diary diary;
+  const auto episodes = Evaluate(
+      Options(5, 3), *SamplePolicy(1), &client, [](int) {}, &diary);
+  ASSERT_THAT(episodes, IsOk());
+  ExpectSameEpisodes(*episodes, *unseen);
+  ASSERT_EQ(diary.stories.size(), 5);
+  for (const auto& [number, story] : diary.stories) {
+    const Episode& episode = (*episodes)[number - 1];
+    ASSERT_EQ(story.steps.size(), static_cast<size_t>(episode.length));
+    ASSERT_EQ(story.moments.size(), story.steps.size() + 1);
+    EXPECT_EQ(story.moments.back().achievements, episode.achievements);
+    EXPECT_EQ(story.moments.back().picture.size(), 90 * 90 * 3);
+    double reward = 0;
+    for (const ObservedStep& step : story.steps) reward += step.reward;
+    EXPECT_NEAR(reward, episode.reward, 1e-4);
+    for (size_t i = 0; i < story.steps.size(); ++i) {
+      EXPECT_EQ(story.steps[i].end != StepEnd::kNone, i + 1 == story.steps.size());
+    }
+  }
+}
+
+TEST_F(EvaluatorTest, AnObserversErrorEndsIt) {
+  EnvClient client(env_.Connect(), RecordingHello(0), 64 * 64 * 3);
+  ASSERT_THAT(client.Connect(absl::Seconds(10)), IsOk());
+  Diary diary;
+  diary.steps_to_error = 10;
+  EXPECT_THAT(Evaluate(
+                  Options(4, 4), *SamplePolicy(1), &client, [](int) {}, &diary),
+              StatusIs(absl::StatusCode::kDataLoss, "seen enough"));
+}
+
+TEST_F(EvaluatorTest, PicturesThatTheServerCanNotDrawAreRefused) {
+  EnvClient client(env_.Connect(), RecordingHello(2049), 64 * 64 * 3);
+  EXPECT_THAT(client.Connect(absl::Seconds(10)),
+              StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("picture width 2049, want 18..2048")));
 }
 
 TEST_F(EvaluatorTest, RefusesOptionsOutOfRange) {

@@ -1,0 +1,176 @@
+#include "actor/recording/episode_recorder.h"
+
+#include <array>
+#include <cstdio>
+#include <memory>
+#include <string>
+#include <vector>
+
+#include <absl/strings/str_cat.h>
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+#include <opencv2/imgcodecs.hpp>
+#include <opencv2/videoio.hpp>
+
+#include "common/files.h"
+#include "tests/fakes/sample_policy.h"
+#include "tests/fakes/status_matchers.h"
+#include "tests/fakes/temp_folder.h"
+
+namespace craftfleet {
+namespace {
+
+using testing::ElementsAre;
+using testing::HasSubstr;
+using testing::IsEmpty;
+
+constexpr int kFrameSize = 8;
+constexpr int kPictureSize = 64;
+
+// A moment `step` steps into an episode, one achievement more every other step.
+Moment MomentAt(int step) {
+  Moment moment;
+  moment.frame.assign(size_t{3} * kFrameSize * kFrameSize, static_cast<char>(step + 1));
+  moment.picture.assign(size_t{3} * kPictureSize * kPictureSize, static_cast<char>(20 * step));
+  moment.semantic.assign(size_t{kWorldSize} * kWorldSize, '\2');
+  moment.semantic[3 * kWorldSize + step] = 13;
+  moment.player_x = 3;
+  moment.player_y = step;
+  moment.inventory.fill(9);
+  for (int i = 0; i < step / 2; ++i) moment.achievements[i] = step;
+  return moment;
+}
+
+class EpisodeRecorderTest : public testing::Test {
+ protected:
+  EpisodeRecorderTest() {
+    options_.frame_size = kFrameSize;
+    options_.picture_size = kPictureSize;
+    options_.first_episode = 5;
+  }
+
+  std::unique_ptr<EpisodeRecorder> Make() const {
+    const absl::Time start = absl::FromCivil(absl::CivilSecond(2024, 2, 29, 23, 59, 58), absl::UTCTimeZone());
+    auto recorder = EpisodeRecorder::Create(options_, nullptr, start);
+    EXPECT_THAT(recorder, IsOk());
+    return *std::move(recorder);
+  }
+  static void Play(int64_t number, int steps, EpisodeRecorder* recorder, StepEnd end = StepEnd::kTerminated) {
+    ASSERT_THAT(recorder->OnStart(number, MomentAt(0)), IsOk());
+    for (int step = 1; step <= steps; ++step) {
+      const ObservedStep observed = {Action::kSleep, step == 2 ? 0.9F : -0.1F, step == steps ? end : StepEnd::kNone};
+      ASSERT_THAT(recorder->OnStep(number, observed, MomentAt(step)), IsOk());
+    }
+  }
+  std::vector<std::string> Files(const std::string& folder) const { return *ListFolder(folder_ / folder); }
+
+  const TempFolder folder_;
+  EpisodeRecorder::Options options_;
+};
+
+TEST_F(EpisodeRecorderTest, NamesFilesByTimeAchievementsAndLength) {
+  options_.video_folder = folder_ / "video";
+  options_.npz_folder = folder_ / "npz";
+  const auto recorder = Make();
+  Play(7, 4, recorder.get());
+  Play(5, 3, recorder.get());
+  EXPECT_THAT(Files("video"), ElementsAre("20240229T235958-ach1-len3.mp4", "20240301T000000-ach2-len4.mp4"));
+  EXPECT_THAT(Files("npz"), ElementsAre("20240229T235958-ach1-len3.npz", "20240301T000000-ach2-len4.npz"));
+}
+
+TEST_F(EpisodeRecorderTest, WritesOverNoFile) {
+  options_.npz_folder = folder_ / "npz";
+  for (int i = 0; i < 3; ++i) Play(5, 3, Make().get());
+  EXPECT_THAT(Files("npz"), ElementsAre("20240229T235958-ach1-len3.npz", "20240229T235959-ach1-len3.npz",
+                                        "20240301T000000-ach1-len3.npz"));
+}
+
+TEST_F(EpisodeRecorderTest, EpisodesSideBySideDoNotMix) {
+  options_.video_folder = folder_ / "video";
+  const auto recorder = Make();
+  ASSERT_THAT(recorder->OnStart(5, MomentAt(0)), IsOk());
+  Play(6, 2, recorder.get());
+  for (int step = 1; step <= 5; ++step) {
+    ASSERT_THAT(recorder->OnStep(5, {Action::kDo, 0, step == 5 ? StepEnd::kTruncated : StepEnd::kNone}, MomentAt(step)),
+                IsOk());
+  }
+  ASSERT_THAT(Files("video"), ElementsAre("20240229T235958-ach2-len5.mp4", "20240229T235959-ach1-len2.mp4"));
+  cv::VideoCapture video(folder_ / "video/20240229T235958-ach2-len5.mp4");
+  cv::Mat picture;
+  int pictures = 0;
+  for (; video.read(picture); ++pictures) {
+    EXPECT_NEAR(picture.at<cv::Vec3b>(10, 10)[1], 20 * pictures, 6);
+  }
+  EXPECT_EQ(pictures, 6) << "the reset and five steps";
+  EXPECT_EQ(picture.cols, 0);
+}
+
+TEST_F(EpisodeRecorderTest, AnEvaluationThatBreaksOffLeavesNoHalfVideo) {
+  options_.video_folder = folder_ / "video";
+  auto recorder = Make();
+  ASSERT_THAT(recorder->OnStart(5, MomentAt(0)), IsOk());
+  recorder = nullptr;
+  EXPECT_THAT(Files("video"), IsEmpty());
+}
+
+TEST_F(EpisodeRecorderTest, WritesAPictureEverySoManySteps) {
+  options_.picture_folder = folder_ / "pictures";
+  options_.picture_every = 2;
+  Play(5, 5, Make().get());
+  EXPECT_THAT(Files("pictures"),
+              ElementsAre("episode-0005-step-00000.png", "episode-0005-step-00002.png", "episode-0005-step-00004.png"));
+  const cv::Mat picture = cv::imread(folder_ / "pictures/episode-0005-step-00004.png");
+  EXPECT_EQ(picture.cols, kPictureSize);
+  EXPECT_EQ(picture.at<cv::Vec3b>(9, 9), (cv::Vec3b{80, 80, 80}));
+}
+
+// By an independent reader: keys, shapes, types, zeros at the reset, and the episode's own line.
+TEST_F(EpisodeRecorderTest, WritesTablesThatPythonReads) {
+  options_.npz_folder = folder_ / "npz";
+  Play(5, 4, Make().get(), StepEnd::kTruncated);
+  std::string line = R"({"length": 4, "reward": 0.6)";
+  for (int i = 0; i < kNumAchievements; ++i) {
+    absl::StrAppend(&line, ", \"achievement_", kAchievementNames[i], "\": ", i < 2 ? 4 : 0);
+  }
+  ASSERT_THAT(WriteFileSynced(folder_ / "stats.jsonl", line + "}\n"), IsOk());
+  const std::string command =
+      absl::StrCat("python3 ", CRAFTFLEET_SOURCE_DIR, "/tests/actor/recording/check_episodes.py ", folder_ / "npz", " ",
+                   folder_ / "stats.jsonl", " ", kFrameSize, " 2>&1");
+  FILE* pipe = ::popen(command.c_str(), "r");
+  std::array<char, 1000> output{};
+  const size_t size = std::fread(output.data(), 1, output.size(), pipe);
+  ::pclose(pipe);
+  EXPECT_EQ(std::string(output.data(), size), "1 episodes agree\n");
+}
+
+TEST_F(EpisodeRecorderTest, ShowsAttentionOnTheRight) {
+  const auto policy = SamplePolicy(1, 1, "oc_ca");
+  options_.frame_size = 72;
+  options_.attention = AttentionChoice();
+  options_.picture_folder = folder_ / "pictures";
+  auto recorder = EpisodeRecorder::Create(options_, policy.get(), absl::Now());
+  ASSERT_THAT(recorder, IsOk());
+  Moment moment = MomentAt(5);
+  moment.frame.assign(size_t{3} * 72 * 72, '\1');
+  ASSERT_THAT((*recorder)->OnStart(5, moment), IsOk());
+  const cv::Mat picture = cv::imread(folder_ / "pictures/episode-0005-step-00000.png");
+  ASSERT_EQ(picture.cols, 2 * kPictureSize);
+  EXPECT_EQ(picture.at<cv::Vec3b>(32, kPictureSize - 1), (cv::Vec3b{100, 100, 100})) << "the picture as it is";
+  const auto overlaid = picture.at<cv::Vec3b>(32, kPictureSize + 10);
+  EXPECT_GT(overlaid[2], overlaid[0]) << "light is more red than blue";
+  const auto unseen = picture.at<cv::Vec3b>(32, 2 * kPictureSize - 1);
+  EXPECT_EQ(unseen, (cv::Vec3b{50, 50, 50})) << "64 of 72 pixels are cut into patches";
+}
+
+TEST_F(EpisodeRecorderTest, RefusesAttentionThatIsNotThere) {
+  options_.frame_size = 64;
+  options_.attention = AttentionChoice();
+  options_.video_folder = folder_ / "video";
+  const auto policy = SamplePolicy(1);
+  EXPECT_THAT(EpisodeRecorder::Create(options_, policy.get(), absl::Now()),
+              StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("agent ppo_cnn has no attention to show")));
+  EXPECT_FALSE(PathExists(folder_ / "video"));
+}
+
+}  // namespace
+}  // namespace craftfleet

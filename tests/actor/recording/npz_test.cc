@@ -1,0 +1,77 @@
+#include "actor/recording/npz.h"
+
+#include <array>
+#include <cstdio>
+#include <string>
+
+#include <absl/strings/str_cat.h>
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include "common/files.h"
+#include "tests/fakes/status_matchers.h"
+#include "tests/fakes/temp_folder.h"
+
+namespace craftfleet {
+namespace {
+
+using testing::HasSubstr;
+using testing::StartsWith;
+
+// What `command` prints, errors included.
+std::string OutputOf(const std::string& command) {
+  FILE* pipe = ::popen(absl::StrCat(command, " 2>&1").c_str(), "r");
+  if (pipe == nullptr) return "popen failed";
+  std::string output;
+  std::array<char, 4096> buffer;
+  while (const size_t n = std::fread(buffer.data(), 1, buffer.size(), pipe)) output.append(buffer.data(), n);
+  ::pclose(pipe);
+  return output;
+}
+
+// The bytes that numpy 1.24's save() gives for numpy.arange(3, dtype="<i8") and numpy.array([[1, 2]], dtype="|u1").
+TEST(EncodeNpy, GivesTheBytesOfNumpy) {
+  const std::string data("\0\0\0\0\0\0\0\0\1\0\0\0\0\0\0\0\2\0\0\0\0\0\0\0", 24);
+  const std::string vector = EncodeNpy({"any", "<i8", {3}, data});
+  std::string header = "{'descr': '<i8', 'fortran_order': False, 'shape': (3,), }";
+  header.resize(117, ' ');
+  EXPECT_EQ(vector, absl::StrCat(std::string("\x93NUMPY\1\0\x76\0", 10), header, "\n", data));
+  EXPECT_THAT(EncodeNpy({"any", "|u1", {1, 2}, "\1\2"}),
+              HasSubstr("{'descr': '|u1', 'fortran_order': False, 'shape': (1, 2), }"));
+  EXPECT_THAT(EncodeNpy({"any", "<f8", {0}, ""}), HasSubstr("'shape': (0,), }"));
+}
+
+TEST(EncodeNpy, DataBeginsAtAMultipleOf64) {
+  for (int64_t rows = 1; rows < 1'000'000'000'000'000'000; rows *= 10) {
+    const std::string bytes = EncodeNpy({"any", "|u1", {rows, rows, rows}, ""});
+    EXPECT_EQ(bytes.size() % 64, 0) << rows;
+    EXPECT_EQ(bytes.back(), '\n');
+  }
+}
+
+TEST(WriteNpz, IsReadByPythonsZipfile) {
+  const TempFolder folder;
+  const std::string path = folder / "a.npz";
+  ASSERT_THAT(WriteNpz(path, {{"one", "|u1", {4}, "abcd"}, {"two", "|b1", {0}, ""}}), IsOk());
+  EXPECT_EQ(OutputOf(absl::StrCat("python3 -c \"import zipfile; z = zipfile.ZipFile('", path,
+                                  "'); print(z.testzip(), [(i.filename, i.compress_type, i.file_size) for i in "
+                                  "z.infolist()], z.read('one.npy')[-4:])\"")),
+            "None [('one.npy', 8, 132), ('two.npy', 8, 128)] b'abcd'\n");
+}
+
+TEST(WriteNpz, ReplacesAFile) {
+  const TempFolder folder;
+  const std::string path = folder / "a.npz";
+  ASSERT_THAT(WriteFileSynced(path, "no zip at all"), IsOk());
+  ASSERT_THAT(WriteNpz(path, {{"one", "|u1", {4}, "abcd"}}), IsOk());
+  EXPECT_THAT(*ReadFile(path), StartsWith("PK"));
+}
+
+TEST(WriteNpz, NamesTheFileThatCanNotBeWritten) {
+  const TempFolder folder;
+  EXPECT_THAT(WriteNpz(folder / "none/a.npz", {{"one", "|u1", {4}, "abcd"}}),
+              StatusIs(absl::StatusCode::kNotFound, HasSubstr("none/a.npz: No such file or directory")));
+}
+
+}  // namespace
+}  // namespace craftfleet

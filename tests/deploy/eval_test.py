@@ -1,0 +1,115 @@
+"""craftfleet eval: the final evaluation of a run played again, with videos and files of its episodes."""
+
+import json
+import pathlib
+import subprocess
+import tempfile
+import unittest
+
+from tests.fakes import python_case
+from tests.fakes.python_case import BIN, SOURCE
+
+# Three evaluations of two episodes of each kind come before the last.
+CONFIG = """
+steps: 192  lanes: 4  seed: 3  fragment_steps: 16
+env { length: 90 }
+ppo { rollout_steps: 64  minibatch_size: 32  epochs: 1 }
+checkpoint { every_iterations: 1  keep: 20 }
+eval { every_steps: 64  episodes: 2  final_episodes: 3  env: "crafter:numbers=easy-x2" seed: 5 }
+"""
+
+
+class Eval(unittest.TestCase):
+
+  def setUp(self):
+    temp = tempfile.TemporaryDirectory(prefix="craftfleet-")
+    self.addCleanup(temp.cleanup)
+    self.folder = pathlib.Path(temp.name)
+    (self.folder / "config.txt").write_text(CONFIG)
+
+  def run_program(self, name, *flags, code=0):
+    ended = subprocess.run([BIN / name, *flags], capture_output=True, text=True, timeout=120)
+    self.assertEqual(ended.returncode, code, ended.stderr)
+    return ended
+
+  def train(self, *flags):
+    self.run_program("craftfleet-train", f"--config={self.folder}/config.txt", f"--logdir={self.folder}/run", *flags)
+
+  def evaluate(self, *flags, code=0):
+    return self.run_program("craftfleet-eval", f"--checkpoint={self.folder}/run", *flags, code=code)
+
+  def check_episodes(self, folder, log, size=64):
+    checked = subprocess.run(["python3", SOURCE / "tests/actor/recording/check_episodes.py", folder, log, str(size)],
+                             capture_output=True, text=True)
+    self.assertEqual((checked.stdout, checked.stderr, checked.returncode), ("3 episodes agree\n", "", 0))
+
+  def test_the_final_evaluation_is_played_again(self):
+    self.train()
+    out = self.folder / "out"
+    self.evaluate("--protocol=final", f"--video={out}/video", f"--episodes_npz={out}/npz", f"--json={out}.json",
+                  "--video_size=144")
+    result = json.loads((self.folder / "out.json").read_text())
+    for kind in ("argmax", "sampled"):
+      log = self.folder / f"run/final_{kind}.jsonl"
+      self.check_episodes(out / "npz" / kind, log)
+      lines = [json.loads(line) for line in log.read_text().splitlines()]
+      self.assertAlmostEqual(result[kind]["length"], sum(line["length"] for line in lines) / 3)
+      self.assertAlmostEqual(result[kind]["reward"], sum(line["reward"] for line in lines) / 3)
+      self.assertEqual(result[kind]["deterministic"], kind == "argmax")
+      videos = sorted((out / "video" / kind).iterdir())
+      self.assertEqual([video.stem for video in videos], sorted(file.stem for file in (out / "npz" / kind).iterdir()))
+      for video in videos:
+        self.assertEqual(video.read_bytes()[4:8], b"ftyp", video)
+    self.assertEqual(result["env"], "crafter:numbers=easy-x2")
+    self.assertEqual(result["seed"], 5)
+
+  def test_recording_changes_no_result(self):
+    (self.folder / "config.txt").write_text(CONFIG.replace("every_steps: 64", "every_steps: 0"))
+    self.train("--steps=64")
+    flags = ["--episodes=3", "--seed=4"]
+    self.evaluate(*flags, f"--json={self.folder}/plain.json")
+    self.evaluate(*flags, f"--json={self.folder}/recorded.json", f"--pictures={self.folder}/pictures",
+                  f"--video={self.folder}/video", "--picture_every=40", "--video_size=64")
+    self.assertEqual((self.folder / "plain.json").read_text(), (self.folder / "recorded.json").read_text())
+    pictures = sorted(file.name for file in (self.folder / "pictures").iterdir())
+    self.assertIn("episode-0001-step-00000.png", pictures)
+    self.assertIn("episode-0003-step-00040.png", pictures)
+    self.assertEqual(len(list((self.folder / "video").iterdir())), 3)
+
+  def test_wrong_flags_are_refused(self):
+    config = self.folder / "config.txt"
+    config.write_text(CONFIG.replace("every_steps: 64", "every_steps: 0").replace("final_episodes: 3", "final_episodes: 0"))
+    self.train("--steps=64")
+    for flags, error in [
+        (["--protocol=last"], "--protocol=last, want final or nothing"),
+        (["--protocol=final"], "the run has no final evaluation"),
+        (["--protocol=final", "--episodes=3"], "leave --env, --seed, --episodes and --deterministic away"),
+        (["--attention=sum"], "--attention wants --video or --pictures beside it"),
+        (["--attention=most", f"--video={self.folder}/v"], '--attention: attention "most", want mean, sum or the number'),
+        (["--attention=mean", f"--video={self.folder}/v"], "agent ppo_cnn has no attention to show; oc_sa and oc_ca have"),
+        (["--video_size=65"], "--video_size=65, want an even number 64..1024"),
+        (["--picture_every=0"], "--picture_every=0, want 1..10000"),
+        ([f"--video={config}/v"], str(config)),
+    ]:
+      with self.subTest(flags):
+        self.assertIn(error, self.evaluate(*flags, code=1).stderr)
+
+  def test_attention_is_shown_beside_the_game(self):
+    (self.folder / "config.txt").write_text("""
+      agent: "oc_ca"  network { slots: 2  frame_size: 36  patch: 12  stride: 12 }
+      steps: 16  lanes: 2  fragment_steps: 8  env { length: 12 }
+      ppo { rollout_steps: 16  minibatch_size: 8  epochs: 1 }  eval { every_steps: 0  final_episodes: 0 }
+    """)
+    self.train()
+    pictures = self.folder / "pictures"
+    self.evaluate("--episodes=1", f"--pictures={pictures}", "--attention=1", "--video_size=144", "--picture_every=10")
+    for step in (0, 10):
+      png = (pictures / f"episode-0001-step-000{step:02}.png").read_bytes()
+      self.assertEqual(png[:8], b"\x89PNG\r\n\x1a\n")
+      self.assertEqual((int.from_bytes(png[16:20], "big"), int.from_bytes(png[20:24], "big")), (288, 144))
+    refused = self.evaluate("--episodes=1", f"--pictures={pictures}", "--attention=2", code=1)
+    self.assertIn("the agent has heads or slots 0..1", refused.stderr)
+
+
+if __name__ == "__main__":
+  python_case.main()
