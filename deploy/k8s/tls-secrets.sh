@@ -1,0 +1,32 @@
+#!/usr/bin/env bash
+# Makes certificates for a fleet in Kubernetes and prints them as Secrets: an authority of its own (kept in DIR, whose ca.key
+# belongs into a safe place), and from it one each for the learner, actors, environment servers and the people who look at
+# them (DIR/craftfleet-ops.pem and .key). Again with the same DIR: new certificates from the same authority, which a running
+# fleet takes up.
+#
+# Usage: deploy/k8s/tls-secrets.sh DIR | kubectl apply -f -
+
+set -euo pipefail
+
+usage() { sed -n '2,/^$/s/^# \{0,1\}//p' "$0"; }
+case "${1:-}" in
+  "" | -*) usage >&2; exit 2 ;;
+esac
+dir=$1
+names=(craftfleet-learner craftfleet-envserver craftfleet-actor craftfleet-ops)
+"$(dirname "$0")/../make-certs.sh" "$dir" "${names[@]}" >&2
+for name in "${names[@]}"; do
+  cat <<SECRET
+---
+apiVersion: v1
+kind: Secret
+metadata:
+  name: $name-tls
+  namespace: craftfleet
+type: kubernetes.io/tls
+data:
+  tls.crt: $(base64 --wrap=0 <"$dir/$name.pem")
+  tls.key: $(base64 --wrap=0 <"$dir/$name.key")
+  ca.crt: $(base64 --wrap=0 <"$dir/ca.pem")
+SECRET
+done

@@ -1,0 +1,407 @@
+"""deploy/k8s: every manifest is parsed, and what refers to something finds it: names, selectors, ports, probes, flags, keys.
+
+The checks run over what a light Kustomize of our own builds from each overlay, and over what `kubectl kustomize` does.
+"""
+
+import json
+import os
+import pathlib
+import re
+import shutil
+import subprocess
+import tempfile
+import unittest
+
+from tests.fakes import python_case
+from tests.fakes.python_case import BIN, SOURCE, wait_until
+
+try:
+  import yaml
+  from tests.deploy import kustomize
+except ImportError:
+  yaml = None
+
+K8S = SOURCE / "deploy/k8s"
+OVERLAYS = ("one-machine", "cpu-cluster", "gpu-learner")
+# What Kubernetes serves since 1.27 and has not announced to drop.
+KINDS = {"Namespace": "v1", "Service": "v1", "ConfigMap": "v1", "Deployment": "apps/v1", "StatefulSet": "apps/v1",
+         "HorizontalPodAutoscaler": "autoscaling/v2", "PodDisruptionBudget": "policy/v1",
+         "NetworkPolicy": "networking.k8s.io/v1"}
+WORKLOADS = ("Deployment", "StatefulSet")
+STOP_SECONDS = 10  # what a process may take after SIGTERM
+
+
+def fits(selector, labels):
+  return all(labels.get(key) == value for key, value in selector.items())
+
+
+def flags_of(program):
+  """Of a program, from its --help: names of flags, and of those that may stand without a value."""
+  text = subprocess.run([BIN / program, "--help"], capture_output=True, text=True, check=True).stdout
+  flags = re.findall(r"^  --([a-z_]+)( \(default (?:true|false)\))?", text, re.MULTILINE)
+  return {name for name, _ in flags}, {name for name, default in flags if default}
+
+
+def split(argument):
+  name, _, value = argument.removeprefix("--").partition("=")
+  return name, value
+
+
+class Objects:
+  """What an overlay makes of the base."""
+
+  def __init__(self, documents):
+    self.all = documents
+
+  def of(self, *kinds):
+    return [document for document in self.all if document["kind"] in kinds]
+
+  def workloads(self, selector):
+    return [document for document in self.of(*WORKLOADS) if fits(selector, document["spec"]["template"]["metadata"]["labels"])]
+
+  def ports(self, selector):
+    """Names and numbers of the ports of the pods that the selector takes."""
+    return {key for workload in self.workloads(selector) for container in kustomize.containers(workload)
+            for port in container["ports"] for key in (port["name"], port["containerPort"])}
+
+
+class Manifests(unittest.TestCase):
+
+  def setUp(self):
+    if yaml is None:
+      self.skipTest("no python3-yaml here: deploy/install-deps.sh --tests")
+
+  def over_all(self, check):
+    for overlay in OVERLAYS:
+      with self.subTest(overlay=overlay):
+        check(Objects(kustomize.build(K8S / "overlays" / overlay)))
+
+  # The files.
+
+  def test_every_file_is_used(self):
+    used = set()
+    for path in K8S.rglob("kustomization.yaml"):
+      settings, = kustomize.load_all(path)
+      names = settings.get("resources", []) + settings.get("components", [])
+      names += [patch["path"] for patch in settings.get("patches", []) if "path" in patch]
+      names += [entry.rpartition("=")[2] for maps in settings.get("configMapGenerator", []) for entry in maps.get("files", [])]
+      for name in names:
+        self.assertTrue((path.parent / name).exists(), f"{path} names {name}")
+        used.add((path.parent / name).resolve())
+    for path in K8S.rglob("*.*"):
+      if path.name not in ("kustomization.yaml", "prometheus-adapter-values.yaml", "README.md", "tls-secrets.sh"):
+        self.assertTrue(path.parent in used if path.is_dir() else path in used, f"{path} is used by nothing")
+    for overlay in OVERLAYS:
+      self.assertTrue((K8S / "overlays" / overlay).is_dir())
+
+  def test_kinds_are_known_and_current_and_names_are_unique(self):
+    def check(objects):
+      for document in objects.all:
+        self.assertEqual(document["apiVersion"], KINDS[document["kind"]], document["metadata"]["name"])
+        self.assertRegex(document["metadata"]["name"], r"^[a-z0-9]([-a-z0-9]{0,61}[a-z0-9])?$")
+        if document["kind"] != "Namespace":
+          self.assertEqual(document["metadata"]["namespace"], "craftfleet")
+      names = [(document["kind"], document["metadata"]["name"]) for document in objects.all]
+      self.assertEqual(len(names), len(set(names)), names)
+      self.assertIn(("Namespace", "craftfleet"), names)
+    self.over_all(check)
+
+  def test_kubectl_builds_the_same_objects(self):
+    if shutil.which("kubectl") is None:
+      self.skipTest("no kubectl here")
+    version = json.loads(subprocess.run(["kubectl", "version", "--client", "-o", "json"], capture_output=True, text=True,
+                                        check=True).stdout)
+    if int(re.match(r"v(\d+)", version.get("kustomizeVersion", "v0"))[1]) < 5:
+      self.skipTest(f"kubectl has Kustomize {version.get('kustomizeVersion', 'before v5')}, want v5")
+    for overlay in OVERLAYS:
+      out = subprocess.run(["kubectl", "kustomize", K8S / "overlays" / overlay], capture_output=True, text=True, check=True).stdout
+      out = re.sub(r"\b(craftfleet-run)-[a-z0-9]{10}\b", r"\1", out)  # the hash that changes with the content
+      theirs = {(document["kind"], document["metadata"]["name"]): document for document in yaml.safe_load_all(out)}
+      ours = {(document["kind"], document["metadata"]["name"]): document
+              for document in kustomize.build(K8S / "overlays" / overlay)}
+      self.assertEqual(theirs.keys(), ours.keys())
+      for key, document in ours.items():
+        self.assertEqual(document, theirs[key], f"{overlay}: {key}")
+
+  # What refers to something.
+
+  def test_selectors_find_their_pods(self):
+    def check(objects):
+      for workload in objects.of(*WORKLOADS):
+        self.assertEqual(objects.workloads(workload["spec"]["selector"]["matchLabels"]), [workload])
+      for document in objects.of("Service"):
+        self.assertEqual(len(objects.workloads(document["spec"]["selector"])), 1, document["metadata"]["name"])
+      for document in objects.of("PodDisruptionBudget"):
+        self.assertEqual(len(objects.workloads(document["spec"]["selector"]["matchLabels"])), 1, document["metadata"]["name"])
+      budgets = {document["metadata"]["name"] for document in objects.of("PodDisruptionBudget")}
+      self.assertEqual(budgets, {workload["metadata"]["name"] for workload in objects.of(*WORKLOADS)})
+      for document in objects.of("HorizontalPodAutoscaler"):
+        target = document["spec"]["scaleTargetRef"]
+        found = [workload for workload in objects.of(target["kind"]) if workload["metadata"]["name"] == target["name"]]
+        self.assertEqual(len(found), 1, target)
+        self.assertNotIn("replicas", found[0]["spec"], "the autoscaler's to say")
+        self.assertEqual(target["apiVersion"], found[0]["apiVersion"])
+      for workload in objects.of(*WORKLOADS):
+        for constraint in workload["spec"]["template"]["spec"].get("topologySpreadConstraints", []):
+          self.assertEqual(objects.workloads(constraint["labelSelector"]["matchLabels"]), [workload])
+    self.over_all(check)
+
+  def test_services_and_policies_name_ports_that_their_pods_have(self):
+    def check(objects):
+      for document in objects.of("Service"):
+        for port in document["spec"]["ports"]:
+          self.assertIn(port["targetPort"], objects.ports(document["spec"]["selector"]))
+      for document in objects.of("NetworkPolicy"):
+        own = document["spec"]["podSelector"].get("matchLabels", {})
+        self.assertTrue(objects.workloads(own), document["metadata"]["name"])
+        for direction, peers, side in (("ingress", "from", own), ("egress", "to", None)):
+          for rule in document["spec"].get(direction, []):
+            for peer in rule[peers]:
+              if "podSelector" in peer:
+                labels = peer["podSelector"]["matchLabels"]
+                self.assertTrue(objects.workloads(labels), f"{document['metadata']['name']}: {peer}")
+                for port in rule["ports"]:
+                  self.assertIn(port["port"], objects.ports(labels if side is None else side))
+      default, = [document for document in objects.of("NetworkPolicy") if not document["spec"]["podSelector"] and
+                  "Egress" in document["spec"]["policyTypes"]]
+      self.assertNotIn("ingress", default["spec"])
+    self.over_all(check)
+
+  def test_addresses_in_flags_are_services_and_the_policies_let_them_through(self):
+    def check(objects):
+      for workload in objects.of(*WORKLOADS):
+        for argument in kustomize.containers(workload)[0]["args"]:
+          name, value = split(argument)
+          if name not in ("learner", "envservers"):
+            continue
+          host, port = value.removeprefix("dns:").split(":")
+          service, = [document for document in objects.of("Service") if document["metadata"]["name"] == host]
+          self.assertIn(int(port), [entry["port"] for entry in service["spec"]["ports"]])
+          if value.startswith("dns:"):
+            self.assertEqual(service["spec"]["clusterIP"], "None", "every pod's address is wanted")
+          labels = workload["spec"]["template"]["metadata"]["labels"]
+          for document in objects.of("NetworkPolicy"):
+            if document["spec"]["podSelector"].get("matchLabels") == service["spec"]["selector"]:
+              allowed = [peer["podSelector"]["matchLabels"] for rule in document["spec"]["ingress"] for peer in rule["from"]]
+              self.assertTrue(any(fits(peer, labels) for peer in allowed))
+      stateful, = objects.of("StatefulSet")
+      service, = [document for document in objects.of("Service") if document["metadata"]["name"] == stateful["spec"]["serviceName"]]
+      self.assertEqual(service["spec"]["clusterIP"], "None")
+    self.over_all(check)
+
+  def secrets(self):
+    """Secrets that there will be, by each of the two ways: name -> keys."""
+    with tempfile.TemporaryDirectory(prefix="craftfleet-") as folder:
+      ended = subprocess.run([K8S / "tls-secrets.sh", f"{folder}/certs"], capture_output=True, text=True, check=True)
+    made = {document["metadata"]["name"]: set(document["data"]) for document in yaml.safe_load_all(ended.stdout) if document}
+    certificates = [document for document in kustomize.build(K8S / "cert-manager") if document["kind"] == "Certificate"]
+    issued = {document["spec"]["secretName"]: {"tls.crt", "tls.key", "ca.crt"} for document in certificates}
+    return made, issued
+
+  def test_volumes_and_the_files_in_them_are_there(self):
+    secret_sets = self.secrets()
+    def check(objects):
+      maps = {document["metadata"]["name"]: set(document["data"]) for document in objects.of("ConfigMap")}
+      for workload in objects.of(*WORKLOADS):
+        pod = workload["spec"]["template"]["spec"]
+        container, = pod["containers"]
+        claims = {claim["metadata"]["name"] for claim in workload["spec"].get("volumeClaimTemplates", [])}
+        sources = {volume["name"]: volume for volume in pod.get("volumes", [])}
+        self.assertEqual(claims | sources.keys(), {mount["name"] for mount in container["volumeMounts"]})
+        for entry in container.get("env", []):
+          reference = entry["valueFrom"]["configMapKeyRef"]
+          self.assertIn(reference["key"], maps[reference["name"]])
+        for secrets in secret_sets:
+          files = {}
+          for mount in container["volumeMounts"]:
+            source = sources.get(mount["name"], {})
+            keys = maps[source["configMap"]["name"]] if "configMap" in source else ()
+            keys = secrets[source["secret"]["secretName"]] if "secret" in source else keys
+            files.update({f"{mount['mountPath']}/{key}": mount for key in keys})
+          for argument in container["args"]:
+            value = split(argument)[1]
+            if value.startswith("/etc/"):
+              self.assertIn(value, files, argument)
+        for variable in re.findall(r"\$\((\w+)\)", " ".join(container["args"])):
+          self.assertIn(variable, [entry["name"] for entry in container.get("env", [])])
+    self.over_all(check)
+
+  def test_certificates_carry_the_names_that_clients_ask_for(self):
+    certificates = {document["metadata"]["name"]: document["spec"] for document in kustomize.build(K8S / "cert-manager")
+                    if document["kind"] == "Certificate"}
+    issuers = {document["metadata"]["name"] for document in kustomize.build(K8S / "cert-manager") if document["kind"] == "Issuer"}
+    for spec in certificates.values():
+      self.assertIn(spec["issuerRef"]["name"], issuers)
+    def check(objects):
+      for service in objects.of("Service"):
+        name = service["metadata"]["name"]
+        self.assertIn(name, certificates[name]["dnsNames"])
+        workload, = objects.workloads(service["spec"]["selector"])
+        secrets = [volume["secret"]["secretName"] for volume in workload["spec"]["template"]["spec"]["volumes"] if "secret" in volume]
+        self.assertEqual(secrets, [certificates[name]["secretName"]])
+      access, = [document["data"]["access.txt"] for document in objects.of("ConfigMap")
+                 if document["metadata"]["name"] == "craftfleet-access"]
+      for name in re.findall(r'certificate: "([^"]*)"', access):
+        self.assertIn(name, [spec["commonName"] for spec in certificates.values()])
+    self.over_all(check)
+
+  def test_the_metric_that_scales_is_one_that_the_learner_has(self):
+    table = (SOURCE / "common/metric_table.cc").read_text(encoding="utf-8")
+    rules, = kustomize.load_all(K8S / "autoscale/prometheus-adapter-values.yaml")
+    def check(objects):
+      autoscalers = objects.of("HorizontalPodAutoscaler")
+      for document in autoscalers:
+        for metric in document["spec"]["metrics"]:
+          name = metric["external"]["metric"]["name"]
+          self.assertIn(f'{{"{name.removeprefix("craftfleet_")}", kGauge', table)
+          label, = metric["external"]["metric"]["selector"]["matchLabels"]
+          self.assertRegex(table, rf'{{"{name.removeprefix("craftfleet_")}"[^}}]*"learner"[^}}]*"{label}"')
+          self.assertEqual([rule["name"]["matches"] for rule in rules["rules"]["external"]], [name])
+      return len(autoscalers)
+    self.over_all(check)
+    for overlay in ("cpu-cluster", "gpu-learner"):
+      self.assertEqual(len(Objects(kustomize.build(K8S / "overlays" / overlay)).of("HorizontalPodAutoscaler")), 2)
+
+  # The containers.
+
+  def test_flags_are_those_of_the_programs(self):
+    known = {program: flags_of(program) for program in ("craftfleet-learner", "craftfleet-actor", "craftfleet-envserver")}
+    def check(objects):
+      for workload in objects.of(*WORKLOADS):
+        container, = kustomize.containers(workload)
+        program, = container["command"]
+        names, bare = known[program]
+        self.assertGreater(len(names), 5, program)
+        for argument in container["args"]:
+          self.assertRegex(argument, r"^--[a-z_]+(=.+)?$")
+          name, _ = split(argument)
+          self.assertIn(name, names, program)
+          self.assertTrue("=" in argument or name in bare, argument)
+    self.over_all(check)
+
+  def test_probes_and_ports_are_those_that_the_process_listens_on(self):
+    def check(objects):
+      for workload in objects.of(*WORKLOADS):
+        container, = kustomize.containers(workload)
+        listens = dict(split(argument) for argument in container["args"])
+        ports = {port["name"]: port["containerPort"] for port in container["ports"]}
+        self.assertEqual(listens["listen"], f"0.0.0.0:{ports['grpc']}")
+        self.assertEqual(listens["health_listen"], f"0.0.0.0:{ports['health']}")
+        self.assertEqual(listens["metrics_listen"], f"0.0.0.0:{ports['metrics']}")
+        self.assertEqual(len(set(ports.values())), 3)
+        self.assertEqual(workload["spec"]["template"]["metadata"]["annotations"]["prometheus.io/port"], str(ports["metrics"]))
+        # Kubernetes' own probes speak no TLS, so they go to the plain port.
+        for probe in ("startupProbe", "readinessProbe", "livenessProbe"):
+          self.assertEqual(container[probe]["grpc"], {"port": ports["health"]})
+        self.assertNotIn("insecure", listens)
+        self.assertTrue({"tls_cert", "tls_key", "tls_ca", "access_file"} <= listens.keys())
+    self.over_all(check)
+
+  def test_pods_may_do_no_more_than_they_need_and_get_time_to_stop(self):
+    def check(objects):
+      namespace, = objects.of("Namespace")
+      self.assertEqual(namespace["metadata"]["labels"]["pod-security.kubernetes.io/enforce"], "restricted")
+      for workload in objects.of(*WORKLOADS):
+        pod = workload["spec"]["template"]["spec"]
+        container, = pod["containers"]
+        self.assertTrue(pod["securityContext"]["runAsNonRoot"])
+        self.assertGreater(pod["securityContext"]["runAsUser"], 0)
+        self.assertEqual(pod["securityContext"]["seccompProfile"], {"type": "RuntimeDefault"})
+        self.assertFalse(pod["automountServiceAccountToken"])
+        self.assertEqual(container["securityContext"], {
+            "allowPrivilegeEscalation": False, "readOnlyRootFilesystem": True, "capabilities": {"drop": ["ALL"]}})
+        self.assertTrue({"cpu", "memory"} <= container["resources"]["requests"].keys())
+        self.assertTrue({"cpu", "memory"} <= container["resources"]["limits"].keys())
+        self.assertGreaterEqual(pod["terminationGracePeriodSeconds"], STOP_SECONDS + 5)
+      stateful, = objects.of("StatefulSet")
+      self.assertEqual(stateful["spec"]["replicas"], 1)
+      logdir = dict(split(argument) for argument in kustomize.containers(stateful)[0]["args"])["logdir"]
+      claim, = stateful["spec"]["volumeClaimTemplates"]
+      mount, = [mount["mountPath"] for mount in kustomize.containers(stateful)[0]["volumeMounts"]
+                if mount["name"] == claim["metadata"]["name"]]
+      self.assertTrue(logdir.startswith(mount + "/"))
+    self.over_all(check)
+
+
+class Fleet(unittest.TestCase):
+  """The programs with the very flags, configurations and access rules of the manifests, on this machine."""
+
+  def setUp(self):
+    if yaml is None:
+      self.skipTest("no python3-yaml here: deploy/install-deps.sh --tests")
+    self._temp = tempfile.TemporaryDirectory(prefix="craftfleet-")
+    self.addCleanup(self._temp.cleanup)
+    self.folder = pathlib.Path(self._temp.name)
+    certs = self.folder / "certs"
+    subprocess.run([K8S / "tls-secrets.sh", certs], check=True, capture_output=True)
+    for name in ("learner", "actor", "envserver", "ops"):
+      tls = self.folder / name / "tls"
+      tls.mkdir(parents=True)
+      for key, source in (("tls.crt", f"craftfleet-{name}.pem"), ("tls.key", f"craftfleet-{name}.key"), ("ca.crt", "ca.pem")):
+        (tls / key).write_bytes((certs / source).read_bytes())
+
+  def start(self, objects, name, addresses, more=()):
+    """Starts a workload's container, its files below self.folder/NAME, its ports any free ones."""
+    for document in objects.of("ConfigMap"):
+      part = {"craftfleet-run": "run", "craftfleet-access": "access"}[document["metadata"]["name"]]
+      (self.folder / name / part).mkdir(exist_ok=True)
+      for key, text in document["data"].items():
+        (self.folder / name / part / key).write_text(text)
+    container, = [container for workload in objects.of(*WORKLOADS) for container in kustomize.containers(workload)
+                  if container["name"] == name]
+    arguments = []
+    for argument in container["args"]:
+      argument = argument.replace("/etc/craftfleet", f"{self.folder}/{name}").replace("/runs/$(CRAFTFLEET_RUN)", f"{self.folder}/run")
+      argument = re.sub(r"=0\.0\.0\.0:\d+$", "=127.0.0.1:0", argument)
+      for service, address in addresses.items():
+        argument = re.sub(rf"=(dns:)?{service}:\d+$", f"={address}", argument)
+      arguments.append(argument)
+    self.log = self.folder / f"{name}.log"
+    with open(self.log, "wb") as log:
+      process = subprocess.Popen([BIN / container["command"][0], *arguments, *more], stdout=log, stderr=log,
+                                 env={"PATH": os.environ["PATH"]}, cwd="/")
+    self.addCleanup(process.wait)
+    self.addCleanup(process.kill)
+    log = self.log
+
+    def address():
+      self.assertIsNone(process.poll(), log.read_text())
+      found = re.search(r'"message":"[^"]*(?:listening|status) on ([^ ,"]+)', log.read_text())
+      return found and found[1]
+    return process, wait_until(address, f"the address of {name}")
+
+  def test_the_fleet_of_the_manifests_trains(self):
+    objects = Objects(kustomize.build(K8S / "overlays/one-machine"))
+    for document in objects.of("ConfigMap"):
+      if "config.txt" in document["data"]:
+        document["data"]["config.txt"] = python_case.SMALL_RUN
+    learner, learner_address = self.start(objects, "learner", {}, ["--threads=1"])
+    envserver, envserver_address = self.start(objects, "envserver", {})
+    actor, _ = self.start(objects, "actor", {"craftfleet-learner": learner_address, "craftfleet-envserver": envserver_address})
+    self.assertEqual(learner.wait(timeout=120), 0, (self.folder / "learner.log").read_text())
+    self.assertIn("the run is complete", (self.folder / "learner.log").read_text())
+    self.assertEqual(actor.wait(timeout=20), 0, (self.folder / "actor.log").read_text())
+    envserver.terminate()
+    self.assertEqual(envserver.wait(timeout=20), 0)
+
+  def test_operators_may_watch_and_others_may_not(self):
+    objects = Objects(kustomize.build(K8S / "overlays/one-machine"))
+    learner, address = self.start(objects, "learner", {}, ["--threads=1"])
+    for name, code in (("ops", 0), ("envserver", 1)):
+      tls = self.folder / name / "tls"
+      ended = subprocess.run([BIN / "craftfleet-status", f"--address={address}", f"--tls_ca={tls}/ca.crt", f"--tls_cert={tls}/tls.crt",
+                              f"--tls_key={tls}/tls.key"], capture_output=True, text=True, check=False)
+      self.assertEqual(ended.returncode, code, ended.stdout + ended.stderr)
+    learner.terminate()
+    self.assertEqual(learner.wait(timeout=20), 0)
+
+  def test_every_overlay_has_a_configuration_that_the_learner_takes(self):
+    for overlay in OVERLAYS:
+      objects = Objects(kustomize.build(K8S / "overlays" / overlay))
+      learner, _ = self.start(objects, "learner", {}, ["--threads=1"])
+      learner.terminate()
+      self.assertEqual(learner.wait(timeout=20), 0, self.log.read_text())
+      shutil.rmtree(self.folder / "run")
+
+
+python_case.main()

@@ -1,0 +1,110 @@
+"""As much of Kustomize as deploy/k8s uses: resources, components, namespace, labels, images, replicas, config maps from files
+and literals, JSON 6902 patches and strategic merge patches whose lists of objects are merged by name. Anything else in a
+kustomization is an error. Names get no hash.
+"""
+
+import copy
+import re
+
+import yaml
+
+KNOWN = {"apiVersion", "kind", "namespace", "labels", "resources", "components", "configMapGenerator", "images", "replicas",
+         "patches"}
+
+
+def load_all(path):
+  with open(path, encoding="utf-8") as file:
+    return [document for document in yaml.safe_load_all(file) if document is not None]
+
+
+def build(folder, documents=None):
+  """The objects of a kustomization; a component changes `documents`. Raises ValueError, KeyError or OSError."""
+  settings, = load_all(folder / "kustomization.yaml")
+  unknown = set(settings) - KNOWN
+  if unknown:
+    raise ValueError(f"{folder}: this light Kustomize does not know {sorted(unknown)}")
+  documents = [] if documents is None else documents
+  for name in settings.get("resources", []):
+    documents += build(folder / name) if (folder / name).is_dir() else load_all(folder / name)
+  _generate(folder, settings.get("configMapGenerator", []), documents)
+  for name in settings.get("components", []):
+    build(folder / name, documents)
+  for patch in settings.get("patches", []):
+    _patch(folder, patch, documents)
+  for document in documents:
+    if "namespace" in settings and document["kind"] != "Namespace":
+      document["metadata"]["namespace"] = settings["namespace"]
+    for labels in settings.get("labels", []):
+      document["metadata"].setdefault("labels", {}).update(labels["pairs"])
+    for container in containers(document):
+      for image in settings.get("images", []):
+        _set_image(container, image)
+    for replicas in settings.get("replicas", []):
+      if document["kind"] in ("Deployment", "StatefulSet") and document["metadata"]["name"] == replicas["name"]:
+        document["spec"]["replicas"] = replicas["count"]
+  return documents
+
+
+def containers(document):
+  if document["kind"] not in ("Deployment", "StatefulSet"):
+    return []
+  return document["spec"]["template"]["spec"]["containers"]
+
+
+def _set_image(container, image):
+  name, _, tag = container["image"].partition(":")
+  if name == image["name"]:
+    container["image"] = f"{image.get('newName', name)}:{image.get('newTag', tag)}"
+
+
+def _generate(folder, generators, documents):
+  for generator in generators:
+    data = dict(literal.split("=", 1) for literal in generator.get("literals", []))
+    for entry in generator.get("files", []):
+      key, _, name = entry.rpartition("=")
+      data[key or name] = (folder / name).read_text(encoding="utf-8")
+    there = [document for document in documents
+             if document["kind"] == "ConfigMap" and document["metadata"]["name"] == generator["name"]]
+    if generator.get("behavior") == "merge":
+      there[0]["data"].update(data)
+    else:
+      documents.append({"apiVersion": "v1", "kind": "ConfigMap", "metadata": {"name": generator["name"]}, "data": data})
+
+
+def _patch(folder, patch, documents):
+  content = yaml.safe_load(patch["patch"]) if "patch" in patch else load_all(folder / patch["path"])[0]
+  target = patch.get("target") or {"kind": content["kind"], "name": content["metadata"]["name"]}
+  hit = [document for document in documents if document["kind"] == target["kind"] and
+         re.fullmatch(target.get("name", ".*"), document["metadata"]["name"])]
+  if not hit:
+    raise ValueError(f"{folder}: a patch meets no {target}")
+  for document in hit:
+    if isinstance(content, list):
+      for operation in content:
+        _apply(operation, document)
+    else:
+      _merge(document, content)
+
+
+def _apply(operation, document):
+  *way, last = operation["path"].lstrip("/").split("/")
+  for step in way:
+    document = document[int(step)] if isinstance(document, list) else document[step]
+  if operation["op"] not in ("replace", "remove") or last not in document:
+    raise KeyError(f"{operation['op']} {operation['path']}")
+  if operation["op"] == "remove":
+    del document[last]
+  else:
+    document[last] = copy.deepcopy(operation["value"])
+
+
+def _merge(document, patch):
+  for key, value in patch.items():
+    there = document.get(key)
+    if isinstance(value, dict) and isinstance(there, dict):
+      _merge(there, value)
+    elif isinstance(there, list) and there and isinstance(there[0], dict) and "name" in there[0]:
+      for item in value:
+        _merge(next(other for other in there if other["name"] == item["name"]), item)
+    else:
+      document[key] = copy.deepcopy(value)
