@@ -24,6 +24,8 @@ constexpr char kUsage[] =
   craftfleet agents   list the agents and what their networks are made of
   craftfleet envs     list the environments and what their worlds have
   craftfleet status   ask a process of the fleet what it is doing
+  craftfleet top      watch a whole fleet live, and what holds it back
+  craftfleet admin    steer a run: checkpoint, pause, resume, drain a worker, stop
   craftfleet COMMAND --help tells more about each.
 
 The programs of a fleet: craftfleet-learner, craftfleet-actor, craftfleet-envserver.

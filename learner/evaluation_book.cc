@@ -70,6 +70,16 @@ absl::Status EvaluationBook::Finish(int64_t id, absl::Span<const Episode> episod
   return absl::OkStatus();
 }
 
+bool EvaluationBook::IsPlaying(absl::string_view actor) const {
+  const MutexLock lock(&mu_);
+  for (const Entry& entry : entries_) {
+    for (const Part& part : entry.parts) {
+      if (part.actor == actor && clock_->Now() - part.last_word <= lease_) return true;
+    }
+  }
+  return false;
+}
+
 std::optional<FinishedEvaluation> EvaluationBook::Front(absl::Duration timeout) {
   const MutexLock lock(&mu_);
   changed_.WaitFor(&mu_, timeout, [this]() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_) { return FrontFinished(); });

@@ -61,6 +61,8 @@ class EvaluationBook {
   void Renew(absl::string_view actor, int64_t id) ABSL_LOCKS_EXCLUDED(mu_);
   // The oldest task that nobody plays, for `actor`, which has none.
   std::optional<Task> Take(absl::string_view actor) ABSL_LOCKS_EXCLUDED(mu_);
+  // Whether `actor` has a task.
+  bool IsPlaying(absl::string_view actor) const ABSL_LOCKS_EXCLUDED(mu_);
   // The weights to play task `id` with; nullptr: the task is over.
   std::shared_ptr<const std::string> Weights(int64_t id) const ABSL_LOCKS_EXCLUDED(mu_);
   // What came of task `id`. A task that is over is left as it is.

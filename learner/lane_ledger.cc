@@ -53,7 +53,10 @@ absl::StatusOr<LaneLedger::Grant> LaneLedger::GetPermits(absl::string_view actor
   });
   if (closed_) return absl::UnavailableError("the learner is stopping");
   grant.finished = finished_;
-  if (const auto still = actors_.find(name); still != actors_.end()) still->second.last_word = clock_->Now();
+  known = actors_.find(name);
+  if (known == actors_.end()) return NotKnown(name);
+  grant.resting = paused_ || known->second.draining;
+  known->second.last_word = clock_->Now();
   return grant;
 }
 
@@ -88,6 +91,7 @@ absl::StatusOr<LaneSnapshot> LaneLedger::Snapshot(int lane, int64_t fragment) co
     return absl::InvalidArgumentError(absl::StrFormat("lane %d, want 0..%d", lane, options_.lanes - 1));
   }
   const LaneRecord& record = lanes_[lane].record;
+  if (sender->second.draining) SetHolder(&lane, nullptr);
   if (record.next_fragment != fragment) {
     return absl::AbortedError(absl::StrFormat("lane %d is at fragment %d, not %d: ask for permits again", lane,
                                               record.next_fragment, fragment));
@@ -125,13 +129,53 @@ std::vector<LaneRecord> LaneLedger::Records() const {
   std::vector<LaneRecord> records;
   for (const Lane& lane : lanes_) records.push_back(lane.record);
   return records;
+bool LaneLedger::SetPaused(bool paused) {
+  MutexLock lock(&mu_);
+  const bool before = paused_;
+  paused_ = paused;
+  // Nobody left them lying.
+  for (Lane& lane : lanes_) lane.idle_since = clock_->Now();
+  changed_.NotifyAll();
+  return before;
+}
+
+bool LaneLedger::paused() const {
+  MutexLock lock(&mu_);
+  return paused_;
+}
+
+void LaneLedger::Drain(absl::string_view actor) {
+  MutexLock lock(&mu_);
+  const auto entry = actors_.find(std::string(actor));
+  if (entry == actors_.end()) return;
+  entry->second.draining = true;
+  for (Lane& lane : lanes_) {
+    if (lane.holder == &entry->second && !lane.permit.has_value()) SetHolder(&lane, nullptr);
+  }
+  changed_.NotifyAll();
+}
+
+bool LaneLedger::IsDrained(absl::string_view actor) const {
+  MutexLock lock(&mu_);
+  const auto entry = actors_.find(std::string(actor));
+  return entry == actors_.end() || (entry->second.draining && entry->second.permits == 0);
+}
+
+int LaneLedger::permits() const {
+  MutexLock lock(&mu_);
+  int permits = 0;
+  for (const auto& [name, actor] : actors_) permits += actor.permits;
+  return permits;
+}
+
 }
 
 std::vector<LaneLedger::ActorInfo> LaneLedger::Actors() const {
   MutexLock lock(&mu_);
   std::vector<ActorInfo> infos;
   for (const auto& [name, actor] : actors_) {
-    infos.push_back({name, actor.address, actor.permits, actor.fragments, clock_->Now() - actor.last_word});
+    infos.push_back(
+        {name, actor.address, actor.permits, actor.fragments, clock_->Now() - actor.last_word, actor.draining});
   }
   return infos;
 }
@@ -188,7 +232,7 @@ bool LaneLedger::IsPausing(const Actor& actor) const {
 }
 
 std::vector<Permit> LaneLedger::GrantTo(Actor* actor) {
-  if (IsPausing(*actor)) return {};
+  if (paused_ || actor->draining || IsPausing(*actor)) return {};
   const absl::Time now = clock_->Now();
   const Shares shares = FairShares();
   std::vector<Permit> granted;
@@ -222,7 +266,7 @@ LaneLedger::Claim LaneLedger::ClaimOn(const Lane& lane, const Actor& actor, cons
 LaneLedger::Shares LaneLedger::FairShares() const {
   std::vector<int> capacities;
   capacities.reserve(actors_.size());
-  for (const auto& [name, actor] : actors_) capacities.push_back(actor.capacity);
+  for (const auto& [name, actor] : actors_) capacities.push_back(actor.draining ? 0 : actor.capacity);
   std::sort(capacities.begin(), capacities.end());
   Shares shares;
   int lanes = options_.lanes;

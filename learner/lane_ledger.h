@@ -57,6 +57,7 @@ class LaneLedger {
     std::vector<Permit> granted;
     std::vector<Permit> lost;  // of those renewed: lapsed and free again, or given to another
     bool finished = false;
+    bool resting = false;  // play is paused or the actor is being drained: it gets nothing
   };
   struct ActorInfo {
     std::string name;
@@ -64,6 +65,7 @@ class LaneLedger {
     int permits = 0;
     int64_t fragments = 0;  // accepted
     absl::Duration idle;    // since its last word
+    bool draining = false;
   };
 
   LaneLedger(const Options& options, std::vector<LaneRecord> lanes, Clock* clock);
@@ -94,11 +96,20 @@ class LaneLedger {
   void Finish() ABSL_LOCKS_EXCLUDED(mu_);
   // The learner stops within the run: grants nothing more and wakes every waiter. Actors wait for its next start.
   void Close() ABSL_LOCKS_EXCLUDED(mu_);
+  // While paused nothing is granted; what is out is played. Returns whether it was paused.
+  bool SetPaused(bool paused) ABSL_LOCKS_EXCLUDED(mu_);
+  bool paused() const ABSL_LOCKS_EXCLUDED(mu_);
+  // From now on `actor` is granted nothing: others get its lanes as soon as it has played what it has.
+  void Drain(absl::string_view actor) ABSL_LOCKS_EXCLUDED(mu_);
+  // It is, or is gone, and has no permit.
+  bool IsDrained(absl::string_view actor) const ABSL_LOCKS_EXCLUDED(mu_);
   // Waits until every actor has left, at most `timeout`.
   void WaitUntilEmpty(absl::Duration timeout) ABSL_LOCKS_EXCLUDED(mu_);
 
   std::vector<LaneRecord> Records() const ABSL_LOCKS_EXCLUDED(mu_);
   std::vector<ActorInfo> Actors() const ABSL_LOCKS_EXCLUDED(mu_);
+  // Permits that are out.
+  int permits() const ABSL_LOCKS_EXCLUDED(mu_);
   // Permits whose lease ran out, since the start.
   int64_t lapsed() const ABSL_LOCKS_EXCLUDED(mu_);
 
@@ -111,6 +122,7 @@ class LaneLedger {
     int held = 0;                                 // lanes of which it is the holder
     int permits = 0;                              // of these, with a permit out
     int64_t fragments = 0;
+    bool draining = false;
   };
   struct Lane {
     LaneRecord record;
@@ -155,6 +167,7 @@ class LaneLedger {
   int64_t policy_version_ ABSL_GUARDED_BY(mu_) = 0;
   bool finished_ ABSL_GUARDED_BY(mu_) = false;
   bool closed_ ABSL_GUARDED_BY(mu_) = false;
+  bool paused_ ABSL_GUARDED_BY(mu_) = false;
 };
 
 }  // namespace craftfleet

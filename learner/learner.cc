@@ -120,8 +120,9 @@ absl::StatusOr<std::unique_ptr<Learner>> Learner::Create(const Options& options)
   if (!config.ok()) return config.status();
   CRAFTFLEET_ASSIGN_OR_RETURN(Loaded loaded, Load(options, *config));
   std::unique_ptr<Learner> learner(new Learner(options, std::move(loaded)));
-  CRAFTFLEET_ASSIGN_OR_RETURN(learner->server_,
-                              wire::Server::Create(options.server, {&learner->service_, &learner->status_service_}));
+  CRAFTFLEET_ASSIGN_OR_RETURN(
+      learner->server_,
+      wire::Server::Create(options.server, {&learner->service_, &learner->admin_service_, &learner->status_service_}));
   return learner;
 }
 
@@ -165,9 +166,9 @@ Learner::Learner(const Options& options, Loaded loaded)
       evaluations_(config_.eval(), loaded.checkpoint, &evaluation_book_, folder_.get()),
       progress_({options.progress_in_place, loaded.checkpoint.state.env_steps(), config_.steps()},
                 options.progress != nullptr ? options.progress : &null_stream_, clock_.get()),
-      trainer_(
-          config_, loaded.checkpoint.state,
-          {folder_.get(), updater_.get(), &ledger_, &weights_, &fragments_, &evaluations_, &progress_, clock_.get()}),
+      trainer_(config_, loaded.checkpoint.state,
+               {folder_.get(), updater_.get(), &ledger_, &weights_, &fragments_, &evaluations_, &progress_,
+                &checkpoint_requests_, clock_.get()}),
       service_({folder_->run_id(), folder_->epoch(), config_, loaded.texture_digest,
                 FragmentShapeOf(config_, updater_->spec()), kLease},
                &ledger_, &weights_, &fragments_, &evaluation_book_, &env_servers_, &fleet_),
@@ -189,3 +190,4 @@ absl::Status Learner::Run() {
 }
 
 }  // namespace craftfleet
+      admin_service_({&checkpoint_requests_, &ledger_, &evaluation_book_, &env_servers_, [this] { Stop(); }}),

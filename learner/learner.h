@@ -14,6 +14,8 @@
 #include "common/wire/server.h"
 #include "common/wire/status_service.h"
 #include "craftfleet/v1/config.pb.h"
+#include "learner/admin_service.h"
+#include "learner/checkpoint_requests.h"
 #include "learner/evaluation_book.h"
 #include "learner/evaluation_schedule.h"
 #include "learner/fleet_book.h"
@@ -80,12 +82,14 @@ class Learner {
   ServerRegistry env_servers_;
   FleetBook fleet_;
   EvaluationSchedule evaluations_;
+  CheckpointRequests checkpoint_requests_;
   std::ostream null_stream_{nullptr};
   ProgressPrinter progress_;
   Trainer trainer_;
   LearnerServiceImpl service_;
   wire::StatusServiceImpl status_service_;
   std::unique_ptr<wire::Server> server_;  // last: its threads use all of the above
+  AdminServiceImpl admin_service_;
 };
 
 }  // namespace craftfleet

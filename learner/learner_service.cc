@@ -94,7 +94,7 @@ grpc::Status LearnerServiceImpl::GetPermits(grpc::ServerContext* /*context*/, co
   AddPermits(grant->granted, reply->mutable_granted());
   AddPermits(grant->lost, reply->mutable_lost());
   reply->set_finished(grant->finished);
-  OfferEvaluation(*request, reply);
+  if (!grant->resting) OfferEvaluation(*request, reply);
   TellEnvServers(*request, reply);
   return grpc::Status::OK;
 }
@@ -224,7 +224,7 @@ grpc::Status LearnerServiceImpl::Announce(grpc::ServerContext* /*context*/, cons
     env_servers_->Leave(request->name());
     fleet_->Left("envserver", request->name());
   } else {
-    env_servers_->Announce(request->name(), request->address());
+    env_servers_->Announce(request->name(), request->address(), request->summary().lanes());
     fleet_->Heard("envserver", request->name(), request->address(), request->summary());
   }
   reply->set_run_id(options_.run_id);
@@ -254,7 +254,10 @@ void LearnerServiceImpl::FillStatus(v1::StatusReply* reply) const {
     const auto actor =
         std::find_if(actors.begin(), actors.end(), [&](const auto& a) { return a.name == worker.name(); });
     if (actor != actors.end()) {
-      worker.set_state(absl::StrFormat("%d permits, %d fragments accepted", actor->permits, actor->fragments));
+      worker.set_state(absl::StrFormat("%d permits, %d fragments accepted%s", actor->permits, actor->fragments,
+                                       !actor->draining      ? ""
+                                       : actor->permits == 0 ? ", drained"
+                                                             : ", draining"));
     }
     reply->add_peers()->Swap(&worker);
   }

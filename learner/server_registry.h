@@ -25,16 +25,27 @@ class ServerRegistry {
     std::string name;
     std::string address;
     absl::Duration idle;  // since its last word
+    bool draining = false;
   };
 
   // `clock` outlives the registry.
   ServerRegistry(absl::Duration lease, Clock* clock) : lease_(lease), clock_(clock) {}
 
-  void Announce(absl::string_view name, absl::string_view address) ABSL_LOCKS_EXCLUDED(mu_);
+  // `lanes`: games that it has.
+  void Announce(absl::string_view name, absl::string_view address, int lanes = 0) ABSL_LOCKS_EXCLUDED(mu_);
   void Leave(absl::string_view name) ABSL_LOCKS_EXCLUDED(mu_);
 
-  // By address. `generation`, if not null, becomes another number, above 0, whenever the addresses have changed.
+  // From now on server `name` is none of Servers.
+  void Drain(absl::string_view name) ABSL_LOCKS_EXCLUDED(mu_);
+  // It is and has said since that it has no game, or it is gone.
+  bool IsDrained(absl::string_view name) ABSL_LOCKS_EXCLUDED(mu_);
+
+  // Those that take games, by address. `generation`, if not null, becomes another number, above 0, whenever the
+  // addresses have changed.
   std::vector<Server> Servers(int64_t* generation = nullptr) ABSL_LOCKS_EXCLUDED(mu_);
+
+  // With those that are being drained.
+  std::vector<Server> All() ABSL_LOCKS_EXCLUDED(mu_);
 
   absl::Duration lease() const { return lease_; }
 
@@ -42,8 +53,12 @@ class ServerRegistry {
   struct Entry {
     std::string name;
     absl::Time last_word;
+    bool draining = false;
+    bool empty = false;  // as it said since it is drained
   };
 
+  std::map<std::string, Entry, std::less<>>::iterator Find(absl::string_view name) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
+  std::vector<Server> List(bool with_draining) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
   void ForgetIdle() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
 
   const absl::Duration lease_;

@@ -40,6 +40,7 @@ absl::Status Trainer::Run() {
   PublishWeights();
   absl::Status status = counters_.iteration == 0 ? WriteCheckpoint() : absl::OkStatus();
   while (status.ok() && !finished()) status = RunIteration();
+  parts_.checkpoints->Close();
   parts_.progress->Finish(counters_.env_steps, parts_.folder->score());
   if (status.ok()) parts_.evaluations->OnEnd(counters_.env_steps, weights_, [this] { return stopping_.load(); });
   if (status.ok() && !stopping_) {
@@ -105,6 +106,7 @@ absl::StatusOr<std::vector<Fragment>> Trainer::Collect() {
       LogInfo("waiting for actors: %d of %d fragments are here, %d actors have joined", fragments.size(), wanted,
               parts_.ledger->Actors().size());
     }
+    ServeCheckpointRequests();
     parts_.progress->Update(counters_.env_steps + static_cast<int64_t>(fragments.size()) * config_.fragment_steps(),
                             parts_.folder->score());
   }
@@ -124,6 +126,7 @@ absl::Status Trainer::FinishIteration(const std::vector<Fragment>& fragments, co
   FlushLogs();
   parts_.evaluations->OnIteration(counters_.env_steps - config_.ppo().rollout_steps(), counters_.env_steps, weights_,
                                   [this] { return stopping_.load(); });
+  ServeCheckpointRequests();
   // The last one is written after the last evaluation.
   if (finished()) return absl::OkStatus();
   if (!checkpoint_missed_ && counters_.iteration % config_.checkpoint().every_iterations() != 0) {
@@ -201,6 +204,17 @@ void Trainer::SayNowAndThen(absl::string_view trouble) {
   if (parts_.clock->Now() - said_ < kSayWaiting) return;
   said_ = parts_.clock->Now();
   LogError("%s", trouble);
+}
+
+void Trainer::ServeCheckpointRequests() {
+  if (!parts_.checkpoints->pending()) return;
+  const int64_t iteration = counters_.iteration;
+  const absl::Status status = checkpointed_ == iteration ? absl::OkStatus() : WriteCheckpoint();
+  if (status.ok()) {
+    parts_.checkpoints->Answer(iteration);
+  } else {
+    parts_.checkpoints->Answer(status);
+  }
 }
 
 absl::Status Trainer::WriteCheckpoint() {

@@ -20,6 +20,7 @@
 #include "common/types.h"
 #include "craftfleet/v1/config.pb.h"
 #include "craftfleet/v1/status.pb.h"
+#include "learner/checkpoint_requests.h"
 #include "learner/evaluation_schedule.h"
 #include "learner/lane_ledger.h"
 #include "learner/learner_service.h"
@@ -52,6 +53,7 @@ class Trainer {
     FragmentQueue* fragments;
     EvaluationSchedule* evaluations;
     ProgressPrinter* progress;
+    CheckpointRequests* checkpoints;
     Clock* clock;
   };
 
@@ -83,6 +85,8 @@ class Trainer {
   // kMaxWaitingBytes of it training waits for room.
   void FlushLogs() ABSL_LOCKS_EXCLUDED(mu_);
   absl::Status WriteCheckpoint();
+  // Writes one if somebody asked for it; between updates only.
+  void ServeCheckpointRequests();
   // The same after the last iteration: tries again while the disk is full, until Stop.
   absl::Status WriteLastCheckpoint() ABSL_LOCKS_EXCLUDED(mu_);
   // Says `trouble` and returns after a second, or at once when Stop was called.
