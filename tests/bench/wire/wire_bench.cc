@@ -1,0 +1,372 @@
+// What the fleet's messages cost: bytes, and CPU time of both ends. The servers are in one process, their clients in
+// another; nothing is learned and no policy plays.
+
+#include <sys/wait.h>
+#include <unistd.h>
+
+#include <algorithm>
+#include <cstdio>
+#include <memory>
+#include <string>
+#include <thread>
+#include <vector>
+
+#include <absl/flags/flag.h>
+#include <absl/strings/str_cat.h>
+#include <absl/time/time.h>
+
+#include "actor/env_client.h"
+#include "common/agent/torch_setup.h"
+#include "common/check.h"
+#include "common/clock.h"
+#include "common/config.h"
+#include "common/paths.h"
+#include "common/program.h"
+#include "common/status_macros.h"
+#include "common/texture_digest.h"
+#include "common/wire/convert.h"
+#include "common/wire/protocol.h"
+#include "common/wire/server.h"
+#include "envserver/env_service.h"
+#include "learner/learner_service.h"
+#include "tests/bench/wire/measure.h"
+
+ABSL_FLAG(double, seconds, 3, "of each measurement");
+ABSL_FLAG(int32_t, clients, 4, "clients side by side");
+ABSL_FLAG(bool, unix_sockets, false, "Unix sockets instead of TCP over loopback");
+
+namespace craftfleet {
+namespace {
+
+constexpr char kProgram[] = "wire_bench";
+constexpr char kUsage[] = "wire_bench prints what the fleet's messages cost; see tests/bench/README.md.";
+constexpr int kFragmentSteps[] = {256, 32, 4};
+constexpr int kServices = std::size(kFragmentSteps);
+constexpr int kLanesOfClient = 16;
+constexpr int kFrameBytes = 64 * 64 * 3;
+constexpr size_t kSnapshotBytes = 8000;     // as the row about steps with snapshots says
+constexpr size_t kWeightBytes = 2'441'040;  // of ppo_cnn
+constexpr absl::Duration kLease = absl::Seconds(60);
+
+struct Addresses {
+  char learners[kServices][128] = {};  // by fragment length
+  char env_server[128] = {};
+};
+
+// A learner's service that takes in fragments of `steps` steps and forgets them.
+class Intake {
+ public:
+  Intake(int steps, int lanes, const std::string& address)
+      : ledger_(LedgerOptions(lanes), std::vector<LaneRecord>(lanes), &clock_),
+        evaluations_(kLease, &clock_),
+        env_servers_(kLease, &clock_),
+        fleet_(kLease, &clock_),
+        service_(ServiceOptions(steps, lanes), &ledger_, &weights_, &fragments_, &evaluations_, &env_servers_,
+                 &fleet_) {
+    ledger_.OpenIteration(int64_t{1} << 60, 0);
+    weights_.Publish(0, std::make_shared<const std::string>(kWeightBytes, 'w'));
+    wire::Server::Options options;
+    options.address = address;
+    absl::StatusOr<std::unique_ptr<wire::Server>> server = wire::Server::Create(options, {&service_});
+    CRAFTFLEET_CHECK(server.ok());
+    server_ = *std::move(server);
+    drain_ = std::thread([this] {
+      while (fragments_.Pop(absl::InfiniteDuration()).has_value()) {
+      }
+    });
+  }
+  ~Intake() {
+    ledger_.Close();
+    fragments_.Close();
+    drain_.join();
+    server_->Stop(absl::Milliseconds(200));
+  }
+  const std::string& address() const { return server_->address(); }
+
+ private:
+  static LaneLedger::Options LedgerOptions(int lanes) {
+    LaneLedger::Options options;
+    options.lanes = lanes;
+    options.lease = kLease;
+    return options;
+  }
+  static LearnerServiceImpl::Options ServiceOptions(int steps, int lanes) {
+    LearnerServiceImpl::Options options;
+    options.run_id = "bench";
+    options.config = DefaultRunConfig();
+    options.shape = {lanes, steps, kFrameBytes, 0, 1};
+    options.lease = kLease;
+    return options;
+  }
+
+  RealClock clock_;
+  LaneLedger ledger_;
+  WeightStore weights_;
+  FragmentQueue fragments_{64};
+  EvaluationBook evaluations_;
+  ServerRegistry env_servers_;
+  FleetBook fleet_;
+  LearnerServiceImpl service_;
+  std::unique_ptr<wire::Server> server_;
+  std::thread drain_;
+};
+
+v1::FragmentMessage EmptyFragment(const std::string& actor, int steps) {
+  Fragment fragment;
+  fragment.frames.assign(static_cast<size_t>(steps) * kFrameBytes, 'f');
+  fragment.actions.assign(steps, '\1');
+  fragment.log_probs.assign(steps, -2.5F);
+  fragment.values.assign(steps, 0.5F);
+  fragment.rewards.assign(steps, 0.1F);
+  fragment.ends.assign(steps, StepEnd::kNone);
+  fragment.snapshot.game.assign(kSnapshotBytes, 's');
+  v1::FragmentMessage message = wire::ToProto(std::move(fragment));
+  message.set_actor(actor);
+  return message;
+}
+
+// Talks to a learner as an actor does.
+class Actor {
+ public:
+  Actor(const std::string& learner, int number, int steps)
+      : name_(absl::StrCat("host-1234-bench-", number)),
+        stub_(v1::LearnerService::NewStub(wire::Connect(learner).channel)),
+        message_(EmptyFragment(name_, steps)) {
+    v1::JoinRequest request;
+    request.set_protocol_version(wire::kProtocolVersion);
+    request.set_actor(name_);
+    v1::JoinReply reply;
+    Call(&v1::LearnerService::Stub::Join, request, &reply);
+    stream_ = stub_->PushFragments(&context_);
+  }
+  ~Actor() {
+    stream_->WritesDone();
+    stream_->Finish();
+  }
+
+  // Asks for permits and answers each with a fragment, in its turn.
+  Turn PushFragments() {
+    const v1::PermitReply permits = GetPermits({});
+    Turn turn;
+    v1::FragmentVerdict verdict;
+    for (const v1::Permit& permit : permits.granted()) {
+      message_.set_lane(permit.lane());
+      message_.set_number(permit.fragment());
+      CRAFTFLEET_CHECK(stream_->Write(message_) && stream_->Read(&verdict));
+      CRAFTFLEET_CHECK(verdict.verdict() == v1::FragmentVerdict::ACCEPTED);
+      ++turn.calls;
+      turn.bytes += static_cast<int64_t>(message_.ByteSizeLong() + verdict.ByteSizeLong());
+    }
+    return turn;
+  }
+
+  // Takes permits to keep.
+  void TakePermits() {
+    const v1::PermitReply permits = GetPermits({});
+    active_.assign(permits.granted().begin(), permits.granted().end());
+  }
+
+  // Keeps the permits at hand alive.
+  Turn RenewPermits() {
+    int64_t bytes = 0;
+    GetPermits(active_, &bytes);
+    return {1, bytes};
+  }
+
+  // Of the lanes at hand.
+  Turn GetSnapshots() {
+    Turn turn;
+    for (const v1::Permit& permit : active_) {
+      v1::SnapshotRequest request;
+      request.set_lane(permit.lane());
+      request.set_fragment(permit.fragment());
+      v1::SnapshotReply reply;
+      Call(&v1::LearnerService::Stub::GetSnapshot, request, &reply);
+      ++turn.calls;
+      turn.bytes += static_cast<int64_t>(request.ByteSizeLong() + reply.ByteSizeLong());
+    }
+    return turn;
+  }
+
+  Turn GetWeights() {
+    grpc::ClientContext context;
+    v1::WeightsRequest request;
+    const auto stream = stub_->GetWeights(&context, request);
+    v1::WeightsChunk chunk;
+    Turn turn = {1, 0};
+    while (stream->Read(&chunk)) turn.bytes += static_cast<int64_t>(chunk.ByteSizeLong());
+    CRAFTFLEET_CHECK(stream->Finish().ok());
+    return turn;
+  }
+
+  Turn Announce(int number) {
+    v1::Announcement request;
+    request.set_protocol_version(wire::kProtocolVersion);
+    request.set_name(absl::StrCat("host-5678-bench-", number));
+    request.set_address(absl::StrCat("10.0.0.1:", number));
+    v1::AnnounceReply reply;
+    Call(&v1::LearnerService::Stub::Announce, request, &reply);
+    return {1, static_cast<int64_t>(request.ByteSizeLong() + reply.ByteSizeLong())};
+  }
+
+ private:
+  template <typename Request, typename Reply>
+  void Call(grpc::Status (v1::LearnerService::Stub::*method)(grpc::ClientContext*, const Request&, Reply*),
+            const Request& request, Reply* reply) {
+    grpc::ClientContext context;
+    const grpc::Status status = (stub_.get()->*method)(&context, request, reply);
+    if (!status.ok()) std::fprintf(stderr, "%s\n", status.error_message().c_str());
+    CRAFTFLEET_CHECK(status.ok());
+  }
+
+  v1::PermitReply GetPermits(const std::vector<v1::Permit>& active, int64_t* bytes = nullptr) {
+    v1::PermitRequest request;
+    request.set_actor(name_);
+    request.set_capacity(kLanesOfClient);
+    for (const v1::Permit& permit : active) *request.add_active() = permit;
+    v1::PermitReply reply;
+    Call(&v1::LearnerService::Stub::GetPermits, request, &reply);
+    if (bytes != nullptr) *bytes = static_cast<int64_t>(request.ByteSizeLong() + reply.ByteSizeLong());
+    return reply;
+  }
+
+  const std::string name_;
+  const std::unique_ptr<v1::LearnerService::Stub> stub_;
+  v1::FragmentMessage message_;
+  std::vector<v1::Permit> active_;
+  grpc::ClientContext context_;
+  std::unique_ptr<grpc::ClientReaderWriter<v1::FragmentMessage, v1::FragmentVerdict>> stream_;
+};
+
+// Plays `lanes` games with actions in turn.
+class Player {
+ public:
+  Player(const std::string& server, int number, int lanes) : client_(wire::Connect(server), Hello(), kFrameBytes) {
+    CRAFTFLEET_CHECK(client_.Connect(absl::Seconds(10)).ok());
+    std::vector<EnvClient::Lane> open;
+    for (int i = 0; i < lanes; ++i) {
+      lanes_.push_back(i);
+      open.push_back({i, int64_t{1000} * number + i, 1, ""});
+    }
+    std::string frames;
+    CRAFTFLEET_CHECK(client_.Open(open, &frames).ok());
+  }
+
+  // One step of each game. Bytes: of the frames alone.
+  Turn Step(bool snapshot = false) {
+    std::vector<Action> actions;
+    for (const int lane : lanes_) actions.push_back(static_cast<Action>((7 * steps_ + 3 * lane) % kNumActions));
+    ++steps_;
+    CRAFTFLEET_CHECK(client_.SendStep(lanes_, actions, snapshot).ok() && client_.ReceiveStep(&batch_).ok());
+    return {static_cast<int64_t>(lanes_.size()), static_cast<int64_t>(batch_.frames.size())};
+  }
+  // The same with snapshots. Bytes: of the snapshots alone.
+  Turn StepAndSave() {
+    Turn turn = Step(/*snapshot=*/true);
+    turn.bytes = 0;
+    for (const std::string& snapshot : batch_.snapshots) turn.bytes += static_cast<int64_t>(snapshot.size());
+    return turn;
+  }
+
+ private:
+  static v1::SessionHello Hello() {
+    v1::SessionHello hello;
+    hello.set_protocol_version(wire::kProtocolVersion);
+    hello.set_run_id("bench");
+    hello.set_texture_digest(*TextureDigest(*DefaultTextureDir()));
+    hello.mutable_env()->set_name("crafter");
+    hello.mutable_env()->set_frame_size(64);
+    hello.mutable_env()->set_length(10000);
+    hello.set_client("bench");
+    return hello;
+  }
+
+  EnvClient client_;
+  std::vector<int> lanes_;
+  StepBatch batch_;
+  int64_t steps_ = 0;
+};
+
+void MeasureLearner(const Addresses& addresses, int clients, Meter* meter) {
+  for (int i = 0; i < kServices; ++i) {
+    std::vector<std::unique_ptr<Actor>> actors;
+    for (int k = 0; k < clients; ++k) {
+      actors.push_back(std::make_unique<Actor>(addresses.learners[i], k, kFragmentSteps[i]));
+    }
+    meter->Measure(absl::StrCat("fragment of ", kFragmentSteps[i], " steps, with 1/16 call for permits"), clients,
+                   [&](int client) { return actors[client]->PushFragments(); });
+    if (i + 1 < kServices) continue;
+    for (const auto& actor : actors) actor->TakePermits();
+    meter->Measure("snapshot of a lane", clients, [&](int client) { return actors[client]->GetSnapshots(); });
+    meter->Measure("call that renews 16 permits", clients, [&](int client) { return actors[client]->RenewPermits(); });
+    meter->Measure("announcement of an environment server", clients,
+                   [&](int client) { return actors[client]->Announce(client); });
+    meter->Measure("weights of ppo_cnn", clients, [&](int client) { return actors[client]->GetWeights(); });
+  }
+}
+
+void MeasureEnvServer(const Addresses& addresses, int clients, Meter* meter) {
+  for (const int lanes : {1, 16, 64}) {
+    std::vector<std::unique_ptr<Player>> players;
+    for (int k = 0; k < clients; ++k) players.push_back(std::make_unique<Player>(addresses.env_server, k, lanes));
+    meter->Measure(absl::StrCat("step of a game, ", lanes, " in a message (with the game)"), clients,
+                   [&](int client) { return players[client]->Step(); });
+    if (lanes != 16) continue;
+    meter->Measure("step with snapshot, 16 in a message (its bytes)", clients,
+                   [&](int client) { return players[client]->StepAndSave(); });
+  }
+}
+
+void RunServers(int from_child, int to_child) {
+  const bool sockets = absl::GetFlag(FLAGS_unix_sockets);
+  const auto address = [&](const std::string& name) {
+    return sockets ? absl::StrCat("unix:/tmp/wire_bench-", getpid(), "-", name) : std::string("127.0.0.1:0");
+  };
+  Addresses addresses;
+  std::vector<std::unique_ptr<Intake>> learners;
+  for (int i = 0; i < kServices; ++i) {
+    learners.push_back(std::make_unique<Intake>(kFragmentSteps[i], kLanesOfClient * absl::GetFlag(FLAGS_clients),
+                                                address(absl::StrCat(i))));
+    learners.back()->address().copy(addresses.learners[i], sizeof(addresses.learners[i]) - 1);
+  }
+  const std::unique_ptr<EnvServiceImpl> envs = *EnvServiceImpl::Create(*DefaultTextureDir());
+  wire::Server::Options options;
+  options.address = address("env");
+  const std::unique_ptr<wire::Server> server = *wire::Server::Create(options, {envs.get()});
+  server->address().copy(addresses.env_server, sizeof(addresses.env_server) - 1);
+  CRAFTFLEET_CHECK(write(to_child, &addresses, sizeof(addresses)) == sizeof(addresses));
+  PrintMeasurements(from_child, to_child);
+}
+
+void RunClients(int to_parent, int from_parent) {
+  Addresses addresses;
+  CRAFTFLEET_CHECK(read(from_parent, &addresses, sizeof(addresses)) == sizeof(addresses));
+  Meter meter(to_parent, from_parent, absl::GetFlag(FLAGS_seconds));
+  const int clients = absl::GetFlag(FLAGS_clients);
+  MeasureLearner(addresses, clients, &meter);
+  MeasureEnvServer(addresses, clients, &meter);
+}
+
+}  // namespace
+}  // namespace craftfleet
+
+int main(int argc, char** argv) {
+  craftfleet::ParseFlags(craftfleet::kProgram, craftfleet::kUsage, argc, argv);
+  int to_parent[2];
+  int to_child[2];
+  if (pipe(to_parent) != 0 || pipe(to_child) != 0) return 1;
+  const pid_t child = fork();       // before there is any thread
+  craftfleet::SetUpTorchProcess();  // memory as the programs have it
+  if (child == 0) {
+    close(to_parent[0]);
+    close(to_child[1]);
+    craftfleet::RunClients(to_parent[1], to_child[0]);
+    return 0;
+  }
+  close(to_parent[1]);
+  close(to_child[0]);
+  craftfleet::RunServers(to_parent[0], to_child[1]);
+  int status = 0;
+  waitpid(child, &status, 0);
+  return status == 0 ? 0 : 1;
+}
