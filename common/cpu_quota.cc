@@ -27,17 +27,6 @@ absl::optional<double> FolderLimit(const std::string& folder) {
       absl::StrCat(ReadText(folder + "/cpu.cfs_quota_us"), " ", ReadText(folder + "/cpu.cfs_period_us")));
 }
 
-// This process's own cgroup: "/" where it can't be told.
-std::string OwnCgroup() {
-  for (const absl::string_view line : absl::StrSplit(ReadText("/proc/self/cgroup"), '\n')) {
-    const std::vector<std::string> fields = absl::StrSplit(line, absl::MaxSplits(':', 2));
-    if (fields.size() != 3) continue;
-    const std::vector<std::string> controllers = absl::StrSplit(fields[1], ',');
-    if (fields[1].empty() || std::count(controllers.begin(), controllers.end(), "cpu") > 0) return fields[2];
-  }
-  return "/";
-}
-
 }  // namespace
 
 absl::optional<double> ParseCpuMax(absl::string_view text) {
@@ -63,14 +52,25 @@ absl::optional<double> CgroupCpuLimit(const std::string& root, const std::string
   }
 }
 
+absl::optional<double> OwnCpuLimit(absl::string_view own_cgroups, const std::string& root) {
+  absl::optional<double> tightest;
+  for (const absl::string_view line : absl::StrSplit(own_cgroups, '\n')) {
+    const std::vector<std::string> fields = absl::StrSplit(line, absl::MaxSplits(':', 2));
+    if (fields.size() != 3) continue;
+    const std::vector<std::string> controllers = absl::StrSplit(fields[1], ',', absl::SkipEmpty());
+    const bool v2 = controllers.empty();
+    if (!v2 && std::count(controllers.begin(), controllers.end(), "cpu") == 0) continue;
+    const absl::optional<double> limit = CgroupCpuLimit(v2 ? root : root + "/cpu", fields[2]);
+    if (limit.has_value()) tightest = std::min(*limit, tightest.value_or(*limit));
+  }
+  return tightest;
+}
+
 int DefaultThreads() {
   cpu_set_t mask;
-  double cpus = sched_getaffinity(0, sizeof(mask), &mask) == 0 ? CPU_COUNT(&mask) : 1;
-  const std::string path = OwnCgroup();
-  for (const char* root : {"/sys/fs/cgroup", "/sys/fs/cgroup/cpu"}) {
-    cpus = std::min(cpus, CgroupCpuLimit(root, path).value_or(cpus));
-  }
-  return std::max(1, static_cast<int>(cpus));
+  const double cpus = sched_getaffinity(0, sizeof(mask), &mask) == 0 ? CPU_COUNT(&mask) : 1;
+  const double limit = OwnCpuLimit(ReadText("/proc/self/cgroup"), "/sys/fs/cgroup").value_or(cpus);
+  return std::max(1, static_cast<int>(std::min(cpus, limit)));
 }
 
 }  // namespace craftfleet

@@ -17,6 +17,11 @@ absl::optional<double> ParseCpuMax(absl::string_view text);
 // nullopt where there is none.
 absl::optional<double> CgroupCpuLimit(const std::string& root, const std::string& path);
 
+// The tightest limit of a process whose /proc/self/cgroup has the text `own_cgroups`, where `root` ("/sys/fs/cgroup")
+// has version 2's tree, or version 1's in `root`/cpu, or both. Within a container the path is often that of the host,
+// of which only the top can be seen: what holds for the container stands there.
+absl::optional<double> OwnCpuLimit(absl::string_view own_cgroups, const std::string& root);
+
 // Threads of one process that are worth having: whole CPUs of the cgroup's quota and the affinity mask, at least 1.
 int DefaultThreads();
 

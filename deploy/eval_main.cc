@@ -194,7 +194,8 @@ absl::Status Run() {
                               Policy::Create(spec, checkpoint.weights, config.tile()));
   CRAFTFLEET_ASSIGN_OR_RETURN(const Games games, OpenGames(plan.env, spec, recorder));
 
-  absl::PrintF("%s, %s after %d steps, on %s\n", folder, config.agent(), checkpoint.state.env_steps(), plan.env.name());
+  absl::PrintF("%s of run %s, %s after %d steps, on %s\n", folder, checkpoint.state.run_id(), config.agent(),
+               checkpoint.state.env_steps(), plan.env.name());
   nlohmann::ordered_json json = DescribeCheckpoint(checkpoint.state, plan);
   const bool several = plan.parts.size() > 1;
   for (const EvalPart& part : plan.parts) {

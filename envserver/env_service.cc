@@ -36,7 +36,9 @@ class EnvServiceImpl::SessionGuard {
   absl::Status Enter(const v1::SessionHello& hello, const std::string& address) {
     MutexLock lock(&service_->mu_);
     std::string& run_id = service_->run_id_;
+    const std::string last_run_id = run_id;
     if (service_->sessions_.empty() || run_id.empty()) run_id = hello.run_id();
+    if (run_id != last_run_id && !run_id.empty()) LogInfo("serves run %s", run_id);
     CRAFTFLEET_RETURN_IF_ERROR(wire::CheckHandshake("environment server", {wire::kProtocolVersion, run_id, ""}, "actor",
                                                     {wire::kProtocolVersion, hello.run_id(), ""}));
     service_->sessions_[this] = {hello.client(), address, 0, &meter_};

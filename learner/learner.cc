@@ -42,20 +42,38 @@ absl::StatusOr<v1::RunConfig> CompleteConfig(v1::RunConfig config) {
   return config;
 }
 
-// FailedPrecondition unless the run in `logdir` has the configuration `asked`, but for its steps.
+// FailedPrecondition unless the run in `logdir` has the configuration `asked`, but for its steps and checkpoints.
 absl::Status CheckSameRun(const std::string& logdir, v1::RunConfig asked) {
   const std::string path = JoinPath(logdir, "config.txt");
   CRAFTFLEET_ASSIGN_OR_RETURN(const std::string text, ReadFile(path));
   CRAFTFLEET_ASSIGN_OR_RETURN(v1::RunConfig stored, ParseRunConfig(text, path));
   CRAFTFLEET_ASSIGN_OR_RETURN(stored, CompleteConfig(std::move(stored)));
   asked.set_steps(stored.steps());
+  *asked.mutable_checkpoint() = stored.checkpoint();
   google::protobuf::util::MessageDifferencer differencer;
   std::string differences;
   differencer.ReportDifferencesToString(&differences);
   if (differencer.Compare(stored, asked)) return absl::OkStatus();
   const std::vector<absl::string_view> lines = absl::StrSplit(differences, '\n', absl::SkipEmpty());
   return absl::FailedPreconditionError(absl::StrCat(
-      "the run in ", logdir, " has another configuration (only steps may change): ", absl::StrJoin(lines, "; ")));
+      "the run in ", logdir, " has another configuration (only steps and checkpoint may change): ", absl::StrJoin(lines, "; ")));
+}
+
+// Gives `updater` the weights of the checkpoint that the user means by `path`; returns what they are, for run.json.
+absl::StatusOr<std::string> InitFrom(const std::string& path, const v1::RunConfig& config, PpoUpdater* updater) {
+  const auto load = [&]() -> absl::StatusOr<std::string> {
+    CRAFTFLEET_ASSIGN_OR_RETURN(const std::string folder, FindCheckpoint(path));
+    CRAFTFLEET_ASSIGN_OR_RETURN(const Checkpoint checkpoint, LoadCheckpoint(folder, config.agent()));
+    CRAFTFLEET_RETURN_IF_ERROR(updater->StartFrom(checkpoint.weights, checkpoint.optimizer));
+    const v1::CheckpointState& state = checkpoint.state;
+    return absl::StrFormat("run %s after iteration %d, %d steps", state.run_id(), state.iteration(), state.env_steps());
+  };
+  absl::StatusOr<std::string> origin = load();
+  if (!origin.ok()) {
+    return absl::Status(origin.status().code(), absl::StrCat("--init_from: ", origin.status().message()));
+  }
+  LogInfo("begins with the weights of %s", *origin);
+  return origin;
 }
 
 // Lanes as the checkpoint has them, new ones without one. `state_size` is that of the agent.
@@ -115,7 +133,7 @@ absl::StatusOr<std::unique_ptr<Learner>> Learner::Create(const Options& options)
   absl::StatusOr<v1::RunConfig> config = CompleteConfig(options.config);
   if (!config.ok() && options.resume) {
     return absl::Status(config.status().code(),
-                        absl::StrCat("with --resume only --steps may change: ", config.status().message()));
+                        absl::StrCat("with --resume only --steps and what concerns checkpoints may change: ", config.status().message()));
   }
   if (!config.ok()) return config.status();
   CRAFTFLEET_ASSIGN_OR_RETURN(Loaded loaded, Load(options, *config));
@@ -134,7 +152,12 @@ absl::StatusOr<Learner::Loaded> Learner::Load(const Options& options, const v1::
   const ProgramInfo program = {std::string(ProgramVersion()), std::string(GitRevision()), loaded.texture_digest};
   CRAFTFLEET_ASSIGN_OR_RETURN(loaded.updater, PpoUpdater::Create(config, options.threads));
   if (!options.resume) {
-    CRAFTFLEET_ASSIGN_OR_RETURN(loaded.folder, RunFolder::Create(options.logdir, config, program, loaded.clock.get()));
+    std::string origin;
+    if (!options.init_from.empty()) {
+      CRAFTFLEET_ASSIGN_OR_RETURN(origin, InitFrom(options.init_from, config, loaded.updater.get()));
+    }
+    CRAFTFLEET_ASSIGN_OR_RETURN(loaded.folder,
+                                RunFolder::Create(options.logdir, config, program, loaded.clock.get(), origin));
     return loaded;
   }
   CRAFTFLEET_RETURN_IF_ERROR(CheckSameRun(options.logdir, config));
@@ -142,7 +165,7 @@ absl::StatusOr<Learner::Loaded> Learner::Load(const Options& options, const v1::
                                                                 program, loaded.clock.get()));
   CRAFTFLEET_RETURN_IF_ERROR(loaded.updater->Load(run.checkpoint.weights, run.checkpoint.optimizer));
   CRAFTFLEET_RETURN_IF_ERROR(CheckLaneStates(run.checkpoint.state, loaded.updater->spec().state_size));
-  CRAFTFLEET_RETURN_IF_ERROR(run.folder->SetSteps(config.steps()));
+  CRAFTFLEET_RETURN_IF_ERROR(run.folder->TakeChanges(config));
   loaded.folder = std::move(run.folder);
   loaded.checkpoint = std::move(run.checkpoint);
   loaded.checkpoint.weights.clear();
@@ -164,7 +187,7 @@ Learner::Learner(const Options& options, Loaded loaded)
       env_servers_(kLease, clock_.get()),
       fleet_(kLease, clock_.get()),
       evaluations_(config_.eval(), loaded.checkpoint, &evaluation_book_, folder_.get()),
-      progress_({options.progress_in_place, loaded.checkpoint.state.env_steps(), config_.steps()},
+      progress_({options.progress_in_place, loaded.checkpoint.state.env_steps(), config_.steps(), folder_->run_id()},
                 options.progress != nullptr ? options.progress : &null_stream_, clock_.get()),
       trainer_(config_, loaded.checkpoint.state,
                {folder_.get(), updater_.get(), &ledger_, &weights_, &fragments_, &evaluations_, &progress_,

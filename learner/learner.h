@@ -39,6 +39,7 @@ class Learner {
     std::string logdir;
     bool resume = false;      // go on with the run in `logdir`
     std::string resume_from;  // checkpoint to go back to; empty: the newest
+    std::string init_from;    // a new run: checkpoint or run folder whose weights it begins with; empty: none
     std::string texture_dir;  // whose digest workers must match
     wire::Server::Options server;
     int threads = 1;                   // for the update, 1..256
@@ -48,7 +49,8 @@ class Learner {
 
   // Opens the run folder, loads the checkpoint and starts to listen.
   //   InvalidArgument: a value of the configuration; names it.   AlreadyExists: `logdir` has a run and `resume` is off.
-  //   FailedPrecondition: the run in `logdir` has another configuration (only `steps` may change); names the field.
+  //   FailedPrecondition: the run in `logdir` has another configuration (only `steps` and `checkpoint` may change);
+  //   names the field.   `init_from` is of another agent.
   //   Others as RunFolder and wire::Server.
   static absl::StatusOr<std::unique_ptr<Learner>> Create(const Options& options);
 

@@ -30,10 +30,20 @@ ABSL_FLAG(std::optional<int64_t>, steps, std::nullopt,
 ABSL_FLAG(std::optional<uint64_t>, seed, std::nullopt, "seed of everything random in the run [0]");
 ABSL_FLAG(std::optional<int32_t>, lanes, std::nullopt, "games played side by side [16]");
 ABSL_FLAG(std::string, logdir, "", "folder of the run: configuration, stats.jsonl, curves, checkpoints (needed)");
-ABSL_FLAG(bool, resume, false, "go on with the run in --logdir as if it had never stopped; only --steps may differ");
+ABSL_FLAG(
+    bool, resume, false,
+    "go on with the run in --logdir as if it had never stopped; only --steps and what concerns checkpoints may differ");
 ABSL_FLAG(bool, autoresume, false,
           "as --resume if --logdir has a run, else begin one: for what starts the same command again after it ended");
 ABSL_FLAG(std::string, resume_from, "", "with --resume: the checkpoint to go back to, like iter-00000020 [the newest]");
+ABSL_FLAG(
+    std::string, init_from, "",
+    "begin a new run with old weights: a run's folder, which stands for its newest checkpoint, or a checkpoint's,\n"
+    "of the same agent; optimiser, counters and everything else begin anew");
+ABSL_FLAG(std::optional<int32_t>, checkpoint_every, std::nullopt,
+          "iterations from one checkpoint to the next; the last is always written [10]");
+ABSL_FLAG(std::optional<int32_t>, keep_checkpoints, std::nullopt,
+          "how many of the newest checkpoints are kept, beside the best [3]");
 ABSL_FLAG(std::string, config, "",
           "file with the run's configuration in protobuf text format, such as another run's config.txt;\n"
           "flags given beside it win");
@@ -86,6 +96,10 @@ absl::StatusOr<Learner::Options> LearnerOptionsFromFlags() {
   if (!absl::GetFlag(FLAGS_resume) && !options.resume_from.empty()) {
     return absl::InvalidArgumentError("--resume_from wants --resume beside it");
   }
+  options.init_from = absl::GetFlag(FLAGS_init_from);
+  if (absl::GetFlag(FLAGS_resume) && !options.init_from.empty()) {
+    return absl::InvalidArgumentError("--init_from begins a new run: leave --resume away, or --init_from");
+  }
   CRAFTFLEET_ASSIGN_OR_RETURN(options.config, BaseConfig(options.resume));
   if (const auto agent = absl::GetFlag(FLAGS_agent)) options.config.set_agent(*agent);
   if (const auto env = absl::GetFlag(FLAGS_env)) options.config.mutable_env()->set_name(*env);
@@ -93,6 +107,9 @@ absl::StatusOr<Learner::Options> LearnerOptionsFromFlags() {
   if (const auto steps = absl::GetFlag(FLAGS_steps)) options.config.set_steps(*steps);
   if (const auto seed = absl::GetFlag(FLAGS_seed)) options.config.set_seed(*seed);
   if (const auto lanes = absl::GetFlag(FLAGS_lanes)) options.config.set_lanes(*lanes);
+  v1::CheckpointConfig& checkpoint = *options.config.mutable_checkpoint();
+  if (const auto every = absl::GetFlag(FLAGS_checkpoint_every)) checkpoint.set_every_iterations(*every);
+  if (const auto keep = absl::GetFlag(FLAGS_keep_checkpoints)) checkpoint.set_keep(*keep);
   CRAFTFLEET_ASSIGN_OR_RETURN(options.texture_dir, TextureDir(absl::GetFlag(FLAGS_textures)));
   CRAFTFLEET_ASSIGN_OR_RETURN(options.threads, ThreadsFromFlags());
   options.server = wire::ServerOptionsFromFlags(/*address=*/"");

@@ -97,6 +97,12 @@ absl::Status ReadNumber(const SafeTensors& file, absl::string_view key, double* 
   return absl::InvalidArgumentError(absl::StrCat("the optimiser's metadata \"", key, "\" is not a number"));
 }
 
+absl::Status ReadValueNorm(const SafeTensors& file, ValueNorm* value_norm) {
+  CRAFTFLEET_RETURN_IF_ERROR(ReadNumber(file, kValueMean, &value_norm->mean));
+  CRAFTFLEET_RETURN_IF_ERROR(ReadNumber(file, kValueMeanSquare, &value_norm->mean_square));
+  return ReadNumber(file, kValueWeight, &value_norm->weight);
+}
+
 }  // namespace
 
 struct PpoUpdater::Shard {
@@ -304,11 +310,19 @@ absl::Status PpoUpdater::Load(absl::string_view weights, absl::string_view optim
   if (steps == file.metadata.end() || !absl::SimpleAtoi(steps->second, &state.adam.steps) || state.adam.steps < 0) {
     return absl::InvalidArgumentError("the optimiser's metadata \"steps\" is not a count");
   }
-  if (config_.value_norm_decay() > 0) {
-    CRAFTFLEET_RETURN_IF_ERROR(ReadNumber(file, kValueMean, &state.value_norm.mean));
-    CRAFTFLEET_RETURN_IF_ERROR(ReadNumber(file, kValueMeanSquare, &state.value_norm.mean_square));
-    CRAFTFLEET_RETURN_IF_ERROR(ReadNumber(file, kValueWeight, &state.value_norm.weight));
+  if (config_.value_norm_decay() > 0) CRAFTFLEET_RETURN_IF_ERROR(ReadValueNorm(file, &state.value_norm));
+  Restore(std::move(state));
+  return absl::OkStatus();
+}
+
+absl::Status PpoUpdater::StartFrom(absl::string_view weights, absl::string_view optimizer) {
+  State state;
+  CRAFTFLEET_ASSIGN_OR_RETURN(state.weights, LoadWeights(spec_, weights));
+  CRAFTFLEET_ASSIGN_OR_RETURN(const SafeTensors file, ReadSafetensors(optimizer));
+  if (config_.value_norm_decay() > 0 && file.metadata.count(kValueWeight) > 0) {
+    CRAFTFLEET_RETURN_IF_ERROR(ReadValueNorm(file, &state.value_norm));
   }
+  state.adam = {0, std::vector<float>(spec_.param_count), std::vector<float>(spec_.param_count)};
   Restore(std::move(state));
   return absl::OkStatus();
 }

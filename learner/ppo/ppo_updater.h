@@ -67,6 +67,12 @@ class PpoUpdater {
   //   InvalidArgument: not this agent's; names the tensor. Nothing is changed.
   absl::Status Load(absl::string_view weights, absl::string_view optimizer);
 
+  // Begins with weights that SaveWeights gave, maybe of another run, and a fresh optimiser. The value normaliser,
+  // without which the weights' values mean nothing, is taken from the `optimizer` that was saved with them, if it has
+  // one.
+  //   As Load.
+  absl::Status StartFrom(absl::string_view weights, absl::string_view optimizer);
+
   const AgentSpec& spec() const { return spec_; }
   int64_t optimizer_steps() const { return state_.adam.steps; }
 

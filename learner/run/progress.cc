@@ -52,7 +52,9 @@ std::string FormatProgress(const ProgressState& state) {
 }
 
 ProgressPrinter::ProgressPrinter(const Options& options, std::ostream* out, Clock* clock)
-    : options_(options), out_(out), clock_(clock), start_(clock->Now()), next_(start_ + kFirstLine) {}
+    : options_(options), out_(out), clock_(clock), start_(clock->Now()), next_(start_ + kFirstLine) {
+  if (!options.run_id.empty()) *out_ << "run " << options.run_id << std::endl;
+}
 
 void ProgressPrinter::Update(int64_t steps, const ScoreBoard& score) {
   const absl::Time now = clock_->Now();

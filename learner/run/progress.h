@@ -43,6 +43,7 @@ class ProgressPrinter {
     bool terminal = false;    // `out` is one
     int64_t start_steps = 0;  // environment steps done before this start
     int64_t total_steps = 1;
+    std::string run_id;  // printed at the start; empty: nothing is
   };
   // `out` and `clock` outlive the printer. Speed is counted from now on.
   ProgressPrinter(const Options& options, std::ostream* out, Clock* clock);

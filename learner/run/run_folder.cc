@@ -31,12 +31,14 @@ std::string MakeRunId(absl::Time now) {
   return absl::StrFormat("%s-%06x", absl::FormatTime("%Y%m%d-%H%M%S", now, absl::UTCTimeZone()), random() & 0xFFFFFF);
 }
 
-std::string DescribeRun(const std::string& run_id, uint64_t seed, const ProgramInfo& program) {
-  const nlohmann::ordered_json description = {{"run_id", run_id},
-                                              {"program_version", program.version},
-                                              {"git_revision", program.git_revision},
-                                              {"seed", seed},
-                                              {"texture_digest", program.texture_digest}};
+std::string DescribeRun(const std::string& run_id, uint64_t seed, const ProgramInfo& program,
+                        const std::string& origin) {
+  nlohmann::ordered_json description = {{"run_id", run_id},
+                                        {"program_version", program.version},
+                                        {"git_revision", program.git_revision},
+                                        {"seed", seed},
+                                        {"texture_digest", program.texture_digest}};
+  if (!origin.empty()) description["init_from"] = origin;
   return description.dump(2) + "\n";
 }
 
@@ -83,7 +85,8 @@ absl::StatusOr<std::unique_ptr<RunFolder>> RunFolder::Open(const std::string& lo
 }
 
 absl::StatusOr<std::unique_ptr<RunFolder>> RunFolder::Create(const std::string& logdir, const v1::RunConfig& config,
-                                                             const ProgramInfo& program, Clock* clock) {
+                                                             const ProgramInfo& program, Clock* clock,
+                                                             const std::string& origin) {
   CRAFTFLEET_RETURN_IF_ERROR(CreateFolders(logdir));
   CRAFTFLEET_ASSIGN_OR_RETURN(FolderLock lock, FolderLock::Acquire(logdir));
   CRAFTFLEET_RETURN_IF_ERROR(ClearUnbegunRun(logdir));
@@ -92,7 +95,7 @@ absl::StatusOr<std::unique_ptr<RunFolder>> RunFolder::Create(const std::string& 
   folder->config_ = config;
   CRAFTFLEET_ASSIGN_OR_RETURN(folder->epoch_, NextEpoch(logdir));
   CRAFTFLEET_RETURN_IF_ERROR(
-      ReplaceFile(JoinPath(logdir, "run.json"), DescribeRun(folder->run_id_, config.seed(), program)));
+      ReplaceFile(JoinPath(logdir, "run.json"), DescribeRun(folder->run_id_, config.seed(), program, origin)));
   // Last, because it marks the folder as one with a run.
   CRAFTFLEET_RETURN_IF_ERROR(ReplaceFile(JoinPath(logdir, kConfigFile), FormatRunConfig(config)));
   return folder;
@@ -115,8 +118,9 @@ absl::StatusOr<ResumedRun> RunFolder::Resume(const std::string& logdir, const Re
   return run;
 }
 
-absl::Status RunFolder::SetSteps(int64_t steps) {
-  config_.set_steps(steps);
+absl::Status RunFolder::TakeChanges(const v1::RunConfig& config) {
+  config_.set_steps(config.steps());
+  *config_.mutable_checkpoint() = config.checkpoint();
   return ReplaceFile(JoinPath(logdir_, kConfigFile), FormatRunConfig(config_));
 }
 

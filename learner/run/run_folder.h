@@ -52,11 +52,12 @@ struct ResumedRun;
 class RunFolder {
  public:
   // Starts a run in `logdir`, which is created if need be. `config` is complete (ResolveRunConfig); `clock` outlives
-  // this.
+  // this. `origin`: where its weights come from, for run.json; empty: nowhere.
   // A run there that ended before its first checkpoint is replaced.
   //   AlreadyExists: the folder has a run.   FailedPrecondition: another process uses it.
   static absl::StatusOr<std::unique_ptr<RunFolder>> Create(const std::string& logdir, const v1::RunConfig& config,
-                                                           const ProgramInfo& program, Clock* clock);
+                                                           const ProgramInfo& program, Clock* clock,
+                                                           const std::string& origin = "");
 
   // Goes back to a checkpoint: cuts the logs to the lengths it knows, counts their episodes again and removes later
   // checkpoints.
@@ -70,8 +71,8 @@ class RunFolder {
   const v1::RunConfig& config() const { return config_; }
   int64_t epoch() const { return epoch_; }  // of this start, from 1
 
-  // Makes the run longer or shorter, environment steps: the one thing that may change when it is resumed.
-  absl::Status SetSteps(int64_t steps);
+  // Takes over what may change when a run is resumed: its steps and how checkpoints are written and kept.
+  absl::Status TakeChanges(const v1::RunConfig& config);
 
   // Appends training episodes to stats.jsonl and counts them towards the score.
   void AddEpisodes(absl::Span<const Episode> episodes);

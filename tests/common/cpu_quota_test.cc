@@ -2,6 +2,7 @@
 
 #include <filesystem>
 #include <fstream>
+#include <string>
 
 #include <gtest/gtest.h>
 
@@ -36,6 +37,51 @@ TEST(CpuQuota, TightestLimitUpTheTreeCounts) {
   EXPECT_EQ(CgroupCpuLimit(root, "/"), 8.0);
   EXPECT_EQ(CgroupCpuLimit(root + "/pod/container", "/"), absl::nullopt);
   std::filesystem::remove_all(root);
+}
+
+class OwnCpuLimitTest : public ::testing::Test {
+ protected:
+  void TearDown() override { std::filesystem::remove_all(root_); }
+  const std::string root_ = ::testing::TempDir() + "/own_cpu_limit_test";
+};
+
+TEST_F(OwnCpuLimitTest, OfVersion2IsThatOfTheProcessesGroup) {
+  Write(root_ + "/kubepods/pod1/cpu.max", "250000 100000\n");
+  Write(root_ + "/kubepods/pod2/cpu.max", "100000 100000\n");
+  EXPECT_EQ(OwnCpuLimit("0::/kubepods/pod1/container\n", root_), 2.5);
+  EXPECT_EQ(OwnCpuLimit("0::/system.slice\n", root_), absl::nullopt);
+}
+
+TEST_F(OwnCpuLimitTest, OfVersion1IsThatOfTheCpuController) {
+  Write(root_ + "/cpu/docker/abc/cpu.cfs_quota_us", "300000\n");
+  Write(root_ + "/cpu/docker/abc/cpu.cfs_period_us", "100000\n");
+  Write(root_ + "/cpu/other/cpu.cfs_quota_us", "100000\n");
+  Write(root_ + "/cpu/other/cpu.cfs_period_us", "100000\n");
+  EXPECT_EQ(OwnCpuLimit("12:memory:/other\n5:cpu,cpuacct:/docker/abc\n2:cpuset:/other\n0::/other\n", root_), 3.0);
+  EXPECT_EQ(OwnCpuLimit("12:memory:/docker/abc\n", root_), absl::nullopt);
+}
+
+// A container's own files stand at the top of what it sees, whatever path the host has for it.
+TEST_F(OwnCpuLimitTest, WithinAContainerIsWhatStandsAtTheTop) {
+  Write(root_ + "/cpu.max", "150000 100000\n");
+  EXPECT_EQ(OwnCpuLimit("0::/\n", root_), 1.5);
+  EXPECT_EQ(OwnCpuLimit("0::/../../host/path\n", root_), 1.5);
+  std::filesystem::remove_all(root_);
+  Write(root_ + "/cpu/cpu.cfs_quota_us", "200000\n");
+  Write(root_ + "/cpu/cpu.cfs_period_us", "100000\n");
+  EXPECT_EQ(OwnCpuLimit("5:cpu,cpuacct:/docker/0123abc\n", root_), 2.0);
+}
+
+TEST_F(OwnCpuLimitTest, OfBothVersionsIsTheTighter) {
+  Write(root_ + "/cpu/cpu.cfs_quota_us", "400000\n");
+  Write(root_ + "/cpu/cpu.cfs_period_us", "100000\n");
+  Write(root_ + "/slice/cpu.max", "200000 100000\n");
+  EXPECT_EQ(OwnCpuLimit("1:cpu:/\n0::/slice\n", root_), 2.0);
+}
+
+TEST_F(OwnCpuLimitTest, IsNoneWhereNothingCanBeRead) {
+  EXPECT_EQ(OwnCpuLimit("", root_), absl::nullopt);
+  EXPECT_EQ(OwnCpuLimit("no such text\n::\n", root_), absl::nullopt);
 }
 
 TEST(CpuQuota, DefaultIsAtLeastOneThread) { EXPECT_GE(DefaultThreads(), 1); }

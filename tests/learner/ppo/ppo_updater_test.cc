@@ -147,6 +147,32 @@ TEST(PpoUpdater, RefusesSizesThatDoNotDivide) {
   EXPECT_THAT(std::string(PpoUpdater::Create(config, 1).status().message()), HasSubstr("gradient_shards"));
 }
 
+TEST(PpoUpdater, StartsFromOldWeightsWithAFreshOptimiser) {
+  v1::RunConfig config = SmallConfig(32);
+  const auto old = *PpoUpdater::Create(config, 2);
+  ASSERT_TRUE(old->Update(0, RandomRollout(11, 64).rollout, NeverStop).ok());
+  config.set_seed(config.seed() + 1);
+  const auto updater = *PpoUpdater::Create(config, 2);
+  ASSERT_TRUE(updater->Update(0, RandomRollout(12, 64).rollout, NeverStop).ok());
+  ASSERT_TRUE(updater->StartFrom(old->SaveWeights(), old->SaveOptimizer()).ok());
+  EXPECT_TRUE(updater->SaveWeights() == old->SaveWeights());
+  EXPECT_TRUE(updater->SaveOptimizer() == FreshOptimizer(config));
+  EXPECT_EQ(updater->optimizer_steps(), 0);
+  EXPECT_EQ(updater->StartFrom(old->SaveOptimizer(), "").code(), absl::StatusCode::kInvalidArgument);
+}
+
+TEST(PpoUpdater, TakesTheValueNormaliserOfOldWeightsIfTheyHaveOne) {
+  v1::RunConfig config = SmallConfig(32);
+  config.mutable_ppo()->set_value_norm_decay(0.9);
+  const auto old = *PpoUpdater::Create(config, 2);
+  ASSERT_TRUE(old->Update(0, RandomRollout(11, 64).rollout, NeverStop).ok());
+  const auto updater = *PpoUpdater::Create(config, 2);
+  ASSERT_TRUE(updater->StartFrom(old->SaveWeights(), old->SaveOptimizer()).ok());
+  EXPECT_EQ(updater->rollout_options().value_scale.mean, old->rollout_options().value_scale.mean);
+  ASSERT_TRUE(updater->StartFrom(old->SaveWeights(), FreshOptimizer(SmallConfig(32))).ok());
+  EXPECT_EQ(updater->rollout_options().value_scale.mean, 0);
+}
+
 TEST(PpoUpdater, LoadRefusesWhatIsNotTheAgentsAndKeepsItsState) {
   const auto updater = *PpoUpdater::Create(SmallConfig(32), 1);
   const std::string weights = updater->SaveWeights();

@@ -76,7 +76,7 @@ TEST(FormatProgress, FitsATerminal) {
 
 class ProgressPrinterTest : public testing::Test {
  protected:
-  ProgressPrinter Make(bool terminal) { return ProgressPrinter({terminal, 4000, 10'000}, &out_, &clock_); }
+  ProgressPrinter Make(bool terminal) { return ProgressPrinter({terminal, 4000, 10'000, ""}, &out_, &clock_); }
 
   // What was printed since the last call.
   std::string Printed() {
@@ -106,6 +106,11 @@ TEST_F(ProgressPrinterTest, WithoutATerminalALineEveryTenSecondsTheFirstAfterTwo
   const std::string line = Printed();
   EXPECT_THAT(line, StartsWith("4,600/10,000 steps 46.0% | 50/s, "));
   EXPECT_EQ(line.back(), '\n');
+}
+
+TEST_F(ProgressPrinterTest, BeginsWithTheRunsId) {
+  const ProgressPrinter printer({false, 0, 10'000, "20240131-154500-a1b2c3"}, &out_, &clock_);
+  EXPECT_EQ(out_.str(), "run 20240131-154500-a1b2c3\n");
 }
 
 TEST_F(ProgressPrinterTest, OnATerminalOneLineInPlace) {

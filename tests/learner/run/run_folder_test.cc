@@ -103,11 +103,32 @@ TEST_F(RunFolderTest, ARunThatEndedBeforeItsFirstCheckpointGivesWay) {
   EXPECT_EQ(ReadFile(logdir_ + "/stats.jsonl").value(), "");
 }
 
+TEST_F(RunFolderTest, TellsWhereItsWeightsComeFrom) {
+  const auto folder = RunFolder::Create(logdir_, DefaultRunConfig(), program_, &clock_, "run b after iteration 3");
+  ASSERT_THAT(folder, IsOk());
+  EXPECT_EQ(nlohmann::json::parse(ReadFile(logdir_ + "/run.json").value())["init_from"], "run b after iteration 3");
+}
+
+TEST_F(RunFolderTest, AResumedRunMayKeepMoreCheckpoints) {
+  ASSERT_NO_FATAL_FAILURE(MakeRun());
+  auto run = Resume();
+  ASSERT_THAT(run, IsOk());
+  v1::RunConfig config = run->folder->config();
+  config.mutable_checkpoint()->set_keep(50);
+  config.mutable_ppo()->set_gamma(0.5);
+  ASSERT_THAT(run->folder->TakeChanges(config), IsOk());
+  EXPECT_EQ(run->folder->config().checkpoint().keep(), 50);
+  EXPECT_EQ(run->folder->config().ppo().gamma(), 0.95) << "nothing else";
+  EXPECT_THAT(ReadFile(logdir_ + "/config.txt").value(), HasSubstr("keep: 50"));
+}
+
 TEST_F(RunFolderTest, AResumedRunMayBeMadeLonger) {
   ASSERT_NO_FATAL_FAILURE(MakeRun());
   auto run = Resume();
   ASSERT_THAT(run, IsOk());
-  ASSERT_THAT(run->folder->SetSteps(2'000'000), IsOk());
+  v1::RunConfig config = run->folder->config();
+  config.set_steps(2'000'000);
+  ASSERT_THAT(run->folder->TakeChanges(config), IsOk());
   EXPECT_EQ(run->folder->config().steps(), 2'000'000);
   EXPECT_THAT(ReadFile(logdir_ + "/config.txt").value(), HasSubstr("steps: 2000000"));
 }
