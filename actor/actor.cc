@@ -7,6 +7,7 @@
 #include <absl/strings/str_format.h>
 #include <absl/time/clock.h>
 
+#include "actor/trouble.h"
 #include "common/agent/agent_spec.h"
 #include "common/agent/torch_setup.h"
 #include "common/backoff.h"
@@ -24,10 +25,6 @@ constexpr absl::Duration kLastRetry = absl::Seconds(2);
 constexpr absl::Duration kSayAgain = absl::Seconds(10);  // between two lines about the same trouble
 constexpr int kPollMs = 500;                             // long poll for permits; a tenth of the lease
 constexpr size_t kServersTold = 8;                       // environment servers the learner is told of, each poll
-
-bool IsTransient(const absl::Status& status) {
-  return status.code() == absl::StatusCode::kUnavailable || status.code() == absl::StatusCode::kDeadlineExceeded;
-}
 
 }  // namespace
 
@@ -66,14 +63,23 @@ absl::Status Actor::Run(absl::string_view address) {
   StopLoops();
   learner_.Leave(name_);
   MutexLock lock(&mu_);
+  stopping_ = true;
   if (!loop_error_.ok()) return loop_error_;
   return status.code() == absl::StatusCode::kCancelled ? absl::OkStatus() : status;
 }
 
 void Actor::Stop() {
-  MutexLock lock(&mu_);
-  stopping_ = true;
-  changed_.NotifyAll();
+  bool joined = false;
+  {
+    MutexLock lock(&mu_);
+    if (stopping_) return;
+    stopping_ = true;
+    changed_.NotifyAll();
+    joined = !run_id_.empty();
+  }
+  // Before anything that takes time, so that others go on with its lanes at once.
+  if (joined) learner_.Leave(name_);
+  learner_.Cancel();
 }
 
 absl::Status Actor::Join() {
@@ -94,7 +100,7 @@ absl::Status Actor::Join() {
       LogInfo("%s: joined run %s, epoch %d", learner_.name(), joined_.run_id(), joined_.epoch());
       return absl::OkStatus();
     }
-    if (!IsTransient(reply.status())) return reply.status();
+    if (!MayPass(reply.status())) return reply.status();
     if (absl::Now() - said > kSayAgain) {
       said = absl::Now();
       LogWarning("%s; trying again until it answers", reply.status().message());
@@ -188,7 +194,7 @@ absl::Status Actor::KeepPermits() {
       LogInfo("%s", reply.status().message());
       permits_.DropWaiting();
       CRAFTFLEET_RETURN_IF_ERROR(Join());
-    } else if (IsTransient(reply.status())) {
+    } else if (MayPass(reply.status())) {
       if (absl::Now() - said > kSayAgain) {
         said = absl::Now();
         LogWarning("%s; trying again until it answers", reply.status().message());
@@ -203,6 +209,7 @@ absl::Status Actor::KeepPermits() {
 
 void Actor::StopLoops() {
   permits_.Close();
+  learner_.Cancel();
   {
     MutexLock lock(&mu_);
     for (const auto& loop : loops_) loop->Cancel();

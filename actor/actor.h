@@ -68,7 +68,7 @@ class Actor {
 
   const Options options_;
   const std::string name_;  // unique: host-process-random
-  const LearnerClient learner_;
+  LearnerClient learner_;
   ServerBook servers_;
   PermitBook permits_;
   FragmentSender sender_;

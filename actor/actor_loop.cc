@@ -5,6 +5,7 @@
 
 #include <absl/strings/str_format.h>
 
+#include "actor/trouble.h"
 #include "common/backoff.h"
 #include "common/keyed_random.h"
 #include "common/log.h"
@@ -13,12 +14,6 @@
 
 namespace craftfleet {
 namespace {
-
-// Trouble that passes: the fragment is played again, here or elsewhere.
-bool Passes(const absl::Status& status) {
-  return status.code() == absl::StatusCode::kUnavailable || status.code() == absl::StatusCode::kAborted ||
-         status.code() == absl::StatusCode::kDeadlineExceeded;
-}
 
 // Before playing on after trouble.
 constexpr absl::Duration kFirstPause = absl::Milliseconds(100);
@@ -53,7 +48,7 @@ absl::Status ActorLoop::Run() {
     }
     Abandon(permits);
     if (status.code() == absl::StatusCode::kCancelled) return absl::OkStatus();
-    if (!Passes(status)) return status;
+    if (!MayPass(status)) return status;
     LogWarning("%d fragments given back: %s", permits.size(), status.message());
     permits_->WaitForClose(backoff.Next());
   }
@@ -68,8 +63,8 @@ absl::Status ActorLoop::RunFragment(const std::vector<HeldPermit>& permits) {
   }
   CRAFTFLEET_ASSIGN_OR_RETURN(const std::shared_ptr<const Policy> policy,
                               policies_->Get(first.epoch, first.policy_version));
-  if (policy_version_.exchange(first.policy_version) != first.policy_version) meter_.BeginCycle();
   meter_.Switch(Activity::kEnvironment);
+  CRAFTFLEET_RETURN_IF_ERROR(CloseLanesOfOthers(first.policy_version));
   for (const int lane : envs_->Refresh()) held_.erase(lane);
   CRAFTFLEET_RETURN_IF_ERROR(OpenLanes(permits));
 
@@ -85,6 +80,18 @@ absl::Status ActorLoop::RunFragment(const std::vector<HeldPermit>& permits) {
 
   CRAFTFLEET_RETURN_IF_ERROR(PlaySteps(*policy, arranged));
   return SendFragments(*policy, arranged);
+}
+
+absl::Status ActorLoop::CloseLanesOfOthers(int64_t version) {
+  const int64_t last = policy_version_.exchange(version);
+  if (last == version) return absl::OkStatus();
+  meter_.BeginCycle();
+  std::vector<int> lanes;
+  for (const auto& [lane, held] : held_) {
+    if (held.policy_version != last) lanes.push_back(lane);
+  }
+  for (const int lane : lanes) held_.erase(lane);
+  return envs_->Close(lanes);
 }
 
 absl::Status ActorLoop::OpenLanes(const std::vector<HeldPermit>& permits) {
@@ -177,7 +184,8 @@ absl::Status ActorLoop::SendFragments(const Policy& policy, const std::vector<He
   meter_.Switch(Activity::kWire);
   for (size_t row = 0; row < permits.size(); ++row) {
     const std::vector<float> state(State(row).begin(), State(row).end());
-    held_[lanes[row]] = {permits[row].epoch, permits[row].fragment + 1, std::string(Frame(frames_, row)), state};
+    held_[lanes[row]] = {permits[row].epoch, permits[row].fragment + 1, permits[row].policy_version,
+                         std::string(Frame(frames_, row)), state};
     CRAFTFLEET_RETURN_IF_ERROR(
         sender_->Push(builders_[row].Finish(bootstrap[row], {std::move(batch_.snapshots[row]), state})));
   }

@@ -61,12 +61,16 @@ class ActorLoop {
   struct Held {
     int64_t epoch = 0;
     int64_t next_fragment = 0;
-    std::string frame;         // uint8[H,W,3]: its current observation
-    std::vector<float> state;  // [state_size] before it
+    int64_t policy_version = -1;  // under which it was last played here; -1: not yet
+    std::string frame;            // uint8[H,W,3]: its current observation
+    std::vector<float> state;     // [state_size] before it
   };
 
   // Plays one fragment of each permit's lane, all under one version.
   absl::Status RunFragment(const std::vector<HeldPermit>& permits);
+  // Before the first fragment under `version`: closes the games that were not played here under the last one, since
+  // somebody else plays their lanes by now.
+  absl::Status CloseLanesOfOthers(int64_t version);
   absl::Status OpenLanes(const std::vector<HeldPermit>& permits);
   // Takes the observations and states of the lanes, arranged, and begins their fragments.
   void StartFragments(const std::vector<HeldPermit>& permits);

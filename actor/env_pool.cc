@@ -8,6 +8,7 @@
 #include <absl/strings/str_join.h>
 #include <absl/time/clock.h>
 
+#include "actor/trouble.h"
 #include "common/check.h"
 #include "common/log.h"
 #include "common/status_macros.h"
@@ -16,6 +17,7 @@ namespace craftfleet {
 namespace {
 
 constexpr absl::Duration kConnectTimeout = absl::Seconds(3);
+constexpr absl::Duration kMoment = absl::Milliseconds(200);
 
 template <typename T>
 void AppendTo(std::vector<T>* all, std::vector<T>* part) {
@@ -41,17 +43,7 @@ EnvPool::EnvPool(std::shared_ptr<EnvDirectory> directory, const v1::SessionHello
 
 std::vector<int> EnvPool::Refresh() {
   std::vector<int> closed = FollowDirectory();
-  for (const auto& server : servers_) {
-    if (server->client->connected() || absl::Now() < server->next_try) continue;
-    // Only where it takes no waiting; the rest is for ConnectServers.
-    if (server->client->Reachable()) {
-      const absl::Status status = Connect(server.get(), absl::ZeroDuration());
-      if (!status.ok()) LogWarning("%s", status.message());
-    } else if (server->client->Failing() && !server->missed) {
-      server->missed = true;
-      LogWarning("environment server %s: not reachable; it gets games as soon as it is", server->client->address());
-    }
-  }
+  ConnectReachable();
   Balance(&closed);
   return closed;
 }
@@ -113,19 +105,27 @@ void EnvPool::Balance(std::vector<int>* closed) {
 }
 
 absl::Status EnvPool::Open(absl::Span<const EnvClient::Lane> lanes, std::string* frames) {
+  std::vector<int> numbers;
+  for (const EnvClient::Lane& lane : lanes) numbers.push_back(lane.lane);
   absl::Status status = ConnectServers();
-  if (status.ok()) status = CloseOpenOnes(lanes);
+  if (status.ok()) status = CloseOpenOnes(numbers);
   if (status.ok()) status = Spread(lanes, frames);
   if (!status.ok()) Reset();
   return status;
 }
 
-absl::Status EnvPool::CloseOpenOnes(absl::Span<const EnvClient::Lane> lanes) {
-  for (const EnvClient::Lane& lane : lanes) {
-    const auto found = server_of_.find(lane.lane);
+absl::Status EnvPool::Close(absl::Span<const int> lanes) {
+  absl::Status status = CloseOpenOnes(lanes);
+  if (!status.ok()) Reset();
+  return status;
+}
+
+absl::Status EnvPool::CloseOpenOnes(absl::Span<const int> lanes) {
+  for (const int lane : lanes) {
+    const auto found = server_of_.find(lane);
     if (found == server_of_.end()) continue;
     Server& server = *servers_[found->second];
-    CRAFTFLEET_RETURN_IF_ERROR(server.client->Close({lane.lane}));
+    CRAFTFLEET_RETURN_IF_ERROR(server.client->Close({lane}));
     --server.lanes;
     server_of_.erase(found);
   }
@@ -232,40 +232,58 @@ void EnvPool::Cancel() {
   for (const auto& server : servers_) server->client->Cancel();
 }
 
-absl::Status EnvPool::ConnectServers() {
-  std::vector<std::string> errors;
-  bool any = false;
-  for (const auto& server : servers_) any |= server->client->connected() || server->client->Reachable();
-  if (servers_.empty()) errors.emplace_back("no environment server is known yet");
+void EnvPool::ConnectReachable() {
   for (const auto& server : servers_) {
-    absl::Status status = absl::OkStatus();
-    if (!server->client->connected()) {
-      status =
-          absl::UnavailableError(absl::StrCat("environment server ", server->client->address(), ": not reachable"));
-      // Nobody waits for a server that does not answer while there is another.
-      if (absl::Now() >= server->next_try && (!any || server->client->Reachable())) {
-        status = Connect(server.get(), kConnectTimeout);
-        if (!status.ok() && status.code() != absl::StatusCode::kUnavailable) return status;
-        if (!status.ok()) LogWarning("%s", status.message());
-      }
+    if (server->client->connected() || absl::Now() < server->next_try) continue;
+    if (server->client->Reachable()) {
+      Connect(server.get(), absl::ZeroDuration());
+    } else if (server->client->Failing() && server->trouble.ok()) {
+      Note(server.get(), absl::UnavailableError(absl::StrCat("environment server ", server->client->address(),
+                                                             ": not reachable; it gets games as soon as it is")));
     }
-    if (!status.ok()) errors.emplace_back(status.message());
-    any |= status.ok();
   }
-  const bool connected =
-      std::any_of(servers_.begin(), servers_.end(), [](const auto& server) { return server->client->connected(); });
-  return connected ? absl::OkStatus() : absl::UnavailableError(absl::StrJoin(errors, "; "));
 }
 
-absl::Status EnvPool::Connect(Server* server, absl::Duration timeout) {
-  absl::Status status = server->client->Connect(timeout);
-  if (status.ok()) {
-    server->backoff.Reset();
-    server->missed = false;
-  } else {
-    server->next_try = absl::Now() + server->backoff.Next();
+absl::Status EnvPool::ConnectServers() {
+  ConnectReachable();
+  if (AnyConnected()) return absl::OkStatus();
+  // Nobody waits for a server that does not answer while there is another, but for a moment, so that the first games
+  // are spread over all of them.
+  absl::Time patience_ends = absl::InfiniteFuture();
+  for (const auto& server : servers_) {
+    const absl::Time now = absl::Now();
+    if (now < server->next_try || now >= patience_ends) continue;
+    Connect(server.get(), std::min(kConnectTimeout, patience_ends - now));
+    if (server->client->connected()) patience_ends = std::min(patience_ends, absl::Now() + kMoment);
   }
-  return status;
+  if (AnyConnected()) return absl::OkStatus();
+  if (servers_.empty()) return absl::UnavailableError("no environment server is known yet");
+  const bool may_pass =
+      std::any_of(servers_.begin(), servers_.end(), [](const auto& server) { return MayPass(server->trouble); });
+  if (!may_pass) return servers_.front()->trouble;
+  return absl::UnavailableError(absl::StrJoin(
+      servers_, "; ", [](std::string* out, const auto& server) { absl::StrAppend(out, server->trouble.message()); }));
+}
+
+void EnvPool::Connect(Server* server, absl::Duration timeout) {
+  const absl::Status status = server->client->Connect(timeout);
+  if (!status.ok()) {
+    server->next_try = absl::Now() + server->backoff.Next();
+    Note(server, status);
+    return;
+  }
+  server->backoff.Reset();
+  server->trouble = absl::OkStatus();
+}
+
+void EnvPool::Note(Server* server, const absl::Status& trouble) {
+  const bool news = server->trouble != trouble && !absl::IsCancelled(trouble);
+  server->trouble = trouble;
+  if (news) LogWarning("%s", trouble.message());
+}
+
+bool EnvPool::AnyConnected() const {
+  return std::any_of(servers_.begin(), servers_.end(), [](const auto& server) { return server->client->connected(); });
 }
 
 size_t EnvPool::LeastLoaded() const {

@@ -36,8 +36,12 @@ class EnvPool {
   std::vector<int> Refresh();
 
   // Opens games (one that is open already begins anew); their observations, uint8[n,H,W,3], go to `frames`.
-  //   Unavailable: no server can be reached; names each.   Others as EnvClient. After an error every game is closed.
+  //   Unavailable: no server can be reached; names each.   Others as EnvClient, where waiting helps with none of them.
+  // After an error every game is closed.
   absl::Status Open(absl::Span<const EnvClient::Lane> lanes, std::string* frames);
+
+  // Closes those of `lanes` that are open. After an error every game is closed.
+  absl::Status Close(absl::Span<const int> lanes);
 
   // The open lanes in the order in which Step wants them: server by server.
   std::vector<int> Arrange(std::vector<int> lanes) const;
@@ -61,20 +65,24 @@ class EnvPool {
     std::unique_ptr<EnvClient> client;
     absl::Time next_try = absl::InfinitePast();  // to connect
     Backoff backoff{absl::Milliseconds(250), absl::Seconds(5)};
-    bool missed = false;  // it was said that it can't be reached
+    absl::Status trouble;  // why there is no session; ok: there is one, or it was not tried yet
     int lanes = 0;
     StepBatch batch;  // reused
   };
 
   // Makes servers_ those of the directory. Returns the lanes that were open on others.
   std::vector<int> FollowDirectory() ABSL_LOCKS_EXCLUDED(mu_);
-  // Connects to servers whose time has come, and waits for one if none is connected. Unavailable: none can be.
+  // Connects to the servers whose time has come and where it takes no waiting.
+  void ConnectReachable();
+  // The same, but waits for one if there is no other. Errors as Open.
   absl::Status ConnectServers();
-  absl::Status Connect(Server* server, absl::Duration timeout);
+  void Connect(Server* server, absl::Duration timeout);
+  // Remembers why there is no session with `server`, and says it once.
+  static void Note(Server* server, const absl::Status& trouble);
+  bool AnyConnected() const;
   // Closes games on the fullest servers until none has two more than another.
   void Balance(std::vector<int>* closed);
-  // Closes those of `lanes` that are open.
-  absl::Status CloseOpenOnes(absl::Span<const EnvClient::Lane> lanes);
+  absl::Status CloseOpenOnes(absl::Span<const int> lanes);
   // Opens `lanes`, none of them open, on the servers that have fewest.
   absl::Status Spread(absl::Span<const EnvClient::Lane> lanes, std::string* frames);
   size_t LeastLoaded() const;

@@ -15,45 +15,65 @@ constexpr int kWeightsWaitMs = 1000;
 
 }  // namespace
 
+// A call's context, which Cancel finds as long as it lives.
+class LearnerClient::Call {
+ public:
+  Call(const LearnerClient* client, absl::Duration timeout) : client_(client) {
+    wire::SetDeadline(&context_, timeout);
+    const MutexLock lock(&client_->mu_);
+    client_->calls_.insert(&context_);
+    if (client_->cancelled_) context_.TryCancel();
+  }
+  ~Call() {
+    const MutexLock lock(&client_->mu_);
+    client_->calls_.erase(&context_);
+  }
+  grpc::ClientContext* context() { return &context_; }
+
+ private:
+  const LearnerClient* const client_;
+  grpc::ClientContext context_;
+};
+
 LearnerClient::LearnerClient(wire::Endpoint learner)
     : learner_(std::move(learner)),
       name_(absl::StrCat("learner ", learner_.address)),
       stub_(v1::LearnerService::NewStub(learner_.channel)) {}
 
 absl::Status LearnerClient::FromCall(const grpc::Status& status) const {
-  // None of these calls is cancelled by us, so the learner did it, which stops.
-  if (status.error_code() == grpc::StatusCode::CANCELLED) return absl::UnavailableError(name_ + ": it is stopping");
+  if (status.error_code() == grpc::StatusCode::CANCELLED) {
+    const MutexLock lock(&mu_);
+    if (cancelled_) return absl::CancelledError("stopping");
+    return absl::UnavailableError(name_ + ": it is stopping");
+  }
   return wire::FromCall(status, name_, learner_);
 }
 
 absl::StatusOr<v1::JoinReply> LearnerClient::Join(const v1::JoinRequest& request) const {
-  grpc::ClientContext context;
-  wire::SetDeadline(&context, kCallTimeout);
+  Call call(this, kCallTimeout);
   v1::JoinReply reply;
-  const grpc::Status status = stub_->Join(&context, request, &reply);
+  const grpc::Status status = stub_->Join(call.context(), request, &reply);
   if (!status.ok()) return FromCall(status);
   return reply;
 }
 
 absl::StatusOr<v1::PermitReply> LearnerClient::GetPermits(const v1::PermitRequest& request) const {
-  grpc::ClientContext context;
-  wire::SetDeadline(&context, kCallTimeout + absl::Milliseconds(request.wait_ms()));
+  Call call(this, kCallTimeout + absl::Milliseconds(request.wait_ms()));
   v1::PermitReply reply;
-  const grpc::Status status = stub_->GetPermits(&context, request, &reply);
+  const grpc::Status status = stub_->GetPermits(call.context(), request, &reply);
   if (!status.ok()) return FromCall(status);
   return reply;
 }
 
 absl::StatusOr<LaneSnapshot> LearnerClient::GetSnapshot(int64_t epoch, int lane, int64_t fragment,
                                                         int state_size) const {
-  grpc::ClientContext context;
-  wire::SetDeadline(&context, kCallTimeout);
+  Call call(this, kCallTimeout);
   v1::SnapshotRequest request;
   request.set_epoch(epoch);
   request.set_lane(lane);
   request.set_fragment(fragment);
   v1::SnapshotReply reply;
-  const grpc::Status status = stub_->GetSnapshot(&context, request, &reply);
+  const grpc::Status status = stub_->GetSnapshot(call.context(), request, &reply);
   if (!status.ok()) return FromCall(status);
   absl::StatusOr<LaneSnapshot> snapshot = wire::FromProto(&reply, state_size);
   if (snapshot.ok()) return snapshot;
@@ -71,6 +91,12 @@ void LearnerClient::Leave(const std::string& actor) const {
   stub_->Leave(&context, request, &reply);
 }
 
+void LearnerClient::Cancel() {
+  const MutexLock lock(&mu_);
+  cancelled_ = true;
+  for (grpc::ClientContext* call : calls_) call->TryCancel();
+}
+
 absl::StatusOr<std::pair<int64_t, std::string>> LearnerClient::GetWeights(int64_t version) const {
   v1::WeightsRequest request;
   request.set_at_least(version);
@@ -86,16 +112,14 @@ absl::StatusOr<std::string> LearnerClient::GetEvaluationWeights(int64_t id) cons
 }
 
 absl::Status LearnerClient::FinishEvaluation(const v1::EvaluationResult& result) const {
-  grpc::ClientContext context;
-  wire::SetDeadline(&context, kCallTimeout);
+  Call call(this, kCallTimeout);
   v1::EvaluationReply reply;
-  return FromCall(stub_->FinishEvaluation(&context, result, &reply));
+  return FromCall(stub_->FinishEvaluation(call.context(), result, &reply));
 }
 
 absl::StatusOr<std::pair<int64_t, std::string>> LearnerClient::ReceiveWeights(const v1::WeightsRequest& request) const {
-  grpc::ClientContext context;
-  wire::SetDeadline(&context, kWeightsTimeout);
-  const auto stream = stub_->GetWeights(&context, request);
+  Call call(this, kWeightsTimeout);
+  const auto stream = stub_->GetWeights(call.context(), request);
   std::pair<int64_t, std::string> weights = {-1, ""};
   int64_t total_bytes = 0;
   v1::WeightsChunk chunk;

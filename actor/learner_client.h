@@ -5,6 +5,7 @@
 
 #include <cstdint>
 #include <memory>
+#include <set>
 #include <string>
 #include <utility>
 
@@ -12,6 +13,7 @@
 #include <absl/status/statusor.h>
 #include <absl/time/time.h>
 
+#include "common/mutex.h"
 #include "common/types.h"
 #include "common/wire/channel.h"
 #include "craftfleet/v1/learner.grpc.pb.h"
@@ -20,7 +22,7 @@ namespace craftfleet {
 
 // Thread-safe.
 //   Unavailable, DeadlineExceeded: the learner can't be reached or does not answer: try again.
-//   Others as learner.proto says for each call.
+//   Cancelled: Cancel was called.   Others as learner.proto says for each call.
 class LearnerClient {
  public:
   explicit LearnerClient(wire::Endpoint learner);
@@ -30,6 +32,9 @@ class LearnerClient {
   // `state_size` is that of the agent (AgentSpec).   InvalidArgument: the learner's snapshot has another.
   absl::StatusOr<LaneSnapshot> GetSnapshot(int64_t epoch, int lane, int64_t fragment, int state_size) const;
   void Leave(const std::string& actor) const;
+
+  // Ends every call under way and to come, but for Leave and PushFragments. From any thread.
+  void Cancel() ABSL_LOCKS_EXCLUDED(mu_);
 
   // The weights of `version` or a later one: (version, safetensors bytes).
   absl::StatusOr<std::pair<int64_t, std::string>> GetWeights(int64_t version) const;
@@ -47,14 +52,20 @@ class LearnerClient {
   const std::string& name() const { return name_; }
 
  private:
+  class Call;
+
   // The error of a unary call or a download that has ended.
-  absl::Status FromCall(const grpc::Status& status) const;
+  absl::Status FromCall(const grpc::Status& status) const ABSL_LOCKS_EXCLUDED(mu_);
 
   absl::StatusOr<std::pair<int64_t, std::string>> ReceiveWeights(const v1::WeightsRequest& request) const;
 
   const wire::Endpoint learner_;
   const std::string name_;  // "learner ADDRESS"
   const std::unique_ptr<v1::LearnerService::Stub> stub_;
+
+  mutable Mutex mu_;
+  mutable std::set<grpc::ClientContext*> calls_ ABSL_GUARDED_BY(mu_);  // under way
+  bool cancelled_ ABSL_GUARDED_BY(mu_) = false;
 };
 
 }  // namespace craftfleet

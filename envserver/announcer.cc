@@ -12,7 +12,7 @@
 namespace craftfleet {
 namespace {
 
-constexpr absl::Duration kEvery = absl::Seconds(1);  // a fifth of the learner's lease
+constexpr absl::Duration kEvery = absl::Seconds(1);  // an eighth of the learner's lease
 constexpr absl::Duration kTimeout = absl::Seconds(2);
 
 }  // namespace
@@ -44,6 +44,7 @@ void Announcer::Run() {
   Backoff backoff(absl::Milliseconds(250), absl::Seconds(2));
   std::string last_error;
   bool known = false;
+  bool ever_known = false;
   while (true) {
     const absl::Status status = Announce(/*leaving=*/false);
     if (status.ok() && !known) LogInfo("learner %s knows of this server", learner_.address);
@@ -51,6 +52,7 @@ void Announcer::Run() {
       LogWarning("%s; trying again until it answers", status.message());
     }
     known = status.ok();
+    ever_known |= known;
     last_error = std::string(status.message());
     if (known) backoff.Reset();
     const MutexLock lock(&mu_);
@@ -59,7 +61,7 @@ void Announcer::Run() {
     if (leaving_) break;
   }
   // A learner that does not hear this notices by the lease.
-  if (known) Announce(/*leaving=*/true).IgnoreError();
+  if (ever_known) Announce(/*leaving=*/true).IgnoreError();
 }
 
 absl::Status Announcer::Announce(bool leaving) {

@@ -1,8 +1,10 @@
 #include "envserver/env_service.h"
 
+#include <exception>
 #include <utility>
 #include <vector>
 
+#include <absl/strings/str_cat.h>
 #include <absl/strings/str_format.h>
 
 #include "common/env_name.h"
@@ -75,7 +77,12 @@ EnvServiceImpl::EnvServiceImpl(std::shared_ptr<const Textures> textures, std::st
 
 grpc::Status EnvServiceImpl::Play(grpc::ServerContext* context,
                                   grpc::ServerReaderWriter<v1::PlayReply, v1::PlayRequest>* stream) {
-  const absl::Status status = Serve(context->peer(), stream);
+  absl::Status status;
+  try {
+    status = Serve(context->peer(), stream);
+  } catch (const std::exception& error) {  // of a library below the game, or out of memory
+    status = absl::AbortedError(absl::StrCat("the environment failed (", error.what(), "): go on from the snapshots"));
+  }
   if (!status.ok()) {
     ++rejected_;
     LogWarning("session of %s ended: %s", context->peer(), status.message());

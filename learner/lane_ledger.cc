@@ -10,6 +10,14 @@
 
 namespace craftfleet {
 
+namespace {
+
+absl::Status NotKnown(absl::string_view actor) {
+  return absl::AbortedError(absl::StrFormat("actor %s is not known here: join again", actor));
+}
+
+}  // namespace
+
 LaneLedger::LaneLedger(const Options& options, std::vector<LaneRecord> lanes, Clock* clock)
     : options_(options), clock_(clock) {
   CRAFTFLEET_CHECK(static_cast<int>(lanes.size()) == options.lanes);
@@ -35,12 +43,14 @@ absl::StatusOr<LaneLedger::Grant> LaneLedger::GetPermits(absl::string_view actor
                                                          int capacity, absl::Duration wait) {
   const std::string name(actor_name);
   MutexLock lock(&mu_);
-  const auto known = actors_.find(name);
-  if (known != actors_.end()) known->second.last_word = clock_->Now();
-  ExpireLeases();
-  if (known == actors_.end()) {
-    return absl::AbortedError(absl::StrFormat("actor %s is not known here: join again", name));
+  auto known = actors_.find(name);
+  // Late, but nobody asked for its lanes in the meantime.
+  if (known != actors_.end() && clock_->Now() - known->second.last_word <= 2 * options_.lease) {
+    known->second.last_word = clock_->Now();
   }
+  ExpireLeases();
+  known = actors_.find(name);
+  if (known == actors_.end()) return NotKnown(name);
   known->second.capacity = std::clamp(capacity, 0, options_.lanes);
 
   Grant grant;
@@ -81,6 +91,7 @@ absl::StatusOr<LaneLedger::Verdict> LaneLedger::Accept(absl::string_view actor, 
   lane.record.snapshot = snapshot;
   ++sender->second.fragments;
   sender->second.last_word = clock_->Now();
+  if (sender->second.draining) SetHolder(&lane, nullptr);
   if (lane.record.next_fragment < last_fragment_) changed_.NotifyAll();
   return Verdict::kAccepted;
 }
@@ -91,7 +102,6 @@ absl::StatusOr<LaneSnapshot> LaneLedger::Snapshot(int lane, int64_t fragment) co
     return absl::InvalidArgumentError(absl::StrFormat("lane %d, want 0..%d", lane, options_.lanes - 1));
   }
   const LaneRecord& record = lanes_[lane].record;
-  if (sender->second.draining) SetHolder(&lane, nullptr);
   if (record.next_fragment != fragment) {
     return absl::AbortedError(absl::StrFormat("lane %d is at fragment %d, not %d: ask for permits again", lane,
                                               record.next_fragment, fragment));
@@ -119,16 +129,6 @@ void LaneLedger::Close() {
   changed_.NotifyAll();
 }
 
-void LaneLedger::WaitUntilEmpty(absl::Duration timeout) {
-  MutexLock lock(&mu_);
-  changed_.WaitFor(&mu_, timeout, [this]() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_) { return actors_.empty(); });
-}
-
-std::vector<LaneRecord> LaneLedger::Records() const {
-  MutexLock lock(&mu_);
-  std::vector<LaneRecord> records;
-  for (const Lane& lane : lanes_) records.push_back(lane.record);
-  return records;
 bool LaneLedger::SetPaused(bool paused) {
   MutexLock lock(&mu_);
   const bool before = paused_;
@@ -168,6 +168,16 @@ int LaneLedger::permits() const {
   return permits;
 }
 
+void LaneLedger::WaitUntilEmpty(absl::Duration timeout) {
+  MutexLock lock(&mu_);
+  changed_.WaitFor(&mu_, timeout, [this]() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_) { return actors_.empty(); });
+}
+
+std::vector<LaneRecord> LaneLedger::Records() const {
+  MutexLock lock(&mu_);
+  std::vector<LaneRecord> records;
+  for (const Lane& lane : lanes_) records.push_back(lane.record);
+  return records;
 }
 
 std::vector<LaneLedger::ActorInfo> LaneLedger::Actors() const {
@@ -213,6 +223,7 @@ std::vector<Permit> LaneLedger::Renew(Actor* actor, absl::Span<const Permit> act
     if (std::find(active.begin(), active.end(), *lane.permit) != active.end()) continue;
     EndPermit(&lane);
     SetHolder(&lane, nullptr);
+    lane.idle_since = absl::InfinitePast();  // anybody may have it at once
     actor->gave_back = clock_->Now();
     changed_.NotifyAll();
   }

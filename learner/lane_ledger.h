@@ -43,8 +43,8 @@ struct LaneRecord {
 // games), then those that nobody holds or whose holder has more than its share, at last, when a lane was left lying for
 // `Options::patience`, anybody's. Shares differ by one lane at most, but for actors that can't play as many. An actor
 // that gives permits back, because it can't play, gets no other for `patience` where there are more actors, who may.
-// A permit lapses when its actor has not asked for `lease`, and an actor is forgotten then. A fragment is accepted at
-// most once. Thread-safe.
+// A permit lapses when its actor has not asked for `lease`, or for twice as long if nobody else asks, and the actor is
+// forgotten then. A fragment is accepted at most once. Thread-safe.
 class LaneLedger {
  public:
   struct Options {
@@ -77,7 +77,7 @@ class LaneLedger {
 
   // Renews `active` and grants further permits up to `capacity` lanes in all; waits up to `wait` while there is nothing
   // to say.
-  //   Aborted: `actor` is not known: it must join (again).   Unavailable: Close was called.
+  //   Aborted: `actor` is not known, or left meanwhile: it must join (again).   Unavailable: Close was called.
   absl::StatusOr<Grant> GetPermits(absl::string_view actor, absl::Span<const Permit> active, int capacity,
                                    absl::Duration wait) ABSL_LOCKS_EXCLUDED(mu_);
 

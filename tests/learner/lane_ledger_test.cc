@@ -222,6 +222,27 @@ TEST(LaneLedger, SlowIsNotDead) {
   EXPECT_EQ(book.Ask("a", of_a).lost, of_a);
 }
 
+TEST(LaneLedger, ALeaseThatNobodyElseWaitsForLastsTwiceAsLong) {
+  Book book(2);
+  const std::vector<Permit> of_a = book.Enter("a");
+  book.clock.Advance(absl::Seconds(10));
+  EXPECT_THAT(book.Ask("a", of_a).lost, IsEmpty());
+  book.clock.Advance(absl::Milliseconds(10001));
+  EXPECT_THAT(book.ledger.GetPermits("a", of_a, kAll, absl::ZeroDuration()),
+              StatusIs(absl::StatusCode::kAborted, HasSubstr("join again")));
+  EXPECT_EQ(book.ledger.lapsed(), 2);
+}
+
+TEST(LaneLedger, WhoLeavesWhileItWaitsIsToldSo) {
+  Book book(1, 0);
+  book.ledger.Join("a", "");
+  absl::Status status;
+  std::thread waiting([&] { status = book.ledger.GetPermits("a", {}, kAll, absl::InfiniteDuration()).status(); });
+  book.ledger.Leave("a");
+  waiting.join();
+  EXPECT_THAT(status, StatusIs(absl::StatusCode::kAborted, HasSubstr("join again")));
+}
+
 TEST(LaneLedger, ARestartedActorIsNotItsFormerSelf) {
   Book book(2);
   const std::vector<Permit> of_old = book.Enter("host-1-aaaa");
