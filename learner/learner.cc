@@ -55,8 +55,9 @@ absl::Status CheckSameRun(const std::string& logdir, v1::RunConfig asked) {
   differencer.ReportDifferencesToString(&differences);
   if (differencer.Compare(stored, asked)) return absl::OkStatus();
   const std::vector<absl::string_view> lines = absl::StrSplit(differences, '\n', absl::SkipEmpty());
-  return absl::FailedPreconditionError(absl::StrCat(
-      "the run in ", logdir, " has another configuration (only steps and checkpoint may change): ", absl::StrJoin(lines, "; ")));
+  return absl::FailedPreconditionError(
+      absl::StrCat("the run in ", logdir,
+                   " has another configuration (only steps and checkpoint may change): ", absl::StrJoin(lines, "; ")));
 }
 
 // Gives `updater` the weights of the checkpoint that the user means by `path`; returns what they are, for run.json.
@@ -133,7 +134,8 @@ absl::StatusOr<std::unique_ptr<Learner>> Learner::Create(const Options& options)
   absl::StatusOr<v1::RunConfig> config = CompleteConfig(options.config);
   if (!config.ok() && options.resume) {
     return absl::Status(config.status().code(),
-                        absl::StrCat("with --resume only --steps and what concerns checkpoints may change: ", config.status().message()));
+                        absl::StrCat("with --resume only --steps and what concerns checkpoints may change: ",
+                                     config.status().message()));
   }
   if (!config.ok()) return config.status();
   CRAFTFLEET_ASSIGN_OR_RETURN(Loaded loaded, Load(options, *config));
