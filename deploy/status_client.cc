@@ -1,0 +1,26 @@
+#include "deploy/status_client.h"
+
+#include "common/status_macros.h"
+#include "common/wire/channel_flags.h"
+#include "craftfleet/v1/status.grpc.pb.h"
+
+namespace craftfleet {
+
+absl::StatusOr<wire::Endpoint> ConnectToProcess(absl::string_view address) {
+  CRAFTFLEET_RETURN_IF_ERROR(wire::CheckAddress("address", address));
+  CRAFTFLEET_ASSIGN_OR_RETURN(const wire::ChannelSecurity security, wire::ChannelSecurityFromFlags());
+  wire::Endpoint process = wire::Connect(address, security);
+  CRAFTFLEET_RETURN_IF_ERROR(wire::WaitUntilConnected("process", process, absl::Seconds(3)));
+  return process;
+}
+
+absl::StatusOr<v1::StatusReply> AskStatus(const wire::Endpoint& process) {
+  grpc::ClientContext context;
+  wire::SetDeadline(&context, absl::Seconds(2));
+  v1::StatusReply reply;
+  const grpc::Status status = v1::StatusService::NewStub(process.channel)->GetStatus(&context, {}, &reply);
+  if (!status.ok()) return wire::FromCall(status, process.address, process);
+  return reply;
+}
+
+}  // namespace craftfleet

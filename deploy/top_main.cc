@@ -1,0 +1,121 @@
+// craftfleet top: a fleet, live in a terminal.
+
+#include <unistd.h>
+
+#include <atomic>
+#include <cstdio>
+#include <string>
+
+#include <absl/flags/flag.h>
+#include <absl/strings/str_cat.h>
+#include <absl/strings/str_format.h>
+#include <absl/time/clock.h>
+
+#include "common/program.h"
+#include "common/status_macros.h"
+#include "deploy/status_client.h"
+#include "deploy/top/status_watcher.h"
+#include "deploy/top/terminal.h"
+#include "deploy/top/top_view.h"
+
+ABSL_FLAG(std::string, address, "127.0.0.1:50051", "address of the learner, HOST:PORT");
+ABSL_FLAG(absl::Duration, interval, absl::Seconds(1), "between two looks, 100ms to 1m");
+ABSL_FLAG(std::string, sort, "role", "column to sort workers by: role, name, state, steps, lanes, lag, mem, err, seen");
+ABSL_FLAG(bool, once, false, "print one page as plain text and end");
+ABSL_FLAG(int32_t, width, 100, "columns of pages that are printed as plain text, 40 to 400");
+
+namespace craftfleet {
+namespace {
+
+constexpr char kProgram[] = "craftfleet top";
+constexpr char kUsage[] =
+    R"(craftfleet top shows a whole fleet, found through its learner: what each process does, who is missing, and what holds the
+run back. In a terminal it is live; keys sort, pause and scroll (h lists them). Elsewhere it prints plain pages.
+
+  craftfleet top --address=127.0.0.1:50051
+  craftfleet top --address=127.0.0.1:50051 --once > page.txt)";
+
+void PrintPage(const v1::StatusReply& status, const TopState& state, const TopPage& page) {
+  for (const TopLine& line : DrawTop(status, state, page)) absl::PrintF("%s\n", line.text);
+  std::fflush(stdout);
+}
+
+std::string Trouble(const StatusWatcher::Seen& seen) {
+  return seen.trouble.ok() ? "" : absl::StrCat("no news: ", seen.trouble.message());
+}
+
+// Pages of plain text until the reader or the person has enough.
+absl::Status PrintPages(const StatusWatcher& watcher, const TopState& state, TopPage page,
+                        const std::atomic<bool>& stopping) {
+  int64_t printed = 0;
+  while (!stopping && std::ferror(stdout) == 0) {
+    const StatusWatcher::Seen seen = watcher.Last();
+    if (seen.number == printed && !seen.trouble.ok()) return seen.trouble;
+    if (seen.number > printed) {
+      printed = seen.number;
+      PrintPage(seen.status, state, page);
+      absl::PrintF("\n");
+    }
+    absl::SleepFor(absl::Milliseconds(50));
+  }
+  return absl::OkStatus();
+}
+
+void ShowLive(const StatusWatcher& watcher, TopState state, TopPage page, const std::atomic<bool>& stopping) {
+  const Terminal terminal;
+  StatusWatcher::Seen shown = watcher.Last();
+  while (!stopping && !state.quit) {
+    if (!state.paused) shown = watcher.Last();
+    std::tie(page.width, page.height) = terminal.Size();
+    page.trouble = Trouble(shown);
+    terminal.Draw(DrawTop(shown.status, state, page));
+    HandleKeys(terminal.ReadKeys(absl::Milliseconds(200)), WorkersOnPage(page.height), &state);
+  }
+}
+
+absl::Status Run() {
+  TopState state;
+  const auto sort = TopColumnByName(absl::GetFlag(FLAGS_sort));
+  if (!sort.has_value()) {
+    return absl::InvalidArgumentError(absl::StrFormat(
+        "--sort=%s, want role, name, state, steps, lanes, lag, mem, err or seen", absl::GetFlag(FLAGS_sort)));
+  }
+  state.sort = *sort;
+  const absl::Duration interval = absl::GetFlag(FLAGS_interval);
+  if (interval < absl::Milliseconds(100) || interval > absl::Minutes(1)) {
+    return absl::InvalidArgumentError(absl::StrCat("--interval=", absl::FormatDuration(interval), ", want 100ms..1m"));
+  }
+  TopPage page;
+  page.address = absl::GetFlag(FLAGS_address);
+  page.width = absl::GetFlag(FLAGS_width);
+  page.height = 0;
+  if (page.width < 40 || page.width > 400) {
+    return absl::InvalidArgumentError(absl::StrFormat("--width=%d, want 40..400", page.width));
+  }
+  CRAFTFLEET_ASSIGN_OR_RETURN(const wire::Endpoint learner, ConnectToProcess(page.address));
+  CRAFTFLEET_ASSIGN_OR_RETURN(const v1::StatusReply first, AskStatus(learner));
+  if (first.role() != "learner") {
+    return absl::InvalidArgumentError(absl::StrFormat(
+        "--address=%s is %s, want the learner; craftfleet status shows any process", page.address, first.role()));
+  }
+  if (absl::GetFlag(FLAGS_once)) {
+    PrintPage(first, state, page);
+    return absl::OkStatus();
+  }
+  std::atomic<bool> stopping{false};
+  StopSignal signal([&stopping] { stopping = true; });
+  const StatusWatcher watcher(learner, interval);
+  if (isatty(STDIN_FILENO) == 1 && isatty(STDOUT_FILENO) == 1) {
+    ShowLive(watcher, state, page, stopping);
+    return absl::OkStatus();
+  }
+  return PrintPages(watcher, state, page, stopping);
+}
+
+}  // namespace
+}  // namespace craftfleet
+
+int main(int argc, char** argv) {
+  craftfleet::ParseFlags(craftfleet::kProgram, craftfleet::kUsage, argc, argv);
+  return craftfleet::ExitCode(craftfleet::kProgram, craftfleet::Run());
+}
