@@ -1,4 +1,5 @@
-// Many actors that play nothing, over real connections: how a learner bears up. Started by scale.py.
+// Many actors that play nothing, over real connections: how a learner bears up. Prints figures as JSON. Started by
+// scale.py.
 //   many_actors --learner=HOST:PORT --actors=200 --seconds=600
 
 #include <algorithm>
@@ -31,8 +32,6 @@ namespace craftfleet {
 namespace {
 
 constexpr size_t kSnapshotBytes = 12000;
-constexpr double kFairRatio = 1.2;
-constexpr double kStatusLimitMs = 50;
 
 // Asks for permits and answers each with a fragment of black frames.
 class EmptyActor {
@@ -40,12 +39,17 @@ class EmptyActor {
   EmptyActor(const std::string& learner, int number)
       : client_(wire::Connect(learner)), name_(absl::StrCat("empty-", number)) {}
 
-  absl::Status Play(const std::atomic<bool>& stopping) {
+  // Plays once all have joined (`absent` is 0), so that they share from the first fragment on.
+  absl::Status Play(std::atomic<int>* absent, const std::atomic<bool>& stopping) {
     v1::JoinRequest join;
     join.set_protocol_version(wire::kProtocolVersion);
     join.set_actor(name_);
-    CRAFTFLEET_ASSIGN_OR_RETURN(const v1::JoinReply joined, client_.Join(join));
+    const absl::StatusOr<v1::JoinReply> reply = client_.Join(join);
+    --*absent;
+    if (!reply.ok()) return reply.status();
+    const v1::JoinReply& joined = *reply;
     CRAFTFLEET_ASSIGN_OR_RETURN(const AgentSpec spec, MakeAgentSpec(joined.config()));
+    while (*absent > 0) absl::SleepFor(absl::Milliseconds(10));
     grpc::ClientContext context;
     const auto stream = client_.PushFragments(&context);
     while (!stopping) {
@@ -112,10 +116,11 @@ absl::Status Run() {
   std::vector<std::unique_ptr<EmptyActor>> actors;
   std::vector<std::thread> threads;
   std::atomic<int> failed{0};
+  std::atomic<int> absent{absl::GetFlag(FLAGS_actors)};
   for (int i = 0; i < absl::GetFlag(FLAGS_actors); ++i) {
     actors.push_back(std::make_unique<EmptyActor>(address, i));
     threads.emplace_back([&, actor = actors.back().get()] {
-      const absl::Status status = actor->Play(stopping);
+      const absl::Status status = actor->Play(&absent, stopping);
       if (!status.ok() && ++failed == 1) std::fprintf(stderr, "an actor ended: %s\n", status.ToString().c_str());
     });
   }
@@ -133,16 +138,11 @@ absl::Status Run() {
   for (const auto& actor : actors) fragments.push_back(actor->fragments());
   const auto [fewest, most] = std::minmax_element(fragments.begin(), fragments.end());
   std::sort(answers_ms.begin(), answers_ms.end());
-  const double ratio = *fewest > 0 ? static_cast<double>(*most) / static_cast<double>(*fewest) : 1e9;
-  const double slow_ms = answers_ms[answers_ms.size() * 99 / 100];
   std::printf("%s\n", absl::StrFormat(R"({"actors": %d, "failed": %d, "fewest_fragments": %d, "most_fragments": %d, )"
                                       R"("status_ms": {"median": %.1f, "p99": %.1f, "slowest": %.1f}})",
                                       actors.size(), failed.load(), *fewest, *most, answers_ms[answers_ms.size() / 2],
-                                      slow_ms, answers_ms.back())
+                                      answers_ms[answers_ms.size() * 99 / 100], answers_ms.back())
                           .c_str());
-  if (failed > 0 || ratio >= kFairRatio || slow_ms >= kStatusLimitMs) {
-    return absl::InternalError("not as wanted");
-  }
   return absl::OkStatus();
 }
 

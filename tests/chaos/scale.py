@@ -24,6 +24,8 @@ from results import record
 CONFIG = """steps: 1000000000 lanes: {lanes} fragment_steps: 4
   ppo {{ rollout_steps: {rollout} minibatch_size: 100 epochs: 1 }} eval {{ every_steps: 0 final_episodes: 0 }}"""
 START_S = 60
+FAIR_RATIO = 1.2
+STATUS_LIMIT_MS = 50
 
 
 def run(options, fleet):
@@ -45,10 +47,20 @@ def run(options, fleet):
     finally:
         bots.kill()
         bots.wait()
+    if bots.returncode != 0:
+        return {}, [f"many_actors ended with {bots.returncode}"]
     growth = memory.growth().get("learner")
-    figures = {**(json.loads(lines[-1]) if lines else {}), "iterations": fleet.iteration(),
+    figures = {**json.loads(lines[-1]), "iterations": fleet.iteration(),
                "learner_resident_kib": fleet.learner.resident_kib(), "growth_kib_per_minute": growth}
-    failures = [] if bots.returncode == 0 else ["fragments, shares or answers are not as wanted"]
+    failures = []
+    if figures["failed"] > 0:
+        failures.append(f"{figures['failed']} actors failed")
+    if figures["most_fragments"] >= FAIR_RATIO * figures["fewest_fragments"]:
+        failures.append(f"shares of {figures['fewest_fragments']} to {figures['most_fragments']} fragments")
+    # The short form runs beside other tests, which may hold up a single answer.
+    slow_ms = figures["status_ms"]["median" if options.short else "p99"]
+    if slow_ms >= STATUS_LIMIT_MS:
+        failures.append(f"the status is answered after {slow_ms} ms, want {STATUS_LIMIT_MS}")
     if growth is not None and growth > GROWTH_LIMIT_KIB_PER_MINUTE:
         failures.append(f"the learner grows by {growth:.0f} KiB a minute, want at most {GROWTH_LIMIT_KIB_PER_MINUTE}")
     if growth is None and not options.short:
