@@ -66,12 +66,13 @@ Bottleneck FindBottleneck(const FleetView& view) {
   const double wire = times[Activity::kWire];
   const double inference = times[Activity::kInference];
   const double permits = times[Activity::kPermits] + times[Activity::kIntake];
-  const double most = std::max({learner, environment, wire, inference, permits});
-  if (most == learner) {
-    return {"learner", absl::StrFormat("The learner takes %s of the time: give it more or faster CPUs (--threads) or a "
+  if (learner >= 0.5) {
+    return {"learner", absl::StrFormat("The learner works %s of the time: give it more or faster CPUs (--threads) or a "
                                        "GPU; more actors would wait for it.",
                                        Percent(learner))};
   }
+  // The learner waits for play more than it works.
+  const double most = std::max({environment, wire, inference, permits});
   if (most == environment) {
     return {"environment", absl::StrFormat("Games take %s of the time: add environment servers%s.",
                                            Percent(environment), LostServers(view))};

@@ -37,7 +37,8 @@ struct Bottleneck {
 // is what they wait beyond the learner's work; `intake` remains where nobody plays.
 ByActivity FleetTimes(const FleetView& view);
 
-// Names the largest part of FleetTimes and says what to add.
+// Says what to add: learner speed if the learner works at least half the time, else whatever helps with the largest
+// part of its waiting.
 Bottleneck FindBottleneck(const FleetView& view);
 
 }  // namespace craftfleet

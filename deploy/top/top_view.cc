@@ -159,7 +159,7 @@ void Sort(const TopState& state, std::vector<Row>* rows) {
 }
 
 // What is over 80 columns goes to names first, up to 32 of them, then to times.
-int NameWidth(int width) { return std::clamp(width - 64, 10, 32); }
+int NameWidth(int width) { return std::clamp(width - 65, 10, 32); }
 
 std::string FormatRow(const Row& row, int width) {
   const int name = NameWidth(width);

@@ -32,6 +32,18 @@ TEST(ServerBook, PutsTogetherWhatLoopsSee) {
   EXPECT_EQ(all[1].summary().memory_bytes(), 77);
 }
 
+TEST(ServerBook, WhatAServerWithoutGamesSaidIsOld) {
+  ServerBook book;
+  v1::ProcessSummary summary;
+  summary.set_memory_bytes(77);
+  summary.set_steps_per_second(500);
+  summary.add_times();
+  book.Update(0, {{"a:1", true, 0, summary}});
+  EXPECT_EQ(book.All()[0].summary().steps_per_second(), 0);
+  EXPECT_EQ(book.All()[0].summary().times_size(), 0);
+  EXPECT_EQ(book.All()[0].summary().memory_bytes(), 77);
+}
+
 TEST(ServerBook, NextGoesRoundAllOfThem) {
   ServerBook book;
   book.Update(0, {{"a", true, 1, {}}, {"b", true, 1, {}}, {"c", true, 1, {}}});

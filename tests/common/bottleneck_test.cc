@@ -55,7 +55,7 @@ TEST(FindBottleneck, NamesTheLargestPartAndWhatToAdd) {
     std::string part;
     std::string advice;
   } cases[] = {
-      {Fleet(1, 1, 0, 1, 8), "learner", "The learner takes 90% of the time: give it more or faster CPUs"},
+      {Fleet(1, 1, 0, 1, 8), "learner", "The learner works 90% of the time: give it more or faster CPUs"},
       {Fleet(9, 7, 1, 1, 1), "environment", "Games take 70% of the time: add environment servers."},
       {Fleet(9, 1, 1, 7, 1), "inference", "inference takes 70% of the time: add actors."},
       {Fleet(9, 1, 7, 1, 1), "wire", "Messages take 70% of the time: add actors, whose waits overlap"},
@@ -66,6 +66,12 @@ TEST(FindBottleneck, NamesTheLargestPartAndWhatToAdd) {
     EXPECT_EQ(found.part, c.part);
     EXPECT_THAT(found.advice, HasSubstr(c.advice));
   }
+}
+
+// Making all of play faster helps more than making the learner so, though no part of it is as large.
+TEST(FindBottleneck, ALearnerThatWaitsMoreThanItWorksIsNotTheBottleneck) {
+  EXPECT_EQ(FindBottleneck(Fleet(5.5, 2, 2, 3, 4.5)).part, "inference");
+  EXPECT_EQ(FindBottleneck(Fleet(4.5, 2, 2, 3, 4.5)).part, "learner");
 }
 
 TEST(FindBottleneck, WhatIsMissingComesFirst) {

@@ -107,19 +107,19 @@ iteration 42  reward 4.25  length 187  score 8.50  unlocked 15/22
 time: update 60%  inference 40%
 The learner takes 60% of the time: give it more.
 
-ROLE    NAME             STATE STEPS/S LANES LAG    MEM ERR  SEEN TIME %
-learner host-1-aa        ok       1000    16   -     0M   0     - upd 60
-actor   host-2-bb        ok        400     8   2   300M   0    0s inf 61 env 30
-actor   host-3-cc        ok        600     8   2   300M   0    0s inf 61 env 30
-server  host-4-dd        ok       1000     8   -   300M   0    0s inf 61 env 30)");
+ROLE    NAME            STATE STEPS/S LANES LAG    MEM ERR  SEEN TIME %
+learner host-1-aa       ok       1000    16   -     0M   0     - upd 60
+actor   host-2-bb       ok        400     8   2   300M   0    0s inf 61 env 30
+actor   host-3-cc       ok        600     8   2   300M   0    0s inf 61 env 30
+server  host-4-dd       ok       1000     8   -   300M   0    0s inf 61 env 30)");
 }
 
 TEST(DrawTop, MoreColumnsShowMore) {
   v1::StatusReply status = Fleet();
-  status.mutable_peers(0)->set_name("a-name-of-more-than-sixteen-letters");
-  EXPECT_THAT(Page(status, {}, {80, 0, "", ""}), HasSubstr("actor   a-name-of-more-t ok"));
+  status.mutable_peers(0)->set_name("a-name-of-more-than-fifteen-letters");
+  EXPECT_THAT(Page(status, {}, {80, 0, "", ""}), HasSubstr("actor   a-name-of-more- ok"));
   EXPECT_THAT(Page(status, {}, {120, 0, "", ""}),
-              AllOf(HasSubstr("actor   a-name-of-more-than-sixteen-lett ok"), HasSubstr("inf 61 env 30 wire 9")));
+              AllOf(HasSubstr("actor   a-name-of-more-than-fifteen-lett ok"), HasSubstr("inf 61 env 30 wire 9")));
 }
 
 TEST(DrawTop, NoLineIsWiderThanThePageNorHigher) {
@@ -140,7 +140,7 @@ TEST(DrawTop, LostWorkersStandOut) {
   status.mutable_peers(2)->set_health(v1::Peer::LOST);
   status.mutable_peers(2)->set_last_seen_s(75);
   EXPECT_THAT(Page(status), AllOf(HasSubstr("0 servers (1 lost)"),
-                                  HasSubstr("server  host-4-dd        LOST        0     0   -   300M   0 1m15s")));
+                                  HasSubstr("server  host-4-dd       LOST        0     0   -   300M   0 1m15s")));
   for (const TopLine& line : DrawTop(status, {}, {})) {
     EXPECT_EQ(line.style == TopLine::Style::kBad, line.text.rfind("server", 0) == 0) << line.text;
   }
