@@ -1,0 +1,169 @@
+"""deploy/docker: what the Dockerfiles name is there, and what goes into the environment server's image runs as it will there.
+
+No daemon is needed: the image's file system is assembled from this build and entered by chroot.
+"""
+
+import os
+import pathlib
+import re
+import shlex
+import shutil
+import subprocess
+import tempfile
+import unittest
+
+from tests.deploy.flags import unknown_flags
+from tests.fakes import python_case
+from tests.fakes.python_case import BIN, SOURCE, wait_until
+
+DOCKER = SOURCE / "deploy/docker"
+DOCKERFILES = ("Dockerfile", "Dockerfile.envserver")
+ENVSERVER_MIB = 300  # what its image may weigh
+
+
+def instructions(name):
+  """Of a Dockerfile: (instruction, arguments), continued lines joined; and the text of its comments."""
+  text = (DOCKER / name).read_text(encoding="utf-8")
+  comments = " ".join(line[1:].strip().rstrip("\\") for line in text.splitlines() if line.startswith("#"))
+  lines = re.sub(r"\\\n", " ", re.sub(r"^#.*\n", "", text, flags=re.MULTILINE)).splitlines()
+  return [tuple(line.split(None, 1)) for line in lines if line.strip()], comments
+
+
+def packages(run):
+  """Names that a RUN instruction hands to apt-get install."""
+  return {word for command in re.findall(r"apt-get install ([^&]*)", run) for word in command.split() if not word.startswith("-")}
+
+
+def known_packages():
+  script = (SOURCE / "deploy/install-deps.sh").read_text(encoding="utf-8")
+  block = re.search(r"^packages=\(\n(.*?)^\)", script, re.DOTALL | re.MULTILINE)[1]
+  return {word for line in block.splitlines() for word in line.partition("#")[0].split()}
+
+
+def packages_of_libraries(programs):
+  """The libraries that the programs ask for themselves: name -> Debian's packages that have it."""
+  text = subprocess.run(["readelf", "-d", *programs], capture_output=True, text=True, check=True).stdout
+  found = {library: set() for library in re.findall(r"\(NEEDED\).*\[(.*)\]", text)}
+  text = subprocess.run(["dpkg-query", "--search", *[f"*/{library}" for library in found]], capture_output=True, text=True,
+                        check=False).stdout
+  for line in text.splitlines():
+    package, _, path = line.partition(": ")
+    found[path.rpartition("/")[2]].add(package.partition(":")[0])
+  return found
+
+
+class Dockerfiles(unittest.TestCase):
+
+  def test_files_that_are_copied_are_there_and_not_ignored(self):
+    ignored = [line.rstrip("/") for line in (SOURCE / ".dockerignore").read_text(encoding="utf-8").splitlines()
+               if line and not line.startswith("#")]
+    for name in DOCKERFILES:
+      stages = set()
+      for instruction, arguments in instructions(name)[0]:
+        if instruction == "FROM":
+          image, *alias = arguments.split(" AS ")
+          self.assertIn(image, ("debian:12-slim", "scratch"))
+          stages.update(alias)
+        if instruction == "COPY" and "--from=" in arguments:
+          self.assertIn(re.search(r"--from=(\S+)", arguments)[1], stages)
+        elif instruction == "COPY":
+          for source in arguments.split()[:-1]:
+            self.assertTrue((SOURCE / source).exists(), source)
+            self.assertFalse(any(pathlib.PurePath(source).match(pattern) for pattern in ignored), source)
+        for script in re.findall(r"/src/(\S+\.sh)", arguments):
+          self.assertTrue(os.access(SOURCE / script, os.X_OK), script)
+    for needed in ("deploy/k8s", "envserver/textures", "deploy/experiments/paper.txt", "CMakeLists.txt"):
+      self.assertFalse(any(pathlib.PurePath(needed).match(pattern) for pattern in ignored), needed)
+
+  def test_packages_are_those_that_the_project_is_built_with(self):
+    run, = [arguments for instruction, arguments in instructions("Dockerfile.envserver")[0] if instruction == "RUN" and packages(arguments)]
+    self.assertGreater(len(packages(run)), 10)
+    self.assertEqual(packages(run) - known_packages(), set())
+    builds = [arguments for instruction, arguments in instructions("Dockerfile")[0] if instruction == "RUN"]
+    self.assertIn("/src/deploy/install-deps.sh", builds[0])
+
+  def test_the_environment_server_comes_without_libtorch(self):
+    for instruction, arguments in instructions("Dockerfile.envserver")[0]:
+      self.assertNotIn("torch", arguments.lower(), instruction)
+    self.assertTrue(any("-DCRAFTFLEET_ONLY_ENVSERVER=ON" in arguments for _, arguments in instructions("Dockerfile.envserver")[0]))
+
+  def test_every_library_of_the_programs_is_in_a_package_of_the_image(self):
+    for tool in ("readelf", "dpkg-query"):
+      if shutil.which(tool) is None:
+        self.skipTest(f"no {tool} here")
+    run, = [arguments for instruction, arguments in instructions("Dockerfile")[0] if instruction == "RUN" and packages(arguments)]
+    base = {"libc6", "libstdc++6", "libgcc-s1"}  # of the base image, or of everything in C++
+    found = packages_of_libraries(sorted(BIN.glob("craftfleet*")))
+    self.assertGreater(len(found), 20)
+    for library, owners in found.items():
+      self.assertTrue(owners & (packages(run) | base), f"a program wants {library}, of {owners}")
+
+  def test_images_run_without_root_and_watch_their_health(self):
+    for name in DOCKERFILES:
+      last = dict(instructions(name)[0])  # of the last stage where an instruction is repeated
+      self.assertRegex(last["USER"], r"^[1-9]\d{3,}:[1-9]\d{3,}$")
+      self.assertEqual(last["STOPSIGNAL"], "SIGTERM")
+      check = re.findall(r"--(?:address|tryfromenv)[=\w.,:]*", last["HEALTHCHECK"])
+      self.assertGreater(len(check), 0)
+      names = [f"--{flag}=x" for argument in check for flag in argument.partition("--tryfromenv=")[2].split(",") if flag]
+      self.assertEqual(unknown_flags("craftfleet-status", names), [])
+
+  def test_flags_in_the_usage_are_those_of_the_programs(self):
+    seen = []
+    for name, program in (("Dockerfile.envserver", "craftfleet-envserver"), ("Dockerfile", "craftfleet-learner")):
+      comments = instructions(name)[1]
+      words = shlex.split(comments[comments.rindex("docker run"):].replace("(", "").replace(")", ""))
+      start = words.index("craftfleet-envserver:local") if name == "Dockerfile.envserver" else words.index(program)
+      arguments = [word for word in words[start + 1:] if word.startswith("--")]
+      self.assertEqual(unknown_flags(program, arguments), [])
+      seen += arguments
+      environment = [f"--{words[i + 1].removeprefix('FLAGS_')}" for i, word in enumerate(words) if word == "-e"]
+      self.assertEqual(unknown_flags("craftfleet-status", environment), [])
+    self.assertGreater(len(seen), 6)
+
+
+class EnvserverImage(unittest.TestCase):
+
+  def setUp(self):
+    if os.geteuid() != 0:
+      self.skipTest("chroot wants root")
+    self._temp = tempfile.TemporaryDirectory(prefix="craftfleet-")
+    self.addCleanup(self._temp.cleanup)
+    self.root = pathlib.Path(self._temp.name) / "root"
+    subprocess.run([DOCKER / "closure.sh", self.root, BIN.parent, "craftfleet-envserver", "craftfleet-status"], check=True)
+    (self.root / "proc").mkdir()
+
+  def command(self, *words):
+    """As a container runs it: its root read-only, /proc there, without root and what goes with it, nor a way to get it."""
+    root = shlex.quote(str(self.root))
+    return ["unshare", "--mount", "sh", "-c",
+            f"mount --bind {root} {root} && mount --bind /proc {root}/proc && mount -o remount,bind,ro {root} && "
+            f"exec setpriv --no-new-privs chroot --userspec=10001:10001 {root} {shlex.join(words)}"]
+
+  def test_the_environment_server_runs_in_its_image_and_is_small(self):
+    size = sum(path.lstat().st_size for path in self.root.rglob("*") if path.is_file() and not path.is_symlink()) / 2**20
+    print(f"environment server's image: {size:.0f} MiB")
+    self.assertLess(size, ENVSERVER_MIB)
+    self.assertEqual([path for path in self.root.rglob("*") if "torch" in path.name], [])
+    self.assertEqual([path.name for path in (self.root / "usr/local/bin").iterdir() if "craftfleet-" not in path.name], [])
+    log = pathlib.Path(self._temp.name) / "log"
+    with open(log, "wb") as out:
+      server = subprocess.Popen(self.command("/usr/local/bin/craftfleet-envserver", "--listen=127.0.0.1:0"), stdout=out, stderr=out)
+    self.addCleanup(server.wait)
+    self.addCleanup(server.kill)
+
+    def address():
+      self.assertIsNone(server.poll(), log.read_text())
+      return re.search(r"listening on (\S+)", log.read_text())
+
+    check = dict(instructions("Dockerfile.envserver")[0])["HEALTHCHECK"]
+    words = [word.strip(' "') for word in check[check.index("[") + 1:check.index("]")].split('", ')]
+    asked = subprocess.run(["env", f"FLAGS_address={wait_until(address, 'an address')[1]}", *self.command("/usr/local/bin/" + words[0], *words[1:])],
+                           capture_output=True, text=True, check=False)
+    self.assertEqual(asked.returncode, 0, asked.stdout + asked.stderr)
+    self.assertIn("envserver", asked.stdout)
+    server.terminate()
+    self.assertEqual(server.wait(timeout=20), 0, log.read_text())
+
+
+python_case.main()

@@ -1,0 +1,59 @@
+"""deploy/systemd: the units are sound, hardened, and their flags are the programs' own."""
+
+import pathlib
+import re
+import shutil
+import subprocess
+import tempfile
+import unittest
+
+from tests.deploy.flags import unknown_flags
+from tests.fakes import python_case
+from tests.fakes.python_case import BIN, SOURCE
+
+UNITS = SOURCE / "deploy/systemd"
+NAMES = ("craftfleet-learner.service", "craftfleet-actor@.service", "craftfleet-envserver@.service")
+STOP_SECONDS = 10  # what a process may take after SIGTERM
+
+
+class Systemd(unittest.TestCase):
+
+  def analyze(self, *arguments):
+    """systemd-analyze over a copy of the units that start the programs of this build."""
+    if shutil.which("systemd-analyze") is None:
+      self.skipTest("no systemd-analyze here")
+    with tempfile.TemporaryDirectory(prefix="craftfleet-") as folder:
+      shutil.copytree(UNITS, folder, dirs_exist_ok=True)
+      for path in pathlib.Path(folder).glob("*.service"):
+        path.write_text(path.read_text(encoding="utf-8").replace("/usr/local/bin", str(BIN)), encoding="utf-8")
+      for name in NAMES:
+        path = f"{folder}/{name.replace('@', '@1')}"
+        yield name, subprocess.run(["systemd-analyze", *arguments, path], capture_output=True, text=True, check=False)
+
+  def test_units_are_sound(self):
+    for name, ended in self.analyze("verify"):
+      self.assertEqual((ended.returncode, ended.stdout, ended.stderr), (0, "", ""), name)
+
+  def test_units_may_do_little(self):
+    for name, ended in self.analyze("security", "--offline=true", "--no-pager", "--threshold=20"):
+      self.assertEqual(ended.returncode, 0, f"{name}: {ended.stdout[-300:]}{ended.stderr}")
+
+  def test_flags_are_those_of_the_programs(self):
+    for name in NAMES:
+      unit = (UNITS / name).read_text(encoding="utf-8")
+      program, line = re.search(r"^ExecStart=/usr/local/bin/(\S+) (.*)$", unit, re.MULTILINE).groups()
+      file, = re.findall(r"^EnvironmentFile=/etc/craftfleet/(\S+)$", unit, re.MULTILINE)
+      lines = (UNITS / file).read_text(encoding="utf-8").splitlines()
+      values = dict(entry.split("=", 1) for entry in lines if not entry.startswith("#"))
+      used = re.findall(r"\$\{?([A-Z]+)\}?", line)
+      self.assertEqual(sorted(used), sorted(values), file)
+      line = re.sub(r"\$\{?([A-Z]+)\}?", lambda found: values[found[1]], line)
+      self.assertEqual(unknown_flags(program, line.split()), [], name)
+
+  def test_there_is_time_to_stop(self):
+    for name in NAMES:
+      seconds = re.search(r"^TimeoutStopSec=(\d+)$", (UNITS / name).read_text(encoding="utf-8"), re.MULTILINE)
+      self.assertGreaterEqual(int(seconds[1]), STOP_SECONDS + 5)
+
+
+python_case.main()
