@@ -20,6 +20,7 @@ namespace {
 
 constexpr int kMaxWaitMs = 2000;          // of a long poll
 constexpr size_t kChunkBytes = 2u << 20;  // of weights
+constexpr size_t kMaxTextBytes = 512;     // name, address or CPU of a worker
 
 absl::Duration WaitTime(int wait_ms) { return absl::Milliseconds(std::clamp(wait_ms, 0, kMaxWaitMs)); }
 
@@ -32,6 +33,18 @@ void AddPermits(const std::vector<Permit>& permits, google::protobuf::RepeatedPt
     message->set_fragment(permit.fragment);
     message->set_policy_version(permit.policy_version);
   }
+}
+
+// What a worker says of itself is kept: it must not be of any size.
+absl::Status CheckText(absl::string_view field, absl::string_view value) {
+  if (value.size() <= kMaxTextBytes) return absl::OkStatus();
+  return absl::InvalidArgumentError(
+      absl::StrFormat("%s has %d bytes, want at most %d", field, value.size(), kMaxTextBytes));
+}
+
+absl::Status CheckName(absl::string_view field, absl::string_view name) {
+  if (name.empty()) return absl::InvalidArgumentError(absl::StrFormat("%s is empty, want a unique name", field));
+  return CheckText(field, name);
 }
 
 v1::FragmentVerdict::Verdict ToProto(LaneLedger::Verdict verdict) {
@@ -67,7 +80,9 @@ grpc::Status LearnerServiceImpl::Join(grpc::ServerContext* /*context*/, const v1
     LogWarning("actor %s refused: %s", request->actor(), status.message());
     return wire::ToGrpc(status);
   }
-  if (request->actor().empty()) return wire::ToGrpc(absl::InvalidArgumentError("actor is empty, want a unique name"));
+  if (absl::Status status = CheckName("actor", request->actor()); !status.ok()) return wire::ToGrpc(status);
+  if (absl::Status status = CheckText("address", request->address()); !status.ok()) return wire::ToGrpc(status);
+  if (absl::Status status = CheckText("cpu", request->cpu()); !status.ok()) return wire::ToGrpc(status);
   WarnIfCpusDiffer(*request);
   ledger_->Join(request->actor(), request->address());
   fleet_->Heard("actor", request->actor(), request->address(), {});
@@ -214,7 +229,8 @@ grpc::Status LearnerServiceImpl::Announce(grpc::ServerContext* /*context*/, cons
   const wire::Handshake ours = {wire::kProtocolVersion, "", options_.texture_digest};
   const wire::Handshake theirs = {request->protocol_version(), "", request->texture_digest()};
   absl::Status status = wire::CheckHandshake("learner", ours, "environment server", theirs);
-  if (status.ok() && request->name().empty()) status = absl::InvalidArgumentError("name is empty, want a unique one");
+  if (status.ok()) status = CheckName("name", request->name());
+  if (status.ok()) status = CheckText("address", request->address());
   if (status.ok()) status = wire::CheckAddress("advertise", request->address());
   if (!status.ok()) {
     LogWarning("environment server %s refused: %s", request->name(), status.message());
@@ -228,7 +244,7 @@ grpc::Status LearnerServiceImpl::Announce(grpc::ServerContext* /*context*/, cons
     fleet_->Heard("envserver", request->name(), request->address(), request->summary());
   }
   reply->set_run_id(options_.run_id);
-  reply->set_lease_ms(static_cast<int>(absl::ToInt64Milliseconds(options_.lease)));
+  reply->set_lease_ms(static_cast<int>(absl::ToInt64Milliseconds(env_servers_->lease())));
   return grpc::Status::OK;
 }
 

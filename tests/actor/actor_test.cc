@@ -3,7 +3,9 @@
 #include "actor/actor.h"
 
 #include <algorithm>
+#include <atomic>
 #include <memory>
+#include <stdexcept>
 #include <string>
 #include <thread>
 #include <tuple>
@@ -74,7 +76,7 @@ class StandInLearner {
         server_(*wire::Server::Create({address}, {&service_})) {}
 
   void Open(int64_t iteration) {
-    weights_.Publish(iteration, std::make_shared<std::string>(SampleWeights(iteration, agent_)));
+    Publish(iteration);
     ledger_.OpenIteration((iteration + 1) * kFragmentsPerIteration, iteration);
   }
   // The fragments of the open iteration, in order; fewer after a minute.
@@ -89,6 +91,17 @@ class StandInLearner {
       return std::tie(a.lane, a.number) < std::tie(b.lane, b.number);
     });
     return fragments;
+  }
+  void Publish(int64_t version) {
+    weights_.Publish(version, std::make_shared<std::string>(SampleWeights(version, agent_)));
+  }
+  // Of each actor. Takes what they sent out of the queue, so that they can play on.
+  std::vector<int> PermitsOut() {
+    while (fragments_.Pop(absl::ZeroDuration()).has_value()) {
+    }
+    std::vector<int> permits;
+    for (const LaneLedger::ActorInfo& actor : ledger_.Actors()) permits.push_back(actor.permits);
+    return permits;
   }
   LaneLedger& ledger() { return ledger_; }
   FragmentQueue& fragments() { return fragments_; }
@@ -281,6 +294,99 @@ TEST_P(ActorTest, AStoppedActorGivesItsLanesToOthers) {
   EXPECT_LT(absl::Now() - start, absl::Seconds(5));
   RunningActor second(learner_->Connect(), {env_.Connect()});
   ExpectIteration(learner_.get(), 1);
+}
+
+// Well before the lease of 5 s runs out, and without anybody waiting for it.
+TEST_P(ActorTest, OthersGoOnAtOnceWithTheLanesOfAStoppedActor) {
+  learner_->ledger().OpenIteration(1000 * kFragmentsPerIteration, 0);
+  RunningActor first(learner_->Connect(), {env_.Connect()});
+  RunningActor second(learner_->Connect(), {env_.Connect()});
+  learner_->Publish(0);
+  ASSERT_TRUE(WaitUntil([this] { return learner_->PermitsOut() == std::vector<int>{2, 2}; }));
+  const absl::Time start = absl::Now();
+  first.Stop();
+  EXPECT_TRUE(WaitUntil([this] { return learner_->PermitsOut() == std::vector<int>{4}; }));
+  EXPECT_LT(absl::Now() - start, absl::Seconds(2));
+  EXPECT_THAT(first.Join(), IsOk());
+  EXPECT_EQ(learner_->ledger().lapsed(), 0);
+}
+
+TEST_P(ActorTest, ANewActorGetsItsShareWithin2Seconds) {
+  learner_->ledger().OpenIteration(1000 * kFragmentsPerIteration, 0);
+  learner_->Publish(0);
+  RunningActor first(learner_->Connect(), {env_.Connect()});
+  ASSERT_TRUE(WaitUntil([this] { return learner_->PermitsOut() == std::vector<int>{4}; }));
+  const absl::Time start = absl::Now();
+  RunningActor second(learner_->Connect(), {env_.Connect()});
+  EXPECT_TRUE(WaitUntil([this] { return learner_->PermitsOut() == std::vector<int>{2, 2}; }));
+  EXPECT_LT(absl::Now() - start, absl::Seconds(2));
+}
+
+// It must not wait for a learner that hangs.
+TEST_P(ActorTest, StopsWhileItWaitsForWeights) {
+  learner_->ledger().OpenIteration(kFragmentsPerIteration, 0);  // under weights that never come
+  RunningActor actor(learner_->Connect(), {env_.Connect()});
+  ASSERT_TRUE(WaitUntil([this] { return learner_->PermitsOut() == std::vector<int>{4}; }));
+  const absl::Time start = absl::Now();
+  actor.Stop();
+  EXPECT_THAT(actor.Join(), IsOk());
+  EXPECT_LT(absl::Now() - start, absl::Seconds(3));
+}
+
+// Plays well until its third step, throws there, and is well after that.
+class FailingOnceService : public v1::EnvironmentService::Service {
+ public:
+  explicit FailingOnceService(EnvServiceImpl* real) : real_(real) {}
+  grpc::Status Play(grpc::ServerContext* context,
+                    grpc::ServerReaderWriter<v1::PlayReply, v1::PlayRequest>* stream) override {
+    if (failed_.exchange(true)) return real_->Play(context, stream);
+    const auto server = *wire::Server::Create({}, {real_});
+    const auto stub = v1::EnvironmentService::NewStub(server->InProcess().channel);
+    grpc::ClientContext inner_context;
+    const auto inner = stub->Play(&inner_context);
+    v1::PlayRequest request;
+    v1::PlayReply reply;
+    for (int i = 0; i < 5 && stream->Read(&request) && inner->Write(request) && inner->Read(&reply); ++i) {
+      stream->Write(reply);
+    }
+    inner_context.TryCancel();
+    inner->Finish();
+    throw std::runtime_error("out of pixels");
+  }
+
+ private:
+  EnvServiceImpl* const real_;
+  std::atomic<bool> failed_{false};
+};
+
+TEST_P(ActorTest, AnEnvironmentThatThrowsCostsAFragment) {
+  FailingOnceService failing(env_.service.get());
+  const auto server = *wire::Server::Create({"127.0.0.1:0"}, {&failing});
+  RunningActor actor(learner_->Connect(), {wire::Connect(server->address())});
+  for (int64_t iteration = 0; iteration < 2; ++iteration) {
+    learner_->Open(iteration);
+    ExpectIteration(learner_.get(), iteration);
+  }
+  EXPECT_GT(actor.Metric("fragments_abandoned"), 0);
+  EXPECT_LE(actor.Metric("fragments_abandoned"), kLanes);
+}
+
+// Its games of lanes that others play by now would stay open for ever.
+TEST_P(ActorTest, ClosesTheGamesOfLanesThatOthersPlay) {
+  EnvServer of_first;
+  RunningActor first(learner_->Connect(), {of_first.Connect()});
+  learner_->Open(0);
+  ExpectIteration(learner_.get(), 0);
+  RunningActor second(learner_->Connect(), {env_.Connect()});
+  ASSERT_TRUE(WaitUntil([this] { return learner_->ledger().Actors().size() == 2; }));
+  for (int64_t iteration = 1; iteration < 4; ++iteration) {
+    learner_->Open(iteration);
+    ExpectIteration(learner_.get(), iteration);
+  }
+  v1::StatusReply status;
+  of_first.service->FillStatus(&status);
+  ASSERT_EQ(status.peers_size(), 1);
+  EXPECT_EQ(status.peers(0).state(), "2 lanes");
 }
 
 TEST_P(ActorTest, GoesOnWhenAnEnvironmentServerGoes) {

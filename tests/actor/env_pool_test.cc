@@ -2,6 +2,7 @@
 
 #include <map>
 #include <memory>
+#include <stdexcept>
 #include <string>
 #include <thread>
 #include <utility>
@@ -12,6 +13,7 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include "actor/trouble.h"
 #include "tests/fakes/env_server.h"
 #include "tests/fakes/status_matchers.h"
 #include "tests/fakes/wait_until.h"
@@ -194,9 +196,11 @@ TEST(EnvPool, AServerThatGoesWhileLanesOpenIsAnError) {
   EnvPool pool = PoolOf({&servers[0], &servers[1]});
   Seen seen;
   ASSERT_THAT(seen.Open(&pool, NewLanes({0, 1})), IsOk());
-  servers[1].server->Stop(absl::Milliseconds(50));
+  // Lane 1 is on the second one by address.
+  const EnvServer& gone = servers[servers[0].server->address() < servers[1].server->address() ? 1 : 0];
+  gone.server->Stop(absl::Milliseconds(50));
   EXPECT_THAT(seen.Open(&pool, NewLanes({1})),
-              StatusIs(absl::StatusCode::kUnavailable, HasSubstr(servers[1].server->address())));
+              StatusIs(absl::StatusCode::kUnavailable, HasSubstr(gone.server->address())));
   ASSERT_THAT(seen.Open(&pool, NewLanes({0, 1})), IsOk());
   EXPECT_THAT(seen.Step(&pool), IsOk());
 }
@@ -238,6 +242,59 @@ TEST(EnvPool, AServerThatDoesNotFitIsAnErrorToAct) {
   EXPECT_THAT(pool.Open(NewLanes({0}), &frames),
               StatusIs(absl::StatusCode::kFailedPrecondition,
                        AllOf(HasSubstr(server.server->address()), HasSubstr("--textures"))));
+}
+
+// One of them may be of another run, or have other textures: it is said, and the others are played on.
+TEST(EnvPool, AServerThatDoesNotFitIsNoTroubleWhereAnotherDoes) {
+  const EnvServer fits;
+  const EnvServer busy;
+  v1::SessionHello other_run = SampleHello(kLength);
+  other_run.set_run_id("run-b");
+  EnvPool other_pool(Listing({busy.Connect()}), other_run, kFrameBytes);
+  Seen other;
+  ASSERT_THAT(other.Open(&other_pool, NewLanes({0})), IsOk());
+
+  EnvPool pool = PoolOf({&fits, &busy});
+  Seen seen;
+  testing::internal::CaptureStderr();
+  ASSERT_THAT(seen.Open(&pool, NewLanes({0, 1})), IsOk());
+  EXPECT_THAT(testing::internal::GetCapturedStderr(),
+              AllOf(HasSubstr(busy.server->address()), HasSubstr("serves run run-b")));
+  EXPECT_EQ(LanesOn(fits), "2 lanes");
+  EXPECT_THAT(seen.Step(&pool), IsOk());
+}
+
+TEST(EnvPool, ClosesGames) {
+  const EnvServer server;
+  EnvPool pool = PoolOf({&server});
+  Seen seen;
+  ASSERT_THAT(seen.Open(&pool, NewLanes({0, 1, 2})), IsOk());
+  const std::vector<int> two_and_one_that_is_not_open = {0, 2, 5};
+  ASSERT_THAT(pool.Close(two_and_one_that_is_not_open), IsOk());
+  EXPECT_EQ(LanesOn(server), "1 lanes");
+}
+
+// Fails in the middle of a game, as gRPC tells of an exception.
+class ThrowingService : public v1::EnvironmentService::Service {
+ public:
+  grpc::Status Play(grpc::ServerContext* /*context*/,
+                    grpc::ServerReaderWriter<v1::PlayReply, v1::PlayRequest>* stream) override {
+    v1::PlayRequest request;
+    stream->Read(&request);
+    stream->Write({});
+    stream->Read(&request);
+    throw std::runtime_error("out of pixels");
+  }
+};
+
+TEST(EnvPool, AServerThatThrowsIsTroubleThatMayPass) {
+  ThrowingService service;
+  const auto server = *wire::Server::Create({"127.0.0.1:0"}, {&service});
+  EnvPool pool(Listing({wire::Connect(server->address())}), SampleHello(kLength), kFrameBytes);
+  std::string frames;
+  const absl::Status status = pool.Open(NewLanes({0}), &frames);
+  EXPECT_THAT(status, StatusIs(absl::StatusCode::kUnknown, HasSubstr(server->address())));
+  EXPECT_TRUE(MayPass(status));
 }
 
 // Greets, then takes requests in and never answers.

@@ -1,5 +1,7 @@
 #include "envserver/env_service.h"
 
+#include <sys/resource.h>
+
 #include <functional>
 #include <memory>
 #include <ostream>
@@ -26,6 +28,11 @@ using testing::AllOf;
 using testing::HasSubstr;
 
 constexpr int kLength = 60;  // of an episode
+#ifdef __SANITIZE_ADDRESS__
+constexpr bool kAddressSanitizer = true;
+#else
+constexpr bool kAddressSanitizer = false;
+#endif
 
 v1::PlayRequest Hello(const std::string& run_id) {
   v1::PlayRequest request;
@@ -197,6 +204,28 @@ TEST_F(EnvServiceTest, StatusTellsSessionsAndSteps) {
     }
   }
   session.Leave();
+}
+
+// What a game throws ends its session alone, with an error that lets its fragments be played again. Here it is memory,
+// of which there is not enough for the pictures of 4096 games.
+TEST_F(EnvServiceTest, AnEnvironmentThatThrowsEndsItsSessionAlone) {
+  if (kAddressSanitizer) GTEST_SKIP() << "AddressSanitizer needs address space without a limit";
+  Witness witness(server());
+  Session session(server());
+  v1::PlayRequest hello = Hello("run-a");
+  hello.mutable_hello()->mutable_env()->set_frame_size(1024);
+  ASSERT_THAT(session.Say(hello), IsOk());
+  v1::PlayRequest open;
+  for (int lane = 0; lane < EnvBatch::kMaxLanes; ++lane) open.mutable_open()->add_lanes()->set_lane(lane);
+  rlimit before{};
+  ASSERT_EQ(getrlimit(RLIMIT_AS, &before), 0);
+  const rlimit limit = {4UL << 30, before.rlim_max};
+  ASSERT_EQ(setrlimit(RLIMIT_AS, &limit), 0);
+  const absl::Status status = session.Say(open).status();
+  ASSERT_EQ(setrlimit(RLIMIT_AS, &before), 0);
+  EXPECT_THAT(status,
+              StatusIs(absl::StatusCode::kAborted, AllOf(HasSubstr("the environment failed"), HasSubstr("bad_alloc"))));
+  witness.PlayOn(10);
 }
 
 TEST_F(EnvServiceTest, AnotherRunWaitsUntilTheFirstHasLeft) {

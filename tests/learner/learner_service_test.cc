@@ -155,6 +155,18 @@ TEST_F(LearnerServiceTest, JoinRefusesWhoDoesNotFit) {
   EXPECT_THAT(GetPermits("a"), StatusIs(absl::StatusCode::kAborted, HasSubstr("join again")));
 }
 
+// What workers say of themselves is kept: it must not be of any size.
+TEST_F(LearnerServiceTest, NamesAreBounded) {
+  EXPECT_THAT(Join(std::string(513, 'a')),
+              StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("actor has 513 bytes, want at most 512")));
+  v1::Announcement announcement;
+  announcement.set_protocol_version(wire::kProtocolVersion);
+  announcement.set_name("server");
+  announcement.set_address(std::string(600, 'a') + ":1");
+  EXPECT_THAT(Call(&v1::LearnerService::Stub::Announce, announcement),
+              StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("address has 602 bytes, want at most 512")));
+}
+
 TEST_F(LearnerServiceTest, PermitsAreForThisEpoch) {
   ASSERT_THAT(Join("a"), IsOk());
   EXPECT_THAT(
