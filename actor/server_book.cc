@@ -33,12 +33,8 @@ std::vector<v1::Peer> ServerBook::All() const {
     peer.set_address(address);
     peer.set_health(server.connected ? v1::Peer::OK : v1::Peer::LOST);
     peer.set_state(server.connected ? absl::StrFormat("%d lanes", server.lanes) : "not reachable");
-    if (server.lanes == 0) {  // it only speaks while games are played there: what it said is old
-      server.summary.set_steps_per_second(0);
-      server.summary.set_lanes(0);
-      server.summary.clear_times();
-    }
-    if (server.summary.memory_bytes() > 0) *peer.mutable_summary() = std::move(server.summary);
+    // It speaks only while games are played there: what it said before is old.
+    if (server.lanes > 0 && server.summary.memory_bytes() > 0) *peer.mutable_summary() = std::move(server.summary);
   }
   return peers;
 }

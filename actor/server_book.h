@@ -26,7 +26,7 @@ class ServerBook {
   // What loop number `loop` sees now, in place of what it saw before.
   void Update(int loop, std::vector<Server> servers) ABSL_LOCKS_EXCLUDED(mu_);
 
-  // All servers: reached by one loop at least, or LOST.
+  // All servers: reached by one loop at least, or LOST. Those without games of ours are without a summary.
   std::vector<v1::Peer> All() const ABSL_LOCKS_EXCLUDED(mu_);
   // At most `count` of them, the next ones each time.
   std::vector<v1::Peer> Next(size_t count) ABSL_LOCKS_EXCLUDED(mu_);

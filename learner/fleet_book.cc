@@ -19,6 +19,13 @@ v1::ProcessSummary Cut(v1::ProcessSummary summary) {
   return summary;
 }
 
+// Of a worker that has not said for a while what it does.
+void Rest(v1::ProcessSummary* summary) {
+  summary->set_steps_per_second(0);
+  summary->set_lanes(0);
+  summary->clear_times();
+}
+
 }  // namespace
 
 void FleetBook::Heard(absl::string_view role, absl::string_view name, absl::string_view address,
@@ -33,8 +40,11 @@ void FleetBook::Heard(absl::string_view role, absl::string_view name, absl::stri
   }
   Worker& worker = workers_[{std::string(role), std::string(name)}];
   if (!address.empty()) worker.address = std::string(address);
-  if (summary.ByteSizeLong() > 0) worker.summary = Cut(summary);
   worker.last_word = clock_->Now();
+  if (summary.ByteSizeLong() > 0) {
+    worker.summary = Cut(summary);
+    worker.summary_time = worker.last_word;
+  }
   worker.own_word = worker.last_word;
   worker.left = false;
   Forget();
@@ -53,7 +63,10 @@ void FleetBook::HeardOf(const v1::Peer& server) {
     worker.last_word = server.health() == v1::Peer::OK ? clock_->Now() : clock_->Now() - kRelayed;
   }
   if (server.health() == v1::Peer::OK) worker.last_word = clock_->Now();
-  if (server.has_summary()) worker.summary = Cut(server.summary());
+  if (server.has_summary()) {
+    worker.summary = Cut(server.summary());
+    worker.summary_time = clock_->Now();
+  }
   Forget();
 }
 
@@ -79,6 +92,7 @@ std::vector<v1::Peer> FleetBook::Workers() const {
     peer.set_health(health);
     peer.set_last_seen_s(absl::ToDoubleSeconds(silent));
     *peer.mutable_summary() = worker.summary;
+    if (clock_->Now() - worker.summary_time > kRelayed) Rest(peer.mutable_summary());
   }
   return peers;
 }

@@ -42,6 +42,7 @@ class FleetBook {
   struct Worker {
     std::string address;
     v1::ProcessSummary summary;
+    absl::Time summary_time = absl::InfinitePast();
     absl::Time last_word;                        // its own, or an actor's that reaches it
     absl::Time own_word = absl::InfinitePast();  // its own
     bool left = false;

@@ -36,12 +36,9 @@ TEST(ServerBook, WhatAServerWithoutGamesSaidIsOld) {
   ServerBook book;
   v1::ProcessSummary summary;
   summary.set_memory_bytes(77);
-  summary.set_steps_per_second(500);
-  summary.add_times();
-  book.Update(0, {{"a:1", true, 0, summary}});
-  EXPECT_EQ(book.All()[0].summary().steps_per_second(), 0);
-  EXPECT_EQ(book.All()[0].summary().times_size(), 0);
-  EXPECT_EQ(book.All()[0].summary().memory_bytes(), 77);
+  book.Update(0, {{"a:1", true, 0, summary}, {"b:1", true, 1, summary}});
+  EXPECT_FALSE(book.All()[0].has_summary());
+  EXPECT_TRUE(book.All()[1].has_summary());
 }
 
 TEST(ServerBook, NextGoesRoundAllOfThem) {

@@ -95,6 +95,19 @@ TEST_F(FleetBookTest, ActorsSpeakForServersThatDoNot) {
   EXPECT_THAT(Lines(), ElementsAre("envserver host:1 LOST", "envserver host:2 LOST"));
 }
 
+TEST_F(FleetBookTest, WhatAServerSaidLongAgoIsNotWhatItDoes) {
+  book_.HeardOf(Server("host:1", v1::Peer::OK));
+  v1::Peer silent = Server("host:1", v1::Peer::OK);
+  silent.clear_summary();
+  book_.HeardOf(silent);
+  EXPECT_EQ(book_.Workers()[0].summary().steps_per_second(), 7);
+  clock_.Advance(absl::Seconds(11));
+  book_.HeardOf(silent);
+  EXPECT_EQ(book_.Workers()[0].health(), v1::Peer::OK);
+  EXPECT_EQ(book_.Workers()[0].summary().steps_per_second(), 0);
+  EXPECT_GT(book_.Workers()[0].summary().memory_bytes(), 0);
+}
+
 TEST_F(FleetBookTest, AServersOwnWordCountsMore) {
   book_.HeardOf(Server("host:1", v1::Peer::OK));
   book_.Heard("envserver", "s", "host:1", Summary(9));
