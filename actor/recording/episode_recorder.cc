@@ -98,8 +98,8 @@ std::string EpisodeRecorder::Stem(int64_t number, const Moment& last, int64_t st
     return !folder.empty() && PathExists(JoinPath(folder, name));
   };
   for (absl::Time time = start_ + absl::Seconds(number - options_.first_episode);; time += absl::Seconds(1)) {
-    const std::string stem = absl::StrFormat(
-        "%s-ach%d-len%d", absl::FormatTime("%Y%m%dT%H%M%S", time, absl::UTCTimeZone()), unlocked, steps);
+    std::string stem = absl::StrFormat("%s-ach%d-len%d", absl::FormatTime("%Y%m%dT%H%M%S", time, absl::UTCTimeZone()),
+                                       unlocked, steps);
     if (!taken(options_.npz_folder, stem + ".npz") && !taken(options_.video_folder, stem + ".mp4")) return stem;
   }
 }

@@ -26,7 +26,8 @@ void AddResult(const ScoreBoard& board, nlohmann::ordered_json* json) {
   (*json)["score"] = board.Score();
   const AchievementPercentages percentages = board.SuccessPercentages();
   for (int i = 0; i < kNumAchievements; ++i) {
-    (*json)["success_percentages"][std::string(kAchievementNames[i])] = percentages[i];
+    const std::string name(kAchievementNames[i]);
+    (*json)["success_percentages"][name] = percentages[i];
   }
 }
 
