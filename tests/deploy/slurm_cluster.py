@@ -56,6 +56,10 @@ def why_not():
   missing = [program for program in PROGRAMS if shutil.which(program, path=PATH) is None]
   if missing:
     return f"no {', '.join(missing)} here: deploy/install-deps.sh --tests"
+  try:
+    socket.gethostbyname(socket.gethostname())
+  except OSError:
+    return f"the name of this host, {socket.gethostname()}, has no address"
   return "" if os.geteuid() == 0 else "slurmd wants root"
 
 
