@@ -15,6 +15,7 @@ inline bool MayPass(const absl::Status& status) {
     case absl::StatusCode::kDeadlineExceeded:
     case absl::StatusCode::kAborted:
     case absl::StatusCode::kUnknown:
+    case absl::StatusCode::kResourceExhausted:  // the other side sheds load
       return true;
     default:
       return false;

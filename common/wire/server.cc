@@ -28,7 +28,7 @@ constexpr int kMaxThreads = 4096;              // each call that is served has o
 bool IsUnixSocket(absl::string_view address) { return absl::StartsWith(address, "unix:"); }
 
 // Limits and keepalive.
-void SetLimits(grpc::ServerBuilder* builder) {
+void SetLimits(int max_buffered_mb, grpc::ServerBuilder* builder) {
   builder->AddChannelArgument(GRPC_ARG_KEEPALIVE_TIME_MS, 5000);
   builder->AddChannelArgument(GRPC_ARG_KEEPALIVE_TIMEOUT_MS, 4000);
   builder->AddChannelArgument(GRPC_ARG_HTTP2_MIN_RECV_PING_INTERVAL_WITHOUT_DATA_MS, 1000);
@@ -40,6 +40,8 @@ void SetLimits(grpc::ServerBuilder* builder) {
   builder->SetMaxSendMessageSize(kMaxMessageBytes);
   grpc::ResourceQuota quota("craftfleet");
   quota.SetMaxThreads(kMaxThreads);
+  // gRPC 1.51 looks at a message's size only when all of it is here; this is what stops one of a gigabyte.
+  quota.Resize(static_cast<size_t>(max_buffered_mb) << 20);
   builder->SetResourceQuota(quota);
 }
 
@@ -64,6 +66,9 @@ absl::Status Server::Options::Validate() const {
   if (max_connections_per_client < 1 || max_connections_per_client > 65536) {
     return absl::InvalidArgumentError(
         absl::StrFormat("--max_connections_per_client=%d, want 1..65536", max_connections_per_client));
+  }
+  if (max_buffered_mb < 128 || max_buffered_mb > 1'000'000) {
+    return absl::InvalidArgumentError(absl::StrFormat("--max_buffered_mb=%d, want 128..1000000", max_buffered_mb));
   }
   if (!health_address.empty()) CRAFTFLEET_RETURN_IF_ERROR(CheckAddress("health_listen", health_address));
   if (address.empty()) return absl::OkStatus();
@@ -116,7 +121,7 @@ absl::StatusOr<Server::Port> Server::Open(const Options& options, const std::str
     opened.acceptor = builder.experimental().AddExternalConnectionAcceptor(
         grpc::ServerBuilder::experimental_type::ExternalConnectionType::FROM_FD, std::move(credentials));
   }
-  SetLimits(&builder);
+  SetLimits(options.max_buffered_mb, &builder);
   for (grpc::Service* service : services) builder.RegisterService(service);
   opened.server = builder.BuildAndStart();
   if (opened.server == nullptr || port == 0) {

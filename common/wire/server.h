@@ -34,6 +34,8 @@ class Server {
     std::string access_file = {};     // who may do what; empty: who gets in may do all
     std::string health_address = {};  // HOST:PORT of a plain port with nothing but health on it; empty: none
     int max_connections_per_client = 1024;  // from one address, 1..65536
+    // Memory of messages on their way in and out, 128..1000000. Beyond it calls end with RESOURCE_EXHAUSTED.
+    int max_buffered_mb = 512;
     absl::Status Validate() const;
   };
 

@@ -17,6 +17,8 @@ ABSL_FLAG(
     "address of a second port, plain and with nothing but grpc.health.v1 on it, HOST:PORT, for probes that speak\n"
     "no TLS [none]");
 ABSL_FLAG(int32_t, max_connections_per_client, 1024, "connections from one address at once, 1..65536");
+ABSL_FLAG(int32_t, max_buffered_mb, 512,
+          "memory for messages on their way in and out, 128..1000000; beyond it calls are refused for the moment");
 
 namespace craftfleet::wire {
 
@@ -29,6 +31,7 @@ Server::Options ServerOptionsFromFlags(absl::string_view address) {
   options.access_file = absl::GetFlag(FLAGS_access_file);
   options.health_address = absl::GetFlag(FLAGS_health_listen);
   options.max_connections_per_client = absl::GetFlag(FLAGS_max_connections_per_client);
+  options.max_buffered_mb = absl::GetFlag(FLAGS_max_buffered_mb);
   return options;
 }
 

@@ -69,5 +69,31 @@ TEST_F(ServerRegistryTest, ARestartedServerTakesThePlaceOfItsFormerSelf) {
   EXPECT_THAT(Addresses(), ElementsAre("a:1"));
 }
 
+TEST_F(ServerRegistryTest, ADrainedServerIsListedNoMoreAndSaysWhenItIsEmpty) {
+  registry_.Announce("s1", "a:1", 3);
+  registry_.Announce("s2", "b:1", 0);
+  EXPECT_THAT(Addresses(), ElementsAre("a:1", "b:1"));
+  const int64_t before = generation_;
+  registry_.Drain("s1");
+  EXPECT_THAT(Addresses(), ElementsAre("b:1"));
+  EXPECT_NE(generation_, before);
+  EXPECT_EQ(registry_.All().size(), 2);
+  EXPECT_FALSE(registry_.IsDrained("s1"));
+  registry_.Announce("s1", "a:1", 1);
+  EXPECT_FALSE(registry_.IsDrained("s1"));
+  registry_.Announce("s1", "a:1", 0);
+  EXPECT_TRUE(registry_.IsDrained("s1"));
+  EXPECT_THAT(Addresses(), ElementsAre("b:1"));
+  EXPECT_FALSE(registry_.IsDrained("s2"));
+}
+
+TEST_F(ServerRegistryTest, TheNextProcessAtAnAddressIsNotDrained) {
+  registry_.Announce("s1", "a:1", 0);
+  registry_.Drain("s1");
+  registry_.Announce("s1 again", "a:1", 0);
+  EXPECT_THAT(Addresses(), ElementsAre("a:1"));
+  EXPECT_TRUE(registry_.IsDrained("s1"));
+}
+
 }  // namespace
 }  // namespace craftfleet

@@ -1,0 +1,303 @@
+// A fleet among strangers: wrong credentials, garbage and new certificates change nothing in the run.
+
+#include <arpa/inet.h>
+#include <netinet/in.h>
+#include <sys/socket.h>
+#include <unistd.h>
+
+#include <memory>
+#include <random>
+#include <string>
+#include <vector>
+
+#include <absl/strings/numbers.h>
+#include <absl/strings/str_cat.h>
+#include <absl/strings/str_format.h>
+#include <absl/strings/str_split.h>
+#include <gmock/gmock.h>
+#include <grpcpp/completion_queue.h>
+#include <grpcpp/create_channel.h>
+#include <grpcpp/generic/generic_stub.h>
+#include <gtest/gtest.h>
+
+#include "common/wire/certificates.h"
+#include "common/wire/channel.h"
+#include "tests/fakes/test_certificates.h"
+#include "tests/fakes/wait_until.h"
+#include "tests/integration/fleet_fixture.h"
+
+namespace craftfleet {
+namespace {
+
+using testing::AllOf;
+using testing::HasSubstr;
+using testing::Not;
+
+class SecureFleetTest : public FleetRunTest {
+ protected:
+  SecureFleetTest() {
+    for (const char* name : {"learner", "envserver", "actor", "monitor", "guest"}) ca_.Issue(name, {name});
+    EXPECT_THAT(WriteFileSynced(folder_ / "access.txt", absl::StrFormat(R"(
+                  client { name: "workers" certificate: "actor" right: WORK }
+                  client { name: "servers" certificate: "envserver" right: WORK }
+                  client { name: "monitor" certificate: "monitor" right: WATCH }
+                  client { name: "guest with token" certificate: "guest" token_sha256: "%s" right: WATCH })",
+                                                                        wire::Sha256Hex("sesame"))),
+                IsOk());
+  }
+
+  // Flags of a process that shows certificate `name`.
+  std::vector<std::string> Tls(const std::string& name, const std::vector<std::string>& more = {}) const {
+    std::vector<std::string> flags = {"--tls_cert=" + (folder_ / (name + ".pem")),
+                                      "--tls_key=" + (folder_ / (name + ".key")), "--tls_ca=" + (folder_ / "ca.pem")};
+    flags.insert(flags.end(), more.begin(), more.end());
+    return flags;
+  }
+  std::string AccessFlag() const { return "--access_file=" + (folder_ / "access.txt"); }
+
+  // A learner, an environment server that registers with it and an actor; all with TLS and `access`.
+  void StartFleet(const std::string& run, const std::vector<std::string>& more = {}) {
+    std::vector<std::string> flags = more;
+    flags.push_back(AccessFlag());
+    learner_ = StartLearner(run, "127.0.0.1:0", Tls("learner", flags));
+    learner_address_ = learner_->WaitForAddress("listening on ", kPatience).value();
+    flags.insert(flags.end(), {"--listen=127.0.0.1:0", "--learner=" + learner_address_});
+    server_ = Start("craftfleet-envserver", run + "-server", Tls("envserver", flags));
+    actor_ =
+        Start("craftfleet-actor", run + "-actor",
+              Tls("actor", {AccessFlag(), "--learner=" + learner_address_, "--envservers=learner", "--threads=2"}));
+  }
+  void ExpectTheRunToEndLikeQuiet(const std::string& run) {
+    EXPECT_EQ(learner_->Wait(kPatience), 0) << learner_->Err();
+    EXPECT_EQ(actor_->Wait(absl::Seconds(10)), 0) << actor_->Err();
+    ExpectLikeQuiet(run);
+    EXPECT_EQ(server_->Wait(absl::ZeroDuration()), std::nullopt) << server_->Err();
+  }
+
+  // What `program` says on standard error as it fails.
+  std::string Fail(const std::string& program, std::vector<std::string> flags) {
+    const auto process = Start(program, absl::StrCat("intruder-", ++intruders_), flags);
+    EXPECT_EQ(process->Wait(kPatience), 1);
+    return process->Err();
+  }
+  std::string FailToAsk(std::vector<std::string> flags) {
+    flags.push_back("--address=" + learner_address_);
+    return Fail("craftfleet-status", std::move(flags));
+  }
+
+  const TempFolder folder_;
+  TestAuthority ca_{folder_, "ca"};
+  std::unique_ptr<Process> learner_;
+  std::unique_ptr<Process> server_;
+  std::unique_ptr<Process> actor_;
+  std::string learner_address_;
+  int intruders_ = 0;
+};
+
+TEST_F(SecureFleetTest, StrangersAreRefusedAndTheRunIsTheSame) {
+  TestAuthority other(folder_, "other");
+  other.Issue("stranger", {"actor"});
+  ca_.Issue("old", {"actor", 1, true, -7200, -3600});
+  ASSERT_THAT(WriteFileSynced(folder_ / "wrong", "open\n"), IsOk());
+  ASSERT_THAT(WriteFileSynced(folder_ / "right", "sesame\n"), IsOk());
+  StartFleet("strangers");
+  WaitForCheckpoint("strangers", 2);
+
+  EXPECT_THAT(FailToAsk({}), HasSubstr("if it speaks TLS, give --tls_ca"));
+  EXPECT_THAT(FailToAsk({"--tls_ca=" + (folder_ / "ca.pem")}), HasSubstr("give --tls_cert and --tls_key"));
+  EXPECT_THAT(FailToAsk({"--tls_ca=" + (folder_ / "other.pem")}), HasSubstr("not from an authority in --tls_ca"));
+  EXPECT_THAT(FailToAsk(Tls("stranger")), HasSubstr("not from an authority in --tls_ca"));
+  EXPECT_THAT(FailToAsk(Tls("old")), HasSubstr("expired on 20"));
+  EXPECT_THAT(FailToAsk(Tls("guest")), HasSubstr("not allowed"));
+  EXPECT_THAT(FailToAsk(Tls("guest", {"--token_file=" + (folder_ / "wrong")})),
+              HasSubstr("check the token in --token_file"));
+  EXPECT_THAT(FailToAsk(Tls("actor")), HasSubstr("no right to this"));
+  EXPECT_THAT(Fail("craftfleet-actor", Tls("monitor", {"--learner=" + learner_address_, "--envservers=learner"})),
+              AllOf(HasSubstr("learner " + learner_address_ + ": not allowed"), HasSubstr("no right to this")));
+  for (const char* verb : {"pause", "stop"}) {
+    EXPECT_THAT(Fail("craftfleet-admin", Tls("monitor", {"--address=" + learner_address_, verb})),
+                AllOf(HasSubstr("not allowed"), HasSubstr("no right to this")));
+  }
+  for (const auto& flags : {Tls("monitor"), Tls("guest", {"--token_file=" + (folder_ / "right")})}) {
+    std::vector<std::string> ask = flags;
+    ask.push_back("--address=" + learner_address_);
+    EXPECT_EQ(Start("craftfleet-status", "watcher", ask)->Wait(kPatience), 0);
+  }
+
+  EXPECT_THAT(learner_->Err(),
+              AllOf(HasSubstr("refused a client: it does not speak TLS"),
+                    HasSubstr("refused a client: it shows no certificate"),
+                    HasSubstr("refused a client: its certificate has expired or is not from an authority"),
+                    HasSubstr("refused /craftfleet.v1.StatusService/GetStatus: craftfleet-stat"),
+                    HasSubstr("the access file has no client with this certificate and no token"),
+                    HasSubstr("its token is not in the access file"),
+                    HasSubstr("it is \"monitor\" in the access file, without the right to work"),
+                    HasSubstr("it is \"monitor\" in the access file, without the right to steer"),
+                    HasSubstr("it is \"workers\" in the access file, without the right to watch")));
+  EXPECT_THAT(learner_->Err(), Not(HasSubstr("sesame")));
+  ExpectTheRunToEndLikeQuiet("strangers");
+  EXPECT_THAT(actor_->Err(), Not(HasSubstr("trying again")));
+}
+
+// The serial number of the certificate that a process shows, in hexadecimal.
+std::string SerialAt(const std::string& address, const std::vector<std::string>& flags, const std::string& file) {
+  const std::string command = absl::StrFormat(
+      "openssl s_client -connect %s -cert %s -key %s -CAfile %s -alpn h2 </dev/null 2>/dev/null | "
+      "openssl x509 -noout -serial > %s",
+      address, flags[0].substr(flags[0].find('=') + 1), flags[1].substr(flags[1].find('=') + 1),
+      flags[2].substr(flags[2].find('=') + 1), file);
+  return std::system(command.c_str()) == 0 ? ReadFile(file).value_or("") : "";
+}
+
+TEST_F(SecureFleetTest, NewCertificatesAreUsedAndNoConnectionIsLost) {
+  StartFleet("renewed");
+  const std::string server_address = server_->WaitForAddress("listening on ", kPatience).value();
+  WaitForCheckpoint("renewed", 2);
+  for (const char* name : {"learner", "envserver", "actor", "monitor"}) ca_.Issue(name, {name, 4096});
+  for (const std::string& address : {learner_address_, server_address}) {
+    EXPECT_TRUE(WaitUntil([&] { return SerialAt(address, Tls("monitor"), folder_ / "shown") == "serial=1000\n"; }))
+        << address;
+  }
+  EXPECT_EQ(learner_->Wait(absl::ZeroDuration()), std::nullopt) << "the run ended before the renewal";
+  // One more actor, which has only ever seen the new ones.
+  const auto late = Start("craftfleet-actor", "renewed-late",
+                          Tls("actor", {"--learner=" + learner_address_, "--envservers=learner", "--threads=1"}));
+  ASSERT_TRUE(late->WaitForText("joined run", kPatience)) << late->Err();
+  EXPECT_THAT(server_->Err(), Not(HasSubstr("trying again")));
+  ExpectTheRunToEndLikeQuiet("renewed");
+  EXPECT_EQ(late->Wait(absl::Seconds(10)), 0) << late->Err();
+  for (const Process* process : {actor_.get(), late.get()}) {
+    EXPECT_THAT(process->Err(), AllOf(Not(HasSubstr("trying again")), Not(HasSubstr("closed"))));
+  }
+}
+
+// A connection to 127.0.0.1:PORT; -1: refused.
+int ConnectTo(const std::string& address) {
+  const int connection = socket(AF_INET, SOCK_STREAM | SOCK_CLOEXEC, 0);
+  sockaddr_in name = {};
+  name.sin_family = AF_INET;
+  int port = 0;
+  EXPECT_TRUE(absl::SimpleAtoi(address.substr(address.rfind(':') + 1), &port));
+  name.sin_port = htons(static_cast<uint16_t>(port));
+  name.sin_addr.s_addr = htonl(INADDR_LOOPBACK);
+  if (connect(connection, reinterpret_cast<const sockaddr*>(&name), sizeof(name)) == 0) return connection;
+  close(connection);
+  return -1;
+}
+
+// As a port scanner might: what it says first, then noise; connections stay open until the end.
+class Scanner {
+ public:
+  ~Scanner() {
+    for (const int connection : connections_) close(connection);
+  }
+  void Scan(const std::string& address) {
+    const std::string openings[] = {
+        "",
+        "GET / HTTP/1.1\r\nHost: x\r\n\r\n",
+        "PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n",
+        std::string("PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n\0\0\0\x04\0\0\0\0\0", 33),
+        std::string("\x16\x03\x01\x02\x00\x01\x00\x01\xfc\x03\x03", 11),
+        "SSH-2.0-OpenSSH_9.2\r\n",
+    };
+    for (int i = 0; i < 120; ++i) {
+      const int connection = ConnectTo(address);
+      if (connection < 0) continue;
+      connections_.push_back(connection);
+      std::string bytes = openings[i % 6];
+      // A fifth says nothing more: half-open.
+      for (int j = 0; i % 5 != 0 && j < 2000; ++j) bytes.push_back(static_cast<char>(random_() % 256));
+      send(connection, bytes.data(), bytes.size(), MSG_NOSIGNAL);
+    }
+  }
+
+ private:
+  std::mt19937 random_{7};
+  std::vector<int> connections_;
+};
+
+// Sends a message of 1 GB to `method`, whose bytes take up one megabyte here.
+grpc::Status SendGigabyte(const std::string& address, const wire::ChannelSecurity& security, const char* method) {
+  grpc::ChannelArguments arguments;
+  arguments.SetMaxSendMessageSize(-1);
+  const auto channel = grpc::CreateCustomChannel(address, security.Credentials(), arguments);
+  const std::string megabyte(1 << 20, 'x');
+  const grpc::Slice slice(megabyte.data(), megabyte.size(), grpc::Slice::STATIC_SLICE);
+  const std::vector<grpc::Slice> slices(1024, slice);
+  const grpc::ByteBuffer message(slices.data(), slices.size());
+  grpc::ClientContext context;
+  wire::SetDeadline(&context, kPatience);
+  grpc::CompletionQueue queue;
+  const auto call = grpc::GenericStub(channel).PrepareUnaryCall(&context, method, message, &queue);
+  call->StartCall();
+  grpc::ByteBuffer reply;
+  grpc::Status status;
+  call->Finish(&reply, &status, nullptr);
+  void* tag = nullptr;
+  bool ok = false;
+  queue.Next(&tag, &ok);
+  return status;
+}
+
+// Most memory that `process` ever had, MB.
+int64_t PeakMemory(const Process& process) {
+  const std::string status = ReadFile(absl::StrCat("/proc/", process.pid(), "/status")).value_or("");
+  int64_t kilobytes = -1;
+  for (const absl::string_view line : absl::StrSplit(status, '\n')) {
+    const std::vector<absl::string_view> words = absl::StrSplit(line, absl::ByAnyChar(" \t"), absl::SkipEmpty());
+    if (words.size() < 2 || words[0] != "VmHWM:") continue;
+    EXPECT_TRUE(absl::SimpleAtoi(words[1], &kilobytes));
+  }
+  return kilobytes / 1024;
+}
+
+TEST_F(SecureFleetTest, GarbageOnEveryPortHarmsNobody) {
+  StartFleet("garbage");
+  const std::string addresses[] = {learner_address_, server_->WaitForAddress("listening on ", kPatience).value(),
+                                   actor_->WaitForAddress("status on ", kPatience).value()};
+  WaitForCheckpoint("garbage", 2);
+  Scanner scanner;
+  for (const std::string& address : addresses) scanner.Scan(address);
+  EXPECT_EQ(learner_->Wait(absl::ZeroDuration()), std::nullopt) << "the run ended before the scan";
+  ExpectTheRunToEndLikeQuiet("garbage");
+  EXPECT_THAT(actor_->Err(), Not(HasSubstr("trying again")));
+  // A line for each kind of trouble, not for each connection.
+  EXPECT_LT(Lines(learner_->Err()), 60) << learner_->Err();
+}
+
+TEST_F(SecureFleetTest, GarbageHarmsNobodyWithoutTlsEither) {
+  learner_ = StartLearner("plain", "127.0.0.1:0");
+  server_ = StartServer("plain-server");
+  learner_address_ = learner_->WaitForAddress("listening on ", kPatience).value();
+  const std::string server_address = server_->WaitForAddress("listening on ", kPatience).value();
+  actor_ = StartActor("plain-actor", learner_address_, server_address);
+  const std::string actor_address = actor_->WaitForAddress("status on ", kPatience).value();
+  WaitForCheckpoint("plain", 2);
+  Scanner scanner;
+  for (const std::string& address : {learner_address_, server_address, actor_address}) scanner.Scan(address);
+  EXPECT_EQ(learner_->Wait(absl::ZeroDuration()), std::nullopt) << "the run ended before the scan";
+  ExpectTheRunToEndLikeQuiet("plain");
+  EXPECT_THAT(actor_->Err(), Not(HasSubstr("trying again")));
+}
+
+TEST_F(SecureFleetTest, AMessageOfAGigabyteIsRefusedAndTakesNoGigabyte) {
+  StartFleet("gigabyte", {"--max_buffered_mb=256"});
+  const std::string server_address = server_->WaitForAddress("listening on ", kPatience).value();
+  WaitForCheckpoint("gigabyte", 2);
+  const int64_t learner_memory = PeakMemory(*learner_);
+  const int64_t server_memory = PeakMemory(*server_);
+  const auto security =
+      wire::ChannelSecurity::Create({{folder_ / "actor.pem", folder_ / "actor.key", folder_ / "ca.pem"}, "", ""});
+  ASSERT_THAT(security, IsOk());
+  for (const char* method : {"/craftfleet.v1.LearnerService/Join", "/craftfleet.v1.LearnerService/PushFragments"}) {
+    EXPECT_EQ(SendGigabyte(learner_address_, *security, method).error_code(), grpc::StatusCode::RESOURCE_EXHAUSTED);
+  }
+  EXPECT_EQ(SendGigabyte(server_address, *security, "/craftfleet.v1.EnvironmentService/Play").error_code(),
+            grpc::StatusCode::RESOURCE_EXHAUSTED);
+  EXPECT_LT(PeakMemory(*learner_) - learner_memory, 500);
+  EXPECT_LT(PeakMemory(*server_) - server_memory, 500);
+  ExpectTheRunToEndLikeQuiet("gigabyte");
+}
+
+}  // namespace
+}  // namespace craftfleet
