@@ -1,0 +1,233 @@
+"""Watching a fleet: metrics, dashboard and alert rules, craftfleet top and status, logs."""
+
+import json
+import pathlib
+import re
+import shutil
+import signal
+import subprocess
+import tempfile
+import unittest
+import urllib.error
+import urllib.request
+
+from tests.fakes import python_case
+from tests.fakes.python_case import BIN, SOURCE, wait_until
+
+MONITORING = SOURCE / "deploy/monitoring"
+ENDLESS = python_case.SMALL_RUN.replace("steps: 192 ", "steps: 1000000000 ")
+
+
+def promtool(*arguments, text=""):
+  """Runs promtool; skips the test where there is none."""
+  if shutil.which("promtool") is None:
+    raise unittest.SkipTest("promtool is missing: install Debian's package prometheus")
+  return subprocess.run(["promtool", *arguments], input=text, capture_output=True, text=True, timeout=60)
+
+
+def samples(text):
+  """(name, labels, value) of each sample of Prometheus' text format."""
+  for line in text.splitlines():
+    if not line.startswith("#"):
+      name, labels, value = re.fullmatch(r"(\w+)(?:\{(.*)\})? (\S+)", line).groups()
+      yield name, dict(re.findall(r'(\w+)="([^"]*)"', labels or "")), float(value)
+
+
+def families(text):
+  """name -> (type, help)."""
+  helps = dict(re.findall(r"^# HELP (\w+) (.*)$", text, re.M))
+  return {name: (kind, helps[name]) for name, kind in re.findall(r"^# TYPE (\w+) (\w+)$", text, re.M)}
+
+
+class Watch(unittest.TestCase):
+
+  def setUp(self):
+    temp = tempfile.TemporaryDirectory(prefix="craftfleet-")
+    self.addCleanup(temp.cleanup)
+    self.folder = pathlib.Path(temp.name)
+    (self.folder / "config.txt").write_text(ENDLESS)
+    self.programs = 0
+
+  def start(self, name, *flags):
+    """The process and the file of its log."""
+    self.programs += 1
+    log = self.folder / f"{self.programs}-{name}.log"
+    with open(log, "w", encoding="utf-8") as errors:
+      process = subprocess.Popen([BIN / name, *flags], stdout=subprocess.DEVNULL, stderr=errors)
+    self.addCleanup(process.wait)
+    self.addCleanup(process.kill)
+    return process, log
+
+  def word_after(self, log, before):
+    found = wait_until(lambda: re.search(re.escape(before) + r"([^\s\"]+)", log.read_text()), f"'{before}' in {log}")
+    return found.group(1)
+
+  def start_learner(self, *flags):
+    process, log = self.start("craftfleet-learner", f"--config={self.folder}/config.txt",
+                              f"--logdir={self.folder}/run{self.programs}", "--listen=127.0.0.1:0", "--threads=1", *flags)
+    return process, log, self.word_after(log, "listening on ")
+
+  def start_fleet(self):
+    """A learner, an actor and two environment servers, one of them known to the actor alone: their logs by role."""
+    _, learner_log, self.learner = self.start_learner()
+    self.registered, _ = self.start("craftfleet-envserver", "--listen=127.0.0.1:0", f"--learner={self.learner}")
+    _, server_log = self.start("craftfleet-envserver", "--listen=127.0.0.1:0")
+    self.server = self.word_after(server_log, "listening on ")
+    _, actor_log = self.start("craftfleet-actor", f"--learner={self.learner}", f"--envservers={self.server}",
+                              "--threads=1")
+    self.word_after(actor_log, "joined run ")
+    wait_until(lambda: self.metric("iteration") >= 2, "two iterations")
+    return {"learner": learner_log, "actor": actor_log, "envserver": server_log}
+
+  def run_program(self, name, *flags):
+    ended = subprocess.run([BIN / name, *flags], capture_output=True, text=True, timeout=60)
+    self.assertEqual(ended.returncode, 0, ended.stderr)
+    return ended.stdout
+
+  def status(self, address=""):
+    return json.loads(self.run_program("craftfleet-status", f"--address={address or self.learner}", "--json"))
+
+  def metric(self, name):
+    return {metric["name"]: metric["value"] for metric in self.status()["metrics"]}[name]
+
+  def scrape(self, log):
+    return urllib.request.urlopen(self.word_after(log, "metrics on "), timeout=10).read().decode()
+
+  def scrape_all(self):
+    """What the three kinds of processes serve, by role."""
+    return {role: self.scrape(log) for role, log in self.start_fleet().items()}
+
+  def test_promtool_takes_what_each_process_serves(self):
+    promtool("--version")
+    for role, text in self.scrape_all().items():
+      checked = promtool("check", "metrics", text=text)
+      self.assertEqual((checked.returncode, checked.stdout, checked.stderr), (0, "", ""), role)
+
+  def test_promtool_takes_rules_and_configuration(self):
+    for kind, file in [("rules", "alerts.yml"), ("config", "prometheus.yml")]:
+      checked = promtool("check", kind, str(MONITORING / file))
+      self.assertEqual(checked.returncode, 0, checked.stdout + checked.stderr)
+    self.assertNotEqual(promtool("check", "rules", str(MONITORING / "README.md")).returncode, 0)
+
+  def test_every_metric_is_documented_and_no_other(self):
+    served = {}
+    for text in self.scrape_all().values():
+      served.update(families(text))
+    documented = {
+        name: (kind, meaning) for name, kind, meaning in re.findall(
+            r"^\| `(\w+)` \| (\w+) \|[^|]*\|[^|]*\| (.*) \|$", (MONITORING / "README.md").read_text(), re.M)}
+    self.assertEqual(documented, served)
+
+  def test_dashboard_and_rules_name_metrics_that_are_served(self):
+    served = {name for text in self.scrape_all().values() for name in families(text)}
+    dashboard = json.loads((MONITORING / "dashboard.json").read_text())
+    queries = [target["expr"] for panel in dashboard["panels"] for target in panel["targets"]]
+    queries += re.findall(r"^ +expr: (.*)$", (MONITORING / "alerts.yml").read_text(), re.M)
+    self.assertGreater(len(queries), 20)
+    for query in queries:
+      used = set(re.findall(r"craftfleet_\w+", query))
+      self.assertTrue(used, query)
+      self.assertLessEqual(used, served, query)
+
+  def test_metrics_say_what_the_status_says(self):
+    logs = self.start_fleet()
+    before = self.metric("env_steps")
+    served = {name: value for name, labels, value in samples(self.scrape(logs["learner"]))}
+    self.assertLessEqual(before, served["craftfleet_env_steps_total"])
+    self.assertLessEqual(served["craftfleet_env_steps_total"], self.metric("env_steps"))
+    shares = [value for name, labels, value in samples(self.scrape(logs["actor"]))
+              if name == "craftfleet_time_share" and labels["role"] == "actor"]
+    self.assertAlmostEqual(sum(shares), 1, places=5)
+    self.assertIn("metrics_address", self.status())
+
+  def test_garbage_on_the_metrics_port_does_no_harm(self):
+    url = self.word_after(self.start("craftfleet-envserver", "--listen=127.0.0.1:0")[1], "metrics on ")
+    with self.assertRaisesRegex(urllib.error.HTTPError, "404"):
+      urllib.request.urlopen(url.replace("/metrics", "/"), timeout=10)
+    with self.assertRaisesRegex(urllib.error.HTTPError, "405"):
+      urllib.request.urlopen(urllib.request.Request(url, method="DELETE"), timeout=10)
+    self.assertIn("craftfleet_info", urllib.request.urlopen(url, timeout=10).read().decode())
+
+  def test_metrics_beyond_this_host_want_consent(self):
+    _, log = self.start("craftfleet-envserver", "--listen=127.0.0.1:0", "--metrics_listen=0.0.0.0:0")
+    wait_until(lambda: "--metrics_insecure" in log.read_text(), "a refusal that says how")
+    _, log = self.start("craftfleet-envserver", "--listen=127.0.0.1:0", "--metrics_listen=0.0.0.0:0", "--metrics_insecure")
+    self.word_after(log, "metrics on ")
+
+  def test_top_shows_the_whole_fleet_and_who_is_lost(self):
+    self.start_fleet()
+    # The server that the actor alone knows is told of with the actor's polls.
+    page = wait_until(lambda: (lambda page: page if self.server in page else "")(self.top()), "both servers")
+    self.assertRegex(page, r"(?m)^learner \S+ +ok ")
+    self.assertRegex(page, r"(?m)^actor +\S+ +ok +\d+ +\d +0 +\d+M +0 ")
+    self.assertEqual(len(re.findall(r"(?m)^server +\S+ +ok ", page)), 2, page)
+    self.assertIn("1 actors  2 servers  0 errors", page)
+    self.assertRegex(page, r"time: .*(update|inference) \d+%")
+    self.registered.send_signal(signal.SIGKILL)
+    wait_until(lambda: re.search(r"(?m)^server +\S+ +LOST ", self.top()), "a lost server")
+
+  def top(self):
+    page = self.run_program("craftfleet-top", f"--address={self.learner}", "--once", "--width=80")
+    self.assertLessEqual(max(map(len, page.splitlines())), 80)
+    return page
+
+  def test_top_prints_pages_where_there_is_no_terminal(self):
+    _, _, self.learner = self.start_learner()
+    process = subprocess.Popen([BIN / "craftfleet-top", f"--address={self.learner}", "--interval=100ms"],
+                               stdout=subprocess.PIPE, text=True)
+    self.addCleanup(process.stdout.close)
+    self.addCleanup(process.wait)
+    self.addCleanup(process.kill)
+    titles = 0
+    while titles < 3:
+      line = process.stdout.readline()
+      self.assertTrue(line, "it ended")
+      self.assertNotIn("\x1b", line)
+      titles += line.startswith("craftfleet top")
+    process.terminate()
+    self.assertEqual(process.wait(timeout=10), 0)
+
+  def test_top_refuses_what_is_no_learner(self):
+    _, log = self.start("craftfleet-envserver", "--listen=127.0.0.1:0")
+    address = self.word_after(log, "listening on ")
+    ended = subprocess.run([BIN / "craftfleet-top", f"--address={address}", "--once"], capture_output=True, text=True,
+                           timeout=60)
+    self.assertEqual(ended.returncode, 1)
+    self.assertIn("want the learner", ended.stderr)
+
+  def test_status_streams(self):
+    _, _, self.learner = self.start_learner()
+    process = subprocess.Popen([BIN / "craftfleet-status", f"--address={self.learner}", "--watch", "--interval=100ms"],
+                               stdout=subprocess.PIPE, text=True)
+    self.addCleanup(process.stdout.close)
+    self.addCleanup(process.wait)
+    self.addCleanup(process.kill)
+    roles = 0
+    while roles < 3:
+      line = process.stdout.readline()
+      self.assertTrue(line, "it ended")
+      roles += bool(re.match(r"role +learner", line))
+
+  def test_logs_as_json_are_one_object_a_line(self):
+    process, log, self.learner = self.start_learner("--log_format=json")
+    self.start("craftfleet-envserver", "--listen=127.0.0.1:0", "--learner=" + self.learner)
+    process.terminate()
+    process.wait(timeout=60)
+    lines = [json.loads(line) for line in log.read_text().splitlines()]
+    self.assertGreaterEqual(len(lines), 2)
+    for line in lines:
+      self.assertEqual(set(line), {"time", "level", "program", "message"})
+      self.assertEqual((line["level"], line["program"]), ("info", "craftfleet-learner"))
+
+  def test_quiet_logs_have_errors_alone(self):
+    process, log = self.start("craftfleet-envserver", "--listen=127.0.0.1:0", "--log_level=error",
+                              "--learner=127.0.0.1:1")
+    with self.assertRaises(subprocess.TimeoutExpired):
+      process.wait(timeout=1)
+    process.terminate()
+    process.wait(timeout=60)
+    self.assertEqual(log.read_text(), "")
+
+
+if __name__ == "__main__":
+  python_case.main()
