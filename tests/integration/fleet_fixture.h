@@ -1,0 +1,143 @@
+// A learner, actors and environment servers as processes over loopback, and the run in one process that whatever they
+// do must equal.
+
+#ifndef CRAFTFLEET_TESTS_INTEGRATION_FLEET_FIXTURE_H_
+#define CRAFTFLEET_TESTS_INTEGRATION_FLEET_FIXTURE_H_
+
+#include <algorithm>
+#include <cstdint>
+#include <memory>
+#include <string>
+#include <vector>
+
+#include <absl/strings/str_cat.h>
+#include <absl/time/clock.h>
+#include <absl/time/time.h>
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include "common/files.h"
+#include "tests/fakes/status_matchers.h"
+#include "tests/fakes/temp_folder.h"
+#include "tests/integration/process.h"
+
+namespace craftfleet {
+
+// Ten short iterations with deaths and truncations in them.
+inline constexpr char kConfig[] = R"(
+  steps: 10240  lanes: 16  seed: 3  fragment_steps: 64
+  env { length: 90 }
+  ppo { rollout_steps: 1024  minibatch_size: 128  epochs: 2 }
+  checkpoint { every_iterations: 2  keep: 20 }
+  eval { every_steps: 3000  episodes: 2  final_episodes: 3 }
+)";
+inline constexpr char kLastCheckpoint[] = "checkpoints/iter-00000010";
+inline constexpr absl::Duration kPatience = absl::Seconds(120);  // sanitizer builds are slow
+
+struct Result {
+  std::string stats;
+  std::string evaluations;  // during training
+  std::string final_evaluation;
+  std::string weights;
+  std::string optimizer;
+};
+
+class FleetRunTest : public testing::Test {
+ protected:
+  // Makes the undisturbed run in one process that every other must equal.
+  static void SetUpTestSuite() {
+    ASSERT_NO_FATAL_FAILURE(TrainQuietly(kConfig));
+    // Three evaluations of two episodes of each kind, then three of each kind at the end.
+    ASSERT_EQ(Lines(quiet_->evaluations), 2 * 3 * 2 + 1);
+    ASSERT_EQ(Lines(quiet_->final_evaluation), 2 * 3 + 1);
+  }
+  static void TearDownTestSuite() {
+    delete quiet_;
+    delete shared_;
+  }
+
+  static void TrainQuietly(const std::string& config) {
+    shared_ = new TempFolder;
+    ASSERT_THAT(WriteFileSynced(*shared_ / "config.txt", config), IsOk());
+    const auto train = Train("quiet", {});
+    ASSERT_EQ(train->Wait(kPatience), 0) << train->Err();
+    quiet_ = new Result(Read("quiet"));
+    ASSERT_THAT(quiet_->stats, testing::HasSubstr("\"length\": 90,"));
+  }
+
+  static std::string Logdir(const std::string& run) { return *shared_ / run; }
+
+  static std::unique_ptr<Process> Start(const std::string& program, const std::string& log,
+                                        const std::vector<std::string>& arguments) {
+    auto process = Process::Start(program, arguments, *shared_ / log);
+    EXPECT_THAT(process, IsOk());
+    return process.ok() ? *std::move(process) : nullptr;
+  }
+
+  static std::unique_ptr<Process> Train(const std::string& run, const std::vector<std::string>& more) {
+    return StartRun("craftfleet-train", run, more);
+  }
+  static std::unique_ptr<Process> StartLearner(const std::string& run, const std::string& listen,
+                                               const std::vector<std::string>& more = {}) {
+    std::vector<std::string> arguments = {"--listen=" + listen};
+    arguments.insert(arguments.end(), more.begin(), more.end());
+    return StartRun("craftfleet-learner", run, arguments);
+  }
+  static std::unique_ptr<Process> StartRun(const std::string& program, const std::string& run,
+                                           const std::vector<std::string>& more) {
+    std::vector<std::string> arguments = {"--config=" + *shared_ / "config.txt", "--logdir=" + Logdir(run)};
+    arguments.insert(arguments.end(), more.begin(), more.end());
+    return Start(program, run + "-learner", arguments);
+  }
+  static std::unique_ptr<Process> StartServer(const std::string& log, const std::string& listen = "127.0.0.1:0") {
+    return Start("craftfleet-envserver", log, {"--listen=" + listen});
+  }
+  static std::unique_ptr<Process> StartActor(const std::string& log, const std::string& learner,
+                                             const std::string& servers, int threads = 2) {
+    return Start("craftfleet-actor", log,
+                 {"--learner=" + learner, "--envservers=" + servers, absl::StrCat("--threads=", threads)});
+  }
+
+  // Waits until `run` has written the checkpoint of `iteration`.
+  static void WaitForCheckpoint(const std::string& run, int iteration) {
+    const std::string path = absl::StrCat(Logdir(run), "/checkpoints/iter-0000000", iteration);
+    const absl::Time deadline = absl::Now() + kPatience;
+    while (!PathExists(path) && absl::Now() < deadline) absl::SleepFor(absl::Milliseconds(5));
+    ASSERT_TRUE(PathExists(path)) << path;
+  }
+
+  static int64_t Lines(const std::string& text) { return std::count(text.begin(), text.end(), '\n'); }
+  static Result Read(const std::string& run) {
+    const std::string checkpoint = Logdir(run) + "/" + kLastCheckpoint;
+    const auto log = [&](const std::string& name) { return ReadFile(Logdir(run) + "/" + name).value_or("none"); };
+    return {log("stats.jsonl"), log("eval_argmax.jsonl") + "\n" + log("eval_sampled.jsonl"),
+            log("final_argmax.jsonl") + "\n" + log("final_sampled.jsonl"),
+            ReadFile(checkpoint + "/weights.safetensors").value_or("none"),
+            ReadFile(checkpoint + "/optimizer.safetensors").value_or("none")};
+  }
+  static void ExpectLikeQuiet(const std::string& run) {
+    ExpectTrainedLikeQuiet(run);
+    ExpectSame(Read(run).final_evaluation, quiet_->final_evaluation, "final evaluation");
+  }
+  static void ExpectTrainedLikeQuiet(const std::string& run) {
+    const Result result = Read(run);
+    ExpectSame(result.stats, quiet_->stats, "stats.jsonl");
+    ExpectSame(result.evaluations, quiet_->evaluations, "evaluations");
+    ExpectSame(result.weights, quiet_->weights, "weights");
+    ExpectSame(result.optimizer, quiet_->optimizer, "optimizer");
+  }
+  // Without printing kilobytes.
+  static void ExpectSame(const std::string& actual, const std::string& wanted, const std::string& what) {
+    EXPECT_TRUE(actual == wanted) << what << ": " << actual.size() << " bytes, want " << wanted.size()
+                                  << ", first different one at "
+                                  << std::mismatch(actual.begin(), actual.end(), wanted.begin(), wanted.end()).first -
+                                         actual.begin();
+  }
+
+  static inline TempFolder* shared_ = nullptr;
+  static inline Result* quiet_ = nullptr;
+};
+
+}  // namespace craftfleet
+
+#endif  // CRAFTFLEET_TESTS_INTEGRATION_FLEET_FIXTURE_H_
