@@ -173,6 +173,7 @@ absl::Status Submit(const SlurmArray& array) {
   }
   words.push_back(path);
   std::vector<char*> pointers;
+  pointers.reserve(words.size() + 1);
   for (std::string& word : words) pointers.push_back(word.data());
   pointers.push_back(nullptr);
   absl::PrintF("%d runs are left; logs will be in %s\n", array.runs.size(), array.logs);

@@ -3,6 +3,7 @@
 #include <algorithm>
 
 #include <absl/strings/ascii.h>
+#include <absl/strings/match.h>
 #include <absl/strings/str_cat.h>
 #include <absl/strings/str_join.h>
 #include <absl/strings/str_replace.h>
@@ -39,9 +40,7 @@ fi
 exit "$status"
 )sh";
 
-bool IsPlain(char c) {
-  return absl::ascii_isalnum(c) || absl::string_view("_-+=:,./@%").find(c) != absl::string_view::npos;
-}
+bool IsPlain(char c) { return absl::ascii_isalnum(c) || absl::StrContains("_-+=:,./@%", c); }
 
 std::string ShellWords(const std::vector<std::string>& words, absl::string_view separator) {
   return absl::StrJoin(words, separator,
@@ -51,7 +50,7 @@ std::string ShellWords(const std::vector<std::string>& words, absl::string_view 
 }  // namespace
 
 std::string ShellWord(absl::string_view word) {
-  if (!word.empty() && std::all_of(word.begin(), word.end(), IsPlain)) return std::string(word);
+  if (!word.empty() && std::all_of(word.begin(), word.end(), IsPlain)) return absl::StrCat(word);
   return absl::StrCat("'", absl::StrReplaceAll(word, {{"'", "'\\''"}}), "'");
 }
 
