@@ -157,10 +157,11 @@ class Watch(unittest.TestCase):
   def test_top_shows_the_whole_fleet_and_who_is_lost(self):
     self.start_fleet()
     # The server that the actor alone knows is told of with the actor's polls.
-    page = wait_until(lambda: (lambda page: page if self.server in page else "")(self.top()), "both servers")
+    page = wait_until(lambda: (lambda page: page if "1 actors  2 servers  " in page else "")(self.top()), "all of them")
     self.assertRegex(page, r"(?m)^learner \S+ +ok ")
-    self.assertRegex(page, r"(?m)^actor +\S+ +ok +\d+ +\d +0 +\d+M +0 ")
+    self.assertRegex(page, r"(?m)^actor +\S+ +ok +\d+ +\d +[-\d] +\d+M +0 ")
     self.assertEqual(len(re.findall(r"(?m)^server +\S+ +ok ", page)), 2, page)
+    self.assertIn(self.server, page)
     self.assertIn("1 actors  2 servers  0 errors", page)
     self.assertRegex(page, r"time: .*(update|inference) \d+%")
     self.registered.send_signal(signal.SIGKILL)
