@@ -204,6 +204,7 @@ void Learner::FillStatus(v1::StatusReply* reply) const {
   trainer_.FillStatus(reply);
   FleetView view = ViewFleet(trainer_.meter().Recent(), *reply);
   view.finished = trainer_.finished();
+  view.paused = ledger_.paused();
   *reply->mutable_fleet() = SummarizeFleet(view);
 }
 
