@@ -116,6 +116,10 @@ grpc::Status LearnerServiceImpl::GetPermits(grpc::ServerContext* /*context*/, co
 
 void LearnerServiceImpl::TellEnvServers(const v1::PermitRequest& request, v1::PermitReply* reply) {
   if (!request.wants_env_servers()) return;
+  if (env_servers_->ShouldKeep(request.env_servers_generation())) {
+    reply->set_env_servers_generation(request.env_servers_generation());
+    return;
+  }
   int64_t generation = 0;
   const std::vector<ServerRegistry::Server> servers = env_servers_->Servers(&generation);
   reply->set_env_servers_generation(generation);

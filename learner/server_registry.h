@@ -29,7 +29,8 @@ class ServerRegistry {
   };
 
   // `clock` outlives the registry.
-  ServerRegistry(absl::Duration lease, Clock* clock) : lease_(lease), clock_(clock) {}
+  ServerRegistry(absl::Duration lease, Clock* clock)
+      : lease_(lease), clock_(clock), start_(clock->Now()), generation_(absl::ToUnixMicros(start_)) {}
 
   // `lanes`: games that it has.
   void Announce(absl::string_view name, absl::string_view address, int lanes = 0) ABSL_LOCKS_EXCLUDED(mu_);
@@ -41,8 +42,14 @@ class ServerRegistry {
   bool IsDrained(absl::string_view name) ABSL_LOCKS_EXCLUDED(mu_);
 
   // Those that take games, by address. `generation`, if not null, becomes another number, above 0, whenever the
-  // addresses have changed.
+  // addresses have changed, also over restarts of the learner.
   std::vector<Server> Servers(int64_t* generation = nullptr) ABSL_LOCKS_EXCLUDED(mu_);
+
+  // Whether an actor that has the addresses of `generation` (0: none) should keep them: they are from before the
+  // learner's start, and not every server has had the time to announce itself again.
+  bool ShouldKeep(int64_t generation) const {
+    return generation != 0 && generation < absl::ToUnixMicros(start_) && clock_->Now() - start_ < lease_;
+  }
 
   // With those that are being drained.
   std::vector<Server> All() ABSL_LOCKS_EXCLUDED(mu_);
@@ -63,10 +70,11 @@ class ServerRegistry {
 
   const absl::Duration lease_;
   Clock* const clock_;
+  const absl::Time start_;
   Mutex mu_;
   std::map<std::string, Entry, std::less<>> servers_ ABSL_GUARDED_BY(mu_);  // by address
   absl::Time looked_ ABSL_GUARDED_BY(mu_) = absl::InfinitePast();           // for idle ones
-  int64_t generation_ ABSL_GUARDED_BY(mu_) = 1;
+  int64_t generation_ ABSL_GUARDED_BY(mu_);
 };
 
 }  // namespace craftfleet

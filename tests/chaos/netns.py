@@ -36,7 +36,7 @@ LONG_CONFIG = """steps: 200704 seed: 5 lanes: 128 fragment_steps: 32 checkpoint 
 SHORT_CONFIG = """steps: 1024 seed: 5 lanes: 32 fragment_steps: 16 env { length: 30 }
   ppo { rollout_steps: 512 minibatch_size: 128 epochs: 2 } checkpoint { every_iterations: 1 }
   eval { every_steps: 0 final_episodes: 0 }"""
-LONG_PACE = {"kill": 10, "learner": 120, "pause": 60, "reset": 5, "cut": 75}  # seconds from one to the next
+LONG_PACE = {"kill": 15, "learner": 180, "pause": 90, "reset": 10, "cut": 90}  # seconds from one to the next
 SHORT_PACE = {"kill": 15, "reset": 8, "cut": 18}
 
 

@@ -3,7 +3,7 @@
 
   proxy.py --map=10.77.0.2:7000=10.77.0.2:6000 --delay_ms=50 --stall_share=0.01 --stall_ms=1000
 
-What arrives at once (at most 64 KiB) is a message; each is delayed, some are stalled, those behind them wait.
+What arrives without a pause of 10 ms is a message; each is delayed, some are stalled, those behind them wait.
 Reads commands from standard input and ends with it:
   cut ADDRESS    nothing goes to or comes from this client any more, though its connections stay open; * cuts all
   heal ADDRESS   lets go on what was cut
@@ -19,8 +19,9 @@ import socket
 import struct
 import sys
 
-MESSAGE_BYTES = 64 << 10
-QUEUED_MESSAGES = 256  # on the way in one direction of a connection
+PAUSE_S = 0.01  # between two messages
+READ_BYTES = 64 << 10
+QUEUED_READS = 256  # on the way in one direction of a connection
 
 
 class Proxy:
@@ -50,7 +51,7 @@ class Proxy:
         try:
             async with asyncio.TaskGroup() as directions:
                 for reader, writer in [(client_reader, server_writer), (server_reader, client_writer)]:
-                    on_the_way = asyncio.Queue(QUEUED_MESSAGES)
+                    on_the_way = asyncio.Queue(QUEUED_READS)
                     directions.create_task(self.receive(reader, on_the_way))
                     directions.create_task(self.send(client, on_the_way, writer))
         except* OSError:
@@ -61,28 +62,31 @@ class Proxy:
                 writer.transport.abort()
 
     async def receive(self, reader, on_the_way):
-        message = b"something"
-        while message:
+        data, last = b"something", 0
+        while data:
             try:
-                message = await reader.read(MESSAGE_BYTES)
+                data = await reader.read(READ_BYTES)
             except OSError:
-                message = b""  # the other end learns of it when it is due, not before
-            due = asyncio.get_running_loop().time() + self.options.delay_ms / 1000
-            if self.random.random() < self.options.stall_share:
-                self.counts["stalls"] += 1
-                due += self.options.stall_ms / 1000
-            await on_the_way.put((due, message))
+                data = b""  # the other end learns of it when it is due, not before
+            now = asyncio.get_running_loop().time()
+            due = now + self.options.delay_ms / 1000
+            if now - last > PAUSE_S:
+                self.counts["messages"] += 1
+                if self.random.random() < self.options.stall_share:
+                    self.counts["stalls"] += 1
+                    due += self.options.stall_ms / 1000
+            last = now
+            await on_the_way.put((due, data))
 
     async def send(self, client, on_the_way, writer):
-        message = b"something"
-        while message:
-            due, message = await on_the_way.get()
+        data = b"something"
+        while data:
+            due, data = await on_the_way.get()
             await asyncio.sleep(due - asyncio.get_running_loop().time())
             async with self.healed:
                 await self.healed.wait_for(lambda: not self.cut & {client, "*"})
-            self.counts["messages"] += 1
-            self.counts["bytes"] += len(message)
-            writer.write(message)
+            self.counts["bytes"] += len(data)
+            writer.write(data)
             await writer.drain()
         writer.write_eof()
 

@@ -52,6 +52,25 @@ TEST_F(ServerRegistryTest, TheGenerationChangesWithTheAddressesAlone) {
   EXPECT_NE(generation_, before);
 }
 
+TEST_F(ServerRegistryTest, AfterARestartAListFromBeforeIsKeptUntilServersHadTheTimeToAnnounceThemselves) {
+  registry_.Announce("s1", "a:1");
+  Addresses();
+  const int64_t before = generation_;
+  EXPECT_FALSE(registry_.ShouldKeep(before)) << "it is no restart";
+
+  clock_.Advance(absl::Seconds(1));
+  ServerRegistry restarted(kLease, &clock_);
+  EXPECT_TRUE(restarted.ShouldKeep(before));
+  EXPECT_FALSE(restarted.ShouldKeep(0)) << "any server is better than none";
+  restarted.Announce("s2", "b:1");
+  int64_t now = 0;
+  restarted.Servers(&now);
+  EXPECT_GT(now, before) << "no list of one life is taken for one of another";
+  EXPECT_FALSE(restarted.ShouldKeep(now));
+  clock_.Advance(kLease);
+  EXPECT_FALSE(restarted.ShouldKeep(before));
+}
+
 TEST_F(ServerRegistryTest, AServerThatSaysNothingIsForgotten) {
   registry_.Announce("s1", "a:1");
   registry_.Announce("s2", "b:1");
