@@ -66,7 +66,7 @@ void FragmentSender::Cancel() {
 
 void FragmentSender::Explain(const absl::Status& why) {
   if (absl::IsInvalidArgument(why) && unanswered_.has_value()) {
-    LogError("%s; the fragment is dropped", why.message());
+    LogError("%s; the fragment is dropped: run programs of one version", why.message());
     permits_->Release(PermitOf(*unanswered_));
     unanswered_.reset();
     ++refused_;

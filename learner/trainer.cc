@@ -135,7 +135,7 @@ absl::Status Trainer::FinishIteration(const std::vector<Fragment>& fragments, co
   const absl::Status status = WriteCheckpoint();
   checkpoint_missed_ = !status.ok();
   if (!status.ok()) {
-    LogError("checkpoint of iteration %d: %s; training goes on and tries again after the next iteration",
+    LogError("checkpoint of iteration %d: %s; mend that: training goes on and tries again after the next iteration",
              counters_.iteration.load(), status.message());
   }
   return absl::OkStatus();
@@ -203,7 +203,7 @@ void Trainer::WaitForRoom(absl::string_view trouble) {
 void Trainer::SayNowAndThen(absl::string_view trouble) {
   if (parts_.clock->Now() - said_ < kSayWaiting) return;
   said_ = parts_.clock->Now();
-  LogError("%s", trouble);
+  LogError("%s; make room on that disk", trouble);
 }
 
 void Trainer::ServeCheckpointRequests() {
