@@ -142,8 +142,8 @@ absl::StatusOr<Games> OpenGames(const v1::EnvConfig& env, const AgentSpec& spec,
 }
 
 void PrintProgress(int finished, int episodes) {
-  if (isatty(STDERR_FILENO) == 1)
-    absl::FPrintF(stderr, "\r%d/%d episodes%s", finished, episodes, finished == episodes ? "\n" : "");
+  if (isatty(STDERR_FILENO) != 1) return;
+  absl::FPrintF(stderr, "\r%d/%d episodes%s", finished, episodes, finished == episodes ? "\n" : "");
 }
 
 // Each part of several has a folder of its own in the recorder's.
