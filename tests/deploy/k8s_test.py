@@ -11,6 +11,7 @@ import shutil
 import subprocess
 import tempfile
 import unittest
+import urllib.request
 
 from tests.deploy.flags import split, unknown_flags
 from tests.fakes import python_case
@@ -234,22 +235,14 @@ class Manifests(unittest.TestCase):
         self.assertIn(name, [spec["commonName"] for spec in certificates.values()])
     self.over_all(check)
 
-  def test_the_metric_that_scales_is_one_that_the_learner_has(self):
-    table = (SOURCE / "common/metric_table.cc").read_text(encoding="utf-8")
+  def test_the_cluster_overlays_are_autoscaled_by_a_metric_that_is_handed_on(self):
     rules, = kustomize.load_all(K8S / "autoscale/prometheus-adapter-values.yaml")
-    def check(objects):
-      autoscalers = objects.of("HorizontalPodAutoscaler")
-      for document in autoscalers:
-        for metric in document["spec"]["metrics"]:
-          name = metric["external"]["metric"]["name"]
-          self.assertIn(f'{{"{name.removeprefix("craftfleet_")}", kGauge', table)
-          label, = metric["external"]["metric"]["selector"]["matchLabels"]
-          self.assertRegex(table, rf'{{"{name.removeprefix("craftfleet_")}"[^}}]*"learner"[^}}]*"{label}"')
-          self.assertEqual([rule["name"]["matches"] for rule in rules["rules"]["external"]], [name])
-      return len(autoscalers)
-    self.over_all(check)
     for overlay in ("cpu-cluster", "gpu-learner"):
-      self.assertEqual(len(Objects(kustomize.build(K8S / "overlays" / overlay)).of("HorizontalPodAutoscaler")), 2)
+      autoscalers = Objects(kustomize.build(K8S / "overlays" / overlay)).of("HorizontalPodAutoscaler")
+      self.assertEqual(len(autoscalers), 2)
+      for document in autoscalers:
+        names = [metric["external"]["metric"]["name"] for metric in document["spec"]["metrics"]]
+        self.assertEqual(names, [rule["name"]["matches"] for rule in rules["rules"]["external"]])
 
   # The containers.
 
@@ -374,6 +367,23 @@ class Fleet(unittest.TestCase):
       ended = subprocess.run([BIN / "craftfleet-status", f"--address={address}", f"--tls_ca={tls}/ca.crt", f"--tls_cert={tls}/tls.crt",
                               f"--tls_key={tls}/tls.key"], capture_output=True, text=True, check=False)
       self.assertEqual(ended.returncode, code, ended.stdout + ended.stderr)
+    learner.terminate()
+    self.assertEqual(learner.wait(timeout=20), 0)
+
+  def test_the_learner_serves_the_metric_that_scales(self):
+    objects = Objects(kustomize.build(K8S / "overlays/cpu-cluster"))
+    learner, _ = self.start(objects, "learner", {}, ["--threads=1"])
+    address = wait_until(lambda: re.search(r"metrics on (http://[^ \"]+)", self.log.read_text()), "the address of metrics")[1]
+
+    def served(name, labels):
+      with urllib.request.urlopen(address, timeout=10) as reply:
+        lines = reply.read().decode().splitlines()
+      return any(line.startswith(name + "{") and all(f'{key}="{value}"' in line for key, value in labels.items()) for line in lines)
+
+    for document in objects.of("HorizontalPodAutoscaler"):
+      for metric in document["spec"]["metrics"]:
+        wanted = metric["external"]["metric"]
+        wait_until(lambda wanted=wanted: served(wanted["name"], wanted["selector"]["matchLabels"]), f"{wanted}", seconds=20)
     learner.terminate()
     self.assertEqual(learner.wait(timeout=20), 0)
 

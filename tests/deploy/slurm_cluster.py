@@ -145,7 +145,13 @@ class SlurmCluster:
     return dict(word.split("=", 1) for word in text.split() if "=" in word)
 
   def wait_for_state(self, number, *states, seconds=120):
-    wait_until(lambda: self.job(number)["JobState"] in states, f"job {number} {' or '.join(states)}", seconds)
+    """The first of `states` that it gets into."""
+
+    def state():
+      now = self.job(number)["JobState"]
+      return now if now in states else ""
+
+    return wait_until(state, f"job {number} {' or '.join(states)}", seconds)
 
   def logs(self):
     return "\n".join(f"== {name}\n" + (self.folder / name).read_text(errors="replace")[-3000:]

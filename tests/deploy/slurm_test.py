@@ -12,6 +12,7 @@ from tests.fakes.python_case import BIN, SOURCE, wait_until
 SCRIPT = SOURCE / "deploy/slurm/fleet.sbatch"
 # 2 actors and 2 environment servers, small enough for three nodes on one machine.
 PARTS = ["--cpus-per-task=1", "--mem-per-cpu=500", ":", "--ntasks=2", "--mem-per-cpu=500", ":", "--ntasks=2", "--mem-per-cpu=500"]
+ENDS = ("COMPLETED", "FAILED", "CANCELLED", "TIMEOUT", "NODE_FAIL", "OUT_OF_MEMORY")
 EXPERIMENTS = """
 axes {
   name: "gamma"
@@ -66,9 +67,11 @@ class Slurm(unittest.TestCase):
     except AssertionError as error:
       raise AssertionError(f"{error}\n{self.job_log()}\n{self.cluster.logs()}") from None
 
-  def expect_state(self, job, *states):
+  def expect_state(self, job, state):
     try:
-      self.cluster.wait_for_state(job, *states)
+      ended = self.cluster.wait_for_state(job, state, *ENDS)
+      if ended != state:
+        raise AssertionError(f"job {job} is {ended}, want {state}")
     except AssertionError as error:
       raise AssertionError(f"{error}\n{self.job_log()}\n{self.cluster.logs()}") from None
 
