@@ -83,7 +83,7 @@ grpc::Status AdminServiceImpl::Drain(grpc::ServerContext* context, const v1::Dra
 
 absl::Status AdminServiceImpl::DrainActor(grpc::ServerContext* context, const std::string& actor) {
   parts_.ledger->Drain(actor);
-  const absl::Status status = WaitFor(
+  absl::Status status = WaitFor(
       context, [&] { return parts_.ledger->IsDrained(actor) && !parts_.evaluations->IsPlaying(actor); },
       "it gets nothing more to play, but is not done with what it has");
   if (status.ok()) LogInfo("actor %s is drained", actor);
@@ -92,7 +92,7 @@ absl::Status AdminServiceImpl::DrainActor(grpc::ServerContext* context, const st
 
 absl::Status AdminServiceImpl::DrainServer(grpc::ServerContext* context, const std::string& server) {
   parts_.env_servers->Drain(server);
-  const absl::Status status = WaitFor(
+  absl::Status status = WaitFor(
       context, [&] { return parts_.env_servers->IsDrained(server); },
       "actors with --envservers=learner move their games away, but it still has some; those of actors that were given "
       "its address stay");

@@ -79,7 +79,7 @@ std::string ExplainHandshake(absl::string_view line) {
   const struct {
     absl::string_view text;
     absl::string_view meaning;
-  } kMeanings[] = {
+  } meanings[] = {
       {"peer did not return a certificate", "it shows no certificate"},
       {"certificate verify failed", "its certificate has expired or is not from an authority in --tls_ca"},
       {"wrong version number", "it does not speak TLS"},
@@ -90,7 +90,7 @@ std::string ExplainHandshake(absl::string_view line) {
       {"Socket closed", "it left during the handshake, as clients do that don't accept our certificate"},
       {"imed out", "it did not finish the handshake in time"},
   };
-  for (const auto& entry : kMeanings) {
+  for (const auto& entry : meanings) {
     if (absl::StrContains(line, entry.text)) return std::string(entry.meaning);
   }
   constexpr absl::string_view kRoutines = "SSL routines::";

@@ -12,6 +12,7 @@
 
 #include <algorithm>
 #include <cerrno>
+#include <cstring>
 #include <system_error>
 #include <utility>
 
@@ -108,7 +109,7 @@ absl::Status Listener::BindTo(const addrinfo& address) {
   SetOption(socket, IPPROTO_TCP, TCP_NODELAY, 1);
   SetOption(socket, IPPROTO_TCP, TCP_USER_TIMEOUT, kUserTimeoutMs);
   sockaddr_storage wanted = {};
-  std::copy_n(reinterpret_cast<const char*>(address.ai_addr), address.ai_addrlen, reinterpret_cast<char*>(&wanted));
+  std::memcpy(&wanted, address.ai_addr, address.ai_addrlen);
   // The second address of a name gets the port that the first one got.
   auto* port4 = &reinterpret_cast<sockaddr_in*>(&wanted)->sin_port;
   auto* port = address.ai_family == AF_INET6 ? &reinterpret_cast<sockaddr_in6*>(&wanted)->sin6_port : port4;

@@ -275,6 +275,10 @@ TEST_F(SecureFleetTest, GarbageHarmsNobodyWithoutTlsEither) {
   WaitForCheckpoint("plain", 2);
   Scanner scanner;
   for (const std::string& address : {learner_address_, server_address, actor_address}) scanner.Scan(address);
+  for (const Process* process : {learner_.get(), server_.get(), actor_.get()}) {
+    const std::string url = process->WaitForAddress("metrics on http://", kPatience).value();
+    scanner.Scan(url.substr(0, url.find('/')));
+  }
   EXPECT_EQ(learner_->Wait(absl::ZeroDuration()), std::nullopt) << "the run ended before the scan";
   ExpectTheRunToEndLikeQuiet("plain");
   EXPECT_THAT(actor_->Err(), Not(HasSubstr("trying again")));

@@ -1,15 +1,22 @@
 // TLS and tokens between a real server and real channels, on loopback.
 #include "common/wire/security.h"
 
-#include <sys/socket.h>
+#include <fcntl.h>
+#include <unistd.h>
 
+#include <atomic>
+#include <cstdlib>
+#include <functional>
+#include <memory>
 #include <string>
 
+#include <absl/strings/match.h>
 #include <absl/strings/str_format.h>
 #include <absl/time/clock.h>
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include "common/files.h"
 #include "common/wire/certificates.h"
 #include "common/wire/channel.h"
 #include "common/wire/server.h"
@@ -97,10 +104,18 @@ class SecurityTest : public testing::Test {
     if (stream->Write({}) && stream->Read(&reply)) return absl::OkStatus();
     return FromCall(stream->Finish(), "server", endpoint);
   }
-  static std::string ErrorLog(const std::function<void()>& action) {
-    testing::internal::CaptureStderr();
+  // What is logged by `action` and, as servers log a refusal after the client hears of it, up to `awaited`.
+  std::string ErrorLog(const std::function<void()>& action, const std::string& awaited = "") const {
+    const std::string path = folder_ / "stderr";
+    const int log = open(path.c_str(), O_CREAT | O_TRUNC | O_WRONLY | O_CLOEXEC, 0600);
+    const int before = dup(STDERR_FILENO);
+    dup2(log, STDERR_FILENO);
     action();
-    return testing::internal::GetCapturedStderr();
+    WaitUntil([&] { return absl::StrContains(ReadFile(path).value_or(""), awaited); });
+    dup2(before, STDERR_FILENO);
+    close(before);
+    close(log);
+    return ReadFile(path).value_or("");
   }
 
   const TempFolder folder_;
@@ -123,11 +138,13 @@ TEST_F(SecurityTest, ClientsNeedNoCertificateWhereNoneIsWanted) {
 
 TEST_F(SecurityTest, AClientWithoutCertificateIsRefused) {
   const auto server = Listen(Files("server"));
-  const std::string log = ErrorLog([&] {
-    EXPECT_THAT(GetStatus(server->address(), Client("")),
-                StatusIs(absl::StatusCode::kUnavailable,
-                         AllOf(HasSubstr("server: TLS: "), HasSubstr("give --tls_cert and --tls_key"))));
-  });
+  const std::string log = ErrorLog(
+      [&] {
+        EXPECT_THAT(GetStatus(server->address(), Client("")),
+                    StatusIs(absl::StatusCode::kUnavailable,
+                             AllOf(HasSubstr("server: TLS: "), HasSubstr("give --tls_cert and --tls_key"))));
+      },
+      "connected just before");
   EXPECT_THAT(log, HasSubstr("TLS: refused a client: it shows no certificate; connected just before: 127.0.0.1"));
 }
 
@@ -135,12 +152,14 @@ TEST_F(SecurityTest, ACertificateOfAnotherAuthorityIsRefused) {
   TestAuthority other(folder_, "other");
   other.Issue("stranger", {"client"});
   const auto server = Listen(Files("server"));
-  const std::string log = ErrorLog([&] {
-    EXPECT_THAT(
-        GetStatus(server->address(), Client("stranger")),
-        StatusIs(absl::StatusCode::kUnavailable, AllOf(HasSubstr("it may have refused --tls_cert=" + Pem("stranger")),
-                                                       HasSubstr("not from an authority in --tls_ca=" + Pem("ca")))));
-  });
+  const std::string log = ErrorLog(
+      [&] {
+        EXPECT_THAT(GetStatus(server->address(), Client("stranger")),
+                    StatusIs(absl::StatusCode::kUnavailable,
+                             AllOf(HasSubstr("it may have refused --tls_cert=" + Pem("stranger")),
+                                   HasSubstr("not from an authority in --tls_ca=" + Pem("ca")))));
+      },
+      "refused a client");
   EXPECT_THAT(log, HasSubstr("refused a client: its certificate has expired or is not from an authority in --tls_ca"));
 }
 
@@ -201,15 +220,18 @@ TEST_F(SecurityTest, TokensGiveRights) {
   EXPECT_THAT(Play(server->address(), Client("", "ca", worker)), IsOk());
   EXPECT_FALSE(echo_.saw_token());
 
-  const std::string log = ErrorLog([&] {
-    EXPECT_THAT(
-        Play(server->address(), Client("", "ca", monitor)),
-        StatusIs(absl::StatusCode::kPermissionDenied, AllOf(HasSubstr("not allowed"), Not(HasSubstr("monitor\"")))));
-    EXPECT_THAT(GetStatus(server->address(), Client("", "ca", wrong)),
-                StatusIs(absl::StatusCode::kUnauthenticated, HasSubstr("check the token in --token_file=" + wrong)));
-    EXPECT_THAT(GetStatus(server->address(), Client("")),
-                StatusIs(absl::StatusCode::kUnauthenticated, HasSubstr("give --token_file")));
-  });
+  const std::string log = ErrorLog(
+      [&] {
+        EXPECT_THAT(Play(server->address(), Client("", "ca", monitor)),
+                    StatusIs(absl::StatusCode::kPermissionDenied,
+                             AllOf(HasSubstr("not allowed"), Not(HasSubstr("monitor\"")))));
+        EXPECT_THAT(
+            GetStatus(server->address(), Client("", "ca", wrong)),
+            StatusIs(absl::StatusCode::kUnauthenticated, HasSubstr("check the token in --token_file=" + wrong)));
+        EXPECT_THAT(GetStatus(server->address(), Client("")),
+                    StatusIs(absl::StatusCode::kUnauthenticated, HasSubstr("give --token_file")));
+      },
+      "it shows no token");
   EXPECT_THAT(log, AllOf(HasSubstr("refused /craftfleet.v1.EnvironmentService/Play: security_test@"),
                          HasSubstr("it is \"monitor\" in the access file, without the right to work"),
                          HasSubstr("its token is not in the access file"), HasSubstr("it shows no token"),
@@ -258,6 +280,27 @@ TEST_F(SecurityTest, ReplacedCertificatesAreUsedAndNoConnectionIsLost) {
   EXPECT_TRUE(stream->Write({}) && stream->Read(&reply));
   stream->WritesDone();
   EXPECT_TRUE(stream->Finish().ok());
+}
+
+TEST_F(SecurityTest, TheScriptMakesCertificatesThatWork) {
+  const std::string made = folder_ / "made";
+  const std::string script = CRAFTFLEET_SOURCE_DIR "/deploy/make-certs.sh " + made + " > /dev/null ";
+  ASSERT_EQ(std::system((script + "learner=learner.example.com,10.0.0.5 ops").c_str()), 0);
+  const auto files = [&](const std::string& name) {
+    return TlsFiles{made + "/" + name + ".pem", made + "/" + name + ".key", made + "/ca.pem"};
+  };
+  const auto server = Listen(files("learner"));
+  auto ops = ChannelSecurity::Create({files("ops"), "", ""});
+  ASSERT_THAT(ops, IsOk());
+  EXPECT_THAT(GetStatus(server->address(), *ops), IsOk());
+  EXPECT_THAT(GetStatus(server->address(), ops->ForServer("learner.example.com")), IsOk());
+  // Again: the same authority, new certificates.
+  const std::string before = *ReadFile(made + "/ops.pem");
+  const std::string authority = *ReadFile(made + "/ca.pem");
+  ASSERT_EQ(std::system((script + "ops").c_str()), 0);
+  EXPECT_EQ(*ReadFile(made + "/ca.pem"), authority);
+  EXPECT_NE(*ReadFile(made + "/ops.pem"), before);
+  EXPECT_THAT(GetStatus(server->address(), *ChannelSecurity::Create({files("ops"), "", ""})), IsOk());
 }
 
 TEST_F(SecurityTest, OptionsThatDoNotGoTogetherAreNamed) {
