@@ -157,7 +157,7 @@ absl::Status Actor::KeepPermits() {
     request.set_epoch(joined_.epoch());
     request.set_capacity(options_.capacity);
     request.set_wait_ms(kPollMs);
-    request.set_evaluates(true);
+    request.set_evaluates(evaluations_->ready());
     if (options_.env_servers->uses_registry()) {
       request.set_wants_env_servers(true);
       request.set_env_servers_generation(env_servers_generation_);

@@ -2,6 +2,8 @@
 
 #include <utility>
 
+#include <absl/time/clock.h>
+
 #include "actor/evaluator.h"
 #include "common/agent/policy.h"
 #include "common/log.h"
@@ -19,6 +21,11 @@ EvaluationWorker::EvaluationWorker(const Options& options, const LearnerClient* 
     : options_(options), learner_(learner), thread_([this] { Run(); }) {}
 
 EvaluationWorker::~EvaluationWorker() { Stop(); }
+
+bool EvaluationWorker::ready() const {
+  const MutexLock lock(&mu_);
+  return absl::Now() >= next_try_;
+}
 
 void EvaluationWorker::Give(int64_t epoch, const v1::EvaluationTask& task) {
   const MutexLock lock(&mu_);
@@ -55,7 +62,12 @@ void EvaluationWorker::Run() {
     const MutexLock lock(&mu_);
     env_ = nullptr;
     job_.reset();
-    if (!status.ok() && !stopping_) LogWarning("evaluation task %d given back: %s", job.task.id(), status.message());
+    if (status.ok()) {
+      backoff_.Reset();
+    } else if (!stopping_) {
+      next_try_ = absl::Now() + backoff_.Next();
+      LogWarning("evaluation task %d given back: %s", job.task.id(), status.message());
+    }
   }
 }
 

@@ -10,11 +10,13 @@
 #include <thread>
 
 #include <absl/status/status.h>
+#include <absl/time/time.h>
 
 #include "actor/env_client.h"
 #include "actor/env_directory.h"
 #include "actor/learner_client.h"
 #include "common/agent/agent_spec.h"
+#include "common/backoff.h"
 #include "common/mutex.h"
 #include "craftfleet/v1/environment.pb.h"
 #include "craftfleet/v1/learner.pb.h"
@@ -36,6 +38,8 @@ class EvaluationWorker {
   EvaluationWorker(const Options& options, const LearnerClient* learner);
   ~EvaluationWorker();
 
+  // Whether it would play a task; not for a while after one that it could not play.
+  bool ready() const ABSL_LOCKS_EXCLUDED(mu_);
   // Plays `task` of the learner's start `epoch`, if nothing is at hand.
   void Give(int64_t epoch, const v1::EvaluationTask& task) ABSL_LOCKS_EXCLUDED(mu_);
   // Id of the task at hand in `epoch`; 0: none.
@@ -60,6 +64,8 @@ class EvaluationWorker {
   mutable Mutex mu_;
   CondVar changed_;
   std::optional<Job> job_ ABSL_GUARDED_BY(mu_);
+  Backoff backoff_ ABSL_GUARDED_BY(mu_){absl::Seconds(1), absl::Seconds(10)};
+  absl::Time next_try_ ABSL_GUARDED_BY(mu_) = absl::InfinitePast();
   std::unique_ptr<EnvClient> env_ ABSL_GUARDED_BY(mu_);  // made and used by the thread; Stop cancels it
   bool stopping_ ABSL_GUARDED_BY(mu_) = false;
   std::thread thread_;

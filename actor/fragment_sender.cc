@@ -5,6 +5,7 @@
 #include <absl/strings/str_cat.h>
 #include <absl/time/clock.h>
 
+#include "common/backoff.h"
 #include "common/log.h"
 #include "common/status_macros.h"
 #include "common/wire/convert.h"
@@ -13,7 +14,8 @@
 namespace craftfleet {
 namespace {
 
-constexpr absl::Duration kRetryPause = absl::Milliseconds(500);
+constexpr absl::Duration kFirstPause = absl::Milliseconds(250);  // before the next stream
+constexpr absl::Duration kLastPause = absl::Seconds(2);
 constexpr absl::Duration kSayAgain = absl::Seconds(10);  // between two lines about the same trouble
 
 HeldPermit PermitOf(const v1::FragmentMessage& message) {
@@ -38,7 +40,9 @@ void FragmentSender::Stop() {
 }
 
 void FragmentSender::Run() {
+  Backoff backoff(kFirstPause, kLastPause);
   while (true) {
+    const int64_t verdicts = accepted_ + refused_;
     std::unique_ptr<Stream> stream;
     {
       MutexLock lock(&mu_);
@@ -52,9 +56,10 @@ void FragmentSender::Run() {
     const absl::Status end = wire::FromGrpc(stream->Finish(), learner_->name());
     if (absl::IsUnavailable(status) && !end.ok()) status = end;  // says why the stream broke
     if (!stopping()) Explain(status);
+    if (accepted_ + refused_ > verdicts) backoff.Reset();
     MutexLock lock(&mu_);
     context_ = nullptr;
-    stopped_.WaitFor(&mu_, kRetryPause, [this] { return stopping(); });
+    stopped_.WaitFor(&mu_, backoff.Next(), [this] { return stopping(); });
   }
 }
 
