@@ -1,6 +1,7 @@
 #include "common/program.h"
 
 #include <signal.h>
+#include <sys/resource.h>
 #include <unistd.h>
 
 #include <atomic>
@@ -89,6 +90,14 @@ void PrintHelp(absl::string_view program, absl::string_view usage) {
   absl::PrintF("  --help, --version\n");
 }
 
+// Each connection is an open file, and shells begin with a limit of 1,024 of them.
+void RaiseFileLimit() {
+  rlimit limit = {};
+  if (getrlimit(RLIMIT_NOFILE, &limit) != 0) return;
+  limit.rlim_cur = limit.rlim_max;
+  setrlimit(RLIMIT_NOFILE, &limit);
+}
+
 }  // namespace
 
 std::vector<std::string> ParseFlagsAndArguments(absl::string_view program, absl::string_view usage, int argc,
@@ -97,6 +106,7 @@ std::vector<std::string> ParseFlagsAndArguments(absl::string_view program, absl:
   setenv("GRPC_VERBOSITY", "NONE", /*overwrite=*/0);
   // A file at its size limit is an error of the write, like a full disk, and not the end.
   signal(SIGXFSZ, SIG_IGN);
+  RaiseFileLimit();
   for (int i = 1; i < argc; ++i) {
     const absl::string_view argument = argv[i];
     if (argument == "--help" || argument == "-help" || argument == "-h") {

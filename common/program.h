@@ -13,10 +13,10 @@
 
 namespace craftfleet {
 
-// Reads the absl flags, and sets up the log by --log_level and --log_format, which every program has. `usage` is what
-// --help prints before the list of flags: what the program is for, and examples. Ends the process: with 0 after --help
-// and --version, with 1 after an unknown flag, a value that does not parse, or an argument that is no flag; standard
-// error says which.
+// Reads the absl flags, sets up the log by --log_level and --log_format, which every program has, and raises the limit
+// of open files as far as it may. `usage` is what --help prints before the list of flags: what the program is for, and
+// examples. Ends the process: with 0 after --help and --version, with 1 after an unknown flag, a value that does not
+// parse, or an argument that is no flag; standard error says which.
 void ParseFlags(absl::string_view program, absl::string_view usage, int argc, char** argv);
 
 // The same for a program that takes arguments beside its flags: returns them, in order.
