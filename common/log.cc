@@ -64,7 +64,8 @@ std::string FormatLogLine(const LogOptions& options, LogLevel level, absl::strin
   line["time"] = absl::FormatTime("%Y-%m-%dT%H:%M:%E3SZ", time, absl::UTCTimeZone());
   line["level"] = LevelName(level);
   line["program"] = options.program;
-  line["message"] = std::string(text);
+  const std::string message(text);
+  line["message"] = message;
   return line.dump(-1, ' ', /*ensure_ascii=*/false, nlohmann::ordered_json::error_handler_t::replace) + "\n";
 }
 
@@ -74,7 +75,7 @@ void Log(LogLevel level, absl::string_view text) {
   if (level == LogLevel::kError) {
     ++log.errors;
     const MutexLock lock(&log.mu);
-    log.last_error = std::string(text);
+    log.last_error.assign(text.data(), text.size());
   }
   if (level < log.options.level) return;
   const std::string line = FormatLogLine(log.options, level, text, absl::Now());

@@ -45,7 +45,7 @@ std::string Trouble(const StatusWatcher::Seen& seen) {
 }
 
 // Pages of plain text until the reader or the person has enough.
-absl::Status PrintPages(const StatusWatcher& watcher, const TopState& state, TopPage page,
+absl::Status PrintPages(const StatusWatcher& watcher, const TopState& state, const TopPage& page,
                         const std::atomic<bool>& stopping) {
   int64_t printed = 0;
   while (!stopping && std::ferror(stdout) == 0) {

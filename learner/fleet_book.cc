@@ -38,8 +38,8 @@ void FleetBook::Heard(absl::string_view role, absl::string_view name, absl::stri
       it = same ? workers_.erase(it) : std::next(it);
     }
   }
-  Worker& worker = workers_[{std::string(role), std::string(name)}];
-  if (!address.empty()) worker.address = std::string(address);
+  Worker& worker = workers_[Key(role, name)];
+  if (!address.empty()) worker.address.assign(address.data(), address.size());
   worker.last_word = clock_->Now();
   if (summary.ByteSizeLong() > 0) {
     worker.summary = Cut(summary);
@@ -72,7 +72,7 @@ void FleetBook::HeardOf(const v1::Peer& server) {
 
 void FleetBook::Left(absl::string_view role, absl::string_view name) {
   const MutexLock lock(&mu_);
-  const auto entry = workers_.find({std::string(role), std::string(name)});
+  const auto entry = workers_.find(Key(role, name));
   if (entry == workers_.end()) return;
   entry->second.left = true;
   entry->second.last_word = clock_->Now();

@@ -18,7 +18,8 @@ namespace craftfleet::wire {
 
 absl::StatusOr<MetricsServer::Options> MetricsOptionsFromFlags(absl::string_view by_default) {
   MetricsServer::Options options;
-  options.address = absl::GetFlag(FLAGS_metrics_listen).value_or(std::string(by_default));
+  const std::string otherwise(by_default);
+  options.address = absl::GetFlag(FLAGS_metrics_listen).value_or(otherwise);
   options.insecure = absl::GetFlag(FLAGS_metrics_insecure);
   CRAFTFLEET_RETURN_IF_ERROR(options.Validate());
   return options;

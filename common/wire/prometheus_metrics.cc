@@ -26,12 +26,13 @@ class Families {
   void Add(absl::string_view name, double value, std::vector<ClientMetric::Label> labels = {}) {
     const MetricInfo* info = FindMetric(name);
     CRAFTFLEET_CHECK(info != nullptr);
-    const auto [place, is_new] = place_.try_emplace(std::string(name), families_.size());
+    const std::string key(name);
+    const auto [place, is_new] = place_.try_emplace(key, families_.size());
     if (is_new) {
-      families_.push_back({PrometheusName(*info),
-                           std::string(info->help),
-                           info->counter ? MetricType::Counter : MetricType::Gauge,
-                           {}});
+      MetricFamily& family = families_.emplace_back();
+      family.name = PrometheusName(*info);
+      family.help.assign(info->help.data(), info->help.size());
+      family.type = info->counter ? MetricType::Counter : MetricType::Gauge;
     }
     ClientMetric& metric = families_[place->second].metric.emplace_back();
     metric.label = std::move(labels);
@@ -56,7 +57,8 @@ void AddFleet(const v1::StatusReply& status, Families* families) {
   }
   // All of them each time, so that a series goes back to 0.
   for (const absl::string_view part : kBottleneckParts) {
-    families->Add("fleet_bottleneck", status.fleet().bottleneck() == part ? 1 : 0, {{"part", std::string(part)}});
+    const std::string name(part);
+    families->Add("fleet_bottleneck", status.fleet().bottleneck() == name ? 1 : 0, {{"part", name}});
   }
   std::map<std::pair<std::string, v1::Peer::Health>, int> workers;
   for (const v1::Peer& peer : status.peers()) ++workers[{peer.role(), peer.health()}];

@@ -53,7 +53,7 @@ v1::StatusReply StatusServiceImpl::Snapshot() const {
 
 void StatusServiceImpl::SetMetricsAddress(absl::string_view address) {
   const MutexLock lock(&mu_);
-  metrics_address_ = std::string(address);
+  metrics_address_.assign(address.data(), address.size());
 }
 
 grpc::Status StatusServiceImpl::GetStatus(grpc::ServerContext* /*context*/, const v1::StatusRequest* /*request*/,
@@ -98,9 +98,9 @@ void AddMetric(absl::string_view name, double value, v1::StatusReply* reply) {
   const MetricInfo* info = FindMetric(name);
   CRAFTFLEET_CHECK(info != nullptr);
   v1::Metric* metric = reply->add_metrics();
-  metric->set_name(std::string(name));
+  metric->set_name(info->name.data(), info->name.size());
   metric->set_value(value);
-  metric->set_unit(std::string(info->unit));
+  metric->set_unit(info->unit.data(), info->unit.size());
   metric->set_counter(info->counter);
 }
 
@@ -118,7 +118,8 @@ void FillWork(const Work& total, const Work& recent, int threads, v1::ProcessSum
   for (const Activity activity : kActivities) {
     if (total.times[activity] == 0) continue;
     v1::ActivityTime* time = summary->add_times();
-    time->set_activity(std::string(ActivityName(activity)));
+    const std::string name(ActivityName(activity));
+    time->set_activity(name);
     time->set_seconds(total.times[activity]);
     time->set_share(shares[activity]);
   }
@@ -137,7 +138,8 @@ void AddShares(const ByActivity& shares, google::protobuf::RepeatedPtrField<v1::
   for (const Activity activity : kActivities) {
     if (shares[activity] == 0) continue;
     v1::ActivityTime* time = times->Add();
-    time->set_activity(std::string(ActivityName(activity)));
+    const std::string name(ActivityName(activity));
+    time->set_activity(name);
     time->set_share(shares[activity]);
   }
 }

@@ -49,11 +49,11 @@ struct Row {
 };
 
 const char* ShortName(absl::string_view activity) {
-  static const auto* const kNames = new std::map<absl::string_view, const char*>{
+  static const auto* const names = new std::map<absl::string_view, const char*>{
       {"environment", "env"}, {"wire", "wire"},  {"inference", "inf"}, {"permits", "perm"},
       {"intake", "intk"},     {"update", "upd"}, {"other", "oth"},     {"idle", "idle"}};
-  const auto found = kNames->find(activity);
-  return found == kNames->end() ? "?" : found->second;
+  const auto found = names->find(activity);
+  return found == names->end() ? "?" : found->second;
 }
 
 // `text` in printable ASCII: it may come from a stranger, and goes to a terminal.
