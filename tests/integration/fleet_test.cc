@@ -123,7 +123,7 @@ TEST_F(FleetTest, AFinishedRunMayBeMadeLonger) {
 // Recurrent states travel with fragments, snapshots and checkpoints.
 class RecurrentFleetTest : public FleetTest {
  protected:
-  static void SetUpTestSuite() { TrainQuietly(kRecurrentConfig); }
+  void SetUp() override { TrainQuietly(kRecurrentConfig); }
 };
 
 TEST_F(RecurrentFleetTest, ThreeActorsAndTwoServersWithKillsEqualOneProcess) { PlayWithKills(); }

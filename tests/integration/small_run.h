@@ -18,7 +18,7 @@
 
 namespace craftfleet {
 
-inline constexpr absl::Duration kPatience = absl::Seconds(120);  // sanitizer builds are slow
+inline constexpr absl::Duration kPatience = absl::Seconds(240);  // sanitizer builds are slow
 
 // What a program left behind that has ended.
 struct Ended {
