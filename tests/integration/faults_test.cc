@@ -44,7 +44,7 @@ constexpr char kFaultsConfig[] = R"(
 
 class FaultsTest : public FleetRunTest {
  protected:
-  static void SetUpTestSuite() { TrainQuietly(kFaultsConfig); }
+  void SetUp() override { TrainQuietly(kFaultsConfig); }
 
   // What a process says of itself; null if it does not answer.
   static nlohmann::json StatusOf(const std::string& address) {
