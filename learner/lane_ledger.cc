@@ -232,8 +232,9 @@ std::vector<Permit> LaneLedger::Renew(Actor* actor, absl::Span<const Permit> act
     const bool in_range = permit.lane >= 0 && permit.lane < options_.lanes;
     // An accepted fragment's permit is not lost: its verdict is on the way.
     if (in_range && permit.fragment < lanes_[permit.lane].record.next_fragment) continue;
-    if (!in_range || lanes_[permit.lane].holder != actor || lanes_[permit.lane].permit != permit)
+    if (!in_range || lanes_[permit.lane].holder != actor || lanes_[permit.lane].permit != permit) {
       lost.push_back(permit);
+    }
   }
   return lost;
 }
