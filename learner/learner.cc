@@ -24,6 +24,8 @@ namespace craftfleet {
 namespace {
 
 constexpr absl::Duration kLease = absl::Seconds(5);
+// They speak once a second, actors twice: a server that was paused for 4 s must not be forgotten either.
+constexpr absl::Duration kServerLease = absl::Seconds(8);
 
 // Fills in what follows from the rest and checks all of it.
 absl::StatusOr<v1::RunConfig> CompleteConfig(v1::RunConfig config) {
@@ -186,7 +188,7 @@ Learner::Learner(const Options& options, Loaded loaded)
               clock_.get()),
       fragments_(FragmentsPerIteration(config_)),
       evaluation_book_(kLease, clock_.get()),
-      env_servers_(kLease, clock_.get()),
+      env_servers_(kServerLease, clock_.get()),
       fleet_(kLease, clock_.get()),
       evaluations_(config_.eval(), loaded.checkpoint, &evaluation_book_, folder_.get()),
       progress_({options.progress_in_place, loaded.checkpoint.state.env_steps(), config_.steps(), folder_->run_id()},
@@ -197,6 +199,7 @@ Learner::Learner(const Options& options, Loaded loaded)
       service_({folder_->run_id(), folder_->epoch(), config_, loaded.texture_digest,
                 FragmentShapeOf(config_, updater_->spec()), kLease},
                &ledger_, &weights_, &fragments_, &evaluation_book_, &env_servers_, &fleet_),
+      admin_service_({&checkpoint_requests_, &ledger_, &evaluation_book_, &env_servers_, [this] { Stop(); }}),
       status_service_("learner", [this](v1::StatusReply* reply) { FillStatus(reply); }) {}
 
 void Learner::FillStatus(v1::StatusReply* reply) const {
@@ -216,4 +219,3 @@ absl::Status Learner::Run() {
 }
 
 }  // namespace craftfleet
-      admin_service_({&checkpoint_requests_, &ledger_, &evaluation_book_, &env_servers_, [this] { Stop(); }}),

@@ -82,16 +82,16 @@ class Learner {
   FragmentQueue fragments_;
   EvaluationBook evaluation_book_;
   ServerRegistry env_servers_;
+  CheckpointRequests checkpoint_requests_;
   FleetBook fleet_;
   EvaluationSchedule evaluations_;
-  CheckpointRequests checkpoint_requests_;
   std::ostream null_stream_{nullptr};
   ProgressPrinter progress_;
   Trainer trainer_;
   LearnerServiceImpl service_;
+  AdminServiceImpl admin_service_;
   wire::StatusServiceImpl status_service_;
   std::unique_ptr<wire::Server> server_;  // last: its threads use all of the above
-  AdminServiceImpl admin_service_;
 };
 
 }  // namespace craftfleet
