@@ -31,14 +31,15 @@ void Rest(v1::ProcessSummary* summary) {
 void FleetBook::Heard(absl::string_view role, absl::string_view name, absl::string_view address,
                       const v1::ProcessSummary& summary) {
   const MutexLock lock(&mu_);
-  if (role == kEnvServer) {
+  if (role == kEnvServer && workers_.count(Key(role, name)) == 0) {
     // One that came back, or of which actors spoke by its address alone, is the same to people.
     for (auto it = workers_.begin(); it != workers_.end();) {
       const bool same = it->first.first == role && it->first.second != name && it->second.address == address;
       it = same ? workers_.erase(it) : std::next(it);
     }
   }
-  Worker& worker = workers_[Key(role, name)];
+  const auto [entry, is_new] = workers_.try_emplace(Key(role, name));
+  Worker& worker = entry->second;
   if (!address.empty()) worker.address.assign(address.data(), address.size());
   worker.last_word = clock_->Now();
   if (summary.ByteSizeLong() > 0) {
@@ -47,7 +48,7 @@ void FleetBook::Heard(absl::string_view role, absl::string_view name, absl::stri
   }
   worker.own_word = worker.last_word;
   worker.left = false;
-  Forget();
+  if (is_new) Forget();
 }
 
 void FleetBook::HeardOf(const v1::Peer& server) {
@@ -67,7 +68,7 @@ void FleetBook::HeardOf(const v1::Peer& server) {
     worker.summary = Cut(server.summary());
     worker.summary_time = clock_->Now();
   }
-  Forget();
+  if (is_new) Forget();
 }
 
 void FleetBook::Left(absl::string_view role, absl::string_view name) {

@@ -116,14 +116,11 @@ grpc::Status LearnerServiceImpl::GetPermits(grpc::ServerContext* /*context*/, co
 
 void LearnerServiceImpl::TellEnvServers(const v1::PermitRequest& request, v1::PermitReply* reply) {
   if (!request.wants_env_servers()) return;
-  if (env_servers_->ShouldKeep(request.env_servers_generation())) {
-    reply->set_env_servers_generation(request.env_servers_generation());
-    return;
-  }
-  int64_t generation = 0;
+  int64_t generation = request.env_servers_generation();
+  reply->set_env_servers_generation(generation);
+  if (env_servers_->Generation() == generation || env_servers_->ShouldKeep(generation)) return;
   const std::vector<ServerRegistry::Server> servers = env_servers_->Servers(&generation);
   reply->set_env_servers_generation(generation);
-  if (generation == request.env_servers_generation()) return;
   for (const ServerRegistry::Server& server : servers) reply->add_env_servers(server.address);
 }
 

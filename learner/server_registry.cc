@@ -12,8 +12,7 @@ constexpr absl::Duration kLookEvery = absl::Seconds(1);
 
 void ServerRegistry::Announce(absl::string_view name, absl::string_view address, int lanes) {
   const MutexLock lock(&mu_);
-  // Here too, since there may be nobody who asks for servers; not each time, since there may be thousands of them.
-  if (clock_->Now() - looked_ >= kLookEvery) ForgetIdle();
+  ForgetIdleNowAndThen();  // here too, since there may be nobody who asks for servers
   const auto [entry, is_new] = servers_.try_emplace(std::string(address));
   if (is_new) ++generation_;
   Entry& server = entry->second;
@@ -47,6 +46,12 @@ bool ServerRegistry::IsDrained(absl::string_view name) {
   return entry == servers_.end() || entry->second.empty;
 }
 
+int64_t ServerRegistry::Generation() {
+  const MutexLock lock(&mu_);
+  ForgetIdleNowAndThen();
+  return generation_;
+}
+
 std::vector<ServerRegistry::Server> ServerRegistry::Servers(int64_t* generation) {
   const MutexLock lock(&mu_);
   std::vector<Server> servers = List(/*with_draining=*/false);
@@ -72,6 +77,10 @@ std::vector<ServerRegistry::Server> ServerRegistry::List(bool with_draining) {
 std::map<std::string, ServerRegistry::Entry, std::less<>>::iterator ServerRegistry::Find(absl::string_view name) {
   return std::find_if(servers_.begin(), servers_.end(),
                       [name](const auto& server) { return server.second.name == name; });
+}
+
+void ServerRegistry::ForgetIdleNowAndThen() {
+  if (clock_->Now() - looked_ >= kLookEvery) ForgetIdle();
 }
 
 void ServerRegistry::ForgetIdle() {

@@ -41,6 +41,9 @@ class ServerRegistry {
   // It is and has said since that it has no game, or it is gone.
   bool IsDrained(absl::string_view name) ABSL_LOCKS_EXCLUDED(mu_);
 
+  // As of Servers, at most a second old: cheap, however many servers there are.
+  int64_t Generation() ABSL_LOCKS_EXCLUDED(mu_);
+
   // Those that take games, by address. `generation`, if not null, becomes another number, above 0, whenever the
   // addresses have changed, also over restarts of the learner.
   std::vector<Server> Servers(int64_t* generation = nullptr) ABSL_LOCKS_EXCLUDED(mu_);
@@ -67,6 +70,8 @@ class ServerRegistry {
   std::map<std::string, Entry, std::less<>>::iterator Find(absl::string_view name) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
   std::vector<Server> List(bool with_draining) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
   void ForgetIdle() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
+  // The same once a second: there may be thousands of servers.
+  void ForgetIdleNowAndThen() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
 
   const absl::Duration lease_;
   Clock* const clock_;

@@ -43,6 +43,7 @@ constexpr char kUsage[] = "wire_bench prints what the fleet's messages cost; see
 constexpr int kFragmentSteps[] = {256, 32, 4};
 constexpr int kServices = std::size(kFragmentSteps);
 constexpr int kLanesOfClient = 16;
+constexpr int kMany = 10000;
 constexpr int kFrameBytes = 64 * 64 * 3;
 constexpr size_t kSnapshotBytes = 8000;     // as the row about steps with snapshots says
 constexpr size_t kWeightBytes = 2'441'040;  // of ppo_cnn
@@ -50,6 +51,7 @@ constexpr absl::Duration kLease = absl::Seconds(60);
 
 struct Addresses {
   char learners[kServices][128] = {};  // by fragment length
+  char crowded[128] = {};              // one with kMany lanes and servers
   char env_server[128] = {};
 };
 
@@ -223,9 +225,12 @@ class Actor {
     v1::PermitRequest request;
     request.set_actor(name_);
     request.set_capacity(kLanesOfClient);
+    request.set_wants_env_servers(true);
+    request.set_env_servers_generation(env_servers_generation_);
     for (const v1::Permit& permit : active) *request.add_active() = permit;
     v1::PermitReply reply;
     Call(&v1::LearnerService::Stub::GetPermits, request, &reply);
+    env_servers_generation_ = reply.env_servers_generation();
     if (bytes != nullptr) *bytes = static_cast<int64_t>(request.ByteSizeLong() + reply.ByteSizeLong());
     return reply;
   }
@@ -234,6 +239,7 @@ class Actor {
   const std::unique_ptr<v1::LearnerService::Stub> stub_;
   v1::FragmentMessage message_;
   std::vector<v1::Permit> active_;
+  int64_t env_servers_generation_ = 0;
   grpc::ClientContext context_;
   std::unique_ptr<grpc::ClientReaderWriter<v1::FragmentMessage, v1::FragmentVerdict>> stream_;
 };
@@ -305,6 +311,21 @@ void MeasureLearner(const Addresses& addresses, int clients, Meter* meter) {
   }
 }
 
+// Calls whose cost depends on how many lanes and workers there are.
+void MeasureCrowd(const Addresses& addresses, int clients, Meter* meter) {
+  constexpr int kCrowd = kMany / kLanesOfClient;
+  std::vector<std::unique_ptr<Actor>> actors;
+  for (int k = 0; k < kCrowd; ++k) actors.push_back(std::make_unique<Actor>(addresses.crowded, k, 4));
+  for (int k = 0; k < clients; ++k) actors[k]->TakePermits();
+  for (int server = 0; server < kMany; ++server) actors[0]->Announce(server);
+  meter->Measure(absl::StrCat("call for permits; ", kMany, " lanes, ", kMany, " servers, ", kCrowd, " actors"), clients,
+                 [&](int client) { return actors[client]->RenewPermits(); });
+  std::vector<int> servers(clients);
+  meter->Measure(absl::StrCat("announcement of one of ", kMany, " environment servers"), clients, [&](int client) {
+    return actors[client]->Announce(client + clients * (servers[client]++ % (kMany / clients)));
+  });
+}
+
 void MeasureEnvServer(const Addresses& addresses, int clients, Meter* meter) {
   for (const int lanes : {1, 16, 64}) {
     std::vector<std::unique_ptr<Player>> players;
@@ -329,6 +350,8 @@ void RunServers(int from_child, int to_child) {
                                                 address(absl::StrCat(i))));
     learners.back()->address().copy(addresses.learners[i], sizeof(addresses.learners[i]) - 1);
   }
+  Intake crowded(4, kMany, address("crowded"));
+  crowded.address().copy(addresses.crowded, sizeof(addresses.crowded) - 1);
   const std::unique_ptr<EnvServiceImpl> envs = *EnvServiceImpl::Create(*DefaultTextureDir());
   wire::Server::Options options;
   options.address = address("env");
@@ -344,6 +367,7 @@ void RunClients(int to_parent, int from_parent) {
   Meter meter(to_parent, from_parent, absl::GetFlag(FLAGS_seconds));
   const int clients = absl::GetFlag(FLAGS_clients);
   MeasureLearner(addresses, clients, &meter);
+  MeasureCrowd(addresses, clients, &meter);
   MeasureEnvServer(addresses, clients, &meter);
 }
 
