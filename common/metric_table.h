@@ -11,10 +11,10 @@
 namespace craftfleet {
 
 struct MetricInfo {
-  absl::string_view name;   // in the status; the same in every process that has it
-  bool counter = false;     // only grows while the process lives
-  absl::string_view unit;   // "s", "bytes", "steps/s"; empty for plain counts
-  absl::string_view help;   // one sentence
+  absl::string_view name;  // in the status; the same in every process that has it
+  bool counter = false;    // only grows while the process lives
+  absl::string_view unit;  // "s", "bytes", "steps/s"; empty for plain counts
+  absl::string_view help;  // one sentence
 };
 
 absl::Span<const MetricInfo> MetricTable();

@@ -50,8 +50,8 @@ class FleetBook {
   using Key = std::pair<std::string, std::string>;  // role, name
 
   v1::Peer::Health HealthOf(const Worker& worker) const;
-  // Forgets who went long ago, and the oldest of too many. Looks at all, so not at each word of thousands of workers but
-  // when a new one comes: without those the book does not grow.
+  // Forgets who went long ago, and the oldest of too many. Looks at all, so not at each word of thousands of workers
+  // but when a new one comes: without those the book does not grow.
   void Forget() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
 
   const absl::Duration lease_;

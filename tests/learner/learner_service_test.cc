@@ -124,7 +124,8 @@ class LearnerServiceTest : public testing::Test {
   EvaluationBook evaluations_{absl::Seconds(5), &clock_};
   ServerRegistry env_servers_{absl::Seconds(5), &clock_};
   FleetBook fleet_{absl::Seconds(5), &clock_};
-  LearnerServiceImpl service_{ServiceOptions(), &ledger_, &weights_, &fragments_, &evaluations_, &env_servers_, &fleet_};
+  LearnerServiceImpl service_{ServiceOptions(), &ledger_,      &weights_, &fragments_,
+                              &evaluations_,    &env_servers_, &fleet_};
   std::unique_ptr<wire::Server> server_;
   std::unique_ptr<v1::LearnerService::Stub> stub_;
 };

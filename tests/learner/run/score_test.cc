@@ -67,8 +67,9 @@ TEST(ScoreBoard, MadeAgainFromStatsIsTheSame) {
   for (int i = 0; i < 250; ++i) {
     const Episode episode = SampleEpisode(100 + i * 7 % 31, 0.37 * (i % 29) - 1);
     board.Add(episode);
-    ASSERT_THAT(log.Append({episode}), IsOk());
+    log.Append({episode});
   }
+  ASSERT_THAT(log.file().Flush(), IsOk());
   ScoreBoard again;
   const std::vector<Episode> episodes = ReadStats(folder / "stats.jsonl").value();
   for (const Episode& episode : episodes) again.Add(episode);
