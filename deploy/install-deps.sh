@@ -3,7 +3,8 @@
 # Does nothing when all of it is there; uses sudo when not run as root.
 #
 # Usage: deploy/install-deps.sh [--tests] [--developer]
-#   --tests      also what some tests look at deployments with, and are skipped without: Slurm, a YAML parser
+#   --tests      also what some tests look at deployments with, and are skipped without: Slurm, a YAML parser,
+#                network namespaces
 #   --developer  also what the other builds and checks of .ci/run need: clang with its tools, shellcheck
 
 set -euo pipefail
@@ -31,7 +32,7 @@ packages=(
   libgtest-dev libgmock-dev libbenchmark-dev python3
 )
 if [ -n "$tests" ]; then
-  packages+=(python3-yaml prometheus munge slurmctld slurmd slurm-client)
+  packages+=(python3-yaml iproute2 prometheus munge slurmctld slurmd slurm-client)
 fi
 if [ -n "$developer" ]; then
   packages+=(clang libclang-rt-14-dev llvm clang-format clang-tidy shellcheck)
