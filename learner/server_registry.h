@@ -30,7 +30,10 @@ class ServerRegistry {
 
   // `clock` outlives the registry.
   ServerRegistry(absl::Duration lease, Clock* clock)
-      : lease_(lease), clock_(clock), start_(clock->Now()), generation_(absl::ToUnixMicros(start_)) {}
+      : lease_(lease),
+        clock_(clock),
+        generation_(absl::ToUnixMicros(clock->Now())),
+        start_(absl::FromUnixMicros(generation_)) {}
 
   // `lanes`: games that it has.
   void Announce(absl::string_view name, absl::string_view address, int lanes = 0) ABSL_LOCKS_EXCLUDED(mu_);
@@ -51,7 +54,7 @@ class ServerRegistry {
   // Whether an actor that has the addresses of `generation` (0: none) should keep them: they are from before the
   // learner's start, and not every server has had the time to announce itself again.
   bool ShouldKeep(int64_t generation) const {
-    return generation != 0 && generation < absl::ToUnixMicros(start_) && clock_->Now() - start_ < lease_;
+    return generation != 0 && absl::FromUnixMicros(generation) < start_ && clock_->Now() - start_ < lease_;
   }
 
   // With those that are being drained.
@@ -75,11 +78,11 @@ class ServerRegistry {
 
   const absl::Duration lease_;
   Clock* const clock_;
-  const absl::Time start_;
   Mutex mu_;
   std::map<std::string, Entry, std::less<>> servers_ ABSL_GUARDED_BY(mu_);  // by address
   absl::Time looked_ ABSL_GUARDED_BY(mu_) = absl::InfinitePast();           // for idle ones
   int64_t generation_ ABSL_GUARDED_BY(mu_);
+  const absl::Time start_;  // the first generation
 };
 
 }  // namespace craftfleet

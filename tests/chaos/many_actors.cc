@@ -135,6 +135,7 @@ absl::Status Run() {
   for (std::thread& thread : threads) thread.join();
 
   std::vector<int64_t> fragments;
+  fragments.reserve(actors.size());
   for (const auto& actor : actors) fragments.push_back(actor->fragments());
   const auto [fewest, most] = std::minmax_element(fragments.begin(), fragments.end());
   std::sort(answers_ms.begin(), answers_ms.end());

@@ -58,8 +58,11 @@ TEST_F(ServerRegistryTest, AfterARestartAListFromBeforeIsKeptUntilServersHadTheT
   const int64_t before = generation_;
   EXPECT_FALSE(registry_.ShouldKeep(before)) << "it is no restart";
 
-  clock_.Advance(absl::Seconds(1));
+  clock_.Advance(absl::Seconds(1) + absl::Nanoseconds(300));
   ServerRegistry restarted(kLease, &clock_);
+  int64_t first = 0;
+  restarted.Servers(&first);
+  EXPECT_FALSE(restarted.ShouldKeep(first));
   EXPECT_TRUE(restarted.ShouldKeep(before));
   EXPECT_FALSE(restarted.ShouldKeep(0)) << "any server is better than none";
   restarted.Announce("s2", "b:1");

@@ -50,6 +50,7 @@ void Meter::Measure(const std::string& what, int clients, const std::function<Tu
   const absl::Time start = absl::Now();
   const absl::Time end = start + absl::Seconds(seconds_);
   std::vector<std::thread> threads;
+  threads.reserve(clients);
   for (int client = 0; client < clients; ++client) {
     threads.emplace_back([&, client] {
       while (absl::Now() < end) {

@@ -296,6 +296,7 @@ class Player {
 void MeasureLearner(const Addresses& addresses, int clients, Meter* meter) {
   for (int i = 0; i < kServices; ++i) {
     std::vector<std::unique_ptr<Actor>> actors;
+    actors.reserve(clients);
     for (int k = 0; k < clients; ++k) {
       actors.push_back(std::make_unique<Actor>(addresses.learners[i], k, kFragmentSteps[i]));
     }
@@ -315,6 +316,7 @@ void MeasureLearner(const Addresses& addresses, int clients, Meter* meter) {
 void MeasureCrowd(const Addresses& addresses, int clients, Meter* meter) {
   constexpr int kCrowd = kMany / kLanesOfClient;
   std::vector<std::unique_ptr<Actor>> actors;
+  actors.reserve(kCrowd);
   for (int k = 0; k < kCrowd; ++k) actors.push_back(std::make_unique<Actor>(addresses.crowded, k, 4));
   for (int k = 0; k < clients; ++k) actors[k]->TakePermits();
   for (int server = 0; server < kMany; ++server) actors[0]->Announce(server);
@@ -329,6 +331,7 @@ void MeasureCrowd(const Addresses& addresses, int clients, Meter* meter) {
 void MeasureEnvServer(const Addresses& addresses, int clients, Meter* meter) {
   for (const int lanes : {1, 16, 64}) {
     std::vector<std::unique_ptr<Player>> players;
+    players.reserve(clients);
     for (int k = 0; k < clients; ++k) players.push_back(std::make_unique<Player>(addresses.env_server, k, lanes));
     meter->Measure(absl::StrCat("step of a game, ", lanes, " in a message (with the game)"), clients,
                    [&](int client) { return players[client]->Step(); });
