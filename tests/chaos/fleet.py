@@ -136,7 +136,7 @@ class Watch:
         self.thread.start()
 
     def run(self):
-        while not self.stopping.wait(0.3):
+        while not self.stopping.wait(1):
             latest = self.fleet.iteration()
             if latest > self.iteration:
                 now = time.monotonic()
