@@ -2,6 +2,7 @@
 
 #include <malloc.h>
 
+#include <algorithm>
 #include <fstream>
 #include <istream>
 #include <sstream>
@@ -15,6 +16,7 @@
 #include <absl/types/optional.h>
 
 #include "common/agent/linear.h"
+#include "common/cpu_quota.h"
 
 // OpenBLAS' own function; null under another BLAS.
 extern "C" void openblas_set_num_threads(int threads) __attribute__((weak));
@@ -36,6 +38,9 @@ void SetUpTorchProcess() {
   constexpr int kBytes = 32 << 20;  // glibc refuses a higher M_MMAP_THRESHOLD
   mallopt(M_MMAP_THRESHOLD, kBytes);
   mallopt(M_TRIM_THRESHOLD, 1 << 30);
+  // By default eight arenas a CPU: buffers that pass through gRPC's threads fill one after the other, for minutes. A
+  // learner on two CPUs then grows to 317 MB in four minutes, with this to 261 MB in one.
+  mallopt(M_ARENA_MAX, std::max(4, DefaultThreads()));
   SetUpTorchThread();
 }
 
