@@ -6,6 +6,8 @@
 
 #include <gtest/gtest.h>
 
+#include "tests/fakes/temp_folder.h"
+
 namespace craftfleet {
 namespace {
 
@@ -25,7 +27,8 @@ TEST(CpuQuota, ParsesQuotaOverPeriod) {
 }
 
 TEST(CpuQuota, TightestLimitUpTheTreeCounts) {
-  const std::string root = ::testing::TempDir() + "/cpu_quota_test";
+  const TempFolder folder;
+  const std::string root = folder / "cgroup";
   Write(root + "/cpu.max", "800000 100000");
   Write(root + "/pod/cpu.max", "200000 100000");
   Write(root + "/pod/container/cpu.max", "max 100000");
@@ -36,13 +39,12 @@ TEST(CpuQuota, TightestLimitUpTheTreeCounts) {
   EXPECT_EQ(CgroupCpuLimit(root, "/elsewhere"), 8.0);
   EXPECT_EQ(CgroupCpuLimit(root, "/"), 8.0);
   EXPECT_EQ(CgroupCpuLimit(root + "/pod/container", "/"), absl::nullopt);
-  std::filesystem::remove_all(root);
 }
 
 class OwnCpuLimitTest : public ::testing::Test {
  protected:
-  void TearDown() override { std::filesystem::remove_all(root_); }
-  const std::string root_ = ::testing::TempDir() + "/own_cpu_limit_test";
+  const TempFolder folder_;
+  const std::string root_ = folder_ / "cgroup";
 };
 
 TEST_F(OwnCpuLimitTest, OfVersion2IsThatOfTheProcessesGroup) {
