@@ -52,16 +52,16 @@ absl::StatusOr<Episode> ParseStatsLine(absl::string_view line) {
 // A stats.jsonl that comes in pieces.
 class StatsReader {
  public:
-  StatsReader(absl::string_view path, absl::FunctionRef<void(const Episode&)> visit) : path_(path), visit_(visit) {}
+  explicit StatsReader(absl::string_view path) : path_(path) {}
 
-  absl::Status Read(absl::string_view piece) {
+  absl::Status Read(absl::string_view piece, absl::FunctionRef<void(const Episode&)> visit) {
     absl::StrAppend(&rest_, piece);
     size_t start = 0;
     for (size_t end = 0; (end = rest_.find('\n', start)) != std::string::npos; start = end + 1) {
       const auto episode = ParseStatsLine(absl::string_view(rest_).substr(start, end - start));
       ++lines_;
       if (!episode.ok()) return Error(episode.status().message());
-      visit_(*episode);
+      visit(*episode);
     }
     rest_.erase(0, start);
     return absl::OkStatus();
@@ -78,7 +78,6 @@ class StatsReader {
   }
 
   const absl::string_view path_;
-  const absl::FunctionRef<void(const Episode&)> visit_;
   std::string rest_;  // of the last piece: a line without its end
   int64_t lines_ = 0;
 };
@@ -107,15 +106,15 @@ absl::StatusOr<std::vector<Episode>> ReadStats(const std::string& path) {
 }
 
 absl::Status VisitStats(const std::string& path, absl::FunctionRef<void(const Episode&)> visit) {
-  StatsReader reader(path, visit);
-  CRAFTFLEET_RETURN_IF_ERROR(ReadGzipPieces(path, [&reader](absl::string_view piece) { return reader.Read(piece); }));
+  StatsReader reader(path);
+  CRAFTFLEET_RETURN_IF_ERROR(ReadGzipPieces(path, [&](absl::string_view piece) { return reader.Read(piece, visit); }));
   return reader.End();
 }
 
 absl::StatusOr<std::vector<Episode>> ParseStats(absl::string_view text, absl::string_view path) {
   std::vector<Episode> episodes;
-  StatsReader reader(path, [&](const Episode& episode) { episodes.push_back(episode); });
-  CRAFTFLEET_RETURN_IF_ERROR(reader.Read(text));
+  StatsReader reader(path);
+  CRAFTFLEET_RETURN_IF_ERROR(reader.Read(text, [&](const Episode& episode) { episodes.push_back(episode); }));
   CRAFTFLEET_RETURN_IF_ERROR(reader.End());
   return episodes;
 }
