@@ -110,8 +110,9 @@ TEST(FindBottleneck, EveryAdviceIsOneSentence) {
   for (int mask = 0; mask < 32; ++mask) {
     FleetView view = Fleet(mask % 10, mask & 1, mask & 2, mask & 4, mask & 8);
     view.actors = mask & 16;
-    EXPECT_THAT(kBottleneckParts, testing::Contains(FindBottleneck(view).part));
-    const std::string advice = FindBottleneck(view).advice;
+    const Bottleneck bottleneck = FindBottleneck(view);
+    EXPECT_THAT(kBottleneckParts, testing::Contains(bottleneck.part));
+    const std::string& advice = bottleneck.advice;
     ASSERT_FALSE(advice.empty());
     EXPECT_EQ(advice.find(". "), std::string::npos) << advice;
     EXPECT_EQ(advice.back(), '.') << advice;
