@@ -2,6 +2,7 @@
 
 #include <sys/resource.h>
 
+#include <csignal>
 #include <filesystem>
 #include <memory>
 #include <string>
@@ -187,10 +188,12 @@ TEST_F(FullDiskTest, TrainingGoesOnAndCatchesUpWhenThereIsRoomAgain) {
   EXPECT_TRUE(ReadLog("run", last) == ReadLog("quiet", last));
 }
 
-TEST_F(FullDiskTest, TheEndOfTheRunTellsWhatCouldNotBeWritten) {
+TEST_F(FullDiskTest, TheEndOfTheRunWaitsForRoomAndToldToStopTellsWhatCouldNotBeWritten) {
   StartLearner({"--listen=127.0.0.1:0"});
   LimitFiles(1 << 20);  // enough for the logs
   StartWorkers();
+  EXPECT_TRUE(learner_->WaitForText("the run's end is written as soon as there is room", kPatience)) << learner_->Err();
+  learner_->Signal(SIGTERM);
   const Ended ended = Finish(learner_.get());
   EXPECT_EQ(ended.exit_code, 1);
   EXPECT_THAT(ended.err, HasSubstr("error: checkpoint of iteration 1: "));
