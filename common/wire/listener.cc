@@ -33,6 +33,7 @@ constexpr rlim_t kWantedDescriptors = 65536;
 constexpr rlim_t kKeptDescriptors = 128;  // for files, libraries, connections of our own
 constexpr int kUserTimeoutMs = 4000;      // data that a peer does not acknowledge, as the keepalive's timeout
 constexpr int kPauseMs = 100;             // after running out of descriptors
+constexpr int kMaxEvents = 64;            // a turn
 
 void SetOption(int socket, int level, int option, int value) {
   setsockopt(socket, level, option, &value, sizeof(value));
@@ -155,17 +156,17 @@ void Listener::Stop() {
 }
 
 void Listener::Run() {
-  epoll_event events[64];
+  epoll_event events[kMaxEvents];
   while (true) {
-    const int count = epoll_wait(poll_, events, 64, -1);
+    const int count = epoll_wait(poll_, events, kMaxEvents, -1);
+    // Who ends a connection and begins another has room for it: the ends come first.
+    for (int i = 0; i < count; ++i) {
+      if (events[i].data.fd == wake_up_[0]) return;
+      Forget(events[i].data.fd);
+    }
     for (int i = 0; i < count; ++i) {
       const int descriptor = events[i].data.fd;
-      if (descriptor == wake_up_[0]) return;
-      if (std::find(sockets_.begin(), sockets_.end(), descriptor) != sockets_.end()) {
-        Accept(descriptor);
-      } else {
-        Forget(descriptor);
-      }
+      if (std::find(sockets_.begin(), sockets_.end(), descriptor) != sockets_.end()) Accept(descriptor);
     }
   }
 }

@@ -111,7 +111,7 @@ TEST(FindBottleneck, EveryAdviceIsOneSentence) {
     FleetView view = Fleet(mask % 10, mask & 1, mask & 2, mask & 4, mask & 8);
     view.actors = mask & 16;
     const Bottleneck bottleneck = FindBottleneck(view);
-    EXPECT_THAT(kBottleneckParts, testing::Contains(bottleneck.part));
+    EXPECT_THAT(kBottleneckParts, testing::Contains(absl::string_view(bottleneck.part)));
     const std::string& advice = bottleneck.advice;
     ASSERT_FALSE(advice.empty());
     EXPECT_EQ(advice.find(". "), std::string::npos) << advice;
