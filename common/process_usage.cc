@@ -17,15 +17,17 @@ ProcessUsage ReadProcessUsage() {
     usage.cpu_seconds = static_cast<double>(times.ru_utime.tv_sec + times.ru_stime.tv_sec) +
                         1e-6 * static_cast<double>(times.ru_utime.tv_usec + times.ru_stime.tv_usec);
   }
-  int64_t size_pages = 0;
-  int64_t resident_pages = 0;
-  if (std::ifstream("/proc/self/statm") >> size_pages >> resident_pages) {
-    usage.memory_bytes = resident_pages * sysconf(_SC_PAGESIZE);
-  }
   std::error_code error;
   const std::filesystem::directory_iterator files("/proc/self/fd", error);
   if (!error) usage.open_files = std::distance(begin(files), end(files)) - 1;  // less the one that lists them
   return usage;
+}
+
+int64_t ResidentMemoryBytes() {
+  int64_t size_pages = 0;
+  int64_t resident_pages = 0;
+  if (!(std::ifstream("/proc/self/statm") >> size_pages >> resident_pages)) return 0;
+  return resident_pages * sysconf(_SC_PAGESIZE);
 }
 
 }  // namespace craftfleet

@@ -8,13 +8,15 @@
 namespace craftfleet {
 
 struct ProcessUsage {
-  double cpu_seconds = 0;    // user and system, all threads
-  int64_t memory_bytes = 0;  // resident
-  int64_t open_files = 0;    // descriptors, sockets included
+  double cpu_seconds = 0;  // user and system, all threads
+  int64_t open_files = 0;  // descriptors, sockets included
 };
 
 // Numbers that the system does not tell are 0. Thread-safe.
 ProcessUsage ReadProcessUsage();
+
+// The process' resident memory; 0 where the system does not tell. Thread-safe.
+int64_t ResidentMemoryBytes();
 
 }  // namespace craftfleet
 

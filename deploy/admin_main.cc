@@ -11,8 +11,8 @@
 #include "common/program.h"
 #include "common/status_macros.h"
 #include "common/wire/channel.h"
-#include "common/wire/channel_flags.h"
 #include "craftfleet/v1/admin.grpc.pb.h"
+#include "deploy/status_client.h"
 
 ABSL_FLAG(std::string, address, "127.0.0.1:50051", "address of the learner, HOST:PORT");
 ABSL_FLAG(absl::Duration, timeout, absl::Seconds(60),
@@ -103,16 +103,12 @@ absl::Status CheckCommand(const std::vector<std::string>& command) {
 
 absl::Status Run(const std::vector<std::string>& command) {
   CRAFTFLEET_RETURN_IF_ERROR(CheckCommand(command));
-  const std::string address = absl::GetFlag(FLAGS_address);
-  CRAFTFLEET_RETURN_IF_ERROR(wire::CheckAddress("address", address));
   const absl::Duration timeout = absl::GetFlag(FLAGS_timeout);
   if (timeout <= absl::ZeroDuration() || timeout > absl::Hours(24)) {
     return absl::InvalidArgumentError(
         absl::StrFormat("--timeout=%s, want more than 0, at most 24h", absl::FormatDuration(timeout)));
   }
-  CRAFTFLEET_ASSIGN_OR_RETURN(const wire::ChannelSecurity security, wire::ChannelSecurityFromFlags());
-  const wire::Endpoint learner = wire::Connect(address, security);
-  CRAFTFLEET_RETURN_IF_ERROR(wire::WaitUntilConnected("learner", learner, absl::Seconds(3)));
+  CRAFTFLEET_ASSIGN_OR_RETURN(const wire::Endpoint learner, ConnectToProcess("learner", absl::GetFlag(FLAGS_address)));
   Admin admin(learner, timeout);
   CRAFTFLEET_ASSIGN_OR_RETURN(const std::string done, Do(command, &admin));
   std::puts(done.c_str());

@@ -30,8 +30,6 @@ constexpr char kUsage[] =
   craftfleet status --address=127.0.0.1:50051 --watch --interval=5s
 A learner's status has the whole fleet; craftfleet top shows it as a live page.)";
 
-constexpr absl::Duration kLongest = absl::Minutes(1);  // interval
-
 void PrintTimes(const google::protobuf::RepeatedPtrField<v1::ActivityTime>& times) {
   for (const v1::ActivityTime& time : times) {
     absl::PrintF("  %-22s %5.1f %%", time.activity(), 100 * time.share());
@@ -117,10 +115,8 @@ absl::Status Watch(const wire::Endpoint& process, absl::Duration interval) {
 
 absl::Status Run() {
   const absl::Duration interval = absl::GetFlag(FLAGS_interval);
-  if (interval < absl::Milliseconds(100) || interval > kLongest) {
-    return absl::InvalidArgumentError(absl::StrCat("--interval=", absl::FormatDuration(interval), ", want 100ms..1m"));
-  }
-  CRAFTFLEET_ASSIGN_OR_RETURN(const wire::Endpoint process, ConnectToProcess(absl::GetFlag(FLAGS_address)));
+  CRAFTFLEET_RETURN_IF_ERROR(CheckInterval(interval));
+  CRAFTFLEET_ASSIGN_OR_RETURN(const wire::Endpoint process, ConnectToProcess("process", absl::GetFlag(FLAGS_address)));
   if (absl::GetFlag(FLAGS_watch)) return Watch(process, interval);
   CRAFTFLEET_ASSIGN_OR_RETURN(const v1::StatusReply reply, AskStatus(process));
   return Print(reply);

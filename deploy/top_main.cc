@@ -82,9 +82,7 @@ absl::Status Run() {
   }
   state.sort = *sort;
   const absl::Duration interval = absl::GetFlag(FLAGS_interval);
-  if (interval < absl::Milliseconds(100) || interval > absl::Minutes(1)) {
-    return absl::InvalidArgumentError(absl::StrCat("--interval=", absl::FormatDuration(interval), ", want 100ms..1m"));
-  }
+  CRAFTFLEET_RETURN_IF_ERROR(CheckInterval(interval));
   TopPage page;
   page.address = absl::GetFlag(FLAGS_address);
   page.width = absl::GetFlag(FLAGS_width);
@@ -92,7 +90,7 @@ absl::Status Run() {
   if (page.width < 40 || page.width > 400) {
     return absl::InvalidArgumentError(absl::StrFormat("--width=%d, want 40..400", page.width));
   }
-  CRAFTFLEET_ASSIGN_OR_RETURN(const wire::Endpoint learner, ConnectToProcess(page.address));
+  CRAFTFLEET_ASSIGN_OR_RETURN(const wire::Endpoint learner, ConnectToProcess("process", page.address));
   CRAFTFLEET_ASSIGN_OR_RETURN(const v1::StatusReply first, AskStatus(learner));
   if (first.role() != "learner") {
     return absl::InvalidArgumentError(absl::StrFormat(

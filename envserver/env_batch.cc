@@ -1,6 +1,7 @@
 #include "envserver/env_batch.h"
 
 #include <algorithm>
+#include <functional>
 #include <utility>
 
 #include <absl/strings/str_format.h>
@@ -69,26 +70,16 @@ absl::Status EnvBatch::Step(absl::Span<const int> lanes, absl::Span<const Action
   moments_.clear();
   for (size_t row = 0; row < lanes.size(); ++row) {
     const absl::Span<uint8_t> frame = Row(&batch->frames, row, renderer_->frame_bytes());
-    const Game::PlayedStep played = recording_.has_value()
-                                        ? StepAndRecord(actions[row], frame, chosen_[row], &batch->last_frames)
-                                        : chosen_[row]->StepAndAutoReset(actions[row], frame, &batch->last_frames);
+    Game* game = chosen_[row];
+    std::function<void()> record;
+    if (recording_.has_value()) record = [&] { moments_.push_back(recording_->Take(*game, frame)); };
+    const Game::PlayedStep played = game->StepAndAutoReset(actions[row], frame, &batch->last_frames, record);
     batch->rewards[row] = static_cast<float>(played.outcome.reward);
     batch->ends[row] = played.outcome.end;
     if (played.episode.has_value()) batch->episodes.push_back(*played.episode);
-    if (snapshot) batch->snapshots.push_back(chosen_[row]->Save());
+    if (snapshot) batch->snapshots.push_back(game->Save());
   }
   return absl::OkStatus();
-}
-
-Game::PlayedStep EnvBatch::StepAndRecord(Action action, absl::Span<uint8_t> frame, Game* game,
-                                         std::string* last_frames) {
-  Game::PlayedStep played{game->Step(action, frame), absl::nullopt};
-  moments_.push_back(recording_->Take(*game, frame));
-  if (played.outcome.end == StepEnd::kNone) return played;
-  if (played.outcome.end == StepEnd::kTruncated) last_frames->append(moments_.back().frame);
-  played.episode = game->EndedEpisode();
-  game->Reset(frame);
-  return played;
 }
 
 void EnvBatch::Close(absl::Span<const int> lanes) {

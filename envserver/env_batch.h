@@ -65,9 +65,6 @@ class EnvBatch {
   // Sets `chosen_`.
   absl::Status Find(absl::Span<const int> lanes);
 
-  // As Game::StepAndAutoReset, and adds the moment after the step.
-  Game::PlayedStep StepAndRecord(Action action, absl::Span<uint8_t> frame, Game* game, std::string* last_frames);
-
   const std::shared_ptr<const Renderer> renderer_;
   const absl::optional<MomentTaker> recording_;
   std::map<int, Game> games_;

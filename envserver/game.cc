@@ -24,17 +24,17 @@ StepOutcome Game::Step(Action action, absl::Span<uint8_t> frame) {
   return outcome;
 }
 
-Game::PlayedStep Game::StepAndAutoReset(Action action, absl::Span<uint8_t> frame, std::string* last_frames) {
+Game::PlayedStep Game::StepAndAutoReset(Action action, absl::Span<uint8_t> frame, std::string* last_frames,
+                                        const std::function<void()>& on_step) {
   PlayedStep played{world_.Step(action), absl::nullopt};
-  if (played.outcome.end == StepEnd::kTruncated) {
-    Draw(frame);
-    last_frames->append(reinterpret_cast<const char*>(frame.data()), frame.size());
-  }
-  if (played.outcome.end != StepEnd::kNone) {
+  const StepEnd end = played.outcome.end;
+  if (end != StepEnd::kTerminated || on_step != nullptr) Draw(frame);
+  if (on_step != nullptr) on_step();
+  if (end == StepEnd::kTruncated) last_frames->append(reinterpret_cast<const char*>(frame.data()), frame.size());
+  if (end != StepEnd::kNone) {
     played.episode = EndedEpisode();
-    world_.Reset();
+    Reset(frame);
   }
-  Draw(frame);
   return played;
 }
 

@@ -4,6 +4,7 @@
 #define CRAFTFLEET_ENVSERVER_GAME_H_
 
 #include <cstdint>
+#include <functional>
 #include <memory>
 #include <string>
 
@@ -39,17 +40,16 @@ class Game {
   // As Crafter's env.step: the caller resets after an end.
   StepOutcome Step(Action action, absl::Span<uint8_t> frame);
   // One step; after an end, the next episode is begun and its first picture goes to `frame`. The last picture of an
-  // episode that was truncated is appended to `last_frames`; that of a death nobody needs.
-  PlayedStep StepAndAutoReset(Action action, absl::Span<uint8_t> frame, std::string* last_frames);
+  // episode that was truncated is appended to `last_frames`; that of a death nobody needs. With `on_step` the picture
+  // after the step is drawn in any case, and it is called when `frame` holds it.
+  PlayedStep StepAndAutoReset(Action action, absl::Span<uint8_t> frame, std::string* last_frames,
+                              const std::function<void()>& on_step = nullptr);
 
   // The whole game as bytes, see World::Save(). The current picture is not stored but can be drawn again.
   std::string Save() const { return world_.Save(before_picture_); }
   // Goes on where Save() was called, and writes the picture of that moment to `frame`. Codes as World::Restore(); on
   // failure game and frame are unchanged.
   absl::Status Restore(absl::string_view snapshot, absl::Span<uint8_t> frame);
-
-  // Of the current episode, when it has ended; its `step` is left 0.
-  Episode EndedEpisode() const;
 
   const World& world() const { return world_; }
   // The world's stream as it was before the current picture was drawn: draws the same night again.
@@ -60,6 +60,8 @@ class Game {
       : renderer_(std::move(renderer)), world_(std::move(world)) {}
 
   void Draw(absl::Span<uint8_t> frame);
+  // Of the current episode, when it has ended; its `step` is left 0.
+  Episode EndedEpisode() const;
 
   std::shared_ptr<const Renderer> renderer_;
   World world_;

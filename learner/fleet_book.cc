@@ -4,22 +4,22 @@
 #include <iterator>
 
 #include "common/activity.h"
+#include "common/wire/status_service.h"
 
 namespace craftfleet {
 namespace {
 
 constexpr char kEnvServer[] = "envserver";
 constexpr absl::Duration kRelayed = absl::Seconds(10);  // actors speak of their servers in turn, so less often
-constexpr size_t kMaxErrorBytes = 300;
 
 // What a worker sent, cut to what a page has room for.
 v1::ProcessSummary Cut(v1::ProcessSummary summary) {
   if (summary.times_size() > kNumActivities) summary.clear_times();
-  if (summary.last_error().size() > kMaxErrorBytes) summary.mutable_last_error()->resize(kMaxErrorBytes);
+  if (summary.last_error().size() > wire::kMaxErrorBytes) summary.mutable_last_error()->resize(wire::kMaxErrorBytes);
   return summary;
 }
 
-// Of a worker that has not said for a while what it does.
+// What a worker did while it was there, or before it fell silent, is over.
 void Rest(v1::ProcessSummary* summary) {
   summary->set_steps_per_second(0);
   summary->set_lanes(0);
@@ -93,7 +93,8 @@ std::vector<v1::Peer> FleetBook::Workers() const {
     peer.set_health(health);
     peer.set_last_seen_s(absl::ToDoubleSeconds(silent));
     *peer.mutable_summary() = worker.summary;
-    if (clock_->Now() - worker.summary_time > kRelayed) Rest(peer.mutable_summary());
+    const bool silent_about_work = clock_->Now() - worker.summary_time > kRelayed;
+    if (health != v1::Peer::OK || silent_about_work) Rest(peer.mutable_summary());
   }
   return peers;
 }

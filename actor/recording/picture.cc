@@ -7,7 +7,6 @@
 #include <vector>
 
 #include <absl/strings/str_cat.h>
-#include <opencv2/core/mat.hpp>
 #include <opencv2/imgcodecs.hpp>
 #include <opencv2/imgproc.hpp>
 
@@ -55,14 +54,18 @@ std::string SideBySide(absl::string_view left, absl::string_view right, int pict
   return both;
 }
 
-absl::Status WritePng(const std::string& path, absl::string_view picture, int width, int height) {
+cv::Mat ToBgr(absl::string_view picture, int width, int height) {
   CRAFTFLEET_CHECK(picture.size() == size_t{3} * width * height);
+  const cv::Mat rgb(height, width, CV_8UC3, const_cast<char*>(picture.data()));
+  cv::Mat bgr;
+  cv::cvtColor(rgb, bgr, cv::COLOR_RGB2BGR);
+  return bgr;
+}
+
+absl::Status WritePng(const std::string& path, absl::string_view picture, int width, int height) {
   std::vector<uint8_t> png;
   try {
-    const cv::Mat rgb(height, width, CV_8UC3, const_cast<char*>(picture.data()));
-    cv::Mat bgr;
-    cv::cvtColor(rgb, bgr, cv::COLOR_RGB2BGR);
-    cv::imencode(".png", bgr, png);
+    cv::imencode(".png", ToBgr(picture, width, height), png);
   } catch (const std::exception& error) {
     return absl::InternalError(absl::StrCat(path, ": ", error.what()));
   }

@@ -8,6 +8,7 @@
 #include <absl/status/status.h>
 #include <absl/strings/string_view.h>
 #include <absl/types/span.h>
+#include <opencv2/core/mat.hpp>
 
 namespace craftfleet {
 
@@ -18,6 +19,10 @@ std::string OverlayAttention(absl::string_view picture, int picture_size, absl::
 
 // Two pictures of the same size, uint8[S,S,3], side by side: uint8[S,2*S,3].
 std::string SideBySide(absl::string_view left, absl::string_view right, int picture_size);
+
+// uint8[height,width,3] in the order of channels that OpenCV writes.
+//   throws cv::Exception: no memory.
+cv::Mat ToBgr(absl::string_view picture, int width, int height);
 
 // Writes uint8[height,width,3] as a PNG file.
 absl::Status WritePng(const std::string& path, absl::string_view picture, int width, int height);

@@ -4,10 +4,9 @@
 #include <utility>
 
 #include <absl/strings/str_cat.h>
-#include <opencv2/core/mat.hpp>
-#include <opencv2/imgproc.hpp>
 #include <opencv2/videoio.hpp>
 
+#include "actor/recording/picture.h"
 #include "common/check.h"
 #include "common/files.h"
 #include "common/status_macros.h"
@@ -46,12 +45,8 @@ absl::StatusOr<std::unique_ptr<VideoFile>> VideoFile::Create(const std::string& 
 }
 
 absl::Status VideoFile::Append(absl::string_view picture) {
-  CRAFTFLEET_CHECK(picture.size() == size_t{3} * width_ * height_);
   try {
-    const cv::Mat rgb(height_, width_, CV_8UC3, const_cast<char*>(picture.data()));
-    cv::Mat bgr;
-    cv::cvtColor(rgb, bgr, cv::COLOR_RGB2BGR);
-    writer_->write(bgr);
+    writer_->write(ToBgr(picture, width_, height_));
   } catch (const cv::Exception& error) {
     return absl::InternalError(absl::StrCat(path_, ": ", error.what()));
   }

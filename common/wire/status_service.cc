@@ -21,7 +21,6 @@ constexpr absl::Duration kLookForCancel = absl::Milliseconds(100);
 constexpr int kDefaultIntervalMs = 1000;
 constexpr int kMinIntervalMs = 100;
 constexpr int kMaxIntervalMs = 60000;
-constexpr size_t kMaxErrorBytes = 300;  // of an error's text
 
 }  // namespace
 
@@ -88,8 +87,7 @@ bool StatusServiceImpl::WaitForNext(grpc::ServerContext* context, absl::Duration
   for (const absl::Time next = absl::Now() + interval; !context->IsCancelled();) {
     const absl::Duration left = next - absl::Now();
     if (left <= absl::ZeroDuration()) return true;
-    const MutexLock lock(&mu_);
-    never_.WaitFor(&mu_, std::min(left, kLookForCancel), [] { return false; });
+    absl::SleepFor(std::min(left, kLookForCancel));  // gRPC does not tell when a call is cancelled
   }
   return false;
 }
@@ -105,7 +103,7 @@ void AddMetric(absl::string_view name, double value, v1::StatusReply* reply) {
 }
 
 void FillUsage(v1::ProcessSummary* summary) {
-  summary->set_memory_bytes(ReadProcessUsage().memory_bytes);
+  summary->set_memory_bytes(ResidentMemoryBytes());
   const LogCounts logged = CountLogged();
   summary->set_errors(logged.errors);
   summary->set_last_error(logged.last_error.substr(0, kMaxErrorBytes));

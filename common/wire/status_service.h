@@ -36,7 +36,7 @@ class StatusServiceImpl final : public v1::StatusService::Service {
 
  private:
   // Waits `interval`; false: the client is gone or the server stops.
-  bool WaitForNext(grpc::ServerContext* context, absl::Duration interval) ABSL_LOCKS_EXCLUDED(mu_);
+  bool WaitForNext(grpc::ServerContext* context, absl::Duration interval);
 
   const std::string role_;
   const std::string name_;
@@ -44,10 +44,11 @@ class StatusServiceImpl final : public v1::StatusService::Service {
   const absl::Time start_;
 
   mutable Mutex mu_;
-  CondVar never_;  // nobody wakes those who wait: gRPC does not tell when a call is cancelled
   int watchers_ ABSL_GUARDED_BY(mu_) = 0;
   std::string metrics_address_ ABSL_GUARDED_BY(mu_);
 };
+
+inline constexpr size_t kMaxErrorBytes = 300;  // of the text of a process' last error
 
 // Adds a metric of MetricTable, which knows its unit.
 void AddMetric(absl::string_view name, double value, v1::StatusReply* reply);

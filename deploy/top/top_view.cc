@@ -103,12 +103,6 @@ std::vector<Row> RowsOf(const v1::StatusReply& status) {
     row.bad = peer.health() == v1::Peer::LOST;
     row.state = row.bad ? "LOST" : peer.health() == v1::Peer::LEFT ? "left" : "ok";
     row.summary = peer.summary();
-    // What it did while it was there is over.
-    if (peer.health() != v1::Peer::OK) {
-      row.summary.set_steps_per_second(0);
-      row.summary.set_lanes(0);
-      row.summary.clear_times();
-    }
     if (peer.role() == "actor" && peer.health() == v1::Peer::OK && peer.summary().policy_version() >= 0) {
       row.lag = std::max<int64_t>(0, status.summary().policy_version() - peer.summary().policy_version());
     }

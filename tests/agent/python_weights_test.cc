@@ -1,7 +1,5 @@
 // Weights travel: a checkpoint's weights as Python reads them.
 
-#include <array>
-#include <cstdio>
 #include <string>
 
 #include <absl/strings/str_cat.h>
@@ -11,20 +9,10 @@
 #include "common/agent/weights.h"
 #include "common/files.h"
 #include "tests/agent/golden_agent.h"
+#include "tests/fakes/command_output.h"
 
 namespace craftfleet {
 namespace {
-
-// What `command` prints, errors included.
-std::string OutputOf(const std::string& command) {
-  FILE* pipe = ::popen(absl::StrCat(command, " 2>&1").c_str(), "r");
-  if (pipe == nullptr) return "popen failed";
-  std::string output;
-  std::array<char, 4096> buffer;
-  while (const size_t n = std::fread(buffer.data(), 1, buffer.size(), pipe)) output.append(buffer.data(), n);
-  ::pclose(pipe);
-  return output;
-}
 
 TEST(PythonWeights, HaveTheGoldensNamesShapesAndNumbers) {
   const std::string file = absl::StrCat(::testing::TempDir(), "/craftfleet-python-weights.safetensors");

@@ -9,7 +9,6 @@ import re
 import shlex
 import shutil
 import subprocess
-import tempfile
 import unittest
 
 from tests.deploy.flags import unknown_flags
@@ -122,14 +121,13 @@ class Dockerfiles(unittest.TestCase):
     self.assertGreater(len(seen), 6)
 
 
-class EnvserverImage(unittest.TestCase):
+class EnvserverImage(python_case.FolderCase):
 
   def setUp(self):
     if os.geteuid() != 0:
       self.skipTest("chroot wants root")
-    self._temp = tempfile.TemporaryDirectory(prefix="craftfleet-")
-    self.addCleanup(self._temp.cleanup)
-    self.root = pathlib.Path(self._temp.name) / "root"
+    super().setUp()
+    self.root = self.folder / "root"
     subprocess.run([DOCKER / "closure.sh", self.root, BIN.parent, "craftfleet-envserver", "craftfleet-status"], check=True)
     (self.root / "proc").mkdir()
 
@@ -146,7 +144,7 @@ class EnvserverImage(unittest.TestCase):
     self.assertLess(size, ENVSERVER_MIB)
     self.assertEqual([path for path in self.root.rglob("*") if "torch" in path.name], [])
     self.assertEqual([path.name for path in (self.root / "usr/local/bin").iterdir() if "craftfleet-" not in path.name], [])
-    log = pathlib.Path(self._temp.name) / "log"
+    log = self.folder / "log"
     with open(log, "wb") as out:
       server = subprocess.Popen(self.command("/usr/local/bin/craftfleet-envserver", "--listen=127.0.0.1:0"), stdout=out, stderr=out)
     self.addCleanup(server.wait)

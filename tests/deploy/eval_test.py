@@ -1,13 +1,10 @@
 """craftfleet eval: the final evaluation of a run played again, with videos and files of its episodes."""
 
 import json
-import pathlib
 import subprocess
-import tempfile
-import unittest
 
 from tests.fakes import python_case
-from tests.fakes.python_case import BIN, SOURCE
+from tests.fakes.python_case import SOURCE
 
 # Three evaluations of two episodes of each kind come before the last.
 CONFIG = """
@@ -19,18 +16,11 @@ eval { every_steps: 64  episodes: 2  final_episodes: 3  env: "crafter:numbers=ea
 """
 
 
-class Eval(unittest.TestCase):
+class Eval(python_case.FolderCase):
 
   def setUp(self):
-    temp = tempfile.TemporaryDirectory(prefix="craftfleet-")
-    self.addCleanup(temp.cleanup)
-    self.folder = pathlib.Path(temp.name)
+    super().setUp()
     (self.folder / "config.txt").write_text(CONFIG)
-
-  def run_program(self, name, *flags, code=0):
-    ended = subprocess.run([BIN / name, *flags], capture_output=True, text=True, timeout=120)
-    self.assertEqual(ended.returncode, code, ended.stderr)
-    return ended
 
   def train(self, *flags):
     self.run_program("craftfleet-train", f"--config={self.folder}/config.txt", f"--logdir={self.folder}/run", *flags)

@@ -5,7 +5,6 @@ The checks run over what a light Kustomize of our own builds from each overlay, 
 
 import json
 import os
-import pathlib
 import re
 import shutil
 import subprocess
@@ -298,15 +297,13 @@ class Manifests(unittest.TestCase):
     self.over_all(check)
 
 
-class Fleet(unittest.TestCase):
+class Fleet(python_case.FolderCase):
   """The programs with the very flags, configurations and access rules of the manifests, on this machine."""
 
   def setUp(self):
     if yaml is None:
       self.skipTest("no python3-yaml here: deploy/install-deps.sh --tests")
-    self._temp = tempfile.TemporaryDirectory(prefix="craftfleet-")
-    self.addCleanup(self._temp.cleanup)
-    self.folder = pathlib.Path(self._temp.name)
+    super().setUp()
     certs = self.folder / "certs"
     subprocess.run([K8S / "tls-secrets.sh", certs], check=True, capture_output=True)
     for name in ("learner", "actor", "envserver", "ops"):

@@ -1,22 +1,17 @@
 """deploy/local-fleet.sh: a fleet on this machine that leaves nothing behind."""
 
 import os
-import pathlib
 import signal
 import subprocess
-import tempfile
-import unittest
 
 from tests.fakes import python_case
 from tests.fakes.python_case import BIN, SOURCE, command_line, processes_with, wait_until
 
 
-class LocalFleet(unittest.TestCase):
+class LocalFleet(python_case.FolderCase):
 
   def setUp(self):
-    self._temp = tempfile.TemporaryDirectory(prefix="craftfleet-")
-    self.addCleanup(self._temp.cleanup)
-    self.folder = pathlib.Path(self._temp.name)
+    super().setUp()
     (self.folder / "config.txt").write_text(python_case.SMALL_RUN)
 
   def start(self, *flags, actors=2, envservers=2, steps=192):

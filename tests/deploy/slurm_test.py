@@ -1,9 +1,6 @@
 """deploy/slurm and `craftfleet sweep --executor=slurm` on a real Slurm that the test starts and stops."""
 
-import pathlib
 import subprocess
-import tempfile
-import unittest
 
 from tests.deploy.slurm_cluster import SlurmCluster, why_not
 from tests.fakes import python_case
@@ -27,15 +24,13 @@ experiments {
 """
 
 
-class Slurm(unittest.TestCase):
+class Slurm(python_case.FolderCase):
 
   def setUp(self):
     reason = why_not()
     if reason:
       self.skipTest(reason)
-    self._temp = tempfile.TemporaryDirectory(prefix="craftfleet-")
-    self.addCleanup(self._temp.cleanup)
-    self.folder = pathlib.Path(self._temp.name)
+    super().setUp()
     self.logdir = self.folder / "run"
     (self.folder / "config.txt").write_text(python_case.SMALL_RUN)
     # A checkout's layout around the programs of this build.

@@ -1,28 +1,16 @@
 """craftfleet train: runs from old weights, checkpoints that are kept, the run's id."""
 
 import json
-import pathlib
 import re
-import subprocess
-import tempfile
-import unittest
 
 from tests.fakes import python_case
-from tests.fakes.python_case import BIN
 
 
-class Train(unittest.TestCase):
+class Train(python_case.FolderCase):
 
   def setUp(self):
-    temp = tempfile.TemporaryDirectory(prefix="craftfleet-")
-    self.addCleanup(temp.cleanup)
-    self.folder = pathlib.Path(temp.name)
+    super().setUp()
     (self.folder / "config.txt").write_text(python_case.SMALL_RUN)
-
-  def run_program(self, name, *flags, code=0):
-    ended = subprocess.run([BIN / name, *flags], capture_output=True, text=True, timeout=120)
-    self.assertEqual(ended.returncode, code, ended.stderr)
-    return ended
 
   def train(self, run, *flags, code=0):
     return self.run_program("craftfleet-train", f"--config={self.folder}/config.txt", f"--logdir={self.folder}/{run}",

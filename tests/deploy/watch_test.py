@@ -1,12 +1,10 @@
 """Watching a fleet: metrics, dashboard and alert rules, craftfleet top and status, logs."""
 
 import json
-import pathlib
 import re
 import shutil
 import signal
 import subprocess
-import tempfile
 import unittest
 import urllib.error
 import urllib.request
@@ -39,12 +37,10 @@ def families(text):
   return {name: (kind, helps[name]) for name, kind in re.findall(r"^# TYPE (\w+) (\w+)$", text, re.M)}
 
 
-class Watch(unittest.TestCase):
+class Watch(python_case.FolderCase):
 
   def setUp(self):
-    temp = tempfile.TemporaryDirectory(prefix="craftfleet-")
-    self.addCleanup(temp.cleanup)
-    self.folder = pathlib.Path(temp.name)
+    super().setUp()
     (self.folder / "config.txt").write_text(ENDLESS)
     self.programs = 0
 
@@ -79,13 +75,18 @@ class Watch(unittest.TestCase):
     wait_until(lambda: self.metric("iteration") >= 2, "two iterations")
     return {"learner": learner_log, "actor": actor_log, "envserver": server_log}
 
-  def run_program(self, name, *flags):
-    ended = subprocess.run([BIN / name, *flags], capture_output=True, text=True, timeout=60)
-    self.assertEqual(ended.returncode, 0, ended.stderr)
-    return ended.stdout
+  def lines_of(self, process):
+    """What `process` prints on a pipe, line by line."""
+    self.addCleanup(process.stdout.close)
+    self.addCleanup(process.wait)
+    self.addCleanup(process.kill)
+    while True:
+      line = process.stdout.readline()
+      self.assertTrue(line, "it ended")
+      yield line
 
   def status(self, address=""):
-    return json.loads(self.run_program("craftfleet-status", f"--address={address or self.learner}", "--json"))
+    return json.loads(self.run_program("craftfleet-status", f"--address={address or self.learner}", "--json").stdout)
 
   def metric(self, name):
     return {metric["name"]: metric["value"] for metric in self.status()["metrics"]}[name]
@@ -168,7 +169,7 @@ class Watch(unittest.TestCase):
     wait_until(lambda: re.search(r"(?m)^server +\S+ +LOST ", self.top()), "a lost server")
 
   def top(self):
-    page = self.run_program("craftfleet-top", f"--address={self.learner}", "--once", "--width=80")
+    page = self.run_program("craftfleet-top", f"--address={self.learner}", "--once", "--width=80").stdout
     self.assertLessEqual(max(map(len, page.splitlines())), 80)
     return page
 
@@ -176,13 +177,10 @@ class Watch(unittest.TestCase):
     _, _, self.learner = self.start_learner()
     process = subprocess.Popen([BIN / "craftfleet-top", f"--address={self.learner}", "--interval=100ms"],
                                stdout=subprocess.PIPE, text=True)
-    self.addCleanup(process.stdout.close)
-    self.addCleanup(process.wait)
-    self.addCleanup(process.kill)
+    lines = self.lines_of(process)
     titles = 0
     while titles < 3:
-      line = process.stdout.readline()
-      self.assertTrue(line, "it ended")
+      line = next(lines)
       self.assertNotIn("\x1b", line)
       titles += line.startswith("craftfleet top")
     process.terminate()
@@ -200,14 +198,10 @@ class Watch(unittest.TestCase):
     _, _, self.learner = self.start_learner()
     process = subprocess.Popen([BIN / "craftfleet-status", f"--address={self.learner}", "--watch", "--interval=100ms"],
                                stdout=subprocess.PIPE, text=True)
-    self.addCleanup(process.stdout.close)
-    self.addCleanup(process.wait)
-    self.addCleanup(process.kill)
+    lines = self.lines_of(process)
     roles = 0
     while roles < 3:
-      line = process.stdout.readline()
-      self.assertTrue(line, "it ended")
-      roles += bool(re.match(r"role +learner", line))
+      roles += bool(re.match(r"role +learner", next(lines)))
 
   def test_logs_as_json_are_one_object_a_line(self):
     process, log, self.learner = self.start_learner("--log_format=json")

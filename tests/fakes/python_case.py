@@ -6,7 +6,9 @@ without any for all of them. Environment: CRAFTFLEET_BIN_DIR, CRAFTFLEET_SOURCE_
 
 import os
 import pathlib
+import subprocess
 import sys
+import tempfile
 import time
 import unittest
 
@@ -22,6 +24,21 @@ ppo { rollout_steps: 64  minibatch_size: 32  epochs: 1 }
 checkpoint { every_iterations: 1  keep: 20 }
 eval { every_steps: 0  final_episodes: 0 }
 """
+
+
+class FolderCase(unittest.TestCase):
+  """A case with a folder of its own."""
+
+  def setUp(self):
+    temp = tempfile.TemporaryDirectory(prefix="craftfleet-")
+    self.addCleanup(temp.cleanup)
+    self.folder = pathlib.Path(temp.name)
+
+  def run_program(self, name, *flags, code=0):
+    """The program when it has ended, which it must with `code`."""
+    ended = subprocess.run([BIN / name, *flags], capture_output=True, text=True, timeout=120)
+    self.assertEqual(ended.returncode, code, ended.stderr)
+    return ended
 
 
 def wait_until(condition, what, seconds=60):

@@ -108,6 +108,14 @@ TEST_F(FleetBookTest, WhatAServerSaidLongAgoIsNotWhatItDoes) {
   EXPECT_GT(book_.Workers()[0].summary().memory_bytes(), 0);
 }
 
+TEST_F(FleetBookTest, WhoIsGoneDoesNothing) {
+  book_.Heard("actor", "a", "", Summary(9));
+  EXPECT_EQ(book_.Workers()[0].summary().steps_per_second(), 9);
+  book_.Left("actor", "a");
+  EXPECT_EQ(book_.Workers()[0].health(), v1::Peer::LEFT);
+  EXPECT_EQ(book_.Workers()[0].summary().steps_per_second(), 0);
+}
+
 TEST_F(FleetBookTest, AServersOwnWordCountsMore) {
   book_.HeardOf(Server("host:1", v1::Peer::OK));
   book_.Heard("envserver", "s", "host:1", Summary(9));

@@ -1,7 +1,5 @@
 #include "actor/recording/episode_recorder.h"
 
-#include <array>
-#include <cstdio>
 #include <memory>
 #include <string>
 #include <vector>
@@ -13,6 +11,7 @@
 #include <opencv2/videoio.hpp>
 
 #include "common/files.h"
+#include "tests/fakes/command_output.h"
 #include "tests/fakes/sample_policy.h"
 #include "tests/fakes/status_matchers.h"
 #include "tests/fakes/temp_folder.h"
@@ -135,12 +134,8 @@ TEST_F(EpisodeRecorderTest, WritesTablesThatPythonReads) {
   ASSERT_THAT(WriteFileSynced(folder_ / "stats.jsonl", line + "}\n"), IsOk());
   const std::string command =
       absl::StrCat("python3 ", CRAFTFLEET_SOURCE_DIR, "/tests/actor/recording/check_episodes.py ", folder_ / "npz", " ",
-                   folder_ / "stats.jsonl", " ", kFrameSize, " 2>&1");
-  FILE* pipe = ::popen(command.c_str(), "r");
-  std::array<char, 1000> output{};
-  const size_t size = std::fread(output.data(), 1, output.size(), pipe);
-  ::pclose(pipe);
-  EXPECT_EQ(std::string(output.data(), size), "1 episodes agree\n");
+                   folder_ / "stats.jsonl", " ", kFrameSize);
+  EXPECT_EQ(OutputOf(command), "1 episodes agree\n");
 }
 
 TEST_F(EpisodeRecorderTest, ShowsAttentionOnTheRight) {

@@ -1,7 +1,5 @@
 #include "actor/recording/npz.h"
 
-#include <array>
-#include <cstdio>
 #include <string>
 
 #include <absl/strings/str_cat.h>
@@ -9,6 +7,7 @@
 #include <gtest/gtest.h>
 
 #include "common/files.h"
+#include "tests/fakes/command_output.h"
 #include "tests/fakes/status_matchers.h"
 #include "tests/fakes/temp_folder.h"
 
@@ -17,17 +16,6 @@ namespace {
 
 using testing::HasSubstr;
 using testing::StartsWith;
-
-// What `command` prints, errors included.
-std::string OutputOf(const std::string& command) {
-  FILE* pipe = ::popen(absl::StrCat(command, " 2>&1").c_str(), "r");
-  if (pipe == nullptr) return "popen failed";
-  std::string output;
-  std::array<char, 4096> buffer;
-  while (const size_t n = std::fread(buffer.data(), 1, buffer.size(), pipe)) output.append(buffer.data(), n);
-  ::pclose(pipe);
-  return output;
-}
 
 // The bytes that numpy 1.24's save() gives for numpy.arange(3, dtype="<i8") and numpy.array([[1, 2]], dtype="|u1").
 TEST(EncodeNpy, GivesTheBytesOfNumpy) {

@@ -137,7 +137,10 @@ TEST(DrawTop, NoLineIsWiderThanThePageNorHigher) {
 
 TEST(DrawTop, LostWorkersStandOut) {
   v1::StatusReply status = Fleet();
-  status.mutable_peers(2)->set_health(v1::Peer::LOST);
+  v1::Peer* lost = status.mutable_peers(2);
+  lost->set_health(v1::Peer::LOST);
+  lost->mutable_summary()->clear_steps_per_second();
+  lost->mutable_summary()->clear_lanes();
   status.mutable_peers(2)->set_last_seen_s(75);
   EXPECT_THAT(Page(status), AllOf(HasSubstr("0 servers (1 lost)"),
                                   HasSubstr("server  host-4-dd       LOST        0     0   -   300M   0 1m15s")));

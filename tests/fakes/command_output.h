@@ -1,0 +1,27 @@
+// What a shell command prints, for tests that ask other programs.
+
+#ifndef CRAFTFLEET_TESTS_FAKES_COMMAND_OUTPUT_H_
+#define CRAFTFLEET_TESTS_FAKES_COMMAND_OUTPUT_H_
+
+#include <array>
+#include <cstdio>
+#include <string>
+
+#include <absl/strings/str_cat.h>
+
+namespace craftfleet {
+
+// What `command` prints, errors included.
+inline std::string OutputOf(const std::string& command) {
+  FILE* pipe = ::popen(absl::StrCat(command, " 2>&1").c_str(), "r");
+  if (pipe == nullptr) return "popen failed";
+  std::string output;
+  std::array<char, 4096> buffer;
+  while (const size_t n = std::fread(buffer.data(), 1, buffer.size(), pipe)) output.append(buffer.data(), n);
+  ::pclose(pipe);
+  return output;
+}
+
+}  // namespace craftfleet
+
+#endif  // CRAFTFLEET_TESTS_FAKES_COMMAND_OUTPUT_H_
