@@ -42,7 +42,7 @@ std::vector<v1::Peer> ServerBook::All() const {
 std::vector<v1::Peer> ServerBook::Next(size_t count) {
   std::vector<v1::Peer> all = All();
   const MutexLock lock(&mu_);
-  const std::string& last = last_;
+  const std::string last = last_;
   const auto first = std::find_if(all.begin(), all.end(), [&](const v1::Peer& peer) { return peer.address() > last; });
   std::rotate(all.begin(), first, all.end());
   if (all.size() > count) all.resize(count);
