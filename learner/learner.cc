@@ -154,7 +154,8 @@ absl::StatusOr<Learner::Loaded> Learner::Load(const Options& options, const v1::
   loaded.clock = std::make_unique<RealClock>();
   CRAFTFLEET_ASSIGN_OR_RETURN(loaded.texture_digest, TextureDigest(options.texture_dir));
   const ProgramInfo program = {std::string(ProgramVersion()), std::string(GitRevision()), loaded.texture_digest};
-  CRAFTFLEET_ASSIGN_OR_RETURN(loaded.updater, PpoUpdater::Create(config, options.threads));
+  CRAFTFLEET_ASSIGN_OR_RETURN(loaded.updater, PpoUpdater::Create(config, options.threads, options.device));
+  if (options.device != "cpu") LogInfo("updates on %s", options.device);
   if (!options.resume) {
     std::string origin;
     if (!options.init_from.empty()) {

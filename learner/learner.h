@@ -43,6 +43,7 @@ class Learner {
     std::string texture_dir;  // whose digest workers must match
     wire::Server::Options server;
     int threads = 1;                   // for the update, 1..256
+    std::string device = "cpu";        // for the update, as FindDevice gives it
     std::ostream* progress = nullptr;  // not null: progress lines go there
     bool progress_in_place = false;    // it is a terminal
   };

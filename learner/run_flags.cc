@@ -10,6 +10,7 @@
 #include <absl/flags/flag.h>
 #include <absl/strings/str_format.h>
 
+#include "common/agent/device.h"
 #include "common/config.h"
 #include "common/cpu_quota.h"
 #include "common/files.h"
@@ -51,6 +52,9 @@ ABSL_FLAG(std::string, textures, "",
           "folder with Crafter's textures as PNG, such as crafter/assets of the Python package\n"
           "[the ones that come with this program]");
 ABSL_FLAG(int32_t, threads, 0, "threads of this process for its computing; 0: as many as its CPU quota allows");
+ABSL_FLAG(std::string, device, "auto",
+          "where updates are computed: auto (a GPU where there is one), cpu, cuda or cuda:N; wants a build against a\n"
+          "LibTorch with CUDA. Runs on different devices differ in their last bits");
 
 namespace craftfleet {
 namespace {
@@ -112,6 +116,7 @@ absl::StatusOr<Learner::Options> LearnerOptionsFromFlags() {
   if (const auto keep = absl::GetFlag(FLAGS_keep_checkpoints)) checkpoint.set_keep(*keep);
   CRAFTFLEET_ASSIGN_OR_RETURN(options.texture_dir, TextureDir(absl::GetFlag(FLAGS_textures)));
   CRAFTFLEET_ASSIGN_OR_RETURN(options.threads, ThreadsFromFlags());
+  CRAFTFLEET_ASSIGN_OR_RETURN(options.device, FindDevice(absl::GetFlag(FLAGS_device)));
   options.server = wire::ServerOptionsFromFlags(/*address=*/"");
   options.progress = &std::cout;
   options.progress_in_place = isatty(STDOUT_FILENO) == 1;

@@ -59,7 +59,8 @@ struct LinearFunction : torch::autograd::Function<LinearFunction> {
 }  // namespace
 
 at::Tensor Linear(const at::Tensor& input, const at::Tensor& weight, const at::Tensor& bias) {
-  return LinearFunction::apply(input, weight, bias.defined() ? c10::make_optional(bias) : c10::nullopt);
+  const c10::optional<at::Tensor> maybe_bias = bias.defined() ? c10::make_optional(bias) : c10::nullopt;
+  return input.is_cpu() ? LinearFunction::apply(input, weight, maybe_bias) : at::linear(input, weight, maybe_bias);
 }
 
 bool LinearUsesOneDnn() { return dnnl_sgemm != nullptr; }

@@ -11,7 +11,7 @@ namespace craftfleet {
 //
 // Debian's OpenBLAS 0.3.21 doesn't know CPUs newer than itself and then runs SSE3 kernels; oneDNN, which LibTorch
 // brings anyway, is 4-5 times as fast there and up to 1.3 times where OpenBLAS knows the CPU. Without dnnl_sgemm in the
-// process (LibTorch's own binaries hide it) the product is at::mm.
+// process (LibTorch's own binaries hide it) the product is at::mm. Tensors of a GPU go to at::linear.
 at::Tensor Linear(const at::Tensor& input, const at::Tensor& weight, const at::Tensor& bias);
 
 enum class Form { kPlain, kTransposed };

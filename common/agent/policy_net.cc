@@ -15,9 +15,14 @@ Network MakeNetwork(const v1::NetworkConfig& config) {
 
 }  // namespace
 
-PolicyNet::PolicyNet(const AgentSpec& spec, Use use, absl::Span<float> weights) : network_(MakeNetwork(spec.network)) {
+PolicyNet::PolicyNet(const AgentSpec& spec, Use use, absl::Span<float> weights, at::Device device)
+    : device_(device),
+      network_(MakeNetwork(spec.network)),
+      host_weights_(at::from_blob(weights.data(), {static_cast<int64_t>(weights.size())})),
+      device_weights_(host_weights_.to(device)) {
+  CRAFTFLEET_CHECK(!elsewhere() || use == Use::kTraining);
   for (const ParamSpec& param : spec.params) {
-    at::Tensor weight = at::from_blob(weights.data() + param.offset, param.shape);
+    at::Tensor weight = device_weights_.narrow(0, param.offset, param.size).view(param.shape);
     if (use == Use::kTraining) {
       weight.set_requires_grad(true);
     } else if (weight.dim() == 4) {
@@ -30,16 +35,42 @@ PolicyNet::PolicyNet(const AgentSpec& spec, Use use, absl::Span<float> weights) 
 
 PolicyNet::Output PolicyNet::Forward(const at::Tensor& frames, const Segments& segments,
                                      const absl::optional<Dropout>& dropout) const {
-  return network_.Forward(params_, frames, segments, dropout);
+  return elsewhere() ? ForwardElsewhere(frames, segments, dropout)
+                     : network_.Forward(params_, frames, segments, dropout);
+}
+
+PolicyNet::Output PolicyNet::ForwardElsewhere(const at::Tensor& frames, const Segments& segments,
+                                              const absl::optional<Dropout>& dropout) const {
+  {
+    const at::NoGradGuard no_grad;
+    device_weights_.copy_(host_weights_);
+  }
+  Segments there = segments;
+  if (there.states.defined()) there.states = there.states.to(device_);
+  const Output output = network_.Forward(params_, frames.to(device_), there, dropout);
+  return {output.logits.cpu(), output.values.cpu(), output.states.defined() ? output.states.cpu() : at::Tensor()};
 }
 
 at::Tensor PolicyNet::Attention(const at::Tensor& frames) const { return network_.Attention(params_, frames); }
 
-std::vector<absl::Span<float>> PolicyNet::gradients() const {
-  std::vector<absl::Span<float>> gradients;
+std::vector<absl::Span<float>> PolicyNet::gradients() {
+  std::vector<at::Tensor> tensors;
   for (const at::Tensor& param : params_.tensors) {
-    const at::Tensor& gradient = param.grad();
-    CRAFTFLEET_CHECK(gradient.defined() && gradient.is_contiguous());
+    CRAFTFLEET_CHECK(param.grad().defined());
+    tensors.push_back(param.grad());
+  }
+  if (elsewhere()) {
+    std::vector<int64_t> sizes;
+    for (at::Tensor& gradient : tensors) {
+      sizes.push_back(gradient.numel());
+      gradient = gradient.flatten();
+    }
+    host_gradients_ = at::cat(tensors).cpu();  // in one piece: dozens of small copies wait for each other
+    tensors = host_gradients_.split_with_sizes(sizes);
+  }
+  std::vector<absl::Span<float>> gradients;
+  for (const at::Tensor& gradient : tensors) {
+    CRAFTFLEET_CHECK(gradient.is_contiguous());
     gradients.push_back(absl::MakeSpan(gradient.data_ptr<float>(), gradient.numel()));
   }
   return gradients;

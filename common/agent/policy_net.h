@@ -10,6 +10,7 @@
 #include <ATen/core/Tensor.h>
 #include <absl/types/optional.h>
 #include <absl/types/span.h>
+#include <c10/core/Device.h>
 
 #include "common/agent/agent_spec.h"
 #include "common/agent/nets/network.h"
@@ -19,8 +20,9 @@
 namespace craftfleet {
 
 // Computes on weights that lie in someone else's flat array (AgentSpec's order), so that replicas share them and an
-// optimiser writes them in place. Thread-compatible; without gradients, several threads may call Forward.
-// Source: Stanic et al. 2022; "The agents"; goldens agents/*.json.
+// optimiser writes them in place; a net on a GPU copies them there at each Forward. What goes in and comes out is on
+// the CPU. Thread-compatible; without gradients, several threads may call Forward. Source: Stanic et al. 2022; "The
+// agents"; goldens agents/*.json.
 class PolicyNet {
  public:
   enum class Use {
@@ -29,8 +31,9 @@ class PolicyNet {
   };
   using Output = NetOutput;
 
-  // `weights`, float[spec.param_count], outlive the net.
-  PolicyNet(const AgentSpec& spec, Use use, absl::Span<float> weights);
+  // `weights`, float[spec.param_count], outlive the net, which computes on `device`; acting, on the CPU alone. "cpu:0"
+  // is the CPU with the copies that a GPU wants, for tests.
+  PolicyNet(const AgentSpec& spec, Use use, absl::Span<float> weights, at::Device device = at::kCPU);
 
   // frames float[N,H,W,3], values 0..1. `segments` say how the rows follow each other; feed-forward agents ignore them.
   // In training, `dropout` decides what attention drops: `key` from the run's seed and the minibatch's number,
@@ -44,12 +47,19 @@ class PolicyNet {
 
   // Training: the gradient of each parameter since the last ClearGradients, in the spec's order. The spans hold until
   // the next backward pass or ClearGradients.
-  std::vector<absl::Span<float>> gradients() const;
+  std::vector<absl::Span<float>> gradients();
   void ClearGradients();
 
  private:
+  bool elsewhere() const { return device_ != at::Device(at::kCPU); }
+  Output ForwardElsewhere(const at::Tensor& frames, const Segments& segments,
+                          const absl::optional<Dropout>& dropout) const;
+
+  const at::Device device_;
   ParamTensors params_;
   Network network_;
+  // Elsewhere: the weights here and there, float[param_count], and the gradients as they came back.
+  at::Tensor host_weights_, device_weights_, host_gradients_;
 };
 
 // Frames as the net wants them: `out` is float[n,H,W,3] in 0..1, each of `frames` points to `frame_bytes` bytes.

@@ -106,8 +106,8 @@ absl::Status ReadValueNorm(const SafeTensors& file, ValueNorm* value_norm) {
 }  // namespace
 
 struct PpoUpdater::Shard {
-  Shard(const AgentSpec& spec, absl::Span<float> weights)
-      : net(spec, PolicyNet::Use::kTraining, weights), frames(at::empty({0})) {}
+  Shard(const AgentSpec& spec, absl::Span<float> weights, at::Device device)
+      : net(spec, PolicyNet::Use::kTraining, weights, device), frames(at::empty({0})) {}
 
   PolicyNet net;
   at::Tensor frames;    // float[rows,H,W,3], reused
@@ -123,16 +123,17 @@ struct PpoUpdater::Batch {
   uint64_t dropout_key = 0;
 };
 
-absl::StatusOr<std::unique_ptr<PpoUpdater>> PpoUpdater::Create(const v1::RunConfig& config, int threads) {
+absl::StatusOr<std::unique_ptr<PpoUpdater>> PpoUpdater::Create(const v1::RunConfig& config, int threads,
+                                                               const std::string& device) {
   CRAFTFLEET_ASSIGN_OR_RETURN(AgentSpec spec, MakeAgentSpec(config));
   if (config.gradient_shards() < 1 || config.ppo().minibatch_size() % config.gradient_shards() != 0) {
     return absl::InvalidArgumentError(absl::StrCat("ppo.minibatch_size is ", config.ppo().minibatch_size(),
                                                    ", want a multiple of gradient_shards, ", config.gradient_shards()));
   }
-  return std::unique_ptr<PpoUpdater>(new PpoUpdater(std::move(spec), config, threads));
+  return std::unique_ptr<PpoUpdater>(new PpoUpdater(std::move(spec), config, threads, device));
 }
 
-PpoUpdater::PpoUpdater(AgentSpec spec, const v1::RunConfig& config, int threads)
+PpoUpdater::PpoUpdater(AgentSpec spec, const v1::RunConfig& config, int threads, const std::string& device)
     : spec_(std::move(spec)),
       config_(config.ppo()),
       seed_(config.seed()),
@@ -142,7 +143,7 @@ PpoUpdater::PpoUpdater(AgentSpec spec, const v1::RunConfig& config, int threads)
              {0, std::vector<float>(spec_.param_count), std::vector<float>(spec_.param_count)},
              {}} {
   for (int i = 0; i < config.gradient_shards(); ++i) {
-    shards_.push_back(std::make_unique<Shard>(spec_, absl::MakeSpan(state_.weights)));
+    shards_.push_back(std::make_unique<Shard>(spec_, absl::MakeSpan(state_.weights), at::Device(device)));
   }
 }
 

@@ -41,9 +41,11 @@ struct UpdateStats {
 class PpoUpdater {
  public:
   // The fields of `config` that count: agent, network, seed, gradient_shards and ppo, all valid (ValidateRunConfig).
-  // Starts from InitialWeights of the seed. `threads` >= 1; more than gradient_shards help little.
+  // Starts from InitialWeights of the seed. `threads` >= 1; more than gradient_shards help little. `device`, as
+  // FindDevice gives it, computes gradients; what is not worth a GPU (loss, Adam, minibatches) stays on the CPU.
   //   InvalidArgument: unknown agent; minibatch_size is not a multiple of gradient_shards.
-  static absl::StatusOr<std::unique_ptr<PpoUpdater>> Create(const v1::RunConfig& config, int threads);
+  static absl::StatusOr<std::unique_ptr<PpoUpdater>> Create(const v1::RunConfig& config, int threads,
+                                                            const std::string& device = "cpu");
   ~PpoUpdater();
   PpoUpdater(const PpoUpdater&) = delete;
   PpoUpdater& operator=(const PpoUpdater&) = delete;
@@ -85,7 +87,7 @@ class PpoUpdater {
     ValueNorm value_norm;
   };
 
-  PpoUpdater(AgentSpec spec, const v1::RunConfig& config, int threads);
+  PpoUpdater(AgentSpec spec, const v1::RunConfig& config, int threads, const std::string& device);
 
   // The minibatches of an epoch, as the agent wants them.
   std::vector<Minibatch> MakeMinibatches(const EpochKey& key, const Rollout& rollout) const;

@@ -38,17 +38,43 @@ AgentSpec SpecOf(const std::string& agent, const std::string& network) {
 
 // An agent with starting weights and inputs for it.
 struct Sample {
-  Sample(const std::string& agent, const std::string& network, int rows)
+  Sample(const std::string& agent, const std::string& network, int rows, at::Device device = at::kCPU)
       : spec(SpecOf(agent, network)),
         weights(InitialWeights(spec, 1)),
-        net(spec, PolicyNet::Use::kTraining, absl::MakeSpan(weights)),
+        net(spec, PolicyNet::Use::kTraining, absl::MakeSpan(weights), device),
         input(AsInput(GoldenFrames(3, rows, spec.frame_size), spec)) {}
 
   AgentSpec spec;
   std::vector<float> weights;
   PolicyNet net;
   at::Tensor input;
+  at::Tensor logits, states;  // of the last pass
 };
+
+// What a GPU is given and gives back, by way of a CPU that wants the same.
+TEST(PolicyNet, ComputesOnCopiesAsOnItsWeights) {
+  SetUpTorchThread();
+  for (const auto& [agent, network] : {std::pair("ppo_cnn", "frame_size: 40"), std::pair("lstm_cnn", "frame_size: 40"),
+                                       std::pair("oc_sa", "frame_size: 24"), std::pair("oc_ca", "frame_size: 24")}) {
+    Sample here(agent, network, 3);
+    Sample there(agent, network, 3, at::Device("cpu:0"));
+    for (int round = 0; round < 2; ++round) {
+      for (Sample* sample : {&here, &there}) {
+        sample->weights[7] += 0.5F;
+        const Segments segments = {{2, 1}, at::zeros({2, sample->spec.state_size})};
+        const PolicyNet::Output output = sample->net.Forward(sample->input, segments, Dropout{5, 0});
+        sample->net.ClearGradients();
+        torch::autograd::backward({output.logits.pow(2).sum() + output.values.sum()}, {});
+        sample->logits = output.logits.detach();
+        sample->states = output.states;
+      }
+      EXPECT_TRUE(here.logits.equal(there.logits)) << agent;
+      EXPECT_TRUE(here.states.defined() == there.states.defined()) << agent;
+      EXPECT_TRUE(!here.states.defined() || here.states.equal(there.states)) << agent;
+      EXPECT_EQ(here.net.gradients(), there.net.gradients()) << agent;
+    }
+  }
+}
 
 class Ablation : public ::testing::TestWithParam<const char*> {};
 

@@ -387,7 +387,7 @@ class Fleet(python_case.FolderCase):
   def test_every_overlay_has_a_configuration_that_the_learner_takes(self):
     for overlay in OVERLAYS:
       objects = Objects(kustomize.build(K8S / "overlays" / overlay))
-      learner, _ = self.start(objects, "learner", {}, ["--threads=1"])
+      learner, _ = self.start(objects, "learner", {}, ["--threads=1", "--device=cpu"])
       learner.terminate()
       self.assertEqual(learner.wait(timeout=20), 0, self.log.read_text())
       shutil.rmtree(self.folder / "run")

@@ -52,7 +52,8 @@ at::Tensor Attend(const at::Tensor& queries, const at::Tensor& keys, const at::T
                   const AttentionOptions& options, const absl::optional<Dropout>& dropout) {
   at::Tensor weights = AttentionWeights(queries, keys, options);
   if (dropout.has_value() && options.drop_probability > 0) {
-    weights = weights * DropoutMask(weights.sizes(), options.drop_probability, options.layer, *dropout);
+    weights =
+        weights * DropoutMask(weights.sizes(), options.drop_probability, options.layer, *dropout).to(weights.device());
   }
   return at::matmul(weights, SplitHeads(values, options.heads)).transpose(1, 2).flatten(2);
 }

@@ -54,7 +54,8 @@ at::Tensor CrossAttention::Queries(const ParamTensors& params) const {
 
 std::vector<at::Tensor> CrossAttention::KeysValues(const ParamTensors& params, const at::Tensor& input) const {
   const at::Tensor patches = CutPatches(input, options_.patch, options_.stride);
-  const at::Tensor positions = Positions(patches.size(1)).expand({patches.size(0), patches.size(1), kPositionWidth});
+  const at::Tensor positions =
+      Positions(patches.size(1)).to(patches.device()).expand({patches.size(0), patches.size(1), kPositionWidth});
   const at::Tensor tokens = Normed(norm_tokens_, params, at::cat({patches, positions}, 2));
   return to_kv_.Forward(params, tokens).chunk(2, -1);
 }

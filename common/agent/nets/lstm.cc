@@ -155,9 +155,22 @@ struct LstmFunction : torch::autograd::Function<LstmFunction> {
 
 LstmOutput Lstm(const at::Tensor& input, const std::vector<int64_t>& batch_sizes, const at::Tensor& states,
                 const LstmWeights& weights) {
+  if (!input.is_cpu()) return LstmOfLibTorch(input, batch_sizes, states, weights);
   const variable_list result = LstmFunction::apply(input, states, weights.input, weights.hidden, weights.input_bias,
                                                    weights.hidden_bias, batch_sizes);
   return {result[0], result[1]};
+}
+
+LstmOutput LstmOfLibTorch(const at::Tensor& input, const std::vector<int64_t>& batch_sizes, const at::Tensor& states,
+                          const LstmWeights& weights) {
+  const int64_t hidden = weights.hidden.size(1);
+  const at::Tensor layer_states = states.unsqueeze(0);
+  const auto [outputs, h, c] =
+      at::lstm(input, at::tensor(batch_sizes, at::kLong),
+               {layer_states.narrow(2, 0, hidden).contiguous(), layer_states.narrow(2, hidden, hidden).contiguous()},
+               {weights.input, weights.hidden, weights.input_bias, weights.hidden_bias}, /*has_biases=*/true,
+               /*num_layers=*/1, /*dropout=*/0, /*train=*/true, /*bidirectional=*/false);
+  return {outputs, at::cat({h, c}, 2).squeeze(0).detach()};
 }
 
 }  // namespace craftfleet

@@ -26,9 +26,14 @@ struct LstmOutput {
 // then all second steps and so on; batch_sizes[t] segments have a step t. `states` float[k,2H], h then c, are
 // constants.
 //
-// at::lstm multiplies by the BLAS and sums the weights' gradients step by step: in updates it takes 6 times as long.
+// On the CPU at::lstm multiplies by the BLAS and sums the weights' gradients step by step: in updates it takes 6 times
+// as long. Tensors of a GPU go to it.
 LstmOutput Lstm(const at::Tensor& input, const std::vector<int64_t>& batch_sizes, const at::Tensor& states,
                 const LstmWeights& weights);
+
+// The same by at::lstm, on any device.
+LstmOutput LstmOfLibTorch(const at::Tensor& input, const std::vector<int64_t>& batch_sizes, const at::Tensor& states,
+                          const LstmWeights& weights);
 
 }  // namespace craftfleet
 

@@ -17,7 +17,9 @@ namespace craftfleet {
 namespace {
 
 // Places as an index tensor, int64[n].
-at::Tensor IndexTensor(const std::vector<int64_t>& places) { return at::tensor(places, at::kLong); }
+at::Tensor IndexTensor(const std::vector<int64_t>& places, at::Device device) {
+  return at::tensor(places, at::kLong).to(device);
+}
 
 // The place of each number in `order`, a permutation.
 std::vector<int64_t> Inverse(const std::vector<int64_t>& order) {
@@ -32,7 +34,7 @@ ParamInit LstmInit() { return {ParamInit::Kind::kUniform, 1 / std::sqrt(static_c
 
 // LibTorch's packed sequence: segments by descending length, all first steps, then all second steps and so on.
 struct LstmLayer::Packing {
-  explicit Packing(const std::vector<int>& lengths);
+  Packing(const std::vector<int>& lengths, at::Device device);
 
   at::Tensor rows;          // int64[N] the input row of each packed row
   at::Tensor inverse_rows;  // int64[N] the packed row of each input row
@@ -41,7 +43,7 @@ struct LstmLayer::Packing {
   std::vector<int64_t> batch_sizes;  // [longest] segments that have a step t
 };
 
-LstmLayer::Packing::Packing(const std::vector<int>& lengths) {
+LstmLayer::Packing::Packing(const std::vector<int>& lengths, at::Device device) {
   std::vector<int64_t> first_rows(lengths.size());
   std::exclusive_scan(lengths.begin(), lengths.end(), first_rows.begin(), int64_t{0});
   std::vector<int64_t> by_length(lengths.size());
@@ -57,10 +59,10 @@ LstmLayer::Packing::Packing(const std::vector<int>& lengths) {
     }
     batch_sizes.push_back(static_cast<int64_t>(packed.size() - before));
   }
-  rows = IndexTensor(packed);
-  inverse_rows = IndexTensor(Inverse(packed));
-  segments = IndexTensor(by_length);
-  inverse_segments = IndexTensor(Inverse(by_length));
+  rows = IndexTensor(packed, device);
+  inverse_rows = IndexTensor(Inverse(packed), device);
+  segments = IndexTensor(by_length, device);
+  inverse_segments = IndexTensor(Inverse(by_length), device);
 }
 
 LstmLayer::LstmLayer(const std::string& name, int64_t inputs, ParamList* params)
@@ -93,7 +95,7 @@ void RecurrentCore::Forward(const ParamTensors& params, const at::Tensor& featur
   CRAFTFLEET_CHECK(std::accumulate(segments.lengths.begin(), segments.lengths.end(), int64_t{0}) == features.size(0));
   CRAFTFLEET_CHECK(segments.states.size(0) == static_cast<int64_t>(segments.lengths.size()));
   CRAFTFLEET_CHECK(segments.states.size(1) == state_size());
-  const LstmLayer::Packing packing(segments.lengths);
+  const LstmLayer::Packing packing(segments.lengths, features.device());
   constexpr int64_t kOne = LstmLayer::kStateSize;
   *actor_features = lstm_actor_.Forward(params, features, packing, segments.states.narrow(1, 0, kOne), last_states);
   if (!lstm_critic_.has_value()) {

@@ -43,10 +43,10 @@ SelfAttention::SelfAttention(const std::string& name, const Options& options, Pa
 
 at::Tensor SelfAttention::Tokens(const ParamTensors& params, const at::Tensor& input) const {
   const at::Tensor patches = embedding_.Forward(params, CutPatches(input, options_.patch, options_.stride));
-  const at::Tensor cls = cls_ == kNoParam ? at::zeros({TokenWidth(options_.patch)}) : params[cls_];
+  const at::Tensor cls = cls_ == kNoParam ? at::zeros({TokenWidth(options_.patch)}, input.options()) : params[cls_];
   const at::Tensor embedded_cls = embedding_.Forward(params, cls.view({1, 1, -1}));
   const at::Tensor tokens = at::cat({embedded_cls.expand({patches.size(0), 1, kAttentionWidth}), patches}, 1);
-  return options_.positions ? tokens + Positions(tokens.size(1)) : tokens;
+  return options_.positions ? tokens + Positions(tokens.size(1)).to(tokens.device()) : tokens;
 }
 
 std::vector<at::Tensor> SelfAttention::Project(const ParamTensors& params, int layer, const at::Tensor& tokens) const {

@@ -48,9 +48,9 @@ OwnedRollout RandomRollout(uint32_t seed, int n) {
 }
 
 // What a run of `iterations` updates leaves behind.
-std::string TrainedState(const v1::RunConfig& config, int threads, int iterations) {
+std::string TrainedState(const v1::RunConfig& config, int threads, int iterations, const std::string& device = "cpu") {
   const OwnedRollout owned = RandomRollout(11, 64);
-  const auto updater = *PpoUpdater::Create(config, threads);
+  const auto updater = *PpoUpdater::Create(config, threads, device);
   for (int i = 0; i < iterations; ++i) {
     EXPECT_TRUE(updater->Update(i, owned.rollout, NeverStop).ok());
   }
@@ -101,6 +101,11 @@ TEST(PpoUpdater, ThreadsDoNotChangeABit) {
   EXPECT_EQ(TrainedState(config, 1, 2) == one, true);
   EXPECT_EQ(TrainedState(config, 2, 2) == one, true);
   EXPECT_EQ(TrainedState(config, 3, 2) == one, true);
+}
+
+TEST(PpoUpdater, CopiesToADeviceDoNotChangeABit) {
+  const v1::RunConfig config = SmallConfig(32);
+  EXPECT_EQ(TrainedState(config, 2, 2, "cpu:0") == TrainedState(config, 2, 2), true);
 }
 
 TEST(PpoUpdater, ResumedRunEqualsTheUninterruptedOne) {
