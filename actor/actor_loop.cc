@@ -21,6 +21,12 @@ constexpr absl::Duration kLastPause = absl::Seconds(2);
 
 constexpr absl::Duration kReportEvery = absl::Milliseconds(500);  // what is seen of environment servers
 
+std::vector<int> LanesOf(const std::vector<HeldPermit>& permits) {
+  std::vector<int> lanes;
+  for (const HeldPermit& permit : permits) lanes.push_back(permit.lane);
+  return lanes;
+}
+
 }  // namespace
 
 ActorLoop::ActorLoop(const Options& options, const LearnerClient* learner, PermitBook* permits, PolicySource* policies,
@@ -41,7 +47,7 @@ absl::Status ActorLoop::Run() {
     std::vector<HeldPermit> permits = permits_->Take(options_.index);
     meter_.Switch(Activity::kWire);
     if (permits.empty()) return absl::OkStatus();
-    const absl::Status status = RunFragment(permits);
+    const absl::Status status = RunFragment(&permits);
     if (status.ok()) {
       backoff.Reset();
       continue;
@@ -54,9 +60,9 @@ absl::Status ActorLoop::Run() {
   }
 }
 
-absl::Status ActorLoop::RunFragment(const std::vector<HeldPermit>& permits) {
-  const HeldPermit& first = permits.front();
-  for (const HeldPermit& permit : permits) {
+absl::Status ActorLoop::RunFragment(std::vector<HeldPermit>* permits) {
+  const HeldPermit first = permits->front();
+  for (const HeldPermit& permit : *permits) {
     if (permit.policy_version != first.policy_version || permit.epoch != first.epoch) {
       return absl::AbortedError("permits of two iterations at once");
     }
@@ -65,21 +71,16 @@ absl::Status ActorLoop::RunFragment(const std::vector<HeldPermit>& permits) {
                               policies_->Get(first.epoch, first.policy_version));
   meter_.Switch(Activity::kEnvironment);
   CRAFTFLEET_RETURN_IF_ERROR(CloseLanesOfOthers(first.policy_version));
-  for (const int lane : envs_->Refresh()) held_.erase(lane);
-  CRAFTFLEET_RETURN_IF_ERROR(OpenLanes(permits));
+  Forget(envs_->Refresh());
+  CRAFTFLEET_RETURN_IF_ERROR(OpenLanes(*permits));
 
-  std::map<int, const HeldPermit*> by_lane;
-  std::vector<int> lanes;
-  for (const HeldPermit& permit : permits) {
-    by_lane[permit.lane] = &permit;
-    lanes.push_back(permit.lane);
-  }
-  lanes = envs_->Arrange(std::move(lanes));
-  std::vector<HeldPermit> arranged;
-  for (const int lane : lanes) arranged.push_back(*by_lane[lane]);
+  std::map<int, HeldPermit> by_lane;
+  for (const HeldPermit& permit : *permits) by_lane[permit.lane] = permit;
+  const std::vector<int> lanes = envs_->Arrange(LanesOf(*permits));
+  std::transform(lanes.begin(), lanes.end(), permits->begin(), [&](int lane) { return by_lane[lane]; });
 
-  CRAFTFLEET_RETURN_IF_ERROR(PlaySteps(*policy, arranged));
-  return SendFragments(*policy, arranged);
+  CRAFTFLEET_RETURN_IF_ERROR(PlaySteps(*policy, permits));
+  return SendFragments(*policy, *permits);
 }
 
 absl::Status ActorLoop::CloseLanesOfOthers(int64_t version) {
@@ -90,30 +91,43 @@ absl::Status ActorLoop::CloseLanesOfOthers(int64_t version) {
   for (const auto& [lane, held] : held_) {
     if (held.policy_version != last) lanes.push_back(lane);
   }
-  for (const int lane : lanes) held_.erase(lane);
-  return envs_->Close(lanes);
+  Forget(lanes);
+  std::vector<int> lost;
+  const absl::Status status = envs_->Close(lanes, &lost);
+  Forget(lost);
+  return status;
 }
 
 absl::Status ActorLoop::OpenLanes(const std::vector<HeldPermit>& permits) {
-  std::vector<EnvClient::Lane> to_open;
-  std::vector<std::vector<float>> states;
-  for (const HeldPermit& permit : permits) {
-    const auto held = held_.find(permit.lane);
-    if (held != held_.end() && held->second.epoch == permit.epoch && held->second.next_fragment == permit.fragment) {
-      continue;
+  // Again where a server fails meanwhile and takes others with it.
+  while (true) {
+    std::vector<HeldPermit> missing;
+    for (const HeldPermit& permit : permits) {
+      const auto held = held_.find(permit.lane);
+      const bool is_here =
+          held != held_.end() && held->second.epoch == permit.epoch && held->second.next_fragment == permit.fragment;
+      if (!is_here) missing.push_back(permit);
     }
-    CRAFTFLEET_ASSIGN_OR_RETURN(LaneSnapshot snapshot,
-                                learner_->GetSnapshot(permit.epoch, permit.lane, permit.fragment, options_.state_size));
-    to_open.push_back({permit.lane, LaneSeed(options_.config.seed(), permit.lane), 1, std::move(snapshot.game)});
-    states.push_back(std::move(snapshot.state));
+    if (missing.empty()) return absl::OkStatus();
+    CRAFTFLEET_RETURN_IF_ERROR(OpenMissing(missing));
   }
-  if (to_open.empty()) return absl::OkStatus();
+}
+
+absl::Status ActorLoop::OpenMissing(const std::vector<HeldPermit>& missing) {
+  CRAFTFLEET_ASSIGN_OR_RETURN(std::vector<LaneSnapshot> snapshots,
+                              learner_->GetSnapshots(missing, options_.state_size));
+  std::vector<EnvClient::Lane> lanes;
+  for (size_t i = 0; i < missing.size(); ++i) {
+    const int lane = missing[i].lane;
+    lanes.push_back({lane, LaneSeed(options_.config.seed(), lane), 1, std::move(snapshots[i].game)});
+  }
   std::string frames;
-  CRAFTFLEET_RETURN_IF_ERROR(envs_->Open(to_open, &frames));
-  for (size_t i = 0; i < to_open.size(); ++i) {
-    Held& held = held_[to_open[i].lane];
-    held.frame = std::string(Frame(frames, i));
-    held.state = std::move(states[i]);
+  std::vector<int> lost;
+  CRAFTFLEET_RETURN_IF_ERROR(envs_->Open(lanes, &frames, &lost));
+  Forget(lost);
+  for (size_t i = 0; i < missing.size(); ++i) {
+    held_[missing[i].lane] = {missing[i].epoch, missing[i].fragment, /*policy_version=*/-1,
+                              std::string(Frame(frames, i)), std::move(snapshots[i].state)};
   }
   return absl::OkStatus();
 }
@@ -132,41 +146,66 @@ void ActorLoop::StartFragments(const std::vector<HeldPermit>& permits) {
   }
 }
 
-absl::Status ActorLoop::PlaySteps(const Policy& policy, const std::vector<HeldPermit>& permits) {
+absl::Status ActorLoop::PlaySteps(const Policy& policy, std::vector<HeldPermit>* permits) {
   const int steps = options_.config.fragment_steps();
   const bool keep_every_state = options_.config.ppo().recurrent_batches() == v1::PpoConfig::PUBLISHED;
-  std::vector<int> lanes;
-  for (const HeldPermit& permit : permits) lanes.push_back(permit.lane);
-  StartFragments(permits);
-  std::vector<double> noise(lanes.size());
+  StartFragments(*permits);
+  std::vector<int> lost;
   for (int t = 0; t < steps; ++t) {
+    const std::vector<int> lanes = LanesOf(*permits);
+    std::vector<double> noise;
     for (size_t row = 0; row < lanes.size(); ++row) {
-      noise[row] = ActionNoise(options_.config.seed(), lanes[row], permits[row].fragment * steps + t);
+      noise.push_back(ActionNoise(options_.config.seed(), lanes[row], (*permits)[row].fragment * steps + t));
       if (t == 0 || keep_every_state) builders_[row].AddState(State(row));
     }
     meter_.Switch(Activity::kInference);
-    CRAFTFLEET_ASSIGN_OR_RETURN(const ActResult act, policy.Act(frames_, lanes, noise, absl::MakeSpan(states_)));
+    CRAFTFLEET_ASSIGN_OR_RETURN(ActResult act, policy.Act(frames_, lanes, noise, absl::MakeSpan(states_)));
     meter_.Switch(Activity::kWire);
-    CRAFTFLEET_RETURN_IF_ERROR(envs_->Step(lanes, act.actions, /*snapshot=*/t + 1 == steps, &batch_));
+    CRAFTFLEET_RETURN_IF_ERROR(envs_->Step(lanes, act.actions, /*snapshot=*/t + 1 == steps, &batch_, &lost));
     meter_.Switch(Activity::kOther, Activity::kEnvironment, envs_->busy());
-    CRAFTFLEET_RETURN_IF_ERROR(AppendStep(policy, lanes, act));
-    meter_.Count(static_cast<int64_t>(lanes.size()));
+    if (!lost.empty()) DropRows(lost, permits, &act);
+    CRAFTFLEET_RETURN_IF_ERROR(AppendStep(policy, *permits, act));
+    meter_.Count(static_cast<int64_t>(permits->size()));
   }
   return absl::OkStatus();
 }
 
-absl::Status ActorLoop::AppendStep(const Policy& policy, const std::vector<int>& lanes, const ActResult& act) {
+void ActorLoop::DropRows(const std::vector<int>& lost, std::vector<HeldPermit>* permits, ActResult* act) {
+  Forget(lost);
+  size_t kept = 0;
+  for (size_t row = 0; row < permits->size(); ++row) {
+    const HeldPermit permit = (*permits)[row];
+    if (std::find(lost.begin(), lost.end(), permit.lane) != lost.end()) {
+      ++abandoned_;
+      permits_->Release(permit);
+      continue;
+    }
+    (*permits)[kept] = permit;
+    std::swap(builders_[kept], builders_[row]);
+    frames_.replace(kept * options_.frame_bytes, options_.frame_bytes, std::string(Frame(frames_, row)));
+    std::copy_n(State(row).begin(), options_.state_size, State(kept).begin());
+    act->actions[kept] = act->actions[row];
+    act->log_probs[kept] = act->log_probs[row];
+    act->values[kept] = act->values[row];
+    ++kept;
+  }
+  permits->resize(kept);
+  frames_.resize(kept * options_.frame_bytes);
+  states_.resize(kept * options_.state_size);
+}
+
+absl::Status ActorLoop::AppendStep(const Policy& policy, const std::vector<HeldPermit>& permits, const ActResult& act) {
   size_t ended = 0;
   size_t truncated = 0;
-  for (size_t row = 0; row < lanes.size(); ++row) {
+  for (size_t row = 0; row < permits.size(); ++row) {
     const StepEnd end = batch_.ends[row];
     builders_[row].Append(Frame(frames_, row), act.actions[row], act.log_probs[row], act.values[row],
                           batch_.rewards[row], end);
     if (end == StepEnd::kNone) continue;
     builders_[row].AddEpisode(batch_.episodes[ended++]);
     if (end == StepEnd::kTruncated) {
-      CRAFTFLEET_ASSIGN_OR_RETURN(const std::vector<float> value,
-                                  policy.Values(Frame(batch_.last_frames, truncated++), {lanes[row]}, State(row)));
+      CRAFTFLEET_ASSIGN_OR_RETURN(const std::vector<float> value, policy.Values(Frame(batch_.last_frames, truncated++),
+                                                                                {permits[row].lane}, State(row)));
       builders_[row].AddTruncationValue(value[0]);
     }
     const absl::Span<float> state = State(row);
@@ -177,8 +216,7 @@ absl::Status ActorLoop::AppendStep(const Policy& policy, const std::vector<int>&
 }
 
 absl::Status ActorLoop::SendFragments(const Policy& policy, const std::vector<HeldPermit>& permits) {
-  std::vector<int> lanes;
-  for (const HeldPermit& permit : permits) lanes.push_back(permit.lane);
+  const std::vector<int> lanes = LanesOf(permits);
   meter_.Switch(Activity::kInference);
   CRAFTFLEET_ASSIGN_OR_RETURN(const std::vector<float> bootstrap, policy.Values(frames_, lanes, states_));
   meter_.Switch(Activity::kWire);
@@ -198,6 +236,10 @@ void ActorLoop::Abandon(const std::vector<HeldPermit>& permits) {
   envs_->Reset();
   abandoned_ += static_cast<int64_t>(permits.size());
   for (const HeldPermit& permit : permits) permits_->Release(permit);
+}
+
+void ActorLoop::Forget(const std::vector<int>& lanes) {
+  for (const int lane : lanes) held_.erase(lane);
 }
 
 void ActorLoop::ReportServers() {

@@ -66,19 +66,26 @@ class ActorLoop {
     std::vector<float> state;     // [state_size] before it
   };
 
-  // Plays one fragment of each permit's lane, all under one version.
-  absl::Status RunFragment(const std::vector<HeldPermit>& permits);
+  // Plays one fragment of each permit's lane, all under one version. Leaves in `permits` what was played, or after an
+  // error was to be played: without those that an environment server lost, which are given back.
+  absl::Status RunFragment(std::vector<HeldPermit>* permits);
   // Before the first fragment under `version`: closes the games that were not played here under the last one, since
   // somebody else plays their lanes by now.
   absl::Status CloseLanesOfOthers(int64_t version);
   absl::Status OpenLanes(const std::vector<HeldPermit>& permits);
+  // Opens the games of `missing`, which are not open here.
+  absl::Status OpenMissing(const std::vector<HeldPermit>& missing);
   // Takes the observations and states of the lanes, arranged, and begins their fragments.
   void StartFragments(const std::vector<HeldPermit>& permits);
   // T steps of the lanes, arranged; builders_ hold the result, frames_ and states_ what the policy sees next.
-  absl::Status PlaySteps(const Policy& policy, const std::vector<HeldPermit>& permits);
-  absl::Status AppendStep(const Policy& policy, const std::vector<int>& lanes, const ActResult& act);
+  absl::Status PlaySteps(const Policy& policy, std::vector<HeldPermit>* permits);
+  // Takes the lanes that an environment server lost out of the fragments under way.
+  void DropRows(const std::vector<int>& lost, std::vector<HeldPermit>* permits, ActResult* act);
+  absl::Status AppendStep(const Policy& policy, const std::vector<HeldPermit>& permits, const ActResult& act);
   absl::Status SendFragments(const Policy& policy, const std::vector<HeldPermit>& permits);
   void Abandon(const std::vector<HeldPermit>& permits);
+  // Forgets games that are no longer open.
+  void Forget(const std::vector<int>& lanes);
   void ReportServers();
   absl::string_view Frame(const std::string& frames, size_t row) const {
     return absl::string_view(frames).substr(row * options_.frame_bytes, options_.frame_bytes);

@@ -1,12 +1,13 @@
 #include "actor/env_pool.h"
 
 #include <algorithm>
-#include <limits>
+#include <numeric>
 #include <utility>
 
 #include <absl/strings/str_cat.h>
 #include <absl/strings/str_join.h>
 #include <absl/time/clock.h>
+#include <absl/types/optional.h>
 
 #include "actor/trouble.h"
 #include "common/check.h"
@@ -82,67 +83,106 @@ std::vector<int> EnvPool::FollowDirectory() {
 }
 
 void EnvPool::Balance(std::vector<int>* closed) {
+  std::vector<int> counts;  // of games, as they will be
+  for (const auto& server : servers_) counts.push_back(server->lanes);
+  std::map<int, size_t> staying = server_of_;
+  std::vector<int> moving;
   while (true) {
-    Server* fullest = nullptr;
-    Server* emptiest = nullptr;
-    for (const auto& server : servers_) {
-      if (!server->client->connected()) continue;
-      if (fullest == nullptr || server->lanes > fullest->lanes) fullest = server.get();
-      if (emptiest == nullptr || server->lanes < emptiest->lanes) emptiest = server.get();
+    absl::optional<size_t> fullest;
+    absl::optional<size_t> emptiest;
+    for (size_t i = 0; i < servers_.size(); ++i) {
+      if (!servers_[i]->client->connected()) continue;
+      if (!fullest.has_value() || counts[i] > counts[*fullest]) fullest = i;
+      if (!emptiest.has_value() || counts[i] < counts[*emptiest]) emptiest = i;
     }
-    if (fullest == nullptr || fullest->lanes < emptiest->lanes + 2) break;
-    const auto lane = std::find_if(server_of_.begin(), server_of_.end(),
-                                   [&](const auto& entry) { return servers_[entry.second].get() == fullest; });
-    // A server that fails at this will be seen to fail at the next step.
-    fullest->client->Close({lane->first}).IgnoreError();
-    closed->push_back(lane->first);
-    server_of_.erase(lane);
-    --fullest->lanes;
-    ++emptiest->lanes;  // where it will be opened
+    if (!fullest.has_value() || counts[*fullest] < counts[*emptiest] + 2) break;
+    const auto lane =
+        std::find_if(staying.begin(), staying.end(), [&](const auto& entry) { return entry.second == *fullest; });
+    moving.push_back(lane->first);
+    staying.erase(lane);
+    --counts[*fullest];
+    ++counts[*emptiest];
   }
-  for (const auto& server : servers_) server->lanes = 0;
-  for (const auto& [lane, server] : server_of_) ++servers_[server]->lanes;
+  closed->insert(closed->end(), moving.begin(), moving.end());
+  // Trouble that does not pass is met again when the games are opened.
+  CloseOpenOnes(moving, closed).IgnoreError();
 }
 
-absl::Status EnvPool::Open(absl::Span<const EnvClient::Lane> lanes, std::string* frames) {
+absl::Status EnvPool::Open(absl::Span<const EnvClient::Lane> lanes, std::string* frames, std::vector<int>* lost) {
+  lost->clear();
   std::vector<int> numbers;
   for (const EnvClient::Lane& lane : lanes) numbers.push_back(lane.lane);
-  absl::Status status = ConnectServers();
-  if (status.ok()) status = CloseOpenOnes(numbers);
-  if (status.ok()) status = Spread(lanes, frames);
+  std::vector<int> rows(lanes.size());
+  std::iota(rows.begin(), rows.end(), 0);
+  frames->resize(lanes.size() * frame_bytes_);
+  absl::Status status = CloseOpenOnes(numbers, lost);
+  while (status.ok() && !rows.empty()) {
+    status = ConnectServers();
+    if (status.ok()) status = Spread(lanes, frames, &rows, lost);
+  }
+  if (!status.ok()) Reset();
+  // What was lost on the way and is open by now.
+  lost->erase(std::remove_if(lost->begin(), lost->end(), [this](int lane) { return server_of_.count(lane) > 0; }),
+              lost->end());
+  return status;
+}
+
+absl::Status EnvPool::Close(absl::Span<const int> lanes, std::vector<int>* lost) {
+  lost->clear();
+  absl::Status status = CloseOpenOnes(lanes, lost);
   if (!status.ok()) Reset();
   return status;
 }
 
-absl::Status EnvPool::Close(absl::Span<const int> lanes) {
-  absl::Status status = CloseOpenOnes(lanes);
-  if (!status.ok()) Reset();
-  return status;
+absl::Status EnvPool::Lose(size_t index, const absl::Status& why, std::vector<int>* lost) {
+  Server& server = *servers_[index];
+  if (MayPass(why)) LogWarning("%s; its %d games go on from their snapshots", why.message(), server.lanes);
+  server.client->Disconnect();
+  server.trouble = why;
+  server.lanes = 0;
+  for (auto entry = server_of_.begin(); entry != server_of_.end();) {
+    if (entry->second != index) {
+      ++entry;
+      continue;
+    }
+    lost->push_back(entry->first);
+    entry = server_of_.erase(entry);
+  }
+  return MayPass(why) ? absl::OkStatus() : why;
 }
 
-absl::Status EnvPool::CloseOpenOnes(absl::Span<const int> lanes) {
+absl::Status EnvPool::CloseOpenOnes(absl::Span<const int> lanes, std::vector<int>* lost) {
+  std::vector<std::vector<int>> by_server(servers_.size());
   for (const int lane : lanes) {
-    const auto found = server_of_.find(lane);
-    if (found == server_of_.end()) continue;
-    Server& server = *servers_[found->second];
-    CRAFTFLEET_RETURN_IF_ERROR(server.client->Close({lane}));
-    --server.lanes;
-    server_of_.erase(found);
+    if (const auto found = server_of_.find(lane); found != server_of_.end()) by_server[found->second].push_back(lane);
+  }
+  for (size_t i = 0; i < servers_.size(); ++i) {
+    if (by_server[i].empty()) continue;
+    const absl::Status status = servers_[i]->client->Close(by_server[i]);
+    servers_[i]->lanes -= static_cast<int>(by_server[i].size());
+    for (const int lane : by_server[i]) server_of_.erase(lane);
+    if (!status.ok()) CRAFTFLEET_RETURN_IF_ERROR(Lose(i, status, lost));
   }
   return absl::OkStatus();
 }
 
-absl::Status EnvPool::Spread(absl::Span<const EnvClient::Lane> lanes, std::string* frames) {
-  std::vector<std::vector<int>> rows(servers_.size());
-  for (size_t row = 0; row < lanes.size(); ++row) {
+absl::Status EnvPool::Spread(absl::Span<const EnvClient::Lane> lanes, std::string* frames, std::vector<int>* rows,
+                             std::vector<int>* lost) {
+  std::vector<std::vector<int>> by_server(servers_.size());
+  for (const int row : *rows) {
     const size_t server = LeastLoaded();
-    rows[server].push_back(static_cast<int>(row));
+    by_server[server].push_back(row);
     server_of_[lanes[row].lane] = server;
     ++servers_[server]->lanes;
   }
-  frames->resize(lanes.size() * frame_bytes_);
+  rows->clear();
   for (size_t server = 0; server < servers_.size(); ++server) {
-    if (!rows[server].empty()) CRAFTFLEET_RETURN_IF_ERROR(OpenOn(server, lanes, rows[server], frames));
+    if (by_server[server].empty()) continue;
+    const absl::Status status = OpenOn(server, lanes, by_server[server], frames);
+    if (status.ok()) continue;
+    CRAFTFLEET_RETURN_IF_ERROR(Lose(server, status, lost));
+    servers_[server]->next_try = absl::Now() + servers_[server]->backoff.Next();
+    rows->insert(rows->end(), by_server[server].begin(), by_server[server].end());
   }
   return absl::OkStatus();
 }
@@ -166,27 +206,30 @@ std::vector<int> EnvPool::Arrange(std::vector<int> lanes) const {
 }
 
 absl::Status EnvPool::Step(absl::Span<const int> lanes, absl::Span<const Action> actions, bool snapshot,
-                           StepBatch* batch) {
-  absl::Status status = SendAndReceive(lanes, actions, snapshot, batch);
+                           StepBatch* batch, std::vector<int>* lost) {
+  lost->clear();
+  absl::Status status = SendAndReceive(lanes, actions, snapshot, batch, lost);
   if (!status.ok()) Reset();
   return status;
 }
 
 absl::Status EnvPool::SendAndReceive(absl::Span<const int> lanes, absl::Span<const Action> actions, bool snapshot,
-                                     StepBatch* batch) {
+                                     StepBatch* batch, std::vector<int>* lost) {
+  std::vector<absl::Status> statuses(servers_.size());
   for (size_t i = 0; i < servers_.size(); ++i) {
     const auto [first, last] = RowsOn(i, lanes);
     if (first == last) continue;
-    CRAFTFLEET_RETURN_IF_ERROR(servers_[i]->client->SendStep(lanes.subspan(first, last - first),
-                                                             actions.subspan(first, last - first), snapshot));
+    statuses[i] = servers_[i]->client->SendStep(lanes.subspan(first, last - first),
+                                                actions.subspan(first, last - first), snapshot);
   }
   Clear(batch);
   busy_ = absl::ZeroDuration();
   for (size_t i = 0; i < servers_.size(); ++i) {
     const auto [first, last] = RowsOn(i, lanes);
-    if (first == last) continue;
+    if (first == last || !statuses[i].ok()) continue;
     StepBatch& part = servers_[i]->batch;
-    CRAFTFLEET_RETURN_IF_ERROR(servers_[i]->client->ReceiveStep(&part));
+    statuses[i] = servers_[i]->client->ReceiveStep(&part);
+    if (!statuses[i].ok()) continue;
     busy_ = std::max(busy_, servers_[i]->client->busy());
     if (last - first == lanes.size()) {  // the only one: no copy
       std::swap(*batch, part);
@@ -199,7 +242,13 @@ absl::Status EnvPool::SendAndReceive(absl::Span<const int> lanes, absl::Span<con
     AppendTo(&batch->episodes, &part.episodes);
     AppendTo(&batch->snapshots, &part.snapshots);
   }
-  return absl::OkStatus();
+  absl::Status all;
+  for (size_t i = 0; i < servers_.size(); ++i) {
+    if (statuses[i].ok()) continue;
+    CRAFTFLEET_RETURN_IF_ERROR(Lose(i, statuses[i], lost));
+    all.Update(statuses[i]);
+  }
+  return batch->rewards.empty() ? all : absl::OkStatus();
 }
 
 std::pair<size_t, size_t> EnvPool::RowsOn(size_t server, absl::Span<const int> lanes) const {

@@ -23,9 +23,10 @@
 
 namespace craftfleet {
 
-// Games are opened on the reachable server that has fewest of them. When a server fails all games of the pool are
-// closed; the caller opens them again, which lands on the servers that are left. Servers that come and go between
-// fragments are taken in by Refresh. Owned by one thread; Cancel may be called from any.
+// Games are opened on the reachable server that has fewest of them. When a server fails its games are closed, those on
+// others stay; calls say by `lost` which lanes that were, and the caller opens them again, which lands on the servers
+// that are left. Servers that come and go between fragments are taken in by Refresh. Owned by one thread; Cancel may be
+// called from any.
 class EnvPool {
  public:
   // `first` says which of equally loaded servers is taken, so that many pools don't all begin with the same one.
@@ -35,19 +36,22 @@ class EnvPool {
   // least two more than another. Returns the lanes that were closed: open them again. Never waits for a server.
   std::vector<int> Refresh();
 
-  // Opens games (one that is open already begins anew); their observations, uint8[n,H,W,3], go to `frames`.
+  // Opens games (one that is open already begins anew); their observations, uint8[n,H,W,3], go to `frames`. Where a
+  // server fails at it another is taken.
   //   Unavailable: no server can be reached; names each.   Others as EnvClient, where waiting helps with none of them.
   // After an error every game is closed.
-  absl::Status Open(absl::Span<const EnvClient::Lane> lanes, std::string* frames);
+  absl::Status Open(absl::Span<const EnvClient::Lane> lanes, std::string* frames, std::vector<int>* lost);
 
   // Closes those of `lanes` that are open. After an error every game is closed.
-  absl::Status Close(absl::Span<const int> lanes);
+  absl::Status Close(absl::Span<const int> lanes, std::vector<int>* lost);
 
   // The open lanes in the order in which Step wants them: server by server.
   std::vector<int> Arrange(std::vector<int> lanes) const;
 
-  // Steps `lanes`, arranged; rows of `batch` stand in their order. After an error every game is closed.
-  absl::Status Step(absl::Span<const int> lanes, absl::Span<const Action> actions, bool snapshot, StepBatch* batch);
+  // Steps `lanes`, arranged; rows of `batch` stand in their order, without those that are lost.
+  //   The server's error, if it is not one that passes (MayPass) or if all lanes are lost; every game is closed then.
+  absl::Status Step(absl::Span<const int> lanes, absl::Span<const Action> actions, bool snapshot, StepBatch* batch,
+                    std::vector<int>* lost);
 
   // How long the slowest server was busy with the last step.
   absl::Duration busy() const { return busy_; }
@@ -82,16 +86,21 @@ class EnvPool {
   bool AnyConnected() const;
   // Closes games on the fullest servers until none has two more than another.
   void Balance(std::vector<int>* closed);
-  absl::Status CloseOpenOnes(absl::Span<const int> lanes);
-  // Opens `lanes`, none of them open, on the servers that have fewest.
-  absl::Status Spread(absl::Span<const EnvClient::Lane> lanes, std::string* frames);
+  // Ends the session with a server that failed, and adds the lanes that were open there to `lost`.
+  //   `why`, if that is no trouble that passes.
+  absl::Status Lose(size_t server, const absl::Status& why, std::vector<int>* lost);
+  absl::Status CloseOpenOnes(absl::Span<const int> lanes, std::vector<int>* lost);
+  // Opens the chosen `rows` of `lanes`, none of them open, on the servers that have fewest; leaves in `rows` those
+  // whose server failed.
+  absl::Status Spread(absl::Span<const EnvClient::Lane> lanes, std::string* frames, std::vector<int>* rows,
+                      std::vector<int>* lost);
   size_t LeastLoaded() const;
   absl::Status OpenOn(size_t server, absl::Span<const EnvClient::Lane> lanes, absl::Span<const int> rows,
                       std::string* frames);
   // The rows of `lanes`, arranged, that are on `server`: [first, last).
   std::pair<size_t, size_t> RowsOn(size_t server, absl::Span<const int> lanes) const;
   absl::Status SendAndReceive(absl::Span<const int> lanes, absl::Span<const Action> actions, bool snapshot,
-                              StepBatch* batch);
+                              StepBatch* batch, std::vector<int>* lost);
 
   const std::shared_ptr<EnvDirectory> directory_;
   const v1::SessionHello hello_;

@@ -12,6 +12,7 @@ namespace {
 constexpr absl::Duration kCallTimeout = absl::Seconds(4);       // below the 5 s within which a user hears of trouble
 constexpr absl::Duration kWeightsTimeout = absl::Seconds(120);  // half a gigabyte over a slow link
 constexpr int kWeightsWaitMs = 1000;
+constexpr size_t kSnapshotsAtOnce = 32;  // of the 128 calls that a connection may have
 
 }  // namespace
 
@@ -65,20 +66,54 @@ absl::StatusOr<v1::PermitReply> LearnerClient::GetPermits(const v1::PermitReques
   return reply;
 }
 
-absl::StatusOr<LaneSnapshot> LearnerClient::GetSnapshot(int64_t epoch, int lane, int64_t fragment,
-                                                        int state_size) const {
-  Call call(this, kCallTimeout);
-  v1::SnapshotRequest request;
-  request.set_epoch(epoch);
-  request.set_lane(lane);
-  request.set_fragment(fragment);
+struct LearnerClient::SnapshotCall {
+  explicit SnapshotCall(const LearnerClient* client) : call(client, kCallTimeout) {}
+
+  Call call;
   v1::SnapshotReply reply;
-  const grpc::Status status = stub_->GetSnapshot(call.context(), request, &reply);
-  if (!status.ok()) return FromCall(status);
-  absl::StatusOr<LaneSnapshot> snapshot = wire::FromProto(&reply, state_size);
-  if (snapshot.ok()) return snapshot;
-  return absl::InvalidArgumentError(
-      absl::StrFormat("%s: snapshot of lane %d: %s", name_, lane, snapshot.status().message()));
+  grpc::Status status;
+  std::unique_ptr<grpc::ClientAsyncResponseReader<v1::SnapshotReply>> reader;
+};
+
+absl::StatusOr<std::vector<LaneSnapshot>> LearnerClient::GetSnapshots(absl::Span<const HeldPermit> permits,
+                                                                      int state_size) const {
+  std::vector<LaneSnapshot> snapshots;
+  for (size_t first = 0; first < permits.size(); first += kSnapshotsAtOnce) {
+    const absl::Span<const HeldPermit> some = permits.subspan(first, kSnapshotsAtOnce);
+    CRAFTFLEET_RETURN_IF_ERROR(AppendSnapshots(some, state_size, &snapshots));
+  }
+  return snapshots;
+}
+
+absl::Status LearnerClient::AppendSnapshots(absl::Span<const HeldPermit> permits, int state_size,
+                                            std::vector<LaneSnapshot>* snapshots) const {
+  grpc::CompletionQueue answers;
+  std::vector<std::unique_ptr<SnapshotCall>> calls;
+  for (const HeldPermit& permit : permits) {
+    v1::SnapshotRequest request;
+    request.set_epoch(permit.epoch);
+    request.set_lane(permit.lane);
+    request.set_fragment(permit.fragment);
+    SnapshotCall& call = *calls.emplace_back(std::make_unique<SnapshotCall>(this));
+    call.reader = stub_->AsyncGetSnapshot(call.call.context(), request, &answers);
+    call.reader->Finish(&call.reply, &call.status, &call);
+  }
+  // Every answer before anything else: the queue has to be empty when it goes.
+  for (size_t i = 0; i < calls.size(); ++i) {
+    void* tag = nullptr;
+    bool ok = false;
+    answers.Next(&tag, &ok);
+  }
+  for (size_t i = 0; i < calls.size(); ++i) {
+    if (!calls[i]->status.ok()) return FromCall(calls[i]->status);
+    absl::StatusOr<LaneSnapshot> snapshot = wire::FromProto(&calls[i]->reply, state_size);
+    if (!snapshot.ok()) {
+      return absl::InvalidArgumentError(
+          absl::StrFormat("%s: snapshot of lane %d: %s", name_, permits[i].lane, snapshot.status().message()));
+    }
+    snapshots->push_back(*std::move(snapshot));
+  }
+  return absl::OkStatus();
 }
 
 void LearnerClient::Leave(const std::string& actor) const {

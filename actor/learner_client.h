@@ -8,11 +8,14 @@
 #include <set>
 #include <string>
 #include <utility>
+#include <vector>
 
 #include <absl/status/status.h>
 #include <absl/status/statusor.h>
 #include <absl/time/time.h>
+#include <absl/types/span.h>
 
+#include "actor/permit_book.h"
 #include "common/mutex.h"
 #include "common/types.h"
 #include "common/wire/channel.h"
@@ -29,8 +32,9 @@ class LearnerClient {
 
   absl::StatusOr<v1::JoinReply> Join(const v1::JoinRequest& request) const;
   absl::StatusOr<v1::PermitReply> GetPermits(const v1::PermitRequest& request) const;
-  // `state_size` is that of the agent (AgentSpec).   InvalidArgument: the learner's snapshot has another.
-  absl::StatusOr<LaneSnapshot> GetSnapshot(int64_t epoch, int lane, int64_t fragment, int state_size) const;
+  // Where the fragments of `permits`, all of one epoch, begin; in their order. Asked for side by side: the learner may
+  // be far. `state_size` is that of the agent (AgentSpec).   InvalidArgument: the learner's snapshot has another.
+  absl::StatusOr<std::vector<LaneSnapshot>> GetSnapshots(absl::Span<const HeldPermit> permits, int state_size) const;
   void Leave(const std::string& actor) const;
 
   // Ends every call under way and to come, but for Leave and PushFragments. From any thread.
@@ -53,7 +57,11 @@ class LearnerClient {
 
  private:
   class Call;
+  struct SnapshotCall;
 
+  // As GetSnapshots, of so few that all are asked for at once.
+  absl::Status AppendSnapshots(absl::Span<const HeldPermit> permits, int state_size,
+                               std::vector<LaneSnapshot>* snapshots) const;
   // The error of a unary call or a download that has ended.
   absl::Status FromCall(const grpc::Status& status) const ABSL_LOCKS_EXCLUDED(mu_);
 

@@ -1,5 +1,6 @@
 #include "actor/env_pool.h"
 
+#include <algorithm>
 #include <map>
 #include <memory>
 #include <stdexcept>
@@ -25,6 +26,7 @@ using testing::AllOf;
 using testing::ElementsAre;
 using testing::HasSubstr;
 using testing::IsEmpty;
+using testing::SizeIs;
 
 constexpr int kFrameBytes = 64 * 64 * 3;
 constexpr int kLength = 50;  // of an episode
@@ -47,8 +49,13 @@ struct Seen {
     actions.reserve(lanes.size());
     for (const int lane : lanes) actions.push_back(static_cast<Action>((lane * 3 + steps * 5) % kNumActions));
     StepBatch batch;
-    if (absl::Status status = pool->Step(lanes, actions, snapshot, &batch); !status.ok()) return status;
+    if (absl::Status status = pool->Step(lanes, actions, snapshot, &batch, &lost); !status.ok()) return status;
     ++steps;
+    for (const int lane : lost) {
+      lanes.erase(std::remove(lanes.begin(), lanes.end(), lane), lanes.end());
+      frames.erase(lane);
+    }
+    EXPECT_EQ(batch.rewards.size(), lanes.size());
     for (size_t row = 0; row < lanes.size(); ++row) {
       frames[lanes[row]] = batch.frames.substr(row * kFrameBytes, kFrameBytes);
       rewards[lanes[row]] += batch.rewards[row];
@@ -60,7 +67,7 @@ struct Seen {
   }
   absl::Status Open(EnvPool* pool, const std::vector<EnvClient::Lane>& lanes) {
     std::string opened;
-    if (absl::Status status = pool->Open(lanes, &opened); !status.ok()) return status;
+    if (absl::Status status = pool->Open(lanes, &opened, &lost); !status.ok()) return status;
     for (size_t i = 0; i < lanes.size(); ++i) frames[lanes[i].lane] = opened.substr(i * kFrameBytes, kFrameBytes);
     return absl::OkStatus();
   }
@@ -68,6 +75,7 @@ struct Seen {
   std::map<int, std::string> frames;
   std::map<int, std::string> snapshots;
   std::map<int, double> rewards;
+  std::vector<int> lost;  // by the last call
   int episodes = 0;
   int steps = 0;
 };
@@ -134,20 +142,36 @@ TEST(EnvPool, AServerThatGoesTakesNothingWithIt) {
   const Seen saved = seen;
   for (int i = 0; i < 3; ++i) ASSERT_THAT(seen.Step(&pool), IsOk());
   servers[1].server->Stop(absl::Milliseconds(50));
-  // Not Cancelled: nobody here asked for it.
-  EXPECT_THAT(seen.Step(&pool), StatusIs(absl::StatusCode::kUnavailable, HasSubstr(servers[1].server->address())));
+  ASSERT_THAT(seen.Step(&pool), IsOk());
+  ASSERT_THAT(seen.lost, SizeIs(2));
+  for (int i = 0; i < 14; ++i) ASSERT_THAT(untroubled.Step(&untroubled_pool), IsOk());
+  ASSERT_THAT(seen.frames, SizeIs(2)) << "the others go on";
+  for (const auto& [lane, frame] : seen.frames) EXPECT_EQ(frame, untroubled.frames[lane]);
 
-  seen = saved;
+  Seen again;
+  again.steps = saved.steps;
   std::vector<EnvClient::Lane> lanes;
-  for (const auto& [lane, snapshot] : saved.snapshots) lanes.push_back({lane, lane + 100, 1, snapshot});
-  ASSERT_THAT(seen.Open(&pool, lanes), IsOk());
-  for (int i = 0; i < 10; ++i) ASSERT_THAT(untroubled.Step(&untroubled_pool), IsOk());
+  for (const int lane : seen.lost) lanes.push_back({lane, lane + 100, 1, saved.snapshots.at(lane)});
+  ASSERT_THAT(again.Open(&pool, lanes), IsOk());
+  EXPECT_THAT(again.lost, IsEmpty());
+  while (again.steps < seen.steps) ASSERT_THAT(again.Step(&pool), IsOk());
+  seen.frames.merge(again.frames);
   EXPECT_EQ(seen.frames, untroubled.frames);
   for (int i = 0; i < kLength; ++i) {
     ASSERT_THAT(seen.Step(&pool), IsOk());
     ASSERT_THAT(untroubled.Step(&untroubled_pool), IsOk());
     ASSERT_EQ(seen.frames, untroubled.frames) << i;
   }
+}
+
+TEST(EnvPool, TheLastServerThatGoesIsAnError) {
+  const EnvServer server;
+  EnvPool pool = PoolOf({&server});
+  Seen seen;
+  ASSERT_THAT(seen.Open(&pool, NewLanes({0, 1})), IsOk());
+  server.server->Stop(absl::Milliseconds(50));
+  // Not Cancelled: nobody here asked for it.
+  EXPECT_THAT(seen.Step(&pool), StatusIs(absl::StatusCode::kUnavailable, HasSubstr(server.server->address())));
 }
 
 std::string LanesOn(const EnvServer& server) {
@@ -191,18 +215,43 @@ TEST(EnvPool, GamesMoveWhenServersComeAndGo) {
   EXPECT_THAT(seen.Step(&pool), IsOk());
 }
 
-TEST(EnvPool, AServerThatGoesWhileLanesOpenIsAnError) {
+TEST(EnvPool, AServerThatIsGoneWhenGamesAreToMoveLosesAllOfThem) {
+  const EnvServer servers[2];
+  const auto directory = EnvDirectory::Parse("envservers", "learner").value();
+  directory->SetRegistered({servers[0].server->address()});
+  EnvPool pool(directory, SampleHello(kLength), kFrameBytes);
+  Seen seen;
+  ASSERT_THAT(seen.Open(&pool, NewLanes({0, 1, 2, 3})), IsOk());
+  servers[0].server->Stop(absl::Milliseconds(50));
+  directory->SetRegistered({servers[0].server->address(), servers[1].server->address()});
+  std::vector<int> moved;
+  ASSERT_TRUE(WaitUntil([&] {
+    moved = pool.Refresh();
+    return !moved.empty();
+  }));
+  EXPECT_THAT(moved, testing::UnorderedElementsAre(0, 1, 2, 3));
+  ASSERT_THAT(seen.Open(&pool, NewLanes(moved)), IsOk());
+  EXPECT_EQ(LanesOn(servers[1]), "4 lanes");
+  EXPECT_THAT(seen.Step(&pool), IsOk());
+}
+
+TEST(EnvPool, AServerThatGoesWhileLanesOpenTakesOthersWithIt) {
   const EnvServer servers[2];
   EnvPool pool = PoolOf({&servers[0], &servers[1]});
   Seen seen;
-  ASSERT_THAT(seen.Open(&pool, NewLanes({0, 1})), IsOk());
-  // Lane 1 is on the second one by address.
+  ASSERT_THAT(seen.Open(&pool, NewLanes({0, 1, 2, 3})), IsOk());
+  // Lanes 1 and 3 are on the second one by address.
   const EnvServer& gone = servers[servers[0].server->address() < servers[1].server->address() ? 1 : 0];
   gone.server->Stop(absl::Milliseconds(50));
-  EXPECT_THAT(seen.Open(&pool, NewLanes({1})),
-              StatusIs(absl::StatusCode::kUnavailable, HasSubstr(gone.server->address())));
-  ASSERT_THAT(seen.Open(&pool, NewLanes({0, 1})), IsOk());
+  ASSERT_THAT(seen.Open(&pool, NewLanes({1})), IsOk());
+  EXPECT_THAT(seen.lost, ElementsAre(3));
+  std::vector<int> lost;
+  EXPECT_THAT(pool.Close({0}, &lost), IsOk());
+  EXPECT_THAT(lost, IsEmpty());
+  ASSERT_THAT(seen.Open(&pool, NewLanes({0, 3})), IsOk());
+  EXPECT_THAT(seen.lost, IsEmpty());
   EXPECT_THAT(seen.Step(&pool), IsOk());
+  EXPECT_THAT(seen.frames, SizeIs(4));
 }
 
 TEST(EnvPool, NamesEveryServerWhenNoneCanBeReached) {
@@ -213,8 +262,9 @@ TEST(EnvPool, NamesEveryServerWhenNoneCanBeReached) {
   }
   EnvPool pool(Listing(endpoints), SampleHello(kLength), kFrameBytes);
   std::string frames;
+  std::vector<int> lost;
   for (int i = 0; i < 2; ++i) {  // the second time it waits before it tries again
-    EXPECT_THAT(pool.Open(NewLanes({0}), &frames),
+    EXPECT_THAT(pool.Open(NewLanes({0}), &frames, &lost),
                 StatusIs(absl::StatusCode::kUnavailable,
                          AllOf(HasSubstr(endpoints[0].address), HasSubstr(endpoints[1].address))));
   }
@@ -239,7 +289,8 @@ TEST(EnvPool, AServerThatDoesNotFitIsAnErrorToAct) {
   hello.set_texture_digest("0123456789abcdef");
   EnvPool pool(Listing({server.Connect()}), hello, kFrameBytes);
   std::string frames;
-  EXPECT_THAT(pool.Open(NewLanes({0}), &frames),
+  std::vector<int> lost;
+  EXPECT_THAT(pool.Open(NewLanes({0}), &frames, &lost),
               StatusIs(absl::StatusCode::kFailedPrecondition,
                        AllOf(HasSubstr(server.server->address()), HasSubstr("--textures"))));
 }
@@ -270,7 +321,8 @@ TEST(EnvPool, ClosesGames) {
   Seen seen;
   ASSERT_THAT(seen.Open(&pool, NewLanes({0, 1, 2})), IsOk());
   const std::vector<int> two_and_one_that_is_not_open = {0, 2, 5};
-  ASSERT_THAT(pool.Close(two_and_one_that_is_not_open), IsOk());
+  std::vector<int> lost;
+  ASSERT_THAT(pool.Close(two_and_one_that_is_not_open, &lost), IsOk());
   EXPECT_EQ(LanesOn(server), "1 lanes");
 }
 
@@ -292,8 +344,9 @@ TEST(EnvPool, AServerThatThrowsIsTroubleThatMayPass) {
   const auto server = *wire::Server::Create({"127.0.0.1:0"}, {&service});
   EnvPool pool(Listing({wire::Connect(server->address())}), SampleHello(kLength), kFrameBytes);
   std::string frames;
-  const absl::Status status = pool.Open(NewLanes({0}), &frames);
-  EXPECT_THAT(status, StatusIs(absl::StatusCode::kUnknown, HasSubstr(server->address())));
+  std::vector<int> lost;
+  const absl::Status status = pool.Open(NewLanes({0}), &frames, &lost);
+  EXPECT_THAT(status, StatusIs(absl::StatusCode::kUnavailable, HasSubstr(server->address())));
   EXPECT_TRUE(MayPass(status));
 }
 
@@ -318,14 +371,16 @@ TEST(EnvPool, CancelEndsACallThatWaits) {
   absl::Status status;
   std::thread opening([&] {
     std::string frames;
-    status = pool.Open(NewLanes({0}), &frames);
+    std::vector<int> lost;
+    status = pool.Open(NewLanes({0}), &frames, &lost);
   });
   absl::SleepFor(absl::Milliseconds(100));  // most likely it waits by now; if not, it is refused at once
   pool.Cancel();
   opening.join();
   EXPECT_THAT(status, StatusIs(absl::StatusCode::kCancelled, "stopping"));
   std::string frames;
-  EXPECT_THAT(pool.Open(NewLanes({0}), &frames), StatusIs(absl::StatusCode::kCancelled, "stopping"));
+  std::vector<int> lost;
+  EXPECT_THAT(pool.Open(NewLanes({0}), &frames, &lost), StatusIs(absl::StatusCode::kCancelled, "stopping"));
 }
 
 // Answers everything with one byte of frames.
@@ -346,7 +401,8 @@ TEST(EnvPool, ARepliesShapeIsChecked) {
   const auto server = *wire::Server::Create({"127.0.0.1:0"}, {&service});
   EnvPool pool(Listing({wire::Connect(server->address())}), SampleHello(kLength), kFrameBytes);
   std::string frames;
-  EXPECT_THAT(pool.Open(NewLanes({0}), &frames),
+  std::vector<int> lost;
+  EXPECT_THAT(pool.Open(NewLanes({0}), &frames, &lost),
               StatusIs(absl::StatusCode::kInternal, HasSubstr(absl::StrCat("environment server ", server->address(),
                                                                            ": 1 bytes of frames, want 12288"))));
 }

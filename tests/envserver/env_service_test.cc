@@ -27,9 +27,11 @@ namespace {
 using testing::AllOf;
 using testing::HasSubstr;
 
-constexpr int kLength = 60;  // of an episode
-#ifdef __SANITIZE_ADDRESS__
+constexpr int kLength = 60;        // of an episode
+#if defined(__SANITIZE_ADDRESS__)  // GCC
 constexpr bool kAddressSanitizer = true;
+#elif defined(__has_feature)  // clang
+constexpr bool kAddressSanitizer = __has_feature(address_sanitizer);
 #else
 constexpr bool kAddressSanitizer = false;
 #endif
