@@ -19,6 +19,7 @@
 #include "common/wire/protocol.h"
 #include "common/wire/server.h"
 #include "envserver/game.h"
+#include "tests/fakes/sanitizers.h"
 #include "tests/fakes/status_matchers.h"
 
 namespace craftfleet {
@@ -28,13 +29,6 @@ using testing::AllOf;
 using testing::HasSubstr;
 
 constexpr int kLength = 60;        // of an episode
-#if defined(__SANITIZE_ADDRESS__)  // GCC
-constexpr bool kAddressSanitizer = true;
-#elif defined(__has_feature)  // clang
-constexpr bool kAddressSanitizer = __has_feature(address_sanitizer);
-#else
-constexpr bool kAddressSanitizer = false;
-#endif
 
 v1::PlayRequest Hello(const std::string& run_id) {
   v1::PlayRequest request;
