@@ -28,7 +28,7 @@ namespace {
 using testing::AllOf;
 using testing::HasSubstr;
 
-constexpr int kLength = 60;        // of an episode
+constexpr int kLength = 60;  // of an episode
 
 v1::PlayRequest Hello(const std::string& run_id) {
   v1::PlayRequest request;
