@@ -90,6 +90,9 @@ def _apply(operation, document):
   *way, last = operation["path"].lstrip("/").split("/")
   for step in way:
     document = document[int(step)] if isinstance(document, list) else document[step]
+  if operation["op"] == "add" and last == "-":
+    document.append(operation["value"])
+    return
   if operation["op"] not in ("replace", "remove") or last not in document:
     raise KeyError(f"{operation['op']} {operation['path']}")
   if operation["op"] == "remove":
