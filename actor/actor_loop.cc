@@ -150,12 +150,12 @@ absl::Status ActorLoop::PlaySteps(const Policy& policy, std::vector<HeldPermit>*
   const int steps = options_.config.fragment_steps();
   const bool keep_every_state = options_.config.ppo().recurrent_batches() == v1::PpoConfig::PUBLISHED;
   StartFragments(*permits);
+  std::vector<int> lanes = LanesOf(*permits);
+  std::vector<double> noise(lanes.size());
   std::vector<int> lost;
   for (int t = 0; t < steps; ++t) {
-    const std::vector<int> lanes = LanesOf(*permits);
-    std::vector<double> noise;
     for (size_t row = 0; row < lanes.size(); ++row) {
-      noise.push_back(ActionNoise(options_.config.seed(), lanes[row], (*permits)[row].fragment * steps + t));
+      noise[row] = ActionNoise(options_.config.seed(), lanes[row], (*permits)[row].fragment * steps + t);
       if (t == 0 || keep_every_state) builders_[row].AddState(State(row));
     }
     meter_.Switch(Activity::kInference);
@@ -163,7 +163,11 @@ absl::Status ActorLoop::PlaySteps(const Policy& policy, std::vector<HeldPermit>*
     meter_.Switch(Activity::kWire);
     CRAFTFLEET_RETURN_IF_ERROR(envs_->Step(lanes, act.actions, /*snapshot=*/t + 1 == steps, &batch_, &lost));
     meter_.Switch(Activity::kOther, Activity::kEnvironment, envs_->busy());
-    if (!lost.empty()) DropRows(lost, permits, &act);
+    if (!lost.empty()) {
+      DropRows(lost, permits, &act);
+      lanes = LanesOf(*permits);
+      noise.resize(lanes.size());
+    }
     CRAFTFLEET_RETURN_IF_ERROR(AppendStep(policy, *permits, act));
     meter_.Count(static_cast<int64_t>(permits->size()));
   }

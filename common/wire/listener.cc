@@ -177,8 +177,8 @@ void Listener::Accept(int socket) {
   const int descriptor = accept4(socket, reinterpret_cast<sockaddr*>(&address), &size, SOCK_NONBLOCK | SOCK_CLOEXEC);
   if (descriptor < 0) {
     if (errno != EMFILE && errno != ENFILE && errno != ENOBUFS && errno != ENOMEM) return;  // the client left
-    const absl::Status why = absl::ErrnoToStatus(errno, "a client has to wait");
-    log_.Warn("accept", absl::StrFormat("%s: %s; raise the limit (ulimit -n)", address_, why.message()));
+    log_.Warn("accept", absl::StrFormat("%s: a client has to wait: %s; raise the limit (ulimit -n)", address_,
+                                        std::generic_category().message(errno)));
     poll(nullptr, 0, kPauseMs);
     return;
   }
