@@ -7,7 +7,6 @@
 
 #include "common/backoff.h"
 #include "common/log.h"
-#include "common/status_macros.h"
 #include "common/wire/convert.h"
 #include "common/wire/grpc_status.h"
 
@@ -33,10 +32,29 @@ void FragmentSender::Start() {
   thread_ = std::thread([this] { Run(); });
 }
 
+absl::Status FragmentSender::Push(Fragment fragment) {
+  const MutexLock lock(&mu_);
+  changed_.Wait(&mu_,
+                [this]() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_) { return stopping_ || waiting_.size() < kQueueCapacity; });
+  if (stopping_) return absl::CancelledError("stopping");
+  waiting_.push_back(std::move(fragment));
+  changed_.NotifyAll();
+  return absl::OkStatus();
+}
+
 void FragmentSender::Stop() {
-  queue_.Close();
-  Cancel();
+  {
+    const MutexLock lock(&mu_);
+    stopping_ = true;
+    if (context_ != nullptr) context_->TryCancel();
+    changed_.NotifyAll();
+  }
   if (thread_.joinable()) thread_.join();
+}
+
+bool FragmentSender::stopping() const {
+  const MutexLock lock(&mu_);
+  return stopping_;
 }
 
 void FragmentSender::Run() {
@@ -45,69 +63,92 @@ void FragmentSender::Run() {
     const int64_t verdicts = accepted_ + refused_;
     std::unique_ptr<Stream> stream;
     {
-      MutexLock lock(&mu_);
-      if (stopping()) return;
+      const MutexLock lock(&mu_);
+      if (stopping_) return;
       context_ = std::make_unique<grpc::ClientContext>();
+      written_ = 0;
+      ended_ = false;
       stream = learner_->PushFragments(context_.get());
     }
     absl::Status status = Serve(stream.get());
-    // After a wrong verdict the stream is still open.
-    if (absl::IsInternal(status)) Cancel();
     const absl::Status end = wire::FromGrpc(stream->Finish(), learner_->name());
-    if (absl::IsUnavailable(status) && !end.ok()) status = end;  // says why the stream broke
+    if (status.ok()) status = end.ok() ? absl::UnavailableError(learner_->name() + ": ended the stream") : end;
     if (!stopping()) Explain(status);
     if (accepted_ + refused_ > verdicts) backoff.Reset();
-    MutexLock lock(&mu_);
+    const MutexLock lock(&mu_);
     context_ = nullptr;
-    stopped_.WaitFor(&mu_, backoff.Next(), [this] { return stopping(); });
-  }
-}
-
-void FragmentSender::Cancel() {
-  MutexLock lock(&mu_);
-  if (context_ != nullptr) context_->TryCancel();
-  stopped_.NotifyAll();
-}
-
-void FragmentSender::Explain(const absl::Status& why) {
-  if (absl::IsInvalidArgument(why) && unanswered_.has_value()) {
-    LogError("%s; the fragment is dropped: run programs of one version", why.message());
-    permits_->Release(PermitOf(*unanswered_));
-    unanswered_.reset();
-    ++refused_;
-  } else if (absl::Now() - said_ > kSayAgain) {
-    said_ = absl::Now();
-    LogWarning("%s; fragments wait and will be sent again", why.message());
+    changed_.WaitFor(&mu_, backoff.Next(), [this]() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_) { return stopping_; });
   }
 }
 
 absl::Status FragmentSender::Serve(Stream* stream) {
-  if (unanswered_.has_value()) {
-    ++resent_;
-    CRAFTFLEET_RETURN_IF_ERROR(SendAndHear(stream));
+  absl::Status status;
+  std::thread reader([&] { status = ReadVerdicts(stream); });
+  for (Message message = NextToWrite(); message != nullptr && stream->Write(*message); message = NextToWrite()) {
   }
-  while (true) {
-    std::optional<Fragment> fragment = queue_.Pop(absl::InfiniteDuration());
-    if (!fragment.has_value()) return absl::CancelledError("stopping");
-    unanswered_ = wire::ToProto(*std::move(fragment));
-    unanswered_->set_actor(actor_);
-    CRAFTFLEET_RETURN_IF_ERROR(SendAndHear(stream));
-  }
+  reader.join();
+  return status;
 }
 
-absl::Status FragmentSender::SendAndHear(Stream* stream) {
+FragmentSender::Message FragmentSender::NextToWrite() {
+  const MutexLock lock(&mu_);
+  changed_.Wait(&mu_, [this]() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_) {
+    return stopping_ || ended_ || written_ < under_way_.size() ||
+           (!waiting_.empty() && under_way_.size() < kMaxUnderWay);
+  });
+  if (stopping_ || ended_) return nullptr;
+  if (written_ < under_way_.size()) {
+    ++resent_;
+  } else {
+    v1::FragmentMessage message = wire::ToProto(std::move(waiting_.front()));
+    message.set_actor(actor_);
+    under_way_.push_back(std::make_shared<const v1::FragmentMessage>(std::move(message)));
+    waiting_.pop_front();
+    changed_.NotifyAll();
+  }
+  return under_way_[written_++];
+}
+
+absl::Status FragmentSender::ReadVerdicts(Stream* stream) {
+  absl::Status status;
   v1::FragmentVerdict verdict;
-  if (!stream->Write(*unanswered_) || !stream->Read(&verdict))
-    return absl::UnavailableError(learner_->name() + ": the stream of fragments broke");
-  if (verdict.lane() != unanswered_->lane() || verdict.number() != unanswered_->number()) {
-    return absl::InternalError(absl::StrCat("verdict on fragment ", verdict.number(), " of lane ", verdict.lane(),
-                                            ", want fragment ", unanswered_->number(), " of lane ",
-                                            unanswered_->lane()));
+  while (status.ok() && stream->Read(&verdict)) status = TakeVerdict(verdict);
+  const MutexLock lock(&mu_);
+  ended_ = true;
+  if (!status.ok()) context_->TryCancel();  // it is still open, and the writer may be in the middle of it
+  changed_.NotifyAll();
+  return status;
+}
+
+absl::Status FragmentSender::TakeVerdict(const v1::FragmentVerdict& verdict) {
+  const MutexLock lock(&mu_);
+  if (written_ == 0 || verdict.lane() != under_way_.front()->lane() ||
+      verdict.number() != under_way_.front()->number()) {
+    return absl::InternalError(absl::StrCat(learner_->name(), ": verdict on fragment ", verdict.number(), " of lane ",
+                                            verdict.lane(), ", which is not the next"));
   }
   ++(verdict.verdict() == v1::FragmentVerdict::EXPIRED ? refused_ : accepted_);
-  permits_->Release(PermitOf(*unanswered_));
-  unanswered_.reset();
+  --written_;
+  Settle();
   return absl::OkStatus();
+}
+
+void FragmentSender::Settle() {
+  permits_->Release(PermitOf(*under_way_.front()));
+  under_way_.pop_front();
+  changed_.NotifyAll();
+}
+
+void FragmentSender::Explain(const absl::Status& why) {
+  const MutexLock lock(&mu_);
+  if (absl::IsInvalidArgument(why) && !under_way_.empty()) {
+    LogError("%s; the fragment is dropped: run programs of one version", why.message());
+    ++refused_;
+    Settle();
+  } else if (absl::Now() - said_ > kSayAgain) {
+    said_ = absl::Now();
+    LogWarning("%s; fragments wait and will be sent again", why.message());
+  }
 }
 
 }  // namespace craftfleet

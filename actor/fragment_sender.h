@@ -4,22 +4,23 @@
 #define CRAFTFLEET_ACTOR_FRAGMENT_SENDER_H_
 
 #include <atomic>
+#include <cstddef>
 #include <cstdint>
+#include <deque>
 #include <memory>
-#include <optional>
 #include <string>
 #include <thread>
 
 #include "actor/learner_client.h"
 #include "actor/permit_book.h"
-#include "common/closable_queue.h"
 #include "common/mutex.h"
 #include "common/types.h"
 
 namespace craftfleet {
 
-// One thread, one stream. A fragment is kept until the learner answered for it: when the stream breaks it is sent again
-// on the next one, and the learner accepts it at most once. Its permit is released with the verdict. Thread-safe.
+// One stream at a time: a thread writes fragments, several before the first one's verdict, another reads verdicts. A
+// fragment is kept until the learner answered for it: when the stream breaks it is sent again on the next one, and the
+// learner accepts it at most once. Its permit is released with the verdict. Thread-safe.
 class FragmentSender {
  public:
   FragmentSender(const LearnerClient* learner, std::string actor, PermitBook* permits);
@@ -27,7 +28,7 @@ class FragmentSender {
 
   void Start();
   // Takes a fragment; blocks while `kQueueCapacity` of them wait.   Cancelled: stopping.
-  absl::Status Push(Fragment fragment) { return queue_.Push(std::move(fragment)); }
+  absl::Status Push(Fragment fragment) ABSL_LOCKS_EXCLUDED(mu_);
   // Sends nothing more; fragments without a verdict are lost (another actor will play them). Idempotent.
   void Stop() ABSL_LOCKS_EXCLUDED(mu_);
 
@@ -37,33 +38,40 @@ class FragmentSender {
 
  private:
   using Stream = grpc::ClientReaderWriter<v1::FragmentMessage, v1::FragmentVerdict>;
+  using Message = std::shared_ptr<const v1::FragmentMessage>;
   static constexpr size_t kQueueCapacity = 64;  // fragments waiting
+  // Fragments without a verdict. Over a round trip of 100 ms, 16 of 32 steps are some 60 MB a second.
+  static constexpr size_t kMaxUnderWay = 16;
 
-  void Run();
-  // Sends and reads verdicts until the stream breaks or Stop.
-  absl::Status Serve(Stream* stream);
-  // Sends `unanswered_` and waits for its verdict: with more than one under way both ends could wait in Write for the
-  // other.
-  absl::Status SendAndHear(Stream* stream);
+  void Run() ABSL_LOCKS_EXCLUDED(mu_);
+  // Writes and reads until the stream ends; says why, if not by itself.
+  absl::Status Serve(Stream* stream) ABSL_LOCKS_EXCLUDED(mu_);
+  // The next fragment for the stream at hand; waits for one. Null: the stream ended, or we are stopping.
+  Message NextToWrite() ABSL_LOCKS_EXCLUDED(mu_);
+  absl::Status ReadVerdicts(Stream* stream) ABSL_LOCKS_EXCLUDED(mu_);
+  absl::Status TakeVerdict(const v1::FragmentVerdict& verdict) ABSL_LOCKS_EXCLUDED(mu_);
   // Logs why the stream ended; drops the fragment that the learner calls wrong.
-  void Explain(const absl::Status& why);
-  // Ends the stream at hand, and the pause before the next one if stopping.
-  void Cancel() ABSL_LOCKS_EXCLUDED(mu_);
-  bool stopping() const { return queue_.closed(); }
+  void Explain(const absl::Status& why) ABSL_LOCKS_EXCLUDED(mu_);
+  // The oldest fragment under way needs nothing more.
+  void Settle() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
+  bool stopping() const ABSL_LOCKS_EXCLUDED(mu_);
 
   const LearnerClient* const learner_;
   const std::string actor_;
   PermitBook* const permits_;
-  ClosableQueue<Fragment> queue_{kQueueCapacity};
-  std::optional<v1::FragmentMessage> unanswered_;  // sent, without a verdict; the thread's own, like the next
-  absl::Time said_ = absl::InfinitePast();         // that fragments wait
+  absl::Time said_ = absl::InfinitePast();  // that fragments wait; the writing thread's own
 
   std::atomic<int64_t> accepted_{0};
   std::atomic<int64_t> refused_{0};
   std::atomic<int64_t> resent_{0};
 
-  Mutex mu_;
-  CondVar stopped_;
+  mutable Mutex mu_;
+  CondVar changed_;
+  bool stopping_ ABSL_GUARDED_BY(mu_) = false;
+  std::deque<Fragment> waiting_ ABSL_GUARDED_BY(mu_);
+  std::deque<Message> under_way_ ABSL_GUARDED_BY(mu_);  // without a verdict, oldest first
+  size_t written_ ABSL_GUARDED_BY(mu_) = 0;             // how many of those, on the stream at hand
+  bool ended_ ABSL_GUARDED_BY(mu_) = false;             // the stream at hand
   std::unique_ptr<grpc::ClientContext> context_ ABSL_GUARDED_BY(mu_);
   std::thread thread_;
 };

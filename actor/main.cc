@@ -8,6 +8,7 @@
 #include "common/log.h"
 #include "common/program.h"
 #include "common/status_macros.h"
+#include "common/wire/channel.h"
 #include "common/wire/channel_flags.h"
 #include "common/wire/metrics_flags.h"
 #include "common/wire/server_flags.h"
@@ -61,6 +62,7 @@ absl::Status Run() {
 }  // namespace craftfleet
 
 int main(int argc, char** argv) {
+  craftfleet::wire::PollFewConnections();
   craftfleet::ParseFlags(craftfleet::kProgram, craftfleet::kUsage, argc, argv);
   return craftfleet::ExitCode(craftfleet::kProgram, craftfleet::Run());
 }

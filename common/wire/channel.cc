@@ -3,6 +3,7 @@
 #include <arpa/inet.h>
 #include <errno.h>
 #include <grpc/grpc.h>
+#include <stdlib.h>
 #include <unistd.h>
 
 #include <chrono>
@@ -60,6 +61,12 @@ std::string WhyNot(const Endpoint& endpoint) {
 void KeepGrpcUp() {
   static std::once_flag once;
   std::call_once(once, grpc_init);
+}
+
+void PollFewConnections() {
+  setenv("GRPC_POLL_STRATEGY", "poll", /*overwrite=*/0);
+  // While no call waits on a connection nobody polls it but a timer, every 5 s: too late for keepalive's answers.
+  setenv("GRPC_CLIENT_CHANNEL_BACKUP_POLL_INTERVAL_MS", "500", /*overwrite=*/0);
 }
 
 grpc::ChannelArguments ClientArguments() {

@@ -32,6 +32,12 @@ struct Endpoint {
 // and then. Connect and Server::Create call it.
 void KeepGrpcUp();
 
+// Makes gRPC poll(2), for programs with few connections: call before anything else of gRPC. By default one thread polls
+// for all and wakes the one that waits, which doubles the switches of a round trip; with poll(2) that one polls itself.
+// It costs the more the more connections there are, so it is nothing for a learner. GRPC_POLL_STRATEGY in the
+// environment, if set, prevails.
+void PollFewConnections();
+
 // Message limits and keepalive: a dead peer is noticed within 10 seconds.
 grpc::ChannelArguments ClientArguments();
 

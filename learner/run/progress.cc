@@ -32,10 +32,11 @@ std::string FormatTimeLeft(double seconds) {
 }
 
 std::string FormatProgress(const ProgressState& state) {
-  const double percent = 100.0 * static_cast<double>(state.steps) / static_cast<double>(state.total_steps);
+  // The last iteration is a whole one: it may go beyond.
+  const double done = std::min(1.0, static_cast<double>(state.steps) / static_cast<double>(state.total_steps));
   const double steps_left = static_cast<double>(std::max<int64_t>(0, state.total_steps - state.steps));
   std::string line =
-      absl::StrFormat("%s/%s steps %.1f%% | ", WithCommas(state.steps), WithCommas(state.total_steps), percent);
+      absl::StrFormat("%s/%s steps %.1f%% | ", WithCommas(state.steps), WithCommas(state.total_steps), 100 * done);
   if (state.steps_per_second > 0) {
     absl::StrAppendFormat(&line, "%.0f/s, %s left | ", state.steps_per_second,
                           FormatTimeLeft(steps_left / state.steps_per_second));

@@ -77,7 +77,16 @@ TEST_F(FragmentSenderTest, SendsAgainWhatHadNoVerdictWhenTheStreamBroke) {
   EXPECT_THAT(LanesReceived(), ElementsAre(0, 1, 1, 1, 2));
   EXPECT_EQ(service_.received()[3].SerializeAsString(), service_.received()[1].SerializeAsString());
   EXPECT_EQ(sender_.accepted(), 3);
-  EXPECT_EQ(sender_.resent(), 2);
+  EXPECT_GE(sender_.resent(), 2) << "the last one may have been under way, too";
+}
+
+TEST_F(FragmentSenderTest, SendsMoreBeforeTheFirstVerdictButNotWithoutLimit) {
+  service_.Script(std::vector<Answer>(20, Answer::kSilence));
+  sender_.Start();
+  for (int lane = 0; lane < 20; ++lane) Push(lane, 0);
+  EXPECT_TRUE(WaitUntil([this] { return service_.received().size() == 16; }));
+  EXPECT_FALSE(WaitUntil([this] { return service_.received().size() > 16; }, absl::Milliseconds(200)));
+  EXPECT_EQ(permits_.Active().size(), 20);
 }
 
 TEST_F(FragmentSenderTest, WaitsForALearnerThatIsAway) {
@@ -147,7 +156,7 @@ TEST_F(FragmentSenderTest, StopDoesNotWaitForVerdicts) {
   sender_.Stop();
   EXPECT_LT(absl::Now() - start, absl::Seconds(3));
   pusher.join();
-  EXPECT_THAT(blocked, StatusIs(absl::StatusCode::kCancelled, "queue closed"));
+  EXPECT_THAT(blocked, StatusIs(absl::StatusCode::kCancelled, "stopping"));
   sender_.Stop();
 }
 

@@ -22,7 +22,6 @@
 #include "common/wire/channel.h"
 #include "common/wire/convert.h"
 #include "common/wire/protocol.h"
-#include "craftfleet/v1/status.grpc.pb.h"
 
 ABSL_FLAG(std::string, learner, "127.0.0.1:50051", "address of the learner");
 ABSL_FLAG(int32_t, actors, 200, "actors, each with a connection and a thread of its own");
@@ -101,15 +100,6 @@ class EmptyActor {
   std::atomic<int64_t> fragments_{0};
 };
 
-double StatusMs(v1::StatusService::Stub* stub) {
-  grpc::ClientContext context;
-  wire::SetDeadline(&context, absl::Seconds(10));
-  v1::StatusReply reply;
-  const absl::Time start = absl::Now();
-  if (!stub->GetStatus(&context, {}, &reply).ok()) return 10000;
-  return absl::ToDoubleMilliseconds(absl::Now() - start);
-}
-
 absl::Status Run() {
   const std::string address = absl::GetFlag(FLAGS_learner);
   std::atomic<bool> stopping{false};
@@ -124,13 +114,7 @@ absl::Status Run() {
       if (!status.ok() && ++failed == 1) std::fprintf(stderr, "an actor ended: %s\n", status.ToString().c_str());
     });
   }
-  const wire::Endpoint learner = wire::Connect(address);
-  const auto status = v1::StatusService::NewStub(learner.channel);
-  std::vector<double> answers_ms;
-  const absl::Time end = absl::Now() + absl::Seconds(absl::GetFlag(FLAGS_seconds));
-  for (StatusMs(status.get()); absl::Now() < end; absl::SleepFor(absl::Seconds(1))) {
-    answers_ms.push_back(StatusMs(status.get()));
-  }
+  absl::SleepFor(absl::Seconds(absl::GetFlag(FLAGS_seconds)));
   stopping = true;
   for (std::thread& thread : threads) thread.join();
 
@@ -138,11 +122,8 @@ absl::Status Run() {
   fragments.reserve(actors.size());
   for (const auto& actor : actors) fragments.push_back(actor->fragments());
   const auto [fewest, most] = std::minmax_element(fragments.begin(), fragments.end());
-  std::sort(answers_ms.begin(), answers_ms.end());
-  std::printf("%s\n", absl::StrFormat(R"({"actors": %d, "failed": %d, "fewest_fragments": %d, "most_fragments": %d, )"
-                                      R"("status_ms": {"median": %.1f, "p99": %.1f, "slowest": %.1f}})",
-                                      actors.size(), failed.load(), *fewest, *most, answers_ms[answers_ms.size() / 2],
-                                      answers_ms[answers_ms.size() * 99 / 100], answers_ms.back())
+  std::printf("%s\n", absl::StrFormat(R"({"actors": %d, "failed": %d, "fewest_fragments": %d, "most_fragments": %d})",
+                                      actors.size(), failed.load(), *fewest, *most)
                           .c_str());
   return absl::OkStatus();
 }

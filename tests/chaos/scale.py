@@ -28,6 +28,11 @@ FAIR_RATIO = 1.2
 STATUS_LIMIT_MS = 50
 
 
+def start(options, program, *flags):
+    return subprocess.Popen([pathlib.Path(options.bin) / program, *flags, f"--seconds={options.seconds}"],
+                            stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, text=True, start_new_session=True)
+
+
 def run(options, fleet):
     """Lets the actors loose. Returns figures and what was not as wanted."""
     give_up = time.monotonic() + START_S
@@ -35,22 +40,25 @@ def run(options, fleet):
         if time.monotonic() > give_up or fleet.learner.process.poll() is not None:
             return {}, [f"the learner did not start: see {fleet.learner.log}"]
         time.sleep(0.2)
-    bots = subprocess.Popen([pathlib.Path(options.bin) / "many_actors", f"--learner={fleet.learner_address}",
-                             f"--actors={options.actors}", f"--seconds={options.seconds}"],
-                            stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, text=True)
+    bots = start(options, "many_actors", f"--learner={fleet.learner_address}", f"--actors={options.actors}")
+    # A process of its own: among the actors' connections it would measure how busy they are.
+    probe = start(options, "status_probe", f"--target={fleet.learner_address}")
     memory = Memory(time.monotonic())
     try:
         while bots.poll() is None:
             memory.note(fleet.learner, time.monotonic())
             time.sleep(0.5)
-        lines = bots.stdout.read().splitlines()
+        shares = json.loads(bots.communicate()[0] or "{}")
+        status_ms = json.loads(probe.communicate(timeout=15)[0] or "{}")
     finally:
-        bots.kill()
-        bots.wait()
-    if bots.returncode != 0:
-        return {}, [f"many_actors ended with {bots.returncode}"]
+        for process in [bots, probe]:
+            process.kill()
+            process.wait()
+    ended = {"many_actors": bots.returncode, "status_probe": probe.returncode}
+    if any(ended.values()):
+        return {}, [f"a program ended with an error: {ended}"]
     growth = memory.growth().get("learner")
-    figures = {**json.loads(lines[-1]), "iterations": fleet.iteration(),
+    figures = {**shares, "status_ms": status_ms, "iterations": fleet.iteration(),
                "learner_resident_kib": fleet.learner.resident_kib(), "growth_kib_per_minute": growth}
     failures = []
     if figures["failed"] > 0:

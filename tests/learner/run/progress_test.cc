@@ -57,7 +57,7 @@ TEST(FormatProgress, ShowsTimeLeftInUnitsThatFit) {
 TEST(FormatProgress, PastTheGoalNothingIsLeft) {
   ProgressState state = Sample();
   state.steps = 1'003'520;
-  EXPECT_THAT(FormatProgress(state), StartsWith("1,003,520/1,000,000 steps 100.4% | 1234/s, 0s left"));
+  EXPECT_THAT(FormatProgress(state), StartsWith("1,003,520/1,000,000 steps 100.0% | 1234/s, 0s left"));
 }
 
 TEST(FormatProgress, FitsATerminal) {
