@@ -1,5 +1,5 @@
 // Times of acting and learning: one inference tile, one minibatch and a whole PPO update.
-// Usage: update_bench [seconds a figure, default 2]
+// Usage: update_bench [seconds a figure, default 2 [AGENT...]]
 
 #include <algorithm>
 #include <cstdio>
@@ -25,7 +25,7 @@ namespace craftfleet {
 namespace {
 
 constexpr int kMinibatch = 128;
-constexpr int kSteps = 8 * kMinibatch;  // of a rollout
+constexpr int kSteps = 2 * kMinibatch;  // of a rollout
 
 struct Times {
   double wall_ms;
@@ -37,12 +37,12 @@ double Median(std::vector<double> values) {
   return values[values.size() / 2];
 }
 
-// Medians of the calls that fit in `limit`, after two to warm up.
+// Medians of the calls that fit in `limit`, at least one, after one to warm up.
 Times Measure(absl::Duration limit, const std::function<void()>& call) {
-  for (int i = 0; i < 2; ++i) call();
+  call();
   std::vector<double> wall_ms;
   std::vector<double> cpu_ms;
-  for (const absl::Time end = absl::Now() + limit; absl::Now() < end || wall_ms.size() < 3;) {
+  for (const absl::Time end = absl::Now() + limit; absl::Now() < end || wall_ms.empty();) {
     const absl::Time start = absl::Now();
     const std::clock_t cpu_start = std::clock();
     call();
@@ -69,9 +69,10 @@ void BenchTiles(absl::Duration limit) {
 
 // Steps of 16 lanes in fragments of 32; an episode is 170 steps long, as a beginner's.
 Rollout SampleRollout(const std::string& frames, const float* state) {
+  const size_t frame_bytes = frames.size() / kSteps;
   Rollout rollout;
   for (int i = 0; i < kSteps; ++i) {
-    rollout.frames.push_back(reinterpret_cast<const uint8_t*>(&frames[i * 64 * 64 * 3]));
+    rollout.frames.push_back(reinterpret_cast<const uint8_t*>(&frames[i * frame_bytes]));
     rollout.actions.push_back(static_cast<Action>(i % kNumActions));
     rollout.log_probs.push_back(-2.833F);
     rollout.values.push_back(0);
@@ -95,8 +96,13 @@ void BenchUpdate(absl::Duration limit, const std::string& agent) {
   ppo->set_value_coefficient(0.5);
   ppo->set_max_gradient_norm(0.5);
   ppo->set_adam_epsilon(1e-5);
-  const std::string frames = testing::GoldenFrames(1, kSteps, 64);
-  const std::vector<float> state(FindAgent(agent)->state_size, 0.1F);
+  const absl::StatusOr<AgentSpec> spec = FindAgent(agent);
+  if (!spec.ok()) {
+    std::printf("%s\n", std::string(spec.status().message()).c_str());
+    return;
+  }
+  const std::string frames = testing::GoldenFrames(1, kSteps, spec->frame_size);
+  const std::vector<float> state(spec->state_size, 0.1F);
   const Rollout rollout = SampleRollout(frames, state.data());
   for (const int threads : {1, 2}) {
     const auto updater = *PpoUpdater::Create(config, threads);
@@ -104,7 +110,7 @@ void BenchUpdate(absl::Duration limit, const std::string& agent) {
     const Times times = Measure(limit, [&] { (void)updater->Update(iteration++, rollout, [] { return false; }); });
     constexpr int kMinibatches = kSteps / kMinibatch;
     std::printf(
-        "%s update, minibatch of %d, %d thread(s): %.2f ms (CPU %.2f), %.0f samples/s of CPU; 4096 steps x 4 epochs: "
+        "%s update, minibatch of %d, %d thread(s): %.2f ms (CPU %.2f), %.1f samples/s of CPU; 4096 steps x 4 epochs: "
         "%.2f s\n",
         agent.c_str(), kMinibatch, threads, times.wall_ms / kMinibatches, times.cpu_ms / kMinibatches,
         kSteps / times.cpu_ms * 1e3, times.wall_ms / kMinibatches * 4096 * 4 / kMinibatch / 1e3);
@@ -118,6 +124,10 @@ int main(int argc, char** argv) {
   craftfleet::SetUpTorchProcess();
   const absl::Duration limit = absl::Seconds(argc > 1 ? std::atof(argv[1]) : 2);
   std::printf("%s\n%s", craftfleet::CpuDescription().c_str(), craftfleet::SlowMathWarning().c_str());
+  if (argc > 2) {
+    for (int i = 2; i < argc; ++i) craftfleet::BenchUpdate(limit, argv[i]);
+    return 0;
+  }
   craftfleet::BenchTiles(limit);
   for (const char* agent : {"ppo_cnn", "lstm_cnn"}) craftfleet::BenchUpdate(limit, agent);
   return 0;
