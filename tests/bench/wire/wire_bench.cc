@@ -1,5 +1,5 @@
-// What the fleet's messages cost: bytes, and CPU time of both ends. The servers are in one process, their clients in
-// another; nothing is learned and no policy plays.
+// What the fleet's messages cost: bytes, and CPU time of both ends. Servers of a kind are in one process, their clients
+// in another; nothing is learned and no policy plays.
 
 #include <sys/wait.h>
 #include <unistd.h>
@@ -24,6 +24,7 @@
 #include "common/program.h"
 #include "common/status_macros.h"
 #include "common/texture_digest.h"
+#include "common/wire/channel.h"
 #include "common/wire/convert.h"
 #include "common/wire/protocol.h"
 #include "common/wire/server.h"
@@ -293,7 +294,7 @@ class Player {
   int64_t steps_ = 0;
 };
 
-void MeasureLearner(const Addresses& addresses, int clients, Meter* meter) {
+void MeasureFragments(const Addresses& addresses, int clients, Meter* meter) {
   for (int i = 0; i < kServices; ++i) {
     std::vector<std::unique_ptr<Actor>> actors;
     actors.reserve(clients);
@@ -328,6 +329,11 @@ void MeasureCrowd(const Addresses& addresses, int clients, Meter* meter) {
   });
 }
 
+void MeasureLearners(const Addresses& addresses, int clients, Meter* meter) {
+  MeasureFragments(addresses, clients, meter);
+  MeasureCrowd(addresses, clients, meter);
+}
+
 void MeasureEnvServer(const Addresses& addresses, int clients, Meter* meter) {
   for (const int lanes : {1, 16, 64}) {
     std::vector<std::unique_ptr<Player>> players;
@@ -341,37 +347,75 @@ void MeasureEnvServer(const Addresses& addresses, int clients, Meter* meter) {
   }
 }
 
-void RunServers(int from_child, int to_child) {
-  const bool sockets = absl::GetFlag(FLAGS_unix_sockets);
-  const auto address = [&](const std::string& name) {
-    return sockets ? absl::StrCat("unix:/tmp/wire_bench-", getpid(), "-", name) : std::string("127.0.0.1:0");
-  };
-  Addresses addresses;
-  std::vector<std::unique_ptr<Intake>> learners;
-  for (int i = 0; i < kServices; ++i) {
-    learners.push_back(std::make_unique<Intake>(kFragmentSteps[i], kLanesOfClient * absl::GetFlag(FLAGS_clients),
-                                                address(absl::StrCat(i))));
-    learners.back()->address().copy(addresses.learners[i], sizeof(addresses.learners[i]) - 1);
-  }
-  Intake crowded(4, kMany, address("crowded"));
-  crowded.address().copy(addresses.crowded, sizeof(addresses.crowded) - 1);
-  const std::unique_ptr<EnvServiceImpl> envs = *EnvServiceImpl::Create(*DefaultTextureDir());
-  wire::Server::Options options;
-  options.address = address("env");
-  const std::unique_ptr<wire::Server> server = *wire::Server::Create(options, {envs.get()});
-  server->address().copy(addresses.env_server, sizeof(addresses.env_server) - 1);
+std::string ListenAddress(const std::string& name) {
+  if (!absl::GetFlag(FLAGS_unix_sockets)) return "127.0.0.1:0";
+  return absl::StrCat("unix:/tmp/wire_bench-", getpid(), "-", name);
+}
+
+void SendAndPrint(const Addresses& addresses, int from_child, int to_child) {
   CRAFTFLEET_CHECK(write(to_child, &addresses, sizeof(addresses)) == sizeof(addresses));
   PrintMeasurements(from_child, to_child);
 }
 
-void RunClients(int to_parent, int from_parent) {
+void ServeLearners(int from_child, int to_child) {
+  Addresses addresses;
+  std::vector<std::unique_ptr<Intake>> learners;
+  for (int i = 0; i < kServices; ++i) {
+    learners.push_back(std::make_unique<Intake>(kFragmentSteps[i], kLanesOfClient * absl::GetFlag(FLAGS_clients),
+                                                ListenAddress(absl::StrCat(i))));
+    learners.back()->address().copy(addresses.learners[i], sizeof(addresses.learners[i]) - 1);
+  }
+  Intake crowded(4, kMany, ListenAddress("crowded"));
+  crowded.address().copy(addresses.crowded, sizeof(addresses.crowded) - 1);
+  SendAndPrint(addresses, from_child, to_child);
+}
+
+void ServeEnvironments(int from_child, int to_child) {
+  wire::PollFewConnections();  // as craftfleet-envserver
+  Addresses addresses;
+  const std::unique_ptr<EnvServiceImpl> envs = *EnvServiceImpl::Create(*DefaultTextureDir());
+  wire::Server::Options options;
+  options.address = ListenAddress("env");
+  const std::unique_ptr<wire::Server> server = *wire::Server::Create(options, {envs.get()});
+  server->address().copy(addresses.env_server, sizeof(addresses.env_server) - 1);
+  SendAndPrint(addresses, from_child, to_child);
+}
+
+// A kind of server, and what its clients measure.
+struct Part {
+  void (*serve)(int from_child, int to_child);
+  void (*measure)(const Addresses& addresses, int clients, Meter* meter);
+};
+
+constexpr Part kParts[] = {{ServeLearners, MeasureLearners}, {ServeEnvironments, MeasureEnvServer}};
+
+void RunClients(const Part& part, int to_parent, int from_parent) {
+  wire::PollFewConnections();  // as craftfleet-actor
   Addresses addresses;
   CRAFTFLEET_CHECK(read(from_parent, &addresses, sizeof(addresses)) == sizeof(addresses));
   Meter meter(to_parent, from_parent, absl::GetFlag(FLAGS_seconds));
-  const int clients = absl::GetFlag(FLAGS_clients);
-  MeasureLearner(addresses, clients, &meter);
-  MeasureCrowd(addresses, clients, &meter);
-  MeasureEnvServer(addresses, clients, &meter);
+  part.measure(addresses, absl::GetFlag(FLAGS_clients), &meter);
+}
+
+// Forks clients and serves them. Call in a process without threads.
+int RunPart(const Part& part) {
+  int to_parent[2];
+  int to_child[2];
+  if (pipe(to_parent) != 0 || pipe(to_child) != 0) return 1;
+  const pid_t child = fork();
+  SetUpTorchProcess();  // memory as the programs have it
+  if (child == 0) {
+    close(to_parent[0]);
+    close(to_child[1]);
+    RunClients(part, to_parent[1], to_child[0]);
+    return 0;
+  }
+  close(to_parent[1]);
+  close(to_child[0]);
+  part.serve(to_parent[0], to_child[1]);
+  int status = 0;
+  waitpid(child, &status, 0);
+  return status == 0 ? 0 : 1;
 }
 
 }  // namespace
@@ -379,21 +423,12 @@ void RunClients(int to_parent, int from_parent) {
 
 int main(int argc, char** argv) {
   craftfleet::ParseFlags(craftfleet::kProgram, craftfleet::kUsage, argc, argv);
-  int to_parent[2];
-  int to_child[2];
-  if (pipe(to_parent) != 0 || pipe(to_child) != 0) return 1;
-  const pid_t child = fork();       // before there is any thread
-  craftfleet::SetUpTorchProcess();  // memory as the programs have it
-  if (child == 0) {
-    close(to_parent[0]);
-    close(to_child[1]);
-    craftfleet::RunClients(to_parent[1], to_child[0]);
-    return 0;
+  for (const craftfleet::Part& part : craftfleet::kParts) {
+    const pid_t child = fork();
+    if (child == 0) return craftfleet::RunPart(part);
+    int status = 0;
+    waitpid(child, &status, 0);
+    if (status != 0) return 1;
   }
-  close(to_parent[1]);
-  close(to_child[0]);
-  craftfleet::RunServers(to_parent[0], to_child[1]);
-  int status = 0;
-  waitpid(child, &status, 0);
-  return status == 0 ? 0 : 1;
+  return 0;
 }
