@@ -12,6 +12,7 @@
 #include "actor/trouble.h"
 #include "common/check.h"
 #include "common/log.h"
+#include "common/process_usage.h"
 #include "common/status_macros.h"
 
 namespace craftfleet {
@@ -19,6 +20,8 @@ namespace {
 
 constexpr absl::Duration kConnectTimeout = absl::Seconds(3);
 constexpr absl::Duration kMoment = absl::Milliseconds(200);
+constexpr int64_t kKeptFiles = 128;  // descriptors for everything else; gRPC bears badly to be without
+constexpr int64_t kFilesOfServer = 2;
 
 template <typename T>
 void AppendTo(std::vector<T>* all, std::vector<T>* part) {
@@ -282,8 +285,11 @@ void EnvPool::Cancel() {
 }
 
 void EnvPool::ConnectReachable() {
+  int64_t files_left = FilesLeft();
   for (const auto& server : servers_) {
     if (server->client->connected() || absl::Now() < server->next_try) continue;
+    files_left -= kFilesOfServer;
+    if (files_left < kKeptFiles) return;
     if (server->client->Reachable()) {
       Connect(server.get(), absl::ZeroDuration());
     } else if (server->client->Failing() && server->trouble.ok()) {
@@ -315,7 +321,12 @@ absl::Status EnvPool::ConnectServers() {
 }
 
 void EnvPool::Connect(Server* server, absl::Duration timeout) {
-  const absl::Status status = server->client->Connect(timeout);
+  const absl::Status status =
+      FilesLeft() > kKeptFiles
+          ? server->client->Connect(timeout)
+          : absl::ResourceExhaustedError(absl::StrCat("environment server ", server->client->address(),
+                                                      ": left out, too many files are open; raise the limit "
+                                                      "(ulimit -n), or name fewer servers"));
   if (!status.ok()) {
     server->next_try = absl::Now() + server->backoff.Next();
     Note(server, status);

@@ -62,7 +62,7 @@ absl::Status Run() {
 }  // namespace craftfleet
 
 int main(int argc, char** argv) {
-  craftfleet::wire::PollFewConnections();
   craftfleet::ParseFlags(craftfleet::kProgram, craftfleet::kUsage, argc, argv);
+  craftfleet::wire::PollFewConnections();
   return craftfleet::ExitCode(craftfleet::kProgram, craftfleet::Run());
 }

@@ -10,6 +10,16 @@
 
 namespace craftfleet {
 
+namespace {
+
+int64_t CountOpenFiles() {
+  std::error_code error;
+  const std::filesystem::directory_iterator files("/proc/self/fd", error);
+  return error ? 0 : std::distance(begin(files), end(files)) - 1;  // less the one that lists them
+}
+
+}  // namespace
+
 ProcessUsage ReadProcessUsage() {
   ProcessUsage usage;
   rusage times = {};
@@ -17,10 +27,14 @@ ProcessUsage ReadProcessUsage() {
     usage.cpu_seconds = static_cast<double>(times.ru_utime.tv_sec + times.ru_stime.tv_sec) +
                         1e-6 * static_cast<double>(times.ru_utime.tv_usec + times.ru_stime.tv_usec);
   }
-  std::error_code error;
-  const std::filesystem::directory_iterator files("/proc/self/fd", error);
-  if (!error) usage.open_files = std::distance(begin(files), end(files)) - 1;  // less the one that lists them
+  usage.open_files = CountOpenFiles();
   return usage;
+}
+
+int64_t FilesLeft() {
+  rlimit limit = {};
+  getrlimit(RLIMIT_NOFILE, &limit);
+  return static_cast<int64_t>(limit.rlim_cur) - CountOpenFiles();
 }
 
 int64_t ResidentMemoryBytes() {

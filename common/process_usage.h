@@ -15,6 +15,9 @@ struct ProcessUsage {
 // Numbers that the system does not tell are 0. Thread-safe.
 ProcessUsage ReadProcessUsage();
 
+// How many more files the process' limit lets it open (ulimit -n). Thread-safe.
+int64_t FilesLeft();
+
 // The process' resident memory; 0 where the system does not tell. Thread-safe.
 int64_t ResidentMemoryBytes();
 

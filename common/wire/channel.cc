@@ -4,6 +4,7 @@
 #include <errno.h>
 #include <grpc/grpc.h>
 #include <stdlib.h>
+#include <sys/resource.h>
 #include <unistd.h>
 
 #include <chrono>
@@ -27,6 +28,8 @@
 namespace craftfleet::wire {
 
 namespace {
+
+constexpr rlim_t kPlentyOfFiles = 65536;
 
 // For the logs of others: "craftfleet-actor@host/1234".
 std::string WhoWeAre() {
@@ -64,6 +67,9 @@ void KeepGrpcUp() {
 }
 
 void PollFewConnections() {
+  // When descriptors run out, gRPC's poll(2) writes where it must not; the default bears it.
+  rlimit limit = {};
+  if (getrlimit(RLIMIT_NOFILE, &limit) != 0 || limit.rlim_cur < kPlentyOfFiles) return;
   setenv("GRPC_POLL_STRATEGY", "poll", /*overwrite=*/0);
   // While no call waits on a connection nobody polls it but a timer, every 5 s: too late for keepalive's answers.
   setenv("GRPC_CLIENT_CHANNEL_BACKUP_POLL_INTERVAL_MS", "500", /*overwrite=*/0);

@@ -32,9 +32,10 @@ struct Endpoint {
 // and then. Connect and Server::Create call it.
 void KeepGrpcUp();
 
-// Makes gRPC poll(2), for programs with few connections: call before anything else of gRPC. By default one thread polls
-// for all and wakes the one that waits, which doubles the switches of a round trip; with poll(2) that one polls itself.
-// It costs the more the more connections there are, so it is nothing for a learner. GRPC_POLL_STRATEGY in the
+// Makes gRPC poll(2), for programs with few connections: call after ParseFlags, before anything else of gRPC. By
+// default one thread polls for all and wakes the one that waits, which doubles the switches of a round trip; with
+// poll(2) that one polls itself. It takes some more descriptors (nothing changes where the limit of open files is below
+// 65,536), and the more time the more connections there are, so it is nothing for a learner. GRPC_POLL_STRATEGY in the
 // environment, if set, prevails.
 void PollFewConnections();
 

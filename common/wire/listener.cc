@@ -31,6 +31,7 @@ namespace {
 constexpr int kBacklog = 1024;
 constexpr rlim_t kWantedDescriptors = 65536;
 constexpr rlim_t kKeptDescriptors = 128;  // for files, libraries, connections of our own
+constexpr rlim_t kKeptForCalls = 8192;    // of a limit that has them: two for each of 4096 calls
 constexpr int kUserTimeoutMs = 4000;      // data that a peer does not acknowledge, as the keepalive's timeout
 constexpr int kPauseMs = 100;             // after running out of descriptors
 constexpr int kMaxEvents = 64;            // a turn
@@ -58,7 +59,8 @@ size_t MaxConnections() {
     setrlimit(RLIMIT_NOFILE, &limit);
     getrlimit(RLIMIT_NOFILE, &limit);
   }
-  return limit.rlim_cur > 2 * kKeptDescriptors ? (limit.rlim_cur - kKeptDescriptors) / 2 : 16;
+  const rlim_t kept = kKeptDescriptors + (limit.rlim_cur >= kWantedDescriptors ? kKeptForCalls : 0);
+  return limit.rlim_cur > 2 * kept ? (limit.rlim_cur - kept) / 2 : 16;
 }
 
 }  // namespace

@@ -1,5 +1,7 @@
 #include "actor/env_pool.h"
 
+#include <sys/resource.h>
+
 #include <algorithm>
 #include <map>
 #include <memory>
@@ -15,6 +17,7 @@
 #include <gtest/gtest.h>
 
 #include "actor/trouble.h"
+#include "common/process_usage.h"
 #include "tests/fakes/env_server.h"
 #include "tests/fakes/status_matchers.h"
 #include "tests/fakes/wait_until.h"
@@ -405,6 +408,19 @@ TEST(EnvPool, ARepliesShapeIsChecked) {
   EXPECT_THAT(pool.Open(NewLanes({0}), &frames, &lost),
               StatusIs(absl::StatusCode::kInternal, HasSubstr(absl::StrCat("environment server ", server->address(),
                                                                            ": 1 bytes of frames, want 12288"))));
+}
+
+TEST(EnvPool, LeavesTheLastFilesToOthers) {
+  const EnvServer server;
+  EnvPool pool = PoolOf({&server});
+  rlimit before = {};
+  ASSERT_EQ(getrlimit(RLIMIT_NOFILE, &before), 0);
+  const rlimit low = {before.rlim_cur - static_cast<rlim_t>(FilesLeft()) + 100, before.rlim_max};
+  ASSERT_EQ(setrlimit(RLIMIT_NOFILE, &low), 0);
+  Seen seen;
+  EXPECT_THAT(seen.Open(&pool, NewLanes({0})), StatusIs(absl::StatusCode::kUnavailable, HasSubstr("ulimit -n")));
+  ASSERT_EQ(setrlimit(RLIMIT_NOFILE, &before), 0);
+  EXPECT_TRUE(WaitUntil([&] { return seen.Open(&pool, NewLanes({0})).ok(); })) << "tried again, and found room";
 }
 
 }  // namespace
