@@ -23,6 +23,7 @@ constexpr absl::Duration kReportEvery = absl::Milliseconds(500);  // what is see
 
 std::vector<int> LanesOf(const std::vector<HeldPermit>& permits) {
   std::vector<int> lanes;
+  lanes.reserve(permits.size());
   for (const HeldPermit& permit : permits) lanes.push_back(permit.lane);
   return lanes;
 }
@@ -47,7 +48,7 @@ absl::Status ActorLoop::Run() {
     std::vector<HeldPermit> permits = permits_->Take(options_.index);
     meter_.Switch(Activity::kWire);
     if (permits.empty()) return absl::OkStatus();
-    const absl::Status status = RunFragment(&permits);
+    absl::Status status = RunFragment(&permits);
     if (status.ok()) {
       backoff.Reset();
       continue;
@@ -93,7 +94,7 @@ absl::Status ActorLoop::CloseLanesOfOthers(int64_t version) {
   }
   Forget(lanes);
   std::vector<int> lost;
-  const absl::Status status = envs_->Close(lanes, &lost);
+  absl::Status status = envs_->Close(lanes, &lost);
   Forget(lost);
   return status;
 }
