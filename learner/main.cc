@@ -37,6 +37,7 @@ absl::Status Run() {
                               wire::MetricsOptionsFromFlags(wire::kAnyFreePort));
   CRAFTFLEET_ASSIGN_OR_RETURN(Learner::Options options, LearnerOptionsFromFlags());
   options.server.address = absl::GetFlag(FLAGS_listen);
+  options.server.many_clients = true;
   CRAFTFLEET_ASSIGN_OR_RETURN(const std::unique_ptr<Learner> learner, Learner::Create(options));
   StopSignal signal([&learner] { learner->Stop(); });
   if (const std::string warning = SlowMathWarning(); !warning.empty()) LogWarning("%s", warning);

@@ -27,6 +27,13 @@ constexpr int kMaxThreads = 4096;              // each call that is served has o
 
 bool IsUnixSocket(absl::string_view address) { return absl::StartsWith(address, "unix:"); }
 
+// By default gRPC has one or two threads wait for calls and makes a thread for most of those that come at once: the
+// last of 200 waited 100 ms, with these 45 ms.
+void KeepThreadsReady(grpc::ServerBuilder* builder) {
+  builder->SetSyncServerOption(grpc::ServerBuilder::MIN_POLLERS, 32);
+  builder->SetSyncServerOption(grpc::ServerBuilder::MAX_POLLERS, 256);
+}
+
 // Limits and keepalive.
 void SetLimits(int max_buffered_mb, grpc::ServerBuilder* builder) {
   builder->AddChannelArgument(GRPC_ARG_KEEPALIVE_TIME_MS, 5000);
@@ -122,6 +129,7 @@ absl::StatusOr<Server::Port> Server::Open(const Options& options, const std::str
         grpc::ServerBuilder::experimental_type::ExternalConnectionType::FROM_FD, std::move(credentials));
   }
   SetLimits(options.max_buffered_mb, &builder);
+  if (options.many_clients) KeepThreadsReady(&builder);
   for (grpc::Service* service : services) builder.RegisterService(service);
   opened.server = builder.BuildAndStart();
   if (opened.server == nullptr || port == 0) {

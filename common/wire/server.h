@@ -36,6 +36,7 @@ class Server {
     int max_connections_per_client = 1024;  // from one address, 1..65536
     // Memory of messages on their way in and out, 128..1000000. Beyond it calls end with RESOURCE_EXHAUSTED.
     int max_buffered_mb = 512;
+    bool many_clients = false;  // their calls come all at once: threads wait ready for them
     absl::Status Validate() const;
   };
 
