@@ -1,4 +1,13 @@
+#include "common/log.h"
 #include "tests/fuzz/fuzz_target.h"
+
+// A stranger's message is worth a warning, a hundred thousand of them are not.
+extern "C" int LLVMFuzzerInitialize(int* /*argc*/, char*** /*argv*/) {
+  craftfleet::LogOptions options;
+  options.level = craftfleet::LogLevel::kError;
+  craftfleet::SetUpLog(options);
+  return 0;
+}
 
 extern "C" int LLVMFuzzerTestOneInput(const uint8_t* data, size_t size) {
   craftfleet::TryInput({reinterpret_cast<const char*>(data), size});

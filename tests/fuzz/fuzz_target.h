@@ -21,6 +21,7 @@ std::vector<std::string> SoundInputs();
 
 }  // namespace craftfleet
 
+extern "C" int LLVMFuzzerInitialize(int* argc, char*** argv);
 extern "C" int LLVMFuzzerTestOneInput(const uint8_t* data, size_t size);
 
 #endif  // CRAFTFLEET_TESTS_FUZZ_FUZZ_TARGET_H_
