@@ -55,6 +55,8 @@ std::string EscapeControls(absl::string_view text) {
 
 void SetUpLog(const LogOptions& options) { TheLog().options = options; }
 
+LogFormat CurrentLogFormat() { return TheLog().options.format; }
+
 std::string FormatLogLine(const LogOptions& options, LogLevel level, absl::string_view text, absl::Time time) {
   if (options.format == LogFormat::kText) {
     return absl::StrFormat("%s %s: %s\n", absl::FormatTime("%H:%M:%E3S", time, absl::LocalTimeZone()), LevelName(level),

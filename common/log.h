@@ -27,6 +27,9 @@ struct LogOptions {
 // How this process logs from now on. Call it before other threads begin; ParseFlags does.
 void SetUpLog(const LogOptions& options);
 
+// How lines look since SetUpLog.
+LogFormat CurrentLogFormat();
+
 // Writes the line in one piece. Thread-safe.
 void Log(LogLevel level, absl::string_view text);
 

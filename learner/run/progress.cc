@@ -7,6 +7,7 @@
 #include <absl/strings/str_format.h>
 
 #include "common/crafter.h"
+#include "common/log.h"
 
 namespace craftfleet {
 namespace {
@@ -52,21 +53,23 @@ std::string FormatProgress(const ProgressState& state) {
   return line;
 }
 
+bool ProgressPrinter::IsLogged() { return CurrentLogFormat() == LogFormat::kJson; }
+
 ProgressPrinter::ProgressPrinter(const Options& options, std::ostream* out, Clock* clock)
     : options_(options), out_(out), clock_(clock), start_(clock->Now()), next_(start_ + kFirstLine) {
-  if (!options.run_id.empty()) *out_ << "run " << options.run_id << std::endl;
+  if (!options.run_id.empty() && !IsLogged()) *out_ << "run " << options.run_id << std::endl;
 }
 
 void ProgressPrinter::Update(int64_t steps, const ScoreBoard& score) {
   const absl::Time now = clock_->Now();
   if (now < next_) return;
-  next_ = now + (options_.terminal ? kTerminalInterval : kPlainInterval);
+  next_ = now + (options_.terminal && !IsLogged() ? kTerminalInterval : kPlainInterval);
   Print(steps, score);
 }
 
 void ProgressPrinter::Finish(int64_t steps, const ScoreBoard& score) {
   Print(steps, score);
-  if (options_.terminal) *out_ << "\n";
+  if (options_.terminal && !IsLogged()) *out_ << "\n";
   out_->flush();
 }
 
@@ -81,6 +84,10 @@ void ProgressPrinter::Print(int64_t steps, const ScoreBoard& score) {
   state.length = score.RecentLength();
   state.score = score.Score();
   state.unlocked = score.Unlocked();
+  if (IsLogged()) {
+    LogInfo("%s", FormatProgress(state));
+    return;
+  }
   out_->clear();  // of a full disk, which may have room by now
   // \033[K clears what a longer line left behind.
   *out_ << (options_.terminal ? "\r" : "") << FormatProgress(state) << (options_.terminal ? "\033[K" : "\n");

@@ -35,8 +35,8 @@ struct ProgressState {
 // newline, at most 100 columns for runs of up to 100 million steps.
 std::string FormatProgress(const ProgressState& state);
 
-// Prints progress: on a terminal one line in place, elsewhere a line every 10 s; the first after 2 s.
-// Thread-compatible: one thread at a time.
+// Prints progress: on a terminal one line in place, elsewhere a line every 10 s; the first after 2 s. With a log in
+// JSON, which programs read, it is a line of the log. Thread-compatible: one thread at a time.
 class ProgressPrinter {
  public:
   struct Options {
@@ -55,6 +55,7 @@ class ProgressPrinter {
   void Finish(int64_t steps, const ScoreBoard& score);
 
  private:
+  static bool IsLogged();
   void Print(int64_t steps, const ScoreBoard& score);
 
   const Options options_;

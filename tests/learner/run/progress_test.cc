@@ -6,6 +6,7 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include "common/log.h"
 #include "tests/fakes/fake_clock.h"
 #include "tests/learner/run/run_samples.h"
 
@@ -125,6 +126,22 @@ TEST_F(ProgressPrinterTest, OnATerminalOneLineInPlace) {
   EXPECT_EQ(text.find('\n'), std::string::npos);
   printer.Finish(10'000, score_);
   EXPECT_THAT(Printed(), testing::AllOf(StartsWith("\r10,000/10,000 steps 100.0%"), testing::EndsWith("\033[K\n")));
+}
+
+TEST_F(ProgressPrinterTest, IsALineOfALogInJson) {
+  LogOptions json;
+  json.format = LogFormat::kJson;
+  SetUpLog(json);
+  testing::internal::CaptureStderr();
+  ProgressPrinter printer({true, 0, 10'000, "20240131-154500-a1b2c3"}, &out_, &clock_);
+  clock_.Advance(absl::Seconds(2));
+  printer.Update(4200, score_);
+  printer.Finish(10'000, score_);
+  SetUpLog({});
+  EXPECT_EQ(Printed(), "");
+  const std::string log = testing::internal::GetCapturedStderr();
+  EXPECT_THAT(log, HasSubstr("\"message\":\"4,200/10,000 steps 42.0%"));
+  EXPECT_THAT(log, HasSubstr("\"message\":\"10,000/10,000 steps 100.0%"));
 }
 
 TEST_F(ProgressPrinterTest, FinishPrintsWhateverTheTime) {
