@@ -285,16 +285,22 @@ void EnvPool::Cancel() {
 }
 
 void EnvPool::ConnectReachable() {
-  int64_t files_left = FilesLeft();
+  std::vector<Server*> due;
   for (const auto& server : servers_) {
-    if (server->client->connected() || absl::Now() < server->next_try) continue;
+    if (!server->client->connected() && absl::Now() >= server->next_try) due.push_back(server.get());
+  }
+  int64_t files_left = due.empty() ? 0 : FilesLeft();
+  for (Server* server : due) {
     files_left -= kFilesOfServer;
-    if (files_left < kKeptFiles) return;
-    if (server->client->Reachable()) {
-      Connect(server.get(), absl::ZeroDuration());
+    if (files_left < kKeptFiles) {
+      TryLater(server, absl::ResourceExhaustedError(absl::StrCat("environment server ", server->client->address(),
+                                                                 ": left out, too many files are open; raise the "
+                                                                 "limit (ulimit -n), or name fewer servers")));
+    } else if (server->client->Reachable()) {
+      Connect(server, absl::ZeroDuration());
     } else if (server->client->Failing() && server->trouble.ok()) {
-      Note(server.get(), absl::UnavailableError(absl::StrCat("environment server ", server->client->address(),
-                                                             ": not reachable; it gets games as soon as it is")));
+      Note(server, absl::UnavailableError(absl::StrCat("environment server ", server->client->address(),
+                                                       ": not reachable; it gets games as soon as it is")));
     }
   }
 }
@@ -321,19 +327,18 @@ absl::Status EnvPool::ConnectServers() {
 }
 
 void EnvPool::Connect(Server* server, absl::Duration timeout) {
-  const absl::Status status =
-      FilesLeft() > kKeptFiles
-          ? server->client->Connect(timeout)
-          : absl::ResourceExhaustedError(absl::StrCat("environment server ", server->client->address(),
-                                                      ": left out, too many files are open; raise the limit "
-                                                      "(ulimit -n), or name fewer servers"));
+  const absl::Status status = server->client->Connect(timeout);
   if (!status.ok()) {
-    server->next_try = absl::Now() + server->backoff.Next();
-    Note(server, status);
+    TryLater(server, status);
     return;
   }
   server->backoff.Reset();
   server->trouble = absl::OkStatus();
+}
+
+void EnvPool::TryLater(Server* server, const absl::Status& trouble) {
+  server->next_try = absl::Now() + server->backoff.Next();
+  Note(server, trouble);
 }
 
 void EnvPool::Note(Server* server, const absl::Status& trouble) {

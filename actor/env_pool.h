@@ -76,11 +76,13 @@ class EnvPool {
 
   // Makes servers_ those of the directory. Returns the lanes that were open on others.
   std::vector<int> FollowDirectory() ABSL_LOCKS_EXCLUDED(mu_);
-  // Connects to the servers whose time has come and where it takes no waiting.
+  // Connects to the servers whose time has come and where it takes no waiting; leaves out those for which there are no
+  // files left.
   void ConnectReachable();
   // The same, but waits for one if there is no other. Errors as Open.
   absl::Status ConnectServers();
   void Connect(Server* server, absl::Duration timeout);
+  static void TryLater(Server* server, const absl::Status& trouble);
   // Remembers why there is no session with `server`, and says it once.
   static void Note(Server* server, const absl::Status& trouble);
   bool AnyConnected() const;
