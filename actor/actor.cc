@@ -193,6 +193,7 @@ absl::Status Actor::KeepPermits() {
     } else if (reply.status().code() == absl::StatusCode::kAborted) {
       LogInfo("%s", reply.status().message());
       permits_.DropWaiting();
+      sender_.DropWaiting();
       CRAFTFLEET_RETURN_IF_ERROR(Join());
     } else if (MayPass(reply.status())) {
       if (absl::Now() - said > kSayAgain) {

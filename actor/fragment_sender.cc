@@ -42,6 +42,15 @@ absl::Status FragmentSender::Push(Fragment fragment) {
   return absl::OkStatus();
 }
 
+void FragmentSender::DropWaiting() {
+  const MutexLock lock(&mu_);
+  for (const Fragment& fragment : waiting_) {
+    permits_->Release({fragment.epoch, fragment.lane, fragment.number, fragment.policy_version});
+  }
+  waiting_.clear();
+  changed_.NotifyAll();
+}
+
 void FragmentSender::Stop() {
   {
     const MutexLock lock(&mu_);

@@ -29,6 +29,8 @@ class FragmentSender {
   void Start();
   // Takes a fragment; blocks while `kQueueCapacity` of them wait.   Cancelled: stopping.
   absl::Status Push(Fragment fragment) ABSL_LOCKS_EXCLUDED(mu_);
+  // Forgets what is not on its way yet, and its permits: the learner does not know of them any more.
+  void DropWaiting() ABSL_LOCKS_EXCLUDED(mu_);
   // Sends nothing more; fragments without a verdict are lost (another actor will play them). Idempotent.
   void Stop() ABSL_LOCKS_EXCLUDED(mu_);
 

@@ -21,7 +21,7 @@ absl::Status NotKnown(absl::string_view actor) {
 LaneLedger::LaneLedger(const Options& options, std::vector<LaneRecord> lanes, Clock* clock)
     : options_(options), clock_(clock) {
   CRAFTFLEET_CHECK(static_cast<int>(lanes.size()) == options.lanes);
-  for (LaneRecord& record : lanes) lanes_.push_back({std::move(record), nullptr, std::nullopt, clock_->Now()});
+  for (LaneRecord& record : lanes) lanes_.push_back({std::move(record), nullptr, std::nullopt, nullptr, clock_->Now()});
 }
 
 void LaneLedger::Join(absl::string_view actor, absl::string_view address) {
@@ -37,6 +37,13 @@ void LaneLedger::Leave(absl::string_view actor) {
   MutexLock lock(&mu_);
   if (const auto entry = actors_.find(std::string(actor)); entry != actors_.end()) Forget(entry);
   changed_.NotifyAll();
+}
+
+void LaneLedger::LoseTouch(absl::string_view actor) {
+  MutexLock lock(&mu_);
+  const auto entry = actors_.find(std::string(actor));
+  if (entry == actors_.end()) return;
+  entry->second.last_word = std::min(entry->second.last_word, clock_->Now() - options_.lease + options_.comeback);
 }
 
 absl::StatusOr<LaneLedger::Grant> LaneLedger::GetPermits(absl::string_view actor_name, absl::Span<const Permit> active,
@@ -77,8 +84,8 @@ absl::StatusOr<LaneLedger::Verdict> LaneLedger::Accept(absl::string_view actor, 
   Lane& lane = lanes_[fragment.lane];
   if (fragment.fragment < lane.record.next_fragment) return Verdict::kDuplicate;
   const auto sender = actors_.find(std::string(actor));
-  if (sender == actors_.end() || lane.holder != &sender->second || !lane.permit.has_value() ||
-      lane.permit->fragment != fragment.fragment) {
+  if (sender == actors_.end() || (lane.holder != &sender->second && lane.second != &sender->second) ||
+      !lane.permit.has_value() || lane.permit->fragment != fragment.fragment) {
     return Verdict::kExpired;
   }
   if (fragment.policy_version != lane.permit->policy_version) {
@@ -87,11 +94,11 @@ absl::StatusOr<LaneLedger::Verdict> LaneLedger::Accept(absl::string_view actor, 
                                                       lane.permit->policy_version));
   }
   EndPermit(&lane);
+  SetHolder(&lane, sender->second.draining ? nullptr : &sender->second);
   lane.record.next_fragment = fragment.fragment + 1;
   lane.record.snapshot = snapshot;
   ++sender->second.fragments;
   sender->second.last_word = clock_->Now();
-  if (sender->second.draining) SetHolder(&lane, nullptr);
   if (lane.record.next_fragment < last_fragment_) changed_.NotifyAll();
   return Verdict::kAccepted;
 }
@@ -113,7 +120,8 @@ void LaneLedger::OpenIteration(int64_t last_fragment, int64_t policy_version) {
   MutexLock lock(&mu_);
   last_fragment_ = last_fragment;
   policy_version_ = policy_version;
-  for (Lane& lane : lanes_) lane.idle_since = clock_->Now();
+  lapsed_before_ = lapsed_;
+  for (Lane& lane : lanes_) lane.since = clock_->Now();
   changed_.NotifyAll();
 }
 
@@ -134,7 +142,7 @@ bool LaneLedger::SetPaused(bool paused) {
   const bool before = paused_;
   paused_ = paused;
   // Nobody left them lying.
-  for (Lane& lane : lanes_) lane.idle_since = clock_->Now();
+  for (Lane& lane : lanes_) lane.since = clock_->Now();
   changed_.NotifyAll();
   return before;
 }
@@ -210,20 +218,17 @@ void LaneLedger::ExpireLeases() {
 
 void LaneLedger::Forget(std::map<std::string, Actor>::iterator actor) {
   for (Lane& lane : lanes_) {
-    if (lane.holder != &actor->second) continue;
-    if (lane.permit.has_value()) EndPermit(&lane);
-    SetHolder(&lane, nullptr);
+    if (lane.permit.has_value()) TakeBack(&lane, &actor->second);
+    if (lane.holder == &actor->second) SetHolder(&lane, nullptr);
   }
   actors_.erase(actor);
 }
 
 std::vector<Permit> LaneLedger::Renew(Actor* actor, absl::Span<const Permit> active) {
   for (Lane& lane : lanes_) {
-    if (lane.holder != actor || !lane.permit.has_value()) continue;
+    if ((lane.holder != actor && lane.second != actor) || !lane.permit.has_value()) continue;
     if (std::find(active.begin(), active.end(), *lane.permit) != active.end()) continue;
-    EndPermit(&lane);
-    SetHolder(&lane, nullptr);
-    lane.idle_since = absl::InfinitePast();  // anybody may have it at once
+    TakeBack(&lane, actor);
     actor->gave_back = clock_->Now();
     changed_.NotifyAll();
   }
@@ -232,9 +237,8 @@ std::vector<Permit> LaneLedger::Renew(Actor* actor, absl::Span<const Permit> act
     const bool in_range = permit.lane >= 0 && permit.lane < options_.lanes;
     // An accepted fragment's permit is not lost: its verdict is on the way.
     if (in_range && permit.fragment < lanes_[permit.lane].record.next_fragment) continue;
-    if (!in_range || lanes_[permit.lane].holder != actor || lanes_[permit.lane].permit != permit) {
-      lost.push_back(permit);
-    }
+    const bool has = in_range && (lanes_[permit.lane].holder == actor || lanes_[permit.lane].second == actor);
+    if (!has || lanes_[permit.lane].permit != permit) lost.push_back(permit);
   }
   return lost;
 }
@@ -259,10 +263,25 @@ std::vector<Permit> LaneLedger::GrantTo(Actor* actor) {
       }
       SetHolder(&lane, actor);
       lane.permit = Permit{l, lane.record.next_fragment, policy_version_};
+      lane.since = now;
       ++actor->permits;
       granted.push_back(*lane.permit);
       --room;
     }
+  }
+  return granted.empty() && actor->permits == 0 && lapsed_ > lapsed_before_ ? GrantSecond(actor) : granted;
+}
+
+std::vector<Permit> LaneLedger::GrantSecond(Actor* actor) {
+  const absl::Time now = clock_->Now();
+  const int most = std::min(actor->capacity, FairShares().Most());
+  std::vector<Permit> granted;
+  for (Lane& lane : lanes_) {
+    if (actor->permits >= most) break;
+    if (!lane.permit.has_value() || lane.second != nullptr || now - lane.since <= options_.patience) continue;
+    lane.second = actor;
+    ++actor->permits;
+    granted.push_back(*lane.permit);
   }
   return granted;
 }
@@ -272,7 +291,7 @@ LaneLedger::Claim LaneLedger::ClaimOn(const Lane& lane, const Actor& actor, cons
   if (lane.holder == &actor) return Claim::kOwn;
   const bool spare = lane.holder == nullptr || shares.IsOver(*lane.holder);
   if (spare && actor.held < shares.Of(actor)) return Claim::kSpare;
-  return now - lane.idle_since > options_.patience ? Claim::kLeftLying : Claim::kNone;
+  return now - lane.since > options_.patience ? Claim::kLeftLying : Claim::kNone;
 }
 
 LaneLedger::Shares LaneLedger::FairShares() const {
@@ -303,8 +322,25 @@ void LaneLedger::SetHolder(Lane* lane, Actor* actor) {
 
 void LaneLedger::EndPermit(Lane* lane) {
   --lane->holder->permits;
+  if (lane->second != nullptr) --lane->second->permits;
+  lane->second = nullptr;
   lane->permit.reset();
-  lane->idle_since = clock_->Now();
+  lane->since = clock_->Now();
+}
+
+void LaneLedger::TakeBack(Lane* lane, const Actor* actor) {
+  if (lane->second == actor) {
+    --lane->second->permits;
+    lane->second = nullptr;
+  } else if (lane->holder == actor && lane->second != nullptr) {
+    --lane->holder->permits;
+    SetHolder(lane, lane->second);
+    lane->second = nullptr;
+  } else if (lane->holder == actor) {
+    EndPermit(lane);
+    SetHolder(lane, nullptr);
+    lane->since = absl::InfinitePast();  // anybody may have it at once
+  }
 }
 
 }  // namespace craftfleet

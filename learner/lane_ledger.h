@@ -44,13 +44,17 @@ struct LaneRecord {
 // `Options::patience`, anybody's. Shares differ by one lane at most, but for actors that can't play as many. An actor
 // that gives permits back, because it can't play, gets no other for `patience` where there are more actors, who may.
 // A permit lapses when its actor has not asked for `lease`, or for twice as long if nobody else asks, and the actor is
-// forgotten then. A fragment is accepted at most once. Thread-safe.
+// forgotten then; after `comeback` already if its connection broke, as that of a dead process does at once. A fragment
+// is accepted at most once. Once permits lapsed in an iteration, an actor that has nothing to do also gets permits that
+// another has had for `patience`: each fragment is then played by two at most, to the same bytes, and the first counts.
+// Without that the last fragments wait for one worker after the other where workers die all the time. Thread-safe.
 class LaneLedger {
  public:
   struct Options {
     int lanes = 16;  // 1..
     absl::Duration lease = absl::Seconds(5);
     absl::Duration patience = absl::Seconds(1);
+    absl::Duration comeback = absl::Seconds(2);  // at most `lease`
   };
   enum class Verdict { kAccepted, kDuplicate, kExpired };
   struct Grant {
@@ -74,6 +78,8 @@ class LaneLedger {
   void Join(absl::string_view actor, absl::string_view address) ABSL_LOCKS_EXCLUDED(mu_);
   // Forgets `actor` and frees its permits.
   void Leave(absl::string_view actor) ABSL_LOCKS_EXCLUDED(mu_);
+  // The connection on which `actor` asked broke: it has `comeback` to ask again.
+  void LoseTouch(absl::string_view actor) ABSL_LOCKS_EXCLUDED(mu_);
 
   // Renews `active` and grants further permits up to `capacity` lanes in all; waits up to `wait` while there is nothing
   // to say.
@@ -128,7 +134,8 @@ class LaneLedger {
     LaneRecord record;
     Actor* holder = nullptr;       // the actor that has its game, if any
     std::optional<Permit> permit;  // out at `holder`
-    absl::Time idle_since;         // without a permit
+    Actor* second = nullptr;       // plays the same fragment, if any
+    absl::Time since;              // it has its permit, or has none
   };
   // Each actor may hold `all` lanes, as far as it can play them, and `extra` of those that can one more.
   struct Shares {
@@ -150,10 +157,15 @@ class LaneLedger {
   std::vector<Permit> Renew(Actor* actor, absl::Span<const Permit> active) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
   bool IsPausing(const Actor& actor) const ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
   std::vector<Permit> GrantTo(Actor* actor) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
+  // Fragments of others for it to play as well.
+  std::vector<Permit> GrantSecond(Actor* actor) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
   Claim ClaimOn(const Lane& lane, const Actor& actor, const Shares& shares, absl::Time now) const;
   Shares FairShares() const ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
   static void SetHolder(Lane* lane, Actor* actor);
+  // Nobody plays its fragment any more.
   void EndPermit(Lane* lane);
+  // `actor`, who has a permit for it, does not play its fragment any more; who plays it too goes on.
+  void TakeBack(Lane* lane, const Actor* actor);
 
   const Options options_;
   Clock* const clock_;
@@ -163,6 +175,7 @@ class LaneLedger {
   std::vector<Lane> lanes_ ABSL_GUARDED_BY(mu_);
   std::map<std::string, Actor> actors_ ABSL_GUARDED_BY(mu_);  // by name
   int64_t lapsed_ ABSL_GUARDED_BY(mu_) = 0;
+  int64_t lapsed_before_ ABSL_GUARDED_BY(mu_) = 0;  // the iteration
   int64_t last_fragment_ ABSL_GUARDED_BY(mu_) = 0;
   int64_t policy_version_ ABSL_GUARDED_BY(mu_) = 0;
   bool finished_ ABSL_GUARDED_BY(mu_) = false;

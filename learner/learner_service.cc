@@ -95,7 +95,7 @@ grpc::Status LearnerServiceImpl::Join(grpc::ServerContext* /*context*/, const v1
   return grpc::Status::OK;
 }
 
-grpc::Status LearnerServiceImpl::GetPermits(grpc::ServerContext* /*context*/, const v1::PermitRequest* request,
+grpc::Status LearnerServiceImpl::GetPermits(grpc::ServerContext* context, const v1::PermitRequest* request,
                                             v1::PermitReply* reply) {
   if (absl::Status status = CheckEpoch(request->epoch()); !status.ok()) return wire::ToGrpc(status);
   evaluations_->Renew(request->actor(), request->evaluation());
@@ -104,6 +104,10 @@ grpc::Status LearnerServiceImpl::GetPermits(grpc::ServerContext* /*context*/, co
   absl::StatusOr<LaneLedger::Grant> grant =
       ledger_->GetPermits(request->actor(), active, request->capacity(), WaitTime(request->wait_ms()));
   if (!grant.ok()) return wire::ToGrpc(grant.status());
+  if (context->IsCancelled()) {
+    ledger_->LoseTouch(request->actor());
+    return grpc::Status::CANCELLED;
+  }
   fleet_->Heard("actor", request->actor(), "", request->summary());
   for (const v1::Peer& server : request->env_servers()) fleet_->HeardOf(server);
   AddPermits(grant->granted, reply->mutable_granted());

@@ -29,8 +29,6 @@ namespace craftfleet::wire {
 
 namespace {
 
-constexpr rlim_t kPlentyOfFiles = 65536;
-
 // For the logs of others: "craftfleet-actor@host/1234".
 std::string WhoWeAre() {
   char host[256] = "?";

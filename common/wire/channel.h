@@ -3,6 +3,8 @@
 #ifndef CRAFTFLEET_COMMON_WIRE_CHANNEL_H_
 #define CRAFTFLEET_COMMON_WIRE_CHANNEL_H_
 
+#include <sys/resource.h>
+
 #include <memory>
 #include <string>
 #include <vector>
@@ -21,6 +23,9 @@ namespace craftfleet::wire {
 
 inline constexpr char kInProcess[] = "in-process";
 
+// A limit of open files from which on a process can keep some for its calls.
+inline constexpr rlim_t kPlentyOfFiles = 16384;
+
 // A peer's address for messages (kInProcess where there is none), the channel to it and what that shows and wants.
 struct Endpoint {
   std::string address;
@@ -35,8 +40,8 @@ void KeepGrpcUp();
 // Makes gRPC poll(2), for programs with few connections: call after ParseFlags, before anything else of gRPC. By
 // default one thread polls for all and wakes the one that waits, which doubles the switches of a round trip; with
 // poll(2) that one polls itself. It takes some more descriptors (nothing changes where the limit of open files is below
-// 65,536), and the more time the more connections there are, so it is nothing for a learner. GRPC_POLL_STRATEGY in the
-// environment, if set, prevails.
+// kPlentyOfFiles), and the more time the more connections there are, so it is nothing for a learner. GRPC_POLL_STRATEGY
+// in the environment, if set, prevails.
 void PollFewConnections();
 
 // Message limits and keepalive: a dead peer is noticed within 10 seconds.

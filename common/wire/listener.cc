@@ -23,6 +23,7 @@
 
 #include "common/check.h"
 #include "common/status_macros.h"
+#include "common/wire/channel.h"
 #include "common/wire/handshake_log.h"
 
 namespace craftfleet::wire {
@@ -59,7 +60,7 @@ size_t MaxConnections() {
     setrlimit(RLIMIT_NOFILE, &limit);
     getrlimit(RLIMIT_NOFILE, &limit);
   }
-  const rlim_t kept = kKeptDescriptors + (limit.rlim_cur >= kWantedDescriptors ? kKeptForCalls : 0);
+  const rlim_t kept = kKeptDescriptors + (limit.rlim_cur >= kPlentyOfFiles ? kKeptForCalls : 0);
   return limit.rlim_cur > 2 * kept ? (limit.rlim_cur - kept) / 2 : 16;
 }
 

@@ -111,6 +111,15 @@ TEST_F(FragmentSenderTest, GoesOnAfterTheLearnerCameBack) {
   EXPECT_EQ(sender_.accepted(), 2);
 }
 
+TEST_F(FragmentSenderTest, ForgetsWhatTheLearnerDoesNotWantAnyMore) {
+  service_.Script(std::vector<Answer>(16, Answer::kSilence));
+  sender_.Start();
+  for (int lane = 0; lane < 20; ++lane) Push(lane, 0);
+  ASSERT_TRUE(WaitUntil([this] { return service_.received().size() == 16; }));
+  sender_.DropWaiting();
+  EXPECT_EQ(permits_.Active().size(), 16) << "those under way get a verdict";
+}
+
 TEST_F(FragmentSenderTest, EveryVerdictReleasesThePermit) {
   service_.Script({Answer::kDuplicate, Answer::kExpire});
   sender_.Start();

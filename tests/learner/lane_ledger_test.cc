@@ -233,6 +233,40 @@ TEST(LaneLedger, ALeaseThatNobodyElseWaitsForLastsTwiceAsLong) {
   EXPECT_EQ(book.ledger.lapsed(), 2);
 }
 
+TEST(LaneLedger, ABrokenConnectionEndsTheLeaseSooner) {
+  Book book(2);
+  book.Enter("a");
+  book.ledger.Join("b", "");
+  book.ledger.LoseTouch("a");
+  book.clock.Advance(absl::Seconds(2));
+  EXPECT_THAT(book.Ask("b").granted, IsEmpty()) << "it may come back";
+  book.clock.Advance(absl::Milliseconds(1));
+  EXPECT_THAT(book.Ask("b").granted, SizeIs(2));
+  EXPECT_EQ(book.ledger.lapsed(), 2);
+  book.ledger.LoseTouch("a");  // not known any more
+}
+
+TEST(LaneLedger, WhoComesBackOnANewConnectionKeepsItsLease) {
+  Book book(2);
+  const std::vector<Permit> of_a = book.Enter("a");
+  book.ledger.Join("b", "");
+  book.ledger.LoseTouch("a");
+  book.clock.Advance(absl::Milliseconds(1900));
+  EXPECT_THAT(book.Ask("a", of_a).lost, IsEmpty());
+  book.clock.Advance(absl::Seconds(4));
+  EXPECT_THAT(book.Ask("b").granted, IsEmpty());
+}
+
+TEST(LaneLedger, ABrokenConnectionDoesNotLengthenALease) {
+  Book book(2);
+  book.Enter("a");
+  book.ledger.Join("b", "");
+  book.clock.Advance(absl::Milliseconds(4500));
+  book.ledger.LoseTouch("a");
+  book.clock.Advance(absl::Milliseconds(501));
+  EXPECT_THAT(book.Ask("b").granted, SizeIs(2));
+}
+
 TEST(LaneLedger, WhoLeavesWhileItWaitsIsToldSo) {
   Book book(1, 0);
   book.ledger.Join("a", "");

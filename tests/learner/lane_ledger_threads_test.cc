@@ -76,7 +76,10 @@ class WildActor {
       }
       for (const Permit& lost : grant->lost) active.erase(std::find(active.begin(), active.end(), lost));
       active.insert(active.end(), grant->granted.begin(), grant->granted.end());
-      if (Chance(2)) return false;  // dies without a word
+      if (Chance(2)) {  // dies without a word; its connection may show it
+        if (Chance(50)) ledger_->LoseTouch(name);
+        return false;
+      }
       if (Chance(4)) {
         ledger_->Leave(name);
         return false;
@@ -126,6 +129,7 @@ TEST(LaneLedgerThreads, EveryFragmentIsAcceptedExactlyOnce) {
       ASSERT_LT(i, 20000) << "no progress";
       clock.Advance(absl::Milliseconds(300));
     }
+    ASSERT_EQ(ledger.permits(), 0);
     for (int lane = 0; lane < kLanes; ++lane) {
       const int64_t next = kFragmentsPerIteration * (iteration + 1);
       ASSERT_EQ(ledger.Records()[lane].next_fragment, next);

@@ -2,9 +2,11 @@
 
 #include <memory>
 #include <string>
+#include <thread>
 #include <utility>
 #include <vector>
 
+#include <absl/time/clock.h>
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
@@ -173,6 +175,36 @@ TEST_F(LearnerServiceTest, PermitsAreForThisEpoch) {
   EXPECT_THAT(
       GetPermits("a", kEpoch - 1),
       StatusIs(absl::StatusCode::kAborted, AllOf(HasSubstr("epoch 3"), HasSubstr("epoch 4"), HasSubstr("join again"))));
+}
+
+// As when its process dies: the call that waits for permits breaks.
+TEST_F(LearnerServiceTest, AnActorWhoseCallBrokeLosesItsPermitsBeforeTheLeaseIsOver) {
+  Enter("a");
+  ASSERT_THAT(Join("b"), IsOk());
+  grpc::ClientContext context;
+  v1::PermitRequest request;
+  request.set_actor("a");
+  request.set_epoch(kEpoch);
+  request.set_wait_ms(300);
+  for (int lane = 0; lane < kSampleShape.lanes; ++lane) {
+    v1::Permit* permit = request.add_active();
+    permit->set_lane(lane);
+    permit->set_policy_version(kVersion);
+  }
+  std::thread call([&] {
+    v1::PermitReply reply;
+    stub_->GetPermits(&context, request, &reply);
+  });
+  absl::SleepFor(absl::Milliseconds(100));
+  context.TryCancel();
+  call.join();
+  int granted = 0;
+  for (int i = 0; i < 49 && granted == 0; ++i) {  // less than the lease
+    absl::SleepFor(absl::Milliseconds(100));
+    clock_.Advance(absl::Milliseconds(100));
+    granted = GetPermits("b")->granted_size();
+  }
+  EXPECT_EQ(granted, kSampleShape.lanes);
 }
 
 TEST_F(LearnerServiceTest, AFragmentReachesTheTrainerAsItWasSent) {
