@@ -84,8 +84,8 @@ absl::StatusOr<LaneLedger::Verdict> LaneLedger::Accept(absl::string_view actor, 
   Lane& lane = lanes_[fragment.lane];
   if (fragment.fragment < lane.record.next_fragment) return Verdict::kDuplicate;
   const auto sender = actors_.find(std::string(actor));
-  if (sender == actors_.end() || (lane.holder != &sender->second && lane.second != &sender->second) ||
-      !lane.permit.has_value() || lane.permit->fragment != fragment.fragment) {
+  if (sender == actors_.end() || !IsPlayer(lane, &sender->second) || !lane.permit.has_value() ||
+      lane.permit->fragment != fragment.fragment) {
     return Verdict::kExpired;
   }
   if (fragment.policy_version != lane.permit->policy_version) {
@@ -226,7 +226,7 @@ void LaneLedger::Forget(std::map<std::string, Actor>::iterator actor) {
 
 std::vector<Permit> LaneLedger::Renew(Actor* actor, absl::Span<const Permit> active) {
   for (Lane& lane : lanes_) {
-    if ((lane.holder != actor && lane.second != actor) || !lane.permit.has_value()) continue;
+    if (!IsPlayer(lane, actor) || !lane.permit.has_value()) continue;
     if (std::find(active.begin(), active.end(), *lane.permit) != active.end()) continue;
     TakeBack(&lane, actor);
     actor->gave_back = clock_->Now();
@@ -237,8 +237,9 @@ std::vector<Permit> LaneLedger::Renew(Actor* actor, absl::Span<const Permit> act
     const bool in_range = permit.lane >= 0 && permit.lane < options_.lanes;
     // An accepted fragment's permit is not lost: its verdict is on the way.
     if (in_range && permit.fragment < lanes_[permit.lane].record.next_fragment) continue;
-    const bool has = in_range && (lanes_[permit.lane].holder == actor || lanes_[permit.lane].second == actor);
-    if (!has || lanes_[permit.lane].permit != permit) lost.push_back(permit);
+    if (!in_range || !IsPlayer(lanes_[permit.lane], actor) || lanes_[permit.lane].permit != permit) {
+      lost.push_back(permit);
+    }
   }
   return lost;
 }
@@ -269,17 +270,17 @@ std::vector<Permit> LaneLedger::GrantTo(Actor* actor) {
       --room;
     }
   }
-  return granted.empty() && actor->permits == 0 && lapsed_ > lapsed_before_ ? GrantSecond(actor) : granted;
+  return granted.empty() && actor->permits == 0 && lapsed_ > lapsed_before_ ? GrantBackup(actor) : granted;
 }
 
-std::vector<Permit> LaneLedger::GrantSecond(Actor* actor) {
+std::vector<Permit> LaneLedger::GrantBackup(Actor* actor) {
   const absl::Time now = clock_->Now();
   const int most = std::min(actor->capacity, FairShares().Most());
   std::vector<Permit> granted;
   for (Lane& lane : lanes_) {
     if (actor->permits >= most) break;
-    if (!lane.permit.has_value() || lane.second != nullptr || now - lane.since <= options_.patience) continue;
-    lane.second = actor;
+    if (!lane.permit.has_value() || lane.backup != nullptr || now - lane.since <= options_.patience) continue;
+    lane.backup = actor;
     ++actor->permits;
     granted.push_back(*lane.permit);
   }
@@ -322,20 +323,20 @@ void LaneLedger::SetHolder(Lane* lane, Actor* actor) {
 
 void LaneLedger::EndPermit(Lane* lane) {
   --lane->holder->permits;
-  if (lane->second != nullptr) --lane->second->permits;
-  lane->second = nullptr;
+  if (lane->backup != nullptr) --lane->backup->permits;
+  lane->backup = nullptr;
   lane->permit.reset();
   lane->since = clock_->Now();
 }
 
 void LaneLedger::TakeBack(Lane* lane, const Actor* actor) {
-  if (lane->second == actor) {
-    --lane->second->permits;
-    lane->second = nullptr;
-  } else if (lane->holder == actor && lane->second != nullptr) {
+  if (lane->backup == actor) {
+    --lane->backup->permits;
+    lane->backup = nullptr;
+  } else if (lane->holder == actor && lane->backup != nullptr) {
     --lane->holder->permits;
-    SetHolder(lane, lane->second);
-    lane->second = nullptr;
+    SetHolder(lane, lane->backup);
+    lane->backup = nullptr;
   } else if (lane->holder == actor) {
     EndPermit(lane);
     SetHolder(lane, nullptr);

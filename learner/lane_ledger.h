@@ -134,7 +134,7 @@ class LaneLedger {
     LaneRecord record;
     Actor* holder = nullptr;       // the actor that has its game, if any
     std::optional<Permit> permit;  // out at `holder`
-    Actor* second = nullptr;       // plays the same fragment, if any
+    Actor* backup = nullptr;       // plays the same fragment too, if any
     absl::Time since;              // it has its permit, or has none
   };
   // Each actor may hold `all` lanes, as far as it can play them, and `extra` of those that can one more.
@@ -157,10 +157,11 @@ class LaneLedger {
   std::vector<Permit> Renew(Actor* actor, absl::Span<const Permit> active) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
   bool IsPausing(const Actor& actor) const ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
   std::vector<Permit> GrantTo(Actor* actor) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
-  // Fragments of others for it to play as well.
-  std::vector<Permit> GrantSecond(Actor* actor) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
+  // Fragments of others for it to play too.
+  std::vector<Permit> GrantBackup(Actor* actor) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
   Claim ClaimOn(const Lane& lane, const Actor& actor, const Shares& shares, absl::Time now) const;
   Shares FairShares() const ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
+  static bool IsPlayer(const Lane& lane, const Actor* actor) { return lane.holder == actor || lane.backup == actor; }
   static void SetHolder(Lane* lane, Actor* actor);
   // Nobody plays its fragment any more.
   void EndPermit(Lane* lane);

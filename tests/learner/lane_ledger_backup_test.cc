@@ -21,7 +21,7 @@ using Verdict = LaneLedger::Verdict;
 constexpr int64_t kVersion = 3;
 
 // Actors "a" and "b" on four lanes; "dead" had permits that lapsed, unless a test says otherwise.
-class SecondTest : public testing::Test {
+class BackupTest : public testing::Test {
  protected:
   LaneLedger::Grant Ask(const std::string& actor, const std::vector<Permit>& active = {}, int capacity = 100) {
     const auto grant = ledger_.GetPermits(actor, active, capacity, absl::ZeroDuration());
@@ -59,13 +59,13 @@ class SecondTest : public testing::Test {
   void SetUp() override { ledger_.OpenIteration(1, kVersion); }
 };
 
-TEST_F(SecondTest, NobodyPlaysWhatAnotherPlaysWhileNothingLapsed) {
+TEST_F(BackupTest, NobodyPlaysWhatAnotherPlaysWhileNothingLapsed) {
   Enter();
   FinishA();
   EXPECT_THAT(Ask("a").granted, IsEmpty());
 }
 
-TEST_F(SecondTest, AnIdleActorAlsoPlaysWhatAnotherHasHadForAWhile) {
+TEST_F(BackupTest, AnIdleActorAlsoPlaysWhatAnotherHasHadForAWhile) {
   LoseOne();
   for (const Permit& permit : of_a_) ASSERT_EQ(Push("a", permit), Verdict::kAccepted);
   EXPECT_THAT(Ask("a").granted, IsEmpty()) << "the other has only just got it";
@@ -79,7 +79,7 @@ TEST_F(SecondTest, AnIdleActorAlsoPlaysWhatAnotherHasHadForAWhile) {
   EXPECT_EQ(ledger_.permits(), 0);
 }
 
-TEST_F(SecondTest, NoThirdPlaysIt) {
+TEST_F(BackupTest, NoThirdPlaysIt) {
   LoseOne();
   FinishA();
   ASSERT_EQ(Ask("a").granted, of_b_);
@@ -88,13 +88,13 @@ TEST_F(SecondTest, NoThirdPlaysIt) {
   EXPECT_THAT(Ask("c").granted, IsEmpty());
 }
 
-TEST_F(SecondTest, WhoIsBusyPlaysNothingTwice) {
+TEST_F(BackupTest, WhoIsBusyPlaysNothingTwice) {
   LoseOne();
   clock_.Advance(absl::Milliseconds(1001));
   EXPECT_THAT(Ask("a", of_a_).granted, IsEmpty());
 }
 
-TEST_F(SecondTest, WhenOneOfTheTwoIsGoneTheOtherGoesOn) {
+TEST_F(BackupTest, WhenOneOfTheTwoIsGoneTheOtherGoesOn) {
   LoseOne();
   FinishA();
   ASSERT_EQ(Ask("a").granted, of_b_);
@@ -104,7 +104,7 @@ TEST_F(SecondTest, WhenOneOfTheTwoIsGoneTheOtherGoesOn) {
   for (const Permit& permit : of_b_) EXPECT_EQ(Push("a", permit), Verdict::kAccepted);
 }
 
-TEST_F(SecondTest, WhenTheSecondIsGoneAnotherMayBeIt) {
+TEST_F(BackupTest, WhenTheBackupIsGoneAnotherMayBeIt) {
   LoseOne();
   FinishA();
   ASSERT_EQ(Ask("a").granted, of_b_);
@@ -114,7 +114,7 @@ TEST_F(SecondTest, WhenTheSecondIsGoneAnotherMayBeIt) {
   EXPECT_EQ(Ask("c").granted, of_b_);
 }
 
-TEST_F(SecondTest, WhatTheSecondGivesBackTheFirstKeeps) {
+TEST_F(BackupTest, WhatTheBackupGivesBackTheHolderKeeps) {
   LoseOne();
   FinishA();
   ASSERT_EQ(Ask("a").granted, of_b_);
@@ -123,7 +123,7 @@ TEST_F(SecondTest, WhatTheSecondGivesBackTheFirstKeeps) {
   EXPECT_EQ(Push("b", of_b_[0]), Verdict::kAccepted);
 }
 
-TEST_F(SecondTest, WhatTheFirstGivesBackTheSecondKeeps) {
+TEST_F(BackupTest, WhatTheHolderGivesBackTheBackupKeeps) {
   LoseOne();
   FinishA();
   ASSERT_EQ(Ask("a").granted, of_b_);
@@ -133,7 +133,7 @@ TEST_F(SecondTest, WhatTheFirstGivesBackTheSecondKeeps) {
   EXPECT_EQ(Push("a", of_b_[0]), Verdict::kAccepted);
 }
 
-TEST_F(SecondTest, TheNextIterationBeginsAnew) {
+TEST_F(BackupTest, TheNextIterationBeginsAnew) {
   LoseOne();
   FinishA();
   ASSERT_EQ(Ask("a").granted, of_b_);
