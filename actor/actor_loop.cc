@@ -125,11 +125,11 @@ absl::Status ActorLoop::OpenMissing(const std::vector<HeldPermit>& missing) {
   std::string frames;
   std::vector<int> lost;
   CRAFTFLEET_RETURN_IF_ERROR(envs_->Open(lanes, &frames, &lost));
-  Forget(lost);
   for (size_t i = 0; i < missing.size(); ++i) {
     held_[missing[i].lane] = {missing[i].epoch, missing[i].fragment, /*policy_version=*/-1,
                               std::string(Frame(frames, i)), std::move(snapshots[i].state)};
   }
+  Forget(lost);  // of those just opened, too
   return absl::OkStatus();
 }
 
