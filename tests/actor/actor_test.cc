@@ -16,10 +16,12 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include "actor/actor_loop.h"
 #include "common/agent/torch_setup.h"
 #include "common/keyed_random.h"
 #include "common/log.h"
 #include "common/seeds.h"
+#include "common/wire/protocol.h"
 #include "envserver/game.h"
 #include "learner/learner_service.h"
 #include "tests/fakes/env_server.h"
@@ -333,10 +335,10 @@ TEST_P(ActorTest, StopsWhileItWaitsForWeights) {
   EXPECT_LT(absl::Now() - start, absl::Seconds(3));
 }
 
-// Plays well until its third step, throws there, and is well after that.
+// Answers `messages` of its first session, throws then, and is well after that.
 class FailingOnceService : public v1::EnvironmentService::Service {
  public:
-  explicit FailingOnceService(EnvServiceImpl* real) : real_(real) {}
+  FailingOnceService(EnvServiceImpl* real, int messages) : real_(real), messages_(messages) {}
   grpc::Status Play(grpc::ServerContext* context,
                     grpc::ServerReaderWriter<v1::PlayReply, v1::PlayRequest>* stream) override {
     if (failed_.exchange(true)) return real_->Play(context, stream);
@@ -346,7 +348,7 @@ class FailingOnceService : public v1::EnvironmentService::Service {
     const auto inner = stub->Play(&inner_context);
     v1::PlayRequest request;
     v1::PlayReply reply;
-    for (int i = 0; i < 5 && stream->Read(&request) && inner->Write(request) && inner->Read(&reply); ++i) {
+    for (int i = 0; i < messages_ && stream->Read(&request) && inner->Write(request) && inner->Read(&reply); ++i) {
       stream->Write(reply);
     }
     inner_context.TryCancel();
@@ -356,11 +358,12 @@ class FailingOnceService : public v1::EnvironmentService::Service {
 
  private:
   EnvServiceImpl* const real_;
+  const int messages_;
   std::atomic<bool> failed_{false};
 };
 
 TEST_P(ActorTest, AnEnvironmentThatThrowsCostsAFragment) {
-  FailingOnceService failing(env_.service.get());
+  FailingOnceService failing(env_.service.get(), 5);  // at the third step
   const auto server = *wire::Server::Create({"127.0.0.1:0"}, {&failing});
   RunningActor actor(learner_->Connect(), {wire::Connect(server->address())});
   for (int64_t iteration = 0; iteration < 2; ++iteration) {
@@ -369,6 +372,49 @@ TEST_P(ActorTest, AnEnvironmentThatThrowsCostsAFragment) {
   }
   EXPECT_GT(actor.Metric("fragments_abandoned"), 0);
   EXPECT_LE(actor.Metric("fragments_abandoned"), kLanes);
+}
+
+// The second server fails when its game is to be opened, the third when it is to take that game, too: the game that the
+// third one had opened in the same call is gone with it.
+TEST_P(ActorTest, GamesLostWhileOthersOpenAreOpenedAnew) {
+  FailingOnceService second(env_.service.get(), 1);
+  FailingOnceService third(env_.service.get(), 2);
+  const auto first_server = *wire::Server::Create({"unix:" + (folder_ / "1")}, {env_.service.get()});
+  const auto second_server = *wire::Server::Create({"unix:" + (folder_ / "2")}, {&second});
+  const auto third_server = *wire::Server::Create({"unix:" + (folder_ / "3")}, {&third});
+  std::vector<wire::Endpoint> servers;
+  for (const char* name : {"1", "2", "3"}) servers.push_back(wire::Connect("unix:" + (folder_ / name)));
+  learner_->Open(0);
+
+  const LearnerClient client(learner_->Connect());
+  v1::JoinRequest join;
+  join.set_protocol_version(wire::kProtocolVersion);
+  join.set_actor("a loop");
+  ASSERT_THAT(client.Join(join), IsOk());
+  v1::PermitRequest request;
+  request.set_actor("a loop");
+  request.set_epoch(1);
+  request.set_capacity(kLanes);
+  const auto reply = client.GetPermits(request);
+  ASSERT_THAT(reply, IsOk());
+  PermitBook permits(1);
+  for (const v1::Permit& permit : reply->granted()) permits.Add({1, permit.lane(), permit.fragment(), 0});
+
+  const v1::RunConfig config = Config(GetParam());
+  const AgentSpec spec = *MakeAgentSpec(config);
+  PolicySource policies(&client, spec, config.tile());
+  FragmentSender sender(&client, "a loop", &permits);
+  sender.Start();
+  ServerBook book;
+  ActorLoop loop({0, config, kFrameBytes, spec.state_size}, &client, &permits, &policies, &sender,
+                 std::make_unique<EnvPool>(std::make_shared<EnvDirectory>(servers), SampleHello(kLength), kFrameBytes),
+                 &book);
+  std::thread thread([&] { EXPECT_THAT(loop.Run(), IsOk()); });
+  for (int i = 0; i < kLanes; ++i) EXPECT_TRUE(learner_->fragments().Pop(absl::Minutes(1)).has_value());
+  EXPECT_EQ(loop.abandoned(), 0);
+  permits.Close();
+  thread.join();
+  sender.Stop();
 }
 
 // Its games of lanes that others play by now would stay open for ever.
