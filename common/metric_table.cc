@@ -47,7 +47,8 @@ constexpr MetricInfo kTable[] = {
     {"workers", kGauge, "", "Actors and environment servers by what was last heard of them."},
     // The learner: intake.
     {"fragments_accepted", kCounter, "fragments", "Fragments that count."},
-    {"fragments_duplicate", kCounter, "fragments", "Fragments that came again, after a lost answer."},
+    {"fragments_duplicate", kCounter, "fragments",
+     "Fragments that came again: after a lost answer, or from the second of two that played it."},
     {"fragments_expired", kCounter, "fragments", "Fragments whose permit had gone to another actor."},
     {"fragments_rejected", kCounter, "fragments", "Fragments of a wrong shape or version."},
     {"permits_lapsed", kCounter, "", "Permits taken back from actors that fell silent."},
