@@ -103,6 +103,15 @@ absl::StatusOr<LaneLedger::Verdict> LaneLedger::Accept(absl::string_view actor, 
   return Verdict::kAccepted;
 }
 
+bool LaneLedger::Restore(const Permit& fragment, const LaneSnapshot& snapshot) {
+  MutexLock lock(&mu_);
+  CRAFTFLEET_CHECK(fragment.lane >= 0 && fragment.lane < options_.lanes);
+  LaneRecord& record = lanes_[fragment.lane].record;
+  if (record.next_fragment != fragment.fragment || lanes_[fragment.lane].permit.has_value()) return false;
+  record = {fragment.fragment + 1, snapshot};
+  return true;
+}
+
 absl::StatusOr<LaneSnapshot> LaneLedger::Snapshot(int lane, int64_t fragment) const {
   MutexLock lock(&mu_);
   if (lane < 0 || lane >= options_.lanes) {

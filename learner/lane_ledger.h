@@ -92,6 +92,10 @@ class LaneLedger {
   absl::StatusOr<Verdict> Accept(absl::string_view actor, const Permit& fragment, const LaneSnapshot& snapshot)
       ABSL_LOCKS_EXCLUDED(mu_);
 
+  // Takes the lane one fragment further on behalf of an earlier start of the learner, which had accepted it.
+  //   False: the lane is at another fragment.
+  bool Restore(const Permit& fragment, const LaneSnapshot& snapshot) ABSL_LOCKS_EXCLUDED(mu_);
+
   // The state before `fragment` of `lane`.   Aborted: the lane is at another fragment.   InvalidArgument: no such lane.
   absl::StatusOr<LaneSnapshot> Snapshot(int lane, int64_t fragment) const ABSL_LOCKS_EXCLUDED(mu_);
 

@@ -127,7 +127,9 @@ struct Learner::Loaded {
   std::unique_ptr<Clock> clock;
   std::unique_ptr<RunFolder> folder;
   std::unique_ptr<PpoUpdater> updater;
-  Checkpoint checkpoint;  // empty for a new run; without weights and optimiser, which the updater has
+  std::optional<FragmentJournal> journal;  // if fragments are to be kept
+  std::vector<Fragment> kept;              // by an earlier start
+  Checkpoint checkpoint;                   // empty for a new run; without weights and optimiser, which the updater has
   std::string texture_digest;
 };
 
@@ -141,6 +143,7 @@ absl::StatusOr<std::unique_ptr<Learner>> Learner::Create(const Options& options)
   }
   if (!config.ok()) return config.status();
   CRAFTFLEET_ASSIGN_OR_RETURN(Loaded loaded, Load(options, *config));
+  if (config->checkpoint().keep_fragments()) CRAFTFLEET_RETURN_IF_ERROR(OpenJournal(&loaded));
   std::unique_ptr<Learner> learner(new Learner(options, std::move(loaded)));
   CRAFTFLEET_ASSIGN_OR_RETURN(
       learner->server_,
@@ -180,11 +183,21 @@ absl::StatusOr<Learner::Loaded> Learner::Load(const Options& options, const v1::
   return loaded;
 }
 
+absl::Status Learner::OpenJournal(Loaded* loaded) {
+  CRAFTFLEET_ASSIGN_OR_RETURN(
+      FragmentJournal journal,
+      FragmentJournal::Open(JoinPath(loaded->folder->logdir(), "fragments.journal"), loaded->folder->run_id()));
+  loaded->kept = journal.Read(FragmentShapeOf(loaded->config, loaded->updater->spec()));
+  loaded->journal.emplace(std::move(journal));
+  return absl::OkStatus();
+}
+
 Learner::Learner(const Options& options, Loaded loaded)
     : config_(std::move(loaded.config)),
       clock_(std::move(loaded.clock)),
       folder_(std::move(loaded.folder)),
       updater_(std::move(loaded.updater)),
+      journal_(std::move(loaded.journal)),
       ledger_(LedgerOptions(config_), LaneRecords(config_, loaded.checkpoint.state, updater_->spec().state_size),
               clock_.get()),
       fragments_(FragmentsPerIteration(config_)),
@@ -194,9 +207,9 @@ Learner::Learner(const Options& options, Loaded loaded)
       evaluations_(config_.eval(), loaded.checkpoint, &evaluation_book_, folder_.get()),
       progress_({options.progress_in_place, loaded.checkpoint.state.env_steps(), config_.steps(), folder_->run_id()},
                 options.progress != nullptr ? options.progress : &null_stream_, clock_.get()),
-      trainer_(config_, loaded.checkpoint.state,
+      trainer_(config_, loaded.checkpoint.state, std::move(loaded.kept),
                {folder_.get(), updater_.get(), &ledger_, &weights_, &fragments_, &evaluations_, &progress_,
-                &checkpoint_requests_, clock_.get()}),
+                &checkpoint_requests_, journal_.has_value() ? &*journal_ : nullptr, clock_.get()}),
       service_({folder_->run_id(), folder_->epoch(), config_, loaded.texture_digest,
                 FragmentShapeOf(config_, updater_->spec()), kLease},
                &ledger_, &weights_, &fragments_, &evaluation_book_, &env_servers_, &fleet_),

@@ -4,6 +4,7 @@
 #define CRAFTFLEET_LEARNER_LEARNER_H_
 
 #include <memory>
+#include <optional>
 #include <ostream>
 #include <string>
 
@@ -19,6 +20,7 @@
 #include "learner/evaluation_book.h"
 #include "learner/evaluation_schedule.h"
 #include "learner/fleet_book.h"
+#include "learner/fragment_journal.h"
 #include "learner/lane_ledger.h"
 #include "learner/learner_service.h"
 #include "learner/ppo/ppo_updater.h"
@@ -73,11 +75,13 @@ class Learner {
   Learner(const Options& options, Loaded loaded);
   void FillStatus(v1::StatusReply* reply) const;
   static absl::StatusOr<Loaded> Load(const Options& options, const v1::RunConfig& config);
+  static absl::Status OpenJournal(Loaded* loaded);
 
   const v1::RunConfig config_;
   const std::unique_ptr<Clock> clock_;
   const std::unique_ptr<RunFolder> folder_;
   const std::unique_ptr<PpoUpdater> updater_;
+  std::optional<FragmentJournal> journal_;
   LaneLedger ledger_;
   WeightStore weights_;
   FragmentQueue fragments_;

@@ -21,10 +21,12 @@ constexpr int64_t kMaxWaitingBytes = 64 << 20;          // of logs; 100,000 epis
 
 }  // namespace
 
-Trainer::Trainer(const v1::RunConfig& config, const v1::CheckpointState& state, const Parts& parts)
+Trainer::Trainer(const v1::RunConfig& config, const v1::CheckpointState& state, std::vector<Fragment> kept,
+                 const Parts& parts)
     : config_(config),
       parts_(parts),
       meter_(parts.clock, Activity::kOther),
+      kept_(std::move(kept)),
       policy_version_(state.policy_version()),
       lanes_(parts.ledger->Records()),
       train_seconds_(state.train_seconds()),
@@ -45,6 +47,7 @@ absl::Status Trainer::Run() {
   if (status.ok()) parts_.evaluations->OnEnd(counters_.env_steps, weights_, [this] { return stopping_.load(); });
   if (status.ok() && !stopping_) {
     parts_.ledger->Finish();
+    if (parts_.journal != nullptr) parts_.journal->Clear().IgnoreError();  // it is of no use any more
   } else {
     parts_.ledger->Close();
   }
@@ -69,9 +72,10 @@ absl::Status Trainer::RunIteration() {
   }
   meter_.BeginCycle();
   const int64_t iteration = counters_.iteration;
+  std::vector<Fragment> fragments = TakeKept();
   parts_.ledger->OpenIteration((iteration + 1) * fragments_per_lane(), policy_version_);
   meter_.Switch(Activity::kIntake);
-  CRAFTFLEET_ASSIGN_OR_RETURN(const std::vector<Fragment> fragments, Collect());
+  CRAFTFLEET_RETURN_IF_ERROR(Collect(&fragments));
   meter_.Switch(Activity::kOther);
 
   Rollout rollout;
@@ -91,29 +95,50 @@ absl::Status Trainer::RunIteration() {
   return absl::OkStatus();
 }
 
-absl::StatusOr<std::vector<Fragment>> Trainer::Collect() {
+std::vector<Fragment> Trainer::TakeKept() {
+  std::vector<Fragment> taken;
+  const int64_t last = (counters_.iteration + 1) * fragments_per_lane();
+  for (Fragment& fragment : kept_) {
+    if (fragment.policy_version != policy_version_ || fragment.number >= last) continue;
+    const Permit permit = {fragment.lane, fragment.number, fragment.policy_version};
+    if (parts_.ledger->Restore(permit, fragment.snapshot)) taken.push_back(std::move(fragment));
+  }
+  kept_.clear();
+  if (!taken.empty()) LogInfo("%d fragments of iteration %d were kept", taken.size(), counters_.iteration + 1);
+  if (parts_.journal == nullptr || !taken.empty()) return taken;
+  if (const absl::Status status = parts_.journal->Clear(); !status.ok()) LogError("%s", status.message());
+  return taken;
+}
+
+void Trainer::Keep(const Fragment& fragment) {
+  if (parts_.journal == nullptr) return;
+  const absl::Status status = parts_.journal->Append(fragment);
+  if (!status.ok()) LogError("%s; the rest of this iteration is not kept", status.message());
+}
+
+absl::Status Trainer::Collect(std::vector<Fragment>* fragments) {
   const size_t wanted = static_cast<size_t>(config_.lanes()) * fragments_per_lane();
-  std::vector<Fragment> fragments;
   absl::Time last_news = parts_.clock->Now();
-  while (fragments.size() < wanted) {
+  while (fragments->size() < wanted) {
     if (stopping_) return absl::CancelledError("stopping");
     std::optional<Fragment> fragment = parts_.fragments->Pop(kProgressTick);
     if (fragment.has_value()) {
-      fragments.push_back(*std::move(fragment));
+      Keep(*fragment);
+      fragments->push_back(*std::move(fragment));
       last_news = parts_.clock->Now();
     } else if (parts_.clock->Now() - last_news > kSayWaiting) {
       last_news = parts_.clock->Now();
-      LogInfo("waiting for actors: %d of %d fragments are here, %d actors have joined", fragments.size(), wanted,
+      LogInfo("waiting for actors: %d of %d fragments are here, %d actors have joined", fragments->size(), wanted,
               parts_.ledger->Actors().size());
     }
     ServeCheckpointRequests();
-    parts_.progress->Update(counters_.env_steps + static_cast<int64_t>(fragments.size()) * config_.fragment_steps(),
+    parts_.progress->Update(counters_.env_steps + static_cast<int64_t>(fragments->size()) * config_.fragment_steps(),
                             parts_.folder->score());
   }
-  std::sort(fragments.begin(), fragments.end(), [](const Fragment& a, const Fragment& b) {
+  std::sort(fragments->begin(), fragments->end(), [](const Fragment& a, const Fragment& b) {
     return std::tie(a.lane, a.number) < std::tie(b.lane, b.number);
   });
-  return fragments;
+  return absl::OkStatus();
 }
 
 absl::Status Trainer::FinishIteration(const std::vector<Fragment>& fragments, const UpdateStats& stats) {

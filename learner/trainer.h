@@ -22,6 +22,7 @@
 #include "craftfleet/v1/status.pb.h"
 #include "learner/checkpoint_requests.h"
 #include "learner/evaluation_schedule.h"
+#include "learner/fragment_journal.h"
 #include "learner/lane_ledger.h"
 #include "learner/learner_service.h"
 #include "learner/ppo/ppo_updater.h"
@@ -54,11 +55,13 @@ class Trainer {
     EvaluationSchedule* evaluations;
     ProgressPrinter* progress;
     CheckpointRequests* checkpoints;
+    FragmentJournal* journal;  // null: fragments are not kept
     Clock* clock;
   };
 
-  // Begins after `state`, whose weights and optimiser are in the updater.
-  Trainer(const v1::RunConfig& config, const v1::CheckpointState& state, const Parts& parts);
+  // Begins after `state`, whose weights and optimiser are in the updater. `kept`: what the journal had.
+  Trainer(const v1::RunConfig& config, const v1::CheckpointState& state, std::vector<Fragment> kept,
+          const Parts& parts);
 
   // Trains until the configured steps are done, and evaluates then, or until Stop is called; both end with a checkpoint
   // of the last finished iteration.
@@ -76,7 +79,12 @@ class Trainer {
  private:
   // Cancelled: Stop was called.
   absl::Status RunIteration();
-  absl::StatusOr<std::vector<Fragment>> Collect();
+  // Those of `kept_` that belong to the iteration that begins; the ledger knows of them then.
+  std::vector<Fragment> TakeKept();
+  // Keeps `fragment` in the journal, if there is one.
+  void Keep(const Fragment& fragment);
+  // Waits for what is missing in `fragments`; puts them in order.
+  absl::Status Collect(std::vector<Fragment>* fragments);
   absl::Status FinishIteration(const std::vector<Fragment>& fragments, const UpdateStats& stats);
   // Makes the updater's weights those that are played and evaluated.
   void PublishWeights();
@@ -111,6 +119,8 @@ class Trainer {
   std::atomic<bool> stopping_{false};
   TrainerCounters counters_;
   ActivityMeter meter_;
+
+  std::vector<Fragment> kept_;  // by an earlier start, until the first iteration begins
 
   // The run at the end of the last finished iteration: what a checkpoint holds.
   int64_t policy_version_;

@@ -26,6 +26,8 @@ class AppendFile {
   // Hands all that waits to the system. On failure the file is as long as before, and all of it waits on.
   //   ResourceExhausted: disk, quota or file size limit full.
   absl::Status Flush();
+  // Forgets what waits.
+  void DropWaiting() { waiting_.clear(); }
 
   // Makes all that was flushed durable.
   absl::Status Sync();

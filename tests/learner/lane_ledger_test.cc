@@ -172,6 +172,17 @@ TEST(LaneLedger, GoesOnFromGivenRecords) {
   EXPECT_EQ(book.ledger.Snapshot(0, 7).value(), (LaneSnapshot{"seven", {7}}));
 }
 
+TEST(LaneLedger, TakesOverWhatAnEarlierStartAccepted) {
+  Book book({{5, {"before 5", {}}}, {6, {"before 6", {}}}}, 7);
+  EXPECT_TRUE(book.ledger.Restore({0, 5, kVersion}, {"after 5", {}}));
+  EXPECT_FALSE(book.ledger.Restore({0, 5, kVersion}, {"again", {}}));
+  EXPECT_FALSE(book.ledger.Restore({1, 7, kVersion}, {"too far", {}}));
+  EXPECT_EQ(book.ledger.Snapshot(0, 6).value().game, "after 5");
+  EXPECT_THAT(book.Enter("a"), ElementsAre(Permit{0, 6, kVersion}, Permit{1, 6, kVersion}));
+  EXPECT_FALSE(book.ledger.Restore({1, 6, kVersion}, {"late", {}})) << "it is being played";
+  EXPECT_EQ(book.Push("a", {1, 6, kVersion}), Verdict::kAccepted);
+}
+
 TEST(LaneLedger, AnUnknownActorMustJoin) {
   Book book(1);
   EXPECT_THAT(book.ledger.GetPermits("stranger", {}, kAll, absl::InfiniteDuration()),

@@ -1,0 +1,90 @@
+#include "learner/fragment_journal.h"
+
+#include <cstdint>
+#include <utility>
+
+#include <absl/strings/string_view.h>
+
+#include "common/crc32c.h"
+#include "common/files.h"
+#include "common/status_macros.h"
+
+namespace craftfleet {
+namespace {
+
+constexpr size_t kHeadBytes = 8;  // size and checksum
+
+void PutNumber(uint32_t number, std::string* out) {
+  for (int shift = 0; shift < 32; shift += 8) out->push_back(static_cast<char>(number >> shift));
+}
+
+uint32_t NumberAt(absl::string_view bytes) {
+  uint32_t number = 0;
+  for (int i = 0; i < 4; ++i) number |= static_cast<uint32_t>(static_cast<uint8_t>(bytes[i])) << (8 * i);
+  return number;
+}
+
+// Takes the first record off `bytes`; nothing: there is no whole one.
+std::optional<absl::string_view> NextRecord(absl::string_view* bytes) {
+  if (bytes->size() < kHeadBytes) return std::nullopt;
+  const uint32_t size = NumberAt(*bytes);
+  if (bytes->size() - kHeadBytes < size) return std::nullopt;
+  const absl::string_view record = bytes->substr(kHeadBytes, size);
+  if (Crc32c(record) != NumberAt(bytes->substr(4))) return std::nullopt;
+  bytes->remove_prefix(kHeadBytes + size);
+  return record;
+}
+
+}  // namespace
+
+absl::StatusOr<FragmentJournal> FragmentJournal::Open(const std::string& path, const std::string& run_id) {
+  CRAFTFLEET_ASSIGN_OR_RETURN(AppendFile file, AppendFile::Open(path));
+  return FragmentJournal(run_id, std::move(file));
+}
+
+std::vector<Fragment> FragmentJournal::Read(const wire::FragmentShape& shape) {
+  std::vector<Fragment> fragments;
+  const std::string file = ReadFile(file_.path()).value_or("");
+  absl::string_view rest = file;
+  size_t sound = 0;  // bytes
+  if (NextRecord(&rest) == absl::string_view(run_id_)) {
+    sound = file.size() - rest.size();
+    while (const std::optional<absl::string_view> record = NextRecord(&rest)) {
+      v1::FragmentMessage message;
+      if (!message.ParseFromArray(record->data(), static_cast<int>(record->size()))) break;
+      absl::StatusOr<Fragment> fragment = wire::FromProto(&message, shape);
+      if (!fragment.ok()) break;
+      fragments.push_back(*std::move(fragment));
+      sound = file.size() - rest.size();
+    }
+  }
+  failed_ = !file_.TruncateTo(static_cast<int64_t>(sound)).ok();
+  return fragments;
+}
+
+absl::Status FragmentJournal::Append(const Fragment& fragment) {
+  if (failed_) return absl::OkStatus();
+  if (file_.length() == 0) CRAFTFLEET_RETURN_IF_ERROR(AppendRecord(run_id_));
+  return AppendRecord(wire::ToProto(fragment).SerializeAsString());
+}
+
+absl::Status FragmentJournal::Clear() {
+  file_.DropWaiting();
+  CRAFTFLEET_RETURN_IF_ERROR(file_.TruncateTo(0));
+  failed_ = false;
+  return absl::OkStatus();
+}
+
+absl::Status FragmentJournal::AppendRecord(absl::string_view bytes) {
+  std::string head;
+  PutNumber(static_cast<uint32_t>(bytes.size()), &head);
+  PutNumber(Crc32c(bytes), &head);
+  file_.Append(head);
+  file_.Append(bytes);
+  absl::Status status = file_.Flush();
+  failed_ = !status.ok();
+  if (failed_) file_.DropWaiting();
+  return status;
+}
+
+}  // namespace craftfleet
