@@ -6,6 +6,7 @@
 #include <string>
 #include <vector>
 
+#include <absl/strings/str_replace.h>
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
@@ -129,6 +130,43 @@ class RecurrentFleetTest : public FleetTest {
 TEST_F(RecurrentFleetTest, ThreeActorsAndTwoServersWithKillsEqualOneProcess) { PlayWithKills(); }
 
 TEST_F(RecurrentFleetTest, AFleetOutlivesItsLearner) { OutliveTheLearner(); }
+
+// The learner keeps the fragments of the iteration under way.
+class KeepingFleetTest : public FleetTest {
+ protected:
+  void SetUp() override {
+    TrainQuietly(
+        absl::StrReplaceAll(kRecurrentConfig, {{"every_iterations: 2", "every_iterations: 1  keep_fragments: true"}}));
+  }
+  static size_t KeptBytes(const std::string& run) { return ReadFile(Logdir(run) + "/fragments.journal")->size(); }
+  // Stops `actor` within an iteration.
+  static void StopWithin(const std::string& run, Process* actor) {
+    for (int i = 0; i < 100; ++i) {
+      while (KeptBytes(run) == 0) absl::SleepFor(absl::Milliseconds(1));
+      actor->Signal(SIGSTOP);
+      absl::SleepFor(absl::Milliseconds(200));
+      if (KeptBytes(run) > 0) return;
+      actor->Signal(SIGCONT);
+    }
+    FAIL() << "no iteration was met halfway";
+  }
+};
+
+TEST_F(KeepingFleetTest, WhatAKilledLearnerHadTakenInIsNotPlayedAgain) {
+  auto learner = StartLearner("kept", "127.0.0.1:0");
+  const auto server = StartServer("kept-server");
+  const std::string learner_address = learner->WaitForAddress().value();
+  const auto actor = StartActor("kept-actor", learner_address, server->WaitForAddress().value());
+  WaitForCheckpoint("kept", 3);
+  StopWithin("kept", actor.get());
+  learner->Kill();
+  learner = StartLearner("kept", learner_address, {"--resume"});
+  actor->Signal(SIGCONT);
+  EXPECT_EQ(learner->Wait(kPatience), 0) << learner->Err();
+  EXPECT_THAT(learner->Err(), testing::ContainsRegex("[0-9]+ fragments of iteration [0-9]+ were kept"));
+  ExpectLikeQuiet("kept");
+  EXPECT_EQ(KeptBytes("kept"), 0) << "they are of no use after the run";
+}
 
 }  // namespace
 }  // namespace craftfleet
