@@ -69,7 +69,6 @@ absl::Status FragmentJournal::Append(const Fragment& fragment) {
 }
 
 absl::Status FragmentJournal::Clear() {
-  file_.DropWaiting();
   CRAFTFLEET_RETURN_IF_ERROR(file_.TruncateTo(0));
   failed_ = false;
   return absl::OkStatus();

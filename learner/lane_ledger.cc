@@ -279,12 +279,12 @@ std::vector<Permit> LaneLedger::GrantTo(Actor* actor) {
       --room;
     }
   }
-  return granted.empty() && actor->permits == 0 && lapsed_ > lapsed_before_ ? GrantBackup(actor) : granted;
+  return granted.empty() && actor->permits == 0 && lapsed_ > lapsed_before_ ? GrantBackup(actor, shares) : granted;
 }
 
-std::vector<Permit> LaneLedger::GrantBackup(Actor* actor) {
+std::vector<Permit> LaneLedger::GrantBackup(Actor* actor, const Shares& shares) {
   const absl::Time now = clock_->Now();
-  const int most = std::min(actor->capacity, FairShares().Most());
+  const int most = std::min(actor->capacity, shares.Most());
   std::vector<Permit> granted;
   for (Lane& lane : lanes_) {
     if (actor->permits >= most) break;
@@ -338,19 +338,17 @@ void LaneLedger::EndPermit(Lane* lane) {
   lane->since = clock_->Now();
 }
 
-void LaneLedger::TakeBack(Lane* lane, const Actor* actor) {
-  if (lane->backup == actor) {
-    --lane->backup->permits;
-    lane->backup = nullptr;
-  } else if (lane->holder == actor && lane->backup != nullptr) {
-    --lane->holder->permits;
-    SetHolder(lane, lane->backup);
-    lane->backup = nullptr;
-  } else if (lane->holder == actor) {
+void LaneLedger::TakeBack(Lane* lane, Actor* actor) {
+  if (!IsPlayer(*lane, actor)) return;
+  if (lane->backup == nullptr) {
     EndPermit(lane);
     SetHolder(lane, nullptr);
     lane->since = absl::InfinitePast();  // anybody may have it at once
+    return;
   }
+  --actor->permits;
+  if (lane->holder == actor) SetHolder(lane, lane->backup);
+  lane->backup = nullptr;
 }
 
 }  // namespace craftfleet

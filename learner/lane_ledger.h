@@ -162,15 +162,15 @@ class LaneLedger {
   bool IsPausing(const Actor& actor) const ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
   std::vector<Permit> GrantTo(Actor* actor) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
   // Fragments of others for it to play too.
-  std::vector<Permit> GrantBackup(Actor* actor) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
+  std::vector<Permit> GrantBackup(Actor* actor, const Shares& shares) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
   Claim ClaimOn(const Lane& lane, const Actor& actor, const Shares& shares, absl::Time now) const;
   Shares FairShares() const ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
   static bool IsPlayer(const Lane& lane, const Actor* actor) { return lane.holder == actor || lane.backup == actor; }
   static void SetHolder(Lane* lane, Actor* actor);
   // Nobody plays its fragment any more.
   void EndPermit(Lane* lane);
-  // `actor`, who has a permit for it, does not play its fragment any more; who plays it too goes on.
-  void TakeBack(Lane* lane, const Actor* actor);
+  // `actor`, if it plays the fragment whose permit is out, does not any more; who plays it too goes on.
+  void TakeBack(Lane* lane, Actor* actor);
 
   const Options options_;
   Clock* const clock_;

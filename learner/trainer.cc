@@ -72,8 +72,9 @@ absl::Status Trainer::RunIteration() {
   }
   meter_.BeginCycle();
   const int64_t iteration = counters_.iteration;
-  std::vector<Fragment> fragments = TakeKept();
-  parts_.ledger->OpenIteration((iteration + 1) * fragments_per_lane(), policy_version_);
+  const int64_t last_fragment = (iteration + 1) * fragments_per_lane();
+  std::vector<Fragment> fragments = TakeKept(last_fragment);
+  parts_.ledger->OpenIteration(last_fragment, policy_version_);
   meter_.Switch(Activity::kIntake);
   CRAFTFLEET_RETURN_IF_ERROR(Collect(&fragments));
   meter_.Switch(Activity::kOther);
@@ -95,11 +96,10 @@ absl::Status Trainer::RunIteration() {
   return absl::OkStatus();
 }
 
-std::vector<Fragment> Trainer::TakeKept() {
+std::vector<Fragment> Trainer::TakeKept(int64_t last_fragment) {
   std::vector<Fragment> taken;
-  const int64_t last = (counters_.iteration + 1) * fragments_per_lane();
   for (Fragment& fragment : kept_) {
-    if (fragment.policy_version != policy_version_ || fragment.number >= last) continue;
+    if (fragment.policy_version != policy_version_ || fragment.number >= last_fragment) continue;
     const Permit permit = {fragment.lane, fragment.number, fragment.policy_version};
     if (parts_.ledger->Restore(permit, fragment.snapshot)) taken.push_back(std::move(fragment));
   }

@@ -79,8 +79,9 @@ class Trainer {
  private:
   // Cancelled: Stop was called.
   absl::Status RunIteration();
-  // Those of `kept_` that belong to the iteration that begins; the ledger knows of them then.
-  std::vector<Fragment> TakeKept();
+  // Those of `kept_` that belong to the iteration that begins and goes up to `last_fragment` (excluded) of each lane;
+  // the ledger knows of them then.
+  std::vector<Fragment> TakeKept(int64_t last_fragment);
   // Keeps `fragment` in the journal, if there is one.
   void Keep(const Fragment& fragment);
   // Waits for what is missing in `fragments`; puts them in order.

@@ -2,6 +2,7 @@
 // nothing.
 
 #include <csignal>
+#include <filesystem>
 #include <memory>
 #include <string>
 #include <vector>
@@ -138,11 +139,15 @@ class KeepingFleetTest : public FleetTest {
     TrainQuietly(
         absl::StrReplaceAll(kRecurrentConfig, {{"every_iterations: 2", "every_iterations: 1  keep_fragments: true"}}));
   }
-  static size_t KeptBytes(const std::string& run) { return ReadFile(Logdir(run) + "/fragments.journal")->size(); }
+  static uintmax_t KeptBytes(const std::string& run) {
+    return std::filesystem::file_size(Logdir(run) + "/fragments.journal");
+  }
   // Stops `actor` within an iteration.
   static void StopWithin(const std::string& run, Process* actor) {
-    for (int i = 0; i < 100; ++i) {
-      while (KeptBytes(run) == 0) absl::SleepFor(absl::Milliseconds(1));
+    const absl::Time deadline = absl::Now() + kPatience;
+    while (absl::Now() < deadline) {
+      absl::SleepFor(absl::Milliseconds(1));
+      if (KeptBytes(run) == 0) continue;
       actor->Signal(SIGSTOP);
       absl::SleepFor(absl::Milliseconds(200));
       if (KeptBytes(run) > 0) return;

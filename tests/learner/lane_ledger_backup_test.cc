@@ -12,7 +12,6 @@
 namespace craftfleet {
 namespace {
 
-using testing::ElementsAre;
 using testing::IsEmpty;
 using testing::SizeIs;
 
@@ -51,6 +50,12 @@ class BackupTest : public testing::Test {
     for (const Permit& permit : of_a_) ASSERT_EQ(Push("a", permit), Verdict::kAccepted);
     clock_.Advance(absl::Milliseconds(1001));
   }
+  // "a" is done and also plays what "b" has.
+  void PlayTwice() {
+    LoseOne();
+    FinishA();
+    ASSERT_EQ(Ask("a").granted, of_b_);
+  }
 
   FakeClock clock_;
   LaneLedger ledger_{{4, absl::Seconds(5), absl::Seconds(1), absl::Seconds(2)}, std::vector<LaneRecord>(4), &clock_};
@@ -80,9 +85,7 @@ TEST_F(BackupTest, AnIdleActorAlsoPlaysWhatAnotherHasHadForAWhile) {
 }
 
 TEST_F(BackupTest, NoThirdPlaysIt) {
-  LoseOne();
-  FinishA();
-  ASSERT_EQ(Ask("a").granted, of_b_);
+  PlayTwice();
   ledger_.Join("c", "");
   clock_.Advance(absl::Milliseconds(1001));
   EXPECT_THAT(Ask("c").granted, IsEmpty());
@@ -95,9 +98,7 @@ TEST_F(BackupTest, WhoIsBusyPlaysNothingTwice) {
 }
 
 TEST_F(BackupTest, WhenOneOfTheTwoIsGoneTheOtherGoesOn) {
-  LoseOne();
-  FinishA();
-  ASSERT_EQ(Ask("a").granted, of_b_);
+  PlayTwice();
   ledger_.Leave("b");
   EXPECT_THAT(Ask("a", of_b_).lost, IsEmpty());
   EXPECT_EQ(ledger_.permits(), 2);
@@ -105,9 +106,7 @@ TEST_F(BackupTest, WhenOneOfTheTwoIsGoneTheOtherGoesOn) {
 }
 
 TEST_F(BackupTest, WhenTheBackupIsGoneAnotherMayBeIt) {
-  LoseOne();
-  FinishA();
-  ASSERT_EQ(Ask("a").granted, of_b_);
+  PlayTwice();
   ledger_.Leave("a");
   EXPECT_EQ(ledger_.permits(), 2);
   ledger_.Join("c", "");
@@ -115,18 +114,14 @@ TEST_F(BackupTest, WhenTheBackupIsGoneAnotherMayBeIt) {
 }
 
 TEST_F(BackupTest, WhatTheBackupGivesBackTheHolderKeeps) {
-  LoseOne();
-  FinishA();
-  ASSERT_EQ(Ask("a").granted, of_b_);
+  PlayTwice();
   Ask("a", {of_b_[1]});
   EXPECT_EQ(Push("a", of_b_[0]), Verdict::kExpired);
   EXPECT_EQ(Push("b", of_b_[0]), Verdict::kAccepted);
 }
 
 TEST_F(BackupTest, WhatTheHolderGivesBackTheBackupKeeps) {
-  LoseOne();
-  FinishA();
-  ASSERT_EQ(Ask("a").granted, of_b_);
+  PlayTwice();
   Ask("b", {});
   EXPECT_THAT(Ask("a", of_b_).lost, IsEmpty());
   EXPECT_EQ(Push("b", of_b_[0]), Verdict::kExpired);
@@ -134,9 +129,7 @@ TEST_F(BackupTest, WhatTheHolderGivesBackTheBackupKeeps) {
 }
 
 TEST_F(BackupTest, TheNextIterationBeginsAnew) {
-  LoseOne();
-  FinishA();
-  ASSERT_EQ(Ask("a").granted, of_b_);
+  PlayTwice();
   for (const Permit& permit : of_b_) ASSERT_EQ(Push("b", permit), Verdict::kAccepted);
   ledger_.OpenIteration(2, kVersion + 1);
   EXPECT_THAT(Ask("a").granted, SizeIs(2));
