@@ -7,6 +7,7 @@
 
 #include "common/crc32c.h"
 #include "common/files.h"
+#include "common/little_endian.h"
 #include "common/status_macros.h"
 
 namespace craftfleet {
@@ -14,23 +15,13 @@ namespace {
 
 constexpr size_t kHeadBytes = 8;  // size and checksum
 
-void PutNumber(uint32_t number, std::string* out) {
-  for (int shift = 0; shift < 32; shift += 8) out->push_back(static_cast<char>(number >> shift));
-}
-
-uint32_t NumberAt(absl::string_view bytes) {
-  uint32_t number = 0;
-  for (int i = 0; i < 4; ++i) number |= static_cast<uint32_t>(static_cast<uint8_t>(bytes[i])) << (8 * i);
-  return number;
-}
-
 // Takes the first record off `bytes`; nothing: there is no whole one.
 std::optional<absl::string_view> NextRecord(absl::string_view* bytes) {
   if (bytes->size() < kHeadBytes) return std::nullopt;
-  const uint32_t size = NumberAt(*bytes);
+  const auto size = FromLittleEndian<uint32_t>(bytes->substr(0, 4));
   if (bytes->size() - kHeadBytes < size) return std::nullopt;
   const absl::string_view record = bytes->substr(kHeadBytes, size);
-  if (Crc32c(record) != NumberAt(bytes->substr(4))) return std::nullopt;
+  if (Crc32c(record) != FromLittleEndian<uint32_t>(bytes->substr(4, 4))) return std::nullopt;
   bytes->remove_prefix(kHeadBytes + size);
   return record;
 }
@@ -76,8 +67,8 @@ absl::Status FragmentJournal::Clear() {
 
 absl::Status FragmentJournal::AppendRecord(absl::string_view bytes) {
   std::string head;
-  PutNumber(static_cast<uint32_t>(bytes.size()), &head);
-  PutNumber(Crc32c(bytes), &head);
+  AppendLittleEndian(static_cast<uint32_t>(bytes.size()), &head);
+  AppendLittleEndian(Crc32c(bytes), &head);
   file_.Append(head);
   file_.Append(bytes);
   absl::Status status = file_.Flush();

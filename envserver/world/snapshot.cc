@@ -12,6 +12,7 @@
 #include <absl/strings/str_join.h>
 
 #include "common/crc32c.h"
+#include "common/little_endian.h"
 #include "common/status_macros.h"
 #include "envserver/world/appearance.h"
 #include "envserver/world/daylight.h"
@@ -30,9 +31,7 @@ class Writer {
  public:
   template <typename T>
   void Put(T value) {
-    static_assert(std::is_integral_v<T>);
-    const auto bits = static_cast<std::make_unsigned_t<T>>(value);
-    for (size_t i = 0; i < sizeof(T); ++i) bytes_.push_back(static_cast<char>(bits >> (8 * i)));
+    AppendLittleEndian(value, &bytes_);
   }
   void Put(double value) {
     uint64_t bits;
@@ -86,12 +85,7 @@ class Reader {
  private:
   template <typename T>
   T GetRaw() {
-    const absl::string_view bytes = GetBytes(sizeof(T));
-    std::make_unsigned_t<T> bits = 0;
-    for (size_t i = 0; i < bytes.size(); ++i) {
-      bits |= static_cast<std::make_unsigned_t<T>>(static_cast<uint8_t>(bytes[i])) << (8 * i);
-    }
-    return static_cast<T>(bits);
+    return FromLittleEndian<T>(GetBytes(sizeof(T)));
   }
 
   absl::string_view rest_;

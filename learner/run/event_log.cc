@@ -1,9 +1,10 @@
 #include "learner/run/event_log.h"
 
-#include <absl/strings/str_cat.h>
+#include <absl/strings/string_view.h>
 #include <absl/time/time.h>
 
 #include "common/crc32c.h"
+#include "common/little_endian.h"
 #include "common/status_macros.h"
 
 namespace craftfleet {
@@ -11,21 +12,18 @@ namespace {
 
 constexpr char kFileVersion[] = "brain.Event:2";
 
-template <typename T>
-std::string LittleEndian(T value) {
-  std::string bytes;
-  for (size_t i = 0; i < sizeof(T); ++i) bytes.push_back(static_cast<char>(value >> (8 * i)));
-  return bytes;
-}
-
-std::string MaskedCrc(absl::string_view bytes) {
+void AppendMaskedCrc(absl::string_view bytes, std::string* out) {
   const uint32_t crc = Crc32c(bytes);
-  return LittleEndian<uint32_t>(((crc >> 15) | (crc << 17)) + 0xA282EAD8U);
+  AppendLittleEndian<uint32_t>(((crc >> 15) | (crc << 17)) + 0xA282EAD8U, out);
 }
 
 std::string Frame(absl::string_view data) {
-  const std::string length = LittleEndian<uint64_t>(data.size());
-  return absl::StrCat(length, MaskedCrc(length), data, MaskedCrc(data));
+  std::string frame;
+  AppendLittleEndian<uint64_t>(data.size(), &frame);
+  AppendMaskedCrc(std::string(frame), &frame);
+  frame.append(data.data(), data.size());
+  AppendMaskedCrc(data, &frame);
+  return frame;
 }
 
 }  // namespace
