@@ -11,8 +11,8 @@
 
 namespace craftfleet {
 
-EnvClient::EnvClient(wire::Endpoint server, v1::SessionHello hello, int frame_bytes)
-    : server_(std::move(server)),
+EnvClient::EnvClient(const wire::Endpoint& server, v1::SessionHello hello, int frame_bytes)
+    : server_(wire::ConnectApart(server)),
       hello_(std::move(hello)),
       frame_bytes_(frame_bytes),
       stub_(v1::EnvironmentService::NewStub(server_.channel)) {}

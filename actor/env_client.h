@@ -1,4 +1,4 @@
-// One session with one environment server.
+// One session with one environment server, over a connection of its own.
 
 #ifndef CRAFTFLEET_ACTOR_ENV_CLIENT_H_
 #define CRAFTFLEET_ACTOR_ENV_CLIENT_H_
@@ -34,7 +34,7 @@ class EnvClient {
   };
 
   // `hello` is what each session begins with.
-  EnvClient(wire::Endpoint server, v1::SessionHello hello, int frame_bytes);
+  EnvClient(const wire::Endpoint& server, v1::SessionHello hello, int frame_bytes);
   ~EnvClient();
 
   // Begins a session; waits at most `timeout` for the server. `hello` as in the constructor.

@@ -59,7 +59,7 @@ std::vector<int> EnvPool::FollowDirectory() {
   const MutexLock lock(&mu_);
   servers.swap(servers_);
   std::map<size_t, size_t> index_now;  // of servers that stay, by the one they had
-  for (wire::Endpoint& endpoint : directory_->Servers()) {
+  for (const wire::Endpoint& endpoint : directory_->Servers()) {
     const auto known = std::find_if(servers.begin(), servers.end(), [&](const auto& server) {
       return server != nullptr && server->client->address() == endpoint.address;
     });
@@ -69,7 +69,7 @@ std::vector<int> EnvPool::FollowDirectory() {
       continue;
     }
     servers_.push_back(std::make_unique<Server>());
-    servers_.back()->client = std::make_unique<EnvClient>(std::move(endpoint), hello_, frame_bytes_);
+    servers_.back()->client = std::make_unique<EnvClient>(endpoint, hello_, frame_bytes_);
     if (cancelled_) servers_.back()->client->Cancel();
   }
   std::vector<int> closed;

@@ -97,6 +97,10 @@ Endpoint Connect(absl::string_view address, const ChannelSecurity& security) {
           security};
 }
 
+Endpoint ConnectApart(const Endpoint& peer) {
+  return peer.address == kInProcess ? peer : Connect(peer.address, peer.security);
+}
+
 absl::Status CheckAddress(absl::string_view flag, absl::string_view address) {
   if (absl::StartsWith(address, "unix:") && address.size() > 5) return absl::OkStatus();
   const size_t colon = address.rfind(':');

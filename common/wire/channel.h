@@ -50,6 +50,10 @@ grpc::ChannelArguments ClientArguments();
 // Channel to HOST:PORT or unix:PATH. Connects lazily; never fails.
 Endpoint Connect(absl::string_view address, const ChannelSecurity& security = {});
 
+// The same peer over a connection of its own; kInProcess has none. Threads that share a connection wait for each
+// other's messages: a step of games took twice as long.
+Endpoint ConnectApart(const Endpoint& peer);
+
 // InvalidArgument, naming the flag, unless `address` looks like HOST:PORT (port 0..65535) or unix:PATH.
 absl::Status CheckAddress(absl::string_view flag, absl::string_view address);
 

@@ -2,13 +2,9 @@
 
 #include "actor/actor.h"
 
-#include <algorithm>
-#include <atomic>
 #include <memory>
-#include <stdexcept>
 #include <string>
 #include <thread>
-#include <tuple>
 #include <utility>
 #include <vector>
 
@@ -16,15 +12,14 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
-#include "actor/actor_loop.h"
 #include "common/agent/torch_setup.h"
 #include "common/keyed_random.h"
 #include "common/log.h"
 #include "common/seeds.h"
-#include "common/wire/protocol.h"
 #include "envserver/game.h"
-#include "learner/learner_service.h"
+#include "tests/actor/stand_in_learner.h"
 #include "tests/fakes/env_server.h"
+#include "tests/fakes/failing_once_service.h"
 #include "tests/fakes/sample_policy.h"
 #include "tests/fakes/status_matchers.h"
 #include "tests/fakes/temp_folder.h"
@@ -37,90 +32,6 @@ namespace {
 using testing::AllOf;
 using testing::HasSubstr;
 using testing::IsEmpty;
-
-constexpr int kLanes = 4;
-constexpr int kSteps = 8;                      // of a fragment
-constexpr int64_t kFragmentsPerIteration = 2;  // of a lane
-constexpr int kLength = 11;                    // of an episode: one ends in most fragments
-constexpr int kFrameBytes = 64 * 64 * 3;
-
-// Recurrent agents keep the state before each step, which shows all of what happened to it.
-v1::RunConfig Config(const std::string& agent) {
-  v1::RunConfig config;
-  config.set_agent(agent);
-  config.mutable_ppo()->set_recurrent_batches(v1::PpoConfig::PUBLISHED);
-  *config.mutable_env() = SampleHello(kLength).env();
-  config.set_seed(3);
-  config.set_lanes(kLanes);
-  config.set_fragment_steps(kSteps);
-  config.set_tile(2);
-  return config;
-}
-
-wire::FragmentShape Shape(const std::string& agent) {
-  const int state_size = FindAgent(agent)->state_size;
-  return {kLanes, kSteps, kFrameBytes, state_size, kSteps};
-}
-
-std::vector<LaneRecord> NewLanes(const std::string& agent) {
-  return std::vector<LaneRecord>(kLanes, {0, {"", std::vector<float>(FindAgent(agent)->state_size)}});
-}
-
-// A learner that hands out work and learns nothing: iteration i is played with weights i.
-class StandInLearner {
- public:
-  StandInLearner(const std::string& agent, const std::string& address, int64_t epoch, std::vector<LaneRecord> lanes,
-                 const std::string& texture_digest = "")
-      : agent_(agent),
-        ledger_({kLanes}, std::move(lanes), &clock_),
-        service_({"run-a", epoch, Config(agent), texture_digest, Shape(agent), absl::Seconds(5)}, &ledger_, &weights_,
-                 &fragments_, &evaluations_, &env_servers_, &fleet_),
-        server_(*wire::Server::Create({address}, {&service_})) {}
-
-  void Open(int64_t iteration) {
-    Publish(iteration);
-    ledger_.OpenIteration((iteration + 1) * kFragmentsPerIteration, iteration);
-  }
-  // The fragments of the open iteration, in order; fewer after a minute.
-  std::vector<Fragment> Collect() {
-    std::vector<Fragment> fragments;
-    while (fragments.size() < kLanes * kFragmentsPerIteration) {
-      auto fragment = fragments_.Pop(absl::Minutes(1));
-      if (!fragment.has_value()) break;
-      fragments.push_back(*std::move(fragment));
-    }
-    std::sort(fragments.begin(), fragments.end(), [](const Fragment& a, const Fragment& b) {
-      return std::tie(a.lane, a.number) < std::tie(b.lane, b.number);
-    });
-    return fragments;
-  }
-  void Publish(int64_t version) {
-    weights_.Publish(version, std::make_shared<std::string>(SampleWeights(version, agent_)));
-  }
-  // Of each actor. Takes what they sent out of the queue, so that they can play on.
-  std::vector<int> PermitsOut() {
-    while (fragments_.Pop(absl::ZeroDuration()).has_value()) {
-    }
-    std::vector<int> permits;
-    for (const LaneLedger::ActorInfo& actor : ledger_.Actors()) permits.push_back(actor.permits);
-    return permits;
-  }
-  LaneLedger& ledger() { return ledger_; }
-  FragmentQueue& fragments() { return fragments_; }
-  wire::Endpoint Connect() const { return wire::Connect(server_->address()); }
-
- private:
-  const std::string agent_;
-  RealClock clock_;
-  LaneLedger ledger_;
-  EvaluationBook evaluations_{absl::Seconds(5), &clock_};
-  ServerRegistry env_servers_{absl::Seconds(5), &clock_};
-  FleetBook fleet_{absl::Seconds(5), &clock_};
-  WeightStore weights_;
-  FragmentQueue fragments_{100};
-  LearnerServiceImpl service_;
-  std::unique_ptr<wire::Server> server_;
-};
 
 // An actor on a thread of its own.
 class RunningActor {
@@ -335,33 +246,6 @@ TEST_P(ActorTest, StopsWhileItWaitsForWeights) {
   EXPECT_LT(absl::Now() - start, absl::Seconds(3));
 }
 
-// Answers `messages` of its first session, throws then, and is well after that.
-class FailingOnceService : public v1::EnvironmentService::Service {
- public:
-  FailingOnceService(EnvServiceImpl* real, int messages) : real_(real), messages_(messages) {}
-  grpc::Status Play(grpc::ServerContext* context,
-                    grpc::ServerReaderWriter<v1::PlayReply, v1::PlayRequest>* stream) override {
-    if (failed_.exchange(true)) return real_->Play(context, stream);
-    const auto server = *wire::Server::Create({}, {real_});
-    const auto stub = v1::EnvironmentService::NewStub(server->InProcess().channel);
-    grpc::ClientContext inner_context;
-    const auto inner = stub->Play(&inner_context);
-    v1::PlayRequest request;
-    v1::PlayReply reply;
-    for (int i = 0; i < messages_ && stream->Read(&request) && inner->Write(request) && inner->Read(&reply); ++i) {
-      stream->Write(reply);
-    }
-    inner_context.TryCancel();
-    inner->Finish();
-    throw std::runtime_error("out of pixels");
-  }
-
- private:
-  EnvServiceImpl* const real_;
-  const int messages_;
-  std::atomic<bool> failed_{false};
-};
-
 TEST_P(ActorTest, AnEnvironmentThatThrowsCostsAFragment) {
   FailingOnceService failing(env_.service.get(), 5);  // at the third step
   const auto server = *wire::Server::Create({"127.0.0.1:0"}, {&failing});
@@ -372,49 +256,6 @@ TEST_P(ActorTest, AnEnvironmentThatThrowsCostsAFragment) {
   }
   EXPECT_GT(actor.Metric("fragments_abandoned"), 0);
   EXPECT_LE(actor.Metric("fragments_abandoned"), kLanes);
-}
-
-// The second server fails when its game is to be opened, the third when it is to take that game, too: the game that the
-// third one had opened in the same call is gone with it.
-TEST_P(ActorTest, GamesLostWhileOthersOpenAreOpenedAnew) {
-  FailingOnceService second(env_.service.get(), 1);
-  FailingOnceService third(env_.service.get(), 2);
-  const auto first_server = *wire::Server::Create({"unix:" + (folder_ / "1")}, {env_.service.get()});
-  const auto second_server = *wire::Server::Create({"unix:" + (folder_ / "2")}, {&second});
-  const auto third_server = *wire::Server::Create({"unix:" + (folder_ / "3")}, {&third});
-  std::vector<wire::Endpoint> servers;
-  for (const char* name : {"1", "2", "3"}) servers.push_back(wire::Connect("unix:" + (folder_ / name)));
-  learner_->Open(0);
-
-  const LearnerClient client(learner_->Connect());
-  v1::JoinRequest join;
-  join.set_protocol_version(wire::kProtocolVersion);
-  join.set_actor("a loop");
-  ASSERT_THAT(client.Join(join), IsOk());
-  v1::PermitRequest request;
-  request.set_actor("a loop");
-  request.set_epoch(1);
-  request.set_capacity(kLanes);
-  const auto reply = client.GetPermits(request);
-  ASSERT_THAT(reply, IsOk());
-  PermitBook permits(1);
-  for (const v1::Permit& permit : reply->granted()) permits.Add({1, permit.lane(), permit.fragment(), 0});
-
-  const v1::RunConfig config = Config(GetParam());
-  const AgentSpec spec = *MakeAgentSpec(config);
-  PolicySource policies(&client, spec, config.tile());
-  FragmentSender sender(&client, "a loop", &permits);
-  sender.Start();
-  ServerBook book;
-  ActorLoop loop({0, config, kFrameBytes, spec.state_size}, &client, &permits, &policies, &sender,
-                 std::make_unique<EnvPool>(std::make_shared<EnvDirectory>(servers), SampleHello(kLength), kFrameBytes),
-                 &book);
-  std::thread thread([&] { EXPECT_THAT(loop.Run(), IsOk()); });
-  for (int i = 0; i < kLanes; ++i) EXPECT_TRUE(learner_->fragments().Pop(absl::Minutes(1)).has_value());
-  EXPECT_EQ(loop.abandoned(), 0);
-  permits.Close();
-  thread.join();
-  sender.Stop();
 }
 
 // Its games of lanes that others play by now would stay open for ever.

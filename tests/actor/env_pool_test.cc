@@ -6,18 +6,14 @@
 #include <iterator>
 #include <map>
 #include <memory>
-#include <stdexcept>
 #include <string>
-#include <thread>
 #include <utility>
 #include <vector>
 
-#include <absl/strings/str_cat.h>
 #include <absl/time/clock.h>
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
-#include "actor/trouble.h"
 #include "common/process_usage.h"
 #include "tests/fakes/env_server.h"
 #include "tests/fakes/status_matchers.h"
@@ -184,6 +180,20 @@ std::string LanesOn(const EnvServer& server) {
   return status.peers_size() == 1 ? status.peers(0).state() : "no session";
 }
 
+TEST(EnvPool, PoolsOfOneDirectoryShareNoConnection) {
+  const EnvServer server;
+  const auto directory = Listing({server.Connect()});
+  EnvPool one(directory, SampleHello(kLength), kFrameBytes);
+  EnvPool two(directory, SampleHello(kLength), kFrameBytes);
+  Seen seen;
+  ASSERT_THAT(seen.Open(&one, NewLanes({0})), IsOk());
+  ASSERT_THAT(seen.Open(&two, NewLanes({1})), IsOk());
+  v1::StatusReply status;
+  server.service->FillStatus(&status);
+  ASSERT_EQ(status.peers_size(), 2);
+  EXPECT_NE(status.peers(0).address(), status.peers(1).address());
+}
+
 TEST(EnvPool, GamesMoveWhenServersComeAndGo) {
   const EnvServer servers[3];
   const auto directory = EnvDirectory::Parse("envservers", "learner").value();
@@ -326,87 +336,6 @@ TEST(EnvPool, ClosesGames) {
   std::vector<int> lost;
   ASSERT_THAT(pool.Close(two_and_one_that_is_not_open, &lost), IsOk());
   EXPECT_EQ(LanesOn(server), "1 lanes");
-}
-
-// Fails in the middle of a game, as gRPC tells of an exception.
-class ThrowingService : public v1::EnvironmentService::Service {
- public:
-  grpc::Status Play(grpc::ServerContext* /*context*/,
-                    grpc::ServerReaderWriter<v1::PlayReply, v1::PlayRequest>* stream) override {
-    v1::PlayRequest request;
-    stream->Read(&request);
-    stream->Write({});
-    stream->Read(&request);
-    throw std::runtime_error("out of pixels");
-  }
-};
-
-TEST(EnvPool, AServerThatThrowsIsTroubleThatMayPass) {
-  ThrowingService service;
-  const auto server = *wire::Server::Create({"127.0.0.1:0"}, {&service});
-  EnvPool pool(Listing({wire::Connect(server->address())}), SampleHello(kLength), kFrameBytes);
-  std::string frames;
-  std::vector<int> lost;
-  const absl::Status status = pool.Open(NewLanes({0}), &frames, &lost);
-  EXPECT_THAT(status, StatusIs(absl::StatusCode::kUnavailable, HasSubstr(server->address())));
-  EXPECT_TRUE(MayPass(status));
-}
-
-// Greets, then takes requests in and never answers.
-class SilentService : public v1::EnvironmentService::Service {
- public:
-  grpc::Status Play(grpc::ServerContext* /*context*/,
-                    grpc::ServerReaderWriter<v1::PlayReply, v1::PlayRequest>* stream) override {
-    v1::PlayRequest request;
-    stream->Read(&request);
-    stream->Write({});
-    while (stream->Read(&request)) {
-    }
-    return grpc::Status::OK;
-  }
-};
-
-TEST(EnvPool, CancelEndsACallThatWaits) {
-  SilentService service;
-  const auto server = *wire::Server::Create({"127.0.0.1:0"}, {&service});
-  EnvPool pool(Listing({wire::Connect(server->address())}), SampleHello(kLength), kFrameBytes);
-  absl::Status status;
-  std::thread opening([&] {
-    std::string frames;
-    std::vector<int> lost;
-    status = pool.Open(NewLanes({0}), &frames, &lost);
-  });
-  absl::SleepFor(absl::Milliseconds(100));  // most likely it waits by now; if not, it is refused at once
-  pool.Cancel();
-  opening.join();
-  EXPECT_THAT(status, StatusIs(absl::StatusCode::kCancelled, "stopping"));
-  std::string frames;
-  std::vector<int> lost;
-  EXPECT_THAT(pool.Open(NewLanes({0}), &frames, &lost), StatusIs(absl::StatusCode::kCancelled, "stopping"));
-}
-
-// Answers everything with one byte of frames.
-class BabblingService : public v1::EnvironmentService::Service {
- public:
-  grpc::Status Play(grpc::ServerContext* /*context*/,
-                    grpc::ServerReaderWriter<v1::PlayReply, v1::PlayRequest>* stream) override {
-    v1::PlayRequest request;
-    v1::PlayReply reply;
-    reply.set_frames("x");
-    while (stream->Read(&request)) stream->Write(reply);
-    return grpc::Status::OK;
-  }
-};
-
-TEST(EnvPool, ARepliesShapeIsChecked) {
-  BabblingService service;
-  const auto server = *wire::Server::Create({"127.0.0.1:0"}, {&service});
-  EnvPool pool(Listing({wire::Connect(server->address())}), SampleHello(kLength), kFrameBytes);
-  std::string frames;
-  std::vector<int> lost;
-  EXPECT_THAT(pool.Open(NewLanes({0}), &frames, &lost),
-              StatusIs(absl::StatusCode::kInternal, HasSubstr(absl::StrCat("environment server ", server->address(),
-                                                                           ": 1 bytes of frames, want 12288"))));
 }
 
 TEST(EnvPool, LeavesTheLastFilesToOthers) {

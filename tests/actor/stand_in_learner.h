@@ -1,0 +1,112 @@
+// A learner for the actor's tests, and the small run that it hands out.
+
+#ifndef CRAFTFLEET_TESTS_ACTOR_STAND_IN_LEARNER_H_
+#define CRAFTFLEET_TESTS_ACTOR_STAND_IN_LEARNER_H_
+
+#include <algorithm>
+#include <cstdint>
+#include <memory>
+#include <string>
+#include <tuple>
+#include <utility>
+#include <vector>
+
+#include <absl/time/time.h>
+
+#include "common/agent/agent_spec.h"
+#include "common/wire/convert.h"
+#include "common/wire/server.h"
+#include "craftfleet/v1/config.pb.h"
+#include "learner/learner_service.h"
+#include "tests/fakes/env_server.h"
+#include "tests/fakes/sample_policy.h"
+
+namespace craftfleet {
+
+inline constexpr int kLanes = 4;
+inline constexpr int kSteps = 8;                      // of a fragment
+inline constexpr int64_t kFragmentsPerIteration = 2;  // of a lane
+inline constexpr int kLength = 11;                    // of an episode: one ends in most fragments
+inline constexpr int kFrameBytes = 64 * 64 * 3;
+
+// Recurrent agents keep the state before each step, which shows all of what happened to it.
+inline v1::RunConfig Config(const std::string& agent) {
+  v1::RunConfig config;
+  config.set_agent(agent);
+  config.mutable_ppo()->set_recurrent_batches(v1::PpoConfig::PUBLISHED);
+  *config.mutable_env() = SampleHello(kLength).env();
+  config.set_seed(3);
+  config.set_lanes(kLanes);
+  config.set_fragment_steps(kSteps);
+  config.set_tile(2);
+  return config;
+}
+
+inline wire::FragmentShape Shape(const std::string& agent) {
+  const int state_size = FindAgent(agent)->state_size;
+  return {kLanes, kSteps, kFrameBytes, state_size, kSteps};
+}
+
+inline std::vector<LaneRecord> NewLanes(const std::string& agent) {
+  return std::vector<LaneRecord>(kLanes, {0, {"", std::vector<float>(FindAgent(agent)->state_size)}});
+}
+
+// A learner that hands out work and learns nothing: iteration i is played with weights i.
+class StandInLearner {
+ public:
+  StandInLearner(const std::string& agent, const std::string& address, int64_t epoch, std::vector<LaneRecord> lanes,
+                 const std::string& texture_digest = "")
+      : agent_(agent),
+        ledger_({kLanes}, std::move(lanes), &clock_),
+        service_({"run-a", epoch, Config(agent), texture_digest, Shape(agent), absl::Seconds(5)}, &ledger_, &weights_,
+                 &fragments_, &evaluations_, &env_servers_, &fleet_),
+        server_(*wire::Server::Create({address}, {&service_})) {}
+
+  void Open(int64_t iteration) {
+    Publish(iteration);
+    ledger_.OpenIteration((iteration + 1) * kFragmentsPerIteration, iteration);
+  }
+  // The fragments of the open iteration, in order; fewer after a minute.
+  std::vector<Fragment> Collect() {
+    std::vector<Fragment> fragments;
+    while (fragments.size() < kLanes * kFragmentsPerIteration) {
+      auto fragment = fragments_.Pop(absl::Minutes(1));
+      if (!fragment.has_value()) break;
+      fragments.push_back(*std::move(fragment));
+    }
+    std::sort(fragments.begin(), fragments.end(), [](const Fragment& a, const Fragment& b) {
+      return std::tie(a.lane, a.number) < std::tie(b.lane, b.number);
+    });
+    return fragments;
+  }
+  void Publish(int64_t version) {
+    weights_.Publish(version, std::make_shared<std::string>(SampleWeights(version, agent_)));
+  }
+  // Of each actor. Takes what they sent out of the queue, so that they can play on.
+  std::vector<int> PermitsOut() {
+    while (fragments_.Pop(absl::ZeroDuration()).has_value()) {
+    }
+    std::vector<int> permits;
+    for (const LaneLedger::ActorInfo& actor : ledger_.Actors()) permits.push_back(actor.permits);
+    return permits;
+  }
+  LaneLedger& ledger() { return ledger_; }
+  FragmentQueue& fragments() { return fragments_; }
+  wire::Endpoint Connect() const { return wire::Connect(server_->address()); }
+
+ private:
+  const std::string agent_;
+  RealClock clock_;
+  LaneLedger ledger_;
+  EvaluationBook evaluations_{absl::Seconds(5), &clock_};
+  ServerRegistry env_servers_{absl::Seconds(5), &clock_};
+  FleetBook fleet_{absl::Seconds(5), &clock_};
+  WeightStore weights_;
+  FragmentQueue fragments_{100};
+  LearnerServiceImpl service_;
+  std::unique_ptr<wire::Server> server_;
+};
+
+}  // namespace craftfleet
+
+#endif  // CRAFTFLEET_TESTS_ACTOR_STAND_IN_LEARNER_H_
