@@ -123,6 +123,8 @@ absl::StatusOr<EnvBatch> EnvServiceImpl::Greet(const v1::SessionHello& hello) co
   const wire::Handshake ours = {wire::kProtocolVersion, "", texture_digest_};
   const wire::Handshake theirs = {hello.protocol_version(), hello.run_id(), hello.texture_digest()};
   CRAFTFLEET_RETURN_IF_ERROR(wire::CheckHandshake("environment server", ours, "actor", theirs));
+  CRAFTFLEET_RETURN_IF_ERROR(wire::CheckText("client", hello.client()));
+  CRAFTFLEET_RETURN_IF_ERROR(wire::CheckText("run_id", hello.run_id()));
   CRAFTFLEET_ASSIGN_OR_RETURN(const EnvName name, EnvName::Parse(hello.env().name()));
   WorldOptions world = WorldOptions::FromEnvName(name);
   if (hello.env().length() != 0) world.length = hello.env().length();

@@ -68,6 +68,9 @@ grpc::Status AdminServiceImpl::Resume(grpc::ServerContext* context, const v1::Re
 grpc::Status AdminServiceImpl::Drain(grpc::ServerContext* context, const v1::DrainRequest* request,
                                      v1::DrainReply* reply) {
   LogInfo("admin %s: drain %s", context->peer(), request->worker());
+  if (request->worker().empty()) {  // which is the address of a worker without one
+    return wire::ToGrpc(absl::InvalidArgumentError("worker is empty, want a name or an address"));
+  }
   for (const LaneLedger::ActorInfo& actor : parts_.ledger->Actors()) {
     if (actor.name != request->worker() && actor.address != request->worker()) continue;
     reply->set_role("actor");

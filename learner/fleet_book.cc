@@ -10,11 +10,14 @@ namespace craftfleet {
 namespace {
 
 constexpr char kEnvServer[] = "envserver";
+constexpr size_t kMaxNameBytes = 32;                    // of an activity
 constexpr absl::Duration kRelayed = absl::Seconds(10);  // actors speak of their servers in turn, so less often
 
 // What a worker sent, cut to what a page has room for.
 v1::ProcessSummary Cut(v1::ProcessSummary summary) {
-  if (summary.times_size() > kNumActivities) summary.clear_times();
+  const bool known = std::all_of(summary.times().begin(), summary.times().end(),
+                                 [](const v1::ActivityTime& time) { return time.activity().size() <= kMaxNameBytes; });
+  if (summary.times_size() > kNumActivities || !known) summary.clear_times();
   if (summary.last_error().size() > wire::kMaxErrorBytes) summary.mutable_last_error()->resize(wire::kMaxErrorBytes);
   return summary;
 }

@@ -9,6 +9,7 @@
 #include "common/files.h"
 #include "common/little_endian.h"
 #include "common/status_macros.h"
+#include "common/wire/protocol.h"
 
 namespace craftfleet {
 namespace {
@@ -19,7 +20,7 @@ constexpr size_t kHeadBytes = 8;  // size and checksum
 std::optional<absl::string_view> NextRecord(absl::string_view* bytes) {
   if (bytes->size() < kHeadBytes) return std::nullopt;
   const auto size = FromLittleEndian<uint32_t>(bytes->substr(0, 4));
-  if (bytes->size() - kHeadBytes < size) return std::nullopt;
+  if (size > wire::kMaxMessageBytes || bytes->size() - kHeadBytes < size) return std::nullopt;
   const absl::string_view record = bytes->substr(kHeadBytes, size);
   if (Crc32c(record) != FromLittleEndian<uint32_t>(bytes->substr(4, 4))) return std::nullopt;
   bytes->remove_prefix(kHeadBytes + size);

@@ -20,7 +20,7 @@ namespace {
 
 constexpr int kMaxWaitMs = 2000;          // of a long poll
 constexpr size_t kChunkBytes = 2u << 20;  // of weights
-constexpr size_t kMaxTextBytes = 512;     // name, address or CPU of a worker
+constexpr int kMaxServersTold = 64;       // environment servers of which an actor speaks at once
 
 absl::Duration WaitTime(int wait_ms) { return absl::Milliseconds(std::clamp(wait_ms, 0, kMaxWaitMs)); }
 
@@ -35,16 +35,9 @@ void AddPermits(const std::vector<Permit>& permits, google::protobuf::RepeatedPt
   }
 }
 
-// What a worker says of itself is kept: it must not be of any size.
-absl::Status CheckText(absl::string_view field, absl::string_view value) {
-  if (value.size() <= kMaxTextBytes) return absl::OkStatus();
-  return absl::InvalidArgumentError(
-      absl::StrFormat("%s has %d bytes, want at most %d", field, value.size(), kMaxTextBytes));
-}
-
 absl::Status CheckName(absl::string_view field, absl::string_view name) {
   if (name.empty()) return absl::InvalidArgumentError(absl::StrFormat("%s is empty, want a unique name", field));
-  return CheckText(field, name);
+  return wire::CheckText(field, name);
 }
 
 v1::FragmentVerdict::Verdict ToProto(LaneLedger::Verdict verdict) {
@@ -81,8 +74,8 @@ grpc::Status LearnerServiceImpl::Join(grpc::ServerContext* /*context*/, const v1
     return wire::ToGrpc(status);
   }
   if (absl::Status status = CheckName("actor", request->actor()); !status.ok()) return wire::ToGrpc(status);
-  if (absl::Status status = CheckText("address", request->address()); !status.ok()) return wire::ToGrpc(status);
-  if (absl::Status status = CheckText("cpu", request->cpu()); !status.ok()) return wire::ToGrpc(status);
+  if (absl::Status status = wire::CheckText("address", request->address()); !status.ok()) return wire::ToGrpc(status);
+  if (absl::Status status = wire::CheckText("cpu", request->cpu()); !status.ok()) return wire::ToGrpc(status);
   WarnIfCpusDiffer(*request);
   ledger_->Join(request->actor(), request->address());
   fleet_->Heard("actor", request->actor(), request->address(), {});
@@ -98,6 +91,7 @@ grpc::Status LearnerServiceImpl::Join(grpc::ServerContext* /*context*/, const v1
 grpc::Status LearnerServiceImpl::GetPermits(grpc::ServerContext* context, const v1::PermitRequest* request,
                                             v1::PermitReply* reply) {
   if (absl::Status status = CheckEpoch(request->epoch()); !status.ok()) return wire::ToGrpc(status);
+  if (absl::Status status = CheckName("actor", request->actor()); !status.ok()) return wire::ToGrpc(status);
   evaluations_->Renew(request->actor(), request->evaluation());
   std::vector<Permit> active;
   for (const v1::Permit& permit : request->active()) active.push_back(FromProto(permit));
@@ -109,7 +103,10 @@ grpc::Status LearnerServiceImpl::GetPermits(grpc::ServerContext* context, const 
     return grpc::Status::CANCELLED;
   }
   fleet_->Heard("actor", request->actor(), "", request->summary());
-  for (const v1::Peer& server : request->env_servers()) fleet_->HeardOf(server);
+  for (int i = 0; i < std::min(request->env_servers_size(), kMaxServersTold); ++i) {
+    const v1::Peer& server = request->env_servers(i);
+    if (wire::CheckText("address", server.address()).ok()) fleet_->HeardOf(server);
+  }
   AddPermits(grant->granted, reply->mutable_granted());
   AddPermits(grant->lost, reply->mutable_lost());
   reply->set_finished(grant->finished);
@@ -235,7 +232,7 @@ grpc::Status LearnerServiceImpl::Announce(grpc::ServerContext* /*context*/, cons
   const wire::Handshake theirs = {request->protocol_version(), "", request->texture_digest()};
   absl::Status status = wire::CheckHandshake("learner", ours, "environment server", theirs);
   if (status.ok()) status = CheckName("name", request->name());
-  if (status.ok()) status = CheckText("address", request->address());
+  if (status.ok()) status = wire::CheckText("address", request->address());
   if (status.ok()) status = wire::CheckAddress("advertise", request->address());
   if (!status.ok()) {
     LogWarning("environment server %s refused: %s", request->name(), status.message());

@@ -114,8 +114,8 @@ bool HttpServer::Serve(Connection* connection) {
     connection->request.append(bytes, static_cast<size_t>(count));
     const bool whole = absl::StrContains(connection->request, "\r\n\r\n");
     if (!whole && connection->request.size() < kMaxRequestBytes) return true;
-    connection->response =
-        whole ? Answer(connection->request) : Format({431, "text/plain", "the request is too long\n"}, true);
+    connection->response = whole ? AnswerHttp(connection->request, respond_)
+                                 : Format({431, "text/plain", "the request is too long\n"}, true);
     return true;
   }
   const ssize_t count = send(connection->descriptor, connection->response.data() + connection->sent,
@@ -125,13 +125,13 @@ bool HttpServer::Serve(Connection* connection) {
   return connection->sent < connection->response.size();
 }
 
-std::string HttpServer::Answer(absl::string_view request) const {
+std::string AnswerHttp(absl::string_view request, const HttpServer::Respond& respond) {
   const std::vector<absl::string_view> words = absl::StrSplit(request.substr(0, request.find("\r\n")), ' ');
   if (words.size() != 3 || !absl::StartsWith(words[2], "HTTP/1.")) {
     return Format({400, "text/plain", "no HTTP/1 request\n"}, true);
   }
   if (words[0] != "GET" && words[0] != "HEAD") return Format({405, "text/plain", "want GET\n"}, true);
-  return Format(respond_(words[1].substr(0, words[1].find('?'))), words[0] == "GET");
+  return Format(respond(words[1].substr(0, words[1].find('?'))), words[0] == "GET");
 }
 
 }  // namespace craftfleet::wire

@@ -57,7 +57,6 @@ class HttpServer {
   void TakeNew() ABSL_LOCKS_EXCLUDED(mu_);
   // Reads or writes what there is. False: the connection has ended.
   bool Serve(Connection* connection);
-  std::string Answer(absl::string_view request) const;
 
   const Respond respond_;
   std::unique_ptr<Listener> listener_;
@@ -68,6 +67,9 @@ class HttpServer {
   Mutex mu_;
   std::vector<int> new_ ABSL_GUARDED_BY(mu_);  // descriptors, from the listener's thread
 };
+
+// The whole answer to `request`, which is whatever came until the first empty line.
+std::string AnswerHttp(absl::string_view request, const HttpServer::Respond& respond);
 
 }  // namespace craftfleet::wire
 

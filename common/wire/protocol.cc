@@ -1,5 +1,9 @@
 #include "common/wire/protocol.h"
 
+#include <algorithm>
+
+#include <absl/strings/ascii.h>
+#include <absl/strings/escaping.h>
 #include <absl/strings/str_format.h>
 
 namespace craftfleet::wire {
@@ -8,6 +12,18 @@ namespace {
 bool Differ(absl::string_view a, absl::string_view b) { return !a.empty() && !b.empty() && a != b; }
 
 }  // namespace
+
+absl::Status CheckText(absl::string_view field, absl::string_view text) {
+  if (text.size() > kMaxTextBytes) {
+    return absl::InvalidArgumentError(
+        absl::StrFormat("%s has %d bytes, want at most %d", field, text.size(), kMaxTextBytes));
+  }
+  if (!std::all_of(text.begin(), text.end(), [](char c) { return absl::ascii_isprint(c); })) {
+    return absl::InvalidArgumentError(
+        absl::StrFormat("%s is \"%s\", want printable ASCII", field, absl::CHexEscape(text)));
+  }
+  return absl::OkStatus();
+}
 
 absl::Status CheckHandshake(absl::string_view us, const Handshake& ours, absl::string_view them,
                             const Handshake& theirs) {

@@ -3,6 +3,8 @@
 #ifndef CRAFTFLEET_COMMON_WIRE_PROTOCOL_H_
 #define CRAFTFLEET_COMMON_WIRE_PROTOCOL_H_
 
+#include <cstddef>
+
 #include <absl/status/status.h>
 #include <absl/strings/string_view.h>
 
@@ -13,6 +15,13 @@ inline constexpr int kProtocolVersion = 1;
 
 // Largest message taken in, bytes: a fragment of 4096 frames of 72x72 with room to spare.
 inline constexpr int kMaxMessageBytes = 96 << 20;
+
+// Largest text by which a process tells others of itself: a name, an address, a CPU.
+inline constexpr size_t kMaxTextBytes = 512;
+
+// InvalidArgument, naming the field, unless `text` is printable ASCII of at most kMaxTextBytes: it is kept, logged and
+// shown on terminals.
+absl::Status CheckText(absl::string_view field, absl::string_view text);
 
 // What a process says of itself in a handshake; an empty digest or run id matches any.
 struct Handshake {

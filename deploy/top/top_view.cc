@@ -11,6 +11,7 @@
 #include <absl/strings/str_split.h>
 
 #include "common/crafter.h"
+#include "deploy/status_text.h"
 #include "learner/run/progress.h"
 
 namespace craftfleet {
@@ -56,17 +57,8 @@ const char* ShortName(absl::string_view activity) {
   return found == names->end() ? "?" : found->second;
 }
 
-// `text` in printable ASCII: it may come from a stranger, and goes to a terminal.
-std::string Clean(absl::string_view text) {
-  std::string clean(text);
-  for (char& c : clean) {
-    if (c < 0x20 || c > 0x7e) c = '?';
-  }
-  return clean;
-}
-
 std::string Cut(absl::string_view text, int width) {
-  return Clean(text.substr(0, static_cast<size_t>(std::max(0, width))));
+  return PrintableText(text.substr(0, static_cast<size_t>(std::max(0, width))));
 }
 
 std::string Bytes(int64_t bytes) {

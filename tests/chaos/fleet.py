@@ -1,15 +1,20 @@
 """A fleet of real processes that a test can kill, pause and watch: on this machine, or spread over several hosts."""
 
 import json
+import math
 import pathlib
 import signal
 import socket
+import statistics
 import subprocess
 import threading
 import time
+import typing
 
 WARM_UP_S = 120
 YOUNG_S = 4  # before that a process is still loading
+OBSERVATION_S = 10  # of an old process
+FEWEST_OBSERVATIONS = 15
 
 
 class Site:
@@ -159,23 +164,38 @@ class Memory:
         self.start, self.samples = start, {}
 
     def note(self, worker, now):
-        kib, age = worker.resident_kib(), now - worker.started
-        if kib is None or age < YOUNG_S or now - self.start < WARM_UP_S:
+        kib, age, since = worker.resident_kib(), now - worker.started, now - self.start
+        if kib is None or age < YOUNG_S or since < WARM_UP_S:
             return
+        # A process that lives for a moment is one observation, an old one another every ten seconds.
+        observed = (worker.started, 0 if age < WARM_UP_S else int(age / OBSERVATION_S))
         age_class = int(min(age, WARM_UP_S)).bit_length()
-        self.samples.setdefault(worker.name, {}).setdefault(age_class, []).append((now - self.start, kib))
+        self.samples.setdefault(worker.name, {}).setdefault(age_class, []).append((since, kib, observed))
 
     def growth(self):
-        """KiB a minute by name, for those seen for a minute or more: the common slope of all classes of age."""
-        slopes = {}
+        """Growth by name, of those observed often enough: the common slope of all classes of age."""
+        growths = {}
         for name, classes in self.samples.items():
-            product, square, times = 0.0, 0.0, []
-            for points in classes.values():
-                mean_t = sum(t for t, _ in points) / len(points)
-                mean_kib = sum(kib for _, kib in points) / len(points)
-                product += sum((t - mean_t) * (kib - mean_kib) for t, kib in points)
-                square += sum((t - mean_t) ** 2 for t, _ in points)
-                times += [t for t, _ in points]
-            if max(times) - min(times) >= 60 and square > 0:
-                slopes[name] = 60 * product / square
-        return slopes
+            points = []  # time and kib less the means of their class; observation
+            for samples in classes.values():
+                mean_t, mean_kib = (statistics.fmean(sample[k] for sample in samples) for k in range(2))
+                points += [(t - mean_t, kib - mean_kib, observed) for t, kib, observed in samples]
+            square = sum(t ** 2 for t, _, _ in points)
+            if len({observed for _, _, observed in points}) < FEWEST_OBSERVATIONS or square == 0:
+                continue
+            slope = sum(t * kib for t, kib, _ in points) / square
+            pulls = {}  # of each observation on the slope: they are independent, its samples are not
+            for t, kib, observed in points:
+                pulls[observed] = pulls.get(observed, 0) + t * (kib - slope * t)
+            error = math.sqrt(sum(pull ** 2 for pull in pulls.values())) / square
+            growths[name] = Growth(round(60 * slope), round(180 * error))
+        return growths
+
+
+class Growth(typing.NamedTuple):
+    """KiB a minute; `error` is three times the standard error."""
+    slope: int
+    error: int
+
+    def surely_above(self, limit):
+        return self.slope - self.error > limit

@@ -71,8 +71,8 @@ def run(options, fleet):
     slow_ms = figures["status_ms"]["median" if options.short else "p99"]
     if slow_ms >= STATUS_LIMIT_MS:
         failures.append(f"the status is answered after {slow_ms} ms, want {STATUS_LIMIT_MS}")
-    if growth is not None and growth > GROWTH_LIMIT_KIB_PER_MINUTE:
-        failures.append(f"the learner grows by {growth:.0f} KiB a minute, want at most {GROWTH_LIMIT_KIB_PER_MINUTE}")
+    if growth is not None and growth.slope > GROWTH_LIMIT_KIB_PER_MINUTE:
+        failures.append(f"the learner grows by {growth.slope} KiB a minute, want at most {GROWTH_LIMIT_KIB_PER_MINUTE}")
     if growth is None and not options.short:
         failures.append("it was over before memory could be watched")
     return figures, failures

@@ -1,12 +1,11 @@
 // A checkpoint's files: refused, or with a state that makes sense. The first byte chooses the file that is changed; the
 // manifest's checksums are right otherwise, so that the search gets beyond them.
 
-#include <cstdlib>
-
 #include "common/check.h"
 #include "common/config.h"
 #include "common/files.h"
 #include "learner/run/checkpoint.h"
+#include "tests/fuzz/fuzz_folder.h"
 #include "tests/fuzz/fuzz_target.h"
 
 namespace craftfleet {
@@ -29,22 +28,11 @@ Checkpoint SoundCheckpoint() {
   return checkpoint;
 }
 
-// In memory where there is such a folder.
-const std::string& Folder() {
-  static const std::string* folder = [] {
-    std::string path = PathExists("/dev/shm") ? "/dev/shm/craftfleet-fuzz-XXXXXX" : "/tmp/craftfleet-fuzz-XXXXXX";
-    CRAFTFLEET_CHECK(::mkdtemp(path.data()) != nullptr);
-    std::atexit([] { RemoveAll(Folder()).IgnoreError(); });
-    return new std::string(path);
-  }();
-  return *folder;
-}
-
 }  // namespace
 
 void TryInput(absl::string_view input) {
   if (input.empty()) return;
-  const std::string folder = JoinPath(Folder(), "checkpoint");
+  const std::string folder = JoinPath(FuzzFolder(), "checkpoint");
   Checkpoint checkpoint = SoundCheckpoint();
   const absl::string_view rest = input.substr(1);
   const bool state_changes = (input[0] & 1) == 0;
@@ -61,7 +49,7 @@ void TryInput(absl::string_view input) {
 
 std::vector<std::string> SoundInputs() {
   const Checkpoint checkpoint = SoundCheckpoint();
-  const std::string folder = JoinPath(Folder(), "sound");
+  const std::string folder = JoinPath(FuzzFolder(), "sound");
   CRAFTFLEET_CHECK(WriteCheckpointFiles(folder, checkpoint).ok());
   return {std::string(1, '\0') + checkpoint.state.SerializeAsString(),
           std::string(1, '\1') + ReadFile(JoinPath(folder, "MANIFEST")).value()};

@@ -143,6 +143,10 @@ TEST_F(FleetBookTest, WhatAWorkerSendsIsCut) {
   for (int i = 0; i < 1000; ++i) summary.add_times();
   book_.Heard("actor", "a", "", summary);
   EXPECT_LT(book_.Workers()[0].ByteSizeLong(), 1000);
+  summary.clear_times();
+  summary.add_times()->set_activity(std::string(100000, 'x'));
+  book_.Heard("actor", "a", "", summary);
+  EXPECT_LT(book_.Workers()[0].ByteSizeLong(), 1000);
 }
 
 }  // namespace

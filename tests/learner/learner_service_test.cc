@@ -6,6 +6,7 @@
 #include <utility>
 #include <vector>
 
+#include <absl/strings/str_cat.h>
 #include <absl/time/clock.h>
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
@@ -168,6 +169,19 @@ TEST_F(LearnerServiceTest, NamesAreBounded) {
   announcement.set_address(std::string(600, 'a') + ":1");
   EXPECT_THAT(Call(&v1::LearnerService::Stub::Announce, announcement),
               StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("address has 602 bytes, want at most 512")));
+}
+
+TEST_F(LearnerServiceTest, AnActorSpeaksOfSomeServersAtOnce) {
+  ASSERT_THAT(Join("a"), IsOk());
+  v1::PermitRequest request;
+  request.set_actor("a");
+  request.set_epoch(kEpoch);
+  request.add_env_servers()->set_address("10.0.0.1:\x1b[2J");
+  for (int i = 1; i < 100; ++i) request.add_env_servers()->set_address(absl::StrCat("10.0.0.1:", i));
+  ASSERT_THAT(Call(&v1::LearnerService::Stub::GetPermits, request), IsOk());
+  v1::StatusReply status;
+  service_.FillStatus(&status);
+  EXPECT_EQ(status.peers_size(), 1 + 63) << "the actor, and the first 64 servers but the one without an address";
 }
 
 TEST_F(LearnerServiceTest, PermitsAreForThisEpoch) {

@@ -69,5 +69,15 @@ TEST(GrpcStatus, AStatusWithoutWordsGetsSome) {
               StatusIs(absl::StatusCode::kUnavailable, "x: UNAVAILABLE"));
 }
 
+TEST(Text, IsPrintableAndBounded) {
+  EXPECT_THAT(CheckText("client", ""), IsOk());
+  EXPECT_THAT(CheckText("client", std::string(kMaxTextBytes, '~')), IsOk());
+  EXPECT_THAT(CheckText("client", std::string(513, 'a')),
+              StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("client has 513 bytes, want at most 512")));
+  EXPECT_THAT(
+      CheckText("client", "a\x1b[2Jb\xc3"),
+      StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("client is \"a\\x1b[2Jb\\xc3\", want printable ASCII")));
+}
+
 }  // namespace
 }  // namespace craftfleet::wire

@@ -1,0 +1,31 @@
+// An access file: what is taken lets nobody in who shows nothing, unless health is all that is asked.
+
+#include "common/check.h"
+#include "common/wire/access.h"
+#include "tests/fuzz/fuzz_target.h"
+
+namespace craftfleet {
+
+void TryInput(absl::string_view input) {
+  const auto access = wire::ParseAccess(input, "input");
+  if (!access.ok()) return;
+  wire::Caller nobody;
+  wire::Caller somebody;
+  somebody.certificate_names = {"actor", "host.example.com"};
+  somebody.token = "a token";
+  for (const char* path : {"/craftfleet.v1.StatusService/GetStatus", "/craftfleet.v1.LearnerService/Join",
+                           "/craftfleet.v1.AdminService/Stop", "/something.else/Call"}) {
+    CRAFTFLEET_CHECK(!wire::CheckAccess(*access, nobody, path).ok());
+    wire::CheckAccess(*access, somebody, path).IgnoreError();
+  }
+  CRAFTFLEET_CHECK(wire::CheckAccess(*access, nobody, "/grpc.health.v1.Health/Check").ok());
+}
+
+std::vector<std::string> SoundInputs() {
+  return {R"(client { name: "workers" certificate: "actor" right: WORK }
+client { name: "ops" certificate: "*.example.com" right: WATCH right: STEER })",
+          R"(client { name: "monitor" right: WATCH
+  token_sha256: "e3b0c44298fc1c149afbf4c8996fb92427ae41e4649b934ca495991b7852b855" })"};
+}
+
+}  // namespace craftfleet

@@ -1,0 +1,116 @@
+// What a learner is asked besides playing: weights, its status as a stream, a worker to drain. The first byte chooses
+// the call, which goes over real gRPC in process.
+
+#include "common/check.h"
+#include "common/clock.h"
+#include "common/wire/channel.h"
+#include "common/wire/server.h"
+#include "common/wire/status_service.h"
+#include "craftfleet/v1/status.grpc.pb.h"
+#include "learner/admin_service.h"
+#include "learner/learner_service.h"
+#include "tests/fakes/wire_samples.h"
+#include "tests/fuzz/fuzz_target.h"
+
+namespace craftfleet {
+namespace {
+
+constexpr int64_t kVersion = 5;
+constexpr char kWeights[] = "weights";
+
+// A learner that trains nothing, once for all inputs.
+struct Learner {
+  Learner() {
+    ledger.Join("a", "");
+    weights.Publish(kVersion, std::make_shared<std::string>(kWeights));
+    evaluations.Add({1, 4096, 1, 2, false, std::make_shared<std::string>("old weights")});
+  }
+
+  RealClock clock;
+  LaneLedger ledger{{kSampleShape.lanes}, std::vector<LaneRecord>(kSampleShape.lanes), &clock};
+  WeightStore weights;
+  FragmentQueue fragments{100};
+  EvaluationBook evaluations{absl::Seconds(5), &clock};
+  ServerRegistry env_servers{absl::Seconds(5), &clock};
+  FleetBook fleet{absl::Seconds(5), &clock};
+  CheckpointRequests checkpoints;
+  LearnerServiceImpl service{{}, &ledger, &weights, &fragments, &evaluations, &env_servers, &fleet};
+  AdminServiceImpl admin{{&checkpoints, &ledger, &evaluations, &env_servers, [] {}}};
+  wire::StatusServiceImpl status{"learner", [this](v1::StatusReply* reply) { service.FillStatus(reply); }};
+  std::unique_ptr<wire::Server> server = wire::Server::Create({}, {&service, &admin, &status}).value();
+  std::shared_ptr<grpc::Channel> channel = server->InProcess().channel;
+};
+
+Learner* TheLearner() {
+  static auto* learner = new Learner;
+  return learner;
+}
+
+template <typename Request>
+bool Parse(absl::string_view bytes, Request* request) {
+  return request->ParseFromArray(bytes.data(), static_cast<int>(bytes.size()));
+}
+
+void Download(absl::string_view bytes) {
+  v1::WeightsRequest request;
+  if (!Parse(bytes, &request) || request.wait_ms() > 1) return;  // waiting takes its time, and is all it does
+  grpc::ClientContext context;
+  const auto stream = v1::LearnerService::NewStub(TheLearner()->channel)->GetWeights(&context, request);
+  v1::WeightsChunk chunk;
+  std::string weights;
+  while (stream->Read(&chunk)) weights += chunk.data();
+  const bool ok = stream->Finish().ok();
+  CRAFTFLEET_CHECK(!ok || weights == (request.evaluation() == 0 ? kWeights : "old weights"));
+}
+
+void Watch(absl::string_view bytes) {
+  v1::WatchRequest request;
+  if (!Parse(bytes, &request)) return;
+  grpc::ClientContext context;
+  const auto stream = v1::StatusService::NewStub(TheLearner()->channel)->WatchStatus(&context, request);
+  v1::StatusReply reply;
+  if (stream->Read(&reply)) context.TryCancel();
+  CRAFTFLEET_CHECK(!stream->Finish().ok());  // cancelled, or refused
+}
+
+// The only worker has nothing to play: it is drained at once.
+void Drain(absl::string_view bytes) {
+  v1::DrainRequest request;
+  if (!Parse(bytes, &request)) return;
+  TheLearner()->ledger.Join("a", "");
+  grpc::ClientContext context;
+  wire::SetDeadline(&context, absl::Seconds(10));
+  v1::DrainReply reply;
+  const grpc::Status status = v1::AdminService::NewStub(TheLearner()->channel)->Drain(&context, request, &reply);
+  CRAFTFLEET_CHECK(status.ok() == (request.worker() == "a"));
+}
+
+}  // namespace
+
+void TryInput(absl::string_view input) {
+  if (input.empty()) return;
+  const absl::string_view bytes = input.substr(1);
+  switch (input[0] % 3) {
+    case 0:
+      return Download(bytes);
+    case 1:
+      return Watch(bytes);
+    default:
+      return Drain(bytes);
+  }
+}
+
+std::vector<std::string> SoundInputs() {
+  v1::WeightsRequest weights;
+  weights.set_at_least(kVersion);
+  v1::WeightsRequest of_evaluation;
+  of_evaluation.set_evaluation(1);
+  v1::WatchRequest watch;
+  watch.set_interval_ms(100);
+  v1::DrainRequest drain;
+  drain.set_worker("a");
+  return {'\0' + weights.SerializeAsString(), '\0' + of_evaluation.SerializeAsString(),
+          '\1' + watch.SerializeAsString(), '\2' + drain.SerializeAsString()};
+}
+
+}  // namespace craftfleet
