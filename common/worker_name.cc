@@ -6,12 +6,14 @@
 
 #include <absl/strings/str_format.h>
 
+#include "common/printable.h"
+
 namespace craftfleet {
 
 std::string UniqueWorkerName() {
   char host[256] = "host";
   gethostname(host, sizeof(host) - 1);
-  return absl::StrFormat("%s-%d-%08x", host, getpid(), std::random_device()());
+  return absl::StrFormat("%s-%d-%08x", Printable(host), getpid(), std::random_device()());
 }
 
 }  // namespace craftfleet

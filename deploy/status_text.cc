@@ -1,13 +1,15 @@
 #include "deploy/status_text.h"
 
-#include <absl/strings/ascii.h>
 #include <absl/strings/str_cat.h>
 #include <absl/strings/str_format.h>
+#include <absl/strings/string_view.h>
+
+#include "common/printable.h"
 
 namespace craftfleet {
 namespace {
 
-void AddLine(absl::string_view line, std::string* text) { absl::StrAppend(text, PrintableText(line), "\n"); }
+void AddLine(absl::string_view line, std::string* text) { absl::StrAppend(text, Printable(line), "\n"); }
 
 void AddField(absl::string_view name, absl::string_view value, std::string* text) {
   AddLine(absl::StrFormat("%-24s %s", name, value), text);
@@ -40,14 +42,6 @@ void AddPeers(const v1::StatusReply& reply, std::string* text) {
 }
 
 }  // namespace
-
-std::string PrintableText(absl::string_view text) {
-  std::string printable(text);
-  for (char& c : printable) {
-    if (!absl::ascii_isprint(c)) c = '?';
-  }
-  return printable;
-}
 
 std::string StatusText(const v1::StatusReply& reply) {
   std::string text;

@@ -5,16 +5,11 @@
 
 #include <string>
 
-#include <absl/strings/string_view.h>
-
 #include "craftfleet/v1/status.pb.h"
 
 namespace craftfleet {
 
-// `text` in printable ASCII: it may come from a stranger, and goes to a terminal.
-std::string PrintableText(absl::string_view text);
-
-// What `reply` says, in lines of printable ASCII.
+// What `reply` says, in lines of printable ASCII: it may come from a stranger, and goes to a terminal.
 std::string StatusText(const v1::StatusReply& reply);
 
 }  // namespace craftfleet

@@ -17,6 +17,7 @@
 
 #include "common/agent/linear.h"
 #include "common/cpu_quota.h"
+#include "common/printable.h"
 
 // OpenBLAS' own function; null under another BLAS.
 extern "C" void openblas_set_num_threads(int threads) __attribute__((weak));
@@ -64,7 +65,7 @@ std::string CpuDescription() {
   const std::string model = ValueAfter("model name\t: ", &info).value_or("unknown CPU");
   // The only place where LibTorch 1.13 says which instructions it chose.
   std::istringstream config(at::show_config());
-  return absl::StrCat(model, ", ", ValueAfter("  - CPU capability usage: ", &config).value_or("plain"));
+  return absl::StrCat(Printable(model), ", ", ValueAfter("  - CPU capability usage: ", &config).value_or("plain"));
 }
 
 }  // namespace craftfleet

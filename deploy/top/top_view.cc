@@ -11,7 +11,7 @@
 #include <absl/strings/str_split.h>
 
 #include "common/crafter.h"
-#include "deploy/status_text.h"
+#include "common/printable.h"
 #include "learner/run/progress.h"
 
 namespace craftfleet {
@@ -57,8 +57,9 @@ const char* ShortName(absl::string_view activity) {
   return found == names->end() ? "?" : found->second;
 }
 
+// The beginning of a text that may come from a stranger.
 std::string Cut(absl::string_view text, int width) {
-  return PrintableText(text.substr(0, static_cast<size_t>(std::max(0, width))));
+  return Printable(text.substr(0, static_cast<size_t>(std::max(0, width))));
 }
 
 std::string Bytes(int64_t bytes) {
