@@ -19,6 +19,8 @@
 #include "actor/permit_book.h"
 #include "actor/policy_source.h"
 #include "actor/server_book.h"
+#include "common/clock.h"
+#include "common/heap_trimmer.h"
 #include "common/mutex.h"
 #include "common/wire/channel.h"
 #include "craftfleet/v1/status.pb.h"
@@ -72,7 +74,9 @@ class Actor {
   ServerBook servers_;
   PermitBook permits_;
   FragmentSender sender_;
-  std::string address_;                 // of Run's thread, like the next
+  RealClock clock_;
+  HeapTrimmer heap_{&clock_};  // of Run's thread, like the next
+  std::string address_;
   v1::JoinReply joined_;                // the last one
   int64_t env_servers_generation_ = 0;  // of the learner's registry, as last heard
   std::unique_ptr<PolicySource> policies_;

@@ -16,6 +16,7 @@
 
 #include "common/activity_meter.h"
 #include "common/clock.h"
+#include "common/heap_trimmer.h"
 #include "common/mutex.h"
 #include "common/types.h"
 #include "craftfleet/v1/config.pb.h"
@@ -120,6 +121,7 @@ class Trainer {
   std::atomic<bool> stopping_{false};
   TrainerCounters counters_;
   ActivityMeter meter_;
+  HeapTrimmer heap_;
 
   std::vector<Fragment> kept_;  // by an earlier start, until the first iteration begins
 
