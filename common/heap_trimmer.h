@@ -18,8 +18,8 @@ class HeapTrimmer {
   // `clock` outlives the trimmer.
   explicit HeapTrimmer(Clock* clock) : clock_(clock), next_(clock->Now() + kEvery) {}
 
-  // Gives back what is free, if a minute has passed since the last time; some milliseconds then, in which allocations
-  // wait.
+  // Gives back what is free, if ten seconds have passed since the last time; some milliseconds then, in which
+  // allocations wait.
   void MayTrim() {
     if (clock_->Now() < next_) return;
     next_ = clock_->Now() + kEvery;
@@ -27,7 +27,7 @@ class HeapTrimmer {
   }
 
  private:
-  static constexpr absl::Duration kEvery = absl::Minutes(1);
+  static constexpr absl::Duration kEvery = absl::Seconds(10);
 
   Clock* const clock_;
   absl::Time next_;
