@@ -3,8 +3,9 @@
 # textures, weights) with libFuzzer under AddressSanitizer and UndefinedBehaviorSanitizer. Begins with tests/fuzz/corpus;
 # what it finds on the way is kept in build-fuzz/corpus and used the next time.
 #
-# Usage: deploy/fuzz.sh [--inputs=N] [TARGET]...
+# Usage: deploy/fuzz.sh [--inputs=N] [--keep] [TARGET]...
 #   --inputs=N  inputs to try for each target; default 120000
+#   --keep      then add to tests/fuzz/corpus the fewest inputs that reach all that was reached, for the tests
 #   TARGET      like world_snapshot; default: every tests/fuzz/fuzz_TARGET.cc
 # The last line is `N targets without a finding, N with one`; exit 1 if there is one. A finding is left in
 # build-fuzz/findings; build-fuzz/bin/fuzz_TARGET FILE tries it again.
@@ -13,11 +14,13 @@ set -euo pipefail
 
 usage() { sed -n '2,/^$/s/^# \{0,1\}//p' "$0"; }
 inputs=120000
+keep=
 targets=()
 for argument in "$@"; do
   case "$argument" in
     -h | --help) usage; exit 0 ;;
     --inputs=*) inputs=${argument#*=} ;;
+    --keep) keep=1 ;;
     -*) echo "fuzz.sh: unknown argument '$argument'" >&2; usage >&2; exit 2 ;;
     *) targets+=("$argument") ;;
   esac
@@ -46,6 +49,9 @@ for target in "${targets[@]}"; do
       -artifact_prefix="$findings/$target-" "$corpus" "tests/fuzz/corpus/$target" >"$log" 2>&1; then
     sound=$((sound + 1))
     echo "$target: $(sed -n 's/^stat::number_of_executed_units: *//p' "$log") inputs, no finding"
+    if [ -n "$keep" ]; then
+      build-fuzz/bin/"fuzz_$target" -set_cover_merge=1 -max_len=65536 "tests/fuzz/corpus/$target" "$corpus" >"$log.merge" 2>&1
+    fi
   else
     broken=$((broken + 1))
     echo "$target: a finding; the end of $log:"
