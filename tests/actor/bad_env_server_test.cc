@@ -26,6 +26,12 @@ EnvPool PoolOf(const wire::Server& server) {
           SampleHello(/*length=*/50), 64 * 64 * 3};
 }
 
+absl::Status OpenAGame(EnvPool* pool) {
+  std::string frames;
+  std::vector<int> lost;
+  return pool->Open({{0, 100, 1, ""}}, &frames, &lost);
+}
+
 // Fails in the middle of a game, as gRPC tells of an exception.
 class ThrowingService : public v1::EnvironmentService::Service {
  public:
@@ -43,9 +49,7 @@ TEST(BadEnvServer, AServerThatThrowsIsTroubleThatMayPass) {
   ThrowingService service;
   const auto server = *wire::Server::Create({"127.0.0.1:0"}, {&service});
   EnvPool pool = PoolOf(*server);
-  std::string frames;
-  std::vector<int> lost;
-  const absl::Status status = pool.Open({{0, 100, 1, ""}}, &frames, &lost);
+  const absl::Status status = OpenAGame(&pool);
   EXPECT_THAT(status, StatusIs(absl::StatusCode::kUnavailable, HasSubstr(server->address())));
   EXPECT_TRUE(MayPass(status));
 }
@@ -69,18 +73,12 @@ TEST(BadEnvServer, CancelEndsACallThatWaits) {
   const auto server = *wire::Server::Create({"127.0.0.1:0"}, {&service});
   EnvPool pool = PoolOf(*server);
   absl::Status status;
-  std::thread opening([&] {
-    std::string frames;
-    std::vector<int> lost;
-    status = pool.Open({{0, 100, 1, ""}}, &frames, &lost);
-  });
+  std::thread opening([&] { status = OpenAGame(&pool); });
   absl::SleepFor(absl::Milliseconds(100));  // most likely it waits by now; if not, it is refused at once
   pool.Cancel();
   opening.join();
   EXPECT_THAT(status, StatusIs(absl::StatusCode::kCancelled, "stopping"));
-  std::string frames;
-  std::vector<int> lost;
-  EXPECT_THAT(pool.Open({{0, 100, 1, ""}}, &frames, &lost), StatusIs(absl::StatusCode::kCancelled, "stopping"));
+  EXPECT_THAT(OpenAGame(&pool), StatusIs(absl::StatusCode::kCancelled, "stopping"));
 }
 
 // Answers everything with one byte of frames.
@@ -100,9 +98,7 @@ TEST(BadEnvServer, ARepliesShapeIsChecked) {
   BabblingService service;
   const auto server = *wire::Server::Create({"127.0.0.1:0"}, {&service});
   EnvPool pool = PoolOf(*server);
-  std::string frames;
-  std::vector<int> lost;
-  EXPECT_THAT(pool.Open({{0, 100, 1, ""}}, &frames, &lost),
+  EXPECT_THAT(OpenAGame(&pool),
               StatusIs(absl::StatusCode::kInternal, HasSubstr(absl::StrCat("environment server ", server->address(),
                                                                            ": 1 bytes of frames, want 12288"))));
 }

@@ -1,11 +1,11 @@
 // What actors send to a learner. The first byte chooses the call; whatever comes, the books stay sound.
 
 #include "common/check.h"
-#include "common/clock.h"
 #include "common/wire/protocol.h"
 #include "learner/learner_service.h"
 #include "tests/fakes/wire_samples.h"
 #include "tests/fuzz/fuzz_target.h"
+#include "tests/fuzz/learner_books.h"
 
 namespace craftfleet {
 namespace {
@@ -13,7 +13,7 @@ namespace {
 constexpr int64_t kEpoch = 1;
 constexpr int64_t kVersion = 5;
 
-struct Service {
+struct Service : LearnerBooks {
   Service() {
     ledger.Join("a", "");
     ledger.OpenIteration(2, kVersion);
@@ -30,13 +30,6 @@ struct Service {
     return options;
   }
 
-  RealClock clock;
-  LaneLedger ledger{{kSampleShape.lanes}, std::vector<LaneRecord>(kSampleShape.lanes), &clock};
-  WeightStore weights;
-  FragmentQueue fragments{100};
-  EvaluationBook evaluations{absl::Seconds(5), &clock};
-  ServerRegistry env_servers{absl::Seconds(5), &clock};
-  FleetBook fleet{absl::Seconds(5), &clock};
   LearnerServiceImpl service{Options(), &ledger, &weights, &fragments, &evaluations, &env_servers, &fleet};
 };
 

@@ -2,7 +2,6 @@
 // the call, which goes over real gRPC in process.
 
 #include "common/check.h"
-#include "common/clock.h"
 #include "common/wire/channel.h"
 #include "common/wire/server.h"
 #include "common/wire/status_service.h"
@@ -11,6 +10,7 @@
 #include "learner/learner_service.h"
 #include "tests/fakes/wire_samples.h"
 #include "tests/fuzz/fuzz_target.h"
+#include "tests/fuzz/learner_books.h"
 
 namespace craftfleet {
 namespace {
@@ -19,20 +19,13 @@ constexpr int64_t kVersion = 5;
 constexpr char kWeights[] = "weights";
 
 // A learner that trains nothing, once for all inputs.
-struct Learner {
+struct Learner : LearnerBooks {
   Learner() {
     ledger.Join("a", "");
     weights.Publish(kVersion, std::make_shared<std::string>(kWeights));
     evaluations.Add({1, 4096, 1, 2, false, std::make_shared<std::string>("old weights")});
   }
 
-  RealClock clock;
-  LaneLedger ledger{{kSampleShape.lanes}, std::vector<LaneRecord>(kSampleShape.lanes), &clock};
-  WeightStore weights;
-  FragmentQueue fragments{100};
-  EvaluationBook evaluations{absl::Seconds(5), &clock};
-  ServerRegistry env_servers{absl::Seconds(5), &clock};
-  FleetBook fleet{absl::Seconds(5), &clock};
   CheckpointRequests checkpoints;
   LearnerServiceImpl service{{}, &ledger, &weights, &fragments, &evaluations, &env_servers, &fleet};
   AdminServiceImpl admin{{&checkpoints, &ledger, &evaluations, &env_servers, [] {}}};
