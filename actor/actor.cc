@@ -152,7 +152,6 @@ absl::Status Actor::KeepPermits() {
   absl::Time said = absl::InfinitePast();
   Backoff backoff(kFirstRetry, kLastRetry);
   while (!stopping()) {
-    heap_.MayTrim();
     v1::PermitRequest request;
     request.set_actor(name_);
     request.set_epoch(joined_.epoch());

@@ -19,8 +19,6 @@
 #include "actor/permit_book.h"
 #include "actor/policy_source.h"
 #include "actor/server_book.h"
-#include "common/clock.h"
-#include "common/heap_trimmer.h"
 #include "common/mutex.h"
 #include "common/wire/channel.h"
 #include "craftfleet/v1/status.pb.h"
@@ -74,9 +72,7 @@ class Actor {
   ServerBook servers_;
   PermitBook permits_;
   FragmentSender sender_;
-  RealClock clock_;
-  HeapTrimmer heap_{&clock_};  // of Run's thread, like the next
-  std::string address_;
+  std::string address_;                 // of Run's thread, like the next
   v1::JoinReply joined_;                // the last one
   int64_t env_servers_generation_ = 0;  // of the learner's registry, as last heard
   std::unique_ptr<PolicySource> policies_;

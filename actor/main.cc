@@ -33,7 +33,7 @@ sends what it played. It may come and go at any time; what it leaves unfinished 
   craftfleet-actor --learner=127.0.0.1:50051 --envservers=127.0.0.1:50061,127.0.0.1:50062)";
 
 absl::Status Run() {
-  SetUpTorchProcess();
+  SetUpTorchThread();
   CRAFTFLEET_ASSIGN_OR_RETURN(const wire::MetricsServer::Options metrics_options,
                               wire::MetricsOptionsFromFlags(wire::kAnyFreePort));
   Actor::Options options;

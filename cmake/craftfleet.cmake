@@ -8,6 +8,15 @@ if(CMAKE_CXX_COMPILER_ID MATCHES "Clang")
   target_compile_options(craftfleet_flags INTERFACE -Wthread-safety)
 endif()
 
+# What programs and their benchmarks allocate with. Each of the arenas of glibc's malloc keeps the most that its threads have
+# ever held at once, which adds up where megabytes pass through threads that come and go with their connections: the learner
+# of a fleet under kills grew from 200 to 330 MB in half an hour, with tcmalloc it stands still at 210 after two minutes.
+add_library(craftfleet_heap INTERFACE)
+if(CRAFTFLEET_WITH_TCMALLOC)
+  pkg_check_modules(tcmalloc REQUIRED IMPORTED_TARGET libtcmalloc_minimal)
+  target_link_libraries(craftfleet_heap INTERFACE PkgConfig::tcmalloc)
+endif()
+
 # craftfleet_library(NAME world SRCS ... DEPS ...): static library craftfleet_world with the alias craftfleet::world.
 function(craftfleet_library)
   cmake_parse_arguments(ARG "" "NAME" "SRCS;DEPS" ${ARGN})
@@ -21,7 +30,7 @@ endfunction()
 function(craftfleet_program)
   cmake_parse_arguments(ARG "" "NAME" "SRCS;DEPS" ${ARGN})
   add_executable(${ARG_NAME} ${ARG_SRCS})
-  target_link_libraries(${ARG_NAME} PRIVATE ${ARG_DEPS} craftfleet_flags)
+  target_link_libraries(${ARG_NAME} PRIVATE ${ARG_DEPS} craftfleet_heap craftfleet_flags)
   install(TARGETS ${ARG_NAME} RUNTIME DESTINATION ${CMAKE_INSTALL_BINDIR})
 endfunction()
 

@@ -178,7 +178,7 @@ nlohmann::ordered_json DescribeCheckpoint(const v1::CheckpointState& state, cons
 }
 
 absl::Status Run() {
-  SetUpTorchProcess();
+  SetUpTorchThread();
   if (absl::GetFlag(FLAGS_checkpoint).empty()) {
     return absl::InvalidArgumentError("--checkpoint is missing: a run's folder or a checkpoint's");
   }

@@ -26,6 +26,7 @@ packages=(
   protobuf-compiler protobuf-compiler-grpc libprotobuf-dev libgrpc++-dev libssl-dev
   libabsl-dev nlohmann-json3-dev zlib1g-dev libzip-dev prometheus-cpp-dev
   openssl  # deploy/make-certs.sh
+  libgoogle-perftools-dev  # tcmalloc
   libtorch-dev
   libopenblas0-pthread  # with the reference BLAS, training is several times slower
   libopencv-dev

@@ -28,7 +28,7 @@ Ctrl-C stops it cleanly; the same command with --resume goes on as if it had nev
 Every hyperparameter is in the run's config.txt; an edited copy starts another run by --config.)";
 
 absl::Status Run() {
-  SetUpTorchProcess();
+  SetUpTorchThread();
   CRAFTFLEET_ASSIGN_OR_RETURN(const wire::MetricsServer::Options metrics_options, wire::MetricsOptionsFromFlags(""));
   CRAFTFLEET_ASSIGN_OR_RETURN(Learner::Options options, LearnerOptionsFromFlags());
   options.server.address = absl::GetFlag(FLAGS_listen);

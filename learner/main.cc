@@ -32,7 +32,7 @@ Watch it:   craftfleet status --address=127.0.0.1:50051
 Go on after a stop or a crash: the same command with --resume.)";
 
 absl::Status Run() {
-  SetUpTorchProcess();
+  SetUpTorchThread();
   CRAFTFLEET_ASSIGN_OR_RETURN(const wire::MetricsServer::Options metrics_options,
                               wire::MetricsOptionsFromFlags(wire::kAnyFreePort));
   CRAFTFLEET_ASSIGN_OR_RETURN(Learner::Options options, LearnerOptionsFromFlags());

@@ -26,7 +26,6 @@ Trainer::Trainer(const v1::RunConfig& config, const v1::CheckpointState& state, 
     : config_(config),
       parts_(parts),
       meter_(parts.clock, Activity::kOther),
-      heap_(parts.clock),
       kept_(std::move(kept)),
       policy_version_(state.policy_version()),
       lanes_(parts.ledger->Records()),
@@ -42,10 +41,7 @@ absl::Status Trainer::Run() {
   Show(0);
   PublishWeights();
   absl::Status status = counters_.iteration == 0 ? WriteCheckpoint() : absl::OkStatus();
-  while (status.ok() && !finished()) {
-    status = RunIteration();
-    heap_.MayTrim();
-  }
+  while (status.ok() && !finished()) status = RunIteration();
   parts_.checkpoints->Close();
   parts_.progress->Finish(counters_.env_steps, parts_.folder->score());
   if (status.ok()) parts_.evaluations->OnEnd(counters_.env_steps, weights_, [this] { return stopping_.load(); });

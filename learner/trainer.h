@@ -16,7 +16,6 @@
 
 #include "common/activity_meter.h"
 #include "common/clock.h"
-#include "common/heap_trimmer.h"
 #include "common/mutex.h"
 #include "common/types.h"
 #include "craftfleet/v1/config.pb.h"
@@ -121,7 +120,6 @@ class Trainer {
   std::atomic<bool> stopping_{false};
   TrainerCounters counters_;
   ActivityMeter meter_;
-  HeapTrimmer heap_;
 
   std::vector<Fragment> kept_;  // by an earlier start, until the first iteration begins
 

@@ -1,8 +1,5 @@
 #include "common/agent/torch_setup.h"
 
-#include <malloc.h>
-
-#include <algorithm>
 #include <fstream>
 #include <istream>
 #include <sstream>
@@ -16,7 +13,6 @@
 #include <absl/types/optional.h>
 
 #include "common/agent/linear.h"
-#include "common/cpu_quota.h"
 #include "common/printable.h"
 
 // OpenBLAS' own function; null under another BLAS.
@@ -34,16 +30,6 @@ absl::optional<std::string> ValueAfter(absl::string_view prefix, std::istream* l
 }
 
 }  // namespace
-
-void SetUpTorchProcess() {
-  constexpr int kBytes = 32 << 20;  // glibc refuses a higher M_MMAP_THRESHOLD
-  mallopt(M_MMAP_THRESHOLD, kBytes);
-  mallopt(M_TRIM_THRESHOLD, 1 << 30);
-  // By default eight arenas a CPU: buffers that pass through gRPC's threads fill one after the other, for minutes. A
-  // learner on two CPUs then grows to 317 MB in four minutes, with this to 261 MB in one.
-  mallopt(M_ARENA_MAX, std::max(4, DefaultThreads()));
-  SetUpTorchThread();
-}
 
 void SetUpTorchThread() {
   thread_local bool is_set_up = false;

@@ -7,11 +7,6 @@
 
 namespace craftfleet {
 
-// Raises malloc's thresholds, so that tensors reuse their memory instead of returning it to the system at every step
-// (1.3 times as fast), and bounds malloc's arenas, so that memory does not grow with the threads that come and go.
-// Once, at the start of a program that uses Policy or PpoUpdater.
-void SetUpTorchProcess();
-
 // One OpenMP and one BLAS thread, denormals flushed to zero, for the calling thread: each thread has its own settings.
 // Policy and PpoUpdater call it themselves; cheap when repeated.
 void SetUpTorchThread();

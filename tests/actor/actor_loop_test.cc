@@ -7,7 +7,6 @@
 
 #include <gtest/gtest.h>
 
-#include "common/agent/torch_setup.h"
 #include "common/wire/protocol.h"
 #include "tests/actor/stand_in_learner.h"
 #include "tests/fakes/env_server.h"
@@ -36,7 +35,6 @@ void TakePermits(const LearnerClient& client, const std::string& actor, PermitBo
 // The second server fails when its game is to be opened, the third when it is to take that game, too: the game that the
 // third one had opened in the same call is gone with it.
 TEST(ActorLoop, GamesLostWhileOthersOpenAreOpenedAnew) {
-  SetUpTorchProcess();
   const std::string agent = "lstm_cnn";
   const TempFolder folder;
   const EnvServer env;

@@ -12,7 +12,6 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
-#include "common/agent/torch_setup.h"
 #include "common/keyed_random.h"
 #include "common/log.h"
 #include "common/seeds.h"
@@ -142,8 +141,6 @@ class Reference {
 
 class ActorTest : public testing::TestWithParam<std::string> {
  protected:
-  static void SetUpTestSuite() { SetUpTorchProcess(); }
-
   std::unique_ptr<StandInLearner> MakeLearner(const std::string& texture_digest = "") const {
     return std::make_unique<StandInLearner>(GetParam(), LearnerAddress(), 1, NewLanes(GetParam()), texture_digest);
   }

@@ -8,7 +8,6 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
-#include "common/agent/torch_setup.h"
 #include "common/keyed_random.h"
 #include "envserver/game.h"
 #include "tests/fakes/env_server.h"
@@ -25,8 +24,6 @@ constexpr int kLength = 30;  // of an episode
 
 class EvaluatorTest : public testing::Test {
  protected:
-  static void SetUpTestSuite() { SetUpTorchProcess(); }
-
   absl::StatusOr<std::vector<Episode>> Run(const EvaluationOptions& options, uint64_t weights = 1,
                                            const std::string& agent = "ppo_cnn") {
     EnvClient client(env_.Connect(), SampleHello(kLength), 64 * 64 * 3);

@@ -114,7 +114,7 @@ void ExpectRowsAndGradients(Trainee* trainee, const AgentSpec& spec, const nlohm
 class AgentUpdateGolden : public ::testing::TestWithParam<const char*> {};
 
 TEST_P(AgentUpdateGolden, OptimiserStepsOnOneMinibatchMatch) {
-  SetUpTorchProcess();
+  SetUpTorchThread();
   GoldenAgent agent(GetParam());
   const nlohmann::json& batch = agent.golden["ppo_minibatch"];
   Trainee trainee(&agent, batch);

@@ -155,13 +155,11 @@ class Watch:
 
 
 class Memory:
-    """How the resident memory of each process grows while the test goes on, be it killed and started anew all the time.
-
-    A process is only compared with one of its own name that was about as old (a power of two of seconds; beyond two
-    minutes age is no excuse): memory may depend on how old a process is, but not on how long the run goes on."""
+    """How the resident memory of each process grows after the second minute of the test, be it killed and started anew all
+    the time."""
 
     def __init__(self, start):
-        self.start, self.samples = start, {}
+        self.start, self.samples = start, {}  # by name, by class of age: time, KiB, observation
 
     def note(self, worker, now):
         kib, age, since = worker.resident_kib(), now - worker.started, now - self.start
@@ -169,33 +167,51 @@ class Memory:
             return
         # A process that lives for a moment is one observation, an old one another every ten seconds.
         observed = (worker.started, 0 if age < WARM_UP_S else int(age / OBSERVATION_S))
-        age_class = int(min(age, WARM_UP_S)).bit_length()
-        self.samples.setdefault(worker.name, {}).setdefault(age_class, []).append((since, kib, observed))
+        self.samples.setdefault(worker.name, {}).setdefault(age_class(age), []).append((since, kib, observed))
 
     def growth(self):
-        """Growth by name, of those observed often enough: the common slope of all classes of age."""
+        """Growth by name, of those observed often enough: of what is older than two minutes, where there is any."""
         growths = {}
         for name, classes in self.samples.items():
-            points = []  # time and kib less the means of their class; observation
-            for samples in classes.values():
-                mean_t, mean_kib = (statistics.fmean(sample[k] for sample in samples) for k in range(2))
-                points += [(t - mean_t, kib - mean_kib, observed) for t, kib, observed in samples]
-            square = sum(t ** 2 for t, _, _ in points)
-            if len({observed for _, _, observed in points}) < FEWEST_OBSERVATIONS or square == 0:
-                continue
-            slope = sum(t * kib for t, kib, _ in points) / square
-            pulls = {}  # of each observation on the slope: they are independent, its samples are not
-            for t, kib, observed in points:
-                pulls[observed] = pulls.get(observed, 0) + t * (kib - slope * t)
-            error = math.sqrt(sum(pull ** 2 for pull in pulls.values())) / square
-            growths[name] = Growth(round(60 * slope), round(180 * error))
+            old = [classes.get(age_class(WARM_UP_S), [])]
+            if observations(old) >= FEWEST_OBSERVATIONS:
+                growths[name] = Growth(*common_slope(old), old=True)
+            elif observations(classes.values()) >= FEWEST_OBSERVATIONS:
+                growths[name] = Growth(*common_slope(classes.values()), old=False)
         return growths
 
 
 class Growth(typing.NamedTuple):
-    """KiB a minute; `error` is three times the standard error."""
+    """KiB a minute. `error` is three times the standard error; `old` says that the processes were older than two minutes."""
     slope: int
     error: int
+    old: bool
 
-    def surely_above(self, limit):
-        return self.slope - self.error > limit
+    def above(self, limit):
+        """An old process has no excuse; of those killed all the time each has another part of the games."""
+        return self.slope - (0 if self.old else self.error) > limit
+
+
+def age_class(age):
+    """A power of two of seconds, one class from two minutes on."""
+    return int(min(age, WARM_UP_S)).bit_length()
+
+
+def observations(classes):
+    return len({observed for samples in classes for _, _, observed in samples})
+
+
+def common_slope(classes):
+    """Slope, KiB a minute, and three times its standard error. Samples are only compared with others of their class: memory
+    may depend on how old a process is, but not on how long the run goes on."""
+    points = []  # time and kib less the means of their class; observation
+    for samples in classes:
+        mean_t, mean_kib = (statistics.fmean(sample[k] for sample in samples) for k in range(2))
+        points += [(t - mean_t, kib - mean_kib, observed) for t, kib, observed in samples]
+    square = sum(t ** 2 for t, _, _ in points)
+    slope = sum(t * kib for t, kib, _ in points) / square
+    pulls = {}  # of each observation on the slope: they are independent, its samples are not
+    for t, kib, observed in points:
+        pulls[observed] = pulls.get(observed, 0) + t * (kib - slope * t)
+    error = math.sqrt(sum(pull ** 2 for pull in pulls.values())) / square
+    return round(60 * slope), round(180 * error)

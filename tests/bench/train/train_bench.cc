@@ -80,7 +80,7 @@ void Print(const Times& begin, const Times& end, int threads) {
 }
 
 absl::Status Run() {
-  SetUpTorchProcess();
+  SetUpTorchThread();
   Learner::Options options;
   options.config = DefaultRunConfig();
   options.config.set_steps(int64_t{4096} * (absl::GetFlag(FLAGS_iterations) + 1));

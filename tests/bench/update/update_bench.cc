@@ -121,7 +121,7 @@ void BenchUpdate(absl::Duration limit, const std::string& agent) {
 }  // namespace craftfleet
 
 int main(int argc, char** argv) {
-  craftfleet::SetUpTorchProcess();
+  craftfleet::SetUpTorchThread();
   const absl::Duration limit = absl::Seconds(argc > 1 ? std::atof(argv[1]) : 2);
   std::printf("%s\n%s", craftfleet::CpuDescription().c_str(), craftfleet::SlowMathWarning().c_str());
   if (argc > 2) {

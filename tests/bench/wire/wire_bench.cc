@@ -16,7 +16,6 @@
 #include <absl/time/time.h>
 
 #include "actor/env_client.h"
-#include "common/agent/torch_setup.h"
 #include "common/check.h"
 #include "common/clock.h"
 #include "common/config.h"
@@ -403,7 +402,6 @@ int RunPart(const Part& part) {
   int to_child[2];
   if (pipe(to_parent) != 0 || pipe(to_child) != 0) return 1;
   const pid_t child = fork();
-  SetUpTorchProcess();  // memory as the programs have it
   if (child == 0) {
     close(to_parent[0]);
     close(to_child[1]);
