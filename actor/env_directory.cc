@@ -137,8 +137,7 @@ void EnvDirectory::Replace(const std::string& source, std::vector<std::string> a
     const bool is_dns = absl::ConsumePrefix(&host, kDnsPrefix);
     const wire::ChannelSecurity security = is_dns ? security_.ForServer(host.substr(0, host.rfind(':'))) : security_;
     for (const std::string& address : list) {
-      const auto known = servers_.find(address);
-      servers[address] = known != servers_.end() ? known->second : wire::Connect(address, security);
+      servers[address] = {address, /*channel=*/nullptr, security};
     }
   }
   servers_ = std::move(servers);

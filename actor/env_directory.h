@@ -19,7 +19,7 @@
 
 namespace craftfleet {
 
-// Thread-safe. A server keeps its channel as long as it is listed.
+// Thread-safe.
 class EnvDirectory {
  public:
   // These, for good.
@@ -39,6 +39,7 @@ class EnvDirectory {
   bool uses_registry() const { return uses_registry_; }
   void SetRegistered(std::vector<std::string> addresses) ABSL_LOCKS_EXCLUDED(mu_);
 
+  // The channels are null but for those given to the constructor: EnvClient connects.
   std::vector<wire::Endpoint> Servers() const ABSL_LOCKS_EXCLUDED(mu_);
   // Another number whenever Servers() has changed.
   int64_t generation() const { return generation_; }

@@ -7,6 +7,7 @@
 #include <absl/strings/str_cat.h>
 #include <absl/strings/str_format.h>
 
+#include "common/heap.h"
 #include "common/log.h"
 #include "common/status_macros.h"
 #include "common/wire/status_service.h"
@@ -41,7 +42,10 @@ absl::Status Trainer::Run() {
   Show(0);
   PublishWeights();
   absl::Status status = counters_.iteration == 0 ? WriteCheckpoint() : absl::OkStatus();
-  while (status.ok() && !finished()) status = RunIteration();
+  while (status.ok() && !finished()) {
+    status = RunIteration();
+    ReleaseFreeMemory();  // an iteration's frames, twice
+  }
   parts_.checkpoints->Close();
   parts_.progress->Finish(counters_.env_steps, parts_.folder->score());
   if (status.ok()) parts_.evaluations->OnEnd(counters_.env_steps, weights_, [this] { return stopping_.load(); });

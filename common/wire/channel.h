@@ -26,7 +26,8 @@ inline constexpr char kInProcess[] = "in-process";
 // A limit of open files from which on a process can keep some for its calls.
 inline constexpr rlim_t kPlentyOfFiles = 16384;
 
-// A peer's address for messages (kInProcess where there is none), the channel to it and what that shows and wants.
+// A peer's address for messages (kInProcess where there is none), the channel to it (null: only ConnectApart will do)
+// and what that shows and wants.
 struct Endpoint {
   std::string address;
   std::shared_ptr<grpc::Channel> channel;

@@ -1,4 +1,6 @@
-// What programs allocate with (craftfleet_heap). Not under sanitizers, which have a heap of their own.
+// Linked with craftfleet_heap, as programs are. Not under sanitizers, which have a heap of their own.
+
+#include "common/heap.h"
 
 #include <cstdint>
 #include <cstring>
@@ -52,6 +54,13 @@ TEST(Heap, WhatOneThreadFreedServesTheNext) {
   EXPECT_LT(ResidentMemoryBytes(), before + static_cast<int64_t>(2 * kBlocks * kBlock));
   end.set_value();
   for (std::thread& thread : threads) thread.join();
+}
+
+TEST(Heap, WhatIsFreeGoesBackWhenAsked) {
+  HoldForAMoment();
+  const int64_t before = ResidentMemoryBytes();
+  ReleaseFreeMemory();
+  EXPECT_LT(ResidentMemoryBytes(), before - static_cast<int64_t>(kBlocks * kBlock / 2));
 }
 
 class HeapOf : public testing::TestWithParam<const char*> {};
