@@ -5,6 +5,7 @@
 
 #include <absl/strings/str_format.h>
 
+#include "common/heap.h"
 #include "common/status_macros.h"
 
 namespace craftfleet {
@@ -20,6 +21,7 @@ absl::StatusOr<std::shared_ptr<const Policy>> PolicySource::Get(int64_t epoch, i
   CRAFTFLEET_ASSIGN_OR_RETURN(policy_, Policy::Create(spec_, bytes, tile_));
   epoch_ = epoch;
   version_ = fetched;
+  ReleaseFreeMemory();  // fragments of the iteration before, and its policy
   if (fetched != version) {
     return absl::AbortedError(absl::StrFormat("weights are at version %d, the permit is for %d", fetched, version));
   }
