@@ -37,7 +37,7 @@ SHORT_CONFIG = """steps: 1024 seed: 5 lanes: 32 fragment_steps: 16 env { length:
   ppo { rollout_steps: 512 minibatch_size: 128 epochs: 2 } checkpoint { every_iterations: 1 keep_fragments: true }
   eval { every_steps: 0 final_episodes: 0 }"""
 LONG_PACE = {"kill": 2, "learner": 60, "pause": 30, "reset": 10, "cut": 90}  # seconds from one to the next
-SHORT_PACE = {"kill": 15, "reset": 8, "cut": 18}
+SHORT_PACE = {"kill": 15, "reset": 2, "cut": 18}  # it may be over in 15 s
 
 
 def run(*command):
