@@ -44,7 +44,8 @@ absl::Status CheckRanges(const v1::RunConfig& config) {
   check.Within("ppo.value_coefficient", ppo.value_coefficient(), 0.0, 100.0);
   check.Within("ppo.entropy_coefficient", ppo.entropy_coefficient(), 0.0, 100.0);
   check.Positive("ppo.max_gradient_norm", ppo.max_gradient_norm(), 1e6);
-  check.Positive("ppo.adam_epsilon", ppo.adam_epsilon(), 1);
+  // As a float it must not vanish beside a second moment of 0.
+  check.Within("ppo.adam_epsilon", ppo.adam_epsilon(), 1e-30, 1.0);
   check.That(ppo.value_norm_decay() >= 0 && ppo.value_norm_decay() < 1,
              absl::StrCat("ppo.value_norm_decay is ", ppo.value_norm_decay(), ", want at least 0, less than 1"));
   check.Within("checkpoint.every_iterations", config.checkpoint().every_iterations(), 1, 1'000'000);

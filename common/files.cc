@@ -58,6 +58,13 @@ absl::StatusOr<std::string> ReadFile(const std::string& path) {
   }
 }
 
+absl::StatusOr<int64_t> FileSize(const std::string& path) {
+  std::error_code error;
+  const std::uintmax_t size = fs::file_size(path, error);
+  if (error) return FileError(error.value(), "cannot size up", path);
+  return static_cast<int64_t>(size);
+}
+
 absl::Status WriteAll(int descriptor, absl::string_view bytes, absl::string_view path) {
   while (!bytes.empty()) {
     const ssize_t written = ::write(descriptor, bytes.data(), bytes.size());

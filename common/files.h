@@ -5,6 +5,7 @@
 #ifndef CRAFTFLEET_COMMON_FILES_H_
 #define CRAFTFLEET_COMMON_FILES_H_
 
+#include <cstdint>
 #include <string>
 #include <vector>
 
@@ -24,13 +25,18 @@ bool PathExists(const std::string& path);
 
 absl::StatusOr<std::string> ReadFile(const std::string& path);
 
+// Bytes in the file.
+absl::StatusOr<int64_t> FileSize(const std::string& path);
+
 // Writes all of `bytes` at the descriptor's position. `path` is for the message only.
 absl::Status WriteAll(int descriptor, absl::string_view bytes, absl::string_view path);
 
-// Creates or truncates `path`, writes `bytes` and syncs the file, not its folder.
+// Creates or truncates `path`, writes `bytes` and syncs the file, not its folder. After an error nothing of it counts,
+// whatever a later sync says: call it again with all the bytes, or remove the file.
 absl::Status WriteFileSynced(const std::string& path, absl::string_view bytes);
 
-// Replaces `path` so that, whenever the machine stops, it holds the old bytes or the new ones. On failure the old stay.
+// Replaces `path` so that, whenever the machine stops, it holds the old bytes or the new ones. On failure the old stay,
+// unless what failed is the sync of the folder: then the new are there, and may not outlast a crash.
 absl::Status ReplaceFile(const std::string& path, absl::string_view bytes);
 
 // Makes the names in `folder` durable.
@@ -39,7 +45,7 @@ absl::Status SyncFolder(const std::string& folder);
 // Creates `path` and its parents; fine if it is there already.
 absl::Status CreateFolders(const std::string& path);
 
-// Renames and syncs the folder of `to`.
+// Renames and syncs the folder of `to`. Where the sync fails the new name stands, and may not outlast a crash.
 absl::Status RenameSynced(const std::string& from, const std::string& to);
 
 // Removes `path` with all in it; fine if it is not there.

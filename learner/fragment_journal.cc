@@ -29,39 +29,52 @@ std::optional<absl::string_view> NextRecord(absl::string_view* bytes) {
 
 }  // namespace
 
-absl::StatusOr<FragmentJournal> FragmentJournal::Open(const std::string& path, const std::string& run_id) {
-  CRAFTFLEET_ASSIGN_OR_RETURN(AppendFile file, AppendFile::Open(path));
-  return FragmentJournal(run_id, std::move(file));
-}
-
 std::vector<Fragment> FragmentJournal::Read(const wire::FragmentShape& shape) {
   std::vector<Fragment> fragments;
-  const std::string file = ReadFile(file_.path()).value_or("");
+  const std::string file = ReadFile(path_).value_or("");
   absl::string_view rest = file;
-  size_t sound = 0;  // bytes
+  sound_ = 0;
   if (NextRecord(&rest) == absl::string_view(run_id_)) {
-    sound = file.size() - rest.size();
+    sound_ = file.size() - rest.size();
     while (const std::optional<absl::string_view> record = NextRecord(&rest)) {
       v1::FragmentMessage message;
       if (!message.ParseFromArray(record->data(), static_cast<int>(record->size()))) break;
       absl::StatusOr<Fragment> fragment = wire::FromProto(&message, shape);
       if (!fragment.ok()) break;
       fragments.push_back(*std::move(fragment));
-      sound = file.size() - rest.size();
+      sound_ = file.size() - rest.size();
     }
   }
-  failed_ = !file_.TruncateTo(static_cast<int64_t>(sound)).ok();
   return fragments;
+}
+
+absl::Status FragmentJournal::Open() {
+  if (file_.has_value()) return absl::OkStatus();
+  AppendFile::Options options;
+  options.fence = fence_;
+  options.durable = false;
+  CRAFTFLEET_ASSIGN_OR_RETURN(AppendFile file, AppendFile::Open(path_, options));
+  if (sound_.has_value()) CRAFTFLEET_RETURN_IF_ERROR(file.TruncateTo(*sound_));
+  file_.emplace(std::move(file));
+  return absl::OkStatus();
 }
 
 absl::Status FragmentJournal::Append(const Fragment& fragment) {
   if (failed_) return absl::OkStatus();
-  if (file_.length() == 0) CRAFTFLEET_RETURN_IF_ERROR(AppendRecord(run_id_));
+  absl::Status status = AppendAll(fragment);
+  failed_ = !status.ok();
+  return status;
+}
+
+absl::Status FragmentJournal::AppendAll(const Fragment& fragment) {
+  CRAFTFLEET_RETURN_IF_ERROR(Open());
+  if (file_->length() == 0) CRAFTFLEET_RETURN_IF_ERROR(AppendRecord(run_id_));
   return AppendRecord(wire::ToProto(fragment).SerializeAsString());
 }
 
 absl::Status FragmentJournal::Clear() {
-  CRAFTFLEET_RETURN_IF_ERROR(file_.TruncateTo(0));
+  CRAFTFLEET_RETURN_IF_ERROR(Open());
+  CRAFTFLEET_RETURN_IF_ERROR(file_->TruncateTo(0));
   failed_ = false;
   return absl::OkStatus();
 }
@@ -70,11 +83,10 @@ absl::Status FragmentJournal::AppendRecord(absl::string_view bytes) {
   std::string head;
   AppendLittleEndian(static_cast<uint32_t>(bytes.size()), &head);
   AppendLittleEndian(Crc32c(bytes), &head);
-  file_.Append(head);
-  file_.Append(bytes);
-  absl::Status status = file_.Flush();
-  failed_ = !status.ok();
-  if (failed_) file_.DropWaiting();
+  file_->Append(head);
+  file_->Append(bytes);
+  absl::Status status = file_->Flush();
+  if (!status.ok()) file_->DropWaiting();
   return status;
 }
 

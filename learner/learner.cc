@@ -12,13 +12,13 @@
 
 #include "common/agent/agent_spec.h"
 #include "common/config.h"
-#include "common/env_name.h"
 #include "common/files.h"
 #include "common/log.h"
 #include "common/status_macros.h"
 #include "common/texture_digest.h"
 #include "common/version.h"
 #include "learner/fleet_summary.h"
+#include "learner/runnable_config.h"
 
 namespace craftfleet {
 namespace {
@@ -26,23 +26,6 @@ namespace {
 constexpr absl::Duration kLease = absl::Seconds(5);
 // They speak once a second, actors twice: a server that was paused for 4 s must not be forgotten either.
 constexpr absl::Duration kServerLease = absl::Seconds(8);
-
-// Fills in what follows from the rest and checks all of it.
-absl::StatusOr<v1::RunConfig> CompleteConfig(v1::RunConfig config) {
-  CRAFTFLEET_ASSIGN_OR_RETURN(config, ResolveRunConfig(std::move(config)));
-  CRAFTFLEET_ASSIGN_OR_RETURN(const AgentSpec spec, MakeAgentSpec(config));
-  CRAFTFLEET_ASSIGN_OR_RETURN(const EnvName env, EnvName::Parse(config.env().name()));
-  config.mutable_env()->set_name(env.ToString());
-  if (config.env().frame_size() == 0) config.mutable_env()->set_frame_size(spec.frame_size);
-  if (config.env().frame_size() != spec.frame_size) {
-    return absl::InvalidArgumentError(absl::StrFormat("env.frame_size: %d, want %d, which %s looks at",
-                                                      config.env().frame_size(), spec.frame_size, spec.name));
-  }
-  if (config.eval().env().empty()) config.mutable_eval()->set_env(config.env().name());
-  CRAFTFLEET_ASSIGN_OR_RETURN(const EnvName eval_env, EnvName::Parse(config.eval().env()));
-  config.mutable_eval()->set_env(eval_env.ToString());
-  return config;
-}
 
 // FailedPrecondition unless the run in `logdir` has the configuration `asked`, but for its steps and checkpoints.
 absl::Status CheckSameRun(const std::string& logdir, v1::RunConfig asked) {
@@ -99,16 +82,6 @@ absl::Status CheckLaneStates(const v1::CheckpointState& state, int state_size) {
   return absl::OkStatus();
 }
 
-wire::FragmentShape FragmentShapeOf(const v1::RunConfig& config, const AgentSpec& spec) {
-  wire::FragmentShape shape;
-  shape.lanes = config.lanes();
-  shape.steps = config.fragment_steps();
-  shape.frame_bytes = static_cast<int>(spec.frame_bytes());
-  shape.state_size = spec.state_size;
-  shape.states = config.ppo().recurrent_batches() == v1::PpoConfig::PUBLISHED ? config.fragment_steps() : 1;
-  return shape;
-}
-
 LaneLedger::Options LedgerOptions(const v1::RunConfig& config) {
   LaneLedger::Options options;
   options.lanes = config.lanes();
@@ -142,8 +115,10 @@ absl::StatusOr<std::unique_ptr<Learner>> Learner::Create(const Options& options)
                                      config.status().message()));
   }
   if (!config.ok()) return config.status();
+  CRAFTFLEET_ASSIGN_OR_RETURN(const AgentSpec spec, MakeAgentSpec(*config));
+  CRAFTFLEET_RETURN_IF_ERROR(CheckRunnable(*config, spec, {OwnMemoryBytes(), options.device == "cpu"}));
   CRAFTFLEET_ASSIGN_OR_RETURN(Loaded loaded, Load(options, *config));
-  if (config->checkpoint().keep_fragments()) CRAFTFLEET_RETURN_IF_ERROR(OpenJournal(&loaded));
+  if (config->checkpoint().keep_fragments()) OpenJournal(&loaded);
   std::unique_ptr<Learner> learner(new Learner(options, std::move(loaded)));
   CRAFTFLEET_ASSIGN_OR_RETURN(
       learner->server_,
@@ -173,7 +148,7 @@ absl::StatusOr<Learner::Loaded> Learner::Load(const Options& options, const v1::
                                                                 program, loaded.clock.get()));
   CRAFTFLEET_RETURN_IF_ERROR(loaded.updater->Load(run.checkpoint.weights, run.checkpoint.optimizer));
   CRAFTFLEET_RETURN_IF_ERROR(CheckLaneStates(run.checkpoint.state, loaded.updater->spec().state_size));
-  CRAFTFLEET_RETURN_IF_ERROR(run.folder->TakeChanges(config));
+  run.folder->TakeChanges(config);
   loaded.folder = std::move(run.folder);
   loaded.checkpoint = std::move(run.checkpoint);
   loaded.checkpoint.weights.clear();
@@ -183,13 +158,10 @@ absl::StatusOr<Learner::Loaded> Learner::Load(const Options& options, const v1::
   return loaded;
 }
 
-absl::Status Learner::OpenJournal(Loaded* loaded) {
-  CRAFTFLEET_ASSIGN_OR_RETURN(
-      FragmentJournal journal,
-      FragmentJournal::Open(JoinPath(loaded->folder->logdir(), "fragments.journal"), loaded->folder->run_id()));
-  loaded->kept = journal.Read(FragmentShapeOf(loaded->config, loaded->updater->spec()));
-  loaded->journal.emplace(std::move(journal));
-  return absl::OkStatus();
+void Learner::OpenJournal(Loaded* loaded) {
+  const RunFolder& folder = *loaded->folder;
+  loaded->journal.emplace(JoinPath(folder.logdir(), "fragments.journal"), folder.run_id(), folder.fence());
+  loaded->kept = loaded->journal->Read(FragmentShapeOf(loaded->config, loaded->updater->spec()));
 }
 
 Learner::Learner(const Options& options, Loaded loaded)
@@ -226,6 +198,7 @@ void Learner::FillStatus(v1::StatusReply* reply) const {
 }
 
 absl::Status Learner::Run() {
+  CRAFTFLEET_RETURN_IF_ERROR(folder_->Begin());
   absl::Status status = trainer_.Run();
   // Actors hear within their next poll that the run is over. They outlive a learner that stops before that.
   if (trainer_.finished()) ledger_.WaitUntilEmpty(absl::Seconds(2));

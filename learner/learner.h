@@ -50,14 +50,16 @@ class Learner {
     bool progress_in_place = false;    // it is a terminal
   };
 
-  // Opens the run folder, loads the checkpoint and starts to listen.
+  // Looks at the run folder, loads the checkpoint and starts to listen. Nothing in the folder but its lock is changed
+  // before Run: a start that fails leaves it as it was.
   //   InvalidArgument: a value of the configuration; names it.   AlreadyExists: `logdir` has a run and `resume` is off.
   //   FailedPrecondition: the run in `logdir` has another configuration (only `steps` and `checkpoint` may change);
   //   names the field.   `init_from` is of another agent.
   //   Others as RunFolder and wire::Server.
   static absl::StatusOr<std::unique_ptr<Learner>> Create(const Options& options);
 
-  // Trains to the end or until Stop.
+  // Begins to write the run folder, then trains to the end or until Stop.
+  //   Aborted: another learner has taken over the folder, whose lock did not keep it out.
   absl::Status Run();
   // Ends Run: within a minibatch and the time to write a checkpoint. Idempotent.
   void Stop() { trainer_.Stop(); }
@@ -75,7 +77,7 @@ class Learner {
   Learner(const Options& options, Loaded loaded);
   void FillStatus(v1::StatusReply* reply) const;
   static absl::StatusOr<Loaded> Load(const Options& options, const v1::RunConfig& config);
-  static absl::Status OpenJournal(Loaded* loaded);
+  static void OpenJournal(Loaded* loaded);
 
   const v1::RunConfig config_;
   const std::unique_ptr<Clock> clock_;

@@ -132,6 +132,7 @@ absl::Status Trainer::Collect(std::vector<Fragment>* fragments) {
       last_news = parts_.clock->Now();
     } else if (parts_.clock->Now() - last_news > kSayWaiting) {
       last_news = parts_.clock->Now();
+      CRAFTFLEET_RETURN_IF_ERROR(parts_.folder->CheckOwned());
       LogInfo("waiting for actors: %d of %d fragments are here, %d actors have joined", fragments->size(), wanted,
               parts_.ledger->Actors().size());
     }
@@ -153,6 +154,7 @@ absl::Status Trainer::FinishIteration(const std::vector<Fragment>& fragments, co
   PublishWeights();
   AddToLogs(fragments, stats);
   FlushLogs();
+  CRAFTFLEET_RETURN_IF_ERROR(parts_.folder->CheckOwned());
   parts_.evaluations->OnIteration(counters_.env_steps - config_.ppo().rollout_steps(), counters_.env_steps, weights_,
                                   [this] { return stopping_.load(); });
   ServeCheckpointRequests();
@@ -164,6 +166,7 @@ absl::Status Trainer::FinishIteration(const std::vector<Fragment>& fragments, co
   const absl::Status status = WriteCheckpoint();
   checkpoint_missed_ = !status.ok();
   if (!status.ok()) {
+    CRAFTFLEET_RETURN_IF_ERROR(parts_.folder->CheckOwned());
     LogError("checkpoint of iteration %d: %s; mend that: training goes on and tries again after the next iteration",
              counters_.iteration.load(), status.message());
   }
@@ -209,7 +212,7 @@ void Trainer::FlushLogs() {
       return;
     }
     WaitForRoom(absl::StrCat(trouble, ", and training with them"));
-    if (stopping_) return;
+    if (stopping_ || !parts_.folder->CheckOwned().ok()) return;
     status = parts_.folder->FlushLogs();
   }
 }

@@ -4,30 +4,34 @@
 #include <unistd.h>
 
 #include <cerrno>
-#include <utility>
 
 #include <absl/strings/str_cat.h>
 
 #include "common/files.h"
+#include "common/status_macros.h"
 
 namespace craftfleet {
+namespace {
 
-absl::StatusOr<AppendFile> AppendFile::Open(const std::string& path) {
-  const int descriptor = ::open(path.c_str(), O_WRONLY | O_CREAT | O_APPEND | O_CLOEXEC, 0644);
-  if (descriptor < 0) return FileError(errno, "cannot open", path);
-  const off_t length = ::lseek(descriptor, 0, SEEK_END);
-  if (length < 0) {
-    const absl::Status status = FileError(errno, "cannot seek in", path);
-    ::close(descriptor);
-    return status;
-  }
-  return AppendFile(path, descriptor, length);
+constexpr size_t kMaxUnsyncedBytes = 1 << 20;
+
+}  // namespace
+
+absl::StatusOr<AppendFile> AppendFile::Open(const std::string& path, const Options& options) {
+  AppendFile file(path, options);
+  CRAFTFLEET_RETURN_IF_ERROR(file.OpenDescriptor());
+  const off_t length = ::lseek(file.descriptor_, 0, SEEK_END);
+  if (length < 0) return FileError(errno, "cannot seek in", path);
+  file.length_ = length;
+  return file;
 }
 
 AppendFile::AppendFile(AppendFile&& other) noexcept
     : path_(std::move(other.path_)),
+      options_(other.options_),
       descriptor_(std::exchange(other.descriptor_, -1)),
       length_(other.length_),
+      unsynced_(std::move(other.unsynced_)),
       waiting_(std::move(other.waiting_)),
       torn_(other.torn_) {}
 
@@ -35,29 +39,57 @@ AppendFile::~AppendFile() {
   if (descriptor_ >= 0) ::close(descriptor_);
 }
 
-absl::Status AppendFile::Flush() {
+absl::Status AppendFile::OpenDescriptor() {
+  descriptor_ = ::open(path_.c_str(), O_WRONLY | O_CREAT | O_APPEND | O_CLOEXEC, 0644);
+  return descriptor_ >= 0 ? absl::OkStatus() : FileError(errno, "cannot open", path_);
+}
+
+absl::Status AppendFile::Prepare() {
+  if (options_.fence != nullptr) CRAFTFLEET_RETURN_IF_ERROR(options_.fence->Check());
+  if (descriptor_ < 0) CRAFTFLEET_RETURN_IF_ERROR(OpenDescriptor());
   if (torn_ && ::ftruncate(descriptor_, length_) != 0) return FileError(errno, "cannot cut back", path_);
   torn_ = false;
-  if (waiting_.empty()) return absl::OkStatus();
-  absl::Status status = WriteAll(descriptor_, waiting_, path_);
-  if (status.ok()) {
-    length_ += waiting_bytes();
-    std::string().swap(waiting_);
-  } else {
+  return absl::OkStatus();
+}
+
+absl::Status AppendFile::Flush() {
+  if (waiting_.empty() && !torn_) return absl::OkStatus();
+  CRAFTFLEET_RETURN_IF_ERROR(Prepare());
+  const absl::Status status = WriteAll(descriptor_, waiting_, path_);
+  if (!status.ok()) {
     torn_ = ::ftruncate(descriptor_, length_) != 0;
+    return status;
   }
-  return status;
+  length_ += waiting_bytes();
+  if (options_.durable) unsynced_ += waiting_;
+  std::string().swap(waiting_);
+  return unsynced_.size() > kMaxUnsyncedBytes ? Sync() : absl::OkStatus();
 }
 
 absl::Status AppendFile::Sync() {
-  return ::fsync(descriptor_) == 0 ? absl::OkStatus() : FileError(errno, "cannot sync", path_);
+  if (descriptor_ < 0) CRAFTFLEET_RETURN_IF_ERROR(Prepare());
+  if (::fsync(descriptor_) == 0) {
+    std::string().swap(unsynced_);
+    return absl::OkStatus();
+  }
+  const absl::Status status = FileError(errno, "cannot sync", path_);
+  ::close(descriptor_);
+  descriptor_ = -1;
+  length_ -= static_cast<int64_t>(unsynced_.size());
+  torn_ = true;
+  waiting_.insert(0, unsynced_);
+  unsynced_.clear();
+  return status;
 }
 
 absl::Status AppendFile::TruncateTo(int64_t length) {
   if (length > length_) {
     return absl::DataLossError(absl::StrCat(path_, " has ", length_, " bytes, the checkpoint saw ", length));
   }
+  CRAFTFLEET_RETURN_IF_ERROR(Prepare());
   if (::ftruncate(descriptor_, length) != 0) return FileError(errno, "cannot cut back", path_);
+  const int64_t synced = length_ - static_cast<int64_t>(unsynced_.size());
+  unsynced_.resize(length > synced ? length - synced : 0);
   length_ = length;
   return absl::OkStatus();
 }

@@ -27,16 +27,26 @@ int64_t IterationOf(absl::string_view name) {
   return iteration;
 }
 
+// Those that a kill left amid their replacement are among them.
 absl::StatusOr<std::vector<std::string>> ListCheckpoints(const std::string& folder) {
   CRAFTFLEET_ASSIGN_OR_RETURN(std::vector<std::string> names, ListFolder(folder));
+  for (std::string& name : names) name = std::string(absl::StripPrefix(name, kReplacedPrefix));
   names.erase(std::remove_if(names.begin(), names.end(), [](const std::string& n) { return IterationOf(n) < 0; }),
               names.end());
   std::sort(names.begin(), names.end(),
             [](const std::string& a, const std::string& b) { return IterationOf(a) > IterationOf(b); });
+  names.erase(std::unique(names.begin(), names.end()), names.end());
   return names;
 }
 
-// A kill while a checkpoint was being replaced: the old one counts unless the new one is in its place.
+// Where the checkpoint `name` lies: the old one counts unless the new one is in its place.
+std::string PathIn(const std::string& folder, absl::string_view name) {
+  const std::string replaced = JoinPath(folder, absl::StrCat(kReplacedPrefix, name));
+  std::string path = JoinPath(folder, name);
+  return !PathExists(path) && PathExists(replaced) ? replaced : path;
+}
+
+// A kill while a checkpoint was being replaced.
 absl::Status EndReplacement(const std::string& folder, const std::string& replaced) {
   const std::string name = replaced.substr(kReplacedPrefix.size());
   if (PathExists(JoinPath(folder, name))) return RemoveAll(JoinPath(folder, replaced));
@@ -56,42 +66,56 @@ absl::StatusOr<std::string> FindCheckpoint(const std::string& path) {
   if (PathExists(JoinPath(path, "MANIFEST"))) return path;
   for (const std::string& folder : {JoinPath(path, "checkpoints"), path}) {
     const absl::StatusOr<std::vector<std::string>> names = ListCheckpoints(folder);
-    if (names.ok() && !names->empty()) return JoinPath(folder, names->front());
+    if (names.ok() && !names->empty()) return PathIn(folder, names->front());
   }
   return absl::NotFoundError(
       absl::StrCat("no checkpoint at ", path, ": want a run's folder, or one like <logdir>/checkpoints/iter-00000010"));
 }
 
-absl::StatusOr<CheckpointStore> CheckpointStore::Open(const std::string& folder) {
+absl::StatusOr<CheckpointStore> CheckpointStore::Open(const std::string& folder, const EpochFence* fence) {
+  const CheckpointStore store(folder, fence);
+  CRAFTFLEET_RETURN_IF_ERROR(store.CheckFence());
   CRAFTFLEET_RETURN_IF_ERROR(CreateFolders(folder));
   CRAFTFLEET_ASSIGN_OR_RETURN(const std::vector<std::string> names, ListFolder(folder));
   for (const std::string& name : names) {
     if (absl::StartsWith(name, kTemporaryPrefix)) CRAFTFLEET_RETURN_IF_ERROR(RemoveAll(JoinPath(folder, name)));
     if (absl::StartsWith(name, kReplacedPrefix)) CRAFTFLEET_RETURN_IF_ERROR(EndReplacement(folder, name));
   }
-  return CheckpointStore(folder);
+  return store;
 }
 
 absl::Status CheckpointStore::Write(const Checkpoint& checkpoint) {
   const std::string name = CheckpointName(checkpoint.state.iteration());
-  const std::string replaced = PathOf(absl::StrCat(kReplacedPrefix, name));
+  CRAFTFLEET_RETURN_IF_ERROR(CheckFence());
   if (PathExists(PathOf(name))) {
     const absl::StatusOr<Checkpoint> there = LoadCheckpoint(PathOf(name), "");
     if (there.ok() && SameEvaluations(there->state, checkpoint.state)) return absl::OkStatus();
     if (!there.ok()) CRAFTFLEET_RETURN_IF_ERROR(Remove(name));
   }
-  const std::string temporary = PathOf(absl::StrCat(kTemporaryPrefix, name));
+  const std::string temporary = TemporaryPath(name);
   absl::Status status = WriteCheckpointFiles(temporary, checkpoint);
-  const bool replaces = PathExists(PathOf(name));
-  if (status.ok() && replaces) status = RenameSynced(PathOf(name), replaced);
-  if (status.ok()) status = RenameSynced(temporary, PathOf(name));
-  if (status.ok() && replaces) status = RemoveAll(replaced);
+  if (status.ok()) status = MoveIn(temporary, name);
   if (!status.ok()) {
     // The first error is the one to tell; what can't be removed now goes at the next Open.
     RemoveAll(temporary).IgnoreError();
     return status;
   }
   return Prune(checkpoint.state.config().checkpoint().keep());
+}
+
+absl::Status CheckpointStore::MoveIn(const std::string& temporary, const std::string& name) {
+  // Its files took a while to write.
+  CRAFTFLEET_RETURN_IF_ERROR(CheckFence());
+  const std::string path = PathOf(name);
+  const std::string replaced = PathOf(absl::StrCat(kReplacedPrefix, name));
+  const bool replaces = PathExists(path);
+  absl::Status status = replaces ? RenameSynced(path, replaced) : absl::OkStatus();
+  if (status.ok()) status = RenameSynced(temporary, path);
+  if (status.ok()) return replaces ? RemoveAll(replaced) : status;
+  // A name whose sync failed may be gone after a crash: it must not be found here and taken for written.
+  if (PathExists(path) && !PathExists(temporary)) RenameSynced(path, temporary).IgnoreError();
+  if (PathExists(replaced)) RenameSynced(replaced, path).IgnoreError();
+  return status;
 }
 
 absl::StatusOr<std::vector<std::string>> CheckpointStore::ListNewestFirst() const { return ListCheckpoints(folder_); }
@@ -102,16 +126,16 @@ absl::StatusOr<Checkpoint> CheckpointStore::Load(const std::string& name, absl::
     return absl::NotFoundError(absl::StrCat("no checkpoint ", name, " in ", folder_, ", which has ",
                                             names.empty() ? "none" : absl::StrJoin(names, ", ")));
   }
-  return LoadCheckpoint(PathOf(name), agent);
+  return LoadCheckpoint(PathIn(folder_, name), agent);
 }
 
 absl::StatusOr<Checkpoint> CheckpointStore::LoadLatest(absl::string_view agent) const {
   CRAFTFLEET_ASSIGN_OR_RETURN(const std::vector<std::string> names, ListNewestFirst());
   if (names.empty()) return absl::NotFoundError(absl::StrCat("no checkpoint in ", folder_));
-  absl::StatusOr<Checkpoint> newest = LoadCheckpoint(PathOf(names.front()), agent);
+  absl::StatusOr<Checkpoint> newest = LoadCheckpoint(PathIn(folder_, names.front()), agent);
   if (newest.ok()) return newest;
   for (size_t i = 1; i < names.size(); ++i) {
-    if (!LoadCheckpoint(PathOf(names[i]), agent).ok()) continue;
+    if (!LoadCheckpoint(PathIn(folder_, names[i]), agent).ok()) continue;
     return absl::Status(newest.status().code(),
                         absl::StrCat(newest.status().message(), "; the previous good one is ", names[i],
                                      ": resume from it with --resume_from=", names[i]));
@@ -129,9 +153,14 @@ absl::Status CheckpointStore::DiscardNewerThan(int64_t iteration) {
 
 std::string CheckpointStore::PathOf(absl::string_view name) const { return JoinPath(folder_, name); }
 
+std::string CheckpointStore::TemporaryPath(absl::string_view name) const {
+  return PathOf(absl::StrCat(kTemporaryPrefix, fence_ != nullptr ? fence_->epoch() : 0, "-", name));
+}
+
 absl::Status CheckpointStore::Remove(const std::string& name) {
+  CRAFTFLEET_RETURN_IF_ERROR(CheckFence());
   // Renamed first, so that a kill amid the removal leaves no torn checkpoint under a good name.
-  const std::string doomed = PathOf(absl::StrCat(kTemporaryPrefix, "old-", name));
+  const std::string doomed = TemporaryPath(absl::StrCat("old-", name));
   CRAFTFLEET_RETURN_IF_ERROR(RenameSynced(PathOf(name), doomed));
   return RemoveAll(doomed);
 }

@@ -1,34 +1,90 @@
 #include "learner/run/epoch.h"
 
-#include <absl/status/status.h>
+#include <unistd.h>
+
+#include <random>
+#include <vector>
+
 #include <absl/strings/numbers.h>
 #include <absl/strings/str_cat.h>
+#include <absl/strings/str_format.h>
+#include <absl/strings/str_split.h>
 
 #include "common/files.h"
 #include "common/status_macros.h"
+#include "learner/run/folder_lock.h"
 
 namespace craftfleet {
 namespace {
 
 std::string EpochPath(const std::string& logdir) { return JoinPath(logdir, "epoch"); }
 
+// What the file says: the number, and who took it. Version 0.1 wrote the number alone.
+struct Taken {
+  int64_t epoch = 0;
+  std::string by = "another learner";
+};
+
+absl::StatusOr<Taken> ParseEpoch(const std::string& path, const std::string& text) {
+  const std::vector<std::string> lines = absl::StrSplit(text, '\n');
+  Taken taken;
+  if (!absl::SimpleAtoi(lines[0], &taken.epoch) || taken.epoch < 1) {
+    return absl::DataLossError(absl::StrCat(path, " holds \"", text, "\", want a number from 1"));
+  }
+  if (lines.size() > 1 && !lines[1].empty()) taken.by = lines[1];
+  return taken;
+}
+
+absl::StatusOr<Taken> ReadTaken(const std::string& logdir) {
+  const absl::StatusOr<std::string> text = ReadFile(EpochPath(logdir));
+  if (absl::IsNotFound(text.status())) return Taken();
+  CRAFTFLEET_RETURN_IF_ERROR(text.status());
+  return ParseEpoch(EpochPath(logdir), *text);
+}
+
 }  // namespace
 
 absl::StatusOr<int64_t> ReadEpoch(const std::string& logdir) {
-  const absl::StatusOr<std::string> text = ReadFile(EpochPath(logdir));
-  if (absl::IsNotFound(text.status())) return 0;
-  CRAFTFLEET_RETURN_IF_ERROR(text.status());
-  int64_t epoch = 0;
-  if (!absl::SimpleAtoi(*text, &epoch) || epoch < 1) {
-    return absl::DataLossError(absl::StrCat(EpochPath(logdir), " holds \"", *text, "\", want a number from 1"));
-  }
-  return epoch;
+  CRAFTFLEET_ASSIGN_OR_RETURN(const Taken taken, ReadTaken(logdir));
+  return taken.epoch;
 }
 
-absl::StatusOr<int64_t> NextEpoch(const std::string& logdir) {
-  CRAFTFLEET_ASSIGN_OR_RETURN(const int64_t epoch, ReadEpoch(logdir));
-  CRAFTFLEET_RETURN_IF_ERROR(ReplaceFile(EpochPath(logdir), absl::StrCat(epoch + 1, "\n")));
-  return epoch + 1;
+absl::Status EpochFence::Take(const std::string& logdir, int64_t epoch) {
+  CRAFTFLEET_ASSIGN_OR_RETURN(const Taken taken, ReadTaken(logdir));
+  if (taken.epoch >= epoch) {
+    return absl::FailedPreconditionError(absl::StrCat("run folder ", logdir, " was taken by ", taken.by,
+                                                      " while this one started: use another --logdir"));
+  }
+  // Two that come to the same number differ in the second line.
+  std::random_device random;
+  const std::string text = absl::StrFormat("%d\n%s, start %08x%08x\n", epoch, ProcessName(), random(), random());
+  // Of this start alone: another may be writing its own at this moment.
+  const std::string temporary = absl::StrFormat("%s.%08x.tmp", EpochPath(logdir), random());
+  absl::Status status = WriteFileSynced(temporary, text);
+  if (status.ok()) status = RenameSynced(temporary, EpochPath(logdir));
+  if (!status.ok()) {
+    ::unlink(temporary.c_str());
+    return status;
+  }
+  logdir_ = logdir;
+  text_ = text;
+  epoch_ = epoch;
+  return Check();
+}
+
+absl::Status EpochFence::Check() const {
+  if (epoch_ == 0) return absl::FailedPreconditionError("this learner has not begun to write its run folder");
+  const absl::StatusOr<std::string> text = ReadFile(EpochPath(logdir_));
+  if (!text.ok()) {
+    return absl::UnavailableError(
+        absl::StrCat("whether this learner still owns its run folder is not known: ", text.status().message()));
+  }
+  if (*text == text_) return absl::OkStatus();
+  const absl::StatusOr<Taken> taken = ParseEpoch(EpochPath(logdir_), *text);
+  if (!taken.ok()) return absl::UnavailableError(taken.status().message());
+  return absl::AbortedError(absl::StrCat(
+      "run folder ", logdir_, " was taken over by ", taken->by, " (epoch ", taken->epoch, ", this one is epoch ",
+      epoch_, "): the disk's locks keep nobody out; this learner writes nothing more. Start only one on a run folder"));
 }
 
 }  // namespace craftfleet

@@ -28,8 +28,8 @@ std::string Frame(absl::string_view data) {
 
 }  // namespace
 
-absl::StatusOr<EventLog> EventLog::Open(const std::string& path, Clock* clock) {
-  CRAFTFLEET_ASSIGN_OR_RETURN(AppendFile file, AppendFile::Open(path));
+absl::StatusOr<EventLog> EventLog::Open(const std::string& path, Clock* clock, const AppendFile::Options& options) {
+  CRAFTFLEET_ASSIGN_OR_RETURN(AppendFile file, AppendFile::Open(path, options));
   EventLog log(std::move(file), clock);
   if (log.file_.length() == 0) {
     v1::Event event;

@@ -29,7 +29,8 @@ struct Scalar {
 class EventLog {
  public:
   // `clock` outlives the log; it gives the events' wall time. An empty file gets its version record.
-  static absl::StatusOr<EventLog> Open(const std::string& path, Clock* clock);
+  static absl::StatusOr<EventLog> Open(const std::string& path, Clock* clock,
+                                       const AppendFile::Options& options = AppendFile::Options());
 
   // Appends one event with all `scalars` at environment step `step`; file().Flush() writes it.
   void AddScalars(int64_t step, absl::Span<const Scalar> scalars);

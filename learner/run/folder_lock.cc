@@ -16,15 +16,12 @@
 #include "common/status_macros.h"
 
 namespace craftfleet {
-namespace {
 
-std::string OwnName() {
+std::string ProcessName() {
   std::array<char, 256> host{};
   if (::gethostname(host.data(), host.size() - 1) != 0) host = {"?"};
   return absl::StrCat("process ", ::getpid(), " on ", host.data());
 }
-
-}  // namespace
 
 absl::StatusOr<FolderLock> FolderLock::Acquire(const std::string& folder) {
   const std::string path = JoinPath(folder, "lock");
@@ -40,7 +37,7 @@ absl::StatusOr<FolderLock> FolderLock::Acquire(const std::string& folder) {
                      ": stop that one or use another --logdir"));
   }
   if (::ftruncate(descriptor, 0) != 0) return FileError(errno, "cannot empty", path);
-  CRAFTFLEET_RETURN_IF_ERROR(WriteAll(descriptor, absl::StrCat(OwnName(), "\n"), path));
+  CRAFTFLEET_RETURN_IF_ERROR(WriteAll(descriptor, absl::StrCat(ProcessName(), "\n"), path));
   return lock;
 }
 

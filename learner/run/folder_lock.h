@@ -9,6 +9,9 @@
 
 namespace craftfleet {
 
+// "process 1234 on host": this one, for people.
+std::string ProcessName();
+
 // Holds <folder>/lock by flock for its lifetime; the system lets go when the process dies, however it dies.
 class FolderLock {
  public:

@@ -9,12 +9,12 @@
 #include <absl/strings/str_cat.h>
 #include <absl/strings/str_format.h>
 #include <absl/time/time.h>
+#include <absl/types/optional.h>
 #include <nlohmann/json.hpp>
 
 #include "common/config.h"
 #include "common/files.h"
 #include "common/status_macros.h"
-#include "learner/run/epoch.h"
 
 namespace craftfleet {
 namespace {
@@ -42,62 +42,49 @@ std::string DescribeRun(const std::string& run_id, uint64_t seed, const ProgramI
   return description.dump(2) + "\n";
 }
 
-// AlreadyExists if `logdir` has a run. One that ended before its first checkpoint (its port was in use, say) has
-// nothing to go on with: its logs are removed.
-absl::Status ClearUnbegunRun(const std::string& logdir) {
+constexpr char kCheckpointFolder[] = "checkpoints";
+
+// AlreadyExists if `logdir` has a run. One that ended before its first checkpoint has nothing to go on with.
+absl::Status CheckNoRun(const std::string& logdir) {
   if (!PathExists(JoinPath(logdir, kConfigFile))) return absl::OkStatus();
-  CRAFTFLEET_ASSIGN_OR_RETURN(const CheckpointStore checkpoints,
-                              CheckpointStore::Open(JoinPath(logdir, "checkpoints")));
-  CRAFTFLEET_ASSIGN_OR_RETURN(const std::vector<std::string> names, checkpoints.ListNewestFirst());
-  if (!names.empty()) {
-    return absl::AlreadyExistsError(
-        absl::StrCat(logdir, " already has a run: go on with it by --resume, or use another --logdir"));
-  }
-  for (const char* file : kEpisodeFiles) CRAFTFLEET_RETURN_IF_ERROR(RemoveAll(JoinPath(logdir, file)));
-  CRAFTFLEET_RETURN_IF_ERROR(RemoveAll(JoinPath(logdir, kEventsFile)));
-  return RemoveAll(JoinPath(logdir, kConfigFile));
+  const std::string folder = JoinPath(logdir, kCheckpointFolder);
+  if (!PathExists(folder)) return absl::OkStatus();
+  CRAFTFLEET_ASSIGN_OR_RETURN(const std::vector<std::string> names, CheckpointStore::At(folder).ListNewestFirst());
+  if (names.empty()) return absl::OkStatus();
+  return absl::AlreadyExistsError(
+      absl::StrCat(logdir, " already has a run: go on with it by --resume, or use another --logdir"));
 }
 
 std::string BaseName(const std::string& path) { return path.substr(path.find_last_of('/') + 1); }
 
+// Of the log `name`, bytes, as the checkpoint has it; nothing: it does not know it.
+absl::optional<int64_t> LengthOf(absl::string_view name, const v1::CheckpointState& state) {
+  const auto length =
+      std::find_if(state.logs().begin(), state.logs().end(), [&](const v1::LogLength& l) { return l.file() == name; });
+  return length == state.logs().end() ? absl::nullopt : absl::make_optional(length->bytes());
+}
+
 }  // namespace
 
-RunFolder::RunFolder(std::string logdir, FolderLock lock, std::vector<EpisodeLog> episodes, EventLog events,
-                     CheckpointStore checkpoints, ProgramInfo program)
+RunFolder::RunFolder(std::string logdir, FolderLock lock, ProgramInfo program, Clock* clock)
     : logdir_(std::move(logdir)),
       lock_(std::move(lock)),
       program_(std::move(program)),
-      episodes_(std::move(episodes)),
-      events_(std::move(events)),
-      checkpoints_(std::move(checkpoints)) {}
-
-absl::StatusOr<std::unique_ptr<RunFolder>> RunFolder::Open(const std::string& logdir, FolderLock lock,
-                                                           const ProgramInfo& program, Clock* clock) {
-  std::vector<EpisodeLog> episodes;
-  for (const char* name : kEpisodeFiles) {
-    CRAFTFLEET_ASSIGN_OR_RETURN(AppendFile file, AppendFile::Open(JoinPath(logdir, name)));
-    episodes.push_back({StatsLog(std::move(file)), {}});
-  }
-  CRAFTFLEET_ASSIGN_OR_RETURN(EventLog events, EventLog::Open(JoinPath(logdir, kEventsFile), clock));
-  CRAFTFLEET_ASSIGN_OR_RETURN(CheckpointStore checkpoints, CheckpointStore::Open(JoinPath(logdir, "checkpoints")));
-  return std::unique_ptr<RunFolder>(
-      new RunFolder(logdir, std::move(lock), std::move(episodes), std::move(events), std::move(checkpoints), program));
-}
+      clock_(clock),
+      checkpoints_(CheckpointStore::At(JoinPath(logdir_, kCheckpointFolder))) {}
 
 absl::StatusOr<std::unique_ptr<RunFolder>> RunFolder::Create(const std::string& logdir, const v1::RunConfig& config,
                                                              const ProgramInfo& program, Clock* clock,
                                                              const std::string& origin) {
   CRAFTFLEET_RETURN_IF_ERROR(CreateFolders(logdir));
   CRAFTFLEET_ASSIGN_OR_RETURN(FolderLock lock, FolderLock::Acquire(logdir));
-  CRAFTFLEET_RETURN_IF_ERROR(ClearUnbegunRun(logdir));
-  CRAFTFLEET_ASSIGN_OR_RETURN(std::unique_ptr<RunFolder> folder, Open(logdir, std::move(lock), program, clock));
+  CRAFTFLEET_RETURN_IF_ERROR(CheckNoRun(logdir));
+  std::unique_ptr<RunFolder> folder(new RunFolder(logdir, std::move(lock), program, clock));
+  folder->origin_ = origin;
   folder->run_id_ = MakeRunId(clock->Now());
   folder->config_ = config;
-  CRAFTFLEET_ASSIGN_OR_RETURN(folder->epoch_, NextEpoch(logdir));
-  CRAFTFLEET_RETURN_IF_ERROR(
-      ReplaceFile(JoinPath(logdir, "run.json"), DescribeRun(folder->run_id_, config.seed(), program, origin)));
-  // Last, because it marks the folder as one with a run.
-  CRAFTFLEET_RETURN_IF_ERROR(ReplaceFile(JoinPath(logdir, kConfigFile), FormatRunConfig(config)));
+  CRAFTFLEET_ASSIGN_OR_RETURN(const int64_t last_epoch, ReadEpoch(logdir));
+  folder->epoch_ = last_epoch + 1;
   return folder;
 }
 
@@ -108,32 +95,81 @@ absl::StatusOr<ResumedRun> RunFolder::Resume(const std::string& logdir, const Re
   }
   CRAFTFLEET_ASSIGN_OR_RETURN(FolderLock lock, FolderLock::Acquire(logdir));
   ResumedRun run;
-  CRAFTFLEET_ASSIGN_OR_RETURN(run.folder, Open(logdir, std::move(lock), program, clock));
-  const CheckpointStore& checkpoints = run.folder->checkpoints_;
-  CRAFTFLEET_ASSIGN_OR_RETURN(run.checkpoint, options.from.empty() ? checkpoints.LoadLatest(options.agent)
-                                                                   : checkpoints.Load(options.from, options.agent));
-  CRAFTFLEET_RETURN_IF_ERROR(run.folder->CheckFits(run.checkpoint.state));
-  CRAFTFLEET_RETURN_IF_ERROR(run.folder->GoBackTo(run.checkpoint.state));
-  CRAFTFLEET_ASSIGN_OR_RETURN(run.folder->epoch_, NextEpoch(logdir));
+  run.folder.reset(new RunFolder(logdir, std::move(lock), program, clock));
+  RunFolder& folder = *run.folder;
+  if (!PathExists(JoinPath(logdir, kCheckpointFolder))) {
+    return absl::NotFoundError(absl::StrCat("no checkpoint in ", JoinPath(logdir, kCheckpointFolder)));
+  }
+  CRAFTFLEET_ASSIGN_OR_RETURN(run.checkpoint, options.from.empty()
+                                                  ? folder.checkpoints_.LoadLatest(options.agent)
+                                                  : folder.checkpoints_.Load(options.from, options.agent));
+  const v1::CheckpointState& state = run.checkpoint.state;
+  CRAFTFLEET_RETURN_IF_ERROR(folder.CheckFits(state));
+  CRAFTFLEET_RETURN_IF_ERROR(folder.CountLogs(state));
+  CRAFTFLEET_ASSIGN_OR_RETURN(const int64_t last_epoch, ReadEpoch(logdir));
+  folder.epoch_ = last_epoch + 1;
+  folder.run_id_ = state.run_id();
+  folder.config_ = state.config();
+  folder.best_score_ = state.best_score();
+  folder.resumed_.emplace();
+  folder.resumed_->set_iteration(state.iteration());
+  *folder.resumed_->mutable_logs() = state.logs();
   return run;
 }
 
-absl::Status RunFolder::TakeChanges(const v1::RunConfig& config) {
+void RunFolder::TakeChanges(const v1::RunConfig& config) {
   config_.set_steps(config.steps());
   *config_.mutable_checkpoint() = config.checkpoint();
-  return ReplaceFile(JoinPath(logdir_, kConfigFile), FormatRunConfig(config_));
 }
 
-void RunFolder::AddEpisodes(absl::Span<const Episode> episodes) { Log(EpisodeKind::kTraining).Add(episodes); }
+absl::Status RunFolder::Begin() {
+  CRAFTFLEET_RETURN_IF_ERROR(fence_.Take(logdir_, epoch_));
+  if (!resumed_.has_value()) CRAFTFLEET_RETURN_IF_ERROR(RemoveUnbegunLogs());
+  CRAFTFLEET_ASSIGN_OR_RETURN(checkpoints_, CheckpointStore::Open(JoinPath(logdir_, kCheckpointFolder), &fence_));
+  CRAFTFLEET_RETURN_IF_ERROR(OpenLogs());
+  if (!resumed_.has_value()) CRAFTFLEET_RETURN_IF_ERROR(DescribeNewRun());
+  // It marks the folder as one with a run.
+  CRAFTFLEET_RETURN_IF_ERROR(ReplaceFile(JoinPath(logdir_, kConfigFile), FormatRunConfig(config_)));
+  return resumed_.has_value() ? GoBack() : absl::OkStatus();
+}
+
+absl::Status RunFolder::RemoveUnbegunLogs() const {
+  for (const char* file : kEpisodeFiles) CRAFTFLEET_RETURN_IF_ERROR(RemoveAll(JoinPath(logdir_, file)));
+  CRAFTFLEET_RETURN_IF_ERROR(RemoveAll(JoinPath(logdir_, kEventsFile)));
+  return RemoveAll(JoinPath(logdir_, kConfigFile));
+}
+
+absl::Status RunFolder::OpenLogs() {
+  AppendFile::Options options;
+  options.fence = &fence_;
+  for (const char* name : kEpisodeFiles) {
+    CRAFTFLEET_ASSIGN_OR_RETURN(AppendFile file, AppendFile::Open(JoinPath(logdir_, name), options));
+    stats_.emplace_back(std::move(file));
+  }
+  CRAFTFLEET_ASSIGN_OR_RETURN(EventLog events, EventLog::Open(JoinPath(logdir_, kEventsFile), clock_, options));
+  events_.emplace(std::move(events));
+  return SyncFolder(logdir_);
+}
+
+absl::Status RunFolder::DescribeNewRun() const {
+  return ReplaceFile(JoinPath(logdir_, "run.json"), DescribeRun(run_id_, config_.seed(), program_, origin_));
+}
+
+absl::Status RunFolder::CheckOwned() const {
+  const absl::Status status = fence_.Check();
+  return absl::IsAborted(status) ? status : absl::OkStatus();
+}
+
+void RunFolder::Add(EpisodeKind kind, absl::Span<const Episode> episodes) {
+  stats_[static_cast<size_t>(kind)].Append(episodes);
+  for (const Episode& episode : episodes) scores_[static_cast<size_t>(kind)].Add(episode);
+}
+
+void RunFolder::AddEpisodes(absl::Span<const Episode> episodes) { Add(EpisodeKind::kTraining, episodes); }
 
 void RunFolder::AddEvaluation(bool final, absl::Span<const Episode> argmax, absl::Span<const Episode> sampled) {
-  Log(final ? EpisodeKind::kFinalArgmax : EpisodeKind::kArgmax).Add(argmax);
-  Log(final ? EpisodeKind::kFinalSampled : EpisodeKind::kSampled).Add(sampled);
-}
-
-void RunFolder::EpisodeLog::Add(absl::Span<const Episode> episodes) {
-  stats.Append(episodes);
-  for (const Episode& episode : episodes) score.Add(episode);
+  Add(final ? EpisodeKind::kFinalArgmax : EpisodeKind::kArgmax, argmax);
+  Add(final ? EpisodeKind::kFinalSampled : EpisodeKind::kSampled, sampled);
 }
 
 absl::Status RunFolder::FlushLogs() {
@@ -143,8 +179,8 @@ absl::Status RunFolder::FlushLogs() {
 }
 
 int64_t RunFolder::waiting_bytes() const {
-  int64_t bytes = events_.file().waiting_bytes();
-  for (const EpisodeLog& log : episodes_) bytes += log.stats.file().waiting_bytes();
+  int64_t bytes = events_->file().waiting_bytes();
+  for (const StatsLog& log : stats_) bytes += log.file().waiting_bytes();
   return bytes;
 }
 
@@ -169,8 +205,8 @@ absl::Status RunFolder::WriteCheckpoint(Checkpoint checkpoint) {
 }
 
 std::vector<AppendFile*> RunFolder::Logs() {
-  std::vector<AppendFile*> logs = {&events_.file()};
-  for (EpisodeLog& log : episodes_) logs.push_back(&log.stats.file());
+  std::vector<AppendFile*> logs = {&events_->file()};
+  for (StatsLog& log : stats_) logs.push_back(&log.file());
   return logs;
 }
 
@@ -181,24 +217,38 @@ absl::Status RunFolder::CheckFits(const v1::CheckpointState& state) const {
                                                     program_.texture_digest, ": give the run's by --textures"));
 }
 
-absl::Status RunFolder::GoBackTo(const v1::CheckpointState& state) {
-  for (AppendFile* log : Logs()) {
-    const auto length = std::find_if(state.logs().begin(), state.logs().end(),
-                                     [&](const v1::LogLength& l) { return l.file() == BaseName(log->path()); });
-    if (length == state.logs().end() && log->length() == 0) continue;  // an older program did not have it
-    if (length == state.logs().end()) {
-      return absl::DataLossError(absl::StrCat("the checkpoint does not know the length of ", log->path()));
+absl::Status RunFolder::CountLogs(const v1::CheckpointState& state) {
+  std::vector<std::string> names = {kEventsFile};
+  names.insert(names.end(), kEpisodeFiles.begin(), kEpisodeFiles.end());
+  for (const std::string& name : names) {
+    const std::string path = JoinPath(logdir_, name);
+    const absl::StatusOr<int64_t> size = PathExists(path) ? FileSize(path) : 0;
+    CRAFTFLEET_RETURN_IF_ERROR(size.status());
+    const absl::optional<int64_t> length = LengthOf(name, state);
+    if (!length.has_value() && *size == 0) continue;  // an older program did not have it
+    if (!length.has_value()) {
+      return absl::DataLossError(absl::StrCat("the checkpoint does not know the length of ", path));
     }
-    CRAFTFLEET_RETURN_IF_ERROR(log->TruncateTo(length->bytes()));
+    if (*length > *size) {
+      return absl::DataLossError(absl::StrCat(path, " has ", *size, " bytes, the checkpoint saw ", *length));
+    }
   }
-  CRAFTFLEET_RETURN_IF_ERROR(checkpoints_.DiscardNewerThan(state.iteration()));
-  for (EpisodeLog& log : episodes_) {
-    CRAFTFLEET_RETURN_IF_ERROR(
-        VisitStats(log.stats.file().path(), [&log](const Episode& episode) { log.score.Add(episode); }));
+  for (int kind = 0; kind < kNumEpisodeKinds; ++kind) {
+    const int64_t length = LengthOf(kEpisodeFiles[kind], state).value_or(0);
+    if (length == 0) continue;
+    CRAFTFLEET_RETURN_IF_ERROR(VisitStats(JoinPath(logdir_, kEpisodeFiles[kind]), length,
+                                          [&](const Episode& episode) { scores_[kind].Add(episode); }));
   }
-  run_id_ = state.run_id();
-  config_ = state.config();
-  best_score_ = state.best_score();
+  return absl::OkStatus();
+}
+
+absl::Status RunFolder::GoBack() {
+  // In this order: the newest checkpoint that there is always knows logs that are still there.
+  CRAFTFLEET_RETURN_IF_ERROR(checkpoints_.DiscardNewerThan(resumed_->iteration()));
+  for (AppendFile* log : Logs()) {
+    const absl::optional<int64_t> length = LengthOf(BaseName(log->path()), *resumed_);
+    if (length.has_value()) CRAFTFLEET_RETURN_IF_ERROR(log->TruncateTo(*length));
+  }
   return absl::OkStatus();
 }
 

@@ -8,10 +8,12 @@
 #ifndef CRAFTFLEET_LEARNER_RUN_RUN_FOLDER_H_
 #define CRAFTFLEET_LEARNER_RUN_RUN_FOLDER_H_
 
+#include <array>
 #include <cstddef>
 #include <cstdint>
 #include <limits>
 #include <memory>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -21,8 +23,10 @@
 
 #include "common/clock.h"
 #include "common/types.h"
+#include "craftfleet/v1/checkpoint.pb.h"
 #include "craftfleet/v1/config.pb.h"
 #include "learner/run/checkpoint_store.h"
+#include "learner/run/epoch.h"
 #include "learner/run/event_log.h"
 #include "learner/run/folder_lock.h"
 #include "learner/run/score.h"
@@ -48,19 +52,20 @@ inline constexpr int kNumEpisodeKinds = 5;
 
 struct ResumedRun;
 
-// Thread-compatible: one thread at a time. Locks the folder for its lifetime.
+// Thread-compatible: one thread at a time. Locks the folder for its lifetime. Create and Resume only look; Begin
+// changes the folder, once all else that a start needs has not failed, and comes before what adds and writes.
 class RunFolder {
  public:
-  // Starts a run in `logdir`, which is created if need be. `config` is complete (ResolveRunConfig); `clock` outlives
+  // A new run in `logdir`, which is created if need be. `config` is complete (ResolveRunConfig); `clock` outlives
   // this. `origin`: where its weights come from, for run.json; empty: nowhere.
-  // A run there that ended before its first checkpoint is replaced.
+  // A run there that ended before its first checkpoint is replaced by Begin.
   //   AlreadyExists: the folder has a run.   FailedPrecondition: another process uses it.
   static absl::StatusOr<std::unique_ptr<RunFolder>> Create(const std::string& logdir, const v1::RunConfig& config,
                                                            const ProgramInfo& program, Clock* clock,
                                                            const std::string& origin = "");
 
-  // Goes back to a checkpoint: cuts the logs to the lengths it knows, counts their episodes again and removes later
-  // checkpoints.
+  // Goes back to a checkpoint: counts the episodes of the logs as long as they were then. Begin removes later
+  // checkpoints and cuts the logs.
   //   NotFound: no run there, or none with a checkpoint.   FailedPrecondition: in use, other textures, other agent.
   //   DataLoss: the checkpoint is torn, or a log is shorter than it was then.
   static absl::StatusOr<ResumedRun> Resume(const std::string& logdir, const ResumeOptions& options,
@@ -71,22 +76,35 @@ class RunFolder {
   const v1::RunConfig& config() const { return config_; }
   int64_t epoch() const { return epoch_; }  // of this start, from 1
 
-  // Takes over what may change when a run is resumed: its steps and how checkpoints are written and kept.
-  absl::Status TakeChanges(const v1::RunConfig& config);
+  // Before Begin: takes over what may change when a run is resumed, its steps and how checkpoints are written and kept.
+  void TakeChanges(const v1::RunConfig& config);
+
+  // Makes this start the one that writes the folder; the logs are cut last. Called once.
+  //   FailedPrecondition: another learner has begun meanwhile, which only happens where the disk's locks do not work.
+  absl::Status Begin();
+
+  // Whether this start is still the one that writes the folder; where it is not, nothing is written any more. Trouble
+  // with reading that is no answer: OK.
+  //   Aborted: a later start has taken over; names it.
+  absl::Status CheckOwned() const;
+  // For what else writes in the folder; allows nothing before Begin. Lives as long as this.
+  const EpochFence* fence() const { return &fence_; }
 
   // Appends training episodes to stats.jsonl and counts them towards the score.
   void AddEpisodes(absl::Span<const Episode> episodes);
   // The same for an evaluation, during training or after it.
   void AddEvaluation(bool final, absl::Span<const Episode> argmax, absl::Span<const Episode> sampled);
   // Appends a point to each curve.
-  void AddScalars(int64_t step, absl::Span<const Scalar> scalars) { events_.AddScalars(step, scalars); }
+  void AddScalars(int64_t step, absl::Span<const Scalar> scalars) { events_->AddScalars(step, scalars); }
 
   // Writes what was added since the last time. What can't be written waits, to be written the next time.
   //   ResourceExhausted: disk, quota or file size limit full.
   absl::Status FlushLogs();
   int64_t waiting_bytes() const;  // of the logs, not written yet
 
-  const ScoreBoard& score(EpisodeKind kind = EpisodeKind::kTraining) const { return Log(kind).score; }
+  const ScoreBoard& score(EpisodeKind kind = EpisodeKind::kTraining) const {
+    return scores_[static_cast<size_t>(kind)];
+  }
   const CheckpointStore& checkpoints() const { return checkpoints_; }
 
   // Flushes and syncs the logs, then writes. Fills in everything of the state that the folder knows: program, run id,
@@ -94,31 +112,30 @@ class RunFolder {
   absl::Status WriteCheckpoint(Checkpoint checkpoint);
 
  private:
-  struct EpisodeLog {
-    StatsLog stats;
-    ScoreBoard score;
-    void Add(absl::Span<const Episode> episodes);
-  };
-
-  RunFolder(std::string logdir, FolderLock lock, std::vector<EpisodeLog> episodes, EventLog events,
-            CheckpointStore checkpoints, ProgramInfo program);
-  // Opened, not begun: Create and Resume fill in run id, configuration and epoch.
-  static absl::StatusOr<std::unique_ptr<RunFolder>> Open(const std::string& logdir, FolderLock lock,
-                                                         const ProgramInfo& program, Clock* clock);
+  RunFolder(std::string logdir, FolderLock lock, ProgramInfo program, Clock* clock);
   absl::Status CheckFits(const v1::CheckpointState& state) const;
-  absl::Status GoBackTo(const v1::CheckpointState& state);
+  // Of a checkpoint: checks that the logs have what it knows of, and counts their episodes.
+  absl::Status CountLogs(const v1::CheckpointState& state);
+  absl::Status RemoveUnbegunLogs() const;
+  absl::Status OpenLogs();
+  absl::Status DescribeNewRun() const;
+  absl::Status GoBack();
+  void Add(EpisodeKind kind, absl::Span<const Episode> episodes);
   std::vector<AppendFile*> Logs();
-  EpisodeLog& Log(EpisodeKind kind) { return episodes_[static_cast<size_t>(kind)]; }
-  const EpisodeLog& Log(EpisodeKind kind) const { return episodes_[static_cast<size_t>(kind)]; }
 
   const std::string logdir_;
   const FolderLock lock_;
   const ProgramInfo program_;
+  Clock* const clock_;
+  std::string origin_;  // of a new run
   std::string run_id_;
   v1::RunConfig config_;
   int64_t epoch_ = 0;
-  std::vector<EpisodeLog> episodes_;  // by kind
-  EventLog events_;
+  std::optional<v1::CheckpointState> resumed_;  // iteration and lengths of logs only; none: a new run
+  EpochFence fence_;
+  std::array<ScoreBoard, kNumEpisodeKinds> scores_;
+  std::vector<StatsLog> stats_;     // by kind; empty before Begin
+  std::optional<EventLog> events_;  // none before Begin
   CheckpointStore checkpoints_;
   double best_score_ = -std::numeric_limits<double>::infinity();
 };

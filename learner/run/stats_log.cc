@@ -1,5 +1,6 @@
 #include "learner/run/stats_log.h"
 
+#include <algorithm>
 #include <cstdint>
 #include <limits>
 
@@ -108,6 +109,21 @@ absl::StatusOr<std::vector<Episode>> ReadStats(const std::string& path) {
 absl::Status VisitStats(const std::string& path, absl::FunctionRef<void(const Episode&)> visit) {
   StatsReader reader(path);
   CRAFTFLEET_RETURN_IF_ERROR(ReadGzipPieces(path, [&](absl::string_view piece) { return reader.Read(piece, visit); }));
+  return reader.End();
+}
+
+absl::Status VisitStats(const std::string& path, int64_t bytes, absl::FunctionRef<void(const Episode&)> visit) {
+  StatsReader reader(path);
+  int64_t left = bytes;
+  const absl::Status read = ReadGzipPieces(path, [&](absl::string_view piece) {
+    piece = piece.substr(0, std::min<uint64_t>(piece.size(), left));
+    left -= static_cast<int64_t>(piece.size());
+    return reader.Read(piece, visit);
+  });
+  CRAFTFLEET_RETURN_IF_ERROR(read);
+  if (left > 0) {
+    return absl::DataLossError(absl::StrCat(path, " has ", bytes - left, " bytes, the checkpoint saw ", bytes));
+  }
   return reader.End();
 }
 

@@ -4,6 +4,7 @@
 #ifndef CRAFTFLEET_LEARNER_RUN_STATS_LOG_H_
 #define CRAFTFLEET_LEARNER_RUN_STATS_LOG_H_
 
+#include <cstdint>
 #include <string>
 #include <utility>
 #include <vector>
@@ -36,6 +37,9 @@ absl::StatusOr<std::vector<Episode>> ReadStats(const std::string& path);
 
 // The same for a log of any length: calls `visit` for one episode after the other and keeps none.
 absl::Status VisitStats(const std::string& path, absl::FunctionRef<void(const Episode&)> visit);
+// The same for the first `bytes` of it, 0 or more; what is behind them is not looked at.
+//   DataLoss: it has fewer.
+absl::Status VisitStats(const std::string& path, int64_t bytes, absl::FunctionRef<void(const Episode&)> visit);
 
 // Thread-compatible: one thread at a time.
 class StatsLog {

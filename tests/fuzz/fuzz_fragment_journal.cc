@@ -18,7 +18,7 @@ constexpr char kRunId[] = "run-a";
 
 std::string Path() { return JoinPath(FuzzFolder(), "fragments.journal"); }
 
-FragmentJournal Open() { return FragmentJournal::Open(Path(), kRunId).value(); }
+FragmentJournal Open() { return FragmentJournal(Path(), kRunId); }
 
 std::string Record(absl::string_view bytes) {
   std::string record;

@@ -21,7 +21,7 @@ using testing::SizeIs;
 
 class FragmentJournalTest : public testing::Test {
  protected:
-  FragmentJournal Open(const std::string& run_id = "run-a") const { return *FragmentJournal::Open(path_, run_id); }
+  FragmentJournal Open(const std::string& run_id = "run-a") const { return FragmentJournal(path_, run_id); }
   // Of lanes 0, 1, ...
   void Keep(int fragments) const {
     FragmentJournal journal = Open();

@@ -2,7 +2,11 @@
 
 #include <unistd.h>
 
+#include <filesystem>
+#include <map>
+#include <memory>
 #include <string>
+#include <utility>
 
 #include <absl/strings/str_cat.h>
 #include <gmock/gmock.h>
@@ -28,14 +32,52 @@ using testing::HasSubstr;
 TEST(Epoch, CountsStarts) {
   const TempFolder folder;
   EXPECT_EQ(ReadEpoch(folder.path()).value(), 0);
-  EXPECT_EQ(NextEpoch(folder.path()).value(), 1);
-  EXPECT_EQ(NextEpoch(folder.path()).value(), 2);
+  EpochFence first, second;
+  ASSERT_THAT(first.Take(folder.path(), 1), IsOk());
+  EXPECT_EQ(ReadEpoch(folder.path()).value(), 1);
+  ASSERT_THAT(second.Take(folder.path(), 2), IsOk());
   EXPECT_EQ(ReadEpoch(folder.path()).value(), 2);
   for (const char* garbage : {"", "x", "-1", "0", "1 2"}) {
     ASSERT_THAT(WriteFileSynced(folder / "epoch", garbage), IsOk());
-    EXPECT_THAT(NextEpoch(folder.path()), StatusIs(absl::StatusCode::kDataLoss, HasSubstr(folder / "epoch")))
+    EXPECT_THAT(ReadEpoch(folder.path()), StatusIs(absl::StatusCode::kDataLoss, HasSubstr(folder / "epoch")))
         << garbage;
+    EXPECT_THAT(second.Check(), StatusIs(absl::StatusCode::kUnavailable, HasSubstr(folder / "epoch"))) << garbage;
   }
+}
+
+TEST(Epoch, GoesOnFromTheNumberAloneThatVersion01Wrote) {
+  const TempFolder folder;
+  ASSERT_THAT(WriteFileSynced(folder / "epoch", "7\n"), IsOk());
+  EXPECT_EQ(ReadEpoch(folder.path()).value(), 7);
+  EpochFence fence;
+  EXPECT_THAT(fence.Take(folder.path(), 7), StatusIs(absl::StatusCode::kFailedPrecondition));
+  EXPECT_THAT(fence.Take(folder.path(), 8), IsOk());
+}
+
+TEST(EpochFence, OnlyTheLatestStartMayWrite) {
+  const TempFolder folder;
+  EpochFence older, newer;
+  EXPECT_THAT(older.Check(), StatusIs(absl::StatusCode::kFailedPrecondition));
+  ASSERT_THAT(older.Take(folder.path(), 1), IsOk());
+  EXPECT_THAT(older.Check(), IsOk());
+  EXPECT_THAT(newer.Take(folder.path(), 1),
+              StatusIs(absl::StatusCode::kFailedPrecondition, HasSubstr(absl::StrCat("process ", ::getpid()))));
+  ASSERT_THAT(newer.Take(folder.path(), 2), IsOk());
+  EXPECT_THAT(newer.Check(), IsOk());
+  EXPECT_THAT(older.Check(),
+              StatusIs(absl::StatusCode::kAborted,
+                       AllOf(HasSubstr(folder.path()), HasSubstr(absl::StrCat("taken over by process ", ::getpid())),
+                             HasSubstr("epoch 2, this one is epoch 1"))));
+}
+
+// Two that read the same number at the same time.
+TEST(EpochFence, OfTwoWithOneNumberTheLastToTakeItMayWrite) {
+  const TempFolder folder, elsewhere;
+  EpochFence first, last;
+  ASSERT_THAT(first.Take(folder.path(), 3), IsOk());
+  ASSERT_THAT(last.Take(elsewhere.path(), 3), IsOk());
+  ASSERT_THAT(WriteFileSynced(folder / "epoch", ReadFile(elsewhere / "epoch").value()), IsOk());
+  EXPECT_THAT(first.Check(), StatusIs(absl::StatusCode::kAborted));
 }
 
 class RunFolderTest : public testing::Test {
@@ -43,10 +85,26 @@ class RunFolderTest : public testing::Test {
   std::unique_ptr<RunFolder> Create() {
     auto folder = RunFolder::Create(logdir_, ResolveRunConfig(DefaultRunConfig()).value(), program_, &clock_);
     EXPECT_THAT(folder, IsOk());
-    return folder.ok() ? *std::move(folder) : nullptr;
+    if (!folder.ok()) return nullptr;
+    EXPECT_THAT((*folder)->Begin(), IsOk());
+    return *std::move(folder);
+  }
+  absl::StatusOr<ResumedRun> Look(const ResumeOptions& options = {}) {
+    return RunFolder::Resume(logdir_, options, program_, &clock_);
   }
   absl::StatusOr<ResumedRun> Resume(const ResumeOptions& options = {}) {
-    return RunFolder::Resume(logdir_, options, program_, &clock_);
+    absl::StatusOr<ResumedRun> run = Look(options);
+    if (run.ok()) EXPECT_THAT(run->folder->Begin(), IsOk());
+    return run;
+  }
+  // Each file with its bytes, but for the lock, which says who held it last.
+  std::map<std::string, std::string> Contents() const {
+    std::map<std::string, std::string> contents;
+    for (const auto& entry : std::filesystem::recursive_directory_iterator(logdir_)) {
+      const std::string path = entry.path().string();
+      if (path != logdir_ + "/lock") contents[path] = entry.is_regular_file() ? ReadFile(path).value() : "folder";
+    }
+    return contents;
   }
 
   // A run of two iterations with a checkpoint after each, then some more that no checkpoint knows of.
@@ -106,17 +164,19 @@ TEST_F(RunFolderTest, ARunThatEndedBeforeItsFirstCheckpointGivesWay) {
 TEST_F(RunFolderTest, TellsWhereItsWeightsComeFrom) {
   const auto folder = RunFolder::Create(logdir_, DefaultRunConfig(), program_, &clock_, "run b after iteration 3");
   ASSERT_THAT(folder, IsOk());
+  ASSERT_THAT((*folder)->Begin(), IsOk());
   EXPECT_EQ(nlohmann::json::parse(ReadFile(logdir_ + "/run.json").value())["init_from"], "run b after iteration 3");
 }
 
 TEST_F(RunFolderTest, AResumedRunMayKeepMoreCheckpoints) {
   ASSERT_NO_FATAL_FAILURE(MakeRun());
-  auto run = Resume();
+  auto run = Look();
   ASSERT_THAT(run, IsOk());
   v1::RunConfig config = run->folder->config();
   config.mutable_checkpoint()->set_keep(50);
   config.mutable_ppo()->set_gamma(0.5);
-  ASSERT_THAT(run->folder->TakeChanges(config), IsOk());
+  run->folder->TakeChanges(config);
+  ASSERT_THAT(run->folder->Begin(), IsOk());
   EXPECT_EQ(run->folder->config().checkpoint().keep(), 50);
   EXPECT_EQ(run->folder->config().ppo().gamma(), 0.95) << "nothing else";
   EXPECT_THAT(ReadFile(logdir_ + "/config.txt").value(), HasSubstr("keep: 50"));
@@ -124,11 +184,12 @@ TEST_F(RunFolderTest, AResumedRunMayKeepMoreCheckpoints) {
 
 TEST_F(RunFolderTest, AResumedRunMayBeMadeLonger) {
   ASSERT_NO_FATAL_FAILURE(MakeRun());
-  auto run = Resume();
+  auto run = Look();
   ASSERT_THAT(run, IsOk());
   v1::RunConfig config = run->folder->config();
   config.set_steps(2'000'000);
-  ASSERT_THAT(run->folder->TakeChanges(config), IsOk());
+  run->folder->TakeChanges(config);
+  ASSERT_THAT(run->folder->Begin(), IsOk());
   EXPECT_EQ(run->folder->config().steps(), 2'000'000);
   EXPECT_THAT(ReadFile(logdir_ + "/config.txt").value(), HasSubstr("steps: 2000000"));
 }
@@ -177,6 +238,75 @@ TEST_F(RunFolderTest, ResumeFromAnOlderCheckpointLeavesTheNewerBehind) {
     EXPECT_THAT(run->folder->checkpoints().ListNewestFirst().value(), ElementsAre("iter-00000001"));
   }
   EXPECT_EQ(Resume().value().checkpoint.state.iteration(), 1);
+}
+
+// A start that fails after that, of whatever, must not have cost anything.
+TEST_F(RunFolderTest, ToLookChangesNothing) {
+  MakeRun();
+  // What a killed learner may have left beside.
+  ASSERT_THAT(CreateFolders(logdir_ + "/checkpoints/.tmp-1-iter-00000003"), IsOk());
+  const auto before = Contents();
+  {
+    const auto run = Look({"iter-00000001", ""});
+    ASSERT_THAT(run, IsOk());
+    EXPECT_EQ(run->folder->score().episodes(), 2);
+    EXPECT_EQ(run->folder->epoch(), 2);
+    EXPECT_EQ(Contents(), before);
+  }
+  ASSERT_THAT(Look(), IsOk());
+  EXPECT_EQ(Contents(), before);
+  EXPECT_THAT(RunFolder::Create(logdir_, DefaultRunConfig(), program_, &clock_),
+              StatusIs(absl::StatusCode::kAlreadyExists));
+  EXPECT_EQ(Contents(), before);
+}
+
+TEST_F(RunFolderTest, ANewRunThatDoesNotBeginLeavesNothing) {
+  ASSERT_THAT(RunFolder::Create(logdir_, ResolveRunConfig(DefaultRunConfig()).value(), program_, &clock_), IsOk());
+  EXPECT_THAT(Contents(), testing::IsEmpty());
+}
+
+// The learner was killed while it replaced its newest checkpoint.
+TEST_F(RunFolderTest, ToLookFindsACheckpointThatWasBeingReplaced) {
+  MakeRun();
+  const std::string folder = logdir_ + "/checkpoints/";
+  ASSERT_THAT(RenameSynced(folder + "iter-00000002", folder + ".replaced-iter-00000002"), IsOk());
+  const auto before = Contents();
+  {
+    const auto run = Look();
+    ASSERT_THAT(run, IsOk());
+    EXPECT_EQ(run->checkpoint.state.iteration(), 2);
+    EXPECT_EQ(Contents(), before);
+    ASSERT_THAT(run->folder->Begin(), IsOk());
+  }
+  EXPECT_TRUE(PathExists(folder + "iter-00000002"));
+  EXPECT_FALSE(PathExists(folder + ".replaced-iter-00000002"));
+}
+
+// As on a shared disk whose locks keep nobody out.
+TEST_F(RunFolderTest, AnOlderLearnerWritesNothingOnceANewerHasBegun) {
+  MakeRun();
+  auto older = Resume();
+  ASSERT_THAT(older, IsOk());
+  EpochFence newer;
+  ASSERT_THAT(newer.Take(logdir_, older->folder->epoch() + 1), IsOk());
+  const auto before = Contents();
+  older->folder->AddEpisodes({SampleEpisode(300, 3)});
+  const auto taken_over = StatusIs(absl::StatusCode::kAborted, HasSubstr("taken over by process "));
+  EXPECT_THAT(older->folder->FlushLogs(), taken_over);
+  EXPECT_THAT(older->folder->WriteCheckpoint(SampleCheckpoint(3)), taken_over);
+  EXPECT_THAT(older->folder->CheckOwned(), taken_over);
+  EXPECT_EQ(Contents(), before);
+}
+
+TEST_F(RunFolderTest, OfTwoThatStartAtOnceTheSecondToBeginIsRefused) {
+  MakeRun();
+  auto run = Look();
+  ASSERT_THAT(run, IsOk());
+  EpochFence other;
+  ASSERT_THAT(other.Take(logdir_, 2), IsOk());
+  const auto before = Contents();
+  EXPECT_THAT(run->folder->Begin(), StatusIs(absl::StatusCode::kFailedPrecondition, HasSubstr("was taken by")));
+  EXPECT_EQ(Contents(), before);
 }
 
 TEST_F(RunFolderTest, ACheckpointKnowsTheRun) {

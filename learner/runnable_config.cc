@@ -1,0 +1,161 @@
+#include "learner/runnable_config.h"
+
+#include <unistd.h>
+
+#include <algorithm>
+#include <array>
+#include <string>
+#include <utility>
+
+#include <absl/strings/ascii.h>
+#include <absl/strings/numbers.h>
+#include <absl/strings/str_format.h>
+
+#include "common/agent/nets/attention.h"
+#include "common/config.h"
+#include "common/env_name.h"
+#include "common/files.h"
+#include "common/status_macros.h"
+#include "common/wire/protocol.h"
+
+namespace craftfleet {
+namespace {
+
+// A snapshot, names, numbers, lengths.
+constexpr int64_t kFragmentRest = 72 << 10;
+// Action, end, log-probability, value, reward, value at a truncation.
+constexpr int64_t kStepBytes = 1 + 1 + 4 * sizeof(float);
+// An episode that ends: 22 counts of at most 5 bytes, its length, its reward.
+constexpr int64_t kEpisodeBytes = 150;
+constexpr double kGiB = 1 << 30;
+
+// Numbers of a row's attention probabilities, the largest tensor of a network with objects.
+double AttentionNumbers(const v1::NetworkConfig& network) {
+  if (network.objects() != v1::NetworkConfig::SELF_ATTENTION &&
+      network.objects() != v1::NetworkConfig::CROSS_ATTENTION) {
+    return 0;
+  }
+  const auto side = static_cast<double>(PatchesPerSide(network.frame_size(), network.patch(), network.stride()));
+  const double tokens = side * side;
+  const bool to_each_other = network.objects() == v1::NetworkConfig::SELF_ATTENTION;
+  return network.heads() * tokens * (to_each_other ? tokens : network.slots());
+}
+
+// A part of the memory that a learner needs, and the field that it grows with most.
+struct Need {
+  double bytes;  // not an integer: it may be beyond one
+  const char* field;
+  int64_t value;
+};
+
+// The frames of an iteration, and where fragments keep each state, those.
+Need IterationNeed(const v1::RunConfig& config, const AgentSpec& spec, const wire::FragmentShape& shape) {
+  const double states = static_cast<double>(shape.states) / shape.steps * shape.state_size * sizeof(float);
+  return {config.ppo().rollout_steps() * (static_cast<double>(spec.frame_bytes()) + states), "ppo.rollout_steps",
+          config.ppo().rollout_steps()};
+}
+
+// Frames as floats, and what attention makes of them.
+Need MinibatchNeed(const v1::RunConfig& config, const AgentSpec& spec) {
+  const double attention = AttentionNumbers(spec.network);
+  const auto frame = static_cast<double>(spec.frame_bytes());
+  const double bytes = config.ppo().minibatch_size() * (frame + attention) * sizeof(float);
+  if (attention > frame) return {bytes, "network.stride", spec.network.stride()};
+  return {bytes, "ppo.minibatch_size", config.ppo().minibatch_size()};
+}
+
+// Weights, Adam's two moments, what is handed out and what is written of them, and gradients.
+Need WeightsNeed(const v1::RunConfig& config, const AgentSpec& spec, bool updates_on_cpu) {
+  constexpr int kCopies = 1 + 2 + 1 + 1 + 2;
+  const int gradients = updates_on_cpu ? config.gradient_shards() : 0;
+  const double bytes = static_cast<double>(spec.param_count) * sizeof(float) * (kCopies + gradients);
+  if (gradients > kCopies) return {bytes, "gradient_shards", gradients};
+  return {bytes, "network.frame_size", spec.network.frame_size()};
+}
+
+absl::Status CheckMemory(const v1::RunConfig& config, const AgentSpec& spec, const wire::FragmentShape& shape,
+                         const LearnerMachine& machine) {
+  std::array<Need, 3> needs = {IterationNeed(config, spec, shape), WeightsNeed(config, spec, machine.updates_on_cpu),
+                               MinibatchNeed(config, spec)};
+  if (!machine.updates_on_cpu) needs[2].bytes = 0;
+  double bytes = 0;
+  for (const Need& need : needs) bytes += need.bytes;
+  if (machine.memory_bytes == 0 || bytes <= static_cast<double>(machine.memory_bytes)) return absl::OkStatus();
+  const Need& most =
+      *std::max_element(needs.begin(), needs.end(), [](const Need& a, const Need& b) { return a.bytes < b.bytes; });
+  return absl::InvalidArgumentError(absl::StrFormat(
+      "%s is %d: the learner needs at least %.1f GiB of memory, %.1f GiB of them for that; it has %.1f GiB: want %s",
+      most.field, most.value, bytes / kGiB, most.bytes / kGiB, static_cast<double>(machine.memory_bytes) / kGiB,
+      absl::string_view(most.field) == "network.stride" ? "more" : "less"));
+}
+
+absl::Status CheckMessage(const v1::RunConfig& config, const wire::FragmentShape& shape) {
+  const int64_t bytes = LargestFragmentBytes(shape);
+  if (bytes <= wire::kMaxMessageBytes) return absl::OkStatus();
+  wire::FragmentShape fits = shape;
+  while (fits.steps > 1 && LargestFragmentBytes(fits) > wire::kMaxMessageBytes) {
+    --fits.steps;
+    if (shape.states > 1) fits.states = fits.steps;
+  }
+  return absl::InvalidArgumentError(
+      absl::StrFormat("fragment_steps is %d: a fragment may take %d bytes, more than a message, %d: want at most %d",
+                      config.fragment_steps(), bytes, wire::kMaxMessageBytes, fits.steps));
+}
+
+// The number in a cgroup's file; 0: there is none, or no limit.
+int64_t ReadLimit(const std::string& path) {
+  int64_t bytes = 0;
+  const absl::StatusOr<std::string> text = ReadFile(path);
+  return text.ok() && absl::SimpleAtoi(absl::StripAsciiWhitespace(*text), &bytes) && bytes > 0 ? bytes : 0;
+}
+
+}  // namespace
+
+absl::StatusOr<v1::RunConfig> CompleteConfig(v1::RunConfig config) {
+  CRAFTFLEET_ASSIGN_OR_RETURN(config, ResolveRunConfig(std::move(config)));
+  CRAFTFLEET_ASSIGN_OR_RETURN(const AgentSpec spec, MakeAgentSpec(config));
+  CRAFTFLEET_ASSIGN_OR_RETURN(const EnvName env, EnvName::Parse(config.env().name()));
+  config.mutable_env()->set_name(env.ToString());
+  if (config.env().frame_size() == 0) config.mutable_env()->set_frame_size(spec.frame_size);
+  if (config.env().frame_size() != spec.frame_size) {
+    return absl::InvalidArgumentError(absl::StrFormat("env.frame_size: %d, want %d, which %s looks at",
+                                                      config.env().frame_size(), spec.frame_size, spec.name));
+  }
+  if (config.eval().env().empty()) config.mutable_eval()->set_env(config.env().name());
+  CRAFTFLEET_ASSIGN_OR_RETURN(const EnvName eval_env, EnvName::Parse(config.eval().env()));
+  config.mutable_eval()->set_env(eval_env.ToString());
+  return config;
+}
+
+wire::FragmentShape FragmentShapeOf(const v1::RunConfig& config, const AgentSpec& spec) {
+  wire::FragmentShape shape;
+  shape.lanes = config.lanes();
+  shape.steps = config.fragment_steps();
+  shape.frame_bytes = static_cast<int>(spec.frame_bytes());
+  shape.state_size = spec.state_size;
+  shape.states = config.ppo().recurrent_batches() == v1::PpoConfig::PUBLISHED ? config.fragment_steps() : 1;
+  return shape;
+}
+
+int64_t LargestFragmentBytes(const wire::FragmentShape& shape) {
+  const int64_t step = shape.frame_bytes + kStepBytes + kEpisodeBytes;
+  const int64_t states = int64_t{shape.states} + 1;  // and the one after the last step
+  return step * shape.steps + states * shape.state_size * static_cast<int64_t>(sizeof(float)) + kFragmentRest;
+}
+
+int64_t OwnMemoryBytes() {
+  int64_t bytes = int64_t{::sysconf(_SC_PHYS_PAGES)} * ::sysconf(_SC_PAGESIZE);
+  for (const char* path : {"/sys/fs/cgroup/memory.max", "/sys/fs/cgroup/memory/memory.limit_in_bytes"}) {
+    const int64_t limit = ReadLimit(path);
+    if (limit > 0) bytes = std::min(bytes, limit);
+  }
+  return std::max<int64_t>(bytes, 0);
+}
+
+absl::Status CheckRunnable(const v1::RunConfig& config, const AgentSpec& spec, const LearnerMachine& machine) {
+  const wire::FragmentShape shape = FragmentShapeOf(config, spec);
+  CRAFTFLEET_RETURN_IF_ERROR(CheckMessage(config, shape));
+  return CheckMemory(config, spec, shape, machine);
+}
+
+}  // namespace craftfleet
