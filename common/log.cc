@@ -1,5 +1,6 @@
 #include "common/log.h"
 
+#include <algorithm>
 #include <atomic>
 #include <cstdio>
 
@@ -10,6 +11,8 @@
 
 namespace craftfleet {
 namespace {
+
+constexpr size_t kLeastText = 64;  // bytes of text that a line has in any case
 
 // A process has one standard error, and so one log.
 struct ProcessLog {
@@ -51,13 +54,8 @@ std::string EscapeControls(absl::string_view text) {
   return line;
 }
 
-}  // namespace
-
-void SetUpLog(const LogOptions& options) { TheLog().options = options; }
-
-LogFormat CurrentLogFormat() { return TheLog().options.format; }
-
-std::string FormatLogLine(const LogOptions& options, LogLevel level, absl::string_view text, absl::Time time) {
+// The line with all of `text`.
+std::string WholeLine(const LogOptions& options, LogLevel level, absl::string_view text, absl::Time time) {
   if (options.format == LogFormat::kText) {
     return absl::StrFormat("%s %s: %s\n", absl::FormatTime("%H:%M:%E3S", time, absl::LocalTimeZone()), LevelName(level),
                            EscapeControls(text));
@@ -71,13 +69,39 @@ std::string FormatLogLine(const LogOptions& options, LogLevel level, absl::strin
   return line.dump(-1, ' ', /*ensure_ascii=*/false, nlohmann::ordered_json::error_handler_t::replace) + "\n";
 }
 
+}  // namespace
+
+void SetUpLog(const LogOptions& options) { TheLog().options = options; }
+
+LogFormat CurrentLogFormat() { return TheLog().options.format; }
+
+std::string Shortened(absl::string_view text, size_t max_bytes) {
+  if (text.size() <= max_bytes) return std::string(text);
+  const std::string end = absl::StrFormat("... (%d bytes)", text.size());
+  size_t kept = max_bytes > end.size() ? max_bytes - end.size() : 0;
+  const auto goes_on = [&](char c) { return (static_cast<unsigned char>(c) & 0xc0) == 0x80; };
+  for (int i = 0; i < 3 && kept > 0 && goes_on(text[kept]); ++i) --kept;
+  return std::string(text.substr(0, kept)) + end;
+}
+
+std::string FormatLogLine(const LogOptions& options, LogLevel level, absl::string_view text, absl::Time time) {
+  size_t room = kMaxLogLineBytes;
+  std::string line = WholeLine(options, level, Shortened(text, room), time);
+  // A byte of text is at least one of the line, and six where it is escaped.
+  while (line.size() > kMaxLogLineBytes && room > kLeastText) {
+    room -= std::min(room - kLeastText, std::max<size_t>((line.size() - kMaxLogLineBytes) / 6, 1));
+    line = WholeLine(options, level, Shortened(text, room), time);
+  }
+  return line;
+}
+
 void Log(LogLevel level, absl::string_view text) {
   ProcessLog& log = TheLog();
   if (level == LogLevel::kWarning) ++log.warnings;
   if (level == LogLevel::kError) {
     ++log.errors;
     const MutexLock lock(&log.mu);
-    log.last_error.assign(text.data(), text.size());
+    log.last_error = Shortened(text, kMaxLogLineBytes);
   }
   if (level < log.options.level) return;
   const std::string line = FormatLogLine(log.options, level, text, absl::Now());

@@ -33,7 +33,14 @@ LogFormat CurrentLogFormat();
 // Writes the line in one piece. Thread-safe.
 void Log(LogLevel level, absl::string_view text);
 
-// The line of an event, with its end. Control characters of `text`, which may come from a stranger, are escaped.
+inline constexpr size_t kMaxLogLineBytes = 1024;  // of a line, with its end
+
+// `text`, or as much of its beginning as leaves room within `max_bytes`, 32 at least, to say how long it was:
+// "abc... (5000 bytes)". A character of several bytes is not cut.
+std::string Shortened(absl::string_view text, size_t max_bytes);
+
+// The line of an event, with its end. `text` may come from a stranger: control characters are escaped, and what makes a
+// line longer than kMaxLogLineBytes is left out.
 std::string FormatLogLine(const LogOptions& options, LogLevel level, absl::string_view text, absl::Time time);
 
 // What was logged since the start, written or not.

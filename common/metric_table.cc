@@ -61,6 +61,7 @@ constexpr MetricInfo kTable[] = {
 
     // Environment servers.
     {"sessions", kGauge, "", "Playing threads of actors that are connected."},
+    {"games_memory", kGauge, "bytes", "Memory reckoned for the games of all sessions, of --max_games_mb."},
     {"sessions_rejected", kCounter, "", "Sessions ended by a bad request or handshake."},
 };
 

@@ -1,15 +1,18 @@
 #include "envserver/env_batch.h"
 
 #include <algorithm>
-#include <functional>
 #include <utility>
 
 #include <absl/strings/str_format.h>
+#include <absl/time/clock.h>
 
 #include "common/status_macros.h"
 
 namespace craftfleet {
 namespace {
+
+constexpr absl::Duration kLookEvery = absl::Milliseconds(50);
+constexpr size_t kGamesALook = 16;  // small ones take microseconds a step
 
 absl::Span<uint8_t> Row(std::string* frames, size_t row, size_t frame_bytes) {
   return absl::MakeSpan(reinterpret_cast<uint8_t*>(&(*frames)[row * frame_bytes]), frame_bytes);
@@ -22,6 +25,7 @@ absl::Status EnvBatch::Open(absl::Span<const OpenLane> lanes, std::string* frame
   moments_.clear();
   frames->resize(lanes.size() * renderer_->frame_bytes());
   for (size_t row = 0; row < lanes.size(); ++row) {
+    CRAFTFLEET_RETURN_IF_ERROR(CheckStopped());
     CRAFTFLEET_RETURN_IF_ERROR(OpenOne(lanes[row], Row(frames, row, renderer_->frame_bytes())));
   }
   return absl::OkStatus();
@@ -38,19 +42,25 @@ absl::Status EnvBatch::CheckRoom(size_t more) const {
                                                     recording_.has_value() ? "session that records so" : "session"));
 }
 
+absl::Status EnvBatch::CheckStopped() {
+  if (stopped_ == nullptr) return absl::OkStatus();
+  const absl::Time now = absl::Now();
+  if (now < next_look_) return absl::OkStatus();
+  next_look_ = now + kLookEvery;
+  return stopped_() ? absl::CancelledError("the client left, or the server stops") : absl::OkStatus();
+}
+
 absl::Status EnvBatch::OpenOne(const OpenLane& lane, absl::Span<uint8_t> frame) {
   if (lane.lane < 0) return absl::InvalidArgumentError(absl::StrFormat("lane %d, want at least 0", lane.lane));
   if (lane.episode < 1 || lane.episode > kMaxEpisode) {
     return absl::InvalidArgumentError(
         absl::StrFormat("lane %d: episode %d, want 1..%d", lane.lane, lane.episode, kMaxEpisode));
   }
-  CRAFTFLEET_ASSIGN_OR_RETURN(Game game, Game::Create(renderer_, lane.seed, frame));
+  CRAFTFLEET_ASSIGN_OR_RETURN(Game game, Game::Create(renderer_, lane.seed, frame, lane.episode));
   if (!lane.snapshot.empty()) {
     if (absl::Status status = game.Restore(lane.snapshot, frame); !status.ok()) {
       return absl::InvalidArgumentError(absl::StrFormat("lane %d: %s", lane.lane, status.message()));
     }
-  } else {
-    for (int64_t episode = 1; episode < lane.episode; ++episode) game.Reset(frame);
   }
   if (recording_.has_value()) moments_.push_back(recording_->Take(game, frame));
   games_.erase(lane.lane);
@@ -69,6 +79,7 @@ absl::Status EnvBatch::Step(absl::Span<const int> lanes, absl::Span<const Action
   batch->snapshots.clear();
   moments_.clear();
   for (size_t row = 0; row < lanes.size(); ++row) {
+    if (row % kGamesALook == kGamesALook - 1) CRAFTFLEET_RETURN_IF_ERROR(CheckStopped());
     const absl::Span<uint8_t> frame = Row(&batch->frames, row, renderer_->frame_bytes());
     Game* game = chosen_[row];
     std::function<void()> record;

@@ -22,6 +22,13 @@ namespace {
 
 constexpr absl::Duration kSummarizeEvery = absl::Seconds(1);
 
+int64_t FrameBytes(const RenderOptions& picture) { return int64_t{picture.width} * picture.height * 3; }
+
+// Makes room for `games` like those of `batch`, or gives room back.
+absl::Status SetGames(int64_t games, const EnvBatch& batch, GameBudget::Share* share) {
+  return share->Set(games, SessionBytes(games, batch.renderer().frame_bytes(), batch.records(), batch.picture_bytes()));
+}
+
 }  // namespace
 
 // Counts a session from Enter on, as long as it lives.
@@ -66,23 +73,48 @@ class EnvServiceImpl::SessionGuard {
   absl::Time next_summary_ = absl::InfinitePast();
 };
 
-absl::StatusOr<std::unique_ptr<EnvServiceImpl>> EnvServiceImpl::Create(const std::string& texture_dir) {
-  CRAFTFLEET_ASSIGN_OR_RETURN(std::shared_ptr<const Textures> textures, Textures::Load(texture_dir));
-  CRAFTFLEET_ASSIGN_OR_RETURN(std::string digest, TextureDigest(texture_dir));
-  return std::unique_ptr<EnvServiceImpl>(new EnvServiceImpl(std::move(textures), std::move(digest)));
+absl::Status EnvServiceImpl::Options::Validate() const {
+  CRAFTFLEET_RETURN_IF_ERROR(budget.Validate());
+  const std::pair<const char*, absl::Duration> timeouts[] = {
+      {"hello_timeout", hello_timeout}, {"idle_timeout", idle_timeout}, {"reply_timeout", reply_timeout}};
+  for (const auto& [flag, timeout] : timeouts) {
+    if (timeout >= absl::Seconds(1)) continue;
+    return absl::InvalidArgumentError(
+        absl::StrFormat("--%s=%s, want at least 1s", flag, absl::FormatDuration(timeout)));
+  }
+  return absl::OkStatus();
 }
 
-EnvServiceImpl::EnvServiceImpl(std::shared_ptr<const Textures> textures, std::string texture_digest)
-    : textures_(std::move(textures)), texture_digest_(std::move(texture_digest)) {}
+absl::StatusOr<std::unique_ptr<EnvServiceImpl>> EnvServiceImpl::Create(const std::string& texture_dir) {
+  return Create(texture_dir, {});
+}
+
+absl::StatusOr<std::unique_ptr<EnvServiceImpl>> EnvServiceImpl::Create(const std::string& texture_dir,
+                                                                       const Options& options) {
+  CRAFTFLEET_RETURN_IF_ERROR(options.Validate());
+  CRAFTFLEET_ASSIGN_OR_RETURN(std::shared_ptr<const Textures> textures, Textures::Load(texture_dir));
+  CRAFTFLEET_ASSIGN_OR_RETURN(std::string digest, TextureDigest(texture_dir));
+  return std::unique_ptr<EnvServiceImpl>(new EnvServiceImpl(std::move(textures), std::move(digest), options));
+}
+
+EnvServiceImpl::EnvServiceImpl(std::shared_ptr<const Textures> textures, std::string texture_digest,
+                               const Options& options)
+    : textures_(std::move(textures)),
+      texture_digest_(std::move(texture_digest)),
+      options_(options),
+      budget_(options.budget) {}
 
 grpc::Status EnvServiceImpl::Play(grpc::ServerContext* context,
                                   grpc::ServerReaderWriter<v1::PlayReply, v1::PlayRequest>* stream) {
-  absl::Status status;
+  wire::StreamWatch::Stream watched(&watch_, context);
+  absl::Status status = watched.admitted();
   try {
-    status = Serve(context->peer(), stream);
+    if (status.ok()) status = Serve(context, &watched, stream);
   } catch (const std::exception& error) {  // of a library below the game, or out of memory
     status = absl::AbortedError(absl::StrCat("the environment failed (", error.what(), "): go on from the snapshots"));
   }
+  if (const absl::Status late = watched.late(); !late.ok()) status = late;
+  if (absl::IsCancelled(status)) return wire::ToGrpc(status);  // the client's wish, or ours
   if (!status.ok()) {
     ++rejected_;
     LogWarning("session of %s ended: %s", context->peer(), status.message());
@@ -90,27 +122,34 @@ grpc::Status EnvServiceImpl::Play(grpc::ServerContext* context,
   return wire::ToGrpc(status);
 }
 
-absl::Status EnvServiceImpl::Serve(const std::string& peer,
+absl::Status EnvServiceImpl::Serve(grpc::ServerContext* context, wire::StreamWatch::Stream* watched,
                                    grpc::ServerReaderWriter<v1::PlayReply, v1::PlayRequest>* stream) {
   v1::PlayRequest request;
   v1::PlayReply reply;
+  watched->Await("a hello (--hello_timeout)", options_.hello_timeout);
   if (!stream->Read(&request)) return absl::OkStatus();
+  watched->Work();
   if (!request.has_hello()) return absl::InvalidArgumentError("a session begins with hello");
-  CRAFTFLEET_ASSIGN_OR_RETURN(EnvBatch batch, Greet(request.hello()));
+  GameBudget::Share share(&budget_);
+  CRAFTFLEET_ASSIGN_OR_RETURN(EnvBatch batch, Greet(request.hello(), &share));
+  batch.StopWhen([context] { return context->IsCancelled(); });
   SessionGuard session(this);
-  CRAFTFLEET_RETURN_IF_ERROR(session.Enter(request.hello(), peer));
+  CRAFTFLEET_RETURN_IF_ERROR(session.Enter(request.hello(), context->peer()));
   reply.set_program_version(std::string(ProgramVersion()));
   StepBatch step;
   while (true) {
     const absl::Duration busy = session.meter()->Switch(Activity::kWire);
     reply.set_busy_ns(absl::ToInt64Nanoseconds(busy));
     session.AddSummary(&reply);
+    watched->Await("a reply to be taken (--reply_timeout)", options_.reply_timeout);
     if (!stream->Write(reply)) return absl::OkStatus();
     session.meter()->Switch(Activity::kIdle);
+    watched->Await("the next request (--idle_timeout)", options_.idle_timeout);
     if (!stream->Read(&request)) return absl::OkStatus();
+    watched->Work();
     session.meter()->Switch(Activity::kEnvironment);
     reply.clear_program_version();
-    CRAFTFLEET_RETURN_IF_ERROR(Handle(request, &batch, &step, &reply));
+    CRAFTFLEET_RETURN_IF_ERROR(Handle(request, &batch, &share, &step, &reply));
     if (request.has_step()) {
       session.meter()->Count(request.step().lanes_size());
     } else {
@@ -119,7 +158,7 @@ absl::Status EnvServiceImpl::Serve(const std::string& peer,
   }
 }
 
-absl::StatusOr<EnvBatch> EnvServiceImpl::Greet(const v1::SessionHello& hello) const {
+absl::StatusOr<EnvBatch> EnvServiceImpl::Greet(const v1::SessionHello& hello, GameBudget::Share* share) const {
   const wire::Handshake ours = {wire::kProtocolVersion, "", texture_digest_};
   const wire::Handshake theirs = {hello.protocol_version(), hello.run_id(), hello.texture_digest()};
   CRAFTFLEET_RETURN_IF_ERROR(wire::CheckHandshake("environment server", ours, "actor", theirs));
@@ -133,19 +172,26 @@ absl::StatusOr<EnvBatch> EnvServiceImpl::Greet(const v1::SessionHello& hello) co
   picture.width = hello.env().frame_size();
   picture.height = hello.env().frame_size();
   picture.inventory = name.inventory;
+  CRAFTFLEET_RETURN_IF_ERROR(picture.Validate(world));
+  RenderOptions larger_picture = picture;
+  larger_picture.width = hello.recording().picture_size();
+  larger_picture.height = hello.recording().picture_size();
+  const bool larger_wanted = larger_picture.width != 0;
+  if (larger_wanted) CRAFTFLEET_RETURN_IF_ERROR(larger_picture.Validate(world));
+  // Renderers have tables of the size of some pictures.
+  CRAFTFLEET_RETURN_IF_ERROR(share->Set(
+      0, SessionBytes(0, FrameBytes(picture), hello.has_recording(), larger_wanted ? FrameBytes(larger_picture) : 0)));
   CRAFTFLEET_ASSIGN_OR_RETURN(std::shared_ptr<const Renderer> renderer, Renderer::Create(*textures_, world, picture));
   if (!hello.has_recording()) return EnvBatch(std::move(renderer));
   std::shared_ptr<const Renderer> larger;
-  if (hello.recording().picture_size() != 0) {
-    picture.width = hello.recording().picture_size();
-    picture.height = hello.recording().picture_size();
-    CRAFTFLEET_ASSIGN_OR_RETURN(larger, Renderer::Create(*textures_, world, picture));
+  if (larger_wanted) {
+    CRAFTFLEET_ASSIGN_OR_RETURN(larger, Renderer::Create(*textures_, world, larger_picture));
   }
   return EnvBatch(std::move(renderer), MomentTaker(std::move(larger)));
 }
 
-absl::Status EnvServiceImpl::Handle(const v1::PlayRequest& request, EnvBatch* batch, StepBatch* step,
-                                    v1::PlayReply* reply) {
+absl::Status EnvServiceImpl::Handle(const v1::PlayRequest& request, EnvBatch* batch, GameBudget::Share* share,
+                                    StepBatch* step, v1::PlayReply* reply) {
   switch (request.request_case()) {
     case v1::PlayRequest::kStep: {
       std::vector<Action> actions;
@@ -157,6 +203,7 @@ absl::Status EnvServiceImpl::Handle(const v1::PlayRequest& request, EnvBatch* ba
       return absl::OkStatus();
     }
     case v1::PlayRequest::kOpen: {
+      CRAFTFLEET_RETURN_IF_ERROR(SetGames(int64_t{batch->size()} + request.open().lanes_size(), *batch, share));
       std::vector<EnvBatch::OpenLane> lanes;
       for (const v1::OpenLanes::Lane& lane : request.open().lanes()) {
         lanes.push_back({lane.lane(), lane.seed(), lane.episode() == 0 ? 1 : lane.episode(), lane.snapshot()});
@@ -164,12 +211,12 @@ absl::Status EnvServiceImpl::Handle(const v1::PlayRequest& request, EnvBatch* ba
       reply->Clear();
       CRAFTFLEET_RETURN_IF_ERROR(batch->Open(lanes, reply->mutable_frames()));
       wire::ToProto(std::move(batch->moments()), reply);
-      return absl::OkStatus();
+      return SetGames(batch->size(), *batch, share);  // some may have been open before
     }
     case v1::PlayRequest::kClose:
       reply->Clear();
       batch->Close(request.close().lanes());
-      return absl::OkStatus();
+      return SetGames(batch->size(), *batch, share);
     case v1::PlayRequest::kHello:
       return absl::InvalidArgumentError("hello came twice");
     case v1::PlayRequest::REQUEST_NOT_SET:
@@ -242,6 +289,7 @@ void EnvServiceImpl::FillStatus(v1::StatusReply* reply) const {
   wire::AddMetric("sessions", static_cast<double>(sessions_.size()), reply);
   wire::AddMetric("sessions_rejected", static_cast<double>(rejected_.load()), reply);
   wire::AddMetric("env_steps", static_cast<double>(TotalWorkLocked().done), reply);
+  wire::AddMetric("games_memory", static_cast<double>(budget_.bytes()), reply);
   wire::AddMetric("episodes", static_cast<double>(episodes_.load()), reply);
 }
 

@@ -10,13 +10,16 @@
 #include <string>
 
 #include <absl/status/statusor.h>
+#include <absl/time/time.h>
 
 #include "common/activity_meter.h"
 #include "common/clock.h"
 #include "common/mutex.h"
+#include "common/wire/stream_watch.h"
 #include "craftfleet/v1/environment.grpc.pb.h"
 #include "craftfleet/v1/status.pb.h"
 #include "envserver/env_batch.h"
+#include "envserver/game_budget.h"
 #include "envserver/render/textures.h"
 
 namespace craftfleet {
@@ -24,7 +27,18 @@ namespace craftfleet {
 // Serves any number of sessions, one gRPC thread each, that belong to one run at a time. Thread-safe.
 class EnvServiceImpl final : public v1::EnvironmentService::Service {
  public:
-  // Textures in `texture_dir`, read once. The status of Textures::Load when they are missing or broken.
+  // By default without limits, for the only client in the same process.
+  struct Options {
+    GameBudget::Options budget = {};
+    absl::Duration hello_timeout = absl::InfiniteDuration();  // for a session's first request, at least 1 s
+    absl::Duration idle_timeout = absl::InfiniteDuration();   // for each later one, at least 1 s
+    absl::Duration reply_timeout = absl::InfiniteDuration();  // for the client to take a reply, at least 1 s
+    absl::Status Validate() const;
+  };
+
+  // Textures in `texture_dir`, read once. InvalidArgument: options that Validate() refuses; or the status of
+  // Textures::Load when they are missing or broken.
+  static absl::StatusOr<std::unique_ptr<EnvServiceImpl>> Create(const std::string& texture_dir, const Options& options);
   static absl::StatusOr<std::unique_ptr<EnvServiceImpl>> Create(const std::string& texture_dir);
 
   grpc::Status Play(grpc::ServerContext* context,
@@ -48,15 +62,21 @@ class EnvServiceImpl final : public v1::EnvironmentService::Service {
   };
   class SessionGuard;
 
-  EnvServiceImpl(std::shared_ptr<const Textures> textures, std::string texture_digest);
+  EnvServiceImpl(std::shared_ptr<const Textures> textures, std::string texture_digest, const Options& options);
 
-  absl::Status Serve(const std::string& peer, grpc::ServerReaderWriter<v1::PlayReply, v1::PlayRequest>* stream);
+  absl::Status Serve(grpc::ServerContext* context, wire::StreamWatch::Stream* watched,
+                     grpc::ServerReaderWriter<v1::PlayReply, v1::PlayRequest>* stream);
   // Handshake, and a session's games, none open yet. FailedPrecondition or InvalidArgument: it can't be served.
-  absl::StatusOr<EnvBatch> Greet(const v1::SessionHello& hello) const;
-  absl::Status Handle(const v1::PlayRequest& request, EnvBatch* batch, StepBatch* step, v1::PlayReply* reply);
+  // ResourceExhausted: there is no room for its pictures.
+  absl::StatusOr<EnvBatch> Greet(const v1::SessionHello& hello, GameBudget::Share* share) const;
+  absl::Status Handle(const v1::PlayRequest& request, EnvBatch* batch, GameBudget::Share* share, StepBatch* step,
+                      v1::PlayReply* reply);
 
   const std::shared_ptr<const Textures> textures_;
   const std::string texture_digest_;
+  const Options options_;
+  GameBudget budget_;
+  wire::StreamWatch watch_;
 
   Work TotalWorkLocked() const ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
   v1::ProcessSummary SummaryLocked() const ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);

@@ -6,8 +6,9 @@
 
 namespace craftfleet {
 
-absl::StatusOr<Game> Game::Create(std::shared_ptr<const Renderer> renderer, int64_t seed, absl::Span<uint8_t> frame) {
-  CRAFTFLEET_ASSIGN_OR_RETURN(World world, World::Create(renderer->world_options(), seed));
+absl::StatusOr<Game> Game::Create(std::shared_ptr<const Renderer> renderer, int64_t seed, absl::Span<uint8_t> frame,
+                                  int64_t episode) {
+  CRAFTFLEET_ASSIGN_OR_RETURN(World world, World::Create(renderer->world_options(), seed, episode));
   Game game(std::move(renderer), std::move(world));
   game.Draw(frame);
   return game;

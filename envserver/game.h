@@ -32,8 +32,10 @@ class Game {
     absl::optional<Episode> episode;  // its `step` is left 0
   };
 
-  // A new game with the renderer's world options, in its first episode, whose first picture goes to `frame`.
-  static absl::StatusOr<Game> Create(std::shared_ptr<const Renderer> renderer, int64_t seed, absl::Span<uint8_t> frame);
+  // A new game with the renderer's world options, at the beginning of `episode`, from 1, whose first picture goes to
+  // `frame`. A late episode costs no more than an early one.
+  static absl::StatusOr<Game> Create(std::shared_ptr<const Renderer> renderer, int64_t seed, absl::Span<uint8_t> frame,
+                                     int64_t episode = 1);
 
   // Starts the next episode.
   void Reset(absl::Span<uint8_t> frame);

@@ -1,6 +1,8 @@
 // craftfleet-envserver: runs Crafter games for actors.
 
 #include <absl/flags/flag.h>
+#include <absl/strings/str_format.h>
+#include <absl/time/time.h>
 
 #include "common/log.h"
 #include "common/paths.h"
@@ -24,6 +26,17 @@ ABSL_FLAG(std::string, textures, "",
           "folder with Crafter's textures as PNG; must be the same as the learner's\n"
           "[the ones that come with this program]");
 
+ABSL_FLAG(int32_t, max_session_games, 4096, "games that one session, which is a thread of an actor, may have, 1..4096");
+ABSL_FLAG(int32_t, max_games, 16384, "games of all sessions together, --max_session_games..1000000");
+ABSL_FLAG(int32_t, max_session_mb, 512,
+          "memory for the games of one session with their pictures, 1..1000000; what would need more is refused");
+ABSL_FLAG(int32_t, max_games_mb, 2048, "memory for the games of all sessions together, --max_session_mb..1000000");
+ABSL_FLAG(absl::Duration, hello_timeout, absl::Seconds(10),
+          "how long a session may say nothing at its beginning, 1s..1h");
+ABSL_FLAG(absl::Duration, idle_timeout, absl::Minutes(10),
+          "how long a session may ask for nothing, 1s..24h; then it ends, and its games go on elsewhere");
+ABSL_FLAG(absl::Duration, reply_timeout, absl::Minutes(1), "how long a client may leave a reply untaken, 1s..1h");
+
 namespace craftfleet {
 namespace {
 
@@ -37,6 +50,39 @@ It may come and go at any time; games that it held go on elsewhere from their la
   craftfleet status --address=127.0.0.1:50061)";
 
 constexpr absl::Duration kMoveOut = absl::Seconds(3);  // for actors to move their games
+
+absl::Status CheckAtMost(absl::string_view flag, int32_t value, int32_t most) {
+  if (value <= most) return absl::OkStatus();
+  return absl::InvalidArgumentError(absl::StrFormat("--%s=%d, want at most %d", flag, value, most));
+}
+
+absl::Status CheckAtMost(absl::string_view flag, absl::Duration value, absl::Duration most) {
+  if (value <= most) return absl::OkStatus();
+  return absl::InvalidArgumentError(
+      absl::StrFormat("--%s=%s, want at most %s", flag, absl::FormatDuration(value), absl::FormatDuration(most)));
+}
+
+// What the flags allow; Create checks what is too little.
+absl::StatusOr<EnvServiceImpl::Options> OptionsFromFlags() {
+  constexpr int32_t kMost = 1'000'000;
+  EnvServiceImpl::Options options;
+  options.budget.session_games = absl::GetFlag(FLAGS_max_session_games);
+  options.budget.games = absl::GetFlag(FLAGS_max_games);
+  options.budget.session_bytes = int64_t{absl::GetFlag(FLAGS_max_session_mb)} << 20;
+  options.budget.bytes = int64_t{absl::GetFlag(FLAGS_max_games_mb)} << 20;
+  options.hello_timeout = absl::GetFlag(FLAGS_hello_timeout);
+  options.idle_timeout = absl::GetFlag(FLAGS_idle_timeout);
+  options.reply_timeout = absl::GetFlag(FLAGS_reply_timeout);
+  CRAFTFLEET_RETURN_IF_ERROR(
+      CheckAtMost("max_session_games", absl::GetFlag(FLAGS_max_session_games), EnvBatch::kMaxLanes));
+  CRAFTFLEET_RETURN_IF_ERROR(CheckAtMost("max_games", absl::GetFlag(FLAGS_max_games), kMost));
+  CRAFTFLEET_RETURN_IF_ERROR(CheckAtMost("max_session_mb", absl::GetFlag(FLAGS_max_session_mb), kMost));
+  CRAFTFLEET_RETURN_IF_ERROR(CheckAtMost("max_games_mb", absl::GetFlag(FLAGS_max_games_mb), kMost));
+  CRAFTFLEET_RETURN_IF_ERROR(CheckAtMost("hello_timeout", options.hello_timeout, absl::Hours(1)));
+  CRAFTFLEET_RETURN_IF_ERROR(CheckAtMost("idle_timeout", options.idle_timeout, absl::Hours(24)));
+  CRAFTFLEET_RETURN_IF_ERROR(CheckAtMost("reply_timeout", options.reply_timeout, absl::Hours(1)));
+  return options;
+}
 
 // Null without --learner.
 absl::StatusOr<std::unique_ptr<Announcer>> AnnounceIfAsked(const EnvServiceImpl& service, const std::string& listens_on,
@@ -60,7 +106,8 @@ absl::Status Run() {
   CRAFTFLEET_ASSIGN_OR_RETURN(const wire::MetricsServer::Options metrics_options,
                               wire::MetricsOptionsFromFlags(wire::kAnyFreePort));
   CRAFTFLEET_ASSIGN_OR_RETURN(const std::string textures, TextureDir(absl::GetFlag(FLAGS_textures)));
-  CRAFTFLEET_ASSIGN_OR_RETURN(const std::unique_ptr<EnvServiceImpl> service, EnvServiceImpl::Create(textures));
+  CRAFTFLEET_ASSIGN_OR_RETURN(const EnvServiceImpl::Options options, OptionsFromFlags());
+  CRAFTFLEET_ASSIGN_OR_RETURN(const std::unique_ptr<EnvServiceImpl> service, EnvServiceImpl::Create(textures, options));
   wire::StatusServiceImpl status("envserver", [&service](v1::StatusReply* reply) { service->FillStatus(reply); });
   CRAFTFLEET_ASSIGN_OR_RETURN(
       const std::unique_ptr<wire::Server> server,

@@ -140,10 +140,15 @@ void LearnerServiceImpl::OfferEvaluation(const v1::PermitRequest& request, v1::P
 }
 
 grpc::Status LearnerServiceImpl::PushFragments(
-    grpc::ServerContext* /*context*/, grpc::ServerReaderWriter<v1::FragmentVerdict, v1::FragmentMessage>* stream) {
+    grpc::ServerContext* context, grpc::ServerReaderWriter<v1::FragmentVerdict, v1::FragmentMessage>* stream) {
+  wire::StreamWatch::Stream watched(&streams_, context);
+  if (!watched.admitted().ok()) return wire::ToGrpc(watched.admitted());
   v1::FragmentMessage message;
   v1::FragmentVerdict reply;
-  while (stream->Read(&message)) {
+  while (true) {
+    watched.Await("a fragment", wire::StreamWatch::kRequest);
+    if (!stream->Read(&message)) break;
+    watched.Work();
     absl::StatusOr<v1::FragmentVerdict::Verdict> verdict = TakeIn(&message);
     if (!verdict.ok()) {
       if (verdict.status().code() == absl::StatusCode::kInvalidArgument) {
@@ -155,6 +160,7 @@ grpc::Status LearnerServiceImpl::PushFragments(
     reply.set_lane(message.lane());
     reply.set_number(message.number());
     reply.set_verdict(*verdict);
+    watched.Await("a verdict to be taken", wire::StreamWatch::kTakesReply);
     if (!stream->Write(reply)) break;
   }
   return grpc::Status::OK;
@@ -178,8 +184,10 @@ absl::StatusOr<v1::FragmentVerdict::Verdict> LearnerServiceImpl::TakeIn(v1::Frag
   return ToProto(verdict);
 }
 
-grpc::Status LearnerServiceImpl::GetWeights(grpc::ServerContext* /*context*/, const v1::WeightsRequest* request,
+grpc::Status LearnerServiceImpl::GetWeights(grpc::ServerContext* context, const v1::WeightsRequest* request,
                                             grpc::ServerWriter<v1::WeightsChunk>* writer) {
+  wire::StreamWatch::Stream watched(&streams_, context);
+  if (!watched.admitted().ok()) return wire::ToGrpc(watched.admitted());
   const absl::StatusOr<WeightStore::Weights> weights = FindWeights(*request);
   if (!weights.ok()) return wire::ToGrpc(weights.status());
   v1::WeightsChunk chunk;
@@ -187,6 +195,7 @@ grpc::Status LearnerServiceImpl::GetWeights(grpc::ServerContext* /*context*/, co
   chunk.set_total_bytes(static_cast<int64_t>(weights->bytes->size()));
   for (size_t offset = 0; offset < weights->bytes->size(); offset += kChunkBytes) {
     chunk.mutable_data()->assign(*weights->bytes, offset, kChunkBytes);
+    watched.Await("weights to be taken", wire::StreamWatch::kTakesReply);
     if (!writer->Write(chunk)) break;
   }
   return grpc::Status::OK;

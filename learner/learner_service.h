@@ -11,6 +11,7 @@
 #include "common/mutex.h"
 #include "common/types.h"
 #include "common/wire/convert.h"
+#include "common/wire/stream_watch.h"
 #include "craftfleet/v1/learner.grpc.pb.h"
 #include "craftfleet/v1/status.pb.h"
 #include "learner/evaluation_book.h"
@@ -82,6 +83,8 @@ class LearnerServiceImpl final : public v1::LearnerService::Service {
   Mutex mu_;
   std::string first_cpu_ ABSL_GUARDED_BY(mu_);
   bool warned_ ABSL_GUARDED_BY(mu_) = false;
+
+  wire::StreamWatch streams_;
 };
 
 }  // namespace craftfleet

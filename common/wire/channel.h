@@ -3,6 +3,7 @@
 #ifndef CRAFTFLEET_COMMON_WIRE_CHANNEL_H_
 #define CRAFTFLEET_COMMON_WIRE_CHANNEL_H_
 
+#include <grpc/compression.h>
 #include <sys/resource.h>
 
 #include <memory>
@@ -45,7 +46,11 @@ void KeepGrpcUp();
 // in the environment, if set, prevails.
 void PollFewConnections();
 
-// Message limits and keepalive: a dead peer is noticed within 10 seconds.
+// What a process takes, in the bits of GRPC_COMPRESSION_CHANNEL_ENABLED_ALGORITHMS_BITSET: nothing compressed. A
+// message of 1 MB may inflate to a thousand times of that, before its size is looked at.
+inline constexpr int kNoCompression = 1 << GRPC_COMPRESS_NONE;
+
+// Message limits, no decompression, and keepalive: a dead peer is noticed within 10 seconds.
 grpc::ChannelArguments ClientArguments();
 
 // Channel to HOST:PORT or unix:PATH. Connects lazily; never fails.

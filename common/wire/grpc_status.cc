@@ -4,6 +4,8 @@
 
 #include <absl/strings/str_cat.h>
 
+#include "common/log.h"
+
 namespace craftfleet::wire {
 
 static_assert(static_cast<int>(absl::StatusCode::kUnavailable) == static_cast<int>(grpc::StatusCode::UNAVAILABLE));
@@ -11,6 +13,9 @@ static_assert(static_cast<int>(absl::StatusCode::kUnauthenticated) ==
               static_cast<int>(grpc::StatusCode::UNAUTHENTICATED));
 
 namespace {
+
+// It travels in headers, of which others take 8 KiB.
+constexpr size_t kMaxStatusBytes = 1024;
 
 // gRPC has no words for a call that the server doesn't know.
 std::string Message(const grpc::Status& status) {
@@ -25,7 +30,7 @@ std::string Message(const grpc::Status& status) {
 
 grpc::Status ToGrpc(const absl::Status& status) {
   if (status.ok()) return grpc::Status::OK;
-  return {static_cast<grpc::StatusCode>(status.code()), std::string(status.message())};
+  return {static_cast<grpc::StatusCode>(status.code()), Shortened(status.message(), kMaxStatusBytes)};
 }
 
 absl::Status FromGrpc(const grpc::Status& status, absl::string_view context) {

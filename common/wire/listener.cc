@@ -70,6 +70,9 @@ absl::StatusOr<std::unique_ptr<Listener>> Listener::Create(const Options& option
   std::unique_ptr<Listener> listener(new Listener(options));
   CRAFTFLEET_RETURN_IF_ERROR(listener->Bind());
   listener->max_connections_ = MaxConnections();
+  if (options.max_connections > 0) {
+    listener->max_connections_ = std::min(listener->max_connections_, static_cast<size_t>(options.max_connections));
+  }
   return listener;
 }
 
@@ -189,13 +192,13 @@ void Listener::Accept(int socket) {
   const auto known = per_client_.find(client);
   const int open = known == per_client_.end() ? 0 : known->second;
   if (connections_.size() >= max_connections_) {
-    log_.Warn("all", absl::StrFormat("%s: refused a connection from %s: there are %d, all that the limit of open files "
-                                     "allows; raise it (ulimit -n)",
-                                     address_, client, connections_.size()));
+    const bool by_files = max_connections_ != static_cast<size_t>(options_.max_connections);
+    log_.Warn("all",
+              absl::StrFormat("%s: refused a connection from %s: there are %d, all that %s allows", address_, client,
+                              connections_.size(), by_files ? "the limit of open files (ulimit -n)" : options_.limit));
   } else if (open >= options_.max_connections_per_client) {
-    log_.Warn(client, absl::StrFormat("%s: refused a connection from %s, which has %d, all that "
-                                      "--max_connections_per_client allows",
-                                      address_, client, open));
+    log_.Warn(client, absl::StrFormat("%s: refused a connection from %s, which has %d, all that %s allows", address_,
+                                      client, open, options_.limit));
   } else {
     Admit(descriptor, client);
     return;

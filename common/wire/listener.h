@@ -28,6 +28,8 @@ class Listener {
   struct Options {
     std::string address;  // HOST:PORT; port 0: any free one
     int max_connections_per_client = 1024;
+    int max_connections = 0;                             // in all; 0: what the limit of open files allows
+    std::string limit = "--max_connections_per_client";  // what to name when a client has too many
   };
   // Takes over the descriptor of a connection; called on the listener's thread.
   using Handle = std::function<void(int descriptor)>;
@@ -64,7 +66,7 @@ class Listener {
   std::vector<int> sockets_;
   int poll_ = -1;                           // epoll of sockets, copies and wake-up
   int wake_up_[2] = {-1, -1};               // pipe: ends the thread
-  size_t max_connections_ = 0;              // in all, by the process' limit of descriptors
+  size_t max_connections_ = 0;              // in all
   std::map<int, std::string> connections_;  // copy -> client; of the thread, like the next
   std::map<std::string, int> per_client_;
   std::thread thread_;

@@ -8,7 +8,24 @@
 #include "common/log.h"
 #include "common/status_macros.h"
 
-ABSL_FLAG(std::optional<std::string>, metrics_listen, std::nullopt,
+namespace craftfleet::wire {
+
+// An address that may be empty, which is not the same as none given: absl takes an empty text for an absent optional.
+struct GivenAddress {
+  std::optional<std::string> address;
+};
+
+// How absl reads and writes the flag below; found by argument-dependent lookup.
+bool AbslParseFlag(absl::string_view text, GivenAddress* given, std::string* /*error*/) {
+  given->address = std::string(text);
+  return true;
+}
+
+std::string AbslUnparseFlag(const GivenAddress& given) { return given.address.value_or(""); }
+
+}  // namespace craftfleet::wire
+
+ABSL_FLAG(craftfleet::wire::GivenAddress, metrics_listen, {},
           "address to serve Prometheus metrics on, at http://HOST:PORT/metrics; empty: none\n"
           "[any free port of this host, which the log tells; craftfleet train: none]");
 ABSL_FLAG(bool, metrics_insecure, false,
@@ -19,7 +36,7 @@ namespace craftfleet::wire {
 absl::StatusOr<MetricsServer::Options> MetricsOptionsFromFlags(absl::string_view by_default) {
   MetricsServer::Options options;
   const std::string otherwise(by_default);
-  options.address = absl::GetFlag(FLAGS_metrics_listen).value_or(otherwise);
+  options.address = absl::GetFlag(FLAGS_metrics_listen).address.value_or(otherwise);
   options.insecure = absl::GetFlag(FLAGS_metrics_insecure);
   CRAFTFLEET_RETURN_IF_ERROR(options.Validate());
   return options;

@@ -8,6 +8,7 @@
 #include <absl/strings/str_format.h>
 #include <grpcpp/ext/proto_server_reflection_plugin.h>
 #include <grpcpp/health_check_service_interface.h>
+#include <grpcpp/impl/server_builder_option.h>
 #include <grpcpp/resource_quota.h>
 #include <grpcpp/security/server_credentials.h>
 #include <grpcpp/server_builder.h>
@@ -25,6 +26,17 @@ constexpr int kHandshakeTimeoutMs = 10'000;    // for TLS and HTTP/2's first wor
 constexpr int kMaxIdleMs = 300'000;            // of a connection without a call
 constexpr int kMaxThreads = 4096;              // each call that is served has one; beyond: RESOURCE_EXHAUSTED
 
+// Of the health port, which anybody may reach: a probe asks once and leaves.
+constexpr int kHealthConnections = 64;
+constexpr int kHealthConnectionsPerClient = 16;
+constexpr int kHealthStreamsPerConnection = 4;
+constexpr int kHealthHandshakeMs = 5000;
+constexpr int kHealthIdleMs = 10'000;
+constexpr int kHealthAgeMs = 60'000;  // of a connection, whatever it does; who watches comes again
+constexpr int kHealthGraceMs = 2000;
+constexpr int kHealthMessageBytes = 4096;
+constexpr size_t kHealthBufferedBytes = 4u << 20;
+
 bool IsUnixSocket(absl::string_view address) { return absl::StartsWith(address, "unix:"); }
 
 // By default gRPC has one or two threads wait for calls and makes a thread for most of those that come at once: the
@@ -32,6 +44,12 @@ bool IsUnixSocket(absl::string_view address) { return absl::StartsWith(address, 
 void KeepThreadsReady(grpc::ServerBuilder* builder) {
   builder->SetSyncServerOption(grpc::ServerBuilder::MIN_POLLERS, 32);
   builder->SetSyncServerOption(grpc::ServerBuilder::MAX_POLLERS, 256);
+}
+
+// Compressed calls are refused by their headers; and what comes compressed all the same is not inflated.
+void RefuseCompression(grpc::ServerBuilder* builder) {
+  builder->AddChannelArgument(GRPC_COMPRESSION_CHANNEL_ENABLED_ALGORITHMS_BITSET, kNoCompression);
+  builder->AddChannelArgument(GRPC_ARG_ENABLE_PER_MESSAGE_DECOMPRESSION, 0);
 }
 
 // Limits and keepalive.
@@ -43,6 +61,7 @@ void SetLimits(int max_buffered_mb, grpc::ServerBuilder* builder) {
   builder->AddChannelArgument(GRPC_ARG_MAX_CONCURRENT_STREAMS, kMaxStreamsPerConnection);
   builder->AddChannelArgument(GRPC_ARG_SERVER_HANDSHAKE_TIMEOUT_MS, kHandshakeTimeoutMs);
   builder->AddChannelArgument(GRPC_ARG_MAX_CONNECTION_IDLE_MS, kMaxIdleMs);
+  RefuseCompression(builder);
   builder->SetMaxReceiveMessageSize(kMaxMessageBytes);
   builder->SetMaxSendMessageSize(kMaxMessageBytes);
   grpc::ResourceQuota quota("craftfleet");
@@ -51,6 +70,28 @@ void SetLimits(int max_buffered_mb, grpc::ServerBuilder* builder) {
   quota.Resize(static_cast<size_t>(max_buffered_mb) << 20);
   builder->SetResourceQuota(quota);
 }
+
+void SetHealthLimits(grpc::ServerBuilder* builder) {
+  builder->AddChannelArgument(GRPC_ARG_KEEPALIVE_TIME_MS, 5000);
+  builder->AddChannelArgument(GRPC_ARG_KEEPALIVE_TIMEOUT_MS, 4000);
+  builder->AddChannelArgument(GRPC_ARG_MAX_CONCURRENT_STREAMS, kHealthStreamsPerConnection);
+  builder->AddChannelArgument(GRPC_ARG_SERVER_HANDSHAKE_TIMEOUT_MS, kHealthHandshakeMs);
+  builder->AddChannelArgument(GRPC_ARG_MAX_CONNECTION_IDLE_MS, kHealthIdleMs);
+  builder->AddChannelArgument(GRPC_ARG_MAX_CONNECTION_AGE_MS, kHealthAgeMs);
+  builder->AddChannelArgument(GRPC_ARG_MAX_CONNECTION_AGE_GRACE_MS, kHealthGraceMs);
+  RefuseCompression(builder);
+  builder->SetMaxReceiveMessageSize(kHealthMessageBytes);
+  grpc::ResourceQuota quota("craftfleet-health");
+  quota.Resize(kHealthBufferedBytes);
+  builder->SetResourceQuota(quota);
+}
+
+// Takes away what hooked into a builder: reflection, which holds a thread for each of its streams.
+class WithoutPlugins : public grpc::ServerBuilderOption {
+ public:
+  void UpdateArguments(grpc::ChannelArguments* /*arguments*/) override {}
+  void UpdatePlugins(std::vector<std::unique_ptr<grpc::ServerBuilderPlugin>>* plugins) override { plugins->clear(); }
+};
 
 // Health and reflection hook into every builder made after this.
 void InstallPlugins() {
@@ -107,8 +148,7 @@ absl::StatusOr<std::unique_ptr<Server>> Server::Create(const Options& options,
   std::unique_ptr<Server> server(new Server);
   CRAFTFLEET_ASSIGN_OR_RETURN(server->main_, Open(options, options.address, std::move(credentials), services));
   if (!options.health_address.empty()) {
-    CRAFTFLEET_ASSIGN_OR_RETURN(server->health_,
-                                Open(options, options.health_address, grpc::InsecureServerCredentials(), {}));
+    CRAFTFLEET_ASSIGN_OR_RETURN(server->health_, OpenHealth(options.health_address, &server->nothing_else_));
   }
   return server;
 }
@@ -135,14 +175,48 @@ absl::StatusOr<Server::Port> Server::Open(const Options& options, const std::str
   if (opened.server == nullptr || port == 0) {
     return absl::UnavailableError(absl::StrFormat("cannot listen on %s: choose another --listen", address));
   }
-  if (opened.listener != nullptr) {
-    opened.listener->Start([acceptor = opened.acceptor.get()](int descriptor) {
-      grpc::experimental::ExternalConnectionAcceptor::NewConnectionParameters connection;
-      connection.fd = descriptor;
-      acceptor->HandleNewConnection(&connection);
-    });
-  }
+  if (opened.listener != nullptr) opened.Listen();
   return opened;
+}
+
+absl::StatusOr<Server::Port> Server::OpenHealth(const std::string& address,
+                                                grpc::CallbackGenericService* nothing_else) {
+  Port opened;
+  opened.address = address;
+  grpc::ServerBuilder builder;
+  SetHealthLimits(&builder);
+  builder.SetOption(std::make_unique<WithoutPlugins>());
+  // Without any service a builder builds nothing. This one refuses all calls, on the few threads that gRPC has for
+  // them.
+  builder.RegisterCallbackGenericService(nothing_else);
+  int port = 1;
+  if (IsUnixSocket(address)) {
+    builder.AddListeningPort(address, grpc::InsecureServerCredentials(), &port);
+  } else {
+    Listener::Options listen;
+    listen.address = address;
+    listen.max_connections_per_client = kHealthConnectionsPerClient;
+    listen.max_connections = kHealthConnections;
+    listen.limit = "a health port";
+    CRAFTFLEET_ASSIGN_OR_RETURN(opened.listener, Listener::Create(listen));
+    opened.address = opened.listener->address();
+    opened.acceptor = builder.experimental().AddExternalConnectionAcceptor(
+        grpc::ServerBuilder::experimental_type::ExternalConnectionType::FROM_FD, grpc::InsecureServerCredentials());
+  }
+  opened.server = builder.BuildAndStart();
+  if (opened.server == nullptr || port == 0) {
+    return absl::UnavailableError(absl::StrFormat("cannot listen on %s: choose another --health_listen", address));
+  }
+  if (opened.listener != nullptr) opened.Listen();
+  return opened;
+}
+
+void Server::Port::Listen() {
+  listener->Start([acceptor = acceptor.get()](int descriptor) {
+    grpc::experimental::ExternalConnectionAcceptor::NewConnectionParameters connection;
+    connection.fd = descriptor;
+    acceptor->HandleNewConnection(&connection);
+  });
 }
 
 Server::~Server() { Stop(absl::Milliseconds(200)); }

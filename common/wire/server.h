@@ -10,6 +10,7 @@
 #include <absl/status/status.h>
 #include <absl/status/statusor.h>
 #include <absl/time/time.h>
+#include <grpcpp/generic/async_generic_service.h>
 #include <grpcpp/impl/service_type.h>
 #include <grpcpp/server.h>
 
@@ -27,12 +28,13 @@ namespace craftfleet::wire {
 class Server {
  public:
   struct Options {
-    std::string address;              // HOST:PORT (port 0: any free one) or unix:PATH; empty: in-process channels only
-    bool insecure = false;            // allow listening beyond loopback without TLS
-    TlsFiles files = {};              // with a certificate: TLS
-    bool ask_clients = true;          // with authorities too: clients must show a certificate from one of them
-    std::string access_file = {};     // who may do what; empty: who gets in may do all
-    std::string health_address = {};  // HOST:PORT of a plain port with nothing but health on it; empty: none
+    std::string address;           // HOST:PORT (port 0: any free one) or unix:PATH; empty: in-process channels only
+    bool insecure = false;         // allow listening beyond loopback without TLS
+    TlsFiles files = {};           // with a certificate: TLS
+    bool ask_clients = true;       // with authorities too: clients must show a certificate from one of them
+    std::string access_file = {};  // who may do what; empty: who gets in may do all
+    // HOST:PORT of a plain port with nothing but health on it, for a few short connections; empty: none.
+    std::string health_address = {};
     int max_connections_per_client = 1024;  // from one address, 1..65536
     // Memory of messages on their way in and out, 128..1000000. Beyond it calls end with RESOURCE_EXHAUSTED.
     int max_buffered_mb = 512;
@@ -65,13 +67,17 @@ class Server {
     std::unique_ptr<grpc::Server> server;
     std::unique_ptr<Listener> listener;
     std::string address;
+    // Begins to accept.
+    void Listen();
   };
 
   Server() = default;
   static absl::StatusOr<Port> Open(const Options& options, const std::string& address,
                                    std::shared_ptr<grpc::ServerCredentials> credentials,
                                    const std::vector<grpc::Service*>& services);
+  static absl::StatusOr<Port> OpenHealth(const std::string& address, grpc::CallbackGenericService* nothing_else);
 
+  grpc::CallbackGenericService nothing_else_;  // of the health port
   Port main_;
   Port health_;
 };

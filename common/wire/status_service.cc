@@ -12,6 +12,7 @@
 #include "common/metric_table.h"
 #include "common/process_usage.h"
 #include "common/version.h"
+#include "common/wire/grpc_status.h"
 #include "common/worker_name.h"
 
 namespace craftfleet::wire {
@@ -68,6 +69,8 @@ grpc::Status StatusServiceImpl::WatchStatus(grpc::ServerContext* context, const 
     return {grpc::StatusCode::INVALID_ARGUMENT,
             absl::StrCat("interval_ms ", interval_ms, ", want ", kMinIntervalMs, "..", kMaxIntervalMs)};
   }
+  StreamWatch::Stream stream(&streams_, context);
+  if (!stream.admitted().ok()) return ToGrpc(stream.admitted());
   {
     const MutexLock lock(&mu_);
     if (watchers_ >= kMaxWatchers) {
@@ -76,7 +79,13 @@ grpc::Status StatusServiceImpl::WatchStatus(grpc::ServerContext* context, const 
     }
     ++watchers_;
   }
-  while (writer->Write(Snapshot()) && WaitForNext(context, absl::Milliseconds(interval_ms))) {
+  bool goes_on = true;
+  while (goes_on) {
+    const v1::StatusReply reply = Snapshot();
+    stream.Await("a status to be taken", StreamWatch::kTakesReply);
+    goes_on = writer->Write(reply);
+    stream.Work();
+    goes_on = goes_on && WaitForNext(context, absl::Milliseconds(interval_ms));
   }
   const MutexLock lock(&mu_);
   --watchers_;

@@ -11,6 +11,7 @@
 
 #include "common/activity_meter.h"
 #include "common/mutex.h"
+#include "common/wire/stream_watch.h"
 #include "craftfleet/v1/status.grpc.pb.h"
 
 namespace craftfleet::wire {
@@ -46,6 +47,7 @@ class StatusServiceImpl final : public v1::StatusService::Service {
   mutable Mutex mu_;
   int watchers_ ABSL_GUARDED_BY(mu_) = 0;
   std::string metrics_address_ ABSL_GUARDED_BY(mu_);
+  StreamWatch streams_;
 };
 
 inline constexpr size_t kMaxErrorBytes = 300;  // of the text of a process' last error

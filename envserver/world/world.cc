@@ -44,10 +44,12 @@ uint32_t Unlocked(const Player& player) {
 
 }  // namespace
 
-absl::StatusOr<World> World::Create(const WorldOptions& options, int64_t seed) {
+absl::StatusOr<World> World::Create(const WorldOptions& options, int64_t seed, int64_t episode) {
   CRAFTFLEET_RETURN_IF_ERROR(options.Validate());
   World world(options);
   world.state_.seed = seed;
+  // An episode follows from seed and number alone.
+  world.state_.episode = episode - 1;
   world.Reset();
   return world;
 }

@@ -28,14 +28,15 @@ struct StepOutcome {
   uint32_t unlocked = 0;  // bit a: achievement a was unlocked for the first time in this episode
 };
 
-// A world is ready to play after Create(), in its first episode. After a step that ends the episode call Reset() (or go
-// on: nothing breaks, the episode stays over). The picture of a night draws from random(): whoever renders does it once
-// after Create() and after each Reset() and Step(), as Crafter does. Thread-compatible: one thread at a time. Source:
-// Crafter's rules; determinism page.
+// A world is ready to play after Create(), at the beginning of an episode. After a step that ends the episode call
+// Reset() (or go on: nothing breaks, the episode stays over). The picture of a night draws from random(): whoever
+// renders does it once after Create() and after each Reset() and Step(), as Crafter does. Thread-compatible: one thread
+// at a time. Source: Crafter's rules; determinism page.
 class World {
  public:
-  // InvalidArgument: options that Validate() refuses.
-  static absl::StatusOr<World> Create(const WorldOptions& options, int64_t seed);
+  // `episode`, from 1, is the first to be played; no other is made on the way to it.
+  //   InvalidArgument: options that Validate() refuses.
+  static absl::StatusOr<World> Create(const WorldOptions& options, int64_t seed, int64_t episode = 1);
 
   // Starts the next episode.
   void Reset();

@@ -1,0 +1,104 @@
+#include "common/wire/stream_watch.h"
+
+#include <grpc/grpc.h>
+
+#include <chrono>
+
+#include <absl/strings/match.h>
+#include <absl/strings/str_format.h>
+
+namespace craftfleet::wire {
+namespace {
+
+constexpr absl::Duration kLook = absl::Milliseconds(250);
+
+int64_t SteadyNs() {
+  const auto now = std::chrono::steady_clock::now().time_since_epoch();
+  return std::chrono::duration_cast<std::chrono::nanoseconds>(now).count();
+}
+
+}  // namespace
+
+std::string ClientOfPeer(absl::string_view peer) {
+  if (!absl::StartsWith(peer, "ipv")) return std::string(peer.substr(0, peer.find(':')));
+  return std::string(peer.substr(0, peer.rfind(':')));
+}
+
+StreamWatch::Stream::Stream(StreamWatch* watch, grpc::ServerContext* context)
+    : watch_(watch), context_(context), client_(ClientOfPeer(context->peer())) {
+  const MutexLock lock(&watch_->mu_);
+  int& count = watch_->per_client_[client_];
+  if (count >= watch_->max_per_client_) {
+    admitted_ = absl::ResourceExhaustedError(
+        absl::StrFormat("%s has %d streams here already, all that one client may have", client_, count));
+    return;
+  }
+  ++count;
+  watch_->streams_.insert(this);
+  if (!watch_->started_) {
+    watch_->started_ = true;
+    watch_->thread_ = std::thread([watch] { watch->Run(); });
+  }
+  watch_->changed_.NotifyAll();
+}
+
+StreamWatch::Stream::~Stream() {
+  const MutexLock lock(&watch_->mu_);
+  if (watch_->streams_.erase(this) == 0) return;
+  const auto count = watch_->per_client_.find(client_);
+  if (--count->second == 0) watch_->per_client_.erase(count);
+}
+
+void StreamWatch::Stream::Await(const char* what, absl::Duration limit) {
+  deadline_ns_ = 0;
+  if (limit == absl::InfiniteDuration()) return;
+  what_ = what;
+  limit_ns_ = absl::ToInt64Nanoseconds(limit);
+  deadline_ns_ = SteadyNs() + absl::ToInt64Nanoseconds(limit);
+}
+
+std::string StreamWatch::Stream::Complaint() const {
+  return absl::StrFormat("waited %s for %s", absl::FormatDuration(absl::Nanoseconds(limit_ns_.load())), what_.load());
+}
+
+absl::Status StreamWatch::Stream::late() const {
+  const MutexLock lock(&watch_->mu_);
+  return cancelled_ ? absl::DeadlineExceededError(Complaint()) : absl::OkStatus();
+}
+
+StreamWatch::~StreamWatch() {
+  {
+    const MutexLock lock(&mu_);
+    stopping_ = true;
+    changed_.NotifyAll();
+  }
+  if (thread_.joinable()) thread_.join();
+}
+
+int StreamWatch::size() const {
+  const MutexLock lock(&mu_);
+  return static_cast<int>(streams_.size());
+}
+
+void StreamWatch::Run() {
+  const MutexLock lock(&mu_);
+  while (!stopping_) {
+    changed_.Wait(&mu_, [this]() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_) { return stopping_ || !streams_.empty(); });
+    CancelLate();
+    changed_.WaitFor(&mu_, kLook, [this]() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_) { return stopping_; });
+  }
+}
+
+void StreamWatch::CancelLate() {
+  const int64_t now = SteadyNs();
+  for (Stream* stream : streams_) {
+    const int64_t deadline = stream->deadline_ns_;
+    if (deadline == 0 || now < deadline || stream->cancelled_) continue;
+    stream->cancelled_ = true;
+    // ServerContext::TryCancel can't say why.
+    grpc_call_cancel_with_status(stream->context_->c_call(), GRPC_STATUS_DEADLINE_EXCEEDED, stream->Complaint().c_str(),
+                                 nullptr);
+  }
+}
+
+}  // namespace craftfleet::wire

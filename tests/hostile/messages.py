@@ -1,0 +1,66 @@
+"""The messages of the fleet that hostile tests send, in protobuf's bytes: what generated code would not let them say is said
+as easily as what it would."""
+
+import re
+import zlib
+
+from tests.fakes.python_case import SOURCE
+
+PLAY = "/craftfleet.v1.EnvironmentService/Play"
+GET_STATUS = "/craftfleet.v1.StatusService/GetStatus"
+WATCH_STATUS = "/craftfleet.v1.StatusService/WatchStatus"
+HEALTH = "/grpc.health.v1.Health/Check"
+WATCH_HEALTH = "/grpc.health.v1.Health/Watch"
+PUSH_FRAGMENTS = "/craftfleet.v1.LearnerService/PushFragments"
+JOIN = "/craftfleet.v1.LearnerService/Join"
+REFLECTION = "/grpc.reflection.v1alpha.ServerReflection/ServerReflectionInfo"
+
+# gRPC's codes.
+OK, CANCELLED, INVALID_ARGUMENT, DEADLINE_EXCEEDED, RESOURCE_EXHAUSTED, UNIMPLEMENTED, INTERNAL = 0, 1, 3, 4, 8, 12, 13
+
+
+def varint(value):
+    out = bytearray()
+    value &= (1 << 64) - 1
+    while value >= 128:
+        out.append(value & 127 | 128)
+        value >>= 7
+    out.append(value)
+    return bytes(out)
+
+
+def field(number, value):
+    """An integer, or text, bytes or a message with its length."""
+    if isinstance(value, int):
+        return varint(number << 3) + varint(value)
+    value = value.encode() if isinstance(value, str) else value
+    return varint(number << 3 | 2) + varint(len(value)) + value
+
+
+def protocol_version():
+    text = (SOURCE / "common/wire/protocol.h").read_text(encoding="utf-8")
+    return int(re.search(r"kProtocolVersion = (\d+);", text).group(1))
+
+
+def hello(run_id="run", frame_size=64, client="hostile", env="crafter", picture_size=None):
+    """Of a session of an environment server."""
+    config = field(1, env) + field(3, frame_size)
+    message = field(1, protocol_version()) + field(2, run_id) + field(4, config) + field(5, client)
+    if picture_size is not None:
+        message += field(6, field(1, picture_size))
+    return field(1, message)
+
+
+def open_lanes(lanes, episode=1):
+    return field(2, b"".join(field(1, field(1, lane) + field(2, lane + 1) + field(3, episode)) for lane in lanes))
+
+
+def step(lanes, action=0):
+    packed = b"".join(varint(lane) for lane in lanes)
+    return field(3, field(1, packed) + field(2, bytes([action] * len(lanes))))
+
+
+def bomb(encoding, megabytes):
+    """Zeros, compressed to a thousandth as gRPC's `encoding` has it."""
+    compressor = zlib.compressobj(9, zlib.DEFLATED, {"gzip": 31, "deflate": 15}[encoding])
+    return b"".join(compressor.compress(bytes(1 << 20)) for _ in range(megabytes)) + compressor.flush()
