@@ -117,7 +117,8 @@ grpc::Status EnvServiceImpl::Play(grpc::ServerContext* context,
   if (absl::IsCancelled(status)) return wire::ToGrpc(status);  // the client's wish, or ours
   if (!status.ok()) {
     ++rejected_;
-    LogWarning("session of %s ended: %s", context->peer(), status.message());
+    log_.Warn(wire::ClientOfPeer(context->peer()),
+              absl::StrFormat("session of %s ended: %s", context->peer(), status.message()));
   }
   return wire::ToGrpc(status);
 }
@@ -127,9 +128,10 @@ absl::Status EnvServiceImpl::Serve(grpc::ServerContext* context, wire::StreamWat
   v1::PlayRequest request;
   v1::PlayReply reply;
   watched->Await("a hello (--hello_timeout)", options_.hello_timeout);
-  if (!stream->Read(&request)) return absl::OkStatus();
+  const bool spoke = stream->Read(&request);
   watched->Work();
-  if (!request.has_hello()) return absl::InvalidArgumentError("a session begins with hello");
+  if (!spoke && context->IsCancelled()) return absl::OkStatus();
+  if (!spoke || !request.has_hello()) return absl::InvalidArgumentError("a session begins with hello");
   GameBudget::Share share(&budget_);
   CRAFTFLEET_ASSIGN_OR_RETURN(EnvBatch batch, Greet(request.hello(), &share));
   batch.StopWhen([context] { return context->IsCancelled(); });

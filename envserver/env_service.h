@@ -14,6 +14,7 @@
 
 #include "common/activity_meter.h"
 #include "common/clock.h"
+#include "common/limited_log.h"
 #include "common/mutex.h"
 #include "common/wire/stream_watch.h"
 #include "craftfleet/v1/environment.grpc.pb.h"
@@ -84,6 +85,7 @@ class EnvServiceImpl final : public v1::EnvironmentService::Service {
   v1::ProcessSummary RecentSummary() ABSL_LOCKS_EXCLUDED(mu_);
 
   RealClock clock_;
+  LimitedLog log_{&clock_};  // of sessions that strangers end
   std::atomic<int64_t> episodes_{0};
   std::atomic<int64_t> rejected_{0};  // sessions ended by a bad request
 

@@ -13,6 +13,7 @@
 #include <grpcpp/security/server_credentials.h>
 #include <grpcpp/server_builder.h>
 
+#include "common/log.h"
 #include "common/status_macros.h"
 #include "common/wire/access.h"
 #include "common/wire/handshake_log.h"
@@ -149,6 +150,7 @@ absl::StatusOr<std::unique_ptr<Server>> Server::Create(const Options& options,
   CRAFTFLEET_ASSIGN_OR_RETURN(server->main_, Open(options, options.address, std::move(credentials), services));
   if (!options.health_address.empty()) {
     CRAFTFLEET_ASSIGN_OR_RETURN(server->health_, OpenHealth(options.health_address, &server->nothing_else_));
+    LogInfo("health on %s", server->health_.address);
   }
   return server;
 }

@@ -19,6 +19,7 @@ namespace craftfleet::wire {
 namespace {
 
 constexpr absl::Duration kLookForCancel = absl::Milliseconds(100);
+constexpr absl::Duration kTakesStatus = absl::Seconds(10);  // for a watcher: there are few places
 constexpr int kDefaultIntervalMs = 1000;
 constexpr int kMinIntervalMs = 100;
 constexpr int kMaxIntervalMs = 60000;
@@ -82,7 +83,7 @@ grpc::Status StatusServiceImpl::WatchStatus(grpc::ServerContext* context, const 
   bool goes_on = true;
   while (goes_on) {
     const v1::StatusReply reply = Snapshot();
-    stream.Await("a status to be taken", StreamWatch::kTakesReply);
+    stream.Await("a status to be taken", kTakesStatus);
     goes_on = writer->Write(reply);
     stream.Work();
     goes_on = goes_on && WaitForNext(context, absl::Milliseconds(interval_ms));

@@ -45,6 +45,30 @@ TEST_F(LogTest, TextOfAStrangerMakesNoSecondLine) {
   EXPECT_EQ(nlohmann::json::parse(json)["message"], text);
 }
 
+TEST_F(LogTest, NoLineIsLongerThanAKilobyte) {
+  const std::string texts[] = {std::string(1000, 'a'), std::string(1'000'000, 'a'), std::string(1'000'000, '\x01'),
+                               std::string(900, '"'), std::string(5000, '\xff')};
+  for (const LogOptions& options : {LogOptions(), Json()}) {
+    for (const std::string& text : texts) {
+      const std::string line = FormatLogLine(options, LogLevel::kWarning, text, kTime);
+      EXPECT_LE(line.size(), kMaxLogLineBytes);
+      EXPECT_GT(line.size(), kMaxLogLineBytes - 200) << line;  // little is lost
+      EXPECT_EQ(line.find('\n'), line.size() - 1);
+    }
+  }
+  EXPECT_THAT(FormatLogLine({}, LogLevel::kInfo, texts[1], kTime), HasSubstr("aaa... (1000000 bytes)\n"));
+  EXPECT_TRUE(nlohmann::json::accept(FormatLogLine(Json(), LogLevel::kInfo, texts[2], kTime)));
+}
+
+TEST_F(LogTest, ShortenedTextSaysHowLongItWas) {
+  EXPECT_EQ(Shortened("short", 32), "short");
+  EXPECT_EQ(Shortened(std::string(32, 'x'), 32), std::string(32, 'x'));
+  EXPECT_EQ(Shortened(std::string(33, 'x'), 32), std::string(18, 'x') + "... (33 bytes)");
+  std::string umlauts;
+  for (int i = 0; i < 100; ++i) umlauts += "\xc3\xa4";
+  EXPECT_EQ(Shortened(umlauts, 32), umlauts.substr(0, 16) + "... (200 bytes)");  // 17 would cut one
+}
+
 TEST_F(LogTest, BytesThatAreNoUtf8AreStillJson) {
   const auto json = nlohmann::json::parse(FormatLogLine(Json(), LogLevel::kInfo, "\xff\xfe!", kTime));
   EXPECT_THAT(json["message"].get<std::string>(), HasSubstr("!"));

@@ -4,6 +4,7 @@
 #include <string>
 #include <vector>
 
+#include <absl/time/clock.h>
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
@@ -93,6 +94,60 @@ TEST(EnvBatch, AnEndedGameGoesOnWithItsNextEpisode) {
   EXPECT_EQ(step.last_frames, "");
 }
 
+// A late episode was reached by making all those before it.
+TEST(EnvBatch, ALateEpisodeIsTheOneThatPlayComesTo) {
+  const auto renderer = MakeRenderer(3);
+  EnvBatch played(renderer);
+  std::string frames;
+  StepBatch step;
+  ASSERT_THAT(played.Open({{0, 7, 1, ""}}, &frames), IsOk());
+  for (int i = 0; i < 3 * 19; ++i) ASSERT_THAT(played.Step({0}, {Action::kNoop}, false, &step), IsOk());
+  EnvBatch opened(renderer);
+  ASSERT_THAT(opened.Open({{0, 7, 20, ""}}, &frames), IsOk());
+  EXPECT_EQ(frames, step.frames);
+  StepBatch other;
+  for (int i = 0; i < 10; ++i) {
+    ASSERT_THAT(played.Step({0}, {Action::kMoveRight}, true, &step), IsOk());
+    ASSERT_THAT(opened.Step({0}, {Action::kMoveRight}, true, &other), IsOk());
+    ASSERT_EQ(other.frames, step.frames);
+    ASSERT_EQ(other.snapshots, step.snapshots);
+  }
+}
+
+TEST(EnvBatch, OpensTheLastEpisodeThereIsAndPlaysBeyondIt) {
+  EnvBatch batch(MakeRenderer(2));
+  std::string frames;
+  StepBatch step;
+  ASSERT_THAT(batch.Open({{0, 7, EnvBatch::kMaxEpisode, ""}}, &frames), IsOk());
+  for (int i = 0; i < 6; ++i) ASSERT_THAT(batch.Step({0}, {Action::kNoop}, true, &step), IsOk());
+  EXPECT_THAT(batch.Open({{1, 0, 1, step.snapshots[0]}}, &frames), IsOk());
+}
+
+TEST(EnvBatch, StopsBetweenGamesWhenTold) {
+  EnvBatch batch(MakeRenderer());
+  std::string frames;
+  int asked = 0;
+  batch.StopWhen([&] { return ++asked > 1; });
+  const std::vector<EnvBatch::OpenLane> same_lane(EnvBatch::kMaxLanes);
+  EXPECT_THAT(batch.Open(same_lane, &frames), StatusIs(absl::StatusCode::kCancelled));
+  EXPECT_EQ(asked, 2);
+  EXPECT_EQ(batch.size(), 1);
+  batch.StopWhen([] { return false; });
+  std::vector<EnvBatch::OpenLane> lanes(32);
+  std::vector<int> numbers;
+  for (int i = 0; i < 32; ++i) {
+    lanes[i].lane = i;
+    numbers.push_back(i);
+  }
+  ASSERT_THAT(batch.Open(lanes, &frames), IsOk());
+  StepBatch step;
+  const std::vector<Action> actions(32, Action::kNoop);
+  ASSERT_THAT(batch.Step(numbers, actions, false, &step), IsOk());
+  batch.StopWhen([] { return true; });
+  absl::SleepFor(absl::Milliseconds(100));  // it is asked some times a second
+  EXPECT_THAT(batch.Step(numbers, actions, false, &step), StatusIs(absl::StatusCode::kCancelled));
+}
+
 TEST(EnvBatch, ASnapshotGoesOnInAnotherBatch) {
   const auto renderer = MakeRenderer();
   EnvBatch first(renderer);
@@ -131,8 +186,8 @@ TEST(EnvBatch, RefusesWhatItCannotOpen) {
     EXPECT_THAT(batch.Open({lane}, &frames), StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr(error)));
   };
   refused({-1, 0, 1, ""}, "lane -1, want at least 0");
-  refused({4, 0, 0, ""}, "lane 4: episode 0, want 1..10000");
-  refused({4, 0, 10001, ""}, "lane 4: episode 10001, want 1..10000");
+  refused({4, 0, 0, ""}, "lane 4: episode 0, want 1..1125899906842624");
+  refused({4, 0, EnvBatch::kMaxEpisode + 1, ""}, "lane 4: episode 1125899906842625, want 1..1125899906842624");
   refused({4, 0, 1, "no snapshot at all"}, "lane 4: ");
   EXPECT_EQ(batch.size(), 0);
   const std::vector<EnvBatch::OpenLane> many(EnvBatch::kMaxLanes + 1);

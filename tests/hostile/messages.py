@@ -44,7 +44,7 @@ def protocol_version():
 
 def hello(run_id="run", frame_size=64, client="hostile", env="crafter", picture_size=None):
     """Of a session of an environment server."""
-    config = field(1, env) + field(3, frame_size)
+    config = field(1, env) + field(2, frame_size)
     message = field(1, protocol_version()) + field(2, run_id) + field(4, config) + field(5, client)
     if picture_size is not None:
         message += field(6, field(1, picture_size))

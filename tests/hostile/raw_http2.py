@@ -377,12 +377,13 @@ class ServerConnection(Connection):
     def on_end(self, stream):
         self.server.on_end(self, stream)
 
-    def answer(self, stream, payload):
-        """The first or a later message of a call."""
+    def answer(self, stream, payload, compressed=False, encoding=None):
+        """The first or a later message of a call, compressed already if it is said to be."""
         if stream not in self.answered:
             self.answered.add(stream)
-            self.send_headers(stream, [(":status", "200"), ("content-type", "application/grpc")])
-        self.send_message(stream, payload)
+            headers = [(":status", "200"), ("content-type", "application/grpc")]
+            self.send_headers(stream, headers + ([("grpc-encoding", encoding)] if encoding else []))
+        self.send_message(stream, payload, compressed)
 
     def finish(self, stream, status=0, text=""):
         """Ends a call."""

@@ -1,0 +1,100 @@
+#include "envserver/game_budget.h"
+
+#include <atomic>
+#include <memory>
+#include <string>
+#include <thread>
+#include <vector>
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include "tests/fakes/status_matchers.h"
+
+namespace craftfleet {
+namespace {
+
+using testing::AllOf;
+using testing::HasSubstr;
+
+constexpr int64_t kMiB = 1 << 20;
+
+auto Refused(const std::string& asked, const std::string& limit) {
+  return StatusIs(absl::StatusCode::kResourceExhausted, AllOf(HasSubstr(asked), HasSubstr(limit)));
+}
+
+GameBudget::Options SomeLimits() { return {10, 15, 100 * kMiB, 150 * kMiB}; }
+
+TEST(GameBudget, CountsGamesOfASessionAndOfAll) {
+  GameBudget budget(SomeLimits());
+  auto first = std::make_unique<GameBudget::Share>(&budget);
+  GameBudget::Share second(&budget);
+  EXPECT_THAT(first->Set(10, 0), IsOk());
+  EXPECT_THAT(first->Set(11, 0), Refused("games of one session: 11 asked for", "at most 10 (--max_session_games)"));
+  EXPECT_THAT(second.Set(6, 0), Refused("games of all sessions: 16 asked for", "at most 15 (--max_games)"));
+  EXPECT_THAT(second.Set(5, 0), IsOk());
+  EXPECT_EQ(budget.games(), 15);
+  first.reset();
+  EXPECT_EQ(budget.games(), 5);
+  EXPECT_THAT(second.Set(10, 0), IsOk());
+}
+
+TEST(GameBudget, CountsMemoryOfASessionAndOfAll) {
+  GameBudget budget(SomeLimits());
+  GameBudget::Share first(&budget);
+  GameBudget::Share second(&budget);
+  EXPECT_THAT(first.Set(1, 100 * kMiB + 1),
+              Refused("MiB for one session's games: 101 asked for", "(--max_session_mb)"));
+  EXPECT_THAT(first.Set(1, 100 * kMiB), IsOk());
+  EXPECT_THAT(second.Set(1, 51 * kMiB), Refused("MiB for all games: 151 asked for", "at most 150 (--max_games_mb)"));
+  EXPECT_EQ(budget.bytes(), 100 * kMiB);
+}
+
+// A session that opened more than it has now is never refused what it keeps.
+TEST(GameBudget, WhoGivesBackIsNotRefused) {
+  GameBudget budget(SomeLimits());
+  GameBudget::Share first(&budget);
+  GameBudget::Share second(&budget);
+  ASSERT_THAT(first.Set(10, kMiB), IsOk());
+  ASSERT_THAT(second.Set(5, kMiB), IsOk());
+  EXPECT_THAT(first.Set(9, kMiB), IsOk());
+  EXPECT_THAT(first.Set(9, kMiB), IsOk());
+  EXPECT_EQ(budget.games(), 14);
+}
+
+TEST(GameBudget, OfManyThreadsNoMoreThanTheLimitGetThrough) {
+  GameBudget budget({1, 8, kMiB, 8 * kMiB});
+  std::vector<std::unique_ptr<GameBudget::Share>> shares;
+  for (int i = 0; i < 32; ++i) shares.push_back(std::make_unique<GameBudget::Share>(&budget));
+  std::vector<std::thread> threads;
+  std::atomic<int> admitted{0};
+  for (auto& share : shares) threads.emplace_back([&] { admitted += share->Set(1, kMiB).ok() ? 1 : 0; });
+  for (std::thread& thread : threads) thread.join();
+  EXPECT_EQ(admitted, 8);
+  shares.clear();
+  EXPECT_EQ(budget.games(), 0);
+  EXPECT_EQ(budget.bytes(), 0);
+}
+
+TEST(GameBudget, ReckonsMoreForLargerPicturesAndForRecordings) {
+  const int64_t small = SessionBytes(16, 64 * 64 * 3, false, 0);
+  EXPECT_LT(small, 3 * kMiB);
+  EXPECT_GT(SessionBytes(16, 64 * 64 * 3, true, 256 * 256 * 3), small + 16 * 2 * 256 * 256 * 3);
+  EXPECT_GT(SessionBytes(120, 2048 * 2048 * 3, false, 0), int64_t{3} << 30);  // what it took, unasked
+  EXPECT_LT(SessionBytes(4096, 64 * 64 * 3, false, 0), 512 * kMiB);           // by default possible
+}
+
+TEST(GameBudget, NamesWhatIsWrongWithItsLimits) {
+  EXPECT_THAT(GameBudget::Options().Validate(), IsOk());
+  EXPECT_THAT(SomeLimits().Validate(), IsOk());
+  const auto wrong = [](const GameBudget::Options& options, const char* flag) {
+    EXPECT_THAT(options.Validate(), StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr(flag)));
+  };
+  wrong({0, 15, 100 * kMiB, 150 * kMiB}, "--max_session_games=0, want at least 1");
+  wrong({10, 9, 100 * kMiB, 150 * kMiB}, "--max_games=9, want at least 10");
+  wrong({10, 15, 0, 150 * kMiB}, "--max_session_mb=0, want at least 1");
+  wrong({10, 15, 100 * kMiB, 99 * kMiB}, "--max_games_mb=99, want at least 100");
+}
+
+}  // namespace
+}  // namespace craftfleet

@@ -1,0 +1,195 @@
+"""Clients of an environment server that want too much, say nothing, read nothing or leave."""
+
+import time
+
+import messages
+import raw_http2
+import server_case
+from tests.fakes import python_case
+
+PLAYED = [messages.OK, messages.RESOURCE_EXHAUSTED]
+
+
+class Floods(server_case.ServerCase):
+
+    def ask(self, session, request, timeout=server_case.PATIENCE_S):
+        """The reply to one more request."""
+        client, stream = session
+        known = len(client.read_reply(stream, 0).messages)
+        client.send_message(stream, request)
+        return client.read_reply(stream, timeout, messages=known + 1)
+
+    def expect_refused(self, reply, *words):
+        self.assertEqual(reply.status, messages.RESOURCE_EXHAUSTED, reply.error)
+        for word in words:
+            self.assertIn(word, reply.error)
+
+    def test_large_pictures_for_many_lanes_are_refused_before_they_cost_memory(self):
+        server = self.envserver()
+        before = server.memory_mb()
+        for lanes, _ in [(120, 2048), (4096, 2048)]:
+            reply = self.ask(self.session(server.address, frame_size=2048), messages.open_lanes(range(lanes)))
+            self.expect_refused(reply, "MiB for one session's games", "--max_session_mb", "at most 512")
+        self.assertLess(server.memory_mb() - before, 400)
+        self.ask(self.session(server.address), messages.open_lanes(range(16)))
+
+    def test_games_are_counted_by_session_and_by_process(self):
+        server = self.envserver("--max_session_games=10", "--max_games=15")
+        first = self.session(server.address)
+        self.assertEqual(self.ask(first, messages.open_lanes(range(10))).ended, False)
+        # Lanes that are open begin anew, which wants no room but for a moment.
+        second = self.session(server.address)
+        self.expect_refused(self.ask(second, messages.open_lanes(range(11))), "games of one session: 11 asked for",
+                            "at most 10", "--max_session_games")
+        third = self.session(server.address)
+        self.expect_refused(self.ask(third, messages.open_lanes(range(6))), "games of all sessions: 16 asked for",
+                            "at most 15", "--max_games")
+        # What a session had is there again when it is over.
+        first[0].close()
+        def room():
+            return not self.ask(self.session(server.address), messages.open_lanes(range(10))).ended
+        python_case.wait_until(room, "room for others", server_case.PATIENCE_S)
+
+    def test_a_hello_alone_is_counted(self):
+        server = self.envserver("--max_session_mb=150", "--max_games_mb=150")
+        sessions = [self.session(server.address, frame_size=2048)]
+        client = self.client(server.address)
+        stream = client.start(messages.PLAY)
+        client.send_message(stream, messages.hello(frame_size=2048))
+        self.expect_refused(client.read_reply(stream, server_case.PATIENCE_S), "--max_games_mb")
+        self.assertFalse(sessions[0][0].read_reply(sessions[0][1], 0).ended)
+
+    def test_late_episodes_open_at_once(self):
+        server = self.envserver()
+        session = self.session(server.address)
+        for episode in [10_001, 5_000_000, 1 << 50]:
+            reply = self.ask(session, messages.open_lanes(range(64), episode))
+            self.assertFalse(reply.ended, reply.error)
+        self.assertLess(server.cpu_s(), 20)
+        reply = self.ask(session, messages.open_lanes([0], (1 << 50) + 1))
+        self.assertEqual(reply.status, messages.INVALID_ARGUMENT)
+
+    def test_work_for_a_client_that_left_ends(self):
+        server = self.envserver()
+        client, stream = self.session(server.address)
+        client.send_message(stream, messages.open_lanes(range(4096)))
+        client.close()
+        def still():
+            before = server.cpu_s()
+            time.sleep(1)
+            return server.cpu_s() - before < 0.2
+        python_case.wait_until(still, "the server rests", server_case.PATIENCE_S)
+        self.assertTrue(self.healthy(server.address))
+
+    def test_sigterm_ends_a_server_that_is_busy_for_many(self):
+        server = self.envserver()
+        for _ in range(4):
+            client, stream = self.session(server.address)
+            client.send_message(stream, messages.open_lanes(range(4096)))
+        time.sleep(0.3)
+        server.terminate(10)
+
+    def test_silent_sessions_end_and_say_why(self):
+        server = self.envserver("--hello_timeout=1s", "--idle_timeout=2s")
+        client = self.client(server.address)
+        reply = client.read_reply(client.start(messages.PLAY), server_case.PATIENCE_S)
+        self.assertEqual(reply.status, messages.DEADLINE_EXCEEDED)
+        self.assertEqual(reply.error, "waited 1s for a hello (--hello_timeout)")
+        client, stream = self.session(server.address)
+        reply = client.read_reply(stream, server_case.PATIENCE_S)
+        self.assertEqual(reply.status, messages.DEADLINE_EXCEEDED)
+        self.assertEqual(reply.error, "waited 2s for the next request (--idle_timeout)")
+        python_case.wait_until(lambda: "waited 1s for a hello" in server.text(), "it is in the log")
+
+    def test_a_client_that_takes_no_replies_is_put_out(self):
+        server = self.envserver("--reply_timeout=1s")
+        client = self.client(server.address, grants=False)
+        stream = client.start(messages.PLAY)
+        client.send_message(stream, messages.hello())
+        client.send_message(stream, messages.open_lanes(range(64)))
+        reply = client.read_reply(stream, server_case.PATIENCE_S)
+        self.assertTrue(reply.ended)
+        self.assertEqual(reply.status, messages.DEADLINE_EXCEEDED, reply.error)
+        self.assertIn("--reply_timeout", reply.error)
+        self.assertLess(reply.data_bytes, 1 << 17)
+
+    def test_wrong_limits_are_refused_by_name(self):
+        for flag in ["--max_session_games=0", "--max_session_games=5000", "--max_games=7", "--max_session_mb=0",
+                     "--max_games_mb=100", "--hello_timeout=0s", "--idle_timeout=25h", "--reply_timeout=10ms"]:
+            ended = self.run_program("craftfleet-envserver", "--listen=127.0.0.1:0", flag, code=1)
+            self.assertIn(flag.partition("=")[0] + "=", ended.stderr)
+
+
+class HealthPort(server_case.ServerCase):
+
+    def setUp(self):
+        super().setUp()
+        self.server = self.envserver("--health_listen=127.0.0.1:0")
+        self.health = self.server.told("health on")
+
+    def test_it_serves_health_and_nothing_else(self):
+        with raw_http2.Client(self.health) as client:
+            self.assertEqual(client.call(messages.HEALTH, b"").messages, [b"\x08\x01"])
+            for path in [messages.PLAY, messages.GET_STATUS, messages.WATCH_STATUS, messages.REFLECTION]:
+                self.assertEqual(client.call(path, b"").status, messages.UNIMPLEMENTED, path)
+
+    def test_whatever_connects_its_threads_are_a_handful(self):
+        before = self.server.threads()
+        clients = []
+        for i in range(40):
+            try:
+                client = self.client(self.health, timeout=5)
+                for path in [messages.REFLECTION, messages.WATCH_HEALTH, messages.PLAY, messages.HEALTH]:
+                    client.start(path)
+                clients.append(client)
+            except (OSError, raw_http2.Closed):
+                pass  # beyond the limit
+        self.assertGreater(len(clients), 3)
+        time.sleep(1)
+        self.assertLess(self.server.threads() - before, 20)
+        self.assertIn("a health port", self.server.text())  # refused some
+        for client in clients:
+            client.close()
+        python_case.wait_until(lambda: self.healthy(self.health), "it answers again", server_case.PATIENCE_S)
+
+    def test_slow_clients_are_put_out(self):
+        half = raw_http2.connect_socket(self.health)
+        self.addCleanup(half.close)
+        half.sendall(raw_http2.PREFACE[:10])
+        unfinished = self.client(self.health)  # headers that never end
+        unfinished.send_frame(raw_http2.HEADERS, 0, 1, b"\x00")
+        for sock in [half, unfinished.sock]:
+            sock.settimeout(server_case.PATIENCE_S)
+            while sock.recv(1 << 16):
+                pass  # until the server ends it
+
+
+class Streams(server_case.ServerCase):
+
+    def test_watchers_that_do_not_read_make_room(self):
+        """Each holds one of 32 places; without a limit they would keep them."""
+        server = self.envserver()
+        clients = [self.client(server.address, grants=False, settings={raw_http2.INITIAL_WINDOW_SIZE: 0})
+                   for _ in range(32)]
+        for client in clients:
+            client.send_message(client.start(messages.WATCH_STATUS), messages.field(1, 100), end=True)
+        def status(timeout=5):
+            with raw_http2.Client(server.address) as client:
+                stream = client.start(messages.WATCH_STATUS)
+                client.send_message(stream, b"", end=True)
+                return client.read_reply(stream, timeout, messages=1)
+        python_case.wait_until(lambda: status().status == messages.RESOURCE_EXHAUSTED, "all places are taken")
+        python_case.wait_until(lambda: self.read_pings(clients) or status().messages, "a place is free", 150)
+
+    def read_pings(self, clients):
+        """They live, as far as HTTP/2 knows."""
+        for client in clients:
+            try:
+                while client.read_frame(0.001):
+                    pass
+            except raw_http2.Closed:
+                pass
+
+
+if __name__ == "__main__":
+    python_case.main()

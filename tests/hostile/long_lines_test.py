@@ -1,0 +1,82 @@
+"""No line of a log that a stranger causes is longer than 1 KiB, whatever he calls himself."""
+
+import subprocess
+import time
+
+import messages
+import raw_http2
+import server_case
+from tests.fakes import python_case
+
+LONGEST = 1024
+LONG = "n" * 1_000_000
+CONTROLS = "\x01\n\x7f" * 300_000
+
+
+class LongLines(server_case.ServerCase):
+
+    def expect_short_lines(self, program):
+        lines = program.log.read_bytes().splitlines(keepends=True)
+        self.assertLess(max(map(len, lines)), LONGEST + 1, [line[:200] for line in lines if len(line) > LONGEST])
+        return lines
+
+    def hello_with(self, server, **hello):
+        with raw_http2.Client(server.address) as client:
+            reply = client.call(messages.PLAY, messages.hello(**hello), timeout=server_case.PATIENCE_S)
+        self.assertTrue(reply.ended)
+        self.assertNotEqual(reply.status, messages.OK)
+        self.assertLess(len(reply.error), 4 * LONGEST)  # escaped as headers are
+        self.assertGreater(len(reply.error), 10)
+
+    def test_of_an_environment_server(self):
+        for log_format in ["text", "json"]:
+            server = self.envserver(f"--log_format={log_format}")
+            for name in [LONG, CONTROLS]:
+                self.hello_with(server, env=name)
+                self.hello_with(server, client=name)
+                self.hello_with(server, run_id=name)
+            python_case.wait_until(lambda: b"session of" in server.log.read_bytes(), "the log has it")
+            lines = self.expect_short_lines(server)
+            self.assertTrue(any(b"... (1000" in line for line in lines), lines)
+
+    def test_of_a_learner(self):
+        learner = self.learner()
+        with raw_http2.Client(learner.address) as client:
+            client.call(messages.JOIN, messages.field(1, 99) + messages.field(2, LONG) + messages.field(3, LONG),
+                        timeout=server_case.PATIENCE_S)
+        python_case.wait_until(lambda: b"nnnnn" in learner.log.read_bytes(), "the log has it")
+        self.expect_short_lines(learner)
+
+    def test_of_methods_and_metadata(self):
+        server = self.envserver(*self.tls_flags(), f"--access_file={self.access_file()}")
+        for path, metadata in [("/" + "m" * 6000, []), ("/x/Y", [("user-agent", "u" * 6000)]),
+                               ("/" + LONG, []), ("/x/Y", [("authorization", "Bearer " + "t" * 6000)]),
+                               ("/x/Y", [("z" * 6000, "v")]), ("/x/Y", [("x", LONG)])]:
+            try:
+                with raw_http2.Client(server.address, tls=self.tls_client()) as client:
+                    client.call(path, b"", metadata=metadata)
+            except (OSError, raw_http2.Closed):
+                pass  # it may end the connection
+        time.sleep(0.5)
+        lines = self.expect_short_lines(server)
+        self.assertTrue(any(b"refused" in line for line in lines), lines)
+
+    def access_file(self):
+        path = self.folder / "access.txt"
+        path.write_text('client { name: "another" certificate: "another" right: WATCH }\n', encoding="utf-8")
+        return path
+
+
+class MetricsOff(server_case.ServerCase):
+
+    def test_an_empty_address_means_none(self):
+        server = self.envserver("--metrics_listen=")
+        self.assertNotIn("metrics on", server.text())
+        listens = subprocess.run(["ss", "-ltnpH"], capture_output=True, text=True, check=True).stdout
+        self.assertEqual(listens.count(f"pid={server.pid},"), 1, listens)
+        self.envserver().told("metrics on")
+        python_case.wait_until(lambda: self.healthy(server.address), "it serves")
+
+
+if __name__ == "__main__":
+    python_case.main()
