@@ -129,7 +129,7 @@ TEST(EnvBatch, StopsBetweenGamesWhenTold) {
   int asked = 0;
   batch.StopWhen([&] { return ++asked > 1; });
   const std::vector<EnvBatch::OpenLane> same_lane(EnvBatch::kMaxLanes);
-  EXPECT_THAT(batch.Open(same_lane, &frames), StatusIs(absl::StatusCode::kCancelled));
+  EXPECT_THAT(batch.Open(same_lane, &frames), StatusIs(absl::StatusCode::kCancelled, HasSubstr("the client left")));
   EXPECT_EQ(asked, 2);
   EXPECT_EQ(batch.size(), 1);
   batch.StopWhen([] { return false; });
@@ -145,7 +145,8 @@ TEST(EnvBatch, StopsBetweenGamesWhenTold) {
   ASSERT_THAT(batch.Step(numbers, actions, false, &step), IsOk());
   batch.StopWhen([] { return true; });
   absl::SleepFor(absl::Milliseconds(100));  // it is asked some times a second
-  EXPECT_THAT(batch.Step(numbers, actions, false, &step), StatusIs(absl::StatusCode::kCancelled));
+  EXPECT_THAT(batch.Step(numbers, actions, false, &step),
+              StatusIs(absl::StatusCode::kCancelled, HasSubstr("the client left")));
 }
 
 TEST(EnvBatch, ASnapshotGoesOnInAnotherBatch) {

@@ -90,6 +90,26 @@ TEST_F(ListenerTest, RefusesAClientsConnectionsBeyondItsLimit) {
   EXPECT_GE(Accepted(), 0);
 }
 
+TEST_F(ListenerTest, RefusesConnectionsBeyondWhatItHoldsInAll) {
+  Listener::Options options;
+  options.address = "127.0.0.1:0";
+  options.max_connections = 2;
+  listener_ = *Listener::Create(options);
+  listener_->Start([this](int descriptor) { EXPECT_THAT(accepted_.Push(descriptor), IsOk()); });
+  const int first = ConnectTo(*listener_);
+  const int second = ConnectTo(*listener_);
+  Accepted();
+  Accepted();
+  const int third = ConnectTo(*listener_);
+  EXPECT_TRUE(WaitUntil([&] { return IsClosed(third); }));
+  EXPECT_FALSE(IsClosed(first));
+  close(second);
+  EXPECT_TRUE(WaitUntil([&] {
+    const int fourth = ConnectTo(*listener_);
+    return accepted_.Pop(absl::Milliseconds(100)).has_value() || (close(fourth), false);
+  }));
+}
+
 // gRPC's own listener stops for good there.
 TEST_F(ListenerTest, OutlivesALackOfDescriptors) {
   if (kAddressSanitizer) GTEST_SKIP() << "the sanitizers' check of types wants descriptors itself";
