@@ -9,10 +9,12 @@
 
 #include "actor/trouble.h"
 #include "common/agent/agent_spec.h"
+#include "common/agent/canary.h"
 #include "common/agent/torch_setup.h"
 #include "common/backoff.h"
 #include "common/log.h"
 #include "common/status_macros.h"
+#include "common/version.h"
 #include "common/wire/protocol.h"
 #include "common/wire/status_service.h"
 #include "common/worker_name.h"
@@ -89,10 +91,20 @@ absl::Status Actor::Join() {
   request.set_actor(name_);
   request.set_cpu(CpuDescription());
   request.set_address(address_);
+  request.set_build(BuildId());
+  request.set_only_ask(options_.set_up != nullptr && !set_up_);
+  if (!request.only_ask()) {
+    CRAFTFLEET_ASSIGN_OR_RETURN(*request.mutable_canary(), PolicyCanary());
+  }
   absl::Time said = absl::InfinitePast();
   Backoff backoff(kFirstRetry, kLastRetry);
   while (!stopping()) {
     absl::StatusOr<v1::JoinReply> reply = learner_.Join(request);
+    if (reply.ok() && request.only_ask()) {
+      CRAFTFLEET_RETURN_IF_ERROR(options_.set_up(reply->config()));
+      set_up_ = true;
+      return Join();
+    }
     if (reply.ok()) {
       joined_ = *std::move(reply);
       MutexLock lock(&mu_);
@@ -122,6 +134,7 @@ absl::Status Actor::StartLoops() {
   hello.set_texture_digest(joined_.texture_digest());
   *hello.mutable_env() = config.env();
   hello.set_client(name_);
+  hello.set_game_canary(joined_.game_canary());
   evaluations_ = std::make_unique<EvaluationWorker>(
       EvaluationWorker::Options{name_, options_.env_servers, hello, spec, config.tile()}, &learner_);
 

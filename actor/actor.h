@@ -3,6 +3,7 @@
 #ifndef CRAFTFLEET_ACTOR_ACTOR_H_
 #define CRAFTFLEET_ACTOR_ACTOR_H_
 
+#include <functional>
 #include <memory>
 #include <string>
 #include <thread>
@@ -32,8 +33,11 @@ class Actor {
   struct Options {
     wire::Endpoint learner;
     std::shared_ptr<EnvDirectory> env_servers;
-    int threads = 1;                // loops, 1..256
-    int capacity = 4096;            // lanes to play at once, 1..4096
+    int threads = 1;      // loops, 1..256
+    int capacity = 4096;  // lanes to play at once, 1..4096
+    // Called once, with the run's configuration, before the actor joins and computes anything; may execute the process
+    // again. Null: the process is as the run wants it.
+    std::function<absl::Status(const v1::RunConfig&)> set_up = nullptr;
     absl::Status Validate() const;  // InvalidArgument names the flag and its range
   };
 
@@ -74,6 +78,7 @@ class Actor {
   FragmentSender sender_;
   std::string address_;                 // of Run's thread, like the next
   v1::JoinReply joined_;                // the last one
+  bool set_up_ = false;                 // options_.set_up was called
   int64_t env_servers_generation_ = 0;  // of the learner's registry, as last heard
   std::unique_ptr<PolicySource> policies_;
   std::unique_ptr<EvaluationWorker> evaluations_;

@@ -2,6 +2,7 @@
 
 #include <utility>
 
+#include <absl/strings/escaping.h>
 #include <absl/strings/str_cat.h>
 #include <absl/strings/str_format.h>
 
@@ -30,7 +31,17 @@ absl::Status EnvClient::Connect(absl::Duration timeout) {
   }
   *request_.mutable_hello() = hello_;
   CRAFTFLEET_RETURN_IF_ERROR(Send());
-  return Receive();
+  CRAFTFLEET_RETURN_IF_ERROR(Receive());
+  return CheckCanary();
+}
+
+absl::Status EnvClient::CheckCanary() {
+  if (hello_.game_canary().empty() || reply_.canary() == hello_.game_canary()) return absl::OkStatus();
+  Disconnect();
+  return absl::FailedPreconditionError(absl::StrFormat(
+      "environment server %s plays another game: its canary is %s, want %s: run the same build everywhere",
+      server_.address, reply_.canary().empty() ? "none" : absl::CHexEscape(reply_.canary().substr(0, 64)),
+      hello_.game_canary()));
 }
 
 bool EnvClient::Reachable() const {

@@ -73,6 +73,8 @@ class EnvClient {
  private:
   absl::Status Send();
   absl::Status Receive();
+  // After hello.   FailedPrecondition: the server plays another game; the session is over.
+  absl::Status CheckCanary();
   // Sets `moments_` if the session records.
   absl::Status TakeMoments(size_t lanes);
   // The session's error, after a failed read or write.

@@ -4,6 +4,7 @@
 
 #include "actor/actor.h"
 #include "common/agent/torch_setup.h"
+#include "common/cpu_pin.h"
 #include "common/cpu_quota.h"
 #include "common/log.h"
 #include "common/program.h"
@@ -45,6 +46,7 @@ absl::Status Run() {
                               EnvDirectory::Parse("envservers", absl::GetFlag(FLAGS_envservers), security));
   options.threads = absl::GetFlag(FLAGS_threads) == 0 ? DefaultThreads() : absl::GetFlag(FLAGS_threads);
   options.capacity = absl::GetFlag(FLAGS_max_lanes);
+  options.set_up = [](const v1::RunConfig& config) { return PinCpu(config.cpu()); };
   CRAFTFLEET_ASSIGN_OR_RETURN(const std::unique_ptr<Actor> actor, Actor::Create(options));
   wire::StatusServiceImpl status("actor", [&actor](v1::StatusReply* reply) { actor->FillStatus(reply); });
   CRAFTFLEET_ASSIGN_OR_RETURN(

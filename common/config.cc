@@ -33,6 +33,8 @@ absl::Status CheckRanges(const v1::RunConfig& config) {
   check.Within("fragment_steps", config.fragment_steps(), 1, 16384);
   check.Within("tile", config.tile(), 1, 256);
   check.Within("gradient_shards", config.gradient_shards(), 1, 256);
+  check.That(v1::RunConfig::Cpu_IsValid(config.cpu()) && config.cpu() != v1::RunConfig::CPU_UNSPECIFIED,
+             absl::StrCat("cpu is ", v1::RunConfig::Cpu_Name(config.cpu()), ", want NATIVE, AVX2 or AVX512"));
   const v1::PpoConfig& ppo = config.ppo();
   check.Within("ppo.rollout_steps", ppo.rollout_steps(), 1, 1 << 24);
   check.Within("ppo.minibatch_size", ppo.minibatch_size(), 1, 1 << 20);
@@ -84,6 +86,7 @@ v1::RunConfig PaperConfig() {
   config.set_lanes(16);
   config.set_tile(8);
   config.set_gradient_shards(2);
+  config.set_cpu(v1::RunConfig::NATIVE);
   v1::PpoConfig& ppo = *config.mutable_ppo();
   ppo.set_rollout_steps(4096);
   ppo.set_minibatch_size(128);

@@ -45,6 +45,8 @@ constexpr MetricInfo kTable[] = {
     {"fleet_time_share", kGauge, "", "Where a second of the run goes, 0 to 1."},
     {"fleet_bottleneck", kGauge, "", "1 for what holds the fleet back, 0 for the rest."},
     {"workers", kGauge, "", "Actors and environment servers by what was last heard of them."},
+    {"workers_mixed", kCounter, "",
+     "Times that a worker of another canary asked to be let in: refused, or let in by --allow_mixed."},
     // The learner: intake.
     {"fragments_accepted", kCounter, "fragments", "Fragments that count."},
     {"fragments_duplicate", kCounter, "fragments",

@@ -1,7 +1,9 @@
 // CRAFTFLEET_MULTIVERSION before a function's definition compiles it for AVX-512, AVX2 and the base CPU; the loader
 // picks at start. For hot loops over arrays that the compiler vectorises; results stay the same on every CPU because
 // nothing is contracted or reassociated (-ffp-contract=off). Plain code where the compiler, the C library or the CPU
-// lacks it; under sanitizers too, whose run-time is not up yet when the loader picks.
+// lacks it; under sanitizers too, whose run-time is not up yet when the loader picks. A run's `cpu` pins what LibTorch
+// and its libraries compute with (common/cpu_pin.h); these loops need no pin, because their bits don't depend on the
+// pick.
 
 #ifndef CRAFTFLEET_COMMON_MULTIVERSION_H_
 #define CRAFTFLEET_COMMON_MULTIVERSION_H_

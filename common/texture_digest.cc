@@ -9,21 +9,14 @@
 #include <absl/strings/string_view.h>
 
 #include "common/files.h"
+#include "common/fnv1a.h"
 #include "common/status_macros.h"
 
 namespace craftfleet {
-namespace {
-
-uint64_t Fnv1a(uint64_t hash, absl::string_view bytes) {
-  for (const char byte : bytes) hash = (hash ^ static_cast<uint8_t>(byte)) * 0x100000001b3;
-  return hash;
-}
-
-}  // namespace
 
 absl::StatusOr<std::string> TextureDigest(const std::string& folder) {
   CRAFTFLEET_ASSIGN_OR_RETURN(const std::vector<std::string> names, ListFolder(folder));
-  uint64_t hash = 0xcbf29ce484222325;
+  uint64_t hash = kFnv1aBasis;
   bool any = false;
   for (const std::string& name : names) {
     if (!absl::EndsWith(name, ".png")) continue;

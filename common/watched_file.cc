@@ -2,17 +2,23 @@
 
 #include <sys/stat.h>
 
+#include <thread>
+
 #include <absl/status/statusor.h>
 
 #include "common/files.h"
 #include "common/log.h"
+#include "common/mutex.h"
 
 namespace craftfleet {
+namespace {
+
+constexpr absl::Duration kLookEvery = absl::Seconds(1);
+constexpr absl::Duration kPatience = absl::Milliseconds(200);  // for a thread that reads
+
+}  // namespace
 
 std::optional<std::string> WatchedFile::ReadIfChanged() {
-  const absl::Time now = clock_->Now();
-  if (now - looked_ < absl::Seconds(1)) return std::nullopt;
-  looked_ = now;
   // The stamp is taken before reading: a change in between is found by the next look.
   struct stat status = {};
   Stamp stamp;
@@ -29,6 +35,44 @@ std::optional<std::string> WatchedFile::ReadIfChanged() {
   missing_ = false;
   stamp_ = stamp;
   return *std::move(bytes);
+}
+
+struct FileWatch::State {
+  Mutex mu;
+  CondVar changed;
+  bool stopping ABSL_GUARDED_BY(mu) = false;
+  bool ended ABSL_GUARDED_BY(mu) = false;
+
+  // Whether the watch goes on.
+  bool Pause() ABSL_LOCKS_EXCLUDED(mu) {
+    const MutexLock lock(&mu);
+    changed.WaitFor(&mu, kLookEvery, [this]() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu) { return stopping; });
+    return !stopping;
+  }
+};
+
+FileWatch::FileWatch(const std::string& path, std::string contents, std::function<void(std::string)> changed)
+    : state_(std::make_shared<State>()) {
+  std::thread([state = state_, file = WatchedFile(path), before = std::move(contents),
+               changed = std::move(changed)]() mutable {
+    while (state->Pause()) {
+      std::optional<std::string> now = file.ReadIfChanged();
+      if (!now.has_value() || *now == before) continue;
+      before = *now;
+      changed(*std::move(now));
+    }
+    const MutexLock lock(&state->mu);
+    state->ended = true;
+    state->changed.NotifyAll();
+  }).detach();
+}
+
+FileWatch::~FileWatch() {
+  const MutexLock lock(&state_->mu);
+  state_->stopping = true;
+  state_->changed.NotifyAll();
+  state_->changed.WaitFor(&state_->mu, kPatience,
+                          [this]() ABSL_EXCLUSIVE_LOCKS_REQUIRED(state_->mu) { return state_->ended; });
 }
 
 }  // namespace craftfleet

@@ -6,20 +6,20 @@
 #include <sys/types.h>
 
 #include <cstdint>
+#include <functional>
+#include <memory>
 #include <optional>
 #include <string>
+#include <utility>
 
 #include <absl/time/time.h>
 
-#include "common/clock.h"
-
 namespace craftfleet {
 
-// Looks at the file at most once a second. Thread-compatible.
+// Looks at the file when asked. Thread-compatible.
 class WatchedFile {
  public:
-  // `clock` outlives the object.
-  WatchedFile(std::string path, Clock* clock) : path_(std::move(path)), clock_(clock) {}
+  explicit WatchedFile(std::string path) : path_(std::move(path)) {}
 
   // The file's contents if they may differ from those of the last call that returned any. Nothing: it is as it was, or
   // it can't be read, which is logged once.
@@ -38,10 +38,24 @@ class WatchedFile {
   };
 
   const std::string path_;
-  Clock* const clock_;
-  absl::Time looked_ = absl::InfinitePast();
   Stamp stamp_;
   bool missing_ = false;
+};
+
+// Looks at a file every second on a thread of its own, so that a disk that hangs makes nobody wait. Thread-safe.
+class FileWatch {
+ public:
+  // `changed` gets the contents whenever they differ from those before, `contents` at first. It is called on the
+  // watch's thread, which may outlive the watch: it must own what it uses.
+  FileWatch(const std::string& path, std::string contents, std::function<void(std::string)> changed);
+  // Waits for the thread for at most 0.2 s: one that hangs in a read is left alone.
+  ~FileWatch();
+  FileWatch(const FileWatch&) = delete;
+  FileWatch& operator=(const FileWatch&) = delete;
+
+ private:
+  struct State;
+  const std::shared_ptr<State> state_;  // shared with the thread
 };
 
 }  // namespace craftfleet

@@ -14,6 +14,7 @@
 #include "actor/recording/episode_recorder.h"
 #include "common/agent/agent_spec.h"
 #include "common/agent/torch_setup.h"
+#include "common/cpu_pin.h"
 #include "common/files.h"
 #include "common/paths.h"
 #include "common/program.h"
@@ -177,8 +178,15 @@ nlohmann::ordered_json DescribeCheckpoint(const v1::CheckpointState& state, cons
           {"seed", plan.parts[0].options.seed}};
 }
 
+// Episodes come out as the run's own evaluations do, where this CPU can.
+absl::Status ComputeAsTheRun(v1::RunConfig::Cpu cpu) {
+  const absl::Status status = CheckCpu(cpu);
+  if (status.ok()) return PinCpu(cpu);
+  LogWarning("%s; here its policy may act otherwise", status.message());
+  return absl::OkStatus();
+}
+
 absl::Status Run() {
-  SetUpTorchThread();
   if (absl::GetFlag(FLAGS_checkpoint).empty()) {
     return absl::InvalidArgumentError("--checkpoint is missing: a run's folder or a checkpoint's");
   }
@@ -187,6 +195,8 @@ absl::Status Run() {
   CRAFTFLEET_ASSIGN_OR_RETURN(const std::string folder, FindCheckpoint(absl::GetFlag(FLAGS_checkpoint)));
   CRAFTFLEET_ASSIGN_OR_RETURN(const Checkpoint checkpoint, LoadCheckpoint(folder, ""));
   const v1::RunConfig& config = checkpoint.state.config();
+  CRAFTFLEET_RETURN_IF_ERROR(ComputeAsTheRun(config.cpu()));
+  SetUpTorchThread();
   CRAFTFLEET_ASSIGN_OR_RETURN(const EvalPlan plan, MakePlan(std::move(parts), checkpoint.state));
   CRAFTFLEET_ASSIGN_OR_RETURN(const AgentSpec spec, MakeAgentSpec(config));
   recorder.frame_size = spec.frame_size;

@@ -3,6 +3,7 @@
 #include <absl/flags/flag.h>
 
 #include "common/agent/torch_setup.h"
+#include "common/cpu_pin.h"
 #include "common/log.h"
 #include "common/program.h"
 #include "common/status_macros.h"
@@ -28,9 +29,10 @@ Ctrl-C stops it cleanly; the same command with --resume goes on as if it had nev
 Every hyperparameter is in the run's config.txt; an edited copy starts another run by --config.)";
 
 absl::Status Run() {
-  SetUpTorchThread();
   CRAFTFLEET_ASSIGN_OR_RETURN(const wire::MetricsServer::Options metrics_options, wire::MetricsOptionsFromFlags(""));
   CRAFTFLEET_ASSIGN_OR_RETURN(Learner::Options options, LearnerOptionsFromFlags());
+  CRAFTFLEET_RETURN_IF_ERROR(PinCpu(options.config.cpu()));
+  SetUpTorchThread();
   options.server.address = absl::GetFlag(FLAGS_listen);
   CRAFTFLEET_ASSIGN_OR_RETURN(const std::unique_ptr<LocalFleet> fleet, LocalFleet::Create(options));
   StopSignal signal([&fleet] { fleet->Stop(); });

@@ -6,6 +6,7 @@
 
 #include "common/backoff.h"
 #include "common/log.h"
+#include "common/version.h"
 #include "common/wire/protocol.h"
 #include "common/worker_name.h"
 
@@ -18,7 +19,7 @@ constexpr absl::Duration kTimeout = absl::Seconds(2);
 }  // namespace
 
 Announcer::Announcer(wire::Endpoint learner, const std::string& address, const std::string& texture_digest,
-                     std::function<v1::ProcessSummary()> summarize)
+                     const std::string& canary, std::function<v1::ProcessSummary()> summarize)
     : learner_(std::move(learner)),
       stub_(v1::LearnerService::NewStub(learner_.channel)),
       summarize_(std::move(summarize)) {
@@ -26,6 +27,8 @@ Announcer::Announcer(wire::Endpoint learner, const std::string& address, const s
   announcement_.set_name(UniqueWorkerName());
   announcement_.set_address(address);
   announcement_.set_texture_digest(texture_digest);
+  announcement_.set_build(BuildId());
+  announcement_.set_canary(canary);
   thread_ = std::thread([this] { Run(); });
 }
 

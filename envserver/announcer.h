@@ -20,9 +20,9 @@ namespace craftfleet {
 // Announces on a thread of its own, every second, whether the learner is there or not. Thread-safe.
 class Announcer {
  public:
-  // `address` is where actors find the server; `summarize` tells what the learner shows of it.
+  // `address` is where actors find the server, `canary` its GameCanary; `summarize` tells what the learner shows of it.
   Announcer(wire::Endpoint learner, const std::string& address, const std::string& texture_digest,
-            std::function<v1::ProcessSummary()> summarize);
+            const std::string& canary, std::function<v1::ProcessSummary()> summarize);
   ~Announcer();
 
   // Takes the announcement back, so that actors move their games, and ends the thread. Idempotent.

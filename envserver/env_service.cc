@@ -4,6 +4,7 @@
 #include <utility>
 #include <vector>
 
+#include <absl/strings/escaping.h>
 #include <absl/strings/str_cat.h>
 #include <absl/strings/str_format.h>
 
@@ -16,6 +17,7 @@
 #include "common/wire/grpc_status.h"
 #include "common/wire/protocol.h"
 #include "common/wire/status_service.h"
+#include "envserver/canary.h"
 
 namespace craftfleet {
 namespace {
@@ -94,13 +96,16 @@ absl::StatusOr<std::unique_ptr<EnvServiceImpl>> EnvServiceImpl::Create(const std
   CRAFTFLEET_RETURN_IF_ERROR(options.Validate());
   CRAFTFLEET_ASSIGN_OR_RETURN(std::shared_ptr<const Textures> textures, Textures::Load(texture_dir));
   CRAFTFLEET_ASSIGN_OR_RETURN(std::string digest, TextureDigest(texture_dir));
-  return std::unique_ptr<EnvServiceImpl>(new EnvServiceImpl(std::move(textures), std::move(digest), options));
+  CRAFTFLEET_ASSIGN_OR_RETURN(std::string canary, GameCanary(*textures));
+  return std::unique_ptr<EnvServiceImpl>(
+      new EnvServiceImpl(std::move(textures), std::move(digest), std::move(canary), options));
 }
 
-EnvServiceImpl::EnvServiceImpl(std::shared_ptr<const Textures> textures, std::string texture_digest,
+EnvServiceImpl::EnvServiceImpl(std::shared_ptr<const Textures> textures, std::string texture_digest, std::string canary,
                                const Options& options)
     : textures_(std::move(textures)),
       texture_digest_(std::move(texture_digest)),
+      canary_(std::move(canary)),
       options_(options),
       budget_(options.budget) {}
 
@@ -138,6 +143,7 @@ absl::Status EnvServiceImpl::Serve(grpc::ServerContext* context, wire::StreamWat
   SessionGuard session(this);
   CRAFTFLEET_RETURN_IF_ERROR(session.Enter(request.hello(), context->peer()));
   reply.set_program_version(std::string(ProgramVersion()));
+  reply.set_canary(canary_);
   StepBatch step;
   while (true) {
     const absl::Duration busy = session.meter()->Switch(Activity::kWire);
@@ -151,6 +157,7 @@ absl::Status EnvServiceImpl::Serve(grpc::ServerContext* context, wire::StreamWat
     watched->Work();
     session.meter()->Switch(Activity::kEnvironment);
     reply.clear_program_version();
+    reply.clear_canary();
     CRAFTFLEET_RETURN_IF_ERROR(Handle(request, &batch, &share, &step, &reply));
     if (request.has_step()) {
       session.meter()->Count(request.step().lanes_size());
@@ -164,6 +171,12 @@ absl::StatusOr<EnvBatch> EnvServiceImpl::Greet(const v1::SessionHello& hello, Ga
   const wire::Handshake ours = {wire::kProtocolVersion, "", texture_digest_};
   const wire::Handshake theirs = {hello.protocol_version(), hello.run_id(), hello.texture_digest()};
   CRAFTFLEET_RETURN_IF_ERROR(wire::CheckHandshake("environment server", ours, "actor", theirs));
+  if (!hello.game_canary().empty() && hello.game_canary() != canary_) {
+    return absl::FailedPreconditionError(absl::StrFormat(
+        "this environment server (build %s) plays another game than the run: its canary is %s, want %s: run the same "
+        "build everywhere",
+        BuildId(), canary_, absl::CHexEscape(hello.game_canary().substr(0, 64))));
+  }
   CRAFTFLEET_RETURN_IF_ERROR(wire::CheckText("client", hello.client()));
   CRAFTFLEET_RETURN_IF_ERROR(wire::CheckText("run_id", hello.run_id()));
   CRAFTFLEET_ASSIGN_OR_RETURN(const EnvName name, EnvName::Parse(hello.env().name()));

@@ -45,6 +45,9 @@ class EnvServiceImpl final : public v1::EnvironmentService::Service {
   grpc::Status Play(grpc::ServerContext* context,
                     grpc::ServerReaderWriter<v1::PlayReply, v1::PlayRequest>* stream) override;
 
+  // GameCanary of the textures.
+  const std::string& canary() const { return canary_; }
+
   // Counts, rates and sessions for the status page.
   void FillStatus(v1::StatusReply* reply) const ABSL_LOCKS_EXCLUDED(mu_);
   // What the learner is told.
@@ -63,7 +66,8 @@ class EnvServiceImpl final : public v1::EnvironmentService::Service {
   };
   class SessionGuard;
 
-  EnvServiceImpl(std::shared_ptr<const Textures> textures, std::string texture_digest, const Options& options);
+  EnvServiceImpl(std::shared_ptr<const Textures> textures, std::string texture_digest, std::string canary,
+                 const Options& options);
 
   absl::Status Serve(grpc::ServerContext* context, wire::StreamWatch::Stream* watched,
                      grpc::ServerReaderWriter<v1::PlayReply, v1::PlayRequest>* stream);
@@ -75,6 +79,7 @@ class EnvServiceImpl final : public v1::EnvironmentService::Service {
 
   const std::shared_ptr<const Textures> textures_;
   const std::string texture_digest_;
+  const std::string canary_;
   const Options options_;
   GameBudget budget_;
   wire::StreamWatch watch_;

@@ -98,7 +98,7 @@ absl::StatusOr<std::unique_ptr<Announcer>> AnnounceIfAsked(const EnvServiceImpl&
   CRAFTFLEET_RETURN_IF_ERROR(wire::CheckAddress("advertise", address));
   CRAFTFLEET_ASSIGN_OR_RETURN(const std::string digest, TextureDigest(textures));
   CRAFTFLEET_ASSIGN_OR_RETURN(const wire::ChannelSecurity security, wire::ChannelSecurityFromFlags());
-  return std::make_unique<Announcer>(wire::Connect(learner, security), address, digest,
+  return std::make_unique<Announcer>(wire::Connect(learner, security), address, digest, service.canary(),
                                      [&service] { return service.Summary(); });
 }
 

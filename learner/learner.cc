@@ -11,8 +11,10 @@
 #include <google/protobuf/util/message_differencer.h>
 
 #include "common/agent/agent_spec.h"
+#include "common/agent/canary.h"
 #include "common/config.h"
 #include "common/files.h"
+#include "common/known_canary.h"
 #include "common/log.h"
 #include "common/status_macros.h"
 #include "common/texture_digest.h"
@@ -82,6 +84,18 @@ absl::Status CheckLaneStates(const v1::CheckpointState& state, int state_size) {
   return absl::OkStatus();
 }
 
+// What workers of a run with `cpu` and these textures are compared with.
+absl::StatusOr<BuildCheck::Options> ExpectedBuild(v1::RunConfig::Cpu cpu, absl::string_view texture_digest,
+                                                  bool allow_mixed) {
+  CRAFTFLEET_ASSIGN_OR_RETURN(const std::string canary, PolicyCanary());
+  const absl::string_view known = KnownPolicyCanary(cpu);
+  if (!known.empty() && canary != known) {
+    LogWarning("with cpu: %s the canary is %s here, want %s: other machines may compute otherwise",
+               v1::RunConfig::Cpu_Name(cpu), canary, known);
+  }
+  return BuildCheck::Options{BuildId(), canary, std::string(KnownGameCanary(texture_digest)), allow_mixed};
+}
+
 LaneLedger::Options LedgerOptions(const v1::RunConfig& config) {
   LaneLedger::Options options;
   options.lanes = config.lanes();
@@ -104,6 +118,8 @@ struct Learner::Loaded {
   std::vector<Fragment> kept;              // by an earlier start
   Checkpoint checkpoint;                   // empty for a new run; without weights and optimiser, which the updater has
   std::string texture_digest;
+  BuildCheck::Options build;
+  std::shared_ptr<const wire::AccessControl> access;  // null: no access file
 };
 
 absl::StatusOr<std::unique_ptr<Learner>> Learner::Create(const Options& options) {
@@ -119,10 +135,13 @@ absl::StatusOr<std::unique_ptr<Learner>> Learner::Create(const Options& options)
   CRAFTFLEET_RETURN_IF_ERROR(CheckRunnable(*config, spec, {OwnMemoryBytes(), options.device == "cpu"}));
   CRAFTFLEET_ASSIGN_OR_RETURN(Loaded loaded, Load(options, *config));
   if (config->checkpoint().keep_fragments()) OpenJournal(&loaded);
+  wire::Server::Options server = options.server;
+  CRAFTFLEET_RETURN_IF_ERROR(server.OpenAccess());
+  loaded.access = server.access;
   std::unique_ptr<Learner> learner(new Learner(options, std::move(loaded)));
   CRAFTFLEET_ASSIGN_OR_RETURN(
       learner->server_,
-      wire::Server::Create(options.server, {&learner->service_, &learner->admin_service_, &learner->status_service_}));
+      wire::Server::Create(server, {&learner->service_, &learner->admin_service_, &learner->status_service_}));
   return learner;
 }
 
@@ -134,6 +153,7 @@ absl::StatusOr<Learner::Loaded> Learner::Load(const Options& options, const v1::
   const ProgramInfo program = {std::string(ProgramVersion()), std::string(GitRevision()), loaded.texture_digest};
   CRAFTFLEET_ASSIGN_OR_RETURN(loaded.updater, PpoUpdater::Create(config, options.threads, options.device));
   if (options.device != "cpu") LogInfo("updates on %s", options.device);
+  CRAFTFLEET_ASSIGN_OR_RETURN(loaded.build, ExpectedBuild(config.cpu(), loaded.texture_digest, options.allow_mixed));
   if (!options.resume) {
     std::string origin;
     if (!options.init_from.empty()) {
@@ -183,7 +203,7 @@ Learner::Learner(const Options& options, Loaded loaded)
                {folder_.get(), updater_.get(), &ledger_, &weights_, &fragments_, &evaluations_, &progress_,
                 &checkpoint_requests_, journal_.has_value() ? &*journal_ : nullptr, clock_.get()}),
       service_({folder_->run_id(), folder_->epoch(), config_, loaded.texture_digest,
-                FragmentShapeOf(config_, updater_->spec()), kLease},
+                FragmentShapeOf(config_, updater_->spec()), kLease, std::move(loaded.build), std::move(loaded.access)},
                &ledger_, &weights_, &fragments_, &evaluation_book_, &env_servers_, &fleet_),
       admin_service_({&checkpoint_requests_, &ledger_, &evaluation_book_, &env_servers_, [this] { Stop(); }}),
       status_service_("learner", [this](v1::StatusReply* reply) { FillStatus(reply); }) {}

@@ -39,10 +39,11 @@ class Learner {
   struct Options {
     v1::RunConfig config;  // as asked for; completed here
     std::string logdir;
-    bool resume = false;      // go on with the run in `logdir`
-    std::string resume_from;  // checkpoint to go back to; empty: the newest
-    std::string init_from;    // a new run: checkpoint or run folder whose weights it begins with; empty: none
-    std::string texture_dir;  // whose digest workers must match
+    bool resume = false;       // go on with the run in `logdir`
+    std::string resume_from;   // checkpoint to go back to; empty: the newest
+    std::string init_from;     // a new run: checkpoint or run folder whose weights it begins with; empty: none
+    std::string texture_dir;   // whose digest workers must match
+    bool allow_mixed = false;  // let in workers whose canary differs (learner/build_check.h)
     wire::Server::Options server;
     int threads = 1;                   // for the update, 1..256
     std::string device = "cpu";        // for the update, as FindDevice gives it

@@ -35,6 +35,11 @@ void AddPermits(const std::vector<Permit>& permits, google::protobuf::RepeatedPt
   }
 }
 
+constexpr absl::string_view kActor = "actor";
+constexpr absl::string_view kEnvServer = "environment server";
+// Twice the longest lease: what was given to a name has lapsed before another can have it.
+constexpr absl::Duration kNameLapse = absl::Seconds(16);
+
 absl::Status CheckName(absl::string_view field, absl::string_view name) {
   if (name.empty()) return absl::InvalidArgumentError(absl::StrFormat("%s is empty, want a unique name", field));
   return wire::CheckText(field, name);
@@ -63,9 +68,22 @@ LearnerServiceImpl::LearnerServiceImpl(const Options& options, LaneLedger* ledge
       fragments_(fragments),
       evaluations_(evaluations),
       env_servers_(env_servers),
-      fleet_(fleet) {}
+      fleet_(fleet),
+      names_(kNameLapse, &clock_),
+      builds_(options.build, &clock_),
+      refusals_(&clock_) {}
 
-grpc::Status LearnerServiceImpl::Join(grpc::ServerContext* /*context*/, const v1::JoinRequest* request,
+absl::Status LearnerServiceImpl::Name(const grpc::ServerContext& context, absl::string_view kind,
+                                      absl::string_view name) {
+  CRAFTFLEET_RETURN_IF_ERROR(CheckName(kind, name));
+  const std::string identity =
+      options_.access != nullptr ? options_.access->Identify(context) : wire::IdentifyByCertificate(context);
+  absl::Status status = names_.Use(kind, name, identity);
+  if (!status.ok()) refusals_.Warn(identity, absl::StrFormat("refused %s: %s", identity, status.message()));
+  return status;
+}
+
+grpc::Status LearnerServiceImpl::Join(grpc::ServerContext* context, const v1::JoinRequest* request,
                                       v1::JoinReply* reply) {
   const wire::Handshake ours = {wire::kProtocolVersion, options_.run_id, ""};
   const wire::Handshake theirs = {request->protocol_version(), request->run_id(), ""};
@@ -73,25 +91,34 @@ grpc::Status LearnerServiceImpl::Join(grpc::ServerContext* /*context*/, const v1
     LogWarning("actor %s refused: %s", request->actor(), status.message());
     return wire::ToGrpc(status);
   }
-  if (absl::Status status = CheckName("actor", request->actor()); !status.ok()) return wire::ToGrpc(status);
-  if (absl::Status status = wire::CheckText("address", request->address()); !status.ok()) return wire::ToGrpc(status);
-  if (absl::Status status = wire::CheckText("cpu", request->cpu()); !status.ok()) return wire::ToGrpc(status);
-  WarnIfCpusDiffer(*request);
-  ledger_->Join(request->actor(), request->address());
-  fleet_->Heard("actor", request->actor(), request->address(), {});
+  absl::Status status = wire::CheckText("address", request->address());
+  if (status.ok()) status = wire::CheckText("cpu", request->cpu());
+  if (status.ok()) status = wire::CheckText("build", request->build());
+  if (status.ok()) status = wire::CheckText("canary", request->canary());
+  if (status.ok()) status = Name(*context, kActor, request->actor());
+  if (!status.ok()) return wire::ToGrpc(status);
+  if (!request->only_ask()) {
+    if (status = builds_.CheckActor(*request); !status.ok()) {
+      LogWarning("refused %s", status.message());
+      return wire::ToGrpc(status);
+    }
+    ledger_->Join(request->actor(), request->address());
+    fleet_->Heard("actor", request->actor(), request->address(), {});
+  }
   reply->set_run_id(options_.run_id);
   reply->set_epoch(options_.epoch);
   *reply->mutable_config() = options_.config;
   reply->set_texture_digest(options_.texture_digest);
   reply->set_lease_ms(static_cast<int>(absl::ToInt64Milliseconds(options_.lease)));
   reply->set_program_version(std::string(ProgramVersion()));
+  reply->set_game_canary(builds_.GameCanary());
   return grpc::Status::OK;
 }
 
 grpc::Status LearnerServiceImpl::GetPermits(grpc::ServerContext* context, const v1::PermitRequest* request,
                                             v1::PermitReply* reply) {
   if (absl::Status status = CheckEpoch(request->epoch()); !status.ok()) return wire::ToGrpc(status);
-  if (absl::Status status = CheckName("actor", request->actor()); !status.ok()) return wire::ToGrpc(status);
+  if (absl::Status status = Name(*context, kActor, request->actor()); !status.ok()) return wire::ToGrpc(status);
   evaluations_->Renew(request->actor(), request->evaluation());
   std::vector<Permit> active;
   for (const v1::Permit& permit : request->active()) active.push_back(FromProto(permit));
@@ -149,6 +176,7 @@ grpc::Status LearnerServiceImpl::PushFragments(
     watched.Await("a fragment", wire::StreamWatch::kRequest);
     if (!stream->Read(&message)) break;
     watched.Work();
+    if (absl::Status status = Name(*context, kActor, message.actor()); !status.ok()) return wire::ToGrpc(status);
     absl::StatusOr<v1::FragmentVerdict::Verdict> verdict = TakeIn(&message);
     if (!verdict.ok()) {
       if (verdict.status().code() == absl::StatusCode::kInvalidArgument) {
@@ -226,16 +254,17 @@ grpc::Status LearnerServiceImpl::GetSnapshot(grpc::ServerContext* /*context*/, c
   return grpc::Status::OK;
 }
 
-grpc::Status LearnerServiceImpl::FinishEvaluation(grpc::ServerContext* /*context*/, const v1::EvaluationResult* request,
+grpc::Status LearnerServiceImpl::FinishEvaluation(grpc::ServerContext* context, const v1::EvaluationResult* request,
                                                   v1::EvaluationReply* /*reply*/) {
   if (absl::Status status = CheckEpoch(request->epoch()); !status.ok()) return wire::ToGrpc(status);
+  if (absl::Status status = Name(*context, kActor, request->actor()); !status.ok()) return wire::ToGrpc(status);
   const absl::StatusOr<std::vector<Episode>> episodes = wire::FromProto(*request);
   const absl::Status status = episodes.ok() ? evaluations_->Finish(request->id(), *episodes) : episodes.status();
   if (!status.ok()) LogWarning("evaluation by actor %s refused: %s", request->actor(), status.message());
   return wire::ToGrpc(status);
 }
 
-grpc::Status LearnerServiceImpl::Announce(grpc::ServerContext* /*context*/, const v1::Announcement* request,
+grpc::Status LearnerServiceImpl::Announce(grpc::ServerContext* context, const v1::Announcement* request,
                                           v1::AnnounceReply* reply) {
   const wire::Handshake ours = {wire::kProtocolVersion, "", options_.texture_digest};
   const wire::Handshake theirs = {request->protocol_version(), "", request->texture_digest()};
@@ -243,11 +272,20 @@ grpc::Status LearnerServiceImpl::Announce(grpc::ServerContext* /*context*/, cons
   if (status.ok()) status = CheckName("name", request->name());
   if (status.ok()) status = wire::CheckText("address", request->address());
   if (status.ok()) status = wire::CheckAddress("advertise", request->address());
+  if (status.ok()) status = wire::CheckText("build", request->build());
+  if (status.ok()) status = wire::CheckText("canary", request->canary());
+  if (status.ok()) status = Name(*context, kEnvServer, request->name());
+  // Nor may one be announced where another's games are.
+  if (status.ok()) status = Name(*context, "environment server at", request->address());
+  if (status.ok() && !request->leaving()) status = builds_.CheckServer(*request);
   if (!status.ok()) {
-    LogWarning("environment server %s refused: %s", request->name(), status.message());
+    refusals_.Warn(request->name(),
+                   absl::StrFormat("environment server %s refused: %s", request->name(), status.message()));
     return wire::ToGrpc(status);
   }
   if (request->leaving()) {
+    names_.Leave(kEnvServer, request->name());
+    names_.Leave("environment server at", request->address());
     env_servers_->Leave(request->name());
     fleet_->Left("envserver", request->name());
   } else {
@@ -259,8 +297,10 @@ grpc::Status LearnerServiceImpl::Announce(grpc::ServerContext* /*context*/, cons
   return grpc::Status::OK;
 }
 
-grpc::Status LearnerServiceImpl::Leave(grpc::ServerContext* /*context*/, const v1::LeaveRequest* request,
+grpc::Status LearnerServiceImpl::Leave(grpc::ServerContext* context, const v1::LeaveRequest* request,
                                        v1::LeaveReply* /*reply*/) {
+  if (absl::Status status = Name(*context, kActor, request->actor()); !status.ok()) return wire::ToGrpc(status);
+  names_.Leave(kActor, request->actor());
   ledger_->Leave(request->actor());
   fleet_->Left("actor", request->actor());
   evaluations_->Renew(request->actor(), 0);
@@ -288,21 +328,13 @@ void LearnerServiceImpl::FillStatus(v1::StatusReply* reply) const {
     }
     reply->add_peers()->Swap(&worker);
   }
+  builds_.FillStatus(reply);
 }
 
 absl::Status LearnerServiceImpl::CheckEpoch(int64_t epoch) const {
   if (epoch == options_.epoch) return absl::OkStatus();
   return absl::AbortedError(absl::StrFormat("epoch %d, but the learner is in epoch %d since its last start: join again",
                                             epoch, options_.epoch));
-}
-
-void LearnerServiceImpl::WarnIfCpusDiffer(const v1::JoinRequest& request) {
-  MutexLock lock(&mu_);
-  if (first_cpu_.empty()) first_cpu_ = request.cpu();
-  if (warned_ || request.cpu() == first_cpu_) return;
-  warned_ = true;
-  LogWarning("actor %s runs on \"%s\", others on \"%s\": results will depend on who plays in the last bits",
-             request.actor(), request.cpu(), first_cpu_);
 }
 
 }  // namespace craftfleet

@@ -5,18 +5,23 @@
 
 #include <atomic>
 #include <cstdint>
+#include <memory>
 #include <string>
 
+#include "common/clock.h"
 #include "common/closable_queue.h"
-#include "common/mutex.h"
+#include "common/limited_log.h"
 #include "common/types.h"
+#include "common/wire/access.h"
 #include "common/wire/convert.h"
 #include "common/wire/stream_watch.h"
 #include "craftfleet/v1/learner.grpc.pb.h"
 #include "craftfleet/v1/status.pb.h"
+#include "learner/build_check.h"
 #include "learner/evaluation_book.h"
 #include "learner/fleet_book.h"
 #include "learner/lane_ledger.h"
+#include "learner/name_book.h"
 #include "learner/server_registry.h"
 #include "learner/weight_store.h"
 
@@ -34,7 +39,10 @@ class LearnerServiceImpl final : public v1::LearnerService::Service {
     v1::RunConfig config;  // resolved
     std::string texture_digest;
     wire::FragmentShape shape;
-    absl::Duration lease;  // told to actors
+    absl::Duration lease;       // told to actors
+    BuildCheck::Options build;  // what workers are compared with
+    std::shared_ptr<const wire::AccessControl> access =
+        nullptr;  // by which workers are told apart; null: by certificate
   };
 
   LearnerServiceImpl(const Options& options, LaneLedger* ledger, WeightStore* weights, FragmentQueue* fragments,
@@ -64,8 +72,8 @@ class LearnerServiceImpl final : public v1::LearnerService::Service {
   void OfferEvaluation(const v1::PermitRequest& request, v1::PermitReply* reply);
   absl::StatusOr<WeightStore::Weights> FindWeights(const v1::WeightsRequest& request) const;
   absl::StatusOr<v1::FragmentVerdict::Verdict> TakeIn(v1::FragmentMessage* message);
-  // A synchronous fleet on unlike CPUs is not bit for bit: says so once.
-  void WarnIfCpusDiffer(const v1::JoinRequest& request) ABSL_LOCKS_EXCLUDED(mu_);
+  // Who calls speaks as `name` of `kind`.   InvalidArgument: no name.   Others as NameBook::Use, logged.
+  absl::Status Name(const grpc::ServerContext& context, absl::string_view kind, absl::string_view name);
 
   const Options options_;
   LaneLedger* const ledger_;
@@ -80,10 +88,10 @@ class LearnerServiceImpl final : public v1::LearnerService::Service {
   std::atomic<int64_t> expired_{0};
   std::atomic<int64_t> rejected_{0};
 
-  Mutex mu_;
-  std::string first_cpu_ ABSL_GUARDED_BY(mu_);
-  bool warned_ ABSL_GUARDED_BY(mu_) = false;
-
+  RealClock clock_;
+  NameBook names_;
+  BuildCheck builds_;
+  LimitedLog refusals_;
   wire::StreamWatch streams_;
 };
 

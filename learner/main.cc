@@ -6,6 +6,7 @@
 #include <absl/strings/str_format.h>
 
 #include "common/agent/torch_setup.h"
+#include "common/cpu_pin.h"
 #include "common/log.h"
 #include "common/program.h"
 #include "common/status_macros.h"
@@ -15,6 +16,9 @@
 
 ABSL_FLAG(std::string, listen, "127.0.0.1:50051",
           "address to serve actors and status on, HOST:PORT; port 0: any free one");
+ABSL_FLAG(bool, allow_mixed, false,
+          "let in workers that compute other numbers or play another game than this build; the result then depends on\n"
+          "who plays [they are refused and named]");
 
 namespace craftfleet {
 namespace {
@@ -32,12 +36,14 @@ Watch it:   craftfleet status --address=127.0.0.1:50051
 Go on after a stop or a crash: the same command with --resume.)";
 
 absl::Status Run() {
-  SetUpTorchThread();
   CRAFTFLEET_ASSIGN_OR_RETURN(const wire::MetricsServer::Options metrics_options,
                               wire::MetricsOptionsFromFlags(wire::kAnyFreePort));
   CRAFTFLEET_ASSIGN_OR_RETURN(Learner::Options options, LearnerOptionsFromFlags());
+  CRAFTFLEET_RETURN_IF_ERROR(PinCpu(options.config.cpu()));
+  SetUpTorchThread();
   options.server.address = absl::GetFlag(FLAGS_listen);
   options.server.many_clients = true;
+  options.allow_mixed = absl::GetFlag(FLAGS_allow_mixed);
   CRAFTFLEET_ASSIGN_OR_RETURN(const std::unique_ptr<Learner> learner, Learner::Create(options));
   StopSignal signal([&learner] { learner->Stop(); });
   if (const std::string warning = SlowMathWarning(); !warning.empty()) LogWarning("%s", warning);

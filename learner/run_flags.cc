@@ -12,6 +12,7 @@
 
 #include "common/agent/device.h"
 #include "common/config.h"
+#include "common/cpu_pin.h"
 #include "common/cpu_quota.h"
 #include "common/files.h"
 #include "common/paths.h"
@@ -29,6 +30,10 @@ ABSL_FLAG(std::optional<std::string>, eval_env, std::nullopt,
 ABSL_FLAG(std::optional<int64_t>, steps, std::nullopt,
           "environment steps, all lanes together; the run ends with the iteration that reaches them [1000000]");
 ABSL_FLAG(std::optional<uint64_t>, seed, std::nullopt, "seed of everything random in the run [0]");
+ABSL_FLAG(
+    std::optional<std::string>, cpu, std::nullopt,
+    "instruction set that every process of the run computes with: native (the best of each CPU), avx2 or avx512;\n"
+    "CPUs that differ give equal bytes only with the same one [native]");
 ABSL_FLAG(std::optional<int32_t>, lanes, std::nullopt, "games played side by side [16]");
 ABSL_FLAG(std::string, logdir, "", "folder of the run: configuration, stats.jsonl, curves, checkpoints (needed)");
 ABSL_FLAG(
@@ -111,6 +116,10 @@ absl::StatusOr<Learner::Options> LearnerOptionsFromFlags() {
   if (const auto steps = absl::GetFlag(FLAGS_steps)) options.config.set_steps(*steps);
   if (const auto seed = absl::GetFlag(FLAGS_seed)) options.config.set_seed(*seed);
   if (const auto lanes = absl::GetFlag(FLAGS_lanes)) options.config.set_lanes(*lanes);
+  if (const auto cpu = absl::GetFlag(FLAGS_cpu)) {
+    CRAFTFLEET_ASSIGN_OR_RETURN(const v1::RunConfig::Cpu parsed, ParseCpu(*cpu));
+    options.config.set_cpu(parsed);
+  }
   v1::CheckpointConfig& checkpoint = *options.config.mutable_checkpoint();
   if (const auto every = absl::GetFlag(FLAGS_checkpoint_every)) checkpoint.set_every_iterations(*every);
   if (const auto keep = absl::GetFlag(FLAGS_keep_checkpoints)) checkpoint.set_keep(*keep);

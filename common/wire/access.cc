@@ -4,7 +4,9 @@
 #include <grpc/grpc_security_constants.h>
 
 #include <algorithm>
+#include <map>
 #include <optional>
+#include <set>
 #include <utility>
 
 #include <absl/strings/ascii.h>
@@ -16,7 +18,9 @@
 #include <absl/strings/strip.h>
 #include <grpcpp/security/auth_context.h>
 #include <grpcpp/security/auth_metadata_processor.h>
+#include <grpcpp/server_context.h>
 
+#include "common/files.h"
 #include "common/log.h"
 #include "common/status_macros.h"
 #include "common/text_format.h"
@@ -35,9 +39,14 @@ struct ServiceRight {
 };
 constexpr ServiceRight kRights[] = {
     {"/grpc.health.v1.Health/", v1::RIGHT_UNSPECIFIED}, {"/grpc.reflection.", v1::WATCH},
-    {"/craftfleet.v1.StatusService/", v1::WATCH},       {"/craftfleet.v1.LearnerService/", v1::WORK},
-    {"/craftfleet.v1.EnvironmentService/", v1::WORK},   {"/craftfleet.v1.AdminService/", v1::STEER},
+    {"/craftfleet.v1.StatusService/", v1::WATCH},       {"/craftfleet.v1.LearnerService/Announce", v1::SERVE},
+    {"/craftfleet.v1.LearnerService/", v1::PLAY},       {"/craftfleet.v1.EnvironmentService/", v1::PLAY},
+    {"/craftfleet.v1.AdminService/", v1::STEER},
 };
+constexpr absl::string_view kWantedRights = "want WATCH, PLAY, SERVE or STEER";
+constexpr absl::string_view kNoWork =
+    "WORK is no right any more: write PLAY for actors, SERVE for environment servers, or both";
+constexpr int kWork = 2;  // its number of old
 
 bool FitsCertificate(const v1::AccessClient& client, const Caller& caller) {
   return client.certificate().empty() ||
@@ -46,9 +55,13 @@ bool FitsCertificate(const v1::AccessClient& client, const Caller& caller) {
          });
 }
 
-bool FitsToken(const v1::AccessClient& client, const Caller& caller) {
-  return client.token_sha256().empty() ||
-         (caller.token.has_value() && Sha256Hex(*caller.token) == client.token_sha256());
+// `digest` is that of the caller's token; none without one.
+bool FitsToken(const v1::AccessClient& client, const std::optional<std::string>& digest) {
+  return client.token_sha256().empty() || digest == client.token_sha256();
+}
+
+std::optional<std::string> TokenDigest(const Caller& caller) {
+  return caller.token.has_value() ? std::make_optional(Sha256Hex(*caller.token)) : std::nullopt;
 }
 
 std::string Printable(absl::string_view text) { return absl::CHexEscape(text.substr(0, kMaxLogged)); }
@@ -78,10 +91,32 @@ absl::Status CheckClient(const v1::AccessClient& client) {
                         client.name(), digest.size()));
   }
   if (client.right().empty()) {
+    return absl::InvalidArgumentError(absl::StrFormat("client \"%s\" has no right, %s", client.name(), kWantedRights));
+  }
+  for (const int right : client.right()) {
+    if (right != v1::RIGHT_UNSPECIFIED && v1::Right_IsValid(right)) continue;
     return absl::InvalidArgumentError(
-        absl::StrFormat("client \"%s\" has no right, want WATCH, WORK or STEER", client.name()));
+        right == kWork ? absl::StrFormat("client \"%s\": %s", client.name(), kNoWork)
+                       : absl::StrFormat("client \"%s\" has right %d, %s", client.name(), right, kWantedRights));
   }
   return absl::OkStatus();
+}
+
+// What `metadata` and the certificate of `context` show.
+Caller MakeCaller(const std::multimap<grpc::string_ref, grpc::string_ref>& metadata, const grpc::AuthContext* context) {
+  Caller caller;
+  for (const char* property : {GRPC_X509_CN_PROPERTY_NAME, GRPC_X509_SAN_PROPERTY_NAME}) {
+    if (context == nullptr) break;  // a context without a call
+    for (const grpc::string_ref& name : context->FindPropertyValues(property)) {
+      caller.certificate_names.emplace_back(name.data(), name.size());
+    }
+  }
+  for (const auto& [key, value] : metadata) {
+    absl::string_view text(value.data(), value.size());
+    if (key == "user-agent") caller.program = std::string(text);
+    if (key == "authorization" && absl::ConsumePrefix(&text, kBearer)) caller.token = std::string(text);
+  }
+  return caller;
 }
 
 class AccessProcessor : public grpc::AuthMetadataProcessor {
@@ -90,24 +125,14 @@ class AccessProcessor : public grpc::AuthMetadataProcessor {
 
   bool IsBlocking() const override { return false; }
 
-  grpc::Status Process(const InputMetadata& metadata, grpc::AuthContext* context, OutputMetadata* consumed,
+  grpc::Status Process(const InputMetadata& metadata, grpc::AuthContext* context, OutputMetadata* /*consumed*/,
                        OutputMetadata* /*response*/) override {
-    Caller caller;
-    for (const char* property : {GRPC_X509_CN_PROPERTY_NAME, GRPC_X509_SAN_PROPERTY_NAME}) {
-      for (const grpc::string_ref& name : context->FindPropertyValues(property)) {
-        caller.certificate_names.emplace_back(name.data(), name.size());
-      }
-    }
     absl::string_view path;
     for (const auto& [key, value] : metadata) {
-      absl::string_view text(value.data(), value.size());
-      if (key == ":path") path = text;
-      if (key == "user-agent") caller.program = std::string(text);
-      if (key != "authorization") continue;
-      consumed->insert({std::string(key.data(), key.size()), std::string(text)});
-      if (absl::ConsumePrefix(&text, kBearer)) caller.token = std::string(text);
+      if (key == ":path") path = absl::string_view(value.data(), value.size());
     }
-    return ToGrpc(access_->Check(caller, path));
+    // The token stays with the call: its handler may ask who calls (Identify).
+    return ToGrpc(access_->Check(MakeCaller(metadata, context), path));
   }
 
  private:
@@ -125,7 +150,10 @@ v1::Right RightFor(absl::string_view path) {
 
 absl::StatusOr<v1::Access> ParseAccess(absl::string_view text, absl::string_view filename) {
   v1::Access access;
-  CRAFTFLEET_RETURN_IF_ERROR(ParseTextFormat(text, filename, &access));
+  if (absl::Status status = ParseTextFormat(text, filename, &access); !status.ok()) {
+    if (!absl::StrContains(status.message(), "\"WORK\"")) return status;
+    return absl::InvalidArgumentError(absl::StrCat(filename, ": ", kNoWork));
+  }
   for (v1::AccessClient& client : *access.mutable_client()) {
     if (absl::Status status = CheckClient(client); !status.ok()) {
       return absl::InvalidArgumentError(absl::StrCat(filename, ": ", status.message()));
@@ -138,10 +166,11 @@ absl::StatusOr<v1::Access> ParseAccess(absl::string_view text, absl::string_view
 absl::Status CheckAccess(const v1::Access& access, const Caller& caller, absl::string_view path) {
   const v1::Right needed = RightFor(path);
   if (needed == v1::RIGHT_UNSPECIFIED) return absl::OkStatus();
+  const std::optional<std::string> digest = TokenDigest(caller);
   std::vector<std::string> known;
   bool token_known = false;
   for (const v1::AccessClient& client : access.client()) {
-    if (!FitsCertificate(client, caller) || !FitsToken(client, caller)) continue;
+    if (!FitsCertificate(client, caller) || !FitsToken(client, digest)) continue;
     known.push_back(client.name());
     token_known |= !client.token_sha256().empty();
     if (std::find(client.right().begin(), client.right().end(), needed) != client.right().end()) {
@@ -164,36 +193,54 @@ absl::Status CheckAccess(const v1::Access& access, const Caller& caller, absl::s
       absl::StrFormat("%s: the access file has no client with this certificate and no token", Describe(caller)));
 }
 
+std::string Identity(const v1::Access& access, const Caller& caller) {
+  const std::optional<std::string> digest = TokenDigest(caller);
+  std::set<std::string> names;
+  for (const v1::AccessClient& client : access.client()) {
+    if (FitsCertificate(client, caller) && FitsToken(client, digest)) names.insert(client.name());
+  }
+  std::string identity;
+  if (!caller.certificate_names.empty()) {
+    const std::set<std::string> certificate(caller.certificate_names.begin(), caller.certificate_names.end());
+    absl::StrAppend(&identity, "certificate ", absl::StrJoin(certificate, ", "));
+  }
+  if (!names.empty()) {
+    absl::StrAppend(&identity, identity.empty() ? "" : "; ", "\"", absl::StrJoin(names, "\", \""), "\"");
+  }
+  return identity;
+}
+
 absl::StatusOr<std::shared_ptr<AccessControl>> AccessControl::Create(const std::string& path) {
-  std::shared_ptr<AccessControl> control(new AccessControl(path));
-  const MutexLock lock(&control->mu_);
-  const std::optional<std::string> text = control->file_.ReadIfChanged();
-  if (!text.has_value()) return absl::NotFoundError(absl::StrFormat("--access_file=%s can't be read", path));
-  CRAFTFLEET_RETURN_IF_ERROR(control->Load(*text));
+  std::shared_ptr<AccessControl> control(new AccessControl);
+  absl::StatusOr<std::string> text = ReadFile(path);
+  if (!text.ok()) return absl::NotFoundError(absl::StrFormat("--access_file=%s can't be read", path));
+  CRAFTFLEET_ASSIGN_OR_RETURN(v1::Access access, ParseAccess(*text, path));
+  control->snapshot_ = std::make_shared<Snapshot>(std::move(access));
+  control->watch_ = std::make_unique<FileWatch>(path, *text, [snapshot = control->snapshot_, path](std::string now) {
+    absl::StatusOr<v1::Access> access = ParseAccess(now, path);
+    if (!access.ok()) {
+      LogError("%s; the former access file stays in force", access.status().message());
+      return;
+    }
+    LogInfo("--access_file=%s was read again: %d clients", path, access->client_size());
+    snapshot->Set(*std::move(access));
+  });
   return control;
 }
 
-absl::Status AccessControl::Load(absl::string_view text) {
-  CRAFTFLEET_ASSIGN_OR_RETURN(access_, ParseAccess(text, file_.path()));
-  return absl::OkStatus();
-}
-
 absl::Status AccessControl::Check(const Caller& caller, absl::string_view path) {
-  absl::Status status;
-  {
-    const MutexLock lock(&mu_);
-    if (const std::optional<std::string> text = file_.ReadIfChanged()) {
-      if (absl::Status loaded = Load(*text); loaded.ok()) {
-        LogInfo("--access_file=%s was read again: %d clients", file_.path(), access_.client_size());
-      } else {
-        LogError("%s; the former access file stays in force", loaded.message());
-      }
-    }
-    status = CheckAccess(access_, caller, path);
-  }
+  const absl::Status status = CheckAccess(*snapshot_->Get(), caller, path);
   if (status.ok()) return status;
   log_.Warn(status.message(), absl::StrFormat("refused %s: %s", Printable(path), status.message()));
   return absl::Status(status.code(), "not allowed; the log of the process that was called says why");
+}
+
+std::string AccessControl::Identify(const grpc::ServerContextBase& context) const {
+  return Identity(*snapshot_->Get(), MakeCaller(context.client_metadata(), context.auth_context().get()));
+}
+
+std::string IdentifyByCertificate(const grpc::ServerContextBase& context) {
+  return Identity(v1::Access(), MakeCaller(context.client_metadata(), context.auth_context().get()));
 }
 
 std::shared_ptr<grpc::AuthMetadataProcessor> MakeAccessProcessor(std::shared_ptr<AccessControl> access) {

@@ -6,6 +6,7 @@
 #include <memory>
 #include <optional>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include <absl/status/status.h>
@@ -20,6 +21,7 @@
 
 namespace grpc {
 class AuthMetadataProcessor;
+class ServerContextBase;
 }  // namespace grpc
 
 namespace craftfleet::wire {
@@ -44,26 +46,53 @@ absl::StatusOr<v1::Access> ParseAccess(absl::string_view text, absl::string_view
 //   The message says why and who it was; it is for the log, not for the caller.
 absl::Status CheckAccess(const v1::Access& access, const Caller& caller, absl::string_view path);
 
+// Who `caller` is to others: the names in its certificate and those of the clients of `access` that it fits. The same
+// for every certificate with these names and every token of such a client, so that both can be renewed. Empty: nobody
+// in particular.
+std::string Identity(const v1::Access& access, const Caller& caller);
+
 // Applies an access file, which may change while it is in use. A version with errors is logged and leaves the former
-// in force. Thread-safe.
+// in force. The file is read on a thread of its own: no call waits for a slow disk. Thread-safe.
 class AccessControl {
  public:
   // Errors of the file as it is now.
   static absl::StatusOr<std::shared_ptr<AccessControl>> Create(const std::string& path);
 
   // As CheckAccess; refusals are logged. The error's message is fit for the caller: it gives no reason away.
-  absl::Status Check(const Caller& caller, absl::string_view path) ABSL_LOCKS_EXCLUDED(mu_);
+  absl::Status Check(const Caller& caller, absl::string_view path);
+  // Identity of who made the call of `context`.
+  std::string Identify(const grpc::ServerContextBase& context) const;
 
  private:
-  explicit AccessControl(const std::string& path) : file_(path, &clock_) {}
-  absl::Status Load(absl::string_view text) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
+  // The file's last good version. Shared with the thread that reads it.
+  class Snapshot {
+   public:
+    explicit Snapshot(v1::Access access) : access_(std::make_shared<const v1::Access>(std::move(access))) {}
+    std::shared_ptr<const v1::Access> Get() const ABSL_LOCKS_EXCLUDED(mu_) {
+      const MutexLock lock(&mu_);
+      return access_;
+    }
+    void Set(v1::Access access) ABSL_LOCKS_EXCLUDED(mu_) {
+      auto fresh = std::make_shared<const v1::Access>(std::move(access));
+      const MutexLock lock(&mu_);
+      access_.swap(fresh);
+    }
+
+   private:
+    mutable Mutex mu_;
+    std::shared_ptr<const v1::Access> access_ ABSL_GUARDED_BY(mu_);
+  };
+
+  AccessControl() = default;
 
   RealClock clock_;
   LimitedLog log_{&clock_};
-  Mutex mu_;
-  WatchedFile file_ ABSL_GUARDED_BY(mu_);
-  v1::Access access_ ABSL_GUARDED_BY(mu_);
+  std::shared_ptr<Snapshot> snapshot_;
+  std::unique_ptr<FileWatch> watch_;
 };
+
+// Identity of who made the call of `context` where there is no access file: by its certificate. Empty without one.
+std::string IdentifyByCertificate(const grpc::ServerContextBase& context);
 
 // Asks `access` about each call that comes in over a listener's credentials.
 std::shared_ptr<grpc::AuthMetadataProcessor> MakeAccessProcessor(std::shared_ptr<AccessControl> access);

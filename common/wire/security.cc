@@ -1,7 +1,7 @@
 #include "common/wire/security.h"
 
 #include <map>
-#include <optional>
+#include <memory>
 #include <utility>
 
 #include <absl/strings/ascii.h>
@@ -14,7 +14,7 @@
 #include <grpcpp/security/tls_certificate_provider.h>
 #include <grpcpp/security/tls_credentials_options.h>
 
-#include "common/clock.h"
+#include "common/files.h"
 #include "common/log.h"
 #include "common/mutex.h"
 #include "common/status_macros.h"
@@ -33,18 +33,39 @@ std::shared_ptr<FileWatcherCertificateProvider> Watch(const TlsFiles& files) {
                                                           kLookEverySeconds);
 }
 
-// Adds the token of a file to each call.
+// What is in force of a token file. Shared by the calls and the thread that reads the file. Thread-safe.
+class Token {
+ public:
+  std::string Get() const ABSL_LOCKS_EXCLUDED(mu_) {
+    const MutexLock lock(&mu_);
+    return token_;
+  }
+  // False: `contents` are no token, and the former one stays.
+  bool Set(const std::string& contents) ABSL_LOCKS_EXCLUDED(mu_) {
+    std::string token(absl::StripAsciiWhitespace(contents));
+    if (token.empty() || token.find_first_of("\r\n") != std::string::npos) return false;
+    const MutexLock lock(&mu_);
+    token_ = std::move(token);
+    return true;
+  }
+
+ private:
+  mutable Mutex mu_;
+  std::string token_ ABSL_GUARDED_BY(mu_);
+};
+
+// Adds the newest token of a file to each call; no call waits for the file.
 class TokenPlugin : public grpc::MetadataCredentialsPlugin {
  public:
-  explicit TokenPlugin(const std::string& path) : file_(path, &clock_) {}
-
-  // NotFound, InvalidArgument: there is no token in the file.
-  absl::Status Load() ABSL_LOCKS_EXCLUDED(mu_) {
-    const MutexLock lock(&mu_);
-    Refresh();
-    return token_.empty() ? absl::InvalidArgumentError(absl::StrCat("--token_file=", file_.path(),
-                                                                    " can't be read or is empty, want one line"))
-                          : absl::OkStatus();
+  //   InvalidArgument: there is no token in the file.
+  static absl::StatusOr<std::unique_ptr<TokenPlugin>> Create(const std::string& path) {
+    auto token = std::make_shared<Token>();
+    absl::StatusOr<std::string> contents = ReadFile(path);
+    if (!contents.ok() || !token->Set(*contents)) {
+      return absl::InvalidArgumentError(
+          absl::StrCat("--token_file=", path, " can't be read or is empty, want one line"));
+    }
+    return std::unique_ptr<TokenPlugin>(new TokenPlugin(path, *contents, std::move(token)));
   }
 
   bool IsBlocking() const override { return false; }
@@ -52,28 +73,22 @@ class TokenPlugin : public grpc::MetadataCredentialsPlugin {
   grpc::Status GetMetadata(grpc::string_ref /*service_url*/, grpc::string_ref /*method*/,
                            const grpc::AuthContext& /*context*/,
                            std::multimap<std::string, std::string>* metadata) override {
-    const MutexLock lock(&mu_);
-    Refresh();
-    metadata->insert({"authorization", absl::StrCat("Bearer ", token_)});
+    metadata->insert({"authorization", absl::StrCat("Bearer ", token_->Get())});
     return grpc::Status::OK;
   }
 
  private:
-  void Refresh() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_) {
-    const std::optional<std::string> text = file_.ReadIfChanged();
-    if (!text.has_value()) return;
-    const std::string token(absl::StripAsciiWhitespace(*text));
-    if (token.empty() || token.find_first_of("\r\n") != std::string::npos) {
-      LogError("--token_file=%s: want one line; the former token stays in use", file_.path());
-    } else {
-      token_ = token;
-    }
-  }
+  TokenPlugin(const std::string& path, std::string contents, std::shared_ptr<Token> token)
+      : token_(std::move(token)), watch_(path, std::move(contents), [token = token_, path](const std::string& now) {
+          if (token->Set(now)) {
+            LogInfo("--token_file=%s was read again", path);
+          } else {
+            LogError("--token_file=%s: want one line; the former token stays in use", path);
+          }
+        }) {}
 
-  RealClock clock_;
-  Mutex mu_;
-  WatchedFile file_ ABSL_GUARDED_BY(mu_);
-  std::string token_ ABSL_GUARDED_BY(mu_);
+  const std::shared_ptr<Token> token_;
+  const FileWatch watch_;
 };
 
 }  // namespace
@@ -109,8 +124,7 @@ absl::StatusOr<ChannelSecurity> ChannelSecurity::Create(const Options& options) 
   if (!options.files.certificate.empty()) tls.watch_identity_key_cert_pairs();
   security.credentials_ = grpc::experimental::TlsCredentials(tls);
   if (!options.token_file.empty()) {
-    auto token = std::make_unique<TokenPlugin>(options.token_file);
-    CRAFTFLEET_RETURN_IF_ERROR(token->Load());
+    CRAFTFLEET_ASSIGN_OR_RETURN(std::unique_ptr<TokenPlugin> token, TokenPlugin::Create(options.token_file));
     security.credentials_ =
         grpc::CompositeChannelCredentials(security.credentials_, grpc::MetadataCredentialsFromPlugin(std::move(token)));
   }
@@ -138,6 +152,7 @@ absl::Status ChannelSecurity::Explain(const absl::Status& error, absl::string_vi
                                                          : ": check the token in --token_file=" + options_.token_file);
       break;
     case absl::StatusCode::kPermissionDenied:
+      if (!absl::StrContains(text, "not allowed")) break;  // about something else than rights
       absl::StrAppend(&text, ": its --access_file gives this process' ",
                       options_.token_file.empty() ? "certificate" : "token or certificate", " no right to this");
       break;

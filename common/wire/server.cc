@@ -132,6 +132,13 @@ absl::Status Server::Options::Validate() const {
   return absl::OkStatus();
 }
 
+absl::Status Server::Options::OpenAccess() {
+  CRAFTFLEET_RETURN_IF_ERROR(Validate());
+  if (access_file.empty()) return absl::OkStatus();
+  CRAFTFLEET_ASSIGN_OR_RETURN(access, AccessControl::Create(access_file));
+  return absl::OkStatus();
+}
+
 absl::StatusOr<std::unique_ptr<Server>> Server::Create(const Options& options,
                                                        const std::vector<grpc::Service*>& services) {
   CRAFTFLEET_RETURN_IF_ERROR(options.Validate());
@@ -143,8 +150,9 @@ absl::StatusOr<std::unique_ptr<Server>> Server::Create(const Options& options,
     credentials = TlsListenerCredentials(options.files, options.ask_clients && !options.files.authorities.empty());
   }
   if (!options.access_file.empty()) {
-    CRAFTFLEET_ASSIGN_OR_RETURN(std::shared_ptr<AccessControl> access, AccessControl::Create(options.access_file));
-    credentials->SetAuthMetadataProcessor(MakeAccessProcessor(std::move(access)));
+    Options opened = options;
+    if (opened.access == nullptr) CRAFTFLEET_RETURN_IF_ERROR(opened.OpenAccess());
+    credentials->SetAuthMetadataProcessor(MakeAccessProcessor(std::move(opened.access)));
   }
   std::unique_ptr<Server> server(new Server);
   CRAFTFLEET_ASSIGN_OR_RETURN(server->main_, Open(options, options.address, std::move(credentials), services));

@@ -24,6 +24,8 @@ class ExternalConnectionAcceptor;
 
 namespace craftfleet::wire {
 
+class AccessControl;
+
 // Thread-safe after Create. The services must outlive the server.
 class Server {
  public:
@@ -33,6 +35,7 @@ class Server {
     TlsFiles files = {};           // with a certificate: TLS
     bool ask_clients = true;       // with authorities too: clients must show a certificate from one of them
     std::string access_file = {};  // who may do what; empty: who gets in may do all
+    std::shared_ptr<AccessControl> access = nullptr;  // `access_file` as OpenAccess gave it; null: Create opens it
     // HOST:PORT of a plain port with nothing but health on it, for a few short connections; empty: none.
     std::string health_address = {};
     int max_connections_per_client = 1024;  // from one address, 1..65536
@@ -40,6 +43,8 @@ class Server {
     int max_buffered_mb = 512;
     bool many_clients = false;  // their calls come all at once: threads wait ready for them
     absl::Status Validate() const;
+    // For services that ask who calls: opens `access_file`, if there is one, as `access`. Errors as Create.
+    absl::Status OpenAccess();
   };
 
   // InvalidArgument: a bad address, one beyond loopback with neither TLS nor `insecure`, or a bad file.   Unavailable:

@@ -22,7 +22,7 @@ void TryInput(absl::string_view input) {
 }
 
 std::vector<std::string> SoundInputs() {
-  return {R"(client { name: "workers" certificate: "actor" right: WORK }
+  return {R"(client { name: "workers" certificate: "actor" right: PLAY }
 client { name: "ops" certificate: "*.example.com" right: WATCH right: STEER })",
           R"(client { name: "monitor" right: WATCH
   token_sha256: "e3b0c44298fc1c149afbf4c8996fb92427ae41e4649b934ca495991b7852b855" })"};

@@ -1,9 +1,16 @@
 #include "common/wire/access.h"
 
+#include <sys/stat.h>
+
+#include <cstdio>
+#include <fstream>
 #include <optional>
 #include <string>
+#include <utility>
 #include <vector>
 
+#include <absl/strings/str_cat.h>
+#include <absl/time/clock.h>
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
@@ -25,7 +32,7 @@ constexpr char kStop[] = "/craftfleet.v1.AdminService/Stop";
 
 // Tokens "watch me" and "boss", through sha256sum.
 constexpr char kFile[] = R"(
-  client { name: "workers" certificate: "*.workers" right: WORK }
+  client { name: "workers" certificate: "*.workers" right: PLAY }
   client {
     name: "monitor"
     token_sha256: "85d9d230f02e4c3e3e73d2d692f0e10d861e71994736b58a8163cff890d9c938"
@@ -48,8 +55,10 @@ TEST(Access, EveryServiceNeedsItsRight) {
   EXPECT_EQ(RightFor(kHealth), v1::RIGHT_UNSPECIFIED);
   EXPECT_EQ(RightFor("/grpc.reflection.v1alpha.ServerReflection/ServerReflectionInfo"), v1::WATCH);
   EXPECT_EQ(RightFor(kStatus), v1::WATCH);
-  EXPECT_EQ(RightFor(kJoin), v1::WORK);
-  EXPECT_EQ(RightFor("/craftfleet.v1.EnvironmentService/Play"), v1::WORK);
+  EXPECT_EQ(RightFor(kJoin), v1::PLAY);
+  EXPECT_EQ(RightFor("/craftfleet.v1.LearnerService/SomethingNew"), v1::PLAY);
+  EXPECT_EQ(RightFor("/craftfleet.v1.LearnerService/Announce"), v1::SERVE);
+  EXPECT_EQ(RightFor("/craftfleet.v1.EnvironmentService/Play"), v1::PLAY);
   EXPECT_EQ(RightFor(kStop), v1::STEER);
   EXPECT_EQ(RightFor("/some.other.Service/Call"), v1::STEER);
   EXPECT_EQ(RightFor(""), v1::STEER);
@@ -69,7 +78,7 @@ TEST(Access, ATokenIsKnownByItsDigest) {
   const Caller monitor = {{}, "watch me", "curl"};
   EXPECT_THAT(Check(monitor, kStatus), IsOk());
   EXPECT_THAT(Check(monitor, kJoin),
-              StatusIs(absl::StatusCode::kPermissionDenied, AllOf(HasSubstr("\"monitor\""), HasSubstr("to work"))));
+              StatusIs(absl::StatusCode::kPermissionDenied, AllOf(HasSubstr("\"monitor\""), HasSubstr("to play"))));
   EXPECT_THAT(Check({{}, "watch mE", "curl"}, kStatus),
               StatusIs(absl::StatusCode::kUnauthenticated,
                        AllOf(HasSubstr("token is not in the access file"), Not(HasSubstr("watch mE")))));
@@ -97,14 +106,57 @@ TEST(Access, WhatAStrangerSaysIsCutAndEscaped) {
 TEST(Access, MistakesInTheFileAreNamed) {
   EXPECT_THAT(ParseAccess("client { nam: 3 }", "a.txt"),
               StatusIs(absl::StatusCode::kInvalidArgument, AllOf(HasSubstr("a.txt:1"), HasSubstr("nam"))));
-  EXPECT_THAT(ParseAccess("client { certificate: \"x\" right: WORK }", "a.txt"),
+  EXPECT_THAT(ParseAccess("client { certificate: \"x\" right: PLAY }", "a.txt"),
               StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("a.txt: a client has no name")));
-  EXPECT_THAT(ParseAccess("client { name: \"x\" right: WORK }", "a.txt"),
+  EXPECT_THAT(ParseAccess("client { name: \"x\" right: PLAY }", "a.txt"),
               StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("neither certificate nor token_sha256")));
-  EXPECT_THAT(ParseAccess("client { name: \"x\" token_sha256: \"secret\" right: WORK }", "a.txt"),
+  EXPECT_THAT(ParseAccess("client { name: \"x\" token_sha256: \"secret\" right: PLAY }", "a.txt"),
               StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("6 characters, want 64")));
   EXPECT_THAT(ParseAccess("client { name: \"x\" certificate: \"*\" }", "a.txt"),
               StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("has no right")));
+}
+
+TEST(Access, AFileOfVersionOneSaysWhatToWriteInstead) {
+  for (const char* right : {"WORK", "2"}) {
+    const std::string text = absl::StrCat("client { name: \"x\" certificate: \"*\" right: ", right, " }");
+    EXPECT_THAT(ParseAccess(text, "a.txt"),
+                StatusIs(absl::StatusCode::kInvalidArgument,
+                         AllOf(HasSubstr("a.txt: "), HasSubstr("WORK is no right any more"),
+                               HasSubstr("write PLAY for actors, SERVE for environment servers"))));
+  }
+  for (const char* right : {"77", "RIGHT_UNSPECIFIED"}) {
+    const std::string text = absl::StrCat("client { name: \"x\" certificate: \"*\" right: ", right, " }");
+    EXPECT_THAT(ParseAccess(text, "a.txt"),
+                StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("want WATCH, PLAY, SERVE or STEER")));
+  }
+}
+
+TEST(Access, WhoServesMayNotPlay) {
+  const auto access = ParseAccess("client { name: \"s\" certificate: \"s\" right: SERVE }", "access.txt");
+  ASSERT_THAT(access, IsOk());
+  EXPECT_THAT(CheckAccess(*access, {{"s"}, std::nullopt, ""}, "/craftfleet.v1.LearnerService/Announce"), IsOk());
+  EXPECT_THAT(CheckAccess(*access, {{"s"}, std::nullopt, ""}, kJoin),
+              StatusIs(absl::StatusCode::kPermissionDenied, HasSubstr("the right to play")));
+}
+
+TEST(Access, AnIdentityOutlastsItsCertificatesAndTokens) {
+  // Tokens "watch me" and "boss" of one client.
+  const auto access = ParseAccess(R"(
+    client { name: "m" token_sha256: "85d9d230f02e4c3e3e73d2d692f0e10d861e71994736b58a8163cff890d9c938" right: PLAY }
+    client { name: "m" token_sha256: "a5e7c002443743c5836758c7d1cd8ddefd9fcf2061daa0efaac683fb99966057" right: PLAY }
+    client { name: "all" certificate: "actor-*" right: PLAY })",
+                                  "access.txt");
+  ASSERT_THAT(access, IsOk());
+  const auto identity = [&](std::vector<std::string> certificate, std::optional<std::string> token) {
+    return Identity(*access, {std::move(certificate), std::move(token), "program"});
+  };
+  EXPECT_EQ(identity({}, "watch me"), "\"m\"");
+  EXPECT_EQ(identity({}, "boss"), "\"m\"");
+  EXPECT_EQ(identity({"actor-1"}, std::nullopt), "certificate actor-1; \"all\"");
+  EXPECT_NE(identity({"actor-2"}, std::nullopt), identity({"actor-1"}, std::nullopt));
+  EXPECT_NE(identity({"actor-1"}, "boss"), identity({"actor-1"}, std::nullopt));
+  EXPECT_EQ(identity({}, std::nullopt), "");
+  EXPECT_EQ(identity({}, "unknown"), "");
 }
 
 TEST(AccessControl, GivesNoReasonAwayAndFollowsItsFile) {
@@ -118,12 +170,29 @@ TEST(AccessControl, GivesNoReasonAwayAndFollowsItsFile) {
   EXPECT_THAT((*control)->Check(a, kJoin), StatusIs(absl::StatusCode::kPermissionDenied,
                                                     "not allowed; the log of the process that was called says why"));
 
-  ASSERT_THAT(ReplaceFile(path, "client { name: \"a\" certificate: \"a\" right: WORK }"), IsOk());
+  ASSERT_THAT(ReplaceFile(path, "client { name: \"a\" certificate: \"a\" right: PLAY }"), IsOk());
   EXPECT_TRUE(WaitUntil([&] { return (*control)->Check(a, kJoin).ok(); }));
   EXPECT_FALSE((*control)->Check(a, kStatus).ok());
 
   ASSERT_THAT(ReplaceFile(path, "nonsense"), IsOk());
   EXPECT_FALSE(WaitUntil([&] { return !(*control)->Check(a, kJoin).ok(); }, absl::Seconds(2)));
+}
+
+TEST(AccessControl, NoCallWaitsForTheFile) {
+  const TempFolder folder;
+  const std::string path = folder / "access.txt";
+  ASSERT_THAT(ReplaceFile(path, "client { name: \"a\" certificate: \"a\" right: WATCH }"), IsOk());
+  const auto control = AccessControl::Create(path);
+  ASSERT_THAT(control, IsOk());
+  // As on a disk that hangs: who opens a FIFO waits until somebody writes to it.
+  ASSERT_EQ(std::remove(path.c_str()), 0);
+  ASSERT_EQ(mkfifo(path.c_str(), 0600), 0);
+  absl::SleepFor(absl::Seconds(1.5));  // a look is due
+  const absl::Time begin = absl::Now();
+  EXPECT_THAT((*control)->Check({{"a"}, std::nullopt, ""}, kStatus), IsOk());
+  EXPECT_LT(absl::Now() - begin, absl::Seconds(5));
+  std::ofstream(path) << "client { name: \"b\" certificate: \"b\" right: WATCH }";
+  EXPECT_TRUE(WaitUntil([&] { return (*control)->Check({{"b"}, std::nullopt, ""}, kStatus).ok(); }));
 }
 
 TEST(AccessControl, WantsAFileThatCanBeRead) {

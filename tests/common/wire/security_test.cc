@@ -2,9 +2,10 @@
 #include "common/wire/security.h"
 
 #include <fcntl.h>
+#include <sys/stat.h>
 #include <unistd.h>
 
-#include <atomic>
+#include <cstdio>
 #include <cstdlib>
 #include <functional>
 #include <memory>
@@ -17,6 +18,7 @@
 #include <gtest/gtest.h>
 
 #include "common/files.h"
+#include "common/wire/access.h"
 #include "common/wire/certificates.h"
 #include "common/wire/channel.h"
 #include "common/wire/server.h"
@@ -40,15 +42,15 @@ class EchoService : public v1::EnvironmentService::Service {
  public:
   grpc::Status Play(grpc::ServerContext* context,
                     grpc::ServerReaderWriter<v1::PlayReply, v1::PlayRequest>* stream) override {
-    saw_token_ = context->client_metadata().count("authorization") > 0;
+    identity_ = IdentifyByCertificate(*context);
     v1::PlayRequest request;
     while (stream->Read(&request)) stream->Write({});
     return grpc::Status::OK;
   }
-  bool saw_token() const { return saw_token_; }
+  std::string identity() const { return identity_; }  // of the last client; read it after the call
 
  private:
-  std::atomic<bool> saw_token_{false};
+  std::string identity_;
 };
 
 class SecurityTest : public testing::Test {
@@ -209,7 +211,7 @@ TEST_F(SecurityTest, TokensGiveRights) {
   const std::string access = folder_ / "access.txt";
   ASSERT_THAT(ReplaceFile(access, absl::StrFormat(R"(
                 client { name: "monitor" token_sha256: "%s" right: WATCH }
-                client { name: "worker" token_sha256: "%s" right: WORK })",
+                client { name: "worker" token_sha256: "%s" right: PLAY })",
                                                   Sha256Hex("monitor's"), Sha256Hex("worker's"))),
               IsOk());
   const auto server = Listen(Files("server", ""), access);
@@ -218,7 +220,6 @@ TEST_F(SecurityTest, TokensGiveRights) {
   const std::string wrong = WriteToken("wrong", "wrong");
   EXPECT_THAT(GetStatus(server->address(), Client("", "ca", monitor)), IsOk());
   EXPECT_THAT(Play(server->address(), Client("", "ca", worker)), IsOk());
-  EXPECT_FALSE(echo_.saw_token());
 
   const std::string log = ErrorLog(
       [&] {
@@ -233,7 +234,7 @@ TEST_F(SecurityTest, TokensGiveRights) {
       },
       "it shows no token");
   EXPECT_THAT(log, AllOf(HasSubstr("refused /craftfleet.v1.EnvironmentService/Play: security_test@"),
-                         HasSubstr("it is \"monitor\" in the access file, without the right to work"),
+                         HasSubstr("it is \"monitor\" in the access file, without the right to play"),
                          HasSubstr("its token is not in the access file"), HasSubstr("it shows no token"),
                          Not(HasSubstr("monitor's"))));
 }
@@ -248,6 +249,27 @@ TEST_F(SecurityTest, ATokenIsReadAgain) {
   ErrorLog([&] { EXPECT_FALSE(GetStatus(endpoint).ok()); });
   WriteToken("token", "new");
   ErrorLog([&] { EXPECT_TRUE(WaitUntil([&] { return GetStatus(endpoint).ok(); })); });
+}
+
+TEST_F(SecurityTest, NoCallWaitsForTheTokensFile) {
+  const std::string access = folder_ / "access.txt";
+  ASSERT_THAT(ReplaceFile(access, absl::StrFormat("client { name: \"a\" token_sha256: \"%s\" right: WATCH }",
+                                                  Sha256Hex("old"))),
+              IsOk());
+  const auto server = Listen(Files("server", ""), access);
+  const std::string path = WriteToken("token", "old");
+  const Endpoint endpoint = Connect(server->address(), Client("", "ca", path));
+  // As on a disk that hangs: who opens a FIFO waits until somebody writes to it.
+  ASSERT_EQ(std::remove(path.c_str()), 0);
+  ASSERT_EQ(mkfifo(path.c_str(), 0600), 0);
+  absl::SleepFor(absl::Seconds(1.5));  // a look is due
+  EXPECT_THAT(GetStatus(endpoint), IsOk());
+}
+
+TEST_F(SecurityTest, AHandlerLearnsWhoCalls) {
+  const auto server = Listen(Files("server"));
+  EXPECT_THAT(Play(server->address(), Client("client")), IsOk());
+  EXPECT_EQ(echo_.identity(), "certificate 127.0.0.1, client, localhost");
 }
 
 // The serial number of the certificate that the server shows on a new connection.

@@ -1,0 +1,62 @@
+#include "common/agent/canary.h"
+
+#include <string>
+
+#include <absl/strings/str_cat.h>
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include "common/cpu_pin.h"
+#include "tests/fakes/command_output.h"
+#include "tests/fakes/status_matchers.h"
+
+namespace craftfleet {
+namespace {
+
+using testing::MatchesRegex;
+using testing::StartsWith;
+
+// What print_canary says in a process whose environment has `variables` too.
+std::string Printed(const std::string& cpu, const std::string& variables = "") {
+  return OutputOf(absl::StrCat(variables, " " CRAFTFLEET_BIN_DIR "/print_canary ", cpu));
+}
+
+TEST(PolicyCanary, IsTheSameInEveryProcessOfAMachine) {
+  const auto canary = PolicyCanary();
+  ASSERT_THAT(canary, IsOk());
+  EXPECT_THAT(*canary, MatchesRegex("[0-9a-f]{16}"));
+  EXPECT_EQ(PolicyCanary(), canary);
+  EXPECT_EQ(Printed("native"), *canary + "\n");
+}
+
+// The promise of `cpu: AVX2`: whatever the machine, these bits.
+TEST(PolicyCanary, WithAvx2IsTheOneThatIsKnown) {
+  if (!CheckCpu(v1::RunConfig::AVX2).ok()) GTEST_SKIP() << "a CPU without AVX2";
+  const absl::string_view known = KnownPolicyCanary(v1::RunConfig::AVX2);
+  if (known.empty())
+    GTEST_SKIP() << "another LibTorch than those whose canary is known; its processes must agree still";
+  EXPECT_EQ(Printed("avx2"), absl::StrCat(known, "\n"));
+  EXPECT_EQ(Printed("avx2", "OPENBLAS_CORETYPE=Prescott ATEN_CPU_CAPABILITY=default"), absl::StrCat(known, "\n"))
+      << "the pin must win";
+}
+
+// That the canary sees what it is there for.
+TEST(PolicyCanary, DiffersWhereTheInstructionsDo) {
+  if (!CheckCpu(v1::RunConfig::AVX2).ok()) GTEST_SKIP() << "a CPU without AVX2";
+  const std::string plain = Printed("native",
+                                    "ATEN_CPU_CAPABILITY=default ONEDNN_MAX_CPU_ISA=SSE41 "
+                                    "DNNL_MAX_CPU_ISA=SSE41 OPENBLAS_CORETYPE=Prescott");
+  EXPECT_THAT(plain, MatchesRegex("[0-9a-f]{16}\n"));
+  EXPECT_NE(plain, Printed("avx2"));
+}
+
+TEST(PolicyCanary, OfAvx512IsMadeOrRefused) {
+  if (CheckCpu(v1::RunConfig::AVX512).ok()) {
+    EXPECT_THAT(Printed("avx512"), MatchesRegex("[0-9a-f]{16}\n"));
+  } else {
+    EXPECT_THAT(Printed("avx512"), StartsWith("error: the run wants cpu: AVX512"));
+  }
+}
+
+}  // namespace
+}  // namespace craftfleet

@@ -1,0 +1,184 @@
+// Workers' names at a learner's service: with TLS a name is its certificate's.
+
+#include <memory>
+#include <string>
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include "common/wire/grpc_status.h"
+#include "common/wire/protocol.h"
+#include "common/wire/server.h"
+#include "learner/learner_service.h"
+#include "tests/fakes/status_matchers.h"
+#include "tests/fakes/temp_folder.h"
+#include "tests/fakes/test_certificates.h"
+#include "tests/fakes/wire_samples.h"
+
+namespace craftfleet {
+namespace {
+
+using testing::HasSubstr;
+
+constexpr int64_t kEpoch = 4;
+constexpr int64_t kVersion = 11;
+
+class WorkerNamesTest : public testing::Test {
+ protected:
+  WorkerNamesTest() {
+    for (const char* name : {"learner", "one", "two"}) ca_.Issue(name, {name});
+    ledger_.OpenIteration(2, kVersion);
+    evaluations_.Add({1, 4096, 1, 2, false, std::make_shared<std::string>("weights")});
+  }
+
+  wire::TlsFiles Files(const std::string& name) const {
+    return {folder_ / (name + ".pem"), folder_ / (name + ".key"), folder_ / "ca.pem"};
+  }
+  // Who shows the certificate of `name`; "": the server speaks no TLS.
+  std::unique_ptr<v1::LearnerService::Stub> Client(const std::string& name) {
+    if (server_ == nullptr) {
+      wire::Server::Options options;
+      options.address = "127.0.0.1:0";
+      if (!name.empty()) options.files = Files("learner");
+      server_ = *wire::Server::Create(options, {&service_});
+    }
+    wire::ChannelSecurity security;
+    if (!name.empty()) security = *wire::ChannelSecurity::Create({Files(name), "", ""});
+    return v1::LearnerService::NewStub(wire::Connect(server_->address(), security).channel);
+  }
+
+  static absl::Status Join(v1::LearnerService::Stub* stub, const std::string& actor) {
+    v1::JoinRequest request;
+    request.set_protocol_version(wire::kProtocolVersion);
+    request.set_actor(actor);
+    return Call<v1::JoinReply>(stub, &v1::LearnerService::Stub::Join, request);
+  }
+  static absl::Status GetPermits(v1::LearnerService::Stub* stub, const std::string& actor) {
+    v1::PermitRequest request;
+    request.set_actor(actor);
+    request.set_epoch(kEpoch);
+    request.set_capacity(100);
+    return Call<v1::PermitReply>(stub, &v1::LearnerService::Stub::GetPermits, request);
+  }
+  static absl::Status Push(v1::LearnerService::Stub* stub, const std::string& actor) {
+    grpc::ClientContext context;
+    wire::SetDeadline(&context, absl::Seconds(20));
+    const auto stream = stub->PushFragments(&context);
+    v1::FragmentMessage message = wire::ToProto(SampleFragment(1, 0, kVersion, kEpoch));
+    message.set_actor(actor);
+    v1::FragmentVerdict verdict;
+    if (stream->Write(message)) stream->Read(&verdict);
+    stream->WritesDone();
+    return wire::FromGrpc(stream->Finish(), "learner");
+  }
+  static absl::Status FinishEvaluation(v1::LearnerService::Stub* stub, const std::string& actor) {
+    v1::EvaluationResult request;
+    request.set_actor(actor);
+    request.set_epoch(kEpoch);
+    request.set_id(2);
+    return Call<v1::EvaluationReply>(stub, &v1::LearnerService::Stub::FinishEvaluation, request);
+  }
+  static absl::Status Leave(v1::LearnerService::Stub* stub, const std::string& actor) {
+    v1::LeaveRequest request;
+    request.set_actor(actor);
+    return Call<v1::LeaveReply>(stub, &v1::LearnerService::Stub::Leave, request);
+  }
+  static absl::Status Announce(v1::LearnerService::Stub* stub, const std::string& name, const std::string& address,
+                               bool leaving = false) {
+    v1::Announcement request;
+    request.set_protocol_version(wire::kProtocolVersion);
+    request.set_name(name);
+    request.set_address(address);
+    request.set_leaving(leaving);
+    return Call<v1::AnnounceReply>(stub, &v1::LearnerService::Stub::Announce, request);
+  }
+
+  int Permits(const std::string& actor) {
+    for (const LaneLedger::ActorInfo& info : ledger_.Actors()) {
+      if (info.name == actor) return info.permits;
+    }
+    return -1;
+  }
+
+  const TempFolder folder_;
+  TestAuthority ca_{folder_, "ca"};
+  RealClock clock_;
+  LaneLedger ledger_{{kSampleShape.lanes}, std::vector<LaneRecord>(kSampleShape.lanes), &clock_};
+  WeightStore weights_;
+  FragmentQueue fragments_{100};
+  EvaluationBook evaluations_{absl::Minutes(5), &clock_};
+  ServerRegistry env_servers_{absl::Minutes(5), &clock_};
+  FleetBook fleet_{absl::Minutes(5), &clock_};
+  LearnerServiceImpl service_{ServiceOptions(), &ledger_,      &weights_, &fragments_,
+                              &evaluations_,    &env_servers_, &fleet_};
+  std::unique_ptr<wire::Server> server_;
+
+ private:
+  static LearnerServiceImpl::Options ServiceOptions() {
+    LearnerServiceImpl::Options options;
+    options.run_id = "run-a";
+    options.epoch = kEpoch;
+    options.config.set_lanes(kSampleShape.lanes);
+    options.shape = kSampleShape;
+    options.lease = absl::Minutes(5);
+    return options;
+  }
+  template <typename Reply, typename Request>
+  static absl::Status Call(v1::LearnerService::Stub* stub,
+                           grpc::Status (v1::LearnerService::Stub::*method)(grpc::ClientContext*, const Request&,
+                                                                            Reply*),
+                           const Request& request) {
+    grpc::ClientContext context;
+    wire::SetDeadline(&context, absl::Seconds(20));
+    context.set_wait_for_ready(true);
+    Reply reply;
+    return wire::FromGrpc((stub->*method)(&context, request, &reply), "learner");
+  }
+};
+
+TEST_F(WorkerNamesTest, NobodySpeaksInAnothersName) {
+  const auto one = Client("one");
+  const auto two = Client("two");
+  ASSERT_THAT(Join(one.get(), "a"), IsOk());
+  ASSERT_THAT(GetPermits(one.get(), "a"), IsOk());
+  const int permits = Permits("a");
+  ASSERT_GT(permits, 0);
+  ASSERT_THAT(Announce(one.get(), "server", "10.0.0.1:50061"), IsOk());
+
+  const auto denied = StatusIs(absl::StatusCode::kPermissionDenied, HasSubstr("actor \"a\" is somebody else"));
+  EXPECT_THAT(Join(two.get(), "a"), denied);
+  EXPECT_THAT(GetPermits(two.get(), "a"), denied);
+  EXPECT_THAT(Push(two.get(), "a"), denied);
+  EXPECT_THAT(FinishEvaluation(two.get(), "a"), denied);
+  EXPECT_THAT(Leave(two.get(), "a"), denied);
+  EXPECT_THAT(Announce(two.get(), "server", "10.0.0.2:50061"),
+              StatusIs(absl::StatusCode::kPermissionDenied, HasSubstr("environment server \"server\" is somebody")));
+  EXPECT_THAT(Announce(two.get(), "server", "10.0.0.1:50061", /*leaving=*/true),
+              StatusIs(absl::StatusCode::kPermissionDenied));
+  EXPECT_THAT(Announce(two.get(), "mine", "10.0.0.1:50061"),
+              StatusIs(absl::StatusCode::kPermissionDenied, HasSubstr("\"10.0.0.1:50061\" is somebody else")));
+  EXPECT_EQ(Permits("a"), permits) << "nothing was taken from it";
+  ASSERT_EQ(env_servers_.All().size(), 1);
+  EXPECT_EQ(env_servers_.All()[0].name, "server");
+
+  // In its own name it may all of that.
+  EXPECT_THAT(Push(one.get(), "a"), IsOk());
+  EXPECT_THAT(Leave(one.get(), "a"), IsOk());
+  EXPECT_THAT(Announce(one.get(), "server", "10.0.0.1:50061", /*leaving=*/true), IsOk());
+  EXPECT_THAT(Join(two.get(), "a"), IsOk()) << "the name is free";
+  EXPECT_THAT(Announce(two.get(), "mine", "10.0.0.1:50061"), IsOk());
+}
+
+TEST_F(WorkerNamesTest, ARenewedCertificateIsTheSameWorker) {
+  ASSERT_THAT(Join(Client("one").get(), "a"), IsOk());
+  ca_.Issue("one", {"one", 77});
+  EXPECT_THAT(GetPermits(Client("one").get(), "a"), IsOk());
+}
+
+TEST_F(WorkerNamesTest, WithoutTlsANameIsBoundToNobody) {
+  ASSERT_THAT(Join(Client("").get(), "a"), IsOk());
+  EXPECT_THAT(Leave(Client("").get(), "a"), IsOk());
+}
+
+}  // namespace
+}  // namespace craftfleet
