@@ -33,8 +33,9 @@ absl::Status CheckRanges(const v1::RunConfig& config) {
   check.Within("fragment_steps", config.fragment_steps(), 1, 16384);
   check.Within("tile", config.tile(), 1, 256);
   check.Within("gradient_shards", config.gradient_shards(), 1, 256);
-  check.That(v1::RunConfig::Cpu_IsValid(config.cpu()) && config.cpu() != v1::RunConfig::CPU_UNSPECIFIED,
-             absl::StrCat("cpu is ", v1::RunConfig::Cpu_Name(config.cpu()), ", want NATIVE, AVX2 or AVX512"));
+  // Checkpoints of version 0.1 have none.
+  const bool known_cpu = config.cpu() != v1::RunConfig::CPU_UNSPECIFIED && v1::RunConfig::Cpu_IsValid(config.cpu());
+  check.That(!config.has_cpu() || known_cpu, "cpu is CPU_UNSPECIFIED or unknown, want NATIVE, AVX2 or AVX512");
   const v1::PpoConfig& ppo = config.ppo();
   check.Within("ppo.rollout_steps", ppo.rollout_steps(), 1, 1 << 24);
   check.Within("ppo.minibatch_size", ppo.minibatch_size(), 1, 1 << 20);

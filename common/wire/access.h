@@ -1,4 +1,4 @@
-// Who may watch, work and steer: the one place where calls are let in or refused.
+// Who may watch, play, serve and steer: the one place where calls are let in or refused.
 
 #ifndef CRAFTFLEET_COMMON_WIRE_ACCESS_H_
 #define CRAFTFLEET_COMMON_WIRE_ACCESS_H_

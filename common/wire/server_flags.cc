@@ -10,7 +10,7 @@
 ABSL_FLAG(bool, insecure, false, "allow --listen beyond this host without TLS");
 ABSL_FLAG(bool, tls_client_certs, true, "with --tls_cert and --tls_ca: want a certificate of each client");
 ABSL_FLAG(std::string, access_file, "",
-          "who may watch, work and steer, in protobuf text format (access.proto); wants --tls_cert;\n"
+          "who may watch, play, serve and steer, in protobuf text format (access.proto); wants --tls_cert;\n"
           "read again when it changes [who gets in may do all]");
 ABSL_FLAG(
     std::string, health_listen, "",

@@ -38,6 +38,7 @@ std::string RunIdentity(const v1::RunConfig& config) {
   shaping.clear_checkpoint();
   shaping.clear_tile();
   shaping.clear_gradient_shards();
+  shaping.clear_cpu();  // the last bits
   // Whole, so that it does not matter whether a value was given or came with the agent.
   *shaping.mutable_network() = ResolveNetwork(config).value_or(config.network());
   shaping.clear_eval();

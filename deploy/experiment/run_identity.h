@@ -15,8 +15,8 @@ namespace craftfleet {
 absl::Status CheckEnvs(const v1::RunConfig& config);
 
 // Equal for two complete configurations when their runs may be averaged: all that shapes learning or what is measured
-// counts; the seed, checkpoints, how often it is evaluated, and how the computing is cut up (tile, gradient shards) do
-// not. Environments count by their canonical names.
+// counts; the seed, checkpoints, how often it is evaluated, and how the computing is done (tile, gradient shards, cpu)
+// do not. Environments count by their canonical names.
 std::string RunIdentity(const v1::RunConfig& config);
 
 }  // namespace craftfleet

@@ -169,6 +169,7 @@ eval {
   final_episodes: 20
   seed: 0
 }
+cpu: NATIVE
 )");
 }
 
@@ -194,6 +195,13 @@ TEST(RunConfig, GivenFragmentStepsStay) {
   config.set_fragment_steps(0);
   EXPECT_THAT(ResolveRunConfig(config),
               StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("fragment_steps is 0, want 1..16384")));
+}
+
+TEST(RunConfig, ThatOfAnOldCheckpointHasNoCpu) {
+  v1::RunConfig config = Resolved();
+  config.clear_cpu();
+  EXPECT_THAT(ValidateRunConfig(config), IsOk());
+  EXPECT_EQ(ResolveRunConfig(config).value().cpu(), v1::RunConfig::NATIVE);
 }
 
 struct BadValue {
@@ -224,6 +232,8 @@ INSTANTIATE_TEST_SUITE_P(
         BadValue{"fragment_steps is 20000, want 1..16384", [](auto* c) { c->set_fragment_steps(20000); }},
         BadValue{"tile is 0, want 1..256", [](auto* c) { c->set_tile(0); }},
         BadValue{"gradient_shards is 0, want 1..256", [](auto* c) { c->set_gradient_shards(0); }},
+        BadValue{"cpu is CPU_UNSPECIFIED", [](auto* c) { c->set_cpu(v1::RunConfig::CPU_UNSPECIFIED); }},
+        BadValue{"want NATIVE, AVX2 or AVX512", [](auto* c) { c->set_cpu(static_cast<v1::RunConfig::Cpu>(77)); }},
         BadValue{"ppo.rollout_steps is 0", [](auto* c) { c->mutable_ppo()->set_rollout_steps(0); }},
         BadValue{"ppo.minibatch_size is 0", [](auto* c) { c->mutable_ppo()->set_minibatch_size(0); }},
         BadValue{"ppo.epochs is 0, want 1..1000", [](auto* c) { c->mutable_ppo()->set_epochs(0); }},

@@ -22,6 +22,10 @@
 
 #include "common/wire/certificates.h"
 #include "common/wire/channel.h"
+#include "common/wire/grpc_status.h"
+#include "common/wire/protocol.h"
+#include "craftfleet/v1/learner.grpc.pb.h"
+#include "craftfleet/v1/status.grpc.pb.h"
 #include "tests/fakes/sanitizers.h"
 #include "tests/fakes/test_certificates.h"
 #include "tests/fakes/wait_until.h"
@@ -37,10 +41,10 @@ using testing::Not;
 class SecureFleetTest : public FleetRunTest {
  protected:
   SecureFleetTest() {
-    for (const char* name : {"learner", "envserver", "actor", "monitor", "guest"}) ca_.Issue(name, {name});
+    for (const char* name : {"learner", "envserver", "actor", "actor-2", "monitor", "guest"}) ca_.Issue(name, {name});
     EXPECT_THAT(WriteFileSynced(folder_ / "access.txt", absl::StrFormat(R"(
-                  client { name: "workers" certificate: "actor" right: WORK }
-                  client { name: "servers" certificate: "envserver" right: WORK }
+                  client { name: "workers" certificate: "actor*" right: PLAY }
+                  client { name: "servers" certificate: "envserver" right: SERVE }
                   client { name: "monitor" certificate: "monitor" right: WATCH }
                   client { name: "guest with token" certificate: "guest" token_sha256: "%s" right: WATCH })",
                                                                         wire::Sha256Hex("sesame"))),
@@ -53,6 +57,9 @@ class SecureFleetTest : public FleetRunTest {
                                       "--tls_key=" + (folder_ / (name + ".key")), "--tls_ca=" + (folder_ / "ca.pem")};
     flags.insert(flags.end(), more.begin(), more.end());
     return flags;
+  }
+  wire::TlsFiles FilesOf(const std::string& name) const {
+    return {folder_ / (name + ".pem"), folder_ / (name + ".key"), folder_ / "ca.pem"};
   }
   std::string AccessFlag() const { return "--access_file=" + (folder_ / "access.txt"); }
 
@@ -132,12 +139,95 @@ TEST_F(SecureFleetTest, StrangersAreRefusedAndTheRunIsTheSame) {
                     HasSubstr("refused /craftfleet.v1.StatusService/GetStatus: craftfleet-stat"),
                     HasSubstr("the access file has no client with this certificate and no token"),
                     HasSubstr("its token is not in the access file"),
-                    HasSubstr("it is \"monitor\" in the access file, without the right to work"),
+                    HasSubstr("it is \"monitor\" in the access file, without the right to play"),
                     HasSubstr("it is \"monitor\" in the access file, without the right to steer"),
                     HasSubstr("it is \"workers\" in the access file, without the right to watch")));
   EXPECT_THAT(learner_->Err(), Not(HasSubstr("sesame")));
   ExpectTheRunToEndLikeQuiet("strangers");
   EXPECT_THAT(actor_->Err(), Not(HasSubstr("trying again")));
+}
+
+// Calls a unary method of the learner at `address` as who shows certificate `name`.
+template <typename Reply, typename Request>
+absl::Status CallLearner(const std::string& address, const wire::TlsFiles& files,
+                         grpc::Status (v1::LearnerService::Stub::*method)(grpc::ClientContext*, const Request&, Reply*),
+                         const Request& request) {
+  const auto security = wire::ChannelSecurity::Create({files, "", ""});
+  if (!security.ok()) return security.status();
+  const auto stub = v1::LearnerService::NewStub(wire::Connect(address, *security).channel);
+  grpc::ClientContext context;
+  wire::SetDeadline(&context, kPatience);
+  Reply reply;
+  return wire::FromGrpc((stub.get()->*method)(&context, request, &reply), "learner");
+}
+
+TEST_F(SecureFleetTest, NobodyActsInAnothersName) {
+  StartFleet("names");
+  const std::string server_address = server_->WaitForAddress("listening on ", kPatience).value();
+  WaitForCheckpoint("names", 2);
+  // Names are no secret: the page of the learner has them.
+  const auto monitor = wire::ChannelSecurity::Create({FilesOf("monitor"), "", ""});
+  ASSERT_THAT(monitor, IsOk());
+  grpc::ClientContext context;
+  v1::StatusReply status;
+  ASSERT_TRUE(v1::StatusService::NewStub(wire::Connect(learner_address_, *monitor).channel)
+                  ->GetStatus(&context, {}, &status)
+                  .ok());
+  int tried = 0;
+  for (const v1::Peer& peer : status.peers()) {
+    if (peer.role() == "actor") {
+      v1::LeaveRequest leave;
+      leave.set_actor(peer.name());
+      EXPECT_THAT(CallLearner(learner_address_, FilesOf("actor-2"), &v1::LearnerService::Stub::Leave, leave),
+                  StatusIs(absl::StatusCode::kPermissionDenied, HasSubstr(peer.name())));
+      // An environment server has no business with permits at all.
+      EXPECT_THAT(CallLearner(learner_address_, FilesOf("envserver"), &v1::LearnerService::Stub::Leave, leave),
+                  StatusIs(absl::StatusCode::kPermissionDenied, HasSubstr("not allowed")));
+      ++tried;
+    } else if (peer.role() == "envserver") {
+      v1::Announcement announcement;
+      announcement.set_protocol_version(wire::kProtocolVersion);
+      announcement.set_name(peer.name());
+      announcement.set_address(server_address);
+      announcement.set_leaving(true);
+      EXPECT_THAT(CallLearner(learner_address_, FilesOf("actor"), &v1::LearnerService::Stub::Announce, announcement),
+                  StatusIs(absl::StatusCode::kPermissionDenied, HasSubstr("not allowed")));
+      ++tried;
+    }
+  }
+  EXPECT_EQ(tried, 2);
+  EXPECT_EQ(learner_->Wait(absl::ZeroDuration()), std::nullopt) << "the run ended before the tries";
+  EXPECT_THAT(learner_->Err(), HasSubstr("refused certificate 127.0.0.1, actor-2, localhost; \"workers\": actor"));
+  ExpectTheRunToEndLikeQuiet("names");
+  EXPECT_THAT(actor_->Err(), Not(HasSubstr("lapsed")));
+}
+
+TEST_F(SecureFleetTest, ATokenReplacedWithoutOverlapIsTakenUp) {
+  const auto allow = [&](const std::string& token) {
+    ASSERT_THAT(ReplaceFile(folder_ / "access.txt", absl::StrFormat(R"(
+                  client { name: "workers" certificate: "actor" right: PLAY }
+                  client { name: "servers" token_sha256: "%s" right: SERVE })",
+                                                                    wire::Sha256Hex(token))),
+                IsOk());
+  };
+  allow("old");
+  ASSERT_THAT(WriteFileSynced(folder_ / "token", "old\n"), IsOk());
+  learner_ = StartLearner("token", "127.0.0.1:0", Tls("learner", {AccessFlag()}));
+  learner_address_ = learner_->WaitForAddress("listening on ", kPatience).value();
+  server_ = Start("craftfleet-envserver", "token-server",
+                  Tls("envserver", {"--listen=127.0.0.1:0", "--learner=" + learner_address_,
+                                    "--token_file=" + (folder_ / "token")}));
+  ASSERT_TRUE(server_->WaitForText("knows of this server", kPatience)) << server_->Err();
+  allow("new");
+  ASSERT_TRUE(server_->WaitForText("trying again until it answers", kPatience)) << server_->Err();
+  ASSERT_THAT(ReplaceFile(folder_ / "token", "new\n"), IsOk());
+  EXPECT_TRUE(WaitUntil([&] {
+    const std::string log = server_->Err();
+    return log.find("knows of this server") != log.rfind("knows of this server");
+  })) << server_->Err();
+  actor_ = Start("craftfleet-actor", "token-actor",
+                 Tls("actor", {"--learner=" + learner_address_, "--envservers=learner", "--threads=2"}));
+  ExpectTheRunToEndLikeQuiet("token");
 }
 
 // The serial number of the certificate that a process shows, in hexadecimal.

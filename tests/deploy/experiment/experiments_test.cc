@@ -179,6 +179,7 @@ TEST(RunIdentity, LeavesOutWhatDoesNotShapeTheRun) {
   other.set_seed(7);
   other.set_tile(4);
   other.set_gradient_shards(1);
+  other.set_cpu(v1::RunConfig::AVX2);
   other.mutable_checkpoint()->set_keep(9);
   other.mutable_env()->set_frame_size(64);
   other.mutable_env()->set_name("crafter:numbers=default");
