@@ -37,8 +37,9 @@ class Site:
 class Worker:
     """A process that is started again with the same command whenever it was killed."""
 
-    def __init__(self, name, command, log):
-        self.name, self.command, self.log = name, [str(part) for part in command], log
+    def __init__(self, name, command, log, address=None):
+        """`address`: where it listens, if it does."""
+        self.name, self.command, self.log, self.address = name, [str(part) for part in command], log, address
         self.process, self.started, self.paused = None, 0, False
         self.start()
 
@@ -84,28 +85,33 @@ class Worker:
 
 
 class Fleet:
-    """A learner on `learner_site`; environment servers and actors dealt out over `sites`. Logs go to the folder `out`."""
+    """A learner on `learner_site`; environment servers and actors dealt out over `sites`. Logs go to the folder `out`.
+
+    `flags`: more of them by role: learner, server, actor, and status, which asks the learner."""
 
     def __init__(self, bin_folder, out, config, logdir, learner_site, sites, actors=0, servers=0,
-                 threads=1):
+                 threads=1, flags=None):
         self.bin, out = pathlib.Path(bin_folder), pathlib.Path(out)
+        self.flags = {"learner": [], "server": [], "actor": [], "status": [], **(flags or {})}
         self.learner_site, self.learner_address = learner_site, learner_site.listen()
         reached = learner_site.reached_at(self.learner_address)
         learner = [*learner_site.command_prefix, self.bin / "craftfleet-learner", f"--config={config}",
-                   f"--logdir={logdir}", f"--listen={self.learner_address}", f"--threads={threads}", *learner_site.flags]
-        self.learner = Worker("learner", learner, out / "learner.log")
+                   f"--logdir={logdir}", f"--listen={self.learner_address}", f"--threads={threads}", *learner_site.flags,
+                   *self.flags["learner"]]
+        self.learner = Worker("learner", learner, out / "learner.log", self.learner_address)
         self.workers = []
         try:
             for i in range(servers):
                 site = sites[i % len(sites)]
                 listen = site.listen()
                 command = [*site.command_prefix, self.bin / "craftfleet-envserver", f"--listen={listen}",
-                           f"--advertise={site.reached_at(listen)}", f"--learner={reached}", *site.flags]
-                self.workers.append(Worker(f"server{i}", command, out / f"server{i}.log"))
+                           f"--advertise={site.reached_at(listen)}", f"--learner={reached}", *site.flags,
+                           *self.flags["server"]]
+                self.workers.append(Worker(f"server{i}", command, out / f"server{i}.log", listen))
             for i in range(actors):
                 site = sites[i % len(sites)]
                 command = [*site.command_prefix, self.bin / "craftfleet-actor", f"--learner={reached}",
-                           "--envservers=learner", f"--threads={threads}"]
+                           "--envservers=learner", f"--threads={threads}", *self.flags["actor"]]
                 self.workers.append(Worker(f"actor{i}", command, out / f"actor{i}.log"))
         except BaseException:
             self.stop()
@@ -114,7 +120,7 @@ class Fleet:
     def iteration(self):
         """What the learner says, -1 while it says nothing."""
         command = [*self.learner_site.command_prefix, self.bin / "craftfleet-status",
-                   f"--address={self.learner_address}", "--json"]
+                   f"--address={self.learner_address}", "--json", *self.flags["status"]]
         result = subprocess.run(command, capture_output=True, text=True, timeout=30, check=False)
         if result.returncode != 0:
             return -1

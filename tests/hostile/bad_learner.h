@@ -1,0 +1,44 @@
+// A learner that misbehaves.
+
+#ifndef CRAFTFLEET_TESTS_HOSTILE_BAD_LEARNER_H_
+#define CRAFTFLEET_TESTS_HOSTILE_BAD_LEARNER_H_
+
+#include <atomic>
+
+#include "craftfleet/v1/learner.grpc.pb.h"
+
+namespace craftfleet {
+
+enum class LearnerMisdeed {
+  kSilent,    // takes every call and answers none
+  kLying,     // one field of each answer is what no learner may say
+  kFlooding,  // weights without end
+};
+
+// Thread-safe.
+class BadLearnerService : public v1::LearnerService::Service {
+ public:
+  explicit BadLearnerService(LearnerMisdeed misdeed) : misdeed_(misdeed) {}
+
+  grpc::Status Join(grpc::ServerContext* context, const v1::JoinRequest* request, v1::JoinReply* reply) override;
+  grpc::Status GetPermits(grpc::ServerContext* context, const v1::PermitRequest* request,
+                          v1::PermitReply* reply) override;
+  grpc::Status GetWeights(grpc::ServerContext* context, const v1::WeightsRequest* request,
+                          grpc::ServerWriter<v1::WeightsChunk>* writer) override;
+  grpc::Status GetSnapshot(grpc::ServerContext* context, const v1::SnapshotRequest* request,
+                           v1::SnapshotReply* reply) override;
+  grpc::Status Announce(grpc::ServerContext* context, const v1::Announcement* request,
+                        v1::AnnounceReply* reply) override;
+
+ private:
+  // True once the caller has gone, if this learner answers nobody.
+  bool Ignored(const grpc::ServerContext& context) const;
+
+  const LearnerMisdeed misdeed_;
+  std::atomic<int> joined_{0};
+  std::atomic<int> asked_{0};
+};
+
+}  // namespace craftfleet
+
+#endif  // CRAFTFLEET_TESTS_HOSTILE_BAD_LEARNER_H_
