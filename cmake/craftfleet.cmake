@@ -41,7 +41,7 @@ function(craftfleet_test)
   add_executable(${ARG_NAME} ${ARG_SRCS})
   target_link_libraries(${ARG_NAME} PRIVATE ${ARG_DEPS} GTest::gmock GTest::gtest_main craftfleet_flags)
   # What a test costs is to compile it; what it tests is compiled as it ships.
-  target_compile_options(${ARG_NAME} PRIVATE $<$<CONFIG:Release>:-O0>)
+  target_compile_options(${ARG_NAME} PRIVATE -O0)
   target_compile_definitions(${ARG_NAME} PRIVATE CRAFTFLEET_SOURCE_DIR="${PROJECT_SOURCE_DIR}"
                                                  CRAFTFLEET_BIN_DIR="${CMAKE_BINARY_DIR}/bin")
   if(NOT ARG_TIMEOUT)

@@ -2,7 +2,7 @@
 # Configures and builds everything; programs land in <build folder>/bin (build/bin for release).
 #
 # Usage: deploy/build.sh [PRESET]
-#   PRESET  release (default), debug, asan-ubsan or tsan: see CMakePresets.json
+#   PRESET  release (default), debug, asan-ubsan, asan-ubsan-unit or tsan: see CMakePresets.json
 #   JOBS    environment variable: compilers at a time; default: one per core, as far as memory goes
 
 set -euo pipefail

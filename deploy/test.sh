@@ -3,7 +3,8 @@
 # tests were skipped. Fails when a test failed or none ran.
 #
 # Usage: deploy/test.sh [--suites=PRESET,...] [CTEST ARGUMENT]...
-#   --suites=PRESET,...        one after the other: release (default), debug, asan-ubsan, tsan; see CMakePresets.json
+#   --suites=PRESET,...        one after the other: release (default), debug, asan-ubsan, asan-ubsan-unit, tsan; see
+#                              CMakePresets.json
 #   deploy/test.sh -L unit     only tests with a label: unit, golden, property, integration, bench, tsan
 #   deploy/test.sh -R World    only tests whose name has "World" in it
 #   CRAFTFLEET_GOLDEN_DIR      environment variable: folder with the golden files; without it their tests are skipped
