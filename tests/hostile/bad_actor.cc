@@ -32,8 +32,8 @@ absl::Status BadActor::Join() {
   v1::JoinRequest request;
   request.set_protocol_version(wire::kProtocolVersion);
   request.set_actor(name_);
-  request.set_build(std::string(Version()));
-  request.set_canary(AgentCanary());
+  request.set_build(BuildId());
+  CRAFTFLEET_ASSIGN_OR_RETURN(*request.mutable_canary(), PolicyCanary());
   CRAFTFLEET_ASSIGN_OR_RETURN(joined_, learner_.Join(request));
   CRAFTFLEET_ASSIGN_OR_RETURN(spec_, MakeAgentSpec(joined_.config()));
   return absl::OkStatus();
@@ -177,8 +177,6 @@ void BadActor::FloodOnce() {
   v1::JoinRequest request;
   request.set_protocol_version(wire::kProtocolVersion);
   request.set_actor(UniqueWorkerName());
-  request.set_build(std::string(Version()));
-  request.set_canary(AgentCanary());
   client.Join(request).IgnoreError();
 
   const auto stub = v1::LearnerService::NewStub(apart.channel);

@@ -31,7 +31,7 @@ grpc::Status BadLearnerService::Join(grpc::ServerContext* context, const v1::Joi
   reply->set_epoch(1);
   *reply->mutable_config() = *config;
   reply->set_lease_ms(5000);
-  reply->set_program_version(std::string(Version()));
+  reply->set_program_version(std::string(ProgramVersion()));
   if (misdeed_ == LearnerMisdeed::kLying) {
     switch (joined_++ % 4) {
       case 0:

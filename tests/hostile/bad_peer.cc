@@ -70,7 +70,9 @@ absl::Status RunEnvServer(const std::string& misdeed, const wire::Endpoint& lear
       wire::Server::Create(wire::ServerOptionsFromFlags(absl::GetFlag(FLAGS_listen)), {&service}));
   CRAFTFLEET_ASSIGN_OR_RETURN(const std::string textures, DefaultTextureDir());
   CRAFTFLEET_ASSIGN_OR_RETURN(const std::string digest, TextureDigest(textures));
-  Announcer announcer(learner, server->address(), digest, [] { return v1::ProcessSummary(); });
+  CRAFTFLEET_ASSIGN_OR_RETURN(const std::shared_ptr<const Textures> loaded, Textures::Load(textures));
+  CRAFTFLEET_ASSIGN_OR_RETURN(const std::string canary, GameCanary(*loaded));
+  Announcer announcer(learner, server->address(), digest, canary, [] { return v1::ProcessSummary(); });
   server->Wait();
   return absl::OkStatus();
 }
