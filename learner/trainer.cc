@@ -132,10 +132,11 @@ absl::Status Trainer::Collect(std::vector<Fragment>* fragments) {
       last_news = parts_.clock->Now();
     } else if (parts_.clock->Now() - last_news > kSayWaiting) {
       last_news = parts_.clock->Now();
-      CRAFTFLEET_RETURN_IF_ERROR(parts_.folder->CheckOwned());
       LogInfo("waiting for actors: %d of %d fragments are here, %d actors have joined", fragments->size(), wanted,
               parts_.ledger->Actors().size());
     }
+    // One that nobody plays for must hear of its successor too.
+    if (!fragment.has_value()) CRAFTFLEET_RETURN_IF_ERROR(parts_.folder->CheckOwned());
     ServeCheckpointRequests();
     parts_.progress->Update(counters_.env_steps + static_cast<int64_t>(fragments->size()) * config_.fragment_steps(),
                             parts_.folder->score());

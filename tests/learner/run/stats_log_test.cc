@@ -176,5 +176,21 @@ TEST(ReadStats, RefusesGarbageNamingTheLine) {
   EXPECT_THAT(ReadStatsText("\n"), StatusIs(kDataLoss, HasSubstr(":1: not a JSON object")));
 }
 
+TEST(StatsLog, IsReadAsFarAsAsked) {
+  const TempFolder folder;
+  const std::string first = FormatStatsLine(SampleEpisode(1, 1));
+  const std::string path = folder / "stats.jsonl";
+  ASSERT_THAT(WriteFileSynced(path, first + "what comes after"), IsOk());
+  const auto size = static_cast<int64_t>(first.size());
+  int episodes = 0;
+  const auto count = [&episodes](const Episode& /*episode*/) { ++episodes; };
+  EXPECT_THAT(VisitStats(path, size, count), IsOk());
+  EXPECT_EQ(episodes, 1);
+  EXPECT_THAT(VisitStats(path, 0, count), IsOk());
+  EXPECT_EQ(episodes, 1);
+  EXPECT_THAT(VisitStats(path, size - 1, count), StatusIs(absl::StatusCode::kDataLoss, testing::HasSubstr("cut off")));
+  EXPECT_THAT(VisitStats(path, 1000, count), StatusIs(absl::StatusCode::kDataLoss));
+}
+
 }  // namespace
 }  // namespace craftfleet

@@ -1,0 +1,84 @@
+// A disk that fails a sync and loses what it had not written by then, as Linux does: the next sync of the same file
+// succeeds, and what was lost stays lost. Defines fsync for the program or the library that includes this; once in
+// each.
+
+#ifndef CRAFTFLEET_TESTS_FAKES_DROPPING_DISK_H_
+#define CRAFTFLEET_TESTS_FAKES_DROPPING_DISK_H_
+
+#include <fcntl.h>
+#include <sys/stat.h>
+#include <sys/syscall.h>
+#include <unistd.h>
+
+#include <cerrno>
+#include <map>
+#include <mutex>
+#include <string>
+
+namespace craftfleet {
+
+// Thread-safe.
+class DroppingDisk {
+ public:
+  static DroppingDisk& Get() {
+    static auto* const disk = new DroppingDisk;  // outlives whatever syncs at exit
+    return *disk;
+  }
+  // The `nth` sync from now on of a path that ends in `ending` fails, 1 or more.
+  void FailSync(const std::string& ending, int nth) {
+    const std::lock_guard<std::mutex> lock(mu_);
+    ending_ = ending;
+    left_ = nth;
+  }
+  // Whether the sync that was to fail has failed.
+  bool failed() const {
+    const std::lock_guard<std::mutex> lock(mu_);
+    return left_ == 0;
+  }
+
+  int Sync(int descriptor) {
+    const std::lock_guard<std::mutex> lock(mu_);
+    const std::string path = PathOf(descriptor);
+    const bool is_meant = left_ > 0 && path.size() >= ending_.size() &&
+                          path.compare(path.size() - ending_.size(), ending_.size(), ending_) == 0;
+    if (is_meant && --left_ == 0) {
+      Drop(path, SizeOf(descriptor));
+      errno = EIO;
+      return -1;
+    }
+    const auto result = static_cast<int>(::syscall(SYS_fsync, descriptor));
+    if (result == 0) synced_[path] = SizeOf(descriptor);
+    return result;
+  }
+
+ private:
+  static std::string PathOf(int descriptor) {
+    char path[4096];
+    const ssize_t size = ::readlink(("/proc/self/fd/" + std::to_string(descriptor)).c_str(), path, sizeof(path));
+    return {path, size > 0 ? static_cast<size_t>(size) : 0};
+  }
+  // 0 for folders, of which nothing is dropped.
+  static off_t SizeOf(int descriptor) {
+    struct stat status {};
+    return ::fstat(descriptor, &status) == 0 && S_ISREG(status.st_mode) ? status.st_size : 0;
+  }
+  void Drop(const std::string& path, off_t size) {
+    const off_t begin = synced_[path];
+    if (begin >= size) return;
+    const std::string zeros(size - begin, '\0');
+    const int descriptor = ::open(path.c_str(), O_WRONLY | O_CLOEXEC);
+    if (::pwrite(descriptor, zeros.data(), zeros.size(), begin) < 0) ::_exit(99);  // the test must not go on without
+    ::close(descriptor);
+  }
+
+  mutable std::mutex mu_;
+  std::string ending_;
+  int left_ = -1;
+  std::map<std::string, off_t> synced_;  // by path
+};
+
+}  // namespace craftfleet
+
+extern "C" int fsync(int descriptor) { return craftfleet::DroppingDisk::Get().Sync(descriptor); }
+
+#endif  // CRAFTFLEET_TESTS_FAKES_DROPPING_DISK_H_

@@ -1,0 +1,109 @@
+// Learners on disks that lock nothing, or lose what they said they would keep.
+
+#include <memory>
+#include <string>
+#include <vector>
+
+#include <absl/strings/str_cat.h>
+#include <absl/strings/str_format.h>
+#include <absl/strings/str_replace.h>
+#include <absl/strings/str_split.h>
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+#include <nlohmann/json.hpp>
+
+#include "tests/fakes/wait_until.h"
+#include "tests/integration/small_run.h"
+
+namespace craftfleet {
+namespace {
+
+using testing::HasSubstr;
+
+class BadDiskTest : public SmallRunTest {
+ protected:
+  // A program whose disk is `disk` (bad_disk.cc).
+  std::unique_ptr<Process> StartOn(const std::string& disk, const std::string& program,
+                                   const std::vector<std::string>& flags) {
+    std::vector<std::string> words = {absl::StrCat("LD_PRELOAD=", CRAFTFLEET_BIN_DIR, "/libcraftfleet_bad_disk.so"),
+                                      "BAD_DISK=" + disk, JoinPath(CRAFTFLEET_BIN_DIR, program)};
+    words.insert(words.end(), flags.begin(), flags.end());
+    return Start("/usr/bin/env", words);
+  }
+  std::string ReadLog(const std::string& run, const std::string& file) const {
+    return ReadFile(JoinPath(Logdir(run), file)).value_or("none");
+  }
+  void StartWorker(const std::string& learner) {
+    if (server_ == nullptr) server_ = Start("craftfleet-envserver", {"--listen=127.0.0.1:0"});
+    actors_.push_back(
+        Start("craftfleet-actor", {"--learner=" + learner, "--envservers=" + server_->WaitForAddress().value()}));
+  }
+  // Whatever came in between, a run of `iterations` came to what a quiet one comes to.
+  void ExpectLikeQuiet(int iterations) {
+    Train("quiet");
+    EXPECT_EQ(ReadLog("run", "stats.jsonl"), ReadLog("quiet", "stats.jsonl"));
+    for (const char* name : {"weights", "optimizer"}) {
+      const std::string file = absl::StrFormat("checkpoints/iter-%08d/%s.safetensors", iterations, name);
+      EXPECT_NE(ReadLog("quiet", file), "none");
+      EXPECT_TRUE(ReadLog("run", file) == ReadLog("quiet", file)) << file;
+    }
+  }
+
+  std::unique_ptr<Process> server_;
+  std::vector<std::unique_ptr<Process>> actors_;
+};
+
+// The older is in the midst of its work, with an actor, when the newer resumes the run.
+TEST_F(BadDiskTest, OfTwoLearnersWithoutLocksOnlyTheNewerWrites) {
+  ASSERT_THAT(WriteFileSynced(config(), absl::StrReplaceAll(kConfig, {{"steps: 192", "steps: 6400"}})), IsOk());
+  const std::vector<std::string> flags = Flags("run", {"--listen=127.0.0.1:0", "--autoresume"});
+  const auto older = StartOn("nolocks", "craftfleet-learner", flags);
+  StartWorker(older->WaitForAddress().value());
+  ASSERT_TRUE(WaitUntil([this] { return PathExists(Checkpoint("run", 3)); }, kPatience)) << older->Err();
+
+  const auto newer = StartOn("nolocks", "craftfleet-learner", flags);
+  StartWorker(newer->WaitForAddress().value());
+  Ended ended = Finish(older.get());
+  EXPECT_EQ(ended.exit_code, 1);
+  EXPECT_THAT(ended.err, HasSubstr(absl::StrCat("was taken over by process ", newer->pid(), " on ")));
+  EXPECT_THAT(ended.err, HasSubstr("(epoch 2, this one is epoch 1)"));
+
+  ended = Finish(newer.get());
+  EXPECT_EQ(ended.exit_code, 0) << ended.err;
+  const std::vector<std::string> lines = absl::StrSplit(ReadLog("run", "stats.jsonl"), '\n', absl::SkipEmpty());
+  EXPECT_GT(lines.size(), 0U);
+  for (const std::string& line : lines) EXPECT_TRUE(nlohmann::json::accept(line)) << line;
+  ExpectLikeQuiet(100);
+}
+
+// An older learner without work must not wait for ever either.
+TEST_F(BadDiskTest, AnOlderLearnerWithoutActorsEndsToo) {
+  const std::vector<std::string> flags = Flags("run", {"--listen=127.0.0.1:0", "--autoresume"});
+  const auto older = StartOn("nolocks", "craftfleet-learner", flags);
+  ASSERT_TRUE(WaitUntil([this] { return PathExists(Checkpoint("run", 0)); }, kPatience));
+  const auto newer = StartOn("nolocks", "craftfleet-learner", flags);
+  const Ended ended = Finish(older.get());
+  EXPECT_EQ(ended.exit_code, 1);
+  EXPECT_THAT(ended.err, HasSubstr("was taken over by process "));
+}
+
+TEST_F(BadDiskTest, AFailedSyncOfALogCostsNoLine) {
+  // The second of each log comes with the checkpoint of the first iteration, the first with that before it.
+  const auto train = StartOn("/stats.jsonl:2", "craftfleet-train", Flags("run"));
+  const Ended ended = Finish(train.get());
+  EXPECT_EQ(ended.exit_code, 0) << ended.err;
+  EXPECT_THAT(ended.err, HasSubstr("checkpoint of iteration 1: cannot sync " + Logdir("run") + "/stats.jsonl"));
+  ExpectLikeQuiet(3);
+}
+
+TEST_F(BadDiskTest, ACheckpointThatCouldNotBeSyncedIsWrittenAgain) {
+  const auto train = StartOn("/weights.safetensors:2", "craftfleet-train", Flags("run"));
+  const Ended ended = Finish(train.get());
+  EXPECT_EQ(ended.exit_code, 0) << ended.err;
+  EXPECT_THAT(ended.err, HasSubstr("checkpoint of iteration 1: cannot sync "));
+  EXPECT_FALSE(PathExists(Checkpoint("run", 1)));
+  ExpectLikeQuiet(3);
+}
+
+}  // namespace
+}  // namespace craftfleet
