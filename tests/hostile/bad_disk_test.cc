@@ -1,5 +1,6 @@
 // Learners on disks that lock nothing, or lose what they said they would keep.
 
+#include <cstdlib>
 #include <memory>
 #include <string>
 #include <vector>
@@ -25,8 +26,12 @@ class BadDiskTest : public SmallRunTest {
   // A program whose disk is `disk` (bad_disk.cc).
   std::unique_ptr<Process> StartOn(const std::string& disk, const std::string& program,
                                    const std::vector<std::string>& flags) {
-    std::vector<std::string> words = {absl::StrCat("LD_PRELOAD=", CRAFTFLEET_BIN_DIR, "/libcraftfleet_bad_disk.so"),
-                                      "BAD_DISK=" + disk, JoinPath(CRAFTFLEET_BIN_DIR, program)};
+    const char* const asan = std::getenv("ASAN_OPTIONS");
+    std::vector<std::string> words = {
+        absl::StrCat("LD_PRELOAD=", CRAFTFLEET_BIN_DIR, "/libcraftfleet_bad_disk.so"), "BAD_DISK=" + disk,
+        // AddressSanitizer wants to be the first library itself.
+        absl::StrCat("ASAN_OPTIONS=verify_asan_link_order=0:", asan != nullptr ? asan : ""),
+        JoinPath(CRAFTFLEET_BIN_DIR, program)};
     words.insert(words.end(), flags.begin(), flags.end());
     return Start("/usr/bin/env", words);
   }
