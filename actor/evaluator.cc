@@ -1,6 +1,7 @@
 #include "actor/evaluator.h"
 
 #include <algorithm>
+#include <limits>
 #include <map>
 #include <string>
 #include <utility>
@@ -13,7 +14,8 @@
 namespace craftfleet {
 namespace {
 
-constexpr int64_t kLastEpisode = 10000;
+constexpr int kMaxEpisodes = 10000;                                // at once: they are kept until the end
+constexpr int64_t kLastEpisode = std::numeric_limits<int>::max();  // an episode's number is its lane's
 
 // One evaluation: episode number e plays on lane e, so that its tile row, its action noise and its game depend on e
 // alone.
@@ -109,10 +111,10 @@ class Evaluation {
 }  // namespace
 
 absl::Status EvaluationOptions::Validate() const {
-  if (episodes < 1 || first_episode < 1 || first_episode + episodes - 1 > kLastEpisode) {
+  if (episodes < 1 || episodes > kMaxEpisodes || first_episode < 1 || first_episode > kLastEpisode - (episodes - 1)) {
     return absl::InvalidArgumentError(
-        absl::StrFormat("--episodes=%d from episode %d on, want at least 1 and none beyond episode %d", episodes,
-                        first_episode, kLastEpisode));
+        absl::StrFormat("--episodes=%d from episode %d on, want 1..%d and none beyond episode %d", episodes,
+                        first_episode, kMaxEpisodes, kLastEpisode));
   }
   if (lanes < 1 || lanes > 256) return absl::InvalidArgumentError(absl::StrFormat("--lanes=%d, want 1..256", lanes));
   return absl::OkStatus();

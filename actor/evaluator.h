@@ -20,7 +20,7 @@ namespace craftfleet {
 struct EvaluationOptions {
   int64_t seed = 0;               // of the environment
   int64_t first_episode = 1;      // episodes first_episode .. first_episode + episodes - 1 of that environment
-  int episodes = 10;              // 1..10000 in all
+  int episodes = 10;              // 1..10000; none beyond episode 2^31-1
   bool greedy = false;            // the likeliest action instead of a drawn one
   int lanes = 16;                 // episodes played side by side; the result does not depend on it
   absl::Status Validate() const;  // InvalidArgument names the field and its range

@@ -27,8 +27,8 @@ namespace craftfleet {
 class EnvBatch {
  public:
   static constexpr int kMaxLanes = 4096;  // games of one session
-  static constexpr int64_t kMaxEpisode = int64_t{1}
-                                         << 50;         // first episode that can be asked for; snapshots count to 2^52
+  // First episode that can be asked for; snapshots count on to 2^52.
+  static constexpr int64_t kMaxEpisode = int64_t{1} << 50;
   static constexpr int64_t kMaxMomentBytes = 64 << 20;  // of the moments of all games
 
   // A game to begin or to go on with.

@@ -1,6 +1,7 @@
 #include "actor/evaluator.h"
 
 #include <algorithm>
+#include <limits>
 #include <map>
 #include <string>
 #include <vector>
@@ -70,6 +71,16 @@ TEST_F(EvaluatorTest, EpisodesOfARecurrentAgentDoNotDependOnEachOther) {
   EvaluationOptions last = Options(2, 2);
   last.first_episode = 5;
   ExpectSameEpisodes(*Run(last, 1, "lstm_cnn"), {all->begin() + 4, all->end()});
+}
+
+// Training hung when evaluations came to episode 10,000.
+TEST_F(EvaluatorTest, EpisodesBeyondTenThousandArePlayedAsAnyOther) {
+  EvaluationOptions one = Options(3, 1);
+  EvaluationOptions many = Options(3, 3);
+  one.first_episode = many.first_episode = 2147483645;
+  const auto played = Run(one);
+  ASSERT_THAT(played, IsOk());
+  ExpectSameEpisodes(*Run(many), *played);
 }
 
 TEST_F(EvaluatorTest, TheLikeliestActionsDoNotDependOnItEither) {
@@ -200,8 +211,10 @@ TEST_F(EvaluatorTest, RefusesOptionsOutOfRange) {
   refused(Options(1, 0), "--lanes=0, want 1..256");
   refused(Options(1, 257), "--lanes=257, want 1..256");
   EvaluationOptions beyond = Options(2, 1);
-  beyond.first_episode = 10000;
-  refused(beyond, "none beyond episode 10000");
+  beyond.first_episode = 2147483647;
+  refused(beyond, "none beyond episode 2147483647");
+  beyond.first_episode = std::numeric_limits<int64_t>::max();
+  refused(beyond, "none beyond episode 2147483647");
   EXPECT_THAT(Run(Options(0, 1)), StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("--episodes")));
 }
 
