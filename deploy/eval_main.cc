@@ -16,6 +16,7 @@
 #include "common/agent/torch_setup.h"
 #include "common/cpu_pin.h"
 #include "common/files.h"
+#include "common/log.h"
 #include "common/paths.h"
 #include "common/program.h"
 #include "common/status_macros.h"

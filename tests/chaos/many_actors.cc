@@ -17,6 +17,7 @@
 
 #include "actor/learner_client.h"
 #include "common/agent/agent_spec.h"
+#include "common/agent/canary.h"
 #include "common/program.h"
 #include "common/status_macros.h"
 #include "common/wire/channel.h"
@@ -43,6 +44,7 @@ class EmptyActor {
     v1::JoinRequest join;
     join.set_protocol_version(wire::kProtocolVersion);
     join.set_actor(name_);
+    join.set_canary(PolicyCanary().value_or(""));
     const absl::StatusOr<v1::JoinReply> reply = client_.Join(join);
     --*absent;
     if (!reply.ok()) return reply.status();
