@@ -13,6 +13,7 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include "common/known_canary.h"
 #include "common/paths.h"
 #include "common/texture_digest.h"
 #include "common/wire/grpc_status.h"
@@ -158,6 +159,19 @@ TEST_F(EnvServiceTest, HelloTellsTheVersion) {
   EXPECT_FALSE(greeted->program_version().empty());
   EXPECT_TRUE(session.Say(Open(0, 1))->program_version().empty());
   session.Leave();
+}
+
+TEST_F(EnvServiceTest, WhoWantsAnotherGameIsRefused) {
+  const auto greeted = Session(server()).Say(Hello("run-a"));
+  ASSERT_THAT(greeted, IsOk());
+  EXPECT_EQ(greeted->canary(), kBuiltInGameCanary);
+  v1::PlayRequest hello = Hello("run-a");
+  hello.mutable_hello()->set_game_canary(greeted->canary());
+  EXPECT_THAT(Session(server()).Say(hello), IsOk());
+  hello.mutable_hello()->set_game_canary("0123456789abcdef");
+  EXPECT_THAT(Session(server()).Say(hello),
+              StatusIs(absl::StatusCode::kFailedPrecondition,
+                       AllOf(HasSubstr("plays another game"), HasSubstr("want 0123456789abcdef"))));
 }
 
 TEST_F(EnvServiceTest, ASnapshotGoesOnInAnotherSession) {
