@@ -39,8 +39,8 @@ class LearnerServiceImpl final : public v1::LearnerService::Service {
     v1::RunConfig config;  // resolved
     std::string texture_digest;
     wire::FragmentShape shape;
-    absl::Duration lease;       // told to actors
-    BuildCheck::Options build;  // what workers are compared with
+    absl::Duration lease;            // told to actors
+    BuildCheck::Options build = {};  // what workers are compared with
     std::shared_ptr<const wire::AccessControl> access =
         nullptr;  // by which workers are told apart; null: by certificate
   };
