@@ -34,7 +34,17 @@ enum class Action : uint8_t {
 inline constexpr int kNumActions = 17;
 inline constexpr int kNumItems = 16;
 inline constexpr int kNumAchievements = 22;
-inline constexpr int kWorldSize = 64;  // cells, width and height
+inline constexpr int kWorldSize = 64;         // cells, width and height
+inline constexpr int kEpisodeLength = 10000;  // steps after which an episode is truncated, where nothing else is said
+
+// What a step can give: a tenth for each point of health that it adds or takes, of which there are 0..9, and 1 if it
+// unlocks achievements. Source: Crafter's rules.
+inline constexpr double kMinStepReward = -0.9;
+inline constexpr double kMaxStepReward = 1.9;
+// What an episode can give: it begins with full health, so the changes of health add up to -0.9..0, and each of the
+// achievements is unlocked once at most.
+inline constexpr double kMinEpisodeReward = -0.9;
+inline constexpr double kMaxEpisodeReward = 22;
 
 inline constexpr std::array<absl::string_view, kNumActions> kActionNames = {"noop",
                                                                             "move_left",

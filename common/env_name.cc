@@ -116,4 +116,10 @@ std::string EnvName::ToString() const {
   return absl::StrCat(kGame, options.empty() ? "" : ":", absl::StrJoin(options, ","));
 }
 
+std::string EnvName::WorldName() const {
+  EnvName world = *this;
+  world.inventory = true;
+  return world.ToString();
+}
+
 }  // namespace craftfleet

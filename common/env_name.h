@@ -26,6 +26,8 @@ struct EnvName {
   static absl::StatusOr<EnvName> Parse(absl::string_view name);
   // The canonical name: options in the order above, defaults left out, numbers by name where they have one.
   std::string ToString() const;
+  // The same without what concerns the picture alone: names that share it have the same worlds.
+  std::string WorldName() const;
 };
 
 }  // namespace craftfleet

@@ -23,11 +23,21 @@ absl::Span<uint8_t> Row(std::string* frames, size_t row, size_t frame_bytes) {
 absl::Status EnvBatch::Open(absl::Span<const OpenLane> lanes, std::string* frames) {
   CRAFTFLEET_RETURN_IF_ERROR(CheckRoom(lanes.size()));
   moments_.clear();
+  refused_.clear();
   frames->resize(lanes.size() * renderer_->frame_bytes());
-  for (size_t row = 0; row < lanes.size(); ++row) {
+  size_t row = 0;
+  for (const OpenLane& lane : lanes) {
     CRAFTFLEET_RETURN_IF_ERROR(CheckStopped());
-    CRAFTFLEET_RETURN_IF_ERROR(OpenOne(lanes[row], Row(frames, row, renderer_->frame_bytes())));
+    const absl::Status status = OpenOne(lane, Row(frames, row, renderer_->frame_bytes()));
+    if (absl::IsDataLoss(status)) {
+      games_.erase(lane.lane);
+      refused_.push_back({lane.lane, std::string(status.message())});
+    } else {
+      CRAFTFLEET_RETURN_IF_ERROR(status);
+      ++row;
+    }
   }
+  frames->resize(row * renderer_->frame_bytes());
   return absl::OkStatus();
 }
 
@@ -59,7 +69,7 @@ absl::Status EnvBatch::OpenOne(const OpenLane& lane, absl::Span<uint8_t> frame) 
   CRAFTFLEET_ASSIGN_OR_RETURN(Game game, Game::Create(renderer_, lane.seed, frame, lane.episode));
   if (!lane.snapshot.empty()) {
     if (absl::Status status = game.Restore(lane.snapshot, frame); !status.ok()) {
-      return absl::InvalidArgumentError(absl::StrFormat("lane %d: %s", lane.lane, status.message()));
+      return absl::DataLossError(status.message());
     }
   }
   if (recording_.has_value()) moments_.push_back(recording_->Take(game, frame));

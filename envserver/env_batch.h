@@ -39,13 +39,23 @@ class EnvBatch {
     absl::string_view snapshot;  // empty: a new game
   };
 
+  // A lane that was not opened, since its snapshot is no game.
+  struct Refused {
+    int lane = 0;
+    std::string reason;
+  };
+
   explicit EnvBatch(std::shared_ptr<const Renderer> renderer, absl::optional<MomentTaker> recording = absl::nullopt)
       : renderer_(std::move(renderer)), recording_(std::move(recording)) {}
 
   // Opens `lanes` (one that is open already starts anew) and writes their observations, uint8[n,H,W,3], to `frames`.
-  //   InvalidArgument: a lane below 0, too many lanes, more of them than kMaxMomentBytes allows to record, an episode
-  //   out of range, or a snapshot that is not of such a game.   Cancelled: see StopWhen.
+  // Those whose snapshot is not of such a game are closed: refused() names them, and frames and moments have the rest.
+  //   InvalidArgument: a lane below 0, too many lanes, more of them than kMaxMomentBytes allows to record, or an
+  //   episode out of range.   Cancelled: see StopWhen.
   absl::Status Open(absl::Span<const OpenLane> lanes, std::string* frames);
+
+  // Of the last Open, in its order.
+  const std::vector<Refused>& refused() const { return refused_; }
 
   // One step of each of `lanes` with its action. An ended game goes on with its next episode: the row has the result of
   // the last step and the first frame of the new episode. With `snapshot` the games' states after the step are given
@@ -74,6 +84,7 @@ class EnvBatch {
   absl::Status CheckRoom(size_t more) const;
   // Cancelled: nobody waits for the rest.
   absl::Status CheckStopped();
+  // DataLoss: the snapshot.
   absl::Status OpenOne(const OpenLane& lane, absl::Span<uint8_t> frame);
   // Sets `chosen_`.
   absl::Status Find(absl::Span<const int> lanes);
@@ -85,6 +96,7 @@ class EnvBatch {
   std::vector<Moment> moments_;
   std::function<bool()> stopped_;
   absl::Time next_look_ = absl::InfinitePast();
+  std::vector<Refused> refused_;
 };
 
 }  // namespace craftfleet

@@ -10,12 +10,14 @@
 
 #include "common/env_name.h"
 #include "common/log.h"
+#include "common/printable.h"
 #include "common/status_macros.h"
 #include "common/texture_digest.h"
 #include "common/version.h"
 #include "common/wire/convert.h"
 #include "common/wire/grpc_status.h"
 #include "common/wire/protocol.h"
+#include "common/wire/request_check.h"
 #include "common/wire/status_service.h"
 #include "envserver/canary.h"
 
@@ -29,6 +31,17 @@ int64_t FrameBytes(const RenderOptions& picture) { return int64_t{picture.width}
 // Makes room for `games` like those of `batch`, or gives room back.
 absl::Status SetGames(int64_t games, const EnvBatch& batch, GameBudget::Share* share) {
   return share->Set(games, SessionBytes(games, batch.renderer().frame_bytes(), batch.records(), batch.picture_bytes()));
+}
+
+// Tells the client which lanes are not open, and why.
+void AddRefused(const std::vector<EnvBatch::Refused>& refused, v1::PlayReply* reply) {
+  for (const EnvBatch::Refused& lane : refused) {
+    v1::RefusedLane* message = reply->add_refused();
+    message->set_lane(lane.lane);
+    message->set_reason(Printable(lane.reason.substr(0, wire::kMaxReasonBytes)));
+  }
+  if (refused.empty()) return;
+  LogWarning("%d lanes not opened: lane %d: %s", refused.size(), refused[0].lane, reply->refused(0).reason());
 }
 
 }  // namespace
@@ -213,6 +226,7 @@ absl::Status EnvServiceImpl::Handle(const v1::PlayRequest& request, EnvBatch* ba
       CRAFTFLEET_RETURN_IF_ERROR(wire::ActionsFromProto(request.step(), &actions));
       CRAFTFLEET_RETURN_IF_ERROR(batch->Step(request.step().lanes(), actions, request.step().snapshot(), step));
       episodes_ += static_cast<int64_t>(step->episodes.size());
+      reply->clear_refused();
       wire::ToProto(step, reply);
       wire::ToProto(std::move(batch->moments()), reply);
       return absl::OkStatus();
@@ -225,6 +239,7 @@ absl::Status EnvServiceImpl::Handle(const v1::PlayRequest& request, EnvBatch* ba
       }
       reply->Clear();
       CRAFTFLEET_RETURN_IF_ERROR(batch->Open(lanes, reply->mutable_frames()));
+      AddRefused(batch->refused(), reply);
       wire::ToProto(std::move(batch->moments()), reply);
       return SetGames(batch->size(), *batch, share);  // some may have been open before
     }

@@ -47,8 +47,11 @@ Episode Game::EndedEpisode() const {
   return episode;
 }
 
+std::string Game::Save() const { return SealSnapshot(env_digest(), world_.Save(before_picture_)); }
+
 absl::Status Game::Restore(absl::string_view snapshot, absl::Span<uint8_t> frame) {
-  CRAFTFLEET_RETURN_IF_ERROR(world_.Restore(snapshot));
+  CRAFTFLEET_ASSIGN_OR_RETURN(const absl::string_view game, OpenSnapshot(env_digest(), snapshot));
+  CRAFTFLEET_RETURN_IF_ERROR(world_.Restore(game));
   Draw(frame);
   return absl::OkStatus();
 }

@@ -15,6 +15,7 @@
 #include <absl/types/span.h>
 
 #include "common/crafter.h"
+#include "common/snapshot_envelope.h"
 #include "common/types.h"
 #include "envserver/render/renderer.h"
 #include "envserver/world/random_stream.h"
@@ -47,10 +48,12 @@ class Game {
   PlayedStep StepAndAutoReset(Action action, absl::Span<uint8_t> frame, std::string* last_frames,
                               const std::function<void()>& on_step = nullptr);
 
-  // The whole game as bytes, see World::Save(). The current picture is not stored but can be drawn again.
-  std::string Save() const { return world_.Save(before_picture_); }
-  // Goes on where Save() was called, and writes the picture of that moment to `frame`. Codes as World::Restore(); on
-  // failure game and frame are unchanged.
+  // The whole game as bytes (World::Save) in an envelope (common/snapshot_envelope.h). The current picture is not
+  // stored but can be drawn again.
+  std::string Save() const;
+  // Goes on where Save() was called, and writes the picture of that moment to `frame`. On failure game and frame are
+  // unchanged.
+  //   InvalidArgument: too large, or no envelope of such a game.   Others as World::Restore().
   absl::Status Restore(absl::string_view snapshot, absl::Span<uint8_t> frame);
 
   const World& world() const { return world_; }
@@ -62,6 +65,8 @@ class Game {
       : renderer_(std::move(renderer)), world_(std::move(world)) {}
 
   void Draw(absl::Span<uint8_t> frame);
+  // What envelopes of this game are marked with.
+  uint64_t env_digest() const { return EnvDigest(world_.options().name, world_.options().length); }
   // Of the current episode, when it has ended; its `step` is left 0.
   Episode EndedEpisode() const;
 

@@ -10,6 +10,7 @@
 #include <absl/time/clock.h>
 #include <absl/time/time.h>
 
+#include "common/clock.h"
 #include "common/log.h"
 #include "common/wire/grpc_status.h"
 
@@ -30,10 +31,10 @@ absl::Duration TimeLeft(const grpc::ServerContext& context) {
 
 absl::Status AdminServiceImpl::WaitFor(grpc::ServerContext* context, const std::function<bool()>& done,
                                        absl::string_view otherwise) {
-  const absl::Time end = absl::Now() + TimeLeft(*context);
+  const absl::Time end = SteadyNow() + TimeLeft(*context);
   while (!done()) {
     if (context->IsCancelled()) return absl::CancelledError("the client left");
-    if (absl::Now() > end) return absl::DeadlineExceededError(otherwise);
+    if (SteadyNow() > end) return absl::DeadlineExceededError(otherwise);
     absl::SleepFor(kTick);
   }
   return absl::OkStatus();

@@ -32,8 +32,9 @@ class ServerRegistry {
   ServerRegistry(absl::Duration lease, Clock* clock)
       : lease_(lease),
         clock_(clock),
-        generation_(absl::ToUnixMicros(clock->Now())),
-        start_(absl::FromUnixMicros(generation_)) {}
+        start_(clock->Now()),
+        first_generation_(absl::ToUnixMicros(clock->WallNow())),
+        generation_(first_generation_) {}
 
   // `lanes`: games that it has.
   void Announce(absl::string_view name, absl::string_view address, int lanes = 0) ABSL_LOCKS_EXCLUDED(mu_);
@@ -54,7 +55,7 @@ class ServerRegistry {
   // Whether an actor that has the addresses of `generation` (0: none) should keep them: they are from before the
   // learner's start, and not every server has had the time to announce itself again.
   bool ShouldKeep(int64_t generation) const {
-    return generation != 0 && absl::FromUnixMicros(generation) < start_ && clock_->Now() - start_ < lease_;
+    return generation != 0 && generation < first_generation_ && clock_->Now() - start_ < lease_;
   }
 
   // With those that are being drained.
@@ -78,11 +79,12 @@ class ServerRegistry {
 
   const absl::Duration lease_;
   Clock* const clock_;
+  const absl::Time start_;
+  const int64_t first_generation_;  // the date in microseconds: above those of earlier starts
   Mutex mu_;
+  int64_t generation_ ABSL_GUARDED_BY(mu_);
   std::map<std::string, Entry, std::less<>> servers_ ABSL_GUARDED_BY(mu_);  // by address
   absl::Time looked_ ABSL_GUARDED_BY(mu_) = absl::InfinitePast();           // for idle ones
-  int64_t generation_ ABSL_GUARDED_BY(mu_);
-  const absl::Time start_;  // the first generation
 };
 
 }  // namespace craftfleet

@@ -10,6 +10,7 @@
 #include <absl/strings/str_format.h>
 #include <absl/strings/string_view.h>
 
+#include "common/snapshot_envelope.h"
 #include "common/status_macros.h"
 
 namespace craftfleet::wire {
@@ -91,11 +92,9 @@ absl::Status ReadCounts(absl::string_view field, const google::protobuf::Repeate
 }
 
 absl::Status ReadEpisode(const v1::EpisodeMessage& message, int step, Episode* episode) {
-  if (message.step() != step || message.length() < 1 || !std::isfinite(message.reward())) {
+  if (message.step() != step) {
     return absl::InvalidArgumentError(
-        absl::StrFormat("episodes: step %d, length %d, reward %f; want step %d, where it ended, a length of at least "
-                        "1, a finite reward",
-                        message.step(), message.length(), message.reward(), step));
+        absl::StrFormat("episodes: step %d, want step %d, where it ended", message.step(), step));
   }
   CRAFTFLEET_RETURN_IF_ERROR(ReadCounts("achievements", message.achievements(), kMaxUnlocks, &episode->achievements));
   episode->step = message.step();
@@ -147,6 +146,18 @@ absl::Status ReadMoment(v1::Moment* message, int frame_bytes, int picture_bytes,
   return absl::OkStatus();
 }
 
+// None, or one for each of `lanes` lanes, of bearable size: what is in them the learner looks at.
+absl::Status CheckSnapshots(const google::protobuf::RepeatedPtrField<std::string>& snapshots, int lanes) {
+  if (snapshots.empty()) return absl::OkStatus();
+  CRAFTFLEET_RETURN_IF_ERROR(CheckSize("snapshots", snapshots.size(), lanes, "snapshots"));
+  for (const std::string& snapshot : snapshots) {
+    if (!snapshot.empty() && snapshot.size() <= kMaxSnapshotBytes) continue;
+    return absl::InvalidArgumentError(
+        absl::StrFormat("snapshots: one of %d bytes, want 1..%d", snapshot.size(), kMaxSnapshotBytes));
+  }
+  return absl::OkStatus();
+}
+
 int CountTruncated(const std::vector<StepEnd>& ends) {
   return static_cast<int>(std::count(ends.begin(), ends.end(), StepEnd::kTruncated));
 }
@@ -194,15 +205,14 @@ absl::StatusOr<Fragment> FromProto(v1::FragmentMessage* message, const FragmentS
   CRAFTFLEET_RETURN_IF_ERROR(ReadEnds(message->ends(), shape.steps, &fragment.ends));
   CRAFTFLEET_RETURN_IF_ERROR(ReadFloats("truncation_values", message->truncation_values(),
                                         CountTruncated(fragment.ends), &fragment.truncation_values));
-  if (!std::isfinite(message->bootstrap_value())) return absl::InvalidArgumentError("bootstrap_value is not finite");
   fragment.bootstrap_value = message->bootstrap_value();
   CRAFTFLEET_RETURN_IF_ERROR(ReadEpisodes(message->episodes(), EndSteps(fragment.ends), &fragment.episodes));
   CRAFTFLEET_RETURN_IF_ERROR(
       ReadFloats("states", message->states(), shape.states * shape.state_size, &fragment.states));
   CRAFTFLEET_RETURN_IF_ERROR(
       ReadFloats("last_state", message->last_state(), shape.state_size, &fragment.snapshot.state));
-  if (message->snapshot().empty())
-    return absl::InvalidArgumentError("snapshot is empty, want the game after the last step");
+  CRAFTFLEET_RETURN_IF_ERROR(CheckFragmentValues(*message, shape));
+  CRAFTFLEET_RETURN_IF_ERROR(CheckEpisodes(message->episodes(), shape.max_length));
   fragment.frames = std::move(*message->mutable_frames());
   fragment.actions = std::move(*message->mutable_actions());
   fragment.snapshot.game = std::move(*message->mutable_snapshot());
@@ -230,8 +240,11 @@ v1::EvaluationResult ToProto(const std::vector<Episode>& episodes) {
   return message;
 }
 
-absl::StatusOr<std::vector<Episode>> FromProto(const v1::EvaluationResult& message) {
+absl::StatusOr<std::vector<Episode>> FromProto(const v1::EvaluationResult& message, int64_t max_length) {
   std::vector<Episode> episodes;
+  for (const v1::EpisodeMessage& episode : message.episodes()) {
+    CRAFTFLEET_RETURN_IF_ERROR(CheckEpisode(episode, 1, max_length));
+  }
   CRAFTFLEET_RETURN_IF_ERROR(ReadEpisodes(message.episodes(), std::vector<int>(message.episodes_size(), 0), &episodes));
   return episodes;
 }
@@ -257,9 +270,11 @@ absl::Status FromProto(v1::PlayReply* message, int lanes, int frame_bytes, StepB
   // A reply is of one step: the step of each episode is 0.
   const std::vector<int> end_steps(EndSteps(batch->ends).size(), 0);
   CRAFTFLEET_RETURN_IF_ERROR(ReadEpisodes(message->episodes(), end_steps, &batch->episodes));
-  if (message->snapshots_size() != 0) {
-    CRAFTFLEET_RETURN_IF_ERROR(CheckSize("snapshots", message->snapshots_size(), lanes, "snapshots"));
+  for (const v1::EpisodeMessage& episode : message->episodes()) {
+    CRAFTFLEET_RETURN_IF_ERROR(CheckEpisode(episode, 1, kMaxEpisodeLength));
   }
+  CRAFTFLEET_RETURN_IF_ERROR(CheckRewards(message->rewards()));
+  CRAFTFLEET_RETURN_IF_ERROR(CheckSnapshots(message->snapshots(), lanes));
   batch->frames.swap(*message->mutable_frames());
   batch->last_frames.swap(*message->mutable_last_frames());
   batch->snapshots.clear();

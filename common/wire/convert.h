@@ -4,25 +4,18 @@
 #ifndef CRAFTFLEET_COMMON_WIRE_CONVERT_H_
 #define CRAFTFLEET_COMMON_WIRE_CONVERT_H_
 
+#include <cstdint>
 #include <vector>
 
 #include <absl/status/status.h>
 #include <absl/status/statusor.h>
 
 #include "common/types.h"
+#include "common/wire/fragment_check.h"
 #include "craftfleet/v1/environment.pb.h"
 #include "craftfleet/v1/learner.pb.h"
 
 namespace craftfleet::wire {
-
-// What a valid fragment looks like in this run.
-struct FragmentShape {
-  int lanes = 0;        // lane is in 0..lanes-1
-  int steps = 0;        // T
-  int frame_bytes = 0;  // H*W*3
-  int state_size = 0;   // floats of a recurrent state (S); 0: feed-forward
-  int states = 1;       // recurrent states that come with it: 1 or `steps`
-};
 
 v1::FragmentMessage ToProto(Fragment fragment);
 
@@ -34,9 +27,10 @@ v1::SnapshotReply ToProto(LaneSnapshot snapshot);
 // `state_size` as in FragmentShape. InvalidArgument: the state has another size or is not finite.
 absl::StatusOr<LaneSnapshot> FromProto(v1::SnapshotReply* message, int state_size);
 
-// Whole episodes; `step` of them is 0. Checked as above.
+// Whole episodes of at most `max_length` steps; `step` of them is 0. Checked as above.
 v1::EvaluationResult ToProto(const std::vector<Episode>& episodes);
-absl::StatusOr<std::vector<Episode>> FromProto(const v1::EvaluationResult& message);
+absl::StatusOr<std::vector<Episode>> FromProto(const v1::EvaluationResult& message,
+                                               int64_t max_length = kMaxEpisodeLength);
 
 // `message` is reused: capacity of its buffers is kept. `batch` gives its frames away.
 void ToProto(StepBatch* batch, v1::PlayReply* message);

@@ -11,7 +11,7 @@
 namespace craftfleet::wire {
 
 // Raised with every change of the wire that an older process would misread.
-inline constexpr int kProtocolVersion = 1;
+inline constexpr int kProtocolVersion = 2;
 
 // Largest message taken in, bytes: a fragment of 4096 frames of 72x72 with room to spare.
 inline constexpr int kMaxMessageBytes = 96 << 20;

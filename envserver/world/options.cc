@@ -38,6 +38,7 @@ WorldOptions WorldOptions::FromEnvName(const EnvName& name) {
   if (name.appearance) options.appearance = absl::StrCat(kPaperLetters);
   options.percentages = name.percentages;
   options.numbers = ThresholdsOf(name.numbers);
+  options.name = name.WorldName();
   return options;
 }
 

@@ -10,6 +10,7 @@
 #include <absl/status/status.h>
 #include <absl/strings/string_view.h>
 
+#include "common/crafter.h"
 #include "common/env_name.h"
 
 namespace craftfleet {
@@ -30,14 +31,15 @@ struct NumberThresholds {
 };
 
 struct WorldOptions {
-  int width = 64;          // cells; 4..250
-  int height = 64;         // cells; 4..250
-  int view_width = 9;      // cells across the picture, 1..63; 2 * max(view) is how far from the player things happen
-  int view_height = 9;     // cells down the picture with the inventory's ceil(16 / view_width) rows, 1..63
-  int length = 10000;      // steps of an episode, 0..1,000,000,000; 0: no limit
-  std::string appearance;  // letters whose things have variants: any of t w c z s u k i p, each once; empty: none
+  int width = 64;       // cells; 4..250
+  int height = 64;      // cells; 4..250
+  int view_width = 9;   // cells across the picture, 1..63; 2 * max(view) is how far from the player things happen
+  int view_height = 9;  // cells down the picture with the inventory's ceil(16 / view_width) rows, 1..63
+  int length = kEpisodeLength;  // steps of an episode, 0..1,000,000,000; 0: no limit
+  std::string appearance;       // letters whose things have variants: any of t w c z s u k i p, each once; empty: none
   std::array<int, kNumVariants> percentages = {100, 0, 0, 0};  // of the variants, each 0..100, sum 100
   NumberThresholds numbers;
+  std::string name = "crafter";  // the world's canonical name (EnvName::WorldName), which snapshots are marked with
 
   // The settings that the name asks for (its inventory setting concerns the picture, not the world), else the defaults.
   static WorldOptions FromEnvName(const EnvName& name);

@@ -52,7 +52,7 @@ void EventLog::AddScalars(int64_t step, absl::Span<const Scalar> scalars) {
 }
 
 void EventLog::Append(v1::Event event) {
-  event.set_wall_time(absl::ToDoubleSeconds(clock_->Now() - absl::UnixEpoch()));
+  event.set_wall_time(absl::ToDoubleSeconds(clock_->WallNow() - absl::UnixEpoch()));
   file_.Append(Frame(event.SerializeAsString()));
 }
 

@@ -81,7 +81,7 @@ absl::StatusOr<std::unique_ptr<RunFolder>> RunFolder::Create(const std::string& 
   CRAFTFLEET_RETURN_IF_ERROR(CheckNoRun(logdir));
   std::unique_ptr<RunFolder> folder(new RunFolder(logdir, std::move(lock), program, clock));
   folder->origin_ = origin;
-  folder->run_id_ = MakeRunId(clock->Now());
+  folder->run_id_ = MakeRunId(clock->WallNow());
   folder->config_ = config;
   CRAFTFLEET_ASSIGN_OR_RETURN(const int64_t last_epoch, ReadEpoch(logdir));
   folder->epoch_ = last_epoch + 1;

@@ -9,6 +9,7 @@
 #include <gtest/gtest.h>
 
 #include "common/paths.h"
+#include "common/snapshot_envelope.h"
 #include "tests/fakes/status_matchers.h"
 
 namespace craftfleet {
@@ -168,6 +169,35 @@ TEST(EnvBatch, ASnapshotGoesOnInAnotherBatch) {
   }
 }
 
+// One bad snapshot costs its own lane alone.
+TEST(EnvBatch, ALaneWhoseSnapshotIsNoGameIsRefusedAndTheOthersOpen) {
+  const auto renderer = MakeRenderer();
+  EnvBatch batch(renderer);
+  Played one(renderer, 11);
+  Played three(renderer, 33);
+  const std::string in_envelope =
+      SealSnapshot(EnvDigest(renderer->world_options().name, renderer->world_options().length), "no game");
+  std::string large(kMaxSnapshotBytes + 1, 's');
+  std::string frames;
+  ASSERT_THAT(batch.Open({{4, 0, 1, ""}}, &frames), IsOk());
+  ASSERT_THAT(
+      batch.Open(
+          {{1, 11, 1, ""}, {4, 0, 1, "no snapshot at all"}, {5, 0, 1, in_envelope}, {3, 33, 1, ""}, {6, 0, 1, large}},
+          &frames),
+      IsOk());
+  EXPECT_EQ(frames, one.frame + three.frame);
+  EXPECT_EQ(batch.size(), 2) << "the game that lane 4 had is gone too";
+  ASSERT_EQ(batch.refused().size(), 3);
+  EXPECT_EQ(batch.refused()[0].lane, 4);
+  EXPECT_THAT(batch.refused()[0].reason, HasSubstr("18 bytes without an envelope"));
+  EXPECT_EQ(batch.refused()[1].lane, 5);
+  EXPECT_THAT(batch.refused()[1].reason, HasSubstr("not a world's"));
+  EXPECT_EQ(batch.refused()[2].lane, 6);
+  EXPECT_THAT(batch.refused()[2].reason, HasSubstr("65537 bytes, want at most 65536"));
+  ASSERT_THAT(batch.Open({{4, 1, 1, ""}}, &frames), IsOk());
+  EXPECT_THAT(batch.refused(), IsEmpty());
+}
+
 TEST(EnvBatch, OpenAgainBeginsAnew) {
   EnvBatch batch(MakeRenderer());
   std::string frames;
@@ -189,7 +219,6 @@ TEST(EnvBatch, RefusesWhatItCannotOpen) {
   refused({-1, 0, 1, ""}, "lane -1, want at least 0");
   refused({4, 0, 0, ""}, "lane 4: episode 0, want 1..1125899906842624");
   refused({4, 0, EnvBatch::kMaxEpisode + 1, ""}, "lane 4: episode 1125899906842625, want 1..1125899906842624");
-  refused({4, 0, 1, "no snapshot at all"}, "lane 4: ");
   EXPECT_EQ(batch.size(), 0);
   const std::vector<EnvBatch::OpenLane> many(EnvBatch::kMaxLanes + 1);
   EXPECT_THAT(batch.Open(many, &frames),

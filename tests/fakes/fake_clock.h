@@ -11,12 +11,21 @@
 
 namespace craftfleet {
 
-// Thread-safe. Starts at 2023-11-14 22:13:20 UTC.
+// Thread-safe. Both its times start at 2023-11-14 22:13:20 UTC.
 class FakeClock : public Clock {
  public:
   absl::Time Now() override ABSL_LOCKS_EXCLUDED(mu_) {
     const MutexLock lock(&mu_);
     return now_;
+  }
+  absl::Time WallNow() override ABSL_LOCKS_EXCLUDED(mu_) {
+    const MutexLock lock(&mu_);
+    return now_ + wall_ahead_;
+  }
+  // Somebody sets the date, forwards or back.
+  void SetWallAhead(absl::Duration by) ABSL_LOCKS_EXCLUDED(mu_) {
+    const MutexLock lock(&mu_);
+    wall_ahead_ = by;
   }
   void Advance(absl::Duration by) ABSL_LOCKS_EXCLUDED(mu_) {
     const MutexLock lock(&mu_);
@@ -26,6 +35,7 @@ class FakeClock : public Clock {
  private:
   Mutex mu_;
   absl::Time now_ ABSL_GUARDED_BY(mu_) = absl::FromUnixSeconds(1'700'000'000);
+  absl::Duration wall_ahead_ ABSL_GUARDED_BY(mu_);
 };
 
 }  // namespace craftfleet

@@ -3,11 +3,14 @@
 #ifndef CRAFTFLEET_TESTS_FAKES_WIRE_SAMPLES_H_
 #define CRAFTFLEET_TESTS_FAKES_WIRE_SAMPLES_H_
 
+#include <algorithm>
+#include <cstdint>
 #include <string>
 #include <vector>
 
 #include <gtest/gtest.h>
 
+#include "common/snapshot_envelope.h"
 #include "common/types.h"
 #include "common/wire/convert.h"
 
@@ -20,9 +23,14 @@ inline Episode EndedEpisode(int step, int64_t length) {
   episode.step = step;
   episode.length = length;
   episode.reward = 2.1 - 0.1 * step;
-  for (int i = 0; i < kNumAchievements; ++i) episode.achievements[i] = (i * 7 + step) % 5;
+  for (int i = 0; i < kNumAchievements; ++i) {
+    episode.achievements[i] = static_cast<int>(std::min<int64_t>((i * 7 + step) % 5, length));
+  }
   return episode;
 }
+
+// In an envelope of kSampleShape's environment.
+inline std::string SampleSnapshot(const std::string& game) { return SealSnapshot(kSampleShape.env_digest, game); }
 
 // Of kSampleShape: a death at step 1 and a truncation at step 3.
 inline Fragment SampleFragment(int lane, int64_t number, int64_t policy_version, int64_t epoch = 1) {
@@ -44,7 +52,7 @@ inline Fragment SampleFragment(int lane, int64_t number, int64_t policy_version,
   fragment.episodes = {EndedEpisode(1, 166), EndedEpisode(3, 2)};
   fragment.states = {0.25F, -static_cast<float>(lane)};
   fragment.snapshot.game =
-      "the game of lane " + std::to_string(lane) + std::string("\0after", 6) + std::to_string(number);
+      SampleSnapshot("the game of lane " + std::to_string(lane) + std::string("\0after", 6) + std::to_string(number));
   fragment.snapshot.state = {-0.5F, static_cast<float>(number)};
   return fragment;
 }

@@ -56,7 +56,7 @@ TEST(ConvertFragment, HoldsTheStateBeforeEachStepWhereItIsWanted) {
   EXPECT_THAT(wire::FromProto(&message, shape),
               StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("states: 2 numbers, want 10")));
   Fragment fragment = SampleFragment(2, 7, 40, 3);
-  fragment.states = {0, 1, 2, 3, 4, 5, 6, 7, 8, 9};
+  fragment.states = {0, 1, -0.5F, 3, -1, 5, 0.25F, 7, 1, -9};
   message = wire::ToProto(fragment);
   ExpectSameFragments(*wire::FromProto(&message, shape), fragment);
 }
@@ -106,7 +106,7 @@ const std::vector<Wrong<FragmentMessage>>& WrongFragments() {
        "truncation_values: 0 numbers, want 1"},
       {"TruncationValueNan", [](FragmentMessage* m) { m->set_truncation_values(0, kNan); },
        "truncation_values: holds nan"},
-      {"BootstrapNan", [](FragmentMessage* m) { m->set_bootstrap_value(kNan); }, "bootstrap_value is not finite"},
+      {"BootstrapNan", [](FragmentMessage* m) { m->set_bootstrap_value(kNan); }, "bootstrap_value: nan, want -1e+06..1e+06"},
       {"EpisodeMissing", [](FragmentMessage* m) { m->mutable_episodes()->RemoveLast(); },
        "episodes: 1 episodes, want 2"},
       {"EpisodeTooMuch", [](FragmentMessage* m) { *m->add_episodes() = m->episodes(0); },
@@ -114,7 +114,7 @@ const std::vector<Wrong<FragmentMessage>>& WrongFragments() {
       {"EpisodeStepOutside", [](FragmentMessage* m) { m->mutable_episodes(0)->set_step(5); }, "step 5"},
       {"EpisodeAtAnotherStep", [](FragmentMessage* m) { m->mutable_episodes(0)->set_step(2); }, "want step 1"},
       {"EpisodesOutOfOrder", [](FragmentMessage* m) { m->mutable_episodes()->SwapElements(0, 1); }, "want step 1"},
-      {"EpisodeWithoutSteps", [](FragmentMessage* m) { m->mutable_episodes(1)->set_length(0); }, "length 0"},
+      {"EpisodeWithoutSteps", [](FragmentMessage* m) { m->mutable_episodes(1)->set_length(0); }, "length 0 of the one that ended at step 3, want 2..2"},
       {"EpisodeRewardNan", [](FragmentMessage* m) { m->mutable_episodes(1)->set_reward(std::nan("")); }, "reward nan"},
       {"AchievementsShort", [](FragmentMessage* m) { m->mutable_episodes(0)->mutable_achievements()->RemoveLast(); },
        "achievements: 21 counts, want 22"},

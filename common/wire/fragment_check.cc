@@ -1,0 +1,95 @@
+#include "common/wire/fragment_check.h"
+
+#include <cmath>
+
+#include <absl/strings/str_format.h>
+
+#include "common/snapshot_envelope.h"
+#include "common/status_macros.h"
+
+namespace craftfleet::wire {
+namespace {
+
+using Floats = google::protobuf::RepeatedField<float>;
+
+// Sums of doubles differ in their last bits from what they stand for.
+constexpr double kSlack = 1e-6;
+
+absl::Status OutOfRange(absl::string_view field, double value, int at, double low, double high) {
+  return absl::InvalidArgumentError(absl::StrFormat("%s: %g at %d, want %g..%g", field, value, at, low, high));
+}
+
+// Each is in low..high; NaN is not.
+absl::Status CheckRange(absl::string_view field, const Floats& values, float low, float high) {
+  for (int i = 0; i < values.size(); ++i) {
+    if (!(values[i] >= low && values[i] <= high)) return OutOfRange(field, values[i], i, low, high);
+  }
+  return absl::OkStatus();
+}
+
+}  // namespace
+
+absl::Status CheckStates(absl::string_view field, const Floats& states, int hidden, int64_t max_length) {
+  const auto longest = static_cast<float>(max_length) * kMaxHidden;
+  for (int i = 0; i < states.size(); ++i) {
+    const float most = i / hidden % 2 == 0 ? kMaxHidden : longest;
+    if (!(std::abs(states[i]) <= most)) return OutOfRange(field, states[i], i, -most, most);
+  }
+  return absl::OkStatus();
+}
+
+absl::Status CheckRewards(const Floats& rewards) {
+  return CheckRange("rewards", rewards, static_cast<float>(kMinStepReward), static_cast<float>(kMaxStepReward));
+}
+
+absl::Status CheckFragmentValues(const v1::FragmentMessage& message, const FragmentShape& shape) {
+  for (const auto& [field, count] : {std::pair("epoch", message.epoch()), std::pair("number", message.number()),
+                                     std::pair("policy_version", message.policy_version())}) {
+    if (count < 0) return absl::InvalidArgumentError(absl::StrFormat("%s %d, want at least 0", field, count));
+  }
+  CRAFTFLEET_RETURN_IF_ERROR(CheckRange("log_probs", message.log_probs(), kMinLogProb, 0));
+  CRAFTFLEET_RETURN_IF_ERROR(CheckRange("values", message.values(), -kMaxValue, kMaxValue));
+  CRAFTFLEET_RETURN_IF_ERROR(CheckRewards(message.rewards()));
+  CRAFTFLEET_RETURN_IF_ERROR(CheckRange("truncation_values", message.truncation_values(), -kMaxValue, kMaxValue));
+  if (!(std::abs(message.bootstrap_value()) <= kMaxValue)) {
+    return absl::InvalidArgumentError(
+        absl::StrFormat("bootstrap_value: %g, want %g..%g", message.bootstrap_value(), -kMaxValue, kMaxValue));
+  }
+  CRAFTFLEET_RETURN_IF_ERROR(CheckStates("states", message.states(), shape.hidden, shape.max_length));
+  CRAFTFLEET_RETURN_IF_ERROR(CheckStates("last_state", message.last_state(), shape.hidden, shape.max_length));
+  if (message.snapshot().empty()) {
+    return absl::InvalidArgumentError("snapshot is empty, want the game after the last step");
+  }
+  return CheckSnapshot(shape.env_digest, message.snapshot());
+}
+
+absl::Status CheckEpisode(const v1::EpisodeMessage& message, int64_t min_length, int64_t max_length) {
+  if (message.length() < min_length || message.length() > max_length) {
+    return absl::InvalidArgumentError(
+        absl::StrFormat("episodes: length %d of the one that ended at step %d, want %d..%d", message.length(),
+                        message.step(), min_length, max_length));
+  }
+  if (!(message.reward() >= kMinEpisodeReward - kSlack && message.reward() <= kMaxEpisodeReward + kSlack)) {
+    return absl::InvalidArgumentError(
+        absl::StrFormat("episodes: reward %g of the one that ended at step %d, want %g..%g", message.reward(),
+                        message.step(), kMinEpisodeReward, kMaxEpisodeReward));
+  }
+  for (const int32_t count : message.achievements()) {
+    if (count >= 0 && count <= message.length()) continue;
+    return absl::InvalidArgumentError(absl::StrFormat("achievements: %d in an episode of %d steps, want 0..%d", count,
+                                                      message.length(), message.length()));
+  }
+  return absl::OkStatus();
+}
+
+absl::Status CheckEpisodes(const google::protobuf::RepeatedPtrField<v1::EpisodeMessage>& episodes, int64_t max_length) {
+  int64_t begin = 0;  // of the episode, a step of the fragment
+  for (const v1::EpisodeMessage& episode : episodes) {
+    const int64_t played = episode.step() + 1 - begin;
+    CRAFTFLEET_RETURN_IF_ERROR(CheckEpisode(episode, played, begin == 0 ? max_length : played));
+    begin = episode.step() + 1;
+  }
+  return absl::OkStatus();
+}
+
+}  // namespace craftfleet::wire

@@ -1,0 +1,117 @@
+#include "common/wire/request_check.h"
+
+#include <absl/strings/str_format.h>
+
+#include "common/status_macros.h"
+#include "common/wire/channel.h"
+#include "common/wire/protocol.h"
+
+namespace craftfleet::wire {
+namespace {
+
+// No process does more: games in Crafter take microseconds, and a host has thousands of threads at most.
+constexpr double kMaxStepsPerSecond = 1e9;
+constexpr int kMaxGames = 1 << 20;
+constexpr int kMaxThreads = 1 << 16;
+constexpr int64_t kMaxCount = int64_t{1} << 52;  // of anything: a double counts so far
+constexpr int kMaxActivities = 16;
+constexpr size_t kMaxActivityBytes = 32;
+constexpr double kMaxShare = 1.001;  // 1, with room for how a quotient rounds
+
+absl::Status CheckCount(absl::string_view field, int64_t count, int64_t low, int64_t high) {
+  if (count >= low && count <= high) return absl::OkStatus();
+  return absl::InvalidArgumentError(absl::StrFormat("%s: %d, want %d..%d", field, count, low, high));
+}
+
+absl::Status CheckNumber(absl::string_view field, double number, double high) {
+  if (number >= 0 && number <= high) return absl::OkStatus();
+  return absl::InvalidArgumentError(absl::StrFormat("%s: %g, want 0..%g", field, number, high));
+}
+
+absl::Status CheckBytes(absl::string_view field, size_t size, size_t most) {
+  if (size <= most) return absl::OkStatus();
+  return absl::InvalidArgumentError(absl::StrFormat("%s has %d bytes, want at most %d", field, size, most));
+}
+
+absl::Status CheckLane(absl::string_view field, int lane, int lanes) {
+  if (lane >= 0 && lane < lanes) return absl::OkStatus();
+  return absl::InvalidArgumentError(absl::StrFormat("%s: lane %d, want 0..%d", field, lane, lanes - 1));
+}
+
+absl::Status CheckActive(const v1::PermitRequest& request, int lanes, int steps) {
+  // Twice: one may be about to be answered for while the next of its lane is at hand.
+  CRAFTFLEET_RETURN_IF_ERROR(CheckCount("active permits", request.active_size(), 0, 2 * int64_t{lanes}));
+  for (const v1::Permit& permit : request.active()) {
+    CRAFTFLEET_RETURN_IF_ERROR(CheckLane("active", permit.lane(), lanes));
+    CRAFTFLEET_RETURN_IF_ERROR(CheckCount("active.fragment", permit.fragment(), 0, kMaxCount));
+    CRAFTFLEET_RETURN_IF_ERROR(CheckCount("active.policy_version", permit.policy_version(), 0, kMaxCount));
+  }
+  // None at all stands for no progress.
+  if (request.active_steps_size() != 0 && request.active_steps_size() != request.active_size()) {
+    return absl::InvalidArgumentError(absl::StrFormat("active_steps: %d numbers for %d active permits, want as many",
+                                                      request.active_steps_size(), request.active_size()));
+  }
+  for (const int64_t played : request.active_steps()) {
+    CRAFTFLEET_RETURN_IF_ERROR(CheckCount("active_steps", played, 0, steps));
+  }
+  return absl::OkStatus();
+}
+
+}  // namespace
+
+absl::Status CheckName(absl::string_view field, absl::string_view name) {
+  if (name.empty()) return absl::InvalidArgumentError(absl::StrFormat("%s is empty, want a unique name", field));
+  return CheckText(field, name);
+}
+
+absl::Status CheckJoin(const v1::JoinRequest& request) {
+  CRAFTFLEET_RETURN_IF_ERROR(CheckName("actor", request.actor()));
+  CRAFTFLEET_RETURN_IF_ERROR(CheckText("address", request.address()));
+  CRAFTFLEET_RETURN_IF_ERROR(CheckText("cpu", request.cpu()));
+  CRAFTFLEET_RETURN_IF_ERROR(CheckText("build", request.build()));
+  return CheckText("canary", request.canary());
+}
+
+absl::Status CheckPermitRequest(const v1::PermitRequest& request, int lanes, int steps) {
+  CRAFTFLEET_RETURN_IF_ERROR(CheckName("actor", request.actor()));
+  CRAFTFLEET_RETURN_IF_ERROR(CheckCount("capacity", request.capacity(), 0, kMaxGames));
+  CRAFTFLEET_RETURN_IF_ERROR(CheckCount("wait_ms", request.wait_ms(), 0, 24 * 3600 * 1000));
+  CRAFTFLEET_RETURN_IF_ERROR(CheckCount("evaluation", request.evaluation(), 0, kMaxCount));
+  CRAFTFLEET_RETURN_IF_ERROR(CheckCount("env_servers_generation", request.env_servers_generation(), 0, 4 * kMaxCount));
+  CRAFTFLEET_RETURN_IF_ERROR(CheckActive(request, lanes, steps));
+  CRAFTFLEET_RETURN_IF_ERROR(CheckCount("failures", request.failures_size(), 0, lanes));
+  for (const v1::LaneFailure& failure : request.failures()) {
+    CRAFTFLEET_RETURN_IF_ERROR(CheckLane("failures", failure.lane(), lanes));
+    CRAFTFLEET_RETURN_IF_ERROR(CheckCount("failures.fragment", failure.fragment(), 0, kMaxCount));
+    CRAFTFLEET_RETURN_IF_ERROR(CheckBytes("failures.reason", failure.reason().size(), kMaxReasonBytes));
+  }
+  return CheckSummary(request.summary());
+}
+
+absl::Status CheckSummary(const v1::ProcessSummary& summary) {
+  CRAFTFLEET_RETURN_IF_ERROR(CheckNumber("summary.steps_per_second", summary.steps_per_second(), kMaxStepsPerSecond));
+  CRAFTFLEET_RETURN_IF_ERROR(CheckCount("summary.lanes", summary.lanes(), 0, kMaxGames));
+  CRAFTFLEET_RETURN_IF_ERROR(CheckCount("summary.policy_version", summary.policy_version(), -1, kMaxCount));
+  CRAFTFLEET_RETURN_IF_ERROR(CheckCount("summary.memory_bytes", summary.memory_bytes(), 0, kMaxCount));
+  CRAFTFLEET_RETURN_IF_ERROR(CheckCount("summary.errors", summary.errors(), 0, kMaxCount));
+  CRAFTFLEET_RETURN_IF_ERROR(CheckBytes("summary.last_error", summary.last_error().size(), kMaxReasonBytes));
+  CRAFTFLEET_RETURN_IF_ERROR(CheckCount("summary.threads", summary.threads(), 0, kMaxThreads));
+  CRAFTFLEET_RETURN_IF_ERROR(CheckCount("summary.times", summary.times_size(), 0, kMaxActivities));
+  for (const v1::ActivityTime& time : summary.times()) {
+    CRAFTFLEET_RETURN_IF_ERROR(CheckBytes("summary.times.activity", time.activity().size(), kMaxActivityBytes));
+    CRAFTFLEET_RETURN_IF_ERROR(CheckNumber("summary.times.seconds", time.seconds(), static_cast<double>(kMaxCount)));
+    CRAFTFLEET_RETURN_IF_ERROR(CheckNumber("summary.times.share", time.share(), kMaxShare));
+  }
+  return absl::OkStatus();
+}
+
+absl::Status CheckAnnouncement(const v1::Announcement& announcement) {
+  CRAFTFLEET_RETURN_IF_ERROR(CheckName("name", announcement.name()));
+  CRAFTFLEET_RETURN_IF_ERROR(CheckText("address", announcement.address()));
+  CRAFTFLEET_RETURN_IF_ERROR(CheckAddress("advertise", announcement.address()));
+  CRAFTFLEET_RETURN_IF_ERROR(CheckText("build", announcement.build()));
+  CRAFTFLEET_RETURN_IF_ERROR(CheckText("canary", announcement.canary()));
+  return CheckSummary(announcement.summary());
+}
+
+}  // namespace craftfleet::wire
