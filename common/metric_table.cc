@@ -52,8 +52,12 @@ constexpr MetricInfo kTable[] = {
     {"fragments_duplicate", kCounter, "fragments",
      "Fragments that came again: after a lost answer, or from the second of two that played it."},
     {"fragments_expired", kCounter, "fragments", "Fragments whose permit had gone to another actor."},
-    {"fragments_rejected", kCounter, "fragments", "Fragments of a wrong shape or version."},
-    {"permits_lapsed", kCounter, "", "Permits taken back from actors that fell silent."},
+    {"fragments_rejected", kCounter, "fragments", "Fragments of a wrong shape or version, or with impossible values."},
+    {"fragments_differing", kCounter, "fragments",
+     "Fragments that came again with other bytes: one of two actors computes wrongly."},
+    {"lanes_reset", kCounter, "", "Lanes put back to an earlier snapshot, since nobody could restore the last one."},
+    {"updates_undone", kCounter, "", "Updates that failed; their iterations are played again."},
+    {"permits_lapsed", kCounter, "", "Permits taken back from actors that fell silent or made no progress."},
     {"fragments_queued", kGauge, "fragments", "Fragments that wait for the trainer."},
 
     // Actors.

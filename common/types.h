@@ -77,6 +77,10 @@ struct Fragment {
   // recurrent_batches PUBLISHED, before each, k = T.
   std::vector<float> states;
   LaneSnapshot snapshot;  // after the last step
+
+  // Added by the learner when it takes the fragment in.
+  std::string sender;   // the actor
+  uint64_t digest = 0;  // of all that was played
 };
 
 }  // namespace craftfleet

@@ -8,6 +8,7 @@
 #include "common/crc32c.h"
 #include "common/files.h"
 #include "common/little_endian.h"
+#include "common/snapshot_envelope.h"
 #include "common/status_macros.h"
 #include "common/wire/protocol.h"
 
@@ -39,6 +40,9 @@ std::vector<Fragment> FragmentJournal::Read(const wire::FragmentShape& shape) {
     while (const std::optional<absl::string_view> record = NextRecord(&rest)) {
       v1::FragmentMessage message;
       if (!message.ParseFromArray(record->data(), static_cast<int>(record->size()))) break;
+      if (!HasEnvelope(message.snapshot())) {  // of version 0.1
+        message.set_snapshot(SealSnapshot(shape.env_digest, message.snapshot()));
+      }
       absl::StatusOr<Fragment> fragment = wire::FromProto(&message, shape);
       if (!fragment.ok()) break;
       fragments.push_back(*std::move(fragment));

@@ -4,13 +4,18 @@
 #include <iterator>
 #include <utility>
 
+#include <absl/strings/str_cat.h>
 #include <absl/strings/str_format.h>
 
 #include "common/check.h"
+#include "common/log.h"
+#include "common/printable.h"
 
 namespace craftfleet {
 
 namespace {
+
+constexpr int kMaxRefusals = 4;  // of one snapshot, whoever they are from
 
 absl::Status NotKnown(absl::string_view actor) {
   return absl::AbortedError(absl::StrFormat("actor %s is not known here: join again", actor));
@@ -19,9 +24,14 @@ absl::Status NotKnown(absl::string_view actor) {
 }  // namespace
 
 LaneLedger::LaneLedger(const Options& options, std::vector<LaneRecord> lanes, Clock* clock)
-    : options_(options), clock_(clock) {
+    : options_(options), clock_(clock), resets_(options.resets) {
   CRAFTFLEET_CHECK(static_cast<int>(lanes.size()) == options.lanes);
-  for (LaneRecord& record : lanes) lanes_.push_back({std::move(record), nullptr, std::nullopt, nullptr, clock_->Now()});
+  for (LaneRecord& record : lanes) {
+    Lane& lane = lanes_.emplace_back();
+    lane.start = record;
+    lane.record = std::move(record);
+    lane.since = clock_->Now();
+  }
 }
 
 void LaneLedger::Join(absl::string_view actor, absl::string_view address) {
@@ -47,15 +57,18 @@ void LaneLedger::LoseTouch(absl::string_view actor) {
 }
 
 absl::StatusOr<LaneLedger::Grant> LaneLedger::GetPermits(absl::string_view actor_name, absl::Span<const Permit> active,
-                                                         int capacity, absl::Duration wait) {
+                                                         int capacity, absl::Duration wait,
+                                                         absl::Span<const int64_t> steps) {
   const std::string name(actor_name);
   MutexLock lock(&mu_);
   auto known = actors_.find(name);
   // Late, but nobody asked for its lanes in the meantime.
   if (known != actors_.end() && clock_->Now() - known->second.last_word <= 2 * options_.lease) {
     known->second.last_word = clock_->Now();
+    NoteProgress(&known->second, active, steps);
   }
   ExpireLeases();
+  EndStalls();
   known = actors_.find(name);
   if (known == actors_.end()) return NotKnown(name);
   known->second.capacity = std::clamp(capacity, 0, options_.lanes);
@@ -78,11 +91,14 @@ absl::StatusOr<LaneLedger::Grant> LaneLedger::GetPermits(absl::string_view actor
 }
 
 absl::StatusOr<LaneLedger::Verdict> LaneLedger::Accept(absl::string_view actor, const Permit& fragment,
-                                                       const LaneSnapshot& snapshot) {
+                                                       const LaneSnapshot& snapshot, uint64_t digest) {
   MutexLock lock(&mu_);
   CRAFTFLEET_CHECK(fragment.lane >= 0 && fragment.lane < options_.lanes);
   Lane& lane = lanes_[fragment.lane];
-  if (fragment.fragment < lane.record.next_fragment) return Verdict::kDuplicate;
+  if (fragment.fragment < lane.record.next_fragment) {
+    Compare(actor, fragment, digest);
+    return Verdict::kDuplicate;
+  }
   const auto sender = actors_.find(std::string(actor));
   if (sender == actors_.end() || !IsPlayer(lane, &sender->second) || !lane.permit.has_value() ||
       lane.permit->fragment != fragment.fragment) {
@@ -93,23 +109,107 @@ absl::StatusOr<LaneLedger::Verdict> LaneLedger::Accept(absl::string_view actor, 
                                                       fragment.policy_version, fragment.fragment, fragment.lane,
                                                       lane.permit->policy_version));
   }
+  times_.push_back(clock_->Now() - lane.since);
   EndPermit(&lane);
   SetHolder(&lane, sender->second.draining ? nullptr : &sender->second);
-  lane.record.next_fragment = fragment.fragment + 1;
-  lane.record.snapshot = snapshot;
+  lane.record = {fragment.fragment + 1, snapshot, std::move(lane.record.snapshot), sender->first};
+  lane.taken.push_back({fragment.fragment, digest, sender->first});
+  lane.stalls = 0;
+  lane.avoided = nullptr;
+  lane.refusals = 0;
+  EndPause(&sender->second);
   ++sender->second.fragments;
   sender->second.last_word = clock_->Now();
   if (lane.record.next_fragment < last_fragment_) changed_.NotifyAll();
   return Verdict::kAccepted;
 }
 
-bool LaneLedger::Restore(const Permit& fragment, const LaneSnapshot& snapshot) {
+void LaneLedger::Compare(absl::string_view actor, const Permit& fragment, uint64_t digest) {
+  if (actors_.count(std::string(actor)) == 0) return;
+  for (Taken& taken : lanes_[fragment.lane].taken) {
+    if (taken.fragment != fragment.fragment || taken.digest == digest) continue;
+    ++differing_;
+    if (taken.differs) continue;
+    taken.differs = true;
+    LogError(
+        "fragment %d of lane %d: actor %s sent %016x, which counts, and actor %s sent %016x; they should be equal: "
+        "compare their programs and CPUs",
+        fragment.fragment, fragment.lane, taken.sender, taken.digest, actor, digest);
+  }
+}
+
+bool LaneLedger::Restore(const Permit& fragment, const LaneSnapshot& snapshot, uint64_t digest) {
   MutexLock lock(&mu_);
   CRAFTFLEET_CHECK(fragment.lane >= 0 && fragment.lane < options_.lanes);
-  LaneRecord& record = lanes_[fragment.lane].record;
-  if (record.next_fragment != fragment.fragment || lanes_[fragment.lane].permit.has_value()) return false;
-  record = {fragment.fragment + 1, snapshot};
+  Lane& lane = lanes_[fragment.lane];
+  if (lane.record.next_fragment != fragment.fragment || lane.permit.has_value()) return false;
+  lane.record = {fragment.fragment + 1, snapshot, std::move(lane.record.snapshot), ""};
+  lane.taken.push_back({fragment.fragment, digest, "an earlier start"});
+  lane.restored = true;
   return true;
+}
+
+bool LaneLedger::Counts(int lane, int64_t fragment, uint64_t digest) const {
+  MutexLock lock(&mu_);
+  const std::deque<Taken>& taken = lanes_[lane].taken;
+  return std::any_of(taken.begin(), taken.end(),
+                     [&](const Taken& t) { return t.fragment == fragment && t.digest == digest; });
+}
+
+void LaneLedger::Refuse(absl::string_view actor_name, int l, int64_t fragment, absl::string_view reason) {
+  MutexLock lock(&mu_);
+  const auto actor = actors_.find(std::string(actor_name));
+  if (actor == actors_.end() || l < 0 || l >= options_.lanes) return;
+  Lane& lane = lanes_[l];
+  if (!IsPlayer(lane, &actor->second) || !lane.permit.has_value() || lane.permit->fragment != fragment) return;
+  GiveToOthers(&lane, &actor->second);
+  if (lane.record.snapshot.game.empty()) return;  // a new game: there is nothing to put it back to
+  const bool is_first = lane.refusals++ == 0;
+  const bool is_other = !is_first && lane.refuser != actor->first;
+  lane.refuser = actor->first;
+  LogWarning("actor %s can't go on with lane %d: %s", actor->first, l, Printable(reason));
+  const bool is_enough = is_other || (!is_first && !HasOthers(actor->second)) || lane.refusals >= kMaxRefusals;
+  if (is_enough && !lane.permit.has_value()) PutBack(&lane, reason);
+  changed_.NotifyAll();
+}
+
+void LaneLedger::PutBack(Lane* lane, absl::string_view reason) {
+  LaneRecord& record = lane->record;
+  const std::string sender = record.sender.empty() ? "an earlier start" : absl::StrCat("actor ", record.sender);
+  const std::string trouble =
+      absl::StrFormat("lane %d: the snapshot after its fragment %d, from %s, is no game (%s)", lane - lanes_.data(),
+                      record.next_fragment - 1, sender, Printable(reason));
+  if (record.next_fragment > lane->start.next_fragment) {
+    LogError("%s; it is played again from fragment %d on", trouble, lane->start.next_fragment);
+    Rewind(lane);
+  } else {
+    LogError("%s; it goes on %s", trouble,
+             record.previous.game.empty() ? "with a new game" : "from the snapshot before that fragment");
+    const size_t state_size = record.snapshot.state.size();
+    record.snapshot = std::move(record.previous);
+    record.snapshot.state.resize(state_size);
+    record.previous = {};
+    record.sender.clear();
+    lane->start = record;
+  }
+  ++resets_;
+  lane->refusals = 0;
+  lane->avoided = nullptr;
+}
+
+void LaneLedger::Rewind(Lane* lane) {
+  lane->record = lane->start;
+  while (!lane->taken.empty() && lane->taken.back().fragment >= lane->start.next_fragment) lane->taken.pop_back();
+  lane->refusals = 0;
+}
+
+void LaneLedger::RewindIteration() {
+  MutexLock lock(&mu_);
+  last_fragment_ = 0;
+  for (Lane& lane : lanes_) {
+    if (lane.permit.has_value()) EndPermit(&lane);
+    Rewind(&lane);
+  }
 }
 
 absl::StatusOr<LaneSnapshot> LaneLedger::Snapshot(int lane, int64_t fragment) const {
@@ -130,7 +230,13 @@ void LaneLedger::OpenIteration(int64_t last_fragment, int64_t policy_version) {
   last_fragment_ = last_fragment;
   policy_version_ = policy_version;
   lapsed_before_ = lapsed_;
-  for (Lane& lane : lanes_) lane.since = clock_->Now();
+  times_.clear();
+  for (Lane& lane : lanes_) {
+    lane.since = clock_->Now();
+    if (std::exchange(lane.restored, false)) continue;
+    while (!lane.taken.empty() && lane.taken.front().fragment < lane.start.next_fragment) lane.taken.pop_front();
+    lane.start = lane.record;
+  }
   changed_.NotifyAll();
 }
 
@@ -201,8 +307,8 @@ std::vector<LaneLedger::ActorInfo> LaneLedger::Actors() const {
   MutexLock lock(&mu_);
   std::vector<ActorInfo> infos;
   for (const auto& [name, actor] : actors_) {
-    infos.push_back(
-        {name, actor.address, actor.permits, actor.fragments, clock_->Now() - actor.last_word, actor.draining});
+    infos.push_back({name, actor.address, actor.permits, actor.fragments, clock_->Now() - actor.last_word,
+                     actor.draining, actor.pause > absl::ZeroDuration()});
   }
   return infos;
 }
@@ -210,6 +316,16 @@ std::vector<LaneLedger::ActorInfo> LaneLedger::Actors() const {
 int64_t LaneLedger::lapsed() const {
   MutexLock lock(&mu_);
   return lapsed_;
+}
+
+int64_t LaneLedger::resets() const {
+  MutexLock lock(&mu_);
+  return resets_;
+}
+
+int64_t LaneLedger::differing() const {
+  MutexLock lock(&mu_);
+  return differing_;
 }
 
 void LaneLedger::ExpireLeases() {
@@ -229,6 +345,7 @@ void LaneLedger::Forget(std::map<std::string, Actor>::iterator actor) {
   for (Lane& lane : lanes_) {
     if (lane.permit.has_value()) TakeBack(&lane, &actor->second);
     if (lane.holder == &actor->second) SetHolder(&lane, nullptr);
+    if (lane.avoided == &actor->second) lane.avoided = nullptr;
   }
   actors_.erase(actor);
 }
@@ -251,77 +368,6 @@ std::vector<Permit> LaneLedger::Renew(Actor* actor, absl::Span<const Permit> act
     }
   }
   return lost;
-}
-
-bool LaneLedger::IsPausing(const Actor& actor) const {
-  return actors_.size() > 1 && clock_->Now() - actor.gave_back <= options_.patience;
-}
-
-std::vector<Permit> LaneLedger::GrantTo(Actor* actor) {
-  if (paused_ || actor->draining || IsPausing(*actor)) return {};
-  const absl::Time now = clock_->Now();
-  const Shares shares = FairShares();
-  std::vector<Permit> granted;
-  for (const Claim wanted : {Claim::kOwn, Claim::kSpare, Claim::kLeftLying}) {
-    const int share = wanted == Claim::kLeftLying ? shares.Most() : shares.Of(*actor);
-    int room = std::min(actor->capacity, share) - actor->permits;
-    for (int l = 0; l < options_.lanes && room > 0; ++l) {
-      Lane& lane = lanes_[l];
-      if (lane.permit.has_value() || lane.record.next_fragment >= last_fragment_ ||
-          ClaimOn(lane, *actor, shares, now) != wanted) {
-        continue;
-      }
-      SetHolder(&lane, actor);
-      lane.permit = Permit{l, lane.record.next_fragment, policy_version_};
-      lane.since = now;
-      ++actor->permits;
-      granted.push_back(*lane.permit);
-      --room;
-    }
-  }
-  return granted.empty() && actor->permits == 0 && lapsed_ > lapsed_before_ ? GrantBackup(actor, shares) : granted;
-}
-
-std::vector<Permit> LaneLedger::GrantBackup(Actor* actor, const Shares& shares) {
-  const absl::Time now = clock_->Now();
-  const int most = std::min(actor->capacity, shares.Most());
-  std::vector<Permit> granted;
-  for (Lane& lane : lanes_) {
-    if (actor->permits >= most) break;
-    if (!lane.permit.has_value() || lane.backup != nullptr || now - lane.since <= options_.patience) continue;
-    lane.backup = actor;
-    ++actor->permits;
-    granted.push_back(*lane.permit);
-  }
-  return granted;
-}
-
-LaneLedger::Claim LaneLedger::ClaimOn(const Lane& lane, const Actor& actor, const Shares& shares,
-                                      absl::Time now) const {
-  if (lane.holder == &actor) return Claim::kOwn;
-  const bool spare = lane.holder == nullptr || shares.IsOver(*lane.holder);
-  if (spare && actor.held < shares.Of(actor)) return Claim::kSpare;
-  return now - lane.since > options_.patience ? Claim::kLeftLying : Claim::kNone;
-}
-
-LaneLedger::Shares LaneLedger::FairShares() const {
-  std::vector<int> capacities;
-  capacities.reserve(actors_.size());
-  for (const auto& [name, actor] : actors_) capacities.push_back(actor.draining ? 0 : actor.capacity);
-  std::sort(capacities.begin(), capacities.end());
-  Shares shares;
-  int lanes = options_.lanes;
-  auto actors = static_cast<int>(capacities.size());
-  // Those that can't play a full share leave more to the others.
-  for (const int capacity : capacities) {
-    shares.all = lanes / actors;
-    shares.extra = lanes % actors;
-    if (capacity > shares.all) break;
-    lanes -= capacity;
-    --actors;
-  }
-  for (const auto& [name, actor] : actors_) shares.above += actor.held > shares.all ? 1 : 0;
-  return shares;
 }
 
 void LaneLedger::SetHolder(Lane* lane, Actor* actor) {
@@ -347,7 +393,10 @@ void LaneLedger::TakeBack(Lane* lane, Actor* actor) {
     return;
   }
   --actor->permits;
-  if (lane->holder == actor) SetHolder(lane, lane->backup);
+  if (lane->holder == actor) {
+    SetHolder(lane, lane->backup);
+    lane->pace = lane->backup_pace;
+  }
   lane->backup = nullptr;
 }
 

@@ -16,10 +16,12 @@
 #include "common/files.h"
 #include "common/known_canary.h"
 #include "common/log.h"
+#include "common/snapshot_envelope.h"
 #include "common/status_macros.h"
 #include "common/texture_digest.h"
 #include "common/version.h"
 #include "learner/fleet_summary.h"
+#include "learner/lane_loading.h"
 #include "learner/runnable_config.h"
 
 namespace craftfleet {
@@ -64,16 +66,6 @@ absl::StatusOr<std::string> InitFrom(const std::string& path, const v1::RunConfi
   return origin;
 }
 
-// Lanes as the checkpoint has them, new ones without one. `state_size` is that of the agent.
-std::vector<LaneRecord> LaneRecords(const v1::RunConfig& config, const v1::CheckpointState& state, int state_size) {
-  std::vector<LaneRecord> lanes(config.lanes(), {0, {"", std::vector<float>(state_size)}});
-  for (int i = 0; i < std::min(config.lanes(), state.lanes_size()); ++i) {
-    const v1::LaneState& lane = state.lanes(i);
-    lanes[i] = {lane.next_fragment(), {lane.snapshot(), {lane.state().begin(), lane.state().end()}}};
-  }
-  return lanes;
-}
-
 // DataLoss unless each lane of the checkpoint has a recurrent state of the agent's size.
 absl::Status CheckLaneStates(const v1::CheckpointState& state, int state_size) {
   for (int i = 0; i < state.lanes_size(); ++i) {
@@ -96,8 +88,9 @@ absl::StatusOr<BuildCheck::Options> ExpectedBuild(v1::RunConfig::Cpu cpu, absl::
   return BuildCheck::Options{BuildId(), canary, std::string(KnownGameCanary(texture_digest)), allow_mixed};
 }
 
-LaneLedger::Options LedgerOptions(const v1::RunConfig& config) {
+LaneLedger::Options LedgerOptions(const v1::RunConfig& config, int resets) {
   LaneLedger::Options options;
+  options.resets = resets;
   options.lanes = config.lanes();
   options.lease = kLease;
   return options;
@@ -117,6 +110,8 @@ struct Learner::Loaded {
   std::optional<FragmentJournal> journal;  // if fragments are to be kept
   std::vector<Fragment> kept;              // by an earlier start
   Checkpoint checkpoint;                   // empty for a new run; without weights and optimiser, which the updater has
+  wire::FragmentShape shape;
+  LoadedLanes lanes;
   std::string texture_digest;
   BuildCheck::Options build;
   std::shared_ptr<const wire::AccessControl> access;  // null: no access file
@@ -134,6 +129,8 @@ absl::StatusOr<std::unique_ptr<Learner>> Learner::Create(const Options& options)
   CRAFTFLEET_ASSIGN_OR_RETURN(const AgentSpec spec, MakeAgentSpec(*config));
   CRAFTFLEET_RETURN_IF_ERROR(CheckRunnable(*config, spec, {OwnMemoryBytes(), options.device == "cpu"}));
   CRAFTFLEET_ASSIGN_OR_RETURN(Loaded loaded, Load(options, *config));
+  loaded.shape = FragmentShapeOf(*config, spec);
+  loaded.lanes = LoadLanes(loaded.checkpoint.state, loaded.shape);
   if (config->checkpoint().keep_fragments()) OpenJournal(&loaded);
   wire::Server::Options server = options.server;
   CRAFTFLEET_RETURN_IF_ERROR(server.OpenAccess());
@@ -181,7 +178,7 @@ absl::StatusOr<Learner::Loaded> Learner::Load(const Options& options, const v1::
 void Learner::OpenJournal(Loaded* loaded) {
   const RunFolder& folder = *loaded->folder;
   loaded->journal.emplace(JoinPath(folder.logdir(), "fragments.journal"), folder.run_id(), folder.fence());
-  loaded->kept = loaded->journal->Read(FragmentShapeOf(loaded->config, loaded->updater->spec()));
+  loaded->kept = loaded->journal->Read(loaded->shape);
 }
 
 Learner::Learner(const Options& options, Loaded loaded)
@@ -190,8 +187,7 @@ Learner::Learner(const Options& options, Loaded loaded)
       folder_(std::move(loaded.folder)),
       updater_(std::move(loaded.updater)),
       journal_(std::move(loaded.journal)),
-      ledger_(LedgerOptions(config_), LaneRecords(config_, loaded.checkpoint.state, updater_->spec().state_size),
-              clock_.get()),
+      ledger_(LedgerOptions(config_, loaded.lanes.resets), std::move(loaded.lanes.records), clock_.get()),
       fragments_(FragmentsPerIteration(config_)),
       evaluation_book_(kLease, clock_.get()),
       env_servers_(kServerLease, clock_.get()),
@@ -202,8 +198,8 @@ Learner::Learner(const Options& options, Loaded loaded)
       trainer_(config_, loaded.checkpoint.state, std::move(loaded.kept),
                {folder_.get(), updater_.get(), &ledger_, &weights_, &fragments_, &evaluations_, &progress_,
                 &checkpoint_requests_, journal_.has_value() ? &*journal_ : nullptr, clock_.get()}),
-      service_({folder_->run_id(), folder_->epoch(), config_, loaded.texture_digest,
-                FragmentShapeOf(config_, updater_->spec()), kLease, std::move(loaded.build), std::move(loaded.access)},
+      service_({folder_->run_id(), folder_->epoch(), config_, loaded.texture_digest, loaded.shape, kLease,
+                std::move(loaded.build), std::move(loaded.access)},
                &ledger_, &weights_, &fragments_, &evaluation_book_, &env_servers_, &fleet_),
       admin_service_({&checkpoint_requests_, &ledger_, &evaluation_book_, &env_servers_, [this] { Stop(); }}),
       status_service_("learner", [this](v1::StatusReply* reply) { FillStatus(reply); }) {}

@@ -8,11 +8,13 @@
 #include <absl/strings/str_format.h>
 
 #include "common/log.h"
+#include "common/printable.h"
 #include "common/status_macros.h"
 #include "common/version.h"
-#include "common/wire/channel.h"
+#include "common/wire/fragment_digest.h"
 #include "common/wire/grpc_status.h"
 #include "common/wire/protocol.h"
+#include "common/wire/request_check.h"
 #include "common/wire/status_service.h"
 
 namespace craftfleet {
@@ -39,11 +41,6 @@ constexpr absl::string_view kActor = "actor";
 constexpr absl::string_view kEnvServer = "environment server";
 // Twice the longest lease: what was given to a name has lapsed before another can have it.
 constexpr absl::Duration kNameLapse = absl::Seconds(16);
-
-absl::Status CheckName(absl::string_view field, absl::string_view name) {
-  if (name.empty()) return absl::InvalidArgumentError(absl::StrFormat("%s is empty, want a unique name", field));
-  return wire::CheckText(field, name);
-}
 
 v1::FragmentVerdict::Verdict ToProto(LaneLedger::Verdict verdict) {
   switch (verdict) {
@@ -75,7 +72,7 @@ LearnerServiceImpl::LearnerServiceImpl(const Options& options, LaneLedger* ledge
 
 absl::Status LearnerServiceImpl::Name(const grpc::ServerContext& context, absl::string_view kind,
                                       absl::string_view name) {
-  CRAFTFLEET_RETURN_IF_ERROR(CheckName(kind, name));
+  CRAFTFLEET_RETURN_IF_ERROR(wire::CheckName(kind, name));
   const std::string identity =
       options_.access != nullptr ? options_.access->Identify(context) : wire::IdentifyByCertificate(context);
   absl::Status status = names_.Use(kind, name, identity);
@@ -91,10 +88,7 @@ grpc::Status LearnerServiceImpl::Join(grpc::ServerContext* context, const v1::Jo
     LogWarning("actor %s refused: %s", request->actor(), status.message());
     return wire::ToGrpc(status);
   }
-  absl::Status status = wire::CheckText("address", request->address());
-  if (status.ok()) status = wire::CheckText("cpu", request->cpu());
-  if (status.ok()) status = wire::CheckText("build", request->build());
-  if (status.ok()) status = wire::CheckText("canary", request->canary());
+  absl::Status status = wire::CheckJoin(*request);
   if (status.ok()) status = Name(*context, kActor, request->actor());
   if (!status.ok()) return wire::ToGrpc(status);
   if (!request->only_ask()) {
@@ -118,12 +112,22 @@ grpc::Status LearnerServiceImpl::Join(grpc::ServerContext* context, const v1::Jo
 grpc::Status LearnerServiceImpl::GetPermits(grpc::ServerContext* context, const v1::PermitRequest* request,
                                             v1::PermitReply* reply) {
   if (absl::Status status = CheckEpoch(request->epoch()); !status.ok()) return wire::ToGrpc(status);
+  if (absl::Status status = wire::CheckPermitRequest(*request, options_.shape.lanes, options_.shape.steps);
+      !status.ok()) {
+    LogWarning("request of actor %s refused: %s", Printable(request->actor().substr(0, wire::kMaxTextBytes)),
+               status.message());
+    return wire::ToGrpc(status);
+  }
   if (absl::Status status = Name(*context, kActor, request->actor()); !status.ok()) return wire::ToGrpc(status);
+  for (const v1::LaneFailure& failure : request->failures()) {
+    ledger_->Refuse(request->actor(), failure.lane(), failure.fragment(), failure.reason());
+  }
   evaluations_->Renew(request->actor(), request->evaluation());
   std::vector<Permit> active;
   for (const v1::Permit& permit : request->active()) active.push_back(FromProto(permit));
   absl::StatusOr<LaneLedger::Grant> grant =
-      ledger_->GetPermits(request->actor(), active, request->capacity(), WaitTime(request->wait_ms()));
+      ledger_->GetPermits(request->actor(), active, request->capacity(), WaitTime(request->wait_ms()),
+                          absl::MakeConstSpan(request->active_steps().data(), request->active_steps_size()));
   if (!grant.ok()) return wire::ToGrpc(grant.status());
   if (context->IsCancelled()) {
     ledger_->LoseTouch(request->actor());
@@ -181,7 +185,11 @@ grpc::Status LearnerServiceImpl::PushFragments(
     if (!verdict.ok()) {
       if (verdict.status().code() == absl::StatusCode::kInvalidArgument) {
         ++rejected_;
-        LogWarning("fragment of actor %s refused: %s", message.actor(), verdict.status().message());
+        const absl::Status status = absl::InvalidArgumentError(
+            absl::StrFormat("fragment %d of lane %d of actor %s: %s", message.number(), message.lane(),
+                            Printable(message.actor().substr(0, wire::kMaxTextBytes)), verdict.status().message()));
+        LogWarning("refused: %s", status.message());
+        return wire::ToGrpc(status);
       }
       return wire::ToGrpc(verdict.status());
     }
@@ -200,9 +208,12 @@ absl::StatusOr<v1::FragmentVerdict::Verdict> LearnerServiceImpl::TakeIn(v1::Frag
     return v1::FragmentVerdict::EXPIRED;
   }
   CRAFTFLEET_ASSIGN_OR_RETURN(Fragment fragment, wire::FromProto(message, options_.shape));
+  fragment.sender = message->actor();
+  fragment.digest = wire::FragmentDigest(fragment);
   CRAFTFLEET_ASSIGN_OR_RETURN(
       const LaneLedger::Verdict verdict,
-      ledger_->Accept(message->actor(), {fragment.lane, fragment.number, fragment.policy_version}, fragment.snapshot));
+      ledger_->Accept(fragment.sender, {fragment.lane, fragment.number, fragment.policy_version}, fragment.snapshot,
+                      fragment.digest));
   if (verdict == LaneLedger::Verdict::kAccepted) {
     ++accepted_;
     CRAFTFLEET_RETURN_IF_ERROR(fragments_->Push(std::move(fragment)));
@@ -258,7 +269,7 @@ grpc::Status LearnerServiceImpl::FinishEvaluation(grpc::ServerContext* context, 
                                                   v1::EvaluationReply* /*reply*/) {
   if (absl::Status status = CheckEpoch(request->epoch()); !status.ok()) return wire::ToGrpc(status);
   if (absl::Status status = Name(*context, kActor, request->actor()); !status.ok()) return wire::ToGrpc(status);
-  const absl::StatusOr<std::vector<Episode>> episodes = wire::FromProto(*request);
+  const absl::StatusOr<std::vector<Episode>> episodes = wire::FromProto(*request, options_.shape.max_length);
   const absl::Status status = episodes.ok() ? evaluations_->Finish(request->id(), *episodes) : episodes.status();
   if (!status.ok()) LogWarning("evaluation by actor %s refused: %s", request->actor(), status.message());
   return wire::ToGrpc(status);
@@ -269,11 +280,7 @@ grpc::Status LearnerServiceImpl::Announce(grpc::ServerContext* context, const v1
   const wire::Handshake ours = {wire::kProtocolVersion, "", options_.texture_digest};
   const wire::Handshake theirs = {request->protocol_version(), "", request->texture_digest()};
   absl::Status status = wire::CheckHandshake("learner", ours, "environment server", theirs);
-  if (status.ok()) status = CheckName("name", request->name());
-  if (status.ok()) status = wire::CheckText("address", request->address());
-  if (status.ok()) status = wire::CheckAddress("advertise", request->address());
-  if (status.ok()) status = wire::CheckText("build", request->build());
-  if (status.ok()) status = wire::CheckText("canary", request->canary());
+  if (status.ok()) status = wire::CheckAnnouncement(*request);
   if (status.ok()) status = Name(*context, kEnvServer, request->name());
   // Nor may one be announced where another's games are.
   if (status.ok()) status = Name(*context, "environment server at", request->address());
@@ -315,13 +322,16 @@ void LearnerServiceImpl::FillStatus(v1::StatusReply* reply) const {
   wire::AddMetric("fragments_expired", static_cast<double>(expired_.load()), reply);
   wire::AddMetric("fragments_rejected", static_cast<double>(rejected_.load()), reply);
   wire::AddMetric("fragments_queued", static_cast<double>(fragments_->size()), reply);
+  wire::AddMetric("fragments_differing", static_cast<double>(ledger_->differing()), reply);
+  wire::AddMetric("lanes_reset", static_cast<double>(ledger_->resets()), reply);
   wire::AddMetric("permits_lapsed", static_cast<double>(ledger_->lapsed()), reply);
   const std::vector<LaneLedger::ActorInfo> actors = ledger_->Actors();
   for (v1::Peer& worker : fleet_->Workers()) {
     const auto actor =
         std::find_if(actors.begin(), actors.end(), [&](const auto& a) { return a.name == worker.name(); });
     if (actor != actors.end()) {
-      worker.set_state(absl::StrFormat("%d permits, %d fragments accepted%s", actor->permits, actor->fragments,
+      worker.set_state(absl::StrFormat("%d permits, %d fragments accepted%s%s", actor->permits, actor->fragments,
+                                       actor->stalled ? ", makes no progress" : "",
                                        !actor->draining      ? ""
                                        : actor->permits == 0 ? ", drained"
                                                              : ", draining"));

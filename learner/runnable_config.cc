@@ -12,9 +12,11 @@
 #include <absl/strings/str_format.h>
 
 #include "common/agent/nets/attention.h"
+#include "common/agent/nets/recurrent_core.h"
 #include "common/config.h"
 #include "common/env_name.h"
 #include "common/files.h"
+#include "common/snapshot_envelope.h"
 #include "common/status_macros.h"
 #include "common/wire/protocol.h"
 
@@ -134,6 +136,9 @@ wire::FragmentShape FragmentShapeOf(const v1::RunConfig& config, const AgentSpec
   shape.frame_bytes = static_cast<int>(spec.frame_bytes());
   shape.state_size = spec.state_size;
   shape.states = config.ppo().recurrent_batches() == v1::PpoConfig::PUBLISHED ? config.fragment_steps() : 1;
+  shape.hidden = static_cast<int>(LstmLayer::kHidden);
+  if (config.env().length() != 0) shape.max_length = config.env().length();
+  shape.env_digest = EnvDigest(EnvName::Parse(config.env().name()).value_or(EnvName()).WorldName(), shape.max_length);
   return shape;
 }
 

@@ -1,6 +1,8 @@
 #include "learner/trainer.h"
 
 #include <algorithm>
+#include <cmath>
+#include <map>
 #include <tuple>
 #include <utility>
 
@@ -10,7 +12,9 @@
 #include "common/heap.h"
 #include "common/log.h"
 #include "common/status_macros.h"
+#include "common/wire/fragment_digest.h"
 #include "common/wire/status_service.h"
+#include "learner/lane_loading.h"
 
 namespace craftfleet {
 namespace {
@@ -19,6 +23,37 @@ constexpr absl::Duration kProgressTick = absl::Milliseconds(200);
 constexpr absl::Duration kSayWaiting = absl::Seconds(15);
 constexpr absl::Duration kRoomTick = absl::Seconds(1);  // between two looks for room on a full disk
 constexpr int64_t kMaxWaitingBytes = 64 << 20;          // of logs; 100,000 episodes
+constexpr int kMaxFailedUpdates = 2;                    // in a row
+constexpr size_t kMaxSenders = 16;                      // that are named when an update fails
+constexpr size_t kMaxListBytes = 300;                   // of the fragments that one of them sent
+
+// Who sent what of an iteration that can't be learned from: a line each.
+std::vector<std::string> DescribeSenders(const std::vector<Fragment>& fragments) {
+  struct Sent {
+    std::string list;
+    float log_prob = 0;  // lowest
+    float value = 0;     // largest, without its sign
+  };
+  std::map<std::string, Sent> senders;
+  for (const Fragment& fragment : fragments) {
+    Sent& sent = senders[fragment.sender];
+    absl::StrAppend(&sent.list, sent.list.empty() ? "" : " ", fragment.lane, "/", fragment.number);
+    for (const float log_prob : fragment.log_probs) sent.log_prob = std::min(sent.log_prob, log_prob);
+    for (const float value : fragment.values) sent.value = std::max(sent.value, std::abs(value));
+  }
+  std::vector<std::string> lines;
+  for (const auto& [sender, sent] : senders) {
+    if (lines.size() == kMaxSenders) {
+      lines.push_back(absl::StrFormat("and %d more", senders.size() - kMaxSenders));
+      break;
+    }
+    const bool is_long = sent.list.size() > kMaxListBytes;
+    lines.push_back(absl::StrFormat("of %s (lane/fragment): %s%s; log_probs down to %g, values up to %g", sender,
+                                    sent.list.substr(0, kMaxListBytes), is_long ? "..." : "", sent.log_prob,
+                                    sent.value));
+  }
+  return lines;
+}
 
 }  // namespace
 
@@ -55,7 +90,13 @@ absl::Status Trainer::Run() {
   } else {
     parts_.ledger->Close();
   }
-  if (!status.ok() && status.code() != absl::StatusCode::kCancelled) return status;
+  if (!status.ok() && status.code() != absl::StatusCode::kCancelled) {
+    // What it had learned until then must not be lost.
+    if (failed_updates_ > 0 && checkpointed_ != counters_.iteration) {
+      if (const absl::Status written = WriteCheckpoint(); !written.ok()) LogError("%s", written.message());
+    }
+    return status;
+  }
   return checkpointed_ == counters_.iteration ? absl::OkStatus() : WriteLastCheckpoint();
 }
 
@@ -83,6 +124,18 @@ absl::Status Trainer::RunIteration() {
   CRAFTFLEET_RETURN_IF_ERROR(Collect(&fragments));
   meter_.Switch(Activity::kOther);
 
+  meter_.Switch(Activity::kUpdate);
+  const absl::StatusOr<UpdateStats> stats = Learn(iteration, fragments);
+  meter_.Switch(Activity::kOther);
+  if (absl::IsCancelled(stats.status())) return stats.status();
+  if (!stats.ok()) return UndoIteration(fragments, stats.status());
+  failed_updates_ = 0;
+  CRAFTFLEET_RETURN_IF_ERROR(FinishIteration(fragments, *stats));
+  Show(absl::ToDoubleSeconds(parts_.clock->Now() - begin));
+  return absl::OkStatus();
+}
+
+absl::StatusOr<UpdateStats> Trainer::Learn(int64_t iteration, const std::vector<Fragment>& fragments) {
   Rollout rollout;
   const RolloutOptions options = parts_.updater->rollout_options();
   for (const Fragment& fragment : fragments) {
@@ -92,11 +145,21 @@ absl::Status Trainer::RunIteration() {
     parts_.progress->Update(counters_.env_steps + config_.ppo().rollout_steps(), parts_.folder->score());
     return stopping_.load();
   };
-  meter_.Switch(Activity::kUpdate);
-  CRAFTFLEET_ASSIGN_OR_RETURN(const UpdateStats stats, parts_.updater->Update(iteration, rollout, should_stop));
-  meter_.Switch(Activity::kOther);
-  CRAFTFLEET_RETURN_IF_ERROR(FinishIteration(fragments, stats));
-  Show(absl::ToDoubleSeconds(parts_.clock->Now() - begin));
+  return parts_.updater->Update(iteration, rollout, should_stop);
+}
+
+absl::Status Trainer::UndoIteration(const std::vector<Fragment>& fragments, const absl::Status& error) {
+  ++undone_;
+  ++failed_updates_;
+  const bool again = failed_updates_ < kMaxFailedUpdates;
+  LogError("the update of iteration %d failed: %s; it is undone, and %s", counters_.iteration + 1, error.message(),
+           again ? "its fragments are played again" : "training ends, since it failed before in the same way");
+  for (const std::string& line : DescribeSenders(fragments)) LogError("%s", line);
+  if (parts_.journal != nullptr) {
+    if (const absl::Status status = parts_.journal->Clear(); !status.ok()) LogError("%s", status.message());
+  }
+  if (!again) return error;
+  parts_.ledger->RewindIteration();
   return absl::OkStatus();
 }
 
@@ -105,7 +168,9 @@ std::vector<Fragment> Trainer::TakeKept(int64_t last_fragment) {
   for (Fragment& fragment : kept_) {
     if (fragment.policy_version != policy_version_ || fragment.number >= last_fragment) continue;
     const Permit permit = {fragment.lane, fragment.number, fragment.policy_version};
-    if (parts_.ledger->Restore(permit, fragment.snapshot)) taken.push_back(std::move(fragment));
+    fragment.digest = wire::FragmentDigest(fragment);
+    fragment.sender = "kept by an earlier start";
+    if (parts_.ledger->Restore(permit, fragment.snapshot, fragment.digest)) taken.push_back(std::move(fragment));
   }
   kept_.clear();
   if (!taken.empty()) LogInfo("%d fragments of iteration %d were kept", taken.size(), counters_.iteration + 1);
@@ -123,12 +188,18 @@ void Trainer::Keep(const Fragment& fragment) {
 absl::Status Trainer::Collect(std::vector<Fragment>* fragments) {
   const size_t wanted = static_cast<size_t>(config_.lanes()) * fragments_per_lane();
   absl::Time last_news = parts_.clock->Now();
-  while (fragments->size() < wanted) {
+  int64_t resets = parts_.ledger->resets();
+  while (true) {
+    // Those of lanes that were put back meanwhile are played again.
+    if (resets != parts_.ledger->resets()) {
+      resets = parts_.ledger->resets();
+      DropPutBack(fragments);
+    }
+    if (fragments->size() >= wanted) break;
     if (stopping_) return absl::CancelledError("stopping");
     std::optional<Fragment> fragment = parts_.fragments->Pop(kProgressTick);
     if (fragment.has_value()) {
-      Keep(*fragment);
-      fragments->push_back(*std::move(fragment));
+      AddFragment(*std::move(fragment), fragments);
       last_news = parts_.clock->Now();
     } else if (parts_.clock->Now() - last_news > kSayWaiting) {
       last_news = parts_.clock->Now();
@@ -145,6 +216,31 @@ absl::Status Trainer::Collect(std::vector<Fragment>* fragments) {
     return std::tie(a.lane, a.number) < std::tie(b.lane, b.number);
   });
   return absl::OkStatus();
+}
+
+void Trainer::AddFragment(Fragment fragment, std::vector<Fragment>* fragments) {
+  if (!parts_.ledger->Counts(fragment.lane, fragment.number, fragment.digest)) return;
+  Keep(fragment);
+  const auto same = std::find_if(fragments->begin(), fragments->end(), [&](const Fragment& other) {
+    return other.lane == fragment.lane && other.number == fragment.number;
+  });
+  if (same == fragments->end()) {
+    fragments->push_back(std::move(fragment));
+  } else {
+    *same = std::move(fragment);
+  }
+}
+
+void Trainer::DropPutBack(std::vector<Fragment>* fragments) {
+  const auto counts = [this](const Fragment& fragment) {
+    return parts_.ledger->Counts(fragment.lane, fragment.number, fragment.digest);
+  };
+  const auto end = std::stable_partition(fragments->begin(), fragments->end(), counts);
+  if (end == fragments->end()) return;
+  fragments->erase(end, fragments->end());
+  if (parts_.journal == nullptr) return;
+  if (const absl::Status status = parts_.journal->Clear(); !status.ok()) LogError("%s", status.message());
+  for (const Fragment& fragment : *fragments) Keep(fragment);
 }
 
 absl::Status Trainer::FinishIteration(const std::vector<Fragment>& fragments, const UpdateStats& stats) {
@@ -258,12 +354,7 @@ absl::Status Trainer::WriteCheckpoint() {
   state.set_policy_version(policy_version_);
   state.set_optimizer_steps(parts_.updater->optimizer_steps());
   state.set_train_seconds(train_seconds_ + absl::ToDoubleSeconds(parts_.clock->Now() - start_));
-  for (const LaneRecord& lane : lanes_) {
-    v1::LaneState* message = state.add_lanes();
-    message->set_next_fragment(lane.next_fragment);
-    message->set_snapshot(lane.snapshot.game);
-    message->mutable_state()->Assign(lane.snapshot.state.begin(), lane.snapshot.state.end());
-  }
+  for (const LaneRecord& lane : lanes_) *state.add_lanes() = ToProto(lane);
   parts_.evaluations->FillCheckpoint(&checkpoint);
   checkpoint.weights = *weights_;
   checkpoint.optimizer = parts_.updater->SaveOptimizer();
@@ -305,6 +396,7 @@ void Trainer::FillStatus(v1::StatusReply* reply) const {
   wire::AddMetric("episode_length", shown_.length, reply);
   wire::AddMetric("crafter_score", shown_.score, reply);
   wire::AddMetric("achievements_unlocked", shown_.unlocked, reply);
+  wire::AddMetric("updates_undone", static_cast<double>(undone_.load()), reply);
   wire::AddMetric("checkpoint_age", absl::ToDoubleSeconds(parts_.clock->Now() - checkpoint_time_), reply);
 }
 

@@ -65,7 +65,8 @@ class Trainer {
 
   // Trains until the configured steps are done, and evaluates then, or until Stop is called; both end with a checkpoint
   // of the last finished iteration.
-  //   Errors that training can't outlive: of the update, or the last checkpoint can't be written.
+  //   Errors that training can't outlive: of an update that fails twice in a row, or the last checkpoint can't be
+  //   written. The last finished iteration has a checkpoint then.
   absl::Status Run();
   // Ends the run after the current minibatch; an unfinished iteration is dropped.
   void Stop();
@@ -82,6 +83,14 @@ class Trainer {
   // Those of `kept_` that belong to the iteration that begins and goes up to `last_fragment` (excluded) of each lane;
   // the ledger knows of them then.
   std::vector<Fragment> TakeKept(int64_t last_fragment);
+  // What the iteration's fragments, in order, do to the weights. Unless OK, all is as before.
+  absl::StatusOr<UpdateStats> Learn(int64_t iteration, const std::vector<Fragment>& fragments);
+  // The update of `fragments` failed: they are dropped and will be played again. `error` if that happened in a row.
+  absl::Status UndoIteration(const std::vector<Fragment>& fragments, const absl::Status& error);
+  // Takes in one that still counts; it replaces one of the same number.
+  void AddFragment(Fragment fragment, std::vector<Fragment>* fragments);
+  // Drops those that the ledger has put back, here and in the journal.
+  void DropPutBack(std::vector<Fragment>* fragments);
   // Keeps `fragment` in the journal, if there is one.
   void Keep(const Fragment& fragment);
   // Waits for what is missing in `fragments`; puts them in order.
@@ -120,6 +129,9 @@ class Trainer {
   std::atomic<bool> stopping_{false};
   TrainerCounters counters_;
   ActivityMeter meter_;
+
+  int failed_updates_ = 0;          // in a row
+  std::atomic<int64_t> undone_{0};  // updates, since the start
 
   std::vector<Fragment> kept_;  // by an earlier start, until the first iteration begins
 

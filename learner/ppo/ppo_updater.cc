@@ -170,9 +170,21 @@ absl::StatusOr<UpdateStats> PpoUpdater::Update(int64_t iteration, const Rollout&
   }
   SetUpTorchThread();
   State before = state_;
-  absl::StatusOr<UpdateStats> stats = RunEpochs(iteration, rollout, should_stop);
+  absl::StatusOr<UpdateStats> stats = absl::InternalError("the update did not run");
+  try {
+    stats = RunEpochs(iteration, rollout, should_stop);
+  } catch (const std::exception& error) {  // of LibTorch, or out of memory
+    stats = absl::InternalError(absl::StrCat("update: ", error.what()));
+  }
+  if (stats.ok() && !IsFinite()) stats = absl::DataLossError("the update's weights or value statistics are not finite");
   if (!stats.ok()) Restore(std::move(before));
   return stats;
+}
+
+bool PpoUpdater::IsFinite() const {
+  const ValueNorm& norm = state_.value_norm;
+  return std::isfinite(norm.mean) && std::isfinite(norm.mean_square) &&
+         std::all_of(state_.weights.begin(), state_.weights.end(), [](float weight) { return std::isfinite(weight); });
 }
 
 std::vector<Minibatch> PpoUpdater::MakeMinibatches(const EpochKey& key, const Rollout& rollout) const {

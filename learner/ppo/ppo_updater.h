@@ -56,7 +56,7 @@ class PpoUpdater {
   // Runs the epochs of `iteration`, which orders the minibatches. `should_stop` is asked after each minibatch.
   // Unless OK, weights, optimiser and value normaliser are as before.
   //   InvalidArgument: the rollout is empty, or the agent feed-forward and its size not a multiple of minibatch_size.
-  //   Cancelled: should_stop() said so.   DataLoss: the gradient is not finite.   Internal: LibTorch failed.
+  //   Cancelled: should_stop() said so.   DataLoss: gradient or weights are not finite.   Internal: LibTorch failed.
   absl::StatusOr<UpdateStats> Update(int64_t iteration, const Rollout& rollout,
                                      const std::function<bool()>& should_stop);
 
@@ -97,6 +97,7 @@ class PpoUpdater {
   absl::StatusOr<PpoLossSums> RunMinibatch(const Rollout& rollout, const Minibatch& minibatch, UpdateStats* stats);
   Batch MakeBatch(const Rollout& rollout, const Minibatch& minibatch);
   void Restore(State state);
+  bool IsFinite() const;
   // Forward and backward of the batch's part number `part`.
   void ComputeGradient(const Rollout& rollout, const Batch& batch, size_t part, Shard* shard);
 

@@ -14,6 +14,7 @@
 #include <absl/time/time.h>
 
 #include "common/agent/agent_spec.h"
+#include "common/snapshot_envelope.h"
 #include "common/wire/convert.h"
 #include "common/wire/server.h"
 #include "craftfleet/v1/config.pb.h"
@@ -44,7 +45,11 @@ inline v1::RunConfig Config(const std::string& agent) {
 
 inline wire::FragmentShape Shape(const std::string& agent) {
   const int state_size = FindAgent(agent)->state_size;
-  return {kLanes, kSteps, kFrameBytes, state_size, kSteps};
+  wire::FragmentShape shape = {kLanes, kSteps, kFrameBytes, state_size, kSteps};
+  shape.hidden = 256;
+  shape.max_length = kLength;
+  shape.env_digest = EnvDigest("crafter", kLength);
+  return shape;
 }
 
 inline std::vector<LaneRecord> NewLanes(const std::string& agent) {

@@ -153,7 +153,8 @@ TEST_F(LearnerServiceTest, JoinTellsAboutTheRun) {
 }
 
 TEST_F(LearnerServiceTest, JoinRefusesWhoDoesNotFit) {
-  EXPECT_THAT(Join("a", "", wire::kProtocolVersion + 1), StatusIs(absl::StatusCode::kFailedPrecondition, HasSubstr("upgrade the learner")));
+  EXPECT_THAT(Join("a", "", wire::kProtocolVersion + 1),
+              StatusIs(absl::StatusCode::kFailedPrecondition, HasSubstr("upgrade the learner")));
   EXPECT_THAT(Join("a", "run-b"), StatusIs(absl::StatusCode::kFailedPrecondition, HasSubstr("belongs to run run-b")));
   EXPECT_THAT(Join(""), StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("actor is empty")));
   EXPECT_THAT(GetPermits("a"), StatusIs(absl::StatusCode::kAborted, HasSubstr("join again")));

@@ -21,6 +21,7 @@
 #include "common/config.h"
 #include "common/paths.h"
 #include "common/program.h"
+#include "common/snapshot_envelope.h"
 #include "common/status_macros.h"
 #include "common/texture_digest.h"
 #include "common/wire/channel.h"
@@ -121,7 +122,7 @@ v1::FragmentMessage EmptyFragment(const std::string& actor, int steps) {
   fragment.values.assign(steps, 0.5F);
   fragment.rewards.assign(steps, 0.1F);
   fragment.ends.assign(steps, StepEnd::kNone);
-  fragment.snapshot.game.assign(kSnapshotBytes, 's');
+  fragment.snapshot.game = SealSnapshot(/*env_digest=*/0, std::string(kSnapshotBytes, 's'));
   v1::FragmentMessage message = wire::ToProto(std::move(fragment));
   message.set_actor(actor);
   return message;

@@ -1,0 +1,227 @@
+// Both ends of every range of a fragment, and one step beyond each.
+#include "common/wire/fragment_check.h"
+
+#include <cmath>
+#include <functional>
+#include <limits>
+#include <ostream>
+#include <string>
+#include <vector>
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include "common/wire/convert.h"
+#include "common/wire/fragment_digest.h"
+#include "tests/fakes/status_matchers.h"
+#include "tests/fakes/wire_samples.h"
+
+namespace craftfleet {
+namespace {
+
+using testing::AllOf;
+using testing::HasSubstr;
+
+using Message = v1::FragmentMessage;
+
+constexpr float kInfinity = std::numeric_limits<float>::infinity();
+
+// A number of the message, and the range in which it is taken.
+struct Range {
+  std::string field;
+  std::function<void(Message*, float)> set;
+  float low;
+  float high;
+  friend void PrintTo(const Range& range, std::ostream* out) { *out << range.field; }
+};
+
+absl::Status Check(const Message& message) {
+  Message copy = message;
+  return wire::FromProto(&copy, kSampleShape).status();
+}
+
+class FragmentRange : public testing::TestWithParam<Range> {
+ protected:
+  static absl::Status CheckWith(float value) {
+    Message message = wire::ToProto(SampleFragment(2, 7, 40));
+    GetParam().set(&message, value);
+    return Check(message);
+  }
+};
+
+TEST_P(FragmentRange, EndsWhereItSays) {
+  const auto& [field, set, low, high] = GetParam();
+  for (const float value : {low, high, (low + high) / 2}) EXPECT_THAT(CheckWith(value), IsOk()) << value;
+  for (const float value :
+       {std::nextafter(low, -kInfinity), std::nextafter(high, kInfinity), std::numeric_limits<float>::max(),
+        std::numeric_limits<float>::lowest(), kInfinity, -kInfinity, std::nanf("")}) {
+    EXPECT_THAT(CheckWith(value),
+                StatusIs(absl::StatusCode::kInvalidArgument, AllOf(HasSubstr(field), HasSubstr("want"))))
+        << value;
+  }
+}
+
+const float kLongest = static_cast<float>(kSampleShape.max_length) * wire::kMaxHidden;
+
+INSTANTIATE_TEST_SUITE_P(
+    FragmentCheck, FragmentRange,
+    testing::Values(
+        Range{"log_probs", [](Message* m, float v) { m->set_log_probs(4, v); }, wire::kMinLogProb, 0},
+        Range{"values", [](Message* m, float v) { m->set_values(0, v); }, -wire::kMaxValue, wire::kMaxValue},
+        Range{"rewards", [](Message* m, float v) { m->set_rewards(2, v); }, static_cast<float>(kMinStepReward),
+              static_cast<float>(kMaxStepReward)},
+        Range{"truncation_values", [](Message* m, float v) { m->set_truncation_values(0, v); }, -wire::kMaxValue,
+              wire::kMaxValue},
+        Range{"bootstrap_value", [](Message* m, float v) { m->set_bootstrap_value(v); }, -wire::kMaxValue,
+              wire::kMaxValue},
+        Range{"states", [](Message* m, float v) { m->set_states(0, v); }, -wire::kMaxHidden, wire::kMaxHidden},
+        Range{"states", [](Message* m, float v) { m->set_states(1, v); }, -kLongest, kLongest},
+        Range{"last_state", [](Message* m, float v) { m->set_last_state(0, v); }, -wire::kMaxHidden, wire::kMaxHidden},
+        Range{"last_state", [](Message* m, float v) { m->set_last_state(1, v); }, -kLongest, kLongest}));
+
+// What the issue saw taken.
+TEST(FragmentCheck, NonsenseNamesFieldValueAndRange) {
+  Message message = wire::ToProto(SampleFragment(2, 7, 40));
+  message.set_log_probs(1, 40);
+  EXPECT_THAT(Check(message),
+              StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("log_probs: 40 at 1, want -104..0")));
+  message = wire::ToProto(SampleFragment(2, 7, 40));
+  message.set_rewards(0, 1e6);
+  EXPECT_THAT(Check(message),
+              StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("rewards: 1e+06 at 0, want -0.9..1.9")));
+  message = wire::ToProto(SampleFragment(2, 7, 40));
+  message.set_values(3, 3e38F);
+  EXPECT_THAT(Check(message),
+              StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("values: 3e+38 at 3, want -1e+06..1e+06")));
+}
+
+TEST(FragmentCheck, CountsAreNotNegative) {
+  for (const auto& [field, set] : std::vector<std::pair<std::string, std::function<void(Message*)>>>{
+           {"epoch", [](Message* m) { m->set_epoch(-1); }},
+           {"number", [](Message* m) { m->set_number(-1); }},
+           {"policy_version", [](Message* m) { m->set_policy_version(-1); }}}) {
+    Message message = wire::ToProto(SampleFragment(2, 0, 0, 0));
+    EXPECT_THAT(Check(message), IsOk());
+    set(&message);
+    EXPECT_THAT(Check(message),
+                StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr(field + " -1, want at least 0")));
+  }
+}
+
+TEST(FragmentCheck, TheSnapshotIsOfTheRunsEnvironment) {
+  Message message = wire::ToProto(SampleFragment(2, 7, 40));
+  message.set_snapshot("no envelope");
+  EXPECT_THAT(Check(message),
+              StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("snapshot: 11 bytes without an envelope")));
+  message.set_snapshot(SealSnapshot(kSampleShape.env_digest + 1, "game"));
+  EXPECT_THAT(Check(message), StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("other options")));
+  message.set_snapshot(std::string(80 << 20, 's'));
+  EXPECT_THAT(Check(message),
+              StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("snapshot: 83886080 bytes, want at most 65536")));
+}
+
+// The sample's episodes end at steps 1 and 3.
+TEST(FragmentCheck, EpisodesAreAsLongAsTheStepsThatWerePlayed) {
+  const auto with_length = [](int episode, int64_t length) {
+    Message message = wire::ToProto(SampleFragment(2, 7, 40));
+    v1::EpisodeMessage* ended = message.mutable_episodes(episode);
+    ended->set_length(length);
+    for (int32_t& count : *ended->mutable_achievements()) count = 0;
+    return Check(message);
+  };
+  const auto refused = [](const std::string& range) {
+    return StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("want " + range));
+  };
+  EXPECT_THAT(with_length(0, 2), IsOk());
+  EXPECT_THAT(with_length(0, 1), refused("2..10000"));
+  EXPECT_THAT(with_length(0, 10000), IsOk());
+  EXPECT_THAT(with_length(0, 10001), refused("2..10000"));
+  EXPECT_THAT(with_length(0, int64_t{1} << 62), refused("2..10000"));
+  EXPECT_THAT(with_length(1, 2), IsOk());
+  EXPECT_THAT(with_length(1, 1), refused("2..2"));
+  EXPECT_THAT(with_length(1, 3), refused("2..2"));
+}
+
+TEST(FragmentCheck, EpisodesGiveWhatAnEpisodeCan) {
+  const auto with_reward = [](double reward) {
+    v1::EpisodeMessage episode;
+    episode.set_length(9);
+    episode.set_reward(reward);
+    return wire::CheckEpisode(episode, 1, 10);
+  };
+  EXPECT_THAT(with_reward(kMinEpisodeReward), IsOk());
+  EXPECT_THAT(with_reward(kMaxEpisodeReward), IsOk());
+  for (const double reward : {-0.90001, 22.00001, 1e300, -1e300, std::nan("")}) {
+    EXPECT_THAT(with_reward(reward), StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("want -0.9..22")))
+        << reward;
+  }
+}
+
+TEST(FragmentCheck, NoAchievementIsCountedMoreOftenThanThereWereSteps) {
+  v1::EpisodeMessage episode;
+  episode.set_length(9);
+  episode.add_achievements(0);
+  episode.add_achievements(9);
+  EXPECT_THAT(wire::CheckEpisode(episode, 1, 10), IsOk());
+  episode.set_achievements(0, 10);
+  EXPECT_THAT(
+      wire::CheckEpisode(episode, 1, 10),
+      StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("achievements: 10 in an episode of 9 steps, want 0..9")));
+  episode.set_achievements(0, -1);
+  EXPECT_THAT(wire::CheckEpisode(episode, 1, 10),
+              StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("achievements: -1")));
+}
+
+TEST(FragmentCheck, EpisodesOfEvaluationsHaveTheEnvironmentsLength) {
+  v1::EvaluationResult result = wire::ToProto({EndedEpisode(0, 500)});
+  EXPECT_THAT(wire::FromProto(result, 500), IsOk());
+  EXPECT_THAT(wire::FromProto(result, 499), StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("want 1..499")));
+}
+
+// Of two LSTMs of two: h and c of one, h and c of the other.
+TEST(FragmentCheck, EachLstmHasItsOutputsFirst) {
+  google::protobuf::RepeatedField<float> states;
+  for (const float value : {1, -1, 100, -100, 0, 1, 99, 3}) states.Add(value);
+  EXPECT_THAT(wire::CheckStates("states", states, 2, 100), IsOk());
+  states[4] = 2;
+  EXPECT_THAT(wire::CheckStates("states", states, 2, 100),
+              StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("states: 2 at 4, want -1.001..1.001")));
+}
+
+TEST(FragmentDigest, IsOfAllThatWasPlayedAndNothingElse) {
+  const Fragment fragment = SampleFragment(2, 7, 40);
+  const uint64_t digest = wire::FragmentDigest(fragment);
+  Fragment same = SampleFragment(2, 7, 40, /*epoch=*/9);
+  same.sender = "another";
+  same.digest = 17;
+  EXPECT_EQ(wire::FragmentDigest(same), digest);
+  const std::vector<std::function<void(Fragment*)>> changes = {
+      [](Fragment* f) { f->lane = 1; },
+      [](Fragment* f) { ++f->number; },
+      [](Fragment* f) { ++f->policy_version; },
+      [](Fragment* f) { f->frames[0] ^= 1; },
+      [](Fragment* f) { f->frames.back() ^= 1; },
+      [](Fragment* f) { f->actions[4] ^= 1; },
+      [](Fragment* f) { f->log_probs[1] = std::nextafter(f->log_probs[1], 0); },
+      [](Fragment* f) { f->values[1] = -0.0F; },
+      [](Fragment* f) { f->rewards[4] = 0; },
+      [](Fragment* f) { std::swap(f->ends[1], f->ends[2]); },
+      [](Fragment* f) { f->truncation_values[0] = 0; },
+      [](Fragment* f) { f->bootstrap_value = 0; },
+      [](Fragment* f) { f->episodes[0].length = 2; },
+      [](Fragment* f) { f->episodes[0].reward += 1e-12; },
+      [](Fragment* f) { ++f->episodes[1].achievements[21]; },
+      [](Fragment* f) { f->states[0] = 0; },
+      [](Fragment* f) { f->snapshot.game.back() ^= 1; },
+      [](Fragment* f) { f->snapshot.state[1] = 0; },
+      [](Fragment* f) { f->frames += f->actions, f->actions.clear(); },
+  };
+  for (size_t i = 0; i < changes.size(); ++i) {
+    Fragment other = fragment;
+    changes[i](&other);
+    EXPECT_NE(wire::FragmentDigest(other), digest) << i;
+  }
+}
+
+}  // namespace
+}  // namespace craftfleet
