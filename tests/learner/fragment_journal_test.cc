@@ -79,6 +79,27 @@ TEST_F(FragmentJournalTest, AFragmentOfAnotherShapeEndsIt) {
   EXPECT_THAT(Open().Read(narrower), SizeIs(2));
 }
 
+TEST_F(FragmentJournalTest, SnapshotsOfVersion01GetAnEnvelope) {
+  {
+    Fragment old = SampleFragment(0, 4, 7);
+    old.snapshot.game = "CFWORLD and so on";
+    FragmentJournal journal = Open();
+    ASSERT_THAT(journal.Append(old), IsOk());
+  }
+  const std::vector<Fragment> fragments = Open().Read(kSampleShape);
+  ASSERT_THAT(fragments, SizeIs(1));
+  EXPECT_EQ(fragments[0].snapshot.game, SampleSnapshot("CFWORLD and so on"));
+}
+
+// As version 0.1 kept them: such a fragment would end the learner at each start.
+TEST_F(FragmentJournalTest, AFragmentWithImpossibleValuesEndsIt) {
+  Keep(1);
+  Fragment wild = SampleFragment(1, 4, 7);
+  wild.log_probs[0] = 40;
+  ASSERT_THAT(Open().Append(wild), IsOk());
+  EXPECT_THAT(Open().Read(kSampleShape), SizeIs(1));
+}
+
 // The process or the host died while it was written.
 TEST_F(FragmentJournalTest, ATornEndCostsOneFragment) {
   Keep(2);

@@ -205,7 +205,9 @@ TEST_F(ProgressTest, ABackupThatMakesNoProgressMakesRoomForAnother) {
     clock_.Advance(absl::Seconds(1));
     Ask("slow", of_slow, 2 + second);
     Ask("stuck", of_slow, 0);
-    if (second < 20) ASSERT_THAT(Ask("third").granted, IsEmpty());
+    if (second < 20) {
+      ASSERT_THAT(Ask("third").granted, IsEmpty());
+    }
   }
   EXPECT_THAT(Ask("third").granted, ElementsAreArray(of_slow));
   EXPECT_EQ(Push("slow", of_slow[0]), Verdict::kAccepted);

@@ -279,6 +279,64 @@ TEST_F(LearnerServiceTest, AWrongFragmentEndsItsStreamAndHarmsNoOther) {
   EXPECT_EQ((*verdicts)[0].verdict(), v1::FragmentVerdict::ACCEPTED);
 }
 
+TEST_F(LearnerServiceTest, ImpossibleValuesAreRefusedWithActorLaneFieldAndValue) {
+  Enter("a");
+  v1::FragmentMessage wild = Message("a", 1, 0);
+  wild.set_log_probs(2, 40);
+  EXPECT_THAT(Push({wild}), StatusIs(absl::StatusCode::kInvalidArgument,
+                                     HasSubstr("fragment 0 of lane 1 of actor a: log_probs: 40 at 2, want -104..0")));
+  wild = Message("a", 1, 0);
+  wild.set_snapshot(std::string(9000, 's'));
+  EXPECT_THAT(Push({wild}), StatusIs(absl::StatusCode::kInvalidArgument,
+                                     HasSubstr("fragment 0 of lane 1 of actor a: snapshot: 9000 bytes without")));
+  EXPECT_EQ(Metric("fragments_rejected"), 2);
+  EXPECT_EQ(GetSnapshot(1, 0)->snapshot(), "") << "the lane is where it was";
+}
+
+TEST_F(LearnerServiceTest, ImpossibleRequestsForPermitsAreRefused) {
+  ASSERT_THAT(Join("a"), IsOk());
+  v1::PermitRequest request;
+  request.set_actor("a");
+  request.set_epoch(kEpoch);
+  request.add_active()->set_lane(3);
+  EXPECT_THAT(Call(&v1::LearnerService::Stub::GetPermits, request),
+              StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("active: lane 3, want 0..2")));
+  request.mutable_active(0)->set_lane(2);
+  request.add_active_steps(kSampleShape.steps + 1);
+  EXPECT_THAT(Call(&v1::LearnerService::Stub::GetPermits, request),
+              StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("active_steps: 6, want 0..5")));
+}
+
+// The only actor says twice that the game of a lane can't be restored.
+TEST_F(LearnerServiceTest, ALaneWhoseSnapshotIsNoGameIsPutBack) {
+  Enter("a");
+  ASSERT_THAT(Push({Message("a", 1, 0)}), IsOk());
+  v1::PermitRequest request;
+  request.set_actor("a");
+  request.set_epoch(kEpoch);
+  request.set_capacity(100);
+  v1::LaneFailure* failure = request.add_failures();
+  failure->set_lane(1);
+  failure->set_fragment(1);
+  failure->set_reason("not a world's");
+  ASSERT_EQ(GetPermits("a")->granted(1).fragment(), 1);
+  EXPECT_EQ(Call(&v1::LearnerService::Stub::GetPermits, request)->granted(1).fragment(), 1);
+  EXPECT_EQ(Metric("lanes_reset"), 0);
+  EXPECT_EQ(Call(&v1::LearnerService::Stub::GetPermits, request)->granted(1).fragment(), 0) << "played again";
+  EXPECT_EQ(Metric("lanes_reset"), 1);
+}
+
+TEST_F(LearnerServiceTest, TheSecondOfTwoThatPlayTheSameIsCompared) {
+  Enter("a");
+  ASSERT_THAT(Push({Message("a", 0, 0)}), IsOk());
+  ASSERT_THAT(Push({Message("a", 0, 0)}), IsOk());
+  EXPECT_EQ(Metric("fragments_differing"), 0);
+  v1::FragmentMessage other = Message("a", 0, 0);
+  other.set_rewards(0, 0.5F);
+  ASSERT_THAT(Push({other}), IsOk());
+  EXPECT_EQ(Metric("fragments_differing"), 1);
+}
+
 TEST_F(LearnerServiceTest, TakesNothingInOnceItStops) {
   Enter("a");
   fragments_.Close();

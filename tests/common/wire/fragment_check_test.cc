@@ -202,7 +202,7 @@ TEST(FragmentDigest, IsOfAllThatWasPlayedAndNothingElse) {
       [](Fragment* f) { f->frames[0] ^= 1; },
       [](Fragment* f) { f->frames.back() ^= 1; },
       [](Fragment* f) { f->actions[4] ^= 1; },
-      [](Fragment* f) { f->log_probs[1] = std::nextafter(f->log_probs[1], 0); },
+      [](Fragment* f) { f->log_probs[1] = std::nextafter(f->log_probs[1], 0.0F); },
       [](Fragment* f) { f->values[1] = -0.0F; },
       [](Fragment* f) { f->rewards[4] = 0; },
       [](Fragment* f) { std::swap(f->ends[1], f->ends[2]); },

@@ -1,0 +1,278 @@
+// What a learner makes of fragments that can't be learned from, and of snapshots that are no games. A learner in this
+// process, and actors that send what the tests want.
+#include "learner/trainer.h"
+
+#include <functional>
+#include <memory>
+#include <sstream>
+#include <string>
+#include <thread>
+#include <utility>
+#include <vector>
+
+#include <absl/strings/str_cat.h>
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include "common/config.h"
+#include "common/keyed_random.h"
+#include "common/paths.h"
+#include "common/snapshot_envelope.h"
+#include "common/wire/convert.h"
+#include "common/wire/grpc_status.h"
+#include "common/wire/protocol.h"
+#include "craftfleet/v1/learner.grpc.pb.h"
+#include "learner/learner.h"
+#include "tests/fakes/status_matchers.h"
+#include "tests/fakes/temp_folder.h"
+
+namespace craftfleet {
+namespace {
+
+using testing::AllOf;
+using testing::HasSubstr;
+
+constexpr int kLanes = 2;
+constexpr int kSteps = 8;      // of a fragment
+constexpr int kFragments = 2;  // of a lane, in an iteration
+constexpr int kFrameBytes = 64 * 64 * 3;
+constexpr int kPerIteration = kLanes * kFragments;
+
+v1::RunConfig Config(bool keep_fragments) {
+  v1::RunConfig config = DefaultRunConfig();
+  config.set_steps(1000 * kPerIteration * kSteps);
+  config.set_lanes(kLanes);
+  config.set_tile(kLanes);
+  config.set_fragment_steps(kSteps);
+  config.set_gradient_shards(2);
+  config.mutable_ppo()->set_rollout_steps(kPerIteration * kSteps);
+  config.mutable_ppo()->set_minibatch_size(16);
+  config.mutable_ppo()->set_epochs(1);
+  config.mutable_eval()->set_every_steps(0);
+  config.mutable_eval()->set_final_episodes(0);
+  config.mutable_checkpoint()->set_every_iterations(100);
+  config.mutable_checkpoint()->set_keep_fragments(keep_fragments);
+  return config;
+}
+
+// Sound, and the same whoever sends it.
+Fragment PlayedFragment(int lane, int64_t number, int64_t version, int64_t epoch) {
+  Fragment fragment;
+  fragment.epoch = epoch;
+  fragment.lane = lane;
+  fragment.number = number;
+  fragment.policy_version = version;
+  const auto draw = [&, n = uint64_t{0}]() mutable {
+    return KeyedBits(RandomUse::kInitialWeights, 7, static_cast<uint64_t>(number * kLanes + lane), n++);
+  };
+  for (int i = 0; i < kSteps * kFrameBytes; ++i) fragment.frames.push_back(static_cast<char>(draw()));
+  for (int t = 0; t < kSteps; ++t) {
+    fragment.actions.push_back(static_cast<char>(draw() % kNumActions));
+    fragment.log_probs.push_back(-2.8F);
+    fragment.values.push_back(static_cast<float>(draw() % 100) / 100);
+    fragment.rewards.push_back(draw() % 4 == 0 ? 1.0F : 0.0F);
+    fragment.ends.push_back(StepEnd::kNone);
+  }
+  fragment.snapshot.game = SealSnapshot(EnvDigest("crafter", kEpisodeLength), absl::StrCat("after ", number));
+  return fragment;
+}
+
+// Every value is within its range, and no gradient survives them.
+void Poison(Fragment* fragment) {
+  for (float& log_prob : fragment->log_probs) log_prob = wire::kMinLogProb;
+}
+
+// A learner that trains in a thread of its own.
+class Training {
+ public:
+  Training(const std::string& logdir, bool keep_fragments, bool resume) {
+    Learner::Options options;
+    options.config = Config(keep_fragments);
+    options.logdir = logdir;
+    options.resume = resume;
+    options.texture_dir = DefaultTextureDir().value();
+    learner_ = Learner::Create(options).value();
+    stub_ = v1::LearnerService::NewStub(learner_->InProcess().channel);
+    thread_ = std::thread([this] { status_ = learner_->Run(); });
+  }
+  ~Training() {
+    if (thread_.joinable()) Stop().IgnoreError();
+  }
+  // How it ended.
+  absl::Status Wait() {
+    thread_.join();
+    return status_;
+  }
+  absl::Status Stop() {
+    learner_->Stop();
+    return Wait();
+  }
+
+  void Join(const std::string& actor) {
+    v1::JoinRequest request;
+    request.set_protocol_version(wire::kProtocolVersion);
+    request.set_actor(actor);
+    v1::JoinReply reply;
+    grpc::ClientContext context;
+    ASSERT_TRUE(stub_->Join(&context, request, &reply).ok());
+    epoch_ = reply.epoch();
+  }
+  // Permits for `actor`, which has none.
+  std::vector<v1::Permit> Ask(const std::string& actor, const std::vector<v1::LaneFailure>& failures = {}) {
+    v1::PermitRequest request;
+    request.set_actor(actor);
+    request.set_epoch(epoch_);
+    request.set_capacity(kLanes);
+    request.set_wait_ms(200);
+    for (const v1::LaneFailure& failure : failures) *request.add_failures() = failure;
+    v1::PermitReply reply;
+    grpc::ClientContext context;
+    stub_->GetPermits(&context, request, &reply);
+    return {reply.granted().begin(), reply.granted().end()};
+  }
+  v1::FragmentVerdict::Verdict Push(const std::string& actor, const Fragment& fragment) {
+    v1::FragmentMessage message = wire::ToProto(fragment);
+    message.set_actor(actor);
+    grpc::ClientContext context;
+    const auto stream = stub_->PushFragments(&context);
+    v1::FragmentVerdict verdict;
+    stream->Write(message);
+    stream->Read(&verdict);
+    stream->WritesDone();
+    stream->Finish();
+    return verdict.verdict();
+  }
+  void Leave(const std::string& actor) {
+    v1::LeaveRequest request;
+    request.set_actor(actor);
+    v1::LeaveReply reply;
+    grpc::ClientContext context;
+    ASSERT_TRUE(stub_->Leave(&context, request, &reply).ok());
+  }
+  // Joins, plays `fragments` that are accepted, each as `change` makes it, and leaves.
+  void Play(
+      const std::string& actor, int fragments, const std::function<void(Fragment*)>& change = [](Fragment*) {}) {
+    Join(actor);
+    for (int tries = 0; fragments > 0 && tries < 300; ++tries) {
+      for (const v1::Permit& permit : Ask(actor)) {
+        Fragment fragment = PlayedFragment(permit.lane(), permit.fragment(), permit.policy_version(), epoch_);
+        change(&fragment);
+        ASSERT_EQ(Push(actor, fragment), v1::FragmentVerdict::ACCEPTED);
+        if (--fragments == 0) break;
+      }
+    }
+    ASSERT_EQ(fragments, 0) << "no permits for the rest";
+    Leave(actor);
+  }
+  // The only actor there is can't go on with any lane, and says so twice.
+  void RefuseAll(const std::string& actor) {
+    Join(actor);
+    std::vector<v1::LaneFailure> failures;
+    for (int i = 0; i < 3; ++i) {
+      std::vector<v1::Permit> permits = Ask(actor, failures);
+      failures.clear();
+      if (i == 2) break;
+      ASSERT_EQ(permits.size(), kLanes);
+      for (const v1::Permit& permit : permits) {
+        failures.emplace_back().set_lane(permit.lane());
+        failures.back().set_fragment(permit.fragment());
+        failures.back().set_reason("snapshot: not a world's");
+      }
+    }
+    Leave(actor);
+  }
+  // The weights once they have `version`; empty after a minute.
+  std::string Weights(int64_t version) {
+    for (int tries = 0; tries < 60; ++tries) {
+      v1::WeightsRequest request;
+      request.set_at_least(version);
+      request.set_wait_ms(1000);
+      grpc::ClientContext context;
+      const auto stream = stub_->GetWeights(&context, request);
+      std::string weights;
+      v1::WeightsChunk chunk;
+      while (stream->Read(&chunk)) weights += chunk.data();
+      if (stream->Finish().ok()) return weights;
+    }
+    return "";
+  }
+  double Metric(const std::string& name) {
+    v1::StatusReply reply;
+    learner_->trainer().FillStatus(&reply);
+    for (const v1::Metric& metric : reply.metrics()) {
+      if (metric.name() == name) return metric.value();
+    }
+    return -1;
+  }
+
+ private:
+  std::unique_ptr<Learner> learner_;
+  std::unique_ptr<v1::LearnerService::Stub> stub_;
+  int64_t epoch_ = 0;
+  absl::Status status_;
+  std::thread thread_;
+};
+
+class TrainerTest : public testing::Test {
+ protected:
+  std::unique_ptr<Training> Begin(const std::string& run, bool keep_fragments = false, bool resume = false) {
+    return std::make_unique<Training>(folder_ / run, keep_fragments, resume);
+  }
+  // Weights after two iterations in which nothing goes wrong.
+  std::string QuietWeights() {
+    const auto quiet = Begin("quiet");
+    quiet->Play("a", 2 * kPerIteration);
+    return quiet->Weights(2);
+  }
+
+  const TempFolder folder_;
+};
+
+TEST_F(TrainerTest, AnUpdateThatFailsIsUndoneAndItsIterationPlayedAgain) {
+  const std::string quiet = QuietWeights();
+  ASSERT_FALSE(quiet.empty());
+  const auto training = Begin("disturbed");
+  training->Play("a", kPerIteration);
+  ASSERT_FALSE(training->Weights(1).empty());
+  testing::internal::CaptureStderr();
+  training->Play("liar", kPerIteration, Poison);
+  training->Play("a", kPerIteration);
+  EXPECT_EQ(training->Weights(2), quiet) << "to the bit";
+  EXPECT_THAT(testing::internal::GetCapturedStderr(),
+              AllOf(HasSubstr("the update of iteration 2 failed"), HasSubstr("its fragments are played again"),
+                    HasSubstr("of liar (lane/fragment): 0/2 0/3 1/2 1/3; log_probs down to -104")));
+  EXPECT_EQ(training->Metric("updates_undone"), 1);
+}
+
+// With its fragments in the journal.
+TEST_F(TrainerTest, TheSecondFailureInARowEndsTheLearnerAndItResumes) {
+  const std::string quiet = QuietWeights();
+  {
+    const auto training = Begin("ended", /*keep_fragments=*/true);
+    training->Play("a", kPerIteration);
+    ASSERT_FALSE(training->Weights(1).empty());
+    for (int i = 0; i < 2; ++i) training->Play("liar", kPerIteration, Poison);
+    EXPECT_THAT(training->Wait(), StatusIs(absl::StatusCode::kDataLoss, HasSubstr("gradient")));
+  }
+  const auto training = Begin("ended", /*keep_fragments=*/true, /*resume=*/true);
+  EXPECT_EQ(training->Metric("iteration"), 1) << "though a checkpoint was due after 100 only";
+  training->Play("a", kPerIteration);
+  EXPECT_EQ(training->Weights(2), quiet);
+}
+
+TEST_F(TrainerTest, ALaneThatIsPutBackWithinAnIterationChangesNothing) {
+  const std::string quiet = QuietWeights();
+  const auto training = Begin("put-back", /*keep_fragments=*/true);
+  training->Play("a", kPerIteration);
+  // The first fragment of each lane comes with what looks like a snapshot and is no game.
+  training->Play("liar", kLanes, [](Fragment* fragment) {
+    fragment->values[0] = 0.5F;
+    fragment->snapshot.game = SealSnapshot(EnvDigest("crafter", kEpisodeLength), "no game");
+  });
+  training->RefuseAll("a");
+  training->Play("a", kPerIteration);
+  EXPECT_EQ(training->Weights(2), quiet);
+}
+
+}  // namespace
+}  // namespace craftfleet
