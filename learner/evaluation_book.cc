@@ -5,7 +5,15 @@
 
 #include <absl/strings/str_format.h>
 
+#include "common/log.h"
+
 namespace craftfleet {
+namespace {
+
+constexpr absl::Duration kPatience = absl::Minutes(2);
+constexpr int kMaxMoves = 16;  // that lengthen it
+
+}  // namespace
 
 void EvaluationBook::Add(Evaluation evaluation) {
   const MutexLock lock(&mu_);
@@ -34,16 +42,29 @@ std::optional<EvaluationBook::Task> EvaluationBook::Take(absl::string_view actor
   for (Entry& entry : entries_) {
     for (size_t i = 0; i < entry.parts.size(); ++i) {
       Part& part = entry.parts[i];
-      if (!part.episodes.empty()) continue;
-      if (!part.actor.empty() && now - part.last_word < lease_) continue;
+      if (!IsFree(part, actor, now)) continue;
+      if (!part.actor.empty() && now - part.last_word < lease_) {
+        ++part.moves;
+        LogWarning("actor %s has had evaluation task %d for %s: actor %s plays it too", part.actor,
+                   TaskId(entry.evaluation, i), absl::FormatDuration(absl::Trunc(now - part.begun, absl::Seconds(1))),
+                   actor);
+      }
       part.actor = std::string(actor);
       part.last_word = now;
+      part.begun = now;
       const Evaluation& evaluation = entry.evaluation;
       return Task{TaskId(evaluation, i), evaluation.first_episode + static_cast<int64_t>(i) * evaluation.episodes,
                   evaluation.episodes, /*greedy=*/i == 0};
     }
   }
   return std::nullopt;
+}
+
+bool EvaluationBook::IsFree(const Part& part, absl::string_view actor, absl::Time now) const {
+  if (!part.episodes.empty()) return false;
+  if (part.actor.empty() || now - part.last_word >= lease_) return true;
+  const absl::Duration patience = std::max(kPatience, 4 * longest_) * (int64_t{1} << std::min(part.moves, kMaxMoves));
+  return part.actor != actor && now - part.begun > patience;
 }
 
 std::shared_ptr<const std::string> EvaluationBook::Weights(int64_t id) const {
@@ -64,6 +85,7 @@ absl::Status EvaluationBook::Finish(int64_t id, absl::Span<const Episode> episod
   }
   Part& part = entries_[index].parts[id % 2];
   if (!part.episodes.empty()) return absl::OkStatus();
+  if (!part.actor.empty()) longest_ = std::max(longest_, clock_->Now() - part.begun);
   part.actor.clear();
   part.episodes.assign(episodes.begin(), episodes.end());
   changed_.NotifyAll();

@@ -41,7 +41,9 @@ struct FinishedEvaluation {
 };
 
 // An evaluation is two tasks, one for each kind of episode. A task is leased like a permit: an actor that has not
-// spoken of it for `lease` loses it to the next that asks. Thread-safe.
+// spoken of it for `lease` loses it to the next that asks. So does one that has had it for two minutes, or for four
+// times as long as the longest took if that is more, and for twice as long each time that it moves on: who merely
+// speaks must not hold up a run. The one that had it may still answer, and the first counts. Thread-safe.
 class EvaluationBook {
  public:
   struct Task {
@@ -80,6 +82,8 @@ class EvaluationBook {
   struct Part {
     std::string actor;  // that plays it; empty: nobody
     absl::Time last_word;
+    absl::Time begun;               // when the actor got it
+    int moves = 0;                  // away from actors that still spoke
     std::vector<Episode> episodes;  // filled when it is over
   };
   struct Entry {
@@ -93,6 +97,8 @@ class EvaluationBook {
   }
   // Of the entry that task `id` belongs to; entries_.size() if there is none.
   size_t IndexOf(int64_t id) const ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
+  // Whether `actor` may have it.
+  bool IsFree(const Part& part, absl::string_view actor, absl::Time now) const ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
   bool FrontFinished() const ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_) {
     return !entries_.empty() && entries_.front().finished();
   }
@@ -102,6 +108,7 @@ class EvaluationBook {
   mutable Mutex mu_;
   CondVar changed_;
   std::deque<Entry> entries_ ABSL_GUARDED_BY(mu_);
+  absl::Duration longest_ ABSL_GUARDED_BY(mu_);  // that a task took
 };
 
 }  // namespace craftfleet

@@ -2,6 +2,7 @@
 
 #include "common/check.h"
 #include "common/paths.h"
+#include "common/snapshot_envelope.h"
 #include "common/wire/protocol.h"
 #include "common/wire/server.h"
 #include "craftfleet/v1/environment.grpc.pb.h"
@@ -61,6 +62,13 @@ v1::PlayRequest Open() {
   return request;
 }
 
+// Of a lane whose snapshot is in a sound envelope and no game.
+v1::PlayRequest OpenFrom(const std::string& game) {
+  v1::PlayRequest request = Open();
+  request.mutable_open()->mutable_lanes(0)->set_snapshot(SealSnapshot(EnvDigest("crafter", kEpisodeLength), game));
+  return request;
+}
+
 v1::PlayRequest Step() {
   v1::PlayRequest request;
   request.mutable_step()->add_lanes(3);
@@ -92,7 +100,7 @@ std::vector<std::string> SoundInputs() {
   v1::PlayRequest recording = Hello();
   recording.mutable_hello()->mutable_recording()->set_picture_size(36);
   return {Session({Hello(), Open(), Step(), Step(), close}), Session({Hello()}), Session({Hello(), Open(), Step()}),
-          Session({recording, Open(), Step()})};
+          Session({Hello(), OpenFrom("CFWORLD"), Open(), Step()}), Session({recording, Open(), Step()})};
 }
 
 }  // namespace craftfleet

@@ -1,6 +1,9 @@
 // What actors send to a learner. The first byte chooses the call; whatever comes, the books stay sound.
 
+#include <cmath>
+
 #include "common/check.h"
+#include "common/snapshot_envelope.h"
 #include "common/wire/protocol.h"
 #include "learner/learner_service.h"
 #include "tests/fakes/wire_samples.h"
@@ -55,6 +58,10 @@ void Push(Service* service, absl::string_view bytes) {
   CRAFTFLEET_CHECK(fragment->lane >= 0 && fragment->lane < kSampleShape.lanes);
   CRAFTFLEET_CHECK(static_cast<int>(fragment->actions.size()) == kSampleShape.steps);
   CRAFTFLEET_CHECK(static_cast<int>(fragment->frames.size()) == kSampleShape.steps * kSampleShape.frame_bytes);
+  for (const float log_prob : fragment->log_probs) CRAFTFLEET_CHECK(log_prob >= wire::kMinLogProb && log_prob <= 0);
+  for (const float value : fragment->values) CRAFTFLEET_CHECK(std::abs(value) <= wire::kMaxValue);
+  for (const Episode& episode : fragment->episodes) CRAFTFLEET_CHECK(episode.length <= kSampleShape.max_length);
+  CRAFTFLEET_CHECK(OpenSnapshot(kSampleShape.env_digest, fragment->snapshot.game).ok());
   service->ledger.Accept(actor, {fragment->lane, fragment->number, fragment->policy_version}, fragment->snapshot)
       .status()
       .IgnoreError();
@@ -113,6 +120,11 @@ std::vector<std::string> SoundInputs() {
   permits.set_wants_env_servers(true);
   v1::Permit* permit = permits.add_active();
   permit->set_policy_version(kVersion);
+  permits.add_active_steps(3);
+  v1::LaneFailure* failure = permits.add_failures();
+  failure->set_lane(1);
+  failure->set_reason("not a world's");
+  permits.mutable_summary()->add_times()->set_share(0.5);
   v1::FragmentMessage fragment = wire::ToProto(SampleFragment(1, 0, kVersion));
   fragment.set_actor("a");
   v1::SnapshotRequest snapshot;

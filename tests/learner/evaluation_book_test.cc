@@ -71,6 +71,31 @@ TEST_F(EvaluationBookTest, ResultsComeBackInOrderAndStayUntilTheyAreTakenOut) {
   EXPECT_EQ(book_.Pending().size(), 1u);
 }
 
+// An actor that speaks and never answers must not hold up the end of a run.
+TEST_F(EvaluationBookTest, ATaskThatTakesTooLongGoesToAnotherToo) {
+  book_.Add(SampleEvaluation(1, 1, 2));
+  const auto stuck = book_.Take("stuck");
+  const auto other = book_.Take("good");
+  clock_.Advance(absl::Seconds(20));
+  EXPECT_THAT(book_.Finish(other->id, Episodes(2, 30)), IsOk());
+  const auto wait = [&](int seconds) {
+    for (int i = 0; i < seconds; ++i) {
+      clock_.Advance(absl::Seconds(1));
+      book_.Renew("stuck", stuck->id);
+    }
+  };
+  wait(100);
+  EXPECT_FALSE(book_.Take("good").has_value()) << "two minutes";
+  wait(1);
+  EXPECT_FALSE(book_.Take("stuck").has_value()) << "it has it";
+  const auto again = book_.Take("good");
+  ASSERT_TRUE(again.has_value());
+  EXPECT_EQ(again->id, stuck->id);
+  EXPECT_FALSE(book_.Take("third").has_value());
+  EXPECT_THAT(book_.Finish(stuck->id, Episodes(2, 40)), IsOk()) << "whoever answers first";
+  EXPECT_TRUE(book_.Front(absl::ZeroDuration()).has_value());
+}
+
 TEST_F(EvaluationBookTest, ATaskLapsesUnlessItsActorSpeaksOfIt) {
   book_.Add(SampleEvaluation(1, 1, 1));
   const auto task = book_.Take("a");

@@ -4,7 +4,6 @@
 
 #include <functional>
 #include <memory>
-#include <sstream>
 #include <string>
 #include <thread>
 #include <utility>
@@ -62,7 +61,7 @@ Fragment PlayedFragment(int lane, int64_t number, int64_t version, int64_t epoch
   fragment.lane = lane;
   fragment.number = number;
   fragment.policy_version = version;
-  const auto draw = [&, n = uint64_t{0}]() mutable {
+  auto draw = [&, n = uint64_t{0}]() mutable {
     return KeyedBits(RandomUse::kInitialWeights, 7, static_cast<uint64_t>(number * kLanes + lane), n++);
   };
   for (int i = 0; i < kSteps * kFrameBytes; ++i) fragment.frames.push_back(static_cast<char>(draw()));
