@@ -5,13 +5,14 @@
 #include <utility>
 
 #include <absl/strings/str_format.h>
-#include <absl/time/clock.h>
 
-#include "actor/trouble.h"
+#include "actor/error_policy.h"
+#include "actor/learner_replies.h"
 #include "common/agent/agent_spec.h"
 #include "common/agent/canary.h"
 #include "common/agent/torch_setup.h"
 #include "common/backoff.h"
+#include "common/clock.h"
 #include "common/log.h"
 #include "common/status_macros.h"
 #include "common/version.h"
@@ -28,6 +29,10 @@ constexpr absl::Duration kSayAgain = absl::Seconds(10);  // between two lines ab
 constexpr int kPollMs = 500;                             // long poll for permits; a tenth of the lease
 constexpr size_t kServersTold = 8;                       // environment servers the learner is told of, each poll
 
+bool IsAboutRights(const absl::Status& error) {
+  return absl::IsPermissionDenied(error) || absl::IsUnauthenticated(error);
+}
+
 }  // namespace
 
 absl::Status Actor::Options::Validate() const {
@@ -36,6 +41,10 @@ absl::Status Actor::Options::Validate() const {
   }
   if (capacity < 1 || capacity > 4096) {
     return absl::InvalidArgumentError(absl::StrFormat("--max_lanes=%d, want 1..4096", capacity));
+  }
+  if (!(env_timeout >= absl::Milliseconds(100) && env_timeout <= absl::Hours(1))) {
+    return absl::InvalidArgumentError(
+        absl::StrFormat("--env_timeout=%g, want 0.1..3600 s", absl::ToDoubleSeconds(env_timeout)));
   }
   return absl::OkStatus();
 }
@@ -96,27 +105,29 @@ absl::Status Actor::Join() {
   if (!request.only_ask()) {
     CRAFTFLEET_ASSIGN_OR_RETURN(*request.mutable_canary(), PolicyCanary());
   }
-  absl::Time said = absl::InfinitePast();
   Backoff backoff(kFirstRetry, kLastRetry);
   while (!stopping()) {
     absl::StatusOr<v1::JoinReply> reply = learner_.Join(request);
-    if (reply.ok() && request.only_ask()) {
-      CRAFTFLEET_RETURN_IF_ERROR(options_.set_up(reply->config()));
-      set_up_ = true;
-      return Join();
-    }
     if (reply.ok()) {
+      if (const absl::Status status = CheckJoinReply(&*reply); !status.ok()) {
+        return absl::DataLossError(absl::StrFormat("%s: its answer to join: %s", learner_.name(), status.message()));
+      }
+      if (request.only_ask()) {
+        CRAFTFLEET_RETURN_IF_ERROR(options_.set_up(reply->config()));
+        set_up_ = true;
+        return Join();
+      }
+      was_welcome_ = true;
       joined_ = *std::move(reply);
       MutexLock lock(&mu_);
       run_id_ = joined_.run_id();
       LogInfo("%s: joined run %s, epoch %d", learner_.name(), joined_.run_id(), joined_.epoch());
       return absl::OkStatus();
     }
-    if (!MayPass(reply.status())) return reply.status();
-    if (absl::Now() - said > kSayAgain) {
-      said = absl::Now();
-      LogWarning("%s; trying again until it answers", reply.status().message());
-    }
+    // A learner that took us once knows us: what it says of our token then is what it says to a call.
+    const Called called = was_welcome_ && IsAboutRights(reply.status()) ? Called::kPermits : Called::kJoin;
+    if (!MayPass(called, reply.status())) return reply.status();
+    Complain(reply.status());
     Pause(backoff.Next());
   }
   return absl::CancelledError("stopping");
@@ -135,17 +146,20 @@ absl::Status Actor::StartLoops() {
   *hello.mutable_env() = config.env();
   hello.set_client(name_);
   hello.set_game_canary(joined_.game_canary());
+  const int frame_bytes = static_cast<int>(spec.frame_bytes());
+  v1::SessionHello probe = hello;
+  probe.set_client(name_ + " (probe)");
+  const auto health = std::make_shared<ServerHealth>(ServerHealth::Options{probe, frame_bytes, options_.env_timeout});
   evaluations_ = std::make_unique<EvaluationWorker>(
-      EvaluationWorker::Options{name_, options_.env_servers, hello, spec, config.tile()}, &learner_);
+      EvaluationWorker::Options{name_, options_.env_servers, health, hello, spec, config.tile()}, &learner_);
 
   MutexLock lock(&mu_);
   for (int i = 0; i < options_.threads; ++i) {
-    ActorLoop::Options loop = {i, config, static_cast<int>(spec.frame_bytes()), spec.state_size};
-    loops_.push_back(std::make_unique<ActorLoop>(
-        loop, &learner_, &permits_, policies_.get(), &sender_,
-        std::make_unique<EnvPool>(options_.env_servers, hello, static_cast<int>(spec.frame_bytes()),
-                                  std::hash<std::string>()(name_) + i),
-        &servers_));
+    ActorLoop::Options loop = {i, config, frame_bytes, spec.state_size};
+    loops_.push_back(std::make_unique<ActorLoop>(loop, &learner_, &permits_, policies_.get(), &sender_,
+                                                 std::make_unique<EnvPool>(options_.env_servers, hello, frame_bytes,
+                                                                           std::hash<std::string>()(name_) + i, health),
+                                                 &servers_));
   }
   for (const auto& loop : loops_) threads_.emplace_back([this, loop = loop.get()] { RunLoop(loop); });
   sender_.Start();
@@ -162,63 +176,98 @@ void Actor::RunLoop(ActorLoop* loop) {
 }
 
 absl::Status Actor::KeepPermits() {
-  absl::Time said = absl::InfinitePast();
   Backoff backoff(kFirstRetry, kLastRetry);
   while (!stopping()) {
-    v1::PermitRequest request;
-    request.set_actor(name_);
-    request.set_epoch(joined_.epoch());
-    request.set_capacity(options_.capacity);
-    request.set_wait_ms(kPollMs);
-    request.set_evaluates(evaluations_->ready());
-    if (options_.env_servers->uses_registry()) {
-      request.set_wants_env_servers(true);
-      request.set_env_servers_generation(env_servers_generation_);
-    }
-    request.set_evaluation(evaluations_->current(joined_.epoch()));
-    *request.mutable_summary() = Summary();
-    if (!options_.env_servers->uses_registry()) {  // else they speak for themselves
-      for (v1::Peer& server : servers_.Next(kServersTold)) request.add_env_servers()->Swap(&server);
-    }
-    for (const HeldPermit& permit : permits_.Active()) {
-      if (permit.epoch != joined_.epoch()) continue;
-      v1::Permit* message = request.add_active();
-      message->set_lane(permit.lane);
-      message->set_fragment(permit.fragment);
-      message->set_policy_version(permit.policy_version);
-    }
+    std::vector<FailedPermit> failures;
+    const v1::PermitRequest request = NextRequest(&failures);
     const absl::StatusOr<v1::PermitReply> reply = learner_.GetPermits(request);
     if (reply.ok()) {
       backoff.Reset();
+      permits_.Told(failures);
       if (reply->finished()) return absl::OkStatus();
-      if (reply->env_servers_generation() != env_servers_generation_) {
-        env_servers_generation_ = reply->env_servers_generation();
-        options_.env_servers->SetRegistered({reply->env_servers().begin(), reply->env_servers().end()});
+      const v1::RunConfig& config = joined_.config();
+      if (const absl::Status status = CheckPermitReply(request, config.lanes(), config.env().frame_size(), *reply);
+          !status.ok()) {
+        return absl::DataLossError(absl::StrFormat("%s: its permits: %s", learner_.name(), status.message()));
       }
-      if (reply->lost_size() > 0) LogWarning("%d permits lapsed: others play these fragments", reply->lost_size());
-      for (const v1::Permit& lost : reply->lost()) {
-        permits_.Release({joined_.epoch(), lost.lane(), lost.fragment(), lost.policy_version()});
-      }
-      for (const v1::Permit& permit : reply->granted()) {
-        permits_.Add({joined_.epoch(), permit.lane(), permit.fragment(), permit.policy_version()});
-      }
-      if (reply->has_evaluation()) evaluations_->Give(joined_.epoch(), reply->evaluation());
-    } else if (reply.status().code() == absl::StatusCode::kAborted) {
-      LogInfo("%s", reply.status().message());
-      permits_.DropWaiting();
-      sender_.DropWaiting();
-      CRAFTFLEET_RETURN_IF_ERROR(Join());
-    } else if (MayPass(reply.status())) {
-      if (absl::Now() - said > kSayAgain) {
-        said = absl::Now();
-        LogWarning("%s; trying again until it answers", reply.status().message());
-      }
-      Pause(backoff.Next());
-    } else {
-      return reply.status();
+      TakeIn(*reply);
+      continue;
+    }
+    switch (ReactionTo(Called::kPermits, reply.status())) {
+      case Reaction::kJoinAgain:
+        LogInfo("%s", reply.status().message());
+        permits_.DropWaiting();
+        sender_.DropWaiting();
+        CRAFTFLEET_RETURN_IF_ERROR(Join());
+        break;
+      case Reaction::kRetry:
+        Complain(reply.status());
+        Pause(backoff.Next());
+        break;
+      default:
+        return reply.status();
     }
   }
   return absl::CancelledError("stopping");
+}
+
+v1::PermitRequest Actor::NextRequest(std::vector<FailedPermit>* failures) {
+  v1::PermitRequest request;
+  request.set_actor(name_);
+  request.set_epoch(joined_.epoch());
+  request.set_capacity(options_.capacity);
+  request.set_wait_ms(kPollMs);
+  request.set_evaluates(evaluations_->ready());
+  const bool uses_registry = options_.env_servers->uses_registry();
+  if (uses_registry) {
+    request.set_wants_env_servers(true);
+    request.set_env_servers_generation(env_servers_generation_);
+  }
+  request.set_evaluation(evaluations_->current(joined_.epoch()));
+  *request.mutable_summary() = Summary();
+  // Those that registered speak for themselves, but would not say that they don't answer.
+  for (v1::Peer& server : uses_registry ? servers_.NextNotAnswering(kServersTold) : servers_.Next(kServersTold)) {
+    request.add_env_servers()->Swap(&server);
+  }
+  // Before the permits that are at hand: one that fails meanwhile is still among these and told of the next time.
+  *failures = permits_.Failures(joined_.epoch());
+  for (const FailedPermit& failed : *failures) {
+    v1::LaneFailure* message = request.add_failures();
+    message->set_lane(failed.permit.lane);
+    message->set_fragment(failed.permit.fragment);
+    message->set_reason(failed.reason);
+  }
+  for (const PermitProgress& progress : permits_.Progress()) {
+    const HeldPermit& permit = progress.permit;
+    if (permit.epoch != joined_.epoch()) continue;
+    v1::Permit* message = request.add_active();
+    message->set_lane(permit.lane);
+    message->set_fragment(permit.fragment);
+    message->set_policy_version(permit.policy_version);
+    request.add_active_steps(progress.steps);
+  }
+  return request;
+}
+
+void Actor::TakeIn(const v1::PermitReply& reply) {
+  if (reply.env_servers_generation() != env_servers_generation_) {
+    env_servers_generation_ = reply.env_servers_generation();
+    options_.env_servers->SetRegistered({reply.env_servers().begin(), reply.env_servers().end()});
+  }
+  if (reply.lost_size() > 0) LogWarning("%d permits lapsed: others play these fragments", reply.lost_size());
+  for (const v1::Permit& lost : reply.lost()) {
+    permits_.Release({joined_.epoch(), lost.lane(), lost.fragment(), lost.policy_version()});
+  }
+  for (const v1::Permit& permit : reply.granted()) {
+    permits_.Add({joined_.epoch(), permit.lane(), permit.fragment(), permit.policy_version()});
+  }
+  if (reply.has_evaluation()) evaluations_->Give(joined_.epoch(), reply.evaluation());
+}
+
+void Actor::Complain(const absl::Status& error) {
+  if (SteadyNow() - complained_ < kSayAgain) return;
+  complained_ = SteadyNow();
+  LogWarning("%s; trying again until it answers", error.message());
 }
 
 void Actor::StopLoops() {

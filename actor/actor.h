@@ -13,13 +13,16 @@
 #include <absl/status/statusor.h>
 
 #include "actor/actor_loop.h"
+#include "actor/env_client.h"
 #include "actor/env_directory.h"
+#include "actor/error_policy.h"
 #include "actor/evaluation_worker.h"
 #include "actor/fragment_sender.h"
 #include "actor/learner_client.h"
 #include "actor/permit_book.h"
 #include "actor/policy_source.h"
 #include "actor/server_book.h"
+#include "actor/server_health.h"
 #include "common/mutex.h"
 #include "common/wire/channel.h"
 #include "craftfleet/v1/status.pb.h"
@@ -33,8 +36,9 @@ class Actor {
   struct Options {
     wire::Endpoint learner;
     std::shared_ptr<EnvDirectory> env_servers;
-    int threads = 1;      // loops, 1..256
-    int capacity = 4096;  // lanes to play at once, 1..4096
+    int threads = 1;                                  // loops, 1..256
+    int capacity = 4096;                              // lanes to play at once, 1..4096
+    absl::Duration env_timeout = kDefaultEnvTimeout;  // of each request to an environment server, 0.1..3600 s
     // Called once, with the run's configuration, before the actor joins and computes anything; may execute the process
     // again. Null: the process is as the run wants it.
     std::function<absl::Status(const v1::RunConfig&)> set_up = nullptr;
@@ -63,6 +67,11 @@ class Actor {
   absl::Status StartLoops() ABSL_LOCKS_EXCLUDED(mu_);
   // Asks for permits and hands them out until the run is over.
   absl::Status KeepPermits();
+  // What KeepPermits asks for; `failures` is what it tells.
+  v1::PermitRequest NextRequest(std::vector<FailedPermit>* failures);
+  void TakeIn(const v1::PermitReply& reply);
+  // Says now and then what is wrong with the learner.
+  void Complain(const absl::Status& error);
   void StopLoops() ABSL_LOCKS_EXCLUDED(mu_);
   void RunLoop(ActorLoop* loop) ABSL_LOCKS_EXCLUDED(mu_);
   // What the learner is told for its page about the fleet.
@@ -76,9 +85,11 @@ class Actor {
   ServerBook servers_;
   PermitBook permits_;
   FragmentSender sender_;
-  std::string address_;                 // of Run's thread, like the next
-  v1::JoinReply joined_;                // the last one
-  bool set_up_ = false;                 // options_.set_up was called
+  std::string address_;       // of Run's thread, like the next
+  v1::JoinReply joined_;      // the last one
+  bool set_up_ = false;       // options_.set_up was called
+  bool was_welcome_ = false;  // a learner has taken us once
+  absl::Time complained_ = absl::InfinitePast();
   int64_t env_servers_generation_ = 0;  // of the learner's registry, as last heard
   std::unique_ptr<PolicySource> policies_;
   std::unique_ptr<EvaluationWorker> evaluations_;

@@ -5,7 +5,7 @@
 
 #include <absl/strings/str_format.h>
 
-#include "actor/trouble.h"
+#include "actor/play_reply.h"
 #include "common/backoff.h"
 #include "common/keyed_random.h"
 #include "common/log.h"
@@ -55,7 +55,7 @@ absl::Status ActorLoop::Run() {
     }
     Abandon(permits);
     if (status.code() == absl::StatusCode::kCancelled) return absl::OkStatus();
-    if (!MayPass(status)) return status;
+    if (!called_.has_value() || !MayPass(*called_, status)) return status;
     LogWarning("%d fragments given back: %s", permits.size(), status.message());
     permits_->WaitForClose(backoff.Next());
   }
@@ -63,6 +63,7 @@ absl::Status ActorLoop::Run() {
 
 absl::Status ActorLoop::RunFragment(std::vector<HeldPermit>* permits) {
   const HeldPermit first = permits->front();
+  called_ = Called::kWeights;
   for (const HeldPermit& permit : *permits) {
     if (permit.policy_version != first.policy_version || permit.epoch != first.epoch) {
       return absl::AbortedError("permits of two iterations at once");
@@ -71,9 +72,11 @@ absl::Status ActorLoop::RunFragment(std::vector<HeldPermit>* permits) {
   CRAFTFLEET_ASSIGN_OR_RETURN(const std::shared_ptr<const Policy> policy,
                               policies_->Get(first.epoch, first.policy_version));
   meter_.Switch(Activity::kEnvironment);
+  called_ = Called::kSession;
   CRAFTFLEET_RETURN_IF_ERROR(CloseLanesOfOthers(first.policy_version));
   Forget(envs_->Refresh());
-  CRAFTFLEET_RETURN_IF_ERROR(OpenLanes(*permits));
+  CRAFTFLEET_RETURN_IF_ERROR(OpenLanes(permits));
+  if (permits->empty()) return absl::OkStatus();
 
   std::map<int, HeldPermit> by_lane;
   for (const HeldPermit& permit : *permits) by_lane[permit.lane] = permit;
@@ -99,38 +102,61 @@ absl::Status ActorLoop::CloseLanesOfOthers(int64_t version) {
   return status;
 }
 
-absl::Status ActorLoop::OpenLanes(const std::vector<HeldPermit>& permits) {
+absl::Status ActorLoop::OpenLanes(std::vector<HeldPermit>* permits) {
   // Again where a server fails meanwhile and takes others with it.
   while (true) {
     std::vector<HeldPermit> missing;
-    for (const HeldPermit& permit : permits) {
+    for (const HeldPermit& permit : *permits) {
       const auto held = held_.find(permit.lane);
       const bool is_here =
           held != held_.end() && held->second.epoch == permit.epoch && held->second.next_fragment == permit.fragment;
       if (!is_here) missing.push_back(permit);
     }
     if (missing.empty()) return absl::OkStatus();
-    CRAFTFLEET_RETURN_IF_ERROR(OpenMissing(missing));
+    CRAFTFLEET_RETURN_IF_ERROR(OpenMissing(missing, permits));
   }
 }
 
-absl::Status ActorLoop::OpenMissing(const std::vector<HeldPermit>& missing) {
-  CRAFTFLEET_ASSIGN_OR_RETURN(std::vector<LaneSnapshot> snapshots,
+absl::Status ActorLoop::OpenMissing(const std::vector<HeldPermit>& missing, std::vector<HeldPermit>* permits) {
+  called_ = Called::kSnapshot;
+  CRAFTFLEET_ASSIGN_OR_RETURN(std::vector<absl::StatusOr<LaneSnapshot>> snapshots,
                               learner_->GetSnapshots(missing, options_.state_size));
+  called_ = Called::kSession;
   std::vector<EnvClient::Lane> lanes;
+  std::vector<size_t> rows;  // of `missing`, of each of `lanes`
   for (size_t i = 0; i < missing.size(); ++i) {
+    if (!snapshots[i].ok()) {
+      Fail(missing[i], CutReason(snapshots[i].status().message()), permits);
+      continue;
+    }
     const int lane = missing[i].lane;
-    lanes.push_back({lane, LaneSeed(options_.config.seed(), lane), 1, std::move(snapshots[i].game)});
+    lanes.push_back({lane, LaneSeed(options_.config.seed(), lane), 1, std::move(snapshots[i]->game)});
+    rows.push_back(i);
   }
   std::string frames;
   std::vector<int> lost;
-  CRAFTFLEET_RETURN_IF_ERROR(envs_->Open(lanes, &frames, &lost));
-  for (size_t i = 0; i < missing.size(); ++i) {
-    held_[missing[i].lane] = {missing[i].epoch, missing[i].fragment, /*policy_version=*/-1,
-                              std::string(Frame(frames, i)), std::move(snapshots[i].state)};
+  std::vector<EnvClient::Refused> refused;
+  CRAFTFLEET_RETURN_IF_ERROR(envs_->Open(lanes, &frames, &lost, &refused));
+  for (size_t i = 0; i < lanes.size(); ++i) {
+    const HeldPermit& permit = missing[rows[i]];
+    held_[permit.lane] = {permit.epoch, permit.fragment, /*policy_version=*/-1, std::string(Frame(frames, i)),
+                          std::move(snapshots[rows[i]]->state)};
+  }
+  for (const EnvClient::Refused& lane : refused) {
+    const auto permit = std::find_if(missing.begin(), missing.end(),
+                                     [&](const HeldPermit& candidate) { return candidate.lane == lane.lane; });
+    Fail(*permit, lane.reason, permits);
   }
   Forget(lost);  // of those just opened, too
   return absl::OkStatus();
+}
+
+void ActorLoop::Fail(const HeldPermit& permit, const std::string& reason, std::vector<HeldPermit>* permits) {
+  LogWarning("lane %d can't be played from its snapshot before fragment %d, which the learner is told: %s", permit.lane,
+             permit.fragment, reason);
+  Forget({permit.lane});
+  permits_->Fail(permit, reason);
+  permits->erase(std::remove(permits->begin(), permits->end(), permit), permits->end());
 }
 
 void ActorLoop::StartFragments(const std::vector<HeldPermit>& permits) {
@@ -160,8 +186,10 @@ absl::Status ActorLoop::PlaySteps(const Policy& policy, std::vector<HeldPermit>*
       if (t == 0 || keep_every_state) builders_[row].AddState(State(row));
     }
     meter_.Switch(Activity::kInference);
+    called_.reset();
     CRAFTFLEET_ASSIGN_OR_RETURN(ActResult act, policy.Act(frames_, lanes, noise, absl::MakeSpan(states_)));
     meter_.Switch(Activity::kWire);
+    called_ = Called::kSession;
     CRAFTFLEET_RETURN_IF_ERROR(envs_->Step(lanes, act.actions, /*snapshot=*/t + 1 == steps, &batch_, &lost));
     meter_.Switch(Activity::kOther, Activity::kEnvironment, envs_->busy());
     if (!lost.empty()) {
@@ -169,8 +197,10 @@ absl::Status ActorLoop::PlaySteps(const Policy& policy, std::vector<HeldPermit>*
       lanes = LanesOf(*permits);
       noise.resize(lanes.size());
     }
+    called_.reset();
     CRAFTFLEET_RETURN_IF_ERROR(AppendStep(policy, *permits, act));
     meter_.Count(static_cast<int64_t>(permits->size()));
+    permits_->SetSteps(options_.index, t + 1);
   }
   return absl::OkStatus();
 }

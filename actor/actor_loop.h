@@ -7,6 +7,7 @@
 #include <cstdint>
 #include <map>
 #include <memory>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -16,6 +17,7 @@
 #include <absl/types/span.h>
 
 #include "actor/env_pool.h"
+#include "actor/error_policy.h"
 #include "actor/fragment_builder.h"
 #include "actor/fragment_sender.h"
 #include "actor/learner_client.h"
@@ -72,9 +74,12 @@ class ActorLoop {
   // Before the first fragment under `version`: closes the games that were not played here under the last one, since
   // somebody else plays their lanes by now.
   absl::Status CloseLanesOfOthers(int64_t version);
-  absl::Status OpenLanes(const std::vector<HeldPermit>& permits);
-  // Opens the games of `missing`, which are not open here.
-  absl::Status OpenMissing(const std::vector<HeldPermit>& missing);
+  // Leaves in `permits` those whose lanes can be played.
+  absl::Status OpenLanes(std::vector<HeldPermit>* permits);
+  // Opens the games of `missing`, which are not open here. Takes out of `permits` those that can't be.
+  absl::Status OpenMissing(const std::vector<HeldPermit>& missing, std::vector<HeldPermit>* permits);
+  // Gives `permit` back for good: there is no game to play it from.
+  void Fail(const HeldPermit& permit, const std::string& reason, std::vector<HeldPermit>* permits);
   // Takes the observations and states of the lanes, arranged, and begins their fragments.
   void StartFragments(const std::vector<HeldPermit>& permits);
   // T steps of the lanes, arranged; builders_ hold the result, frames_ and states_ what the policy sees next.
@@ -102,6 +107,8 @@ class ActorLoop {
   const std::unique_ptr<EnvPool> envs_;
   ServerBook* const servers_;
 
+  // Whose trouble an error is; nothing: our own, which does not pass.
+  std::optional<Called> called_;
   std::map<int, Held> held_;               // by lane
   std::vector<FragmentBuilder> builders_;  // by row
   std::string frames_;                     // uint8[n,H,W,3]: what the policy sees next

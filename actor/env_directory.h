@@ -37,6 +37,8 @@ class EnvDirectory {
 
   // Whether the learner's registry is asked for, and what it says.
   bool uses_registry() const { return uses_registry_; }
+  // Whether there will never be others.
+  bool fixed() const { return !uses_registry_ && names_.empty(); }
   void SetRegistered(std::vector<std::string> addresses) ABSL_LOCKS_EXCLUDED(mu_);
 
   // The channels are null but for those given to the constructor: EnvClient connects.

@@ -5,12 +5,13 @@
 #include <utility>
 
 #include <absl/strings/str_cat.h>
+#include <absl/strings/str_format.h>
 #include <absl/strings/str_join.h>
 #include <absl/time/clock.h>
-#include <absl/types/optional.h>
 
-#include "actor/trouble.h"
+#include "actor/error_policy.h"
 #include "common/check.h"
+#include "common/clock.h"
 #include "common/log.h"
 #include "common/process_usage.h"
 #include "common/status_macros.h"
@@ -20,6 +21,7 @@ namespace {
 
 constexpr absl::Duration kConnectTimeout = absl::Seconds(3);
 constexpr absl::Duration kMoment = absl::Milliseconds(200);
+constexpr absl::Duration kLookEvery = absl::Milliseconds(5);  // while nothing can be played
 constexpr int64_t kKeptFiles = 128;  // descriptors for everything else; gRPC bears badly to be without
 constexpr int64_t kFilesOfServer = 2;
 
@@ -40,13 +42,21 @@ void Clear(StepBatch* batch) {
 
 }  // namespace
 
-EnvPool::EnvPool(std::shared_ptr<EnvDirectory> directory, const v1::SessionHello& hello, int frame_bytes, size_t first)
-    : directory_(std::move(directory)), hello_(hello), frame_bytes_(frame_bytes), first_(first) {
+EnvPool::EnvPool(std::shared_ptr<EnvDirectory> directory, const v1::SessionHello& hello, int frame_bytes, size_t first,
+                 std::shared_ptr<ServerHealth> health)
+    : directory_(std::move(directory)),
+      hello_(hello),
+      frame_bytes_(frame_bytes),
+      first_(first),
+      health_(health != nullptr ? std::move(health)
+                                : std::make_shared<ServerHealth>(ServerHealth::Options{hello, frame_bytes})) {
   FollowDirectory();
 }
 
 std::vector<int> EnvPool::Refresh() {
   std::vector<int> closed = FollowDirectory();
+  // Trouble that does not pass is met again when the games are opened.
+  LoseSuspects(&closed).IgnoreError();
   ConnectReachable();
   Balance(&closed);
   return closed;
@@ -69,7 +79,7 @@ std::vector<int> EnvPool::FollowDirectory() {
       continue;
     }
     servers_.push_back(std::make_unique<Server>());
-    servers_.back()->client = std::make_unique<EnvClient>(endpoint, hello_, frame_bytes_);
+    servers_.back()->client = std::make_unique<EnvClient>(endpoint, hello_, frame_bytes_, health_->timeout());
     if (cancelled_) servers_.back()->client->Cancel();
   }
   std::vector<int> closed;
@@ -111,17 +121,19 @@ void EnvPool::Balance(std::vector<int>* closed) {
   CloseOpenOnes(moving, closed).IgnoreError();
 }
 
-absl::Status EnvPool::Open(absl::Span<const EnvClient::Lane> lanes, std::string* frames, std::vector<int>* lost) {
+absl::Status EnvPool::Open(absl::Span<const EnvClient::Lane> lanes, std::string* frames, std::vector<int>* lost,
+                           std::vector<EnvClient::Refused>* refused) {
   lost->clear();
+  refused->clear();
   std::vector<int> numbers;
   for (const EnvClient::Lane& lane : lanes) numbers.push_back(lane.lane);
-  std::vector<int> rows(lanes.size());
-  std::iota(rows.begin(), rows.end(), 0);
+  Opening opening = {lanes, frames, lost, refused, std::vector<int>(lanes.size()), {}};
+  std::iota(opening.rows.begin(), opening.rows.end(), 0);
   frames->resize(lanes.size() * frame_bytes_);
   absl::Status status = CloseOpenOnes(numbers, lost);
-  while (status.ok() && !rows.empty()) {
+  while (status.ok() && !opening.rows.empty()) {
     status = ConnectServers();
-    if (status.ok()) status = Spread(lanes, frames, &rows, lost);
+    if (status.ok()) status = Spread(&opening);
   }
   if (!status.ok()) Reset();
   // What was lost on the way and is open by now.
@@ -139,7 +151,11 @@ absl::Status EnvPool::Close(absl::Span<const int> lanes, std::vector<int>* lost)
 
 absl::Status EnvPool::Lose(size_t index, const absl::Status& why, std::vector<int>* lost) {
   Server& server = *servers_[index];
-  if (MayPass(why)) LogWarning("%s; its %d games go on from their snapshots", why.message(), server.lanes);
+  const bool stopping = cancelled();
+  if (!stopping) {
+    LogWarning("%s; its %d games go on from their snapshots", why.message(), server.lanes);
+    if (ReactionTo(Called::kSession, why) == Reaction::kLeaveAlone) health_->Suspect(server.client->server(), why);
+  }
   server.client->Disconnect();
   server.trouble = why;
   server.lanes = 0;
@@ -151,7 +167,16 @@ absl::Status EnvPool::Lose(size_t index, const absl::Status& why, std::vector<in
     lost->push_back(entry->first);
     entry = server_of_.erase(entry);
   }
-  return MayPass(why) ? absl::OkStatus() : why;
+  return stopping ? absl::CancelledError("stopping") : absl::OkStatus();
+}
+
+absl::Status EnvPool::LoseSuspects(std::vector<int>* lost) {
+  for (size_t i = 0; i < servers_.size(); ++i) {
+    if (!servers_[i]->client->connected()) continue;
+    const absl::Status trouble = health_->TroubleOf(servers_[i]->client->address());
+    if (!trouble.ok()) CRAFTFLEET_RETURN_IF_ERROR(Lose(i, trouble, lost));
+  }
+  return absl::OkStatus();
 }
 
 absl::Status EnvPool::CloseOpenOnes(absl::Span<const int> lanes, std::vector<int>* lost) {
@@ -169,36 +194,92 @@ absl::Status EnvPool::CloseOpenOnes(absl::Span<const int> lanes, std::vector<int
   return absl::OkStatus();
 }
 
-absl::Status EnvPool::Spread(absl::Span<const EnvClient::Lane> lanes, std::string* frames, std::vector<int>* rows,
-                             std::vector<int>* lost) {
+absl::Status EnvPool::Spread(Opening* opening) {
   std::vector<std::vector<int>> by_server(servers_.size());
-  for (const int row : *rows) {
-    const size_t server = LeastLoaded();
-    by_server[server].push_back(row);
-    server_of_[lanes[row].lane] = server;
-    ++servers_[server]->lanes;
+  for (const int row : std::exchange(opening->rows, {})) {
+    const auto refusal = opening->refusals.find(row);
+    const bool was_refused = refusal != opening->refusals.end();
+    const absl::optional<size_t> server =
+        LeastLoaded(was_refused ? absl::make_optional(refusal->second.server) : absl::nullopt);
+    if (!server.has_value()) {  // nobody else to ask
+      opening->refused->push_back({opening->lanes[row].lane, refusal->second.reason});
+      continue;
+    }
+    by_server[*server].push_back(row);
+    server_of_[opening->lanes[row].lane] = *server;
+    ++servers_[*server]->lanes;
   }
-  rows->clear();
   for (size_t server = 0; server < servers_.size(); ++server) {
-    if (by_server[server].empty()) continue;
-    const absl::Status status = OpenOn(server, lanes, by_server[server], frames);
-    if (status.ok()) continue;
-    CRAFTFLEET_RETURN_IF_ERROR(Lose(server, status, lost));
-    servers_[server]->next_try = absl::Now() + servers_[server]->backoff.Next();
-    rows->insert(rows->end(), by_server[server].begin(), by_server[server].end());
+    std::vector<int>& rows = by_server[server];
+    if (rows.empty()) continue;
+    const std::vector<int> all = rows;
+    std::vector<std::string> reasons;
+    const absl::Status status = OpenOn(server, *opening, &rows, &reasons);
+    if (!status.ok()) {
+      CRAFTFLEET_RETURN_IF_ERROR(Lose(server, status, opening->lost));
+      servers_[server]->next_try = SteadyNow() + servers_[server]->backoff.Next();
+      opening->rows.insert(opening->rows.end(), all.begin(), all.end());
+      continue;
+    }
+    TakeRefused(server, rows, reasons, opening);
+    CRAFTFLEET_RETURN_IF_ERROR(BlameRefusals(server, all, opening));
   }
   return absl::OkStatus();
 }
 
-absl::Status EnvPool::OpenOn(size_t server, absl::Span<const EnvClient::Lane> lanes, absl::Span<const int> rows,
-                             std::string* frames) {
+absl::Status EnvPool::OpenOn(size_t server, const Opening& opening, std::vector<int>* rows,
+                             std::vector<std::string>* reasons) {
   std::vector<EnvClient::Lane> here;
-  for (const int row : rows) here.push_back(lanes[row]);
-  std::string here_frames;
-  CRAFTFLEET_RETURN_IF_ERROR(servers_[server]->client->Open(here, &here_frames));
+  for (const int row : *rows) here.push_back(opening.lanes[row]);
+  std::string frames;
+  std::vector<EnvClient::Refused> refused;
+  CRAFTFLEET_RETURN_IF_ERROR(servers_[server]->client->Open(here, &frames, &refused));
+  size_t opened = 0;
+  std::vector<int> left;
+  for (const int row : *rows) {
+    const int lane = opening.lanes[row].lane;
+    if (left.size() < refused.size() && refused[left.size()].lane == lane) {
+      reasons->push_back(refused[left.size()].reason);
+      left.push_back(row);
+      continue;
+    }
+    opening.frames->replace(static_cast<size_t>(row) * frame_bytes_, frame_bytes_, frames, opened * frame_bytes_,
+                            frame_bytes_);
+    ++opened;
+  }
+  *rows = std::move(left);
+  return absl::OkStatus();
+}
+
+void EnvPool::TakeRefused(size_t server, const std::vector<int>& rows, const std::vector<std::string>& reasons,
+                          Opening* opening) {
   for (size_t i = 0; i < rows.size(); ++i) {
-    frames->replace(static_cast<size_t>(rows[i]) * frame_bytes_, frame_bytes_, here_frames, i * frame_bytes_,
-                    frame_bytes_);
+    const int lane = opening->lanes[rows[i]].lane;
+    server_of_.erase(lane);
+    --servers_[server]->lanes;
+    const std::string reason = absl::StrCat(servers_[server]->client->address(), ": ", reasons[i]);
+    if (opening->refusals.try_emplace(rows[i], Refusal{server, reason}).second) {
+      opening->rows.push_back(rows[i]);
+    } else {  // two servers agree
+      opening->refused->push_back({lane, CutReason(reason)});
+    }
+  }
+}
+
+absl::Status EnvPool::BlameRefusals(size_t server, absl::Span<const int> opened, Opening* opening) {
+  for (const int row : opened) {
+    const auto refusal = opening->refusals.find(row);
+    const auto now_on = server_of_.find(opening->lanes[row].lane);
+    if (refusal == opening->refusals.end() || now_on == server_of_.end() || now_on->second != server) continue;
+    const size_t liar = refusal->second.server;
+    if (liar == server || !servers_[liar]->client->connected()) continue;
+    CRAFTFLEET_RETURN_IF_ERROR(
+        Lose(liar,
+             absl::DataLossError(absl::StrFormat("environment server %s: refused the snapshot of lane %d, which %s "
+                                                 "takes",
+                                                 servers_[liar]->client->address(), opening->lanes[row].lane,
+                                                 servers_[server]->client->address())),
+             opening->lost));
   }
   return absl::OkStatus();
 }
@@ -251,7 +332,8 @@ absl::Status EnvPool::SendAndReceive(absl::Span<const int> lanes, absl::Span<con
     CRAFTFLEET_RETURN_IF_ERROR(Lose(i, statuses[i], lost));
     all.Update(statuses[i]);
   }
-  return batch->rewards.empty() ? all : absl::OkStatus();
+  // Whatever they said of it: there may be others.
+  return batch->rewards.empty() ? absl::UnavailableError(all.message()) : absl::OkStatus();
 }
 
 std::pair<size_t, size_t> EnvPool::RowsOn(size_t server, absl::Span<const int> lanes) const {
@@ -264,8 +346,9 @@ std::pair<size_t, size_t> EnvPool::RowsOn(size_t server, absl::Span<const int> l
 std::vector<ServerBook::Server> EnvPool::Report() const {
   std::vector<ServerBook::Server> report;
   for (const auto& server : servers_) {
-    report.push_back(
-        {server->client->address(), server->client->connected(), server->lanes, server->client->summary()});
+    const EnvClient& client = *server->client;
+    report.push_back({client.address(), client.connected(), server->lanes, client.summary(),
+                      std::string(health_->TroubleOf(client.address()).message())});
   }
   return report;
 }
@@ -284,60 +367,105 @@ void EnvPool::Cancel() {
   for (const auto& server : servers_) server->client->Cancel();
 }
 
+bool EnvPool::cancelled() const {
+  const MutexLock lock(&mu_);
+  return cancelled_;
+}
+
 void EnvPool::ConnectReachable() {
   std::vector<Server*> due;
   for (const auto& server : servers_) {
-    if (!server->client->connected() && absl::Now() >= server->next_try) due.push_back(server.get());
+    if (!server->client->connected() && SteadyNow() >= server->next_try) due.push_back(server.get());
   }
   int64_t files_left = due.empty() ? 0 : FilesLeft();
   for (Server* server : due) {
+    const std::string name = absl::StrCat("environment server ", server->client->address());
     files_left -= kFilesOfServer;
     if (files_left < kKeptFiles) {
-      TryLater(server, absl::ResourceExhaustedError(absl::StrCat("environment server ", server->client->address(),
-                                                                 ": left out, too many files are open; raise the "
-                                                                 "limit (ulimit -n), or name fewer servers")));
+      TryLater(server, absl::ResourceExhaustedError(
+                           absl::StrCat(name,
+                                        ": left out, too many files are open; raise the limit (ulimit -n), or "
+                                        "name fewer servers")));
     } else if (server->client->Reachable()) {
-      Connect(server, absl::ZeroDuration());
+      if (health_->MayUse(server->client->server())) {
+        Connect(server);
+        continue;
+      }
+      // Who put it under suspicion has said so.
+      server->trouble = health_->TroubleOf(server->client->address());
+      if (server->trouble.ok()) server->trouble = absl::UnavailableError(name + ": has not answered a probe yet");
     } else if (server->client->Failing() && server->trouble.ok()) {
-      Note(server, absl::UnavailableError(absl::StrCat("environment server ", server->client->address(),
-                                                       ": not reachable; it gets games as soon as it is")));
+      Note(server, absl::UnavailableError(name + ": not reachable; it gets games as soon as it is"));
     }
   }
 }
 
 absl::Status EnvPool::ConnectServers() {
   ConnectReachable();
-  if (AnyConnected()) return absl::OkStatus();
+  if (!AnyConnected()) WaitForServers();
+  return AnyConnected() ? absl::OkStatus() : WhyNone();
+}
+
+void EnvPool::WaitForServers() {
   // Nobody waits for a server that does not answer while there is another, but for a moment, so that the first games
   // are spread over all of them.
-  absl::Time patience_ends = absl::InfiniteFuture();
-  for (const auto& server : servers_) {
-    const absl::Time now = absl::Now();
-    if (now < server->next_try || now >= patience_ends) continue;
-    Connect(server.get(), std::min(kConnectTimeout, patience_ends - now));
-    if (server->client->connected()) patience_ends = std::min(patience_ends, absl::Now() + kMoment);
+  absl::Time patience_ends = SteadyNow() + kConnectTimeout;
+  bool any = false;
+  while (!cancelled()) {
+    bool more = false;  // to wait for
+    for (const auto& server : servers_) {
+      if (server->client->connected() || SteadyNow() < server->next_try) continue;
+      if (server->client->Failing()) {
+        Connect(server.get());  // says what is wrong
+      } else {
+        more |= health_->TroubleOf(server->client->address()).ok();
+      }
+    }
+    ConnectReachable();
+    if (AnyConnected() && !std::exchange(any, true)) {
+      patience_ends = std::min(patience_ends, SteadyNow() + kMoment);
+    }
+    if (!more || SteadyNow() >= patience_ends) break;
+    absl::SleepFor(kLookEvery);
   }
-  if (AnyConnected()) return absl::OkStatus();
+  for (const auto& server : servers_) {
+    if (any || server->client->connected() || !server->trouble.ok()) continue;
+    TryLater(server.get(),
+             absl::UnavailableError(absl::StrCat("environment server ", server->client->address(),
+                                                 ": no answer within ", absl::FormatDuration(kConnectTimeout))));
+  }
+}
+
+absl::Status EnvPool::WhyNone() const {
+  if (cancelled()) return absl::CancelledError("stopping");
   if (servers_.empty()) return absl::UnavailableError("no environment server is known yet");
-  const bool may_pass =
-      std::any_of(servers_.begin(), servers_.end(), [](const auto& server) { return MayPass(server->trouble); });
-  if (!may_pass) return servers_.front()->trouble;
+  // One that took us once takes us again, when its token or ours is the right one.
+  const bool none_fits = std::all_of(servers_.begin(), servers_.end(), [](const auto& server) {
+    return !server->trouble.ok() && ReactionTo(Called::kSession, server->trouble) == Reaction::kUnfit;
+  });
+  const absl::Status& first = servers_.front()->trouble;
+  const bool was_welcome = ever_connected_ && (absl::IsPermissionDenied(first) || absl::IsUnauthenticated(first));
+  if (none_fits && directory_->fixed() && !was_welcome) return first;
   return absl::UnavailableError(absl::StrJoin(
       servers_, "; ", [](std::string* out, const auto& server) { absl::StrAppend(out, server->trouble.message()); }));
 }
 
-void EnvPool::Connect(Server* server, absl::Duration timeout) {
-  const absl::Status status = server->client->Connect(timeout);
+void EnvPool::Connect(Server* server) {
+  const absl::Status status = server->client->Connect(absl::ZeroDuration());
   if (!status.ok()) {
     TryLater(server, status);
+    if (!cancelled() && ReactionTo(Called::kSession, status) == Reaction::kLeaveAlone) {
+      health_->Suspect(server->client->server(), status);
+    }
     return;
   }
+  ever_connected_ = true;
   server->backoff.Reset();
   server->trouble = absl::OkStatus();
 }
 
 void EnvPool::TryLater(Server* server, const absl::Status& trouble) {
-  server->next_try = absl::Now() + server->backoff.Next();
+  server->next_try = SteadyNow() + server->backoff.Next();
   Note(server, trouble);
 }
 
@@ -351,14 +479,14 @@ bool EnvPool::AnyConnected() const {
   return std::any_of(servers_.begin(), servers_.end(), [](const auto& server) { return server->client->connected(); });
 }
 
-size_t EnvPool::LeastLoaded() const {
-  size_t best = servers_.size();
+absl::optional<size_t> EnvPool::LeastLoaded(absl::optional<size_t> except) const {
+  absl::optional<size_t> best;
   for (size_t k = 0; k < servers_.size(); ++k) {
     const size_t i = (first_ + k) % servers_.size();
-    if (!servers_[i]->client->connected()) continue;
-    if (best == servers_.size() || servers_[i]->lanes < servers_[best]->lanes) best = i;
+    if (!servers_[i]->client->connected() || i == except) continue;
+    if (!best.has_value() || servers_[i]->lanes < servers_[*best]->lanes) best = i;
   }
-  CRAFTFLEET_CHECK(best < servers_.size());
+  CRAFTFLEET_CHECK(best.has_value() || except.has_value());
   return best;
 }
 

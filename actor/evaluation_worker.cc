@@ -1,11 +1,14 @@
 #include "actor/evaluation_worker.h"
 
 #include <utility>
+#include <vector>
 
-#include <absl/time/clock.h>
+#include <absl/strings/match.h>
 
+#include "actor/error_policy.h"
 #include "actor/evaluator.h"
 #include "common/agent/policy.h"
+#include "common/clock.h"
 #include "common/log.h"
 #include "common/status_macros.h"
 #include "common/wire/convert.h"
@@ -24,7 +27,7 @@ EvaluationWorker::~EvaluationWorker() { Stop(); }
 
 bool EvaluationWorker::ready() const {
   const MutexLock lock(&mu_);
-  return absl::Now() >= next_try_;
+  return SteadyNow() >= next_try_;
 }
 
 void EvaluationWorker::Give(int64_t epoch, const v1::EvaluationTask& task) {
@@ -65,7 +68,7 @@ void EvaluationWorker::Run() {
     if (status.ok()) {
       backoff_.Reset();
     } else if (!stopping_) {
-      next_try_ = absl::Now() + backoff_.Next();
+      next_try_ = SteadyNow() + backoff_.Next();
       LogWarning("evaluation task %d given back: %s", job.task.id(), status.message());
     }
   }
@@ -81,8 +84,12 @@ absl::Status EvaluationWorker::Play(const Job& job) {
   evaluation.first_episode = job.task.first_episode();
   evaluation.episodes = job.task.episodes();
   evaluation.greedy = job.task.greedy();
-  CRAFTFLEET_ASSIGN_OR_RETURN(const std::vector<Episode> episodes, Evaluate(evaluation, *policy, env, [](int) {}));
-  v1::EvaluationResult result = wire::ToProto(episodes);
+  const absl::StatusOr<std::vector<Episode>> episodes = Evaluate(evaluation, *policy, env, [](int) {});
+  if (!episodes.ok()) {
+    Blame(*env, episodes.status());
+    return episodes.status();
+  }
+  v1::EvaluationResult result = wire::ToProto(*episodes);
   result.set_actor(options_.actor);
   result.set_epoch(job.epoch);
   result.set_id(job.task.id());
@@ -93,18 +100,33 @@ absl::StatusOr<EnvClient*> EvaluationWorker::Connect(const v1::EnvConfig& env) {
   v1::SessionHello hello = options_.hello;
   *hello.mutable_env() = env;
   absl::Status status = absl::UnavailableError("no environment server is known yet");
-  for (const wire::Endpoint& server : options_.env_servers->Servers()) {
+  const std::vector<wire::Endpoint> servers = options_.env_servers->Servers();
+  ++tries_;
+  for (size_t i = 0; i < servers.size(); ++i) {
+    const wire::Endpoint& server = servers[(tries_ + i) % servers.size()];
+    if (!options_.health->MayUse(server)) {
+      status = absl::UnavailableError("environment server " + server.address + ": has not answered a probe");
+      continue;
+    }
     EnvClient* client = nullptr;
     {
       const MutexLock lock(&mu_);
       if (stopping_) return absl::CancelledError("stopping");
-      env_ = std::make_unique<EnvClient>(server, hello, static_cast<int>(options_.spec.frame_bytes()));
+      env_ = std::make_unique<EnvClient>(server, hello, static_cast<int>(options_.spec.frame_bytes()),
+                                         options_.health->timeout());
       client = env_.get();
     }
     status = client->Connect(kConnectTimeout);
     if (status.ok()) return client;
+    Blame(*client, status);
   }
   return status;
+}
+
+void EvaluationWorker::Blame(const EnvClient& env, const absl::Status& error) {
+  // Of errors of its session the client says whose they are; the policy's are not about the server.
+  if (!absl::StartsWith(error.message(), "environment server ")) return;
+  if (ReactionTo(Called::kSession, error) == Reaction::kLeaveAlone) options_.health->Suspect(env.server(), error);
 }
 
 }  // namespace craftfleet

@@ -3,6 +3,7 @@
 #ifndef CRAFTFLEET_ACTOR_EVALUATION_WORKER_H_
 #define CRAFTFLEET_ACTOR_EVALUATION_WORKER_H_
 
+#include <cstddef>
 #include <cstdint>
 #include <memory>
 #include <optional>
@@ -15,6 +16,7 @@
 #include "actor/env_client.h"
 #include "actor/env_directory.h"
 #include "actor/learner_client.h"
+#include "actor/server_health.h"
 #include "common/agent/agent_spec.h"
 #include "common/backoff.h"
 #include "common/mutex.h"
@@ -29,7 +31,8 @@ class EvaluationWorker {
   struct Options {
     std::string actor;  // name, as it joined
     std::shared_ptr<EnvDirectory> env_servers;
-    v1::SessionHello hello;  // of a session; its environment is replaced by the task's
+    std::shared_ptr<ServerHealth> health;  // of these
+    v1::SessionHello hello;                // of a session; its environment is replaced by the task's
     AgentSpec spec;
     int tile = 1;
   };
@@ -55,8 +58,11 @@ class EvaluationWorker {
 
   void Run() ABSL_LOCKS_EXCLUDED(mu_);
   absl::Status Play(const Job& job) ABSL_LOCKS_EXCLUDED(mu_);
-  // A session with the first environment server that answers.   Cancelled: Stop was called.
+  // A session with the first environment server that answers, each time from another one on.
+  //   Cancelled: Stop was called.   Unavailable: none answers.
   absl::StatusOr<EnvClient*> Connect(const v1::EnvConfig& env) ABSL_LOCKS_EXCLUDED(mu_);
+  // Puts a server under suspicion that did not answer, or nonsense.
+  void Blame(const EnvClient& env, const absl::Status& error);
 
   const Options options_;
   const LearnerClient* const learner_;
@@ -65,8 +71,9 @@ class EvaluationWorker {
   CondVar changed_;
   std::optional<Job> job_ ABSL_GUARDED_BY(mu_);
   Backoff backoff_ ABSL_GUARDED_BY(mu_){absl::Seconds(1), absl::Seconds(10)};
-  absl::Time next_try_ ABSL_GUARDED_BY(mu_) = absl::InfinitePast();
-  std::unique_ptr<EnvClient> env_ ABSL_GUARDED_BY(mu_);  // made and used by the thread; Stop cancels it
+  absl::Time next_try_ ABSL_GUARDED_BY(mu_) = absl::InfinitePast();  // SteadyNow
+  size_t tries_ = 0;                                                 // of the thread
+  std::unique_ptr<EnvClient> env_ ABSL_GUARDED_BY(mu_);              // made and used by the thread; Stop cancels it
   bool stopping_ ABSL_GUARDED_BY(mu_) = false;
   std::thread thread_;
 };

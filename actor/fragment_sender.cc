@@ -5,6 +5,7 @@
 #include <absl/strings/str_cat.h>
 #include <absl/time/clock.h>
 
+#include "actor/error_policy.h"
 #include "common/backoff.h"
 #include "common/log.h"
 #include "common/wire/convert.h"
@@ -150,7 +151,7 @@ void FragmentSender::Settle() {
 
 void FragmentSender::Explain(const absl::Status& why) {
   const MutexLock lock(&mu_);
-  if (absl::IsInvalidArgument(why) && !under_way_.empty()) {
+  if (ReactionTo(Called::kPush, why) == Reaction::kDropFragment && !under_way_.empty()) {
     LogError("%s; the fragment is dropped: run programs of one version", why.message());
     ++refused_;
     Settle();

@@ -3,8 +3,8 @@
 #include <absl/strings/str_cat.h>
 #include <absl/strings/str_format.h>
 
+#include "actor/learner_replies.h"
 #include "common/status_macros.h"
-#include "common/wire/convert.h"
 
 namespace craftfleet {
 namespace {
@@ -75,9 +75,9 @@ struct LearnerClient::SnapshotCall {
   std::unique_ptr<grpc::ClientAsyncResponseReader<v1::SnapshotReply>> reader;
 };
 
-absl::StatusOr<std::vector<LaneSnapshot>> LearnerClient::GetSnapshots(absl::Span<const HeldPermit> permits,
-                                                                      int state_size) const {
-  std::vector<LaneSnapshot> snapshots;
+absl::StatusOr<std::vector<absl::StatusOr<LaneSnapshot>>> LearnerClient::GetSnapshots(
+    absl::Span<const HeldPermit> permits, int state_size) const {
+  std::vector<absl::StatusOr<LaneSnapshot>> snapshots;
   for (size_t first = 0; first < permits.size(); first += kSnapshotsAtOnce) {
     const absl::Span<const HeldPermit> some = permits.subspan(first, kSnapshotsAtOnce);
     CRAFTFLEET_RETURN_IF_ERROR(AppendSnapshots(some, state_size, &snapshots));
@@ -86,7 +86,7 @@ absl::StatusOr<std::vector<LaneSnapshot>> LearnerClient::GetSnapshots(absl::Span
 }
 
 absl::Status LearnerClient::AppendSnapshots(absl::Span<const HeldPermit> permits, int state_size,
-                                            std::vector<LaneSnapshot>* snapshots) const {
+                                            std::vector<absl::StatusOr<LaneSnapshot>>* snapshots) const {
   grpc::CompletionQueue answers;
   std::vector<std::unique_ptr<SnapshotCall>> calls;
   for (const HeldPermit& permit : permits) {
@@ -106,12 +106,7 @@ absl::Status LearnerClient::AppendSnapshots(absl::Span<const HeldPermit> permits
   }
   for (size_t i = 0; i < calls.size(); ++i) {
     if (!calls[i]->status.ok()) return FromCall(calls[i]->status);
-    absl::StatusOr<LaneSnapshot> snapshot = wire::FromProto(&calls[i]->reply, state_size);
-    if (!snapshot.ok()) {
-      return absl::InvalidArgumentError(
-          absl::StrFormat("%s: snapshot of lane %d: %s", name_, permits[i].lane, snapshot.status().message()));
-    }
-    snapshots->push_back(*std::move(snapshot));
+    snapshots->push_back(ReadSnapshot(&calls[i]->reply, state_size));
   }
   return absl::OkStatus();
 }
@@ -158,12 +153,16 @@ absl::StatusOr<std::pair<int64_t, std::string>> LearnerClient::ReceiveWeights(co
   std::pair<int64_t, std::string> weights = {-1, ""};
   int64_t total_bytes = 0;
   v1::WeightsChunk chunk;
-  while (stream->Read(&chunk)) {
+  absl::Status checked;
+  while (checked.ok() && stream->Read(&chunk)) {
+    checked = CheckWeightsChunk(chunk, weights.first, total_bytes, static_cast<int64_t>(weights.second.size()));
     weights.first = chunk.policy_version();
     total_bytes = chunk.total_bytes();
-    weights.second.append(chunk.data());
+    if (checked.ok()) weights.second.append(chunk.data());
   }
+  if (!checked.ok()) call.context()->TryCancel();
   const grpc::Status status = stream->Finish();
+  if (!checked.ok()) return absl::DataLossError(absl::StrCat(name_, ": ", checked.message()));
   if (!status.ok()) return FromCall(status);
   if (static_cast<int64_t>(weights.second.size()) != total_bytes) {
     return absl::DataLossError(

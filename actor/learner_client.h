@@ -33,8 +33,10 @@ class LearnerClient {
   absl::StatusOr<v1::JoinReply> Join(const v1::JoinRequest& request) const;
   absl::StatusOr<v1::PermitReply> GetPermits(const v1::PermitRequest& request) const;
   // Where the fragments of `permits`, all of one epoch, begin; in their order. Asked for side by side: the learner may
-  // be far. `state_size` is that of the agent (AgentSpec).   InvalidArgument: the learner's snapshot has another.
-  absl::StatusOr<std::vector<LaneSnapshot>> GetSnapshots(absl::Span<const HeldPermit> permits, int state_size) const;
+  // be far. `state_size` is that of the agent (AgentSpec). A lane of which the learner has nothing that could be played
+  // has DataLoss in its place.
+  absl::StatusOr<std::vector<absl::StatusOr<LaneSnapshot>>> GetSnapshots(absl::Span<const HeldPermit> permits,
+                                                                         int state_size) const;
   void Leave(const std::string& actor) const;
 
   // Ends every call under way and to come, but for Leave and PushFragments. From any thread.
@@ -61,7 +63,7 @@ class LearnerClient {
 
   // As GetSnapshots, of so few that all are asked for at once.
   absl::Status AppendSnapshots(absl::Span<const HeldPermit> permits, int state_size,
-                               std::vector<LaneSnapshot>* snapshots) const;
+                               std::vector<absl::StatusOr<LaneSnapshot>>* snapshots) const;
   // The error of a unary call or a download that has ended.
   absl::Status FromCall(const grpc::Status& status) const ABSL_LOCKS_EXCLUDED(mu_);
 

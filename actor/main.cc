@@ -21,6 +21,9 @@ ABSL_FLAG(std::string, envservers, "127.0.0.1:50061",
           "looked up again every 3 s; learner for those that were started with --learner");
 ABSL_FLAG(int32_t, threads, 0, "threads that play; 0: as many as the CPU quota allows");
 ABSL_FLAG(int32_t, max_lanes, 4096, "games to play side by side at most; the learner gives each actor its share");
+ABSL_FLAG(double, env_timeout, 10,
+          "seconds that an environment server may take for a request, 0.1..3600; a step takes microseconds. One that\n"
+          "opens games has a hundredth more for each. A server that takes longer is left alone until it answers again");
 ABSL_FLAG(std::string, listen, "127.0.0.1:0", "address to serve status on, HOST:PORT; port 0: any free one");
 
 namespace craftfleet {
@@ -47,6 +50,7 @@ absl::Status Run() {
   options.threads = absl::GetFlag(FLAGS_threads) == 0 ? DefaultThreads() : absl::GetFlag(FLAGS_threads);
   options.capacity = absl::GetFlag(FLAGS_max_lanes);
   options.set_up = [](const v1::RunConfig& config) { return PinCpu(config.cpu()); };
+  options.env_timeout = absl::Seconds(absl::GetFlag(FLAGS_env_timeout));
   CRAFTFLEET_ASSIGN_OR_RETURN(const std::unique_ptr<Actor> actor, Actor::Create(options));
   wire::StatusServiceImpl status("actor", [&actor](v1::StatusReply* reply) { actor->FillStatus(reply); });
   CRAFTFLEET_ASSIGN_OR_RETURN(

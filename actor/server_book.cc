@@ -22,6 +22,7 @@ std::vector<v1::Peer> ServerBook::All() const {
         all.connected |= server.connected;
         all.lanes += server.lanes;
         if (server.connected) all.summary = server.summary;
+        if (!server.trouble.empty()) all.trouble = server.trouble;
       }
     }
   }
@@ -31,6 +32,11 @@ std::vector<v1::Peer> ServerBook::All() const {
     peer.set_name("environment server " + address);
     peer.set_role("envserver");
     peer.set_address(address);
+    if (!server.trouble.empty()) {
+      peer.set_health(v1::Peer::NOT_ANSWERING);
+      peer.set_state("not answering");
+      continue;
+    }
     peer.set_health(server.connected ? v1::Peer::OK : v1::Peer::LOST);
     peer.set_state(server.connected ? absl::StrFormat("%d lanes", server.lanes) : "not reachable");
     // It speaks only while games are played there: what it said before is old.
@@ -39,8 +45,17 @@ std::vector<v1::Peer> ServerBook::All() const {
   return peers;
 }
 
-std::vector<v1::Peer> ServerBook::Next(size_t count) {
+std::vector<v1::Peer> ServerBook::Next(size_t count) { return Rotate(All(), count); }
+
+std::vector<v1::Peer> ServerBook::NextNotAnswering(size_t count) {
   std::vector<v1::Peer> all = All();
+  all.erase(std::remove_if(all.begin(), all.end(),
+                           [](const v1::Peer& peer) { return peer.health() != v1::Peer::NOT_ANSWERING; }),
+            all.end());
+  return Rotate(std::move(all), count);
+}
+
+std::vector<v1::Peer> ServerBook::Rotate(std::vector<v1::Peer> all, size_t count) {
   const MutexLock lock(&mu_);
   const std::string last = last_;
   const auto first = std::find_if(all.begin(), all.end(), [&](const v1::Peer& peer) { return peer.address() > last; });

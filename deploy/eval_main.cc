@@ -50,6 +50,7 @@ ABSL_FLAG(std::string, attention, "off",
           "videos and pictures also show where the agent looks, for oc_sa and oc_ca and their like:\n"
           "mean or sum over its heads (oc_sa) or slots (oc_ca), the number of one of them from 0, or off");
 ABSL_FLAG(std::string, textures, "", "folder with Crafter's textures as PNG [the ones that come with this program]");
+ABSL_FLAG(double, env_timeout, 10, "seconds that a step of the games may take, 0.1..3600");
 
 namespace craftfleet {
 namespace {
@@ -130,6 +131,10 @@ struct Games {
 
 absl::StatusOr<Games> OpenGames(const v1::EnvConfig& env, const AgentSpec& spec,
                                 const EpisodeRecorder::Options& recorder) {
+  const double timeout = absl::GetFlag(FLAGS_env_timeout);
+  if (!(timeout >= 0.1 && timeout <= 3600)) {
+    return absl::InvalidArgumentError(absl::StrFormat("--env_timeout=%g, want 0.1..3600", timeout));
+  }
   CRAFTFLEET_ASSIGN_OR_RETURN(const std::string textures, TextureDir(absl::GetFlag(FLAGS_textures)));
   Games games;
   CRAFTFLEET_ASSIGN_OR_RETURN(games.service, EnvServiceImpl::Create(textures));
@@ -138,7 +143,8 @@ absl::StatusOr<Games> OpenGames(const v1::EnvConfig& env, const AgentSpec& spec,
   hello.set_protocol_version(wire::kProtocolVersion);
   *hello.mutable_env() = env;
   if (Records(recorder)) hello.mutable_recording()->set_picture_size(recorder.picture_size);
-  games.client = std::make_unique<EnvClient>(games.server->InProcess(), hello, static_cast<int>(spec.frame_bytes()));
+  games.client = std::make_unique<EnvClient>(games.server->InProcess(), hello, static_cast<int>(spec.frame_bytes()),
+                                             absl::Seconds(timeout));
   CRAFTFLEET_RETURN_IF_ERROR(games.client->Connect(absl::Seconds(5)));
   return games;
 }

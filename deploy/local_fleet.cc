@@ -6,7 +6,8 @@
 
 namespace craftfleet {
 
-absl::StatusOr<std::unique_ptr<LocalFleet>> LocalFleet::Create(const Learner::Options& options) {
+absl::StatusOr<std::unique_ptr<LocalFleet>> LocalFleet::Create(const Learner::Options& options,
+                                                               absl::Duration env_timeout) {
   std::unique_ptr<LocalFleet> fleet(new LocalFleet);
   CRAFTFLEET_ASSIGN_OR_RETURN(fleet->env_service_, EnvServiceImpl::Create(options.texture_dir));
   CRAFTFLEET_ASSIGN_OR_RETURN(fleet->env_server_, wire::Server::Create({}, {fleet->env_service_.get()}));
@@ -15,6 +16,7 @@ absl::StatusOr<std::unique_ptr<LocalFleet>> LocalFleet::Create(const Learner::Op
   actor.learner = fleet->learner_->InProcess();
   actor.env_servers = std::make_shared<EnvDirectory>(std::vector<wire::Endpoint>{fleet->env_server_->InProcess()});
   actor.threads = options.threads;
+  actor.env_timeout = env_timeout;
   CRAFTFLEET_ASSIGN_OR_RETURN(fleet->actor_, Actor::Create(actor));
   return fleet;
 }

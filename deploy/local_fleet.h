@@ -19,8 +19,10 @@ namespace craftfleet {
 // Run is called once; Stop from any thread.
 class LocalFleet {
  public:
-  // `options.server.address` may be empty: then nothing listens. Errors as of the parts.
-  static absl::StatusOr<std::unique_ptr<LocalFleet>> Create(const Learner::Options& options);
+  // `options.server.address` may be empty: then nothing listens. `env_timeout` as of Actor::Options. Errors as of the
+  // parts.
+  static absl::StatusOr<std::unique_ptr<LocalFleet>> Create(const Learner::Options& options,
+                                                            absl::Duration env_timeout = kDefaultEnvTimeout);
 
   // Trains to the end or until Stop. Returns the first part's error.
   absl::Status Run();

@@ -25,6 +25,7 @@ void AddTimes(const google::protobuf::RepeatedPtrField<v1::ActivityTime>& times,
 
 const char* StateOf(const v1::Peer& peer) {
   if (peer.health() == v1::Peer::LOST) return "LOST";
+  if (peer.health() == v1::Peer::NOT_ANSWERING) return "NOT ANSWERING";
   return peer.health() == v1::Peer::LEFT ? "left" : "";
 }
 

@@ -13,6 +13,10 @@
 
 ABSL_FLAG(std::string, listen, "",
           "address on which further actors may join and `craftfleet status` asks, HOST:PORT [none: nothing listens]");
+ABSL_FLAG(
+    double, env_timeout, 10,
+    "seconds that a request for games may take, 0.1..3600: a step takes microseconds. One that takes longer is given "
+    "up and the games go on from their snapshots");
 
 namespace craftfleet {
 namespace {
@@ -34,7 +38,8 @@ absl::Status Run() {
   CRAFTFLEET_RETURN_IF_ERROR(PinCpu(options.config.cpu()));
   SetUpTorchThread();
   options.server.address = absl::GetFlag(FLAGS_listen);
-  CRAFTFLEET_ASSIGN_OR_RETURN(const std::unique_ptr<LocalFleet> fleet, LocalFleet::Create(options));
+  CRAFTFLEET_ASSIGN_OR_RETURN(const std::unique_ptr<LocalFleet> fleet,
+                              LocalFleet::Create(options, absl::Seconds(absl::GetFlag(FLAGS_env_timeout))));
   StopSignal signal([&fleet] { fleet->Stop(); });
   if (const std::string warning = SlowMathWarning(); !warning.empty()) LogWarning("%s", warning);
   Learner& learner = fleet->learner();

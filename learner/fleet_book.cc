@@ -56,9 +56,12 @@ void FleetBook::Heard(absl::string_view role, absl::string_view name, absl::stri
 
 void FleetBook::HeardOf(const v1::Peer& server) {
   const MutexLock lock(&mu_);
-  for (const auto& [key, worker] : workers_) {
+  const bool hangs = server.health() == v1::Peer::NOT_ANSWERING;
+  for (auto& [key, worker] : workers_) {
     const bool same = key.first == kEnvServer && worker.address == server.address();
-    if (same && worker.own_word != absl::InfinitePast()) return;
+    if (!same || worker.own_word == absl::InfinitePast()) continue;
+    if (hangs) worker.hung_at = clock_->Now();
+    return;
   }
   const auto [entry, is_new] = workers_.try_emplace({kEnvServer, server.address()});
   Worker& worker = entry->second;
@@ -67,6 +70,7 @@ void FleetBook::HeardOf(const v1::Peer& server) {
     worker.last_word = server.health() == v1::Peer::OK ? clock_->Now() : clock_->Now() - kRelayed;
   }
   if (server.health() == v1::Peer::OK) worker.last_word = clock_->Now();
+  if (hangs) worker.hung_at = clock_->Now();
   if (server.has_summary()) {
     worker.summary = Cut(server.summary());
     worker.summary_time = clock_->Now();
@@ -104,6 +108,7 @@ std::vector<v1::Peer> FleetBook::Workers() const {
 
 v1::Peer::Health FleetBook::HealthOf(const Worker& worker) const {
   if (worker.left) return v1::Peer::LEFT;
+  if (clock_->Now() - worker.hung_at < kRelayed) return v1::Peer::NOT_ANSWERING;
   const absl::Duration lease = worker.own_word == absl::InfinitePast() ? kRelayed : lease_;
   return clock_->Now() - worker.last_word < lease ? v1::Peer::OK : v1::Peer::LOST;
 }

@@ -30,7 +30,8 @@ class FleetBook {
   // Worker `name` of `role`, "actor" or "envserver", spoke. An empty `summary` or `address` leaves what it said before.
   void Heard(absl::string_view role, absl::string_view name, absl::string_view address,
              const v1::ProcessSummary& summary) ABSL_LOCKS_EXCLUDED(mu_);
-  // An actor spoke of an environment server. Counts for servers that don't speak for themselves.
+  // An actor spoke of an environment server. Counts for servers that don't speak for themselves; that it does not
+  // answer counts for all.
   void HeardOf(const v1::Peer& server) ABSL_LOCKS_EXCLUDED(mu_);
   // It said goodbye.
   void Left(absl::string_view role, absl::string_view name) ABSL_LOCKS_EXCLUDED(mu_);
@@ -45,6 +46,7 @@ class FleetBook {
     absl::Time summary_time = absl::InfinitePast();
     absl::Time last_word;                        // its own, or an actor's that reaches it
     absl::Time own_word = absl::InfinitePast();  // its own
+    absl::Time hung_at = absl::InfinitePast();   // when an actor said last that it does not answer
     bool left = false;
   };
   using Key = std::pair<std::string, std::string>;  // role, name

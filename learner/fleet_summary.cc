@@ -11,7 +11,7 @@ FleetView ViewFleet(const Work& trainer, const v1::StatusReply& reply) {
     const bool ok = peer.health() == v1::Peer::OK;
     if (peer.role() == "envserver") {
       view.env_servers += ok ? 1 : 0;
-      view.lost_env_servers += peer.health() == v1::Peer::LOST ? 1 : 0;
+      view.lost_env_servers += peer.health() == v1::Peer::LOST || peer.health() == v1::Peer::NOT_ANSWERING ? 1 : 0;
     } else if (ok) {
       ++view.actors;
       view.steps_per_second += peer.summary().steps_per_second();

@@ -38,7 +38,7 @@ class Policy {
   static constexpr int kMaxTile = 1024;
 
   // `weights` are safetensors of the agent; tile in 1..kMaxTile.
-  //   InvalidArgument: the weights are not this agent's, or the tile is out of range.
+  //   InvalidArgument: the weights are not this agent's or not finite, or the tile is out of range.
   static absl::StatusOr<std::unique_ptr<const Policy>> Create(const AgentSpec& spec, absl::string_view weights,
                                                               int tile);
   ~Policy();

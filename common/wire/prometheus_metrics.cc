@@ -65,6 +65,8 @@ void AddFleet(const v1::StatusReply& status, Families* families) {
   for (const char* worker : {"actor", "envserver"}) {
     families->Add("workers", workers[{worker, v1::Peer::OK}], {{"worker", worker}, {"state", "ok"}});
     families->Add("workers", workers[{worker, v1::Peer::LOST}], {{"worker", worker}, {"state", "lost"}});
+    families->Add("workers", workers[{worker, v1::Peer::NOT_ANSWERING}],
+                  {{"worker", worker}, {"state", "not_answering"}});
   }
 }
 

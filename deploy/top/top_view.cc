@@ -87,14 +87,20 @@ std::map<std::string, double> MetricsOf(const v1::StatusReply& status) {
   return metrics;
 }
 
+const char* StateOf(v1::Peer::Health health) {
+  if (health == v1::Peer::LOST) return "LOST";
+  if (health == v1::Peer::NOT_ANSWERING) return "HANGS";  // no room for more
+  return health == v1::Peer::LEFT ? "left" : "ok";
+}
+
 std::vector<Row> RowsOf(const v1::StatusReply& status) {
   std::vector<Row> rows;
   for (const v1::Peer& peer : status.peers()) {
     Row row;
     row.role = peer.role() == "envserver" ? "server" : peer.role();
     row.name = peer.name();
-    row.bad = peer.health() == v1::Peer::LOST;
-    row.state = row.bad ? "LOST" : peer.health() == v1::Peer::LEFT ? "left" : "ok";
+    row.bad = peer.health() == v1::Peer::LOST || peer.health() == v1::Peer::NOT_ANSWERING;
+    row.state = StateOf(peer.health());
     row.summary = peer.summary();
     if (peer.role() == "actor" && peer.health() == v1::Peer::OK && peer.summary().policy_version() >= 0) {
       row.lag = std::max<int64_t>(0, status.summary().policy_version() - peer.summary().policy_version());
@@ -195,8 +201,12 @@ std::string CountsLine(const v1::StatusReply& status) {
     errors += peer.summary().errors();
   }
   const auto lost = [&](const char* role) {
-    const int number = count[{role, v1::Peer::LOST}];
-    return number == 0 ? "" : absl::StrFormat(" (%d lost)", number);
+    std::vector<std::string> bad;
+    if (const int number = count[{role, v1::Peer::LOST}]; number > 0) bad.push_back(absl::StrFormat("%d lost", number));
+    if (const int number = count[{role, v1::Peer::NOT_ANSWERING}]; number > 0) {
+      bad.push_back(absl::StrFormat("%d not answering", number));
+    }
+    return bad.empty() ? "" : absl::StrCat(" (", absl::StrJoin(bad, ", "), ")");
   };
   return absl::StrFormat("%d actors%s  %d servers%s  %d errors  checkpoint %s ago", count[{"actor", v1::Peer::OK}],
                          lost("actor"), count[{"envserver", v1::Peer::OK}], lost("envserver"), errors,

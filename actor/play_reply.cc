@@ -1,0 +1,181 @@
+#include "actor/play_reply.h"
+
+#include <algorithm>
+#include <string>
+
+#include <absl/status/statusor.h>
+#include <absl/strings/str_format.h>
+#include <absl/time/time.h>
+
+#include "common/crafter.h"
+#include "common/env_name.h"
+#include "common/printable.h"
+#include "common/snapshot_envelope.h"
+#include "common/status_macros.h"
+#include "common/types.h"
+#include "common/wire/fragment_check.h"
+#include "common/wire/protocol.h"
+#include "common/wire/request_check.h"
+
+namespace craftfleet {
+namespace {
+
+// A request is cut off long before, and what a server says of its time only goes to status pages.
+constexpr int64_t kMaxBusyNs = int64_t{3600} * 1'000'000'000;
+
+absl::Status Nonsense(absl::string_view what) { return absl::DataLossError(what); }
+
+// What others of our checks found.
+absl::Status AsNonsense(const absl::Status& status) { return status.ok() ? status : Nonsense(status.message()); }
+
+absl::Status WantSize(absl::string_view field, int64_t size, int64_t wanted, absl::string_view unit) {
+  if (size == wanted) return absl::OkStatus();
+  return Nonsense(absl::StrFormat("%s: %d %s, want %d", field, size, unit, wanted));
+}
+
+absl::Status Within(absl::string_view field, int64_t value, int64_t low, int64_t high) {
+  if (value >= low && value <= high) return absl::OkStatus();
+  return Nonsense(absl::StrFormat("%s: %d, want %d..%d", field, value, low, high));
+}
+
+int64_t SizeOf(const std::string& bytes) { return static_cast<int64_t>(bytes.size()); }
+
+int64_t MaxLength(const v1::EnvConfig& env) { return env.length() > 0 ? env.length() : kEpisodeLength; }
+
+uint64_t DigestOf(const v1::EnvConfig& env) {
+  const absl::StatusOr<EnvName> name = EnvName::Parse(env.name());
+  return name.ok() ? EnvDigest(name->WorldName(), MaxLength(env)) : 0;
+}
+
+// What any reply may have.
+absl::Status CheckCommon(const v1::PlayReply& reply) {
+  CRAFTFLEET_RETURN_IF_ERROR(Within("busy_ns", reply.busy_ns(), 0, kMaxBusyNs));
+  // It goes to logs and status pages, ours and the learner's.
+  return reply.has_server() ? AsNonsense(wire::CheckSummary(reply.server())) : absl::OkStatus();
+}
+
+// What only the reply to hello has.
+absl::Status CheckNoHello(const v1::PlayReply& reply) {
+  const int64_t bytes = SizeOf(reply.program_version()) + SizeOf(reply.cpu()) + SizeOf(reply.canary());
+  return WantSize("program_version, cpu and canary", bytes, 0, "bytes after hello");
+}
+
+// What only the reply to a step has.
+absl::Status CheckNoStep(const v1::PlayReply& reply) {
+  CRAFTFLEET_RETURN_IF_ERROR(WantSize("rewards", reply.rewards_size(), 0, "numbers"));
+  CRAFTFLEET_RETURN_IF_ERROR(WantSize("ends", SizeOf(reply.ends()), 0, "bytes"));
+  CRAFTFLEET_RETURN_IF_ERROR(WantSize("last_frames", SizeOf(reply.last_frames()), 0, "bytes"));
+  CRAFTFLEET_RETURN_IF_ERROR(WantSize("episodes", reply.episodes_size(), 0, "episodes"));
+  return WantSize("snapshots", reply.snapshots_size(), 0, "snapshots");
+}
+
+// Neither frames nor lanes.
+absl::Status CheckNoGames(const v1::PlayReply& reply) {
+  CRAFTFLEET_RETURN_IF_ERROR(CheckNoStep(reply));
+  CRAFTFLEET_RETURN_IF_ERROR(WantSize("frames", SizeOf(reply.frames()), 0, "bytes"));
+  CRAFTFLEET_RETURN_IF_ERROR(WantSize("moments", reply.moments_size(), 0, "moments"));
+  return WantSize("refused", reply.refused_size(), 0, "lanes");
+}
+
+// Snapshots are no part of a new game, so only a lane that came with one can be refused.
+absl::Status CheckRefused(const v1::OpenLanes& request, const v1::PlayReply& reply) {
+  int row = 0;
+  for (const v1::RefusedLane& refused : reply.refused()) {
+    while (row < request.lanes_size() &&
+           (request.lanes(row).lane() != refused.lane() || request.lanes(row).snapshot().empty())) {
+      ++row;
+    }
+    if (row++ == request.lanes_size()) {
+      return Nonsense(
+          absl::StrFormat("refused: lane %d, want lanes that came with a snapshot, in their order", refused.lane()));
+    }
+  }
+  return absl::OkStatus();
+}
+
+}  // namespace
+
+std::string CutReason(absl::string_view text) { return Printable(text.substr(0, wire::kMaxReasonBytes)); }
+
+PlayReplyCheck::PlayReplyCheck(const v1::SessionHello& hello, int frame_bytes)
+    : records_(hello.has_recording()),
+      frame_bytes_(frame_bytes),
+      max_length_(MaxLength(hello.env())),
+      env_digest_(DigestOf(hello.env())) {}
+
+absl::Status PlayReplyCheck::Hello(const v1::PlayReply& reply) const {
+  CRAFTFLEET_RETURN_IF_ERROR(CheckCommon(reply));
+  CRAFTFLEET_RETURN_IF_ERROR(AsNonsense(wire::CheckText("program_version", reply.program_version())));
+  CRAFTFLEET_RETURN_IF_ERROR(AsNonsense(wire::CheckText("cpu", reply.cpu())));
+  CRAFTFLEET_RETURN_IF_ERROR(AsNonsense(wire::CheckText("canary", reply.canary())));
+  return CheckNoGames(reply);
+}
+
+absl::Status PlayReplyCheck::Open(const v1::OpenLanes& request, const v1::PlayReply& reply) const {
+  CRAFTFLEET_RETURN_IF_ERROR(CheckCommon(reply));
+  CRAFTFLEET_RETURN_IF_ERROR(CheckNoHello(reply));
+  CRAFTFLEET_RETURN_IF_ERROR(CheckNoStep(reply));
+  CRAFTFLEET_RETURN_IF_ERROR(CheckRefused(request, reply));
+  const int64_t open = request.lanes_size() - reply.refused_size();
+  CRAFTFLEET_RETURN_IF_ERROR(WantSize("frames", SizeOf(reply.frames()), open * frame_bytes_, "bytes"));
+  return Moments(reply);
+}
+
+absl::Status PlayReplyCheck::Step(const v1::StepLanes& request, const v1::PlayReply& reply) const {
+  CRAFTFLEET_RETURN_IF_ERROR(CheckCommon(reply));
+  CRAFTFLEET_RETURN_IF_ERROR(CheckNoHello(reply));
+  CRAFTFLEET_RETURN_IF_ERROR(WantSize("refused", reply.refused_size(), 0, "lanes"));
+  CRAFTFLEET_RETURN_IF_ERROR(WantSize("frames", SizeOf(reply.frames()), request.lanes_size() * frame_bytes_, "bytes"));
+  CRAFTFLEET_RETURN_IF_ERROR(Games(request, reply));
+  return Moments(reply);
+}
+
+absl::Status PlayReplyCheck::Close(const v1::PlayReply& reply) const {
+  CRAFTFLEET_RETURN_IF_ERROR(CheckCommon(reply));
+  CRAFTFLEET_RETURN_IF_ERROR(CheckNoHello(reply));
+  return CheckNoGames(reply);
+}
+
+absl::Status PlayReplyCheck::Games(const v1::StepLanes& request, const v1::PlayReply& reply) const {
+  const int lanes = request.lanes_size();
+  CRAFTFLEET_RETURN_IF_ERROR(WantSize("rewards", reply.rewards_size(), lanes, "numbers"));
+  // A step gives no more (common/crafter.h).
+  CRAFTFLEET_RETURN_IF_ERROR(AsNonsense(wire::CheckRewards(reply.rewards())));
+  CRAFTFLEET_RETURN_IF_ERROR(WantSize("ends", SizeOf(reply.ends()), lanes, "bytes"));
+  int64_t ended = 0;
+  int64_t truncated = 0;
+  for (const char end : reply.ends()) {
+    CRAFTFLEET_RETURN_IF_ERROR(Within("ends", static_cast<unsigned char>(end), 0, 2));
+    ended += end != static_cast<char>(StepEnd::kNone) ? 1 : 0;
+    truncated += end == static_cast<char>(StepEnd::kTruncated) ? 1 : 0;
+  }
+  CRAFTFLEET_RETURN_IF_ERROR(WantSize("last_frames", SizeOf(reply.last_frames()), truncated * frame_bytes_, "bytes"));
+  CRAFTFLEET_RETURN_IF_ERROR(WantSize("episodes", reply.episodes_size(), ended, "episodes"));
+  for (const v1::EpisodeMessage& episode : reply.episodes()) {
+    CRAFTFLEET_RETURN_IF_ERROR(Within("episodes.step", episode.step(), 0, 0));  // a reply is of one step
+    CRAFTFLEET_RETURN_IF_ERROR(WantSize("achievements", episode.achievements_size(), kNumAchievements, "counts"));
+    CRAFTFLEET_RETURN_IF_ERROR(AsNonsense(wire::CheckEpisode(episode, 1, max_length_)));
+  }
+  // The learner would refuse the fragment for a snapshot that can't be one.
+  CRAFTFLEET_RETURN_IF_ERROR(
+      WantSize("snapshots", reply.snapshots_size(), request.snapshot() ? lanes : 0, "snapshots"));
+  for (const std::string& snapshot : reply.snapshots()) {
+    if (snapshot.empty()) return Nonsense("snapshots: an empty one, want the game after the step");
+    CRAFTFLEET_RETURN_IF_ERROR(AsNonsense(CheckSnapshot(env_digest_, snapshot)));
+  }
+  return absl::OkStatus();
+}
+
+absl::Status PlayReplyCheck::Moments(const v1::PlayReply& reply) const {
+  if (!records_) return WantSize("moments", reply.moments_size(), 0, "moments");
+  // The rest of a moment is checked where it is read (common/wire/convert.h).
+  const auto known = [](char id) { return id >= 1 && id <= 18; };
+  for (const v1::Moment& moment : reply.moments()) {
+    if (!std::all_of(moment.semantic().begin(), moment.semantic().end(), known)) {
+      return Nonsense("moments.semantic: a cell that is neither a material nor an object, want 1..18");
+    }
+  }
+  return absl::OkStatus();
+}
+
+}  // namespace craftfleet

@@ -1,0 +1,43 @@
+// What an environment server may answer: every field of PlayReply with its range and the reason for it, in one place.
+
+#ifndef CRAFTFLEET_ACTOR_PLAY_REPLY_H_
+#define CRAFTFLEET_ACTOR_PLAY_REPLY_H_
+
+#include <cstdint>
+#include <string>
+
+#include <absl/status/status.h>
+#include <absl/strings/string_view.h>
+
+#include "craftfleet/v1/environment.pb.h"
+
+namespace craftfleet {
+
+// `text` of a stranger as it may be logged and sent on: printable, at most wire::kMaxReasonBytes.
+std::string CutReason(absl::string_view text);
+
+// Checks the replies of one session. DataLoss names the field, its value and what was expected. Immutable.
+class PlayReplyCheck {
+ public:
+  // Of a session that began with `hello`; its frames have `frame_bytes`.
+  PlayReplyCheck(const v1::SessionHello& hello, int frame_bytes);
+
+  absl::Status Hello(const v1::PlayReply& reply) const;
+  absl::Status Open(const v1::OpenLanes& request, const v1::PlayReply& reply) const;
+  absl::Status Step(const v1::StepLanes& request, const v1::PlayReply& reply) const;
+  absl::Status Close(const v1::PlayReply& reply) const;
+
+ private:
+  // What the games of a step came to.
+  absl::Status Games(const v1::StepLanes& request, const v1::PlayReply& reply) const;
+  absl::Status Moments(const v1::PlayReply& reply) const;
+
+  const bool records_;
+  const int64_t frame_bytes_;
+  const int64_t max_length_;   // steps of an episode
+  const uint64_t env_digest_;  // for snapshots
+};
+
+}  // namespace craftfleet
+
+#endif  // CRAFTFLEET_ACTOR_PLAY_REPLY_H_
