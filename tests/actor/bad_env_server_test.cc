@@ -1,9 +1,12 @@
 // What games come to on environment servers that misbehave.
 
+#include <atomic>
+#include <functional>
 #include <memory>
 #include <stdexcept>
 #include <string>
 #include <thread>
+#include <utility>
 #include <vector>
 
 #include <absl/strings/str_cat.h>
@@ -12,24 +15,253 @@
 #include <gtest/gtest.h>
 
 #include "actor/env_pool.h"
-#include "actor/trouble.h"
+#include "actor/error_policy.h"
 #include "tests/fakes/env_server.h"
 #include "tests/fakes/status_matchers.h"
+#include "tests/fakes/wait_until.h"
 
 namespace craftfleet {
 namespace {
 
+using testing::AllOf;
 using testing::HasSubstr;
+using testing::IsEmpty;
+using testing::SizeIs;
 
-EnvPool PoolOf(const wire::Server& server) {
-  return {std::make_shared<EnvDirectory>(std::vector<wire::Endpoint>{wire::Connect(server.address())}),
-          SampleHello(/*length=*/50), 64 * 64 * 3};
+constexpr int kFrameBytes = 64 * 64 * 3;
+constexpr absl::Duration kTimeout = absl::Seconds(2);
+
+// Passes a real server's answers on, but for what the test makes of them.
+class TwistingService : public v1::EnvironmentService::Service {
+ public:
+  // Returns whether to answer at all.
+  using Twist = std::function<bool(const v1::PlayRequest&, v1::PlayReply*)>;
+
+  TwistingService(EnvServiceImpl* real, Twist twist) : real_(real), twist_(std::move(twist)) {}
+
+  grpc::Status Play(grpc::ServerContext* context,
+                    grpc::ServerReaderWriter<v1::PlayReply, v1::PlayRequest>* stream) override {
+    const bool is_probe = sessions_++ == 0;
+    const auto server = *wire::Server::Create({}, {real_});
+    const auto stub = v1::EnvironmentService::NewStub(server->InProcess().channel);
+    grpc::ClientContext inner_context;
+    const auto inner = stub->Play(&inner_context);
+    v1::PlayRequest request;
+    v1::PlayReply reply;
+    while (stream->Read(&request) && inner->Write(request) && inner->Read(&reply)) {
+      const bool is_well = !bad || (spares_probe && is_probe);
+      if (!is_well && !twist_(request, &reply)) {
+        while (!context->IsCancelled()) absl::SleepFor(absl::Milliseconds(5));
+        break;
+      }
+      stream->Write(reply);
+    }
+    inner->WritesDone();
+    return inner->Finish();
+  }
+
+  std::atomic<bool> bad{true};
+  std::atomic<bool> spares_probe{true};  // the first session
+  int sessions() const { return sessions_; }
+
+ private:
+  EnvServiceImpl* const real_;
+  const Twist twist_;
+  std::atomic<int> sessions_{0};
+};
+
+// A server that misbehaves and one that does not, and a pool of both.
+class BadEnvServer : public testing::Test {
+ protected:
+  void Start(TwistingService::Twist twist, bool alone = false) {
+    service_ = std::make_unique<TwistingService>(env_.service.get(), std::move(twist));
+    server_ = *wire::Server::Create({"127.0.0.1:0"}, {service_.get()});
+    std::vector<wire::Endpoint> endpoints = {wire::Connect(server_->address())};
+    if (!alone) endpoints.push_back(good_.Connect());
+    ServerHealth::Options options = {SampleHello(50), kFrameBytes, kTimeout, absl::Milliseconds(100),
+                                     absl::Milliseconds(400)};
+    health_ = std::make_shared<ServerHealth>(options);
+    pool_ =
+        std::make_unique<EnvPool>(std::make_shared<EnvDirectory>(endpoints), SampleHello(50), kFrameBytes, 0, health_);
+  }
+  absl::Status Open(const std::vector<EnvClient::Lane>& lanes) {
+    std::string frames;
+    std::vector<int> lost;
+    return pool_->Open(lanes, &frames, &lost, &refused_);
+  }
+  // A step of lanes 0..3, those that were lost opened again.
+  absl::Status StepFour() {
+    StepBatch batch;
+    std::vector<int> lost;
+    const std::vector<Action> actions(4, Action::kNoop);
+    if (auto status = pool_->Step(pool_->Arrange({0, 1, 2, 3}), actions, false, &batch, &lost); !status.ok()) {
+      return status;
+    }
+    std::vector<EnvClient::Lane> lanes;
+    for (const int lane : lost) lanes.push_back({lane, lane + 100, 1, ""});
+    lost_ += lost.size();
+    return lanes.empty() ? absl::OkStatus() : Open(lanes);
+  }
+  absl::Status OpenFour() { return Open({{0, 100, 1, ""}, {1, 101, 1, ""}, {2, 102, 1, ""}, {3, 103, 1, ""}}); }
+  absl::Status Trouble() const { return health_->TroubleOf(server_->address()); }
+  std::string Snapshot() {
+    EnvClient client(good_.Connect(), SampleHello(50), kFrameBytes);
+    EXPECT_THAT(client.Connect(absl::Seconds(5)), IsOk());
+    std::string frames;
+    StepBatch batch;
+    EXPECT_THAT(client.Open({{0, 100, 1, ""}}, &frames), IsOk());
+    EXPECT_THAT(client.SendStep({0}, {Action::kNoop}, true), IsOk());
+    EXPECT_THAT(client.ReceiveStep(&batch), IsOk());
+    return batch.snapshots.at(0);
+  }
+
+  const EnvServer env_;
+  const EnvServer good_;
+  std::unique_ptr<TwistingService> service_;
+  std::unique_ptr<wire::Server> server_;
+  std::shared_ptr<ServerHealth> health_;
+  std::unique_ptr<EnvPool> pool_;
+  std::vector<EnvClient::Refused> refused_;
+  size_t lost_ = 0;
+};
+
+TEST_F(BadEnvServer, ASilentServerCostsOneDeadlineAndComesBackWhenItAnswers) {
+  Start([](const v1::PlayRequest& request, v1::PlayReply*) { return !request.has_step(); });
+  ASSERT_THAT(OpenFour(), IsOk());
+  service_->spares_probe = false;
+  const absl::Time start = absl::Now();
+  ASSERT_THAT(StepFour(), IsOk());
+  EXPECT_GE(absl::Now() - start, kTimeout / 2);
+  EXPECT_EQ(lost_, 2u);
+  EXPECT_THAT(Trouble(), StatusIs(absl::StatusCode::kDeadlineExceeded, HasSubstr("no answer within 2s to a step of")));
+  for (const ServerBook::Server& server : pool_->Report()) {
+    EXPECT_EQ(server.trouble.empty(), server.address != server_->address());
+  }
+  // Play goes on beside the probes, which fail.
+  ASSERT_TRUE(WaitUntil([&] {
+    EXPECT_THAT(pool_->Refresh(), IsEmpty());
+    EXPECT_THAT(StepFour(), IsOk());
+    return service_->sessions() >= 4;
+  }));
+  EXPECT_EQ(lost_, 2u);
+  service_->bad = false;
+  EXPECT_TRUE(WaitUntil([&] {
+    std::vector<EnvClient::Lane> lanes;
+    for (const int lane : pool_->Refresh()) lanes.push_back({lane, lane + 100, 1, ""});
+    EXPECT_THAT(Open(lanes), IsOk());
+    return !lanes.empty();
+  })) << "it gets games again";
+  EXPECT_THAT(Trouble(), IsOk());
 }
 
-absl::Status OpenAGame(EnvPool* pool) {
-  std::string frames;
+TEST_F(BadEnvServer, OneThatIsSilentFromTheStartKeepsNobodyWaiting) {
+  Start([](const v1::PlayRequest&, v1::PlayReply*) { return false; });
+  service_->spares_probe = false;
+  for (int i = 0; i < 3; ++i) {
+    ASSERT_THAT(OpenFour(), IsOk());
+    pool_->Refresh();
+    ASSERT_THAT(StepFour(), IsOk());
+  }
+  EXPECT_EQ(lost_, 0u);
+  EXPECT_TRUE(WaitUntil([&] { return absl::IsDeadlineExceeded(Trouble()); }));
+}
+
+TEST_F(BadEnvServer, WhereAllAreSilentTheFirstThatAnswersIsTaken) {
+  Start([](const v1::PlayRequest&, v1::PlayReply*) { return false; }, /*alone=*/true);
+  service_->spares_probe = false;
+  const absl::Status status = OpenFour();
+  EXPECT_THAT(status, StatusIs(absl::StatusCode::kUnavailable, HasSubstr(server_->address())));
+  EXPECT_TRUE(MayPass(Called::kSession, status)) << "the actor waits";
+  service_->bad = false;
+  EXPECT_TRUE(WaitUntil([&] { return OpenFour().ok(); }));
+}
+
+struct Nonsense {
+  std::string name;
+  std::function<void(v1::PlayReply*)> make;  // of the reply to a step
+  std::string complaint;
+};
+
+class NonsenseTest : public BadEnvServer, public testing::WithParamInterface<Nonsense> {};
+
+TEST_P(NonsenseTest, IsNamedAndItsGamesGoOnElsewhere) {
+  Start([](const v1::PlayRequest& request, v1::PlayReply* reply) {
+    if (request.has_step()) GetParam().make(reply);
+    return true;
+  });
+  ASSERT_THAT(OpenFour(), IsOk());
+  ASSERT_THAT(StepFour(), IsOk());
+  EXPECT_EQ(lost_, 2u);
+  EXPECT_THAT(Trouble(), StatusIs(absl::StatusCode::kDataLoss,
+                                  AllOf(HasSubstr(server_->address()), HasSubstr(GetParam().complaint))));
+}
+
+INSTANTIATE_TEST_SUITE_P(
+    Fields, NonsenseTest,
+    testing::Values(
+        Nonsense{"Frames", [](v1::PlayReply* r) { r->mutable_frames()->pop_back(); },
+                 "frames: 24575 bytes, want 24576"},
+        Nonsense{"Rows", [](v1::PlayReply* r) { r->add_rewards(0); }, "rewards: 3 numbers, want 2"},
+        Nonsense{"Reward", [](v1::PlayReply* r) { r->set_rewards(1, 1e6F); }, "rewards: 1e+06"},
+        Nonsense{"Ends", [](v1::PlayReply* r) { r->mutable_ends()->at(0) = 3; }, "ends: 3, want 0..2"},
+        Nonsense{"Ended", [](v1::PlayReply* r) { r->mutable_ends()->at(0) = 1; }, "episodes: 0 episodes, want 1"},
+        Nonsense{"Episode",
+                 [](v1::PlayReply* r) {
+                   r->mutable_ends()->at(0) = 1;
+                   v1::EpisodeMessage* episode = r->add_episodes();
+                   episode->set_length(int64_t{1} << 62);
+                   for (int i = 0; i < kNumAchievements; ++i) episode->add_achievements(0);
+                 },
+                 "length 4611686018427387904"},
+        Nonsense{"Snapshots", [](v1::PlayReply* r) { r->add_snapshots("x"); }, "snapshots: 1 snapshots, want 0"},
+        Nonsense{"Refused", [](v1::PlayReply* r) { r->add_refused(); }, "refused: 1 lanes, want 0"},
+        Nonsense{"Moments", [](v1::PlayReply* r) { r->add_moments(); }, "moments: 1 moments, want 0"},
+        Nonsense{"Hello", [](v1::PlayReply* r) { r->set_cpu("a"); }, "cpu and canary: 1 bytes"},
+        Nonsense{"Busy", [](v1::PlayReply* r) { r->set_busy_ns(-1); }, "busy_ns: -1"},
+        Nonsense{"Server", [](v1::PlayReply* r) { r->mutable_server()->set_lanes(-1); }, "summary.lanes: -1"}),
+    [](const auto& info) { return info.param.name; });
+
+TEST_F(BadEnvServer, WhatOneRefusesAnotherIsAskedFor) {
+  Start([](const v1::PlayRequest& request, v1::PlayReply* reply) {
+    if (!request.has_open()) return true;
+    reply->clear_frames();
+    for (const auto& lane : request.open().lanes()) {
+      reply->add_refused()->set_lane(lane.lane());
+    }
+    return true;
+  });
+  const std::string snapshot = Snapshot();
+  ASSERT_THAT(Open({{0, 100, 1, snapshot}, {1, 100, 1, snapshot}}), IsOk());
+  EXPECT_THAT(refused_, IsEmpty());
+  EXPECT_THAT(Trouble(), StatusIs(absl::StatusCode::kDataLoss, HasSubstr("refused the snapshot of lane")));
+}
+
+TEST_F(BadEnvServer, WhatTwoRefuseIsNoGame) {
+  Start([](const v1::PlayRequest&, v1::PlayReply*) { return true; });
+  const std::string snapshot = Snapshot();
+  ASSERT_THAT(Open({{0, 100, 1, snapshot}, {1, 100, 1, "no game"}, {2, 100, 1, snapshot}, {3, 100, 1, ""}}), IsOk());
+  ASSERT_THAT(refused_, SizeIs(1));
+  EXPECT_EQ(refused_[0].lane, 1);
+  EXPECT_THAT(refused_[0].reason, HasSubstr("snapshot"));
+  EXPECT_THAT(Trouble(), IsOk());
   std::vector<int> lost;
-  return pool->Open({{0, 100, 1, ""}}, &frames, &lost);
+  StepBatch batch;
+  EXPECT_THAT(pool_->Step(pool_->Arrange({0, 2, 3}), std::vector<Action>(3, Action::kNoop), false, &batch, &lost),
+              IsOk());
+}
+
+TEST_F(BadEnvServer, CancelEndsACallThatWaits) {
+  Start([](const v1::PlayRequest& request, v1::PlayReply*) { return !request.has_step(); }, /*alone=*/true);
+  ASSERT_THAT(OpenFour(), IsOk());
+  absl::Status status;
+  const absl::Time start = absl::Now();
+  std::thread stepping([&] { status = StepFour(); });
+  absl::SleepFor(absl::Milliseconds(100));  // most likely it waits by now; if not, it is refused at once
+  pool_->Cancel();
+  stepping.join();
+  EXPECT_LT(absl::Now() - start, kTimeout);
+  EXPECT_THAT(status, StatusIs(absl::StatusCode::kCancelled, "stopping"));
+  EXPECT_THAT(OpenFour(), StatusIs(absl::StatusCode::kCancelled, "stopping"));
 }
 
 // Fails in the middle of a game, as gRPC tells of an exception.
@@ -45,62 +277,17 @@ class ThrowingService : public v1::EnvironmentService::Service {
   }
 };
 
-TEST(BadEnvServer, AServerThatThrowsIsTroubleThatMayPass) {
+TEST(ThrowingEnvServer, IsTroubleThatMayPass) {
   ThrowingService service;
   const auto server = *wire::Server::Create({"127.0.0.1:0"}, {&service});
-  EnvPool pool = PoolOf(*server);
-  const absl::Status status = OpenAGame(&pool);
+  EnvPool pool(std::make_shared<EnvDirectory>(std::vector<wire::Endpoint>{wire::Connect(server->address())}),
+               SampleHello(50), kFrameBytes);
+  std::string frames;
+  std::vector<int> lost;
+  std::vector<EnvClient::Refused> refused;
+  const absl::Status status = pool.Open({{0, 100, 1, ""}}, &frames, &lost, &refused);
   EXPECT_THAT(status, StatusIs(absl::StatusCode::kUnavailable, HasSubstr(server->address())));
-  EXPECT_TRUE(MayPass(status));
-}
-
-// Greets, then takes requests in and never answers.
-class SilentService : public v1::EnvironmentService::Service {
- public:
-  grpc::Status Play(grpc::ServerContext* /*context*/,
-                    grpc::ServerReaderWriter<v1::PlayReply, v1::PlayRequest>* stream) override {
-    v1::PlayRequest request;
-    stream->Read(&request);
-    stream->Write({});
-    while (stream->Read(&request)) {
-    }
-    return grpc::Status::OK;
-  }
-};
-
-TEST(BadEnvServer, CancelEndsACallThatWaits) {
-  SilentService service;
-  const auto server = *wire::Server::Create({"127.0.0.1:0"}, {&service});
-  EnvPool pool = PoolOf(*server);
-  absl::Status status;
-  std::thread opening([&] { status = OpenAGame(&pool); });
-  absl::SleepFor(absl::Milliseconds(100));  // most likely it waits by now; if not, it is refused at once
-  pool.Cancel();
-  opening.join();
-  EXPECT_THAT(status, StatusIs(absl::StatusCode::kCancelled, "stopping"));
-  EXPECT_THAT(OpenAGame(&pool), StatusIs(absl::StatusCode::kCancelled, "stopping"));
-}
-
-// Answers everything with one byte of frames.
-class BabblingService : public v1::EnvironmentService::Service {
- public:
-  grpc::Status Play(grpc::ServerContext* /*context*/,
-                    grpc::ServerReaderWriter<v1::PlayReply, v1::PlayRequest>* stream) override {
-    v1::PlayRequest request;
-    v1::PlayReply reply;
-    reply.set_frames("x");
-    while (stream->Read(&request)) stream->Write(reply);
-    return grpc::Status::OK;
-  }
-};
-
-TEST(BadEnvServer, ARepliesShapeIsChecked) {
-  BabblingService service;
-  const auto server = *wire::Server::Create({"127.0.0.1:0"}, {&service});
-  EnvPool pool = PoolOf(*server);
-  EXPECT_THAT(OpenAGame(&pool),
-              StatusIs(absl::StatusCode::kInternal, HasSubstr(absl::StrCat("environment server ", server->address(),
-                                                                           ": 1 bytes of frames, want 12288"))));
+  EXPECT_TRUE(MayPass(Called::kSession, status));
 }
 
 }  // namespace

@@ -67,7 +67,9 @@ struct Seen {
   }
   absl::Status Open(EnvPool* pool, const std::vector<EnvClient::Lane>& lanes) {
     std::string opened;
-    if (absl::Status status = pool->Open(lanes, &opened, &lost); !status.ok()) return status;
+    std::vector<EnvClient::Refused> refused;
+    if (absl::Status status = pool->Open(lanes, &opened, &lost, &refused); !status.ok()) return status;
+    EXPECT_THAT(refused, IsEmpty());
     for (size_t i = 0; i < lanes.size(); ++i) frames[lanes[i].lane] = opened.substr(i * kFrameBytes, kFrameBytes);
     return absl::OkStatus();
   }
@@ -275,8 +277,9 @@ TEST(EnvPool, NamesEveryServerWhenNoneCanBeReached) {
   EnvPool pool(Listing(endpoints), SampleHello(kLength), kFrameBytes);
   std::string frames;
   std::vector<int> lost;
+  std::vector<EnvClient::Refused> refused;
   for (int i = 0; i < 2; ++i) {  // the second time it waits before it tries again
-    EXPECT_THAT(pool.Open(NewLanes({0}), &frames, &lost),
+    EXPECT_THAT(pool.Open(NewLanes({0}), &frames, &lost, &refused),
                 StatusIs(absl::StatusCode::kUnavailable,
                          AllOf(HasSubstr(endpoints[0].address), HasSubstr(endpoints[1].address))));
   }
@@ -302,7 +305,8 @@ TEST(EnvPool, AServerThatDoesNotFitIsAnErrorToAct) {
   EnvPool pool(Listing({server.Connect()}), hello, kFrameBytes);
   std::string frames;
   std::vector<int> lost;
-  EXPECT_THAT(pool.Open(NewLanes({0}), &frames, &lost),
+  std::vector<EnvClient::Refused> refused;
+  EXPECT_THAT(pool.Open(NewLanes({0}), &frames, &lost, &refused),
               StatusIs(absl::StatusCode::kFailedPrecondition,
                        AllOf(HasSubstr(server.server->address()), HasSubstr("--textures"))));
 }

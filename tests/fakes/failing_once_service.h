@@ -1,4 +1,4 @@
-// An environment server that fails in its first session.
+// An environment server that fails once.
 
 #ifndef CRAFTFLEET_TESTS_FAKES_FAILING_ONCE_SERVICE_H_
 #define CRAFTFLEET_TESTS_FAKES_FAILING_ONCE_SERVICE_H_
@@ -12,13 +12,13 @@
 
 namespace craftfleet {
 
-// Answers `messages` of its first session, throws then, and is well after that.
+// Answers `messages` of its first session after the probe, throws then, and is well after that.
 class FailingOnceService : public v1::EnvironmentService::Service {
  public:
   FailingOnceService(EnvServiceImpl* real, int messages) : real_(real), messages_(messages) {}
   grpc::Status Play(grpc::ServerContext* context,
                     grpc::ServerReaderWriter<v1::PlayReply, v1::PlayRequest>* stream) override {
-    if (failed_.exchange(true)) return real_->Play(context, stream);
+    if (sessions_++ != 1) return real_->Play(context, stream);
     const auto server = *wire::Server::Create({}, {real_});
     const auto stub = v1::EnvironmentService::NewStub(server->InProcess().channel);
     grpc::ClientContext inner_context;
@@ -36,7 +36,7 @@ class FailingOnceService : public v1::EnvironmentService::Service {
  private:
   EnvServiceImpl* const real_;
   const int messages_;
-  std::atomic<bool> failed_{false};
+  std::atomic<int> sessions_{0};
 };
 
 }  // namespace craftfleet
