@@ -69,6 +69,49 @@ TEST(PermitBook, APermitReleasedBeforeItWasTakenIsNotPlayed) {
   EXPECT_THAT(book.Take(0), ElementsAre(Permit(1)));
 }
 
+int64_t StepsOf(const PermitBook& book, const HeldPermit& permit) {
+  for (const PermitProgress& progress : book.Progress()) {
+    if (progress.permit == permit) return progress.steps;
+  }
+  return -1;
+}
+
+TEST(PermitBook, TellsHowFarFragmentsAre) {
+  PermitBook book(2);
+  for (int lane = 0; lane < 3; ++lane) book.Add(Permit(lane));
+  book.Take(0);  // lanes 0 and 2
+  book.SetSteps(0, 5);
+  EXPECT_EQ(StepsOf(book, Permit(0)), 5);
+  EXPECT_EQ(StepsOf(book, Permit(1)), 0) << "nobody plays it yet";
+  EXPECT_EQ(StepsOf(book, Permit(2)), 5);
+  book.SetSteps(0, 8);
+  book.Release(Permit(2));
+  book.Add(Permit(2, 1));
+  book.Take(0);
+  book.SetSteps(0, 3);
+  EXPECT_EQ(StepsOf(book, Permit(0)), 8) << "played, but not answered for";
+  EXPECT_EQ(StepsOf(book, Permit(2)), -1);
+  EXPECT_EQ(StepsOf(book, Permit(2, 1)), 3);
+}
+
+TEST(PermitBook, FailuresAreToldOnce) {
+  PermitBook book(1);
+  book.Add(Permit(3));
+  book.Take(0);
+  book.Fail(Permit(3), "no game");
+  EXPECT_THAT(book.Active(), IsEmpty());
+  const std::vector<FailedPermit> failures = book.Failures(1);
+  ASSERT_EQ(failures.size(), 1u);
+  EXPECT_EQ(failures[0].permit, Permit(3));
+  EXPECT_EQ(failures[0].reason, "no game");
+  EXPECT_EQ(book.Failures(1).size(), 1u) << "the request may not have arrived";
+  book.Told(failures);
+  EXPECT_EQ(book.Failures(1).size(), 0u);
+  book.Fail(Permit(3), "no game");
+  EXPECT_EQ(book.Failures(2).size(), 0u) << "of another start of the learner";
+  EXPECT_EQ(book.Failures(1).size(), 0u);
+}
+
 TEST(PermitBook, DropWaitingLeavesWhatIsBeingPlayed) {
   PermitBook book(1);
   book.Add(Permit(0));

@@ -1,0 +1,50 @@
+#include "actor/error_policy.h"
+
+#include <set>
+#include <string>
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include "common/files.h"
+#include "tests/fakes/status_matchers.h"
+
+namespace craftfleet {
+namespace {
+
+TEST(ErrorPolicy, HasEveryCodeOnce) {
+  std::set<absl::StatusCode> codes;
+  for (const ErrorRule& rule : ErrorPolicy()) {
+    EXPECT_TRUE(codes.insert(rule.code).second) << absl::StatusCodeToString(rule.code);
+    EXPECT_FALSE(rule.why.empty());
+  }
+  for (int code = 1; code <= 16; ++code) EXPECT_EQ(codes.count(static_cast<absl::StatusCode>(code)), 1u) << code;
+}
+
+TEST(ErrorPolicy, ReadmeHasTheTable) {
+  const auto readme = ReadFile(CRAFTFLEET_SOURCE_DIR "/actor/README.md");
+  ASSERT_THAT(readme, IsOk());
+  EXPECT_THAT(*readme, testing::HasSubstr(FormatErrorPolicy())) << "want this table in actor/README.md";
+}
+
+TEST(ErrorPolicy, NoEnvironmentServerEndsAnActorByWhatItSays) {
+  for (const ErrorRule& rule : ErrorPolicy()) {
+    EXPECT_NE(ReactionTo(Called::kSession, absl::Status(rule.code, "")), Reaction::kEnd);
+  }
+}
+
+TEST(ErrorPolicy, ATokenThatIsReplacedIsWaitedForButNotAtFirst) {
+  for (const absl::Status& error : {absl::PermissionDeniedError(""), absl::UnauthenticatedError("")}) {
+    EXPECT_EQ(ReactionTo(Called::kJoin, error), Reaction::kEnd);
+    for (const Called called : {Called::kPermits, Called::kPush, Called::kWeights, Called::kSnapshot}) {
+      EXPECT_EQ(ReactionTo(called, error), Reaction::kRetry);
+    }
+  }
+}
+
+TEST(ErrorPolicy, ALearnerThatRestartedIsJoinedAgain) {
+  EXPECT_EQ(ReactionTo(Called::kPermits, absl::AbortedError("")), Reaction::kJoinAgain);
+}
+
+}  // namespace
+}  // namespace craftfleet

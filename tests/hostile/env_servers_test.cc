@@ -1,0 +1,113 @@
+// Environment servers that stay and do not answer: the run ends with the quiet run's very bytes.
+
+#include <netinet/in.h>
+#include <sys/socket.h>
+#include <unistd.h>
+
+#include <csignal>
+#include <memory>
+#include <string>
+#include <vector>
+
+#include <absl/cleanup/cleanup.h>
+#include <absl/strings/match.h>
+#include <absl/strings/str_cat.h>
+#include <absl/time/clock.h>
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include "tests/fakes/wait_until.h"
+#include "tests/integration/fleet_fixture.h"
+
+namespace craftfleet {
+namespace {
+
+// Ten short iterations.
+constexpr char kHostileConfig[] = R"(
+  steps: 5120  lanes: 8  seed: 3  fragment_steps: 64
+  env { length: 90 }
+  ppo { rollout_steps: 512  minibatch_size: 128  epochs: 1 }
+  checkpoint { every_iterations: 2  keep: 20 }
+  eval { every_steps: 1500  episodes: 2  final_episodes: 2 }
+)";
+
+class HostileEnvServersTest : public FleetRunTest {
+ protected:
+  void SetUp() override { TrainQuietly(kHostileConfig); }
+
+  static std::unique_ptr<Process> StartActorWith(const std::string& log, const std::string& learner,
+                                                 const std::string& servers) {
+    return Start("craftfleet-actor", log,
+                 {"--learner=" + learner, "--envservers=" + servers, "--threads=2", "--env_timeout=3"});
+  }
+  // What the learner's page says of the server at `address`; empty: nothing.
+  static std::string HealthOf(const std::string& learner, const std::string& address) {
+    const auto status = Start("craftfleet-status", "status", {"--address=" + learner});
+    if (status->Wait(kPatience) != 0) return "";
+    const std::string text = status->Out();
+    const size_t line = text.find(address);
+    return line == std::string::npos ? "" : text.substr(line, text.find('\n', line) - line);
+  }
+};
+
+TEST_F(HostileEnvServersTest, OneThatStandsStillCostsSecondsAndComesBack) {
+  const auto learner = StartLearner("still", "127.0.0.1:0");
+  const std::string address = learner->WaitForAddress().value();
+  const auto good = Start("craftfleet-envserver", "still-good", {"--listen=127.0.0.1:0"});
+  const auto bad = Start("craftfleet-envserver", "still-bad", {"--listen=127.0.0.1:0"});
+  const std::string bad_address = bad->WaitForAddress().value();
+  const std::string servers = absl::StrCat(good->WaitForAddress().value(), ",", bad_address);
+  const auto first = StartActorWith("still-first", address, servers);
+  const auto second = StartActorWith("still-second", address, servers);
+  WaitForCheckpoint("still", 2);
+  bad->Signal(SIGSTOP);
+  EXPECT_TRUE(first->WaitForText("left alone until it answers", absl::Seconds(60))) << first->Err();
+  EXPECT_TRUE(WaitUntil([&] { return absl::StrContains(HealthOf(address, bad_address), "NOT ANSWERING"); }))
+      << HealthOf(address, bad_address);
+  bad->Signal(SIGCONT);
+  EXPECT_EQ(learner->Wait(kPatience), 0) << learner->Err();
+  ExpectLikeQuiet("still");
+  EXPECT_EQ(first->Wait(kPatience), 0) << first->Err();
+  EXPECT_EQ(second->Wait(kPatience), 0) << second->Err();
+}
+
+TEST_F(HostileEnvServersTest, OneThatAcceptsAndNeverSpeaksKeepsNobodyWaiting) {
+  const int listener = socket(AF_INET, SOCK_STREAM, 0);
+  ASSERT_GE(listener, 0);
+  const absl::Cleanup close_listener = [listener] { close(listener); };
+  sockaddr_in name = {};
+  name.sin_family = AF_INET;
+  name.sin_addr.s_addr = htonl(INADDR_LOOPBACK);
+  socklen_t size = sizeof(name);
+  ASSERT_EQ(bind(listener, reinterpret_cast<sockaddr*>(&name), size), 0);
+  ASSERT_EQ(listen(listener, 64), 0);
+  ASSERT_EQ(getsockname(listener, reinterpret_cast<sockaddr*>(&name), &size), 0);
+  const std::string mute = absl::StrCat("127.0.0.1:", ntohs(name.sin_port));
+
+  const auto learner = StartLearner("mute", "127.0.0.1:0");
+  const std::string address = learner->WaitForAddress().value();
+  const auto good = StartServer("mute-good");
+  const std::string servers = absl::StrCat(mute, ",", good->WaitForAddress().value());
+  const auto first = StartActorWith("mute-first", address, servers);
+  const auto second = StartActorWith("mute-second", address, servers);
+  EXPECT_EQ(learner->Wait(kPatience), 0) << learner->Err();
+  ExpectLikeQuiet("mute");
+  EXPECT_EQ(first->Wait(kPatience), 0) << first->Err();
+}
+
+TEST_F(HostileEnvServersTest, AnActorWhoseOnlyServerIsSilentStopsWithinSeconds) {
+  const auto learner = StartLearner("stop", "127.0.0.1:0");
+  const std::string address = learner->WaitForAddress().value();
+  const auto server = StartServer("stop-server");
+  const auto actor = StartActor("stop-actor", address, server->WaitForAddress().value());
+  WaitForCheckpoint("stop", 2);
+  server->Signal(SIGSTOP);
+  absl::SleepFor(absl::Seconds(1));  // it waits for a step by now
+  const absl::Time start = absl::Now();
+  actor->Signal(SIGTERM);
+  EXPECT_EQ(actor->Wait(absl::Seconds(20)), 0) << actor->Err();
+  EXPECT_LT(absl::Now() - start, absl::Seconds(8));
+}
+
+}  // namespace
+}  // namespace craftfleet
