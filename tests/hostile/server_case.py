@@ -35,7 +35,7 @@ class Program:
         def look():
             if self.process.poll() is not None:
                 raise AssertionError(self.text())
-            return re.search(re.escape(what) + r" (\S+)\n", self.text())
+            return re.search(re.escape(what) + r" ([^\s\"]+)", self.text())
         return python_case.wait_until(look, f"{what} in the log", PATIENCE_S).group(1)
 
     def _status(self, key):
