@@ -30,7 +30,6 @@ absl::Status CheckRanges(const v1::RunConfig& config) {
   check.Within("env.length", config.env().length(), 0, std::numeric_limits<int32_t>::max());
   check.Within("steps", config.steps(), int64_t{1}, int64_t{1'000'000'000'000});
   check.Within("lanes", config.lanes(), 1, 4096);
-  check.Within("fragment_steps", config.fragment_steps(), 1, 16384);
   check.Within("tile", config.tile(), 1, 256);
   check.Within("gradient_shards", config.gradient_shards(), 1, 256);
   // Checkpoints of version 0.1 have none.
@@ -38,6 +37,9 @@ absl::Status CheckRanges(const v1::RunConfig& config) {
   check.That(!config.has_cpu() || known_cpu, "cpu is CPU_UNSPECIFIED or unknown, want NATIVE, AVX2 or AVX512");
   const v1::PpoConfig& ppo = config.ppo();
   check.Within("ppo.rollout_steps", ppo.rollout_steps(), 1, 1 << 24);
+  // Before fragment_steps, which follows from them where it is not given.
+  if (check.status().ok()) check.Multiple("ppo.rollout_steps", ppo.rollout_steps(), "lanes", config.lanes());
+  check.Within("fragment_steps", config.fragment_steps(), 1, 16384);
   check.Within("ppo.minibatch_size", ppo.minibatch_size(), 1, 1 << 20);
   check.Within("ppo.epochs", ppo.epochs(), 1, 1000);
   check.Within("ppo.learning_rate", ppo.learning_rate(), 0.0, 1.0);
@@ -68,7 +70,6 @@ absl::Status CheckRelations(const v1::RunConfig& config) {
   const v1::PpoConfig& ppo = config.ppo();
   check.That(!network.recurrent() || ppo.recurrent_batches() != v1::PpoConfig::RECURRENT_BATCHES_UNSPECIFIED,
              "ppo.recurrent_batches is RECURRENT_BATCHES_UNSPECIFIED, want SEGMENTS or PUBLISHED");
-  check.Multiple("ppo.rollout_steps", ppo.rollout_steps(), "lanes", config.lanes());
   check.Multiple("ppo.rollout_steps", ppo.rollout_steps(), "lanes * fragment_steps",
                  int64_t{config.lanes()} * config.fragment_steps());
   check.Multiple("ppo.rollout_steps", ppo.rollout_steps(), "ppo.minibatch_size", ppo.minibatch_size());

@@ -57,9 +57,9 @@ Need IterationNeed(const v1::RunConfig& config, const AgentSpec& spec, const wir
           config.ppo().rollout_steps()};
 }
 
-// Frames as floats, and what attention makes of them.
+// Frames as floats, and what attention makes of a shard's.
 Need MinibatchNeed(const v1::RunConfig& config, const AgentSpec& spec) {
-  const double attention = AttentionNumbers(spec.network);
+  const double attention = AttentionNumbers(spec.network) / config.gradient_shards();
   const auto frame = static_cast<double>(spec.frame_bytes());
   const double bytes = config.ppo().minibatch_size() * (frame + attention) * sizeof(float);
   if (attention > frame) return {bytes, "network.stride", spec.network.stride()};

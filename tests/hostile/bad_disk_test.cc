@@ -60,7 +60,7 @@ class BadDiskTest : public SmallRunTest {
 
 // The older is in the midst of its work, with an actor, when the newer resumes the run.
 TEST_F(BadDiskTest, OfTwoLearnersWithoutLocksOnlyTheNewerWrites) {
-  ASSERT_THAT(WriteFileSynced(config(), absl::StrReplaceAll(kConfig, {{"steps: 192", "steps: 6400"}})), IsOk());
+  ASSERT_THAT(WriteFileSynced(config(), absl::StrReplaceAll(kConfig, {{"steps: 192", "steps: 1920"}})), IsOk());
   const std::vector<std::string> flags = Flags("run", {"--listen=127.0.0.1:0", "--autoresume"});
   const auto older = StartOn("nolocks", "craftfleet-learner", flags);
   StartWorker(older->WaitForAddress().value());
@@ -78,7 +78,7 @@ TEST_F(BadDiskTest, OfTwoLearnersWithoutLocksOnlyTheNewerWrites) {
   const std::vector<std::string> lines = absl::StrSplit(ReadLog("run", "stats.jsonl"), '\n', absl::SkipEmpty());
   EXPECT_GT(lines.size(), 0U);
   for (const std::string& line : lines) EXPECT_TRUE(nlohmann::json::accept(line)) << line;
-  ExpectLikeQuiet(100);
+  ExpectLikeQuiet(30);
 }
 
 // An older learner without work must not wait for ever either.
