@@ -34,7 +34,7 @@ StreamWatch::Stream::Stream(StreamWatch* watch, grpc::ServerContext* context)
     return;
   }
   ++count;
-  watch_->streams_.insert(this);
+  watch_->streams_[this] = false;
   if (!watch_->started_) {
     watch_->started_ = true;
     watch_->thread_ = std::thread([watch] { watch->Run(); });
@@ -63,7 +63,8 @@ std::string StreamWatch::Stream::Complaint() const {
 
 absl::Status StreamWatch::Stream::late() const {
   const MutexLock lock(&watch_->mu_);
-  return cancelled_ ? absl::DeadlineExceededError(Complaint()) : absl::OkStatus();
+  const auto found = watch_->streams_.find(this);
+  return found != watch_->streams_.end() && found->second ? absl::DeadlineExceededError(Complaint()) : absl::OkStatus();
 }
 
 StreamWatch::~StreamWatch() {
@@ -91,10 +92,10 @@ void StreamWatch::Run() {
 
 void StreamWatch::CancelLate() {
   const int64_t now = SteadyNs();
-  for (Stream* stream : streams_) {
+  for (auto& [stream, cancelled] : streams_) {
     const int64_t deadline = stream->deadline_ns_;
-    if (deadline == 0 || now < deadline || stream->cancelled_) continue;
-    stream->cancelled_ = true;
+    if (deadline == 0 || now < deadline || cancelled) continue;
+    cancelled = true;
     // ServerContext::TryCancel can't say why.
     grpc_call_cancel_with_status(stream->context_->c_call(), GRPC_STATUS_DEADLINE_EXCEEDED, stream->Complaint().c_str(),
                                  nullptr);

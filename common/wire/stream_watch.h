@@ -7,7 +7,6 @@
 #include <cstdint>
 #include <map>
 #include <memory>
-#include <set>
 #include <string>
 #include <thread>
 
@@ -62,7 +61,6 @@ class StreamWatch {
     std::atomic<int64_t> deadline_ns_{0};  // of the steady clock; 0: none
     std::atomic<int64_t> limit_ns_{0};
     std::atomic<const char*> what_{""};
-    bool cancelled_ ABSL_GUARDED_BY(watch_->mu_) = false;
   };
 
   int size() const ABSL_LOCKS_EXCLUDED(mu_);
@@ -74,7 +72,7 @@ class StreamWatch {
   const int max_per_client_;
   mutable Mutex mu_;
   CondVar changed_;
-  std::set<Stream*> streams_ ABSL_GUARDED_BY(mu_);
+  std::map<const Stream*, bool> streams_ ABSL_GUARDED_BY(mu_);  // whether it was late and is cancelled
   std::map<std::string, int> per_client_ ABSL_GUARDED_BY(mu_);
   bool stopping_ ABSL_GUARDED_BY(mu_) = false;
   bool started_ ABSL_GUARDED_BY(mu_) = false;
