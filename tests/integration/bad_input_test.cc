@@ -81,6 +81,7 @@ const std::vector<BadCommand>& BadCommands() {
       {"NoServers", actor, {"--envservers="}, {"--envservers is empty"}},
       {"NegativeThreads", actor, {"--threads=-1"}, {"--threads=-1, want"}},
       {"NoLanesForActor", actor, {"--max_lanes=0"}, {"--max_lanes=0, want 1..4096"}},
+      {"NoTimeForServers", actor, {"--env_timeout=0"}, {"--env_timeout=0, want 0.1..3600 s"}},
       {"NoCheckpoint", "craftfleet-eval", {}, {"--checkpoint is missing"}},
       {"CheckpointThatIsNone", "craftfleet-eval", {"--checkpoint=@"}, {"no checkpoint at /", "want a run's folder"}},
       {"NoEpisodes", "craftfleet-eval", {"--checkpoint=@", "--episodes=0"}, {"--episodes=0", "at least 1"}},
