@@ -3,7 +3,7 @@
 # Warnings for our code only; third-party headers come in as SYSTEM. -ffp-contract=off: a fused multiply-add would change
 # last bits, and games must be the same on every CPU.
 add_library(craftfleet_flags INTERFACE)
-target_compile_options(craftfleet_flags INTERFACE -Wall -Wextra -Werror -ffp-contract=off)
+target_compile_options(craftfleet_flags INTERFACE -Wall -Wextra $<$<BOOL:${CRAFTFLEET_WERROR}>:-Werror> -ffp-contract=off)
 if(CMAKE_CXX_COMPILER_ID MATCHES "Clang")
   target_compile_options(craftfleet_flags INTERFACE -Wthread-safety)
 endif()
@@ -26,11 +26,15 @@ function(craftfleet_library)
   target_link_libraries(craftfleet_${ARG_NAME} PUBLIC ${ARG_DEPS} PRIVATE craftfleet_flags)
 endfunction()
 
-# craftfleet_program(NAME craftfleet-actor SRCS ... DEPS ...): an installed executable in build/bin.
+# craftfleet_program(NAME craftfleet-actor SRCS ... DEPS ...): an installed executable in build/bin. Where it is installed,
+# libraries in lib/craftfleet come before the system's; those of a bundle lie there (deploy/bundle.sh). An old-style RPATH,
+# because a RUNPATH would not count for what libraries want in turn.
 function(craftfleet_program)
   cmake_parse_arguments(ARG "" "NAME" "SRCS;DEPS" ${ARGN})
   add_executable(${ARG_NAME} ${ARG_SRCS})
   target_link_libraries(${ARG_NAME} PRIVATE ${ARG_DEPS} craftfleet_heap craftfleet_flags)
+  target_link_options(${ARG_NAME} PRIVATE -Wl,--disable-new-dtags)
+  set_target_properties(${ARG_NAME} PROPERTIES INSTALL_RPATH "$ORIGIN/../lib/craftfleet:$ORIGIN/../lib/craftfleet/libtorch")
   install(TARGETS ${ARG_NAME} RUNTIME DESTINATION ${CMAKE_INSTALL_BINDIR})
 endfunction()
 

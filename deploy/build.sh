@@ -1,18 +1,29 @@
 #!/usr/bin/env bash
 # Configures and builds everything; programs land in <build folder>/bin (build/bin for release).
 #
-# Usage: deploy/build.sh [PRESET]
+# Usage: deploy/build.sh [PRESET] [-DNAME=VALUE]...
 #   PRESET  release (default), debug, asan-ubsan, asan-ubsan-unit or tsan: see CMakePresets.json
+#   -DCRAFTFLEET_LIBTORCH=DIR  build against the LibTorch in DIR; later builds in the same folder remember it
+#   -DCRAFTFLEET_WERROR=OFF    go on at warnings, which other compilers and libraries may have
 #   JOBS    environment variable: compilers at a time; default: one per core, as far as memory goes
 
 set -euo pipefail
 
 usage() { sed -n '2,/^$/s/^# \{0,1\}//p' "$0"; }
-case "${1:-}" in
-  -h | --help) usage; exit 0 ;;
-  -*) echo "build.sh: unknown argument '$1'" >&2; usage >&2; exit 2 ;;
-esac
-preset=${1:-release}
+preset=
+settings=()
+for argument in "$@"; do
+  case "$argument" in
+    -h | --help) usage; exit 0 ;;
+    -D?*=*) settings+=("$argument") ;;
+    -*) echo "build.sh: unknown argument '$argument'" >&2; usage >&2; exit 2 ;;
+    *)
+      [ -z "$preset" ] || { echo "build.sh: '$argument' after '$preset', want one preset" >&2; exit 2; }
+      preset=$argument
+      ;;
+  esac
+done
+preset=${preset:-release}
 cd "$(dirname "$0")/.."
 
 # A file that includes LibTorch takes up to 2 GB to compile.
@@ -26,5 +37,5 @@ by_memory=$((memory_kib / (2 * 1024 * 1024)))
 [ "$by_memory" -ge "$jobs" ] || jobs=$by_memory
 [ "$jobs" -ge 1 ] || jobs=1
 
-cmake --preset "$preset"
+cmake --preset "$preset" "${settings[@]}"
 cmake --build --preset "$preset" --parallel "${JOBS:-$jobs}"

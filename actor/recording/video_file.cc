@@ -19,12 +19,16 @@ constexpr std::array<const char*, 2> kCodecs = {"avc1", "mp4v"};
 
 }  // namespace
 
+struct VideoFile::Writer {
+  cv::VideoWriter video;
+};
+
 VideoFile::VideoFile(std::string path, int width, int height)
-    : path_(std::move(path)), width_(width), height_(height), writer_(std::make_unique<cv::VideoWriter>()) {}
+    : path_(std::move(path)), width_(width), height_(height), writer_(std::make_unique<Writer>()) {}
 
 VideoFile::~VideoFile() {
   if (writer_ == nullptr) return;
-  writer_->release();
+  writer_->video.release();
   RemoveAll(path_).IgnoreError();
 }
 
@@ -35,7 +39,8 @@ absl::StatusOr<std::unique_ptr<VideoFile>> VideoFile::Create(const std::string& 
   for (const char* codec : kCodecs) {
     try {
       const int code = cv::VideoWriter::fourcc(codec[0], codec[1], codec[2], codec[3]);
-      if (video->writer_->open(path, cv::CAP_FFMPEG, code, kPicturesPerSecond, cv::Size(width, height))) return video;
+      if (video->writer_->video.open(path, cv::CAP_FFMPEG, code, kPicturesPerSecond, cv::Size(width, height)))
+        return video;
     } catch (const cv::Exception& error) {
       return absl::InternalError(absl::StrCat(path, ": ", error.what()));
     }
@@ -46,7 +51,7 @@ absl::StatusOr<std::unique_ptr<VideoFile>> VideoFile::Create(const std::string& 
 
 absl::Status VideoFile::Append(absl::string_view picture) {
   try {
-    writer_->write(ToBgr(picture, width_, height_));
+    writer_->video.write(ToBgr(picture, width_, height_));
   } catch (const cv::Exception& error) {
     return absl::InternalError(absl::StrCat(path_, ": ", error.what()));
   }
@@ -54,7 +59,7 @@ absl::Status VideoFile::Append(absl::string_view picture) {
 }
 
 absl::Status VideoFile::Finish(const std::string& path) {
-  writer_->release();
+  writer_->video.release();
   writer_ = nullptr;
   return RenameSynced(path_, path);
 }

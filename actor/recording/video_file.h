@@ -10,10 +10,6 @@
 #include <absl/status/statusor.h>
 #include <absl/strings/string_view.h>
 
-namespace cv {
-class VideoWriter;
-}
-
 namespace craftfleet {
 
 // Owned by one thread. Without Finish, the destructor removes what was written.
@@ -23,7 +19,7 @@ class VideoFile {
 
   // An mp4 file, H.264 where OpenCV can write it, else MPEG-4; at `path` until Finish. Width and height are even,
   // pixels.
-  //   The codes of common/files.h; FailedPrecondition: OpenCV can write neither.
+  //   The codes of common/files.h; FailedPrecondition: OpenCV can write neither, or the build has no video.
   static absl::StatusOr<std::unique_ptr<VideoFile>> Create(const std::string& path, int width, int height);
   ~VideoFile();
   VideoFile(const VideoFile&) = delete;
@@ -36,12 +32,14 @@ class VideoFile {
   absl::Status Finish(const std::string& path);
 
  private:
+  struct Writer;
+
   VideoFile(std::string path, int width, int height);
 
   const std::string path_;  // while it is being written
   const int width_;
   const int height_;
-  std::unique_ptr<cv::VideoWriter> writer_;
+  std::unique_ptr<Writer> writer_;
 };
 
 }  // namespace craftfleet

@@ -13,7 +13,7 @@ absl::StatusOr<std::string> FindDevice(absl::string_view name) {
   if (!at::hasCUDA() && absl::StartsWith(name, "cuda")) {
     return absl::FailedPreconditionError(absl::StrFormat(
         "--device=%s: LibTorch was built without CUDA or finds no driver: build against one that has it "
-        "(CMAKE_PREFIX_PATH), or take --device=cpu",
+        "(-DCRAFTFLEET_LIBTORCH=DIR), or take --device=cpu",
         name));
   }
   return ChooseDevice(name, static_cast<int>(at::getNumGPUs()));

@@ -1,6 +1,7 @@
 #include "common/agent/policy_net.h"
 
 #include <ATen/ATen.h>
+#include <c10/core/GradMode.h>
 
 #include "common/check.h"
 #include "common/multiversion.h"
@@ -42,7 +43,7 @@ PolicyNet::Output PolicyNet::Forward(const at::Tensor& frames, const Segments& s
 PolicyNet::Output PolicyNet::ForwardElsewhere(const at::Tensor& frames, const Segments& segments,
                                               const absl::optional<Dropout>& dropout) const {
   {
-    const at::NoGradGuard no_grad;
+    const c10::NoGradGuard no_grad;
     device_weights_.copy_(host_weights_);
   }
   Segments there = segments;

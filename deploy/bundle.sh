@@ -1,0 +1,104 @@
+#!/usr/bin/env bash
+# Makes an archive of a build that runs wherever it is unpacked, without root: programs, textures, experiments, and every
+# shared library but glibc, LibTorch and what LibTorch brings. The programs that compute find LibTorch when they start.
+#
+# For an archive of half the size make the build with -DCRAFTFLEET_WITH_VIDEO=OFF -DCRAFTFLEET_BUILD_TESTS=OFF.
+#
+# Usage: deploy/bundle.sh [--build=DIR] [--out=DIR] [--level=N]
+#   --build=DIR  a finished build; default: build
+#   --out=DIR    where the archive goes, craftfleet-VERSION-linux-MACHINE[-cuda].tar.xz; default: the folder of the build
+#   --level=N    how hard xz tries, 0..9; default 9, which wants 700 MB and minutes
+
+set -euo pipefail
+
+usage() { sed -n '2,/^$/s/^# \{0,1\}//p' "$0"; }
+refuse() { echo "bundle.sh: $*" >&2; exit 2; }
+
+source=$(cd "$(dirname "$0")/.." && pwd)
+build=$source/build
+out=
+level=9
+for argument in "$@"; do
+  case "$argument" in
+    -h | --help) usage; exit 0 ;;
+    --build=?*) build=${argument#*=} ;;
+    --out=?*) out=${argument#*=} ;;
+    --level=[0-9]) level=${argument#*=} ;;
+    *) refuse "unknown argument '$argument'; see --help" ;;
+  esac
+done
+out=${out:-$build}
+[ -r "$build/CMakeCache.txt" ] || refuse "--build=$build: no build there; see deploy/build.sh"
+[ -x "$build/bin/craftfleet-train" ] || refuse "--build=$build: bin/craftfleet-train is not built"
+for tool in cmake readelf ldd xz tar; do
+  command -v "$tool" >/dev/null || refuse "no $tool here"
+done
+
+setting() { sed -n "s/^$1:[A-Z]*=//p" "$build/CMakeCache.txt"; }
+libtorch_version=$(setting CRAFTFLEET_LIBTORCH_VERSION)
+libtorch_dir=$(setting CRAFTFLEET_LIBTORCH_LIB_DIR)
+[ -n "$libtorch_version" ] || refuse "--build=$build: without LibTorch; build everything"
+name=craftfleet-$(setting CMAKE_PROJECT_VERSION)-linux-$(uname -m)
+[ "$(setting CRAFTFLEET_LIBTORCH_CUDA)" != ON ] || name+=-cuda
+
+mkdir -p "$out"
+stage=$(mktemp -d "$out/.bundle.XXXXXX")
+trap 'rm -rf "$stage"' EXIT
+root=$stage/$name
+lib=$root/lib/craftfleet
+cmake --install "$build" --prefix "$root" --strip >"$stage/install.log" || { cat "$stage/install.log" >&2; exit 1; }
+rm -f "$lib/libtorch"  # the way to the LibTorch of this machine
+mkdir -p "$root/libexec" "$lib"
+
+# Libraries that stay behind: LibTorch's, and glibc's, which belong to the kernel's loader.
+of_libtorch() { [[ $1 =~ ^lib(torch|c10|caffe2) ]]; }
+of_glibc() { [[ $1 =~ ^(ld-linux.*|lib(c|m|mvec|dl|pthread|rt|util|resolv|anl|nsl|thread_db|BrokenLocale|nss_.*))\.so ]]; }
+needed_by() { readelf -d "$1" | sed -n 's/.*(NEEDED).*\[\(.*\)\]/\1/p'; }
+
+# Where the loader finds each library here, and which of them are reached without passing through LibTorch.
+declare -A path_of=() taken=()
+pending=()
+for program in "$root"/bin/*; do
+  listing=$(LD_LIBRARY_PATH=$libtorch_dir ldd "$build/bin/$(basename "$program")")
+  while read -r library arrow path _; do
+    [ "$arrow" != "=>" ] || path_of[$library]=$path
+  done <<<"$listing"
+  pending+=("$program")
+done
+# OpenCV wants a BLAS but computes nothing with it here: unless LibTorch does, the reference BLAS, a tenth of OpenBLAS' size.
+if [[ ! $(needed_by "$libtorch_dir/libtorch_cpu.so") =~ libblas ]]; then
+  for library in blas lapack; do
+    reference=$(dirname "${path_of[lib$library.so.3]:-/}")/$library/lib$library.so.3
+    [ ! -e "$reference" ] || path_of[lib$library.so.3]=$reference
+  done
+fi
+while [ ${#pending[@]} -gt 0 ]; do
+  file=${pending[-1]}
+  unset 'pending[-1]'
+  for library in $(needed_by "$file"); do
+    if of_libtorch "$library" || of_glibc "$library" || [ -n "${taken[$library]:-}" ]; then continue; fi
+    [ -e "${path_of[$library]:-}" ] || { echo "bundle.sh: $(basename "$file") wants $library, which is not here" >&2; exit 1; }
+    taken[$library]=yes
+    cp -L "${path_of[$library]}" "$lib/$library"
+    chmod u+w "$lib/$library"
+    pending+=("$lib/$library")
+  done
+done
+
+for program in "$root"/bin/*; do
+  needed=$(needed_by "$program")
+  [[ $needed =~ libtorch|libc10 ]] || continue
+  mv "$program" "$root/libexec/"
+  install -m 755 "$source/deploy/bundle-launcher.sh" "$program"
+done
+glibc=$(find "$root" -type f \( -path '*/lib/*' -o -path '*/libexec/*' -o -path '*/bin/*' \) -exec readelf -V {} + 2>/dev/null |
+  grep -o 'GLIBC_[0-9.]*' | sort -uV | tail -n 1)
+printf 'LIBTORCH_VERSION=%s\nGLIBC_VERSION=%s\n' "$libtorch_version" "${glibc#GLIBC_}" >"$lib/bundle.env"
+
+filter=()
+[ "$(uname -m)" != x86_64 ] || filter=(--x86)
+tar -C "$stage" --sort=name --owner=0 --group=0 --numeric-owner -c "$name" |
+  xz --threads=1 "${filter[@]}" --lzma2=preset="$level" >"$stage/archive"
+mv "$stage/archive" "$out/$name.tar.xz"
+echo "$out/$name.tar.xz: $(($(stat -c %s "$out/$name.tar.xz") / 1048576)) MiB, ${#taken[@]} libraries;" \
+  "wants LibTorch $libtorch_version and glibc ${glibc#GLIBC_} or newer"
