@@ -34,7 +34,10 @@ function(craftfleet_program)
   add_executable(${ARG_NAME} ${ARG_SRCS})
   target_link_libraries(${ARG_NAME} PRIVATE ${ARG_DEPS} craftfleet_heap craftfleet_flags)
   target_link_options(${ARG_NAME} PRIVATE -Wl,--disable-new-dtags)
-  set_target_properties(${ARG_NAME} PROPERTIES INSTALL_RPATH "$ORIGIN/../lib/craftfleet:$ORIGIN/../lib/craftfleet/libtorch")
+  # The same in the build tree: what CMake could change when it installs would have an empty entry there, which the loader
+  # takes for the working folder.
+  set_target_properties(${ARG_NAME} PROPERTIES BUILD_WITH_INSTALL_RPATH ON
+    INSTALL_RPATH "$ORIGIN/../lib/craftfleet:$ORIGIN/../lib/craftfleet/libtorch")
   install(TARGETS ${ARG_NAME} RUNTIME DESTINATION ${CMAKE_INSTALL_BINDIR})
 endfunction()
 

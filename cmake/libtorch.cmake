@@ -68,7 +68,9 @@ if(CRAFTFLEET_LIBTORCH)
   target_include_directories(craftfleet_torch SYSTEM INTERFACE ${libtorch_includes})
   target_link_libraries(craftfleet_torch INTERFACE
     -Wl,--push-state,--no-as-needed,${libtorch_lib}/libtorch.so,--pop-state ${libtorch_lib}/libtorch_cpu.so ${libtorch_lib}/libc10.so)
-  # The way to it for programs that are installed (craftfleet_program).
+  # The way to it for programs (craftfleet_program), in the build tree and where they are installed.
+  file(MAKE_DIRECTORY ${CMAKE_BINARY_DIR}/lib/craftfleet)
+  file(CREATE_LINK ${libtorch_lib} ${CMAKE_BINARY_DIR}/lib/craftfleet/libtorch SYMBOLIC)
   install(CODE "
     set(dir \"\$ENV{DESTDIR}\${CMAKE_INSTALL_PREFIX}/lib/craftfleet\")
     file(MAKE_DIRECTORY \"\${dir}\")

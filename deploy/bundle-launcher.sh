@@ -59,6 +59,7 @@ fi
 version=$(version_in "$libraries")
 [ "$version" = "$LIBTORCH_VERSION" ] || fail "LibTorch in $libraries is ${version:-of unknown version}, want $LIBTORCH_VERSION; $how"
 
-LD_LIBRARY_PATH=$libraries${LD_LIBRARY_PATH:+:$LD_LIBRARY_PATH}
+# The bundle's own first: a library with a RUNPATH does not look where the program's RPATH says.
+LD_LIBRARY_PATH=$root/lib/craftfleet:$libraries${LD_LIBRARY_PATH:+:$LD_LIBRARY_PATH}
 export LD_LIBRARY_PATH
 exec "$root/libexec/$name" "$@"

@@ -91,7 +91,8 @@ for program in "$root"/bin/*; do
   mv "$program" "$root/libexec/"
   install -m 755 "$source/deploy/bundle-launcher.sh" "$program"
 done
-glibc=$(find "$root" -type f \( -path '*/lib/*' -o -path '*/libexec/*' -o -path '*/bin/*' \) -exec readelf -V {} + 2>/dev/null |
+# readelf says of launchers that they are no programs.
+glibc=$({ readelf -V "$root"/bin/* "$root"/libexec/* "$lib"/*.so* 2>/dev/null || true; } |
   grep -o 'GLIBC_[0-9.]*' | sort -uV | tail -n 1)
 printf 'LIBTORCH_VERSION=%s\nGLIBC_VERSION=%s\n' "$libtorch_version" "${glibc#GLIBC_}" >"$lib/bundle.env"
 
