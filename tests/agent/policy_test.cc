@@ -214,6 +214,12 @@ TEST(Policy, WeightsThatAreNotFiniteAreAnError) {
   const AgentSpec spec = *FindAgent("ppo_cnn");
   std::vector<float> weights = InitialWeights(spec, 1);
   weights.back() = std::numeric_limits<float>::quiet_NaN();
+  EXPECT_EQ(Policy::Create(spec, SaveWeights(spec, weights), 1).status().code(), absl::StatusCode::kInvalidArgument);
+}
+
+TEST(Policy, OutputsThatAreNotFiniteAreAnError) {
+  const AgentSpec spec = *FindAgent("ppo_cnn");
+  const std::vector<float> weights(InitialWeights(spec, 1).size(), 1e30F);
   const auto policy = *Policy::Create(spec, SaveWeights(spec, weights), 1);
   EXPECT_EQ(policy->Values(std::string(kFrameBytes, 0), {0}, {}).status().code(), absl::StatusCode::kInternal);
 }

@@ -18,7 +18,9 @@
 #include "actor/learner_client.h"
 #include "common/agent/agent_spec.h"
 #include "common/agent/canary.h"
+#include "common/env_name.h"
 #include "common/program.h"
+#include "common/snapshot_envelope.h"
 #include "common/status_macros.h"
 #include "common/wire/channel.h"
 #include "common/wire/convert.h"
@@ -36,20 +38,23 @@ constexpr size_t kSnapshotBytes = 12000;
 // Asks for permits and answers each with a fragment of black frames.
 class EmptyActor {
  public:
-  EmptyActor(const std::string& learner, int number)
-      : client_(wire::Connect(learner)), name_(absl::StrCat("empty-", number)) {}
+  EmptyActor(const std::string& learner, int number, const std::string& canary)
+      : client_(wire::Connect(learner)), name_(absl::StrCat("empty-", number)), canary_(canary) {}
 
   // Plays once all have joined (`absent` is 0), so that they share from the first fragment on.
   absl::Status Play(std::atomic<int>* absent, const std::atomic<bool>& stopping) {
     v1::JoinRequest join;
     join.set_protocol_version(wire::kProtocolVersion);
     join.set_actor(name_);
-    join.set_canary(PolicyCanary().value_or(""));
+    join.set_canary(canary_);
     const absl::StatusOr<v1::JoinReply> reply = client_.Join(join);
     --*absent;
     if (!reply.ok()) return reply.status();
     const v1::JoinReply& joined = *reply;
     CRAFTFLEET_ASSIGN_OR_RETURN(const AgentSpec spec, MakeAgentSpec(joined.config()));
+    CRAFTFLEET_ASSIGN_OR_RETURN(const EnvName env, EnvName::Parse(joined.config().env().name()));
+    const int64_t length = joined.config().env().length() != 0 ? joined.config().env().length() : kEpisodeLength;
+    snapshot_ = SealSnapshot(EnvDigest(env.WorldName(), length), std::string(kSnapshotBytes, 's'));
     while (*absent > 0) absl::SleepFor(absl::Milliseconds(10));
     grpc::ClientContext context;
     const auto stream = client_.PushFragments(&context);
@@ -89,9 +94,9 @@ class EmptyActor {
     fragment.log_probs.assign(steps, -2.833F);
     fragment.values.assign(steps, 0);
     fragment.rewards.assign(steps, 0);
-    for (int t = 0; t < steps; ++t) fragment.rewards[t] = static_cast<float>((permit.lane() + t) % 3);
+    for (int t = 0; t < steps; ++t) fragment.rewards[t] = static_cast<float>((permit.lane() + t) % 2);
     fragment.ends.assign(steps, StepEnd::kNone);
-    fragment.snapshot.game.assign(kSnapshotBytes, 's');
+    fragment.snapshot.game = snapshot_;
     v1::FragmentMessage message = wire::ToProto(std::move(fragment));
     message.set_actor(name_);
     return message;
@@ -99,18 +104,21 @@ class EmptyActor {
 
   const LearnerClient client_;
   const std::string name_;
+  const std::string canary_;
+  std::string snapshot_;  // in the envelope of the run's environment
   std::atomic<int64_t> fragments_{0};
 };
 
 absl::Status Run() {
   const std::string address = absl::GetFlag(FLAGS_learner);
+  CRAFTFLEET_ASSIGN_OR_RETURN(const std::string canary, PolicyCanary());
   std::atomic<bool> stopping{false};
   std::vector<std::unique_ptr<EmptyActor>> actors;
   std::vector<std::thread> threads;
   std::atomic<int> failed{0};
   std::atomic<int> absent{absl::GetFlag(FLAGS_actors)};
   for (int i = 0; i < absl::GetFlag(FLAGS_actors); ++i) {
-    actors.push_back(std::make_unique<EmptyActor>(address, i));
+    actors.push_back(std::make_unique<EmptyActor>(address, i, canary));
     threads.emplace_back([&, actor = actors.back().get()] {
       const absl::Status status = actor->Play(&absent, stopping);
       if (!status.ok() && ++failed == 1) std::fprintf(stderr, "an actor ended: %s\n", status.ToString().c_str());

@@ -13,10 +13,12 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include "common/agent/canary.h"
 #include "common/config.h"
 #include "common/keyed_random.h"
 #include "common/paths.h"
 #include "common/snapshot_envelope.h"
+#include "common/version.h"
 #include "common/wire/convert.h"
 #include "common/wire/grpc_status.h"
 #include "common/wire/protocol.h"
@@ -111,6 +113,8 @@ class Training {
     v1::JoinRequest request;
     request.set_protocol_version(wire::kProtocolVersion);
     request.set_actor(actor);
+    request.set_build(BuildId());
+    request.set_canary(*PolicyCanary());
     v1::JoinReply reply;
     grpc::ClientContext context;
     ASSERT_TRUE(stub_->Join(&context, request, &reply).ok());
