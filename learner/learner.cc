@@ -133,6 +133,7 @@ absl::StatusOr<std::unique_ptr<Learner>> Learner::Create(const Options& options)
   loaded.lanes = LoadLanes(loaded.checkpoint.state, loaded.shape);
   if (config->checkpoint().keep_fragments()) OpenJournal(&loaded);
   wire::Server::Options server = options.server;
+  server.max_message_bytes = LargestMessageBytes(loaded.shape);
   CRAFTFLEET_RETURN_IF_ERROR(server.OpenAccess());
   loaded.access = server.access;
   std::unique_ptr<Learner> learner(new Learner(options, std::move(loaded)));

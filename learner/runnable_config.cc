@@ -29,6 +29,8 @@ constexpr int64_t kFragmentRest = 72 << 10;
 constexpr int64_t kStepBytes = 1 + 1 + 4 * sizeof(float);
 // An episode that ends: 22 counts of at most 5 bytes, its length, its reward.
 constexpr int64_t kEpisodeBytes = 150;
+// Requests about thousands of lanes, what actors relay of environment servers, 10,000 episodes of an evaluation.
+constexpr int64_t kLargestRequestBytes = 4 << 20;
 constexpr double kGiB = 1 << 30;
 
 // Numbers of a row's attention probabilities, the largest tensor of a network with objects.
@@ -146,6 +148,11 @@ int64_t LargestFragmentBytes(const wire::FragmentShape& shape) {
   const int64_t step = shape.frame_bytes + kStepBytes + kEpisodeBytes;
   const int64_t states = int64_t{shape.states} + 1;  // and the one after the last step
   return step * shape.steps + states * shape.state_size * static_cast<int64_t>(sizeof(float)) + kFragmentRest;
+}
+
+int LargestMessageBytes(const wire::FragmentShape& shape) {
+  return static_cast<int>(
+      std::min<int64_t>(std::max(LargestFragmentBytes(shape), kLargestRequestBytes), wire::kMaxMessageBytes));
 }
 
 int64_t OwnMemoryBytes() {

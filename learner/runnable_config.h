@@ -24,6 +24,9 @@ wire::FragmentShape FragmentShapeOf(const v1::RunConfig& config, const AgentSpec
 // The most that a fragment can have on the wire, bytes.
 int64_t LargestFragmentBytes(const wire::FragmentShape& shape);
 
+// The most that any message to a learner of such fragments can have, bytes; at most wire::kMaxMessageBytes.
+int LargestMessageBytes(const wire::FragmentShape& shape);
+
 // What a learner has.
 struct LearnerMachine {
   int64_t memory_bytes = 0;    // 0: not known, anything goes

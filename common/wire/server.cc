@@ -54,7 +54,7 @@ void RefuseCompression(grpc::ServerBuilder* builder) {
 }
 
 // Limits and keepalive.
-void SetLimits(int max_buffered_mb, grpc::ServerBuilder* builder) {
+void SetLimits(const Server::Options& options, grpc::ServerBuilder* builder) {
   builder->AddChannelArgument(GRPC_ARG_KEEPALIVE_TIME_MS, 5000);
   builder->AddChannelArgument(GRPC_ARG_KEEPALIVE_TIMEOUT_MS, 4000);
   builder->AddChannelArgument(GRPC_ARG_HTTP2_MIN_RECV_PING_INTERVAL_WITHOUT_DATA_MS, 1000);
@@ -63,12 +63,12 @@ void SetLimits(int max_buffered_mb, grpc::ServerBuilder* builder) {
   builder->AddChannelArgument(GRPC_ARG_SERVER_HANDSHAKE_TIMEOUT_MS, kHandshakeTimeoutMs);
   builder->AddChannelArgument(GRPC_ARG_MAX_CONNECTION_IDLE_MS, kMaxIdleMs);
   RefuseCompression(builder);
-  builder->SetMaxReceiveMessageSize(kMaxMessageBytes);
+  builder->SetMaxReceiveMessageSize(options.max_message_bytes);
   builder->SetMaxSendMessageSize(kMaxMessageBytes);
   grpc::ResourceQuota quota("craftfleet");
   quota.SetMaxThreads(kMaxThreads);
   // gRPC 1.51 looks at a message's size only when all of it is here; this is what stops one of a gigabyte.
-  quota.Resize(static_cast<size_t>(max_buffered_mb) << 20);
+  quota.Resize(static_cast<size_t>(options.max_buffered_mb) << 20);
   builder->SetResourceQuota(quota);
 }
 
@@ -178,7 +178,7 @@ absl::StatusOr<Server::Port> Server::Open(const Options& options, const std::str
     opened.acceptor = builder.experimental().AddExternalConnectionAcceptor(
         grpc::ServerBuilder::experimental_type::ExternalConnectionType::FROM_FD, std::move(credentials));
   }
-  SetLimits(options.max_buffered_mb, &builder);
+  SetLimits(options, &builder);
   if (options.many_clients) KeepThreadsReady(&builder);
   for (grpc::Service* service : services) builder.RegisterService(service);
   opened.server = builder.BuildAndStart();

@@ -16,6 +16,7 @@
 
 #include "common/wire/channel.h"
 #include "common/wire/listener.h"
+#include "common/wire/protocol.h"
 #include "common/wire/security.h"
 
 namespace grpc::experimental {
@@ -39,6 +40,8 @@ class Server {
     // HOST:PORT of a plain port with nothing but health on it, for a few short connections; empty: none.
     std::string health_address = {};
     int max_connections_per_client = 1024;  // from one address, 1..65536
+    // Largest message taken in, 1..kMaxMessageBytes; RESOURCE_EXHAUSTED beyond.
+    int max_message_bytes = kMaxMessageBytes;
     // Memory of messages on their way in and out, 128..1000000. Beyond it calls end with RESOURCE_EXHAUSTED.
     int max_buffered_mb = 512;
     bool many_clients = false;  // their calls come all at once: threads wait ready for them

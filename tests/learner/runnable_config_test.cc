@@ -66,6 +66,22 @@ TEST(RunnableConfig, AFragmentFitsAMessage) {
   EXPECT_GT(bytes, static_cast<size_t>(LargestFragmentBytes(shape)) * 99 / 100) << "a bound that is near";
 }
 
+TEST(RunnableConfig, ALearnerTakesInNoMoreThanItsRunNeeds) {
+  wire::FragmentShape shape;
+  shape.frame_bytes = 64 * 64 * 3;
+  shape.steps = 32;
+  EXPECT_EQ(LargestMessageBytes(shape), 4 << 20);
+  shape.steps = 1024;
+  EXPECT_EQ(LargestMessageBytes(shape), LargestFragmentBytes(shape));
+  shape.steps = 1 << 20;
+  EXPECT_EQ(LargestMessageBytes(shape), wire::kMaxMessageBytes);
+
+  Episode longest;
+  longest.length = 1'000'000'000;
+  longest.achievements.fill(std::numeric_limits<int32_t>::max());
+  EXPECT_LT(wire::ToProto(std::vector<Episode>(10'000, longest)).ByteSizeLong(), 4 << 20);
+}
+
 TEST(RunnableConfig, WhatDoesNotFitIsRefusedWithTheFieldThatTakesMost) {
   const auto refuses = [](const std::string& text, const std::string& error) {
     EXPECT_THAT(Check(text), StatusIs(absl::StatusCode::kInvalidArgument, AllOf(HasSubstr(error), HasSubstr("want "))))
