@@ -115,8 +115,8 @@ class BadEnvServer : public testing::Test {
     return batch.snapshots.at(0);
   }
 
-  const EnvServer env_;
-  const EnvServer good_;
+  const EnvServer env_ = {};
+  const EnvServer good_ = {};
   std::unique_ptr<TwistingService> service_;
   std::unique_ptr<wire::Server> server_;
   std::shared_ptr<ServerHealth> health_;
