@@ -24,7 +24,7 @@ class Digest {
       AddWord(word);
     }
     uint64_t rest = 0;
-    std::memcpy(&rest, bytes.data(), bytes.size());
+    if (!bytes.empty()) std::memcpy(&rest, bytes.data(), bytes.size());  // none may be null
     AddWord(rest);
   }
   template <typename T>
