@@ -22,18 +22,9 @@
 namespace craftfleet {
 namespace {
 
-// Ten short iterations.
-constexpr char kHostileConfig[] = R"(
-  steps: 5120  lanes: 8  seed: 3  fragment_steps: 64
-  env { length: 90 }
-  ppo { rollout_steps: 512  minibatch_size: 128  epochs: 1 }
-  checkpoint { every_iterations: 2  keep: 20 }
-  eval { every_steps: 1500  episodes: 2  final_episodes: 2 }
-)";
-
 class HostileEnvServersTest : public FleetRunTest {
  protected:
-  void SetUp() override { TrainQuietly(kHostileConfig); }
+  void SetUp() override { TrainQuietly(kTenIterations); }
 
   static std::unique_ptr<Process> StartActorWith(const std::string& log, const std::string& learner,
                                                  const std::string& servers) {

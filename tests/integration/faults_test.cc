@@ -34,18 +34,9 @@ using testing::AnyOf;
 using testing::HasSubstr;
 using testing::Not;
 
-// Ten short iterations.
-constexpr char kFaultsConfig[] = R"(
-  steps: 5120  lanes: 8  seed: 3  fragment_steps: 64
-  env { length: 90 }
-  ppo { rollout_steps: 512  minibatch_size: 128  epochs: 1 }
-  checkpoint { every_iterations: 2  keep: 20 }
-  eval { every_steps: 1500  episodes: 2  final_episodes: 2 }
-)";
-
 class FaultsTest : public FleetRunTest {
  protected:
-  void SetUp() override { TrainQuietly(kFaultsConfig); }
+  void SetUp() override { TrainQuietly(kTenIterations); }
 
   // What a process says of itself; null if it does not answer.
   static nlohmann::json StatusOf(const std::string& address) {

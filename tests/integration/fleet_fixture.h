@@ -34,6 +34,15 @@ inline constexpr char kConfig[] = R"(
 inline constexpr char kLastCheckpoint[] = "checkpoints/iter-00000010";
 inline constexpr absl::Duration kPatience = absl::Seconds(240);  // sanitizer builds are slow
 
+// Ten short iterations.
+inline constexpr char kTenIterations[] = R"(
+  steps: 5120  lanes: 8  seed: 3  fragment_steps: 64
+  env { length: 90 }
+  ppo { rollout_steps: 512  minibatch_size: 128  epochs: 1 }
+  checkpoint { every_iterations: 2  keep: 20 }
+  eval { every_steps: 1500  episodes: 2  final_episodes: 2 }
+)";
+
 struct Result {
   std::string stats;
   std::string evaluations;  // during training
