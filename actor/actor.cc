@@ -10,24 +10,26 @@
 #include "actor/learner_replies.h"
 #include "common/agent/agent_spec.h"
 #include "common/agent/canary.h"
+#include "common/agent/device.h"
 #include "common/agent/torch_setup.h"
-#include "common/backoff.h"
-#include "common/clock.h"
-#include "common/log.h"
-#include "common/status_macros.h"
-#include "common/version.h"
+#include "common/base/backoff.h"
+#include "common/base/clock.h"
+#include "common/base/status_macros.h"
+#include "common/process/version.h"
+#include "common/process/worker_name.h"
+#include "common/telemetry/log.h"
 #include "common/wire/protocol.h"
 #include "common/wire/status_service.h"
-#include "common/worker_name.h"
 
 namespace craftfleet {
 namespace {
 
 constexpr absl::Duration kFirstRetry = absl::Milliseconds(250);
 constexpr absl::Duration kLastRetry = absl::Seconds(2);
-constexpr absl::Duration kSayAgain = absl::Seconds(10);  // between two lines about the same trouble
+constexpr absl::Duration kLogAgain = absl::Seconds(10);  // between two lines about the same error
 constexpr int kPollMs = 500;                             // long poll for permits; a tenth of the lease
-constexpr size_t kServersTold = 8;                       // environment servers the learner is told of, each poll
+constexpr int kGroups = 2;                               // of lanes that play in turn on a GPU
+constexpr size_t kServersReported = 8;                   // environment servers reported to the learner per poll
 
 bool IsAboutRights(const absl::Status& error) {
   return absl::IsPermissionDenied(error) || absl::IsUnauthenticated(error);
@@ -88,7 +90,7 @@ void Actor::Stop() {
     changed_.NotifyAll();
     joined = !run_id_.empty();
   }
-  // Before anything that takes time, so that others go on with its lanes at once.
+  // First of all, so that other actors can continue its lanes at once.
   if (joined) learner_.Leave(name_);
   learner_.Cancel();
 }
@@ -110,24 +112,24 @@ absl::Status Actor::Join() {
     absl::StatusOr<v1::JoinReply> reply = learner_.Join(request);
     if (reply.ok()) {
       if (const absl::Status status = CheckJoinReply(&*reply); !status.ok()) {
-        return absl::DataLossError(absl::StrFormat("%s: its answer to join: %s", learner_.name(), status.message()));
+        return absl::DataLossError(absl::StrFormat("%s: invalid reply to Join: %s", learner_.name(), status.message()));
       }
       if (request.only_ask()) {
         CRAFTFLEET_RETURN_IF_ERROR(options_.set_up(reply->config()));
         set_up_ = true;
         return Join();
       }
-      was_welcome_ = true;
+      was_accepted_ = true;
       joined_ = *std::move(reply);
       MutexLock lock(&mu_);
       run_id_ = joined_.run_id();
       LogInfo("%s: joined run %s, epoch %d", learner_.name(), joined_.run_id(), joined_.epoch());
       return absl::OkStatus();
     }
-    // A learner that took us once knows us: what it says of our token then is what it says to a call.
-    const Called called = was_welcome_ && IsAboutRights(reply.status()) ? Called::kPermits : Called::kJoin;
-    if (!MayPass(called, reply.status())) return reply.status();
-    Complain(reply.status());
+    // A learner that accepted this actor before may be replacing tokens, so a refusal is treated as for other calls.
+    const CallKind call = was_accepted_ && IsAboutRights(reply.status()) ? CallKind::kPermits : CallKind::kJoin;
+    if (!IsTransient(call, reply.status())) return reply.status();
+    LogRetry(reply.status());
     Pause(backoff.Next());
   }
   return absl::CancelledError("stopping");
@@ -136,8 +138,18 @@ absl::Status Actor::Join() {
 absl::Status Actor::StartLoops() {
   const v1::RunConfig& config = joined_.config();
   CRAFTFLEET_ASSIGN_OR_RETURN(const AgentSpec spec, MakeAgentSpec(config));
-  permits_.SetTile(config.tile());
-  policies_ = std::make_unique<PolicySource>(&learner_, spec, config.tile());
+  CRAFTFLEET_ASSIGN_OR_RETURN(const std::string device, FindActingDevice(options_.device, config.device()));
+  const bool on_gpu = device != "cpu";
+  // A GPU computes all lanes of a group at once. While it does, the other group's games go on.
+  const int tile = on_gpu ? std::min((config.lanes() + kGroups - 1) / kGroups, Policy::kMaxTile) : config.tile();
+  const int loops = on_gpu ? std::min(kGroups, options_.threads) : options_.threads;
+  if (on_gpu) {
+    SetUpDevice(device, spec.precision);
+    LogInfo("acting on %s, %d lanes at once", device, tile);
+  }
+  permits_.SetTile(tile);
+  permits_.UseLoops(loops);
+  policies_ = std::make_unique<PolicySource>(&learner_, spec, tile, device);
 
   v1::SessionHello hello;
   hello.set_protocol_version(wire::kProtocolVersion);
@@ -151,11 +163,11 @@ absl::Status Actor::StartLoops() {
   probe.set_client(name_ + " (probe)");
   const auto health = std::make_shared<ServerHealth>(ServerHealth::Options{probe, frame_bytes, options_.env_timeout});
   evaluations_ = std::make_unique<EvaluationWorker>(
-      EvaluationWorker::Options{name_, options_.env_servers, health, hello, spec, config.tile()}, &learner_);
+      EvaluationWorker::Options{name_, options_.env_servers, health, hello, spec, config.tile(), device}, &learner_);
 
   MutexLock lock(&mu_);
-  for (int i = 0; i < options_.threads; ++i) {
-    ActorLoop::Options loop = {i, config, frame_bytes, spec.state_size};
+  for (int i = 0; i < loops; ++i) {
+    ActorLoop::Options loop = {i, config, frame_bytes, spec.state_size, KeepsEveryState(spec, config.ppo())};
     loops_.push_back(std::make_unique<ActorLoop>(loop, &learner_, &permits_, policies_.get(), &sender_,
                                                  std::make_unique<EnvPool>(options_.env_servers, hello, frame_bytes,
                                                                            std::hash<std::string>()(name_) + i, health),
@@ -178,22 +190,23 @@ void Actor::RunLoop(ActorLoop* loop) {
 absl::Status Actor::KeepPermits() {
   Backoff backoff(kFirstRetry, kLastRetry);
   while (!stopping()) {
-    std::vector<FailedPermit> failures;
+    std::vector<HeldPermit> failures;
     const v1::PermitRequest request = NextRequest(&failures);
     const absl::StatusOr<v1::PermitReply> reply = learner_.GetPermits(request);
     if (reply.ok()) {
       backoff.Reset();
-      permits_.Told(failures);
+      permits_.SetReported(failures);
       if (reply->finished()) return absl::OkStatus();
       const v1::RunConfig& config = joined_.config();
       if (const absl::Status status = CheckPermitReply(request, config.lanes(), config.env().frame_size(), *reply);
           !status.ok()) {
-        return absl::DataLossError(absl::StrFormat("%s: its permits: %s", learner_.name(), status.message()));
+        return absl::DataLossError(
+            absl::StrFormat("%s: invalid reply to GetPermits: %s", learner_.name(), status.message()));
       }
-      TakeIn(*reply);
+      HandleReply(*reply);
       continue;
     }
-    switch (ReactionTo(Called::kPermits, reply.status())) {
+    switch (ReactionTo(CallKind::kPermits, reply.status())) {
       case Reaction::kJoinAgain:
         LogInfo("%s", reply.status().message());
         permits_.DropWaiting();
@@ -201,7 +214,7 @@ absl::Status Actor::KeepPermits() {
         CRAFTFLEET_RETURN_IF_ERROR(Join());
         break;
       case Reaction::kRetry:
-        Complain(reply.status());
+        LogRetry(reply.status());
         Pause(backoff.Next());
         break;
       default:
@@ -211,7 +224,7 @@ absl::Status Actor::KeepPermits() {
   return absl::CancelledError("stopping");
 }
 
-v1::PermitRequest Actor::NextRequest(std::vector<FailedPermit>* failures) {
+v1::PermitRequest Actor::NextRequest(std::vector<HeldPermit>* failures) {
   v1::PermitRequest request;
   request.set_actor(name_);
   request.set_epoch(joined_.epoch());
@@ -225,48 +238,50 @@ v1::PermitRequest Actor::NextRequest(std::vector<FailedPermit>* failures) {
   }
   request.set_evaluation(evaluations_->current(joined_.epoch()));
   *request.mutable_summary() = Summary();
-  // Those that registered speak for themselves, but would not say that they don't answer.
-  for (v1::Peer& server : uses_registry ? servers_.NextNotAnswering(kServersTold) : servers_.Next(kServersTold)) {
+  // Registered servers report themselves, but they can't report that they don't answer.
+  for (v1::Peer& server :
+       uses_registry ? servers_.NextNotAnswering(kServersReported) : servers_.Next(kServersReported)) {
     request.add_env_servers()->Swap(&server);
   }
-  // Before the permits that are at hand: one that fails meanwhile is still among these and told of the next time.
+  // Read before the active permits: a permit that fails in between is still active, and is reported next time.
   *failures = permits_.Failures(joined_.epoch());
-  for (const FailedPermit& failed : *failures) {
+  for (const HeldPermit& failed : *failures) {
     v1::LaneFailure* message = request.add_failures();
-    message->set_lane(failed.permit.lane);
-    message->set_fragment(failed.permit.fragment);
-    message->set_reason(failed.reason);
+    message->set_lane(failed.lane);
+    message->set_fragment(failed.fragment);
+    message->set_reason(failed.failure);
   }
-  for (const PermitProgress& progress : permits_.Progress()) {
-    const HeldPermit& permit = progress.permit;
+  for (const HeldPermit& permit : permits_.Active()) {
     if (permit.epoch != joined_.epoch()) continue;
     v1::Permit* message = request.add_active();
     message->set_lane(permit.lane);
     message->set_fragment(permit.fragment);
     message->set_policy_version(permit.policy_version);
-    request.add_active_steps(progress.steps);
+    request.add_active_steps(permit.steps);
   }
   return request;
 }
 
-void Actor::TakeIn(const v1::PermitReply& reply) {
+void Actor::HandleReply(const v1::PermitReply& reply) {
   if (reply.env_servers_generation() != env_servers_generation_) {
     env_servers_generation_ = reply.env_servers_generation();
     options_.env_servers->SetRegistered({reply.env_servers().begin(), reply.env_servers().end()});
   }
   if (reply.lost_size() > 0) LogWarning("%d permits lapsed: others play these fragments", reply.lost_size());
   for (const v1::Permit& lost : reply.lost()) {
-    permits_.Release({joined_.epoch(), lost.lane(), lost.fragment(), lost.policy_version()});
+    permits_.Release({{lost.lane(), lost.fragment(), lost.policy_version()}, joined_.epoch()});
   }
   for (const v1::Permit& permit : reply.granted()) {
-    permits_.Add({joined_.epoch(), permit.lane(), permit.fragment(), permit.policy_version()});
+    HeldPermit held{{permit.lane(), permit.fragment(), permit.policy_version()}, joined_.epoch()};
+    held.reload = permit.reload();
+    permits_.Add(held);
   }
-  if (reply.has_evaluation()) evaluations_->Give(joined_.epoch(), reply.evaluation());
+  if (reply.has_evaluation()) evaluations_->Assign(joined_.epoch(), reply.evaluation());
 }
 
-void Actor::Complain(const absl::Status& error) {
-  if (SteadyNow() - complained_ < kSayAgain) return;
-  complained_ = SteadyNow();
+void Actor::LogRetry(const absl::Status& error) {
+  if (stopping() || SteadyNow() - retry_logged_ < kLogAgain) return;
+  retry_logged_ = SteadyNow();
   LogWarning("%s; trying again until it answers", error.message());
 }
 

@@ -1,4 +1,4 @@
-// An actor: joins a learner, plays what it is permitted to, until the run is over.
+// An actor: joins a learner and plays fragments until the run is over.
 
 #ifndef CRAFTFLEET_ACTOR_ACTOR_H_
 #define CRAFTFLEET_ACTOR_ACTOR_H_
@@ -15,22 +15,23 @@
 #include "actor/actor_loop.h"
 #include "actor/env_client.h"
 #include "actor/env_directory.h"
+#include "actor/env_server_tracker.h"
 #include "actor/error_policy.h"
 #include "actor/evaluation_worker.h"
 #include "actor/fragment_sender.h"
 #include "actor/learner_client.h"
-#include "actor/permit_book.h"
+#include "actor/permit_tracker.h"
 #include "actor/policy_source.h"
-#include "actor/server_book.h"
 #include "actor/server_health.h"
-#include "common/mutex.h"
+#include "common/base/mutex.h"
 #include "common/wire/channel.h"
 #include "craftfleet/v1/status.pb.h"
 
 namespace craftfleet {
 
-// Run is called once; Stop and FillStatus from any thread. The way of a fragment: Run (asks for permits) => ActorLoop
-// (one thread each) => FragmentSender (one thread). Evaluations are played beside (EvaluationWorker, one thread).
+// Run is called once; Stop and FillStatus may be called from any thread. Run requests permits; each ActorLoop (one
+// thread each) plays fragments, and the FragmentSender (one thread) sends them. An EvaluationWorker (one thread) plays
+// evaluations.
 class Actor {
  public:
   struct Options {
@@ -38,9 +39,10 @@ class Actor {
     std::shared_ptr<EnvDirectory> env_servers;
     int threads = 1;                                  // loops, 1..256
     int capacity = 4096;                              // lanes to play at once, 1..4096
+    std::string device = "auto";                      // to act on, as FindActingDevice takes it
     absl::Duration env_timeout = kDefaultEnvTimeout;  // of each request to an environment server, 0.1..3600 s
-    // Called once, with the run's configuration, before the actor joins and computes anything; may execute the process
-    // again. Null: the process is as the run wants it.
+    // Called once with the run's configuration, before the actor joins and computes anything; may restart the process
+    // by exec. Null: nothing to set up.
     std::function<absl::Status(const v1::RunConfig&)> set_up = nullptr;
     absl::Status Validate() const;  // InvalidArgument names the flag and its range
   };
@@ -48,12 +50,11 @@ class Actor {
   static absl::StatusOr<std::unique_ptr<Actor>> Create(const Options& options);
   ~Actor();
 
-  // Plays until the run is over or Stop is called (both ok). Waits, and says so, while the learner or the environment
-  // servers can't be reached.
-  //   FailedPrecondition: the handshake does not match.   Others: trouble that waiting can't mend.
-  // `address` is where its status service listens, for the learner's status page.
+  // Plays until the run is over or Stop is called (both ok). While the learner or the environment servers can't be
+  // reached, waits and logs that. `address`: HOST:PORT of its status service, for the learner's status page.
+  //   FailedPrecondition: the handshake does not match.   Others: errors that waiting does not resolve.
   absl::Status Run(absl::string_view address);
-  // Gives back what it holds; Run returns within seconds. Idempotent.
+  // Releases all permits; Run returns within seconds. Idempotent.
   void Stop() ABSL_LOCKS_EXCLUDED(mu_);
 
   void FillStatus(v1::StatusReply* reply) const ABSL_LOCKS_EXCLUDED(mu_);
@@ -61,20 +62,21 @@ class Actor {
  private:
   explicit Actor(const Options& options);
 
-  // Joins the learner, and tries until it answers.   Cancelled: Stop was called.
+  // Joins the learner; retries until it answers.   Cancelled: Stop was called.
   absl::Status Join();
-  // Begins to play by the configuration that the learner gave.
+  // Starts to play with the configuration in `joined_`.
+  //   FailedPrecondition: the run acts on another type of device.
   absl::Status StartLoops() ABSL_LOCKS_EXCLUDED(mu_);
-  // Asks for permits and hands them out until the run is over.
+  // Requests permits and distributes them until the run is over.
   absl::Status KeepPermits();
-  // What KeepPermits asks for; `failures` is what it tells.
-  v1::PermitRequest NextRequest(std::vector<FailedPermit>* failures);
-  void TakeIn(const v1::PermitReply& reply);
-  // Says now and then what is wrong with the learner.
-  void Complain(const absl::Status& error);
+  // Makes the next request for permits. `failures`: set to the failures that it reports.
+  v1::PermitRequest NextRequest(std::vector<HeldPermit>* failures);
+  void HandleReply(const v1::PermitReply& reply);
+  // Logs, at a limited rate, why calls to the learner fail.
+  void LogRetry(const absl::Status& error);
   void StopLoops() ABSL_LOCKS_EXCLUDED(mu_);
   void RunLoop(ActorLoop* loop) ABSL_LOCKS_EXCLUDED(mu_);
-  // What the learner is told for its page about the fleet.
+  // The actor's summary for the learner's status page.
   v1::ProcessSummary Summary() const ABSL_LOCKS_EXCLUDED(mu_);
   bool stopping() const ABSL_LOCKS_EXCLUDED(mu_);
   void Pause(absl::Duration pause) ABSL_LOCKS_EXCLUDED(mu_);
@@ -82,15 +84,15 @@ class Actor {
   const Options options_;
   const std::string name_;  // unique: host-process-random
   LearnerClient learner_;
-  ServerBook servers_;
-  PermitBook permits_;
+  EnvServerTracker servers_;
+  PermitTracker permits_;
   FragmentSender sender_;
-  std::string address_;       // of Run's thread, like the next
-  v1::JoinReply joined_;      // the last one
-  bool set_up_ = false;       // options_.set_up was called
-  bool was_welcome_ = false;  // a learner has taken us once
-  absl::Time complained_ = absl::InfinitePast();
-  int64_t env_servers_generation_ = 0;  // of the learner's registry, as last heard
+  std::string address_;        // this and the next are used only by Run's thread
+  v1::JoinReply joined_;       // the last one
+  bool set_up_ = false;        // options_.set_up was called
+  bool was_accepted_ = false;  // a learner has accepted it before
+  absl::Time retry_logged_ = absl::InfinitePast();
+  int64_t env_servers_generation_ = 0;  // of the learner's registry, as last received
   std::unique_ptr<PolicySource> policies_;
   std::unique_ptr<EvaluationWorker> evaluations_;
   std::vector<std::thread> threads_;

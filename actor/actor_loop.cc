@@ -3,35 +3,31 @@
 #include <algorithm>
 #include <utility>
 
+#include <absl/strings/str_cat.h>
 #include <absl/strings/str_format.h>
 
 #include "actor/play_reply.h"
-#include "common/backoff.h"
-#include "common/keyed_random.h"
-#include "common/log.h"
-#include "common/seeds.h"
-#include "common/status_macros.h"
+#include "common/base/backoff.h"
+#include "common/base/crafter.h"
+#include "common/base/keyed_random.h"
+#include "common/base/seeds.h"
+#include "common/base/status_macros.h"
+#include "common/telemetry/log.h"
 
 namespace craftfleet {
 namespace {
 
-// Before playing on after trouble.
+// Pauses before playing again after an error.
 constexpr absl::Duration kFirstPause = absl::Milliseconds(100);
 constexpr absl::Duration kLastPause = absl::Seconds(2);
 
-constexpr absl::Duration kReportEvery = absl::Milliseconds(500);  // what is seen of environment servers
-
-std::vector<int> LanesOf(const std::vector<HeldPermit>& permits) {
-  std::vector<int> lanes;
-  lanes.reserve(permits.size());
-  for (const HeldPermit& permit : permits) lanes.push_back(permit.lane);
-  return lanes;
-}
+constexpr absl::Duration kReportEvery = absl::Milliseconds(500);  // of the state of environment servers
 
 }  // namespace
 
-ActorLoop::ActorLoop(const Options& options, const LearnerClient* learner, PermitBook* permits, PolicySource* policies,
-                     FragmentSender* sender, std::unique_ptr<EnvPool> envs, ServerBook* servers)
+ActorLoop::ActorLoop(const Options& options, const LearnerClient* learner, PermitTracker* permits,
+                     PolicySource* policies, FragmentSender* sender, std::unique_ptr<EnvPool> envs,
+                     EnvServerTracker* servers)
     : options_(options),
       learner_(learner),
       permits_(permits),
@@ -45,46 +41,44 @@ absl::Status ActorLoop::Run() {
   while (true) {
     ReportServers();
     meter_.Switch(Activity::kPermits);
-    std::vector<HeldPermit> permits = permits_->Take(options_.index);
+    const std::vector<HeldPermit> permits = permits_->Take(options_.index);
     meter_.Switch(Activity::kWire);
     if (permits.empty()) return absl::OkStatus();
-    absl::Status status = RunFragment(&permits);
+    absl::Status status = RunFragment(permits);
     if (status.ok()) {
       backoff.Reset();
       continue;
     }
-    Abandon(permits);
+    const size_t released = rows_.size();
+    Abandon();
     if (status.code() == absl::StatusCode::kCancelled) return absl::OkStatus();
-    if (!called_.has_value() || !MayPass(*called_, status)) return status;
-    LogWarning("%d fragments given back: %s", permits.size(), status.message());
+    if (!call_.has_value() || !IsTransient(*call_, status)) return status;
+    LogWarning("%d fragments returned: %s", released, status.message());
     permits_->WaitForClose(backoff.Next());
   }
 }
 
-absl::Status ActorLoop::RunFragment(std::vector<HeldPermit>* permits) {
-  const HeldPermit first = permits->front();
-  called_ = Called::kWeights;
-  for (const HeldPermit& permit : *permits) {
+absl::Status ActorLoop::RunFragment(const std::vector<HeldPermit>& permits) {
+  rows_.resize(permits.size());
+  for (size_t row = 0; row < permits.size(); ++row) rows_[row].permit = permits[row];
+  const HeldPermit first = permits.front();
+  call_ = CallKind::kWeights;
+  for (const HeldPermit& permit : permits) {
     if (permit.policy_version != first.policy_version || permit.epoch != first.epoch) {
-      return absl::AbortedError("permits of two iterations at once");
+      return absl::AbortedError("permits with different policy versions");
     }
   }
   CRAFTFLEET_ASSIGN_OR_RETURN(const std::shared_ptr<const Policy> policy,
                               policies_->Get(first.epoch, first.policy_version));
   meter_.Switch(Activity::kEnvironment);
-  called_ = Called::kSession;
+  call_ = CallKind::kSession;
   CRAFTFLEET_RETURN_IF_ERROR(CloseLanesOfOthers(first.policy_version));
   Forget(envs_->Refresh());
-  CRAFTFLEET_RETURN_IF_ERROR(OpenLanes(permits));
-  if (permits->empty()) return absl::OkStatus();
-
-  std::map<int, HeldPermit> by_lane;
-  for (const HeldPermit& permit : *permits) by_lane[permit.lane] = permit;
-  const std::vector<int> lanes = envs_->Arrange(LanesOf(*permits));
-  std::transform(lanes.begin(), lanes.end(), permits->begin(), [&](int lane) { return by_lane[lane]; });
-
-  CRAFTFLEET_RETURN_IF_ERROR(PlaySteps(*policy, permits));
-  return SendFragments(*policy, *permits);
+  CRAFTFLEET_RETURN_IF_ERROR(OpenLanes());
+  if (rows_.empty()) return absl::OkStatus();
+  ArrangeRows();
+  CRAFTFLEET_RETURN_IF_ERROR(PlaySteps(*policy));
+  return SendFragments(*policy);
 }
 
 absl::Status ActorLoop::CloseLanesOfOthers(int64_t version) {
@@ -92,189 +86,221 @@ absl::Status ActorLoop::CloseLanesOfOthers(int64_t version) {
   if (last == version) return absl::OkStatus();
   meter_.BeginCycle();
   std::vector<int> lanes;
-  for (const auto& [lane, held] : held_) {
-    if (held.policy_version != last) lanes.push_back(lane);
+  for (const auto& [lane, game] : games_) {
+    if (game.policy_version != last) lanes.push_back(lane);
   }
   Forget(lanes);
-  std::vector<int> lost;
-  absl::Status status = envs_->Close(lanes, &lost);
+  CRAFTFLEET_ASSIGN_OR_RETURN(const std::vector<int> lost, envs_->Close(lanes));
   Forget(lost);
-  return status;
+  return absl::OkStatus();
 }
 
-absl::Status ActorLoop::OpenLanes(std::vector<HeldPermit>* permits) {
-  // Again where a server fails meanwhile and takes others with it.
+absl::Status ActorLoop::OpenLanes() {
+  // The learner reset these lanes: discard their games and load the snapshots.
+  for (const Row& row : rows_) {
+    if (row.permit.reload) games_.erase(row.permit.lane);
+  }
+  // Repeat if a server fails in the meantime and its lanes are lost.
   while (true) {
     std::vector<HeldPermit> missing;
-    for (const HeldPermit& permit : *permits) {
-      const auto held = held_.find(permit.lane);
-      const bool is_here =
-          held != held_.end() && held->second.epoch == permit.epoch && held->second.next_fragment == permit.fragment;
-      if (!is_here) missing.push_back(permit);
+    for (const Row& row : rows_) {
+      const auto game = games_.find(row.permit.lane);
+      const bool is_open = game != games_.end() && game->second.epoch == row.permit.epoch &&
+                           game->second.next_fragment == row.permit.fragment;
+      if (!is_open) missing.push_back(row.permit);
     }
     if (missing.empty()) return absl::OkStatus();
-    CRAFTFLEET_RETURN_IF_ERROR(OpenMissing(missing, permits));
+    CRAFTFLEET_RETURN_IF_ERROR(OpenMissing(missing));
   }
 }
 
-absl::Status ActorLoop::OpenMissing(const std::vector<HeldPermit>& missing, std::vector<HeldPermit>* permits) {
-  called_ = Called::kSnapshot;
+absl::Status ActorLoop::OpenMissing(const std::vector<HeldPermit>& missing) {
+  call_ = CallKind::kSnapshot;
   CRAFTFLEET_ASSIGN_OR_RETURN(std::vector<absl::StatusOr<LaneSnapshot>> snapshots,
                               learner_->GetSnapshots(missing, options_.state_size));
-  called_ = Called::kSession;
+  call_ = CallKind::kSession;
   std::vector<EnvClient::Lane> lanes;
-  std::vector<size_t> rows;  // of `missing`, of each of `lanes`
+  std::vector<size_t> indices;  // into `missing`, of each of `lanes`
   for (size_t i = 0; i < missing.size(); ++i) {
     if (!snapshots[i].ok()) {
-      Fail(missing[i], CutReason(snapshots[i].status().message()), permits);
+      Fail(missing[i], CutReason(snapshots[i].status().message()));
       continue;
     }
     const int lane = missing[i].lane;
     lanes.push_back({lane, LaneSeed(options_.config.seed(), lane), 1, std::move(snapshots[i]->game)});
-    rows.push_back(i);
+    indices.push_back(i);
   }
-  std::string frames;
-  std::vector<int> lost;
-  std::vector<EnvClient::Refused> refused;
-  CRAFTFLEET_RETURN_IF_ERROR(envs_->Open(lanes, &frames, &lost, &refused));
+  CRAFTFLEET_ASSIGN_OR_RETURN(EnvPool::Opened opened, envs_->Open(lanes));
   for (size_t i = 0; i < lanes.size(); ++i) {
-    const HeldPermit& permit = missing[rows[i]];
-    held_[permit.lane] = {permit.epoch, permit.fragment, /*policy_version=*/-1, std::string(Frame(frames, i)),
-                          std::move(snapshots[rows[i]]->state)};
+    const HeldPermit& permit = missing[indices[i]];
+    EnvPool::OpenedLane& lane = opened.lanes[i];
+    if (lane.refusal.empty()) {
+      games_[permit.lane] = {permit.epoch, permit.fragment, /*policy_version=*/-1, std::move(lane.frame),
+                             std::move(snapshots[indices[i]]->state)};
+    } else {
+      Fail(permit, lane.refusal);
+    }
   }
-  for (const EnvClient::Refused& lane : refused) {
-    const auto permit = std::find_if(missing.begin(), missing.end(),
-                                     [&](const HeldPermit& candidate) { return candidate.lane == lane.lane; });
-    Fail(*permit, lane.reason, permits);
-  }
-  Forget(lost);  // of those just opened, too
+  Forget(opened.lost);  // may include lanes just opened
   return absl::OkStatus();
 }
 
-void ActorLoop::Fail(const HeldPermit& permit, const std::string& reason, std::vector<HeldPermit>* permits) {
-  LogWarning("lane %d can't be played from its snapshot before fragment %d, which the learner is told: %s", permit.lane,
+void ActorLoop::Fail(const HeldPermit& permit, const std::string& reason) {
+  LogWarning("lane %d can't be played from its snapshot before fragment %d; reported to the learner: %s", permit.lane,
              permit.fragment, reason);
   Forget({permit.lane});
   permits_->Fail(permit, reason);
-  permits->erase(std::remove(permits->begin(), permits->end(), permit), permits->end());
+  rows_.erase(std::remove_if(rows_.begin(), rows_.end(), [&](const Row& row) { return row.permit == permit; }),
+              rows_.end());
 }
 
-void ActorLoop::StartFragments(const std::vector<HeldPermit>& permits) {
+void ActorLoop::ArrangeRows() {
+  std::map<int, HeldPermit> by_lane;
+  for (const Row& row : rows_) by_lane[row.permit.lane] = row.permit;
+  const std::vector<int> lanes = envs_->Arrange(Lanes());
+  for (size_t row = 0; row < lanes.size(); ++row) rows_[row].permit = by_lane[lanes[row]];
+}
+
+std::vector<int> ActorLoop::Lanes() const {
+  std::vector<int> lanes;
+  lanes.reserve(rows_.size());
+  for (const Row& row : rows_) lanes.push_back(row.permit.lane);
+  return lanes;
+}
+
+void ActorLoop::StartFragments() {
   frames_.clear();
   states_.clear();
-  builders_.resize(permits.size());
-  for (size_t row = 0; row < permits.size(); ++row) {
-    const HeldPermit& permit = permits[row];
-    const Held& held = held_[permit.lane];
-    frames_.append(held.frame);
-    states_.insert(states_.end(), held.state.begin(), held.state.end());
-    builders_[row].Start(permit.epoch, permit.lane, permit.fragment, permit.policy_version,
-                         options_.config.fragment_steps(), options_.frame_bytes);
+  for (Row& row : rows_) {
+    const HeldPermit& permit = row.permit;
+    const Game& game = games_[permit.lane];
+    frames_.append(game.frame);
+    states_.insert(states_.end(), game.state.begin(), game.state.end());
+    row.builder.Start(permit.epoch, permit.lane, permit.fragment, permit.policy_version,
+                      options_.config.fragment_steps(), options_.frame_bytes);
   }
 }
 
-absl::Status ActorLoop::PlaySteps(const Policy& policy, std::vector<HeldPermit>* permits) {
+absl::Status ActorLoop::PlaySteps(const Policy& policy) {
   const int steps = options_.config.fragment_steps();
-  const bool keep_every_state = options_.config.ppo().recurrent_batches() == v1::PpoConfig::PUBLISHED;
-  StartFragments(*permits);
-  std::vector<int> lanes = LanesOf(*permits);
+  StartFragments();
+  std::vector<int> lanes = Lanes();
   std::vector<double> noise(lanes.size());
-  std::vector<int> lost;
   for (int t = 0; t < steps; ++t) {
-    for (size_t row = 0; row < lanes.size(); ++row) {
-      noise[row] = ActionNoise(options_.config.seed(), lanes[row], (*permits)[row].fragment * steps + t);
-      if (t == 0 || keep_every_state) builders_[row].AddState(State(row));
+    for (size_t row = 0; row < rows_.size(); ++row) {
+      noise[row] = ActionNoise(options_.config.seed(), lanes[row], rows_[row].permit.fragment * steps + t);
+      if (t == 0 || options_.keeps_every_state) rows_[row].builder.AddState(State(row));
     }
     meter_.Switch(Activity::kInference);
-    called_.reset();
-    CRAFTFLEET_ASSIGN_OR_RETURN(ActResult act, policy.Act(frames_, lanes, noise, absl::MakeSpan(states_)));
+    call_.reset();
+    CRAFTFLEET_ASSIGN_OR_RETURN(const ActResult act, policy.Act(frames_, lanes, noise, absl::MakeSpan(states_)));
     meter_.Switch(Activity::kWire);
-    called_ = Called::kSession;
-    CRAFTFLEET_RETURN_IF_ERROR(envs_->Step(lanes, act.actions, /*snapshot=*/t + 1 == steps, &batch_, &lost));
-    meter_.Switch(Activity::kOther, Activity::kEnvironment, envs_->busy());
-    if (!lost.empty()) {
-      DropRows(lost, permits, &act);
-      lanes = LanesOf(*permits);
+    call_ = CallKind::kSession;
+    CRAFTFLEET_ASSIGN_OR_RETURN(EnvPool::Stepped stepped, envs_->Step(lanes, act.actions, /*snapshot=*/t + 1 == steps));
+    meter_.Switch(Activity::kOther, Activity::kEnvironment, stepped.busy);
+    call_.reset();
+    CRAFTFLEET_RETURN_IF_ERROR(AppendStep(policy, act, &stepped));
+    if (policy.has_memory()) CRAFTFLEET_RETURN_IF_ERROR(UpdateMemories(policy, stepped));
+    if (!stepped.lost.empty()) {
+      DropRows(stepped.lost);
+      lanes = Lanes();
       noise.resize(lanes.size());
     }
-    called_.reset();
-    CRAFTFLEET_RETURN_IF_ERROR(AppendStep(policy, *permits, act));
-    meter_.Count(static_cast<int64_t>(permits->size()));
+    frames_ = std::move(stepped.frames);
+    meter_.Count(static_cast<int64_t>(rows_.size()));
     permits_->SetSteps(options_.index, t + 1);
   }
   return absl::OkStatus();
 }
 
-void ActorLoop::DropRows(const std::vector<int>& lost, std::vector<HeldPermit>* permits, ActResult* act) {
+absl::Status ActorLoop::AppendStep(const Policy& policy, const ActResult& act, EnvPool::Stepped* stepped) {
+  auto lane = stepped->lanes.begin();  // in row order, without lost lanes
+  for (size_t row = 0; row < rows_.size() && lane != stepped->lanes.end(); ++row) {
+    if (lane->lane != rows_[row].permit.lane) continue;
+    FragmentBuilder& builder = rows_[row].builder;
+    builder.Append(Frame(row), act.actions[row], act.log_probs[row], act.values[row], lane->reward, lane->end);
+    rows_[row].snapshot = std::move(lane->snapshot);
+    if (lane->end != StepEnd::kNone) {
+      const absl::Span<float> state = State(row);
+      builder.AddEpisode(lane->episode);
+      if (lane->end == StepEnd::kTruncated) {
+        CRAFTFLEET_ASSIGN_OR_RETURN(const std::vector<float> value,
+                                    policy.Values(lane->last_frame, {lane->lane}, state));
+        builder.AddTruncationValue(value[0]);
+      }
+      std::fill(state.begin(), state.end(), 0.0F);
+    }
+    ++lane;
+  }
+  return absl::OkStatus();
+}
+
+absl::Status ActorLoop::UpdateMemories(const Policy& policy, const EnvPool::Stepped& stepped) {
+  std::vector<size_t> rows;
+  std::vector<int> lanes;
+  std::string before;
+  std::string after;
+  size_t row = 0;
+  for (size_t i = 0; i < stepped.lanes.size(); ++i) {  // in row order, without lost lanes
+    while (rows_[row].permit.lane != stepped.lanes[i].lane) ++row;
+    if (stepped.lanes[i].end != StepEnd::kNone || !UnlocksAchievement(stepped.lanes[i].reward)) continue;
+    rows.push_back(row);
+    lanes.push_back(stepped.lanes[i].lane);
+    absl::StrAppend(&before, Frame(row));
+    after.append(stepped.frames, i * options_.frame_bytes, options_.frame_bytes);
+  }
+  if (rows.empty()) return absl::OkStatus();
+  std::vector<float> memories(rows.size() * options_.state_size);
+  CRAFTFLEET_RETURN_IF_ERROR(policy.Remember(before, after, lanes, absl::MakeSpan(memories)));
+  for (size_t i = 0; i < rows.size(); ++i) {
+    std::copy_n(memories.begin() + i * options_.state_size, options_.state_size, State(rows[i]).begin());
+  }
+  return absl::OkStatus();
+}
+
+void ActorLoop::DropRows(const std::vector<int>& lost) {
   Forget(lost);
   size_t kept = 0;
-  for (size_t row = 0; row < permits->size(); ++row) {
-    const HeldPermit permit = (*permits)[row];
-    if (std::find(lost.begin(), lost.end(), permit.lane) != lost.end()) {
+  for (size_t row = 0; row < rows_.size(); ++row) {
+    if (std::find(lost.begin(), lost.end(), rows_[row].permit.lane) != lost.end()) {
       ++abandoned_;
-      permits_->Release(permit);
+      permits_->Release(rows_[row].permit);
       continue;
     }
-    (*permits)[kept] = permit;
-    std::swap(builders_[kept], builders_[row]);
-    frames_.replace(kept * options_.frame_bytes, options_.frame_bytes, std::string(Frame(frames_, row)));
-    std::copy_n(State(row).begin(), options_.state_size, State(kept).begin());
-    act->actions[kept] = act->actions[row];
-    act->log_probs[kept] = act->log_probs[row];
-    act->values[kept] = act->values[row];
+    if (kept != row) {
+      std::swap(rows_[kept], rows_[row]);
+      std::copy_n(State(row).begin(), options_.state_size, State(kept).begin());
+    }
     ++kept;
   }
-  permits->resize(kept);
-  frames_.resize(kept * options_.frame_bytes);
+  rows_.resize(kept);
   states_.resize(kept * options_.state_size);
 }
 
-absl::Status ActorLoop::AppendStep(const Policy& policy, const std::vector<HeldPermit>& permits, const ActResult& act) {
-  size_t ended = 0;
-  size_t truncated = 0;
-  for (size_t row = 0; row < permits.size(); ++row) {
-    const StepEnd end = batch_.ends[row];
-    builders_[row].Append(Frame(frames_, row), act.actions[row], act.log_probs[row], act.values[row],
-                          batch_.rewards[row], end);
-    if (end == StepEnd::kNone) continue;
-    builders_[row].AddEpisode(batch_.episodes[ended++]);
-    if (end == StepEnd::kTruncated) {
-      CRAFTFLEET_ASSIGN_OR_RETURN(const std::vector<float> value, policy.Values(Frame(batch_.last_frames, truncated++),
-                                                                                {permits[row].lane}, State(row)));
-      builders_[row].AddTruncationValue(value[0]);
-    }
-    const absl::Span<float> state = State(row);
-    std::fill(state.begin(), state.end(), 0.0F);
-  }
-  frames_.swap(batch_.frames);
-  return absl::OkStatus();
-}
-
-absl::Status ActorLoop::SendFragments(const Policy& policy, const std::vector<HeldPermit>& permits) {
-  const std::vector<int> lanes = LanesOf(permits);
+absl::Status ActorLoop::SendFragments(const Policy& policy) {
   meter_.Switch(Activity::kInference);
-  CRAFTFLEET_ASSIGN_OR_RETURN(const std::vector<float> bootstrap, policy.Values(frames_, lanes, states_));
+  CRAFTFLEET_ASSIGN_OR_RETURN(const std::vector<float> bootstrap, policy.Values(frames_, Lanes(), states_));
   meter_.Switch(Activity::kWire);
-  for (size_t row = 0; row < permits.size(); ++row) {
+  for (size_t row = 0; row < rows_.size(); ++row) {
+    const HeldPermit& permit = rows_[row].permit;
     const std::vector<float> state(State(row).begin(), State(row).end());
-    held_[lanes[row]] = {permits[row].epoch, permits[row].fragment + 1, permits[row].policy_version,
-                         std::string(Frame(frames_, row)), state};
+    games_[permit.lane] = {permit.epoch, permit.fragment + 1, permit.policy_version, std::string(Frame(row)), state};
     CRAFTFLEET_RETURN_IF_ERROR(
-        sender_->Push(builders_[row].Finish(bootstrap[row], {std::move(batch_.snapshots[row]), state})));
+        sender_->Push(rows_[row].builder.Finish(bootstrap[row], {std::move(rows_[row].snapshot), state})));
   }
   return absl::OkStatus();
 }
 
-void ActorLoop::Abandon(const std::vector<HeldPermit>& permits) {
-  // The games stand somewhere inside the fragment: whoever plays it next begins with the snapshot.
-  held_.clear();
+void ActorLoop::Abandon() {
+  // The games are in the middle of a fragment, which will be played again from its snapshot.
+  games_.clear();
   envs_->Reset();
-  abandoned_ += static_cast<int64_t>(permits.size());
-  for (const HeldPermit& permit : permits) permits_->Release(permit);
+  abandoned_ += static_cast<int64_t>(rows_.size());
+  for (const Row& row : rows_) permits_->Release(row.permit);
 }
 
 void ActorLoop::Forget(const std::vector<int>& lanes) {
-  for (const int lane : lanes) held_.erase(lane);
+  for (const int lane : lanes) games_.erase(lane);
 }
 
 void ActorLoop::ReportServers() {

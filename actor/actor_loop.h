@@ -1,4 +1,4 @@
-// Plays: one thread that turns permits into fragments.
+// A playing thread: turns permits into fragments.
 
 #ifndef CRAFTFLEET_ACTOR_ACTOR_LOOP_H_
 #define CRAFTFLEET_ACTOR_ACTOR_LOOP_H_
@@ -17,83 +17,97 @@
 #include <absl/types/span.h>
 
 #include "actor/env_pool.h"
+#include "actor/env_server_tracker.h"
 #include "actor/error_policy.h"
 #include "actor/fragment_builder.h"
 #include "actor/fragment_sender.h"
 #include "actor/learner_client.h"
-#include "actor/permit_book.h"
+#include "actor/permit_tracker.h"
 #include "actor/policy_source.h"
-#include "actor/server_book.h"
-#include "common/activity_meter.h"
 #include "common/agent/policy.h"
-#include "common/clock.h"
+#include "common/base/clock.h"
+#include "common/telemetry/activity_meter.h"
 #include "craftfleet/v1/config.pb.h"
 
 namespace craftfleet {
 
-// Takes what the permit book has for it and plays those lanes side by side, one fragment each. A lane that it holds at
-// that fragment goes on; another is restored from the learner's snapshot. Run is called from one thread.
+// Takes its waiting permits and plays their lanes side by side, one fragment each. A lane continues if its game is open
+// here at that fragment; others are restored from the learner's snapshots. Run is called from one thread.
 class ActorLoop {
  public:
   struct Options {
-    int index = 0;  // of this loop, for the permit book
+    int index = 0;  // of this loop, for the permit tracker
     v1::RunConfig config;
     int frame_bytes = 0;
-    int state_size = 0;  // of the agent's recurrent state
+    int state_size = 0;              // of the agent's recurrent state or memory
+    bool keeps_every_state = false;  // fragments hold the state before each step (KeepsEveryState)
   };
 
-  // What it sees of the environment servers goes to `servers`.
-  ActorLoop(const Options& options, const LearnerClient* learner, PermitBook* permits, PolicySource* policies,
-            FragmentSender* sender, std::unique_ptr<EnvPool> envs, ServerBook* servers);
+  // Reports the state of the environment servers to `servers`.
+  ActorLoop(const Options& options, const LearnerClient* learner, PermitTracker* permits, PolicySource* policies,
+            FragmentSender* sender, std::unique_ptr<EnvPool> envs, EnvServerTracker* servers);
 
-  // Plays until the permit book closes. Returns ok then, or the first error that waiting can't mend.
+  // Plays until the permit tracker closes. Returns ok then, or the first error that waiting does not resolve.
   absl::Status Run();
-  // Ends the environment sessions: a blocked step returns. From any thread.
+  // Ends the environment sessions, so that a blocked step returns. May be called from any thread.
   void Cancel() { envs_->Cancel(); }
 
-  // Where its time goes, and the environment steps that it played. From any thread, like the next two.
+  // How the time is spent, and the number of steps played. This and the next two may be called from any thread.
   const ActivityMeter& meter() const { return meter_; }
-  // Fragments begun and not finished.
+  // The number of fragments begun but not finished.
   int64_t abandoned() const { return abandoned_.load(); }
-  // Version of the policy that it last played with; -1: none yet.
+  // The version of the policy last used; -1: none yet.
   int64_t policy_version() const { return policy_version_.load(); }
 
  private:
   // A lane whose game is open here.
-  struct Held {
+  struct Game {
     int64_t epoch = 0;
     int64_t next_fragment = 0;
-    int64_t policy_version = -1;  // under which it was last played here; -1: not yet
+    int64_t policy_version = -1;  // version it was last played with here; -1: none
     std::string frame;            // uint8[H,W,3]: its current observation
     std::vector<float> state;     // [state_size] before it
   };
+  // A lane whose fragment is being played.
+  struct Row {
+    HeldPermit permit;
+    FragmentBuilder builder;
+    std::string snapshot;  // after the last step
+  };
 
-  // Plays one fragment of each permit's lane, all under one version. Leaves in `permits` what was played, or after an
-  // error was to be played: without those that an environment server lost, which are given back.
-  absl::Status RunFragment(std::vector<HeldPermit>* permits);
-  // Before the first fragment under `version`: closes the games that were not played here under the last one, since
-  // somebody else plays their lanes by now.
+  // Plays one fragment of each permit's lane, all with one version of the weights. After an error, rows_ has the
+  // permits that must still be released; those of lanes lost by an environment server have already been released.
+  absl::Status RunFragment(const std::vector<HeldPermit>& permits);
+  // To be called before the first fragment with `version`: closes the games that were not played here with the previous
+  // version, since other actors now play their lanes.
   absl::Status CloseLanesOfOthers(int64_t version);
-  // Leaves in `permits` those whose lanes can be played.
-  absl::Status OpenLanes(std::vector<HeldPermit>* permits);
-  // Opens the games of `missing`, which are not open here. Takes out of `permits` those that can't be.
-  absl::Status OpenMissing(const std::vector<HeldPermit>& missing, std::vector<HeldPermit>* permits);
-  // Gives `permit` back for good: there is no game to play it from.
-  void Fail(const HeldPermit& permit, const std::string& reason, std::vector<HeldPermit>* permits);
-  // Takes the observations and states of the lanes, arranged, and begins their fragments.
-  void StartFragments(const std::vector<HeldPermit>& permits);
-  // T steps of the lanes, arranged; builders_ hold the result, frames_ and states_ what the policy sees next.
-  absl::Status PlaySteps(const Policy& policy, std::vector<HeldPermit>* permits);
-  // Takes the lanes that an environment server lost out of the fragments under way.
-  void DropRows(const std::vector<int>& lost, std::vector<HeldPermit>* permits, ActResult* act);
-  absl::Status AppendStep(const Policy& policy, const std::vector<HeldPermit>& permits, const ActResult& act);
-  absl::Status SendFragments(const Policy& policy, const std::vector<HeldPermit>& permits);
-  void Abandon(const std::vector<HeldPermit>& permits);
+  // Opens the games of all rows; removes the rows whose lanes can't be played.
+  absl::Status OpenLanes();
+  // Opens the games of `missing`, which are not open here.
+  absl::Status OpenMissing(const std::vector<HeldPermit>& missing);
+  // Reports that the lane of `permit` can't be played from its snapshot, releases the permit and removes its row.
+  void Fail(const HeldPermit& permit, const std::string& reason);
+  // Puts the rows in the order in which the pool steps them.
+  void ArrangeRows();
+  std::vector<int> Lanes() const;
+  // Takes the observations and states of the rows, and begins their fragments.
+  void StartFragments();
+  // Plays T steps. The rows' builders get the results; frames_ and states_ become the policy's next input.
+  absl::Status PlaySteps(const Policy& policy);
+  // Appends a step to the rows that were not lost in it.
+  absl::Status AppendStep(const Policy& policy, const ActResult& act, EnvPool::Stepped* stepped);
+  // Agents with a memory: updates those of the rows that unlocked an achievement in this step and play on.
+  absl::Status UpdateMemories(const Policy& policy, const EnvPool::Stepped& stepped);
+  // Removes the rows of lanes that an environment server lost.
+  void DropRows(const std::vector<int>& lost);
+  absl::Status SendFragments(const Policy& policy);
+  // Releases the permits of the rows, and closes all games.
+  void Abandon();
   // Forgets games that are no longer open.
   void Forget(const std::vector<int>& lanes);
   void ReportServers();
-  absl::string_view Frame(const std::string& frames, size_t row) const {
-    return absl::string_view(frames).substr(row * options_.frame_bytes, options_.frame_bytes);
+  absl::string_view Frame(size_t row) const {
+    return absl::string_view(frames_).substr(row * options_.frame_bytes, options_.frame_bytes);
   }
   absl::Span<float> State(size_t row) {
     return absl::MakeSpan(states_).subspan(row * options_.state_size, options_.state_size);
@@ -101,23 +115,21 @@ class ActorLoop {
 
   const Options options_;
   const LearnerClient* const learner_;
-  PermitBook* const permits_;
+  PermitTracker* const permits_;
   PolicySource* const policies_;
   FragmentSender* const sender_;
   const std::unique_ptr<EnvPool> envs_;
-  ServerBook* const servers_;
+  EnvServerTracker* const servers_;
 
-  // Whose trouble an error is; nothing: our own, which does not pass.
-  std::optional<Called> called_;
-  std::map<int, Held> held_;               // by lane
-  std::vector<FragmentBuilder> builders_;  // by row
-  std::string frames_;                     // uint8[n,H,W,3]: what the policy sees next
-  std::vector<float> states_;              // [n,state_size] before it
-  StepBatch batch_;                        // reused
+  std::optional<CallKind> call_;  // the current call; unset: our own code, whose errors are not retried
+  std::map<int, Game> games_;     // by lane
+  std::vector<Row> rows_;
+  std::string frames_;         // uint8[n,H,W,3]: the policy's next input, by row
+  std::vector<float> states_;  // [n,state_size] before it
 
   RealClock clock_;
   ActivityMeter meter_{&clock_, Activity::kPermits};
-  absl::Time reported_ = absl::InfinitePast();  // when servers_ was last told
+  absl::Time reported_ = absl::InfinitePast();  // when servers_ was last updated
   std::atomic<int64_t> abandoned_{0};
   std::atomic<int64_t> policy_version_{-1};
 };

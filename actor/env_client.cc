@@ -8,18 +8,22 @@
 #include <absl/strings/str_cat.h>
 #include <absl/strings/str_format.h>
 
-#include "common/clock.h"
-#include "common/status_macros.h"
+#include "common/base/clock.h"
+#include "common/base/status_macros.h"
+#include "common/io/snapshot_envelope.h"
 #include "common/wire/convert.h"
 #include "common/wire/grpc_status.h"
+#include "common/wire/protocol.h"
 
 namespace craftfleet {
 
 namespace {
 
-// What opening a game may take more than a step, in parts of the timeout.
+// Additional time for opening one game, as a fraction of the timeout.
 constexpr double kForAGame = 0.01;
-// A reply that waits to be read, since others were read before it, has this part of the timeout at least.
+// At least the bytes that a reply has for one game besides pictures and snapshot: an episode, a map of 64 x 64 cells.
+constexpr size_t kRestOfGame = 8 << 10;
+// The minimum time for a reply after other servers' replies were read first, as a fraction of the timeout.
 constexpr double kForReading = 0.1;
 
 std::string DescribeRequest(const v1::PlayRequest& request) {
@@ -33,6 +37,16 @@ std::string DescribeRequest(const v1::PlayRequest& request) {
     default:
       return "close";
   }
+}
+
+// Appends the results of further rows.
+void Append(StepBatch rows, StepBatch* batch) {
+  batch->frames += rows.frames;
+  batch->last_frames += rows.last_frames;
+  batch->rewards.insert(batch->rewards.end(), rows.rewards.begin(), rows.rewards.end());
+  batch->ends.insert(batch->ends.end(), rows.ends.begin(), rows.ends.end());
+  batch->episodes.insert(batch->episodes.end(), rows.episodes.begin(), rows.episodes.end());
+  std::move(rows.snapshots.begin(), rows.snapshots.end(), std::back_inserter(batch->snapshots));
 }
 
 }  // namespace
@@ -58,14 +72,14 @@ absl::Status EnvClient::Connect(absl::Duration patience) {
     MutexLock lock(&mu_);
     if (cancelled_) return absl::CancelledError("stopping");
     context_ = std::make_unique<grpc::ClientContext>();
-    // The call begins with hello, which has a deadline: to begin it now could wait for a server that takes no calls.
+    // The call starts with hello, which has a deadline. Without this, a server that accepts no calls could block here.
     context_->set_initial_metadata_corked(true);
     stream_ = stub_->Play(context_.get());
   }
   *request_.mutable_hello() = hello_;
   CRAFTFLEET_RETURN_IF_ERROR(Send(timeout_));
   CRAFTFLEET_RETURN_IF_ERROR(Receive());
-  CRAFTFLEET_RETURN_IF_ERROR(Judge(check_.Hello(reply_)));
+  CRAFTFLEET_RETURN_IF_ERROR(EndIfInvalid(check_.Hello(reply_)));
   return CheckCanary();
 }
 
@@ -73,7 +87,7 @@ absl::Status EnvClient::CheckCanary() {
   if (hello_.game_canary().empty() || reply_.canary() == hello_.game_canary()) return absl::OkStatus();
   Disconnect();
   return absl::FailedPreconditionError(absl::StrFormat(
-      "environment server %s plays another game: its canary is %s, want %s: run the same build everywhere",
+      "environment server %s plays another game: its canary is %s, want %s; run the same build everywhere",
       server_.address, reply_.canary().empty() ? "none" : absl::CHexEscape(reply_.canary().substr(0, 64)),
       hello_.game_canary()));
 }
@@ -91,9 +105,13 @@ bool EnvClient::Failing() const {
 absl::Status EnvClient::Open(absl::Span<const Lane> lanes, std::string* frames, std::vector<Refused>* refused) {
   frames->clear();
   moments_.clear();
-  for (size_t first = 0; first < lanes.size(); first += kOpenAtOnce) {
-    CRAFTFLEET_RETURN_IF_ERROR(OpenSome(lanes.subspan(first, kOpenAtOnce), frames, refused));
+  const size_t at_once = std::min(kOpenAtOnce, GamesPerReply(/*snapshot=*/false));
+  absl::Duration busy;
+  for (size_t first = 0; first < lanes.size(); first += at_once) {
+    CRAFTFLEET_RETURN_IF_ERROR(OpenSome(lanes.subspan(first, at_once), frames, refused));
+    busy += busy_;
   }
+  busy_ = busy;
   return absl::OkStatus();
 }
 
@@ -109,7 +127,7 @@ absl::Status EnvClient::OpenSome(absl::Span<const Lane> lanes, std::string* fram
   }
   CRAFTFLEET_RETURN_IF_ERROR(Send(timeout_ * (1 + kForAGame * static_cast<double>(lanes.size()))));
   CRAFTFLEET_RETURN_IF_ERROR(Receive());
-  CRAFTFLEET_RETURN_IF_ERROR(Judge(check_.Open(request_.open(), reply_)));
+  CRAFTFLEET_RETURN_IF_ERROR(EndIfInvalid(check_.Open(request_.open(), reply_)));
   if (frames->empty()) {
     frames->swap(*reply_.mutable_frames());
   } else {
@@ -123,23 +141,59 @@ absl::Status EnvClient::Close(absl::Span<const int> lanes) {
   request_.mutable_close()->mutable_lanes()->Assign(lanes.begin(), lanes.end());
   CRAFTFLEET_RETURN_IF_ERROR(Send(timeout_));
   CRAFTFLEET_RETURN_IF_ERROR(Receive());
-  return Judge(check_.Close(reply_));
+  return EndIfInvalid(check_.Close(reply_));
+}
+
+size_t EnvClient::GamesPerReply(bool snapshot) const {
+  const auto frame = static_cast<size_t>(frame_bytes_);
+  size_t game = 2 * frame + kRestOfGame;  // the frame, and the last one of a truncated episode
+  if (snapshot) game += kMaxSnapshotBytes;
+  if (hello_.has_recording()) {
+    const size_t size = hello_.recording().picture_size();
+    game += frame + size * size * 3;
+  }
+  return std::max<size_t>(wire::kMaxMessageBytes / game, 1);
 }
 
 absl::Status EnvClient::SendStep(absl::Span<const int> lanes, absl::Span<const Action> actions, bool snapshot) {
+  step_.mutable_lanes()->Assign(lanes.begin(), lanes.end());
+  step_.mutable_actions()->assign(reinterpret_cast<const char*>(actions.data()), actions.size());
+  step_.set_snapshot(snapshot);
+  sent_rows_ = 0;
+  return SendRows();
+}
+
+absl::Status EnvClient::SendRows() {
+  const int count = std::min(RowsWaiting(), static_cast<int>(GamesPerReply(step_.snapshot())));
+  const auto first = step_.lanes().begin() + sent_rows_;
   v1::StepLanes* step = request_.mutable_step();
-  step->mutable_lanes()->Assign(lanes.begin(), lanes.end());
-  step->mutable_actions()->assign(reinterpret_cast<const char*>(actions.data()), actions.size());
-  step->set_snapshot(snapshot);
+  step->mutable_lanes()->Assign(first, first + count);
+  step->mutable_actions()->assign(step_.actions(), sent_rows_, count);
+  step->set_snapshot(step_.snapshot());
+  sent_rows_ += count;
   return Send(timeout_);
 }
 
 absl::Status EnvClient::ReceiveStep(StepBatch* batch) {
-  CRAFTFLEET_RETURN_IF_ERROR(Receive());
-  CRAFTFLEET_RETURN_IF_ERROR(Judge(check_.Step(request_.step(), reply_)));
   moments_.clear();
+  CRAFTFLEET_RETURN_IF_ERROR(ReceiveRows(batch));
+  absl::Duration busy = busy_;
+  while (RowsWaiting() > 0) {
+    CRAFTFLEET_RETURN_IF_ERROR(SendRows());
+    StepBatch rows;
+    CRAFTFLEET_RETURN_IF_ERROR(ReceiveRows(&rows));
+    Append(std::move(rows), batch);
+    busy += busy_;
+  }
+  busy_ = busy;
+  return absl::OkStatus();
+}
+
+absl::Status EnvClient::ReceiveRows(StepBatch* batch) {
+  CRAFTFLEET_RETURN_IF_ERROR(Receive());
+  CRAFTFLEET_RETURN_IF_ERROR(EndIfInvalid(check_.Step(request_.step(), reply_)));
   const int lanes = request_.step().lanes_size();
-  CRAFTFLEET_RETURN_IF_ERROR(Judge(wire::FromProto(&reply_, lanes, frame_bytes_, batch)));
+  CRAFTFLEET_RETURN_IF_ERROR(EndIfInvalid(wire::FromProto(&reply_, lanes, frame_bytes_, batch)));
   return TakeMoments(lanes);
 }
 
@@ -148,20 +202,20 @@ absl::Status EnvClient::TakeMoments(size_t lanes) {
   const int size = hello_.recording().picture_size();
   absl::StatusOr<std::vector<Moment>> moments =
       wire::MomentsFromProto(&reply_, static_cast<int>(lanes), frame_bytes_, size * size * 3);
-  CRAFTFLEET_RETURN_IF_ERROR(Judge(moments.status()));
+  CRAFTFLEET_RETURN_IF_ERROR(EndIfInvalid(moments.status()));
   std::move(moments->begin(), moments->end(), std::back_inserter(moments_));
   return absl::OkStatus();
 }
 
-absl::Status EnvClient::Judge(const absl::Status& checked) {
+absl::Status EnvClient::EndIfInvalid(const absl::Status& checked) {
   if (checked.ok()) {
     if (reply_.has_server()) summary_ = reply_.server();
     return checked;
   }
   Disconnect();
-  // What is no shape to convert.h is nonsense, too.
-  const bool is_nonsense = checked.code() == absl::StatusCode::kInvalidArgument;
-  return {is_nonsense ? absl::StatusCode::kDataLoss : checked.code(),
+  // A wrong shape (convert.h) is an invalid reply too.
+  const bool is_invalid = checked.code() == absl::StatusCode::kInvalidArgument;
+  return {is_invalid ? absl::StatusCode::kDataLoss : checked.code(),
           absl::StrCat("environment server ", server_.address, ": ", checked.message())};
 }
 
@@ -205,6 +259,7 @@ absl::Status EnvClient::Receive() {
   timer_.Arm(std::max(limit_ - (SteadyNow() - sent_), limit_ * kForReading));
   const bool received = stream_->Read(&reply_);
   overdue_ = timer_.Disarm();
+  busy_ = absl::Nanoseconds(reply_.busy_ns());
   return received && !overdue_ ? absl::OkStatus() : Broken();
 }
 
@@ -224,7 +279,7 @@ absl::Status EnvClient::Broken() {
     return absl::DeadlineExceededError(
         absl::StrCat(context, ": no answer within ", absl::FormatDuration(limit_), " to ", DescribeRequest(request_)));
   }
-  // A server that stops may end its sessions by OK or by Cancelled; the latter would read as if we were stopping.
+  // A stopping server may end its sessions with OK or Cancelled, but Cancelled would mean that this actor is stopping.
   const bool stopped = status.ok() || status.code() == absl::StatusCode::kCancelled;
   return stopped ? absl::UnavailableError(absl::StrCat(context, ": ended the session")) : status;
 }

@@ -1,4 +1,4 @@
-// One session with one environment server, over a connection of its own.
+// One session with one environment server, over its own connection.
 
 #ifndef CRAFTFLEET_ACTOR_ENV_CLIENT_H_
 #define CRAFTFLEET_ACTOR_ENV_CLIENT_H_
@@ -13,26 +13,27 @@
 #include <absl/types/span.h>
 
 #include "actor/play_reply.h"
-#include "common/mutex.h"
-#include "common/types.h"
-#include "common/watchdog.h"
+#include "common/base/mutex.h"
+#include "common/base/types.h"
+#include "common/base/watchdog.h"
 #include "common/wire/channel.h"
 #include "craftfleet/v1/environment.grpc.pb.h"
 
 namespace craftfleet {
 
-// How long a server may take for a request, where nothing else is said; a step of a game takes microseconds.
+// Default time limit for a server's reply; a step of a game takes microseconds.
 inline constexpr absl::Duration kDefaultEnvTimeout = absl::Seconds(10);
 
 // A session ends with its first error; Connect begins a new one, without games. Errors name the server's address.
-//   Unavailable: the server can't be reached or went away: connect again, later.
-//   DeadlineExceeded: it did not answer in time.   DataLoss: its answer can't be (play_reply.h).
-//   FailedPrecondition: the handshake does not match.   Cancelled: Cancel was called.   Others: as the server says.
+//   Unavailable: the server can't be reached or ended the session: connect again later.
+//   DeadlineExceeded: it did not answer in time.   DataLoss: its answer is invalid (play_reply.h).
+//   FailedPrecondition: the handshake does not match.   Cancelled: Cancel was called.   Others: as the server returns
+//   them.
 // Owned by one thread; Cancel may be called from any.
 class EnvClient {
  public:
-  // Games that are opened by one request; more of them take several. A new world takes some hundredths of a second, so
-  // such a request has more time: a hundredth of the timeout more for each game.
+  // The most games that one request opens; fewer if their observations would not fit one message. Making a world takes
+  // some hundredths of a second, so the timeout of such a request is longer by a hundredth for each game.
   static constexpr size_t kOpenAtOnce = 64;
 
   struct Lane {
@@ -45,64 +46,73 @@ class EnvClient {
   // A lane that the server did not open.
   struct Refused {
     int lane = 0;
-    std::string reason;  // for people, as CutReason leaves it
+    std::string reason;  // for people, shortened by CutReason
   };
 
-  // `hello` is what each session begins with. `timeout`: for each request, but see kOpenAtOnce.
+  // `hello` begins each session. `timeout`: of each request; see also kOpenAtOnce.
   EnvClient(const wire::Endpoint& server, v1::SessionHello hello, int frame_bytes,
             absl::Duration timeout = kDefaultEnvTimeout);
   ~EnvClient();
 
-  // Begins a session; waits at most `patience` for a connection, then the constructor's timeout for the answer.
+  // Begins a session; waits at most `patience` for a connection, then the constructor's timeout for the reply.
   absl::Status Connect(absl::Duration patience) ABSL_LOCKS_EXCLUDED(mu_);
   bool connected() const { return stream_ != nullptr; }
-  // Whether the server can be connected to without waiting; if not, it is being tried now.
+  // Whether the server can be connected to without waiting. If not, starts to connect in the background.
   bool Reachable() const;
-  // Whether the last try to connect has failed.
+  // Whether the last attempt to connect has failed.
   bool Failing() const;
 
-  // Opens games; their observations, uint8[n,H,W,3], go to `frames`, without those of `refused`: lanes whose snapshot
-  // is no game to the server. Null: none of `lanes` has a snapshot.
+  // Opens games. `frames` gets the observations of the opened games, uint8[n,H,W,3]; `refused` the lanes whose
+  // snapshot the server refused. `refused` may be null if none of `lanes` has a snapshot.
   absl::Status Open(absl::Span<const Lane> lanes, std::string* frames, std::vector<Refused>* refused = nullptr);
   absl::Status Close(absl::Span<const int> lanes);
 
-  // A step in two halves, so that several servers can work at once: SendStep, then ReceiveStep. After an error of
-  // either the session is over.
+  // A step in two parts, so that several servers can work at the same time: SendStep, then ReceiveStep. After an error
+  // of either, the session is over. Lanes whose reply would not fit one message are stepped in several requests, all
+  // but the first of them by ReceiveStep; each has the timeout.
   absl::Status SendStep(absl::Span<const int> lanes, absl::Span<const Action> actions, bool snapshot);
   absl::Status ReceiveStep(StepBatch* batch);
 
-  // Of sessions with `hello.recording`: what the games of the last Open or ReceiveStep looked like after it, in its
-  // order; of a game that ended, the last moment of the episode that ended.
+  // With `hello.recording`: the state of each game after the last Open or ReceiveStep, in order; for an episode that
+  // ended, its last moment.
   const std::vector<Moment>& moments() const { return moments_; }
 
-  // How long the server was busy with the last reply.
-  absl::Duration busy() const { return absl::Nanoseconds(reply_.busy_ns()); }
-  // What it last told about itself; empty: nothing yet.
+  // How long the server worked on the last Connect, Open, Close or step.
+  absl::Duration busy() const { return busy_; }
+  // The last summary received; empty: none yet.
   const v1::ProcessSummary& summary() const { return summary_; }
 
-  // Ends the session at once, from any thread, and every later one.
+  // Ends the current session and every later one at once. May be called from any thread.
   void Cancel() ABSL_LOCKS_EXCLUDED(mu_);
   // Ends the session.
   void Disconnect() ABSL_LOCKS_EXCLUDED(mu_);
-  // The same, and waits until the server has done so, too.
+  // The same, and waits until the server has ended it too.
   void Leave();
 
   const std::string& address() const { return server_.address; }
   const wire::Endpoint& server() const { return server_; }
 
  private:
-  // Opens those that fit into one request, and appends to `frames` and `refused`.
+  // The number of games whose largest reply to a step fits one message, at least 1.
+  size_t GamesPerReply(bool snapshot) const;
+  // The rows of the current step that are not sent yet.
+  int RowsWaiting() const { return step_.lanes_size() - sent_rows_; }
+  // Sends as many of them as one message has room for.
+  absl::Status SendRows();
+  // Receives the results of the rows last sent; appends to `moments_`.
+  absl::Status ReceiveRows(StepBatch* batch);
+  // Opens at most kOpenAtOnce games, and appends to `frames` and `refused`.
   absl::Status OpenSome(absl::Span<const Lane> lanes, std::string* frames, std::vector<Refused>* refused);
-  // Sends `request_`; there are `limit` for that and for Receive.
+  // Sends `request_`. `limit`: deadline for this and Receive together.
   absl::Status Send(absl::Duration limit);
   absl::Status Receive();
-  // After hello.   FailedPrecondition: the server plays another game; the session is over.
+  // Checks the canary in the reply to hello.   FailedPrecondition: the server plays another game; ends the session.
   absl::Status CheckCanary();
-  // Ends the session if `checked`, what is wrong with the reply, is not ok.
-  absl::Status Judge(const absl::Status& checked) ABSL_LOCKS_EXCLUDED(mu_);
-  // Adds to `moments_` if the session records.
+  // Ends the session if `checked`, the check of the reply, is not ok.
+  absl::Status EndIfInvalid(const absl::Status& checked) ABSL_LOCKS_EXCLUDED(mu_);
+  // Adds the reply's moments to `moments_` if the session records.
   absl::Status TakeMoments(size_t lanes);
-  // The session's error, after a failed read or write.
+  // Ends the session after a failed read or write, and returns its error.
   absl::Status Broken() ABSL_LOCKS_EXCLUDED(mu_);
 
   const wire::Endpoint server_;
@@ -117,14 +127,17 @@ class EnvClient {
   std::unique_ptr<grpc::ClientReaderWriter<v1::PlayRequest, v1::PlayReply>> stream_;
   v1::ProcessSummary summary_;
   std::vector<Moment> moments_;
+  absl::Duration busy_;
+  v1::StepLanes step_;  // the current one
+  int sent_rows_ = 0;   // its first rows, sent in one or more requests
 
   Mutex mu_;
   std::unique_ptr<grpc::ClientContext> context_ ABSL_GUARDED_BY(mu_);
   bool cancelled_ ABSL_GUARDED_BY(mu_) = false;
 
-  absl::Duration limit_;   // of the request under way
+  absl::Duration limit_;   // of the current request
   absl::Time sent_;        // SteadyNow when it was sent
-  bool overdue_ = false;   // the session was cancelled for it
+  bool overdue_ = false;   // the session was cancelled because the limit had passed
   Watchdog::Timer timer_;  // the last member: it cancels context_
 };
 

@@ -13,8 +13,8 @@
 #include <absl/strings/strip.h>
 #include <absl/time/time.h>
 
-#include "common/log.h"
-#include "common/status_macros.h"
+#include "common/base/status_macros.h"
+#include "common/telemetry/log.h"
 
 namespace craftfleet {
 namespace {
@@ -24,14 +24,14 @@ constexpr char kListed[] = "listed";
 constexpr char kRegistry[] = "learner";
 constexpr absl::string_view kDnsPrefix = "dns:";
 
-// Every address behind host:port, as gRPC writes them. NotFound: none; says why.
+// Resolves host:port to addresses in gRPC's notation. NotFound: none; gives the reason.
 absl::StatusOr<std::vector<std::string>> LookUp(const std::string& host, const std::string& port) {
   addrinfo hints = {};
   hints.ai_family = AF_UNSPEC;
   hints.ai_socktype = SOCK_STREAM;
   addrinfo* found = nullptr;
   if (const int error = getaddrinfo(host.c_str(), port.c_str(), &hints, &found); error != 0) {
-    return absl::NotFoundError(absl::StrCat("--envservers: no address behind ", host, ": ", gai_strerror(error)));
+    return absl::NotFoundError(absl::StrCat("--envservers: no address for ", host, ": ", gai_strerror(error)));
   }
   std::set<std::string> addresses;
   for (const addrinfo* entry = found; entry != nullptr; entry = entry->ai_next) {
@@ -103,7 +103,7 @@ std::vector<wire::Endpoint> EnvDirectory::Servers() const {
 }
 
 void EnvDirectory::KeepLookingUp() {
-  // A name server that does not answer must not hold up the end: two tries of a second.
+  // A name server that does not answer must not delay shutdown: two attempts of one second.
   res_init();
   _res.retrans = 1;
   _res.retry = 2;
@@ -111,13 +111,13 @@ void EnvDirectory::KeepLookingUp() {
   while (true) {
     for (const Name& name : names_) {
       absl::StatusOr<std::vector<std::string>> addresses = LookUp(name.host, name.port);
-      // While a name can't be looked up, what it meant last still counts.
+      // If a name can't be looked up, its last addresses remain valid.
       if (addresses.ok()) {
         Replace(absl::StrCat(kDnsPrefix, name.host, ":", name.port), *std::move(addresses));
         last_error.clear();
       } else if (last_error != addresses.status().message()) {
         last_error = std::string(addresses.status().message());
-        LogWarning("%s; looking again every %s", last_error, absl::FormatDuration(kLookUpEvery));
+        LogWarning("%s; trying again every %s", last_error, absl::FormatDuration(kLookUpEvery));
       }
     }
     const MutexLock lock(&mu_);

@@ -1,4 +1,4 @@
-// Which environment servers there are at the moment.
+// The list of currently known environment servers.
 
 #ifndef CRAFTFLEET_ACTOR_ENV_DIRECTORY_H_
 #define CRAFTFLEET_ACTOR_ENV_DIRECTORY_H_
@@ -14,7 +14,7 @@
 #include <absl/status/statusor.h>
 #include <absl/strings/string_view.h>
 
-#include "common/mutex.h"
+#include "common/base/mutex.h"
 #include "common/wire/channel.h"
 
 namespace craftfleet {
@@ -22,28 +22,29 @@ namespace craftfleet {
 // Thread-safe.
 class EnvDirectory {
  public:
-  // These, for good.
+  // A fixed list.
   explicit EnvDirectory(std::vector<wire::Endpoint> servers);
 
-  // `list`, the value of flag `flag`, has entries joined by commas:
+  // Parses `list`, the value of flag `flag`: entries joined by commas.
   //   HOST:PORT, unix:PATH   a server
-  //   dns:HOST:PORT          one at each address behind the name, which is looked up again every few seconds
-  //   learner                those that registered with the learner
-  //   InvalidArgument: an entry is none of these; names it.
-  // Certificates must carry the name of a dns: entry, where there is TLS.
+  //   dns:HOST:PORT          one server at each address of the name, which is resolved again every few seconds
+  //   learner                the servers registered with the learner
+  //   InvalidArgument: an entry has none of these forms; names it.
+  // With TLS, certificates must have the name of the dns: entry.
   static absl::StatusOr<std::shared_ptr<EnvDirectory>> Parse(absl::string_view flag, absl::string_view list,
                                                              const wire::ChannelSecurity& security = {});
   ~EnvDirectory();
 
-  // Whether the learner's registry is asked for, and what it says.
+  // Whether the list includes the servers registered with the learner.
   bool uses_registry() const { return uses_registry_; }
-  // Whether there will never be others.
+  // Whether the list never changes.
   bool fixed() const { return !uses_registry_ && names_.empty(); }
+  // Sets the addresses of the servers registered with the learner.
   void SetRegistered(std::vector<std::string> addresses) ABSL_LOCKS_EXCLUDED(mu_);
 
-  // The channels are null but for those given to the constructor: EnvClient connects.
+  // The servers, ordered by address. Only endpoints given to the constructor may have channels; EnvClient connects.
   std::vector<wire::Endpoint> Servers() const ABSL_LOCKS_EXCLUDED(mu_);
-  // Another number whenever Servers() has changed.
+  // A number that changes whenever Servers() changes.
   int64_t generation() const { return generation_; }
 
  private:
@@ -53,9 +54,9 @@ class EnvDirectory {
   };
 
   explicit EnvDirectory(const wire::ChannelSecurity& security) : security_(security) {}
-  // Looks names up until the end.
+  // Resolves names until destruction.
   void KeepLookingUp() ABSL_LOCKS_EXCLUDED(mu_);
-  // Makes `addresses` all that `source` has to offer.
+  // Replaces the addresses of `source`.
   void Replace(const std::string& source, std::vector<std::string> addresses) ABSL_LOCKS_EXCLUDED(mu_);
 
   const wire::ChannelSecurity security_;

@@ -1,158 +1,140 @@
-// The games that one loop plays, spread over environment servers.
+// The games of one loop, spread over environment servers.
 
 #ifndef CRAFTFLEET_ACTOR_ENV_POOL_H_
 #define CRAFTFLEET_ACTOR_ENV_POOL_H_
 
 #include <cstddef>
-#include <cstdint>
 #include <map>
 #include <memory>
 #include <string>
 #include <vector>
 
 #include <absl/status/status.h>
+#include <absl/status/statusor.h>
 #include <absl/time/time.h>
-#include <absl/types/optional.h>
 #include <absl/types/span.h>
 
 #include "actor/env_client.h"
+#include "actor/env_connections.h"
 #include "actor/env_directory.h"
-#include "actor/server_book.h"
+#include "actor/env_server_tracker.h"
+#include "actor/lane_placement.h"
 #include "actor/server_health.h"
-#include "common/backoff.h"
-#include "common/mutex.h"
-#include "common/types.h"
+#include "common/base/types.h"
 
 namespace craftfleet {
 
-// Games are opened on the reachable server that has fewest of them and that answers (ServerHealth). When a server fails
-// its games are closed, those on others stay; calls say by `lost` which lanes that were, and the caller opens them
-// again, which lands on the servers that are left. Servers that come and go between fragments are taken in by Refresh.
-// What a server says makes none of these calls fail, unless there is no other (error_policy.h). Owned by one thread;
-// Cancel may be called from any.
+// Opens each game on the server with the fewest games (LanePlacement) among those that can be reached and answer
+// (EnvConnections). When a server fails, its games are closed and the others stay open. Each call returns the lanes
+// lost in this way; the caller opens them again, on the remaining servers. Refresh adapts to servers that come and go.
+// A server's error makes a call fail only if there is no other server (error_policy.h). Owned by one thread; Cancel may
+// be called from any.
 class EnvPool {
  public:
-  // `first` says which of equally loaded servers is taken, so that many pools don't all begin with the same one.
-  // `health` is shared by those who play on the same servers; null: nobody else does.
+  // The result of opening a lane.
+  struct OpenedLane {
+    int lane = 0;
+    std::string frame = {};    // uint8[H,W,3]: its observation
+    std::string refusal = {};  // why two servers, or the only one, refused its snapshot; empty: opened
+  };
+  struct Opened {
+    std::vector<OpenedLane> lanes;  // in the order of the request
+    std::vector<int> lost;          // lanes whose server failed in the meantime, possibly just opened
+  };
+
+  // The result of a step of one lane.
+  struct SteppedLane {
+    int lane = 0;
+    float reward = 0;
+    StepEnd end = StepEnd::kNone;
+    Episode episode;         // set if `end` is not kNone
+    std::string last_frame;  // uint8[H,W,3]: the last frame of a truncated episode, else empty
+    std::string snapshot;    // after the step, if requested
+  };
+  struct Stepped {
+    std::vector<SteppedLane> lanes;  // in the order of the request, without `lost`
+    std::string
+        frames;  // uint8[n,H,W,3], in the order of `lanes`: the next observations; after an end, of the new episode
+    std::vector<int> lost;
+    absl::Duration busy;  // work time of the slowest server
+  };
+
+  // `first`: the preferred one of equally loaded servers (LanePlacement). `health` is shared by all pools with the same
+  // servers; null: there is no other pool.
   EnvPool(std::shared_ptr<EnvDirectory> directory, const v1::SessionHello& hello, int frame_bytes, size_t first = 0,
           std::shared_ptr<ServerHealth> health = nullptr);
 
-  // Follows the directory: takes in new servers, leaves those that are gone or under suspicion, and closes games where
-  // a server has at least two more than another. Returns the lanes that were closed: open them again. Never waits for a
-  // server.
+  // Adapts to the directory: adds new servers, drops those that are gone or do not answer, and closes games if a server
+  // has at least two more than another. Returns the lanes that were closed; the caller opens them again. Never waits
+  // for a connection.
   std::vector<int> Refresh();
 
-  // Opens games (one that is open already begins anew); their observations, uint8[n,H,W,3], go to `frames`. Where a
-  // server fails at it another is taken. `refused`: lanes whose snapshot is no game to two servers, or to the only one;
-  // their rows of `frames` mean nothing.
-  //   Unavailable: no server can be reached or answers; names each.   Cancelled: Cancel was called.
-  //   Others: the directory is fixed and no server fits; the first one's error.
-  // After an error every game is closed.
-  absl::Status Open(absl::Span<const EnvClient::Lane> lanes, std::string* frames, std::vector<int>* lost,
-                    std::vector<EnvClient::Refused>* refused);
+  // Opens games; one that is already open is replaced. If a server fails or refuses a snapshot, another is tried.
+  //   Unavailable: no server can be reached or answers; lists them.   Cancelled: Cancel was called.
+  //   Others: the error of the first server, if the directory is fixed and every server is unfit.
+  // After an error, every game is closed.
+  absl::StatusOr<Opened> Open(absl::Span<const EnvClient::Lane> lanes);
 
-  // Closes those of `lanes` that are open. After an error every game is closed.
-  absl::Status Close(absl::Span<const int> lanes, std::vector<int>* lost);
+  // Closes those of `lanes` that are open. Returns the lanes that were lost. After an error every game is closed.
+  absl::StatusOr<std::vector<int>> Close(absl::Span<const int> lanes);
 
-  // The open lanes in the order in which Step wants them: server by server.
-  std::vector<int> Arrange(std::vector<int> lanes) const;
+  // Orders open lanes as Step requires: server by server.
+  std::vector<int> Arrange(std::vector<int> lanes) const { return placement_.Arrange(std::move(lanes)); }
 
-  // Steps `lanes`, arranged; rows of `batch` stand in their order, without those that are lost.
-  //   Unavailable: all lanes are lost; says why.   Cancelled: Cancel was called. Every game is closed then.
-  absl::Status Step(absl::Span<const int> lanes, absl::Span<const Action> actions, bool snapshot, StepBatch* batch,
-                    std::vector<int>* lost);
+  // Plays one step of `lanes`, which are in the order of Arrange.
+  //   Unavailable: all lanes are lost; gives the reason.   Cancelled: Cancel was called, and every game is closed.
+  absl::StatusOr<Stepped> Step(absl::Span<const int> lanes, absl::Span<const Action> actions, bool snapshot);
 
-  // How long the slowest server was busy with the last step.
-  absl::Duration busy() const { return busy_; }
-  // What is known of each server.
-  std::vector<ServerBook::Server> Report() const;
+  // The state of each server.
+  std::vector<EnvServerTracker::Server> Report() const;
 
   // Ends all sessions, and with them all games.
   void Reset();
 
-  // Ends all sessions for good; from any thread.
-  void Cancel() ABSL_LOCKS_EXCLUDED(mu_);
+  // Ends all sessions for good. May be called from any thread.
+  void Cancel() { connections_.Cancel(); }
 
  private:
-  struct Server {
-    std::unique_ptr<EnvClient> client;
-    absl::Time next_try = absl::InfinitePast();  // to connect; SteadyNow
-    Backoff backoff{absl::Milliseconds(250), absl::Seconds(5)};
-    absl::Status trouble;  // why there is no session; ok: there is one, or it was not tried yet
-    int lanes = 0;
-    StepBatch batch;  // reused
-  };
-
-  // A lane whose snapshot one server did not take.
+  // A snapshot that one server refused.
   struct Refusal {
     size_t server = 0;
     std::string reason;
   };
-  // What Open has under way.
+  // A call of Open in progress.
   struct Opening {
     absl::Span<const EnvClient::Lane> lanes;
-    std::string* frames;
-    std::vector<int>* lost;
-    std::vector<EnvClient::Refused>* refused;
-    std::vector<int> rows;            // of `lanes`: still to be opened
-    std::map<int, Refusal> refusals;  // by row: to be tried on a second server
+    Opened result;
+    std::vector<size_t> rows;            // indices in `lanes` still to be opened
+    std::map<size_t, Refusal> refusals;  // by row; to be tried on a second server
   };
 
-  // Makes servers_ those of the directory. Returns the lanes that were open on others.
-  std::vector<int> FollowDirectory() ABSL_LOCKS_EXCLUDED(mu_);
-  // Connects to the servers whose time has come, that answer and where it takes no waiting; leaves out those for which
-  // there are no files left.
-  void ConnectReachable();
-  // The same, but waits for one if there is no other. Errors as Open.
-  absl::Status ConnectServers();
-  // Waits until one is connected, and a moment for others. False: nothing comes of waiting on.
-  void WaitForServers() ABSL_LOCKS_EXCLUDED(mu_);
-  // Why none is connected.
-  absl::Status WhyNone() const;
-  void Connect(Server* server);
-  // Ends sessions with servers that others found not to answer.
-  absl::Status LoseSuspects(std::vector<int>* lost);
-  bool cancelled() const ABSL_LOCKS_EXCLUDED(mu_);
-  static void TryLater(Server* server, const absl::Status& trouble);
-  // Remembers why there is no session with `server`, and says it once.
-  static void Note(Server* server, const absl::Status& trouble);
-  bool AnyConnected() const;
-  // Closes games on the fullest servers until none has two more than another.
-  void Balance(std::vector<int>* closed);
-  // Ends the session with a server that failed, and adds the lanes that were open there to `lost`.
-  //   Cancelled: Cancel was called.
+  // Tells the placement which servers have a session.
+  void UpdateAvailability();
+  // Connects to servers, waiting if necessary. Errors as Open.
+  absl::Status ConnectAny();
+  // Drops servers that became suspect. Like all functions below, adds their lanes to `lost`.
+  absl::Status DropSuspects(std::vector<int>* lost);
+  // Ends the session with a server that failed.   Cancelled: Cancel was called.
   absl::Status Lose(size_t server, const absl::Status& why, std::vector<int>* lost);
   absl::Status CloseOpenOnes(absl::Span<const int> lanes, std::vector<int>* lost);
-  // Opens the rows of `opening`, none of them open, on the servers that have fewest; leaves in it those whose server
-  // failed or refused them.
+  // Opens the rows of `opening`, none of which is open, on the servers with the fewest games. Rows whose server failed
+  // or refused them remain in it.
   absl::Status Spread(Opening* opening);
-  // Of those that are connected, `except` left out; nothing: there is none.
-  absl::optional<size_t> LeastLoaded(absl::optional<size_t> except) const;
-  // Leaves in `rows` those that the server refused, with their reasons in `reasons`.
-  absl::Status OpenOn(size_t server, const Opening& opening, std::vector<int>* rows, std::vector<std::string>* reasons);
-  // What `server` refused is tried on another, or given up.
-  void TakeRefused(size_t server, const std::vector<int>& rows, const std::vector<std::string>& reasons,
-                   Opening* opening);
-  // `opened` on `server`: who refused one of them does not say the truth.
-  absl::Status BlameRefusals(size_t server, absl::Span<const int> opened, Opening* opening);
-  // The rows of `lanes`, arranged, that are on `server`: [first, last).
-  std::pair<size_t, size_t> RowsOn(size_t server, absl::Span<const int> lanes) const;
-  absl::Status SendAndReceive(absl::Span<const int> lanes, absl::Span<const Action> actions, bool snapshot,
-                              StepBatch* batch, std::vector<int>* lost);
+  // Opens `rows`, which are placed on `server`. Returns the reasons of those that it refused, by row.
+  absl::StatusOr<std::map<size_t, std::string>> OpenOn(size_t server, const std::vector<size_t>& rows,
+                                                       Opening* opening);
+  // Schedules the lanes that `server` refused for another server, or gives up on them.
+  void HandleRefusals(size_t server, const std::map<size_t, std::string>& reasons, Opening* opening);
+  // `server` has opened some of `rows`: servers that refused one of these become suspect.
+  absl::Status BlameRefusals(size_t server, const std::vector<size_t>& rows, Opening* opening);
+  absl::StatusOr<Stepped> SendAndReceive(absl::Span<const int> lanes, absl::Span<const Action> actions, bool snapshot);
+  // Appends the reply of one server, which stepped `lanes`.
+  void Append(absl::Span<const int> lanes, StepBatch* batch, Stepped* stepped) const;
 
-  const std::shared_ptr<EnvDirectory> directory_;
-  const v1::SessionHello hello_;
   const int frame_bytes_;
-  const size_t first_;
-  const std::shared_ptr<ServerHealth> health_;
-  bool ever_connected_ = false;
-  int64_t generation_ = 0;           // of the directory, as followed
-  std::map<int, size_t> server_of_;  // index into servers_, by lane
-  absl::Duration busy_;
-
-  mutable Mutex mu_;  // guards the list of servers against Cancel; its owner alone changes it
-  std::vector<std::unique_ptr<Server>> servers_;
-  bool cancelled_ ABSL_GUARDED_BY(mu_) = false;
+  EnvConnections connections_;
+  LanePlacement placement_;
+  StepBatch batch_;  // of the server that is being read; reused
 };
 
 }  // namespace craftfleet

@@ -1,4 +1,4 @@
-// Who looks on while episodes are played.
+// An interface for observing episodes while they are played.
 
 #ifndef CRAFTFLEET_ACTOR_EPISODE_OBSERVER_H_
 #define CRAFTFLEET_ACTOR_EPISODE_OBSERVER_H_
@@ -7,25 +7,25 @@
 
 #include <absl/status/status.h>
 
-#include "common/crafter.h"
-#include "common/types.h"
+#include "common/base/crafter.h"
+#include "common/base/types.h"
 
 namespace craftfleet {
 
 struct ObservedStep {
   Action action = Action::kNoop;
   float reward = 0;
-  StepEnd end = StepEnd::kNone;  // another one: the step was the episode's last
+  StepEnd end = StepEnd::kNone;  // not kNone: the step was the episode's last
 };
 
-// Sees each episode from its first moment to its last, several side by side. An error ends the evaluation. Called from
-// one thread.
+// Receives each episode from its first moment to its last; several episodes run side by side. An error ends the
+// evaluation. Called from one thread.
 class EpisodeObserver {
  public:
   virtual ~EpisodeObserver() = default;
   // Episode `number` of the environment begins.
   virtual absl::Status OnStart(int64_t number, const Moment& moment) = 0;
-  // A step of it, and the moment after it.
+  // A step of episode `number`, and the moment after it.
   virtual absl::Status OnStep(int64_t number, const ObservedStep& step, const Moment& moment) = 0;
 };
 

@@ -1,4 +1,4 @@
-// What an actor does about each error of those that it calls: one table, which README.md repeats.
+// The actor's reaction to each error of its calls, as one table, which README.md repeats.
 
 #ifndef CRAFTFLEET_ACTOR_ERROR_POLICY_H_
 #define CRAFTFLEET_ACTOR_ERROR_POLICY_H_
@@ -11,44 +11,44 @@
 
 namespace craftfleet {
 
-// What was asked for.
-enum class Called {
-  kJoin,      // of the learner, like all but the last
-  kPermits,   // and results of evaluations
-  kPush,      // fragments
-  kWeights,   // and what is made of them
-  kSnapshot,  // where a lane's fragment begins
-  kSession,   // of an environment server: hello, open, step or close
+// The kinds of calls.
+enum class CallKind {
+  kJoin,      // to the learner, like all but the last
+  kPermits,   // also results of evaluations
+  kPush,      // sending fragments
+  kWeights,   // also making a policy of them
+  kSnapshot,  // of a lane before a fragment
+  kSession,   // to an environment server: hello, open, step or close
 };
-inline constexpr int kNumCalled = 6;
+inline constexpr int kNumCallKinds = 6;
 
 enum class Reaction {
-  kRetry,         // try again with growing pauses; what it was needed for is given back meanwhile
-  kJoinAgain,     // forget what waits, and join
-  kDropFragment,  // the learner will not have it: its permit is given back, the next one is sent
-  kOtherServer,   // its games go on elsewhere from their snapshots; it is tried again with growing pauses
-  kLeaveAlone,    // the same, but first it has to answer a probe (server_health.h)
-  kUnfit,         // as kOtherServer; where each of a fixed list of servers is unfit, the program ends
+  kRetry,         // try again with growing pauses; permits that depend on the call are released
+  kJoinAgain,     // drop the waiting permits and fragments, and join
+  kDropFragment,  // the learner refuses the fragment for good: its permit is released, the next fragment is sent
+  kOtherServer,   // the games continue elsewhere from their snapshots; the server is tried again with growing pauses
+  kProbeFirst,    // the same, but the server must answer a probe first (server_health.h)
+  kUnfit,         // as kOtherServer; if every server of a fixed list is unfit, the program ends
   kEnd,           // the program ends with the error, exit code 1
 };
 
 // A row of the table.
 struct ErrorRule {
   absl::StatusCode code;
-  Reaction reactions[kNumCalled];  // by Called
+  Reaction reactions[kNumCallKinds];  // by CallKind
   absl::string_view why;
 };
 
-// Every code but OK, in the order of their numbers.
+// A rule for every code but OK, in numerical order.
 absl::Span<const ErrorRule> ErrorPolicy();
 
-// What to do about `error`, which is not ok, of `called`.
-Reaction ReactionTo(Called called, const absl::Status& error);
+// The reaction to `error`, which is not ok, of a call.
+Reaction ReactionTo(CallKind call, const absl::Status& error);
 
-// Whether waiting may mend it: any reaction but kEnd and kUnfit.
-bool MayPass(Called called, const absl::Status& error);
+// Whether the same call may succeed later: any reaction but kEnd and kUnfit.
+bool IsTransient(CallKind call, const absl::Status& error);
 
-// The table as it stands in README.md.
+// Formats the table as in README.md.
 std::string FormatErrorPolicy();
 
 }  // namespace craftfleet

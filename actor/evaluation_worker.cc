@@ -8,9 +8,9 @@
 #include "actor/error_policy.h"
 #include "actor/evaluator.h"
 #include "common/agent/policy.h"
-#include "common/clock.h"
-#include "common/log.h"
-#include "common/status_macros.h"
+#include "common/base/clock.h"
+#include "common/base/status_macros.h"
+#include "common/telemetry/log.h"
 #include "common/wire/convert.h"
 
 namespace craftfleet {
@@ -30,7 +30,7 @@ bool EvaluationWorker::ready() const {
   return SteadyNow() >= next_try_;
 }
 
-void EvaluationWorker::Give(int64_t epoch, const v1::EvaluationTask& task) {
+void EvaluationWorker::Assign(int64_t epoch, const v1::EvaluationTask& task) {
   const MutexLock lock(&mu_);
   if (job_.has_value()) return;
   job_ = Job{epoch, task};
@@ -69,7 +69,7 @@ void EvaluationWorker::Run() {
       backoff_.Reset();
     } else if (!stopping_) {
       next_try_ = SteadyNow() + backoff_.Next();
-      LogWarning("evaluation task %d given back: %s", job.task.id(), status.message());
+      LogWarning("evaluation task %d returned: %s", job.task.id(), status.message());
     }
   }
 }
@@ -77,7 +77,7 @@ void EvaluationWorker::Run() {
 absl::Status EvaluationWorker::Play(const Job& job) {
   CRAFTFLEET_ASSIGN_OR_RETURN(const std::string weights, learner_->GetEvaluationWeights(job.task.id()));
   CRAFTFLEET_ASSIGN_OR_RETURN(const std::unique_ptr<const Policy> policy,
-                              Policy::Create(options_.spec, weights, options_.tile));
+                              Policy::Create(options_.spec, weights, options_.tile, options_.device));
   CRAFTFLEET_ASSIGN_OR_RETURN(EnvClient * env, Connect(job.task.env()));
   EvaluationOptions evaluation;
   evaluation.seed = job.task.seed();
@@ -124,9 +124,9 @@ absl::StatusOr<EnvClient*> EvaluationWorker::Connect(const v1::EnvConfig& env) {
 }
 
 void EvaluationWorker::Blame(const EnvClient& env, const absl::Status& error) {
-  // Of errors of its session the client says whose they are; the policy's are not about the server.
+  // Errors of the session name the server; other errors come from the policy.
   if (!absl::StartsWith(error.message(), "environment server ")) return;
-  if (ReactionTo(Called::kSession, error) == Reaction::kLeaveAlone) options_.health->Suspect(env.server(), error);
+  if (ReactionTo(CallKind::kSession, error) == Reaction::kProbeFirst) options_.health->Suspect(env.server(), error);
 }
 
 }  // namespace craftfleet

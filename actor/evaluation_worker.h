@@ -1,4 +1,4 @@
-// Plays the evaluations that a learner hands out, on a thread of its own.
+// Plays the evaluation tasks that the learner assigns, on its own thread.
 
 #ifndef CRAFTFLEET_ACTOR_EVALUATION_WORKER_H_
 #define CRAFTFLEET_ACTOR_EVALUATION_WORKER_H_
@@ -18,36 +18,37 @@
 #include "actor/learner_client.h"
 #include "actor/server_health.h"
 #include "common/agent/agent_spec.h"
-#include "common/backoff.h"
-#include "common/mutex.h"
+#include "common/base/backoff.h"
+#include "common/base/mutex.h"
 #include "craftfleet/v1/environment.pb.h"
 #include "craftfleet/v1/learner.pb.h"
 
 namespace craftfleet {
 
-// One task at a time. A task that can't be played is dropped: the learner gives it to someone again. Thread-safe.
+// Plays one task at a time. A task that can't be played is dropped; the learner assigns it again. Thread-safe.
 class EvaluationWorker {
  public:
   struct Options {
-    std::string actor;  // name, as it joined
+    std::string actor;  // the actor's name
     std::shared_ptr<EnvDirectory> env_servers;
-    std::shared_ptr<ServerHealth> health;  // of these
-    v1::SessionHello hello;                // of a session; its environment is replaced by the task's
+    std::shared_ptr<ServerHealth> health;  // of env_servers
+    v1::SessionHello hello;                // of sessions; the task's environment replaces its own
     AgentSpec spec;
     int tile = 1;
+    std::string device = "cpu";  // of the policy
   };
 
   // Starts the thread. `learner` outlives this.
   EvaluationWorker(const Options& options, const LearnerClient* learner);
   ~EvaluationWorker();
 
-  // Whether it would play a task; not for a while after one that it could not play.
+  // Whether a task would be accepted; false for a while after a task that could not be played.
   bool ready() const ABSL_LOCKS_EXCLUDED(mu_);
-  // Plays `task` of the learner's start `epoch`, if nothing is at hand.
-  void Give(int64_t epoch, const v1::EvaluationTask& task) ABSL_LOCKS_EXCLUDED(mu_);
-  // Id of the task at hand in `epoch`; 0: none.
+  // Starts to play `task` of learner epoch `epoch`, unless there is already a task.
+  void Assign(int64_t epoch, const v1::EvaluationTask& task) ABSL_LOCKS_EXCLUDED(mu_);
+  // The id of the current task if it is of `epoch`; 0: none.
   int64_t current(int64_t epoch) const ABSL_LOCKS_EXCLUDED(mu_);
-  // Ends the task at hand and the thread. Idempotent.
+  // Ends the current task and the thread. Idempotent.
   void Stop() ABSL_LOCKS_EXCLUDED(mu_);
 
  private:
@@ -58,10 +59,10 @@ class EvaluationWorker {
 
   void Run() ABSL_LOCKS_EXCLUDED(mu_);
   absl::Status Play(const Job& job) ABSL_LOCKS_EXCLUDED(mu_);
-  // A session with the first environment server that answers, each time from another one on.
+  // Begins a session with the first environment server that answers, starting from another one each time.
   //   Cancelled: Stop was called.   Unavailable: none answers.
   absl::StatusOr<EnvClient*> Connect(const v1::EnvConfig& env) ABSL_LOCKS_EXCLUDED(mu_);
-  // Puts a server under suspicion that did not answer, or nonsense.
+  // Marks the server as suspect if it did not answer or sent an invalid answer.
   void Blame(const EnvClient& env, const absl::Status& error);
 
   const Options options_;
@@ -72,7 +73,7 @@ class EvaluationWorker {
   std::optional<Job> job_ ABSL_GUARDED_BY(mu_);
   Backoff backoff_ ABSL_GUARDED_BY(mu_){absl::Seconds(1), absl::Seconds(10)};
   absl::Time next_try_ ABSL_GUARDED_BY(mu_) = absl::InfinitePast();  // SteadyNow
-  size_t tries_ = 0;                                                 // of the thread
+  size_t tries_ = 0;                                                 // used only by the thread
   std::unique_ptr<EnvClient> env_ ABSL_GUARDED_BY(mu_);              // made and used by the thread; Stop cancels it
   bool stopping_ ABSL_GUARDED_BY(mu_) = false;
   std::thread thread_;

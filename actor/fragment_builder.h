@@ -8,26 +8,26 @@
 #include <absl/strings/string_view.h>
 #include <absl/types/span.h>
 
-#include "common/types.h"
+#include "common/base/types.h"
 
 namespace craftfleet {
 
 // Thread-compatible: one thread at a time. Order of calls: Start, Append `steps` times, Finish.
 class FragmentBuilder {
  public:
-  // Begins a fragment of `steps` steps; memory for `steps` frames of `frame_bytes` is taken at once.
+  // Begins a fragment of `steps` steps, and reserves memory for `steps` frames of `frame_bytes` each.
   void Start(int64_t epoch, int lane, int64_t number, int64_t policy_version, int steps, int frame_bytes);
 
-  // The recurrent state before the step that is appended next: once, before the first step, or before each.
+  // Adds the recurrent state before the next step. Called before the first step only, or before each step.
   void AddState(absl::Span<const float> state);
-  // One transition: what the policy saw and did, and what came of it.
+  // Appends a transition: the policy's observation and action, and the result.
   void Append(absl::string_view frame, Action action, float log_prob, float value, float reward, StepEnd end);
-  // The episode that ended with the step appended last.
+  // Adds the episode that ended with the last appended step.
   void AddEpisode(Episode episode);
-  // Value of the last frame of the episode truncated by the step appended last.
+  // Adds the value of the last frame of the episode that the last appended step truncated.
   void AddTruncationValue(float value);
 
-  // Number of steps appended so far, 0..T.
+  // The number of steps appended so far, 0..T.
   int size() const { return static_cast<int>(fragment_.rewards.size()); }
 
   Fragment Finish(float bootstrap_value, LaneSnapshot snapshot);

@@ -3,11 +3,11 @@
 #include <utility>
 
 #include <absl/strings/str_cat.h>
-#include <absl/time/clock.h>
 
 #include "actor/error_policy.h"
-#include "common/backoff.h"
-#include "common/log.h"
+#include "common/base/backoff.h"
+#include "common/base/clock.h"
+#include "common/telemetry/log.h"
 #include "common/wire/convert.h"
 #include "common/wire/grpc_status.h"
 
@@ -16,15 +16,15 @@ namespace {
 
 constexpr absl::Duration kFirstPause = absl::Milliseconds(250);  // before the next stream
 constexpr absl::Duration kLastPause = absl::Seconds(2);
-constexpr absl::Duration kSayAgain = absl::Seconds(10);  // between two lines about the same trouble
+constexpr absl::Duration kLogAgain = absl::Seconds(10);  // between two lines about the same error
 
 HeldPermit PermitOf(const v1::FragmentMessage& message) {
-  return {message.epoch(), message.lane(), message.number(), message.policy_version()};
+  return {{message.lane(), message.number(), message.policy_version()}, message.epoch()};
 }
 
 }  // namespace
 
-FragmentSender::FragmentSender(const LearnerClient* learner, std::string actor, PermitBook* permits)
+FragmentSender::FragmentSender(const LearnerClient* learner, std::string actor, PermitTracker* permits)
     : learner_(learner), actor_(std::move(actor)), permits_(permits) {}
 
 FragmentSender::~FragmentSender() { Stop(); }
@@ -46,7 +46,7 @@ absl::Status FragmentSender::Push(Fragment fragment) {
 void FragmentSender::DropWaiting() {
   const MutexLock lock(&mu_);
   for (const Fragment& fragment : waiting_) {
-    permits_->Release({fragment.epoch, fragment.lane, fragment.number, fragment.policy_version});
+    permits_->Release({{fragment.lane, fragment.number, fragment.policy_version}, fragment.epoch});
   }
   waiting_.clear();
   changed_.NotifyAll();
@@ -125,7 +125,7 @@ absl::Status FragmentSender::ReadVerdicts(Stream* stream) {
   while (status.ok() && stream->Read(&verdict)) status = TakeVerdict(verdict);
   const MutexLock lock(&mu_);
   ended_ = true;
-  if (!status.ok()) context_->TryCancel();  // it is still open, and the writer may be in the middle of it
+  if (!status.ok()) context_->TryCancel();  // the stream is still open, and the writer may be blocked in it
   changed_.NotifyAll();
   return status;
 }
@@ -135,7 +135,7 @@ absl::Status FragmentSender::TakeVerdict(const v1::FragmentVerdict& verdict) {
   if (written_ == 0 || verdict.lane() != under_way_.front()->lane() ||
       verdict.number() != under_way_.front()->number()) {
     return absl::InternalError(absl::StrCat(learner_->name(), ": verdict on fragment ", verdict.number(), " of lane ",
-                                            verdict.lane(), ", which is not the next"));
+                                            verdict.lane(), ", want that of the oldest fragment sent"));
   }
   ++(verdict.verdict() == v1::FragmentVerdict::EXPIRED ? refused_ : accepted_);
   --written_;
@@ -151,13 +151,13 @@ void FragmentSender::Settle() {
 
 void FragmentSender::Explain(const absl::Status& why) {
   const MutexLock lock(&mu_);
-  if (ReactionTo(Called::kPush, why) == Reaction::kDropFragment && !under_way_.empty()) {
-    LogError("%s; the fragment is dropped: run programs of one version", why.message());
+  if (ReactionTo(CallKind::kPush, why) == Reaction::kDropFragment && !under_way_.empty()) {
+    LogError("%s; the fragment is dropped: run programs of the same version", why.message());
     ++refused_;
     Settle();
-  } else if (absl::Now() - said_ > kSayAgain) {
-    said_ = absl::Now();
-    LogWarning("%s; fragments wait and will be sent again", why.message());
+  } else if (SteadyNow() - logged_ > kLogAgain) {
+    logged_ = SteadyNow();
+    LogWarning("%s; fragments will be sent again", why.message());
   }
 }
 

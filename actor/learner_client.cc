@@ -4,19 +4,19 @@
 #include <absl/strings/str_format.h>
 
 #include "actor/learner_replies.h"
-#include "common/status_macros.h"
+#include "common/base/status_macros.h"
 
 namespace craftfleet {
 namespace {
 
-constexpr absl::Duration kCallTimeout = absl::Seconds(4);       // below the 5 s within which a user hears of trouble
+constexpr absl::Duration kCallTimeout = absl::Seconds(4);       // users should see an error within 5 s
 constexpr absl::Duration kWeightsTimeout = absl::Seconds(120);  // half a gigabyte over a slow link
 constexpr int kWeightsWaitMs = 1000;
-constexpr size_t kSnapshotsAtOnce = 32;  // of the 128 calls that a connection may have
+constexpr size_t kSnapshotsAtOnce = 32;  // a connection may have 128 calls
 
 }  // namespace
 
-// A call's context, which Cancel finds as long as it lives.
+// The context of a call, registered so that Cancel can cancel it.
 class LearnerClient::Call {
  public:
   Call(const LearnerClient* client, absl::Duration timeout) : client_(client) {
@@ -98,7 +98,7 @@ absl::Status LearnerClient::AppendSnapshots(absl::Span<const HeldPermit> permits
     call.reader = stub_->AsyncGetSnapshot(call.call.context(), request, &answers);
     call.reader->Finish(&call.reply, &call.status, &call);
   }
-  // Every answer before anything else: the queue has to be empty when it goes.
+  // Receive all replies first, since the queue must be empty when it is destroyed.
   for (size_t i = 0; i < calls.size(); ++i) {
     void* tag = nullptr;
     bool ok = false;
@@ -117,7 +117,7 @@ void LearnerClient::Leave(const std::string& actor) const {
   v1::LeaveRequest request;
   request.set_actor(actor);
   v1::LeaveReply reply;
-  // A learner that does not hear this notices by the lease.
+  // If the learner does not receive this, the lease expires.
   stub_->Leave(&context, request, &reply);
 }
 

@@ -15,41 +15,42 @@
 #include <absl/time/time.h>
 #include <absl/types/span.h>
 
-#include "actor/permit_book.h"
-#include "common/mutex.h"
-#include "common/types.h"
+#include "actor/permit_tracker.h"
+#include "common/base/mutex.h"
+#include "common/base/types.h"
 #include "common/wire/channel.h"
 #include "craftfleet/v1/learner.grpc.pb.h"
 
 namespace craftfleet {
 
 // Thread-safe.
-//   Unavailable, DeadlineExceeded: the learner can't be reached or does not answer: try again.
-//   Cancelled: Cancel was called.   Others as learner.proto says for each call.
+//   Unavailable, DeadlineExceeded: the learner can't be reached or does not answer; retry.
+//   Cancelled: Cancel was called.   Others as learner.proto states for each call.
 class LearnerClient {
  public:
   explicit LearnerClient(wire::Endpoint learner);
 
   absl::StatusOr<v1::JoinReply> Join(const v1::JoinRequest& request) const;
   absl::StatusOr<v1::PermitReply> GetPermits(const v1::PermitRequest& request) const;
-  // Where the fragments of `permits`, all of one epoch, begin; in their order. Asked for side by side: the learner may
-  // be far. `state_size` is that of the agent (AgentSpec). A lane of which the learner has nothing that could be played
-  // has DataLoss in its place.
+  // Fetches the snapshots before the fragments of `permits`, which are of one epoch; returns them in the same order.
+  // The requests run in parallel, since the learner may be far away. `state_size` is that of the agent (AgentSpec). An
+  // invalid snapshot is returned as DataLoss.
   absl::StatusOr<std::vector<absl::StatusOr<LaneSnapshot>>> GetSnapshots(absl::Span<const HeldPermit> permits,
                                                                          int state_size) const;
+  // Tells the learner that the actor leaves. Errors are ignored: without this call, the lease expires.
   void Leave(const std::string& actor) const;
 
-  // Ends every call under way and to come, but for Leave and PushFragments. From any thread.
+  // Ends all current and future calls except Leave and PushFragments. May be called from any thread.
   void Cancel() ABSL_LOCKS_EXCLUDED(mu_);
 
-  // The weights of `version` or a later one: (version, safetensors bytes).
+  // Fetches the weights of `version` or a later one: (version, safetensors bytes).
   absl::StatusOr<std::pair<int64_t, std::string>> GetWeights(int64_t version) const;
 
-  // The weights to play evaluation task `id` with.
+  // Fetches the weights (safetensors) for evaluation task `id`.
   absl::StatusOr<std::string> GetEvaluationWeights(int64_t id) const;
   absl::Status FinishEvaluation(const v1::EvaluationResult& result) const;
 
-  // A stream for fragments; `context` ends it.
+  // Opens a stream for fragments. Cancelling `context` ends it.
   std::unique_ptr<grpc::ClientReaderWriter<v1::FragmentMessage, v1::FragmentVerdict>> PushFragments(
       grpc::ClientContext* context) const {
     return stub_->PushFragments(context);
@@ -61,10 +62,10 @@ class LearnerClient {
   class Call;
   struct SnapshotCall;
 
-  // As GetSnapshots, of so few that all are asked for at once.
+  // As GetSnapshots, for few enough permits to be requested all at once.
   absl::Status AppendSnapshots(absl::Span<const HeldPermit> permits, int state_size,
                                std::vector<absl::StatusOr<LaneSnapshot>>* snapshots) const;
-  // The error of a unary call or a download that has ended.
+  // Converts the status of a finished call, and adds the learner's name.
   absl::Status FromCall(const grpc::Status& status) const ABSL_LOCKS_EXCLUDED(mu_);
 
   absl::StatusOr<std::pair<int64_t, std::string>> ReceiveWeights(const v1::WeightsRequest& request) const;

@@ -1,5 +1,6 @@
 #include "actor/learner_replies.h"
 
+#include <limits>
 #include <set>
 #include <string>
 #include <utility>
@@ -7,9 +8,9 @@
 #include <absl/strings/str_format.h>
 
 #include "actor/evaluator.h"
-#include "common/config.h"
-#include "common/snapshot_envelope.h"
-#include "common/status_macros.h"
+#include "common/base/status_macros.h"
+#include "common/config/config.h"
+#include "common/io/snapshot_envelope.h"
 #include "common/wire/channel.h"
 #include "common/wire/convert.h"
 #include "common/wire/protocol.h"
@@ -17,9 +18,10 @@
 namespace craftfleet {
 namespace {
 
-constexpr int64_t kMaxCount = int64_t{1} << 52;  // of anything: a double counts so far
+using wire::kMaxCount;
 constexpr int kMaxServers = 1 << 16;
-// A shorter lease lapses between two requests, and nobody sets a longer one.
+constexpr int64_t kMaxSeed = std::numeric_limits<int32_t>::max();  // also of episodes, whose seeds follow from it
+// A shorter lease would lapse between two requests; a longer one makes no sense.
 constexpr int kMinLeaseMs = 100;
 constexpr int kMaxLeaseMs = 24 * 3600 * 1000;
 
@@ -40,11 +42,13 @@ absl::Status CheckPermit(absl::string_view field, const v1::Permit& permit, int 
 
 absl::Status CheckEvaluation(const v1::EvaluationTask& task, int frame_size) {
   CRAFTFLEET_RETURN_IF_ERROR(Within("evaluation.id", task.id(), 1, kMaxCount));
+  CRAFTFLEET_RETURN_IF_ERROR(Within("evaluation.seed", task.seed(), 0, kMaxSeed));
+  CRAFTFLEET_RETURN_IF_ERROR(Within("evaluation.first_episode", task.first_episode(), 1, kMaxSeed));
   EvaluationOptions options;
   options.first_episode = task.first_episode();
   options.episodes = task.episodes();
   CRAFTFLEET_RETURN_IF_ERROR(AsDataLoss(options.Validate()));
-  // Policies see pictures of one size.
+  // A policy has one frame size.
   return Within("evaluation.env.frame_size", task.env().frame_size(), frame_size, frame_size);
 }
 
@@ -55,6 +59,7 @@ absl::Status CheckJoinReply(v1::JoinReply* reply) {
   if (reply->run_id().empty()) return absl::DataLossError("run_id is empty, want the run's");
   CRAFTFLEET_RETURN_IF_ERROR(AsDataLoss(wire::CheckText("texture_digest", reply->texture_digest())));
   CRAFTFLEET_RETURN_IF_ERROR(AsDataLoss(wire::CheckText("program_version", reply->program_version())));
+  CRAFTFLEET_RETURN_IF_ERROR(AsDataLoss(wire::CheckText("game_canary", reply->game_canary())));
   CRAFTFLEET_RETURN_IF_ERROR(Within("epoch", reply->epoch(), 0, kMaxCount));
   CRAFTFLEET_RETURN_IF_ERROR(Within("lease_ms", reply->lease_ms(), kMinLeaseMs, kMaxLeaseMs));
   absl::StatusOr<v1::RunConfig> config = ResolveRunConfig(reply->config());
@@ -88,7 +93,7 @@ absl::Status CheckWeightsChunk(const v1::WeightsChunk& chunk, int64_t version, i
                                     version < 0 ? kMaxCount : version));
   CRAFTFLEET_RETURN_IF_ERROR(Within("weights: total_bytes", chunk.total_bytes(), version < 0 ? 1 : total_bytes,
                                     version < 0 ? kMaxWeightsBytes : total_bytes));
-  return Within("weights: bytes received", received + static_cast<int64_t>(chunk.data().size()), 0,
+  return Within("weights: bytes of data received", received + static_cast<int64_t>(chunk.data().size()), 0,
                 chunk.total_bytes());
 }
 

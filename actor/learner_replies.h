@@ -1,4 +1,4 @@
-// What a learner may answer: each field of its replies with its range, in one place.
+// Checks the replies of a learner: the ranges of all fields, in one place.
 
 #ifndef CRAFTFLEET_ACTOR_LEARNER_REPLIES_H_
 #define CRAFTFLEET_ACTOR_LEARNER_REPLIES_H_
@@ -8,27 +8,28 @@
 #include <absl/status/status.h>
 #include <absl/status/statusor.h>
 
-#include "common/types.h"
+#include "common/base/types.h"
 #include "craftfleet/v1/learner.pb.h"
 
 namespace craftfleet {
 
-// All of these give DataLoss with field, value and what was expected.
+// All checks return DataLoss with field, value and what was expected.
 
-// Largest file of weights, bytes: far beyond the largest agent, well below what a host would miss.
+// The maximum size of weights, in bytes: far above the largest agent, well below a host's memory.
 inline constexpr int64_t kMaxWeightsBytes = int64_t{2} << 30;
 
-// Resolves and checks the configuration, too.
+// Also resolves and checks the configuration.
 absl::Status CheckJoinReply(v1::JoinReply* reply);
 
-// Of a run with `lanes` lanes, to `request`, whose active permits and capacity bound what can be granted.
+// Checks the reply to `request` in a run with `lanes` lanes. `frame_size`: of the agent, in pixels.
 absl::Status CheckPermitReply(const v1::PermitRequest& request, int lanes, int frame_size,
                               const v1::PermitReply& reply);
 
-// The next chunk after those of `version` (-1: it is the first) that announced `total_bytes` and brought `received`.
+// Checks the next chunk of weights. `version` (-1: this is the first chunk) and `total_bytes` are those of the earlier
+// chunks, and `received` is the number of bytes in them.
 absl::Status CheckWeightsChunk(const v1::WeightsChunk& chunk, int64_t version, int64_t total_bytes, int64_t received);
 
-// Where a lane stands. Its game is bounded here and judged by those who play it.
+// Returns a lane's snapshot. Only the size of its game is checked here; environment servers check its content.
 absl::StatusOr<LaneSnapshot> ReadSnapshot(v1::SnapshotReply* reply, int state_size);
 
 }  // namespace craftfleet

@@ -1,14 +1,16 @@
-// craftfleet-actor: plays for a learner, with games of environment servers.
+// craftfleet-actor: plays fragments for a learner on environment servers.
 
 #include <absl/flags/flag.h>
+#include <absl/strings/str_format.h>
 
 #include "actor/actor.h"
 #include "common/agent/torch_setup.h"
-#include "common/cpu_pin.h"
-#include "common/cpu_quota.h"
-#include "common/log.h"
-#include "common/program.h"
-#include "common/status_macros.h"
+#include "common/base/status_macros.h"
+#include "common/process/cpu_pin.h"
+#include "common/process/cpu_quota.h"
+#include "common/process/flag_values.h"
+#include "common/process/program.h"
+#include "common/telemetry/log.h"
 #include "common/wire/channel.h"
 #include "common/wire/channel_flags.h"
 #include "common/wire/metrics_flags.h"
@@ -17,13 +19,19 @@
 
 ABSL_FLAG(std::string, learner, "127.0.0.1:50051", "address of the learner, HOST:PORT");
 ABSL_FLAG(std::string, envservers, "127.0.0.1:50061",
-          "environment servers, joined by commas: HOST:PORT; dns:HOST:PORT for every address behind a name,\n"
-          "looked up again every 3 s; learner for those that were started with --learner");
-ABSL_FLAG(int32_t, threads, 0, "threads that play; 0: as many as the CPU quota allows");
-ABSL_FLAG(int32_t, max_lanes, 4096, "games to play side by side at most; the learner gives each actor its share");
-ABSL_FLAG(double, env_timeout, 10,
-          "seconds that an environment server may take for a request, 0.1..3600; a step takes microseconds. One that\n"
-          "opens games has a hundredth more for each. A server that takes longer is left alone until it answers again");
+          "environment servers, joined by commas: HOST:PORT, dns:HOST:PORT or learner\n"
+          "dns: every address of a name, resolved again every 3 s; learner: the servers that registered with the\n"
+          "learner (craftfleet-envserver --learner=...)");
+ABSL_FLAG(int32_t, threads, 0, "playing threads; 0: as many as the CPU quota allows");
+ABSL_FLAG(std::string, device, "auto",
+          "device to act on: auto (what the run acts on), cpu, cuda or cuda:N\n"
+          "a run acts on GPUs if its configuration has device: CUDA; two threads play then");
+ABSL_FLAG(int32_t, max_lanes, 4096,
+          "maximum number of games to play side by side, 1..4096; the learner assigns each actor its share");
+ABSL_FLAG(craftfleet::TimeSpan, env_timeout, {absl::Seconds(10)},
+          "how long an environment server may take for a request, 0.1s..1h; a step takes microseconds\n"
+          "A request that opens games has 1% more time for each game. A server that takes longer is not used\n"
+          "until it answers again");
 ABSL_FLAG(std::string, listen, "127.0.0.1:0", "address to serve status on, HOST:PORT; port 0: any free one");
 
 namespace craftfleet {
@@ -31,10 +39,13 @@ namespace {
 
 constexpr char kProgram[] = "craftfleet-actor";
 constexpr char kUsage[] =
-    R"(craftfleet-actor plays for a learner: it fetches configuration and weights from it, games from environment servers, and
-sends what it played. It may come and go at any time; what it leaves unfinished another actor plays.
+    R"(craftfleet-actor plays for a learner: it fetches the configuration and weights from it, plays games of environment
+servers, and sends the fragments it played. Actors may join and leave at any time: another one plays what an actor leaves
+unfinished.
 
-  craftfleet-actor --learner=127.0.0.1:50051 --envservers=127.0.0.1:50061,127.0.0.1:50062)";
+  craftfleet-actor --learner=127.0.0.1:50051 --envservers=127.0.0.1:50061,127.0.0.1:50062
+
+Ctrl-C, SIGTERM or closing the terminal stops it.)";
 
 absl::Status Run() {
   SetUpTorchThread();
@@ -47,10 +58,16 @@ absl::Status Run() {
   options.learner = wire::Connect(learner, security);
   CRAFTFLEET_ASSIGN_OR_RETURN(options.env_servers,
                               EnvDirectory::Parse("envservers", absl::GetFlag(FLAGS_envservers), security));
-  options.threads = absl::GetFlag(FLAGS_threads) == 0 ? DefaultThreads() : absl::GetFlag(FLAGS_threads);
+  const int threads = absl::GetFlag(FLAGS_threads);
+  if (threads < 0 || threads > 256) {
+    return absl::InvalidArgumentError(
+        absl::StrFormat("--threads=%d, want 0..256; 0: as many as the CPU quota allows", threads));
+  }
+  options.threads = threads == 0 ? DefaultThreads() : threads;
   options.capacity = absl::GetFlag(FLAGS_max_lanes);
+  options.device = absl::GetFlag(FLAGS_device);
   options.set_up = [](const v1::RunConfig& config) { return PinCpu(config.cpu()); };
-  options.env_timeout = absl::Seconds(absl::GetFlag(FLAGS_env_timeout));
+  options.env_timeout = absl::GetFlag(FLAGS_env_timeout).value;
   CRAFTFLEET_ASSIGN_OR_RETURN(const std::unique_ptr<Actor> actor, Actor::Create(options));
   wire::StatusServiceImpl status("actor", [&actor](v1::StatusReply* reply) { actor->FillStatus(reply); });
   CRAFTFLEET_ASSIGN_OR_RETURN(
@@ -68,6 +85,7 @@ absl::Status Run() {
 }  // namespace craftfleet
 
 int main(int argc, char** argv) {
+  craftfleet::OutliveReaders();
   craftfleet::ParseFlags(craftfleet::kProgram, craftfleet::kUsage, argc, argv);
   craftfleet::wire::PollFewConnections();
   return craftfleet::ExitCode(craftfleet::kProgram, craftfleet::Run());

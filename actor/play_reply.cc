@@ -7,12 +7,12 @@
 #include <absl/strings/str_format.h>
 #include <absl/time/time.h>
 
-#include "common/crafter.h"
-#include "common/env_name.h"
-#include "common/printable.h"
-#include "common/snapshot_envelope.h"
-#include "common/status_macros.h"
-#include "common/types.h"
+#include "common/base/crafter.h"
+#include "common/base/printable.h"
+#include "common/base/status_macros.h"
+#include "common/base/types.h"
+#include "common/config/env_name.h"
+#include "common/io/snapshot_envelope.h"
 #include "common/wire/fragment_check.h"
 #include "common/wire/protocol.h"
 #include "common/wire/request_check.h"
@@ -20,22 +20,22 @@
 namespace craftfleet {
 namespace {
 
-// A request is cut off long before, and what a server says of its time only goes to status pages.
+// Requests time out long before; the time that a server reports is only shown on status pages.
 constexpr int64_t kMaxBusyNs = int64_t{3600} * 1'000'000'000;
 
-absl::Status Nonsense(absl::string_view what) { return absl::DataLossError(what); }
+absl::Status Invalid(absl::string_view what) { return absl::DataLossError(what); }
 
-// What others of our checks found.
-absl::Status AsNonsense(const absl::Status& status) { return status.ok() ? status : Nonsense(status.message()); }
+// Converts the error of another check to DataLoss.
+absl::Status AsInvalid(const absl::Status& status) { return status.ok() ? status : Invalid(status.message()); }
 
 absl::Status WantSize(absl::string_view field, int64_t size, int64_t wanted, absl::string_view unit) {
   if (size == wanted) return absl::OkStatus();
-  return Nonsense(absl::StrFormat("%s: %d %s, want %d", field, size, unit, wanted));
+  return Invalid(absl::StrFormat("%s: %d %s, want %d", field, size, unit, wanted));
 }
 
 absl::Status Within(absl::string_view field, int64_t value, int64_t low, int64_t high) {
   if (value >= low && value <= high) return absl::OkStatus();
-  return Nonsense(absl::StrFormat("%s: %d, want %d..%d", field, value, low, high));
+  return Invalid(absl::StrFormat("%s: %d, want %d..%d", field, value, low, high));
 }
 
 int64_t SizeOf(const std::string& bytes) { return static_cast<int64_t>(bytes.size()); }
@@ -47,20 +47,20 @@ uint64_t DigestOf(const v1::EnvConfig& env) {
   return name.ok() ? EnvDigest(name->WorldName(), MaxLength(env)) : 0;
 }
 
-// What any reply may have.
+// Checks the fields that any reply may have.
 absl::Status CheckCommon(const v1::PlayReply& reply) {
   CRAFTFLEET_RETURN_IF_ERROR(Within("busy_ns", reply.busy_ns(), 0, kMaxBusyNs));
-  // It goes to logs and status pages, ours and the learner's.
-  return reply.has_server() ? AsNonsense(wire::CheckSummary(reply.server())) : absl::OkStatus();
+  // The summary is shown in logs and on status pages, including the learner's.
+  return reply.has_server() ? AsInvalid(wire::CheckSummary(reply.server())) : absl::OkStatus();
 }
 
-// What only the reply to hello has.
+// Checks that fields of the reply to hello are empty.
 absl::Status CheckNoHello(const v1::PlayReply& reply) {
   const int64_t bytes = SizeOf(reply.program_version()) + SizeOf(reply.cpu()) + SizeOf(reply.canary());
   return WantSize("program_version, cpu and canary", bytes, 0, "bytes after hello");
 }
 
-// What only the reply to a step has.
+// Checks that fields of the reply to a step are empty.
 absl::Status CheckNoStep(const v1::PlayReply& reply) {
   CRAFTFLEET_RETURN_IF_ERROR(WantSize("rewards", reply.rewards_size(), 0, "numbers"));
   CRAFTFLEET_RETURN_IF_ERROR(WantSize("ends", SizeOf(reply.ends()), 0, "bytes"));
@@ -69,7 +69,7 @@ absl::Status CheckNoStep(const v1::PlayReply& reply) {
   return WantSize("snapshots", reply.snapshots_size(), 0, "snapshots");
 }
 
-// Neither frames nor lanes.
+// Checks that there are neither frames nor lanes.
 absl::Status CheckNoGames(const v1::PlayReply& reply) {
   CRAFTFLEET_RETURN_IF_ERROR(CheckNoStep(reply));
   CRAFTFLEET_RETURN_IF_ERROR(WantSize("frames", SizeOf(reply.frames()), 0, "bytes"));
@@ -77,7 +77,7 @@ absl::Status CheckNoGames(const v1::PlayReply& reply) {
   return WantSize("refused", reply.refused_size(), 0, "lanes");
 }
 
-// Snapshots are no part of a new game, so only a lane that came with one can be refused.
+// Only a lane with a snapshot can be refused.
 absl::Status CheckRefused(const v1::OpenLanes& request, const v1::PlayReply& reply) {
   int row = 0;
   for (const v1::RefusedLane& refused : reply.refused()) {
@@ -86,8 +86,8 @@ absl::Status CheckRefused(const v1::OpenLanes& request, const v1::PlayReply& rep
       ++row;
     }
     if (row++ == request.lanes_size()) {
-      return Nonsense(
-          absl::StrFormat("refused: lane %d, want lanes that came with a snapshot, in their order", refused.lane()));
+      return Invalid(
+          absl::StrFormat("refused: lane %d, want lanes with a snapshot, in the order of the request", refused.lane()));
     }
   }
   return absl::OkStatus();
@@ -105,9 +105,9 @@ PlayReplyCheck::PlayReplyCheck(const v1::SessionHello& hello, int frame_bytes)
 
 absl::Status PlayReplyCheck::Hello(const v1::PlayReply& reply) const {
   CRAFTFLEET_RETURN_IF_ERROR(CheckCommon(reply));
-  CRAFTFLEET_RETURN_IF_ERROR(AsNonsense(wire::CheckText("program_version", reply.program_version())));
-  CRAFTFLEET_RETURN_IF_ERROR(AsNonsense(wire::CheckText("cpu", reply.cpu())));
-  CRAFTFLEET_RETURN_IF_ERROR(AsNonsense(wire::CheckText("canary", reply.canary())));
+  CRAFTFLEET_RETURN_IF_ERROR(AsInvalid(wire::CheckText("program_version", reply.program_version())));
+  CRAFTFLEET_RETURN_IF_ERROR(AsInvalid(wire::CheckText("cpu", reply.cpu())));
+  CRAFTFLEET_RETURN_IF_ERROR(AsInvalid(wire::CheckText("canary", reply.canary())));
   return CheckNoGames(reply);
 }
 
@@ -139,8 +139,8 @@ absl::Status PlayReplyCheck::Close(const v1::PlayReply& reply) const {
 absl::Status PlayReplyCheck::Games(const v1::StepLanes& request, const v1::PlayReply& reply) const {
   const int lanes = request.lanes_size();
   CRAFTFLEET_RETURN_IF_ERROR(WantSize("rewards", reply.rewards_size(), lanes, "numbers"));
-  // A step gives no more (common/crafter.h).
-  CRAFTFLEET_RETURN_IF_ERROR(AsNonsense(wire::CheckRewards(reply.rewards())));
+  // The range of a step's reward: common/base/crafter.h.
+  CRAFTFLEET_RETURN_IF_ERROR(AsInvalid(wire::CheckRewards(reply.rewards())));
   CRAFTFLEET_RETURN_IF_ERROR(WantSize("ends", SizeOf(reply.ends()), lanes, "bytes"));
   int64_t ended = 0;
   int64_t truncated = 0;
@@ -152,27 +152,27 @@ absl::Status PlayReplyCheck::Games(const v1::StepLanes& request, const v1::PlayR
   CRAFTFLEET_RETURN_IF_ERROR(WantSize("last_frames", SizeOf(reply.last_frames()), truncated * frame_bytes_, "bytes"));
   CRAFTFLEET_RETURN_IF_ERROR(WantSize("episodes", reply.episodes_size(), ended, "episodes"));
   for (const v1::EpisodeMessage& episode : reply.episodes()) {
-    CRAFTFLEET_RETURN_IF_ERROR(Within("episodes.step", episode.step(), 0, 0));  // a reply is of one step
+    CRAFTFLEET_RETURN_IF_ERROR(Within("episodes.step", episode.step(), 0, 0));  // a reply has only one step
     CRAFTFLEET_RETURN_IF_ERROR(WantSize("achievements", episode.achievements_size(), kNumAchievements, "counts"));
-    CRAFTFLEET_RETURN_IF_ERROR(AsNonsense(wire::CheckEpisode(episode, 1, max_length_)));
+    CRAFTFLEET_RETURN_IF_ERROR(AsInvalid(wire::CheckEpisode(episode, 1, max_length_)));
   }
-  // The learner would refuse the fragment for a snapshot that can't be one.
+  // The learner would refuse a fragment with an invalid snapshot.
   CRAFTFLEET_RETURN_IF_ERROR(
       WantSize("snapshots", reply.snapshots_size(), request.snapshot() ? lanes : 0, "snapshots"));
   for (const std::string& snapshot : reply.snapshots()) {
-    if (snapshot.empty()) return Nonsense("snapshots: an empty one, want the game after the step");
-    CRAFTFLEET_RETURN_IF_ERROR(AsNonsense(CheckSnapshot(env_digest_, snapshot)));
+    if (snapshot.empty()) return Invalid("snapshots: one is empty, want the game after the step");
+    CRAFTFLEET_RETURN_IF_ERROR(AsInvalid(CheckSnapshot(env_digest_, snapshot)));
   }
   return absl::OkStatus();
 }
 
 absl::Status PlayReplyCheck::Moments(const v1::PlayReply& reply) const {
   if (!records_) return WantSize("moments", reply.moments_size(), 0, "moments");
-  // The rest of a moment is checked where it is read (common/wire/convert.h).
+  // The other fields of a moment are checked when it is converted (common/wire/convert.h).
   const auto known = [](char id) { return id >= 1 && id <= 18; };
   for (const v1::Moment& moment : reply.moments()) {
     if (!std::all_of(moment.semantic().begin(), moment.semantic().end(), known)) {
-      return Nonsense("moments.semantic: a cell that is neither a material nor an object, want 1..18");
+      return Invalid("moments.semantic: a cell that is neither a material nor an object, want 1..18");
     }
   }
   return absl::OkStatus();

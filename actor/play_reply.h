@@ -1,4 +1,4 @@
-// What an environment server may answer: every field of PlayReply with its range and the reason for it, in one place.
+// Checks the replies of an environment server: the ranges of all fields of PlayReply, in one place.
 
 #ifndef CRAFTFLEET_ACTOR_PLAY_REPLY_H_
 #define CRAFTFLEET_ACTOR_PLAY_REPLY_H_
@@ -13,13 +13,13 @@
 
 namespace craftfleet {
 
-// `text` of a stranger as it may be logged and sent on: printable, at most wire::kMaxReasonBytes.
+// Makes `text` from another process safe to log and forward: printable, at most wire::kMaxReasonBytes.
 std::string CutReason(absl::string_view text);
 
-// Checks the replies of one session. DataLoss names the field, its value and what was expected. Immutable.
+// Checks the replies of one session. Errors are DataLoss with field, value and what was expected. Immutable.
 class PlayReplyCheck {
  public:
-  // Of a session that began with `hello`; its frames have `frame_bytes`.
+  // For a session that begins with `hello` and has frames of `frame_bytes` bytes.
   PlayReplyCheck(const v1::SessionHello& hello, int frame_bytes);
 
   absl::Status Hello(const v1::PlayReply& reply) const;
@@ -28,7 +28,7 @@ class PlayReplyCheck {
   absl::Status Close(const v1::PlayReply& reply) const;
 
  private:
-  // What the games of a step came to.
+  // Checks the results of a step.
   absl::Status Games(const v1::StepLanes& request, const v1::PlayReply& reply) const;
   absl::Status Moments(const v1::PlayReply& reply) const;
 

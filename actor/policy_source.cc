@@ -5,23 +5,23 @@
 
 #include <absl/strings/str_format.h>
 
-#include "common/heap.h"
-#include "common/status_macros.h"
+#include "common/base/status_macros.h"
+#include "common/process/heap.h"
 
 namespace craftfleet {
 
-PolicySource::PolicySource(const LearnerClient* learner, AgentSpec spec, int tile)
-    : learner_(learner), spec_(std::move(spec)), tile_(tile) {}
+PolicySource::PolicySource(const LearnerClient* learner, AgentSpec spec, int tile, std::string device)
+    : learner_(learner), spec_(std::move(spec)), tile_(tile), device_(std::move(device)) {}
 
 absl::StatusOr<std::shared_ptr<const Policy>> PolicySource::Get(int64_t epoch, int64_t version) {
   MutexLock lock(&mu_);
   if (epoch_ == epoch && version_ == version) return policy_;
   CRAFTFLEET_ASSIGN_OR_RETURN(const auto weights, learner_->GetWeights(version));
   const auto& [fetched, bytes] = weights;
-  CRAFTFLEET_ASSIGN_OR_RETURN(policy_, Policy::Create(spec_, bytes, tile_));
+  CRAFTFLEET_ASSIGN_OR_RETURN(policy_, Policy::Create(spec_, bytes, tile_, device_));
   epoch_ = epoch;
   version_ = fetched;
-  ReleaseFreeMemory();  // fragments of the iteration before, and its policy
+  ReleaseFreeMemory();  // of the previous iteration's fragments and policy
   if (fetched != version) {
     return absl::AbortedError(absl::StrFormat("weights are at version %d, the permit is for %d", fetched, version));
   }

@@ -5,20 +5,20 @@
 #include <utility>
 
 #include "actor/error_policy.h"
-#include "common/clock.h"
-#include "common/log.h"
-#include "common/process_usage.h"
-#include "common/status_macros.h"
+#include "common/base/clock.h"
+#include "common/base/status_macros.h"
+#include "common/telemetry/log.h"
+#include "common/telemetry/process_usage.h"
 
 namespace craftfleet {
 namespace {
 
-// Whether there is a connection to a server that somebody wants now, or to a suspect.
+// Time between two checks whether a wanted or suspect server can be reached.
 constexpr absl::Duration kLookSoon = absl::Milliseconds(10);
 constexpr absl::Duration kLookEvery = absl::Milliseconds(250);
 constexpr absl::Duration kWantedNow = absl::Seconds(3);
-constexpr absl::Duration kConnectPatience = absl::Milliseconds(500);  // probes begin where there is a connection
-constexpr absl::Duration kBetweenProbes = absl::Milliseconds(500);    // of one server, however often it comes back
+constexpr absl::Duration kConnectPatience = absl::Milliseconds(500);  // probes only begin when there is a connection
+constexpr absl::Duration kBetweenProbes = absl::Milliseconds(500);    // of one server, however often it reconnects
 constexpr absl::Duration kForgetAfter = absl::Minutes(10);
 constexpr int64_t kKeptFiles = 128;
 
@@ -61,16 +61,16 @@ void ServerHealth::Suspect(const wire::Endpoint& endpoint, const absl::Status& w
   const MutexLock lock(&mu_);
   Server& server = servers_[endpoint.address];
   server.asked_for = SteadyNow();
-  // Others who play there say the same.
+  // Other threads that play there report the same error.
   if (server.state == State::kSuspect) return;
   BecomeSuspect(&server, why);
   Prepare(endpoint, &server);
 }
 
-absl::Status ServerHealth::TroubleOf(const std::string& address) const {
+absl::Status ServerHealth::ErrorOf(const std::string& address) const {
   const MutexLock lock(&mu_);
   const auto found = servers_.find(address);
-  return found == servers_.end() ? absl::OkStatus() : found->second.trouble;
+  return found == servers_.end() ? absl::OkStatus() : found->second.error;
 }
 
 void ServerHealth::BecomeSuspect(Server* server, const absl::Status& why) {
@@ -80,11 +80,11 @@ void ServerHealth::BecomeSuspect(Server* server, const absl::Status& why) {
   server->pause = first ? options_.first_pause : std::min(2 * server->pause, options_.last_pause);
   server->next_probe = now + server->pause;
   if (server->state != State::kSuspect) {
-    LogWarning("%s; left alone until it answers a probe, the first one in %s", why.message(),
+    LogWarning("%s; not used until it answers a probe, the first one in %s", why.message(),
                absl::FormatDuration(server->pause));
   }
   server->state = State::kSuspect;
-  server->trouble = why;
+  server->error = why;
   server->was_reachable = true;
 }
 
@@ -92,15 +92,15 @@ void ServerHealth::Prepare(const wire::Endpoint& endpoint, Server* server) {
   if (server->client != nullptr || server->probing || stopping_ || FilesLeft() < kKeptFiles) return;
   server->client = std::make_unique<EnvClient>(endpoint, options_.hello, options_.frame_bytes, options_.timeout);
   if (server->state == State::kNew) server->next_probe = SteadyNow();
-  news_ = true;
+  changed_state_ = true;
   changed_.NotifyAll();
 }
 
 void ServerHealth::Run() {
   const MutexLock lock(&mu_);
   while (!stopping_) {
-    news_ = false;
-    changed_.WaitFor(&mu_, Look(), [this]() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_) { return stopping_ || news_; });
+    changed_state_ = false;
+    changed_.WaitFor(&mu_, Look(), [this]() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_) { return stopping_ || changed_state_; });
   }
 }
 
@@ -109,10 +109,10 @@ absl::Duration ServerHealth::Look() {
   for (auto it = servers_.begin(); it != servers_.end();) {
     Server& server = it->second;
     if (server.probing) {
-      ++it;  // its end is news
+      ++it;  // TakeResult will follow
       continue;
     }
-    if (server.prober.joinable()) server.prober.join();  // it has given its result, and does nothing more
+    if (server.prober.joinable()) server.prober.join();  // it has delivered its result
     if (server.state == State::kGood) server.client = nullptr;
     if (SteadyNow() - server.asked_for > kForgetAfter) {
       it = servers_.erase(it);
@@ -160,21 +160,21 @@ void ServerHealth::TakeResult(const std::string& address, const absl::Status& re
   Server& server = servers_.at(address);
   server.probing = false;
   --probes_;
-  news_ = true;
+  changed_state_ = true;
   changed_.NotifyAll();
   server.last_probe = SteadyNow();
   if (stopping_) return;
-  if (!result.ok() && ReactionTo(Called::kSession, result) == Reaction::kLeaveAlone) {
+  if (!result.ok() && ReactionTo(CallKind::kSession, result) == Reaction::kProbeFirst) {
     BecomeSuspect(&server, result);
   } else if (absl::IsUnavailable(result)) {
-    // Gone: a suspect stays one, and is probed when it can be connected to again.
+    // The server is gone. If suspect, it remains so and is probed as soon as there is a connection.
     server.was_reachable = false;
     server.next_probe = server.last_probe + std::max(server.pause, kBetweenProbes);
   } else {
-    // It answers. Where that is by an error, those who play there act on it.
+    // The server answers. If it answers with an error, the playing threads handle that.
     if (server.state == State::kSuspect) LogInfo("environment server %s answers again", address);
     server.state = State::kGood;
-    server.trouble = absl::OkStatus();
+    server.error = absl::OkStatus();
     server.good_since = server.last_probe;
   }
 }

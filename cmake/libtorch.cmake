@@ -1,8 +1,8 @@
 # craftfleet::torch: LibTorch, from the system or from CRAFTFLEET_LIBTORCH (also as an environment variable when a build
-# folder is made). Its headers are not ours to warn about.
+# folder is first configured). Its headers are SYSTEM headers, without warnings.
 #
-# What deploy/bundle.sh and tests want to know of it is in the cache: CRAFTFLEET_LIBTORCH_VERSION ("2.11"),
-# CRAFTFLEET_LIBTORCH_LIB_DIR (where libtorch.so lies), CRAFTFLEET_LIBTORCH_CUDA (ON or OFF).
+# deploy/bundle.sh and tests read these cache entries: CRAFTFLEET_LIBTORCH_VERSION ("2.11"), CRAFTFLEET_LIBTORCH_LIB_DIR (the
+# folder of libtorch.so), CRAFTFLEET_LIBTORCH_CUDA (ON or OFF).
 
 set(CRAFTFLEET_LIBTORCH "$ENV{CRAFTFLEET_LIBTORCH}" CACHE PATH
     "LibTorch to build against: an unpacked LibTorch, a Python environment with torch, or its site-packages; empty: the system's")
@@ -21,7 +21,7 @@ function(craftfleet_libtorch_root dir out)
                       "torch, or its site-packages")
 endfunction()
 
-# Sets `out` to "major.minor" as a version header under one of the include folders has it.
+# Sets `out` to "major.minor" from a version header in one of the include folders.
 function(craftfleet_libtorch_version out)
   foreach(dir IN LISTS ARGN)
     foreach(header IN ITEMS torch/headeronly/version.h torch/version.h)
@@ -36,7 +36,7 @@ function(craftfleet_libtorch_version out)
       endif()
     endforeach()
   endforeach()
-  message(FATAL_ERROR "LibTorch's version is in no header of ${ARGN}")
+  message(FATAL_ERROR "No header in ${ARGN} has the version of LibTorch")
 endfunction()
 
 add_library(craftfleet_torch INTERFACE)
@@ -47,14 +47,14 @@ if(CRAFTFLEET_LIBTORCH)
   craftfleet_libtorch_root(${libtorch_dir} libtorch_root)
   set(libtorch_lib ${libtorch_root}/lib)
 
-  # LibTorch and the system's gRPC and Protobuf must agree on what a std::string is.
+  # LibTorch and the system's gRPC and Protobuf must use the same ABI of std::string.
   file(STRINGS ${libtorch_lib}/libc10.so new_abi REGEX "_ZN3c105ErrorC[12]ENS_14SourceLocationENSt7__cxx11" LIMIT_COUNT 1)
   if(NOT new_abi)
-    message(FATAL_ERROR "CRAFTFLEET_LIBTORCH=${CRAFTFLEET_LIBTORCH}: this LibTorch has the C++ ABI of before C++11; want one with "
-                        "that of C++11 (wheels from torch 2.6 on, zip files named cxx11-abi)")
+    message(FATAL_ERROR "CRAFTFLEET_LIBTORCH=${CRAFTFLEET_LIBTORCH}: this LibTorch has the pre-C++11 ABI; want one with the "
+                        "C++11 ABI (wheels from torch 2.6 on, zip files named cxx11-abi)")
   endif()
 
-  # A wheel brings headers of a Protobuf and others of its own beside LibTorch's: take no more than LibTorch's.
+  # A wheel also contains headers of other libraries, such as its own Protobuf: use only those of LibTorch.
   set(libtorch_include ${CMAKE_BINARY_DIR}/libtorch/include)
   file(MAKE_DIRECTORY ${libtorch_include})
   foreach(name IN ITEMS ATen c10 caffe2 torch)
@@ -62,13 +62,13 @@ if(CRAFTFLEET_LIBTORCH)
   endforeach()
   set(libtorch_includes ${libtorch_include} ${libtorch_include}/torch/csrc/api/include)
 
-  # Linked directly: its own CMake configuration wants the CUDA toolkit, of which nothing here is compiled. No symbol of
-  # libtorch.so is ever asked for, but where LibTorch has CUDA it is what loads it; so the same programs run on
-  # LibTorch with and without CUDA.
+  # Linked directly, because LibTorch's CMake configuration requires the CUDA toolkit, which this project does not use.
+  # Programs use no symbol of libtorch.so, but it loads CUDA if LibTorch has it, so it must be linked all the same. The same
+  # programs therefore run with and without CUDA.
   target_include_directories(craftfleet_torch SYSTEM INTERFACE ${libtorch_includes})
   target_link_libraries(craftfleet_torch INTERFACE
     -Wl,--push-state,--no-as-needed,${libtorch_lib}/libtorch.so,--pop-state ${libtorch_lib}/libtorch_cpu.so ${libtorch_lib}/libc10.so)
-  # The way to it for programs (craftfleet_program), in the build tree and where they are installed.
+  # The link through which programs find it (see craftfleet_program), in the build tree and in installations.
   file(MAKE_DIRECTORY ${CMAKE_BINARY_DIR}/lib/craftfleet)
   file(CREATE_LINK ${libtorch_lib} ${CMAKE_BINARY_DIR}/lib/craftfleet/libtorch SYMBOLIC)
   install(CODE "
@@ -92,6 +92,6 @@ if(EXISTS ${libtorch_lib}/libtorch_cuda.so)
   set(libtorch_cuda ON)
 endif()
 set(CRAFTFLEET_LIBTORCH_VERSION ${libtorch_version} CACHE INTERNAL "LibTorch's major.minor")
-set(CRAFTFLEET_LIBTORCH_LIB_DIR ${libtorch_lib} CACHE INTERNAL "where libtorch.so lies")
+set(CRAFTFLEET_LIBTORCH_LIB_DIR ${libtorch_lib} CACHE INTERNAL "folder of libtorch.so")
 set(CRAFTFLEET_LIBTORCH_CUDA ${libtorch_cuda} CACHE INTERNAL "whether it has CUDA")
 message(STATUS "LibTorch ${libtorch_version} (CUDA ${libtorch_cuda}): ${libtorch_lib}")

@@ -1,11 +1,11 @@
 #!/usr/bin/env bash
-# Configures and builds everything; programs land in <build folder>/bin (build/bin for release).
+# Configures and builds everything. The programs are in <build folder>/bin (build/bin for release).
 #
 # Usage: deploy/build.sh [PRESET] [-DNAME=VALUE]...
-#   PRESET  release (default), debug, asan-ubsan, asan-ubsan-unit or tsan: see CMakePresets.json
+#   PRESET  release (default), ci, debug, asan-ubsan, asan-ubsan-unit or tsan: see CMakePresets.json
 #   -DCRAFTFLEET_LIBTORCH=DIR  build against the LibTorch in DIR; later builds in the same folder remember it
-#   -DCRAFTFLEET_WERROR=OFF    go on at warnings, which other compilers and libraries may have
-#   JOBS    environment variable: compilers at a time; default: one per core, as far as memory goes
+#   -DCRAFTFLEET_WERROR=ON     treat warnings as errors, as the developers' presets do; other compilers may give some
+#   JOBS    environment variable: parallel compilers; default: one per core, fewer if memory is short
 
 set -euo pipefail
 
@@ -39,3 +39,13 @@ by_memory=$((memory_kib / (2 * 1024 * 1024)))
 
 cmake --preset "$preset" "${settings[@]}"
 cmake --build --preset "$preset" --parallel "${JOBS:-$jobs}"
+
+build=build-$preset
+[[ $preset != release && $preset != ci ]] || build=build
+setting() { sed -n "s/^CRAFTFLEET_$1:[A-Z]*=//p" "$build/CMakeCache.txt"; }
+libtorch=$(setting LIBTORCH_VERSION)
+if [ -n "$libtorch" ]; then
+  cuda="without CUDA"
+  [ "$(setting LIBTORCH_CUDA)" != ON ] || cuda="with CUDA"
+  echo "Built in $build, against LibTorch $libtorch $cuda: $(setting LIBTORCH_LIB_DIR)"
+fi

@@ -1,14 +1,14 @@
 #!/bin/sh
-# Runs the program of its own name that lies in ../libexec of a bundle, with the LibTorch of this machine: the one that
-# CRAFTFLEET_LIBTORCH names (an unpacked LibTorch, a Python environment with torch, its site-packages, or the folder of
-# libtorch.so), else that of the Python in PATH. deploy/bundle.sh puts a copy into bin/ for each program that computes.
+# Runs the program with the same name in ../libexec of a bundle, with the LibTorch of this machine. CRAFTFLEET_LIBTORCH
+# selects it (an unpacked LibTorch, a Python environment with torch, its site-packages, or the folder of libtorch.so);
+# otherwise it is that of the python3 in PATH. deploy/bundle.sh puts a copy into bin/ for each program that needs LibTorch.
 
 set -eu
 
 self=$(readlink -f "$0")
 name=$(basename "$self")
 root=$(dirname "$(dirname "$self")")
-# LIBTORCH_VERSION: what the programs were built against. GLIBC_VERSION: the oldest that runs them.
+# Sets LIBTORCH_VERSION, against which the programs were built, and GLIBC_VERSION, the oldest that they run on.
 # shellcheck source=/dev/null
 . "$root/lib/craftfleet/bundle.env"
 
@@ -31,7 +31,7 @@ library_folder() {
   return 1
 }
 
-# Prints "major.minor" of the LibTorch in folder $1, as a wheel, an archive or a distribution says it; nothing if none does.
+# Prints "major.minor" of the LibTorch in folder $1, from the files of a wheel, an archive or a distribution; nothing if unknown.
 version_in() {
   if [ -r "$1/../version.py" ]; then
     sed -n "s/^__version__ = '\([0-9]*\.[0-9]*\).*/\1/p" "$1/../version.py"
@@ -51,7 +51,7 @@ how="activate a Python environment with torch $LIBTORCH_VERSION (pip install 'to
 if [ -n "${CRAFTFLEET_LIBTORCH:-}" ]; then
   libraries=$(library_folder "$CRAFTFLEET_LIBTORCH") || fail "CRAFTFLEET_LIBTORCH=$CRAFTFLEET_LIBTORCH: no LibTorch there; $how"
 else
-  # Where torch lies, without the seconds that it takes to import it.
+  # Finds the folder of torch without importing it, which takes seconds.
   package=$(python3 -c 'import importlib.util as u; s = u.find_spec("torch"); print(s.submodule_search_locations[0] if s else "")' 2>/dev/null) || package=
   [ -n "$package" ] || fail "no LibTorch: python3 has no torch; $how"
   libraries=$(library_folder "$package") || fail "no LibTorch in $package/lib; $how"
@@ -59,7 +59,7 @@ fi
 version=$(version_in "$libraries")
 [ "$version" = "$LIBTORCH_VERSION" ] || fail "LibTorch in $libraries is ${version:-of unknown version}, want $LIBTORCH_VERSION; $how"
 
-# The bundle's own first: a library with a RUNPATH does not look where the program's RPATH says.
+# The bundle's libraries come first: libraries with a RUNPATH ignore the RPATH of the program.
 LD_LIBRARY_PATH=$root/lib/craftfleet:$libraries${LD_LIBRARY_PATH:+:$LD_LIBRARY_PATH}
 export LD_LIBRARY_PATH
 exec "$root/libexec/$name" "$@"

@@ -1,13 +1,14 @@
 #!/usr/bin/env bash
-# Makes an archive of a build that runs wherever it is unpacked, without root: programs, textures, experiments, and every
-# shared library but glibc, LibTorch and what LibTorch brings. The programs that compute find LibTorch when they start.
+# Makes an archive of a build that runs wherever it is unpacked, without root: programs, textures, experiments, and all
+# shared libraries except glibc, LibTorch and those of LibTorch. Programs that need LibTorch find it when they start.
 #
-# For an archive of half the size make the build with -DCRAFTFLEET_WITH_VIDEO=OFF -DCRAFTFLEET_BUILD_TESTS=OFF.
+# Make the build with -DCRAFTFLEET_WITH_VIDEO=OFF -DCRAFTFLEET_WITH_WINDOW=OFF -DCRAFTFLEET_BUILD_TESTS=OFF: video needs more
+# than a hundred libraries, and windows need Qt.
 #
 # Usage: deploy/bundle.sh [--build=DIR] [--out=DIR] [--level=N]
 #   --build=DIR  a finished build; default: build
-#   --out=DIR    where the archive goes, craftfleet-VERSION-linux-MACHINE[-cuda].tar.xz; default: the folder of the build
-#   --level=N    how hard xz tries, 0..9; default 9, which wants 700 MB and minutes
+#   --out=DIR    folder for the archive, craftfleet-VERSION-linux-MACHINE[-cuda].tar.xz; default: the folder of the build
+#   --level=N    compression level of xz, 0..9; default 9, which takes 700 MB of memory and some minutes
 
 set -euo pipefail
 
@@ -31,13 +32,13 @@ out=${out:-$build}
 [ -r "$build/CMakeCache.txt" ] || refuse "--build=$build: no build there; see deploy/build.sh"
 [ -x "$build/bin/craftfleet-train" ] || refuse "--build=$build: bin/craftfleet-train is not built"
 for tool in cmake readelf ldd xz tar; do
-  command -v "$tool" >/dev/null || refuse "no $tool here"
+  command -v "$tool" >/dev/null || refuse "$tool is not installed"
 done
 
 setting() { sed -n "s/^$1:[A-Z]*=//p" "$build/CMakeCache.txt"; }
 libtorch_version=$(setting CRAFTFLEET_LIBTORCH_VERSION)
 libtorch_dir=$(setting CRAFTFLEET_LIBTORCH_LIB_DIR)
-[ -n "$libtorch_version" ] || refuse "--build=$build: without LibTorch; build everything"
+[ -n "$libtorch_version" ] || refuse "--build=$build: this build has no LibTorch; want a complete build"
 name=craftfleet-$(setting CMAKE_PROJECT_VERSION)-linux-$(uname -m)
 [ "$(setting CRAFTFLEET_LIBTORCH_CUDA)" != ON ] || name+=-cuda
 
@@ -47,15 +48,16 @@ trap 'rm -rf "$stage"' EXIT
 root=$stage/$name
 lib=$root/lib/craftfleet
 cmake --install "$build" --prefix "$root" --strip >"$stage/install.log" || { cat "$stage/install.log" >&2; exit 1; }
-rm -f "$lib/libtorch"  # the way to the LibTorch of this machine
+rm -f "$lib/libtorch"  # the link to the LibTorch of this machine
 mkdir -p "$root/libexec" "$lib"
 
-# Libraries that stay behind: LibTorch's, and glibc's, which belong to the kernel's loader.
+# Libraries that are left out: those of LibTorch, and those of glibc, which must match the system's loader. libnsl.so.2 is
+# not part of glibc.
 of_libtorch() { [[ $1 =~ ^lib(torch|c10|caffe2) ]]; }
-of_glibc() { [[ $1 =~ ^(ld-linux.*|lib(c|m|mvec|dl|pthread|rt|util|resolv|anl|nsl|thread_db|BrokenLocale|nss_.*))\.so ]]; }
+of_glibc() { [[ $1 =~ ^(ld-linux.*|lib(c|m|mvec|dl|pthread|rt|util|resolv|anl|thread_db|BrokenLocale|nss_.*))\.so|^libnsl\.so\.1 ]]; }
 needed_by() { readelf -d "$1" | sed -n 's/.*(NEEDED).*\[\(.*\)\]/\1/p'; }
 
-# Where the loader finds each library here, and which of them are reached without passing through LibTorch.
+# The path of each library on this machine, and the libraries that programs need other than through LibTorch.
 declare -A path_of=() taken=()
 pending=()
 for program in "$root"/bin/*; do
@@ -65,7 +67,7 @@ for program in "$root"/bin/*; do
   done <<<"$listing"
   pending+=("$program")
 done
-# OpenCV wants a BLAS but computes nothing with it here: unless LibTorch does, the reference BLAS, a tenth of OpenBLAS' size.
+# OpenCV links a BLAS that is not used here. Unless LibTorch uses it, take the reference BLAS, a tenth of the size of OpenBLAS.
 if [[ ! $(needed_by "$libtorch_dir/libtorch_cpu.so") =~ libblas ]]; then
   for library in blas lapack; do
     reference=$(dirname "${path_of[lib$library.so.3]:-/}")/$library/lib$library.so.3
@@ -77,7 +79,7 @@ while [ ${#pending[@]} -gt 0 ]; do
   unset 'pending[-1]'
   for library in $(needed_by "$file"); do
     if of_libtorch "$library" || of_glibc "$library" || [ -n "${taken[$library]:-}" ]; then continue; fi
-    [ -e "${path_of[$library]:-}" ] || { echo "bundle.sh: $(basename "$file") wants $library, which is not here" >&2; exit 1; }
+    [ -e "${path_of[$library]:-}" ] || { echo "bundle.sh: $(basename "$file") needs $library, which is not installed" >&2; exit 1; }
     taken[$library]=yes
     cp -L "${path_of[$library]}" "$lib/$library"
     chmod u+w "$lib/$library"
@@ -91,7 +93,7 @@ for program in "$root"/bin/*; do
   mv "$program" "$root/libexec/"
   install -m 755 "$source/deploy/bundle-launcher.sh" "$program"
 done
-# readelf says of launchers that they are no programs.
+# readelf fails for the launchers, which are scripts.
 glibc=$({ readelf -V "$root"/bin/* "$root"/libexec/* "$lib"/*.so* 2>/dev/null || true; } |
   grep -o 'GLIBC_[0-9.]*' | sort -uV | tail -n 1)
 printf 'LIBTORCH_VERSION=%s\nGLIBC_VERSION=%s\n' "$libtorch_version" "${glibc#GLIBC_}" >"$lib/bundle.env"
@@ -102,4 +104,4 @@ tar -C "$stage" --sort=name --owner=0 --group=0 --numeric-owner -c "$name" |
   xz --threads=1 "${filter[@]}" --lzma2=preset="$level" >"$stage/archive"
 mv "$stage/archive" "$out/$name.tar.xz"
 echo "$out/$name.tar.xz: $(($(stat -c %s "$out/$name.tar.xz") / 1048576)) MiB, ${#taken[@]} libraries;" \
-  "wants LibTorch $libtorch_version and glibc ${glibc#GLIBC_} or newer"
+  "requires LibTorch $libtorch_version and glibc ${glibc#GLIBC_} or newer"

@@ -1,13 +1,15 @@
 #!/usr/bin/env bash
-# Installs what CraftFleet is built and tested with, from Debian's own packages (Debian 12 or later).
-# Does nothing when all of it is there; uses sudo when not run as root.
+# Installs the Debian packages that CraftFleet is built and tested with (Debian 12 or later).
+# Does nothing if all are installed. Uses sudo when not run as root.
 #
-# Usage: deploy/install-deps.sh [--tests] [--developer] [--libtorch=DIR]
-#   --tests      also what some tests look at deployments with, and are skipped without: Slurm, a YAML parser,
-#                network namespaces
-#   --developer  also what the other builds and checks of .ci/run need: clang with its tools, shellcheck
-#   --libtorch=DIR  without Debian's LibTorch: the build takes the one in DIR, an unpacked LibTorch, a Python environment
-#                   with torch, or its site-packages; default: the environment variable CRAFTFLEET_LIBTORCH, if it is set
+# Usage: deploy/install-deps.sh [--tests] [--developer] [--libtorch=DIR|cuda]
+#   --tests         also the packages without which some tests are skipped: Slurm, a YAML parser, network namespaces, displays
+#                   and terminals; and, from PyPI into .cache/python (300 MB), what the tests of the Python package need
+#   --developer     also the packages for the other builds and checks of .ci/run: clang and its tools, shellcheck
+#   --libtorch=DIR  leave out Debian's LibTorch, because the build uses the one in DIR: an unpacked LibTorch, a Python
+#                   environment with torch, or its site-packages; default: the environment variable CRAFTFLEET_LIBTORCH
+#   --libtorch=cuda the LibTorch of torch 2.11.0 with CUDA 13, from PyPI, in a Python environment of its own in
+#                   .cache/libtorch-cuda: 4.6 GB. If it is interrupted, the same command continues
 
 set -euo pipefail
 
@@ -28,7 +30,7 @@ done
 packages=(
   g++ cmake ninja-build git pkg-config
   protobuf-compiler protobuf-compiler-grpc libprotobuf-dev libgrpc++-dev libssl-dev
-  libabsl-dev nlohmann-json3-dev zlib1g-dev libzip-dev prometheus-cpp-dev
+  libabsl-dev nlohmann-json3-dev zlib1g-dev libpng-dev libzip-dev prometheus-cpp-dev libmicrohttpd-dev
   openssl  # deploy/make-certs.sh
   libgoogle-perftools-dev  # tcmalloc
   libtorch-dev
@@ -36,7 +38,55 @@ packages=(
   libopencv-dev
   libgtest-dev libgmock-dev libbenchmark-dev python3
 )
-if [ -n "$libtorch" ]; then
+torch=2.11.0
+torch_gb=4.6
+torch_dir=$(cd "${BASH_SOURCE[0]%/*}/.." && pwd)/.cache/libtorch-cuda
+
+# pip installs torch after everything that it needs, and lists its files when all of them are there.
+has_torch() { compgen -G "$torch_dir/lib/python3*/site-packages/torch-$torch*.dist-info/RECORD" >/dev/null; }
+install_torch() {
+  if has_torch; then
+    echo "torch $torch is in $torch_dir."
+  else
+    mkdir -p "$torch_dir"
+    local free_kib
+    free_kib=$(df -Pk "$torch_dir" | awk 'NR == 2 {print $4}')
+    if [ "$free_kib" -lt $((8 * 1024 * 1024)) ]; then
+      echo "install-deps.sh: $torch_dir: $((free_kib / 1024)) MiB of disk are free, want 8192 for torch and its downloads" >&2
+      exit 1
+    fi
+    echo "Installing torch $torch with CUDA 13 into $torch_dir: $torch_gb GB of disk, two minutes on a fast connection." \
+         "Interrupted, the same command continues."
+    python3 -m venv "$torch_dir"
+    "$torch_dir/bin/pip" install "torch==$torch"
+  fi
+  echo "Build against it: deploy/build.sh release -DCRAFTFLEET_LIBTORCH=$torch_dir"
+}
+
+# What the tests of the Python package need, in an environment of its own. Without network they are skipped.
+python_dir=${torch_dir%/*}/python
+python_list=${torch_dir%/.cache/*}/tests/deploy/python/requirements.txt
+install_python() {
+  if cmp -s "$python_list" "$python_dir/requirements.txt"; then
+    echo "The Python packages of the tests are in $python_dir."
+    return
+  fi
+  echo "Installing the Python packages of the tests into $python_dir."
+  if python3 -m venv "$python_dir" && "$python_dir/bin/pip" install --quiet --requirement "$python_list"; then
+    cp "$python_list" "$python_dir/requirements.txt"
+  else
+    echo "install-deps.sh: pip failed, see above: the tests of the Python package will be skipped" >&2
+  fi
+}
+finish() {
+  if [ -n "$tests" ]; then install_python; fi
+  if [ "$libtorch" = cuda ]; then install_torch; fi
+  exit 0
+}
+
+if [ "$libtorch" = cuda ]; then
+  packages+=(python3-venv)
+elif [ -n "$libtorch" ]; then
   found=
   for dir in "$libtorch"{,/libtorch,/torch,/lib{,64}/python3*/{site,dist}-packages/torch}; do
     [ ! -e "$dir/lib/libtorch_cpu.so" ] || found=yes
@@ -46,19 +96,21 @@ if [ -n "$libtorch" ]; then
          "torch, or its site-packages" >&2
     exit 2
   fi
+fi
+if [ -n "$libtorch" ]; then
   for i in "${!packages[@]}"; do
     [ "${packages[$i]}" != libtorch-dev ] || unset "packages[$i]"
   done
 fi
 if [ -n "$tests" ]; then
-  packages+=(python3-yaml iproute2 prometheus munge slurmctld slurmd slurm-client)
+  packages+=(python3-venv python3-dev python3-yaml iproute2 prometheus munge slurmctld slurmd slurm-client tmux xvfb xdotool)
 fi
 if [ -n "$developer" ]; then
   packages+=(clang libclang-rt-14-dev llvm clang-format clang-tidy shellcheck)
 fi
 
 if ! command -v apt-get >/dev/null || ! command -v dpkg-query >/dev/null; then
-  echo "install-deps.sh: no apt here. Install by your system's own means what Debian calls:" >&2
+  echo "install-deps.sh: this system has no apt. Install the equivalents of these Debian packages:" >&2
   echo "  ${packages[*]}" >&2
   exit 1
 fi
@@ -70,13 +122,13 @@ for package in "${packages[@]}"; do
 done
 if [ ${#missing[@]} -eq 0 ]; then
   echo "All ${#packages[@]} packages are installed."
-  exit 0
+  finish
 fi
 
 as_root=(env DEBIAN_FRONTEND=noninteractive)
 if [ "$(id -u)" -ne 0 ]; then
   if ! command -v sudo >/dev/null; then
-    echo "install-deps.sh: neither root nor sudo here. Have an administrator install: ${missing[*]}" >&2
+    echo "install-deps.sh: needs root or sudo. Ask an administrator to install: ${missing[*]}" >&2
     exit 1
   fi
   as_root=(sudo "${as_root[@]}")
@@ -85,3 +137,4 @@ fi
 echo "Installing: ${missing[*]}"
 "${as_root[@]}" apt-get update -qq
 "${as_root[@]}" apt-get install -y -qq --no-install-recommends "${missing[@]}"
+finish

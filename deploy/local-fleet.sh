@@ -1,15 +1,15 @@
 #!/usr/bin/env bash
-# Runs a fleet on this machine: one learner, actors and environment servers as processes of their own, joined by Unix
-# sockets in a folder that only this user can enter. All of them are stopped when the run is complete, at Ctrl-C or
-# SIGTERM (the learner keeps its last iteration; the same command with --resume goes on), and when this script is killed.
+# Runs a fleet on this machine: one learner, actors and environment servers as separate processes, connected by Unix
+# sockets in a folder that only this user can enter. All of them stop when the run is complete, at Ctrl-C or SIGTERM (the
+# learner saves its last iteration; the same command with --resume continues the run), and when this script is killed.
 #
 # Usage: deploy/local-fleet.sh [--actors=N] [--envservers=M] [--bin=DIR] --logdir=DIR [LEARNER FLAG]...
 #   --actors=N       default 1
 #   --envservers=M   default 1
-#   --bin=DIR        folder of the programs; default: build/bin beside deploy/, else where PATH finds them
-#   --logdir=DIR     of the run; the workers' logs are appended to DIR/fleet/NAME.log
-#   LEARNER FLAG     as craftfleet-learner --help has them; --textures goes to the environment servers too
-# Exits as the learner does; with 1 when no actor or no environment server is left to play.
+#   --bin=DIR        folder of the programs; default: those of this checkout, installation or bundle, or else the folder in PATH
+#   --logdir=DIR     folder of the run; the workers' logs are appended to DIR/fleet/NAME.log
+#   LEARNER FLAG     any flag of craftfleet-learner (see its --help); --textures goes to the environment servers too
+# The exit code is the learner's, or 1 if no actor or no environment server is left.
 
 set -euo pipefail
 
@@ -18,6 +18,7 @@ refuse() { echo "local-fleet.sh: $*" >&2; exit 2; }
 say() { echo "local-fleet.sh: $*" >&2; }
 
 bin=$(dirname "$0")/../build/bin
+[ -x "$bin/craftfleet-learner" ] || bin=$(dirname "$0")/../../bin  # installed, or in a bundle
 [ -x "$bin/craftfleet-learner" ] || bin=$(dirname "$(command -v craftfleet-learner || echo "$bin/craftfleet-learner")")
 actors=1
 envservers=1
@@ -30,7 +31,7 @@ for argument in "$@"; do
     --actors=*) actors=${argument#*=} ;;
     --envservers=*) envservers=${argument#*=} ;;
     --bin=*) bin=${argument#*=} ;;
-    --listen=*) refuse "$argument: the fleet talks over sockets of its own" ;;
+    --listen=*) refuse "$argument: the fleet uses its own Unix sockets" ;;
     --*)
       learner_flags+=("$argument")
       case "$argument" in
@@ -43,18 +44,18 @@ for argument in "$@"; do
 done
 [[ $actors =~ ^[1-9][0-9]{0,2}$ ]] || refuse "--actors=$actors, want 1..999"
 [[ $envservers =~ ^[1-9][0-9]{0,2}$ ]] || refuse "--envservers=$envservers, want 1..999"
-[ -n "$logdir" ] || refuse "--logdir is missing: the folder that the run is to be written to"
+[ -n "$logdir" ] || refuse "--logdir is missing: the folder to write the run to"
 for program in learner actor envserver; do
-  [ -x "$bin/craftfleet-$program" ] || refuse "$bin/craftfleet-$program is not there: build first (deploy/build.sh), or --bin=DIR"
+  [ -x "$bin/craftfleet-$program" ] || refuse "$bin/craftfleet-$program does not exist: build first (deploy/build.sh), or give --bin=DIR"
 done
 
 sockets=$(mktemp -d "${TMPDIR:-/tmp}/craftfleet.XXXXXX")
-declare -A names=()  # of the workers that run, by process id
+declare -A names=()  # the running workers, by process id
 
 # Each process has a group of its own, so that Ctrl-C reaches it once, through this script.
 set -m
 
-# Arguments: name, program, flags. The process is told to stop when this script is gone.
+# Arguments: name, program, flags. The kernel sends SIGTERM to the process when this script is gone.
 start_worker() {
   local name=$1
   shift
@@ -62,7 +63,7 @@ start_worker() {
   names[$!]=$name
 }
 
-# Arguments: process ids. SIGTERM; SIGKILL for those that are still there after 15 s.
+# Arguments: process ids. Sends SIGTERM, and after 15 s SIGKILL to those that still run.
 stop() {
   local deadline=$((SECONDS + 15)) pid
   kill -TERM "$@" 2>/dev/null || true
@@ -73,7 +74,7 @@ stop() {
 }
 
 clean_up() {
-  trap '' INT TERM
+  trap '' INT TERM HUP
   stop "${learner:-}" "${!names[@]}"
   rm -rf "$sockets"
 }
@@ -90,7 +91,7 @@ on_signal() {
 mkdir -p "$logdir/fleet"
 setpriv --pdeathsig TERM "$bin/craftfleet-learner" "${learner_flags[@]}" --listen="unix:$sockets/learner" </dev/null &
 learner=$!
-trap on_signal INT TERM
+trap on_signal INT TERM HUP
 
 servers=
 for ((i = 1; i <= envservers; i++)); do
@@ -104,7 +105,7 @@ for ((i = 1; i <= actors; i++)); do
 done
 say "1 learner, $actors actors, $envservers environment servers; watch: craftfleet status --address=unix:$sockets/learner"
 
-# Arguments: a kind of worker, like actor. True while one of them runs.
+# Argument: a kind of worker, such as actor. True while one of them runs.
 any_left() {
   local name
   for name in "${names[@]}"; do
@@ -120,14 +121,16 @@ while true; do
   [ -n "${ended:-}" ] || continue  # a signal
   if [ "$ended" = "$learner" ]; then
     learner=
+    # 143: the learner got the signal before it had set up its handlers, so there is no run to save.
+    if [ -n "$stopping" ] && [ "$status" -eq 143 ]; then status=0; fi
     exit "$status"
   fi
   name=${names[$ended]}
   unset "names[$ended]"
-  # When the run is over actors leave by themselves, some before the learner.
+  # At the end of the run actors exit on their own, some before the learner.
   [ "$status" -eq 0 ] || say "$name ended with exit code $status: $(tail -n 1 "$logdir/fleet/$name.log")"
   if [ "$status" -ne 0 ] && { ! any_left actor || ! any_left envserver; }; then
-    say "nobody is left to play: see $logdir/fleet"
+    say "no actor or no environment server is left: see $logdir/fleet"
     exit 1
   fi
 done

@@ -2,13 +2,13 @@
 # Makes the certificates of a fleet with openssl: an authority, and a certificate and key from it for each name.
 #
 # Usage: deploy/make-certs.sh [--days=N] DIR NAME[=HOST,HOST,...]...
-#   DIR      gets ca.pem and ca.key (kept if they are there: then more certificates come from the same authority), and
-#            NAME.pem and NAME.key for each NAME; those that are there are renewed
-#   NAME     what --access_file knows the holder by (the common name)
-#   HOST     names and IP addresses that it is reached by, beside NAME, localhost, 127.0.0.1 and ::1
-#   --days   validity of the certificates (default 90); the authority's is ten years
+#   DIR      folder for ca.pem and ca.key, which are kept if they exist, and for NAME.pem and NAME.key of each NAME,
+#            which are replaced if they exist
+#   NAME     the name of the holder in the --access_file (the common name)
+#   HOST     host names and IP addresses of the holder, in addition to NAME, localhost, 127.0.0.1 and ::1
+#   --days   validity of the certificates (default 90); the authority is valid for ten years
 #
-# Keep ca.key away from the fleet: who has it makes certificates.
+# Keep ca.key away from the fleet: anyone who has it can make certificates.
 #
 #   deploy/make-certs.sh certs learner=learner.example.com,10.0.0.5 envserver actor ops
 

@@ -1,10 +1,10 @@
 #!/usr/bin/env bash
-# From a fresh checkout to a trained agent: installs what is missing, builds, trains PPO-CNN on Crafter in one process,
-# evaluates it, says where the results lie.
+# From a fresh checkout to a trained agent: installs missing packages, builds, trains PPO-CNN on Crafter in one process,
+# evaluates it, and lists the results.
 #
 # Usage: deploy/quickstart.sh [--steps=N] [--seed=N]
 #   --steps=N  environment steps to train for; default 100000
-#   --seed=N   of the run; default 1
+#   --seed=N   seed of the run; default 1
 
 set -euo pipefail
 
@@ -20,7 +20,7 @@ for argument in "$@"; do
   esac
 done
 if ! [[ $steps =~ ^[0-9]+$ && $seed =~ ^[0-9]+$ ]]; then
-  echo "quickstart.sh: --steps and --seed want whole numbers" >&2
+  echo "quickstart.sh: --steps=$steps --seed=$seed, want whole numbers" >&2
   exit 2
 fi
 cd "$(dirname "$0")/.."

@@ -1,10 +1,10 @@
 #!/usr/bin/env bash
-# Installs what is missing, builds, runs every test. The last line says "N passed, N failed", with ", N skipped" where
-# tests were skipped. Fails when a test failed or none ran.
+# Installs missing packages, builds, runs every test. The last line is "N passed, N failed", with ", N skipped" if
+# tests were skipped. Fails if a test failed or none ran.
 #
 # Usage: deploy/test.sh [--suites=PRESET,...] [CTEST ARGUMENT]...
-#   --suites=PRESET,...        one after the other: release (default), debug, asan-ubsan, asan-ubsan-unit, tsan; see
-#                              CMakePresets.json
+#   --suites=PRESET,...        presets to build and test in turn: release (default), ci (with warnings as errors), debug,
+#                              asan-ubsan, asan-ubsan-unit, tsan; see CMakePresets.json
 #   deploy/test.sh -L unit     only tests with a label: unit, golden, property, integration, bench, tsan
 #   deploy/test.sh -R World    only tests whose name has "World" in it
 #   CRAFTFLEET_GOLDEN_DIR      environment variable: folder with the golden files; without it their tests are skipped
@@ -21,19 +21,19 @@ cd "$(dirname "$0")/.."
 
 passed=0 failed=0 skipped=0
 
-# Arguments: what went wrong, although no test says so; counts as one that failed.
+# Arguments: a failure that no test reports. It counts as a failed test.
 add_failure() {
   echo "test.sh: $*" >&2
   failed=$((failed + 1))
 }
 
-# Runs the tests of a build and adds up their results. Arguments: its preset, then ctest's.
+# Runs the tests of a build and adds up their results. Arguments: its preset, then arguments of ctest.
 run_suite() {
   local preset=$1 results=$PWD/build-$1/test-results.xml ctest_failed=0
   shift
-  [ "$preset" != release ] || results=$PWD/build/test-results.xml
+  [[ $preset != release && $preset != ci ]] || results=$PWD/build/test-results.xml
   rm -f "$results"
-  # GDAL, which OpenCV brings, takes its own locks in either order; every race is still reported.
+  # GDAL, a dependency of OpenCV, takes its locks in varying order. Races are still reported.
   [ "$preset" != tsan ] || export TSAN_OPTIONS=detect_deadlocks=0
   ctest --preset "$preset" --parallel "$(nproc)" --output-junit "$results" "$@" || ctest_failed=1
   if ! [ -f "$results" ]; then
@@ -45,7 +45,7 @@ run_suite() {
   local ran good bad left_out
   ran=$(count '<testcase ')
   good=$(count '<testcase .*status="run"')
-  # A test whose program is missing is marked as skipped too, with another message: that one has failed.
+  # ctest also marks tests as skipped whose program is missing, with another message. They count as failed.
   left_out=$(count 'status="disabled"|<skipped message="SKIP_')
   bad=$((ran - good - left_out))
   echo "$preset: $good passed, $bad failed, $left_out skipped"

@@ -4,11 +4,11 @@
 
 #include <absl/strings/str_cat.h>
 
-#include "common/backoff.h"
-#include "common/log.h"
-#include "common/version.h"
+#include "common/base/backoff.h"
+#include "common/process/version.h"
+#include "common/process/worker_name.h"
+#include "common/telemetry/log.h"
 #include "common/wire/protocol.h"
-#include "common/worker_name.h"
 
 namespace craftfleet {
 namespace {
@@ -50,7 +50,7 @@ void Announcer::Run() {
   bool ever_known = false;
   while (true) {
     const absl::Status status = Announce(/*leaving=*/false);
-    if (status.ok() && !known) LogInfo("learner %s knows of this server", learner_.address);
+    if (status.ok() && !known) LogInfo("registered with learner %s", learner_.address);
     if (!status.ok() && last_error != status.message()) {
       LogWarning("%s; trying again until it answers", status.message());
     }
@@ -63,7 +63,7 @@ void Announcer::Run() {
                      [this]() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_) { return leaving_; });
     if (leaving_) break;
   }
-  // A learner that does not hear this notices by the lease.
+  // If this does not arrive, the learner drops the server when its lease ends.
   if (ever_known) Announce(/*leaving=*/true).IgnoreError();
 }
 

@@ -1,4 +1,4 @@
-// Tells a learner that this environment server is there.
+// Registers this environment server with a learner.
 
 #ifndef CRAFTFLEET_ENVSERVER_ANNOUNCER_H_
 #define CRAFTFLEET_ENVSERVER_ANNOUNCER_H_
@@ -11,21 +11,22 @@
 #include <absl/status/status.h>
 #include <absl/time/time.h>
 
-#include "common/mutex.h"
+#include "common/base/mutex.h"
 #include "common/wire/channel.h"
 #include "craftfleet/v1/learner.grpc.pb.h"
 
 namespace craftfleet {
 
-// Announces on a thread of its own, every second, whether the learner is there or not. Thread-safe.
+// Announces the server every second on a thread of its own, and retries while the learner is unreachable. Thread-safe.
 class Announcer {
  public:
-  // `address` is where actors find the server, `canary` its GameCanary; `summarize` tells what the learner shows of it.
+  // `address` is where actors find the server, `canary` its GameCanary; `summarize` returns what the learner shows in
+  // its status.
   Announcer(wire::Endpoint learner, const std::string& address, const std::string& texture_digest,
             const std::string& canary, std::function<v1::ProcessSummary()> summarize);
   ~Announcer();
 
-  // Takes the announcement back, so that actors move their games, and ends the thread. Idempotent.
+  // Withdraws the announcement, so that actors move their games, and ends the thread. Idempotent.
   void Leave() ABSL_LOCKS_EXCLUDED(mu_);
 
  private:

@@ -7,11 +7,11 @@
 #include <absl/strings/str_format.h>
 #include <absl/types/span.h>
 
-#include "common/crafter.h"
-#include "common/env_name.h"
-#include "common/fnv1a.h"
-#include "common/seeds.h"
-#include "common/status_macros.h"
+#include "common/base/crafter.h"
+#include "common/base/fnv1a.h"
+#include "common/base/seeds.h"
+#include "common/base/status_macros.h"
+#include "common/config/env_name.h"
 #include "envserver/game.h"
 #include "envserver/render/renderer.h"
 
@@ -31,11 +31,11 @@ constexpr Part kParts[] = {
 };
 
 template <typename Number>
-uint64_t TakeIn(uint64_t hash, Number number) {
+uint64_t AddNumber(uint64_t hash, Number number) {
   return Fnv1a(hash, {reinterpret_cast<const char*>(&number), sizeof(number)});
 }
 
-absl::StatusOr<uint64_t> TakeInPart(uint64_t hash, const Part& part, const Textures& textures) {
+absl::StatusOr<uint64_t> AddPart(uint64_t hash, const Part& part, const Textures& textures) {
   CRAFTFLEET_ASSIGN_OR_RETURN(const EnvName name, EnvName::Parse(part.env));
   RenderOptions picture;
   picture.width = part.frame_size;
@@ -49,7 +49,7 @@ absl::StatusOr<uint64_t> TakeInPart(uint64_t hash, const Part& part, const Textu
   for (int step = 0; step < part.steps; ++step) {
     const auto action = static_cast<Action>(MixBits(static_cast<uint64_t>(part.seed << 32) + step) % kNumActions);
     const StepOutcome outcome = game.Step(action, absl::MakeSpan(frame));
-    hash = TakeIn(TakeIn(Fnv1a(hash, shown), outcome.reward), outcome.end);
+    hash = AddNumber(AddNumber(Fnv1a(hash, shown), outcome.reward), outcome.end);
     if (outcome.end != StepEnd::kNone) game.Reset(absl::MakeSpan(frame));
   }
   return hash;
@@ -60,7 +60,7 @@ absl::StatusOr<uint64_t> TakeInPart(uint64_t hash, const Part& part, const Textu
 absl::StatusOr<std::string> GameCanary(const Textures& textures) {
   uint64_t hash = kFnv1aBasis;
   for (const Part& part : kParts) {
-    CRAFTFLEET_ASSIGN_OR_RETURN(hash, TakeInPart(hash, part, textures));
+    CRAFTFLEET_ASSIGN_OR_RETURN(hash, AddPart(hash, part, textures));
   }
   return absl::StrFormat("%016x", hash);
 }

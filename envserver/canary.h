@@ -1,4 +1,4 @@
-// A canary: tells whether two environment servers play the same game.
+// A canary: a digest that differs between environment servers whose games differ.
 
 #ifndef CRAFTFLEET_ENVSERVER_CANARY_H_
 #define CRAFTFLEET_ENVSERVER_CANARY_H_
@@ -11,8 +11,8 @@
 
 namespace craftfleet {
 
-// 16 hexadecimal digits: a digest of all that some hundred fixed steps of fixed games show and give, by day and by
-// night. Servers with the same textures whose canaries differ have other rules or other pictures. Takes some tens of
+// 16 hexadecimal digits: a digest of the observations and results of some hundred fixed steps of fixed games, by day
+// and by night. Servers with the same textures but different canaries differ in rules or rendering. Takes some tens of
 // milliseconds. Fails as World::Create and Renderer::Create.
 absl::StatusOr<std::string> GameCanary(const Textures& textures);
 

@@ -4,15 +4,15 @@
 #include <utility>
 
 #include <absl/strings/str_format.h>
-#include <absl/time/clock.h>
 
-#include "common/status_macros.h"
+#include "common/base/clock.h"
+#include "common/base/status_macros.h"
 
 namespace craftfleet {
 namespace {
 
-constexpr absl::Duration kLookEvery = absl::Milliseconds(50);
-constexpr size_t kGamesALook = 16;  // small ones take microseconds a step
+constexpr absl::Duration kCheckEvery = absl::Milliseconds(50);
+constexpr size_t kGamesPerCheck = 16;  // small games take microseconds a step
 
 absl::Span<uint8_t> Row(std::string* frames, size_t row, size_t frame_bytes) {
   return absl::MakeSpan(reinterpret_cast<uint8_t*>(&(*frames)[row * frame_bytes]), frame_bytes);
@@ -47,17 +47,17 @@ absl::Status EnvBatch::CheckRoom(size_t more) const {
     most = std::min(most, kMaxMomentBytes / (recording_->picture_bytes() + renderer_->frame_bytes()));
   }
   if (static_cast<int64_t>(more + games_.size()) <= most) return absl::OkStatus();
-  return absl::InvalidArgumentError(absl::StrFormat("%d lanes more on top of %d open ones, want at most %d in a %s",
-                                                    more, games_.size(), most,
-                                                    recording_.has_value() ? "session that records so" : "session"));
+  return absl::InvalidArgumentError(
+      absl::StrFormat("%d lanes more on top of %d open ones, want at most %d in a %s", more, games_.size(), most,
+                      recording_.has_value() ? "session that records pictures of this size" : "session"));
 }
 
 absl::Status EnvBatch::CheckStopped() {
   if (stopped_ == nullptr) return absl::OkStatus();
-  const absl::Time now = absl::Now();
-  if (now < next_look_) return absl::OkStatus();
-  next_look_ = now + kLookEvery;
-  return stopped_() ? absl::CancelledError("the client left, or the server stops") : absl::OkStatus();
+  const absl::Time now = SteadyNow();
+  if (now < next_check_) return absl::OkStatus();
+  next_check_ = now + kCheckEvery;
+  return stopped_() ? absl::CancelledError("the client left, or the server is stopping") : absl::OkStatus();
 }
 
 absl::Status EnvBatch::OpenOne(const OpenLane& lane, absl::Span<uint8_t> frame) {
@@ -89,7 +89,7 @@ absl::Status EnvBatch::Step(absl::Span<const int> lanes, absl::Span<const Action
   batch->snapshots.clear();
   moments_.clear();
   for (size_t row = 0; row < lanes.size(); ++row) {
-    if (row % kGamesALook == kGamesALook - 1) CRAFTFLEET_RETURN_IF_ERROR(CheckStopped());
+    if (row % kGamesPerCheck == kGamesPerCheck - 1) CRAFTFLEET_RETURN_IF_ERROR(CheckStopped());
     const absl::Span<uint8_t> frame = Row(&batch->frames, row, renderer_->frame_bytes());
     Game* game = chosen_[row];
     std::function<void()> record;

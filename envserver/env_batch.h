@@ -7,6 +7,7 @@
 #include <functional>
 #include <map>
 #include <memory>
+#include <optional>
 #include <string>
 #include <utility>
 #include <vector>
@@ -14,10 +15,9 @@
 #include <absl/status/status.h>
 #include <absl/strings/string_view.h>
 #include <absl/time/time.h>
-#include <absl/types/optional.h>
 #include <absl/types/span.h>
 
-#include "common/types.h"
+#include "common/base/types.h"
 #include "envserver/game.h"
 #include "envserver/moment_taker.h"
 
@@ -27,11 +27,11 @@ namespace craftfleet {
 class EnvBatch {
  public:
   static constexpr int kMaxLanes = 4096;  // games of one session
-  // First episode that can be asked for; snapshots count on to 2^52.
+  // Largest episode number of a new game; snapshots may continue up to 2^52.
   static constexpr int64_t kMaxEpisode = int64_t{1} << 50;
   static constexpr int64_t kMaxMomentBytes = 64 << 20;  // of the moments of all games
 
-  // A game to begin or to go on with.
+  // A game to start, or to continue from a snapshot.
   struct OpenLane {
     int lane = 0;
     int64_t seed = 0;
@@ -39,36 +39,36 @@ class EnvBatch {
     absl::string_view snapshot;  // empty: a new game
   };
 
-  // A lane that was not opened, since its snapshot is no game.
+  // A lane that was not opened because its snapshot is invalid.
   struct Refused {
     int lane = 0;
     std::string reason;
   };
 
-  explicit EnvBatch(std::shared_ptr<const Renderer> renderer, absl::optional<MomentTaker> recording = absl::nullopt)
+  explicit EnvBatch(std::shared_ptr<const Renderer> renderer, std::optional<MomentTaker> recording = std::nullopt)
       : renderer_(std::move(renderer)), recording_(std::move(recording)) {}
 
-  // Opens `lanes` (one that is open already starts anew) and writes their observations, uint8[n,H,W,3], to `frames`.
-  // Those whose snapshot is not of such a game are closed: refused() names them, and frames and moments have the rest.
+  // Opens `lanes` (an open one is replaced) and writes their observations, uint8[n,H,W,3], to `frames`. Lanes with an
+  // invalid snapshot are closed: refused() names them, and frames and moments contain the others only.
   //   InvalidArgument: a lane below 0, too many lanes, more of them than kMaxMomentBytes allows to record, or an
   //   episode out of range.   Cancelled: see StopWhen.
   absl::Status Open(absl::Span<const OpenLane> lanes, std::string* frames);
 
-  // Of the last Open, in its order.
+  // Lanes refused by the last Open, in its order.
   const std::vector<Refused>& refused() const { return refused_; }
 
-  // One step of each of `lanes` with its action. An ended game goes on with its next episode: the row has the result of
-  // the last step and the first frame of the new episode. With `snapshot` the games' states after the step are given
-  // too.
+  // One step of each of `lanes` with its action. An ended game starts its next episode: the row has the result of
+  // the last step and the first frame of the new episode. With `snapshot`, the result includes the games' states after
+  // the step.
   //   InvalidArgument: a lane that is not open or named twice; nothing was stepped.   Cancelled: see StopWhen; some
   //   games were stepped, and their results are lost.
   absl::Status Step(absl::Span<const int> lanes, absl::Span<const Action> actions, bool snapshot, StepBatch* batch);
 
-  // With `recording`: what the games of the last Open or Step looked like after it, in its order; of a game that ended,
-  // the last moment of the episode that ended. May be taken away.
+  // With `recording`: the moments of the games after the last Open or Step, in its order; for a game that ended, the
+  // last moment of the ended episode. The caller may move them out.
   std::vector<Moment>& moments() { return moments_; }
 
-  // Open and Step ask `stopped` between games, some times a second, and end with Cancelled when it says so.
+  // Open and Step call `stopped` between games, some times a second, and return Cancelled if it returns true.
   void StopWhen(std::function<bool()> stopped) { stopped_ = std::move(stopped); }
 
   // Drops games. Lanes that are not open are ignored.
@@ -82,20 +82,20 @@ class EnvBatch {
 
  private:
   absl::Status CheckRoom(size_t more) const;
-  // Cancelled: nobody waits for the rest.
+  // Cancelled: the result is no longer needed.
   absl::Status CheckStopped();
-  // DataLoss: the snapshot.
+  // DataLoss: the snapshot is invalid.
   absl::Status OpenOne(const OpenLane& lane, absl::Span<uint8_t> frame);
   // Sets `chosen_`.
   absl::Status Find(absl::Span<const int> lanes);
 
   const std::shared_ptr<const Renderer> renderer_;
-  const absl::optional<MomentTaker> recording_;
+  const std::optional<MomentTaker> recording_;
   std::map<int, Game> games_;
   std::vector<Game*> chosen_;  // the games of the current request, in its order
   std::vector<Moment> moments_;
   std::function<bool()> stopped_;
-  absl::Time next_look_ = absl::InfinitePast();
+  absl::Time next_check_ = absl::InfinitePast();
   std::vector<Refused> refused_;
 };
 

@@ -8,18 +8,19 @@
 #include <absl/strings/str_cat.h>
 #include <absl/strings/str_format.h>
 
-#include "common/env_name.h"
-#include "common/log.h"
-#include "common/printable.h"
-#include "common/status_macros.h"
-#include "common/texture_digest.h"
-#include "common/version.h"
+#include "common/base/printable.h"
+#include "common/base/status_macros.h"
+#include "common/config/env_name.h"
+#include "common/io/texture_digest.h"
+#include "common/process/version.h"
+#include "common/telemetry/log.h"
 #include "common/wire/convert.h"
 #include "common/wire/grpc_status.h"
 #include "common/wire/protocol.h"
 #include "common/wire/request_check.h"
 #include "common/wire/status_service.h"
 #include "envserver/canary.h"
+#include "envserver/render/built_in_textures.h"
 
 namespace craftfleet {
 namespace {
@@ -28,25 +29,26 @@ constexpr absl::Duration kSummarizeEvery = absl::Seconds(1);
 
 int64_t FrameBytes(const RenderOptions& picture) { return int64_t{picture.width} * picture.height * 3; }
 
-// Makes room for `games` like those of `batch`, or gives room back.
+// Reserves memory for `games` like those of `batch`, or releases it.
 absl::Status SetGames(int64_t games, const EnvBatch& batch, GameBudget::Share* share) {
   return share->Set(games, SessionBytes(games, batch.renderer().frame_bytes(), batch.records(), batch.picture_bytes()));
 }
 
-// Tells the client which lanes are not open, and why.
-void AddRefused(const std::vector<EnvBatch::Refused>& refused, v1::PlayReply* reply) {
+// Reports the lanes that were not opened, with reasons.
+void AddRefused(const std::vector<EnvBatch::Refused>& refused, LimitedLog* log, v1::PlayReply* reply) {
   for (const EnvBatch::Refused& lane : refused) {
     v1::RefusedLane* message = reply->add_refused();
     message->set_lane(lane.lane);
     message->set_reason(Printable(lane.reason.substr(0, wire::kMaxReasonBytes)));
   }
   if (refused.empty()) return;
-  LogWarning("%d lanes not opened: lane %d: %s", refused.size(), refused[0].lane, reply->refused(0).reason());
+  log->Warn("lanes", absl::StrFormat("%d lanes refused; lane %d: %s", refused.size(), refused[0].lane,
+                                     reply->refused(0).reason()));
 }
 
 }  // namespace
 
-// Counts a session from Enter on, as long as it lives.
+// Registers a session from Enter() until destruction.
 class EnvServiceImpl::SessionGuard {
  public:
   explicit SessionGuard(EnvServiceImpl* service)
@@ -56,7 +58,7 @@ class EnvServiceImpl::SessionGuard {
     if (service_->sessions_.erase(this) > 0) service_->ended_.Add(meter_.Total());
     service_->changed_.NotifyAll();
   }
-  // Takes the server for the session's run.   FailedPrecondition: it has sessions of another.
+  // Binds the server to the session's run.   FailedPrecondition: it has sessions of another run.
   absl::Status Enter(const v1::SessionHello& hello, const std::string& address) {
     MutexLock lock(&service_->mu_);
     std::string& run_id = service_->run_id_;
@@ -73,7 +75,7 @@ class EnvServiceImpl::SessionGuard {
     service_->sessions_[this].lanes = lanes;
     service_->changed_.NotifyAll();
   }
-  // Adds what the client is told about the server, now and then.
+  // Adds the server's summary to a reply, at intervals.
   void AddSummary(v1::PlayReply* reply) {
     reply->clear_server();
     if (service_->clock_.Now() < next_summary_) return;
@@ -107,8 +109,15 @@ absl::StatusOr<std::unique_ptr<EnvServiceImpl>> EnvServiceImpl::Create(const std
 absl::StatusOr<std::unique_ptr<EnvServiceImpl>> EnvServiceImpl::Create(const std::string& texture_dir,
                                                                        const Options& options) {
   CRAFTFLEET_RETURN_IF_ERROR(options.Validate());
-  CRAFTFLEET_ASSIGN_OR_RETURN(std::shared_ptr<const Textures> textures, Textures::Load(texture_dir));
-  CRAFTFLEET_ASSIGN_OR_RETURN(std::string digest, TextureDigest(texture_dir));
+  std::shared_ptr<const Textures> textures;
+  std::string digest;
+  if (texture_dir.empty()) {
+    textures = Textures::BuiltIn();
+    digest = TextureDigest(BuiltInTextures());
+  } else {
+    CRAFTFLEET_ASSIGN_OR_RETURN(textures, Textures::Load(texture_dir));
+    CRAFTFLEET_ASSIGN_OR_RETURN(digest, TextureDigest(texture_dir));
+  }
   CRAFTFLEET_ASSIGN_OR_RETURN(std::string canary, GameCanary(*textures));
   return std::unique_ptr<EnvServiceImpl>(
       new EnvServiceImpl(std::move(textures), std::move(digest), std::move(canary), options));
@@ -128,11 +137,12 @@ grpc::Status EnvServiceImpl::Play(grpc::ServerContext* context,
   absl::Status status = watched.admitted();
   try {
     if (status.ok()) status = Serve(context, &watched, stream);
-  } catch (const std::exception& error) {  // of a library below the game, or out of memory
-    status = absl::AbortedError(absl::StrCat("the environment failed (", error.what(), "): go on from the snapshots"));
+  } catch (const std::exception& error) {  // from a library, or out of memory
+    status =
+        absl::AbortedError(absl::StrCat("the environment failed (", error.what(), "): continue from the snapshots"));
   }
   if (const absl::Status late = watched.late(); !late.ok()) status = late;
-  if (absl::IsCancelled(status)) return wire::ToGrpc(status);  // the client's wish, or ours
+  if (absl::IsCancelled(status)) return wire::ToGrpc(status);  // by the client or by this server
   if (!status.ok()) {
     ++rejected_;
     log_.Warn(wire::ClientOfPeer(context->peer()),
@@ -146,10 +156,10 @@ absl::Status EnvServiceImpl::Serve(grpc::ServerContext* context, wire::StreamWat
   v1::PlayRequest request;
   v1::PlayReply reply;
   watched->Await("a hello (--hello_timeout)", options_.hello_timeout);
-  const bool spoke = stream->Read(&request);
+  const bool received = stream->Read(&request);
   watched->Work();
-  if (!spoke && context->IsCancelled()) return absl::OkStatus();
-  if (!spoke || !request.has_hello()) return absl::InvalidArgumentError("a session begins with hello");
+  if (!received && context->IsCancelled()) return absl::OkStatus();
+  if (!received || !request.has_hello()) return absl::InvalidArgumentError("a session begins with hello");
   GameBudget::Share share(&budget_);
   CRAFTFLEET_ASSIGN_OR_RETURN(EnvBatch batch, Greet(request.hello(), &share));
   batch.StopWhen([context] { return context->IsCancelled(); });
@@ -165,6 +175,7 @@ absl::Status EnvServiceImpl::Serve(grpc::ServerContext* context, wire::StreamWat
     watched->Await("a reply to be taken (--reply_timeout)", options_.reply_timeout);
     if (!stream->Write(reply)) return absl::OkStatus();
     session.meter()->Switch(Activity::kIdle);
+    request = v1::PlayRequest();  // a session that waits must not keep megabytes of its last request
     watched->Await("the next request (--idle_timeout)", options_.idle_timeout);
     if (!stream->Read(&request)) return absl::OkStatus();
     watched->Work();
@@ -186,8 +197,8 @@ absl::StatusOr<EnvBatch> EnvServiceImpl::Greet(const v1::SessionHello& hello, Ga
   CRAFTFLEET_RETURN_IF_ERROR(wire::CheckHandshake("environment server", ours, "actor", theirs));
   if (!hello.game_canary().empty() && hello.game_canary() != canary_) {
     return absl::FailedPreconditionError(absl::StrFormat(
-        "this environment server (build %s) plays another game than the run: its canary is %s, want %s: run the same "
-        "build everywhere",
+        "this environment server (build %s) plays another game than the run: canary %s, want %s; run the same build "
+        "everywhere",
         BuildId(), canary_, absl::CHexEscape(hello.game_canary().substr(0, 64))));
   }
   CRAFTFLEET_RETURN_IF_ERROR(wire::CheckText("client", hello.client()));
@@ -206,7 +217,7 @@ absl::StatusOr<EnvBatch> EnvServiceImpl::Greet(const v1::SessionHello& hello, Ga
   larger_picture.height = hello.recording().picture_size();
   const bool larger_wanted = larger_picture.width != 0;
   if (larger_wanted) CRAFTFLEET_RETURN_IF_ERROR(larger_picture.Validate(world));
-  // Renderers have tables of the size of some pictures.
+  // A renderer's tables are as large as some pictures.
   CRAFTFLEET_RETURN_IF_ERROR(share->Set(
       0, SessionBytes(0, FrameBytes(picture), hello.has_recording(), larger_wanted ? FrameBytes(larger_picture) : 0)));
   CRAFTFLEET_ASSIGN_OR_RETURN(std::shared_ptr<const Renderer> renderer, Renderer::Create(*textures_, world, picture));
@@ -239,9 +250,9 @@ absl::Status EnvServiceImpl::Handle(const v1::PlayRequest& request, EnvBatch* ba
       }
       reply->Clear();
       CRAFTFLEET_RETURN_IF_ERROR(batch->Open(lanes, reply->mutable_frames()));
-      AddRefused(batch->refused(), reply);
+      AddRefused(batch->refused(), &log_, reply);
       wire::ToProto(std::move(batch->moments()), reply);
-      return SetGames(batch->size(), *batch, share);  // some may have been open before
+      return SetGames(batch->size(), *batch, share);  // some lanes may have been open already
     }
     case v1::PlayRequest::kClose:
       reply->Clear();

@@ -1,8 +1,9 @@
 #include "envserver/game.h"
 
+#include <optional>
 #include <utility>
 
-#include "common/status_macros.h"
+#include "common/base/status_macros.h"
 
 namespace craftfleet {
 
@@ -27,7 +28,7 @@ StepOutcome Game::Step(Action action, absl::Span<uint8_t> frame) {
 
 Game::PlayedStep Game::StepAndAutoReset(Action action, absl::Span<uint8_t> frame, std::string* last_frames,
                                         const std::function<void()>& on_step) {
-  PlayedStep played{world_.Step(action), absl::nullopt};
+  PlayedStep played{world_.Step(action), std::nullopt};
   const StepEnd end = played.outcome.end;
   if (end != StepEnd::kTerminated || on_step != nullptr) Draw(frame);
   if (on_step != nullptr) on_step();

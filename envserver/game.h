@@ -6,17 +6,17 @@
 #include <cstdint>
 #include <functional>
 #include <memory>
+#include <optional>
 #include <string>
 
 #include <absl/status/status.h>
 #include <absl/status/statusor.h>
 #include <absl/strings/string_view.h>
-#include <absl/types/optional.h>
 #include <absl/types/span.h>
 
-#include "common/crafter.h"
-#include "common/snapshot_envelope.h"
-#include "common/types.h"
+#include "common/base/crafter.h"
+#include "common/base/types.h"
+#include "common/io/snapshot_envelope.h"
 #include "envserver/render/renderer.h"
 #include "envserver/world/random_stream.h"
 #include "envserver/world/world.h"
@@ -27,14 +27,14 @@ namespace craftfleet {
 // on different threads may share a renderer.
 class Game {
  public:
-  // What a step gave, and the episode if it ended with it.
+  // The outcome of a step, and the episode if the step ended it.
   struct PlayedStep {
     StepOutcome outcome;
-    absl::optional<Episode> episode;  // its `step` is left 0
+    std::optional<Episode> episode;  // its `step` is left 0
   };
 
-  // A new game with the renderer's world options, at the beginning of `episode`, from 1, whose first picture goes to
-  // `frame`. A late episode costs no more than an early one.
+  // A new game with the renderer's world options, at the beginning of `episode` (1 or more). Writes its first picture
+  // to `frame`. A late episode costs no more than an early one.
   static absl::StatusOr<Game> Create(std::shared_ptr<const Renderer> renderer, int64_t seed, absl::Span<uint8_t> frame,
                                      int64_t episode = 1);
 
@@ -42,22 +42,22 @@ class Game {
   void Reset(absl::Span<uint8_t> frame);
   // As Crafter's env.step: the caller resets after an end.
   StepOutcome Step(Action action, absl::Span<uint8_t> frame);
-  // One step; after an end, the next episode is begun and its first picture goes to `frame`. The last picture of an
-  // episode that was truncated is appended to `last_frames`; that of a death nobody needs. With `on_step` the picture
-  // after the step is drawn in any case, and it is called when `frame` holds it.
+  // One step. If it ends the episode, the next one starts and its first picture goes to `frame`. The last picture of a
+  // truncated episode is appended to `last_frames`; that of a death is not needed. With `on_step`, the picture after
+  // the step is always drawn, and `on_step` is called while `frame` holds it.
   PlayedStep StepAndAutoReset(Action action, absl::Span<uint8_t> frame, std::string* last_frames,
                               const std::function<void()>& on_step = nullptr);
 
-  // The whole game as bytes (World::Save) in an envelope (common/snapshot_envelope.h). The current picture is not
+  // The whole game as bytes (World::Save) in an envelope (common/io/snapshot_envelope.h). The current picture is not
   // stored but can be drawn again.
   std::string Save() const;
-  // Goes on where Save() was called, and writes the picture of that moment to `frame`. On failure game and frame are
+  // Restores the state at Save() and writes the picture of that moment to `frame`. On failure game and frame are
   // unchanged.
   //   InvalidArgument: too large, or no envelope of such a game.   Others as World::Restore().
   absl::Status Restore(absl::string_view snapshot, absl::Span<uint8_t> frame);
 
   const World& world() const { return world_; }
-  // The world's stream as it was before the current picture was drawn: draws the same night again.
+  // The world's stream before the current picture was drawn; with it the same picture can be drawn again at night.
   const RandomStream& before_picture() const { return before_picture_; }
 
  private:
@@ -65,9 +65,9 @@ class Game {
       : renderer_(std::move(renderer)), world_(std::move(world)) {}
 
   void Draw(absl::Span<uint8_t> frame);
-  // What envelopes of this game are marked with.
+  // The environment digest in envelopes of this game.
   uint64_t env_digest() const { return EnvDigest(world_.options().name, world_.options().length); }
-  // Of the current episode, when it has ended; its `step` is left 0.
+  // The current episode, which has ended; its `step` is left 0.
   Episode EndedEpisode() const;
 
   std::shared_ptr<const Renderer> renderer_;

@@ -3,15 +3,15 @@
 #include <absl/strings/str_format.h>
 #include <absl/strings/string_view.h>
 
-#include "common/status_macros.h"
+#include "common/base/status_macros.h"
 
 namespace craftfleet {
 namespace {
 
 constexpr int64_t kMiB = int64_t{1} << 20;
-constexpr int64_t kWorldBytes = 64 << 10;     // of a game: its world, its snapshot and the messages with that
-constexpr int64_t kMomentBytes = 16 << 10;    // of a recorded one beside its pictures
-constexpr int64_t kSessionBytes = 256 << 10;  // of one without games: stream, thread, the renderer's small tables
+constexpr int64_t kWorldBytes = 64 << 10;     // per game: its world, its snapshot and the messages with it
+constexpr int64_t kMomentBytes = 16 << 10;    // per recorded game, in addition to its pictures
+constexpr int64_t kSessionBytes = 256 << 10;  // per session without games: stream, thread, the renderer's small tables
 constexpr int64_t kFrameCopies = 4;     // in the reply and its message, for the last pictures of episodes once more
 constexpr int64_t kMomentCopies = 2;    // taken, and in the message
 constexpr int64_t kRendererFrames = 8;  // tables of light and sprites, in pictures of their size
@@ -24,7 +24,7 @@ absl::Status CheckLimit(absl::string_view flag, int64_t value, int64_t least, ab
 absl::Status CheckRoom(absl::string_view what, int64_t asked, int64_t limit, absl::string_view flag) {
   if (asked <= limit) return absl::OkStatus();
   return absl::ResourceExhaustedError(absl::StrFormat(
-      "%s: %d asked for, at most %d (--%s): ask for less, or another server", what, asked, limit, flag));
+      "%s: %d requested, at most %d (--%s): request less, or use another server", what, asked, limit, flag));
 }
 
 int64_t RoundedUpMiB(int64_t bytes) { return bytes / kMiB + (bytes % kMiB != 0 ? 1 : 0); }
@@ -54,7 +54,7 @@ absl::Status GameBudget::Take(int64_t had_games, int64_t had_bytes, int64_t game
   const MutexLock lock(&mu_);
   const int64_t all_games = games_ - had_games + games;
   const int64_t all_bytes = bytes_ - had_bytes + bytes;
-  // Who gives back is never refused.
+  // A release is never refused.
   if (games > had_games || bytes > had_bytes) {
     CRAFTFLEET_RETURN_IF_ERROR(CheckRoom("games of one session", games, options_.session_games, "max_session_games"));
     CRAFTFLEET_RETURN_IF_ERROR(CheckRoom("games of all sessions", all_games, options_.games, "max_games"));

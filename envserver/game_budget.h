@@ -1,4 +1,4 @@
-// How many games, and how much memory for them, the sessions of an environment server may have.
+// Limits the games and their memory, per session and for all sessions of an environment server.
 
 #ifndef CRAFTFLEET_ENVSERVER_GAME_BUDGET_H_
 #define CRAFTFLEET_ENVSERVER_GAME_BUDGET_H_
@@ -8,11 +8,11 @@
 
 #include <absl/status/status.h>
 
-#include "common/mutex.h"
+#include "common/base/mutex.h"
 
 namespace craftfleet {
 
-// What games take: counted, or for memory reckoned before anything is allocated. Thread-safe.
+// Counts games and estimates their memory before anything is allocated. Thread-safe.
 class GameBudget {
  public:
   static constexpr int64_t kUnlimited = std::numeric_limits<int64_t>::max();
@@ -28,7 +28,7 @@ class GameBudget {
 
   explicit GameBudget(const Options& options) : options_(options) {}
 
-  // What one session has. Gives it back when it goes. Thread-compatible.
+  // The share of one session, released on destruction. Thread-compatible.
   class Share {
    public:
     explicit Share(GameBudget* budget) : budget_(budget) {}
@@ -36,8 +36,8 @@ class GameBudget {
     Share(const Share&) = delete;
     Share& operator=(const Share&) = delete;
 
-    // Has `games` with `bytes` of memory from now on, in place of what it had.
-    //   ResourceExhausted, naming what was asked for, the limit and its flag: it keeps what it had.
+    // Changes the share to `games` with `bytes` of memory.
+    //   ResourceExhausted, naming the request, the limit and its flag: the share is unchanged.
     absl::Status Set(int64_t games, int64_t bytes);
 
    private:
@@ -59,8 +59,8 @@ class GameBudget {
   int64_t bytes_ ABSL_GUARDED_BY(mu_) = 0;
 };
 
-// Reckons the memory of a session whose games have pictures of `frame_bytes` and are recorded with larger ones of
-// `picture_bytes` (0: without). Somewhat more than what it is.
+// Estimates the memory of a session whose games have pictures of `frame_bytes` and are recorded with larger ones of
+// `picture_bytes` (0: not recorded). The estimate is somewhat too high.
 int64_t SessionBytes(int64_t games, int64_t frame_bytes, bool records, int64_t picture_bytes);
 
 }  // namespace craftfleet

@@ -4,11 +4,10 @@
 #include <absl/strings/str_format.h>
 #include <absl/time/time.h>
 
-#include "common/log.h"
-#include "common/paths.h"
-#include "common/program.h"
-#include "common/status_macros.h"
-#include "common/texture_digest.h"
+#include "common/base/status_macros.h"
+#include "common/process/flag_values.h"
+#include "common/process/program.h"
+#include "common/telemetry/log.h"
 #include "common/wire/channel.h"
 #include "common/wire/channel_flags.h"
 #include "common/wire/metrics_flags.h"
@@ -20,36 +19,40 @@
 ABSL_FLAG(std::string, listen, "127.0.0.1:50061",
           "address to serve actors and status on, HOST:PORT; port 0: any free one");
 ABSL_FLAG(std::string, learner, "",
-          "address of a learner to register with, so that actors with --envservers=learner find this server");
-ABSL_FLAG(std::string, advertise, "", "with --learner: the address that actors are told, HOST:PORT [--listen]");
+          "learner to register with, HOST:PORT; actors with --envservers=learner then find this server");
+ABSL_FLAG(std::string, advertise, "",
+          "with --learner: the address that actors are to connect to, HOST:PORT [--listen]");
 ABSL_FLAG(std::string, textures, "",
-          "folder with Crafter's textures as PNG; must be the same as the learner's\n"
+          "folder with Crafter's textures as PNG; the same as the learner's\n"
           "[the ones that come with this program]");
 
-ABSL_FLAG(int32_t, max_session_games, 4096, "games that one session, which is a thread of an actor, may have, 1..4096");
-ABSL_FLAG(int32_t, max_games, 16384, "games of all sessions together, --max_session_games..1000000");
+ABSL_FLAG(int32_t, max_session_games, 4096, "most games of one session, which is a thread of an actor, 1..4096");
+ABSL_FLAG(int32_t, max_games, 16384, "most games of all sessions together, --max_session_games..1000000");
 ABSL_FLAG(int32_t, max_session_mb, 512,
-          "memory for the games of one session with their pictures, 1..1000000; what would need more is refused");
-ABSL_FLAG(int32_t, max_games_mb, 2048, "memory for the games of all sessions together, --max_session_mb..1000000");
-ABSL_FLAG(absl::Duration, hello_timeout, absl::Seconds(10),
-          "how long a session may say nothing at its beginning, 1s..1h");
-ABSL_FLAG(absl::Duration, idle_timeout, absl::Minutes(10),
-          "how long a session may ask for nothing, 1s..24h; then it ends, and its games go on elsewhere");
-ABSL_FLAG(absl::Duration, reply_timeout, absl::Minutes(1), "how long a client may leave a reply untaken, 1s..1h");
+          "memory in MB for the games of one session with their pictures, 1..1000000; more is refused");
+ABSL_FLAG(int32_t, max_games_mb, 2048, "memory in MB for the games of all sessions, --max_session_mb..1000000");
+ABSL_FLAG(craftfleet::TimeSpan, hello_timeout, {absl::Seconds(10)},
+          "how long a new session may take to send its first message, 1s..1h");
+ABSL_FLAG(craftfleet::TimeSpan, idle_timeout, {absl::Minutes(10)},
+          "how long a session may send no request, 1s..24h; then it ends, and its games continue elsewhere");
+ABSL_FLAG(craftfleet::TimeSpan, reply_timeout, {absl::Minutes(1)},
+          "how long a client may take to receive a reply, 1s..1h");
 
 namespace craftfleet {
 namespace {
 
 constexpr char kProgram[] = "craftfleet-envserver";
 constexpr char kUsage[] =
-    R"(craftfleet-envserver runs Crafter games for actors. It needs no configuration: actors bring the run's.
-It may come and go at any time; games that it held go on elsewhere from their last snapshot.
+    R"(craftfleet-envserver runs Crafter games for actors. It needs no configuration: actors send the run's. Environment servers
+may join and leave at any time: their games continue on another server from the last snapshot.
 
   craftfleet-envserver --listen=127.0.0.1:50061
   craftfleet-envserver --listen=127.0.0.1:0 --learner=127.0.0.1:50051
-  craftfleet status --address=127.0.0.1:50061)";
+  craftfleet status --address=127.0.0.1:50061
 
-constexpr absl::Duration kMoveOut = absl::Seconds(3);  // for actors to move their games
+Ctrl-C, SIGTERM or closing the terminal stops it.)";
+
+constexpr absl::Duration kMoveOut = absl::Seconds(3);  // for actors to move their games to another server
 
 absl::Status CheckAtMost(absl::string_view flag, int32_t value, int32_t most) {
   if (value <= most) return absl::OkStatus();
@@ -62,7 +65,7 @@ absl::Status CheckAtMost(absl::string_view flag, absl::Duration value, absl::Dur
       absl::StrFormat("--%s=%s, want at most %s", flag, absl::FormatDuration(value), absl::FormatDuration(most)));
 }
 
-// What the flags allow; Create checks what is too little.
+// The limits from the flags. Checks upper bounds; EnvServiceImpl::Create checks lower bounds.
 absl::StatusOr<EnvServiceImpl::Options> OptionsFromFlags() {
   constexpr int32_t kMost = 1'000'000;
   EnvServiceImpl::Options options;
@@ -70,9 +73,9 @@ absl::StatusOr<EnvServiceImpl::Options> OptionsFromFlags() {
   options.budget.games = absl::GetFlag(FLAGS_max_games);
   options.budget.session_bytes = int64_t{absl::GetFlag(FLAGS_max_session_mb)} << 20;
   options.budget.bytes = int64_t{absl::GetFlag(FLAGS_max_games_mb)} << 20;
-  options.hello_timeout = absl::GetFlag(FLAGS_hello_timeout);
-  options.idle_timeout = absl::GetFlag(FLAGS_idle_timeout);
-  options.reply_timeout = absl::GetFlag(FLAGS_reply_timeout);
+  options.hello_timeout = absl::GetFlag(FLAGS_hello_timeout).value;
+  options.idle_timeout = absl::GetFlag(FLAGS_idle_timeout).value;
+  options.reply_timeout = absl::GetFlag(FLAGS_reply_timeout).value;
   CRAFTFLEET_RETURN_IF_ERROR(
       CheckAtMost("max_session_games", absl::GetFlag(FLAGS_max_session_games), EnvBatch::kMaxLanes));
   CRAFTFLEET_RETURN_IF_ERROR(CheckAtMost("max_games", absl::GetFlag(FLAGS_max_games), kMost));
@@ -85,29 +88,28 @@ absl::StatusOr<EnvServiceImpl::Options> OptionsFromFlags() {
 }
 
 // Null without --learner.
-absl::StatusOr<std::unique_ptr<Announcer>> AnnounceIfAsked(const EnvServiceImpl& service, const std::string& listens_on,
-                                                           const std::string& textures) {
+absl::StatusOr<std::unique_ptr<Announcer>> AnnounceIfAsked(const EnvServiceImpl& service,
+                                                           const std::string& listens_on) {
   const std::string learner = absl::GetFlag(FLAGS_learner);
   const std::string advertise = absl::GetFlag(FLAGS_advertise);
   if (learner.empty()) {
     if (advertise.empty()) return nullptr;
-    return absl::InvalidArgumentError("--advertise wants --learner beside it");
+    return absl::InvalidArgumentError("--advertise requires --learner");
   }
   CRAFTFLEET_RETURN_IF_ERROR(wire::CheckAddress("learner", learner));
   const std::string address = advertise.empty() ? listens_on : advertise;
   CRAFTFLEET_RETURN_IF_ERROR(wire::CheckAddress("advertise", address));
-  CRAFTFLEET_ASSIGN_OR_RETURN(const std::string digest, TextureDigest(textures));
   CRAFTFLEET_ASSIGN_OR_RETURN(const wire::ChannelSecurity security, wire::ChannelSecurityFromFlags());
-  return std::make_unique<Announcer>(wire::Connect(learner, security), address, digest, service.canary(),
-                                     [&service] { return service.Summary(); });
+  return std::make_unique<Announcer>(wire::Connect(learner, security), address, service.texture_digest(),
+                                     service.canary(), [&service] { return service.Summary(); });
 }
 
 absl::Status Run() {
   CRAFTFLEET_ASSIGN_OR_RETURN(const wire::MetricsServer::Options metrics_options,
                               wire::MetricsOptionsFromFlags(wire::kAnyFreePort));
-  CRAFTFLEET_ASSIGN_OR_RETURN(const std::string textures, TextureDir(absl::GetFlag(FLAGS_textures)));
   CRAFTFLEET_ASSIGN_OR_RETURN(const EnvServiceImpl::Options options, OptionsFromFlags());
-  CRAFTFLEET_ASSIGN_OR_RETURN(const std::unique_ptr<EnvServiceImpl> service, EnvServiceImpl::Create(textures, options));
+  CRAFTFLEET_ASSIGN_OR_RETURN(const std::unique_ptr<EnvServiceImpl> service,
+                              EnvServiceImpl::Create(absl::GetFlag(FLAGS_textures), options));
   wire::StatusServiceImpl status("envserver", [&service](v1::StatusReply* reply) { service->FillStatus(reply); });
   CRAFTFLEET_ASSIGN_OR_RETURN(
       const std::unique_ptr<wire::Server> server,
@@ -115,8 +117,7 @@ absl::Status Run() {
   LogInfo("listening on %s", server->address());
   CRAFTFLEET_ASSIGN_OR_RETURN(const std::unique_ptr<wire::MetricsServer> metrics,
                               wire::ServeMetrics(metrics_options, &status));
-  CRAFTFLEET_ASSIGN_OR_RETURN(const std::unique_ptr<Announcer> announcer,
-                              AnnounceIfAsked(*service, server->address(), textures));
+  CRAFTFLEET_ASSIGN_OR_RETURN(const std::unique_ptr<Announcer> announcer, AnnounceIfAsked(*service, server->address()));
   StopSignal signal([&] {
     if (announcer != nullptr) {
       announcer->Leave();
@@ -132,7 +133,9 @@ absl::Status Run() {
 }  // namespace craftfleet
 
 int main(int argc, char** argv) {
-  craftfleet::ParseFlags(craftfleet::kProgram, craftfleet::kUsage, argc, argv);
+  craftfleet::OutliveReaders();
+  craftfleet::ParseFlags(craftfleet::kProgram, craftfleet::kUsage, argc, argv,
+                         {"listen", "learner", "advertise", "textures", "max_games", "max_games_mb"});
   craftfleet::wire::PollFewConnections();
   return craftfleet::ExitCode(craftfleet::kProgram, craftfleet::Run());
 }

@@ -1,4 +1,4 @@
-// What a game looks like at one moment, for videos and files of episodes.
+// Captures the state of a game at one moment, for videos and episode files.
 
 #ifndef CRAFTFLEET_ENVSERVER_MOMENT_TAKER_H_
 #define CRAFTFLEET_ENVSERVER_MOMENT_TAKER_H_
@@ -9,7 +9,7 @@
 
 #include <absl/types/span.h>
 
-#include "common/types.h"
+#include "common/base/types.h"
 #include "envserver/game.h"
 #include "envserver/render/renderer.h"
 
@@ -21,8 +21,8 @@ class MomentTaker {
   // `pictures` draws the larger pictures; null: none. It has the games' world options.
   explicit MomentTaker(std::shared_ptr<const Renderer> pictures) : pictures_(std::move(pictures)) {}
 
-  // `frame` is the game's current one. The game goes on as if nothing had been taken: by night, the larger picture's
-  // noise comes from a copy of its stream.
+  // `frame` is the game's current one. The game is not affected: at night, the larger picture's noise
+  // comes from a copy of its stream.
   Moment Take(const Game& game, absl::Span<const uint8_t> frame) const;
 
   int picture_bytes() const { return pictures_ == nullptr ? 0 : pictures_->frame_bytes(); }

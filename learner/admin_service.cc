@@ -2,16 +2,13 @@
 
 #include <algorithm>
 #include <chrono>
-#include <vector>
 
-#include <absl/strings/str_cat.h>
-#include <absl/strings/str_format.h>
-#include <absl/strings/str_join.h>
+#include <absl/status/statusor.h>
 #include <absl/time/clock.h>
 #include <absl/time/time.h>
 
-#include "common/clock.h"
-#include "common/log.h"
+#include "common/base/clock.h"
+#include "common/telemetry/log.h"
 #include "common/wire/grpc_status.h"
 
 namespace craftfleet {
@@ -19,12 +16,16 @@ namespace {
 
 constexpr absl::Duration kTick = absl::Milliseconds(20);
 constexpr absl::Duration kLongest = absl::Hours(24);
-constexpr absl::Duration kMargin = absl::Milliseconds(50);  // for the answer to arrive in time
+constexpr absl::Duration kMargin = absl::Milliseconds(50);  // so that the reply arrives before the deadline
 
-// How long the client still waits.
+// The time until the client's deadline, less kMargin.
 absl::Duration TimeLeft(const grpc::ServerContext& context) {
   const absl::Duration left = absl::FromChrono(context.deadline()) - absl::Now() - kMargin;
   return std::clamp(left, absl::ZeroDuration(), kLongest);
+}
+
+const char* RoleOf(const WorkerRegistry::WorkerId& worker) {
+  return worker.role == WorkerRole::kActor ? "actor" : "envserver";
 }
 
 }  // namespace
@@ -33,7 +34,7 @@ absl::Status AdminServiceImpl::WaitFor(grpc::ServerContext* context, const std::
                                        absl::string_view otherwise) {
   const absl::Time end = SteadyNow() + TimeLeft(*context);
   while (!done()) {
-    if (context->IsCancelled()) return absl::CancelledError("the client left");
+    if (context->IsCancelled()) return absl::CancelledError("the client disconnected");
     if (SteadyNow() > end) return absl::DeadlineExceededError(otherwise);
     absl::SleepFor(kTick);
   }
@@ -52,9 +53,9 @@ grpc::Status AdminServiceImpl::Checkpoint(grpc::ServerContext* context, const v1
 grpc::Status AdminServiceImpl::Pause(grpc::ServerContext* context, const v1::PauseRequest* /*request*/,
                                      v1::PauseReply* /*reply*/) {
   LogInfo("admin %s: pause", context->peer());
-  parts_.ledger->SetPaused(true);
+  parts_.registry->SetPaused(true);
   const absl::Status status = WaitFor(
-      context, [this] { return parts_.ledger->permits() == 0; }, "paused, but some fragments are still being played");
+      context, [this] { return parts_.registry->permits() == 0; }, "paused, but some fragments are still being played");
   if (status.ok()) LogInfo("paused: nothing is played until craftfleet admin resume");
   return wire::ToGrpc(status);
 }
@@ -62,55 +63,39 @@ grpc::Status AdminServiceImpl::Pause(grpc::ServerContext* context, const v1::Pau
 grpc::Status AdminServiceImpl::Resume(grpc::ServerContext* context, const v1::ResumeRequest* /*request*/,
                                       v1::ResumeReply* reply) {
   LogInfo("admin %s: resume", context->peer());
-  reply->set_was_paused(parts_.ledger->SetPaused(false));
+  reply->set_was_paused(parts_.registry->SetPaused(false));
   return grpc::Status::OK;
 }
 
 grpc::Status AdminServiceImpl::Drain(grpc::ServerContext* context, const v1::DrainRequest* request,
                                      v1::DrainReply* reply) {
   LogInfo("admin %s: drain %s", context->peer(), request->worker());
-  if (request->worker().empty()) {  // which is the address of a worker without one
+  if (request->worker().empty()) {  // would match workers without an address
     return wire::ToGrpc(absl::InvalidArgumentError("worker is empty, want a name or an address"));
   }
-  for (const LaneLedger::ActorInfo& actor : parts_.ledger->Actors()) {
-    if (actor.name != request->worker() && actor.address != request->worker()) continue;
-    reply->set_role("actor");
-    return wire::ToGrpc(DrainActor(context, actor.name));
+  const absl::StatusOr<WorkerRegistry::WorkerId> worker = parts_.registry->Drain(request->worker());
+  if (!worker.ok()) return wire::ToGrpc(worker.status());
+  const bool is_actor = worker->role == WorkerRole::kActor;
+  reply->set_role(RoleOf(*worker));
+  const absl::Status status = WaitFor(
+      context, [&] { return parts_.registry->IsDrained(*worker); },
+      is_actor
+          ? "it gets no more permits or evaluations, but has not finished its current ones"
+          : "actors with --envservers=learner move their games away, but it still has some; actors that were given "
+            "its address keep theirs");
+  if (status.ok()) LogInfo("%s %s is drained", is_actor ? "actor" : "environment server", worker->name);
+  return wire::ToGrpc(status);
+}
+
+grpc::Status AdminServiceImpl::Undrain(grpc::ServerContext* context, const v1::UndrainRequest* request,
+                                       v1::UndrainReply* reply) {
+  LogInfo("admin %s: undrain %s", context->peer(), request->worker());
+  if (request->worker().empty()) {
+    return wire::ToGrpc(absl::InvalidArgumentError("worker is empty, want a name or an address"));
   }
-  for (const ServerRegistry::Server& server : parts_.env_servers->All()) {
-    if (server.name != request->worker() && server.address != request->worker()) continue;
-    reply->set_role("envserver");
-    return wire::ToGrpc(DrainServer(context, server.name));
-  }
-  return wire::ToGrpc(NoSuchWorker(request->worker()));
-}
-
-absl::Status AdminServiceImpl::DrainActor(grpc::ServerContext* context, const std::string& actor) {
-  parts_.ledger->Drain(actor);
-  absl::Status status = WaitFor(
-      context, [&] { return parts_.ledger->IsDrained(actor) && !parts_.evaluations->IsPlaying(actor); },
-      "it gets nothing more to play, but is not done with what it has");
-  if (status.ok()) LogInfo("actor %s is drained", actor);
-  return status;
-}
-
-absl::Status AdminServiceImpl::DrainServer(grpc::ServerContext* context, const std::string& server) {
-  parts_.env_servers->Drain(server);
-  absl::Status status = WaitFor(
-      context, [&] { return parts_.env_servers->IsDrained(server); },
-      "actors with --envservers=learner move their games away, but it still has some; those of actors that were given "
-      "its address stay");
-  if (status.ok()) LogInfo("environment server %s is drained", server);
-  return status;
-}
-
-absl::Status AdminServiceImpl::NoSuchWorker(absl::string_view name) const {
-  std::vector<std::string> workers;
-  for (const LaneLedger::ActorInfo& actor : parts_.ledger->Actors()) workers.push_back(actor.name);
-  for (const ServerRegistry::Server& server : parts_.env_servers->All()) workers.push_back(server.name);
-  return absl::NotFoundError(absl::StrFormat(
-      "no worker \"%s\" has joined or registered; there are: %s", name,
-      workers.empty() ? "none (environment servers register with --learner)" : absl::StrJoin(workers, ", ")));
+  const absl::StatusOr<WorkerRegistry::WorkerId> worker = parts_.registry->Undrain(request->worker());
+  if (worker.ok()) reply->set_role(RoleOf(*worker));
+  return wire::ToGrpc(worker.status());
 }
 
 grpc::Status AdminServiceImpl::Stop(grpc::ServerContext* context, const v1::StopRequest* /*request*/,

@@ -12,7 +12,7 @@ absl::StatusOr<int64_t> CheckpointRequests::Ask(absl::Duration timeout) {
   if (answers_ > before) return answer_;
   if (closed_) return absl::UnavailableError("the learner is stopping, which writes a checkpoint too");
   return absl::DeadlineExceededError(absl::StrFormat(
-      "no checkpoint within %s: it is written when the update under way is over", absl::FormatDuration(timeout)));
+      "no checkpoint within %s: it will be written after the current update", absl::FormatDuration(timeout)));
 }
 
 bool CheckpointRequests::pending() const {

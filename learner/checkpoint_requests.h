@@ -1,4 +1,4 @@
-// Checkpoints that are asked for while a run goes on.
+// Requests for a checkpoint while a run trains.
 
 #ifndef CRAFTFLEET_LEARNER_CHECKPOINT_REQUESTS_H_
 #define CRAFTFLEET_LEARNER_CHECKPOINT_REQUESTS_H_
@@ -8,21 +8,22 @@
 #include <absl/status/statusor.h>
 #include <absl/time/time.h>
 
-#include "common/mutex.h"
+#include "common/base/mutex.h"
 
 namespace craftfleet {
 
-// Whoever asks waits until the trainer, between two updates, has written one. Thread-safe.
+// Callers wait until the trainer has written a checkpoint, between two updates. Thread-safe.
 class CheckpointRequests {
  public:
-  // The iteration of the checkpoint.
+  // Requests a checkpoint and waits for it; returns its iteration.
   //   DeadlineExceeded: not written within `timeout`.   Unavailable: Close was called.   Others: it can't be written.
   absl::StatusOr<int64_t> Ask(absl::Duration timeout) ABSL_LOCKS_EXCLUDED(mu_);
 
-  // The trainer's side: whether anybody waits, and what all of them are told.
+  // For the trainer: whether a request is pending.
   bool pending() const ABSL_LOCKS_EXCLUDED(mu_);
+  // For the trainer: answers all pending requests with the iteration written, or the error.
   void Answer(const absl::StatusOr<int64_t>& iteration) ABSL_LOCKS_EXCLUDED(mu_);
-  // Nothing will be written any more. Idempotent.
+  // Ends pending and later requests with Unavailable. Idempotent.
   void Close() ABSL_LOCKS_EXCLUDED(mu_);
 
  private:

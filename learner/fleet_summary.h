@@ -1,18 +1,18 @@
-// What the learner says of its fleet as a whole.
+// Summarizes the whole fleet for the learner's status page.
 
 #ifndef CRAFTFLEET_LEARNER_FLEET_SUMMARY_H_
 #define CRAFTFLEET_LEARNER_FLEET_SUMMARY_H_
 
-#include "common/activity_meter.h"
-#include "common/bottleneck.h"
+#include "common/telemetry/activity_meter.h"
 #include "craftfleet/v1/status.pb.h"
+#include "learner/bottleneck.h"
 
 namespace craftfleet {
 
-// `reply.peers` as the bottleneck is judged by; `trainer` is the training thread's recent work.
+// Makes the input of FindBottleneck from `reply.peers` and the training thread's recent work, `trainer`.
 FleetView ViewFleet(const Work& trainer, const v1::StatusReply& reply);
 
-// FleetTimes and FindBottleneck of `view`.
+// FleetTimes and FindBottleneck of `view`, with the run's state.
 v1::FleetSummary SummarizeFleet(const FleetView& view);
 
 }  // namespace craftfleet

@@ -5,19 +5,19 @@
 
 #include <absl/strings/string_view.h>
 
-#include "common/crc32c.h"
-#include "common/files.h"
-#include "common/little_endian.h"
-#include "common/snapshot_envelope.h"
-#include "common/status_macros.h"
+#include "common/base/crc32c.h"
+#include "common/base/little_endian.h"
+#include "common/base/status_macros.h"
+#include "common/io/files.h"
+#include "common/io/snapshot_envelope.h"
 #include "common/wire/protocol.h"
 
 namespace craftfleet {
 namespace {
 
-constexpr size_t kHeadBytes = 8;  // size and checksum
+constexpr size_t kHeadBytes = 8;  // a record's size and checksum
 
-// Takes the first record off `bytes`; nothing: there is no whole one.
+// Removes the first record from `bytes` and returns it; nothing: no complete record is left.
 std::optional<absl::string_view> NextRecord(absl::string_view* bytes) {
   if (bytes->size() < kHeadBytes) return std::nullopt;
   const auto size = FromLittleEndian<uint32_t>(bytes->substr(0, 4));

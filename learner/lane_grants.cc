@@ -1,21 +1,25 @@
-// Who gets which lane, and who loses one for lack of progress.
+// LaneScheduler: grants permits, and revokes those without progress.
 #include <algorithm>
 #include <map>
 #include <vector>
 
-#include "common/log.h"
-#include "learner/lane_ledger.h"
+#include "common/telemetry/log.h"
+#include "learner/lane_scheduler.h"
 
 namespace craftfleet {
 namespace {
 
-constexpr int kMaxDoublings = 16;  // of the time that a lane may take without progress
+constexpr int kMaxDoublings = 16;  // of the time after which a lane without progress is revoked
 constexpr absl::Duration kFirstPause = absl::Seconds(1);
 constexpr absl::Duration kLongestPause = absl::Minutes(5);
 
 }  // namespace
 
-void LaneLedger::NoteProgress(Actor* actor, absl::Span<const Permit> active, absl::Span<const int64_t> steps) {
+void LaneScheduler::NoteProgress(absl::string_view actor_name, absl::Span<const Permit> active,
+                                 absl::Span<const int64_t> steps) {
+  const auto entry = actors_.find(actor_name);
+  if (entry == actors_.end()) return;
+  Actor* const actor = &entry->second;
   for (size_t i = 0; i < std::min(active.size(), steps.size()); ++i) {
     if (active[i].lane < 0 || active[i].lane >= options_.lanes) continue;
     Lane& lane = lanes_[active[i].lane];
@@ -29,28 +33,28 @@ void LaneLedger::NoteProgress(Actor* actor, absl::Span<const Permit> active, abs
   }
 }
 
-void LaneLedger::EndPause(Actor* actor) {
+void LaneScheduler::EndPause(Actor* actor) {
   actor->pause = absl::ZeroDuration();
   actor->pause_end = absl::InfinitePast();
 }
 
-bool LaneLedger::HasOthers(const Actor& actor) const {
+bool LaneScheduler::HasOthers(const Actor& actor) const {
   return std::any_of(actors_.begin(), actors_.end(), [&](const auto& entry) {
-    return &entry.second != &actor && !entry.second.draining && entry.second.capacity > 0;
+    return &entry.second != &actor && !entry.second.worker->draining && entry.second.capacity > 0;
   });
 }
 
-bool LaneLedger::IsStalled(const Lane& lane, const Actor* player, const Pace& pace) const {
+bool LaneScheduler::IsStalled(const Lane& lane, const Actor* player, const Pace& pace) const {
   if (player == nullptr || !lane.permit.has_value()) return false;
   const absl::Duration patience = options_.progress * (int64_t{1} << std::min(lane.stalls, kMaxDoublings));
   return clock_->Now() - pace.grew > patience && HasOthers(*player);
 }
 
-void LaneLedger::EndStalls() {
-  std::map<Actor*, int> stalled;  // permits
+void LaneScheduler::EndStalls() {
+  std::map<Actor*, int> stalled;  // number of revoked permits
   for (Lane& lane : lanes_) {
     bool stalls = false;
-    // The holder twice: a backup takes its place.
+    // Check the holder twice: if it is revoked, the backup becomes the holder.
     for (int i = 0; i < 2 && IsStalled(lane, lane.holder, lane.pace); ++i) {
       ++stalled[lane.holder];
       GiveToOthers(&lane, lane.holder);
@@ -64,36 +68,36 @@ void LaneLedger::EndStalls() {
     if (stalls) ++lane.stalls;
   }
   for (auto& [name, actor] : actors_) {
-    if (const auto entry = stalled.find(&actor); entry != stalled.end()) Punish(name, &actor, entry->second);
+    if (const auto entry = stalled.find(&actor); entry != stalled.end()) PauseStalled(name, &actor, entry->second);
   }
 }
 
-void LaneLedger::Punish(absl::string_view name, Actor* actor, int permits) {
+void LaneScheduler::PauseStalled(absl::string_view name, Actor* actor, int permits) {
   actor->pause = std::clamp(2 * actor->pause, kFirstPause, kLongestPause);
   actor->pause_end = clock_->Now() + actor->pause;
   lapsed_ += permits;
-  LogWarning("actor %s makes no progress: %d permits go to others, it pauses for %s", name, permits,
+  LogWarning("actor %s makes no progress: %d permits revoked, no new ones for %s", name, permits,
              absl::FormatDuration(actor->pause));
-  changed_.NotifyAll();
+  changed_ = true;
 }
 
-void LaneLedger::GiveToOthers(Lane* lane, Actor* actor) {
-  TakeBack(lane, actor);
+void LaneScheduler::GiveToOthers(Lane* lane, Actor* actor) {
+  Revoke(lane, actor);
   lane->avoided = actor;
   lane->avoided_until = clock_->Now() + options_.lease;
 }
 
-bool LaneLedger::IsAvoided(const Lane& lane, const Actor& actor, absl::Time now) const {
+bool LaneScheduler::IsAvoided(const Lane& lane, const Actor& actor, absl::Time now) const {
   return lane.avoided == &actor && now < lane.avoided_until && HasOthers(actor);
 }
 
-bool LaneLedger::IsPausing(const Actor& actor) const {
+bool LaneScheduler::IsPausing(const Actor& actor) const {
   const absl::Time now = clock_->Now();
-  return (actors_.size() > 1 && now - actor.gave_back <= options_.patience) ||
+  return (actors_.size() > 1 && now - actor.returned <= options_.patience) ||
          (now < actor.pause_end && HasOthers(actor));
 }
 
-absl::Duration LaneLedger::Overdue() const {
+absl::Duration LaneScheduler::Overdue() const {
   if (times_.empty()) return absl::InfiniteDuration();
   std::vector<absl::Duration> times = times_;
   const auto middle = times.begin() + times.size() / 2;
@@ -101,13 +105,14 @@ absl::Duration LaneLedger::Overdue() const {
   return 2 * options_.patience + 4 * *middle;
 }
 
-std::vector<Permit> LaneLedger::GrantTo(Actor* actor) {
-  if (paused_ || actor->draining || IsPausing(*actor)) return {};
+std::vector<Permit> LaneScheduler::Grant(absl::string_view actor_name) {
+  Actor* const actor = &actors_.find(actor_name)->second;
+  if (paused_ || actor->worker->draining || IsPausing(*actor)) return {};
   const absl::Time now = clock_->Now();
   const Shares shares = FairShares();
   std::vector<Permit> granted;
-  for (const Claim wanted : {Claim::kOwn, Claim::kSpare, Claim::kLeftLying}) {
-    const int share = wanted == Claim::kLeftLying ? shares.Most() : shares.Of(*actor);
+  for (const Claim wanted : {Claim::kOwn, Claim::kSpare, Claim::kUnclaimed}) {
+    const int share = wanted == Claim::kUnclaimed ? shares.Most() : shares.Of(*actor);
     int room = std::min(CapacityOf(*actor), share) - actor->permits;
     for (int l = 0; l < options_.lanes && room > 0; ++l) {
       Lane& lane = lanes_[l];
@@ -116,7 +121,7 @@ std::vector<Permit> LaneLedger::GrantTo(Actor* actor) {
         continue;
       }
       SetHolder(&lane, actor);
-      lane.permit = Permit{l, lane.record.next_fragment, policy_version_};
+      lane.permit = Permit{l, lane.record.next_fragment, policy_version_, lane.reset_at == lane.record.next_fragment};
       lane.since = now;
       lane.pace = {0, now};
       ++actor->permits;
@@ -127,7 +132,7 @@ std::vector<Permit> LaneLedger::GrantTo(Actor* actor) {
   return granted.empty() && actor->permits == 0 ? GrantBackup(actor, shares) : granted;
 }
 
-std::vector<Permit> LaneLedger::GrantBackup(Actor* actor, const Shares& shares) {
+std::vector<Permit> LaneScheduler::GrantBackup(Actor* actor, const Shares& shares) {
   const absl::Time now = clock_->Now();
   const int most = std::min(CapacityOf(*actor), shares.Most());
   const absl::Duration age = lapsed_ > lapsed_before_ ? std::min(options_.patience, Overdue()) : Overdue();
@@ -144,21 +149,21 @@ std::vector<Permit> LaneLedger::GrantBackup(Actor* actor, const Shares& shares) 
   return granted;
 }
 
-LaneLedger::Claim LaneLedger::ClaimOn(const Lane& lane, const Actor& actor, const Shares& shares,
-                                      absl::Time now) const {
+LaneScheduler::Claim LaneScheduler::ClaimOn(const Lane& lane, const Actor& actor, const Shares& shares,
+                                            absl::Time now) const {
   if (IsAvoided(lane, actor, now)) return Claim::kNone;
   if (lane.holder == &actor) return Claim::kOwn;
   const bool spare = lane.holder == nullptr || shares.IsOver(*lane.holder);
   if (spare && actor.held < shares.Of(actor)) return Claim::kSpare;
-  return now - lane.since > options_.patience ? Claim::kLeftLying : Claim::kNone;
+  return now - lane.since > options_.patience ? Claim::kUnclaimed : Claim::kNone;
 }
 
-int LaneLedger::CapacityOf(const Actor& actor) {
-  if (actor.draining) return 0;
+int LaneScheduler::CapacityOf(const Actor& actor) {
+  if (actor.worker->draining) return 0;
   return actor.pause > absl::ZeroDuration() ? std::min(actor.capacity, 1) : actor.capacity;
 }
 
-LaneLedger::Shares LaneLedger::FairShares() const {
+LaneScheduler::Shares LaneScheduler::FairShares() const {
   std::vector<int> capacities;
   capacities.reserve(actors_.size());
   for (const auto& [name, actor] : actors_) capacities.push_back(CapacityOf(actor));
@@ -166,7 +171,7 @@ LaneLedger::Shares LaneLedger::FairShares() const {
   Shares shares;
   int lanes = options_.lanes;
   auto actors = static_cast<int>(capacities.size());
-  // Those that can't play a full share leave more to the others.
+  // If an actor can't play a full share, the others get more.
   for (const int capacity : capacities) {
     shares.all = lanes / actors;
     shares.extra = lanes % actors;

@@ -8,9 +8,9 @@
 #include <absl/status/statusor.h>
 #include <absl/strings/str_format.h>
 
-#include "common/log.h"
-#include "common/snapshot_envelope.h"
-#include "common/status_macros.h"
+#include "common/base/status_macros.h"
+#include "common/io/snapshot_envelope.h"
+#include "common/telemetry/log.h"
 
 namespace craftfleet {
 namespace {
@@ -21,12 +21,12 @@ absl::StatusOr<LaneSnapshot> LoadSnapshot(const std::string& game, const Floats&
                                           const wire::FragmentShape& shape) {
   if (state.size() != shape.state_size) {
     return absl::InvalidArgumentError(
-        absl::StrFormat("a recurrent state of %d numbers, want %d", state.size(), shape.state_size));
+        absl::StrFormat("the recurrent state has %d numbers, want %d", state.size(), shape.state_size));
   }
   CRAFTFLEET_RETURN_IF_ERROR(wire::CheckStates("recurrent state", state, shape.hidden, shape.max_length));
   LaneSnapshot snapshot = {game, {state.begin(), state.end()}};
-  const bool is_old = !game.empty() && game.size() <= kMaxSnapshotBytes && !HasEnvelope(game);
-  if (is_old) snapshot.game = SealSnapshot(shape.env_digest, game);
+  const bool is_version_0_1 = !game.empty() && game.size() <= kMaxSnapshotBytes && !HasEnvelope(game);
+  if (is_version_0_1) snapshot.game = SealSnapshot(shape.env_digest, game);
   CRAFTFLEET_RETURN_IF_ERROR(CheckSnapshot(shape.env_digest, snapshot.game));
   return snapshot;
 }
@@ -47,7 +47,7 @@ LoadedLanes LoadLanes(const v1::CheckpointState& state, const wire::FragmentShap
       record.snapshot = *std::move(snapshot);
       continue;
     }
-    LogError("the checkpoint's lane %d: %s; it goes on %s", i, snapshot.status().message(),
+    LogError("the checkpoint's lane %d: %s; it resumes %s", i, snapshot.status().message(),
              record.previous.game.empty() ? "with a new game" : "from the snapshot before its last fragment");
     record.snapshot = std::exchange(record.previous, begin);
     ++lanes.resets;

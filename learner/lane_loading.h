@@ -1,4 +1,4 @@
-// Lanes out of checkpoints, which may be old or hold what no game can be restored from.
+// Loads lanes from checkpoints, including those of old versions and those with invalid snapshots.
 
 #ifndef CRAFTFLEET_LEARNER_LANE_LOADING_H_
 #define CRAFTFLEET_LEARNER_LANE_LOADING_H_
@@ -7,20 +7,21 @@
 
 #include "common/wire/fragment_check.h"
 #include "craftfleet/v1/checkpoint.pb.h"
-#include "learner/lane_ledger.h"
+#include "learner/lane_scheduler.h"
 
 namespace craftfleet {
 
 struct LoadedLanes {
   std::vector<LaneRecord> records;
-  int resets = 0;  // of these, how many were put back
+  int resets = 0;  // number of records that were reset because their state was invalid
 };
 
-// Lanes as the checkpoint has them, new ones without one. Snapshots of version 0.1 are put into envelopes. A lane whose
-// snapshot or recurrent state can't be goes on from its previous one or with a new game, which is said in the log.
+// Returns the checkpoint's lanes, or new ones if `state` has none. Adds the envelope to snapshots of version 0.1. If
+// the snapshot or recurrent state of a lane is invalid, the lane is reset to its previous snapshot or to a new game,
+// and an error is logged.
 LoadedLanes LoadLanes(const v1::CheckpointState& state, const wire::FragmentShape& shape);
 
-// As a checkpoint keeps it.
+// Converts a record to its form in checkpoints.
 v1::LaneState ToProto(const LaneRecord& record);
 
 }  // namespace craftfleet

@@ -12,26 +12,27 @@
 
 #include "common/agent/agent_spec.h"
 #include "common/agent/canary.h"
-#include "common/config.h"
-#include "common/files.h"
-#include "common/known_canary.h"
-#include "common/log.h"
-#include "common/snapshot_envelope.h"
-#include "common/status_macros.h"
-#include "common/texture_digest.h"
-#include "common/version.h"
+#include "common/base/status_macros.h"
+#include "common/config/config.h"
+#include "common/config/known_canary.h"
+#include "common/io/files.h"
+#include "common/io/snapshot_envelope.h"
+#include "common/io/texture_digest.h"
+#include "common/process/version.h"
+#include "common/telemetry/log.h"
 #include "learner/fleet_summary.h"
 #include "learner/lane_loading.h"
 #include "learner/runnable_config.h"
+#include "learner/steps_to_train.h"
 
 namespace craftfleet {
 namespace {
 
 constexpr absl::Duration kLease = absl::Seconds(5);
-// They speak once a second, actors twice: a server that was paused for 4 s must not be forgotten either.
+// Servers report once a second, actors twice. Like an actor, a server that was suspended for 4 s must stay listed.
 constexpr absl::Duration kServerLease = absl::Seconds(8);
 
-// FailedPrecondition unless the run in `logdir` has the configuration `asked`, but for its steps and checkpoints.
+// FailedPrecondition if the run in `logdir` has another configuration than `asked`, apart from steps and checkpoints.
 absl::Status CheckSameRun(const std::string& logdir, v1::RunConfig asked) {
   const std::string path = JoinPath(logdir, "config.txt");
   CRAFTFLEET_ASSIGN_OR_RETURN(const std::string text, ReadFile(path));
@@ -49,7 +50,7 @@ absl::Status CheckSameRun(const std::string& logdir, v1::RunConfig asked) {
                    " has another configuration (only steps and checkpoint may change): ", absl::StrJoin(lines, "; ")));
 }
 
-// Gives `updater` the weights of the checkpoint that the user means by `path`; returns what they are, for run.json.
+// Loads the weights of the checkpoint or run folder at `path` into `updater`. Returns their origin, for run.json.
 absl::StatusOr<std::string> InitFrom(const std::string& path, const v1::RunConfig& config, PpoUpdater* updater) {
   const auto load = [&]() -> absl::StatusOr<std::string> {
     CRAFTFLEET_ASSIGN_OR_RETURN(const std::string folder, FindCheckpoint(path));
@@ -62,7 +63,7 @@ absl::StatusOr<std::string> InitFrom(const std::string& path, const v1::RunConfi
   if (!origin.ok()) {
     return absl::Status(origin.status().code(), absl::StrCat("--init_from: ", origin.status().message()));
   }
-  LogInfo("begins with the weights of %s", *origin);
+  LogInfo("starting with the weights of %s", *origin);
   return origin;
 }
 
@@ -76,23 +77,29 @@ absl::Status CheckLaneStates(const v1::CheckpointState& state, int state_size) {
   return absl::OkStatus();
 }
 
-// What workers of a run with `cpu` and these textures are compared with.
+std::string PrecisionName(const v1::RunConfig& config) {
+  return config.has_precision() ? v1::RunConfig::Precision_Name(config.precision()) : "FP32";
+}
+
+// The build that workers of a run with `cpu` and these textures must match.
 absl::StatusOr<BuildCheck::Options> ExpectedBuild(v1::RunConfig::Cpu cpu, absl::string_view texture_digest,
                                                   bool allow_mixed) {
   CRAFTFLEET_ASSIGN_OR_RETURN(const std::string canary, PolicyCanary());
   const absl::string_view known = KnownPolicyCanary(cpu);
   if (!known.empty() && canary != known) {
-    LogWarning("with cpu: %s the canary is %s here, want %s: other machines may compute otherwise",
+    LogWarning("with cpu: %s the canary of this machine is %s, want %s: other machines may compute different results",
                v1::RunConfig::Cpu_Name(cpu), canary, known);
   }
   return BuildCheck::Options{BuildId(), canary, std::string(KnownGameCanary(texture_digest)), allow_mixed};
 }
 
-LaneLedger::Options LedgerOptions(const v1::RunConfig& config, int resets) {
-  LaneLedger::Options options;
-  options.resets = resets;
-  options.lanes = config.lanes();
-  options.lease = kLease;
+WorkerRegistry::Options RegistryOptions(const v1::RunConfig& config, int resets, BuildCheck::Options build) {
+  WorkerRegistry::Options options;
+  options.lanes.resets = resets;
+  options.lanes.lanes = config.lanes();
+  options.lanes.lease = kLease;
+  options.server_lease = kServerLease;
+  options.build = std::move(build);
   return options;
 }
 
@@ -107,8 +114,8 @@ struct Learner::Loaded {
   std::unique_ptr<Clock> clock;
   std::unique_ptr<RunFolder> folder;
   std::unique_ptr<PpoUpdater> updater;
-  std::optional<FragmentJournal> journal;  // if fragments are to be kept
-  std::vector<Fragment> kept;              // by an earlier start
+  std::optional<FragmentJournal> journal;  // with checkpoint.keep_fragments
+  std::vector<Fragment> kept;              // from the journal of an earlier start
   Checkpoint checkpoint;                   // empty for a new run; without weights and optimiser, which the updater has
   wire::FragmentShape shape;
   LoadedLanes lanes;
@@ -122,7 +129,7 @@ absl::StatusOr<std::unique_ptr<Learner>> Learner::Create(const Options& options)
   absl::StatusOr<v1::RunConfig> config = CompleteConfig(options.config);
   if (!config.ok() && options.resume) {
     return absl::Status(config.status().code(),
-                        absl::StrCat("with --resume only --steps and what concerns checkpoints may change: ",
+                        absl::StrCat("with --resume, only --steps and the checkpoint settings may change: ",
                                      config.status().message()));
   }
   if (!config.ok()) return config.status();
@@ -150,7 +157,7 @@ absl::StatusOr<Learner::Loaded> Learner::Load(const Options& options, const v1::
   CRAFTFLEET_ASSIGN_OR_RETURN(loaded.texture_digest, TextureDigest(options.texture_dir));
   const ProgramInfo program = {std::string(ProgramVersion()), std::string(GitRevision()), loaded.texture_digest};
   CRAFTFLEET_ASSIGN_OR_RETURN(loaded.updater, PpoUpdater::Create(config, options.threads, options.device));
-  if (options.device != "cpu") LogInfo("updates on %s", options.device);
+  if (options.device != "cpu") LogInfo("updates on %s, precision %s", options.device, PrecisionName(config));
   CRAFTFLEET_ASSIGN_OR_RETURN(loaded.build, ExpectedBuild(config.cpu(), loaded.texture_digest, options.allow_mixed));
   if (!options.resume) {
     std::string origin;
@@ -171,7 +178,7 @@ absl::StatusOr<Learner::Loaded> Learner::Load(const Options& options, const v1::
   loaded.checkpoint = std::move(run.checkpoint);
   loaded.checkpoint.weights.clear();
   loaded.checkpoint.optimizer.clear();
-  LogInfo("run %s goes on after iteration %d, %d steps", loaded.folder->run_id(), loaded.checkpoint.state.iteration(),
+  LogInfo("run %s resumes after iteration %d, %d steps", loaded.folder->run_id(), loaded.checkpoint.state.iteration(),
           loaded.checkpoint.state.env_steps());
   return loaded;
 }
@@ -188,21 +195,20 @@ Learner::Learner(const Options& options, Loaded loaded)
       folder_(std::move(loaded.folder)),
       updater_(std::move(loaded.updater)),
       journal_(std::move(loaded.journal)),
-      ledger_(LedgerOptions(config_, loaded.lanes.resets), std::move(loaded.lanes.records), clock_.get()),
+      registry_(RegistryOptions(config_, loaded.lanes.resets, std::move(loaded.build)), std::move(loaded.lanes.records),
+                clock_.get()),
       fragments_(FragmentsPerIteration(config_)),
-      evaluation_book_(kLease, clock_.get()),
-      env_servers_(kServerLease, clock_.get()),
-      fleet_(kLease, clock_.get()),
-      evaluations_(config_.eval(), loaded.checkpoint, &evaluation_book_, folder_.get()),
-      progress_({options.progress_in_place, loaded.checkpoint.state.env_steps(), config_.steps(), folder_->run_id()},
+      evaluations_(config_.eval(), config_.steps(), loaded.checkpoint, &registry_, folder_.get()),
+      progress_({options.progress_in_place, loaded.checkpoint.state.env_steps(),
+                 std::max(StepsToTrain(config_), loaded.checkpoint.state.env_steps()), folder_->run_id()},
                 options.progress != nullptr ? options.progress : &null_stream_, clock_.get()),
       trainer_(config_, loaded.checkpoint.state, std::move(loaded.kept),
-               {folder_.get(), updater_.get(), &ledger_, &weights_, &fragments_, &evaluations_, &progress_,
+               {folder_.get(), updater_.get(), &registry_, &weights_, &fragments_, &evaluations_, &progress_,
                 &checkpoint_requests_, journal_.has_value() ? &*journal_ : nullptr, clock_.get()}),
       service_({folder_->run_id(), folder_->epoch(), config_, loaded.texture_digest, loaded.shape, kLease,
-                std::move(loaded.build), std::move(loaded.access)},
-               &ledger_, &weights_, &fragments_, &evaluation_book_, &env_servers_, &fleet_),
-      admin_service_({&checkpoint_requests_, &ledger_, &evaluation_book_, &env_servers_, [this] { Stop(); }}),
+                std::move(loaded.access)},
+               &registry_, &weights_, &fragments_),
+      admin_service_({&checkpoint_requests_, &registry_, [this] { Stop(); }}),
       status_service_("learner", [this](v1::StatusReply* reply) { FillStatus(reply); }) {}
 
 void Learner::FillStatus(v1::StatusReply* reply) const {
@@ -210,15 +216,16 @@ void Learner::FillStatus(v1::StatusReply* reply) const {
   trainer_.FillStatus(reply);
   FleetView view = ViewFleet(trainer_.meter().Recent(), *reply);
   view.finished = trainer_.finished();
-  view.paused = ledger_.paused();
+  view.evaluating = trainer_.phase() == Trainer::Phase::kEvaluating;
+  view.paused = registry_.paused();
   *reply->mutable_fleet() = SummarizeFleet(view);
 }
 
 absl::Status Learner::Run() {
   CRAFTFLEET_RETURN_IF_ERROR(folder_->Begin());
   absl::Status status = trainer_.Run();
-  // Actors hear within their next poll that the run is over. They outlive a learner that stops before that.
-  if (trainer_.finished()) ledger_.WaitUntilEmpty(absl::Seconds(2));
+  // Actors learn from their next request that the run is over. If the learner exited first, they would wait for it.
+  if (trainer_.finished()) registry_.WaitUntilEmpty(absl::Seconds(2));
   return status;
 }
 

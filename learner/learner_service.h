@@ -1,4 +1,4 @@
-// The gRPC face of the learner: converts and hands over.
+// The learner's gRPC service for workers: converts, checks and delegates.
 
 #ifndef CRAFTFLEET_LEARNER_LEARNER_SERVICE_H_
 #define CRAFTFLEET_LEARNER_LEARNER_SERVICE_H_
@@ -8,45 +8,44 @@
 #include <memory>
 #include <string>
 
-#include "common/clock.h"
-#include "common/closable_queue.h"
-#include "common/limited_log.h"
-#include "common/types.h"
+#include "common/base/clock.h"
+#include "common/base/closable_queue.h"
+#include "common/base/types.h"
+#include "common/telemetry/limited_log.h"
 #include "common/wire/access.h"
 #include "common/wire/convert.h"
 #include "common/wire/stream_watch.h"
 #include "craftfleet/v1/learner.grpc.pb.h"
 #include "craftfleet/v1/status.pb.h"
-#include "learner/build_check.h"
-#include "learner/evaluation_book.h"
-#include "learner/fleet_book.h"
-#include "learner/lane_ledger.h"
-#include "learner/name_book.h"
-#include "learner/server_registry.h"
 #include "learner/weight_store.h"
+#include "learner/worker_registry.h"
 
 namespace craftfleet {
 
-// Accepted fragments on their way to the trainer; permits bound their number.
+// Passes accepted fragments to the trainer. Bounded by the number of permits.
 using FragmentQueue = ClosableQueue<Fragment>;
 
-// Thread-safe. The pointers must outlive it.
+// Implements LearnerService (learner.proto). Thread-safe. The pointers must outlive it.
 class LearnerServiceImpl final : public v1::LearnerService::Service {
  public:
   struct Options {
     std::string run_id;
-    int64_t epoch = 0;     // start number of the learner
-    v1::RunConfig config;  // resolved
+    int64_t epoch = 0;     // number of the learner's start
+    v1::RunConfig config;  // complete (CompleteConfig)
     std::string texture_digest;
     wire::FragmentShape shape;
-    absl::Duration lease;            // told to actors
-    BuildCheck::Options build = {};  // what workers are compared with
-    std::shared_ptr<const wire::AccessControl> access =
-        nullptr;  // by which workers are told apart; null: by certificate
+    absl::Duration lease;  // of actors; sent to them in JoinReply
+    // Identifies workers; null: they are identified by certificate.
+    std::shared_ptr<const wire::AccessControl> access = nullptr;
+    // How long a stream's client may take to send the next fragment, and to accept a verdict or a chunk of weights.
+    absl::Duration fragment_timeout = wire::StreamWatch::kRequest;
+    absl::Duration reply_timeout = wire::StreamWatch::kTakesReply;
+    // Requests for permits at once from one address, of which each actor has one; further ones: RESOURCE_EXHAUSTED.
+    // With the streams of that address they leave threads for others.
+    int max_polls_per_client = wire::StreamWatch::kMaxPerClient / 2;
   };
 
-  LearnerServiceImpl(const Options& options, LaneLedger* ledger, WeightStore* weights, FragmentQueue* fragments,
-                     EvaluationBook* evaluations, ServerRegistry* env_servers, FleetBook* fleet);
+  LearnerServiceImpl(const Options& options, WorkerRegistry* registry, WeightStore* weights, FragmentQueue* fragments);
 
   grpc::Status Join(grpc::ServerContext* context, const v1::JoinRequest* request, v1::JoinReply* reply) override;
   grpc::Status GetPermits(grpc::ServerContext* context, const v1::PermitRequest* request,
@@ -63,25 +62,30 @@ class LearnerServiceImpl final : public v1::LearnerService::Service {
                         v1::AnnounceReply* reply) override;
   grpc::Status Leave(grpc::ServerContext* context, const v1::LeaveRequest* request, v1::LeaveReply* reply) override;
 
-  // Counts of fragments and the actors as peers.
+  // Adds fragment counts, and the workers as peers.
   void FillStatus(v1::StatusReply* reply) const;
 
  private:
   absl::Status CheckEpoch(int64_t epoch) const;
-  void TellEnvServers(const v1::PermitRequest& request, v1::PermitReply* reply);
-  void OfferEvaluation(const v1::PermitRequest& request, v1::PermitReply* reply);
+  // Converts the request for the registry.
+  WorkerRegistry::PermitRequest ToRequest(grpc::ServerContext* context, const v1::PermitRequest& request) const;
+  v1::EvaluationTask ToProto(const EvaluationScheduler::Task& task) const;
   absl::StatusOr<WeightStore::Weights> FindWeights(const v1::WeightsRequest& request) const;
-  absl::StatusOr<v1::FragmentVerdict::Verdict> TakeIn(v1::FragmentMessage* message);
-  // Who calls speaks as `name` of `kind`.   InvalidArgument: no name.   Others as NameBook::Use, logged.
-  absl::Status Name(const grpc::ServerContext& context, absl::string_view kind, absl::string_view name);
+  absl::StatusOr<v1::FragmentVerdict::Verdict> Intake(v1::FragmentMessage* message);
+  // The authenticated identity of the client.
+  std::string Identify(const grpc::ServerContext& context) const;
+  // Checks that the client may call as actor `name`.   InvalidArgument: `name` is not a valid name.   Others as
+  // WorkerRegistry::UseName, logged.
+  absl::Status NameActor(const grpc::ServerContext& context, absl::string_view name);
+  // Logs `status` if the client was refused because of its name. Returns `status`.
+  absl::Status LogRefusal(const grpc::ServerContext& context, absl::Status status);
+  // Logs why a call that names `worker` was refused; few lines, however often it calls.
+  void WarnRefused(absl::string_view worker, absl::string_view text);
 
   const Options options_;
-  LaneLedger* const ledger_;
+  WorkerRegistry* const registry_;
   WeightStore* const weights_;
   FragmentQueue* const fragments_;
-  EvaluationBook* const evaluations_;
-  ServerRegistry* const env_servers_;
-  FleetBook* const fleet_;
 
   std::atomic<int64_t> accepted_{0};
   std::atomic<int64_t> duplicates_{0};
@@ -89,10 +93,9 @@ class LearnerServiceImpl final : public v1::LearnerService::Service {
   std::atomic<int64_t> rejected_{0};
 
   RealClock clock_;
-  NameBook names_;
-  BuildCheck builds_;
   LimitedLog refusals_;
   wire::StreamWatch streams_;
+  wire::StreamWatch polls_;  // requests for permits
 };
 
 }  // namespace craftfleet

@@ -1,44 +1,45 @@
-// craftfleet-learner: trains on what actors send.
-
-#include <iostream>
+// craftfleet-learner: trains an agent on fragments from actors.
 
 #include <absl/flags/flag.h>
-#include <absl/strings/str_format.h>
 
 #include "common/agent/torch_setup.h"
-#include "common/cpu_pin.h"
-#include "common/log.h"
-#include "common/program.h"
-#include "common/status_macros.h"
+#include "common/base/status_macros.h"
+#include "common/process/cpu_pin.h"
+#include "common/process/program.h"
+#include "common/telemetry/log.h"
 #include "common/wire/metrics_flags.h"
 #include "learner/learner.h"
 #include "learner/run_flags.h"
+#include "learner/run_messages.h"
 
 ABSL_FLAG(std::string, listen, "127.0.0.1:50051",
           "address to serve actors and status on, HOST:PORT; port 0: any free one");
 ABSL_FLAG(bool, allow_mixed, false,
-          "let in workers that compute other numbers or play another game than this build; the result then depends on\n"
-          "who plays [they are refused and named]");
+          "accept workers whose numerics or game rules differ from this build's\n"
+          "the result then depends on which worker plays what [such workers are refused and named in the log]");
 
 namespace craftfleet {
 namespace {
 
 constexpr char kProgram[] = "craftfleet-learner";
 constexpr char kUsage[] =
-    R"(craftfleet-learner trains an agent on the fragments that actors send, and hands out weights and work.
+    R"(craftfleet-learner trains an agent on the fragments that actors send, and serves them weights and permits.
 
-A fleet on one machine, each line in its own terminal; start as many actors and environment servers as you like, at any time:
+To run a fleet on one machine, start each line in its own terminal. More actors and environment servers may join at any time:
   craftfleet-learner --agent=ppo_cnn --env=crafter --steps=1000000 --seed=1 --lanes=16 --logdir=runs/first
   craftfleet-envserver --listen=127.0.0.1:50061
   craftfleet-actor --learner=127.0.0.1:50051 --envservers=127.0.0.1:50061
 
-Watch it:   craftfleet status --address=127.0.0.1:50051
-Go on after a stop or a crash: the same command with --resume.)";
+Watch it:  craftfleet top --address=127.0.0.1:50051
+
+Ctrl-C, SIGTERM or closing the terminal stops it within seconds, with a checkpoint of the last finished iteration. The same
+command with --resume continues, also after a crash. Without a reader of its output (craftfleet-learner | head) it
+continues silently.)";
 
 absl::Status Run() {
   CRAFTFLEET_ASSIGN_OR_RETURN(const wire::MetricsServer::Options metrics_options,
                               wire::MetricsOptionsFromFlags(wire::kAnyFreePort));
-  CRAFTFLEET_ASSIGN_OR_RETURN(Learner::Options options, LearnerOptionsFromFlags());
+  CRAFTFLEET_ASSIGN_OR_RETURN(Learner::Options options, LearnerOptionsFromFlags(v1::RunConfig::CUDA_UPDATES));
   CRAFTFLEET_RETURN_IF_ERROR(PinCpu(options.config.cpu()));
   SetUpTorchThread();
   options.server.address = absl::GetFlag(FLAGS_listen);
@@ -47,11 +48,11 @@ absl::Status Run() {
   CRAFTFLEET_ASSIGN_OR_RETURN(const std::unique_ptr<Learner> learner, Learner::Create(options));
   StopSignal signal([&learner] { learner->Stop(); });
   if (const std::string warning = SlowMathWarning(); !warning.empty()) LogWarning("%s", warning);
-  LogInfo("run %s in %s; listening on %s", learner->run_id(), options.logdir, learner->address());
+  CRAFTFLEET_RETURN_IF_ERROR(LogRunStart(*learner, options.logdir));
   CRAFTFLEET_ASSIGN_OR_RETURN(const std::unique_ptr<wire::MetricsServer> metrics,
                               wire::ServeMetrics(metrics_options, &learner->status()));
   CRAFTFLEET_RETURN_IF_ERROR(learner->Run());
-  LogInfo("%s", learner->trainer().finished() ? "the run is complete" : "stopped; go on with --resume");
+  LogRunEnd(*learner);
   return absl::OkStatus();
 }
 
@@ -59,6 +60,9 @@ absl::Status Run() {
 }  // namespace craftfleet
 
 int main(int argc, char** argv) {
-  craftfleet::ParseFlags(craftfleet::kProgram, craftfleet::kUsage, argc, argv);
+  craftfleet::OutliveReaders();
+  craftfleet::ParseFlags(
+      craftfleet::kProgram, craftfleet::kUsage, argc, argv,
+      {"logdir", "agent", "env", "steps", "seed", "lanes", "resume", "config", "listen", "autoresume"});
   return craftfleet::ExitCode(craftfleet::kProgram, craftfleet::Run());
 }

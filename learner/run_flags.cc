@@ -11,55 +11,60 @@
 #include <absl/strings/str_format.h>
 
 #include "common/agent/device.h"
-#include "common/config.h"
-#include "common/cpu_pin.h"
-#include "common/cpu_quota.h"
-#include "common/files.h"
-#include "common/paths.h"
-#include "common/status_macros.h"
+#include "common/base/status_macros.h"
+#include "common/config/config.h"
+#include "common/io/files.h"
+#include "common/io/paths.h"
+#include "common/process/cpu_pin.h"
+#include "common/process/cpu_quota.h"
+#include "common/process/flag_values.h"
 #include "common/wire/server_flags.h"
 #include "learner/run/checkpoint_store.h"
 
-ABSL_FLAG(std::optional<std::string>, agent, std::nullopt,
-          "which agent learns; craftfleet agents lists them [ppo_cnn]");
+ABSL_FLAG(std::string, logdir, "", "folder of the run: configuration, logs, curves, checkpoints (required)");
+ABSL_FLAG(std::optional<std::string>, agent, std::nullopt, "agent to train; craftfleet agents lists them [ppo_cnn]");
 ABSL_FLAG(std::optional<std::string>, env, std::nullopt,
-          "what it plays: crafter, or with options joined by commas, such as\n"
-          "crafter:numbers=easy-x2,appearance=25/25/25/25,inventory=off");
+          "environment to train on: crafter, or a variant of it (craftfleet envs lists them)\n"
+          "such as crafter:numbers=easy-x2,appearance=25/25/25/25,inventory=off\n"
+          "[crafter]");
 ABSL_FLAG(std::optional<std::string>, eval_env, std::nullopt,
-          "what evaluation episodes are played on, such as crafter:appearance=0/33/33/34 [as --env]");
-ABSL_FLAG(std::optional<int64_t>, steps, std::nullopt,
-          "environment steps, all lanes together; the run ends with the iteration that reaches them [1000000]");
+          "environment of the evaluation episodes, such as crafter:appearance=0/33/33/34 [as --env]");
+ABSL_FLAG(std::optional<craftfleet::Count>, steps, std::nullopt,
+          "environment steps to train for, all lanes together: 1000000, 1e6 or 1M\n"
+          "rounded up to whole iterations of ppo.rollout_steps (4096 by default)\n"
+          "[1000000]");
 ABSL_FLAG(std::optional<uint64_t>, seed, std::nullopt, "seed of everything random in the run [0]");
-ABSL_FLAG(
-    std::optional<std::string>, cpu, std::nullopt,
-    "instruction set that every process of the run computes with: native (the best of each CPU), avx2 or avx512;\n"
-    "CPUs that differ give equal bytes only with the same one [native]");
+ABSL_FLAG(std::optional<std::string>, cpu, std::nullopt,
+          "instruction set for the numerics of every process of the run: native, avx2 or avx512\n"
+          "native is the best of each CPU. CPUs of different kinds compute equal bytes only with the same setting\n"
+          "[native]");
 ABSL_FLAG(std::optional<int32_t>, lanes, std::nullopt, "games played side by side [16]");
-ABSL_FLAG(std::string, logdir, "", "folder of the run: configuration, stats.jsonl, curves, checkpoints (needed)");
-ABSL_FLAG(
-    bool, resume, false,
-    "go on with the run in --logdir as if it had never stopped; only --steps and what concerns checkpoints may differ");
+ABSL_FLAG(bool, resume, false,
+          "resume the run in --logdir from its newest checkpoint, as if it had never stopped\n"
+          "only --steps and the checkpoint settings may change");
 ABSL_FLAG(bool, autoresume, false,
-          "as --resume if --logdir has a run, else begin one: for what starts the same command again after it ended");
-ABSL_FLAG(std::string, resume_from, "", "with --resume: the checkpoint to go back to, like iter-00000020 [the newest]");
-ABSL_FLAG(
-    std::string, init_from, "",
-    "begin a new run with old weights: a run's folder, which stands for its newest checkpoint, or a checkpoint's,\n"
-    "of the same agent; optimiser, counters and everything else begin anew");
+          "as --resume if --logdir has a checkpoint, otherwise start a new run\n"
+          "for supervisors that restart the same command when it ends");
+ABSL_FLAG(std::string, resume_from, "",
+          "with --resume: the checkpoint to resume from, such as iter-00000020 [the newest]");
+ABSL_FLAG(std::string, init_from, "",
+          "start a new run with the weights of another run: its folder (newest checkpoint) or a checkpoint\n"
+          "of the same agent; optimiser, counters and everything else start from zero");
 ABSL_FLAG(std::optional<int32_t>, checkpoint_every, std::nullopt,
-          "iterations from one checkpoint to the next; the last is always written [10]");
+          "iterations from one checkpoint to the next; one is always written at the end [10]");
 ABSL_FLAG(std::optional<int32_t>, keep_checkpoints, std::nullopt,
-          "how many of the newest checkpoints are kept, beside the best [3]");
+          "number of newest checkpoints to keep, in addition to the best one [3]");
 ABSL_FLAG(std::string, config, "",
-          "file with the run's configuration in protobuf text format, such as another run's config.txt;\n"
-          "flags given beside it win");
+          "file with the run's configuration in protobuf text format, such as another run's config.txt\n"
+          "other flags override its values");
 ABSL_FLAG(std::string, textures, "",
           "folder with Crafter's textures as PNG, such as crafter/assets of the Python package\n"
-          "[the ones that come with this program]");
-ABSL_FLAG(int32_t, threads, 0, "threads of this process for its computing; 0: as many as its CPU quota allows");
-ABSL_FLAG(std::string, device, "auto",
-          "where updates are computed: auto (a GPU where there is one), cpu, cuda or cuda:N; wants a build against a\n"
-          "LibTorch with CUDA. Runs on different devices differ in their last bits");
+          "[the built-in ones]");
+ABSL_FLAG(int32_t, threads, 0, "threads that compute; 0: as many as the CPU quota allows");
+ABSL_FLAG(
+    std::string, device, "auto",
+    "device that computes: auto (a GPU if there is one), cpu, cuda or cuda:N\n"
+    "craftfleet train acts there too. A GPU requires a build with a CUDA LibTorch. A run stays on its type of device");
 
 namespace craftfleet {
 namespace {
@@ -76,14 +81,21 @@ absl::StatusOr<v1::RunConfig> BaseConfig(bool resume) {
   absl::StatusOr<std::string> text = ReadFile(path);
   if (!text.ok()) {
     return absl::Status(text.status().code(),
-                        config.empty() ? absl::StrFormat("--resume: no run in --logdir=%s (%s)",
-                                                         absl::GetFlag(FLAGS_logdir), text.status().message())
-                                       : absl::StrFormat("--config: %s", text.status().message()));
+                        config.empty()
+                            ? absl::StrFormat("--resume: no run in --logdir=%s (%s); start it without --resume",
+                                              absl::GetFlag(FLAGS_logdir), text.status().message())
+                            : absl::StrFormat("--config: %s", text.status().message()));
   }
   return ParseRunConfig(*text, path);
 }
 
-// --threads, or what the cgroup's CPU quota gives.
+// `of_cpu_run`: for a run that began on the CPU, which `auto` does not leave.
+absl::StatusOr<std::string> DeviceFromFlag(bool of_cpu_run) {
+  const std::string name = absl::GetFlag(FLAGS_device);
+  return FindDevice(of_cpu_run && name == "auto" ? "cpu" : name);
+}
+
+// --threads, or by default the cgroup's CPU quota.
 absl::StatusOr<int> ThreadsFromFlags() {
   const int threads = absl::GetFlag(FLAGS_threads);
   if (threads < 0 || threads > 256) {
@@ -94,26 +106,26 @@ absl::StatusOr<int> ThreadsFromFlags() {
 
 }  // namespace
 
-absl::StatusOr<Learner::Options> LearnerOptionsFromFlags() {
+absl::StatusOr<Learner::Options> LearnerOptionsFromFlags(v1::RunConfig::Device on_gpu) {
   Learner::Options options;
   options.logdir = absl::GetFlag(FLAGS_logdir);
   if (options.logdir.empty()) {
-    return absl::InvalidArgumentError("--logdir is missing: the folder that the run is to be written to");
+    return absl::InvalidArgumentError("--logdir is missing: the folder to write the run to");
   }
   options.resume = Resuming();
   options.resume_from = absl::GetFlag(FLAGS_resume_from);
   if (!absl::GetFlag(FLAGS_resume) && !options.resume_from.empty()) {
-    return absl::InvalidArgumentError("--resume_from wants --resume beside it");
+    return absl::InvalidArgumentError("--resume_from requires --resume");
   }
   options.init_from = absl::GetFlag(FLAGS_init_from);
   if (absl::GetFlag(FLAGS_resume) && !options.init_from.empty()) {
-    return absl::InvalidArgumentError("--init_from begins a new run: leave --resume away, or --init_from");
+    return absl::InvalidArgumentError("--init_from starts a new run and cannot be combined with --resume");
   }
   CRAFTFLEET_ASSIGN_OR_RETURN(options.config, BaseConfig(options.resume));
   if (const auto agent = absl::GetFlag(FLAGS_agent)) options.config.set_agent(*agent);
   if (const auto env = absl::GetFlag(FLAGS_env)) options.config.mutable_env()->set_name(*env);
   if (const auto env = absl::GetFlag(FLAGS_eval_env)) options.config.mutable_eval()->set_env(*env);
-  if (const auto steps = absl::GetFlag(FLAGS_steps)) options.config.set_steps(*steps);
+  if (const auto steps = absl::GetFlag(FLAGS_steps)) options.config.set_steps(steps->value);
   if (const auto seed = absl::GetFlag(FLAGS_seed)) options.config.set_seed(*seed);
   if (const auto lanes = absl::GetFlag(FLAGS_lanes)) options.config.set_lanes(*lanes);
   if (const auto cpu = absl::GetFlag(FLAGS_cpu)) {
@@ -125,7 +137,9 @@ absl::StatusOr<Learner::Options> LearnerOptionsFromFlags() {
   if (const auto keep = absl::GetFlag(FLAGS_keep_checkpoints)) checkpoint.set_keep(*keep);
   CRAFTFLEET_ASSIGN_OR_RETURN(options.texture_dir, TextureDir(absl::GetFlag(FLAGS_textures)));
   CRAFTFLEET_ASSIGN_OR_RETURN(options.threads, ThreadsFromFlags());
-  CRAFTFLEET_ASSIGN_OR_RETURN(options.device, FindDevice(absl::GetFlag(FLAGS_device)));
+  CRAFTFLEET_ASSIGN_OR_RETURN(options.device, DeviceFromFlag(options.resume && !options.config.has_device()));
+  CRAFTFLEET_RETURN_IF_ERROR(SetRunDevice(options.device, options.resume, on_gpu, &options.config));
+  SetUpDevice(options.device, options.config.precision());
   options.server = wire::ServerOptionsFromFlags(/*address=*/"");
   options.progress = &std::cout;
   options.progress_in_place = isatty(STDOUT_FILENO) == 1;

@@ -1,18 +1,22 @@
-// The flags of a training run, shared by craftfleet-learner and craftfleet-train.
+// Flags of a training run, shared by craftfleet-learner and craftfleet-train.
 
 #ifndef CRAFTFLEET_LEARNER_RUN_FLAGS_H_
 #define CRAFTFLEET_LEARNER_RUN_FLAGS_H_
 
 #include <absl/status/statusor.h>
 
+#include "craftfleet/v1/config.pb.h"
 #include "learner/learner.h"
 
 namespace craftfleet {
 
-// What the flags ask for: defaults, or the stored configuration with --resume; over them --config; over that the flags
-// that were given. The server has no address yet. Progress goes to standard output.
-//   InvalidArgument names the flag or the file and line.
-absl::StatusOr<Learner::Options> LearnerOptionsFromFlags();
+// Makes the learner's options from the flags. The configuration starts from the defaults, or with --resume from the
+// stored one; --config overrides it, and other given flags override both. The caller sets the server's address.
+// Progress goes to standard output. `on_gpu` is what a new run with --device=cuda computes on GPUs. Prepares LibTorch
+// for the device.
+//   InvalidArgument names the flag, or the file and line.   FailedPrecondition: there is no such device, or the run is
+//   of another.
+absl::StatusOr<Learner::Options> LearnerOptionsFromFlags(v1::RunConfig::Device on_gpu);
 
 }  // namespace craftfleet
 

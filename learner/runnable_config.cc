@@ -4,6 +4,7 @@
 
 #include <algorithm>
 #include <array>
+#include <limits>
 #include <string>
 #include <utility>
 
@@ -13,28 +14,28 @@
 
 #include "common/agent/nets/attention.h"
 #include "common/agent/nets/recurrent_core.h"
-#include "common/config.h"
-#include "common/env_name.h"
-#include "common/files.h"
-#include "common/snapshot_envelope.h"
-#include "common/status_macros.h"
+#include "common/base/status_macros.h"
+#include "common/config/config.h"
+#include "common/config/env_name.h"
+#include "common/io/files.h"
+#include "common/io/snapshot_envelope.h"
 #include "common/wire/protocol.h"
 
 namespace craftfleet {
 namespace {
 
-// A snapshot, names, numbers, lengths.
+// Bytes of a fragment that don't depend on its steps: a snapshot, names, numbers, lengths.
 constexpr int64_t kFragmentRest = 72 << 10;
-// Action, end, log-probability, value, reward, value at a truncation.
+// Bytes per step: action, end, log-probability, value, reward, value at a truncation.
 constexpr int64_t kStepBytes = 1 + 1 + 4 * sizeof(float);
-// An episode that ends: 22 counts of at most 5 bytes, its length, its reward.
+// Bytes per episode: 22 counts of at most 5 bytes, length, reward.
 constexpr int64_t kEpisodeBytes = 150;
-// Requests about thousands of lanes, what actors relay of environment servers, 10,000 episodes of an evaluation.
+// Bytes of other requests: thousands of lanes, reports on environment servers, 10,000 episodes of an evaluation.
 constexpr int64_t kLargestRequestBytes = 4 << 20;
 constexpr double kGiB = 1 << 30;
 
-// Numbers of a row's attention probabilities, the largest tensor of a network with objects.
-double AttentionNumbers(const v1::NetworkConfig& network) {
+// The number of attention probabilities per observation: the largest tensor of a network with an object module.
+double AttentionProbabilities(const v1::NetworkConfig& network) {
   if (network.objects() != v1::NetworkConfig::SELF_ATTENTION &&
       network.objects() != v1::NetworkConfig::CROSS_ATTENTION) {
     return 0;
@@ -45,42 +46,51 @@ double AttentionNumbers(const v1::NetworkConfig& network) {
   return network.heads() * tokens * (to_each_other ? tokens : network.slots());
 }
 
-// A part of the memory that a learner needs, and the field that it grows with most.
+// A part of the memory that a learner needs, and the configuration field that it depends on most.
 struct Need {
-  double bytes;  // not an integer: it may be beyond one
+  double bytes;  // may exceed the range of int64_t
   const char* field;
   int64_t value;
 };
 
-// The frames of an iteration, and where fragments keep each state, those.
+// The frames of an iteration, and its recurrent states if fragments contain one per step.
 Need IterationNeed(const v1::RunConfig& config, const AgentSpec& spec, const wire::FragmentShape& shape) {
   const double states = static_cast<double>(shape.states) / shape.steps * shape.state_size * sizeof(float);
   return {config.ppo().rollout_steps() * (static_cast<double>(spec.frame_bytes()) + states), "ppo.rollout_steps",
           config.ppo().rollout_steps()};
 }
 
-// Frames as floats, and what attention makes of a shard's.
+// A minibatch's frames as floats, and the attention probabilities of a shard.
 Need MinibatchNeed(const v1::RunConfig& config, const AgentSpec& spec) {
-  const double attention = AttentionNumbers(spec.network) / config.gradient_shards();
+  const double attention = AttentionProbabilities(spec.network) / config.gradient_shards();
   const auto frame = static_cast<double>(spec.frame_bytes());
   const double bytes = config.ppo().minibatch_size() * (frame + attention) * sizeof(float);
   if (attention > frame) return {bytes, "network.stride", spec.network.stride()};
   return {bytes, "ppo.minibatch_size", config.ppo().minibatch_size()};
 }
 
-// Weights, Adam's two moments, what is handed out and what is written of them, and gradients.
+// The rollouts that are kept until the next phase of distillation.
+Need DistillationNeed(const v1::RunConfig& config, const AgentSpec& spec) {
+  const int32_t iterations = config.distillation().every_iterations();
+  return {static_cast<double>(iterations) * config.ppo().rollout_steps() * static_cast<double>(spec.frame_bytes()),
+          "distillation.every_iterations", iterations};
+}
+
+// Weights, Adam's two moments, the copies for actors and for checkpoints, and gradients.
 Need WeightsNeed(const v1::RunConfig& config, const AgentSpec& spec, bool updates_on_cpu) {
   constexpr int kCopies = 1 + 2 + 1 + 1 + 2;
+  constexpr int kDistillationCopies = 2 * 2 * 2;  // two more optimisers, and their state to roll back to
+  const int copies = kCopies + (config.distillation().every_iterations() > 0 ? kDistillationCopies : 0);
   const int gradients = updates_on_cpu ? config.gradient_shards() : 0;
-  const double bytes = static_cast<double>(spec.param_count) * sizeof(float) * (kCopies + gradients);
-  if (gradients > kCopies) return {bytes, "gradient_shards", gradients};
+  const double bytes = static_cast<double>(spec.param_count) * sizeof(float) * (copies + gradients);
+  if (gradients > copies) return {bytes, "gradient_shards", gradients};
   return {bytes, "network.frame_size", spec.network.frame_size()};
 }
 
 absl::Status CheckMemory(const v1::RunConfig& config, const AgentSpec& spec, const wire::FragmentShape& shape,
                          const LearnerMachine& machine) {
-  std::array<Need, 3> needs = {IterationNeed(config, spec, shape), WeightsNeed(config, spec, machine.updates_on_cpu),
-                               MinibatchNeed(config, spec)};
+  std::array<Need, 4> needs = {IterationNeed(config, spec, shape), WeightsNeed(config, spec, machine.updates_on_cpu),
+                               MinibatchNeed(config, spec), DistillationNeed(config, spec)};
   if (!machine.updates_on_cpu) needs[2].bytes = 0;
   double bytes = 0;
   for (const Need& need : needs) bytes += need.bytes;
@@ -88,9 +98,10 @@ absl::Status CheckMemory(const v1::RunConfig& config, const AgentSpec& spec, con
   const Need& most =
       *std::max_element(needs.begin(), needs.end(), [](const Need& a, const Need& b) { return a.bytes < b.bytes; });
   return absl::InvalidArgumentError(absl::StrFormat(
-      "%s is %d: the learner needs at least %.1f GiB of memory, %.1f GiB of them for that; it has %.1f GiB: want %s",
+      "%s is %d: the learner needs at least %.1f GiB of memory, %.1f GiB of it due to this field; it has %.1f GiB: "
+      "want a %s value",
       most.field, most.value, bytes / kGiB, most.bytes / kGiB, static_cast<double>(machine.memory_bytes) / kGiB,
-      absl::string_view(most.field) == "network.stride" ? "more" : "less"));
+      absl::string_view(most.field) == "network.stride" ? "larger" : "smaller"));
 }
 
 absl::Status CheckMessage(const v1::RunConfig& config, const wire::FragmentShape& shape) {
@@ -102,11 +113,11 @@ absl::Status CheckMessage(const v1::RunConfig& config, const wire::FragmentShape
     if (shape.states > 1) fits.states = fits.steps;
   }
   return absl::InvalidArgumentError(
-      absl::StrFormat("fragment_steps is %d: a fragment may take %d bytes, more than a message, %d: want at most %d",
+      absl::StrFormat("fragment_steps is %d: a fragment may have %d bytes, but a message at most %d: want at most %d",
                       config.fragment_steps(), bytes, wire::kMaxMessageBytes, fits.steps));
 }
 
-// The number in a cgroup's file; 0: there is none, or no limit.
+// The limit in a cgroup's file, in bytes; 0: no file or no limit.
 int64_t ReadLimit(const std::string& path) {
   int64_t bytes = 0;
   const absl::StatusOr<std::string> text = ReadFile(path);
@@ -120,9 +131,14 @@ absl::StatusOr<v1::RunConfig> CompleteConfig(v1::RunConfig config) {
   CRAFTFLEET_ASSIGN_OR_RETURN(const AgentSpec spec, MakeAgentSpec(config));
   CRAFTFLEET_ASSIGN_OR_RETURN(const EnvName env, EnvName::Parse(config.env().name()));
   config.mutable_env()->set_name(env.ToString());
+  if (spec.frame_size < kMinFrameSize) {
+    return absl::InvalidArgumentError(
+        absl::StrFormat("network.frame_size is %d, want at least %d: environment servers draw no smaller pictures",
+                        spec.frame_size, kMinFrameSize));
+  }
   if (config.env().frame_size() == 0) config.mutable_env()->set_frame_size(spec.frame_size);
   if (config.env().frame_size() != spec.frame_size) {
-    return absl::InvalidArgumentError(absl::StrFormat("env.frame_size: %d, want %d, which %s looks at",
+    return absl::InvalidArgumentError(absl::StrFormat("env.frame_size: %d, want %d, the frame size of agent %s",
                                                       config.env().frame_size(), spec.frame_size, spec.name));
   }
   if (config.eval().env().empty()) config.mutable_eval()->set_env(config.env().name());
@@ -137,8 +153,8 @@ wire::FragmentShape FragmentShapeOf(const v1::RunConfig& config, const AgentSpec
   shape.steps = config.fragment_steps();
   shape.frame_bytes = static_cast<int>(spec.frame_bytes());
   shape.state_size = spec.state_size;
-  shape.states = config.ppo().recurrent_batches() == v1::PpoConfig::PUBLISHED ? config.fragment_steps() : 1;
-  shape.hidden = static_cast<int>(LstmLayer::kHidden);
+  shape.states = KeepsEveryState(spec, config.ppo()) ? config.fragment_steps() : 1;
+  shape.hidden = spec.network.memory() ? std::numeric_limits<int>::max() : static_cast<int>(LstmLayer::kHidden);
   if (config.env().length() != 0) shape.max_length = config.env().length();
   shape.env_digest = EnvDigest(EnvName::Parse(config.env().name()).value_or(EnvName()).WorldName(), shape.max_length);
   return shape;
@@ -146,7 +162,7 @@ wire::FragmentShape FragmentShapeOf(const v1::RunConfig& config, const AgentSpec
 
 int64_t LargestFragmentBytes(const wire::FragmentShape& shape) {
   const int64_t step = shape.frame_bytes + kStepBytes + kEpisodeBytes;
-  const int64_t states = int64_t{shape.states} + 1;  // and the one after the last step
+  const int64_t states = int64_t{shape.states} + 1;  // one more for the state after the last step
   return step * shape.steps + states * shape.state_size * static_cast<int64_t>(sizeof(float)) + kFragmentRest;
 }
 

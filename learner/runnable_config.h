@@ -1,4 +1,4 @@
-// Whether a configuration can run, looked at before anything is made of it.
+// Checks that a configuration can run, before the learner allocates or writes anything.
 
 #ifndef CRAFTFLEET_LEARNER_RUNNABLE_CONFIG_H_
 #define CRAFTFLEET_LEARNER_RUNNABLE_CONFIG_H_
@@ -14,31 +14,31 @@
 
 namespace craftfleet {
 
-// Fills in what follows from the rest and checks all of it.
-//   InvalidArgument: a value that is out of range or does not fit another; names the field.
+// Fills in fields that follow from others, and checks all fields.
+//   InvalidArgument: a value is out of range or inconsistent with another; names the field.
 absl::StatusOr<v1::RunConfig> CompleteConfig(v1::RunConfig config);
 
-// What a fragment of the run looks like. `config` is complete, here and below.
+// The shape of the run's fragments. Here and below, `config` is complete (CompleteConfig).
 wire::FragmentShape FragmentShapeOf(const v1::RunConfig& config, const AgentSpec& spec);
 
-// The most that a fragment can have on the wire, bytes.
+// The maximum size of a serialized fragment, in bytes.
 int64_t LargestFragmentBytes(const wire::FragmentShape& shape);
 
-// The most that any message to a learner of such fragments can have, bytes; at most wire::kMaxMessageBytes.
+// The maximum size of any message to the learner of such a run, in bytes; at most wire::kMaxMessageBytes.
 int LargestMessageBytes(const wire::FragmentShape& shape);
 
-// What a learner has.
+// The resources of a learner.
 struct LearnerMachine {
-  int64_t memory_bytes = 0;    // 0: not known, anything goes
-  bool updates_on_cpu = true;  // else gradients and minibatches lie elsewhere
+  int64_t memory_bytes = 0;    // 0: unknown, memory is not checked
+  bool updates_on_cpu = true;  // false: gradients and minibatches are in another device's memory
 };
 
-// Of this machine and the cgroup at the top of what this process sees; 0: not known.
+// The smaller of the machine's memory and the limit of the outermost cgroup visible to this process; 0: unknown.
 int64_t OwnMemoryBytes();
 
-// Whether the run fits through the wire and into the learner's memory, of which no more is counted than is needed in
-// any case.
-//   InvalidArgument: it does not; names the field that takes most.
+// Checks that the run's messages fit the size limit, and that the learner's memory suffices. Counts only memory that is
+// needed in any case.
+//   InvalidArgument: they do not fit; names the field with the largest effect.
 absl::Status CheckRunnable(const v1::RunConfig& config, const AgentSpec& spec, const LearnerMachine& machine);
 
 }  // namespace craftfleet

@@ -1,4 +1,4 @@
-// The training loop: fragments in, weights, logs and checkpoints out.
+// The training loop: turns fragments into weights, logs and checkpoints.
 
 #ifndef CRAFTFLEET_LEARNER_TRAINER_H_
 #define CRAFTFLEET_LEARNER_TRAINER_H_
@@ -11,145 +11,117 @@
 
 #include <absl/status/status.h>
 #include <absl/status/statusor.h>
-#include <absl/strings/string_view.h>
 #include <absl/time/time.h>
 
-#include "common/activity_meter.h"
-#include "common/clock.h"
-#include "common/mutex.h"
-#include "common/types.h"
+#include "common/base/clock.h"
+#include "common/base/types.h"
+#include "common/telemetry/activity_meter.h"
 #include "craftfleet/v1/config.pb.h"
 #include "craftfleet/v1/status.pb.h"
 #include "learner/checkpoint_requests.h"
-#include "learner/evaluation_schedule.h"
+#include "learner/checkpoint_writer.h"
+#include "learner/disk_wait.h"
+#include "learner/evaluation_planner.h"
+#include "learner/fragment_collector.h"
 #include "learner/fragment_journal.h"
-#include "learner/lane_ledger.h"
 #include "learner/learner_service.h"
 #include "learner/ppo/ppo_updater.h"
-#include "learner/ppo/rollout.h"
 #include "learner/run/progress.h"
 #include "learner/run/run_folder.h"
+#include "learner/stop_flag.h"
+#include "learner/training_log.h"
+#include "learner/training_status.h"
 #include "learner/weight_store.h"
+#include "learner/worker_registry.h"
 
 namespace craftfleet {
 
-// What the trainer has done. Written by the trainer, read by anyone.
-struct TrainerCounters {
-  std::atomic<int64_t> iteration{0};        // finished
-  std::atomic<int64_t> env_steps{0};        // accepted, over all starts of the run
-  std::atomic<int64_t> start_steps{0};      // of these, before this start
-  std::atomic<int64_t> policy_version{-1};  // of the weights last published
-};
-
-// One iteration: open permits, wait for every lane's fragments, order them, advantages, PPO epochs, publish the
-// weights, write logs. A run is the same whoever plays: nothing here depends on the order in which fragments arrive.
-// Run is called from one thread; Stop, counters and FillStatus from any.
+// An iteration opens permits, waits for every lane's fragments, orders them, computes advantages, runs the PPO epochs,
+// publishes the weights and writes the logs. The result does not depend on which actors play or in which order their
+// fragments arrive. Run is called from one thread; everything else is thread-safe.
 class Trainer {
  public:
   struct Parts {
-    RunFolder* folder;  // all of them outlive the trainer
+    RunFolder* folder;  // all pointers outlive the trainer
     PpoUpdater* updater;
-    LaneLedger* ledger;
+    WorkerRegistry* registry;
     WeightStore* weights;
     FragmentQueue* fragments;
-    EvaluationSchedule* evaluations;
+    EvaluationPlanner* evaluations;
     ProgressPrinter* progress;
     CheckpointRequests* checkpoints;
-    FragmentJournal* journal;  // null: fragments are not kept
+    FragmentJournal* journal;  // null: no journal
     Clock* clock;
   };
+  enum class Phase {
+    kTraining,
+    kEvaluating,  // training is over, the final evaluation is not
+    kComplete,    // both are over
+  };
 
-  // Begins after `state`, whose weights and optimiser are in the updater. `kept`: what the journal had.
+  // Continues after `state`; its weights and optimiser are already in the updater. `kept`: the journal's fragments.
   Trainer(const v1::RunConfig& config, const v1::CheckpointState& state, std::vector<Fragment> kept,
           const Parts& parts);
 
-  // Trains until the configured steps are done, and evaluates then, or until Stop is called; both end with a checkpoint
-  // of the last finished iteration.
-  //   Errors that training can't outlive: of an update that fails twice in a row, or the last checkpoint can't be
-  //   written. The last finished iteration has a checkpoint then.
+  // Trains until the configured steps are done and then evaluates, unless Stop is called first. In both cases a
+  // checkpoint of the last finished iteration is written, and phase() shows how far the run got.
+  //   Errors: the update failed twice in a row, after which a checkpoint of the last finished iteration is written; or
+  //   the last checkpoint can't be written.
   absl::Status Run();
-  // Ends the run after the current minibatch; an unfinished iteration is dropped.
+  // Ends Run after the current minibatch, or at once during the final evaluation. An unfinished iteration is dropped;
+  // unfinished evaluations are stored in the checkpoint, and the next start continues them. Idempotent.
   void Stop();
 
-  bool finished() const { return counters_.env_steps >= config_.steps(); }
+  Phase phase() const { return phase_; }
+  // Whether the run is complete, with nothing left to resume.
+  bool finished() const { return phase_ == Phase::kComplete; }
   const TrainerCounters& counters() const { return counters_; }
-  // Where its thread's time goes.
+  // How the training thread's time is spent.
   const ActivityMeter& meter() const { return meter_; }
-  void FillStatus(v1::StatusReply* reply) const ABSL_LOCKS_EXCLUDED(mu_);
+  void FillStatus(v1::StatusReply* reply) const { status_.Fill(meter_, checkpoints_.age(), reply); }
 
  private:
-  // Cancelled: Stop was called.
+  bool has_steps_left() const { return counters_.env_steps < config_.steps(); }
+  // Runs one iteration.   Cancelled: Stop was called.
   absl::Status RunIteration();
-  // Those of `kept_` that belong to the iteration that begins and goes up to `last_fragment` (excluded) of each lane;
-  // the ledger knows of them then.
-  std::vector<Fragment> TakeKept(int64_t last_fragment);
-  // What the iteration's fragments, in order, do to the weights. Unless OK, all is as before.
-  absl::StatusOr<UpdateStats> Learn(int64_t iteration, const std::vector<Fragment>& fragments);
-  // The update of `fragments` failed: they are dropped and will be played again. `error` if that happened in a row.
+  absl::StatusOr<std::vector<Fragment>> Collect();
+  // Updates the weights with the iteration's fragments, which are in order. On an error nothing changes.
+  absl::StatusOr<UpdateStats> Learn(const std::vector<Fragment>& fragments);
+  // Drops `fragments`, whose update failed, so that they are played again. Returns `error` at the second failure in a
+  // row.
   absl::Status UndoIteration(const std::vector<Fragment>& fragments, const absl::Status& error);
-  // Takes in one that still counts; it replaces one of the same number.
-  void AddFragment(Fragment fragment, std::vector<Fragment>* fragments);
-  // Drops those that the ledger has put back, here and in the journal.
-  void DropPutBack(std::vector<Fragment>* fragments);
-  // Keeps `fragment` in the journal, if there is one.
-  void Keep(const Fragment& fragment);
-  // Waits for what is missing in `fragments`; puts them in order.
-  absl::Status Collect(std::vector<Fragment>* fragments);
   absl::Status FinishIteration(const std::vector<Fragment>& fragments, const UpdateStats& stats);
-  // Makes the updater's weights those that are played and evaluated.
+  // If `trained`, evaluates the final weights. Tells actors whether the run is complete.
+  void End(bool trained);
+  // Logs a picture every kIterationsPerPicture iterations. `first`: the fragment to show.
+  void LogPictures(const Fragment& first);
+  // Publishes the updater's weights for play and evaluation.
   void PublishWeights();
-  void AddToLogs(const std::vector<Fragment>& fragments, const UpdateStats& stats);
-  // Writes what the logs have to say. What a full disk does not take waits, to be written after a later iteration; with
-  // kMaxWaitingBytes of it training waits for room.
-  void FlushLogs() ABSL_LOCKS_EXCLUDED(mu_);
-  absl::Status WriteCheckpoint();
-  // Writes one if somebody asked for it; between updates only.
-  void ServeCheckpointRequests();
-  // The same after the last iteration: tries again while the disk is full, until Stop.
-  absl::Status WriteLastCheckpoint() ABSL_LOCKS_EXCLUDED(mu_);
-  // Says `trouble` and returns after a second, or at once when Stop was called.
-  void WaitForRoom(absl::string_view trouble) ABSL_LOCKS_EXCLUDED(mu_);
-  void SayNowAndThen(absl::string_view trouble);
-  // Takes the folder's score, and that of an iteration that took `seconds` (0: none has ended), for the status page.
-  void Show(double seconds) ABSL_LOCKS_EXCLUDED(mu_);
-  int fragments_per_lane() const;
-
-  // What the status page shows, as of the last iteration.
-  struct Shown {
-    double iteration_seconds = 0;  // 0: none has ended since the start
-    int64_t episodes = 0;
-    double reward = 0;  // means of the last 100 episodes
-    double length = 0;
-    double score = 0;
-    int unlocked = 0;
-  };
+  // The run's state after its last finished iteration.
+  Checkpoint MakeCheckpoint() const;
+  double StepsPerSecond() const;
 
   const v1::RunConfig config_;
   const Parts parts_;
-  std::atomic<bool> stopping_{false};
+  StopFlag stop_;
   TrainerCounters counters_;
+  std::atomic<Phase> phase_{Phase::kTraining};
   ActivityMeter meter_;
+  TrainingStatus status_;
+  DiskWait disk_;
+  TrainingLog log_;
+  CheckpointWriter checkpoints_;
+  FragmentCollector collector_;
 
-  int failed_updates_ = 0;          // in a row
-  std::atomic<int64_t> undone_{0};  // updates, since the start
+  int failed_updates_ = 0;  // in a row
 
-  std::vector<Fragment> kept_;  // by an earlier start, until the first iteration begins
-
-  // The run at the end of the last finished iteration: what a checkpoint holds.
+  // As of the end of the last finished iteration.
   int64_t policy_version_;
   std::shared_ptr<const std::string> weights_;  // of that version, safetensors
   std::vector<LaneRecord> lanes_;
-  int64_t checkpointed_ = -1;               // iteration of the last checkpoint
-  bool checkpoint_missed_ = false;          // the last one could not be written
-  absl::Time said_ = absl::InfinitePast();  // that the disk is full
-  double train_seconds_;                    // before this start
-  absl::Time start_;
 
-  mutable Mutex mu_;
-  CondVar stopped_;
-  Shown shown_ ABSL_GUARDED_BY(mu_);
-  absl::Time iteration_begin_ ABSL_GUARDED_BY(mu_) = absl::InfiniteFuture();  // of the one under way
-  absl::Time checkpoint_time_ ABSL_GUARDED_BY(mu_);
+  const double train_seconds_;  // before this start
+  absl::Time start_;
 };
 
 }  // namespace craftfleet

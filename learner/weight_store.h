@@ -1,4 +1,4 @@
-// The current weights as bytes, for whoever asks.
+// Holds the current weights as bytes, for the gRPC service.
 
 #ifndef CRAFTFLEET_LEARNER_WEIGHT_STORE_H_
 #define CRAFTFLEET_LEARNER_WEIGHT_STORE_H_
@@ -10,11 +10,11 @@
 
 #include <absl/time/time.h>
 
-#include "common/mutex.h"
+#include "common/base/mutex.h"
 
 namespace craftfleet {
 
-// Keeps the last version only. Thread-safe.
+// Keeps only the latest version. Thread-safe.
 class WeightStore {
  public:
   struct Weights {
@@ -22,14 +22,14 @@ class WeightStore {
     std::shared_ptr<const std::string> bytes;  // safetensors
   };
 
-  // `version` grows from call to call.
+  // Publishes `bytes` (safetensors) and wakes waiting calls. `version` must grow from call to call.
   void Publish(int64_t version, std::shared_ptr<const std::string> bytes) ABSL_LOCKS_EXCLUDED(mu_) {
     MutexLock lock(&mu_);
     weights_ = {version, std::move(bytes)};
     changed_.NotifyAll();
   }
 
-  // Waits up to `timeout` for a version of at least `version`; returns the last one, whatever it is.
+  // Waits up to `timeout` for `version` or a later one. Returns the latest weights, which may still be older.
   Weights Wait(int64_t version, absl::Duration timeout) ABSL_LOCKS_EXCLUDED(mu_) {
     MutexLock lock(&mu_);
     changed_.WaitFor(&mu_, timeout, [&]() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_) { return weights_.version >= version; });

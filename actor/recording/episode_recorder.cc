@@ -9,18 +9,22 @@
 
 #include "actor/recording/npz.h"
 #include "actor/recording/picture.h"
-#include "common/files.h"
-#include "common/status_macros.h"
+#include "common/base/status_macros.h"
+#include "common/io/files.h"
 
 namespace craftfleet {
 namespace {
 
-// float[F*F], 0..1.
-absl::StatusOr<std::vector<float>> BrightnessOf(const Policy& policy, const AttentionChoice& choice,
-                                                absl::string_view frame) {
+absl::StatusOr<AttentionLight> LightOf(const Policy& policy, const EpisodeRecorder::Options& options,
+                                       absl::string_view frame) {
   CRAFTFLEET_ASSIGN_OR_RETURN(const AttentionMap map, policy.Attention(frame));
-  CRAFTFLEET_ASSIGN_OR_RETURN(const std::vector<float> weights, Choose(map, choice));
-  return BrightnessOfPixels(map.patches, weights);
+  CRAFTFLEET_ASSIGN_OR_RETURN(const std::vector<float> weights, Choose(map, *options.attention));
+  return options.fixed_scale ? LightOnFixedScale(map.patches, weights) : LightToHighest(map.patches, weights);
+}
+
+int Unlocked(const Moment& moment) {
+  return static_cast<int>(
+      std::count_if(moment.achievements.begin(), moment.achievements.end(), [](int32_t count) { return count > 0; }));
 }
 
 }  // namespace
@@ -29,7 +33,7 @@ absl::StatusOr<std::unique_ptr<EpisodeRecorder>> EpisodeRecorder::Create(const O
                                                                          absl::Time start) {
   if (options.attention.has_value()) {
     const std::string black(size_t{3} * options.frame_size * options.frame_size, '\0');
-    CRAFTFLEET_RETURN_IF_ERROR(BrightnessOf(*policy, *options.attention, black).status());
+    CRAFTFLEET_RETURN_IF_ERROR(LightOf(*policy, options, black).status());
   }
   for (const std::string& folder : {options.video_folder, options.npz_folder, options.picture_folder}) {
     if (!folder.empty()) CRAFTFLEET_RETURN_IF_ERROR(CreateFolders(folder));
@@ -41,7 +45,7 @@ absl::Status EpisodeRecorder::OnStart(int64_t number, const Moment& moment) {
   Recording recording;
   if (!options_.video_folder.empty()) {
     const std::string path = JoinPath(options_.video_folder, absl::StrCat("unfinished-", number, ".mp4"));
-    CRAFTFLEET_ASSIGN_OR_RETURN(recording.video, VideoFile::Create(path, picture_width(), options_.picture_size));
+    CRAFTFLEET_ASSIGN_OR_RETURN(recording.video, VideoFile::Create(path, picture_width(), picture_height()));
   }
   if (!options_.npz_folder.empty()) recording.table.emplace(options_.frame_size, moment);
   CRAFTFLEET_RETURN_IF_ERROR(AddPicture(number, moment, &recording));
@@ -52,21 +56,27 @@ absl::Status EpisodeRecorder::OnStart(int64_t number, const Moment& moment) {
 absl::Status EpisodeRecorder::OnStep(int64_t number, const ObservedStep& step, const Moment& moment) {
   Recording& recording = recordings_.at(number);
   ++recording.steps;
+  recording.unlocked = Unlocked(moment);
   if (recording.table.has_value()) recording.table->Add(step, moment);
   CRAFTFLEET_RETURN_IF_ERROR(AddPicture(number, moment, &recording));
   if (step.end == StepEnd::kNone) return absl::OkStatus();
-  CRAFTFLEET_RETURN_IF_ERROR(Finish(number, moment, &recording));
+  CRAFTFLEET_RETURN_IF_ERROR(Finish(number, &recording));
   recordings_.erase(number);
+  return absl::OkStatus();
+}
+
+absl::Status EpisodeRecorder::FinishAll() {
+  for (auto& [number, recording] : recordings_) CRAFTFLEET_RETURN_IF_ERROR(Finish(number, &recording));
+  recordings_.clear();
   return absl::OkStatus();
 }
 
 absl::StatusOr<std::string> EpisodeRecorder::Show(const Moment& moment) const {
   if (!options_.attention.has_value()) return moment.picture;
-  CRAFTFLEET_ASSIGN_OR_RETURN(const std::vector<float> brightness,
-                              BrightnessOf(*policy_, *options_.attention, moment.frame));
-  return SideBySide(moment.picture,
-                    OverlayAttention(moment.picture, options_.picture_size, brightness, options_.frame_size),
-                    options_.picture_size);
+  CRAFTFLEET_ASSIGN_OR_RETURN(const AttentionLight light, LightOf(*policy_, options_, moment.frame));
+  const int size = options_.picture_size;
+  const std::string overlay = OverlayAttention(moment.picture, size, light.brightness, options_.frame_size);
+  return WithScale(SideBySide(moment.picture, overlay, size), size, light);
 }
 
 absl::Status EpisodeRecorder::AddPicture(int64_t number, const Moment& moment, Recording* recording) {
@@ -76,13 +86,13 @@ absl::Status EpisodeRecorder::AddPicture(int64_t number, const Moment& moment, R
   if (still) {
     const std::string name = absl::StrFormat("episode-%04d-step-%05d.png", number, recording->steps);
     CRAFTFLEET_RETURN_IF_ERROR(
-        WritePng(JoinPath(options_.picture_folder, name), picture, picture_width(), options_.picture_size));
+        WritePng(JoinPath(options_.picture_folder, name), picture, picture_width(), picture_height()));
   }
   return recording->video == nullptr ? absl::OkStatus() : recording->video->Append(picture);
 }
 
-absl::Status EpisodeRecorder::Finish(int64_t number, const Moment& last, Recording* recording) {
-  const std::string stem = Stem(number, last, recording->steps);
+absl::Status EpisodeRecorder::Finish(int64_t number, Recording* recording) {
+  const std::string stem = Stem(number, *recording);
   if (recording->table.has_value()) {
     const std::string path = JoinPath(options_.npz_folder, absl::StrCat(stem, ".npz"));
     CRAFTFLEET_RETURN_IF_ERROR(WriteNpz(path, recording->table->Arrays()));
@@ -91,15 +101,14 @@ absl::Status EpisodeRecorder::Finish(int64_t number, const Moment& last, Recordi
   return recording->video->Finish(JoinPath(options_.video_folder, absl::StrCat(stem, ".mp4")));
 }
 
-std::string EpisodeRecorder::Stem(int64_t number, const Moment& last, int64_t steps) const {
-  const auto unlocked =
-      std::count_if(last.achievements.begin(), last.achievements.end(), [](int32_t count) { return count > 0; });
+std::string EpisodeRecorder::Stem(int64_t number, const Recording& recording) const {
   const auto taken = [](const std::string& folder, const std::string& name) {
     return !folder.empty() && PathExists(JoinPath(folder, name));
   };
   for (absl::Time time = start_ + absl::Seconds(number - options_.first_episode);; time += absl::Seconds(1)) {
-    std::string stem = absl::StrFormat("%s-ach%d-len%d", absl::FormatTime("%Y%m%dT%H%M%S", time, absl::UTCTimeZone()),
-                                       unlocked, steps);
+    std::string stem =
+        absl::StrFormat("%s-episode%04d-ach%d-len%d", absl::FormatTime("%Y%m%dT%H%M%S", time, absl::UTCTimeZone()),
+                        number, recording.unlocked, recording.steps);
     if (!taken(options_.npz_folder, stem + ".npz") && !taken(options_.video_folder, stem + ".mp4")) return stem;
   }
 }

@@ -1,4 +1,4 @@
-// Makes videos, pictures and numpy files of the episodes of an evaluation.
+// Records the episodes of an evaluation as videos, pictures and NumPy files.
 
 #ifndef CRAFTFLEET_ACTOR_RECORDING_EPISODE_RECORDER_H_
 #define CRAFTFLEET_ACTOR_RECORDING_EPISODE_RECORDER_H_
@@ -6,26 +6,27 @@
 #include <cstdint>
 #include <map>
 #include <memory>
+#include <optional>
 #include <string>
 
 #include <absl/status/status.h>
 #include <absl/status/statusor.h>
 #include <absl/time/time.h>
-#include <absl/types/optional.h>
 
 #include "actor/episode_observer.h"
 #include "actor/recording/episode_table.h"
+#include "actor/recording/picture.h"
 #include "actor/recording/video_file.h"
 #include "common/agent/attention_map.h"
 #include "common/agent/policy.h"
-#include "common/types.h"
+#include "common/base/types.h"
 
 namespace craftfleet {
 
-// An episode's files are named "<YYYYMMDDThhmmss>-ach<unlocked>-len<steps>", its video .mp4, its table .npz. The time
-// is that of the recording's start (UTC) and a second more for each episode before it, so that names are unique and
-// sort as the episodes were numbered. A video is written while its episode is played; a table waits in memory (17 KB a
-// step).
+// An episode's files are named "<YYYYMMDDThhmmss>-episode<number>-ach<unlocked>-len<steps>", its video .mp4, its table
+// .npz. The time is the start of the recording (UTC) plus a second for each earlier episode, so that files sort by
+// episode, like those of Crafter's own recorder. Existing files are kept: if a name is taken, a later time is used. A
+// video is written while its episode is played; a table is kept in memory until then (17 KB a step).
 class EpisodeRecorder : public EpisodeObserver {
  public:
   struct Options {
@@ -35,41 +36,49 @@ class EpisodeRecorder : public EpisodeObserver {
     int picture_every = 50;      // steps from one picture of an episode to the next, the first at its reset
     int frame_size = 64;         // pixels, width and height of the moments' frames
     int picture_size = 0;        // of the moments' pictures, even; needed for videos and pictures
-    absl::optional<AttentionChoice> attention;  // videos and pictures also show where the agent looks, on the right
-    int64_t first_episode = 1;                  // the lowest number to be recorded
+    std::optional<AttentionChoice> attention;  // set: videos and pictures also show the agent's attention, on the right
+    bool fixed_scale = false;                  // use one attention scale for all pictures instead of one for each
+    int64_t first_episode = 1;                 // lowest episode number to record
   };
 
-  // Makes the folders. `policy`, whose attention is shown, outlives the recorder.
-  //   InvalidArgument: attention is asked for that the policy does not have.   Codes of common/files.h.
+  // Creates the folders. `policy`, the source of attention, outlives the recorder.
+  //   InvalidArgument: the policy does not have the chosen attention.   Others: codes of common/io/files.h.
   static absl::StatusOr<std::unique_ptr<EpisodeRecorder>> Create(const Options& options, const Policy* policy,
                                                                  absl::Time start);
 
   absl::Status OnStart(int64_t number, const Moment& moment) override;
   absl::Status OnStep(int64_t number, const ObservedStep& step, const Moment& moment) override;
 
+  // Keeps what has been recorded of unfinished episodes, as if they had ended here.
+  absl::Status FinishAll();
+
  private:
   struct Recording {
     int64_t steps = 0;
-    std::unique_ptr<VideoFile> video;    // null: none
-    absl::optional<EpisodeTable> table;  // none if it is not asked for
+    int unlocked = 0;                   // achievements
+    std::unique_ptr<VideoFile> video;   // null: none
+    std::optional<EpisodeTable> table;  // nullopt: none
   };
 
   EpisodeRecorder(const Options& options, const Policy* policy, absl::Time start)
       : options_(options), policy_(policy), start_(start) {}
 
   int picture_width() const { return options_.picture_size * (options_.attention.has_value() ? 2 : 1); }
-  // What videos and pictures show of a moment: uint8[picture_size,picture_width(),3].
+  int picture_height() const {
+    return options_.picture_size + (options_.attention.has_value() ? ScaleHeight(options_.picture_size) : 0);
+  }
+  // The picture of a moment in videos and files: uint8[picture_height(),picture_width(),3].
   absl::StatusOr<std::string> Show(const Moment& moment) const;
-  // A moment of the episode `number`, `recording.steps` after its reset.
+  // Adds the picture of episode `number` at `recording.steps` steps after its reset.
   absl::Status AddPicture(int64_t number, const Moment& moment, Recording* recording);
-  absl::Status Finish(int64_t number, const Moment& last, Recording* recording);
-  // Without the files' endings; neither file is there yet.
-  std::string Stem(int64_t number, const Moment& last, int64_t steps) const;
+  absl::Status Finish(int64_t number, Recording* recording);
+  // Chooses the name of the episode's files, without extension, so that neither file exists yet.
+  std::string Stem(int64_t number, const Recording& recording) const;
 
   const Options options_;
   const Policy* const policy_;
   const absl::Time start_;
-  std::map<int64_t, Recording> recordings_;  // under way, by number
+  std::map<int64_t, Recording> recordings_;  // of unfinished episodes, by number
 };
 
 }  // namespace craftfleet

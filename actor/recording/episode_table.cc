@@ -13,7 +13,7 @@ void AppendBytes(const T& value, std::string* bytes) {
   bytes->append(reinterpret_cast<const char*>(&value), sizeof(value));
 }
 
-// Rewards are tenths, which the wire's float32 does not hold exactly.
+// Rewards are multiples of 0.1, which the float32 of the protocol does not hold exactly.
 double InTenths(float reward) { return std::round(double{reward} * 10) / 10; }
 
 }  // namespace
@@ -38,7 +38,7 @@ std::vector<NpyArray> EpisodeTable::Arrays() const {
   const auto rows = static_cast<int64_t>(table_.size());
   std::vector<NpyArray> arrays;
   arrays.push_back({"image", "|u1", {rows, frame_size_, frame_size_, 3}, images_});
-  // `value(row)` is appended to the column's bytes for each row.
+  // Appends `value(row)` of each row to the bytes of a column.
   const auto add = [&](std::string name, const char* dtype, std::vector<int64_t> shape, auto value) {
     NpyArray& array = arrays.emplace_back();
     array.name = std::move(name);

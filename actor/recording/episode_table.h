@@ -1,4 +1,4 @@
-// One episode as rows, for a file that numpy reads: the format of Crafter's own episode recorder.
+// One episode as rows, for a NumPy file in the format of Crafter's own episode recorder.
 
 #ifndef CRAFTFLEET_ACTOR_RECORDING_EPISODE_TABLE_H_
 #define CRAFTFLEET_ACTOR_RECORDING_EPISODE_TABLE_H_
@@ -10,13 +10,13 @@
 
 #include "actor/episode_observer.h"
 #include "actor/recording/npz.h"
-#include "common/types.h"
+#include "common/base/types.h"
 
 namespace craftfleet {
 
-// The first row is the reset: its image, zeros otherwise. Each further one is a step: action and reward, and what the
-// game looked like after it. Thread-compatible.
-// Source: the protocol page, "Files other tools read"; crafter/recorder.py of the Python package.
+// The first row is the reset: its image, and zeros. Each further row is a step: action, reward, and the game after it.
+// Thread-compatible.
+// Source: what crafter/recorder.py of the Python package writes (version 1.8.3).
 class EpisodeTable {
  public:
   // `frame_size`: pixels, width and height of the images.

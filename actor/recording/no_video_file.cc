@@ -1,4 +1,4 @@
-// In place of video_file.cc in a build with CRAFTFLEET_WITH_VIDEO=OFF: no video can be begun.
+// Replaces video_file.cc in builds with CRAFTFLEET_WITH_VIDEO=OFF: every video is refused.
 
 #include <absl/strings/str_cat.h>
 
@@ -12,7 +12,7 @@ VideoFile::~VideoFile() = default;
 
 absl::StatusOr<std::unique_ptr<VideoFile>> VideoFile::Create(const std::string& path, int /*width*/, int /*height*/) {
   return absl::FailedPreconditionError(absl::StrCat(
-      path, ": this build writes no video (CRAFTFLEET_WITH_VIDEO=OFF); --episodes_npz keeps the pictures"));
+      path, ": this build has no video support (CRAFTFLEET_WITH_VIDEO=OFF); --episodes_npz stores the pictures"));
 }
 
 absl::Status VideoFile::Append(absl::string_view /*picture*/) { return absl::InternalError("there is no video"); }

@@ -6,14 +6,14 @@
 #include <absl/strings/str_cat.h>
 #include <absl/strings/str_join.h>
 
-#include "common/files.h"
+#include "common/io/files.h"
 
 namespace craftfleet {
 namespace {
 
 constexpr size_t kAlignment = 64;  // of an npy file's data
 
-// The error of `error`, a system error with its code.
+// Converts `error` to a status; system errors keep their code.
 absl::Status ZipStatus(zip_error_t* error, const std::string& path) {
   if (zip_error_system_type(error) == ZIP_ET_SYS) {
     return FileError(zip_error_code_system(error), "can't write", path);
@@ -46,7 +46,7 @@ absl::Status WriteNpz(const std::string& path, absl::Span<const NpyArray> arrays
     zip_error_init_with_code(&error, code);
     return ZipStatus(&error, path);
   }
-  std::vector<std::string> contents;  // until the zip is closed
+  std::vector<std::string> contents;  // libzip reads them when the file is closed
   contents.reserve(arrays.size());
   for (const NpyArray& array : arrays) {
     const std::string& bytes = contents.emplace_back(EncodeNpy(array));

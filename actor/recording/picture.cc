@@ -3,27 +3,68 @@
 #include <algorithm>
 #include <cmath>
 #include <cstdint>
-#include <exception>
 #include <vector>
 
 #include <absl/strings/str_cat.h>
-#include <opencv2/imgcodecs.hpp>
+#include <absl/strings/str_format.h>
 #include <opencv2/imgproc.hpp>
 
-#include "common/check.h"
-#include "common/files.h"
+#include "common/base/check.h"
+#include "common/io/files.h"
+#include "common/io/png_encoder.h"
 
 namespace craftfleet {
 namespace {
 
-// How much of a picture is left where nobody looks, and the light that falls where somebody does.
-constexpr float kDim = 0.5F;
+// Brightness factor of pixels without attention; colour and opacity of the highlight on those with attention.
+constexpr float kDim = 0.7F;
 constexpr float kLight[3] = {255, 190, 60};
 constexpr float kLightShare = 0.4F;
 
+constexpr uint8_t kBarGrey = 128;  // the pixels that the colour bar lights
+
 uint8_t ToByte(float value) { return static_cast<uint8_t>(std::lround(std::min(std::max(value, 0.0F), 255.0F))); }
 
+// Lights uint8[3], an RGB pixel.
+void Light(float light, uint8_t* pixel) {
+  const float grey = 0.3F * pixel[0] + 0.59F * pixel[1] + 0.11F * pixel[2];
+  for (int c = 0; c < 3; ++c) {
+    const float lit = (1 - kLightShare) * pixel[c] + kLightShare * kLight[c];
+    pixel[c] = ToByte((1 - light) * kDim * grey + light * lit);
+  }
+}
+
+// "0%", "0.052%", "12%": two digits.
+std::string Percent(double part) { return part == 0 ? "0%" : absl::StrFormat("%.2g%%", 100 * part); }
+
+// Draws text on a strip, vertically centred, with its left end, centre or right end at `x`.
+enum class Align { kLeft, kCenter, kRight };
+void DrawLabel(const std::string& text, int x, Align align, cv::Mat* strip) {
+  const double scale = strip->rows / 56.0;
+  int below = 0;
+  const int width = cv::getTextSize(text, cv::FONT_HERSHEY_SIMPLEX, scale, 1, &below).width;
+  const int left = align == Align::kLeft ? x : align == Align::kCenter ? x - width / 2 : x - width;
+  cv::putText(*strip, text, {left, strip->rows - strip->rows / 8}, cv::FONT_HERSHEY_SIMPLEX, scale,
+              cv::Scalar::all(230), 1, cv::LINE_AA);
+}
+
 }  // namespace
+
+AttentionLight LightToHighest(const PatchGrid& grid, absl::Span<const float> weights, AttentionDetail detail) {
+  const bool pixels = detail == AttentionDetail::kPixels;
+  AttentionLight light = {pixels ? SpreadOverPixels(grid, weights) : PatchesAsSquares(grid, weights), 0, 0};
+  const float highest = *std::max_element(light.brightness.begin(), light.brightness.end());
+  light.highest = highest;
+  light.middle = highest / 4;
+  if (highest <= 0) return light;
+  for (float& pixel : light.brightness) pixel = std::sqrt(std::max(pixel, 0.0F) / highest);
+  return light;
+}
+
+AttentionLight LightOnFixedScale(const PatchGrid& grid, absl::Span<const float> weights) {
+  const double highest = 1 / std::sqrt(static_cast<double>(grid.count()));
+  return {BrightnessOfPixels(grid, weights), highest / 2, highest};
+}
 
 std::string OverlayAttention(absl::string_view picture, int picture_size, absl::Span<const float> brightness,
                              int frame_size) {
@@ -32,13 +73,8 @@ std::string OverlayAttention(absl::string_view picture, int picture_size, absl::
   std::string overlay(picture);
   for (int y = 0; y < picture_size; ++y) {
     for (int x = 0; x < picture_size; ++x) {
-      const float light = brightness[y * frame_size / picture_size * frame_size + x * frame_size / picture_size];
-      auto* pixel = reinterpret_cast<uint8_t*>(&overlay[3 * (y * picture_size + x)]);
-      const float grey = 0.3F * pixel[0] + 0.59F * pixel[1] + 0.11F * pixel[2];
-      for (int c = 0; c < 3; ++c) {
-        const float lit = (1 - kLightShare) * pixel[c] + kLightShare * kLight[c];
-        pixel[c] = ToByte((1 - light) * kDim * grey + light * lit);
-      }
+      Light(brightness[y * frame_size / picture_size * frame_size + x * frame_size / picture_size],
+            reinterpret_cast<uint8_t*>(&overlay[3 * (y * picture_size + x)]));
     }
   }
   return overlay;
@@ -54,6 +90,28 @@ std::string SideBySide(absl::string_view left, absl::string_view right, int pict
   return both;
 }
 
+int ScaleHeight(int picture_size) { return 2 * std::max(12, picture_size / 36); }
+
+std::string WithScale(absl::string_view pictures, int picture_size, const AttentionLight& light) {
+  CRAFTFLEET_CHECK(pictures.size() == size_t{6} * picture_size * picture_size);
+  const int height = ScaleHeight(picture_size);
+  const int margin = height / 4;
+  cv::Mat strip = cv::Mat::zeros(height, 2 * picture_size, CV_8UC3);
+  const int left = picture_size + margin;
+  const int right = 2 * picture_size - margin;
+  for (int x = left; x < right; ++x) {
+    cv::Vec3b color(kBarGrey, kBarGrey, kBarGrey);
+    Light(static_cast<float>(x - left) / static_cast<float>(right - 1 - left), color.val);
+    strip(cv::Rect(x, height / 8, 1, height * 3 / 8)) = cv::Scalar(color);
+  }
+  DrawLabel("attention", picture_size - margin, Align::kRight, &strip);
+  DrawLabel("0%", left, Align::kLeft, &strip);
+  if (picture_size >= 160) DrawLabel(Percent(light.middle), (left + right) / 2, Align::kCenter, &strip);
+  DrawLabel(Percent(light.highest), right, Align::kRight, &strip);
+  return absl::StrCat(
+      pictures, absl::string_view(reinterpret_cast<const char*>(strip.data), size_t{3} * strip.rows * strip.cols));
+}
+
 cv::Mat ToBgr(absl::string_view picture, int width, int height) {
   CRAFTFLEET_CHECK(picture.size() == size_t{3} * width * height);
   const cv::Mat rgb(height, width, CV_8UC3, const_cast<char*>(picture.data()));
@@ -63,13 +121,9 @@ cv::Mat ToBgr(absl::string_view picture, int width, int height) {
 }
 
 absl::Status WritePng(const std::string& path, absl::string_view picture, int width, int height) {
-  std::vector<uint8_t> png;
-  try {
-    cv::imencode(".png", ToBgr(picture, width, height), png);
-  } catch (const std::exception& error) {
-    return absl::InternalError(absl::StrCat(path, ": ", error.what()));
-  }
-  return WriteFileSynced(path, {reinterpret_cast<const char*>(png.data()), png.size()});
+  const absl::StatusOr<std::string> png = EncodePng(picture, width, height);
+  if (!png.ok()) return absl::Status(png.status().code(), absl::StrCat(path, ": ", png.status().message()));
+  return WriteFileSynced(path, *png);
 }
 
 }  // namespace craftfleet

@@ -1,26 +1,54 @@
-// Pictures of a recording: as RGB bytes, and what is drawn over them.
+// The pictures of a recording, as RGB bytes, and the attention drawn over them.
 
 #ifndef CRAFTFLEET_ACTOR_RECORDING_PICTURE_H_
 #define CRAFTFLEET_ACTOR_RECORDING_PICTURE_H_
 
 #include <string>
+#include <vector>
 
 #include <absl/status/status.h>
 #include <absl/strings/string_view.h>
 #include <absl/types/span.h>
 #include <opencv2/core/mat.hpp>
 
+#include "common/agent/attention_map.h"
+
 namespace craftfleet {
 
-// A picture uint8[S,S,3] under where an agent looks: `brightness`, float[F*F] in 0..1, of the frame that the picture
-// shows larger (see BrightnessOfPixels). What is not looked at is dark and grey, what is looked at shines.
+// Attention weights as brightness, with the scale of that brightness.
+struct AttentionLight {
+  std::vector<float> brightness;  // float[F*F] of a frame, 0..1
+  double middle = 0;              // the weight at brightness 0.5
+  double highest = 0;             // the weight at brightness 1 and above
+};
+
+// Whether the weights of overlapping patches are shown as their mean at each pixel, or each in a square of its own.
+enum class AttentionDetail { kPixels, kPatches };
+
+// Brightness up to the frame's own highest weight: its square root, so that small weights are visible.
+// `weights` is float[grid.count()].
+AttentionLight LightToHighest(const PatchGrid& grid, absl::Span<const float> weights,
+                              AttentionDetail detail = AttentionDetail::kPixels);
+
+// Brightness on the same linear scale for every frame (BrightnessOfPixels).
+AttentionLight LightOnFixedScale(const PatchGrid& grid, absl::Span<const float> weights);
+
+// A picture uint8[S,S,3] with an agent's attention drawn over it: `brightness`, float[F*F] in 0..1, belongs to the
+// frame that the picture shows enlarged. Parts without attention are grey; parts with attention are highlighted.
 std::string OverlayAttention(absl::string_view picture, int picture_size, absl::Span<const float> brightness,
                              int frame_size);
 
 // Two pictures of the same size, uint8[S,S,3], side by side: uint8[S,2*S,3].
 std::string SideBySide(absl::string_view left, absl::string_view right, int picture_size);
 
-// uint8[height,width,3] in the order of channels that OpenCV writes.
+// Height of the strip that WithScale adds to pictures of size S, pixels; even.
+int ScaleHeight(int picture_size);
+
+// Adds a strip below `pictures`, uint8[S,2*S,3] as from SideBySide, that shows the scale of `light` as a colour bar, in
+// percent: uint8[S+ScaleHeight(S),2*S,3].
+std::string WithScale(absl::string_view pictures, int picture_size, const AttentionLight& light);
+
+// uint8[height,width,3] with the channels in OpenCV's order.
 //   throws cv::Exception: no memory.
 cv::Mat ToBgr(absl::string_view picture, int width, int height);
 

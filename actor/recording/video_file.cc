@@ -7,14 +7,14 @@
 #include <opencv2/videoio.hpp>
 
 #include "actor/recording/picture.h"
-#include "common/check.h"
-#include "common/files.h"
-#include "common/status_macros.h"
+#include "common/base/check.h"
+#include "common/base/status_macros.h"
+#include "common/io/files.h"
 
 namespace craftfleet {
 namespace {
 
-// In the order of preference: browsers play the first.
+// In order of preference; browsers can play the first.
 constexpr std::array<const char*, 2> kCodecs = {"avc1", "mp4v"};
 
 }  // namespace
@@ -34,7 +34,7 @@ VideoFile::~VideoFile() {
 
 absl::StatusOr<std::unique_ptr<VideoFile>> VideoFile::Create(const std::string& path, int width, int height) {
   CRAFTFLEET_CHECK(width > 0 && height > 0 && width % 2 == 0 && height % 2 == 0);
-  CRAFTFLEET_RETURN_IF_ERROR(WriteFileSynced(path, ""));  // OpenCV does not say why a file can't be written
+  CRAFTFLEET_RETURN_IF_ERROR(WriteFileSynced(path, ""));  // OpenCV does not report why it can't write a file
   std::unique_ptr<VideoFile> video(new VideoFile(path, width, height));
   for (const char* codec : kCodecs) {
     try {
@@ -46,7 +46,7 @@ absl::StatusOr<std::unique_ptr<VideoFile>> VideoFile::Create(const std::string& 
     }
   }
   return absl::FailedPreconditionError(
-      absl::StrCat(path, ": this OpenCV writes neither H.264 nor MPEG-4 video: install one with FFmpeg"));
+      absl::StrCat(path, ": OpenCV can write neither H.264 nor MPEG-4 video: install an OpenCV with FFmpeg"));
 }
 
 absl::Status VideoFile::Append(absl::string_view picture) {

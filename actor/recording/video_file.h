@@ -1,4 +1,4 @@
-// One video, written picture by picture.
+// A video file that is written picture by picture.
 
 #ifndef CRAFTFLEET_ACTOR_RECORDING_VIDEO_FILE_H_
 #define CRAFTFLEET_ACTOR_RECORDING_VIDEO_FILE_H_
@@ -12,14 +12,14 @@
 
 namespace craftfleet {
 
-// Owned by one thread. Without Finish, the destructor removes what was written.
+// Owned by one thread. Without Finish, the destructor removes the file.
 class VideoFile {
  public:
   static constexpr int kPicturesPerSecond = 15;
 
-  // An mp4 file, H.264 where OpenCV can write it, else MPEG-4; at `path` until Finish. Width and height are even,
+  // Begins an mp4 file at `path`, in H.264 if OpenCV can write it, else in MPEG-4. Width and height are even,
   // pixels.
-  //   The codes of common/files.h; FailedPrecondition: OpenCV can write neither, or the build has no video.
+  //   Codes of common/io/files.h; FailedPrecondition: OpenCV can write neither, or the build has no video support.
   static absl::StatusOr<std::unique_ptr<VideoFile>> Create(const std::string& path, int width, int height);
   ~VideoFile();
   VideoFile(const VideoFile&) = delete;

@@ -1,8 +1,8 @@
 #include "common/agent/agent_spec.h"
 
 #include "common/agent/nets/network.h"
-#include "common/agent_presets.h"
-#include "common/status_macros.h"
+#include "common/base/status_macros.h"
+#include "common/config/agent_presets.h"
 
 namespace craftfleet {
 
@@ -11,12 +11,17 @@ absl::StatusOr<AgentSpec> MakeAgentSpec(const v1::RunConfig& config) {
   spec.name = config.agent();
   CRAFTFLEET_ASSIGN_OR_RETURN(spec.network, ResolveNetwork(config));
   spec.frame_size = spec.network.frame_size();
+  if (config.has_precision()) spec.precision = config.precision();
   ParamList params;
   const Network network(spec.network, &params);
   spec.params = params.specs();
   spec.param_count = params.count();
   spec.state_size = static_cast<int>(network.state_size());
   return spec;
+}
+
+bool KeepsEveryState(const AgentSpec& spec, const v1::PpoConfig& ppo) {
+  return spec.network.memory() || ppo.recurrent_batches() == v1::PpoConfig::PUBLISHED;
 }
 
 absl::StatusOr<AgentSpec> FindAgent(absl::string_view name) {

@@ -1,4 +1,4 @@
-// The agents by name: what they look at and which parameters they have. No LibTorch here.
+// The agents by name: their frames and parameters (AGENTS.md). Does not include LibTorch.
 
 #ifndef CRAFTFLEET_COMMON_AGENT_AGENT_SPEC_H_
 #define CRAFTFLEET_COMMON_AGENT_AGENT_SPEC_H_
@@ -16,21 +16,25 @@
 namespace craftfleet {
 
 struct AgentSpec {
-  std::string name;               // "ppo_cnn"
-  v1::NetworkConfig network;      // complete
-  int frame_size = 0;             // pixels, width and height of the frames it wants
-  std::vector<ParamSpec> params;  // offsets ascending, without gaps
-  int64_t param_count = 0;        // values, all parameters together
-  int state_size = 0;             // floats of recurrent state a lane: h and c of each LSTM; 0: feed-forward
+  std::string name;                                          // "ppo_cnn"
+  v1::NetworkConfig network;                                 // complete
+  int frame_size = 0;                                        // pixels, width and height of the frames it wants
+  std::vector<ParamSpec> params;                             // offsets ascending, without gaps
+  int64_t param_count = 0;                                   // values, all parameters together
+  v1::RunConfig::Precision precision = v1::RunConfig::FP32;  // of convolutions and linear layers
+  int state_size = 0;  // floats of state a lane: h and c of each LSTM, or a memory; 0: none
 
   int64_t frame_bytes() const { return int64_t{3} * frame_size * frame_size; }  // of one frame uint8[H,W,3]
 };
 
-// The agent that a run's `agent` names, with the changes of its `network`.
-//   InvalidArgument: as ResolveNetwork (common/agent_presets.h).
+// The agent of a run: the preset named by `agent`, with the overrides in `network`.
+//   InvalidArgument: as ResolveNetwork (common/config/agent_presets.h).
 absl::StatusOr<AgentSpec> MakeAgentSpec(const v1::RunConfig& config);
 
-// The agent as its name stands.
+// Whether fragments hold the state before each step, which updates need then, not only that before the first.
+bool KeepsEveryState(const AgentSpec& spec, const v1::PpoConfig& ppo);
+
+// The agent of this name without overrides.
 //   InvalidArgument: unknown name; lists the known ones.
 absl::StatusOr<AgentSpec> FindAgent(absl::string_view name);
 

@@ -1,4 +1,4 @@
-// Where an agent looks in a frame, and what of it is shown. No LibTorch here.
+// The attention of an agent to the patches of a frame, and how it is shown. Does not include LibTorch.
 
 #ifndef CRAFTFLEET_COMMON_AGENT_ATTENTION_MAP_H_
 #define CRAFTFLEET_COMMON_AGENT_ATTENTION_MAP_H_
@@ -12,7 +12,7 @@
 
 namespace craftfleet {
 
-// Squares that a frame is cut into, row by row; what is left over at the right and the bottom belongs to none.
+// The square patches of a frame, row by row; pixels left over at the right and the bottom are in no patch.
 struct PatchGrid {
   int frame_size = 0;  // pixels, width and height; at least `patch`
   int patch = 1;       // pixels, width and height of a square
@@ -22,14 +22,14 @@ struct PatchGrid {
   int count() const { return per_side() * per_side(); }
 };
 
-// Source: "The agents", section 7.
+// Source: AGENTS.md, section 11.
 struct AttentionMap {
   PatchGrid patches;
   int views = 0;               // OC-SA: heads of the CLS token, in the last layer; OC-CA: slots, mean over heads
   std::vector<float> weights;  // [views,patches.count()], a view's sum at most 1: OC-CA's are 1
 };
 
-// Which of a map's views are shown.
+// Selects the views of a map to show.
 struct AttentionChoice {
   enum class Kind { kMean, kSum, kOne };
   Kind kind = Kind::kMean;
@@ -40,14 +40,18 @@ struct AttentionChoice {
 };
 
 // float[patches]: mean or sum over the views, or one.
-//   InvalidArgument: the map has no such view; says how many there are.
+//   InvalidArgument: the map has no such view; names the number of views.
 absl::StatusOr<std::vector<float>> Choose(const AttentionMap& map, const AttentionChoice& choice);
 
-// float[H,W] of the frame: each pixel has the mean of the patches that it belongs to, 0 without any.
+// float[H,W] of the frame: each pixel gets the mean of the patches that contain it, 0 if there are none.
 // `weights` is float[grid.count()].
 std::vector<float> SpreadOverPixels(const PatchGrid& grid, absl::Span<const float> weights);
 
-// The same for display, 0..1: times the square root of the number of patches, at most 1.
+// float[H,W] of the frame, in squares: each pixel gets the weight of the patch whose centre is nearest to it, 0 outside
+// all of these squares. `weights` is float[grid.count()].
+std::vector<float> PatchesAsSquares(const PatchGrid& grid, absl::Span<const float> weights);
+
+// The same as SpreadOverPixels for display, 0..1: times the square root of the number of patches, at most 1.
 std::vector<float> BrightnessOfPixels(const PatchGrid& grid, absl::Span<const float> weights);
 
 }  // namespace craftfleet

@@ -15,15 +15,15 @@
 #include "common/agent/agent_spec.h"
 #include "common/agent/policy_net.h"
 #include "common/agent/torch_setup.h"
-#include "common/check.h"
-#include "common/fnv1a.h"
-#include "common/seeds.h"
-#include "common/status_macros.h"
+#include "common/base/check.h"
+#include "common/base/fnv1a.h"
+#include "common/base/seeds.h"
+#include "common/base/status_macros.h"
 
 namespace craftfleet {
 namespace {
 
-// Small, and between them everything that agents are made of. Changing them changes every canary.
+// Small networks that together use every kind of layer of the agents. Changing them changes every canary.
 constexpr const char* kNetworks[] = {
     R"(agent: "lstm_cnn")",
     R"(agent: "oc_sa" network { frame_size: 16 patch: 4 stride: 4 })",
@@ -47,7 +47,7 @@ float Number(uint64_t stream, uint64_t index) {
   return static_cast<float>(static_cast<int32_t>(bits >> 40) - (1 << 23)) * 0x1p-23F;
 }
 
-// Outputs neither die out nor explode: each weight within +-2 / sqrt(inputs).
+// Keeps outputs in range: each weight is within +-2 / sqrt(inputs).
 std::vector<float> CanaryWeights(const AgentSpec& spec) {
   std::vector<float> weights(spec.param_count);
   for (const ParamSpec& param : spec.params) {

@@ -1,4 +1,4 @@
-// A canary: tells whether two processes' networks compute the same bits. No LibTorch here.
+// A canary: tells whether the networks of two processes compute the same bits. Does not include LibTorch.
 
 #ifndef CRAFTFLEET_COMMON_AGENT_CANARY_H_
 #define CRAFTFLEET_COMMON_AGENT_CANARY_H_
@@ -12,14 +12,16 @@
 
 namespace craftfleet {
 
-// 16 hexadecimal digits: a digest of every bit that fixed networks with fixed weights, which go through convolutions,
-// linear layers, an LSTM, attention with its softmax and layer norm, make of fixed frames. Builds, libraries or CPUs
-// that round differently give another. Computed once in a process, in some tens of milliseconds; thread-safe.
+// 16 hexadecimal digits: a digest of every bit that fixed networks with fixed weights compute from fixed frames;
+// together they use convolutions, linear layers, an LSTM, attention with softmax, and layer norm. Builds, libraries or
+// CPUs that round differently give another digest. Computed once in a process, in some tens of milliseconds;
+// thread-safe.
 //   Internal: LibTorch failed.
 absl::StatusOr<std::string> PolicyCanary();
 
-// What PolicyCanary must be in a process that is pinned to `cpu` (common/cpu_pin.h), on every machine. Empty: not known
-// for this cpu or for the version of LibTorch that we are built against, whose kernels may add in another order.
+// The expected PolicyCanary of a process that is pinned to `cpu` (common/process/cpu_pin.h), on every machine. Empty:
+// unknown for this cpu, or for the version of LibTorch in this build, whose kernels may add in another
+// order.
 absl::string_view KnownPolicyCanary(v1::RunConfig::Cpu cpu);
 
 }  // namespace craftfleet

@@ -1,11 +1,11 @@
-// The distribution over the 17 actions that a row of logits stands for.
+// The categorical distribution over the 17 actions that a row of logits defines.
 
 #ifndef CRAFTFLEET_COMMON_AGENT_CATEGORICAL_H_
 #define CRAFTFLEET_COMMON_AGENT_CATEGORICAL_H_
 
 #include <array>
 
-#include "common/crafter.h"
+#include "common/base/crafter.h"
 
 namespace craftfleet {
 
@@ -18,7 +18,7 @@ struct Categorical {
 
   // The action at `noise`, in [0, 1), of the cumulative distribution.
   Action Sample(double noise) const;
-  // The likeliest; the first of equals.
+  // The most probable action; the first of equals.
   Action Greedy() const;
   // Nats, at most ln 17.
   double Entropy() const;

@@ -1,13 +1,26 @@
 #include "common/agent/device.h"
 
+#include <cstdlib>
+#include <fstream>
+#include <string>
+
 #include <ATen/Context.h>
 #include <absl/strings/match.h>
 #include <absl/strings/numbers.h>
 #include <absl/strings/str_cat.h>
 #include <absl/strings/str_format.h>
 #include <absl/strings/strip.h>
+#include <torch/version.h>
+
+#include "common/base/status_macros.h"
+#include "common/telemetry/gpu_usage.h"
 
 namespace craftfleet {
+namespace {
+
+constexpr absl::string_view kCpu = "cpu";
+
+}  // namespace
 
 absl::StatusOr<std::string> FindDevice(absl::string_view name) {
   if (!at::hasCUDA() && absl::StartsWith(name, "cuda")) {
@@ -20,7 +33,7 @@ absl::StatusOr<std::string> FindDevice(absl::string_view name) {
 }
 
 absl::StatusOr<std::string> ChooseDevice(absl::string_view name, int gpus) {
-  if (name == "cpu" || (name == "auto" && gpus == 0)) return "cpu";
+  if (name == kCpu || (name == "auto" && gpus == 0)) return std::string(kCpu);
   if (name == "auto" || name == "cuda") name = "cuda:0";
   absl::string_view digits = name;
   int number = 0;
@@ -32,6 +45,108 @@ absl::StatusOr<std::string> ChooseDevice(absl::string_view name, int gpus) {
         absl::StrFormat("--device=%s: there are %d GPUs, numbered from 0", name, gpus));
   }
   return absl::StrCat("cuda:", number);
+}
+
+absl::Status SetRunDevice(absl::string_view device, bool resumed, v1::RunConfig::Device on_gpu, v1::RunConfig* config) {
+  const bool of_gpu = config->has_device() && config->device() != v1::RunConfig::CPU;
+  if (of_gpu && device == kCpu) {
+    return absl::FailedPreconditionError(
+        absl::StrFormat("the run computes on a GPU (device: %s) and this learner on the CPU: run it where LibTorch "
+                        "finds a GPU, or start a new run without this field (--init_from keeps the weights)",
+                        v1::RunConfig::Device_Name(config->device())));
+  }
+  if (device == kCpu || of_gpu) return absl::OkStatus();
+  if (resumed || config->has_device()) {
+    return absl::FailedPreconditionError(
+        absl::StrFormat("--device=%s: the run computes on the CPU: take --device=cpu, or start a new run with its "
+                        "weights (--init_from)",
+                        device));
+  }
+  config->set_device(on_gpu);
+  return absl::OkStatus();
+}
+
+absl::StatusOr<std::string> FindActingDevice(absl::string_view name, v1::RunConfig::Device run) {
+  return ChooseActingDevice(name, run, static_cast<int>(at::getNumGPUs()));
+}
+
+absl::StatusOr<std::string> ChooseActingDevice(absl::string_view name, v1::RunConfig::Device run, int gpus) {
+  const bool on_gpus = run == v1::RunConfig::CUDA;
+  if (name == "auto" && !on_gpus) return std::string(kCpu);
+  CRAFTFLEET_ASSIGN_OR_RETURN(std::string device, ChooseDevice(name, gpus));
+  if ((device != kCpu) == on_gpus) return device;
+  return absl::FailedPreconditionError(absl::StrCat(
+      "--device=", name,
+      on_gpus ? ": the run acts on GPUs (device: CUDA), and this is the CPU: run the actor where LibTorch finds a GPU "
+                "(craftfleet doctor)"
+              : ": the run acts on CPUs, want --device=auto or cpu"));
+}
+
+void SetUpDevice(absl::string_view device, v1::RunConfig::Precision precision) {
+  if (device == kCpu) return;
+  int number = 0;
+  if (absl::ConsumePrefix(&device, "cuda:") && absl::SimpleAtoi(device, &number)) SetProcessGpu(number);
+  // Without it cuBLAS adds in any order.
+  ::setenv("CUBLAS_WORKSPACE_CONFIG", ":4096:8", /*overwrite=*/0);
+  at::Context& context = at::globalContext();
+  // A warning, not an error: the only such computation, the gradient of max pooling, adds in a fixed order for the
+  // layout in which nets/resnet.cc calls it.
+  context.setDeterministicAlgorithms(true, /*warn_only=*/true);
+#if TORCH_VERSION_MAJOR > 2 || (TORCH_VERSION_MAJOR == 2 && TORCH_VERSION_MINOR >= 2)
+  // Else every new tensor is filled first.
+  context.setDeterministicFillUninitializedMemory(false);
+#endif
+  context.setDeterministicCuDNN(true);
+  context.setBenchmarkCuDNN(false);
+  const bool tf32 = precision == v1::RunConfig::TF32;
+  context.setAllowTF32CuBLAS(tf32);
+  context.setAllowTF32CuDNN(tf32);
+}
+
+absl::Status CheckPrecision(absl::string_view device, v1::RunConfig::Precision precision) {
+  std::ifstream info("/proc/cpuinfo");
+  for (std::string line; std::getline(info, line);) {
+    if (absl::StartsWith(line, "flags")) return CheckPrecisionOn(device, absl::StrCat(line, " "), precision);
+  }
+  return CheckPrecisionOn(device, "", precision);
+}
+
+absl::Status CheckPrecisionOn(absl::string_view device, absl::string_view cpu_flags,
+                              v1::RunConfig::Precision precision) {
+  if (!absl::StartsWith(device, "cpu")) return absl::OkStatus();
+  if (precision == v1::RunConfig::TF32) {
+    return absl::InvalidArgumentError("precision is TF32, which only GPUs have, want FP32 or BF16 on the CPU");
+  }
+  const bool has_bf16 = absl::StrContains(cpu_flags, " avx512_bf16 ") || absl::StrContains(cpu_flags, " amx_bf16 ");
+  if (precision == v1::RunConfig::BF16 && !has_bf16) {
+    return absl::InvalidArgumentError(
+        "precision is BF16, and this CPU has neither avx512_bf16 nor amx_bf16 (/proc/cpuinfo), want FP32");
+  }
+  return absl::OkStatus();
+}
+
+absl::Status DeviceError(absl::string_view task, absl::string_view what) {
+  // Behind the first line are pages of advice and a stack trace.
+  const absl::string_view line = what.substr(0, what.find('\n'));
+  const auto says = [what](absl::string_view text) { return absl::StrContains(what, text); };
+  if (says("out of memory")) {
+    return absl::ResourceExhaustedError(
+        absl::StrFormat("%s: the GPU's memory does not suffice: lower ppo.minibatch_size first, then ppo.rollout_steps "
+                        "and lanes, or end other programs on this GPU (%s)",
+                        task, line));
+  }
+  if (says("no kernel image is available")) {
+    return absl::FailedPreconditionError(absl::StrFormat(
+        "%s: this LibTorch has no kernels for this GPU: build against one that names its compute capability "
+        "(-DCRAFTFLEET_LIBTORCH=DIR), or take --device=cpu (%s)",
+        task, line));
+  }
+  if (says("CUDA error") || says("CUDNN_STATUS") || says("CUBLAS_STATUS")) {
+    return absl::UnavailableError(absl::StrFormat(
+        "%s: the GPU or its driver failed, see nvidia-smi and the kernel's log; start again with --resume (%s)", task,
+        line));
+  }
+  return absl::InternalError(absl::StrFormat("%s: %s", task, line));
 }
 
 }  // namespace craftfleet

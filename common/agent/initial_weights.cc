@@ -8,8 +8,8 @@
 #include <absl/strings/string_view.h>
 #include <absl/types/span.h>
 
-#include "common/keyed_random.h"
-#include "common/multiversion.h"
+#include "common/base/keyed_random.h"
+#include "common/base/multiversion.h"
 
 namespace craftfleet {
 namespace {
@@ -105,7 +105,7 @@ void Decompose(int64_t count, std::vector<double>* matrix) {
 }
 
 // Makes the `count` rows of `length` >= `count` orthonormal: the inverse of their Gram matrix' Cholesky factor times
-// the matrix, which is what Gram-Schmidt gives, but in blocks. From normal numbers it is the uniform distribution, as
+// the matrix, the result of Gram-Schmidt, but in blocks. From normal numbers it is the uniform distribution, as
 // QR with a positive diagonal of R.
 void OrthonormaliseRows(int64_t count, int64_t length, std::vector<double>* matrix) {
   std::vector<double> factor = GramMatrix(count, length, *matrix);

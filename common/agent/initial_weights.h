@@ -1,4 +1,4 @@
-// The weights that a run starts from.
+// The initial weights of a run.
 
 #ifndef CRAFTFLEET_COMMON_AGENT_INITIAL_WEIGHTS_H_
 #define CRAFTFLEET_COMMON_AGENT_INITIAL_WEIGHTS_H_
@@ -11,8 +11,8 @@
 namespace craftfleet {
 
 // float[spec.param_count]: each parameter as its `init` says; orthogonal matrices have orthonormal rows if they are
-// wide, columns if they are tall. A function of `seed` and the parameters' names alone.
-// Source: "The agents", sections 2 and 9.
+// wide, columns if they are tall. Depends on `seed` and the parameters' names alone.
+// Source: AGENTS.md, section 9.
 std::vector<float> InitialWeights(const AgentSpec& spec, uint64_t seed);
 
 }  // namespace craftfleet

@@ -1,4 +1,4 @@
-// A linear layer that autograd knows, multiplied by oneDNN instead of the BLAS.
+// A linear layer with autograd, multiplied by oneDNN instead of the BLAS.
 
 #ifndef CRAFTFLEET_COMMON_AGENT_LINEAR_H_
 #define CRAFTFLEET_COMMON_AGENT_LINEAR_H_
@@ -9,8 +9,8 @@ namespace craftfleet {
 
 // input float[N,in] * weight float[out,in]^T + bias float[out], if it is defined -> float[N,out].
 //
-// Debian's OpenBLAS 0.3.21 doesn't know CPUs newer than itself and then runs SSE3 kernels; oneDNN, which LibTorch
-// brings anyway, is 4-5 times as fast there and up to 1.3 times where OpenBLAS knows the CPU. Without dnnl_sgemm in the
+// Debian's OpenBLAS 0.3.21 runs SSE3 kernels on CPUs that are newer than itself; oneDNN, which is part of LibTorch,
+// is 4-5 times as fast there and up to 1.3 times where OpenBLAS supports the CPU. Without dnnl_sgemm in the
 // process (LibTorch's own binaries hide it) the product is at::mm. Tensors of a GPU go to at::linear.
 at::Tensor Linear(const at::Tensor& input, const at::Tensor& weight, const at::Tensor& bias);
 

@@ -9,7 +9,7 @@
 #include <absl/strings/str_cat.h>
 #include <nlohmann/json.hpp>
 
-#include "common/status_macros.h"
+#include "common/base/status_macros.h"
 
 namespace craftfleet {
 namespace {
@@ -18,9 +18,10 @@ using nlohmann::json;
 using nlohmann::ordered_json;
 
 constexpr char kMetadata[] = "__metadata__";
+constexpr char kFloat32[] = "F32";
+constexpr char kUint8[] = "U8";
 constexpr size_t kLengthBytes = 8;
 constexpr size_t kMaxHeaderBytes = 100'000'000;  // the format's own limit
-constexpr size_t kValueBytes = 4;                // of F32
 
 absl::Status Bad(absl::string_view what) { return absl::InvalidArgumentError(absl::StrCat("safetensors: ", what)); }
 
@@ -38,10 +39,10 @@ absl::StatusOr<std::vector<int64_t>> Counts(const json& value, const std::string
   return counts;
 }
 
-// Bytes of a float tensor of `shape`; -1 if they are more than `limit`.
-int64_t BytesOfShape(const std::vector<int64_t>& shape, size_t limit) {
+// Bytes of a tensor of `shape`; -1 if they are more than `limit`.
+int64_t BytesOfShape(const std::vector<int64_t>& shape, SafeTensor::Type type, size_t limit) {
   if (std::count(shape.begin(), shape.end(), 0) > 0) return 0;
-  uint64_t bytes = kValueBytes;
+  uint64_t bytes = type == SafeTensor::Type::kFloat32 ? sizeof(float) : 1;
   for (const int64_t length : shape) {
     if (bytes > limit / static_cast<uint64_t>(length)) return -1;
     bytes *= length;
@@ -55,10 +56,12 @@ absl::StatusOr<SafeTensor> ReadTensor(const std::string& name, const json& entry
   if (!entry.is_object() || !entry.contains("dtype") || !entry.contains("shape") || !entry.contains("data_offsets")) {
     return Bad(absl::StrCat(what, " lacks dtype, shape or data_offsets"));
   }
-  if (const json& dtype = entry["dtype"]; dtype != "F32") {
-    return Bad(
-        absl::StrCat(what, " has dtype ", dtype.dump(-1, ' ', true, json::error_handler_t::replace), ", want F32"));
+  const json& dtype = entry["dtype"];
+  if (dtype != kFloat32 && dtype != kUint8) {
+    return Bad(absl::StrCat(what, " has dtype ", dtype.dump(-1, ' ', true, json::error_handler_t::replace),
+                            ", want F32 or U8"));
   }
+  const SafeTensor::Type type = dtype == kFloat32 ? SafeTensor::Type::kFloat32 : SafeTensor::Type::kUint8;
   CRAFTFLEET_ASSIGN_OR_RETURN(std::vector<int64_t> shape, Counts(entry["shape"], what + ": shape"));
   CRAFTFLEET_ASSIGN_OR_RETURN(const std::vector<int64_t> offsets,
                               Counts(entry["data_offsets"], what + ": data_offsets"));
@@ -66,10 +69,10 @@ absl::StatusOr<SafeTensor> ReadTensor(const std::string& name, const json& entry
     return Bad(absl::StrCat(what, ": data_offsets do not lie in the data of ", data.size(), " bytes"));
   }
   const int64_t bytes = offsets[1] - offsets[0];
-  if (bytes != BytesOfShape(shape, data.size())) {
+  if (bytes != BytesOfShape(shape, type, data.size())) {
     return Bad(absl::StrCat(what, " has ", bytes, " bytes of data, which is not what its shape needs"));
   }
-  return SafeTensor{name, std::move(shape), data.substr(offsets[0], bytes)};
+  return SafeTensor{name, std::move(shape), data.substr(offsets[0], bytes), type};
 }
 
 absl::Status ReadMetadata(const json& entry, std::map<std::string, std::string>* metadata) {
@@ -105,7 +108,7 @@ std::string WriteSafetensors(const SafeTensors& file) {
   if (!file.metadata.empty()) header[kMetadata] = file.metadata;
   size_t offset = 0;
   for (const SafeTensor& tensor : file.tensors) {
-    header[tensor.name] = {{"dtype", "F32"},
+    header[tensor.name] = {{"dtype", tensor.type == SafeTensor::Type::kFloat32 ? kFloat32 : kUint8},
                            {"shape", tensor.shape},
                            {"data_offsets", std::vector<size_t>{offset, offset + tensor.data.size()}}};
     offset += tensor.data.size();

@@ -1,6 +1,6 @@
-// The safetensors format: named float tensors in one byte string. What Python's `safetensors` package reads and writes.
-// u64 little-endian header length, JSON header {name: {dtype, shape, data_offsets}, "__metadata__": {text: text}},
-// data.
+// The safetensors format: named tensors of floats or bytes in one byte string. Compatible with Python's `safetensors`
+// package. u64 little-endian header length, JSON header {name: {dtype, shape, data_offsets}, "__metadata__": {text:
+// text}}, data.
 
 #ifndef CRAFTFLEET_COMMON_AGENT_SAFETENSORS_H_
 #define CRAFTFLEET_COMMON_AGENT_SAFETENSORS_H_
@@ -15,11 +15,14 @@
 
 namespace craftfleet {
 
-// One tensor; `data` belongs to someone else.
+// One tensor; `data` is not owned.
 struct SafeTensor {
+  enum class Type { kFloat32, kUint8 };  // F32, U8
+
   std::string name;
   std::vector<int64_t> shape;  // row-major
-  absl::string_view data;      // float32 little-endian, of any alignment
+  absl::string_view data;      // little-endian, of any alignment
+  Type type = Type::kFloat32;
 };
 
 struct SafeTensors {
@@ -27,11 +30,12 @@ struct SafeTensors {
   std::map<std::string, std::string> metadata;  // free text
 };
 
-// Names are distinct and not "__metadata__"; `data` has 4 bytes a value.
+// Names are distinct and not "__metadata__"; `data` has 4 bytes or 1 byte a value, by its type.
 std::string WriteSafetensors(const SafeTensors& file);
 
-// `bytes` may come from anyone. The tensors' data point into it.
-//   InvalidArgument: not such a file; a dtype other than F32; data that overlap, leave a gap or lie outside.
+// `bytes` may be untrusted. The tensors' data point into it.
+//   InvalidArgument: not such a file; a dtype other than F32 and U8; data that overlap, leave a gap or are outside the
+//   file.
 absl::StatusOr<SafeTensors> ReadSafetensors(absl::string_view bytes);
 
 }  // namespace craftfleet

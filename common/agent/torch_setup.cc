@@ -2,6 +2,7 @@
 
 #include <fstream>
 #include <istream>
+#include <optional>
 #include <sstream>
 
 #include <ATen/Context.h>
@@ -10,10 +11,9 @@
 #include <absl/strings/match.h>
 #include <absl/strings/str_cat.h>
 #include <absl/strings/string_view.h>
-#include <absl/types/optional.h>
 
 #include "common/agent/linear.h"
-#include "common/printable.h"
+#include "common/base/printable.h"
 
 // OpenBLAS' own function; null under another BLAS.
 extern "C" void openblas_set_num_threads(int threads) __attribute__((weak));
@@ -22,11 +22,11 @@ namespace craftfleet {
 namespace {
 
 // The rest of the first line that begins with `prefix`.
-absl::optional<std::string> ValueAfter(absl::string_view prefix, std::istream* lines) {
+std::optional<std::string> ValueAfter(absl::string_view prefix, std::istream* lines) {
   for (std::string line; std::getline(*lines, line);) {
     if (absl::StartsWith(line, prefix)) return line.substr(prefix.size());
   }
-  return absl::nullopt;
+  return std::nullopt;
 }
 
 }  // namespace
@@ -49,7 +49,7 @@ std::string SlowMathWarning() {
 std::string CpuDescription() {
   std::ifstream info("/proc/cpuinfo");
   const std::string model = ValueAfter("model name\t: ", &info).value_or("unknown CPU");
-  // The only place where LibTorch 1.13 says which instructions it chose.
+  // The only place where LibTorch 1.13 reports the instruction set in use.
   std::istringstream config(at::show_config());
   return absl::StrCat(Printable(model), ", ", ValueAfter("  - CPU capability usage: ", &config).value_or("plain"));
 }

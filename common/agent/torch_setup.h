@@ -1,4 +1,4 @@
-// LibTorch's settings for this process and its threads, and what is worth knowing about the machine under it.
+// LibTorch's settings for this process and its threads, and warnings about the machine.
 
 #ifndef CRAFTFLEET_COMMON_AGENT_TORCH_SETUP_H_
 #define CRAFTFLEET_COMMON_AGENT_TORCH_SETUP_H_
@@ -11,7 +11,7 @@ namespace craftfleet {
 // Policy and PpoUpdater call it themselves; cheap when repeated.
 void SetUpTorchThread();
 
-// What to tell the user if the networks would run much slower than they could; empty if nothing is wrong.
+// A warning for the user if the networks would run much slower than possible; empty if there is none.
 std::string SlowMathWarning();
 
 // "Intel(R) Xeon(R) Processor, AVX512": workers whose descriptions differ may differ in the last bits of a policy's

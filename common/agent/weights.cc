@@ -6,7 +6,7 @@
 #include <absl/strings/str_cat.h>
 #include <absl/strings/str_join.h>
 
-#include "common/status_macros.h"
+#include "common/base/status_macros.h"
 
 namespace craftfleet {
 namespace {
@@ -35,6 +35,9 @@ absl::Status CopyTensors(const AgentSpec& spec, absl::string_view prefix, absl::
     const auto found = by_name.find(param.name);
     if (found == by_name.end()) {
       return absl::InvalidArgumentError(absl::StrCat(spec.name, ": tensor \"", prefix, param.name, "\" is missing"));
+    }
+    if (found->second->type != SafeTensor::Type::kFloat32) {
+      return absl::InvalidArgumentError(absl::StrCat(spec.name, ": tensor \"", prefix, param.name, "\" is not F32"));
     }
     if (found->second->shape != param.shape) {
       return absl::InvalidArgumentError(absl::StrCat(spec.name, ": tensor \"", prefix, param.name, "\" has shape ",

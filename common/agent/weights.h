@@ -28,8 +28,8 @@ absl::Status CopyTensors(const AgentSpec& spec, absl::string_view prefix, absl::
 // `weights` is float[spec.param_count].
 std::string SaveWeights(const AgentSpec& spec, absl::Span<const float> weights);
 
-// The inverse. `bytes` may come from anyone.
-//   InvalidArgument: not safetensors, or not this agent's parameters; says which.
+// The inverse. `bytes` may be untrusted.
+//   InvalidArgument: not safetensors, or not this agent's parameters; names the parameter.
 absl::StatusOr<std::vector<float>> LoadWeights(const AgentSpec& spec, absl::string_view bytes);
 
 }  // namespace craftfleet

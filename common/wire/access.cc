@@ -20,10 +20,10 @@
 #include <grpcpp/security/auth_metadata_processor.h>
 #include <grpcpp/server_context.h>
 
-#include "common/files.h"
-#include "common/log.h"
-#include "common/status_macros.h"
-#include "common/text_format.h"
+#include "common/base/status_macros.h"
+#include "common/config/text_format.h"
+#include "common/io/files.h"
+#include "common/telemetry/log.h"
 #include "common/wire/certificates.h"
 #include "common/wire/grpc_status.h"
 
@@ -31,7 +31,7 @@ namespace craftfleet::wire {
 namespace {
 
 constexpr absl::string_view kBearer = "Bearer ";
-constexpr size_t kMaxLogged = 120;  // bytes of what a stranger says
+constexpr size_t kMaxLogged = 120;  // bytes of text from unknown clients
 
 struct ServiceRight {
   absl::string_view prefix;
@@ -46,7 +46,7 @@ constexpr ServiceRight kRights[] = {
 constexpr absl::string_view kWantedRights = "want WATCH, PLAY, SERVE or STEER";
 constexpr absl::string_view kNoWork =
     "WORK is no right any more: write PLAY for actors, SERVE for environment servers, or both";
-constexpr int kWork = 2;  // its number of old
+constexpr int kWork = 2;  // its former number
 
 bool FitsCertificate(const v1::AccessClient& client, const Caller& caller) {
   return client.certificate().empty() ||
@@ -55,7 +55,7 @@ bool FitsCertificate(const v1::AccessClient& client, const Caller& caller) {
          });
 }
 
-// `digest` is that of the caller's token; none without one.
+// `digest` is the digest of the caller's token; nullopt: it sent none.
 bool FitsToken(const v1::AccessClient& client, const std::optional<std::string>& digest) {
   return client.token_sha256().empty() || digest == client.token_sha256();
 }
@@ -102,11 +102,11 @@ absl::Status CheckClient(const v1::AccessClient& client) {
   return absl::OkStatus();
 }
 
-// What `metadata` and the certificate of `context` show.
+// The caller's credentials from `metadata` and the certificate of `context`.
 Caller MakeCaller(const std::multimap<grpc::string_ref, grpc::string_ref>& metadata, const grpc::AuthContext* context) {
   Caller caller;
   for (const char* property : {GRPC_X509_CN_PROPERTY_NAME, GRPC_X509_SAN_PROPERTY_NAME}) {
-    if (context == nullptr) break;  // a context without a call
+    if (context == nullptr) break;  // a context that belongs to no call
     for (const grpc::string_ref& name : context->FindPropertyValues(property)) {
       caller.certificate_names.emplace_back(name.data(), name.size());
     }
@@ -131,7 +131,7 @@ class AccessProcessor : public grpc::AuthMetadataProcessor {
     for (const auto& [key, value] : metadata) {
       if (key == ":path") path = absl::string_view(value.data(), value.size());
     }
-    // The token stays with the call: its handler may ask who calls (Identify).
+    // The token is not consumed: the handler may need it to identify the caller (Identify).
     return ToGrpc(access_->Check(MakeCaller(metadata, context), path));
   }
 
@@ -187,7 +187,7 @@ absl::Status CheckAccess(const v1::Access& access, const Caller& caller, absl::s
                                                        Describe(caller), absl::StrJoin(known, "\", \""), right));
   }
   if (caller.certificate_names.empty()) {
-    return absl::UnauthenticatedError(absl::StrFormat("%s: it shows no token", Describe(caller)));
+    return absl::UnauthenticatedError(absl::StrFormat("%s: it sent no token", Describe(caller)));
   }
   return absl::PermissionDeniedError(
       absl::StrFormat("%s: the access file has no client with this certificate and no token", Describe(caller)));
@@ -213,13 +213,13 @@ std::string Identity(const v1::Access& access, const Caller& caller) {
 absl::StatusOr<std::shared_ptr<AccessControl>> AccessControl::Create(const std::string& path) {
   std::shared_ptr<AccessControl> control(new AccessControl);
   absl::StatusOr<std::string> text = ReadFile(path);
-  if (!text.ok()) return absl::NotFoundError(absl::StrFormat("--access_file=%s can't be read", path));
+  if (!text.ok()) return absl::NotFoundError(absl::StrFormat("--access_file=%s cannot be read", path));
   CRAFTFLEET_ASSIGN_OR_RETURN(v1::Access access, ParseAccess(*text, path));
   control->snapshot_ = std::make_shared<Snapshot>(std::move(access));
   control->watch_ = std::make_unique<FileWatch>(path, *text, [snapshot = control->snapshot_, path](std::string now) {
     absl::StatusOr<v1::Access> access = ParseAccess(now, path);
     if (!access.ok()) {
-      LogError("%s; the former access file stays in force", access.status().message());
+      LogError("%s; the former access file remains in effect", access.status().message());
       return;
     }
     LogInfo("--access_file=%s was read again: %d clients", path, access->client_size());

@@ -1,4 +1,4 @@
-// Who may watch, play, serve and steer: the one place where calls are let in or refused.
+// Authorization: which clients may watch, play, serve and steer. The only place that admits or refuses calls.
 
 #ifndef CRAFTFLEET_COMMON_WIRE_ACCESS_H_
 #define CRAFTFLEET_COMMON_WIRE_ACCESS_H_
@@ -13,10 +13,10 @@
 #include <absl/status/statusor.h>
 #include <absl/strings/string_view.h>
 
-#include "common/clock.h"
-#include "common/limited_log.h"
-#include "common/mutex.h"
-#include "common/watched_file.h"
+#include "common/base/clock.h"
+#include "common/base/mutex.h"
+#include "common/io/watched_file.h"
+#include "common/telemetry/limited_log.h"
 #include "craftfleet/v1/access.pb.h"
 
 namespace grpc {
@@ -26,41 +26,41 @@ class ServerContextBase;
 
 namespace craftfleet::wire {
 
-// What a client shows with a call.
+// The credentials of a client's call.
 struct Caller {
   std::vector<std::string> certificate_names;  // common name and alternative names; empty: no certificate
   std::optional<std::string> token;
-  std::string program;  // what it says it is, for the log
+  std::string program;  // its user agent, for the log
 };
 
-// The right that calls of `path` ("/package.Service/Method") need; RIGHT_UNSPECIFIED: none (health). What is not known
-// needs STEER, so that no service is open by oversight.
+// The right that calls of `path` ("/package.Service/Method") need; RIGHT_UNSPECIFIED: none (health). Unknown paths need
+// STEER, so that no service is open by oversight.
 v1::Right RightFor(absl::string_view path);
 
-// The access file's contents.
-//   InvalidArgument: "<filename>:<line>:<column>: ..." or what is wrong with a client.
+// Parses an access file.
+//   InvalidArgument: "<filename>:<line>:<column>: ...", or the client and what is wrong with it.
 absl::StatusOr<v1::Access> ParseAccess(absl::string_view text, absl::string_view filename);
 
-// Ok if `caller` may call `path`.
-//   Unauthenticated: it shows nothing that is listed.   PermissionDenied: it is known, without that right.
-//   The message says why and who it was; it is for the log, not for the caller.
+// OK if `caller` may call `path`.
+//   Unauthenticated: none of its credentials is listed.   PermissionDenied: it is known, but lacks the right.
+//   The message names the reason and the client; it is for the log, not for the caller.
 absl::Status CheckAccess(const v1::Access& access, const Caller& caller, absl::string_view path);
 
-// Who `caller` is to others: the names in its certificate and those of the clients of `access` that it fits. The same
-// for every certificate with these names and every token of such a client, so that both can be renewed. Empty: nobody
-// in particular.
+// The identity of `caller`: the names in its certificate and those of the clients of `access` that it matches. It does
+// not depend on the certificate or token itself, so that both can be renewed. Empty: the caller cannot be told apart
+// from others.
 std::string Identity(const v1::Access& access, const Caller& caller);
 
-// Applies an access file, which may change while it is in use. A version with errors is logged and leaves the former
-// in force. The file is read on a thread of its own: no call waits for a slow disk. Thread-safe.
+// Applies an access file, which may change while it is in use. If a new version has errors, they are logged and the
+// former one remains in effect. A thread of its own reads the file: no call waits for a slow disk. Thread-safe.
 class AccessControl {
  public:
-  // Errors of the file as it is now.
+  // Errors: the file cannot be read, or as ParseAccess.
   static absl::StatusOr<std::shared_ptr<AccessControl>> Create(const std::string& path);
 
-  // As CheckAccess; refusals are logged. The error's message is fit for the caller: it gives no reason away.
+  // As CheckAccess; refusals are logged. The error's message is safe to send to the caller: it contains no reason.
   absl::Status Check(const Caller& caller, absl::string_view path);
-  // Identity of who made the call of `context`.
+  // Identity of the caller of `context`.
   std::string Identify(const grpc::ServerContextBase& context) const;
 
  private:
@@ -91,10 +91,10 @@ class AccessControl {
   std::unique_ptr<FileWatch> watch_;
 };
 
-// Identity of who made the call of `context` where there is no access file: by its certificate. Empty without one.
+// Identity of the caller of `context` without an access file: from its certificate. Empty without one.
 std::string IdentifyByCertificate(const grpc::ServerContextBase& context);
 
-// Asks `access` about each call that comes in over a listener's credentials.
+// Checks each call to a server with these credentials against `access`.
 std::shared_ptr<grpc::AuthMetadataProcessor> MakeAccessProcessor(std::shared_ptr<AccessControl> access);
 
 }  // namespace craftfleet::wire

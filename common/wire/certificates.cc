@@ -15,8 +15,8 @@
 #include <absl/strings/escaping.h>
 #include <absl/strings/str_format.h>
 
-#include "common/files.h"
-#include "common/status_macros.h"
+#include "common/base/status_macros.h"
+#include "common/io/files.h"
 
 namespace craftfleet::wire {
 namespace {
@@ -30,7 +30,7 @@ using BioPtr = std::unique_ptr<BIO, Free>;
 using CertificatePtr = std::unique_ptr<X509, Free>;
 using KeyPtr = std::unique_ptr<EVP_PKEY, Free>;
 
-// No password is ever asked for on a terminal.
+// Keeps OpenSSL from asking for a password on the terminal.
 int NoPassword(char* /*buffer*/, int /*size*/, int /*writing*/, void* /*data*/) { return -1; }
 
 // All certificates of a PEM file, at least one.
@@ -79,7 +79,7 @@ absl::Status CheckAuthorities(const std::string& authorities) {
   return ReadCertificates("tls_ca", authorities).status();
 }
 
-std::string CertificateTrouble(const std::string& certificate, const std::string& authorities, absl::Time now) {
+std::string CertificateProblem(const std::string& certificate, const std::string& authorities, absl::Time now) {
   const absl::StatusOr<std::vector<CertificatePtr>> chain = ReadCertificates("tls_cert", certificate);
   if (!chain.ok()) return std::string(chain.status().message());
   X509* leaf = chain->front().get();
@@ -90,7 +90,7 @@ std::string CertificateTrouble(const std::string& certificate, const std::string
   if (X509_cmp_time(X509_get0_notBefore(leaf), &seconds) > 0) {
     return absl::StrFormat("--tls_cert=%s is not valid before %s", certificate, Date(X509_get0_notBefore(leaf)));
   }
-  // A chain may lead to an authority over certificates in between; only a lone certificate can be judged here.
+  // A chain may lead to an authority through intermediate certificates; only a single certificate can be checked here.
   if (authorities.empty() || chain->size() > 1) return "";
   const absl::StatusOr<std::vector<CertificatePtr>> known = ReadCertificates("tls_ca", authorities);
   if (!known.ok()) return std::string(known.status().message());

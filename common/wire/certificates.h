@@ -1,4 +1,4 @@
-// What can be said about certificate files before anybody connects.
+// Checks of certificate files before anything connects.
 
 #ifndef CRAFTFLEET_COMMON_WIRE_CERTIFICATES_H_
 #define CRAFTFLEET_COMMON_WIRE_CERTIFICATES_H_
@@ -11,17 +11,17 @@
 
 namespace craftfleet::wire {
 
-// Ok if `certificate` is a PEM file with a certificate and `key` one with its private key. Dates are not looked at.
+// OK if `certificate` is a PEM file with a certificate and `key` one with its private key. Dates are not checked.
 //   InvalidArgument names the flag and the file.   Others: a file can't be read.
 absl::Status CheckKeyPair(const std::string& certificate, const std::string& key);
 
-// Ok if `authorities` is a PEM file with at least one certificate. Errors as above.
+// OK if `authorities` is a PEM file with at least one certificate. Errors as above.
 absl::Status CheckAuthorities(const std::string& authorities);
 
-// Why others may refuse the first certificate of file `certificate` at time `now`: a clause such as "--tls_cert=a.pem
-// expired on 2026-01-31 12:00 UTC", or that it is not from one of `authorities` (not looked at if empty). Empty: no
+// Why peers may refuse the first certificate of file `certificate` at time `now`: a clause such as "--tls_cert=a.pem
+// expired on 2026-01-31 12:00 UTC", or that no authority in `authorities` signed it (not checked if empty). Empty: no
 // reason is known.
-std::string CertificateTrouble(const std::string& certificate, const std::string& authorities, absl::Time now);
+std::string CertificateProblem(const std::string& certificate, const std::string& authorities, absl::Time now);
 
 // SHA-256 of `text`, 64 lower-case hexadecimal digits.
 std::string Sha256Hex(absl::string_view text);

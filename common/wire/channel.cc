@@ -21,7 +21,7 @@
 #include <grpcpp/generic/generic_stub.h>
 #include <grpcpp/security/credentials.h>
 
-#include "common/status_macros.h"
+#include "common/base/status_macros.h"
 #include "common/wire/grpc_status.h"
 #include "common/wire/protocol.h"
 
@@ -29,16 +29,16 @@ namespace craftfleet::wire {
 
 namespace {
 
-// For the logs of others: "craftfleet-actor@host/1234".
-std::string WhoWeAre() {
+// The user agent, which peers log: "craftfleet-actor@host/1234".
+std::string UserAgent() {
   char host[256] = "?";
   gethostname(host, sizeof(host) - 1);
   return absl::StrCat(program_invocation_short_name, "@", host, "/", getpid());
 }
 
-// What a channel that failed to connect says about it: a call that does not wait tells at once.
-std::string WhyNot(const Endpoint& endpoint) {
-  constexpr char kNobody[] = "nothing listens there, the host is unknown or it does not answer";
+// Why a channel failed to connect: a call without wait_for_ready returns the reason at once.
+std::string ConnectionProblem(const Endpoint& endpoint) {
+  constexpr char kNoAnswer[] = "nothing listens there, the host is unknown or it does not answer";
   grpc::ClientContext context;
   SetDeadline(&context, absl::Milliseconds(200));
   grpc::CompletionQueue queue;
@@ -54,7 +54,7 @@ std::string WhyNot(const Endpoint& endpoint) {
   queue.Next(&tag, &ok);
   const absl::Status error = FromGrpc(status, "");
   const absl::Status explained = endpoint.security.Explain(error, endpoint.address);
-  return explained == error ? kNobody : std::string(explained.message());
+  return explained == error ? kNoAnswer : std::string(explained.message());
 }
 
 }  // namespace
@@ -65,17 +65,17 @@ void KeepGrpcUp() {
 }
 
 void PollFewConnections() {
-  // When descriptors run out, gRPC's poll(2) writes where it must not; the default bears it.
+  // When descriptors run out, gRPC's poll(2) engine corrupts memory; the default engine does not.
   rlimit limit = {};
   if (getrlimit(RLIMIT_NOFILE, &limit) != 0 || limit.rlim_cur < kPlentyOfFiles) return;
   setenv("GRPC_POLL_STRATEGY", "poll", /*overwrite=*/0);
-  // While no call waits on a connection nobody polls it but a timer, every 5 s: too late for keepalive's answers.
+  // A connection without a waiting call is polled only by a timer, by default every 5 s: too late for keepalive.
   setenv("GRPC_CLIENT_CHANNEL_BACKUP_POLL_INTERVAL_MS", "500", /*overwrite=*/0);
 }
 
 grpc::ChannelArguments ClientArguments() {
   grpc::ChannelArguments arguments;
-  arguments.SetUserAgentPrefix(WhoWeAre());
+  arguments.SetUserAgentPrefix(UserAgent());
   arguments.SetMaxReceiveMessageSize(kMaxMessageBytes);
   arguments.SetMaxSendMessageSize(kMaxMessageBytes);
   arguments.SetInt(GRPC_COMPRESSION_CHANNEL_ENABLED_ALGORITHMS_BITSET, kNoCompression);
@@ -86,7 +86,7 @@ grpc::ChannelArguments ClientArguments() {
   arguments.SetInt(GRPC_ARG_INITIAL_RECONNECT_BACKOFF_MS, 200);
   arguments.SetInt(GRPC_ARG_MIN_RECONNECT_BACKOFF_MS, 1000);
   arguments.SetInt(GRPC_ARG_MAX_RECONNECT_BACKOFF_MS, 2000);
-  // Channels to one server that are meant to be apart (one per thread) must not share a connection.
+  // Separate channels to one server (one per thread) must not share a connection.
   arguments.SetInt(GRPC_ARG_USE_LOCAL_SUBCHANNEL_POOL, 1);
   return arguments;
 }
@@ -137,7 +137,7 @@ absl::Status WaitUntilConnected(absl::string_view who, const Endpoint& endpoint,
     if (state == GRPC_CHANNEL_READY) return absl::OkStatus();
     if (state == GRPC_CHANNEL_TRANSIENT_FAILURE) {
       return absl::UnavailableError(
-          absl::StrFormat("%s %s: cannot connect: %s", who, endpoint.address, WhyNot(endpoint)));
+          absl::StrFormat("%s %s: cannot connect: %s", who, endpoint.address, ConnectionProblem(endpoint)));
     }
     if (!endpoint.channel->WaitForStateChange(state, deadline)) {
       return absl::UnavailableError(

@@ -24,57 +24,57 @@ namespace craftfleet::wire {
 
 inline constexpr char kInProcess[] = "in-process";
 
-// A limit of open files from which on a process can keep some for its calls.
+// From this limit of open files on, a process can reserve descriptors for its calls.
 inline constexpr rlim_t kPlentyOfFiles = 16384;
 
-// A peer's address for messages (kInProcess where there is none), the channel to it (null: only ConnectApart will do)
-// and what that shows and wants.
+// A peer's address for messages (kInProcess without one), the channel to it (null: use ConnectApart to open one)
+// and the channel's security.
 struct Endpoint {
   std::string address;
   std::shared_ptr<grpc::Channel> channel;
   ChannelSecurity security = {};
 };
 
-// Keeps gRPC from shutting down with its last channel or server: in 1.51 that waits up to 10 s for a poller every now
-// and then. Connect and Server::Create call it.
+// Keeps gRPC from shutting down with its last channel or server: in gRPC 1.51 that occasionally waits up to 10 s for a
+// poller. Connect and Server::Create call it.
 void KeepGrpcUp();
 
-// Makes gRPC poll(2), for programs with few connections: call after ParseFlags, before anything else of gRPC. By
-// default one thread polls for all and wakes the one that waits, which doubles the switches of a round trip; with
-// poll(2) that one polls itself. It takes some more descriptors (nothing changes where the limit of open files is below
-// kPlentyOfFiles), and the more time the more connections there are, so it is nothing for a learner. GRPC_POLL_STRATEGY
-// in the environment, if set, prevails.
+// Makes gRPC use poll(2), for programs with few connections: call after ParseFlags, before any other use of gRPC. By
+// default one thread polls for all and wakes the waiting one, which doubles the context switches of a round trip; with
+// poll(2) the waiting thread polls itself. It needs more descriptors (so it has no effect if the limit of open files is
+// below kPlentyOfFiles), and its cost grows with the number of connections, so a learner must not use it.
+// GRPC_POLL_STRATEGY in the environment, if set, takes precedence.
 void PollFewConnections();
 
-// What a process takes, in the bits of GRPC_COMPRESSION_CHANNEL_ENABLED_ALGORITHMS_BITSET: nothing compressed. A
-// message of 1 MB may inflate to a thousand times of that, before its size is looked at.
+// The accepted compression algorithms (GRPC_COMPRESSION_CHANNEL_ENABLED_ALGORITHMS_BITSET): none. A message of 1 MB may
+// inflate to a thousand times its size before that is checked.
 inline constexpr int kNoCompression = 1 << GRPC_COMPRESS_NONE;
 
-// Message limits, no decompression, and keepalive: a dead peer is noticed within 10 seconds.
+// Message limits, no compression, and keepalive: a dead peer is detected within 10 seconds.
 grpc::ChannelArguments ClientArguments();
 
 // Channel to HOST:PORT or unix:PATH. Connects lazily; never fails.
 Endpoint Connect(absl::string_view address, const ChannelSecurity& security = {});
 
-// The same peer over a connection of its own; kInProcess has none. Threads that share a connection wait for each
-// other's messages: a step of games took twice as long.
+// The same peer over a separate connection (not for kInProcess). Threads that share a connection wait for each other's
+// messages, which doubled the time of a step of games.
 Endpoint ConnectApart(const Endpoint& peer);
 
 // InvalidArgument, naming the flag, unless `address` looks like HOST:PORT (port 0..65535) or unix:PATH.
 absl::Status CheckAddress(absl::string_view flag, absl::string_view address);
 
-// Whether only this host reaches `address`, one that CheckAddress takes.
+// Whether `address`, which passes CheckAddress, is reachable from this host only.
 bool IsLoopback(absl::string_view address);
 
-// The error of a call to `endpoint`: "<who>: ..." with what to check about TLS, tokens and rights where it is about
-// them. Ok if `status` is.
+// The error of a call to `endpoint`: "<who>: ...", with advice if it concerns TLS, tokens or rights. OK if `status`
+// is OK.
 absl::Status FromCall(const grpc::Status& status, absl::string_view who, const Endpoint& endpoint);
 
-// Connects now. Unavailable, naming `who`, the address and what is wrong: refused, not trusted, or no answer within
+// Connects now. Unavailable, naming `who`, the address and the reason: refused, not trusted, or no answer within
 // `timeout`.
 absl::Status WaitUntilConnected(absl::string_view who, const Endpoint& endpoint, absl::Duration timeout);
 
-// Deadline for a unary call.
+// Sets the deadline of a unary call to `timeout` from now.
 void SetDeadline(grpc::ClientContext* context, absl::Duration timeout);
 
 }  // namespace craftfleet::wire

@@ -5,15 +5,15 @@
 #include <absl/flags/flag.h>
 
 ABSL_FLAG(std::string, tls_cert, "",
-          "PEM file with the certificate (chain) that this process shows to others; --tls_key wanted beside it.\n"
-          "This file and the others may be replaced at any time: new connections use what is in them then");
+          "PEM file with the certificate (chain) of this process; requires --tls_key.\n"
+          "All TLS files may be replaced at any time: new connections use their current content");
 ABSL_FLAG(std::string, tls_key, "", "PEM file with the private key of --tls_cert");
 ABSL_FLAG(std::string, tls_ca, "",
-          "PEM file with the authority from which others' certificates must come: to connect is by TLS then;\n"
-          "a process that listens with --tls_cert wants a certificate from each client");
+          "PEM file with the authority that must have signed the certificates of peers; connections use TLS then.\n"
+          "A process that listens with --tls_cert requires a certificate from each client");
 ABSL_FLAG(std::string, tls_server_name, "",
-          "name that the certificates of those connected to must carry [the host of their address]");
-ABSL_FLAG(std::string, token_file, "", "file with a token to show to those connected to; wants --tls_ca");
+          "name that the certificates of servers must have [the host of their address]");
+ABSL_FLAG(std::string, token_file, "", "file with a token to send to servers; requires --tls_ca");
 
 namespace craftfleet::wire {
 

@@ -12,7 +12,7 @@ namespace craftfleet::wire {
 
 TlsFiles TlsFilesFromFlags();
 
-// What the flags ask for. Errors as ChannelSecurity::Create.
+// The security that the flags configure. Errors as ChannelSecurity::Create.
 absl::StatusOr<ChannelSecurity> ChannelSecurityFromFlags();
 
 }  // namespace craftfleet::wire

@@ -10,8 +10,8 @@
 #include <absl/strings/str_format.h>
 #include <absl/strings/string_view.h>
 
-#include "common/snapshot_envelope.h"
-#include "common/status_macros.h"
+#include "common/base/status_macros.h"
+#include "common/io/snapshot_envelope.h"
 
 namespace craftfleet::wire {
 namespace {
@@ -27,7 +27,7 @@ absl::Status CheckSize(absl::string_view field, int64_t size, int64_t wanted, ab
   return size == wanted ? absl::OkStatus() : WrongSize(field, size, wanted, unit);
 }
 
-// `values` has `wanted` finite numbers.
+// Checks that `values` has `wanted` finite numbers, and copies them.
 absl::Status ReadFloats(absl::string_view field, const google::protobuf::RepeatedField<float>& values, int wanted,
                         std::vector<float>* out) {
   CRAFTFLEET_RETURN_IF_ERROR(CheckSize(field, values.size(), wanted, "numbers"));
@@ -76,7 +76,7 @@ void EpisodesToProto(const std::vector<Episode>& episodes,
   }
 }
 
-// Each of `counts` is in 0..`highest`, and there are as many as `out` has room for.
+// Checks that each of `counts` is in 0..`highest` and that their number fits `out`, and copies them.
 template <size_t kCount>
 absl::Status ReadCounts(absl::string_view field, const google::protobuf::RepeatedField<int32_t>& counts, int highest,
                         std::array<int32_t, kCount>* out) {
@@ -103,7 +103,7 @@ absl::Status ReadEpisode(const v1::EpisodeMessage& message, int step, Episode* e
   return absl::OkStatus();
 }
 
-// One episode for each of the steps at which one ended, in order.
+// Reads one episode for each of `end_steps`, the steps at which one ended, in order.
 absl::Status ReadEpisodes(const google::protobuf::RepeatedPtrField<v1::EpisodeMessage>& messages,
                           const std::vector<int>& end_steps, std::vector<Episode>* episodes) {
   CRAFTFLEET_RETURN_IF_ERROR(
@@ -146,7 +146,7 @@ absl::Status ReadMoment(v1::Moment* message, int frame_bytes, int picture_bytes,
   return absl::OkStatus();
 }
 
-// None, or one for each of `lanes` lanes, of bearable size: what is in them the learner looks at.
+// There must be none, or one for each of `lanes` lanes, within the size limit. The learner checks their content.
 absl::Status CheckSnapshots(const google::protobuf::RepeatedPtrField<std::string>& snapshots, int lanes) {
   if (snapshots.empty()) return absl::OkStatus();
   CRAFTFLEET_RETURN_IF_ERROR(CheckSize("snapshots", snapshots.size(), lanes, "snapshots"));
@@ -267,7 +267,7 @@ absl::Status FromProto(v1::PlayReply* message, int lanes, int frame_bytes, StepB
   CRAFTFLEET_RETURN_IF_ERROR(ReadEnds(message->ends(), lanes, &batch->ends));
   CRAFTFLEET_RETURN_IF_ERROR(CheckSize("last_frames", static_cast<int64_t>(message->last_frames().size()),
                                        CountTruncated(batch->ends) * frame_size, "bytes"));
-  // A reply is of one step: the step of each episode is 0.
+  // A reply covers one step: the step of each episode is 0.
   const std::vector<int> end_steps(EndSteps(batch->ends).size(), 0);
   CRAFTFLEET_RETURN_IF_ERROR(ReadEpisodes(message->episodes(), end_steps, &batch->episodes));
   for (const v1::EpisodeMessage& episode : message->episodes()) {

@@ -1,4 +1,4 @@
-// Protobuf messages <-> the plain structs of common/types.h. What comes off the wire is checked here and nowhere else.
+// Protobuf messages <-> the plain structs of common/base/types.h. Received messages are checked here and nowhere else.
 // Frames and snapshots are moved, not copied: the messages are left without them.
 
 #ifndef CRAFTFLEET_COMMON_WIRE_CONVERT_H_
@@ -10,7 +10,7 @@
 #include <absl/status/status.h>
 #include <absl/status/statusor.h>
 
-#include "common/types.h"
+#include "common/base/types.h"
 #include "common/wire/fragment_check.h"
 #include "craftfleet/v1/environment.pb.h"
 #include "craftfleet/v1/learner.pb.h"
@@ -32,17 +32,17 @@ v1::EvaluationResult ToProto(const std::vector<Episode>& episodes);
 absl::StatusOr<std::vector<Episode>> FromProto(const v1::EvaluationResult& message,
                                                int64_t max_length = kMaxEpisodeLength);
 
-// `message` is reused: capacity of its buffers is kept. `batch` gives its frames away.
+// `message` is reused: its buffers keep their capacity. The frames of `batch` are moved out.
 void ToProto(StepBatch* batch, v1::PlayReply* message);
 
 // The reply to a step of `lanes` lanes; checks sizes and ranges like FromProto above.
 absl::Status FromProto(v1::PlayReply* message, int lanes, int frame_bytes, StepBatch* batch);
 
-// What a session that records is told beside frames.
+// The moments in a reply to a session that records episodes.
 void ToProto(std::vector<Moment> moments, v1::PlayReply* message);
 
 // The moments of a reply about `lanes` lanes, with pictures of `picture_bytes`.
-//   Unimplemented: there are none, the server is too old to record.   InvalidArgument: as above.
+//   Unimplemented: there are none, since the server is too old to record.   InvalidArgument: as above.
 absl::StatusOr<std::vector<Moment>> MomentsFromProto(v1::PlayReply* message, int lanes, int frame_bytes,
                                                      int picture_bytes);
 

@@ -4,22 +4,23 @@
 
 #include <absl/strings/str_format.h>
 
-#include "common/snapshot_envelope.h"
-#include "common/status_macros.h"
+#include "common/base/status_macros.h"
+#include "common/io/snapshot_envelope.h"
+#include "common/wire/protocol.h"
 
 namespace craftfleet::wire {
 namespace {
 
 using Floats = google::protobuf::RepeatedField<float>;
 
-// Sums of doubles differ in their last bits from what they stand for.
+// Tolerance for sums of doubles, which are inexact in their last bits.
 constexpr double kSlack = 1e-6;
 
 absl::Status OutOfRange(absl::string_view field, double value, int at, double low, double high) {
   return absl::InvalidArgumentError(absl::StrFormat("%s: %g at %d, want %g..%g", field, value, at, low, high));
 }
 
-// Each is in low..high; NaN is not.
+// Checks that each value is in low..high; NaN is not.
 absl::Status CheckRange(absl::string_view field, const Floats& values, float low, float high) {
   for (int i = 0; i < values.size(); ++i) {
     if (!(values[i] >= low && values[i] <= high)) return OutOfRange(field, values[i], i, low, high);
@@ -45,7 +46,9 @@ absl::Status CheckRewards(const Floats& rewards) {
 absl::Status CheckFragmentValues(const v1::FragmentMessage& message, const FragmentShape& shape) {
   for (const auto& [field, count] : {std::pair("epoch", message.epoch()), std::pair("number", message.number()),
                                      std::pair("policy_version", message.policy_version())}) {
-    if (count < 0) return absl::InvalidArgumentError(absl::StrFormat("%s %d, want at least 0", field, count));
+    if (count < 0 || count > kMaxCount) {
+      return absl::InvalidArgumentError(absl::StrFormat("%s %d, want 0..%d", field, count, kMaxCount));
+    }
   }
   CRAFTFLEET_RETURN_IF_ERROR(CheckRange("log_probs", message.log_probs(), kMinLogProb, 0));
   CRAFTFLEET_RETURN_IF_ERROR(CheckRange("values", message.values(), -kMaxValue, kMaxValue));

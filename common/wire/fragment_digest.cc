@@ -1,30 +1,30 @@
 #include "common/wire/fragment_digest.h"
 
+#include <array>
 #include <cstring>
 #include <vector>
 
 #include <absl/strings/string_view.h>
 
+#include "common/base/fnv1a.h"
+
 namespace craftfleet::wire {
 namespace {
 
-// FNV-1a over words of 8 bytes, whose high bits are mixed in too.
 class Digest {
  public:
-  void AddWord(uint64_t word) {
-    value_ = (value_ ^ word) * 1099511628211U;
-    value_ ^= value_ >> 32;
-  }
-  // With its size, so that bytes can't move from one field to the next.
+  void AddWord(uint64_t word) { value_ = Fnv1aWord(value_, word); }
+  // Includes the size, so that bytes moved from one field to the next change the digest.
   void Add(absl::string_view bytes) {
     AddWord(bytes.size());
+    if (bytes.size() >= sizeof(Words)) AddInStreams(&bytes);
     for (; bytes.size() >= sizeof(uint64_t); bytes.remove_prefix(sizeof(uint64_t))) {
       uint64_t word;
       std::memcpy(&word, bytes.data(), sizeof(word));
       AddWord(word);
     }
     uint64_t rest = 0;
-    if (!bytes.empty()) std::memcpy(&rest, bytes.data(), bytes.size());  // none may be null
+    if (!bytes.empty()) std::memcpy(&rest, bytes.data(), bytes.size());  // data() of an empty one may be null
     AddWord(rest);
   }
   template <typename T>
@@ -34,7 +34,22 @@ class Digest {
   uint64_t value() const { return value_; }
 
  private:
-  uint64_t value_ = 14695981039346656037U;
+  using Words = std::array<uint64_t, 8>;
+
+  // Adds the whole rows of words at the beginning of `bytes`, and removes them. A hash of each column: a CPU computes
+  // these side by side, while one hash would wait for its own last step at each word.
+  void AddInStreams(absl::string_view* bytes) {
+    Words streams;
+    streams.fill(kFnv1aBasis);
+    for (; bytes->size() >= sizeof(Words); bytes->remove_prefix(sizeof(Words))) {
+      Words words;
+      std::memcpy(&words, bytes->data(), sizeof(words));
+      for (size_t i = 0; i < words.size(); ++i) streams[i] = Fnv1aWord(streams[i], words[i]);
+    }
+    for (const uint64_t stream : streams) AddWord(stream);
+  }
+
+  uint64_t value_ = kFnv1aBasis;
 };
 
 }  // namespace

@@ -1,16 +1,16 @@
-// What two actors that play the same fragment must agree on.
+// A digest that must be equal for two actors that play the same fragment.
 
 #ifndef CRAFTFLEET_COMMON_WIRE_FRAGMENT_DIGEST_H_
 #define CRAFTFLEET_COMMON_WIRE_FRAGMENT_DIGEST_H_
 
 #include <cstdint>
 
-#include "common/types.h"
+#include "common/base/types.h"
 
 namespace craftfleet::wire {
 
-// Of all that was played: everything but the epoch and what the learner adds. To be compared within a process, by which
-// it is quick (some GB a second) and nothing that an enemy could not forge.
+// Covers everything but the epoch and the fields that the learner sets. Compare digests within one process only: the
+// hash is fast (some GB a second), but not cryptographic. Thread-safe.
 uint64_t FragmentDigest(const Fragment& fragment);
 
 }  // namespace craftfleet::wire

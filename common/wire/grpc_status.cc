@@ -4,7 +4,7 @@
 
 #include <absl/strings/str_cat.h>
 
-#include "common/log.h"
+#include "common/telemetry/log.h"
 
 namespace craftfleet::wire {
 
@@ -14,10 +14,10 @@ static_assert(static_cast<int>(absl::StatusCode::kUnauthenticated) ==
 
 namespace {
 
-// It travels in headers, of which others take 8 KiB.
+// The message travels in HTTP/2 headers, which peers limit to 8 KiB.
 constexpr size_t kMaxStatusBytes = 1024;
 
-// gRPC has no words for a call that the server doesn't know.
+// gRPC leaves the message empty if the server does not know the method.
 std::string Message(const grpc::Status& status) {
   if (!status.error_message().empty()) return status.error_message();
   if (status.error_code() == grpc::StatusCode::UNIMPLEMENTED) {

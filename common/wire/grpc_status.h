@@ -11,7 +11,7 @@ namespace craftfleet::wire {
 
 grpc::Status ToGrpc(const absl::Status& status);
 
-// `context` is put before the message ("learner 10.0.0.1:50051: ...") of a failed status.
+// Prefixes the message of a failed status with `context` ("learner 10.0.0.1:50051: ...").
 absl::Status FromGrpc(const grpc::Status& status, absl::string_view context);
 
 }  // namespace craftfleet::wire

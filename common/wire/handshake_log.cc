@@ -10,22 +10,21 @@
 #include <absl/strings/match.h>
 #include <absl/strings/str_cat.h>
 #include <absl/strings/str_join.h>
-#include <absl/time/clock.h>
 #include <absl/time/time.h>
 
-#include "common/clock.h"
-#include "common/limited_log.h"
-#include "common/mutex.h"
+#include "common/base/clock.h"
+#include "common/base/mutex.h"
+#include "common/telemetry/limited_log.h"
 
 namespace craftfleet::wire {
 namespace {
 
-constexpr absl::string_view kListenersFile = "chttp2_server.cc";  // speaks of clients' handshakes only
+constexpr absl::string_view kListenersFile = "chttp2_server.cc";  // logs handshakes with clients only
 constexpr absl::string_view kFailed = "Handshaking failed: ";
 constexpr size_t kMaxRecent = 8;
 constexpr absl::Duration kRecent = absl::Seconds(2);
 
-// gRPC's log is the process', and its function can't be handed anything.
+// Global, because gRPC's log function is global and has no context argument.
 struct State {
   RealClock clock;
   LimitedLog log{&clock};
@@ -43,7 +42,7 @@ std::string RecentClients() {
   const MutexLock lock(&state.mu);
   std::set<std::string> clients;
   for (const auto& [time, client] : state.recent) {
-    if (absl::Now() - time < kRecent) clients.insert(client);
+    if (SteadyNow() - time < kRecent) clients.insert(client);
   }
   return absl::StrJoin(clients, ", ");
 }
@@ -70,7 +69,7 @@ void LogFailedHandshakes() {
 void NoteConnection(absl::string_view address) {
   State& state = TheState();
   const MutexLock lock(&state.mu);
-  state.recent.emplace_back(absl::Now(), std::string(address));
+  state.recent.emplace_back(SteadyNow(), std::string(address));
   if (state.recent.size() > kMaxRecent) state.recent.pop_front();
 }
 

@@ -1,4 +1,4 @@
-// Why TLS handshakes of clients fail, for the log: gRPC tells it to nobody but its own log.
+// Logs why TLS handshakes of clients fail: gRPC reports it only in its own log.
 
 #ifndef CRAFTFLEET_COMMON_WIRE_HANDSHAKE_LOG_H_
 #define CRAFTFLEET_COMMON_WIRE_HANDSHAKE_LOG_H_
@@ -9,14 +9,14 @@
 
 namespace craftfleet::wire {
 
-// From now on failed handshakes of this process' listeners are logged as warnings, not more than a few each ten
-// seconds; whatever else gRPC's log says is dropped. Idempotent, thread-safe.
+// From now on failed handshakes of this process's listeners are logged as warnings, rate-limited (LimitedLog); other
+// lines of gRPC's log are dropped. Idempotent, thread-safe.
 void LogFailedHandshakes();
 
-// A client at `address` has connected: failed handshakes soon after this name it.
+// Records that a client at `address` has connected: handshakes that fail within two seconds are logged with it.
 void NoteConnection(absl::string_view address);
 
-// What a line of gRPC's log about a failed handshake means, in words for the log. Empty: it is about something else.
+// Translates a line of gRPC's log about a failed handshake into a message for operators. Empty: another kind of line.
 std::string ExplainHandshake(absl::string_view line);
 
 }  // namespace craftfleet::wire

@@ -1,137 +1,101 @@
 #include "common/wire/http_server.h"
 
-#include <fcntl.h>
-#include <poll.h>
+#include <microhttpd.h>
 #include <sys/socket.h>
-#include <unistd.h>
 
-#include <cerrno>
-#include <cstdint>
-#include <utility>
+#include <cstddef>
 
-#include <absl/strings/match.h>
-#include <absl/strings/str_cat.h>
-#include <absl/strings/str_format.h>
-#include <absl/strings/str_split.h>
-#include <absl/time/clock.h>
-
-#include "common/check.h"
-#include "common/status_macros.h"
+#include "common/base/status_macros.h"
+#include "common/base/watchdog.h"
 
 namespace craftfleet::wire {
 namespace {
 
-constexpr size_t kMaxRequestBytes = 8192;  // the headers of browsers and scrapers have less
-constexpr int kTickMs = 250;               // between two looks at deadlines
+// Ends a connection that lasts longer than kTimeout, even if it is active.
+class Deadline {
+ public:
+  explicit Deadline(int descriptor) : timer_(Watchdog::OfProcess(), [descriptor] { shutdown(descriptor, SHUT_RDWR); }) {
+    timer_.Arm(HttpServer::kTimeout);
+  }
 
-// The listener holds a copy of the descriptor until it sees that the connection has ended.
-void End(int descriptor) {
+ private:
+  Watchdog::Timer timer_;
+};
+
+// Called by libmicrohttpd when a connection starts, and when it has ended but its descriptor is still open.
+void OnConnection(void* /*server*/, MHD_Connection* connection, void** context, MHD_ConnectionNotificationCode code) {
+  const int descriptor = MHD_get_connection_info(connection, MHD_CONNECTION_INFO_CONNECTION_FD)->connect_fd;
+  if (code == MHD_CONNECTION_NOTIFY_STARTED) {
+    *context = new Deadline(descriptor);
+    return;
+  }
+  delete static_cast<Deadline*>(*context);
+  *context = nullptr;
+  // The listener counts the connection until its socket is shut down.
   shutdown(descriptor, SHUT_RDWR);
-  close(descriptor);
 }
 
-std::string Format(const HttpServer::Response& response, bool with_body) {
-  const char* reason = response.code == 200 ? "OK" : "Error";
-  return absl::StrFormat("HTTP/1.1 %d %s\r\nContent-Type: %s\r\nContent-Length: %d\r\nConnection: close\r\n\r\n%s",
-                         response.code, reason, response.content_type, response.body.size(),
-                         with_body ? response.body : "");
+MHD_Result Send(MHD_Connection* connection, const HttpServer::Response& answer) {
+  MHD_Response* response =
+      MHD_create_response_from_buffer(answer.body.size(), const_cast<char*>(answer.body.data()), MHD_RESPMEM_MUST_COPY);
+  if (response == nullptr) return MHD_NO;
+  MHD_add_response_header(response, MHD_HTTP_HEADER_CONTENT_TYPE, answer.content_type.c_str());
+  MHD_add_response_header(response, MHD_HTTP_HEADER_CONNECTION, "close");
+  const MHD_Result queued = MHD_queue_response(connection, static_cast<unsigned>(answer.code), response);
+  MHD_destroy_response(response);
+  return queued;
+}
+
+// Called by libmicrohttpd for each request once its headers have arrived; MHD_NO ends the connection.
+MHD_Result OnRequest(void* respond, MHD_Connection* connection, const char* path, const char* method,
+                     const char* /*version*/, const char* /*upload*/, size_t* /*upload_bytes*/, void** /*request*/) {
+  const absl::string_view name = method;
+  if (name != MHD_HTTP_METHOD_GET && name != MHD_HTTP_METHOD_HEAD) {
+    return Send(connection, {MHD_HTTP_METHOD_NOT_ALLOWED, "text/plain", "want GET\n"});
+  }
+  return Send(connection, (*static_cast<const HttpServer::Respond*>(respond))(path));
 }
 
 }  // namespace
 
 absl::StatusOr<std::unique_ptr<HttpServer>> HttpServer::Create(const std::string& address, Respond respond) {
   std::unique_ptr<HttpServer> server(new HttpServer(std::move(respond)));
-  Listener::Options options;
-  options.address = address;
-  CRAFTFLEET_ASSIGN_OR_RETURN(server->listener_, Listener::Create(options));
-  CRAFTFLEET_CHECK(pipe2(server->wake_up_, O_NONBLOCK | O_CLOEXEC) == 0);
-  server->thread_ = std::thread([server = server.get()] { server->Run(); });
-  server->listener_->Start([server = server.get()](int descriptor) {
-    {
-      const MutexLock lock(&server->mu_);
-      server->new_.push_back(descriptor);
-    }
-    const char byte = 0;
-    // A full pipe wakes just as well.
-    [[maybe_unused]] const ssize_t written = write(server->wake_up_[1], &byte, 1);
-  });
+  CRAFTFLEET_RETURN_IF_ERROR(server->Start(address));
   return server;
 }
 
+absl::Status HttpServer::Start(const std::string& address) {
+  Listener::Options options;
+  options.address = address;
+  options.max_connections = kMaxConnections;
+  options.max_connections_per_client = kMaxConnectionsPerClient;
+  options.limit = "a port for HTTP";
+  CRAFTFLEET_ASSIGN_OR_RETURN(listener_, Listener::Create(options));
+  // libmicrohttpd's own listening socket could not be bound to both addresses of a name like localhost.
+  daemon_ =
+      MHD_start_daemon(MHD_USE_EPOLL | MHD_USE_INTERNAL_POLLING_THREAD | MHD_USE_ITC | MHD_USE_NO_LISTEN_SOCKET |
+                           MHD_USE_SUPPRESS_DATE_NO_CLOCK,
+                       0, nullptr, nullptr, &OnRequest, const_cast<Respond*>(&respond_), MHD_OPTION_CONNECTION_LIMIT,
+                       static_cast<unsigned>(kMaxConnections), MHD_OPTION_PER_IP_CONNECTION_LIMIT,
+                       static_cast<unsigned>(kMaxConnectionsPerClient), MHD_OPTION_CONNECTION_MEMORY_LIMIT,
+                       kMaxRequestBytes, MHD_OPTION_NOTIFY_CONNECTION, &OnConnection, nullptr, MHD_OPTION_END);
+  if (daemon_ == nullptr) {
+    return absl::ResourceExhaustedError("the HTTP server cannot start: no thread or file descriptor is left");
+  }
+  listener_->Start([daemon = daemon_](int descriptor) {
+    sockaddr_storage client = {};
+    socklen_t size = sizeof(client);
+    getpeername(descriptor, reinterpret_cast<sockaddr*>(&client), &size);
+    // Takes over the descriptor, and closes it if it cannot serve it.
+    MHD_add_connection(daemon, descriptor, reinterpret_cast<sockaddr*>(&client), size);
+  });
+  return absl::OkStatus();
+}
+
 HttpServer::~HttpServer() {
-  if (!thread_.joinable()) return;
+  if (daemon_ == nullptr) return;
   listener_->Stop();
-  close(wake_up_[1]);
-  thread_.join();
-  close(wake_up_[0]);
-}
-
-void HttpServer::Run() {
-  bool stopping = false;
-  while (!stopping) {
-    std::vector<pollfd> polls = {{wake_up_[0], POLLIN, 0}};
-    for (const Connection& connection : connections_) {
-      const auto events = static_cast<int16_t>(connection.response.empty() ? POLLIN : POLLOUT);
-      polls.push_back({connection.descriptor, events, 0});
-    }
-    poll(polls.data(), polls.size(), kTickMs);
-    for (size_t i = connections_.size(); i-- > 0;) {
-      Connection& connection = connections_[i];
-      const bool goes_on = absl::Now() < connection.deadline && (polls[i + 1].revents == 0 || Serve(&connection));
-      if (goes_on) continue;
-      End(connection.descriptor);
-      connections_.erase(connections_.begin() + static_cast<ptrdiff_t>(i));
-    }
-    char bytes[256];
-    while (!stopping) {
-      const ssize_t count = read(wake_up_[0], bytes, sizeof(bytes));
-      if (count < 0) break;
-      stopping = count == 0;
-    }
-    TakeNew();
-  }
-  for (const Connection& connection : connections_) End(connection.descriptor);
-}
-
-void HttpServer::TakeNew() {
-  const MutexLock lock(&mu_);
-  for (const int descriptor : new_) {
-    if (connections_.size() >= kMaxConnections) {
-      End(descriptor);
-      continue;
-    }
-    connections_.push_back({descriptor, absl::Now() + kTimeout, "", "", 0});
-  }
-  new_.clear();
-}
-
-bool HttpServer::Serve(Connection* connection) {
-  if (connection->response.empty()) {
-    char bytes[4096];
-    const ssize_t count = recv(connection->descriptor, bytes, sizeof(bytes), 0);
-    if (count < 0) return errno == EAGAIN || errno == EINTR;
-    if (count == 0) return false;
-    connection->request.append(bytes, static_cast<size_t>(count));
-    const bool whole = absl::StrContains(connection->request, "\r\n\r\n");
-    if (!whole && connection->request.size() < kMaxRequestBytes) return true;
-    connection->response = whole ? AnswerHttp(connection->request, respond_)
-                                 : Format({431, "text/plain", "the request is too long\n"}, true);
-    return true;
-  }
-  const ssize_t count = send(connection->descriptor, connection->response.data() + connection->sent,
-                             connection->response.size() - connection->sent, MSG_NOSIGNAL);
-  if (count < 0) return errno == EAGAIN || errno == EINTR;
-  connection->sent += static_cast<size_t>(count);
-  return connection->sent < connection->response.size();
-}
-
-std::string AnswerHttp(absl::string_view request, const HttpServer::Respond& respond) {
-  const std::vector<absl::string_view> words = absl::StrSplit(request.substr(0, request.find("\r\n")), ' ');
-  if (words.size() != 3 || !absl::StartsWith(words[2], "HTTP/1.")) {
-    return Format({400, "text/plain", "no HTTP/1 request\n"}, true);
-  }
-  if (words[0] != "GET" && words[0] != "HEAD") return Format({405, "text/plain", "want GET\n"}, true);
-  return Format(respond(words[1].substr(0, words[1].find('?'))), words[0] == "GET");
+  MHD_stop_daemon(daemon_);
 }
 
 }  // namespace craftfleet::wire

@@ -21,8 +21,8 @@
 #include <absl/strings/strip.h>
 #include <absl/time/time.h>
 
-#include "common/check.h"
-#include "common/status_macros.h"
+#include "common/base/check.h"
+#include "common/base/status_macros.h"
 #include "common/wire/channel.h"
 #include "common/wire/handshake_log.h"
 
@@ -31,11 +31,11 @@ namespace {
 
 constexpr int kBacklog = 1024;
 constexpr rlim_t kWantedDescriptors = 65536;
-constexpr rlim_t kKeptDescriptors = 128;  // for files, libraries, connections of our own
-constexpr rlim_t kKeptForCalls = 8192;    // of a limit that has them: two for each of 4096 calls
-constexpr int kUserTimeoutMs = 4000;      // data that a peer does not acknowledge, as the keepalive's timeout
+constexpr rlim_t kKeptDescriptors = 128;  // for files, libraries and outgoing connections
+constexpr rlim_t kKeptForCalls = 8192;    // if the limit is large enough: two for each of 4096 calls
+constexpr int kUserTimeoutMs = 4000;      // until unacknowledged data ends a connection; as keepalive's
 constexpr int kPauseMs = 100;             // after running out of descriptors
-constexpr int kMaxEvents = 64;            // a turn
+constexpr int kMaxEvents = 64;            // per wait
 
 void SetOption(int socket, int level, int option, int value) {
   setsockopt(socket, level, option, &value, sizeof(value));
@@ -51,7 +51,7 @@ std::string ClientOf(const sockaddr_storage& address, socklen_t size) {
   return host;
 }
 
-// How many connections the process can hold, two descriptors each.
+// The number of connections that the process can hold, at two descriptors each.
 size_t MaxConnections() {
   rlimit limit = {};
   getrlimit(RLIMIT_NOFILE, &limit);
@@ -112,12 +112,12 @@ absl::Status Listener::BindTo(const addrinfo& address) {
   const int socket = ::socket(address.ai_family, SOCK_STREAM | SOCK_NONBLOCK | SOCK_CLOEXEC, 0);
   if (socket < 0) return error("socket");
   SetOption(socket, SOL_SOCKET, SO_REUSEADDR, 1);
-  // What is accepted inherits these.
+  // Accepted sockets inherit these options.
   SetOption(socket, IPPROTO_TCP, TCP_NODELAY, 1);
   SetOption(socket, IPPROTO_TCP, TCP_USER_TIMEOUT, kUserTimeoutMs);
   sockaddr_storage wanted = {};
   std::memcpy(&wanted, address.ai_addr, address.ai_addrlen);
-  // The second address of a name gets the port that the first one got.
+  // The second address of a name uses the port assigned to the first.
   auto* port4 = &reinterpret_cast<sockaddr_in*>(&wanted)->sin_port;
   auto* port = address.ai_family == AF_INET6 ? &reinterpret_cast<sockaddr_in6*>(&wanted)->sin6_port : port4;
   if (*port == 0) *port = htons(static_cast<uint16_t>(port_));
@@ -165,7 +165,7 @@ void Listener::Run() {
   epoll_event events[kMaxEvents];
   while (true) {
     const int count = epoll_wait(poll_, events, kMaxEvents, -1);
-    // Who ends a connection and begins another has room for it: the ends come first.
+    // Closed connections are handled first, so that a client that replaces a connection is not refused.
     for (int i = 0; i < count; ++i) {
       if (events[i].data.fd == wake_up_[0]) return;
       Forget(events[i].data.fd);
@@ -220,13 +220,15 @@ void Listener::Admit(int descriptor, const std::string& client) {
   handle_(descriptor);
 }
 
-// gRPC shuts a connection down before it closes it, which ends the copy too; so does a peer that leaves.
+// gRPC shuts a connection down before it closes it, which the copy reports too; so does a peer that disconnects.
 void Listener::Forget(int copy) {
   const auto connection = connections_.find(copy);
   if (connection == connections_.end()) return;
   const auto count = per_client_.find(connection->second);
   if (--count->second == 0) per_client_.erase(count);
   connections_.erase(connection);
+  // Closing a copy does not remove it from the epoll set while the server holds the original.
+  epoll_ctl(poll_, EPOLL_CTL_DEL, copy, nullptr);
   close(copy);
 }
 

@@ -14,36 +14,37 @@
 #include <absl/status/statusor.h>
 #include <absl/strings/string_view.h>
 
-#include "common/clock.h"
-#include "common/limited_log.h"
+#include "common/base/clock.h"
+#include "common/telemetry/limited_log.h"
 
 struct addrinfo;
 
 namespace craftfleet::wire {
 
-// Listens on a TCP port and hands each connection over. gRPC's own listener is not used, because that of 1.51 knows no
-// limits and stops for good when the process runs out of file descriptors. Thread-compatible; one thread of its own.
+// Listens on a TCP port and hands each connection over. gRPC's own listener is not used, because that of 1.51 has no
+// limits and never recovers when the process runs out of file descriptors. Thread-compatible; one thread of its own.
 class Listener {
  public:
   struct Options {
     std::string address;  // HOST:PORT; port 0: any free one
     int max_connections_per_client = 1024;
-    int max_connections = 0;                             // in all; 0: what the limit of open files allows
-    std::string limit = "--max_connections_per_client";  // what to name when a client has too many
+    int max_connections = 0;                             // in all; 0: as many as the limit of open files allows
+    std::string limit = "--max_connections_per_client";  // named in the log when a client has too many
   };
-  // Takes over the descriptor of a connection; called on the listener's thread.
+  // Takes ownership of the descriptor of a connection; called on the listener's thread.
   using Handle = std::function<void(int descriptor)>;
 
-  // Takes the port; connections wait until Start.
+  // Binds the port; connections wait in the backlog until Start.
   //   Unavailable: the port is in use, the host is unknown or not this machine.
   static absl::StatusOr<std::unique_ptr<Listener>> Create(const Options& options);
   ~Listener();
 
+  // Starts accepting connections on the listener's thread. Called at most once.
   void Start(Handle handle);
-  // Frees the port. Connections that were handed over stay. Idempotent.
+  // Closes the port. Connections that were handed over stay open. Idempotent.
   void Stop();
 
-  // HOST:PORT as asked for, with the port in use.
+  // HOST:PORT with the requested host and the actual port.
   const std::string& address() const { return address_; }
 
  private:
@@ -53,7 +54,7 @@ class Listener {
   absl::Status BindTo(const addrinfo& address);
   void Run();
   void Accept(int socket);
-  // A connection that is handed over is watched through a copy of its descriptor, to know when it has ended.
+  // Hands a connection over and watches a copy of its descriptor, to learn when it has ended.
   void Admit(int descriptor, const std::string& client);
   void Forget(int copy);
 

@@ -5,12 +5,12 @@
 
 #include <absl/flags/flag.h>
 
-#include "common/log.h"
-#include "common/status_macros.h"
+#include "common/base/status_macros.h"
+#include "common/telemetry/log.h"
 
 namespace craftfleet::wire {
 
-// An address that may be empty, which is not the same as none given: absl takes an empty text for an absent optional.
+// An address that may be given as empty, which differs from not given: Abseil parses "" as an absent optional.
 struct GivenAddress {
   std::optional<std::string> address;
 };
@@ -27,9 +27,9 @@ std::string AbslUnparseFlag(const GivenAddress& given) { return given.address.va
 
 ABSL_FLAG(craftfleet::wire::GivenAddress, metrics_listen, {},
           "address to serve Prometheus metrics on, at http://HOST:PORT/metrics; empty: none\n"
-          "[any free port of this host, which the log tells; craftfleet train: none]");
+          "[any free port of this host, see the log; craftfleet train: none]");
 ABSL_FLAG(bool, metrics_insecure, false,
-          "allow --metrics_listen beyond this host; metrics are plain HTTP, for everyone who reaches them");
+          "allow --metrics_listen beyond this host; metrics are plain HTTP, readable by every client");
 
 namespace craftfleet::wire {
 

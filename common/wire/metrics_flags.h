@@ -15,10 +15,10 @@ namespace craftfleet::wire {
 
 inline constexpr char kAnyFreePort[] = "127.0.0.1:0";
 
-// What the flags ask for; `by_default` is the address without them. InvalidArgument as MetricsServer::Options.
+// The options from the flags; `by_default` is the address without a flag. InvalidArgument as MetricsServer::Options.
 absl::StatusOr<MetricsServer::Options> MetricsOptionsFromFlags(absl::string_view by_default);
 
-// Serves what `status`, which outlives the server, says; tells the address in the log and, from now on, in the status.
+// Serves the metrics of `status`, which outlives the server; logs the address and adds it to the status.
 // Null: options.address is empty.   Errors as MetricsServer::Create.
 absl::StatusOr<std::unique_ptr<MetricsServer>> ServeMetrics(const MetricsServer::Options& options,
                                                             StatusServiceImpl* status);

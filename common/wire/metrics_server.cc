@@ -8,7 +8,7 @@
 #include <absl/strings/str_cat.h>
 #include <absl/strings/str_format.h>
 
-#include "common/status_macros.h"
+#include "common/base/status_macros.h"
 #include "common/wire/channel.h"
 #include "common/wire/prometheus_metrics.h"
 

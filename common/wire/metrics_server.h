@@ -15,18 +15,19 @@
 
 namespace craftfleet::wire {
 
-// Serves http://ADDRESS/metrics: what `snapshot` says at that moment, as prometheus_metrics.h names it. Plain HTTP.
+// Serves http://ADDRESS/metrics: the current `snapshot` as Prometheus metrics (prometheus_metrics.h). Plain HTTP.
+// Thread-safe.
 class MetricsServer {
  public:
   struct Options {
-    std::string address;    // HOST:PORT; port 0: any free one; empty: nowhere
-    bool insecure = false;  // allow an address beyond loopback: whoever reaches it can read the numbers
+    std::string address;    // HOST:PORT; port 0: any free one; empty: no server
+    bool insecure = false;  // allow an address beyond loopback: every client that reaches it can read the metrics
     absl::Status Validate() const;
   };
 
-  // `options.address` is not empty. `snapshot` is called from other threads, as long as the server lives.
-  //   InvalidArgument: a bad address, or one beyond loopback without `insecure`.   Unavailable: it can't be listened
-  //   on.
+  // `options.address` is not empty. `snapshot` is called from other threads until the server is destroyed.
+  //   InvalidArgument: a bad address, or one beyond loopback without `insecure`.   Unavailable: cannot listen on the
+  //   address.
   static absl::StatusOr<std::unique_ptr<MetricsServer>> Create(const Options& options,
                                                                std::function<v1::StatusReply()> snapshot);
 

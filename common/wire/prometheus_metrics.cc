@@ -6,10 +6,9 @@
 
 #include <absl/strings/string_view.h>
 
-#include "common/activity.h"
-#include "common/bottleneck.h"
-#include "common/check.h"
-#include "common/metric_table.h"
+#include "common/base/check.h"
+#include "common/telemetry/activity.h"
+#include "common/telemetry/metric_table.h"
 
 namespace craftfleet::wire {
 namespace {
@@ -18,7 +17,7 @@ using prometheus::ClientMetric;
 using prometheus::MetricFamily;
 using prometheus::MetricType;
 
-// Collects samples into families, in the order in which metrics first come.
+// Collects samples into families, in the order in which metrics first appear.
 class Families {
  public:
   explicit Families(std::string role) : role_(std::move(role)) {}

@@ -1,4 +1,4 @@
-// A process' status as Prometheus metrics.
+// Converts a process's status to Prometheus metrics.
 
 #ifndef CRAFTFLEET_COMMON_WIRE_PROMETHEUS_METRICS_H_
 #define CRAFTFLEET_COMMON_WIRE_PROMETHEUS_METRICS_H_

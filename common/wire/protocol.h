@@ -1,4 +1,4 @@
-// What two processes must agree on before they work together.
+// The handshake: what two processes check before they work together.
 
 #ifndef CRAFTFLEET_COMMON_WIRE_PROTOCOL_H_
 #define CRAFTFLEET_COMMON_WIRE_PROTOCOL_H_
@@ -8,30 +8,33 @@
 #include <absl/status/status.h>
 #include <absl/strings/string_view.h>
 
+#include "common/base/range_check.h"
+
 namespace craftfleet::wire {
 
-// Raised with every change of the wire that an older process would misread.
+// Increased with every change of the protocol that an older process would misread.
 inline constexpr int kProtocolVersion = 2;
 
-// Largest message taken in, bytes: a fragment of 4096 frames of 72x72 with room to spare.
+// Largest accepted message, bytes: a fragment of 4096 frames of 72x72 with room to spare.
 inline constexpr int kMaxMessageBytes = 96 << 20;
+using craftfleet::kMaxCount;
 
-// Largest text by which a process tells others of itself: a name, an address, a CPU.
+// Largest text in which a process describes itself (a name, an address, a CPU), bytes.
 inline constexpr size_t kMaxTextBytes = 512;
 
-// InvalidArgument, naming the field, unless `text` is printable ASCII of at most kMaxTextBytes: it is kept, logged and
-// shown on terminals.
+// InvalidArgument, naming the field, unless `text` is printable ASCII of at most kMaxTextBytes: such texts are stored,
+// logged and shown on terminals.
 absl::Status CheckText(absl::string_view field, absl::string_view text);
 
-// What a process says of itself in a handshake; an empty digest or run id matches any.
+// A process in a handshake; an empty digest or run id matches any.
 struct Handshake {
   int protocol_version = kProtocolVersion;
   absl::string_view run_id;
   absl::string_view texture_digest;
 };
 
-// FailedPrecondition when `theirs` can't work with `ours`; the message says what to change. `us` and `them` are names
-// like "learner" and "actor".
+// FailedPrecondition when `theirs` is incompatible with `ours`; the message says what to change. `us` and `them` are
+// names like "learner" and "actor".
 absl::Status CheckHandshake(absl::string_view us, const Handshake& ours, absl::string_view them,
                             const Handshake& theirs);
 

@@ -2,21 +2,21 @@
 
 #include <absl/strings/str_format.h>
 
-#include "common/status_macros.h"
+#include "common/base/status_macros.h"
 #include "common/wire/channel.h"
 #include "common/wire/protocol.h"
 
 namespace craftfleet::wire {
 namespace {
 
-// No process does more: games in Crafter take microseconds, and a host has thousands of threads at most.
+// More than any process can reach: a step of Crafter takes microseconds, and a host has at most thousands of threads.
 constexpr double kMaxStepsPerSecond = 1e9;
 constexpr int kMaxGames = 1 << 20;
 constexpr int kMaxThreads = 1 << 16;
-constexpr int64_t kMaxCount = int64_t{1} << 52;  // of anything: a double counts so far
 constexpr int kMaxActivities = 16;
 constexpr size_t kMaxActivityBytes = 32;
-constexpr double kMaxShare = 1.001;  // 1, with room for how a quotient rounds
+constexpr size_t kMaxGpuNameBytes = 96;
+constexpr double kMaxShare = 1.001;  // 1, with room for rounding
 
 absl::Status CheckCount(absl::string_view field, int64_t count, int64_t low, int64_t high) {
   if (count >= low && count <= high) return absl::OkStatus();
@@ -39,14 +39,14 @@ absl::Status CheckLane(absl::string_view field, int lane, int lanes) {
 }
 
 absl::Status CheckActive(const v1::PermitRequest& request, int lanes, int steps) {
-  // Twice: one may be about to be answered for while the next of its lane is at hand.
+  // Twice: while the verdict on a fragment is in transit, the actor may hold the next permit of the lane.
   CRAFTFLEET_RETURN_IF_ERROR(CheckCount("active permits", request.active_size(), 0, 2 * int64_t{lanes}));
   for (const v1::Permit& permit : request.active()) {
     CRAFTFLEET_RETURN_IF_ERROR(CheckLane("active", permit.lane(), lanes));
     CRAFTFLEET_RETURN_IF_ERROR(CheckCount("active.fragment", permit.fragment(), 0, kMaxCount));
     CRAFTFLEET_RETURN_IF_ERROR(CheckCount("active.policy_version", permit.policy_version(), 0, kMaxCount));
   }
-  // None at all stands for no progress.
+  // An empty list means no progress.
   if (request.active_steps_size() != 0 && request.active_steps_size() != request.active_size()) {
     return absl::InvalidArgumentError(absl::StrFormat("active_steps: %d numbers for %d active permits, want as many",
                                                       request.active_steps_size(), request.active_size()));
@@ -95,6 +95,11 @@ absl::Status CheckSummary(const v1::ProcessSummary& summary) {
   CRAFTFLEET_RETURN_IF_ERROR(CheckCount("summary.memory_bytes", summary.memory_bytes(), 0, kMaxCount));
   CRAFTFLEET_RETURN_IF_ERROR(CheckCount("summary.errors", summary.errors(), 0, kMaxCount));
   CRAFTFLEET_RETURN_IF_ERROR(CheckBytes("summary.last_error", summary.last_error().size(), kMaxReasonBytes));
+  CRAFTFLEET_RETURN_IF_ERROR(CheckBytes("summary.gpu", summary.gpu().size(), kMaxGpuNameBytes));
+  CRAFTFLEET_RETURN_IF_ERROR(CheckCount("summary.gpu_memory_bytes", summary.gpu_memory_bytes(), 0, kMaxCount));
+  CRAFTFLEET_RETURN_IF_ERROR(
+      CheckCount("summary.gpu_memory_size_bytes", summary.gpu_memory_size_bytes(), 0, kMaxCount));
+  CRAFTFLEET_RETURN_IF_ERROR(CheckNumber("summary.gpu_utilization", summary.gpu_utilization(), 1));
   CRAFTFLEET_RETURN_IF_ERROR(CheckCount("summary.threads", summary.threads(), 0, kMaxThreads));
   CRAFTFLEET_RETURN_IF_ERROR(CheckCount("summary.times", summary.times_size(), 0, kMaxActivities));
   for (const v1::ActivityTime& time : summary.times()) {

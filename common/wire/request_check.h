@@ -1,4 +1,4 @@
-// Ranges of what workers say of themselves and ask for; fragment_check.h has those of what they played.
+// Ranges of what workers report and request; fragment_check.h has those of fragments.
 
 #ifndef CRAFTFLEET_COMMON_WIRE_REQUEST_CHECK_H_
 #define CRAFTFLEET_COMMON_WIRE_REQUEST_CHECK_H_
@@ -14,20 +14,20 @@
 
 namespace craftfleet::wire {
 
-// Texts for people: errors and reasons.
+// Largest error or reason text, bytes.
 inline constexpr size_t kMaxReasonBytes = 300;
 
-// All of these give InvalidArgument with field, value and what was expected.
+// All of these return InvalidArgument with the field, its value and what was expected.
 
-// A name by which others know a worker: printable, not empty, of at most kMaxTextBytes.
+// Checks the unique name of a worker: printable, not empty, at most kMaxTextBytes.
 absl::Status CheckName(absl::string_view field, absl::string_view name);
 
 absl::Status CheckJoin(const v1::JoinRequest& request);
 
-// Of a run with `lanes` lanes and fragments of `steps` steps.
+// Checks a request in a run with `lanes` lanes and fragments of `steps` steps.
 absl::Status CheckPermitRequest(const v1::PermitRequest& request, int lanes, int steps);
 
-// Rates, counts and shares of a process that does what one process can do.
+// Checks that rates, counts and shares are within what a single process can reach.
 absl::Status CheckSummary(const v1::ProcessSummary& summary);
 
 absl::Status CheckAnnouncement(const v1::Announcement& announcement);

@@ -14,11 +14,11 @@
 #include <grpcpp/security/tls_certificate_provider.h>
 #include <grpcpp/security/tls_credentials_options.h>
 
-#include "common/files.h"
-#include "common/log.h"
-#include "common/mutex.h"
-#include "common/status_macros.h"
-#include "common/watched_file.h"
+#include "common/base/mutex.h"
+#include "common/base/status_macros.h"
+#include "common/io/files.h"
+#include "common/io/watched_file.h"
+#include "common/telemetry/log.h"
 #include "common/wire/certificates.h"
 
 namespace craftfleet::wire {
@@ -33,14 +33,14 @@ std::shared_ptr<FileWatcherCertificateProvider> Watch(const TlsFiles& files) {
                                                           kLookEverySeconds);
 }
 
-// What is in force of a token file. Shared by the calls and the thread that reads the file. Thread-safe.
+// The current token of a token file. Shared by the calls and the thread that reads the file. Thread-safe.
 class Token {
  public:
   std::string Get() const ABSL_LOCKS_EXCLUDED(mu_) {
     const MutexLock lock(&mu_);
     return token_;
   }
-  // False: `contents` are no token, and the former one stays.
+  // Returns false if `contents` is not a token; the former one stays.
   bool Set(const std::string& contents) ABSL_LOCKS_EXCLUDED(mu_) {
     std::string token(absl::StripAsciiWhitespace(contents));
     if (token.empty() || token.find_first_of("\r\n") != std::string::npos) return false;
@@ -63,7 +63,7 @@ class TokenPlugin : public grpc::MetadataCredentialsPlugin {
     absl::StatusOr<std::string> contents = ReadFile(path);
     if (!contents.ok() || !token->Set(*contents)) {
       return absl::InvalidArgumentError(
-          absl::StrCat("--token_file=", path, " can't be read or is empty, want one line"));
+          absl::StrCat("--token_file=", path, " cannot be read or is empty, want one line"));
     }
     return std::unique_ptr<TokenPlugin>(new TokenPlugin(path, *contents, std::move(token)));
   }
@@ -83,7 +83,7 @@ class TokenPlugin : public grpc::MetadataCredentialsPlugin {
           if (token->Set(now)) {
             LogInfo("--token_file=%s was read again", path);
           } else {
-            LogError("--token_file=%s: want one line; the former token stays in use", path);
+            LogError("--token_file=%s: want one line; the former token remains in use", path);
           }
         }) {}
 
@@ -95,14 +95,14 @@ class TokenPlugin : public grpc::MetadataCredentialsPlugin {
 
 absl::Status TlsFiles::Validate() const {
   if (certificate.empty() != key.empty()) {
-    return absl::InvalidArgumentError(certificate.empty() ? "--tls_key wants --tls_cert beside it"
-                                                          : "--tls_cert wants --tls_key beside it");
+    return absl::InvalidArgumentError(certificate.empty() ? "--tls_key requires --tls_cert"
+                                                          : "--tls_cert requires --tls_key");
   }
   if (!authorities.empty()) CRAFTFLEET_RETURN_IF_ERROR(CheckAuthorities(authorities));
   if (certificate.empty()) return absl::OkStatus();
   CRAFTFLEET_RETURN_IF_ERROR(CheckKeyPair(certificate, key));
-  const std::string trouble = CertificateTrouble(certificate, "", absl::Now());
-  if (!trouble.empty()) LogWarning("%s: others will refuse it until the file is replaced", trouble);
+  const std::string problem = CertificateProblem(certificate, "", absl::Now());
+  if (!problem.empty()) LogWarning("%s: peers will refuse it until the file is replaced", problem);
   return absl::OkStatus();
 }
 
@@ -113,9 +113,9 @@ absl::StatusOr<ChannelSecurity> ChannelSecurity::Create(const Options& options) 
   if (!security.tls()) {
     if (!options.token_file.empty()) {
       return absl::InvalidArgumentError(
-          "--token_file wants --tls_ca beside it: without TLS the token could be read on its way");
+          "--token_file requires --tls_ca: without TLS the token could be read in transit");
     }
-    if (!options.server_name.empty()) return absl::InvalidArgumentError("--tls_server_name wants --tls_ca beside it");
+    if (!options.server_name.empty()) return absl::InvalidArgumentError("--tls_server_name requires --tls_ca");
     return security;
   }
   grpc::experimental::TlsChannelCredentialsOptions tls;
@@ -183,9 +183,9 @@ std::string ChannelSecurity::ExplainConnection(absl::string_view error, absl::st
   if (files.certificate.empty()) {
     return "TLS: it closed the connection: it may want a certificate: give --tls_cert and --tls_key";
   }
-  const std::string trouble = CertificateTrouble(files.certificate, files.authorities, absl::Now());
+  const std::string problem = CertificateProblem(files.certificate, files.authorities, absl::Now());
   return absl::StrCat("TLS: it closed the connection: it may have refused --tls_cert=", files.certificate,
-                      trouble.empty() ? "; its log says why" : ": " + trouble);
+                      problem.empty() ? "; its log says why" : ": " + problem);
 }
 
 std::shared_ptr<grpc::ServerCredentials> TlsListenerCredentials(const TlsFiles& files, bool ask_clients) {

@@ -1,4 +1,4 @@
-// TLS, tokens and who they are checked for: what a process shows to others and what it wants to be shown.
+// TLS and tokens: the credentials that a process presents to its peers and requires from them.
 
 #ifndef CRAFTFLEET_COMMON_WIRE_SECURITY_H_
 #define CRAFTFLEET_COMMON_WIRE_SECURITY_H_
@@ -17,16 +17,16 @@ class ServerCredentials;
 
 namespace craftfleet::wire {
 
-// PEM files. All may be replaced while the program runs: new connections use what they hold within two seconds,
-// connections that stand go on. A certificate and its key are best replaced by one rename of their folder or a link to
-// it: as long as they don't fit, new connections fail.
+// PEM files. All may be replaced while the program runs: within two seconds new connections use the new content; open
+// connections are not affected. Replace a certificate and its key together, by one rename of their folder or of a link
+// to it: while they don't match, new connections fail.
 struct TlsFiles {
-  std::string certificate;  // --tls_cert: shown to peers, with the chain below its authority
+  std::string certificate;  // --tls_cert: presented to peers, with intermediate certificates
   std::string key;          // --tls_key: the certificate's
-  std::string authorities;  // --tls_ca: whose certificates are accepted
+  std::string authorities;  // --tls_ca: authorities whose certificates are accepted
 
   bool empty() const { return certificate.empty() && key.empty() && authorities.empty(); }
-  // Reads the files.   InvalidArgument: one is missing or wrong; names flag and file.   Warns about dates.
+  // Checks the files.   InvalidArgument: one is missing or invalid; names flag and file.   Logs a warning about dates.
   absl::Status Validate() const;
 };
 
@@ -35,8 +35,8 @@ class ChannelSecurity {
  public:
   struct Options {
     TlsFiles files;           // without authorities: no TLS
-    std::string server_name;  // that servers' certificates must carry; empty: the host of the address
-    std::string token_file;   // bearer token to show with each call, read again when it changes; empty: none
+    std::string server_name;  // name required in servers' certificates; empty: the host of the address
+    std::string token_file;   // bearer token to send with each call, read again when it changes; empty: none
   };
 
   // No TLS, no token.
@@ -46,13 +46,13 @@ class ChannelSecurity {
 
   bool tls() const { return !options_.files.authorities.empty(); }
   const std::string& server_name() const { return options_.server_name; }
-  // The same, for servers whose certificates carry `name`, unless a name was given to Create.
+  // A copy that requires `name` in servers' certificates, unless Create was given a name.
   ChannelSecurity ForServer(absl::string_view name) const;
-  // Of this process; insecure ones without TLS.
+  // The credentials for a channel; insecure ones without TLS.
   std::shared_ptr<grpc::ChannelCredentials> Credentials() const;
 
-  // `error`, what gRPC says about a call to `address` that failed for lack of a connection or of rights, in words that
-  // tell what to check. Unchanged if it is about something else.
+  // Adds advice to `error`, gRPC's status of a call to `address`, if it failed for lack of a connection or of rights.
+  // Other errors are returned unchanged.
   absl::Status Explain(const absl::Status& error, absl::string_view address) const;
 
  private:
@@ -62,8 +62,8 @@ class ChannelSecurity {
   std::shared_ptr<grpc::ChannelCredentials> credentials_;
 };
 
-// The listener's side: TLS with `files`, whose certificate and key must be there; clients must show a certificate if
-// `ask_clients`, which wants authorities.
+// The server's side: TLS with `files`, which must include certificate and key. With `ask_clients`, which requires
+// authorities, clients must present a certificate.
 std::shared_ptr<grpc::ServerCredentials> TlsListenerCredentials(const TlsFiles& files, bool ask_clients);
 
 }  // namespace craftfleet::wire

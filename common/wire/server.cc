@@ -13,9 +13,10 @@
 #include <grpcpp/security/server_credentials.h>
 #include <grpcpp/server_builder.h>
 
-#include "common/log.h"
-#include "common/status_macros.h"
+#include "common/base/status_macros.h"
+#include "common/telemetry/log.h"
 #include "common/wire/access.h"
+#include "common/wire/builtin_streams.h"
 #include "common/wire/handshake_log.h"
 #include "common/wire/protocol.h"
 
@@ -23,31 +24,31 @@ namespace craftfleet::wire {
 namespace {
 
 constexpr int kMaxStreamsPerConnection = 128;  // calls at once; an actor has less than ten
-constexpr int kHandshakeTimeoutMs = 10'000;    // for TLS and HTTP/2's first words
+constexpr int kHandshakeTimeoutMs = 10'000;    // for TLS and HTTP/2's preface
 constexpr int kMaxIdleMs = 300'000;            // of a connection without a call
 constexpr int kMaxThreads = 4096;              // each call that is served has one; beyond: RESOURCE_EXHAUSTED
 
-// Of the health port, which anybody may reach: a probe asks once and leaves.
+// Limits of the health port, which any client may reach: a probe sends one request and disconnects.
 constexpr int kHealthConnections = 64;
 constexpr int kHealthConnectionsPerClient = 16;
 constexpr int kHealthStreamsPerConnection = 4;
 constexpr int kHealthHandshakeMs = 5000;
 constexpr int kHealthIdleMs = 10'000;
-constexpr int kHealthAgeMs = 60'000;  // of a connection, whatever it does; who watches comes again
+constexpr int kHealthAgeMs = 60'000;  // of a connection, even an active one; watchers reconnect
 constexpr int kHealthGraceMs = 2000;
 constexpr int kHealthMessageBytes = 4096;
 constexpr size_t kHealthBufferedBytes = 4u << 20;
 
 bool IsUnixSocket(absl::string_view address) { return absl::StartsWith(address, "unix:"); }
 
-// By default gRPC has one or two threads wait for calls and makes a thread for most of those that come at once: the
-// last of 200 waited 100 ms, with these 45 ms.
+// By default gRPC keeps one or two threads waiting for calls and starts a thread for most simultaneous ones: the last
+// of 200 calls waited 100 ms, and 45 ms with these settings.
 void KeepThreadsReady(grpc::ServerBuilder* builder) {
   builder->SetSyncServerOption(grpc::ServerBuilder::MIN_POLLERS, 32);
   builder->SetSyncServerOption(grpc::ServerBuilder::MAX_POLLERS, 256);
 }
 
-// Compressed calls are refused by their headers; and what comes compressed all the same is not inflated.
+// Refuses compressed calls by their headers; data that is compressed all the same is not inflated.
 void RefuseCompression(grpc::ServerBuilder* builder) {
   builder->AddChannelArgument(GRPC_COMPRESSION_CHANNEL_ENABLED_ALGORITHMS_BITSET, kNoCompression);
   builder->AddChannelArgument(GRPC_ARG_ENABLE_PER_MESSAGE_DECOMPRESSION, 0);
@@ -67,7 +68,7 @@ void SetLimits(const Server::Options& options, grpc::ServerBuilder* builder) {
   builder->SetMaxSendMessageSize(kMaxMessageBytes);
   grpc::ResourceQuota quota("craftfleet");
   quota.SetMaxThreads(kMaxThreads);
-  // gRPC 1.51 looks at a message's size only when all of it is here; this is what stops one of a gigabyte.
+  // gRPC 1.51 checks a message's size only after receiving all of it; the quota stops a message of a gigabyte earlier.
   quota.Resize(static_cast<size_t>(options.max_buffered_mb) << 20);
   builder->SetResourceQuota(quota);
 }
@@ -87,14 +88,14 @@ void SetHealthLimits(grpc::ServerBuilder* builder) {
   builder->SetResourceQuota(quota);
 }
 
-// Takes away what hooked into a builder: reflection, which holds a thread for each of its streams.
+// Removes plugins from a builder: reflection would hold a thread for each of its streams.
 class WithoutPlugins : public grpc::ServerBuilderOption {
  public:
   void UpdateArguments(grpc::ChannelArguments* /*arguments*/) override {}
   void UpdatePlugins(std::vector<std::unique_ptr<grpc::ServerBuilderPlugin>>* plugins) override { plugins->clear(); }
 };
 
-// Health and reflection hook into every builder made after this.
+// Adds health and reflection to every builder created after this.
 void InstallPlugins() {
   static std::once_flag once;
   std::call_once(once, [] {
@@ -110,7 +111,7 @@ absl::Status Server::Options::Validate() const {
   const bool tls = !files.certificate.empty();
   if (!access_file.empty() && !tls) {
     return absl::InvalidArgumentError(
-        "--access_file wants --tls_cert and --tls_key beside it: without TLS nobody can show who he is");
+        "--access_file requires --tls_cert and --tls_key: without TLS no client can be authenticated");
   }
   if (max_connections_per_client < 1 || max_connections_per_client > 65536) {
     return absl::InvalidArgumentError(
@@ -180,6 +181,9 @@ absl::StatusOr<Server::Port> Server::Open(const Options& options, const std::str
   }
   SetLimits(options, &builder);
   if (options.many_clients) KeepThreadsReady(&builder);
+  std::vector<std::unique_ptr<grpc::experimental::ServerInterceptorFactoryInterface>> interceptors;
+  interceptors.push_back(LimitBuiltInStreams());
+  builder.experimental().SetInterceptorCreators(std::move(interceptors));
   for (grpc::Service* service : services) builder.RegisterService(service);
   opened.server = builder.BuildAndStart();
   if (opened.server == nullptr || port == 0) {
@@ -196,8 +200,7 @@ absl::StatusOr<Server::Port> Server::OpenHealth(const std::string& address,
   grpc::ServerBuilder builder;
   SetHealthLimits(&builder);
   builder.SetOption(std::make_unique<WithoutPlugins>());
-  // Without any service a builder builds nothing. This one refuses all calls, on the few threads that gRPC has for
-  // them.
+  // A builder needs at least one service. This one refuses all calls, on gRPC's own few threads for callback services.
   builder.RegisterCallbackGenericService(nothing_else);
   int port = 1;
   if (IsUnixSocket(address)) {

@@ -1,4 +1,4 @@
-// A gRPC server with health and reflection, as every program of the fleet runs one.
+// A gRPC server with health, reflection and limits; every program of the fleet runs one.
 
 #ifndef CRAFTFLEET_COMMON_WIRE_SERVER_H_
 #define CRAFTFLEET_COMMON_WIRE_SERVER_H_
@@ -34,38 +34,38 @@ class Server {
     std::string address;           // HOST:PORT (port 0: any free one) or unix:PATH; empty: in-process channels only
     bool insecure = false;         // allow listening beyond loopback without TLS
     TlsFiles files = {};           // with a certificate: TLS
-    bool ask_clients = true;       // with authorities too: clients must show a certificate from one of them
-    std::string access_file = {};  // who may do what; empty: who gets in may do all
+    bool ask_clients = true;       // with TLS and authorities: clients must present a certificate from one of them
+    std::string access_file = {};  // rights of clients; empty: every authenticated client has all rights
     std::shared_ptr<AccessControl> access = nullptr;  // `access_file` as OpenAccess gave it; null: Create opens it
-    // HOST:PORT of a plain port with nothing but health on it, for a few short connections; empty: none.
+    // HOST:PORT of a second port without TLS that serves only health, for a few short connections; empty: none.
     std::string health_address = {};
     int max_connections_per_client = 1024;  // from one address, 1..65536
-    // Largest message taken in, 1..kMaxMessageBytes; RESOURCE_EXHAUSTED beyond.
+    // Largest accepted message, 1..kMaxMessageBytes; RESOURCE_EXHAUSTED beyond.
     int max_message_bytes = kMaxMessageBytes;
-    // Memory of messages on their way in and out, 128..1000000. Beyond it calls end with RESOURCE_EXHAUSTED.
+    // Memory for incoming and outgoing messages, MiB, 128..1000000. Beyond it calls end with RESOURCE_EXHAUSTED.
     int max_buffered_mb = 512;
-    bool many_clients = false;  // their calls come all at once: threads wait ready for them
+    bool many_clients = false;  // many calls arrive at once: keep more threads ready
     absl::Status Validate() const;
-    // For services that ask who calls: opens `access_file`, if there is one, as `access`. Errors as Create.
+    // For services that identify callers: opens `access_file`, if there is one, as `access`. Errors as Create.
     absl::Status OpenAccess();
   };
 
   // InvalidArgument: a bad address, one beyond loopback with neither TLS nor `insecure`, or a bad file.   Unavailable:
-  // the port is in use or the host is not ours.
+  // the port is in use, or the host is not this machine.
   static absl::StatusOr<std::unique_ptr<Server>> Create(const Options& options,
                                                         const std::vector<grpc::Service*>& services);
   ~Server();
 
-  // The address to give to others, with the port in use.
+  // The address for clients, with the actual port.
   const std::string& address() const { return main_.address; }
-  // The same of the health port; empty: there is none.
+  // The same for the health port; empty: no health port.
   const std::string& health_address() const { return health_.address; }
   // A channel without a socket.
   Endpoint InProcess();
 
   // Blocks until Stop was called.
   void Wait() { main_.server->Wait(); }
-  // Refuses new calls, gives running ones until `timeout`, then cancels them. Idempotent.
+  // Refuses new calls, lets running ones continue for at most `timeout`, then cancels them. Idempotent.
   void Stop(absl::Duration timeout);
 
  private:
@@ -75,7 +75,7 @@ class Server {
     std::unique_ptr<grpc::Server> server;
     std::unique_ptr<Listener> listener;
     std::string address;
-    // Begins to accept.
+    // Starts accepting connections.
     void Listen();
   };
 

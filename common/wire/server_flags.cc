@@ -8,17 +8,16 @@
 #include "common/wire/channel_flags.h"
 
 ABSL_FLAG(bool, insecure, false, "allow --listen beyond this host without TLS");
-ABSL_FLAG(bool, tls_client_certs, true, "with --tls_cert and --tls_ca: want a certificate of each client");
+ABSL_FLAG(bool, tls_client_certs, true, "with --tls_cert and --tls_ca: require a certificate from each client");
 ABSL_FLAG(std::string, access_file, "",
-          "who may watch, play, serve and steer, in protobuf text format (access.proto); wants --tls_cert;\n"
-          "read again when it changes [who gets in may do all]");
-ABSL_FLAG(
-    std::string, health_listen, "",
-    "address of a second port, plain and with nothing but grpc.health.v1 on it, HOST:PORT, for probes that speak\n"
-    "no TLS [none]");
+          "file with the rights of clients (watch, play, serve, steer), in protobuf text format (access.proto);\n"
+          "requires --tls_cert; read again when it changes [an authenticated client has all rights]");
+ABSL_FLAG(std::string, health_listen, "",
+          "address of a second port, HOST:PORT, without TLS and with grpc.health.v1 only, for probes that cannot use\n"
+          "TLS [none]");
 ABSL_FLAG(int32_t, max_connections_per_client, 1024, "connections from one address at once, 1..65536");
 ABSL_FLAG(int32_t, max_buffered_mb, 512,
-          "memory for messages on their way in and out, 128..1000000; beyond it calls are refused for the moment");
+          "memory for incoming and outgoing messages, MiB, 128..1000000; calls beyond it are refused for the moment");
 
 namespace craftfleet::wire {
 

@@ -10,7 +10,7 @@
 
 namespace craftfleet::wire {
 
-// What the flags ask for, to listen on `address` (the program's --listen).
+// The server options from the flags, listening on `address` (the program's --listen).
 Server::Options ServerOptionsFromFlags(absl::string_view address);
 
 }  // namespace craftfleet::wire

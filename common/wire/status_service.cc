@@ -7,19 +7,23 @@
 #include <absl/strings/str_cat.h>
 #include <absl/time/clock.h>
 
-#include "common/check.h"
-#include "common/log.h"
-#include "common/metric_table.h"
-#include "common/process_usage.h"
-#include "common/version.h"
+#include "common/base/check.h"
+#include "common/base/clock.h"
+#include "common/base/printable.h"
+#include "common/process/version.h"
+#include "common/process/worker_name.h"
+#include "common/telemetry/gpu_usage.h"
+#include "common/telemetry/log.h"
+#include "common/telemetry/metric_table.h"
+#include "common/telemetry/process_usage.h"
 #include "common/wire/grpc_status.h"
-#include "common/worker_name.h"
 
 namespace craftfleet::wire {
 namespace {
 
-constexpr absl::Duration kLookForCancel = absl::Milliseconds(100);
-constexpr absl::Duration kTakesStatus = absl::Seconds(10);  // for a watcher: there are few places
+constexpr absl::Duration kCheckCancelEvery = absl::Milliseconds(100);
+constexpr absl::Duration kTakesStatus = absl::Seconds(10);  // for a watcher, since few are admitted
+constexpr size_t kMaxGpuNameBytes = 96;
 constexpr int kDefaultIntervalMs = 1000;
 constexpr int kMinIntervalMs = 100;
 constexpr int kMaxIntervalMs = 60000;
@@ -27,14 +31,14 @@ constexpr int kMaxIntervalMs = 60000;
 }  // namespace
 
 StatusServiceImpl::StatusServiceImpl(absl::string_view role, Fill fill)
-    : role_(role), name_(UniqueWorkerName()), fill_(std::move(fill)), start_(absl::Now()) {}
+    : role_(role), name_(UniqueWorkerName()), fill_(std::move(fill)), start_(SteadyNow()) {}
 
 v1::StatusReply StatusServiceImpl::Snapshot() const {
   v1::StatusReply reply;
   reply.set_role(role_);
   reply.set_name(name_);
   reply.set_version(absl::StrCat(ProgramVersion(), " (", GitRevision(), ")"));
-  reply.set_uptime_s(absl::ToDoubleSeconds(absl::Now() - start_));
+  reply.set_uptime_s(absl::ToDoubleSeconds(SteadyNow() - start_));
   fill_(&reply);
   const v1::ProcessSummary& summary = reply.summary();
   AddMetric("steps_per_second", summary.steps_per_second(), &reply);
@@ -44,6 +48,11 @@ v1::StatusReply StatusServiceImpl::Snapshot() const {
   const ProcessUsage usage = ReadProcessUsage();
   AddMetric("cpu_time", usage.cpu_seconds, &reply);
   AddMetric("resident_memory", static_cast<double>(summary.memory_bytes()), &reply);
+  if (!summary.gpu().empty()) {
+    AddMetric("gpu_memory", static_cast<double>(summary.gpu_memory_bytes()), &reply);
+    AddMetric("gpu_memory_size", static_cast<double>(summary.gpu_memory_size_bytes()), &reply);
+    AddMetric("gpu_utilization", summary.gpu_utilization(), &reply);
+  }
   AddMetric("open_files", static_cast<double>(usage.open_files), &reply);
   AddMetric("log_warnings", static_cast<double>(CountLogged().warnings), &reply);
   AddMetric("log_errors", static_cast<double>(summary.errors()), &reply);
@@ -94,10 +103,10 @@ grpc::Status StatusServiceImpl::WatchStatus(grpc::ServerContext* context, const 
 }
 
 bool StatusServiceImpl::WaitForNext(grpc::ServerContext* context, absl::Duration interval) {
-  for (const absl::Time next = absl::Now() + interval; !context->IsCancelled();) {
-    const absl::Duration left = next - absl::Now();
+  for (const absl::Time next = SteadyNow() + interval; !context->IsCancelled();) {
+    const absl::Duration left = next - SteadyNow();
     if (left <= absl::ZeroDuration()) return true;
-    absl::SleepFor(std::min(left, kLookForCancel));  // gRPC does not tell when a call is cancelled
+    absl::SleepFor(std::min(left, kCheckCancelEvery));  // gRPC does not notify of a cancelled call
   }
   return false;
 }
@@ -117,6 +126,12 @@ void FillUsage(v1::ProcessSummary* summary) {
   const LogCounts logged = CountLogged();
   summary->set_errors(logged.errors);
   summary->set_last_error(logged.last_error.substr(0, kMaxErrorBytes));
+  if (const std::optional<GpuUsage> gpu = ReadGpuUsage(); gpu.has_value()) {
+    summary->set_gpu(Printable(gpu->name).substr(0, kMaxGpuNameBytes));
+    summary->set_gpu_memory_bytes(gpu->memory_bytes);
+    summary->set_gpu_memory_size_bytes(gpu->memory_total_bytes);
+    summary->set_gpu_utilization(gpu->utilization);
+  }
 }
 
 void FillWork(const Work& total, const Work& recent, int threads, v1::ProcessSummary* summary) {

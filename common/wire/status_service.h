@@ -9,25 +9,25 @@
 #include <absl/strings/string_view.h>
 #include <absl/time/time.h>
 
-#include "common/activity_meter.h"
-#include "common/mutex.h"
+#include "common/base/mutex.h"
+#include "common/telemetry/activity_meter.h"
 #include "common/wire/stream_watch.h"
 #include "craftfleet/v1/status.grpc.pb.h"
 
 namespace craftfleet::wire {
 
-// What a process tells of itself, on request or as a stream. Thread-safe if `fill` is.
+// The status of a process, on request or as a stream. Thread-safe if `fill` is.
 class StatusServiceImpl final : public v1::StatusService::Service {
  public:
-  // Fills in what only the process' own parts know; its summary above all.
+  // Fills in the fields that differ between programs, the summary above all.
   using Fill = std::function<void(v1::StatusReply*)>;
   static constexpr int kMaxWatchers = 32;
 
   StatusServiceImpl(absl::string_view role, Fill fill);
 
-  // The same for everyone who asks: this service and the metrics endpoint.
+  // The current status, for this service and the metrics endpoint.
   v1::StatusReply Snapshot() const ABSL_LOCKS_EXCLUDED(mu_);
-  // Where the process' metrics are served: told from now on.
+  // Includes the URL of the process's metrics in the status from now on.
   void SetMetricsAddress(absl::string_view address) ABSL_LOCKS_EXCLUDED(mu_);
 
   grpc::Status GetStatus(grpc::ServerContext* context, const v1::StatusRequest* request,
@@ -36,7 +36,7 @@ class StatusServiceImpl final : public v1::StatusService::Service {
                            grpc::ServerWriter<v1::StatusReply>* writer) override;
 
  private:
-  // Waits `interval`; false: the client is gone or the server stops.
+  // Waits `interval`. Returns false if the client has disconnected or the server stops.
   bool WaitForNext(grpc::ServerContext* context, absl::Duration interval);
 
   const std::string role_;
@@ -50,21 +50,21 @@ class StatusServiceImpl final : public v1::StatusService::Service {
   StreamWatch streams_;
 };
 
-inline constexpr size_t kMaxErrorBytes = 300;  // of the text of a process' last error
+inline constexpr size_t kMaxErrorBytes = 300;  // of the text of a process's last error
 
-// Adds a metric of MetricTable, which knows its unit.
+// Adds a metric of MetricTable, with the unit listed there.
 void AddMetric(absl::string_view name, double value, v1::StatusReply* reply);
 
-// What every process says of itself: memory and errors.
+// Fills in the fields that every process reports: memory and errors.
 void FillUsage(v1::ProcessSummary* summary);
 
-// Rate, threads and times of a process whose `threads` working threads did `total` since the start, `recent` lately.
+// Fills in rate, threads and times of a process: `total` work since the start, `recent` work, by `threads` threads.
 void FillWork(const Work& total, const Work& recent, int threads, v1::ProcessSummary* summary);
 
-// A second's times of the process, all threads together.
+// The process's time by activity within one second, summed over its threads.
 ByActivity TimesOf(const v1::ProcessSummary& summary);
 
-// Adds `shares` (parts of 1) to times without seconds.
+// Appends `shares` (0..1) to `times`, without seconds.
 void AddShares(const ByActivity& shares, google::protobuf::RepeatedPtrField<v1::ActivityTime>* times);
 
 }  // namespace craftfleet::wire

@@ -10,7 +10,7 @@
 namespace craftfleet::wire {
 namespace {
 
-constexpr absl::Duration kLook = absl::Milliseconds(250);
+constexpr absl::Duration kCheckEvery = absl::Milliseconds(250);
 
 int64_t SteadyNs() {
   const auto now = std::chrono::steady_clock::now().time_since_epoch();
@@ -24,8 +24,9 @@ std::string ClientOfPeer(absl::string_view peer) {
   return std::string(peer.substr(0, peer.rfind(':')));
 }
 
-StreamWatch::Stream::Stream(StreamWatch* watch, grpc::ServerContext* context)
-    : watch_(watch), context_(context), client_(ClientOfPeer(context->peer())) {
+StreamWatch::Stream::Stream(StreamWatch* watch, grpc::ServerContextBase* context)
+    : watch_(watch), call_(context->c_call()), client_(ClientOfPeer(context->peer())) {
+  if (call_ != nullptr) grpc_call_ref(call_);
   const MutexLock lock(&watch_->mu_);
   int& count = watch_->per_client_[client_];
   if (count >= watch_->max_per_client_) {
@@ -43,10 +44,14 @@ StreamWatch::Stream::Stream(StreamWatch* watch, grpc::ServerContext* context)
 }
 
 StreamWatch::Stream::~Stream() {
-  const MutexLock lock(&watch_->mu_);
-  if (watch_->streams_.erase(this) == 0) return;
-  const auto count = watch_->per_client_.find(client_);
-  if (--count->second == 0) watch_->per_client_.erase(count);
+  {
+    const MutexLock lock(&watch_->mu_);
+    if (watch_->streams_.erase(this) > 0) {
+      const auto count = watch_->per_client_.find(client_);
+      if (--count->second == 0) watch_->per_client_.erase(count);
+    }
+  }
+  if (call_ != nullptr) grpc_call_unref(call_);
 }
 
 void StreamWatch::Stream::Await(const char* what, absl::Duration limit) {
@@ -57,14 +62,15 @@ void StreamWatch::Stream::Await(const char* what, absl::Duration limit) {
   deadline_ns_ = SteadyNs() + absl::ToInt64Nanoseconds(limit);
 }
 
-std::string StreamWatch::Stream::Complaint() const {
+std::string StreamWatch::Stream::LateMessage() const {
   return absl::StrFormat("waited %s for %s", absl::FormatDuration(absl::Nanoseconds(limit_ns_.load())), what_.load());
 }
 
 absl::Status StreamWatch::Stream::late() const {
   const MutexLock lock(&watch_->mu_);
   const auto found = watch_->streams_.find(this);
-  return found != watch_->streams_.end() && found->second ? absl::DeadlineExceededError(Complaint()) : absl::OkStatus();
+  return found != watch_->streams_.end() && found->second ? absl::DeadlineExceededError(LateMessage())
+                                                          : absl::OkStatus();
 }
 
 StreamWatch::~StreamWatch() {
@@ -86,7 +92,7 @@ void StreamWatch::Run() {
   while (!stopping_) {
     changed_.Wait(&mu_, [this]() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_) { return stopping_ || !streams_.empty(); });
     CancelLate();
-    changed_.WaitFor(&mu_, kLook, [this]() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_) { return stopping_; });
+    changed_.WaitFor(&mu_, kCheckEvery, [this]() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_) { return stopping_; });
   }
 }
 
@@ -96,9 +102,8 @@ void StreamWatch::CancelLate() {
     const int64_t deadline = stream->deadline_ns_;
     if (deadline == 0 || now < deadline || cancelled) continue;
     cancelled = true;
-    // ServerContext::TryCancel can't say why.
-    grpc_call_cancel_with_status(stream->context_->c_call(), GRPC_STATUS_DEADLINE_EXCEEDED, stream->Complaint().c_str(),
-                                 nullptr);
+    // ServerContext::TryCancel cannot pass a reason to the client.
+    grpc_call_cancel_with_status(stream->call_, GRPC_STATUS_DEADLINE_EXCEEDED, stream->LateMessage().c_str(), nullptr);
   }
 }
 

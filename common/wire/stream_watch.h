@@ -1,4 +1,4 @@
-// Ends streams whose client says nothing or takes nothing.
+// Ends streams whose client sends nothing or reads nothing.
 
 #ifndef CRAFTFLEET_COMMON_WIRE_STREAM_WATCH_H_
 #define CRAFTFLEET_COMMON_WIRE_STREAM_WATCH_H_
@@ -15,47 +15,48 @@
 #include <absl/time/time.h>
 #include <grpcpp/server_context.h>
 
-#include "common/mutex.h"
+#include "common/base/mutex.h"
 
 namespace craftfleet::wire {
 
-// Keepalive ends connections whose other side is dead; a peer that lives may hold a stream, with the thread that serves
-// it, for ever. Each stream says for what it waits and how long it may; what is late is cancelled with a status that
-// says why. Also counts the streams of each client. Thread-safe; a thread of its own while there are streams to watch.
+// Keepalive ends connections to dead peers, but a live peer could hold a stream, and the thread that serves it, for
+// ever. Each stream states what it waits for and how long; a late one is cancelled with a status that contains the
+// reason. Also limits the number of streams of each client. Thread-safe; has a thread of its own while there are
+// streams.
 class StreamWatch {
  public:
   static constexpr int kMaxPerClient = 2048;                       // half of the calls that a server serves at once
-  static constexpr absl::Duration kRequest = absl::Minutes(10);    // for the next message of a client that has a stream
-  static constexpr absl::Duration kTakesReply = absl::Minutes(1);  // for a message to be taken
+  static constexpr absl::Duration kRequest = absl::Minutes(10);    // for the client's next message
+  static constexpr absl::Duration kTakesReply = absl::Minutes(1);  // for the client to receive a message
 
   explicit StreamWatch(int max_per_client = kMaxPerClient) : max_per_client_(max_per_client) {}
   ~StreamWatch();
 
-  // One stream, as long as it is served; for the handler's thread.
+  // One stream while it is served. Used by the handler's thread only.
   class Stream {
    public:
     // `context` is the call's; `watch` outlives the object.
-    Stream(StreamWatch* watch, grpc::ServerContext* context);
+    Stream(StreamWatch* watch, grpc::ServerContextBase* context);
     ~Stream();
     Stream(const Stream&) = delete;
     Stream& operator=(const Stream&) = delete;
 
-    // ResourceExhausted: the client has too many streams; this one is not to be served.
+    // ResourceExhausted: the client has too many streams, and this one must not be served.
     const absl::Status& admitted() const { return admitted_; }
-    // Until the next call of Await or Work the client has `limit`, which may be infinite, to do `what` ("a request");
-    // it names the flag, if there is one, that sets the limit. `what` is a literal.
+    // Starts a limit, which may be infinite, for the client to do `what` ("a request"); it ends with the next call of
+    // Await or Work. `what` is a string literal and names the flag that sets the limit, if there is one.
     void Await(const char* what, absl::Duration limit);
-    // The server works now: no limit.
+    // Ends the limit: the server is working.
     void Work() { deadline_ns_ = 0; }
-    // DeadlineExceeded, as the client is told: it was late. Ok: not so.
+    // DeadlineExceeded, also sent to the client: it was late. OK otherwise.
     absl::Status late() const ABSL_LOCKS_EXCLUDED(watch_->mu_);
 
    private:
     friend class StreamWatch;
-    std::string Complaint() const;
+    std::string LateMessage() const;
 
     StreamWatch* const watch_;
-    grpc::ServerContext* const context_;
+    grpc_call* const call_;  // holds a reference; null for a context without a server, as in fuzz targets
     const std::string client_;
     absl::Status admitted_;
     std::atomic<int64_t> deadline_ns_{0};  // of the steady clock; 0: none
@@ -79,7 +80,7 @@ class StreamWatch {
   std::thread thread_;
 };
 
-// A peer as gRPC names it ("ipv4:10.0.0.7:4711") without its port: "ipv4:10.0.0.7". The same for all of a unix socket.
+// gRPC's name of a peer ("ipv4:10.0.0.7:4711") without its port: "ipv4:10.0.0.7". All peers of unix sockets are one.
 std::string ClientOfPeer(absl::string_view peer);
 
 }  // namespace craftfleet::wire

@@ -1,11 +1,11 @@
 #!/usr/bin/env bash
-# Fills a folder with what programs need to run there as the root of a file system: the programs in /usr/local/bin with their
-# data in /usr/local/share/craftfleet, their shared libraries where this system has them, and an unprivileged user. No shell.
+# Makes a root file system for programs: the programs in /usr/local/bin, their shared libraries at the same paths as on this
+# system, and an unprivileged user. No shell.
 #
 # Usage: deploy/docker/closure.sh DIR PREFIX PROGRAM...
-#   DIR      is made; must be empty
-#   PREFIX   where bin/PROGRAM and share/craftfleet lie: an installation, or build/
-#   PROGRAM  like craftfleet-envserver
+#   DIR      is created if it does not exist; must be empty
+#   PREFIX   the folder with bin/PROGRAM: an installation, or build/
+#   PROGRAM  such as craftfleet-envserver
 
 set -euo pipefail
 
@@ -17,15 +17,14 @@ shift 2
 mkdir -p "$dir"
 if [ -n "$(ls -A "$dir")" ]; then echo "closure.sh: $dir is not empty" >&2; exit 2; fi
 
-mkdir -p "$dir"/{etc,tmp,usr/local/bin,usr/local/share/craftfleet,usr/bin,usr/sbin,usr/lib,usr/lib64}
+mkdir -p "$dir"/{etc,tmp,usr/local/bin,usr/bin,usr/sbin,usr/lib,usr/lib64}
 for name in bin sbin lib lib64; do ln -s "usr/$name" "$dir/$name"; done
-cp -R "$prefix/share/craftfleet/textures" "$dir/usr/local/share/craftfleet/"
 for program in "$@"; do
   install -m 755 "$prefix/bin/$program" "$dir/usr/local/bin/"
   missing=$(ldd "$prefix/bin/$program" | awk '/not found/ {print $1}')
-  if [ -n "$missing" ]; then echo "closure.sh: $program wants $missing" >&2; exit 1; fi
+  if [ -n "$missing" ]; then echo "closure.sh: $program needs $missing, which is not installed" >&2; exit 1; fi
 done
-# Library names as the loader asks for them, each with the content that its link leads to.
+# Copies each library under the name that the loader looks for, with the content of the file that it links to.
 for program in "$@"; do ldd "$prefix/bin/$program"; done |
   awk '$2 == "=>" {print $3} $1 ~ /^\// {print $1}' | sort -u |
   while read -r library; do

@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
-# Copies what is worth keeping of a finished run: configuration, versions and seed, episode and evaluation logs (gzipped),
-# and its learning curve. No event files and no optimiser.
+# Copies the results of a finished run: configuration, versions and seed, episode and evaluation logs (gzipped), and its
+# learning curve, without event files and optimiser.
 #
 # Usage: deploy/experiments/collect.sh [--weights] RUN_FOLDER RESULT_FOLDER
 #   --weights  also the newest checkpoint's weights
@@ -20,7 +20,7 @@ done
 [ $# -eq 2 ] || { usage >&2; exit 2; }
 run=$1
 result=$2
-[ -f "$run/config.txt" ] || { echo "collect.sh: $run is no run's folder: it has no config.txt" >&2; exit 1; }
+[ -f "$run/config.txt" ] || { echo "collect.sh: $run is not a run folder: it has no config.txt" >&2; exit 1; }
 
 mkdir -p "$result"
 cp "$run/config.txt" "$run/run.json" "$result/"

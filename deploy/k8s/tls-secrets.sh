@@ -1,8 +1,7 @@
 #!/usr/bin/env bash
-# Makes certificates for a fleet in Kubernetes and prints them as Secrets: an authority of its own (kept in DIR, whose ca.key
-# belongs into a safe place), and from it one each for the learner, actors, environment servers and the people who look at
-# them (DIR/craftfleet-ops.pem and .key). Again with the same DIR: new certificates from the same authority, which a running
-# fleet takes up.
+# Makes certificates for a fleet in Kubernetes and prints them as Secrets: an authority (kept in DIR; store its ca.key in a
+# safe place), and one certificate each for the learner, actors, environment servers and operators
+# (DIR/craftfleet-ops.pem and .key). Run it again with the same DIR to renew the certificates; a running fleet picks them up.
 #
 # Usage: deploy/k8s/tls-secrets.sh DIR | kubectl apply -f -
 

@@ -1,9 +1,9 @@
 #!/usr/bin/env bash
-# Runs one process of a fleet within a Slurm step, listening on any free port of its own host, and notes when Slurm stops
-# the step: it signals all of a step's processes, so this shell need not pass anything on.
+# Runs one process of a fleet in a Slurm step, listening on any free port of its host, and creates a file when Slurm stops
+# the step. Slurm signals all processes of a step, so this shell need not forward the signal.
 #
 # Usage, by fleet.sbatch: step.sh FILE PROGRAM [FLAG]...
-#   FILE  is made at SIGTERM; may be /dev/null
+#   FILE  is created at SIGTERM; may be /dev/null
 
 set -uo pipefail
 
@@ -14,5 +14,5 @@ trap 'touch "$note"' TERM
 while true; do
   wait $!
   status=$?
-  kill -0 $! 2>/dev/null || exit "$status"  # else a signal ended the wait
+  kill -0 $! 2>/dev/null || exit "$status"  # otherwise a signal interrupted the wait
 done

@@ -1,6 +1,6 @@
 #include "envserver/render/image.h"
 
-#include "common/multiversion.h"
+#include "common/base/multiversion.h"
 
 namespace craftfleet {
 namespace {

@@ -1,5 +1,5 @@
-// Textures at the sizes that a picture needs, and one drawn over another.
-// Source: determinism page, section 8 (NEAREST resize, alpha draw).
+// Resizes textures and draws one over another.
+// Source: RULES.md, section 12.
 
 #ifndef CRAFTFLEET_ENVSERVER_RENDER_IMAGE_H_
 #define CRAFTFLEET_ENVSERVER_RENDER_IMAGE_H_
@@ -12,7 +12,7 @@
 
 namespace craftfleet {
 
-// Column by column, as the map is drawn and its noise is drawn from the stream.
+// Stored column by column, the order in which the map's noise is drawn from the stream.
 struct Image {
   int width = 0;
   int height = 0;
@@ -22,7 +22,7 @@ struct Image {
 };
 
 // For each of `to` pixels the pixel of `from` that it shows. The position is accumulated, as in the original: the exact
-// fraction picks other pixels at some sizes.
+// fraction would select other pixels at some sizes.
 std::vector<int> NearestIndices(int from, int to);
 
 Image Resize(const Texture& texture, int width, int height);

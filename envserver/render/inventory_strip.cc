@@ -9,7 +9,7 @@
 namespace craftfleet {
 namespace {
 
-// Where a part of `share` of a cell begins in the cell with this number, from that cell's edge.
+// The offset of a part at `share` of a cell from the edge of the cell with this number.
 int Inset(int cell, int cell_size, double share) {
   return static_cast<int>(cell * cell_size + share * cell_size) - cell * cell_size;
 }

@@ -1,5 +1,5 @@
 // The lower part of the picture: an icon and a digit for each item that the player has.
-// Source: Crafter's rules, "The picture"; determinism page, section 8 (Items).
+// Source: RULES.md, section 12.
 
 #ifndef CRAFTFLEET_ENVSERVER_RENDER_INVENTORY_STRIP_H_
 #define CRAFTFLEET_ENVSERVER_RENDER_INVENTORY_STRIP_H_
@@ -10,7 +10,7 @@
 
 #include <absl/types/span.h>
 
-#include "common/crafter.h"
+#include "common/base/crafter.h"
 #include "envserver/render/picture_layout.h"
 #include "envserver/render/textures.h"
 #include "envserver/world/state.h"
@@ -26,7 +26,7 @@ class InventoryStrip {
   void Draw(const std::array<int8_t, kNumItems>& inventory, absl::Span<uint8_t> frame) const;
 
  private:
-  // Of one cell: uint8[cell_height][cell_width][3].
+  // The finished cell of an item: uint8[cell_height][cell_width][3].
   const uint8_t* CellOf(int item, int amount) const {
     return cells_.data() + (item * kMaxItem + amount - 1) * cell_bytes_;
   }

@@ -2,12 +2,12 @@
 
 #include <cstdint>
 
-#include "common/multiversion.h"
+#include "common/base/multiversion.h"
 
 namespace craftfleet {
 namespace {
 
-// The night's tint, doubled: what a channel tends to in the dark is half of (its dimmed value + this).
+// The night's tint, doubled: in full darkness a channel is half of its dimmed value plus this.
 constexpr int32_t kTwiceTintGreen = 16;
 constexpr int32_t kTwiceTintBlue = 64;
 
@@ -31,7 +31,7 @@ int32_t Luma(Rgb c) {
   return static_cast<int32_t>(sum * (1.0f / 65536));
 }
 
-// Colour turned down to 0.4.
+// Reduces the colour saturation to 0.4.
 int32_t Dim(int32_t channel, float luma) {
   return static_cast<int32_t>(luma + 0.4f * (static_cast<float>(channel) - luma));
 }

@@ -1,6 +1,6 @@
-// The light on the map's pixels: daylight, the night's noise, sleep. All three work in place on pixels with a zero
-// alpha or any other: alpha comes out 0. Double and float operations in the original's order, so results are exact.
-// Source: determinism page, section 8 (Light, Sleeping).
+// The light on the map's pixels: daylight, the night's noise, sleep. All three work in place and ignore the alpha of
+// the pixels: it becomes 0. Double and float operations in the original's order, so results are exact.
+// Source: RULES.md, section 13.
 
 #ifndef CRAFTFLEET_ENVSERVER_RENDER_LIGHT_H_
 #define CRAFTFLEET_ENVSERVER_RENDER_LIGHT_H_
@@ -11,7 +11,7 @@
 
 namespace craftfleet {
 
-// Below this daylight a picture has noise and draws it from the world's stream.
+// Below this daylight a picture has noise, drawn from the world's stream.
 inline constexpr double kNoiseBelow = 0.5;
 
 // For daylight of kNoiseBelow..1.
@@ -21,7 +21,7 @@ void LightByDay(double daylight, absl::Span<Pixel> pixels);
 void LightByNight(double daylight, absl::Span<const double> noise, absl::Span<const double> cover,
                   absl::Span<Pixel> pixels);
 
-// What the sleeping player sees of lit pixels.
+// Changes lit pixels to the sleeping player's view.
 void LightAsleep(absl::Span<Pixel> pixels);
 
 }  // namespace craftfleet

@@ -1,5 +1,5 @@
-// Where the parts of a picture lie: the local map above, the inventory below, a black border where the cells don't fill
-// the size. Source: Crafter's rules, "The picture"; determinism page, section 8.
+// Where the parts of a picture are: the local map above, the inventory below, a black border where the cells don't fill
+// the size. Source: RULES.md, section 12.
 
 #ifndef CRAFTFLEET_ENVSERVER_RENDER_PICTURE_LAYOUT_H_
 #define CRAFTFLEET_ENVSERVER_RENDER_PICTURE_LAYOUT_H_
@@ -19,7 +19,7 @@ struct RenderOptions {
   absl::Status Validate(const WorldOptions& world) const;
 };
 
-// Lengths in pixels unless said otherwise.
+// Lengths in pixels unless stated otherwise.
 struct PictureLayout {
   // Both options must be valid.
   PictureLayout(const WorldOptions& world, const RenderOptions& options);
@@ -37,7 +37,7 @@ struct PictureLayout {
   int map_width() const { return columns * cell_width; }
   int map_height() const { return map_rows * cell_height; }
   int frame_bytes() const { return width * height * 3; }
-  // Of the red byte of a pixel, counted from the upper left corner inside the border.
+  // Offset in a frame of the red byte of pixel (x, y), counted from the upper left corner inside the border.
   int Offset(int x, int y) const { return ((border_top + y) * width + border_left + x) * 3; }
 };
 

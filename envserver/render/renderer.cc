@@ -8,8 +8,8 @@
 #include <absl/container/fixed_array.h>
 #include <absl/strings/str_cat.h>
 
-#include "common/check.h"
-#include "common/status_macros.h"
+#include "common/base/check.h"
+#include "common/base/status_macros.h"
 #include "envserver/render/image.h"
 #include "envserver/render/light.h"
 #include "envserver/render/vignette.h"
@@ -19,7 +19,7 @@ namespace {
 
 constexpr Pixel kGrey = 127 | 127 << 8 | 127 << 16;
 
-// A tile by number: the sprites, then the outside, then what was made for the picture, an object on its ground each.
+// A tile by number: the sprites, then the outside, then tiles made for the picture, each an object on its ground.
 constexpr int kOutside = kNumSprites;
 constexpr int kFirstMade = kOutside + 1;
 
@@ -27,7 +27,7 @@ constexpr int kFirstMade = kOutside + 1;
 constexpr int kPixelGroup = 8;
 constexpr int kByteGroup = 32;
 
-// Scratch up to these sizes lies on the stack: enough for 64x64 pictures.
+// Buffers up to these sizes are on the stack: enough for 64x64 pictures.
 constexpr int kSmallView = 9 * 7;
 constexpr int kSmallTile = 7 * 8;
 constexpr int kSmallRgbTile = 7 * 32;
@@ -52,14 +52,14 @@ void WriteRows(const Pixel* columns, int stride, int width, int height, uint8_t*
   for (int y = 0; y < height; ++y) {
     const Pixel* from = columns + y;
     uint8_t* to = rows + y * row_bytes;
-    // The alpha, 0, falls on the next pixel's red.
+    // The alpha byte, 0, is overwritten by the next pixel's red.
     const auto write = [&] {
       std::memcpy(to, from, sizeof(Pixel));
       from += stride;
       to += 3;
     };
     int x = 0;
-    for (; x + 4 <= width; x += 4) {  // by hand: 0.6 instead of 1.1 us a map of 63x49
+    for (; x + 4 <= width; x += 4) {  // unrolled: 0.6 instead of 1.1 us for a map of 63x49
       write();
       write();
       write();
@@ -71,7 +71,7 @@ void WriteRows(const Pixel* columns, int stride, int width, int height, uint8_t*
 
 }  // namespace
 
-// What the cells of the view show.
+// The tiles in the cells of the view.
 struct Renderer::Scene {
   Scene(int num_cells, int tile_pixels) : tiles(num_cells), made(num_cells * tile_pixels) {}
 
@@ -176,7 +176,7 @@ void Renderer::DrawMapByNight(const World& world, const Scene& scene, RandomStre
   for (int x = 0; x < layout_.map_width(); ++x) {
     const Pixel* const* column = &cells[x / layout_.cell_width * map_rows];
     const int offset = x % layout_.cell_width * tile_stride_;
-    // What a copy writes past its cell, the next one overwrites.
+    // The next copy overwrites what this one writes past its cell.
     for (int y = 0; y < map_rows; ++y, to += cell_height) CopyGroups<kPixelGroup>(column[y] + offset, cell_height, to);
   }
   absl::FixedArray<double, kSmallMap> noise(map_pixels);
@@ -210,7 +210,7 @@ void Renderer::DrawMapByDay(const World& world, const Scene& scene, uint8_t* fra
   for (int y = 0; y < layout_.map_height(); ++y) {
     uint8_t* to = frame + layout_.Offset(0, y);
     const int row = y % layout_.cell_height * rgb_stride_;
-    // What a copy writes past its cell, the next one overwrites; past the last cell of a row it is black.
+    // The next copy overwrites what this one writes past its cell; past the last cell of a row it is black.
     for (int i = y / layout_.cell_height; i < num_cells; i += map_rows) {
       CopyGroups<kByteGroup>(cells[i] + row, cell_bytes, to);
       to += cell_bytes;

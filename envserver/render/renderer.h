@@ -1,5 +1,5 @@
 // Draws the picture of a world, bit for bit as Crafter does.
-// Source: Crafter's rules, "The picture"; determinism page, section 8.
+// Source: RULES.md, sections 12 and 13.
 
 #ifndef CRAFTFLEET_ENVSERVER_RENDER_RENDERER_H_
 #define CRAFTFLEET_ENVSERVER_RENDER_RENDERER_H_
@@ -24,14 +24,14 @@ namespace craftfleet {
 // Immutable after Create(): one renderer serves any number of games on any number of threads.
 class Renderer {
  public:
-  // For worlds with the options `world`, whose view and appearance decide what is drawn. `textures` need not outlive
-  // the call.
+  // For worlds with the options `world`, whose view and appearance decide what is drawn. `textures` may be destroyed
+  // after the call.
   //   InvalidArgument: options that Validate() refuses. NotFound: an appearance variant without a texture; names it.
   static absl::StatusOr<std::shared_ptr<const Renderer>> Create(const Textures& textures, const WorldOptions& world,
                                                                 const RenderOptions& options);
 
   // Writes the picture to `frame`, uint8[height][width][3] of frame_bytes(). `world` has the options given to Create().
-  // Where daylight is below 0.5, one uniform draw a map pixel is taken from `random`, in Crafter the world's own
+  // Where daylight is below 0.5, one uniform draw per map pixel is taken from `random`, in Crafter the world's own
   // stream.
   void Render(const World& world, RandomStream* random, absl::Span<uint8_t> frame) const;
 
@@ -43,13 +43,13 @@ class Renderer {
 
   struct Scene;
 
-  // The world's cell in the upper left corner of the view; may lie outside.
+  // The world's cell in the upper left corner of the view; may be outside.
   Position Corner(const World& world) const;
   // Pixel[cell_width][tile_stride_].
   const Pixel* Tile(const Scene& scene, int tile) const;
   void LayGround(const World& world, Scene* scene) const;
   void LayObjects(const World& world, Scene* scene) const;
-  // The noise is a pixel's own: the map is lit as a whole.
+  // Every pixel has noise of its own, so the map is lit as a whole.
   void DrawMapByNight(const World& world, const Scene& scene, RandomStream* random, uint8_t* frame) const;
   // Cells with the same tile look the same: each tile is lit once and copied.
   void DrawMapByDay(const World& world, const Scene& scene, uint8_t* frame) const;

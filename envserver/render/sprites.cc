@@ -5,7 +5,7 @@
 #include <absl/strings/str_cat.h>
 #include <absl/strings/string_view.h>
 
-#include "common/check.h"
+#include "common/base/check.h"
 #include "envserver/world/appearance.h"
 
 namespace craftfleet {

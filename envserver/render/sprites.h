@@ -1,6 +1,6 @@
-// Which texture shows which thing on the map. A sprite is a material, creature, player, arrow or plant in one of its
-// looks; sprites are numbered densely, so that a renderer can keep them in an array.
-// Source: Crafter's rules, "The picture"; CrafterOOD page, "Appearance variants".
+// Maps the things on the map to textures. A sprite is a material, creature, player, arrow or plant in one of its
+// variants; sprites are numbered without gaps, so that a renderer can keep them in an array.
+// Source: RULES.md, sections 12 and 14.
 
 #ifndef CRAFTFLEET_ENVSERVER_RENDER_SPRITES_H_
 #define CRAFTFLEET_ENVSERVER_RENDER_SPRITES_H_

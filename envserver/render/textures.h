@@ -1,11 +1,9 @@
-// The textures as the PNG files have them: loaded once, shared by every renderer.
-// Immutable after Load(): may be shared between threads.
+// The textures of the game, decoded: loaded once, shared by every renderer.
+// Immutable after Load() or BuiltIn(): may be shared between threads.
 
 #ifndef CRAFTFLEET_ENVSERVER_RENDER_TEXTURES_H_
 #define CRAFTFLEET_ENVSERVER_RENDER_TEXTURES_H_
 
-#include <array>
-#include <cstdint>
 #include <functional>
 #include <map>
 #include <memory>
@@ -14,35 +12,31 @@
 #include <absl/status/statusor.h>
 #include <absl/strings/string_view.h>
 
+#include "envserver/render/png_texture.h"
+
 namespace craftfleet {
-
-inline constexpr int kTextureSize = 16;  // pixels a side
-
-// One pixel: red in the lowest byte, then green, blue, alpha.
-using Pixel = uint32_t;
-
-struct Texture {
-  std::array<Pixel, kTextureSize * kTextureSize> pixels{};  // [y][x]; alpha 255 where the file has none
-};
-
-// The picture in `bytes`, the content of a file.
-//   InvalidArgument: no picture, not 8-bit RGB or RGBA, or not 16x16; names `path`.
-absl::StatusOr<Texture> DecodeTexture(std::string bytes, absl::string_view path);
 
 class Textures {
  public:
   // Reads "<name>.png" of every sprite, item and digit from `folder`. Those of appearance variants may be missing: the
-  // renderer that needs one says so.
-  //   NotFound: a file is missing. InvalidArgument: a file is no picture, not 8-bit RGB or RGBA, or not 16x16. All name
-  //   the file.
+  // renderer that needs one reports it.
+  //   NotFound: a file is missing. InvalidArgument: DecodeTexture() refuses a file. Both name the file.
   static absl::StatusOr<std::shared_ptr<const Textures>> Load(const std::string& folder);
+
+  // The textures that are compiled into the program.
+  static std::shared_ptr<const Textures> BuiltIn();
 
   // Null only for appearance variants whose file was missing.
   const Texture* Find(absl::string_view name) const;
-  // The file that a texture is read from.
+  // The file that a texture is read from, for messages.
   std::string PathOf(absl::string_view name) const;
 
  private:
+  using FileReader = std::function<absl::StatusOr<std::string>(const std::string& path)>;
+
+  // Fills `textures_` from the files of folder_, whose bytes `read` returns; NotFound for a file that is missing.
+  absl::Status LoadAll(const FileReader& read);
+
   std::string folder_;
   std::map<std::string, Texture, std::less<>> textures_;
 };

@@ -1,6 +1,6 @@
 // How far the night's noise covers each pixel of the map: 0 in the middle, towards 1 at the corners. The values reach
-// pixels, so they come from an exponential of our own: libm's last bit depends on the CPU.
-// Source: determinism page, section 8 (vig).
+// pixels, so they use our own exponential function: the last bit of libm's depends on the CPU.
+// Source: RULES.md, section 13.
 
 #ifndef CRAFTFLEET_ENVSERVER_RENDER_VIGNETTE_H_
 #define CRAFTFLEET_ENVSERVER_RENDER_VIGNETTE_H_

@@ -3,8 +3,8 @@
 
   make_textures.py [--out DIR] [--sheet FILE] [--distances]
 
---out: where the PNG files go (default: beside this file). --sheet: also a picture of all textures, as drawn and as
-agents see them. --distances: also print which textures are least alike as agents see them. Needs only the standard
+--out: folder for the PNG files (default: beside this file). --sheet: also write a picture of all textures, as drawn and
+as agents see them. --distances: also print the most similar textures as agents see them. Needs only the standard
 library.
 """
 import argparse

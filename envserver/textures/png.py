@@ -1,4 +1,4 @@
-"""PNG, the least of it: 8 bits, RGB or RGBA, not interlaced."""
+"""A minimal PNG encoder: 8 bits, RGB or RGBA, not interlaced."""
 import struct
 import zlib
 
@@ -8,7 +8,7 @@ def _chunk(kind, body):
 
 
 def _stored(data):
-    """A zlib stream that does not compress, so that the bytes do not depend on the zlib at hand."""
+    """A zlib stream without compression, so that the bytes do not depend on the version of zlib."""
     out = b'\x78\x01'
     for i in range(0, len(data), 65535):
         block = data[i:i + 65535]

@@ -40,7 +40,7 @@ def contact_sheet(textures, columns=8):
 
 
 def distance(a, b):
-    """Mean distance of two pictures' colours, 0..441."""
+    """Mean distance between the colours of two pictures, 0..441."""
     pairs = [(p, q) for row, other in zip(a, b) for p, q in zip(row, other)]
     return sum(sum((p[i] - q[i])**2 for i in range(3))**0.5 for p, q in pairs) / len(pairs)
 

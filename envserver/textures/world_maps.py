@@ -275,7 +275,7 @@ CRACK = ({'d': (82, 82, 84), 'L': (156, 156, 158)}, '''
     .Ldd.
     ..L..''')
 
-# ---- What stands on a material: drawn over grass or stone ----
+# ---- Objects: drawn over grass or stone ----
 
 TREE_COLOURS = {
     'd': (10, 58, 18), 'g': (16, 82, 26), 'G': (28, 108, 36), 'L': (52, 136, 48), 't': (112, 72, 36),

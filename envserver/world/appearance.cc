@@ -5,7 +5,7 @@
 namespace craftfleet {
 namespace {
 
-// ' ' for what has no variants.
+// ' ' for materials without variants.
 char LetterOf(Material material) {
   switch (material) {
     case Material::kTree:
@@ -43,7 +43,7 @@ Variant DrawForLetter(const WorldOptions& options, char letter, RandomStream* ra
   const double sample = random->Uniform() * 100;
   int variant = 0;
   int cumulative = options.percentages[0];
-  // Ends: the percentages sum to 100 and the sample is below.
+  // Terminates: the percentages sum to 100 and the sample is smaller.
   while (sample > cumulative) cumulative += options.percentages[++variant];
   return static_cast<Variant>(variant);
 }

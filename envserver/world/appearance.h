@@ -1,4 +1,4 @@
-// Which of its variants a new cell or creature gets. Source: CrafterOOD page, "Appearance variants".
+// Draws the appearance variant of a new cell or creature. Source: RULES.md, section 14.
 
 #ifndef CRAFTFLEET_ENVSERVER_WORLD_APPEARANCE_H_
 #define CRAFTFLEET_ENVSERVER_WORLD_APPEARANCE_H_

@@ -3,7 +3,7 @@
 #include <algorithm>
 #include <vector>
 
-#include "common/check.h"
+#include "common/base/check.h"
 #include "envserver/world/creatures.h"
 #include "envserver/world/rules.h"
 
@@ -17,9 +17,9 @@ struct BalanceRule {
   int despawn_distance;
   double spawn_probability;
   double despawn_probability;
-  int least_space;  // cells of the material without which the chunk needs no creature
-  int min;          // wanted where there is space
-  int max;          // tolerated
+  int least_space;  // with fewer cells of the material, min is 0
+  int min;          // creatures; below it one may spawn
+  int max;          // creatures; above it one may despawn
 };
 
 // The `number`-th cell of the material in the chunk, x outer.

@@ -1,5 +1,5 @@
-// Creatures that come and go: every tenth step, chunk by chunk.
-// Source: Crafter's rules, "Chunk balance"; determinism page, section 1.
+// Adds and removes creatures chunk by chunk, every tenth step.
+// Source: RULES.md, section 8.
 
 #ifndef CRAFTFLEET_ENVSERVER_WORLD_BALANCE_H_
 #define CRAFTFLEET_ENVSERVER_WORLD_BALANCE_H_
@@ -8,6 +8,7 @@
 
 namespace craftfleet {
 
+// Balances each known chunk once; the caller does so in every tenth step.
 void BalanceChunks(WorldState* state);
 
 }  // namespace craftfleet

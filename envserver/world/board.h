@@ -1,5 +1,5 @@
-// The cells of a world, the objects that stand on them, and the chunks in which creatures are counted.
-// Source: Crafter's rules (Objects, Chunk balance); determinism page, section 1.
+// The cells of a world, the objects on them, and the chunks in which creatures are counted.
+// Source: RULES.md, section 4.
 
 #ifndef CRAFTFLEET_ENVSERVER_WORLD_BOARD_H_
 #define CRAFTFLEET_ENVSERVER_WORLD_BOARD_H_
@@ -46,8 +46,8 @@ struct Chunk {
   std::array<int32_t, kNumObjectTypes> objects{};  // of each type
 };
 
-// Keeps cells, objects and chunks consistent: one object a cell, each counted in its chunk. Positions given must lie
-// inside unless said otherwise. Thread-compatible: one thread at a time.
+// Keeps cells, objects and chunks consistent: one object a cell, each counted in its chunk. Positions must be inside
+// the world unless stated otherwise. Thread-compatible: one thread at a time.
 class Board {
  public:
   Board(int width, int height);
@@ -66,7 +66,7 @@ class Board {
   absl::Span<const Cell> cells() const { return cells_; }
   // kNone outside.
   Material material(Position p) const { return Inside(p) ? cell(p).material : Material::kNone; }
-  // Index of the object at `p`, or -1; `p` may lie outside.
+  // Index of the object at `p`, or -1; `p` may be outside.
   int ObjectAt(Position p) const { return Inside(p) ? cell(p).object - 1 : -1; }
 
   // In order of creation. After Compact() all are live.
@@ -75,13 +75,13 @@ class Board {
   const Object& object(int index) const { return objects_[index]; }
 
   void SetMaterial(Position p, Material material, Variant variant);
-  // Puts `object` on its position, a free cell; returns its index. Its chunk becomes known.
+  // Adds `object` at its position, a free cell, and returns its index. Its chunk becomes known.
   int Add(Object object);
-  // Takes an object off the board; its index stays valid until Compact().
+  // Removes an object from the board; its index stays valid until Compact().
   void Remove(int index);
-  // Puts an object on `target`, a free cell. A removed object stays where it is.
+  // Moves an object to `target`, a free cell. A removed object stays where it is.
   void Move(int index, Position target);
-  // Drops removed objects: later ones move up.
+  // Erases removed objects; the indices of later ones decrease.
   void Compact();
   // Makes a chunk known, if it is not.
   void LearnChunk(int index);
@@ -91,7 +91,7 @@ class Board {
   int ChunkIndex(Position p) const { return p.x / kChunkSize * chunks_down_ + p.y / kChunkSize; }
   // Indices of the chunks that ever held an object, in the order in which they first did.
   absl::Span<const int16_t> known_chunks() const { return known_chunks_; }
-  // How often an object entered a chunk; what the next one gets as Object::entered.
+  // Number of entries into chunks so far; the next entry gets it as Object::entered.
   int64_t entries() const { return entries_; }
   void set_entries(int64_t entries) { entries_ = entries; }
 

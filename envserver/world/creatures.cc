@@ -15,8 +15,8 @@ int DistanceToPlayer(int index, const WorldState& state) {
   return Distance(state.board.object(index).position, PlayerPosition(state));
 }
 
-// A unit step towards the player on the longer axis of the way or on the other; (0, 0) where that axis has no way to
-// go.
+// A unit step towards the player along the axis of the longer distance or along the other one; (0, 0) if the distance
+// on that axis is 0.
 Position Toward(int index, bool long_axis, const WorldState& state) {
   const Position player = PlayerPosition(state);
   const Position self = state.board.object(index).position;

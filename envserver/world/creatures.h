@@ -1,5 +1,5 @@
-// What cows, zombies, skeletons, arrows and plants do in a step, and how each begins.
-// Source: Crafter's rules, "Cow" to "Plant"; determinism page, section 3.
+// Creates and updates cows, zombies, skeletons, arrows and plants.
+// Source: RULES.md, section 7.
 
 #ifndef CRAFTFLEET_ENVSERVER_WORLD_CREATURES_H_
 #define CRAFTFLEET_ENVSERVER_WORLD_CREATURES_H_

@@ -1,4 +1,4 @@
-// How light it is. Source: determinism page, section 7.
+// Daylight by step. Source: RULES.md, section 9.
 
 #ifndef CRAFTFLEET_ENVSERVER_WORLD_DAYLIGHT_H_
 #define CRAFTFLEET_ENVSERVER_WORLD_DAYLIGHT_H_

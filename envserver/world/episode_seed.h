@@ -1,4 +1,4 @@
-// The seed of an episode's random stream. Source: determinism page, section 5.
+// The seed of an episode's random stream. Source: RULES.md, section 2.
 
 #ifndef CRAFTFLEET_ENVSERVER_WORLD_EPISODE_SEED_H_
 #define CRAFTFLEET_ENVSERVER_WORLD_EPISODE_SEED_H_

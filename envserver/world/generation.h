@@ -1,5 +1,4 @@
-// How a new world comes about. Source: Crafter's rules, "World generation"; determinism page, section 6; CrafterOOD
-// page.
+// Generates the world of a new episode. Source: RULES.md, sections 3 and 14.
 
 #ifndef CRAFTFLEET_ENVSERVER_WORLD_GENERATION_H_
 #define CRAFTFLEET_ENVSERVER_WORLD_GENERATION_H_
@@ -8,7 +7,7 @@
 
 namespace craftfleet {
 
-// Fills a cleared board on which only the player stands. Draws the noise's seed first.
+// Fills a cleared board that contains only the player. Draws the noise's seed first.
 void GenerateWorld(WorldState* state);
 
 }  // namespace craftfleet

@@ -7,7 +7,7 @@
 #include <absl/strings/str_join.h>
 #include <absl/strings/string_view.h>
 
-#include "common/status_macros.h"
+#include "common/base/status_macros.h"
 
 namespace craftfleet {
 namespace {
@@ -19,7 +19,7 @@ absl::Status CheckRange(absl::string_view name, double value, double low, double
   return absl::InvalidArgumentError(absl::StrCat(name, " ", value, ", want ", low, "..", high));
 }
 
-// The CrafterOOD page's table: a row per letter, a column per thing.
+// The table of RULES.md, section 14.
 NumberThresholds ThresholdsOf(absl::string_view letters) {
   constexpr absl::string_view kRows = "qhsdf";
   constexpr double kTree[] = {.945, .9, .8, .6, .2};

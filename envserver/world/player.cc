@@ -11,7 +11,7 @@ namespace {
 
 struct Amount {
   Item item = Item::kHealth;
-  int count = 0;  // 0: no need
+  int count = 0;  // 0: nothing needed
 };
 
 struct CollectRule {
@@ -36,7 +36,7 @@ struct PlaceRule {
   Action action;
   Amount uses;
   MaterialSet on;
-  Material becomes;  // kNone: a Plant object comes onto the cell
+  Material becomes;  // kNone: a Plant object is added
   Achievement achievement;
 };
 constexpr PlaceRule kPlaceRules[] = {
@@ -61,7 +61,7 @@ constexpr PlaceRule kPlaceRules[] = {
 struct MakeRule {
   Action action;
   std::array<Amount, 3> uses;
-  bool needs_furnace;  // beside the table that all need
+  bool needs_furnace;  // besides the table that all need
   Item makes;
   Achievement achievement;
 };
@@ -94,7 +94,7 @@ int Damage(const Player& player) {
   return player.item(Item::kWoodSword) > 0 ? 2 : 1;
 }
 
-// Says whether the object is at health 0 now.
+// Returns whether the object's health is 0 now.
 bool Hit(const Player& player, Object* object) {
   object->health = static_cast<int16_t>(std::max(0, object->health - Damage(player)));
   return object->health == 0;
@@ -167,7 +167,8 @@ void Place(const PlaceRule& rule, Position target, WorldState* state) {
   Count(rule.achievement, &player);
 }
 
-// Whether `material` is in the 3x3 cells around `center`. At the world's left and upper edge Crafter's block is empty.
+// Whether `material` is in the 3x3 cells around `center`. At x = 0 and y = 0 the block is empty
+// (RULES.md, section 6).
 bool IsNear(const Board& board, Position center, Material material) {
   if (center.x == 0 || center.y == 0) return false;
   for (int x = center.x - 1; x <= center.x + 1; ++x) {
@@ -208,13 +209,14 @@ void Act(Action action, WorldState* state) {
   }
 }
 
-// Says whether the counter ran over, and begins it anew.
+// Returns whether the counter exceeded the limit, and resets it then.
 bool RunsOver(double limit, double* counter) {
   if (*counter <= limit) return false;
   *counter = 0;
   return true;
 }
 
+// The same below the limit.
 bool RunsUnder(double limit, double* counter) {
   if (*counter >= limit) return false;
   *counter = 0;

@@ -2,8 +2,8 @@
 
 #include <algorithm>
 
-#include "common/check.h"
-#include "common/multiversion.h"
+#include "common/base/check.h"
+#include "common/base/multiversion.h"
 
 namespace craftfleet {
 namespace {

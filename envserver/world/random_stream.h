@@ -1,5 +1,5 @@
 // The random stream of one episode: MT19937 read as numpy's RandomState reads it. The order of draws is part of the
-// rules. Thread-compatible: one thread at a time. Source: determinism page, section 4.
+// rules. Thread-compatible: one thread at a time. Source: RULES.md, section 10.
 
 #ifndef CRAFTFLEET_ENVSERVER_WORLD_RANDOM_STREAM_H_
 #define CRAFTFLEET_ENVSERVER_WORLD_RANDOM_STREAM_H_
@@ -25,8 +25,8 @@ class RandomStream {
   // One integer in [0, n), n in 1..2^32-1: no word for n = 1, else one word a try.
   uint32_t Below(uint32_t n);
 
-  // For snapshots and traces: the words and how many of them are used, 0..624 (624: the twist comes with the next
-  // draw).
+  // For snapshots and traces: the words, and the number of used ones, 0..624 (624: the next draw twists first).
+  // Restore aborts if `position` is out of range.
   const State& state() const { return words_; }
   int position() const { return position_; }
   void Restore(const State& words, int position);

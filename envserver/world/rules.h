@@ -1,5 +1,5 @@
-// What the rules of all objects share: where one may walk, how one moves, how far apart two stand.
-// Source: Crafter's rules, Tables and Objects.
+// Shared by the updates of all objects: walkable materials, moving, distance.
+// Source: RULES.md, sections 1 and 4.
 
 #ifndef CRAFTFLEET_ENVSERVER_WORLD_RULES_H_
 #define CRAFTFLEET_ENVSERVER_WORLD_RULES_H_
@@ -39,7 +39,7 @@ inline bool IsFree(const Board& board, Position p, MaterialSet walkable) {
   return board.Inside(p) && board.cell(p).object == 0 && walkable.Contains(board.cell(p).material);
 }
 
-// Moves the object one step if the target is free; says whether it was, for a removed object too.
+// Moves the object one step if the target is free. Returns whether it was, for a removed object too.
 inline bool TryMove(Board* board, int index, Position direction, MaterialSet walkable) {
   const Position target = board->object(index).position + direction;
   if (!IsFree(*board, target, walkable)) return false;

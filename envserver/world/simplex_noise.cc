@@ -4,8 +4,8 @@
 #include <cmath>
 #include <numeric>
 
-#include "common/check.h"
-#include "common/multiversion.h"
+#include "common/base/check.h"
+#include "common/base/multiversion.h"
 
 namespace craftfleet {
 namespace {
@@ -14,7 +14,7 @@ constexpr double kStretch = -1.0 / 6;
 constexpr double kSquish = 1.0 / 3;
 constexpr double kNorm = 103;
 
-// Where in its skewed unit cube a point lies decides which lattice points count. A cube is cut by two planes.
+// The place of a point in its skewed unit cube decides which lattice points count. Two planes divide the cube.
 enum Region : int32_t { kLow = 1, kMiddle = 2, kHigh = 4 };
 
 // A corner of the cube: its offset, and the regions in which it counts. Summed in this order.
@@ -33,9 +33,9 @@ constexpr Corner kCorners[] = {
     {1, 1, 1, kHigh},
 };
 
-// Two lattice points farther off count too; which, tells a case number. Their displacement is formed term by term,
-// which matters for its last bit: minus the offset, minus squish * kSquish, minus `late`: hence late is kept apart, and
-// the whole offset is offset + late. Packed, two bits each from the lowest: offset x y z plus 1, squish, late x y z.
+// Two farther lattice points count too; a case number selects them. The order of the terms of their displacement
+// determines its last bit: minus the offset, minus squish * kSquish, minus `late`. So `late` is separate, and the whole
+// offset is offset + late. Packed, two bits each from the lowest: offset x y z plus 1, squish, late x y z.
 constexpr int32_t Pack(int i, int j, int k, int squish, int late_i = 0, int late_j = 0, int late_k = 0) {
   return (i + 1) | (j + 1) << 2 | (k + 1) << 4 | squish << 6 | late_i << 8 | late_j << 10 | late_k << 12;
 }
@@ -63,7 +63,7 @@ constexpr Extras MakeExtras() {
   extras.Set(3, Pack(1, 1, 0, 2), Pack(1, 1, -1, 1));
   extras.Set(5, Pack(1, 0, 1, 2), Pack(1, -1, 1, 1));
   extras.Set(6, Pack(0, 1, 1, 2), Pack(-1, 1, 1, 1));
-  // The axes are those on which the extras are not farther: they stand out on the others.
+  // The axes are those on which the extra points are not farther out.
   extras.Set(kHighCase + 4, Pack(2, 1, 0, 3), Pack(1, 1, 0, 3, 0, 1, 0));
   extras.Set(kHighCase + 2, Pack(2, 0, 1, 3), Pack(1, 0, 2, 3));
   extras.Set(kHighCase + 1, Pack(0, 1, 1, 3, 0, 1, 0), Pack(0, 1, 2, 3));
@@ -101,13 +101,12 @@ struct Block {
   double value[kBlock];
 };
 
-// Cases and axes are computed as doubles, by choices between two values each: only so do the loops vectorise.
+// Cases and axes are computed as doubles, by choices between two values: the loops vectorise only in this form.
 inline double Larger(double a, double b) { return a > b ? a : b; }
 inline double Smaller(double a, double b) { return a < b ? a : b; }
 
-// The axes that tell the case in the low region: of the two with the larger parts, the larger one when the origin is
-// nearer
-// (`origin`) than one of them, else both.
+// The axes that determine the case in the low region: of the two axes with the larger parts, the larger one if `origin`
+// exceeds the smaller part, else both.
 inline double LowAxes(double x, double y, double z, double origin) {
   const double a = x < y ? Larger(z, x) : x;
   const double b = x < y ? y : Larger(z, y);
@@ -170,7 +169,7 @@ CRAFTFLEET_MULTIVERSION void Classify(int count, Block* block) {
     const double z = block->fz[n];
     const double sum = x + y + z;
     const double sign = sum >= 2 ? -1.0 : 1.0;
-    // The high region is the low one turned about.
+    // The high region is the low one mirrored.
     const double axes = LowAxes(sign * x, sign * y, sign * z, sum >= 2 ? sum - 3 : 1 - sum);
     const double middle_or_high = sum >= 2 ? kHighCase + axes : MiddleCase(x, y, z);
     const double region_if_not_low = sum >= 2 ? double{kHigh} : double{kMiddle};
@@ -179,7 +178,7 @@ CRAFTFLEET_MULTIVERSION void Classify(int count, Block* block) {
   }
 }
 
-// What a lattice point gives at the displacement (x, y, z) from it.
+// The contribution of a lattice point at the displacement (x, y, z) from it.
 inline double Contribution(uint32_t gradient, double x, double y, double z) {
   const double gx = static_cast<int32_t>(gradient << 24) >> 24;
   const double gy = static_cast<int32_t>(gradient << 16) >> 24;

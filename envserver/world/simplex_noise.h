@@ -1,5 +1,5 @@
 // OpenSimplex noise in three dimensions, bit for bit that of the opensimplex package, on planes of constant z.
-// Source: determinism page, section 6.
+// Source: RULES.md, section 11.
 
 #ifndef CRAFTFLEET_ENVSERVER_WORLD_SIMPLEX_NOISE_H_
 #define CRAFTFLEET_ENVSERVER_WORLD_SIMPLEX_NOISE_H_
@@ -15,7 +15,7 @@ namespace craftfleet {
 // The noise lies within this bound, as the sum of all lattice points' greatest contributions does (1.02).
 inline constexpr double kNoiseBound = 1.1;
 
-// What a seed decides. Immutable after construction.
+// The tables of a seed. Immutable after construction.
 class SimplexNoise {
  public:
   explicit SimplexNoise(int64_t seed);
@@ -35,7 +35,7 @@ class NoisePlane {
     double min_y, max_y;
   };
 
-  // Time and memory grow with the area: 4 bytes a lattice point. A thousand units are its limit in each direction.
+  // Time and memory grow with the area: 4 bytes a lattice point. At most a thousand units in each direction.
   NoisePlane(const SimplexNoise& noise, const Area& area, double z);
 
   // out[n] = noise at (x[n], y[n], z), all inside the area. Many points at a time are much faster.

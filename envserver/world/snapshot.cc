@@ -11,9 +11,9 @@
 #include <absl/strings/str_cat.h>
 #include <absl/strings/str_join.h>
 
-#include "common/crc32c.h"
-#include "common/little_endian.h"
-#include "common/status_macros.h"
+#include "common/base/crc32c.h"
+#include "common/base/little_endian.h"
+#include "common/base/status_macros.h"
 #include "envserver/world/appearance.h"
 #include "envserver/world/daylight.h"
 
@@ -22,7 +22,7 @@ namespace {
 
 constexpr absl::string_view kMagic = "CFWORLD";
 constexpr uint8_t kVersion = 1;
-// Counters stay far from overflow, whatever a snapshot says.
+// Keeps counters far from overflow, whatever a snapshot contains.
 constexpr int64_t kMaxCount = 1'000'000'000;
 constexpr int64_t kMaxLongCount = int64_t{1} << 52;
 constexpr double kMaxNeed = 1000;
@@ -45,7 +45,7 @@ class Writer {
   std::string bytes_;
 };
 
-// After the first value that is missing or out of its range, all are 0 and status() tells which it was.
+// After the first value that is missing or out of range, all further values are 0, and status() names the first.
 class Reader {
  public:
   explicit Reader(absl::string_view bytes) : rest_(bytes) {}
@@ -75,7 +75,7 @@ class Reader {
     rest_.remove_prefix(size);
     return bytes;
   }
-  // The first failure stays.
+  // Keeps the first failure.
   void Fail(absl::string_view what) {
     if (status_.ok()) status_ = absl::DataLossError(absl::StrCat("snapshot: ", what));
   }
@@ -227,11 +227,11 @@ Object GetObject(bool player, int64_t entries, Reader* reader) {
   return object;
 }
 
-// What Board and the picture rely on.
-absl::string_view WhatIsWrong(const WorldOptions& options, const Board& board, const Object& object) {
-  if (!board.Inside(object.position)) return "stands outside the world";
-  if (board.ObjectAt(object.position) >= 0) return "stands on another";
-  if (!board.chunk(board.ChunkIndex(object.position)).known) return "stands in an unknown chunk";
+// The invariants of Board and of the renderer; empty: they hold.
+absl::string_view ObjectProblem(const WorldOptions& options, const Board& board, const Object& object) {
+  if (!board.Inside(object.position)) return "is outside the world";
+  if (board.ObjectAt(object.position) >= 0) return "is on the cell of another object";
+  if (!board.chunk(board.ChunkIndex(object.position)).known) return "is in an unknown chunk";
   if (!IsPossibleVariant(options, object.type, object.variant)) return "has no such variant";
   const bool faces = object.type == ObjectType::kPlayer || object.type == ObjectType::kArrow;
   if (std::abs(object.facing.x) + std::abs(object.facing.y) != (faces ? 1 : 0)) return "faces nowhere";
@@ -244,7 +244,7 @@ void GetObjects(const WorldOptions& options, Reader* reader, Board* board) {
   for (int i = 0; i < count; ++i) {
     const Object object = GetObject(i == 0, entries, reader);
     if (!reader->status().ok()) return;
-    const absl::string_view wrong = WhatIsWrong(options, *board, object);
+    const absl::string_view wrong = ObjectProblem(options, *board, object);
     if (!wrong.empty()) return reader->Fail(absl::StrCat("object ", i, " ", wrong));
     const int index = board->Add(object);
     board->object(index).entered = object.entered;

@@ -1,4 +1,4 @@
-// The state of a game as bytes and back: little-endian, versioned, with a checksum. Restoring takes nothing on trust.
+// The state of a game as bytes and back: little-endian, versioned, with a checksum. Restoring validates everything.
 
 #ifndef CRAFTFLEET_ENVSERVER_WORLD_SNAPSHOT_H_
 #define CRAFTFLEET_ENVSERVER_WORLD_SNAPSHOT_H_

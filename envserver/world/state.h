@@ -6,7 +6,7 @@
 #include <array>
 #include <cstdint>
 
-#include "common/crafter.h"
+#include "common/base/crafter.h"
 #include "envserver/world/board.h"
 #include "envserver/world/options.h"
 #include "envserver/world/random_stream.h"
@@ -15,7 +15,7 @@ namespace craftfleet {
 
 inline constexpr int kMaxItem = 9;
 
-// What the player has and feels; where it stands is objects()[0].
+// The player's inventory and needs; its position is that of objects()[0].
 struct Player {
   bool sleeping = false;
   std::array<int8_t, kNumItems> inventory{};             // 0..9

@@ -6,7 +6,7 @@
 
 #include <absl/types/span.h>
 
-#include "common/multiversion.h"
+#include "common/base/multiversion.h"
 
 namespace craftfleet {
 namespace {
@@ -45,7 +45,7 @@ class Layer {
       x[n] = x_[places[n].x];
       y[n] = y_[places[n].y];
     }
-    // Whole vectors only: the rest of a loop would cost more than some points too many.
+    // Whole vectors only: a scalar remainder costs more than some superfluous points.
     size_t count = places.size();
     for (; count % kLanes != 0; ++count) {
       x[count] = x_[0];
@@ -75,7 +75,7 @@ struct LayerTrait {
   uint16_t not_of;
   Trait trait;
 };
-// In an order in which each rule's `of` and `not_of` are known before.
+// Ordered so that the traits in `of` and `not_of` are known when a rule needs them.
 constexpr LayerTrait kLayerTraits[] = {
     {{6, 7}, 0.15, kPeak, 0, kCave},
     {{7, 3, 2, 1, 1, 5}, 0.4, kMountain, kCave, kTunnel},
@@ -87,14 +87,15 @@ constexpr LayerTrait kLayerTraits[] = {
     {{5, 7}, 0, 0, kStart | kMountain | kSandy | kSea, kForest},
 };
 
-// What decides the traits of cells before their layers; one array each so that loops over cells vectorise.
+// The values that determine the traits of cells before their layers; one array each so that loops over cells vectorise.
 struct Heights {
   double water[kBlock];     // without the start's part
   double mountain[kBlock];  // without the start's and the water's part
   double start[kBlock];
 };
 
-// The traits that heights alone decide. A sum of choices between doubles: only so does the loop vectorise.
+// The traits that follow from the heights alone. Written as a sum of choices between doubles, because the loop
+// vectorises only in this form.
 CRAFTFLEET_MULTIVERSION void BaseTraits(const Heights& heights, int count, uint16_t* traits) {
   for (int n = 0; n < count; ++n) {
     const double start = heights.start[n];
@@ -147,11 +148,11 @@ class Terrain {
     }
   }
 
-  // Far from the player start is next to nothing: its noise is looked at only where it could make a difference.
+  // Far from the player, start is nearly 0: its noise is computed only where it could make a difference.
   void ComputeBase(absl::Span<const Place> places, Heights* heights, uint16_t* traits) const {
     constexpr double kFar = 16;  // cells
     const double most_far_start = Logistic(4 - kFar + 2 * kNoiseBound);
-    constexpr double kBelowZero = -1e-9;  // so that no rounding matters
+    constexpr double kBelowZero = -1e-9;  // below 0, so that rounding does not matter
     const int count = static_cast<int>(places.size());
     uint16_t other_traits[kBlock];
     std::fill_n(heights->start, count, most_far_start);

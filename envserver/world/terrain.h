@@ -1,5 +1,5 @@
-// What the noise alone says about each cell of a new world, before any draw.
-// Source: Crafter's rules, "World generation"; determinism page, section 6.
+// The traits of each cell of a new world that follow from the noise alone, before any draw.
+// Source: RULES.md, section 3.
 
 #ifndef CRAFTFLEET_ENVSERVER_WORLD_TERRAIN_H_
 #define CRAFTFLEET_ENVSERVER_WORLD_TERRAIN_H_

@@ -1,5 +1,5 @@
-// What a world is made of: materials, objects, positions.
-// Source: Crafter's rules, the tables.
+// Materials, object types and positions.
+// Source: RULES.md, section 1.
 
 #ifndef CRAFTFLEET_ENVSERVER_WORLD_TYPES_H_
 #define CRAFTFLEET_ENVSERVER_WORLD_TYPES_H_
@@ -12,7 +12,7 @@
 
 namespace craftfleet {
 
-// Ids of Crafter's semantic view; kNone lies outside the world.
+// Ids of Crafter's semantic view; kNone is outside the world.
 enum class Material : uint8_t {
   kNone,
   kWater,

@@ -1,7 +1,7 @@
 #include "envserver/world/world.h"
 
-#include "common/check.h"
-#include "common/status_macros.h"
+#include "common/base/check.h"
+#include "common/base/status_macros.h"
 #include "envserver/world/appearance.h"
 #include "envserver/world/balance.h"
 #include "envserver/world/creatures.h"
@@ -25,7 +25,7 @@ Player NewPlayer() {
 
 void UpdateObjects(Action action, WorldState* state) {
   Board& board = state->board;
-  // Objects that are added on the way wait for the next step.
+  // Objects added during the loop wait for the next step.
   const int count = static_cast<int>(board.objects().size());
   UpdatePlayer(action, state);
   const Position player = board.object(0).position;
@@ -35,7 +35,7 @@ void UpdateObjects(Action action, WorldState* state) {
   }
 }
 
-// Bit a: achievement a has been had in this episode.
+// Bit a: achievement a was unlocked in this episode.
 uint32_t Unlocked(const Player& player) {
   uint32_t bits = 0;
   for (int i = 0; i < kNumAchievements; ++i) bits |= static_cast<uint32_t>(player.achievements[i] > 0) << i;
@@ -48,7 +48,7 @@ absl::StatusOr<World> World::Create(const WorldOptions& options, int64_t seed, i
   CRAFTFLEET_RETURN_IF_ERROR(options.Validate());
   World world(options);
   world.state_.seed = seed;
-  // An episode follows from seed and number alone.
+  // An episode depends on seed and number alone.
   world.state_.episode = episode - 1;
   world.Reset();
   return world;

@@ -12,8 +12,8 @@
 #include <absl/strings/string_view.h>
 #include <absl/types/span.h>
 
-#include "common/crafter.h"
-#include "common/types.h"
+#include "common/base/crafter.h"
+#include "common/base/types.h"
 #include "envserver/world/options.h"
 #include "envserver/world/random_stream.h"
 #include "envserver/world/state.h"
@@ -21,20 +21,20 @@
 
 namespace craftfleet {
 
-// What one step gave.
+// The outcome of one step.
 struct StepOutcome {
   double reward = 0;
   StepEnd end = StepEnd::kNone;
   uint32_t unlocked = 0;  // bit a: achievement a was unlocked for the first time in this episode
 };
 
-// A world is ready to play after Create(), at the beginning of an episode. After a step that ends the episode call
-// Reset() (or go on: nothing breaks, the episode stays over). The picture of a night draws from random(): whoever
-// renders does it once after Create() and after each Reset() and Step(), as Crafter does. Thread-compatible: one thread
-// at a time. Source: Crafter's rules; determinism page.
+// A world is ready to play after Create(), at the beginning of an episode. After a step that ends the episode, call
+// Reset(). Further steps are allowed but the episode remains over. A picture drawn at night takes draws from random():
+// the caller renders exactly once after Create() and after each Reset() and Step(), as Crafter does. Thread-compatible:
+// one thread at a time. Source: RULES.md.
 class World {
  public:
-  // `episode`, from 1, is the first to be played; no other is made on the way to it.
+  // `episode` (1 or more) is the first one played; earlier ones are not generated.
   //   InvalidArgument: options that Validate() refuses.
   static absl::StatusOr<World> Create(const WorldOptions& options, int64_t seed, int64_t episode = 1);
 
@@ -45,7 +45,7 @@ class World {
   const WorldOptions& options() const { return state_.options; }
   int64_t seed() const { return state_.seed; }
   int64_t episode() const { return state_.episode; }  // from 1
-  int64_t episode_seed() const;                       // what seeded this episode's random stream, 0..2^31-2
+  int64_t episode_seed() const;                       // seed of this episode's random stream, 0..2^31-2
   int64_t step() const { return state_.step; }        // of this episode
   double daylight() const { return state_.daylight; }
   double episode_reward() const { return state_.episode_reward; }  // sum over this episode
@@ -68,10 +68,10 @@ class World {
   RandomStream& random() { return state_.random; }
   const RandomStream& random() const { return state_.random; }
 
-  // The whole game as bytes, with `stream` in the place of random(): a caller that draws pictures stores the stream as
-  // it was before the last one, and draws it again after Restore(). About 8 KB + 24 bytes an object for 64x64 cells.
+  // The whole game as bytes, with `stream` instead of random(): a caller that draws pictures stores the stream as it
+  // was before the last picture, and redraws it after Restore(). About 8 KB, plus 24 bytes per object, for 64x64 cells.
   std::string Save(const RandomStream& stream) const;
-  // Goes on where Save() was called, in this world or in another with the same options; the seed comes with the
+  // Restores the state at Save(), of this world or of another with the same options. The seed is part of the
   // snapshot.
   //   InvalidArgument: the snapshot of a world with other options, or of another version.
   //   DataLoss: cut, damaged or impossible bytes. On failure the world is unchanged.

@@ -5,7 +5,7 @@
 #include <cmath>
 #include <cstddef>
 
-#include "common/multiversion.h"
+#include "common/base/multiversion.h"
 
 namespace craftfleet {
 namespace {
@@ -53,7 +53,7 @@ double SumOfSquares(const float* values, size_t size) {
   return total;
 }
 
-// The numbers of one step, as torch.optim.Adam has them.
+// The constants of one step, as torch.optim.Adam computes them.
 struct Step {
   float gradient_scale;
   float beta1;

@@ -8,7 +8,7 @@
 
 #include <absl/types/span.h>
 
-#include "common/worker_pool.h"
+#include "common/base/worker_pool.h"
 
 namespace craftfleet {
 

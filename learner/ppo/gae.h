@@ -5,14 +5,14 @@
 
 #include <absl/types/span.h>
 
-#include "common/types.h"
+#include "common/base/types.h"
 
 namespace craftfleet {
 
 struct GaeOptions {
   double gamma = 0.95;
   double lambda = 0.65;
-  bool truncation_is_terminal = false;  // true: nothing to bootstrap from at the length limit, as the authors' code
+  bool truncation_is_terminal = false;  // true: the length limit ends an episode like a death (PPO.md, section 8)
 };
 
 // Consecutive steps of one lane.
@@ -26,7 +26,7 @@ struct LaneSteps {
 
 // Writes advantages[T] and returns[T] = advantages + values. T > 0. The arithmetic, its mix of float and double
 // included, is that of the reference: golden agents/gae.json, bit for bit.
-// Source: "The agents", section 1.
+// Source: PPO.md, section 3.
 void ComputeGae(const LaneSteps& steps, const GaeOptions& options, absl::Span<float> advantages,
                 absl::Span<float> returns);
 

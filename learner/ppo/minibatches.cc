@@ -4,7 +4,7 @@
 #include <numeric>
 #include <utility>
 
-#include "common/keyed_random.h"
+#include "common/base/keyed_random.h"
 
 namespace craftfleet {
 namespace {
@@ -42,8 +42,8 @@ std::vector<Segment> CutSlice(absl::Span<const RowStart> starts, int first, int 
   std::vector<Segment> segments;
   for (int i = 0; i < length; ++i) {
     const int row = (first + i) % static_cast<int>(starts.size());
-    const bool goes_on = starts[row] == RowStart::kNone || starts[row] == RowStart::kFragment;
-    if (i == 0 || row == 0 || !goes_on) segments.push_back({row, 0});
+    const bool continues = starts[row] == RowStart::kNone || starts[row] == RowStart::kFragment;
+    if (i == 0 || row == 0 || !continues) segments.push_back({row, 0});
     ++segments.back().length;
   }
   return segments;

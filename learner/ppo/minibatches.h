@@ -12,7 +12,7 @@
 
 namespace craftfleet {
 
-// What an epoch's random choices follow from.
+// Determines an epoch's random choices.
 struct EpochKey {
   uint64_t run_seed = 0;
   int64_t iteration = 0;
@@ -21,7 +21,7 @@ struct EpochKey {
 
 constexpr int kPadding = -1;
 
-// Steps that are learnt from at once.
+// The steps of one optimiser step.
 struct Minibatch {
   std::vector<int> rows;     // of the rollout, segment after segment; kPadding: a step of zeros
   std::vector<int> lengths;  // of the segments, which the network sees as sequences; empty: each step stands alone
@@ -39,10 +39,10 @@ std::vector<Minibatch> StepMinibatches(const EpochKey& key, int n, int size);
 // sizes differ from `size` by at most the length of the longest segment.
 std::vector<Minibatch> SegmentMinibatches(const EpochKey& key, absl::Span<const RowStart> starts, int size);
 
-// The same as the paper's authors' code does it: the rollout, turned so that it begins at a random step, is cut into
+// The same as the published code does it: the rollout, turned so that it begins at a random step, is cut into
 // slices of `size` steps (the last may be shorter), these into segments at episode and lane starts. Zeros fill all
 // segments of a minibatch up to the longest, and count in every mean.
-// Source: "The agents", section 5; golden `recurrent_minibatches`.
+// Source: PPO.md, section 5; golden `recurrent_minibatches`.
 std::vector<Minibatch> PublishedMinibatches(const EpochKey& key, absl::Span<const RowStart> starts, int size);
 
 // At most `shards` parts that hold the minibatch's segments, each whole, the longest ones dealt first, each to the part

@@ -5,7 +5,7 @@
 
 #include <absl/types/span.h>
 
-#include "common/crafter.h"
+#include "common/base/crafter.h"
 
 namespace craftfleet {
 
@@ -15,7 +15,7 @@ struct PpoLossOptions {
   double entropy_coefficient = 0;
 };
 
-// What the loss compares the network's output with.
+// The loss compares the network's output with these.
 struct PpoTargets {
   absl::Span<const Action> actions;    // [n]
   absl::Span<const float> log_probs;   // [n] when the actions were chosen
@@ -23,7 +23,7 @@ struct PpoTargets {
   absl::Span<const float> returns;     // [n]
 };
 
-// Sums over rows; divided by the number of rows they are the means of "The agents", section 1.
+// Sums over rows; divided by the number of rows they are the means of PPO.md, section 6.
 struct PpoLossSums {
   double policy_loss = 0;
   double value_loss = 0;

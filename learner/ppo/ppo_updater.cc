@@ -8,23 +8,29 @@
 #include <ATen/ATen.h>
 #include <absl/strings/numbers.h>
 #include <absl/strings/str_cat.h>
-#include <absl/strings/str_format.h>
 #include <absl/types/span.h>
 #include <torch/csrc/autograd/autograd.h>
 
+#include "common/agent/device.h"
 #include "common/agent/initial_weights.h"
 #include "common/agent/policy_net.h"
 #include "common/agent/torch_setup.h"
 #include "common/agent/weights.h"
-#include "common/keyed_random.h"
-#include "common/status_macros.h"
+#include "common/base/keyed_random.h"
+#include "common/base/numbers.h"
+#include "common/base/status_macros.h"
+#include "learner/ppo/device_update.h"
 
 namespace craftfleet {
 namespace {
 
+constexpr char kCpuDevice[] = "cpu";
 constexpr char kStepsKey[] = "steps";
 constexpr char kExpAvg[] = "exp_avg.";
 constexpr char kExpAvgSq[] = "exp_avg_sq.";
+// Before the names of distillation's optimisers.
+constexpr char kMatching[] = "matching.";
+constexpr char kPrediction[] = "prediction.";
 constexpr char kValueMean[] = "value_norm.mean";
 constexpr char kValueMeanSquare[] = "value_norm.mean_square";
 constexpr char kValueWeight[] = "value_norm.weight";
@@ -66,18 +72,34 @@ std::vector<T> Gather(const std::vector<T>& values, absl::Span<const int> rows, 
   return chosen;
 }
 
-// The segments of `part` with the states before them.
-Segments SegmentsOf(const Rollout& rollout, const Minibatch& part, int state_size) {
-  Segments segments{part.lengths, at::zeros({static_cast<int64_t>(part.lengths.size()), state_size})};
+// The segments of `part` with the states before them; with a memory, each row is a segment.
+Segments SegmentsOf(const Rollout& rollout, const Minibatch& part, const AgentSpec& spec) {
+  const std::vector<int> lengths = spec.network.memory() ? std::vector<int>(part.rows.size(), 1) : part.lengths;
+  Segments segments{lengths, at::zeros({static_cast<int64_t>(lengths.size()), spec.state_size})};
   auto* state = segments.states.data_ptr<float>();
   size_t first = 0;
-  for (const int length : part.lengths) {
+  for (const int length : lengths) {
     const float* const before = rollout.states[part.rows[first]];
-    if (before != nullptr) std::copy_n(before, state_size, state);
-    state += state_size;
+    if (before != nullptr) std::copy_n(before, spec.state_size, state);
+    state += spec.state_size;
     first += length;
   }
   return segments;
+}
+
+// Configurations of older runs lack the field.
+double ValueNormStart(const v1::PpoConfig& config) {
+  return config.has_value_norm_start() ? config.value_norm_start() : 1;
+}
+
+// The parts of a minibatch, one after the other.
+Minibatch Joined(const std::vector<Minibatch>& parts) {
+  Minibatch joined;
+  for (const Minibatch& part : parts) {
+    joined.rows.insert(joined.rows.end(), part.rows.begin(), part.rows.end());
+    joined.lengths.insert(joined.lengths.end(), part.lengths.begin(), part.lengths.end());
+  }
+  return joined;
 }
 
 // Sums over `rows` rows as means.
@@ -86,15 +108,34 @@ PpoLossSums Means(PpoLossSums sums, size_t rows) {
   return sums;
 }
 
-// Digits enough that the number comes back bit for bit.
-std::string Exactly(double number) { return absl::StrFormat("%.17g", number); }
-
 absl::Status ReadNumber(const SafeTensors& file, absl::string_view key, double* number) {
   const auto entry = file.metadata.find(std::string(key));
   if (entry != file.metadata.end() && absl::SimpleAtod(entry->second, number) && std::isfinite(*number)) {
     return absl::OkStatus();
   }
   return absl::InvalidArgumentError(absl::StrCat("the optimiser's metadata \"", key, "\" is not a number"));
+}
+
+// `adam` with the names of its tensors and metadata behind `prefix`.
+void AddAdam(const AgentSpec& spec, absl::string_view prefix, const AdamState& adam, SafeTensors* file) {
+  file->metadata[absl::StrCat(prefix, kStepsKey)] = absl::StrCat(adam.steps);
+  for (const auto& [name, moments] : {std::pair(kExpAvg, &adam.exp_avg), std::pair(kExpAvgSq, &adam.exp_avg_sq)}) {
+    for (SafeTensor& tensor : AsTensors(spec, absl::StrCat(prefix, name), *moments)) {
+      file->tensors.push_back(std::move(tensor));
+    }
+  }
+}
+
+absl::Status ReadAdam(const AgentSpec& spec, absl::string_view prefix, const SafeTensors& file, AdamState* adam) {
+  for (const auto& [name, moments] : {std::pair(kExpAvg, &adam->exp_avg), std::pair(kExpAvgSq, &adam->exp_avg_sq)}) {
+    CRAFTFLEET_RETURN_IF_ERROR(CopyTensors(spec, absl::StrCat(prefix, name), file.tensors, absl::MakeSpan(*moments)));
+  }
+  const std::string key = absl::StrCat(prefix, kStepsKey);
+  const auto steps = file.metadata.find(key);
+  if (steps == file.metadata.end() || !absl::SimpleAtoi(steps->second, &adam->steps) || adam->steps < 0) {
+    return absl::InvalidArgumentError(absl::StrCat("the optimiser's metadata \"", key, "\" is not a count"));
+  }
+  return absl::OkStatus();
 }
 
 absl::Status ReadValueNorm(const SafeTensors& file, ValueNorm* value_norm) {
@@ -106,8 +147,8 @@ absl::Status ReadValueNorm(const SafeTensors& file, ValueNorm* value_norm) {
 }  // namespace
 
 struct PpoUpdater::Shard {
-  Shard(const AgentSpec& spec, absl::Span<float> weights, at::Device device)
-      : net(spec, PolicyNet::Use::kTraining, weights, device), frames(at::empty({0})) {}
+  Shard(const AgentSpec& spec, absl::Span<float> weights)
+      : net(spec, PolicyNet::Use::kTraining, weights), frames(at::empty({0})) {}
 
   PolicyNet net;
   at::Tensor frames;    // float[rows,H,W,3], reused
@@ -130,6 +171,11 @@ absl::StatusOr<std::unique_ptr<PpoUpdater>> PpoUpdater::Create(const v1::RunConf
     return absl::InvalidArgumentError(absl::StrCat("ppo.minibatch_size is ", config.ppo().minibatch_size(),
                                                    ", want a multiple of gradient_shards, ", config.gradient_shards()));
   }
+  CRAFTFLEET_RETURN_IF_ERROR(CheckPrecision(device, spec.precision));
+  if (device != kCpuDevice) {
+    CRAFTFLEET_RETURN_IF_ERROR(DeviceUpdate::CheckSupported(config));
+    CRAFTFLEET_RETURN_IF_ERROR(DeviceUpdate::CheckFields(spec.network, "network."));
+  }
   return std::unique_ptr<PpoUpdater>(new PpoUpdater(std::move(spec), config, threads, device));
 }
 
@@ -138,46 +184,82 @@ PpoUpdater::PpoUpdater(AgentSpec spec, const v1::RunConfig& config, int threads,
       config_(config.ppo()),
       seed_(config.seed()),
       no_frame_(spec_.frame_bytes()),
+      distills_(config.distillation().every_iterations() > 0),
       workers_(threads, SetUpTorchThread),
-      state_{InitialWeights(spec_, seed_),
-             {0, std::vector<float>(spec_.param_count), std::vector<float>(spec_.param_count)},
-             {}} {
-  for (int i = 0; i < config.gradient_shards(); ++i) {
-    shards_.push_back(std::make_unique<Shard>(spec_, absl::MakeSpan(state_.weights), at::Device(device)));
-  }
+      state_(FreshState(InitialWeights(spec_, seed_))),
+      shards_(config.gradient_shards()),
+      device_(device == kCpuDevice ? nullptr : std::make_unique<DeviceUpdate>(spec_, config, at::Device(device))) {
+  if (device_ != nullptr) return;
+  if (distills_) distiller_ = std::make_unique<Distiller>(spec_, config, absl::MakeSpan(state_.weights), &workers_);
+  for (auto& shard : shards_) shard = std::make_unique<Shard>(spec_, absl::MakeSpan(state_.weights));
 }
 
 PpoUpdater::~PpoUpdater() = default;
+
+PpoUpdater::State PpoUpdater::FreshState(std::vector<float> weights) const {
+  const AdamState fresh = {0, std::vector<float>(spec_.param_count), std::vector<float>(spec_.param_count)};
+  State state{std::move(weights), fresh, {}, {}};
+  if (distills_) state.distillation = {fresh, fresh};
+  return state;
+}
 
 RolloutOptions PpoUpdater::rollout_options() const {
   RolloutOptions options;
   options.frame_bytes = spec_.frame_bytes();
   options.state_size = spec_.state_size;
-  options.every_state = config_.recurrent_batches() == v1::PpoConfig::PUBLISHED;
+  options.every_state = KeepsEveryState(spec_, config_);
   options.gae.gamma = config_.gamma();
   options.gae.lambda = config_.gae_lambda();
   options.gae.truncation_is_terminal = config_.truncation_is_terminal();
-  options.value_scale = state_.value_norm.Scale();
+  options.value_scale = state_.value_norm.Scale(ValueNormStart(config_));
   return options;
 }
 
 absl::StatusOr<UpdateStats> PpoUpdater::Update(int64_t iteration, const Rollout& rollout,
                                                const std::function<bool()>& should_stop) {
-  const bool cuts_evenly = spec_.state_size > 0 || rollout.size() % config_.minibatch_size() == 0;
+  const bool cuts_evenly = spec_.network.recurrent() || rollout.size() % config_.minibatch_size() == 0;
   if (rollout.size() == 0 || !cuts_evenly) {
     return absl::InvalidArgumentError(absl::StrCat(
         "a rollout of ", rollout.size(), " steps, want a multiple of ppo.minibatch_size, ", config_.minibatch_size()));
   }
   SetUpTorchThread();
+  if (device_ != nullptr) return UpdateOnDevice(iteration, rollout, should_stop);
   State before = state_;
   absl::StatusOr<UpdateStats> stats = absl::InternalError("the update did not run");
   try {
-    stats = RunEpochs(iteration, rollout, should_stop);
+    stats = RunIteration(iteration, rollout, should_stop);
   } catch (const std::exception& error) {  // of LibTorch, or out of memory
     stats = absl::InternalError(absl::StrCat("update: ", error.what()));
   }
   if (stats.ok() && !IsFinite()) stats = absl::DataLossError("the update's weights or value statistics are not finite");
   if (!stats.ok()) Restore(std::move(before));
+  if (distiller_ != nullptr && stats.ok()) distiller_->Commit(iteration);
+  if (distiller_ != nullptr && !stats.ok()) distiller_->Undo(iteration);
+  return stats;
+}
+
+absl::StatusOr<UpdateStats> PpoUpdater::RunIteration(int64_t iteration, const Rollout& rollout,
+                                                     const std::function<bool()>& should_stop) {
+  CRAFTFLEET_ASSIGN_OR_RETURN(UpdateStats stats, RunEpochs(iteration, rollout, should_stop));
+  if (distiller_ != nullptr) {
+    CRAFTFLEET_RETURN_IF_ERROR(
+        distiller_->OnIteration(iteration, rollout, should_stop, &state_.distillation, &state_.value_norm, &stats));
+  }
+  return stats;
+}
+
+absl::StatusOr<UpdateStats> PpoUpdater::UpdateOnDevice(int64_t iteration, const Rollout& rollout,
+                                                       const std::function<bool()>& should_stop) {
+  std::vector<std::vector<Minibatch>> epochs(config_.epochs());
+  for (int epoch = 0; epoch < config_.epochs(); ++epoch) {
+    epochs[epoch] = MakeMinibatches({seed_, iteration, epoch}, rollout);
+    // In the order of its parts, so that dropout finds each row where it is on the CPU.
+    for (Minibatch& minibatch : epochs[epoch]) {
+      minibatch = Joined(CutIntoShards(minibatch, static_cast<int>(shards_.size())));
+    }
+  }
+  CRAFTFLEET_ASSIGN_OR_RETURN(UpdateStats stats, device_->Run(rollout, epochs, should_stop, &state_));
+  stats.explained_variance = ExplainedVariance(rollout);
   return stats;
 }
 
@@ -189,7 +271,7 @@ bool PpoUpdater::IsFinite() const {
 
 std::vector<Minibatch> PpoUpdater::MakeMinibatches(const EpochKey& key, const Rollout& rollout) const {
   const int size = config_.minibatch_size();
-  if (spec_.state_size == 0) return StepMinibatches(key, static_cast<int>(rollout.size()), size);
+  if (!spec_.network.recurrent()) return StepMinibatches(key, static_cast<int>(rollout.size()), size);
   if (config_.recurrent_batches() == v1::PpoConfig::PUBLISHED) return PublishedMinibatches(key, rollout.starts, size);
   return SegmentMinibatches(key, rollout.starts, size);
 }
@@ -198,6 +280,10 @@ absl::StatusOr<UpdateStats> PpoUpdater::RunEpochs(int64_t iteration, const Rollo
                                                   const std::function<bool()>& should_stop) {
   UpdateStats stats;
   int count = 0;
+  if (config_.advantages_over_rollout()) {
+    normalised_advantages_ = rollout.advantages;
+    Normalise(absl::MakeSpan(normalised_advantages_));
+  }
   for (int epoch = 0; epoch < config_.epochs(); ++epoch) {
     const std::vector<Minibatch> minibatches = MakeMinibatches({seed_, iteration, epoch}, rollout);
     const bool last_epoch = epoch + 1 == config_.epochs();
@@ -228,12 +314,12 @@ PpoUpdater::Batch PpoUpdater::MakeBatch(const Rollout& rollout, const Minibatch&
     batch.firsts.push_back(rows.size());
     rows.insert(rows.end(), part.rows.begin(), part.rows.end());
   }
-  batch.advantages = Gather(rollout.advantages, rows);
-  Normalise(absl::MakeSpan(batch.advantages));
+  batch.advantages = Gather(config_.advantages_over_rollout() ? normalised_advantages_ : rollout.advantages, rows);
+  if (!config_.advantages_over_rollout()) Normalise(absl::MakeSpan(batch.advantages));
   batch.returns = Gather(rollout.returns, rows);
   if (config_.value_norm_decay() > 0) {
     state_.value_norm.Update(batch.returns, config_.value_norm_decay());
-    const ValueScale scale = state_.value_norm.Scale();
+    const ValueScale scale = state_.value_norm.Scale(ValueNormStart(config_));
     for (float& target : batch.returns) target = scale.Normalise(target);
   }
   batch.dropout_key = KeyedBits(RandomUse::kDropout, seed_, static_cast<uint64_t>(state_.adam.steps), 0);
@@ -268,9 +354,8 @@ void PpoUpdater::ComputeGradient(const Rollout& rollout, const Batch& batch, siz
     const size_t first = batch.firsts[part];
     shard->frames.resize_({static_cast<int64_t>(rows.size()), spec_.frame_size, spec_.frame_size, 3});
     ScaleFrames(Gather(rollout.frames, rows, no_frame_.data()), spec_.frame_bytes(), shard->frames.data_ptr<float>());
-    const PolicyNet::Output output =
-        shard->net.Forward(shard->frames, SegmentsOf(rollout, batch.parts[part], spec_.state_size),
-                           Dropout{batch.dropout_key, static_cast<int64_t>(first)});
+    const PolicyNet::Output output = shard->net.Forward(shard->frames, SegmentsOf(rollout, batch.parts[part], spec_),
+                                                        Dropout{batch.dropout_key, static_cast<int64_t>(first)});
 
     const std::vector<Action> actions = Gather(rollout.actions, rows);
     const std::vector<float> log_probs = Gather(rollout.log_probs, rows);
@@ -294,48 +379,50 @@ void PpoUpdater::Restore(State state) {
   std::copy(state.weights.begin(), state.weights.end(), state_.weights.begin());
   state_.adam = std::move(state.adam);
   state_.value_norm = state.value_norm;
+  state_.distillation = std::move(state.distillation);
+  if (device_ != nullptr) device_->Forget();
 }
 
 std::string PpoUpdater::SaveWeights() const { return craftfleet::SaveWeights(spec_, state_.weights); }
 
 std::string PpoUpdater::SaveOptimizer() const {
-  SafeTensors file{AsTensors(spec_, kExpAvg, state_.adam.exp_avg), {{kStepsKey, absl::StrCat(state_.adam.steps)}}};
-  for (SafeTensor& tensor : AsTensors(spec_, kExpAvgSq, state_.adam.exp_avg_sq)) {
-    file.tensors.push_back(std::move(tensor));
-  }
+  SafeTensors file;
+  AddAdam(spec_, "", state_.adam, &file);
   if (config_.value_norm_decay() > 0) {
-    file.metadata[kValueMean] = Exactly(state_.value_norm.mean);
-    file.metadata[kValueMeanSquare] = Exactly(state_.value_norm.mean_square);
-    file.metadata[kValueWeight] = Exactly(state_.value_norm.weight);
+    file.metadata[kValueMean] = ExactNumber(state_.value_norm.mean);
+    file.metadata[kValueMeanSquare] = ExactNumber(state_.value_norm.mean_square);
+    file.metadata[kValueWeight] = ExactNumber(state_.value_norm.weight);
+  }
+  if (distiller_ != nullptr) {
+    AddAdam(spec_, kMatching, state_.distillation.matching, &file);
+    AddAdam(spec_, kPrediction, state_.distillation.prediction, &file);
+    distiller_->Save(&file);
   }
   return WriteSafetensors(file);
 }
 
 absl::Status PpoUpdater::Load(absl::string_view weights, absl::string_view optimizer) {
-  State state;
-  CRAFTFLEET_ASSIGN_OR_RETURN(state.weights, LoadWeights(spec_, weights));
+  CRAFTFLEET_ASSIGN_OR_RETURN(std::vector<float> loaded, LoadWeights(spec_, weights));
   CRAFTFLEET_ASSIGN_OR_RETURN(const SafeTensors file, ReadSafetensors(optimizer));
-  state.adam.exp_avg.resize(spec_.param_count);
-  state.adam.exp_avg_sq.resize(spec_.param_count);
-  CRAFTFLEET_RETURN_IF_ERROR(CopyTensors(spec_, kExpAvg, file.tensors, absl::MakeSpan(state.adam.exp_avg)));
-  CRAFTFLEET_RETURN_IF_ERROR(CopyTensors(spec_, kExpAvgSq, file.tensors, absl::MakeSpan(state.adam.exp_avg_sq)));
-  const auto steps = file.metadata.find(kStepsKey);
-  if (steps == file.metadata.end() || !absl::SimpleAtoi(steps->second, &state.adam.steps) || state.adam.steps < 0) {
-    return absl::InvalidArgumentError("the optimiser's metadata \"steps\" is not a count");
-  }
+  State state = FreshState(std::move(loaded));
+  CRAFTFLEET_RETURN_IF_ERROR(ReadAdam(spec_, "", file, &state.adam));
   if (config_.value_norm_decay() > 0) CRAFTFLEET_RETURN_IF_ERROR(ReadValueNorm(file, &state.value_norm));
+  if (distiller_ != nullptr) {
+    CRAFTFLEET_RETURN_IF_ERROR(ReadAdam(spec_, kMatching, file, &state.distillation.matching));
+    CRAFTFLEET_RETURN_IF_ERROR(ReadAdam(spec_, kPrediction, file, &state.distillation.prediction));
+    CRAFTFLEET_RETURN_IF_ERROR(distiller_->Load(file));
+  }
   Restore(std::move(state));
   return absl::OkStatus();
 }
 
 absl::Status PpoUpdater::StartFrom(absl::string_view weights, absl::string_view optimizer) {
-  State state;
-  CRAFTFLEET_ASSIGN_OR_RETURN(state.weights, LoadWeights(spec_, weights));
+  CRAFTFLEET_ASSIGN_OR_RETURN(std::vector<float> loaded, LoadWeights(spec_, weights));
   CRAFTFLEET_ASSIGN_OR_RETURN(const SafeTensors file, ReadSafetensors(optimizer));
+  State state = FreshState(std::move(loaded));
   if (config_.value_norm_decay() > 0 && file.metadata.count(kValueWeight) > 0) {
     CRAFTFLEET_RETURN_IF_ERROR(ReadValueNorm(file, &state.value_norm));
   }
-  state.adam = {0, std::vector<float>(spec_.param_count), std::vector<float>(spec_.param_count)};
   Restore(std::move(state));
   return absl::OkStatus();
 }

@@ -1,4 +1,4 @@
-// Proximal policy optimisation (Schulman et al. 2017): from a rollout to the next weights.
+// Proximal policy optimisation (Schulman et al. 2017): from a rollout to the next weights. Equations: PPO.md.
 
 #ifndef CRAFTFLEET_LEARNER_PPO_PPO_UPDATER_H_
 #define CRAFTFLEET_LEARNER_PPO_PPO_UPDATER_H_
@@ -14,36 +14,31 @@
 #include <absl/strings/string_view.h>
 
 #include "common/agent/agent_spec.h"
-#include "common/worker_pool.h"
+#include "common/base/worker_pool.h"
 #include "craftfleet/v1/config.pb.h"
 #include "learner/ppo/adam.h"
+#include "learner/ppo/distillation/distiller.h"
 #include "learner/ppo/minibatches.h"
 #include "learner/ppo/ppo_loss.h"
 #include "learner/ppo/rollout.h"
-#include "learner/ppo/value_norm.h"
+#include "learner/ppo/update_state.h"
+#include "learner/ppo/update_stats.h"
 
 namespace craftfleet {
 
-// One iteration in numbers: means over its minibatches, but where it says otherwise.
-struct UpdateStats {
-  double policy_loss = 0;
-  double value_loss = 0;          // mean squared error, of normalised values where values are
-  double entropy = 0;             // nats
-  double clip_fraction = 0;       // of rows whose probability ratio left 1 +- clip
-  double gradient_norm = 0;       // L2, before clipping
-  double approx_kl = 0;           // of the last epoch
-  double explained_variance = 0;  // 1 - Var(returns - values) / Var(returns) of the rollout; 0 if returns are constant
-};
+class DeviceUpdate;
 
 // Owns the weights, Adam's state and the value normaliser of a training run. Each minibatch is cut into
 // `gradient_shards` parts (CutIntoShards) whose gradients are computed apart, each by one thread, and added in order:
-// the number of threads does not change a bit. Owned by one thread, which computes as well.
+// the number of threads does not change a bit. On a GPU, DeviceUpdate computes instead. Owned by one thread, which
+// computes as well.
 class PpoUpdater {
  public:
   // The fields of `config` that count: agent, network, seed, gradient_shards and ppo, all valid (ValidateRunConfig).
   // Starts from InitialWeights of the seed. `threads` >= 1; more than gradient_shards help little. `device`, as
-  // FindDevice gives it, computes gradients; what is not worth a GPU (loss, Adam, minibatches) stays on the CPU.
-  //   InvalidArgument: unknown agent; minibatch_size is not a multiple of gradient_shards.
+  // FindDevice returns it, computes; "cpu:0" is the CPU as if it were a GPU, for tests.
+  //   InvalidArgument: unknown agent; minibatch_size is not a multiple of gradient_shards; a field or a precision that
+  //   this device does not compute.
   static absl::StatusOr<std::unique_ptr<PpoUpdater>> Create(const v1::RunConfig& config, int threads,
                                                             const std::string& device = "cpu");
   ~PpoUpdater();
@@ -53,23 +48,25 @@ class PpoUpdater {
   // How fragments that the present weights played become a rollout.
   RolloutOptions rollout_options() const;
 
-  // Runs the epochs of `iteration`, which orders the minibatches. `should_stop` is asked after each minibatch.
-  // Unless OK, weights, optimiser and value normaliser are as before.
+  // Runs the epochs of `iteration`, which orders the minibatches, and distillation after them. `should_stop` is asked
+  // after each minibatch. Unless OK, weights, optimiser and value normaliser are as before.
   //   InvalidArgument: the rollout is empty, or the agent feed-forward and its size not a multiple of minibatch_size.
   //   Cancelled: should_stop() said so.   DataLoss: gradient or weights are not finite.   Internal: LibTorch failed.
+  //   Others, on a GPU, as DeviceUpdate::Run.
   absl::StatusOr<UpdateStats> Update(int64_t iteration, const Rollout& rollout,
                                      const std::function<bool()>& should_stop);
 
   // Safetensors of the weights; of Adam's moments ("exp_avg.<name>", "exp_avg_sq.<name>"), its step count (metadata
-  // "steps") and, where values are normalised, the normaliser ("value_norm.mean", ".mean_square" and ".weight").
+  // "steps") and, where values are normalised, the normaliser ("value_norm.mean", ".mean_square" and ".weight"). With
+  // distillation, also its Adams' ("matching.exp_avg.<name>", ...) and the kept rollouts (FORMATS.md, section 7).
   std::string SaveWeights() const;
   std::string SaveOptimizer() const;
 
-  // Goes on from what SaveWeights and SaveOptimizer gave, bit for bit.
+  // Continues from the results of SaveWeights and SaveOptimizer, bit for bit.
   //   InvalidArgument: not this agent's; names the tensor. Nothing is changed.
   absl::Status Load(absl::string_view weights, absl::string_view optimizer);
 
-  // Begins with weights that SaveWeights gave, maybe of another run, and a fresh optimiser. The value normaliser,
+  // Begins with the result of SaveWeights, maybe of another run, and a fresh optimiser. The value normaliser,
   // without which the weights' values mean nothing, is taken from the `optimizer` that was saved with them, if it has
   // one.
   //   As Load.
@@ -81,19 +78,23 @@ class PpoUpdater {
  private:
   struct Shard;  // one replica: net, gradients, input
   struct Batch;  // a minibatch, cut for the shards, with its targets
-  struct State {
-    std::vector<float> weights;  // [param_count]; the shards' nets look into it
-    AdamState adam;
-    ValueNorm value_norm;
-  };
+  using State = UpdateState;
 
   PpoUpdater(AgentSpec spec, const v1::RunConfig& config, int threads, const std::string& device);
 
-  // The minibatches of an epoch, as the agent wants them.
+  // All optimisers without a step.
+  State FreshState(std::vector<float> weights) const;
+
+  // The minibatches of an epoch, by the kind of agent.
   std::vector<Minibatch> MakeMinibatches(const EpochKey& key, const Rollout& rollout) const;
+  absl::StatusOr<UpdateStats> UpdateOnDevice(int64_t iteration, const Rollout& rollout,
+                                             const std::function<bool()>& should_stop);
   absl::StatusOr<UpdateStats> RunEpochs(int64_t iteration, const Rollout& rollout,
                                         const std::function<bool()>& should_stop);
-  // One optimiser step; adds what it saw to `stats` and returns the means of its losses.
+  // RunEpochs, then distillation if there is one.
+  absl::StatusOr<UpdateStats> RunIteration(int64_t iteration, const Rollout& rollout,
+                                           const std::function<bool()>& should_stop);
+  // One optimiser step; adds its gradient norm to `stats` and returns the means of its losses.
   absl::StatusOr<PpoLossSums> RunMinibatch(const Rollout& rollout, const Minibatch& minibatch, UpdateStats* stats);
   Batch MakeBatch(const Rollout& rollout, const Minibatch& minibatch);
   void Restore(State state);
@@ -105,9 +106,13 @@ class PpoUpdater {
   const v1::PpoConfig config_;
   const uint64_t seed_;
   const std::vector<uint8_t> no_frame_;  // [frame_bytes] zeros, for padding
+  const bool distills_;
   WorkerPool workers_;
-  State state_;
+  State state_;  // the shards' nets look into the weights
   std::vector<std::unique_ptr<Shard>> shards_;
+  std::unique_ptr<Distiller> distiller_;        // null: no distillation
+  std::vector<float> normalised_advantages_;    // of the running update, with advantages_over_rollout
+  const std::unique_ptr<DeviceUpdate> device_;  // null: on the CPU
 };
 
 }  // namespace craftfleet

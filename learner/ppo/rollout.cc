@@ -5,7 +5,7 @@
 #include <absl/strings/str_cat.h>
 #include <absl/types/span.h>
 
-#include "common/status_macros.h"
+#include "common/base/status_macros.h"
 
 namespace craftfleet {
 namespace {
@@ -40,7 +40,7 @@ absl::Status CheckFragment(const Fragment& fragment, const RolloutOptions& optio
   return absl::OkStatus();
 }
 
-// Why the fragment's step `t` may not go on from the row before it.
+// How the fragment's step `t` relates to the row before it.
 RowStart StartOf(const Fragment& fragment, size_t t, const Rollout& rollout) {
   if (t > 0) return fragment.ends[t - 1] == StepEnd::kNone ? RowStart::kNone : RowStart::kEpisode;
   if (fragment.lane != rollout.last_lane) return RowStart::kLane;
@@ -57,7 +57,7 @@ void AppendStates(const Fragment& fragment, const RolloutOptions& options, Rollo
   rollout->last_end = fragment.ends.back();
 }
 
-// Values as the GAE wants them, and the advantages and returns that follow.
+// Denormalised values, and the advantages and returns computed from them.
 void AppendAdvantages(const Fragment& fragment, const RolloutOptions& options, Rollout* rollout) {
   const size_t first = rollout->values.size();
   const size_t steps = fragment.values.size();
@@ -82,6 +82,8 @@ absl::Status AppendFragment(const Fragment& fragment, const RolloutOptions& opti
     rollout->actions.push_back(static_cast<Action>(fragment.actions[t]));
   }
   rollout->log_probs.insert(rollout->log_probs.end(), fragment.log_probs.begin(), fragment.log_probs.end());
+  rollout->rewards.insert(rollout->rewards.end(), fragment.rewards.begin(), fragment.rewards.end());
+  rollout->ends.insert(rollout->ends.end(), fragment.ends.begin(), fragment.ends.end());
   AppendStates(fragment, options, rollout);
   AppendAdvantages(fragment, options, rollout);
   return absl::OkStatus();

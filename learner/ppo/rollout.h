@@ -1,4 +1,4 @@
-// What one PPO iteration learns from.
+// The data of one PPO iteration.
 
 #ifndef CRAFTFLEET_LEARNER_PPO_ROLLOUT_H_
 #define CRAFTFLEET_LEARNER_PPO_ROLLOUT_H_
@@ -9,17 +9,17 @@
 
 #include <absl/status/status.h>
 
-#include "common/crafter.h"
-#include "common/types.h"
+#include "common/base/crafter.h"
+#include "common/base/types.h"
 #include "learner/ppo/gae.h"
 #include "learner/ppo/value_norm.h"
 
 namespace craftfleet {
 
-// Whether a row goes on from the row before it.
+// Whether a row continues the row before it.
 enum class RowStart : uint8_t {
   kNone = 0,  // it does: the next step of the same episode
-  kFragment,  // so it does, but in another fragment
+  kFragment,  // it does, in another fragment
   kLane,      // another lane, in the middle of an episode
   kEpisode,   // the first step of an episode
 };
@@ -33,6 +33,8 @@ struct Rollout {
   std::vector<float> values;           // [n] likewise
   std::vector<float> advantages;       // [n] not normalised
   std::vector<float> returns;          // [n]
+  std::vector<float> rewards;          // [n]
+  std::vector<StepEnd> ends;           // [n]
   std::vector<RowStart> starts;        // [n]
   std::vector<const float*> states;    // [n] -> float[S] before the step; null: zero, or not kept (kNone)
   int last_lane = -1;                  // of the last row
@@ -43,7 +45,7 @@ struct Rollout {
 
 struct RolloutOptions {
   int64_t frame_bytes = 0;
-  int state_size = 0;        // of the agent's recurrent state (S)
+  int state_size = 0;        // of the agent's recurrent state or memory (S)
   bool every_state = false;  // fragments hold the state before each step, not just the first
   GaeOptions gae;
   ValueScale value_scale;  // of the values in fragments

@@ -23,8 +23,8 @@ void ValueNorm::Update(absl::Span<const float> returns, double decay) {
   weight = decay * weight + (1 - decay);
 }
 
-ValueScale ValueNorm::Scale() const {
-  if (weight == 0) return {};
+ValueScale ValueNorm::Scale(double start) const {
+  if (weight == 0) return {0, start};
   const double corrected = mean / weight;
   return {corrected, std::sqrt(std::max(mean_square / weight - corrected * corrected, kMinVariance))};
 }

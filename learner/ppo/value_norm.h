@@ -9,7 +9,7 @@
 
 namespace craftfleet {
 
-// value = mean + deviation * what the value head says.
+// value = mean + deviation * output of the value head.
 struct ValueScale {
   double mean = 0;
   double deviation = 1;
@@ -21,17 +21,17 @@ struct ValueScale {
 // Running mean and mean square of the targets, exponentially weighted: a step's share in them decays by `decay` with
 // each minibatch that comes after it. `weight` is what all shares add up to; dividing by it corrects the bias towards
 // the zeros that they start from.
-// Source: "The agents", section 9.
+// Source: PPO.md, section 9.
 struct ValueNorm {
   double mean = 0;         // not corrected
   double mean_square = 0;  // likewise
   double weight = 0;       // 0: no targets yet
 
-  // Takes in a minibatch of returns, n > 0. `decay` is in (0, 1).
+  // Adds a minibatch of returns, n > 0. `decay` is in (0, 1).
   void Update(absl::Span<const float> returns, double decay);
 
-  // With a variance of at least 0.01; mean 0 and deviation 1 before the first Update.
-  ValueScale Scale() const;
+  // With a variance of at least 0.01; mean 0 and deviation `start` before the first Update.
+  ValueScale Scale(double start = 1) const;
 };
 
 }  // namespace craftfleet

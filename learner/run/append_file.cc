@@ -7,8 +7,8 @@
 
 #include <absl/strings/str_cat.h>
 
-#include "common/files.h"
-#include "common/status_macros.h"
+#include "common/base/status_macros.h"
+#include "common/io/files.h"
 
 namespace craftfleet {
 namespace {
@@ -47,7 +47,7 @@ absl::Status AppendFile::OpenDescriptor() {
 absl::Status AppendFile::Prepare() {
   if (options_.fence != nullptr) CRAFTFLEET_RETURN_IF_ERROR(options_.fence->Check());
   if (descriptor_ < 0) CRAFTFLEET_RETURN_IF_ERROR(OpenDescriptor());
-  if (torn_ && ::ftruncate(descriptor_, length_) != 0) return FileError(errno, "cannot cut back", path_);
+  if (torn_ && ::ftruncate(descriptor_, length_) != 0) return FileError(errno, "cannot truncate", path_);
   torn_ = false;
   return absl::OkStatus();
 }
@@ -84,10 +84,10 @@ absl::Status AppendFile::Sync() {
 
 absl::Status AppendFile::TruncateTo(int64_t length) {
   if (length > length_) {
-    return absl::DataLossError(absl::StrCat(path_, " has ", length_, " bytes, the checkpoint saw ", length));
+    return absl::DataLossError(absl::StrCat(path_, " has ", length_, " bytes, but the checkpoint expects ", length));
   }
   CRAFTFLEET_RETURN_IF_ERROR(Prepare());
-  if (::ftruncate(descriptor_, length) != 0) return FileError(errno, "cannot cut back", path_);
+  if (::ftruncate(descriptor_, length) != 0) return FileError(errno, "cannot truncate", path_);
   const int64_t synced = length_ - static_cast<int64_t>(unsynced_.size());
   unsynced_.resize(length > synced ? length - synced : 0);
   length_ = length;

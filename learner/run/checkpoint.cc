@@ -1,6 +1,7 @@
 #include "learner/run/checkpoint.h"
 
 #include <cstdint>
+#include <limits>
 #include <utility>
 #include <vector>
 
@@ -11,11 +12,14 @@
 #include <absl/strings/str_split.h>
 #include <absl/strings/strip.h>
 
-#include "common/check.h"
-#include "common/config.h"
-#include "common/crc32c.h"
-#include "common/files.h"
-#include "common/status_macros.h"
+#include "common/base/check.h"
+#include "common/base/crc32c.h"
+#include "common/base/printable.h"
+#include "common/base/range_check.h"
+#include "common/base/seeds.h"
+#include "common/base/status_macros.h"
+#include "common/config/config.h"
+#include "common/io/files.h"
 
 namespace craftfleet {
 namespace {
@@ -26,6 +30,8 @@ constexpr absl::string_view kProgramPrefix = "program ";
 constexpr absl::string_view kStateFile = "state.pb";
 constexpr absl::string_view kWeightsFile = "weights.safetensors";
 constexpr absl::string_view kOptimizerFile = "optimizer.safetensors";
+constexpr size_t kMaxRunIdBytes = 512;  // the most that an actor accepts
+constexpr int kMaxPending = 16;         // a learner begins no evaluation while two are pending
 
 std::string EvaluationFile(const v1::PendingEvaluation& evaluation) {
   return absl::StrFormat("evaluation-%d.safetensors", evaluation.number());
@@ -39,7 +45,7 @@ absl::Status Torn(absl::string_view folder, absl::string_view how) {
   return absl::DataLossError(absl::StrCat("checkpoint ", folder, " is torn: ", how));
 }
 
-// The manifest's lines after format and program, which are checked.
+// Checks the manifest's format and program, and returns the lines after these.
 absl::StatusOr<std::vector<std::string>> ReadManifest(const std::string& folder) {
   const absl::StatusOr<std::string> text = ReadFile(JoinPath(folder, kManifest));
   if (!text.ok()) {
@@ -65,7 +71,7 @@ absl::StatusOr<std::vector<std::string>> ReadManifest(const std::string& folder)
   return lines;
 }
 
-// Bytes of `name`, which must be as its line in the manifest says.
+// The bytes of `name`, checked against its line in the manifest.
 absl::StatusOr<std::string> ReadListedFile(const std::string& folder, absl::string_view name,
                                            const std::vector<std::string>& manifest) {
   for (const std::string& line : manifest) {
@@ -86,34 +92,58 @@ absl::StatusOr<std::string> ReadListedFile(const std::string& folder, absl::stri
   return Torn(folder, absl::StrCat("MANIFEST does not list ", name));
 }
 
-absl::Status CheckState(const v1::CheckpointState& state) {
-  CRAFTFLEET_RETURN_IF_ERROR(ValidateRunConfig(state.config()));
-  if (state.iteration() < 0 || state.env_steps() < 0 || state.policy_version() < 0 || state.optimizer_steps() < 0) {
-    return absl::InvalidArgumentError("a counter is negative");
-  }
-  if (state.lanes_size() != state.config().lanes()) {
-    return absl::InvalidArgumentError(
-        absl::StrCat("it has ", state.lanes_size(), " lanes, its configuration ", state.config().lanes()));
-  }
-  for (const v1::PendingEvaluation& evaluation : state.pending()) {
-    if (evaluation.number() < 1 || evaluation.first_episode() < 1 || evaluation.episodes() < 1) {
-      return absl::InvalidArgumentError("a pending evaluation has a number, an episode or a count below 1");
-    }
-  }
-  return absl::OkStatus();
+absl::Status CheckPending(const v1::PendingEvaluation& evaluation) {
+  RangeCheck check;
+  check.Within<int64_t>("pending.number", evaluation.number(), 1, kMaxCount);
+  check.Within<int64_t>("pending.env_steps", evaluation.env_steps(), 0, kMaxCount);
+  check.Within("pending.episodes", evaluation.episodes(), 1, kMaxEvaluationEpisodes);
+  check.Within<int64_t>("pending.first_episode", evaluation.first_episode(), 1,
+                        kLastEvaluationEpisode + 1 - int64_t{2} * evaluation.episodes());
+  return check.status();
 }
 
 absl::StatusOr<v1::CheckpointState> ReadState(const std::string& folder, const std::vector<std::string>& manifest) {
   CRAFTFLEET_ASSIGN_OR_RETURN(const std::string bytes, ReadListedFile(folder, kStateFile, manifest));
   v1::CheckpointState state;
   if (!state.ParseFromString(bytes)) return Torn(folder, absl::StrCat(kStateFile, " is not a CheckpointState"));
-  if (const absl::Status status = CheckState(state); !status.ok()) {
+  if (const absl::Status status = CheckCheckpointState(state); !status.ok()) {
     return absl::DataLossError(absl::StrCat("checkpoint ", folder, ": ", kStateFile, ": ", status.message()));
   }
   return state;
 }
 
 }  // namespace
+
+absl::Status CheckCheckpointState(const v1::CheckpointState& state) {
+  CRAFTFLEET_RETURN_IF_ERROR(ValidateRunConfig(state.config()));
+  RangeCheck check;
+  for (const auto& [field, count] :
+       {std::pair("iteration", state.iteration()), std::pair("env_steps", state.env_steps()),
+        std::pair("policy_version", state.policy_version()), std::pair("optimizer_steps", state.optimizer_steps()),
+        std::pair("evaluations", state.evaluations()),
+        std::pair("final_evaluation_steps", state.final_evaluation_steps())}) {
+    check.Within<int64_t>(field, count, 0, kMaxCount);
+  }
+  check.Within<int64_t>("next_eval_episode", state.next_eval_episode(), 0, kLastEvaluationEpisode);
+  check.Within("train_seconds", state.train_seconds(), 0.0, static_cast<double>(kMaxCount));
+  check.That(state.best_score() < std::numeric_limits<double>::infinity(),
+             absl::StrCat("best_score is ", state.best_score(), ", want a finite number or -inf"));
+  check.That(
+      state.run_id().size() <= kMaxRunIdBytes && Printable(state.run_id()) == state.run_id(),
+      absl::StrCat("run_id has ", state.run_id().size(), " bytes, want printable ones, at most ", kMaxRunIdBytes));
+  check.That(state.lanes_size() == state.config().lanes(),
+             absl::StrCat("it has ", state.lanes_size(), " lanes, its configuration ", state.config().lanes()));
+  for (const v1::LaneState& lane : state.lanes()) {
+    check.Within<int64_t>("lanes.next_fragment", lane.next_fragment(), 0, kMaxCount);
+  }
+  for (const v1::LogLength& log : state.logs()) check.Within<int64_t>("logs.bytes", log.bytes(), 0, kMaxCount);
+  check.Within("pending evaluations", state.pending_size(), 0, kMaxPending);
+  CRAFTFLEET_RETURN_IF_ERROR(check.status());
+  for (const v1::PendingEvaluation& evaluation : state.pending()) {
+    CRAFTFLEET_RETURN_IF_ERROR(CheckPending(evaluation));
+  }
+  return absl::OkStatus();
+}
 
 absl::Status WriteCheckpointFiles(const std::string& folder, const Checkpoint& checkpoint) {
   CRAFTFLEET_RETURN_IF_ERROR(CreateFolders(folder));

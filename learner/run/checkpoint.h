@@ -1,9 +1,5 @@
-// A checkpoint: a folder with all that a run needs to go on as if never stopped.
-//   weights.safetensors, optimizer.safetensors   tensors; bytes here
-//   evaluation-1.safetensors, ...                weights of evaluations that are not over
-//   state.pb                                     CheckpointState
-//   MANIFEST                                     text: format, program version, then name, size and CRC-32C of each
-//   file
+// A checkpoint: a folder with everything that a run needs to continue as if it had never stopped. Files and fields:
+// FORMATS.md, section 7.
 
 #ifndef CRAFTFLEET_LEARNER_RUN_CHECKPOINT_H_
 #define CRAFTFLEET_LEARNER_RUN_CHECKPOINT_H_
@@ -26,17 +22,21 @@ struct Checkpoint {
   v1::CheckpointState state;
   std::string weights;                                                 // safetensors
   std::string optimizer;                                               // safetensors
-  std::vector<std::shared_ptr<const std::string>> evaluation_weights;  // of state.pending(), in its order; safetensors
+  std::vector<std::shared_ptr<const std::string>> evaluation_weights;  // of each of state.pending(); safetensors
 };
 
-// Writes `checkpoint` into `folder`, which is created, and syncs all of it but the folder's own name.
+// InvalidArgument with the field, its value and its range (checkpoint.proto) if a value is one that no run can have.
+// Snapshots and states of lanes are not checked: LoadLanes resets a lane whose own are invalid.
+absl::Status CheckCheckpointState(const v1::CheckpointState& state);
+
+// Creates `folder`, writes `checkpoint` into it and syncs it, except for the folder's entry in its parent.
 absl::Status WriteCheckpointFiles(const std::string& folder, const Checkpoint& checkpoint);
 
 // Reads and checks state.pb alone. Errors as LoadCheckpoint.
 absl::StatusOr<v1::CheckpointState> LoadCheckpointState(const std::string& folder);
 
-// Reads and checks everything. `agent`: the only one that is taken; empty: any.
-//   InvalidArgument: not a checkpoint.   DataLoss: torn or senseless; says which file and how.
+// Reads and checks the whole checkpoint. `agent`: the agent that it must be of; empty: any.
+//   InvalidArgument: not a checkpoint.   DataLoss: torn or inconsistent; names the file and the error.
 //   FailedPrecondition: of a newer format, or of another agent.
 absl::StatusOr<Checkpoint> LoadCheckpoint(const std::string& folder, absl::string_view agent);
 

@@ -10,8 +10,8 @@
 #include <absl/strings/str_join.h>
 #include <absl/strings/strip.h>
 
-#include "common/files.h"
-#include "common/status_macros.h"
+#include "common/base/status_macros.h"
+#include "common/io/files.h"
 
 namespace craftfleet {
 namespace {
@@ -27,7 +27,7 @@ int64_t IterationOf(absl::string_view name) {
   return iteration;
 }
 
-// Those that a kill left amid their replacement are among them.
+// Includes checkpoints whose replacement was interrupted by a kill.
 absl::StatusOr<std::vector<std::string>> ListCheckpoints(const std::string& folder) {
   CRAFTFLEET_ASSIGN_OR_RETURN(std::vector<std::string> names, ListFolder(folder));
   for (std::string& name : names) name = std::string(absl::StripPrefix(name, kReplacedPrefix));
@@ -39,21 +39,21 @@ absl::StatusOr<std::vector<std::string>> ListCheckpoints(const std::string& fold
   return names;
 }
 
-// Where the checkpoint `name` lies: the old one counts unless the new one is in its place.
+// The path of the checkpoint `name`; during a replacement, that of the old one until the new one is in place.
 std::string PathIn(const std::string& folder, absl::string_view name) {
   const std::string replaced = JoinPath(folder, absl::StrCat(kReplacedPrefix, name));
   std::string path = JoinPath(folder, name);
   return !PathExists(path) && PathExists(replaced) ? replaced : path;
 }
 
-// A kill while a checkpoint was being replaced.
+// Completes or undoes a replacement that was interrupted by a kill.
 absl::Status EndReplacement(const std::string& folder, const std::string& replaced) {
   const std::string name = replaced.substr(kReplacedPrefix.size());
   if (PathExists(JoinPath(folder, name))) return RemoveAll(JoinPath(folder, replaced));
   return RenameSynced(JoinPath(folder, replaced), JoinPath(folder, name));
 }
 
-// Whether nothing happened to the run between two checkpoints of the same iteration.
+// Whether two checkpoints of the same iteration have the same evaluations, and so the same content.
 bool SameEvaluations(const v1::CheckpointState& a, const v1::CheckpointState& b) {
   return a.pending_size() == b.pending_size() && a.final_evaluation_steps() == b.final_evaluation_steps();
 }
@@ -96,7 +96,7 @@ absl::Status CheckpointStore::Write(const Checkpoint& checkpoint) {
   absl::Status status = WriteCheckpointFiles(temporary, checkpoint);
   if (status.ok()) status = MoveIn(temporary, name);
   if (!status.ok()) {
-    // The first error is the one to tell; what can't be removed now goes at the next Open.
+    // Report the first error; the next Open removes what can't be removed now.
     RemoveAll(temporary).IgnoreError();
     return status;
   }
@@ -104,7 +104,7 @@ absl::Status CheckpointStore::Write(const Checkpoint& checkpoint) {
 }
 
 absl::Status CheckpointStore::MoveIn(const std::string& temporary, const std::string& name) {
-  // Its files took a while to write.
+  // Check again, since writing the files took a while.
   CRAFTFLEET_RETURN_IF_ERROR(CheckFence());
   const std::string path = PathOf(name);
   const std::string replaced = PathOf(absl::StrCat(kReplacedPrefix, name));
@@ -112,7 +112,7 @@ absl::Status CheckpointStore::MoveIn(const std::string& temporary, const std::st
   absl::Status status = replaces ? RenameSynced(path, replaced) : absl::OkStatus();
   if (status.ok()) status = RenameSynced(temporary, path);
   if (status.ok()) return replaces ? RemoveAll(replaced) : status;
-  // A name whose sync failed may be gone after a crash: it must not be found here and taken for written.
+  // If the sync of the rename failed, the name may vanish in a crash, so undo the rename.
   if (PathExists(path) && !PathExists(temporary)) RenameSynced(path, temporary).IgnoreError();
   if (PathExists(replaced)) RenameSynced(replaced, path).IgnoreError();
   return status;
@@ -137,7 +137,7 @@ absl::StatusOr<Checkpoint> CheckpointStore::LoadLatest(absl::string_view agent) 
   for (size_t i = 1; i < names.size(); ++i) {
     if (!LoadCheckpoint(PathIn(folder_, names[i]), agent).ok()) continue;
     return absl::Status(newest.status().code(),
-                        absl::StrCat(newest.status().message(), "; the previous good one is ", names[i],
+                        absl::StrCat(newest.status().message(), "; the newest valid one is ", names[i],
                                      ": resume from it with --resume_from=", names[i]));
   }
   return newest;
@@ -159,10 +159,10 @@ std::string CheckpointStore::TemporaryPath(absl::string_view name) const {
 
 absl::Status CheckpointStore::Remove(const std::string& name) {
   CRAFTFLEET_RETURN_IF_ERROR(CheckFence());
-  // Renamed first, so that a kill amid the removal leaves no torn checkpoint under a good name.
-  const std::string doomed = TemporaryPath(absl::StrCat("old-", name));
-  CRAFTFLEET_RETURN_IF_ERROR(RenameSynced(PathOf(name), doomed));
-  return RemoveAll(doomed);
+  // Rename first, so that a kill during the removal leaves no torn checkpoint under a valid name.
+  const std::string discarded = TemporaryPath(absl::StrCat("old-", name));
+  CRAFTFLEET_RETURN_IF_ERROR(RenameSynced(PathOf(name), discarded));
+  return RemoveAll(discarded);
 }
 
 absl::Status CheckpointStore::Prune(size_t keep) {

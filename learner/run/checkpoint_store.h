@@ -1,4 +1,4 @@
-// The checkpoints of one run: written whole or not at all, the newest ones and the best kept.
+// The checkpoints of one run. Each is written completely or not at all; the newest ones and the best are kept.
 
 #ifndef CRAFTFLEET_LEARNER_RUN_CHECKPOINT_STORE_H_
 #define CRAFTFLEET_LEARNER_RUN_CHECKPOINT_STORE_H_
@@ -17,53 +17,55 @@
 
 namespace craftfleet {
 
-// "iter-00000010"
+// The folder name of a checkpoint, such as "iter-00000010".
 std::string CheckpointName(int64_t iteration);
 
-// The folder of the checkpoint that a user means by `path`: a checkpoint, or a run folder, which stands for its newest.
-//   NotFound: neither.
+// Resolves a user's `path` to a checkpoint's folder. `path` is a checkpoint, or a run folder, for its newest
+// checkpoint.
+//   NotFound: it is neither.
 absl::StatusOr<std::string> FindCheckpoint(const std::string& path);
 
 // Thread-compatible: one thread at a time. Only one process may write a store (RunFolder locks).
 class CheckpointStore {
  public:
-  // To read only: nothing is touched, `folder` need not be there.
+  // A read-only store: nothing is changed. `folder` need not exist.
   static CheckpointStore At(const std::string& folder) { return CheckpointStore(folder, nullptr); }
-  // To write: `folder` is created if need be, and cleared of what a killed writer left. `fence` is asked before each
-  // change, and outlives the store; null: anyone may write.
+  // A writable store: creates `folder` if necessary and removes leftovers of a killed writer. `fence` is checked before
+  // each change and outlives the store; null: no check.
   static absl::StatusOr<CheckpointStore> Open(const std::string& folder, const EpochFence* fence = nullptr);
 
-  // Writes `checkpoint` under a temporary name, syncs, renames; then removes old ones beyond the newest
-  // `config.checkpoint.keep` and the best, which is the first to have reached the newest one's `best_score`. One of the
-  // same iteration is replaced if it is torn or the run was evaluated since, else left as it is.
-  //   ResourceExhausted: disk, quota or file size limit full.   Others as EpochFence::Check. On any error of writing, a
-  //   failed sync among them, the earlier checkpoints stand as before and no part of this one is left.
+  // Writes `checkpoint` under a temporary name, syncs and renames it. Then removes all but the newest
+  // `config.checkpoint.keep` and the best, which is the first with the newest one's `best_score`. An existing
+  // checkpoint of the same iteration is replaced if it is torn or the run was evaluated since, else left unchanged.
+  //   ResourceExhausted: disk, quota or file size limit reached.   Others as EpochFence::Check. After any error,
+  //   including a failed sync, the earlier checkpoints are unchanged and no part of this one is left.
   absl::Status Write(const Checkpoint& checkpoint);
 
   // Names, the highest iteration first.
   absl::StatusOr<std::vector<std::string>> ListNewestFirst() const;
 
-  // Errors as LoadCheckpoint; NotFound: no checkpoint of that name, and lists those there are.
+  // Errors as LoadCheckpoint; NotFound: no checkpoint of that name; lists the existing ones.
   absl::StatusOr<Checkpoint> Load(const std::string& name, absl::string_view agent) const;
 
-  // The newest. Never falls back by itself: if the newest can't be had, the error names the newest older one that can.
-  //   NotFound: there is none.
+  // Loads the newest checkpoint. There is no fallback: if it can't be loaded, the error names the newest older one that
+  // can.
+  //   NotFound: there is no checkpoint.
   absl::StatusOr<Checkpoint> LoadLatest(absl::string_view agent) const;
 
-  // Removes those of later iterations: a run that is resumed from an older checkpoint leaves them behind.
+  // Removes checkpoints of later iterations, when a run is resumed from an older checkpoint.
   absl::Status DiscardNewerThan(int64_t iteration);
 
  private:
   CheckpointStore(std::string folder, const EpochFence* fence) : folder_(std::move(folder)), fence_(fence) {}
   absl::Status CheckFence() const { return fence_ != nullptr ? fence_->Check() : absl::OkStatus(); }
   std::string PathOf(absl::string_view name) const;
-  // Where a checkpoint lies while it or the one in its place is made: a name of this start alone.
+  // The temporary path of a checkpoint while it is written or replaced. Unique to this start of the learner.
   std::string TemporaryPath(absl::string_view name) const;
-  // Puts `temporary` in the place of `name`. On failure all is as before.
+  // Renames `temporary` to `name`, replacing an existing one. On an error nothing changes.
   absl::Status MoveIn(const std::string& temporary, const std::string& name);
   absl::Status Remove(const std::string& name);
   absl::Status Prune(size_t keep);
-  // "" if there is none.
+  // The name of the best checkpoint; "" if there is none.
   std::string BestOf(const std::vector<std::string>& newest_first) const;
 
   std::string folder_;

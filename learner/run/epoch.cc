@@ -10,8 +10,8 @@
 #include <absl/strings/str_format.h>
 #include <absl/strings/str_split.h>
 
-#include "common/files.h"
-#include "common/status_macros.h"
+#include "common/base/status_macros.h"
+#include "common/io/files.h"
 #include "learner/run/folder_lock.h"
 
 namespace craftfleet {
@@ -19,15 +19,15 @@ namespace {
 
 std::string EpochPath(const std::string& logdir) { return JoinPath(logdir, "epoch"); }
 
-// What the file says: the number, and who took it. Version 0.1 wrote the number alone.
-struct Taken {
+// The file's content: the number, and the process that took it. Version 0.1 wrote only the number.
+struct EpochFile {
   int64_t epoch = 0;
   std::string by = "another learner";
 };
 
-absl::StatusOr<Taken> ParseEpoch(const std::string& path, const std::string& text) {
+absl::StatusOr<EpochFile> ParseEpoch(const std::string& path, const std::string& text) {
   const std::vector<std::string> lines = absl::StrSplit(text, '\n');
-  Taken taken;
+  EpochFile taken;
   if (!absl::SimpleAtoi(lines[0], &taken.epoch) || taken.epoch < 1) {
     return absl::DataLossError(absl::StrCat(path, " holds \"", text, "\", want a number from 1"));
   }
@@ -35,9 +35,9 @@ absl::StatusOr<Taken> ParseEpoch(const std::string& path, const std::string& tex
   return taken;
 }
 
-absl::StatusOr<Taken> ReadTaken(const std::string& logdir) {
+absl::StatusOr<EpochFile> ReadEpochFile(const std::string& logdir) {
   const absl::StatusOr<std::string> text = ReadFile(EpochPath(logdir));
-  if (absl::IsNotFound(text.status())) return Taken();
+  if (absl::IsNotFound(text.status())) return EpochFile();
   CRAFTFLEET_RETURN_IF_ERROR(text.status());
   return ParseEpoch(EpochPath(logdir), *text);
 }
@@ -45,20 +45,20 @@ absl::StatusOr<Taken> ReadTaken(const std::string& logdir) {
 }  // namespace
 
 absl::StatusOr<int64_t> ReadEpoch(const std::string& logdir) {
-  CRAFTFLEET_ASSIGN_OR_RETURN(const Taken taken, ReadTaken(logdir));
+  CRAFTFLEET_ASSIGN_OR_RETURN(const EpochFile taken, ReadEpochFile(logdir));
   return taken.epoch;
 }
 
 absl::Status EpochFence::Take(const std::string& logdir, int64_t epoch) {
-  CRAFTFLEET_ASSIGN_OR_RETURN(const Taken taken, ReadTaken(logdir));
+  CRAFTFLEET_ASSIGN_OR_RETURN(const EpochFile taken, ReadEpochFile(logdir));
   if (taken.epoch >= epoch) {
     return absl::FailedPreconditionError(absl::StrCat("run folder ", logdir, " was taken by ", taken.by,
                                                       " while this one started: use another --logdir"));
   }
-  // Two that come to the same number differ in the second line.
+  // The random part distinguishes two starts with the same number.
   std::random_device random;
   const std::string text = absl::StrFormat("%d\n%s, start %08x%08x\n", epoch, ProcessName(), random(), random());
-  // Of this start alone: another may be writing its own at this moment.
+  // A unique name, since another start may be writing its own file at this moment.
   const std::string temporary = absl::StrFormat("%s.%08x.tmp", EpochPath(logdir), random());
   absl::Status status = WriteFileSynced(temporary, text);
   if (status.ok()) status = RenameSynced(temporary, EpochPath(logdir));
@@ -77,14 +77,15 @@ absl::Status EpochFence::Check() const {
   const absl::StatusOr<std::string> text = ReadFile(EpochPath(logdir_));
   if (!text.ok()) {
     return absl::UnavailableError(
-        absl::StrCat("whether this learner still owns its run folder is not known: ", text.status().message()));
+        absl::StrCat("cannot check whether this learner still owns its run folder: ", text.status().message()));
   }
   if (*text == text_) return absl::OkStatus();
-  const absl::StatusOr<Taken> taken = ParseEpoch(EpochPath(logdir_), *text);
+  const absl::StatusOr<EpochFile> taken = ParseEpoch(EpochPath(logdir_), *text);
   if (!taken.ok()) return absl::UnavailableError(taken.status().message());
   return absl::AbortedError(absl::StrCat(
       "run folder ", logdir_, " was taken over by ", taken->by, " (epoch ", taken->epoch, ", this one is epoch ",
-      epoch_, "): the disk's locks keep nobody out; this learner writes nothing more. Start only one on a run folder"));
+      epoch_,
+      "): the disk's locks have no effect; this learner writes nothing more. Start only one learner on a run folder"));
 }
 
 }  // namespace craftfleet

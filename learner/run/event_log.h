@@ -1,6 +1,6 @@
-// TensorBoard's event file: scalars over environment steps.
+// TensorBoard's event file: scalars, histograms and pictures over environment steps.
 // Source: the TFRecord framing (length, masked CRC-32C of the length, data, masked CRC-32C of the data; little-endian)
-// and event.proto, as TensorFlow's documentation states them.
+// and event.proto, as TensorFlow documents them. Tags: FORMATS.md, section 6.
 
 #ifndef CRAFTFLEET_LEARNER_RUN_EVENT_LOG_H_
 #define CRAFTFLEET_LEARNER_RUN_EVENT_LOG_H_
@@ -8,32 +8,49 @@
 #include <cstdint>
 #include <string>
 #include <utility>
+#include <vector>
 
 #include <absl/status/status.h>
 #include <absl/status/statusor.h>
 #include <absl/strings/string_view.h>
 #include <absl/types/span.h>
 
-#include "common/clock.h"
+#include "common/base/clock.h"
 #include "craftfleet/v1/event.pb.h"
 #include "learner/run/append_file.h"
 
 namespace craftfleet {
 
 struct Scalar {
-  std::string tag;  // "train/reward"
+  std::string tag;  // such as "rollout/reward"
   double value = 0;
+};
+
+// The distribution of `values`.
+struct Histogram {
+  std::string tag;
+  std::vector<double> values;  // finite; without values nothing is written
+};
+
+struct EventPicture {
+  std::string tag;
+  int width = 0;    // pixels
+  int height = 0;   // pixels
+  std::string png;  // a PNG file, RGB
 };
 
 // Thread-compatible: one thread at a time.
 class EventLog {
  public:
-  // `clock` outlives the log; it gives the events' wall time. An empty file gets its version record.
+  // `clock`, the source of the events' wall time, outlives the log. If the file is empty, appends the version record.
   static absl::StatusOr<EventLog> Open(const std::string& path, Clock* clock,
                                        const AppendFile::Options& options = AppendFile::Options());
 
   // Appends one event with all `scalars` at environment step `step`; file().Flush() writes it.
   void AddScalars(int64_t step, absl::Span<const Scalar> scalars);
+  // Likewise: histograms of 30 buckets of equal width from the smallest value to the largest, and pictures.
+  void AddHistograms(int64_t step, absl::Span<const Histogram> histograms);
+  void AddPictures(int64_t step, absl::Span<const EventPicture> pictures);
 
   AppendFile& file() { return file_; }
   const AppendFile& file() const { return file_; }

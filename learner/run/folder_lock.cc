@@ -12,8 +12,8 @@
 #include <absl/strings/str_cat.h>
 #include <absl/strings/strip.h>
 
-#include "common/files.h"
-#include "common/status_macros.h"
+#include "common/base/status_macros.h"
+#include "common/io/files.h"
 
 namespace craftfleet {
 
@@ -34,9 +34,9 @@ absl::StatusOr<FolderLock> FolderLock::Acquire(const std::string& folder) {
     return absl::FailedPreconditionError(
         absl::StrCat("run folder ", folder, " is in use by ",
                      holder.ok() && !holder->empty() ? absl::StripSuffix(*holder, "\n") : "another process",
-                     ": stop that one or use another --logdir"));
+                     ": stop that process or use another --logdir"));
   }
-  if (::ftruncate(descriptor, 0) != 0) return FileError(errno, "cannot empty", path);
+  if (::ftruncate(descriptor, 0) != 0) return FileError(errno, "cannot truncate", path);
   CRAFTFLEET_RETURN_IF_ERROR(WriteAll(descriptor, absl::StrCat(ProcessName(), "\n"), path));
   return lock;
 }

@@ -1,4 +1,4 @@
-// Keeps two processes from writing one run folder.
+// Prevents two processes from writing the same run folder. File: FORMATS.md, section 9.
 
 #ifndef CRAFTFLEET_LEARNER_RUN_FOLDER_LOCK_H_
 #define CRAFTFLEET_LEARNER_RUN_FOLDER_LOCK_H_
@@ -9,14 +9,14 @@
 
 namespace craftfleet {
 
-// "process 1234 on host": this one, for people.
+// Describes this process for people: "process 1234 on host".
 std::string ProcessName();
 
-// Holds <folder>/lock by flock for its lifetime; the system lets go when the process dies, however it dies.
+// Holds a flock on <folder>/lock for its lifetime. The system releases it when the process ends for any reason.
 class FolderLock {
  public:
-  // Does not wait.
-  //   FailedPrecondition: another one holds it; names process and host.
+  // Never waits.
+  //   FailedPrecondition: another process holds the lock; names process and host.
   static absl::StatusOr<FolderLock> Acquire(const std::string& folder);
   FolderLock(FolderLock&& other) noexcept;
   FolderLock& operator=(FolderLock&& other) = delete;

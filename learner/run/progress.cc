@@ -6,8 +6,9 @@
 #include <absl/strings/str_cat.h>
 #include <absl/strings/str_format.h>
 
-#include "common/crafter.h"
-#include "common/log.h"
+#include "common/base/crafter.h"
+#include "common/base/numbers.h"
+#include "common/telemetry/log.h"
 
 namespace craftfleet {
 namespace {
@@ -18,12 +19,6 @@ constexpr absl::Duration kTerminalInterval = absl::Milliseconds(500);
 
 }  // namespace
 
-std::string WithCommas(int64_t value) {
-  std::string text = absl::StrCat(value);
-  for (int i = static_cast<int>(text.size()) - 3; i > 0; i -= 3) text.insert(i, ",");
-  return text;
-}
-
 std::string FormatTimeLeft(double seconds) {
   const int64_t s = std::llround(seconds);
   if (s >= 86400) return absl::StrCat(s / 86400, "d", s % 86400 / 3600, "h");
@@ -33,7 +28,7 @@ std::string FormatTimeLeft(double seconds) {
 }
 
 std::string FormatProgress(const ProgressState& state) {
-  // The last iteration is a whole one: it may go beyond.
+  // The last iteration may exceed the total.
   const double done = std::min(1.0, static_cast<double>(state.steps) / static_cast<double>(state.total_steps));
   const double steps_left = static_cast<double>(std::max<int64_t>(0, state.total_steps - state.steps));
   std::string line =
@@ -88,8 +83,8 @@ void ProgressPrinter::Print(int64_t steps, const ScoreBoard& score) {
     LogInfo("%s", FormatProgress(state));
     return;
   }
-  out_->clear();  // of a full disk, which may have room by now
-  // \033[K clears what a longer line left behind.
+  out_->clear();  // of errors: a full disk may have space by now
+  // \033[K clears the rest of a longer line.
   *out_ << (options_.terminal ? "\r" : "") << FormatProgress(state) << (options_.terminal ? "\033[K" : "\n");
   out_->flush();
 }

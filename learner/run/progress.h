@@ -1,4 +1,4 @@
-// The line that a person watches while a run trains.
+// The progress line that is printed while a run trains.
 
 #ifndef CRAFTFLEET_LEARNER_RUN_PROGRESS_H_
 #define CRAFTFLEET_LEARNER_RUN_PROGRESS_H_
@@ -9,22 +9,19 @@
 
 #include <absl/time/time.h>
 
-#include "common/clock.h"
+#include "common/base/clock.h"
 #include "learner/run/score.h"
 
 namespace craftfleet {
 
-// 1234567 -> "1,234,567"
-std::string WithCommas(int64_t value);
-
-// "3d4h", "2h5m", "13m20s", "8s"
+// Formats a duration in seconds: "3d4h", "2h5m", "13m20s", "8s".
 std::string FormatTimeLeft(double seconds);
 
 struct ProgressState {
   int64_t steps = 0;            // environment steps accepted so far
   int64_t total_steps = 0;      // 1 or more
   double steps_per_second = 0;  // 0: not known yet
-  int64_t episodes = 0;         // finished so far; without any, what follows is shown as "-"
+  int64_t episodes = 0;         // finished so far; 0: the fields below are shown as "-"
   double reward = 0;            // mean of the last 100 episodes
   double length = 0;            // the same, steps
   double score = 0;             // Crafter's score over all episodes
@@ -35,23 +32,23 @@ struct ProgressState {
 // newline, at most 100 columns for runs of up to 100 million steps.
 std::string FormatProgress(const ProgressState& state);
 
-// Prints progress: on a terminal one line in place, elsewhere a line every 10 s; the first after 2 s. With a log in
-// JSON, which programs read, it is a line of the log. Thread-compatible: one thread at a time.
+// Prints progress: on a terminal, one line in place; otherwise a line every 10 s, the first after 2 s. With
+// --log_format=json, progress is logged instead. Thread-compatible: one thread at a time.
 class ProgressPrinter {
  public:
   struct Options {
-    bool terminal = false;    // `out` is one
+    bool terminal = false;    // `out` is a terminal
     int64_t start_steps = 0;  // environment steps done before this start
     int64_t total_steps = 1;
-    std::string run_id;  // printed at the start; empty: nothing is
+    std::string run_id;  // printed at the start unless empty
   };
-  // `out` and `clock` outlive the printer. Speed is counted from now on.
+  // `out` and `clock` outlive the printer. Speed is measured from construction on.
   ProgressPrinter(const Options& options, std::ostream* out, Clock* clock);
 
-  // Call often: prints when it is time to.
+  // Prints if a line is due. To be called often.
   void Update(int64_t steps, const ScoreBoard& score);
 
-  // Prints the last line, whatever the time, and ends it.
+  // Prints the last line, even if none is due, and ends it.
   void Finish(int64_t steps, const ScoreBoard& score);
 
  private:

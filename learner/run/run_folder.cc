@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <array>
+#include <optional>
 #include <random>
 #include <utility>
 #include <vector>
@@ -9,12 +10,12 @@
 #include <absl/strings/str_cat.h>
 #include <absl/strings/str_format.h>
 #include <absl/time/time.h>
-#include <absl/types/optional.h>
 #include <nlohmann/json.hpp>
 
-#include "common/config.h"
-#include "common/files.h"
-#include "common/status_macros.h"
+#include "common/base/status_macros.h"
+#include "common/config/config.h"
+#include "common/io/files.h"
+#include "learner/run/final_logs.h"
 
 namespace craftfleet {
 namespace {
@@ -44,7 +45,7 @@ std::string DescribeRun(const std::string& run_id, uint64_t seed, const ProgramI
 
 constexpr char kCheckpointFolder[] = "checkpoints";
 
-// AlreadyExists if `logdir` has a run. One that ended before its first checkpoint has nothing to go on with.
+// AlreadyExists if `logdir` has a run, unless the run ended before its first checkpoint: nothing is lost then.
 absl::Status CheckNoRun(const std::string& logdir) {
   if (!PathExists(JoinPath(logdir, kConfigFile))) return absl::OkStatus();
   const std::string folder = JoinPath(logdir, kCheckpointFolder);
@@ -52,16 +53,27 @@ absl::Status CheckNoRun(const std::string& logdir) {
   CRAFTFLEET_ASSIGN_OR_RETURN(const std::vector<std::string> names, CheckpointStore::At(folder).ListNewestFirst());
   if (names.empty()) return absl::OkStatus();
   return absl::AlreadyExistsError(
-      absl::StrCat(logdir, " already has a run: go on with it by --resume, or use another --logdir"));
+      absl::StrCat(logdir, " already has a run: resume it with --resume, or use another --logdir"));
+}
+
+// NotFound if the run in `logdir` ended before its first checkpoint.
+absl::Status CheckHasCheckpoint(const std::string& logdir) {
+  const std::string folder = JoinPath(logdir, kCheckpointFolder);
+  if (PathExists(folder)) {
+    CRAFTFLEET_ASSIGN_OR_RETURN(const std::vector<std::string> names, CheckpointStore::At(folder).ListNewestFirst());
+    if (!names.empty()) return absl::OkStatus();
+  }
+  return absl::NotFoundError(absl::StrCat("no checkpoint in ", folder, ": the run in ", logdir,
+                                          " ended before its first one; start it again without --resume"));
 }
 
 std::string BaseName(const std::string& path) { return path.substr(path.find_last_of('/') + 1); }
 
-// Of the log `name`, bytes, as the checkpoint has it; nothing: it does not know it.
-absl::optional<int64_t> LengthOf(absl::string_view name, const v1::CheckpointState& state) {
+// The length of the log `name` in the checkpoint, in bytes; nothing: the checkpoint does not have it.
+std::optional<int64_t> LengthOf(absl::string_view name, const v1::CheckpointState& state) {
   const auto length =
       std::find_if(state.logs().begin(), state.logs().end(), [&](const v1::LogLength& l) { return l.file() == name; });
-  return length == state.logs().end() ? absl::nullopt : absl::make_optional(length->bytes());
+  return length == state.logs().end() ? std::nullopt : std::make_optional(length->bytes());
 }
 
 }  // namespace
@@ -91,15 +103,14 @@ absl::StatusOr<std::unique_ptr<RunFolder>> RunFolder::Create(const std::string& 
 absl::StatusOr<ResumedRun> RunFolder::Resume(const std::string& logdir, const ResumeOptions& options,
                                              const ProgramInfo& program, Clock* clock) {
   if (!PathExists(JoinPath(logdir, kConfigFile))) {
-    return absl::NotFoundError(absl::StrCat("no run to resume in ", logdir, ": it has no ", kConfigFile));
+    return absl::NotFoundError(
+        absl::StrCat("no run to resume in ", logdir, ": it has no ", kConfigFile, "; start it without --resume"));
   }
   CRAFTFLEET_ASSIGN_OR_RETURN(FolderLock lock, FolderLock::Acquire(logdir));
   ResumedRun run;
   run.folder.reset(new RunFolder(logdir, std::move(lock), program, clock));
   RunFolder& folder = *run.folder;
-  if (!PathExists(JoinPath(logdir, kCheckpointFolder))) {
-    return absl::NotFoundError(absl::StrCat("no checkpoint in ", JoinPath(logdir, kCheckpointFolder)));
-  }
+  CRAFTFLEET_RETURN_IF_ERROR(CheckHasCheckpoint(logdir));
   CRAFTFLEET_ASSIGN_OR_RETURN(run.checkpoint, options.from.empty()
                                                   ? folder.checkpoints_.LoadLatest(options.agent)
                                                   : folder.checkpoints_.Load(options.from, options.agent));
@@ -113,6 +124,8 @@ absl::StatusOr<ResumedRun> RunFolder::Resume(const std::string& logdir, const Re
   folder.best_score_ = state.best_score();
   folder.resumed_.emplace();
   folder.resumed_->set_iteration(state.iteration());
+  folder.resumed_->set_env_steps(state.env_steps());
+  folder.resumed_->set_final_evaluation_steps(state.final_evaluation_steps());
   *folder.resumed_->mutable_logs() = state.logs();
   return run;
 }
@@ -126,11 +139,26 @@ absl::Status RunFolder::Begin() {
   CRAFTFLEET_RETURN_IF_ERROR(fence_.Take(logdir_, epoch_));
   if (!resumed_.has_value()) CRAFTFLEET_RETURN_IF_ERROR(RemoveUnbegunLogs());
   CRAFTFLEET_ASSIGN_OR_RETURN(checkpoints_, CheckpointStore::Open(JoinPath(logdir_, kCheckpointFolder), &fence_));
+  // Checkpoints first, so that the logs of the newest one always exist.
+  if (resumed_.has_value()) {
+    CRAFTFLEET_RETURN_IF_ERROR(checkpoints_.DiscardNewerThan(resumed_->iteration()));
+    CRAFTFLEET_RETURN_IF_ERROR(PrepareFinalLogs());
+  }
   CRAFTFLEET_RETURN_IF_ERROR(OpenLogs());
   if (!resumed_.has_value()) CRAFTFLEET_RETURN_IF_ERROR(DescribeNewRun());
-  // It marks the folder as one with a run.
+  // This file marks the folder as one with a run.
   CRAFTFLEET_RETURN_IF_ERROR(ReplaceFile(JoinPath(logdir_, kConfigFile), FormatRunConfig(config_)));
-  return resumed_.has_value() ? GoBack() : absl::OkStatus();
+  return resumed_.has_value() ? CutLogs() : absl::OkStatus();
+}
+
+absl::Status RunFolder::PrepareFinalLogs() {
+  CRAFTFLEET_RETURN_IF_ERROR(RestoreFinalLogs(logdir_, *resumed_));
+  if (config_.steps() <= resumed_->env_steps()) return absl::OkStatus();
+  CRAFTFLEET_RETURN_IF_ERROR(SetFinalLogsAside(logdir_, &*resumed_));
+  for (const EpisodeKind kind : {EpisodeKind::kFinalArgmax, EpisodeKind::kFinalSampled}) {
+    scores_[static_cast<size_t>(kind)] = ScoreBoard();
+  }
+  return absl::OkStatus();
 }
 
 absl::Status RunFolder::RemoveUnbegunLogs() const {
@@ -195,7 +223,7 @@ absl::Status RunFolder::WriteCheckpoint(Checkpoint checkpoint) {
   state.clear_logs();
   CRAFTFLEET_RETURN_IF_ERROR(FlushLogs());
   for (AppendFile* log : Logs()) {
-    // A checkpoint must not know of more than the logs have after a power cut.
+    // After a power cut, the logs must not be shorter than the checkpoint states.
     CRAFTFLEET_RETURN_IF_ERROR(log->Sync());
     v1::LogLength* length = state.add_logs();
     length->set_file(BaseName(log->path()));
@@ -212,41 +240,39 @@ std::vector<AppendFile*> RunFolder::Logs() {
 
 absl::Status RunFolder::CheckFits(const v1::CheckpointState& state) const {
   if (state.texture_digest() == program_.texture_digest) return absl::OkStatus();
-  return absl::FailedPreconditionError(absl::StrCat("the run in ", logdir_, " was played with textures ",
-                                                    state.texture_digest(), ", this program has ",
-                                                    program_.texture_digest, ": give the run's by --textures"));
+  return absl::FailedPreconditionError(
+      absl::StrCat("the run in ", logdir_, " was played with textures ", state.texture_digest(),
+                   ", but this program has ", program_.texture_digest, ": give the run's textures with --textures"));
 }
 
 absl::Status RunFolder::CountLogs(const v1::CheckpointState& state) {
   std::vector<std::string> names = {kEventsFile};
   names.insert(names.end(), kEpisodeFiles.begin(), kEpisodeFiles.end());
   for (const std::string& name : names) {
-    const std::string path = JoinPath(logdir_, name);
+    const std::string path = FindFinalLog(logdir_, name, state);
     const absl::StatusOr<int64_t> size = PathExists(path) ? FileSize(path) : 0;
     CRAFTFLEET_RETURN_IF_ERROR(size.status());
-    const absl::optional<int64_t> length = LengthOf(name, state);
-    if (!length.has_value() && *size == 0) continue;  // an older program did not have it
+    const std::optional<int64_t> length = LengthOf(name, state);
+    if (!length.has_value() && *size == 0) continue;  // absent in older versions
     if (!length.has_value()) {
-      return absl::DataLossError(absl::StrCat("the checkpoint does not know the length of ", path));
+      return absl::DataLossError(absl::StrCat("the checkpoint has no length for ", path));
     }
     if (*length > *size) {
-      return absl::DataLossError(absl::StrCat(path, " has ", *size, " bytes, the checkpoint saw ", *length));
+      return absl::DataLossError(absl::StrCat(path, " has ", *size, " bytes, but the checkpoint expects ", *length));
     }
   }
   for (int kind = 0; kind < kNumEpisodeKinds; ++kind) {
     const int64_t length = LengthOf(kEpisodeFiles[kind], state).value_or(0);
     if (length == 0) continue;
-    CRAFTFLEET_RETURN_IF_ERROR(VisitStats(JoinPath(logdir_, kEpisodeFiles[kind]), length,
+    CRAFTFLEET_RETURN_IF_ERROR(VisitStats(FindFinalLog(logdir_, kEpisodeFiles[kind], state), length,
                                           [&](const Episode& episode) { scores_[kind].Add(episode); }));
   }
   return absl::OkStatus();
 }
 
-absl::Status RunFolder::GoBack() {
-  // In this order: the newest checkpoint that there is always knows logs that are still there.
-  CRAFTFLEET_RETURN_IF_ERROR(checkpoints_.DiscardNewerThan(resumed_->iteration()));
+absl::Status RunFolder::CutLogs() {
   for (AppendFile* log : Logs()) {
-    const absl::optional<int64_t> length = LengthOf(BaseName(log->path()), *resumed_);
+    const std::optional<int64_t> length = LengthOf(BaseName(log->path()), *resumed_);
     if (length.has_value()) CRAFTFLEET_RETURN_IF_ERROR(log->TruncateTo(*length));
   }
   return absl::OkStatus();

@@ -1,5 +1,5 @@
-// How well a run plays: Crafter's score and the means that its learning curve shows.
-// Source: the protocol page, "Training protocol"; golden: tests/data/agents/score.json.
+// The score of a run: Crafter's score (Hafner 2021) and the means for its learning curve.
+// Formula: FORMATS.md, section 6; golden: tests/data/agents/score.json.
 
 #ifndef CRAFTFLEET_LEARNER_RUN_SCORE_H_
 #define CRAFTFLEET_LEARNER_RUN_SCORE_H_
@@ -9,8 +9,8 @@
 #include <deque>
 #include <utility>
 
-#include "common/crafter.h"
-#include "common/types.h"
+#include "common/base/crafter.h"
+#include "common/base/types.h"
 
 namespace craftfleet {
 
@@ -19,7 +19,7 @@ using AchievementPercentages = std::array<double, kNumAchievements>;  // 0..100,
 // exp(mean of ln(1 + percentage)) - 1 over the 22 achievements; 0..100.
 double CrafterScore(const AchievementPercentages& percentages);
 
-// Adds up finished episodes. Rewards count rounded to one decimal, so a board made again from stats.jsonl is the same.
+// Sums up finished episodes. Rewards are rounded to one decimal, so that a board rebuilt from stats.jsonl is equal.
 // Thread-compatible: one thread at a time.
 class ScoreBoard {
  public:
@@ -27,14 +27,14 @@ class ScoreBoard {
 
   int64_t episodes() const { return episodes_; }
 
-  // Over all episodes; 0 while there are none.
-  AchievementPercentages SuccessPercentages() const;  // episodes that unlocked it at least once
+  // Over all episodes; 0 if there are none.
+  AchievementPercentages SuccessPercentages() const;  // of episodes that unlocked each at least once
   double Score() const { return CrafterScore(SuccessPercentages()); }
   double MeanReward() const;
   double MeanLength() const;
   int Unlocked() const;  // achievements unlocked in at least one episode; 0..22
 
-  // Over the last 100 episodes, fewer at the start; 0 while there are none.
+  // Means of the last 100 episodes, or of all if fewer; 0 if there are none.
   double RecentReward() const;
   double RecentLength() const;
 
@@ -42,7 +42,7 @@ class ScoreBoard {
   int64_t episodes_ = 0;
   double reward_sum_ = 0;
   int64_t length_sum_ = 0;
-  std::array<int64_t, kNumAchievements> unlocked_in_{};  // episodes
+  std::array<int64_t, kNumAchievements> unlocked_in_{};  // number of episodes
   std::deque<std::pair<double, int64_t>> recent_;        // reward, length
 };
 

@@ -10,10 +10,10 @@
 #include <absl/strings/string_view.h>
 #include <nlohmann/json.hpp>
 
-#include "common/check.h"
-#include "common/crafter.h"
-#include "common/gzip_file.h"
-#include "common/status_macros.h"
+#include "common/base/check.h"
+#include "common/base/crafter.h"
+#include "common/base/status_macros.h"
+#include "common/io/gzip_file.h"
 
 namespace craftfleet {
 namespace {
@@ -50,7 +50,7 @@ absl::StatusOr<Episode> ParseStatsLine(absl::string_view line) {
   return episode;
 }
 
-// A stats.jsonl that comes in pieces.
+// Parses a stats.jsonl that arrives in pieces.
 class StatsReader {
  public:
   explicit StatsReader(absl::string_view path) : path_(path) {}
@@ -70,7 +70,7 @@ class StatsReader {
   absl::Status End() {
     if (rest_.empty()) return absl::OkStatus();
     ++lines_;
-    return Error("the line is cut off");
+    return Error("the line is incomplete");
   }
 
  private:
@@ -79,7 +79,7 @@ class StatsReader {
   }
 
   const absl::string_view path_;
-  std::string rest_;  // of the last piece: a line without its end
+  std::string rest_;  // the incomplete line at the end of the last piece
   int64_t lines_ = 0;
 };
 
@@ -122,7 +122,7 @@ absl::Status VisitStats(const std::string& path, int64_t bytes, absl::FunctionRe
   });
   CRAFTFLEET_RETURN_IF_ERROR(read);
   if (left > 0) {
-    return absl::DataLossError(absl::StrCat(path, " has ", bytes - left, " bytes, the checkpoint saw ", bytes));
+    return absl::DataLossError(absl::StrCat(path, " has ", bytes - left, " bytes, but the checkpoint expects ", bytes));
   }
   return reader.End();
 }

@@ -1,5 +1,5 @@
 // stats.jsonl: one JSON object per finished episode, as Crafter's own recorder writes it.
-// Source: the protocol page, "Files other tools read"; Crafter's analysis scripts read this file.
+// Format: FORMATS.md, section 3. Crafter's analysis scripts read this file.
 
 #ifndef CRAFTFLEET_LEARNER_RUN_STATS_LOG_H_
 #define CRAFTFLEET_LEARNER_RUN_STATS_LOG_H_
@@ -15,30 +15,30 @@
 #include <absl/strings/string_view.h>
 #include <absl/types/span.h>
 
-#include "common/types.h"
+#include "common/base/types.h"
 #include "learner/run/append_file.h"
 
 namespace craftfleet {
 
-// What Python's round(reward, 1) gives: the exact binary value, ties to even.
+// Rounds like Python's round(reward, 1): on the exact binary value, ties to even.
 double RoundReward(double reward);
 
-// {"length": 163, "reward": 1.1, "achievement_collect_coal": 0, ...} and a newline, byte for byte as Python's
+// Formats {"length": 163, "reward": 1.1, "achievement_collect_coal": 0, ...} and a newline, byte for byte like Python's
 // json.dumps.
 std::string FormatStatsLine(const Episode& episode);
 
-// The episodes of `text`, a whole stats.jsonl; errors name `path` and the line, as below.
+// Parses `text`, a whole stats.jsonl. Errors name `path` and the line, as below.
 absl::StatusOr<std::vector<Episode>> ParseStats(absl::string_view text, absl::string_view path);
 
 // Reads a whole stats.jsonl, gzipped or plain; `step` of the episodes is 0 and rewards are rounded.
-//   NotFound: no such file.   DataLoss: damaged gzip data; a line that is cut off, is no JSON object, lacks a key, has
-//   one too many, or one of another type: names the line and the key.
+//   NotFound: no such file.   DataLoss: damaged gzip data, or a line that is incomplete, is not a JSON object, or has a
+//   missing, additional or mistyped key; names the line and the key.
 absl::StatusOr<std::vector<Episode>> ReadStats(const std::string& path);
 
-// The same for a log of any length: calls `visit` for one episode after the other and keeps none.
+// The same for a log of any length: calls `visit` for each episode instead of storing them.
 absl::Status VisitStats(const std::string& path, absl::FunctionRef<void(const Episode&)> visit);
-// The same for the first `bytes` of it, 0 or more; what is behind them is not looked at.
-//   DataLoss: it has fewer.
+// The same for the first `bytes` of it, 0 or more; the rest is not read.
+//   DataLoss: the file has fewer.
 absl::Status VisitStats(const std::string& path, int64_t bytes, absl::FunctionRef<void(const Episode&)> visit);
 
 // Thread-compatible: one thread at a time.

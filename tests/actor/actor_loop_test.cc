@@ -1,5 +1,6 @@
 #include "actor/actor_loop.h"
 
+#include <map>
 #include <memory>
 #include <string>
 #include <thread>
@@ -18,7 +19,7 @@ namespace craftfleet {
 namespace {
 
 // Joins and takes all permits.
-void TakePermits(const LearnerClient& client, const std::string& actor, PermitBook* permits) {
+void TakePermits(const LearnerClient& client, const std::string& actor, PermitTracker* permits) {
   v1::JoinRequest join;
   join.set_protocol_version(wire::kProtocolVersion);
   join.set_actor(actor);
@@ -29,12 +30,12 @@ void TakePermits(const LearnerClient& client, const std::string& actor, PermitBo
   request.set_capacity(kLanes);
   const auto reply = client.GetPermits(request);
   ASSERT_THAT(reply, IsOk());
-  for (const v1::Permit& permit : reply->granted()) permits->Add({1, permit.lane(), permit.fragment(), 0});
+  for (const v1::Permit& permit : reply->granted()) permits->Add({{permit.lane(), permit.fragment(), 0}, 1});
 }
 
-// The second server fails when its game is to be opened, the third when it is to take that game, too: the game that the
-// third one had opened in the same call is gone with it.
-TEST(ActorLoop, GamesLostWhileOthersOpenAreOpenedAnew) {
+// The second server fails when it opens its game, and the third when it opens that game in its place. The game that the
+// third server had opened in the same call is then lost as well.
+TEST(ActorLoop, GamesLostWhileOthersOpenAreOpenedAgain) {
   const std::string agent = "lstm_cnn";
   const TempFolder folder;
   const EnvServer env;
@@ -48,20 +49,95 @@ TEST(ActorLoop, GamesLostWhileOthersOpenAreOpenedAnew) {
   StandInLearner learner(agent, "unix:" + (folder / "learner"), 1, NewLanes(agent));
   learner.Open(0);
   const LearnerClient client(learner.Connect());
-  PermitBook permits(1);
+  PermitTracker permits(1);
   TakePermits(client, "a loop", &permits);
 
   const AgentSpec spec = *FindAgent(agent);
   PolicySource policies(&client, spec, Config(agent).tile());
   FragmentSender sender(&client, "a loop", &permits);
   sender.Start();
-  ServerBook book;
-  ActorLoop loop({0, Config(agent), kFrameBytes, spec.state_size}, &client, &permits, &policies, &sender,
+  EnvServerTracker tracker;
+  ActorLoop loop({0, Config(agent), kFrameBytes, spec.state_size, KeepsEveryState(spec, Config(agent).ppo())}, &client,
+                 &permits, &policies, &sender,
                  std::make_unique<EnvPool>(std::make_shared<EnvDirectory>(servers), SampleHello(kLength), kFrameBytes),
-                 &book);
+                 &tracker);
   std::thread thread([&] { EXPECT_THAT(loop.Run(), IsOk()); });
   for (int i = 0; i < kLanes; ++i) EXPECT_TRUE(learner.fragments().Pop(absl::Minutes(1)).has_value());
   EXPECT_EQ(loop.abandoned(), 0);
+  permits.Close();
+  thread.join();
+  sender.Stop();
+}
+
+// The other lanes continue. Lane 0 is reset to its previous snapshot, while the actor has its later game.
+TEST(ActorLoop, AResetLaneIsLoadedFromItsSnapshot) {
+  const std::string agent = "ppo_cnn";
+  const TempFolder folder;
+  const EnvServer env;
+  StandInLearner learner(agent, "unix:" + (folder / "learner"), 1, NewLanes(agent));
+  learner.Open(0);
+  const LearnerClient client(learner.Connect());
+  PermitTracker permits(1);
+  const AgentSpec spec = *FindAgent(agent);
+  PolicySource policies(&client, spec, Config(agent).tile());
+  FragmentSender sender(&client, "a loop", &permits);
+  sender.Start();
+  EnvServerTracker tracker;
+  const std::vector<wire::Endpoint> servers = {env.Connect()};
+  ActorLoop loop({0, Config(agent), kFrameBytes, spec.state_size}, &client, &permits, &policies, &sender,
+                 std::make_unique<EnvPool>(std::make_shared<EnvDirectory>(servers), SampleHello(kLength), kFrameBytes),
+                 &tracker);
+  std::thread thread([&] { EXPECT_THAT(loop.Run(), IsOk()); });
+
+  v1::JoinRequest join;
+  join.set_protocol_version(wire::kProtocolVersion);
+  join.set_actor("a loop");
+  ASSERT_THAT(client.Join(join), IsOk());
+  v1::PermitRequest request;
+  request.set_actor("a loop");
+  request.set_epoch(1);
+  request.set_capacity(kLanes);
+  // Gives all granted permits to the loop.
+  const auto play = [&](const v1::PermitReply& reply) {
+    for (const v1::Permit& granted : reply.granted()) {
+      HeldPermit permit{{granted.lane(), granted.fragment(), granted.policy_version()}, 1};
+      permit.reload = granted.reload();
+      permits.Add(permit);
+    }
+  };
+  // The first frames of the next fragments, by lane.
+  const auto first_frames = [&] {
+    std::map<int, std::string> frames;
+    for (int i = 0; i < kLanes; ++i) {
+      const auto fragment = learner.fragments().Pop(absl::Minutes(1));
+      if (fragment.has_value()) frames[fragment->lane] = fragment->frames.substr(0, kFrameBytes);
+    }
+    return frames;
+  };
+  play(client.GetPermits(request).value());
+  first_frames();
+  play(client.GetPermits(request).value());
+  std::map<int, std::string> before = first_frames();
+  ASSERT_EQ(before.size(), kLanes);
+
+  learner.Open(1);
+  v1::PermitReply held = client.GetPermits(request).value();
+  ASSERT_EQ(held.granted_size(), kLanes);
+  v1::LaneFailure* failure = request.add_failures();  // of the only actor, twice
+  failure->set_fragment(held.granted(0).fragment());
+  for (const v1::Permit& permit : held.granted()) {
+    if (permit.lane() != 0) *request.add_active() = permit;
+  }
+  ASSERT_THAT(client.GetPermits(request), IsOk());
+  const v1::PermitReply reset = client.GetPermits(request).value();
+  ASSERT_EQ(reset.granted_size(), 1);
+  ASSERT_TRUE(reset.granted(0).reload());
+  *held.mutable_granted(0) = reset.granted(0);
+  play(held);
+  std::map<int, std::string> after = first_frames();
+  ASSERT_EQ(after.size(), kLanes);
+  EXPECT_TRUE(after[0] == before[0]) << "the game before the last fragment";
+  for (int lane = 1; lane < kLanes; ++lane) EXPECT_FALSE(after[lane] == before[lane]) << lane;
   permits.Close();
   thread.join();
   sender.Stop();

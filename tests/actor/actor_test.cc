@@ -1,4 +1,4 @@
-// Actors with a real book of lanes and real games: what they send is what was played, whatever happens around them.
+// Actors with a real lane scheduler and real games: the fragments they send are correct under all kinds of faults.
 
 #include "actor/actor.h"
 
@@ -12,9 +12,9 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
-#include "common/keyed_random.h"
-#include "common/log.h"
-#include "common/seeds.h"
+#include "common/base/keyed_random.h"
+#include "common/base/seeds.h"
+#include "common/telemetry/log.h"
 #include "envserver/game.h"
 #include "tests/actor/stand_in_learner.h"
 #include "tests/fakes/env_server.h"
@@ -32,7 +32,7 @@ using testing::AllOf;
 using testing::HasSubstr;
 using testing::IsEmpty;
 
-// An actor on a thread of its own.
+// An actor on its own thread.
 class RunningActor {
  public:
   RunningActor(const wire::Endpoint& learner, const std::vector<wire::Endpoint>& env_servers, int threads = 1) {
@@ -50,7 +50,7 @@ class RunningActor {
     actor_->Stop();
     Join().IgnoreError();
   }
-  // What Run returned.
+  // Returns the status of Run.
   absl::Status Join() {
     if (thread_.joinable()) thread_.join();
     return status_;
@@ -71,7 +71,7 @@ class RunningActor {
   absl::Status status_;
 };
 
-// The games of all lanes played without actor, server or learner: what the fragments of the run must be.
+// Plays the games of all lanes without actor, server or learner, to obtain the expected fragments.
 class Reference {
  public:
   explicit Reference(const std::string& agent) : agent_(agent) {
@@ -145,7 +145,7 @@ class ActorTest : public testing::TestWithParam<std::string> {
     return std::make_unique<StandInLearner>(GetParam(), LearnerAddress(), 1, NewLanes(GetParam()), texture_digest);
   }
   std::string LearnerAddress() const { return "unix:" + (folder_ / "learner"); }
-  // The iteration's fragments are those of the reference.
+  // Expects the iteration's fragments to equal those of the reference.
   void ExpectIteration(StandInLearner* learner, int64_t iteration, int64_t epoch = 1) {
     const std::vector<Fragment> fragments = learner->Collect();
     std::vector<Fragment> wanted = reference_.Play(iteration);
@@ -174,7 +174,7 @@ TEST_P(ActorTest, SendsTheGamesThatItPlayed) {
   EXPECT_EQ(actor.Metric("fragments_abandoned"), 0);
 }
 
-TEST_P(ActorTest, ManyActorsPlayWhatOneWould) {
+TEST_P(ActorTest, ManyActorsProduceTheFragmentsOfOne) {
   const EnvServer second;
   RunningActor a(learner_->Connect(), {env_.Connect(), second.Connect()}, 2);
   RunningActor b(learner_->Connect(), {second.Connect()});
@@ -187,17 +187,17 @@ TEST_P(ActorTest, ManyActorsPlayWhatOneWould) {
 
 TEST_P(ActorTest, LeavesWhenTheRunIsOver) {
   RunningActor actor(learner_->Connect(), {env_.Connect()});
-  ASSERT_TRUE(WaitUntil([this] { return learner_->ledger().Actors().size() == 1; }));
-  learner_->ledger().Finish();
+  ASSERT_TRUE(WaitUntil([this] { return learner_->registry().Actors().size() == 1; }));
+  learner_->registry().Finish();
   EXPECT_THAT(actor.Join(), IsOk());
-  EXPECT_THAT(learner_->ledger().Actors(), IsEmpty());
+  EXPECT_THAT(learner_->registry().Actors(), IsEmpty());
 }
 
-TEST_P(ActorTest, AStoppedActorGivesItsLanesToOthers) {
+TEST_P(ActorTest, AStoppedActorReturnsItsLanes) {
   auto first = std::make_unique<RunningActor>(learner_->Connect(), std::vector<wire::Endpoint>{env_.Connect()});
   learner_->Open(0);
   ExpectIteration(learner_.get(), 0);
-  learner_->Open(1);  // stopped somewhere within its fragments
+  learner_->Open(1);  // the actor is stopped in the middle of fragments
   const absl::Time start = absl::Now();
   first->Stop();
   EXPECT_THAT(first->Join(), IsOk());
@@ -206,44 +206,44 @@ TEST_P(ActorTest, AStoppedActorGivesItsLanesToOthers) {
   ExpectIteration(learner_.get(), 1);
 }
 
-// Well before the lease of 5 s runs out, and without anybody waiting for it.
-TEST_P(ActorTest, OthersGoOnAtOnceWithTheLanesOfAStoppedActor) {
-  learner_->ledger().OpenIteration(1000 * kFragmentsPerIteration, 0);
+// No lease lapses within the test (kLease).
+TEST_P(ActorTest, OtherActorsContinueTheLanesOfAStoppedActorAtOnce) {
+  learner_->registry().OpenIteration(1000 * kFragmentsPerIteration, 0);
   RunningActor first(learner_->Connect(), {env_.Connect()});
   RunningActor second(learner_->Connect(), {env_.Connect()});
   learner_->Publish(0);
-  ASSERT_TRUE(WaitUntil([this] { return learner_->PermitsOut() == std::vector<int>{2, 2}; }));
+  ASSERT_TRUE(WaitUntil([this] { return learner_->OutstandingPermits() == std::vector<int>{2, 2}; }));
   const absl::Time start = absl::Now();
   first.Stop();
-  EXPECT_TRUE(WaitUntil([this] { return learner_->PermitsOut() == std::vector<int>{4}; }));
+  EXPECT_TRUE(WaitUntil([this] { return learner_->OutstandingPermits() == std::vector<int>{4}; }));
   EXPECT_LT(absl::Now() - start, absl::Seconds(2));
   EXPECT_THAT(first.Join(), IsOk());
-  EXPECT_EQ(learner_->ledger().lapsed(), 0);
+  EXPECT_EQ(learner_->registry().lapsed(), 0);
 }
 
 TEST_P(ActorTest, ANewActorGetsItsShareWithin2Seconds) {
-  learner_->ledger().OpenIteration(1000 * kFragmentsPerIteration, 0);
+  learner_->registry().OpenIteration(1000 * kFragmentsPerIteration, 0);
   learner_->Publish(0);
   RunningActor first(learner_->Connect(), {env_.Connect()});
-  ASSERT_TRUE(WaitUntil([this] { return learner_->PermitsOut() == std::vector<int>{4}; }));
+  ASSERT_TRUE(WaitUntil([this] { return learner_->OutstandingPermits() == std::vector<int>{4}; }));
   const absl::Time start = absl::Now();
   RunningActor second(learner_->Connect(), {env_.Connect()});
-  EXPECT_TRUE(WaitUntil([this] { return learner_->PermitsOut() == std::vector<int>{2, 2}; }));
+  EXPECT_TRUE(WaitUntil([this] { return learner_->OutstandingPermits() == std::vector<int>{2, 2}; }));
   EXPECT_LT(absl::Now() - start, absl::Seconds(2));
 }
 
-// It must not wait for a learner that hangs.
+// A hanging learner must not delay the stop.
 TEST_P(ActorTest, StopsWhileItWaitsForWeights) {
-  learner_->ledger().OpenIteration(kFragmentsPerIteration, 0);  // under weights that never come
+  learner_->registry().OpenIteration(kFragmentsPerIteration, 0);  // with weights that are never published
   RunningActor actor(learner_->Connect(), {env_.Connect()});
-  ASSERT_TRUE(WaitUntil([this] { return learner_->PermitsOut() == std::vector<int>{4}; }));
+  ASSERT_TRUE(WaitUntil([this] { return learner_->OutstandingPermits() == std::vector<int>{4}; }));
   const absl::Time start = absl::Now();
   actor.Stop();
   EXPECT_THAT(actor.Join(), IsOk());
   EXPECT_LT(absl::Now() - start, absl::Seconds(3));
 }
 
-TEST_P(ActorTest, AnEnvironmentThatThrowsCostsAFragment) {
+TEST_P(ActorTest, AnExceptionInAnEnvironmentServerCostsOnlyAFragment) {
   FailingOnceService failing(env_.service.get(), 5);  // at the third step
   const auto server = *wire::Server::Create({"127.0.0.1:0"}, {&failing});
   RunningActor actor(learner_->Connect(), {wire::Connect(server->address())});
@@ -255,14 +255,14 @@ TEST_P(ActorTest, AnEnvironmentThatThrowsCostsAFragment) {
   EXPECT_LE(actor.Metric("fragments_abandoned"), kLanes);
 }
 
-// Its games of lanes that others play by now would stay open for ever.
+// Otherwise games of lanes that other actors now play would stay open forever.
 TEST_P(ActorTest, ClosesTheGamesOfLanesThatOthersPlay) {
   EnvServer of_first;
   RunningActor first(learner_->Connect(), {of_first.Connect()});
   learner_->Open(0);
   ExpectIteration(learner_.get(), 0);
   RunningActor second(learner_->Connect(), {env_.Connect()});
-  ASSERT_TRUE(WaitUntil([this] { return learner_->ledger().Actors().size() == 2; }));
+  ASSERT_TRUE(WaitUntil([this] { return learner_->registry().Actors().size() == 2; }));
   for (int64_t iteration = 1; iteration < 4; ++iteration) {
     learner_->Open(iteration);
     ExpectIteration(learner_.get(), iteration);
@@ -273,7 +273,7 @@ TEST_P(ActorTest, ClosesTheGamesOfLanesThatOthersPlay) {
   EXPECT_EQ(status.peers(0).state(), "2 lanes");
 }
 
-TEST_P(ActorTest, GoesOnWhenAnEnvironmentServerGoes) {
+TEST_P(ActorTest, ContinuesWhenAnEnvironmentServerStops) {
   const EnvServer second;
   RunningActor actor(learner_->Connect(), {env_.Connect(), second.Connect()});
   learner_->Open(0);
@@ -284,28 +284,28 @@ TEST_P(ActorTest, GoesOnWhenAnEnvironmentServerGoes) {
   EXPECT_GT(actor.Metric("fragments_abandoned"), 0);
 }
 
-TEST_P(ActorTest, GoesOnWhenTheLearnerCameBack) {
+TEST_P(ActorTest, ContinuesAfterTheLearnerRestarts) {
   RunningActor actor(learner_->Connect(), {env_.Connect()});
   learner_->Open(0);
   ExpectIteration(learner_.get(), 0);
-  const std::vector<LaneRecord> checkpoint = learner_->ledger().Records();
+  const std::vector<LaneRecord> checkpoint = learner_->registry().Records();
   learner_->Open(1);
-  ASSERT_TRUE(learner_->fragments().Pop(absl::Minutes(1)).has_value()) << "within the iteration";
+  ASSERT_TRUE(learner_->fragments().Pop(absl::Minutes(1)).has_value()) << "in the middle of the iteration";
   learner_.reset();
   learner_ = std::make_unique<StandInLearner>(GetParam(), LearnerAddress(), 2, checkpoint);
   learner_->Open(1);
   ExpectIteration(learner_.get(), 1, 2);
 }
 
-// Its lanes must not stand still until it can play.
-TEST_P(ActorTest, OneThatCannotPlayLetsOthersPlay) {
+// Its lanes must not have to wait until it can play.
+TEST_P(ActorTest, AnActorThatCannotPlayLetsOthersPlay) {
   wire::Endpoint gone;
   {
     const EnvServer server;
     gone = server.Connect();
   }
   RunningActor unable(learner_->Connect(), {gone});
-  ASSERT_TRUE(WaitUntil([this] { return learner_->ledger().Actors().size() == 1; }));
+  ASSERT_TRUE(WaitUntil([this] { return learner_->registry().Actors().size() == 1; }));
   learner_->Open(0);
   ASSERT_TRUE(WaitUntil([&] { return unable.Metric("fragments_abandoned") > 0; }));
   RunningActor able(learner_->Connect(), {env_.Connect()});
@@ -317,7 +317,7 @@ TEST_P(ActorTest, OneThatCannotPlayLetsOthersPlay) {
   EXPECT_EQ(unable.Metric("fragments_accepted"), 0);
 }
 
-TEST_P(ActorTest, WaitsForALearnerThatIsNotThereYet) {
+TEST_P(ActorTest, WaitsForALearnerThatIsNotRunningYet) {
   learner_.reset();
   RunningActor actor(wire::Connect(LearnerAddress()), {env_.Connect()});
   absl::SleepFor(absl::Milliseconds(300));

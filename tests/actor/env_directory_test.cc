@@ -18,14 +18,14 @@ std::vector<std::string> AddressesOf(const EnvDirectory& directory) {
   return addresses;
 }
 
-TEST(EnvDirectory, ListsWhatItIsTold) {
+TEST(EnvDirectory, ListsTheGivenServers) {
   const auto directory = EnvDirectory::Parse("envservers", "10.0.0.2:1,10.0.0.1:1,,unix:/tmp/s");
   ASSERT_THAT(directory, IsOk());
   EXPECT_THAT(AddressesOf(**directory), ElementsAre("10.0.0.1:1", "10.0.0.2:1", "unix:/tmp/s"));
   EXPECT_FALSE((*directory)->uses_registry());
 }
 
-TEST(EnvDirectory, AnEntryThatIsNoAddressIsNamed) {
+TEST(EnvDirectory, AnInvalidEntryIsNamed) {
   EXPECT_THAT(EnvDirectory::Parse("envservers", "a:1,b"),
               StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("--envservers: \"b\"")));
   EXPECT_THAT(EnvDirectory::Parse("envservers", "dns:a"),
@@ -50,7 +50,7 @@ TEST(EnvDirectory, FollowsTheLearnersRegistry) {
   EXPECT_THAT(AddressesOf(*directory), ElementsAre("a:1", "c:1"));
 }
 
-TEST(EnvDirectory, LooksUpEveryAddressBehindAName) {
+TEST(EnvDirectory, ResolvesEveryAddressOfAName) {
   const auto directory = EnvDirectory::Parse("envservers", "dns:localhost:50061,dns:no-such-host.invalid:1").value();
   ASSERT_TRUE(WaitUntil([&] { return !directory->Servers().empty(); }));
   for (const std::string& address : AddressesOf(*directory)) {

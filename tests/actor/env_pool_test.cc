@@ -10,13 +10,15 @@
 #include <utility>
 #include <vector>
 
+#include <absl/strings/match.h>
 #include <absl/time/clock.h>
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
-#include "common/process_usage.h"
+#include "common/telemetry/process_usage.h"
 #include "tests/fakes/env_server.h"
 #include "tests/fakes/status_matchers.h"
+#include "tests/fakes/temp_folder.h"
 #include "tests/fakes/wait_until.h"
 
 namespace craftfleet {
@@ -38,9 +40,9 @@ std::vector<EnvClient::Lane> NewLanes(const std::vector<int>& lanes) {
   return open;
 }
 
-// What the games of some lanes look like, whoever runs them.
+// The observed course of some lanes' games, independent of the servers that run them.
 struct Seen {
-  // Steps every lane once, with actions that depend on lane and step alone.
+  // Steps every lane once, with actions that depend only on lane and step.
   absl::Status Step(EnvPool* pool, bool snapshot = false) {
     std::vector<int> lanes;
     for (const auto& [lane, frame] : frames) lanes.push_back(lane);
@@ -48,36 +50,48 @@ struct Seen {
     std::vector<Action> actions;
     actions.reserve(lanes.size());
     for (const int lane : lanes) actions.push_back(static_cast<Action>((lane * 3 + steps * 5) % kNumActions));
-    StepBatch batch;
-    if (absl::Status status = pool->Step(lanes, actions, snapshot, &batch, &lost); !status.ok()) return status;
+    const absl::StatusOr<EnvPool::Stepped> stepped = pool->Step(lanes, actions, snapshot);
+    if (!stepped.ok()) return stepped.status();
     ++steps;
+    lost = stepped->lost;
     for (const int lane : lost) {
       lanes.erase(std::remove(lanes.begin(), lanes.end(), lane), lanes.end());
       frames.erase(lane);
     }
-    EXPECT_EQ(batch.rewards.size(), lanes.size());
+    EXPECT_EQ(stepped->lanes.size(), lanes.size());
+    EXPECT_EQ(stepped->frames.size(), lanes.size() * kFrameBytes);
     for (size_t row = 0; row < lanes.size(); ++row) {
-      frames[lanes[row]] = batch.frames.substr(row * kFrameBytes, kFrameBytes);
-      rewards[lanes[row]] += batch.rewards[row];
-      if (snapshot) snapshots[lanes[row]] = batch.snapshots[row];
+      const EnvPool::SteppedLane& lane = stepped->lanes[row];
+      EXPECT_EQ(lane.lane, lanes[row]);
+      frames[lanes[row]] = stepped->frames.substr(row * kFrameBytes, kFrameBytes);
+      rewards[lanes[row]] += lane.reward;
+      EXPECT_EQ(lane.snapshot.empty(), !snapshot);
+      if (snapshot) snapshots[lanes[row]] = lane.snapshot;
+      // All episodes are truncated: they are too short for a death.
+      EXPECT_EQ(lane.last_frame.size(), lane.end == StepEnd::kNone ? 0 : kFrameBytes);
+      EXPECT_EQ(lane.episode.length, lane.end == StepEnd::kNone ? 0 : kLength);
+      episodes += lane.end == StepEnd::kNone ? 0 : 1;
     }
-    episodes += static_cast<int>(batch.episodes.size());
-    EXPECT_EQ(batch.last_frames.size(), batch.episodes.size() * kFrameBytes);
     return absl::OkStatus();
   }
   absl::Status Open(EnvPool* pool, const std::vector<EnvClient::Lane>& lanes) {
-    std::string opened;
-    std::vector<EnvClient::Refused> refused;
-    if (absl::Status status = pool->Open(lanes, &opened, &lost, &refused); !status.ok()) return status;
-    EXPECT_THAT(refused, IsEmpty());
-    for (size_t i = 0; i < lanes.size(); ++i) frames[lanes[i].lane] = opened.substr(i * kFrameBytes, kFrameBytes);
+    const absl::StatusOr<EnvPool::Opened> opened = pool->Open(lanes);
+    if (!opened.ok()) return opened.status();
+    lost = opened->lost;
+    EXPECT_EQ(opened->lanes.size(), lanes.size());
+    for (size_t i = 0; i < lanes.size(); ++i) {
+      EXPECT_EQ(opened->lanes[i].lane, lanes[i].lane);
+      EXPECT_THAT(opened->lanes[i].refusal, IsEmpty());
+      EXPECT_THAT(opened->lanes[i].frame, SizeIs(kFrameBytes));
+      frames[lanes[i].lane] = opened->lanes[i].frame;
+    }
     return absl::OkStatus();
   }
 
   std::map<int, std::string> frames;
   std::map<int, std::string> snapshots;
   std::map<int, double> rewards;
-  std::vector<int> lost;  // by the last call
+  std::vector<int> lost;  // in the last call
   int episodes = 0;
   int steps = 0;
 };
@@ -129,12 +143,12 @@ TEST(EnvPool, SpreadsGamesEvenly) {
   }
 }
 
-// The games go on elsewhere from their snapshots as if nothing had been.
-TEST(EnvPool, AServerThatGoesTakesNothingWithIt) {
+// The games continue elsewhere from their snapshots as if nothing had happened.
+TEST(EnvPool, AFailedServerLosesNoGames) {
   const EnvServer spare;
-  EnvPool untroubled_pool = PoolOf({&spare});
-  Seen untroubled;
-  ASSERT_THAT(untroubled.Open(&untroubled_pool, NewLanes({0, 1, 2, 3})), IsOk());
+  EnvPool undisturbed_pool = PoolOf({&spare});
+  Seen undisturbed;
+  ASSERT_THAT(undisturbed.Open(&undisturbed_pool, NewLanes({0, 1, 2, 3})), IsOk());
 
   const EnvServer servers[2];
   EnvPool pool = PoolOf({&servers[0], &servers[1]});
@@ -146,9 +160,9 @@ TEST(EnvPool, AServerThatGoesTakesNothingWithIt) {
   servers[1].server->Stop(absl::Milliseconds(50));
   ASSERT_THAT(seen.Step(&pool), IsOk());
   ASSERT_THAT(seen.lost, SizeIs(2));
-  for (int i = 0; i < 14; ++i) ASSERT_THAT(untroubled.Step(&untroubled_pool), IsOk());
-  ASSERT_THAT(seen.frames, SizeIs(2)) << "the others go on";
-  for (const auto& [lane, frame] : seen.frames) EXPECT_EQ(frame, untroubled.frames[lane]);
+  for (int i = 0; i < 14; ++i) ASSERT_THAT(undisturbed.Step(&undisturbed_pool), IsOk());
+  ASSERT_THAT(seen.frames, SizeIs(2)) << "the others continue";
+  for (const auto& [lane, frame] : seen.frames) EXPECT_EQ(frame, undisturbed.frames[lane]);
 
   Seen again;
   again.steps = saved.steps;
@@ -158,21 +172,21 @@ TEST(EnvPool, AServerThatGoesTakesNothingWithIt) {
   EXPECT_THAT(again.lost, IsEmpty());
   while (again.steps < seen.steps) ASSERT_THAT(again.Step(&pool), IsOk());
   seen.frames.merge(again.frames);
-  EXPECT_EQ(seen.frames, untroubled.frames);
+  EXPECT_EQ(seen.frames, undisturbed.frames);
   for (int i = 0; i < kLength; ++i) {
     ASSERT_THAT(seen.Step(&pool), IsOk());
-    ASSERT_THAT(untroubled.Step(&untroubled_pool), IsOk());
-    ASSERT_EQ(seen.frames, untroubled.frames) << i;
+    ASSERT_THAT(undisturbed.Step(&undisturbed_pool), IsOk());
+    ASSERT_EQ(seen.frames, undisturbed.frames) << i;
   }
 }
 
-TEST(EnvPool, TheLastServerThatGoesIsAnError) {
+TEST(EnvPool, LosingTheLastServerIsAnError) {
   const EnvServer server;
   EnvPool pool = PoolOf({&server});
   Seen seen;
   ASSERT_THAT(seen.Open(&pool, NewLanes({0, 1})), IsOk());
   server.server->Stop(absl::Milliseconds(50));
-  // Not Cancelled: nobody here asked for it.
+  // Not Cancelled, since Cancel was not called.
   EXPECT_THAT(seen.Step(&pool), StatusIs(absl::StatusCode::kUnavailable, HasSubstr(server.server->address())));
 }
 
@@ -201,8 +215,7 @@ TEST(EnvPool, GamesMoveWhenServersComeAndGo) {
   const auto directory = EnvDirectory::Parse("envservers", "learner").value();
   EnvPool pool(directory, SampleHello(kLength), kFrameBytes);
   Seen seen;
-  EXPECT_THAT(seen.Open(&pool, NewLanes({0})),
-              StatusIs(absl::StatusCode::kUnavailable, HasSubstr("no environment server is known")));
+  EXPECT_THAT(seen.Open(&pool, NewLanes({0})), StatusIs(absl::StatusCode::kUnavailable, testing::_));
   const std::vector<std::string> addresses = {servers[0].server->address(), servers[1].server->address(),
                                               servers[2].server->address()};
   directory->SetRegistered({addresses[0]});
@@ -211,13 +224,13 @@ TEST(EnvPool, GamesMoveWhenServersComeAndGo) {
   EXPECT_EQ(LanesOn(servers[0]), "6 lanes");
 
   directory->SetRegistered(addresses);
-  // Connecting takes its time, which nobody waits for: games may move twice.
+  // Nothing waits for connections to be established, so games may move twice.
   EXPECT_TRUE(WaitUntil([&] {
     EXPECT_THAT(seen.Open(&pool, NewLanes(pool.Refresh())), IsOk());
     return std::all_of(std::begin(servers), std::end(servers),
                        [](const EnvServer& server) { return LanesOn(server) == "2 lanes"; });
   }));
-  EXPECT_THAT(pool.Refresh(), IsEmpty()) << "even as it is";
+  EXPECT_THAT(pool.Refresh(), IsEmpty()) << "the load is balanced";
   EXPECT_THAT(seen.Step(&pool), IsOk());
 
   directory->SetRegistered({addresses[1], addresses[2]});
@@ -229,7 +242,7 @@ TEST(EnvPool, GamesMoveWhenServersComeAndGo) {
   EXPECT_THAT(seen.Step(&pool), IsOk());
 }
 
-TEST(EnvPool, AServerThatIsGoneWhenGamesAreToMoveLosesAllOfThem) {
+TEST(EnvPool, AServerLostDuringAMoveLosesAllItsGames) {
   const EnvServer servers[2];
   const auto directory = EnvDirectory::Parse("envservers", "learner").value();
   directory->SetRegistered({servers[0].server->address()});
@@ -249,19 +262,17 @@ TEST(EnvPool, AServerThatIsGoneWhenGamesAreToMoveLosesAllOfThem) {
   EXPECT_THAT(seen.Step(&pool), IsOk());
 }
 
-TEST(EnvPool, AServerThatGoesWhileLanesOpenTakesOthersWithIt) {
+TEST(EnvPool, AServerLostWhileLanesOpenLosesItsOtherLanesToo) {
   const EnvServer servers[2];
   EnvPool pool = PoolOf({&servers[0], &servers[1]});
   Seen seen;
   ASSERT_THAT(seen.Open(&pool, NewLanes({0, 1, 2, 3})), IsOk());
-  // Lanes 1 and 3 are on the second one by address.
+  // Lanes 1 and 3 are on the server with the higher address.
   const EnvServer& gone = servers[servers[0].server->address() < servers[1].server->address() ? 1 : 0];
   gone.server->Stop(absl::Milliseconds(50));
   ASSERT_THAT(seen.Open(&pool, NewLanes({1})), IsOk());
   EXPECT_THAT(seen.lost, ElementsAre(3));
-  std::vector<int> lost;
-  EXPECT_THAT(pool.Close({0}, &lost), IsOk());
-  EXPECT_THAT(lost, IsEmpty());
+  EXPECT_THAT(pool.Close({0}).value(), IsEmpty());
   ASSERT_THAT(seen.Open(&pool, NewLanes({0, 3})), IsOk());
   EXPECT_THAT(seen.lost, IsEmpty());
   EXPECT_THAT(seen.Step(&pool), IsOk());
@@ -275,17 +286,14 @@ TEST(EnvPool, NamesEveryServerWhenNoneCanBeReached) {
     for (const EnvServer& server : gone) endpoints.push_back(server.Connect());
   }
   EnvPool pool(Listing(endpoints), SampleHello(kLength), kFrameBytes);
-  std::string frames;
-  std::vector<int> lost;
-  std::vector<EnvClient::Refused> refused;
-  for (int i = 0; i < 2; ++i) {  // the second time it waits before it tries again
-    EXPECT_THAT(pool.Open(NewLanes({0}), &frames, &lost, &refused),
+  for (int i = 0; i < 2; ++i) {  // the second attempt follows after a pause
+    EXPECT_THAT(pool.Open(NewLanes({0})),
                 StatusIs(absl::StatusCode::kUnavailable,
                          AllOf(HasSubstr(endpoints[0].address), HasSubstr(endpoints[1].address))));
   }
 }
 
-TEST(EnvPool, PlaysWithTheServersThatAreLeft) {
+TEST(EnvPool, PlaysOnTheRemainingServers) {
   const EnvServer here;
   wire::Endpoint gone;
   {
@@ -298,21 +306,17 @@ TEST(EnvPool, PlaysWithTheServersThatAreLeft) {
   EXPECT_THAT(seen.Step(&pool), IsOk());
 }
 
-TEST(EnvPool, AServerThatDoesNotFitIsAnErrorToAct) {
+TEST(EnvPool, AnIncompatibleServerIsAnError) {
   const EnvServer server;
   v1::SessionHello hello = SampleHello(kLength);
   hello.set_texture_digest("0123456789abcdef");
   EnvPool pool(Listing({server.Connect()}), hello, kFrameBytes);
-  std::string frames;
-  std::vector<int> lost;
-  std::vector<EnvClient::Refused> refused;
-  EXPECT_THAT(pool.Open(NewLanes({0}), &frames, &lost, &refused),
-              StatusIs(absl::StatusCode::kFailedPrecondition,
-                       AllOf(HasSubstr(server.server->address()), HasSubstr("--textures"))));
+  EXPECT_THAT(pool.Open(NewLanes({0})), StatusIs(absl::StatusCode::kFailedPrecondition,
+                                                 AllOf(HasSubstr(server.server->address()), HasSubstr("--textures"))));
 }
 
-// One of them may be of another run, or have other textures: it is said, and the others are played on.
-TEST(EnvPool, AServerThatDoesNotFitIsNoTroubleWhereAnotherDoes) {
+// A server with another run or other textures is logged, and the others are used.
+TEST(EnvPool, AnIncompatibleServerIsNoErrorIfAnotherIsCompatible) {
   const EnvServer fits;
   const EnvServer busy;
   v1::SessionHello other_run = SampleHello(kLength);
@@ -325,10 +329,36 @@ TEST(EnvPool, AServerThatDoesNotFitIsNoTroubleWhereAnotherDoes) {
   Seen seen;
   testing::internal::CaptureStderr();
   ASSERT_THAT(seen.Open(&pool, NewLanes({0, 1})), IsOk());
-  EXPECT_THAT(testing::internal::GetCapturedStderr(),
-              AllOf(HasSubstr(busy.server->address()), HasSubstr("serves run run-b")));
+  EXPECT_THAT(testing::internal::GetCapturedStderr(), AllOf(HasSubstr(busy.server->address()), HasSubstr("run-b")));
   EXPECT_EQ(LanesOn(fits), "2 lanes");
   EXPECT_THAT(seen.Step(&pool), IsOk());
+}
+
+// The server restarts, and an actor of another run is the first to connect.
+TEST(EnvPool, AServerThatAcceptedTheActorIsWaitedFor) {
+  const TempFolder folder;
+  const std::string address = "unix:" + (folder / "server");
+  const EnvServer before;
+  const EnvServer after;
+  auto server = *wire::Server::Create({address}, {before.service.get()});
+  EnvPool pool(Listing({wire::Connect(address)}), SampleHello(kLength), kFrameBytes);
+  Seen seen;
+  ASSERT_THAT(seen.Open(&pool, NewLanes({0})), IsOk());
+  server.reset();
+  EXPECT_THAT(seen.Step(&pool), testing::Not(IsOk()));
+
+  server = *wire::Server::Create({address}, {after.service.get()});
+  v1::SessionHello other_run = SampleHello(kLength);
+  other_run.set_run_id("run-b");
+  auto other = std::make_unique<EnvPool>(Listing({wire::Connect(address)}), other_run, kFrameBytes);
+  ASSERT_THAT(other->Open(NewLanes({0})), IsOk());
+  EXPECT_TRUE(WaitUntil([&] {
+    const absl::Status status = pool.Open(NewLanes({0})).status();
+    EXPECT_EQ(status.code(), absl::StatusCode::kUnavailable) << status;
+    return absl::StrContains(status.message(), "run-b");
+  })) << "it is told whose server it is";
+  other.reset();
+  EXPECT_TRUE(WaitUntil([&] { return pool.Open(NewLanes({0})).ok(); }));
 }
 
 TEST(EnvPool, ClosesGames) {
@@ -337,12 +367,11 @@ TEST(EnvPool, ClosesGames) {
   Seen seen;
   ASSERT_THAT(seen.Open(&pool, NewLanes({0, 1, 2})), IsOk());
   const std::vector<int> two_and_one_that_is_not_open = {0, 2, 5};
-  std::vector<int> lost;
-  ASSERT_THAT(pool.Close(two_and_one_that_is_not_open, &lost), IsOk());
+  EXPECT_THAT(pool.Close(two_and_one_that_is_not_open).value(), IsEmpty());
   EXPECT_EQ(LanesOn(server), "1 lanes");
 }
 
-TEST(EnvPool, LeavesTheLastFilesToOthers) {
+TEST(EnvPool, LeavesSomeFileDescriptorsFree) {
   const EnvServer server;
   EnvPool pool = PoolOf({&server});
   rlimit before = {};
@@ -352,7 +381,8 @@ TEST(EnvPool, LeavesTheLastFilesToOthers) {
   Seen seen;
   EXPECT_THAT(seen.Open(&pool, NewLanes({0})), StatusIs(absl::StatusCode::kUnavailable, HasSubstr("ulimit -n")));
   ASSERT_EQ(setrlimit(RLIMIT_NOFILE, &before), 0);
-  EXPECT_TRUE(WaitUntil([&] { return seen.Open(&pool, NewLanes({0})).ok(); })) << "tried again, and found room";
+  EXPECT_TRUE(WaitUntil([&] { return seen.Open(&pool, NewLanes({0})).ok(); }))
+      << "retried once descriptors are available";
 }
 
 }  // namespace

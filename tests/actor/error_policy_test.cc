@@ -6,7 +6,7 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
-#include "common/files.h"
+#include "common/io/files.h"
 #include "tests/fakes/status_matchers.h"
 
 namespace craftfleet {
@@ -27,23 +27,23 @@ TEST(ErrorPolicy, ReadmeHasTheTable) {
   EXPECT_THAT(*readme, testing::HasSubstr(FormatErrorPolicy())) << "want this table in actor/README.md";
 }
 
-TEST(ErrorPolicy, NoEnvironmentServerEndsAnActorByWhatItSays) {
+TEST(ErrorPolicy, NoReplyOfAnEnvironmentServerEndsAnActor) {
   for (const ErrorRule& rule : ErrorPolicy()) {
-    EXPECT_NE(ReactionTo(Called::kSession, absl::Status(rule.code, "")), Reaction::kEnd);
+    EXPECT_NE(ReactionTo(CallKind::kSession, absl::Status(rule.code, "")), Reaction::kEnd);
   }
 }
 
-TEST(ErrorPolicy, ATokenThatIsReplacedIsWaitedForButNotAtFirst) {
+TEST(ErrorPolicy, ARefusedTokenIsRetriedExceptAtTheFirstJoin) {
   for (const absl::Status& error : {absl::PermissionDeniedError(""), absl::UnauthenticatedError("")}) {
-    EXPECT_EQ(ReactionTo(Called::kJoin, error), Reaction::kEnd);
-    for (const Called called : {Called::kPermits, Called::kPush, Called::kWeights, Called::kSnapshot}) {
+    EXPECT_EQ(ReactionTo(CallKind::kJoin, error), Reaction::kEnd);
+    for (const CallKind called : {CallKind::kPermits, CallKind::kPush, CallKind::kWeights, CallKind::kSnapshot}) {
       EXPECT_EQ(ReactionTo(called, error), Reaction::kRetry);
     }
   }
 }
 
 TEST(ErrorPolicy, ALearnerThatRestartedIsJoinedAgain) {
-  EXPECT_EQ(ReactionTo(Called::kPermits, absl::AbortedError("")), Reaction::kJoinAgain);
+  EXPECT_EQ(ReactionTo(CallKind::kPermits, absl::AbortedError("")), Reaction::kJoinAgain);
 }
 
 }  // namespace

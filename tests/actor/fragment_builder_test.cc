@@ -10,7 +10,7 @@
 namespace craftfleet {
 namespace {
 
-// Appends the steps of SampleFragment(lane, ...), as an actor comes to know of them.
+// Appends the steps of SampleFragment(lane, ...) in the order in which an actor gets them.
 Fragment Build(FragmentBuilder* builder, int lane, int64_t number) {
   const Fragment sample = SampleFragment(lane, number, 9, 3);
   builder->Start(3, lane, number, 9, kSampleShape.steps, kSampleShape.frame_bytes);
@@ -23,24 +23,24 @@ Fragment Build(FragmentBuilder* builder, int lane, int64_t number) {
                     sample.ends[t]);
     if (sample.ends[t] == StepEnd::kNone) continue;
     Episode episode = sample.episodes[ended++];
-    episode.step = 0;  // as an environment server tells it
+    episode.step = 0;  // as sent by an environment server
     builder->AddEpisode(episode);
     if (sample.ends[t] == StepEnd::kTruncated) builder->AddTruncationValue(sample.truncation_values[0]);
   }
   return builder->Finish(sample.bootstrap_value, sample.snapshot);
 }
 
-TEST(FragmentBuilder, PutsStepsTogether) {
+TEST(FragmentBuilder, AssemblesSteps) {
   FragmentBuilder builder;
   ExpectSameFragments(Build(&builder, 1, 4), SampleFragment(1, 4, 9, 3));
 }
 
-TEST(FragmentBuilder, NothingOfAnEarlierFragmentIsLeft) {
+TEST(FragmentBuilder, NothingRemainsOfAnEarlierFragment) {
   FragmentBuilder builder;
   Build(&builder, 1, 4);
   builder.Start(3, 1, 5, 9, kSampleShape.steps, kSampleShape.frame_bytes);
   builder.AddState({1, 2});
-  builder.Append("left behind!", Action::kDo, 0, 0, 0, StepEnd::kTerminated);  // then the environment server went
+  builder.Append("left behind!", Action::kDo, 0, 0, 0, StepEnd::kTerminated);  // then the environment server failed
   builder.AddEpisode(EndedEpisode(0, 1));
   ExpectSameFragments(Build(&builder, 2, 0), SampleFragment(2, 0, 9, 3));
 }

@@ -23,7 +23,7 @@ using testing::ElementsAre;
 
 using Answer = FakeLearnerService::Answer;
 
-// A sender of fragments to a learner that is a fake.
+// A sender with a fake learner.
 class FragmentSenderTest : public testing::Test {
  protected:
   FragmentSenderTest() : client_(wire::Connect(address())) { StartLearner(); }
@@ -32,8 +32,8 @@ class FragmentSenderTest : public testing::Test {
   void StartLearner() { learner_ = *wire::Server::Create({address()}, {&service_}); }
   void StopLearner() { learner_.reset(); }
 
-  HeldPermit PermitOf(int lane, int64_t number) { return {1, lane, number, 5}; }
-  // A fragment that was permitted.
+  HeldPermit PermitOf(int lane, int64_t number) { return {{lane, number, 5}, 1}; }
+  // Pushes a fragment for which there is a permit.
   void Push(int lane, int64_t number) {
     permits_.Add(PermitOf(lane, number));
     EXPECT_THAT(sender_.Push(SampleFragment(lane, number, 5)), IsOk());
@@ -51,7 +51,7 @@ class FragmentSenderTest : public testing::Test {
   FakeLearnerService service_;
   std::unique_ptr<wire::Server> learner_;
   const LearnerClient client_;
-  PermitBook permits_{1};
+  PermitTracker permits_{1};
   FragmentSender sender_{&client_, "an actor", &permits_};
 };
 
@@ -67,7 +67,7 @@ TEST_F(FragmentSenderTest, SendsFragmentsInOrderAndReleasesTheirPermits) {
   ExpectSameFragments(*wire::FromProto(&third, kSampleShape), SampleFragment(2, 0, 5));
 }
 
-TEST_F(FragmentSenderTest, SendsAgainWhatHadNoVerdictWhenTheStreamBroke) {
+TEST_F(FragmentSenderTest, ResendsFragmentsWithoutAVerdictAfterTheStreamBreaks) {
   service_.Script({Answer::kAccept, Answer::kBreak, Answer::kBreak});
   sender_.Start();
   for (int lane = 0; lane < 3; ++lane) Push(lane, 0);
@@ -77,10 +77,10 @@ TEST_F(FragmentSenderTest, SendsAgainWhatHadNoVerdictWhenTheStreamBroke) {
   EXPECT_THAT(LanesReceived(), ElementsAre(0, 1, 1, 1, 2));
   EXPECT_EQ(service_.received()[3].SerializeAsString(), service_.received()[1].SerializeAsString());
   EXPECT_EQ(sender_.accepted(), 3);
-  EXPECT_GE(sender_.resent(), 2) << "the last one may have been under way, too";
+  EXPECT_GE(sender_.resent(), 2) << "the last one may also have been sent";
 }
 
-TEST_F(FragmentSenderTest, SendsMoreBeforeTheFirstVerdictButNotWithoutLimit) {
+TEST_F(FragmentSenderTest, SendsABoundedNumberBeforeTheFirstVerdict) {
   service_.Script(std::vector<Answer>(20, Answer::kSilence));
   sender_.Start();
   for (int lane = 0; lane < 20; ++lane) Push(lane, 0);
@@ -89,7 +89,7 @@ TEST_F(FragmentSenderTest, SendsMoreBeforeTheFirstVerdictButNotWithoutLimit) {
   EXPECT_EQ(permits_.Active().size(), 20);
 }
 
-TEST_F(FragmentSenderTest, WaitsForALearnerThatIsAway) {
+TEST_F(FragmentSenderTest, WaitsForAnUnreachableLearner) {
   StopLearner();
   sender_.Start();
   Push(0, 0);
@@ -100,7 +100,7 @@ TEST_F(FragmentSenderTest, WaitsForALearnerThatIsAway) {
   EXPECT_THAT(LanesReceived(), ElementsAre(0, 1));
 }
 
-TEST_F(FragmentSenderTest, GoesOnAfterTheLearnerCameBack) {
+TEST_F(FragmentSenderTest, ContinuesAfterTheLearnerReturns) {
   sender_.Start();
   Push(0, 0);
   ASSERT_TRUE(WaitForVerdicts());
@@ -111,7 +111,7 @@ TEST_F(FragmentSenderTest, GoesOnAfterTheLearnerCameBack) {
   EXPECT_EQ(sender_.accepted(), 2);
 }
 
-TEST_F(FragmentSenderTest, ForgetsWhatTheLearnerDoesNotWantAnyMore) {
+TEST_F(FragmentSenderTest, DropWaitingDropsUnsentFragments) {
   service_.Script(std::vector<Answer>(16, Answer::kSilence));
   sender_.Start();
   for (int lane = 0; lane < 20; ++lane) Push(lane, 0);
@@ -126,12 +126,12 @@ TEST_F(FragmentSenderTest, EveryVerdictReleasesThePermit) {
   Push(0, 0);
   Push(1, 0);
   ASSERT_TRUE(WaitForVerdicts());
-  EXPECT_EQ(sender_.accepted(), 1) << "it was accepted when it was sent before";
+  EXPECT_EQ(sender_.accepted(), 1) << "it was accepted the first time";
   EXPECT_EQ(sender_.refused(), 1);
   EXPECT_THAT(LanesReceived(), ElementsAre(0, 1));
 }
 
-TEST_F(FragmentSenderTest, DropsAFragmentThatTheLearnerCallsWrong) {
+TEST_F(FragmentSenderTest, DropsAFragmentThatTheLearnerRefuses) {
   service_.Script({Answer::kRefuse});
   sender_.Start();
   Push(0, 0);
@@ -142,7 +142,7 @@ TEST_F(FragmentSenderTest, DropsAFragmentThatTheLearnerCallsWrong) {
   EXPECT_THAT(LanesReceived(), ElementsAre(0, 1));
 }
 
-TEST_F(FragmentSenderTest, AVerdictOnAnotherFragmentIsNone) {
+TEST_F(FragmentSenderTest, AVerdictOnAnotherFragmentIsAnError) {
   service_.Script({Answer::kWrongVerdict});
   sender_.Start();
   Push(0, 0);
@@ -169,7 +169,7 @@ TEST_F(FragmentSenderTest, StopDoesNotWaitForVerdicts) {
   sender_.Stop();
 }
 
-TEST_F(FragmentSenderTest, StopsWhileTheLearnerIsAway) {
+TEST_F(FragmentSenderTest, StopsWhileTheLearnerIsUnreachable) {
   StopLearner();
   sender_.Start();
   Push(0, 0);

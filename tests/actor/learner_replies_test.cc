@@ -5,8 +5,11 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
-#include "common/config.h"
-#include "common/snapshot_envelope.h"
+#include "common/base/clock.h"
+#include "common/base/seeds.h"
+#include "common/config/config.h"
+#include "common/io/snapshot_envelope.h"
+#include "learner/evaluation_scheduler.h"
 #include "tests/fakes/status_matchers.h"
 
 namespace craftfleet {
@@ -14,7 +17,8 @@ namespace {
 
 using testing::HasSubstr;
 
-auto IsNonsense(const char* text) { return StatusIs(absl::StatusCode::kDataLoss, HasSubstr(text)); }
+// `field` is named in the error.
+auto IsInvalid(const char* field) { return StatusIs(absl::StatusCode::kDataLoss, HasSubstr(field)); }
 
 v1::JoinReply GoodJoin() {
   v1::JoinReply reply;
@@ -31,19 +35,19 @@ TEST(LearnerReplies, JoinIsChecked) {
   EXPECT_GT(reply.config().fragment_steps(), 0) << "resolved";
   reply = GoodJoin();
   reply.clear_run_id();
-  EXPECT_THAT(CheckJoinReply(&reply), IsNonsense("run_id is empty"));
+  EXPECT_THAT(CheckJoinReply(&reply), IsInvalid("run_id"));
   reply = GoodJoin();
   reply.set_epoch(-1);
-  EXPECT_THAT(CheckJoinReply(&reply), IsNonsense("epoch: -1"));
+  EXPECT_THAT(CheckJoinReply(&reply), IsInvalid("epoch"));
   reply = GoodJoin();
   reply.set_lease_ms(0);
-  EXPECT_THAT(CheckJoinReply(&reply), IsNonsense("lease_ms: 0, want 100.."));
+  EXPECT_THAT(CheckJoinReply(&reply), IsInvalid("lease_ms"));
   reply = GoodJoin();
   reply.mutable_config()->set_lanes(-4);
-  EXPECT_THAT(CheckJoinReply(&reply), IsNonsense("config: lanes is -4"));
+  EXPECT_THAT(CheckJoinReply(&reply), IsInvalid("lanes"));
   reply = GoodJoin();
   reply.mutable_config()->set_agent("none");
-  EXPECT_THAT(CheckJoinReply(&reply), IsNonsense("config: "));
+  EXPECT_THAT(CheckJoinReply(&reply), IsInvalid("config: "));
 }
 
 absl::Status CheckGrant(int lane, int64_t fragment, int64_t version, int times, int capacity) {
@@ -61,27 +65,58 @@ absl::Status CheckGrant(int lane, int64_t fragment, int64_t version, int times, 
 
 TEST(LearnerReplies, PermitsAreChecked) {
   EXPECT_THAT(CheckGrant(3, 0, 0, 1, 4), IsOk());
-  EXPECT_THAT(CheckGrant(4, 0, 0, 1, 4), IsNonsense("granted: lane: 4, want 0..3"));
-  EXPECT_THAT(CheckGrant(-1, 0, 0, 1, 4), IsNonsense("granted: lane: -1"));
-  EXPECT_THAT(CheckGrant(0, -1, 0, 1, 4), IsNonsense("granted: fragment: -1"));
-  EXPECT_THAT(CheckGrant(0, 0, -1, 1, 4), IsNonsense("granted: policy_version: -1"));
-  EXPECT_THAT(CheckGrant(1, 0, 0, 2, 4), IsNonsense("lane 1 twice"));
-  EXPECT_THAT(CheckGrant(1, 0, 0, 1, 0), IsNonsense("granted permits: 1, want 0..0"));
+  EXPECT_THAT(CheckGrant(4, 0, 0, 1, 4), IsInvalid("lane"));
+  EXPECT_THAT(CheckGrant(-1, 0, 0, 1, 4), IsInvalid("lane"));
+  EXPECT_THAT(CheckGrant(0, -1, 0, 1, 4), IsInvalid("fragment"));
+  EXPECT_THAT(CheckGrant(0, 0, -1, 1, 4), IsInvalid("policy_version"));
+  EXPECT_THAT(CheckGrant(1, 0, 0, 2, 4), IsInvalid("granted"));
+  EXPECT_THAT(CheckGrant(1, 0, 0, 1, 0), IsInvalid("granted"));
   v1::PermitReply reply;
   reply.add_env_servers("nowhere");
-  EXPECT_THAT(CheckPermitReply({}, 4, 64, reply), IsNonsense("\"nowhere\" is no address"));
+  EXPECT_THAT(CheckPermitReply({}, 4, 64, reply), IsInvalid("env_servers"));
   reply.Clear();
   reply.add_lost();
-  EXPECT_THAT(CheckPermitReply({}, 4, 64, reply), IsNonsense("lost permits: 1, want 0..0"));
+  EXPECT_THAT(CheckPermitReply({}, 4, 64, reply), IsInvalid("lost"));
   reply.Clear();
   reply.mutable_evaluation()->set_id(1);
   reply.mutable_evaluation()->set_first_episode(1);
   reply.mutable_evaluation()->set_episodes(2);
-  EXPECT_THAT(CheckPermitReply({}, 4, 64, reply), IsNonsense("frame_size: 0, want 64..64"));
+  EXPECT_THAT(CheckPermitReply({}, 4, 64, reply), IsInvalid("frame_size"));
   reply.mutable_evaluation()->mutable_env()->set_frame_size(64);
   EXPECT_THAT(CheckPermitReply({}, 4, 64, reply), IsOk());
+  reply.mutable_evaluation()->set_seed(std::numeric_limits<int32_t>::max());
+  EXPECT_THAT(CheckPermitReply({}, 4, 64, reply), IsOk());
+  reply.mutable_evaluation()->set_seed(int64_t{1} << 31);
+  EXPECT_THAT(CheckPermitReply({}, 4, 64, reply), IsInvalid("evaluation.seed"));
+  reply.mutable_evaluation()->set_seed(-1);
+  EXPECT_THAT(CheckPermitReply({}, 4, 64, reply), IsInvalid("evaluation.seed"));
+  reply.mutable_evaluation()->set_seed(0);
   reply.mutable_evaluation()->set_episodes(-2);
-  EXPECT_THAT(CheckPermitReply({}, 4, 64, reply), IsNonsense("episodes=-2"));
+  EXPECT_THAT(CheckPermitReply({}, 4, 64, reply), IsInvalid("episodes"));
+}
+
+// The largest evaluations, wherever they begin, consist of tasks that an actor accepts. It used to refuse episodes
+// beyond 10,000, which ended every actor.
+TEST(LearnerReplies, TasksOfLateEvaluationsAreAccepted) {
+  RealClock clock;
+  for (const int64_t first : {int64_t{1}, int64_t{9'998}, kLastEvaluationEpisode - 2 * kMaxEvaluationEpisodes + 1}) {
+    EvaluationScheduler scheduler(absl::Minutes(1), &clock);
+    Evaluation evaluation;
+    evaluation.number = 1;
+    evaluation.first_episode = first;
+    evaluation.episodes = kMaxEvaluationEpisodes;
+    scheduler.Add(evaluation);
+    for (const char* actor : {"plays argmax episodes", "plays sampled episodes"}) {
+      const auto task = scheduler.Take(actor);
+      ASSERT_TRUE(task.has_value());
+      v1::PermitReply reply;
+      reply.mutable_evaluation()->set_id(task->id);
+      reply.mutable_evaluation()->set_first_episode(task->first_episode);
+      reply.mutable_evaluation()->set_episodes(task->episodes);
+      reply.mutable_evaluation()->mutable_env()->set_frame_size(64);
+      EXPECT_THAT(CheckPermitReply({}, 4, 64, reply), IsOk()) << "from episode " << task->first_episode;
+    }
+  }
 }
 
 TEST(LearnerReplies, WeightsAreBounded) {
@@ -91,25 +126,25 @@ TEST(LearnerReplies, WeightsAreBounded) {
   chunk.set_data("12345");
   EXPECT_THAT(CheckWeightsChunk(chunk, -1, 0, 0), IsOk());
   EXPECT_THAT(CheckWeightsChunk(chunk, 3, 10, 5), IsOk());
-  EXPECT_THAT(CheckWeightsChunk(chunk, 3, 10, 6), IsNonsense("bytes received: 11, want 0..10"));
-  EXPECT_THAT(CheckWeightsChunk(chunk, 2, 10, 5), IsNonsense("policy_version: 3, want 2..2"));
-  EXPECT_THAT(CheckWeightsChunk(chunk, 3, 11, 5), IsNonsense("total_bytes: 10, want 11..11"));
+  EXPECT_THAT(CheckWeightsChunk(chunk, 3, 10, 6), IsInvalid("data"));
+  EXPECT_THAT(CheckWeightsChunk(chunk, 2, 10, 5), IsInvalid("policy_version"));
+  EXPECT_THAT(CheckWeightsChunk(chunk, 3, 11, 5), IsInvalid("total_bytes"));
   chunk.set_total_bytes(kMaxWeightsBytes + 1);
-  EXPECT_THAT(CheckWeightsChunk(chunk, -1, 0, 0), IsNonsense("total_bytes"));
+  EXPECT_THAT(CheckWeightsChunk(chunk, -1, 0, 0), IsInvalid("total_bytes"));
   chunk.set_total_bytes(0);
-  EXPECT_THAT(CheckWeightsChunk(chunk, -1, 0, 0), IsNonsense("total_bytes: 0"));
+  EXPECT_THAT(CheckWeightsChunk(chunk, -1, 0, 0), IsInvalid("total_bytes"));
 }
 
 TEST(LearnerReplies, SnapshotsAreBoundedAndTheirStatesFinite) {
   v1::SnapshotReply reply;
   reply.set_snapshot(std::string(kMaxSnapshotBytes + 1, 'x'));
-  EXPECT_THAT(ReadSnapshot(&reply, 0), IsNonsense("bytes of the snapshot"));
+  EXPECT_THAT(ReadSnapshot(&reply, 0), IsInvalid("snapshot"));
   reply.set_snapshot("game");
   EXPECT_EQ(ReadSnapshot(&reply, 0)->game, "game");
   reply.add_state(1);
-  EXPECT_THAT(ReadSnapshot(&reply, 2), IsNonsense("state: 1 numbers, want 2"));
+  EXPECT_THAT(ReadSnapshot(&reply, 2), IsInvalid("state"));
   reply.add_state(std::numeric_limits<float>::infinity());
-  EXPECT_THAT(ReadSnapshot(&reply, 2), IsNonsense("finite"));
+  EXPECT_THAT(ReadSnapshot(&reply, 2), IsInvalid("state"));
 }
 
 }  // namespace

@@ -16,9 +16,6 @@
 namespace craftfleet {
 namespace {
 
-using testing::AllOf;
-using testing::HasSubstr;
-
 std::vector<v1::WeightsChunk> Chunks(int64_t version, const std::string& bytes) {
   std::vector<v1::WeightsChunk> chunks(2);
   for (size_t i = 0; i < chunks.size(); ++i) {
@@ -45,7 +42,7 @@ TEST_F(PolicySourceTest, FetchesAVersionOnce) {
   EXPECT_EQ(source_.Get(1, 3).value(), *first);
 }
 
-TEST_F(PolicySourceTest, IsAskedByManyAtOnce) {
+TEST_F(PolicySourceTest, ConcurrentCallsFetchOnce) {
   service_.SetWeights(Chunks(3, SampleWeights(1)));
   std::vector<std::thread> threads;
   threads.reserve(4);
@@ -53,15 +50,14 @@ TEST_F(PolicySourceTest, IsAskedByManyAtOnce) {
   for (std::thread& thread : threads) thread.join();
 }
 
-TEST_F(PolicySourceTest, ALaterVersionIsNotThePermitsButIsKept) {
+TEST_F(PolicySourceTest, ALaterVersionIsAnErrorButIsKept) {
   service_.SetWeights(Chunks(4, SampleWeights(1)));
-  EXPECT_THAT(source_.Get(1, 3), StatusIs(absl::StatusCode::kAborted,
-                                          AllOf(HasSubstr("weights are at version 4"), HasSubstr("permit is for 3"))));
+  EXPECT_TRUE(absl::IsAborted(source_.Get(1, 3).status()));
   service_.SetWeights({});
   EXPECT_THAT(source_.Get(1, 4), IsOk());
 }
 
-TEST_F(PolicySourceTest, AnotherStartOfTheLearnerIsAskedAgain) {
+TEST_F(PolicySourceTest, ANewEpochFetchesAgain) {
   service_.SetWeights(Chunks(3, SampleWeights(1)));
   const auto before = source_.Get(1, 3);
   ASSERT_THAT(before, IsOk());
@@ -70,16 +66,16 @@ TEST_F(PolicySourceTest, AnotherStartOfTheLearnerIsAskedAgain) {
   EXPECT_NE(*after, *before);
 }
 
-TEST_F(PolicySourceTest, WeightsThatAreCutAreAnError) {
+TEST_F(PolicySourceTest, TruncatedWeightsAreAnError) {
   std::vector<v1::WeightsChunk> chunks = Chunks(3, SampleWeights(1));
   chunks.pop_back();
   service_.SetWeights(chunks);
-  EXPECT_THAT(source_.Get(1, 3), StatusIs(absl::StatusCode::kDataLoss, HasSubstr("1000 bytes of weights, want")));
+  EXPECT_TRUE(absl::IsDataLoss(source_.Get(1, 3).status()));
   service_.SetWeights(Chunks(3, SampleWeights(1)));
   EXPECT_THAT(source_.Get(1, 3), IsOk());
 }
 
-TEST_F(PolicySourceTest, WeightsThatAreNoneAreAnError) {
+TEST_F(PolicySourceTest, InvalidWeightsAreAnError) {
   service_.SetWeights(Chunks(3, std::string(5000, 'x')));
   EXPECT_THAT(source_.Get(1, 3), StatusIs(absl::StatusCode::kInvalidArgument, testing::Not(testing::IsEmpty())));
 }

@@ -1,4 +1,4 @@
-// A learner for the actor's tests, and the small run that it hands out.
+// A fake learner for the actor's tests, and its small run.
 
 #ifndef CRAFTFLEET_TESTS_ACTOR_STAND_IN_LEARNER_H_
 #define CRAFTFLEET_TESTS_ACTOR_STAND_IN_LEARNER_H_
@@ -14,7 +14,7 @@
 #include <absl/time/time.h>
 
 #include "common/agent/agent_spec.h"
-#include "common/snapshot_envelope.h"
+#include "common/io/snapshot_envelope.h"
 #include "common/wire/convert.h"
 #include "common/wire/server.h"
 #include "craftfleet/v1/config.pb.h"
@@ -27,10 +27,11 @@ namespace craftfleet {
 inline constexpr int kLanes = 4;
 inline constexpr int kSteps = 8;                      // of a fragment
 inline constexpr int64_t kFragmentsPerIteration = 2;  // of a lane
-inline constexpr int kLength = 11;                    // of an episode: one ends in most fragments
+inline constexpr int kLength = 11;                    // of an episode; one ends in most fragments
 inline constexpr int kFrameBytes = 64 * 64 * 3;
+inline constexpr absl::Duration kLease = absl::Hours(1);  // no test waits for a lease to lapse, or races with it
 
-// Recurrent agents keep the state before each step, which shows all of what happened to it.
+// Fragments of recurrent agents have the state before each step, so that tests see its whole course.
 inline v1::RunConfig Config(const std::string& agent) {
   v1::RunConfig config;
   config.set_agent(agent);
@@ -56,22 +57,22 @@ inline std::vector<LaneRecord> NewLanes(const std::string& agent) {
   return std::vector<LaneRecord>(kLanes, {0, {"", std::vector<float>(FindAgent(agent)->state_size)}});
 }
 
-// A learner that hands out work and learns nothing: iteration i is played with weights i.
+// A learner that grants permits but does not train: iteration i is played with weights i.
 class StandInLearner {
  public:
   StandInLearner(const std::string& agent, const std::string& address, int64_t epoch, std::vector<LaneRecord> lanes,
                  const std::string& texture_digest = "")
       : agent_(agent),
-        ledger_({kLanes}, std::move(lanes), &clock_),
-        service_({"run-a", epoch, Config(agent), texture_digest, Shape(agent), absl::Seconds(5)}, &ledger_, &weights_,
-                 &fragments_, &evaluations_, &env_servers_, &fleet_),
+        registry_(Lanes(), std::move(lanes), &clock_),
+        service_({"run-a", epoch, Config(agent), texture_digest, Shape(agent), absl::Seconds(5)}, &registry_, &weights_,
+                 &fragments_),
         server_(*wire::Server::Create({address}, {&service_})) {}
 
   void Open(int64_t iteration) {
     Publish(iteration);
-    ledger_.OpenIteration((iteration + 1) * kFragmentsPerIteration, iteration);
+    registry_.OpenIteration((iteration + 1) * kFragmentsPerIteration, iteration);
   }
-  // The fragments of the open iteration, in order; fewer after a minute.
+  // Returns the fragments of the open iteration, in order; fewer if they don't arrive within a minute.
   std::vector<Fragment> Collect() {
     std::vector<Fragment> fragments;
     while (fragments.size() < kLanes * kFragmentsPerIteration) {
@@ -87,25 +88,29 @@ class StandInLearner {
   void Publish(int64_t version) {
     weights_.Publish(version, std::make_shared<std::string>(SampleWeights(version, agent_)));
   }
-  // Of each actor. Takes what they sent out of the queue, so that they can play on.
-  std::vector<int> PermitsOut() {
+  // The outstanding permits of each actor. Empties the fragment queue, so that actors can continue.
+  std::vector<int> OutstandingPermits() {
     while (fragments_.Pop(absl::ZeroDuration()).has_value()) {
     }
     std::vector<int> permits;
-    for (const LaneLedger::ActorInfo& actor : ledger_.Actors()) permits.push_back(actor.permits);
+    for (const LaneScheduler::ActorInfo& actor : registry_.Actors()) permits.push_back(actor.permits);
     return permits;
   }
-  LaneLedger& ledger() { return ledger_; }
+  WorkerRegistry& registry() { return registry_; }
   FragmentQueue& fragments() { return fragments_; }
   wire::Endpoint Connect() const { return wire::Connect(server_->address()); }
 
  private:
+  static WorkerRegistry::Options Lanes() {
+    WorkerRegistry::Options options;
+    options.lanes.lanes = kLanes;
+    options.lanes.lease = kLease;
+    return options;
+  }
+
   const std::string agent_;
   RealClock clock_;
-  LaneLedger ledger_;
-  EvaluationBook evaluations_{absl::Seconds(5), &clock_};
-  ServerRegistry env_servers_{absl::Seconds(5), &clock_};
-  FleetBook fleet_{absl::Seconds(5), &clock_};
+  WorkerRegistry registry_;
   WeightStore weights_;
   FragmentQueue fragments_{100};
   LearnerServiceImpl service_;

@@ -1,8 +1,9 @@
-// Parameters, outputs and sequences of all six agents as published, against goldens/agents (The agents, section 8).
+// Parameters, outputs and sequences of all six agents as published, against the goldens in tests/data/agents.
 
 #include <algorithm>
 #include <cmath>
 #include <memory>
+#include <optional>
 #include <string>
 
 #include <ATen/ATen.h>
@@ -22,7 +23,7 @@ using testing::GoldenAgent;
 using testing::GoldenFrames;
 using testing::GoldenUniforms;
 
-constexpr double kOutput = 1e-5;  // the goldens come from other convolution code
+constexpr double kOutput = 1e-5;  // the goldens were computed with another convolution implementation
 
 void ExpectNear(const at::Tensor& actual, const nlohmann::json& expected, double tolerance, const std::string& what) {
   const auto values = expected.get<std::vector<double>>();
@@ -33,7 +34,7 @@ void ExpectNear(const at::Tensor& actual, const nlohmann::json& expected, double
   }
 }
 
-// logits, log-probabilities, entropy and greedy actions of each row, as far as `golden` has them.
+// Compares logits, log-probabilities, entropy and greedy actions of each row, as far as `golden` has them.
 void ExpectDistributions(const at::Tensor& logits, const nlohmann::json& golden) {
   const auto actions = golden["actions"].get<std::vector<int>>();
   const char* const log_prob_key = golden.contains("log_prob") ? "log_prob" : "log_prob_of_actions";
@@ -60,7 +61,7 @@ class AgentGolden : public ::testing::TestWithParam<const char*> {
   const nlohmann::json& golden_ = agent_.golden;
 };
 
-TEST_P(AgentGolden, ParametersHaveTheGoldensNamesShapesAndValues) {
+TEST_P(AgentGolden, ParametersMatchTheGolden) {
   EXPECT_EQ(spec_.param_count, golden_["param_count"]);
   EXPECT_EQ(spec_.frame_size, golden_["frame_size"]);
   ASSERT_EQ(spec_.params.size(), golden_["params"].size());
@@ -77,7 +78,7 @@ TEST_P(AgentGolden, ParametersHaveTheGoldensNamesShapesAndValues) {
   }
 }
 
-TEST_P(AgentGolden, FramesAreTheGoldens) {
+TEST_P(AgentGolden, FramesMatchTheGolden) {
   const nlohmann::json& expected = golden_["frames"];
   const int size = spec_.frame_size;
   const std::string frames = GoldenFrames(expected["seed"], expected["n"], size);
@@ -88,7 +89,7 @@ TEST_P(AgentGolden, FramesAreTheGoldens) {
   }
 }
 
-// h and c of four lanes, of which the second begins an episode.
+// h and c of four lanes; the second one begins an episode.
 at::Tensor ForwardStates() {
   const std::vector<float> h = GoldenUniforms("h0", 1024, -0.5, 0.5);
   const std::vector<float> c = GoldenUniforms("c0", 1024, -1, 1);
@@ -126,7 +127,7 @@ TEST_P(AgentGolden, FeaturesMatch) {
     tensors.tensors.push_back(at::from_blob(agent_.weights.data() + param.offset, param.shape));
   }
   const at::Tensor input = AsInput(GoldenFrames(golden_["frames"]["seed"], 4, spec_.frame_size), spec_);
-  const at::Tensor features = network.Features(tensors, input, absl::nullopt);
+  const at::Tensor features = network.Features(tensors, input, std::nullopt);
   for (int row = 0; row < 4; ++row) {
     ExpectNear(features[row], forward["features_first8"][row], kOutput, "features");
     EXPECT_NEAR(features[row].norm().item<float>(), forward["features_l2"][row].get<double>(), 1e-4);
@@ -135,7 +136,7 @@ TEST_P(AgentGolden, FeaturesMatch) {
 
 class RecurrentAgentGolden : public AgentGolden {};
 
-// A fragment of 16 steps in which episodes begin at 5 and 11: three segments, of which only the first has a past.
+// A fragment of 16 steps in which episodes begin at 5 and 11: three segments; only the first starts with a state.
 TEST_P(RecurrentAgentGolden, SequenceWithResetsMatches) {
   const nlohmann::json& sequence = golden_["sequence16"];
   const std::string frames = GoldenFrames(sequence["frames_seed"], sequence["T"], spec_.frame_size);

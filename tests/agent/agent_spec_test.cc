@@ -15,7 +15,7 @@ TEST(AgentSpec, PpoCnnHasThePapersSize) {
   EXPECT_EQ(spec->param_count, 609970);
 }
 
-TEST(AgentSpec, ParametersLieOneAfterTheOther) {
+TEST(AgentSpec, ParametersAreContiguous) {
   const AgentSpec spec = *FindAgent("ppo_cnn");
   int64_t offset = 0;
   for (const ParamSpec& param : spec.params) {
@@ -28,7 +28,7 @@ TEST(AgentSpec, ParametersLieOneAfterTheOther) {
   EXPECT_EQ(offset, spec.param_count);
 }
 
-TEST(AgentSpec, UnknownNameListsTheKnownOnes) {
+TEST(AgentSpec, UnknownNamesErrorListsTheKnownOnes) {
   const absl::Status status = FindAgent("ppo_rnn").status();
   EXPECT_EQ(status.code(), absl::StatusCode::kInvalidArgument);
   EXPECT_THAT(std::string(status.message()),

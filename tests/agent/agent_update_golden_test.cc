@@ -1,4 +1,4 @@
-// Three optimiser steps on one minibatch, against the goldens of the feed-forward agents (The agents, section 8).
+// Three optimiser steps on one minibatch, against the goldens of the feed-forward agents (tests/data/agents).
 
 #include <algorithm>
 #include <cmath>
@@ -11,7 +11,7 @@
 #include "common/agent/categorical.h"
 #include "common/agent/policy_net.h"
 #include "common/agent/torch_setup.h"
-#include "common/worker_pool.h"
+#include "common/base/worker_pool.h"
 #include "learner/ppo/adam.h"
 #include "learner/ppo/ppo_loss.h"
 #include "tests/agent/golden_agent.h"
@@ -24,7 +24,7 @@ using testing::ByteSum;
 using testing::GoldenAgent;
 using testing::GoldenFrames;
 
-// A minibatch as the goldens have it, and one optimiser step on it after the other.
+// Runs consecutive optimiser steps on the goldens' minibatch.
 class Trainee {
  public:
   Trainee(GoldenAgent* agent, const nlohmann::json& batch)
@@ -41,7 +41,7 @@ class Trainee {
     Normalise(absl::MakeSpan(advantages_));
   }
 
-  // Losses as means; gradients() are new after it.
+  // Computes the losses as means and updates gradients().
   PpoLossSums Backward() {
     output_ = net_.Forward(input_);
     const int n = static_cast<int>(actions_.size());
@@ -96,7 +96,7 @@ void ExpectClose(double actual, const nlohmann::json& expected, double tolerance
   EXPECT_NEAR(actual, value, tolerance * std::max(1.0, std::abs(value))) << what;
 }
 
-// What the goldens have of the first step alone: each row and each parameter's gradient.
+// Compares what the goldens have only for the first step: each row and each parameter's gradient.
 void ExpectRowsAndGradients(Trainee* trainee, const AgentSpec& spec, const nlohmann::json& step) {
   for (size_t row = 0; row < step["values"].size(); ++row) {
     ExpectClose(trainee->value(row), step["values"][row], 2e-5, "value");

@@ -23,32 +23,32 @@ TEST(PatchGrid, CountsWholeSquares) {
   EXPECT_EQ((PatchGrid{3, 1, 1}.count()), 9);
 }
 
-TEST(SpreadOverPixels, GivesEachPatchItsOwnPixels) {
+TEST(SpreadOverPixels, AssignsEachPatchItsPixels) {
   EXPECT_THAT(SpreadOverPixels({4, 2, 2}, {1, 2, 3, 4}), ElementsAreArray<float>({1, 1, 2, 2,  //
                                                                                   1, 1, 2, 2,  //
                                                                                   3, 3, 4, 4,  //
                                                                                   3, 3, 4, 4}));
 }
 
-TEST(SpreadOverPixels, TakesTheMeanWherePatchesOverlap) {
+TEST(SpreadOverPixels, AveragesOverlappingPatches) {
   EXPECT_THAT(SpreadOverPixels({3, 2, 1}, {1, 2, 3, 8}), ElementsAreArray<float>({1, 1.5, 2,  //
                                                                                   2, 3.5, 5,  //
                                                                                   3, 5.5, 8}));
 }
 
-TEST(SpreadOverPixels, LeavesTheRestAtRightAndBottomAtZero) {
+TEST(SpreadOverPixels, PixelsOutsideThePatchesAreZero) {
   EXPECT_THAT(SpreadOverPixels({3, 2, 2}, {5}), ElementsAreArray<float>({5, 5, 0,  //
                                                                          5, 5, 0,  //
                                                                          0, 0, 0}));
 }
 
-// The published overlay of OC-SA, with cells 12 pixels wide although the stride is 8, would have it at 36..47.
+// The published overlay of OC-SA uses cells of 12 pixels although the stride is 8, and would place it at 36..47.
 TEST(SpreadOverPixels, DoesNotShiftOverlappingPatches) {
   std::vector<float> weights(64);
   weights[3 * 8 + 3] = 1;  // pixels 24..35
   const std::vector<float> pixels = SpreadOverPixels({72, 12, 8}, weights);
   const auto at = [&](int y, int x) { return pixels[y * 72 + x]; };
-  EXPECT_EQ(at(29, 29), 1) << "4..7 of the patch are its own in both directions";
+  EXPECT_EQ(at(29, 29), 1) << "pixels 4..7 of the patch overlap no other in both directions";
   EXPECT_EQ(at(24, 29), 0.5F) << "shared with the patch above";
   EXPECT_EQ(at(24, 24), 0.25F) << "shared by four";
   EXPECT_EQ(at(35, 35), 0.25F);
@@ -68,14 +68,14 @@ TEST(SpreadOverPixels, KeepsUniformAttentionUniform) {
   }
 }
 
-TEST(BrightnessOfPixels, IsTimesTheRootOfThePatchesAndAtMostOne) {
+TEST(BrightnessOfPixels, ScalesByTheRootOfTheNumberOfPatchesUpToOne) {
   EXPECT_THAT(BrightnessOfPixels({4, 2, 2}, {0.25F, 0.5F, 0.75F, 0}), ElementsAreArray<float>({0.5, 0.5, 1, 1,  //
                                                                                                0.5, 0.5, 1, 1,  //
                                                                                                1, 1, 0, 0,      //
                                                                                                1, 1, 0, 0}));
 }
 
-TEST(AttentionChoice, ReadsWhatAUserWrites) {
+TEST(AttentionChoice, ParsesMeanSumAndIndices) {
   EXPECT_EQ(AttentionChoice::Parse("mean")->kind, AttentionChoice::Kind::kMean);
   EXPECT_EQ(AttentionChoice::Parse("sum")->kind, AttentionChoice::Kind::kSum);
   const AttentionChoice one = *AttentionChoice::Parse("7");
@@ -87,7 +87,7 @@ TEST(AttentionChoice, ReadsWhatAUserWrites) {
   }
 }
 
-TEST(AttentionChoice, ChoosesAmongViews) {
+TEST(AttentionChoice, SelectsAView) {
   const AttentionMap map = {{4, 2, 2}, 2, {0.25, 0.5, 0.25, 0, 0.75, 0, 0, 0.25}};
   EXPECT_THAT(*Choose(map, {AttentionChoice::Kind::kMean}), ElementsAre(0.5, 0.25, 0.125, 0.125));
   EXPECT_THAT(*Choose(map, {AttentionChoice::Kind::kSum}), ElementsAre(1, 0.5, 0.25, 0.25));

@@ -6,7 +6,7 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
-#include "common/cpu_pin.h"
+#include "common/process/cpu_pin.h"
 #include "tests/fakes/command_output.h"
 #include "tests/fakes/status_matchers.h"
 
@@ -16,7 +16,7 @@ namespace {
 using testing::MatchesRegex;
 using testing::StartsWith;
 
-// What print_canary says in a process whose environment has `variables` too.
+// The output of print_canary in a process with the additional environment `variables`.
 std::string Printed(const std::string& cpu, const std::string& variables = "") {
   return OutputOf(absl::StrCat("(", variables, " " CRAFTFLEET_BIN_DIR "/print_canary ", cpu, " 2>/dev/null)"));
 }
@@ -29,19 +29,18 @@ TEST(PolicyCanary, IsTheSameInEveryProcessOfAMachine) {
   EXPECT_EQ(Printed("native"), *canary + "\n");
 }
 
-// The promise of `cpu: AVX2`: whatever the machine, these bits.
-TEST(PolicyCanary, WithAvx2IsTheOneThatIsKnown) {
+// The guarantee of `cpu: AVX2`: the same bits on every machine.
+TEST(PolicyCanary, WithAvx2MatchesTheKnownOne) {
   if (!CheckCpu(v1::RunConfig::AVX2).ok()) GTEST_SKIP() << "a CPU without AVX2";
   const absl::string_view known = KnownPolicyCanary(v1::RunConfig::AVX2);
-  if (known.empty())
-    GTEST_SKIP() << "another LibTorch than those whose canary is known; its processes must agree still";
+  if (known.empty()) GTEST_SKIP() << "the canary of this LibTorch is not known";
   EXPECT_EQ(Printed("avx2"), absl::StrCat(known, "\n"));
   EXPECT_EQ(Printed("avx2", "OPENBLAS_CORETYPE=Prescott ATEN_CPU_CAPABILITY=default"), absl::StrCat(known, "\n"))
       << "the pin must win";
 }
 
-// That the canary sees what it is there for.
-TEST(PolicyCanary, DiffersWhereTheInstructionsDo) {
+// The canary depends on rounding.
+TEST(PolicyCanary, DiffersBetweenInstructionSets) {
   if (!CheckCpu(v1::RunConfig::AVX2).ok()) GTEST_SKIP() << "a CPU without AVX2";
   const std::string plain = Printed("native",
                                     "ATEN_CPU_CAPABILITY=default ONEDNN_MAX_CPU_ISA=SSE41 "
@@ -50,7 +49,7 @@ TEST(PolicyCanary, DiffersWhereTheInstructionsDo) {
   EXPECT_NE(plain, Printed("avx2"));
 }
 
-TEST(PolicyCanary, OfAvx512IsMadeOrRefused) {
+TEST(PolicyCanary, WithAvx512IsComputedOrRefused) {
   if (CheckCpu(v1::RunConfig::AVX512).ok()) {
     EXPECT_THAT(Printed("avx512"), MatchesRegex("[0-9a-f]{16}\n"));
   } else {

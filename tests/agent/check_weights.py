@@ -1,4 +1,4 @@
-"""Reads a safetensors file with nothing but Python's own library and compares every number with a golden's.
+"""Reads a safetensors file with only Python's standard library and compares every number with a golden's.
 
 Usage: check_weights.py FILE.safetensors GOLDEN.json
 Prints the number of tensors and values that agree; exit 1 and the first difference otherwise.
@@ -35,7 +35,7 @@ def read_safetensors(path):
 
 
 def golden_values(name, scale, count):
-    """The goldens' formula for a parameter's values: "The agents", section 8."""
+    """The goldens' formula for a parameter's values: tests/agent/golden_agent.cc has it too."""
     hashed = 0xCBF29CE484222325
     for byte in name.encode():
         hashed = ((hashed ^ byte) * 0x100000001B3) & MASK

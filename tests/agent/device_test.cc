@@ -11,8 +11,9 @@ namespace {
 
 using testing::AllOf;
 using testing::HasSubstr;
+using testing::Not;
 
-TEST(ChooseDevice, TakesAGpuWhereThereIsOne) {
+TEST(ChooseDevice, PrefersAGpu) {
   EXPECT_EQ(*ChooseDevice("auto", 0), "cpu");
   EXPECT_EQ(*ChooseDevice("auto", 2), "cuda:0");
   EXPECT_EQ(*ChooseDevice("cpu", 2), "cpu");
@@ -20,7 +21,7 @@ TEST(ChooseDevice, TakesAGpuWhereThereIsOne) {
   EXPECT_EQ(*ChooseDevice("cuda:1", 2), "cuda:1");
 }
 
-TEST(ChooseDevice, SaysWhatIsWrong) {
+TEST(ChooseDevice, ErrorsNameTheFlagAndValue) {
   for (const char* name : {"", "gpu", "cuda:", "cuda:x", "cuda:-1", "cuda1", "CUDA", "cpu:0"}) {
     EXPECT_THAT(ChooseDevice(name, 2),
                 StatusIs(absl::StatusCode::kInvalidArgument,
@@ -32,7 +33,81 @@ TEST(ChooseDevice, SaysWhatIsWrong) {
   EXPECT_THAT(ChooseDevice("cuda", 0), StatusIs(absl::StatusCode::kFailedPrecondition, HasSubstr("there are 0 GPUs")));
 }
 
-TEST(FindDevice, NamesWhatLibTorchLacks) {
+// The texts of LibTorch 2.11 and CUDA 13.
+TEST(DeviceError, IsOneSentenceThatSaysWhatToDo) {
+  const absl::Status memory = DeviceError(
+      "update",
+      "CUDA out of memory. Tried to allocate 512.00 MiB. GPU 0 has a total capacity of 15.77 GiB of which 96.00 "
+      "MiB is free.\nException raised from malloc at ...\nframe #0: ...");
+  EXPECT_THAT(memory, StatusIs(absl::StatusCode::kResourceExhausted,
+                               AllOf(HasSubstr("lower ppo.minibatch_size"), HasSubstr("Tried to allocate 512.00 MiB"),
+                                     Not(HasSubstr("frame")))));
+  EXPECT_THAT(
+      DeviceError("policy",
+                  "CUDA error: no kernel image is available for execution on the device\nCUDA kernel "
+                  "errors might be asynchronously reported"),
+      StatusIs(absl::StatusCode::kFailedPrecondition,
+               AllOf(HasSubstr("policy: this LibTorch has no kernels for this GPU"), HasSubstr("--device=cpu"))));
+  for (const char* text : {"CUDA error: unspecified launch failure", "CUDNN_STATUS_EXECUTION_FAILED",
+                           "CUBLAS_STATUS_NOT_INITIALIZED when calling `cublasCreate(handle)`"}) {
+    EXPECT_THAT(DeviceError("update", text),
+                StatusIs(absl::StatusCode::kUnavailable, AllOf(HasSubstr("nvidia-smi"), HasSubstr(text))));
+  }
+  EXPECT_THAT(DeviceError("update", "shapes differ\nframe #0"),
+              StatusIs(absl::StatusCode::kInternal, testing::StrEq("update: shapes differ")));
+}
+
+TEST(SetRunDevice, ARunStaysOnItsTypeOfDevice) {
+  using v1::RunConfig;
+  RunConfig config;
+  EXPECT_THAT(SetRunDevice("cpu", false, RunConfig::CUDA, &config), IsOk());
+  EXPECT_FALSE(config.has_device());
+  EXPECT_THAT(SetRunDevice("cuda:0", true, RunConfig::CUDA, &config),
+              StatusIs(absl::StatusCode::kFailedPrecondition,
+                       AllOf(HasSubstr("the run computes on the CPU"), HasSubstr("--init_from"))));
+  EXPECT_FALSE(config.has_device());
+  EXPECT_THAT(SetRunDevice("cuda:0", false, RunConfig::CUDA_UPDATES, &config), IsOk());
+  EXPECT_EQ(config.device(), RunConfig::CUDA_UPDATES);
+  EXPECT_THAT(SetRunDevice("cuda:1", true, RunConfig::CUDA, &config), IsOk());
+  EXPECT_EQ(config.device(), RunConfig::CUDA_UPDATES);
+  EXPECT_THAT(SetRunDevice("cpu", true, RunConfig::CUDA, &config),
+              StatusIs(absl::StatusCode::kFailedPrecondition,
+                       AllOf(HasSubstr("the run computes on a GPU (device: CUDA_UPDATES)"), HasSubstr("--init_from"))));
+  config.set_device(RunConfig::CPU);
+  EXPECT_THAT(SetRunDevice("cuda:0", false, RunConfig::CUDA, &config),
+              StatusIs(absl::StatusCode::kFailedPrecondition, HasSubstr("--device=cpu")));
+}
+
+TEST(ChooseActingDevice, IsWhatTheRunActsOn) {
+  using v1::RunConfig;
+  for (const RunConfig::Device on_cpus : {RunConfig::DEVICE_UNSPECIFIED, RunConfig::CPU, RunConfig::CUDA_UPDATES}) {
+    EXPECT_EQ(*ChooseActingDevice("auto", on_cpus, 2), "cpu");
+    EXPECT_EQ(*ChooseActingDevice("cpu", on_cpus, 2), "cpu");
+    EXPECT_THAT(ChooseActingDevice("cuda", on_cpus, 2),
+                StatusIs(absl::StatusCode::kFailedPrecondition, HasSubstr("--device=cuda: the run acts on CPUs")));
+  }
+  EXPECT_EQ(*ChooseActingDevice("auto", RunConfig::CUDA, 2), "cuda:0");
+  EXPECT_EQ(*ChooseActingDevice("cuda:1", RunConfig::CUDA, 2), "cuda:1");
+  for (const char* name : {"auto", "cpu"}) {
+    EXPECT_THAT(ChooseActingDevice(name, RunConfig::CUDA, 0),
+                StatusIs(absl::StatusCode::kFailedPrecondition, HasSubstr("the run acts on GPUs (device: CUDA)")));
+  }
+}
+
+TEST(CheckPrecision, IsWhatTheDeviceHas) {
+  using v1::RunConfig;
+  EXPECT_THAT(CheckPrecisionOn("cpu", "", RunConfig::FP32), IsOk());
+  EXPECT_THAT(CheckPrecisionOn("cpu", " avx512_bf16 ", RunConfig::TF32),
+              StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("precision is TF32")));
+  EXPECT_THAT(CheckPrecisionOn("cpu", " avx512_bf16 ", RunConfig::BF16), IsOk());
+  EXPECT_THAT(CheckPrecisionOn("cpu", " amx_bf16 amx_tile ", RunConfig::BF16), IsOk());
+  EXPECT_THAT(CheckPrecisionOn("cpu", " avx512f avx512_bf16x ", RunConfig::BF16),
+              StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("want FP32")));
+  EXPECT_THAT(CheckPrecisionOn("cuda:0", "", RunConfig::BF16), IsOk());
+  EXPECT_THAT(CheckPrecisionOn("cuda:0", "", RunConfig::TF32), IsOk());
+}
+
+TEST(FindDevice, ReportsALibTorchWithoutCuda) {
   EXPECT_THAT(FindDevice("auto"), IsOk());
   if (at::hasCUDA()) GTEST_SKIP() << "this LibTorch has CUDA";
   EXPECT_EQ(*FindDevice("auto"), "cpu");

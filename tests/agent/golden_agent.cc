@@ -1,13 +1,15 @@
 #include "tests/agent/golden_agent.h"
 
+#include <algorithm>
+#include <cmath>
 #include <fstream>
 #include <utility>
 
 #include <ATen/ATen.h>
 
 #include "common/agent/policy_net.h"
-#include "common/check.h"
-#include "common/seeds.h"
+#include "common/base/check.h"
+#include "common/base/seeds.h"
 
 namespace craftfleet::testing {
 
@@ -19,7 +21,7 @@ nlohmann::json ReadGolden(const std::string& file) {
 
 namespace {
 
-// u_i of the goldens, i from 0: in [-1, 1).
+// The goldens' sequence u_i, i from 0, in [-1, 1).
 class SignedUniforms {
  public:
   explicit SignedUniforms(const std::string& name) {
@@ -38,12 +40,19 @@ class SignedUniforms {
 
 std::vector<float> GoldenWeights(const AgentSpec& spec, const nlohmann::json& golden) {
   std::vector<float> weights(spec.param_count);
-  CRAFTFLEET_CHECK(golden["params"].size() == spec.params.size());
-  for (size_t p = 0; p < spec.params.size(); ++p) {
-    const ParamSpec& param = spec.params[p];
-    const double scale = golden["params"][p]["scale"];
+  const nlohmann::json& params = golden["params"];
+  CRAFTFLEET_CHECK(params.size() >= spec.params.size());
+  for (const ParamSpec& param : spec.params) {
+    const auto found = std::find_if(params.begin(), params.end(),
+                                    [&](const nlohmann::json& other) { return other["name"] == param.name; });
+    CRAFTFLEET_CHECK(found != params.end());
+    double scale = (*found)["scale"];
+    // The baseline's heads bear the names of wider ones; the scale is sqrt(3 / width).
+    if (param.shape.size() == 2)
+      scale *= std::sqrt((*found)["shape"][1].get<double>() / static_cast<double>(param.shape[1]));
+    const double offset = found->value("offset", 0.0);
     const SignedUniforms u(param.name);
-    for (int64_t i = 0; i < param.size; ++i) weights[param.offset + i] = static_cast<float>(scale * u[i]);
+    for (int64_t i = 0; i < param.size; ++i) weights[param.offset + i] = static_cast<float>(offset + scale * u[i]);
   }
   return weights;
 }

@@ -1,4 +1,4 @@
-// The weights and frames that the goldens in tests/data/agents were made with: formulas instead of files.
+// The weights and frames with which the goldens in tests/data/agents were computed: formulas instead of files.
 
 #ifndef CRAFTFLEET_TESTS_AGENT_GOLDEN_AGENT_H_
 #define CRAFTFLEET_TESTS_AGENT_GOLDEN_AGENT_H_
@@ -17,7 +17,7 @@ namespace craftfleet::testing {
 // tests/data/agents/`file`.
 nlohmann::json ReadGolden(const std::string& file);
 
-// float[param_count], each parameter by its `name` and `scale` in the golden.
+// float[param_count], each parameter by its `name`, `scale` and `offset` in the golden, which may have more of them.
 std::vector<float> GoldenWeights(const AgentSpec& spec, const nlohmann::json& golden);
 
 // float[n] in [low, high): U(`tag`, n, low, high) of the goldens.
@@ -26,7 +26,7 @@ std::vector<float> GoldenUniforms(const std::string& tag, int64_t n, double low,
 // uint8[n,size,size,3]: random blocks of 4x4 pixels.
 std::string GoldenFrames(uint32_t seed, int n, int size);
 
-// Frames as a network takes them: float[n,size,size,3] in 0..1.
+// `frames` as the input of a network: float[n,size,size,3] in 0..1.
 at::Tensor AsInput(const std::string& frames, const AgentSpec& spec);
 
 // One of the goldens' six agents, all of them as published, with its weights.
@@ -38,7 +38,7 @@ struct GoldenAgent {
   std::vector<float> weights;
 };
 
-// Sum of the bytes, by which the goldens check frames.
+// Sum of the bytes, the goldens' checksum of frames.
 int64_t ByteSum(const std::string& frames);
 
 }  // namespace craftfleet::testing

@@ -19,7 +19,7 @@ AgentSpec OneLayer(int64_t outputs, int64_t inputs, double gain) {
   return spec;
 }
 
-TEST(InitialWeights, AreOrthogonalTimesTheirGainAndBiasesAreZero) {
+TEST(InitialWeights, AreOrthogonalScaledByGainWithZeroBiases) {
   for (const AgentSpec& spec : {*FindAgent("ppo_cnn"), OneLayer(5, 5, 2.0), OneLayer(1, 9, 1.0)}) {
     const std::vector<float> weights = InitialWeights(spec, 3);
     for (const ParamSpec& param : spec.params) {
@@ -54,7 +54,7 @@ TEST(InitialWeights, TallMatricesHaveOrthonormalColumns) {
   }
 }
 
-TEST(InitialWeights, FollowFromTheSeedAlone) {
+TEST(InitialWeights, DependOnlyOnTheSeed) {
   const AgentSpec spec = *FindAgent("ppo_cnn");
   EXPECT_EQ(InitialWeights(spec, 1), InitialWeights(spec, 1));
   EXPECT_NE(InitialWeights(spec, 1), InitialWeights(spec, 2));
@@ -82,7 +82,7 @@ Range RangeOf(const std::string& agent, const std::string& name) {
   return range;
 }
 
-// The agents page, section 2.
+// Source: AGENTS.md, section 9.
 TEST(InitialWeights, LstmAndItsCriticAreUniform) {
   for (const char* const name : {"lstm_actor.weight_ih_l0", "lstm_actor.weight_hh_l0", "lstm_actor.bias_ih_l0"}) {
     const Range range = RangeOf("lstm_cnn", name);
@@ -103,8 +103,8 @@ TEST(InitialWeights, SlotsAndClsAreStandardNormal) {
   EXPECT_NEAR(RangeOf("oc_sa", "features_extractor.rsn.trafo.cls").mean_square, 1, 5 * std::sqrt(2.0 / 9216));
 }
 
-// Rows by the thousand are orthonormalised in blocks, whose edges must not show; a square matrix twice.
-TEST(InitialWeights, BlocksOfAnySizeGiveOrthonormalRows) {
+// Thousands of rows are orthonormalised in blocks; the result must not depend on block edges. Square matrices twice.
+TEST(InitialWeights, RowsAreOrthonormalForAnyBlockSize) {
   for (const auto& [rows, columns] : std::vector<std::pair<int, int>>{{19, 300}, {16, 128}, {129, 129}, {3, 1000}}) {
     const std::vector<float> weights = InitialWeights(OneLayer(rows, columns, 1.0), 3);
     for (int a = 0; a < rows; ++a) {
@@ -117,7 +117,7 @@ TEST(InitialWeights, BlocksOfAnySizeGiveOrthonormalRows) {
   }
 }
 
-TEST(InitialWeights, LookNormalBeforeTheyAreOrthogonal) {
+TEST(InitialWeights, AreNormalBeforeOrthogonalisation) {
   // One long row keeps the shape of its numbers: mean 0, variance 1/n, fourth moment 3/n^2.
   const int64_t n = 100000;
   const std::vector<float> weights = InitialWeights(OneLayer(1, n, 1.0), 5);

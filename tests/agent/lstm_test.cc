@@ -13,7 +13,7 @@ namespace craftfleet {
 namespace {
 
 constexpr int64_t kInputs = 24;
-constexpr int64_t kHidden = 20;  // no multiple of a vector's length
+constexpr int64_t kHidden = 20;  // not a multiple of a vector's length
 
 at::Tensor Uniform(const std::string& tag, at::IntArrayRef shape) {
   std::vector<float> values = testing::GoldenUniforms(tag, c10::multiply_integers(shape), -0.5, 0.5);
@@ -36,7 +36,7 @@ void ExpectNear(const at::Tensor& actual, const at::Tensor& wanted, const char* 
 
 class LstmTest : public ::testing::TestWithParam<std::vector<int64_t>> {};
 
-TEST_P(LstmTest, OutputsStatesAndGradientsAreThoseOfLibTorch) {
+TEST_P(LstmTest, OutputsStatesAndGradientsMatchLibTorch) {
   const std::vector<int64_t>& batch_sizes = GetParam();
   const int64_t n = std::accumulate(batch_sizes.begin(), batch_sizes.end(), int64_t{0});
   const int64_t k = batch_sizes.front();

@@ -1,10 +1,11 @@
-// Parts and whole networks: what the goldens don't show.
+// Parts of networks and whole networks: properties that the goldens do not cover.
 
 #include "common/agent/nets/network.h"
 
 #include <algorithm>
 #include <cmath>
 #include <numeric>
+#include <optional>
 #include <string>
 #include <tuple>
 #include <utility>
@@ -36,45 +37,19 @@ AgentSpec SpecOf(const std::string& agent, const std::string& network) {
   return *MakeAgentSpec(config);
 }
 
-// An agent with starting weights and inputs for it.
+// An agent with initial weights, and inputs for it.
 struct Sample {
-  Sample(const std::string& agent, const std::string& network, int rows, at::Device device = at::kCPU)
+  Sample(const std::string& agent, const std::string& network, int rows)
       : spec(SpecOf(agent, network)),
         weights(InitialWeights(spec, 1)),
-        net(spec, PolicyNet::Use::kTraining, absl::MakeSpan(weights), device),
+        net(spec, PolicyNet::Use::kTraining, absl::MakeSpan(weights)),
         input(AsInput(GoldenFrames(3, rows, spec.frame_size), spec)) {}
 
   AgentSpec spec;
   std::vector<float> weights;
   PolicyNet net;
   at::Tensor input;
-  at::Tensor logits, states;  // of the last pass
 };
-
-// What a GPU is given and gives back, by way of a CPU that wants the same.
-TEST(PolicyNet, ComputesOnCopiesAsOnItsWeights) {
-  SetUpTorchThread();
-  for (const auto& [agent, network] : {std::pair("ppo_cnn", "frame_size: 40"), std::pair("lstm_cnn", "frame_size: 40"),
-                                       std::pair("oc_sa", "frame_size: 24"), std::pair("oc_ca", "frame_size: 24")}) {
-    Sample here(agent, network, 3);
-    Sample there(agent, network, 3, at::Device("cpu:0"));
-    for (int round = 0; round < 2; ++round) {
-      for (Sample* sample : {&here, &there}) {
-        sample->weights[7] += 0.5F;
-        const Segments segments = {{2, 1}, at::zeros({2, sample->spec.state_size})};
-        const PolicyNet::Output output = sample->net.Forward(sample->input, segments, Dropout{5, 0});
-        sample->net.ClearGradients();
-        torch::autograd::backward({output.logits.pow(2).sum() + output.values.sum()}, {});
-        sample->logits = output.logits.detach();
-        sample->states = output.states;
-      }
-      EXPECT_TRUE(here.logits.equal(there.logits)) << agent;
-      EXPECT_TRUE(here.states.defined() == there.states.defined()) << agent;
-      EXPECT_TRUE(!here.states.defined() || here.states.equal(there.states)) << agent;
-      EXPECT_EQ(here.net.gradients(), there.net.gradients()) << agent;
-    }
-  }
-}
 
 class Ablation : public ::testing::TestWithParam<const char*> {};
 
@@ -105,7 +80,7 @@ INSTANTIATE_TEST_SUITE_P(OcCa, Ablation,
                                            "frame_size: 40 slot_competition: true", "frame_size: 64",
                                            "frame_size: 40 recurrent: true critic: LINEAR"));
 
-TEST(CutPatches, AreSquaresRowByRowFlattenedByChannel) {
+TEST(CutPatches, AreInRowOrderAndFlattenedByChannel) {
   // Value 100 c + 10 y + x of a 2-channel 5x5 map.
   const at::Tensor map = at::empty({1, 2, 5, 5});
   for (int c = 0; c < 2; ++c) {
@@ -121,7 +96,7 @@ TEST(CutPatches, AreSquaresRowByRowFlattenedByChannel) {
   EXPECT_EQ(PatchesPerSide(72, 16, 16), 4);
 }
 
-// Attention by its definition, one number after the other. `competition`: softmax over queries.
+// Attention by its definition, computed number by number. `competition`: softmax over queries.
 at::Tensor SlowAttention(const at::Tensor& q, const at::Tensor& k, const at::Tensor& v, int heads, bool competition) {
   const int64_t width = 256 / heads;
   const at::Tensor out = at::zeros({k.size(0), q.size(0), 256});
@@ -137,7 +112,7 @@ at::Tensor SlowAttention(const at::Tensor& q, const at::Tensor& k, const at::Ten
   return out;
 }
 
-TEST(Attend, IsAttentionByItsDefinition) {
+TEST(Attend, MatchesTheDefinition) {
   SetUpTorchThread();
   at::manual_seed(1);
   const at::Tensor q = at::randn({3, 256});
@@ -145,13 +120,13 @@ TEST(Attend, IsAttentionByItsDefinition) {
   const at::Tensor v = at::randn({2, 5, 256});
   for (const int heads : {1, 4, 8}) {
     for (const bool competition : {false, true}) {
-      const at::Tensor output = Attend(q, k, v, {heads, competition, 0, 0}, absl::nullopt);
+      const at::Tensor output = Attend(q, k, v, {heads, competition, 0, 0}, std::nullopt);
       EXPECT_TRUE(at::allclose(output, SlowAttention(q, k, v, heads, competition), 1e-4, 1e-5)) << heads;
     }
   }
 }
 
-TEST(Attend, DropsByKeyLayerAndRowAndKeepsTheMean) {
+TEST(Attend, DropoutDependsOnKeyLayerAndRowAndKeepsTheMean) {
   SetUpTorchThread();
   const at::Tensor q = at::zeros({100, 256});
   const at::Tensor k = at::zeros({4, 100, 256});
@@ -163,13 +138,13 @@ TEST(Attend, DropsByKeyLayerAndRowAndKeepsTheMean) {
   EXPECT_NEAR(all.mean().item<float>(), 1, 0.002);              // 320,000 weights; its deviation is 0.0006
   EXPECT_NEAR(all.var().item<float>(), 0.1 / 0.9 / 100, 1e-4);  // of a mean over 100 weights
   EXPECT_TRUE(all.equal(attend(7, 0, 0, 4)));
-  EXPECT_TRUE(all.narrow(0, 2, 2).equal(attend(7, 2, 0, 2)));  // whoever computes the rows
+  EXPECT_TRUE(all.narrow(0, 2, 2).equal(attend(7, 2, 0, 2)));  // also if the rows are computed separately
   EXPECT_FALSE(all.equal(attend(8, 0, 0, 4)));
   EXPECT_FALSE(all.equal(attend(7, 0, 1, 4)));
   EXPECT_FALSE(all[0].equal(all[1]));
 }
 
-TEST(Network, DropoutChangesUpdatesOfOcSaAlone) {
+TEST(Network, DropoutChangesOnlyUpdatesOfOcSa) {
   SetUpTorchThread();
   Sample sa("oc_sa", "frame_size: 20", 2);
   const at::Tensor plain = sa.net.Forward(sa.input).values;
@@ -180,7 +155,7 @@ TEST(Network, DropoutChangesUpdatesOfOcSaAlone) {
   EXPECT_TRUE(ca.net.Forward(ca.input).values.equal(ca.net.Forward(ca.input, {}, Dropout{5, 0}).values));
 }
 
-// What OC-SA makes of four patches, and of the same with the first two swapped.
+// The output of OC-SA for four patches, and for the same with the first two swapped.
 std::pair<at::Tensor, at::Tensor> BeforeAndAfterSwap(bool positions) {
   ParamList params;
   const SelfAttention part("sa", {2, 2, 8, true, positions, 0}, &params);
@@ -191,10 +166,10 @@ std::pair<at::Tensor, at::Tensor> BeforeAndAfterSwap(bool positions) {
   const at::Tensor swapped = map.clone();
   swapped.narrow(2, 0, 2).narrow(3, 0, 2).copy_(map.narrow(2, 0, 2).narrow(3, 2, 2));
   swapped.narrow(2, 0, 2).narrow(3, 2, 2).copy_(map.narrow(2, 0, 2).narrow(3, 0, 2));
-  return {part.Forward(tensors, map, absl::nullopt), part.Forward(tensors, swapped, absl::nullopt)};
+  return {part.Forward(tensors, map, std::nullopt), part.Forward(tensors, swapped, std::nullopt)};
 }
 
-TEST(SelfAttention, KnowsWherePatchesAreByTheirPositionsAlone) {
+TEST(SelfAttention, DistinguishesPatchOrderOnlyWithPositions) {
   SetUpTorchThread();
   const auto [without, without_swapped] = BeforeAndAfterSwap(false);
   EXPECT_TRUE(at::allclose(without, without_swapped, 1e-4, 1e-4));
@@ -202,7 +177,7 @@ TEST(SelfAttention, KnowsWherePatchesAreByTheirPositionsAlone) {
   EXPECT_FALSE(at::allclose(with, with_swapped, 1e-2, 1e-2));
 }
 
-// Steps one by one, as acting does, with the state handed on.
+// Computes steps one by one, like acting, passing the state on.
 std::tuple<at::Tensor, at::Tensor, at::Tensor> OneByOne(const PolicyNet& net, const at::Tensor& frames,
                                                         at::Tensor state) {
   std::vector<at::Tensor> logits;
@@ -216,7 +191,7 @@ std::tuple<at::Tensor, at::Tensor, at::Tensor> OneByOne(const PolicyNet& net, co
   return {at::cat(logits), at::cat(values), state};
 }
 
-TEST(Network, SegmentsGiveWhatStepsOneByOneGive) {
+TEST(Network, SegmentsMatchSingleSteps) {
   SetUpTorchThread();
   for (const char* critic : {"critic: LINEAR", "critic: LSTM"}) {
     Sample sample("lstm_cnn", critic, 12);
@@ -237,7 +212,7 @@ TEST(Network, SegmentsGiveWhatStepsOneByOneGive) {
   }
 }
 
-TEST(Network, LstmCriticHasItsOwnParametersAndLearnsThem) {
+TEST(Network, LstmCriticTrainsItsOwnParameters) {
   SetUpTorchThread();
   Sample sample("lstm_cnn", "critic: LSTM", 4);
   EXPECT_EQ(sample.spec.params[12].name, "lstm_actor.weight_ih_l0");
@@ -248,8 +223,8 @@ TEST(Network, LstmCriticHasItsOwnParametersAndLearnsThem) {
   EXPECT_EQ(sample.net.gradients().size(), 20U);
 }
 
-// The agents page, section 9.
-TEST(Resnet, HasItsSizeAndStartsWithTheGivenRowNorms) {
+// Source: AGENTS.md, section 7.
+TEST(Resnet, HasThePublishedSizeAndInitialRowNorms) {
   SetUpTorchThread();
   Sample sample("ppo_resnet", "", 2);
   EXPECT_EQ(sample.spec.param_count, 3'948'306);

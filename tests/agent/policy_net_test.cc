@@ -18,7 +18,7 @@ namespace {
 using testing::AsInput;
 using testing::GoldenFrames;
 
-TEST(PolicyNet, FirstPolicyIsNearlyUniform) {
+TEST(PolicyNet, InitialPolicyIsNearlyUniform) {
   SetUpTorchThread();
   const AgentSpec spec = *FindAgent("ppo_cnn");
   std::vector<float> weights = InitialWeights(spec, 1);
@@ -30,7 +30,7 @@ TEST(PolicyNet, FirstPolicyIsNearlyUniform) {
   }
 }
 
-TEST(Linear, ValueAndGradientsAreThoseOfTheMatrixProduct) {
+TEST(Linear, ValueAndGradientsMatchTheMatrixProduct) {
   SetUpTorchThread();
   at::manual_seed(3);
   const auto leaf = [](at::IntArrayRef shape) { return at::randn(shape).set_requires_grad(true); };
@@ -50,14 +50,14 @@ TEST(Linear, ValueAndGradientsAreThoseOfTheMatrixProduct) {
   }
 }
 
-TEST(ScaleFrames, GivesEachByteAsFractionOf255) {
+TEST(ScaleFrames, ScalesBytesToZeroToOne) {
   const std::vector<uint8_t> frame = {0, 1, 128, 255};
   std::vector<float> out(8);
   ScaleFrames({frame.data(), frame.data()}, 4, out.data());
   for (int i = 0; i < 8; ++i) EXPECT_FLOAT_EQ(out[i], frame[i % 4] / 255.0F);
 }
 
-TEST(TorchSetup, DescribesTheCpuAndIsSilentWhereMathIsFast) {
+TEST(TorchSetup, DescribesTheCpuAndWarnsOnlyIfMathIsSlow) {
   EXPECT_NE(CpuDescription().find(", "), std::string::npos) << CpuDescription();
   EXPECT_TRUE(!LinearUsesOneDnn() || SlowMathWarning().empty());
 }

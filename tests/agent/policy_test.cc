@@ -6,12 +6,14 @@
 #include <thread>
 
 #include <gmock/gmock.h>
+#include <google/protobuf/text_format.h>
 #include <gtest/gtest.h>
 
 #include "common/agent/initial_weights.h"
 #include "common/agent/weights.h"
-#include "common/keyed_random.h"
+#include "common/base/keyed_random.h"
 #include "tests/agent/golden_agent.h"
+#include "tests/agent/stand_in_device.h"
 
 namespace craftfleet {
 namespace {
@@ -27,7 +29,7 @@ std::unique_ptr<const Policy> GoldenPolicy(int tile) {
   return *Policy::Create(spec, SaveWeights(spec, GoldenWeights(spec, ReadGolden("ppo_cnn.json"))), tile);
 }
 
-// What the policy makes of these lanes' frames, one after the other.
+// Lanes and their frames, one after the other.
 struct LaneFrames {
   std::vector<int> lanes;
   std::string frames;
@@ -58,7 +60,7 @@ TEST(Policy, GreedyActionsAndValuesMatchTheGolden) {
   }
 }
 
-TEST(Policy, WhatALaneGetsDoesNotDependOnTheOthers) {
+TEST(Policy, ActionsOfALaneDoNotDependOnOtherLanes) {
   const auto policy = GoldenPolicy(8);
   const std::vector<int> all_lanes = {0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15};
   const ActResult all = ActOn(*policy, FramesOf(all_lanes, 12345));
@@ -76,7 +78,7 @@ TEST(Policy, WhatALaneGetsDoesNotDependOnTheOthers) {
   }
 }
 
-TEST(Policy, WhatALaneGetsDoesNotDependOnTheOthersFrames) {
+TEST(Policy, ActionsOfALaneDoNotDependOnOtherFrames) {
   const auto policy = GoldenPolicy(8);
   LaneFrames input = FramesOf({0, 1, 2, 3, 4, 5, 6, 7}, 12345);
   const ActResult before = ActOn(*policy, input);
@@ -94,7 +96,7 @@ TEST(Policy, WhatALaneGetsDoesNotDependOnTheOthersFrames) {
   }
 }
 
-TEST(Policy, ALaneMayComeMoreThanOnce) {
+TEST(Policy, ALaneMayOccurMoreThanOnce) {
   const auto policy = GoldenPolicy(4);
   const std::string frames = GoldenFrames(1, 3, 64);
   const std::vector<float> together = *policy->Values(frames, {2, 2, 2}, {});
@@ -104,7 +106,7 @@ TEST(Policy, ALaneMayComeMoreThanOnce) {
   }
 }
 
-TEST(Policy, NoiseDrawsActionsByTheirProbability) {
+TEST(Policy, ActionsAreSampledByTheirProbability) {
   const auto policy = GoldenPolicy(1);
   const std::string frame = GoldenFrames(12345, 1, 64);
   const nlohmann::json log_probs = ReadGolden("ppo_cnn.json")["forward"]["log_softmax"][0];
@@ -118,7 +120,7 @@ TEST(Policy, NoiseDrawsActionsByTheirProbability) {
   }
 }
 
-TEST(Policy, ThreadsShareItAndGetTheSame) {
+TEST(Policy, ThreadsThatShareAPolicyGetTheSameActions) {
   const auto policy = GoldenPolicy(8);
   const LaneFrames input = FramesOf({0, 1, 2, 3, 4, 5, 6, 7}, 12345);
   const std::vector<float> expected = *policy->Values(input.frames, input.lanes, {});
@@ -132,7 +134,7 @@ TEST(Policy, ThreadsShareItAndGetTheSame) {
   for (const std::vector<float>& result : results) EXPECT_EQ(result, expected);
 }
 
-TEST(Policy, NoLanesNoActions) {
+TEST(Policy, NoLanesGiveNoActions) {
   const ActResult result = *GoldenPolicy(8)->Act("", {}, {}, {});
   EXPECT_TRUE(result.actions.empty());
 }
@@ -142,7 +144,7 @@ std::unique_ptr<const Policy> RecurrentPolicy(int tile) {
   return *Policy::Create(agent.spec, SaveWeights(agent.spec, agent.weights), tile);
 }
 
-TEST(Policy, RecurrentStatesAdvanceWhenActingAndStayForValues) {
+TEST(Policy, RecurrentStatesAdvanceInActButNotInValues) {
   const auto policy = RecurrentPolicy(4);
   ASSERT_EQ(policy->state_size(), 512);
   const std::string frames = GoldenFrames(1, 2, 64);
@@ -157,10 +159,10 @@ TEST(Policy, RecurrentStatesAdvanceWhenActingAndStayForValues) {
   ASSERT_TRUE(policy->ActGreedily(frames, {0, 1}, absl::MakeSpan(greedy_states)).ok());
   EXPECT_EQ(greedy_states, states);
   const ActResult second = *policy->Act(frames, {0, 1}, {0.5, 0.5}, absl::MakeSpan(states));
-  EXPECT_NE(second.log_probs, first.log_probs);  // the same frames, another past
+  EXPECT_NE(second.log_probs, first.log_probs);  // the same frames, another state
 }
 
-TEST(Policy, WhatARecurrentLaneGetsDoesNotDependOnTheOthers) {
+TEST(Policy, RecurrentActionsOfALaneDoNotDependOnOtherLanes) {
   const auto policy = RecurrentPolicy(4);
   const LaneFrames input = FramesOf({0, 1, 2, 3, 4, 5}, 12345);
   std::vector<float> states = testing::GoldenUniforms("h0", 6 * 512, -1, 1);
@@ -177,8 +179,8 @@ TEST(Policy, WhatARecurrentLaneGetsDoesNotDependOnTheOthers) {
   }
 }
 
-// The same for the parts that the small agents don't have.
-TEST(Policy, WhatALaneGetsFromAttentionDoesNotDependOnTheOthers) {
+// The same for the parts that the small agents lack.
+TEST(Policy, AttentionValuesOfALaneDoNotDependOnOtherLanes) {
   for (const char* const name : {"oc_sa", "oc_ca", "ppo_resnet"}) {
     const AgentSpec spec = *FindAgent(name);
     const auto policy = *Policy::Create(spec, SaveWeights(spec, InitialWeights(spec, 1)), 4);
@@ -191,6 +193,57 @@ TEST(Policy, WhatALaneGetsFromAttentionDoesNotDependOnTheOthers) {
   }
 }
 
+// Of the network `text` with initial weights, in tiles of 4.
+std::unique_ptr<const Policy> SmallPolicy(const std::string& text, const std::string& device) {
+  v1::RunConfig config;
+  EXPECT_TRUE(google::protobuf::TextFormat::ParseFromString(text, &config)) << text;
+  const AgentSpec spec = *MakeAgentSpec(config);
+  return *Policy::Create(spec, SaveWeights(spec, InitialWeights(spec, 1)), 4, device);
+}
+
+// The device multiplies in other routines and orders than the CPU's nets: float32's last bits differ.
+TEST(Policy, ActsOnADeviceAsOnTheCpu) {
+  for (const char* text :
+       {R"(agent: "ppo_cnn" network { frame_size: 40 })",
+        R"(agent: "lstm_cnn" network { frame_size: 40 critic: LSTM })",
+        R"(agent: "ppo_spcnn" network { frame_size: 12 })", R"(agent: "oc_sa" network { frame_size: 20 })",
+        R"(agent: "oc_ca" network { frame_size: 32 })", R"(agent: "ppo_resnet" network { frame_size: 12 })"}) {
+    const auto here = SmallPolicy(text, "cpu");
+    for (const std::string device : {"cpu:0", testing::kStandInDevice}) {
+      const auto there = SmallPolicy(text, device);
+      v1::RunConfig config;
+      ASSERT_TRUE(google::protobuf::TextFormat::ParseFromString(text, &config));
+      const int size = MakeAgentSpec(config)->frame_size;
+      const std::string frames = GoldenFrames(12345, 5, size);
+      const std::vector<int> lanes = {0, 1, 2, 3, 5};  // two tiles
+      const std::vector<double> noise(5, 0.3);
+      std::vector<float> states = testing::GoldenUniforms("h0", 5 * here->state_size(), -1, 1);
+      std::vector<float> states_there = states;
+      const ActResult expected = *here->Act(frames, lanes, noise, absl::MakeSpan(states));
+      const testing::DeviceTraffic before = testing::TrafficSoFar();
+      const ActResult actual = *there->Act(frames, lanes, noise, absl::MakeSpan(states_there));
+      const testing::DeviceTraffic after = testing::TrafficSoFar();
+      if (device == testing::kStandInDevice) {
+        EXPECT_EQ(after.sent - before.sent, 2 * (here->state_size() > 0 ? 2 : 1)) << text;
+        EXPECT_EQ(after.fetched - before.fetched, 2) << text;
+        EXPECT_EQ(after.read - before.read, 0) << text;
+      }
+      EXPECT_EQ(actual.actions, expected.actions) << text << device;
+      for (int i = 0; i < 5; ++i) {
+        EXPECT_NEAR(actual.log_probs[i], expected.log_probs[i], 1e-4) << text << device;
+        EXPECT_NEAR(actual.values[i], expected.values[i], 1e-4) << text << device;
+      }
+      for (size_t i = 0; i < states.size(); ++i) ASSERT_NEAR(states_there[i], states[i], 1e-4) << text << device;
+      // Alone in its tile, a lane gets the same.
+      std::vector<float> alone = testing::GoldenUniforms("h0", 5 * here->state_size(), -1, 1);
+      const auto size_of_state = here->state_size();
+      const std::string frame = frames.substr(2 * size * size * 3, size * size * 3);
+      const auto state = absl::MakeSpan(alone).subspan(2 * size_of_state, size_of_state);
+      EXPECT_EQ(there->Act(frame, {2}, {0.3}, state)->values[0], actual.values[2]) << text << device;
+    }
+  }
+}
+
 TEST(Policy, RefusesStatesOfAnotherSize) {
   std::vector<float> states(512);
   EXPECT_THAT(std::string(RecurrentPolicy(4)->Act(GoldenFrames(1, 1, 64), {0}, {0.5}, {}).status().message()),
@@ -199,7 +252,7 @@ TEST(Policy, RefusesStatesOfAnotherSize) {
             absl::StatusCode::kInvalidArgument);
 }
 
-TEST(Policy, RefusesWhatDoesNotFitTogether) {
+TEST(Policy, RefusesInconsistentInputs) {
   const auto policy = GoldenPolicy(8);
   EXPECT_EQ(policy->Act(std::string(kFrameBytes, 0), {0}, {}, {}).status().code(), absl::StatusCode::kInvalidArgument);
   EXPECT_THAT(std::string(policy->Values(std::string(100, 0), {0}, {}).status().message()),

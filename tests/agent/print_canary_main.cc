@@ -1,12 +1,12 @@
-// print_canary CPU: the policy's canary of a process that is pinned to CPU (native, avx2 or avx512), as a worker pins
-// itself: it executes itself again.
+// print_canary CPU: prints the policy's canary of a process that is pinned to CPU (native, avx2 or avx512). Pins itself
+// like a worker, by executing itself again.
 
 #include <iostream>
 #include <string>
 
 #include "common/agent/canary.h"
-#include "common/cpu_pin.h"
-#include "common/status_macros.h"
+#include "common/base/status_macros.h"
+#include "common/process/cpu_pin.h"
 
 namespace craftfleet {
 namespace {

@@ -1,4 +1,4 @@
-// Weights travel: a checkpoint's weights as Python reads them.
+// A checkpoint's weights as read by Python.
 
 #include <string>
 
@@ -7,14 +7,14 @@
 #include <gtest/gtest.h>
 
 #include "common/agent/weights.h"
-#include "common/files.h"
+#include "common/io/files.h"
 #include "tests/agent/golden_agent.h"
 #include "tests/fakes/command_output.h"
 
 namespace craftfleet {
 namespace {
 
-TEST(PythonWeights, HaveTheGoldensNamesShapesAndNumbers) {
+TEST(PythonWeights, MatchTheGoldenWhenReadByPython) {
   const std::string file = absl::StrCat(::testing::TempDir(), "/craftfleet-python-weights.safetensors");
   const testing::GoldenAgent agent("lstm_cnn");
   const std::string scripts = absl::StrCat(CRAFTFLEET_SOURCE_DIR, "/tests/");

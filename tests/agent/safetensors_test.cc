@@ -17,7 +17,7 @@ std::string Floats(const std::vector<float>& values) {
   return {reinterpret_cast<const char*>(values.data()), values.size() * sizeof(float)};
 }
 
-// A file with this header and these data.
+// A file with the given header and data.
 std::string File(const std::string& header, const std::string& data) {
   std::string bytes(8, '\0');
   const uint64_t length = header.size();
@@ -31,7 +31,7 @@ std::string ErrorOf(absl::string_view bytes) {
   return status.ToString();
 }
 
-TEST(Safetensors, WrittenBytesAreThoseOfTheFormat) {
+TEST(Safetensors, WritesTheDocumentedFormat) {
   const std::string data = Floats({1, 2, 3});
   const std::string bytes = WriteSafetensors(
       {{{"a", {2, 1}, absl::string_view(data).substr(0, 8)}, {"b", {}, absl::string_view(data).substr(8)}},
@@ -42,7 +42,7 @@ TEST(Safetensors, WrittenBytesAreThoseOfTheFormat) {
   EXPECT_EQ(bytes, File(header, data));
 }
 
-TEST(Safetensors, ReadsWhatItWrote) {
+TEST(Safetensors, ReadsBackWhatItWrote) {
   const std::string data = Floats({1, 2, 3, 4});
   const std::string bytes = WriteSafetensors({{{"z", {3}, absl::string_view(data).substr(0, 12)},
                                                {"empty", {0, 4}, ""},
@@ -92,13 +92,13 @@ TEST(Safetensors, RefusesHostileBytesWithAReason) {
   EXPECT_THAT(ErrorOf(File(R"({"__metadata__":[]})", "")), HasSubstr("not an object"));
 }
 
-TEST(Safetensors, EveryCutOfAFileIsRefused) {
+TEST(Safetensors, EveryTruncationIsRefused) {
   const std::string data = Floats({1, 2});
   const std::string bytes = WriteSafetensors({{{"a", {2}, data}}, {}});
   for (size_t size = 0; size < bytes.size(); ++size) ErrorOf(absl::string_view(bytes).substr(0, size));
 }
 
-TEST(Weights, SurviveSavingBitForBit) {
+TEST(Weights, SurviveARoundTripBitForBit) {
   const AgentSpec spec = *FindAgent("ppo_cnn");
   std::vector<float> weights(spec.param_count);
   for (size_t i = 0; i < weights.size(); ++i) weights[i] = 1.0F / static_cast<float>(i + 1);

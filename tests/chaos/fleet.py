@@ -12,33 +12,33 @@ import time
 import typing
 
 WARM_UP_S = 120
-YOUNG_S = 4  # before that a process is still loading
-OBSERVATION_S = 10  # of an old process
+YOUNG_S = 4  # younger processes are still loading
+OBSERVATION_S = 10  # time between observations of an old process
 FEWEST_OBSERVATIONS = 15
 
 
 class Site:
-    """Where processes run and how others reach them: here, this machine's loopback."""
+    """A host of processes and its addresses. This one is the local machine with its loopback addresses."""
 
-    command_prefix = []  # of every command that is run here
-    flags = []           # of every process that listens here
+    command_prefix = []  # prepended to every command on this host
+    flags = []           # of every process that listens on this host
 
     def listen(self):
-        """An address, HOST:PORT, for one more process to listen on."""
+        """A new address, HOST:PORT, to listen on."""
         with socket.socket() as probe:
             probe.bind(("127.0.0.1", 0))
             return f"127.0.0.1:{probe.getsockname()[1]}"
 
     def reached_at(self, address):
-        """The address at which others find what listens on `address`."""
+        """The address at which other hosts reach a process that listens on `address`."""
         return address
 
 
 class Worker:
-    """A process that is started again with the same command whenever it was killed."""
+    """A process that is restarted with the same command after it was killed."""
 
     def __init__(self, name, command, log, address=None):
-        """`address`: where it listens, if it does."""
+        """`address`: the address on which it listens, if any."""
         self.name, self.command, self.log, self.address = name, [str(part) for part in command], log, address
         self.process, self.started, self.paused = None, 0, False
         self.start()
@@ -68,7 +68,7 @@ class Worker:
             self.process.terminate()
 
     def wait(self):
-        """Until it has stopped; SIGKILL after 15 s."""
+        """Stops the process and waits for its end; sends SIGKILL after 15 s."""
         try:
             self.process.wait(15)
         except subprocess.TimeoutExpired:
@@ -76,18 +76,25 @@ class Worker:
             self.process.wait()
 
     def resident_kib(self):
-        """None if it is gone."""
+        """The resident memory. None if the process has ended."""
+        return self._memory_kib("VmRSS:")
+
+    def peak_kib(self):
+        """The highest resident memory of the process so far. None if it has ended."""
+        return self._memory_kib("VmHWM:")
+
+    def _memory_kib(self, field):
         try:
             status = pathlib.Path(f"/proc/{self.process.pid}/status").read_text(encoding="utf-8")
         except OSError:
             return None
-        return next((int(line.split()[1]) for line in status.splitlines() if line.startswith("VmRSS:")), None)
+        return next((int(line.split()[1]) for line in status.splitlines() if line.startswith(field)), None)
 
 
 class Fleet:
-    """A learner on `learner_site`; environment servers and actors dealt out over `sites`. Logs go to the folder `out`.
+    """A learner on `learner_site`, with environment servers and actors distributed over `sites`. Logs are in the folder `out`.
 
-    `flags`: more of them by role: learner, server, actor, and status, which asks the learner."""
+    `flags`: additional flags by role: learner, server, actor, and status, for the queries to the learner."""
 
     def __init__(self, bin_folder, out, config, logdir, learner_site, sites, actors=0, servers=0,
                  threads=1, flags=None):
@@ -118,7 +125,7 @@ class Fleet:
             raise
 
     def iteration(self):
-        """What the learner says, -1 while it says nothing."""
+        """The iteration that the learner reports; -1 while it does not answer."""
         command = [*self.learner_site.command_prefix, self.bin / "craftfleet-status",
                    f"--address={self.learner_address}", "--json", *self.flags["status"]]
         result = subprocess.run(command, capture_output=True, text=True, timeout=30, check=False)
@@ -138,7 +145,7 @@ class Fleet:
 
 
 class Watch:
-    """Asks the learner for its iteration, again and again, on a thread of its own: a slow answer holds up nothing else."""
+    """Queries the learner's iteration repeatedly, on its own thread, so that a slow answer delays nothing else."""
 
     def __init__(self, fleet):
         self.fleet, self.iteration, self.changed, self.slowest = fleet, 0, time.monotonic(), 0.0
@@ -154,15 +161,15 @@ class Watch:
                 self.slowest, self.iteration, self.changed = max(self.slowest, now - self.changed), latest, now
 
     def stop(self):
-        """Also counts the time since the last iteration, in which the run ended."""
+        """Also counts the time from the last iteration to the end of the run."""
         self.stopping.set()
         self.thread.join()
         self.slowest = max(self.slowest, time.monotonic() - self.changed)
 
 
 class Memory:
-    """How the resident memory of each process grows after the second minute of the test, be it killed and started anew all
-    the time."""
+    """Measures the growth of each process's resident memory after the second minute of the test, also of processes that are
+    repeatedly killed and restarted."""
 
     def __init__(self, start):
         self.start, self.samples = start, {}  # by name, by class of age: time, KiB, observation
@@ -171,12 +178,12 @@ class Memory:
         kib, age, since = worker.resident_kib(), now - worker.started, now - self.start
         if kib is None or age < YOUNG_S or since < WARM_UP_S:
             return
-        # A process that lives for a moment is one observation, an old one another every ten seconds.
+        # A short-lived process counts as one observation, an old one as another every ten seconds.
         observed = (worker.started, 0 if age < WARM_UP_S else int(age / OBSERVATION_S))
         self.samples.setdefault(worker.name, {}).setdefault(age_class(age), []).append((since, kib, observed))
 
     def growth(self):
-        """Growth by name, of those observed often enough: of what is older than two minutes, where there is any."""
+        """Growth by name, for names with enough observations; of processes older than two minutes if there are any."""
         growths = {}
         for name, classes in self.samples.items():
             old = [classes.get(age_class(WARM_UP_S), [])]
@@ -188,18 +195,19 @@ class Memory:
 
 
 class Growth(typing.NamedTuple):
-    """KiB a minute. `error` is three times the standard error; `old` says that the processes were older than two minutes."""
+    """KiB per minute. `error` is three times the standard error; `old`: the processes were older than two minutes."""
     slope: int
     error: int
     old: bool
 
     def above(self, limit):
-        """An old process has no excuse; of those killed all the time each has another part of the games."""
-        return self.slope - (0 if self.old else self.error) > limit
+        """A slope that is smaller than its error says nothing. For processes that are killed the error is also subtracted,
+        because each one has different games."""
+        return self.slope > self.error and self.slope - (0 if self.old else self.error) > limit
 
 
 def age_class(age):
-    """A power of two of seconds, one class from two minutes on."""
+    """The power of two of the age in seconds; a single class from two minutes on."""
     return int(min(age, WARM_UP_S)).bit_length()
 
 
@@ -208,15 +216,15 @@ def observations(classes):
 
 
 def common_slope(classes):
-    """Slope, KiB a minute, and three times its standard error. Samples are only compared with others of their class: memory
-    may depend on how old a process is, but not on how long the run goes on."""
-    points = []  # time and kib less the means of their class; observation
+    """The slope in KiB per minute and three times its standard error. Samples are only compared with others of their class:
+    memory may depend on the age of a process, but not on the time since the start of the run."""
+    points = []  # time and KiB minus the means of their class; observation
     for samples in classes:
         mean_t, mean_kib = (statistics.fmean(sample[k] for sample in samples) for k in range(2))
         points += [(t - mean_t, kib - mean_kib, observed) for t, kib, observed in samples]
     square = sum(t ** 2 for t, _, _ in points)
     slope = sum(t * kib for t, kib, _ in points) / square
-    pulls = {}  # of each observation on the slope: they are independent, its samples are not
+    pulls = {}  # influence of each observation on the slope: observations are independent, their samples are not
     for t, kib, observed in points:
         pulls[observed] = pulls.get(observed, 0) + t * (kib - slope * t)
     error = math.sqrt(sum(pull ** 2 for pull in pulls.values())) / square

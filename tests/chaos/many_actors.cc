@@ -1,4 +1,4 @@
-// Many actors that play nothing, over real connections: how a learner bears up. Prints figures as JSON. Started by
+// Many actors over real connections that send made-up fragments, to load a learner. Prints figures as JSON. Started by
 // scale.py.
 //   many_actors --learner=HOST:PORT --actors=200 --seconds=600
 
@@ -18,10 +18,10 @@
 #include "actor/learner_client.h"
 #include "common/agent/agent_spec.h"
 #include "common/agent/canary.h"
-#include "common/env_name.h"
-#include "common/program.h"
-#include "common/snapshot_envelope.h"
-#include "common/status_macros.h"
+#include "common/base/status_macros.h"
+#include "common/config/env_name.h"
+#include "common/io/snapshot_envelope.h"
+#include "common/process/program.h"
 #include "common/wire/channel.h"
 #include "common/wire/convert.h"
 #include "common/wire/protocol.h"
@@ -35,13 +35,13 @@ namespace {
 
 constexpr size_t kSnapshotBytes = 12000;
 
-// Asks for permits and answers each with a fragment of black frames.
+// Requests permits and answers each with a fragment of black frames.
 class EmptyActor {
  public:
   EmptyActor(const std::string& learner, int number, const std::string& canary)
       : client_(wire::Connect(learner)), name_(absl::StrCat("empty-", number)), canary_(canary) {}
 
-  // Plays once all have joined (`absent` is 0), so that they share from the first fragment on.
+  // Starts when all have joined (`absent` is 0), so that they share the lanes from the first fragment on.
   absl::Status Play(std::atomic<int>* absent, const std::atomic<bool>& stopping) {
     v1::JoinRequest join;
     join.set_protocol_version(wire::kProtocolVersion);

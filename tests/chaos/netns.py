@@ -1,17 +1,17 @@
 #!/usr/bin/env python3
-"""chaos.py over a network: five hosts (network namespaces) on a bridge, and every connection has faults.
+"""chaos.py over a network: five hosts (network namespaces) on a bridge, with faults on every connection.
 
-The learner has one host; actors and environment servers are dealt out over the other four. Everyone is reached through a
-proxy on his host (proxy.py), which delays each message by 50 ms in either direction, stalls 1% of them for 1 s and resets
-connections; the cable of the last host carries 100 Mbit/s (tc tbf). Every now and then a host is cut off for 20 s, in
-turn by the proxies, which leaves its connections half open, and by its cable. Processes are killed and paused as well.
-Logs and weights must be the bytes of a quiet run in one process.
+The learner has one host; actors and environment servers are distributed over the other four. All connections to a host go
+through a proxy there (proxy.py), which delays each message by 50 ms in either direction, stalls 1% of them for 1 s and
+resets connections. The cable of the last host carries 100 Mbit/s (tc tbf). From time to time a host is cut off for 20 s,
+alternately by the proxies, which leave its connections half open, and by its cable. Processes are killed and paused as well.
+Logs and weights must be identical to those of an undisturbed run in a single process.
 
   tests/chaos/netns.py --bin=build/bin --out=/tmp/netns              49 iterations, 20 to 30 minutes
   tests/chaos/netns.py --bin=build/bin --out=/tmp/netns --short      the short form that the tests run
 
-Needs root, ip and tc; exits with 77, which means skipped, where they are missing. The namespaces are named
-craftfleet-PID-...; they go when the program ends, and those that a killed one left go when it is started again.
+Needs root, ip and tc; exits with 77 (skipped) without them. The namespaces are named craftfleet-PID-...; the program removes
+them when it ends, and when it starts it removes those of earlier programs that were killed.
 """
 
 import json
@@ -30,14 +30,14 @@ SKIPPED = 77
 HOSTS = 5
 SLOW_LINK = ["rate", "100mbit", "burst", "64kb", "latency", "400ms"]
 FAULTS = ["--delay_ms=50", "--stall_share=0.01", "--stall_ms=1000"]
-# Many lanes: every step is a round trip, so a lane should have few of them in an iteration.
+# Many lanes, so that a lane has few steps in an iteration: every step takes a round trip.
 LONG_CONFIG = """steps: 200704 seed: 5 lanes: 512 fragment_steps: 8 checkpoint { every_iterations: 1 keep_fragments: true }
   eval { every_steps: 0 final_episodes: 0 }"""
 SHORT_CONFIG = """steps: 1024 seed: 5 lanes: 32 fragment_steps: 16 env { length: 30 }
   ppo { rollout_steps: 512 minibatch_size: 128 epochs: 2 } checkpoint { every_iterations: 1 keep_fragments: true }
   eval { every_steps: 0 final_episodes: 0 }"""
-LONG_PACE = {"kill": 2, "learner": 60, "pause": 30, "reset": 10, "cut": 90}  # seconds from one to the next
-SHORT_PACE = {"kill": 15, "reset": 2, "cut": 18}  # it may be over in 15 s
+LONG_PACE = {"kill": 2, "learner": 60, "pause": 30, "reset": 10, "cut": 90}  # seconds between events of a kind
+SHORT_PACE = {"kill": 15, "reset": 2, "cut": 18}  # the run may end after 15 s
 
 
 def run(*command):
@@ -45,7 +45,7 @@ def run(*command):
 
 
 class Host(Site):
-    """A namespace. What listens on a port of it is reached through the proxy, a thousand ports further on."""
+    """A network namespace. Other hosts reach each of its ports through the proxy, at the port number plus 1000."""
 
     def __init__(self, name, number, ports, seed):
         self.name, self.address, self.next_port = name, f"10.77.0.{number + 1}", 6000
@@ -78,7 +78,7 @@ class Host(Site):
 
 
 class Network:
-    """The hosts, the bridge and the cables between them, which are pairs of virtual devices."""
+    """The hosts, the bridge, and the cables between them (pairs of virtual devices)."""
 
     PREFIX = "craftfleet-"
 
@@ -110,7 +110,7 @@ class Network:
 
     @staticmethod
     def cable(host):
-        """Its end at the switch."""
+        """The device at the bridge's end of a host's cable."""
         return "port" + host.name.rsplit("-", 1)[1]
 
     def cut(self, host, by_cable):
@@ -128,7 +128,7 @@ class Network:
             other.tell_proxy(f"heal {host.address}")
 
     def report(self):
-        """What the proxies did, all together, and how often a packet had to wait at the slow link."""
+        """The total counts of the proxies, and how often a packet had to wait at the slow link."""
         total = {}
         for host in self.hosts:
             for name, count in host.report().items():
@@ -149,7 +149,7 @@ class Network:
 
     @staticmethod
     def remove_namespace(name):
-        """With the processes in it, if it is there."""
+        """Removes a namespace and kills the processes in it, if it exists."""
         pids = subprocess.run(["ip", "netns", "pids", name], capture_output=True, text=True, check=False)
         for pid in pids.stdout.split():
             os.kill(int(pid), signal.SIGKILL)
@@ -157,7 +157,7 @@ class Network:
 
     @classmethod
     def remove_leftovers(cls):
-        """Of those that were killed before they could remove them."""
+        """Removes the namespaces of earlier scripts that were killed."""
         for name in run("ip", "netns", "list").split():
             match = re.fullmatch(cls.PREFIX + r"(\d+)-\w+", name)
             if match and not pathlib.Path(f"/proc/{match[1]}").exists():
@@ -165,7 +165,7 @@ class Network:
 
 
 class NetworkChaos(Chaos):
-    """Cuts off hosts and resets connections, too."""
+    """Also cuts off hosts and resets connections."""
 
     def __init__(self, network, cut_s, *arguments_of_chaos):
         super().__init__(*arguments_of_chaos)
@@ -188,7 +188,7 @@ class NetworkChaos(Chaos):
 
 
 def why_not():
-    """What is missing here; None if nothing is."""
+    """The missing requirement; None if there is none."""
     for tool in ["ip", "tc"]:
         if shutil.which(tool) is None:
             return f"there is no program {tool} (Debian: iproute2)"
@@ -209,7 +209,7 @@ def why_not():
 
 def main():
     parser = arguments(__doc__)
-    parser.add_argument("--pace", default="", help="seconds from one event to the next, such as kill=2,cut=40,reset=0; 0: none")
+    parser.add_argument("--pace", default="", help="seconds between events of a kind, such as kill=2,cut=40,reset=0; 0: none")
     options = parser.parse_args()
     reason = why_not()
     if reason is not None:

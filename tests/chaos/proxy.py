@@ -3,10 +3,10 @@
 
   proxy.py --map=10.77.0.2:7000=10.77.0.2:6000 --delay_ms=50 --stall_share=0.01 --stall_ms=1000
 
-What arrives without a pause of 10 ms is a message; each is delayed, some are stalled, those behind them wait.
-Reads commands from standard input and ends with it:
-  cut ADDRESS    nothing goes to or comes from this client any more, though its connections stay open; * cuts all
-  heal ADDRESS   lets go on what was cut
+Bytes that arrive without a pause of 10 ms count as one message. Each message is delayed; some are stalled, with those behind
+them. The proxy reads commands from standard input and ends at its end:
+  cut ADDRESS    forwards nothing from or to this client, but keeps its connections open; * cuts all clients
+  heal ADDRESS   forwards data of this client again
   reset          resets a random connection
   report         prints a line of JSON: connections, messages, bytes, stalls, resets
 """
@@ -21,11 +21,11 @@ import sys
 
 PAUSE_S = 0.01  # between two messages
 READ_BYTES = 64 << 10
-QUEUED_READS = 256  # on the way in one direction of a connection
+QUEUED_READS = 256  # most reads in transit in one direction of a connection
 
 
 class Proxy:
-    """Accepts connections and passes on their bytes."""
+    """Accepts connections and forwards their bytes."""
 
     def __init__(self, options):
         self.options, self.random = options, random.Random(options.seed)
@@ -55,7 +55,7 @@ class Proxy:
                     directions.create_task(self.receive(reader, on_the_way))
                     directions.create_task(self.send(client, on_the_way, writer))
         except* OSError:
-            pass  # one end is gone: so is the other
+            pass  # one end has closed, so the other is closed too
         finally:
             del self.open[number]
             for writer in (client_writer, server_writer):
@@ -67,7 +67,7 @@ class Proxy:
             try:
                 data = await reader.read(READ_BYTES)
             except OSError:
-                data = b""  # the other end learns of it when it is due, not before
+                data = b""  # the end of the connection is delayed like its data
             now = asyncio.get_running_loop().time()
             due = now + self.options.delay_ms / 1000
             if now - last > PAUSE_S:
@@ -130,8 +130,8 @@ async def run(options):
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--map", action="append", required=True, metavar="LISTEN=TARGET", help="may be repeated")
-    parser.add_argument("--delay_ms", type=float, default=0, help="of each message, in either direction")
-    parser.add_argument("--stall_share", type=float, default=0, help="of messages that wait longer")
+    parser.add_argument("--delay_ms", type=float, default=0, help="delay of each message, in either direction")
+    parser.add_argument("--stall_share", type=float, default=0, help="share of messages that wait longer")
     parser.add_argument("--stall_ms", type=float, default=1000)
     parser.add_argument("--seed", type=int, default=0)
     asyncio.run(run(parser.parse_args()))

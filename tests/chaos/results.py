@@ -1,4 +1,4 @@
-"""What long runs showed: a line of JSON each, in results/runs.jsonl."""
+"""The figures of long runs, a line of JSON each, in results/runs.jsonl."""
 
 import datetime
 import json

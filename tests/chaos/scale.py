@@ -1,9 +1,9 @@
 #!/usr/bin/env python3
-"""One learner with many actors over real connections, which play nothing, and many lanes.
+"""One learner with many lanes and many actors over real connections; the actors send made-up fragments.
 
-Are shares fair (most / fewest fragments of an actor below 1.2), does the status service answer within 50 ms, does the
-learner's memory stand still (less than 1 MiB a minute after the second one)? The long form adds what it saw to
-tests/chaos/results/runs.jsonl.
+Checks that shares are fair (the most fragments of an actor divided by the fewest are below 1.2), that the status service
+answers within 50 ms, and that the learner's memory does not grow (less than 1 MiB per minute after the second minute). The
+long form appends its figures to tests/chaos/results/runs.jsonl.
 
   tests/chaos/scale.py --bin=build/bin --out=/tmp/scale             200 actors, 1,000 lanes, 10 minutes
   tests/chaos/scale.py --bin=build/bin --out=/tmp/scale --short     the short form that the tests run
@@ -20,7 +20,7 @@ from chaos import GROWTH_LIMIT_KIB_PER_MINUTE, empty_folder, end_cleanly_when_st
 from fleet import Fleet, Memory, Site
 from results import record
 
-# Fragments as short as can be, so that there are many.
+# The shortest possible fragments, so that there are many.
 CONFIG = """steps: 1000000000 lanes: {lanes} fragment_steps: 4
   ppo {{ rollout_steps: {rollout} minibatch_size: 100 epochs: 1 }} eval {{ every_steps: 0 final_episodes: 0 }}"""
 START_S = 60
@@ -34,14 +34,14 @@ def start(options, program, *flags):
 
 
 def run(options, fleet):
-    """Lets the actors loose. Returns figures and what was not as wanted."""
+    """Starts the actors. Returns figures and failures."""
     give_up = time.monotonic() + START_S
     while fleet.iteration() < 0:
         if time.monotonic() > give_up or fleet.learner.process.poll() is not None:
             return {}, [f"the learner did not start: see {fleet.learner.log}"]
         time.sleep(0.2)
     bots = start(options, "many_actors", f"--learner={fleet.learner_address}", f"--actors={options.actors}")
-    # A process of its own: among the actors' connections it would measure how busy they are.
+    # A separate process; within that of the actors the probe would measure how busy they are.
     probe = start(options, "status_probe", f"--target={fleet.learner_address}")
     memory = Memory(time.monotonic())
     try:
@@ -63,11 +63,11 @@ def run(options, fleet):
     failures = []
     if figures["failed"] > 0:
         failures.append(f"{figures['failed']} actors failed")
-    # When the actors stop, some have played their part of the iteration under way.
+    # When the actors stop, some have already played their share of the current iteration.
     most = figures["most_fragments"] - options.lanes // options.actors
     if most >= FAIR_RATIO * figures["fewest_fragments"]:
         failures.append(f"shares of {figures['fewest_fragments']} to {figures['most_fragments']} fragments")
-    # The short form runs beside other tests, which may hold up a single answer.
+    # The short form runs beside other tests, which may delay a single answer.
     slow_ms = figures["status_ms"]["median" if options.short else "p99"]
     if slow_ms >= STATUS_LIMIT_MS:
         failures.append(f"the status is answered after {slow_ms} ms, want {STATUS_LIMIT_MS}")
@@ -99,7 +99,7 @@ def main():
     finally:
         fleet.stop()
     print(json.dumps(figures))
-    print("FAILED: " + "; ".join(failures) if failures else "fair, quick and no bigger")
+    print("FAILED: " + "; ".join(failures) if failures else "fair shares, quick answers, bounded memory")
     if not options.short:
         record(options.bin, figures, failures)
     return 1 if failures else 0

@@ -1,4 +1,5 @@
-// Asks a process for its status once a second: how long the answer takes. Prints figures as JSON. Started by scale.py.
+// Queries the status of a process once a second and measures how long the answer takes. Prints figures as JSON. Started
+// by scale.py.
 //   status_probe --target=HOST:PORT --seconds=600
 
 #include <algorithm>
@@ -11,8 +12,8 @@
 #include <absl/strings/str_format.h>
 #include <absl/time/clock.h>
 
-#include "common/program.h"
-#include "common/status_macros.h"
+#include "common/base/status_macros.h"
+#include "common/process/program.h"
 #include "common/wire/channel.h"
 #include "craftfleet/v1/status.grpc.pb.h"
 
@@ -37,7 +38,7 @@ absl::Status Run() {
   const auto stub = v1::StatusService::NewStub(target.channel);
   std::vector<double> answers_ms;
   const absl::Time end = absl::Now() + absl::Seconds(absl::GetFlag(FLAGS_seconds));
-  // The first one connects.
+  // The first query includes the connection and does not count.
   for (bool connected = false; absl::Now() < end || answers_ms.empty(); absl::SleepFor(absl::Seconds(1))) {
     CRAFTFLEET_ASSIGN_OR_RETURN(const double answer_ms, AnswerMs(target, stub.get()));
     if (connected) answers_ms.push_back(answer_ms);
@@ -55,6 +56,7 @@ absl::Status Run() {
 }  // namespace craftfleet
 
 int main(int argc, char** argv) {
-  craftfleet::ParseFlags("status_probe", "How fast a process tells its status; see tests/chaos/README.md.", argc, argv);
+  craftfleet::ParseFlags("status_probe",
+                         "Measures how fast a process answers status requests; see tests/chaos/README.md.", argc, argv);
   return craftfleet::ExitCode("status_probe", craftfleet::Run());
 }

@@ -1,8 +1,9 @@
-"""deploy/bundle.sh: a bundle of this build, moved elsewhere, runs with its own libraries; its programs find LibTorch."""
+"""deploy/bundle.sh: a bundle of this build runs elsewhere with its own libraries, and its programs find LibTorch."""
 
 import os
 import pathlib
 import re
+import shlex
 import shutil
 import subprocess
 import tarfile
@@ -11,7 +12,8 @@ from tests.fakes import python_case
 from tests.fakes.python_case import BIN, SMALL_RUN, SOURCE
 
 LAUNCHER = SOURCE / "deploy/bundle-launcher.sh"
-GLIBC = re.compile(r"/(ld-linux.*|lib(c|m|mvec|dl|pthread|rt|util|resolv|anl|nsl))\.so\.\d$")
+GLIBC = re.compile(r"/(ld-linux.*\.so\.\d|lib(c|m|mvec|dl|pthread|rt|util|resolv|anl)\.so\.\d|libnsl\.so\.1)$")
+TOOLS = ("sh", "env", "true", "readlink", "basename", "dirname", "getconf", "sed", "sort", "head")  # a shell, coreutils, sed, libc-bin
 OF_LIBTORCH = re.compile(r"/lib(torch|c10|caffe2)")
 
 
@@ -28,10 +30,32 @@ def libraries(program, **environment):
   return {name: None if path == "not found" else path for name, path in found}
 
 
+def enter_root(root):
+  """Makes a root with glibc and the tools of the launcher alone. What it returns makes of a command one that runs in it, with
+  /proc and /dev there, as root or in a user namespace."""
+  for name in ("proc", "dev", "tmp", "bin", "lib64", "libtorch"):
+    (root / name).mkdir(parents=True)
+  needed = {path for tool in TOOLS for path in libraries(shutil.which(tool)).values()}
+  libc, = (path for path in needed if "/libc.so" in path)
+  needed.update(str(path) for path in pathlib.Path(libc).parent.glob("lib*.so.*") if GLIBC.search(str(path)))
+  for path in needed:
+    target = root / path.lstrip("/")
+    target.parent.mkdir(parents=True, exist_ok=True)
+    shutil.copy(path, target)
+  loader, = pathlib.Path("/lib64").glob("ld-linux*")
+  shutil.copy(loader, root / "lib64")
+  for tool in TOOLS:
+    shutil.copy(shutil.which(tool), root / "bin")
+  place = shlex.quote(str(root))
+  user = [] if os.geteuid() == 0 else ["--user", "--map-root-user"]
+  return lambda words: ["unshare", "--mount", *user, "sh", "-c",
+                        f"mount --rbind /proc {place}/proc && mount --rbind /dev {place}/dev && exec chroot {place} {shlex.join(words)}"]
+
+
 class Bundle(python_case.FolderCase):
 
   def bundle(self):
-    """A bundle that was made, unpacked elsewhere, and whose archive is gone."""
+    """Makes a bundle, unpacks it elsewhere, and removes the archive."""
     if b"__asan_init" in (BIN / "craftfleet").read_bytes():
       self.skipTest("programs under AddressSanitizer are not bundled")
     made = subprocess.run([SOURCE / "deploy/bundle.sh", f"--build={BIN.parent}", f"--out={self.folder}", "--level=0"],
@@ -64,9 +88,14 @@ class Bundle(python_case.FolderCase):
     (self.folder / "config.txt").write_text(SMALL_RUN)
     run("craftfleet", "train", f"--config={self.folder}/config.txt", f"--logdir={self.folder}/run", "--device=cpu")
     self.assertTrue((self.folder / "run/stats.jsonl").exists())
+    fleet = subprocess.run([root / "share/craftfleet/local-fleet.sh", "--actors=1", "--envservers=1", f"--config={self.folder}/config.txt",
+                            f"--logdir={self.folder}/fleet"], capture_output=True, text=True, check=False, env=environment, timeout=200)
+    self.assertEqual(fleet.returncode, 0, fleet.stdout + fleet.stderr)
+    self.assertEqual((self.folder / "fleet/stats.jsonl").read_bytes(), (self.folder / "run/stats.jsonl").read_bytes())
+    self.assertTrue(os.access(root / "share/craftfleet/slurm/fleet.sbatch", os.X_OK))
     self.assertIn("ppo_cnn", run("craftfleet", "sweep", str(root / "share/craftfleet/experiments/paper.txt"), "--list"))
 
-    # LibTorch of a distribution brings libraries from the system; no other may come from there.
+    # A distribution's LibTorch uses libraries of the system; no other library may come from there.
     brought = {os.path.realpath(path) for path in libraries(f"{libtorch}/libtorch.so").values()}
     own = {path.name for path in (root / "lib/craftfleet").iterdir()}
     programs = [path for path in (root / "bin").iterdir() if path.read_bytes()[:4] == b"\x7fELF"] + list((root / "libexec").iterdir())
@@ -81,7 +110,42 @@ class Bundle(python_case.FolderCase):
         self.assertTrue(inside or GLIBC.search(path) or OF_LIBTORCH.search(path) or os.path.realpath(path) in brought, f"{program.name} takes {path}")
       self.assertFalse([name for name in own if OF_LIBTORCH.search("/" + name)])
 
-  def test_what_is_no_build_is_refused(self):
+  def test_an_empty_root_runs_it(self):
+    """A root with glibc, what the launcher runs, and LibTorch where CRAFTFLEET_LIBTORCH says; nothing else of this system."""
+    bundle = self.bundle()
+    root = self.folder / "root"
+    enter = enter_root(root)
+    ended = subprocess.run(enter(["true"]), capture_output=True, text=True, check=False)
+    if ended.returncode != 0:
+      self.skipTest(f"no root can be entered here: {ended.stderr.strip()}")
+    shutil.move(bundle, root / "bundle")
+
+    def run(*words, code=0, **environment):
+      settings = [f"{name}={value}" for name, value in {"PATH": "/bin", **environment}.items()]
+      ended = subprocess.run(enter(["/bin/env", "-i", *settings, *words]), capture_output=True, text=True, check=False, timeout=120)
+      self.assertEqual(ended.returncode, code, ended.stderr)
+      return ended.stderr if code else ended.stdout
+
+    for program in sorted((root / "bundle/bin").iterdir()):
+      if program.read_bytes()[:4] == b"\x7fELF":
+        self.assertIn("craftfleet", run(f"/bundle/bin/{program.name}", "--version"))
+    missing = run("/bundle/bin/craftfleet", "train", "--logdir=/tmp/run", code=1)
+    self.assertRegex(missing, r"^craftfleet-train: no LibTorch: .*pip install.*CRAFTFLEET_LIBTORCH")
+    self.assertEqual(len(missing.splitlines()), 1)
+
+    if setting("CRAFTFLEET_LIBTORCH_CUDA") == "ON":
+      return  # gigabytes to copy; test_a_moved_bundle_trains_with_its_own_libraries runs it where it is
+    libtorch = pathlib.Path(setting("CRAFTFLEET_LIBTORCH_LIB_DIR"))
+    brought = {name: path for name, path in libraries(libtorch / "libtorch.so").items() if path and not GLIBC.search(path)}
+    for path in (*libtorch.glob("libtorch*.so*"), *libtorch.glob("libc10*.so*"), *map(pathlib.Path, brought.values())):
+      shutil.copy(path, root / "libtorch" / path.name)
+    (root / "tmp/config.txt").write_text(SMALL_RUN)
+    run("/bundle/bin/craftfleet", "train", "--config=/tmp/config.txt", "--logdir=/tmp/run", "--device=cpu", CRAFTFLEET_LIBTORCH="/libtorch")
+    self.assertTrue((root / "tmp/run/stats.jsonl").read_text())
+    run("/bundle/bin/craftfleet", "curve", "--out=/tmp/curve.png", "/tmp/run")
+    self.assertEqual((root / "tmp/curve.png").read_bytes()[1:4], b"PNG")
+
+  def test_a_folder_without_a_build_is_refused(self):
     for flags, reason in ((["--build=/nowhere"], "--build=/nowhere: no build there"), (["--level=12"], "unknown argument '--level=12'")):
       ended = subprocess.run([SOURCE / "deploy/bundle.sh", f"--out={self.folder}", *flags], capture_output=True, text=True, check=False)
       self.assertEqual(ended.returncode, 2)
@@ -106,7 +170,7 @@ class Launcher(python_case.FolderCase):
     (self.root / "lib/craftfleet/bundle.env").write_text(f"LIBTORCH_VERSION={libtorch}\nGLIBC_VERSION={glibc}\n")
 
   def libtorch(self, folder, version="2.11.0+cu130"):
-    """A LibTorch as the wheel has it, where a Python that looks into `folder` finds it; its library folder."""
+    """Makes a LibTorch as in a wheel, where a Python that searches `folder` finds it. Returns its library folder."""
     package = self.folder / folder / "torch"
     (package / "lib").mkdir(parents=True)
     (package / "__init__.py").write_text("raise ImportError('not to be imported')\n")
@@ -159,9 +223,9 @@ class Launcher(python_case.FolderCase):
     self.assert_found(library_folder, self.launch("--a=b c", "", program=link, **named), ["--a=b c", ""])
     self.assert_found(f"{library_folder}:/mine", self.launch(LD_LIBRARY_PATH="/mine", **named))
 
-  def test_what_is_missing_is_said_in_a_sentence(self):
+  def test_the_error_names_what_is_missing(self):
     advice = r"activate a Python environment with torch 2\.11 \(pip install 'torch==2\.11\.\*'\), or set CRAFTFLEET_LIBTORCH"
-    # A Python that finds no torch, and none at all.
+    # First without Python, then with a Python that has no torch.
     tools = self.folder / "tools"
     tools.mkdir()
     for tool in ("sh", "readlink", "basename", "dirname", "getconf", "sed", "sort", "head"):

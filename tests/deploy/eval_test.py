@@ -1,12 +1,14 @@
-"""craftfleet eval: the final evaluation of a run played again, with videos and files of its episodes."""
+"""craftfleet eval: replays the final evaluation of a run, with videos and files of its episodes."""
 
 import json
+import shutil
+import signal
 import subprocess
 
 from tests.fakes import python_case
-from tests.fakes.python_case import SOURCE
+from tests.fakes.python_case import BIN, SOURCE, wait_until
 
-# Three evaluations of two episodes of each kind come before the last.
+# Three evaluations with two episodes of each kind precede the final one.
 CONFIG = """
 steps: 192  lanes: 4  seed: 3  fragment_steps: 16
 env { length: 90 }
@@ -33,7 +35,7 @@ class Eval(python_case.FolderCase):
                              capture_output=True, text=True)
     self.assertEqual((checked.stdout, checked.stderr, checked.returncode), ("3 episodes agree\n", "", 0))
 
-  def test_the_final_evaluation_is_played_again(self):
+  def test_the_final_evaluation_is_replayed(self):
     self.train()
     out = self.folder / "out"
     self.evaluate("--protocol=final", f"--video={out}/video", f"--episodes_npz={out}/npz", f"--json={out}.json",
@@ -66,6 +68,32 @@ class Eval(python_case.FolderCase):
     self.assertIn("episode-0003-step-00040.png", pictures)
     self.assertEqual(len(list((self.folder / "video").iterdir())), 3)
 
+  def test_a_stop_keeps_the_episodes_that_have_finished(self):
+    (self.folder / "config.txt").write_text(CONFIG.replace("every_steps: 64", "every_steps: 0"))
+    self.train("--steps=64")
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+      with self.subTest(number):
+        result = self.folder / f"{number}.json"
+        command = [BIN / "craftfleet-eval", f"--checkpoint={self.folder}/run", "--episodes=10000", f"--json={result}",
+                   f"--video={self.folder}/video", "--video_size=64"]
+        evaluation = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+        try:
+          wait_until(lambda: list(self.folder.glob("video/*-ach*.mp4")), "an episode's end")
+          evaluation.send_signal(number)
+          out, errors = evaluation.communicate(timeout=60)
+        finally:
+          evaluation.kill()
+          evaluation.wait()
+        self.assertEqual(evaluation.returncode, 130, errors)
+        finished = json.loads(result.read_text())
+        self.assertIn(f"stopped after {finished['episodes']} of 10000 sampled episodes", errors)
+        self.assertIn(f"episodes {finished['episodes']} ", out)
+        self.assertIn("Crafter score", out)
+        self.assertGreaterEqual(finished["episodes"], 1)
+        self.assertTrue(finished["stopped"])
+        self.assertEqual(len(list((self.folder / "video").iterdir())), finished["episodes"], "no half videos")
+        shutil.rmtree(self.folder / "video")
+
   def test_wrong_flags_are_refused(self):
     config = self.folder / "config.txt"
     config.write_text(CONFIG.replace("every_steps: 64", "every_steps: 0").replace("final_episodes: 3", "final_episodes: 0"))
@@ -73,8 +101,8 @@ class Eval(python_case.FolderCase):
     for flags, error in [
         (["--protocol=last"], "--protocol=last, want final or nothing"),
         (["--protocol=final"], "the run has no final evaluation"),
-        (["--protocol=final", "--episodes=3"], "leave --env, --seed, --episodes and --deterministic away"),
-        (["--attention=sum"], "--attention wants --video or --pictures beside it"),
+        (["--protocol=final", "--episodes=3"], "omit --env, --seed, --episodes and --deterministic"),
+        (["--attention=sum"], "--attention needs --video or --pictures"),
         (["--attention=most", f"--video={self.folder}/v"], '--attention: attention "most", want mean, sum or the number'),
         (["--attention=mean", f"--video={self.folder}/v"], "agent ppo_cnn has no attention to show; oc_sa and oc_ca have"),
         (["--video_size=65"], "--video_size=65, want an even number 64..1024"),
@@ -96,7 +124,7 @@ class Eval(python_case.FolderCase):
     for step in (0, 10):
       png = (pictures / f"episode-0001-step-000{step:02}.png").read_bytes()
       self.assertEqual(png[:8], b"\x89PNG\r\n\x1a\n")
-      self.assertEqual((int.from_bytes(png[16:20], "big"), int.from_bytes(png[20:24], "big")), (288, 144))
+      self.assertEqual((int.from_bytes(png[16:20], "big"), int.from_bytes(png[20:24], "big")), (288, 168))  # the scale is below
     refused = self.evaluate("--episodes=1", f"--pictures={pictures}", "--attention=2", code=1)
     self.assertIn("the agent has heads or slots 0..1", refused.stderr)
 

@@ -1,4 +1,4 @@
-"""The flags of a program of the build, from its --help."""
+"""The flags of a program of the build, from its --helpfull."""
 
 import re
 import subprocess
@@ -7,8 +7,8 @@ from tests.fakes.python_case import BIN
 
 
 def flags_of(program):
-  """Names of its flags, and of those that may stand without a value."""
-  text = subprocess.run([BIN / program, "--help"], capture_output=True, text=True, check=True).stdout
+  """The names of its flags, and of those that need no value."""
+  text = subprocess.run([BIN / program, "--helpfull"], capture_output=True, text=True, check=True).stdout
   flags = re.findall(r"^  --([a-z_]+)( \(default (?:true|false)\))?", text, re.MULTILINE)
   return {name for name, _ in flags}, {name for name, default in flags if default}
 
@@ -19,7 +19,7 @@ def split(argument):
 
 
 def unknown_flags(program, arguments):
-  """Those of `arguments` that the program would refuse: not a flag, not one of its own, or without a value that it wants."""
+  """The `arguments` that the program would refuse: not a flag, an unknown flag, or a flag without its value."""
   names, bare = flags_of(program)
   return [argument for argument in arguments
           if not re.fullmatch(r"--[a-z_]+(=.+)?", argument) or split(argument)[0] not in names or

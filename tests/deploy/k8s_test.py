@@ -1,4 +1,4 @@
-"""deploy/k8s: every manifest is parsed, and what refers to something finds it: names, selectors, ports, probes, flags, keys.
+"""deploy/k8s: every manifest parses, and every reference resolves: names, selectors, ports, probes, flags, keys.
 
 The checks run over what a light Kustomize of our own builds from each overlay, and over what `kubectl kustomize` does.
 """
@@ -24,12 +24,12 @@ except ImportError:
 
 K8S = SOURCE / "deploy/k8s"
 OVERLAYS = ("one-machine", "cpu-cluster", "gpu-learner")
-# What Kubernetes serves since 1.27 and has not announced to drop.
+# API versions that Kubernetes serves since 1.27 and has not deprecated.
 KINDS = {"Namespace": "v1", "Service": "v1", "ConfigMap": "v1", "Deployment": "apps/v1", "StatefulSet": "apps/v1",
          "HorizontalPodAutoscaler": "autoscaling/v2", "PodDisruptionBudget": "policy/v1",
          "NetworkPolicy": "networking.k8s.io/v1"}
 WORKLOADS = ("Deployment", "StatefulSet")
-STOP_SECONDS = 10  # what a process may take after SIGTERM
+STOP_SECONDS = 10  # time in which a process must end after SIGTERM
 
 
 def fits(selector, labels):
@@ -37,7 +37,7 @@ def fits(selector, labels):
 
 
 class Objects:
-  """What an overlay makes of the base."""
+  """The objects of an overlay."""
 
   def __init__(self, documents):
     self.all = documents
@@ -49,7 +49,7 @@ class Objects:
     return [document for document in self.of(*WORKLOADS) if fits(selector, document["spec"]["template"]["metadata"]["labels"])]
 
   def ports(self, selector):
-    """Names and numbers of the ports of the pods that the selector takes."""
+    """Names and numbers of the ports of the pods that match the selector."""
     return {key for workload in self.workloads(selector) for container in kustomize.containers(workload)
             for port in container["ports"] for key in (port["name"], port["containerPort"])}
 
@@ -112,7 +112,7 @@ class Manifests(unittest.TestCase):
       for key, document in ours.items():
         self.assertEqual(document, theirs[key], f"{overlay}: {key}")
 
-  # What refers to something.
+  # References.
 
   def test_selectors_find_their_pods(self):
     def check(objects):
@@ -179,7 +179,7 @@ class Manifests(unittest.TestCase):
     self.over_all(check)
 
   def secrets(self):
-    """Secrets that there will be, by each of the two ways: name -> keys."""
+    """The secrets that each of the two ways creates: name -> keys."""
     with tempfile.TemporaryDirectory(prefix="craftfleet-") as folder:
       ended = subprocess.run([K8S / "tls-secrets.sh", f"{folder}/certs"], capture_output=True, text=True, check=True)
     made = {document["metadata"]["name"]: set(document["data"]) for document in yaml.safe_load_all(ended.stdout) if document}
@@ -234,7 +234,7 @@ class Manifests(unittest.TestCase):
         self.assertIn(name, [spec["commonName"] for spec in certificates.values()])
     self.over_all(check)
 
-  def test_the_cluster_overlays_are_autoscaled_by_a_metric_that_is_handed_on(self):
+  def test_the_cluster_overlays_are_autoscaled_by_a_metric_that_the_adapter_exposes(self):
     rules, = kustomize.load_all(K8S / "autoscale/prometheus-adapter-values.yaml")
     for overlay in ("cpu-cluster", "gpu-learner"):
       autoscalers = Objects(kustomize.build(K8S / "overlays" / overlay)).of("HorizontalPodAutoscaler")
@@ -264,14 +264,14 @@ class Manifests(unittest.TestCase):
         self.assertEqual(listens["metrics_listen"], f"0.0.0.0:{ports['metrics']}")
         self.assertEqual(len(set(ports.values())), 3)
         self.assertEqual(workload["spec"]["template"]["metadata"]["annotations"]["prometheus.io/port"], str(ports["metrics"]))
-        # Kubernetes' own probes speak no TLS, so they go to the plain port.
+        # Kubernetes' probes do not support TLS, so they use the health port.
         for probe in ("startupProbe", "readinessProbe", "livenessProbe"):
           self.assertEqual(container[probe]["grpc"], {"port": ports["health"]})
         self.assertNotIn("insecure", listens)
         self.assertTrue({"tls_cert", "tls_key", "tls_ca", "access_file"} <= listens.keys())
     self.over_all(check)
 
-  def test_pods_may_do_no_more_than_they_need_and_get_time_to_stop(self):
+  def test_pods_have_only_the_privileges_they_need_and_time_to_stop(self):
     def check(objects):
       namespace, = objects.of("Namespace")
       self.assertEqual(namespace["metadata"]["labels"]["pod-security.kubernetes.io/enforce"], "restricted")
@@ -298,7 +298,7 @@ class Manifests(unittest.TestCase):
 
 
 class Fleet(python_case.FolderCase):
-  """The programs with the very flags, configurations and access rules of the manifests, on this machine."""
+  """Runs the programs on this machine with the flags, configurations and access rules of the manifests."""
 
   def setUp(self):
     if yaml is None:
@@ -313,7 +313,7 @@ class Fleet(python_case.FolderCase):
         (tls / key).write_bytes((certs / source).read_bytes())
 
   def start(self, objects, name, addresses, more=()):
-    """Starts a workload's container, its files below self.folder/NAME, its ports any free ones."""
+    """Starts a workload's container with its files below self.folder/NAME and free ports."""
     for document in objects.of("ConfigMap"):
       part = {"craftfleet-run": "run", "craftfleet-access": "access"}[document["metadata"]["name"]]
       (self.folder / name / part).mkdir(exist_ok=True)
@@ -384,7 +384,7 @@ class Fleet(python_case.FolderCase):
     learner.terminate()
     self.assertEqual(learner.wait(timeout=20), 0)
 
-  def test_every_overlay_has_a_configuration_that_the_learner_takes(self):
+  def test_every_overlay_has_a_configuration_that_the_learner_accepts(self):
     for overlay in OVERLAYS:
       objects = Objects(kustomize.build(K8S / "overlays" / overlay))
       learner, _ = self.start(objects, "learner", {}, ["--threads=1", "--device=cpu"])

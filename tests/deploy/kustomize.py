@@ -1,4 +1,4 @@
-"""As much of Kustomize as deploy/k8s uses: resources, components, namespace, labels, images, replicas, config maps from files
+"""The part of Kustomize that deploy/k8s uses: resources, components, namespace, labels, images, replicas, config maps from files
 and literals, JSON 6902 patches and strategic merge patches whose lists of objects are merged by name. Anything else in a
 kustomization is an error. Names get no hash.
 """

@@ -1,4 +1,4 @@
-"""deploy/local-fleet.sh: a fleet on this machine that leaves nothing behind."""
+"""deploy/local-fleet.sh: runs a fleet on this machine and leaves nothing behind."""
 
 import os
 import signal
@@ -54,7 +54,7 @@ class LocalFleet(python_case.FolderCase):
     process.terminate()
     code, errors = self.finish(process)
     self.assertEqual(code, 0, errors)
-    self.assertIn("stopped; go on with --resume", errors)
+    self.assertIn("stopped; continue with --resume", errors)
     self.expect_nothing_left()
     code, errors = self.finish(self.start("--resume", steps=192))
     self.assertEqual(code, 0, errors)
@@ -62,10 +62,10 @@ class LocalFleet(python_case.FolderCase):
   def test_ctrl_c_reaches_each_process_once(self):
     process = self.start(steps=1000000)
     self.wait_for_checkpoint(1)
-    os.killpg(process.pid, signal.SIGINT)  # as a terminal does it: to the whole foreground group
+    os.killpg(process.pid, signal.SIGINT)  # like a terminal, to the whole foreground group
     code, errors = self.finish(process)
     self.assertEqual(code, 0, errors)
-    self.assertIn("stopped; go on with --resume", errors)
+    self.assertIn("stopped; continue with --resume", errors)
     self.expect_nothing_left()
 
   def test_the_fleet_ends_when_the_script_is_killed(self):
@@ -75,7 +75,7 @@ class LocalFleet(python_case.FolderCase):
     process.wait()
     wait_until(lambda: not self.processes(), "no process left")
 
-  def test_a_lost_worker_is_named_and_the_others_play_on(self):
+  def test_a_lost_worker_is_named_and_the_others_continue(self):
     process = self.start(steps=1000000)
     self.wait_for_checkpoint(1)
     subprocess.run(["kill", "-KILL", str(self.processes("craftfleet-actor")[0])], check=True)
@@ -87,12 +87,12 @@ class LocalFleet(python_case.FolderCase):
     subprocess.run(["kill", "-KILL", str(self.processes("craftfleet-actor")[0])], check=True)
     code, errors = self.finish(process)
     self.assertEqual(code, 1, errors)
-    self.assertIn("nobody is left to play", errors)
+    self.assertIn("no actor or no environment server is left", errors)
     self.expect_nothing_left()
 
   def test_bad_flags_are_refused_by_name(self):
-    for flag, message in (("--actors=0", "--actors=0, want 1..999"), ("--listen=0.0.0.0:1", "sockets of its own"),
-                          ("steps", "'steps' is no flag"), ("--bin=/nowhere", "/nowhere/craftfleet-learner is not there")):
+    for flag, message in (("--actors=0", "--actors=0, want 1..999"), ("--listen=0.0.0.0:1", "its own Unix sockets"),
+                          ("steps", "'steps' is no flag"), ("--bin=/nowhere", "/nowhere/craftfleet-learner does not exist")):
       code, errors = self.finish(self.start(flag))
       self.assertEqual(code, 2, errors)
       self.assertIn(message, errors)

@@ -1,4 +1,4 @@
-"""A Slurm of its own on this machine: munged, slurmctld and a slurmd for each node, in a temporary folder, on free ports.
+"""A private Slurm on this machine: munged, slurmctld and a slurmd for each node, in a temporary folder, on free ports.
 
 Needs root (slurmd does) and Debian's munge, slurmctld, slurmd and slurm-client; why_not() says what is missing.
 """
@@ -52,7 +52,7 @@ PartitionName=high Nodes=ALL PriorityTier=10 PreemptMode=OFF MaxTime=60 State=UP
 
 
 def why_not():
-  """Why no cluster can be started here; "" when it can."""
+  """The reason why no cluster can be started here; empty if it can."""
   missing = [program for program in PROGRAMS if shutil.which(program, path=PATH) is None]
   if missing:
     return f"no {', '.join(missing)} here: deploy/install-deps.sh --tests"
@@ -60,7 +60,7 @@ def why_not():
     socket.gethostbyname(socket.gethostname())
   except OSError:
     return f"the name of this host, {socket.gethostname()}, has no address"
-  return "" if os.geteuid() == 0 else "slurmd wants root"
+  return "" if os.geteuid() == 0 else "slurmd needs root"
 
 
 def free_port():
@@ -132,7 +132,7 @@ class SlurmCluster:
     self._temp.cleanup()
 
   def run(self, *command, check=True, **options):
-    """Runs a command that talks to this Slurm."""
+    """Runs a command of this Slurm."""
     ended = subprocess.run([str(word) for word in command], env=self.env, text=True, capture_output=True, timeout=60,
                            check=False, **options)
     if check and ended.returncode != 0:
@@ -140,12 +140,12 @@ class SlurmCluster:
     return ended
 
   def job(self, number):
-    """What scontrol says of a job, as a dictionary; of a heterogeneous job its first part."""
+    """The output of scontrol for a job as a dictionary; for a heterogeneous job, that of its first component."""
     text = self.run("scontrol", "show", "job", "-o", number).stdout.splitlines()[0]
     return dict(word.split("=", 1) for word in text.split() if "=" in word)
 
   def wait_for_state(self, number, *states, seconds=120):
-    """The first of `states` that it gets into."""
+    """Waits until the job is in one of `states`; returns that state."""
 
     def state():
       now = self.job(number)["JobState"]

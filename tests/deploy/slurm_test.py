@@ -76,7 +76,7 @@ class Slurm(python_case.FolderCase):
                     "--threads=1"], check=True, capture_output=True, timeout=200)
     self.assertEqual((self.logdir / "stats.jsonl").read_bytes(), (alone / "stats.jsonl").read_bytes())
 
-  def test_a_fleet_of_three_parts_trains_to_the_bytes_of_one_process(self):
+  def test_a_fleet_of_three_components_gives_the_bytes_of_one_process(self):
     job = self.submit_fleet(steps=192)
     self.expect_state(job, "COMPLETED")
     self.assertIn("2 actors, 2 environment servers", self.job_log())
@@ -85,16 +85,27 @@ class Slurm(python_case.FolderCase):
     self.assertFalse((self.logdir / "fleet/tls/ca.key").exists())
     self.expect_bytes_of_one_process(steps=192)
 
-  def test_a_preempted_fleet_goes_back_into_the_queue_and_on_as_if_never_stopped(self):
+  def use_a_bundle(self):
+    """Replaces the checkout by the layout of an unpacked bundle."""
+    root = self.folder / "bundle"
+    share = root / "share/craftfleet"
+    share.mkdir(parents=True)
+    (root / "bin").symlink_to(BIN)
+    for name in ("make-certs.sh", "slurm"):
+      (share / name).symlink_to(SOURCE / "deploy" / name)
+    self.cluster.env["CRAFTFLEET_ROOT"] = str(root)
+
+  def test_a_preempted_fleet_is_requeued_and_resumes_as_if_never_stopped(self):
+    self.use_a_bundle()
     job = self.submit_fleet(steps=768)
     self.wait_for_checkpoint(2)
     urgent = self.sbatch("--partition=high", "--nodes=3", "--exclusive", "--wrap=sleep 1")
     self.expect_state(urgent, "COMPLETED")
-    self.assertIn("stopped; go on with --resume", self.job_log())
-    self.assertIn("back into the queue", self.job_log())
+    self.assertIn("stopped; continue with --resume", self.job_log())
+    self.assertIn("requeueing the job", self.job_log())
     self.expect_state(job, "COMPLETED")
     self.assertEqual(self.cluster.job(job)["Restarts"], "1")
-    self.assertIn("goes on after iteration", self.job_log())
+    self.assertIn("resumes after iteration", self.job_log())
     self.expect_bytes_of_one_process(steps=768)
 
   def test_scancel_ends_a_fleet_for_good(self):
@@ -103,16 +114,16 @@ class Slurm(python_case.FolderCase):
     self.cluster.run("scancel", job)
     self.expect_state(job, "CANCELLED")
     wait_until(lambda: self.cluster.run("squeue", "-h").stdout == "", "an empty queue")
-    self.assertNotIn("back into the queue", self.job_log())
+    self.assertNotIn("requeueing the job", self.job_log())
     self.assertEqual(python_case.processes_with(str(self.logdir)), [])
 
-  def test_a_job_that_lacks_something_says_what(self):
+  def test_a_job_names_what_is_missing(self):
     self.expect_state(self.sbatch(*PARTS, SCRIPT), "FAILED")
     self.assertIn("--logdir is missing", self.job_log())
     self.cluster.env["CRAFTFLEET_ROOT"] = str(self.folder)
     self.expect_state(self.sbatch(*PARTS, SCRIPT, "--logdir=x"), "FAILED")
-    self.assertIn(f"{self.folder}/build/bin/craftfleet-learner is not there", self.job_log())
-    self.assertIn("start it with sbatch", self.cluster.run("bash", SCRIPT, "--logdir=x", check=False).stderr)
+    self.assertIn(f"{self.folder}/build/bin/craftfleet-learner does not exist", self.job_log())
+    self.assertIn("submit this script with sbatch", self.cluster.run("bash", SCRIPT, "--logdir=x", check=False).stderr)
 
   def sweep(self, *flags):
     return self.cluster.run(BIN / "craftfleet-sweep", self.folder / "experiments.txt", "--seeds=2", "--executor=slurm",
@@ -121,19 +132,19 @@ class Slurm(python_case.FolderCase):
   def test_a_sweep_runs_as_an_array_and_a_stopped_task_is_requeued(self):
     (self.folder / "experiments.txt").write_text(EXPERIMENTS % python_case.SMALL_RUN.replace("steps: 192", "steps: 1280", 1))
     submitted = self.sweep()
-    self.assertIn("4 runs are left", submitted.stdout)
+    self.assertIn("unfinished runs: 4", submitted.stdout)
     job = submitted.stdout.split()[-1]
     self.wait_for_checkpoint(1, self.folder / "runs/small/gamma=0.9/seed1")
     self.cluster.run("scancel", "--signal=TERM", f"{job}_0")
     log = self.folder / f"runs/slurm/{job}_0.log"
-    wait_until(lambda: "back into the queue" in log.read_text(), "a task that is requeued")
+    wait_until(lambda: "requeueing the task" in log.read_text(), "a task that is requeued")
     wait_until(lambda: self.cluster.run("squeue", "-h").stdout == "", "an empty queue", seconds=200)
-    self.assertIn("goes on: small/gamma=0.9/seed1", log.read_text())
+    self.assertIn("resumes: small/gamma=0.9/seed1", log.read_text())
     listed = subprocess.run([BIN / "craftfleet-sweep", self.folder / "experiments.txt", "--list", "--seeds=2",
                              f"--logdir={self.folder}/runs"], capture_output=True, text=True, check=True).stdout
     self.assertEqual(listed.count("2 of 2 done"), 2, listed + "".join(
         f"== {file}\n{file.read_text(errors='replace')}" for file in (self.folder / "runs").rglob("*.log")))
-    self.assertIn("all of which are done already", self.sweep().stdout)
+    self.assertIn("all runs are done: ", self.sweep().stdout)
 
 
 python_case.main()

@@ -1,4 +1,4 @@
-"""deploy/systemd: the units are sound, hardened, and their flags are the programs' own."""
+"""deploy/systemd: the units are valid and hardened, and their flags exist."""
 
 import pathlib
 import re
@@ -13,13 +13,13 @@ from tests.fakes.python_case import BIN, SOURCE
 
 UNITS = SOURCE / "deploy/systemd"
 NAMES = ("craftfleet-learner.service", "craftfleet-actor@.service", "craftfleet-envserver@.service")
-STOP_SECONDS = 10  # what a process may take after SIGTERM
+STOP_SECONDS = 10  # time in which a process must end after SIGTERM
 
 
 class Systemd(unittest.TestCase):
 
   def analyze(self, *arguments):
-    """systemd-analyze over a copy of the units that start the programs of this build."""
+    """Runs systemd-analyze on a copy of the units that start the programs of this build."""
     if shutil.which("systemd-analyze") is None:
       self.skipTest("no systemd-analyze here")
     with tempfile.TemporaryDirectory(prefix="craftfleet-") as folder:
@@ -30,11 +30,11 @@ class Systemd(unittest.TestCase):
         path = f"{folder}/{name.replace('@', '@1')}"
         yield name, subprocess.run(["systemd-analyze", *arguments, path], capture_output=True, text=True, check=False)
 
-  def test_units_are_sound(self):
+  def test_units_are_valid(self):
     for name, ended in self.analyze("verify"):
       self.assertEqual((ended.returncode, ended.stdout, ended.stderr), (0, "", ""), name)
 
-  def test_units_may_do_little(self):
+  def test_units_have_few_privileges(self):
     for name, ended in self.analyze("security", "--offline=true", "--no-pager", "--threshold=20"):
       self.assertEqual(ended.returncode, 0, f"{name}: {ended.stdout[-300:]}{ended.stderr}")
 

@@ -1,7 +1,10 @@
-"""craftfleet train: runs from old weights, checkpoints that are kept, the run's id."""
+"""craftfleet train: runs that start from old weights, the number of kept checkpoints, the run's id."""
 
 import json
 import re
+import shutil
+import signal
+import subprocess
 
 from tests.fakes import python_case
 
@@ -31,18 +34,18 @@ class Train(python_case.FolderCase):
     self.assertNotEqual(weights("new", 1), weights("old", 2))
     origin = f"run {self.description('old')['run_id']} after iteration 2, 128 steps"
     self.assertEqual(self.description("new")["init_from"], origin)
-    self.assertIn(f"begins with the weights of {origin}", train.stderr)
+    self.assertIn(f"starting with the weights of {origin}", train.stderr)
     self.assertIn("\n64/64 steps", train.stdout)
     self.assertNotEqual(self.description("new")["run_id"], self.description("old")["run_id"])
     self.assertNotIn("init_from", self.description("old"))
-    self.train("new", "--resume", "--seed=9", "--steps=128")  # needs the old run no more
+    self.train("new", "--resume", "--seed=9", "--steps=128")  # no longer needs the old run
 
   def test_init_from_refuses_what_does_not_fit(self):
     self.train("old", "--steps=64")
     for flags, error in [
         (["--agent=lstm_cnn", f"--init_from={self.folder}/old"], "is of agent ppo_cnn, not of lstm_cnn: name that agent"),
         ([f"--init_from={self.folder}/none"], f"--init_from: no checkpoint at {self.folder}/none"),
-        ([f"--init_from={self.folder}/old", "--resume"], "--init_from begins a new run: leave --resume away"),
+        ([f"--init_from={self.folder}/old", "--resume"], "--init_from starts a new run and cannot be combined with --resume"),
     ]:
       with self.subTest(flags):
         self.assertIn(error, self.train("new", *flags, code=1).stderr)
@@ -61,13 +64,45 @@ class Train(python_case.FolderCase):
     refused = self.train("run", "--resume", "--keep_checkpoints=0", code=1)
     self.assertIn("checkpoint.keep is 0, want 1..1000", refused.stderr)
 
+  def test_steps_are_rounded_up_to_whole_iterations(self):
+    train = self.train("run", "--steps=0.1k")
+    self.assertIn("training for 128 steps instead of 100: whole iterations of 64 steps", train.stderr)
+    self.assertIn("\n128/128 steps 100.0%", train.stdout)
+    self.assertNotIn("instead of", self.train("exact", "--steps=128").stderr)
+
+  def test_a_run_that_has_more_steps_says_so(self):
+    self.train("run")
+    again = self.train("run", "--resume", "--steps=64")
+    self.assertIn("the run has 192 steps already, and 64 were requested", again.stderr)
+    self.assertIn("192/192 steps 100.0%", again.stdout)
+
+  def test_a_stopped_run_waits_for_nothing(self):
+    log = self.folder / "train.err"
+    with log.open("wb") as err:
+      train = subprocess.Popen([python_case.BIN / "craftfleet-train", f"--config={self.folder}/config.txt",
+                                f"--logdir={self.folder}/run", "--steps=1e6"], stdout=subprocess.DEVNULL, stderr=err)
+    self.addCleanup(train.kill)
+    python_case.wait_until(lambda: (self.folder / "run/checkpoints/iter-00000002").exists(), "it trains")
+    train.send_signal(signal.SIGINT)
+    self.assertEqual(train.wait(60), 0, log.read_text())
+    self.assertIn("stopped; continue with --resume", log.read_text())
+    self.assertNotIn("trying again", log.read_text())
+
+  def test_autoresume_starts_a_run_again_that_has_no_checkpoint(self):
+    self.train("run")
+    weights = (self.folder / "run/checkpoints/iter-00000003/weights.safetensors").read_bytes()
+    shutil.rmtree(self.folder / "run/checkpoints")  # as if killed before the first checkpoint
+    again = self.train("run", "--autoresume")
+    self.assertIn("the run is complete", again.stderr)
+    self.assertEqual((self.folder / "run/checkpoints/iter-00000003/weights.safetensors").read_bytes(), weights)
+
   def test_the_runs_id_is_shown_everywhere(self):
     train = self.train("run")
     run_id = self.description("run")["run_id"]
     self.assertRegex(run_id, r"^\d{8}-\d{6}-[0-9a-f]{6}$")
     self.assertTrue(train.stdout.startswith(f"run {run_id}\n"), train.stdout)
     self.assertRegex(train.stderr, rf"info: run {run_id} in {re.escape(str(self.folder))}/run")
-    self.assertIn(f"run {run_id} goes on", self.train("run", "--resume", "--steps=256").stderr)
+    self.assertIn(f"run {run_id} resumes", self.train("run", "--resume", "--steps=256").stderr)
     evaluated = self.run_program("craftfleet-eval", f"--checkpoint={self.folder}/run", "--episodes=1",
                                  f"--json={self.folder}/eval.json")
     self.assertIn(run_id, evaluated.stdout)

@@ -17,14 +17,14 @@ ENDLESS = python_case.SMALL_RUN.replace("steps: 192 ", "steps: 1000000000 ")
 
 
 def promtool(*arguments, text=""):
-  """Runs promtool; skips the test where there is none."""
+  """Runs promtool; skips the test without it."""
   if shutil.which("promtool") is None:
     raise unittest.SkipTest("promtool is missing: install Debian's package prometheus")
   return subprocess.run(["promtool", *arguments], input=text, capture_output=True, text=True, timeout=60)
 
 
 def samples(text):
-  """(name, labels, value) of each sample of Prometheus' text format."""
+  """(name, labels, value) of each sample in Prometheus' text format."""
   for line in text.splitlines():
     if not line.startswith("#"):
       name, labels, value = re.fullmatch(r"(\w+)(?:\{(.*)\})? (\S+)", line).groups()
@@ -45,7 +45,7 @@ class Watch(python_case.FolderCase):
     self.programs = 0
 
   def start(self, name, *flags):
-    """The process and the file of its log."""
+    """Starts a process; returns it and its log file."""
     self.programs += 1
     log = self.folder / f"{self.programs}-{name}.log"
     with open(log, "w", encoding="utf-8") as errors:
@@ -64,7 +64,7 @@ class Watch(python_case.FolderCase):
     return process, log, self.word_after(log, "listening on ")
 
   def start_fleet(self):
-    """A learner, an actor and two environment servers, one of them known to the actor alone: their logs by role."""
+    """Starts a learner, an actor and two environment servers, one of them known only to the actor. Returns logs by role."""
     _, learner_log, self.learner = self.start_learner()
     self.registered, _ = self.start("craftfleet-envserver", "--listen=127.0.0.1:0", f"--learner={self.learner}")
     _, server_log = self.start("craftfleet-envserver", "--listen=127.0.0.1:0")
@@ -76,7 +76,7 @@ class Watch(python_case.FolderCase):
     return {"learner": learner_log, "actor": actor_log, "envserver": server_log}
 
   def lines_of(self, process):
-    """What `process` prints on a pipe, line by line."""
+    """The output of `process` on a pipe, line by line."""
     self.addCleanup(process.stdout.close)
     self.addCleanup(process.wait)
     self.addCleanup(process.kill)
@@ -95,20 +95,42 @@ class Watch(python_case.FolderCase):
     return urllib.request.urlopen(self.word_after(log, "metrics on "), timeout=10).read().decode()
 
   def scrape_all(self):
-    """What the three kinds of processes serve, by role."""
+    """The metrics of the three kinds of processes, by role."""
     return {role: self.scrape(log) for role, log in self.start_fleet().items()}
 
-  def test_promtool_takes_what_each_process_serves(self):
+  def test_promtool_accepts_the_metrics_of_each_process(self):
     promtool("--version")
     for role, text in self.scrape_all().items():
       checked = promtool("check", "metrics", text=text)
       self.assertEqual((checked.returncode, checked.stdout, checked.stderr), (0, "", ""), role)
 
-  def test_promtool_takes_rules_and_configuration(self):
+  def test_promtool_accepts_rules_and_configuration(self):
     for kind, file in [("rules", "alerts.yml"), ("config", "prometheus.yml")]:
       checked = promtool("check", kind, str(MONITORING / file))
       self.assertEqual(checked.returncode, 0, checked.stdout + checked.stderr)
     self.assertNotEqual(promtool("check", "rules", str(MONITORING / "README.md")).returncode, 0)
+
+  def test_workers_that_are_lost_or_do_not_answer_raise_an_alert(self):
+    for state, firing in [("lost", 1), ("not_answering", 1), ("ok", 0)]:
+      case = {
+          "rule_files": [str(MONITORING / "alerts.yml")],
+          "evaluation_interval": "1m",
+          "tests": [{
+              "interval": "1m",
+              "input_series": [{
+                  "series": f'craftfleet_workers{{role="learner",worker="envserver",state="{state}"}}',
+                  "values": "0 1x10",
+              }],
+              "promql_expr_test": [{
+                  "expr": 'count(ALERTS{alertname="CraftFleetWorkersLost",alertstate="firing"}) or vector(0)',
+                  "eval_time": "8m",
+                  "exp_samples": [{"labels": "{}", "value": firing}],
+              }],
+          }],
+      }
+      (self.folder / "rules_test.yml").write_text(json.dumps(case))  # JSON is YAML
+      checked = promtool("test", "rules", str(self.folder / "rules_test.yml"))
+      self.assertEqual(checked.returncode, 0, state + checked.stdout + checked.stderr)
 
   def test_every_metric_is_documented_and_no_other(self):
     served = {}
@@ -116,7 +138,8 @@ class Watch(python_case.FolderCase):
       served.update(families(text))
     documented = {
         name: (kind, meaning) for name, kind, meaning in re.findall(
-            r"^\| `(\w+)` \| (\w+) \|[^|]*\|[^|]*\| (.*) \|$", (MONITORING / "README.md").read_text(), re.M)}
+            r"^\| `(\w+)` \| (\w+) \|[^|]*\|[^|]*\| (.*) \|$", (MONITORING / "README.md").read_text(), re.M)
+        if not name.startswith("craftfleet_gpu_")}  # those are served on a GPU alone
     self.assertEqual(documented, served)
 
   def test_dashboard_and_rules_name_metrics_that_are_served(self):
@@ -130,7 +153,7 @@ class Watch(python_case.FolderCase):
       self.assertTrue(used, query)
       self.assertLessEqual(used, served, query)
 
-  def test_metrics_say_what_the_status_says(self):
+  def test_metrics_have_the_values_of_the_status(self):
     logs = self.start_fleet()
     before = self.metric("env_steps")
     served = {name: value for name, labels, value in samples(self.scrape(logs["learner"]))}
@@ -149,21 +172,21 @@ class Watch(python_case.FolderCase):
       urllib.request.urlopen(urllib.request.Request(url, method="DELETE"), timeout=10)
     self.assertIn("craftfleet_info", urllib.request.urlopen(url, timeout=10).read().decode())
 
-  def test_metrics_beyond_this_host_want_consent(self):
+  def test_metrics_on_other_hosts_networks_need_a_flag(self):
     _, log = self.start("craftfleet-envserver", "--listen=127.0.0.1:0", "--metrics_listen=0.0.0.0:0")
     wait_until(lambda: "--metrics_insecure" in log.read_text(), "a refusal that says how")
     _, log = self.start("craftfleet-envserver", "--listen=127.0.0.1:0", "--metrics_listen=0.0.0.0:0", "--metrics_insecure")
     self.word_after(log, "metrics on ")
 
-  def test_top_shows_the_whole_fleet_and_who_is_lost(self):
+  def test_top_shows_the_whole_fleet_and_lost_workers(self):
     self.start_fleet()
-    # The server that the actor alone knows is told of with the actor's polls.
-    page = wait_until(lambda: (lambda page: page if "1 actors  2 servers  " in page else "")(self.top()), "all of them")
+    # The actor's polls report the server that only the actor knows.
+    page = wait_until(lambda: (lambda page: page if "1 actor  2 servers  " in page else "")(self.top()), "all of them")
     self.assertRegex(page, r"(?m)^learner \S+ +ok ")
     self.assertRegex(page, r"(?m)^actor +\S+ +ok +\d+ +\d +[-\d] +\d+M +0 ")
     self.assertEqual(len(re.findall(r"(?m)^server +\S+ +ok ", page)), 2, page)
     self.assertIn(self.server, page)
-    self.assertIn("1 actors  2 servers  0 errors", page)
+    self.assertIn("1 actor  2 servers  0 errors", page)
     self.assertRegex(page, r"time: .*(update|inference) \d+%")
     self.registered.send_signal(signal.SIGKILL)
     wait_until(lambda: re.search(r"(?m)^server +\S+ +LOST ", self.top()), "a lost server")
@@ -173,7 +196,7 @@ class Watch(python_case.FolderCase):
     self.assertLessEqual(max(map(len, page.splitlines())), 80)
     return page
 
-  def test_top_prints_pages_where_there_is_no_terminal(self):
+  def test_top_prints_pages_without_a_terminal(self):
     _, _, self.learner = self.start_learner()
     process = subprocess.Popen([BIN / "craftfleet-top", f"--address={self.learner}", "--interval=100ms"],
                                stdout=subprocess.PIPE, text=True)
@@ -186,7 +209,7 @@ class Watch(python_case.FolderCase):
     process.terminate()
     self.assertEqual(process.wait(timeout=10), 0)
 
-  def test_top_refuses_what_is_no_learner(self):
+  def test_top_refuses_a_process_that_is_not_a_learner(self):
     _, log = self.start("craftfleet-envserver", "--listen=127.0.0.1:0")
     address = self.word_after(log, "listening on ")
     ended = subprocess.run([BIN / "craftfleet-top", f"--address={address}", "--once"], capture_output=True, text=True,
@@ -214,7 +237,7 @@ class Watch(python_case.FolderCase):
       self.assertEqual(set(line), {"time", "level", "program", "message"})
       self.assertEqual((line["level"], line["program"]), ("info", "craftfleet-learner"))
 
-  def test_quiet_logs_have_errors_alone(self):
+  def test_quiet_logs_contain_only_errors(self):
     process, log = self.start("craftfleet-envserver", "--listen=127.0.0.1:0", "--log_level=error",
                               "--learner=127.0.0.1:1")
     with self.assertRaises(subprocess.TimeoutExpired):

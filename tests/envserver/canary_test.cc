@@ -7,8 +7,8 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
-#include "common/known_canary.h"
-#include "common/texture_digest.h"
+#include "common/config/known_canary.h"
+#include "common/io/texture_digest.h"
 #include "tests/fakes/status_matchers.h"
 #include "tests/fakes/temp_folder.h"
 
@@ -22,16 +22,16 @@ std::string CanaryOf(const std::string& folder) {
   return textures.ok() ? GameCanary(**textures).value_or("failed") : std::string(textures.status().message());
 }
 
-// Whoever changes rules, pictures or textures sees it here: a new canary belongs into common/known_canary.h, and
-// workers of builds before refuse to play with those after.
-TEST(GameCanary, OfTheBuiltInTexturesIsTheOneThatIsKnown) {
+// Fails after a change of rules, pictures or textures: put the new canary into common/config/known_canary.h. Workers of
+// earlier builds and of later ones then refuse to work together.
+TEST(GameCanary, OfTheBuiltInTexturesMatchesTheKnownOne) {
   EXPECT_EQ(TextureDigest(kBuiltIn).value_or(""), kBuiltInTextures);
   EXPECT_EQ(CanaryOf(kBuiltIn), kBuiltInGameCanary);
   EXPECT_EQ(KnownGameCanary(kBuiltInTextures), kBuiltInGameCanary);
   EXPECT_EQ(KnownGameCanary("another"), "");
 }
 
-TEST(GameCanary, SeesAnotherTexture) {
+TEST(GameCanary, DependsOnTextures) {
   const TempFolder folder;
   ASSERT_EQ(std::system(absl::StrCat("cp ", kBuiltIn, "/*.png ", folder.path(), " && cp ", folder / "stone.png", " ",
                                      folder / "grass.png")

@@ -8,8 +8,8 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
-#include "common/paths.h"
-#include "common/snapshot_envelope.h"
+#include "common/io/paths.h"
+#include "common/io/snapshot_envelope.h"
 #include "tests/fakes/status_matchers.h"
 
 namespace craftfleet {
@@ -26,7 +26,7 @@ std::shared_ptr<const Renderer> MakeRenderer(int length = 10000) {
   return *Renderer::Create(**Textures::Load(*DefaultTextureDir()), world, RenderOptions());
 }
 
-// A game played by hand, without batch.
+// A game played without a batch.
 struct Played {
   Played(const std::shared_ptr<const Renderer>& renderer, int64_t seed)
       : frame(renderer->frame_bytes(), '\0'), game(*Game::Create(renderer, seed, Bytes())) {}
@@ -38,7 +38,7 @@ struct Played {
   Game game;
 };
 
-TEST(EnvBatch, RowsStandInTheOrderOfTheRequest) {
+TEST(EnvBatch, RowsAreInTheOrderOfTheRequest) {
   const auto renderer = MakeRenderer();
   EnvBatch batch(renderer);
   Played three(renderer, 33);
@@ -59,7 +59,7 @@ TEST(EnvBatch, RowsStandInTheOrderOfTheRequest) {
   }
 }
 
-TEST(EnvBatch, LanesThatAreNotNamedStandStill) {
+TEST(EnvBatch, OnlyNamedLanesAreStepped) {
   const auto renderer = MakeRenderer();
   EnvBatch batch(renderer);
   Played two(renderer, 2);
@@ -73,7 +73,7 @@ TEST(EnvBatch, LanesThatAreNotNamedStandStill) {
   EXPECT_EQ(step.frames, two.frame);
 }
 
-TEST(EnvBatch, AnEndedGameGoesOnWithItsNextEpisode) {
+TEST(EnvBatch, AnEndedGameStartsItsNextEpisode) {
   const auto renderer = MakeRenderer(5);
   EnvBatch batch(renderer);
   Played played(renderer, 7);
@@ -95,8 +95,8 @@ TEST(EnvBatch, AnEndedGameGoesOnWithItsNextEpisode) {
   EXPECT_EQ(step.last_frames, "");
 }
 
-// A late episode was reached by making all those before it.
-TEST(EnvBatch, ALateEpisodeIsTheOneThatPlayComesTo) {
+// A late episode once required generating all earlier ones.
+TEST(EnvBatch, ALateEpisodeEqualsTheOneReachedByPlaying) {
   const auto renderer = MakeRenderer(3);
   EnvBatch played(renderer);
   std::string frames;
@@ -115,7 +115,7 @@ TEST(EnvBatch, ALateEpisodeIsTheOneThatPlayComesTo) {
   }
 }
 
-TEST(EnvBatch, OpensTheLastEpisodeThereIsAndPlaysBeyondIt) {
+TEST(EnvBatch, OpensTheLastEpisodeAndPlaysBeyondIt) {
   EnvBatch batch(MakeRenderer(2));
   std::string frames;
   StepBatch step;
@@ -124,7 +124,7 @@ TEST(EnvBatch, OpensTheLastEpisodeThereIsAndPlaysBeyondIt) {
   EXPECT_THAT(batch.Open({{1, 0, 1, step.snapshots[0]}}, &frames), IsOk());
 }
 
-TEST(EnvBatch, StopsBetweenGamesWhenTold) {
+TEST(EnvBatch, StopsBetweenGamesOnRequest) {
   EnvBatch batch(MakeRenderer());
   std::string frames;
   int asked = 0;
@@ -145,12 +145,12 @@ TEST(EnvBatch, StopsBetweenGamesWhenTold) {
   const std::vector<Action> actions(32, Action::kNoop);
   ASSERT_THAT(batch.Step(numbers, actions, false, &step), IsOk());
   batch.StopWhen([] { return true; });
-  absl::SleepFor(absl::Milliseconds(100));  // it is asked some times a second
+  absl::SleepFor(absl::Milliseconds(100));  // the callback is called several times a second
   EXPECT_THAT(batch.Step(numbers, actions, false, &step),
               StatusIs(absl::StatusCode::kCancelled, HasSubstr("the client left")));
 }
 
-TEST(EnvBatch, ASnapshotGoesOnInAnotherBatch) {
+TEST(EnvBatch, ASnapshotContinuesInAnotherBatch) {
   const auto renderer = MakeRenderer();
   EnvBatch first(renderer);
   std::string frames;
@@ -169,8 +169,8 @@ TEST(EnvBatch, ASnapshotGoesOnInAnotherBatch) {
   }
 }
 
-// One bad snapshot costs its own lane alone.
-TEST(EnvBatch, ALaneWhoseSnapshotIsNoGameIsRefusedAndTheOthersOpen) {
+// An invalid snapshot affects its own lane only.
+TEST(EnvBatch, LanesWithInvalidSnapshotsAreRefusedAndOthersOpen) {
   const auto renderer = MakeRenderer();
   EnvBatch batch(renderer);
   Played one(renderer, 11);
@@ -186,7 +186,7 @@ TEST(EnvBatch, ALaneWhoseSnapshotIsNoGameIsRefusedAndTheOthersOpen) {
           &frames),
       IsOk());
   EXPECT_EQ(frames, one.frame + three.frame);
-  EXPECT_EQ(batch.size(), 2) << "the game that lane 4 had is gone too";
+  EXPECT_EQ(batch.size(), 2) << "the former game of lane 4 is closed too";
   ASSERT_EQ(batch.refused().size(), 3);
   EXPECT_EQ(batch.refused()[0].lane, 4);
   EXPECT_THAT(batch.refused()[0].reason, HasSubstr("18 bytes without an envelope"));
@@ -198,7 +198,7 @@ TEST(EnvBatch, ALaneWhoseSnapshotIsNoGameIsRefusedAndTheOthersOpen) {
   EXPECT_THAT(batch.refused(), IsEmpty());
 }
 
-TEST(EnvBatch, OpenAgainBeginsAnew) {
+TEST(EnvBatch, OpeningALaneAgainRestartsIt) {
   EnvBatch batch(MakeRenderer());
   std::string frames;
   StepBatch step;
@@ -210,7 +210,7 @@ TEST(EnvBatch, OpenAgainBeginsAnew) {
   EXPECT_EQ(batch.size(), 1);
 }
 
-TEST(EnvBatch, RefusesWhatItCannotOpen) {
+TEST(EnvBatch, RefusesInvalidLanesAndEpisodes) {
   EnvBatch batch(MakeRenderer());
   std::string frames;
   const auto refused = [&](const EnvBatch::OpenLane& lane, const std::string& error) {

@@ -13,9 +13,9 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
-#include "common/known_canary.h"
-#include "common/paths.h"
-#include "common/texture_digest.h"
+#include "common/config/known_canary.h"
+#include "common/io/paths.h"
+#include "common/io/texture_digest.h"
 #include "common/wire/grpc_status.h"
 #include "common/wire/protocol.h"
 #include "common/wire/server.h"
@@ -61,7 +61,7 @@ v1::PlayRequest Step(const std::vector<int>& lanes, const std::string& actions, 
   return request;
 }
 
-// A session that may say anything.
+// A session that may send anything.
 class Session {
  public:
   explicit Session(const wire::Endpoint& server) : stub_(v1::EnvironmentService::NewStub(server.channel)) {
@@ -70,11 +70,11 @@ class Session {
   }
 
   // The reply, or the status with which the server ended the session.
-  absl::StatusOr<v1::PlayReply> Say(const v1::PlayRequest& request) {
+  absl::StatusOr<v1::PlayReply> Send(const v1::PlayRequest& request) {
     v1::PlayReply reply;
     if (stream_->Write(request) && stream_->Read(&reply)) return reply;
     const absl::Status end = wire::FromGrpc(stream_->Finish(), "server");
-    return end.ok() ? absl::InternalError("the session ended well") : end;
+    return end.ok() ? absl::InternalError("the session ended without an error") : end;
   }
   void Leave() {
     stream_->WritesDone();
@@ -87,13 +87,13 @@ class Session {
   std::unique_ptr<grpc::ClientReaderWriter<v1::PlayRequest, v1::PlayReply>> stream_;
 };
 
-// A session on lane 7 that plays well, beside the same game played without a server.
+// A well-behaved session on lane 7, compared with the same game played without a server.
 class Witness {
  public:
   explicit Witness(const wire::Endpoint& server)
       : session_(server), frame_(64 * 64 * 3, '\0'), game_(*Game::Create(MakeRenderer(), 77, Bytes())) {
-    EXPECT_THAT(session_.Say(Hello("run-a")), IsOk());
-    const auto opened = session_.Say(Open(7, 77));
+    EXPECT_THAT(session_.Send(Hello("run-a")), IsOk());
+    const auto opened = session_.Send(Open(7, 77));
     EXPECT_THAT(opened, IsOk());
     EXPECT_EQ(opened->frames(), frame_);
   }
@@ -101,7 +101,7 @@ class Witness {
   void PlayOn(int steps) {
     for (int i = 0; i < steps; ++i) {
       const int action = (++steps_ * 5) % kNumActions;
-      const auto reply = session_.Say(Step({7}, std::string(1, static_cast<char>(action)), true));
+      const auto reply = session_.Send(Step({7}, std::string(1, static_cast<char>(action)), true));
       ASSERT_THAT(reply, IsOk());
       std::string last_frames;
       const Game::PlayedStep played = game_.StepAndAutoReset(static_cast<Action>(action), Bytes(), &last_frames);
@@ -147,44 +147,44 @@ class EnvServiceTest : public testing::Test {
   const std::unique_ptr<wire::Server> server_;
 };
 
-TEST_F(EnvServiceTest, StepsGiveTheFramesOfTheGame) {
+TEST_F(EnvServiceTest, StepsReturnTheFramesOfTheGame) {
   Witness witness(server());
   witness.PlayOn(2 * kLength + 5);
 }
 
-TEST_F(EnvServiceTest, HelloTellsTheVersion) {
+TEST_F(EnvServiceTest, HelloReturnsVersionAndCanary) {
   Session session(server());
-  const auto greeted = session.Say(Hello("run-a"));
+  const auto greeted = session.Send(Hello("run-a"));
   ASSERT_THAT(greeted, IsOk());
   EXPECT_FALSE(greeted->program_version().empty());
-  EXPECT_TRUE(session.Say(Open(0, 1))->program_version().empty());
+  EXPECT_TRUE(session.Send(Open(0, 1))->program_version().empty());
   session.Leave();
 }
 
-TEST_F(EnvServiceTest, WhoWantsAnotherGameIsRefused) {
-  const auto greeted = Session(server()).Say(Hello("run-a"));
+TEST_F(EnvServiceTest, ASessionWithAnotherGameCanaryIsRefused) {
+  const auto greeted = Session(server()).Send(Hello("run-a"));
   ASSERT_THAT(greeted, IsOk());
   EXPECT_EQ(greeted->canary(), kBuiltInGameCanary);
   v1::PlayRequest hello = Hello("run-a");
   hello.mutable_hello()->set_game_canary(greeted->canary());
-  EXPECT_THAT(Session(server()).Say(hello), IsOk());
+  EXPECT_THAT(Session(server()).Send(hello), IsOk());
   hello.mutable_hello()->set_game_canary("0123456789abcdef");
-  EXPECT_THAT(Session(server()).Say(hello),
+  EXPECT_THAT(Session(server()).Send(hello),
               StatusIs(absl::StatusCode::kFailedPrecondition,
                        AllOf(HasSubstr("plays another game"), HasSubstr("want 0123456789abcdef"))));
 }
 
-TEST_F(EnvServiceTest, ASnapshotGoesOnInAnotherSession) {
+TEST_F(EnvServiceTest, ASnapshotContinuesInAnotherSession) {
   Session first(server());
-  ASSERT_THAT(first.Say(Hello("run-a")), IsOk());
-  ASSERT_THAT(first.Say(Open(0, 5)), IsOk());
-  for (int i = 0; i < 20; ++i) ASSERT_THAT(first.Say(Step({0}, "\x02")), IsOk());
-  const auto last = first.Say(Step({0}, "\x02", true));
+  ASSERT_THAT(first.Send(Hello("run-a")), IsOk());
+  ASSERT_THAT(first.Send(Open(0, 5)), IsOk());
+  for (int i = 0; i < 20; ++i) ASSERT_THAT(first.Send(Step({0}, "\x02")), IsOk());
+  const auto last = first.Send(Step({0}, "\x02", true));
   ASSERT_THAT(last, IsOk());
   Session second(server());
-  ASSERT_THAT(second.Say(Hello("run-a")), IsOk());
-  EXPECT_EQ(second.Say(Open(3, 0, last->snapshots(0)))->frames(), last->frames());
-  EXPECT_EQ(second.Say(Step({3}, "\x05"))->frames(), first.Say(Step({0}, "\x05"))->frames());
+  ASSERT_THAT(second.Send(Hello("run-a")), IsOk());
+  EXPECT_EQ(second.Send(Open(3, 0, last->snapshots(0)))->frames(), last->frames());
+  EXPECT_EQ(second.Send(Step({3}, "\x05"))->frames(), first.Send(Step({0}, "\x05"))->frames());
 }
 
 std::string SnapshotOfAnotherLength() {
@@ -195,42 +195,42 @@ std::string SnapshotOfAnotherLength() {
   return Game::Create(renderer, 1, absl::MakeSpan(frame))->Save();
 }
 
-// The session goes on, and so do its other games.
-TEST_F(EnvServiceTest, ALaneWhoseSnapshotIsNoGameIsRefusedAlone) {
+// The session and its other games continue.
+TEST_F(EnvServiceTest, OnlyTheLaneWithAnInvalidSnapshotIsRefused) {
   Session session(server());
-  ASSERT_THAT(session.Say(Hello("run-a")), IsOk());
-  const auto witness = session.Say(Open(0, 5));
+  ASSERT_THAT(session.Send(Hello("run-a")), IsOk());
+  const auto witness = session.Send(Open(0, 5));
   ASSERT_THAT(witness, IsOk());
   for (const std::string& snapshot : {std::string(9000, 'x'), SnapshotOfAnotherLength()}) {
     v1::PlayRequest open = Open(1, 5);
     open.mutable_open()->MergeFrom(Open(2, 5, snapshot).open());
-    const auto reply = session.Say(open);
+    const auto reply = session.Send(open);
     ASSERT_THAT(reply, IsOk());
-    EXPECT_EQ(reply->frames(), witness->frames()) << "of lane 1 alone";
+    EXPECT_EQ(reply->frames(), witness->frames()) << "of lane 1 only";
     ASSERT_EQ(reply->refused_size(), 1);
     EXPECT_EQ(reply->refused(0).lane(), 2);
     EXPECT_THAT(reply->refused(0).reason(), HasSubstr("snapshot: "));
     EXPECT_LE(reply->refused(0).reason().size(), 300);
   }
-  EXPECT_EQ(session.Say(Step({0, 1}, "\x05\x05"))->refused_size(), 0);
+  EXPECT_EQ(session.Send(Step({0, 1}, "\x05\x05"))->refused_size(), 0);
 }
 
-TEST_F(EnvServiceTest, ClosedLanesAreGone) {
+TEST_F(EnvServiceTest, ClosedLanesCannotBeStepped) {
   Session session(server());
-  ASSERT_THAT(session.Say(Hello("run-a")), IsOk());
-  ASSERT_THAT(session.Say(Open(4, 1)), IsOk());
+  ASSERT_THAT(session.Send(Hello("run-a")), IsOk());
+  ASSERT_THAT(session.Send(Open(4, 1)), IsOk());
   v1::PlayRequest close;
   close.mutable_close()->add_lanes(4);
-  ASSERT_THAT(session.Say(close), IsOk());
-  EXPECT_THAT(session.Say(Step({4}, "\x01")), StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("lane 4")));
+  ASSERT_THAT(session.Send(close), IsOk());
+  EXPECT_THAT(session.Send(Step({4}, "\x01")), StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("lane 4")));
 }
 
-TEST_F(EnvServiceTest, StatusTellsSessionsAndSteps) {
+TEST_F(EnvServiceTest, StatusHasSessionsAndSteps) {
   Session session(server());
-  ASSERT_THAT(session.Say(Hello("run-a")), IsOk());
-  ASSERT_THAT(session.Say(Open(4, 1)), IsOk());
-  ASSERT_THAT(session.Say(Step({4}, std::string(1, '\0'))), IsOk());
-  ASSERT_THAT(session.Say(Step({4}, std::string(1, '\0'))), IsOk());
+  ASSERT_THAT(session.Send(Hello("run-a")), IsOk());
+  ASSERT_THAT(session.Send(Open(4, 1)), IsOk());
+  ASSERT_THAT(session.Send(Step({4}, std::string(1, '\0'))), IsOk());
+  ASSERT_THAT(session.Send(Step({4}, std::string(1, '\0'))), IsOk());
   const v1::StatusReply status = Status();
   EXPECT_EQ(status.run_id(), "run-a");
   ASSERT_EQ(status.peers_size(), 1);
@@ -244,81 +244,81 @@ TEST_F(EnvServiceTest, StatusTellsSessionsAndSteps) {
   session.Leave();
 }
 
-// What a game throws ends its session alone, with an error that lets its fragments be played again. Here it is memory,
-// of which there is not enough for the pictures of 4096 games.
-TEST_F(EnvServiceTest, AnEnvironmentThatThrowsEndsItsSessionAlone) {
+// An exception ends only its session, with an error after which its fragments are played again. Here there is too
+// little memory for the pictures of 4096 games.
+TEST_F(EnvServiceTest, AnExceptionEndsOnlyItsSession) {
   if (kAddressSanitizer) GTEST_SKIP() << "AddressSanitizer needs address space without a limit";
   Witness witness(server());
   Session session(server());
   v1::PlayRequest hello = Hello("run-a");
   hello.mutable_hello()->mutable_env()->set_frame_size(1024);
-  ASSERT_THAT(session.Say(hello), IsOk());
+  ASSERT_THAT(session.Send(hello), IsOk());
   v1::PlayRequest open;
   for (int lane = 0; lane < EnvBatch::kMaxLanes; ++lane) open.mutable_open()->add_lanes()->set_lane(lane);
   rlimit before{};
   ASSERT_EQ(getrlimit(RLIMIT_AS, &before), 0);
   const rlimit limit = {4UL << 30, before.rlim_max};
   ASSERT_EQ(setrlimit(RLIMIT_AS, &limit), 0);
-  const absl::Status status = session.Say(open).status();
+  const absl::Status status = session.Send(open).status();
   ASSERT_EQ(setrlimit(RLIMIT_AS, &before), 0);
   EXPECT_THAT(status,
               StatusIs(absl::StatusCode::kAborted, AllOf(HasSubstr("the environment failed"), HasSubstr("bad_alloc"))));
   witness.PlayOn(10);
 }
 
-TEST_F(EnvServiceTest, AnotherRunWaitsUntilTheFirstHasLeft) {
+TEST_F(EnvServiceTest, AnotherRunIsRefusedUntilTheFirstHasLeft) {
   auto first = std::make_unique<Session>(server());
-  ASSERT_THAT(first->Say(Hello("run-a")), IsOk());
-  EXPECT_THAT(Session(server()).Say(Hello("run-b")),
+  ASSERT_THAT(first->Send(Hello("run-a")), IsOk());
+  EXPECT_THAT(Session(server()).Send(Hello("run-b")),
               StatusIs(absl::StatusCode::kFailedPrecondition, AllOf(HasSubstr("run-a"), HasSubstr("run-b"))));
   first->Leave();
-  EXPECT_THAT(Session(server()).Say(Hello("run-b")), IsOk());
+  EXPECT_THAT(Session(server()).Send(Hello("run-b")), IsOk());
 }
 
-// An evaluation belongs to no run; it must not open the door for two.
-TEST_F(EnvServiceTest, ASessionOfNoRunLetsOneRunIn) {
+// An evaluation's session belongs to no run; it must not let two runs in.
+TEST_F(EnvServiceTest, BesideASessionWithoutRunOneRunIsAdmitted) {
   Session evaluation(server());
-  ASSERT_THAT(evaluation.Say(Hello("")), IsOk());
+  ASSERT_THAT(evaluation.Send(Hello("")), IsOk());
   Session first(server());
-  ASSERT_THAT(first.Say(Hello("run-a")), IsOk());
-  EXPECT_THAT(Session(server()).Say(Hello("run-b")),
+  ASSERT_THAT(first.Send(Hello("run-a")), IsOk());
+  EXPECT_THAT(Session(server()).Send(Hello("run-b")),
               StatusIs(absl::StatusCode::kFailedPrecondition, HasSubstr("run-a")));
-  EXPECT_THAT(Session(server()).Say(Hello("")), IsOk());
+  EXPECT_THAT(Session(server()).Send(Hello("")), IsOk());
 }
 
-TEST_F(EnvServiceTest, OneOfTwoRunsThatComeAtOnceIsRefused) {
+TEST_F(EnvServiceTest, OneOfTwoConcurrentRunsIsRefused) {
   for (int round = 0; round < 20; ++round) {
     Session a(server());
     Session b(server());
     absl::StatusOr<v1::PlayReply> answer_a;
-    std::thread thread([&] { answer_a = a.Say(Hello("run-a")); });
-    const absl::StatusOr<v1::PlayReply> answer_b = b.Say(Hello("run-b"));
+    std::thread thread([&] { answer_a = a.Send(Hello("run-a")); });
+    const absl::StatusOr<v1::PlayReply> answer_b = b.Send(Hello("run-b"));
     thread.join();
     EXPECT_NE(answer_a.ok(), answer_b.ok());
     (answer_a.ok() ? a : b).Leave();
   }
 }
 
-// What a client says wrong: `requests` in order, of which the last is answered by an error.
-struct Misdeed {
+// Invalid clients: sends `requests` in order; the last one is answered by an error.
+struct InvalidClient {
   std::string what;
   std::function<std::vector<v1::PlayRequest>()> requests;
   absl::StatusCode code;
   std::vector<std::string> message;
-  friend void PrintTo(const Misdeed& misdeed, std::ostream* out) { *out << misdeed.what; }
+  friend void PrintTo(const InvalidClient& misdeed, std::ostream* out) { *out << misdeed.what; }
 };
 
-class Misdeeds : public EnvServiceTest, public testing::WithParamInterface<Misdeed> {};
+class InvalidClients : public EnvServiceTest, public testing::WithParamInterface<InvalidClient> {};
 
-TEST_P(Misdeeds, EndThatSessionAndHarmNoOther) {
+TEST_P(InvalidClients, EndTheirSessionAndNoOther) {
   Witness witness(server());
   witness.PlayOn(3);
   Session session(server());
   std::vector<v1::PlayRequest> requests = GetParam().requests();
   const v1::PlayRequest last = requests.back();
   requests.pop_back();
-  for (const v1::PlayRequest& request : requests) ASSERT_THAT(session.Say(request), IsOk());
-  const auto reply = session.Say(last);
+  for (const v1::PlayRequest& request : requests) ASSERT_THAT(session.Send(request), IsOk());
+  const auto reply = session.Send(last);
   for (const std::string& part : GetParam().message) EXPECT_THAT(reply, StatusIs(GetParam().code, HasSubstr(part)));
   witness.PlayOn(3);
   EXPECT_EQ(Status().peers_size(), 1);
@@ -330,11 +330,11 @@ v1::PlayRequest HelloBut(const std::function<void(v1::SessionHello*)>& change) {
   return request;
 }
 
-const std::vector<Misdeed>& AllMisdeeds() {
+const std::vector<InvalidClient>& AllInvalidClients() {
   using Requests = std::vector<v1::PlayRequest>;
   constexpr auto kInvalid = absl::StatusCode::kInvalidArgument;
   constexpr auto kPrecondition = absl::StatusCode::kFailedPrecondition;
-  static const auto* const misdeeds = new std::vector<Misdeed>{
+  static const auto* const misdeeds = new std::vector<InvalidClient>{
       {"NoHello", [] { return Requests{Open(0, 1)}; }, kInvalid, {"a session begins with hello"}},
       {"HelloTwice",
        [] {
@@ -424,10 +424,10 @@ const std::vector<Misdeed>& AllMisdeeds() {
   return *misdeeds;
 }
 
-INSTANTIATE_TEST_SUITE_P(EnvService, Misdeeds, testing::ValuesIn(AllMisdeeds()),
+INSTANTIATE_TEST_SUITE_P(EnvService, InvalidClients, testing::ValuesIn(AllInvalidClients()),
                          [](const auto& info) { return info.param.what; });
 
-TEST(EnvService, NamesATextureFolderThatIsNotThere) {
+TEST(EnvService, NamesAMissingTextureFolder) {
   EXPECT_THAT(EnvServiceImpl::Create("/no/such/folder"),
               StatusIs(absl::StatusCode::kNotFound, HasSubstr("/no/such/folder")));
 }

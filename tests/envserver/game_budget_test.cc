@@ -30,8 +30,8 @@ TEST(GameBudget, CountsGamesOfASessionAndOfAll) {
   auto first = std::make_unique<GameBudget::Share>(&budget);
   GameBudget::Share second(&budget);
   EXPECT_THAT(first->Set(10, 0), IsOk());
-  EXPECT_THAT(first->Set(11, 0), Refused("games of one session: 11 asked for", "at most 10 (--max_session_games)"));
-  EXPECT_THAT(second.Set(6, 0), Refused("games of all sessions: 16 asked for", "at most 15 (--max_games)"));
+  EXPECT_THAT(first->Set(11, 0), Refused("games of one session: 11 requested", "at most 10 (--max_session_games)"));
+  EXPECT_THAT(second.Set(6, 0), Refused("games of all sessions: 16 requested", "at most 15 (--max_games)"));
   EXPECT_THAT(second.Set(5, 0), IsOk());
   EXPECT_EQ(budget.games(), 15);
   first.reset();
@@ -44,14 +44,14 @@ TEST(GameBudget, CountsMemoryOfASessionAndOfAll) {
   GameBudget::Share first(&budget);
   GameBudget::Share second(&budget);
   EXPECT_THAT(first.Set(1, 100 * kMiB + 1),
-              Refused("MiB for one session's games: 101 asked for", "(--max_session_mb)"));
+              Refused("MiB for one session's games: 101 requested", "(--max_session_mb)"));
   EXPECT_THAT(first.Set(1, 100 * kMiB), IsOk());
-  EXPECT_THAT(second.Set(1, 51 * kMiB), Refused("MiB for all games: 151 asked for", "at most 150 (--max_games_mb)"));
+  EXPECT_THAT(second.Set(1, 51 * kMiB), Refused("MiB for all games: 151 requested", "at most 150 (--max_games_mb)"));
   EXPECT_EQ(budget.bytes(), 100 * kMiB);
 }
 
-// A session that opened more than it has now is never refused what it keeps.
-TEST(GameBudget, WhoGivesBackIsNotRefused) {
+// A session may always reduce its share, even if the limits are exceeded.
+TEST(GameBudget, ReleasingIsNeverRefused) {
   GameBudget budget(SomeLimits());
   GameBudget::Share first(&budget);
   GameBudget::Share second(&budget);
@@ -62,7 +62,7 @@ TEST(GameBudget, WhoGivesBackIsNotRefused) {
   EXPECT_EQ(budget.games(), 14);
 }
 
-TEST(GameBudget, OfManyThreadsNoMoreThanTheLimitGetThrough) {
+TEST(GameBudget, ConcurrentRequestsStayWithinTheLimit) {
   GameBudget budget({1, 8, kMiB, 8 * kMiB});
   std::vector<std::unique_ptr<GameBudget::Share>> shares;
   for (int i = 0; i < 32; ++i) shares.push_back(std::make_unique<GameBudget::Share>(&budget));
@@ -76,15 +76,15 @@ TEST(GameBudget, OfManyThreadsNoMoreThanTheLimitGetThrough) {
   EXPECT_EQ(budget.bytes(), 0);
 }
 
-TEST(GameBudget, ReckonsMoreForLargerPicturesAndForRecordings) {
+TEST(GameBudget, EstimatesMoreForLargerPicturesAndForRecordings) {
   const int64_t small = SessionBytes(16, 64 * 64 * 3, false, 0);
   EXPECT_LT(small, 3 * kMiB);
   EXPECT_GT(SessionBytes(16, 64 * 64 * 3, true, 256 * 256 * 3), small + 16 * 2 * 256 * 256 * 3);
-  EXPECT_GT(SessionBytes(120, 2048 * 2048 * 3, false, 0), int64_t{3} << 30);  // what it took, unasked
-  EXPECT_LT(SessionBytes(4096, 64 * 64 * 3, false, 0), 512 * kMiB);           // by default possible
+  EXPECT_GT(SessionBytes(120, 2048 * 2048 * 3, false, 0), int64_t{3} << 30);  // once possible without a limit
+  EXPECT_LT(SessionBytes(4096, 64 * 64 * 3, false, 0), 512 * kMiB);           // allowed by default
 }
 
-TEST(GameBudget, NamesWhatIsWrongWithItsLimits) {
+TEST(GameBudget, InvalidLimitsNameTheFlag) {
   EXPECT_THAT(GameBudget::Options().Validate(), IsOk());
   EXPECT_THAT(SomeLimits().Validate(), IsOk());
   const auto wrong = [](const GameBudget::Options& options, const char* flag) {

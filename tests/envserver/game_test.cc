@@ -7,7 +7,7 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
-#include "common/paths.h"
+#include "common/io/paths.h"
 #include "tests/fakes/status_matchers.h"
 #include "tests/golden/world_editor.h"
 
@@ -39,7 +39,7 @@ struct Played {
 
 Action RandomAction(RandomStream* random) { return static_cast<Action>(random->Below(kNumActions)); }
 
-// Saves `played` and plays on from there in a game that had another past: both go the same way.
+// Saves `played` and restores it into another game: both continue identically.
 void ExpectToGoOnTheSame(Played* played, const std::shared_ptr<const Renderer>& renderer) {
   Played other(renderer, 999);
   for (int i = 0; i < 30; ++i) other.Step(Action::kMoveUp);
@@ -58,13 +58,13 @@ void ExpectToGoOnTheSame(Played* played, const std::shared_ptr<const Renderer>& 
   }
 }
 
-TEST(Game, SnapshotByDayGoesOnTheSame) {
+TEST(Game, RestoredByDayContinuesIdentically) {
   const auto renderer = MakeRenderer();
   Played played(renderer, 1);
   ExpectToGoOnTheSame(&played, renderer);
 }
 
-TEST(Game, SnapshotByNightGoesOnTheSame) {
+TEST(Game, RestoredByNightContinuesIdentically) {
   const auto renderer = MakeRenderer();
   Played played(renderer, 2);
   played.state().step = 199;
@@ -73,7 +73,7 @@ TEST(Game, SnapshotByNightGoesOnTheSame) {
   ExpectToGoOnTheSame(&played, renderer);
 }
 
-TEST(Game, SnapshotAsleepGoesOnTheSame) {
+TEST(Game, RestoredAsleepContinuesIdentically) {
   const auto renderer = MakeRenderer();
   Played played(renderer, 3);
   played.state().step = 160;
@@ -83,7 +83,7 @@ TEST(Game, SnapshotAsleepGoesOnTheSame) {
   ExpectToGoOnTheSame(&played, renderer);
 }
 
-TEST(Game, SnapshotAfterATruncationGoesOnTheSame) {
+TEST(Game, RestoredAfterATruncationContinuesIdentically) {
   const auto renderer = MakeRenderer(165);
   Played played(renderer, 4);
   for (int i = 0; i < 164; ++i) ASSERT_EQ(played.Step(Action::kNoop).outcome.end, StepEnd::kNone) << i;
@@ -104,8 +104,8 @@ TEST(Game, SnapshotOfAnotherGameIsRefusedAndChangesNothing) {
   EXPECT_EQ(shorter.game.Save(), before);
 }
 
-// The same game by hand: Crafter's loop of step and reset.
-TEST(Game, AutoResetGivesTheFramesOfStepAndReset) {
+// Against the same game played with Crafter's loop of step and reset.
+TEST(Game, AutoResetMatchesStepAndReset) {
   const auto renderer = MakeRenderer(170);
   Played automatic(renderer, 6);
   Played manual(renderer, 6);
@@ -134,7 +134,7 @@ TEST(Game, AutoResetGivesTheFramesOfStepAndReset) {
   EXPECT_GT(died, 0);
 }
 
-TEST(Game, AFinishedEpisodeIsCounted) {
+TEST(Game, AFinishedEpisodeIsReported) {
   Played played(MakeRenderer(40), 7);
   double reward = 0;
   for (int i = 0; i < 39; ++i) reward += played.Step(Action::kMoveRight).outcome.reward;
@@ -148,7 +148,7 @@ TEST(Game, AFinishedEpisodeIsCounted) {
   EXPECT_FALSE(played.Step(Action::kNoop).episode.has_value());
 }
 
-TEST(Game, WorldOptionsOfTheRendererAreTheGames) {
+TEST(Game, TheGameUsesTheRenderersWorldOptions) {
   Played played(MakeRenderer(123), 8);
   EXPECT_EQ(played.game.world().options().length, 123);
   EXPECT_EQ(played.game.world().seed(), 8);

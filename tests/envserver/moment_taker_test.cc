@@ -7,8 +7,8 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
-#include "common/keyed_random.h"
-#include "common/paths.h"
+#include "common/base/keyed_random.h"
+#include "common/io/paths.h"
 #include "envserver/env_batch.h"
 #include "tests/fakes/status_matchers.h"
 
@@ -38,7 +38,7 @@ Action ActionAt(int step) {
   return static_cast<Action>(KeyedBits(RandomUse::kActionNoise, 5, 0, static_cast<uint64_t>(step)) % kNumActions);
 }
 
-// A game played by hand, without auto reset, from Crafter's own loop.
+// A game played without auto reset, with Crafter's loop of step and reset.
 struct ByHand {
   explicit ByHand(int length)
       : renderer(MakeRenderer(64, length)),
@@ -50,8 +50,8 @@ struct ByHand {
   Game game;
 };
 
-// Through a night and several ends: whoever looks on must not disturb the game's random stream.
-TEST(Recording, ChangesNothing) {
+// Over a night and several ends: taking moments must not change the game's random stream.
+TEST(Recording, DoesNotChangeTheGame) {
   const auto renderer = MakeRenderer(64, 260);
   EnvBatch plain(renderer);
   EnvBatch recorded(renderer, MomentTaker(MakeRenderer(kPictureSize, 260)));
@@ -82,7 +82,7 @@ TEST(Recording, ChangesNothing) {
   EXPECT_THAT(plain.moments(), IsEmpty());
 }
 
-TEST(Recording, ShowsEachMomentOfAnEpisodeToItsLast) {
+TEST(Recording, HasEachMomentOfAnEpisodeUpToItsLast) {
   constexpr int kLength = 40;
   ByHand played(kLength);
   EnvBatch batch(played.renderer, MomentTaker(MakeRenderer(kPictureSize, kLength)));
@@ -114,8 +114,8 @@ TEST(Recording, ShowsEachMomentOfAnEpisodeToItsLast) {
   EXPECT_NE(step.frames, batch.moments()[0].frame) << "the next episode's first frame";
 }
 
-// The frame of a death, which nobody else asks for.
-TEST(Recording, ShowsTheDeath) {
+// The frame of a death, which is drawn only when recording.
+TEST(Recording, HasTheFrameOfADeath) {
   ByHand played(10000);
   EnvBatch batch(played.renderer, MomentTaker(nullptr));
   std::string frames;
@@ -132,14 +132,17 @@ TEST(Recording, ShowsTheDeath) {
   EXPECT_EQ(batch.moments()[0].picture, "");
 }
 
-TEST(Recording, OfTooManyLargePicturesIsRefused) {
+TEST(Recording, TooManyLargePicturesAreRefused) {
   const auto renderer = MakeRenderer(64, 100);
   EnvBatch batch(renderer, MomentTaker(MakeRenderer(1024, 100)));
   std::string frames;
   const std::vector<EnvBatch::OpenLane> many(22);
-  EXPECT_THAT(batch.Open(many, &frames),
-              StatusIs(absl::StatusCode::kInvalidArgument,
-                       HasSubstr("22 lanes more on top of 0 open ones, want at most 21 in a session that records so")));
+  EXPECT_THAT(
+      batch.Open(many, &frames),
+      StatusIs(
+          absl::StatusCode::kInvalidArgument,
+          HasSubstr(
+              "22 lanes more on top of 0 open ones, want at most 21 in a session that records pictures of this size")));
 }
 
 }  // namespace

@@ -1,4 +1,4 @@
-// What a shell command prints, for tests that ask other programs.
+// The output of a shell command, for tests that run other programs.
 
 #ifndef CRAFTFLEET_TESTS_FAKES_COMMAND_OUTPUT_H_
 #define CRAFTFLEET_TESTS_FAKES_COMMAND_OUTPUT_H_
@@ -11,7 +11,7 @@
 
 namespace craftfleet {
 
-// What `command` prints, errors included.
+// The output of `command`, standard error included.
 inline std::string OutputOf(const std::string& command) {
   FILE* pipe = ::popen(absl::StrCat(command, " 2>&1").c_str(), "r");
   if (pipe == nullptr) return "popen failed";

@@ -1,6 +1,6 @@
-// A disk that fails a sync and loses what it had not written by then, as Linux does: the next sync of the same file
-// succeeds, and what was lost stays lost. Defines fsync for the program or the library that includes this; once in
-// each.
+// Simulates a disk whose sync fails and drops the unwritten data. As on Linux, the next sync of the same file succeeds,
+// but the dropped data stays lost. Defines fsync for the program or library that includes this header; include it only
+// once in each.
 
 #ifndef CRAFTFLEET_TESTS_FAKES_DROPPING_DISK_H_
 #define CRAFTFLEET_TESTS_FAKES_DROPPING_DISK_H_
@@ -21,16 +21,16 @@ namespace craftfleet {
 class DroppingDisk {
  public:
   static DroppingDisk& Get() {
-    static auto* const disk = new DroppingDisk;  // outlives whatever syncs at exit
+    static auto* const disk = new DroppingDisk;  // never destroyed: files may be synced at exit
     return *disk;
   }
-  // The `nth` sync from now on of a path that ends in `ending` fails, 1 or more.
+  // Makes the `nth` sync (from 1) of a path that ends in `ending` fail, counted from now.
   void FailSync(const std::string& ending, int nth) {
     const std::lock_guard<std::mutex> lock(mu_);
     ending_ = ending;
     left_ = nth;
   }
-  // Whether the sync that was to fail has failed.
+  // Whether that sync has happened.
   bool failed() const {
     const std::lock_guard<std::mutex> lock(mu_);
     return left_ == 0;
@@ -57,7 +57,7 @@ class DroppingDisk {
     const ssize_t size = ::readlink(("/proc/self/fd/" + std::to_string(descriptor)).c_str(), path, sizeof(path));
     return {path, size > 0 ? static_cast<size_t>(size) : 0};
   }
-  // 0 for folders, of which nothing is dropped.
+  // Bytes in a regular file; 0 for folders, whose syncs drop nothing.
   static off_t SizeOf(int descriptor) {
     struct stat status {};
     return ::fstat(descriptor, &status) == 0 && S_ISREG(status.st_mode) ? status.st_size : 0;
@@ -67,7 +67,7 @@ class DroppingDisk {
     if (begin >= size) return;
     const std::string zeros(size - begin, '\0');
     const int descriptor = ::open(path.c_str(), O_WRONLY | O_CLOEXEC);
-    if (::pwrite(descriptor, zeros.data(), zeros.size(), begin) < 0) ::_exit(99);  // the test must not go on without
+    if (::pwrite(descriptor, zeros.data(), zeros.size(), begin) < 0) ::_exit(99);  // the test cannot continue
     ::close(descriptor);
   }
 

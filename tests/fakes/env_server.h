@@ -6,7 +6,7 @@
 #include <memory>
 #include <string>
 
-#include "common/paths.h"
+#include "common/io/paths.h"
 #include "common/wire/protocol.h"
 #include "common/wire/server.h"
 #include "craftfleet/v1/environment.pb.h"
@@ -14,7 +14,7 @@
 
 namespace craftfleet {
 
-// The real service with the project's textures, on a free port of loopback.
+// The real service with the project's textures, on a free port on loopback.
 struct EnvServer {
   wire::Endpoint Connect() const { return wire::Connect(server->address()); }
 
@@ -22,7 +22,7 @@ struct EnvServer {
   std::unique_ptr<wire::Server> server = *wire::Server::Create({"127.0.0.1:0"}, {service.get()});
 };
 
-// Crafter for ppo_cnn, in episodes of `length` steps.
+// The first request of a session: Crafter for ppo_cnn, in episodes of `length` steps.
 inline v1::SessionHello SampleHello(int length) {
   v1::SessionHello hello;
   hello.set_protocol_version(wire::kProtocolVersion);

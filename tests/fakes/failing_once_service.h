@@ -12,7 +12,7 @@
 
 namespace craftfleet {
 
-// Answers `messages` of its first session after the probe, throws then, and is well after that.
+// The session after the probe answers `messages` requests and then throws; all other sessions work.
 class FailingOnceService : public v1::EnvironmentService::Service {
  public:
   FailingOnceService(EnvServiceImpl* real, int messages) : real_(real), messages_(messages) {}

@@ -1,4 +1,4 @@
-// A clock that moves only when told to.
+// A clock that the test advances.
 
 #ifndef CRAFTFLEET_TESTS_FAKES_FAKE_CLOCK_H_
 #define CRAFTFLEET_TESTS_FAKES_FAKE_CLOCK_H_
@@ -6,8 +6,8 @@
 #include <absl/base/thread_annotations.h>
 #include <absl/time/time.h>
 
-#include "common/clock.h"
-#include "common/mutex.h"
+#include "common/base/clock.h"
+#include "common/base/mutex.h"
 
 namespace craftfleet {
 
@@ -22,7 +22,7 @@ class FakeClock : public Clock {
     const MutexLock lock(&mu_);
     return now_ + wall_ahead_;
   }
-  // Somebody sets the date, forwards or back.
+  // Sets the date `by` ahead of the monotonic time; negative: behind it.
   void SetWallAhead(absl::Duration by) ABSL_LOCKS_EXCLUDED(mu_) {
     const MutexLock lock(&mu_);
     wall_ahead_ = by;

@@ -1,4 +1,4 @@
-// A learner that does with fragments what a test tells it to.
+// A learner whose answers to fragments are scripted by the test.
 
 #ifndef CRAFTFLEET_TESTS_FAKES_FAKE_LEARNER_SERVICE_H_
 #define CRAFTFLEET_TESTS_FAKES_FAKE_LEARNER_SERVICE_H_
@@ -6,7 +6,7 @@
 #include <deque>
 #include <vector>
 
-#include "common/mutex.h"
+#include "common/base/mutex.h"
 #include "craftfleet/v1/learner.grpc.pb.h"
 
 namespace craftfleet {
@@ -21,10 +21,10 @@ class FakeLearnerService : public v1::LearnerService::Service {
     kBreak,         // end the stream without a verdict
     kRefuse,        // end it with INVALID_ARGUMENT
     kWrongVerdict,  // on another fragment
-    kSilence,       // until the client ends the stream
+    kSilence,       // no answer until the client ends the stream
   };
 
-  // What to do with the next fragments, in the order in which they come; later ones are accepted.
+  // Sets the answers to the next fragments, in order of arrival; later ones are accepted.
   void Script(const std::vector<Answer>& answers) {
     const MutexLock lock(&mu_);
     answers_.assign(answers.begin(), answers.end());

@@ -1,4 +1,4 @@
-// Makes writing fail as a full disk does, without one.
+// Makes writes fail like on a full disk.
 
 #ifndef CRAFTFLEET_TESTS_FAKES_FILE_SIZE_LIMIT_H_
 #define CRAFTFLEET_TESTS_FAKES_FILE_SIZE_LIMIT_H_
@@ -7,11 +7,12 @@
 
 #include <csignal>
 
-#include "common/check.h"
+#include "common/base/check.h"
 
 namespace craftfleet {
 
-// While it lives, no file of this process grows beyond `bytes`: write() writes up to there, then fails with EFBIG.
+// Limits the size of this process's files to `bytes` until destruction: write() writes up to the limit, then fails with
+// EFBIG.
 class FileSizeLimit {
  public:
   explicit FileSizeLimit(rlim_t bytes) : old_handler_(std::signal(SIGXFSZ, SIG_IGN)) {

@@ -1,4 +1,4 @@
-"""What Python tests of programs and scripts share.
+"""Helpers for Python tests of programs and scripts.
 
 A test file ends with `python_case.main()` and is run with the names of its cases, like `test_ends_with_the_run`, or
 without any for all of them. Environment: CRAFTFLEET_BIN_DIR, CRAFTFLEET_SOURCE_DIR.
@@ -14,9 +14,9 @@ import unittest
 
 BIN = pathlib.Path(os.environ.get("CRAFTFLEET_BIN_DIR", "build/bin")).resolve()
 SOURCE = pathlib.Path(os.environ.get("CRAFTFLEET_SOURCE_DIR", ".")).resolve()
-SKIPPED = 77  # what CMake is told to count as skipped
+SKIPPED = 77  # the exit code that CTest counts as skipped
 
-# Three iterations of 64 steps on 4 lanes, a checkpoint after each: over within seconds.
+# Three iterations of 64 steps on 4 lanes, with a checkpoint after each: takes a few seconds.
 SMALL_RUN = """
 steps: 192  lanes: 4  seed: 3  fragment_steps: 16
 env { length: 20 }
@@ -27,7 +27,7 @@ eval { every_steps: 0  final_episodes: 0 }
 
 
 class FolderCase(unittest.TestCase):
-  """A case with a folder of its own."""
+  """A test case with a temporary folder, removed at its end."""
 
   def setUp(self):
     temp = tempfile.TemporaryDirectory(prefix="craftfleet-")
@@ -35,7 +35,7 @@ class FolderCase(unittest.TestCase):
     self.folder = pathlib.Path(temp.name)
 
   def run_program(self, name, *flags, code=0):
-    """The program when it has ended, which it must with `code`."""
+    """Runs the program to its end and returns the completed process; fails unless its exit code is `code`."""
     ended = subprocess.run([BIN / name, *flags], capture_output=True, text=True, timeout=120)
     self.assertEqual(ended.returncode, code, ended.stderr)
     return ended
@@ -54,7 +54,7 @@ def wait_until(condition, what, seconds=60):
 
 
 def command_line(pid):
-  """Of a process, its arguments joined by spaces; "" when it has ended."""
+  """The arguments of a process, joined by spaces; "" if it has ended."""
   try:
     return pathlib.Path(f"/proc/{pid}/cmdline").read_bytes().replace(b"\0", b" ").decode(errors="replace")
   except OSError:
@@ -62,7 +62,7 @@ def command_line(pid):
 
 
 def processes_with(text):
-  """Ids of the running processes that have `text` in their command line, this one left out."""
+  """Ids of the running processes, except this one, with `text` in their command line."""
   pids = [int(entry.name) for entry in pathlib.Path("/proc").iterdir() if entry.name.isdigit()]
   return [pid for pid in pids if pid != os.getpid() and text in command_line(pid)]
 

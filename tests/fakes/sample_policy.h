@@ -1,4 +1,4 @@
-// Weights and a policy to test with.
+// Sample weights and policies for tests.
 
 #ifndef CRAFTFLEET_TESTS_FAKES_SAMPLE_POLICY_H_
 #define CRAFTFLEET_TESTS_FAKES_SAMPLE_POLICY_H_
@@ -11,11 +11,11 @@
 #include "common/agent/agent_spec.h"
 #include "common/agent/policy.h"
 #include "common/agent/weights.h"
-#include "common/keyed_random.h"
+#include "common/base/keyed_random.h"
 
 namespace craftfleet {
 
-// Weights of an agent, safetensors: small random numbers, so that its actions depend on what it sees.
+// Weights of an agent as safetensors: small random numbers, so that its actions depend on its observations.
 inline std::string SampleWeights(uint64_t seed, const std::string& agent = "ppo_cnn") {
   const AgentSpec spec = *FindAgent(agent);
   std::vector<float> weights(spec.param_count);

@@ -1,11 +1,11 @@
-// What a test must know about the sanitizer that it runs under.
+// Detects the sanitizer that a test runs under.
 
 #ifndef CRAFTFLEET_TESTS_FAKES_SANITIZERS_H_
 #define CRAFTFLEET_TESTS_FAKES_SANITIZERS_H_
 
 namespace craftfleet {
 
-// AddressSanitizer needs address space without a limit, and keeps 256 MB that were freed.
+// AddressSanitizer needs unlimited address space, and keeps 256 MB of freed memory.
 #if defined(__SANITIZE_ADDRESS__)  // GCC
 inline constexpr bool kAddressSanitizer = true;
 #elif defined(__has_feature)  // clang

@@ -25,7 +25,7 @@ MATCHER(IsOk, "is ok") {
 }
 
 // EXPECT_THAT(Load(path), StatusIs(absl::StatusCode::kDataLoss, HasSubstr("is torn")));
-MATCHER_P2(StatusIs, code, message, "has that code and a message that fits") {
+MATCHER_P2(StatusIs, code, message, "has that code and a matching message") {
   *result_listener << ToStatus(arg).ToString();
   const std::string text(ToStatus(arg).message());
   return ToStatus(arg).code() == code && ::testing::ExplainMatchResult(message, text, result_listener);

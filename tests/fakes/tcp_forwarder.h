@@ -1,4 +1,4 @@
-// A way between two processes that a test can break.
+// A network connection between two processes that a test can break.
 
 #ifndef CRAFTFLEET_TESTS_FAKES_TCP_FORWARDER_H_
 #define CRAFTFLEET_TESTS_FAKES_TCP_FORWARDER_H_
@@ -18,13 +18,13 @@
 #include <absl/strings/str_cat.h>
 #include <absl/strings/string_view.h>
 
-#include "common/check.h"
+#include "common/base/check.h"
 
 namespace craftfleet {
 
-// Listens on a free port of loopback and carries the bytes of each connection to and from `target`, "127.0.0.1:PORT".
-// After Freeze it carries nothing more and keeps every connection open, as a host does that went away without a word:
-// what is sent vanishes. Freeze may be called from any thread.
+// Listens on a free port on loopback and forwards the bytes of each connection to and from `target`, "127.0.0.1:PORT".
+// After Freeze it forwards nothing and keeps every connection open, like a host that lost its network: sent data
+// vanishes. Freeze and Thaw are thread-safe.
 class TcpForwarder {
  public:
   explicit TcpForwarder(absl::string_view target) {
@@ -83,7 +83,7 @@ class TcpForwarder {
     ends_.push_back(client);
     ends_.push_back(server);
   }
-  // What came at one end of a connection goes out at the other; its end closes both.
+  // Forwards received bytes to the other end of the connection; if one end is closed, closes both.
   void Carry(size_t from) {
     const size_t to = from ^ 1;
     char bytes[1 << 16];

@@ -1,4 +1,4 @@
-// A folder of its own for a test.
+// A temporary folder for a test.
 
 #ifndef CRAFTFLEET_TESTS_FAKES_TEMP_FOLDER_H_
 #define CRAFTFLEET_TESTS_FAKES_TEMP_FOLDER_H_
@@ -10,12 +10,12 @@
 #include <absl/strings/string_view.h>
 #include <gtest/gtest.h>
 
-#include "common/check.h"
-#include "common/files.h"
+#include "common/base/check.h"
+#include "common/io/files.h"
 
 namespace craftfleet {
 
-// Made anew, removed with all in it at the end.
+// Created empty; removed with its contents on destruction.
 class TempFolder {
  public:
   TempFolder() : path_(JoinPath(testing::TempDir(), "craftfleet-XXXXXX")) {

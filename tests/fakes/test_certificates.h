@@ -1,4 +1,4 @@
-// Certificates made while a test runs; none is kept in the repository.
+// Certificates that are created while a test runs; the repository contains none.
 
 #ifndef CRAFTFLEET_TESTS_FAKES_TEST_CERTIFICATES_H_
 #define CRAFTFLEET_TESTS_FAKES_TEST_CERTIFICATES_H_
@@ -12,7 +12,7 @@
 #include <string>
 #include <utility>
 
-#include "common/check.h"
+#include "common/base/check.h"
 #include "tests/fakes/temp_folder.h"
 
 namespace craftfleet {
@@ -20,12 +20,12 @@ namespace craftfleet {
 struct CertificateOptions {
   std::string name;  // common name and DNS name
   int64_t serial = 1;
-  bool local = true;            // also for localhost and 127.0.0.1
+  bool local = true;            // also valid for localhost and 127.0.0.1
   int64_t starts_in_s = -3600;  // seconds from now
   int64_t ends_in_s = 3600;
 };
 
-// An authority whose certificates stand in a folder as NAME.pem and NAME.key, its own as NAME.pem.
+// A certificate authority. Writes its own certificate to NAME.pem in the folder, and issued ones with their keys.
 class TestAuthority {
  public:
   TestAuthority(const TempFolder& folder, const std::string& name) : folder_(folder) {
@@ -33,7 +33,7 @@ class TestAuthority {
     Write(name + ".pem", [this](FILE* file) { return PEM_write_X509(file, certificate_.get()); });
   }
 
-  // Writes FILE.pem and FILE.key. Those that are there are replaced by renames, the key first.
+  // Issues a certificate and writes FILE.pem and FILE.key. Existing files are replaced by renames, the key first.
   void Issue(const std::string& file, const CertificateOptions& options) {
     Key key;
     const Certificate certificate = Make(options, certificate_.get(), key_.get(), &key);

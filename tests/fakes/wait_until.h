@@ -1,4 +1,4 @@
-// Waits for something that another thread or process will do.
+// Waits for the effect of another thread or process.
 
 #ifndef CRAFTFLEET_TESTS_FAKES_WAIT_UNTIL_H_
 #define CRAFTFLEET_TESTS_FAKES_WAIT_UNTIL_H_
@@ -10,7 +10,7 @@
 
 namespace craftfleet {
 
-// True as soon as `condition` holds; false when it does not within `timeout`.
+// Returns true as soon as `condition` holds; false if it does not hold within `timeout`.
 inline bool WaitUntil(const std::function<bool()>& condition, absl::Duration timeout = absl::Seconds(30)) {
   for (const absl::Time deadline = absl::Now() + timeout; absl::Now() < deadline;
        absl::SleepFor(absl::Milliseconds(1))) {

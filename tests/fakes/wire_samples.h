@@ -1,4 +1,4 @@
-// Fragments and replies to test with.
+// Sample fragments and replies for tests.
 
 #ifndef CRAFTFLEET_TESTS_FAKES_WIRE_SAMPLES_H_
 #define CRAFTFLEET_TESTS_FAKES_WIRE_SAMPLES_H_
@@ -10,8 +10,8 @@
 
 #include <gtest/gtest.h>
 
-#include "common/snapshot_envelope.h"
-#include "common/types.h"
+#include "common/base/types.h"
+#include "common/io/snapshot_envelope.h"
 #include "common/wire/convert.h"
 
 namespace craftfleet {
@@ -29,10 +29,10 @@ inline Episode EndedEpisode(int step, int64_t length) {
   return episode;
 }
 
-// In an envelope of kSampleShape's environment.
+// `game` in an envelope of kSampleShape's environment.
 inline std::string SampleSnapshot(const std::string& game) { return SealSnapshot(kSampleShape.env_digest, game); }
 
-// Of kSampleShape: a death at step 1 and a truncation at step 3.
+// A fragment of kSampleShape with a death at step 1 and a truncation at step 3.
 inline Fragment SampleFragment(int lane, int64_t number, int64_t policy_version, int64_t epoch = 1) {
   Fragment fragment;
   fragment.epoch = epoch;
@@ -57,7 +57,7 @@ inline Fragment SampleFragment(int lane, int64_t number, int64_t policy_version,
   return fragment;
 }
 
-// Three rows of frames of 12 bytes: the first died, the last was truncated.
+// Three rows with frames of 12 bytes: the first terminated, the last was truncated.
 inline StepBatch SampleStepBatch() {
   StepBatch batch;
   batch.rewards = {-0.1F, 0, 1.1F};
@@ -69,7 +69,7 @@ inline StepBatch SampleStepBatch() {
   return batch;
 }
 
-// Of frames of 12 bytes and pictures of 27.
+// A moment with a frame of 12 bytes and a picture of 27.
 inline Moment SampleMoment(int number) {
   Moment moment;
   moment.frame = "frame of m." + std::to_string(number);

@@ -1,7 +1,7 @@
-#include "common/log.h"
+#include "common/telemetry/log.h"
 #include "tests/fuzz/fuzz_target.h"
 
-// A stranger's message is worth a warning, a hundred thousand of them are not.
+// Silences warnings: most of the hundred thousand inputs are invalid.
 extern "C" int LLVMFuzzerInitialize(int* /*argc*/, char*** /*argv*/) {
   craftfleet::LogOptions options;
   options.level = craftfleet::LogLevel::kError;

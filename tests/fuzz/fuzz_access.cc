@@ -1,6 +1,6 @@
-// An access file: what is taken lets nobody in who shows nothing, unless health is all that is asked.
+// An access file: if it is accepted, a client without credentials may only check health.
 
-#include "common/check.h"
+#include "common/base/check.h"
 #include "common/wire/access.h"
 #include "tests/fuzz/fuzz_target.h"
 
@@ -9,16 +9,16 @@ namespace craftfleet {
 void TryInput(absl::string_view input) {
   const auto access = wire::ParseAccess(input, "input");
   if (!access.ok()) return;
-  wire::Caller nobody;
-  wire::Caller somebody;
-  somebody.certificate_names = {"actor", "host.example.com"};
-  somebody.token = "a token";
+  wire::Caller anonymous;
+  wire::Caller authenticated;
+  authenticated.certificate_names = {"actor", "host.example.com"};
+  authenticated.token = "a token";
   for (const char* path : {"/craftfleet.v1.StatusService/GetStatus", "/craftfleet.v1.LearnerService/Join",
                            "/craftfleet.v1.AdminService/Stop", "/something.else/Call"}) {
-    CRAFTFLEET_CHECK(!wire::CheckAccess(*access, nobody, path).ok());
-    wire::CheckAccess(*access, somebody, path).IgnoreError();
+    CRAFTFLEET_CHECK(!wire::CheckAccess(*access, anonymous, path).ok());
+    wire::CheckAccess(*access, authenticated, path).IgnoreError();
   }
-  CRAFTFLEET_CHECK(wire::CheckAccess(*access, nobody, "/grpc.health.v1.Health/Check").ok());
+  CRAFTFLEET_CHECK(wire::CheckAccess(*access, anonymous, "/grpc.health.v1.Health/Check").ok());
 }
 
 std::vector<std::string> SoundInputs() {

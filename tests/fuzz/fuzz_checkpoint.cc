@@ -1,9 +1,9 @@
-// A checkpoint's files: refused, or with a state that makes sense. The first byte chooses the file that is changed; the
-// manifest's checksums are right otherwise, so that the search gets beyond them.
+// A checkpoint's files: refused, or with a consistent state. The first byte selects the file that is changed; the
+// manifest's checksums are correct otherwise, so that the search gets past them.
 
-#include "common/check.h"
-#include "common/config.h"
-#include "common/files.h"
+#include "common/base/check.h"
+#include "common/config/config.h"
+#include "common/io/files.h"
 #include "learner/run/checkpoint.h"
 #include "tests/fuzz/fuzz_folder.h"
 #include "tests/fuzz/fuzz_target.h"
@@ -37,7 +37,7 @@ void TryInput(absl::string_view input) {
   const absl::string_view rest = input.substr(1);
   const bool state_changes = (input[0] & 1) == 0;
   if (state_changes && !checkpoint.state.ParseFromArray(rest.data(), static_cast<int>(rest.size()))) return;
-  checkpoint.state.clear_pending();  // their weights are not there
+  checkpoint.state.clear_pending();  // this checkpoint lacks the weights of pending evaluations
   CRAFTFLEET_CHECK(WriteCheckpointFiles(folder, checkpoint).ok());
   if (!state_changes) CRAFTFLEET_CHECK(WriteFileSynced(JoinPath(folder, "MANIFEST"), rest).ok());
   const auto loaded = LoadCheckpoint(folder, "");

@@ -1,8 +1,8 @@
-// A run's configuration as text: what is taken is within its ranges and survives being written and read again.
+// A run's configuration as text: if it is accepted, all values are in range and survive being written and read again.
 
-#include "common/check.h"
-#include "common/config.h"
-#include "common/env_name.h"
+#include "common/base/check.h"
+#include "common/config/config.h"
+#include "common/config/env_name.h"
 #include "tests/fuzz/fuzz_target.h"
 
 namespace craftfleet {

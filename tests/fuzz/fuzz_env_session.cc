@@ -1,8 +1,8 @@
-// What an actor asks of an environment server: requests of one session, each behind two bytes with its length.
+// The requests of one session with an environment server, each after two bytes with its length.
 
-#include "common/check.h"
-#include "common/paths.h"
-#include "common/snapshot_envelope.h"
+#include "common/base/check.h"
+#include "common/io/paths.h"
+#include "common/io/snapshot_envelope.h"
 #include "common/wire/protocol.h"
 #include "common/wire/server.h"
 #include "craftfleet/v1/environment.grpc.pb.h"
@@ -14,7 +14,7 @@ namespace {
 
 constexpr int kMaxRequests = 8;
 
-// The served games, once for all inputs: a session that breaks must not harm the next.
+// One service for all inputs: a session that fails must not affect the next.
 v1::EnvironmentService::Stub* Stub() {
   static EnvServiceImpl* service = EnvServiceImpl::Create(DefaultTextureDir().value()).value().release();
   static wire::Server* server = wire::Server::Create({}, {service}).value().release();
@@ -62,7 +62,7 @@ v1::PlayRequest Open() {
   return request;
 }
 
-// Of a lane whose snapshot is in a sound envelope and no game.
+// Opens a lane with a snapshot in a valid envelope that is not a game.
 v1::PlayRequest OpenFrom(const std::string& game) {
   v1::PlayRequest request = Open();
   request.mutable_open()->mutable_lanes(0)->set_snapshot(SealSnapshot(EnvDigest("crafter", kEpisodeLength), game));
@@ -84,7 +84,7 @@ void TryInput(absl::string_view input) {
   const auto stream = Stub()->Play(&context);
   v1::PlayReply reply;
   for (const v1::PlayRequest& request : Requests(input)) {
-    // A picture of a million pixels is allowed and takes its time: not what is searched for here.
+    // Pictures of a million pixels are allowed, but too slow for this search.
     if (request.hello().env().frame_size() > 64 || request.hello().recording().picture_size() > 64) break;
     if (!stream->Write(request) || !stream->Read(&reply)) break;
   }

@@ -1,4 +1,4 @@
-// Where fuzz targets put files.
+// The folder for the files of fuzz targets.
 
 #ifndef CRAFTFLEET_TESTS_FUZZ_FUZZ_FOLDER_H_
 #define CRAFTFLEET_TESTS_FUZZ_FUZZ_FOLDER_H_
@@ -6,12 +6,12 @@
 #include <cstdlib>
 #include <string>
 
-#include "common/check.h"
-#include "common/files.h"
+#include "common/base/check.h"
+#include "common/io/files.h"
 
 namespace craftfleet {
 
-// A folder of this process, in memory where there is such a place; gone with its end.
+// A folder of this process, in memory if possible; removed when it exits.
 inline const std::string& FuzzFolder() {
   static const std::string* folder = [] {
     std::string path = PathExists("/dev/shm") ? "/dev/shm/craftfleet-fuzz-XXXXXX" : "/tmp/craftfleet-fuzz-XXXXXX";

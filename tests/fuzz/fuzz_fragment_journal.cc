@@ -1,11 +1,11 @@
-// A learner's journal of fragments: what is read has the run's shape, and what is kept behind it is found again. The
-// first byte says whether the rest is the whole file, or one record behind a sound beginning with its checksum right,
-// so that the search gets beyond it.
+// A learner's journal of fragments: every fragment read has the run's shape, and one appended later is found again. The
+// first byte selects whether the rest is the whole file, or one record with a correct checksum after a valid start, so
+// that the search gets past the checksum.
 
-#include "common/check.h"
-#include "common/crc32c.h"
-#include "common/files.h"
-#include "common/little_endian.h"
+#include "common/base/check.h"
+#include "common/base/crc32c.h"
+#include "common/base/little_endian.h"
+#include "common/io/files.h"
 #include "learner/fragment_journal.h"
 #include "tests/fakes/wire_samples.h"
 #include "tests/fuzz/fuzz_folder.h"

@@ -1,14 +1,14 @@
-// What actors send to a learner. The first byte chooses the call; whatever comes, the books stay sound.
+// Requests of actors to a learner. The first byte selects the call; after any input the registry must be consistent.
 
 #include <cmath>
 
-#include "common/check.h"
-#include "common/snapshot_envelope.h"
+#include "common/base/check.h"
+#include "common/io/snapshot_envelope.h"
 #include "common/wire/protocol.h"
 #include "learner/learner_service.h"
 #include "tests/fakes/wire_samples.h"
 #include "tests/fuzz/fuzz_target.h"
-#include "tests/fuzz/learner_books.h"
+#include "tests/learner/learner_parts.h"
 
 namespace craftfleet {
 namespace {
@@ -16,14 +16,14 @@ namespace {
 constexpr int64_t kEpoch = 1;
 constexpr int64_t kVersion = 5;
 
-struct Service : LearnerBooks {
-  Service() {
-    ledger.Join("a", "");
-    ledger.OpenIteration(2, kVersion);
+struct Service : LearnerParts {
+  explicit Service(Clock* clock) : LearnerParts(clock) {
+    registry.Join("a", "");
+    registry.OpenIteration(2, kVersion);
     weights.Publish(kVersion, std::make_shared<std::string>("weights"));
-    evaluations.Add({1, 4096, 1, 2, false, std::make_shared<std::string>("old weights")});
+    registry.AddEvaluation({1, 4096, 1, 2, false, std::make_shared<std::string>("old weights")});
   }
-  static LearnerServiceImpl::Options Options() {
+  static LearnerServiceImpl::Options ServiceOptions() {
     LearnerServiceImpl::Options options;
     options.run_id = "run-a";
     options.epoch = kEpoch;
@@ -33,7 +33,7 @@ struct Service : LearnerBooks {
     return options;
   }
 
-  LearnerServiceImpl service{Options(), &ledger, &weights, &fragments, &evaluations, &env_servers, &fleet};
+  LearnerServiceImpl service{ServiceOptions(), &registry, &weights, &fragments};
 };
 
 template <typename Request, typename Reply>
@@ -48,7 +48,7 @@ void Call(LearnerServiceImpl* service,
   }
 }
 
-// A fragment that is taken has the run's shape.
+// An accepted fragment must have the run's shape.
 void Push(Service* service, absl::string_view bytes) {
   v1::FragmentMessage message;
   if (!message.ParseFromArray(bytes.data(), static_cast<int>(bytes.size()))) return;
@@ -62,7 +62,7 @@ void Push(Service* service, absl::string_view bytes) {
   for (const float value : fragment->values) CRAFTFLEET_CHECK(std::abs(value) <= wire::kMaxValue);
   for (const Episode& episode : fragment->episodes) CRAFTFLEET_CHECK(episode.length <= kSampleShape.max_length);
   CRAFTFLEET_CHECK(OpenSnapshot(kSampleShape.env_digest, fragment->snapshot.game).ok());
-  service->ledger.Accept(actor, {fragment->lane, fragment->number, fragment->policy_version}, fragment->snapshot)
+  service->registry.Accept(actor, {fragment->lane, fragment->number, fragment->policy_version}, fragment->snapshot)
       .status()
       .IgnoreError();
 }
@@ -76,7 +76,8 @@ std::string Input(char call, const Message& message) {
 
 void TryInput(absl::string_view input) {
   if (input.empty()) return;
-  Service service;
+  RealClock clock;
+  Service service(&clock);
   const absl::string_view bytes = input.substr(1);
   switch (input[0] % 7) {
     case 0:
@@ -100,10 +101,10 @@ void TryInput(absl::string_view input) {
     default:
       Call(&service.service, &LearnerServiceImpl::Announce, bytes);
   }
-  const std::vector<LaneRecord> lanes = service.ledger.Records();
+  const std::vector<LaneRecord> lanes = service.registry.Records();
   CRAFTFLEET_CHECK(static_cast<int>(lanes.size()) == kSampleShape.lanes);
   for (const LaneRecord& lane : lanes) CRAFTFLEET_CHECK(lane.next_fragment >= 0 && lane.next_fragment <= 2);
-  CRAFTFLEET_CHECK(service.evaluations.Pending().size() == 1);
+  CRAFTFLEET_CHECK(service.registry.pending_evaluations() == 1);
   v1::StatusReply status;
   service.service.FillStatus(&status);
 }

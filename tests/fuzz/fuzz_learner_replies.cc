@@ -1,6 +1,6 @@
-// What a learner and an environment server answer an actor. The first byte chooses the message.
+// The replies of a learner and an environment server to an actor. The first byte selects the message.
 
-#include "common/check.h"
+#include "common/base/check.h"
 #include "tests/fakes/wire_samples.h"
 #include "tests/fuzz/fuzz_target.h"
 

@@ -1,13 +1,13 @@
-// What a process tells of itself, as `craftfleet status` and `top` show it: lines of printable ASCII, as wide as the
+// The status of a process, as `craftfleet status` and `top` show it: lines of printable ASCII, at most as wide as the
 // page.
 
 #include <algorithm>
 
 #include <absl/strings/ascii.h>
 
-#include "common/check.h"
-#include "deploy/status_text.h"
-#include "deploy/top/top_view.h"
+#include "common/base/check.h"
+#include "deploy/cli/status_text.h"
+#include "deploy/cli/top/top_view.h"
 #include "tests/fuzz/fuzz_target.h"
 
 namespace craftfleet {
@@ -26,7 +26,7 @@ void TryInput(absl::string_view input) {
   for (const int height : {0, 24}) {
     TopPage page;
     page.height = height;
-    for (const TopLine& line : DrawTop(reply, TopState(), page)) {
+    for (const TextLine& line : DrawTop(reply, TopState(), page)) {
       CRAFTFLEET_CHECK(IsPrintable(line.text) && static_cast<int>(line.text.size()) <= page.width);
     }
   }

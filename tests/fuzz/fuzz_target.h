@@ -1,5 +1,5 @@
-// What a fuzz target is. Each fuzz_NAME.cc defines both functions; it is linked with libFuzzer's main to search, and
-// with replay_main.cc to try the inputs in corpus/NAME again.
+// The interface of a fuzz target. Each fuzz_NAME.cc defines both functions; it is linked with libFuzzer's main to
+// search, and with replay_main.cc to replay the inputs in corpus/NAME.tar.gz.
 
 #ifndef CRAFTFLEET_TESTS_FUZZ_FUZZ_TARGET_H_
 #define CRAFTFLEET_TESTS_FUZZ_FUZZ_TARGET_H_
@@ -13,10 +13,10 @@
 
 namespace craftfleet {
 
-// Hands `input` to the code under test as if it came from a stranger, and aborts (CRAFTFLEET_CHECK) on a wrong state.
+// Passes the untrusted `input` to the code under test, and aborts (CRAFTFLEET_CHECK) if an invariant is broken.
 void TryInput(absl::string_view input);
 
-// Sound inputs to begin with.
+// Valid inputs, and some that are nearly valid, to start from.
 std::vector<std::string> SoundInputs();
 
 }  // namespace craftfleet

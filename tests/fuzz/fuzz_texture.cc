@@ -1,8 +1,8 @@
 // The bytes of a texture file: refused, or a picture of 16x16 pixels.
 
-#include "common/check.h"
-#include "common/files.h"
-#include "common/paths.h"
+#include "common/base/check.h"
+#include "common/io/files.h"
+#include "common/io/paths.h"
 #include "envserver/render/textures.h"
 #include "tests/fuzz/fuzz_target.h"
 

@@ -1,7 +1,7 @@
-// What a learner is asked besides playing: weights, its status as a stream, a worker to drain. The first byte chooses
-// the call, which goes over real gRPC in process.
+// Other requests to a learner: weights, a stream of its status, draining a worker. The first byte selects the call,
+// which goes over real gRPC in process.
 
-#include "common/check.h"
+#include "common/base/check.h"
 #include "common/wire/channel.h"
 #include "common/wire/server.h"
 #include "common/wire/status_service.h"
@@ -10,7 +10,7 @@
 #include "learner/learner_service.h"
 #include "tests/fakes/wire_samples.h"
 #include "tests/fuzz/fuzz_target.h"
-#include "tests/fuzz/learner_books.h"
+#include "tests/learner/learner_parts.h"
 
 namespace craftfleet {
 namespace {
@@ -18,24 +18,24 @@ namespace {
 constexpr int64_t kVersion = 5;
 constexpr char kWeights[] = "weights";
 
-// A learner that trains nothing, once for all inputs.
-struct Learner : LearnerBooks {
-  Learner() {
-    ledger.Join("a", "");
+// A learner without training, shared by all inputs.
+struct Learner : LearnerParts {
+  explicit Learner(Clock* clock) : LearnerParts(clock) {
+    registry.Join("a", "");
     weights.Publish(kVersion, std::make_shared<std::string>(kWeights));
-    evaluations.Add({1, 4096, 1, 2, false, std::make_shared<std::string>("old weights")});
+    registry.AddEvaluation({1, 4096, 1, 2, false, std::make_shared<std::string>("old weights")});
   }
 
   CheckpointRequests checkpoints;
-  LearnerServiceImpl service{{}, &ledger, &weights, &fragments, &evaluations, &env_servers, &fleet};
-  AdminServiceImpl admin{{&checkpoints, &ledger, &evaluations, &env_servers, [] {}}};
+  LearnerServiceImpl service{{}, &registry, &weights, &fragments};
+  AdminServiceImpl admin{{&checkpoints, &registry, [] {}}};
   wire::StatusServiceImpl status{"learner", [this](v1::StatusReply* reply) { service.FillStatus(reply); }};
   std::unique_ptr<wire::Server> server = wire::Server::Create({}, {&service, &admin, &status}).value();
   std::shared_ptr<grpc::Channel> channel = server->InProcess().channel;
 };
 
 Learner* TheLearner() {
-  static auto* learner = new Learner;
+  static auto* learner = new Learner(new RealClock);
   return learner;
 }
 
@@ -46,7 +46,7 @@ bool Parse(absl::string_view bytes, Request* request) {
 
 void Download(absl::string_view bytes) {
   v1::WeightsRequest request;
-  if (!Parse(bytes, &request) || request.wait_ms() > 1) return;  // waiting takes its time, and is all it does
+  if (!Parse(bytes, &request) || request.wait_ms() > 1) return;  // a longer wait only slows the search
   grpc::ClientContext context;
   const auto stream = v1::LearnerService::NewStub(TheLearner()->channel)->GetWeights(&context, request);
   v1::WeightsChunk chunk;
@@ -66,11 +66,11 @@ void Watch(absl::string_view bytes) {
   CRAFTFLEET_CHECK(!stream->Finish().ok());  // cancelled, or refused
 }
 
-// The only worker has nothing to play: it is drained at once.
+// The only worker holds no permits, so it is drained at once.
 void Drain(absl::string_view bytes) {
   v1::DrainRequest request;
   if (!Parse(bytes, &request)) return;
-  TheLearner()->ledger.Join("a", "");
+  TheLearner()->registry.Join("a", "");
   grpc::ClientContext context;
   wire::SetDeadline(&context, absl::Seconds(10));
   v1::DrainReply reply;

@@ -1,9 +1,8 @@
-// Weights as bytes: refused, or as many finite-sized tensors as the agent has, that write the same bytes' content
-// again.
+// Weights as bytes: refused, or tensors that survive being written and read again.
 
 #include "common/agent/agent_spec.h"
 #include "common/agent/safetensors.h"
-#include "common/check.h"
+#include "common/base/check.h"
 #include "tests/fuzz/fuzz_target.h"
 
 namespace craftfleet {

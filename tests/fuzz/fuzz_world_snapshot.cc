@@ -1,7 +1,7 @@
-// The snapshot of a game: what restores can be played, saved and restored again.
+// The snapshot of a game: if it restores, the game can be played, saved and restored again.
 
-#include "common/check.h"
-#include "common/crc32c.h"
+#include "common/base/check.h"
+#include "common/base/crc32c.h"
 #include "envserver/world/world.h"
 #include "tests/fuzz/fuzz_target.h"
 
@@ -13,7 +13,7 @@ constexpr size_t kHeaderBytes = 12;
 
 World NewWorld() { return *World::Create(WorldOptions(), 1); }
 
-// With the right checksum, so that the search gets beyond it.
+// `input` with a correct checksum, so that the search gets past it.
 std::string Sealed(absl::string_view input) {
   std::string bytes(input);
   if (bytes.size() < kHeaderBytes) return bytes;

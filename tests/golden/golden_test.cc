@@ -9,7 +9,7 @@
 #include <absl/strings/match.h>
 #include <gtest/gtest.h>
 
-#include "common/files.h"
+#include "common/io/files.h"
 #include "tests/fakes/status_matchers.h"
 #include "tests/golden/trace_replayer.h"
 
@@ -57,13 +57,13 @@ class Golden : public testing::Test {
 
 TEST_F(Golden, PlainGamesReplayFieldByField) { ReplayAll("", 32); }
 TEST_F(Golden, FarmsReplayFieldByField) { ReplayAll("farm", 4); }
-TEST_F(Golden, AnEpisodeToItsLengthReplaysFieldByField) { ReplayAll("long", 1); }
+TEST_F(Golden, AFullLengthEpisodeReplaysFieldByField) { ReplayAll("long", 1); }
 TEST_F(Golden, VariantGamesReplayFieldByField) { ReplayAll("ood", 16); }
 TEST_F(Golden, StagedSituationsReplayFieldByField) { ReplayAll("scenario", 21); }
-TEST_F(Golden, PicturesOfPlainGamesAreTheSame) { ReplayPictures("", "crafter"); }
-TEST_F(Golden, PicturesOfFarmsAreTheSame) { ReplayPictures("farm", "crafter"); }
-TEST_F(Golden, PicturesOfALongEpisodeAreTheSame) { ReplayPictures("long", "crafter"); }
-TEST_F(Golden, PicturesOfVariantGamesAreTheSame) { ReplayPictures("ood", "crafter-ood"); }
+TEST_F(Golden, PicturesOfPlainGamesMatch) { ReplayPictures("", "crafter"); }
+TEST_F(Golden, PicturesOfFarmsMatch) { ReplayPictures("farm", "crafter"); }
+TEST_F(Golden, PicturesOfALongEpisodeMatch) { ReplayPictures("long", "crafter"); }
+TEST_F(Golden, PicturesOfVariantGamesMatch) { ReplayPictures("ood", "crafter-ood"); }
 
 }  // namespace
 }  // namespace craftfleet

@@ -1,4 +1,4 @@
-// replay_trace: plays golden traces again and says whether all is as recorded.
+// replay_trace: replays golden traces and reports the first difference from the recording.
 
 #include <cstdio>
 #include <filesystem>
@@ -9,26 +9,26 @@
 #include <absl/status/statusor.h>
 #include <absl/strings/str_cat.h>
 
-#include "common/paths.h"
-#include "common/program.h"
+#include "common/io/paths.h"
+#include "common/process/program.h"
 #include "tests/golden/trace_replayer.h"
 
-ABSL_FLAG(std::string, textures, "", "folder with the textures' PNG files; default: those that come with the programs");
+ABSL_FLAG(std::string, textures, "", "folder with the textures' PNG files [the ones that come with the programs]");
 
 namespace craftfleet {
 namespace {
 
 constexpr char kProgram[] = "replay_trace";
 constexpr char kUsage[] =
-    R"(replay_trace plays golden traces again and compares every field of every line, the picture's checksum included.
+    R"(replay_trace replays golden traces and compares every field of every line, including the picture's checksum.
 
   replay_trace [--textures=DIR] FILE...
 
-A file named frames.jsonl stands for the traces that it names, with their pictures byte for byte. For each file, one line:
-"ok" with the steps and frames that agree, or the first step and field that differ, with what was expected and found.
+A file named frames.jsonl lists traces, which are replayed with their pictures, byte for byte. Prints one line per file:
+"ok" with the number of steps and frames that agree, or the first difference with the expected and the found value.
 Exit code 1 if anything differs or a file can't be read.)";
 
-// Prints the file's line; says whether all agrees.
+// Replays a file and prints its line; returns whether everything agrees.
 bool ReplayFile(const std::string& path, const std::string& textures) {
   const bool frames = std::filesystem::path(path).filename() == "frames.jsonl";
   const absl::StatusOr<ReplayReport> report = frames ? ReplayFrames(path, textures) : ReplayTrace(path, textures);

@@ -16,7 +16,7 @@ namespace {
 
 using nlohmann::ordered_json;
 
-// The low `bytes` bytes, little-endian.
+// Appends the low `bytes` bytes of `value`, little-endian.
 void Append(int64_t value, int bytes, std::string* out) {
   for (int i = 0; i < bytes; ++i) out->push_back(static_cast<char>(value >> (8 * i)));
 }

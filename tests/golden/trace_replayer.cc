@@ -12,9 +12,9 @@
 #include <absl/types/span.h>
 #include <nlohmann/json.hpp>
 
-#include "common/env_name.h"
-#include "common/gzip_file.h"
-#include "common/status_macros.h"
+#include "common/base/status_macros.h"
+#include "common/config/env_name.h"
+#include "common/io/gzip_file.h"
 #include "envserver/render/renderer.h"
 #include "envserver/render/textures.h"
 #include "envserver/world/world.h"
@@ -81,7 +81,7 @@ class TraceReplayer {
     return absl::OkStatus();
   }
 
-  // Leaves report().difference empty as long as all agrees.
+  // Replays one line. Sets report().difference at the first difference.
   absl::Status Replay(const json& line) {
     const std::string kind = line.at("k").get<std::string>();
     if (kind == "set") return WorldEditor::Apply(line, &*world_);
@@ -196,7 +196,7 @@ absl::StatusOr<ReplayReport> ReplayLines(absl::string_view text, const std::stri
   return replayer.report();
 }
 
-// Pictures of each trace that a frames.jsonl names, by the trace's file name.
+// The pictures of each trace listed in a frames.jsonl, by the trace's file name.
 absl::StatusOr<std::map<std::string, GoldenPictures>> LoadPictures(const std::string& path) {
   CRAFTFLEET_ASSIGN_OR_RETURN(const std::string text, ReadGzipFile(path));
   const std::filesystem::path folder = std::filesystem::path(path).parent_path();

@@ -26,9 +26,9 @@ struct GoldenPicture {
 using GoldenPictures = std::map<std::pair<int64_t, int64_t>, std::vector<GoldenPicture>>;
 
 struct ReplayReport {
-  int64_t steps = 0;       // that agree
+  int64_t steps = 0;       // steps that agree
   int64_t frames = 0;      // observations and golden pictures that agree
-  std::string difference;  // empty, or the first: where, which field, expected and found
+  std::string difference;  // the first difference: place, field, expected and found; empty: none
 };
 
 // Replays the trace in the gzip file `path` with the textures of `texture_folder`.
@@ -36,7 +36,7 @@ struct ReplayReport {
 absl::StatusOr<ReplayReport> ReplayTrace(const std::string& path, const std::string& texture_folder,
                                          const GoldenPictures& pictures = {});
 
-// Replays each trace that frames.jsonl, `path`, names (they lie beside it), with its pictures.
+// Replays each trace listed in the frames.jsonl at `path`, from the same folder, with its pictures.
 // `ReplayReport::difference` names the trace. Errors as above.
 absl::StatusOr<ReplayReport> ReplayFrames(const std::string& path, const std::string& texture_folder);
 

@@ -6,7 +6,7 @@
 
 #include <absl/strings/str_cat.h>
 
-#include "common/status_macros.h"
+#include "common/base/status_macros.h"
 #include "envserver/world/creatures.h"
 #include "envserver/world/daylight.h"
 

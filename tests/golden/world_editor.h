@@ -1,4 +1,4 @@
-// Stages situations in a world and looks at what its public face does not show: for tests only.
+// Sets up situations in a world and accesses its private state: for tests only.
 
 #ifndef CRAFTFLEET_TESTS_GOLDEN_WORLD_EDITOR_H_
 #define CRAFTFLEET_TESTS_GOLDEN_WORLD_EDITOR_H_
@@ -17,8 +17,8 @@ class WorldEditor {
   static WorldState& State(World* world) { return world->state_; }
 
   // Applies a `set` line of a scenario trace; draws nothing. Source: README of the golden data, "Scenario traces".
-  //   InvalidArgument: a position outside the world, no object where one is meant, one where none may be.
-  // Throws nlohmann::json::exception where a value has the wrong shape.
+  //   InvalidArgument: a position outside the world, a missing object, or an occupied cell.
+  // Throws nlohmann::json::exception if a value has the wrong shape.
   static absl::Status Apply(const nlohmann::json& edit, World* world);
 };
 

@@ -10,11 +10,12 @@
 #include <absl/time/clock.h>
 
 #include "common/agent/canary.h"
-#include "common/status_macros.h"
-#include "common/version.h"
+#include "common/base/status_macros.h"
+#include "common/io/snapshot_envelope.h"
+#include "common/process/version.h"
+#include "common/process/worker_name.h"
 #include "common/wire/channel.h"
 #include "common/wire/protocol.h"
-#include "common/worker_name.h"
 
 namespace craftfleet {
 namespace {
@@ -39,11 +40,11 @@ absl::Status BadActor::Join() {
   return absl::OkStatus();
 }
 
-absl::StatusOr<v1::PermitReply> BadActor::AskForPermits() {
+absl::StatusOr<v1::PermitReply> BadActor::AskForPermits(int capacity) {
   v1::PermitRequest request;
   request.set_actor(name_);
   request.set_epoch(joined_.epoch());
-  request.set_capacity(4096);
+  request.set_capacity(capacity);
   request.set_wait_ms(200);
   return learner_.GetPermits(request);
 }
@@ -76,13 +77,32 @@ void BadActor::Lie() {
   while (true) {
     absl::SleepFor(absl::Milliseconds(100));
     if (!Join().ok()) continue;
-    const absl::StatusOr<v1::PermitReply> reply = AskForPermits();
+    const absl::StatusOr<v1::PermitReply> reply = AskForPermits(4096);
     if (reply.ok() && reply->finished()) return;
     if (reply.ok()) {
       for (const v1::Permit& permit : reply->granted()) SendLie(permit);
     }
     SayNonsense();
   }
+}
+
+absl::Status BadActor::Pretend() {
+  CRAFTFLEET_RETURN_IF_ERROR(Join());
+  CRAFTFLEET_ASSIGN_OR_RETURN(const v1::PermitReply reply, AskForPermits(1));
+  if (reply.granted_size() != 1) return absl::UnavailableError("no permit");
+  v1::FragmentMessage message = Fragment(reply.granted(0));
+  const v1::EnvConfig& env = joined_.config().env();
+  message.set_snapshot(SealSnapshot(EnvDigest(env.name(), env.length()), "no game"));
+  grpc::ClientContext context;
+  wire::SetDeadline(&context, absl::Seconds(60));
+  const auto stream = learner_.PushFragments(&context);
+  v1::FragmentVerdict verdict;
+  const bool accepted =
+      stream->Write(message) && stream->Read(&verdict) && verdict.verdict() == v1::FragmentVerdict::ACCEPTED;
+  context.TryCancel();
+  stream->Finish().IgnoreError();
+  learner_.Leave(name_);
+  return accepted ? absl::OkStatus() : absl::InternalError("the fragment was not accepted");
 }
 
 v1::FragmentMessage BadActor::Fragment(const v1::Permit& permit) const {
@@ -105,7 +125,7 @@ v1::FragmentMessage BadActor::Fragment(const v1::Permit& permit) const {
   return message;
 }
 
-// Each of these is wrong by itself; the snapshot is, whatever else is.
+// Each of these changes alone makes the fragment invalid; the snapshot is always invalid.
 void BadActor::Spoil(v1::FragmentMessage* message) {
   const std::vector<std::function<void()>> lies = {
       [&] { message->set_log_probs(0, 40); },

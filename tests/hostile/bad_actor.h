@@ -15,31 +15,35 @@
 
 namespace craftfleet {
 
-// One actor. Each function goes on until the learner has finished, or for good; the process is killed in the end. Not
+// One actor. Each function runs until the learner has finished, or forever; the process is killed in the end. Not
 // thread-safe.
 class BadActor {
  public:
   BadActor(const wire::Endpoint& learner, uint64_t seed);
 
-  // Takes as many permits as it gets, says that it has them, and plays none.
+  // Takes as many permits as it gets, renews them, and plays none.
   void StaySilent();
 
-  // Answers each permit with a fragment that can't be, and says other things that aren't so: permits it does not have,
-  // evaluations nobody gave it, goodbyes in another's name. What a learner could not tell from the truth it does not
-  // say, or the run would have other bytes.
+  // Answers each permit with an invalid fragment, and sends other false messages: permits that it does not have,
+  // evaluations that were not assigned to it, goodbyes in the name of another worker. It sends nothing that the learner
+  // could not recognise as false, because that would change the bytes of the run.
   void Lie();
 
-  // Downloads weights that it never reads, sends large messages, joins under ever new names: eight threads, each with a
-  // connection of its own.
+  // Plays nothing, and sends one fragment that the learner cannot recognise as false; its snapshot has a valid
+  // envelope, but is no game.
+  absl::Status Pretend();
+
+  // Downloads weights that it never reads, sends large messages, joins under ever new names. Eight threads, each with
+  // its own connection.
   void Flood();
 
  private:
   absl::Status Join();
-  absl::StatusOr<v1::PermitReply> AskForPermits();
+  absl::StatusOr<v1::PermitReply> AskForPermits(int capacity);
   void SendLie(const v1::Permit& permit);
   void SayNonsense();
   void FloodOnce();
-  // A fragment of black frames, as it should be but for what it holds.
+  // A fragment with black frames that is valid apart from its content.
   v1::FragmentMessage Fragment(const v1::Permit& permit) const;
   void Spoil(v1::FragmentMessage* message);
   int Draw(int n) { return std::uniform_int_distribution<int>(0, n - 1)(random_); }

@@ -1,6 +1,6 @@
-// For LD_PRELOAD: a disk as BAD_DISK says, words parted by spaces.
-//   nolocks        every lock is granted to whoever asks, as on some shared disks
-//   ENDING:N       the Nth sync of a path with that ending fails, and what was not synced before is lost
+// For LD_PRELOAD: simulates the disk that BAD_DISK describes, with words separated by spaces.
+//   nolocks        every lock is granted to every process, as on some shared disks
+//   ENDING:N       the Nth sync of a path with that ending fails, and the data since the previous sync is lost
 #include <sys/file.h>
 
 #include <cstdlib>

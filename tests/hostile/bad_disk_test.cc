@@ -1,4 +1,4 @@
-// Learners on disks that lock nothing, or lose what they said they would keep.
+// Learners on disks without working locks, or that lose synced data.
 
 #include <cstdlib>
 #include <memory>
@@ -23,7 +23,7 @@ using testing::HasSubstr;
 
 class BadDiskTest : public SmallRunTest {
  protected:
-  // A program whose disk is `disk` (bad_disk.cc).
+  // A program with the simulated disk `disk` (bad_disk.cc).
   std::unique_ptr<Process> StartOn(const std::string& disk, const std::string& program,
                                    const std::vector<std::string>& flags) {
     const char* const asan = std::getenv("ASAN_OPTIONS");
@@ -43,7 +43,7 @@ class BadDiskTest : public SmallRunTest {
     actors_.push_back(
         Start("craftfleet-actor", {"--learner=" + learner, "--envservers=" + server_->WaitForAddress().value()}));
   }
-  // Whatever came in between, a run of `iterations` came to what a quiet one comes to.
+  // Expects the same bytes as those of an undisturbed run of `iterations`.
   void ExpectLikeQuiet(int iterations) {
     Train("quiet");
     EXPECT_EQ(ReadLog("run", "stats.jsonl"), ReadLog("quiet", "stats.jsonl"));
@@ -58,7 +58,7 @@ class BadDiskTest : public SmallRunTest {
   std::vector<std::unique_ptr<Process>> actors_;
 };
 
-// The older is in the midst of its work, with an actor, when the newer resumes the run.
+// The older learner is training with an actor when the newer one resumes the run.
 TEST_F(BadDiskTest, OfTwoLearnersWithoutLocksOnlyTheNewerWrites) {
   ASSERT_THAT(WriteFileSynced(config(), absl::StrReplaceAll(kConfig, {{"steps: 192", "steps: 1920"}})), IsOk());
   const std::vector<std::string> flags = Flags("run", {"--listen=127.0.0.1:0", "--autoresume"});
@@ -81,7 +81,7 @@ TEST_F(BadDiskTest, OfTwoLearnersWithoutLocksOnlyTheNewerWrites) {
   ExpectLikeQuiet(30);
 }
 
-// An older learner without work must not wait for ever either.
+// An older learner without actors must not wait forever either.
 TEST_F(BadDiskTest, AnOlderLearnerWithoutActorsEndsToo) {
   const std::vector<std::string> flags = Flags("run", {"--listen=127.0.0.1:0", "--autoresume"});
   const auto older = StartOn("nolocks", "craftfleet-learner", flags);
@@ -93,7 +93,7 @@ TEST_F(BadDiskTest, AnOlderLearnerWithoutActorsEndsToo) {
 }
 
 TEST_F(BadDiskTest, AFailedSyncOfALogCostsNoLine) {
-  // The second of each log comes with the checkpoint of the first iteration, the first with that before it.
+  // The first sync of each log belongs to the initial checkpoint, the second to that of the first iteration.
   const auto train = StartOn("/stats.jsonl:2", "craftfleet-train", Flags("run"));
   const Ended ended = Finish(train.get());
   EXPECT_EQ(ended.exit_code, 0) << ended.err;

@@ -14,7 +14,7 @@ constexpr absl::Duration kSlowAnswer = absl::Seconds(30);
 constexpr size_t kLargeBytes = 32 << 20;
 constexpr int kLongestTruth = 40;  // replies of a session before the first lie
 
-// Until the client has gone.
+// Waits until the client has disconnected.
 void WaitForTheEnd(const grpc::ServerContext& context) {
   while (!context.IsCancelled()) absl::SleepFor(absl::Milliseconds(50));
 }

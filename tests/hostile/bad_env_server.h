@@ -14,13 +14,13 @@
 namespace craftfleet {
 
 enum class Misdeed {
-  kSilent,    // takes every request and answers none
-  kSlow,      // answers as the server behind it does, each time after 30 s
-  kLying,     // hands on what the server behind it says, until it spoils one reply of a session
-  kFlooding,  // answers a request with replies without end, large ones
+  kSilent,    // accepts every request and answers none
+  kSlow,      // forwards each reply of the server behind it after 30 s
+  kLying,     // forwards the replies of the server behind it until it corrupts one reply of a session
+  kFlooding,  // answers a request with endless large replies
 };
 
-// Passes sessions on to `behind`, a server as it should be. Thread-safe.
+// Forwards sessions to `behind`, a well-behaved server. Thread-safe.
 class BadEnvService : public v1::EnvironmentService::Service {
  public:
   BadEnvService(Misdeed misdeed, const wire::Endpoint& behind, uint64_t seed);
@@ -30,7 +30,7 @@ class BadEnvService : public v1::EnvironmentService::Service {
 
  private:
   grpc::Status PassOn(grpc::ServerContext* context, grpc::ServerReaderWriter<v1::PlayReply, v1::PlayRequest>* stream);
-  // Makes of it what no server may say. What can't be told from the truth is left alone.
+  // Makes the reply invalid, in a way that clients can detect.
   void Spoil(v1::PlayReply* reply);
   int Draw(int n);
 

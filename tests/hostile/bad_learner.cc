@@ -6,8 +6,8 @@
 #include <absl/status/statusor.h>
 #include <absl/time/clock.h>
 
-#include "common/config.h"
-#include "common/version.h"
+#include "common/config/config.h"
+#include "common/process/version.h"
 
 namespace craftfleet {
 namespace {
@@ -44,7 +44,7 @@ grpc::Status BadLearnerService::Join(grpc::ServerContext* context, const v1::Joi
         reply->mutable_config()->set_agent("no such agent");
         break;
       default:
-        break;  // permits that can't be
+        break;  // a valid reply; invalid permits follow
     }
   }
   return grpc::Status::OK;

@@ -10,9 +10,9 @@
 namespace craftfleet {
 
 enum class LearnerMisdeed {
-  kSilent,    // takes every call and answers none
-  kLying,     // one field of each answer is what no learner may say
-  kFlooding,  // weights without end
+  kSilent,    // accepts every call and answers none
+  kLying,     // one field of each reply is invalid
+  kFlooding,  // endless weights
 };
 
 // Thread-safe.
@@ -31,7 +31,7 @@ class BadLearnerService : public v1::LearnerService::Service {
                         v1::AnnounceReply* reply) override;
 
  private:
-  // True once the caller has gone, if this learner answers nobody.
+  // If this learner is silent: waits until the caller has disconnected, and returns true.
   bool Ignored(const grpc::ServerContext& context) const;
 
   const LearnerMisdeed misdeed_;

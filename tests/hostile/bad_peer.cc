@@ -9,10 +9,10 @@
 #include <absl/flags/flag.h>
 #include <absl/strings/str_cat.h>
 
-#include "common/paths.h"
-#include "common/program.h"
-#include "common/status_macros.h"
-#include "common/texture_digest.h"
+#include "common/base/status_macros.h"
+#include "common/io/paths.h"
+#include "common/io/texture_digest.h"
+#include "common/process/program.h"
 #include "common/wire/channel.h"
 #include "common/wire/channel_flags.h"
 #include "common/wire/server.h"
@@ -25,7 +25,8 @@
 #include "tests/hostile/bad_learner.h"
 
 ABSL_FLAG(std::string, role, "", "actor, envserver or learner");
-ABSL_FLAG(std::string, misdeed, "", "silent, lying, flooding; slow too for an environment server");
+ABSL_FLAG(std::string, misdeed, "",
+          "silent, lying, flooding; slow too for an environment server, pretending for an actor (one fragment)");
 ABSL_FLAG(std::string, learner, "", "address of the learner, for actors and environment servers");
 ABSL_FLAG(std::string, behind, "", "address of the environment server that a bad one passes sessions on to");
 ABSL_FLAG(std::string, listen, "127.0.0.1:0", "address to listen on, for environment servers and learners");
@@ -46,6 +47,8 @@ absl::Status RunActor(const std::string& misdeed, const wire::Endpoint& learner)
     actor.Lie();
   } else if (misdeed == "flooding") {
     actor.Flood();
+  } else if (misdeed == "pretending") {
+    return actor.Pretend();
   } else {
     return NoSuch("misdeed", misdeed);
   }

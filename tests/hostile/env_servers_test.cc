@@ -1,4 +1,4 @@
-// Environment servers that stay and do not answer: the run ends with the quiet run's very bytes.
+// Environment servers that stay connected but do not answer: the run gives the same bytes as an undisturbed run.
 
 #include <netinet/in.h>
 #include <sys/socket.h>
@@ -31,7 +31,7 @@ class HostileEnvServersTest : public FleetRunTest {
     return Start("craftfleet-actor", log,
                  {"--learner=" + learner, "--envservers=" + servers, "--threads=2", "--env_timeout=3"});
   }
-  // What the learner's page says of the server at `address`; empty: nothing.
+  // The learner's status of the server at `address`; empty if there is none.
   static std::string HealthOf(const std::string& learner, const std::string& address) {
     const auto status = Start("craftfleet-status", "status", {"--address=" + learner});
     if (status->Wait(kPatience) != 0) return "";
@@ -41,7 +41,7 @@ class HostileEnvServersTest : public FleetRunTest {
   }
 };
 
-TEST_F(HostileEnvServersTest, OneThatStandsStillCostsSecondsAndComesBack) {
+TEST_F(HostileEnvServersTest, ASuspendedServerCostsSecondsAndIsUsedAgain) {
   const auto learner = StartLearner("still", "127.0.0.1:0");
   const std::string address = learner->WaitForAddress().value();
   const auto good = Start("craftfleet-envserver", "still-good", {"--listen=127.0.0.1:0"});
@@ -52,7 +52,7 @@ TEST_F(HostileEnvServersTest, OneThatStandsStillCostsSecondsAndComesBack) {
   const auto second = StartActorWith("still-second", address, servers);
   WaitForCheckpoint("still", 2);
   bad->Signal(SIGSTOP);
-  EXPECT_TRUE(first->WaitForText("left alone until it answers", absl::Seconds(60))) << first->Err();
+  EXPECT_TRUE(first->WaitForText("not used until it answers", absl::Seconds(60))) << first->Err();
   EXPECT_TRUE(WaitUntil([&] { return absl::StrContains(HealthOf(address, bad_address), "NOT ANSWERING"); }))
       << HealthOf(address, bad_address);
   bad->Signal(SIGCONT);
@@ -62,7 +62,7 @@ TEST_F(HostileEnvServersTest, OneThatStandsStillCostsSecondsAndComesBack) {
   EXPECT_EQ(second->Wait(kPatience), 0) << second->Err();
 }
 
-TEST_F(HostileEnvServersTest, OneThatAcceptsAndNeverSpeaksKeepsNobodyWaiting) {
+TEST_F(HostileEnvServersTest, AServerThatNeverAnswersDelaysNoActor) {
   const int listener = socket(AF_INET, SOCK_STREAM, 0);
   ASSERT_GE(listener, 0);
   const absl::Cleanup close_listener = [listener] { close(listener); };
@@ -93,7 +93,7 @@ TEST_F(HostileEnvServersTest, AnActorWhoseOnlyServerIsSilentStopsWithinSeconds) 
   const auto actor = StartActor("stop-actor", address, server->WaitForAddress().value());
   WaitForCheckpoint("stop", 2);
   server->Signal(SIGSTOP);
-  absl::SleepFor(absl::Seconds(1));  // it waits for a step by now
+  absl::SleepFor(absl::Seconds(1));  // now it waits for a step
   const absl::Time start = absl::Now();
   actor->Signal(SIGTERM);
   EXPECT_EQ(actor->Wait(absl::Seconds(20)), 0) << actor->Err();

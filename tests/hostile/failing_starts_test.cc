@@ -21,7 +21,7 @@ namespace {
 
 using testing::HasSubstr;
 
-// A port of loopback that is listened on, by nobody who answers.
+// A loopback port that is in use by a listener that never answers.
 class BusyPort {
  public:
   BusyPort() : descriptor_(::socket(AF_INET, SOCK_STREAM | SOCK_CLOEXEC, 0)) {
@@ -46,7 +46,7 @@ class BusyPort {
 
 class FailingStartsTest : public SmallRunTest {
  protected:
-  // Each file of the run with its bytes, but for the lock, which says who held it last.
+  // The bytes of each file of the run, except the lock, which names its last holder.
   std::map<std::string, std::string> Contents() const {
     std::map<std::string, std::string> contents;
     for (const auto& entry : std::filesystem::recursive_directory_iterator(Logdir("run"))) {
@@ -56,7 +56,7 @@ class FailingStartsTest : public SmallRunTest {
     }
     return contents;
   }
-  // Goes back to the first of three checkpoints, which would cost the others and most of the logs.
+  // Flags that go back to the first of three checkpoints, which would remove the others and most of the logs.
   void ExpectHarmless(const std::string& program, const std::vector<std::string>& more, const std::string& error) {
     std::vector<std::string> flags = {"--resume", "--resume_from=iter-00000001", "--logdir=" + Logdir("run")};
     flags.insert(flags.end(), more.begin(), more.end());
@@ -70,7 +70,7 @@ class FailingStartsTest : public SmallRunTest {
   const BusyPort busy_;
 };
 
-TEST_F(FailingStartsTest, WhateverFailsNothingIsThrownAway) {
+TEST_F(FailingStartsTest, NoFailingStartRemovesAnything) {
   Train("run");
   const std::string learner = "craftfleet-learner";
   const std::string free = "--listen=127.0.0.1:0";
@@ -97,7 +97,7 @@ TEST_F(FailingStartsTest, WhateverFailsNothingIsThrownAway) {
   ExpectHarmless(learner, {free}, "weights.safetensors");
   ASSERT_THAT(WriteFileSynced(weights, sound), IsOk());
 
-  // And the run is as good as ever.
+  // The run can still be resumed.
   const auto before = Contents();
   const Ended ended = Run("craftfleet-train", {"--resume", "--resume_from=iter-00000001", "--logdir=" + Logdir("run")});
   EXPECT_EQ(ended.exit_code, 0) << ended.err;
@@ -106,7 +106,7 @@ TEST_F(FailingStartsTest, WhateverFailsNothingIsThrownAway) {
   }
 }
 
-TEST_F(FailingStartsTest, ANewRunThatCannotStartIsNoRun) {
+TEST_F(FailingStartsTest, ANewRunThatCannotStartLeavesNoRun) {
   const Ended ended = Run("craftfleet-learner", Flags("run", {"--listen=" + busy_.name()}));
   EXPECT_EQ(ended.exit_code, 1);
   EXPECT_THAT(ended.err, HasSubstr(busy_.name()));

@@ -1,4 +1,4 @@
-"""Clients of an environment server that want too much, say nothing, read nothing or leave."""
+"""Clients of an environment server that request too much, send nothing, read nothing or disconnect."""
 
 import time
 
@@ -37,14 +37,14 @@ class Floods(server_case.ServerCase):
         server = self.envserver("--max_session_games=10", "--max_games=15")
         first = self.session(server.address)
         self.assertEqual(self.ask(first, messages.open_lanes(range(10))).ended, False)
-        # Lanes that are open begin anew, which wants no room but for a moment.
+        # Restarting open lanes needs additional memory only for a moment.
         second = self.session(server.address)
-        self.expect_refused(self.ask(second, messages.open_lanes(range(11))), "games of one session: 11 asked for",
+        self.expect_refused(self.ask(second, messages.open_lanes(range(11))), "games of one session: 11 requested",
                             "at most 10", "--max_session_games")
         third = self.session(server.address)
-        self.expect_refused(self.ask(third, messages.open_lanes(range(6))), "games of all sessions: 16 asked for",
+        self.expect_refused(self.ask(third, messages.open_lanes(range(6))), "games of all sessions: 16 requested",
                             "at most 15", "--max_games")
-        # What a session had is there again when it is over.
+        # The memory of a session is released when it ends.
         first[0].close()
         def room():
             return not self.ask(self.session(server.address), messages.open_lanes(range(10))).ended
@@ -58,6 +58,19 @@ class Floods(server_case.ServerCase):
         client.send_message(stream, messages.hello(frame_size=2048))
         self.expect_refused(client.read_reply(stream, server_case.PATIENCE_S), "--max_games_mb")
         self.assertFalse(sessions[0][0].read_reply(sessions[0][1], 0).ended)
+
+    def test_a_waiting_session_keeps_nothing_of_its_last_request(self):
+        server = self.envserver()
+        before = server.memory_mb()
+        client = self.client(server.address)
+        lane = messages.field(1, 0) + messages.field(4, bytes(3 << 20))  # its snapshot, which is refused
+        for _ in range(100):
+            stream = client.start(messages.PLAY)
+            client.send_message(stream, messages.hello())
+            client.read_reply(stream, server_case.PATIENCE_S, messages=1)
+            reply = self.ask((client, stream), messages.field(2, messages.field(1, lane)))
+            self.assertFalse(reply.ended, reply.error)
+        self.assertLess(server.memory_mb() - before, 200)
 
     def test_late_episodes_open_at_once(self):
         server = self.envserver()
@@ -101,7 +114,7 @@ class Floods(server_case.ServerCase):
         self.assertEqual(reply.error, "waited 2s for the next request (--idle_timeout)")
         python_case.wait_until(lambda: "waited 1s for a hello" in server.text(), "it is in the log")
 
-    def test_a_client_that_takes_no_replies_is_put_out(self):
+    def test_a_client_that_reads_no_replies_is_disconnected(self):
         server = self.envserver("--reply_timeout=1s")
         client = self.client(server.address, grants=False)
         stream = client.start(messages.PLAY)
@@ -120,6 +133,49 @@ class Floods(server_case.ServerCase):
             self.assertIn(flag.partition("=")[0] + "=", ended.stderr)
 
 
+class LearnersStreams(server_case.ServerCase):
+
+    def test_a_waiting_stream_keeps_nothing_of_its_last_fragment(self):
+        learner = self.learner()
+        before = learner.memory_mb()
+        client = self.client(learner.address)
+        for i in range(100):
+            stream = client.start(messages.PUSH_FRAGMENTS)
+            fragment = messages.field(1, "host-1-a") + messages.field(2, 99) + messages.field(6, bytes(3 << 20))
+            client.send_message(stream, fragment)  # of an unknown epoch
+            reply = client.read_reply(stream, server_case.PATIENCE_S, messages=1)
+            self.assertEqual(len(reply.messages), 1, (i, reply.error))
+        self.assertLess(learner.memory_mb() - before, 150)
+
+    def test_downloads_that_nobody_reads_take_little_memory(self):
+        learner = self.learner()
+        python_case.wait_until(lambda: self.weights_mb(learner) > 1, "it publishes weights", server_case.PATIENCE_S)
+        before = learner.memory_mb()
+        client = self.client(learner.address, grants=False, settings={raw_http2.INITIAL_WINDOW_SIZE: 0})
+        for _ in range(120):
+            client.send_message(client.start(messages.GET_WEIGHTS), b"", end=True)
+        time.sleep(3)
+        self.assertTrue(self.healthy(learner.address))
+        self.assertLess(learner.memory_mb() - before, 150)
+
+    def weights_mb(self, learner):
+        with raw_http2.Client(learner.address) as client:
+            reply = client.call(messages.GET_WEIGHTS, b"", timeout=server_case.PATIENCE_S)
+        return sum(map(len, reply.messages)) / 1e6
+
+    def test_refused_calls_do_not_fill_the_log(self):
+        learner = self.learner()
+        before = len(learner.text().splitlines())
+        fragment = messages.field(1, "host-1-a") + messages.field(2, 1) + messages.field(3, 7)  # of a lane that does not exist
+        with raw_http2.Client(learner.address) as client:
+            for i in range(500):
+                reply = client.call(messages.JOIN, messages.field(1, 99) + messages.field(3, "host-1-a"))
+                self.assertEqual(reply.status, messages.FAILED_PRECONDITION, (i, reply.error))
+                reply = client.call(messages.PUSH_FRAGMENTS, fragment)
+                self.assertEqual(reply.status, messages.INVALID_ARGUMENT, reply.error)
+        self.assertLess(len(learner.text().splitlines()) - before, 20)
+
+
 class HealthPort(server_case.ServerCase):
 
     def setUp(self):
@@ -133,7 +189,7 @@ class HealthPort(server_case.ServerCase):
             for path in [messages.PLAY, messages.GET_STATUS, messages.WATCH_STATUS, messages.REFLECTION]:
                 self.assertEqual(client.call(path, b"").status, messages.UNIMPLEMENTED, path)
 
-    def test_whatever_connects_its_threads_are_a_handful(self):
+    def test_its_number_of_threads_is_bounded(self):
         before = self.server.threads()
         clients = []
         for i in range(40):
@@ -147,12 +203,12 @@ class HealthPort(server_case.ServerCase):
         self.assertGreater(len(clients), 3)
         time.sleep(1)
         self.assertLess(self.server.threads() - before, 20)
-        self.assertIn("a health port", self.server.text())  # refused some
+        self.assertIn("a health port", self.server.text())  # it refused some connections
         for client in clients:
             client.close()
         python_case.wait_until(lambda: self.healthy(self.health), "it answers again", server_case.PATIENCE_S)
 
-    def test_slow_clients_are_put_out(self):
+    def test_slow_clients_are_disconnected(self):
         half = raw_http2.connect_socket(self.health)
         self.addCleanup(half.close)
         half.sendall(raw_http2.PREFACE[:10])
@@ -161,13 +217,13 @@ class HealthPort(server_case.ServerCase):
         for sock in [half, unfinished.sock]:
             sock.settimeout(server_case.PATIENCE_S)
             while sock.recv(1 << 16):
-                pass  # until the server ends it
+                pass  # until the server closes the connection
 
 
 class Streams(server_case.ServerCase):
 
     def test_watchers_that_do_not_read_make_room(self):
-        """Each holds one of 32 places; without a limit they would keep them."""
+        """Each takes one of 32 slots, which it would keep without a limit."""
         server = self.envserver()
         clients = [self.client(server.address, grants=False, settings={raw_http2.INITIAL_WINDOW_SIZE: 0})
                    for _ in range(32)]
@@ -181,8 +237,43 @@ class Streams(server_case.ServerCase):
         python_case.wait_until(lambda: status().status == messages.RESOURCE_EXHAUSTED, "all places are taken")
         python_case.wait_until(lambda: self.read_pings(clients) or status().messages, "a place is free", 150)
 
+    def ended(self, clients_and_streams):
+        """How many of the streams have ended."""
+        for client in {client for client, _ in clients_and_streams}:
+            try:
+                while client.read_frame(0.001):
+                    pass
+            except raw_http2.Closed:
+                pass
+        return sum(client.read_reply(stream, 0).ended for client, stream in clients_and_streams)
+
+    def test_reflection_streams_are_few_and_short(self):
+        """Each holds a thread; 4096 of them would hold all."""
+        server = self.envserver()
+        before = server.threads()
+        streams = []
+        for _ in range(3):
+            client = self.client(server.address)
+            streams += [(client, client.start(messages.REFLECTION)) for _ in range(100)]
+        python_case.wait_until(lambda: self.ended(streams) >= 300 - 16, "all but some are refused", server_case.PATIENCE_S)
+        self.assertLess(server.threads() - before, 100)
+        python_case.wait_until(lambda: self.ended(streams) == 300, "the others end", server_case.PATIENCE_S)
+        statuses = {client.read_reply(stream, 0).status for client, stream in streams}
+        self.assertEqual(statuses, {messages.RESOURCE_EXHAUSTED, messages.DEADLINE_EXCEEDED})
+
+    def test_health_watchers_of_one_client_are_limited(self):
+        server = self.envserver()
+        streams = []
+        for _ in range(4):
+            client = self.client(server.address)
+            for _ in range(100):
+                streams.append((client, client.start(messages.WATCH_HEALTH)))
+                client.send_message(streams[-1][1], b"", end=True)
+        python_case.wait_until(lambda: self.ended(streams) == 400 - 256, "those beyond are refused", server_case.PATIENCE_S)
+        self.assertTrue(self.healthy(server.address))
+
     def read_pings(self, clients):
-        """They live, as far as HTTP/2 knows."""
+        """Reads frames, so that the connections stay alive for HTTP/2."""
         for client in clients:
             try:
                 while client.read_frame(0.001):

@@ -36,7 +36,7 @@ def _bytes(text):
 
 
 def encode(headers):
-    """The block of (name, value) pairs of str or bytes: literals that enter no table, not Huffman-coded."""
+    """Encodes (name, value) pairs of str or bytes as literals without indexing and without Huffman coding."""
     block = b""
     for name, value in headers:
         name, value = _bytes(name), _bytes(value)
@@ -45,8 +45,8 @@ def encode(headers):
 
 
 class Decoder:
-    """Blocks of one direction of one connection, in order. Huffman-coded text, which gRPC's C++ library does not send,
-    comes out as "huffman:" and its bytes in hexadecimal."""
+    """Decodes the blocks of one direction of a connection, in order. Huffman-coded text, which gRPC's C++ library does not
+    send, becomes "huffman:" and its bytes in hexadecimal."""
 
     def __init__(self, table_bytes=4096):
         self.dynamic, self.size, self.limit = [], 0, table_bytes

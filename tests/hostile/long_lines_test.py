@@ -1,4 +1,4 @@
-"""No line of a log that a stranger causes is longer than 1 KiB, whatever he calls himself."""
+"""No log line that an untrusted client causes is longer than 1 KiB, however long its names are."""
 
 import itertools
 import subprocess

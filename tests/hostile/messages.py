@@ -1,5 +1,5 @@
-"""The messages of the fleet that hostile tests send, in protobuf's bytes: what generated code would not let them say is said
-as easily as what it would."""
+"""Messages of the fleet as protobuf bytes, for hostile tests. They can also be invalid, which generated code would not
+allow."""
 
 import re
 import zlib
@@ -13,10 +13,12 @@ HEALTH = "/grpc.health.v1.Health/Check"
 WATCH_HEALTH = "/grpc.health.v1.Health/Watch"
 PUSH_FRAGMENTS = "/craftfleet.v1.LearnerService/PushFragments"
 JOIN = "/craftfleet.v1.LearnerService/Join"
+GET_WEIGHTS = "/craftfleet.v1.LearnerService/GetWeights"
 REFLECTION = "/grpc.reflection.v1alpha.ServerReflection/ServerReflectionInfo"
 
 # gRPC's codes.
-OK, CANCELLED, INVALID_ARGUMENT, DEADLINE_EXCEEDED, RESOURCE_EXHAUSTED, UNIMPLEMENTED, INTERNAL = 0, 1, 3, 4, 8, 12, 13
+OK, CANCELLED, INVALID_ARGUMENT, DEADLINE_EXCEEDED, RESOURCE_EXHAUSTED, FAILED_PRECONDITION = 0, 1, 3, 4, 8, 9
+UNIMPLEMENTED, INTERNAL = 12, 13
 
 
 def varint(value):
@@ -43,7 +45,7 @@ def protocol_version():
 
 
 def hello(run_id="run", frame_size=64, client="hostile", env="crafter", picture_size=None):
-    """Of a session of an environment server."""
+    """The first message of a session with an environment server."""
     config = field(1, env) + field(2, frame_size)
     message = field(1, protocol_version()) + field(2, run_id) + field(4, config) + field(5, client)
     if picture_size is not None:
@@ -61,6 +63,6 @@ def step(lanes, action=0):
 
 
 def bomb(encoding, megabytes):
-    """Zeros, compressed to a thousandth as gRPC's `encoding` has it."""
+    """Zeros, compressed to a thousandth of their size with gRPC's `encoding`."""
     compressor = zlib.compressobj(9, zlib.DEFLATED, {"gzip": 31, "deflate": 15}[encoding])
     return b"".join(compressor.compress(bytes(1 << 20)) for _ in range(megabytes)) + compressor.flush()

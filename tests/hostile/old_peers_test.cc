@@ -1,4 +1,4 @@
-// Peers of another protocol version: each side that looks says which one to upgrade.
+// Peers with another protocol version: the error names the program to upgrade.
 
 #include <memory>
 #include <string>
@@ -58,7 +58,7 @@ TEST_F(OldPeersTest, AnEnvironmentServerRefusesActors) {
   }
 }
 
-// In place of a learner of version 0.1 or of a later one: refuses as such a learner does.
+// Simulates a learner of version 0.1 or of a later version that refuses the actor.
 class OtherLearner : public v1::LearnerService::Service {
  public:
   explicit OtherLearner(int version) : version_(version) {}

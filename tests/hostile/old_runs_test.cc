@@ -1,9 +1,9 @@
-// Runs that version 0.1 wrote (tests/data/v0.1) go on.
+// Runs that version 0.1 wrote (tests/data/v0.1) can be resumed.
 //
-// What is compared, and how: logs of episodes to the byte, wherever this runs. Other CPUs add numbers in another order
-// and come to weights that differ in their last bits, but an action is drawn otherwise only where a random number falls
-// within such a difference, one in some million steps; these runs have some hundred. Weights to the byte on the CPU
-// that made them, within a tolerance elsewhere.
+// Episode logs are compared to the byte on every machine. Other CPUs add numbers in another order, so their weights
+// differ in the last bits. That changes an action only if a random number falls into such a difference, in about one of
+// a million steps; these runs have some hundred. Weights are compared to the byte on the CPU that made them, and within
+// a tolerance elsewhere.
 
 #include <cstdint>
 #include <cstring>
@@ -21,7 +21,7 @@
 #include <gtest/gtest.h>
 #include <nlohmann/json.hpp>
 
-#include "common/little_endian.h"
+#include "common/base/little_endian.h"
 #include "tests/integration/small_run.h"
 
 namespace craftfleet {
@@ -37,7 +37,7 @@ std::vector<std::string> Lines(const std::string& path) {
   return absl::StrSplit(ReadText(path), '\n', absl::SkipEmpty());
 }
 
-// As make.py has it: what decides which loops BLAS and LibTorch choose.
+// As in make.py: the CPU features that determine the code paths of BLAS and LibTorch.
 std::string OwnCpu() {
   std::map<std::string, std::string> fields;
   for (const std::string& line : Lines("/proc/cpuinfo")) {
@@ -52,7 +52,7 @@ std::string OwnCpu() {
   return cpu;
 }
 
-// Of each tensor of a safetensors file of floats: how many numbers, their sum, the sum of their squares.
+// For each tensor of a safetensors file of floats: the number of values, their sum, and the sum of their squares.
 struct Sums {
   int64_t count = 0;
   double sum = 0;
@@ -100,8 +100,8 @@ class OldRunsTest : public SmallRunTest, public testing::WithParamInterface<cons
       double squares = 0;
       ASSERT_TRUE(absl::SimpleAtod(words[2], &sum) && absl::SimpleAtod(words[3], &squares));
       EXPECT_EQ(absl::StrCat(found->second.count), words[1]) << line;
-      // Adam's first steps move a weight by the learning rate whichever way its gradient points, however small that
-      // is: a thousandth of them may go the other way.
+      // The first Adam steps move a weight by the learning rate in the direction of its gradient, however small that
+      // is. A thousandth of the weights may move in the other direction.
       EXPECT_NEAR(found->second.sum, sum, 1e-3 + 1e-6 * static_cast<double>(found->second.count)) << line;
       EXPECT_NEAR(found->second.squares, squares, 1e-3 * squares + 1e-6) << line;
     }
@@ -116,7 +116,7 @@ class OldRunsTest : public SmallRunTest, public testing::WithParamInterface<cons
   const std::string data_ = JoinPath(CRAFTFLEET_SOURCE_DIR, absl::StrCat("tests/data/v0.1/", GetParam()));
 };
 
-TEST_P(OldRunsTest, GoesOnInOneProcess) {
+TEST_P(OldRunsTest, ResumesInOneProcess) {
   const Ended ended = Run("craftfleet-train", {"--resume", "--logdir=" + Logdir("run")});
   ASSERT_EQ(ended.exit_code, 0) << ended.err;
   EXPECT_THAT(ended.err, HasSubstr("2 fragments of iteration"));
@@ -124,7 +124,7 @@ TEST_P(OldRunsTest, GoesOnInOneProcess) {
   ExpectWeights();
 }
 
-TEST_P(OldRunsTest, GoesOnInAFleet) {
+TEST_P(OldRunsTest, ResumesInAFleet) {
   const auto learner = Start("craftfleet-learner", {"--resume", "--listen=127.0.0.1:0", "--logdir=" + Logdir("run")});
   const auto server = Start("craftfleet-envserver", {"--listen=127.0.0.1:0"});
   const auto actor = Start("craftfleet-actor", {"--learner=" + learner->WaitForAddress().value(),
@@ -139,7 +139,7 @@ TEST_P(OldRunsTest, IsEvaluated) {
   const std::string json = folder_ / "eval.json";
   const Ended ended = Run("craftfleet-eval", {"--checkpoint=" + Logdir("run"), "--episodes=3", "--json=" + json});
   ASSERT_EQ(ended.exit_code, 0) << ended.err;
-  // What 0.1 said must be there; later programs may say more.
+  // The output must contain that of version 0.1; later versions may print more.
   const auto actual = nlohmann::json::parse(ReadText(json));
   const auto wanted = nlohmann::json::parse(ReadText(data_ + "/eval.json"));
   for (const auto& [key, value] : wanted.items()) EXPECT_EQ(actual.value(key, nlohmann::json()), value) << key;

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""HTTP/2 and gRPC byte by byte, for peers that misbehave: standard library only.
+"""HTTP/2 and gRPC with control over every byte, for misbehaving peers. Uses only the standard library.
 
 As a client:
   with Client("127.0.0.1:50061") as client:
@@ -9,8 +9,8 @@ As a client:
       client.send_data(stream, any_bytes)                                 # or not
       reply = client.read_reply(stream, timeout=10, messages=1)
 
-As a server: SilentServer says what HTTP/2 wants said and answers no request. A subclass that overrides `on_headers` or
-`on_message` can lie, or answer a byte a second.
+As a server: SilentServer sends the required HTTP/2 frames and answers no request. A subclass that overrides `on_headers` or
+`on_message` can send invalid replies, or one byte per second.
 
   tests/hostile/raw_http2.py silent --listen=127.0.0.1:0                  prints "listening on 127.0.0.1:PORT" to stderr
 """
@@ -64,11 +64,11 @@ def connect_socket(address, timeout=10, tls=None, server_name=None):
 
 
 class Closed(Exception):
-    """The other side ended the connection."""
+    """The peer closed the connection."""
 
 
 class Reply:
-    """What came on a stream so far."""
+    """The data received on a stream so far."""
 
     def __init__(self):
         self.headers, self.trailers = [], []
@@ -76,7 +76,7 @@ class Reply:
         self.compressed = []     # their flags
         self.ended = False
         self.reset = None        # HTTP/2's error code
-        self.rest = b""          # of a message that has not come whole
+        self.rest = b""          # the beginning of an incomplete message
         self.data_bytes = 0
 
     def header(self, name):
@@ -84,7 +84,7 @@ class Reply:
 
     @property
     def status(self):
-        """gRPC's code; None: not there."""
+        """The gRPC status code; None if there is none."""
         code = self.header("grpc-status")
         return None if code is None else int(code)
 
@@ -105,12 +105,12 @@ class Reply:
 
 
 class Connection:
-    """Frames in both directions. It answers SETTINGS and PING itself and keeps the windows. One thread at a time may
-    read; any may write."""
+    """Sends and receives frames. It answers SETTINGS and PING itself and maintains the flow-control windows. One thread at a
+    time may read; any thread may write."""
 
     def __init__(self, sock, settings=None, grants=True):
         self.sock = sock
-        self.grants = grants  # False: a peer that takes nothing beyond the first window
+        self.grants = grants  # False: grants nothing beyond the initial window
         self.buffer = b""
         self.decoder = hpack.Decoder()
         self.replies = {}     # stream -> Reply
@@ -120,9 +120,9 @@ class Connection:
         self.stream_window = FIRST_WINDOW
         self.windows = {}
         self.writing = threading.Lock()
-        self.block = None     # (stream, flags, bytes) of headers that go on
+        self.block = None     # (stream, flags, bytes) of unfinished headers
         self.settings = settings or {}
-        self.news = []        # (method, arguments...) of what is yet to be told
+        self.news = []        # (method, arguments...) of callbacks that are still to be made
         self.telling = False
 
     def write(self, data):
@@ -137,7 +137,7 @@ class Connection:
                                                    for key, value in self.settings.items()))
 
     def send_headers(self, stream, headers, end=False):
-        """In as many frames as it takes."""
+        """Splits the data into as many frames as necessary."""
         block = hpack.encode(headers)
         parts = [block[i:i + FRAME_BYTES] for i in range(0, len(block), FRAME_BYTES)] or [b""]
         data = b""
@@ -147,14 +147,14 @@ class Connection:
         self.write(data)
 
     def send_data(self, stream, data, end=False, timeout=30):
-        """As far as the other side's windows go; reads frames while they are shut."""
+        """Sends as much as the peer's windows allow; reads frames while they are full."""
         limit = time.monotonic() + timeout
         while data or end:
             room = min(self.window, self.windows.setdefault(stream, self.stream_window), FRAME_BYTES)
             if data and room <= 0:
                 reply = self._reply(stream)
                 if reply.reset is not None or reply.ended and self.is_client():
-                    return  # nobody wants the rest
+                    return  # the peer has reset the stream
                 if not self.read_frame(limit - time.monotonic()):
                     raise TimeoutError(f"the other side takes no data, {len(data)} bytes are left")
                 continue
@@ -172,13 +172,13 @@ class Connection:
         self.send_frame(RST_STREAM, stream=stream, payload=struct.pack(">I", code))
 
     def read_frame(self, timeout=10):
-        """One frame (kind, flags, stream, payload), dealt with already; None: nothing came.  Closed: nothing will."""
+        """Receives and handles a frame (kind, flags, stream, payload). None: timeout.  Closed: the connection has ended."""
         limit = time.monotonic() + max(timeout, 0)
         got = self._take(limit)
         if got is None:
             return None
         self._handle(*got)
-        if not self.telling:  # who is told something may read more himself
+        if not self.telling:  # a callback may itself read more frames
             self.telling = True
             try:
                 while self.news:
@@ -294,14 +294,14 @@ class Connection:
         """For servers."""
 
     def on_end(self, stream):
-        """For servers: the other side has no more to say."""
+        """For servers: the client has sent its last message."""
 
     def close(self):
         self.sock.close()
 
 
 class Client(Connection):
-    """A client's connection, after the first words of HTTP/2."""
+    """A client's connection, after the HTTP/2 preface."""
 
     def __init__(self, address, timeout=10, tls=None, server_name=None, settings=None, grants=True):
         super().__init__(connect_socket(address, timeout, tls, server_name), settings, grants)
@@ -317,7 +317,7 @@ class Client(Connection):
         self.close()
 
     def start(self, path, metadata=(), end=False, encoding=None):
-        """Begins a call; `encoding` is what its compressed messages are said to be: gzip, deflate. Returns the stream."""
+        """Begins a call; `encoding` is the declared compression of its messages: gzip, deflate. Returns the stream."""
         stream, self.next_stream = self.next_stream, self.next_stream + 2
         headers = [(":method", "POST"), (":scheme", self.scheme), (":path", path), (":authority", "localhost"),
                    ("te", "trailers"), ("content-type", "application/grpc"), ("user-agent", "hostile")]
@@ -336,14 +336,14 @@ class Client(Connection):
         return reply
 
     def call(self, path, payload, timeout=10, metadata=(), compressed=False, encoding=None):
-        """One message and the whole reply."""
+        """Sends one message and returns the whole reply."""
         stream = self.start(path, metadata, encoding=encoding)
         self.send_message(stream, payload, compressed, end=True)
         return self.read_reply(stream, timeout)
 
 
 class ServerConnection(Connection):
-    """A client's connection as its server sees it."""
+    """The server side of a client's connection."""
 
     def __init__(self, sock, server):
         super().__init__(sock, {MAX_CONCURRENT_STREAMS: 1000})
@@ -378,7 +378,7 @@ class ServerConnection(Connection):
         self.server.on_end(self, stream)
 
     def answer(self, stream, payload, compressed=False, encoding=None):
-        """The first or a later message of a call, compressed already if it is said to be."""
+        """Sends the first or a later message of a call; a message that is declared compressed must be so already."""
         if stream not in self.answered:
             self.answered.add(stream)
             headers = [(":status", "200"), ("content-type", "application/grpc")]
@@ -394,7 +394,7 @@ class ServerConnection(Connection):
 
 
 class SilentServer:
-    """Takes connections and requests, answers HTTP/2's SETTINGS and PING, and no request, ever. Subclasses may override
+    """Accepts connections and requests, answers SETTINGS and PING, but no request. Subclasses may override
     on_headers, on_message and on_end, which are called on the connection's thread; connection.answer and
     connection.finish then reply."""
 
@@ -402,7 +402,7 @@ class SilentServer:
         self.tls = tls           # an ssl.SSLContext of a server
         self.stopping = False
         self.paths = []          # of the requests
-        self.connections = []    # all that ever came
+        self.connections = []    # all connections so far
         self.threads = []
         if listen.startswith("unix:"):
             self.listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
@@ -418,13 +418,13 @@ class SilentServer:
         self.accepting.start()
 
     def on_headers(self, connection, stream, headers):
-        """A call begins."""
+        """Called when a call begins."""
 
     def on_message(self, connection, stream, payload):
-        """A call's message came."""
+        """Called for each message of a call."""
 
     def on_end(self, connection, stream):
-        """The client has sent its last message."""
+        """Called when the client has sent its last message."""
 
     def _accept(self):
         while not self.stopping:
@@ -448,7 +448,7 @@ class SilentServer:
             self.connections.append(connection)
             connection.run()
         except (Closed, OSError):
-            pass  # clients may leave
+            pass  # clients may disconnect
         finally:
             sock.close()
 

@@ -1,4 +1,4 @@
-"""The byte-wise HTTP/2 of the hostile tests: with itself, and with a server of gRPC's library."""
+"""Tests of raw_http2.py, with its own server and with a server of the gRPC library."""
 
 import subprocess
 
@@ -21,7 +21,7 @@ class Echo(raw_http2.SilentServer):
 class RawHttp2(python_case.FolderCase):
 
     def envserver(self):
-        """The address of one, which ends with the test."""
+        """Starts a server that ends with the test; returns its address."""
         log = (self.folder / "log").open("w+")
         self.addCleanup(log.close)
         server = subprocess.Popen([BIN / "craftfleet-envserver", "--listen=127.0.0.1:0"], stderr=log)
@@ -32,7 +32,7 @@ class RawHttp2(python_case.FolderCase):
                                       "the server listens")
         return text.split()[0]
 
-    def test_headers_come_out_as_they_went_in(self):
+    def test_decoding_inverts_encoding_of_headers(self):
         headers = [(":path", "/a/b"), ("x", "1" * 5000), ("empty", "")]
         self.assertEqual(hpack.Decoder().decode(hpack.encode(headers)), headers)
         # RFC 7541, C.3: requests without Huffman coding that fill the table and use it.

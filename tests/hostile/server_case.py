@@ -1,4 +1,4 @@
-"""Programs of the fleet that a hostile test attacks: their addresses, their memory, their threads, their logs."""
+"""Programs under attack by a hostile test: their addresses, memory, threads and logs."""
 
 import functools
 import os
@@ -18,14 +18,14 @@ PATIENCE_S = 60  # for what takes a moment on a quiet machine
 class Program:
     """A process that listens, killed with the test."""
 
-    def __init__(self, case, name, *flags):
+    def __init__(self, case, name, *flags, listens="listening on"):
         self.log = case.folder / f"{name}-{len(list(case.folder.glob(name + '-*')))}.err"
         with self.log.open("wb") as log:
             self.process = subprocess.Popen([BIN / name, *flags], stderr=log, stdout=subprocess.DEVNULL)
         case.addCleanup(self.process.wait)
         case.addCleanup(self.process.kill)
         self.pid = self.process.pid
-        self.address = self.told("listening on")
+        self.address = self.told(listens)
 
     def text(self):
         return self.log.read_text(encoding="utf-8", errors="replace")
@@ -43,7 +43,7 @@ class Program:
         return int(re.search(key + r":\s+(\d+)", text).group(1))
 
     def memory_mb(self):
-        """The most that it ever had."""
+        """The peak resident memory."""
         return self._status("VmHWM") / 1024
 
     def threads(self):
@@ -54,7 +54,7 @@ class Program:
         return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
     def terminate(self, seconds):
-        """Seconds that it took to end by SIGTERM; fails after `seconds`."""
+        """Sends SIGTERM; returns the seconds until the process ended, and fails after `seconds`."""
         start = time.monotonic()
         self.process.terminate()
         try:
@@ -74,6 +74,11 @@ class ServerCase(python_case.FolderCase):
         (self.folder / "run.cfg").write_text(SMALL_RUN, encoding="utf-8")
         return Program(self, "craftfleet-learner", "--listen=127.0.0.1:0", f"--config={self.folder / 'run.cfg'}",
                        f"--logdir={self.folder / 'run'}", *flags)
+
+    def actor(self, *flags):
+        """An actor that waits for its learner."""
+        return Program(self, "craftfleet-actor", "--learner=127.0.0.1:1", "--envservers=127.0.0.1:1", *flags,
+                       listens="status on")
 
     @functools.cached_property
     def certificates(self):
@@ -97,7 +102,7 @@ class ServerCase(python_case.FolderCase):
         return client
 
     def session(self, address, **hello):
-        """A client and its stream, which the server has greeted."""
+        """A client and its stream, after the server's hello."""
         client = self.client(address)
         stream = client.start(messages.PLAY)
         client.send_message(stream, messages.hello(**hello))
@@ -106,7 +111,7 @@ class ServerCase(python_case.FolderCase):
         return client, stream
 
     def healthy(self, address):
-        """Whether a probe, which comes as others do, is answered."""
+        """Whether the server answers an ordinary health probe."""
         try:
             with raw_http2.Client(address, timeout=5) as client:
                 return client.call(messages.HEALTH, b"", timeout=5).messages == [b"\x08\x01"]

@@ -1,4 +1,4 @@
-// A run that is steered comes to the same as one that is left alone.
+// Admin commands do not change a run's result.
 
 #include <memory>
 #include <string>
@@ -21,7 +21,7 @@ using testing::Not;
 
 class AdminTest : public FleetRunTest {
  protected:
-  // A learner and `servers` environment servers that register with it, the actors of StartActor play on these.
+  // Starts a learner and `servers` environment servers that register with it. Actors of StartActor play on these.
   void StartFleet(const std::string& run, int servers = 1) {
     learner_ = StartLearner(run, "127.0.0.1:0");
     address_ = learner_->WaitForAddress("listening on ", kPatience).value();
@@ -48,7 +48,7 @@ class AdminTest : public FleetRunTest {
     EXPECT_EQ(ended.exit_code, 0) << ended.err;
     EXPECT_THAT(ended.out, HasSubstr(answer));
   }
-  // Address of an actor's status service, by which it can be named too.
+  // The address of an actor's status service, which can also name the actor.
   static std::string StatusAddress(const Process& actor) {
     return actor.WaitForAddress("status on ", kPatience).value();
   }
@@ -63,24 +63,24 @@ class AdminTest : public FleetRunTest {
   int calls_ = 0;
 };
 
-TEST_F(AdminTest, ARunThatIsPausedAndCheckpointedComesToTheSame) {
+TEST_F(AdminTest, APausedAndCheckpointedRunHasTheSameResult) {
   StartFleet("paused");
   const auto actor = Play("paused-actor");
   WaitForCheckpoint("paused", 2);
   Order({"pause"}, "paused");
   Order({"checkpoint"}, "checkpoint of iteration ");
   const std::string stats = ReadFile(Logdir("paused") + "/stats.jsonl").value_or("");
-  absl::SleepFor(absl::Seconds(2));  // in which five iterations would be played
+  absl::SleepFor(absl::Seconds(2));  // enough for five iterations
   EXPECT_EQ(ReadFile(Logdir("paused") + "/stats.jsonl").value_or("none"), stats);
   EXPECT_FALSE(learner_->Wait(absl::ZeroDuration()).has_value());
-  Order({"resume"}, "play goes on");
-  Order({"resume"}, "it was not paused");
+  Order({"resume"}, "resumed");
+  Order({"resume"}, "the run was not paused");
   Order({"checkpoint"}, "checkpoint of iteration ");
   ExpectTheRunToEndLikeQuiet("paused");
   EXPECT_THAT(learner_->Err(), AllOf(HasSubstr("admin ipv4:127.0.0.1:"), HasSubstr(": pause"), HasSubstr(": resume")));
 }
 
-TEST_F(AdminTest, ACheckpointThatWasAskedForCanBeResumedFrom) {
+TEST_F(AdminTest, ARequestedCheckpointCanBeResumedFrom) {
   StartFleet("asked");
   const auto actor = Play("asked-actor");
   WaitForCheckpoint("asked", 2);
@@ -91,17 +91,28 @@ TEST_F(AdminTest, ACheckpointThatWasAskedForCanBeResumedFrom) {
   ExpectTheRunToEndLikeQuiet("asked");
 }
 
-TEST_F(AdminTest, ADrainedActorPlaysNoMore) {
+TEST_F(AdminTest, ADrainedActorNoLongerPlays) {
   StartFleet("drained");
   const auto first = Play("drained-actor1");
   const auto second = Play("drained-actor2");
   WaitForCheckpoint("drained", 2);
   Order({"drain", StatusAddress(*first)}, "actor " + StatusAddress(*first) + " is drained");
-  first->Kill();  // nothing of the run is with it
+  first->Kill();  // it has no work left
   EXPECT_FALSE(learner_->Wait(absl::ZeroDuration()).has_value()) << "the run ended before the drain";
   ExpectTheRunToEndLikeQuiet("drained");
   EXPECT_EQ(second->Wait(absl::Seconds(10)), 0) << second->Err();
   EXPECT_THAT(second->Err(), Not(HasSubstr("lapsed")));
+}
+
+TEST_F(AdminTest, AnUndrainedActorFinishesTheRun) {
+  StartFleet("undrained");
+  const auto actor = Play("undrained-actor");
+  WaitForCheckpoint("undrained", 2);
+  const std::string address = StatusAddress(*actor);
+  Order({"drain", address}, "actor " + address + " is drained");
+  EXPECT_FALSE(learner_->Wait(absl::ZeroDuration()).has_value()) << "the run ended before the drain";
+  Order({"undrain", address}, "actor " + address + " gets work again");
+  ExpectTheRunToEndLikeQuiet("undrained");
 }
 
 TEST_F(AdminTest, ADrainedServerHasNoGames) {
@@ -116,21 +127,23 @@ TEST_F(AdminTest, ADrainedServerHasNoGames) {
   EXPECT_THAT(actor->Err(), Not(HasSubstr("ended the session")));
 }
 
-TEST_F(AdminTest, AStoppedLearnerGoesOnWithResume) {
+TEST_F(AdminTest, AStoppedLearnerContinuesWithResume) {
   StartFleet("stopped");
   const auto actor = Play("stopped-actor");
   WaitForCheckpoint("stopped", 2);
-  Order({"stop"}, "the learner stops");
+  Order({"stop"}, "the learner is stopping");
   EXPECT_EQ(learner_->Wait(absl::Seconds(10)), 0) << learner_->Err();
-  EXPECT_THAT(learner_->Err(), HasSubstr("go on with --resume"));
+  EXPECT_THAT(learner_->Err(), HasSubstr("continue with --resume"));
   learner_ = StartLearner("stopped", address_, {"--resume"});
   ExpectTheRunToEndLikeQuiet("stopped");
 }
 
-TEST_F(AdminTest, WhatCannotBeDoneIsSaid) {
+TEST_F(AdminTest, ErrorsNameTheProblem) {
   StartFleet("wrong");
   EXPECT_THAT(Admin({"dance"}).err, HasSubstr("\"dance\" is no command, want checkpoint, pause"));
-  EXPECT_THAT(Admin({"drain"}).err, HasSubstr("drain wants the name of one worker"));
+  EXPECT_THAT(Admin({"drain"}).err, HasSubstr("drain needs the name of one worker"));
+  EXPECT_THAT(Admin({"undrain"}).err, HasSubstr("undrain needs the name of one worker"));
+  EXPECT_THAT(Admin({"undrain", "nobody"}).err, HasSubstr("no worker \"nobody\" has joined or registered"));
   EXPECT_THAT(Admin({"drain", "nobody"}).err, HasSubstr("no worker \"nobody\" has joined or registered"));
   EXPECT_THAT(Admin({"pause", "--timeout=0"}).err, HasSubstr("--timeout=0, want more than 0"));
   learner_->Kill();

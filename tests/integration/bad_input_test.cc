@@ -1,15 +1,18 @@
-// What real programs say to flags, configuration files and textures that are wrong: what, where, and what was expected.
+// Real programs with wrong flags, configuration files and textures: errors name the place and what was expected.
 
+#include <algorithm>
 #include <filesystem>
 #include <ostream>
 #include <string>
 #include <vector>
 
+#include <absl/strings/str_replace.h>
 #include <absl/strings/str_split.h>
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
+#include <nlohmann/json.hpp>
 
-#include "common/version.h"
+#include "common/process/version.h"
 #include "tests/integration/small_run.h"
 
 namespace craftfleet {
@@ -20,7 +23,8 @@ using testing::IsEmpty;
 using testing::Not;
 using testing::StartsWith;
 
-// A command line and what standard error must have. "@" stands for the test's folder, which has config.txt.
+// A command line, and texts that standard error must contain. "@" is replaced by the test's folder, which has
+// config.txt.
 struct BadCommand {
   std::string what;
   std::string program;
@@ -31,7 +35,7 @@ struct BadCommand {
 
 class BadCommandTest : public SmallRunTest, public testing::WithParamInterface<BadCommand> {};
 
-TEST_P(BadCommandTest, IsRefusedInOneLineThatSaysWhatIsWrong) {
+TEST_P(BadCommandTest, IsRefusedWithOneLineThatNamesTheError) {
   std::vector<std::string> arguments = GetParam().arguments;
   for (std::string& argument : arguments) {
     if (const size_t at = argument.find('@'); at != std::string::npos) argument.replace(at, 1, folder_.path());
@@ -41,7 +45,7 @@ TEST_P(BadCommandTest, IsRefusedInOneLineThatSaysWhatIsWrong) {
   for (const std::string& part : GetParam().error) EXPECT_THAT(ended.err, HasSubstr(part));
   EXPECT_EQ(std::vector<std::string>(absl::StrSplit(ended.err, '\n', absl::SkipEmpty())).size(), 1) << ended.err;
   EXPECT_THAT(ended.out, IsEmpty());
-  EXPECT_FALSE(PathExists(Logdir("run"))) << "nothing is begun";
+  EXPECT_FALSE(PathExists(Logdir("run"))) << "no run was started";
 }
 
 const std::vector<BadCommand>& BadCommands() {
@@ -50,11 +54,33 @@ const std::vector<BadCommand>& BadCommands() {
   static const std::string actor = "craftfleet-actor";
   static const std::string server = "craftfleet-envserver";
   static const auto* const commands = new std::vector<BadCommand>{
-      {"UnknownFlag", train, {"--logdir=@/run", "--lnes=3"}, {"'lnes'"}},
-      {"NoFlag", train, {"--logdir=@/run", "lanes=3"}, {"\"lanes=3\" is no flag", "--help"}},
+      {"UnknownFlag", train, {"--logdir=@/run", "--lnes=3"}, {"'lnes' (did you mean --lanes?)", "--help"}},
+      {"UnknownFlagLikeNone", train, {"--logdir=@/run", "--qqqqq"}, {"unknown flag 'qqqqq'; see"}},
+      {"UnknownBoolFlag", train, {"--logdir=@/run", "--noresum"}, {"'noresum' (did you mean --resume?)"}},
+      {"NoFlag", train, {"--logdir=@/run", "lanes=3"}, {"\"lanes=3\" is no flag (did you mean --lanes=3?)", "--help"}},
       {"NoLanes", train, {"--logdir=@/run", "--lanes=0"}, {"lanes is 0, want 1..4096"}},
       {"NegativeLanes", train, {"--logdir=@/run", "--lanes=-3"}, {"lanes is -3, want 1..4096"}},
-      {"StepsThatAreNoNumber", train, {"--logdir=@/run", "--steps=abc"}, {"'abc'", "'steps'"}},
+      {"LanesThatAreNoNumber",
+       train,
+       {"--logdir=@/run", "--lanes=abc"},
+       {"craftfleet train: --lanes=abc, want a whole number; see"}},
+      {"LanesThatAreNoNumberInAWordOfTheirOwn",
+       train,
+       {"--logdir=@/run", "--lanes", "abc"},
+       {"craftfleet train: --lanes=abc, want a whole number; see"}},
+      {"NegativeSeed", train, {"--logdir=@/run", "--seed=-1"}, {"--seed=-1, want a whole number, at least 0;"}},
+      {"NeitherTrueNorFalse", train, {"--logdir=@/run", "--resume=maybe"}, {"--resume=maybe, want true or false;"}},
+      {"FlagWithoutAValue", train, {"--logdir"}, {"craftfleet train: --logdir needs a value: --logdir=VALUE;"}},
+      {"StepsThatAreNoNumber",
+       train,
+       {"--logdir=@/run", "--steps=abc"},
+       {"craftfleet train: --steps=abc, want a whole number, such as 1000000"}},
+      {"HalfAStep", train, {"--logdir=@/run", "--steps=1.5"}, {"--steps=1.5, want a whole number, such as 1000000"}},
+      {"NoUnitOfTime",
+       "craftfleet-status",
+       {"--interval=5sec"},
+       {"--interval=5sec, want a length of time", "a number without a unit is in seconds"}},
+      {"SecondsOutOfRange", "craftfleet-status", {"--interval=500"}, {"--interval=8m20s"}},
       {"NoSteps", train, {"--logdir=@/run", "--steps=0"}, {"steps is 0, want 1.."}},
       {"LanesThatDoNotDivide", train, {"--logdir=@/run", "--lanes=7"}, {"ppo.rollout_steps", "lanes (7)"}},
       {"UnknownAgent", train, {"--logdir=@/run", "--agent=nope"}, {"\"nope\"", "known agents: ppo_cnn"}},
@@ -65,8 +91,11 @@ const std::vector<BadCommand>& BadCommands() {
       {"LogdirThatCannotBe", train, {"--logdir=/proc/no/such"}, {"/proc/no"}},
       {"TooManyThreads", train, {"--logdir=@/run", "--threads=999"}, {"--threads=999, want 0..256"}},
       {"NoConfigFile", train, {"--logdir=@/run", "--config=@/none.txt"}, {"--config: ", "/none.txt", "No such file"}},
-      {"ResumeWithoutRun", train, {"--logdir=@/run", "--resume"}, {"--resume: no run in --logdir=", "/run"}},
-      {"ResumeFromWithoutResume", train, {"--logdir=@/run", "--resume_from=x"}, {"--resume_from wants --resume"}},
+      {"ResumeWithoutRun",
+       train,
+       {"--logdir=@/run", "--resume"},
+       {"--resume: no run in --logdir=", "/run", "start it without --resume"}},
+      {"ResumeFromWithoutResume", train, {"--logdir=@/run", "--resume_from=x"}, {"--resume_from requires --resume"}},
       {"NoTextureFolder", train, {"--logdir=@/run", "--textures=@/none"}, {"/none", "No such file"}},
       {"NoTextureFolderForLearner", learner, {"--logdir=@/run", "--textures=@/none"}, {"/none", "No such file"}},
       {"NoTextureFolderForServer", server, {"--textures=@/none"}, {"/none", "No such file"}},
@@ -79,7 +108,7 @@ const std::vector<BadCommand>& BadCommands() {
       {"LearnerThatIsNoAddress", actor, {"--learner=here"}, {"--learner: \"here\" is no address"}},
       {"OneServerThatIsNoAddress", actor, {"--envservers=127.0.0.1:1,x"}, {"--envservers: \"x\" is no address"}},
       {"NoServers", actor, {"--envservers="}, {"--envservers is empty"}},
-      {"NegativeThreads", actor, {"--threads=-1"}, {"--threads=-1, want"}},
+      {"NegativeThreads", actor, {"--threads=-1"}, {"--threads=-1, want 0..256; 0: as many as the CPU quota allows"}},
       {"NoLanesForActor", actor, {"--max_lanes=0"}, {"--max_lanes=0, want 1..4096"}},
       {"NoTimeForServers", actor, {"--env_timeout=0"}, {"--env_timeout=0, want 0.1..3600 s"}},
       {"NoCheckpoint", "craftfleet-eval", {}, {"--checkpoint is missing"}},
@@ -90,7 +119,39 @@ const std::vector<BadCommand>& BadCommands() {
        "craftfleet-status",
        {"--address=127.0.0.1:1"},
        {"127.0.0.1:1: cannot connect: nothing listens there"}},
+      {"StatusOfAnArgument", "craftfleet-status", {"127.0.0.1:1"}, {"\"127.0.0.1:1\" is no flag", "--help"}},
+      {"UnknownFlagBeforeTheCommand", "craftfleet", {"--nope"}, {"unknown flag \"--nope\"; see craftfleet --help"}},
+      {"HelpForAFlag", "craftfleet", {"help", "--nope"}, {"unknown flag \"--nope\"; see craftfleet --help"}},
+      {"CommandThatIsAPath", "craftfleet", {"runs/first"}, {"there is no command \"runs/first\"; see"}},
+      {"EvaluationOnNoEnvironment",
+       "craftfleet-eval",
+       {"--checkpoint=@", "--env=pong"},
+       {"craftfleet eval: --env: ", "unknown game \"pong\", want \"crafter\""}},
+      {"NoWorldsToCount", "craftfleet-envs", {"--worlds=0"}, {"--worlds=0, want 1..100000"}},
+      {"PortOfNoAddress", "craftfleet-doctor", {"--listen=here"}, {"--listen: \"here\" is no address, want HOST:PORT"}},
+      {"ReportWithoutRuns",
+       "craftfleet-report",
+       {"@", "--out=@/report"},
+       {"no run in or below ", "want a folder with config.txt and stats.jsonl"}},
+      {"CurveOfNoFolder", "craftfleet-curve", {"@/none"}, {"/none: no such run folder or file"}},
+      {"NoAdminCommand", "craftfleet-admin", {}, {"name a command: checkpoint, pause, resume, drain NAME"}},
+      {"MistypedAdminCommand",
+       "craftfleet-admin",
+       {"drian", "a"},
+       {"\"drian\" is no command (did you mean \"drain\"?)"}},
+      {"TopOfNobody",
+       "craftfleet-top",
+       {"--address=127.0.0.1:1"},
+       {"learner 127.0.0.1:1: cannot connect: nothing listens there"}},
       {"UnknownCommand", "craftfleet", {"nope"}, {"there is no command \"nope\"", "--help"}},
+      {"MistypedCommand",
+       "craftfleet",
+       {"trian"},
+       {"there is no command \"trian\" (did you mean \"train\"?)", "--help"}},
+      {"HelpForAMistypedCommand",
+       "craftfleet",
+       {"help", "evla"},
+       {"there is no command \"evla\" (did you mean \"eval\"?)"}},
   };
   return *commands;
 }
@@ -100,7 +161,7 @@ INSTANTIATE_TEST_SUITE_P(BadInput, BadCommandTest, testing::ValuesIn(BadCommands
 
 class BadInputTest : public SmallRunTest {};
 
-TEST_F(BadInputTest, AConfigFilesErrorsHaveFileLineAndField) {
+TEST_F(BadInputTest, ErrorsInAConfigFileHaveFileLineAndField) {
   ASSERT_THAT(WriteFileSynced(config(), "lanes: 4\nppo {\n  rollout_stps: 64\n}\n"), IsOk());
   Ended ended = Run("craftfleet-train", Flags("run"));
   EXPECT_EQ(ended.exit_code, 1);
@@ -116,7 +177,7 @@ TEST_F(BadInputTest, AConfigFilesErrorsHaveFileLineAndField) {
   EXPECT_FALSE(PathExists(Logdir("run")));
 }
 
-TEST_F(BadInputTest, ATextureThatIsMissingOrNoneIsNamed) {
+TEST_F(BadInputTest, AMissingOrInvalidTextureIsNamed) {
   const std::string textures = folder_ / "textures";
   std::filesystem::copy(JoinPath(CRAFTFLEET_BIN_DIR, "../share/craftfleet/textures"), textures);
   ASSERT_THAT(RemoveAll(textures + "/stone.png"), IsOk());
@@ -130,22 +191,40 @@ TEST_F(BadInputTest, ATextureThatIsMissingOrNoneIsNamed) {
   EXPECT_THAT(ended.err, HasSubstr(textures + "/stone.png"));
 }
 
-TEST_F(BadInputTest, EvalRefusesAnEnvironmentThatIsNone) {
+TEST_F(BadInputTest, EvalRefusesAnInvalidEnvironment) {
   Train("run");
   const Ended ended = Run("craftfleet-eval", {"--checkpoint=" + Logdir("run"), "--env=crafter:bogus"});
   EXPECT_EQ(ended.exit_code, 1);
   EXPECT_THAT(ended.err, HasSubstr("unknown option \"bogus\", want one of"));
 }
 
-// Every program that is installed, and the developers' one.
+// Every installed program, and the developers' one.
 class EveryProgram : public SmallRunTest, public testing::WithParamInterface<std::string> {};
 
-TEST_P(EveryProgram, HelpTellsWhatItIsForAndItsFlags) {
+TEST_P(EveryProgram, HelpDescribesTheProgramAndItsFlags) {
   const Ended ended = Run(GetParam(), {"--help"});
   EXPECT_EQ(ended.exit_code, 0);
   EXPECT_THAT(ended.err, IsEmpty());
   EXPECT_THAT(ended.out, Not(IsEmpty()));
   EXPECT_THAT(ended.out, HasSubstr(GetParam().substr(0, GetParam().find('-'))));
+}
+
+TEST_P(EveryProgram, EveryFlagIsExplainedInFullOnRequest) {
+  const Ended ended = Run(GetParam(), {"--helpfull"});
+  EXPECT_EQ(ended.exit_code, 0);
+  EXPECT_THAT(ended.err, IsEmpty());
+  if (GetParam() != "craftfleet") {
+    EXPECT_THAT(ended.out, HasSubstr("  --log_level (default info)\n"));
+  }
+}
+
+TEST_P(EveryProgram, JsonHelpNamesProgramAndSummary) {
+  const Ended ended = Run(GetParam(), {"--help_json"});
+  EXPECT_EQ(ended.exit_code, 0);
+  const nlohmann::json json = nlohmann::json::parse(ended.out);
+  EXPECT_THAT(json["program"].get<std::string>(),
+              testing::AnyOf(GetParam(), absl::StrReplaceAll(GetParam(), {{"craftfleet-", "craftfleet "}})));
+  EXPECT_GT(json["summary"].get<std::string>().size(), 10);
 }
 
 TEST_P(EveryProgram, VersionIsOneLine) {
@@ -173,6 +252,13 @@ INSTANTIATE_TEST_SUITE_P(BadInput, EveryProgram,
                            for (const char c : info.param) name += c == '-' ? '_' : c;
                            return name;
                          });
+
+TEST_F(BadInputTest, HelpForACommandIsThatOfItsProgram) {
+  const Ended help = Run("craftfleet", {"help", "train"});
+  EXPECT_EQ(help.exit_code, 0);
+  EXPECT_EQ(help.out, Run("craftfleet-train", {"--help"}).out);
+  EXPECT_LE(std::count(help.out.begin(), help.out.end(), '\n'), 40) << "it fits a screen";
+}
 
 TEST_F(BadInputTest, TheCommandFindsItsPrograms) {
   const Ended ended = Run("craftfleet", {"train", "--help"});

@@ -1,4 +1,4 @@
-// Peers that are away, come late, are someone else, or talk nonsense.
+// Peers that are unreachable, late, of the wrong kind, or send garbage.
 
 #include <sys/socket.h>
 #include <sys/un.h>
@@ -23,11 +23,11 @@ namespace {
 
 using testing::HasSubstr;
 
-constexpr absl::Duration kSoon = absl::Seconds(5);  // within which a user hears what is wrong
+constexpr absl::Duration kSoon = absl::Seconds(5);  // within which errors must be reported
 
 class BadPeersTest : public SmallRunTest {
  protected:
-  // An address that is free until somebody listens there.
+  // An unused address.
   std::string Address(const std::string& name) const { return "unix:" + (folder_ / name); }
 
   std::unique_ptr<Process> StartLearner(const std::string& run, const std::string& address) {
@@ -47,14 +47,14 @@ class BadPeersTest : public SmallRunTest {
     const Ended ended = Finish(process);
     EXPECT_EQ(ended.exit_code, 0) << ended.err;
   }
-  // The run is completed, and the process ends soon after that.
+  // Expects the run to complete, and the process to end soon after that.
   void ExpectToComplete(Process* learner) {
     EXPECT_TRUE(learner->WaitForText("the run is complete", kPatience)) << learner->Err();
     EXPECT_EQ(learner->Wait(kSoon), 0) << learner->Err();
   }
 };
 
-TEST_F(BadPeersTest, APortThatIsInUseIsNamedAndNothingIsLeftBehind) {
+TEST_F(BadPeersTest, APortInUseIsNamedAndLeavesNoFiles) {
   const auto server = Start("craftfleet-envserver", {"--listen=127.0.0.1:0"});
   const std::string address = server->WaitForAddress().value();
   Ended ended = Run("craftfleet-envserver", {"--listen=" + address});
@@ -86,7 +86,7 @@ TEST_F(BadPeersTest, AnActorWaitsForItsEnvironmentServer) {
   ExpectToFinish(actor.get());
 }
 
-TEST_F(BadPeersTest, AnActorPlaysWithTheServersThatAreThere) {
+TEST_F(BadPeersTest, AnActorPlaysOnTheAvailableServers) {
   const auto server = StartServer(Address("server"));
   const auto learner = StartLearner("run", Address("learner"));
   const auto actor = StartActor(Address("learner"), Address("away") + "," + Address("server"));
@@ -94,21 +94,21 @@ TEST_F(BadPeersTest, AnActorPlaysWithTheServersThatAreThere) {
   EXPECT_THAT(actor->Err(), HasSubstr("environment server " + Address("away")));
 }
 
-TEST_F(BadPeersTest, AnEnvironmentServerIsNoLearner) {
+TEST_F(BadPeersTest, AnEnvironmentServerIsNotALearner) {
   const auto server = StartServer(Address("server"));
   const Ended ended = Finish(StartActor(Address("server"), Address("server")).get());
   EXPECT_EQ(ended.exit_code, 1);
   EXPECT_THAT(ended.err, HasSubstr("learner " + Address("server") + ": does not know this call"));
 }
 
-TEST_F(BadPeersTest, ALearnerIsNoEnvironmentServer) {
+TEST_F(BadPeersTest, ALearnerIsNotAnEnvironmentServer) {
   const auto learner = StartLearner("run", Address("learner"));
   const Ended ended = Finish(StartActor(Address("learner"), Address("learner")).get());
   EXPECT_EQ(ended.exit_code, 1);
   EXPECT_THAT(ended.err, HasSubstr("environment server " + Address("learner") + ": does not know this call"));
 }
 
-TEST_F(BadPeersTest, OtherTexturesAreNoticed) {
+TEST_F(BadPeersTest, DifferentTexturesAreDetected) {
   const std::string textures = folder_ / "textures";
   std::filesystem::copy(JoinPath(CRAFTFLEET_BIN_DIR, "../share/craftfleet/textures"), textures);
   std::filesystem::copy_file(textures + "/sand.png", textures + "/stone.png",
@@ -121,15 +121,15 @@ TEST_F(BadPeersTest, OtherTexturesAreNoticed) {
   EXPECT_THAT(ended.err, HasSubstr("give both the same --textures"));
 }
 
-TEST_F(BadPeersTest, AServerThatPlaysForAnotherRunSaysSo) {
+TEST_F(BadPeersTest, AServerThatPlaysForAnotherRunReportsIt) {
   const auto server = StartServer(Address("server"));
   const auto first = StartLearner("first", Address("first-learner"));
   const auto first_actor = StartActor(Address("first-learner"), Address("server"));
   const auto second = StartLearner("second", Address("second-learner"));
-  // Held within its run, so that its session stays.
+  // Suspend it within its run, so that its session stays open.
   ASSERT_TRUE(first_actor->WaitForText("joined run", kPatience));
   while (Run("craftfleet-status", {"--address=" + Address("server")}).out.find("actor") == std::string::npos) {
-    ASSERT_EQ(first->Wait(absl::ZeroDuration()), std::nullopt) << "over before it was seen";
+    ASSERT_EQ(first->Wait(absl::ZeroDuration()), std::nullopt) << "the run ended too early";
   }
   first->Signal(SIGSTOP);
   const Ended ended = Finish(StartActor(Address("second-learner"), Address("server")).get());
@@ -140,7 +140,7 @@ TEST_F(BadPeersTest, AServerThatPlaysForAnotherRunSaysSo) {
   ExpectToComplete(first.get());
 }
 
-TEST_F(BadPeersTest, StatusTellsWhoIsThere) {
+TEST_F(BadPeersTest, StatusShowsTheProcess) {
   const auto server = StartServer(Address("server"));
   const auto learner = StartLearner("run", Address("learner"));
   ASSERT_THAT(learner->WaitForAddress("listening on ", kPatience), IsOk());
@@ -164,7 +164,7 @@ TEST_F(BadPeersTest, StatusOfAProcessThatDoesNotAnswerEndsWithinSeconds) {
   EXPECT_LT(absl::Now() - start, absl::Seconds(8));
 }
 
-// Connects and writes `bytes`, without regard for any answer.
+// Connects and writes `bytes`, and ignores any answer.
 void SendBytes(const std::string& path, const std::string& bytes) {
   const int connection = socket(AF_UNIX, SOCK_STREAM, 0);
   sockaddr_un name = {};
@@ -175,7 +175,7 @@ void SendBytes(const std::string& path, const std::string& bytes) {
   close(connection);
 }
 
-TEST_F(BadPeersTest, NonsenseOnThePortHarmsNobody) {
+TEST_F(BadPeersTest, GarbageOnThePortIsHarmless) {
   const auto server = StartServer(Address("server"));
   const auto learner = StartLearner("run", Address("learner"));
   ASSERT_THAT(learner->WaitForAddress("listening on ", kPatience), IsOk());

@@ -1,4 +1,4 @@
-// Run folders that are in the way, damaged, or on a disk that is full.
+// Run folders that exist already, are damaged, or are on a full disk.
 
 #include <sys/resource.h>
 
@@ -33,16 +33,16 @@ class BadRunFolderTest : public SmallRunTest {
   }
 };
 
-TEST_F(BadRunFolderTest, ARunIsNotWrittenOver) {
+TEST_F(BadRunFolderTest, ARunIsNotOverwritten) {
   Train("run");
   const std::string stats = ReadLog("run", "stats.jsonl");
   const Ended ended = Run("craftfleet-train", Flags("run"));
   EXPECT_EQ(ended.exit_code, 1);
-  EXPECT_THAT(ended.err, HasSubstr(Logdir("run") + " already has a run: go on with it by --resume"));
+  EXPECT_THAT(ended.err, HasSubstr(Logdir("run") + " already has a run: resume it with --resume"));
   EXPECT_EQ(ReadLog("run", "stats.jsonl"), stats);
 }
 
-TEST_F(BadRunFolderTest, ARunThatIsGoingOnIsNamedWithItsProcess) {
+TEST_F(BadRunFolderTest, ARunInProgressIsNamedWithItsProcess) {
   const auto learner = Start("craftfleet-learner", Flags("run", {"--listen=127.0.0.1:0"}));
   ASSERT_THAT(learner->WaitForAddress(), IsOk());
   for (const std::vector<std::string>& more : {std::vector<std::string>{}, {"--resume"}}) {
@@ -77,7 +77,7 @@ TEST_F(BadRunFolderTest, ResumeRefusesOtherTextures) {
   EXPECT_THAT(ended.err, HasSubstr("was played with textures"));
 }
 
-TEST_F(BadRunFolderTest, ATornCheckpointIsNotUsedAndThePreviousOneIsOffered) {
+TEST_F(BadRunFolderTest, ATornCheckpointIsRefusedAndAValidOneIsOffered) {
   Train("run");
   const std::string weights = Checkpoint("run", 3) + "/weights.safetensors";
   const std::string bytes = ReadFile(weights).value();
@@ -93,10 +93,10 @@ TEST_F(BadRunFolderTest, ATornCheckpointIsNotUsedAndThePreviousOneIsOffered) {
   ended = Run("craftfleet-train", from);
   EXPECT_EQ(ended.exit_code, 0) << ended.err;
   EXPECT_TRUE(PathExists(Checkpoint("run", 4)));
-  EXPECT_EQ(ReadFile(weights).value(), bytes) << "iteration 3 once more, the same";
+  EXPECT_EQ(ReadFile(weights).value(), bytes) << "iteration 3 was played again, with the same result";
 }
 
-TEST_F(BadRunFolderTest, AFlippedBitIsFound) {
+TEST_F(BadRunFolderTest, AFlippedBitIsDetected) {
   Train("run");
   const std::string optimizer = Checkpoint("run", 3) + "/optimizer.safetensors";
   std::string bytes = ReadFile(optimizer).value();
@@ -122,7 +122,7 @@ TEST_F(BadRunFolderTest, ACheckpointOfANewerFormatIsRefused) {
   }
 }
 
-TEST_F(BadRunFolderTest, CheckpointsThatAreNotThereAreListed) {
+TEST_F(BadRunFolderTest, AMissingCheckpointListsTheExistingOnes) {
   Train("run");
   Ended ended =
       Run("craftfleet-train", {"--resume", "--resume_from=iter-00000009", "--logdir=" + Logdir("run"), "--steps=256"});
@@ -131,16 +131,24 @@ TEST_F(BadRunFolderTest, CheckpointsThatAreNotThereAreListed) {
   EXPECT_THAT(ended.err, HasSubstr("which has iter-00000003, iter-00000002"));
 }
 
+TEST_F(BadRunFolderTest, ARunKilledBeforeItsFirstCheckpointMustBeStartedAgain) {
+  Train("run");
+  ASSERT_THAT(RemoveAll(Logdir("run") + "/checkpoints"), IsOk());
+  const Ended ended = Run("craftfleet-train", Flags("run", {"--resume"}));
+  EXPECT_EQ(ended.exit_code, 1);
+  EXPECT_THAT(ended.err, HasSubstr("ended before its first one; start it again without --resume"));
+  Train("run");
+}
+
 TEST_F(BadRunFolderTest, ALogThatLostLinesIsRefused) {
   Train("run");
   ASSERT_THAT(WriteFileSynced(Logdir("run") + "/stats.jsonl", "{}\n"), IsOk());
   const Ended ended = Run("craftfleet-train", {"--resume", "--logdir=" + Logdir("run"), "--steps=256"});
   EXPECT_EQ(ended.exit_code, 1);
-  EXPECT_THAT(ended.err, HasSubstr("stats.jsonl has 3 bytes, the checkpoint saw "));
+  EXPECT_THAT(ended.err, HasSubstr("stats.jsonl has 3 bytes, but the checkpoint expects "));
 }
 
-// A learner whose disk fills up, with the rest of its fleet. SIGXFSZ would kill it first where a limit stands in for a
-// full disk.
+// A fleet whose learner's disk fills up. A file size limit simulates the full disk, so SIGXFSZ must be ignored.
 class FullDiskTest : public BadRunFolderTest {
  protected:
   void StartLearner(const std::vector<std::string>& more) {
@@ -158,7 +166,7 @@ class FullDiskTest : public BadRunFolderTest {
     actor_ = Start("craftfleet-actor", {"--learner=" + learner_->WaitForAddress().value(),
                                         "--envservers=" + server_->WaitForAddress().value()});
   }
-  // No file of the learner grows beyond `bytes` from now on.
+  // Limits the files of the learner to `bytes` from now on.
   void LimitFiles(rlim_t bytes) {
     const rlimit limit = {bytes, RLIM_INFINITY};
     ASSERT_EQ(prlimit(learner_->pid(), RLIMIT_FSIZE, &limit, nullptr), 0);
@@ -169,18 +177,19 @@ class FullDiskTest : public BadRunFolderTest {
   std::unique_ptr<Process> actor_;
 };
 
-TEST_F(FullDiskTest, TrainingGoesOnAndCatchesUpWhenThereIsRoomAgain) {
+TEST_F(FullDiskTest, TrainingContinuesAndCatchesUpOnceThereIsSpace) {
   Damage(config(), "steps: 192", "steps: 1280");
   Train("quiet");
   StartLearner({"--listen=127.0.0.1:0"});
-  LimitFiles(4096);  // some ten lines of stats.jsonl, and what it says on standard error
+  LimitFiles(4096);  // two iterations of TensorBoard's events, and the log on standard error
   StartWorkers();
-  EXPECT_TRUE(learner_->WaitForText("/run/stats.jsonl: File too large", kPatience)) << learner_->Err();
+  EXPECT_TRUE(learner_->WaitForText("/run/events.out.tfevents.craftfleet: File too large", kPatience))
+      << learner_->Err();
   LimitFiles(RLIM_INFINITY);
   const Ended ended = Finish(learner_.get());
   EXPECT_EQ(ended.exit_code, 0) << ended.err;
   EXPECT_THAT(ended.err, HasSubstr("error: checkpoint of iteration 1: "));
-  EXPECT_THAT(ended.err, HasSubstr("training goes on and tries again"));
+  EXPECT_THAT(ended.err, HasSubstr("training continues and tries again"));
   EXPECT_FALSE(PathExists(Checkpoint("run", 1)));
   EXPECT_EQ(ReadLog("run", "stats.jsonl"), ReadLog("quiet", "stats.jsonl"));
   const std::string last = "checkpoints/iter-00000020/weights.safetensors";
@@ -188,11 +197,12 @@ TEST_F(FullDiskTest, TrainingGoesOnAndCatchesUpWhenThereIsRoomAgain) {
   EXPECT_TRUE(ReadLog("run", last) == ReadLog("quiet", last));
 }
 
-TEST_F(FullDiskTest, TheEndOfTheRunWaitsForRoomAndToldToStopTellsWhatCouldNotBeWritten) {
+TEST_F(FullDiskTest, TheEndOfTheRunWaitsForSpaceAndAStopReportsTheUnwrittenFile) {
   StartLearner({"--listen=127.0.0.1:0"});
   LimitFiles(1 << 20);  // enough for the logs
   StartWorkers();
-  EXPECT_TRUE(learner_->WaitForText("the run's end is written as soon as there is room", kPatience)) << learner_->Err();
+  EXPECT_TRUE(learner_->WaitForText("the last checkpoint will be written once there is space", kPatience))
+      << learner_->Err();
   learner_->Signal(SIGTERM);
   const Ended ended = Finish(learner_.get());
   EXPECT_EQ(ended.exit_code, 1);
@@ -201,13 +211,13 @@ TEST_F(FullDiskTest, TheEndOfTheRunWaitsForRoomAndToldToStopTellsWhatCouldNotBeW
   EXPECT_THAT(ended.err, HasSubstr("craftfleet-learner: "));
   EXPECT_THAT(ended.err, HasSubstr("weights.safetensors: File too large"));
   EXPECT_THAT(ReadLog("run", "stats.jsonl"), HasSubstr("\"length\": 20"));
-  // What was there before stands, and the run can go on from it.
+  // Earlier checkpoints are intact, and the run can resume from them.
   const Ended resumed = Run("craftfleet-train", {"--resume", "--logdir=" + Logdir("run")});
   EXPECT_EQ(resumed.exit_code, 0) << resumed.err;
   EXPECT_TRUE(PathExists(Checkpoint("run", 3)));
 }
 
-TEST_F(FullDiskTest, ARunThatCannotBeginSaysWhy) {
+TEST_F(FullDiskTest, ARunThatCannotBeginReportsWhy) {
   const Ended ended = Run("/bin/bash", {"-c", "trap '' XFSZ; ulimit -f 100; exec \"$0\" \"$@\"",
                                         JoinPath(CRAFTFLEET_BIN_DIR, "craftfleet-train"), "--config=" + config(),
                                         "--logdir=" + Logdir("run")});

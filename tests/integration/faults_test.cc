@@ -1,5 +1,5 @@
-// What goes wrong in a fleet costs time and nothing else: workers that are paused, stopped, starved of memory or cut
-// off, and a disk that is full. Who dies is in fleet_test.cc; all of it at once in tests/chaos.
+// Faults in a fleet cost time but do not change the result: workers that are suspended, stopped, out of memory or cut
+// off, and a full disk. Killed workers are in fleet_test.cc; all faults combined are in tests/chaos.
 
 #include <sys/mount.h>
 #include <sys/resource.h>
@@ -38,7 +38,7 @@ class FaultsTest : public FleetRunTest {
  protected:
   void SetUp() override { TrainQuietly(kTenIterations); }
 
-  // What a process says of itself; null if it does not answer.
+  // The status of a process as JSON; null if it does not answer.
   static nlohmann::json StatusOf(const std::string& address) {
     const auto status = Start("craftfleet-status", "status", {"--address=" + address, "--json"});
     if (status->Wait(kPatience) != 0) return nullptr;
@@ -56,8 +56,8 @@ class FaultsTest : public FleetRunTest {
   static std::unique_ptr<Process> StartServerFor(const std::string& log, const std::string& learner) {
     return Start("craftfleet-envserver", log, {"--listen=127.0.0.1:0", "--learner=" + learner});
   }
-  // Permits that the learner's actors hold.
-  static int PermitsOut(const std::string& learner) {
+  // The number of permits that the learner's actors hold.
+  static int OutstandingPermits(const std::string& learner) {
     int permits = 0;
     const nlohmann::json status = StatusOf(learner);
     for (const nlohmann::json& peer : status["peers"]) {  // "4 permits, 12 fragments accepted"
@@ -67,12 +67,12 @@ class FaultsTest : public FleetRunTest {
     }
     return permits;
   }
-  // Pauses the only actor of `learner` while it holds permits.
+  // Suspends the only actor of `learner` while it holds permits.
   static void PauseWithPermits(Process* actor, const std::string& learner) {
     ASSERT_TRUE(WaitUntil([&] {
       actor->Signal(SIGSTOP);
-      absl::SleepFor(absl::Milliseconds(50));  // what is on its way arrives
-      if (PermitsOut(learner) > 0) return true;
+      absl::SleepFor(absl::Milliseconds(50));  // messages under way arrive
+      if (OutstandingPermits(learner) > 0) return true;
       actor->Signal(SIGCONT);
       absl::SleepFor(absl::Milliseconds(20));
       return false;
@@ -100,7 +100,7 @@ TEST_F(FaultsTest, AnActorPausedFor4SecondsKeepsItsLanesAndOnePausedFor15LosesTh
   ASSERT_NO_FATAL_FAILURE(PauseWithPermits(actor.get(), address));
   absl::SleepFor(absl::Seconds(15));
   actor->Signal(SIGCONT);
-  EXPECT_TRUE(actor->WaitForText("join again", kPatience)) << "it learns of it: " << actor->Err();
+  EXPECT_TRUE(actor->WaitForText("join again", kPatience)) << "it learns that it lost them: " << actor->Err();
   EXPECT_GT(Metric(address, "permits_lapsed"), 0);
   ExpectCompleteLikeQuiet("paused-actor", learner.get());
 }
@@ -115,17 +115,17 @@ TEST_F(FaultsTest, AServerPausedFor4SecondsKeepsItsGamesAndOnePausedFor15LosesTh
   absl::SleepFor(absl::Seconds(4));
   server->Signal(SIGCONT);
   WaitForCheckpoint("paused-server", 4);
-  EXPECT_THAT(actor->Err(), Not(HasSubstr("fragments given back")));
+  EXPECT_THAT(actor->Err(), Not(HasSubstr("fragments returned")));
   EXPECT_THAT(server->Err(), Not(HasSubstr("trying again")));
 
   server->Signal(SIGSTOP);
-  EXPECT_TRUE(actor->WaitForText("fragments given back", absl::Seconds(12))) << actor->Err();
+  EXPECT_TRUE(actor->WaitForText("fragments returned", absl::Seconds(12))) << actor->Err();
   absl::SleepFor(absl::Seconds(5));
   server->Signal(SIGCONT);
   ExpectCompleteLikeQuiet("paused-server", learner.get());
 }
 
-TEST_F(FaultsTest, AnActorToldToStopGivesItsLanesBackAtOnce) {
+TEST_F(FaultsTest, AStoppedActorReturnsItsLanesAtOnce) {
   const auto learner = StartLearner("stopped-actor", "127.0.0.1:0");
   const auto server = StartServer("stopped-actor-server");
   const std::string address = learner->WaitForAddress().value();
@@ -136,11 +136,11 @@ TEST_F(FaultsTest, AnActorToldToStopGivesItsLanesBackAtOnce) {
   first->Signal(SIGTERM);
   EXPECT_EQ(first->Wait(absl::Seconds(10)), 0) << first->Err();
   WaitForCheckpoint("stopped-actor", 4);
-  EXPECT_EQ(Metric(address, "permits_lapsed"), 0) << "its lanes waited for the lease";
+  EXPECT_EQ(Metric(address, "permits_lapsed"), 0) << "its lanes were only freed when the lease expired";
   ExpectCompleteLikeQuiet("stopped-actor", learner.get());
 }
 
-TEST_F(FaultsTest, AnActorStopsThoughItsLearnerHangs) {
+TEST_F(FaultsTest, AnActorStopsEvenIfItsLearnerHangs) {
   const auto learner = StartLearner("hanging-learner", "127.0.0.1:0");
   const auto server = StartServer("hanging-learner-server");
   const std::string address = learner->WaitForAddress().value();
@@ -151,23 +151,23 @@ TEST_F(FaultsTest, AnActorStopsThoughItsLearnerHangs) {
   EXPECT_EQ(actor->Wait(absl::Seconds(10)), 0) << actor->Err();
 }
 
-TEST_F(FaultsTest, AServerToldToStopLetsItsGamesMoveFirst) {
+TEST_F(FaultsTest, AStoppedServerLetsItsGamesMoveFirst) {
   const auto learner = StartLearner("stopped-server", "127.0.0.1:0");
   const std::string address = learner->WaitForAddress().value();
   const auto first = StartServerFor("stopped-server-first", address);
   const auto second = StartServerFor("stopped-server-second", address);
-  ASSERT_TRUE(first->WaitForText("knows of this server", kPatience));
-  ASSERT_TRUE(second->WaitForText("knows of this server", kPatience));
+  ASSERT_TRUE(first->WaitForText("registered with learner", kPatience));
+  ASSERT_TRUE(second->WaitForText("registered with learner", kPatience));
   const auto actor = StartActor("stopped-server-actor", address, "learner");
   WaitForCheckpoint("stopped-server", 2);
   first->Signal(SIGTERM);
   EXPECT_EQ(first->Wait(absl::Seconds(10)), 0) << first->Err();
   ExpectCompleteLikeQuiet("stopped-server", learner.get());
-  EXPECT_THAT(actor->Err(), Not(AnyOf(HasSubstr("fragments given back"), HasSubstr("from their snapshots"))));
+  EXPECT_THAT(actor->Err(), Not(AnyOf(HasSubstr("fragments returned"), HasSubstr("from their snapshots"))));
 }
 
-// An actor that is paused does not move its games: the server waits for it, but not after a second signal.
-TEST_F(FaultsTest, AServerToldTwiceStopsAtOnce) {
+// A suspended actor does not move its games. The server waits for it until a second signal.
+TEST_F(FaultsTest, ASecondSignalStopsAServerAtOnce) {
   const auto learner = StartLearner("told-twice", "127.0.0.1:0");
   const std::string address = learner->WaitForAddress().value();
   const auto server = StartServerFor("told-twice-server", address);
@@ -180,7 +180,7 @@ TEST_F(FaultsTest, AServerToldTwiceStopsAtOnce) {
   EXPECT_EQ(server->Wait(absl::Seconds(1)), 130) << server->Err();
 }
 
-TEST_F(FaultsTest, ALearnerToldToStopIsGoneWithin10SecondsAndItsFleetWaitsForIt) {
+TEST_F(FaultsTest, ALearnerStopsWithin10SecondsAndItsFleetWaitsForIt) {
   auto learner = StartLearner("stopped-learner", "127.0.0.1:0");
   const auto server = StartServer("stopped-learner-server");
   const std::string address = learner->WaitForAddress().value();
@@ -188,16 +188,16 @@ TEST_F(FaultsTest, ALearnerToldToStopIsGoneWithin10SecondsAndItsFleetWaitsForIt)
   WaitForCheckpoint("stopped-learner", 4);
   learner->Signal(SIGTERM);
   EXPECT_EQ(learner->Wait(absl::Seconds(10)), 0) << learner->Err();
-  EXPECT_THAT(learner->Err(), HasSubstr("go on with --resume"));
-  EXPECT_EQ(actor->Wait(absl::Seconds(1)), std::nullopt) << "it would be missing: " << actor->Err();
+  EXPECT_THAT(learner->Err(), HasSubstr("continue with --resume"));
+  EXPECT_EQ(actor->Wait(absl::Seconds(1)), std::nullopt) << "the actor must keep waiting: " << actor->Err();
   learner = StartLearner("stopped-learner", address, {"--resume"});
   ExpectCompleteLikeQuiet("stopped-learner", learner.get());
   EXPECT_EQ(actor->Wait(absl::Seconds(10)), 0) << actor->Err();
   EXPECT_THAT(actor->Err(), HasSubstr("epoch 2"));
 }
 
-// The way to the learner and to the server goes dead, without a word to anyone.
-TEST_F(FaultsTest, AnActorCutOffNoticesAndGoesOnWhenTheWayIsFree) {
+// The connections to the learner and the server go dead without being closed.
+TEST_F(FaultsTest, AnActorThatIsCutOffContinuesOnceReconnected) {
   const auto learner = StartLearner("cut-off", "127.0.0.1:0");
   const auto server = StartServer("cut-off-server");
   const std::string server_address = server->WaitForAddress().value();
@@ -221,8 +221,8 @@ int64_t VirtualMemory(pid_t pid) {
   return absl::SimpleAtoi(fields[0], &pages) ? pages * 4096 : 0;
 }
 
-// The server may die of it or refuse what it can't do.
-TEST_F(FaultsTest, AServerOutOfMemoryCostsNoMoreThanTime) {
+// The server may crash or refuse requests.
+TEST_F(FaultsTest, AServerOutOfMemoryDoesNotChangeTheResult) {
   const auto learner = StartLearner("memory", "127.0.0.1:0");
   const auto starved = StartServer("memory-starved");
   const auto second = StartServer("memory-second");
@@ -232,7 +232,7 @@ TEST_F(FaultsTest, AServerOutOfMemoryCostsNoMoreThanTime) {
   WaitForCheckpoint("memory", 2);
   const rlimit no_more = {static_cast<rlim_t>(VirtualMemory(starved->pid())), RLIM_INFINITY};
   ASSERT_EQ(prlimit(starved->pid(), RLIMIT_AS, &no_more, nullptr), 0) << std::strerror(errno);
-  // A further actor needs games, threads and buffers there.
+  // Another actor needs games, threads and buffers on the server.
   const auto further = StartActor("memory-further", address, servers);
   ExpectCompleteLikeQuiet("memory", learner.get());
 }
@@ -242,36 +242,36 @@ class FullDiskTest : public FaultsTest {
   static std::string Events(const std::string& run) {
     return ReadFile(Logdir(run) + "/events.out.tfevents.craftfleet").value_or("none");
   }
-  // The run has said that its disk is full and goes on all the same.
-  static void WaitUntilFullAndGoingOn(Process* train) {
-    ASSERT_TRUE(train->WaitForText("bytes of logs wait for room", kPatience)) << train->Err();
-    ASSERT_TRUE(train->WaitForText("training goes on", kPatience)) << train->Err();
+  // Waits until the run has logged that its disk is full and continues.
+  static void WaitUntilFullAndContinuing(Process* train) {
+    ASSERT_TRUE(train->WaitForText("bytes of logs are waiting for space", kPatience)) << train->Err();
+    ASSERT_TRUE(train->WaitForText("training continues", kPatience)) << train->Err();
     ASSERT_EQ(train->Wait(absl::ZeroDuration()), std::nullopt);
   }
-  // Everything is there in the end. The events' times differ, their number and sizes do not.
+  // Expects that everything was written in the end. Only the times of events differ, not their number and sizes.
   static void ExpectAllWritten(const std::string& run, Process* train) {
     ExpectCompleteLikeQuiet(run, train);
     EXPECT_EQ(Events(run).size(), Events("quiet").size());
   }
 };
 
-TEST_F(FullDiskTest, FilesAtTheirSizeLimitAreWrittenOnceItIsRaised) {
+TEST_F(FullDiskTest, FilesAtTheirSizeLimitAreWrittenOnceTheLimitIsRaised) {
   const auto train = Train("limit", {});
   WaitForCheckpoint("limit", 2);
   train->Signal(SIGSTOP);
-  // Above that of its standard error, where it says so, and of the events.
+  // The limit must exceed the sizes of standard error, where the error is logged, and of the event file.
   const auto size = std::filesystem::file_size(Logdir("limit") + "/stats.jsonl");
   ASSERT_GT(size, 4000);
   const rlimit full = {size, RLIM_INFINITY};
   ASSERT_EQ(prlimit(train->pid(), RLIMIT_FSIZE, &full, nullptr), 0) << std::strerror(errno);
   train->Signal(SIGCONT);
-  ASSERT_NO_FATAL_FAILURE(WaitUntilFullAndGoingOn(train.get()));
+  ASSERT_NO_FATAL_FAILURE(WaitUntilFullAndContinuing(train.get()));
   const rlimit room = {RLIM_INFINITY, RLIM_INFINITY};
   ASSERT_EQ(prlimit(train->pid(), RLIMIT_FSIZE, &room, nullptr), 0) << std::strerror(errno);
   ExpectAllWritten("limit", train.get());
 }
 
-TEST_F(FullDiskTest, ADiskThatIsFullIsWrittenOnceThereIsRoom) {
+TEST_F(FullDiskTest, AFullDiskIsWrittenOnceThereIsSpace) {
   const std::string disk = Logdir("disk");
   ASSERT_EQ(mkdir(disk.c_str(), 0755), 0);
   if (mount("none", disk.c_str(), "tmpfs", 0, "size=100m") != 0) {
@@ -281,8 +281,8 @@ TEST_F(FullDiskTest, ADiskThatIsFullIsWrittenOnceThereIsRoom) {
   const auto train = Train("disk", {});
   WaitForCheckpoint("disk", 2);
   const std::string filler = disk + "/filler";
-  std::ofstream(filler) << std::string(100 << 20, 'x');  // what fits
-  ASSERT_NO_FATAL_FAILURE(WaitUntilFullAndGoingOn(train.get()));
+  std::ofstream(filler) << std::string(100 << 20, 'x');  // fills the rest
+  ASSERT_NO_FATAL_FAILURE(WaitUntilFullAndContinuing(train.get()));
   ASSERT_TRUE(std::filesystem::remove(filler));
   ExpectAllWritten("disk", train.get());
 }

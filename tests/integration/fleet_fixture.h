@@ -1,5 +1,5 @@
-// A learner, actors and environment servers as processes over loopback, and the run in one process that whatever they
-// do must equal.
+// A learner, actors and environment servers as processes over loopback. Their results must equal those of a run in one
+// process.
 
 #ifndef CRAFTFLEET_TESTS_INTEGRATION_FLEET_FIXTURE_H_
 #define CRAFTFLEET_TESTS_INTEGRATION_FLEET_FIXTURE_H_
@@ -16,14 +16,14 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
-#include "common/files.h"
+#include "common/io/files.h"
 #include "tests/fakes/status_matchers.h"
 #include "tests/fakes/temp_folder.h"
 #include "tests/integration/process.h"
 
 namespace craftfleet {
 
-// Ten short iterations with deaths and truncations in them.
+// Ten short iterations with deaths and truncations.
 inline constexpr char kConfig[] = R"(
   steps: 10240  lanes: 16  seed: 3  fragment_steps: 64
   env { length: 90 }
@@ -53,8 +53,8 @@ struct Result {
 
 class FleetRunTest : public testing::Test {
  protected:
-  // Makes the undisturbed run in one process that every other must equal, before the first test. Not in SetUpTestSuite:
-  // where that fails, its tests count as skipped.
+  // Before the first test, makes the undisturbed run in one process that every other run must equal. This is not in
+  // SetUpTestSuite, since tests count as skipped if that fails.
   void SetUp() override {
     ASSERT_NO_FATAL_FAILURE(TrainQuietly(kConfig));
     // Three evaluations of two episodes of each kind, then three of each kind at the end.
@@ -137,7 +137,7 @@ class FleetRunTest : public testing::Test {
     ExpectSame(result.weights, quiet_->weights, "weights");
     ExpectSame(result.optimizer, quiet_->optimizer, "optimizer");
   }
-  // Without printing kilobytes.
+  // Does not print the whole texts.
   static void ExpectSame(const std::string& actual, const std::string& wanted, const std::string& what) {
     EXPECT_TRUE(actual == wanted) << what << ": " << actual.size() << " bytes, want " << wanted.size()
                                   << ", first different one at "

@@ -1,5 +1,5 @@
-// The promise of synchronous training, on real processes over loopback: who plays, who dies and who is resumed changes
-// nothing.
+// The guarantee of synchronous training, with real processes over loopback: which workers play, die or resume does not
+// change the result.
 
 #include <csignal>
 #include <filesystem>
@@ -18,7 +18,7 @@ namespace {
 
 using testing::HasSubstr;
 
-// As kConfig, with recurrent states that matter.
+// Like kConfig, with a recurrent agent.
 constexpr char kRecurrentConfig[] = R"(
   agent: "lstm_cnn"  steps: 2560  lanes: 4  seed: 3  fragment_steps: 16
   env { length: 90 }
@@ -27,9 +27,20 @@ constexpr char kRecurrentConfig[] = R"(
   checkpoint { every_iterations: 2  keep: 20 }
 )";
 
+// Likewise, with achievement distillation of a small network: three phases, some checkpoints between them.
+constexpr char kDistillationConfig[] = R"(
+  agent: "achievement_distillation"  steps: 2560  lanes: 4  seed: 3  fragment_steps: 16
+  network { extractor: CNN  frame_size: 36 }
+  env { length: 90 }
+  eval { every_steps: 1000  episodes: 1  final_episodes: 0 }
+  ppo { rollout_steps: 256  minibatch_size: 64  epochs: 1 }
+  distillation { every_iterations: 3  epochs: 1 }
+  checkpoint { every_iterations: 2  keep: 20 }
+)";
+
 class FleetTest : public FleetRunTest {
  protected:
-  // Actors and servers come and go while the run goes on.
+  // Actors and servers come and go during the run.
   static void PlayWithKills() {
     const auto learner = StartLearner("kills", "127.0.0.1:0");
     auto first_server = StartServer("kills-server1");
@@ -80,19 +91,19 @@ TEST_F(FleetTest, OneActorAndOneServerEqualOneProcess) {
 
 TEST_F(FleetTest, ThreeActorsAndTwoServersWithKillsEqualOneProcess) { PlayWithKills(); }
 
-TEST_F(FleetTest, ARunStoppedByASignalGoesOnAsIfNeverStopped) {
+TEST_F(FleetTest, ARunStoppedByASignalContinuesAsIfNeverStopped) {
   auto train = Train("stopped", {});
   WaitForCheckpoint("stopped", 2);
   train->Signal(SIGTERM);
   ASSERT_EQ(train->Wait(absl::Seconds(10)), 0) << train->Err();
-  EXPECT_THAT(train->Err(), HasSubstr("go on with --resume"));
+  EXPECT_THAT(train->Err(), HasSubstr("continue with --resume"));
   ASSERT_FALSE(PathExists(Logdir("stopped") + "/" + kLastCheckpoint));
   train = Train("stopped", {"--resume"});
   EXPECT_EQ(train->Wait(kPatience), 0) << train->Err();
   ExpectLikeQuiet("stopped");
 }
 
-TEST_F(FleetTest, AKilledRunGoesOnAsIfNeverStopped) {
+TEST_F(FleetTest, AKilledRunContinuesAsIfNeverStopped) {
   auto train = Train("killed", {});
   WaitForCheckpoint("killed", 4);
   train->Kill();
@@ -102,19 +113,19 @@ TEST_F(FleetTest, AKilledRunGoesOnAsIfNeverStopped) {
   ExpectLikeQuiet("killed");
 }
 
-TEST_F(FleetTest, TheSameCommandBeginsARunAndGoesOnWithIt) {
+TEST_F(FleetTest, TheSameCommandStartsAndResumesARun) {
   auto train = Train("again", {"--autoresume"});
   WaitForCheckpoint("again", 4);
   train->Kill();
   train = Train("again", {"--autoresume"});
   EXPECT_EQ(train->Wait(kPatience), 0) << train->Err();
-  EXPECT_THAT(train->Err(), HasSubstr("goes on after iteration"));
+  EXPECT_THAT(train->Err(), HasSubstr("resumes after iteration"));
   ExpectLikeQuiet("again");
 }
 
 TEST_F(FleetTest, AFleetOutlivesItsLearner) { OutliveTheLearner(); }
 
-TEST_F(FleetTest, AFinishedRunMayBeMadeLonger) {
+TEST_F(FleetTest, AFinishedRunCanBeExtended) {
   auto train = Train("longer", {"--steps=4096"});
   ASSERT_EQ(train->Wait(kPatience), 0) << train->Err();
   train = Train("longer", {"--resume"});
@@ -132,8 +143,18 @@ TEST_F(RecurrentFleetTest, ThreeActorsAndTwoServersWithKillsEqualOneProcess) { P
 
 TEST_F(RecurrentFleetTest, AFleetOutlivesItsLearner) { OutliveTheLearner(); }
 
-// The learner keeps the fragments of the iteration under way.
-class KeepingFleetTest : public FleetTest {
+// Memories travel as recurrent states do, and checkpoints between two phases of distillation hold the rollouts so far.
+class DistillationFleetTest : public FleetTest {
+ protected:
+  void SetUp() override { TrainQuietly(kDistillationConfig); }
+};
+
+TEST_F(DistillationFleetTest, ThreeActorsAndTwoServersWithKillsEqualOneProcess) { PlayWithKills(); }
+
+TEST_F(DistillationFleetTest, AFleetOutlivesItsLearner) { OutliveTheLearner(); }
+
+// The learner stores the fragments of the current iteration on disk.
+class JournalFleetTest : public FleetTest {
  protected:
   void SetUp() override {
     TrainQuietly(
@@ -153,11 +174,11 @@ class KeepingFleetTest : public FleetTest {
       if (KeptBytes(run) > 0) return;
       actor->Signal(SIGCONT);
     }
-    FAIL() << "no iteration was met halfway";
+    FAIL() << "no iteration was caught halfway";
   }
 };
 
-TEST_F(KeepingFleetTest, WhatAKilledLearnerHadTakenInIsNotPlayedAgain) {
+TEST_F(JournalFleetTest, FragmentsAcceptedByAKilledLearnerAreNotPlayedAgain) {
   auto learner = StartLearner("kept", "127.0.0.1:0");
   const auto server = StartServer("kept-server");
   const std::string learner_address = learner->WaitForAddress().value();
@@ -168,9 +189,10 @@ TEST_F(KeepingFleetTest, WhatAKilledLearnerHadTakenInIsNotPlayedAgain) {
   learner = StartLearner("kept", learner_address, {"--resume"});
   actor->Signal(SIGCONT);
   EXPECT_EQ(learner->Wait(kPatience), 0) << learner->Err();
-  EXPECT_THAT(learner->Err(), testing::ContainsRegex("[0-9]+ fragments of iteration [0-9]+ were kept"));
+  EXPECT_THAT(learner->Err(),
+              testing::ContainsRegex("[0-9]+ fragments of iteration [0-9]+ were restored from the journal"));
   ExpectLikeQuiet("kept");
-  EXPECT_EQ(KeptBytes("kept"), 0) << "they are of no use after the run";
+  EXPECT_EQ(KeptBytes("kept"), 0) << "they are not needed after the run";
 }
 
 }  // namespace

@@ -1,4 +1,4 @@
-// Workers that would compute otherwise than the rest of their run: refused, let in when told to, or pinned.
+// Workers with numerics other than the rest of their run: refused, accepted with --allow_mixed, or pinned.
 
 #include <memory>
 #include <string>
@@ -8,7 +8,8 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
-#include "common/cpu_pin.h"
+#include "common/process/cpu_pin.h"
+#include "tests/integration/ask_status.h"
 #include "tests/integration/small_run.h"
 
 namespace craftfleet {
@@ -17,8 +18,9 @@ namespace {
 using testing::AllOf;
 using testing::HasSubstr;
 using testing::Not;
+using testing::SizeIs;
 
-// What makes a process compute like one on a CPU of 2005.
+// Environment variables that make a process compute as on a CPU of 2005.
 const std::vector<std::string>& OldCpu() {
   static const auto& variables =
       *new std::vector<std::string>{"ATEN_CPU_CAPABILITY=default", "ONEDNN_MAX_CPU_ISA=SSE41", "DNNL_MAX_CPU_ISA=SSE41",
@@ -32,7 +34,7 @@ class MixedBuildsTest : public SmallRunTest {
     if (!CheckCpu(v1::RunConfig::AVX2).ok()) GTEST_SKIP() << "a CPU without AVX2";
   }
 
-  // `program` in an environment with `variables` too.
+  // Starts `program` with additional environment `variables`.
   std::unique_ptr<Process> StartWith(std::vector<std::string> variables, const std::string& program,
                                      const std::vector<std::string>& flags) {
     variables.push_back(CRAFTFLEET_BIN_DIR "/" + program);
@@ -59,15 +61,15 @@ class MixedBuildsTest : public SmallRunTest {
   std::string address_;
 };
 
-TEST_F(MixedBuildsTest, AnActorThatComputesOtherwiseIsRefusedAndNamed) {
+TEST_F(MixedBuildsTest, AnActorWithOtherNumericsIsRefusedAndNamed) {
   StartFleet("refused", {});
   const auto odd = StartWith(OldCpu(), "craftfleet-actor", ActorFlags());
   EXPECT_EQ(odd->Wait(kPatience), 1);
-  EXPECT_THAT(odd->Err(), AllOf(HasSubstr("computes other numbers than this learner"), HasSubstr("--cpu=avx2"),
+  EXPECT_THAT(odd->Err(), AllOf(HasSubstr("computes different results from this learner"), HasSubstr("--cpu=avx2"),
                                 HasSubstr("--allow_mixed")));
-  EXPECT_THAT(learner_->Err(), HasSubstr("computes other numbers than this learner"));
+  EXPECT_THAT(learner_->Err(), HasSubstr("computes different results from this learner"));
   EXPECT_THAT(Status(), HasSubstr("refused: another canary"));
-  // The run is the others'.
+  // The other actors play the run.
   const auto actor = Start("craftfleet-actor", ActorFlags());
   EXPECT_EQ(learner_->Wait(kPatience), 0) << learner_->Err();
   EXPECT_EQ(actor->Wait(kPatience), 0) << actor->Err();
@@ -80,10 +82,11 @@ TEST_F(MixedBuildsTest, WithAllowMixedItPlays) {
   const auto odd = StartWith(OldCpu(), "craftfleet-actor", ActorFlags());
   EXPECT_EQ(learner_->Wait(kPatience), 0) << learner_->Err();
   EXPECT_EQ(odd->Wait(kPatience), 0) << odd->Err();
-  EXPECT_THAT(learner_->Err(), HasSubstr("let in by --allow_mixed: the result depends on who plays"));
+  EXPECT_THAT(learner_->Err(),
+              HasSubstr("accepted because of --allow_mixed: the result depends on which workers play"));
 }
 
-TEST_F(MixedBuildsTest, APinnedRunIsTheSameWhateverEachMachineWouldChoose) {
+TEST_F(MixedBuildsTest, APinnedRunIsTheSameOnEveryMachine) {
   const Ended alone = Run("craftfleet-train", Flags("alone", {"--cpu=avx2"}));
   ASSERT_EQ(alone.exit_code, 0) << alone.err;
   EXPECT_THAT(ReadFile(JoinPath(Logdir("alone"), "config.txt")).value_or(""), HasSubstr("cpu: AVX2"));
@@ -95,12 +98,36 @@ TEST_F(MixedBuildsTest, APinnedRunIsTheSameWhateverEachMachineWouldChoose) {
   EXPECT_EQ(odd->Wait(kPatience), 0) << odd->Err();
   EXPECT_EQ(plain->Wait(kPatience), 0) << plain->Err();
   EXPECT_TRUE(Weights("pinned") == Weights("alone"));
-  // And so is what goes on with it, without the flag.
+  // So is a run resumed without the flag.
   const Ended resumed = Run("craftfleet-train", {"--logdir=" + Logdir("alone"), "--resume", "--steps=256"});
   EXPECT_EQ(resumed.exit_code, 0) << resumed.err;
   const Ended refused = Run("craftfleet-train", {"--logdir=" + Logdir("alone"), "--resume", "--cpu=native"});
   EXPECT_EQ(refused.exit_code, 1);
   EXPECT_THAT(refused.err, HasSubstr("cpu"));
+}
+
+// With port 0 the actor listens on another port after its restart. The learner has only the new address, and nothing
+// listens on the old one.
+TEST_F(MixedBuildsTest, AnActorThatRestartsToBePinnedIsListedUnderItsNewAddress) {
+  StartFleet("ports", {"--cpu=avx2", "--steps=64000"});
+  std::vector<std::string> flags = ActorFlags();
+  flags.push_back("--listen=127.0.0.1:0");
+  const auto actor = Start("craftfleet-actor", flags);
+  const std::string old_address = actor->WaitForAddress("status on ", kPatience).value();
+  ASSERT_TRUE(actor->WaitForText("joined run", kPatience)) << actor->Err();
+  const auto status = AskStatus(address_);
+  ASSERT_THAT(status, IsOk());
+  std::vector<v1::Peer> actors;
+  for (const v1::Peer& peer : status->peers()) {
+    if (peer.role() == "actor") actors.push_back(peer);
+  }
+  ASSERT_THAT(actors, SizeIs(1));
+  const auto answer = AskStatus(actors[0].address());
+  ASSERT_THAT(answer, IsOk());
+  EXPECT_EQ(answer->name(), actors[0].name());
+  if (actors[0].address() != old_address) {
+    EXPECT_THAT(AskStatus(old_address), StatusIs(absl::StatusCode::kUnavailable, HasSubstr(old_address)));
+  }
 }
 
 }  // namespace

@@ -17,13 +17,13 @@
 #include <absl/strings/str_format.h>
 #include <absl/time/clock.h>
 
-#include "common/check.h"
-#include "common/files.h"
+#include "common/base/check.h"
+#include "common/io/files.h"
 
 namespace craftfleet {
 namespace {
 
-constexpr absl::Duration kLookInterval = absl::Milliseconds(10);  // at the logs
+constexpr absl::Duration kLookInterval = absl::Milliseconds(10);  // between reads of the logs
 
 absl::StatusOr<int> OpenLog(const std::string& path) {
   const int descriptor = open(path.c_str(), O_WRONLY | O_CREAT | O_TRUNC | O_APPEND | O_CLOEXEC, 0644);
@@ -31,7 +31,7 @@ absl::StatusOr<int> OpenLog(const std::string& path) {
   return descriptor;
 }
 
-// Only calls that are safe between fork and exec in a process with threads.
+// Makes only calls that are safe between fork and exec in a process with threads.
 [[noreturn]] void RunChild(const std::vector<char*>& arguments, int out, int err) {
   prctl(PR_SET_PDEATHSIG, SIGKILL);
   dup2(out, STDOUT_FILENO);
@@ -110,7 +110,7 @@ absl::StatusOr<std::string> Process::WaitForAddress(absl::string_view before, ab
     const bool last = WaitForEnd(absl::ZeroDuration()) || absl::Now() >= deadline;
     const std::string err = Err();
     const size_t start = absl::string_view(err).find(before);
-    // A whole line: the address may be half written.
+    // Wait for a complete line: the address may be partly written.
     const size_t line_end = start == std::string::npos ? start : err.find('\n', start);
     if (line_end != std::string::npos) {
       const size_t word = start + before.size();

@@ -1,4 +1,4 @@
-// A program of the build, run by a test.
+// Runs a program of the build in a test.
 
 #ifndef CRAFTFLEET_TESTS_INTEGRATION_PROCESS_H_
 #define CRAFTFLEET_TESTS_INTEGRATION_PROCESS_H_
@@ -16,12 +16,12 @@
 
 namespace craftfleet {
 
-// Killed when the object goes, and by the kernel when the thread that started it ends, so that nothing outlives a test
-// that crashes or is killed itself. Thread-compatible.
+// The process is killed by the destructor, and by the kernel when the thread that started it ends, so that no process
+// outlives a test that crashes or is killed. Thread-compatible.
 class Process {
  public:
   // Starts `program`, a name in build/bin or a path with a slash, with standard output and error in the files
-  // LOG_PREFIX.out and LOG_PREFIX.err, made anew.
+  // LOG_PREFIX.out and LOG_PREFIX.err, which are replaced.
   //   NotFound: no such program.   Others: a log that can't be written.
   static absl::StatusOr<std::unique_ptr<Process>> Start(const std::string& program,
                                                         const std::vector<std::string>& arguments,
@@ -30,18 +30,18 @@ class Process {
   Process(const Process&) = delete;
   Process& operator=(const Process&) = delete;
 
-  // Sends `signal`; nothing once Wait saw the end.
+  // Sends `signal`, unless Wait has already reported the end.
   void Signal(int signal);
-  // Waits for the end: the exit code, or 128 + signal. Nothing when it runs on after `timeout`.
+  // Waits for the end; returns the exit code, or 128 + signal. Nothing if the process still runs after `timeout`.
   std::optional<int> Wait(absl::Duration timeout);
-  // SIGKILL and wait. Idempotent.
+  // Sends SIGKILL and waits for the end. Idempotent.
   void Kill();
 
-  // Waits until `text` is in standard output or error. False: not within `timeout`, or the process ended without it.
+  // Waits until `text` is in standard output or error. False: not within `timeout`, or before the process ended.
   bool WaitForText(absl::string_view text, absl::Duration timeout) const;
   // The word after `before` in standard error, as programs that listen print it: "listening on 127.0.0.1:41234",
   // "status on 127.0.0.1:41235".
-  //   DeadlineExceeded: not there within `timeout`; the message has what was printed instead.
+  //   DeadlineExceeded: not printed within `timeout`; the message has what was printed instead.
   absl::StatusOr<std::string> WaitForAddress(absl::string_view before = "listening on ",
                                              absl::Duration timeout = absl::Seconds(20)) const;
 
@@ -51,7 +51,7 @@ class Process {
 
  private:
   Process(pid_t pid, int pid_descriptor, std::string log_prefix);
-  // Waits for the process to end without collecting it. False: it runs on.
+  // Waits for the process to end without reaping it. False: it still runs.
   bool WaitForEnd(absl::Duration timeout) const;
 
   const pid_t pid_;

@@ -13,7 +13,7 @@ namespace {
 
 using testing::HasSubstr;
 
-TEST(Process, TellsExitCodeAndWhatWasPrinted) {
+TEST(Process, ReturnsExitCodeAndOutput) {
   const TempFolder folder;
   auto process = Process::Start("/bin/sh", {"-c", "echo to out; echo to err >&2; exit 3"}, folder / "p");
   ASSERT_THAT(process, IsOk());
@@ -23,7 +23,7 @@ TEST(Process, TellsExitCodeAndWhatWasPrinted) {
   EXPECT_EQ((*process)->Wait(absl::ZeroDuration()), 3);
 }
 
-TEST(Process, SignalsAndTellsOfThem) {
+TEST(Process, SendsAndReportsSignals) {
   const TempFolder folder;
   auto process = Process::Start("/bin/sh", {"-c", "exec sleep 60"}, folder / "p");
   ASSERT_THAT(process, IsOk());
@@ -44,7 +44,7 @@ TEST(Process, IsKilledWithItsObject) {
   EXPECT_NE(kill(pid, 0), 0);
 }
 
-TEST(Process, FindsAddressOnceItsLineIsWhole) {
+TEST(Process, FindsAnAddressOnceItsLineIsComplete) {
   const TempFolder folder;
   auto process = Process::Start(
       "/bin/sh", {"-c", "printf 'x info: listening on 127.0.0.1:4' >&2; sleep 0.1; echo '1234 now' >&2; exec sleep 60"},
@@ -65,7 +65,7 @@ TEST(Process, StopsWaitingWhenTheProcessEnded) {
               StatusIs(absl::StatusCode::kDeadlineExceeded, HasSubstr("broken")));
 }
 
-TEST(Process, NamesProgramThatIsNotThere) {
+TEST(Process, NamesAMissingProgram) {
   const TempFolder folder;
   EXPECT_THAT(Process::Start("no-such-program", {}, folder / "p"),
               StatusIs(absl::StatusCode::kNotFound, HasSubstr("bin/no-such-program")));

@@ -1,4 +1,4 @@
-// A fleet among strangers: wrong credentials, garbage and new certificates change nothing in the run.
+// A fleet under attack: wrong credentials, garbage and new certificates do not change the run's result.
 
 #include <arpa/inet.h>
 #include <netinet/in.h>
@@ -51,7 +51,7 @@ class SecureFleetTest : public FleetRunTest {
                 IsOk());
   }
 
-  // Flags of a process that shows certificate `name`.
+  // Flags of a process that presents certificate `name`.
   std::vector<std::string> Tls(const std::string& name, const std::vector<std::string>& more = {}) const {
     std::vector<std::string> flags = {"--tls_cert=" + (folder_ / (name + ".pem")),
                                       "--tls_key=" + (folder_ / (name + ".key")), "--tls_ca=" + (folder_ / "ca.pem")};
@@ -63,7 +63,7 @@ class SecureFleetTest : public FleetRunTest {
   }
   std::string AccessFlag() const { return "--access_file=" + (folder_ / "access.txt"); }
 
-  // A learner, an environment server that registers with it and an actor; all with TLS and `access`.
+  // Starts a learner, an environment server that registers with it and an actor, all with TLS and `access`.
   void StartFleet(const std::string& run, const std::vector<std::string>& more = {}) {
     std::vector<std::string> flags = more;
     flags.push_back(AccessFlag());
@@ -82,7 +82,7 @@ class SecureFleetTest : public FleetRunTest {
     EXPECT_EQ(server_->Wait(absl::ZeroDuration()), std::nullopt) << server_->Err();
   }
 
-  // What `program` says on standard error as it fails.
+  // Runs `program`, expects it to fail, and returns its standard error.
   std::string Fail(const std::string& program, std::vector<std::string> flags) {
     const auto process = Start(program, absl::StrCat("intruder-", ++intruders_), flags);
     EXPECT_EQ(process->Wait(kPatience), 1);
@@ -147,7 +147,7 @@ TEST_F(SecureFleetTest, StrangersAreRefusedAndTheRunIsTheSame) {
   EXPECT_THAT(actor_->Err(), Not(HasSubstr("trying again")));
 }
 
-// Calls a unary method of the learner at `address` as who shows certificate `name`.
+// Calls a unary method of the learner at `address` with the given TLS files.
 template <typename Reply, typename Request>
 absl::Status CallLearner(const std::string& address, const wire::TlsFiles& files,
                          grpc::Status (v1::LearnerService::Stub::*method)(grpc::ClientContext*, const Request&, Reply*),
@@ -161,11 +161,11 @@ absl::Status CallLearner(const std::string& address, const wire::TlsFiles& files
   return wire::FromGrpc((stub.get()->*method)(&context, request, &reply), "learner");
 }
 
-TEST_F(SecureFleetTest, NobodyActsInAnothersName) {
+TEST_F(SecureFleetTest, NoWorkerCanActUnderAnothersName) {
   StartFleet("names");
   const std::string server_address = server_->WaitForAddress("listening on ", kPatience).value();
   WaitForCheckpoint("names", 2);
-  // Names are no secret: the page of the learner has them.
+  // Names are no secret: the learner's status page shows them.
   const auto monitor = wire::ChannelSecurity::Create({FilesOf("monitor"), "", ""});
   ASSERT_THAT(monitor, IsOk());
   grpc::ClientContext context;
@@ -180,7 +180,7 @@ TEST_F(SecureFleetTest, NobodyActsInAnothersName) {
       leave.set_actor(peer.name());
       EXPECT_THAT(CallLearner(learner_address_, FilesOf("actor-2"), &v1::LearnerService::Stub::Leave, leave),
                   StatusIs(absl::StatusCode::kPermissionDenied, HasSubstr(peer.name())));
-      // An environment server has no business with permits at all.
+      // Environment servers have no right to permits at all.
       EXPECT_THAT(CallLearner(learner_address_, FilesOf("envserver"), &v1::LearnerService::Stub::Leave, leave),
                   StatusIs(absl::StatusCode::kPermissionDenied, HasSubstr("not allowed")));
       ++tried;
@@ -196,13 +196,13 @@ TEST_F(SecureFleetTest, NobodyActsInAnothersName) {
     }
   }
   EXPECT_EQ(tried, 2);
-  EXPECT_EQ(learner_->Wait(absl::ZeroDuration()), std::nullopt) << "the run ended before the tries";
+  EXPECT_EQ(learner_->Wait(absl::ZeroDuration()), std::nullopt) << "the run ended before the attempts";
   EXPECT_THAT(learner_->Err(), HasSubstr("refused certificate 127.0.0.1, actor-2, localhost; \"workers\": actor"));
   ExpectTheRunToEndLikeQuiet("names");
   EXPECT_THAT(actor_->Err(), Not(HasSubstr("lapsed")));
 }
 
-TEST_F(SecureFleetTest, ATokenReplacedWithoutOverlapIsTakenUp) {
+TEST_F(SecureFleetTest, ATokenReplacedWithoutOverlapIsUsed) {
   const auto allow = [&](const std::string& token) {
     ASSERT_THAT(ReplaceFile(folder_ / "access.txt", absl::StrFormat(R"(
                   client { name: "workers" certificate: "actor" right: PLAY }
@@ -217,20 +217,47 @@ TEST_F(SecureFleetTest, ATokenReplacedWithoutOverlapIsTakenUp) {
   server_ = Start("craftfleet-envserver", "token-server",
                   Tls("envserver", {"--listen=127.0.0.1:0", "--learner=" + learner_address_,
                                     "--token_file=" + (folder_ / "token")}));
-  ASSERT_TRUE(server_->WaitForText("knows of this server", kPatience)) << server_->Err();
+  ASSERT_TRUE(server_->WaitForText("registered with learner", kPatience)) << server_->Err();
   allow("new");
   ASSERT_TRUE(server_->WaitForText("trying again until it answers", kPatience)) << server_->Err();
   ASSERT_THAT(ReplaceFile(folder_ / "token", "new\n"), IsOk());
   EXPECT_TRUE(WaitUntil([&] {
     const std::string log = server_->Err();
-    return log.find("knows of this server") != log.rfind("knows of this server");
+    return log.find("registered with learner") != log.rfind("registered with learner");
   })) << server_->Err();
   actor_ = Start("craftfleet-actor", "token-actor",
                  Tls("actor", {"--learner=" + learner_address_, "--envservers=learner", "--threads=2"}));
   ExpectTheRunToEndLikeQuiet("token");
 }
 
-// The serial number of the certificate that a process shows, in hexadecimal.
+// The actor is in the middle of the run, with permits and fragments to send.
+TEST_F(SecureFleetTest, ARunningActorUsesATokenReplacedWithoutOverlap) {
+  const auto allow = [&](const std::string& token) {
+    ASSERT_THAT(ReplaceFile(folder_ / "access.txt", absl::StrFormat(R"(
+                  client { name: "workers" token_sha256: "%s" right: PLAY }
+                  client { name: "servers" certificate: "envserver" right: SERVE })",
+                                                                    wire::Sha256Hex(token))),
+                IsOk());
+  };
+  allow("old");
+  ASSERT_THAT(WriteFileSynced(folder_ / "token", "old\n"), IsOk());
+  learner_ = StartLearner("actor-token", "127.0.0.1:0", Tls("learner", {AccessFlag()}));
+  learner_address_ = learner_->WaitForAddress("listening on ", kPatience).value();
+  server_ = Start("craftfleet-envserver", "actor-token-server",
+                  Tls("envserver", {"--listen=127.0.0.1:0", "--learner=" + learner_address_}));
+  actor_ = Start("craftfleet-actor", "actor-token-actor",
+                 Tls("actor", {"--learner=" + learner_address_, "--envservers=learner", "--threads=2",
+                               "--token_file=" + (folder_ / "token")}));
+  WaitForCheckpoint("actor-token", 2);
+  allow("new");
+  ASSERT_TRUE(actor_->WaitForText("trying again until it answers", kPatience)) << actor_->Err();
+  EXPECT_EQ(learner_->Wait(absl::ZeroDuration()), std::nullopt) << "the run ended before its actor was refused";
+  ASSERT_THAT(ReplaceFile(folder_ / "token", "new\n"), IsOk());
+  ExpectTheRunToEndLikeQuiet("actor-token");
+  EXPECT_THAT(actor_->Err(), HasSubstr("was read again"));
+}
+
+// Returns the serial number of a process's certificate, in hexadecimal.
 std::string SerialAt(const std::string& address, const std::vector<std::string>& flags, const std::string& file) {
   const std::string command = absl::StrFormat(
       "openssl s_client -connect %s -cert %s -key %s -CAfile %s -alpn h2 </dev/null 2>/dev/null | "
@@ -250,7 +277,7 @@ TEST_F(SecureFleetTest, NewCertificatesAreUsedAndNoConnectionIsLost) {
         << address;
   }
   EXPECT_EQ(learner_->Wait(absl::ZeroDuration()), std::nullopt) << "the run ended before the renewal";
-  // One more actor, which has only ever seen the new ones.
+  // Another actor, which only ever gets the new certificates.
   const auto late = Start("craftfleet-actor", "renewed-late",
                           Tls("actor", {"--learner=" + learner_address_, "--envservers=learner", "--threads=1"}));
   ASSERT_TRUE(late->WaitForText("joined run", kPatience)) << late->Err();
@@ -276,7 +303,7 @@ int ConnectTo(const std::string& address) {
   return -1;
 }
 
-// As a port scanner might: what it says first, then noise; connections stay open until the end.
+// Acts like a port scanner: sends a plausible beginning, then noise. Connections stay open until the end.
 class Scanner {
  public:
   ~Scanner() {
@@ -296,7 +323,7 @@ class Scanner {
       if (connection < 0) continue;
       connections_.push_back(connection);
       std::string bytes = openings[i % 6];
-      // A fifth says nothing more: half-open.
+      // A fifth of the connections send nothing more: half-open.
       for (int j = 0; i % 5 != 0 && j < 2000; ++j) bytes.push_back(static_cast<char>(random_() % 256));
       send(connection, bytes.data(), bytes.size(), MSG_NOSIGNAL);
     }
@@ -307,7 +334,7 @@ class Scanner {
   std::vector<int> connections_;
 };
 
-// Sends a message of 1 GB to `method`, whose bytes take up one megabyte here.
+// Sends a message of 1 GB to `method`, using only one megabyte here.
 grpc::Status SendGigabyte(const std::string& address, const wire::ChannelSecurity& security, const char* method) {
   grpc::ChannelArguments arguments;
   arguments.SetMaxSendMessageSize(-1);
@@ -330,7 +357,7 @@ grpc::Status SendGigabyte(const std::string& address, const wire::ChannelSecurit
   return status;
 }
 
-// Most memory that `process` ever had, MB.
+// The peak memory of `process`, MB.
 int64_t PeakMemory(const Process& process) {
   const std::string status = ReadFile(absl::StrCat("/proc/", process.pid(), "/status")).value_or("");
   int64_t kilobytes = -1;
@@ -342,7 +369,7 @@ int64_t PeakMemory(const Process& process) {
   return kilobytes / 1024;
 }
 
-TEST_F(SecureFleetTest, GarbageOnEveryPortHarmsNobody) {
+TEST_F(SecureFleetTest, GarbageOnEveryPortIsHarmless) {
   StartFleet("garbage");
   const std::string addresses[] = {learner_address_, server_->WaitForAddress("listening on ", kPatience).value(),
                                    actor_->WaitForAddress("status on ", kPatience).value()};
@@ -352,11 +379,11 @@ TEST_F(SecureFleetTest, GarbageOnEveryPortHarmsNobody) {
   EXPECT_EQ(learner_->Wait(absl::ZeroDuration()), std::nullopt) << "the run ended before the scan";
   ExpectTheRunToEndLikeQuiet("garbage");
   EXPECT_THAT(actor_->Err(), Not(HasSubstr("trying again")));
-  // A line for each kind of trouble, not for each connection.
+  // A line for each kind of error, not for each connection.
   EXPECT_LT(Lines(learner_->Err()), 60) << learner_->Err();
 }
 
-TEST_F(SecureFleetTest, GarbageHarmsNobodyWithoutTlsEither) {
+TEST_F(SecureFleetTest, GarbageIsAlsoHarmlessWithoutTls) {
   learner_ = StartLearner("plain", "127.0.0.1:0");
   server_ = StartServer("plain-server");
   learner_address_ = learner_->WaitForAddress("listening on ", kPatience).value();
@@ -375,7 +402,7 @@ TEST_F(SecureFleetTest, GarbageHarmsNobodyWithoutTlsEither) {
   EXPECT_THAT(actor_->Err(), Not(HasSubstr("trying again")));
 }
 
-TEST_F(SecureFleetTest, AMessageOfAGigabyteIsRefusedAndTakesNoGigabyte) {
+TEST_F(SecureFleetTest, AGigabyteMessageIsRefusedWithoutUsingAGigabyte) {
   StartFleet("gigabyte", {"--max_buffered_mb=256"});
   const std::string server_address = server_->WaitForAddress("listening on ", kPatience).value();
   WaitForCheckpoint("gigabyte", 2);

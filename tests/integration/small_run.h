@@ -1,4 +1,4 @@
-// Programs of the build and a run that ends within seconds.
+// Helpers for tests with real programs, and a run that ends within seconds.
 
 #ifndef CRAFTFLEET_TESTS_INTEGRATION_SMALL_RUN_H_
 #define CRAFTFLEET_TESTS_INTEGRATION_SMALL_RUN_H_
@@ -11,7 +11,7 @@
 #include <absl/time/time.h>
 #include <gtest/gtest.h>
 
-#include "common/files.h"
+#include "common/io/files.h"
 #include "tests/fakes/status_matchers.h"
 #include "tests/fakes/temp_folder.h"
 #include "tests/integration/process.h"
@@ -20,16 +20,16 @@ namespace craftfleet {
 
 inline constexpr absl::Duration kPatience = absl::Seconds(240);  // sanitizer builds are slow
 
-// What a program left behind that has ended.
+// The result of a program.
 struct Ended {
-  int exit_code = -1;  // -1: it ran on and was killed
+  int exit_code = -1;  // -1: killed after a timeout
   std::string out;
   std::string err;
 };
 
 class SmallRunTest : public testing::Test {
  protected:
-  // Three iterations of 64 steps on 4 lanes, a checkpoint after each.
+  // Three iterations of 64 steps on 4 lanes, with a checkpoint after each.
   static constexpr char kConfig[] = R"(
     steps: 192  lanes: 4  seed: 3  fragment_steps: 16
     env { length: 20 }

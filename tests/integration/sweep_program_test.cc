@@ -10,6 +10,7 @@
 namespace craftfleet {
 namespace {
 
+using testing::AllOf;
 using testing::HasSubstr;
 using testing::Not;
 
@@ -48,9 +49,9 @@ class SweepProgramTest : public SmallRunTest {
 };
 
 TEST_F(SweepProgramTest, RunsResumesReportsAndNeverRunsAFinishedCellAgain) {
-  // Killed at once, wherever it is: its children go on or are resumed.
+  // Killed at a random point: its children continue or are resumed.
   const std::unique_ptr<Process> killed = Start("craftfleet-sweep", SweepArguments());
-  ASSERT_TRUE(killed->WaitForText("begins: ", kPatience));
+  ASSERT_TRUE(killed->WaitForText("starts: ", kPatience));
   killed->Kill();
 
   const Ended first = Sweep();
@@ -73,14 +74,18 @@ TEST_F(SweepProgramTest, RunsResumesReportsAndNeverRunsAFinishedCellAgain) {
   ASSERT_EQ(report.exit_code, 0) << report.err;
   EXPECT_THAT(report.out, HasSubstr("4 runs, 4 complete"));
   EXPECT_THAT(ReadFile(folder_ / "report/report.md").value(), HasSubstr("2 of 2 cells have a complete run"));
+  const Ended page = Run("craftfleet-report", {folder_ / "runs", "--experiments=" + experiments(), "--out=-"});
+  ASSERT_EQ(page.exit_code, 0) << page.err;
+  EXPECT_EQ(page.out, ReadFile(folder_ / "report/report.md").value());
+  EXPECT_THAT(page.err, HasSubstr("4 runs, 4 complete; report.md written to standard output"));
 }
 
-TEST_F(SweepProgramTest, SigtermStopsItsRunsAndTheSameCommandGoesOn) {
+TEST_F(SweepProgramTest, SigtermStopsItsRunsAndTheSameCommandResumes) {
   const std::unique_ptr<Process> sweep = Start("craftfleet-sweep", SweepArguments({"--steps=100000"}));
-  ASSERT_TRUE(sweep->WaitForText("begins: ", kPatience));
+  ASSERT_TRUE(sweep->WaitForText("starts: ", kPatience));
   sweep->Signal(SIGTERM);
   EXPECT_EQ(sweep->Wait(kPatience), 75);
-  EXPECT_THAT(sweep->Err(), HasSubstr("stopped with 0 of 4 runs done; the same command goes on"));
+  EXPECT_THAT(sweep->Err(), HasSubstr("stopped with 0 of 4 runs done; the same command resumes the sweep"));
   const Ended list = Sweep({"--list"});
   EXPECT_THAT(list.out, HasSubstr("0 of 2 done"));
   const Ended rest = Sweep();
@@ -92,19 +97,22 @@ TEST_F(SweepProgramTest, BadArgumentsAreNamed) {
   EXPECT_THAT(Run("craftfleet-sweep", {"/nowhere.txt"}).err, HasSubstr("/nowhere.txt"));
   EXPECT_THAT(Run("craftfleet-sweep", {experiments()}).err, HasSubstr("--logdir is missing"));
   EXPECT_THAT(Sweep({"--jobs=0"}).err, HasSubstr("--jobs=0, want 1..1000"));
-  EXPECT_THAT(Sweep({"--experiment=x"}).err, HasSubstr("no experiment \"x\"; there are small"));
+  EXPECT_THAT(Sweep({"--experiment=x"}).err, HasSubstr("--experiment=x, want one of small"));
   EXPECT_THAT(Run("craftfleet-report", {"--out=r"}).err, HasSubstr("name at least one folder with runs"));
   EXPECT_THAT(Run("craftfleet-report", {"/nowhere", "--out=r"}).err, HasSubstr("/nowhere: no such folder"));
   EXPECT_THAT(Run("craftfleet-report", {folder_.path()}).err, HasSubstr("--out is missing"));
-  EXPECT_THAT(Run("craftfleet-envs", {"--worlds=0"}).err, HasSubstr("worlds is 0, want 1..100000"));
+  EXPECT_THAT(Run("craftfleet-report", {"/nowhere", "--out=" + experiments()}).err,
+              AllOf(HasSubstr("is not a folder; want a folder"), Not(HasSubstr("no such folder"))));
+  EXPECT_THAT(Run("craftfleet-envs", {"--worlds=0"}).err, HasSubstr("--worlds=0, want 1..100000"));
 }
 
 TEST_F(SweepProgramTest, ADryRunOnlyPrintsTheCommands) {
-  const Ended ended = Sweep({"--dry_run", "--cell=gamma=0.5", "--threads=1", "--textures=/t"});
+  const std::string textures = std::string(CRAFTFLEET_SOURCE_DIR) + "/envserver/textures";
+  const Ended ended = Sweep({"--dry_run", "--cell=gamma=0.5", "--threads=1", "--textures=" + textures});
   EXPECT_EQ(ended.exit_code, 0) << ended.err;
   EXPECT_THAT(ended.out, HasSubstr("craftfleet train --config=" + (folder_ / "runs/small/gamma=0.5/cell.txt") +
                                    " --seed=2 --steps=192 --logdir=" + RunFolder("gamma=0.5/seed2") +
-                                   " --threads=1 --textures=/t\n"));
+                                   " --threads=1 --textures=" + textures + "\n"));
   EXPECT_THAT(ended.out, Not(HasSubstr("gamma=0.9")));
   EXPECT_FALSE(PathExists(folder_ / "runs"));
 }

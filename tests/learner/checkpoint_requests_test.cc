@@ -13,7 +13,7 @@ namespace {
 
 using testing::HasSubstr;
 
-TEST(CheckpointRequests, WhoAsksWaitsForTheAnswer) {
+TEST(CheckpointRequests, ARequestWaitsForTheAnswer) {
   CheckpointRequests requests;
   EXPECT_FALSE(requests.pending());
   std::thread trainer([&requests] {
@@ -27,7 +27,7 @@ TEST(CheckpointRequests, WhoAsksWaitsForTheAnswer) {
   EXPECT_FALSE(requests.pending());
 }
 
-TEST(CheckpointRequests, TellsWhyThereIsNone) {
+TEST(CheckpointRequests, ReturnsTheWriteError) {
   CheckpointRequests requests;
   std::thread trainer([&requests] {
     ASSERT_TRUE(WaitUntil([&requests] { return requests.pending(); }));
@@ -37,14 +37,14 @@ TEST(CheckpointRequests, TellsWhyThereIsNone) {
   trainer.join();
 }
 
-TEST(CheckpointRequests, GivesUpInTimeAndIsStillServed) {
+TEST(CheckpointRequests, ATimedOutRequestIsStillServed) {
   CheckpointRequests requests;
   EXPECT_THAT(requests.Ask(absl::Milliseconds(1)),
-              StatusIs(absl::StatusCode::kDeadlineExceeded, HasSubstr("when the update under way is over")));
+              StatusIs(absl::StatusCode::kDeadlineExceeded, HasSubstr("it will be written after the current update")));
   EXPECT_TRUE(requests.pending());
 }
 
-TEST(CheckpointRequests, TheEndOfTheRunWakesWhoWaits) {
+TEST(CheckpointRequests, CloseWakesWaitingRequests) {
   CheckpointRequests requests;
   std::thread trainer([&requests] {
     ASSERT_TRUE(WaitUntil([&requests] { return requests.pending(); }));

@@ -6,7 +6,7 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
-#include "common/files.h"
+#include "common/io/files.h"
 #include "tests/fakes/file_size_limit.h"
 #include "tests/fakes/status_matchers.h"
 #include "tests/fakes/temp_folder.h"
@@ -22,12 +22,12 @@ using testing::SizeIs;
 class FragmentJournalTest : public testing::Test {
  protected:
   FragmentJournal Open(const std::string& run_id = "run-a") const { return FragmentJournal(path_, run_id); }
-  // Of lanes 0, 1, ...
+  // Appends fragments of lanes 0, 1, ...
   void Keep(int fragments) const {
     FragmentJournal journal = Open();
     for (int lane = 0; lane < fragments; ++lane) ASSERT_THAT(journal.Append(SampleFragment(lane, 4, 7)), IsOk());
   }
-  // They are the first of those kept, and whole.
+  // Expects the first of the appended fragments, complete.
   static void ExpectFirst(const std::vector<Fragment>& fragments) {
     for (size_t i = 0; i < fragments.size(); ++i) {
       ExpectSameFragments(fragments[i], SampleFragment(static_cast<int>(i), 4, 7));
@@ -38,14 +38,14 @@ class FragmentJournalTest : public testing::Test {
   const std::string path_ = folder_ / "fragments.journal";
 };
 
-TEST_F(FragmentJournalTest, AnotherProcessFindsWhatWasKept) {
+TEST_F(FragmentJournalTest, AnotherProcessReadsTheFragments) {
   Keep(3);
   const std::vector<Fragment> fragments = Open().Read(kSampleShape);
   ASSERT_THAT(fragments, SizeIs(3));
   ExpectFirst(fragments);
 }
 
-TEST_F(FragmentJournalTest, GoesOnBehindWhatItFinds) {
+TEST_F(FragmentJournalTest, AppendsAfterExistingFragments) {
   Keep(1);
   FragmentJournal journal = Open();
   ASSERT_THAT(journal.Read(kSampleShape), SizeIs(1));
@@ -55,7 +55,7 @@ TEST_F(FragmentJournalTest, GoesOnBehindWhatItFinds) {
   ExpectFirst(fragments);
 }
 
-TEST_F(FragmentJournalTest, ForgetsWhenTold) {
+TEST_F(FragmentJournalTest, ClearRemovesAllFragments) {
   Keep(3);
   FragmentJournal journal = Open();
   ASSERT_THAT(journal.Clear(), IsOk());
@@ -64,7 +64,7 @@ TEST_F(FragmentJournalTest, ForgetsWhenTold) {
   EXPECT_THAT(Open().Read(kSampleShape), SizeIs(1));
 }
 
-TEST_F(FragmentJournalTest, WhatAnotherRunLeftIsNotTaken) {
+TEST_F(FragmentJournalTest, FragmentsOfAnotherRunAreIgnored) {
   Keep(3);
   FragmentJournal journal = Open("run-b");
   EXPECT_THAT(journal.Read(kSampleShape), IsEmpty());
@@ -72,7 +72,7 @@ TEST_F(FragmentJournalTest, WhatAnotherRunLeftIsNotTaken) {
   EXPECT_THAT(Open("run-b").Read(kSampleShape), SizeIs(1));
 }
 
-TEST_F(FragmentJournalTest, AFragmentOfAnotherShapeEndsIt) {
+TEST_F(FragmentJournalTest, ReadingEndsAtAFragmentOfAnotherShape) {
   Keep(3);
   wire::FragmentShape narrower = kSampleShape;
   narrower.lanes = 2;
@@ -91,8 +91,8 @@ TEST_F(FragmentJournalTest, SnapshotsOfVersion01GetAnEnvelope) {
   EXPECT_EQ(fragments[0].snapshot.game, SampleSnapshot("CFWORLD and so on"));
 }
 
-// As version 0.1 kept them: such a fragment would end the learner at each start.
-TEST_F(FragmentJournalTest, AFragmentWithImpossibleValuesEndsIt) {
+// Version 0.1 stored such fragments; they would end the learner at each start.
+TEST_F(FragmentJournalTest, ReadingEndsAtAFragmentWithImpossibleValues) {
   Keep(1);
   Fragment wild = SampleFragment(1, 4, 7);
   wild.log_probs[0] = 40;
@@ -100,8 +100,8 @@ TEST_F(FragmentJournalTest, AFragmentWithImpossibleValuesEndsIt) {
   EXPECT_THAT(Open().Read(kSampleShape), SizeIs(1));
 }
 
-// The process or the host died while it was written.
-TEST_F(FragmentJournalTest, ATornEndCostsOneFragment) {
+// The process or the host crashed during a write.
+TEST_F(FragmentJournalTest, ATornEndLosesOneFragment) {
   Keep(2);
   const size_t two = ReadFile(path_)->size();
   ASSERT_THAT(Open().Append(SampleFragment(2, 4, 7)), IsOk());
@@ -115,7 +115,7 @@ TEST_F(FragmentJournalTest, ATornEndCostsOneFragment) {
   }
 }
 
-TEST_F(FragmentJournalTest, NoWrongByteIsTaken) {
+TEST_F(FragmentJournalTest, ACorruptByteIsDetected) {
   Keep(3);
   const std::string whole = *ReadFile(path_);
   for (size_t at = 0; at < whole.size(); ++at) {
@@ -128,7 +128,7 @@ TEST_F(FragmentJournalTest, NoWrongByteIsTaken) {
   }
 }
 
-TEST_F(FragmentJournalTest, OnAFullDiskItKeepsNothingMoreUntilCleared) {
+TEST_F(FragmentJournalTest, AfterAFullDiskNothingIsStoredUntilClear) {
   FragmentJournal journal = Open();
   ASSERT_THAT(journal.Append(SampleFragment(0, 4, 7)), IsOk());
   const size_t one = ReadFile(path_)->size();
@@ -136,7 +136,7 @@ TEST_F(FragmentJournalTest, OnAFullDiskItKeepsNothingMoreUntilCleared) {
     const FileSizeLimit full(one + 10);
     EXPECT_THAT(journal.Append(SampleFragment(1, 4, 7)),
                 StatusIs(absl::StatusCode::kResourceExhausted, HasSubstr(path_)));
-    EXPECT_THAT(journal.Append(SampleFragment(2, 4, 7)), IsOk()) << "it was said once";
+    EXPECT_THAT(journal.Append(SampleFragment(2, 4, 7)), IsOk()) << "the error is reported once";
   }
   ASSERT_THAT(journal.Append(SampleFragment(2, 4, 7)), IsOk());
   EXPECT_EQ(ReadFile(path_)->size(), one);

@@ -7,7 +7,7 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
-#include "common/snapshot_envelope.h"
+#include "common/io/snapshot_envelope.h"
 #include "tests/fakes/wire_samples.h"
 
 namespace craftfleet {
@@ -17,7 +17,7 @@ using testing::HasSubstr;
 
 const LaneSnapshot kNewGame = {"", {0, 0}};
 
-// Of three lanes; what a test puts into the second is looked at.
+// A state with three lanes; tests modify the second.
 v1::CheckpointState State() {
   v1::CheckpointState state;
   for (int i = 0; i < kSampleShape.lanes; ++i) {
@@ -34,14 +34,14 @@ LaneRecord Load(const v1::CheckpointState& state, int resets) {
   return lanes.records[1];
 }
 
-TEST(LaneLoading, TakesLanesAsTheyWere) {
+TEST(LaneLoading, LoadsLanesUnchanged) {
   const LaneRecord record = Load(State(), 0);
   EXPECT_EQ(record.next_fragment, 5);
   EXPECT_EQ(record.snapshot, (LaneSnapshot{SampleSnapshot("five"), {0.5F, 50}}));
   EXPECT_EQ(record.previous, (LaneSnapshot{SampleSnapshot("four"), {0.25F, 40}}));
 }
 
-TEST(LaneLoading, BeginsAnewWithoutACheckpoint) {
+TEST(LaneLoading, MakesNewLanesWithoutACheckpoint) {
   for (const LaneRecord& record : LoadLanes({}, kSampleShape).records) {
     EXPECT_EQ(record.next_fragment, 0);
     EXPECT_EQ(record.snapshot, kNewGame);
@@ -49,7 +49,7 @@ TEST(LaneLoading, BeginsAnewWithoutACheckpoint) {
   }
 }
 
-TEST(LaneLoading, PutsSnapshotsOfVersion01IntoEnvelopes) {
+TEST(LaneLoading, AddsEnvelopesToSnapshotsOfVersion01) {
   v1::CheckpointState state = State();
   v1::LaneState* lane = state.mutable_lanes(1);
   lane->set_snapshot("CFWORLD and so on");
@@ -60,7 +60,7 @@ TEST(LaneLoading, PutsSnapshotsOfVersion01IntoEnvelopes) {
   EXPECT_EQ(record.previous, kNewGame);
 }
 
-TEST(LaneLoading, GoesOnFromThePreviousSnapshotWhereTheLastIsNoGame) {
+TEST(LaneLoading, UsesThePreviousSnapshotIfTheLastIsInvalid) {
   std::string damaged = SampleSnapshot("five");
   damaged.back() = 'E';
   for (const std::string& bad :
@@ -70,7 +70,7 @@ TEST(LaneLoading, GoesOnFromThePreviousSnapshotWhereTheLastIsNoGame) {
     testing::internal::CaptureStderr();
     const LaneRecord record = Load(state, 1);
     EXPECT_THAT(testing::internal::GetCapturedStderr(), HasSubstr("the checkpoint's lane 1: snapshot: "));
-    EXPECT_EQ(record.next_fragment, 5) << "the same steps are played, from an earlier game";
+    EXPECT_EQ(record.next_fragment, 5) << "the fragment numbers do not change, although the game is an earlier one";
     EXPECT_EQ(record.snapshot, (LaneSnapshot{SampleSnapshot("four"), {0.25F, 40}}));
     EXPECT_EQ(record.previous, kNewGame);
     state.mutable_lanes(1)->set_previous_snapshot(bad);
@@ -78,7 +78,7 @@ TEST(LaneLoading, GoesOnFromThePreviousSnapshotWhereTheLastIsNoGame) {
   }
 }
 
-TEST(LaneLoading, AnImpossibleRecurrentStateIsNoGameEither) {
+TEST(LaneLoading, UsesThePreviousSnapshotIfTheRecurrentStateIsInvalid) {
   for (const float bad : {2.0F, std::nanf("")}) {
     v1::CheckpointState state = State();
     state.mutable_lanes(1)->set_state(0, bad);

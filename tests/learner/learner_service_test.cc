@@ -1,5 +1,6 @@
 #include "learner/learner_service.h"
 
+#include <cmath>
 #include <memory>
 #include <string>
 #include <thread>
@@ -17,6 +18,7 @@
 #include "tests/fakes/fake_clock.h"
 #include "tests/fakes/status_matchers.h"
 #include "tests/fakes/wire_samples.h"
+#include "tests/learner/learner_parts.h"
 
 namespace craftfleet {
 namespace {
@@ -41,11 +43,11 @@ LearnerServiceImpl::Options ServiceOptions() {
   return options;
 }
 
-// The service with a real book of lanes behind it, and calls to it as a client makes them.
+// The service with a real registry, called by a client.
 class LearnerServiceTest : public testing::Test {
  protected:
   LearnerServiceTest() {
-    ledger_.OpenIteration(2, kVersion);
+    registry_.OpenIteration(2, kVersion);
     server_ = *wire::Server::Create({}, {&service_});
     stub_ = v1::LearnerService::NewStub(server_->InProcess().channel);
   }
@@ -85,7 +87,7 @@ class LearnerServiceTest : public testing::Test {
     request.set_fragment(fragment);
     return Call(&v1::LearnerService::Stub::GetSnapshot, request);
   }
-  // Joins and takes every permit.
+  // Joins and gets all permits.
   void Enter(const std::string& actor) {
     ASSERT_THAT(Join(actor), IsOk());
     const auto permits = GetPermits(actor);
@@ -95,7 +97,7 @@ class LearnerServiceTest : public testing::Test {
     EXPECT_EQ(permits->granted(1).fragment(), 0);
     EXPECT_EQ(permits->granted(1).policy_version(), kVersion);
   }
-  // Sends `messages` down one stream: the verdicts, or the error that ended it.
+  // Sends `messages` on one stream. Returns the verdicts, or the error that ended the stream.
   absl::StatusOr<std::vector<v1::FragmentVerdict>> Push(const std::vector<v1::FragmentMessage>& messages) {
     grpc::ClientContext context;
     wire::SetDeadline(&context, absl::Seconds(20));
@@ -121,14 +123,11 @@ class LearnerServiceTest : public testing::Test {
   }
 
   FakeClock clock_;
-  LaneLedger ledger_{{kSampleShape.lanes}, std::vector<LaneRecord>(kSampleShape.lanes), &clock_};
-  WeightStore weights_;
-  FragmentQueue fragments_{100};
-  EvaluationBook evaluations_{absl::Seconds(5), &clock_};
-  ServerRegistry env_servers_{absl::Seconds(5), &clock_};
-  FleetBook fleet_{absl::Seconds(5), &clock_};
-  LearnerServiceImpl service_{ServiceOptions(), &ledger_,      &weights_, &fragments_,
-                              &evaluations_,    &env_servers_, &fleet_};
+  LearnerParts parts_{&clock_};
+  TestRegistry& registry_ = parts_.registry;
+  WeightStore& weights_ = parts_.weights;
+  FragmentQueue& fragments_ = parts_.fragments;
+  LearnerServiceImpl service_{ServiceOptions(), &registry_, &weights_, &fragments_};
   std::unique_ptr<wire::Server> server_;
   std::unique_ptr<v1::LearnerService::Stub> stub_;
 };
@@ -140,7 +139,7 @@ v1::FragmentMessage Message(const std::string& actor, int lane, int64_t number, 
   return message;
 }
 
-TEST_F(LearnerServiceTest, JoinTellsAboutTheRun) {
+TEST_F(LearnerServiceTest, JoinDescribesTheRun) {
   const auto reply = Join("a");
   ASSERT_THAT(reply, IsOk());
   EXPECT_EQ(reply->run_id(), "run-a");
@@ -149,10 +148,10 @@ TEST_F(LearnerServiceTest, JoinTellsAboutTheRun) {
   EXPECT_EQ(reply->texture_digest(), "digest");
   EXPECT_EQ(reply->lease_ms(), 5000);
   EXPECT_FALSE(reply->program_version().empty());
-  EXPECT_THAT(Join("b", "run-a"), IsOk()) << "an actor that comes back";
+  EXPECT_THAT(Join("b", "run-a"), IsOk()) << "an actor that joins again";
 }
 
-TEST_F(LearnerServiceTest, JoinRefusesWhoDoesNotFit) {
+TEST_F(LearnerServiceTest, JoinRefusesIncompatibleActors) {
   EXPECT_THAT(Join("a", "", wire::kProtocolVersion + 1),
               StatusIs(absl::StatusCode::kFailedPrecondition, HasSubstr("upgrade the learner")));
   EXPECT_THAT(Join("a", "run-b"), StatusIs(absl::StatusCode::kFailedPrecondition, HasSubstr("belongs to run run-b")));
@@ -160,7 +159,7 @@ TEST_F(LearnerServiceTest, JoinRefusesWhoDoesNotFit) {
   EXPECT_THAT(GetPermits("a"), StatusIs(absl::StatusCode::kAborted, HasSubstr("join again")));
 }
 
-// What workers say of themselves is kept: it must not be of any size.
+// Texts from workers are stored, so their size must be bounded.
 TEST_F(LearnerServiceTest, NamesAreBounded) {
   EXPECT_THAT(Join(std::string(513, 'a')),
               StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("actor has 513 bytes, want at most 512")));
@@ -172,7 +171,7 @@ TEST_F(LearnerServiceTest, NamesAreBounded) {
               StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("address has 602 bytes, want at most 512")));
 }
 
-TEST_F(LearnerServiceTest, AnActorSpeaksOfSomeServersAtOnce) {
+TEST_F(LearnerServiceTest, AnActorReportsABoundedNumberOfServers) {
   ASSERT_THAT(Join("a"), IsOk());
   v1::PermitRequest request;
   request.set_actor("a");
@@ -182,7 +181,23 @@ TEST_F(LearnerServiceTest, AnActorSpeaksOfSomeServersAtOnce) {
   ASSERT_THAT(Call(&v1::LearnerService::Stub::GetPermits, request), IsOk());
   v1::StatusReply status;
   service_.FillStatus(&status);
-  EXPECT_EQ(status.peers_size(), 1 + 63) << "the actor, and the first 64 servers but the one without an address";
+  EXPECT_EQ(status.peers_size(), 1 + 63) << "the actor, and the first 64 servers except the one without an address";
+}
+
+TEST_F(LearnerServiceTest, AServersImpossibleSummaryIsLeftOut) {
+  ASSERT_THAT(Join("a"), IsOk());
+  v1::PermitRequest request;
+  request.set_actor("a");
+  request.set_epoch(kEpoch);
+  request.add_env_servers()->set_address("10.0.0.1:1");
+  v1::Peer* const bad = request.add_env_servers();
+  bad->set_address("10.0.0.1:2");
+  bad->mutable_summary()->set_steps_per_second(std::nan(""));
+  ASSERT_THAT(Call(&v1::LearnerService::Stub::GetPermits, request), IsOk());
+  v1::StatusReply status;
+  service_.FillStatus(&status);
+  ASSERT_EQ(status.peers_size(), 2) << "the actor and the first server";
+  EXPECT_EQ(status.peers(1).address(), "10.0.0.1:1");
 }
 
 TEST_F(LearnerServiceTest, PermitsAreForThisEpoch) {
@@ -192,8 +207,8 @@ TEST_F(LearnerServiceTest, PermitsAreForThisEpoch) {
       StatusIs(absl::StatusCode::kAborted, AllOf(HasSubstr("epoch 3"), HasSubstr("epoch 4"), HasSubstr("join again"))));
 }
 
-// As when its process dies: the call that waits for permits breaks.
-TEST_F(LearnerServiceTest, AnActorWhoseCallBrokeLosesItsPermitsBeforeTheLeaseIsOver) {
+// When an actor's process dies, its call that waits for permits breaks.
+TEST_F(LearnerServiceTest, ABrokenCallShortensTheLease) {
   Enter("a");
   ASSERT_THAT(Join("b"), IsOk());
   grpc::ClientContext context;
@@ -222,7 +237,7 @@ TEST_F(LearnerServiceTest, AnActorWhoseCallBrokeLosesItsPermitsBeforeTheLeaseIsO
   EXPECT_EQ(granted, kSampleShape.lanes);
 }
 
-TEST_F(LearnerServiceTest, AFragmentReachesTheTrainerAsItWasSent) {
+TEST_F(LearnerServiceTest, AFragmentReachesTheTrainerUnchanged) {
   Enter("a");
   const auto verdicts = Push({Message("a", 1, 0), Message("a", 0, 0)});
   ASSERT_THAT(verdicts, IsOk());
@@ -238,7 +253,7 @@ TEST_F(LearnerServiceTest, AFragmentReachesTheTrainerAsItWasSent) {
   EXPECT_EQ(wire::FromProto(&*snapshot, kSampleShape.state_size).value(), SampleFragment(1, 0, kVersion).snapshot);
 }
 
-TEST_F(LearnerServiceTest, AFragmentSentTwiceIsTakenOnce) {
+TEST_F(LearnerServiceTest, AFragmentSentTwiceIsAcceptedOnce) {
   Enter("a");
   const auto verdicts = Push({Message("a", 1, 0), Message("a", 1, 0)});
   ASSERT_THAT(verdicts, IsOk());
@@ -259,7 +274,7 @@ TEST_F(LearnerServiceTest, FragmentsWithoutPermitAreExpired) {
   EXPECT_EQ(Metric("fragments_expired"), 3);
 }
 
-TEST_F(LearnerServiceTest, AWrongFragmentEndsItsStreamAndHarmsNoOther) {
+TEST_F(LearnerServiceTest, AnInvalidFragmentEndsOnlyItsStream) {
   Enter("a");
   const auto refused = [this](v1::FragmentMessage message, const std::string& error) {
     EXPECT_THAT(Push({std::move(message)}), StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr(error)));
@@ -290,7 +305,7 @@ TEST_F(LearnerServiceTest, ImpossibleValuesAreRefusedWithActorLaneFieldAndValue)
   EXPECT_THAT(Push({wild}), StatusIs(absl::StatusCode::kInvalidArgument,
                                      HasSubstr("fragment 0 of lane 1 of actor a: snapshot: 9000 bytes without")));
   EXPECT_EQ(Metric("fragments_rejected"), 2);
-  EXPECT_EQ(GetSnapshot(1, 0)->snapshot(), "") << "the lane is where it was";
+  EXPECT_EQ(GetSnapshot(1, 0)->snapshot(), "") << "the lane has not advanced";
 }
 
 TEST_F(LearnerServiceTest, ImpossibleRequestsForPermitsAreRefused) {
@@ -307,8 +322,8 @@ TEST_F(LearnerServiceTest, ImpossibleRequestsForPermitsAreRefused) {
               StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("active_steps: 6, want 0..5")));
 }
 
-// The only actor says twice that the game of a lane can't be restored.
-TEST_F(LearnerServiceTest, ALaneWhoseSnapshotIsNoGameIsPutBack) {
+// The only actor reports twice that a lane's game can't be restored.
+TEST_F(LearnerServiceTest, ALaneWithAnInvalidSnapshotIsReset) {
   Enter("a");
   ASSERT_THAT(Push({Message("a", 1, 0)}), IsOk());
   v1::PermitRequest request;
@@ -319,7 +334,7 @@ TEST_F(LearnerServiceTest, ALaneWhoseSnapshotIsNoGameIsPutBack) {
   failure->set_lane(1);
   failure->set_fragment(1);
   failure->set_reason("not a world's");
-  // The fragment of lane 1 that it is to play.
+  // The granted fragment of lane 1.
   const auto granted = [](const absl::StatusOr<v1::PermitReply>& reply) -> int64_t {
     for (const v1::Permit& permit : reply->granted()) {
       if (permit.lane() == 1) return permit.fragment();
@@ -333,7 +348,7 @@ TEST_F(LearnerServiceTest, ALaneWhoseSnapshotIsNoGameIsPutBack) {
   EXPECT_EQ(Metric("lanes_reset"), 1);
 }
 
-TEST_F(LearnerServiceTest, TheSecondOfTwoThatPlayTheSameIsCompared) {
+TEST_F(LearnerServiceTest, TheSecondResultForAFragmentIsCompared) {
   Enter("a");
   ASSERT_THAT(Push({Message("a", 0, 0)}), IsOk());
   ASSERT_THAT(Push({Message("a", 0, 0)}), IsOk());
@@ -344,14 +359,14 @@ TEST_F(LearnerServiceTest, TheSecondOfTwoThatPlayTheSameIsCompared) {
   EXPECT_EQ(Metric("fragments_differing"), 1);
 }
 
-TEST_F(LearnerServiceTest, TakesNothingInOnceItStops) {
+TEST_F(LearnerServiceTest, AcceptsNothingOnceItStops) {
   Enter("a");
   fragments_.Close();
   EXPECT_THAT(Push({Message("a", 0, 0)}), StatusIs(absl::StatusCode::kCancelled, HasSubstr("queue closed")));
 }
 
-TEST_F(LearnerServiceTest, WeightsComeInChunks) {
-  std::string bytes((4 << 20) + 5, '\0');
+TEST_F(LearnerServiceTest, WeightsAreSentInChunks) {
+  std::string bytes((256 << 10) + 5, '\0');
   for (size_t i = 0; i < bytes.size(); ++i) bytes[i] = static_cast<char>(i * 31 + (i >> 16));
   weights_.Publish(kVersion, std::make_shared<std::string>(bytes));
   grpc::ClientContext context;
@@ -369,10 +384,73 @@ TEST_F(LearnerServiceTest, WeightsComeInChunks) {
   }
   EXPECT_TRUE(stream->Finish().ok());
   EXPECT_EQ(received, bytes);
-  EXPECT_THAT(sizes, testing::ElementsAre(2 << 20, 2 << 20, 5));
+  EXPECT_THAT(sizes, testing::ElementsAre(128 << 10, 128 << 10, 5));
 }
 
-TEST_F(LearnerServiceTest, WeightsThatAreNotThereYetAreSaidToBe) {
+// The same service with short limits for its streams.
+class LearnerStreamsTest : public LearnerServiceTest {
+ protected:
+  static constexpr absl::Duration kLimit = absl::Seconds(1);
+
+  LearnerStreamsTest() {
+    server_ = *wire::Server::Create({}, {&impatient_});
+    stub_ = v1::LearnerService::NewStub(server_->InProcess().channel);
+    wire::SetDeadline(&context_, absl::Seconds(60));
+  }
+  // The server's threads use `impatient_`, which is destroyed before the base class.
+  ~LearnerStreamsTest() override { server_.reset(); }
+
+  static LearnerServiceImpl::Options ShortLimits() {
+    LearnerServiceImpl::Options options = ServiceOptions();
+    options.fragment_timeout = kLimit;
+    options.reply_timeout = kLimit;
+    options.max_polls_per_client = 0;
+    return options;
+  }
+
+  LearnerServiceImpl impatient_{ShortLimits(), &registry_, &weights_, &fragments_};
+  grpc::ClientContext context_;
+};
+
+TEST_F(LearnerStreamsTest, AStreamWithoutFragmentsEnds) {
+  const absl::Time start = absl::Now();
+  const auto stream = stub_->PushFragments(&context_);
+  v1::FragmentVerdict verdict;
+  EXPECT_FALSE(stream->Read(&verdict));
+  EXPECT_FALSE(stream->Finish().ok());
+  EXPECT_LT(absl::Now() - start, absl::Seconds(30)) << "well before the client's own deadline";
+}
+
+TEST_F(LearnerStreamsTest, ASlowStreamOfFragmentsDoesNotEnd) {
+  const auto stream = stub_->PushFragments(&context_);
+  v1::FragmentMessage message = wire::ToProto(SampleFragment(0, 0, kVersion, kEpoch));
+  message.set_actor("a");
+  v1::FragmentVerdict verdict;
+  for (int i = 0; i < 6; ++i) {
+    absl::SleepFor(kLimit / 3);
+    ASSERT_TRUE(stream->Write(message) && stream->Read(&verdict)) << i;
+  }
+  stream->WritesDone();
+  EXPECT_TRUE(stream->Finish().ok());
+}
+
+TEST_F(LearnerStreamsTest, RequestsThatWaitAreLimited) {
+  ASSERT_THAT(Join("a"), IsOk());
+  EXPECT_EQ(GetPermits("a").status().code(), absl::StatusCode::kResourceExhausted);
+}
+
+TEST_F(LearnerStreamsTest, WeightsThatNobodyReadsAreDropped) {
+  weights_.Publish(kVersion, std::make_shared<std::string>(64 << 20, 'w'));
+  const auto stream = stub_->GetWeights(&context_, v1::WeightsRequest());
+  absl::SleepFor(3 * kLimit);
+  v1::WeightsChunk chunk;
+  size_t received = 0;
+  while (stream->Read(&chunk)) received += chunk.data().size();
+  EXPECT_FALSE(stream->Finish().ok());
+  EXPECT_LT(received, size_t{64} << 20);
+}
+
+TEST_F(LearnerServiceTest, AMissingVersionOfTheWeightsIsAnError) {
   weights_.Publish(kVersion, std::make_shared<std::string>("w"));
   grpc::ClientContext context;
   v1::WeightsRequest request;
@@ -383,7 +461,7 @@ TEST_F(LearnerServiceTest, WeightsThatAreNotThereYetAreSaidToBe) {
   EXPECT_FALSE(stream->Read(&chunk));
   EXPECT_THAT(wire::FromGrpc(stream->Finish(), "learner"),
               StatusIs(absl::StatusCode::kDeadlineExceeded,
-                       AllOf(HasSubstr("policy version 12 is not there yet"), HasSubstr("the last is 11"))));
+                       AllOf(HasSubstr("policy version 12 is not available yet"), HasSubstr("the latest is 11"))));
 }
 
 TEST_F(LearnerServiceTest, SnapshotsAreOfTheNextFragment) {
@@ -394,7 +472,7 @@ TEST_F(LearnerServiceTest, SnapshotsAreOfTheNextFragment) {
   EXPECT_THAT(GetSnapshot(2, 0, kEpoch + 1), StatusIs(absl::StatusCode::kAborted, HasSubstr("join again")));
 }
 
-TEST_F(LearnerServiceTest, WhoLeavesGivesHisLanesBack) {
+TEST_F(LearnerServiceTest, ALeavingActorReturnsItsLanes) {
   Enter("a");
   v1::LeaveRequest request;
   request.set_actor("a");
@@ -404,7 +482,7 @@ TEST_F(LearnerServiceTest, WhoLeavesGivesHisLanesBack) {
   EXPECT_EQ((*verdicts)[0].verdict(), v1::FragmentVerdict::EXPIRED);
 }
 
-TEST_F(LearnerServiceTest, StatusNamesTheActors) {
+TEST_F(LearnerServiceTest, StatusListsTheActors) {
   Enter("a");
   ASSERT_THAT(Push({Message("a", 0, 0)}), IsOk());
   clock_.Advance(absl::Seconds(3));
@@ -417,10 +495,10 @@ TEST_F(LearnerServiceTest, StatusNamesTheActors) {
   EXPECT_EQ(reply.peers(0).last_seen_s(), 3);
 }
 
-TEST_F(LearnerServiceTest, AnEvaluationGoesToAnActorThatPlaysThemAndComesBack) {
+TEST_F(LearnerServiceTest, AnActorThatEvaluatesGetsATaskAndReturnsItsResult) {
   ASSERT_THAT(Join("a"), IsOk());
-  evaluations_.Add({1, 4096, 11, 2, false, std::make_shared<std::string>("old weights")});
-  ASSERT_FALSE(GetPermits("a")->has_evaluation()) << "it did not say that it evaluates";
+  registry_.AddEvaluation({1, 4096, 11, 2, false, std::make_shared<std::string>("old weights")});
+  ASSERT_FALSE(GetPermits("a")->has_evaluation()) << "it does not play evaluations";
   const auto ask = [&](int64_t at_hand) {
     v1::PermitRequest request;
     request.set_actor("a");

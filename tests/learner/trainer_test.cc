@@ -1,5 +1,5 @@
-// What a learner makes of fragments that can't be learned from, and of snapshots that are no games. A learner in this
-// process, and actors that send what the tests want.
+// A learner with fragments that make the update fail, and with invalid snapshots. The learner runs in this process; the
+// tests act as its actors.
 #include "learner/trainer.h"
 
 #include <functional>
@@ -14,11 +14,11 @@
 #include <gtest/gtest.h>
 
 #include "common/agent/canary.h"
-#include "common/config.h"
-#include "common/keyed_random.h"
-#include "common/paths.h"
-#include "common/snapshot_envelope.h"
-#include "common/version.h"
+#include "common/base/keyed_random.h"
+#include "common/config/config.h"
+#include "common/io/paths.h"
+#include "common/io/snapshot_envelope.h"
+#include "common/process/version.h"
 #include "common/wire/convert.h"
 #include "common/wire/grpc_status.h"
 #include "common/wire/protocol.h"
@@ -56,7 +56,7 @@ v1::RunConfig Config(bool keep_fragments) {
   return config;
 }
 
-// Sound, and the same whoever sends it.
+// A valid fragment, the same from every sender.
 Fragment PlayedFragment(int lane, int64_t number, int64_t version, int64_t epoch) {
   Fragment fragment;
   fragment.epoch = epoch;
@@ -78,12 +78,12 @@ Fragment PlayedFragment(int lane, int64_t number, int64_t version, int64_t epoch
   return fragment;
 }
 
-// Every value is within its range, and no gradient survives them.
+// Every value is within its range, but the gradients are not finite.
 void Poison(Fragment* fragment) {
   for (float& log_prob : fragment->log_probs) log_prob = wire::kMinLogProb;
 }
 
-// A learner that trains in a thread of its own.
+// A learner that trains in its own thread.
 class Training {
  public:
   Training(const std::string& logdir, bool keep_fragments, bool resume) {
@@ -99,7 +99,7 @@ class Training {
   ~Training() {
     if (thread_.joinable()) Stop().IgnoreError();
   }
-  // How it ended.
+  // Waits for the end; returns the status of Run.
   absl::Status Wait() {
     thread_.join();
     return status_;
@@ -120,7 +120,7 @@ class Training {
     ASSERT_TRUE(stub_->Join(&context, request, &reply).ok());
     epoch_ = reply.epoch();
   }
-  // Permits for `actor`, which has none.
+  // Requests permits for `actor`, which has none.
   std::vector<v1::Permit> Ask(const std::string& actor, const std::vector<v1::LaneFailure>& failures = {}) {
     v1::PermitRequest request;
     request.set_actor(actor);
@@ -152,7 +152,7 @@ class Training {
     grpc::ClientContext context;
     ASSERT_TRUE(stub_->Leave(&context, request, &reply).ok());
   }
-  // Joins, plays `fragments` that are accepted, each as `change` makes it, and leaves.
+  // Joins, sends `fragments` accepted fragments, each modified by `change`, and leaves.
   void Play(
       const std::string& actor, int fragments, const std::function<void(Fragment*)>& change = [](Fragment*) {}) {
     Join(actor);
@@ -167,7 +167,7 @@ class Training {
     ASSERT_EQ(fragments, 0) << "no permits for the rest";
     Leave(actor);
   }
-  // The only actor there is can't go on with any lane, and says so twice.
+  // The only actor can't restore any lane, and reports that twice.
   void RefuseAll(const std::string& actor) {
     Join(actor);
     std::vector<v1::LaneFailure> failures;
@@ -184,7 +184,7 @@ class Training {
     }
     Leave(actor);
   }
-  // The weights once they have `version`; empty after a minute.
+  // Waits for the weights of `version`; empty after a minute.
   std::string Weights(int64_t version) {
     for (int tries = 0; tries < 60; ++tries) {
       v1::WeightsRequest request;
@@ -221,7 +221,7 @@ class TrainerTest : public testing::Test {
   std::unique_ptr<Training> Begin(const std::string& run, bool keep_fragments = false, bool resume = false) {
     return std::make_unique<Training>(folder_ / run, keep_fragments, resume);
   }
-  // Weights after two iterations in which nothing goes wrong.
+  // The weights after two iterations without faults.
   std::string QuietWeights() {
     const auto quiet = Begin("quiet");
     quiet->Play("a", 2 * kPerIteration);
@@ -242,12 +242,12 @@ TEST_F(TrainerTest, AnUpdateThatFailsIsUndoneAndItsIterationPlayedAgain) {
   training->Play("a", kPerIteration);
   EXPECT_EQ(training->Weights(2), quiet) << "to the bit";
   EXPECT_THAT(testing::internal::GetCapturedStderr(),
-              AllOf(HasSubstr("the update of iteration 2 failed"), HasSubstr("its fragments are played again"),
-                    HasSubstr("of liar (lane/fragment): 0/2 0/3 1/2 1/3; log_probs down to -104")));
+              AllOf(HasSubstr("the update of iteration 2 failed"), HasSubstr("its fragments will be played again"),
+                    HasSubstr("from liar (lane/fragment): 0/2 0/3 1/2 1/3; log_probs down to -104")));
   EXPECT_EQ(training->Metric("updates_undone"), 1);
 }
 
-// With its fragments in the journal.
+// The fragments are in the journal.
 TEST_F(TrainerTest, TheSecondFailureInARowEndsTheLearnerAndItResumes) {
   const std::string quiet = QuietWeights();
   {
@@ -258,16 +258,16 @@ TEST_F(TrainerTest, TheSecondFailureInARowEndsTheLearnerAndItResumes) {
     EXPECT_THAT(training->Wait(), StatusIs(absl::StatusCode::kDataLoss, HasSubstr("gradient")));
   }
   const auto training = Begin("ended", /*keep_fragments=*/true, /*resume=*/true);
-  EXPECT_EQ(training->Metric("iteration"), 1) << "though a checkpoint was due after 100 only";
+  EXPECT_EQ(training->Metric("iteration"), 1) << "although the next checkpoint was only due after 100";
   training->Play("a", kPerIteration);
   EXPECT_EQ(training->Weights(2), quiet);
 }
 
-TEST_F(TrainerTest, ALaneThatIsPutBackWithinAnIterationChangesNothing) {
+TEST_F(TrainerTest, ALaneResetWithinAnIterationDoesNotChangeTheResult) {
   const std::string quiet = QuietWeights();
   const auto training = Begin("put-back", /*keep_fragments=*/true);
   training->Play("a", kPerIteration);
-  // The first fragment of each lane comes with what looks like a snapshot and is no game.
+  // The first fragment of each lane has a snapshot with a valid envelope but invalid content.
   training->Play("liar", kLanes, [](Fragment* fragment) {
     fragment->values[0] = 0.5F;
     fragment->snapshot.game = SealSnapshot(EnvDigest("crafter", kEpisodeLength), "no game");

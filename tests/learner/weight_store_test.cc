@@ -20,7 +20,7 @@ TEST(WeightStore, HasNothingBeforeTheFirstVersion) {
   EXPECT_EQ(weights.bytes, nullptr);
 }
 
-TEST(WeightStore, GivesTheLastVersionAtOnce) {
+TEST(WeightStore, ReturnsAnAvailableVersionAtOnce) {
   WeightStore store;
   store.Publish(3, Bytes(3));
   store.Publish(4, Bytes(4));
@@ -31,13 +31,13 @@ TEST(WeightStore, GivesTheLastVersionAtOnce) {
   }
 }
 
-TEST(WeightStore, GivesTheLastVersionWhenTheWantedOneDoesNotComeInTime) {
+TEST(WeightStore, ReturnsTheLatestVersionAfterATimeout) {
   WeightStore store;
   store.Publish(3, Bytes(3));
   EXPECT_EQ(store.Wait(4, absl::Milliseconds(5)).version, 3);
 }
 
-TEST(WeightStore, BytesStayWithThoseWhoTookThem) {
+TEST(WeightStore, ReturnedBytesStayValid) {
   WeightStore store;
   store.Publish(1, Bytes(1));
   const WeightStore::Weights taken = store.Wait(1, absl::ZeroDuration());
@@ -45,7 +45,7 @@ TEST(WeightStore, BytesStayWithThoseWhoTookThem) {
   EXPECT_EQ(*taken.bytes, "weights 1");
 }
 
-TEST(WeightStore, PublishWakesThoseWhoWaitForIt) {
+TEST(WeightStore, PublishWakesWaitingCalls) {
   constexpr int64_t kVersions = 200;
   WeightStore store;
   std::vector<std::thread> readers;

@@ -1,4 +1,4 @@
-// Workers' names at a learner's service: with TLS a name is its certificate's.
+// Workers' names at the learner's service: with TLS, a name belongs to its certificate.
 
 #include <memory>
 #include <string>
@@ -14,6 +14,7 @@
 #include "tests/fakes/temp_folder.h"
 #include "tests/fakes/test_certificates.h"
 #include "tests/fakes/wire_samples.h"
+#include "tests/learner/learner_parts.h"
 
 namespace craftfleet {
 namespace {
@@ -27,14 +28,14 @@ class WorkerNamesTest : public testing::Test {
  protected:
   WorkerNamesTest() {
     for (const char* name : {"learner", "one", "two"}) ca_.Issue(name, {name});
-    ledger_.OpenIteration(2, kVersion);
-    evaluations_.Add({1, 4096, 1, 2, false, std::make_shared<std::string>("weights")});
+    registry_.OpenIteration(2, kVersion);
+    registry_.AddEvaluation({1, 4096, 1, 2, false, std::make_shared<std::string>("weights")});
   }
 
   wire::TlsFiles Files(const std::string& name) const {
     return {folder_ / (name + ".pem"), folder_ / (name + ".key"), folder_ / "ca.pem"};
   }
-  // Who shows the certificate of `name`; "": the server speaks no TLS.
+  // A client with the certificate of `name`; "": without TLS.
   std::unique_ptr<v1::LearnerService::Stub> Client(const std::string& name) {
     if (server_ == nullptr) {
       wire::Server::Options options;
@@ -94,7 +95,7 @@ class WorkerNamesTest : public testing::Test {
   }
 
   int Permits(const std::string& actor) {
-    for (const LaneLedger::ActorInfo& info : ledger_.Actors()) {
+    for (const LaneScheduler::ActorInfo& info : registry_.Actors()) {
       if (info.name == actor) return info.permits;
     }
     return -1;
@@ -103,14 +104,9 @@ class WorkerNamesTest : public testing::Test {
   const TempFolder folder_;
   TestAuthority ca_{folder_, "ca"};
   RealClock clock_;
-  LaneLedger ledger_{{kSampleShape.lanes}, std::vector<LaneRecord>(kSampleShape.lanes), &clock_};
-  WeightStore weights_;
-  FragmentQueue fragments_{100};
-  EvaluationBook evaluations_{absl::Minutes(5), &clock_};
-  ServerRegistry env_servers_{absl::Minutes(5), &clock_};
-  FleetBook fleet_{absl::Minutes(5), &clock_};
-  LearnerServiceImpl service_{ServiceOptions(), &ledger_,      &weights_, &fragments_,
-                              &evaluations_,    &env_servers_, &fleet_};
+  LearnerParts parts_{&clock_};
+  TestRegistry& registry_ = parts_.registry;
+  LearnerServiceImpl service_{ServiceOptions(), &registry_, &parts_.weights, &parts_.fragments};
   std::unique_ptr<wire::Server> server_;
 
  private:
@@ -136,7 +132,7 @@ class WorkerNamesTest : public testing::Test {
   }
 };
 
-TEST_F(WorkerNamesTest, NobodySpeaksInAnothersName) {
+TEST_F(WorkerNamesTest, NoWorkerCanUseAnothersName) {
   const auto one = Client("one");
   const auto two = Client("two");
   ASSERT_THAT(Join(one.get(), "a"), IsOk());
@@ -145,23 +141,26 @@ TEST_F(WorkerNamesTest, NobodySpeaksInAnothersName) {
   ASSERT_GT(permits, 0);
   ASSERT_THAT(Announce(one.get(), "server", "10.0.0.1:50061"), IsOk());
 
-  const auto denied = StatusIs(absl::StatusCode::kPermissionDenied, HasSubstr("actor \"a\" is somebody else"));
+  const auto denied =
+      StatusIs(absl::StatusCode::kPermissionDenied, HasSubstr("actor \"a\" belongs to another certificate"));
   EXPECT_THAT(Join(two.get(), "a"), denied);
   EXPECT_THAT(GetPermits(two.get(), "a"), denied);
   EXPECT_THAT(Push(two.get(), "a"), denied);
   EXPECT_THAT(FinishEvaluation(two.get(), "a"), denied);
   EXPECT_THAT(Leave(two.get(), "a"), denied);
-  EXPECT_THAT(Announce(two.get(), "server", "10.0.0.2:50061"),
-              StatusIs(absl::StatusCode::kPermissionDenied, HasSubstr("environment server \"server\" is somebody")));
+  EXPECT_THAT(
+      Announce(two.get(), "server", "10.0.0.2:50061"),
+      StatusIs(absl::StatusCode::kPermissionDenied, HasSubstr("environment server \"server\" belongs to another")));
   EXPECT_THAT(Announce(two.get(), "server", "10.0.0.1:50061", /*leaving=*/true),
               StatusIs(absl::StatusCode::kPermissionDenied, HasSubstr("\"")));
-  EXPECT_THAT(Announce(two.get(), "mine", "10.0.0.1:50061"),
-              StatusIs(absl::StatusCode::kPermissionDenied, HasSubstr("\"10.0.0.1:50061\" is somebody else")));
-  EXPECT_EQ(Permits("a"), permits) << "nothing was taken from it";
-  ASSERT_EQ(env_servers_.All().size(), 1);
-  EXPECT_EQ(env_servers_.All()[0].name, "server");
+  EXPECT_THAT(
+      Announce(two.get(), "mine", "10.0.0.1:50061"),
+      StatusIs(absl::StatusCode::kPermissionDenied, HasSubstr("\"10.0.0.1:50061\" belongs to another certificate")));
+  EXPECT_EQ(Permits("a"), permits) << "it has lost nothing";
+  ASSERT_EQ(registry_.Servers().size(), 1);
+  EXPECT_EQ(registry_.Servers()[0].name, "server");
 
-  // In its own name it may all of that.
+  // Under its own name it may do all of that.
   EXPECT_THAT(Push(one.get(), "a"), IsOk());
   EXPECT_THAT(Leave(one.get(), "a"), IsOk());
   EXPECT_THAT(Announce(one.get(), "server", "10.0.0.1:50061", /*leaving=*/true), IsOk());
@@ -175,7 +174,7 @@ TEST_F(WorkerNamesTest, ARenewedCertificateIsTheSameWorker) {
   EXPECT_THAT(GetPermits(Client("one").get(), "a"), IsOk());
 }
 
-TEST_F(WorkerNamesTest, WithoutTlsANameIsBoundToNobody) {
+TEST_F(WorkerNamesTest, WithoutTlsNamesAreNotOwned) {
   ASSERT_THAT(Join(Client("").get(), "a"), IsOk());
   EXPECT_THAT(Leave(Client("").get(), "a"), IsOk());
 }

@@ -1,6 +1,6 @@
 """A plain, slow model of Crafter's random stream, episode seeds, noise and world generation: no numpy, no opensimplex.
 
-Proven against the real libraries on thousands of random cases. Ints and Python floats (IEEE doubles) only.
+Verified against the real libraries on thousands of random cases. Uses only ints and Python floats (IEEE doubles).
 crafter_picture.py is the model of the picture.
 """
 import math

@@ -1,7 +1,7 @@
 """A plain, slow model of Crafter's daylight and picture: no numpy, no PIL. The other half of crafter_model.py.
 
-Proven against the real libraries on hundreds of random pictures. Python floats (IEEE doubles) and an explicit rounding
-to float32 only.
+Verified against the real libraries on hundreds of random pictures. Uses only Python floats (IEEE doubles) and explicit
+rounding to float32.
 """
 import math
 import struct

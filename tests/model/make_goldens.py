@@ -28,7 +28,7 @@ START_HEALTH = {PLAYER: 9, COW: 3, ZOMBIE: 5, SKELETON: 3}
 DIRECTIONS = {(-1, 0): 'left', (1, 0): 'right', (0, -1): 'up', (0, 1): 'down'}
 RIPE = 300  # a plant's `grown` above this
 
-# World generation makes a tree, coal, cow, zombie, skeleton where a draw is above the threshold of its letter.
+# World generation places a tree, coal, cow, zombie or skeleton where a draw exceeds the threshold of its letter.
 THRESHOLDS = {
     'q': (.945, .963, .9968, .998, .99), 'h': (.9, .92, .993, .9968, .977), 's': (.8, .85, .985, .993, .95),
     'd': (.6, .7, .97, .985, .9), 'f': (.2, .4, .91, .96, .8),
@@ -39,7 +39,7 @@ START_INVENTORY = [9, 9, 9, 9] + [0] * 12
 
 
 def world_settings():
-    """(seed, episode, area, numbers, (letters, percentages), size) of every row of worlds.jsonl: append only."""
+    """(seed, episode, area, numbers, (letters, percentages), size) of every row of worlds.jsonl. Only append rows."""
 
     def row(seed, ep=1, area=(64, 64), numbers=NORMAL, look=PLAIN, size=(64, 64)):
         return seed, ep, area, numbers, look, size
@@ -68,7 +68,7 @@ def crc(data):
 
 
 def stream_fields(stream):
-    """`rng` and `mtp` of a stream, which is left as it is."""
+    """`rng` and `mtp` of a stream, which is not advanced."""
     ahead = copy.deepcopy(stream)
     return {'rng': crc(struct.pack('<8d', *(ahead.double() for _ in range(8)))), 'mtp': stream.pos}
 

@@ -1,4 +1,4 @@
-"""The situations that the golden pictures show: tests/data/own/frames.jsonl has one row for each."""
+"""The situations in the golden pictures: tests/data/own/frames.jsonl has one row for each."""
 import dataclasses
 
 PLAYER, COW, ZOMBIE, SKELETON, ARROW, PLANT = range(1, 7)
@@ -29,7 +29,7 @@ def plant(x, y, grown, health=1):
 
 @dataclasses.dataclass
 class Situation:
-    """Fields as in tests/data/own/README.md; `keep`: whether the picture's bytes are kept, beside their crc."""
+    """Fields as in tests/data/own/README.md; `keep`: whether to store the picture's bytes besides their crc."""
     name: str
     world: int = 0
     mat: list = dataclasses.field(default_factory=list)
@@ -53,7 +53,7 @@ def all_materials():
 
 
 def all_objects():
-    """Every kind of object and every variant around the player at (32, 32), some outside the view, dead bodies too."""
+    """Every kind of object and every variant around the player at (32, 32), some outside the view, some with health 0."""
     things = [(kind, variant) for kind in (COW, ZOMBIE, SKELETON) for variant in range(-1, 4)]
     out = [player(32, 32, LEFT)]
     out += [creature(kind, 28 + i % 9, 29 + i // 9, variant, i % 4) for i, (kind, variant) in enumerate(things)]

@@ -1,10 +1,12 @@
 #include "common/agent/nets/attention.h"
 
 #include <cmath>
+#include <optional>
 
 #include <ATen/ATen.h>
+#include <c10/util/accumulate.h>
 
-#include "common/keyed_random.h"
+#include "common/base/keyed_random.h"
 
 namespace craftfleet {
 namespace {
@@ -16,7 +18,20 @@ at::Tensor SplitHeads(const at::Tensor& x, int64_t heads) {
   return x.unflatten(-1, {heads, kAttentionWidth / heads}).transpose(-3, -2);
 }
 
-// float[N,...]: 0 with `probability`, else 1 / (1 - probability).
+// MixBits of each number of int64[...], whose bits are those of a uint64.
+at::Tensor MixBitsOf(const at::Tensor& x) {
+  // Shifts in zeros, where LibTorch repeats the sign.
+  const auto shifted = [](const at::Tensor& bits, int64_t by) {
+    return at::bitwise_and(at::bitwise_right_shift(bits, by), (int64_t{1} << (64 - by)) - 1);
+  };
+  const auto number = [](uint64_t bits) { return static_cast<int64_t>(bits); };
+  const at::Tensor first = at::bitwise_xor(x, shifted(x, 30)) * number(0xBF58476D1CE4E5B9ULL);
+  const at::Tensor second = at::bitwise_xor(first, shifted(first, 27)) * number(0x94D049BB133111EBULL);
+  return at::bitwise_xor(second, shifted(second, 31));
+}
+
+}  // namespace
+
 at::Tensor DropoutMask(at::IntArrayRef shape, double probability, int64_t layer, const Dropout& dropout) {
   at::Tensor mask = at::empty(shape);
   const float kept = static_cast<float>(1 / (1 - probability));
@@ -32,7 +47,23 @@ at::Tensor DropoutMask(at::IntArrayRef shape, double probability, int64_t layer,
   return mask;
 }
 
-}  // namespace
+at::Tensor DropoutMaskOnDevice(at::IntArrayRef shape, double probability, int64_t layer, const Dropout& dropout,
+                               at::Device device) {
+  const auto count = [&](int64_t first, int64_t n) {
+    return at::arange(first, first + n, 1, at::TensorOptions(at::kLong).device(device));
+  };
+  const int64_t rows = shape[0];
+  const int64_t row_size = rows == 0 ? 0 : c10::multiply_integers(shape) / rows;
+  // KeyedBits, whose last word is the row.
+  const uint64_t before_row = KeyedBitsBeforeLast(RandomUse::kDropout, dropout.key, static_cast<uint64_t>(layer));
+  const at::Tensor words = (count(dropout.first_row, rows) + 1) * static_cast<int64_t>(kKeyedGamma);
+  const at::Tensor row_keys = MixBitsOf(MixBitsOf(words + static_cast<int64_t>(before_row)));
+  const at::Tensor bits = MixBitsOf(row_keys.unsqueeze(1) + count(0, row_size));
+  // UnitInterval is below the probability.
+  const at::Tensor top = at::bitwise_and(at::bitwise_right_shift(bits, 11), (int64_t{1} << 53) - 1);
+  const at::Tensor kept = top.ge(static_cast<int64_t>(std::ceil(std::ldexp(probability, 53))));
+  return (kept.to(at::kFloat) * static_cast<double>(static_cast<float>(1 / (1 - probability)))).view(shape);
+}
 
 at::Tensor CutPatches(const at::Tensor& map, int64_t patch, int64_t stride) {
   return at::im2col(map, {patch, patch}, /*dilation=*/{1, 1}, /*padding=*/{0, 0}, {stride, stride}).transpose(1, 2);
@@ -49,11 +80,13 @@ at::Tensor AttentionWeights(const at::Tensor& queries, const at::Tensor& keys, c
 }
 
 at::Tensor Attend(const at::Tensor& queries, const at::Tensor& keys, const at::Tensor& values,
-                  const AttentionOptions& options, const absl::optional<Dropout>& dropout) {
+                  const AttentionOptions& options, const std::optional<Dropout>& dropout) {
   at::Tensor weights = AttentionWeights(queries, keys, options);
   if (dropout.has_value() && options.drop_probability > 0) {
     weights =
-        weights * DropoutMask(weights.sizes(), options.drop_probability, options.layer, *dropout).to(weights.device());
+        weights * (weights.is_cpu() ? DropoutMask(weights.sizes(), options.drop_probability, options.layer, *dropout)
+                                    : DropoutMaskOnDevice(weights.sizes(), options.drop_probability, options.layer,
+                                                          *dropout, weights.device()));
   }
   return at::matmul(weights, SplitHeads(values, options.heads)).transpose(1, 2).flatten(2);
 }

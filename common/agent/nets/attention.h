@@ -1,12 +1,13 @@
-// What self- and cross-attention have in common. Include it only where tensors are at home.
+// The functions that self- and cross-attention share. Includes LibTorch's tensors.
 
 #ifndef CRAFTFLEET_COMMON_AGENT_NETS_ATTENTION_H_
 #define CRAFTFLEET_COMMON_AGENT_NETS_ATTENTION_H_
 
 #include <cstdint>
+#include <optional>
 
 #include <ATen/core/Tensor.h>
-#include <absl/types/optional.h>
+#include <c10/core/Device.h>
 
 #include "common/agent/nets/part.h"
 
@@ -18,8 +19,15 @@ constexpr int64_t kAttentionWidth = 256;  // of queries, keys and values, all he
 constexpr int64_t PatchesPerSide(int64_t size, int64_t patch, int64_t stride) { return (size - patch) / stride + 1; }
 
 // map float[N,C,H,W] -> float[N,patches,C*patch*patch]: squares of `patch` pixels every `stride` pixels, row by row,
-// each flattened in the order C,H,W. What is left over at the right and the bottom is not looked at.
+// each flattened in the order C,H,W. Pixels left over at the right and the bottom are ignored.
 at::Tensor CutPatches(const at::Tensor& map, int64_t patch, int64_t stride);
+
+// What the dropout of attention weights multiplies them by, float[N,...]: 0 with `probability`, else
+// 1 / (1 - probability), a function of the key, the layer and each weight's place alone. Both give the same numbers:
+// the first computes them one by one on the CPU, the second by tensors on any device.
+at::Tensor DropoutMask(at::IntArrayRef shape, double probability, int64_t layer, const Dropout& dropout);
+at::Tensor DropoutMaskOnDevice(at::IntArrayRef shape, double probability, int64_t layer, const Dropout& dropout,
+                               at::Device device);
 
 struct AttentionOptions {
   int64_t heads = 1;            // divides kAttentionWidth
@@ -35,7 +43,7 @@ at::Tensor AttentionWeights(const at::Tensor& queries, const at::Tensor& keys, c
 // These weights times the values, heads side by side: values float[N,T,256] -> float[N,Q,256]. Kept weights are divided
 // by the probability to be kept.
 at::Tensor Attend(const at::Tensor& queries, const at::Tensor& keys, const at::Tensor& values,
-                  const AttentionOptions& options, const absl::optional<Dropout>& dropout);
+                  const AttentionOptions& options, const std::optional<Dropout>& dropout);
 
 }  // namespace craftfleet
 

@@ -1,5 +1,6 @@
 #include "common/agent/nets/convolutions.h"
 
+#include <optional>
 #include <utility>
 
 #include <ATen/ATen.h>
@@ -30,14 +31,14 @@ Convolutions Convolutions::SizePreserving(const std::string& name, ParamList* pa
 }
 
 at::Tensor Convolutions::Forward(const ParamTensors& params, const at::Tensor& input,
-                                 const absl::optional<Dropout>& /*dropout*/) const {
+                                 const std::optional<Dropout>& /*dropout*/) const {
   at::Tensor map = input;
   for (const ConvLayer& layer : layers_) map = layer.Forward(params, map).relu_();
-  return map;
+  return map.to(at::kFloat);
 }
 
 at::Tensor FlattenLinear::Forward(const ParamTensors& params, const at::Tensor& input,
-                                  const absl::optional<Dropout>& /*dropout*/) const {
+                                  const std::optional<Dropout>& /*dropout*/) const {
   return linear_.Forward(params, input.flatten(1)).relu_();
 }
 

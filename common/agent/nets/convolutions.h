@@ -4,6 +4,7 @@
 #define CRAFTFLEET_COMMON_AGENT_NETS_CONVOLUTIONS_H_
 
 #include <cstdint>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -12,7 +13,7 @@
 
 namespace craftfleet {
 
-// Convolutions with a ReLU after each: a map to a map. Source: "The agents", section 3.
+// Convolutions with a ReLU after each: a map to a map. Source: AGENTS.md, section 2.
 class Convolutions : public Part {
  public:
   // Mnih et al. 2015: frames of at least 36 pixels to 64 channels. Names: `name`.0, .2, .4.
@@ -21,7 +22,7 @@ class Convolutions : public Part {
   static Convolutions SizePreserving(const std::string& name, ParamList* params);
 
   at::Tensor Forward(const ParamTensors& params, const at::Tensor& input,
-                     const absl::optional<Dropout>& dropout) const override;
+                     const std::optional<Dropout>& dropout) const override;
 
   static constexpr int64_t kChannels = 64;  // of the output
   // Pixels, width and height, of DQN's output.
@@ -40,7 +41,7 @@ class FlattenLinear : public Part {
       : linear_(name, inputs, outputs, kHiddenInit, Bias::kZero, params) {}
 
   at::Tensor Forward(const ParamTensors& params, const at::Tensor& input,
-                     const absl::optional<Dropout>& dropout) const override;
+                     const std::optional<Dropout>& dropout) const override;
 
  private:
   LinearLayer linear_;

@@ -1,5 +1,6 @@
 #include "common/agent/nets/cross_attention.h"
 
+#include <optional>
 #include <vector>
 
 #include <ATen/ATen.h>
@@ -17,15 +18,15 @@ constexpr int64_t kPositionWidth = 2 * kScales + 1;
 
 int64_t TokenWidth(int64_t patch) { return Convolutions::kChannels * patch * patch + kPositionWidth; }
 
-// float[count,13] of p from -1 to 1 over the tokens in order: sin(p s pi) and cos(p s pi) for six scales s from 1 to 5,
-// then p.
-at::Tensor Positions(int64_t count) {
-  const at::Tensor places = at::linspace(-1, 1, count).unsqueeze(1);
-  const at::Tensor angles = places * at::linspace(1, 5, kScales) * kPi;
+// float[count,13] on `device` of p from -1 to 1 over the tokens in order: sin(p s pi) and cos(p s pi) for six scales s
+// from 1 to 5, then p.
+at::Tensor Positions(int64_t count, at::Device device) {
+  const at::Tensor places = at::linspace(-1, 1, count, device).unsqueeze(1);
+  const at::Tensor angles = places * at::linspace(1, 5, kScales, device) * kPi;
   return at::cat({angles.sin(), angles.cos(), places}, 1);
 }
 
-at::Tensor Normed(const absl::optional<NormLayer>& norm, const ParamTensors& params, const at::Tensor& x) {
+at::Tensor Normed(const std::optional<NormLayer>& norm, const ParamTensors& params, const at::Tensor& x) {
   return norm.has_value() ? norm->Forward(params, x) : x;
 }
 
@@ -55,13 +56,13 @@ at::Tensor CrossAttention::Queries(const ParamTensors& params) const {
 std::vector<at::Tensor> CrossAttention::KeysValues(const ParamTensors& params, const at::Tensor& input) const {
   const at::Tensor patches = CutPatches(input, options_.patch, options_.stride);
   const at::Tensor positions =
-      Positions(patches.size(1)).to(patches.device()).expand({patches.size(0), patches.size(1), kPositionWidth});
+      Positions(patches.size(1), patches.device()).expand({patches.size(0), patches.size(1), kPositionWidth});
   const at::Tensor tokens = Normed(norm_tokens_, params, at::cat({patches, positions}, 2));
   return to_kv_.Forward(params, tokens).chunk(2, -1);
 }
 
 at::Tensor CrossAttention::Forward(const ParamTensors& params, const at::Tensor& input,
-                                   const absl::optional<Dropout>& dropout) const {
+                                   const std::optional<Dropout>& dropout) const {
   const std::vector<at::Tensor> keys_values = KeysValues(params, input);
   at::Tensor x = Attend(Queries(params), keys_values[0], keys_values[1],
                         {options_.heads, options_.slot_competition, options_.dropout, 0}, dropout);

@@ -1,19 +1,18 @@
-// OC-CA: learned slots look for objects among patches. No LibTorch here.
+// OC-CA: learned slots attend to patches. Does not include LibTorch.
 
 #ifndef CRAFTFLEET_COMMON_AGENT_NETS_CROSS_ATTENTION_H_
 #define CRAFTFLEET_COMMON_AGENT_NETS_CROSS_ATTENTION_H_
 
 #include <cstdint>
+#include <optional>
 #include <string>
-
-#include <absl/types/optional.h>
 
 #include "common/agent/nets/layers.h"
 #include "common/agent/nets/part.h"
 
 namespace craftfleet {
 
-// A map of 64 channels to the mean of the slots: 256 features. Source: Stanic et al. 2022; "The agents", section 4.
+// A map of 64 channels to the mean of the slots: 256 features. Source: Stanic et al. 2022; AGENTS.md, section 5.
 class CrossAttention : public AttentionPart {
  public:
   struct Options {
@@ -29,7 +28,7 @@ class CrossAttention : public AttentionPart {
   CrossAttention(const std::string& name, const Options& options, ParamList* params);
 
   at::Tensor Forward(const ParamTensors& params, const at::Tensor& input,
-                     const absl::optional<Dropout>& dropout) const override;
+                     const std::optional<Dropout>& dropout) const override;
   // Of each slot, mean over its heads.
   at::Tensor Attention(const ParamTensors& params, const at::Tensor& input) const override;
 
@@ -40,14 +39,14 @@ class CrossAttention : public AttentionPart {
   std::vector<at::Tensor> KeysValues(const ParamTensors& params, const at::Tensor& input) const;
 
   const Options options_;
-  ParamIndex slots_;                       // `name`.slots [slots,256]
-  LinearLayer to_q_;                       // `name`.layer.to_q
-  LinearLayer to_kv_;                      // `name`.layer.to_kv: keys, then values
-  absl::optional<NormLayer> norm_slots_;   // `name`.layer.norm_slots
-  absl::optional<NormLayer> norm_tokens_;  // `name`.layer.norm_tokens
-  absl::optional<NormLayer> norm_mlp_;     // `name`.layer.norm_mlp
-  absl::optional<LinearLayer> mlp_in_;     // `name`.layer.mlp.0
-  absl::optional<LinearLayer> mlp_out_;    // `name`.layer.mlp.2
+  ParamIndex slots_;                      // `name`.slots [slots,256]
+  LinearLayer to_q_;                      // `name`.layer.to_q
+  LinearLayer to_kv_;                     // `name`.layer.to_kv: keys, then values
+  std::optional<NormLayer> norm_slots_;   // `name`.layer.norm_slots
+  std::optional<NormLayer> norm_tokens_;  // `name`.layer.norm_tokens
+  std::optional<NormLayer> norm_mlp_;     // `name`.layer.norm_mlp
+  std::optional<LinearLayer> mlp_in_;     // `name`.layer.mlp.0
+  std::optional<LinearLayer> mlp_out_;    // `name`.layer.mlp.2
 };
 
 }  // namespace craftfleet

@@ -22,6 +22,13 @@ at::Tensor BiasOf(const ParamTensors& params, ParamIndex bias) {
   return bias == kNoParam ? at::Tensor() : params[bias];
 }
 
+// Linear (common/agent/linear.h), multiplied as `type`: float[N,out].
+at::Tensor LinearAs(at::ScalarType type, const at::Tensor& input, const at::Tensor& weight, const at::Tensor& bias) {
+  if (type == at::kFloat) return Linear(input, weight, bias);
+  const at::Tensor output = at::linear(input.to(type), weight.to(type)).to(at::kFloat);
+  return bias.defined() ? output + bias : output;
+}
+
 }  // namespace
 
 LinearLayer::LinearLayer(const std::string& name, int64_t inputs, int64_t outputs, ParamInit init, Bias bias,
@@ -31,10 +38,11 @@ LinearLayer::LinearLayer(const std::string& name, int64_t inputs, int64_t output
 
 at::Tensor LinearLayer::Forward(const ParamTensors& params, const at::Tensor& input) const {
   const at::Tensor& weight = params[weight_];
-  if (input.dim() == 2) return Linear(input, weight, BiasOf(params, bias_));
+  const at::Tensor bias = BiasOf(params, bias_);
+  if (input.dim() == 2) return LinearAs(params.multiplied_as, input, weight, bias);
   std::vector<int64_t> shape = input.sizes().vec();
   shape.back() = weight.size(0);
-  return Linear(input.reshape({-1, weight.size(1)}), weight, BiasOf(params, bias_)).view(shape);
+  return LinearAs(params.multiplied_as, input.reshape({-1, weight.size(1)}), weight, bias).view(shape);
 }
 
 ConvLayer::ConvLayer(const std::string& name, const Shape& shape, ParamInit init, Bias bias, ParamList* params)
@@ -45,7 +53,10 @@ ConvLayer::ConvLayer(const std::string& name, const Shape& shape, ParamInit init
 at::Tensor ConvLayer::Forward(const ParamTensors& params, const at::Tensor& input) const {
   const int64_t stride = shape_.stride;
   const int64_t padding = shape_.padding;
-  return at::convolution(input, params[weight_], BiasOf(params, bias_), {stride, stride}, {padding, padding},
+  const at::ScalarType type = params.multiplied_as;
+  const at::Tensor bias = BiasOf(params, bias_);
+  return at::convolution(input.to(type), params[weight_].to(type), bias.defined() ? bias.to(type) : bias,
+                         {stride, stride}, {padding, padding},
                          /*dilation=*/{1, 1}, /*transposed=*/false, /*output_padding=*/{0, 0}, /*groups=*/1);
 }
 
@@ -60,6 +71,14 @@ at::Tensor NormLayer::Forward(const ParamTensors& params, const at::Tensor& inpu
     return at::layer_norm(input, {size_}, params[weight_], params[bias_], kNormEpsilon);
   }
   return at::group_norm(input, /*num_groups=*/1, params[weight_], params[bias_], kNormEpsilon);
+}
+
+NormedLinear::NormedLinear(const std::string& name, int64_t inputs, int64_t outputs, double row_norm, ParamList* params)
+    : norm_(name + ".norm", inputs, NormLayer::Over::kFeatures, params),
+      linear_(name + ".layer", inputs, outputs, RowNorm(row_norm), Bias::kNone, params) {}
+
+at::Tensor NormedLinear::Forward(const ParamTensors& params, const at::Tensor& input) const {
+  return linear_.Forward(params, norm_.Forward(params, input)).relu_();
 }
 
 }  // namespace craftfleet

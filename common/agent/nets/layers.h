@@ -1,5 +1,5 @@
-// The layers that networks are made of. Each declares its parameters when it is made and computes with them later; the
-// header needs LibTorch's names alone, so that listing an agent's parameters compiles quickly.
+// The layers of networks. Each declares its parameters in its constructor and computes with them later. The header
+// needs only forward declarations of LibTorch, so that code that lists an agent's parameters compiles quickly.
 
 #ifndef CRAFTFLEET_COMMON_AGENT_NETS_LAYERS_H_
 #define CRAFTFLEET_COMMON_AGENT_NETS_LAYERS_H_
@@ -15,17 +15,17 @@ namespace craftfleet {
 
 struct ParamTensors;
 
-// How a layer's weight starts where nothing else is said: orthogonal, gain sqrt(2).
+// The default initialisation of a layer's weight: orthogonal, gain sqrt(2).
 constexpr ParamInit kHiddenInit = {ParamInit::Kind::kOrthogonal, 1.4142135623730951};
 
-enum class Bias { kNone, kZero, kLikeWeight };  // whether there is one, and how it starts
+enum class Bias { kNone, kZero, kLikeWeight };  // whether there is a bias, and its initialisation
 
 // `name`.weight [out,in] and `name`.bias [out].
 class LinearLayer {
  public:
   LinearLayer(const std::string& name, int64_t inputs, int64_t outputs, ParamInit init, Bias bias, ParamList* params);
 
-  // input float[...,in] -> float[...,out].
+  // input float[...,in] -> float[...,out], multiplied as `params` say.
   at::Tensor Forward(const ParamTensors& params, const at::Tensor& input) const;
 
  private:
@@ -45,7 +45,7 @@ class ConvLayer {
   };
   ConvLayer(const std::string& name, const Shape& shape, ParamInit init, Bias bias, ParamList* params);
 
-  // input float[N,in,H,W] -> float[N,out,H',W'].
+  // input [N,in,H,W] -> [N,out,H',W'], of the type that `params` are multiplied as.
   at::Tensor Forward(const ParamTensors& params, const at::Tensor& input) const;
 
  private:
@@ -54,7 +54,8 @@ class ConvLayer {
   ParamIndex bias_;
 };
 
-// Normalises each row over all its values, then scales and shifts: `name`.weight starts at 1, `name`.bias at 0.
+// Normalises each row over all its values, then scales and shifts, in float32: `name`.weight starts at 1, `name`.bias
+// at 0.
 class NormLayer {
  public:
   enum class Over { kFeatures, kMap };  // LayerNorm of [...,size]; GroupNorm with one group of [N,size,H,W]
@@ -68,6 +69,23 @@ class NormLayer {
   Over over_;
   ParamIndex weight_;
   ParamIndex bias_;
+};
+
+// A weight whose rows start as uniform numbers, each row scaled to the L2 norm `norm`.
+constexpr ParamInit RowNorm(double norm) { return {ParamInit::Kind::kRowNorm, norm}; }
+
+// Normalises its input, multiplies, ReLU: `name`.norm and `name`.layer, whose rows start with the L2 norm `row_norm`.
+// Source: Moon et al. 2023.
+class NormedLinear {
+ public:
+  NormedLinear(const std::string& name, int64_t inputs, int64_t outputs, double row_norm, ParamList* params);
+
+  // input float[N,in] -> float[N,out], at least 0.
+  at::Tensor Forward(const ParamTensors& params, const at::Tensor& input) const;
+
+ private:
+  NormLayer norm_;
+  LinearLayer linear_;
 };
 
 }  // namespace craftfleet

@@ -4,7 +4,7 @@
 #include <torch/csrc/autograd/custom_function.h>
 
 #include "common/agent/linear.h"
-#include "common/multiversion.h"
+#include "common/base/multiversion.h"
 
 namespace craftfleet {
 namespace {
@@ -22,7 +22,7 @@ void UpdateCells(int64_t hidden, const float* __restrict gates, const float* __r
   for (int64_t i = 0; i < hidden; ++i) cells[i] = forget[i] * before[i] + input[i] * candidate[i];
 }
 
-// What one row's step left behind, and the gradients that come to it.
+// The saved values of one row's step, and its incoming gradients.
 struct StepRow {
   const float* gates;  // [4H] activated
   const float* cells_before;
@@ -31,7 +31,8 @@ struct StepRow {
   const float* by_hidden;  // from the step after
 };
 
-// Writes the gradient by the gates before activation; `by_cells` comes from the step after and goes to the one before.
+// Writes the gradient by the gates before activation; `by_cells` comes from the next step and becomes that of the
+// previous one.
 CRAFTFLEET_MULTIVERSION
 void BackwardRow(int64_t hidden, StepRow row, float* __restrict by_cells, float* __restrict by_gates) {
   for (int64_t j = 0; j < hidden; ++j) {
@@ -73,7 +74,7 @@ struct LstmFunction : torch::autograd::Function<LstmFunction> {
     const at::Tensor cells_before = at::empty({n, hidden});
     at::Tensor tanh_cells = at::empty({n, hidden});
     at::Tensor outputs = at::empty({n, hidden});
-    // Of the segments, as far as they have come.
+    // The current state of each segment.
     const at::Tensor h = states.narrow(1, 0, hidden).clone(at::MemoryFormat::Contiguous);
     const at::Tensor c = states.narrow(1, hidden, hidden).clone(at::MemoryFormat::Contiguous);
     int64_t first = 0;

@@ -1,4 +1,4 @@
-// An LSTM over segments of different lengths that autograd knows.
+// An LSTM with autograd over segments of different lengths.
 
 #ifndef CRAFTFLEET_COMMON_AGENT_NETS_LSTM_H_
 #define CRAFTFLEET_COMMON_AGENT_NETS_LSTM_H_
@@ -27,7 +27,7 @@ struct LstmOutput {
 // constants.
 //
 // On the CPU at::lstm multiplies by the BLAS and sums the weights' gradients step by step: in updates it takes 6 times
-// as long. Tensors of a GPU go to it.
+// as long. It is used for tensors of a GPU.
 LstmOutput Lstm(const at::Tensor& input, const std::vector<int64_t>& batch_sizes, const at::Tensor& states,
                 const LstmWeights& weights);
 

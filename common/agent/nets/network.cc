@@ -1,5 +1,6 @@
 #include "common/agent/nets/network.h"
 
+#include <optional>
 #include <utility>
 
 #include <ATen/ATen.h>
@@ -11,8 +12,8 @@
 #include "common/agent/nets/resnet.h"
 #include "common/agent/nets/segments.h"
 #include "common/agent/nets/self_attention.h"
-#include "common/check.h"
-#include "common/crafter.h"
+#include "common/base/check.h"
+#include "common/base/crafter.h"
 
 namespace craftfleet {
 namespace {
@@ -26,19 +27,22 @@ ParamInit Orthogonal(double gain) { return {ParamInit::Kind::kOrthogonal, gain};
 Network::Network(const v1::NetworkConfig& config, ParamList* params) {
   const int64_t features = AddExtractor(config, params);
   const bool is_resnet = config.extractor() == v1::NetworkConfig::RESNET;
-  const int64_t head_inputs = config.recurrent() ? LstmLayer::kHidden : features;
+  if (config.memory()) memory_size_ = features;
+  const int64_t head_inputs = config.recurrent() ? LstmLayer::kHidden : features + memory_size_;
   action_net_.emplace("action_net", head_inputs, kNumActions, Orthogonal(0.01), Bias::kZero, params);
   value_net_.emplace("value_net", head_inputs, 1, Orthogonal(is_resnet ? 0.1 : 1), Bias::kZero, params);
   if (config.recurrent()) {
     const bool lstm_critic = config.critic() == v1::NetworkConfig::LSTM;
     core_.emplace(features, lstm_critic ? RecurrentCore::Critic::kLstm : RecurrentCore::Critic::kLinear, params);
   }
+  // Last, since updates by PPO leave it alone.
+  if (config.goal_predictor()) goal_predictor_.emplace(features, memory_size_, params);
 }
 
 int64_t Network::AddExtractor(const v1::NetworkConfig& config, ParamList* params) {
   const std::string name = "features_extractor";
   if (config.extractor() == v1::NetworkConfig::RESNET) {
-    parts_.push_back(std::make_unique<Resnet>(name, config.frame_size(), params));
+    parts_.push_back(std::make_unique<Resnet>(name, config.frame_size(), config.width(), params));
     return Resnet::kFeatures;
   }
   if (config.objects() != v1::NetworkConfig::NO_OBJECTS) {
@@ -80,21 +84,30 @@ std::unique_ptr<AttentionPart> Network::MakeObjectModule(const v1::NetworkConfig
 }
 
 at::Tensor Network::Features(const ParamTensors& params, const at::Tensor& frames,
-                             const absl::optional<Dropout>& dropout) const {
-  // Channels last without a copy: oneDNN takes frames as they lie.
+                             const std::optional<Dropout>& dropout) const {
+  // Channels last without a copy: oneDNN accepts this layout.
   at::Tensor x = frames.permute({0, 3, 1, 2});
   for (const std::unique_ptr<Part>& part : parts_) x = part->Forward(params, x, dropout);
   return x;
 }
 
 NetOutput Network::Forward(const ParamTensors& params, const at::Tensor& frames, const Segments& segments,
-                           const absl::optional<Dropout>& dropout) const {
+                           const std::optional<Dropout>& dropout) const {
   at::Tensor actor_features = Features(params, frames, dropout);
   at::Tensor critic_features = actor_features;
   NetOutput output;
   if (core_.has_value()) {
     const at::Tensor features = actor_features;
     core_->Forward(params, features, segments, &actor_features, &critic_features, &output.states);
+  }
+  if (segments.wants_codes) output.codes = actor_features;
+  if (segments.actions.defined()) {
+    CRAFTFLEET_CHECK(goal_predictor_.has_value());
+    output.predictions = goal_predictor_->Forward(params, actor_features, segments.actions, segments.states);
+  }
+  if (memory_size_ > 0) {
+    actor_features = critic_features = at::cat({actor_features, segments.states}, 1);
+    output.states = segments.states;
   }
   output.logits = action_net_->Forward(params, actor_features);
   output.values = value_net_->Forward(params, critic_features).squeeze(1);
@@ -106,7 +119,7 @@ at::Tensor Network::Attention(const ParamTensors& params, const at::Tensor& fram
   at::Tensor x = frames.permute({0, 3, 1, 2});
   for (const std::unique_ptr<Part>& part : parts_) {
     if (part.get() == attention_) break;
-    x = part->Forward(params, x, absl::nullopt);
+    x = part->Forward(params, x, std::nullopt);
   }
   return attention_->Attention(params, x);
 }

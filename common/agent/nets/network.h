@@ -1,16 +1,16 @@
-// A whole network: feature extractor, optional object-centric module, optional recurrent core, two heads. No LibTorch
-// here.
+// A whole network: feature extractor, optional object-centric module, optional recurrent core, two heads. Does not
+// include LibTorch.
 
 #ifndef CRAFTFLEET_COMMON_AGENT_NETS_NETWORK_H_
 #define CRAFTFLEET_COMMON_AGENT_NETS_NETWORK_H_
 
 #include <cstdint>
 #include <memory>
+#include <optional>
 #include <string>
 #include <vector>
 
-#include <absl/types/optional.h>
-
+#include "common/agent/nets/goal_predictor.h"
 #include "common/agent/nets/layers.h"
 #include "common/agent/nets/part.h"
 #include "common/agent/nets/recurrent_core.h"
@@ -21,38 +21,40 @@ namespace craftfleet {
 struct NetOutput;
 struct Segments;
 
-// Knows its parameters and how to compute with them, but does not hold them. Immutable and thread-safe.
-// Source: Stanic et al. 2022; "The agents", sections 3 to 6 and 9.
+// Declares parameters and computes with them, but does not hold them. Immutable and thread-safe.
+// Source: Stanic et al. 2022; AGENTS.md.
 class Network {
  public:
   // `config` comes from ResolveNetwork. Adds the network's parameters to `params`, in the order of saved weights.
   Network(const v1::NetworkConfig& config, ParamList* params);
 
-  // Floats of recurrent state; 0: feed-forward.
-  int64_t state_size() const { return core_.has_value() ? core_->state_size() : 0; }
+  // Floats of state: recurrent, or the memory; 0: none.
+  int64_t state_size() const { return core_.has_value() ? core_->state_size() : memory_size_; }
 
-  // frames float[N,H,W,3], values 0..1 -> float[N,F]: what core or heads get.
+  // frames float[N,H,W,3], values 0..1 -> float[N,F]: the input of core or heads.
   at::Tensor Features(const ParamTensors& params, const at::Tensor& frames,
-                      const absl::optional<Dropout>& dropout) const;
+                      const std::optional<Dropout>& dropout) const;
 
-  // frames as above. `segments` count for recurrent networks alone.
+  // frames as above. `segments` are used by networks with a state, and for distillation.
   NetOutput Forward(const ParamTensors& params, const at::Tensor& frames, const Segments& segments,
-                    const absl::optional<Dropout>& dropout) const;
+                    const std::optional<Dropout>& dropout) const;
 
   // frames as above -> float[N,views,patches]: see AttentionPart. Only for networks with an object module.
   at::Tensor Attention(const ParamTensors& params, const at::Tensor& frames) const;
 
  private:
-  // Appends the parts between frames and features; returns how many features there are.
+  // Appends the parts between frames and features; returns the number of features.
   int64_t AddExtractor(const v1::NetworkConfig& config, ParamList* params);
   static std::unique_ptr<AttentionPart> MakeObjectModule(const v1::NetworkConfig& config, const std::string& name,
                                                          ParamList* params);
 
   std::vector<std::unique_ptr<Part>> parts_;  // from the frames' map to features
   const AttentionPart* attention_ = nullptr;  // of parts_, if there is one
-  absl::optional<LinearLayer> action_net_;
-  absl::optional<LinearLayer> value_net_;
-  absl::optional<RecurrentCore> core_;
+  std::optional<LinearLayer> action_net_;
+  std::optional<LinearLayer> value_net_;
+  std::optional<RecurrentCore> core_;
+  int64_t memory_size_ = 0;  // floats beside the features that heads and predictor see
+  std::optional<GoalPredictor> goal_predictor_;
 };
 
 }  // namespace craftfleet

@@ -12,7 +12,8 @@
 namespace craftfleet {
 
 struct ParamTensors {
-  std::vector<at::Tensor> tensors;  // in ParamList's order
+  std::vector<at::Tensor> tensors;            // in ParamList's order
+  at::ScalarType multiplied_as = at::kFloat;  // by convolutions and linear layers: float or bfloat16
 
   const at::Tensor& operator[](ParamIndex index) const { return tensors[index]; }
 };

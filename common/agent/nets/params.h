@@ -1,4 +1,4 @@
-// What a network's parameters are called, how large they are and how they start. No LibTorch here.
+// The parameters of a network: names, shapes, initialisation. Does not include LibTorch.
 
 #ifndef CRAFTFLEET_COMMON_AGENT_NETS_PARAMS_H_
 #define CRAFTFLEET_COMMON_AGENT_NETS_PARAMS_H_
@@ -9,7 +9,7 @@
 
 namespace craftfleet {
 
-// How the values of a parameter start.
+// The initialisation of a parameter.
 struct ParamInit {
   enum class Kind {
     kConstant,    // `scale`
@@ -22,7 +22,7 @@ struct ParamInit {
   double scale = 0;
 };
 
-// One tensor of a network. All parameters of an agent lie in one flat array, each row-major, in the spec's order.
+// One tensor of a network. All parameters of an agent are in one flat array, each row-major, in the spec's order.
 struct ParamSpec {
   std::string name;            // "features_extractor.cnn.0.weight": also its name in saved weights
   std::vector<int64_t> shape;  // linear [out, in], convolution [out, in, k, k]
@@ -31,11 +31,11 @@ struct ParamSpec {
   ParamInit init;
 };
 
-// A parameter's place in the list, by which the part that declared it finds it again (ParamTensors).
+// A parameter's index in the list, with which the part that declared it finds it in ParamTensors.
 using ParamIndex = int;
 constexpr ParamIndex kNoParam = -1;
 
-// The parameters of a network in the making: each part adds its own.
+// The parameters of a network under construction: each part adds its own.
 class ParamList {
  public:
   ParamIndex Add(std::string name, std::vector<int64_t> shape, ParamInit init);

@@ -1,19 +1,19 @@
-// One part of a network between frames and features. No LibTorch here.
+// One part of a network between frames and features. Does not include LibTorch.
 
 #ifndef CRAFTFLEET_COMMON_AGENT_NETS_PART_H_
 #define CRAFTFLEET_COMMON_AGENT_NETS_PART_H_
 
 #include <cstdint>
+#include <optional>
 
 #include <ATen/core/ATen_fwd.h>
-#include <absl/types/optional.h>
 
 namespace craftfleet {
 
 struct ParamTensors;
 
-// What decides which attention probabilities drop out in a forward pass of training: a function of (key, row, place),
-// whatever the threads.
+// The dropout of attention weights in a forward pass of training: a function of (key, row, index), independent of
+// threads.
 struct Dropout {
   uint64_t key = 0;       // of the minibatch
   int64_t first_row = 0;  // the minibatch's row that is row 0 of this pass
@@ -28,10 +28,10 @@ class Part {
 
   // `dropout`: given in training alone.
   virtual at::Tensor Forward(const ParamTensors& params, const at::Tensor& input,
-                             const absl::optional<Dropout>& dropout) const = 0;
+                             const std::optional<Dropout>& dropout) const = 0;
 };
 
-// A part that attends to patches of its map, and can tell to which.
+// A part that attends to patches of its map and can report its attention.
 class AttentionPart : public Part {
  public:
   // The map of Forward -> float[N,views,patches]: how much each of its views (OC-SA: heads of the CLS token, OC-CA:

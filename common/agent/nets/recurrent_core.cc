@@ -11,15 +11,13 @@
 #include "common/agent/nets/lstm.h"
 #include "common/agent/nets/param_tensors.h"
 #include "common/agent/nets/segments.h"
-#include "common/check.h"
+#include "common/base/check.h"
 
 namespace craftfleet {
 namespace {
 
 // Places as an index tensor, int64[n].
-at::Tensor IndexTensor(const std::vector<int64_t>& places, at::Device device) {
-  return at::tensor(places, at::kLong).to(device);
-}
+at::Tensor IndexTensor(const std::vector<int64_t>& places) { return at::tensor(places, at::kLong); }
 
 // The place of each number in `order`, a permutation.
 std::vector<int64_t> Inverse(const std::vector<int64_t>& order) {
@@ -32,18 +30,7 @@ ParamInit LstmInit() { return {ParamInit::Kind::kUniform, 1 / std::sqrt(static_c
 
 }  // namespace
 
-// LibTorch's packed sequence: segments by descending length, all first steps, then all second steps and so on.
-struct LstmLayer::Packing {
-  Packing(const std::vector<int>& lengths, at::Device device);
-
-  at::Tensor rows;          // int64[N] the input row of each packed row
-  at::Tensor inverse_rows;  // int64[N] the packed row of each input row
-  at::Tensor segments;      // int64[k] by descending length
-  at::Tensor inverse_segments;
-  std::vector<int64_t> batch_sizes;  // [longest] segments that have a step t
-};
-
-LstmLayer::Packing::Packing(const std::vector<int>& lengths, at::Device device) {
+Packing Pack(const std::vector<int>& lengths) {
   std::vector<int64_t> first_rows(lengths.size());
   std::exclusive_scan(lengths.begin(), lengths.end(), first_rows.begin(), int64_t{0});
   std::vector<int64_t> by_length(lengths.size());
@@ -51,6 +38,7 @@ LstmLayer::Packing::Packing(const std::vector<int>& lengths, at::Device device) 
   std::stable_sort(by_length.begin(), by_length.end(), [&](int64_t a, int64_t b) { return lengths[a] > lengths[b]; });
 
   std::vector<int64_t> packed;
+  std::vector<int64_t> batch_sizes;
   for (int step = 0; !lengths.empty() && step < lengths[by_length[0]]; ++step) {
     const size_t before = packed.size();
     for (const int64_t segment : by_length) {
@@ -59,10 +47,8 @@ LstmLayer::Packing::Packing(const std::vector<int>& lengths, at::Device device) 
     }
     batch_sizes.push_back(static_cast<int64_t>(packed.size() - before));
   }
-  rows = IndexTensor(packed, device);
-  inverse_rows = IndexTensor(Inverse(packed), device);
-  segments = IndexTensor(by_length, device);
-  inverse_segments = IndexTensor(Inverse(by_length), device);
+  return {IndexTensor(packed), IndexTensor(Inverse(packed)), IndexTensor(by_length), IndexTensor(Inverse(by_length)),
+          batch_sizes};
 }
 
 LstmLayer::LstmLayer(const std::string& name, int64_t inputs, ParamList* params)
@@ -95,7 +81,7 @@ void RecurrentCore::Forward(const ParamTensors& params, const at::Tensor& featur
   CRAFTFLEET_CHECK(std::accumulate(segments.lengths.begin(), segments.lengths.end(), int64_t{0}) == features.size(0));
   CRAFTFLEET_CHECK(segments.states.size(0) == static_cast<int64_t>(segments.lengths.size()));
   CRAFTFLEET_CHECK(segments.states.size(1) == state_size());
-  const LstmLayer::Packing packing(segments.lengths, features.device());
+  const Packing packing = segments.packing.has_value() ? *segments.packing : Pack(segments.lengths);
   constexpr int64_t kOne = LstmLayer::kStateSize;
   *actor_features = lstm_actor_.Forward(params, features, packing, segments.states.narrow(1, 0, kOne), last_states);
   if (!lstm_critic_.has_value()) {

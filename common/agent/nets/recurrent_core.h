@@ -1,17 +1,17 @@
-// The part of a recurrent agent between features and heads. No LibTorch here.
+// The part of a recurrent agent between features and heads. Does not include LibTorch.
 
 #ifndef CRAFTFLEET_COMMON_AGENT_NETS_RECURRENT_CORE_H_
 #define CRAFTFLEET_COMMON_AGENT_NETS_RECURRENT_CORE_H_
 
 #include <cstdint>
+#include <optional>
 #include <string>
-
-#include <absl/types/optional.h>
 
 #include "common/agent/nets/layers.h"
 
 namespace craftfleet {
 
+struct Packing;
 struct Segments;
 
 // An LSTM of 256: `name`.weight_ih_l0, .weight_hh_l0, .bias_ih_l0, .bias_hh_l0, gates in the order i, f, g, o.
@@ -19,8 +19,6 @@ class LstmLayer {
  public:
   static constexpr int64_t kHidden = 256;
   static constexpr int64_t kStateSize = 2 * kHidden;  // h, then c
-
-  struct Packing;  // rows of segments in the order in which an LSTM takes them
 
   LstmLayer(const std::string& name, int64_t inputs, ParamList* params);
 
@@ -34,7 +32,7 @@ class LstmLayer {
 
 // The actor's LSTM, "lstm_actor", and beside it for the critic either a linear layer without activation, "critic", or
 // an LSTM of its own, "lstm_critic". Immutable and thread-safe.
-// Source: Stanic et al. 2022; "The agents", section 5.
+// Source: Stanic et al. 2022; AGENTS.md, section 6.
 class RecurrentCore {
  public:
   enum class Critic { kLinear, kLstm };
@@ -50,8 +48,8 @@ class RecurrentCore {
 
  private:
   LstmLayer lstm_actor_;
-  absl::optional<LstmLayer> lstm_critic_;  // one of these two
-  absl::optional<LinearLayer> critic_;
+  std::optional<LstmLayer> lstm_critic_;  // one of these two
+  std::optional<LinearLayer> critic_;
 };
 
 }  // namespace craftfleet

@@ -1,6 +1,7 @@
 #include "common/agent/nets/resnet.h"
 
 #include <cmath>
+#include <optional>
 
 #include <ATen/ATen.h>
 #include <absl/strings/str_cat.h>
@@ -8,18 +9,15 @@
 namespace craftfleet {
 namespace {
 
-constexpr int64_t kStackChannels[] = {64, 128, 128};
 constexpr int kStacks = 3;
 constexpr int kBlocks = 2;  // of a stack
 constexpr int64_t kHidden = 256;
 
-ParamInit RowNorm(double norm) { return {ParamInit::Kind::kRowNorm, norm}; }
-
 // Of the convolutions in residual blocks: their sum over all stacks and blocks keeps its variance.
 double BlockNorm() { return std::sqrt(1 / (std::sqrt(double{kStacks}) * std::sqrt(double{kBlocks}))); }
 
-absl::optional<NormLayer> MaybeNorm(bool normed, const std::string& name, int64_t size, ParamList* params) {
-  if (!normed) return absl::nullopt;
+std::optional<NormLayer> MaybeNorm(bool normed, const std::string& name, int64_t size, ParamList* params) {
+  if (!normed) return std::nullopt;
   return NormLayer(name, size, NormLayer::Over::kMap, params);
 }
 
@@ -32,25 +30,16 @@ Resnet::NormedConv::NormedConv(const std::string& name, int64_t inputs, int64_t 
             params) {}
 
 at::Tensor Resnet::NormedConv::Forward(const ParamTensors& params, const at::Tensor& map) const {
-  return conv_.Forward(params, norm_.has_value() ? norm_->Forward(params, map) : map).relu_();
+  return conv_.Forward(params, norm_.has_value() ? norm_->Forward(params, map) : map).relu_().to(at::kFloat);
 }
 
-Resnet::NormedLinear::NormedLinear(const std::string& name, int64_t inputs, int64_t outputs, double row_norm,
-                                   ParamList* params)
-    : norm_(name + ".norm", inputs, NormLayer::Over::kFeatures, params),
-      linear_(name + ".layer", inputs, outputs, RowNorm(row_norm), Bias::kNone, params) {}
-
-at::Tensor Resnet::NormedLinear::Forward(const ParamTensors& params, const at::Tensor& features) const {
-  return linear_.Forward(params, norm_.Forward(params, features)).relu_();
-}
-
-Resnet::Resnet(const std::string& name, int64_t frame_size, ParamList* params) {
+Resnet::Resnet(const std::string& name, int64_t frame_size, int64_t width, ParamList* params) {
   int64_t channels = 3;
   int64_t size = frame_size;
-  for (const int64_t outputs : kStackChannels) {
-    const std::string stack = absl::StrCat(name, ".stacks.", stacks_.size());
-    const bool is_first = stacks_.empty();
-    NormedConv first(stack + ".first", channels, outputs, 1, /*normed=*/!is_first, params);
+  for (int s = 0; s < kStacks; ++s) {
+    const int64_t outputs = s == 0 ? width : 2 * width;
+    const std::string stack = absl::StrCat(name, ".stacks.", s);
+    NormedConv first(stack + ".first", channels, outputs, 1, /*normed=*/s > 0, params);
     const NormLayer norm(stack + ".norm", outputs, NormLayer::Over::kMap, params);
     std::vector<Block> blocks;
     for (int i = 0; i < kBlocks; ++i) {
@@ -68,10 +57,13 @@ Resnet::Resnet(const std::string& name, int64_t frame_size, ParamList* params) {
 }
 
 at::Tensor Resnet::Forward(const ParamTensors& params, const at::Tensor& input,
-                           const absl::optional<Dropout>& /*dropout*/) const {
+                           const std::optional<Dropout>& /*dropout*/) const {
   at::Tensor map = input;
   for (const Stack& stack : stacks_) {
-    map = at::max_pool2d(stack.first.Forward(params, map), {3, 3}, {2, 2}, {1, 1});
+    map = stack.first.Forward(params, map);
+    // Of the layouts that a GPU has kernels for, only this one's gradient adds in a fixed order.
+    if (!map.is_cpu()) map = map.contiguous();
+    map = at::max_pool2d(map, {3, 3}, {2, 2}, {1, 1});
     map = stack.norm.Forward(params, map);
     for (const Block& block : stack.blocks) {
       map = map + block.second.Forward(params, block.first.Forward(params, map));

@@ -1,6 +1,7 @@
 #include "common/agent/nets/self_attention.h"
 
 #include <cmath>
+#include <optional>
 
 #include <ATen/ATen.h>
 #include <absl/strings/str_cat.h>
@@ -21,10 +22,10 @@ ParamIndex AddCls(const std::string& name, const SelfAttention::Options& options
   return params->Add(name + ".trafo.cls", {TokenWidth(options.patch)}, {ParamInit::Kind::kNormal, 1});
 }
 
-// float[count,256]: the sines of place / 10000^(2i/256), then the cosines (Vaswani et al. 2017).
-at::Tensor Positions(int64_t count) {
-  const at::Tensor powers = at::arange(0, kAttentionWidth, 2) / static_cast<double>(kAttentionWidth);
-  const at::Tensor angles = at::outer(at::arange(count), at::exp(powers * -std::log(10000.0)));
+// float[count,256] on `device`: the sines of place / 10000^(2i/256), then the cosines (Vaswani et al. 2017).
+at::Tensor Positions(int64_t count, at::Device device) {
+  const at::Tensor powers = at::arange(0, kAttentionWidth, 2, device) / static_cast<double>(kAttentionWidth);
+  const at::Tensor angles = at::outer(at::arange(count, device), at::exp(powers * -std::log(10000.0)));
   return at::cat({angles.sin(), angles.cos()}, 1);
 }
 
@@ -46,7 +47,7 @@ at::Tensor SelfAttention::Tokens(const ParamTensors& params, const at::Tensor& i
   const at::Tensor cls = cls_ == kNoParam ? at::zeros({TokenWidth(options_.patch)}, input.options()) : params[cls_];
   const at::Tensor embedded_cls = embedding_.Forward(params, cls.view({1, 1, -1}));
   const at::Tensor tokens = at::cat({embedded_cls.expand({patches.size(0), 1, kAttentionWidth}), patches}, 1);
-  return options_.positions ? tokens + Positions(tokens.size(1)).to(tokens.device()) : tokens;
+  return options_.positions ? tokens + Positions(tokens.size(1), tokens.device()) : tokens;
 }
 
 std::vector<at::Tensor> SelfAttention::Project(const ParamTensors& params, int layer, const at::Tensor& tokens) const {
@@ -54,13 +55,13 @@ std::vector<at::Tensor> SelfAttention::Project(const ParamTensors& params, int l
 }
 
 at::Tensor SelfAttention::Layer(const ParamTensors& params, int layer, const at::Tensor& tokens,
-                                const absl::optional<Dropout>& dropout) const {
+                                const std::optional<Dropout>& dropout) const {
   const std::vector<at::Tensor> qkv = Project(params, layer, tokens);
   return Attend(qkv[0], qkv[1], qkv[2], {options_.heads, false, options_.dropout, layer}, dropout);
 }
 
 at::Tensor SelfAttention::Forward(const ParamTensors& params, const at::Tensor& input,
-                                  const absl::optional<Dropout>& dropout) const {
+                                  const std::optional<Dropout>& dropout) const {
   at::Tensor x = Tokens(params, input);
   for (int i = 0; i < kLayers; ++i) x = Layer(params, i, x, dropout);
   return x.select(1, 0);
@@ -68,7 +69,7 @@ at::Tensor SelfAttention::Forward(const ParamTensors& params, const at::Tensor& 
 
 at::Tensor SelfAttention::Attention(const ParamTensors& params, const at::Tensor& input) const {
   at::Tensor x = Tokens(params, input);
-  for (int i = 0; i < kLayers - 1; ++i) x = Layer(params, i, x, absl::nullopt);
+  for (int i = 0; i < kLayers - 1; ++i) x = Layer(params, i, x, std::nullopt);
   const std::vector<at::Tensor> qkv = Project(params, kLayers - 1, x);
   const at::Tensor of_cls = AttentionWeights(qkv[0].narrow(1, 0, 1), qkv[1], {options_.heads}).squeeze(2);
   return of_cls.narrow(2, 1, of_cls.size(2) - 1);

@@ -1,9 +1,10 @@
-// OC-SA: patches and a CLS token attend to each other. No LibTorch here.
+// OC-SA: patches and a CLS token attend to each other. Does not include LibTorch.
 
 #ifndef CRAFTFLEET_COMMON_AGENT_NETS_SELF_ATTENTION_H_
 #define CRAFTFLEET_COMMON_AGENT_NETS_SELF_ATTENTION_H_
 
 #include <cstdint>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -13,7 +14,7 @@
 namespace craftfleet {
 
 // A map of 64 channels to the CLS row of the second layer: 256 features. No residual connection, norm, feed-forward
-// layer or output projection. Source: Stanic et al. 2022; "The agents", section 4.
+// layer or output projection. Source: Stanic et al. 2022; AGENTS.md, section 4.
 class SelfAttention : public AttentionPart {
  public:
   struct Options {
@@ -27,8 +28,8 @@ class SelfAttention : public AttentionPart {
   SelfAttention(const std::string& name, const Options& options, ParamList* params);
 
   at::Tensor Forward(const ParamTensors& params, const at::Tensor& input,
-                     const absl::optional<Dropout>& dropout) const override;
-  // Of each head in the last layer. What the CLS token attends to itself is left out, so that a head's sum is below 1.
+                     const std::optional<Dropout>& dropout) const override;
+  // Of each head in the last layer. The CLS token's attention to itself is left out, so that a head's sum is below 1.
   at::Tensor Attention(const ParamTensors& params, const at::Tensor& input) const override;
 
  private:
@@ -37,7 +38,7 @@ class SelfAttention : public AttentionPart {
   // Tokens -> queries, keys and values of `layer`.
   std::vector<at::Tensor> Project(const ParamTensors& params, int layer, const at::Tensor& tokens) const;
   at::Tensor Layer(const ParamTensors& params, int layer, const at::Tensor& tokens,
-                   const absl::optional<Dropout>& dropout) const;
+                   const std::optional<Dropout>& dropout) const;
 
   const Options options_;
   ParamIndex cls_ = kNoParam;        // `name`.trafo.cls [token width]

@@ -1,12 +1,12 @@
 #!/usr/bin/env bash
 # PPO-CNN with the paper's settings at learning rate 3e-4: three seeds, one after the other, then their learning curves.
-# Stopped, it goes on where it was when it is started again; runs that are complete are left as they are.
+# If it is stopped, the same command continues where it was. Complete runs are kept.
 #
 # Usage: deploy/experiments/ppo_cnn_300k/run.sh [--reference=FILE.csv,...] [--steps=N] [--runs=DIR] [--results=DIR]
-#   --reference=FILE.csv,...  tables of other programs' runs to draw beneath the curves
+#   --reference=FILE.csv,...  runs of other programs to draw with the curves, as for craftfleet curve
 #   --steps=N                 environment steps of each run; default 300000
-#   --runs=DIR                where the runs are written; default runs/ppo_cnn_300k
-#   --results=DIR             where the small results go; default deploy/experiments/results/ppo_cnn_300k
+#   --runs=DIR                folder of the runs; default runs/ppo_cnn_300k
+#   --results=DIR             folder of the results; default deploy/experiments/results/ppo_cnn_300k
 #
 # Needs the programs in build/bin (deploy/build.sh). Results: seed<k>/config.txt, seed<k>/stats.jsonl.gz, curve.png.
 

@@ -1,8 +1,8 @@
 #!/usr/bin/env python3
-"""Reads episode files as numpy would, with the standard library alone, and checks them against a log of episodes.
+"""Reads episode files like numpy, using only the standard library, and checks them against a log of episodes.
 
 Usage: check_episodes.py FOLDER STATS_JSONL FRAME_SIZE
-Prints "<n> episodes agree", or what is wrong and exits with 1.
+Prints "<n> episodes agree", or the first error and exits with 1.
 """
 
 import ast
@@ -70,7 +70,7 @@ def check_arrays(name, arrays, steps, achievements, size):
 
 def check_episode(path, stats, size):
     name = os.path.basename(path)
-    match = re.fullmatch(r"\d{8}T\d{6}-ach(\d+)-len(\d+)\.npz", name)
+    match = re.fullmatch(r"\d{8}T\d{6}-episode\d{4,}-ach(\d+)-len(\d+)\.npz", name)
     check(match, "a file is called", name)
     achievements = [key for key in stats if key.startswith("achievement_")]
     check(len(achievements) == 22, achievements)

@@ -5,12 +5,13 @@
 #include <vector>
 
 #include <absl/strings/str_cat.h>
+#include <absl/time/clock.h>
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 #include <opencv2/imgcodecs.hpp>
 #include <opencv2/videoio.hpp>
 
-#include "common/files.h"
+#include "common/io/files.h"
 #include "tests/fakes/command_output.h"
 #include "tests/fakes/sample_policy.h"
 #include "tests/fakes/status_matchers.h"
@@ -67,24 +68,27 @@ class EpisodeRecorderTest : public testing::Test {
   EpisodeRecorder::Options options_;
 };
 
-TEST_F(EpisodeRecorderTest, NamesFilesByTimeAchievementsAndLength) {
+TEST_F(EpisodeRecorderTest, NamesFilesByTimeEpisodeAchievementsAndLength) {
   options_.video_folder = folder_ / "video";
   options_.npz_folder = folder_ / "npz";
   const auto recorder = Make();
   Play(7, 4, recorder.get());
   Play(5, 3, recorder.get());
-  EXPECT_THAT(Files("video"), ElementsAre("20240229T235958-ach1-len3.mp4", "20240301T000000-ach2-len4.mp4"));
-  EXPECT_THAT(Files("npz"), ElementsAre("20240229T235958-ach1-len3.npz", "20240301T000000-ach2-len4.npz"));
+  EXPECT_THAT(Files("video"),
+              ElementsAre("20240229T235958-episode0005-ach1-len3.mp4", "20240301T000000-episode0007-ach2-len4.mp4"));
+  EXPECT_THAT(Files("npz"),
+              ElementsAre("20240229T235958-episode0005-ach1-len3.npz", "20240301T000000-episode0007-ach2-len4.npz"));
 }
 
-TEST_F(EpisodeRecorderTest, WritesOverNoFile) {
+TEST_F(EpisodeRecorderTest, NeverOverwritesAFile) {
   options_.npz_folder = folder_ / "npz";
   for (int i = 0; i < 3; ++i) Play(5, 3, Make().get());
-  EXPECT_THAT(Files("npz"), ElementsAre("20240229T235958-ach1-len3.npz", "20240229T235959-ach1-len3.npz",
-                                        "20240301T000000-ach1-len3.npz"));
+  EXPECT_THAT(Files("npz"),
+              ElementsAre("20240229T235958-episode0005-ach1-len3.npz", "20240229T235959-episode0005-ach1-len3.npz",
+                          "20240301T000000-episode0005-ach1-len3.npz"));
 }
 
-TEST_F(EpisodeRecorderTest, EpisodesSideBySideDoNotMix) {
+TEST_F(EpisodeRecorderTest, ConcurrentEpisodesDoNotMix) {
   options_.video_folder = folder_ / "video";
   const auto recorder = Make();
   ASSERT_THAT(recorder->OnStart(5, MomentAt(0)), IsOk());
@@ -93,8 +97,9 @@ TEST_F(EpisodeRecorderTest, EpisodesSideBySideDoNotMix) {
     ASSERT_THAT(recorder->OnStep(5, {Action::kDo, 0, step == 5 ? StepEnd::kTruncated : StepEnd::kNone}, MomentAt(step)),
                 IsOk());
   }
-  ASSERT_THAT(Files("video"), ElementsAre("20240229T235958-ach2-len5.mp4", "20240229T235959-ach1-len2.mp4"));
-  cv::VideoCapture video(folder_ / "video/20240229T235958-ach2-len5.mp4");
+  ASSERT_THAT(Files("video"),
+              ElementsAre("20240229T235958-episode0005-ach2-len5.mp4", "20240229T235959-episode0006-ach1-len2.mp4"));
+  cv::VideoCapture video(folder_ / "video/20240229T235958-episode0005-ach2-len5.mp4");
   cv::Mat picture;
   int pictures = 0;
   for (; video.read(picture); ++pictures) {
@@ -104,7 +109,7 @@ TEST_F(EpisodeRecorderTest, EpisodesSideBySideDoNotMix) {
   EXPECT_EQ(picture.cols, 0);
 }
 
-TEST_F(EpisodeRecorderTest, AnEvaluationThatBreaksOffLeavesNoHalfVideo) {
+TEST_F(EpisodeRecorderTest, AnAbortedEvaluationLeavesNoPartialVideo) {
   options_.video_folder = folder_ / "video";
   auto recorder = Make();
   ASSERT_THAT(recorder->OnStart(5, MomentAt(0)), IsOk());
@@ -112,7 +117,17 @@ TEST_F(EpisodeRecorderTest, AnEvaluationThatBreaksOffLeavesNoHalfVideo) {
   EXPECT_THAT(Files("video"), IsEmpty());
 }
 
-TEST_F(EpisodeRecorderTest, WritesAPictureEverySoManySteps) {
+TEST_F(EpisodeRecorderTest, KeepsUnfinishedEpisodesIfAsked) {
+  options_.video_folder = folder_ / "video";
+  options_.npz_folder = folder_ / "episodes";
+  auto recorder = Make();
+  Play(5, 4, recorder.get(), StepEnd::kNone);
+  ASSERT_THAT(recorder->FinishAll(), IsOk());
+  EXPECT_THAT(Files("video"), ElementsAre("20240229T235958-episode0005-ach2-len4.mp4"));
+  EXPECT_THAT(Files("episodes"), ElementsAre("20240229T235958-episode0005-ach2-len4.npz"));
+}
+
+TEST_F(EpisodeRecorderTest, WritesAPictureAtTheGivenInterval) {
   options_.picture_folder = folder_ / "pictures";
   options_.picture_every = 2;
   Play(5, 5, Make().get());
@@ -123,8 +138,8 @@ TEST_F(EpisodeRecorderTest, WritesAPictureEverySoManySteps) {
   EXPECT_EQ(picture.at<cv::Vec3b>(9, 9), (cv::Vec3b{80, 80, 80}));
 }
 
-// By an independent reader: keys, shapes, types, zeros at the reset, and the episode's own line.
-TEST_F(EpisodeRecorderTest, WritesTablesThatPythonReads) {
+// An independent reader checks keys, shapes, types, zeros at the reset, and the episode's line in the log.
+TEST_F(EpisodeRecorderTest, WritesTablesThatPythonCanRead) {
   options_.npz_folder = folder_ / "npz";
   Play(5, 4, Make().get(), StepEnd::kTruncated);
   std::string line = R"({"length": 4, "reward": 0.6)";
@@ -150,20 +165,41 @@ TEST_F(EpisodeRecorderTest, ShowsAttentionOnTheRight) {
   ASSERT_THAT((*recorder)->OnStart(5, moment), IsOk());
   const cv::Mat picture = cv::imread(folder_ / "pictures/episode-0005-step-00000.png");
   ASSERT_EQ(picture.cols, 2 * kPictureSize);
-  EXPECT_EQ(picture.at<cv::Vec3b>(32, kPictureSize - 1), (cv::Vec3b{100, 100, 100})) << "the picture as it is";
+  ASSERT_EQ(picture.rows, kPictureSize + ScaleHeight(kPictureSize));
+  EXPECT_EQ(picture.at<cv::Vec3b>(32, kPictureSize - 1), (cv::Vec3b{100, 100, 100})) << "the unchanged picture";
   const auto overlaid = picture.at<cv::Vec3b>(32, kPictureSize + 10);
   EXPECT_GT(overlaid[2], overlaid[0]) << "light is more red than blue";
   const auto unseen = picture.at<cv::Vec3b>(32, 2 * kPictureSize - 1);
-  EXPECT_EQ(unseen, (cv::Vec3b{50, 50, 50})) << "64 of 72 pixels are cut into patches";
+  EXPECT_EQ(unseen, (cv::Vec3b{70, 70, 70})) << "only 64 of 72 pixels are covered by patches";
 }
 
-TEST_F(EpisodeRecorderTest, RefusesAttentionThatIsNotThere) {
+TEST_F(EpisodeRecorderTest, AttentionHasAScaleInVideosToo) {
+  const auto policy = SamplePolicy(1, 1, "oc_ca");
+  options_.frame_size = 72;
+  options_.attention = AttentionChoice();
+  options_.fixed_scale = true;
+  options_.video_folder = folder_ / "video";
+  auto recorder = EpisodeRecorder::Create(options_, policy.get(), absl::Now());
+  ASSERT_THAT(recorder, IsOk());
+  Moment moment = MomentAt(0);
+  moment.frame.assign(size_t{3} * 72 * 72, '\1');
+  ASSERT_THAT((*recorder)->OnStart(5, moment), IsOk());
+  ASSERT_THAT((*recorder)->OnStep(5, {Action::kDo, 0, StepEnd::kTerminated}, moment), IsOk());
+  ASSERT_EQ(Files("video").size(), 1U);
+  cv::VideoCapture video(folder_ / ("video/" + Files("video")[0]));
+  cv::Mat picture;
+  ASSERT_TRUE(video.read(picture));
+  EXPECT_EQ(picture.cols, 2 * kPictureSize);
+  EXPECT_EQ(picture.rows, kPictureSize + ScaleHeight(kPictureSize));
+}
+
+TEST_F(EpisodeRecorderTest, RefusesAttentionThatTheAgentDoesNotHave) {
   options_.frame_size = 64;
   options_.attention = AttentionChoice();
   options_.video_folder = folder_ / "video";
   const auto policy = SamplePolicy(1);
   EXPECT_THAT(EpisodeRecorder::Create(options_, policy.get(), absl::Now()),
-              StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("agent ppo_cnn has no attention to show")));
+              StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("ppo_cnn")));
   EXPECT_FALSE(PathExists(folder_ / "video"));
 }
 

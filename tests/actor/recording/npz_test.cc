@@ -6,7 +6,7 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
-#include "common/files.h"
+#include "common/io/files.h"
 #include "tests/fakes/command_output.h"
 #include "tests/fakes/status_matchers.h"
 #include "tests/fakes/temp_folder.h"
@@ -17,8 +17,8 @@ namespace {
 using testing::HasSubstr;
 using testing::StartsWith;
 
-// The bytes that numpy 1.24's save() gives for numpy.arange(3, dtype="<i8") and numpy.array([[1, 2]], dtype="|u1").
-TEST(EncodeNpy, GivesTheBytesOfNumpy) {
+// The bytes that numpy 1.24's save() writes for numpy.arange(3, dtype="<i8") and numpy.array([[1, 2]], dtype="|u1").
+TEST(EncodeNpy, MatchesTheBytesOfNumpy) {
   const std::string data("\0\0\0\0\0\0\0\0\1\0\0\0\0\0\0\0\2\0\0\0\0\0\0\0", 24);
   const std::string vector = EncodeNpy({"any", "<i8", {3}, data});
   std::string header = "{'descr': '<i8', 'fortran_order': False, 'shape': (3,), }";
@@ -37,7 +37,7 @@ TEST(EncodeNpy, DataBeginsAtAMultipleOf64) {
   }
 }
 
-TEST(WriteNpz, IsReadByPythonsZipfile) {
+TEST(WriteNpz, CanBeReadByPythonsZipfile) {
   const TempFolder folder;
   const std::string path = folder / "a.npz";
   ASSERT_THAT(WriteNpz(path, {{"one", "|u1", {4}, "abcd"}, {"two", "|b1", {0}, ""}}), IsOk());
@@ -55,7 +55,7 @@ TEST(WriteNpz, ReplacesAFile) {
   EXPECT_THAT(*ReadFile(path), StartsWith("PK"));
 }
 
-TEST(WriteNpz, NamesTheFileThatCanNotBeWritten) {
+TEST(WriteNpz, NamesTheFileThatCannotBeWritten) {
   const TempFolder folder;
   EXPECT_THAT(WriteNpz(folder / "none/a.npz", {{"one", "|u1", {4}, "abcd"}}),
               StatusIs(absl::StatusCode::kNotFound, HasSubstr("none/a.npz: No such file or directory")));

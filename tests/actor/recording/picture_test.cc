@@ -31,17 +31,17 @@ std::string Plain(int size, const Pixel& color) {
   return picture;
 }
 
-TEST(OverlayAttention, LeavesHalfTheGreyWhereNobodyLooksAndLightsTheRest) {
+TEST(OverlayAttention, GreysPartsWithoutAttentionAndHighlightsTheRest) {
   const std::string overlay = OverlayAttention(Plain(4, {100, 200, 50}), 4, {0, 1, 0.5, 0}, 2);
-  EXPECT_EQ(PixelAt(overlay, 4, 0, 0), (Pixel{77, 77, 77})) << "half of 0.3 * 100 + 0.59 * 200 + 0.11 * 50";
-  EXPECT_EQ(PixelAt(overlay, 4, 1, 1), (Pixel{77, 77, 77}));
+  EXPECT_EQ(PixelAt(overlay, 4, 0, 0), (Pixel{107, 107, 107})) << "0.7 of 0.3 * 100 + 0.59 * 200 + 0.11 * 50";
+  EXPECT_EQ(PixelAt(overlay, 4, 1, 1), (Pixel{107, 107, 107}));
   EXPECT_EQ(PixelAt(overlay, 4, 3, 0), (Pixel{162, 196, 54})) << "0.6 of it and 0.4 of 255, 190, 60";
-  EXPECT_EQ(PixelAt(overlay, 4, 0, 2), (Pixel{119, 136, 65})) << "half and half";
-  EXPECT_EQ(PixelAt(overlay, 4, 3, 3), (Pixel{77, 77, 77}));
+  EXPECT_EQ(PixelAt(overlay, 4, 0, 2), (Pixel{135, 152, 81})) << "half and half";
+  EXPECT_EQ(PixelAt(overlay, 4, 3, 3), (Pixel{107, 107, 107}));
 }
 
-// As in a video of 144 pixels of an agent that sees 72, and in one of a size that is no multiple.
-TEST(OverlayAttention, IsWhereTheFrameHasIt) {
+// In a picture of 144 pixels for an agent with 72, and in one whose size is not a multiple.
+TEST(OverlayAttention, MatchesThePositionInTheFrame) {
   std::vector<float> brightness(72 * 72);
   for (int y = 24; y < 36; ++y) {
     for (int x = 8; x < 20; ++x) brightness[y * 72 + x] = 1;
@@ -60,6 +60,49 @@ TEST(OverlayAttention, IsWhereTheFrameHasIt) {
       }
     }
     EXPECT_NEAR(lit, 144.0 * size * size / (72 * 72), 2.0 * size / 6) << size;
+  }
+}
+
+constexpr PatchGrid kGrid = {4, 2, 2};  // two by two patches of 2 pixels
+
+TEST(LightToHighest, GivesTheHighestWeightFullBrightness) {
+  const AttentionLight light = LightToHighest(kGrid, {0.01F, 0.04F, 0, 0.0025F});
+  EXPECT_FLOAT_EQ(light.highest, 0.04);
+  EXPECT_FLOAT_EQ(light.middle, 0.01) << "its square root is half of the highest weight's";
+  EXPECT_FLOAT_EQ(light.brightness[0], 0.5);
+  EXPECT_FLOAT_EQ(light.brightness[3], 1);
+  EXPECT_FLOAT_EQ(light.brightness[8], 0);
+  EXPECT_FLOAT_EQ(light.brightness[15], 0.25);
+  EXPECT_EQ(LightToHighest(kGrid, {0, 0, 0, 0}).brightness, std::vector<float>(16));
+}
+
+TEST(LightOnFixedScale, IsTheSameForEveryFrame) {
+  for (const float most : {0.1F, 0.3F}) {
+    const AttentionLight light = LightOnFixedScale(kGrid, {most, 0.05F, 0, 0});
+    EXPECT_EQ(light.highest, 0.5);
+    EXPECT_EQ(light.middle, 0.25);
+    EXPECT_FLOAT_EQ(light.brightness[0], 2 * most);
+    EXPECT_FLOAT_EQ(light.brightness[2], 0.1);
+  }
+}
+
+TEST(WithScale, AddsAColourBarThatGetsBrighterToTheRight) {
+  for (const int size : {64, 288}) {
+    const std::string pictures = SideBySide(Plain(size, {1, 2, 3}), Plain(size, {7, 8, 9}), size);
+    const std::string whole = WithScale(pictures, size, {{}, 0.01, 0.04});
+    EXPECT_EQ(ScaleHeight(size) % 2, 0) << "as videos require";
+    ASSERT_EQ(whole.size(), size_t{6} * size * (size + ScaleHeight(size)));
+    EXPECT_EQ(whole.substr(0, pictures.size()), pictures);
+    const int bar = size + ScaleHeight(size) / 4;
+    const int margin = ScaleHeight(size) / 4;
+    EXPECT_EQ(PixelAt(whole, 2 * size, size + margin, bar), (Pixel{90, 90, 90})) << "0.7 of the bar's grey";
+    EXPECT_EQ(PixelAt(whole, 2 * size, 2 * size - margin - 1, bar), (Pixel{179, 153, 101})) << "full highlight";
+    EXPECT_EQ(PixelAt(whole, 2 * size, 0, bar), (Pixel{0, 0, 0}));
+    int red = 0;
+    for (int x = size + margin; x < 2 * size - margin; ++x) {
+      EXPECT_GE(PixelAt(whole, 2 * size, x, bar)[0], red);
+      red = PixelAt(whole, 2 * size, x, bar)[0];
+    }
   }
 }
 

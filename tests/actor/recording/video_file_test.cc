@@ -6,7 +6,7 @@
 #include <gtest/gtest.h>
 #include <opencv2/videoio.hpp>
 
-#include "common/files.h"
+#include "common/io/files.h"
 #include "tests/fakes/status_matchers.h"
 #include "tests/fakes/temp_folder.h"
 
@@ -28,7 +28,7 @@ std::string Plain(int red, int green, int blue) {
   return picture;
 }
 
-TEST(VideoFile, HasThePicturesThatWereAppended) {
+TEST(VideoFile, ContainsTheAppendedPictures) {
   const TempFolder folder;
   auto video = VideoFile::Create(folder / "unfinished.mp4", kWidth, kHeight);
   ASSERT_THAT(video, IsOk());
@@ -50,7 +50,7 @@ TEST(VideoFile, HasThePicturesThatWereAppended) {
   EXPECT_EQ(pictures, 10);
 }
 
-TEST(VideoFile, ThatIsNotFinishedLeavesNothing) {
+TEST(VideoFile, AnUnfinishedVideoLeavesNoFile) {
   const TempFolder folder;
   auto video = VideoFile::Create(folder / "unfinished.mp4", kWidth, kHeight);
   ASSERT_THAT(video, IsOk());
@@ -59,7 +59,7 @@ TEST(VideoFile, ThatIsNotFinishedLeavesNothing) {
   EXPECT_THAT(*ListFolder(folder / ""), IsEmpty());
 }
 
-TEST(VideoFile, NamesTheFileThatCanNotBeWritten) {
+TEST(VideoFile, NamesTheFileThatCannotBeWritten) {
   const TempFolder folder;
   EXPECT_THAT(VideoFile::Create(folder / "none/a.mp4", kWidth, kHeight),
               StatusIs(absl::StatusCode::kNotFound, HasSubstr("none/a.mp4")));

@@ -1,10 +1,10 @@
 #!/usr/bin/env python3
-"""What it costs to train with processes instead of in one: learner, actor and environment server on one host.
+"""Measures the cost of training with separate processes on one host (learner, actor, environment server) instead of one.
 
-Trains the same run again and again, in turn in one process, with processes over TCP and with processes over Unix sockets.
-Prints environment steps a second (of wall time, from the first iteration to the last), CPU time a step, and the ratios to
-one process: the median over the rounds, of runs that stood side by side. Below it the same of each way's fastest quarter of
-all iterations, which what else the machine did has slowed down least.
+Trains the same run repeatedly: in one process, with processes over TCP, and with processes over Unix sockets, in turn.
+Prints environment steps per second (wall time, from the first iteration to the last), CPU time per step, and the ratios to
+one process: medians over the rounds, of adjacent runs. Then the same for the fastest quarter of each way's iterations,
+which other load on the machine has slowed down least.
 
   tests/bench/fleet/fleet_bench.py --bin=build/bin                       three rounds of ten iterations, some minutes
 """
@@ -39,8 +39,8 @@ class SocketSite(Site):
 
 
 def wall_time_of_iterations(logdir):
-    """When each iteration was over, from the run's TensorBoard file: records of a length, a checksum, an event that begins
-    with its wall time (field 1) and its step (field 2), and a checksum."""
+    """The end time of each iteration, from the run's TensorBoard file. A record is a length, a checksum, an event that
+    begins with its wall time (field 1) and its step (field 2), and a checksum."""
     times = {}
     for file in logdir.glob("events.*"):
         data, at = file.read_bytes(), 0
@@ -105,7 +105,7 @@ def main():
     options = parser.parse_args()
     iterations, rates, cpu = ({way: [] for way in WAYS} for _ in range(3))
     for number in range(options.rounds):
-        # Each in each place of a round, since what else the machine does may drift.
+        # The order rotates, since other load on the machine may drift.
         for way in WAYS[number % 3:] + WAYS[:number % 3]:
             with tempfile.TemporaryDirectory(prefix="fleet_bench-") as folder:
                 seconds, cpu_s = train(options, way, pathlib.Path(folder))

@@ -1,4 +1,4 @@
-// What a step of the game costs, whole and by part, on one thread. How to run and read it: tests/bench/README.md.
+// The cost of a step of the game, whole and by part, on one thread. Usage and results: tests/bench/README.md.
 
 #include <memory>
 #include <string>
@@ -6,8 +6,8 @@
 
 #include <benchmark/benchmark.h>
 
-#include "common/check.h"
-#include "common/paths.h"
+#include "common/base/check.h"
+#include "common/io/paths.h"
 #include "envserver/game.h"
 #include "envserver/world/balance.h"
 #include "tests/golden/world_editor.h"
@@ -28,7 +28,7 @@ std::shared_ptr<const Renderer> MakeRenderer() {
   return *Renderer::Create(**textures, WorldOptions(), RenderOptions());
 }
 
-// Worlds some random steps into their first episodes, their players alive.
+// Worlds after `steps` random steps of an episode, with living players.
 std::vector<World> PlayedWorlds(int steps) {
   std::vector<World> worlds;
   worlds.reserve(kSeeds);
@@ -65,7 +65,7 @@ void WholeGame(benchmark::State& state) {
   state.counters["steps_per_episode"] = static_cast<double>(state.iterations()) * kSeeds / episodes;
 }
 
-// Steps on which no chunk is balanced.
+// Steps without balancing.
 void Rules(benchmark::State& state) {
   std::vector<World> worlds = PlayedWorlds(50);
   RandomStream actions(1);
@@ -80,7 +80,7 @@ void Rules(benchmark::State& state) {
   state.SetItemsProcessed(state.iterations() * kSeeds);
 }
 
-// Done on every tenth step.
+// Balancing alone, which is done in every tenth step.
 void Balance(benchmark::State& state) {
   std::vector<World> worlds = PlayedWorlds(static_cast<int>(state.range(0)));
   while (state.KeepRunning()) {

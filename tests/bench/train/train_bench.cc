@@ -1,4 +1,4 @@
-// Speed of the whole training loop in one process, and where its time goes.
+// Measures the speed of the whole training loop in one process, and how its time is spent.
 
 #include <sys/resource.h>
 
@@ -11,14 +11,14 @@
 #include <absl/strings/str_format.h>
 #include <absl/time/clock.h>
 
-#include "common/activity.h"
 #include "common/agent/torch_setup.h"
-#include "common/config.h"
-#include "common/cpu_quota.h"
-#include "common/paths.h"
-#include "common/program.h"
-#include "common/status_macros.h"
-#include "deploy/local_fleet.h"
+#include "common/base/status_macros.h"
+#include "common/config/config.h"
+#include "common/io/paths.h"
+#include "common/process/cpu_quota.h"
+#include "common/process/program.h"
+#include "common/telemetry/activity.h"
+#include "deploy/cli/local_fleet.h"
 
 ABSL_FLAG(int32_t, iterations, 20, "PPO iterations to time, after one that is not counted");
 ABSL_FLAG(int32_t, threads, 0, "threads; 0: as many as the CPU quota allows");
@@ -64,7 +64,7 @@ void Print(const Times& begin, const Times& end, int threads) {
   const double policy = play[Activity::kInference];
   const double games = play[Activity::kEnvironment];
   const double wire = play[Activity::kWire];
-  // Play threads work side by side: their sum is scaled to the time that collecting took.
+  // Play threads run concurrently: their sum is scaled to the wall time of collecting.
   const double scale = collect / (policy + games + wire);
   const double update = trainer[Activity::kUpdate];
   struct rusage usage = {};

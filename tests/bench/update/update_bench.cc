@@ -17,7 +17,7 @@
 #include "common/agent/policy.h"
 #include "common/agent/torch_setup.h"
 #include "common/agent/weights.h"
-#include "common/keyed_random.h"
+#include "common/base/keyed_random.h"
 #include "learner/ppo/ppo_updater.h"
 #include "tests/agent/golden_agent.h"
 
@@ -29,7 +29,7 @@ constexpr int kSteps = 2 * kMinibatch;  // of a rollout
 
 struct Times {
   double wall_ms;
-  double cpu_ms;  // of all threads: what counts on a machine that others use too
+  double cpu_ms;  // of all threads: the more reliable figure on a busy machine
 };
 
 double Median(std::vector<double> values) {
@@ -37,7 +37,7 @@ double Median(std::vector<double> values) {
   return values[values.size() / 2];
 }
 
-// Medians of the calls that fit in `limit`, at least one, after one to warm up.
+// Medians over the calls that fit into `limit`, at least one, after a warm-up call.
 Times Measure(absl::Duration limit, const std::function<void()>& call) {
   call();
   std::vector<double> wall_ms;
@@ -67,7 +67,7 @@ void BenchTiles(absl::Duration limit) {
   }
 }
 
-// Steps of 16 lanes in fragments of 32; an episode is 170 steps long, as a beginner's.
+// Steps of 16 lanes in fragments of 32; episodes take 170 steps, as at the beginning of training.
 Rollout SampleRollout(const std::string& frames, const float* state) {
   const size_t frame_bytes = frames.size() / kSteps;
   Rollout rollout;

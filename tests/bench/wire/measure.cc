@@ -12,7 +12,7 @@
 #include <absl/time/clock.h>
 #include <absl/time/time.h>
 
-#include "common/check.h"
+#include "common/base/check.h"
 
 namespace craftfleet {
 namespace {
@@ -39,7 +39,7 @@ bool Get(int pipe, T* value) {
 }  // namespace
 
 void Meter::Measure(const std::string& what, int clients, const std::function<Turn(int client)>& turn) {
-  for (int client = 0; client < clients; ++client) turn(client);  // connects, and touches its memory
+  for (int client = 0; client < clients; ++client) turn(client);  // warm-up: connects and touches memory
   char go = 'b';
   Put(to_parent_, go);
   CRAFTFLEET_CHECK(Get(from_parent_, &go));

@@ -1,4 +1,4 @@
-// Costs of calls between two processes: CPU time of either end, bytes, calls a second.
+// Costs of calls between two processes: CPU time of both ends, bytes, calls per second.
 
 #ifndef CRAFTFLEET_TESTS_BENCH_WIRE_MEASURE_H_
 #define CRAFTFLEET_TESTS_BENCH_WIRE_MEASURE_H_
@@ -9,20 +9,20 @@
 
 namespace craftfleet {
 
-// What a client did in one turn.
+// The work of a client in one turn.
 struct Turn {
   int64_t calls = 0;
   int64_t bytes = 0;  // of the messages, both ways
 };
 
-// The clients' end, in the child process. Threads make turns side by side until the time is over.
+// The clients' end, in the child process. Threads make turns concurrently until the time is over.
 class Meter {
  public:
-  // Talks to Print of the parent through these two pipes. Durations in seconds.
+  // Communicates with PrintMeasurements in the parent through the two pipes. `seconds`: duration of a measurement.
   Meter(int to_parent, int from_parent, double seconds)
       : to_parent_(to_parent), from_parent_(from_parent), seconds_(seconds) {}
 
-  // Each of `clients` threads calls `turn` with its number again and again; has the parent print a row about `what`.
+  // Each of `clients` threads calls `turn` with its number repeatedly; the parent prints a row named `what`.
   void Measure(const std::string& what, int clients, const std::function<Turn(int client)>& turn);
 
  private:
@@ -34,7 +34,7 @@ class Meter {
 // The servers' end, in the parent: prints a row for each measurement until the child has closed its pipe.
 void PrintMeasurements(int from_child, int to_child);
 
-// The fields of a measurement, each of both ends on its own where they differ.
+// The fields of a measurement; where the two ends differ, there is one for each.
 struct Measurement {
   char what[64] = {};
   int64_t calls = 0;

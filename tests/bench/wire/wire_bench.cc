@@ -1,5 +1,5 @@
-// What the fleet's messages cost: bytes, and CPU time of both ends. Servers of a kind are in one process, their clients
-// in another; nothing is learned and no policy plays.
+// The cost of the fleet's messages: bytes, and CPU time of both ends. Servers are in one process, their clients in
+// another; there is no training and no policy.
 
 #include <sys/wait.h>
 #include <unistd.h>
@@ -16,14 +16,14 @@
 #include <absl/time/time.h>
 
 #include "actor/env_client.h"
-#include "common/check.h"
-#include "common/clock.h"
-#include "common/config.h"
-#include "common/paths.h"
-#include "common/program.h"
-#include "common/snapshot_envelope.h"
-#include "common/status_macros.h"
-#include "common/texture_digest.h"
+#include "common/base/check.h"
+#include "common/base/clock.h"
+#include "common/base/status_macros.h"
+#include "common/config/config.h"
+#include "common/io/paths.h"
+#include "common/io/snapshot_envelope.h"
+#include "common/io/texture_digest.h"
+#include "common/process/program.h"
 #include "common/wire/channel.h"
 #include "common/wire/convert.h"
 #include "common/wire/protocol.h"
@@ -32,21 +32,21 @@
 #include "learner/learner_service.h"
 #include "tests/bench/wire/measure.h"
 
-ABSL_FLAG(double, seconds, 3, "of each measurement");
-ABSL_FLAG(int32_t, clients, 4, "clients side by side");
+ABSL_FLAG(double, seconds, 3, "duration of each measurement, seconds");
+ABSL_FLAG(int32_t, clients, 4, "number of concurrent clients");
 ABSL_FLAG(bool, unix_sockets, false, "Unix sockets instead of TCP over loopback");
 
 namespace craftfleet {
 namespace {
 
 constexpr char kProgram[] = "wire_bench";
-constexpr char kUsage[] = "wire_bench prints what the fleet's messages cost; see tests/bench/README.md.";
+constexpr char kUsage[] = "wire_bench prints the cost of the fleet's messages; see tests/bench/README.md.";
 constexpr int kFragmentSteps[] = {256, 32, 4};
 constexpr int kServices = std::size(kFragmentSteps);
 constexpr int kLanesOfClient = 16;
 constexpr int kMany = 10000;
 constexpr int kFrameBytes = 64 * 64 * 3;
-constexpr size_t kSnapshotBytes = 8000;     // as the row about steps with snapshots says
+constexpr size_t kSnapshotBytes = 8000;     // as in the row about steps with snapshots
 constexpr size_t kWeightBytes = 2'441'040;  // of ppo_cnn
 constexpr absl::Duration kLease = absl::Seconds(60);
 
@@ -56,17 +56,13 @@ struct Addresses {
   char env_server[128] = {};
 };
 
-// A learner's service that takes in fragments of `steps` steps and forgets them.
+// A learner's service that accepts fragments of `steps` steps and drops them.
 class Intake {
  public:
   Intake(int steps, int lanes, const std::string& address)
-      : ledger_(LedgerOptions(lanes), std::vector<LaneRecord>(lanes), &clock_),
-        evaluations_(kLease, &clock_),
-        env_servers_(kLease, &clock_),
-        fleet_(kLease, &clock_),
-        service_(ServiceOptions(steps, lanes), &ledger_, &weights_, &fragments_, &evaluations_, &env_servers_,
-                 &fleet_) {
-    ledger_.OpenIteration(int64_t{1} << 60, 0);
+      : registry_(RegistryOptions(lanes), std::vector<LaneRecord>(lanes), &clock_),
+        service_(ServiceOptions(steps, lanes), &registry_, &weights_, &fragments_) {
+    registry_.OpenIteration(int64_t{1} << 60, 0);
     weights_.Publish(0, std::make_shared<const std::string>(kWeightBytes, 'w'));
     wire::Server::Options options;
     options.address = address;
@@ -79,7 +75,7 @@ class Intake {
     });
   }
   ~Intake() {
-    ledger_.Close();
+    registry_.Close();
     fragments_.Close();
     drain_.join();
     server_->Stop(absl::Milliseconds(200));
@@ -87,10 +83,10 @@ class Intake {
   const std::string& address() const { return server_->address(); }
 
  private:
-  static LaneLedger::Options LedgerOptions(int lanes) {
-    LaneLedger::Options options;
-    options.lanes = lanes;
-    options.lease = kLease;
+  static WorkerRegistry::Options RegistryOptions(int lanes) {
+    WorkerRegistry::Options options;
+    options.lanes.lanes = lanes;
+    options.lanes.lease = kLease;
     return options;
   }
   static LearnerServiceImpl::Options ServiceOptions(int steps, int lanes) {
@@ -103,12 +99,9 @@ class Intake {
   }
 
   RealClock clock_;
-  LaneLedger ledger_;
+  WorkerRegistry registry_;
   WeightStore weights_;
   FragmentQueue fragments_{64};
-  EvaluationBook evaluations_;
-  ServerRegistry env_servers_;
-  FleetBook fleet_;
   LearnerServiceImpl service_;
   std::unique_ptr<wire::Server> server_;
   std::thread drain_;
@@ -128,7 +121,7 @@ v1::FragmentMessage EmptyFragment(const std::string& actor, int steps) {
   return message;
 }
 
-// Talks to a learner as an actor does.
+// A client that calls a learner like an actor.
 class Actor {
  public:
   Actor(const std::string& learner, int number, int steps)
@@ -147,7 +140,7 @@ class Actor {
     stream_->Finish();
   }
 
-  // Asks for permits and answers each with a fragment, in its turn.
+  // Requests permits, and sends a fragment for each.
   Turn PushFragments() {
     const v1::PermitReply permits = GetPermits({});
     Turn turn;
@@ -163,20 +156,20 @@ class Actor {
     return turn;
   }
 
-  // Takes permits to keep.
+  // Requests permits and holds them.
   void TakePermits() {
     const v1::PermitReply permits = GetPermits({});
     active_.assign(permits.granted().begin(), permits.granted().end());
   }
 
-  // Keeps the permits at hand alive.
+  // Renews the held permits.
   Turn RenewPermits() {
     int64_t bytes = 0;
     GetPermits(active_, &bytes);
     return {1, bytes};
   }
 
-  // Of the lanes at hand.
+  // Requests the snapshots of the held lanes.
   Turn GetSnapshots() {
     Turn turn;
     for (const v1::Permit& permit : active_) {
@@ -245,7 +238,7 @@ class Actor {
   std::unique_ptr<grpc::ClientReaderWriter<v1::FragmentMessage, v1::FragmentVerdict>> stream_;
 };
 
-// Plays `lanes` games with actions in turn.
+// Plays `lanes` games with a fixed sequence of actions.
 class Player {
  public:
   Player(const std::string& server, int number, int lanes) : client_(wire::Connect(server), Hello(), kFrameBytes) {
@@ -259,7 +252,7 @@ class Player {
     CRAFTFLEET_CHECK(client_.Open(open, &frames).ok());
   }
 
-  // One step of each game. Bytes: of the frames alone.
+  // One step of each game. Counts only the bytes of frames.
   Turn Step(bool snapshot = false) {
     std::vector<Action> actions;
     for (const int lane : lanes_) actions.push_back(static_cast<Action>((7 * steps_ + 3 * lane) % kNumActions));
@@ -267,7 +260,7 @@ class Player {
     CRAFTFLEET_CHECK(client_.SendStep(lanes_, actions, snapshot).ok() && client_.ReceiveStep(&batch_).ok());
     return {static_cast<int64_t>(lanes_.size()), static_cast<int64_t>(batch_.frames.size())};
   }
-  // The same with snapshots. Bytes: of the snapshots alone.
+  // The same with snapshots. Counts only the bytes of snapshots.
   Turn StepAndSave() {
     Turn turn = Step(/*snapshot=*/true);
     turn.bytes = 0;
@@ -313,7 +306,7 @@ void MeasureFragments(const Addresses& addresses, int clients, Meter* meter) {
   }
 }
 
-// Calls whose cost depends on how many lanes and workers there are.
+// Calls whose cost depends on the number of lanes and workers.
 void MeasureCrowd(const Addresses& addresses, int clients, Meter* meter) {
   constexpr int kCrowd = kMany / kLanesOfClient;
   std::vector<std::unique_ptr<Actor>> actors;
@@ -397,7 +390,7 @@ void RunClients(const Part& part, int to_parent, int from_parent) {
   part.measure(addresses, absl::GetFlag(FLAGS_clients), &meter);
 }
 
-// Forks clients and serves them. Call in a process without threads.
+// Forks the clients and serves them. Must be called in a process without other threads.
 int RunPart(const Part& part) {
   int to_parent[2];
   int to_child[2];

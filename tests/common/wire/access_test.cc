@@ -64,7 +64,7 @@ TEST(Access, EveryServiceNeedsItsRight) {
   EXPECT_EQ(RightFor(""), v1::STEER);
 }
 
-TEST(Access, ACertificateIsKnownByAnyOfItsNames) {
+TEST(Access, ACertificateMatchesByAnyOfItsNames) {
   const Caller worker = {{"b7", "actor-1.workers"}, std::nullopt, "craftfleet-actor"};
   EXPECT_THAT(Check(worker, kJoin), IsOk());
   EXPECT_THAT(Check(worker, kStatus), StatusIs(absl::StatusCode::kPermissionDenied, HasSubstr("the right to watch")));
@@ -74,7 +74,7 @@ TEST(Access, ACertificateIsKnownByAnyOfItsNames) {
                              HasSubstr("\"workers\""), HasSubstr("the right to steer"))));
 }
 
-TEST(Access, ATokenIsKnownByItsDigest) {
+TEST(Access, ATokenMatchesByItsDigest) {
   const Caller monitor = {{}, "watch me", "curl"};
   EXPECT_THAT(Check(monitor, kStatus), IsOk());
   EXPECT_THAT(Check(monitor, kJoin),
@@ -84,7 +84,7 @@ TEST(Access, ATokenIsKnownByItsDigest) {
                        AllOf(HasSubstr("token is not in the access file"), Not(HasSubstr("watch mE")))));
 }
 
-TEST(Access, WhereBothAreWantedOneIsNotEnough) {
+TEST(Access, AClientWithCertificateAndTokenNeedsBoth) {
   EXPECT_THAT(Check({{"desk"}, "boss", ""}, kStop), IsOk());
   EXPECT_THAT(Check({{"desk"}, std::nullopt, ""}, kStop),
               StatusIs(absl::StatusCode::kPermissionDenied, HasSubstr("no client with this certificate")));
@@ -92,18 +92,18 @@ TEST(Access, WhereBothAreWantedOneIsNotEnough) {
               StatusIs(absl::StatusCode::kUnauthenticated, HasSubstr("not with this certificate")));
 }
 
-TEST(Access, WhoShowsNothingMayAskForHealthAlone) {
+TEST(Access, CallersWithoutCredentialsMayOnlyCheckHealth) {
   EXPECT_THAT(Check({}, kHealth), IsOk());
-  EXPECT_THAT(Check({}, kStatus), StatusIs(absl::StatusCode::kUnauthenticated, HasSubstr("it shows no token")));
+  EXPECT_THAT(Check({}, kStatus), StatusIs(absl::StatusCode::kUnauthenticated, HasSubstr("it sent no token")));
 }
 
-TEST(Access, WhatAStrangerSaysIsCutAndEscaped) {
+TEST(Access, TextFromUnknownCallersIsShortenedAndEscaped) {
   const absl::Status status = Check({{"evil\nname"}, std::nullopt, std::string(1000, 'x')}, kStatus);
   EXPECT_THAT(std::string(status.message()), AllOf(HasSubstr("evil\\nname"), Not(HasSubstr("\n"))));
   EXPECT_LT(status.message().size(), 400);
 }
 
-TEST(Access, MistakesInTheFileAreNamed) {
+TEST(Access, ErrorsInTheFileNameTheProblem) {
   EXPECT_THAT(ParseAccess("client { nam: 3 }", "a.txt"),
               StatusIs(absl::StatusCode::kInvalidArgument, AllOf(HasSubstr("a.txt:1"), HasSubstr("nam"))));
   EXPECT_THAT(ParseAccess("client { certificate: \"x\" right: PLAY }", "a.txt"),
@@ -116,7 +116,7 @@ TEST(Access, MistakesInTheFileAreNamed) {
               StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("has no right")));
 }
 
-TEST(Access, AFileOfVersionOneSaysWhatToWriteInstead) {
+TEST(Access, TheFormerRightWorkIsRefusedWithItsReplacement) {
   for (const char* right : {"WORK", "2"}) {
     const std::string text = absl::StrCat("client { name: \"x\" certificate: \"*\" right: ", right, " }");
     EXPECT_THAT(ParseAccess(text, "a.txt"),
@@ -131,7 +131,7 @@ TEST(Access, AFileOfVersionOneSaysWhatToWriteInstead) {
   }
 }
 
-TEST(Access, WhoServesMayNotPlay) {
+TEST(Access, TheRightToServeDoesNotIncludePlay) {
   const auto access = ParseAccess("client { name: \"s\" certificate: \"s\" right: SERVE }", "access.txt");
   ASSERT_THAT(access, IsOk());
   EXPECT_THAT(CheckAccess(*access, {{"s"}, std::nullopt, ""}, "/craftfleet.v1.LearnerService/Announce"), IsOk());
@@ -139,7 +139,7 @@ TEST(Access, WhoServesMayNotPlay) {
               StatusIs(absl::StatusCode::kPermissionDenied, HasSubstr("the right to play")));
 }
 
-TEST(Access, AnIdentityOutlastsItsCertificatesAndTokens) {
+TEST(Access, IdentityDoesNotChangeWithRenewedCertificatesOrTokens) {
   // Tokens "watch me" and "boss" of one client.
   const auto access = ParseAccess(R"(
     client { name: "m" token_sha256: "85d9d230f02e4c3e3e73d2d692f0e10d861e71994736b58a8163cff890d9c938" right: PLAY }
@@ -159,7 +159,7 @@ TEST(Access, AnIdentityOutlastsItsCertificatesAndTokens) {
   EXPECT_EQ(identity({}, "unknown"), "");
 }
 
-TEST(AccessControl, GivesNoReasonAwayAndFollowsItsFile) {
+TEST(AccessControl, HidesReasonsFromCallersAndReloadsItsFile) {
   const TempFolder folder;
   const std::string path = folder / "access.txt";
   ASSERT_THAT(ReplaceFile(path, "client { name: \"a\" certificate: \"a\" right: WATCH }"), IsOk());
@@ -184,10 +184,10 @@ TEST(AccessControl, NoCallWaitsForTheFile) {
   ASSERT_THAT(ReplaceFile(path, "client { name: \"a\" certificate: \"a\" right: WATCH }"), IsOk());
   const auto control = AccessControl::Create(path);
   ASSERT_THAT(control, IsOk());
-  // As on a disk that hangs: who opens a FIFO waits until somebody writes to it.
+  // Simulates a hanging disk: opening a FIFO blocks until it has a writer.
   ASSERT_EQ(std::remove(path.c_str()), 0);
   ASSERT_EQ(mkfifo(path.c_str(), 0600), 0);
-  absl::SleepFor(absl::Seconds(1.5));  // a look is due
+  absl::SleepFor(absl::Seconds(1.5));  // longer than the interval between checks
   const absl::Time begin = absl::Now();
   EXPECT_THAT((*control)->Check({{"a"}, std::nullopt, ""}, kStatus), IsOk());
   EXPECT_LT(absl::Now() - begin, absl::Seconds(5));
@@ -195,7 +195,7 @@ TEST(AccessControl, NoCallWaitsForTheFile) {
   EXPECT_TRUE(WaitUntil([&] { return (*control)->Check({{"b"}, std::nullopt, ""}, kStatus).ok(); }));
 }
 
-TEST(AccessControl, WantsAFileThatCanBeRead) {
+TEST(AccessControl, CreateFailsWithoutAReadableFile) {
   EXPECT_THAT(AccessControl::Create("/nowhere"),
               StatusIs(absl::StatusCode::kNotFound, HasSubstr("--access_file=/nowhere")));
 }

@@ -23,7 +23,7 @@ class CertificatesTest : public testing::Test {
   TestAuthority ca_{folder_, "ca"};
 };
 
-TEST_F(CertificatesTest, AKeyMustBeTheCertificates) {
+TEST_F(CertificatesTest, KeyAndCertificateMustMatch) {
   ca_.Issue("a", {"a"});
   ca_.Issue("b", {"b"});
   EXPECT_THAT(CheckKeyPair(Pem("a"), Key("a")), IsOk());
@@ -37,27 +37,27 @@ TEST_F(CertificatesTest, AKeyMustBeTheCertificates) {
   EXPECT_THAT(CheckKeyPair(Pem("away"), Key("a")), StatusIs(absl::StatusCode::kNotFound, HasSubstr(Pem("away"))));
 }
 
-TEST_F(CertificatesTest, AnAuthorityIsACertificate) {
+TEST_F(CertificatesTest, AuthoritiesMustBeCertificates) {
   EXPECT_THAT(CheckAuthorities(Pem("ca")), IsOk());
   ca_.Issue("a", {"a"});
   EXPECT_THAT(CheckAuthorities(Key("a")), StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("--tls_ca=")));
 }
 
-TEST_F(CertificatesTest, SaysWhatOthersWillNotLike) {
+TEST_F(CertificatesTest, ExplainsWhyPeersMayRefuseACertificate) {
   TestAuthority other(folder_, "other");
   ca_.Issue("good", {"good"});
   ca_.Issue("old", {"old", 1, true, -7200, -3600});
   ca_.Issue("young", {"young", 1, true, 3600, 7200});
-  EXPECT_EQ(CertificateTrouble(Pem("good"), Pem("ca"), absl::Now()), "");
-  EXPECT_THAT(CertificateTrouble(Pem("old"), Pem("ca"), absl::Now()),
+  EXPECT_EQ(CertificateProblem(Pem("good"), Pem("ca"), absl::Now()), "");
+  EXPECT_THAT(CertificateProblem(Pem("old"), Pem("ca"), absl::Now()),
               HasSubstr("--tls_cert=" + Pem("old") + " expired on 20"));
-  EXPECT_THAT(CertificateTrouble(Pem("young"), Pem("ca"), absl::Now()), HasSubstr("is not valid before 20"));
-  EXPECT_THAT(CertificateTrouble(Pem("good"), Pem("other"), absl::Now()),
+  EXPECT_THAT(CertificateProblem(Pem("young"), Pem("ca"), absl::Now()), HasSubstr("is not valid before 20"));
+  EXPECT_THAT(CertificateProblem(Pem("good"), Pem("other"), absl::Now()),
               AllOf(HasSubstr("not from an authority"), HasSubstr("--tls_ca=" + Pem("other"))));
 }
 
 // The standard's example: FIPS 180-2, "abc".
-TEST(Sha256, OfTheStandardsExample) {
+TEST(Sha256, MatchesTheExampleOfFips180) {
   EXPECT_EQ(Sha256Hex("abc"), "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad");
 }
 

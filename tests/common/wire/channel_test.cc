@@ -21,14 +21,14 @@ using testing::AllOf;
 using testing::ElementsAre;
 using testing::HasSubstr;
 
-TEST(Address, IsHostAndPortOrASocketsPath) {
+TEST(Address, AcceptsHostAndPortOrUnixSocket) {
   for (const char* address :
        {"127.0.0.1:50051", "learner:1", "[::1]:65535", "learner.fleet.svc:0", "unix:/tmp/x", "unix:x"}) {
     EXPECT_THAT(CheckAddress("listen", address), IsOk()) << address;
   }
 }
 
-TEST(Address, NamesFlagAndValueThatIsNone) {
+TEST(Address, RefusesOtherTextWithFlagAndValue) {
   for (const char* address : {"", "localhost", ":50051", "localhost:", "localhost:http", "localhost:-1",
                               "localhost:65536", "localhost:5 0", "unix:", "50051"}) {
     EXPECT_THAT(CheckAddress("learner", address),
@@ -44,7 +44,7 @@ TEST(WaitUntilConnected, ReachesAServerOnLoopback) {
   EXPECT_THAT(WaitUntilConnected("learner", Connect((*server)->address()), absl::Seconds(10)), IsOk());
 }
 
-TEST(WaitUntilConnected, NamesWhoCannotBeReached) {
+TEST(WaitUntilConnected, NamesAPeerThatCannotBeReached) {
   std::string address;
   {
     const auto server = Server::Create({"127.0.0.1:0"}, {});
@@ -56,8 +56,8 @@ TEST(WaitUntilConnected, NamesWhoCannotBeReached) {
                        HasSubstr("learner " + address + ": cannot connect: nothing listens there")));
 }
 
-// A socket that takes the connection and never says a word, like a process that is stopped.
-TEST(WaitUntilConnected, GivesUpAfterItsTimeout) {
+// A socket that accepts the connection but never sends anything, like a stopped process.
+TEST(WaitUntilConnected, FailsAfterItsTimeout) {
   const TempFolder folder;
   const std::string path = folder / "s";
   const int listener = socket(AF_UNIX, SOCK_STREAM, 0);

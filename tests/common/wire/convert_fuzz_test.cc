@@ -1,4 +1,4 @@
-// Damaged bytes off the wire: refused or of the right shape, never anything else.
+// Damaged messages are refused, or yield data of the right shape.
 
 #include <cmath>
 #include <random>
@@ -18,7 +18,7 @@ namespace {
 constexpr int kInputs = 20000;
 constexpr unsigned kSeed = 20240131;
 
-// A few bytes changed, cut out, doubled or added.
+// Changes, removes, duplicates or inserts a few bytes.
 std::string Mutate(std::string bytes, std::mt19937* random) {
   const auto below = [random](size_t n) { return static_cast<size_t>((*random)() % n); };
   for (size_t edits = 1 + below(4); edits > 0 && !bytes.empty(); --edits) {
@@ -53,7 +53,7 @@ bool AllFinite(const std::vector<float>& values) {
   return true;
 }
 
-// An episode for each end, each sound.
+// Checks that there is a valid episode for each end.
 void ExpectSoundEpisodes(const std::vector<StepEnd>& ends, const std::vector<Episode>& episodes, size_t truncated) {
   size_t ended = 0;
   size_t cut = 0;
@@ -92,7 +92,7 @@ void ExpectShape(const Fragment& fragment) {
   ExpectSoundEpisodes(fragment.ends, fragment.episodes, fragment.truncation_values.size());
 }
 
-TEST(ConvertFuzz, DamagedFragmentsAreRefusedOrHaveTheShape) {
+TEST(ConvertFuzz, DamagedFragmentsAreRefusedOrWellFormed) {
   std::mt19937 random(kSeed);
   const std::string good = wire::ToProto(SampleFragment(1, 2, 3)).SerializeAsString();
   int parsed = 0;
@@ -110,13 +110,13 @@ TEST(ConvertFuzz, DamagedFragmentsAreRefusedOrHaveTheShape) {
     ++accepted;
     ASSERT_NO_FATAL_FAILURE(ExpectShape(*fragment));
   }
-  // The inputs reach all three ways out.
+  // The inputs cover all three outcomes.
   EXPECT_GT(kInputs - parsed, kInputs / 50);
   EXPECT_GT(parsed - accepted, kInputs / 50);
   EXPECT_GT(accepted, kInputs / 50);
 }
 
-TEST(ConvertFuzz, DamagedRepliesAreRefusedOrHaveTheShape) {
+TEST(ConvertFuzz, DamagedRepliesAreRefusedOrWellFormed) {
   std::mt19937 random(kSeed);
   StepBatch sent = SampleStepBatch();
   v1::PlayReply good;

@@ -22,7 +22,7 @@ using testing::HasSubstr;
 constexpr float kNan = std::numeric_limits<float>::quiet_NaN();
 constexpr float kInfinity = std::numeric_limits<float>::infinity();
 
-// A message made wrong, and what the error must say.
+// A change that makes a message invalid, and the expected error.
 template <typename Message>
 struct Wrong {
   std::string what;
@@ -31,7 +31,7 @@ struct Wrong {
   friend void PrintTo(const Wrong& wrong, std::ostream* out) { *out << wrong.what; }
 };
 
-TEST(ConvertFragment, ComesBackAsItWent) {
+TEST(ConvertFragment, SurvivesARoundTrip) {
   v1::FragmentMessage message = wire::ToProto(SampleFragment(2, 7, 40, 3));
   v1::FragmentMessage received;
   ASSERT_TRUE(received.ParseFromString(message.SerializeAsString()));
@@ -49,7 +49,7 @@ TEST(ConvertFragment, MovesItsBuffers) {
   EXPECT_EQ(wire::FromProto(&message, kSampleShape)->frames.data(), frames);
 }
 
-TEST(ConvertFragment, HoldsTheStateBeforeEachStepWhereItIsWanted) {
+TEST(ConvertFragment, MayHaveAStateBeforeEachStep) {
   wire::FragmentShape shape = kSampleShape;
   shape.states = shape.steps;
   v1::FragmentMessage message = wire::ToProto(SampleFragment(2, 7, 40, 3));
@@ -61,7 +61,7 @@ TEST(ConvertFragment, HoldsTheStateBeforeEachStepWhereItIsWanted) {
   ExpectSameFragments(*wire::FromProto(&message, shape), fragment);
 }
 
-TEST(ConvertSnapshot, ComesBackAsItWent) {
+TEST(ConvertSnapshot, SurvivesARoundTrip) {
   const LaneSnapshot sent = SampleFragment(1, 2, 3).snapshot;
   v1::SnapshotReply message = wire::ToProto(sent);
   EXPECT_EQ(*wire::FromProto(&message, 2), sent);
@@ -134,7 +134,7 @@ const std::vector<Wrong<FragmentMessage>>& WrongFragments() {
 INSTANTIATE_TEST_SUITE_P(ConvertFragment, WrongFragment, testing::ValuesIn(WrongFragments()),
                          [](const auto& info) { return info.param.what; });
 
-TEST(ConvertStepBatch, ComesBackAsItWent) {
+TEST(ConvertStepBatch, SurvivesARoundTrip) {
   StepBatch sent = SampleStepBatch();
   v1::PlayReply message;
   wire::ToProto(&sent, &message);
@@ -152,7 +152,7 @@ TEST(ConvertStepBatch, ComesBackAsItWent) {
   EXPECT_EQ(batch.snapshots, wanted.snapshots);
 }
 
-TEST(ConvertStepBatch, NothingOfAnEarlierReplyIsLeft) {
+TEST(ConvertStepBatch, ReusedMessagesKeepNothingOfAnEarlierReply) {
   StepBatch first = SampleStepBatch();
   v1::PlayReply message;
   wire::ToProto(&first, &message);
@@ -202,7 +202,7 @@ const std::vector<Wrong<PlayReply>>& WrongReplies() {
 INSTANTIATE_TEST_SUITE_P(ConvertStepBatch, WrongReply, testing::ValuesIn(WrongReplies()),
                          [](const auto& info) { return info.param.what; });
 
-TEST(ConvertMoments, ComeBackAsTheyWent) {
+TEST(ConvertMoments, SurviveARoundTrip) {
   const std::vector<Moment> sent = {SampleMoment(0), SampleMoment(9)};
   v1::PlayReply message;
   wire::ToProto(sent, &message);
@@ -212,10 +212,10 @@ TEST(ConvertMoments, ComeBackAsTheyWent) {
   ASSERT_THAT(moments, IsOk());
   ExpectSameMoments(*moments, sent);
   wire::ToProto(std::vector<Moment>{SampleMoment(3)}, &message);
-  EXPECT_EQ(message.moments_size(), 1) << "nothing of an earlier reply is left";
+  EXPECT_EQ(message.moments_size(), 1) << "an earlier reply's moments are cleared";
 }
 
-TEST(ConvertMoments, OfAServerThatKnowsNoneAreMissedClearly) {
+TEST(ConvertMoments, AreUnimplementedOnAnOldServer) {
   v1::PlayReply message;
   EXPECT_THAT(wire::MomentsFromProto(&message, 2, 12, 27),
               StatusIs(absl::StatusCode::kUnimplemented, HasSubstr("upgrade it")));

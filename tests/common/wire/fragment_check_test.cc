@@ -1,4 +1,4 @@
-// Both ends of every range of a fragment, and one step beyond each.
+// Both ends of every range of a fragment's values, and the next value beyond each.
 #include "common/wire/fragment_check.h"
 
 #include <cmath>
@@ -8,6 +8,7 @@
 #include <string>
 #include <vector>
 
+#include <absl/strings/str_cat.h>
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
@@ -26,7 +27,7 @@ using Message = v1::FragmentMessage;
 
 constexpr float kInfinity = std::numeric_limits<float>::infinity();
 
-// A number of the message, and the range in which it is taken.
+// A number in the message, and its accepted range.
 struct Range {
   std::string field;
   std::function<void(Message*, float)> set;
@@ -49,7 +50,7 @@ class FragmentRange : public testing::TestWithParam<Range> {
   }
 };
 
-TEST_P(FragmentRange, EndsWhereItSays) {
+TEST_P(FragmentRange, AcceptsExactlyItsRange) {
   const auto& [field, set, low, high] = GetParam();
   for (const float value : {low, high, (low + high) / 2}) EXPECT_THAT(CheckWith(value), IsOk()) << value;
   for (const float value :
@@ -79,8 +80,8 @@ INSTANTIATE_TEST_SUITE_P(
         Range{"last_state", [](Message* m, float v) { m->set_last_state(0, v); }, -wire::kMaxHidden, wire::kMaxHidden},
         Range{"last_state", [](Message* m, float v) { m->set_last_state(1, v); }, -kLongest, kLongest}));
 
-// What the issue saw taken.
-TEST(FragmentCheck, NonsenseNamesFieldValueAndRange) {
+// Impossible values that were once accepted.
+TEST(FragmentCheck, ErrorsNameFieldValueAndRange) {
   Message message = wire::ToProto(SampleFragment(2, 7, 40));
   message.set_log_probs(1, 40);
   EXPECT_THAT(Check(message),
@@ -95,20 +96,25 @@ TEST(FragmentCheck, NonsenseNamesFieldValueAndRange) {
               StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("values: 3e+38 at 3, want -1e+06..1e+06")));
 }
 
-TEST(FragmentCheck, CountsAreNotNegative) {
-  for (const auto& [field, set] : std::vector<std::pair<std::string, std::function<void(Message*)>>>{
-           {"epoch", [](Message* m) { m->set_epoch(-1); }},
-           {"number", [](Message* m) { m->set_number(-1); }},
-           {"policy_version", [](Message* m) { m->set_policy_version(-1); }}}) {
+TEST(FragmentCheck, CountsAreExactAsDoubles) {
+  constexpr int64_t kMost = int64_t{1} << 52;
+  for (const auto& [field, set] : std::vector<std::pair<std::string, std::function<void(Message*, int64_t)>>>{
+           {"epoch", [](Message*m, int64_t count) { m->set_epoch(count); }},
+           {"number", [](Message*m, int64_t count) { m->set_number(count); }},
+           {"policy_version", [](Message*m, int64_t count) { m->set_policy_version(count); }}}) {
     Message message = wire::ToProto(SampleFragment(2, 0, 0, 0));
     EXPECT_THAT(Check(message), IsOk());
-    set(&message);
-    EXPECT_THAT(Check(message),
-                StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr(field + " -1, want at least 0")));
+    set(&message, kMost);
+    EXPECT_THAT(Check(message), IsOk());
+    for (const int64_t count : {int64_t{-1}, kMost + 1}) {
+      set(&message, count);
+      EXPECT_THAT(Check(message), StatusIs(absl::StatusCode::kInvalidArgument,
+                                           HasSubstr(absl::StrCat(field, " ", count, ", want 0.."))));
+    }
   }
 }
 
-TEST(FragmentCheck, TheSnapshotIsOfTheRunsEnvironment) {
+TEST(FragmentCheck, TheSnapshotMustBeOfTheRunsEnvironment) {
   Message message = wire::ToProto(SampleFragment(2, 7, 40));
   message.set_snapshot("no envelope");
   EXPECT_THAT(Check(message),
@@ -121,7 +127,7 @@ TEST(FragmentCheck, TheSnapshotIsOfTheRunsEnvironment) {
 }
 
 // The sample's episodes end at steps 1 and 3.
-TEST(FragmentCheck, EpisodesAreAsLongAsTheStepsThatWerePlayed) {
+TEST(FragmentCheck, EpisodeLengthsMustMatchTheStepsPlayed) {
   const auto with_length = [](int episode, int64_t length) {
     Message message = wire::ToProto(SampleFragment(2, 7, 40));
     v1::EpisodeMessage* ended = message.mutable_episodes(episode);
@@ -142,7 +148,7 @@ TEST(FragmentCheck, EpisodesAreAsLongAsTheStepsThatWerePlayed) {
   EXPECT_THAT(with_length(1, 3), refused("2..2"));
 }
 
-TEST(FragmentCheck, EpisodesGiveWhatAnEpisodeCan) {
+TEST(FragmentCheck, EpisodeRewardsMustBePossible) {
   const auto with_reward = [](double reward) {
     v1::EpisodeMessage episode;
     episode.set_length(9);
@@ -172,14 +178,14 @@ TEST(FragmentCheck, NoAchievementIsCountedMoreOftenThanThereWereSteps) {
               StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("achievements: -1")));
 }
 
-TEST(FragmentCheck, EpisodesOfEvaluationsHaveTheEnvironmentsLength) {
+TEST(FragmentCheck, EvaluationEpisodesMustFitTheEnvironmentsLength) {
   v1::EvaluationResult result = wire::ToProto({EndedEpisode(0, 500)});
   EXPECT_THAT(wire::FromProto(result, 500), IsOk());
   EXPECT_THAT(wire::FromProto(result, 499), StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("want 1..499")));
 }
 
-// Of two LSTMs of two: h and c of one, h and c of the other.
-TEST(FragmentCheck, EachLstmHasItsOutputsFirst) {
+// The state of two LSTMs of size two: h and c of the first, then h and c of the second.
+TEST(FragmentCheck, OutputsOfEachLstmAreBounded) {
   google::protobuf::RepeatedField<float> states;
   for (const float value : {1, -1, 100, -100, 0, 1, 99, 3}) states.Add(value);
   EXPECT_THAT(wire::CheckStates("states", states, 2, 100), IsOk());
@@ -188,7 +194,7 @@ TEST(FragmentCheck, EachLstmHasItsOutputsFirst) {
               StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("states: 2 at 4, want -1.001..1.001")));
 }
 
-TEST(FragmentDigest, IsOfAllThatWasPlayedAndNothingElse) {
+TEST(FragmentDigest, CoversTheContentButNotEpochAndSender) {
   const Fragment fragment = SampleFragment(2, 7, 40);
   const uint64_t digest = wire::FragmentDigest(fragment);
   Fragment same = SampleFragment(2, 7, 40, /*epoch=*/9);

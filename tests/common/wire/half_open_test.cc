@@ -1,4 +1,4 @@
-// A peer that vanished without a word: no packet says so, neither end may wait for ever.
+// A peer that vanishes without closing its connection: neither end may wait for ever.
 
 #include <atomic>
 #include <memory>
@@ -34,8 +34,8 @@ class EchoService : public v1::EnvironmentService::Service {
   std::atomic<int> ended_{0};
 };
 
-// Both read: neither has anything to say, so only keepalive can tell.
-TEST(HalfOpenConnection, BothEndsNoticeIt) {
+// Both ends wait for a message, so only keepalive can detect the failure.
+TEST(HalfOpenConnection, BothEndsDetectIt) {
   EchoService service;
   const std::unique_ptr<Server> server = *Server::Create({"127.0.0.1:0"}, {&service});
   TcpForwarder way(server->address());

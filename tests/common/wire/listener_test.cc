@@ -13,7 +13,7 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
-#include "common/closable_queue.h"
+#include "common/base/closable_queue.h"
 #include "tests/fakes/sanitizers.h"
 #include "tests/fakes/status_matchers.h"
 #include "tests/fakes/wait_until.h"
@@ -36,7 +36,7 @@ int ConnectTo(const Listener& listener) {
   return client;
 }
 
-// Whether the other side ended the connection.
+// Whether the other side has closed the connection.
 bool IsClosed(int client) {
   char byte = 0;
   return recv(client, &byte, 1, MSG_DONTWAIT) == 0 || (errno != EAGAIN && errno != EWOULDBLOCK);
@@ -54,7 +54,7 @@ class ListenerTest : public testing::Test {
   std::unique_ptr<Listener> listener_;
 };
 
-TEST_F(ListenerTest, HandsConnectionsOver) {
+TEST_F(ListenerTest, HandsOverConnections) {
   Listen(4);
   const int client = ConnectTo(*listener_);
   const int server = Accepted();
@@ -78,7 +78,7 @@ TEST_F(ListenerTest, RefusesAClientsConnectionsBeyondItsLimit) {
   EXPECT_FALSE(IsClosed(first));
   EXPECT_FALSE(IsClosed(second));
 
-  // Either side may end one: another gets its place.
+  // Either side may close a connection; then there is room for another.
   shutdown(server_of_first, SHUT_RDWR);
   close(server_of_first);
   EXPECT_TRUE(WaitUntil([&] {
@@ -90,7 +90,7 @@ TEST_F(ListenerTest, RefusesAClientsConnectionsBeyondItsLimit) {
   EXPECT_GE(Accepted(), 0);
 }
 
-TEST_F(ListenerTest, RefusesConnectionsBeyondWhatItHoldsInAll) {
+TEST_F(ListenerTest, RefusesConnectionsBeyondTheTotalLimit) {
   Listener::Options options;
   options.address = "127.0.0.1:0";
   options.max_connections = 2;
@@ -110,15 +110,15 @@ TEST_F(ListenerTest, RefusesConnectionsBeyondWhatItHoldsInAll) {
   }));
 }
 
-// gRPC's own listener stops for good there.
-TEST_F(ListenerTest, OutlivesALackOfDescriptors) {
-  if (kAddressSanitizer) GTEST_SKIP() << "the sanitizers' check of types wants descriptors itself";
+// gRPC's own listener would never accept again.
+TEST_F(ListenerTest, RecoversFromALackOfDescriptors) {
+  if (kAddressSanitizer) GTEST_SKIP() << "the sanitizer's type checks need descriptors themselves";
   Listen(1000);
   rlimit before = {};
   getrlimit(RLIMIT_NOFILE, &before);
   const int waiting = ConnectTo(*listener_);
   const int server = Accepted();
-  // Room for the client's side of one more connection alone.
+  // Leaves a descriptor only for the client's side of one more connection.
   const int next = dup(0);
   close(next);
   const rlimit low = {static_cast<rlim_t>(next) + 1, before.rlim_max};
@@ -130,7 +130,7 @@ TEST_F(ListenerTest, OutlivesALackOfDescriptors) {
   for (const int descriptor : {waiting, server, starved}) close(descriptor);
 }
 
-TEST_F(ListenerTest, FreesItsPortAndLeavesConnectionsAlone) {
+TEST_F(ListenerTest, StopClosesThePortAndKeepsConnections) {
   Listen(4);
   const int client = ConnectTo(*listener_);
   const int server = Accepted();
@@ -142,7 +142,7 @@ TEST_F(ListenerTest, FreesItsPortAndLeavesConnectionsAlone) {
   close(client);
 }
 
-TEST(Listener, NamesWhatItCannotListenOn) {
+TEST(Listener, NamesTheAddressItCannotListenOn) {
   const auto first = Listener::Create({"127.0.0.1:0"});
   const std::string address = (*first)->address();
   EXPECT_THAT(

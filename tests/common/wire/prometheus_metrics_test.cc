@@ -9,7 +9,7 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
-#include "common/metric_table.h"
+#include "common/telemetry/metric_table.h"
 #include "common/wire/status_service.h"
 
 namespace craftfleet::wire {
@@ -50,31 +50,34 @@ TEST(ToMetricFamilies, TimesHaveTheActivityAsLabel) {
                           HasSubstr("craftfleet_threads{role=\"actor\"} 2\n")));
 }
 
-TEST(ToMetricFamilies, TheFleetIsCountedByRoleAndHealth) {
+TEST(ToMetricFamilies, WorkersAreCountedByRoleAndState) {
   v1::StatusReply status;
   status.set_role("learner");
   status.mutable_fleet()->set_bottleneck("wire");
-  for (const v1::Peer::Health health : {v1::Peer::OK, v1::Peer::OK, v1::Peer::LOST, v1::Peer::LEFT}) {
+  for (const v1::Peer::Health health :
+       {v1::Peer::OK, v1::Peer::OK, v1::Peer::LOST, v1::Peer::LEFT, v1::Peer::NOT_ANSWERING}) {
     status.add_peers()->set_role("actor");
     status.mutable_peers()->rbegin()->set_health(health);
   }
   const std::string text = Text(status);
-  EXPECT_THAT(text, AllOf(HasSubstr("craftfleet_workers{worker=\"actor\",state=\"ok\",role=\"learner\"} 2\n"),
-                          HasSubstr("craftfleet_workers{worker=\"actor\",state=\"lost\",role=\"learner\"} 1\n"),
-                          HasSubstr("craftfleet_workers{worker=\"envserver\",state=\"ok\",role=\"learner\"} 0\n"),
-                          HasSubstr("craftfleet_fleet_bottleneck{part=\"wire\",role=\"learner\"} 1\n"),
-                          HasSubstr("craftfleet_fleet_bottleneck{part=\"learner\",role=\"learner\"} 0\n"),
-                          HasSubstr("craftfleet_fleet_time_share{activity=\"update\",role=\"learner\"} 0\n")));
+  EXPECT_THAT(text,
+              AllOf(HasSubstr("craftfleet_workers{worker=\"actor\",state=\"ok\",role=\"learner\"} 2\n"),
+                    HasSubstr("craftfleet_workers{worker=\"actor\",state=\"lost\",role=\"learner\"} 1\n"),
+                    HasSubstr("craftfleet_workers{worker=\"actor\",state=\"not_answering\",role=\"learner\"} 1\n"),
+                    HasSubstr("craftfleet_workers{worker=\"envserver\",state=\"ok\",role=\"learner\"} 0\n"),
+                    HasSubstr("craftfleet_fleet_bottleneck{part=\"wire\",role=\"learner\"} 1\n"),
+                    HasSubstr("craftfleet_fleet_bottleneck{part=\"learner\",role=\"learner\"} 0\n"),
+                    HasSubstr("craftfleet_fleet_time_share{activity=\"update\",role=\"learner\"} 0\n")));
 }
 
-TEST(ToMetricFamilies, TextOfAStrangerStaysInItsLabel) {
+TEST(ToMetricFamilies, TextFromPeersIsEscapedInLabels) {
   v1::StatusReply status;
   status.set_role("actor");
   status.set_run_id("a\"b\nc");
   EXPECT_THAT(Text(status), HasSubstr("run_id=\"a\\\"b\\nc\""));
 }
 
-TEST(MetricTable, EveryMetricHasAUniqueNameAHelpAndAUnitThatPrometheusTakes) {
+TEST(MetricTable, EveryMetricHasAUniqueNameHelpAndAKnownUnit) {
   std::set<std::string> names;
   for (const MetricInfo& metric : MetricTable()) {
     EXPECT_TRUE(names.insert(PrometheusName(metric)).second) << metric.name;

@@ -18,17 +18,17 @@ absl::Status Check(const Handshake& ours, const Handshake& theirs) {
   return CheckHandshake("learner", ours, "actor", theirs);
 }
 
-TEST(Handshake, FitsWhenAllIsTheSame) {
+TEST(Handshake, EqualHandshakesAreCompatible) {
   const Handshake handshake = {kProtocolVersion, "run", "digest"};
   EXPECT_THAT(Check(handshake, handshake), IsOk());
 }
 
-TEST(Handshake, WhatASideDoesNotKnowFitsAnything) {
+TEST(Handshake, EmptyFieldsMatchAnything) {
   EXPECT_THAT(Check({kProtocolVersion, "run", "digest"}, {kProtocolVersion, "", ""}), IsOk());
   EXPECT_THAT(Check({kProtocolVersion, "", ""}, {kProtocolVersion, "run", "digest"}), IsOk());
 }
 
-TEST(Handshake, TellsWhichSideToUpgrade) {
+TEST(Handshake, ErrorNamesTheSideToUpgrade) {
   EXPECT_THAT(Check({3, "", ""}, {2, "", ""}),
               StatusIs(absl::StatusCode::kFailedPrecondition,
                        "this learner speaks protocol version 3, the actor 2: upgrade the actor"));
@@ -48,7 +48,7 @@ TEST(Handshake, NamesBothTextures) {
                        AllOf(HasSubstr("aaaa"), HasSubstr("bbbb"), HasSubstr("the same --textures"))));
 }
 
-TEST(GrpcStatus, EveryCodeGoesThereAndBack) {
+TEST(GrpcStatus, EveryCodeSurvivesARoundTrip) {
   for (int code = 1; code <= 16; ++code) {
     const absl::Status status(static_cast<absl::StatusCode>(code), "action 17, want 0..16");
     const grpc::Status sent = ToGrpc(status);
@@ -62,7 +62,7 @@ TEST(GrpcStatus, EveryCodeGoesThereAndBack) {
   EXPECT_THAT(FromGrpc(grpc::Status::OK, "x"), IsOk());
 }
 
-TEST(GrpcStatus, AStatusWithoutWordsGetsSome) {
+TEST(GrpcStatus, AnEmptyMessageIsReplaced) {
   EXPECT_THAT(FromGrpc({grpc::StatusCode::UNIMPLEMENTED, ""}, "learner 10.0.0.1:5"),
               StatusIs(absl::StatusCode::kUnimplemented, HasSubstr("learner 10.0.0.1:5: does not know this call")));
   EXPECT_THAT(FromGrpc({grpc::StatusCode::UNAVAILABLE, ""}, "x"),

@@ -1,4 +1,4 @@
-// Both ends of the ranges of what workers say of themselves, and one step beyond each.
+// Both ends of the ranges of values that workers report, and the next value beyond each.
 #include "common/wire/request_check.h"
 
 #include <cmath>
@@ -21,7 +21,7 @@ using testing::HasSubstr;
 constexpr int kLanes = 3;
 constexpr int kSteps = 8;
 
-// A change of a sound request, and what is said of it; nothing: it is still sound.
+// A change of a valid request, and the expected error; empty: it is still valid.
 template <typename Message>
 struct Change {
   std::function<void(Message*)> change;
@@ -57,7 +57,7 @@ void ExpectEach(const Message& sound, const std::vector<Change<Message>>& change
   }
 }
 
-TEST(RequestCheck, OfPermits) {
+TEST(RequestCheck, ChecksPermitRequests) {
   using Request = v1::PermitRequest;
   constexpr int64_t kMany = std::numeric_limits<int64_t>::max();
   ExpectEach<Request>(
@@ -103,7 +103,7 @@ TEST(RequestCheck, OfPermits) {
       [](const Request& request) { return wire::CheckPermitRequest(request, kLanes, kSteps); });
 }
 
-TEST(RequestCheck, OfSummaries) {
+TEST(RequestCheck, ChecksSummaries) {
   using Summary = v1::ProcessSummary;
   const double nan = std::nan("");
   ExpectEach<Summary>(
@@ -118,6 +118,11 @@ TEST(RequestCheck, OfSummaries) {
           {[](Summary* s) { s->set_errors(-1); }, "summary.errors: -1"},
           {[](Summary* s) { s->set_last_error(std::string(300, 'e')); }, ""},
           {[](Summary* s) { s->set_last_error(std::string(301, 'e')); }, "summary.last_error has 301 bytes"},
+          {[](Summary* s) { s->set_gpu(std::string(97, 'g')); }, "summary.gpu has 97 bytes"},
+          {[](Summary* s) { s->set_gpu_memory_bytes(-1); }, "summary.gpu_memory_bytes: -1"},
+          {[](Summary* s) { s->set_gpu_memory_size_bytes(-1); }, "summary.gpu_memory_size_bytes: -1"},
+          {[nan](Summary* s) { s->set_gpu_utilization(nan); }, "summary.gpu_utilization: nan"},
+          {[](Summary* s) { s->set_gpu_utilization(1.1); }, "summary.gpu_utilization: 1.1, want 0..1"},
           {[](Summary* s) { s->set_threads(-1); }, "summary.threads: -1"},
           {[](Summary* s) { s->set_threads(65537); }, "summary.threads: 65537"},
           {[](Summary* s) { s->mutable_times(0)->set_share(1); }, ""},
@@ -133,7 +138,7 @@ TEST(RequestCheck, OfSummaries) {
       wire::CheckSummary);
 }
 
-TEST(RequestCheck, OfAnnouncementsAndJoins) {
+TEST(RequestCheck, ChecksAnnouncementsAndJoins) {
   v1::Announcement announcement;
   announcement.set_name("server");
   announcement.set_address("10.0.0.1:50061");
@@ -143,7 +148,17 @@ TEST(RequestCheck, OfAnnouncementsAndJoins) {
                     {
                         {[](Words* a) { a->clear_name(); }, "name is empty"},
                         {[&](Words* a) { a->set_name(long_text); }, "name has 513 bytes"},
+                        {[](Words* a) { a->set_name(std::string(wire::kMaxTextBytes, 'n')); }, ""},
+                        {[](Words* a) { a->set_name("n\x7f"); }, "want printable ASCII"},
                         {[](Words* a) { a->set_address("nowhere"); }, "advertise"},
+                        {[](Words* a) { a->clear_address(); }, "advertise"},
+                        {[](Words* a) { a->set_address("10.0.0.1:65535"); }, ""},
+                        {[](Words* a) { a->set_address("10.0.0.1:65536"); }, "advertise"},
+                        {[&](Words* a) { a->set_address(long_text + ":1"); }, "address has 515 bytes"},
+                        {[](Words* a) { a->set_build(std::string(wire::kMaxTextBytes, 'b')); }, ""},
+                        {[](Words* a) { a->set_canary("c\nd"); }, "want printable ASCII"},
+                        {[](Words* a) { a->mutable_summary()->set_lanes(1 << 20); }, ""},
+                        {[](Words* a) { a->mutable_summary()->set_lanes((1 << 20) + 1); }, "summary.lanes: 1048577"},
                         {[&](Words* a) { a->set_build(long_text); }, "build has 513 bytes"},
                         {[&](Words* a) { a->set_canary(long_text); }, "canary has 513 bytes"},
                         {[](Words* a) { a->mutable_summary()->set_lanes(-1); }, "summary.lanes: -1"},

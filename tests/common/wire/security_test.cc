@@ -17,7 +17,7 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
-#include "common/files.h"
+#include "common/io/files.h"
 #include "common/wire/access.h"
 #include "common/wire/certificates.h"
 #include "common/wire/channel.h"
@@ -37,7 +37,7 @@ using testing::AllOf;
 using testing::HasSubstr;
 using testing::Not;
 
-// Echoes what it is sent.
+// Echoes requests.
 class EchoService : public v1::EnvironmentService::Service {
  public:
   grpc::Status Play(grpc::ServerContext* context,
@@ -67,7 +67,7 @@ class SecurityTest : public testing::Test {
     if (!ca.empty()) files.authorities = Pem(ca);
     return files;
   }
-  // A client that shows certificate `name`, none if empty.
+  // A client with the certificate `name`, or none if it is empty.
   ChannelSecurity Client(const std::string& name, const std::string& ca = "ca", const std::string& token = "") const {
     auto security = ChannelSecurity::Create({Files(name, ca), "", token});
     EXPECT_THAT(security, IsOk());
@@ -106,7 +106,8 @@ class SecurityTest : public testing::Test {
     if (stream->Write({}) && stream->Read(&reply)) return absl::OkStatus();
     return FromCall(stream->Finish(), "server", endpoint);
   }
-  // What is logged by `action` and, as servers log a refusal after the client hears of it, up to `awaited`.
+  // The log lines written during `action`. Waits until they contain `awaited`, since a server may log a refusal after
+  // the client has received it.
   std::string ErrorLog(const std::function<void()>& action, const std::string& awaited = "") const {
     const std::string path = folder_ / "stderr";
     const int log = open(path.c_str(), O_CREAT | O_TRUNC | O_WRONLY | O_CLOEXEC, 0600);
@@ -126,14 +127,14 @@ class SecurityTest : public testing::Test {
   EchoService echo_;
 };
 
-TEST_F(SecurityTest, BothSidesShowCertificates) {
+TEST_F(SecurityTest, AcceptsCertificatesOnBothSides) {
   const auto server = Listen(Files("server"));
   EXPECT_THAT(GetStatus(server->address(), Client("client")), IsOk());
   EXPECT_THAT(Play(server->address(), Client("client")), IsOk());
   EXPECT_THAT(WaitUntilConnected("server", Connect(server->address(), Client("client")), absl::Seconds(10)), IsOk());
 }
 
-TEST_F(SecurityTest, ClientsNeedNoCertificateWhereNoneIsWanted) {
+TEST_F(SecurityTest, ClientsNeedNoCertificateIfTheServerRequiresNone) {
   EXPECT_THAT(GetStatus(Listen(Files("server", ""))->address(), Client("")), IsOk());
   EXPECT_THAT(GetStatus(Listen(Files("server"), "", /*ask=*/false)->address(), Client("")), IsOk());
 }
@@ -188,7 +189,7 @@ TEST_F(SecurityTest, AServerOfAnotherAuthorityIsNotTrusted) {
                        AllOf(HasSubstr("server " + server->address() + ": cannot connect: TLS: its certificate"))));
 }
 
-TEST_F(SecurityTest, AServerMustBeWhoWasCalled) {
+TEST_F(SecurityTest, TheServersCertificateMustMatchItsAddress) {
   ca_.Issue("elsewhere", {"elsewhere", 1, /*local=*/false});
   const auto server = Listen(Files("elsewhere", ""));
   EXPECT_THAT(GetStatus(server->address(), Client("")),
@@ -197,7 +198,7 @@ TEST_F(SecurityTest, AServerMustBeWhoWasCalled) {
   EXPECT_THAT(GetStatus(server->address(), Client("").ForServer("elsewhere")), IsOk());
 }
 
-TEST_F(SecurityTest, WhoSpeaksTlsAndWhoDoesNotAreTold) {
+TEST_F(SecurityTest, MixingTlsAndPlaintextExplainsWhatToChange) {
   const auto tls = Listen(Files("server", ""));
   const auto plain = Listen({});
   ErrorLog([&] {
@@ -232,14 +233,14 @@ TEST_F(SecurityTest, TokensGiveRights) {
         EXPECT_THAT(GetStatus(server->address(), Client("")),
                     StatusIs(absl::StatusCode::kUnauthenticated, HasSubstr("give --token_file")));
       },
-      "it shows no token");
+      "it sent no token");
   EXPECT_THAT(log, AllOf(HasSubstr("refused /craftfleet.v1.EnvironmentService/Play: security_test@"),
                          HasSubstr("it is \"monitor\" in the access file, without the right to play"),
-                         HasSubstr("its token is not in the access file"), HasSubstr("it shows no token"),
+                         HasSubstr("its token is not in the access file"), HasSubstr("it sent no token"),
                          Not(HasSubstr("monitor's"))));
 }
 
-TEST_F(SecurityTest, ATokenIsReadAgain) {
+TEST_F(SecurityTest, AChangedTokenIsUsed) {
   const std::string access = folder_ / "access.txt";
   ASSERT_THAT(ReplaceFile(access, absl::StrFormat("client { name: \"a\" token_sha256: \"%s\" right: WATCH }",
                                                   Sha256Hex("new"))),
@@ -251,7 +252,7 @@ TEST_F(SecurityTest, ATokenIsReadAgain) {
   ErrorLog([&] { EXPECT_TRUE(WaitUntil([&] { return GetStatus(endpoint).ok(); })); });
 }
 
-TEST_F(SecurityTest, NoCallWaitsForTheTokensFile) {
+TEST_F(SecurityTest, NoCallWaitsForTheTokenFile) {
   const std::string access = folder_ / "access.txt";
   ASSERT_THAT(ReplaceFile(access, absl::StrFormat("client { name: \"a\" token_sha256: \"%s\" right: WATCH }",
                                                   Sha256Hex("old"))),
@@ -259,20 +260,20 @@ TEST_F(SecurityTest, NoCallWaitsForTheTokensFile) {
   const auto server = Listen(Files("server", ""), access);
   const std::string path = WriteToken("token", "old");
   const Endpoint endpoint = Connect(server->address(), Client("", "ca", path));
-  // As on a disk that hangs: who opens a FIFO waits until somebody writes to it.
+  // Simulates a hanging disk: opening a FIFO blocks until it has a writer.
   ASSERT_EQ(std::remove(path.c_str()), 0);
   ASSERT_EQ(mkfifo(path.c_str(), 0600), 0);
-  absl::SleepFor(absl::Seconds(1.5));  // a look is due
+  absl::SleepFor(absl::Seconds(1.5));  // longer than the interval between checks
   EXPECT_THAT(GetStatus(endpoint), IsOk());
 }
 
-TEST_F(SecurityTest, AHandlerLearnsWhoCalls) {
+TEST_F(SecurityTest, HandlersCanIdentifyTheCaller) {
   const auto server = Listen(Files("server"));
   EXPECT_THAT(Play(server->address(), Client("client")), IsOk());
   EXPECT_EQ(echo_.identity(), "certificate 127.0.0.1, client, localhost");
 }
 
-// The serial number of the certificate that the server shows on a new connection.
+// The serial number of the certificate that the server presents on a new connection.
 std::string SerialOf(const std::string& address, const std::string& ca, const std::string& folder) {
   const std::string file = folder + "/shown";
   const std::string command = absl::StrFormat(
@@ -304,7 +305,7 @@ TEST_F(SecurityTest, ReplacedCertificatesAreUsedAndNoConnectionIsLost) {
   EXPECT_TRUE(stream->Finish().ok());
 }
 
-TEST_F(SecurityTest, TheScriptMakesCertificatesThatWork) {
+TEST_F(SecurityTest, MakeCertsCreatesWorkingCertificates) {
   const std::string made = folder_ / "made";
   const std::string script = CRAFTFLEET_SOURCE_DIR "/deploy/make-certs.sh " + made + " > /dev/null ";
   ASSERT_EQ(std::system((script + "learner=learner.example.com,10.0.0.5 ops").c_str()), 0);
@@ -325,21 +326,21 @@ TEST_F(SecurityTest, TheScriptMakesCertificatesThatWork) {
   EXPECT_THAT(GetStatus(server->address(), *ChannelSecurity::Create({files("ops"), "", ""})), IsOk());
 }
 
-TEST_F(SecurityTest, OptionsThatDoNotGoTogetherAreNamed) {
+TEST_F(SecurityTest, ConflictingOptionsAreNamed) {
   EXPECT_THAT(ChannelSecurity::Create({{}, "", "token"}),
-              StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("--token_file wants --tls_ca")));
+              StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("--token_file requires --tls_ca")));
   EXPECT_THAT(ChannelSecurity::Create({{}, "name", ""}),
-              StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("--tls_server_name wants --tls_ca")));
+              StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("--tls_server_name requires --tls_ca")));
   EXPECT_THAT(ChannelSecurity::Create({{Pem("client"), "", ""}, "", ""}),
-              StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("--tls_cert wants --tls_key")));
+              StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("--tls_cert requires --tls_key")));
   EXPECT_THAT(ChannelSecurity::Create({Files("", "ca"), "", folder_ / "no token"}),
               StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("--token_file=")));
   Server::Options options;
   options.access_file = "access.txt";
-  EXPECT_THAT(options.Validate(), StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("--access_file wants")));
+  EXPECT_THAT(options.Validate(), StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("--access_file requires")));
 }
 
-TEST_F(SecurityTest, BeyondThisHostTlsIsEnough) {
+TEST_F(SecurityTest, WithTlsAServerMayListenBeyondThisHost) {
   Server::Options options;
   options.address = "0.0.0.0:0";
   EXPECT_THAT(options.Validate(), StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("--tls_cert")));
@@ -347,8 +348,8 @@ TEST_F(SecurityTest, BeyondThisHostTlsIsEnough) {
   EXPECT_THAT(options.Validate(), IsOk());
 }
 
-// Probes that speak no TLS.
-TEST_F(SecurityTest, AHealthPortSaysNothingButHealth) {
+// For probes that cannot use TLS.
+TEST_F(SecurityTest, AHealthPortServesOnlyHealth) {
   Server::Options options;
   options.address = "127.0.0.1:0";
   options.files = Files("server");

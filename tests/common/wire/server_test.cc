@@ -12,7 +12,7 @@
 #include <grpcpp/support/byte_buffer.h>
 #include <gtest/gtest.h>
 
-#include "common/version.h"
+#include "common/process/version.h"
 #include "common/wire/grpc_status.h"
 #include "common/wire/status_service.h"
 #include "craftfleet/v1/environment.grpc.pb.h"
@@ -38,7 +38,7 @@ bool Next(grpc::CompletionQueue* queue) {
   return queue->Next(&tag, &ok) && ok;
 }
 
-// One message to `method` and the first one back, as a client without our protos would send it.
+// Sends one message to `method` and returns the first reply, like a client without the project's protos.
 absl::StatusOr<std::string> Call(const Endpoint& server, const std::string& method, const std::string& request) {
   grpc::GenericStub stub(server.channel);
   grpc::ClientContext context;
@@ -67,7 +67,7 @@ absl::StatusOr<std::string> Call(const Endpoint& server, const std::string& meth
   return bytes;
 }
 
-TEST(Server, ListensOnAFreePortAndTellsIt) {
+TEST(Server, ListensOnAFreePortAndReportsIt) {
   const auto server = Listen("127.0.0.1:0");
   EXPECT_THAT(server->address(), testing::MatchesRegex("127\\.0\\.0\\.1:[1-9][0-9]*"));
 }
@@ -86,14 +86,14 @@ TEST(Server, NamesAPortThatIsInUse) {
                        AllOf(HasSubstr("cannot listen on " + first->address()), HasSubstr("in use"))));
 }
 
-TEST(Server, ThePortIsFreeAgainAfterIt) {
+TEST(Server, ReleasesItsPortOnDestruction) {
   auto first = Listen("127.0.0.1:0");
   const std::string address = first->address();
   first.reset();
   EXPECT_EQ(Listen(address)->address(), address);
 }
 
-TEST(Server, RefusesToReachBeyondThisHostUntold) {
+TEST(Server, RefusesToListenBeyondThisHostByDefault) {
   for (const char* address : {"0.0.0.0:0", "[::]:0", "10.0.0.1:80", "learner:80", "127.example.com:80",
                               "127.0.0.1.example.com:80", "localhost.example.com:80"}) {
     EXPECT_THAT(Server::Create({address}, {}),
@@ -107,20 +107,20 @@ TEST(Server, RefusesToReachBeyondThisHostUntold) {
   EXPECT_THAT(Listen("127.0.0.1:0"), testing::NotNull());
 }
 
-TEST(Server, RefusesWhatIsNoAddress) {
+TEST(Server, RefusesAnInvalidAddress) {
   EXPECT_THAT(Server::Create({"127.0.0.1"}, {}),
               StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("--listen: \"127.0.0.1\"")));
 }
 
-// Kubernetes probes and `grpc_health_probe` ask this: grpc.health.v1.
-TEST(Server, SaysThatItIsHealthy) {
+// The call of Kubernetes probes and `grpc_health_probe`: grpc.health.v1.
+TEST(Server, ReportsThatItIsHealthy) {
   const auto server = Listen("127.0.0.1:0");
   const auto reply = Call(Connect(server->address()), "/grpc.health.v1.Health/Check", /*of the whole server*/ "");
   ASSERT_THAT(reply, IsOk());
   EXPECT_EQ(*reply, "\x08\x01");  // status: SERVING
 }
 
-// grpcurl and grpc_cli ask this: grpc.reflection.v1alpha.
+// The call of grpcurl and grpc_cli: grpc.reflection.v1alpha.
 TEST(Server, ListsItsServices) {
   v1::EnvironmentService::Service environment;
   const auto server = Listen("127.0.0.1:0", {&environment});
@@ -131,7 +131,7 @@ TEST(Server, ListsItsServices) {
   EXPECT_THAT(*reply, AllOf(HasSubstr("craftfleet.v1.EnvironmentService"), HasSubstr("grpc.health.v1.Health")));
 }
 
-// A stream that never ends by itself.
+// A stream that never ends on its own.
 class EndlessService : public v1::EnvironmentService::Service {
  public:
   grpc::Status Play(grpc::ServerContext* /*context*/,

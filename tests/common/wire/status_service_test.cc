@@ -6,7 +6,7 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
-#include "common/version.h"
+#include "common/process/version.h"
 #include "common/wire/server.h"
 #include "tests/fakes/status_matchers.h"
 #include "tests/fakes/wait_until.h"
@@ -18,7 +18,7 @@ using testing::HasSubstr;
 
 class StatusServiceTest : public testing::Test {
  protected:
-  // A stream of status replies, cancelled when it goes.
+  // A stream of status replies, cancelled on destruction.
   struct Watch {
     grpc::ClientContext context;
     std::unique_ptr<grpc::ClientReader<v1::StatusReply>> reader;
@@ -48,7 +48,7 @@ class StatusServiceTest : public testing::Test {
   const std::unique_ptr<v1::StatusService::Stub> stub_ = v1::StatusService::NewStub(server_->InProcess().channel);
 };
 
-TEST_F(StatusServiceTest, TellsWhatTheProcessIsAndDoes) {
+TEST_F(StatusServiceTest, ReportsRoleRunAndMetrics) {
   service_.SetMetricsAddress("http://here/metrics");
   grpc::ClientContext context;
   v1::StatusReply reply;
@@ -65,7 +65,7 @@ TEST_F(StatusServiceTest, TellsWhatTheProcessIsAndDoes) {
   EXPECT_TRUE(reply.metrics(0).counter());
 }
 
-TEST_F(StatusServiceTest, WatchersGetOneAtOnceAndThenMore) {
+TEST_F(StatusServiceTest, WatchersGetAStatusAtOnceAndThenMore) {
   const auto watch = Start(100);
   for (int i = 1; i <= 3; ++i) {
     ASSERT_TRUE(watch->Read());
@@ -79,7 +79,7 @@ TEST_F(StatusServiceTest, IntervalsOutOfRangeAreRefused) {
   EXPECT_EQ(CodeOf(-1), grpc::StatusCode::INVALID_ARGUMENT);
 }
 
-TEST_F(StatusServiceTest, TooManyWatchersAreRefusedUntilOneLeaves) {
+TEST_F(StatusServiceTest, WatchersBeyondTheLimitAreRefusedUntilOneLeaves) {
   std::vector<std::unique_ptr<Watch>> watches;
   for (int i = 0; i < StatusServiceImpl::kMaxWatchers; ++i) {
     watches.push_back(Start(60000));
@@ -90,7 +90,7 @@ TEST_F(StatusServiceTest, TooManyWatchersAreRefusedUntilOneLeaves) {
   EXPECT_TRUE(WaitUntil([this] { return Start(60000)->Read(); }));
 }
 
-TEST_F(StatusServiceTest, AWatcherDoesNotHoldUpTheServersEnd) {
+TEST_F(StatusServiceTest, AWatcherDoesNotDelayShutdown) {
   const auto watch = Start(60000);
   ASSERT_TRUE(watch->Read());
   const absl::Time start = absl::Now();
@@ -98,7 +98,7 @@ TEST_F(StatusServiceTest, AWatcherDoesNotHoldUpTheServersEnd) {
   EXPECT_LT(absl::Now() - start, absl::Seconds(5));
 }
 
-TEST(FillWork, TimesAreReadBack) {
+TEST(FillWork, TimesOfReturnsWhatWasFilled) {
   Work total;
   total.times[Activity::kEnvironment] = 30;
   Work recent;

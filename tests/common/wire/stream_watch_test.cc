@@ -35,7 +35,7 @@ class WatchedService : public v1::EnvironmentService::Service {
       watched.Await("a word", limit_);
       if (!stream->Read(&request)) break;
       watched.Work();
-      if (request.has_close()) absl::SleepFor(2 * limit_);  // hard work
+      if (request.has_close()) absl::SleepFor(2 * limit_);  // simulated work
       stream->Write({});
     }
     late_ = watched.late();
@@ -61,7 +61,7 @@ class Client {
     v1::PlayReply reply;
     return stream_->Write(request) && stream_->Read(&reply);
   }
-  // Waits for the end.
+  // Waits for the end of the stream and returns its status.
   absl::Status End() {
     v1::PlayReply reply;
     while (stream_->Read(&reply)) {
@@ -78,7 +78,7 @@ class Client {
 
 std::unique_ptr<Server> Listen(WatchedService* service) { return *Server::Create({"127.0.0.1:0"}, {service}); }
 
-TEST(StreamWatch, EndsASilentStreamAndSaysWhy) {
+TEST(StreamWatch, EndsASilentStreamWithTheReason) {
   WatchedService service(absl::Seconds(1));
   const auto server = Listen(&service);
   Client client(*server);
@@ -88,7 +88,7 @@ TEST(StreamWatch, EndsASilentStreamAndSaysWhy) {
   EXPECT_THAT(service.late(), StatusIs(absl::StatusCode::kDeadlineExceeded, "waited 1s for a word"));
 }
 
-TEST(StreamWatch, LeavesAServersOwnWorkAlone) {
+TEST(StreamWatch, DoesNotLimitTheServersOwnWork) {
   WatchedService service(absl::Seconds(1));
   const auto server = Listen(&service);
   Client client(*server);
@@ -100,7 +100,7 @@ TEST(StreamWatch, LeavesAServersOwnWorkAlone) {
   EXPECT_THAT(service.late(), IsOk());
 }
 
-TEST(StreamWatch, WaitsForEverWhereItMay) {
+TEST(StreamWatch, AnInfiniteLimitNeverEndsAStream) {
   WatchedService service(absl::InfiniteDuration());
   const auto server = Listen(&service);
   Client client(*server);
@@ -111,7 +111,7 @@ TEST(StreamWatch, WaitsForEverWhereItMay) {
   EXPECT_THAT(client.End(), IsOk());
 }
 
-TEST(StreamWatch, CountsTheStreamsOfAClient) {
+TEST(StreamWatch, LimitsTheStreamsOfAClient) {
   WatchedService service(absl::InfiniteDuration(), /*max_per_client=*/2);
   const auto server = Listen(&service);
   auto first = std::make_unique<Client>(*server);

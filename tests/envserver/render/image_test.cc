@@ -14,8 +14,8 @@ constexpr Pixel Rgba(int red, int green, int blue, int alpha) {
   return static_cast<Pixel>(red) | green << 8 | blue << 16 | static_cast<Pixel>(alpha) << 24;
 }
 
-// Source: determinism page, section 8, the index tables.
-TEST(NearestIndices, AreThoseOfTheOriginal) {
+// Resizing by the accumulated position: RULES.md, section 12.
+TEST(NearestIndices, MatchTheOriginal) {
   EXPECT_THAT(NearestIndices(16, 7), ElementsAre(1, 3, 5, 7, 10, 12, 14));
   EXPECT_THAT(NearestIndices(16, 5), ElementsAre(1, 4, 8, 11, 14));
   EXPECT_THAT(NearestIndices(16, 4), ElementsAre(2, 6, 10, 14));
@@ -24,7 +24,7 @@ TEST(NearestIndices, AreThoseOfTheOriginal) {
   EXPECT_THAT(NearestIndices(16, 16), ElementsAre(0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15));
 }
 
-TEST(Resize, PicksColumnsAndRowsApart) {
+TEST(Resize, SelectsColumnsAndRowsIndependently) {
   Texture texture;
   for (int y = 0; y < kTextureSize; ++y) {
     for (int x = 0; x < kTextureSize; ++x) texture.pixels[y * kTextureSize + x] = 100 * y + x;
@@ -37,7 +37,7 @@ TEST(Resize, PicksColumnsAndRowsApart) {
   EXPECT_EQ(image.at(3, 4), 1014u);  // column 14, row 10
 }
 
-TEST(Blend, FullAlphaGivesTheTextureAndNoneTheCanvas) {
+TEST(Blend, FullAlphaShowsTheTextureAndZeroAlphaTheCanvas) {
   for (int value = 0; value < 256; ++value) {
     const Pixel under = Rgba(255 - value, value, 7, 255);
     std::vector<Pixel> canvas = {under, under};
@@ -49,7 +49,7 @@ TEST(Blend, FullAlphaGivesTheTextureAndNoneTheCanvas) {
 }
 
 // Each operation rounds to float and the last one truncates: 255 * (a t + (1 - a) c) with a = 128 / 255.
-TEST(Blend, PartOfAlphaMixesInFloats) {
+TEST(Blend, PartialAlphaMixesInFloats) {
   for (const int alpha : {1, 51, 128, 254}) {
     for (int value = 0; value < 256; ++value) {
       std::vector<Pixel> canvas = {Rgba(value, 200, 0, 0)};

@@ -8,9 +8,9 @@
 #include <gtest/gtest.h>
 #include <nlohmann/json.hpp>
 
-#include "common/files.h"
-#include "common/gzip_file.h"
-#include "common/paths.h"
+#include "common/io/files.h"
+#include "common/io/gzip_file.h"
+#include "common/io/paths.h"
 #include "envserver/render/renderer.h"
 #include "envserver/world/daylight.h"
 #include "tests/fakes/status_matchers.h"
@@ -38,7 +38,7 @@ const Textures& OwnTextures() {
   return *textures;
 }
 
-// Of a row of worlds.jsonl.
+// The options of a row of worlds.jsonl.
 WorldOptions OptionsOf(const json& row) {
   EnvName name;
   name.numbers = row.at("numbers");

@@ -14,14 +14,14 @@ namespace {
 
 using Rgb = std::array<int, 3>;
 
-// A picture in the making.
+// A picture that is being drawn.
 struct Canvas {
   Canvas(int canvas_width, int canvas_height, Rgb color)
       : width(canvas_width), height(canvas_height), pixels(canvas_width * canvas_height, color) {}
 
   Rgb& at(int x, int y) { return pixels[y * width + x]; }
 
-  // With its alpha, or as it is where `opaque`.
+  // Draws a texture with its alpha, or without if `opaque`.
   void Draw(const Image& image, int left, int top, bool opaque) {
     for (int x = 0; x < image.width; ++x) {
       for (int y = 0; y < image.height; ++y) {
@@ -44,7 +44,7 @@ struct Canvas {
 
 int Luma(Rgb c) { return (19595 * c[0] + 38470 * c[1] + 7471 * c[2] + 32768) >> 16; }
 
-// `cover` is the vignette there, `noise` the draw; both matter below half daylight only.
+// `cover` is the vignette at the pixel, `noise` its draw; both are used only below half daylight.
 Rgb Lit(Rgb canvas, double daylight, double cover, double noise, bool sleeping) {
   Rgb night = canvas;
   if (daylight < 0.5) {

@@ -1,5 +1,5 @@
-// The picture of a world drawn the plain way, pixel by pixel, from the determinism page: what the fast renderer is
-// checked against.
+// A plain renderer, pixel by pixel from RULES.md, sections 12 and 13: the reference for the fast one in property
+// tests.
 
 #ifndef CRAFTFLEET_TESTS_ENVSERVER_RENDER_PLAIN_RENDERER_H_
 #define CRAFTFLEET_TESTS_ENVSERVER_RENDER_PLAIN_RENDERER_H_

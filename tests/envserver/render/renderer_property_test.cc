@@ -1,11 +1,11 @@
-// Random situations at random sizes: the fast renderer draws what the plain one does.
+// Random situations at random sizes: the fast renderer and the plain one must draw the same.
 
 #include <memory>
 #include <vector>
 
 #include <gtest/gtest.h>
 
-#include "common/paths.h"
+#include "common/io/paths.h"
 #include "envserver/render/renderer.h"
 #include "tests/envserver/render/plain_renderer.h"
 #include "tests/fakes/status_matchers.h"
@@ -29,7 +29,7 @@ WorldOptions RandomOptions(RandomStream* random) {
   return options;
 }
 
-// Any light, any inventory, here and there another material, in play for some steps.
+// Randomises daylight, inventory and some materials, and plays some steps.
 void Shuffle(RandomStream* random, World* world) {
   for (int i = 0; i < 20; ++i) world->Step(static_cast<Action>(random->Below(kNumActions)));
   WorldState& state = WorldEditor::State(world);
@@ -44,7 +44,7 @@ void Shuffle(RandomStream* random, World* world) {
   state.player.sleeping = random->Below(3) == 0;
 }
 
-TEST(RendererProperty, DrawsWhatThePlainRendererDraws) {
+TEST(RendererProperty, MatchesThePlainRenderer) {
   const auto textures = Textures::Load(*DefaultTextureDir());
   ASSERT_THAT(textures, IsOk());
   for (int seed = 0; seed < 150; ++seed) {

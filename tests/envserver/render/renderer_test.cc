@@ -7,7 +7,7 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
-#include "common/paths.h"
+#include "common/io/paths.h"
 #include "tests/fakes/status_matchers.h"
 #include "tests/fakes/temp_folder.h"
 #include "tests/golden/world_editor.h"
@@ -45,7 +45,7 @@ TEST(Renderer, OptionsAreChecked) {
               StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("view_width 64")));
 }
 
-TEST(Renderer, AVariantWithoutTextureIsNamedWhereItIsNeeded) {
+TEST(Renderer, AMissingVariantTextureIsNamedIfItIsNeeded) {
   TempFolder folder;
   std::filesystem::copy(*DefaultTextureDir(), folder.path(), std::filesystem::copy_options::recursive);
   std::filesystem::remove(folder / "cow2.png");
@@ -61,14 +61,14 @@ TEST(Renderer, AVariantWithoutTextureIsNamedWhereItIsNeeded) {
               StatusIs(absl::StatusCode::kNotFound, HasSubstr("cow2.png")));
 }
 
-// A world whose picture at `daylight` shows what a new one has.
+// A new world whose daylight is set to `daylight`.
 World WorldAt(double daylight) {
   World world = *World::Create(WorldOptions(), 3);
   WorldEditor::State(&world).daylight = daylight;
   return world;
 }
 
-TEST(Renderer, DrawsOnceAPixelBelowHalfDaylight) {
+TEST(Renderer, TakesOneDrawPerPixelBelowHalfDaylight) {
   const auto renderer = Renderer::Create(*OwnTextures(), WorldOptions(), RenderOptions());
   ASSERT_THAT(renderer, IsOk());
   std::vector<uint8_t> frame((*renderer)->frame_bytes());
@@ -107,7 +107,7 @@ TEST(Renderer, WritesEveryByteOfTheFrameAndLeavesTheBorderBlack) {
   }
 }
 
-TEST(RendererDeathTest, AFrameOfAnotherSizeIsABug) {
+TEST(RendererDeathTest, AFrameOfAnotherSizeAborts) {
   testing::FLAGS_gtest_death_test_style = "threadsafe";  // OpenCV's libraries start threads
   const auto renderer = Renderer::Create(*OwnTextures(), WorldOptions(), RenderOptions());
   ASSERT_THAT(renderer, IsOk());

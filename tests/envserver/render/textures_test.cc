@@ -10,8 +10,10 @@
 #include <opencv2/core.hpp>
 #include <opencv2/imgcodecs.hpp>
 
-#include "common/files.h"
-#include "common/paths.h"
+#include "common/io/files.h"
+#include "common/io/paths.h"
+#include "common/io/texture_digest.h"
+#include "envserver/render/built_in_textures.h"
 #include "tests/fakes/status_matchers.h"
 #include "tests/fakes/temp_folder.h"
 
@@ -21,7 +23,7 @@ namespace {
 using testing::AllOf;
 using testing::HasSubstr;
 
-// A copy of our textures to spoil.
+// A copy of the project's textures, in which a test changes files.
 class SpoiledTextures : public testing::Test {
  protected:
   void SetUp() override {
@@ -92,7 +94,7 @@ TEST_F(SpoiledTextures, ReadsColoursInOrder) {
   EXPECT_EQ((*textures)->Find("path")->pixels[5], 30u | 20u << 8 | 10u << 16 | 255u << 24);
 }
 
-TEST_F(SpoiledTextures, AFileThatIsCutOffIsNamed) {
+TEST_F(SpoiledTextures, ATruncatedFileIsNamed) {
   const std::string whole = ReadFile(folder_ / "cow.png").value();
   for (const size_t length : {whole.size() / 3, whole.size() / 2, whole.size() - 20}) {
     Write("cow.png", whole.substr(0, length));
@@ -101,8 +103,8 @@ TEST_F(SpoiledTextures, AFileThatIsCutOffIsNamed) {
   }
 }
 
-// As Python's readers take them.
-TEST_F(SpoiledTextures, ColoursAreTakenAsTheyStandWhateverGammaTheFileHas) {
+// As Python's image readers do.
+TEST_F(SpoiledTextures, GammaChunksAreIgnored) {
   WritePicture("sand.png", 16, 16, CV_8UC4);
   const std::string plain = ReadFile(folder_ / "sand.png").value();
   std::string chunk("gAMA\x00\x01\x86\xa0", 8);  // linear light
@@ -123,6 +125,40 @@ TEST_F(SpoiledTextures, ReadsPixelsRowByRow) {
   ASSERT_THAT(textures, IsOk());
   EXPECT_EQ((*textures)->Find("sand")->pixels[3 * 16 + 14] & 0xffffff, 200u);
   EXPECT_EQ((*textures)->Find("sand")->pixels[14 * 16 + 3] & 0xffffff, 0u);
+}
+
+// A palette is expanded, as other image readers do.
+TEST(DecodeTexture, ExpandsAPalette) {
+  const std::string file = ReadFile(CRAFTFLEET_SOURCE_DIR "/tests/fuzz/regressions/texture/palette.png").value();
+  const absl::StatusOr<Texture> texture = DecodeTexture(file, "palette.png");
+  ASSERT_THAT(texture, IsOk());
+  EXPECT_EQ(texture->pixels[0], 30u | 20u << 8 | 10u << 16 | 40u << 24);
+  EXPECT_EQ(texture->pixels[1], 0u | 200u << 8 | 100u << 16 | 255u << 24);
+}
+
+TEST(DecodeTexture, IgnoresBytesAfterTheImage) {
+  std::string file = ReadFile(JoinPath(*DefaultTextureDir(), "cow.png")).value();
+  const absl::StatusOr<Texture> texture = DecodeTexture(file, "cow.png");
+  ASSERT_THAT(texture, IsOk());
+  const absl::StatusOr<Texture> longer = DecodeTexture(file + "!", "cow.png");
+  ASSERT_THAT(longer, IsOk());
+  EXPECT_EQ(longer->pixels, texture->pixels);
+}
+
+TEST(BuiltInTextures, MatchTheFolder) {
+  const std::string folder = CRAFTFLEET_SOURCE_DIR "/envserver/textures";
+  EXPECT_EQ(TextureDigest(BuiltInTextures()), TextureDigest(folder).value());
+  const std::shared_ptr<const Textures> built_in = Textures::BuiltIn();
+  const auto loaded = Textures::Load(folder);
+  ASSERT_THAT(loaded, IsOk());
+  for (const TextureFile& file : BuiltInTextures()) {
+    const absl::string_view name = file.name.substr(0, file.name.size() - 4);
+    const Texture* texture = built_in->Find(name);
+    ASSERT_EQ(texture == nullptr, (*loaded)->Find(name) == nullptr) << name;
+    if (texture == nullptr) continue;
+    EXPECT_EQ(texture->pixels, (*loaded)->Find(name)->pixels) << name;
+  }
+  EXPECT_EQ(built_in->Find("nothing"), nullptr);
 }
 
 }  // namespace

@@ -28,7 +28,7 @@ TEST(Vignette, ExpIsCorrectlyRounded) {
   EXPECT_EQ(ExpOfMinus(0x1.30469043b8d84p+0), 0x1.37f75dd987452p-2);
 }
 
-TEST(Vignette, ExpIsWithinOneUnitOfTheLibrarys) {
+TEST(Vignette, ExpIsWithinOneUnitOfTheCLibrarys) {
   for (int i = 0; i <= 20000; ++i) {
     const double x = 4.0 * i / 20000;
     EXPECT_LE(Ulps(ExpOfMinus(x), std::exp(-x)), 1) << x;

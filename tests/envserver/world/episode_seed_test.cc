@@ -8,14 +8,14 @@
 namespace craftfleet {
 namespace {
 
-TEST(EpisodeSeed, IsThatOfTheDeterminismPage) {
+TEST(EpisodeSeed, MatchesTheRulesPage) {
   EXPECT_EQ(EpisodeSeed(0, 1), 1256191933u);
   EXPECT_EQ(EpisodeSeed(0, 2), 744553801u);
   EXPECT_EQ(EpisodeSeed(1, 1), 535231920u);
 }
 
 // Values of hash((seed, episode)) % (2**31 - 1) in CPython 3.11.
-TEST(EpisodeSeed, IsPythonsForEverySignAndSize) {
+TEST(EpisodeSeed, MatchesPythonForEverySignAndSize) {
   EXPECT_EQ(EpisodeSeed(-1, 1), 1476744201u);
   EXPECT_EQ(EpisodeSeed(-2, 1), 1476744201u);
   EXPECT_EQ(EpisodeSeed(-3, 7), 672708617u);

@@ -29,7 +29,7 @@ std::string BrokenPlayer(const World& world) {
   return "";
 }
 
-// Where each type may stand. An arrow that breaks a table leaves no trace of having been on it.
+// The materials on which each type may be. An arrow that breaks a table was never on the table's cell.
 bool MayStandOn(ObjectType type, Material material) {
   switch (type) {
     case ObjectType::kPlayer:
@@ -50,9 +50,10 @@ std::string BrokenObject(const WorldState& state, int index) {
   if (object.removed) return at + "is removed";
   if (!board.Inside(object.position)) return at + "is outside";
   if (board.ObjectAt(object.position) != index) return at + "is not in its cell";
-  if (!MayStandOn(object.type, board.material(object.position))) return at + "stands where it may not";
+  if (!MayStandOn(object.type, board.material(object.position))) return at + "is on a material where it may not be";
   if (object.health < 0) return at + "has a negative health";
-  if ((object.type == ObjectType::kPlayer) != (index == 0)) return at + "is a player too many or none";
+  if ((object.type == ObjectType::kPlayer) != (index == 0))
+    return at + "must be the player if and only if it is the first object";
   if (!board.chunk(board.ChunkIndex(object.position)).known) return at + "is in an unknown chunk";
   if (object.entered < 0 || object.entered >= board.entries()) return at + "has an impossible entry";
   return "";
@@ -67,7 +68,7 @@ std::string BrokenChunks(const Board& board) {
       ++materials[board.ChunkIndex(p)][static_cast<int>(board.material(p))];
       const int object = board.ObjectAt(p);
       if (object < 0) continue;
-      if (object >= static_cast<int>(board.objects().size())) return "a cell holds an object that is not";
+      if (object >= static_cast<int>(board.objects().size())) return "a cell holds an object that does not exist";
       if (board.object(object).position != p) return "a cell holds an object that is elsewhere";
       ++objects[board.ChunkIndex(p)][static_cast<int>(board.object(object).type)];
     }

@@ -1,4 +1,4 @@
-// What must hold in a world whenever no step is under way.
+// The invariants of a world between steps.
 
 #ifndef CRAFTFLEET_TESTS_ENVSERVER_WORLD_INVARIANTS_H_
 #define CRAFTFLEET_TESTS_ENVSERVER_WORLD_INVARIANTS_H_
@@ -9,7 +9,7 @@
 
 namespace craftfleet {
 
-// Empty, or what is wrong.
+// The first broken invariant, or empty.
 std::string BrokenInvariant(const World& world);
 
 }  // namespace craftfleet

@@ -12,7 +12,7 @@ namespace {
 
 using testing::HasSubstr;
 
-TEST(WorldOptions, DefaultsAreThePlainGame) {
+TEST(WorldOptions, DefaultsArePlainCrafter) {
   const WorldOptions options;
   EXPECT_THAT(options.Validate(), IsOk());
   EXPECT_EQ(options.update_distance(), 18);
@@ -26,7 +26,7 @@ TEST(WorldOptions, DefaultsAreThePlainGame) {
   EXPECT_EQ(named.numbers.skeleton, 0.95);
 }
 
-TEST(WorldOptions, FromEnvNameTakesAppearanceAndNumbers) {
+TEST(WorldOptions, FromEnvNameSetsAppearanceAndNumbers) {
   const auto name = EnvName::Parse("crafter:appearance=0/33/33/34,numbers=qhsdf");
   ASSERT_THAT(name, IsOk());
   const WorldOptions options = WorldOptions::FromEnvName(*name);
@@ -40,7 +40,7 @@ TEST(WorldOptions, FromEnvNameTakesAppearanceAndNumbers) {
   EXPECT_EQ(options.numbers.skeleton, 0.8);
 }
 
-TEST(WorldOptions, RefusalsNameFieldValueAndRange) {
+TEST(WorldOptions, ErrorsNameFieldValueAndRange) {
   struct Case {
     std::function<void(WorldOptions*)> edit;
     std::string message;

@@ -9,7 +9,7 @@ namespace craftfleet {
 namespace {
 
 // numpy.random.RandomState(seed).uniform(): first values.
-TEST(RandomStream, GivesNumpysFirstDoubles) {
+TEST(RandomStream, MatchesNumpysFirstDoubles) {
   RandomStream zero(0);
   EXPECT_EQ(zero.Uniform(), 0.5488135039273248);
   EXPECT_EQ(zero.Uniform(), 0.7151893663724195);
@@ -18,14 +18,14 @@ TEST(RandomStream, GivesNumpysFirstDoubles) {
 }
 
 // The C++ standard fixes the 10,000th word of this seed.
-TEST(RandomStream, GivesTheStandardsTenThousandthWord) {
+TEST(RandomStream, MatchesTheStandardsTenThousandthWord) {
   RandomStream stream(5489);
   uint32_t word = 0;
   for (int i = 0; i < 10000; ++i) word = stream.Below(0xffffffff);
   EXPECT_EQ(word, 4123659995u);
 }
 
-TEST(RandomStream, MakesADoubleOfTwoWords) {
+TEST(RandomStream, MakesADoubleFromTwoWords) {
   RandomStream stream(7);
   std::mt19937 words(7);
   for (int i = 0; i < 5000; ++i) {
@@ -35,7 +35,7 @@ TEST(RandomStream, MakesADoubleOfTwoWords) {
   }
 }
 
-TEST(RandomStream, FillUniformIsManyCallsOfUniformAtEveryOffset) {
+TEST(RandomStream, FillUniformEqualsRepeatedUniformAtEveryOffset) {
   for (int offset = 0; offset <= 1250; ++offset) {
     for (const int count : {0, 1, 2, 17, 311, 312, 313, 700}) {
       RandomStream one_by_one(offset);
@@ -50,8 +50,8 @@ TEST(RandomStream, FillUniformIsManyCallsOfUniformAtEveryOffset) {
   }
 }
 
-// The lowest bits under the smallest mask, again where the value is too large.
-TEST(RandomStream, BelowTriesAWordAtATime) {
+// Below masks each word to the bits of n - 1 and takes another word if the value is too large.
+TEST(RandomStream, BelowUsesOneWordPerTry) {
   for (const uint32_t n : {2u, 3u, 4u, 5u, 17u, 256u, 257u, 2147483647u, 2147483649u, 4294967295u}) {
     RandomStream stream(n);
     std::mt19937 words(n);
@@ -74,7 +74,7 @@ TEST(RandomStream, BelowOneDrawsNothing) {
   EXPECT_EQ(stream.position(), 2);
 }
 
-TEST(RandomStream, TwistComesWithTheNextDraw) {
+TEST(RandomStream, TwistHappensAtTheNextDraw) {
   RandomStream stream(9);
   EXPECT_EQ(stream.position(), 624);
   for (int i = 0; i < 312; ++i) stream.Uniform();
@@ -83,7 +83,7 @@ TEST(RandomStream, TwistComesWithTheNextDraw) {
   EXPECT_EQ(stream.position(), 2);
 }
 
-TEST(RandomStream, RestoreGoesOnWhereStateWasTaken) {
+TEST(RandomStream, RestoreContinuesTheStream) {
   RandomStream stream(11);
   for (int i = 0; i < 1001; ++i) stream.Below(2);
   RandomStream other;

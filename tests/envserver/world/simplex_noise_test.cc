@@ -17,7 +17,7 @@ double At(const SimplexNoise& noise, double x, double y, double z) {
 }
 
 // Values of the plain Python model, which agrees with the opensimplex package on 60,000 points.
-TEST(SimplexNoise, IsThatOfOpenSimplexToTheLastBit) {
+TEST(SimplexNoise, MatchesOpenSimplexBitForBit) {
   struct Value {
     int64_t seed;
     double x, y, z, noise;
@@ -54,8 +54,8 @@ TEST(SimplexNoise, IsThatOfOpenSimplexToTheLastBit) {
   }
 }
 
-// Many at a time go through vector instructions, with an odd rest at the end.
-TEST(SimplexNoise, ManyPointsAtATimeAreTheSameAsOneByOne) {
+// Many points at a time use vector instructions, with an odd remainder.
+TEST(SimplexNoise, EvaluatingManyPointsEqualsOneByOne) {
   const SimplexNoise noise(77);
   std::vector<double> x;
   std::vector<double> y;

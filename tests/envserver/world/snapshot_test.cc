@@ -5,7 +5,7 @@
 
 #include <gmock/gmock.h>
 
-#include "common/crc32c.h"
+#include "common/base/crc32c.h"
 #include "envserver/world/world.h"
 #include "tests/envserver/world/invariants.h"
 #include "tests/fakes/status_matchers.h"
@@ -20,7 +20,7 @@ constexpr size_t kBodyAt = 12;
 
 World NewWorld(const WorldOptions& options = {}, int64_t seed = 5) { return *World::Create(options, seed); }
 
-// Some way into a game, with creatures about.
+// A world after some steps, with creatures.
 World PlayedWorld() {
   WorldOptions options;
   options.appearance = "tczsuk";
@@ -32,14 +32,14 @@ World PlayedWorld() {
 
 std::string Save(const World& world) { return world.Save(world.random()); }
 
-// With a checksum that fits, so that what was changed is looked at.
+// `snapshot` with a correct checksum, so that restoring gets past it.
 std::string Sealed(std::string snapshot) {
   const uint32_t checksum = Crc32c(absl::string_view(snapshot).substr(kBodyAt));
   for (int i = 0; i < 4; ++i) snapshot[kChecksumAt + i] = static_cast<char>(checksum >> (8 * i));
   return snapshot;
 }
 
-TEST(Snapshot, ComesBackInAnotherWorldOfTheSameOptions) {
+TEST(Snapshot, RestoresInAnotherWorldWithTheSameOptions) {
   const World saved = PlayedWorld();
   World other = NewWorld(saved.options(), 99);
   ASSERT_THAT(other.Restore(Save(saved)), IsOk());
@@ -50,7 +50,7 @@ TEST(Snapshot, ComesBackInAnotherWorldOfTheSameOptions) {
   EXPECT_EQ(Save(other), Save(saved));
 }
 
-TEST(Snapshot, HoldsTheStreamItIsGiven) {
+TEST(Snapshot, StoresTheGivenStream) {
   const World saved = PlayedWorld();
   RandomStream stream(1234);
   stream.Uniform();
@@ -62,12 +62,12 @@ TEST(Snapshot, HoldsTheStreamItIsGiven) {
 
 TEST(Snapshot, IsAtMost64KilobytesFor64x64Cells) {
   WorldOptions options;
-  options.numbers = {0.2, 0.4, 0.91, 0.96, 0.8};  // as many creatures as there can be
+  options.numbers = {0.2, 0.4, 0.91, 0.96, 0.8};  // the settings with the most things
   EXPECT_LT(Save(NewWorld(options)).size(), 64u << 10);
   EXPECT_LT(Save(NewWorld()).size(), 12u << 10);
 }
 
-TEST(Snapshot, OfOtherOptionsIsRefused) {
+TEST(Snapshot, OfAWorldWithOtherOptionsIsRefused) {
   const std::string snapshot = Save(NewWorld());
   WorldOptions larger;
   larger.width = 65;
@@ -92,7 +92,7 @@ TEST(Snapshot, OfAnotherVersionIsRefused) {
   EXPECT_THAT(world.Restore(snapshot), StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("version 2, want 1")));
 }
 
-TEST(Snapshot, TornAtAnyLengthIsRefused) {
+TEST(Snapshot, TruncatedAtAnyLengthIsRefused) {
   World world = PlayedWorld();
   const std::string snapshot = Save(world);
   for (size_t size = 0; size < snapshot.size(); ++size) {
@@ -103,7 +103,7 @@ TEST(Snapshot, TornAtAnyLengthIsRefused) {
   EXPECT_EQ(Save(world), snapshot);
 }
 
-TEST(Snapshot, TornAndSealedAgainIsRefused) {
+TEST(Snapshot, TruncatedWithAValidChecksumIsRefused) {
   World world = PlayedWorld();
   const std::string snapshot = Save(world);
   for (size_t size = kBodyAt; size < snapshot.size(); size += size < 300 ? 1 : 37) {
@@ -126,8 +126,8 @@ TEST(Snapshot, WithAnyByteFlippedIsRefused) {
   EXPECT_EQ(Save(world), snapshot);
 }
 
-// A snapshot made by an adversary has a checksum that fits: it is refused, or gives a world that can be played.
-TEST(Snapshot, HostileOnesHarmNothing) {
+// An adversary's snapshot has a correct checksum: it must be refused or yield a playable world.
+TEST(Snapshot, HostileOnesAreRefusedOrPlayable) {
   const World played = PlayedWorld();
   const std::string snapshot = Save(played);
   std::mt19937 random(2);
@@ -136,7 +136,7 @@ TEST(Snapshot, HostileOnesHarmNothing) {
     World world = played;
     std::string hostile = snapshot;
     for (uint32_t flips = 1 + random() % 4; flips > 0; --flips) {
-      // More in the parts with structure than in the stream's words and the cells.
+      // More changes in structured parts than in the stream's words and the cells.
       const size_t at = random() % 3 == 0   ? random() % hostile.size()
                         : random() % 2 == 0 ? kBodyAt + random() % 280
                                             : hostile.size() - 1 - random() % 2500;

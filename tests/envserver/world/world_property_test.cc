@@ -1,4 +1,4 @@
-// Random games of random worlds: what must always hold, holds, and a restored game goes on as the one it was saved
+// Random games of random worlds: the invariants hold, and a restored game continues like the one it was saved
 // from.
 
 #include <random>
@@ -39,7 +39,7 @@ WorldOptions RandomOptions(std::mt19937* random) {
   return options;
 }
 
-// More than evenly often what lets a game go on: walking, hitting, sleeping.
+// Prefers actions that prolong a game: walking, hitting, sleeping.
 Action RandomAction(std::mt19937* random) {
   const uint32_t draw = (*random)();
   if (draw % 3 == 0) return Action::kDo;
@@ -80,7 +80,7 @@ std::string PlayOneGame(uint32_t seed) {
   return "";
 }
 
-TEST(WorldProperty, RandomGamesKeepTheInvariantsAndRestoredOnesGoOnAlike) {
+TEST(WorldProperty, RandomGamesKeepInvariantsAndRestoredOnesContinueIdentically) {
   for (uint32_t seed = 0; seed < kGames; ++seed) ASSERT_EQ(PlayOneGame(seed), "") << "seed " << seed;
 }
 

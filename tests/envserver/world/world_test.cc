@@ -1,5 +1,5 @@
-// The rules seen from outside, in small staged situations. The golden traces hold them to the last bit; these tests say
-// what they are and need nothing from outside the checkout.
+// The rules in small staged situations, through the public interface. The golden traces check every bit; these tests
+// document the rules and need no data from outside the repository.
 
 #include "envserver/world/world.h"
 
@@ -46,7 +46,7 @@ TEST(World, CreateRefusesBadOptions) {
   EXPECT_THAT(World::Create(options, 1), StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("width 0")));
 }
 
-TEST(World, BeginsItsFirstEpisodeInTheMiddle) {
+TEST(World, FirstEpisodeStartsInTheMiddle) {
   const World world = *World::Create({}, 0);
   EXPECT_EQ(world.episode(), 1);
   EXPECT_EQ(world.episode_seed(), 1256191933);
@@ -59,7 +59,7 @@ TEST(World, BeginsItsFirstEpisodeInTheMiddle) {
   EXPECT_EQ(world.player().health(), 9);
 }
 
-TEST(World, ResetBeginsTheNextEpisodeAfresh) {
+TEST(World, ResetStartsTheNextEpisode) {
   World world = Meadow();
   Stage(R"({"inv": {"wood": 5, "health": 2}, "sleep": 1})", &world);
   world.Reset();
@@ -101,7 +101,7 @@ TEST(World, LengthTruncatesAndDeathTerminates) {
   EXPECT_EQ(outcome.reward, -0.9);
 }
 
-TEST(World, WithoutALengthAnEpisodeGoesOn) {
+TEST(World, WithoutALengthLimitEpisodesAreNotTruncated) {
   World world = Meadow(/*length=*/0);
   Stage(R"({"step": 1000000})", &world);
   EXPECT_EQ(world.Step(Action::kNoop).end, StepEnd::kNone);
@@ -117,7 +117,7 @@ TEST(World, MakingNeedsATableNearby) {
   EXPECT_EQ(ItemOf(world, Item::kWoodPickaxe), 1);
 }
 
-TEST(World, NothingIsNearAtTheLeftAndUpperEdge) {
+TEST(World, NothingCanBeMadeAtTheLeftAndUpperEdge) {
   World world = Meadow();
   Stage(R"({"mat": [[1, 1, 11]], "inv": {"wood": 2}, "pos": [0, 1]})", &world);
   EXPECT_EQ(world.Step(Action::kMakeWoodSword).unlocked, 0u);
@@ -125,7 +125,7 @@ TEST(World, NothingIsNearAtTheLeftAndUpperEdge) {
   EXPECT_EQ(world.Step(Action::kMakeWoodSword).unlocked, Bit(Achievement::kMakeWoodSword));
 }
 
-TEST(World, PlacingPaysAndNeedsAFreeCell) {
+TEST(World, PlacingCostsItemsAndNeedsAFreeCell) {
   World world = Meadow();
   Stage(R"({"inv": {"stone": 2}, "add": [[2, 32, 33]]})", &world);
   EXPECT_EQ(world.Step(Action::kPlaceStone).unlocked, 0u);
@@ -149,7 +149,7 @@ TEST(World, APlantRipensAndFeeds) {
   EXPECT_EQ(ItemOf(world, Item::kFood), 7);
 }
 
-TEST(World, AnIronSwordFellsAZombieInOneBlow) {
+TEST(World, AnIronSwordDefeatsAZombieInOneHit) {
   World world = Meadow();
   Stage(R"({"add": [[3, 32, 33]], "inv": {"iron_sword": 1}})", &world);
   const StepOutcome outcome = world.Step(Action::kDo);
@@ -157,7 +157,7 @@ TEST(World, AnIronSwordFellsAZombieInOneBlow) {
   EXPECT_EQ(world.objects().size(), 1u);
 }
 
-TEST(World, AZombieHurtsASleeperMore) {
+TEST(World, AZombieDamagesASleepingPlayerMore) {
   World world = Meadow();
   Stage(R"({"add": [[3, 32, 33]], "inv": {"energy": 1}})", &world);
   EXPECT_EQ(world.Step(Action::kNoop).reward, -0.2);
@@ -186,7 +186,7 @@ TEST(World, SleepEndsWithFullEnergyAsAnAchievement) {
   EXPECT_FALSE(world.player().sleeping);
 }
 
-TEST(World, FarThingsStandStill) {
+TEST(World, FarObjectsAreNotUpdated) {
   World world = Meadow();
   Stage(R"({"add": [[6, 32, 15], [6, 32, 14]]})", &world);  // plants at distance 17 and 18
   world.Step(Action::kNoop);

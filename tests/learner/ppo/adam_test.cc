@@ -5,7 +5,7 @@
 
 #include <gtest/gtest.h>
 
-#include "common/keyed_random.h"
+#include "common/base/keyed_random.h"
 
 namespace craftfleet {
 namespace {

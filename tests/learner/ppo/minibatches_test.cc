@@ -8,7 +8,7 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
-#include "common/keyed_random.h"
+#include "common/base/keyed_random.h"
 
 namespace craftfleet {
 namespace {

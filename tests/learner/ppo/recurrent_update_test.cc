@@ -11,7 +11,7 @@
 
 #include "common/agent/policy.h"
 #include "common/agent/weights.h"
-#include "common/keyed_random.h"
+#include "common/base/keyed_random.h"
 #include "learner/ppo/ppo_updater.h"
 #include "tests/agent/golden_agent.h"
 #include "tests/learner/ppo/update_samples.h"

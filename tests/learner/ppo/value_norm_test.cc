@@ -13,6 +13,14 @@ TEST(ValueNorm, BeforeTheFirstTargetsValuesStayAsTheyAre) {
   EXPECT_EQ(scale.Normalise(-2.5F), -2.5F);
 }
 
+TEST(ValueNorm, ValuesMayStartWithAnotherDeviation) {
+  EXPECT_EQ(ValueNorm().Scale(0.1).mean, 0);
+  EXPECT_EQ(ValueNorm().Scale(0.1).deviation, 0.1);
+  ValueNorm norm;
+  norm.Update({1, 2, 6}, 0.99);
+  EXPECT_EQ(norm.Scale(0.1).deviation, norm.Scale().deviation);
+}
+
 TEST(ValueNorm, TheFirstMinibatchCountsWholly) {
   ValueNorm norm;
   norm.Update({1, 2, 6}, 0.99);

@@ -17,8 +17,8 @@
 #include <google/protobuf/util/message_differencer.h>
 #include <gtest/gtest.h>
 
-#include "common/crc32c.h"
-#include "common/files.h"
+#include "common/base/crc32c.h"
+#include "common/io/files.h"
 #include "tests/fakes/file_size_limit.h"
 #include "tests/fakes/status_matchers.h"
 #include "tests/fakes/temp_folder.h"
@@ -49,7 +49,7 @@ class CheckpointStoreTest : public testing::Test {
     ASSERT_THAT(text, HasSubstr(from));
     ASSERT_THAT(WriteFileSynced(PathOf(iteration, file), absl::StrReplaceAll(text, {{from, to}})), IsOk());
   }
-  // Writes `bytes` as `file`, with the manifest adapted to them.
+  // Writes `bytes` to `file` and updates the manifest.
   void Forge(int64_t iteration, const std::string& file, const std::string& bytes) {
     const auto line = [&](const std::string& content) {
       return absl::StrFormat("%s %d %08x", file, content.size(), Crc32c(content));
@@ -62,7 +62,7 @@ class CheckpointStoreTest : public testing::Test {
   CheckpointStore store_ = CheckpointStore::Open(temp_.path()).value();
 };
 
-TEST_F(CheckpointStoreTest, GivesBackWhatWasWritten) {
+TEST_F(CheckpointStoreTest, LoadsWhatWasWritten) {
   const Checkpoint written = SampleCheckpoint(10, 2.5);
   ASSERT_THAT(store_.Write(written), IsOk());
   const auto loaded = store_.Load("iter-00000010", "ppo_cnn");
@@ -99,7 +99,7 @@ TEST_F(CheckpointStoreTest, KeepsTheNewestThreeAndTheBest) {
   EXPECT_THAT(ListFolder(temp_.path()).value(), testing::SizeIs(3));
 }
 
-TEST_F(CheckpointStoreTest, WithoutAnEpisodeNoneIsTheBest) {
+TEST_F(CheckpointStoreTest, WithoutEpisodesThereIsNoBest) {
   for (int64_t iteration = 0; iteration < 5; ++iteration) Write(iteration, -std::numeric_limits<double>::infinity());
   EXPECT_THAT(Names(), ElementsAre("iter-00000004", "iter-00000003", "iter-00000002"));
 }
@@ -111,7 +111,7 @@ TEST_F(CheckpointStoreTest, OrdersByNumberNotByText) {
   EXPECT_EQ(store_.LoadLatest("").value().state.iteration(), 100'000'000);
 }
 
-TEST_F(CheckpointStoreTest, ATornFileIsNamedAndThePreviousGoodOneOffered) {
+TEST_F(CheckpointStoreTest, ATornCheckpointIsNamedWithTheNewestValidOne) {
   Write(10);
   Write(20);
   Write(30);
@@ -120,12 +120,12 @@ TEST_F(CheckpointStoreTest, ATornFileIsNamedAndThePreviousGoodOneOffered) {
   EXPECT_THAT(store_.LoadLatest(""),
               StatusIs(absl::StatusCode::kDataLoss,
                        testing::StrEq("checkpoint " + temp_ / "iter-00000030" +
-                                      " is torn: weights.safetensors has 1000 of 3010 bytes; the previous good one is "
+                                      " is torn: weights.safetensors has 1000 of 3010 bytes; the newest valid one is "
                                       "iter-00000020: resume from it with --resume_from=iter-00000020")));
   EXPECT_THAT(store_.Load("iter-00000020", ""), IsOk());
 }
 
-TEST_F(CheckpointStoreTest, OnlyAGoodOneIsOffered) {
+TEST_F(CheckpointStoreTest, OnlyAValidCheckpointIsOffered) {
   Write(10);
   Write(20);
   Write(30);
@@ -139,14 +139,14 @@ TEST_F(CheckpointStoreTest, OnlyAGoodOneIsOffered) {
   EXPECT_THAT(store_.LoadLatest(""), StatusIs(absl::StatusCode::kDataLoss, Not(HasSubstr("resume_from"))));
 }
 
-TEST_F(CheckpointStoreTest, AFlippedBitIsFound) {
+TEST_F(CheckpointStoreTest, AFlippedBitIsDetected) {
   Write(10);
   Edit(10, "weights.safetensors", "weights 10", "weights 11");
   EXPECT_THAT(store_.LoadLatest(""),
               StatusIs(absl::StatusCode::kDataLoss, HasSubstr("is torn: weights.safetensors has checksum ")));
 }
 
-TEST_F(CheckpointStoreTest, ACutManifestIsTorn) {
+TEST_F(CheckpointStoreTest, ATruncatedManifestIsTorn) {
   Write(10);
   const std::string manifest = ReadFile(PathOf(10, "MANIFEST")).value();
   const auto load_cut = [&](size_t length) {
@@ -175,7 +175,7 @@ TEST_F(CheckpointStoreTest, AnotherAgentIsRefused) {
               StatusIs(absl::StatusCode::kFailedPrecondition, HasSubstr("is of agent ppo_cnn, not of oc_sa")));
 }
 
-TEST_F(CheckpointStoreTest, AStateThatMakesNoSenseIsRefused) {
+TEST_F(CheckpointStoreTest, AnInvalidStateIsRefused) {
   Write(10);
   Forge(10, "state.pb", "\xFF\xFF\xFF garbage");
   EXPECT_THAT(store_.LoadLatest(""),
@@ -192,7 +192,7 @@ TEST_F(CheckpointStoreTest, AStateThatMakesNoSenseIsRefused) {
   state = SampleCheckpoint(10).state;
   state.set_env_steps(-1);
   Forge(10, "state.pb", state.SerializeAsString());
-  EXPECT_THAT(store_.LoadLatest(""), StatusIs(absl::StatusCode::kDataLoss, HasSubstr("a counter is negative")));
+  EXPECT_THAT(store_.LoadLatest(""), StatusIs(absl::StatusCode::kDataLoss, HasSubstr("env_steps is -1, want 0..")));
 }
 
 TEST_F(CheckpointStoreTest, AnEmptyStoreOrAnUnknownNameIsNotFound) {
@@ -204,7 +204,7 @@ TEST_F(CheckpointStoreTest, AnEmptyStoreOrAnUnknownNameIsNotFound) {
   EXPECT_THAT(store_.Load("../x", ""), StatusIs(absl::StatusCode::kNotFound, HasSubstr("../x")));
 }
 
-TEST_F(CheckpointStoreTest, AFullDiskLeavesEarlierOnesAndNoHalfOne) {
+TEST_F(CheckpointStoreTest, AFullDiskLeavesOnlyEarlierCheckpoints) {
   Write(10);
   {
     const FileSizeLimit limit(2000);  // the state fits, the weights do not
@@ -217,7 +217,7 @@ TEST_F(CheckpointStoreTest, AFullDiskLeavesEarlierOnesAndNoHalfOne) {
   EXPECT_EQ(store_.LoadLatest("").value().state.iteration(), 20);
 }
 
-TEST_F(CheckpointStoreTest, AWholeOneOfTheSameIterationStaysATornOneIsReplaced) {
+TEST_F(CheckpointStoreTest, OnlyATornCheckpointOfTheSameIterationIsReplaced) {
   Write(10, 1.0);
   Write(10, 2.0);
   EXPECT_EQ(store_.LoadLatest("").value().state.best_score(), 1.0);
@@ -226,7 +226,7 @@ TEST_F(CheckpointStoreTest, AWholeOneOfTheSameIterationStaysATornOneIsReplaced) 
   EXPECT_EQ(store_.LoadLatest("").value().state.best_score(), 2.0);
 }
 
-TEST_F(CheckpointStoreTest, OneWhoseRunWasEvaluatedSinceIsReplaced) {
+TEST_F(CheckpointStoreTest, ACheckpointIsReplacedIfTheRunWasEvaluatedSince) {
   Checkpoint waiting = SampleCheckpoint(10, 1.0);
   v1::PendingEvaluation* pending = waiting.state.add_pending();
   pending->set_number(3);
@@ -244,7 +244,7 @@ TEST_F(CheckpointStoreTest, OneWhoseRunWasEvaluatedSinceIsReplaced) {
   EXPECT_THAT(ListFolder(temp_.path()).value(), ElementsAre("iter-00000010"));
 }
 
-TEST_F(CheckpointStoreTest, AKillAmidAReplacementLeavesOneOfTheTwo) {
+TEST_F(CheckpointStoreTest, AKillDuringAReplacementLeavesOneCheckpoint) {
   Write(10);
   ASSERT_EQ(std::rename((temp_ / "iter-00000010").c_str(), (temp_ / ".replaced-iter-00000010").c_str()), 0);
   ASSERT_THAT(CheckpointStore::Open(temp_.path()), IsOk());
@@ -255,7 +255,7 @@ TEST_F(CheckpointStoreTest, AKillAmidAReplacementLeavesOneOfTheTwo) {
   EXPECT_THAT(store_.LoadLatest(""), IsOk());
 }
 
-TEST_F(CheckpointStoreTest, LeftoversOfAKilledWriterGoAtTheNextStart) {
+TEST_F(CheckpointStoreTest, TheNextStartRemovesLeftoversOfAKilledWriter) {
   Write(10);
   ASSERT_THAT(CreateFolders(temp_ / ".tmp-iter-00000020"), IsOk());
   ASSERT_THAT(WriteFileSynced(temp_ / ".tmp-iter-00000020/state.pb", "half"), IsOk());
@@ -264,7 +264,7 @@ TEST_F(CheckpointStoreTest, LeftoversOfAKilledWriterGoAtTheNextStart) {
   EXPECT_THAT(ListFolder(temp_.path()).value(), ElementsAre("iter-00000010"));
 }
 
-TEST_F(CheckpointStoreTest, DiscardsThoseOfLaterIterations) {
+TEST_F(CheckpointStoreTest, DiscardsCheckpointsOfLaterIterations) {
   Write(10);
   Write(20);
   Write(30);
@@ -272,7 +272,7 @@ TEST_F(CheckpointStoreTest, DiscardsThoseOfLaterIterations) {
   EXPECT_THAT(ListFolder(temp_.path()).value(), ElementsAre("iter-00000010"));
 }
 
-TEST_F(CheckpointStoreTest, WhenTheWriterIsKilledTheNewestIsAlwaysWhole) {
+TEST_F(CheckpointStoreTest, TheNewestCheckpointIsCompleteAfterAKill) {
   Write(1);
   int64_t newest = 1;
   for (int round = 0; round < 20; ++round) {
@@ -283,7 +283,7 @@ TEST_F(CheckpointStoreTest, WhenTheWriterIsKilledTheNewestIsAlwaysWhole) {
         if (!store_.Write(SampleCheckpoint(iteration)).ok()) ::_exit(1);
       }
     }
-    ::usleep(500 + 1700 * round);  // the kill has to hit at many places; nothing is waited for
+    ::usleep(500 + 1700 * round);  // so that kills hit at many places
     ASSERT_EQ(::kill(writer, SIGKILL), 0);
     int status = 0;
     ASSERT_EQ(::waitpid(writer, &status, 0), writer);
@@ -297,7 +297,7 @@ TEST_F(CheckpointStoreTest, WhenTheWriterIsKilledTheNewestIsAlwaysWhole) {
   EXPECT_GT(newest, 1);
 }
 
-TEST(FindCheckpoint, TakesACheckpointOrARunFolder) {
+TEST(FindCheckpoint, AcceptsACheckpointOrARunFolder) {
   const TempFolder run;
   CheckpointStore store = CheckpointStore::Open(run / "checkpoints").value();
   EXPECT_THAT(FindCheckpoint(run.path()), StatusIs(absl::StatusCode::kNotFound, HasSubstr(run.path())));

@@ -1,62 +1,20 @@
 #include "learner/run/event_log.h"
 
-#include <array>
-#include <cstdint>
-#include <cstring>
 #include <string>
 #include <vector>
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
-#include "common/files.h"
+#include "common/io/files.h"
 #include "tests/fakes/fake_clock.h"
 #include "tests/fakes/file_size_limit.h"
 #include "tests/fakes/status_matchers.h"
 #include "tests/fakes/temp_folder.h"
+#include "tests/learner/run/read_events.h"
 
 namespace craftfleet {
 namespace {
-
-// Bit by bit, to check the log's table-driven one.
-uint32_t SlowMaskedCrc(const std::string& bytes) {
-  uint32_t crc = ~0U;
-  for (const unsigned char byte : bytes) {
-    crc ^= byte;
-    for (int bit = 0; bit < 8; ++bit) crc = (crc & 1) != 0 ? (crc >> 1) ^ 0x82F63B78U : crc >> 1;
-  }
-  crc = ~crc;
-  return ((crc >> 15) | (crc << 17)) + 0xA282EAD8U;
-}
-
-template <typename T>
-T Take(const std::string& bytes, size_t* position) {
-  T value{};
-  EXPECT_LE(*position + sizeof(T), bytes.size());
-  std::memcpy(&value, bytes.data() + *position, sizeof(T));
-  *position += sizeof(T);
-  return value;
-}
-
-// An independent reader of the TFRecord framing, which checks every checksum.
-std::vector<v1::Event> ReadEvents(const std::string& path) {
-  const std::string bytes = ReadFile(path).value();
-  std::vector<v1::Event> events;
-  size_t position = 0;
-  while (position < bytes.size()) {
-    const std::string length_bytes = bytes.substr(position, 8);
-    const auto length = Take<uint64_t>(bytes, &position);
-    EXPECT_EQ(Take<uint32_t>(bytes, &position), SlowMaskedCrc(length_bytes));
-    const std::string data = bytes.substr(position, length);
-    position += length;
-    EXPECT_EQ(Take<uint32_t>(bytes, &position), SlowMaskedCrc(data));
-    v1::Event event;
-    EXPECT_TRUE(event.ParseFromString(data));
-    events.push_back(event);
-  }
-  EXPECT_EQ(position, bytes.size());
-  return events;
-}
 
 TEST(EventLog, BeginsWithTheVersionRecord) {
   const TempFolder folder;
@@ -76,7 +34,7 @@ TEST(EventLog, BeginsWithTheVersionRecord) {
             "brain.Event:2");
 }
 
-TEST(EventLog, HoldsTheScalarsAdded) {
+TEST(EventLog, ContainsTheAddedScalars) {
   const TempFolder folder;
   FakeClock clock;
   auto log = EventLog::Open(folder / "events", &clock);
@@ -95,7 +53,56 @@ TEST(EventLog, HoldsTheScalarsAdded) {
   EXPECT_EQ(events[1].summary().value(1).simple_value(), -0.1F);
 }
 
-TEST(EventLog, CanBeCutBackAndGoneOnWith) {
+TEST(EventLog, HistogramsCountEveryValueOnce) {
+  const TempFolder folder;
+  FakeClock clock;
+  auto log = EventLog::Open(folder / "events", &clock);
+  ASSERT_THAT(log, IsOk());
+  log->AddHistograms(7, {{"spread", {-1, 0, 0.5, 2, 2}}, {"empty", {}}, {"equal", {3, 3}}});
+  log->AddHistograms(8, {{"empty", {}}});
+  ASSERT_THAT(log->file().Flush(), IsOk());
+  const std::vector<v1::Event> events = ReadEvents(folder / "events");
+  ASSERT_EQ(events.size(), 2U) << "without values there is nothing to write";
+  ASSERT_EQ(events[1].summary().value_size(), 2);
+  EXPECT_EQ(events[1].step(), 7);
+  const auto& spread = events[1].summary().value(0).histo();
+  EXPECT_EQ(spread.min(), -1);
+  EXPECT_EQ(spread.max(), 2);
+  EXPECT_EQ(spread.num(), 5);
+  EXPECT_EQ(spread.sum(), 3.5);
+  EXPECT_EQ(spread.sum_squares(), 9.25);
+  ASSERT_EQ(spread.bucket_size(), 30);
+  ASSERT_EQ(spread.bucket_limit_size(), 30);
+  EXPECT_EQ(spread.bucket(0), 1) << "-1, up to -0.9";
+  EXPECT_NEAR(spread.bucket_limit(0), -0.9, 1e-12);
+  EXPECT_EQ(spread.bucket(29), 2) << "the largest value belongs to the last bucket";
+  EXPECT_EQ(spread.bucket_limit(29), 2);
+  const auto& equal = events[1].summary().value(1).histo();
+  EXPECT_EQ(events[1].summary().value(1).tag(), "equal");
+  ASSERT_EQ(equal.bucket_size(), 1);
+  EXPECT_EQ(equal.bucket(0), 2);
+  EXPECT_EQ(equal.bucket_limit(0), 3);
+}
+
+TEST(EventLog, KeepsPicturesAsTheyAre) {
+  const TempFolder folder;
+  FakeClock clock;
+  auto log = EventLog::Open(folder / "events", &clock);
+  ASSERT_THAT(log, IsOk());
+  log->AddPictures(9, {{"rollout/frame", 4, 2, "png"}});
+  log->AddPictures(10, {});
+  ASSERT_THAT(log->file().Flush(), IsOk());
+  const std::vector<v1::Event> events = ReadEvents(folder / "events");
+  ASSERT_EQ(events.size(), 2U);
+  const auto& value = events[1].summary().value(0);
+  EXPECT_EQ(value.tag(), "rollout/frame");
+  EXPECT_EQ(value.image().width(), 4);
+  EXPECT_EQ(value.image().height(), 2);
+  EXPECT_EQ(value.image().colorspace(), 3);
+  EXPECT_EQ(value.image().encoded_image_string(), "png");
+}
+
+TEST(EventLog, CanBeTruncatedAndContinued) {
   const TempFolder folder;
   FakeClock clock;
   int64_t length = 0;
@@ -117,7 +124,7 @@ TEST(EventLog, CanBeCutBackAndGoneOnWith) {
   EXPECT_EQ(events[2].step(), 3);
 }
 
-TEST(EventLog, WhatAFullDiskDoesNotTakeIsWrittenLaterWithTheTimeItHappened) {
+TEST(EventLog, AfterAFullDiskEventsKeepTheirOriginalTime) {
   const TempFolder folder;
   FakeClock clock;
   auto log = EventLog::Open(folder / "events", &clock);
@@ -125,7 +132,7 @@ TEST(EventLog, WhatAFullDiskDoesNotTakeIsWrittenLaterWithTheTimeItHappened) {
     const FileSizeLimit limit(log->file().length() + 10);
     log->AddScalars(1, {{"a", 1}});
     EXPECT_THAT(log->file().Flush(), StatusIs(absl::StatusCode::kResourceExhausted, testing::_));
-    EXPECT_EQ(ReadEvents(folder / "events").size(), 1U) << "no half record";
+    EXPECT_EQ(ReadEvents(folder / "events").size(), 1U) << "no partial record";
   }
   clock.Advance(absl::Seconds(100));
   log->AddScalars(2, {{"a", 2}});

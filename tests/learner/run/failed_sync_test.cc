@@ -1,4 +1,4 @@
-// Logs and checkpoints on a disk that fails a sync and loses what it was given.
+// Logs and checkpoints on a disk that fails a sync and loses unsynced data.
 
 #include <memory>
 #include <string>
@@ -7,8 +7,8 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
-#include "common/config.h"
-#include "common/files.h"
+#include "common/config/config.h"
+#include "common/io/files.h"
 #include "learner/run/append_file.h"
 #include "learner/run/checkpoint_store.h"
 #include "learner/run/run_folder.h"
@@ -33,7 +33,7 @@ class FailedSyncTest : public testing::Test {
   const TempFolder temp_;
 };
 
-TEST_F(FailedSyncTest, TheDiskLosesWhatWasNotSynced) {
+TEST_F(FailedSyncTest, TheFakeDiskLosesUnsyncedData) {
   AppendFile file = AppendFile::Open(temp_ / "log").value();
   file.Append("one\n");
   ASSERT_THAT(file.Flush(), IsOk());
@@ -42,7 +42,7 @@ TEST_F(FailedSyncTest, TheDiskLosesWhatWasNotSynced) {
   EXPECT_EQ(ReadFile(temp_ / "log").value(), std::string(4, '\0'));
 }
 
-TEST_F(FailedSyncTest, ALogIsWrittenAgainFromTheLastSyncOn) {
+TEST_F(FailedSyncTest, ALogIsRewrittenFromTheLastSync) {
   AppendFile file = AppendFile::Open(temp_ / "log").value();
   file.Append("one\n");
   ASSERT_THAT(file.Flush(), IsOk());
@@ -53,7 +53,7 @@ TEST_F(FailedSyncTest, ALogIsWrittenAgainFromTheLastSyncOn) {
   }
   FailSync("/log");
   ASSERT_THAT(file.Sync(), Not(IsOk()));
-  EXPECT_EQ(file.length(), 4) << "no more is believed";
+  EXPECT_EQ(file.length(), 4) << "only synced data is trusted";
   EXPECT_EQ(file.waiting_bytes(), 10);
   file.Append("four\n");
   ASSERT_THAT(file.Flush(), IsOk());
@@ -75,20 +75,20 @@ TEST_F(FailedSyncTest, ASyncThatFailsTwiceLosesNothing) {
   EXPECT_EQ(ReadFile(temp_ / "log").value(), "one\n");
 }
 
-TEST_F(FailedSyncTest, ALogCanBeCutBackAfterwards) {
+TEST_F(FailedSyncTest, ALogCanBeTruncatedAfterwards) {
   AppendFile file = AppendFile::Open(temp_ / "log").value();
   file.Append("one\ntwo\n");
   ASSERT_THAT(file.Flush(), IsOk());
   ASSERT_THAT(file.TruncateTo(4), IsOk());
   FailSync("/log");
   ASSERT_THAT(file.Sync(), Not(IsOk()));
-  EXPECT_EQ(file.waiting_bytes(), 4) << "what was cut off does not come back";
+  EXPECT_EQ(file.waiting_bytes(), 4) << "truncated data does not reappear";
   ASSERT_THAT(file.Flush(), IsOk());
   EXPECT_EQ(ReadFile(temp_ / "log").value(), "one\n");
 }
 
-// What is kept for that is bounded: a log that grows is synced now and then.
-TEST_F(FailedSyncTest, AFastLogIsSyncedByItself) {
+// The data kept for rewriting is bounded, since a growing log is synced regularly.
+TEST_F(FailedSyncTest, AFastGrowingLogIsSyncedAutomatically) {
   AppendFile file = AppendFile::Open(temp_ / "log").value();
   const std::string part(400 << 10, 'x');
   FailSync("/log", 2);
@@ -98,7 +98,7 @@ TEST_F(FailedSyncTest, AFastLogIsSyncedByItself) {
     file.Append(part);
     status = file.Flush();
   }
-  EXPECT_EQ(flushes, 6) << "at every third";
+  EXPECT_EQ(flushes, 6) << "at every third flush";
   EXPECT_THAT(status, StatusIs(absl::StatusCode::kUnknown, HasSubstr("cannot sync")));
   EXPECT_EQ(file.waiting_bytes(), 3 * (400 << 10));
   ASSERT_THAT(file.Flush(), IsOk());
@@ -115,8 +115,8 @@ TEST_F(FailedSyncTest, AReplacedFileKeepsItsOldBytes) {
   EXPECT_THAT(ListFolder(temp_.path()).value(), ElementsAre("config.txt"));
 }
 
-// Whichever of its files, or of the folders' names, it is.
-TEST_F(FailedSyncTest, ACheckpointIsThereOnlyOnceAllOfItIsSynced) {
+// Every file and every folder entry is made to fail in turn.
+TEST_F(FailedSyncTest, ACheckpointExistsOnlyOnceFullySynced) {
   for (const std::string ending :
        {"/weights.safetensors", "/optimizer.safetensors", "/state.pb", "/MANIFEST", "-iter-00000001", "/store"}) {
     SCOPED_TRACE(ending);
@@ -131,12 +131,12 @@ TEST_F(FailedSyncTest, ACheckpointIsThereOnlyOnceAllOfItIsSynced) {
   }
 }
 
-TEST_F(FailedSyncTest, ACheckpointThatIsNotReplacedStands) {
+TEST_F(FailedSyncTest, AFailedReplacementKeepsTheOldCheckpoint) {
   CheckpointStore store = CheckpointStore::Open(temp_ / "store").value();
   ASSERT_THAT(store.Write(SampleCheckpoint(1)), IsOk());
   Checkpoint evaluated = SampleCheckpoint(1);
   evaluated.state.set_final_evaluation_steps(4096);
-  for (const int nth : {1, 2}) {  // the old one out of the way, the new one in
+  for (const int nth : {1, 2}) {  // renaming the old one away, renaming the new one into place
     SCOPED_TRACE(nth);
     FailSync("/store", nth);
     EXPECT_THAT(store.Write(evaluated), Not(IsOk()));
@@ -147,7 +147,7 @@ TEST_F(FailedSyncTest, ACheckpointThatIsNotReplacedStands) {
   EXPECT_EQ(store.LoadLatest("")->state.final_evaluation_steps(), 4096);
 }
 
-TEST_F(FailedSyncTest, ARunGoesOnFromLogsThatAreWhole) {
+TEST_F(FailedSyncTest, ARunResumesFromCompleteLogs) {
   const std::string logdir = temp_ / "run";
   const ProgramInfo program = {"0.1.0", "39702b5", "digest1"};
   FakeClock clock;

@@ -6,7 +6,7 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
-#include "common/log.h"
+#include "common/telemetry/log.h"
 #include "tests/fakes/fake_clock.h"
 #include "tests/learner/run/run_samples.h"
 
@@ -29,12 +29,12 @@ ProgressState Sample() {
   return state;
 }
 
-TEST(FormatProgress, SaysHowFarHowFastAndHowWell) {
+TEST(FormatProgress, ShowsStepsSpeedAndScore) {
   EXPECT_EQ(FormatProgress(Sample()),
             "12,288/1,000,000 steps 1.2% | 1234/s, 13m20s left | reward 2.3 len 187 | score 3.12, 9/22 unlocked");
 }
 
-TEST(FormatProgress, ShowsADashForWhatIsNotKnownYet) {
+TEST(FormatProgress, ShowsADashForUnknownValues) {
   ProgressState state;
   state.total_steps = 500;
   EXPECT_EQ(FormatProgress(state), "0/500 steps 0.0% | -/s, - left | reward - len - | score -, 0/22 unlocked");
@@ -55,7 +55,7 @@ TEST(FormatProgress, ShowsTimeLeftInUnitsThatFit) {
   EXPECT_EQ(left(4), "2d21h");
 }
 
-TEST(FormatProgress, PastTheGoalNothingIsLeft) {
+TEST(FormatProgress, BeyondTheTotalNoTimeIsLeft) {
   ProgressState state = Sample();
   state.steps = 1'003'520;
   EXPECT_THAT(FormatProgress(state), StartsWith("1,003,520/1,000,000 steps 100.0% | 1234/s, 0s left"));
@@ -128,7 +128,7 @@ TEST_F(ProgressPrinterTest, OnATerminalOneLineInPlace) {
   EXPECT_THAT(Printed(), testing::AllOf(StartsWith("\r10,000/10,000 steps 100.0%"), testing::EndsWith("\033[K\n")));
 }
 
-TEST_F(ProgressPrinterTest, IsALineOfALogInJson) {
+TEST_F(ProgressPrinterTest, IsLoggedIfTheLogIsJson) {
   LogOptions json;
   json.format = LogFormat::kJson;
   SetUpLog(json);
@@ -144,7 +144,7 @@ TEST_F(ProgressPrinterTest, IsALineOfALogInJson) {
   EXPECT_THAT(log, HasSubstr("\"message\":\"10,000/10,000 steps 100.0%"));
 }
 
-TEST_F(ProgressPrinterTest, FinishPrintsWhateverTheTime) {
+TEST_F(ProgressPrinterTest, FinishAlwaysPrints) {
   ProgressPrinter printer = Make(false);
   score_.Add(SampleEpisode(100, 3.0));
   printer.Finish(4000, score_);

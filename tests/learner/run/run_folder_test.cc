@@ -13,8 +13,8 @@
 #include <gtest/gtest.h>
 #include <nlohmann/json.hpp>
 
-#include "common/config.h"
-#include "common/files.h"
+#include "common/config/config.h"
+#include "common/io/files.h"
 #include "learner/run/epoch.h"
 #include "tests/fakes/fake_clock.h"
 #include "tests/fakes/file_size_limit.h"
@@ -45,7 +45,7 @@ TEST(Epoch, CountsStarts) {
   }
 }
 
-TEST(Epoch, GoesOnFromTheNumberAloneThatVersion01Wrote) {
+TEST(Epoch, ReadsTheFormatOfVersion01) {
   const TempFolder folder;
   ASSERT_THAT(WriteFileSynced(folder / "epoch", "7\n"), IsOk());
   EXPECT_EQ(ReadEpoch(folder.path()).value(), 7);
@@ -70,8 +70,8 @@ TEST(EpochFence, OnlyTheLatestStartMayWrite) {
                              HasSubstr("epoch 2, this one is epoch 1"))));
 }
 
-// Two that read the same number at the same time.
-TEST(EpochFence, OfTwoWithOneNumberTheLastToTakeItMayWrite) {
+// Two starts read the same number at the same time.
+TEST(EpochFence, OfTwoStartsWithOneNumberOnlyTheLastMayWrite) {
   const TempFolder folder, elsewhere;
   EpochFence first, last;
   ASSERT_THAT(first.Take(folder.path(), 3), IsOk());
@@ -97,7 +97,7 @@ class RunFolderTest : public testing::Test {
     EXPECT_TRUE(!run.ok() || run->folder->Begin().ok());
     return run;
   }
-  // Each file with its bytes, but for the lock, which says who held it last.
+  // The content of each file except `lock`, which names its last holder.
   std::map<std::string, std::string> Contents() const {
     std::map<std::string, std::string> contents;
     for (const auto& entry : std::filesystem::recursive_directory_iterator(logdir_)) {
@@ -107,7 +107,7 @@ class RunFolderTest : public testing::Test {
     return contents;
   }
 
-  // A run of two iterations with a checkpoint after each, then some more that no checkpoint knows of.
+  // A run of two iterations with a checkpoint after each, then some logs that are in no checkpoint.
   void MakeRun() {
     auto folder = Create();
     for (int64_t iteration = 1; iteration <= 3; ++iteration) {
@@ -125,7 +125,7 @@ class RunFolderTest : public testing::Test {
   FakeClock clock_;
 };
 
-TEST_F(RunFolderTest, SaysWhatTheRunIs) {
+TEST_F(RunFolderTest, DescribesTheRun) {
   const auto folder = Create();
   ASSERT_NE(folder, nullptr);
   EXPECT_THAT(folder->run_id(), testing::MatchesRegex("20231114-221320-[0-9a-f]{6}"));
@@ -143,14 +143,14 @@ TEST_F(RunFolderTest, SaysWhatTheRunIs) {
                           "run.json", "stats.jsonl"));
 }
 
-TEST_F(RunFolderTest, ANewRunIsRefusedWhereThereIsOne) {
+TEST_F(RunFolderTest, ANewRunIsRefusedInAFolderWithARun) {
   ASSERT_NO_FATAL_FAILURE(MakeRun());
   const auto second = RunFolder::Create(logdir_, DefaultRunConfig(), program_, &clock_);
   EXPECT_THAT(second, StatusIs(absl::StatusCode::kAlreadyExists,
                                AllOf(HasSubstr(logdir_), HasSubstr("--resume"), HasSubstr("--logdir"))));
 }
 
-TEST_F(RunFolderTest, ARunThatEndedBeforeItsFirstCheckpointGivesWay) {
+TEST_F(RunFolderTest, ARunWithoutACheckpointIsReplaced) {
   {
     const auto first = Create();
     first->AddEpisodes({SampleEpisode(100, 1)});
@@ -161,14 +161,14 @@ TEST_F(RunFolderTest, ARunThatEndedBeforeItsFirstCheckpointGivesWay) {
   EXPECT_EQ(ReadFile(logdir_ + "/stats.jsonl").value(), "");
 }
 
-TEST_F(RunFolderTest, TellsWhereItsWeightsComeFrom) {
+TEST_F(RunFolderTest, RecordsTheOriginOfItsWeights) {
   const auto folder = RunFolder::Create(logdir_, DefaultRunConfig(), program_, &clock_, "run b after iteration 3");
   ASSERT_THAT(folder, IsOk());
   ASSERT_THAT((*folder)->Begin(), IsOk());
   EXPECT_EQ(nlohmann::json::parse(ReadFile(logdir_ + "/run.json").value())["init_from"], "run b after iteration 3");
 }
 
-TEST_F(RunFolderTest, AResumedRunMayKeepMoreCheckpoints) {
+TEST_F(RunFolderTest, AResumedRunCanKeepMoreCheckpoints) {
   ASSERT_NO_FATAL_FAILURE(MakeRun());
   auto run = Look();
   ASSERT_THAT(run, IsOk());
@@ -178,11 +178,11 @@ TEST_F(RunFolderTest, AResumedRunMayKeepMoreCheckpoints) {
   run->folder->TakeChanges(config);
   ASSERT_THAT(run->folder->Begin(), IsOk());
   EXPECT_EQ(run->folder->config().checkpoint().keep(), 50);
-  EXPECT_EQ(run->folder->config().ppo().gamma(), 0.95) << "nothing else";
+  EXPECT_EQ(run->folder->config().ppo().gamma(), 0.95) << "nothing else changes";
   EXPECT_THAT(ReadFile(logdir_ + "/config.txt").value(), HasSubstr("keep: 50"));
 }
 
-TEST_F(RunFolderTest, AResumedRunMayBeMadeLonger) {
+TEST_F(RunFolderTest, AResumedRunCanBeExtended) {
   ASSERT_NO_FATAL_FAILURE(MakeRun());
   auto run = Look();
   ASSERT_THAT(run, IsOk());
@@ -194,7 +194,7 @@ TEST_F(RunFolderTest, AResumedRunMayBeMadeLonger) {
   EXPECT_THAT(ReadFile(logdir_ + "/config.txt").value(), HasSubstr("steps: 2000000"));
 }
 
-TEST_F(RunFolderTest, ASecondLearnerIsRefusedWithTheProcessOfTheFirst) {
+TEST_F(RunFolderTest, ASecondLearnerIsRefusedAndTheFirstIsNamed) {
   const auto first = Create();
   const auto matcher = StatusIs(absl::StatusCode::kFailedPrecondition,
                                 HasSubstr(absl::StrCat("in use by process ", ::getpid(), " on ")));
@@ -216,7 +216,7 @@ TEST_F(RunFolderTest, ResumeGoesBackToTheCheckpoint) {
                          FormatStatsLine(SampleEpisode(200, 2)), FormatStatsLine(SampleEpisode(10, 0))));
 }
 
-TEST_F(RunFolderTest, AResumedRunLeavesTheSameFilesAsOneNeverStopped) {
+TEST_F(RunFolderTest, AResumedRunWritesTheSameFilesAsAnUninterruptedOne) {
   MakeRun();
   const std::string stats = ReadFile(logdir_ + "/stats.jsonl").value();
   const std::string events = ReadFile(logdir_ + "/events.out.tfevents.craftfleet").value();
@@ -229,7 +229,7 @@ TEST_F(RunFolderTest, AResumedRunLeavesTheSameFilesAsOneNeverStopped) {
   EXPECT_EQ(ReadFile(logdir_ + "/events.out.tfevents.craftfleet").value(), events);
 }
 
-TEST_F(RunFolderTest, ResumeFromAnOlderCheckpointLeavesTheNewerBehind) {
+TEST_F(RunFolderTest, ResumingFromAnOlderCheckpointRemovesNewerOnes) {
   MakeRun();
   {
     const auto run = Resume({"iter-00000001", ""});
@@ -240,10 +240,10 @@ TEST_F(RunFolderTest, ResumeFromAnOlderCheckpointLeavesTheNewerBehind) {
   EXPECT_EQ(Resume().value().checkpoint.state.iteration(), 1);
 }
 
-// A start that fails after that, of whatever, must not have cost anything.
-TEST_F(RunFolderTest, ToLookChangesNothing) {
+// A start that fails for any reason after that must leave the folder unchanged.
+TEST_F(RunFolderTest, CreateAndResumeChangeNothing) {
   MakeRun();
-  // What a killed learner may have left beside.
+  // Possible leftovers of a killed learner.
   ASSERT_THAT(CreateFolders(logdir_ + "/checkpoints/.tmp-1-iter-00000003"), IsOk());
   const auto before = Contents();
   {
@@ -266,7 +266,7 @@ TEST_F(RunFolderTest, ANewRunThatDoesNotBeginLeavesNothing) {
 }
 
 // The learner was killed while it replaced its newest checkpoint.
-TEST_F(RunFolderTest, ToLookFindsACheckpointThatWasBeingReplaced) {
+TEST_F(RunFolderTest, ResumeFindsACheckpointWhoseReplacementWasInterrupted) {
   MakeRun();
   const std::string folder = logdir_ + "/checkpoints/";
   ASSERT_THAT(RenameSynced(folder + "iter-00000002", folder + ".replaced-iter-00000002"), IsOk());
@@ -282,7 +282,7 @@ TEST_F(RunFolderTest, ToLookFindsACheckpointThatWasBeingReplaced) {
   EXPECT_FALSE(PathExists(folder + ".replaced-iter-00000002"));
 }
 
-// As on a shared disk whose locks keep nobody out.
+// As on a shared disk where locks have no effect.
 TEST_F(RunFolderTest, AnOlderLearnerWritesNothingOnceANewerHasBegun) {
   MakeRun();
   auto older = Resume();
@@ -298,7 +298,7 @@ TEST_F(RunFolderTest, AnOlderLearnerWritesNothingOnceANewerHasBegun) {
   EXPECT_EQ(Contents(), before);
 }
 
-TEST_F(RunFolderTest, OfTwoThatStartAtOnceTheSecondToBeginIsRefused) {
+TEST_F(RunFolderTest, OfTwoSimultaneousStartsTheSecondToBeginIsRefused) {
   MakeRun();
   auto run = Look();
   ASSERT_THAT(run, IsOk());
@@ -309,7 +309,7 @@ TEST_F(RunFolderTest, OfTwoThatStartAtOnceTheSecondToBeginIsRefused) {
   EXPECT_EQ(Contents(), before);
 }
 
-TEST_F(RunFolderTest, ACheckpointKnowsTheRun) {
+TEST_F(RunFolderTest, ACheckpointDescribesTheRun) {
   MakeRun();
   const v1::CheckpointState state = Resume().value().checkpoint.state;
   EXPECT_EQ(state.program_version(), "0.1.0");
@@ -324,7 +324,7 @@ TEST_F(RunFolderTest, ACheckpointKnowsTheRun) {
                                 "eval_sampled.jsonl", "final_argmax.jsonl", "final_sampled.jsonl"));
 }
 
-TEST_F(RunFolderTest, TheBestScoreOutlivesWorseTimes) {
+TEST_F(RunFolderTest, TheBestScoreNeverDecreases) {
   auto folder = Create();
   folder->AddEpisodes({SampleEpisode(10, 5)});
   ASSERT_THAT(folder->WriteCheckpoint(SampleCheckpoint(1)), IsOk());
@@ -337,10 +337,125 @@ TEST_F(RunFolderTest, TheBestScoreOutlivesWorseTimes) {
   EXPECT_EQ(run->folder->checkpoints().LoadLatest("").value().state.best_score(), 5);
 }
 
-TEST_F(RunFolderTest, WhatCannotBeResumedIsRefused) {
+TEST_F(RunFolderTest, ResumeFailsWithoutARunOrACheckpoint) {
   EXPECT_THAT(Resume(), StatusIs(absl::StatusCode::kNotFound, HasSubstr("no run to resume in " + logdir_)));
   Create();
   EXPECT_THAT(Resume(), StatusIs(absl::StatusCode::kNotFound, HasSubstr("no checkpoint in " + logdir_)));
+}
+
+TEST_F(RunFolderTest, ResumingARunWithoutACheckpointSuggestsANewStart) {
+  const auto is_told = StatusIs(absl::StatusCode::kNotFound, HasSubstr("start it again without --resume"));
+  Create();
+  EXPECT_THAT(Look(), is_told);
+  EXPECT_THAT(Look({"iter-00000010", ""}), is_told);
+  ASSERT_THAT(RemoveAll(logdir_ + "/checkpoints"), IsOk());  // killed even earlier
+  EXPECT_THAT(Look(), is_told);
+  EXPECT_NE(Create(), nullptr) << "a new start works";
+}
+
+// A run that ended after 4096 steps, with a final evaluation of one episode of each kind.
+class FinishedRunTest : public RunFolderTest {
+ protected:
+  FinishedRunTest() {
+    const auto folder = Create();
+    EXPECT_THAT(folder->WriteCheckpoint(State(1, 0)), IsOk());
+    EndAt(folder.get(), 4096);
+  }
+  static Checkpoint State(int64_t iteration, int64_t final_evaluation_steps) {
+    Checkpoint checkpoint = SampleCheckpoint(iteration);
+    checkpoint.state.set_env_steps(iteration * 1024);
+    checkpoint.state.set_final_evaluation_steps(final_evaluation_steps);
+    return checkpoint;
+  }
+  static std::string Lines(int64_t steps) { return FormatStatsLine(SampleEpisode(steps, 1)); }
+  // The final evaluation, whose episodes are as long as the run, and the last checkpoint.
+  static void EndAt(RunFolder* folder, int64_t steps) {
+    folder->AddEvaluation(true, {SampleEpisode(steps, 1)}, {SampleEpisode(steps, 1)});
+    EXPECT_THAT(folder->WriteCheckpoint(State(steps / 1024, steps)), IsOk());
+  }
+  // Resumes with another number of steps.
+  std::unique_ptr<RunFolder> ResumeTo(int64_t steps, const std::string& from = "") {
+    absl::StatusOr<ResumedRun> run = Look({from, ""});
+    EXPECT_THAT(run, IsOk());
+    if (!run.ok()) return nullptr;
+    v1::RunConfig config = run->folder->config();
+    config.set_steps(steps);
+    run->folder->TakeChanges(config);
+    EXPECT_THAT(run->folder->Begin(), IsOk());
+    return std::move(run->folder);
+  }
+  std::string Text(const std::string& file) const { return ReadFile(JoinPath(logdir_, file)).value_or("none"); }
+  void ExpectLogs(const std::string& final, const std::string& aside) {
+    for (const char* kind : {"argmax", "sampled"}) {
+      EXPECT_EQ(Text(absl::StrCat("final_", kind, ".jsonl")), final) << kind;
+      EXPECT_EQ(Text(absl::StrCat("final_", kind, "-4096.jsonl")), aside) << kind;
+    }
+  }
+};
+
+TEST_F(FinishedRunTest, ResumedUnchangedItKeepsItsFinalLogs) {
+  const auto run = ResumeTo(4096);
+  ExpectLogs(Lines(4096), "none");
+  EXPECT_EQ(run->score(EpisodeKind::kFinalArgmax).MeanLength(), 4096);
+}
+
+TEST_F(FinishedRunTest, ExtendedItsFinalLogsBelongToTheNewestWeights) {
+  auto run = ResumeTo(8192);
+  ExpectLogs("", Lines(4096));
+  EXPECT_EQ(run->score(EpisodeKind::kFinalArgmax).episodes(), 0);
+  EndAt(run.get(), 8192);
+  ExpectLogs(Lines(8192), Lines(4096));
+  EXPECT_EQ(run->score(EpisodeKind::kFinalSampled).MeanLength(), 8192);
+  run.reset();
+  run = ResumeTo(12'288);
+  ExpectLogs("", Lines(4096));
+  EXPECT_EQ(Text("final_argmax-8192.jsonl"), Lines(8192));
+}
+
+TEST_F(FinishedRunTest, KilledAfterAnExtensionItCanBeResumedEitherWay) {
+  ResumeTo(8192);
+  ResumeTo(8192);  // from the checkpoint of the old end, which finds the logs set aside
+  ExpectLogs("", Lines(4096));
+  const auto run = ResumeTo(4096);
+  ExpectLogs(Lines(4096), "none");
+  EXPECT_EQ(run->score(EpisodeKind::kFinalSampled).MeanLength(), 4096);
+}
+
+TEST_F(FinishedRunTest, StoppedDuringTheExtensionItsLogsStayAside) {
+  auto run = ResumeTo(8192);
+  ASSERT_THAT(run->WriteCheckpoint(State(6, 4096)), IsOk());
+  run.reset();
+  run = ResumeTo(8192);
+  ExpectLogs("", Lines(4096));
+  run.reset();
+  EXPECT_THAT(Resume(), IsOk());
+  ExpectLogs("", Lines(4096));
+}
+
+TEST_F(FinishedRunTest, ResumedFromItsOldEndItHasThatEndsLogs) {
+  auto run = ResumeTo(8192);
+  EndAt(run.get(), 8192);
+  run.reset();
+  run = ResumeTo(4096, "iter-00000004");
+  ExpectLogs(Lines(4096), "none");
+  EXPECT_EQ(run->score(EpisodeKind::kFinalArgmax).MeanLength(), 4096);
+  EXPECT_THAT(run->checkpoints().ListNewestFirst().value(), ElementsAre("iter-00000004", "iter-00000001"));
+}
+
+TEST_F(FinishedRunTest, ResumedFromBeforeItsOldEndItHasNoFinalLogs) {
+  auto run = ResumeTo(8192);
+  EndAt(run.get(), 8192);
+  run.reset();
+  run = ResumeTo(8192, "iter-00000001");
+  ExpectLogs("", "none");
+}
+
+// Version 0.1 did not set logs aside, and appended one final evaluation to the other.
+TEST_F(FinishedRunTest, OnlyTheLinesOfTheCheckpointAreSetAside) {
+  ASSERT_THAT(WriteFileSynced(logdir_ + "/final_argmax.jsonl", Lines(4096) + Lines(5000)), IsOk());
+  ResumeTo(8192);
+  EXPECT_EQ(Text("final_argmax.jsonl"), "");
+  EXPECT_EQ(Text("final_argmax-4096.jsonl"), Lines(4096));
 }
 
 TEST_F(RunFolderTest, ARunOfOtherTexturesOrAnotherAgentIsRefused) {
@@ -358,8 +473,8 @@ TEST_F(RunFolderTest, ALogThatLostBytesIsRefused) {
   EXPECT_THAT(Resume(), StatusIs(absl::StatusCode::kDataLoss, HasSubstr("stats.jsonl has 100 bytes")));
 }
 
-// Each log, whichever of them had room, ends as it would have with room for all.
-TEST_F(RunFolderTest, WhatAFullDiskDoesNotTakeIsWrittenInOrderOnceThereIsRoom) {
+// Every log ends complete, whichever of them had space at first.
+TEST_F(RunFolderTest, AfterAFullDiskLogsAreWrittenInOrder) {
   const std::vector<std::string> files = {"stats.jsonl", "eval_argmax.jsonl", "eval_sampled.jsonl",
                                           "events.out.tfevents.craftfleet"};
   const auto add = [](RunFolder* folder, int64_t iteration) {
@@ -384,18 +499,18 @@ TEST_F(RunFolderTest, WhatAFullDiskDoesNotTakeIsWrittenInOrderOnceThereIsRoom) {
   ASSERT_THAT(folder->FlushLogs(), IsOk());
   const std::vector<std::string> before = read();
   {
-    // Room for the events, for a line of the evaluations' logs and for half a line of stats.jsonl.
+    // Enough for the events, for a line of the evaluations' logs and for half a line of stats.jsonl.
     const FileSizeLimit limit(static_cast<int64_t>(before[0].size()) + 200);
     for (int64_t iteration = 2; iteration <= 5; ++iteration) {
       add(folder.get(), iteration);
       EXPECT_THAT(folder->FlushLogs(), StatusIs(absl::StatusCode::kResourceExhausted, HasSubstr("stats.jsonl")));
-      EXPECT_EQ(read()[0], before[0]) << "no half line";
+      EXPECT_EQ(read()[0], before[0]) << "no partial line";
     }
     EXPECT_THAT(folder->WriteCheckpoint(SampleCheckpoint(5)),
                 StatusIs(absl::StatusCode::kResourceExhausted, HasSubstr("stats.jsonl")));
   }
   EXPECT_GT(folder->waiting_bytes(), 0);
-  EXPECT_EQ(folder->score().episodes(), 10) << "the score does not wait";
+  EXPECT_EQ(folder->score().episodes(), 10) << "the score is updated at once";
   add(folder.get(), 6);
   ASSERT_THAT(folder->FlushLogs(), IsOk());
   EXPECT_EQ(folder->waiting_bytes(), 0);
@@ -414,7 +529,7 @@ TEST_F(RunFolderTest, AFullDiskLeavesNoCheckpoint) {
   EXPECT_THAT(folder->WriteCheckpoint(SampleCheckpoint(1)), IsOk());
 }
 
-TEST_F(RunFolderTest, EvaluationsHaveLogsAndScoresOfTheirOwnThatResumeCutsBack) {
+TEST_F(RunFolderTest, EvaluationLogsAndScoresAreTruncatedOnResume) {
   {
     const auto folder = Create();
     folder->AddEvaluation(false, {SampleEpisode(1, 1)}, {SampleEpisode(2, 2), SampleEpisode(3, 3)});

@@ -6,8 +6,8 @@
 #include <cstdint>
 #include <string>
 
-#include "common/config.h"
-#include "common/types.h"
+#include "common/base/types.h"
+#include "common/config/config.h"
 #include "learner/run/checkpoint.h"
 
 namespace craftfleet {

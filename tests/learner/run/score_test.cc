@@ -7,7 +7,7 @@
 #include <gtest/gtest.h>
 #include <nlohmann/json.hpp>
 
-#include "common/files.h"
+#include "common/io/files.h"
 #include "learner/run/stats_log.h"
 #include "tests/fakes/status_matchers.h"
 #include "tests/fakes/temp_folder.h"
@@ -18,7 +18,7 @@ namespace {
 
 using testing::DoubleNear;
 
-constexpr double kTolerance = 1e-12;  // percentages there come from another order of operations
+constexpr double kTolerance = 1e-12;  // the golden percentages were computed in another order of operations
 
 struct GoldenEpisode {
   Episode episode;
@@ -42,7 +42,7 @@ std::vector<GoldenEpisode> ReadGolden() {
   return episodes;
 }
 
-TEST(ScoreBoard, GivesTheGoldenFiguresAfterEachEpisode) {
+TEST(ScoreBoard, MatchesTheGoldenFiguresAfterEachEpisode) {
   ScoreBoard board;
   const std::vector<GoldenEpisode> golden = ReadGolden();
   ASSERT_EQ(golden.size(), 6U);
@@ -60,7 +60,7 @@ TEST(ScoreBoard, GivesTheGoldenFiguresAfterEachEpisode) {
   }
 }
 
-TEST(ScoreBoard, MadeAgainFromStatsIsTheSame) {
+TEST(ScoreBoard, RebuiltFromStatsItIsEqual) {
   const TempFolder folder;
   StatsLog log(AppendFile::Open(folder / "stats.jsonl").value());
   ScoreBoard board;

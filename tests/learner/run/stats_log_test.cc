@@ -10,8 +10,8 @@
 #include <gtest/gtest.h>
 #include <nlohmann/json.hpp>
 
-#include "common/crafter.h"
-#include "common/files.h"
+#include "common/base/crafter.h"
+#include "common/io/files.h"
 #include "tests/fakes/file_size_limit.h"
 #include "tests/fakes/status_matchers.h"
 #include "tests/fakes/temp_folder.h"
@@ -28,7 +28,7 @@ std::string RewardText(double reward) {
   return line.substr(start, line.find(',', start) - start);
 }
 
-TEST(StatsLine, IsWhatPythonsJsonDumpsPrints) {
+TEST(StatsLine, MatchesPythonsJsonDumps) {
   Episode episode;
   episode.length = 163;
   episode.reward = 1.0776035110335536;
@@ -46,7 +46,7 @@ TEST(StatsLine, IsWhatPythonsJsonDumpsPrints) {
 }
 
 // Right-hand sides printed by CPython 3.11: json.dumps(round(x, 1)).
-TEST(StatsLine, RoundsRewardsAsPythonDoes) {
+TEST(StatsLine, RoundsRewardsLikePython) {
   EXPECT_EQ(RewardText(0.05), "0.1");
   EXPECT_EQ(RewardText(0.15), "0.1");
   EXPECT_EQ(RewardText(0.25), "0.2");
@@ -94,7 +94,7 @@ TEST(StatsLog, ReadsBackWhatWasAppended) {
   EXPECT_EQ(episodes[2].length, 7);
 }
 
-TEST(StatsLog, CanBeCutBackAndGoneOnWith) {
+TEST(StatsLog, CanBeTruncatedAndContinued) {
   const TempFolder folder;
   const std::string path = folder / "stats.jsonl";
   {
@@ -111,10 +111,10 @@ TEST(StatsLog, CanBeCutBackAndGoneOnWith) {
   EXPECT_EQ(log.file().length(), 2 * first_line);
   EXPECT_EQ(ReadFile(path).value(), FormatStatsLine(SampleEpisode(1, 0)) + FormatStatsLine(SampleEpisode(3, 0)));
   EXPECT_THAT(log.file().TruncateTo(100'000),
-              StatusIs(absl::StatusCode::kDataLoss, HasSubstr("the checkpoint saw 100000")));
+              StatusIs(absl::StatusCode::kDataLoss, HasSubstr("the checkpoint expects 100000")));
 }
 
-TEST(StatsLog, AFullDiskIsAnErrorAndLeavesNoHalfLineAndNothingIsLost) {
+TEST(StatsLog, AFullDiskLosesNothingAndLeavesNoPartialLine) {
   const TempFolder folder;
   const std::string path = folder / "stats.jsonl";
   StatsLog log(AppendFile::Open(path).value());
@@ -134,7 +134,7 @@ TEST(StatsLog, AFullDiskIsAnErrorAndLeavesNoHalfLineAndNothingIsLost) {
             before + FormatStatsLine(SampleEpisode(2, 0)) + FormatStatsLine(SampleEpisode(3, 0)));
 }
 
-// More than is read at once, so that lines are cut by the pieces' ends.
+// Larger than one read, so that lines are split between reads.
 TEST(ReadStats, ReadsLogsOfAnyLength) {
   const TempFolder folder;
   StatsLog log(AppendFile::Open(folder / "stats.jsonl").value());
@@ -154,7 +154,7 @@ absl::Status ReadStatsText(const std::string& text) {
   return ReadStats(folder / "stats.jsonl").status();
 }
 
-TEST(ReadStats, RefusesGarbageNamingTheLine) {
+TEST(ReadStats, ErrorsNameTheLine) {
   const std::string good = FormatStatsLine(SampleEpisode(5, 1));
   ASSERT_THAT(ReadStatsText(good), IsOk());
   EXPECT_THAT(ReadStatsText(""), IsOk());
@@ -164,7 +164,7 @@ TEST(ReadStats, RefusesGarbageNamingTheLine) {
     return ReadStatsText(good + changed);
   };
   constexpr auto kDataLoss = absl::StatusCode::kDataLoss;
-  EXPECT_THAT(second_line("\n", ""), StatusIs(kDataLoss, HasSubstr("stats.jsonl:2: the line is cut off")));
+  EXPECT_THAT(second_line("\n", ""), StatusIs(kDataLoss, HasSubstr("stats.jsonl:2: the line is incomplete")));
   EXPECT_THAT(second_line("}", ""), StatusIs(kDataLoss, HasSubstr(":2: not a JSON object")));
   EXPECT_THAT(second_line(": 5", ": \"5\""), StatusIs(kDataLoss, HasSubstr(":2: \"length\" is \"5\", want 1..")));
   EXPECT_THAT(second_line(": 5", ": 0"), StatusIs(kDataLoss, HasSubstr("\"length\" is 0")));
@@ -176,7 +176,7 @@ TEST(ReadStats, RefusesGarbageNamingTheLine) {
   EXPECT_THAT(ReadStatsText("\n"), StatusIs(kDataLoss, HasSubstr(":1: not a JSON object")));
 }
 
-TEST(StatsLog, IsReadAsFarAsAsked) {
+TEST(StatsLog, ReadsOnlyTheGivenLength) {
   const TempFolder folder;
   const std::string first = FormatStatsLine(SampleEpisode(1, 1));
   const std::string path = folder / "stats.jsonl";
@@ -188,9 +188,10 @@ TEST(StatsLog, IsReadAsFarAsAsked) {
   EXPECT_EQ(episodes, 1);
   EXPECT_THAT(VisitStats(path, 0, count), IsOk());
   EXPECT_EQ(episodes, 1);
-  EXPECT_THAT(VisitStats(path, size - 1, count), StatusIs(absl::StatusCode::kDataLoss, testing::HasSubstr("cut off")));
+  EXPECT_THAT(VisitStats(path, size - 1, count),
+              StatusIs(absl::StatusCode::kDataLoss, testing::HasSubstr("the line is incomplete")));
   EXPECT_THAT(VisitStats(path, 1000, count),
-              StatusIs(absl::StatusCode::kDataLoss, testing::HasSubstr("the checkpoint saw 1000")));
+              StatusIs(absl::StatusCode::kDataLoss, testing::HasSubstr("the checkpoint expects 1000")));
 }
 
 }  // namespace

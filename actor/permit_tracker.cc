@@ -1,0 +1,115 @@
+#include "actor/permit_tracker.h"
+
+#include <algorithm>
+#include <iterator>
+#include <utility>
+
+namespace craftfleet {
+
+void PermitTracker::SetTile(int tile) {
+  MutexLock lock(&mu_);
+  tile_ = tile;
+}
+
+void PermitTracker::UseLoops(int loops) {
+  MutexLock lock(&mu_);
+  loops_ = loops;
+}
+
+void PermitTracker::Add(const HeldPermit& permit) {
+  MutexLock lock(&mu_);
+  if (!active_.try_emplace(permit, 0).second) return;
+  waiting_[LoopOf(permit.lane)].push_back(permit);
+  changed_.NotifyAll();
+}
+
+std::vector<HeldPermit> PermitTracker::Take(int loop) {
+  MutexLock lock(&mu_);
+  changed_.Wait(&mu_, [&]() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_) { return closed_ || !waiting_[loop].empty(); });
+  if (closed_) return {};
+  for (const HeldPermit& done : playing_[loop]) {
+    if (const auto entry = active_.find(done); entry != active_.end()) entry->second = steps_[loop];
+  }
+  playing_[loop] = {waiting_[loop].begin(), waiting_[loop].end()};
+  steps_[loop] = 0;
+  return std::exchange(waiting_[loop], {});
+}
+
+void PermitTracker::Release(const HeldPermit& permit) {
+  MutexLock lock(&mu_);
+  ReleaseLocked(permit);
+}
+
+void PermitTracker::ReleaseLocked(const HeldPermit& permit) {
+  active_.erase(permit);
+  playing_[LoopOf(permit.lane)].erase(permit);
+  std::vector<HeldPermit>& waiting = waiting_[LoopOf(permit.lane)];
+  waiting.erase(std::remove(waiting.begin(), waiting.end(), permit), waiting.end());
+}
+
+std::vector<HeldPermit> PermitTracker::Active() const {
+  MutexLock lock(&mu_);
+  std::vector<HeldPermit> permits;
+  for (const auto& [permit, steps] : active_) {
+    const size_t loop = LoopOf(permit.lane);
+    permits.push_back(permit);
+    permits.back().steps = playing_[loop].count(permit) > 0 ? steps_[loop] : steps;
+  }
+  return permits;
+}
+
+void PermitTracker::SetSteps(int loop, int64_t steps) {
+  MutexLock lock(&mu_);
+  steps_[loop] = steps;
+}
+
+void PermitTracker::Fail(const HeldPermit& permit, const std::string& reason) {
+  MutexLock lock(&mu_);
+  ReleaseLocked(permit);
+  HeldPermit& failed = failed_[permit.lane];
+  failed = permit;
+  failed.failure = reason;
+}
+
+std::vector<HeldPermit> PermitTracker::Failures(int64_t epoch) {
+  MutexLock lock(&mu_);
+  std::vector<HeldPermit> failures;
+  for (auto entry = failed_.begin(); entry != failed_.end();) {
+    const HeldPermit& failure = entry->second;
+    const bool is_current = failure.epoch == epoch;
+    if (is_current) failures.push_back(failure);
+    entry = is_current ? std::next(entry) : failed_.erase(entry);
+  }
+  return failures;
+}
+
+void PermitTracker::SetReported(const std::vector<HeldPermit>& failures) {
+  MutexLock lock(&mu_);
+  for (const HeldPermit& reported : failures) {
+    const auto entry = failed_.find(reported.lane);
+    if (entry != failed_.end() && entry->second == reported) failed_.erase(entry);
+  }
+}
+
+void PermitTracker::DropWaiting() {
+  MutexLock lock(&mu_);
+  for (std::vector<HeldPermit>& permits : waiting_) {
+    for (const HeldPermit& permit : permits) active_.erase(permit);
+    permits.clear();
+  }
+}
+
+void PermitTracker::WaitForClose(absl::Duration timeout) {
+  MutexLock lock(&mu_);
+  changed_.WaitFor(&mu_, timeout, [this]() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_) { return closed_; });
+}
+
+size_t PermitTracker::LoopOf(int lane) const { return (lane / tile_) % loops_; }
+
+void PermitTracker::Close() {
+  MutexLock lock(&mu_);
+  closed_ = true;
+  changed_.NotifyAll();
+}
+
+}  // namespace craftfleet

@@ -1,0 +1,23 @@
+# Generates man pages and completions for bash and zsh from the flags of the programs, in share/ of the build folder, and
+# installs them. Skipped without Python.
+find_package(Python3 COMPONENTS Interpreter)
+if(NOT Python3_FOUND)
+  message(STATUS "No Python 3: no man pages and no shell completion")
+  return()
+endif()
+
+get_property(programs GLOBAL PROPERTY CRAFTFLEET_PROGRAMS)
+set(described ${programs})
+list(REMOVE_ITEM described craftfleet)  # it runs the others and has no flags of its own
+set(help_stamp ${CMAKE_BINARY_DIR}/help_files.stamp)
+add_custom_command(
+  OUTPUT ${help_stamp}
+  COMMAND ${Python3_EXECUTABLE} ${PROJECT_SOURCE_DIR}/deploy/help_files.py --bin=${CMAKE_BINARY_DIR}/bin --out=${CMAKE_BINARY_DIR}/share
+          --version=${PROJECT_VERSION} ${described}
+  COMMAND ${CMAKE_COMMAND} -E touch ${help_stamp}
+  DEPENDS ${PROJECT_SOURCE_DIR}/deploy/help_files.py ${programs} VERBATIM)
+add_custom_target(craftfleet_help_files ALL DEPENDS ${help_stamp})
+
+foreach(folder IN ITEMS bash-completion man zsh)
+  install(DIRECTORY ${CMAKE_BINARY_DIR}/share/${folder} DESTINATION ${CMAKE_INSTALL_DATADIR})
+endforeach()

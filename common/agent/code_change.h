@@ -1,0 +1,16 @@
+// How the features of a frame change at an achievement.
+
+#ifndef CRAFTFLEET_COMMON_AGENT_CODE_CHANGE_H_
+#define CRAFTFLEET_COMMON_AGENT_CODE_CHANGE_H_
+
+#include <absl/types/span.h>
+
+namespace craftfleet {
+
+// Writes (after - before), scaled to length 1; a change of length 0 stays 0. All three are float[F]; an empty `after`
+// counts as zeros. Source: AGENTS.md, section 12.
+void CodeChange(absl::Span<const float> before, absl::Span<const float> after, absl::Span<float> change);
+
+}  // namespace craftfleet
+
+#endif  // CRAFTFLEET_COMMON_AGENT_CODE_CHANGE_H_

@@ -1,0 +1,36 @@
+// Predicts how the features will change at the next achievement (Moon et al. 2023). Does not include LibTorch.
+
+#ifndef CRAFTFLEET_COMMON_AGENT_NETS_GOAL_PREDICTOR_H_
+#define CRAFTFLEET_COMMON_AGENT_NETS_GOAL_PREDICTOR_H_
+
+#include <cstdint>
+
+#include <ATen/core/ATen_fwd.h>
+
+#include "common/agent/nets/layers.h"
+
+namespace craftfleet {
+
+// The action scales and shifts the features (FiLM); two linear layers follow. Trained by distillation alone; acting
+// does not need it. Source: AGENTS.md, section 12.
+class GoalPredictor {
+ public:
+  // For `features` features and a memory of `memory` floats; 0: none. Parameters: film.*, predictor.*.
+  GoalPredictor(int64_t features, int64_t memory, ParamList* params);
+
+  // features float[N,F], actions float[N,17] (1 at the action, else 0), memory float[N,M], ignored without a memory ->
+  // float[N,F], not scaled to length 1.
+  at::Tensor Forward(const ParamTensors& params, const at::Tensor& features, const at::Tensor& actions,
+                     const at::Tensor& memory) const;
+
+ private:
+  const bool has_memory_;
+  NormedLinear film0_;
+  LinearLayer film1_;  // to scale - 1 and shift of each feature
+  NormedLinear predictor0_;
+  LinearLayer predictor1_;
+};
+
+}  // namespace craftfleet
+
+#endif  // CRAFTFLEET_COMMON_AGENT_NETS_GOAL_PREDICTOR_H_

@@ -1,0 +1,24 @@
+// Text that is safe on any terminal and in any log.
+
+#ifndef CRAFTFLEET_COMMON_BASE_PRINTABLE_H_
+#define CRAFTFLEET_COMMON_BASE_PRINTABLE_H_
+
+#include <string>
+
+#include <absl/strings/ascii.h>
+#include <absl/strings/string_view.h>
+
+namespace craftfleet {
+
+// `text` with a question mark for each byte that is not printable ASCII.
+inline std::string Printable(absl::string_view text) {
+  std::string printable(text);
+  for (char& c : printable) {
+    if (!absl::ascii_isprint(c)) c = '?';
+  }
+  return printable;
+}
+
+}  // namespace craftfleet
+
+#endif  // CRAFTFLEET_COMMON_BASE_PRINTABLE_H_

@@ -1,0 +1,47 @@
+// A run's configuration: defaults, reading, checking and writing of RunConfig (proto/craftfleet/v1/config.proto).
+
+#ifndef CRAFTFLEET_COMMON_CONFIG_CONFIG_H_
+#define CRAFTFLEET_COMMON_CONFIG_CONFIG_H_
+
+#include <string>
+
+#include <absl/status/status.h>
+#include <absl/status/statusor.h>
+#include <absl/strings/string_view.h>
+
+#include "craftfleet/v1/config.pb.h"
+
+namespace craftfleet {
+
+// Smallest observation, pixels: two for each of the nine cells of the view (envserver/render/picture_layout.cc).
+inline constexpr int kMinFrameSize = 18;
+
+// `agent` on Crafter with the paper's values (Stanic et al. 2022; those of Moon et al. 2023 with their own). Every
+// field is set but `network`, which follows from the name, two that follow from others, `fragment_steps`
+// (ResolveRunConfig) and `eval.env` (what it trains on), and two that are absent by default, `precision` and `device`.
+//   InvalidArgument: unknown agent; lists the known ones.
+absl::StatusOr<v1::RunConfig> DefaultRunConfig(absl::string_view agent);
+v1::RunConfig DefaultRunConfig();  // of ppo_cnn
+
+// Parses protobuf text format; only the given fields are set. ResolveRunConfig adds the defaults.
+//   InvalidArgument: "<filename>:<line>:<column>: ..." with the field and, if it is unknown, the known ones.
+absl::StatusOr<v1::RunConfig> ParseRunConfig(absl::string_view text, absl::string_view filename);
+
+// The complete configuration: `config` on top of the defaults of its agent (ppo_cnn if it names none); explicit zeros
+// are kept, `precision: FP32` and `device: CPU` left out. The default of `fragment_steps` is the agent's, if it has one
+// that divides rollout_steps / lanes, else the largest divisor of that which is at most 256, or 32 for recurrent
+// agents, whose minibatches are made of whole fragments. Validates the result.
+//   InvalidArgument: as ValidateRunConfig.
+absl::StatusOr<v1::RunConfig> ResolveRunConfig(v1::RunConfig config);
+
+// Checks the range of each value, then the relations between values.
+//   InvalidArgument: names the field, its value and its range. Environment names are checked later, where the
+//   environments are built.
+absl::Status ValidateRunConfig(const v1::RunConfig& config);
+
+// Text format, fields in the order of config.proto. ParseRunConfig of the result yields the same message.
+std::string FormatRunConfig(const v1::RunConfig& config);
+
+}  // namespace craftfleet
+
+#endif  // CRAFTFLEET_COMMON_CONFIG_CONFIG_H_

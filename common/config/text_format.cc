@@ -1,0 +1,77 @@
+#include "common/config/text_format.h"
+
+#include <string>
+#include <vector>
+
+#include <absl/strings/ascii.h>
+#include <absl/strings/match.h>
+#include <absl/strings/str_cat.h>
+#include <absl/strings/str_join.h>
+#include <absl/strings/str_split.h>
+#include <absl/strings/strip.h>
+#include <google/protobuf/descriptor.h>
+#include <google/protobuf/io/tokenizer.h>
+#include <google/protobuf/text_format.h>
+
+namespace craftfleet {
+namespace {
+
+using google::protobuf::Descriptor;
+using google::protobuf::DescriptorPool;
+
+// " (known fields of RunConfig: agent, env, ...)" for an error about an unknown field, else "".
+std::string KnownFields(absl::string_view message) {
+  const std::vector<std::string> parts = absl::StrSplit(message, '"');
+  if (parts.size() < 2 || !absl::StrContains(message, "no field named")) return "";
+  const Descriptor* descriptor = DescriptorPool::generated_pool()->FindMessageTypeByName(parts[1]);
+  if (descriptor == nullptr) return "";
+  std::vector<std::string> names;
+  names.reserve(descriptor->field_count());
+  for (int i = 0; i < descriptor->field_count(); ++i) names.push_back(descriptor->field(i)->name());
+  return absl::StrCat(" (known fields of ", descriptor->name(), ": ", absl::StrJoin(names, ", "), ")");
+}
+
+// "learning_rate: " if the text before `column` of `line` ends in "learning_rate:" or, for a number's sign,
+// "learning_rate: -"; else "".
+std::string FieldBefore(absl::string_view line, int column) {
+  absl::string_view before = absl::StripTrailingAsciiWhitespace(line.substr(0, column));
+  if (absl::ConsumeSuffix(&before, "-")) before = absl::StripTrailingAsciiWhitespace(before);
+  if (!absl::ConsumeSuffix(&before, ":")) return "";
+  return absl::StrCat(before.substr(before.find_last_of(" \t{;,") + 1), ": ");
+}
+
+// Keeps the first error, with its position in readable form.
+class FirstError : public google::protobuf::io::ErrorCollector {
+ public:
+  FirstError(absl::string_view text, absl::string_view filename)
+      : lines_(absl::StrSplit(text, '\n')), filename_(filename) {}
+
+  void AddError(int line, google::protobuf::io::ColumnNumber column, const std::string& message) override {
+    if (!status_.ok()) return;
+    const bool known_place = line >= 0 && line < static_cast<int>(lines_.size());
+    const std::string field = known_place ? FieldBefore(lines_[line], column) : "";
+    const std::string place = line >= 0 ? absl::StrCat(":", line + 1, ":", column + 1) : "";
+    status_ = absl::InvalidArgumentError(absl::StrCat(filename_, place, ": ", field, message, KnownFields(message)));
+  }
+
+  const absl::Status& status() const { return status_; }
+
+ private:
+  const std::vector<absl::string_view> lines_;
+  const absl::string_view filename_;
+  absl::Status status_;
+};
+
+}  // namespace
+
+absl::Status ParseTextFormat(absl::string_view text, absl::string_view filename, google::protobuf::Message* message) {
+  const std::string bytes(text);
+  FirstError error(text, filename);
+  google::protobuf::TextFormat::Parser parser;
+  parser.RecordErrorsTo(&error);
+  if (parser.ParseFromString(bytes, message)) return absl::OkStatus();
+  return error.status().ok() ? absl::InvalidArgumentError(absl::StrCat(filename, ": not protobuf text format"))
+                             : error.status();
+}
+
+}  // namespace craftfleet

@@ -1,0 +1,18 @@
+// Reads files in protobuf's text format, with errors that a person can act on.
+
+#ifndef CRAFTFLEET_COMMON_CONFIG_TEXT_FORMAT_H_
+#define CRAFTFLEET_COMMON_CONFIG_TEXT_FORMAT_H_
+
+#include <absl/status/status.h>
+#include <absl/strings/string_view.h>
+#include <google/protobuf/message.h>
+
+namespace craftfleet {
+
+// Fills `message` from `text`.
+//   InvalidArgument: "<filename>:<line>:<column>: ..." with the field and, if it is unknown, the known ones.
+absl::Status ParseTextFormat(absl::string_view text, absl::string_view filename, google::protobuf::Message* message);
+
+}  // namespace craftfleet
+
+#endif  // CRAFTFLEET_COMMON_CONFIG_TEXT_FORMAT_H_

@@ -1,0 +1,134 @@
+#include "common/io/files.h"
+
+#include <fcntl.h>
+#include <unistd.h>
+
+#include <algorithm>
+#include <cerrno>
+#include <filesystem>
+#include <system_error>
+
+#include <absl/cleanup/cleanup.h>
+#include <absl/strings/str_cat.h>
+#include <absl/strings/strip.h>
+
+#include "common/base/status_macros.h"
+
+namespace craftfleet {
+namespace {
+
+namespace fs = std::filesystem;
+
+absl::Status SyncDescriptor(int descriptor, const std::string& path) {
+  return ::fsync(descriptor) == 0 ? absl::OkStatus() : FileError(errno, "cannot sync", path);
+}
+
+}  // namespace
+
+absl::Status FileError(int error_number, absl::string_view what, absl::string_view path) {
+  // Not absl::ErrnoToStatus: the table of texts in the packaged library looks like a race to ThreadSanitizer.
+  const std::string message = absl::StrCat(what, " ", path, ": ", std::generic_category().message(error_number));
+  const bool full = error_number == ENOSPC || error_number == EDQUOT || error_number == EFBIG;
+  return full ? absl::ResourceExhaustedError(message) : absl::Status(absl::ErrnoToStatusCode(error_number), message);
+}
+
+std::string JoinPath(absl::string_view folder, absl::string_view name) {
+  return absl::StrCat(absl::StripSuffix(folder, "/"), "/", name);
+}
+
+bool PathExists(const std::string& path) {
+  std::error_code error;
+  return fs::exists(path, error);
+}
+
+absl::StatusOr<std::string> ReadFile(const std::string& path) {
+  const int descriptor = ::open(path.c_str(), O_RDONLY | O_CLOEXEC);
+  if (descriptor < 0) return FileError(errno, "cannot open", path);
+  const absl::Cleanup close = [descriptor] { ::close(descriptor); };
+  std::string bytes;
+  constexpr size_t kChunk = 1 << 20;
+  while (true) {
+    const size_t size = bytes.size();
+    bytes.resize(size + kChunk);
+    const ssize_t got = ::read(descriptor, &bytes[size], kChunk);
+    const int error_number = errno;
+    bytes.resize(size + (got > 0 ? got : 0));
+    if (got == 0) return bytes;
+    if (got < 0 && error_number != EINTR) return FileError(error_number, "cannot read", path);
+  }
+}
+
+absl::StatusOr<int64_t> FileSize(const std::string& path) {
+  std::error_code error;
+  const std::uintmax_t size = fs::file_size(path, error);
+  if (error) return FileError(error.value(), "cannot get the size of", path);
+  return static_cast<int64_t>(size);
+}
+
+absl::Status WriteAll(int descriptor, absl::string_view bytes, absl::string_view path) {
+  while (!bytes.empty()) {
+    const ssize_t written = ::write(descriptor, bytes.data(), bytes.size());
+    if (written >= 0) {
+      bytes.remove_prefix(written);
+    } else if (errno != EINTR) {
+      return FileError(errno, "cannot write", path);
+    }
+  }
+  return absl::OkStatus();
+}
+
+absl::Status WriteFileSynced(const std::string& path, absl::string_view bytes) {
+  const int descriptor = ::open(path.c_str(), O_WRONLY | O_CREAT | O_TRUNC | O_CLOEXEC, 0644);
+  if (descriptor < 0) return FileError(errno, "cannot create", path);
+  absl::Status status = WriteAll(descriptor, bytes, path);
+  if (status.ok()) status = SyncDescriptor(descriptor, path);
+  // Network file systems report a full disk only here.
+  if (::close(descriptor) != 0 && status.ok()) status = FileError(errno, "cannot close", path);
+  return status;
+}
+
+absl::Status ReplaceFile(const std::string& path, absl::string_view bytes) {
+  const std::string temporary = absl::StrCat(path, ".tmp");
+  absl::Status status = WriteFileSynced(temporary, bytes);
+  if (status.ok()) status = RenameSynced(temporary, path);
+  if (!status.ok()) ::unlink(temporary.c_str());
+  return status;
+}
+
+absl::Status SyncFolder(const std::string& folder) {
+  const int descriptor = ::open(folder.c_str(), O_RDONLY | O_DIRECTORY | O_CLOEXEC);
+  if (descriptor < 0) return FileError(errno, "cannot open", folder);
+  const absl::Cleanup close = [descriptor] { ::close(descriptor); };
+  return SyncDescriptor(descriptor, folder);
+}
+
+absl::Status CreateFolders(const std::string& path) {
+  std::error_code error;
+  fs::create_directories(path, error);
+  return error ? FileError(error.value(), "cannot create folder", path) : absl::OkStatus();
+}
+
+absl::Status RenameSynced(const std::string& from, const std::string& to) {
+  if (::rename(from.c_str(), to.c_str()) != 0) return FileError(errno, absl::StrCat("cannot rename ", from, " to"), to);
+  const fs::path parent = fs::path(to).parent_path();
+  return SyncFolder(parent.empty() ? "." : parent.string());
+}
+
+absl::Status RemoveAll(const std::string& path) {
+  std::error_code error;
+  fs::remove_all(path, error);
+  return error ? FileError(error.value(), "cannot remove", path) : absl::OkStatus();
+}
+
+absl::StatusOr<std::vector<std::string>> ListFolder(const std::string& folder) {
+  std::error_code error;
+  std::vector<std::string> names;
+  for (fs::directory_iterator it(folder, error), end; !error && it != end; it.increment(error)) {
+    names.push_back(it->path().filename().string());
+  }
+  if (error) return FileError(error.value(), "cannot list", folder);
+  std::sort(names.begin(), names.end());
+  return names;
+}
+
+}  // namespace craftfleet

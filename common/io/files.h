@@ -1,0 +1,59 @@
+// Files and folders with absl::Status instead of errno and exceptions. Every message names the path.
+// Codes: NotFound (no such file), ResourceExhausted (disk, quota or file size limit full), PermissionDenied, others as
+// absl::ErrnoToStatus maps them.
+
+#ifndef CRAFTFLEET_COMMON_IO_FILES_H_
+#define CRAFTFLEET_COMMON_IO_FILES_H_
+
+#include <cstdint>
+#include <string>
+#include <vector>
+
+#include <absl/status/status.h>
+#include <absl/status/statusor.h>
+#include <absl/strings/string_view.h>
+
+namespace craftfleet {
+
+// "<what> <path>: <strerror>" with the code that fits `error_number`.
+absl::Status FileError(int error_number, absl::string_view what, absl::string_view path);
+
+// `folder`/`name`.
+std::string JoinPath(absl::string_view folder, absl::string_view name);
+
+bool PathExists(const std::string& path);
+
+absl::StatusOr<std::string> ReadFile(const std::string& path);
+
+// Bytes in the file.
+absl::StatusOr<int64_t> FileSize(const std::string& path);
+
+// Writes all of `bytes` at the descriptor's position. `path` is for the message only.
+absl::Status WriteAll(int descriptor, absl::string_view bytes, absl::string_view path);
+
+// Creates or truncates `path`, writes `bytes` and syncs the file, not its folder. After an error the content is
+// undefined, even if a later sync succeeds: call it again with all the bytes, or remove the file.
+absl::Status WriteFileSynced(const std::string& path, absl::string_view bytes);
+
+// Replaces `path` atomically: after a crash it holds the old bytes or the new ones. On failure the old ones stay,
+// unless the sync of the folder failed: then the new ones are in place but may not survive a crash.
+absl::Status ReplaceFile(const std::string& path, absl::string_view bytes);
+
+// Makes the names in `folder` durable.
+absl::Status SyncFolder(const std::string& folder);
+
+// Creates `path` and its parents. OK if it exists already.
+absl::Status CreateFolders(const std::string& path);
+
+// Renames and syncs the folder of `to`. If the sync fails the new name exists, but may not survive a crash.
+absl::Status RenameSynced(const std::string& from, const std::string& to);
+
+// Removes `path` and its contents. OK if it does not exist.
+absl::Status RemoveAll(const std::string& path);
+
+// Names (not paths) in `folder`, sorted.
+absl::StatusOr<std::vector<std::string>> ListFolder(const std::string& folder);
+
+}  // namespace craftfleet
+
+#endif  // CRAFTFLEET_COMMON_IO_FILES_H_

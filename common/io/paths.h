@@ -1,0 +1,24 @@
+// Paths of this project's installed files.
+
+#ifndef CRAFTFLEET_COMMON_IO_PATHS_H_
+#define CRAFTFLEET_COMMON_IO_PATHS_H_
+
+#include <string>
+
+#include <absl/status/statusor.h>
+
+namespace craftfleet {
+
+// ../share/craftfleet/`name` relative to the running program's folder, whatever the working directory. NotFound: no
+// such file or folder.
+absl::StatusOr<std::string> InstalledPath(const std::string& name);
+
+// The bundled textures. NotFound: no such folder.
+absl::StatusOr<std::string> DefaultTextureDir();
+
+// The folder that --textures selects: `folder`, or DefaultTextureDir() if it is empty.
+absl::StatusOr<std::string> TextureDir(const std::string& folder);
+
+}  // namespace craftfleet
+
+#endif  // CRAFTFLEET_COMMON_IO_PATHS_H_

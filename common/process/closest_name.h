@@ -1,0 +1,19 @@
+// Suggestions for mistyped names: "did you mean --lanes?"
+
+#ifndef CRAFTFLEET_COMMON_PROCESS_CLOSEST_NAME_H_
+#define CRAFTFLEET_COMMON_PROCESS_CLOSEST_NAME_H_
+
+#include <string>
+#include <vector>
+
+#include <absl/strings/string_view.h>
+
+namespace craftfleet {
+
+// The closest of `names`: the one with the fewest insertions, deletions, replacements and swaps of adjacent letters, at
+// most a third of its length; the first of several. Empty: none is close.
+std::string ClosestName(absl::string_view name, const std::vector<std::string>& names);
+
+}  // namespace craftfleet
+
+#endif  // CRAFTFLEET_COMMON_PROCESS_CLOSEST_NAME_H_

@@ -1,0 +1,37 @@
+// The output of --help, --helpfull and --help_json, generated from the program's flags.
+
+#ifndef CRAFTFLEET_COMMON_PROCESS_HELP_H_
+#define CRAFTFLEET_COMMON_PROCESS_HELP_H_
+
+#include <string>
+#include <vector>
+
+#include <absl/strings/string_view.h>
+
+namespace craftfleet {
+
+// The description of a program in its help. The strings behind the views must outlive it.
+struct ProgramHelp {
+  absl::string_view name;   // "craftfleet train"
+  absl::string_view usage;  // begins with a sentence "<name> [ARGUMENTS] <does something>."; then details and examples
+  // The most important flags, in the order in which --help shows them. Empty: the program's own flags, by name, without
+  // those that programs share (files named *_flags.cc, and program.cc).
+  std::vector<absl::string_view> main_flags;
+};
+
+// For --help: the usage, and one line for each main flag.
+std::string ShortHelp(const ProgramHelp& program);
+
+// For --helpfull: the usage, and every flag with its whole help text, main flags first.
+std::string FullHelp(const ProgramHelp& program);
+
+// For --help_json, from which man pages and shell completions are made; a JSON object:
+//   program, summary, usage: texts. The summary is the first sentence of the usage, from its verb on.
+//   arguments: placeholders of positional arguments, such as "FILE"; often empty.
+//   flags: main flags first, each with name (without dashes), type (bool, integer, number, duration, list or string),
+//   default (empty if there is none or the help text names it), help, and group (main or other).
+std::string HelpJson(const ProgramHelp& program);
+
+}  // namespace craftfleet
+
+#endif  // CRAFTFLEET_COMMON_PROCESS_HELP_H_

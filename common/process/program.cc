@@ -1,0 +1,268 @@
+#include "common/process/program.h"
+
+#include <poll.h>
+#include <signal.h>
+#include <sys/resource.h>
+#include <unistd.h>
+
+#include <algorithm>
+#include <atomic>
+#include <cerrno>
+#include <cstdio>
+#include <cstdlib>
+#include <cstring>
+#include <optional>
+#include <system_error>
+#include <utility>
+#include <vector>
+
+#include <absl/flags/flag.h>
+#include <absl/flags/parse.h>
+#include <absl/flags/reflection.h>
+#include <absl/strings/match.h>
+#include <absl/strings/str_cat.h>
+#include <absl/strings/str_format.h>
+#include <absl/strings/strip.h>
+
+#include "common/base/check.h"
+#include "common/process/closest_name.h"
+#include "common/process/help.h"
+#include "common/process/version.h"
+#include "common/telemetry/log.h"
+
+namespace craftfleet {
+
+// How absl reads and writes the flags below; found by argument-dependent lookup.
+bool AbslParseFlag(absl::string_view text, LogLevel* level, std::string* error) {
+  if (text == "info") *level = LogLevel::kInfo;
+  if (text == "warning") *level = LogLevel::kWarning;
+  if (text == "error") *level = LogLevel::kError;
+  const bool known = text == "info" || text == "warning" || text == "error";
+  if (!known) *error = "want info, warning or error";
+  return known;
+}
+
+std::string AbslUnparseFlag(LogLevel level) {
+  if (level == LogLevel::kInfo) return "info";
+  return level == LogLevel::kWarning ? "warning" : "error";
+}
+
+bool AbslParseFlag(absl::string_view text, LogFormat* format, std::string* error) {
+  *format = text == "json" ? LogFormat::kJson : LogFormat::kText;
+  const bool known = text == "json" || text == "text";
+  if (!known) *error = "want text or json";
+  return known;
+}
+
+std::string AbslUnparseFlag(LogFormat format) { return format == LogFormat::kJson ? "json" : "text"; }
+
+}  // namespace craftfleet
+
+ABSL_FLAG(craftfleet::LogLevel, log_level, craftfleet::LogLevel::kInfo,
+          "lowest level that is logged to standard error: info, warning or error");
+ABSL_FLAG(craftfleet::LogFormat, log_format, craftfleet::LogFormat::kText,
+          "format of log lines: text, or json for log collectors");
+
+namespace craftfleet {
+namespace {
+
+constexpr char kSignalByte = 's';
+constexpr char kEndByte = 'e';
+
+// Globals, because a signal handler has no context argument.
+int g_signal_pipe[2] = {-1, -1};
+std::atomic<int> g_signals{0};  // SIGHUP is not counted
+
+void OnSignal(int signal) {
+  // Exits here, because the thread of StopSignal may be busy with the first signal.
+  if (signal != SIGHUP && ++g_signals > 1) _exit(kStoppedExitCode);
+  const int saved_errno = errno;
+  [[maybe_unused]] const ssize_t written = write(g_signal_pipe[1], &kSignalByte, 1);
+  errno = saved_errno;
+}
+
+// Each connection needs a file descriptor, and shells set a soft limit of 1,024.
+void RaiseFileLimit() {
+  rlimit limit = {};
+  if (getrlimit(RLIMIT_NOFILE, &limit) != 0) return;
+  limit.rlim_cur = limit.rlim_max;
+  setrlimit(RLIMIT_NOFILE, &limit);
+}
+
+// The flag that "--lanes=3", "-lanes" or "--noresume" sets; null if there is no such flag.
+absl::CommandLineFlag* FlagOf(absl::string_view argument) {
+  absl::string_view name = argument.substr(0, argument.find('='));
+  if (!absl::ConsumePrefix(&name, "--")) absl::ConsumePrefix(&name, "-");
+  absl::CommandLineFlag* flag = absl::FindCommandLineFlag(name);
+  if (flag == nullptr && absl::ConsumePrefix(&name, "no")) {
+    flag = absl::FindCommandLineFlag(name);
+    if (flag != nullptr && !flag->IsOfType<bool>()) flag = nullptr;
+  }
+  return flag;
+}
+
+std::string FlagLike(absl::string_view name) {
+  std::vector<std::string> names;
+  for (const auto& [known, flag] : absl::GetAllFlags()) {
+    if (!absl::StrContains(flag->Filename(), "absl/")) names.emplace_back(known);
+  }
+  std::sort(names.begin(), names.end());
+  const std::string closest = ClosestName(name, names);
+  const bool negated = closest.empty() && absl::ConsumePrefix(&name, "no");
+  return negated ? ClosestName(name, names) : closest;
+}
+
+[[noreturn]] void Refuse(absl::string_view program, absl::string_view what, absl::string_view suggestion) {
+  absl::FPrintF(stderr, "%s: %s%s; see %s --help\n", program, what,
+                suggestion.empty() ? "" : absl::StrCat(" (did you mean --", suggestion, "?)"), program);
+  std::exit(1);
+}
+
+template <typename... Types>
+bool IsOneOf(const absl::CommandLineFlag& flag) {
+  return (flag.IsOfType<Types>() || ...);
+}
+
+// The values that `flag` accepts, if absl parses them: its errors do not name them.
+absl::string_view Accepted(const absl::CommandLineFlag& flag) {
+  if (flag.IsOfType<bool>()) return "true or false";
+  if (IsOneOf<int32_t, int64_t, std::optional<int32_t>, std::optional<int64_t>>(flag)) return "a whole number";
+  if (IsOneOf<uint64_t, std::optional<uint64_t>>(flag)) return "a whole number, at least 0";
+  return flag.IsOfType<double>() ? "a number" : "another value";
+}
+
+// Refuses a value that absl would refuse without naming the program and the accepted values.
+void CheckValue(absl::string_view program, absl::CommandLineFlag* flag, absl::string_view value) {
+  if (absl::StrContains(flag->Filename(), "absl/")) return;  // those act when they are set
+  std::string error;
+  if (flag->ParseFrom(value, &error)) return;
+  const size_t reason = error.find("; want ");
+  Refuse(program,
+         absl::StrCat("--", flag->Name(), "=", value, ", want ",
+                      reason == std::string::npos ? Accepted(*flag) : error.substr(reason + std::strlen("; want "))),
+         "");
+}
+
+// Before absl parses the flags: its own errors neither suggest a flag nor name the accepted values.
+void RefuseBadFlags(absl::string_view program, int argc, char** argv) {
+  for (int i = 1; i < argc; ++i) {
+    const absl::string_view argument = argv[i];
+    if (argument == "--") return;
+    if (argument.size() < 2 || argument[0] != '-') continue;
+    absl::CommandLineFlag* flag = FlagOf(argument);
+    if (flag == nullptr) {
+      absl::string_view name = argument.substr(0, argument.find('='));
+      while (absl::ConsumePrefix(&name, "-")) {
+      }
+      Refuse(program, absl::StrFormat("unknown flag '%s'", name), FlagLike(name));
+    }
+    if (const size_t equals = argument.find('='); equals != absl::string_view::npos) {
+      CheckValue(program, flag, argument.substr(equals + 1));
+    } else if (!flag->IsOfType<bool>()) {
+      if (++i == argc)
+        Refuse(program, absl::StrFormat("--%s needs a value: --%s=VALUE", flag->Name(), flag->Name()), "");
+      CheckValue(program, flag, argv[i]);
+    }
+  }
+}
+
+// If `argument` requests help or the version, prints it and ends the program.
+void AnswerHelp(const ProgramHelp& program, absl::string_view argument) {
+  std::string text;
+  if (argument == "--help" || argument == "-help" || argument == "-h") text = ShortHelp(program);
+  if (argument == "--helpfull") text = FullHelp(program);
+  if (argument == "--help_json") text = HelpJson(program);
+  if (argument == "--version") text = VersionText(program.name) + "\n";
+  if (text.empty()) return;
+  std::fputs(text.c_str(), stdout);
+  std::exit(ExitCode(program.name, absl::OkStatus()));
+}
+
+// Whether standard output is a pipe or socket whose reader has closed it.
+bool ReaderIsGone() {
+  pollfd output = {STDOUT_FILENO, POLLOUT, 0};
+  return poll(&output, 1, 0) == 1 && (output.revents & (POLLERR | POLLHUP)) != 0;
+}
+
+}  // namespace
+
+std::vector<std::string> ParseFlagsAndArguments(absl::string_view program, absl::string_view usage, int argc,
+                                                char** argv, const std::vector<absl::string_view>& main_flags) {
+  // gRPC's own log describes its internals; relevant errors are logged by this project's code.
+  setenv("GRPC_VERBOSITY", "NONE", /*overwrite=*/0);
+  // Exceeding the file size limit becomes a write error, like a full disk, instead of ending the process.
+  signal(SIGXFSZ, SIG_IGN);
+  RaiseFileLimit();
+  for (int i = 1; i < argc && absl::string_view(argv[i]) != "--"; ++i) {
+    AnswerHelp({program, usage, main_flags}, argv[i]);
+  }
+  RefuseBadFlags(program, argc, argv);
+  const std::vector<char*> rest = absl::ParseCommandLine(argc, argv);
+  SetUpLog({absl::GetFlag(FLAGS_log_level), absl::GetFlag(FLAGS_log_format), std::string(program)});
+  return {rest.begin() + 1, rest.end()};
+}
+
+void ParseFlags(absl::string_view program, absl::string_view usage, int argc, char** argv,
+                const std::vector<absl::string_view>& main_flags) {
+  const std::vector<std::string> rest = ParseFlagsAndArguments(program, usage, argc, argv, main_flags);
+  if (rest.empty()) return;
+  Refuse(program, absl::StrFormat("\"%s\" is no flag", rest[0]), FlagOf(rest[0]) == nullptr ? "" : rest[0]);
+}
+
+absl::Status FinishStandardOutput() {
+  errno = 0;
+  const bool flushed = std::fflush(stdout) == 0;
+  const int error_number = errno;
+  if ((flushed && std::ferror(stdout) == 0) || ReaderIsGone()) return absl::OkStatus();
+  const std::string why = error_number == 0 ? "an earlier write failed" : std::generic_category().message(error_number);
+  return absl::DataLossError(absl::StrCat("cannot write all of standard output: ", why));
+}
+
+int ExitCode(absl::string_view program, const absl::Status& status) {
+  const absl::Status printed = FinishStandardOutput();
+  const absl::Status& error = status.ok() ? printed : status;
+  if (error.ok()) return 0;
+  if (absl::GetFlag(FLAGS_log_format) == LogFormat::kJson) {
+    LogError("%s", error.message());
+  } else {
+    absl::FPrintF(stderr, "%s: %s\n", program, error.message());
+  }
+  return status.ok() && printed.ok() ? 0 : 1;
+}
+
+void OutliveReaders() { signal(SIGPIPE, SIG_IGN); }
+
+StopSignal::StopSignal(std::function<void()> stop) {
+  CRAFTFLEET_CHECK(pipe(g_signal_pipe) == 0);
+  g_signals = 0;
+  thread_ = std::thread([stop = std::move(stop)] {
+    bool stopped = false;
+    char byte = 0;
+    while (read(g_signal_pipe[0], &byte, 1) == 1 && byte == kSignalByte) {
+      if (!stopped) stop();
+      stopped = true;
+    }
+  });
+  struct sigaction action = {};
+  action.sa_handler = OnSignal;
+  action.sa_flags = SA_RESTART;
+  sigaction(SIGTERM, &action, nullptr);
+  sigaction(SIGINT, &action, nullptr);
+  struct sigaction before = {};
+  sigaction(SIGHUP, nullptr, &before);
+  handles_hangup_ = before.sa_handler != SIG_IGN;
+  if (handles_hangup_) sigaction(SIGHUP, &action, nullptr);
+}
+
+StopSignal::~StopSignal() {
+  signal(SIGTERM, SIG_DFL);
+  signal(SIGINT, SIG_DFL);
+  // SIGHUP stays ignored: the process is about to end, and a second hangup must not change its exit code.
+  if (handles_hangup_) signal(SIGHUP, SIG_IGN);
+  [[maybe_unused]] const ssize_t written = write(g_signal_pipe[1], &kEndByte, 1);
+  thread_.join();
+  close(g_signal_pipe[0]);
+  close(g_signal_pipe[1]);
+}
+
+}  // namespace craftfleet

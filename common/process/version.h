@@ -1,0 +1,23 @@
+// Version and git revision of this build.
+
+#ifndef CRAFTFLEET_COMMON_PROCESS_VERSION_H_
+#define CRAFTFLEET_COMMON_PROCESS_VERSION_H_
+
+#include <string>
+
+#include <absl/strings/string_view.h>
+
+namespace craftfleet {
+
+absl::string_view ProgramVersion();  // "0.1.0"
+absl::string_view GitRevision();     // "39702b5", "39702b5-dirty"; "unknown" outside a checkout
+
+// Identifies the build to other processes: "0.1.0 (39702b5)".
+std::string BuildId();
+
+// The output of --version without a newline: "<program> 0.1.0 (39702b5)".
+std::string VersionText(absl::string_view program);
+
+}  // namespace craftfleet
+
+#endif  // CRAFTFLEET_COMMON_PROCESS_VERSION_H_

@@ -1,0 +1,26 @@
+// CPU time, open files and memory of this process.
+
+#ifndef CRAFTFLEET_COMMON_TELEMETRY_PROCESS_USAGE_H_
+#define CRAFTFLEET_COMMON_TELEMETRY_PROCESS_USAGE_H_
+
+#include <cstdint>
+
+namespace craftfleet {
+
+struct ProcessUsage {
+  double cpu_seconds = 0;  // user and system, all threads
+  int64_t open_files = 0;  // descriptors, sockets included
+};
+
+// Values that the system does not report are 0. Thread-safe.
+ProcessUsage ReadProcessUsage();
+
+// The number of files that the process can still open (ulimit -n). Thread-safe.
+int64_t FilesLeft();
+
+// The process's resident memory; 0 if the system does not report it. Thread-safe.
+int64_t ResidentMemoryBytes();
+
+}  // namespace craftfleet
+
+#endif  // CRAFTFLEET_COMMON_TELEMETRY_PROCESS_USAGE_H_

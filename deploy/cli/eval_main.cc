@@ -1,0 +1,279 @@
+// craftfleet eval: scores a checkpoint and records its episodes.
+
+#include <unistd.h>
+
+#include <atomic>
+#include <cstdio>
+#include <iostream>
+#include <optional>
+#include <utility>
+
+#include <absl/flags/flag.h>
+#include <absl/strings/str_format.h>
+#include <absl/time/clock.h>
+#include <nlohmann/json.hpp>
+
+#include "actor/evaluator.h"
+#include "actor/recording/episode_recorder.h"
+#include "common/agent/agent_spec.h"
+#include "common/base/clock.h"
+#include "common/base/status_macros.h"
+#include "common/config/env_name.h"
+#include "common/io/files.h"
+#include "common/io/output_file.h"
+#include "common/io/paths.h"
+#include "common/process/flag_values.h"
+#include "common/process/program.h"
+#include "common/wire/protocol.h"
+#include "common/wire/server.h"
+#include "deploy/cli/eval/checkpoint_policy.h"
+#include "deploy/cli/eval/eval_plan.h"
+#include "deploy/cli/eval/eval_progress.h"
+#include "deploy/cli/eval/eval_result.h"
+#include "envserver/env_service.h"
+#include "learner/run/score.h"
+
+ABSL_FLAG(std::string, checkpoint, "", "folder of a run, for its newest checkpoint, or of one checkpoint (required)");
+ABSL_FLAG(std::optional<craftfleet::Count>, episodes, std::nullopt, "episodes to play, 1..10000 [20]");
+ABSL_FLAG(std::optional<std::string>, env, std::nullopt,
+          "environment to play, such as crafter:inventory=off [the one of the training]");
+ABSL_FLAG(std::optional<int64_t>, seed, std::nullopt,
+          "seed of the environment; the evaluation plays its episodes 1, 2, ... [0]");
+ABSL_FLAG(bool, deterministic, false, "always take the most likely action instead of sampling one");
+ABSL_FLAG(std::string, protocol, "",
+          "final: replay the run's final evaluation\n"
+          "argmax episodes, then sampled ones, as in the run's configuration");
+ABSL_FLAG(std::string, json, "", "file to which the result is also written as JSON; -: standard output");
+ABSL_FLAG(std::string, video, "", "folder for a video of each episode, MP4");
+ABSL_FLAG(std::string, episodes_npz, "",
+          "folder for a NumPy file of each episode, in the format of Crafter's own recorder");
+ABSL_FLAG(std::string, pictures, "", "folder for a picture of every --picture_every steps, PNG");
+ABSL_FLAG(int32_t, picture_every, 50, "steps from one picture to the next, 1..10000");
+ABSL_FLAG(
+    std::string, attention_scale, "auto",
+    "with --attention: auto (up to the highest weight of each picture) or fixed (the same scale for all pictures)");
+ABSL_FLAG(int32_t, video_size, 576, "width and height of videos and pictures in pixels, an even number 64..1024");
+ABSL_FLAG(std::string, attention, "off",
+          "show the attention of agents such as oc_sa and oc_ca in videos and pictures: mean, sum, a number, or off\n"
+          "mean or sum over the heads (oc_sa) or slots (oc_ca), or the number of one of them, from 0");
+ABSL_FLAG(std::string, textures, "", "folder with Crafter's textures as PNG [the ones that come with this program]");
+ABSL_FLAG(craftfleet::TimeSpan, env_timeout, {absl::Seconds(10)}, "how long a step of the games may take, 0.1s..1h");
+
+namespace craftfleet {
+namespace {
+
+constexpr char kProgram[] = "craftfleet eval";
+constexpr char kUsage[] =
+    R"(craftfleet eval plays whole episodes with the policy of a checkpoint. It prints the success rate of each achievement, the
+mean reward and episode length, and the Crafter score. The result depends only on the weights, the environment and the seed.
+
+  craftfleet eval --checkpoint=runs/first --episodes=100
+  craftfleet eval --checkpoint=runs/first/checkpoints/iter-00000010 --env=crafter:numbers=easy-x2 --deterministic --json=eval.json
+  craftfleet eval --checkpoint=runs/first --protocol=final --video=videos --episodes_npz=episodes
+  craftfleet eval --checkpoint=runs/oc_ca --episodes=3 --video=videos --attention=sum
+
+Ctrl-C, SIGTERM or closing the terminal ends it. It then prints the result of the finished episodes and exits with 130.)";
+
+absl::Status OutOfRange(const char* flag, int value, const char* wanted) {
+  return absl::InvalidArgumentError(absl::StrFormat("--%s=%d, want %s", flag, value, wanted));
+}
+
+// The recordings that the flags request.
+absl::StatusOr<EpisodeRecorder::Options> RecorderOptions() {
+  EpisodeRecorder::Options options;
+  options.video_folder = absl::GetFlag(FLAGS_video);
+  options.npz_folder = absl::GetFlag(FLAGS_episodes_npz);
+  options.picture_folder = absl::GetFlag(FLAGS_pictures);
+  options.picture_every = absl::GetFlag(FLAGS_picture_every);
+  if (options.picture_every < 1 || options.picture_every > 10000) {
+    return OutOfRange("picture_every", options.picture_every, "1..10000");
+  }
+  const int size = absl::GetFlag(FLAGS_video_size);
+  if (size < 64 || size > 1024 || size % 2 != 0) return OutOfRange("video_size", size, "an even number 64..1024");
+  const bool pictures = !options.video_folder.empty() || !options.picture_folder.empty();
+  if (pictures) options.picture_size = size;
+  if (absl::GetFlag(FLAGS_attention) == "off") return options;
+  if (!pictures) return absl::InvalidArgumentError("--attention needs --video or --pictures");
+  absl::StatusOr<AttentionChoice> choice = AttentionChoice::Parse(absl::GetFlag(FLAGS_attention));
+  if (!choice.ok()) return absl::InvalidArgumentError(absl::StrFormat("--attention: %s", choice.status().message()));
+  options.attention = *choice;
+  const std::string scale = absl::GetFlag(FLAGS_attention_scale);
+  if (scale != "auto" && scale != "fixed") {
+    return absl::InvalidArgumentError(absl::StrFormat("--attention_scale=%s, want auto or fixed", scale));
+  }
+  options.fixed_scale = scale == "fixed";
+  return options;
+}
+
+bool Records(const EpisodeRecorder::Options& options) {
+  return !options.video_folder.empty() || !options.npz_folder.empty() || !options.picture_folder.empty();
+}
+
+absl::StatusOr<int> EpisodesFromFlag() {
+  const int64_t episodes = absl::GetFlag(FLAGS_episodes).value_or(Count{20}).value;
+  if (episodes < 1 || episodes > 10000) {
+    return absl::InvalidArgumentError(absl::StrFormat("--episodes=%d, want 1..10000", episodes));
+  }
+  return static_cast<int>(episodes);
+}
+
+// The parts that the flags describe, without the environment; empty for --protocol=final.
+absl::StatusOr<std::vector<EvalPart>> PartsFromFlags() {
+  const std::string protocol = absl::GetFlag(FLAGS_protocol);
+  if (const auto env = absl::GetFlag(FLAGS_env)) {
+    const absl::Status known = EnvName::Parse(*env).status();
+    if (!known.ok()) return absl::InvalidArgumentError(absl::StrFormat("--env: %s", known.message()));
+  }
+  EvaluationOptions options;
+  options.seed = absl::GetFlag(FLAGS_seed).value_or(0);
+  CRAFTFLEET_ASSIGN_OR_RETURN(options.episodes, EpisodesFromFlag());
+  options.greedy = absl::GetFlag(FLAGS_deterministic);
+  CRAFTFLEET_RETURN_IF_ERROR(options.Validate());
+  if (protocol.empty()) return std::vector<EvalPart>{{options.greedy ? "argmax" : "sampled", options}};
+  if (protocol != "final") {
+    return absl::InvalidArgumentError(absl::StrFormat("--protocol=%s, want final or nothing", protocol));
+  }
+  if (absl::GetFlag(FLAGS_env) || absl::GetFlag(FLAGS_seed) || absl::GetFlag(FLAGS_episodes) || options.greedy) {
+    return absl::InvalidArgumentError(
+        "--protocol=final replays the evaluation of the run's configuration: omit --env, --seed, --episodes and "
+        "--deterministic");
+  }
+  return std::vector<EvalPart>();
+}
+
+absl::StatusOr<EvalPlan> MakePlan(std::vector<EvalPart> parts, const v1::CheckpointState& state) {
+  if (parts.empty()) return FinalEvaluation(state);
+  EvalPlan plan{state.config().env(), std::move(parts)};
+  if (const auto env = absl::GetFlag(FLAGS_env)) plan.env.set_name(*env);
+  return plan;
+}
+
+// The environment server and the session that play an evaluation.
+struct Games {
+  std::unique_ptr<EnvServiceImpl> service;
+  std::unique_ptr<wire::Server> server;
+  std::unique_ptr<EnvClient> client;
+};
+
+absl::StatusOr<Games> OpenGames(const v1::EnvConfig& env, const AgentSpec& spec,
+                                const EpisodeRecorder::Options& recorder) {
+  const absl::Duration timeout = absl::GetFlag(FLAGS_env_timeout).value;
+  if (timeout < absl::Milliseconds(100) || timeout > absl::Hours(1)) {
+    return absl::InvalidArgumentError(
+        absl::StrFormat("--env_timeout=%s, want 0.1s..1h", absl::FormatDuration(timeout)));
+  }
+  CRAFTFLEET_ASSIGN_OR_RETURN(const std::string textures, TextureDir(absl::GetFlag(FLAGS_textures)));
+  Games games;
+  CRAFTFLEET_ASSIGN_OR_RETURN(games.service, EnvServiceImpl::Create(textures));
+  CRAFTFLEET_ASSIGN_OR_RETURN(games.server, wire::Server::Create({}, {games.service.get()}));
+  v1::SessionHello hello;
+  hello.set_protocol_version(wire::kProtocolVersion);
+  *hello.mutable_env() = env;
+  if (Records(recorder)) hello.mutable_recording()->set_picture_size(recorder.picture_size);
+  games.client =
+      std::make_unique<EnvClient>(games.server->InProcess(), hello, static_cast<int>(spec.frame_bytes()), timeout);
+  CRAFTFLEET_RETURN_IF_ERROR(games.client->Connect(absl::Seconds(5)));
+  return games;
+}
+
+// If there are several parts, each records into its own subfolder.
+EpisodeRecorder::Options InFolderOf(const EvalPart& part, EpisodeRecorder::Options options) {
+  for (std::string* folder : {&options.video_folder, &options.npz_folder, &options.picture_folder}) {
+    if (!folder->empty()) *folder = JoinPath(*folder, part.name);
+  }
+  return options;
+}
+
+// Plays `part` until all episodes have finished or `stop` becomes true. Returns the finished episodes.
+absl::StatusOr<ScoreBoard> Play(const EvalPart& part, EpisodeRecorder::Options options, const Policy& policy,
+                                EnvClient* env, const std::atomic<bool>& stop) {
+  std::unique_ptr<EpisodeRecorder> recorder;
+  if (Records(options)) {
+    options.first_episode = part.options.first_episode;
+    CRAFTFLEET_ASSIGN_OR_RETURN(recorder, EpisodeRecorder::Create(options, &policy, absl::Now()));
+  }
+  RealClock clock;
+  EvalProgress progress({part.name, part.options.episodes, isatty(STDERR_FILENO) == 1}, &std::cerr, &clock);
+  const auto episodes = Evaluate(
+      part.options, policy, env, [&progress](int finished) { progress.Update(finished); }, recorder.get(), &stop);
+  progress.Finish();
+  if (!episodes.ok()) return episodes.status();
+  ScoreBoard board;
+  for (const Episode& episode : *episodes) board.Add(episode);
+  return board;
+}
+
+nlohmann::ordered_json DescribeCheckpoint(const v1::CheckpointState& state, const EvalPlan& plan) {
+  return {{"run_id", state.run_id()},
+          {"agent", state.config().agent()},
+          {"env", plan.env.name()},
+          {"env_steps_trained", state.env_steps()},
+          {"seed", plan.parts[0].options.seed}};
+}
+
+// Plays the parts and prints their results to `text`, until `stop` becomes true. Fills `json`.
+//   Cancelled: stopped before the end.
+absl::Status PlayAll(const EvalPlan& plan, const EpisodeRecorder::Options& recorder, const Policy& policy,
+                     EnvClient* env, const std::atomic<bool>& stop, std::FILE* text, nlohmann::ordered_json* json) {
+  const bool several = plan.parts.size() > 1;
+  for (const EvalPart& part : plan.parts) {
+    CRAFTFLEET_ASSIGN_OR_RETURN(const ScoreBoard board,
+                                Play(part, several ? InFolderOf(part, recorder) : recorder, policy, env, stop));
+    const bool stopped = board.episodes() < part.options.episodes;
+    if (board.episodes() > 0) {
+      if (several) absl::FPrintF(text, "\n%s episodes\n", part.name);
+      std::fputs(DescribeResult(board).c_str(), text);
+      nlohmann::ordered_json& out = several ? (*json)[part.name] : *json;
+      out["deterministic"] = part.options.greedy;
+      AddResult(board, &out);
+    }
+    if (!stopped) continue;
+    (*json)["stopped"] = true;
+    return absl::CancelledError(absl::StrFormat(
+        "stopped after %d of %d %s episodes; shorter episodes finish first, so this is not a fair sample",
+        board.episodes(), part.options.episodes, part.name));
+  }
+  return absl::OkStatus();
+}
+
+absl::Status Run() {
+  if (absl::GetFlag(FLAGS_checkpoint).empty()) {
+    return absl::InvalidArgumentError("--checkpoint is missing: the folder of a run or of a checkpoint");
+  }
+  CRAFTFLEET_ASSIGN_OR_RETURN(std::vector<EvalPart> parts, PartsFromFlags());
+  CRAFTFLEET_ASSIGN_OR_RETURN(EpisodeRecorder::Options recorder, RecorderOptions());
+  CRAFTFLEET_ASSIGN_OR_RETURN(const CheckpointPolicy agent, LoadPolicy(absl::GetFlag(FLAGS_checkpoint)));
+  std::optional<OutputFile> json_file;
+  if (const std::string path = absl::GetFlag(FLAGS_json); !path.empty()) {
+    CRAFTFLEET_ASSIGN_OR_RETURN(OutputFile file, OutputFile::Open("--json", path));
+    json_file.emplace(std::move(file));
+  }
+  CRAFTFLEET_ASSIGN_OR_RETURN(const EvalPlan plan, MakePlan(std::move(parts), agent.state));
+  recorder.frame_size = agent.spec.frame_size;
+  std::atomic<bool> stop{false};
+  StopSignal signal([&stop] { stop = true; });
+  CRAFTFLEET_ASSIGN_OR_RETURN(const Games games, OpenGames(plan.env, agent.spec, recorder));
+
+  std::FILE* const text = json_file.has_value() && json_file->is_standard_output() ? stderr : stdout;
+  absl::FPrintF(text, "%s of run %s, %s after %d steps, on %s\n", agent.folder, agent.state.run_id(),
+                agent.state.config().agent(), agent.state.env_steps(), plan.env.name());
+  CRAFTFLEET_RETURN_IF_ERROR(FinishStandardOutput());  // reports a full disk before the episodes are played
+  nlohmann::ordered_json json = DescribeCheckpoint(agent.state, plan);
+  const absl::Status played = PlayAll(plan, recorder, *agent.policy, games.client.get(), stop, text, &json);
+  if (!played.ok() && !absl::IsCancelled(played)) return played;
+  if (json_file.has_value()) CRAFTFLEET_RETURN_IF_ERROR(json_file->Write(json.dump(2) + "\n"));
+  return played;
+}
+
+}  // namespace
+}  // namespace craftfleet
+
+int main(int argc, char** argv) {
+  craftfleet::OutliveReaders();
+  craftfleet::ParseFlags(craftfleet::kProgram, craftfleet::kUsage, argc, argv,
+                         {"checkpoint", "episodes", "env", "seed", "deterministic", "protocol", "json", "video",
+                          "episodes_npz", "attention"});
+  const absl::Status status = craftfleet::Run();
+  const int exit_code = craftfleet::ExitCode(craftfleet::kProgram, status);
+  return absl::IsCancelled(status) ? craftfleet::kStoppedExitCode : exit_code;
+}

@@ -1,0 +1,31 @@
+// Keys as programs with a screen see them, the same from a window and from a terminal.
+
+#ifndef CRAFTFLEET_DEPLOY_CLI_SCREEN_KEYS_H_
+#define CRAFTFLEET_DEPLOY_CLI_SCREEN_KEYS_H_
+
+#include <vector>
+
+#include <absl/strings/string_view.h>
+
+namespace craftfleet {
+
+// The ASCII code of a key, letters in lower case, or one of the constants below.
+using Key = int;
+inline constexpr Key kNoKey = 0;
+inline constexpr Key kTabKey = '\t';
+inline constexpr Key kEscapeKey = 27;
+inline constexpr Key kUpKey = 256;
+inline constexpr Key kDownKey = 257;
+inline constexpr Key kLeftKey = 258;
+inline constexpr Key kRightKey = 259;
+inline constexpr Key kCloseKey = 260;  // Ctrl-C in a terminal, or the window was closed
+
+// The keys in the bytes of a terminal. Unknown escape sequences are skipped.
+std::vector<Key> KeysFromTerminal(absl::string_view bytes);
+
+// The key of a code from OpenCV's waitKeyEx: ASCII or, for arrows, an X11 symbol; kNoKey for others and for -1.
+Key KeyFromWindow(int code);
+
+}  // namespace craftfleet
+
+#endif  // CRAFTFLEET_DEPLOY_CLI_SCREEN_KEYS_H_

@@ -1,0 +1,43 @@
+// A screen in a terminal with 24-bit colours, also over ssh.
+
+#ifndef CRAFTFLEET_DEPLOY_CLI_SCREEN_TERMINAL_SCREEN_H_
+#define CRAFTFLEET_DEPLOY_CLI_SCREEN_TERMINAL_SCREEN_H_
+
+#include <deque>
+#include <memory>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include <absl/status/statusor.h>
+
+#include "deploy/cli/screen/screen.h"
+#include "deploy/cli/screen/terminal.h"
+
+namespace craftfleet {
+
+// The rows of a page: the picture as half blocks, the text beside it, cut to `columns` and `rows`.
+std::vector<std::string> PageRows(const View& view, int columns, int rows);
+
+class TerminalScreen : public Screen {
+ public:
+  // Takes over the terminal at standard input and output until the object is destroyed.
+  //   FailedPrecondition: they are no terminal, or it is too small.
+  static absl::StatusOr<std::unique_ptr<Screen>> Open();
+
+  PictureRoom Room() const override;
+  absl::Status Show(const View& view) override;
+  Key ReadKey(absl::Duration timeout) override;
+
+ private:
+  TerminalScreen() = default;
+
+  Terminal terminal_;
+  std::deque<Key> keys_;            // pressed and not read yet
+  std::pair<int, int> size_;        // columns and rows when shown_ was drawn
+  std::vector<std::string> shown_;  // rows on the terminal: only those that change are written
+};
+
+}  // namespace craftfleet
+
+#endif  // CRAFTFLEET_DEPLOY_CLI_SCREEN_TERMINAL_SCREEN_H_

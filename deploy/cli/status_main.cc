@@ -1,0 +1,93 @@
+// craftfleet status: prints the status of a process of the fleet.
+
+#include <cstdio>
+
+#include <absl/flags/flag.h>
+#include <absl/time/time.h>
+#include <google/protobuf/util/json_util.h>
+
+#include "common/base/status_macros.h"
+#include "common/process/flag_values.h"
+#include "common/process/program.h"
+#include "craftfleet/v1/status.grpc.pb.h"
+#include "deploy/cli/status_client.h"
+#include "deploy/cli/status_text.h"
+
+ABSL_FLAG(std::string, address, "127.0.0.1:50051", "address of a learner, actor or environment server, HOST:PORT");
+ABSL_FLAG(bool, json, false, "print JSON");
+ABSL_FLAG(bool, watch, false, "print the status repeatedly, until stopped");
+ABSL_FLAG(craftfleet::TimeSpan, interval, {absl::Seconds(1)},
+          "with --watch: time between updates, 100ms..1m; a plain number is in seconds");
+
+namespace craftfleet {
+namespace {
+
+constexpr char kProgram[] = "craftfleet status";
+constexpr char kUsage[] =
+    R"(craftfleet status prints the status of any process of the fleet: role, version, run, uptime, rates, counts, peers.
+
+  craftfleet status --address=127.0.0.1:50051
+  craftfleet status --address=127.0.0.1:50051 --json
+  craftfleet status --address=127.0.0.1:50051 --watch --interval=5s
+
+The status of a learner covers the whole fleet; craftfleet top shows it as a live page.)";
+
+absl::Status PrintJson(const v1::StatusReply& reply) {
+  google::protobuf::util::JsonPrintOptions options;
+  options.add_whitespace = true;
+  options.always_print_primitive_fields = true;
+  options.preserve_proto_field_names = true;
+  std::string json;
+  if (!google::protobuf::util::MessageToJsonString(reply, &json, options).ok()) {
+    return absl::InternalError("the status has no JSON form");
+  }
+  std::fputs(json.c_str(), stdout);
+  return absl::OkStatus();
+}
+
+absl::Status Print(const v1::StatusReply& reply) {
+  absl::Status status;
+  if (absl::GetFlag(FLAGS_json)) {
+    status = PrintJson(reply);
+  } else {
+    std::fputs(StatusText(reply).c_str(), stdout);
+  }
+  std::fflush(stdout);
+  return status;
+}
+
+// Prints each status that the process sends, until the process ends or standard output is closed.
+absl::Status Watch(const wire::Endpoint& process, absl::Duration interval) {
+  v1::WatchRequest request;
+  request.set_interval_ms(static_cast<int>(absl::ToInt64Milliseconds(interval)));
+  grpc::ClientContext context;
+  const auto stream = v1::StatusService::NewStub(process.channel)->WatchStatus(&context, request);
+  v1::StatusReply reply;
+  while (std::ferror(stdout) == 0 && stream->Read(&reply)) {
+    CRAFTFLEET_RETURN_IF_ERROR(Print(reply));
+    std::puts("");
+  }
+  if (std::ferror(stdout) != 0) {
+    context.TryCancel();  // ExitCode prints the reason
+    return absl::OkStatus();
+  }
+  return wire::FromCall(stream->Finish(), process.address, process);
+}
+
+absl::Status Run() {
+  const absl::Duration interval = absl::GetFlag(FLAGS_interval).value;
+  CRAFTFLEET_RETURN_IF_ERROR(CheckInterval(interval));
+  CRAFTFLEET_ASSIGN_OR_RETURN(const wire::Endpoint process, ConnectToProcess("process", absl::GetFlag(FLAGS_address)));
+  if (absl::GetFlag(FLAGS_watch)) return Watch(process, interval);
+  CRAFTFLEET_ASSIGN_OR_RETURN(const v1::StatusReply reply, AskStatus(process));
+  return Print(reply);
+}
+
+}  // namespace
+}  // namespace craftfleet
+
+int main(int argc, char** argv) {
+  craftfleet::ParseFlags(craftfleet::kProgram, craftfleet::kUsage, argc, argv,
+                         {"address", "json", "watch", "interval"});
+  return craftfleet::ExitCode(craftfleet::kProgram, craftfleet::Run());
+}

@@ -1,0 +1,94 @@
+#include "deploy/cli/status_text.h"
+
+#include <algorithm>
+
+#include <absl/strings/str_cat.h>
+#include <absl/strings/str_format.h>
+#include <absl/strings/string_view.h>
+
+#include "common/base/printable.h"
+
+namespace craftfleet {
+namespace {
+
+void AddLine(absl::string_view line, std::string* text) { absl::StrAppend(text, Printable(line), "\n"); }
+
+void AddField(absl::string_view name, absl::string_view value, std::string* text) {
+  AddLine(absl::StrFormat("%-24s %s", name, value), text);
+}
+
+void AddTimes(const google::protobuf::RepeatedPtrField<v1::ActivityTime>& times, std::string* text) {
+  for (const v1::ActivityTime& time : times) {
+    std::string line = absl::StrFormat("  %-22s %5.1f %%", time.activity(), 100 * time.share());
+    if (time.seconds() > 0) absl::StrAppendFormat(&line, " %12.1f s since the start", time.seconds());
+    AddLine(line, text);
+  }
+}
+
+const char* StateOf(const v1::Peer& peer) {
+  if (peer.health() == v1::Peer::LOST) return "LOST";
+  if (peer.health() == v1::Peer::NOT_ANSWERING) return "NOT ANSWERING";
+  if (peer.health() == v1::Peer::LEFT) return "left";
+  if (peer.drain() == v1::Peer::DRAINING) return "draining";
+  return peer.drain() == v1::Peer::DRAINED ? "drained" : "";
+}
+
+const char* RunStateOf(const v1::FleetSummary& fleet) {
+  switch (fleet.run_state()) {
+    case v1::FleetSummary::TRAINING:
+      return "training";
+    case v1::FleetSummary::PAUSED:
+      return "paused";
+    case v1::FleetSummary::EVALUATING:
+      return "evaluating";
+    case v1::FleetSummary::COMPLETE:
+      return "complete";
+    default:
+      return "";
+  }
+}
+
+void AddPeers(const v1::StatusReply& reply, std::string* text) {
+  if (reply.peers_size() > 0) AddLine("peers", text);
+  for (const v1::Peer& peer : reply.peers()) {
+    std::string line = absl::StrFormat("  %-10s %-28s %-22s %-4s %s", peer.role(), peer.name(), peer.address(),
+                                       StateOf(peer), peer.state());
+    if (peer.has_summary()) {
+      absl::StrAppendFormat(&line, "  %.0f steps/s, %d lanes, %.0f MiB", peer.summary().steps_per_second(),
+                            peer.summary().lanes(), static_cast<double>(peer.summary().memory_bytes()) / (1 << 20));
+    }
+    AddLine(line, text);
+  }
+  const bool any_drained = std::any_of(reply.peers().begin(), reply.peers().end(), [](const v1::Peer& peer) {
+    return peer.drain() != v1::Peer::NO_DRAIN && peer.health() == v1::Peer::OK;
+  });
+  if (any_drained) AddLine("  craftfleet admin undrain NAME gives a drained worker work again", text);
+}
+
+}  // namespace
+
+std::string StatusText(const v1::StatusReply& reply) {
+  std::string text;
+  AddField("role", reply.role(), &text);
+  AddField("name", reply.name(), &text);
+  AddField("version", reply.version(), &text);
+  AddField("run", reply.run_id().empty() ? "-" : reply.run_id(), &text);
+  if (*RunStateOf(reply.fleet()) != '\0') AddField("state", RunStateOf(reply.fleet()), &text);
+  if (!reply.metrics_address().empty()) AddField("metrics", reply.metrics_address(), &text);
+  for (const v1::Metric& metric : reply.metrics()) {
+    AddField(metric.name(), absl::StrFormat("%.10g %s", metric.value(), metric.unit()), &text);
+  }
+  if (!reply.summary().gpu().empty()) AddField("gpu", reply.summary().gpu(), &text);
+  if (!reply.summary().last_error().empty()) AddField("last error", reply.summary().last_error(), &text);
+  if (reply.summary().threads() > 0) AddLine(absl::StrFormat("time of %d threads", reply.summary().threads()), &text);
+  AddTimes(reply.summary().times(), &text);
+  if (reply.has_fleet()) {
+    AddLine("time of the fleet", &text);
+    AddTimes(reply.fleet().times(), &text);
+    AddField("bottleneck", absl::StrCat(reply.fleet().bottleneck(), ": ", reply.fleet().advice()), &text);
+  }
+  AddPeers(reply, &text);
+  return text;
+}
+
+}  // namespace craftfleet

@@ -1,0 +1,55 @@
+#include "deploy/cli/watch/watch_view.h"
+
+#include <utility>
+
+#include <absl/strings/str_cat.h>
+#include <absl/strings/str_format.h>
+
+#include "actor/recording/picture.h"
+#include "common/base/status_macros.h"
+
+namespace craftfleet {
+namespace {
+
+TextLine ActionLine(int action, const AgentGame::Decision& decision) {
+  const bool chosen = static_cast<int>(decision.action) == action;
+  return {absl::StrCat(chosen ? "> " : "  ", kActionNames[action]),
+          chosen ? TextLine::Style::kGood : TextLine::Style::kPlain, decision.odds.probs[action]};
+}
+
+}  // namespace
+
+std::vector<TextLine> DescribeMoment(const std::string& title, const AgentGame& game) {
+  const World& world = game.world();
+  const std::vector<TextLine> items = InventoryLines(world, kTextColumns);
+  std::vector<TextLine> lines = {
+      {title, TextLine::Style::kTitle},
+      {absl::StrFormat("seed %d, episode %d, step %d", world.seed(), world.episode(), world.step())},
+      {absl::StrFormat("reward %.1f (%+.1f), value %.2f", world.episode_reward(), game.outcome().reward,
+                       game.decision().value)},
+      NeedsLine(world),
+      items.empty() ? TextLine() : items[0],
+      items.size() < 2 ? TextLine() : items[1],
+  };
+  for (int action = 0; action < kNumActions; ++action) lines.push_back(ActionLine(action, game.decision()));
+  if (!game.events().lines().empty()) lines.push_back(game.events().lines().back());
+  return lines;
+}
+
+absl::StatusOr<View> DrawMoment(const std::string& title, const PictureRoom& room,
+                                const std::optional<AttentionChoice>& attention, AgentGame* game) {
+  View view;
+  view.width = PictureSize(room, game->world().options().view_width);
+  view.height = view.width;
+  CRAFTFLEET_ASSIGN_OR_RETURN(view.picture, game->Picture(view.width));
+  if (attention.has_value()) {
+    CRAFTFLEET_ASSIGN_OR_RETURN(const AttentionMap map, game->Attention());
+    CRAFTFLEET_ASSIGN_OR_RETURN(const std::vector<float> weights, Choose(map, *attention));
+    view.picture =
+        OverlayAttention(view.picture, view.width, LightToHighest(map.patches, weights).brightness, game->frame_size());
+  }
+  view.lines = DescribeMoment(title, *game);
+  return view;
+}
+
+}  // namespace craftfleet

@@ -1,0 +1,238 @@
+// craftfleet watch: an agent plays, live in a window or a terminal, as a video, or as a strip of pictures.
+
+#include <unistd.h>
+
+#include <atomic>
+#include <iostream>
+#include <memory>
+#include <optional>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include <absl/flags/flag.h>
+#include <absl/strings/match.h>
+#include <absl/strings/numbers.h>
+#include <absl/strings/str_cat.h>
+#include <absl/strings/str_format.h>
+#include <absl/strings/str_split.h>
+
+#include "common/base/clock.h"
+#include "common/base/numbers.h"
+#include "common/base/status_macros.h"
+#include "common/config/env_name.h"
+#include "common/process/program.h"
+#include "deploy/cli/eval/checkpoint_policy.h"
+#include "deploy/cli/screen/terminal_screen.h"
+#include "deploy/cli/screen/window_screen.h"
+#include "deploy/cli/watch/attention_strip.h"
+#include "deploy/cli/watch/watch_loop.h"
+#include "deploy/cli/watch/watch_video.h"
+#include "learner/run/checkpoint_store.h"
+
+ABSL_FLAG(std::optional<std::string>, env, std::nullopt,
+          "environment to play, such as crafter:inventory=off [the one of the training]");
+ABSL_FLAG(int64_t, seed, 0, "seed of the environment; the same episodes as craftfleet eval --seed");
+ABSL_FLAG(int64_t, episode, 1, "episode of the environment to begin with, 1..1000000000");
+ABSL_FLAG(bool, deterministic, false, "always take the most likely action instead of sampling one");
+ABSL_FLAG(bool, terminal, false, "show it in the terminal, also over ssh, instead of a window; needs 24-bit colours");
+ABSL_FLAG(double, speed, 5, "steps a second, 0.25..256; the keys + and - change it");
+ABSL_FLAG(int32_t, size, 512, "width and height of the picture in windows and videos, in pixels, 64..1024");
+ABSL_FLAG(std::string, attention, "off",
+          "show the attention of agents such as oc_sa and oc_ca: mean, sum, a number, or off\n"
+          "mean or sum over the heads (oc_sa) or slots (oc_ca), or the number of one of them, from 0");
+ABSL_FLAG(bool, follow, false, "before each episode, load the run's newest checkpoint");
+ABSL_FLAG(std::string, video, "", "write one episode to this MP4 file instead of showing it");
+ABSL_FLAG(std::string, strip, "",
+          "write a strip of pictures with attention to this PNG file instead of showing the game");
+ABSL_FLAG(std::string, strip_steps, "auto",
+          "steps of the strip's columns, such as 0,40,80; auto: around achievements [auto]");
+ABSL_FLAG(int32_t, strip_columns, 6, "number of columns with --strip_steps=auto, 1..32");
+ABSL_FLAG(std::string, strip_detail, "pixels",
+          "with --strip: pixels (the mean of the patches at each pixel) or patches (each patch as a square)");
+ABSL_FLAG(std::string, textures, "", "folder with Crafter's textures as PNG [the ones that come with this program]");
+
+namespace craftfleet {
+namespace {
+
+constexpr char kProgram[] = "craftfleet watch";
+constexpr char kUsage[] =
+    R"(craftfleet watch RUN shows how the agent of a run or checkpoint plays: the game, the rewards, the value of each moment and
+the probability of each action. It plays in a window, in a terminal, or into a file. h shows the keys.
+
+  craftfleet watch runs/first
+  craftfleet watch --terminal --follow runs/first
+  craftfleet watch --video=episode.mp4 runs/first/checkpoints/iter-00000010
+  craftfleet watch --strip=attention.png --attention=mean runs/oc_sa)";
+
+template <typename Value>
+absl::Status BadFlag(const char* flag, const Value& value, const char* wanted) {
+  return absl::InvalidArgumentError(absl::StrCat("--", flag, "=", value, ", want ", wanted));
+}
+
+absl::Status CheckFlags() {
+  const int64_t episode = absl::GetFlag(FLAGS_episode);
+  if (episode < 1 || episode > 1'000'000'000) return BadFlag("episode", episode, "1..1000000000");
+  const double speed = absl::GetFlag(FLAGS_speed);
+  if (!(speed >= 0.25 && speed <= 256)) return BadFlag("speed", speed, "0.25..256");
+  const int size = absl::GetFlag(FLAGS_size);
+  if (size < 64 || size > 1024) return BadFlag("size", size, "64..1024");
+  const int columns = absl::GetFlag(FLAGS_strip_columns);
+  if (columns < 1 || columns > 32) return BadFlag("strip_columns", columns, "1..32");
+  const std::string detail = absl::GetFlag(FLAGS_strip_detail);
+  if (detail != "pixels" && detail != "patches") return BadFlag("strip_detail", detail, "pixels or patches");
+  const std::string video = absl::GetFlag(FLAGS_video);
+  if (!video.empty() && !absl::EndsWith(video, ".mp4")) return BadFlag("video", video, "a file name that ends in .mp4");
+  const std::string strip = absl::GetFlag(FLAGS_strip);
+  if (!strip.empty() && !absl::EndsWith(strip, ".png")) return BadFlag("strip", strip, "a file name that ends in .png");
+  if (!video.empty() && !strip.empty()) return absl::InvalidArgumentError("--video and --strip: want one of them");
+  return absl::OkStatus();
+}
+
+absl::StatusOr<std::optional<AttentionChoice>> AttentionFromFlag() {
+  const std::string text = absl::GetFlag(FLAGS_attention);
+  if (text == "off") return std::optional<AttentionChoice>();
+  absl::StatusOr<AttentionChoice> choice = AttentionChoice::Parse(text);
+  if (!choice.ok()) return absl::InvalidArgumentError(absl::StrCat("--attention: ", choice.status().message()));
+  return std::optional<AttentionChoice>(*choice);
+}
+
+// The steps of --strip_steps, ascending; empty for auto.
+absl::StatusOr<std::vector<int64_t>> StripSteps() {
+  std::vector<int64_t> steps;
+  const std::string text = absl::GetFlag(FLAGS_strip_steps);
+  if (text == "auto") return steps;
+  for (const absl::string_view part : absl::StrSplit(text, ',')) {
+    int64_t step = 0;
+    if (!absl::SimpleAtoi(part, &step) || step < 0 || (!steps.empty() && step <= steps.back()) || steps.size() == 32) {
+      return BadFlag("strip_steps", text, "auto or at most 32 steps from 0, ascending, such as 0,40,80");
+    }
+    steps.push_back(step);
+  }
+  return steps;
+}
+
+absl::StatusOr<AgentGame::Options> GameOptions(const CheckpointPolicy& agent) {
+  const v1::EnvConfig& env = agent.state.config().env();
+  absl::StatusOr<EnvName> name = EnvName::Parse(absl::GetFlag(FLAGS_env).value_or(env.name()));
+  if (!name.ok()) return absl::InvalidArgumentError(absl::StrCat("--env: ", name.status().message()));
+  AgentGame::Options options;
+  options.env = *name;
+  options.length = env.length();
+  options.frame_size = agent.spec.frame_size;
+  options.seed = absl::GetFlag(FLAGS_seed);
+  options.greedy = absl::GetFlag(FLAGS_deterministic);
+  options.textures = Textures::BuiltIn();
+  if (const std::string folder = absl::GetFlag(FLAGS_textures); !folder.empty()) {
+    absl::StatusOr<std::shared_ptr<const Textures>> textures = Textures::Load(folder);
+    if (!textures.ok()) {
+      return absl::Status(textures.status().code(),
+                          absl::StrCat("--textures=", folder, ": ", textures.status().message()));
+    }
+    options.textures = *std::move(textures);
+  }
+  return options;
+}
+
+std::string TitleOf(const CheckpointPolicy& agent) {
+  return absl::StrCat(agent.state.config().agent(), ", ", WithCommas(agent.state.env_steps()), " steps");
+}
+
+// The source of agents for live play: the loaded one or, with --follow, the newest of the run.
+std::function<absl::StatusOr<WatchedAgent>()> AgentSource(const std::string& path, CheckpointPolicy first) {
+  return [path, agent = std::move(first)]() mutable -> absl::StatusOr<WatchedAgent> {
+    if (absl::GetFlag(FLAGS_follow)) {
+      const absl::StatusOr<std::string> newest = FindCheckpoint(path);
+      if (newest.ok() && *newest != agent.folder) {
+        // A checkpoint may be removed while it is read; then the next episode gets a newer one.
+        absl::StatusOr<CheckpointPolicy> loaded = LoadPolicy(path);
+        if (loaded.ok()) agent = *std::move(loaded);
+      }
+    }
+    return WatchedAgent{TitleOf(agent), agent.policy};
+  };
+}
+
+absl::StatusOr<std::unique_ptr<Screen>> OpenScreen() {
+  if (absl::GetFlag(FLAGS_terminal)) return TerminalScreen::Open();
+  const int size = absl::GetFlag(FLAGS_size);
+  return OpenWindow("craftfleet watch", {size, size});
+}
+
+absl::Status WriteVideo(const CheckpointPolicy& agent, const AgentGame::Options& game_options,
+                        const std::optional<AttentionChoice>& attention, const std::atomic<bool>& stop) {
+  CRAFTFLEET_ASSIGN_OR_RETURN(const auto game,
+                              AgentGame::Create(game_options, agent.policy, absl::GetFlag(FLAGS_episode)));
+  WatchVideoOptions options;
+  options.path = absl::GetFlag(FLAGS_video);
+  options.size = absl::GetFlag(FLAGS_size);
+  options.title = TitleOf(agent);
+  options.attention = attention;
+  const bool terminal = isatty(STDERR_FILENO) == 1;
+  if (terminal) {
+    options.on_step = [](int64_t steps) { std::cerr << "\r\033[K" << steps << " steps" << std::flush; };
+  }
+  const absl::Status written = WriteWatchVideo(options, stop, game.get());
+  if (terminal) std::cerr << "\r\033[K";
+  CRAFTFLEET_RETURN_IF_ERROR(written);
+  absl::PrintF("%s: %s, episode %d, %d steps, reward %.1f\n", options.path, options.title, game->world().episode(),
+               game->world().step(), game->world().episode_reward());
+  return absl::OkStatus();
+}
+
+absl::Status WriteStrip(const CheckpointPolicy& agent, const AgentGame::Options& game_options,
+                        const AttentionChoice& attention, std::vector<int64_t> steps, const std::atomic<bool>& stop) {
+  const int64_t episode = absl::GetFlag(FLAGS_episode);
+  CRAFTFLEET_ASSIGN_OR_RETURN(const auto game, AgentGame::Create(game_options, agent.policy, episode));
+  CRAFTFLEET_RETURN_IF_ERROR(game->Attention().status());
+  if (steps.empty()) {
+    CRAFTFLEET_ASSIGN_OR_RETURN(const EpisodeOutline outline, PlayOutline(stop, game.get()));
+    steps = ChooseSteps(outline.unlocks, outline.length, absl::GetFlag(FLAGS_strip_columns));
+    CRAFTFLEET_RETURN_IF_ERROR(game->Start(agent.policy, episode));
+  }
+  CRAFTFLEET_ASSIGN_OR_RETURN(const auto columns, TakeColumns(steps, attention, stop, game.get()));
+  if (columns.empty()) {
+    return absl::InvalidArgumentError(absl::StrCat("--strip_steps=", absl::GetFlag(FLAGS_strip_steps),
+                                                   ": the episode has ", game->world().step(), " steps"));
+  }
+  const bool patches = absl::GetFlag(FLAGS_strip_detail) == "patches";
+  const StripPicture strip = DrawStrip(columns, patches ? AttentionDetail::kPatches : AttentionDetail::kPixels);
+  const std::string path = absl::GetFlag(FLAGS_strip);
+  CRAFTFLEET_RETURN_IF_ERROR(WritePng(path, strip.pixels, strip.width, strip.height));
+  absl::PrintF("%s: %d columns of episode %d\n", path, columns.size(), episode);
+  return absl::OkStatus();
+}
+
+absl::Status Run(const std::vector<std::string>& paths) {
+  if (paths.size() != 1)
+    return absl::InvalidArgumentError(absl::StrCat(paths.size(), " runs, want one run or checkpoint"));
+  CRAFTFLEET_RETURN_IF_ERROR(CheckFlags());
+  CRAFTFLEET_ASSIGN_OR_RETURN(const std::optional<AttentionChoice> attention, AttentionFromFlag());
+  CRAFTFLEET_ASSIGN_OR_RETURN(const std::vector<int64_t> steps, StripSteps());
+  CRAFTFLEET_ASSIGN_OR_RETURN(CheckpointPolicy agent, LoadPolicy(paths[0]));
+  CRAFTFLEET_ASSIGN_OR_RETURN(const AgentGame::Options game_options, GameOptions(agent));
+  std::atomic<bool> stop{false};
+  StopSignal signal([&stop] { stop = true; });  // before the window system starts threads
+  if (!absl::GetFlag(FLAGS_video).empty()) return WriteVideo(agent, game_options, attention, stop);
+  if (!absl::GetFlag(FLAGS_strip).empty()) {
+    return WriteStrip(agent, game_options, attention.value_or(AttentionChoice()), steps, stop);
+  }
+  CRAFTFLEET_ASSIGN_OR_RETURN(const std::unique_ptr<Screen> screen, OpenScreen());
+  WatchOptions options;
+  options.speed = absl::GetFlag(FLAGS_speed);
+  options.episode = absl::GetFlag(FLAGS_episode);
+  options.attention = attention;
+  options.agent = AgentSource(paths[0], std::move(agent));
+  RealClock clock;
+  return WatchOnScreen(options, game_options, stop, &clock, screen.get());
+}
+
+}  // namespace
+}  // namespace craftfleet
+
+int main(int argc, char** argv) {
+  const std::vector<std::string> paths = craftfleet::ParseFlagsAndArguments(
+      craftfleet::kProgram, craftfleet::kUsage, argc, argv,
+      {"env", "seed", "episode", "deterministic", "terminal", "speed", "attention", "follow", "video", "strip"});
+  return craftfleet::ExitCode(craftfleet::kProgram, craftfleet::Run(paths));
+}

@@ -1,0 +1,24 @@
+"""CraftFleet for Python: the game Crafter, native and exact, with seeds that repeat.
+
+    import craftfleet
+    env = craftfleet.Env(seed=1)                                # in place of crafter.Env
+    env = gymnasium.make("CraftFleet/Crafter-v1")               # Gymnasium
+    envs = craftfleet.VectorEnv(64, threads=4)                  # many games in one array
+"""
+
+from craftfleet import _registration
+from craftfleet._engine import ACHIEVEMENTS, ACTIONS, ITEMS
+from craftfleet.env import Env
+from craftfleet.gymnasium_env import GymnasiumEnv
+from craftfleet.recorder import Recorder
+from craftfleet.remote import RemoteVectorEnv, Tls
+from craftfleet.runs import Score, load_weights, score
+from craftfleet.vector_env import VectorEnv
+
+__all__ = [
+    "ACHIEVEMENTS", "ACTIONS", "ITEMS", "Env", "GymnasiumEnv", "Recorder", "RemoteVectorEnv", "Score", "Tls", "VectorEnv",
+    "load_weights", "score"
+]
+__version__ = "0.1.0"
+
+_registration.register()

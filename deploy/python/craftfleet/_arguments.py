@@ -1,0 +1,82 @@
+"""Checks what a user passes. Messages name the argument, its value and what was expected."""
+
+from __future__ import annotations
+
+import copyreg
+import functools
+import importlib.util
+import operator
+import os
+import pathlib
+from typing import Any
+
+from craftfleet import _engine
+
+MAX_INT = 2**31 - 1
+MAX_SEED = 2**63 - 1
+
+Pair = tuple[int, int]
+
+
+def integer(name: str, value: Any, low: int, high: int) -> int:
+  """`value` as an int of low..high. TypeError: no integer; ValueError: out of range."""
+  try:
+    number = operator.index(value)
+  except TypeError:
+    raise TypeError(f"{name} {value!r}, want an integer of {low}..{high}") from None
+  if not low <= number <= high:
+    raise ValueError(f"{name} {number}, want {low}..{high}")
+  return number
+
+
+def seed(value: Any, name: str = "seed") -> int:
+  return integer(name, value, -2**63, MAX_SEED)
+
+
+def pair(name: str, value: Any) -> Pair:
+  """Two positive integers; one stands for both."""
+  parts = tuple(value) if hasattr(value, "__len__") else (value, value)
+  if len(parts) != 2:
+    raise ValueError(f"{name} {value!r}, want one or two integers")
+  return integer(f"{name}[0]", parts[0], 1, MAX_INT), integer(f"{name}[1]", parts[1], 1, MAX_INT)
+
+
+def texture_folder(textures: str | os.PathLike[str] | None) -> str:
+  """The folder that `textures` means: None the built-in ones (""), "crafter" those of the installed package, else a path."""
+  if textures is None:
+    return ""
+  if textures == "crafter":
+    found = importlib.util.find_spec("crafter")
+    if found is None or not found.submodule_search_locations:
+      raise FileNotFoundError('textures "crafter": the package is not installed, want: pip install crafter')
+    return str(pathlib.Path(found.submodule_search_locations[0]) / "assets")
+  return os.fspath(textures)
+
+
+def setup(env: str, area: Any, view: Any, size: Any, length: Any, textures: Any) -> _engine.Setup:
+  """The engine's setup. ValueError, TypeError or FileNotFoundError: an argument is refused."""
+  if not isinstance(env, str):
+    raise TypeError(f"env {env!r}, want the name of an environment like 'crafter:numbers=easy-x2'")
+  steps = integer("length", length or 0, 0, 10**9)
+  return _shared_setup(env, pair("area", area), pair("view", view), pair("size", size), steps, texture_folder(textures))
+
+
+@functools.lru_cache(maxsize=32)
+def _shared_setup(env: str, area: Pair, view: Pair, size: Pair, length: int, textures: str) -> _engine.Setup:
+  """Environments with equal arguments share textures and pictures drawn beforehand."""
+  try:
+    return _engine.Setup.create(env, area, view, size, length, textures)
+  except ValueError as error:
+    raise ValueError(f"env={env!r}, area={area}, view={view}, size={size}, length={length}: {error}") from None
+
+
+def _restored_game(shared: _engine.Setup, seed_: int, snapshot: bytes | None) -> _engine.Game:
+  game = _engine.Game(shared, seed_)
+  if snapshot is not None:
+    game.restore(snapshot)
+  return game
+
+
+# How copies and pickles of environments carry the engine's objects.
+copyreg.pickle(_engine.Setup, lambda shared: (_shared_setup, shared.arguments))
+copyreg.pickle(_engine.Game, lambda game: (_restored_game, (game.setup, game.seed, game.save() if game.started else None)))

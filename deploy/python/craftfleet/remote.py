@@ -1,0 +1,272 @@
+"""craftfleet.RemoteVectorEnv: games that environment servers of a fleet play (proto/craftfleet/v1/environment.proto)."""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+import pathlib
+import queue
+import threading
+from collections.abc import Sequence
+from typing import Any
+
+import gymnasium
+import numpy as np
+from gymnasium.vector import AutoresetMode
+
+from craftfleet import _arguments, _engine, _lanes
+
+PROTOCOL_VERSION = 2
+MAX_MESSAGE_BYTES = 96 << 20
+TERMINATED, TRUNCATED = 1, 2
+
+
+@dataclasses.dataclass(frozen=True)
+class Tls:
+  """Files that secure the connections: as the flags --tls_ca, --tls_cert, --tls_key, --tls_server_name and --token_file.
+
+  The certificate and its key are for servers that ask for them; the token file has one line.
+  """
+
+  ca: str | os.PathLike[str]
+  cert: str | os.PathLike[str] | None = None
+  key: str | os.PathLike[str] | None = None
+  server_name: str | None = None
+  token_file: str | os.PathLike[str] | None = None
+
+
+class RemoteVectorEnv(gymnasium.vector.VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
+  """`num_envs` games on environment servers: `craftfleet.RemoteVectorEnv("host:50061", 64)`. Needs grpcio and grpcio-tools.
+
+  The interface is that of VectorEnv with autoreset_mode SAME_STEP, and lane i plays the same game. Observations are one array that
+  each call overwrites. Servers don't send the picture of a death: final_obs has one only of truncated lanes, and of others with
+  `details`. Use an object from one thread at a time, and not in forked processes.
+
+  Args:
+    addresses: "host:port" of a server, or several, which share the lanes.
+    num_envs: number of games.
+    env, size, length, reward: as of craftfleet.Env; a server's worlds have 64x64 cells, and pictures are square.
+    details: whether infos have inventory, achievements, semantic and player_pos, at 17 KB a lane and step.
+    tls: files for TLS; None: none, for loopback and trusted networks.
+    timeout: seconds that a server may take to answer, from 0.1.
+
+  ConnectionError: a server cannot be reached or has ended; TimeoutError: it does not answer; PermissionError: it refuses this client;
+  ValueError: it refuses a request. After any of these, close() and make a new one.
+  """
+
+  def __init__(
+      self, addresses: str | Sequence[str], num_envs: int, *, env: str = "crafter", size: int = 64, length: int = 10000,
+      reward: bool = True, details: bool = False, tls: Tls | None = None, timeout: float = 30.0) -> None:
+    self._sessions: list[_Session] = []
+    self.num_envs = _arguments.integer("num_envs", num_envs, 1, 1 << 20)
+    pixels = _arguments.integer("size", size, 9, 1024)
+    steps = _arguments.integer("length", length, 1, _arguments.MAX_INT)
+    if not 0.1 <= timeout <= 1e6:
+      raise ValueError(f"timeout {timeout!r}, want 0.1..1e6 seconds")
+    self._reward, self._details = bool(reward), bool(details)
+    self.metadata = {"render_modes": [], "autoreset_mode": AutoresetMode.SAME_STEP}
+    self.single_observation_space = gymnasium.spaces.Box(0, 255, (pixels, pixels, 3), np.uint8)
+    self.single_action_space = gymnasium.spaces.Discrete(len(_engine.ACTIONS))
+    self.observation_space = gymnasium.vector.utils.batch_space(self.single_observation_space, self.num_envs)
+    self.action_space = gymnasium.vector.utils.batch_space(self.single_action_space, self.num_envs)
+    self._observations = np.zeros((self.num_envs, pixels, pixels, 3), np.uint8)
+    self._seeds: list[int | None] = [None] * self.num_envs
+    self._episodes = np.zeros(self.num_envs, np.int64)  # that each lane plays
+    hosts = [addresses] if isinstance(addresses, str) else list(addresses)
+    if not hosts:
+      raise ValueError("addresses [], want at least one host:port")
+    bounds = np.linspace(0, self.num_envs, len(hosts) + 1).astype(int)
+    try:
+      for host, first, end in zip(hosts, bounds, bounds[1:]):
+        if first == end:
+          continue
+        session = _Session(host, range(int(first), int(end)), tls, float(timeout))
+        self._sessions.append(session)
+        hello = session.request.hello
+        hello.protocol_version, hello.client = PROTOCOL_VERSION, f"craftfleet-python-{os.getpid()}"
+        hello.env.name, hello.env.frame_size, hello.env.length = env, pixels, steps
+        if self._details:
+          hello.recording.SetInParent()
+      self._exchange()
+    except BaseException:
+      self.close()
+      raise
+
+  def reset(
+      self, *, seed: int | Sequence[int | None] | None = None,
+      options: dict[str, Any] | None = None) -> tuple[np.ndarray, dict[str, Any]]:
+    """As VectorEnv.reset()."""
+    seeds, lanes = _lanes.seeds(seed, self.num_envs), _lanes.chosen(options, self.num_envs)
+    if seed is not None and not hasattr(seed, "__len__"):
+      super().reset(seed=int(seed))
+    for lane in lanes:
+      if seeds[lane] is None and self._seeds[lane] is None:
+        seeds[lane] = int(self.np_random.integers(2**31 - 1))
+      if seeds[lane] is not None:
+        self._seeds[lane], self._episodes[lane] = seeds[lane], 0
+      self._episodes[lane] += 1
+    for session in self._sessions:
+      for lane in lanes:
+        if lane in session.lanes:
+          session.request.open.lanes.add(lane=lane, seed=self._seeds[lane], episode=int(self._episodes[lane]))
+    infos: dict[str, Any] = {}
+    for session, reply in self._exchange():
+      mine = [lane for lane in lanes if lane in session.lanes]
+      self._observations[mine] = self._frames(reply.frames)
+      for lane, moment in zip(mine, reply.moments):
+        self._add_info(infos, _details(moment), lane)
+    return self._observations, infos
+
+  def step(self, actions: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
+    """As VectorEnv.step() with SAME_STEP. final_info has the ended episode's length, reward and achievements."""
+    chosen = _lanes.actions(actions, self.num_envs)
+    wrong = np.flatnonzero((chosen < 0) | (chosen >= len(_engine.ACTIONS)))
+    if wrong.size:
+      raise ValueError(f"actions[{wrong[0]}] {chosen[wrong[0]]}, want 0..{len(_engine.ACTIONS) - 1}")
+    if None in self._seeds:
+      raise RuntimeError(f"lane {self._seeds.index(None)}: no game yet, want reset() first")
+    for session in self._sessions:
+      session.request.step.lanes.extend(session.lanes)
+      session.request.step.actions = chosen[session.rows].astype(np.uint8).tobytes()
+    rewards, ends = np.zeros(self.num_envs), np.zeros(self.num_envs, np.uint8)
+    infos: dict[str, Any] = {"reward": rewards, "_reward": np.ones(self.num_envs, np.bool_)}
+    for session, reply in self._exchange():
+      self._observations[session.rows] = self._frames(reply.frames)
+      rewards[session.rows], ends[session.rows] = reply.rewards, np.frombuffer(reply.ends, np.uint8)
+      self._add_infos(infos, session.lanes, ends, reply)
+    self._episodes += ends != 0
+    returned = rewards.copy() if self._reward else np.zeros(self.num_envs)
+    return self._observations, returned, ends == TERMINATED, ends == TRUNCATED, infos
+
+  def close_extras(self, **_: Any) -> None:
+    """Ends the sessions; their games end with them."""
+    for session in self._sessions:
+      session.close()
+
+  def _exchange(self) -> list[tuple[_Session, Any]]:
+    """Sends the requests that the sessions have, then awaits the replies."""
+    asked = [session for session in self._sessions if session.send()]
+    return [(session, session.receive()) for session in asked]
+
+  def _frames(self, frames: bytes) -> np.ndarray:
+    return np.frombuffer(frames, np.uint8).reshape(-1, *self._observations.shape[1:])
+
+  def _add_infos(self, infos: dict[str, Any], lanes: range, ends: np.ndarray, reply: Any) -> None:
+    """The details of each lane, and what Gymnasium's infos have of those that ended: their details belong to the end."""
+    episodes, last_frames = iter(reply.episodes), iter(self._frames(reply.last_frames))
+    for row, lane in enumerate(lanes):
+      moment = reply.moments[row] if reply.moments else None
+      info = {} if moment is None else _details(moment)
+      if ends[lane]:
+        episode = next(episodes)
+        info["episode"] = {"r": episode.reward, "l": episode.length}
+        info["achievements"] = dict(zip(_engine.ACHIEVEMENTS, episode.achievements))
+        info = {"final_info": info}
+        if ends[lane] == TRUNCATED:
+          info["final_obs"] = next(last_frames)
+        if moment is not None:
+          info["final_obs"] = self._frames(moment.frame)[0]
+      if info:
+        self._add_info(infos, info, lane)
+
+
+class _Session:
+  """The stream to one server: a request, then its reply."""
+
+  def __init__(self, address: str, lanes: range, tls: Tls | None, timeout: float) -> None:
+    self.address, self.lanes, self.rows = address, lanes, slice(lanes.start, lanes.stop)
+    self._grpc, self._messages = _grpc_and_messages()
+    self._timeout = timeout
+    self._error: Exception | None = None
+    self._request: Any = None
+    self._requests: queue.SimpleQueue[Any] = queue.SimpleQueue()
+    self._replies: queue.SimpleQueue[Any] = queue.SimpleQueue()
+    self._channel, metadata = _channel(self._grpc, address, tls)
+    play = self._channel.stream_stream(
+        "/craftfleet.v1.EnvironmentService/Play", request_serializer=self._messages.PlayRequest.SerializeToString,
+        response_deserializer=self._messages.PlayReply.FromString)
+    self._call = play(iter(self._requests.get, None), metadata=metadata)
+    threading.Thread(target=self._read, name=f"replies of {address}", daemon=True).start()
+
+  @property
+  def request(self) -> Any:
+    """The request that send() will send."""
+    if self._request is None:
+      self._request = self._messages.PlayRequest()
+    return self._request
+
+  def send(self) -> bool:
+    """Whether there was a request to send."""
+    if self._request is None:
+      return False
+    self._requests.put(self._request)
+    self._request = None
+    return True
+
+  def receive(self) -> Any:
+    if self._error is None:
+      try:
+        reply = self._replies.get(timeout=self._timeout)
+      except queue.Empty:
+        self._call.cancel()
+        reply = TimeoutError(f"{self.address}: no answer within {self._timeout:g} s")
+      if not isinstance(reply, Exception):
+        return reply
+      self._error = reply
+    raise self._error
+
+  def close(self) -> None:
+    self._requests.put(None)
+    self._call.cancel()
+    self._channel.close()
+
+  def _read(self) -> None:
+    try:
+      for reply in self._call:
+        self._replies.put(reply)
+      self._replies.put(ConnectionError(f"{self.address}: the server has ended the session"))
+    except self._grpc.RpcError as error:
+      self._replies.put(self._explained(error))
+
+  def _explained(self, error: Any) -> Exception:
+    codes = self._grpc.StatusCode
+    kinds = {
+        codes.UNAVAILABLE: ConnectionError, codes.CANCELLED: ConnectionError, codes.ABORTED: ConnectionError,
+        codes.DEADLINE_EXCEEDED: TimeoutError, codes.UNAUTHENTICATED: PermissionError, codes.PERMISSION_DENIED: PermissionError,
+        codes.INVALID_ARGUMENT: ValueError
+    }
+    return kinds.get(error.code(), RuntimeError)(f"{self.address}: {error.details()}")
+
+
+def _details(moment: Any) -> dict[str, Any]:
+  return {
+      "inventory": dict(zip(_engine.ITEMS, moment.inventory)),
+      "achievements": dict(zip(_engine.ACHIEVEMENTS, moment.achievements)),
+      "semantic": np.frombuffer(moment.semantic, np.uint8).reshape(64, 64),
+      "player_pos": np.array([moment.player_x, moment.player_y]),
+  }
+
+
+def _grpc_and_messages() -> tuple[Any, Any]:
+  """grpc, and the messages of environment.proto, which grpcio-tools compiles once a process."""
+  try:
+    import grpc  # optional, and slow to import
+    return grpc, grpc.protos("craftfleet/v1/environment.proto")
+  except (ImportError, NotImplementedError) as error:
+    raise ImportError(f"RemoteVectorEnv: {error}, want: pip install grpcio grpcio-tools") from None
+
+
+def _channel(grpc: Any, address: str, tls: Tls | None) -> tuple[Any, list[tuple[str, str]]]:
+  """A channel, and what each call adds."""
+  options = [("grpc.max_receive_message_length", MAX_MESSAGE_BYTES), ("grpc.max_send_message_length", MAX_MESSAGE_BYTES)]
+  if tls is None:
+    return grpc.insecure_channel(address, options), []
+  if (tls.cert is None) != (tls.key is None):
+    raise ValueError(f"Tls(cert={tls.cert!r}, key={tls.key!r}), want both or neither")
+  if tls.server_name is not None:
+    options.append(("grpc.ssl_target_name_override", tls.server_name))
+  ca, key, cert = (None if file is None else pathlib.Path(file).read_bytes() for file in (tls.ca, tls.key, tls.cert))
+  metadata = []
+  if tls.token_file is not None:
+    metadata.append(("authorization", f"Bearer {pathlib.Path(tls.token_file).read_text(encoding='utf-8').strip()}"))
+  return grpc.secure_channel(address, grpc.ssl_channel_credentials(ca, key, cert), options), metadata

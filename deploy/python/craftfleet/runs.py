@@ -1,0 +1,87 @@
+"""Reads the run folders of CraftFleet and the statistics of recorders: learner/run/FORMATS.md in the repository."""
+
+from __future__ import annotations
+
+import dataclasses
+import gzip
+import json
+import math
+import os
+import pathlib
+
+import numpy as np
+
+from craftfleet import _engine
+
+
+@dataclasses.dataclass(frozen=True)
+class Score:
+  """What the episodes of a file amount to."""
+
+  score: float  # Crafter's score, 0..100
+  success_rates: dict[str, float]  # percent of the episodes that unlocked each achievement at least once
+  reward: float  # mean over the episodes
+  length: float  # mean, in steps
+  episodes: int
+
+
+def score(path: str | os.PathLike[str]) -> Score:
+  """Crafter's score of a stats.jsonl, plain or .gz, or of the folder with it: exp(mean of ln(1 + success rate)) - 1.
+
+  FileNotFoundError: no such file; ValueError: no finished episode in it, or a line that is none.
+  """
+  file = pathlib.Path(path).expanduser()
+  if file.is_dir():
+    file = next((file / name for name in ("stats.jsonl", "stats.jsonl.gz") if (file / name).exists()), file / "stats.jsonl")
+  with (gzip.open if file.suffix == ".gz" else open)(file, "rt", encoding="utf-8") as lines:
+    episodes = [_episode(file, number, line) for number, line in enumerate(lines, 1) if line.endswith("\n")]
+  if not episodes:
+    raise ValueError(f"{file}: no finished episode, want a line of JSON for each")
+  rates = {
+      name: 100 * sum(episode[f"achievement_{name}"] > 0 for episode in episodes) / len(episodes)
+      for name in _engine.ACHIEVEMENTS
+  }
+  return Score(
+      score=math.expm1(sum(math.log1p(rate) for rate in rates.values()) / len(rates)),
+      success_rates=rates,
+      reward=sum(episode["reward"] for episode in episodes) / len(episodes),
+      length=sum(episode["length"] for episode in episodes) / len(episodes),
+      episodes=len(episodes))
+
+
+def load_weights(run: str | os.PathLike[str]) -> dict[str, np.ndarray]:
+  """The weights of a run's newest checkpoint by name, float32; `run` may also be a checkpoint or a .safetensors file.
+
+  FileNotFoundError: there are none; ValueError: no such file.
+  """
+  path = pathlib.Path(run).expanduser()
+  if (path / "checkpoints").is_dir():
+    checkpoints = sorted((path / "checkpoints").glob("iter-*"), key=lambda folder: int(folder.name[5:]))
+    if not checkpoints:
+      raise FileNotFoundError(f"{path / 'checkpoints'}: no checkpoint, want folders like iter-00000010")
+    path = checkpoints[-1]
+  if path.is_dir():
+    path = path / "weights.safetensors"
+  content = path.read_bytes()
+  try:
+    size = int.from_bytes(content[:8], "little")
+    header, data = json.loads(content[8:8 + size]), memoryview(content)[8 + size:]
+    return {name: _tensor(tensor, data) for name, tensor in header.items() if name != "__metadata__"}
+  except (AttributeError, KeyError, TypeError, ValueError) as error:
+    raise ValueError(f"{path}: not the weights of a checkpoint ({error}), want a safetensors file of float32") from None
+
+
+def _episode(file: pathlib.Path, number: int, line: str) -> dict[str, float]:
+  wanted = ("length", "reward", *(f"achievement_{name}" for name in _engine.ACHIEVEMENTS))
+  try:
+    episode = json.loads(line)
+    return {key: float(episode[key]) for key in wanted}
+  except (KeyError, TypeError, ValueError) as error:
+    raise ValueError(f"{file}, line {number}: {error}, want an episode as a recorder writes it") from None
+
+
+def _tensor(tensor: dict, data: memoryview) -> np.ndarray:
+  begin, end = tensor["data_offsets"]
+  if tensor["dtype"] != "F32" or not 0 <= begin <= end <= len(data):
+    raise ValueError(f"a tensor of {tensor['dtype']} at {begin}..{end} of {len(data)} bytes")
+  return np.frombuffer(data[begin:end], "<f4").reshape(tensor["shape"]).astype(np.float32)

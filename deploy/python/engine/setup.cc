@@ -1,0 +1,53 @@
+#include "engine/setup.h"
+
+#include <utility>
+
+#include "common/base/status_macros.h"
+#include "common/config/env_name.h"
+
+namespace craftfleet {
+namespace {
+
+constexpr size_t kMaxOtherSizes = 8;
+
+RenderOptions PictureOf(Setup::Pair size, bool inventory) {
+  RenderOptions picture;
+  picture.width = size[0];
+  picture.height = size[1];
+  picture.inventory = inventory;
+  return picture;
+}
+
+}  // namespace
+
+absl::StatusOr<std::shared_ptr<Setup>> Setup::Create(const Options& options) {
+  CRAFTFLEET_ASSIGN_OR_RETURN(const EnvName name, EnvName::Parse(options.env));
+  WorldOptions world = WorldOptions::FromEnvName(name);
+  world.width = options.area[0];
+  world.height = options.area[1];
+  world.view_width = options.view[0];
+  world.view_height = options.view[1];
+  world.length = options.length;
+  CRAFTFLEET_RETURN_IF_ERROR(world.Validate());
+  std::shared_ptr<const Textures> textures = Textures::BuiltIn();
+  if (!options.textures.empty()) {
+    CRAFTFLEET_ASSIGN_OR_RETURN(textures, Textures::Load(options.textures));
+  }
+  CRAFTFLEET_ASSIGN_OR_RETURN(std::shared_ptr<const Renderer> renderer,
+                              Renderer::Create(*textures, world, PictureOf(options.size, name.inventory)));
+  return std::shared_ptr<Setup>(new Setup(options, name.inventory, std::move(textures), std::move(renderer)));
+}
+
+absl::StatusOr<std::shared_ptr<const Renderer>> Setup::RendererOf(Pair size) const {
+  if (size == options_.size) return renderer_;
+  MutexLock lock(&mu_);
+  const auto found = others_.find(size);
+  if (found != others_.end()) return found->second;
+  CRAFTFLEET_ASSIGN_OR_RETURN(std::shared_ptr<const Renderer> renderer,
+                              Renderer::Create(*textures_, world(), PictureOf(size, inventory_)));
+  if (others_.size() == kMaxOtherSizes) others_.clear();
+  others_[size] = renderer;
+  return renderer;
+}
+
+}  // namespace craftfleet

@@ -1,0 +1,317 @@
+#include "learner/lane_scheduler.h"
+
+#include <algorithm>
+#include <iterator>
+#include <utility>
+
+#include <absl/strings/str_cat.h>
+#include <absl/strings/str_format.h>
+
+#include "common/base/check.h"
+#include "common/base/printable.h"
+#include "common/telemetry/log.h"
+
+namespace craftfleet {
+
+namespace {
+
+constexpr int kMaxRefusals = 4;  // of one snapshot, by any actors
+
+}  // namespace
+
+LaneScheduler::LaneScheduler(const Options& options, std::vector<LaneRecord> lanes, Clock* clock)
+    : options_(options), clock_(clock), resets_(options.resets) {
+  CRAFTFLEET_CHECK(static_cast<int>(lanes.size()) == options.lanes);
+  for (LaneRecord& record : lanes) {
+    Lane& lane = lanes_.emplace_back();
+    lane.start = record;
+    lane.record = std::move(record);
+    lane.since = clock_->Now();
+  }
+}
+
+void LaneScheduler::Add(const Worker* worker) {
+  Actor& actor = actors_[worker->name];
+  actor.worker = worker;
+  actor.capacity = options_.lanes;  // until it reports its own
+}
+
+void LaneScheduler::Remove(absl::string_view actor) {
+  if (const auto entry = actors_.find(actor); entry != actors_.end()) Remove(entry);
+}
+
+std::vector<std::string> LaneScheduler::RemoveExpired() {
+  const absl::Time now = clock_->Now();
+  std::vector<std::string> expired;
+  for (auto actor = actors_.begin(); actor != actors_.end();) {
+    const auto next = std::next(actor);
+    if (now - actor->second.worker->leased_from > options_.lease) {
+      lapsed_ += actor->second.permits;
+      expired.push_back(actor->first);
+      Remove(actor);
+    }
+    actor = next;
+  }
+  return expired;
+}
+
+void LaneScheduler::Remove(ActorMap::iterator actor) {
+  for (Lane& lane : lanes_) {
+    if (lane.permit.has_value()) Revoke(&lane, &actor->second);
+    if (lane.holder == &actor->second) SetHolder(&lane, nullptr);
+    if (lane.avoided == &actor->second) lane.avoided = nullptr;
+  }
+  actors_.erase(actor);
+  changed_ = true;
+}
+
+absl::StatusOr<LaneScheduler::Verdict> LaneScheduler::Accept(absl::string_view actor, const Permit& fragment,
+                                                             const LaneSnapshot& snapshot, uint64_t digest) {
+  CRAFTFLEET_CHECK(fragment.lane >= 0 && fragment.lane < options_.lanes);
+  Lane& lane = lanes_[fragment.lane];
+  if (fragment.fragment < lane.record.next_fragment) {
+    Compare(actor, fragment, digest);
+    return Verdict::kDuplicate;
+  }
+  const auto sender = actors_.find(actor);
+  if (sender == actors_.end() || !IsPlayer(lane, &sender->second) || !lane.permit.has_value() ||
+      lane.permit->fragment != fragment.fragment) {
+    return Verdict::kExpired;
+  }
+  if (fragment.policy_version != lane.permit->policy_version) {
+    return absl::InvalidArgumentError(absl::StrFormat("policy_version %d for fragment %d of lane %d, want %d",
+                                                      fragment.policy_version, fragment.fragment, fragment.lane,
+                                                      lane.permit->policy_version));
+  }
+  times_.push_back(clock_->Now() - lane.since);
+  EndPermit(&lane);
+  SetHolder(&lane, sender->second.worker->draining ? nullptr : &sender->second);
+  lane.record = {fragment.fragment + 1, snapshot, std::move(lane.record.snapshot), sender->first};
+  lane.accepted.push_back({fragment.fragment, digest, sender->first});
+  lane.stalls = 0;
+  lane.avoided = nullptr;
+  lane.refusals = 0;
+  EndPause(&sender->second);
+  ++sender->second.fragments;
+  if (lane.record.next_fragment < last_fragment_) changed_ = true;
+  return Verdict::kAccepted;
+}
+
+void LaneScheduler::Compare(absl::string_view actor, const Permit& fragment, uint64_t digest) {
+  if (!IsKnown(actor)) return;
+  for (AcceptedFragment& accepted : lanes_[fragment.lane].accepted) {
+    if (accepted.fragment != fragment.fragment || accepted.digest == digest) continue;
+    ++differing_;
+    if (accepted.differs) continue;
+    accepted.differs = true;
+    LogError(
+        "fragment %d of lane %d: actor %s sent %016x, which was accepted, and actor %s sent %016x; they should be "
+        "equal: "
+        "compare their programs and CPUs",
+        fragment.fragment, fragment.lane, accepted.sender, accepted.digest, actor, digest);
+  }
+}
+
+bool LaneScheduler::Restore(const Permit& fragment, const LaneSnapshot& snapshot, uint64_t digest) {
+  CRAFTFLEET_CHECK(fragment.lane >= 0 && fragment.lane < options_.lanes);
+  Lane& lane = lanes_[fragment.lane];
+  if (lane.record.next_fragment != fragment.fragment || lane.permit.has_value()) return false;
+  lane.record = {fragment.fragment + 1, snapshot, std::move(lane.record.snapshot), ""};
+  lane.accepted.push_back({fragment.fragment, digest, "an earlier start"});
+  lane.restored = true;
+  return true;
+}
+
+bool LaneScheduler::Counts(int lane, int64_t fragment, uint64_t digest) const {
+  const std::deque<AcceptedFragment>& accepted = lanes_[lane].accepted;
+  return std::any_of(accepted.begin(), accepted.end(),
+                     [&](const AcceptedFragment& t) { return t.fragment == fragment && t.digest == digest; });
+}
+
+void LaneScheduler::Refuse(absl::string_view actor_name, int l, int64_t fragment, absl::string_view reason) {
+  const auto actor = actors_.find(actor_name);
+  if (actor == actors_.end() || l < 0 || l >= options_.lanes) return;
+  Lane& lane = lanes_[l];
+  if (!IsPlayer(lane, &actor->second) || !lane.permit.has_value() || lane.permit->fragment != fragment) return;
+  GiveToOthers(&lane, &actor->second);
+  if (lane.record.snapshot.game.empty()) return;  // a new game cannot be reset
+  const bool is_first = lane.refusals++ == 0;
+  const bool is_other = !is_first && lane.refuser != actor->first;
+  lane.refuser = actor->first;
+  LogWarning("actor %s can't restore lane %d: %s", actor->first, l, Printable(reason));
+  const bool is_enough = is_other || (!is_first && !HasOthers(actor->second)) || lane.refusals >= kMaxRefusals;
+  if (is_enough && !lane.permit.has_value()) Reset(&lane, reason);
+  changed_ = true;
+}
+
+void LaneScheduler::Reset(Lane* lane, absl::string_view reason) {
+  LaneRecord& record = lane->record;
+  const std::string sender = record.sender.empty() ? "an earlier start" : absl::StrCat("actor ", record.sender);
+  const std::string error = absl::StrFormat("lane %d: the snapshot after its fragment %d, from %s, is not a game (%s)",
+                                            lane - lanes_.data(), record.next_fragment - 1, sender, Printable(reason));
+  if (record.next_fragment > lane->start.next_fragment) {
+    LogError("%s; it is played again from fragment %d on", error, lane->start.next_fragment);
+    Rewind(lane);
+  } else {
+    LogError("%s; it resumes %s", error,
+             record.previous.game.empty() ? "with a new game" : "from the snapshot before that fragment");
+    const size_t state_size = record.snapshot.state.size();
+    record.snapshot = std::move(record.previous);
+    record.snapshot.state.resize(state_size);
+    record.previous = {};
+    record.sender.clear();
+    lane->start = record;
+    lane->reset_at = record.next_fragment;  // its number does not change
+  }
+  ++resets_;
+  lane->refusals = 0;
+  lane->avoided = nullptr;
+}
+
+void LaneScheduler::Rewind(Lane* lane) {
+  lane->record = lane->start;
+  while (!lane->accepted.empty() && lane->accepted.back().fragment >= lane->start.next_fragment)
+    lane->accepted.pop_back();
+  lane->refusals = 0;
+}
+
+void LaneScheduler::RewindIteration() {
+  last_fragment_ = 0;
+  for (Lane& lane : lanes_) {
+    if (lane.permit.has_value()) EndPermit(&lane);
+    Rewind(&lane);
+  }
+}
+
+absl::StatusOr<LaneSnapshot> LaneScheduler::Snapshot(int lane, int64_t fragment) const {
+  if (lane < 0 || lane >= options_.lanes) {
+    return absl::InvalidArgumentError(absl::StrFormat("lane %d, want 0..%d", lane, options_.lanes - 1));
+  }
+  const LaneRecord& record = lanes_[lane].record;
+  if (record.next_fragment != fragment) {
+    return absl::AbortedError(absl::StrFormat("lane %d is at fragment %d, not %d: request permits again", lane,
+                                              record.next_fragment, fragment));
+  }
+  return record.snapshot;
+}
+
+void LaneScheduler::OpenIteration(int64_t last_fragment, int64_t policy_version) {
+  last_fragment_ = last_fragment;
+  policy_version_ = policy_version;
+  lapsed_before_ = lapsed_;
+  times_.clear();
+  for (Lane& lane : lanes_) {
+    lane.since = clock_->Now();
+    if (std::exchange(lane.restored, false)) continue;
+    while (!lane.accepted.empty() && lane.accepted.front().fragment < lane.start.next_fragment)
+      lane.accepted.pop_front();
+    lane.start = lane.record;
+  }
+  changed_ = true;
+}
+
+bool LaneScheduler::SetPaused(bool paused) {
+  const bool before = paused_;
+  paused_ = paused;
+  // Time in the pause must not count as time unclaimed.
+  for (Lane& lane : lanes_) lane.since = clock_->Now();
+  changed_ = true;
+  return before;
+}
+
+void LaneScheduler::ReleaseIdleLanes(absl::string_view actor) {
+  const auto entry = actors_.find(actor);
+  if (entry == actors_.end()) return;
+  for (Lane& lane : lanes_) {
+    if (lane.holder == &entry->second && !lane.permit.has_value()) SetHolder(&lane, nullptr);
+  }
+  changed_ = true;
+}
+
+int LaneScheduler::permits() const {
+  int permits = 0;
+  for (const auto& [name, actor] : actors_) permits += actor.permits;
+  return permits;
+}
+
+int LaneScheduler::PermitsOf(absl::string_view actor) const {
+  const auto entry = Find(actor);
+  return entry == actors_.end() ? 0 : entry->second.permits;
+}
+
+std::vector<LaneRecord> LaneScheduler::Records() const {
+  std::vector<LaneRecord> records;
+  for (const Lane& lane : lanes_) records.push_back(lane.record);
+  return records;
+}
+
+std::vector<LaneScheduler::ActorInfo> LaneScheduler::Actors() const {
+  std::vector<ActorInfo> infos;
+  for (const auto& actor : actors_) infos.push_back(InfoOf(actor));
+  return infos;
+}
+
+LaneScheduler::ActorInfo LaneScheduler::InfoOf(const ActorMap::value_type& entry) const {
+  const Actor& actor = entry.second;
+  return {entry.first,
+          actor.worker->address,
+          actor.permits,
+          actor.fragments,
+          clock_->Now() - actor.worker->leased_from,
+          actor.worker->draining,
+          actor.pause > absl::ZeroDuration()};
+}
+
+std::vector<Permit> LaneScheduler::Renew(absl::string_view actor_name, absl::Span<const Permit> active, int capacity) {
+  Actor* const actor = &actors_.find(actor_name)->second;
+  actor->capacity = std::clamp(capacity, 0, options_.lanes);
+  for (Lane& lane : lanes_) {
+    if (!IsPlayer(lane, actor) || !lane.permit.has_value()) continue;
+    if (std::find(active.begin(), active.end(), *lane.permit) != active.end()) continue;
+    Revoke(&lane, actor);
+    actor->returned = clock_->Now();
+    changed_ = true;
+  }
+  std::vector<Permit> lost;
+  for (const Permit& permit : active) {
+    const bool in_range = permit.lane >= 0 && permit.lane < options_.lanes;
+    // The permit of an accepted fragment is not lost: its verdict is on the way.
+    if (in_range && permit.fragment < lanes_[permit.lane].record.next_fragment) continue;
+    if (!in_range || !IsPlayer(lanes_[permit.lane], actor) || lanes_[permit.lane].permit != permit) {
+      lost.push_back(permit);
+    }
+  }
+  return lost;
+}
+
+void LaneScheduler::SetHolder(Lane* lane, Actor* actor) {
+  if (lane->holder != nullptr) --lane->holder->held;
+  if (actor != nullptr) ++actor->held;
+  lane->holder = actor;
+}
+
+void LaneScheduler::EndPermit(Lane* lane) {
+  --lane->holder->permits;
+  if (lane->backup != nullptr) --lane->backup->permits;
+  lane->backup = nullptr;
+  lane->permit.reset();
+  lane->since = clock_->Now();
+}
+
+void LaneScheduler::Revoke(Lane* lane, Actor* actor) {
+  if (!IsPlayer(*lane, actor)) return;
+  if (lane->backup == nullptr) {
+    EndPermit(lane);
+    SetHolder(lane, nullptr);
+    lane->since = absl::InfinitePast();  // free for any actor at once
+    return;
+  }
+  --actor->permits;
+  if (lane->holder == actor) {
+    SetHolder(lane, lane->backup);
+    lane->pace = lane->backup_pace;
+  }
+  lane->backup = nullptr;
+}
+
+}  // namespace craftfleet

@@ -1,0 +1,265 @@
+// Decides which actor plays which lane: permits, shares and backups.
+
+#ifndef CRAFTFLEET_LEARNER_LANE_SCHEDULER_H_
+#define CRAFTFLEET_LEARNER_LANE_SCHEDULER_H_
+
+#include <cstdint>
+#include <deque>
+#include <functional>
+#include <map>
+#include <optional>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include <absl/status/status.h>
+#include <absl/status/statusor.h>
+#include <absl/strings/string_view.h>
+#include <absl/time/time.h>
+#include <absl/types/span.h>
+
+#include "common/base/clock.h"
+#include "common/base/types.h"
+#include "learner/worker.h"
+
+namespace craftfleet {
+
+// A lane after its last accepted fragment. Checkpoints store all of it except the sender.
+struct LaneRecord {
+  int64_t next_fragment = 0;
+  LaneSnapshot snapshot;       // the state before that fragment
+  LaneSnapshot previous = {};  // the state before the last one; used if no server can restore `snapshot`
+  std::string sender = "";     // the actor that sent the last fragment; empty: unknown, of an earlier start
+};
+
+// Decides which actor plays which lane. It has no lock and never waits. WorkerRegistry calls it under
+// its mutex, tells it which actors are active, and wakes waiting calls when TakeChange returns true.
+//
+// Permits are synchronous: within an iteration, each lane gets one permit after the other, all with the iteration's
+// weights. An actor gets its fair share of the lanes: first those that it played before (it holds their games), then
+// lanes without a holder or whose holder has more than its share, and finally any lane that has been unclaimed for
+// `Options::patience`. Shares differ by at most one lane, except for actors that can't play that many. While there are
+// other actors, an actor that returns permits because it can't play them gets no new ones for `patience`.
+//
+// A permit lapses when its actor has sent no request for `lease`, or for twice as long if no other actor sends
+// requests; the actor is then removed. A fragment is accepted at most once. Once permits have lapsed in an iteration,
+// an actor without work is also granted, as a backup, permits that another actor has had for `patience`. At most two
+// actors play a fragment; they produce the same bytes, and the first result counts. Without backups, an iteration's
+// last fragments would pass from one failing worker to the next. Fragments that are overdue compared with the others of
+// their iteration also get a backup, even if no permit has lapsed.
+//
+// A request renews the lease of the actor but not its permits; only progress renews those. A permit whose step count
+// has not grown for `progress` is revoked if another actor can play it. The time doubles with each revocation in a row
+// on a lane, so that slow agents can finish. The actor then gets no permits for 1 s, doubling up to 5 min, and after
+// that one at a time until it makes progress again.
+//
+// If two actors (or the only one, twice) can't restore a lane's snapshot, the lane is reset. If it has advanced in this
+// iteration, it is reset to the beginning of the iteration, so that the result does not change; otherwise to its
+// previous snapshot, or to a new game if it has none. Permit::reload is set in the permit for the first fragment after
+// a reset to another game.
+//
+// Not thread-safe.
+class LaneScheduler {
+ public:
+  struct Options {
+    int lanes = 16;  // 1..
+    absl::Duration lease = absl::Seconds(5);
+    absl::Duration patience = absl::Seconds(1);
+    absl::Duration comeback = absl::Seconds(2);  // lease left to an actor whose connection broke; at most `lease`
+    absl::Duration progress = absl::Seconds(20);
+    int resets = 0;  // initial value of resets(): lanes reset while loading
+  };
+  enum class Verdict { kAccepted, kDuplicate, kExpired };
+  // An actor's permits and progress.
+  struct ActorInfo {
+    std::string name;
+    std::string address;
+    int permits = 0;
+    int64_t fragments = 0;  // number of accepted fragments
+    absl::Duration idle;    // since its last request
+    bool draining = false;
+    bool stalled = false;  // lost permits for lack of progress, and has made none since
+  };
+
+  // `clock` outlives the scheduler.
+  LaneScheduler(const Options& options, std::vector<LaneRecord> lanes, Clock* clock);
+
+  // Adds the actor `worker`, which may get permits from now on. Until Remove, it is referenced and its fields are read.
+  void Add(const Worker* worker);
+  // Removes `actor` and frees its permits; ignored if unknown.
+  void Remove(absl::string_view actor);
+  // Removes actors whose lease has expired; returns their names.
+  std::vector<std::string> RemoveExpired();
+  // Releases the lanes that `actor`, which is being drained, holds without a permit.
+  void ReleaseIdleLanes(absl::string_view actor);
+
+  // Records the progress that the actor reports: `steps` played of each of `active`; empty: no progress.
+  void NoteProgress(absl::string_view actor, absl::Span<const Permit> active, absl::Span<const int64_t> steps);
+  // Revokes permits without progress.
+  void EndStalls();
+  // Updates `actor`, which is known: it can play `capacity` lanes at once and reports the permits `active`. Frees its
+  // other permits. Returns those of `active` that it has lost.
+  std::vector<Permit> Renew(absl::string_view actor, absl::Span<const Permit> active, int capacity);
+  // Grants new permits to `actor`, which is known, up to its capacity.
+  std::vector<Permit> Grant(absl::string_view actor);
+
+  // `actor` returns the permit for `fragment` of `lane`, since no environment server can restore the snapshot before
+  // it; `reason` is logged. Ignored unless the actor has that permit.
+  void Refuse(absl::string_view actor, int lane, int64_t fragment, absl::string_view reason);
+
+  // Decides on a fragment and, if it is accepted, advances its lane by one fragment and copies `snapshot`.
+  // `digest` is that of its content (FragmentDigest): a duplicate that differs from the accepted one is logged as an
+  // error and counted.
+  //   InvalidArgument: the version of the weights is not the permit's.
+  absl::StatusOr<Verdict> Accept(absl::string_view actor, const Permit& fragment, const LaneSnapshot& snapshot,
+                                 uint64_t digest = 0);
+
+  // Advances the lane by one fragment that an earlier start of the learner accepted. Returns false if the lane is at
+  // another fragment. To be called before the first OpenIteration.
+  bool Restore(const Permit& fragment, const LaneSnapshot& snapshot, uint64_t digest = 0);
+
+  // Whether that fragment of the current iteration was accepted and has not been rolled back since.
+  bool Counts(int lane, int64_t fragment, uint64_t digest) const;
+
+  // The state before `fragment` of `lane`.   Aborted: the lane is at another fragment.   InvalidArgument: no such lane.
+  absl::StatusOr<LaneSnapshot> Snapshot(int lane, int64_t fragment) const;
+
+  // Opens the next iteration: permits for fragments up to `last_fragment` (excluded) of each lane, with
+  // `policy_version`.
+  void OpenIteration(int64_t last_fragment, int64_t policy_version);
+  // Rolls every lane back to the beginning of the iteration; nothing is granted until the next
+  // OpenIteration.
+  void RewindIteration();
+  // While paused, nothing is granted; outstanding permits remain valid. Returns whether it was paused before.
+  bool SetPaused(bool paused);
+  bool paused() const { return paused_; }
+
+  bool IsKnown(absl::string_view actor) const { return Find(actor) != actors_.end(); }
+  bool empty() const { return actors_.empty(); }
+  std::vector<LaneRecord> Records() const;
+  std::vector<ActorInfo> Actors() const;
+  // Information about a known actor.
+  ActorInfo InfoOf(absl::string_view actor) const { return InfoOf(*Find(actor)); }
+  // The number of outstanding permits, of all actors and of one.
+  int permits() const;
+  int PermitsOf(absl::string_view actor) const;
+  // The number of permits that lapsed or were revoked for lack of progress, since the start.
+  int64_t lapsed() const { return lapsed_; }
+  // The number of resets of lanes because of invalid snapshots, since the start.
+  int64_t resets() const { return resets_; }
+  // The number of duplicates that differ from the accepted fragment, since the start.
+  int64_t differing() const { return differing_; }
+
+  // Whether permits may have become available since the last call.
+  bool TakeChange() { return std::exchange(changed_, false); }
+
+ private:
+  struct Actor {
+    const Worker* worker = nullptr;
+    absl::Time returned = absl::InfinitePast();  // when it last returned permits
+    int capacity = 0;                            // lanes it can play at once, as last reported
+    int held = 0;                                // lanes it holds
+    int permits = 0;                             // outstanding ones, including backups
+    int64_t fragments = 0;
+    absl::Duration pause;  // length of the current or last pause for lack of progress; 0: it has progressed since
+    absl::Time pause_end = absl::InfinitePast();
+  };
+  using ActorMap = std::map<std::string, Actor, std::less<>>;  // by name
+
+  // A player's progress with its fragment.
+  struct Pace {
+    int64_t steps = 0;  // as last reported
+    absl::Time grew;    // when `steps` last grew
+  };
+  // An accepted fragment.
+  struct AcceptedFragment {
+    int64_t fragment = 0;
+    uint64_t digest = 0;
+    std::string sender;
+    bool differs = false;  // a duplicate with other content was logged
+  };
+  struct Lane {
+    LaneRecord record;
+    LaneRecord start;              // at the beginning of the current iteration
+    Actor* holder = nullptr;       // the actor with its game, if any
+    std::optional<Permit> permit;  // the outstanding permit of `holder`
+    Pace pace;                     // of `holder`
+    Actor* backup = nullptr;       // also plays the fragment, if any
+    Pace backup_pace;
+    absl::Time since;          // when the permit was granted, or the lane became free
+    int stalls = 0;            // permits revoked for lack of progress since the last fragment
+    Actor* avoided = nullptr;  // failed to play it last; others are preferred until avoided_until
+    absl::Time avoided_until;
+    std::string refuser;                    // last actor that could not restore its snapshot
+    int refusals = 0;                       // number of such reports
+    int64_t reset_at = -1;                  // fragment before which it was reset; games that actors hold there are void
+    std::deque<AcceptedFragment> accepted;  // of the current iteration and the previous one
+    bool restored = false;                  // advanced by Restore since `start`
+  };
+  // Fair shares: each actor may hold `all` lanes, if it can play that many, and `extra` actors one more.
+  struct Shares {
+    int all = 0;
+    int extra = 0;
+    int above = 0;  // number of actors that hold more than `all`
+    int Most() const { return all + (extra > 0 ? 1 : 0); }
+    bool IsOver(const Actor& actor) const { return actor.held > all + 1 || (actor.held > all && above > extra); }
+    int Of(const Actor& actor) const { return all + (above - (actor.held > all ? 1 : 0) < extra ? 1 : 0); }
+  };
+
+  // The reason for which an actor may get a lane, strongest first.
+  enum class Claim { kOwn, kSpare, kUnclaimed, kNone };
+
+  // Ends the pause of an actor that makes progress.
+  static void EndPause(Actor* actor);
+  // Pauses an actor that lost `permits` permits for lack of progress.
+  void PauseStalled(absl::string_view name, Actor* actor, int permits);
+  // The number of lanes that the actor may currently play at once.
+  static int CapacityOf(const Actor& actor);
+  bool IsStalled(const Lane& lane, const Actor* player, const Pace& pace) const;
+  // Whether another actor could play.
+  bool HasOthers(const Actor& actor) const;
+  // Revokes the lane's permit from `actor` and prefers other actors for it.
+  void GiveToOthers(Lane* lane, Actor* actor);
+  // Resets a lane whose snapshot can't be restored; logs `reason`.
+  void Reset(Lane* lane, absl::string_view reason);
+  // Rolls the lane back to the beginning of the iteration.
+  static void Rewind(Lane* lane);
+  // Compares a duplicate with the accepted fragment.
+  void Compare(absl::string_view actor, const Permit& fragment, uint64_t digest);
+  // The age at which a fragment is overdue.
+  absl::Duration Overdue() const;
+  ActorMap::const_iterator Find(absl::string_view actor) const { return actors_.find(actor); }
+  void Remove(ActorMap::iterator actor);
+  ActorInfo InfoOf(const ActorMap::value_type& actor) const;
+  bool IsPausing(const Actor& actor) const;
+  // Grants fragments of other actors to `actor` as a backup.
+  std::vector<Permit> GrantBackup(Actor* actor, const Shares& shares);
+  Claim ClaimOn(const Lane& lane, const Actor& actor, const Shares& shares, absl::Time now) const;
+  bool IsAvoided(const Lane& lane, const Actor& actor, absl::Time now) const;
+  Shares FairShares() const;
+  static bool IsPlayer(const Lane& lane, const Actor* actor) { return lane.holder == actor || lane.backup == actor; }
+  static void SetHolder(Lane* lane, Actor* actor);
+  // Ends the lane's permit for both players.
+  void EndPermit(Lane* lane);
+  // Revokes the lane's permit from `actor`, if it has it; another player continues.
+  void Revoke(Lane* lane, Actor* actor);
+
+  const Options options_;
+  Clock* const clock_;
+
+  bool changed_ = false;
+  std::vector<Lane> lanes_;
+  ActorMap actors_;
+  int64_t lapsed_ = 0;
+  int64_t lapsed_before_ = 0;  // lapsed_ when the iteration was opened
+  int64_t resets_;
+  int64_t differing_ = 0;
+  std::vector<absl::Duration> times_;  // durations of the iteration's fragments
+  int64_t last_fragment_ = 0;
+  int64_t policy_version_ = 0;
+  bool paused_ = false;
+};
+
+}  // namespace craftfleet
+
+#endif  // CRAFTFLEET_LEARNER_LANE_SCHEDULER_H_

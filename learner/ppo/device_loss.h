@@ -1,0 +1,35 @@
+// PPO's loss with its gradient (ppo_loss.h) by tensors, on any device. Includes LibTorch's tensors.
+
+#ifndef CRAFTFLEET_LEARNER_PPO_DEVICE_LOSS_H_
+#define CRAFTFLEET_LEARNER_PPO_DEVICE_LOSS_H_
+
+#include <ATen/core/Tensor.h>
+
+#include "learner/ppo/ppo_loss.h"
+
+namespace craftfleet {
+
+// PpoTargets on a device.
+struct DeviceTargets {
+  at::Tensor actions;     // int64[n]
+  at::Tensor log_probs;   // float[n]
+  at::Tensor advantages;  // float[n] normalised
+  at::Tensor returns;     // float[n]
+};
+
+struct DeviceLoss {
+  at::Tensor by_logits;  // float[n,17] the gradient
+  at::Tensor by_values;  // float[n]
+  at::Tensor means;      // double[5] the fields of PpoLossSums in their order, divided by n
+};
+
+// Of logits float[n,17] and values float[n], neither with a gradient. In double where PpoLoss is.
+DeviceLoss PpoLossOnDevice(const at::Tensor& logits, const at::Tensor& values, const DeviceTargets& targets,
+                           const PpoLossOptions& options);
+
+// Normalise (ppo_loss.h) of float[n].
+at::Tensor NormaliseOnDevice(const at::Tensor& advantages);
+
+}  // namespace craftfleet
+
+#endif  // CRAFTFLEET_LEARNER_PPO_DEVICE_LOSS_H_

@@ -1,0 +1,44 @@
+// The rollout of an iteration and the minibatches of all its epochs in a device's memory. Includes LibTorch's tensors.
+
+#ifndef CRAFTFLEET_LEARNER_PPO_DEVICE_ROLLOUT_H_
+#define CRAFTFLEET_LEARNER_PPO_DEVICE_ROLLOUT_H_
+
+#include <vector>
+
+#include <ATen/core/Tensor.h>
+#include <c10/core/Device.h>
+
+#include "common/agent/agent_spec.h"
+#include "common/agent/nets/segments.h"
+#include "learner/ppo/minibatches.h"
+#include "learner/ppo/rollout.h"
+
+namespace craftfleet {
+
+// n rows and after them one of zeros, the padding.
+struct DeviceRollout {
+  at::Tensor frames;      // uint8[n+1,H,W,3]
+  at::Tensor actions;     // int64[n+1]
+  at::Tensor log_probs;   // float[n+1] when the action was chosen
+  at::Tensor advantages;  // float[n+1] not normalised
+  at::Tensor returns;     // float[n+1]
+  at::Tensor states;      // float[k+1,state_size] the k states that the rollout has, then zeros; recurrent agents only
+};
+
+// The steps of one optimiser step.
+struct DeviceMinibatch {
+  at::Tensor rows;          // int64[m] of the DeviceRollout
+  Segments segments;        // without states; recurrent agents only
+  at::Tensor first_states;  // int64[segments] of DeviceRollout::states, before each segment; likewise
+};
+
+// Sends `rollout` to `device`, from pinned memory if that is a GPU. Throws c10::Error.
+DeviceRollout SendRollout(const Rollout& rollout, const AgentSpec& spec, at::Device device);
+
+// Sends `minibatches` of `rollout`, in one copy. Throws c10::Error.
+std::vector<DeviceMinibatch> SendMinibatches(const std::vector<Minibatch>& minibatches, const Rollout& rollout,
+                                             at::Device device);
+
+}  // namespace craftfleet
+
+#endif  // CRAFTFLEET_LEARNER_PPO_DEVICE_ROLLOUT_H_

@@ -1,0 +1,235 @@
+#include "learner/ppo/device_update.h"
+
+#include <algorithm>
+#include <cmath>
+#include <exception>
+#include <set>
+#include <string>
+#include <utility>
+
+#include <ATen/ATen.h>
+#include <absl/strings/str_cat.h>
+#include <absl/strings/str_join.h>
+#include <absl/strings/str_split.h>
+#include <absl/strings/string_view.h>
+#include <absl/types/span.h>
+#include <c10/core/GradMode.h>
+#include <google/protobuf/descriptor.h>
+#include <google/protobuf/message.h>
+#include <torch/csrc/autograd/autograd.h>
+
+#include "common/agent/device.h"
+#include "common/agent/policy_net.h"
+#include "common/base/keyed_random.h"
+#include "common/base/status_macros.h"
+#include "learner/ppo/device_loss.h"
+
+namespace craftfleet {
+namespace {
+
+constexpr double kMinVariance = 0.01;  // as ValueNorm::Scale
+
+// The fields that this update takes into account, or that do not concern updates.
+constexpr absl::string_view kKnownFields[] = {
+    "agent env steps seed lanes fragment_steps tile gradient_shards ppo checkpoint network eval cpu precision device "
+    "distillation",
+    "ppo.rollout_steps ppo.minibatch_size ppo.epochs ppo.learning_rate ppo.gamma ppo.gae_lambda ppo.clip",
+    "ppo.value_coefficient ppo.entropy_coefficient ppo.max_gradient_norm ppo.adam_epsilon ppo.truncation_is_terminal",
+    "ppo.recurrent_batches ppo.value_norm_decay ppo.value_norm_start ppo.advantages_over_rollout",
+    "network.extractor network.frame_size network.objects network.patch network.stride network.heads network.slots",
+    "network.cls_learned network.positions network.dropout network.residual_mlp network.layer_norm",
+    "network.slot_competition network.recurrent network.critic network.width"};
+
+bool IsKnown(absl::string_view field) {
+  const std::set<std::string> known = absl::StrSplit(absl::StrJoin(kKnownFields, " "), ' ');
+  return known.count(std::string(field)) > 0;
+}
+
+// Whether a field that is set may yet be ignored: it is false or 0.
+bool IsOff(const google::protobuf::Message& message, const google::protobuf::FieldDescriptor* field) {
+  using google::protobuf::FieldDescriptor;
+  const google::protobuf::Reflection* reflection = message.GetReflection();
+  if (field->is_repeated()) return false;
+  switch (field->cpp_type()) {
+    case FieldDescriptor::CPPTYPE_BOOL:
+      return !reflection->GetBool(message, field);
+    case FieldDescriptor::CPPTYPE_INT32:
+      return reflection->GetInt32(message, field) == 0;
+    case FieldDescriptor::CPPTYPE_DOUBLE:
+      return reflection->GetDouble(message, field) == 0;
+    default:
+      return false;
+  }
+}
+
+// A view of host memory.
+at::Tensor OnHost(const std::vector<float>& values) {
+  return at::from_blob(const_cast<float*>(values.data()), {static_cast<int64_t>(values.size())});
+}
+
+}  // namespace
+
+absl::Status DeviceUpdate::CheckFields(const google::protobuf::Message& message, const std::string& prefix) {
+  std::vector<const google::protobuf::FieldDescriptor*> fields;
+  message.GetReflection()->ListFields(message, &fields);
+  for (const auto* field : fields) {
+    const std::string name = absl::StrCat(prefix, field->name());
+    if (IsKnown(name) || IsOff(message, field)) continue;
+    return absl::InvalidArgumentError(
+        absl::StrCat(name, " is not computed on a device yet: leave it out, or train with --device=cpu"));
+  }
+  return absl::OkStatus();
+}
+
+absl::Status DeviceUpdate::CheckSupported(const v1::RunConfig& config) {
+  CRAFTFLEET_RETURN_IF_ERROR(CheckFields(config, ""));
+  CRAFTFLEET_RETURN_IF_ERROR(CheckFields(config.network(), "network."));
+  CRAFTFLEET_RETURN_IF_ERROR(CheckFields(config.ppo(), "ppo."));
+  if (config.distillation().every_iterations() == 0) return absl::OkStatus();
+  return absl::InvalidArgumentError(
+      "distillation.every_iterations: distillation is not computed on a device yet: set it to 0, or train with "
+      "--device=cpu");
+}
+
+DeviceUpdate::DeviceUpdate(AgentSpec spec, const v1::RunConfig& config, at::Device device)
+    : spec_(std::move(spec)),
+      config_(config.ppo()),
+      seed_(config.seed()),
+      device_(device),
+      network_(MakeNetwork(spec_.network)) {}
+
+absl::StatusOr<UpdateStats> DeviceUpdate::Run(const Rollout& rollout, const std::vector<std::vector<Minibatch>>& epochs,
+                                              const std::function<bool()>& should_stop, UpdateState* state) {
+  try {
+    if (!is_loaded_) Load(*state);
+    is_loaded_ = false;
+    CRAFTFLEET_ASSIGN_OR_RETURN(const UpdateStats stats, RunEpochs(rollout, epochs, should_stop));
+    Fetch(state);
+    is_loaded_ = true;
+    return stats;
+  } catch (const std::exception& error) {
+    return DeviceError("update", error.what());
+  }
+}
+
+void DeviceUpdate::Load(const UpdateState& state) {
+  weights_ = OnHost(state.weights).to(device_, at::kFloat, /*non_blocking=*/false, /*copy=*/true);
+  params_ = ParamsOf(spec_, weights_);
+  for (at::Tensor& weight : params_.tensors) weight.set_requires_grad(true);
+  exp_avg_ = OnHost(state.adam.exp_avg).to(device_, at::kFloat, /*non_blocking=*/false, /*copy=*/true);
+  exp_avg_sq_ = OnHost(state.adam.exp_avg_sq).to(device_, at::kFloat, /*non_blocking=*/false, /*copy=*/true);
+  value_norm_ = at::tensor({state.value_norm.mean, state.value_norm.mean_square}, at::kDouble).to(device_);
+  value_weight_ = state.value_norm.weight;
+  optimizer_steps_ = state.adam.steps;
+}
+
+absl::StatusOr<UpdateStats> DeviceUpdate::RunEpochs(const Rollout& rollout,
+                                                    const std::vector<std::vector<Minibatch>>& epochs,
+                                                    const std::function<bool()>& should_stop) {
+  const int64_t steps_before = optimizer_steps_;
+  std::vector<Minibatch> minibatches;
+  for (const std::vector<Minibatch>& epoch : epochs) minibatches.insert(minibatches.end(), epoch.begin(), epoch.end());
+  DeviceRollout there = SendRollout(rollout, spec_, device_);
+  if (config_.advantages_over_rollout()) {
+    at::Tensor of_steps = there.advantages.narrow(0, 0, static_cast<int64_t>(rollout.size()));
+    of_steps.copy_(NormaliseOnDevice(of_steps));
+  }
+  std::vector<at::Tensor> records;
+  for (const DeviceMinibatch& minibatch : SendMinibatches(minibatches, rollout, device_)) {
+    records.push_back(RunMinibatch(there, minibatch));
+    if (should_stop()) return absl::CancelledError("the update was stopped; nothing is changed");
+  }
+  const auto count = static_cast<int64_t>(records.size());
+  const at::Tensor are_finite = at::isfinite(weights_).all().logical_and(at::isfinite(value_norm_).all());
+  // The only wait: double[6 * count + 1].
+  const at::Tensor fetched = at::cat({at::stack(records).flatten(), are_finite.to(at::kDouble).view({1})}).cpu();
+  const auto* const record = fetched.data_ptr<double>();
+  UpdateStats stats;
+  const auto last_epoch = static_cast<int64_t>(epochs.back().size());
+  for (int64_t i = 0; i < count; ++i) {
+    const double* const means = record + 6 * i;
+    if (!std::isfinite(means[5])) {
+      return absl::DataLossError(
+          absl::StrCat("the gradient's norm is ", means[5], " at optimiser step ", steps_before + i + 1));
+    }
+    const auto share = 1 / static_cast<double>(count);
+    stats.policy_loss += means[0] * share;
+    stats.value_loss += means[1] * share;
+    stats.entropy += means[2] * share;
+    stats.clip_fraction += means[4] * share;
+    stats.gradient_norm += means[5] * share;
+    if (i >= count - last_epoch) stats.approx_kl += means[3] / static_cast<double>(last_epoch);
+  }
+  if (record[6 * count] == 0) return absl::DataLossError("the update's weights or value statistics are not finite");
+  return stats;
+}
+
+at::Tensor DeviceUpdate::RunMinibatch(const DeviceRollout& rollout, const DeviceMinibatch& minibatch) {
+  const at::Tensor& rows = minibatch.rows;
+  // Scaled as ScaleFrames does it.
+  const at::Tensor frames = rollout.frames.index_select(0, rows).to(at::kFloat).mul_(double{1.0F / 255.0F});
+  Segments segments = minibatch.segments;
+  if (spec_.state_size > 0) segments.states = rollout.states.index_select(0, minibatch.first_states);
+  const uint64_t key = KeyedBits(RandomUse::kDropout, seed_, static_cast<uint64_t>(optimizer_steps_), 0);
+  const NetOutput output = network_.Forward(params_, frames, segments, Dropout{key, 0});
+
+  at::Tensor returns = rollout.returns.index_select(0, rows);
+  if (config_.value_norm_decay() > 0) returns = NormaliseReturns(returns);
+  at::Tensor advantages = rollout.advantages.index_select(0, rows);
+  if (!config_.advantages_over_rollout()) advantages = NormaliseOnDevice(advantages);
+  const DeviceTargets targets = {rollout.actions.index_select(0, rows), rollout.log_probs.index_select(0, rows),
+                                 advantages, returns};
+  const DeviceLoss loss = PpoLossOnDevice(output.logits.detach(), output.values.detach(), targets,
+                                          {config_.clip(), config_.value_coefficient(), config_.entropy_coefficient()});
+  torch::autograd::backward({output.logits, output.values}, {loss.by_logits, loss.by_values});
+  return at::cat({loss.means, StepAdam(TakeGradient()).view({1})});
+}
+
+at::Tensor DeviceUpdate::NormaliseReturns(const at::Tensor& returns) {
+  const double decay = config_.value_norm_decay();
+  const at::Tensor values = returns.to(at::kDouble);
+  value_norm_ = value_norm_ * decay + at::stack({values.mean(), values.square().mean()}) * (1 - decay);
+  value_weight_ = decay * value_weight_ + (1 - decay);
+  const at::Tensor corrected = value_norm_ / value_weight_;
+  const at::Tensor mean = corrected.select(0, 0);
+  const at::Tensor deviation = (corrected.select(0, 1) - mean.square()).clamp_min(kMinVariance).sqrt();
+  return ((values - mean) / deviation).to(at::kFloat);
+}
+
+at::Tensor DeviceUpdate::TakeGradient() {
+  std::vector<at::Tensor> parts;
+  for (at::Tensor& param : params_.tensors) {
+    parts.push_back(param.grad().flatten());
+    param.mutable_grad().reset();
+  }
+  return at::cat(parts);
+}
+
+at::Tensor DeviceUpdate::StepAdam(const at::Tensor& gradient) {
+  const c10::NoGradGuard no_grad;
+  AdamOptions options;
+  options.learning_rate = config_.learning_rate();
+  options.epsilon = config_.adam_epsilon();
+  options.max_gradient_norm = config_.max_gradient_norm();
+  const at::Tensor norm = gradient.square().sum(at::kDouble).sqrt();
+  const at::Tensor clipped = gradient * (options.max_gradient_norm / (norm + 1e-6)).clamp_max(1).to(at::kFloat);
+  const auto t = static_cast<double>(++optimizer_steps_);
+  exp_avg_.mul_(options.beta1).add_(clipped, 1 - options.beta1);
+  exp_avg_sq_.mul_(options.beta2).addcmul_(clipped, clipped, 1 - options.beta2);
+  const at::Tensor divisor =
+      exp_avg_sq_.sqrt().mul_(1 / std::sqrt(1 - std::pow(options.beta2, t))).add_(options.epsilon);
+  weights_.addcdiv_(exp_avg_, divisor, -options.learning_rate / (1 - std::pow(options.beta1, t)));
+  return norm;
+}
+
+void DeviceUpdate::Fetch(UpdateState* state) const {
+  const c10::NoGradGuard no_grad;
+  OnHost(state->weights).copy_(weights_);
+  OnHost(state->adam.exp_avg).copy_(exp_avg_);
+  OnHost(state->adam.exp_avg_sq).copy_(exp_avg_sq_);
+  state->adam.steps = optimizer_steps_;
+  const at::Tensor value_norm = value_norm_.cpu();
+  state->value_norm = {value_norm.data_ptr<double>()[0], value_norm.data_ptr<double>()[1], value_weight_};
+}
+
+}  // namespace craftfleet

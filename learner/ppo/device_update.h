@@ -1,0 +1,89 @@
+// The update on a device: weights, optimiser and rollout stay in its memory. Equations: PPO.md. Includes LibTorch's
+// tensors.
+
+#ifndef CRAFTFLEET_LEARNER_PPO_DEVICE_UPDATE_H_
+#define CRAFTFLEET_LEARNER_PPO_DEVICE_UPDATE_H_
+
+#include <cstdint>
+#include <functional>
+#include <string>
+#include <vector>
+
+#include <ATen/core/Tensor.h>
+#include <absl/status/status.h>
+#include <absl/status/statusor.h>
+#include <c10/core/Device.h>
+
+#include "common/agent/agent_spec.h"
+#include "common/agent/nets/network.h"
+#include "common/agent/nets/param_tensors.h"
+#include "craftfleet/v1/config.pb.h"
+#include "learner/ppo/device_rollout.h"
+#include "learner/ppo/minibatches.h"
+#include "learner/ppo/rollout.h"
+#include "learner/ppo/update_state.h"
+#include "learner/ppo/update_stats.h"
+
+namespace craftfleet {
+
+// Runs the minibatches of an iteration on a device. The rollout goes there once an iteration; weights, optimiser and
+// statistics come back once. In between the host only starts computations: it copies nothing and waits for nothing.
+// Computes what the CPU's updater computes (ppo_updater.h) but for rounding: a minibatch is one part, not
+// `gradient_shards` parts. Used by one thread.
+class DeviceUpdate {
+ public:
+  // `config` as PpoUpdater::Create has it. Allocates nothing on the device yet.
+  DeviceUpdate(AgentSpec spec, const v1::RunConfig& config, at::Device device);
+
+  // InvalidArgument: a field of `config` asks for something that is not computed on devices; names the field.
+  static absl::Status CheckSupported(const v1::RunConfig& config);
+  // The same for the fields of `message`, a part of the configuration whose fields' names begin with `prefix` ("ppo.").
+  // Fields that are false or 0 ask for nothing.
+  static absl::Status CheckFields(const google::protobuf::Message& message, const std::string& prefix);
+
+  // Takes optimiser steps over `epochs`, each epoch's minibatches of `rollout` in order, from `state` on. If that is
+  // not what the last Run returned, Forget must be called before. `should_stop` is asked after each minibatch. Unless
+  // OK, `state` is as before.
+  //   Cancelled: should_stop() said so.   DataLoss: gradient or weights are not finite.   ResourceExhausted: the
+  //   device's memory does not suffice; says what to lower.   Others as DeviceError (common/agent/device.h).
+  absl::StatusOr<UpdateStats> Run(const Rollout& rollout, const std::vector<std::vector<Minibatch>>& epochs,
+                                  const std::function<bool()>& should_stop, UpdateState* state);
+
+  // The next Run sends its `state` to the device again.
+  void Forget() { is_loaded_ = false; }
+
+ private:
+  void Load(const UpdateState& state);
+  absl::StatusOr<UpdateStats> RunEpochs(const Rollout& rollout, const std::vector<std::vector<Minibatch>>& epochs,
+                                        const std::function<bool()>& should_stop);
+  // One optimiser step. Returns double[6]: the means of the losses, as DeviceLoss has them, and the norm of the
+  // gradient.
+  at::Tensor RunMinibatch(const DeviceRollout& rollout, const DeviceMinibatch& minibatch);
+  // Adds returns float[n] to the value normaliser, and returns them normalised.
+  at::Tensor NormaliseReturns(const at::Tensor& returns);
+  // The gradient of all parameters, float[param_count], which is then forgotten.
+  at::Tensor TakeGradient();
+  // Clips the gradient and takes Adam's step. Returns its norm before clipping, double[].
+  at::Tensor StepAdam(const at::Tensor& gradient);
+  // Copies everything that an update changes to the host.
+  void Fetch(UpdateState* state) const;
+
+  const AgentSpec spec_;
+  const v1::PpoConfig config_;
+  const uint64_t seed_;
+  const at::Device device_;
+  const Network network_;
+
+  bool is_loaded_ = false;  // whether the following is the state after the last Run
+  at::Tensor weights_;      // float[param_count]
+  ParamTensors params_;     // views of them
+  at::Tensor exp_avg_;      // float[param_count] Adam's moments
+  at::Tensor exp_avg_sq_;
+  at::Tensor value_norm_;    // double[2] the normaliser's mean and mean square, not corrected
+  double value_weight_ = 0;  // and its weight
+  int64_t optimizer_steps_ = 0;
+};
+
+}  // namespace craftfleet
+
+#endif  // CRAFTFLEET_LEARNER_PPO_DEVICE_UPDATE_H_

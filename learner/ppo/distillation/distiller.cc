@@ -1,0 +1,205 @@
+#include "learner/ppo/distillation/distiller.h"
+
+#include <algorithm>
+#include <numeric>
+#include <utility>
+
+#include "common/base/crafter.h"
+#include "common/base/keyed_random.h"
+#include "common/base/status_macros.h"
+#include "learner/ppo/distillation/transport.h"
+
+namespace craftfleet {
+namespace {
+
+// The random choices of one phase, drawn one after the other.
+class Draws {
+ public:
+  Draws(uint64_t seed, int64_t iteration) : seed_(seed), iteration_(static_cast<uint64_t>(iteration)) {}
+
+  // 0..count-1, each equally likely.
+  int Below(int count) {
+    const uint64_t bits = KeyedBits(RandomUse::kDistillation, seed_, iteration_, next_++);
+    return static_cast<int>(UnitInterval(bits) * count);
+  }
+
+  // A permutation of 0..count-1, by Fisher and Yates.
+  std::vector<int> Permutation(int count) {
+    std::vector<int> order(count);
+    std::iota(order.begin(), order.end(), 0);
+    for (int last = count - 1; last > 0; --last) std::swap(order[last], order[Below(last + 1)]);
+    return order;
+  }
+
+ private:
+  const uint64_t seed_;
+  const uint64_t iteration_;
+  uint64_t next_ = 0;
+};
+
+// 1 - cosine of each source goal with each target goal; changes of features, float[count,size], have length 1 or 0.
+std::vector<float> CostOf(absl::Span<const float> source, absl::Span<const float> target, size_t size) {
+  std::vector<float> cost;
+  for (size_t i = 0; i < source.size(); i += size) {
+    for (size_t j = 0; j < target.size(); j += size) {
+      cost.push_back(1 - std::inner_product(&source[i], &source[i] + size, &target[j], 0.0F));
+    }
+  }
+  return cost;
+}
+
+bool IsZero(absl::Span<const float> vector) {
+  return std::all_of(vector.begin(), vector.end(), [](float x) { return x == 0; });
+}
+
+}  // namespace
+
+// One phase: the episodes, the policy to keep, the random choices and the sums of losses.
+class Distiller::Phase {
+ public:
+  Phase(const v1::DistillationConfig& config, Draws draws, std::vector<KeptEpisode> episodes, DistillationSteps* steps,
+        const std::function<bool()>& should_stop, DistillationAdams* adams, ValueNorm* value_norm)
+      : config_(config),
+        draws_(draws),
+        episodes_(std::move(episodes)),
+        steps_(steps),
+        should_stop_(should_stop),
+        adams_(adams),
+        value_norm_(value_norm) {}
+
+  absl::Status Run(int rows) {
+    CRAFTFLEET_RETURN_IF_ERROR(KeepPolicy(rows));
+    for (int epoch = 0; epoch < config_.epochs(); ++epoch) {
+      for (const int source : draws_.Permutation(count())) CRAFTFLEET_RETURN_IF_ERROR(MatchSource(source));
+      for (const int episode : draws_.Permutation(count())) CRAFTFLEET_RETURN_IF_ERROR(Predict(episodes_[episode]));
+    }
+    return absl::OkStatus();
+  }
+
+  DistillationStats stats() const {
+    DistillationStats means = stats_;
+    means.matching_loss /= std::max(means.matching_steps, 1);
+    means.prediction_loss /= std::max(means.prediction_steps, 1);
+    const int steps = std::max(means.matching_steps + means.prediction_steps, 1);
+    means.divergence /= steps;
+    means.value_loss /= steps;
+    means.episodes = count();
+    return means;
+  }
+
+ private:
+  int count() const { return static_cast<int>(episodes_.size()); }
+
+  // Computes the logits of the policy as it is now, for all rows that a step may use.
+  absl::Status KeepPolicy(int rows) {
+    old_logits_.resize(static_cast<size_t>(rows) * kNumActions);
+    for (const KeptEpisode& episode : episodes_) {
+      CRAFTFLEET_ASSIGN_OR_RETURN(const std::vector<float> logits, steps_->Logits(episode.rows));
+      for (size_t t = 0; t < episode.rows.size(); ++t) {
+        std::copy_n(logits.begin() + t * kNumActions, kNumActions,
+                    old_logits_.begin() + static_cast<int64_t>(episode.rows[t]) * kNumActions);
+      }
+    }
+    return absl::OkStatus();
+  }
+
+  // The matches of a source with one target, each with a random goal of the target as negative.
+  absl::Status MatchTarget(const KeptEpisode& source, absl::Span<const float> changes, const KeptEpisode& target,
+                           MatchingBatch* batch) {
+    CRAFTFLEET_ASSIGN_OR_RETURN(const std::vector<float> target_changes, steps_->GoalChanges(target));
+    const auto size = static_cast<size_t>(steps_->code_size());
+    const int rows = static_cast<int>(source.goals.size());
+    const int columns = static_cast<int>(target.goals.size());
+    const std::vector<double> plan = TransportPlan(CostOf(changes, target_changes, size), rows, columns,
+                                                   {config_.transport_regularization(), config_.transport_rounds()});
+    for (const Match& match : MatchesOf(plan, columns, config_.match_threshold())) {
+      const int negative = target.goals[draws_.Below(columns)];
+      // The features did not change: there is nothing to recognise, and no direction to learn.
+      if (IsZero(changes.subspan(match.row * size, size))) continue;
+      batch->goals.push_back({source.goals[match.row], &target, target.goals[match.column], negative});
+    }
+    return absl::OkStatus();
+  }
+
+  absl::Status MatchSource(int number) {
+    const KeptEpisode& source = episodes_[number];
+    MatchingBatch batch;
+    batch.source = &source;
+    // The others in random order: a number from `number` on stands for the next one.
+    std::vector<int> others = draws_.Permutation(count() - 1);
+    others.resize(std::min<size_t>(others.size(), config_.targets()));
+    if (others.empty()) return absl::OkStatus();
+    CRAFTFLEET_ASSIGN_OR_RETURN(const std::vector<float> changes, steps_->GoalChanges(source));
+    for (const int other : others) {
+      CRAFTFLEET_RETURN_IF_ERROR(MatchTarget(source, changes, episodes_[other + (other >= number ? 1 : 0)], &batch));
+    }
+    if (batch.goals.empty()) return absl::OkStatus();
+    for (size_t i = 0; i < batch.goals.size(); ++i) {
+      batch.kept.push_back(draws_.Below(static_cast<int>(source.rows.size())));
+    }
+    CRAFTFLEET_ASSIGN_OR_RETURN(const DistillationLosses losses,
+                                steps_->Match(batch, old_logits_, value_norm_, &adams_->matching));
+    stats_.matching_loss += losses.contrastive;
+    ++stats_.matching_steps;
+    return Add(losses);
+  }
+
+  absl::Status Predict(const KeptEpisode& episode) {
+    const int length = static_cast<int>(episode.rows.size());
+    const std::vector<int> negatives = draws_.Permutation(length);
+    const std::vector<int> order = draws_.Permutation(length);
+    for (int first = 0; first < length; first += config_.minibatch_size()) {
+      PredictionBatch batch;
+      batch.episode = &episode;
+      for (int i = first; i < std::min(length, first + config_.minibatch_size()); ++i) {
+        batch.steps.push_back(order[i]);
+        batch.negatives.push_back(negatives[order[i]]);
+      }
+      CRAFTFLEET_ASSIGN_OR_RETURN(const DistillationLosses losses,
+                                  steps_->Predict(batch, old_logits_, value_norm_, &adams_->prediction));
+      stats_.prediction_loss += losses.contrastive;
+      ++stats_.prediction_steps;
+      CRAFTFLEET_RETURN_IF_ERROR(Add(losses));
+    }
+    return absl::OkStatus();
+  }
+
+  absl::Status Add(const DistillationLosses& losses) {
+    stats_.divergence += losses.divergence;
+    stats_.value_loss += losses.value;
+    if (should_stop_()) return absl::CancelledError("distillation was stopped; nothing is changed");
+    return absl::OkStatus();
+  }
+
+  const v1::DistillationConfig& config_;
+  Draws draws_;
+  const std::vector<KeptEpisode> episodes_;
+  DistillationSteps* const steps_;
+  const std::function<bool()>& should_stop_;
+  DistillationAdams* const adams_;
+  ValueNorm* const value_norm_;
+  std::vector<float> old_logits_;  // [rows,17], of the rows of episodes_
+  DistillationStats stats_;        // sums
+};
+
+Distiller::Distiller(const AgentSpec& spec, const v1::RunConfig& config, absl::Span<float> weights, WorkerPool* workers)
+    : config_(config.distillation()),
+      seed_(config.seed()),
+      rollouts_(config.lanes(), spec.frame_bytes(), spec.state_size),
+      steps_(spec, config, &rollouts_, weights, workers) {}
+
+absl::Status Distiller::OnIteration(int64_t iteration, const Rollout& rollout, const std::function<bool()>& should_stop,
+                                    DistillationAdams* adams, ValueNorm* value_norm, UpdateStats* stats) {
+  rollouts_.Add(iteration, rollout);
+  if (!IsDue(iteration)) return absl::OkStatus();
+  Phase phase(config_, Draws(seed_, iteration), rollouts_.Episodes(), &steps_, should_stop, adams, value_norm);
+  CRAFTFLEET_RETURN_IF_ERROR(phase.Run(rollouts_.rows()));
+  stats->distillation = phase.stats();
+  return absl::OkStatus();
+}
+
+void Distiller::Commit(int64_t iteration) {
+  if (IsDue(iteration)) rollouts_.Clear();
+}
+
+}  // namespace craftfleet

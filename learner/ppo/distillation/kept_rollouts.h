@@ -1,0 +1,87 @@
+// The rollouts since the last phase of distillation, and the whole episodes in them. No LibTorch.
+
+#ifndef CRAFTFLEET_LEARNER_PPO_DISTILLATION_KEPT_ROLLOUTS_H_
+#define CRAFTFLEET_LEARNER_PPO_DISTILLATION_KEPT_ROLLOUTS_H_
+
+#include <cstdint>
+#include <string>
+#include <vector>
+
+#include <absl/status/status.h>
+
+#include "common/agent/safetensors.h"
+#include "common/base/crafter.h"
+#include "learner/ppo/rollout.h"
+
+namespace craftfleet {
+
+// A whole episode with at least one achievement.
+struct KeptEpisode {
+  std::vector<int> rows;   // [L] of the kept rollouts, in the order of its steps
+  std::vector<int> goals;  // steps 0..L-2 that unlocked something, ascending (GoalSteps)
+};
+
+// Rows are numbered over all kept rollouts, each as in Rollout. Copies of their frames are kept, and a memory for each
+// achievement instead of each row. Thread-compatible.
+class KeptRollouts {
+ public:
+  // Rollouts of `lanes` lanes, equal in size. `memory_size`: floats of the agent's memory; 0: none.
+  KeptRollouts(int lanes, int64_t frame_bytes, int memory_size);
+
+  // Adds the rollout of `iteration`, after dropping it and later ones.
+  void Add(int64_t iteration, const Rollout& rollout);
+  // Drops the rollouts of `iteration` and later ones.
+  void DropFrom(int64_t iteration);
+  // Drops all, but keeps in mind which lanes are at the start of an episode.
+  void Clear();
+
+  // Lane by lane, each in the order of time. Those of lanes that were in an episode when the run, or the kept rollouts,
+  // began are not whole.
+  std::vector<KeptEpisode> Episodes() const;
+
+  int rows() const;
+  const uint8_t* frame(int row) const;  // uint8[H,W,3]
+  Action action(int row) const;         // taken
+  float return_of(int row) const;       // from GAE of its iteration
+  const float* memory(int row) const;   // float[memory_size] before the step; null: zero
+
+  // Adds their tensors and metadata to `file`, whose tensors look into this object.
+  void Save(SafeTensors* file) const;
+  // The inverse.   InvalidArgument: missing or of another shape; names the tensor. Nothing is changed.
+  absl::Status Load(const SafeTensors& file);
+
+ private:
+  // What is known of a step, a byte each: its action, whether it unlocked an achievement, whether it ended its episode,
+  // and a MemoryChange.
+  enum StepByte { kAction, kUnlocked, kEnded, kMemory, kStepBytes };
+  // The memory before a step, compared with that of the row before.
+  enum MemoryChange : char { kSame, kNew, kZero };
+  struct Kept {
+    int64_t iteration = 0;
+    std::string frames;           // uint8[n,H,W,3]
+    std::string steps;            // uint8[n,kStepBytes]
+    std::vector<float> returns;   // [n]
+    std::vector<float> memories;  // float[k,memory_size]: those that are new
+    std::vector<int> memory_of;   // [n] into `memories`; kNoMemory: zero
+  };
+  static constexpr int kNoMemory = -1;
+
+  // Fills `memory_of` from the steps; returns the number of memories.
+  static int IndexMemories(Kept* kept);
+  absl::Status LoadOne(const SafeTensors& file, int64_t index, Kept* kept) const;
+  // What `byte` says of step `step` of `lane`, over all kept rollouts.
+  char StepByteOf(int lane, int step, StepByte byte) const;
+  int RowOf(int lane, int step) const;
+  int rows_each() const { return kept_.empty() ? 0 : static_cast<int>(kept_.front().returns.size()); }
+  int lane_steps() const { return rows_each() / lanes_; }  // of one rollout
+
+  const int lanes_;
+  const int64_t frame_bytes_;
+  const int memory_size_;
+  std::vector<Kept> kept_;
+  std::string at_start_;  // [lanes] '1': the lane's first kept step is the first of an episode, else '0'
+};
+
+}  // namespace craftfleet
+
+#endif  // CRAFTFLEET_LEARNER_PPO_DISTILLATION_KEPT_ROLLOUTS_H_

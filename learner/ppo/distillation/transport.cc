@@ -1,0 +1,69 @@
+#include "learner/ppo/distillation/transport.h"
+
+#include <algorithm>
+#include <cmath>
+#include <cstddef>
+
+namespace craftfleet {
+namespace {
+
+double Sum(const std::vector<double>& values) {
+  double sum = 0;
+  for (const double x : values) sum += x;
+  return sum;
+}
+
+// Rows or columns of a plan: `count` lines of `length` numbers.
+struct Lines {
+  int count;
+  int length;
+  int step;  // from one line to the next
+  int next;  // from one number of a line to the next
+};
+
+// Projects onto the plans whose lines sum up to at most 1. `corrections`, one for each line, undo the last projection.
+void BoundLines(const Lines& lines, std::vector<double>* corrections, std::vector<double>* plan) {
+  for (int i = 0; i < lines.count; ++i) {
+    double* const line = plan->data() + i * lines.step;
+    double& correction = (*corrections)[i];
+    double sum = 0;
+    for (int k = 0; k < lines.length; ++k) sum += line[k * lines.next] *= correction;
+    const double factor = std::min(1.0, 1 / sum);
+    for (int k = 0; k < lines.length; ++k) line[k * lines.next] *= factor;
+    correction = 1 / factor;
+  }
+}
+
+}  // namespace
+
+std::vector<double> TransportPlan(absl::Span<const float> cost, int rows, int columns,
+                                  const TransportOptions& options) {
+  const double mass = std::min(rows, columns);
+  std::vector<double> plan(cost.size());
+  for (size_t i = 0; i < cost.size(); ++i) plan[i] = std::exp(-double{cost[i]} / options.regularization);
+  const double scale = mass / Sum(plan);
+  for (double& x : plan) x *= scale;
+
+  std::vector<double> row_corrections(rows, 1.0);
+  std::vector<double> column_corrections(columns, 1.0);
+  double total_correction = 1;
+  for (int round = 0; round < options.rounds; ++round) {
+    BoundLines({rows, columns, columns, 1}, &row_corrections, &plan);
+    BoundLines({columns, rows, 1, columns}, &column_corrections, &plan);
+    for (double& x : plan) x *= total_correction;
+    const double factor = mass / Sum(plan);
+    for (double& x : plan) x *= factor;
+    total_correction = 1 / factor;
+  }
+  return plan;
+}
+
+std::vector<Match> MatchesOf(absl::Span<const double> plan, int columns, double threshold) {
+  std::vector<Match> matches;
+  for (int i = 0; i < static_cast<int>(plan.size()); ++i) {
+    if (static_cast<float>(plan[i]) > threshold) matches.push_back({i / columns, i % columns});
+  }
+  return matches;
+}
+
+}  // namespace craftfleet

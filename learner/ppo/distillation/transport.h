@@ -1,0 +1,33 @@
+// Optimal transport between the achievements of two episodes: which of them are the same. No LibTorch.
+
+#ifndef CRAFTFLEET_LEARNER_PPO_DISTILLATION_TRANSPORT_H_
+#define CRAFTFLEET_LEARNER_PPO_DISTILLATION_TRANSPORT_H_
+
+#include <vector>
+
+#include <absl/types/span.h>
+
+namespace craftfleet {
+
+struct TransportOptions {
+  double regularization = 0.05;  // weight of the plan's entropy
+  int rounds = 100;              // of the three projections
+};
+
+// The plan T[rows,columns] >= 0 that moves a mass of min(rows, columns) for the least `cost`[rows,columns], with at
+// most 1 from each row and to each column. It minimises sum T * cost + regularization * sum T * ln T, by Dykstra's
+// scheme. Source: Benamou et al. 2015; DISTILLATION.md, section 4.
+std::vector<double> TransportPlan(absl::Span<const float> cost, int rows, int columns, const TransportOptions& options);
+
+struct Match {
+  int row = 0;
+  int column = 0;
+  friend bool operator==(const Match& a, const Match& b) { return a.row == b.row && a.column == b.column; }
+};
+
+// Where the plan, in float32, is more than `threshold`; row by row.
+std::vector<Match> MatchesOf(absl::Span<const double> plan, int columns, double threshold);
+
+}  // namespace craftfleet
+
+#endif  // CRAFTFLEET_LEARNER_PPO_DISTILLATION_TRANSPORT_H_

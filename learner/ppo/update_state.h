@@ -1,0 +1,23 @@
+// What an update changes.
+
+#ifndef CRAFTFLEET_LEARNER_PPO_UPDATE_STATE_H_
+#define CRAFTFLEET_LEARNER_PPO_UPDATE_STATE_H_
+
+#include <vector>
+
+#include "learner/ppo/adam.h"
+#include "learner/ppo/distillation/distillation_adams.h"
+#include "learner/ppo/value_norm.h"
+
+namespace craftfleet {
+
+struct UpdateState {
+  std::vector<float> weights;  // [param_count]
+  AdamState adam;
+  ValueNorm value_norm;
+  DistillationAdams distillation;  // empty without distillation
+};
+
+}  // namespace craftfleet
+
+#endif  // CRAFTFLEET_LEARNER_PPO_UPDATE_STATE_H_

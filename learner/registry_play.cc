@@ -1,0 +1,238 @@
+// WorkerRegistry: permits, lanes and evaluations.
+#include <utility>
+
+#include <absl/strings/str_format.h>
+
+#include "common/base/status_macros.h"
+#include "learner/worker_registry.h"
+
+namespace craftfleet {
+namespace {
+
+absl::Status NotKnown(absl::string_view actor) {
+  return absl::AbortedError(absl::StrFormat("actor %s is unknown: join again", actor));
+}
+
+}  // namespace
+
+absl::Status WorkerRegistry::Join(absl::string_view identity, absl::string_view name, absl::string_view address,
+                                  const WorkerBuild& build) {
+  const MutexLock lock(&mu_);
+  CRAFTFLEET_ASSIGN_OR_RETURN(Worker* const actor, Own(WorkerRole::kActor, name, identity));
+  if (!address.empty()) actor->address = std::string(address);
+  CRAFTFLEET_RETURN_IF_ERROR(CheckBuild(build, actor));
+  ExpireActors();
+  actor->active = true;
+  actor->leased_from = clock_->Now();
+  NoteReport(actor, nullptr);
+  lanes_.Add(actor);
+  return absl::OkStatus();
+}
+
+absl::StatusOr<WorkerRegistry::PermitReply> WorkerRegistry::GetPermits(const PermitRequest& request) {
+  const MutexLock lock(&mu_);
+  CRAFTFLEET_RETURN_IF_ERROR(Own(WorkerRole::kActor, request.actor, request.identity).status());
+  for (const LaneFailure& failure : request.failures) {
+    lanes_.Refuse(request.actor, failure.lane, failure.fragment, failure.reason);
+  }
+  evaluations_.Renew(request.actor, request.evaluation);
+  PermitReply reply;
+  CRAFTFLEET_ASSIGN_OR_RETURN(reply.lost, RenewPlay(request));
+  changed_.WaitFor(&mu_, request.wait, [&]() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_) {
+    if (FindActor(request.actor) == nullptr || closed_) return true;
+    reply.granted = lanes_.Grant(request.actor);
+    return !reply.granted.empty() || !reply.lost.empty() || finished_;
+  });
+  if (closed_) return absl::UnavailableError("the learner is stopping");
+  Worker* const actor = FindActor(request.actor);
+  if (actor == nullptr) return NotKnown(request.actor);
+  actor->leased_from = clock_->Now();
+  if (request.is_cancelled != nullptr && request.is_cancelled()) {
+    ShortenLease(actor);
+    return absl::CancelledError("the client disconnected");
+  }
+  NoteReport(actor, request.summary);
+  for (const ServerReport& server : request.servers) NoteServer(server);
+  reply.finished = finished_;
+  reply.resting = lanes_.paused() || actor->draining;
+  if (request.evaluates && request.evaluation == 0 && !reply.resting) {
+    reply.evaluation = evaluations_.Take(request.actor);
+  }
+  AddServerList(request, &reply);
+  return reply;
+}
+
+absl::StatusOr<std::vector<Permit>> WorkerRegistry::RenewPlay(const PermitRequest& request) {
+  Worker* const actor = FindActor(request.actor);
+  // A late renewal is accepted if no other actor has requested its lanes in the meantime.
+  if (actor != nullptr && clock_->Now() - actor->leased_from <= 2 * options_.lanes.lease) {
+    actor->leased_from = clock_->Now();
+    lanes_.NoteProgress(request.actor, request.active, request.steps);
+  }
+  ExpireActors();
+  lanes_.EndStalls();
+  absl::StatusOr<std::vector<Permit>> lost = NotKnown(request.actor);
+  if (FindActor(request.actor) != nullptr) lost = lanes_.Renew(request.actor, request.active, request.capacity);
+  WakeIfChanged();
+  return lost;
+}
+
+void WorkerRegistry::RemoveActor(Worker* actor) {
+  lanes_.Remove(actor->name);
+  actor->active = false;
+  WakeIfChanged();
+}
+
+void WorkerRegistry::ExpireActors() {
+  for (const std::string& name : lanes_.RemoveExpired()) Find(WorkerRole::kActor, name)->active = false;
+  WakeIfChanged();
+}
+
+void WorkerRegistry::OnConnectionLost(absl::string_view name) {
+  const MutexLock lock(&mu_);
+  if (Worker* const actor = FindActor(name); actor != nullptr) ShortenLease(actor);
+}
+
+void WorkerRegistry::ShortenLease(Worker* actor) {
+  const absl::Duration rest = options_.lanes.lease - options_.lanes.comeback;
+  actor->leased_from = std::min(actor->leased_from, clock_->Now() - rest);
+}
+
+void WorkerRegistry::WakeIfChanged() {
+  if (lanes_.TakeChange()) changed_.NotifyAll();
+}
+
+std::vector<LaneScheduler::ActorInfo> WorkerRegistry::Actors() const {
+  const MutexLock lock(&mu_);
+  return lanes_.Actors();
+}
+
+absl::StatusOr<LaneScheduler::Verdict> WorkerRegistry::Accept(absl::string_view name, const Permit& fragment,
+                                                              const LaneSnapshot& snapshot, uint64_t digest) {
+  const MutexLock lock(&mu_);
+  const absl::StatusOr<LaneScheduler::Verdict> verdict = lanes_.Accept(name, fragment, snapshot, digest);
+  if (verdict.ok() && *verdict == LaneScheduler::Verdict::kAccepted) FindActor(name)->leased_from = clock_->Now();
+  WakeIfChanged();
+  return verdict;
+}
+
+bool WorkerRegistry::Restore(const Permit& fragment, const LaneSnapshot& snapshot, uint64_t digest) {
+  const MutexLock lock(&mu_);
+  return lanes_.Restore(fragment, snapshot, digest);
+}
+
+bool WorkerRegistry::Counts(int lane, int64_t fragment, uint64_t digest) const {
+  const MutexLock lock(&mu_);
+  return lanes_.Counts(lane, fragment, digest);
+}
+
+absl::StatusOr<LaneSnapshot> WorkerRegistry::Snapshot(int lane, int64_t fragment) const {
+  const MutexLock lock(&mu_);
+  return lanes_.Snapshot(lane, fragment);
+}
+
+void WorkerRegistry::OpenIteration(int64_t last_fragment, int64_t policy_version) {
+  const MutexLock lock(&mu_);
+  lanes_.OpenIteration(last_fragment, policy_version);
+  WakeIfChanged();
+}
+
+void WorkerRegistry::RewindIteration() {
+  const MutexLock lock(&mu_);
+  lanes_.RewindIteration();
+}
+
+bool WorkerRegistry::SetPaused(bool paused) {
+  const MutexLock lock(&mu_);
+  const bool before = lanes_.SetPaused(paused);
+  WakeIfChanged();
+  return before;
+}
+
+bool WorkerRegistry::paused() const {
+  const MutexLock lock(&mu_);
+  return lanes_.paused();
+}
+
+std::vector<LaneRecord> WorkerRegistry::Records() const {
+  const MutexLock lock(&mu_);
+  return lanes_.Records();
+}
+
+int WorkerRegistry::permits() const {
+  const MutexLock lock(&mu_);
+  return lanes_.permits();
+}
+
+int64_t WorkerRegistry::lapsed() const {
+  const MutexLock lock(&mu_);
+  return lanes_.lapsed();
+}
+
+int64_t WorkerRegistry::resets() const {
+  const MutexLock lock(&mu_);
+  return lanes_.resets();
+}
+
+int64_t WorkerRegistry::differing() const {
+  const MutexLock lock(&mu_);
+  return lanes_.differing();
+}
+
+void WorkerRegistry::Finish() {
+  const MutexLock lock(&mu_);
+  finished_ = true;
+  changed_.NotifyAll();
+}
+
+void WorkerRegistry::Close() {
+  const MutexLock lock(&mu_);
+  closed_ = true;
+  changed_.NotifyAll();
+}
+
+void WorkerRegistry::WaitUntilEmpty(absl::Duration timeout) {
+  const MutexLock lock(&mu_);
+  changed_.WaitFor(&mu_, timeout, [this]() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_) { return lanes_.empty(); });
+}
+
+void WorkerRegistry::AddEvaluation(Evaluation evaluation) {
+  const MutexLock lock(&mu_);
+  evaluations_.Add(std::move(evaluation));
+}
+
+std::shared_ptr<const std::string> WorkerRegistry::EvaluationWeights(int64_t task) const {
+  const MutexLock lock(&mu_);
+  return evaluations_.Weights(task);
+}
+
+absl::Status WorkerRegistry::FinishEvaluation(int64_t task, absl::Span<const Episode> episodes) {
+  const MutexLock lock(&mu_);
+  absl::Status status = evaluations_.Finish(task, episodes);
+  evaluated_.NotifyAll();
+  return status;
+}
+
+std::optional<FinishedEvaluation> WorkerRegistry::FrontEvaluation(absl::Duration timeout) {
+  const MutexLock lock(&mu_);
+  evaluated_.WaitFor(&mu_, timeout,
+                     [this]() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_) { return evaluations_.FrontFinished(); });
+  return evaluations_.Front();
+}
+
+void WorkerRegistry::PopEvaluation() {
+  const MutexLock lock(&mu_);
+  evaluations_.Pop();
+}
+
+std::vector<Evaluation> WorkerRegistry::PendingEvaluations() const {
+  const MutexLock lock(&mu_);
+  return evaluations_.Pending();
+}
+
+size_t WorkerRegistry::pending_evaluations() const {
+  const MutexLock lock(&mu_);
+  return evaluations_.pending();
+}
+
+}  // namespace craftfleet

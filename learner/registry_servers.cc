@@ -1,0 +1,127 @@
+// WorkerRegistry: environment servers.
+#include <utility>
+
+#include "common/base/status_macros.h"
+#include "learner/worker_registry.h"
+
+namespace craftfleet {
+namespace {
+
+constexpr absl::Duration kCheckEvery = absl::Seconds(1);
+constexpr absl::Duration kRelayed = absl::Seconds(10);
+
+bool IsListed(const Worker& server) { return server.active && !server.draining; }
+
+}  // namespace
+
+absl::Status WorkerRegistry::Announce(absl::string_view identity, absl::string_view name, absl::string_view address,
+                                      int lanes, const WorkerBuild& build,
+                                      std::shared_ptr<const v1::ProcessSummary> summary) {
+  const MutexLock lock(&mu_);
+  ExpireServersSometimes();  // here too, since there may be no actor that requests servers
+  CRAFTFLEET_ASSIGN_OR_RETURN(Worker* const server, Own(WorkerRole::kEnvServer, name, identity));
+  CRAFTFLEET_RETURN_IF_ERROR(CheckAddress(name, address, identity));
+  if (server->own_report == absl::InfinitePast()) server->address = std::string(address);
+  CRAFTFLEET_RETURN_IF_ERROR(CheckBuild(build, server));
+  PlaceServer(server, address);
+  server->empty = server->draining && lanes == 0;
+  server->leased_from = clock_->Now();
+  NoteReport(server, std::move(summary));
+  return absl::OkStatus();
+}
+
+void WorkerRegistry::PlaceServer(Worker* server, absl::string_view address) {
+  if (server->address != address) {
+    const auto former = servers_.find(server->address);
+    if (former != servers_.end() && former->second == server) {
+      RemoveServer(server);
+      servers_.erase(former);
+    }
+  }
+  const auto placed = servers_.find(address);
+  bool was_listed = false;
+  if (placed != servers_.end()) {
+    was_listed = IsListed(*placed->second);
+    if (placed->second != server) {
+      placed->second->active = false;  // replaced: the list of addresses may stay the same
+      Erase(placed->second);
+    }
+  }
+  // The record made from actors' reports on this address.
+  Worker* const reported = Find(WorkerRole::kEnvServer, address);
+  if (reported != nullptr && reported != server && reported->own_report == absl::InfinitePast() &&
+      reported->name_used == absl::InfinitePast()) {
+    Erase(reported);
+  }
+  server->address = std::string(address);
+  server->active = true;
+  servers_[server->address] = server;
+  if (IsListed(*server) != was_listed) ++generation_;
+}
+
+void WorkerRegistry::RemoveServer(Worker* server) {
+  if (IsListed(*server)) ++generation_;
+  server->active = false;
+}
+
+void WorkerRegistry::NoteServer(const ServerReport& report) {
+  const absl::Time now = clock_->Now();
+  if (const auto placed = servers_.find(report.address); placed != servers_.end()) {
+    if (report.hangs) placed->second->not_answering = now;
+    return;
+  }
+  Worker* server = Find(WorkerRole::kEnvServer, report.address);
+  if (server == nullptr) {
+    Prune();
+    server = Record(WorkerRole::kEnvServer, report.address);
+  }
+  if (server->last_seen == absl::InfinitePast()) {
+    server->address = report.address;
+    server->last_seen = now - kRelayed;
+  }
+  if (report.answers) server->last_seen = now;
+  if (report.hangs) server->not_answering = now;
+  if (report.summary == nullptr) return;
+  server->summary = report.summary;
+  server->summary_time = now;
+}
+
+void WorkerRegistry::AddServerList(const PermitRequest& request, PermitReply* reply) {
+  if (!request.wants_servers) return;
+  const int64_t generation = request.servers_generation;
+  reply->servers_generation = generation;
+  ExpireServersSometimes();
+  // The actor keeps a list from an earlier start of the learner until every server has had time to register again.
+  const bool keeps =
+      generation != 0 && generation < first_generation_ && clock_->Now() - start_ < options_.server_lease;
+  if (generation == generation_ || keeps) return;
+  ExpireServers();
+  reply->servers_generation = generation_;
+  for (const auto& [address, server] : servers_) {
+    if (IsListed(*server)) reply->servers.push_back(address);
+  }
+}
+
+std::vector<WorkerRegistry::Server> WorkerRegistry::Servers() {
+  const MutexLock lock(&mu_);
+  ExpireServers();
+  std::vector<Server> servers;
+  for (const auto& [address, server] : servers_) {
+    if (server->active)
+      servers.push_back({server->name, address, clock_->Now() - server->leased_from, server->draining});
+  }
+  return servers;
+}
+
+void WorkerRegistry::ExpireServersSometimes() {
+  if (clock_->Now() - servers_checked_ >= kCheckEvery) ExpireServers();
+}
+
+void WorkerRegistry::ExpireServers() {
+  servers_checked_ = clock_->Now();
+  for (const auto& [address, server] : servers_) {
+    if (server->active && servers_checked_ - server->leased_from >= options_.server_lease) RemoveServer(server);
+  }
+}
+
+}  // namespace craftfleet

@@ -1,0 +1,47 @@
+#include "learner/run_messages.h"
+
+#include <cstdio>
+
+#include "common/base/numbers.h"
+#include "common/base/status_macros.h"
+#include "common/process/program.h"
+#include "common/telemetry/log.h"
+#include "learner/steps_to_train.h"
+
+namespace craftfleet {
+
+absl::Status LogRunStart(const Learner& learner, const std::string& logdir) {
+  CRAFTFLEET_RETURN_IF_ERROR(FinishStandardOutput());
+  LogInfo("run %s in %s%s%s", learner.run_id(), logdir, learner.address().empty() ? "" : "; listening on ",
+          learner.address());
+  const v1::RunConfig& config = learner.config();
+  const int64_t done = learner.trainer().counters().start_steps;
+  if (done >= config.steps()) {
+    LogInfo("the run has %s steps already, and %s were requested: nothing is left to train", WithCommas(done),
+            WithCommas(config.steps()));
+  } else if (const int64_t steps = StepsToTrain(config); steps != config.steps()) {
+    LogInfo("training for %s steps instead of %s: whole iterations of %s steps", WithCommas(steps),
+            WithCommas(config.steps()), WithCommas(config.ppo().rollout_steps()));
+  }
+  return absl::OkStatus();
+}
+
+void LogRunEnd(const Learner& learner) {
+  switch (learner.trainer().phase()) {
+    case Trainer::Phase::kTraining:
+      LogInfo("stopped; continue with --resume");
+      break;
+    case Trainer::Phase::kEvaluating:
+      LogInfo("stopped during the final evaluation; continue with --resume");
+      break;
+    case Trainer::Phase::kComplete:
+      LogInfo("the run is complete");
+      break;
+  }
+  if (const absl::Status printed = FinishStandardOutput(); !printed.ok()) {
+    LogWarning("%s", printed.message());
+    std::clearerr(stdout);
+  }
+}
+
+}  // namespace craftfleet

@@ -1,0 +1,64 @@
+// The learner's record of one worker.
+
+#ifndef CRAFTFLEET_LEARNER_WORKER_H_
+#define CRAFTFLEET_LEARNER_WORKER_H_
+
+#include <memory>
+#include <optional>
+#include <string>
+
+#include <absl/time/time.h>
+
+namespace craftfleet {
+
+namespace v1 {
+class ProcessSummary;
+}  // namespace v1
+
+enum class WorkerRole { kActor, kEnvServer };
+
+// A worker's report about its program.
+struct WorkerBuild {
+  std::string build;   // version and git revision, for people
+  std::string canary;  // digest of its numerics (actor) or game rules (environment server)
+  std::string cpu = "";
+};
+
+// Everything that is known about a worker, kept by WorkerRegistry under its mutex. Times are from the registry's
+// clock; InfinitePast: never.
+struct Worker {
+  struct Mismatch {
+    std::string build;  // printable
+    absl::Time time;    // when its canary was last compared
+  };
+
+  WorkerRole role = WorkerRole::kActor;
+  std::string name;
+  std::string address;  // empty: not known
+
+  // The owner of the name, and when the name was last used. It becomes free when unused for `name_lapse`.
+  std::string identity;
+  absl::Time name_used = absl::InfinitePast();
+
+  // Has joined (actor) or registered (server), has not left, and its lease has not expired.
+  bool active = false;
+  // Start of its lease: its last report, or earlier if its connection broke.
+  absl::Time leased_from = absl::InfinitePast();
+  // Gets no new permits, evaluations or games, until it leaves or is undrained.
+  bool draining = false;
+  bool empty = false;  // environment server: has reported no games since the drain began
+
+  absl::Time last_seen = absl::InfinitePast();   // last report by itself or, for a server, by an actor that reaches it
+  absl::Time own_report = absl::InfinitePast();  // last report by itself
+  absl::Time not_answering =
+      absl::InfinitePast();  // environment server: last time an actor reported that it does not answer
+  bool left = false;         // has reported that it leaves
+  std::shared_ptr<const v1::ProcessSummary> summary;  // the last one; null: none
+  absl::Time summary_time = absl::InfinitePast();
+
+  std::optional<Mismatch> mismatch;  // its canary differs
+};
+
+}  // namespace craftfleet
+
+#endif  // CRAFTFLEET_LEARNER_WORKER_H_

@@ -1,0 +1,24 @@
+// Converts workers' reports from messages, with bounded size, and workers to peers of status replies.
+
+#ifndef CRAFTFLEET_LEARNER_WORKER_PAGE_H_
+#define CRAFTFLEET_LEARNER_WORKER_PAGE_H_
+
+#include <memory>
+
+#include "craftfleet/v1/status.pb.h"
+#include "learner/worker_registry.h"
+
+namespace craftfleet {
+
+// Copies a worker's summary, shortened to what status pages show. Null: `summary` is empty.
+std::shared_ptr<const v1::ProcessSummary> KeepSummary(const v1::ProcessSummary& summary);
+
+// Converts an actor's report on an environment server.
+WorkerRegistry::ServerReport ToServerReport(const v1::Peer& server);
+
+// Adds every worker as a peer, and the metric workers_mixed.
+void AddWorkers(const WorkerRegistry& registry, v1::StatusReply* reply);
+
+}  // namespace craftfleet
+
+#endif  // CRAFTFLEET_LEARNER_WORKER_PAGE_H_

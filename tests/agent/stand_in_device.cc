@@ -1,0 +1,145 @@
+#include "tests/agent/stand_in_device.h"
+
+#include <atomic>
+#include <exception>
+#include <stdexcept>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include <ATen/ATen.h>
+#include <ATen/core/LegacyTypeDispatch.h>
+#include <ATen/core/dispatch/Dispatcher.h>
+#include <c10/core/InferenceMode.h>
+#include <c10/core/impl/DeviceGuardImplInterface.h>
+#include <torch/library.h>
+
+namespace craftfleet::testing {
+namespace {
+
+std::atomic<int64_t> sent{0};
+std::atomic<int64_t> fetched{0};
+std::atomic<int64_t> read{0};
+std::atomic<int64_t> computed{0};
+
+const c10::Device kDevice(c10::DeviceType::PrivateUse1, 0);
+
+bool IsOurs(const at::Tensor& tensor) { return tensor.device().type() == c10::DeviceType::PrivateUse1; }
+
+// The same memory as a tensor of another device.
+at::Tensor SeenFrom(c10::Device device, c10::DispatchKey key, const at::Tensor& tensor) {
+  auto* const owner = new c10::Storage(tensor.storage());
+  c10::DataPtr memory(
+      owner->data_ptr().get(), owner, [](void* kept) { delete static_cast<c10::Storage*>(kept); }, device);
+  c10::Storage storage(c10::make_intrusive<c10::StorageImpl>(c10::StorageImpl::use_byte_size_t(), owner->nbytes(),
+                                                             std::move(memory), nullptr, /*resizable=*/false));
+  at::Tensor seen =
+      at::detail::make_tensor<c10::TensorImpl>(std::move(storage), c10::DispatchKeySet(key), tensor.dtype());
+  seen.unsafeGetTensorImpl()->set_sizes_and_strides(tensor.sizes(), tensor.strides());
+  seen.unsafeGetTensorImpl()->set_storage_offset(tensor.storage_offset());
+  return seen;
+}
+
+at::Tensor OnHost(const at::Tensor& ours) { return SeenFrom(c10::Device(c10::kCPU), c10::DispatchKey::CPU, ours); }
+at::Tensor Ours(const at::Tensor& host) { return SeenFrom(kDevice, c10::DispatchKey::PrivateUse1, host); }
+
+// A tensor given to the computation `name`. Like a GPU's, it accepts a tensor of the CPU only if that is one number.
+at::Tensor Argument(const at::Tensor& tensor, const std::string& name) {
+  if (!tensor.defined()) return tensor;
+  if (IsOurs(tensor)) return OnHost(tensor);
+  if (tensor.dim() == 0) return tensor;
+  throw std::runtime_error(name + ": a tensor is on the CPU, want all on the device");
+}
+
+void ReplaceArgument(const std::string& name, c10::IValue* value) {
+  if (value->isTensor()) {
+    *value = Argument(value->toTensor(), name);
+  } else if (value->isTensorList()) {
+    std::vector<at::Tensor> tensors;
+    for (const at::Tensor& tensor : value->toTensorVector()) tensors.push_back(Argument(tensor, name));
+    *value = c10::IValue(tensors);
+  } else if (value->isDevice()) {
+    *value = c10::IValue(c10::Device(c10::kCPU));
+  }
+}
+
+// The argument whose memory the computation's result number `result` shares, by its schema; -1: none.
+int SharedArgument(const c10::FunctionSchema& schema, size_t result) {
+  const auto* const alias = schema.returns()[result].alias_info();
+  for (size_t i = 0; alias != nullptr && i < schema.arguments().size(); ++i) {
+    const auto* const other = schema.arguments()[i].alias_info();
+    if (other != nullptr && other->beforeSets() == alias->beforeSets()) return static_cast<int>(i);
+  }
+  return -1;
+}
+
+// Any computation of the device: that of the CPU, on the same memory.
+void Compute(const c10::OperatorHandle& op, torch::jit::Stack* stack) {
+  const c10::FunctionSchema& schema = op.schema();
+  const std::string& name = schema.name();
+  ++computed;
+  const size_t begin = stack->size() - schema.arguments().size();
+  const std::vector<c10::IValue> arguments(stack->begin() + begin, stack->end());
+  for (size_t i = begin; i < stack->size(); ++i) ReplaceArgument(name, &(*stack)[i]);
+  {
+    const at::AutoDispatchBelowADInplaceOrView guard;
+    try {
+      op.callBoxed(stack);
+    } catch (const std::exception& error) {
+      throw std::runtime_error(name + " on the stand-in device: " + error.what());
+    }
+  }
+  const size_t first = stack->size() - schema.returns().size();
+  for (size_t i = 0; i < schema.returns().size(); ++i) {
+    c10::IValue& result = (*stack)[first + i];
+    const int shared = SharedArgument(schema, i);
+    if (shared >= 0 && schema.returns()[i].alias_info()->isWrite()) {
+      result = arguments[shared];
+    } else if (shared >= 0 && result.isTensor()) {
+      // A view of a tensor from outside of inference mode is one like that too.
+      const c10::InferenceMode mode(arguments[shared].toTensor().is_inference());
+      result = Ours(result.toTensor());
+    } else if (result.isTensor() && result.toTensor().defined()) {
+      result = Ours(result.toTensor());
+    } else if (result.isTensorList()) {
+      std::vector<at::Tensor> tensors;
+      for (const at::Tensor& tensor : result.toTensorVector()) tensors.push_back(Ours(tensor));
+      result = c10::IValue(tensors);
+    } else if (!result.isTensor()) {
+      ++read;
+    }
+  }
+}
+
+at::Tensor CopyFrom(const at::Tensor& from, const at::Tensor& to, bool /*non_blocking*/) {
+  if (!IsOurs(from)) {
+    ++sent;
+  } else {
+    ++(IsOurs(to) ? computed : fetched);
+  }
+  at::Tensor there = IsOurs(to) ? OnHost(to) : to;
+  there.copy_(IsOurs(from) ? OnHost(from) : from);
+  return to;
+}
+
+TORCH_LIBRARY_IMPL(_, PrivateUse1, library) { library.fallback(torch::CppFunction::makeFromBoxedFunction<&Compute>()); }
+
+TORCH_LIBRARY_IMPL(aten, PrivateUse1, library) {
+  library.impl("_copy_from", &CopyFrom);
+  // LibTorch would take these apart into computations that resize their output, which ours can't.
+  for (const char* name :
+       {"arange", "arange.start", "arange.start_step", "linspace", "convolution", "convolution_backward",
+        "native_group_norm", "native_layer_norm", "stack", "cat", "abs", "logical_and"}) {
+    library.impl(name, torch::CppFunction::makeFromBoxedFunction<&Compute>());
+  }
+}
+
+// Gives autograd a thread for the device.
+using DeviceGuard = c10::impl::NoOpDeviceGuardImpl<c10::DeviceType::PrivateUse1>;
+C10_REGISTER_GUARD_IMPL(PrivateUse1, DeviceGuard)
+
+}  // namespace
+
+DeviceTraffic TrafficSoFar() { return {sent, fetched, read, computed}; }
+
+}  // namespace craftfleet::testing

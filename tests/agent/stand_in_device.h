@@ -1,0 +1,26 @@
+// A device for tests: LibTorch's "privateuseone", whose tensors are in host memory. As on a GPU, its computations
+// refuse tensors of the CPU, and every copy to and from it is counted.
+
+#ifndef CRAFTFLEET_TESTS_AGENT_STAND_IN_DEVICE_H_
+#define CRAFTFLEET_TESTS_AGENT_STAND_IN_DEVICE_H_
+
+#include <cstdint>
+
+namespace craftfleet::testing {
+
+inline constexpr char kStandInDevice[] = "privateuseone:0";
+
+// What made the host and the device wait for each other.
+struct DeviceTraffic {
+  int64_t sent = 0;      // copies to the device
+  int64_t fetched = 0;   // copies from the device
+  int64_t read = 0;      // single numbers that the host asked for (at::Tensor::item)
+  int64_t computed = 0;  // computations started on the device: what would be a GPU's kernels, one or several each
+};
+
+// Since the start of the process. Thread-safe.
+DeviceTraffic TrafficSoFar();
+
+}  // namespace craftfleet::testing
+
+#endif  // CRAFTFLEET_TESTS_AGENT_STAND_IN_DEVICE_H_

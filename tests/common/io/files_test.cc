@@ -1,0 +1,83 @@
+#include "common/io/files.h"
+
+#include <unistd.h>
+
+#include <string>
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include "tests/fakes/file_size_limit.h"
+#include "tests/fakes/status_matchers.h"
+#include "tests/fakes/temp_folder.h"
+
+namespace craftfleet {
+namespace {
+
+using testing::ElementsAre;
+using testing::HasSubstr;
+
+TEST(Files, ReadReturnsWhatWasWritten) {
+  const TempFolder folder;
+  const std::string bytes = std::string(3'000'000, 'x') + std::string("\0\n\xFF", 3);
+  ASSERT_THAT(WriteFileSynced(folder / "a", bytes), IsOk());
+  EXPECT_EQ(ReadFile(folder / "a").value(), bytes);
+  ASSERT_THAT(WriteFileSynced(folder / "a", "short"), IsOk());
+  EXPECT_EQ(ReadFile(folder / "a").value(), "short");
+}
+
+TEST(Files, ErrorsNameThePath) {
+  const TempFolder folder;
+  EXPECT_THAT(ReadFile(folder / "absent"), StatusIs(absl::StatusCode::kNotFound, HasSubstr(folder / "absent")));
+  EXPECT_THAT(ListFolder(folder / "absent"), StatusIs(absl::StatusCode::kNotFound, HasSubstr(folder / "absent")));
+  EXPECT_THAT(WriteFileSynced(folder / "absent/a", ""),
+              StatusIs(absl::StatusCode::kNotFound, HasSubstr(folder / "absent/a")));
+}
+
+TEST(Files, AFullDeviceIsResourceExhausted) {
+  EXPECT_THAT(WriteFileSynced("/dev/full", "x"),
+              StatusIs(absl::StatusCode::kResourceExhausted, HasSubstr("No space left")));
+}
+
+TEST(Files, ReplaceKeepsTheOldBytesWhenItFails) {
+  const TempFolder folder;
+  ASSERT_THAT(ReplaceFile(folder / "a", "old"), IsOk());
+  {
+    const FileSizeLimit limit(1000);
+    EXPECT_THAT(ReplaceFile(folder / "a", std::string(2000, 'n')),
+                StatusIs(absl::StatusCode::kResourceExhausted, HasSubstr(folder / "a")));
+  }
+  EXPECT_EQ(ReadFile(folder / "a").value(), "old");
+  EXPECT_THAT(ListFolder(folder.path()).value(), ElementsAre("a"));
+  ASSERT_THAT(ReplaceFile(folder / "a", "new"), IsOk());
+  EXPECT_EQ(ReadFile(folder / "a").value(), "new");
+}
+
+TEST(Files, RenameWorksForRelativeNames) {
+  const TempFolder folder;
+  ASSERT_EQ(::chdir(folder.path().c_str()), 0);
+  ASSERT_THAT(WriteFileSynced("a", "1"), IsOk());
+  EXPECT_THAT(RenameSynced("a", "b"), IsOk());
+  EXPECT_THAT(ListFolder(folder.path()).value(), ElementsAre("b"));
+}
+
+TEST(Files, FoldersAreCreatedListedAndRemoved) {
+  const TempFolder folder;
+  EXPECT_THAT(CreateFolders(folder / "x/y"), IsOk());
+  EXPECT_THAT(CreateFolders(folder / "x/y"), IsOk());
+  EXPECT_THAT(CreateFolders(folder / "b"), IsOk());
+  EXPECT_THAT(ListFolder(folder.path()).value(), ElementsAre("b", "x"));
+  EXPECT_THAT(RemoveAll(folder / "x"), IsOk());
+  EXPECT_THAT(RemoveAll(folder / "x"), IsOk());
+  EXPECT_FALSE(PathExists(folder / "x"));
+  ASSERT_THAT(WriteFileSynced(folder / "f", ""), IsOk());
+  EXPECT_THAT(CreateFolders(folder / "f/g"), testing::Not(IsOk()));
+}
+
+TEST(Files, JoinPathInsertsOneSlash) {
+  EXPECT_EQ(JoinPath("a", "b"), "a/b");
+  EXPECT_EQ(JoinPath("a/", "b"), "a/b");
+}
+
+}  // namespace
+}  // namespace craftfleet

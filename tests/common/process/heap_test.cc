@@ -1,0 +1,77 @@
+// Linked with craftfleet_heap, like the programs. Not built under sanitizers, which have their own allocator.
+
+#include "common/process/heap.h"
+
+#include <cstdint>
+#include <cstring>
+#include <future>
+#include <memory>
+#include <string>
+#include <thread>
+#include <utility>
+#include <vector>
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include "common/telemetry/process_usage.h"
+#include "tests/fakes/command_output.h"
+
+namespace craftfleet {
+namespace {
+
+using testing::HasSubstr;
+
+constexpr size_t kBlock = 1 << 18;
+constexpr int kBlocks = 64;
+constexpr int kThreads = 16;
+
+void HoldForAMoment() {
+  std::vector<std::unique_ptr<char[]>> blocks;
+  for (int i = 0; i < kBlocks; ++i) {
+    blocks.emplace_back(new char[kBlock]);
+    std::memset(blocks.back().get(), i + 1, kBlock);
+  }
+}
+
+// With glibc's malloc each of these threads would keep its freed memory.
+TEST(Heap, MemoryFreedByOneThreadIsReusedByAnother) {
+  HoldForAMoment();
+  const int64_t before = ResidentMemoryBytes();
+  std::promise<void> end;
+  const std::shared_future<void> ended = end.get_future().share();
+  std::vector<std::thread> threads;
+  for (int i = 0; i < kThreads; ++i) {
+    std::promise<void> turn;
+    const std::future<void> turn_over = turn.get_future();
+    threads.emplace_back([turn = std::move(turn), ended]() mutable {
+      HoldForAMoment();
+      turn.set_value();
+      ended.wait();
+    });
+    turn_over.wait();
+  }
+  EXPECT_LT(ResidentMemoryBytes(), before + static_cast<int64_t>(2 * kBlocks * kBlock));
+  end.set_value();
+  for (std::thread& thread : threads) thread.join();
+}
+
+TEST(Heap, ReleaseFreeMemoryReducesResidentMemory) {
+  HoldForAMoment();
+  const int64_t before = ResidentMemoryBytes();
+  ReleaseFreeMemory();
+  EXPECT_LT(ResidentMemoryBytes(), before - static_cast<int64_t>(kBlocks * kBlock / 2));
+}
+
+class HeapOf : public testing::TestWithParam<const char*> {};
+
+TEST_P(HeapOf, IsTcmalloc) {
+  EXPECT_THAT(OutputOf(std::string("ldd " CRAFTFLEET_BIN_DIR "/") + GetParam()), HasSubstr("libtcmalloc_minimal"));
+}
+
+INSTANTIATE_TEST_SUITE_P(Programs, HeapOf,
+                         testing::Values("craftfleet-learner", "craftfleet-actor", "craftfleet-envserver",
+                                         "craftfleet-train", "craftfleet-eval"));
+
+}  // namespace
+}  // namespace craftfleet

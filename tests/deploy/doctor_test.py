@@ -1,0 +1,55 @@
+"""craftfleet doctor: what it prints, where, and how it exits."""
+
+import json
+import os
+import pty
+import socket
+import subprocess
+
+from tests.fakes import python_case
+from tests.fakes.python_case import BIN
+
+
+class Doctor(python_case.FolderCase):
+
+  def test_a_machine_that_can_train_passes(self):
+    report = json.loads(self.run_program("craftfleet-doctor", "--json", "--listen=127.0.0.1:0", f"--logdir={self.folder}/runs").stdout)
+    self.assertTrue(report["ok"])
+    names = [check["check"] for check in report["checks"]]
+    self.assertEqual(names, ["CPU", "BLAS", "memory", "open files", "disk space", "disk speed", "clock", "shared memory", "GPU",
+                             "port 127.0.0.1:0", "versions"])
+    for check in report["checks"]:
+      self.assertEqual(check["remedy"] == "", check["verdict"] == "ok", check)
+    self.assertEqual(list(self.folder.iterdir()), [])
+
+  def test_a_port_in_use_fails_with_a_remedy(self):
+    with socket.socket() as taken:
+      taken.bind(("127.0.0.1", 0))
+      taken.listen()
+      address = f"127.0.0.1:{taken.getsockname()[1]}"
+      ended = self.run_program("craftfleet", "doctor", f"--listen=127.0.0.1:0,{address},unix:/tmp/x", f"--logdir={self.folder}", code=1)
+    self.assertRegex(ended.stdout, rf"FAIL  port {address}  .*")
+    self.assertIn("-> end the program that has the port", ended.stdout)
+    self.assertNotIn("unix:", ended.stdout)
+    self.assertIn(f"failed checks: port {address}", ended.stderr)
+
+  def test_tls_files_are_checked_when_they_are_given(self):
+    ended = self.run_program("craftfleet-doctor", f"--tls_cert={self.folder}/a.pem", f"--tls_key={self.folder}/a.key", "--listen=", code=1)
+    self.assertIn("FAIL  TLS files", ended.stdout)
+    self.assertIn(f"{self.folder}/a.pem", ended.stdout)
+
+  def on_a_terminal(self, **variables):
+    main, terminal = pty.openpty()
+    environment = {**{name: value for name, value in os.environ.items() if name != "NO_COLOR"}, "TERM": "xterm", **variables}
+    ended = subprocess.run([BIN / "craftfleet-doctor", "--listen=", f"--logdir={self.folder}"], stdout=terminal, env=environment, check=False)
+    os.close(terminal)
+    self.assertEqual(ended.returncode, 0)
+    return os.read(main, 65536).decode()
+
+  def test_colour_is_for_terminals_that_want_it(self):
+    self.assertIn("\x1b[32mok", self.on_a_terminal())
+    self.assertNotIn("\x1b", self.on_a_terminal(NO_COLOR="1"))
+    self.assertNotIn("\x1b", self.run_program("craftfleet-doctor", "--listen=", f"--logdir={self.folder}").stdout)
+
+
+python_case.main()

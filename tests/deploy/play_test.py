@@ -1,0 +1,86 @@
+"""craftfleet play: episodes in a window on a virtual display, and in a terminal."""
+
+import os
+import shlex
+import subprocess
+
+from tests.fakes import python_case
+from tests.fakes.python_case import BIN, wait_until
+from tests.fakes.screens import Display, Tmux
+
+PLAY = BIN / "craftfleet-play"
+
+
+class Play(python_case.FolderCase):
+
+  def recorded(self):
+    """Name of the video of the only recorded episode; its NumPy file has the same."""
+    video, table = sorted((self.folder / "recordings").iterdir())
+    self.assertEqual((video.stem, video.suffix, table.suffix), (table.stem, ".mp4", ".npz"))
+    return video.name
+
+  def test_in_a_terminal(self):
+    command = shlex.join([str(PLAY), "--terminal", "--wait", "--seed=3", f"--record={self.folder}/recordings"])
+    with Tmux(self.folder, command) as terminal:
+      terminal.wait_for("seed 3, episode 1")
+      terminal.press("h")
+      terminal.wait_for("place a table")
+      terminal.press("h")
+      for number, key in enumerate(["a", "Right", "Space", "Tab", "."], start=1):
+        terminal.press(key)
+        terminal.wait_for(f"step {number},")
+      self.assertGreater(len(terminal.colors()), 10)
+      terminal.press("q")
+      terminal.wait_for_exit(0)
+      self.assertIn("crafter, seed 3, episode 1: 5 steps", terminal.page())
+    self.assertRegex(self.recorded(), r"^\d{8}T\d{6}-episode0001-ach0-len5\.mp4$")
+
+  def test_a_signal_restores_the_terminal_and_keeps_the_recording(self):
+    command = shlex.join([str(PLAY), "--terminal", "--fps=20", "--seed=3", f"--record={self.folder}/recordings"])
+    with Tmux(self.folder, f"{command}; stty -a | tr ' ;' '\\n\\n' | grep -x -e -echo -e echo") as terminal:
+      terminal.resize(120, 40)
+      terminal.wait_for("step 10,")
+      pid, = (pid for pid in python_case.processes_with(f"--record={self.folder}")
+              if python_case.command_line(pid).startswith(str(PLAY)))
+      os.kill(pid, 15)
+      terminal.wait_for_exit(0)
+      self.assertIn("crafter, seed 3, episode 1: ", terminal.page())
+      self.assertRegex(terminal.page(), r"(?m)^echo$")
+    self.recorded()
+
+  def test_a_small_terminal_is_refused(self):
+    with Tmux(self.folder, f"{shlex.quote(str(PLAY))} --terminal", columns=40, rows=10) as terminal:
+      wait_until(lambda: "want at least" in terminal.page().replace("\n", ""), "the error")
+
+  def test_in_a_window(self):
+    with Display(self.folder) as display:
+      process = subprocess.Popen([PLAY, "--wait", "--seed=3", "--size=288", f"--record={self.folder}/recordings"],
+                                 stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=display.environment)
+      self.addCleanup(process.kill)
+      window = display.window("craftfleet play")
+      for key in ("d", "Up", "space", "z", "h", "h", "period"):
+        display.press(window, key)
+      display.press_until_exit(window, "Escape", process)
+      output, errors = process.communicate(timeout=60)
+      self.assertEqual((process.returncode, errors), (0, ""))
+      self.assertRegex(output, "^crafter, seed 3, episode 1: [1-5] steps")
+    self.assertRegex(self.recorded(), "len[1-5]")
+
+  def test_without_a_display_it_says_what_to_do(self):
+    nowhere = {name: value for name, value in os.environ.items() if name not in ("DISPLAY", "WAYLAND_DISPLAY")}
+    for display, expected in [({}, "there is no display"), ({"DISPLAY": ":987"}, "cannot open a window on the display :987")]:
+      ended = subprocess.run([PLAY], capture_output=True, text=True, timeout=60, env={**nowhere, **display}, check=False)
+      self.assertEqual((ended.returncode, ended.stdout), (1, ""))
+      self.assertIn(expected, ended.stderr)
+      self.assertIn("--terminal", ended.stderr)
+
+  def test_bad_flags_are_refused(self):
+    for flag, expected in [("--fps=0", "--fps=0, want 0.1..60"), ("--size=5000", "--size=5000, want 64..1024"),
+                           ("--env=cr", "--env: "), ("--episode=0", "--episode=0, want 1..1000000000"),
+                           ("--textures=/nowhere", "--textures=/nowhere: "), ("--terminal", "--terminal: standard input")]:
+      ended = self.run_program("craftfleet-play", flag, code=1)
+      self.assertIn(expected, ended.stderr)
+
+
+if __name__ == "__main__":
+  python_case.main()

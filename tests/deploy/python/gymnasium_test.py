@@ -1,0 +1,127 @@
+"""The Gymnasium environments of the Python package; checkers of Gymnasium and Stable-Baselines3 pass without a warning."""
+
+import copy
+import importlib.util
+import pickle
+import unittest
+
+from tests.deploy.python import package
+from tests.fakes import python_case
+
+package.need("craftfleet", "gymnasium")
+import craftfleet  # pylint: disable=wrong-import-position
+import gymnasium  # pylint: disable=wrong-import-position
+import numpy as np  # pylint: disable=wrong-import-position
+from gymnasium.utils.env_checker import check_env  # pylint: disable=wrong-import-position
+
+NAMES = ("CraftFleet/Crafter-v1", "CraftFleet/CrafterNoReward-v1")
+
+
+def play(env, count, seed=0):
+  """Observations, rewards and ends of random actions, as bytes."""
+  out = []
+  for action in np.random.default_rng(seed).integers(17, size=count):
+    observation, reward, terminated, truncated, _ = env.step(action)
+    out.append((observation.tobytes(), reward, terminated, truncated))
+    if terminated or truncated:
+      out.append(env.reset()[0].tobytes())
+  return out
+
+
+class Checkers(package.PackageCase):
+
+  def test_gymnasiums_checker_passes_without_a_warning(self):
+    for name in NAMES:
+      for arguments in ({}, {"env": "crafter:numbers=easy-x2,inventory=off", "size": (96, 80), "view": (7, 9), "render_size": 270}):
+        check_env(gymnasium.make(name, **arguments).unwrapped)
+
+  @unittest.skipUnless(
+      importlib.util.find_spec("stable_baselines3"), f"want: {package.ENVIRONMENT}/bin/pip install stable-baselines3")
+  def test_the_checker_of_stable_baselines3_passes_without_a_warning(self):
+    from stable_baselines3.common.env_checker import check_env as check  # pylint: disable=import-outside-toplevel
+    for name in NAMES:
+      check(gymnasium.make(name))
+
+
+class Environment(package.PackageCase):
+
+  def test_it_plays_the_games_of_env(self):
+    env, plain = gymnasium.make(NAMES[0]), craftfleet.Env(seed=8)
+    observation, info = env.reset(seed=8)
+    self.assertEqual(observation.tobytes(), plain.reset().tobytes())
+    self.assertEqual((info["reward"], info["discount"], info["inventory"]["health"]), (0.0, 1.0, 9))
+    for action in np.random.default_rng(1).integers(17, size=400):
+      observation, reward, terminated, truncated, info = env.step(action)
+      expected = plain.step(action)
+      self.assertEqual((observation.tobytes(), reward, terminated or truncated), (expected[0].tobytes(), *expected[1:3]))
+      self.assertEqual(info["achievements"], expected[3]["achievements"])
+      if terminated or truncated:
+        self.assertEqual(env.reset()[0].tobytes(), plain.reset().tobytes())
+
+  def test_a_death_terminates_and_the_length_truncates(self):
+    env = gymnasium.make(NAMES[0], length=20, env="crafter:numbers=sssff")
+    seen = set()
+    for seed in range(40):
+      env.reset(seed=seed)
+      for _ in range(20):
+        _, _, terminated, truncated, info = env.step(0)
+        if terminated or truncated:
+          break
+      self.assertFalse(terminated and truncated)
+      self.assertEqual(info["discount"], 0.0 if terminated else 1.0)
+      seen.add((terminated, truncated))
+    self.assertIn((False, True), seen)
+    env = gymnasium.make(NAMES[0], area=(20, 20), env="crafter:numbers=sssff", length=None)
+    env.reset(seed=1)
+    steps = 0
+    while not (terminated := env.step(6)[2]):  # asleep among many zombies
+      steps += 1
+      self.assertLess(steps, 5000)
+
+  def test_no_reward_has_rewards_in_the_info_only(self):
+    env = gymnasium.make(NAMES[1])
+    env.reset(seed=0)
+    steps = [env.step(6) for _ in range(100)]
+    self.assertEqual({step[1] for step in steps}, {0.0})
+    self.assertNotEqual({step[4]["reward"] for step in steps}, {0.0})
+
+  def test_rendering_does_not_change_the_game(self):
+    env = gymnasium.make(NAMES[0], render_mode="rgb_array", render_size=(180, 90), length=None)
+    env.reset(seed=2)
+    for _ in range(240):  # into the night
+      env.step(0)
+    before = env.unwrapped.snapshot()
+    self.assertEqual(env.render().shape, (90, 180, 3))
+    self.assertEqual(env.unwrapped.snapshot(), before)
+
+  def test_clones_continue_alike(self):
+    env = gymnasium.make(NAMES[0])
+    env.reset(seed=3)
+    play(env, 100)
+    clones = [copy.deepcopy(env), pickle.loads(pickle.dumps(env)), copy.copy(env.unwrapped)]
+    other = gymnasium.make(NAMES[0])
+    other.reset(seed=99)
+    other.unwrapped.restore(env.unwrapped.snapshot())
+    expected = play(env, 300, seed=1)
+    for clone in (*clones, other):
+      self.assertEqual(play(clone, 300, seed=1), expected)
+
+  def test_errors_are_clear(self):
+    env = gymnasium.make(NAMES[0]).unwrapped
+    self.assert_refused(ValueError, "seed -1, want 0..", env.reset, seed=-1)
+    self.assert_refused(TypeError, "seed 'a', want an integer", env.reset, seed="a")
+    self.assert_refused(ValueError, "render_mode 'human', want None or 'rgb_array'", craftfleet.GymnasiumEnv, render_mode="human")
+    self.assert_refused(ValueError, "render_size (0, 5)"[:11], craftfleet.GymnasiumEnv, render_size=(0, 5))
+    self.assert_refused(ValueError, 'unknown game "minecraft", want "crafter"', craftfleet.GymnasiumEnv, env="minecraft")
+
+  def test_gymnasiums_own_vectors_take_it(self):
+    for mode in ("sync", "async"):
+      envs = gymnasium.make_vec(NAMES[0], num_envs=2, vectorization_mode=mode)
+      observations, _ = envs.reset(seed=4)
+      self.assertEqual(observations.shape, (2, 64, 64, 3))
+      self.assertEqual(envs.step(np.array([1, 2]))[0].shape, (2, 64, 64, 3))
+      envs.close()
+
+
+if __name__ == "__main__":
+  python_case.main()

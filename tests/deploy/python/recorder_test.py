@@ -1,0 +1,143 @@
+"""craftfleet.Recorder writes what the original's writes; score() and load_weights() read runs."""
+
+import gzip
+import importlib.util
+import json
+import pathlib
+import tempfile
+import unittest
+
+from tests.deploy.python import package
+from tests.fakes import python_case
+from tests.fakes.python_case import SOURCE
+
+package.need("craftfleet", "numpy")
+import craftfleet  # pylint: disable=wrong-import-position
+import gymnasium  # pylint: disable=wrong-import-position
+import numpy as np  # pylint: disable=wrong-import-position
+
+RUN = SOURCE / "tests/data/v0.1/ppo_cnn"
+ARGUMENTS = {"seed": 12, "length": 15, "reward": False}
+
+
+class FolderCase(package.PackageCase):
+
+  def setUp(self):
+    super().setUp()
+    temp = tempfile.TemporaryDirectory(prefix="craftfleet-")
+    self.addCleanup(temp.cleanup)
+    self.folder = pathlib.Path(temp.name)
+
+
+def play(env, episodes):
+  for episode in range(episodes):
+    env.reset()
+    done, step = False, 0
+    while not done:
+      _, _, *ends, _ = env.step((7 * step + episode) % 17)
+      done, step = any(ends), step + 1
+
+
+class Recorder(FolderCase):
+
+  @unittest.skipUnless(importlib.util.find_spec("crafter"), "no package crafter, want: deploy/install-deps.sh --tests")
+  def test_its_files_have_what_those_of_the_original_have(self):
+    import crafter  # pylint: disable=import-outside-toplevel
+    for kind, folder in ((craftfleet.Recorder, "ours"), (crafter.Recorder, "theirs")):
+      play(kind(craftfleet.Env(**ARGUMENTS), self.folder / folder, save_video=False), 1)
+    ours, theirs = ((self.folder / folder / "stats.jsonl").read_bytes() for folder in ("ours", "theirs"))
+    self.assertEqual(ours, theirs)
+    (mine,), (original,) = (sorted((self.folder / folder).glob("*.npz")) for folder in ("ours", "theirs"))
+    self.assertRegex(mine.name, r"^\d{8}T\d{6}-ach\d+-len15\.npz$")
+    self.assertEqual(mine.name[15:], original.name[15:])
+    with np.load(mine) as mine, np.load(original) as original:
+      self.assertEqual(set(mine), set(original))
+      for name in original:
+        self.assertEqual(mine[name].dtype, original[name].dtype, name)
+        self.assertTrue(np.array_equal(mine[name], original[name]), name)
+
+  def test_each_episode_has_a_line_and_a_table_of_its_own(self):
+    play(craftfleet.Recorder(craftfleet.Env(**ARGUMENTS), self.folder, save_video=False), 4)
+    lines = [json.loads(line) for line in (self.folder / "stats.jsonl").read_text().splitlines()]
+    self.assertEqual([line["length"] for line in lines], [15] * 4)
+    self.assertEqual(len(list(self.folder.glob("*.npz"))), 4)
+    self.assertEqual(craftfleet.score(self.folder).episodes, 4)
+
+  def test_gymnasiums_environments_are_recorded_too(self):
+    env = craftfleet.Recorder(gymnasium.make("CraftFleet/Crafter-v1", length=15), self.folder, save_video=False)
+    env.reset(seed=12)
+    play(env, 1)
+    self.assertEqual(craftfleet.score(self.folder).length, 15)
+    self.assertEqual(env.action_space.n, 17)
+
+  @unittest.skipUnless(importlib.util.find_spec("imageio_ffmpeg"), "no imageio[ffmpeg], want: deploy/install-deps.sh --tests")
+  def test_a_video_has_a_picture_for_each_moment_and_an_unfinished_one_is_dropped(self):
+    import imageio.v2 as imageio  # pylint: disable=import-outside-toplevel
+    env = craftfleet.Recorder(craftfleet.Env(**ARGUMENTS), self.folder, save_stats=False, save_episode=False, video_size=144)
+    play(env, 1)
+    env.reset()
+    env.step(0)
+    env.close()
+    (video,) = self.folder.iterdir()
+    self.assertRegex(video.name, r"^\d{8}T\d{6}-ach\d+-len15\.mp4$")
+    with imageio.get_reader(video) as frames:
+      pictures = [np.asarray(frame) for frame in frames]
+    self.assertEqual({picture.shape for picture in pictures}, {(144, 144, 3)})
+    self.assertEqual(len(pictures), 16)
+
+  def test_the_game_is_the_same_with_a_recorder(self):
+    plain, recorded = craftfleet.Env(**ARGUMENTS), craftfleet.Env(**ARGUMENTS)
+    play(plain, 2)
+    play(craftfleet.Recorder(recorded, self.folder, save_video=False), 2)
+    self.assertEqual(plain.snapshot(), recorded.snapshot())
+
+  def test_without_a_directory_nothing_is_written(self):
+    play(craftfleet.Recorder(craftfleet.Env(**ARGUMENTS), None), 1)
+
+
+class Runs(FolderCase):
+
+  def test_score_is_that_of_the_programs(self):
+    golden = json.loads((SOURCE / "tests/data/agents/score.json").read_text())
+    lines = []
+    for number, episode in enumerate(golden["episodes"], 1):
+      counts = dict(zip(golden["achievement_order"], episode["achievement_counts"]))
+      stats = {"length": episode["length"], "reward": round(episode["reward"], 1)}
+      lines.append(json.dumps(stats | {f"achievement_{name}": count for name, count in counts.items()}) + "\n")
+      (self.folder / "stats.jsonl").write_text("".join(lines) + '{"length": 3')  # a line that is being written
+      self.check_score(craftfleet.score(self.folder), episode["after"], number)
+    (self.folder / "stats.jsonl.gz").write_bytes(gzip.compress("".join(lines).encode()))
+    self.assertEqual(craftfleet.score(self.folder / "stats.jsonl.gz"), craftfleet.score(self.folder / "stats.jsonl"))
+
+  def check_score(self, score, after, number):
+    self.assertEqual(score.episodes, number)
+    self.assertAlmostEqual(score.score, after["score"], places=9)
+
+  def test_weights_are_those_of_the_newest_checkpoint(self):
+    weights = craftfleet.load_weights(RUN / "run")
+    (checkpoint,) = (RUN / "run/checkpoints").iterdir()
+    for path in (checkpoint, checkpoint / "weights.safetensors"):
+      again = craftfleet.load_weights(path)
+      self.assertEqual({name: value.tobytes() for name, value in again.items()},
+                       {name: value.tobytes() for name, value in weights.items()})
+    self.assertEqual({value.dtype for value in weights.values()}, {np.dtype(np.float32)})
+    self.assertGreater(sum(value.size for value in weights.values()), 10000)
+    self.assertTrue(all(np.isfinite(value).all() for value in weights.values()))
+
+  def test_what_is_missing_or_damaged_is_named(self):
+    self.assert_refused(FileNotFoundError, "stats.jsonl", craftfleet.score, self.folder)
+    (self.folder / "stats.jsonl").write_text("")
+    self.assert_refused(ValueError, "stats.jsonl: no finished episode", craftfleet.score, self.folder)
+    (self.folder / "stats.jsonl").write_text('{"length": 1}\n')
+    self.assert_refused(ValueError, "stats.jsonl, line 1: 'reward'", craftfleet.score, self.folder)
+    self.assert_refused(FileNotFoundError, "weights.safetensors", craftfleet.load_weights, self.folder)
+    (self.folder / "checkpoints").mkdir()
+    self.assert_refused(FileNotFoundError, "no checkpoint, want folders like iter-", craftfleet.load_weights, self.folder)
+    whole = next((RUN / "run/checkpoints").glob("*/weights.safetensors")).read_bytes()
+    for content in (b"", b"garbage!" * 9, whole[:200], whole[:-4]):
+      (self.folder / "bad.safetensors").write_bytes(content)
+      self.assert_refused(ValueError, "not the weights of a checkpoint", craftfleet.load_weights, self.folder / "bad.safetensors")
+
+
+if __name__ == "__main__":
+  python_case.main()

@@ -1,0 +1,254 @@
+"""craftfleet.VectorEnv: the games of Gymnasium's own vector, on threads, in arrays that are allocated once."""
+
+import asyncio
+import copy
+import multiprocessing
+import pickle
+import threading
+import warnings
+
+from tests.deploy.python import package
+from tests.fakes import python_case
+
+package.need("craftfleet", "gymnasium")
+import craftfleet  # pylint: disable=wrong-import-position
+import gymnasium  # pylint: disable=wrong-import-position
+import numpy as np  # pylint: disable=wrong-import-position
+from gymnasium.utils.env_checker import data_equivalence  # pylint: disable=wrong-import-position
+
+NAME = "CraftFleet/Crafter-v1"
+SHORT = {"length": 12, "area": (32, 32)}  # episodes end often
+
+
+def play(envs, count, seed=0):
+  out = []
+  for actions in np.random.default_rng(seed).integers(17, size=(count, envs.num_envs)):
+    observations, rewards, terminated, truncated, _ = envs.step(actions)
+    out.append((observations.tobytes(), rewards.tobytes(), terminated.tobytes(), truncated.tobytes()))
+  return out
+
+
+def started(lanes=5, seed=3, **arguments):
+  envs = craftfleet.VectorEnv(lanes, **{**SHORT, **arguments})
+  envs.reset(seed=seed)
+  return envs
+
+
+def play_given(envs):
+  return play(envs, 20)
+
+
+def send_played(writer, envs):
+  writer.send(play_given(envs))
+
+
+class LikeGymnasium(package.PackageCase):
+
+  def compare(self, mode):
+    """Every value of every call equals that of Gymnasium's SyncVectorEnv of single environments."""
+    envs = [craftfleet.VectorEnv(4, autoreset_mode=mode, semantic=True, threads=2, copy=copied, **SHORT) for copied in (False, True)]
+    theirs = gymnasium.make_vec(
+        NAME, num_envs=4, vectorization_mode="sync", vector_kwargs={"autoreset_mode": mode, "copy": True}, **SHORT)
+    expected = theirs.reset(seed=11)
+    for ours in envs:
+      self.assertTrue(data_equivalence(tuple(ours.reset(seed=11)), tuple(expected), exact=True))
+    for actions in np.random.default_rng(5).integers(17, size=(60, 4)):
+      expected = theirs.step(actions)
+      for ours in envs:
+        found = ours.step(actions)
+        self.assertTrue(data_equivalence(tuple(found[:4]), tuple(expected[:4]), exact=True))
+        self.compare_infos(found[4], expected[4])
+      over = expected[2] | expected[3]
+      if mode == "Disabled" and over.any():
+        expected = theirs.reset(options={"reset_mask": over})
+        for ours in envs:
+          self.assertTrue((ours.reset(options={"reset_mask": over})[0] == expected[0]).all())
+    for ours in envs:
+      self.assertEqual(ours.observation_space, theirs.observation_space)
+      self.assertEqual(ours.action_space, theirs.action_space)
+      self.assertEqual(ours.metadata["autoreset_mode"], theirs.metadata["autoreset_mode"])
+
+  def compare_infos(self, found, expected):
+    """In the lanes that have a value; elsewhere it is undefined."""
+    self.assertEqual(found.keys(), expected.keys())
+    for name, value in expected.items():
+      if name.startswith("_"):
+        self.assertEqual(found[name].tolist(), value.tolist(), name)
+      elif isinstance(value, dict):
+        self.compare_infos(found[name], value)
+      else:
+        mask = expected[f"_{name}"]
+        for lane in np.flatnonzero(mask):
+          self.assertTrue(np.array_equal(found[name][lane], value[lane]), name)
+        self.assertEqual(found[name].dtype, value.dtype, name)
+
+  def test_next_step(self):
+    self.compare("NextStep")
+
+  def test_same_step(self):
+    self.compare("SameStep")
+
+  def test_disabled(self):
+    self.compare("Disabled")
+
+  def test_make_vec_makes_it(self):
+    envs = gymnasium.make_vec("CraftFleet/CrafterNoReward-v1", num_envs=3, env="crafter:numbers=hard-x2", threads=2)
+    self.assertIsInstance(envs, craftfleet.VectorEnv)
+    envs.reset(seed=1)
+    steps = [envs.step(np.full(3, 6)) for _ in range(5)]
+    self.assertEqual({reward for step in steps for reward in step[1]}, {0.0})
+
+
+class Lanes(package.PackageCase):
+
+  def test_games_do_not_depend_on_threads(self):
+    expected = play(started(lanes=13), 100)
+    for threads in (2, 3, 32):
+      self.assertEqual(play(started(lanes=13, threads=threads), 100), expected)
+
+  def test_arrays_are_allocated_once_and_shared_by_dlpack(self):
+    envs = started()
+    observations, infos = envs.reset()
+    found, rewards, *_, later = envs.step(np.zeros(5, int))
+    self.assertIs(found, observations)
+    self.assertIs(later["inventory"]["wood"], infos["inventory"]["wood"])
+    shared = np.from_dlpack(observations)
+    self.assertEqual(shared.__array_interface__["data"][0], observations.__array_interface__["data"][0])
+    self.assertIs(envs.step(np.zeros(5, int))[1], rewards)
+    kept = observations.tobytes()
+    del envs, found, later, infos
+    self.assertEqual(observations.tobytes(), kept)
+
+  def test_copies_are_kept_by_the_next_step(self):
+    envs = started(copy=True)
+    first = envs.step(np.full(5, 1))
+    before = copy.deepcopy(first)
+    play(envs, 30)
+    self.assertTrue(data_equivalence(tuple(first), tuple(before), exact=True))
+
+  def test_seeds_are_numbers_lists_or_random(self):
+    listed = started(seed=[7, 8, 9, 10, 11])
+    self.assertEqual(play(listed, 20), play(started(seed=7), 20))
+    random = [craftfleet.VectorEnv(2).reset()[0].tobytes() for _ in range(2)]
+    self.assertNotEqual(*random)
+    mixed = started(seed=[1, None, 1, None, 1])
+    frames = mixed.step(np.zeros(5, int))[0]
+    self.assertTrue((frames[0] == frames[2]).all())
+
+  def test_the_next_reset_goes_on_to_the_next_episode(self):
+    envs, single = started(lanes=1, seed=3), craftfleet.Env(seed=3, **SHORT)
+    single.reset()
+    self.assertEqual(envs.reset()[0].tobytes(), single.reset().tobytes())
+
+  def test_snapshots_fan_out_and_move_between_environments(self):
+    envs = started(length=None)
+    play(envs, 50)
+    snapshots = envs.snapshot()
+    envs.restore([snapshots[2]] * 5)
+    frames = envs.step(np.full(5, 3))[0]
+    single = craftfleet.Env(**{**SHORT, "length": None})
+    single.restore(snapshots[2])
+    frame = single.step(3)[0]
+    for lane in range(5):
+      self.assertEqual(frames[lane].tobytes(), frame.tobytes())
+
+  def test_copies_and_pickles_are_clones(self):
+    for mode in ("NextStep", "SameStep"):
+      envs = started(autoreset_mode=mode, threads=2)
+      for _ in range(12):  # in NEXT_STEP all lanes are then about to be reset
+        envs.step(np.zeros(5, int))
+      clones = [copy.copy(envs), copy.deepcopy(envs), pickle.loads(pickle.dumps(envs))]
+      expected = play(envs, 40)
+      for clone in clones:
+        self.assertEqual(play(clone, 40), expected)
+    self.assertEqual(pickle.loads(pickle.dumps(craftfleet.VectorEnv(3))).num_envs, 3)
+
+  def test_render_draws_each_lane(self):
+    envs = started(render_mode="rgb_array", render_size=90)
+    pictures = envs.render()
+    self.assertEqual([picture.shape for picture in pictures], [(90, 90, 3)] * 5)
+    self.assertIsNone(started().render())
+
+  def test_errors_name_the_lane_and_move_none(self):
+    envs = started(autoreset_mode="Disabled")
+    before = envs.snapshot()
+    new = craftfleet.VectorEnv(2)
+    for kind, text, call in (
+        (ValueError, "actions[3] 17, want 0..16", lambda: envs.step([0, 0, 0, 17, 0])),
+        (ValueError, "actions of shape (4,), want (5,)", lambda: envs.step([0] * 4)),
+        (TypeError, "actions of type float64, want integers", lambda: envs.step([0.5] * 5)),
+        (RuntimeError, "lane 0: no game yet, want reset() first", lambda: new.step([0, 0])),
+        (ValueError, "num_envs 0, want 1..", lambda: craftfleet.VectorEnv(0)),
+        (ValueError, "threads 0, want 1..", lambda: craftfleet.VectorEnv(1, threads=0)),
+        (ValueError, "autoreset_mode 'never', want one of", lambda: craftfleet.VectorEnv(1, autoreset_mode="never")),
+        (ValueError, "2 seeds, want one for each of 5 lanes", lambda: envs.reset(seed=[1, 2])),
+        (ValueError, "reset_mask [1, 0], want a NumPy array", lambda: envs.reset(options={"reset_mask": [1, 0]})),
+        (ValueError, "1 snapshots, want one for each of 5 lanes", lambda: envs.restore([b""])),
+        (ValueError, "lane 0: snapshot: cut, damaged", lambda: envs.restore([b""] * 5)),
+    ):
+      with self.subTest(text):
+        self.assert_refused(kind, text, call)
+    self.assertEqual(envs.snapshot(), before)
+    for _ in range(12):
+      envs.step([0] * 5)
+    self.assert_refused(RuntimeError, "lane 0: its episode is over, want reset(", envs.step, [0] * 5)
+
+
+class Around(package.PackageCase):
+
+  def test_forked_and_spawned_processes_continue_with_their_copy(self):
+    envs = started(threads=3)
+    play(envs, 5)
+    expected = play(copy.copy(envs), 20)
+    warnings.simplefilter("ignore", DeprecationWarning)  # newer Pythons warn of a fork beside any thread
+    with multiprocessing.get_context("spawn").Pool(1) as pool:
+      self.assertEqual(pool.apply(play_given, (envs,)), expected)
+    for _ in range(2):
+      reader, writer = multiprocessing.Pipe(duplex=False)
+      child = multiprocessing.get_context("fork").Process(target=send_played, args=(writer, envs))
+      child.start()
+      self.assertTrue(reader.poll(60), "the fork hangs")
+      self.assertEqual(reader.recv(), expected)
+      child.join(60)
+      self.assertEqual(child.exitcode, 0)
+    self.assertEqual(play(envs, 20), expected)
+
+  def test_a_step_lets_other_threads_run_and_refuses_a_second_one_beside_it(self):
+    envs = craftfleet.VectorEnv(64)
+    envs.reset(seed=0)
+    refused, stop = [], threading.Event()
+
+    def poke():
+      while not stop.is_set():
+        try:
+          envs.step(np.zeros(64, int))
+        except RuntimeError as error:
+          refused.append(str(error))
+
+    other = threading.Thread(target=poke)
+    other.start()
+    try:
+      while not refused:
+        try:
+          envs.step(np.zeros(64, int))
+        except RuntimeError as error:
+          refused.append(str(error))
+    finally:
+      stop.set()
+      other.join()
+    self.assertEqual(set(refused), {"another thread is in a call of this VectorEnv, want one at a time"})
+
+  def test_asyncio_steps_it_in_a_thread(self):
+    async def steps():
+      envs = started()
+      for _ in range(20):
+        await asyncio.to_thread(envs.step, np.ones(5, int))
+      return envs.snapshot()
+    plain = started()
+    for _ in range(20):
+      plain.step(np.ones(5, int))
+    self.assertEqual(asyncio.run(steps()), plain.snapshot())
+
+
+if __name__ == "__main__":
+  python_case.main()

@@ -1,0 +1,55 @@
+"""The events of a run, read back by the real TensorBoard."""
+
+import os
+import subprocess
+import sys
+import unittest
+
+from tests.fakes import python_case
+
+READ = """
+import sys
+from tensorboard.backend.event_processing import event_accumulator
+events = event_accumulator.EventAccumulator(sys.argv[1], size_guidance={"images": 0, "histograms": 0, "scalars": 0})
+events.Reload()
+tags = events.Tags()
+print(sorted(tags["images"]))
+print(sorted(tags["histograms"]))
+print(len(tags["scalars"]))
+for tag in tags["images"]:
+  image = events.Images(tag)[0]
+  print(tag, image.step, image.width, image.height, image.encoded_image_string[1:4].decode())
+for tag in sorted(tags["histograms"]):
+  last = events.Histograms(tag)[-1]
+  print(tag, last.step, last.histogram_value.num, sum(last.histogram_value.bucket))
+"""
+
+
+def python_with_tensorboard():
+  """A Python with the package tensorboard: of the environment variable CRAFTFLEET_TENSORBOARD_PYTHON, or this one."""
+  python = os.environ.get("CRAFTFLEET_TENSORBOARD_PYTHON", sys.executable)
+  if subprocess.run([python, "-c", "import tensorboard"], capture_output=True, check=False).returncode != 0:
+    raise unittest.SkipTest("the Python package tensorboard is missing: pip install tensorboard in a virtual environment, and set "
+                            "CRAFTFLEET_TENSORBOARD_PYTHON to its python")
+  return python
+
+
+class TensorBoard(python_case.FolderCase):
+
+  def test_it_reads_curves_pictures_and_histograms(self):
+    python = python_with_tensorboard()
+    (self.folder / "config.txt").write_text(python_case.SMALL_RUN + 'agent: "oc_ca"')
+    run = self.folder / "run"
+    self.run_program("craftfleet-train", f"--config={self.folder}/config.txt", f"--logdir={run}", "--threads=1")
+    read = subprocess.run([python, "-c", READ, str(run)], capture_output=True, text=True, check=False)
+    self.assertEqual(read.returncode, 0, read.stderr)
+    lines = read.stdout.splitlines()
+    self.assertEqual(lines[0], "['rollout/attention', 'rollout/frame']")
+    self.assertEqual(lines[1], "['rollout/actions', 'rollout/log_probs', 'rollout/rewards', 'rollout/values']")
+    self.assertGreaterEqual(int(lines[2]), 35)
+    self.assertIn("rollout/frame 64 288 288 PNG", lines)
+    self.assertIn("rollout/actions 192 64.0 64.0", lines)
+
+
+if __name__ == "__main__":
+  python_case.main()

@@ -1,0 +1,108 @@
+"""craftfleet watch: a small run's agent in a terminal, in a window, as a video and as a strip of pictures."""
+
+import json
+import shlex
+import shutil
+import struct
+import subprocess
+
+from tests.fakes import python_case
+from tests.fakes.python_case import BIN
+from tests.fakes.screens import Display, Tmux
+
+WATCH = BIN / "craftfleet-watch"
+RUN = python_case.SMALL_RUN.replace("steps: 192", "steps: 64")
+
+
+def png_size(path):
+  """Width and height of a PNG file."""
+  data = path.read_bytes()
+  assert data[:8] == b"\x89PNG\r\n\x1a\n"
+  return struct.unpack(">II", data[16:24])
+
+
+class WatchAgent(python_case.FolderCase):
+
+  def train(self, agent="ppo_cnn"):
+    """Trains for an iteration; returns the run folder."""
+    (self.folder / "config.txt").write_text(RUN + f'agent: "{agent}"')
+    run = self.folder / agent
+    self.run_program("craftfleet-train", f"--config={self.folder}/config.txt", f"--logdir={run}", "--threads=1")
+    return run
+
+  def test_in_a_terminal_it_pauses_steps_and_follows_the_run(self):
+    run = self.train()
+    with Tmux(self.folder, shlex.join([str(WATCH), "--terminal", "--follow", "--speed=1", str(run)])) as terminal:
+      terminal.wait_for("seed 0, episode 1, step 1")
+      terminal.press("Space")
+      terminal.wait_for("PAUSED ppo_cnn, 64 steps")
+      terminal.press("r")
+      terminal.wait_for("episode 1, step 0")
+      for step in (1, 2, 3):
+        terminal.press(".")
+        terminal.wait_for(f"step {step}")
+      self.assertIn("make_stone_pickaxe", terminal.page())
+      self.assertIn("value", terminal.page())
+      self.assertGreater(len(terminal.colors()), 10)
+      self.run_program("craftfleet-train", "--resume", "--steps=128", f"--logdir={run}", "--threads=1")
+      terminal.press("n")
+      terminal.wait_for("ppo_cnn, 128 steps")
+      terminal.press("q")
+      terminal.wait_for_exit(0)
+
+  def test_in_a_window(self):
+    run = self.train()
+    with Display(self.folder) as display:
+      process = subprocess.Popen([WATCH, "--size=288", str(run)], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+                                 env=display.environment)
+      self.addCleanup(process.kill)
+      window = display.window("craftfleet watch")
+      display.press(window, "space", "period")
+      display.press_until_exit(window, "Escape", process)
+      output, errors = process.communicate(timeout=60)
+      self.assertEqual((process.returncode, output, errors), (0, "", ""))
+
+  def test_the_video_has_a_picture_for_each_moment(self):
+    video = self.folder / "episode.mp4"
+    ended = self.run_program("craftfleet-watch", f"--video={video}", "--episode=3", "--size=128", str(self.train()))
+    self.assertIn(f"{video}: ppo_cnn, 64 steps, episode 3, 20 steps, reward", ended.stdout)
+    self.assertEqual(len(list(self.folder.glob("episode*"))), 1, "no unfinished file")
+    if shutil.which("ffprobe") is None:
+      self.assertGreater(video.stat().st_size, 2000)
+      return
+    facts = subprocess.run(["ffprobe", "-v", "error", "-count_frames", "-show_streams", "-of", "json", video], capture_output=True,
+                           text=True, check=True).stdout
+    self.assertEqual(json.loads(facts)["streams"][0]["nb_read_frames"], "21")
+
+  def test_the_strip_has_two_rows_and_the_chosen_columns(self):
+    run = self.train("oc_ca")
+    for flags, columns in [(["--strip_steps=0,5,19"], 3), (["--strip_columns=4", "--strip_detail=patches", "--attention=sum"], 4)]:
+      strip = self.folder / "strip.png"
+      ended = self.run_program("craftfleet-watch", f"--strip={strip}", *flags, str(run))
+      self.assertEqual(ended.stdout, f"{strip}: {columns} columns of episode 1\n")
+      self.assertEqual(png_size(strip), (columns * 186 + 6, 400))
+
+  def test_bad_input_is_refused(self):
+    run = self.train()
+    for flags, expected in [
+        ([], "0 runs, want one run or checkpoint"),
+        ([str(self.folder / "nothing")], "nothing"),
+        (["--speed=1000", str(run)], "--speed=1000, want 0.25..256"),
+        (["--video=a.avi", str(run)], "--video=a.avi, want a file name that ends in .mp4"),
+        (["--strip=a.jpg", str(run)], "--strip=a.jpg, want a file name that ends in .png"),
+        (["--strip_steps=5,3", str(run)], "--strip_steps=5,3, want auto or"),
+        (["--attention=all", str(run)], "--attention: "),
+        (["--strip=strip.png", str(run)], "no attention"),
+        (["--env=minecraft", str(run)], "--env: "),
+        (["--terminal", str(run)], "--terminal: standard input"),
+    ]:
+      ended = self.run_program("craftfleet-watch", *flags, code=1)
+      self.assertIn(expected, ended.stderr)
+
+  def test_an_unwritable_video_leaves_nothing(self):
+    ended = self.run_program("craftfleet-watch", f"--video={self.folder}/no/folder.mp4", str(self.train()), code=1)
+    self.assertIn("no/folder.mp4", ended.stderr)
+
+
+if __name__ == "__main__":
+  python_case.main()

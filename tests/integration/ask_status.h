@@ -1,0 +1,40 @@
+// Queries the status of a running process of the fleet.
+
+#ifndef CRAFTFLEET_TESTS_INTEGRATION_ASK_STATUS_H_
+#define CRAFTFLEET_TESTS_INTEGRATION_ASK_STATUS_H_
+
+#include <string>
+
+#include <absl/status/statusor.h>
+#include <absl/time/time.h>
+
+#include "common/wire/channel.h"
+#include "common/wire/grpc_status.h"
+#include "craftfleet/v1/status.grpc.pb.h"
+
+namespace craftfleet {
+
+// Returns the status of the process at `address`. Errors are those of the call; DeadlineExceeded after 10 s.
+inline absl::StatusOr<v1::StatusReply> AskStatus(const std::string& address) {
+  const auto stub = v1::StatusService::NewStub(wire::Connect(address).channel);
+  grpc::ClientContext context;
+  wire::SetDeadline(&context, absl::Seconds(10));
+  v1::StatusReply reply;
+  const grpc::Status status = stub->GetStatus(&context, {}, &reply);
+  if (!status.ok()) return wire::FromGrpc(status, address);
+  return reply;
+}
+
+// The metric `name` of the process at `address`; -1: no answer, or no such metric.
+inline double MetricOf(const std::string& address, const std::string& name) {
+  const absl::StatusOr<v1::StatusReply> reply = AskStatus(address);
+  if (!reply.ok()) return -1;
+  for (const v1::Metric& metric : reply->metrics()) {
+    if (metric.name() == name) return metric.value();
+  }
+  return -1;
+}
+
+}  // namespace craftfleet
+
+#endif  // CRAFTFLEET_TESTS_INTEGRATION_ASK_STATUS_H_

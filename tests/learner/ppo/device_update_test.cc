@@ -1,0 +1,341 @@
+// The update on a device against the CPU's: on the CPU, and on a stand-in for a GPU.
+
+#include "learner/ppo/device_update.h"
+
+#include <algorithm>
+#include <cmath>
+#include <cstring>
+#include <limits>
+#include <map>
+#include <memory>
+#include <string>
+#include <vector>
+
+#include <ATen/ATen.h>
+#include <absl/strings/match.h>
+#include <absl/strings/str_cat.h>
+#include <gmock/gmock.h>
+#include <google/protobuf/text_format.h>
+#include <gtest/gtest.h>
+
+#include "common/agent/nets/attention.h"
+#include "common/agent/torch_setup.h"
+#include "common/base/keyed_random.h"
+#include "common/config/agent_presets.h"
+#include "common/config/config.h"
+#include "learner/ppo/device_loss.h"
+#include "learner/ppo/ppo_updater.h"
+#include "tests/agent/golden_agent.h"
+#include "tests/agent/stand_in_device.h"
+#include "tests/fakes/sanitizers.h"
+#include "tests/fakes/status_matchers.h"
+#include "tests/learner/ppo/update_samples.h"
+
+namespace craftfleet {
+namespace {
+
+using ::testing::AllOf;
+using testing::DeviceTraffic;
+using testing::GoldenFrames;
+using ::testing::HasSubstr;
+using testing::kStandInDevice;
+using testing::TrafficSoFar;
+
+constexpr int kSteps = 8;      // of a fragment
+constexpr int kFragments = 2;  // of a lane
+constexpr int kLanes = 2;
+constexpr int kRows = kSteps * kFragments * kLanes;
+constexpr char kOnTheCpu[] = "cpu:0";
+
+// SmallConfig(16) with the fields in `text`.
+v1::RunConfig ConfigOf(const std::string& text) {
+  v1::RunConfig config = SmallConfig(16);
+  config.mutable_ppo()->set_entropy_coefficient(0.01);
+  EXPECT_TRUE(google::protobuf::TextFormat::MergeFromString(text, &config)) << text;
+  return config;
+}
+
+// Random fragments for the agent, lane after lane; episodes end at random.
+std::vector<Fragment> RandomFragments(const PpoUpdater& updater) {
+  const AgentSpec& spec = updater.spec();
+  const bool every_state = updater.rollout_options().every_state;
+  std::vector<Fragment> fragments;
+  for (int i = 0; i < kLanes * kFragments; ++i) {
+    Fragment& fragment = fragments.emplace_back();
+    fragment.lane = i / kFragments;
+    fragment.frames = GoldenFrames(100 + i, kSteps, spec.frame_size);
+    fragment.states =
+        testing::GoldenUniforms(absl::StrCat("states", i), (every_state ? kSteps : 1) * spec.state_size, -0.5, 0.5);
+    for (int step = 0; step < kSteps; ++step) {
+      const auto uniform = [&](int k) { return static_cast<float>(ActionNoise(5, i * kSteps + step, k)); };
+      fragment.actions.push_back(static_cast<char>(uniform(0) * kNumActions));
+      fragment.log_probs.push_back(-2.8F + 0.3F * (uniform(1) - 0.5F));
+      fragment.values.push_back(uniform(2));
+      fragment.rewards.push_back(uniform(3));
+      fragment.ends.push_back(uniform(4) < 0.2 ? StepEnd::kTerminated : StepEnd::kNone);
+    }
+  }
+  return fragments;
+}
+
+// The fragments must outlive it.
+Rollout RolloutOf(const PpoUpdater& updater, const std::vector<Fragment>& fragments) {
+  Rollout rollout;
+  for (const Fragment& fragment : fragments) {
+    EXPECT_TRUE(AppendFragment(fragment, updater.rollout_options(), &rollout).ok());
+  }
+  return rollout;
+}
+
+// An updater that has run `iterations` updates.
+struct Trained {
+  Trained(const v1::RunConfig& config, const std::string& device, int iterations)
+      : updater(*PpoUpdater::Create(config, 1, device)) {
+    const std::vector<Fragment> fragments = RandomFragments(*updater);
+    for (int i = 0; i < iterations; ++i) {
+      const absl::StatusOr<UpdateStats> result = updater->Update(i, RolloutOf(*updater, fragments), NeverStop);
+      EXPECT_TRUE(result.ok()) << result.status();
+      if (result.ok()) stats = *result;
+    }
+  }
+
+  std::unique_ptr<PpoUpdater> updater;
+  UpdateStats stats;  // of the last
+};
+
+// All tensors of a safetensors file, one after the other as float[n], by the first part of their names.
+std::map<std::string, at::Tensor> TensorsOf(const std::string& bytes) {
+  std::map<std::string, std::vector<at::Tensor>> groups;
+  const SafeTensors file = *ReadSafetensors(bytes);
+  for (const SafeTensor& tensor : file.tensors) {
+    const at::Tensor values = at::empty({static_cast<int64_t>(tensor.data.size() / sizeof(float))});
+    std::memcpy(values.data_ptr<float>(), tensor.data.data(), tensor.data.size());
+    const bool is_moment = absl::StartsWith(tensor.name, "exp_avg");
+    groups[is_moment ? std::string(tensor.name.substr(0, tensor.name.find('.'))) : "weights"].push_back(values);
+  }
+  std::map<std::string, at::Tensor> joined;
+  for (const auto& [name, tensors] : groups) joined[name] = at::cat(tensors);
+  return joined;
+}
+
+// The distance of `actual` from `expected` as a share of that from `start` to `expected`.
+double ShareOfWay(const at::Tensor& actual, const at::Tensor& expected, const at::Tensor& start) {
+  const auto length = [](const at::Tensor& x) { return std::sqrt(x.square().sum(at::kDouble).item<double>()); };
+  return length(actual - expected) / length(expected - start);
+}
+
+// Both add the same numbers in another order, in float32: gradients, and with them Adam's first moment, agree to about
+// 1e-6 of their norm. Where a gradient is about as small as such a difference, Adam's division by its root mean square
+// makes steps of full size of it; hence 1% of the weights' way. A wrong term shows as 10% and more.
+void ExpectClose(const Trained& actual, const Trained& expected, const std::string& what) {
+  const auto near = [&](double a, double b, const char* name) {
+    EXPECT_NEAR(a, b, 1e-4 * std::max(0.1, std::abs(b))) << what << ": " << name;
+  };
+  near(actual.stats.policy_loss, expected.stats.policy_loss, "policy_loss");
+  near(actual.stats.value_loss, expected.stats.value_loss, "value_loss");
+  near(actual.stats.entropy, expected.stats.entropy, "entropy");
+  near(actual.stats.approx_kl, expected.stats.approx_kl, "approx_kl");
+  near(actual.stats.gradient_norm, expected.stats.gradient_norm, "gradient_norm");
+  near(actual.stats.explained_variance, expected.stats.explained_variance, "explained_variance");
+  EXPECT_NEAR(actual.stats.clip_fraction, expected.stats.clip_fraction, 1.01 / kRows) << what << ": one row's rounding";
+  auto moments = TensorsOf(actual.updater->SaveOptimizer());
+  auto expected_moments = TensorsOf(expected.updater->SaveOptimizer());
+  for (const char* name : {"exp_avg", "exp_avg_sq"}) {
+    const at::Tensor& moment = expected_moments[name];
+    EXPECT_LT(ShareOfWay(moments[name], moment, at::zeros_like(moment)), 1e-3) << what << ": " << name;
+  }
+  EXPECT_EQ(actual.updater->optimizer_steps(), expected.updater->optimizer_steps());
+  const ValueScale scale = actual.updater->rollout_options().value_scale;
+  const ValueScale expected_scale = expected.updater->rollout_options().value_scale;
+  near(scale.mean, expected_scale.mean, "mean of returns");
+  near(scale.deviation, expected_scale.deviation, "deviation of returns");
+}
+
+class Agents : public ::testing::TestWithParam<const char*> {
+ protected:
+  void SetUp() override {
+    if (!kAddressSanitizer || !absl::StrContains(GetParam(), "ppo_resnet")) return;
+    GTEST_SKIP()
+        << "UndefinedBehaviorSanitizer objects to LibTorch's boxed call of a max_pool2d with two outputs, which only "
+           "the stand-in device makes";
+  }
+};
+
+TEST_P(Agents, LearnOnADeviceAsOnTheCpu) {
+  const v1::RunConfig config = ConfigOf(GetParam());
+  const Trained expected(config, "cpu", 2);
+  const auto start = TensorsOf(Trained(config, "cpu", 0).updater->SaveWeights())["weights"];
+  const auto weights = TensorsOf(expected.updater->SaveWeights())["weights"];
+  for (const char* device : {kOnTheCpu, kStandInDevice}) {
+    const Trained actual(config, device, 2);
+    ExpectClose(actual, expected, device);
+    EXPECT_LT(ShareOfWay(TensorsOf(actual.updater->SaveWeights())["weights"], weights, start), 0.01) << device;
+  }
+}
+
+INSTANTIATE_TEST_SUITE_P(
+    All, Agents,
+    ::testing::Values(
+        R"(agent: "ppo_cnn" network { frame_size: 40 } ppo { epochs: 2 })",
+        R"(agent: "ppo_cnn" network { frame_size: 40 } ppo { value_norm_decay: 0.9 })",
+        R"(agent: "lstm_cnn" network { frame_size: 40 } ppo { epochs: 2 recurrent_batches: SEGMENTS })",
+        R"(agent: "lstm_cnn" network { frame_size: 40 critic: LSTM } ppo { recurrent_batches: SEGMENTS })",
+        R"(agent: "lstm_cnn_published" network { frame_size: 40 } ppo { recurrent_batches: PUBLISHED })",
+        R"(agent: "ppo_spcnn" network { frame_size: 12 })",
+        R"(agent: "lstm_spcnn" network { frame_size: 12 } ppo { recurrent_batches: SEGMENTS })",
+        R"(agent: "oc_sa" network { frame_size: 20 })", R"(agent: "oc_sa_published" network { frame_size: 20 })",
+        R"(agent: "oc_ca" network { frame_size: 32 })",
+        R"(agent: "oc_ca" network { frame_size: 32 residual_mlp: true layer_norm: true slot_competition: true })",
+        R"(agent: "ppo_resnet" network { frame_size: 12 } ppo { value_norm_decay: 0.99 })"));
+
+// bfloat16 has 8 bits: losses and the gradient's norm differ by per mille to per cent, but not by nothing.
+TEST_P(Agents, LearnAlmostTheSameInBf16) {
+  v1::RunConfig config = ConfigOf(GetParam());
+  const Trained expected(config, "cpu", 1);
+  config.set_precision(v1::RunConfig::BF16);
+  const auto refused = PpoUpdater::Create(config, 1, "cpu");
+  if (!refused.ok()) GTEST_SKIP() << refused.status();
+  for (const char* device : {"cpu", kOnTheCpu, kStandInDevice}) {
+    const Trained actual(config, device, 1);
+    const double norm = expected.stats.gradient_norm;
+    EXPECT_NEAR(actual.stats.gradient_norm, norm, 0.1 * norm) << device;
+    EXPECT_NE(actual.stats.gradient_norm, norm) << device;
+    EXPECT_NEAR(actual.stats.value_loss, expected.stats.value_loss, 0.05 * expected.stats.value_loss) << device;
+    EXPECT_NEAR(actual.stats.entropy, expected.stats.entropy, 0.01) << device;
+  }
+}
+
+TEST(DeviceUpdate, RepeatsBitForBitAndResumesSo) {
+  const v1::RunConfig config = ConfigOf(R"(agent: "oc_sa" network { frame_size: 20 } ppo { value_norm_decay: 0.9 })");
+  const Trained once(config, kOnTheCpu, 3);
+  const Trained twice(config, kOnTheCpu, 3);
+  EXPECT_TRUE(once.updater->SaveWeights() + once.updater->SaveOptimizer() ==
+              twice.updater->SaveWeights() + twice.updater->SaveOptimizer());
+  const Trained first(config, kOnTheCpu, 2);
+  const auto second = *PpoUpdater::Create(config, 1, kOnTheCpu);
+  ASSERT_THAT(second->Load(first.updater->SaveWeights(), first.updater->SaveOptimizer()), IsOk());
+  const std::vector<Fragment> fragments = RandomFragments(*second);
+  ASSERT_THAT(second->Update(2, RolloutOf(*second, fragments), NeverStop), IsOk());
+  EXPECT_TRUE(second->SaveWeights() + second->SaveOptimizer() ==
+              once.updater->SaveWeights() + once.updater->SaveOptimizer());
+}
+
+TEST(DeviceUpdate, AStoppedOrFailedUpdateChangesNothingAndTheNextOneGoesOn) {
+  const v1::RunConfig config = ConfigOf(R"(network { frame_size: 40 } ppo { value_norm_decay: 0.9 })");
+  const Trained trained(config, kOnTheCpu, 1);
+  PpoUpdater& updater = *trained.updater;
+  const std::string before = updater.SaveWeights() + updater.SaveOptimizer();
+  const std::vector<Fragment> fragments = RandomFragments(updater);
+  const Rollout rollout = RolloutOf(updater, fragments);
+  int asked = 0;
+  EXPECT_THAT(updater.Update(1, rollout, [&] { return ++asked == 2; }),
+              StatusIs(absl::StatusCode::kCancelled, HasSubstr("stopped")));
+  EXPECT_EQ(asked, 2);
+  EXPECT_TRUE(updater.SaveWeights() + updater.SaveOptimizer() == before);
+  Rollout spoilt = rollout;
+  spoilt.returns[20] = std::numeric_limits<float>::infinity();
+  EXPECT_THAT(updater.Update(1, spoilt, NeverStop),
+              StatusIs(absl::StatusCode::kDataLoss, HasSubstr("optimiser step ")));
+  EXPECT_TRUE(updater.SaveWeights() + updater.SaveOptimizer() == before);
+  ASSERT_THAT(updater.Update(1, rollout, NeverStop), IsOk());
+  const Trained both(config, kOnTheCpu, 2);
+  EXPECT_TRUE(updater.SaveWeights() + updater.SaveOptimizer() ==
+              both.updater->SaveWeights() + both.updater->SaveOptimizer());
+}
+
+// What an update of two iterations with `epochs` epochs each moves.
+DeviceTraffic TrafficOf(const std::string& text, int epochs) {
+  v1::RunConfig config = ConfigOf(text);
+  config.mutable_ppo()->set_epochs(epochs);
+  const DeviceTraffic before = TrafficSoFar();
+  const Trained trained(config, kStandInDevice, 2);
+  const DeviceTraffic after = TrafficSoFar();
+  return {after.sent - before.sent, after.fetched - before.fetched, after.read - before.read,
+          after.computed - before.computed};
+}
+
+// The host only starts computations during an iteration, whatever the number of minibatches.
+TEST_P(Agents, CopyAndWaitOncePerIterationAndNeverPerMinibatch) {
+  const DeviceTraffic one = TrafficOf(GetParam(), 1);
+  const DeviceTraffic three = TrafficOf(GetParam(), 3);
+  const int64_t minibatches = 2 * 2 * kRows / 16;  // more of them: two epochs in each of two iterations
+  EXPECT_EQ(three.sent, one.sent);
+  EXPECT_EQ(three.fetched, one.fetched);
+  EXPECT_EQ(one.read, 0);
+  EXPECT_EQ(three.read, 0);
+  EXPECT_LE(one.sent, 4 + 2 * 7) << "the state once; the rollout and the minibatches in each iteration";
+  EXPECT_EQ(one.fetched, 2 * 5) << "statistics, weights, two moments, the normaliser";
+  const int64_t launches = (three.computed - one.computed) / minibatches;
+  EXPECT_GT(launches, 100);
+  EXPECT_LT(launches, 2000);
+  RecordProperty("computations_per_minibatch", static_cast<int>(launches));
+}
+
+TEST(DeviceUpdate, TakesEveryAgentsDefaultsButDistillation) {
+  for (const absl::string_view agent : AgentNames()) {
+    if (agent == "achievement_distillation") continue;
+    EXPECT_THAT(DeviceUpdate::CheckSupported(*DefaultRunConfig(agent)), IsOk()) << agent;
+  }
+  EXPECT_THAT(DeviceUpdate::CheckSupported(*DefaultRunConfig("achievement_distillation")),
+              StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("distillation.every_iterations")));
+}
+
+TEST(DeviceUpdate, RefusesFieldsThatItDoesNotKnow) {
+  v1::EvalConfig unknown;
+  unknown.set_episodes(0);
+  EXPECT_THAT(DeviceUpdate::CheckFields(unknown, "ppo."), IsOk()) << "0 and false are off";
+  unknown.set_episodes(5);
+  EXPECT_THAT(DeviceUpdate::CheckFields(unknown, "ppo."),
+              StatusIs(absl::StatusCode::kInvalidArgument,
+                       AllOf(HasSubstr("ppo.episodes is not computed on a device"), HasSubstr("--device=cpu"))));
+}
+
+TEST(DeviceUpdate, DropoutMasksAreTheCpus) {
+  SetUpTorchThread();
+  for (const double probability : {0.0, 0.1, 0.5, 0.999}) {
+    for (const uint64_t key : {uint64_t{0}, uint64_t{7}, ~uint64_t{0}}) {
+      const Dropout dropout{key, 5};
+      const at::Tensor expected = DropoutMask({3, 2, 4, 7}, probability, 1, dropout);
+      const at::Tensor actual = DropoutMaskOnDevice({3, 2, 4, 7}, probability, 1, dropout, at::kCPU);
+      EXPECT_TRUE(actual.equal(expected)) << probability << " " << key;
+    }
+  }
+}
+
+TEST(DeviceLoss, IsTheCpus) {
+  SetUpTorchThread();
+  at::manual_seed(3);
+  constexpr int kRowsHere = 50;
+  const at::Tensor logits = at::randn({kRowsHere, kNumActions});
+  const at::Tensor values = at::randn({kRowsHere});
+  const at::Tensor actions = at::randint(0, kNumActions, {kRowsHere}, at::kLong);
+  const at::Tensor log_probs = at::log_softmax(logits, 1).gather(1, actions.unsqueeze(1)).squeeze(1) +
+                               at::randn({kRowsHere}) * 0.2;  // some ratios are clipped, some are not
+  const at::Tensor returns = at::randn({kRowsHere});
+  std::vector<float> advantages(kRowsHere);
+  for (int i = 0; i < kRowsHere; ++i) advantages[i] = static_cast<float>(ActionNoise(1, i, 0)) - 0.3F;
+  const at::Tensor normalised = NormaliseOnDevice(at::tensor(advantages));
+  Normalise(absl::MakeSpan(advantages));
+  EXPECT_TRUE(at::allclose(normalised, at::tensor(advantages), 1e-6, 1e-7));
+
+  const auto floats = [](const at::Tensor& x) { return absl::MakeSpan(x.data_ptr<float>(), x.numel()); };
+  std::vector<Action> chosen;
+  for (int i = 0; i < kRowsHere; ++i) chosen.push_back(static_cast<Action>(actions[i].item<int64_t>()));
+  const PpoLossOptions options = {0.2, 0.5, 0.03};
+  const at::Tensor by_logits = at::empty_like(logits);
+  const at::Tensor by_values = at::empty_like(values);
+  const PpoLossSums sums =
+      PpoLoss(floats(logits), floats(values), {chosen, floats(log_probs), advantages, floats(returns)}, options,
+              kRowsHere, floats(by_logits), floats(by_values));
+  EXPECT_GT(sums.clipped, 5);
+  EXPECT_LT(sums.clipped, 45);
+  const DeviceLoss loss =
+      PpoLossOnDevice(logits, values, {actions, log_probs, at::tensor(advantages), returns}, options);
+  EXPECT_TRUE(at::allclose(loss.by_logits, by_logits, 1e-5, 1e-8));
+  EXPECT_TRUE(at::allclose(loss.by_values, by_values, 1e-5, 1e-8));
+  const double expected[] = {sums.policy_loss, sums.value_loss, sums.entropy, sums.approx_kl, sums.clipped};
+  for (int i = 0; i < 5; ++i) EXPECT_NEAR(loss.means[i].item<double>(), expected[i] / kRowsHere, 1e-9) << i;
+}
+
+}  // namespace
+}  // namespace craftfleet

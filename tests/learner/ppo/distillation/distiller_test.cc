@@ -1,0 +1,195 @@
+// Distillation within updates, on a small network.
+
+#include "learner/ppo/distillation/distiller.h"
+
+#include <cstdint>
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include "common/agent/weights.h"
+#include "common/base/keyed_random.h"
+#include "common/config/config.h"
+#include "learner/ppo/ppo_updater.h"
+#include "tests/fakes/status_matchers.h"
+#include "tests/learner/ppo/update_samples.h"
+
+namespace craftfleet {
+namespace {
+
+constexpr int kLanes = 2;
+constexpr int kLaneSteps = 24;
+constexpr int kRows = kLanes * kLaneSteps;
+constexpr int kEpisode = 10;  // steps
+constexpr int kFrameSize = 36;
+constexpr int kFrameBytes = 3 * kFrameSize * kFrameSize;
+
+v1::RunConfig Config() {
+  return ResolveRunConfig(ParseRunConfig(R"(
+    agent: "achievement_distillation" seed: 7 lanes: 2
+    network { extractor: CNN frame_size: 36 }
+    ppo { rollout_steps: 48 minibatch_size: 16 epochs: 1 learning_rate: 1e-3 }
+    distillation { every_iterations: 2 epochs: 2 minibatch_size: 6 targets: 2 })",
+                                         "config")
+                              .value())
+      .value();
+}
+
+// A rollout with what it points to: episodes of kEpisode steps, each with two achievements, whose frames are bright
+// from the step after them.
+struct Sample {
+  explicit Sample(int iteration, int memory_size) {
+    memories.resize(static_cast<size_t>(kRows) * memory_size);
+    for (int row = 0; row < kRows; ++row) {
+      const int step = iteration * kLaneSteps + row % kLaneSteps + row / kLaneSteps * 3;  // lanes are out of step
+      const int t = step % kEpisode;
+      const auto noise = [&](int k) { return ActionNoise(5, iteration * kRows + row, k); };
+      const int brightness = t > 6 ? 200 : t > 3 ? 100 : 0;
+      for (int i = 0; i < kFrameBytes; ++i)
+        frames.push_back(static_cast<char>(static_cast<uint8_t>(brightness + 50 * noise(i + 9))));
+      if (t > 3 && memory_size > 0) memories[static_cast<size_t>(row) * memory_size + (t > 6 ? 1 : 0)] = 1;
+      rollout.actions.push_back(static_cast<Action>(noise(0) * kNumActions));
+      rollout.log_probs.push_back(-2.8F);
+      rollout.values.push_back(static_cast<float>(noise(1)));
+      rollout.advantages.push_back(static_cast<float>(noise(2)) - 0.5F);
+      rollout.returns.push_back(rollout.values.back() + rollout.advantages.back());
+      rollout.rewards.push_back(t == 3 || t == 6 ? 1 : 0);
+      rollout.ends.push_back(t + 1 == kEpisode ? StepEnd::kTerminated : StepEnd::kNone);
+    }
+    for (int row = 0; row < kRows; ++row) {
+      rollout.frames.push_back(reinterpret_cast<const uint8_t*>(&frames[static_cast<size_t>(row) * kFrameBytes]));
+      rollout.states.push_back(memories.data() + static_cast<size_t>(row) * memory_size);
+    }
+  }
+  Sample(const Sample&) = delete;
+  Sample& operator=(const Sample&) = delete;
+
+  std::string frames;
+  std::vector<float> memories;
+  Rollout rollout;
+};
+
+absl::StatusOr<UpdateStats> Update(int iteration, PpoUpdater* updater) {
+  return updater->Update(iteration, Sample(iteration, updater->spec().state_size).rollout, NeverStop);
+}
+
+std::string StateOf(const PpoUpdater& updater) { return updater.SaveWeights() + updater.SaveOptimizer(); }
+
+// The weights of the goal predictor.
+std::string PredictorOf(const PpoUpdater& updater) {
+  const std::string bytes = updater.SaveWeights();
+  const SafeTensors file = *ReadSafetensors(bytes);
+  std::string predictor;
+  for (const SafeTensor& tensor : file.tensors) {
+    if (absl::StartsWith(tensor.name, "film.") || absl::StartsWith(tensor.name, "predictor.")) {
+      predictor.append(tensor.data.data(), tensor.data.size());
+    }
+  }
+  return predictor;
+}
+
+TEST(Distiller, APhaseFollowsEveryFewIterations) {
+  const auto updater = *PpoUpdater::Create(Config(), 1);
+  const std::string before = PredictorOf(*updater);
+  for (int i = 0; i < 4; ++i) {
+    const std::string last = PredictorOf(*updater);
+    const absl::StatusOr<UpdateStats> stats = Update(i, updater.get());
+    ASSERT_TRUE(stats.ok()) << stats.status();
+    EXPECT_EQ(stats->distillation.has_value(), i % 2 == 1) << i;
+    EXPECT_EQ(PredictorOf(*updater) == last, i % 2 == 0) << "PPO does not train the predictor";
+    if (!stats->distillation.has_value()) continue;
+    // Of the 48 steps a lane, 3 or 4 episodes are whole. In each of 2 epochs, the 10 steps of one take two minibatches.
+    EXPECT_EQ(stats->distillation->episodes, 7);
+    EXPECT_EQ(stats->distillation->prediction_steps, 2 * 7 * 2);
+    EXPECT_GT(stats->distillation->matching_steps, 0);
+    EXPECT_LE(stats->distillation->matching_steps, 2 * 7);
+    EXPECT_GT(stats->distillation->divergence, 0);
+  }
+  EXPECT_FALSE(PredictorOf(*updater) == before);
+}
+
+TEST(Distiller, ThreadsDoNotChangeABit) {
+  const auto one = *PpoUpdater::Create(Config(), 1);
+  const auto three = *PpoUpdater::Create(Config(), 3);
+  for (int i = 0; i < 2; ++i) {
+    ASSERT_TRUE(Update(i, one.get()).ok());
+    ASSERT_TRUE(Update(i, three.get()).ok());
+  }
+  EXPECT_TRUE(StateOf(*one) == StateOf(*three));
+}
+
+TEST(Distiller, IsRefusedOnADevice) {
+  EXPECT_THAT(PpoUpdater::Create(Config(), 2, "cpu:0"),
+              StatusIs(absl::StatusCode::kInvalidArgument, testing::HasSubstr("distillation.every_iterations")));
+}
+
+TEST(Distiller, ARunResumedAfterAnyIterationEqualsTheUninterruptedOne) {
+  const auto whole = *PpoUpdater::Create(Config(), 2);
+  auto resumed = *PpoUpdater::Create(Config(), 2);
+  for (int i = 0; i < 4; ++i) {
+    ASSERT_TRUE(Update(i, whole.get()).ok());
+    ASSERT_TRUE(Update(i, resumed.get()).ok());
+    EXPECT_TRUE(StateOf(*resumed) == StateOf(*whole)) << i;
+    auto next = *PpoUpdater::Create(Config(), 2);
+    ASSERT_TRUE(next->Load(resumed->SaveWeights(), resumed->SaveOptimizer()).ok());
+    resumed = std::move(next);
+  }
+}
+
+TEST(Distiller, AStoppedPhaseChangesNothing) {
+  const auto updater = *PpoUpdater::Create(Config(), 2);
+  ASSERT_TRUE(Update(0, updater.get()).ok());
+  const std::string before = StateOf(*updater);
+  int asked = 0;
+  const Sample sample(1, updater->spec().state_size);
+  // PPO has three minibatches.
+  const auto stopped = updater->Update(1, sample.rollout, [&] { return ++asked == 9; });
+  EXPECT_EQ(stopped.status().code(), absl::StatusCode::kCancelled) << stopped.status();
+  EXPECT_TRUE(StateOf(*updater) == before);
+  const auto other = *PpoUpdater::Create(Config(), 2);
+  for (int i = 0; i < 2; ++i) ASSERT_TRUE(Update(i, other.get()).ok());
+  ASSERT_TRUE(Update(1, updater.get()).ok());
+  EXPECT_TRUE(StateOf(*updater) == StateOf(*other)) << "as if it had not been stopped";
+}
+
+TEST(Distiller, PredictionIsLearned) {
+  v1::RunConfig config = Config();
+  config.mutable_distillation()->set_epochs(5);
+  const auto updater = *PpoUpdater::Create(config, 2);
+  DistillationStats first;
+  DistillationStats last;
+  for (int i = 0; i < 4; ++i) {
+    const UpdateStats stats = *Update(i, updater.get());
+    if (i == 1) first = *stats.distillation;
+    if (i == 3) last = *stats.distillation;
+  }
+  EXPECT_LT(last.prediction_loss, first.prediction_loss);
+}
+
+TEST(Distiller, LoadRefusesAnOptimiserWithoutIt) {
+  const auto updater = *PpoUpdater::Create(Config(), 1);
+  v1::RunConfig plain = Config();
+  plain.mutable_distillation()->set_every_iterations(0);
+  const std::string before = StateOf(*updater);
+  const absl::Status status = updater->Load(updater->SaveWeights(), FreshOptimizer(plain));
+  EXPECT_EQ(status.code(), absl::StatusCode::kInvalidArgument);
+  EXPECT_NE(status.message().find("matching.exp_avg."), absl::string_view::npos) << status;
+  EXPECT_TRUE(StateOf(*updater) == before);
+}
+
+// The ablations of the paper.
+TEST(Distiller, WorksWithoutMemoryAndWithoutMatching) {
+  v1::RunConfig config = Config();
+  config.mutable_network()->set_memory(false);
+  config.mutable_distillation()->set_targets(0);
+  const auto updater = *PpoUpdater::Create(config, 1);
+  EXPECT_EQ(updater->spec().state_size, 0);
+  ASSERT_TRUE(Update(0, updater.get()).ok());
+  const absl::StatusOr<UpdateStats> stats = Update(1, updater.get());
+  ASSERT_TRUE(stats.ok()) << stats.status();
+  EXPECT_EQ(stats->distillation->matching_steps, 0);
+  EXPECT_GT(stats->distillation->prediction_steps, 0);
+}
+
+}  // namespace
+}  // namespace craftfleet

@@ -1,0 +1,42 @@
+#include "learner/ppo/distillation/transport.h"
+
+#include <gtest/gtest.h>
+
+#include "tests/agent/golden_agent.h"
+
+namespace craftfleet {
+namespace {
+
+void ExpectPlan(const std::vector<double>& plan, const nlohmann::json& expected, double tolerance) {
+  const size_t columns = expected[0].size();
+  ASSERT_EQ(plan.size(), expected.size() * columns);
+  for (size_t i = 0; i < plan.size(); ++i) {
+    EXPECT_NEAR(plan[i], expected[i / columns][i % columns].get<double>(), tolerance) << i;
+  }
+}
+
+TEST(Transport, PlansAndMatchesMatchTheGolden) {
+  const nlohmann::json golden = testing::ReadGolden("achievement_distillation.json")["transport"];
+  ASSERT_GE(golden["cases"].size(), 7U);
+  for (const nlohmann::json& example : golden["cases"]) {
+    SCOPED_TRACE(example["name"].get<std::string>());
+    const int rows = static_cast<int>(example["cost"].size());
+    const int columns = static_cast<int>(example["cost"][0].size());
+    std::vector<float> cost;
+    for (const nlohmann::json& row : example["cost"]) cost.insert(cost.end(), row.begin(), row.end());
+    const auto plan = [&](int rounds) { return TransportPlan(cost, rows, columns, {golden["epsilon"], rounds}); };
+    ExpectPlan(plan(1), example["after_1"], 1e-9);
+    ExpectPlan(plan(10), example["after_10"], 1e-9);
+    ExpectPlan(plan(golden["iterations"]), example["plan"], 1e-9);
+    std::vector<Match> matches;
+    for (const nlohmann::json& match : example["matches"]) matches.push_back({match[0], match[1]});
+    EXPECT_EQ(MatchesOf(plan(golden["iterations"]), columns, 0.5), matches);
+  }
+}
+
+TEST(Transport, AMatchHasMoreThanTheThreshold) {
+  EXPECT_EQ(MatchesOf({0.5, 0.6, 0.2, 0.5}, 2, 0.5), (std::vector<Match>{{0, 1}}));
+}
+
+}  // namespace
+}  // namespace craftfleet
