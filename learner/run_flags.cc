@@ -17,6 +17,7 @@
 #include "common/io/paths.h"
 #include "common/process/cpu_pin.h"
 #include "common/process/cpu_quota.h"
+#include "common/process/flag_check.h"
 #include "common/process/flag_values.h"
 #include "common/wire/server_flags.h"
 #include "learner/run/checkpoint_store.h"
@@ -98,9 +99,7 @@ absl::StatusOr<std::string> DeviceFromFlag(bool of_cpu_run) {
 // --threads, or by default the cgroup's CPU quota.
 absl::StatusOr<int> ThreadsFromFlags() {
   const int threads = absl::GetFlag(FLAGS_threads);
-  if (threads < 0 || threads > 256) {
-    return absl::InvalidArgumentError(absl::StrFormat("--threads=%d, want 0..256", threads));
-  }
+  CRAFTFLEET_RETURN_IF_ERROR(CheckFlagRange("threads", threads, 0, 256));
   return threads == 0 ? DefaultThreads() : threads;
 }
 
