@@ -39,13 +39,13 @@ constexpr int kFragments = 2;  // of a lane, in an iteration
 constexpr int kFrameBytes = 64 * 64 * 3;
 constexpr int kPerIteration = kLanes * kFragments;
 
-struct Setup {
+struct Variant {
   bool keep_fragments = false;
   bool resume = false;
   int overlap = 0;
 };
 
-v1::RunConfig Config(const Setup& setup) {
+v1::RunConfig Config(const Variant& variant) {
   v1::RunConfig config = DefaultRunConfig();
   config.set_steps(1000 * kPerIteration * kSteps);
   config.set_lanes(kLanes);
@@ -58,8 +58,8 @@ v1::RunConfig Config(const Setup& setup) {
   config.mutable_eval()->set_every_steps(0);
   config.mutable_eval()->set_final_episodes(0);
   config.mutable_checkpoint()->set_every_iterations(100);
-  config.mutable_checkpoint()->set_keep_fragments(setup.keep_fragments);
-  config.set_overlap(setup.overlap);
+  config.mutable_checkpoint()->set_keep_fragments(variant.keep_fragments);
+  config.set_overlap(variant.overlap);
   return config;
 }
 
@@ -93,11 +93,11 @@ void Poison(Fragment* fragment) {
 // A learner that trains in its own thread.
 class Training {
  public:
-  Training(const std::string& logdir, const Setup& setup) {
+  Training(const std::string& logdir, const Variant& variant) {
     Learner::Options options;
-    options.config = Config(setup);
+    options.config = Config(variant);
     options.logdir = logdir;
-    options.resume = setup.resume;
+    options.resume = variant.resume;
     options.texture_dir = DefaultTextureDir().value();
     learner_ = Learner::Create(options).value();
     stub_ = v1::LearnerService::NewStub(learner_->InProcess().channel);
@@ -225,8 +225,8 @@ class Training {
 
 class TrainerTest : public testing::Test {
  protected:
-  std::unique_ptr<Training> Begin(const std::string& run, const Setup& setup = {}) {
-    return std::make_unique<Training>(folder_ / run, setup);
+  std::unique_ptr<Training> Begin(const std::string& run, const Variant& variant = {}) {
+    return std::make_unique<Training>(folder_ / run, variant);
   }
   // The weights after two iterations without faults.
   std::string QuietWeights() {
@@ -294,7 +294,7 @@ TEST_F(TrainerTest, OverlappedIterationsArePlayedWithTheWeightsFromBeforeTheUpda
 }
 
 TEST_F(TrainerTest, AnOverlappedUpdateThatFailsIsUndoneWithTheFragmentsPlayedMeanwhile) {
-  const Setup overlapped = {/*keep_fragments=*/true, /*resume=*/false, /*overlap=*/1};
+  const Variant overlapped = {/*keep_fragments=*/true, /*resume=*/false, /*overlap=*/1};
   const auto quiet = Begin("quiet-overlapped", overlapped);
   quiet->Play("a", 3 * kPerIteration);
   const auto training = Begin("disturbed-overlapped", overlapped);
@@ -308,7 +308,7 @@ TEST_F(TrainerTest, AnOverlappedUpdateThatFailsIsUndoneWithTheFragmentsPlayedMea
 }
 
 TEST_F(TrainerTest, AnOverlappedRunResumesWithTheWeightsThatItPlayedWith) {
-  const Setup overlapped = {/*keep_fragments=*/false, /*resume=*/false, /*overlap=*/1};
+  const Variant overlapped = {/*keep_fragments=*/false, /*resume=*/false, /*overlap=*/1};
   const auto quiet = Begin("quiet-overlapped", overlapped);
   quiet->Play("a", 3 * kPerIteration);
   {
