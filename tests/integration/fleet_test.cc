@@ -160,7 +160,9 @@ TEST_F(OverlappedFleetTest, AFinishedRunCanBeExtended) { Extend(); }
 // With values that are normalised, by statistics that change with each update, and a recurrent state.
 class OverlappedNormFleetTest : public FleetTest {
  protected:
-  void SetUp() override { TrainQuietly(absl::StrCat(kRecurrentConfig, "overlap: 1 ppo { value_norm_decay: 0.9 }")); }
+  void SetUp() override {
+    TrainQuietly(absl::StrReplaceAll(kRecurrentConfig, {{"ppo {", "overlap: 1  ppo { value_norm_decay: 0.9 "}}));
+  }
 };
 
 TEST_F(OverlappedNormFleetTest, AFleetOutlivesItsLearner) { OutliveTheLearner(); }
