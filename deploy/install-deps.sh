@@ -2,9 +2,10 @@
 # Installs the Debian packages that CraftFleet is built and tested with (Debian 12 or later).
 # Does nothing if all are installed. Uses sudo when not run as root.
 #
-# Usage: deploy/install-deps.sh [--tests] [--developer] [--libtorch=DIR|cuda]
+# Usage: deploy/install-deps.sh [--tests[=torch]] [--developer] [--libtorch=DIR|cuda]
 #   --tests         also the packages without which some tests are skipped: Slurm, a YAML parser, network namespaces, displays
 #                   and terminals; and, from PyPI into .cache/python (300 MB), what the tests of the Python package need
+#   --tests=torch   the same, and PyTorch with Stable-Baselines3 from PyPI (6 GB), for the tests of examples that train
 #   --developer     also the packages for the other builds and checks of .ci/run: clang and its tools, shellcheck
 #   --libtorch=DIR  leave out Debian's LibTorch, because the build uses the one in DIR: an unpacked LibTorch, a Python
 #                   environment with torch, or its site-packages; default: the environment variable CRAFTFLEET_LIBTORCH
@@ -20,6 +21,7 @@ usage() { sed -n '2,/^$/s/^# \{0,1\}//p' "$0"; }
 for argument in "$@"; do
   case "$argument" in
     --tests) tests=yes ;;
+    --tests=torch) tests=torch ;;
     --developer) developer=yes ;;
     --libtorch=?*) libtorch=${argument#*=} ;;
     -h | --help) usage; exit 0 ;;
@@ -65,21 +67,23 @@ install_torch() {
 
 # What the tests of the Python package need, in an environment of its own. Without network they are skipped.
 python_dir=${torch_dir%/*}/python
-python_list=${torch_dir%/.cache/*}/tests/deploy/python/requirements.txt
+python_lists=${torch_dir%/.cache/*}/tests/deploy/python
+# Argument: a list of packages in $python_lists.
 install_python() {
-  if cmp -s "$python_list" "$python_dir/requirements.txt"; then
-    echo "The Python packages of the tests are in $python_dir."
+  if cmp -s "$python_lists/$1" "$python_dir/$1"; then
+    echo "The Python packages of the tests in $1 are in $python_dir."
     return
   fi
-  echo "Installing the Python packages of the tests into $python_dir."
-  if python3 -m venv "$python_dir" && "$python_dir/bin/pip" install --quiet --requirement "$python_list"; then
-    cp "$python_list" "$python_dir/requirements.txt"
+  echo "Installing the Python packages of the tests in $1 into $python_dir."
+  if python3 -m venv "$python_dir" && "$python_dir/bin/pip" install --quiet --requirement "$python_lists/$1"; then
+    cp "$python_lists/$1" "$python_dir/$1"
   else
     echo "install-deps.sh: pip failed, see above: the tests of the Python package will be skipped" >&2
   fi
 }
 finish() {
-  if [ -n "$tests" ]; then install_python; fi
+  if [ -n "$tests" ]; then install_python requirements.txt; fi
+  if [ "$tests" = torch ]; then install_python requirements-torch.txt; fi
   if [ "$libtorch" = cuda ]; then install_torch; fi
   exit 0
 }
@@ -103,7 +107,7 @@ if [ -n "$libtorch" ]; then
   done
 fi
 if [ -n "$tests" ]; then
-  packages+=(python3-venv python3-dev python3-yaml iproute2 prometheus munge slurmctld slurmd slurm-client tmux xvfb xdotool)
+  packages+=(python3-venv python3-dev python3-yaml iproute2 prometheus munge slurmctld slurmd slurm-client tmux xvfb xdotool zsh)
 fi
 if [ -n "$developer" ]; then
   packages+=(clang libclang-rt-14-dev llvm clang-format clang-tidy shellcheck)

@@ -1,14 +1,11 @@
 """The events of a run, read back by the real TensorBoard."""
 
-import os
 import subprocess
-import sys
 import unittest
 
 from tests.fakes import python_case
 
 READ = """
-import sys
 from tensorboard.backend.event_processing import event_accumulator
 events = event_accumulator.EventAccumulator(sys.argv[1], size_guidance={"images": 0, "histograms": 0, "scalars": 0})
 events.Reload()
@@ -26,11 +23,10 @@ for tag in sorted(tags["histograms"]):
 
 
 def python_with_tensorboard():
-  """A Python with the package tensorboard: of the environment variable CRAFTFLEET_TENSORBOARD_PYTHON, or this one."""
-  python = os.environ.get("CRAFTFLEET_TENSORBOARD_PYTHON", sys.executable)
+  """The Python into which deploy/install-deps.sh --tests puts the package tensorboard."""
+  python = python_case.SOURCE / ".cache/python/bin/python"
   if subprocess.run([python, "-c", "import tensorboard"], capture_output=True, check=False).returncode != 0:
-    raise unittest.SkipTest("the Python package tensorboard is missing: pip install tensorboard in a virtual environment, and set "
-                            "CRAFTFLEET_TENSORBOARD_PYTHON to its python")
+    raise unittest.SkipTest("the Python package tensorboard is missing: deploy/install-deps.sh --tests installs it")
   return python
 
 

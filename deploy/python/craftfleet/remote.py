@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import os
 import pathlib
 import queue
 import threading
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import gymnasium
@@ -40,7 +41,8 @@ class RemoteVectorEnv(gymnasium.vector.VectorEnv[np.ndarray, np.ndarray, np.ndar
 
   The interface is that of VectorEnv with autoreset_mode SAME_STEP, and lane i plays the same game. Observations are one array that
   each call overwrites. Servers don't send the picture of a death: final_obs has one only of truncated lanes, and of others with
-  `details`. Use an object from one thread at a time, and not in forked processes.
+  `details`. Use an object from one thread at a time: a call while another thread is in one raises RuntimeError. So does a call in a
+  forked process, which has no connections of its own.
 
   Args:
     addresses: "host:port" of a server, or several, which share the lanes.
@@ -58,6 +60,7 @@ class RemoteVectorEnv(gymnasium.vector.VectorEnv[np.ndarray, np.ndarray, np.ndar
       self, addresses: str | Sequence[str], num_envs: int, *, env: str = "crafter", size: int = 64, length: int = 10000,
       reward: bool = True, details: bool = False, tls: Tls | None = None, timeout: float = 30.0) -> None:
     self._sessions: list[_Session] = []
+    self._owner, self._busy = os.getpid(), threading.Lock()
     self.num_envs = _arguments.integer("num_envs", num_envs, 1, 1 << 20)
     pixels = _arguments.integer("size", size, 9, 1024)
     steps = _arguments.integer("length", length, 1, _arguments.MAX_INT)
@@ -96,6 +99,39 @@ class RemoteVectorEnv(gymnasium.vector.VectorEnv[np.ndarray, np.ndarray, np.ndar
       self, *, seed: int | Sequence[int | None] | None = None,
       options: dict[str, Any] | None = None) -> tuple[np.ndarray, dict[str, Any]]:
     """As VectorEnv.reset()."""
+    with self._alone():
+      return self._reset(seed, options)
+
+  def step(self, actions: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
+    """As VectorEnv.step() with SAME_STEP. final_info has the ended episode's length, reward and achievements."""
+    with self._alone():
+      return self._step(actions)
+
+  def close_extras(self, **_: Any) -> None:
+    """Ends the sessions; their games end with them."""
+    if os.getpid() != self._owner:  # the sessions are those of the process that forked this one
+      return
+    for session in self._sessions:
+      session.close()
+
+  def __reduce__(self) -> Any:
+    raise TypeError("a RemoteVectorEnv has connections and cannot be copied or pickled, want a new one with the same arguments")
+
+  @contextlib.contextmanager
+  def _alone(self) -> Iterator[None]:
+    """Keeps other threads and forked processes out."""
+    if self.closed:
+      raise RuntimeError("this RemoteVectorEnv is closed, want a new one")
+    if os.getpid() != self._owner:
+      raise RuntimeError(f"its connections are those of process {self._owner}, want a RemoteVectorEnv of this process's own")
+    if not self._busy.acquire(blocking=False):
+      raise RuntimeError("another thread is in a call of this RemoteVectorEnv, want one at a time")
+    try:
+      yield
+    finally:
+      self._busy.release()
+
+  def _reset(self, seed: Any, options: dict[str, Any] | None) -> tuple[np.ndarray, dict[str, Any]]:
     seeds, lanes = _lanes.seeds(seed, self.num_envs), _lanes.chosen(options, self.num_envs)
     if seed is not None and not hasattr(seed, "__len__"):
       super().reset(seed=int(seed))
@@ -117,8 +153,7 @@ class RemoteVectorEnv(gymnasium.vector.VectorEnv[np.ndarray, np.ndarray, np.ndar
         self._add_info(infos, _details(moment), lane)
     return self._observations, infos
 
-  def step(self, actions: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
-    """As VectorEnv.step() with SAME_STEP. final_info has the ended episode's length, reward and achievements."""
+  def _step(self, actions: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
     chosen = _lanes.actions(actions, self.num_envs)
     wrong = np.flatnonzero((chosen < 0) | (chosen >= len(_engine.ACTIONS)))
     if wrong.size:
@@ -137,11 +172,6 @@ class RemoteVectorEnv(gymnasium.vector.VectorEnv[np.ndarray, np.ndarray, np.ndar
     self._episodes += ends != 0
     returned = rewards.copy() if self._reward else np.zeros(self.num_envs)
     return self._observations, returned, ends == TERMINATED, ends == TRUNCATED, infos
-
-  def close_extras(self, **_: Any) -> None:
-    """Ends the sessions; their games end with them."""
-    for session in self._sessions:
-      session.close()
 
   def _exchange(self) -> list[tuple[_Session, Any]]:
     """Sends the requests that the sessions have, then awaits the replies."""

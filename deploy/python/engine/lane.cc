@@ -83,10 +83,14 @@ absl::Status Lane::Restore(absl::string_view snapshot) {
     return absl::DataLossError("snapshot: cut, damaged, or not of a game");
   }
   CRAFTFLEET_ASSIGN_OR_RETURN(const RandomStream before_picture, RestoreStream(stream));
-  CRAFTFLEET_ASSIGN_OR_RETURN(World world, World::Create(setup_->world(), seed_));
-  CRAFTFLEET_RETURN_IF_ERROR(world.Restore(snapshot));
-  seed_ = world.seed();
-  world_ = std::move(world);
+  if (started()) {  // planners restore often: into the world that is there, because generating one takes longest
+    CRAFTFLEET_RETURN_IF_ERROR(world_->Restore(snapshot));
+  } else {
+    CRAFTFLEET_ASSIGN_OR_RETURN(World world, World::Create(setup_->world(), seed_));
+    CRAFTFLEET_RETURN_IF_ERROR(world.Restore(snapshot));
+    world_ = std::move(world);
+  }
+  seed_ = world_->seed();
   before_picture_ = before_picture;
   return absl::OkStatus();
 }

@@ -36,7 +36,7 @@ class Checkers(package.PackageCase):
         check_env(gymnasium.make(name, **arguments).unwrapped)
 
   @unittest.skipUnless(
-      importlib.util.find_spec("stable_baselines3"), f"want: {package.ENVIRONMENT}/bin/pip install stable-baselines3")
+      importlib.util.find_spec("stable_baselines3"), "want: deploy/install-deps.sh --tests=torch")
   def test_the_checker_of_stable_baselines3_passes_without_a_warning(self):
     from stable_baselines3.common.env_checker import check_env as check  # pylint: disable=import-outside-toplevel
     for name in NAMES:

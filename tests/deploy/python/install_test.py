@@ -1,5 +1,6 @@
 """The Python package is built and installed as a user does it. The other tests of the package use what this one installs."""
 
+import os
 import re
 import shutil
 import subprocess
@@ -11,7 +12,7 @@ from tests.deploy.python import package
 from tests.fakes import python_case
 from tests.fakes.python_case import SOURCE
 
-package.need("scikit_build_core", "nanobind", "numpy", "gymnasium")
+package.need("scikit_build_core", "nanobind", "numpy", "gymnasium", "matplotlib")
 SOURCES = SOURCE / "deploy/python"
 MAX_WHEEL_BYTES = 3 << 20
 
@@ -38,6 +39,32 @@ class Install(python_case.FolderCase):
     files = {path.name for path in (package.SITE / "craftfleet").iterdir()}
     self.assertLessEqual({"py.typed", "_engine.pyi", "env.py"}, files)
     self.assertTrue(list(package.SITE.glob("craftfleet-*.dist-info/licenses/LICENSE")))
+
+  def test_the_commands_of_the_pages_install_it_in_a_fresh_environment(self):
+    """What it depends on is taken from the environment of the tests, so nothing is downloaded."""
+    for page in ("README.md", "TUTORIAL.md"):
+      text = (SOURCES / page).read_text()
+      environment = self.folder / page / "venv"
+      make, install = (
+          re.sub(r"(^| )venv\b", rf"\1{environment}", command)
+          for command in re.findall(r"^    ((?:python3 -m venv|venv/bin/pip) .*)$", text, re.MULTILINE)[:2])
+      self.run_command(make)
+      (site,) = environment.glob("lib/python*/site-packages")
+      (site / "tests.pth").write_text(f"{next(path for path in sys.path if path.endswith('site-packages'))}\n")
+      self.run_command(
+          install, PIP_NO_INDEX="1", PIP_NO_BUILD_ISOLATION="0", PIP_CONFIG_SETTINGS=f"build-dir={package.BUILD / 'build'}")
+      self.assertTrue((site / "craftfleet/py.typed").exists())
+    game = re.search(r"^```python\n(.*?)^```", (SOURCES / "README.md").read_text(), re.MULTILINE | re.DOTALL)[1]
+    played = subprocess.run(
+        [environment / "bin/python", "-c", f"{game}print(env.snapshot()[:0], info['reward'])"], capture_output=True, text=True,
+        timeout=300, check=False, cwd=self.folder)
+    self.assertEqual(played.returncode, 0, played.stderr)
+    self.assertRegex(played.stdout, r"^b'' -?[\d.]+\n$")
+
+  def run_command(self, command, **variables):
+    ended = subprocess.run(
+        command.split(), capture_output=True, text=True, timeout=900, check=False, cwd=SOURCE, env={**os.environ, **variables})
+    self.assertEqual(ended.returncode, 0, f"{command}: {ended.stdout}{ended.stderr}")
 
   def test_a_source_distribution_has_all_of_the_game(self):
     made = subprocess.run(

@@ -7,12 +7,15 @@ in the build folder. Without either it is reported as skipped.
 import importlib.util
 import os
 import pathlib
+import re
+import subprocess
 import sys
 import unittest
 import warnings
 
 from tests.fakes.python_case import BIN, SKIPPED, SOURCE
 
+EXAMPLES = SOURCE / "deploy/python/examples"
 ENVIRONMENT = SOURCE / ".cache/python"
 BUILD = BIN.parent / "python"
 SITE = BUILD / "site"
@@ -33,12 +36,23 @@ def enter():
   os.execv(python, [str(python), *sys.orig_argv[1:]])
 
 
-def need(*modules):
-  """Skips the test file unless the modules are there."""
-  for module in modules:
+def need(*modules, torch=()):
+  """Skips the test file unless the modules are there; those of `torch` are installed by --tests=torch only."""
+  for module in (*modules, *torch):
     if importlib.util.find_spec(module) is None:
-      wanted = "ctest -R PythonInstall" if module == "craftfleet" else "deploy/install-deps.sh --tests"
+      wanted = f"deploy/install-deps.sh --tests{'=torch' if module in torch else ''}"
+      if module == "craftfleet":
+        wanted = "ctest -R PythonInstall"
       skip(f"no Python package {module} in {ENVIRONMENT} or {SITE}, want: {wanted}")
+
+
+def run_example(name, *changed, cwd):
+  """Runs an example with the flags of its command in examples/README.md, some of them `changed`; returns the ended process."""
+  (flags,) = re.findall(
+      rf"^    venv/bin/python deploy/python/examples/{name}(.*)$", (EXAMPLES / "README.md").read_text(), re.MULTILINE)
+  return subprocess.run(
+      [sys.executable, EXAMPLES / name, *flags.split(), *changed], capture_output=True, text=True, timeout=600, check=False, cwd=cwd,
+      env={**os.environ, "OMP_NUM_THREADS": "1", "PYTHONPATH": str(SITE)})
 
 
 class PackageCase(unittest.TestCase):

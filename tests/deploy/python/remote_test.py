@@ -1,9 +1,15 @@
 """craftfleet.RemoteVectorEnv over real environment servers: the games of VectorEnv, TLS and tokens, and what goes wrong."""
 
+import asyncio
+import copy
 import hashlib
+import multiprocessing
+import pickle
 import re
 import signal
 import subprocess
+import threading
+import warnings
 
 from tests.deploy.python import package
 from tests.fakes import python_case
@@ -16,7 +22,35 @@ import numpy as np  # pylint: disable=wrong-import-position
 LANES = 5
 
 
-class Remote(python_case.FolderCase, package.PackageCase):
+def play(envs, count=20):
+  """Observations and rewards of the games of seed 3, as bytes."""
+  out = [envs.reset(seed=3)[0].tobytes()]
+  for actions in np.random.default_rng(2).integers(17, size=(count, envs.num_envs)):
+    observations, rewards, *_ = envs.step(actions)
+    out.append((observations.tobytes(), rewards.tobytes()))
+  return out
+
+
+def play_at(address):
+  envs = craftfleet.RemoteVectorEnv(address, LANES)
+  try:
+    return play(envs)
+  finally:
+    envs.close()
+
+
+def send_what_a_fork_sees(writer, inherited, local):
+  """Of a fork: the error of the environment that its parent has connected, and what a game of its own shows."""
+  try:
+    inherited.step(np.zeros(LANES, int))
+    error = None
+  except RuntimeError as raised:
+    error = str(raised)
+  inherited.close()
+  writer.send((error, play(local)))
+
+
+class ServerCase(python_case.FolderCase, package.PackageCase):
 
   def server(self, *flags):
     """A process of an environment server, and its address."""
@@ -32,6 +66,9 @@ class Remote(python_case.FolderCase, package.PackageCase):
     envs = craftfleet.RemoteVectorEnv(*arguments, **named)
     self.addCleanup(envs.close)
     return envs
+
+
+class Remote(ServerCase):
 
   def compare(self, remote, local, steps):
     self.assertEqual(remote.reset(seed=3)[0].tobytes(), local.reset(seed=3)[0].tobytes())
@@ -115,11 +152,84 @@ class Remote(python_case.FolderCase, package.PackageCase):
     self.assert_refused(ValueError, 'unknown game "doom"', craftfleet.RemoteVectorEnv, address, 2, env="doom")
     self.assert_refused(ValueError, "length 0, want 1..", craftfleet.RemoteVectorEnv, address, 2, length=0)
 
+  def test_after_close_it_says_so(self):
+    envs = self.connect(self.server()[1], 2)
+    envs.reset(seed=0)
+    envs.close()
+    self.assert_refused(RuntimeError, "is closed, want a new one", envs.step, [0, 0])
+
   def test_the_protocol_is_that_of_the_programs(self):
     header = (SOURCE / "common/wire/protocol.h").read_text()
     from craftfleet import remote  # pylint: disable=import-outside-toplevel
     self.assertIn(f"kProtocolVersion = {remote.PROTOCOL_VERSION};", header)
     self.assertIn(f"kMaxMessageBytes = {remote.MAX_MESSAGE_BYTES >> 20} << 20;", header)
+
+
+class Around(ServerCase):
+  """Processes, threads and asyncio."""
+
+  def setUp(self):
+    super().setUp()
+    _, self.address = self.server()
+    self.envs = self.connect(self.address, LANES)
+
+  def test_a_forked_process_is_told_to_connect_itself_and_does_not_disturb_its_parent(self):
+    expected = play(self.envs)
+    local = craftfleet.VectorEnv(LANES, autoreset_mode="SameStep")
+    warnings.simplefilter("ignore", DeprecationWarning)  # newer Pythons warn of a fork beside any thread
+    reader, writer = multiprocessing.Pipe(duplex=False)
+    fork = multiprocessing.get_context("fork").Process(target=send_what_a_fork_sees, args=(writer, self.envs, local))
+    fork.start()
+    self.assertTrue(reader.poll(60), "the fork hangs")
+    error, played = reader.recv()
+    fork.join(60)
+    self.assertEqual(fork.exitcode, 0)
+    self.assertRegex(error, "its connections are those of process [0-9]+, want a RemoteVectorEnv of this process's own")
+    self.assertEqual(played[0], expected[0])
+    self.assertEqual(play(self.envs), expected)
+
+  def test_spawned_processes_play_the_same_games(self):
+    expected = play(self.envs)
+    with multiprocessing.get_context("spawn").Pool(2) as pool:
+      self.assertEqual(pool.map(play_at, [self.address] * 2), [expected] * 2)
+
+  def test_copies_and_pickles_are_refused(self):
+    for clone in (copy.copy, copy.deepcopy, pickle.dumps):
+      self.assert_refused(TypeError, "cannot be copied or pickled", clone, self.envs)
+
+  def test_threads_with_connections_of_their_own_do_not_disturb_each_other(self):
+    expected = play(self.envs)
+    found = []
+    threads = [threading.Thread(target=lambda: found.append(play_at(self.address))) for _ in range(3)]
+    for thread in threads:
+      thread.start()
+    for thread in threads:
+      thread.join()
+    self.assertEqual(found, [expected] * 3)
+
+  def test_a_second_thread_is_refused_and_the_games_go_on(self):
+    self.envs.reset(seed=0)
+    refused = threading.Event()
+
+    def step_until_refused():
+      while not refused.is_set():
+        try:
+          self.envs.step(np.zeros(LANES, int))
+        except RuntimeError as error:
+          self.assertEqual(str(error), "another thread is in a call of this RemoteVectorEnv, want one at a time")
+          refused.set()
+
+    other = threading.Thread(target=step_until_refused)
+    other.start()
+    step_until_refused()
+    other.join()
+    self.assertEqual(play(self.envs), play(self.connect(self.address, LANES)))
+
+  def test_asyncio_tasks_play_side_by_side(self):
+    async def both():
+      return await asyncio.gather(asyncio.to_thread(play, self.envs), asyncio.to_thread(play_at, self.address))
+    found = asyncio.run(both())
+    self.assertEqual(found, [play(self.envs)] * 2)
 
 
 if __name__ == "__main__":
