@@ -1,10 +1,12 @@
 #include "envserver/announcer.h"
 
+#include <algorithm>
 #include <utility>
 
 #include <absl/strings/str_cat.h>
 
 #include "common/base/backoff.h"
+#include "common/base/status_macros.h"
 #include "common/process/version.h"
 #include "common/process/worker_name.h"
 #include "common/telemetry/log.h"
@@ -13,10 +15,15 @@
 namespace craftfleet {
 namespace {
 
-constexpr absl::Duration kEvery = absl::Seconds(1);  // an eighth of the learner's lease
 constexpr absl::Duration kTimeout = absl::Seconds(2);
+constexpr absl::Duration kShortestInterval = absl::Milliseconds(100);
+constexpr absl::Duration kLongestInterval = absl::Seconds(10);
 
 }  // namespace
+
+absl::Duration AnnouncementInterval(const v1::AnnounceReply& reply) {
+  return std::clamp(absl::Milliseconds(reply.lease_ms()) / 8, kShortestInterval, kLongestInterval);
+}
 
 Announcer::Announcer(wire::Endpoint learner, const std::string& address, const std::string& texture_digest,
                      const std::string& canary, std::function<v1::ProcessSummary()> summarize)
@@ -49,7 +56,8 @@ void Announcer::Run() {
   bool known = false;
   bool ever_known = false;
   while (true) {
-    const absl::Status status = Announce(/*leaving=*/false);
+    const absl::StatusOr<v1::AnnounceReply> reply = Announce(/*leaving=*/false);
+    const absl::Status status = reply.status();
     if (status.ok() && !known) LogInfo("registered with learner %s", learner_.address);
     if (!status.ok() && last_error != status.message()) {
       LogWarning("%s; trying again until it answers", status.message());
@@ -59,22 +67,23 @@ void Announcer::Run() {
     last_error = std::string(status.message());
     if (known) backoff.Reset();
     const MutexLock lock(&mu_);
-    changed_.WaitFor(&mu_, known ? kEvery : backoff.Next(),
+    changed_.WaitFor(&mu_, known ? AnnouncementInterval(*reply) : backoff.Next(),
                      [this]() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_) { return leaving_; });
     if (leaving_) break;
   }
   // If this does not arrive, the learner drops the server when its lease ends.
-  if (ever_known) Announce(/*leaving=*/true).IgnoreError();
+  if (ever_known) Announce(/*leaving=*/true).status().IgnoreError();
 }
 
-absl::Status Announcer::Announce(bool leaving) {
+absl::StatusOr<v1::AnnounceReply> Announcer::Announce(bool leaving) {
   announcement_.set_leaving(leaving);
   *announcement_.mutable_summary() = summarize_();
   grpc::ClientContext context;
   wire::SetDeadline(&context, kTimeout);
   v1::AnnounceReply reply;
-  return wire::FromCall(stub_->Announce(&context, announcement_, &reply), absl::StrCat("learner ", learner_.address),
-                        learner_);
+  CRAFTFLEET_RETURN_IF_ERROR(wire::FromCall(stub_->Announce(&context, announcement_, &reply),
+                                            absl::StrCat("learner ", learner_.address), learner_));
+  return reply;
 }
 
 }  // namespace craftfleet

@@ -8,7 +8,7 @@
 #include <string>
 #include <thread>
 
-#include <absl/status/status.h>
+#include <absl/status/statusor.h>
 #include <absl/time/time.h>
 
 #include "common/base/mutex.h"
@@ -17,7 +17,11 @@
 
 namespace craftfleet {
 
-// Announces the server every second on a thread of its own, and retries while the learner is unreachable. Thread-safe.
+// The time from one announcement to the next: an eighth of the learner's lease for servers, within 0.1..10 s.
+absl::Duration AnnouncementInterval(const v1::AnnounceReply& reply);
+
+// Announces the server regularly (AnnouncementInterval) on a thread of its own, and retries while the learner is
+// unreachable. Thread-safe.
 class Announcer {
  public:
   // `address` is where actors find the server, `canary` its GameCanary; `summarize` returns what the learner shows in
@@ -31,7 +35,7 @@ class Announcer {
 
  private:
   void Run() ABSL_LOCKS_EXCLUDED(mu_);
-  absl::Status Announce(bool leaving);
+  absl::StatusOr<v1::AnnounceReply> Announce(bool leaving);
 
   const wire::Endpoint learner_;
   const std::unique_ptr<v1::LearnerService::Stub> stub_;

@@ -6,6 +6,7 @@ import unittest
 from tests.fakes import python_case
 
 READ = """
+import sys
 from tensorboard.backend.event_processing import event_accumulator
 events = event_accumulator.EventAccumulator(sys.argv[1], size_guidance={"images": 0, "histograms": 0, "scalars": 0})
 events.Reload()
