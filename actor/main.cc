@@ -8,6 +8,7 @@
 #include "common/base/status_macros.h"
 #include "common/process/cpu_pin.h"
 #include "common/process/cpu_quota.h"
+#include "common/process/flag_check.h"
 #include "common/process/flag_values.h"
 #include "common/process/program.h"
 #include "common/telemetry/log.h"
@@ -60,8 +61,7 @@ absl::Status Run() {
                               EnvDirectory::Parse("envservers", absl::GetFlag(FLAGS_envservers), security));
   const int threads = absl::GetFlag(FLAGS_threads);
   if (threads < 0 || threads > 256) {
-    return absl::InvalidArgumentError(
-        absl::StrFormat("--threads=%d, want 0..256; 0: as many as the CPU quota allows", threads));
+    return InvalidFlag("threads", threads, "0..256; 0: as many as the CPU quota allows");
   }
   options.threads = threads == 0 ? DefaultThreads() : threads;
   options.capacity = absl::GetFlag(FLAGS_max_lanes);

@@ -23,6 +23,11 @@
 
 namespace craftfleet {
 
+// The bytes of a picture that is kept in a string.
+inline absl::Span<uint8_t> FrameBytes(std::string* frame) {
+  return absl::MakeSpan(reinterpret_cast<uint8_t*>(frame->data()), frame->size());
+}
+
 // Every `frame` is uint8[height][width][3] of renderer->frame_bytes(). Thread-compatible: one thread at a time; games
 // on different threads may share a renderer.
 class Game {

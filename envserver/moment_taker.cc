@@ -4,14 +4,6 @@
 #include <string>
 
 namespace craftfleet {
-namespace {
-
-absl::Span<uint8_t> Bytes(std::string* text) {
-  return absl::MakeSpan(reinterpret_cast<uint8_t*>(text->data()), text->size());
-}
-
-}  // namespace
-
 Moment MomentTaker::Take(const Game& game, absl::Span<const uint8_t> frame) const {
   const World& world = game.world();
   Moment moment;
@@ -19,10 +11,10 @@ Moment MomentTaker::Take(const Game& game, absl::Span<const uint8_t> frame) cons
   if (pictures_ != nullptr) {
     moment.picture.resize(pictures_->frame_bytes());
     RandomStream random = game.before_picture();
-    pictures_->Render(world, &random, Bytes(&moment.picture));
+    pictures_->Render(world, &random, FrameBytes(&moment.picture));
   }
   moment.semantic.resize(world.options().width * world.options().height);
-  world.SemanticView(Bytes(&moment.semantic));
+  world.SemanticView(FrameBytes(&moment.semantic));
   moment.player_x = world.player_position().x;
   moment.player_y = world.player_position().y;
   const Player& player = world.player();

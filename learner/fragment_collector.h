@@ -37,7 +37,7 @@ class FragmentCollector {
   FragmentCollector(std::vector<Fragment> kept, const Parts& parts) : parts_(parts), kept_(std::move(kept)) {}
 
   // Begins `iteration`: opens permits for fragments up to `last_fragment` (excluded) of each lane with the weights
-  // `policy_version`. Kept fragments of this iteration count as collected.
+  // `policy_version`. Kept fragments of this iteration, if it is the first, count as collected.
   void Begin(int64_t iteration, int64_t last_fragment, int64_t policy_version);
   // Waits until `wanted` fragments are collected; returns them ordered by lane and number. Errors are those of
   // `on_tick`.
@@ -55,6 +55,7 @@ class FragmentCollector {
 
   const Parts parts_;
   std::vector<Fragment> kept_;  // empty once the first iteration has begun
+  bool has_begun_ = false;
   std::vector<Fragment> collected_;
 };
 

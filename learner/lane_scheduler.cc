@@ -175,10 +175,11 @@ void LaneScheduler::Rewind(Lane* lane) {
   lane->refusals = 0;
 }
 
-void LaneScheduler::RewindIteration() {
+void LaneScheduler::RewindIterations(int iterations) {
   last_fragment_ = 0;
   for (Lane& lane : lanes_) {
     if (lane.permit.has_value()) EndPermit(&lane);
+    if (iterations == 2) lane.start = std::move(lane.earlier_start);
     Rewind(&lane);
   }
 }
@@ -205,6 +206,7 @@ void LaneScheduler::OpenIteration(int64_t last_fragment, int64_t policy_version)
     if (std::exchange(lane.restored, false)) continue;
     while (!lane.accepted.empty() && lane.accepted.front().fragment < lane.start.next_fragment)
       lane.accepted.pop_front();
+    lane.earlier_start = std::move(lane.start);
     lane.start = lane.record;
   }
   changed_ = true;

@@ -127,9 +127,9 @@ class LaneScheduler {
   // Opens the next iteration: permits for fragments up to `last_fragment` (excluded) of each lane, with
   // `policy_version`.
   void OpenIteration(int64_t last_fragment, int64_t policy_version);
-  // Rolls every lane back to the beginning of the iteration; nothing is granted until the next
-  // OpenIteration.
-  void RewindIteration();
+  // Rolls every lane back to the beginning of the iteration, or of the one before if `iterations` is 2; nothing is
+  // granted until the next OpenIteration. Must not be called again before it.
+  void RewindIterations(int iterations);
   // While paused, nothing is granted; outstanding permits remain valid. Returns whether it was paused before.
   bool SetPaused(bool paused);
   bool paused() const { return paused_; }
@@ -181,6 +181,7 @@ class LaneScheduler {
   struct Lane {
     LaneRecord record;
     LaneRecord start;              // at the beginning of the current iteration
+    LaneRecord earlier_start;      // at the beginning of the one before
     Actor* holder = nullptr;       // the actor with its game, if any
     std::optional<Permit> permit;  // the outstanding permit of `holder`
     Pace pace;                     // of `holder`

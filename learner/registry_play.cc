@@ -137,9 +137,9 @@ void WorkerRegistry::OpenIteration(int64_t last_fragment, int64_t policy_version
   WakeIfChanged();
 }
 
-void WorkerRegistry::RewindIteration() {
+void WorkerRegistry::RewindIterations(int iterations) {
   const MutexLock lock(&mu_);
-  lanes_.RewindIteration();
+  lanes_.RewindIterations(iterations);
 }
 
 bool WorkerRegistry::SetPaused(bool paused) {

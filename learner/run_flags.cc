@@ -17,6 +17,7 @@
 #include "common/io/paths.h"
 #include "common/process/cpu_pin.h"
 #include "common/process/cpu_quota.h"
+#include "common/process/flag_check.h"
 #include "common/process/flag_values.h"
 #include "common/wire/server_flags.h"
 #include "learner/run/checkpoint_store.h"
@@ -39,6 +40,9 @@ ABSL_FLAG(std::optional<std::string>, cpu, std::nullopt,
           "native is the best of each CPU. CPUs of different kinds compute equal bytes only with the same setting\n"
           "[native]");
 ABSL_FLAG(std::optional<int32_t>, lanes, std::nullopt, "games played side by side [16]");
+ABSL_FLAG(
+    std::optional<int32_t>, overlap, std::nullopt,
+    "1: play the next iteration while the update is computed, with the weights from before it; 0: play waits [0]");
 ABSL_FLAG(bool, resume, false,
           "resume the run in --logdir from its newest checkpoint, as if it had never stopped\n"
           "only --steps and the checkpoint settings may change");
@@ -98,9 +102,7 @@ absl::StatusOr<std::string> DeviceFromFlag(bool of_cpu_run) {
 // --threads, or by default the cgroup's CPU quota.
 absl::StatusOr<int> ThreadsFromFlags() {
   const int threads = absl::GetFlag(FLAGS_threads);
-  if (threads < 0 || threads > 256) {
-    return absl::InvalidArgumentError(absl::StrFormat("--threads=%d, want 0..256", threads));
-  }
+  CRAFTFLEET_RETURN_IF_ERROR(CheckFlagRange("threads", threads, 0, 256));
   return threads == 0 ? DefaultThreads() : threads;
 }
 
@@ -128,6 +130,7 @@ absl::StatusOr<Learner::Options> LearnerOptionsFromFlags(v1::RunConfig::Device o
   if (const auto steps = absl::GetFlag(FLAGS_steps)) options.config.set_steps(steps->value);
   if (const auto seed = absl::GetFlag(FLAGS_seed)) options.config.set_seed(*seed);
   if (const auto lanes = absl::GetFlag(FLAGS_lanes)) options.config.set_lanes(*lanes);
+  if (const auto overlap = absl::GetFlag(FLAGS_overlap)) options.config.set_overlap(*overlap);
   if (const auto cpu = absl::GetFlag(FLAGS_cpu)) {
     CRAFTFLEET_ASSIGN_OR_RETURN(const v1::RunConfig::Cpu parsed, ParseCpu(*cpu));
     options.config.set_cpu(parsed);

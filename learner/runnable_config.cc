@@ -53,10 +53,12 @@ struct Need {
   int64_t value;
 };
 
-// The frames of an iteration, and its recurrent states if fragments contain one per step.
+// The frames of an iteration, and its recurrent states if fragments contain one per step; with overlap also those of the
+// next one.
 Need IterationNeed(const v1::RunConfig& config, const AgentSpec& spec, const wire::FragmentShape& shape) {
   const double states = static_cast<double>(shape.states) / shape.steps * shape.state_size * sizeof(float);
-  return {config.ppo().rollout_steps() * (static_cast<double>(spec.frame_bytes()) + states), "ppo.rollout_steps",
+  const double step = static_cast<double>(spec.frame_bytes()) + states;
+  return {(1 + config.overlap()) * step * config.ppo().rollout_steps(), "ppo.rollout_steps",
           config.ppo().rollout_steps()};
 }
 

@@ -16,7 +16,7 @@ constexpr int kMaxFailedUpdates = 2;  // in a row
 
 }  // namespace
 
-Trainer::Trainer(const v1::RunConfig& config, const v1::CheckpointState& state, std::vector<Fragment> kept,
+Trainer::Trainer(const v1::RunConfig& config, const Checkpoint& checkpoint, std::vector<Fragment> kept,
                  const Parts& parts)
     : config_(config),
       parts_(parts),
@@ -27,9 +27,14 @@ Trainer::Trainer(const v1::RunConfig& config, const v1::CheckpointState& state, 
       checkpoints_(config.checkpoint().every_iterations(),
                    {parts.folder, parts.checkpoints, &disk_, parts.clock, [this] { return MakeCheckpoint(); }}),
       collector_(std::move(kept), {parts.registry, parts.fragments, parts.journal, parts.clock}),
-      policy_version_(state.policy_version()),
       lanes_(parts.registry->Records()),
-      train_seconds_(state.train_seconds()) {
+      train_seconds_(checkpoint.state.train_seconds()) {
+  const v1::CheckpointState& state = checkpoint.state;
+  weights_.version = state.policy_version();
+  if (state.has_play()) {
+    const v1::PlayWeights& play = state.play();
+    play_weights_ = {play.policy_version(), checkpoint.play_weights, {play.value_mean(), play.value_deviation()}};
+  }
   counters_.iteration = state.iteration();
   counters_.env_steps = state.env_steps();
   counters_.start_steps = state.env_steps();
@@ -38,7 +43,9 @@ Trainer::Trainer(const v1::RunConfig& config, const v1::CheckpointState& state, 
 absl::Status Trainer::Run() {
   start_ = parts_.clock->Now();
   status_.OnStart(parts_.folder->score());
-  PublishWeights();
+  if (play_weights_.bytes != nullptr) parts_.weights->Publish(play_weights_.version, play_weights_.bytes);
+  PublishWeights(weights_.version);
+  if (play_weights_.bytes == nullptr) play_weights_ = weights_;
   absl::Status status = counters_.iteration == 0 ? checkpoints_.Write() : absl::OkStatus();
   while (status.ok() && has_steps_left()) {
     status = RunIteration();
@@ -59,7 +66,7 @@ absl::Status Trainer::Run() {
 void Trainer::End(bool trained) {
   if (trained) {
     phase_ = Phase::kEvaluating;
-    parts_.evaluations->OnEnd(counters_.env_steps, weights_, [this] { return stop_.is_set(); });
+    parts_.evaluations->OnEnd(counters_.env_steps, weights_.bytes, [this] { return stop_.is_set(); });
   }
   if (trained && parts_.evaluations->pending() == 0) {
     phase_ = Phase::kComplete;
@@ -79,21 +86,31 @@ absl::Status Trainer::RunIteration() {
   status_.OnIterationBegin();
   meter_.BeginCycle();
   meter_.Switch(Activity::kIntake);
+  if (!next_is_open_) Open(counters_.iteration, play_weights_);
+  next_is_open_ = false;
   CRAFTFLEET_ASSIGN_OR_RETURN(const std::vector<Fragment> fragments, Collect());
+  std::vector<LaneRecord> lanes = parts_.registry->Records();
+  if (config_.overlap() > 0 && has_steps_left(1)) {
+    Open(counters_.iteration + 1, weights_);
+    next_is_open_ = true;
+  }
   meter_.Switch(Activity::kUpdate);
   const absl::StatusOr<UpdateStats> stats = Learn(fragments);
   meter_.Switch(Activity::kOther);
   if (absl::IsCancelled(stats.status())) return stats.status();
   if (!stats.ok()) return UndoIteration(fragments, stats.status());
   failed_updates_ = 0;
-  CRAFTFLEET_RETURN_IF_ERROR(FinishIteration(fragments, *stats));
+  CRAFTFLEET_RETURN_IF_ERROR(FinishIteration(fragments, *stats, std::move(lanes)));
   status_.OnIterationEnd(parts_.folder->score());
   return absl::OkStatus();
 }
 
-absl::StatusOr<std::vector<Fragment>> Trainer::Collect() {
+void Trainer::Open(int64_t iteration, const Weights& weights) {
   const int per_lane = config_.ppo().rollout_steps() / (config_.lanes() * config_.fragment_steps());
-  const int64_t iteration = counters_.iteration;
+  collector_.Begin(iteration + 1, (iteration + 1) * per_lane, weights.version);
+}
+
+absl::StatusOr<std::vector<Fragment>> Trainer::Collect() {
   const auto on_tick = [this](size_t collected, bool is_idle) -> absl::Status {
     if (stop_.is_set()) return absl::CancelledError("stopping");
     // Notice a takeover of the folder even without actors.
@@ -103,13 +120,13 @@ absl::StatusOr<std::vector<Fragment>> Trainer::Collect() {
                             parts_.folder->score());
     return absl::OkStatus();
   };
-  collector_.Begin(iteration + 1, (iteration + 1) * per_lane, policy_version_);
-  return collector_.Collect(static_cast<size_t>(config_.lanes()) * per_lane, on_tick);
+  return collector_.Collect(static_cast<size_t>(config_.ppo().rollout_steps() / config_.fragment_steps()), on_tick);
 }
 
 absl::StatusOr<UpdateStats> Trainer::Learn(const std::vector<Fragment>& fragments) {
   Rollout rollout;
-  const RolloutOptions options = parts_.updater->rollout_options();
+  RolloutOptions options = parts_.updater->rollout_options();
+  options.value_scale = play_weights_.value_scale;
   for (const Fragment& fragment : fragments) {
     CRAFTFLEET_RETURN_IF_ERROR(AppendFragment(fragment, options, &rollout));
   }
@@ -129,30 +146,36 @@ absl::Status Trainer::UndoIteration(const std::vector<Fragment>& fragments, cons
   for (const std::string& line : DescribeSenders(fragments)) LogError("%s", line);
   collector_.ClearJournal();
   if (!again) return error;
-  parts_.registry->RewindIteration();
+  parts_.registry->RewindIterations(next_is_open_ ? 2 : 1);
+  next_is_open_ = false;
   return absl::OkStatus();
 }
 
-absl::Status Trainer::FinishIteration(const std::vector<Fragment>& fragments, const UpdateStats& stats) {
+absl::Status Trainer::FinishIteration(const std::vector<Fragment>& fragments, const UpdateStats& stats,
+                                      std::vector<LaneRecord> lanes) {
   const int64_t steps_before = counters_.env_steps;
   ++counters_.iteration;
   counters_.env_steps += config_.ppo().rollout_steps();
-  ++policy_version_;
-  lanes_ = parts_.registry->Records();
-  PublishWeights();
+  lanes_ = std::move(lanes);
+  if (config_.overlap() > 0) play_weights_ = weights_;
+  PublishWeights(weights_.version + 1);
+  if (config_.overlap() == 0) play_weights_ = weights_;
   log_.AddIteration(counters_.env_steps, fragments, stats, StepsPerSecond());
   LogPictures(fragments.front());
   log_.Flush();
   CRAFTFLEET_RETURN_IF_ERROR(parts_.folder->CheckOwned());
-  parts_.evaluations->OnIteration(steps_before, counters_.env_steps, weights_, [this] { return stop_.is_set(); });
+  parts_.evaluations->OnIteration(steps_before, counters_.env_steps, weights_.bytes, [this] { return stop_.is_set(); });
   checkpoints_.ServeRequests(counters_.iteration);
   // The last checkpoint is written after the final evaluation.
-  return has_steps_left() ? checkpoints_.OnIteration(counters_.iteration) : absl::OkStatus();
+  if (!has_steps_left()) return absl::OkStatus();
+  CRAFTFLEET_RETURN_IF_ERROR(checkpoints_.OnIteration(counters_.iteration));
+  collector_.ClearJournal();
+  return absl::OkStatus();
 }
 
 void Trainer::LogPictures(const Fragment& first) {
   if (counters_.iteration % kIterationsPerPicture != 1) return;
-  absl::StatusOr<std::vector<EventPicture>> pictures = TrainingPictures(parts_.updater->spec(), *weights_, first);
+  absl::StatusOr<std::vector<EventPicture>> pictures = TrainingPictures(parts_.updater->spec(), *weights_.bytes, first);
   if (!pictures.ok()) {
     LogWarning("no pictures for TensorBoard: %s", pictures.status().message());
     return;
@@ -165,10 +188,11 @@ double Trainer::StepsPerSecond() const {
   return seconds > 0 ? static_cast<double>(counters_.env_steps - counters_.start_steps) / seconds : 0;
 }
 
-void Trainer::PublishWeights() {
-  weights_ = std::make_shared<const std::string>(parts_.updater->SaveWeights());
-  parts_.weights->Publish(policy_version_, weights_);
-  counters_.policy_version = policy_version_;
+void Trainer::PublishWeights(int64_t version) {
+  weights_ = {version, std::make_shared<const std::string>(parts_.updater->SaveWeights()),
+              parts_.updater->rollout_options().value_scale};
+  parts_.weights->Publish(version, weights_.bytes);
+  counters_.policy_version = version;
 }
 
 Checkpoint Trainer::MakeCheckpoint() const {
@@ -176,12 +200,18 @@ Checkpoint Trainer::MakeCheckpoint() const {
   v1::CheckpointState& state = checkpoint.state;
   state.set_iteration(counters_.iteration);
   state.set_env_steps(counters_.env_steps);
-  state.set_policy_version(policy_version_);
+  state.set_policy_version(weights_.version);
   state.set_optimizer_steps(parts_.updater->optimizer_steps());
   state.set_train_seconds(train_seconds_ + absl::ToDoubleSeconds(parts_.clock->Now() - start_));
   for (const LaneRecord& lane : lanes_) *state.add_lanes() = ToProto(lane);
   parts_.evaluations->FillCheckpoint(&checkpoint);
-  checkpoint.weights = *weights_;
+  checkpoint.weights = *weights_.bytes;
+  if (play_weights_.version != weights_.version) {
+    state.mutable_play()->set_policy_version(play_weights_.version);
+    state.mutable_play()->set_value_mean(play_weights_.value_scale.mean);
+    state.mutable_play()->set_value_deviation(play_weights_.value_scale.deviation);
+    checkpoint.play_weights = play_weights_.bytes;
+  }
   checkpoint.optimizer = parts_.updater->SaveOptimizer();
   return checkpoint;
 }

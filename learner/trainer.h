@@ -26,6 +26,8 @@
 #include "learner/fragment_journal.h"
 #include "learner/learner_service.h"
 #include "learner/ppo/ppo_updater.h"
+#include "learner/ppo/value_norm.h"
+#include "learner/run/checkpoint.h"
 #include "learner/run/progress.h"
 #include "learner/run/run_folder.h"
 #include "learner/stop_flag.h"
@@ -37,8 +39,10 @@
 namespace craftfleet {
 
 // An iteration opens permits, waits for every lane's fragments, orders them, computes advantages, runs the PPO epochs,
-// publishes the weights and writes the logs. The result does not depend on which actors play or in which order their
-// fragments arrive. Run is called from one thread; everything else is thread-safe.
+// publishes the weights and writes the logs. With config.overlap, it opens the permits of the next iteration before its
+// update, with the weights of that moment, so that actors play during the update; these weights depend only on the
+// iteration's number. The result does not depend on which actors play or in which order their fragments arrive. Run is
+// called from one thread; everything else is thread-safe.
 class Trainer {
  public:
   struct Parts {
@@ -59,9 +63,9 @@ class Trainer {
     kComplete,    // both are over
   };
 
-  // Continues after `state`; its weights and optimiser are already in the updater. `kept`: the journal's fragments.
-  Trainer(const v1::RunConfig& config, const v1::CheckpointState& state, std::vector<Fragment> kept,
-          const Parts& parts);
+  // Continues after `checkpoint`, whose weights and optimiser are already in the updater. `kept`: the journal's
+  // fragments.
+  Trainer(const v1::RunConfig& config, const Checkpoint& checkpoint, std::vector<Fragment> kept, const Parts& parts);
 
   // Trains until the configured steps are done and then evaluates, unless Stop is called first. In both cases a
   // checkpoint of the last finished iteration is written, and phase() shows how far the run got.
@@ -81,7 +85,19 @@ class Trainer {
   void FillStatus(v1::StatusReply* reply) const { status_.Fill(meter_, checkpoints_.age(), reply); }
 
  private:
-  bool has_steps_left() const { return counters_.env_steps < config_.steps(); }
+  // A version of the weights.
+  struct Weights {
+    int64_t version = 0;
+    std::shared_ptr<const std::string> bytes;  // safetensors
+    ValueScale value_scale;                    // of the values that they predict
+  };
+
+  // Whether the run goes on after `iterations` more.
+  bool has_steps_left(int iterations = 0) const {
+    return counters_.env_steps + int64_t{iterations} * config_.ppo().rollout_steps() < config_.steps();
+  }
+  // Opens the permits of `iteration`, from 0, to be played with `weights`.
+  void Open(int64_t iteration, const Weights& weights);
   // Runs one iteration.   Cancelled: Stop was called.
   absl::Status RunIteration();
   absl::StatusOr<std::vector<Fragment>> Collect();
@@ -90,13 +106,15 @@ class Trainer {
   // Drops `fragments`, whose update failed, so that they are played again. Returns `error` at the second failure in a
   // row.
   absl::Status UndoIteration(const std::vector<Fragment>& fragments, const absl::Status& error);
-  absl::Status FinishIteration(const std::vector<Fragment>& fragments, const UpdateStats& stats);
+  // `lanes`: their records after `fragments`.
+  absl::Status FinishIteration(const std::vector<Fragment>& fragments, const UpdateStats& stats,
+                               std::vector<LaneRecord> lanes);
   // If `trained`, evaluates the final weights. Tells actors whether the run is complete.
   void End(bool trained);
   // Logs a picture every kIterationsPerPicture iterations. `first`: the fragment to show.
   void LogPictures(const Fragment& first);
-  // Publishes the updater's weights for play and evaluation.
-  void PublishWeights();
+  // Publishes the updater's weights for play and evaluation, as version `version`.
+  void PublishWeights(int64_t version);
   // The run's state after its last finished iteration.
   Checkpoint MakeCheckpoint() const;
   double StepsPerSecond() const;
@@ -115,9 +133,11 @@ class Trainer {
 
   int failed_updates_ = 0;  // in a row
 
+  bool next_is_open_ = false;  // the permits of the iteration after the last finished one
+
   // As of the end of the last finished iteration.
-  int64_t policy_version_;
-  std::shared_ptr<const std::string> weights_;  // of that version, safetensors
+  Weights weights_;
+  Weights play_weights_;  // with which the next iteration is played
   std::vector<LaneRecord> lanes_;
 
   const double train_seconds_;  // before this start

@@ -1,6 +1,5 @@
 #include "learner/training_pictures.h"
 
-#include <algorithm>
 #include <cmath>
 #include <cstdint>
 #include <memory>
@@ -34,11 +33,11 @@ absl::StatusOr<EventPicture> Enlarge(const char* tag, absl::string_view frame, i
 
 // `frame` as bright as the square root of its attention, relative to the highest.
 std::string LightByAttention(absl::string_view frame, const PatchGrid& patches, const std::vector<float>& weights) {
-  const std::vector<float> attention = SpreadOverPixels(patches, weights);
-  const float highest = std::max(*std::max_element(attention.begin(), attention.end()), 1e-9F);
+  std::vector<float> attention = SpreadOverPixels(patches, weights);
+  LightToHighest(&attention);
   std::string lit(frame);
   for (size_t i = 0; i < lit.size(); ++i) {
-    const float light = kDarkest + (1 - kDarkest) * std::sqrt(std::max(attention[i / 3], 0.0F) / highest);
+    const float light = kDarkest + (1 - kDarkest) * attention[i / 3];
     lit[i] = static_cast<char>(static_cast<uint8_t>(std::lround(light * static_cast<uint8_t>(lit[i]))));
   }
   return lit;

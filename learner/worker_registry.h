@@ -168,7 +168,7 @@ class WorkerRegistry {
   bool Counts(int lane, int64_t fragment, uint64_t digest) const ABSL_LOCKS_EXCLUDED(mu_);
   absl::StatusOr<LaneSnapshot> Snapshot(int lane, int64_t fragment) const ABSL_LOCKS_EXCLUDED(mu_);
   void OpenIteration(int64_t last_fragment, int64_t policy_version) ABSL_LOCKS_EXCLUDED(mu_);
-  void RewindIteration() ABSL_LOCKS_EXCLUDED(mu_);
+  void RewindIterations(int iterations) ABSL_LOCKS_EXCLUDED(mu_);
   bool SetPaused(bool paused) ABSL_LOCKS_EXCLUDED(mu_);
   bool paused() const ABSL_LOCKS_EXCLUDED(mu_);
   std::vector<LaneRecord> Records() const ABSL_LOCKS_EXCLUDED(mu_);

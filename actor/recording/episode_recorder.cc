@@ -22,11 +22,6 @@ absl::StatusOr<AttentionLight> LightOf(const Policy& policy, const EpisodeRecord
   return options.fixed_scale ? LightOnFixedScale(map.patches, weights) : LightToHighest(map.patches, weights);
 }
 
-int Unlocked(const Moment& moment) {
-  return static_cast<int>(
-      std::count_if(moment.achievements.begin(), moment.achievements.end(), [](int32_t count) { return count > 0; }));
-}
-
 }  // namespace
 
 absl::StatusOr<std::unique_ptr<EpisodeRecorder>> EpisodeRecorder::Create(const Options& options, const Policy* policy,
@@ -56,7 +51,7 @@ absl::Status EpisodeRecorder::OnStart(int64_t number, const Moment& moment) {
 absl::Status EpisodeRecorder::OnStep(int64_t number, const ObservedStep& step, const Moment& moment) {
   Recording& recording = recordings_.at(number);
   ++recording.steps;
-  recording.unlocked = Unlocked(moment);
+  recording.unlocked = CountUnlocked(moment.achievements);
   if (recording.table.has_value()) recording.table->Add(step, moment);
   CRAFTFLEET_RETURN_IF_ERROR(AddPicture(number, moment, &recording));
   if (step.end == StepEnd::kNone) return absl::OkStatus();

@@ -36,7 +36,7 @@ class EpisodeTable {
     bool done = false;
     double discount = 0;
     std::array<int64_t, 2> player_pos{};
-    std::array<int32_t, kNumAchievements> achievements{};
+    AchievementCounts achievements{};
     std::array<int32_t, kNumItems> inventory{};
   };
 

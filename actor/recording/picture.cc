@@ -53,11 +53,8 @@ void DrawLabel(const std::string& text, int x, Align align, cv::Mat* strip) {
 AttentionLight LightToHighest(const PatchGrid& grid, absl::Span<const float> weights, AttentionDetail detail) {
   const bool pixels = detail == AttentionDetail::kPixels;
   AttentionLight light = {pixels ? SpreadOverPixels(grid, weights) : PatchesAsSquares(grid, weights), 0, 0};
-  const float highest = *std::max_element(light.brightness.begin(), light.brightness.end());
-  light.highest = highest;
-  light.middle = highest / 4;
-  if (highest <= 0) return light;
-  for (float& pixel : light.brightness) pixel = std::sqrt(std::max(pixel, 0.0F) / highest);
+  light.highest = LightToHighest(&light.brightness);
+  light.middle = light.highest / 4;
   return light;
 }
 

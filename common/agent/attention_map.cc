@@ -70,6 +70,13 @@ std::vector<float> PatchesAsSquares(const PatchGrid& grid, absl::Span<const floa
   return pixels;
 }
 
+float LightToHighest(std::vector<float>* weights) {
+  const float highest = *std::max_element(weights->begin(), weights->end());
+  if (highest <= 0) return highest;
+  for (float& weight : *weights) weight = std::sqrt(std::max(weight, 0.0F) / highest);
+  return highest;
+}
+
 std::vector<float> BrightnessOfPixels(const PatchGrid& grid, absl::Span<const float> weights) {
   std::vector<float> pixels = SpreadOverPixels(grid, weights);
   const float scale = std::sqrt(static_cast<float>(grid.count()));

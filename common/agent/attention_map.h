@@ -51,6 +51,10 @@ std::vector<float> SpreadOverPixels(const PatchGrid& grid, absl::Span<const floa
 // all of these squares. `weights` is float[grid.count()].
 std::vector<float> PatchesAsSquares(const PatchGrid& grid, absl::Span<const float> weights);
 
+// Turns weights into brightness up to the highest of them: the square root of their share of it, so that small weights
+// are visible; 0 for negative ones, and unchanged if none is positive. Not empty. Returns the highest weight.
+float LightToHighest(std::vector<float>* weights);
+
 // The same as SpreadOverPixels for display, 0..1: times the square root of the number of patches, at most 1.
 std::vector<float> BrightnessOfPixels(const PatchGrid& grid, absl::Span<const float> weights);
 

@@ -4,6 +4,7 @@
 #ifndef CRAFTFLEET_COMMON_BASE_CRAFTER_H_
 #define CRAFTFLEET_COMMON_BASE_CRAFTER_H_
 
+#include <algorithm>
 #include <array>
 #include <cstdint>
 
@@ -36,6 +37,14 @@ inline constexpr int kNumItems = 16;
 inline constexpr int kNumAchievements = 22;
 inline constexpr int kWorldSize = 64;         // cells, width and height
 inline constexpr int kEpisodeLength = 10000;  // steps after which an episode is truncated, by default
+
+// Times that each achievement was unlocked in an episode.
+using AchievementCounts = std::array<int32_t, kNumAchievements>;
+
+// The number of achievements that were unlocked at least once.
+inline int CountUnlocked(const AchievementCounts& counts) {
+  return static_cast<int>(std::count_if(counts.begin(), counts.end(), [](int32_t count) { return count > 0; }));
+}
 
 // Range of a step's reward: 0.1 for each point of health (0..9) gained or lost, and 1 if the step unlocks achievements.
 // Source: envserver/world/RULES.md, section 5.

@@ -21,10 +21,10 @@ enum class StepEnd : uint8_t {
 
 // One finished episode, as Crafter's recorder counts it.
 struct Episode {
-  int step = 0;                                          // step of the fragment at which it ended, 0..T-1
-  int64_t length = 0;                                    // steps
-  double reward = 0;                                     // sum of rewards, not rounded
-  std::array<int32_t, kNumAchievements> achievements{};  // times unlocked
+  int step = 0;        // step of the fragment at which it ended, 0..T-1
+  int64_t length = 0;  // steps
+  double reward = 0;   // sum of rewards, not rounded
+  AchievementCounts achievements{};
 };
 
 // The result of one step of `n` games; rows are in the order of the request.
@@ -39,13 +39,13 @@ struct StepBatch {
 
 // The visible state of a game at one moment, for videos and episode files.
 struct Moment {
-  std::string frame;                                     // uint8[H,W,3]: the agent's observation
-  std::string picture;                                   // uint8[S,S,3]: the same, larger; empty if not requested
-  std::string semantic;                                  // uint8[64,64], [x][y]: materials 1..12, objects 13..18
-  int player_x = 0;                                      // cells, 0..63
-  int player_y = 0;                                      // cells, 0..63
-  std::array<int32_t, kNumItems> inventory{};            // 0..9
-  std::array<int32_t, kNumAchievements> achievements{};  // times unlocked in this episode so far
+  std::string frame;                           // uint8[H,W,3]: the agent's observation
+  std::string picture;                         // uint8[S,S,3]: the same, larger; empty if not requested
+  std::string semantic;                        // uint8[64,64], [x][y]: materials 1..12, objects 13..18
+  int player_x = 0;                            // cells, 0..63
+  int player_y = 0;                            // cells, 0..63
+  std::array<int32_t, kNumItems> inventory{};  // 0..9
+  AchievementCounts achievements{};            // in this episode so far
 };
 
 // Permission to play one fragment of a lane with one version of the weights.

@@ -35,6 +35,7 @@ absl::Status CheckRanges(const v1::RunConfig& config) {
   // Checkpoints of version 0.1 have none.
   const bool known_cpu = config.cpu() != v1::RunConfig::CPU_UNSPECIFIED && v1::RunConfig::Cpu_IsValid(config.cpu());
   check.That(!config.has_cpu() || known_cpu, "cpu is CPU_UNSPECIFIED or unknown, want NATIVE, AVX2 or AVX512");
+  check.Within("overlap", config.overlap(), 0, 1);
   const bool known_precision = config.precision() != v1::RunConfig::PRECISION_UNSPECIFIED &&
                                v1::RunConfig::Precision_IsValid(config.precision());
   check.That(!config.has_precision() || known_precision,
@@ -176,6 +177,7 @@ absl::StatusOr<v1::RunConfig> ResolveRunConfig(v1::RunConfig config) {
   config = std::move(defaults);
   // So that a run with them equals one without.
   if (config.precision() == v1::RunConfig::FP32) config.clear_precision();
+  if (config.overlap() == 0) config.clear_overlap();
   if (config.device() == v1::RunConfig::CPU) config.clear_device();
   CRAFTFLEET_ASSIGN_OR_RETURN(const v1::NetworkConfig network, ResolveNetwork(config));
   const int32_t lane_steps = config.lanes() > 0 ? config.ppo().rollout_steps() / config.lanes() : 0;

@@ -11,6 +11,7 @@
 
 #include "common/base/status_macros.h"
 #include "common/process/closest_name.h"
+#include "common/process/flag_check.h"
 #include "common/process/flag_values.h"
 #include "common/process/program.h"
 #include "common/wire/channel.h"
@@ -119,8 +120,7 @@ absl::Status Run(const std::vector<std::string>& command) {
   CRAFTFLEET_RETURN_IF_ERROR(CheckCommand(command));
   const absl::Duration timeout = absl::GetFlag(FLAGS_timeout).value;
   if (timeout <= absl::ZeroDuration() || timeout > absl::Hours(24)) {
-    return absl::InvalidArgumentError(
-        absl::StrFormat("--timeout=%s, want more than 0, at most 24h", absl::FormatDuration(timeout)));
+    return InvalidFlag("timeout", absl::FormatDuration(timeout), "more than 0, at most 24h");
   }
   CRAFTFLEET_ASSIGN_OR_RETURN(const wire::Endpoint learner, ConnectToProcess("learner", absl::GetFlag(FLAGS_address)));
   Admin admin(learner, timeout);

@@ -7,6 +7,7 @@
 #include <absl/strings/str_format.h>
 
 #include "common/base/status_macros.h"
+#include "common/process/flag_check.h"
 #include "common/process/program.h"
 #include "deploy/cli/envs/census.h"
 
@@ -35,9 +36,7 @@ With four times the trees (mix), four times the zombies are the paper's 60. The 
 )";
 
 absl::Status Run() {
-  if (const int worlds = absl::GetFlag(FLAGS_worlds); worlds < 1 || worlds > kMaxCountedWorlds) {
-    return absl::InvalidArgumentError(absl::StrFormat("--worlds=%d, want 1..%d", worlds, kMaxCountedWorlds));
-  }
+  CRAFTFLEET_RETURN_IF_ERROR(CheckFlagRange("worlds", absl::GetFlag(FLAGS_worlds), 1, kMaxCountedWorlds));
   absl::PrintF("%-32s", "environment");
   for (const absl::string_view thing : kCountedThings) absl::PrintF(" %13s", thing);
   absl::PrintF("\n");

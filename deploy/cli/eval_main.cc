@@ -22,6 +22,7 @@
 #include "common/io/files.h"
 #include "common/io/output_file.h"
 #include "common/io/paths.h"
+#include "common/process/flag_check.h"
 #include "common/process/flag_values.h"
 #include "common/process/program.h"
 #include "common/wire/protocol.h"
@@ -74,10 +75,6 @@ mean reward and episode length, and the Crafter score. The result depends only o
 
 Ctrl-C, SIGTERM or closing the terminal ends it. It then prints the result of the finished episodes and exits with 130.)";
 
-absl::Status OutOfRange(const char* flag, int value, const char* wanted) {
-  return absl::InvalidArgumentError(absl::StrFormat("--%s=%d, want %s", flag, value, wanted));
-}
-
 // The recordings that the flags request.
 absl::StatusOr<EpisodeRecorder::Options> RecorderOptions() {
   EpisodeRecorder::Options options;
@@ -85,11 +82,9 @@ absl::StatusOr<EpisodeRecorder::Options> RecorderOptions() {
   options.npz_folder = absl::GetFlag(FLAGS_episodes_npz);
   options.picture_folder = absl::GetFlag(FLAGS_pictures);
   options.picture_every = absl::GetFlag(FLAGS_picture_every);
-  if (options.picture_every < 1 || options.picture_every > 10000) {
-    return OutOfRange("picture_every", options.picture_every, "1..10000");
-  }
+  CRAFTFLEET_RETURN_IF_ERROR(CheckFlagRange("picture_every", options.picture_every, 1, 10000));
   const int size = absl::GetFlag(FLAGS_video_size);
-  if (size < 64 || size > 1024 || size % 2 != 0) return OutOfRange("video_size", size, "an even number 64..1024");
+  if (size < 64 || size > 1024 || size % 2 != 0) return InvalidFlag("video_size", size, "an even number 64..1024");
   const bool pictures = !options.video_folder.empty() || !options.picture_folder.empty();
   if (pictures) options.picture_size = size;
   if (absl::GetFlag(FLAGS_attention) == "off") return options;
@@ -98,9 +93,7 @@ absl::StatusOr<EpisodeRecorder::Options> RecorderOptions() {
   if (!choice.ok()) return absl::InvalidArgumentError(absl::StrFormat("--attention: %s", choice.status().message()));
   options.attention = *choice;
   const std::string scale = absl::GetFlag(FLAGS_attention_scale);
-  if (scale != "auto" && scale != "fixed") {
-    return absl::InvalidArgumentError(absl::StrFormat("--attention_scale=%s, want auto or fixed", scale));
-  }
+  if (scale != "auto" && scale != "fixed") return InvalidFlag("attention_scale", scale, "auto or fixed");
   options.fixed_scale = scale == "fixed";
   return options;
 }
@@ -111,9 +104,7 @@ bool Records(const EpisodeRecorder::Options& options) {
 
 absl::StatusOr<int> EpisodesFromFlag() {
   const int64_t episodes = absl::GetFlag(FLAGS_episodes).value_or(Count{20}).value;
-  if (episodes < 1 || episodes > 10000) {
-    return absl::InvalidArgumentError(absl::StrFormat("--episodes=%d, want 1..10000", episodes));
-  }
+  CRAFTFLEET_RETURN_IF_ERROR(CheckFlagRange<int64_t>("episodes", episodes, 1, 10000));
   return static_cast<int>(episodes);
 }
 
@@ -130,9 +121,7 @@ absl::StatusOr<std::vector<EvalPart>> PartsFromFlags() {
   options.greedy = absl::GetFlag(FLAGS_deterministic);
   CRAFTFLEET_RETURN_IF_ERROR(options.Validate());
   if (protocol.empty()) return std::vector<EvalPart>{{options.greedy ? "argmax" : "sampled", options}};
-  if (protocol != "final") {
-    return absl::InvalidArgumentError(absl::StrFormat("--protocol=%s, want final or nothing", protocol));
-  }
+  if (protocol != "final") return InvalidFlag("protocol", protocol, "final or nothing");
   if (absl::GetFlag(FLAGS_env) || absl::GetFlag(FLAGS_seed) || absl::GetFlag(FLAGS_episodes) || options.greedy) {
     return absl::InvalidArgumentError(
         "--protocol=final replays the evaluation of the run's configuration: omit --env, --seed, --episodes and "
@@ -159,8 +148,7 @@ absl::StatusOr<Games> OpenGames(const v1::EnvConfig& env, const AgentSpec& spec,
                                 const EpisodeRecorder::Options& recorder) {
   const absl::Duration timeout = absl::GetFlag(FLAGS_env_timeout).value;
   if (timeout < absl::Milliseconds(100) || timeout > absl::Hours(1)) {
-    return absl::InvalidArgumentError(
-        absl::StrFormat("--env_timeout=%s, want 0.1s..1h", absl::FormatDuration(timeout)));
+    return InvalidFlag("env_timeout", absl::FormatDuration(timeout), "0.1s..1h");
   }
   CRAFTFLEET_ASSIGN_OR_RETURN(const std::string textures, TextureDir(absl::GetFlag(FLAGS_textures)));
   Games games;

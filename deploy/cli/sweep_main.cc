@@ -23,6 +23,7 @@
 #include "common/io/paths.h"
 #include "common/io/texture_digest.h"
 #include "common/process/cpu_quota.h"
+#include "common/process/flag_check.h"
 #include "common/process/flag_values.h"
 #include "common/process/program.h"
 #include "deploy/cli/sweep/experiments.h"
@@ -74,17 +75,13 @@ Ctrl-C, SIGTERM or closing the terminal stops it and its runs, each with a check
 (craftfleet sweep ... | head), it continues silently.)";
 
 absl::Status CheckFlags() {
-  const auto within = [](absl::string_view flag, int64_t value, int64_t low, int64_t high) {
-    if (value >= low && value <= high) return absl::OkStatus();
-    return absl::InvalidArgumentError(absl::StrCat("--", flag, "=", value, ", want ", low, "..", high));
-  };
-  CRAFTFLEET_RETURN_IF_ERROR(within("seeds", absl::GetFlag(FLAGS_seeds), 1, 1000));
-  CRAFTFLEET_RETURN_IF_ERROR(within("jobs", absl::GetFlag(FLAGS_jobs), 1, 1000));
-  CRAFTFLEET_RETURN_IF_ERROR(within("threads", absl::GetFlag(FLAGS_threads), 0, 256));
+  CRAFTFLEET_RETURN_IF_ERROR(CheckFlagRange("seeds", absl::GetFlag(FLAGS_seeds), 1, 1000));
+  CRAFTFLEET_RETURN_IF_ERROR(CheckFlagRange("jobs", absl::GetFlag(FLAGS_jobs), 1, 1000));
+  CRAFTFLEET_RETURN_IF_ERROR(CheckFlagRange("threads", absl::GetFlag(FLAGS_threads), 0, 256));
   if (const std::string executor = absl::GetFlag(FLAGS_executor); executor != "local" && executor != "slurm") {
-    return absl::InvalidArgumentError(absl::StrCat("--executor=", executor, ", want local or slurm"));
+    return InvalidFlag("executor", executor, "local or slurm");
   }
-  return within("steps", absl::GetFlag(FLAGS_steps).value, 0, 1'000'000'000'000);
+  return CheckFlagRange<int64_t>("steps", absl::GetFlag(FLAGS_steps).value, 0, 1'000'000'000'000);
 }
 
 std::filesystem::path OwnPath() {

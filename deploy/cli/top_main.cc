@@ -12,6 +12,7 @@
 #include <absl/time/clock.h>
 
 #include "common/base/status_macros.h"
+#include "common/process/flag_check.h"
 #include "common/process/flag_values.h"
 #include "common/process/program.h"
 #include "deploy/cli/screen/terminal.h"
@@ -80,8 +81,7 @@ absl::Status Run() {
   TopState state;
   const auto sort = TopColumnByName(absl::GetFlag(FLAGS_sort));
   if (!sort.has_value()) {
-    return absl::InvalidArgumentError(absl::StrFormat(
-        "--sort=%s, want role, name, state, steps, lanes, lag, mem, err or seen", absl::GetFlag(FLAGS_sort)));
+    return InvalidFlag("sort", absl::GetFlag(FLAGS_sort), "role, name, state, steps, lanes, lag, mem, err or seen");
   }
   state.sort = *sort;
   const absl::Duration interval = absl::GetFlag(FLAGS_interval).value;
@@ -90,9 +90,7 @@ absl::Status Run() {
   page.address = absl::GetFlag(FLAGS_address);
   page.width = absl::GetFlag(FLAGS_width);
   page.height = 0;
-  if (page.width < 40 || page.width > 400) {
-    return absl::InvalidArgumentError(absl::StrFormat("--width=%d, want 40..400", page.width));
-  }
+  CRAFTFLEET_RETURN_IF_ERROR(CheckFlagRange("width", page.width, 40, 400));
   CRAFTFLEET_ASSIGN_OR_RETURN(const wire::Endpoint learner, ConnectToProcess("learner", page.address));
   CRAFTFLEET_ASSIGN_OR_RETURN(const v1::StatusReply first, AskStatus(learner));
   if (first.role() != "learner") {

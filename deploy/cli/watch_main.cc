@@ -20,11 +20,12 @@
 #include "common/base/clock.h"
 #include "common/base/numbers.h"
 #include "common/base/status_macros.h"
-#include "common/config/env_name.h"
+#include "common/io/output_file.h"
+#include "common/io/png_encoder.h"
+#include "common/process/flag_check.h"
 #include "common/process/program.h"
 #include "deploy/cli/eval/checkpoint_policy.h"
-#include "deploy/cli/screen/terminal_screen.h"
-#include "deploy/cli/screen/window_screen.h"
+#include "deploy/cli/screen/game_flags.h"
 #include "deploy/cli/watch/attention_strip.h"
 #include "deploy/cli/watch/watch_loop.h"
 #include "deploy/cli/watch/watch_video.h"
@@ -45,8 +46,7 @@ ABSL_FLAG(bool, follow, false, "before each episode, load the run's newest check
 ABSL_FLAG(std::string, video, "", "write one episode to this MP4 file instead of showing it");
 ABSL_FLAG(std::string, strip, "",
           "write a strip of pictures with attention to this PNG file instead of showing the game");
-ABSL_FLAG(std::string, strip_steps, "auto",
-          "steps of the strip's columns, such as 0,40,80; auto: around achievements [auto]");
+ABSL_FLAG(std::string, strip_steps, "auto", "steps of the strip's columns, such as 0,40,80; auto: around achievements");
 ABSL_FLAG(int32_t, strip_columns, 6, "number of columns with --strip_steps=auto, 1..32");
 ABSL_FLAG(std::string, strip_detail, "pixels",
           "with --strip: pixels (the mean of the patches at each pixel) or patches (each patch as a square)");
@@ -65,26 +65,19 @@ the probability of each action. It plays in a window, in a terminal, or into a f
   craftfleet watch --video=episode.mp4 runs/first/checkpoints/iter-00000010
   craftfleet watch --strip=attention.png --attention=mean runs/oc_sa)";
 
-template <typename Value>
-absl::Status BadFlag(const char* flag, const Value& value, const char* wanted) {
-  return absl::InvalidArgumentError(absl::StrCat("--", flag, "=", value, ", want ", wanted));
-}
-
 absl::Status CheckFlags() {
-  const int64_t episode = absl::GetFlag(FLAGS_episode);
-  if (episode < 1 || episode > 1'000'000'000) return BadFlag("episode", episode, "1..1000000000");
-  const double speed = absl::GetFlag(FLAGS_speed);
-  if (!(speed >= 0.25 && speed <= 256)) return BadFlag("speed", speed, "0.25..256");
-  const int size = absl::GetFlag(FLAGS_size);
-  if (size < 64 || size > 1024) return BadFlag("size", size, "64..1024");
-  const int columns = absl::GetFlag(FLAGS_strip_columns);
-  if (columns < 1 || columns > 32) return BadFlag("strip_columns", columns, "1..32");
+  CRAFTFLEET_RETURN_IF_ERROR(CheckEpisodeFlag(absl::GetFlag(FLAGS_episode)));
+  CRAFTFLEET_RETURN_IF_ERROR(CheckFlagRange("speed", absl::GetFlag(FLAGS_speed), 0.25, 256.0));
+  CRAFTFLEET_RETURN_IF_ERROR(CheckSizeFlag(absl::GetFlag(FLAGS_size)));
+  CRAFTFLEET_RETURN_IF_ERROR(CheckFlagRange("strip_columns", absl::GetFlag(FLAGS_strip_columns), 1, 32));
   const std::string detail = absl::GetFlag(FLAGS_strip_detail);
-  if (detail != "pixels" && detail != "patches") return BadFlag("strip_detail", detail, "pixels or patches");
+  if (detail != "pixels" && detail != "patches") return InvalidFlag("strip_detail", detail, "pixels or patches");
   const std::string video = absl::GetFlag(FLAGS_video);
-  if (!video.empty() && !absl::EndsWith(video, ".mp4")) return BadFlag("video", video, "a file name that ends in .mp4");
+  if (!video.empty() && !absl::EndsWith(video, ".mp4"))
+    return InvalidFlag("video", video, "a file name that ends in .mp4");
   const std::string strip = absl::GetFlag(FLAGS_strip);
-  if (!strip.empty() && !absl::EndsWith(strip, ".png")) return BadFlag("strip", strip, "a file name that ends in .png");
+  if (!strip.empty() && !absl::EndsWith(strip, ".png"))
+    return InvalidFlag("strip", strip, "a file name that ends in .png");
   if (!video.empty() && !strip.empty()) return absl::InvalidArgumentError("--video and --strip: want one of them");
   return absl::OkStatus();
 }
@@ -105,7 +98,7 @@ absl::StatusOr<std::vector<int64_t>> StripSteps() {
   for (const absl::string_view part : absl::StrSplit(text, ',')) {
     int64_t step = 0;
     if (!absl::SimpleAtoi(part, &step) || step < 0 || (!steps.empty() && step <= steps.back()) || steps.size() == 32) {
-      return BadFlag("strip_steps", text, "auto or at most 32 steps from 0, ascending, such as 0,40,80");
+      return InvalidFlag("strip_steps", text, "auto or at most 32 steps from 0, ascending, such as 0,40,80");
     }
     steps.push_back(step);
   }
@@ -114,23 +107,13 @@ absl::StatusOr<std::vector<int64_t>> StripSteps() {
 
 absl::StatusOr<AgentGame::Options> GameOptions(const CheckpointPolicy& agent) {
   const v1::EnvConfig& env = agent.state.config().env();
-  absl::StatusOr<EnvName> name = EnvName::Parse(absl::GetFlag(FLAGS_env).value_or(env.name()));
-  if (!name.ok()) return absl::InvalidArgumentError(absl::StrCat("--env: ", name.status().message()));
   AgentGame::Options options;
-  options.env = *name;
+  CRAFTFLEET_ASSIGN_OR_RETURN(options.env, EnvFromFlag(absl::GetFlag(FLAGS_env).value_or(env.name())));
   options.length = env.length();
   options.frame_size = agent.spec.frame_size;
   options.seed = absl::GetFlag(FLAGS_seed);
   options.greedy = absl::GetFlag(FLAGS_deterministic);
-  options.textures = Textures::BuiltIn();
-  if (const std::string folder = absl::GetFlag(FLAGS_textures); !folder.empty()) {
-    absl::StatusOr<std::shared_ptr<const Textures>> textures = Textures::Load(folder);
-    if (!textures.ok()) {
-      return absl::Status(textures.status().code(),
-                          absl::StrCat("--textures=", folder, ": ", textures.status().message()));
-    }
-    options.textures = *std::move(textures);
-  }
+  CRAFTFLEET_ASSIGN_OR_RETURN(options.textures, TexturesFromFlag(absl::GetFlag(FLAGS_textures)));
   return options;
 }
 
@@ -151,12 +134,6 @@ std::function<absl::StatusOr<WatchedAgent>()> AgentSource(const std::string& pat
     }
     return WatchedAgent{TitleOf(agent), agent.policy};
   };
-}
-
-absl::StatusOr<std::unique_ptr<Screen>> OpenScreen() {
-  if (absl::GetFlag(FLAGS_terminal)) return TerminalScreen::Open();
-  const int size = absl::GetFlag(FLAGS_size);
-  return OpenWindow("craftfleet watch", {size, size});
 }
 
 absl::Status WriteVideo(const CheckpointPolicy& agent, const AgentGame::Options& game_options,
@@ -183,6 +160,8 @@ absl::Status WriteVideo(const CheckpointPolicy& agent, const AgentGame::Options&
 absl::Status WriteStrip(const CheckpointPolicy& agent, const AgentGame::Options& game_options,
                         const AttentionChoice& attention, std::vector<int64_t> steps, const std::atomic<bool>& stop) {
   const int64_t episode = absl::GetFlag(FLAGS_episode);
+  const std::string path = absl::GetFlag(FLAGS_strip);
+  CRAFTFLEET_ASSIGN_OR_RETURN(OutputFile file, OutputFile::Open("--strip", path));
   CRAFTFLEET_ASSIGN_OR_RETURN(const auto game, AgentGame::Create(game_options, agent.policy, episode));
   CRAFTFLEET_RETURN_IF_ERROR(game->Attention().status());
   if (steps.empty()) {
@@ -197,8 +176,8 @@ absl::Status WriteStrip(const CheckpointPolicy& agent, const AgentGame::Options&
   }
   const bool patches = absl::GetFlag(FLAGS_strip_detail) == "patches";
   const StripPicture strip = DrawStrip(columns, patches ? AttentionDetail::kPatches : AttentionDetail::kPixels);
-  const std::string path = absl::GetFlag(FLAGS_strip);
-  CRAFTFLEET_RETURN_IF_ERROR(WritePng(path, strip.pixels, strip.width, strip.height));
+  CRAFTFLEET_ASSIGN_OR_RETURN(const std::string png, EncodePng(strip.pixels, strip.width, strip.height));
+  CRAFTFLEET_RETURN_IF_ERROR(file.Write(png));
   absl::PrintF("%s: %d columns of episode %d\n", path, columns.size(), episode);
   return absl::OkStatus();
 }
@@ -217,7 +196,8 @@ absl::Status Run(const std::vector<std::string>& paths) {
   if (!absl::GetFlag(FLAGS_strip).empty()) {
     return WriteStrip(agent, game_options, attention.value_or(AttentionChoice()), steps, stop);
   }
-  CRAFTFLEET_ASSIGN_OR_RETURN(const std::unique_ptr<Screen> screen, OpenScreen());
+  CRAFTFLEET_ASSIGN_OR_RETURN(const std::unique_ptr<Screen> screen,
+                              OpenScreen(absl::GetFlag(FLAGS_terminal), kProgram, absl::GetFlag(FLAGS_size)));
   WatchOptions options;
   options.speed = absl::GetFlag(FLAGS_speed);
   options.episode = absl::GetFlag(FLAGS_episode);

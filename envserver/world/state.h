@@ -18,8 +18,8 @@ inline constexpr int kMaxItem = 9;
 // The player's inventory and needs; its position is that of objects()[0].
 struct Player {
   bool sleeping = false;
-  std::array<int8_t, kNumItems> inventory{};             // 0..9
-  std::array<int32_t, kNumAchievements> achievements{};  // times in this episode
+  std::array<int8_t, kNumItems> inventory{};  // 0..9
+  AchievementCounts achievements{};           // in this episode
   double hunger = 0;
   double thirst = 0;
   double fatigue = 0;

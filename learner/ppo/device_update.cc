@@ -27,11 +27,10 @@
 namespace craftfleet {
 namespace {
 
-constexpr double kMinVariance = 0.01;  // as ValueNorm::Scale
-
 // The fields that this update takes into account, or that do not concern updates.
 constexpr absl::string_view kKnownFields[] = {
     "agent env steps seed lanes fragment_steps tile gradient_shards ppo checkpoint network eval cpu precision device "
+    "overlap "
     "distillation",
     "ppo.rollout_steps ppo.minibatch_size ppo.epochs ppo.learning_rate ppo.gamma ppo.gae_lambda ppo.clip",
     "ppo.value_coefficient ppo.entropy_coefficient ppo.max_gradient_norm ppo.adam_epsilon ppo.truncation_is_terminal",
@@ -192,7 +191,7 @@ at::Tensor DeviceUpdate::NormaliseReturns(const at::Tensor& returns) {
   value_weight_ = decay * value_weight_ + (1 - decay);
   const at::Tensor corrected = value_norm_ / value_weight_;
   const at::Tensor mean = corrected.select(0, 0);
-  const at::Tensor deviation = (corrected.select(0, 1) - mean.square()).clamp_min(kMinVariance).sqrt();
+  const at::Tensor deviation = (corrected.select(0, 1) - mean.square()).clamp_min(ValueNorm::kMinVariance).sqrt();
   return ((values - mean) / deviation).to(at::kFloat);
 }
 

@@ -4,11 +4,6 @@
 #include <cmath>
 
 namespace craftfleet {
-namespace {
-
-constexpr double kMinVariance = 0.01;
-
-}  // namespace
 
 void ValueNorm::Update(absl::Span<const float> returns, double decay) {
   double sum = 0;

@@ -23,6 +23,8 @@ struct ValueScale {
 // the zeros that they start from.
 // Source: PPO.md, section 9.
 struct ValueNorm {
+  static constexpr double kMinVariance = 0.01;  // of Scale
+
   double mean = 0;         // not corrected
   double mean_square = 0;  // likewise
   double weight = 0;       // 0: no targets yet
@@ -30,7 +32,7 @@ struct ValueNorm {
   // Adds a minibatch of returns, n > 0. `decay` is in (0, 1).
   void Update(absl::Span<const float> returns, double decay);
 
-  // With a variance of at least 0.01; mean 0 and deviation `start` before the first Update.
+  // With a variance of at least kMinVariance; mean 0 and deviation `start` before the first Update.
   ValueScale Scale(double start = 1) const;
 };
 

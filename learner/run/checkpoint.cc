@@ -30,6 +30,7 @@ constexpr absl::string_view kProgramPrefix = "program ";
 constexpr absl::string_view kStateFile = "state.pb";
 constexpr absl::string_view kWeightsFile = "weights.safetensors";
 constexpr absl::string_view kOptimizerFile = "optimizer.safetensors";
+constexpr absl::string_view kPlayWeightsFile = "play.safetensors";
 constexpr size_t kMaxRunIdBytes = 512;  // the most that an actor accepts
 constexpr int kMaxPending = 16;         // a learner begins no evaluation while two are pending
 
@@ -102,6 +103,13 @@ absl::Status CheckPending(const v1::PendingEvaluation& evaluation) {
   return check.status();
 }
 
+void CheckPlay(const v1::PlayWeights& play, RangeCheck* check) {
+  constexpr double kMost = std::numeric_limits<float>::max();
+  check->Within<int64_t>("play.policy_version", play.policy_version(), 0, kMaxCount);
+  check->Within("play.value_mean", play.value_mean(), -kMost, kMost);
+  check->Within("play.value_deviation", play.value_deviation(), double{std::numeric_limits<float>::min()}, kMost);
+}
+
 absl::StatusOr<v1::CheckpointState> ReadState(const std::string& folder, const std::vector<std::string>& manifest) {
   CRAFTFLEET_ASSIGN_OR_RETURN(const std::string bytes, ReadListedFile(folder, kStateFile, manifest));
   v1::CheckpointState state;
@@ -138,6 +146,7 @@ absl::Status CheckCheckpointState(const v1::CheckpointState& state) {
   }
   for (const v1::LogLength& log : state.logs()) check.Within<int64_t>("logs.bytes", log.bytes(), 0, kMaxCount);
   check.Within("pending evaluations", state.pending_size(), 0, kMaxPending);
+  if (state.has_play()) CheckPlay(state.play(), &check);
   CRAFTFLEET_RETURN_IF_ERROR(check.status());
   for (const v1::PendingEvaluation& evaluation : state.pending()) {
     CRAFTFLEET_RETURN_IF_ERROR(CheckPending(evaluation));
@@ -155,6 +164,7 @@ absl::Status WriteCheckpointFiles(const std::string& folder, const Checkpoint& c
       {std::string(kStateFile), &state_bytes},
       {std::string(kWeightsFile), &checkpoint.weights},
       {std::string(kOptimizerFile), &checkpoint.optimizer}};
+  if (state.has_play()) files.emplace_back(kPlayWeightsFile, checkpoint.play_weights.get());
   for (int i = 0; i < state.pending_size(); ++i) {
     files.emplace_back(EvaluationFile(state.pending(i)), checkpoint.evaluation_weights[i].get());
   }
@@ -179,6 +189,10 @@ absl::StatusOr<Checkpoint> LoadCheckpoint(const std::string& folder, absl::strin
   CRAFTFLEET_ASSIGN_OR_RETURN(checkpoint.state, ReadState(folder, manifest));
   CRAFTFLEET_ASSIGN_OR_RETURN(checkpoint.weights, ReadListedFile(folder, kWeightsFile, manifest));
   CRAFTFLEET_ASSIGN_OR_RETURN(checkpoint.optimizer, ReadListedFile(folder, kOptimizerFile, manifest));
+  if (checkpoint.state.has_play()) {
+    CRAFTFLEET_ASSIGN_OR_RETURN(std::string weights, ReadListedFile(folder, kPlayWeightsFile, manifest));
+    checkpoint.play_weights = std::make_shared<const std::string>(std::move(weights));
+  }
   for (const v1::PendingEvaluation& evaluation : checkpoint.state.pending()) {
     CRAFTFLEET_ASSIGN_OR_RETURN(std::string weights, ReadListedFile(folder, EvaluationFile(evaluation), manifest));
     checkpoint.evaluation_weights.push_back(std::make_shared<const std::string>(std::move(weights)));

@@ -22,6 +22,7 @@ struct Checkpoint {
   v1::CheckpointState state;
   std::string weights;                                                 // safetensors
   std::string optimizer;                                               // safetensors
+  std::shared_ptr<const std::string> play_weights;                     // of state.play(), if it has one; safetensors
   std::vector<std::shared_ptr<const std::string>> evaluation_weights;  // of each of state.pending(); safetensors
 };
 

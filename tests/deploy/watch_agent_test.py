@@ -103,6 +103,12 @@ class WatchAgent(python_case.FolderCase):
     ended = self.run_program("craftfleet-watch", f"--video={self.folder}/no/folder.mp4", str(self.train()), code=1)
     self.assertIn("no/folder.mp4", ended.stderr)
 
+  def test_an_unwritable_strip_is_reported_before_the_episode(self):
+    # The agent has no attention, which the episode's first frame shows.
+    ended = self.run_program("craftfleet-watch", f"--strip={self.folder}/no/strip.png", str(self.train()), code=1)
+    self.assertIn("--strip", ended.stderr)
+    self.assertNotIn("attention", ended.stderr)
+
 
 if __name__ == "__main__":
   python_case.main()

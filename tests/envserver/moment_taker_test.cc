@@ -30,10 +30,6 @@ std::shared_ptr<const Renderer> MakeRenderer(int size, int length) {
   return *Renderer::Create(**Textures::Load(*DefaultTextureDir()), world, picture);
 }
 
-absl::Span<uint8_t> Bytes(std::string* text) {
-  return absl::MakeSpan(reinterpret_cast<uint8_t*>(text->data()), text->size());
-}
-
 Action ActionAt(int step) {
   return static_cast<Action>(KeyedBits(RandomUse::kActionNoise, 5, 0, static_cast<uint64_t>(step)) % kNumActions);
 }
@@ -43,7 +39,7 @@ struct ByHand {
   explicit ByHand(int length)
       : renderer(MakeRenderer(64, length)),
         frame(renderer->frame_bytes(), '\0'),
-        game(*Game::Create(renderer, 7, Bytes(&frame))) {}
+        game(*Game::Create(renderer, 7, FrameBytes(&frame))) {}
 
   std::shared_ptr<const Renderer> renderer;
   std::string frame;
@@ -94,7 +90,7 @@ TEST(Recording, HasEachMomentOfAnEpisodeUpToItsLast) {
     SCOPED_TRACE(i);
     if (i > 0) {
       ASSERT_THAT(batch.Step({3}, {ActionAt(i)}, false, &step), IsOk());
-      played.game.Step(ActionAt(i), Bytes(&played.frame));
+      played.game.Step(ActionAt(i), FrameBytes(&played.frame));
     }
     ASSERT_THAT(batch.moments(), SizeIs(1));
     const Moment& moment = batch.moments()[0];
@@ -107,7 +103,7 @@ TEST(Recording, HasEachMomentOfAnEpisodeUpToItsLast) {
     ASSERT_EQ(moment.achievements, world.player().achievements);
     std::string picture(larger->frame_bytes(), '\0');
     RandomStream random = played.game.before_picture();
-    larger->Render(world, &random, Bytes(&picture));
+    larger->Render(world, &random, FrameBytes(&picture));
     ASSERT_EQ(moment.picture, picture);
   }
   EXPECT_EQ(step.ends[0], StepEnd::kTruncated);
@@ -124,7 +120,7 @@ TEST(Recording, HasTheFrameOfADeath) {
   int length = 0;
   do {
     ASSERT_THAT(batch.Step({0}, {Action::kNoop}, false, &step), IsOk());
-    played.game.Step(Action::kNoop, Bytes(&played.frame));
+    played.game.Step(Action::kNoop, FrameBytes(&played.frame));
   } while (++length < 5000 && step.ends[0] == StepEnd::kNone);
   ASSERT_EQ(step.ends[0], StepEnd::kTerminated);
   EXPECT_EQ(batch.moments()[0].frame, played.frame);

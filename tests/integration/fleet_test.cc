@@ -7,6 +7,7 @@
 #include <string>
 #include <vector>
 
+#include <absl/strings/str_cat.h>
 #include <absl/strings/str_replace.h>
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
@@ -75,6 +76,13 @@ class FleetTest : public FleetRunTest {
     EXPECT_EQ(actor->Wait(absl::Seconds(10)), 0) << actor->Err();
     ExpectLikeQuiet("learner-killed");
   }
+  static void Extend() {
+    auto train = Train("longer", {"--steps=4096"});
+    ASSERT_EQ(train->Wait(kPatience), 0) << train->Err();
+    train = Train("longer", {"--resume"});
+    EXPECT_EQ(train->Wait(kPatience), 0) << train->Err();
+    ExpectTrainedLikeQuiet("longer");
+  }
 };
 
 TEST_F(FleetTest, OneActorAndOneServerEqualOneProcess) {
@@ -125,13 +133,7 @@ TEST_F(FleetTest, TheSameCommandStartsAndResumesARun) {
 
 TEST_F(FleetTest, AFleetOutlivesItsLearner) { OutliveTheLearner(); }
 
-TEST_F(FleetTest, AFinishedRunCanBeExtended) {
-  auto train = Train("longer", {"--steps=4096"});
-  ASSERT_EQ(train->Wait(kPatience), 0) << train->Err();
-  train = Train("longer", {"--resume"});
-  EXPECT_EQ(train->Wait(kPatience), 0) << train->Err();
-  ExpectTrainedLikeQuiet("longer");
-}
+TEST_F(FleetTest, AFinishedRunCanBeExtended) { Extend(); }
 
 // Recurrent states travel with fragments, snapshots and checkpoints.
 class RecurrentFleetTest : public FleetTest {
@@ -142,6 +144,28 @@ class RecurrentFleetTest : public FleetTest {
 TEST_F(RecurrentFleetTest, ThreeActorsAndTwoServersWithKillsEqualOneProcess) { PlayWithKills(); }
 
 TEST_F(RecurrentFleetTest, AFleetOutlivesItsLearner) { OutliveTheLearner(); }
+
+// Actors play during updates, with the weights from before them.
+class OverlappedFleetTest : public FleetTest {
+ protected:
+  void SetUp() override { TrainQuietly(absl::StrCat(kConfig, "overlap: 1")); }
+};
+
+TEST_F(OverlappedFleetTest, ThreeActorsAndTwoServersWithKillsEqualOneProcess) { PlayWithKills(); }
+
+TEST_F(OverlappedFleetTest, AFleetOutlivesItsLearner) { OutliveTheLearner(); }
+
+TEST_F(OverlappedFleetTest, AFinishedRunCanBeExtended) { Extend(); }
+
+// With values that are normalised, by statistics that change with each update, and a recurrent state.
+class OverlappedNormFleetTest : public FleetTest {
+ protected:
+  void SetUp() override {
+    TrainQuietly(absl::StrReplaceAll(kRecurrentConfig, {{"ppo {", "overlap: 1  ppo { value_norm_decay: 0.9 "}}));
+  }
+};
+
+TEST_F(OverlappedNormFleetTest, AFleetOutlivesItsLearner) { OutliveTheLearner(); }
 
 // Memories travel as recurrent states do, and checkpoints between two phases of distillation hold the rollouts so far.
 class DistillationFleetTest : public FleetTest {
@@ -156,9 +180,10 @@ TEST_F(DistillationFleetTest, AFleetOutlivesItsLearner) { OutliveTheLearner(); }
 // The learner stores the fragments of the current iteration on disk.
 class JournalFleetTest : public FleetTest {
  protected:
-  void SetUp() override {
-    TrainQuietly(
-        absl::StrReplaceAll(kRecurrentConfig, {{"every_iterations: 2", "every_iterations: 1  keep_fragments: true"}}));
+  void SetUp() override { TrainQuietly(JournalConfig()); }
+  static std::string JournalConfig() {
+    return absl::StrReplaceAll(kRecurrentConfig,
+                               {{"every_iterations: 2", "every_iterations: 1  keep_fragments: true"}});
   }
   static uintmax_t KeptBytes(const std::string& run) {
     return std::filesystem::file_size(Logdir(run) + "/fragments.journal");
@@ -176,9 +201,11 @@ class JournalFleetTest : public FleetTest {
     }
     FAIL() << "no iteration was caught halfway";
   }
+  // Kills the learner within an iteration.
+  static void KillWithin();
 };
 
-TEST_F(JournalFleetTest, FragmentsAcceptedByAKilledLearnerAreNotPlayedAgain) {
+void JournalFleetTest::KillWithin() {
   auto learner = StartLearner("kept", "127.0.0.1:0");
   const auto server = StartServer("kept-server");
   const std::string learner_address = learner->WaitForAddress().value();
@@ -194,6 +221,15 @@ TEST_F(JournalFleetTest, FragmentsAcceptedByAKilledLearnerAreNotPlayedAgain) {
   ExpectLikeQuiet("kept");
   EXPECT_EQ(KeptBytes("kept"), 0) << "they are not needed after the run";
 }
+
+TEST_F(JournalFleetTest, FragmentsAcceptedByAKilledLearnerAreNotPlayedAgain) { KillWithin(); }
+
+class OverlappedJournalFleetTest : public JournalFleetTest {
+ protected:
+  void SetUp() override { TrainQuietly(absl::StrCat(JournalConfig(), "overlap: 1")); }
+};
+
+TEST_F(OverlappedJournalFleetTest, FragmentsAcceptedByAKilledLearnerAreNotPlayedAgain) { KillWithin(); }
 
 }  // namespace
 }  // namespace craftfleet

@@ -150,7 +150,7 @@ TEST_F(ResetTest, AResetLaneIsRolledBackToItsResetPoint) {
   scheduler_.Join("a", "");
   for (int i = 0; i < 2; ++i) Refuse("a", 6);
   Play("a", 6);
-  scheduler_.RewindIteration();
+  scheduler_.RewindIterations(1);
   EXPECT_EQ(scheduler_.Snapshot(0, 6).value(), Before(5));
 }
 
@@ -158,7 +158,7 @@ TEST_F(ResetTest, AnIterationCanBeRolledBack) {
   scheduler_.Join("a", "");
   Play("a", 6, 66);
   Play("a", 7, 77);
-  scheduler_.RewindIteration();
+  scheduler_.RewindIterations(1);
   EXPECT_THAT(Ask("a"), IsEmpty()) << "until it is opened again";
   EXPECT_FALSE(scheduler_.Counts(0, 7, 77));
   EXPECT_EQ(scheduler_.Snapshot(0, 6).value(), Before(6));
@@ -171,7 +171,7 @@ TEST_F(ResetTest, RestoredFragmentsAreRolledBackToo) {
   ASSERT_TRUE(scheduler.Restore({0, 6, kVersion}, Before(7), 66));
   scheduler.OpenIteration(9, kVersion);
   EXPECT_TRUE(scheduler.Counts(0, 6, 66));
-  scheduler.RewindIteration();
+  scheduler.RewindIterations(1);
   EXPECT_EQ(scheduler.Snapshot(0, 6).value(), Before(6));
 }
 

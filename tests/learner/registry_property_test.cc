@@ -208,7 +208,7 @@ class History {
   }
 
   void Rewind() {
-    registry_.RewindIteration();
+    registry_.RewindIterations(1);
     registry_.OpenIteration(last_fragment_, version_);
   }
 

@@ -39,7 +39,13 @@ constexpr int kFragments = 2;  // of a lane, in an iteration
 constexpr int kFrameBytes = 64 * 64 * 3;
 constexpr int kPerIteration = kLanes * kFragments;
 
-v1::RunConfig Config(bool keep_fragments) {
+struct Variant {
+  bool keep_fragments = false;
+  bool resume = false;
+  int overlap = 0;
+};
+
+v1::RunConfig Config(const Variant& variant) {
   v1::RunConfig config = DefaultRunConfig();
   config.set_steps(1000 * kPerIteration * kSteps);
   config.set_lanes(kLanes);
@@ -52,7 +58,8 @@ v1::RunConfig Config(bool keep_fragments) {
   config.mutable_eval()->set_every_steps(0);
   config.mutable_eval()->set_final_episodes(0);
   config.mutable_checkpoint()->set_every_iterations(100);
-  config.mutable_checkpoint()->set_keep_fragments(keep_fragments);
+  config.mutable_checkpoint()->set_keep_fragments(variant.keep_fragments);
+  config.set_overlap(variant.overlap);
   return config;
 }
 
@@ -86,11 +93,11 @@ void Poison(Fragment* fragment) {
 // A learner that trains in its own thread.
 class Training {
  public:
-  Training(const std::string& logdir, bool keep_fragments, bool resume) {
+  Training(const std::string& logdir, const Variant& variant) {
     Learner::Options options;
-    options.config = Config(keep_fragments);
+    options.config = Config(variant);
     options.logdir = logdir;
-    options.resume = resume;
+    options.resume = variant.resume;
     options.texture_dir = DefaultTextureDir().value();
     learner_ = Learner::Create(options).value();
     stub_ = v1::LearnerService::NewStub(learner_->InProcess().channel);
@@ -218,8 +225,8 @@ class Training {
 
 class TrainerTest : public testing::Test {
  protected:
-  std::unique_ptr<Training> Begin(const std::string& run, bool keep_fragments = false, bool resume = false) {
-    return std::make_unique<Training>(folder_ / run, keep_fragments, resume);
+  std::unique_ptr<Training> Begin(const std::string& run, const Variant& variant = {}) {
+    return std::make_unique<Training>(folder_ / run, variant);
   }
   // The weights after two iterations without faults.
   std::string QuietWeights() {
@@ -251,13 +258,13 @@ TEST_F(TrainerTest, AnUpdateThatFailsIsUndoneAndItsIterationPlayedAgain) {
 TEST_F(TrainerTest, TheSecondFailureInARowEndsTheLearnerAndItResumes) {
   const std::string quiet = QuietWeights();
   {
-    const auto training = Begin("ended", /*keep_fragments=*/true);
+    const auto training = Begin("ended", {/*keep_fragments=*/true});
     training->Play("a", kPerIteration);
     ASSERT_FALSE(training->Weights(1).empty());
     for (int i = 0; i < 2; ++i) training->Play("liar", kPerIteration, Poison);
     EXPECT_THAT(training->Wait(), StatusIs(absl::StatusCode::kDataLoss, HasSubstr("gradient")));
   }
-  const auto training = Begin("ended", /*keep_fragments=*/true, /*resume=*/true);
+  const auto training = Begin("ended", {/*keep_fragments=*/true, /*resume=*/true});
   EXPECT_EQ(training->Metric("iteration"), 1) << "although the next checkpoint was only due after 100";
   training->Play("a", kPerIteration);
   EXPECT_EQ(training->Weights(2), quiet);
@@ -265,7 +272,7 @@ TEST_F(TrainerTest, TheSecondFailureInARowEndsTheLearnerAndItResumes) {
 
 TEST_F(TrainerTest, ALaneResetWithinAnIterationDoesNotChangeTheResult) {
   const std::string quiet = QuietWeights();
-  const auto training = Begin("put-back", /*keep_fragments=*/true);
+  const auto training = Begin("put-back", {/*keep_fragments=*/true});
   training->Play("a", kPerIteration);
   // The first fragment of each lane has a snapshot with a valid envelope but invalid content.
   training->Play("liar", kLanes, [](Fragment* fragment) {
@@ -275,6 +282,46 @@ TEST_F(TrainerTest, ALaneResetWithinAnIterationDoesNotChangeTheResult) {
   training->RefuseAll("a");
   training->Play("a", kPerIteration);
   EXPECT_EQ(training->Weights(2), quiet);
+}
+
+TEST_F(TrainerTest, OverlappedIterationsArePlayedWithTheWeightsFromBeforeTheUpdate) {
+  const auto training = Begin("overlapped", {/*keep_fragments=*/false, /*resume=*/false, /*overlap=*/1});
+  std::vector<int64_t> versions;
+  training->Play("a", 4 * kPerIteration, [&](Fragment* f) { versions.push_back(f->policy_version); });
+  std::vector<int64_t> wanted;
+  for (const int64_t version : {0, 0, 1, 2}) wanted.insert(wanted.end(), kPerIteration, version);
+  EXPECT_EQ(versions, wanted);
+}
+
+TEST_F(TrainerTest, AnOverlappedUpdateThatFailsIsUndoneWithTheFragmentsPlayedMeanwhile) {
+  const Variant overlapped = {/*keep_fragments=*/true, /*resume=*/false, /*overlap=*/1};
+  const auto quiet = Begin("quiet-overlapped", overlapped);
+  quiet->Play("a", 3 * kPerIteration);
+  const auto training = Begin("disturbed-overlapped", overlapped);
+  training->Play("a", kPerIteration);
+  training->Play("liar", kPerIteration, Poison);
+  while (training->Metric("updates_undone") == 0) training->Join("a");
+  std::vector<int64_t> versions;
+  training->Play("a", 2 * kPerIteration, [&](Fragment* f) { versions.push_back(f->policy_version); });
+  EXPECT_EQ(versions, (std::vector<int64_t>{0, 0, 0, 0, 1, 1, 1, 1}));
+  EXPECT_EQ(training->Weights(3), quiet->Weights(3));
+}
+
+TEST_F(TrainerTest, AnOverlappedRunResumesWithTheWeightsThatItPlayedWith) {
+  const Variant overlapped = {/*keep_fragments=*/false, /*resume=*/false, /*overlap=*/1};
+  const auto quiet = Begin("quiet-overlapped", overlapped);
+  quiet->Play("a", 3 * kPerIteration);
+  {
+    const auto training = Begin("stopped", overlapped);
+    training->Play("a", 2 * kPerIteration);
+    ASSERT_FALSE(training->Weights(2).empty());
+    ASSERT_THAT(training->Stop(), IsOk());
+  }
+  const auto training = Begin("stopped", {/*keep_fragments=*/false, /*resume=*/true, /*overlap=*/1});
+  std::vector<int64_t> versions;
+  training->Play("a", kPerIteration, [&](Fragment* f) { versions.push_back(f->policy_version); });
+  EXPECT_EQ(versions, (std::vector<int64_t>(kPerIteration, 1)));
+  EXPECT_EQ(training->Weights(3), quiet->Weights(3));
 }
 
 }  // namespace

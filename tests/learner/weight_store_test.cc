@@ -45,6 +45,16 @@ TEST(WeightStore, ReturnedBytesStayValid) {
   EXPECT_EQ(*taken.bytes, "weights 1");
 }
 
+TEST(WeightStore, KeepsTheVersionsThatAreWanted) {
+  WeightStore store(/*kept=*/2);
+  for (int version = 1; version <= 3; ++version) store.Publish(version, Bytes(version));
+  EXPECT_EQ(store.Wait(1, absl::ZeroDuration()).version, 3);
+  EXPECT_EQ(store.Wait(2, absl::ZeroDuration()).version, 2);
+  EXPECT_EQ(*store.Wait(2, absl::ZeroDuration()).bytes, "weights 2");
+  EXPECT_EQ(store.Wait(3, absl::ZeroDuration()).version, 3);
+  EXPECT_EQ(store.Wait(4, absl::ZeroDuration()).version, 3);
+}
+
 TEST(WeightStore, PublishWakesWaitingCalls) {
   constexpr int64_t kVersions = 200;
   WeightStore store;

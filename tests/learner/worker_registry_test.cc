@@ -148,7 +148,7 @@ TEST_F(WorkerRegistryTest, APermitForAResetLaneRequiresItsSnapshot) {
   ASSERT_THAT(granted, SizeIs(1));
   EXPECT_FALSE(granted[0].reload) << "its game is valid again";
   // The iteration is undone: the same fragment is played again, from the snapshot.
-  registry.RewindIteration();
+  registry.RewindIterations(1);
   registry.OpenIteration(8, 1);
   granted = ask("holds the game");
   ASSERT_THAT(granted, SizeIs(1));

@@ -14,17 +14,13 @@ namespace {
 constexpr int kFrameSize = 64;      // pixels, width and height of what an agent sees
 constexpr int kRecordedSize = 576;  // pixels, width and height of videos
 
-absl::Span<uint8_t> Bytes(std::string* text) {
-  return absl::MakeSpan(reinterpret_cast<uint8_t*>(text->data()), text->size());
-}
-
 }  // namespace
 
 absl::StatusOr<std::unique_ptr<PlaySession>> PlaySession::Create(const Options& options) {
   CRAFTFLEET_ASSIGN_OR_RETURN(const auto renderer,
                               SquareRenderer(*options.textures, options.env, kEpisodeLength, kFrameSize));
   std::string frame(renderer->frame_bytes(), '\0');
-  CRAFTFLEET_ASSIGN_OR_RETURN(Game game, Game::Create(renderer, options.seed, Bytes(&frame), options.episode));
+  CRAFTFLEET_ASSIGN_OR_RETURN(Game game, Game::Create(renderer, options.seed, FrameBytes(&frame), options.episode));
   auto session = absl::WrapUnique(new PlaySession(options, std::move(game), std::move(frame)));
   if (!options.record_folder.empty()) {
     EpisodeRecorder::Options recording;
@@ -40,7 +36,7 @@ absl::StatusOr<std::unique_ptr<PlaySession>> PlaySession::Create(const Options& 
 
 absl::Status PlaySession::Step(Action action) {
   if (ended()) return absl::OkStatus();
-  const StepOutcome outcome = game_.Step(action, Bytes(&frame_));
+  const StepOutcome outcome = game_.Step(action, FrameBytes(&frame_));
   end_ = outcome.end;
   events_.Add(world(), outcome);
   if (recorder_ == nullptr) return absl::OkStatus();
@@ -50,7 +46,7 @@ absl::Status PlaySession::Step(Action action) {
 
 absl::Status PlaySession::StartNextEpisode() {
   if (recorder_ != nullptr) CRAFTFLEET_RETURN_IF_ERROR(recorder_->FinishAll());
-  game_.Reset(Bytes(&frame_));
+  game_.Reset(FrameBytes(&frame_));
   end_ = StepEnd::kNone;
   events_.Clear();
   return recorder_ == nullptr ? absl::OkStatus() : StartRecording();
@@ -76,8 +72,8 @@ std::vector<TextLine> PlaySession::Panel() const {
       {absl::StrFormat("seed %d, episode %d", world().seed(), world().episode())},
       {absl::StrFormat("step %d, %s%s", world().step(), world().daylight() < 0.5 ? "night" : "day",
                        world().player().sleeping ? ", asleep" : "")},
-      {absl::StrFormat("reward %.1f, %d of %d unlocked", world().episode_reward(), Unlocked(world()),
-                       kNumAchievements)},
+      {absl::StrFormat("reward %.1f, %d of %d unlocked", world().episode_reward(),
+                       CountUnlocked(world().player().achievements), kNumAchievements)},
       NeedsLine(world()),
       {""},
   };
@@ -96,7 +92,8 @@ std::string PlaySession::Summary() const {
   }
   return absl::StrFormat("%s, seed %d, episode %d: %d steps, reward %.1f, %d of %d achievements%s",
                          options_.env.ToString(), world().seed(), world().episode(), world().step(),
-                         world().episode_reward(), Unlocked(world()), kNumAchievements, names);
+                         world().episode_reward(), CountUnlocked(world().player().achievements), kNumAchievements,
+                         names);
 }
 
 }  // namespace craftfleet

@@ -1,7 +1,5 @@
 #include "deploy/cli/screen/game_text.h"
 
-#include <algorithm>
-
 #include <absl/strings/str_cat.h>
 #include <absl/strings/str_format.h>
 #include <absl/strings/str_replace.h>
@@ -9,12 +7,6 @@
 namespace craftfleet {
 
 std::string Words(absl::string_view name) { return absl::StrReplaceAll(name, {{"_", " "}}); }
-
-int Unlocked(const World& world) {
-  const auto& achievements = world.player().achievements;
-  return static_cast<int>(
-      std::count_if(achievements.begin(), achievements.end(), [](int32_t count) { return count > 0; }));
-}
 
 TextLine NeedsLine(const World& world) {
   const Player& player = world.player();

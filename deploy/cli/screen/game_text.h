@@ -17,9 +17,6 @@ namespace craftfleet {
 // The name of an item or achievement in words: "wood pickaxe".
 std::string Words(absl::string_view name);
 
-// The number of achievements unlocked in this episode.
-int Unlocked(const World& world);
-
 // "health 9  food 8  drink 7  energy 6".
 TextLine NeedsLine(const World& world);
 

@@ -8,14 +8,6 @@
 #include "common/base/status_macros.h"
 
 namespace craftfleet {
-namespace {
-
-absl::Span<uint8_t> Bytes(std::string* text) {
-  return absl::MakeSpan(reinterpret_cast<uint8_t*>(text->data()), text->size());
-}
-
-}  // namespace
-
 absl::StatusOr<std::unique_ptr<AgentGame>> AgentGame::Create(const Options& options,
                                                              std::shared_ptr<const Policy> policy, int64_t episode) {
   const int length = options.length == 0 ? kEpisodeLength : options.length;
@@ -29,7 +21,7 @@ absl::StatusOr<std::unique_ptr<AgentGame>> AgentGame::Create(const Options& opti
 absl::Status AgentGame::Start(std::shared_ptr<const Policy> policy, int64_t episode) {
   policy_ = std::move(policy);
   frame_.assign(renderer_->frame_bytes(), '\0');
-  CRAFTFLEET_ASSIGN_OR_RETURN(Game game, Game::Create(renderer_, options_.seed, Bytes(&frame_), episode));
+  CRAFTFLEET_ASSIGN_OR_RETURN(Game game, Game::Create(renderer_, options_.seed, FrameBytes(&frame_), episode));
   game_.emplace(std::move(game));
   state_.assign(policy_->state_size(), 0);
   outcome_ = StepOutcome();
@@ -39,18 +31,21 @@ absl::Status AgentGame::Start(std::shared_ptr<const Policy> policy, int64_t epis
 
 absl::Status AgentGame::Step() {
   if (ended()) return absl::OkStatus();
-  outcome_ = game_->Step(decision_->action, Bytes(&frame_));
+  const std::string before = frame_;
+  outcome_ = game_->Step(decision_->action, FrameBytes(&frame_));
   events_.Add(world(), outcome_);
-  return ended() ? absl::OkStatus() : Decide();
+  if (ended()) return absl::OkStatus();
+  if (policy_->has_memory() && UnlocksAchievement(static_cast<float>(outcome_.reward))) {
+    CRAFTFLEET_RETURN_IF_ERROR(policy_->Remember(before, frame_, {lane()}, absl::MakeSpan(state_)));
+  }
+  return Decide();
 }
 
 absl::Status AgentGame::Decide() {
-  // Like the evaluator, so that episodes are the same: lane and noise are those of the episode's number.
-  const int lane = static_cast<int>(world().episode());
-  const double noise = ActionNoise(static_cast<uint64_t>(options_.seed), lane, world().step());
-  CRAFTFLEET_ASSIGN_OR_RETURN(const ActResult act, options_.greedy
-                                                       ? policy_->ActGreedily(frame_, {lane}, absl::MakeSpan(state_))
-                                                       : policy_->Act(frame_, {lane}, {noise}, absl::MakeSpan(state_)));
+  const double noise = ActionNoise(static_cast<uint64_t>(options_.seed), lane(), world().step());
+  CRAFTFLEET_ASSIGN_OR_RETURN(const ActResult act,
+                              options_.greedy ? policy_->ActGreedily(frame_, {lane()}, absl::MakeSpan(state_))
+                                              : policy_->Act(frame_, {lane()}, {noise}, absl::MakeSpan(state_)));
   decision_ = Decision{act.actions[0], act.odds[0], act.values[0]};
   return absl::OkStatus();
 }

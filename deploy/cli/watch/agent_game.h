@@ -70,6 +70,8 @@ class AgentGame {
       : options_(options), renderer_(std::move(renderer)), pictures_(options.textures, options.env) {}
 
   absl::Status Decide();
+  // As in the evaluator, so that episodes are the same: the episode's number.
+  int lane() const { return static_cast<int>(world().episode()); }
 
   const Options options_;
   const std::shared_ptr<const Renderer> renderer_;

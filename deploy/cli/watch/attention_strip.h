@@ -41,12 +41,13 @@ StripPicture DrawStrip(const std::vector<StripColumn>& columns, AttentionDetail 
 // those before an achievement (`unlocks`, ascending), the first ones if there are too many; the rest is spread evenly.
 std::vector<int64_t> ChooseSteps(const std::vector<int64_t>& unlocks, int64_t length, int count);
 
-// Plays an episode, which has just begun, to its end. Returns the steps before an achievement was unlocked, and the
-// number of steps.
 struct EpisodeOutline {
-  std::vector<int64_t> unlocks;
-  int64_t length = 0;
+  std::vector<int64_t> unlocks;  // the steps before an achievement was unlocked, ascending
+  int64_t length = 0;            // steps
 };
+
+// Plays an episode, which has just begun, to its end.
+//   Errors as AgentGame::Step. Cancelled: `stop` became true.
 absl::StatusOr<EpisodeOutline> PlayOutline(const std::atomic<bool>& stop, AgentGame* game);
 
 // Plays an episode, which has just begun, up to the last of `steps` (ascending) and takes the columns there. Steps

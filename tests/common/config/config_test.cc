@@ -61,10 +61,11 @@ v1::RunConfig FromText(const std::string& text) { return ResolveRunConfig(ParseR
 
 TEST(RunConfig, AnEmptyFileGivesTheDefaults) { EXPECT_TRUE(MessageDifferencer::Equals(FromText(""), Resolved())); }
 
-TEST(RunConfig, PrecisionAndDeviceAreAbsentUnlessChosen) {
+TEST(RunConfig, PrecisionDeviceAndOverlapAreAbsentUnlessChosen) {
   EXPECT_FALSE(Resolved().has_precision());
   EXPECT_FALSE(Resolved().has_device());
-  EXPECT_TRUE(MessageDifferencer::Equals(FromText("precision: FP32 device: CPU"), Resolved()));
+  EXPECT_FALSE(Resolved().has_overlap());
+  EXPECT_TRUE(MessageDifferencer::Equals(FromText("precision: FP32 device: CPU overlap: 0"), Resolved()));
   EXPECT_EQ(FromText("precision: BF16 device: CUDA_UPDATES").precision(), v1::RunConfig::BF16);
   EXPECT_EQ(FromText("precision: BF16 device: CUDA_UPDATES").device(), v1::RunConfig::CUDA_UPDATES);
 }
@@ -295,6 +296,7 @@ INSTANTIATE_TEST_SUITE_P(
         BadValue{"lanes is 0, want 1..4096", [](auto* c) { c->set_lanes(0); }},
         BadValue{"fragment_steps is 20000, want 1..16384", [](auto* c) { c->set_fragment_steps(20000); }},
         BadValue{"tile is 0, want 1..256", [](auto* c) { c->set_tile(0); }},
+        BadValue{"overlap is 2, want 0..1", [](auto* c) { c->set_overlap(2); }},
         BadValue{"precision is PRECISION_UNSPECIFIED or unknown, want FP32, TF32 or BF16",
                  [](auto* c) { c->set_precision(v1::RunConfig::PRECISION_UNSPECIFIED); }},
         BadValue{"device is DEVICE_UNSPECIFIED or unknown, want CPU, CUDA or CUDA_UPDATES",

@@ -78,15 +78,6 @@ std::vector<Fragment> RandomFragments(const PpoUpdater& updater) {
   return fragments;
 }
 
-// The fragments must outlive it.
-Rollout RolloutOf(const PpoUpdater& updater, const std::vector<Fragment>& fragments) {
-  Rollout rollout;
-  for (const Fragment& fragment : fragments) {
-    EXPECT_TRUE(AppendFragment(fragment, updater.rollout_options(), &rollout).ok());
-  }
-  return rollout;
-}
-
 // An updater that has run `iterations` updates.
 struct Trained {
   Trained(const v1::RunConfig& config, const std::string& device, int iterations)

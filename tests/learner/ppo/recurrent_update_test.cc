@@ -59,15 +59,6 @@ std::vector<Fragment> Play(const PpoUpdater& updater) {
   return fragments;
 }
 
-// The fragments must outlive it.
-Rollout RolloutOf(const PpoUpdater& updater, const std::vector<Fragment>& fragments) {
-  Rollout rollout;
-  for (const Fragment& fragment : fragments) {
-    EXPECT_TRUE(AppendFragment(fragment, updater.rollout_options(), &rollout).ok());
-  }
-  return rollout;
-}
-
 double ValueLoss(const Rollout& rollout) {
   double sum = 0;
   for (size_t i = 0; i < rollout.size(); ++i) sum += std::pow(rollout.returns[i] - rollout.values[i], 2);

@@ -7,8 +7,10 @@
 #include <cstring>
 #include <map>
 #include <string>
+#include <vector>
 
 #include <absl/strings/match.h>
+#include <gtest/gtest.h>
 
 #include "common/agent/safetensors.h"
 #include "craftfleet/v1/config.pb.h"
@@ -32,6 +34,15 @@ inline v1::RunConfig SmallConfig(int minibatch_size, const std::string& agent = 
   ppo->set_max_gradient_norm(0.5);
   ppo->set_adam_epsilon(1e-5);
   return config;
+}
+
+// The fragments must outlive it.
+inline Rollout RolloutOf(const PpoUpdater& updater, const std::vector<Fragment>& fragments) {
+  Rollout rollout;
+  for (const Fragment& fragment : fragments) {
+    EXPECT_TRUE(AppendFragment(fragment, updater.rollout_options(), &rollout).ok());
+  }
+  return rollout;
 }
 
 // An optimiser that has not stepped yet, for Load.

@@ -18,14 +18,14 @@ namespace craftfleet {
 namespace {
 
 // The episodes of `craftfleet eval`.
-std::vector<Episode> EvaluatedEpisodes(const Policy& policy, int frame_bytes, bool greedy) {
+std::vector<Episode> EvaluatedEpisodes(const Policy& policy, int frame_bytes, bool greedy, int length = 40) {
   const auto service = *EnvServiceImpl::Create(*DefaultTextureDir());
   const auto server = *wire::Server::Create({}, {service.get()});
   v1::SessionHello hello;
   hello.set_protocol_version(wire::kProtocolVersion);
   hello.mutable_env()->set_name("crafter");
   hello.mutable_env()->set_frame_size(64);
-  hello.mutable_env()->set_length(40);
+  hello.mutable_env()->set_length(length);
   EnvClient env(server->InProcess(), hello, frame_bytes, absl::Seconds(60));
   EXPECT_THAT(env.Connect(absl::Seconds(5)), IsOk());
   EvaluationOptions options;
@@ -54,6 +54,28 @@ TEST(AgentGame, PlaysTheEpisodesOfEval) {
       EXPECT_EQ((*game)->world().player().achievements, episodes[number].achievements);
     }
   }
+}
+
+// Whose network has a memory of the last achievement, which changes what it plays after one.
+std::unique_ptr<const Policy> PolicyWithMemory() {
+  v1::RunConfig config;
+  config.set_agent("ppo_cnn");
+  config.mutable_network()->set_memory(true);
+  const AgentSpec spec = *MakeAgentSpec(config);
+  return *Policy::Create(spec, SampleWeights(1, spec), 1);
+}
+
+TEST(AgentGame, RemembersAchievementsAsEvalDoes) {
+  const std::shared_ptr<const Policy> policy = PolicyWithMemory();
+  ASSERT_TRUE(policy->has_memory());
+  const Episode episode = EvaluatedEpisodes(*policy, 3 * 64 * 64, /*greedy=*/false, /*length=*/200)[0];
+  ASSERT_GT(CountUnlocked(episode.achievements), 0);
+  const auto game = AgentGame::Create(WatchedOptions(200), policy, 3);
+  ASSERT_THAT(game, IsOk());
+  while (!(*game)->ended()) ASSERT_THAT((*game)->Step(), IsOk());
+  EXPECT_EQ((*game)->world().step(), episode.length);
+  EXPECT_EQ((*game)->world().episode_reward(), episode.reward);
+  EXPECT_EQ((*game)->world().player().achievements, episode.achievements);
 }
 
 TEST(AgentGame, RepeatsAnEpisodeOfARecurrentAgent) {

@@ -1,0 +1,39 @@
+// The flags that the programs with a game on a screen share, checked and turned into what they name.
+
+#ifndef CRAFTFLEET_DEPLOY_CLI_SCREEN_GAME_FLAGS_H_
+#define CRAFTFLEET_DEPLOY_CLI_SCREEN_GAME_FLAGS_H_
+
+#include <cstdint>
+#include <memory>
+#include <string>
+
+#include <absl/status/status.h>
+#include <absl/status/statusor.h>
+
+#include "common/config/env_name.h"
+#include "deploy/cli/screen/screen.h"
+#include "envserver/render/textures.h"
+
+namespace craftfleet {
+
+// All return errors that name the flag.
+
+// --env.
+absl::StatusOr<EnvName> EnvFromFlag(const std::string& name);
+
+// --textures: a folder; empty: the textures that are built in.
+absl::StatusOr<std::shared_ptr<const Textures>> TexturesFromFlag(const std::string& folder);
+
+// --episode: 1..1,000,000,000.
+absl::Status CheckEpisodeFlag(int64_t episode);
+
+// --size: 64..1024 pixels.
+absl::Status CheckSizeFlag(int size);
+
+// --terminal: the terminal, otherwise a window with this title and room for pictures of `size` pixels.
+//   FailedPrecondition: there is no such screen.
+absl::StatusOr<std::unique_ptr<Screen>> OpenScreen(bool terminal, const std::string& title, int size);
+
+}  // namespace craftfleet
+
+#endif  // CRAFTFLEET_DEPLOY_CLI_SCREEN_GAME_FLAGS_H_
