@@ -90,6 +90,20 @@ class Pages(python_case.FolderCase):
             found = (SOURCE / path).exists() or list((SOURCE / path).parent.glob((SOURCE / path).name + "*"))
             self.assertTrue(found, f"{page}: {command}")
 
+  def test_recipes_of_contributing_name_files_and_what_is_in_them(self):
+    recipes = re.findall(r"^## (Add .*)\n((?:(?!## ).*\n)*)", pages.text_of("CONTRIBUTING.md"), re.MULTILINE)
+    self.assertGreater(len(recipes), 5)
+    for title, recipe in recipes:
+      quoted = [word for word in re.findall(r"`([^`]+)`", recipe) if "NAME" not in word]
+      paths = [SOURCE / word for word in quoted if re.fullmatch(r"[\w./-]+(\.\w+|/)", word)]
+      self.assertGreater(len(paths), 3, title)
+      for path in paths:
+        self.assertTrue(path.exists(), f"{title}: {path.relative_to(SOURCE)}")
+      sources = "".join(path.read_text(encoding="utf-8") for path in paths if path.is_file())
+      for name in quoted:
+        if re.fullmatch(r"k[A-Z]\w+|[A-Z][a-z]\w*|[A-Z]+_[A-Z]+", name):
+          self.assertTrue(re.search(rf"\b{name}\b", sources), f"{title}: none of the files that it names has {name}")
+
   def test_flags_of_commands_exist(self):
     checked = 0
     for page in pages.pages():
