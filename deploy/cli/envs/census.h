@@ -1,5 +1,5 @@
 // Counts the objects in new worlds of each environment of the paper.
-// Source: the CrafterOOD page, "Counts at reset".
+// Source: envserver/world/RULES.md, section 14.
 
 #ifndef CRAFTFLEET_DEPLOY_CLI_ENVS_CENSUS_H_
 #define CRAFTFLEET_DEPLOY_CLI_ENVS_CENSUS_H_
