@@ -189,12 +189,14 @@ void Actor::RunLoop(ActorLoop* loop) {
 
 absl::Status Actor::KeepPermits() {
   Backoff backoff(kFirstRetry, kLastRetry);
+  bool joined_again = false;  // since the last reply
   while (!stopping()) {
     std::vector<HeldPermit> failures;
     const v1::PermitRequest request = NextRequest(&failures);
     const absl::StatusOr<v1::PermitReply> reply = learner_.GetPermits(request);
     if (reply.ok()) {
       backoff.Reset();
+      joined_again = false;
       permits_.SetReported(failures);
       if (reply->finished()) return absl::OkStatus();
       const v1::RunConfig& config = joined_.config();
@@ -208,6 +210,7 @@ absl::Status Actor::KeepPermits() {
     }
     switch (ReactionTo(CallKind::kPermits, reply.status())) {
       case Reaction::kJoinAgain:
+        if (std::exchange(joined_again, true)) Pause(backoff.Next());
         LogInfo("%s", reply.status().message());
         permits_.DropWaiting();
         sender_.DropWaiting();
@@ -267,7 +270,9 @@ void Actor::HandleReply(const v1::PermitReply& reply) {
     env_servers_generation_ = reply.env_servers_generation();
     options_.env_servers->SetRegistered({reply.env_servers().begin(), reply.env_servers().end()});
   }
-  if (reply.lost_size() > 0) LogWarning("%d permits lapsed: others play these fragments", reply.lost_size());
+  if (reply.lost_size() > 0) {
+    log_.Warn("lapsed", absl::StrFormat("%d permits lapsed: others play these fragments", reply.lost_size()));
+  }
   for (const v1::Permit& lost : reply.lost()) {
     permits_.Release({{lost.lane(), lost.fragment(), lost.policy_version()}, joined_.epoch()});
   }

@@ -23,7 +23,9 @@
 #include "actor/permit_tracker.h"
 #include "actor/policy_source.h"
 #include "actor/server_health.h"
+#include "common/base/clock.h"
 #include "common/base/mutex.h"
+#include "common/telemetry/limited_log.h"
 #include "common/wire/channel.h"
 #include "craftfleet/v1/status.pb.h"
 
@@ -91,6 +93,8 @@ class Actor {
   v1::JoinReply joined_;       // the last one
   bool set_up_ = false;        // options_.set_up was called
   bool was_accepted_ = false;  // a learner has accepted it before
+  RealClock clock_;
+  LimitedLog log_{&clock_};  // of what the learner causes
   absl::Time retry_logged_ = absl::InfinitePast();
   int64_t env_servers_generation_ = 0;  // of the learner's registry, as last received
   std::unique_ptr<PolicySource> policies_;

@@ -4,12 +4,11 @@
 #include <utility>
 
 #include <absl/strings/str_cat.h>
+#include <absl/strings/str_format.h>
 #include <absl/strings/str_join.h>
 #include <absl/time/clock.h>
 
 #include "actor/error_policy.h"
-#include "common/base/clock.h"
-#include "common/telemetry/log.h"
 #include "common/telemetry/process_usage.h"
 
 namespace craftfleet {
@@ -58,7 +57,7 @@ absl::Status EnvConnections::Drop(size_t index, const absl::Status& why, int lan
   Server& server = *servers_[index];
   const bool stopping = cancelled();
   if (!stopping) {
-    LogWarning("%s; its %d games continue from their snapshots", why.message(), lanes);
+    Warn(server, why, absl::StrFormat("%s; its %d games continue from their snapshots", why.message(), lanes));
     if (ReactionTo(CallKind::kSession, why) == Reaction::kProbeFirst) health_->Suspect(server.client->server(), why);
   }
   server.client->Disconnect();
@@ -188,7 +187,11 @@ void EnvConnections::TryLater(Server* server, const absl::Status& error) {
 void EnvConnections::SetError(Server* server, const absl::Status& error) {
   const bool is_new = server->error != error && !absl::IsCancelled(error);
   server->error = error;
-  if (is_new) LogWarning("%s", error.message());
+  if (is_new) Warn(*server, error, error.message());
+}
+
+void EnvConnections::Warn(const Server& server, const absl::Status& error, absl::string_view text) {
+  log_.Warn(absl::StrCat(server.client->address(), " ", absl::StatusCodeToString(error.code())), text);
 }
 
 bool EnvConnections::AnyConnected() const {

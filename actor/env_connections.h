@@ -10,13 +10,16 @@
 #include <vector>
 
 #include <absl/status/status.h>
+#include <absl/strings/string_view.h>
 #include <absl/time/time.h>
 
 #include "actor/env_client.h"
 #include "actor/env_directory.h"
 #include "actor/server_health.h"
 #include "common/base/backoff.h"
+#include "common/base/clock.h"
 #include "common/base/mutex.h"
+#include "common/telemetry/limited_log.h"
 
 namespace craftfleet {
 
@@ -72,9 +75,11 @@ class EnvConnections {
   // Explains why no server is connected.
   absl::Status WhyNone() const;
   void Connect(Server* server);
-  static void TryLater(Server* server, const absl::Status& error);
+  void TryLater(Server* server, const absl::Status& error);
   // Remembers why there is no session with `server`, and logs it once.
-  static void SetError(Server* server, const absl::Status& error);
+  void SetError(Server* server, const absl::Status& error);
+  // Logs what a server did; few lines of each kind of error, whatever it does.
+  void Warn(const Server& server, const absl::Status& error, absl::string_view text);
   bool AnyConnected() const;
   bool cancelled() const ABSL_LOCKS_EXCLUDED(mu_);
 
@@ -82,6 +87,8 @@ class EnvConnections {
   const v1::SessionHello hello_;
   const int frame_bytes_;
   const std::shared_ptr<ServerHealth> health_;
+  RealClock clock_;
+  LimitedLog log_{&clock_};
   bool ever_connected_ = false;
   int64_t generation_ = 0;  // of the directory, as followed
 

@@ -8,6 +8,7 @@
 #include "actor/error_policy.h"
 #include "actor/evaluator.h"
 #include "common/agent/policy.h"
+#include "common/agent/weights.h"
 #include "common/base/clock.h"
 #include "common/base/status_macros.h"
 #include "common/telemetry/log.h"
@@ -75,7 +76,8 @@ void EvaluationWorker::Run() {
 }
 
 absl::Status EvaluationWorker::Play(const Job& job) {
-  CRAFTFLEET_ASSIGN_OR_RETURN(const std::string weights, learner_->GetEvaluationWeights(job.task.id()));
+  CRAFTFLEET_ASSIGN_OR_RETURN(const std::string weights,
+                              learner_->GetEvaluationWeights(job.task.id(), MaxWeightsBytes(options_.spec)));
   CRAFTFLEET_ASSIGN_OR_RETURN(const std::unique_ptr<const Policy> policy,
                               Policy::Create(options_.spec, weights, options_.tile, options_.device));
   CRAFTFLEET_ASSIGN_OR_RETURN(EnvClient * env, Connect(job.task.env()));

@@ -127,17 +127,17 @@ void LearnerClient::Cancel() {
   for (grpc::ClientContext* call : calls_) call->TryCancel();
 }
 
-absl::StatusOr<std::pair<int64_t, std::string>> LearnerClient::GetWeights(int64_t version) const {
+absl::StatusOr<std::pair<int64_t, std::string>> LearnerClient::GetWeights(int64_t version, int64_t max_bytes) const {
   v1::WeightsRequest request;
   request.set_at_least(version);
   request.set_wait_ms(kWeightsWaitMs);
-  return ReceiveWeights(request);
+  return ReceiveWeights(request, max_bytes);
 }
 
-absl::StatusOr<std::string> LearnerClient::GetEvaluationWeights(int64_t id) const {
+absl::StatusOr<std::string> LearnerClient::GetEvaluationWeights(int64_t id, int64_t max_bytes) const {
   v1::WeightsRequest request;
   request.set_evaluation(id);
-  CRAFTFLEET_ASSIGN_OR_RETURN(auto weights, ReceiveWeights(request));
+  CRAFTFLEET_ASSIGN_OR_RETURN(auto weights, ReceiveWeights(request, max_bytes));
   return std::move(weights.second);
 }
 
@@ -147,7 +147,8 @@ absl::Status LearnerClient::FinishEvaluation(const v1::EvaluationResult& result)
   return FromCall(stub_->FinishEvaluation(call.context(), result, &reply));
 }
 
-absl::StatusOr<std::pair<int64_t, std::string>> LearnerClient::ReceiveWeights(const v1::WeightsRequest& request) const {
+absl::StatusOr<std::pair<int64_t, std::string>> LearnerClient::ReceiveWeights(const v1::WeightsRequest& request,
+                                                                              int64_t max_bytes) const {
   Call call(this, kWeightsTimeout);
   const auto stream = stub_->GetWeights(call.context(), request);
   std::pair<int64_t, std::string> weights = {-1, ""};
@@ -155,7 +156,8 @@ absl::StatusOr<std::pair<int64_t, std::string>> LearnerClient::ReceiveWeights(co
   v1::WeightsChunk chunk;
   absl::Status checked;
   while (checked.ok() && stream->Read(&chunk)) {
-    checked = CheckWeightsChunk(chunk, weights.first, total_bytes, static_cast<int64_t>(weights.second.size()));
+    checked =
+        CheckWeightsChunk(chunk, max_bytes, weights.first, total_bytes, static_cast<int64_t>(weights.second.size()));
     weights.first = chunk.policy_version();
     total_bytes = chunk.total_bytes();
     if (checked.ok()) weights.second.append(chunk.data());

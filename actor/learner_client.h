@@ -44,10 +44,11 @@ class LearnerClient {
   void Cancel() ABSL_LOCKS_EXCLUDED(mu_);
 
   // Fetches the weights of `version` or a later one: (version, safetensors bytes).
-  absl::StatusOr<std::pair<int64_t, std::string>> GetWeights(int64_t version) const;
+  //   DataLoss: the learner sends more than `max_bytes`, or parts that do not fit together.
+  absl::StatusOr<std::pair<int64_t, std::string>> GetWeights(int64_t version, int64_t max_bytes) const;
 
-  // Fetches the weights (safetensors) for evaluation task `id`.
-  absl::StatusOr<std::string> GetEvaluationWeights(int64_t id) const;
+  // Fetches the weights (safetensors) for evaluation task `id`.   Errors as GetWeights.
+  absl::StatusOr<std::string> GetEvaluationWeights(int64_t id, int64_t max_bytes) const;
   absl::Status FinishEvaluation(const v1::EvaluationResult& result) const;
 
   // Opens a stream for fragments. Cancelling `context` ends it.
@@ -68,7 +69,8 @@ class LearnerClient {
   // Converts the status of a finished call, and adds the learner's name.
   absl::Status FromCall(const grpc::Status& status) const ABSL_LOCKS_EXCLUDED(mu_);
 
-  absl::StatusOr<std::pair<int64_t, std::string>> ReceiveWeights(const v1::WeightsRequest& request) const;
+  absl::StatusOr<std::pair<int64_t, std::string>> ReceiveWeights(const v1::WeightsRequest& request,
+                                                                 int64_t max_bytes) const;
 
   const wire::Endpoint learner_;
   const std::string name_;  // "learner ADDRESS"

@@ -88,11 +88,12 @@ absl::Status CheckPermitReply(const v1::PermitRequest& request, int lanes, int f
   return reply.has_evaluation() ? CheckEvaluation(reply.evaluation(), frame_size) : absl::OkStatus();
 }
 
-absl::Status CheckWeightsChunk(const v1::WeightsChunk& chunk, int64_t version, int64_t total_bytes, int64_t received) {
+absl::Status CheckWeightsChunk(const v1::WeightsChunk& chunk, int64_t max_bytes, int64_t version, int64_t total_bytes,
+                               int64_t received) {
   CRAFTFLEET_RETURN_IF_ERROR(Within("weights: policy_version", chunk.policy_version(), version < 0 ? 0 : version,
                                     version < 0 ? kMaxCount : version));
-  CRAFTFLEET_RETURN_IF_ERROR(Within("weights: total_bytes", chunk.total_bytes(), version < 0 ? 1 : total_bytes,
-                                    version < 0 ? kMaxWeightsBytes : total_bytes));
+  CRAFTFLEET_RETURN_IF_ERROR(Within("weights of the run's agent: total_bytes", chunk.total_bytes(),
+                                    version < 0 ? 1 : total_bytes, version < 0 ? max_bytes : total_bytes));
   return Within("weights: bytes of data received", received + static_cast<int64_t>(chunk.data().size()), 0,
                 chunk.total_bytes());
 }

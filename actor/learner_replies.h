@@ -15,9 +15,6 @@ namespace craftfleet {
 
 // All checks return DataLoss with field, value and what was expected.
 
-// The maximum size of weights, in bytes: far above the largest agent, well below a host's memory.
-inline constexpr int64_t kMaxWeightsBytes = int64_t{2} << 30;
-
 // Also resolves and checks the configuration.
 absl::Status CheckJoinReply(v1::JoinReply* reply);
 
@@ -25,9 +22,11 @@ absl::Status CheckJoinReply(v1::JoinReply* reply);
 absl::Status CheckPermitReply(const v1::PermitRequest& request, int lanes, int frame_size,
                               const v1::PermitReply& reply);
 
-// Checks the next chunk of weights. `version` (-1: this is the first chunk) and `total_bytes` are those of the earlier
-// chunks, and `received` is the number of bytes in them.
-absl::Status CheckWeightsChunk(const v1::WeightsChunk& chunk, int64_t version, int64_t total_bytes, int64_t received);
+// Checks the next chunk of weights, which may have `max_bytes` in all (MaxWeightsBytes of the run's agent). `version`
+// (-1: this is the first chunk) and `total_bytes` are those of the earlier chunks, and `received` is the number of
+// bytes in them.
+absl::Status CheckWeightsChunk(const v1::WeightsChunk& chunk, int64_t max_bytes, int64_t version, int64_t total_bytes,
+                               int64_t received);
 
 // Returns a lane's snapshot. Only the size of its game is checked here; environment servers check its content.
 absl::StatusOr<LaneSnapshot> ReadSnapshot(v1::SnapshotReply* reply, int state_size);

@@ -5,6 +5,7 @@
 
 #include <absl/strings/str_format.h>
 
+#include "common/agent/weights.h"
 #include "common/base/status_macros.h"
 #include "common/process/heap.h"
 
@@ -16,7 +17,7 @@ PolicySource::PolicySource(const LearnerClient* learner, AgentSpec spec, int til
 absl::StatusOr<std::shared_ptr<const Policy>> PolicySource::Get(int64_t epoch, int64_t version) {
   MutexLock lock(&mu_);
   if (epoch_ == epoch && version_ == version) return policy_;
-  CRAFTFLEET_ASSIGN_OR_RETURN(const auto weights, learner_->GetWeights(version));
+  CRAFTFLEET_ASSIGN_OR_RETURN(const auto weights, learner_->GetWeights(version, MaxWeightsBytes(spec_)));
   const auto& [fetched, bytes] = weights;
   CRAFTFLEET_ASSIGN_OR_RETURN(policy_, Policy::Create(spec_, bytes, tile_, device_));
   epoch_ = epoch;

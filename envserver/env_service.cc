@@ -13,7 +13,6 @@
 #include "common/config/env_name.h"
 #include "common/io/texture_digest.h"
 #include "common/process/version.h"
-#include "common/telemetry/log.h"
 #include "common/wire/convert.h"
 #include "common/wire/grpc_status.h"
 #include "common/wire/protocol.h"
@@ -64,7 +63,7 @@ class EnvServiceImpl::SessionGuard {
     std::string& run_id = service_->run_id_;
     const std::string last_run_id = run_id;
     if (service_->sessions_.empty() || run_id.empty()) run_id = hello.run_id();
-    if (run_id != last_run_id && !run_id.empty()) LogInfo("serves run %s", run_id);
+    if (run_id != last_run_id && !run_id.empty()) service_->log_.Info("run", absl::StrCat("serves run ", run_id));
     CRAFTFLEET_RETURN_IF_ERROR(wire::CheckHandshake("environment server", {wire::kProtocolVersion, run_id, ""}, "actor",
                                                     {wire::kProtocolVersion, hello.run_id(), ""}));
     service_->sessions_[this] = {hello.client(), address, 0, &meter_};

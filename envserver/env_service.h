@@ -92,7 +92,7 @@ class EnvServiceImpl final : public v1::EnvironmentService::Service {
   v1::ProcessSummary RecentSummary() ABSL_LOCKS_EXCLUDED(mu_);
 
   RealClock clock_;
-  LimitedLog log_{&clock_};  // of lanes that were refused and sessions that ended with an error
+  LimitedLog log_{&clock_};  // of what clients cause
   std::atomic<int64_t> episodes_{0};
   std::atomic<int64_t> rejected_{0};  // sessions ended by a bad request
 

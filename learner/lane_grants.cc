@@ -44,15 +44,29 @@ bool LaneScheduler::HasOthers(const Actor& actor) const {
   });
 }
 
+bool LaneScheduler::HasOtherClients(const Actor& actor) const {
+  return std::any_of(actors_.begin(), actors_.end(), [&](const auto& entry) {
+    const Worker& other = *entry.second.worker;
+    return other.client.Name() != actor.worker->client.Name() && !other.draining && entry.second.capacity > 0;
+  });
+}
+
+absl::Time LaneScheduler::StallsAt(const Lane& lane, const Pace& pace) const {
+  return pace.grew + options_.progress * (int64_t{1} << std::min(lane.stalls, kMaxDoublings));
+}
+
 bool LaneScheduler::IsStalled(const Lane& lane, const Actor* player, const Pace& pace) const {
   if (player == nullptr || !lane.permit.has_value()) return false;
-  const absl::Duration patience = options_.progress * (int64_t{1} << std::min(lane.stalls, kMaxDoublings));
-  return clock_->Now() - pace.grew > patience && HasOthers(*player);
+  return clock_->Now() > StallsAt(lane, pace) && HasOthers(*player);
 }
 
 void LaneScheduler::EndStalls() {
-  std::map<Actor*, int> stalled;  // number of revoked permits
+  const absl::Time now = clock_->Now();
+  if (now <= next_stall_) return;
+  next_stall_ = now + options_.progress;  // of permits granted from now on
+  std::map<Actor*, int> stalled;          // number of revoked permits
   for (Lane& lane : lanes_) {
+    if (!lane.permit.has_value()) continue;
     bool stalls = false;
     // Check the holder twice: if it is revoked, the backup becomes the holder.
     for (int i = 0; i < 2 && IsStalled(lane, lane.holder, lane.pace); ++i) {
@@ -66,6 +80,9 @@ void LaneScheduler::EndStalls() {
       stalls = true;
     }
     if (stalls) ++lane.stalls;
+    if (!lane.permit.has_value()) continue;
+    next_stall_ = std::min(next_stall_, StallsAt(lane, lane.pace));
+    if (lane.backup != nullptr) next_stall_ = std::min(next_stall_, StallsAt(lane, lane.backup_pace));
   }
   for (auto& [name, actor] : actors_) {
     if (const auto entry = stalled.find(&actor); entry != stalled.end()) PauseStalled(name, &actor, entry->second);
@@ -88,7 +105,9 @@ void LaneScheduler::GiveToOthers(Lane* lane, Actor* actor) {
 }
 
 bool LaneScheduler::IsAvoided(const Lane& lane, const Actor& actor, absl::Time now) const {
-  return lane.avoided == &actor && now < lane.avoided_until && HasOthers(actor);
+  if (now >= lane.avoided_until) return false;
+  const bool has_reported = lane.report.has_value() && lane.report->client == actor.worker->client.Name();
+  return (lane.avoided == &actor && HasOthers(actor)) || (has_reported && HasOtherClients(actor));
 }
 
 bool LaneScheduler::IsPausing(const Actor& actor) const {
@@ -113,7 +132,7 @@ std::vector<Permit> LaneScheduler::Grant(absl::string_view actor_name) {
   std::vector<Permit> granted;
   for (const Claim wanted : {Claim::kOwn, Claim::kSpare, Claim::kUnclaimed}) {
     const int share = wanted == Claim::kUnclaimed ? shares.Most() : shares.Of(*actor);
-    int room = std::min(CapacityOf(*actor), share) - actor->permits;
+    int room = std::min(CapacityOf(*actor), share) - static_cast<int>(actor->permits.size());
     for (int l = 0; l < options_.lanes && room > 0; ++l) {
       Lane& lane = lanes_[l];
       if (lane.permit.has_value() || lane.record.next_fragment >= last_fragment_ ||
@@ -124,12 +143,12 @@ std::vector<Permit> LaneScheduler::Grant(absl::string_view actor_name) {
       lane.permit = Permit{l, lane.record.next_fragment, policy_version_, lane.reset_at == lane.record.next_fragment};
       lane.since = now;
       lane.pace = {0, now};
-      ++actor->permits;
+      actor->permits.insert(l);
       granted.push_back(*lane.permit);
       --room;
     }
   }
-  return granted.empty() && actor->permits == 0 ? GrantBackup(actor, shares) : granted;
+  return granted.empty() && actor->permits.empty() ? GrantBackup(actor, shares) : granted;
 }
 
 std::vector<Permit> LaneScheduler::GrantBackup(Actor* actor, const Shares& shares) {
@@ -138,12 +157,12 @@ std::vector<Permit> LaneScheduler::GrantBackup(Actor* actor, const Shares& share
   const absl::Duration age = lapsed_ > lapsed_before_ ? std::min(options_.patience, Overdue()) : Overdue();
   std::vector<Permit> granted;
   for (Lane& lane : lanes_) {
-    if (actor->permits >= most) break;
+    if (static_cast<int>(actor->permits.size()) >= most) break;
     if (!lane.permit.has_value() || lane.backup != nullptr || now - lane.since <= age) continue;
     if (IsAvoided(lane, *actor, now)) continue;
     lane.backup = actor;
     lane.backup_pace = {0, now};
-    ++actor->permits;
+    actor->permits.insert(NumberOf(lane));
     granted.push_back(*lane.permit);
   }
   return granted;

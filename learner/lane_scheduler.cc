@@ -15,7 +15,7 @@ namespace craftfleet {
 
 namespace {
 
-constexpr int kMaxRefusals = 4;  // of one snapshot, by any actors
+constexpr int kMaxUnanswered = 3;
 
 }  // namespace
 
@@ -46,7 +46,7 @@ std::vector<std::string> LaneScheduler::RemoveExpired() {
   for (auto actor = actors_.begin(); actor != actors_.end();) {
     const auto next = std::next(actor);
     if (now - actor->second.worker->leased_from > options_.lease) {
-      lapsed_ += actor->second.permits;
+      lapsed_ += static_cast<int64_t>(actor->second.permits.size());
       expired.push_back(actor->first);
       Remove(actor);
     }
@@ -90,7 +90,7 @@ absl::StatusOr<LaneScheduler::Verdict> LaneScheduler::Accept(absl::string_view a
   lane.accepted.push_back({fragment.fragment, digest, sender->first});
   lane.stalls = 0;
   lane.avoided = nullptr;
-  lane.refusals = 0;
+  lane.report.reset();
   EndPause(&sender->second);
   ++sender->second.fragments;
   if (lane.record.next_fragment < last_fragment_) changed_ = true;
@@ -134,21 +134,27 @@ void LaneScheduler::Refuse(absl::string_view actor_name, int l, int64_t fragment
   Lane& lane = lanes_[l];
   if (!IsPlayer(lane, &actor->second) || !lane.permit.has_value() || lane.permit->fragment != fragment) return;
   GiveToOthers(&lane, &actor->second);
-  if (lane.record.snapshot.game.empty()) return;  // a new game cannot be reset
-  const bool is_first = lane.refusals++ == 0;
-  const bool is_other = !is_first && lane.refuser != actor->first;
-  lane.refuser = actor->first;
-  LogWarning("actor %s can't restore lane %d: %s", actor->first, l, Printable(reason));
-  const bool is_enough = is_other || (!is_first && !HasOthers(actor->second)) || lane.refusals >= kMaxRefusals;
-  if (is_enough && !lane.permit.has_value()) Reset(&lane, reason);
   changed_ = true;
+  if (lane.record.snapshot.game.empty()) return;  // a new game cannot be reset
+  const bool is_first = !lane.report.has_value();
+  const bool is_confirmed = !is_first && (IsIndependent(*lane.report, actor->second) || !HasOthers(actor->second) ||
+                                          lane.report->unanswered >= kMaxUnanswered);
+  if (is_first) lane.report = Report{actor->second.worker->client.Name(), actor->first};
+  // Others are not logged: a lying actor may repeat its report for ever.
+  if (is_first || is_confirmed) LogWarning("actor %s can't restore lane %d: %s", actor->first, l, Printable(reason));
+  if (is_confirmed && !lane.permit.has_value()) Reset(&lane, reason);
+}
+
+bool LaneScheduler::IsIndependent(const Report& report, const Actor& actor) const {
+  const Worker& worker = *actor.worker;
+  return worker.client.Name() != report.client || (worker.name != report.actor && !HasOtherClients(actor));
 }
 
 void LaneScheduler::Reset(Lane* lane, absl::string_view reason) {
   LaneRecord& record = lane->record;
   const std::string sender = record.sender.empty() ? "an earlier start" : absl::StrCat("actor ", record.sender);
   const std::string error = absl::StrFormat("lane %d: the snapshot after its fragment %d, from %s, is not a game (%s)",
-                                            lane - lanes_.data(), record.next_fragment - 1, sender, Printable(reason));
+                                            NumberOf(*lane), record.next_fragment - 1, sender, Printable(reason));
   if (record.next_fragment > lane->start.next_fragment) {
     LogError("%s; it is played again from fragment %d on", error, lane->start.next_fragment);
     Rewind(lane);
@@ -164,7 +170,7 @@ void LaneScheduler::Reset(Lane* lane, absl::string_view reason) {
     lane->reset_at = record.next_fragment;  // its number does not change
   }
   ++resets_;
-  lane->refusals = 0;
+  lane->report.reset();
   lane->avoided = nullptr;
 }
 
@@ -172,7 +178,7 @@ void LaneScheduler::Rewind(Lane* lane) {
   lane->record = lane->start;
   while (!lane->accepted.empty() && lane->accepted.back().fragment >= lane->start.next_fragment)
     lane->accepted.pop_back();
-  lane->refusals = 0;
+  lane->report.reset();
 }
 
 void LaneScheduler::RewindIterations(int iterations) {
@@ -231,14 +237,14 @@ void LaneScheduler::ReleaseIdleLanes(absl::string_view actor) {
 }
 
 int LaneScheduler::permits() const {
-  int permits = 0;
-  for (const auto& [name, actor] : actors_) permits += actor.permits;
-  return permits;
+  size_t permits = 0;
+  for (const auto& [name, actor] : actors_) permits += actor.permits.size();
+  return static_cast<int>(permits);
 }
 
 int LaneScheduler::PermitsOf(absl::string_view actor) const {
   const auto entry = Find(actor);
-  return entry == actors_.end() ? 0 : entry->second.permits;
+  return entry == actors_.end() ? 0 : static_cast<int>(entry->second.permits.size());
 }
 
 std::vector<LaneRecord> LaneScheduler::Records() const {
@@ -257,7 +263,7 @@ LaneScheduler::ActorInfo LaneScheduler::InfoOf(const ActorMap::value_type& entry
   const Actor& actor = entry.second;
   return {entry.first,
           actor.worker->address,
-          actor.permits,
+          static_cast<int>(actor.permits.size()),
           actor.fragments,
           clock_->Now() - actor.worker->leased_from,
           actor.worker->draining,
@@ -267,8 +273,8 @@ LaneScheduler::ActorInfo LaneScheduler::InfoOf(const ActorMap::value_type& entry
 std::vector<Permit> LaneScheduler::Renew(absl::string_view actor_name, absl::Span<const Permit> active, int capacity) {
   Actor* const actor = &actors_.find(actor_name)->second;
   actor->capacity = std::clamp(capacity, 0, options_.lanes);
-  for (Lane& lane : lanes_) {
-    if (!IsPlayer(lane, actor) || !lane.permit.has_value()) continue;
+  for (const int l : std::vector<int>(actor->permits.begin(), actor->permits.end())) {
+    Lane& lane = lanes_[l];
     if (std::find(active.begin(), active.end(), *lane.permit) != active.end()) continue;
     Revoke(&lane, actor);
     actor->returned = clock_->Now();
@@ -293,8 +299,9 @@ void LaneScheduler::SetHolder(Lane* lane, Actor* actor) {
 }
 
 void LaneScheduler::EndPermit(Lane* lane) {
-  --lane->holder->permits;
-  if (lane->backup != nullptr) --lane->backup->permits;
+  const int l = NumberOf(*lane);
+  lane->holder->permits.erase(l);
+  if (lane->backup != nullptr) lane->backup->permits.erase(l);
   lane->backup = nullptr;
   lane->permit.reset();
   lane->since = clock_->Now();
@@ -302,13 +309,14 @@ void LaneScheduler::EndPermit(Lane* lane) {
 
 void LaneScheduler::Revoke(Lane* lane, Actor* actor) {
   if (!IsPlayer(*lane, actor)) return;
+  if (lane->report.has_value() && IsIndependent(*lane->report, *actor)) ++lane->report->unanswered;
   if (lane->backup == nullptr) {
     EndPermit(lane);
     SetHolder(lane, nullptr);
     lane->since = absl::InfinitePast();  // free for any actor at once
     return;
   }
-  --actor->permits;
+  actor->permits.erase(NumberOf(*lane));
   if (lane->holder == actor) {
     SetHolder(lane, lane->backup);
     lane->pace = lane->backup_pace;

@@ -8,6 +8,7 @@
 #include <functional>
 #include <map>
 #include <optional>
+#include <set>
 #include <string>
 #include <utility>
 #include <vector>
@@ -53,10 +54,17 @@ struct LaneRecord {
 // on a lane, so that slow agents can finish. The actor then gets no permits for 1 s, doubling up to 5 min, and after
 // that one at a time until it makes progress again.
 //
-// If two actors (or the only one, twice) can't restore a lane's snapshot, the lane is reset. If it has advanced in this
-// iteration, it is reset to the beginning of the iteration, so that the result does not change; otherwise to its
-// previous snapshot, or to a new game if it has none. Permit::reload is set in the permit for the first fragment after
-// a reset to another game.
+// A lane whose snapshot can't be restored is reset. If it has advanced in this iteration, it is reset to the beginning
+// of the iteration, so that the result does not change; otherwise to its previous snapshot, or to a new game if it has
+// none. Permit::reload is set in the permit for the first fragment after a reset to another game.
+//
+// Since a reset can change the result, one lying client must not cause it, whatever names its actors have. A client is
+// what can be told apart: a certificate or token or, without them, a host (WorkerClient). The first report that a
+// snapshot can't be restored only moves the lane to an actor of another client, which either plays the fragment, and
+// the report is forgotten, or confirms the report. Where all actors that can play are of one client, as in a fleet with
+// one token, another actor of that client confirms it; a single actor confirms its own report, as there is nobody else
+// to ask. Actors that get the lane to confirm a report, but neither play it nor report, must not keep a lane broken:
+// after three of them, the next report confirms.
 //
 // Not thread-safe.
 class LaneScheduler {
@@ -95,7 +103,7 @@ class LaneScheduler {
 
   // Records the progress that the actor reports: `steps` played of each of `active`; empty: no progress.
   void NoteProgress(absl::string_view actor, absl::Span<const Permit> active, absl::Span<const int64_t> steps);
-  // Revokes permits without progress.
+  // Revokes permits without progress. Takes time only when one may have been without it for long enough.
   void EndStalls();
   // Updates `actor`, which is known: it can play `capacity` lanes at once and reports the permits `active`. Frees its
   // other permits. Returns those of `active` that it has lost.
@@ -159,7 +167,7 @@ class LaneScheduler {
     absl::Time returned = absl::InfinitePast();  // when it last returned permits
     int capacity = 0;                            // lanes it can play at once, as last reported
     int held = 0;                                // lanes it holds
-    int permits = 0;                             // outstanding ones, including backups
+    std::set<int> permits;                       // lanes for which it has one, including backups
     int64_t fragments = 0;
     absl::Duration pause;  // length of the current or last pause for lack of progress; 0: it has progressed since
     absl::Time pause_end = absl::InfinitePast();
@@ -178,6 +186,12 @@ class LaneScheduler {
     std::string sender;
     bool differs = false;  // a duplicate with other content was logged
   };
+  // That a snapshot can't be restored.
+  struct Report {
+    std::string client;  // WorkerClient::Name of the actor that reported it
+    std::string actor;
+    int unanswered = 0;  // actors whose word would count beside this one's that had the lane since, but did not play it
+  };
   struct Lane {
     LaneRecord record;
     LaneRecord start;              // at the beginning of the current iteration
@@ -191,8 +205,7 @@ class LaneScheduler {
     int stalls = 0;            // permits revoked for lack of progress since the last fragment
     Actor* avoided = nullptr;  // failed to play it last; others are preferred until avoided_until
     absl::Time avoided_until;
-    std::string refuser;                    // last actor that could not restore its snapshot
-    int refusals = 0;                       // number of such reports
+    std::optional<Report> report;           // the first one on its current snapshot
     int64_t reset_at = -1;                  // fragment before which it was reset; games that actors hold there are void
     std::deque<AcceptedFragment> accepted;  // of the current iteration and the previous one
     bool restored = false;                  // advanced by Restore since `start`
@@ -216,9 +229,14 @@ class LaneScheduler {
   void PauseStalled(absl::string_view name, Actor* actor, int permits);
   // The number of lanes that the actor may currently play at once.
   static int CapacityOf(const Actor& actor);
+  // When the player's permit is revoked, if it makes no progress until then.
+  absl::Time StallsAt(const Lane& lane, const Pace& pace) const;
   bool IsStalled(const Lane& lane, const Actor* player, const Pace& pace) const;
-  // Whether another actor could play.
+  // Whether another actor could play; or an actor of another client.
   bool HasOthers(const Actor& actor) const;
+  bool HasOtherClients(const Actor& actor) const;
+  // Whether the actor's word counts beside that of `report`.
+  bool IsIndependent(const Report& report, const Actor& actor) const;
   // Revokes the lane's permit from `actor` and prefers other actors for it.
   void GiveToOthers(Lane* lane, Actor* actor);
   // Resets a lane whose snapshot can't be restored; logs `reason`.
@@ -239,6 +257,7 @@ class LaneScheduler {
   bool IsAvoided(const Lane& lane, const Actor& actor, absl::Time now) const;
   Shares FairShares() const;
   static bool IsPlayer(const Lane& lane, const Actor* actor) { return lane.holder == actor || lane.backup == actor; }
+  int NumberOf(const Lane& lane) const { return static_cast<int>(&lane - lanes_.data()); }
   static void SetHolder(Lane* lane, Actor* actor);
   // Ends the lane's permit for both players.
   void EndPermit(Lane* lane);
@@ -251,6 +270,7 @@ class LaneScheduler {
   bool changed_ = false;
   std::vector<Lane> lanes_;
   ActorMap actors_;
+  absl::Time next_stall_ = absl::InfinitePast();  // no permit is stalled before then
   int64_t lapsed_ = 0;
   int64_t lapsed_before_ = 0;  // lapsed_ when the iteration was opened
   int64_t resets_;

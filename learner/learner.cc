@@ -93,12 +93,14 @@ absl::StatusOr<BuildCheck::Options> ExpectedBuild(v1::RunConfig::Cpu cpu, absl::
   return BuildCheck::Options{BuildId(), canary, std::string(KnownGameCanary(texture_digest)), allow_mixed};
 }
 
-WorkerRegistry::Options RegistryOptions(const v1::RunConfig& config, int resets, BuildCheck::Options build) {
+WorkerRegistry::Options RegistryOptions(const v1::RunConfig& config, int resets, int connections_per_client,
+                                        BuildCheck::Options build) {
   WorkerRegistry::Options options;
   options.lanes.resets = resets;
   options.lanes.lanes = config.lanes();
   options.lanes.lease = kLease;
   options.server_lease = kServerLease;
+  options.max_names_per_client = connections_per_client;
   options.build = std::move(build);
   return options;
 }
@@ -195,8 +197,9 @@ Learner::Learner(const Options& options, Loaded loaded)
       folder_(std::move(loaded.folder)),
       updater_(std::move(loaded.updater)),
       journal_(std::move(loaded.journal)),
-      registry_(RegistryOptions(config_, loaded.lanes.resets, std::move(loaded.build)), std::move(loaded.lanes.records),
-                clock_.get()),
+      registry_(RegistryOptions(config_, loaded.lanes.resets, options.server.max_connections_per_client,
+                                std::move(loaded.build)),
+                std::move(loaded.lanes.records), clock_.get()),
       weights_(/*kept=*/1 + config_.overlap()),
       fragments_(FragmentsPerIteration(config_)),
       evaluations_(config_.eval(), config_.steps(), loaded.checkpoint, &registry_, folder_.get()),

@@ -1,6 +1,7 @@
 #include "learner/learner_service.h"
 
 #include <algorithm>
+#include <functional>
 #include <optional>
 #include <utility>
 #include <vector>
@@ -24,6 +25,7 @@ namespace {
 constexpr int kMaxWaitMs = 2000;  // of a long poll
 // Of weights. Each download that waits for its client holds two chunks, and there may be thousands of downloads.
 constexpr size_t kChunkBytes = 128u << 10;
+constexpr size_t kLinesPerClient = 16;   // about workers, in the period of LimitedLog, whatever their names
 constexpr int kMaxServersReported = 64;  // environment servers in one request of an actor
 
 absl::Duration WaitTime(int wait_ms) { return absl::Milliseconds(std::clamp(wait_ms, 0, kMaxWaitMs)); }
@@ -38,6 +40,11 @@ void AddPermits(const std::vector<Permit>& permits, google::protobuf::RepeatedPt
     message->set_policy_version(permit.policy_version);
     message->set_reload(permit.reload);
   }
+}
+
+// Whether the registry refused a client because of its name, or of its number of names.
+bool IsAboutNames(const absl::Status& status) {
+  return status.code() == absl::StatusCode::kPermissionDenied || status.code() == absl::StatusCode::kResourceExhausted;
 }
 
 v1::FragmentVerdict::Verdict VerdictToProto(LaneScheduler::Verdict verdict) {
@@ -63,27 +70,28 @@ LearnerServiceImpl::LearnerServiceImpl(const Options& options, WorkerRegistry* r
       refusals_(&clock_),
       polls_(options.max_polls_per_client) {}
 
-std::string LearnerServiceImpl::Identify(const grpc::ServerContext& context) const {
-  return options_.access != nullptr ? options_.access->Identify(context) : wire::IdentifyByCertificate(context);
+WorkerClient LearnerServiceImpl::ClientOf(const grpc::ServerContext& context) const {
+  return {options_.access != nullptr ? options_.access->Identify(context) : wire::IdentifyByCertificate(context),
+          wire::ClientOfPeer(context.peer())};
 }
 
 absl::Status LearnerServiceImpl::NameActor(const grpc::ServerContext& context, absl::string_view name) {
   CRAFTFLEET_RETURN_IF_ERROR(wire::CheckName("actor", name));
-  return LogRefusal(context, registry_->UseName(WorkerRole::kActor, name, Identify(context)));
+  return LogRefusal(context, registry_->UseName(WorkerRole::kActor, name, ClientOf(context)));
 }
 
 absl::Status LearnerServiceImpl::LogRefusal(const grpc::ServerContext& context, absl::Status status) {
-  const bool is_refused =
-      status.code() == absl::StatusCode::kPermissionDenied || status.code() == absl::StatusCode::kResourceExhausted;
-  if (is_refused) {
-    const std::string identity = Identify(context);
-    refusals_.Warn(identity, absl::StrFormat("refused %s: %s", identity, status.message()));
+  if (IsAboutNames(status)) {
+    const std::string client = ClientOf(context).Name();
+    refusals_.Warn(client, absl::StrFormat("refused %s: %s", client, status.message()));
   }
   return status;
 }
 
-void LearnerServiceImpl::WarnRefused(absl::string_view worker, absl::string_view text) {
-  refusals_.Warn(absl::StrCat("worker ", worker), text);
+void LearnerServiceImpl::WarnRefused(const grpc::ServerContext& context, absl::string_view worker,
+                                     absl::string_view text) {
+  const size_t key = std::hash<std::string>()(std::string(worker)) % kLinesPerClient;
+  refusals_.Warn(absl::StrCat("worker ", key, " of ", ClientOf(context).Name()), text);
 }
 
 grpc::Status LearnerServiceImpl::Join(grpc::ServerContext* context, const v1::JoinRequest* request,
@@ -91,16 +99,17 @@ grpc::Status LearnerServiceImpl::Join(grpc::ServerContext* context, const v1::Jo
   const wire::Handshake ours = {wire::kProtocolVersion, options_.run_id, ""};
   const wire::Handshake theirs = {request->protocol_version(), request->run_id(), ""};
   if (absl::Status status = wire::CheckHandshake("learner", ours, "actor", theirs); !status.ok()) {
-    WarnRefused(request->actor(), absl::StrFormat("actor %s refused: %s", request->actor(), status.message()));
+    WarnRefused(*context, request->actor(),
+                absl::StrFormat("actor %s refused: %s", request->actor(), status.message()));
     return wire::ToGrpc(status);
   }
   absl::Status status = wire::CheckJoin(*request);
   if (status.ok() && request->only_ask()) status = NameActor(*context, request->actor());
   if (status.ok() && !request->only_ask()) {
-    status = LogRefusal(*context, registry_->Join(Identify(*context), request->actor(), request->address(),
+    status = LogRefusal(*context, registry_->Join(ClientOf(*context), request->actor(), request->address(),
                                                   {request->build(), request->canary(), request->cpu()}));
     if (status.code() == absl::StatusCode::kFailedPrecondition) {
-      WarnRefused(request->actor(), absl::StrFormat("refused %s", status.message()));
+      WarnRefused(*context, request->actor(), absl::StrFormat("refused %s", status.message()));
     }
   }
   if (!status.ok()) return wire::ToGrpc(status);
@@ -121,7 +130,7 @@ grpc::Status LearnerServiceImpl::GetPermits(grpc::ServerContext* context, const 
   if (absl::Status status = CheckEpoch(request->epoch()); !status.ok()) return wire::ToGrpc(status);
   if (absl::Status status = wire::CheckPermitRequest(*request, options_.shape.lanes, options_.shape.steps);
       !status.ok()) {
-    WarnRefused(request->actor(),
+    WarnRefused(*context, request->actor(),
                 absl::StrFormat("request of actor %s refused: %s",
                                 Printable(request->actor().substr(0, wire::kMaxTextBytes)), status.message()));
     return wire::ToGrpc(status);
@@ -141,7 +150,7 @@ grpc::Status LearnerServiceImpl::GetPermits(grpc::ServerContext* context, const 
 WorkerRegistry::PermitRequest LearnerServiceImpl::ToRequest(grpc::ServerContext* context,
                                                             const v1::PermitRequest& request) const {
   WorkerRegistry::PermitRequest asked;
-  asked.identity = Identify(*context);
+  asked.client = ClientOf(*context);
   asked.actor = request.actor();
   for (const v1::Permit& permit : request.active()) asked.active.push_back(FromProto(permit));
   asked.steps.assign(request.active_steps().begin(), request.active_steps().end());
@@ -194,7 +203,7 @@ grpc::Status LearnerServiceImpl::PushFragments(
         const absl::Status status = absl::InvalidArgumentError(
             absl::StrFormat("fragment %d of lane %d of actor %s: %s", message.number(), message.lane(),
                             Printable(message.actor().substr(0, wire::kMaxTextBytes)), verdict.status().message()));
-        WarnRefused(message.actor(), absl::StrFormat("fragment refused: %s", status.message()));
+        WarnRefused(*context, message.actor(), absl::StrFormat("fragment refused: %s", status.message()));
         return wire::ToGrpc(status);
       }
       return wire::ToGrpc(verdict.status());
@@ -279,7 +288,7 @@ grpc::Status LearnerServiceImpl::FinishEvaluation(grpc::ServerContext* context, 
   const absl::StatusOr<std::vector<Episode>> episodes = wire::FromProto(*request, options_.shape.max_length);
   const absl::Status status = episodes.ok() ? registry_->FinishEvaluation(request->id(), *episodes) : episodes.status();
   if (!status.ok()) {
-    WarnRefused(request->actor(),
+    WarnRefused(*context, request->actor(),
                 absl::StrFormat("evaluation by actor %s refused: %s", request->actor(), status.message()));
   }
   return wire::ToGrpc(status);
@@ -292,16 +301,18 @@ grpc::Status LearnerServiceImpl::Announce(grpc::ServerContext* context, const v1
   absl::Status status = wire::CheckHandshake("learner", ours, "environment server", theirs);
   if (status.ok()) status = wire::CheckAnnouncement(*request);
   if (status.ok() && request->leaving()) {
-    status = registry_->Leave(Identify(*context), WorkerRole::kEnvServer, request->name(), request->address());
+    status = LogRefusal(
+        *context, registry_->Leave(ClientOf(*context), WorkerRole::kEnvServer, request->name(), request->address()));
   } else if (status.ok()) {
-    status = registry_->Announce(Identify(*context), request->name(), request->address(), request->summary().lanes(),
-                                 {request->build(), request->canary()}, KeepSummary(request->summary()));
+    status = LogRefusal(*context, registry_->Announce(ClientOf(*context), request->name(), request->address(),
+                                                      request->summary().lanes(), {request->build(), request->canary()},
+                                                      KeepSummary(request->summary())));
   }
-  if (!status.ok()) {
-    WarnRefused(request->name(),
+  if (!status.ok() && !IsAboutNames(status)) {
+    WarnRefused(*context, request->name(),
                 absl::StrFormat("environment server %s refused: %s", request->name(), status.message()));
-    return wire::ToGrpc(status);
   }
+  if (!status.ok()) return wire::ToGrpc(status);
   reply->set_run_id(options_.run_id);
   reply->set_lease_ms(static_cast<int>(absl::ToInt64Milliseconds(registry_->server_lease())));
   return grpc::Status::OK;
@@ -311,7 +322,7 @@ grpc::Status LearnerServiceImpl::Leave(grpc::ServerContext* context, const v1::L
                                        v1::LeaveReply* /*reply*/) {
   absl::Status status = wire::CheckName("actor", request->actor());
   if (status.ok()) {
-    status = LogRefusal(*context, registry_->Leave(Identify(*context), WorkerRole::kActor, request->actor()));
+    status = LogRefusal(*context, registry_->Leave(ClientOf(*context), WorkerRole::kActor, request->actor()));
   }
   return wire::ToGrpc(status);
 }

@@ -72,15 +72,14 @@ class LearnerServiceImpl final : public v1::LearnerService::Service {
   v1::EvaluationTask ToProto(const EvaluationScheduler::Task& task) const;
   absl::StatusOr<WeightStore::Weights> FindWeights(const v1::WeightsRequest& request) const;
   absl::StatusOr<v1::FragmentVerdict::Verdict> Intake(v1::FragmentMessage* message);
-  // The authenticated identity of the client.
-  std::string Identify(const grpc::ServerContext& context) const;
+  WorkerClient ClientOf(const grpc::ServerContext& context) const;
   // Checks that the client may call as actor `name`.   InvalidArgument: `name` is not a valid name.   Others as
   // WorkerRegistry::UseName, logged.
   absl::Status NameActor(const grpc::ServerContext& context, absl::string_view name);
   // Logs `status` if the client was refused because of its name. Returns `status`.
   absl::Status LogRefusal(const grpc::ServerContext& context, absl::Status status);
-  // Logs why a call that names `worker` was refused; few lines, however often it calls.
-  void WarnRefused(absl::string_view worker, absl::string_view text);
+  // Logs why a call that names `worker` was refused; few lines, however often a client calls, under whatever names.
+  void WarnRefused(const grpc::ServerContext& context, absl::string_view worker, absl::string_view text);
 
   const Options options_;
   WorkerRegistry* const registry_;

@@ -15,10 +15,10 @@ absl::Status NotKnown(absl::string_view actor) {
 
 }  // namespace
 
-absl::Status WorkerRegistry::Join(absl::string_view identity, absl::string_view name, absl::string_view address,
+absl::Status WorkerRegistry::Join(const WorkerClient& client, absl::string_view name, absl::string_view address,
                                   const WorkerBuild& build) {
   const MutexLock lock(&mu_);
-  CRAFTFLEET_ASSIGN_OR_RETURN(Worker* const actor, Own(WorkerRole::kActor, name, identity));
+  CRAFTFLEET_ASSIGN_OR_RETURN(Worker* const actor, Own(WorkerRole::kActor, name, client));
   if (!address.empty()) actor->address = std::string(address);
   CRAFTFLEET_RETURN_IF_ERROR(CheckBuild(build, actor));
   ExpireActors();
@@ -31,7 +31,7 @@ absl::Status WorkerRegistry::Join(absl::string_view identity, absl::string_view 
 
 absl::StatusOr<WorkerRegistry::PermitReply> WorkerRegistry::GetPermits(const PermitRequest& request) {
   const MutexLock lock(&mu_);
-  CRAFTFLEET_RETURN_IF_ERROR(Own(WorkerRole::kActor, request.actor, request.identity).status());
+  CRAFTFLEET_RETURN_IF_ERROR(Own(WorkerRole::kActor, request.actor, request.client).status());
   for (const LaneFailure& failure : request.failures) {
     lanes_.Refuse(request.actor, failure.lane, failure.fragment, failure.reason);
   }

@@ -14,13 +14,13 @@ bool IsListed(const Worker& server) { return server.active && !server.draining; 
 
 }  // namespace
 
-absl::Status WorkerRegistry::Announce(absl::string_view identity, absl::string_view name, absl::string_view address,
+absl::Status WorkerRegistry::Announce(const WorkerClient& client, absl::string_view name, absl::string_view address,
                                       int lanes, const WorkerBuild& build,
                                       std::shared_ptr<const v1::ProcessSummary> summary) {
   const MutexLock lock(&mu_);
   ExpireServersSometimes();  // here too, since there may be no actor that requests servers
-  CRAFTFLEET_ASSIGN_OR_RETURN(Worker* const server, Own(WorkerRole::kEnvServer, name, identity));
-  CRAFTFLEET_RETURN_IF_ERROR(CheckAddress(name, address, identity));
+  CRAFTFLEET_ASSIGN_OR_RETURN(Worker* const server, Own(WorkerRole::kEnvServer, name, client));
+  CRAFTFLEET_RETURN_IF_ERROR(CheckAddress(name, address, client));
   if (server->own_report == absl::InfinitePast()) server->address = std::string(address);
   CRAFTFLEET_RETURN_IF_ERROR(CheckBuild(build, server));
   PlaceServer(server, address);
@@ -73,7 +73,10 @@ void WorkerRegistry::NoteServer(const ServerReport& report) {
   Worker* server = Find(WorkerRole::kEnvServer, report.address);
   if (server == nullptr) {
     Prune();
+    if (reported_ >= kMaxReported) return;
     server = Record(WorkerRole::kEnvServer, report.address);
+    server->reported = true;
+    ++reported_;
   }
   if (server->last_seen == absl::InfinitePast()) {
     server->address = report.address;

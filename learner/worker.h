@@ -24,6 +24,15 @@ struct WorkerBuild {
   std::string cpu = "";
 };
 
+// What the learner knows of the caller of a worker's calls.
+struct WorkerClient {
+  std::string identity = "";  // of its certificate or token (common/wire/access.h); empty: not known
+  std::string host = "";      // the address that it calls from, without port (wire::ClientOfPeer)
+
+  // What tells clients apart: the identity or, without one, the host.
+  const std::string& Name() const { return identity.empty() ? host : identity; }
+};
+
 // Everything that is known about a worker, kept by WorkerRegistry under its mutex. Times are from the registry's
 // clock; InfinitePast: never.
 struct Worker {
@@ -37,7 +46,7 @@ struct Worker {
   std::string address;  // empty: not known
 
   // The owner of the name, and when the name was last used. It becomes free when unused for `name_lapse`.
-  std::string identity;
+  WorkerClient client;
   absl::Time name_used = absl::InfinitePast();
 
   // Has joined (actor) or registered (server), has not left, and its lease has not expired.
@@ -52,6 +61,7 @@ struct Worker {
   absl::Time own_report = absl::InfinitePast();  // last report by itself
   absl::Time not_answering =
       absl::InfinitePast();  // environment server: last time an actor reported that it does not answer
+  bool reported = false;     // environment server: recorded because an actor reported it
   bool left = false;         // has reported that it leaves
   std::shared_ptr<const v1::ProcessSummary> summary;  // the last one; null: none
   absl::Time summary_time = absl::InfinitePast();

@@ -66,10 +66,10 @@ Worker* WorkerRegistry::Record(WorkerRole role, absl::string_view name) {
   return &entry->second;
 }
 
-absl::StatusOr<Worker*> WorkerRegistry::Own(WorkerRole role, absl::string_view name, absl::string_view identity) {
+absl::StatusOr<Worker*> WorkerRegistry::Own(WorkerRole role, absl::string_view name, const WorkerClient& client) {
   Worker* worker = Find(role, name);
   bool has_owner = worker != nullptr && worker->name_used != kNever;
-  if (worker != nullptr && worker->identity != identity) {
+  if (worker != nullptr && worker->client.identity != client.identity) {
     if (IsOwned(*worker)) return NotTheOwner(NameOf(role), name, options_.name_lapse);
     if (role == WorkerRole::kActor) RemoveActor(worker);
     Erase(worker);  // the record of another worker
@@ -77,27 +77,38 @@ absl::StatusOr<Worker*> WorkerRegistry::Own(WorkerRole role, absl::string_view n
   }
   if (!has_owner) {
     Prune();
-    size_t& names = names_of_[std::string(identity)];
-    if (names >= kMaxNames) {
-      return absl::ResourceExhaustedError(
-          absl::StrFormat("%s \"%s\": the same certificate or token already has %d names, which is the most it may "
-                          "have",
-                          NameOf(role), name, names));
-    }
-    ++names;
+    CRAFTFLEET_RETURN_IF_ERROR(CountName(role, name, client));
     worker = Record(role, name);
-    worker->identity = std::string(identity);
+    worker->client = client;
   }
   worker->name_used = clock_->Now();
   return worker;
 }
 
+absl::Status WorkerRegistry::CountName(WorkerRole role, absl::string_view name, const WorkerClient& client) {
+  size_t& names = names_of_[client.identity];
+  if (names >= kMaxNames) {
+    return absl::ResourceExhaustedError(
+        absl::StrFormat("%s \"%s\": the same certificate or token already has %d names, which is the most it may have",
+                        NameOf(role), name, names));
+  }
+  int& names_here = names_from_[{client.identity, client.host}];
+  if (names_here >= options_.max_names_per_client) {
+    return absl::ResourceExhaustedError(
+        absl::StrFormat("%s \"%s\": %s already has %d workers, the most that --max_connections_per_client lets it have",
+                        NameOf(role), name, client.Name(), names_here));
+  }
+  ++names;
+  ++names_here;
+  return absl::OkStatus();
+}
+
 absl::Status WorkerRegistry::CheckAddress(absl::string_view name, absl::string_view address,
-                                          absl::string_view identity) {
+                                          const WorkerClient& client) {
   const auto entry = servers_.find(address);
   if (entry == servers_.end() || entry->second->name == name) return absl::OkStatus();
   const Worker& other = *entry->second;
-  if (!IsOwned(other) || other.identity == identity) return absl::OkStatus();
+  if (!IsOwned(other) || other.client.identity == client.identity) return absl::OkStatus();
   return NotTheOwner("environment server at", address, options_.name_lapse);
 }
 
@@ -107,8 +118,10 @@ bool WorkerRegistry::IsOwned(const Worker& worker) const {
 
 void WorkerRegistry::ReleaseName(Worker* worker) {
   if (worker->name_used == kNever) return;
-  const auto names = names_of_.find(worker->identity);
+  const auto names = names_of_.find(worker->client.identity);
   if (--names->second == 0) names_of_.erase(names);
+  const auto names_here = names_from_.find({worker->client.identity, worker->client.host});
+  if (--names_here->second == 0) names_from_.erase(names_here);
   worker->name_used = kNever;
 }
 
@@ -119,6 +132,7 @@ void WorkerRegistry::Erase(Worker* worker) {
     if (placed != servers_.end() && placed->second == worker) servers_.erase(placed);
   }
   ReleaseName(worker);
+  if (worker->reported) --reported_;
   workers_.erase(Key(worker->role, worker->name));
 }
 
@@ -175,16 +189,16 @@ void WorkerRegistry::NoteReport(Worker* worker, std::shared_ptr<const v1::Proces
   worker->summary_time = worker->last_seen;
 }
 
-absl::Status WorkerRegistry::UseName(WorkerRole role, absl::string_view name, absl::string_view identity) {
+absl::Status WorkerRegistry::UseName(WorkerRole role, absl::string_view name, const WorkerClient& client) {
   const MutexLock lock(&mu_);
-  return Own(role, name, identity).status();
+  return Own(role, name, client).status();
 }
 
-absl::Status WorkerRegistry::Leave(absl::string_view identity, WorkerRole role, absl::string_view name,
+absl::Status WorkerRegistry::Leave(const WorkerClient& client, WorkerRole role, absl::string_view name,
                                    absl::string_view address) {
   const MutexLock lock(&mu_);
-  CRAFTFLEET_ASSIGN_OR_RETURN(Worker* const worker, Own(role, name, identity));
-  if (role == WorkerRole::kEnvServer) CRAFTFLEET_RETURN_IF_ERROR(CheckAddress(name, address, identity));
+  CRAFTFLEET_ASSIGN_OR_RETURN(Worker* const worker, Own(role, name, client));
+  if (role == WorkerRole::kEnvServer) CRAFTFLEET_RETURN_IF_ERROR(CheckAddress(name, address, client));
   if (role == WorkerRole::kActor) {
     RemoveActor(worker);
     evaluations_.Renew(name, 0);

@@ -45,13 +45,16 @@ class WorkerRegistry {
   static constexpr absl::Duration kRememberLost = absl::Minutes(10);  // of lost and refused workers
   static constexpr absl::Duration kRememberLeft = absl::Minutes(1);
   static constexpr size_t kMaxGone = 64;      // lost workers and those that left; the newest are kept
+  static constexpr int kMaxReported = 1024;   // servers known from actors' reports; further reports are ignored
   static constexpr size_t kMaxRefused = 16;   // workers with another canary; the newest are kept
-  static constexpr size_t kMaxNames = 16384;  // owned by one identity at a time
+  static constexpr size_t kMaxNames = 16384;  // owned by one identity at a time, from all hosts
 
   struct Options {
     LaneScheduler::Options lanes;  // its lease also applies to evaluations
     absl::Duration server_lease = absl::Seconds(8);
     absl::Duration name_lapse = absl::Seconds(16);  // at least the longest lease
+    // Names owned by one identity from one host at a time: as many as connections, of which each worker has one.
+    int max_names_per_client = 1024;
     BuildCheck::Options build = {};
   };
   struct WorkerId {
@@ -71,7 +74,7 @@ class WorkerRegistry {
     std::shared_ptr<const v1::ProcessSummary> summary;  // null: none
   };
   struct PermitRequest {
-    std::string identity;
+    WorkerClient client;
     std::string actor;
     std::vector<Permit> active;  // held by the actor
     std::vector<int64_t> steps;  // played so far of each of `active`; empty: no progress
@@ -115,13 +118,14 @@ class WorkerRegistry {
   // `lanes` has `options.lanes.lanes` records. `clock` outlives the registry.
   WorkerRegistry(const Options& options, std::vector<LaneRecord> lanes, Clock* clock);
 
-  // -- Workers. Calls with an `identity` return the errors of UseName.
+  // -- Workers. Calls with a `client` return the errors of UseName.
 
-  // Records that `identity` calls as the worker `name`.
-  //   PermissionDenied: another identity owns the name.   ResourceExhausted: `identity` already has kMaxNames names.
-  absl::Status UseName(WorkerRole role, absl::string_view name, absl::string_view identity) ABSL_LOCKS_EXCLUDED(mu_);
+  // Records that `client` calls as the worker `name`.
+  //   PermissionDenied: another identity owns the name.   ResourceExhausted: the identity already has kMaxNames names,
+  //   or `max_names_per_client` from this host.
+  absl::Status UseName(WorkerRole role, absl::string_view name, const WorkerClient& client) ABSL_LOCKS_EXCLUDED(mu_);
   // Makes an actor active, or renews its lease.   FailedPrecondition: as BuildCheck::Check.
-  absl::Status Join(absl::string_view identity, absl::string_view actor, absl::string_view address,
+  absl::Status Join(const WorkerClient& client, absl::string_view actor, absl::string_view address,
                     const WorkerBuild& build) ABSL_LOCKS_EXCLUDED(mu_);
   // Renews the actor's lease and permits, and grants it more. Waits up to `request.wait` while there is nothing to
   // grant.
@@ -131,11 +135,11 @@ class WorkerRegistry {
   // The connection of `actor` broke: shortens its lease to `comeback`.
   void OnConnectionLost(absl::string_view actor) ABSL_LOCKS_EXCLUDED(mu_);
   // Makes an environment server active, or renews its lease. `lanes`: its open games.   FailedPrecondition: as Join.
-  absl::Status Announce(absl::string_view identity, absl::string_view name, absl::string_view address, int lanes,
+  absl::Status Announce(const WorkerClient& client, absl::string_view name, absl::string_view address, int lanes,
                         const WorkerBuild& build, std::shared_ptr<const v1::ProcessSummary> summary = nullptr)
       ABSL_LOCKS_EXCLUDED(mu_);
   // The worker leaves: frees its permits, tasks and name. Unknown workers are ignored.
-  absl::Status Leave(absl::string_view identity, WorkerRole role, absl::string_view name,
+  absl::Status Leave(const WorkerClient& client, WorkerRole role, absl::string_view name,
                      absl::string_view address = "") ABSL_LOCKS_EXCLUDED(mu_);
 
   // Stops new work for the worker: an actor's lanes go to others as soon as it has played its permits, and actors move
@@ -205,10 +209,13 @@ class WorkerRegistry {
   absl::StatusOr<Worker*> FindActive(absl::string_view name_or_address) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
   // The worker's record; adds one if there is none.
   Worker* Record(WorkerRole role, absl::string_view name) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
-  // The record of the worker that `identity` calls as.   Errors as UseName.
-  absl::StatusOr<Worker*> Own(WorkerRole role, absl::string_view name, absl::string_view identity)
+  // The record of the worker that `client` calls as.   Errors as UseName.
+  absl::StatusOr<Worker*> Own(WorkerRole role, absl::string_view name, const WorkerClient& client)
       ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
-  absl::Status CheckAddress(absl::string_view name, absl::string_view address, absl::string_view identity)
+  absl::Status CheckAddress(absl::string_view name, absl::string_view address, const WorkerClient& client)
+      ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
+  // Adds `client`'s claim to one more name.   ResourceExhausted: as UseName.
+  absl::Status CountName(WorkerRole role, absl::string_view name, const WorkerClient& client)
       ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
   bool IsOwned(const Worker& worker) const;
   void ReleaseName(Worker* worker) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
@@ -257,10 +264,13 @@ class WorkerRegistry {
   CondVar evaluated_;  // an evaluation task is over
   std::map<Key, Worker> workers_ ABSL_GUARDED_BY(mu_);
   std::map<std::string, size_t> names_of_ ABSL_GUARDED_BY(mu_);  // owned names, by identity
+  std::map<std::pair<std::string, std::string>, int> names_from_
+      ABSL_GUARDED_BY(mu_);  // the same, by identity and host
   std::map<std::string, Worker*, std::less<>> servers_
       ABSL_GUARDED_BY(mu_);                  // those that report themselves, by address
   int64_t generation_ ABSL_GUARDED_BY(mu_);  // changes with the set of listed addresses
   absl::Time servers_checked_ ABSL_GUARDED_BY(mu_) = absl::InfinitePast();
+  int reported_ ABSL_GUARDED_BY(mu_) = 0;  // records made from actors' reports
   LaneScheduler lanes_ ABSL_GUARDED_BY(mu_);
   EvaluationScheduler evaluations_ ABSL_GUARDED_BY(mu_);
   BuildCheck builds_ ABSL_GUARDED_BY(mu_);

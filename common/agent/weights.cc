@@ -11,6 +11,10 @@
 namespace craftfleet {
 namespace {
 
+// Room in the header of safetensors for what is not a name.
+constexpr int64_t kMetadataBytes = 1024;
+constexpr int64_t kEntryBytes = 256;  // of one tensor: type, shape of at most four sizes, offsets
+
 std::string FormatShape(const std::vector<int64_t>& shape) { return absl::StrCat("[", absl::StrJoin(shape, ","), "]"); }
 
 }  // namespace
@@ -59,6 +63,12 @@ absl::Status CopyTensors(const AgentSpec& spec, absl::string_view prefix, absl::
 
 std::string SaveWeights(const AgentSpec& spec, absl::Span<const float> weights) {
   return WriteSafetensors({AsTensors(spec, "", weights), {{"agent", spec.name}, {"format", "pt"}}});
+}
+
+int64_t MaxWeightsBytes(const AgentSpec& spec) {
+  int64_t bytes = kMetadataBytes + static_cast<int64_t>(spec.name.size());
+  for (const ParamSpec& param : spec.params) bytes += kEntryBytes + static_cast<int64_t>(param.name.size());
+  return bytes + spec.param_count * static_cast<int64_t>(sizeof(float));
 }
 
 absl::StatusOr<std::vector<float>> LoadWeights(const AgentSpec& spec, absl::string_view bytes) {

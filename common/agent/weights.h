@@ -3,6 +3,7 @@
 #ifndef CRAFTFLEET_COMMON_AGENT_WEIGHTS_H_
 #define CRAFTFLEET_COMMON_AGENT_WEIGHTS_H_
 
+#include <cstdint>
 #include <map>
 #include <string>
 #include <vector>
@@ -27,6 +28,10 @@ absl::Status CopyTensors(const AgentSpec& spec, absl::string_view prefix, absl::
 
 // `weights` is float[spec.param_count].
 std::string SaveWeights(const AgentSpec& spec, absl::Span<const float> weights);
+
+// The most bytes that SaveWeights returns for this agent: its values, and a header with a wide margin. Receivers of
+// weights refuse more.
+int64_t MaxWeightsBytes(const AgentSpec& spec);
 
 // The inverse. `bytes` may be untrusted.
 //   InvalidArgument: not safetensors, or not this agent's parameters; names the parameter.

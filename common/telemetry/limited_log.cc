@@ -1,6 +1,6 @@
 #include "common/telemetry/limited_log.h"
 
-#include "common/telemetry/log.h"
+#include <absl/strings/str_cat.h>
 
 namespace craftfleet {
 namespace {
@@ -11,7 +11,7 @@ constexpr size_t kMaxKeyBytes = 128;
 
 }  // namespace
 
-void LimitedLog::Warn(absl::string_view key, absl::string_view text) {
+void LimitedLog::Write(LogLevel level, absl::string_view key, absl::string_view text) {
   const MutexLock lock(&mu_);
   const absl::Time now = clock_->Now();
   std::string name(key.substr(0, kMaxKeyBytes));
@@ -21,11 +21,10 @@ void LimitedLog::Warn(absl::string_view key, absl::string_view text) {
     ++entry.left_out;
     return;
   }
-  if (entry.left_out > 0) {
-    LogWarning("%s (and %d like it in the last %s)", text, entry.left_out, absl::FormatDuration(now - entry.written));
-  } else {
-    LogWarning("%s", text);
-  }
+  const std::string left_out = entry.left_out == 0 ? ""
+                                                   : absl::StrFormat(" (and %d like it in the last %s)", entry.left_out,
+                                                                     absl::FormatDuration(now - entry.written));
+  Log(level, absl::StrCat(text, left_out));
   entry = {now, 0};
 }
 

@@ -12,6 +12,7 @@
 
 #include "common/base/clock.h"
 #include "common/base/mutex.h"
+#include "common/telemetry/log.h"
 
 namespace craftfleet {
 
@@ -22,14 +23,21 @@ class LimitedLog {
   // `clock` outlives the object.
   explicit LimitedLog(Clock* clock) : clock_(clock) {}
 
-  // Logs `text` as a warning, or only counts it.
-  void Warn(absl::string_view key, absl::string_view text) ABSL_LOCKS_EXCLUDED(mu_);
+  // Logs `text` as a warning or information, or only counts it.
+  void Warn(absl::string_view key, absl::string_view text) ABSL_LOCKS_EXCLUDED(mu_) {
+    Write(LogLevel::kWarning, key, text);
+  }
+  void Info(absl::string_view key, absl::string_view text) ABSL_LOCKS_EXCLUDED(mu_) {
+    Write(LogLevel::kInfo, key, text);
+  }
 
  private:
   struct Entry {
     absl::Time written = absl::InfinitePast();
     int64_t left_out = 0;
   };
+
+  void Write(LogLevel level, absl::string_view key, absl::string_view text) ABSL_LOCKS_EXCLUDED(mu_);
 
   Clock* const clock_;
   Mutex mu_;

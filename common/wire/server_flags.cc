@@ -15,7 +15,9 @@ ABSL_FLAG(std::string, access_file, "",
 ABSL_FLAG(std::string, health_listen, "",
           "address of a second port, HOST:PORT, without TLS and with grpc.health.v1 only, for probes that cannot use\n"
           "TLS [none]");
-ABSL_FLAG(int32_t, max_connections_per_client, 1024, "connections from one address at once, 1..65536");
+ABSL_FLAG(
+    int32_t, max_connections_per_client, 1024,
+    "connections from one address at once, 1..65536; at a learner also the workers of one certificate or token there");
 ABSL_FLAG(int32_t, max_buffered_mb, 512,
           "memory for incoming and outgoing messages, MiB, 128..1000000; calls beyond it are refused for the moment");
 

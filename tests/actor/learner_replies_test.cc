@@ -124,15 +124,15 @@ TEST(LearnerReplies, WeightsAreBounded) {
   chunk.set_policy_version(3);
   chunk.set_total_bytes(10);
   chunk.set_data("12345");
-  EXPECT_THAT(CheckWeightsChunk(chunk, -1, 0, 0), IsOk());
-  EXPECT_THAT(CheckWeightsChunk(chunk, 3, 10, 5), IsOk());
-  EXPECT_THAT(CheckWeightsChunk(chunk, 3, 10, 6), IsInvalid("data"));
-  EXPECT_THAT(CheckWeightsChunk(chunk, 2, 10, 5), IsInvalid("policy_version"));
-  EXPECT_THAT(CheckWeightsChunk(chunk, 3, 11, 5), IsInvalid("total_bytes"));
-  chunk.set_total_bytes(kMaxWeightsBytes + 1);
-  EXPECT_THAT(CheckWeightsChunk(chunk, -1, 0, 0), IsInvalid("total_bytes"));
+  EXPECT_THAT(CheckWeightsChunk(chunk, 10, -1, 0, 0), IsOk());
+  EXPECT_THAT(CheckWeightsChunk(chunk, 10, 3, 10, 5), IsOk());
+  EXPECT_THAT(CheckWeightsChunk(chunk, 10, 3, 10, 6), IsInvalid("data"));
+  EXPECT_THAT(CheckWeightsChunk(chunk, 10, 2, 10, 5), IsInvalid("policy_version"));
+  EXPECT_THAT(CheckWeightsChunk(chunk, 10, 3, 11, 5), IsInvalid("total_bytes"));
+  chunk.set_total_bytes(11);
+  EXPECT_THAT(CheckWeightsChunk(chunk, 10, -1, 0, 0), IsInvalid("total_bytes"));
   chunk.set_total_bytes(0);
-  EXPECT_THAT(CheckWeightsChunk(chunk, -1, 0, 0), IsInvalid("total_bytes"));
+  EXPECT_THAT(CheckWeightsChunk(chunk, 10, -1, 0, 0), IsInvalid("total_bytes"));
 }
 
 TEST(LearnerReplies, SnapshotsAreBoundedAndTheirStatesFinite) {

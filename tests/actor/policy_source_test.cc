@@ -75,6 +75,17 @@ TEST_F(PolicySourceTest, TruncatedWeightsAreAnError) {
   EXPECT_THAT(source_.Get(1, 3), IsOk());
 }
 
+// A learner could make an actor receive 2 GiB.
+TEST_F(PolicySourceTest, MoreBytesThanTheAgentNeedsAreRefusedAtTheFirstChunk) {
+  v1::WeightsChunk chunk;
+  chunk.set_policy_version(3);
+  chunk.set_total_bytes(MaxWeightsBytes(*FindAgent("ppo_cnn")) + 1);
+  chunk.set_data("the beginning");
+  service_.SetWeights({chunk});
+  EXPECT_THAT(source_.Get(1, 3),
+              StatusIs(absl::StatusCode::kDataLoss, testing::HasSubstr("weights of the run's agent: total_bytes: 24")));
+}
+
 TEST_F(PolicySourceTest, InvalidWeightsAreAnError) {
   service_.SetWeights(Chunks(3, std::string(5000, 'x')));
   EXPECT_THAT(source_.Get(1, 3), StatusIs(absl::StatusCode::kInvalidArgument, testing::Not(testing::IsEmpty())));

@@ -7,6 +7,7 @@
 #include <gtest/gtest.h>
 
 #include "common/agent/weights.h"
+#include "common/config/agent_presets.h"
 
 namespace craftfleet {
 namespace {
@@ -105,6 +106,16 @@ TEST(Weights, SurviveARoundTripBitForBit) {
   const absl::StatusOr<std::vector<float>> loaded = LoadWeights(spec, SaveWeights(spec, weights));
   ASSERT_TRUE(loaded.ok()) << loaded.status();
   EXPECT_EQ(*loaded, weights);
+}
+
+TEST(Weights, OfEachAgentFitTheirBoundWhichIsClose) {
+  for (const absl::string_view name : AgentNames()) {
+    const AgentSpec spec = *FindAgent(name);
+    if (spec.param_count > 20'000'000) continue;  // hundreds of megabytes; its header is like those of the others
+    const auto bytes = static_cast<int64_t>(SaveWeights(spec, std::vector<float>(spec.param_count)).size());
+    EXPECT_LE(bytes, MaxWeightsBytes(spec)) << name;
+    EXPECT_LT(MaxWeightsBytes(spec) - bytes, 64 << 10) << name;
+  }
 }
 
 TEST(Weights, RefusesMissingUnknownAndMisshapenTensorsByName) {

@@ -10,9 +10,11 @@
 #include <utility>
 #include <vector>
 
+#include <absl/strings/str_split.h>
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include "common/base/clock.h"
 #include "common/config/known_canary.h"
 #include "common/io/paths.h"
 #include "common/io/texture_digest.h"
@@ -172,6 +174,21 @@ TEST_F(EnvServiceTest, ASessionWithAnotherGameCanaryIsRefused) {
   EXPECT_THAT(Session(server()).Send(hello),
               StatusIs(absl::StatusCode::kFailedPrecondition,
                        AllOf(HasSubstr("plays another game"), HasSubstr("want 0123456789abcdef"))));
+}
+
+// Each session of a client that alternates between two runs used to be a line of the log.
+TEST_F(EnvServiceTest, ChangesOfTheRunDoNotFillTheLog) {
+  testing::internal::CaptureStderr();
+  const absl::Time start = SteadyNow();
+  for (int i = 0; i < 8; ++i) {
+    Session session(server());
+    EXPECT_THAT(session.Send(Hello(i % 2 == 0 ? "run-a" : "run-b")), IsOk());
+    session.Leave();
+  }
+  const std::string log = testing::internal::GetCapturedStderr();
+  const std::vector<std::string> parts = absl::StrSplit(log, "serves run");
+  EXPECT_GT(parts.size(), 1) << log;
+  EXPECT_LE(parts.size() - 1, 1 + (SteadyNow() - start) / absl::Seconds(10)) << log;
 }
 
 TEST_F(EnvServiceTest, ASnapshotContinuesInAnotherSession) {

@@ -33,6 +33,9 @@ class BadActor {
   // envelope, but is no game.
   absl::Status Pretend();
 
+  // Under several names, reports of every lane that it gets that its snapshot can't be restored.
+  void Report();
+
   // Downloads weights that it never reads, sends large messages, joins under ever new names. Eight threads, each with
   // its own connection.
   void Flood();

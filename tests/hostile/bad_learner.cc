@@ -1,5 +1,6 @@
 #include "tests/hostile/bad_learner.h"
 
+#include <algorithm>
 #include <limits>
 #include <string>
 
@@ -13,6 +14,8 @@ namespace craftfleet {
 namespace {
 
 constexpr size_t kChunkBytes = 2 << 20;
+constexpr int64_t kWeightsBytes = int64_t{2} << 30;  // no agent needs as many
+constexpr int kLanes = 8;
 
 }  // namespace
 
@@ -54,12 +57,10 @@ grpc::Status BadLearnerService::GetPermits(grpc::ServerContext* context, const v
                                            v1::PermitReply* reply) {
   if (Ignored(*context)) return grpc::Status::CANCELLED;
   absl::SleepFor(absl::Milliseconds(100));
-  const int count = misdeed_ == LearnerMisdeed::kLying && asked_++ % 2 == 0 ? 100000 : request->capacity();
-  for (int i = request->active_size(); i < count; ++i) {
-    v1::Permit* permit = reply->add_granted();
-    permit->set_lane(misdeed_ == LearnerMisdeed::kLying ? -i : i % 8);
-  }
-  if (misdeed_ == LearnerMisdeed::kLying) reply->add_env_servers(std::string(1 << 20, '\x1b'));
+  const bool lies = misdeed_ == LearnerMisdeed::kLying;
+  const int count = lies && asked_++ % 2 == 0 ? 100000 : std::min(request->capacity(), kLanes);
+  for (int i = request->active_size(); i < count; ++i) reply->add_granted()->set_lane(lies ? -i : i);
+  if (lies) reply->add_env_servers(std::string(1 << 20, '\x1b'));
   return grpc::Status::OK;
 }
 
@@ -67,7 +68,7 @@ grpc::Status BadLearnerService::GetWeights(grpc::ServerContext* context, const v
                                            grpc::ServerWriter<v1::WeightsChunk>* writer) {
   if (Ignored(*context)) return grpc::Status::CANCELLED;
   v1::WeightsChunk chunk;
-  chunk.set_total_bytes(misdeed_ == LearnerMisdeed::kLying ? -1 : int64_t{1} << 40);
+  chunk.set_total_bytes(misdeed_ == LearnerMisdeed::kLying ? -1 : kWeightsBytes);
   chunk.set_data(std::string(kChunkBytes, 'w'));
   while (writer->Write(chunk)) {
   }

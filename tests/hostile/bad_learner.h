@@ -12,7 +12,7 @@ namespace craftfleet {
 enum class LearnerMisdeed {
   kSilent,    // accepts every call and answers none
   kLying,     // one field of each reply is invalid
-  kFlooding,  // endless weights
+  kFlooding,  // valid permits, and endless weights of 2 GiB
 };
 
 // Thread-safe.

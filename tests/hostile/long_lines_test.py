@@ -1,4 +1,5 @@
-"""No log line that an untrusted client causes is longer than 1 KiB, however long its names are."""
+"""No log line that an untrusted client causes is longer than 1 KiB, however long its names are, and however often it
+calls, it causes few of them."""
 
 import itertools
 import subprocess
@@ -10,6 +11,7 @@ import server_case
 from tests.fakes import python_case
 
 LONGEST = 1024
+LINES_OF_A_CLIENT = 100  # 16 in ten seconds
 LONG = "n" * 1_000_000
 CONTROLS = "\x01\n\x7f" * 300_000
 
@@ -65,6 +67,30 @@ class LongLines(server_case.ServerCase):
         path = self.folder / "access.txt"
         path.write_text('client { name: "another" certificate: "another" right: WATCH }\n', encoding="utf-8")
         return path
+
+
+class FewLines(server_case.ServerCase):
+
+    def test_of_sessions_of_ever_new_runs(self):
+        server = self.envserver()
+        for i in range(100):
+            client, stream = self.session(server.address, run_id=f"run-{i}")
+            client.send_message(stream, b"", end=True)
+            client.read_reply(stream, server_case.PATIENCE_S)
+            client.close()
+        self.assertIn("serves run run-", server.text())
+        lines = server.text().count("serves run")
+        self.assertLess(lines, 10, "at most one in ten seconds")
+
+    def test_of_workers_that_ask_for_another_run(self):
+        learner = self.learner()
+        with raw_http2.Client(learner.address) as client:
+            for i in range(1000):
+                reply = client.call(messages.JOIN, messages.field(1, messages.protocol_version()) +
+                                    messages.field(2, f"run-{i}") + messages.field(3, f"host-{i}"))
+                self.assertEqual(reply.status, messages.FAILED_PRECONDITION, reply.error)
+        python_case.wait_until(lambda: "this learner serves run" in learner.text(), "the log has it")
+        self.assertLess(learner.text().count("this learner serves run"), LINES_OF_A_CLIENT)
 
 
 class MetricsOff(server_case.ServerCase):

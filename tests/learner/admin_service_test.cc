@@ -76,7 +76,7 @@ class AdminServiceTest : public testing::Test {
     return registry_.GetPermits(actor, active, /*capacity=*/2, absl::ZeroDuration())->granted;
   }
   void Announce(const std::string& name, const std::string& address, int lanes) {
-    EXPECT_THAT(registry_.Announce("", name, address, lanes, {}), IsOk());
+    EXPECT_THAT(registry_.Announce({}, name, address, lanes, {}), IsOk());
   }
   void Finish(const std::string& actor, const std::vector<Permit>& permits) {
     for (const Permit& permit : permits) ASSERT_THAT(registry_.Accept(actor, permit, {"after", {}}), IsOk());

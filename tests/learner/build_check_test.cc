@@ -23,10 +23,10 @@ class Check {
   Check(const BuildCheck::Options& build, Clock* clock) : registry_(Options(build), clock) {}
 
   absl::Status CheckActor(const std::string& name, const std::string& canary, const std::string& build = "0.2") {
-    return static_cast<WorkerRegistry&>(registry_).Join("", name, "", {build, canary, "a CPU, AVX512"});
+    return static_cast<WorkerRegistry&>(registry_).Join({}, name, "", {build, canary, "a CPU, AVX512"});
   }
   absl::Status CheckServer(const std::string& name, const std::string& canary) {
-    return registry_.Announce("", name, name + ":1", 0, {"0.2", canary});
+    return registry_.Announce({}, name, name + ":1", 0, {"0.2", canary});
   }
   std::string GameCanary() const { return registry_.GameCanary(); }
   v1::StatusReply Status() const {

@@ -29,14 +29,16 @@ class Lanes : public LaneScheduler {
   Lanes(const Options& options, std::vector<LaneRecord> records, Clock* clock)
       : LaneScheduler(options, std::move(records), clock), clock_(clock) {}
 
-  void Join(const std::string& actor, const std::string& address) {
+  void Join(const std::string& actor, const std::string& client) {
     Worker& worker = workers_[actor];
     worker.name = actor;
-    worker.address = address;
+    worker.client = {client, "one host"};
     worker.leased_from = clock_->Now();
     Add(&worker);
   }
   void Leave(const std::string& actor) { Remove(actor); }
+  // The actor is busy: it keeps its lease.
+  void Touch(const std::string& actor) { workers_[actor].leased_from = clock_->Now(); }
   // Like WorkerRegistry, without waiting.
   std::vector<Permit> Ask(const std::string& actor, const std::vector<Permit>& active) {
     if (IsKnown(actor)) workers_[actor].leased_from = clock_->Now();
@@ -126,6 +128,74 @@ TEST_F(ResetTest, ASecondFailureOfTheSameActorDoesNotResetTheLane) {
   scheduler_.Refuse("stranger", 0, 7, "never asked");
   scheduler_.Refuse("a", 17, 7, "no such lane");
   EXPECT_EQ(Next(), 7);
+}
+
+// Before, its second name confirmed what the first one had reported, and the lane was reset.
+TEST_F(ResetTest, AClientWithManyNamesDoesNotResetALane) {
+  for (const char* actor : {"l1", "l2", "l3", "l4", "l5", "l6"}) scheduler_.Join(actor, "liar");
+  scheduler_.Join("a", "honest");
+  Refuse("l1", 6);
+  EXPECT_THAT(Ask("l2"), IsEmpty()) << "actors of other clients are preferred";
+  // The other client is busy for so long that the liar's actors get the lane again and again.
+  for (const char* actor : {"l2", "l1", "l3", "l4", "l5", "l6"}) {
+    clock_.Advance(absl::Seconds(3));
+    scheduler_.Touch("a");
+    clock_.Advance(absl::Seconds(3));
+    scheduler_.Join(actor, "liar");
+    Refuse(actor, 6);
+    scheduler_.Touch("a");
+  }
+  EXPECT_EQ(scheduler_.resets(), 0);
+  Play("a", 6);
+}
+
+TEST_F(ResetTest, AnotherClientConfirmsAReport) {
+  scheduler_.Join("l1", "liar");
+  scheduler_.Join("a", "honest");
+  Refuse("a", 6);
+  Refuse("l1", 6);
+  EXPECT_EQ(scheduler_.resets(), 1);
+  scheduler_.Leave("l1");
+  Refuse("a", 6);
+  EXPECT_EQ(scheduler_.resets(), 1);
+  Refuse("a", 6);
+  EXPECT_EQ(scheduler_.resets(), 2) << "nobody else can play";
+}
+
+TEST_F(ResetTest, WithOneTokenForAllAnotherActorConfirmsAReport) {
+  for (const char* actor : {"a", "b", "c"}) scheduler_.Join(actor, "token of all");
+  Refuse("b", 6);
+  clock_.Advance(absl::Seconds(1));
+  Refuse("c", 6);
+  EXPECT_EQ(scheduler_.resets(), 1);
+}
+
+TEST_F(ResetTest, WithoutIdentitiesAClientIsAHost) {
+  const WorkerClient stranger = {"", "10.0.0.7"};
+  EXPECT_EQ(stranger.Name(), "10.0.0.7");
+  EXPECT_EQ((WorkerClient{"certificate a", "10.0.0.7"}.Name()), "certificate a");
+}
+
+TEST_F(ResetTest, ActorsThatNeitherPlayNorReportDoNotKeepALaneBroken) {
+  scheduler_.Join("a", "honest");
+  const auto report_while_mute_is_there = [this] {
+    clock_.Advance(absl::Seconds(6));
+    scheduler_.Touch("a");
+    scheduler_.Join("mute", "other");
+    Refuse("a", 6);
+  };
+  for (int i = 0; i < 3; ++i) {
+    report_while_mute_is_there();
+    EXPECT_EQ(scheduler_.resets(), 0) << i;
+    EXPECT_THAT(Ask("mute"), SizeIs(1));
+    if (i == 1) {
+      EXPECT_THAT(Ask("mute"), IsEmpty()) << "it returns the permit";
+    } else {
+      scheduler_.Leave("mute");
+    }
+  }
+  report_while_mute_is_there();
+  EXPECT_EQ(scheduler_.resets(), 1);
 }
 
 TEST_F(ResetTest, AtTheBeginningOfAnIterationALaneIsResetToItsPreviousSnapshot) {

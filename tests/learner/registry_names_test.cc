@@ -19,11 +19,12 @@ constexpr absl::Duration kLapse = absl::Seconds(10);
 
 class RegistryNamesTest : public testing::Test {
  protected:
-  absl::Status Use(absl::string_view role, absl::string_view name, absl::string_view identity) {
-    return registry_.UseName(RoleOf(role), name, identity);
+  absl::Status Use(absl::string_view role, absl::string_view name, const std::string& identity,
+                   const std::string& host = "") {
+    return registry_.UseName(RoleOf(role), name, {identity, host});
   }
-  void Leave(absl::string_view role, absl::string_view name, absl::string_view identity) {
-    EXPECT_THAT(registry_.Leave(identity, RoleOf(role), name), IsOk());
+  void Leave(absl::string_view role, absl::string_view name, const std::string& identity) {
+    EXPECT_THAT(registry_.Leave({identity}, RoleOf(role), name), IsOk());
   }
   static WorkerRegistry::Options Options() {
     WorkerRegistry::Options options;
@@ -33,6 +34,10 @@ class RegistryNamesTest : public testing::Test {
   }
   static WorkerRole RoleOf(absl::string_view role) {
     return role == "actor" ? WorkerRole::kActor : WorkerRole::kEnvServer;
+  }
+
+  absl::Status Announce(const std::string& name, const WorkerClient& client) {
+    return registry_.Announce(client, name, name + ":50061", 0, {});
   }
 
   FakeClock clock_;
@@ -69,13 +74,37 @@ TEST_F(RegistryNamesTest, WithoutCertificatesAllWorkersShareAnIdentity) {
 }
 
 TEST_F(RegistryNamesTest, TheNamesOfAnIdentityAreBounded) {
-  for (size_t i = 0; i < WorkerRegistry::kMaxNames; ++i) ASSERT_THAT(Use("actor", absl::StrCat(i), "one"), IsOk());
-  EXPECT_THAT(Use("actor", "more", "one"),
+  for (size_t i = 0; i < WorkerRegistry::kMaxNames; ++i) {
+    ASSERT_THAT(Use("actor", absl::StrCat(i), "one", absl::StrCat("host", i % 64)), IsOk());
+  }
+  EXPECT_THAT(Use("actor", "more", "one", "another host"),
               StatusIs(absl::StatusCode::kResourceExhausted, AllOf(HasSubstr("\"more\""), HasSubstr("16384"))));
   EXPECT_THAT(Use("actor", "0", "one"), IsOk());
   EXPECT_THAT(Use("actor", "more", "two"), IsOk());
   clock_.Advance(kLapse);
   EXPECT_THAT(Use("actor", "another", "one"), IsOk());
+}
+
+TEST_F(RegistryNamesTest, MadeUpServersOfOneClientAreBoundedAndTakeNothingFromOthers) {
+  const WorkerClient one = {"", "10.0.0.1"};
+  const WorkerClient two = {"", "10.0.0.2"};
+  const WorkerClient token = {"\"servers\"", "10.0.0.1"};
+  EXPECT_THAT(Announce("honest", one), IsOk());
+  const int most = WorkerRegistry::Options().max_names_per_client;
+  ASSERT_GE(most, 512) << "a host may run hundreds of servers, and restart them at once";
+  for (int i = 1; i < most; ++i) ASSERT_THAT(Announce(absl::StrCat("s", i), one), IsOk());
+  EXPECT_THAT(Announce("more", one), StatusIs(absl::StatusCode::kResourceExhausted,
+                                              AllOf(HasSubstr("\"more\""), HasSubstr("10.0.0.1 already has 1024"),
+                                                    HasSubstr("--max_connections_per_client"))));
+  EXPECT_THAT(Announce("honest", one), IsOk());
+  EXPECT_THAT(Announce("more", two), IsOk());
+  EXPECT_THAT(Announce("secured", token), IsOk()) << "another identity on the same host";
+  EXPECT_EQ(registry_.Servers().size(), most + 2);
+  EXPECT_THAT(registry_.Leave(one, WorkerRole::kEnvServer, "s1"), IsOk());
+  EXPECT_THAT(Announce("another", one), IsOk()) << "one left";
+  EXPECT_THAT(Use("actor", "a", "", "10.0.0.1"), StatusIs(absl::StatusCode::kResourceExhausted, HasSubstr("actor")));
+  clock_.Advance(kLapse);
+  EXPECT_THAT(Announce("later", one), IsOk()) << "names lapse";
 }
 
 }  // namespace

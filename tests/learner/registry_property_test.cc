@@ -104,7 +104,7 @@ class History {
   void Join(const std::string& name, const std::string& identity) {
     Player& player = players_[name];
     const bool may = MayUse(player, identity);
-    const absl::Status status = registry_.Join(identity, name, "", {});
+    const absl::Status status = registry_.Join({identity}, name, "", {});
     ASSERT_EQ(status.ok(), may) << name << " is " << player.owner << "'s: " << status;
     if (!may) return;
     if (player.owner != identity) player = {};
@@ -117,16 +117,16 @@ class History {
     if (player.owner.empty()) return;
     const std::string other = player.owner == "identity0" ? "identity1" : "identity0";
     if (!MayUse(player, other)) {
-      ASSERT_FALSE(registry_.Leave(other, WorkerRole::kActor, name).ok()) << "the name belongs to another identity";
+      ASSERT_FALSE(registry_.Leave({other}, WorkerRole::kActor, name).ok()) << "the name belongs to another identity";
     }
-    ASSERT_TRUE(registry_.Leave(player.owner, WorkerRole::kActor, name).ok());
+    ASSERT_TRUE(registry_.Leave({player.owner}, WorkerRole::kActor, name).ok());
     player = {};
   }
 
   void Ask(const std::string& name, Player* player, int capacity) {
     if (player->owner.empty()) return;
     WorkerRegistry::PermitRequest request;
-    request.identity = player->owner;
+    request.client.identity = player->owner;
     request.actor = name;
     request.capacity = capacity;
     request.evaluates = true;
@@ -185,7 +185,7 @@ class History {
     if (player->active.empty()) return;
     const Permit permit = player->active[Below(static_cast<int>(player->active.size()))];
     player->used = clock_.Now();
-    if (!registry_.UseName(WorkerRole::kActor, name, player->owner).ok()) return;
+    if (!registry_.UseName(WorkerRole::kActor, name, {player->owner}).ok()) return;
     const int64_t next = registry_.Records()[permit.lane].next_fragment;
     const auto verdict = registry_.Accept(name, permit, {absl::StrCat("after ", permit.fragment), {}});
     if (!verdict.ok()) return;  // another version of the weights
@@ -243,7 +243,7 @@ class History {
     const std::string one = "good one";
     const std::string two = "good two";
     for (const auto& [name, player] : players_) {
-      if (!player.owner.empty()) registry_.Leave(player.owner, WorkerRole::kActor, name).IgnoreError();
+      if (!player.owner.empty()) registry_.Leave({player.owner}, WorkerRole::kActor, name).IgnoreError();
     }
     clock_.Advance(absl::Seconds(60));
     players_.clear();

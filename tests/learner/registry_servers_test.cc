@@ -48,10 +48,10 @@ class RegistryServersTest : public testing::Test {
     return reply.servers;
   }
   void Announce(const std::string& name, const std::string& address, int lanes = 0) {
-    EXPECT_THAT(registry_.Announce("", name, address, lanes, {}), IsOk());
+    EXPECT_THAT(registry_.Announce({}, name, address, lanes, {}), IsOk());
   }
   void Leave(const std::string& name) {
-    EXPECT_THAT(static_cast<WorkerRegistry&>(registry_).Leave("", WorkerRole::kEnvServer, name), IsOk());
+    EXPECT_THAT(static_cast<WorkerRegistry&>(registry_).Leave({}, WorkerRole::kEnvServer, name), IsOk());
   }
   bool IsDrained(const std::string& name) {
     return static_cast<WorkerRegistry&>(registry_).IsDrained({WorkerRole::kEnvServer, name});
@@ -99,7 +99,7 @@ TEST_F(RegistryServersTest, AfterARestartActorsKeepTheirListUntilServersCanHaveR
   const int64_t first = Ask(&restarted, 0).servers_generation;
   EXPECT_FALSE(ShouldKeep(&restarted, first));
   EXPECT_TRUE(ShouldKeep(&restarted, before));
-  EXPECT_THAT(restarted.Announce("", "s2", "b:1", 0, {}), IsOk());
+  EXPECT_THAT(restarted.Announce({}, "s2", "b:1", 0, {}), IsOk());
   EXPECT_THAT(Ask(&restarted, 0).servers, ElementsAre("b:1")) << "any server is better than none";
   const int64_t now = Ask(&restarted, 0).servers_generation;
   EXPECT_GT(now, before) << "lists of different starts are never confused";
@@ -166,6 +166,23 @@ TEST_F(RegistryServersTest, AServerThatMovesIsListedOnlyAtItsNewAddress) {
   Announce("s1", "a:1");
   Announce("s1", "b:1");
   EXPECT_THAT(Addresses(), ElementsAre("b:1"));
+}
+
+// A client could fill the registry with them.
+TEST_F(RegistryServersTest, ServersThatActorsReportAreBounded) {
+  registry_.Join("asks", "");
+  for (int i = 0; i < 2 * TestRegistry::kMaxReported; ++i) {
+    TestRegistry::PermitRequest request = TestRegistry::RequestOf("asks", {}, 0);
+    request.servers = {{"made-up:" + std::to_string(i), /*answers=*/true, /*hangs=*/false, nullptr}};
+    ASSERT_THAT(static_cast<WorkerRegistry&>(registry_).GetPermits(request), IsOk());
+  }
+  EXPECT_EQ(registry_.Workers().size(), 1 + TestRegistry::kMaxReported);
+  clock_.Advance(absl::Minutes(11));
+  registry_.Join("asks", "");
+  TestRegistry::PermitRequest request = TestRegistry::RequestOf("asks", {}, 0);
+  request.servers = {{"real:1", /*answers=*/true, /*hangs=*/false, nullptr}};
+  ASSERT_THAT(static_cast<WorkerRegistry&>(registry_).GetPermits(request), IsOk());
+  EXPECT_EQ(registry_.Workers().size(), 2) << "there is room again";
 }
 
 }  // namespace

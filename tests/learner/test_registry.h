@@ -28,9 +28,9 @@ class TestRegistry : public WorkerRegistry {
       : WorkerRegistry(options, std::vector<LaneRecord>(options.lanes.lanes), clock) {}
 
   void Join(absl::string_view actor, absl::string_view address) {
-    WorkerRegistry::Join("", actor, address, {}).IgnoreError();
+    WorkerRegistry::Join({}, actor, address, {}).IgnoreError();
   }
-  void Leave(absl::string_view actor) { WorkerRegistry::Leave("", WorkerRole::kActor, actor).IgnoreError(); }
+  void Leave(absl::string_view actor) { WorkerRegistry::Leave({}, WorkerRole::kActor, actor).IgnoreError(); }
   absl::StatusOr<Grant> GetPermits(absl::string_view actor, std::vector<Permit> active, int capacity,
                                    absl::Duration wait, std::vector<int64_t> steps = {}) {
     PermitRequest request = RequestOf(actor, std::move(active), capacity);

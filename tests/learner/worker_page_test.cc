@@ -38,7 +38,7 @@ class WorkerPageTest : public testing::Test {
   void Report(const std::string& role, const std::string& name, const std::string& address,
               const v1::ProcessSummary& summary) {
     if (role == "envserver") {
-      EXPECT_THAT(registry_.Announce("", name, address, 0, {}, KeepSummary(summary)), IsOk());
+      EXPECT_THAT(registry_.Announce({}, name, address, 0, {}, KeepSummary(summary)), IsOk());
       return;
     }
     registry_.Join(name, address);
@@ -55,7 +55,7 @@ class WorkerPageTest : public testing::Test {
   }
   void Leave(const std::string& role, const std::string& name) {
     const WorkerRole id = role == "actor" ? WorkerRole::kActor : WorkerRole::kEnvServer;
-    EXPECT_THAT(static_cast<WorkerRegistry&>(registry_).Leave("", id, name), IsOk());
+    EXPECT_THAT(static_cast<WorkerRegistry&>(registry_).Leave({}, id, name), IsOk());
   }
   std::vector<v1::Peer> Workers() const {
     v1::StatusReply reply;

@@ -156,17 +156,17 @@ TEST_F(WorkerRegistryTest, APermitForAResetLaneRequiresItsSnapshot) {
 }
 
 TEST_F(WorkerRegistryTest, ALapsedNameHasNoStateOfItsFormerOwner) {
-  EXPECT_THAT(registry().Join("one", "a", "host:1", {}), IsOk());
+  EXPECT_THAT(registry().Join({"one"}, "a", "host:1", {}), IsOk());
   registry_.OpenIteration(2, 1);
   WorkerRegistry::PermitRequest request = Question("a");
-  request.identity = "one";
+  request.client.identity = "one";
   EXPECT_THAT(Ask(request).granted, SizeIs(4));
   registry_.Drain("a");
   clock_.Advance(absl::Seconds(16));
-  request.identity = "two";
+  request.client.identity = "two";
   EXPECT_THAT(registry().GetPermits(request), StatusIs(absl::StatusCode::kAborted, testing::HasSubstr("join again")));
   EXPECT_EQ(registry_.permits(), 0);
-  EXPECT_THAT(registry().Join("two", "a", "host:2", {}), IsOk());
+  EXPECT_THAT(registry().Join({"two"}, "a", "host:2", {}), IsOk());
   EXPECT_THAT(Ask(request).granted, SizeIs(4)) << "it is not the worker that was drained";
 }
 

@@ -87,6 +87,7 @@ class Intake {
     WorkerRegistry::Options options;
     options.lanes.lanes = lanes;
     options.lanes.lease = kLease;
+    options.max_names_per_client = 2 * kMany;
     return options;
   }
   static LearnerServiceImpl::Options ServiceOptions(int steps, int lanes) {

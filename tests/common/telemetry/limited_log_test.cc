@@ -36,6 +36,15 @@ TEST_F(LimitedLogTest, ReportsHowManyLinesItLeftOut) {
   EXPECT_THAT(Warn("a", "problem"), IsEmpty());
 }
 
+TEST_F(LimitedLogTest, HasLevels) {
+  EXPECT_THAT(Warn("a", "problem"), HasSubstr("warning: problem"));
+  testing::internal::CaptureStderr();
+  log_.Info("b", "news");
+  log_.Info("b", "news");
+  EXPECT_THAT(testing::internal::GetCapturedStderr(),
+              testing::AllOf(HasSubstr("news"), testing::Not(HasSubstr("warning"))));
+}
+
 TEST_F(LimitedLogTest, ManyKeysProduceALimitedNumberOfLines) {
   int lines = 0;
   for (int i = 0; i < 1000; ++i) lines += Warn(absl::StrCat("key ", i), "x").empty() ? 0 : 1;

@@ -204,7 +204,7 @@ CheckedMessage WeightsChunkCase() {
   chunk.set_policy_version(3);
   chunk.set_total_bytes(10);
   chunk.set_data("12345");
-  return Case<v1::WeightsChunk>(chunk, [](v1::WeightsChunk* c) { return CheckWeightsChunk(*c, 3, 10, 0); });
+  return Case<v1::WeightsChunk>(chunk, [](v1::WeightsChunk* c) { return CheckWeightsChunk(*c, 10, 3, 10, 0); });
 }
 
 CheckedMessage SnapshotReplyCase() {
