@@ -1,5 +1,6 @@
 #include "learner/trainer.h"
 
+#include <algorithm>
 #include <utility>
 
 #include "common/base/status_macros.h"
@@ -38,6 +39,7 @@ Trainer::Trainer(const v1::RunConfig& config, const v1::CheckpointState& state, 
 absl::Status Trainer::Run() {
   start_ = parts_.clock->Now();
   status_.OnStart(parts_.folder->score());
+  view_.OnStart(*parts_.folder, counters_.env_steps);
   PublishWeights();
   absl::Status status = counters_.iteration == 0 ? checkpoints_.Write() : absl::OkStatus();
   while (status.ok() && has_steps_left()) {
@@ -76,6 +78,7 @@ void Trainer::Stop() {
 }
 
 absl::Status Trainer::RunIteration() {
+  const absl::Time begin = parts_.clock->Now();
   status_.OnIterationBegin();
   meter_.BeginCycle();
   meter_.Switch(Activity::kIntake);
@@ -88,6 +91,9 @@ absl::Status Trainer::RunIteration() {
   failed_updates_ = 0;
   CRAFTFLEET_RETURN_IF_ERROR(FinishIteration(fragments, *stats));
   status_.OnIterationEnd(parts_.folder->score());
+  const double seconds = absl::ToDoubleSeconds(parts_.clock->Now() - begin);
+  view_.OnIterationEnd(*parts_.folder, counters_.env_steps, config_.ppo().rollout_steps() / std::max(seconds, 1e-9),
+                       fragments.front(), parts_.updater->spec().frame_size);
   return absl::OkStatus();
 }
 
