@@ -252,7 +252,8 @@ LivePage::Response LivePage::Steer(const Request& request) {
   }
   const absl::string_view command = request.path();
   const std::string worker(request.Argument("worker").value_or(""));
-  LogInfo("page: %s %s", command.substr(0, kMaxLogged), worker.substr(0, kMaxLogged));
+  LogInfo("page %s: %s %s", request.Client(), absl::StripPrefix(command, "/").substr(0, kMaxLogged),
+          worker.substr(0, kMaxLogged));
   Response done;
   if (command == "/pause") {
     parts_.registry->SetPaused(true);

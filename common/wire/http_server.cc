@@ -1,6 +1,8 @@
 #include "common/wire/http_server.h"
 
 #include <microhttpd.h>
+#include <netdb.h>
+#include <netinet/in.h>
 #include <sys/socket.h>
 
 #include <array>
@@ -69,6 +71,14 @@ std::optional<absl::string_view> HttpServer::Request::Header(const char* name) c
 
 std::optional<absl::string_view> HttpServer::Request::Argument(const char* name) const {
   return Lookup(connection_, MHD_GET_ARGUMENT_KIND, name);
+}
+
+std::string HttpServer::Request::Client() const {
+  const sockaddr* const client = MHD_get_connection_info(connection_, MHD_CONNECTION_INFO_CLIENT_ADDRESS)->client_addr;
+  const socklen_t size = client->sa_family == AF_INET6 ? sizeof(sockaddr_in6) : sizeof(sockaddr_in);
+  char host[NI_MAXHOST] = "";
+  getnameinfo(client, size, host, sizeof(host), nullptr, 0, NI_NUMERICHOST);
+  return host;
 }
 
 // The libmicrohttpd daemons behind one listener. A daemon keeps the certificate that it was started with, so a new

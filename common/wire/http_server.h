@@ -53,6 +53,8 @@ class HttpServer {
     // The value of a header, whatever the case of its name, or of an argument of the query. nullopt: not there.
     std::optional<absl::string_view> Header(const char* name) const;
     std::optional<absl::string_view> Argument(const char* name) const;
+    // The client's IP address, for the log.
+    std::string Client() const;
 
    private:
     MHD_Connection* const connection_;

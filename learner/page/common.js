@@ -11,6 +11,9 @@ const decimals = (value, digits) => Number(value).toFixed(digits);
 const percent = (value) => (value > 0 && value < 0.1 ? "< 0.1" : decimals(value, 1)) + " %";
 const words = (name) => name.replaceAll("_", " ");
 
+// A name that may be broken after "/" and "_".
+const breakable = (name) => name.replace(/[/_]/g, "$&\u200b");
+
 // 3661 -> "1 h 1 min".
 function span(seconds) {
   if (!Number.isFinite(seconds) || seconds < 0) return "–";
@@ -57,7 +60,7 @@ function lineChart(canvas, { legend = false, beginAtZero = true } = {}) {
         y: { beginAtZero, ticks: { callback: (value) => compact.format(value), maxTicksLimit: 6 } },
       },
       plugins: {
-        legend: { display: legend, position: "bottom", labels: { boxWidth: 18, boxHeight: 2, padding: 14 } },
+        legend: { display: legend, position: "bottom", labels: { boxWidth: 18, boxHeight: 2, padding: 14, filter: (item, { datasets }) => datasets.length <= 4 || item.lineDash.length > 0 } },
         tooltip: {
           callbacks: {
             title: (items) => `${whole.format(items[0].parsed.x)} steps`,

@@ -2,17 +2,17 @@
 
 const kMaxShown = 8;  // runs in the charts: as many colours as there are
 const columns = [
-  { name: "Run", value: (run) => run.name, text: (run) => run.name },
+  { name: "Run", value: (run) => run.name, text: (run) => breakable(run.name) },
+  { name: "Score", value: (run) => run.score, text: (run) => decimals(run.score, 2), number: true },
+  { name: "Reward", value: (run) => run.reward, text: (run) => decimals(run.reward, 2), number: true },
+  { name: "Evaluation", value: (run) => run.evaluation ?? -1, text: (run) => (run.evaluation === null ? "–" : decimals(run.evaluation, 2)), number: true },
+  { name: "Unlocked", value: (run) => run.unlocked, text: (run) => `${run.unlocked} / 22`, number: true },
+  { name: "Steps", value: (run) => run.steps, text: (run) => compact.format(run.steps) + (run.complete ? "" : " (unfinished)"), number: true },
   { name: "Agent", value: (run) => run.agent, text: (run) => run.agent },
   { name: "Environment", value: (run) => run.env, text: (run) => run.env },
   { name: "Seed", value: (run) => run.seed, text: (run) => String(run.seed), number: true },
-  { name: "Steps", value: (run) => run.steps, text: (run) => compact.format(run.steps) + (run.complete ? "" : " (unfinished)"), number: true },
-  { name: "Score", value: (run) => run.score, text: (run) => decimals(run.score, 2), number: true },
-  { name: "Evaluation", value: (run) => run.evaluation ?? -1, text: (run) => (run.evaluation === null ? "–" : decimals(run.evaluation, 2)), number: true },
-  { name: "Reward", value: (run) => run.reward, text: (run) => decimals(run.reward, 2), number: true },
-  { name: "Unlocked", value: (run) => run.unlocked, text: (run) => `${run.unlocked} / 22`, number: true },
 ];
-const board = { runs: [], by: 5, down: true };
+const board = { runs: [], by: 1, down: true };
 
 const isShown = (run) => run.slot !== null;
 
@@ -82,7 +82,7 @@ function leaderboard() {
 // Success rates: a row for each achievement, a column for each shown run.
 function rateTable(runs) {
   const others = [["PPO", "ppo"], ["random", "random"]];
-  const heads = [...runs.map((run) => make("th", "number", swatchOf(run), run.name)), ...others.map(([name]) => make("th", "number quiet", name))];
+  const heads = [...runs.map((run) => make("th", "number", swatchOf(run), breakable(run.name))), ...others.map(([name]) => make("th", "number quiet", name))];
   heads.forEach((cell) => { cell.scope = "col"; });
   const body = Object.entries(references.rates).map(([name, known]) => {
     const head = make("th", "", words(name));
@@ -160,7 +160,7 @@ function startReport(report) {
         scrollable("Achievements", rates))));
   $("report-view").hidden = false;
   board.score = lineChart(scoreCanvas, { legend: true });
-  board.reward = lineChart(rewardCanvas, { legend: true });
+  board.reward = lineChart(rewardCanvas);
   showRuns();
 }
 

@@ -208,10 +208,10 @@ class LivePage(python_case.FolderCase):
     self.assertEqual(len(driver.find_elements("css selector", ".leaderboard tbody tr")), runs)
     self.check_looks(driver, "report")
     self.check_keyboard(driver)
-    scores = [float(cell.text) for cell in driver.find_elements("css selector", ".leaderboard tbody td:nth-child(7)")]
+    scores = [float(cell.text) for cell in driver.find_elements("css selector", ".leaderboard tbody td:nth-child(3)")]
     self.assertEqual(scores, sorted(scores, reverse=True))
-    driver.find_elements("css selector", "button.sort")[5].click()
-    reverse = [float(cell.text) for cell in driver.find_elements("css selector", ".leaderboard tbody td:nth-child(7)")]
+    driver.find_elements("css selector", "button.sort")[1].click()
+    reverse = [float(cell.text) for cell in driver.find_elements("css selector", ".leaderboard tbody td:nth-child(3)")]
     self.assertEqual(reverse, sorted(scores))
     self.assertEqual(browser.errors(driver), [])
 
