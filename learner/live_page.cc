@@ -140,7 +140,8 @@ absl::Status LivePage::Options::Validate() const {
 absl::StatusOr<std::unique_ptr<LivePage>> LivePage::Create(const Options& options, Parts parts) {
   CRAFTFLEET_RETURN_IF_ERROR(options.Validate());
   std::unique_ptr<LivePage> page(new LivePage(options, std::move(parts)));
-  wire::HttpServer::Options server = {options.address, options.files, kTimeout, /*accept_posts=*/true};
+  wire::HttpServer::Options server = {options.address, options.files, kTimeout, /*accept_posts=*/true,
+                                      /*keep_alive=*/true};
   absl::StatusOr<std::unique_ptr<wire::HttpServer>> created =
       wire::HttpServer::Create(server, [self = page.get()](const Request& request) { return self->Respond(request); });
   if (!created.ok()) {

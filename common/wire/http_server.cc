@@ -23,11 +23,13 @@ constexpr char kTlsVersions[] = "NORMAL:-VERS-ALL:+VERS-TLS1.3:+VERS-TLS1.2";  /
 class Deadline {
  public:
   Deadline(int descriptor, absl::Duration timeout)
-      : timer_(Watchdog::OfProcess(), [descriptor] { shutdown(descriptor, SHUT_RDWR); }) {
-    timer_.Arm(timeout);
+      : timeout_(timeout), timer_(Watchdog::OfProcess(), [descriptor] { shutdown(descriptor, SHUT_RDWR); }) {
+    Restart();
   }
+  void Restart() { timer_.Arm(timeout_); }
 
  private:
+  const absl::Duration timeout_;
   Watchdog::Timer timer_;
 };
 
@@ -44,12 +46,18 @@ void OnConnection(void* timeout, MHD_Connection* connection, void** context, MHD
   shutdown(descriptor, SHUT_RDWR);
 }
 
-MHD_Result Send(MHD_Connection* connection, const HttpServer::Response& answer) {
+// Called by libmicrohttpd when a request has been answered; the connection may go on.
+void OnAnswered(void* /*server*/, MHD_Connection* connection, void** /*request*/, MHD_RequestTerminationCode /*code*/) {
+  void* const context = MHD_get_connection_info(connection, MHD_CONNECTION_INFO_SOCKET_CONTEXT)->socket_context;
+  if (context != nullptr) static_cast<Deadline*>(context)->Restart();
+}
+
+MHD_Result Send(MHD_Connection* connection, bool keep_alive, const HttpServer::Response& answer) {
   MHD_Response* response =
       MHD_create_response_from_buffer(answer.body.size(), const_cast<char*>(answer.body.data()), MHD_RESPMEM_MUST_COPY);
   if (response == nullptr) return MHD_NO;
   MHD_add_response_header(response, MHD_HTTP_HEADER_CONTENT_TYPE, answer.content_type.c_str());
-  MHD_add_response_header(response, MHD_HTTP_HEADER_CONNECTION, "close");
+  if (!keep_alive) MHD_add_response_header(response, MHD_HTTP_HEADER_CONNECTION, "close");
   for (const auto& [name, value] : answer.headers) {
     MHD_add_response_header(response, name.c_str(), value.c_str());
   }
@@ -61,6 +69,11 @@ MHD_Result Send(MHD_Connection* connection, const HttpServer::Response& answer) 
 std::optional<absl::string_view> Lookup(MHD_Connection* connection, MHD_ValueKind kind, const char* name) {
   const char* const value = MHD_lookup_connection_value(connection, kind, name);
   return value == nullptr ? std::nullopt : std::optional<absl::string_view>(value);
+}
+
+bool HasBody(MHD_Connection* connection) {
+  return Lookup(connection, MHD_HEADER_KIND, MHD_HTTP_HEADER_CONTENT_LENGTH).has_value() ||
+         Lookup(connection, MHD_HEADER_KIND, MHD_HTTP_HEADER_TRANSFER_ENCODING).has_value();
 }
 
 }  // namespace
@@ -114,16 +127,23 @@ class HttpServer::Daemons {
 // Called by libmicrohttpd for each request once its headers have arrived; MHD_NO ends the connection.
 MHD_Result HttpServer::Daemons::OnRequest(void* daemons, MHD_Connection* connection, const char* path,
                                           const char* method, const char* /*version*/, const char* /*upload*/,
-                                          size_t* /*upload_bytes*/, void** /*request*/) {
+                                          size_t* /*upload_bytes*/, void** request) {
   auto* const self = static_cast<Daemons*>(daemons);
   const absl::string_view name = method;
   const bool is_get = name == MHD_HTTP_METHOD_GET || name == MHD_HTTP_METHOD_HEAD;
   if (!is_get && !(self->options_.accept_posts && name == MHD_HTTP_METHOD_POST)) {
-    return Send(connection, {MHD_HTTP_METHOD_NOT_ALLOWED, "text/plain",
-                             self->options_.accept_posts ? "want GET or POST\n" : "want GET\n"});
+    return Send(
+        connection, /*keep_alive=*/false,
+        {MHD_HTTP_METHOD_NOT_ALLOWED, "text/plain", self->options_.accept_posts ? "want GET or POST\n" : "want GET\n"});
+  }
+  // An answer to the first call ends the connection, since a body may follow that nobody reads. Without one, there is
+  // a second call.
+  if (self->options_.keep_alive && is_get && *request == nullptr && !HasBody(connection)) {
+    *request = self;
+    return MHD_YES;
   }
   const MutexLock lock(&self->answering_);
-  return Send(connection, self->respond_(Request(connection, method, path)));
+  return Send(connection, self->options_.keep_alive, self->respond_(Request(connection, method, path)));
 }
 
 MHD_Daemon* HttpServer::Daemons::StartDaemon(const std::string& certificate, const std::string& key) {
@@ -136,13 +156,14 @@ MHD_Daemon* HttpServer::Daemons::StartDaemon(const std::string& certificate, con
   const MHD_OptionItem without_tls[] = {{MHD_OPTION_END, 0, nullptr}};
   const bool tls = !certificate.empty();
   // libmicrohttpd's own listening socket could not be bound to both addresses of a name like localhost.
-  return MHD_start_daemon(
-      MHD_USE_EPOLL | MHD_USE_INTERNAL_POLLING_THREAD | MHD_USE_ITC | MHD_USE_NO_LISTEN_SOCKET |
-          MHD_USE_SUPPRESS_DATE_NO_CLOCK | (tls ? MHD_USE_TLS : MHD_NO_FLAG),
-      0, nullptr, nullptr, &OnRequest, this, MHD_OPTION_CONNECTION_LIMIT, static_cast<unsigned>(kMaxConnections),
-      MHD_OPTION_PER_IP_CONNECTION_LIMIT, static_cast<unsigned>(kMaxConnectionsPerClient),
-      MHD_OPTION_CONNECTION_MEMORY_LIMIT, kMaxRequestBytes, MHD_OPTION_NOTIFY_CONNECTION, &OnConnection,
-      const_cast<absl::Duration*>(&options_.timeout), MHD_OPTION_ARRAY, tls ? with_tls : without_tls, MHD_OPTION_END);
+  return MHD_start_daemon(MHD_USE_EPOLL | MHD_USE_INTERNAL_POLLING_THREAD | MHD_USE_ITC | MHD_USE_NO_LISTEN_SOCKET |
+                              MHD_USE_SUPPRESS_DATE_NO_CLOCK | (tls ? MHD_USE_TLS : MHD_NO_FLAG),
+                          0, nullptr, nullptr, &OnRequest, this, MHD_OPTION_CONNECTION_LIMIT,
+                          static_cast<unsigned>(kMaxConnections), MHD_OPTION_PER_IP_CONNECTION_LIMIT,
+                          static_cast<unsigned>(kMaxConnectionsPerClient), MHD_OPTION_CONNECTION_MEMORY_LIMIT,
+                          kMaxRequestBytes, MHD_OPTION_NOTIFY_CONNECTION, &OnConnection,
+                          const_cast<absl::Duration*>(&options_.timeout), MHD_OPTION_NOTIFY_COMPLETED, &OnAnswered,
+                          nullptr, MHD_OPTION_ARRAY, tls ? with_tls : without_tls, MHD_OPTION_END);
 }
 
 absl::Status HttpServer::Daemons::Start(const std::string& certificate, const std::string& key) {

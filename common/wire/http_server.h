@@ -23,12 +23,12 @@ struct MHD_Connection;
 
 namespace craftfleet::wire {
 
-// HTTP/1.1 without keep-alive, plain or over TLS: one request per connection. Two threads for any number of clients:
+// HTTP/1.1, plain or over TLS. Two threads for any number of clients:
 // the listener's accepts connections, libmicrohttpd's serves them. Thread-safe. The limits, and what enforces each:
 //   connections in all and of one address       Listener, which logs refusals; MHD_OPTION_*_LIMIT for half-closed
 //                                               ones, which the listener no longer counts
 //   bytes of a request, and memory for it       MHD_OPTION_CONNECTION_MEMORY_LIMIT; 414 or 431 beyond
-//   time, from the connection to its last byte  Watchdog; libmicrohttpd's own timeout restarts with each byte
+//   time, from the connection to the last byte  Watchdog; libmicrohttpd's own timeout restarts with each byte
 class HttpServer {
  public:
   static constexpr int kMaxConnections = 128;
@@ -38,8 +38,9 @@ class HttpServer {
   struct Options {
     std::string address;                        // HOST:PORT; port 0: any free one
     TlsFiles files = {};                        // with a certificate: TLS; clients need no certificate
-    absl::Duration timeout = absl::Seconds(3);  // of a connection, from its beginning to its last byte
+    absl::Duration timeout = absl::Seconds(3);  // of a connection; with keep_alive from one answer to the next
     bool accept_posts = false;                  // besides GET and HEAD; their bodies are not read
+    bool keep_alive = false;                    // many requests per connection: saves TLS handshakes
   };
 
   // A request that is being answered.

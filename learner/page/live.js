@@ -149,9 +149,16 @@ function describe(chart, name, value, end) {
   chart.canvas.setAttribute("aria-label", `${name}: ${value} after ${whole.format(end)} environment steps`);
 }
 
+// The end of the steps' axis: the goal, halved as long as the run is far from it.
+function axisEnd(steps, goal) {
+  let end = Math.max(goal, steps, 1);
+  while (end > 2.4 * Math.max(steps, 1000)) end /= 2;
+  return end;
+}
+
 function showCurves(data, views) {
   const { run, curve, speed } = data;
-  const end = Math.max(live.goal, data.env_steps, 1);
+  const end = axisEnd(data.env_steps, live.goal);
   document.title = `${run.agent} on ${run.env} – CraftFleet`;
   setText($("run-title"), `${run.agent} on ${run.env}`);
   setText($("run-facts"), `Run ${run.id}, seed ${run.seed}, ${run.lanes} lanes`);

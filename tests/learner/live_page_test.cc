@@ -5,6 +5,7 @@
 #include <vector>
 
 #include <absl/strings/str_cat.h>
+#include <absl/strings/str_split.h>
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 #include <nlohmann/json.hpp>
@@ -68,7 +69,7 @@ class LivePageTest : public OpenRun {
   }
 
   std::string Ask(const std::string& line, const std::string& headers = "Host: localhost\r\n") {
-    return HttpClient(page_->url()).Ask(absl::StrCat(line, " HTTP/1.1\r\n", headers, "\r\n"));
+    return HttpClient(page_->url()).Ask(absl::StrCat(line, " HTTP/1.1\r\nConnection: close\r\n", headers, "\r\n"));
   }
   std::string AskAs(const std::string& token, const std::string& line, const std::string& headers = "") {
     return Ask(line, absl::StrCat("Host: a\r\nAuthorization: Bearer ", token, "\r\n", headers));
@@ -189,6 +190,14 @@ TEST_F(LivePageTest, WithAnAccessFileNothingIsShownWithoutAToken) {
   EXPECT_THAT(AskAs(kSteerer, "GET /status.json"), HasSubstr("X-Craftfleet-Steer: yes\r\n"));
   EXPECT_THAT(AskAs(kSteerer, "POST /pause", "X-Craftfleet: x\r\n"), StartsWith("HTTP/1.1 200 "));
   EXPECT_TRUE(registry_.paused());
+}
+
+TEST_F(LivePageTest, AConnectionServesManyRequests) {
+  const std::string request = "GET /status.json HTTP/1.1\r\nHost: localhost\r\n";
+  const std::string replies =
+      HttpClient(page_->url())
+          .Ask(absl::StrCat(request, "\r\n", request, "\r\n", request, "Connection: close\r\n\r\n"));
+  EXPECT_THAT(std::vector<std::string>(absl::StrSplit(replies, "HTTP/1.1 200 OK")), testing::SizeIs(4));
 }
 
 TEST_F(LivePageTest, HugeRequestsAndBodiesAreNotRead) {

@@ -1,8 +1,8 @@
 #!/usr/bin/env python3
 """The cost of the live page: a learner trains while browsers watch it, as many as --clients.
 
-Each client asks for what the page asks for, as often. The cost is the CPU time of the threads that serve the page, in percent of
-one core and of the learner's CPU time. With --tls each request has a handshake of its own.
+Each client asks for what the page asks for, as often, over one connection. The cost is the CPU time of the thread that serves the
+page, in percent of one core and of the process's CPU time.
 
   tests/bench/page/page_bench.py --clients=20 --seconds=60
 """
@@ -33,18 +33,22 @@ class Client(threading.Thread):
     super().__init__()
     self.port, self.tls, self.stop = port, tls, stop
     self.requests, self.bytes, self.failures = 0, 0, 0
+    self.connection = None
+
+  def connect(self):
+    if not self.tls:
+      return http.client.HTTPConnection("localhost", self.port, timeout=10)
+    context = ssl._create_unverified_context()  # pylint: disable=protected-access
+    return http.client.HTTPSConnection("localhost", self.port, context=context, timeout=10)
 
   def get(self, path, **headers):
     try:
-      if self.tls:
-        context = ssl._create_unverified_context()  # pylint: disable=protected-access
-        connection = http.client.HTTPSConnection("localhost", self.port, context=context, timeout=10)
-      else:
-        connection = http.client.HTTPConnection("localhost", self.port, timeout=10)
-      connection.request("GET", path, headers={"Authorization": f"Bearer {TOKEN}", **headers})
-      reply = connection.getresponse()
+      self.connection = self.connection or self.connect()
+      self.connection.request("GET", path, headers={"Authorization": f"Bearer {TOKEN}", **headers})
+      reply = self.connection.getresponse()
       body = reply.read()
-    except OSError:
+    except (OSError, http.client.HTTPException):
+      self.connection = None
       self.failures += 1
       return None, {}, b""
     self.requests += 1
