@@ -56,7 +56,7 @@ function lineChart(canvas, { legend = false, beginAtZero = true } = {}) {
       normalized: true,
       interaction: { mode: "nearest", axis: "x", intersect: false },
       scales: {
-        x: { type: "linear", min: 0, ticks: { callback: (value) => compact.format(value), maxRotation: 0, autoSkipPadding: 24 } },
+        x: { type: "linear", min: 0, ticks: { callback: (value) => compact.format(value), maxRotation: 0, autoSkipPadding: 24, includeBounds: false } },
         y: { beginAtZero, ticks: { callback: (value) => compact.format(value), maxTicksLimit: 6 } },
       },
       plugins: {

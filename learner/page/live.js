@@ -6,7 +6,7 @@ const activityColours = {
 };
 const stateWords = { TRAINING: "Training", PAUSED: "Paused", EVALUATING: "Evaluating", COMPLETE: "Complete" };
 
-const live = { token: "", tag: "", iteration: -1, frame: 0, goal: 0, steer: false, state: "" };
+const live = { token: "", tag: "", frame: 0, goal: 0, steer: false, state: "" };
 
 // Requests `path` with the token. Throws {code, text} unless the server answers 200 or 304.
 async function ask(path, options = {}) {
@@ -142,7 +142,6 @@ function showStatus(status) {
   setText($("advice"), status.fleet.advice || " ");
   setText($("checkpoint-age"), `The last one was written ${span(metrics.checkpoint_age)} ago.`);
   showWorkers(status);
-  return metrics.iteration;
 }
 
 function describe(chart, name, value, end) {
@@ -203,16 +202,14 @@ async function update(views) {
   $("steering").hidden = !steer;
   $("sign-in").hidden = true;
   $("live").hidden = false;
-  const iteration = showStatus(status);
-  if (iteration === live.iteration) return;
+  showStatus(status);
+  // Unless an iteration has ended since, the answer is 304.
   const curves = await ask("/curves.json", live.tag ? { headers: { "If-None-Match": live.tag } } : {});
-  if (curves.status !== 304) {
-    const data = await curves.json();
-    showCurves(data, views);
-    if (data.frame && data.frame !== live.frame) await showFrame(data.frame, data.env_steps);
-    live.tag = curves.headers.get("ETag");
-  }
-  live.iteration = iteration;
+  if (curves.status === 304) return;
+  const data = await curves.json();
+  showCurves(data, views);
+  if (data.frame && data.frame !== live.frame) await showFrame(data.frame, data.env_steps);
+  live.tag = curves.headers.get("ETag");
 }
 
 function signIn(error) {
