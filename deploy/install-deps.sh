@@ -3,8 +3,8 @@
 # Does nothing if all are installed. Uses sudo when not run as root.
 #
 # Usage: deploy/install-deps.sh [--tests[=torch]] [--developer] [--libtorch=DIR|cuda]
-#   --tests         also the packages without which some tests are skipped: Slurm, a YAML parser, network namespaces, displays
-#                   and terminals; and, from PyPI into .cache/python (300 MB), what the tests of the Python package need
+#   --tests         also the packages without which some tests are skipped: Slurm, a YAML parser, network namespaces, displays,
+#                   terminals and a browser; and, from PyPI into .cache/python (300 MB), what the tests of the Python package need
 #   --tests=torch   the same, and PyTorch with Stable-Baselines3 from PyPI (6 GB), for the tests of examples that train
 #   --developer     also the packages for the other builds and checks of .ci/run: clang and its tools, shellcheck
 #   --libtorch=DIR  leave out Debian's LibTorch, because the build uses the one in DIR: an unpacked LibTorch, a Python
@@ -33,6 +33,7 @@ packages=(
   g++ cmake ninja-build git pkg-config
   protobuf-compiler protobuf-compiler-grpc libprotobuf-dev libgrpc++-dev libssl-dev
   libabsl-dev nlohmann-json3-dev zlib1g-dev libpng-dev libzip-dev prometheus-cpp-dev libmicrohttpd-dev
+  libjs-chart.js  # charts of the live page and of reports, compiled in
   openssl  # deploy/make-certs.sh
   libgoogle-perftools-dev  # tcmalloc
   libtorch-dev
@@ -107,7 +108,8 @@ if [ -n "$libtorch" ]; then
   done
 fi
 if [ -n "$tests" ]; then
-  packages+=(python3-venv python3-dev python3-yaml iproute2 prometheus munge slurmctld slurmd slurm-client tmux xvfb xdotool zsh)
+  packages+=(python3-venv python3-dev python3-yaml iproute2 prometheus munge slurmctld slurmd slurm-client tmux xvfb xdotool zsh
+    chromium chromium-driver python3-selenium)
 fi
 if [ -n "$developer" ]; then
   packages+=(clang libclang-rt-14-dev llvm clang-format clang-tidy shellcheck)

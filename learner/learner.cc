@@ -149,7 +149,17 @@ absl::StatusOr<std::unique_ptr<Learner>> Learner::Create(const Options& options)
   CRAFTFLEET_ASSIGN_OR_RETURN(
       learner->server_,
       wire::Server::Create(server, {&learner->service_, &learner->admin_service_, &learner->status_service_}));
+  if (!options.http_address.empty()) CRAFTFLEET_RETURN_IF_ERROR(learner->ServePage(options, server.access));
   return learner;
+}
+
+absl::Status Learner::ServePage(const Options& options, std::shared_ptr<wire::AccessControl> access) {
+  const LivePage::Options page = {options.http_address, options.server.files, std::move(access)};
+  CRAFTFLEET_ASSIGN_OR_RETURN(
+      page_, LivePage::Create(
+                 page, {folder_->run_id(), folder_->logdir(), config_, [this] { return status_service_.Snapshot(); },
+                        &trainer_.view(), &checkpoint_requests_, &registry_, clock_.get()}));
+  return absl::OkStatus();
 }
 
 absl::StatusOr<Learner::Loaded> Learner::Load(const Options& options, const v1::RunConfig& config) {

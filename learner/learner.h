@@ -20,6 +20,7 @@
 #include "learner/evaluation_planner.h"
 #include "learner/fragment_journal.h"
 #include "learner/learner_service.h"
+#include "learner/live_page.h"
 #include "learner/ppo/ppo_updater.h"
 #include "learner/run/progress.h"
 #include "learner/run/run_folder.h"
@@ -42,6 +43,7 @@ class Learner {
     std::string texture_dir;   // folder of textures; empty: the built-in ones
     bool allow_mixed = false;  // accept workers with another canary (learner/build_check.h)
     wire::Server::Options server;
+    std::string http_address;          // of the live page (learner/live_page.h); empty: none
     int threads = 1;                   // of the update, 1..256
     std::string device = "cpu";        // of the update, as FindDevice returns it; `config` agrees (SetRunDevice)
     std::ostream* progress = nullptr;  // for progress lines; null: none
@@ -68,12 +70,15 @@ class Learner {
   const Trainer& trainer() const { return trainer_; }
   wire::StatusServiceImpl& status() { return status_service_; }
   const v1::RunConfig& config() const { return config_; }
+  // URL of the live page; empty: none.
+  std::string page_url() const { return page_ == nullptr ? "" : page_->url(); }
 
  private:
   struct Loaded;  // run folder, updater and loaded state
 
   Learner(const Options& options, Loaded loaded);
   void FillStatus(v1::StatusReply* reply) const;
+  absl::Status ServePage(const Options& options, std::shared_ptr<wire::AccessControl> access);
   static absl::StatusOr<Loaded> Load(const Options& options, const v1::RunConfig& config);
   static void OpenJournal(Loaded* loaded);
 
@@ -93,7 +98,8 @@ class Learner {
   LearnerServiceImpl service_;
   AdminServiceImpl admin_service_;
   wire::StatusServiceImpl status_service_;
-  std::unique_ptr<wire::Server> server_;  // last: its threads use all of the above
+  std::unique_ptr<wire::Server> server_;  // last, with the next: their threads use all of the above
+  std::unique_ptr<LivePage> page_;        // null: none
 };
 
 }  // namespace craftfleet

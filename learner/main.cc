@@ -39,7 +39,8 @@ continues silently.)";
 absl::Status Run() {
   CRAFTFLEET_ASSIGN_OR_RETURN(const wire::MetricsServer::Options metrics_options,
                               wire::MetricsOptionsFromFlags(wire::kAnyFreePort));
-  CRAFTFLEET_ASSIGN_OR_RETURN(Learner::Options options, LearnerOptionsFromFlags(v1::RunConfig::CUDA_UPDATES));
+  CRAFTFLEET_ASSIGN_OR_RETURN(Learner::Options options,
+                              LearnerOptionsFromFlags(v1::RunConfig::CUDA_UPDATES, wire::kAnyFreePort));
   CRAFTFLEET_RETURN_IF_ERROR(PinCpu(options.config.cpu()));
   SetUpTorchThread();
   options.server.address = absl::GetFlag(FLAGS_listen);

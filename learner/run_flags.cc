@@ -64,6 +64,10 @@ ABSL_FLAG(std::string, config, "",
 ABSL_FLAG(std::string, textures, "",
           "folder with Crafter's textures as PNG, such as crafter/assets of the Python package\n"
           "[the built-in ones]");
+ABSL_FLAG(craftfleet::GivenAddress, http_listen, {},
+          "address to serve the live page on, HOST:PORT, for browsers; empty: none\n"
+          "beyond this host it requires --tls_cert, --tls_key and --access_file with the tokens of its readers\n"
+          "[any free port of this host, see the log; craftfleet train, and learners with TLS: none]");
 ABSL_FLAG(int32_t, threads, 0, "threads that compute; 0: as many as the CPU quota allows");
 ABSL_FLAG(
     std::string, device, "auto",
@@ -108,7 +112,8 @@ absl::StatusOr<int> ThreadsFromFlags() {
 
 }  // namespace
 
-absl::StatusOr<Learner::Options> LearnerOptionsFromFlags(v1::RunConfig::Device on_gpu) {
+absl::StatusOr<Learner::Options> LearnerOptionsFromFlags(v1::RunConfig::Device on_gpu,
+                                                         absl::string_view page_by_default) {
   Learner::Options options;
   options.logdir = absl::GetFlag(FLAGS_logdir);
   if (options.logdir.empty()) {
@@ -144,6 +149,8 @@ absl::StatusOr<Learner::Options> LearnerOptionsFromFlags(v1::RunConfig::Device o
   CRAFTFLEET_RETURN_IF_ERROR(SetRunDevice(options.device, options.resume, on_gpu, &options.config));
   SetUpDevice(options.device, options.config.precision());
   options.server = wire::ServerOptionsFromFlags(/*address=*/"");
+  options.http_address = absl::GetFlag(FLAGS_http_listen)
+                             .address.value_or(options.server.files.empty() ? std::string(page_by_default) : "");
   options.progress = &std::cout;
   options.progress_in_place = isatty(STDOUT_FILENO) == 1;
   return options;

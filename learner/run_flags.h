@@ -13,10 +13,11 @@ namespace craftfleet {
 // Makes the learner's options from the flags. The configuration starts from the defaults, or with --resume from the
 // stored one; --config overrides it, and other given flags override both. The caller sets the server's address.
 // Progress goes to standard output. `on_gpu` is what a new run with --device=cuda computes on GPUs. Prepares LibTorch
-// for the device.
+// for the device. `page_by_default` is the address of the live page without a flag, unless the server has TLS.
 //   InvalidArgument names the flag, or the file and line.   FailedPrecondition: there is no such device, or the run is
 //   of another.
-absl::StatusOr<Learner::Options> LearnerOptionsFromFlags(v1::RunConfig::Device on_gpu);
+absl::StatusOr<Learner::Options> LearnerOptionsFromFlags(v1::RunConfig::Device on_gpu,
+                                                         absl::string_view page_by_default);
 
 }  // namespace craftfleet
 

@@ -14,6 +14,7 @@ absl::Status LogRunStart(const Learner& learner, const std::string& logdir) {
   CRAFTFLEET_RETURN_IF_ERROR(FinishStandardOutput());
   LogInfo("run %s in %s%s%s", learner.run_id(), logdir, learner.address().empty() ? "" : "; listening on ",
           learner.address());
+  if (const std::string page = learner.page_url(); !page.empty()) LogInfo("live page on %s", page);
   const v1::RunConfig& config = learner.config();
   const int64_t done = learner.trainer().counters().start_steps;
   if (done >= config.steps()) {

@@ -1,5 +1,6 @@
 #include "learner/trainer.h"
 
+#include <algorithm>
 #include <utility>
 
 #include "common/base/status_macros.h"
@@ -43,6 +44,7 @@ Trainer::Trainer(const v1::RunConfig& config, const Checkpoint& checkpoint, std:
 absl::Status Trainer::Run() {
   start_ = parts_.clock->Now();
   status_.OnStart(parts_.folder->score());
+  view_.OnStart(*parts_.folder, counters_.env_steps);
   if (play_weights_.bytes != nullptr) parts_.weights->Publish(play_weights_.version, play_weights_.bytes);
   PublishWeights(weights_.version);
   if (play_weights_.bytes == nullptr) play_weights_ = weights_;
@@ -83,6 +85,7 @@ void Trainer::Stop() {
 }
 
 absl::Status Trainer::RunIteration() {
+  const absl::Time begin = parts_.clock->Now();
   status_.OnIterationBegin();
   meter_.BeginCycle();
   meter_.Switch(Activity::kIntake);
@@ -102,6 +105,9 @@ absl::Status Trainer::RunIteration() {
   failed_updates_ = 0;
   CRAFTFLEET_RETURN_IF_ERROR(FinishIteration(fragments, *stats, std::move(lanes)));
   status_.OnIterationEnd(parts_.folder->score());
+  const double seconds = absl::ToDoubleSeconds(parts_.clock->Now() - begin);
+  view_.OnIterationEnd(*parts_.folder, counters_.env_steps, config_.ppo().rollout_steps() / std::max(seconds, 1e-9),
+                       fragments.front(), parts_.updater->spec().frame_size);
   return absl::OkStatus();
 }
 

@@ -33,6 +33,7 @@
 #include "learner/stop_flag.h"
 #include "learner/training_log.h"
 #include "learner/training_status.h"
+#include "learner/training_view.h"
 #include "learner/weight_store.h"
 #include "learner/worker_registry.h"
 
@@ -82,6 +83,7 @@ class Trainer {
   const TrainerCounters& counters() const { return counters_; }
   // How the training thread's time is spent.
   const ActivityMeter& meter() const { return meter_; }
+  const TrainingView& view() const { return view_; }
   void FillStatus(v1::StatusReply* reply) const { status_.Fill(meter_, checkpoints_.age(), reply); }
 
  private:
@@ -126,6 +128,7 @@ class Trainer {
   std::atomic<Phase> phase_{Phase::kTraining};
   ActivityMeter meter_;
   TrainingStatus status_;
+  TrainingView view_;
   DiskWait disk_;
   TrainingLog log_;
   CheckpointWriter checkpoints_;

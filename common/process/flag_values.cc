@@ -83,4 +83,11 @@ bool AbslParseFlag(absl::string_view text, TimeSpan* span, std::string* error) {
 
 std::string AbslUnparseFlag(const TimeSpan& span) { return absl::FormatDuration(span.value); }
 
+bool AbslParseFlag(absl::string_view text, GivenAddress* given, std::string* /*error*/) {
+  given->address = std::string(text);
+  return true;
+}
+
+std::string AbslUnparseFlag(const GivenAddress& given) { return given.address.value_or(""); }
+
 }  // namespace craftfleet

@@ -4,6 +4,7 @@
 #define CRAFTFLEET_COMMON_PROCESS_FLAG_VALUES_H_
 
 #include <cstdint>
+#include <optional>
 #include <string>
 
 #include <absl/strings/string_view.h>
@@ -25,6 +26,13 @@ struct TimeSpan {
 };
 bool AbslParseFlag(absl::string_view text, TimeSpan* span, std::string* error);
 std::string AbslUnparseFlag(const TimeSpan& span);
+
+// An address that may be given as empty, which differs from not given: Abseil parses "" as an absent optional.
+struct GivenAddress {
+  std::optional<std::string> address;
+};
+bool AbslParseFlag(absl::string_view text, GivenAddress* given, std::string* error);
+std::string AbslUnparseFlag(const GivenAddress& given);
 
 }  // namespace craftfleet
 

@@ -235,6 +235,10 @@ absl::Status AccessControl::Check(const Caller& caller, absl::string_view path) 
   return absl::Status(status.code(), "not allowed; the log of the process that was called says why");
 }
 
+bool AccessControl::Allows(const Caller& caller, absl::string_view path) const {
+  return CheckAccess(*snapshot_->Get(), caller, path).ok();
+}
+
 std::string AccessControl::Identify(const grpc::ServerContextBase& context) const {
   return Identity(*snapshot_->Get(), MakeCaller(context.client_metadata(), context.auth_context().get()));
 }

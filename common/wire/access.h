@@ -60,6 +60,8 @@ class AccessControl {
 
   // As CheckAccess; refusals are logged. The error's message is safe to send to the caller: it contains no reason.
   absl::Status Check(const Caller& caller, absl::string_view path);
+  // Whether Check would return OK; logs nothing.
+  bool Allows(const Caller& caller, absl::string_view path) const;
   // Identity of the caller of `context`.
   std::string Identify(const grpc::ServerContextBase& context) const;
 

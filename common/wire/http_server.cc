@@ -1,32 +1,43 @@
 #include "common/wire/http_server.h"
 
 #include <microhttpd.h>
+#include <netdb.h>
+#include <netinet/in.h>
 #include <sys/socket.h>
 
+#include <array>
 #include <cstddef>
 
+#include "common/base/mutex.h"
 #include "common/base/status_macros.h"
 #include "common/base/watchdog.h"
+#include "common/io/files.h"
+#include "common/telemetry/log.h"
 
 namespace craftfleet::wire {
 namespace {
 
-// Ends a connection that lasts longer than kTimeout, even if it is active.
+constexpr char kTlsVersions[] = "NORMAL:-VERS-ALL:+VERS-TLS1.3:+VERS-TLS1.2";  // as GnuTLS writes them
+
+// Ends a connection that lasts longer than `timeout`, even if it is active.
 class Deadline {
  public:
-  explicit Deadline(int descriptor) : timer_(Watchdog::OfProcess(), [descriptor] { shutdown(descriptor, SHUT_RDWR); }) {
-    timer_.Arm(HttpServer::kTimeout);
+  Deadline(int descriptor, absl::Duration timeout)
+      : timeout_(timeout), timer_(Watchdog::OfProcess(), [descriptor] { shutdown(descriptor, SHUT_RDWR); }) {
+    Restart();
   }
+  void Restart() { timer_.Arm(timeout_); }
 
  private:
+  const absl::Duration timeout_;
   Watchdog::Timer timer_;
 };
 
 // Called by libmicrohttpd when a connection starts, and when it has ended but its descriptor is still open.
-void OnConnection(void* /*server*/, MHD_Connection* connection, void** context, MHD_ConnectionNotificationCode code) {
+void OnConnection(void* timeout, MHD_Connection* connection, void** context, MHD_ConnectionNotificationCode code) {
   const int descriptor = MHD_get_connection_info(connection, MHD_CONNECTION_INFO_CONNECTION_FD)->connect_fd;
   if (code == MHD_CONNECTION_NOTIFY_STARTED) {
-    *context = new Deadline(descriptor);
+    *context = new Deadline(descriptor, *static_cast<const absl::Duration*>(timeout));
     return;
   }
   delete static_cast<Deadline*>(*context);
@@ -35,67 +46,203 @@ void OnConnection(void* /*server*/, MHD_Connection* connection, void** context, 
   shutdown(descriptor, SHUT_RDWR);
 }
 
-MHD_Result Send(MHD_Connection* connection, const HttpServer::Response& answer) {
+// Called by libmicrohttpd when a request has been answered; the connection may go on.
+void OnAnswered(void* /*server*/, MHD_Connection* connection, void** /*request*/, MHD_RequestTerminationCode /*code*/) {
+  void* const context = MHD_get_connection_info(connection, MHD_CONNECTION_INFO_SOCKET_CONTEXT)->socket_context;
+  if (context != nullptr) static_cast<Deadline*>(context)->Restart();
+}
+
+MHD_Result Send(MHD_Connection* connection, bool keep_alive, const HttpServer::Response& answer) {
   MHD_Response* response =
       MHD_create_response_from_buffer(answer.body.size(), const_cast<char*>(answer.body.data()), MHD_RESPMEM_MUST_COPY);
   if (response == nullptr) return MHD_NO;
   MHD_add_response_header(response, MHD_HTTP_HEADER_CONTENT_TYPE, answer.content_type.c_str());
-  MHD_add_response_header(response, MHD_HTTP_HEADER_CONNECTION, "close");
+  if (!keep_alive) MHD_add_response_header(response, MHD_HTTP_HEADER_CONNECTION, "close");
+  for (const auto& [name, value] : answer.headers) {
+    MHD_add_response_header(response, name.c_str(), value.c_str());
+  }
   const MHD_Result queued = MHD_queue_response(connection, static_cast<unsigned>(answer.code), response);
   MHD_destroy_response(response);
   return queued;
 }
 
-// Called by libmicrohttpd for each request once its headers have arrived; MHD_NO ends the connection.
-MHD_Result OnRequest(void* respond, MHD_Connection* connection, const char* path, const char* method,
-                     const char* /*version*/, const char* /*upload*/, size_t* /*upload_bytes*/, void** /*request*/) {
-  const absl::string_view name = method;
-  if (name != MHD_HTTP_METHOD_GET && name != MHD_HTTP_METHOD_HEAD) {
-    return Send(connection, {MHD_HTTP_METHOD_NOT_ALLOWED, "text/plain", "want GET\n"});
-  }
-  return Send(connection, (*static_cast<const HttpServer::Respond*>(respond))(path));
+std::optional<absl::string_view> Lookup(MHD_Connection* connection, MHD_ValueKind kind, const char* name) {
+  const char* const value = MHD_lookup_connection_value(connection, kind, name);
+  return value == nullptr ? std::nullopt : std::optional<absl::string_view>(value);
+}
+
+bool HasBody(MHD_Connection* connection) {
+  return Lookup(connection, MHD_HEADER_KIND, MHD_HTTP_HEADER_CONTENT_LENGTH).has_value() ||
+         Lookup(connection, MHD_HEADER_KIND, MHD_HTTP_HEADER_TRANSFER_ENCODING).has_value();
 }
 
 }  // namespace
 
-absl::StatusOr<std::unique_ptr<HttpServer>> HttpServer::Create(const std::string& address, Respond respond) {
-  std::unique_ptr<HttpServer> server(new HttpServer(std::move(respond)));
-  CRAFTFLEET_RETURN_IF_ERROR(server->Start(address));
+std::optional<absl::string_view> HttpServer::Request::Header(const char* name) const {
+  return Lookup(connection_, MHD_HEADER_KIND, name);
+}
+
+std::optional<absl::string_view> HttpServer::Request::Argument(const char* name) const {
+  return Lookup(connection_, MHD_GET_ARGUMENT_KIND, name);
+}
+
+std::string HttpServer::Request::Client() const {
+  const sockaddr* const client = MHD_get_connection_info(connection_, MHD_CONNECTION_INFO_CLIENT_ADDRESS)->client_addr;
+  const socklen_t size = client->sa_family == AF_INET6 ? sizeof(sockaddr_in6) : sizeof(sockaddr_in);
+  char host[NI_MAXHOST] = "";
+  getnameinfo(client, size, host, sizeof(host), nullptr, 0, NI_NUMERICHOST);
+  return host;
+}
+
+// The libmicrohttpd daemons behind one listener. A daemon keeps the certificate that it was started with, so a new
+// certificate needs a new daemon; the one before goes on serving its connections until the next change.
+class HttpServer::Daemons {
+ public:
+  Daemons(Options options, Respond respond) : options_(std::move(options)), respond_(std::move(respond)) {}
+
+  // Serves new connections with this certificate and key, both empty without TLS.
+  absl::Status Start(const std::string& certificate, const std::string& key) ABSL_LOCKS_EXCLUDED(mu_);
+  // A file's new contents. Its certificate and key may fit only after the second of two calls.
+  void Replace(bool is_key, std::string text) ABSL_LOCKS_EXCLUDED(mu_);
+  // Takes over a connection's descriptor.
+  void Serve(int descriptor) ABSL_LOCKS_EXCLUDED(mu_);
+  // Ends all connections.
+  void Stop() ABSL_LOCKS_EXCLUDED(mu_);
+
+ private:
+  static MHD_Result OnRequest(void* daemons, MHD_Connection* connection, const char* path, const char* method,
+                              const char* version, const char* upload, size_t* upload_bytes, void** request);
+  MHD_Daemon* StartDaemon(const std::string& certificate, const std::string& key);
+
+  const Options options_;
+  const Respond respond_;
+  Mutex answering_;  // one answer at a time
+  Mutex mu_;
+  std::array<std::string, 2> files_ ABSL_GUARDED_BY(mu_);  // certificate, key
+  MHD_Daemon* current_ ABSL_GUARDED_BY(mu_) = nullptr;
+  MHD_Daemon* former_ ABSL_GUARDED_BY(mu_) = nullptr;
+  bool stopped_ ABSL_GUARDED_BY(mu_) = false;
+};
+
+// Called by libmicrohttpd for each request once its headers have arrived; MHD_NO ends the connection.
+MHD_Result HttpServer::Daemons::OnRequest(void* daemons, MHD_Connection* connection, const char* path,
+                                          const char* method, const char* /*version*/, const char* /*upload*/,
+                                          size_t* /*upload_bytes*/, void** request) {
+  auto* const self = static_cast<Daemons*>(daemons);
+  const absl::string_view name = method;
+  const bool is_get = name == MHD_HTTP_METHOD_GET || name == MHD_HTTP_METHOD_HEAD;
+  if (!is_get && !(self->options_.accept_posts && name == MHD_HTTP_METHOD_POST)) {
+    return Send(
+        connection, /*keep_alive=*/false,
+        {MHD_HTTP_METHOD_NOT_ALLOWED, "text/plain", self->options_.accept_posts ? "want GET or POST\n" : "want GET\n"});
+  }
+  // An answer to the first call ends the connection, since a body may follow that nobody reads. Without one, there is
+  // a second call.
+  if (self->options_.keep_alive && is_get && *request == nullptr && !HasBody(connection)) {
+    *request = self;
+    return MHD_YES;
+  }
+  const MutexLock lock(&self->answering_);
+  return Send(connection, self->options_.keep_alive, self->respond_(Request(connection, method, path)));
+}
+
+MHD_Daemon* HttpServer::Daemons::StartDaemon(const std::string& certificate, const std::string& key) {
+  const MHD_OptionItem with_tls[] = {
+      {MHD_OPTION_HTTPS_MEM_CERT, 0, const_cast<char*>(certificate.c_str())},
+      {MHD_OPTION_HTTPS_MEM_KEY, 0, const_cast<char*>(key.c_str())},
+      {MHD_OPTION_HTTPS_PRIORITIES, 0, const_cast<char*>(kTlsVersions)},
+      {MHD_OPTION_END, 0, nullptr},
+  };
+  const MHD_OptionItem without_tls[] = {{MHD_OPTION_END, 0, nullptr}};
+  const bool tls = !certificate.empty();
+  // libmicrohttpd's own listening socket could not be bound to both addresses of a name like localhost.
+  return MHD_start_daemon(MHD_USE_EPOLL | MHD_USE_INTERNAL_POLLING_THREAD | MHD_USE_ITC | MHD_USE_NO_LISTEN_SOCKET |
+                              MHD_USE_SUPPRESS_DATE_NO_CLOCK | (tls ? MHD_USE_TLS : MHD_NO_FLAG),
+                          0, nullptr, nullptr, &OnRequest, this, MHD_OPTION_CONNECTION_LIMIT,
+                          static_cast<unsigned>(kMaxConnections), MHD_OPTION_PER_IP_CONNECTION_LIMIT,
+                          static_cast<unsigned>(kMaxConnectionsPerClient), MHD_OPTION_CONNECTION_MEMORY_LIMIT,
+                          kMaxRequestBytes, MHD_OPTION_NOTIFY_CONNECTION, &OnConnection,
+                          const_cast<absl::Duration*>(&options_.timeout), MHD_OPTION_NOTIFY_COMPLETED, &OnAnswered,
+                          nullptr, MHD_OPTION_ARRAY, tls ? with_tls : without_tls, MHD_OPTION_END);
+}
+
+absl::Status HttpServer::Daemons::Start(const std::string& certificate, const std::string& key) {
+  const MutexLock lock(&mu_);
+  files_ = {certificate, key};
+  current_ = StartDaemon(certificate, key);
+  if (current_ != nullptr) return absl::OkStatus();
+  if (!certificate.empty()) {
+    return absl::InvalidArgumentError("the HTTP server cannot start with this certificate and key");
+  }
+  return absl::ResourceExhaustedError("the HTTP server cannot start: no thread or file descriptor is left");
+}
+
+void HttpServer::Daemons::Replace(bool is_key, std::string text) {
+  MHD_Daemon* unused = nullptr;
+  {
+    const MutexLock lock(&mu_);
+    if (stopped_) return;
+    files_[is_key ? 1 : 0] = std::move(text);
+    MHD_Daemon* const fresh = StartDaemon(files_[0], files_[1]);
+    if (fresh == nullptr) return;
+    unused = former_;
+    former_ = current_;
+    current_ = fresh;
+  }
+  LogInfo("the HTTP server uses the new certificate");
+  if (unused != nullptr) MHD_stop_daemon(unused);
+}
+
+void HttpServer::Daemons::Serve(int descriptor) {
+  sockaddr_storage client = {};
+  socklen_t size = sizeof(client);
+  getpeername(descriptor, reinterpret_cast<sockaddr*>(&client), &size);
+  const MutexLock lock(&mu_);
+  // Takes over the descriptor, and closes it if it cannot serve it.
+  MHD_add_connection(current_, descriptor, reinterpret_cast<sockaddr*>(&client), size);
+}
+
+void HttpServer::Daemons::Stop() {
+  const MutexLock lock(&mu_);
+  stopped_ = true;
+  for (MHD_Daemon* daemon : {current_, former_}) {
+    if (daemon != nullptr) MHD_stop_daemon(daemon);
+  }
+}
+
+absl::StatusOr<std::unique_ptr<HttpServer>> HttpServer::Create(const Options& options, Respond respond) {
+  std::unique_ptr<HttpServer> server(new HttpServer);
+  Listener::Options listener;
+  listener.address = options.address;
+  listener.max_connections = kMaxConnections;
+  listener.max_connections_per_client = kMaxConnectionsPerClient;
+  listener.limit = "a port for HTTP";
+  CRAFTFLEET_ASSIGN_OR_RETURN(server->listener_, Listener::Create(listener));
+  std::string certificate;
+  std::string key;
+  if (!options.files.certificate.empty()) {
+    CRAFTFLEET_ASSIGN_OR_RETURN(certificate, ReadFile(options.files.certificate));
+    CRAFTFLEET_ASSIGN_OR_RETURN(key, ReadFile(options.files.key));
+  }
+  server->daemons_ = std::make_shared<Daemons>(options, std::move(respond));
+  CRAFTFLEET_RETURN_IF_ERROR(server->daemons_->Start(certificate, key));
+  if (!certificate.empty()) {
+    const auto watch = [&server](const std::string& path, const std::string& text, bool is_key) {
+      server->watches_.push_back(std::make_unique<FileWatch>(
+          path, text,
+          [daemons = server->daemons_, is_key](std::string now) { daemons->Replace(is_key, std::move(now)); }));
+    };
+    watch(options.files.certificate, certificate, /*is_key=*/false);
+    watch(options.files.key, key, /*is_key=*/true);
+  }
+  server->listener_->Start([daemons = server->daemons_](int descriptor) { daemons->Serve(descriptor); });
   return server;
 }
 
-absl::Status HttpServer::Start(const std::string& address) {
-  Listener::Options options;
-  options.address = address;
-  options.max_connections = kMaxConnections;
-  options.max_connections_per_client = kMaxConnectionsPerClient;
-  options.limit = "a port for HTTP";
-  CRAFTFLEET_ASSIGN_OR_RETURN(listener_, Listener::Create(options));
-  // libmicrohttpd's own listening socket could not be bound to both addresses of a name like localhost.
-  daemon_ =
-      MHD_start_daemon(MHD_USE_EPOLL | MHD_USE_INTERNAL_POLLING_THREAD | MHD_USE_ITC | MHD_USE_NO_LISTEN_SOCKET |
-                           MHD_USE_SUPPRESS_DATE_NO_CLOCK,
-                       0, nullptr, nullptr, &OnRequest, const_cast<Respond*>(&respond_), MHD_OPTION_CONNECTION_LIMIT,
-                       static_cast<unsigned>(kMaxConnections), MHD_OPTION_PER_IP_CONNECTION_LIMIT,
-                       static_cast<unsigned>(kMaxConnectionsPerClient), MHD_OPTION_CONNECTION_MEMORY_LIMIT,
-                       kMaxRequestBytes, MHD_OPTION_NOTIFY_CONNECTION, &OnConnection, nullptr, MHD_OPTION_END);
-  if (daemon_ == nullptr) {
-    return absl::ResourceExhaustedError("the HTTP server cannot start: no thread or file descriptor is left");
-  }
-  listener_->Start([daemon = daemon_](int descriptor) {
-    sockaddr_storage client = {};
-    socklen_t size = sizeof(client);
-    getpeername(descriptor, reinterpret_cast<sockaddr*>(&client), &size);
-    // Takes over the descriptor, and closes it if it cannot serve it.
-    MHD_add_connection(daemon, descriptor, reinterpret_cast<sockaddr*>(&client), size);
-  });
-  return absl::OkStatus();
-}
-
 HttpServer::~HttpServer() {
-  if (daemon_ == nullptr) return;
+  if (daemons_ == nullptr) return;
   listener_->Stop();
-  MHD_stop_daemon(daemon_);
+  daemons_->Stop();
 }
 
 }  // namespace craftfleet::wire

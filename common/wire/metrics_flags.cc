@@ -1,31 +1,14 @@
 #include "common/wire/metrics_flags.h"
 
-#include <optional>
 #include <string>
 
 #include <absl/flags/flag.h>
 
 #include "common/base/status_macros.h"
+#include "common/process/flag_values.h"
 #include "common/telemetry/log.h"
 
-namespace craftfleet::wire {
-
-// An address that may be given as empty, which differs from not given: Abseil parses "" as an absent optional.
-struct GivenAddress {
-  std::optional<std::string> address;
-};
-
-// How absl reads and writes the flag below; found by argument-dependent lookup.
-bool AbslParseFlag(absl::string_view text, GivenAddress* given, std::string* /*error*/) {
-  given->address = std::string(text);
-  return true;
-}
-
-std::string AbslUnparseFlag(const GivenAddress& given) { return given.address.value_or(""); }
-
-}  // namespace craftfleet::wire
-
-ABSL_FLAG(craftfleet::wire::GivenAddress, metrics_listen, {},
+ABSL_FLAG(craftfleet::GivenAddress, metrics_listen, {},
           "address to serve Prometheus metrics on, at http://HOST:PORT/metrics; empty: none\n"
           "[any free port of this host, see the log; craftfleet train: none]");
 ABSL_FLAG(bool, metrics_insecure, false,

@@ -40,8 +40,8 @@ absl::StatusOr<std::unique_ptr<MetricsServer>> MetricsServer::Create(const Optio
                                                                      std::function<v1::StatusReply()> snapshot) {
   CRAFTFLEET_RETURN_IF_ERROR(options.Validate());
   absl::StatusOr<std::unique_ptr<HttpServer>> server =
-      HttpServer::Create(options.address, [snapshot = std::move(snapshot)](absl::string_view path) {
-        if (path != kPath) return HttpServer::Response{404, kContentType, "metrics are at /metrics\n"};
+      HttpServer::Create({options.address}, [snapshot = std::move(snapshot)](const HttpServer::Request& request) {
+        if (request.path() != kPath) return HttpServer::Response{404, kContentType, "metrics are at /metrics\n"};
         return HttpServer::Response{200, kContentType,
                                     prometheus::TextSerializer().Serialize(ToMetricFamilies(snapshot()))};
       });

@@ -6,6 +6,7 @@
 
 #include <absl/strings/str_cat.h>
 #include <absl/time/clock.h>
+#include <google/protobuf/util/json_util.h>
 
 #include "common/base/check.h"
 #include "common/base/clock.h"
@@ -109,6 +110,18 @@ bool StatusServiceImpl::WaitForNext(grpc::ServerContext* context, absl::Duration
     absl::SleepFor(std::min(left, kCheckCancelEvery));  // gRPC does not notify of a cancelled call
   }
   return false;
+}
+
+absl::StatusOr<std::string> StatusJson(const v1::StatusReply& reply, bool whitespace) {
+  google::protobuf::util::JsonPrintOptions options;
+  options.add_whitespace = whitespace;
+  options.always_print_primitive_fields = true;
+  options.preserve_proto_field_names = true;
+  std::string json;
+  if (!google::protobuf::util::MessageToJsonString(reply, &json, options).ok()) {
+    return absl::InternalError("the status has no JSON form");
+  }
+  return json;
 }
 
 void AddMetric(absl::string_view name, double value, v1::StatusReply* reply) {

@@ -6,6 +6,7 @@
 #include <functional>
 #include <string>
 
+#include <absl/status/statusor.h>
 #include <absl/strings/string_view.h>
 #include <absl/time/time.h>
 
@@ -51,6 +52,9 @@ class StatusServiceImpl final : public v1::StatusService::Service {
 };
 
 inline constexpr size_t kMaxErrorBytes = 300;  // of the text of a process's last error
+
+// `reply` as JSON with every field, named as in status.proto; with `whitespace` on many lines.
+absl::StatusOr<std::string> StatusJson(const v1::StatusReply& reply, bool whitespace);
 
 // Adds a metric of MetricTable, with the unit listed there.
 void AddMetric(absl::string_view name, double value, v1::StatusReply* reply);

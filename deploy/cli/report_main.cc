@@ -17,10 +17,13 @@
 #include "deploy/cli/report/report.h"
 #include "deploy/cli/report/report_target.h"
 #include "deploy/cli/report/run_record.h"
+#include "deploy/cli/report/web_page.h"
 #include "deploy/cli/sweep/experiments.h"
 
 ABSL_FLAG(std::string, out, "",
           "folder for the report: report.md, CSV files, pictures; -: report.md alone, on standard output (needed)");
+ABSL_FLAG(bool, html, false,
+          "also make report.html: a leaderboard of the runs with curves, in one file for browsers that needs no other");
 ABSL_FLAG(std::string, experiments, "", "file with the experiments to make tables for [those of the paper]");
 ABSL_FLAG(std::string, figures, "", "CSV file with published figures to compare with [the paper's]");
 
@@ -35,6 +38,7 @@ PNG. A run is a folder with config.txt and stats.jsonl. Its configuration determ
 cells without a run, and lists unfinished runs without averaging them.
 
   craftfleet report runs/paper --out=report
+  craftfleet report runs/paper --out=report --html
   craftfleet report deploy/experiments/results --out=deploy/experiments/report)";
 
 absl::StatusOr<std::string> FileOr(const std::string& given, const char* installed) {
@@ -58,7 +62,8 @@ absl::Status Run(const std::vector<std::string>& folders) {
     return absl::NotFoundError(absl::StrCat("no run in or below ", absl::StrJoin(folders, ", "),
                                             ", want a folder with config.txt and stats.jsonl"));
   }
-  const Report report = MakeReport(experiments, paper, runs);
+  Report report = MakeReport(experiments, paper, runs);
+  if (absl::GetFlag(FLAGS_html)) report.files["report.html"] = WebPage(runs);
   CRAFTFLEET_ASSIGN_OR_RETURN(const int files, target.Write(report));
   std::FILE* const people = target.is_standard_output() ? stderr : stdout;
   absl::FPrintF(people, "%d runs, %d complete; ", runs.size(), report.complete);
@@ -75,6 +80,6 @@ absl::Status Run(const std::vector<std::string>& folders) {
 
 int main(int argc, char** argv) {
   const std::vector<std::string> arguments = craftfleet::ParseFlagsAndArguments(
-      craftfleet::kProgram, craftfleet::kUsage, argc, argv, {"out", "experiments", "figures"});
+      craftfleet::kProgram, craftfleet::kUsage, argc, argv, {"out", "html", "experiments", "figures"});
   return craftfleet::ExitCode(craftfleet::kProgram, craftfleet::Run(arguments));
 }

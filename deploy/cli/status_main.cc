@@ -4,11 +4,11 @@
 
 #include <absl/flags/flag.h>
 #include <absl/time/time.h>
-#include <google/protobuf/util/json_util.h>
 
 #include "common/base/status_macros.h"
 #include "common/process/flag_values.h"
 #include "common/process/program.h"
+#include "common/wire/status_service.h"
 #include "craftfleet/v1/status.grpc.pb.h"
 #include "deploy/cli/status_client.h"
 #include "deploy/cli/status_text.h"
@@ -33,14 +33,7 @@ constexpr char kUsage[] =
 The status of a learner covers the whole fleet; craftfleet top shows it as a live page.)";
 
 absl::Status PrintJson(const v1::StatusReply& reply) {
-  google::protobuf::util::JsonPrintOptions options;
-  options.add_whitespace = true;
-  options.always_print_primitive_fields = true;
-  options.preserve_proto_field_names = true;
-  std::string json;
-  if (!google::protobuf::util::MessageToJsonString(reply, &json, options).ok()) {
-    return absl::InternalError("the status has no JSON form");
-  }
+  CRAFTFLEET_ASSIGN_OR_RETURN(const std::string json, wire::StatusJson(reply, /*whitespace=*/true));
   std::fputs(json.c_str(), stdout);
   return absl::OkStatus();
 }

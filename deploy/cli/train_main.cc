@@ -36,7 +36,8 @@ continues silently. The run's config.txt has every hyperparameter; --config star
 
 absl::Status Run() {
   CRAFTFLEET_ASSIGN_OR_RETURN(const wire::MetricsServer::Options metrics_options, wire::MetricsOptionsFromFlags(""));
-  CRAFTFLEET_ASSIGN_OR_RETURN(Learner::Options options, LearnerOptionsFromFlags(v1::RunConfig::CUDA));
+  CRAFTFLEET_ASSIGN_OR_RETURN(Learner::Options options,
+                              LearnerOptionsFromFlags(v1::RunConfig::CUDA, /*page_by_default=*/""));
   CRAFTFLEET_RETURN_IF_ERROR(PinCpu(options.config.cpu()));
   SetUpTorchThread();
   options.server.address = absl::GetFlag(FLAGS_listen);

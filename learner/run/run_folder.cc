@@ -190,7 +190,13 @@ absl::Status RunFolder::CheckOwned() const {
 
 void RunFolder::Add(EpisodeKind kind, absl::Span<const Episode> episodes) {
   stats_[static_cast<size_t>(kind)].Append(episodes);
-  for (const Episode& episode : episodes) scores_[static_cast<size_t>(kind)].Add(episode);
+  for (const Episode& episode : episodes) Count(kind, episode);
+}
+
+void RunFolder::Count(EpisodeKind kind, const Episode& episode) {
+  ScoreBoard& score = scores_[static_cast<size_t>(kind)];
+  score.Add(episode);
+  if (kind == EpisodeKind::kTraining) curve_.Add(episode.length, score);
 }
 
 void RunFolder::AddEpisodes(absl::Span<const Episode> episodes) { Add(EpisodeKind::kTraining, episodes); }
@@ -264,8 +270,9 @@ absl::Status RunFolder::CountLogs(const v1::CheckpointState& state) {
   for (int kind = 0; kind < kNumEpisodeKinds; ++kind) {
     const int64_t length = LengthOf(kEpisodeFiles[kind], state).value_or(0);
     if (length == 0) continue;
-    CRAFTFLEET_RETURN_IF_ERROR(VisitStats(FindFinalLog(logdir_, kEpisodeFiles[kind], state), length,
-                                          [&](const Episode& episode) { scores_[kind].Add(episode); }));
+    CRAFTFLEET_RETURN_IF_ERROR(
+        VisitStats(FindFinalLog(logdir_, kEpisodeFiles[kind], state), length,
+                   [&](const Episode& episode) { Count(static_cast<EpisodeKind>(kind), episode); }));
   }
   return absl::OkStatus();
 }

@@ -26,6 +26,7 @@
 #include "learner/run/event_log.h"
 #include "learner/run/folder_lock.h"
 #include "learner/run/score.h"
+#include "learner/run/score_curve.h"
 #include "learner/run/stats_log.h"
 
 namespace craftfleet {
@@ -106,6 +107,8 @@ class RunFolder {
   const ScoreBoard& score(EpisodeKind kind = EpisodeKind::kTraining) const {
     return scores_[static_cast<size_t>(kind)];
   }
+  // Of training episodes.
+  const ScoreCurve& curve() const { return curve_; }
   const CheckpointStore& checkpoints() const { return checkpoints_; }
 
   // Flushes and syncs the logs, then writes the checkpoint. Fills in the fields of its state that are known here:
@@ -125,6 +128,7 @@ class RunFolder {
   // Truncates the logs to their lengths in the checkpoint.
   absl::Status CutLogs();
   void Add(EpisodeKind kind, absl::Span<const Episode> episodes);
+  void Count(EpisodeKind kind, const Episode& episode);
   std::vector<AppendFile*> Logs();
 
   const std::string logdir_;
@@ -139,6 +143,7 @@ class RunFolder {
       resumed_;  // the checkpoint's iteration, steps, final evaluation, log lengths; unset: a new run
   EpochFence fence_;
   std::array<ScoreBoard, kNumEpisodeKinds> scores_;
+  ScoreCurve curve_;
   std::vector<StatsLog> stats_;     // by kind; empty before Begin
   std::optional<EventLog> events_;  // unset before Begin
   CheckpointStore checkpoints_;

@@ -35,7 +35,7 @@ NOT_RUN = [
     (r"deploy/local-fleet\.sh", "on deploy/DEPLOYING.md: README.md runs it"),
     (r"deploy/make-certs\.sh certs craftfleet-ops$", "for the cluster; deploy/SECURING.md runs it"),
 ]
-RUN_PAGES = {"README.md", "deploy/OPERATING.md", "deploy/SECURING.md"}
+RUN_PAGES = {"README.md", "deploy/OPERATING.md", "deploy/SECURING.md", "deploy/LIVE_PAGE.md"}
 ALWAYS_LEFT_OUT = NOT_RUN[:-3]  # also on pages whose commands are run
 
 
@@ -67,6 +67,9 @@ class Pages(python_case.FolderCase):
 
   def test_commands_of_operating_run_from_a_clean_checkout(self):
     self.run_page("deploy/OPERATING.md")
+
+  def test_commands_of_the_live_page_run_from_a_clean_checkout(self):
+    self.run_page("deploy/LIVE_PAGE.md")
 
   def test_commands_of_securing_run_from_a_clean_checkout(self):
     self.run_page("deploy/SECURING.md")

@@ -11,20 +11,13 @@
 #include <absl/types/span.h>
 
 #include "common/base/types.h"
+#include "learner/run/score_curve.h"
 
 namespace craftfleet {
 
-struct CurvePoint {
-  int64_t episodes = 0;  // finished so far
-  int64_t steps = 0;     // environment steps so far
-  double reward = 0;     // mean of the last 100 episodes
-  double score = 0;      // Crafter's score over all episodes so far, 0..100
-};
-
 using LearningCurve = std::vector<CurvePoint>;  // steps ascending
 
-// A point after each episode. It counts the steps of finished episodes in the order of stats.jsonl (iteration, lane,
-// step). The run's own count is higher, because it includes unfinished episodes.
+// A point after each episode, as ScoreCurve counts them.
 LearningCurve CurveOfEpisodes(absl::Span<const Episode> episodes);
 
 // `path`: a run's folder, or a stats.jsonl, gzipped or plain.

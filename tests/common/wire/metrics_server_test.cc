@@ -1,20 +1,16 @@
 #include "common/wire/metrics_server.h"
 
-#include <arpa/inet.h>
-#include <sys/socket.h>
-#include <unistd.h>
-
 #include <ctime>
 #include <random>
 #include <thread>
 #include <vector>
 
-#include <absl/strings/numbers.h>
 #include <absl/strings/str_cat.h>
 #include <absl/time/clock.h>
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include "tests/fakes/http_client.h"
 #include "tests/fakes/status_matchers.h"
 
 namespace craftfleet::wire {
@@ -32,50 +28,10 @@ v1::StatusReply Status() {
   return status;
 }
 
-// A TCP client, at the address `from`, of a server on 127.0.0.1.
-class Client {
- public:
-  explicit Client(const std::string& url, const char* from = "127.0.0.1")
-      : socket_(socket(AF_INET, SOCK_STREAM | SOCK_CLOEXEC, 0)) {
-    sockaddr_in address = {};
-    address.sin_family = AF_INET;
-    address.sin_addr.s_addr = inet_addr(from);
-    EXPECT_EQ(bind(socket_, reinterpret_cast<const sockaddr*>(&address), sizeof(address)), 0);
-    int port = 0;
-    const size_t colon = url.rfind(':');
-    EXPECT_TRUE(absl::SimpleAtoi(url.substr(colon + 1, url.rfind('/') - colon - 1), &port));
-    address.sin_port = htons(static_cast<uint16_t>(port));
-    address.sin_addr.s_addr = htonl(INADDR_LOOPBACK);
-    EXPECT_EQ(connect(socket_, reinterpret_cast<const sockaddr*>(&address), sizeof(address)), 0);
-  }
-  ~Client() { close(socket_); }
-  Client(const Client&) = delete;
-  Client& operator=(const Client&) = delete;
-
-  void Send(const std::string& bytes) { send(socket_, bytes.data(), bytes.size(), MSG_NOSIGNAL); }
-  void EndSending() { shutdown(socket_, SHUT_WR); }
-  // Everything received until the server closes the connection.
-  std::string Receive() {
-    std::string all;
-    char bytes[4096];
-    for (ssize_t count = 0; (count = recv(socket_, bytes, sizeof(bytes), 0)) > 0;) {
-      all.append(bytes, static_cast<size_t>(count));
-    }
-    return all;
-  }
-  std::string Ask(const std::string& request) {
-    Send(request);
-    return Receive();
-  }
-
- private:
-  const int socket_;
-};
-
 class MetricsServerTest : public testing::Test {
  protected:
   std::string Get(const std::string& path = "/metrics", const char* from = "127.0.0.1") {
-    return Client(server_->url(), from).Ask(absl::StrCat("GET ", path, " HTTP/1.1\r\nHost: a\r\n\r\n"));
+    return HttpClient(server_->url(), from).Ask(absl::StrCat("GET ", path, " HTTP/1.1\r\nHost: a\r\n\r\n"));
   }
 
   std::unique_ptr<MetricsServer> server_ = *MetricsServer::Create({"127.0.0.1:0", false}, Status);
@@ -92,19 +48,19 @@ TEST_F(MetricsServerTest, ServesTheStatusAsText) {
 TEST_F(MetricsServerTest, AnswersOtherRequestsWithErrors) {
   EXPECT_THAT(Get("/"), StartsWith("HTTP/1.1 404 "));
   EXPECT_THAT(Get("/metrics/x"), StartsWith("HTTP/1.1 404 "));
-  EXPECT_THAT(Client(server_->url()).Ask("POST /metrics HTTP/1.1\r\nHost: a\r\nContent-Length: 0\r\n\r\n"),
+  EXPECT_THAT(HttpClient(server_->url()).Ask("POST /metrics HTTP/1.1\r\nHost: a\r\nContent-Length: 0\r\n\r\n"),
               StartsWith("HTTP/1.1 405 "));
-  EXPECT_THAT(Client(server_->url()).Ask("HEAD /metrics HTTP/1.0\r\n\r\n"),
+  EXPECT_THAT(HttpClient(server_->url()).Ask("HEAD /metrics HTTP/1.0\r\n\r\n"),
               AllOf(StartsWith("HTTP/1.1 200 "), testing::EndsWith("\r\n\r\n")));
-  EXPECT_THAT(Client(server_->url()).Ask("PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n"), StartsWith("HTTP/1.1 505 "));
-  EXPECT_THAT(Client(server_->url()).Ask("\x16\x03\x01 TLS?\r\n\r\n"), StartsWith("HTTP/1.1 400 "));
+  EXPECT_THAT(HttpClient(server_->url()).Ask("PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n"), StartsWith("HTTP/1.1 505 "));
+  EXPECT_THAT(HttpClient(server_->url()).Ask("\x16\x03\x01 TLS?\r\n\r\n"), StartsWith("HTTP/1.1 400 "));
   // Empty lines before a request are ignored, and a line of zeros counts as empty: this client waits until the timeout.
-  EXPECT_THAT(Client(server_->url()).Ask(std::string(100, '\0') + "\r\n\r\n"), IsEmpty());
+  EXPECT_THAT(HttpClient(server_->url()).Ask(std::string(100, '\0') + "\r\n\r\n"), IsEmpty());
   EXPECT_THAT(Get(), StartsWith("HTTP/1.1 200 "));
 }
 
 TEST_F(MetricsServerTest, ARequestMayComeInPieces) {
-  Client client(server_->url());
+  HttpClient client(server_->url());
   client.Send("GET /metr");
   client.Send("ics HTTP/1.1\r\n");
   EXPECT_THAT(client.Ask("\r\n"), StartsWith("HTTP/1.1 200 "));
@@ -113,29 +69,31 @@ TEST_F(MetricsServerTest, ARequestMayComeInPieces) {
 TEST_F(MetricsServerTest, OverlongRequestsAreRefused) {
   // Exactly as much as the server reads: closing with unread bytes would discard the answer.
   const std::string head = "GET /metrics HTTP/1.1\r\nHost: a\r\n";
-  EXPECT_THAT(Client(server_->url()).Ask(head + std::string(HttpServer::kMaxRequestBytes - head.size(), 'x')),
+  EXPECT_THAT(HttpClient(server_->url()).Ask(head + std::string(HttpServer::kMaxRequestBytes - head.size(), 'x')),
               StartsWith("HTTP/1.1 431 "));
-  EXPECT_THAT(Client(server_->url()).Ask(std::string(HttpServer::kMaxRequestBytes, 'x')), StartsWith("HTTP/1.1 414 "));
+  EXPECT_THAT(HttpClient(server_->url()).Ask(std::string(HttpServer::kMaxRequestBytes, 'x')),
+              StartsWith("HTTP/1.1 414 "));
 }
 
 TEST_F(MetricsServerTest, SilentClientsAreDisconnectedAndBlockNoOthers) {
-  std::vector<std::unique_ptr<Client>> silent;
+  std::vector<std::unique_ptr<HttpClient>> silent;
   for (int i = 0; i < HttpServer::kMaxConnectionsPerClient - 1; ++i) {
-    silent.push_back(std::make_unique<Client>(server_->url()));
+    silent.push_back(std::make_unique<HttpClient>(server_->url()));
   }
   EXPECT_THAT(Get(), StartsWith("HTTP/1.1 200 "));
   for (const auto& client : silent) EXPECT_THAT(client->Receive(), IsEmpty());
 }
 
 TEST_F(MetricsServerTest, OneAddressCannotTakeAllConnections) {
-  std::vector<std::unique_ptr<Client>> silent;
-  for (int i = 0; i < HttpServer::kMaxConnections + 1; ++i) silent.push_back(std::make_unique<Client>(server_->url()));
+  std::vector<std::unique_ptr<HttpClient>> silent;
+  for (int i = 0; i < HttpServer::kMaxConnections + 1; ++i)
+    silent.push_back(std::make_unique<HttpClient>(server_->url()));
   EXPECT_THAT(silent.back()->Receive(), IsEmpty());  // refused at once
   EXPECT_THAT(Get("/metrics", "127.0.0.2"), StartsWith("HTTP/1.1 200 "));
 }
 
 TEST_F(MetricsServerTest, ASlowClientIsDisconnectedEvenIfActive) {
-  Client client(server_->url());
+  HttpClient client(server_->url());
   const absl::Time begin = absl::Now();
   std::thread sender([&client] {
     client.Send("GET /metrics HTTP/1.1\r\nX: ");
@@ -158,7 +116,7 @@ TEST_F(MetricsServerTest, SurvivesDamagedRequests) {
   std::mt19937 random(1);
   const std::string sound = "GET /metrics?x=%41 HTTP/1.1\r\nHost: 127.0.0.1:9090\r\nContent-Length: 2\r\n\r\nab";
   for (int batch = 0; batch < 2; ++batch) {
-    std::vector<std::unique_ptr<Client>> clients;
+    std::vector<std::unique_ptr<HttpClient>> clients;
     for (int i = 0; i < HttpServer::kMaxConnectionsPerClient - 4; ++i) {
       std::string request = sound;
       for (unsigned changes = random() % 6 + 1; changes > 0; --changes) {
@@ -167,7 +125,7 @@ TEST_F(MetricsServerTest, SurvivesDamagedRequests) {
         if (random() % 4 == 0) request.insert(at, sound, random() % sound.size());
         if (random() % 4 == 0) request.resize(at + 1);
       }
-      clients.push_back(std::make_unique<Client>(server_->url()));
+      clients.push_back(std::make_unique<HttpClient>(server_->url()));
       clients.back()->Send(request);
       clients.back()->EndSending();
     }
@@ -179,7 +137,7 @@ TEST_F(MetricsServerTest, SurvivesDamagedRequests) {
 // A client that closed its half of the connection costs no CPU time while the server waits for it.
 TEST_F(MetricsServerTest, HalfClosedConnectionsCostNoCpu) {
   const std::clock_t begin = std::clock();
-  Client client(server_->url());
+  HttpClient client(server_->url());
   client.Send("POST /metrics HTTP/1.1\r\nHost: a\r\nContent-Le");
   client.EndSending();
   EXPECT_THAT(client.Receive(), IsEmpty());
@@ -187,8 +145,8 @@ TEST_F(MetricsServerTest, HalfClosedConnectionsCostNoCpu) {
 }
 
 TEST_F(MetricsServerTest, DestructorDoesNotWaitForClients) {
-  const Client silent(server_->url());
-  Client half(server_->url());
+  const HttpClient silent(server_->url());
+  HttpClient half(server_->url());
   half.Send("GET /metr");
   const absl::Time begin = absl::Now();
   server_.reset();

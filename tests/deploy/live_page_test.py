@@ -1,0 +1,219 @@
+"""The live page and the page of a report in a browser, and its port over TLS."""
+
+import hashlib
+import http.client
+import json
+import pathlib
+import re
+import ssl
+import subprocess
+
+from tests.deploy import browser
+from tests.fakes import python_case
+from tests.fakes.python_case import BIN, SOURCE, wait_until
+
+ENDLESS = python_case.SMALL_RUN.replace("steps: 192 ", "steps: 100000000 ").replace("length: 20", "length: 200")
+LOOKS = [(390, False), (390, True), (1440, False), (1440, True)]
+TEXT = "return document.getElementById(arguments[0]).textContent"
+
+
+class LivePage(python_case.FolderCase):
+
+  def start(self, name, *flags):
+    """Starts a program; returns it and its log file."""
+    log = self.folder / f"{name}-{len(list(self.folder.glob('*.log')))}.log"
+    with open(log, "w", encoding="utf-8") as errors:
+      process = subprocess.Popen([BIN / name, *flags], stdout=subprocess.DEVNULL, stderr=errors)
+    self.addCleanup(process.wait)
+    self.addCleanup(process.kill)
+    return process, log
+
+  def word_after(self, log, before):
+    found = wait_until(lambda: re.search(re.escape(before) + r"(\S+)", log.read_text()), f"'{before}' in {log}")
+    return found.group(1)
+
+  def start_run(self, program="craftfleet-train", *flags):
+    """Starts an endless run with a page; returns the page's URL and the log."""
+    (self.folder / "config.txt").write_text(ENDLESS)
+    _, log = self.start(program, f"--config={self.folder}/config.txt", f"--logdir={self.folder}/run", "--threads=1",
+                        "--http_listen=127.0.0.1:0", *flags)
+    return self.word_after(log, "live page on "), log
+
+  def start_fleet(self):
+    url, log = self.start_run("craftfleet-learner", "--listen=127.0.0.1:0")
+    learner = self.word_after(log, "listening on ")
+    self.start("craftfleet-envserver", "--listen=127.0.0.1:0", f"--learner={learner}")
+    self.start("craftfleet-actor", f"--learner={learner}", "--envservers=learner", "--threads=1")
+    return url
+
+  def text(self, driver, element):
+    return driver.execute_script(TEXT, element)
+
+  def wait_for_text(self, driver, element, pattern):
+    return wait_until(lambda: re.search(pattern, self.text(driver, element)), f"{pattern} in #{element}")
+
+  def wait_for_iterations(self, driver, count):
+    """Waits until the page has shown `count` further iterations."""
+    for _ in range(count):
+      before = self.text(driver, "progress-text")
+      wait_until(lambda shown=before: self.text(driver, "progress-text") != shown, "the page to go on")
+
+  def check_looks(self, driver, name):
+    """Readable in every look, without scrolling sideways."""
+    for width, dark in LOOKS:
+      browser.look(driver, width, dark)
+      self.assertEqual(driver.execute_script(browser.LOW_CONTRAST), [], (width, dark))
+      self.assertLessEqual(driver.execute_script("return document.documentElement.scrollWidth"), width)
+      self.assertGreater(len(browser.save(driver, f"{name}-{width}-{'dark' if dark else 'light'}")), 10000)
+
+  def check_keyboard(self, driver):
+    controls = driver.execute_script(browser.CONTROLS)
+    reached = browser.tab_through(driver)
+    missed = [element.get_attribute("outerHTML")[:100] for element in controls if element not in reached]
+    self.assertEqual(missed, [])
+    self.assertGreater(len(reached), 2)
+
+  def test_the_page_follows_a_run_without_errors_or_shifts(self):
+    driver = browser.open_browser(self)
+    browser.look(driver, 1440)
+    url, _ = self.start_run()
+    driver.get(url)
+    self.wait_for_text(driver, "state-text", "Training")
+    self.wait_for_text(driver, "frame-text", r"at [\d,]+ steps")
+    driver.execute_script("window.shifts = []")
+    self.wait_for_iterations(driver, 4)
+    self.assertEqual(driver.execute_script("return window.shifts"), [])
+    browser.look(driver, 390)
+    driver.execute_script("window.shifts = []")
+    self.wait_for_iterations(driver, 3)
+    self.assertEqual(driver.execute_script("return window.shifts"), [])
+    self.assertGreater(driver.execute_script("return document.getElementById('frame').naturalWidth"), 10)
+    self.assertRegex(self.text(driver, "tile-episodes"), r"[1-9]")
+    self.assertEqual(len(driver.find_elements("css selector", ".achievement")), 22)
+    self.assertEqual(browser.errors(driver), [])
+
+  def test_the_page_is_readable_everywhere(self):
+    driver = browser.open_browser(self)
+    driver.get(self.start_fleet())
+    self.wait_for_text(driver, "workers", "environment server")
+    self.wait_for_text(driver, "workers", "actor")
+    self.wait_for_iterations(driver, 2)
+    self.check_looks(driver, "live")
+    self.check_keyboard(driver)
+    self.assertEqual(browser.errors(driver), [])
+
+  def test_buttons_steer_the_run(self):
+    driver = browser.open_browser(self)
+    driver.get(self.start_fleet())
+    self.wait_for_text(driver, "workers", "actor")
+    driver.find_element("id", "pause").click()
+    self.wait_for_text(driver, "state-text", "Paused")
+    self.assertIn("Paused", self.text(driver, "announcement"))
+    self.wait_for_text(driver, "pause", "Resume")
+    driver.find_element("id", "pause").click()
+    self.wait_for_text(driver, "state-text", "Training")
+    driver.find_element("id", "checkpoint").click()
+    self.wait_for_text(driver, "message", "checkpoint will be written")
+    drain = wait_until(lambda: driver.find_elements("css selector", "[aria-label^='Drain']"), "a button to drain")
+    drain[0].click()
+    self.wait_for_text(driver, "workers", "drained")
+    driver.find_element("css selector", "[aria-label^='Undrain']").click()
+    wait_until(lambda: "drain" not in self.text(driver, "workers"), "the worker to work again")
+    self.assertEqual(browser.errors(driver), [])
+
+  def start_secured(self):
+    """A run whose page is beyond loopback; returns its port and the log."""
+    subprocess.run([SOURCE / "deploy/make-certs.sh", self.folder / "certs", "learner"], check=True, capture_output=True)
+    clients = [("watcher", "right: WATCH"), ("steerer", "right: WATCH right: STEER")]
+    (self.folder / "access.txt").write_text("".join(
+        f'client {{ name: "{name}" token_sha256: "{hashlib.sha256(name.encode()).hexdigest()}" {rights} }}\n'
+        for name, rights in clients))
+    certs = self.folder / "certs"
+    url, log = self.start_run("craftfleet-learner", "--listen=127.0.0.1:0", "--http_listen=0.0.0.0:0",
+                              f"--tls_ca={certs}/ca.pem", f"--tls_cert={certs}/learner.pem",
+                              f"--tls_key={certs}/learner.key", f"--access_file={self.folder}/access.txt")
+    self.assertTrue(url.startswith("https://0.0.0.0:"), url)
+    return int(url.rstrip("/").rsplit(":", 1)[1]), log
+
+  def ask(self, port, path, token=None, method="GET"):
+    """Status and body of a request, over TLS with the authority checked."""
+    context = ssl.create_default_context(cafile=str(self.folder / "certs/ca.pem"))
+    connection = http.client.HTTPSConnection("localhost", port, context=context, timeout=20)
+    headers = {"X-Craftfleet": "test"} | ({"Authorization": f"Bearer {token}"} if token else {})
+    connection.request(method, path, headers=headers)
+    reply = connection.getresponse()
+    return reply.status, reply.read().decode(errors="replace")
+
+  def test_beyond_loopback_nothing_is_shown_without_a_token(self):
+    port, _ = self.start_secured()
+    self.assertEqual(self.ask(port, "/")[0], 200)
+    for path in ["/status.json", "/curves.json", "/frame.png"]:
+      for token in [None, "wrong", ""]:
+        code, body = self.ask(port, path, token)
+        self.assertEqual(code, 401, path)
+        self.assertNotIn("run", body)
+    code, body = self.ask(port, "/status.json", "watcher")
+    self.assertEqual((code, json.loads(body)["role"]), (200, "learner"))
+    self.assertEqual(self.ask(port, "/pause", "watcher", "POST")[0], 403)
+    self.assertEqual(self.ask(port, "/pause", "steerer", "POST")[0], 200)
+    plain = http.client.HTTPConnection("localhost", port, timeout=20)
+    plain.request("GET", "/")
+    with self.assertRaises((http.client.BadStatusLine, ConnectionError)):
+      plain.getresponse()
+
+  def test_a_new_certificate_is_used_at_once(self):
+    port, log = self.start_secured()
+    before = ssl.get_server_certificate(("localhost", port))
+    subprocess.run([SOURCE / "deploy/make-certs.sh", self.folder / "certs", "learner"], check=True, capture_output=True)
+    wait_until(lambda: ssl.get_server_certificate(("localhost", port)) != before, "the new certificate")
+    self.assertEqual(self.ask(port, "/status.json", "watcher")[0], 200)
+    self.assertIn("new certificate", log.read_text())
+
+  def test_the_page_asks_for_the_token(self):
+    driver = browser.open_browser(self)
+    port, _ = self.start_secured()
+    url = f"https://localhost:{port}/"
+    driver.get(url)
+    wait_until(lambda: driver.find_element("id", "token").is_displayed(), "the question for the token")
+    self.assertFalse(driver.find_element("id", "live").is_displayed())
+    self.check_looks(driver, "token")
+    self.check_keyboard(driver)
+    for token, shown in [("wrong", False), ("watcher", True)]:
+      field = wait_until(lambda: [driver.find_element("id", "token")] if driver.find_element("id", "token").is_displayed() else [],
+                         "the question for the token")[0]
+      field.send_keys(token + "\n")
+      wait_until(lambda wanted=shown: driver.find_element("id", "live").is_displayed() == wanted and
+                 driver.find_element("id", "sign-in").is_displayed() != wanted, token)
+    self.wait_for_text(driver, "state-text", "Training")
+    self.assertFalse(driver.find_element("id", "pause").is_displayed())
+    driver.execute_script("sessionStorage.clear()")
+    driver.get("about:blank")
+    driver.get(url + "#token=steerer")
+    wait_until(lambda: driver.find_element("id", "pause").is_displayed(), "the buttons of those who may steer")
+    self.assertEqual(driver.current_url, url)
+
+  def test_pages_beyond_loopback_are_refused_without_tls_and_tokens(self):
+    refused = self.run_program("craftfleet-learner", f"--logdir={self.folder}/run", "--http_listen=0.0.0.0:0", code=1)
+    for flag in ["--http_listen=0.0.0.0:0", "--tls_cert", "--access_file"]:
+      self.assertIn(flag, refused.stderr)
+
+  def test_a_report_compares_runs_in_one_file(self):
+    driver = browser.open_browser(self)
+    page = self.folder / "report/report.html"
+    self.run_program("craftfleet-report", str(SOURCE / "deploy/experiments/results"), "--html", f"--out={page.parent}")
+    self.assertNotRegex(page.read_text(), r'(src|href)="(https?:)?//')
+    driver.get(page.as_uri())
+    wait_until(lambda: driver.find_elements("css selector", ".leaderboard tbody tr"), "the leaderboard")
+    runs = len(list(pathlib.Path(SOURCE / "deploy/experiments/results").rglob("config.txt")))
+    self.assertEqual(len(driver.find_elements("css selector", ".leaderboard tbody tr")), runs)
+    self.check_looks(driver, "report")
+    self.check_keyboard(driver)
+    scores = [float(cell.text) for cell in driver.find_elements("css selector", ".leaderboard tbody td:nth-child(3)")]
+    self.assertEqual(scores, sorted(scores, reverse=True))
+    driver.find_elements("css selector", "button.sort")[1].click()
+    reverse = [float(cell.text) for cell in driver.find_elements("css selector", ".leaderboard tbody td:nth-child(3)")]
+    self.assertEqual(reverse, sorted(scores))
+    self.assertEqual(browser.errors(driver), [])
+
+
+python_case.main()
