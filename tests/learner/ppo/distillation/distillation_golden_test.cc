@@ -158,9 +158,9 @@ AdamState FreshAdam(const AgentSpec& spec) {
   return {0, std::vector<float>(spec.param_count), std::vector<float>(spec.param_count)};
 }
 
-// Relative, for norms of gradients in the first step. They agree to 6e-6, as the same formulas in double precision
-// agree with the golden. Errors of some 1e-6 in the features would show: a ReLU whose input rounds to the other side of
-// zero changes norms by a thousandth.
+// Relative, for norms of gradients in the first step. The same formulas in double precision agree with the golden to
+// 2e-6. Sums that round more than they must would show: a ReLU whose input comes out on the other side of zero changes
+// norms by a thousandth.
 constexpr double kNormTolerance = 1e-4;
 // In later steps, whose weights differ as Adam divides small gradients by themselves.
 constexpr double kLaterNormTolerance = 1e-3;
