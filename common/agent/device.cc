@@ -19,10 +19,16 @@ namespace craftfleet {
 namespace {
 
 constexpr absl::string_view kCpu = "cpu";
+constexpr int kLeastNarrowCapability = 80;  // of TF32 and BF16
+
+// CUDA shall number GPUs as NVIDIA's driver and nvidia-smi do, unless the environment says otherwise; by default it
+// begins with the fastest. Before LibTorch first looks for them.
+void NumberGpusAsTheDriver() { ::setenv("CUDA_DEVICE_ORDER", "PCI_BUS_ID", /*overwrite=*/0); }
 
 }  // namespace
 
 absl::StatusOr<std::string> FindDevice(absl::string_view name) {
+  NumberGpusAsTheDriver();
   if (!at::hasCUDA() && absl::StartsWith(name, "cuda")) {
     return absl::FailedPreconditionError(absl::StrFormat(
         "--device=%s: LibTorch was built without CUDA or finds no driver: build against one that has it "
@@ -67,6 +73,7 @@ absl::Status SetRunDevice(absl::string_view device, bool resumed, v1::RunConfig:
 }
 
 absl::StatusOr<std::string> FindActingDevice(absl::string_view name, v1::RunConfig::Device run) {
+  if (run == v1::RunConfig::CUDA) NumberGpusAsTheDriver();
   return ChooseActingDevice(name, run, static_cast<int>(at::getNumGPUs()));
 }
 
@@ -104,25 +111,38 @@ void SetUpDevice(absl::string_view device, v1::RunConfig::Precision precision) {
 }
 
 absl::Status CheckPrecision(absl::string_view device, v1::RunConfig::Precision precision) {
+  absl::string_view digits = device;
+  int number = 0;
+  if (absl::ConsumePrefix(&digits, "cuda:") && absl::SimpleAtoi(digits, &number)) {
+    return CheckGpuPrecision(device, ReadComputeCapability(number).value_or(0), precision);
+  }
+  if (!absl::StartsWith(device, kCpu)) return absl::OkStatus();  // the stand-in of tests
   std::ifstream info("/proc/cpuinfo");
   for (std::string line; std::getline(info, line);) {
-    if (absl::StartsWith(line, "flags")) return CheckPrecisionOn(device, absl::StrCat(line, " "), precision);
+    if (absl::StartsWith(line, "flags")) return CheckCpuPrecision(absl::StrCat(line, " "), precision);
   }
-  return CheckPrecisionOn(device, "", precision);
+  return CheckCpuPrecision("", precision);
 }
 
-absl::Status CheckPrecisionOn(absl::string_view device, absl::string_view cpu_flags,
-                              v1::RunConfig::Precision precision) {
-  if (!absl::StartsWith(device, "cpu")) return absl::OkStatus();
+absl::Status CheckCpuPrecision(absl::string_view flags, v1::RunConfig::Precision precision) {
   if (precision == v1::RunConfig::TF32) {
     return absl::InvalidArgumentError("precision is TF32, which only GPUs have, want FP32 or BF16 on the CPU");
   }
-  const bool has_bf16 = absl::StrContains(cpu_flags, " avx512_bf16 ") || absl::StrContains(cpu_flags, " amx_bf16 ");
+  const bool has_bf16 = absl::StrContains(flags, " avx512_bf16 ") || absl::StrContains(flags, " amx_bf16 ");
   if (precision == v1::RunConfig::BF16 && !has_bf16) {
     return absl::InvalidArgumentError(
         "precision is BF16, and this CPU has neither avx512_bf16 nor amx_bf16 (/proc/cpuinfo), want FP32");
   }
   return absl::OkStatus();
+}
+
+absl::Status CheckGpuPrecision(absl::string_view device, int capability, v1::RunConfig::Precision precision) {
+  const bool is_narrow = precision == v1::RunConfig::TF32 || precision == v1::RunConfig::BF16;
+  if (!is_narrow || capability == 0 || capability >= kLeastNarrowCapability) return absl::OkStatus();
+  return absl::InvalidArgumentError(absl::StrFormat(
+      "precision is %s, which GPUs have from compute capability %d.%d on, and --device=%s has %d.%d, want FP32",
+      v1::RunConfig::Precision_Name(precision), kLeastNarrowCapability / 10, kLeastNarrowCapability % 10, device,
+      capability / 10, capability % 10));
 }
 
 absl::Status DeviceError(absl::string_view task, absl::string_view what) {

@@ -13,8 +13,9 @@
 
 namespace craftfleet {
 
-// Resolves --device=`name` on this machine to LibTorch's notation: "cpu", or "cuda:N" for its GPU number N. `name` is
-// one of these, "cuda" for the first GPU, or "auto" for the first GPU if there is one and the CPU if not.
+// Resolves --device=`name` on this machine to LibTorch's notation: "cpu", or "cuda:N" for its GPU number N, as
+// nvidia-smi counts. Before threads start, since it sets a variable of the environment. `name` is one of these, "cuda"
+// for the first GPU, or "auto" for the first GPU if there is one and the CPU if not.
 //   InvalidArgument: it is none of these.   FailedPrecondition: there is no such GPU, or this LibTorch was built
 //   without GPU support.
 absl::StatusOr<std::string> FindDevice(absl::string_view name);
@@ -42,10 +43,11 @@ void SetUpDevice(absl::string_view device, v1::RunConfig::Precision precision);
 // InvalidArgument unless `device` can multiply in `precision`.
 absl::Status CheckPrecision(absl::string_view device, v1::RunConfig::Precision precision);
 
-// The same for a CPU with these `cpu_flags` (of /proc/cpuinfo, one space between two and around them), if `device` is
-// the CPU.
-absl::Status CheckPrecisionOn(absl::string_view device, absl::string_view cpu_flags,
-                              v1::RunConfig::Precision precision);
+// The same for a CPU with these `flags` (of /proc/cpuinfo, one space between two and around them).
+absl::Status CheckCpuPrecision(absl::string_view flags, v1::RunConfig::Precision precision);
+
+// The same for a GPU, --device=`device`, of this compute capability times ten; 0: it is not known.
+absl::Status CheckGpuPrecision(absl::string_view device, int capability, v1::RunConfig::Precision precision);
 
 // A failure of LibTorch while it computed `task` ("update"), as one sentence: `what` is the text of its exception.
 //   ResourceExhausted: out of a GPU's memory; says what to lower.   FailedPrecondition: this LibTorch has no kernels

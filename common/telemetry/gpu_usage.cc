@@ -27,6 +27,18 @@ struct Utilization {
 
 std::atomic<int> process_gpu{-1};
 
+// Null without NVML.
+const Nvml* DriversNvml() {
+  static const auto& nvml = *new std::unique_ptr<Nvml>(Nvml::Open());
+  return nvml.get();
+}
+
+// NVML's name for GPU number `number` of this process.
+std::string NameHere(int number) {
+  const char* const visible = std::getenv("CUDA_VISIBLE_DEVICES");
+  return NvmlName(number, visible == nullptr ? "" : visible);
+}
+
 }  // namespace
 
 struct Nvml::Functions {
@@ -37,6 +49,15 @@ struct Nvml::Functions {
   int (*name)(Device, char*, unsigned int);
   int (*memory)(Device, Memory*);
   int (*utilization)(Device, Utilization*);
+  int (*capability)(Device, int*, int*);  // major and minor number
+
+  // Null if there is no such GPU.
+  Device Find(const std::string& gpu) const {
+    Device device = nullptr;
+    unsigned int index = 0;
+    const int error = absl::SimpleAtoi(gpu, &index) ? by_index(index, &device) : by_uuid(gpu.c_str(), &device);
+    return error == 0 ? device : nullptr;
+  }
 };
 
 std::unique_ptr<Nvml> Nvml::Open(const std::string& library) {
@@ -55,6 +76,7 @@ std::unique_ptr<Nvml> Nvml::Open(const std::string& library) {
   find("nvmlDeviceGetName", &functions->name);
   find("nvmlDeviceGetMemoryInfo", &functions->memory);
   find("nvmlDeviceGetUtilizationRates", &functions->utilization);
+  find("nvmlDeviceGetCudaComputeCapability", &functions->capability);
   if (!found || functions->init() != 0) {
     dlclose(handle);
     return nullptr;
@@ -70,11 +92,8 @@ Nvml::~Nvml() {
 }
 
 std::optional<GpuUsage> Nvml::Read(const std::string& gpu) const {
-  Device device = nullptr;
-  unsigned int index = 0;
-  const int found =
-      absl::SimpleAtoi(gpu, &index) ? functions_->by_index(index, &device) : functions_->by_uuid(gpu.c_str(), &device);
-  if (found != 0) return std::nullopt;
+  Device const device = functions_->Find(gpu);
+  if (device == nullptr) return std::nullopt;
   std::array<char, 97> name = {};
   Memory memory = {};
   if (functions_->name(device, name.data(), name.size() - 1) != 0 || functions_->memory(device, &memory) != 0) {
@@ -87,6 +106,14 @@ std::optional<GpuUsage> Nvml::Read(const std::string& gpu) const {
                   utilization.gpu / 100.0};
 }
 
+std::optional<int> Nvml::ComputeCapability(const std::string& gpu) const {
+  Device const device = functions_->Find(gpu);
+  int major = 0;
+  int minor = 0;
+  if (device == nullptr || functions_->capability(device, &major, &minor) != 0) return std::nullopt;
+  return 10 * major + minor;
+}
+
 std::string NvmlName(int number, const std::string& visible) {
   if (visible.empty()) return absl::StrCat(number);
   const std::vector<std::string> names = absl::StrSplit(visible, ',');
@@ -97,11 +124,13 @@ void SetProcessGpu(int number) { process_gpu = number; }
 
 std::optional<GpuUsage> ReadGpuUsage() {
   const int number = process_gpu;
-  if (number < 0) return std::nullopt;
-  static const auto& nvml = *new std::unique_ptr<Nvml>(Nvml::Open());
-  if (nvml == nullptr) return std::nullopt;
-  const char* const visible = std::getenv("CUDA_VISIBLE_DEVICES");
-  return nvml->Read(NvmlName(number, visible == nullptr ? "" : visible));
+  if (number < 0 || DriversNvml() == nullptr) return std::nullopt;
+  return DriversNvml()->Read(NameHere(number));
+}
+
+std::optional<int> ReadComputeCapability(int number) {
+  if (DriversNvml() == nullptr) return std::nullopt;
+  return DriversNvml()->ComputeCapability(NameHere(number));
 }
 
 }  // namespace craftfleet

@@ -1,4 +1,4 @@
-// The GPU on which this process computes, as NVIDIA's driver reports it (NVML, loaded if it is there).
+// GPUs as NVIDIA's driver reports them (NVML, loaded if it is there).
 
 #ifndef CRAFTFLEET_COMMON_TELEMETRY_GPU_USAGE_H_
 #define CRAFTFLEET_COMMON_TELEMETRY_GPU_USAGE_H_
@@ -30,6 +30,9 @@ class Nvml {
   // `gpu` is a number as NVML counts, "0", or an identifier, "GPU-8932f937-...". Nothing if there is no such GPU.
   std::optional<GpuUsage> Read(const std::string& gpu) const;
 
+  // Its compute capability times ten: 75 is 7.5. Nothing if there is no such GPU, or the driver does not say.
+  std::optional<int> ComputeCapability(const std::string& gpu) const;
+
  private:
   struct Functions;
 
@@ -48,6 +51,9 @@ void SetProcessGpu(int number);
 
 // That GPU; nothing without one, or without NVML. Thread-safe.
 std::optional<GpuUsage> ReadGpuUsage();
+
+// Nvml::ComputeCapability of GPU number `number`, as CUDA counts; nothing without NVML. Thread-safe.
+std::optional<int> ReadComputeCapability(int number);
 
 }  // namespace craftfleet
 

@@ -94,17 +94,35 @@ TEST(ChooseActingDevice, IsWhatTheRunActsOn) {
   }
 }
 
-TEST(CheckPrecision, IsWhatTheDeviceHas) {
+TEST(CheckPrecision, IsWhatTheCpuHas) {
   using v1::RunConfig;
-  EXPECT_THAT(CheckPrecisionOn("cpu", "", RunConfig::FP32), IsOk());
-  EXPECT_THAT(CheckPrecisionOn("cpu", " avx512_bf16 ", RunConfig::TF32),
+  EXPECT_THAT(CheckCpuPrecision("", RunConfig::FP32), IsOk());
+  EXPECT_THAT(CheckCpuPrecision(" avx512_bf16 ", RunConfig::TF32),
               StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("precision is TF32")));
-  EXPECT_THAT(CheckPrecisionOn("cpu", " avx512_bf16 ", RunConfig::BF16), IsOk());
-  EXPECT_THAT(CheckPrecisionOn("cpu", " amx_bf16 amx_tile ", RunConfig::BF16), IsOk());
-  EXPECT_THAT(CheckPrecisionOn("cpu", " avx512f avx512_bf16x ", RunConfig::BF16),
+  EXPECT_THAT(CheckCpuPrecision(" avx512_bf16 ", RunConfig::BF16), IsOk());
+  EXPECT_THAT(CheckCpuPrecision(" amx_bf16 amx_tile ", RunConfig::BF16), IsOk());
+  EXPECT_THAT(CheckCpuPrecision(" avx512f avx512_bf16x ", RunConfig::BF16),
               StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("want FP32")));
-  EXPECT_THAT(CheckPrecisionOn("cuda:0", "", RunConfig::BF16), IsOk());
-  EXPECT_THAT(CheckPrecisionOn("cuda:0", "", RunConfig::TF32), IsOk());
+  EXPECT_THAT(CheckPrecision("cpu", RunConfig::FP32), IsOk());
+  EXPECT_THAT(CheckPrecision("cpu", RunConfig::TF32),
+              StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("precision is TF32")));
+}
+
+TEST(CheckPrecision, IsWhatTheGpuHas) {
+  using v1::RunConfig;
+  for (const RunConfig::Precision precision : {RunConfig::FP32, RunConfig::TF32, RunConfig::BF16}) {
+    EXPECT_THAT(CheckGpuPrecision("cuda:0", 80, precision), IsOk());
+    EXPECT_THAT(CheckGpuPrecision("cuda:0", 120, precision), IsOk());
+    EXPECT_THAT(CheckGpuPrecision("cuda:0", 0, precision), IsOk()) << "not known";
+  }
+  EXPECT_THAT(CheckGpuPrecision("cuda:1", 75, RunConfig::FP32), IsOk());
+  EXPECT_THAT(CheckGpuPrecision("cuda:1", 75, RunConfig::TF32),
+              StatusIs(absl::StatusCode::kInvalidArgument,
+                       testing::StrEq("precision is TF32, which GPUs have from compute capability 8.0 on, and "
+                                      "--device=cuda:1 has 7.5, want FP32")));
+  EXPECT_THAT(
+      CheckGpuPrecision("cuda:0", 61, RunConfig::BF16),
+      StatusIs(absl::StatusCode::kInvalidArgument, AllOf(HasSubstr("precision is BF16"), HasSubstr("has 6.1"))));
 }
 
 TEST(FindDevice, ReportsALibTorchWithoutCuda) {

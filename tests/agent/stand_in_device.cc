@@ -4,6 +4,7 @@
 #include <exception>
 #include <stdexcept>
 #include <string>
+#include <tuple>
 #include <utility>
 #include <vector>
 
@@ -122,10 +123,32 @@ at::Tensor CopyFrom(const at::Tensor& from, const at::Tensor& to, bool /*non_blo
   return to;
 }
 
+// Max pooling, whose two outputs LibTorch boxes in a way to which UndefinedBehaviorSanitizer objects.
+std::tuple<at::Tensor, at::Tensor> MaxPool(const at::Tensor& input, at::IntArrayRef kernel, at::IntArrayRef stride,
+                                           at::IntArrayRef padding, at::IntArrayRef dilation, bool ceil_mode) {
+  ++computed;
+  const at::Tensor host = Argument(input, "max_pool2d");
+  const at::AutoDispatchBelowADInplaceOrView guard;
+  const auto [output, indices] = at::max_pool2d_with_indices(host, kernel, stride, padding, dilation, ceil_mode);
+  return {Ours(output), Ours(indices)};
+}
+
+at::Tensor MaxPoolBackward(const at::Tensor& by_output, const at::Tensor& input, at::IntArrayRef kernel,
+                           at::IntArrayRef stride, at::IntArrayRef padding, at::IntArrayRef dilation, bool ceil_mode,
+                           const at::Tensor& indices) {
+  ++computed;
+  const std::string name = "max_pool2d_backward";
+  const at::AutoDispatchBelowADInplaceOrView guard;
+  return Ours(at::max_pool2d_with_indices_backward(Argument(by_output, name), Argument(input, name), kernel, stride,
+                                                   padding, dilation, ceil_mode, Argument(indices, name)));
+}
+
 TORCH_LIBRARY_IMPL(_, PrivateUse1, library) { library.fallback(torch::CppFunction::makeFromBoxedFunction<&Compute>()); }
 
 TORCH_LIBRARY_IMPL(aten, PrivateUse1, library) {
   library.impl("_copy_from", &CopyFrom);
+  library.impl("max_pool2d_with_indices", &MaxPool);
+  library.impl("max_pool2d_with_indices_backward", &MaxPoolBackward);
   // LibTorch would take these apart into computations that resize their output, which ours can't.
   for (const char* name :
        {"arange", "arange.start", "arange.start_step", "linspace", "convolution", "convolution_backward",

@@ -37,21 +37,6 @@ class Draws {
   uint64_t next_ = 0;
 };
 
-// 1 - cosine of each source goal with each target goal; changes of features, float[count,size], have length 1 or 0.
-std::vector<float> CostOf(absl::Span<const float> source, absl::Span<const float> target, size_t size) {
-  std::vector<float> cost;
-  for (size_t i = 0; i < source.size(); i += size) {
-    for (size_t j = 0; j < target.size(); j += size) {
-      cost.push_back(1 - std::inner_product(&source[i], &source[i] + size, &target[j], 0.0F));
-    }
-  }
-  return cost;
-}
-
-bool IsZero(absl::Span<const float> vector) {
-  return std::all_of(vector.begin(), vector.end(), [](float x) { return x == 0; });
-}
-
 }  // namespace
 
 // One phase: the episodes, the policy to keep, the random choices and the sums of losses.
@@ -107,15 +92,10 @@ class Distiller::Phase {
   absl::Status MatchTarget(const KeptEpisode& source, absl::Span<const float> changes, const KeptEpisode& target,
                            MatchingBatch* batch) {
     CRAFTFLEET_ASSIGN_OR_RETURN(const std::vector<float> target_changes, steps_->GoalChanges(target));
-    const auto size = static_cast<size_t>(steps_->code_size());
-    const int rows = static_cast<int>(source.goals.size());
-    const int columns = static_cast<int>(target.goals.size());
-    const std::vector<double> plan = TransportPlan(CostOf(changes, target_changes, size), rows, columns,
-                                                   {config_.transport_regularization(), config_.transport_rounds()});
-    for (const Match& match : MatchesOf(plan, columns, config_.match_threshold())) {
-      const int negative = target.goals[draws_.Below(columns)];
-      // The features did not change: there is nothing to recognise, and no direction to learn.
-      if (IsZero(changes.subspan(match.row * size, size))) continue;
+    const TransportOptions options = {config_.transport_regularization(), config_.transport_rounds()};
+    for (const Match& match : MatchGoals(changes, target_changes, static_cast<size_t>(steps_->code_size()), options,
+                                         config_.match_threshold())) {
+      const int negative = target.goals[draws_.Below(static_cast<int>(target.goals.size()))];
       batch->goals.push_back({source.goals[match.row], &target, target.goals[match.column], negative});
     }
     return absl::OkStatus();

@@ -2,7 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
-#include <cstddef>
+#include <numeric>
 
 namespace craftfleet {
 namespace {
@@ -63,6 +63,25 @@ std::vector<Match> MatchesOf(absl::Span<const double> plan, int columns, double 
   for (int i = 0; i < static_cast<int>(plan.size()); ++i) {
     if (static_cast<float>(plan[i]) > threshold) matches.push_back({i / columns, i % columns});
   }
+  return matches;
+}
+
+std::vector<Match> MatchGoals(absl::Span<const float> source, absl::Span<const float> target, size_t size,
+                              const TransportOptions& options, double threshold) {
+  std::vector<float> cost;
+  for (size_t i = 0; i < source.size(); i += size) {
+    for (size_t j = 0; j < target.size(); j += size) {
+      cost.push_back(1 - std::inner_product(&source[i], &source[i] + size, &target[j], 0.0F));
+    }
+  }
+  const auto rows = static_cast<int>(source.size() / size);
+  const auto columns = static_cast<int>(target.size() / size);
+  std::vector<Match> matches = MatchesOf(TransportPlan(cost, rows, columns, options), columns, threshold);
+  const auto is_zero = [&](const Match& match) {
+    const absl::Span<const float> change = source.subspan(match.row * size, size);
+    return std::all_of(change.begin(), change.end(), [](float x) { return x == 0; });
+  };
+  matches.erase(std::remove_if(matches.begin(), matches.end(), is_zero), matches.end());
   return matches;
 }
 

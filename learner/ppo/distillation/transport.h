@@ -3,6 +3,7 @@
 #ifndef CRAFTFLEET_LEARNER_PPO_DISTILLATION_TRANSPORT_H_
 #define CRAFTFLEET_LEARNER_PPO_DISTILLATION_TRANSPORT_H_
 
+#include <cstddef>
 #include <vector>
 
 #include <absl/types/span.h>
@@ -27,6 +28,12 @@ struct Match {
 
 // Where the plan, in float32, is more than `threshold`; row by row.
 std::vector<Match> MatchesOf(absl::Span<const double> plan, int columns, double threshold);
+
+// The achievements of two episodes that are the same, by their changes of features, float[rows,size] and
+// float[columns,size], each of length 1 or 0: the matches of the plan whose cost is 1 - cosine. A row of zeros, which
+// has no direction to learn, has none.
+std::vector<Match> MatchGoals(absl::Span<const float> source, absl::Span<const float> target, size_t size,
+                              const TransportOptions& options, double threshold);
 
 }  // namespace craftfleet
 

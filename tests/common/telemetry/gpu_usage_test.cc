@@ -22,6 +22,14 @@ TEST(Nvml, ReportsAGpuByNumberAndIdentifier) {
   EXPECT_FALSE(nvml->Read("GPU-unknown").has_value());
 }
 
+TEST(Nvml, ReportsComputeCapabilities) {
+  const auto nvml = Nvml::Open(CRAFTFLEET_STAND_IN_NVML);
+  ASSERT_NE(nvml, nullptr);
+  EXPECT_EQ(nvml->ComputeCapability("0"), 75);
+  EXPECT_EQ(nvml->ComputeCapability("GPU-1234"), 90);
+  EXPECT_EQ(nvml->ComputeCapability("2"), std::nullopt);
+}
+
 TEST(Nvml, IsNullWithoutALibraryOrItsFunctions) {
   EXPECT_EQ(Nvml::Open("libno-such-library.so.1"), nullptr);
   EXPECT_EQ(Nvml::Open("libc.so.6"), nullptr);

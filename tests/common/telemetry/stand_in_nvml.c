@@ -1,4 +1,5 @@
-/* An NVML (libnvidia-ml.so.1) with two GPUs; the second reports no utilisation, as a slice of a GPU does. */
+/* An NVML (libnvidia-ml.so.1) with two GPUs, an old one and a new one; the second reports no utilisation, as a slice of a
+   GPU does. */
 #include <string.h>
 
 struct memory {
@@ -29,6 +30,11 @@ int nvmlDeviceGetMemoryInfo(void* device, struct memory* memory) {
   memory->total = 80ULL << 30;
   memory->used = 3ULL << 30;
   memory->free = memory->total - memory->used;
+  return 0;
+}
+int nvmlDeviceGetCudaComputeCapability(void* device, int* major, int* minor) {
+  *major = *(char*)device == 0 ? 7 : 9;
+  *minor = *(char*)device == 0 ? 5 : 0;
   return 0;
 }
 int nvmlDeviceGetUtilizationRates(void* device, struct utilization* utilization) {

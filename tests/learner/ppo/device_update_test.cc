@@ -27,7 +27,6 @@
 #include "learner/ppo/ppo_updater.h"
 #include "tests/agent/golden_agent.h"
 #include "tests/agent/stand_in_device.h"
-#include "tests/fakes/sanitizers.h"
 #include "tests/fakes/status_matchers.h"
 #include "tests/learner/ppo/update_samples.h"
 
@@ -142,15 +141,7 @@ void ExpectClose(const Trained& actual, const Trained& expected, const std::stri
   near(scale.deviation, expected_scale.deviation, "deviation of returns");
 }
 
-class Agents : public ::testing::TestWithParam<const char*> {
- protected:
-  void SetUp() override {
-    if (!kAddressSanitizer || !absl::StrContains(GetParam(), "ppo_resnet")) return;
-    GTEST_SKIP()
-        << "UndefinedBehaviorSanitizer objects to LibTorch's boxed call of a max_pool2d with two outputs, which only "
-           "the stand-in device makes";
-  }
-};
+using Agents = ::testing::TestWithParam<const char*>;
 
 TEST_P(Agents, LearnOnADeviceAsOnTheCpu) {
   const v1::RunConfig config = ConfigOf(GetParam());

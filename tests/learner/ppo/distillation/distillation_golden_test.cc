@@ -158,9 +158,12 @@ AdamState FreshAdam(const AgentSpec& spec) {
   return {0, std::vector<float>(spec.param_count), std::vector<float>(spec.param_count)};
 }
 
-// Relative, for norms of gradients: a ReLU whose input rounds to the other side of zero changes them by some
-// thousandths.
-constexpr double kNormTolerance = 3e-3;
+// Relative, for norms of gradients in the first step. The same formulas in double precision agree with the golden to
+// 2e-6. Sums that round more than they must would show: a ReLU whose input comes out on the other side of zero changes
+// norms by a thousandth.
+constexpr double kNormTolerance = 1e-4;
+// In later steps, whose weights differ as Adam divides small gradients by themselves.
+constexpr double kLaterNormTolerance = 1e-3;
 
 void ExpectNorms(const std::map<std::string, double>& norms, const json& expected) {
   for (const auto& [name, value] : norms) {
@@ -211,7 +214,7 @@ void ExpectPpoSteps(const std::string& agent, const json& part, const json& of_a
     options.epsilon = part["adam_epsilon"];
     const ShardGradient gradient = net.gradients();
     const double norm_before_clipping = AdamStep(options, {gradient}, absl::MakeSpan(weights), &adam, &workers);
-    EXPECT_NEAR(norm_before_clipping, total, total * (i == 0 ? kNormTolerance : 0.01)) << i;
+    EXPECT_NEAR(norm_before_clipping, total, total * (i == 0 ? kNormTolerance : kLaterNormTolerance)) << i;
     if (i == 0) ExpectNorms(GradientNorms(spec, adam, total), step["grad_norms"]);
   }
 }
@@ -310,7 +313,7 @@ class DistillationStepsGolden : public ::testing::Test {
       EXPECT_NEAR(losses->divergence, step["kl"].get<double>(), tolerance) << i;
       EXPECT_NEAR(losses->value, step["value"].get<double>(), tolerance) << i;
       const double total = step["grad_norm_total"];
-      EXPECT_NEAR(losses->gradient_norm, total, total * (i == 0 ? 1e-3 : 1e-2)) << i;
+      EXPECT_NEAR(losses->gradient_norm, total, total * (i == 0 ? kNormTolerance : kLaterNormTolerance)) << i;
       EXPECT_NEAR(norm.Scale().mean, step["normaliser"]["mean"].get<double>(), 1e-6) << i;
       EXPECT_NEAR(norm.Scale().deviation, step["normaliser"]["deviation"].get<double>(), 1e-6) << i;
       if (i == 0) ExpectNorms(GradientNorms(spec_, adam_, total), step["grad_norms"]);

@@ -38,5 +38,27 @@ TEST(Transport, AMatchHasMoreThanTheThreshold) {
   EXPECT_EQ(MatchesOf({0.5, 0.6, 0.2, 0.5}, 2, 0.5), (std::vector<Match>{{0, 1}}));
 }
 
+// Three directions; a target that has them in another order, and one more.
+TEST(MatchGoals, FindsTheSameChangesInAnotherOrder) {
+  const std::vector<float> source = {1, 0, 0, 0, 1, 0};
+  const std::vector<float> target = {0, 0, 1, 0.8F, 0.6F, 0, 0, 1, 0};
+  EXPECT_EQ(MatchGoals(source, target, 3, {}, 0.5), (std::vector<Match>{{0, 1}, {1, 2}}));
+  EXPECT_EQ(MatchGoals(target, source, 3, {}, 0.5), (std::vector<Match>{{1, 0}, {2, 1}}));
+}
+
+TEST(MatchGoals, NeedMoreThanTheThreshold) {
+  const std::vector<float> one = {1, 0};
+  const std::vector<float> twice = {1, 0, 1, 0};
+  EXPECT_EQ(MatchGoals(one, twice, 2, {}, 0.5), std::vector<Match>()) << "half to each";
+  EXPECT_EQ(MatchGoals(one, twice, 2, {}, 0.4), (std::vector<Match>{{0, 0}, {0, 1}}));
+}
+
+TEST(MatchGoals, ASourceWithoutAChangeHasNoMatch) {
+  const std::vector<float> source = {0, 0, 0, 1};
+  const std::vector<float> target = {1, 0, 0, 1};
+  EXPECT_EQ(MatchGoals(source, target, 2, {}, 0.5), (std::vector<Match>{{1, 1}}));
+  EXPECT_EQ(MatchGoals(target, source, 2, {}, 0.5), (std::vector<Match>{{0, 0}, {1, 1}})) << "a target may have none";
+}
+
 }  // namespace
 }  // namespace craftfleet
