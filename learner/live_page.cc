@@ -12,6 +12,7 @@
 #include <absl/strings/strip.h>
 #include <nlohmann/json.hpp>
 
+#include "common/base/printable.h"
 #include "common/base/status_macros.h"
 #include "common/io/files.h"
 #include "common/io/png_encoder.h"
@@ -253,8 +254,8 @@ LivePage::Response LivePage::Steer(const Request& request) {
   }
   const absl::string_view command = request.path();
   const std::string worker(request.Argument("worker").value_or(""));
-  LogInfo("page %s: %s %s", request.Client(), absl::StripPrefix(command, "/").substr(0, kMaxLogged),
-          worker.substr(0, kMaxLogged));
+  LogInfo("page %s: %s %s", request.Client(), Printable(absl::StripPrefix(command, "/").substr(0, kMaxLogged)),
+          Printable(absl::string_view(worker).substr(0, kMaxLogged)));
   Response done;
   if (command == "/pause") {
     parts_.registry->SetPaused(true);

@@ -350,6 +350,7 @@ CheckedMessage CheckpointStateCase() {
   pending->set_number(1);
   pending->set_first_episode(1);
   pending->set_episodes(1);
+  state.mutable_play()->set_value_deviation(1);
   return Case<v1::CheckpointState>(state, [](v1::CheckpointState* s) { return CheckCheckpointState(*s); });
 }
 
