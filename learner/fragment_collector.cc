@@ -18,8 +18,13 @@ constexpr absl::Duration kReportEvery = absl::Seconds(15);
 
 void FragmentCollector::Begin(int64_t iteration, int64_t last_fragment, int64_t policy_version) {
   collected_.clear();
-  if (!std::exchange(has_begun_, true)) TakeKept(iteration, last_fragment, policy_version);
+  TakeKept(iteration, last_fragment, policy_version);
   parts_.registry->OpenIteration(last_fragment, policy_version);
+}
+
+void FragmentCollector::BeginOpened() {
+  collected_.clear();
+  ClearJournal();
 }
 
 void FragmentCollector::TakeKept(int64_t iteration, int64_t last_fragment, int64_t policy_version) {

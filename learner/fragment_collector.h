@@ -37,8 +37,10 @@ class FragmentCollector {
   FragmentCollector(std::vector<Fragment> kept, const Parts& parts) : parts_(parts), kept_(std::move(kept)) {}
 
   // Begins `iteration`: opens permits for fragments up to `last_fragment` (excluded) of each lane with the weights
-  // `policy_version`. Kept fragments of this iteration, if it is the first, count as collected.
+  // `policy_version`. Kept fragments of this iteration count as collected.
   void Begin(int64_t iteration, int64_t last_fragment, int64_t policy_version);
+  // The same for an iteration whose permits are open already, which is not the first.
+  void BeginOpened();
   // Waits until `wanted` fragments are collected; returns them ordered by lane and number. Errors are those of
   // `on_tick`.
   absl::StatusOr<std::vector<Fragment>> Collect(size_t wanted, const OnTick& on_tick);
@@ -55,7 +57,6 @@ class FragmentCollector {
 
   const Parts parts_;
   std::vector<Fragment> kept_;  // empty once the first iteration has begun
-  bool has_begun_ = false;
   std::vector<Fragment> collected_;
 };
 

@@ -89,12 +89,15 @@ absl::Status Trainer::RunIteration() {
   status_.OnIterationBegin();
   meter_.BeginCycle();
   meter_.Switch(Activity::kIntake);
-  if (!next_is_open_) Open(counters_.iteration, play_weights_);
-  next_is_open_ = false;
+  if (std::exchange(next_is_open_, false)) {
+    collector_.BeginOpened();
+  } else {
+    collector_.Begin(counters_.iteration + 1, LastFragment(counters_.iteration), play_weights_.version);
+  }
   CRAFTFLEET_ASSIGN_OR_RETURN(const std::vector<Fragment> fragments, Collect());
   std::vector<LaneRecord> lanes = parts_.registry->Records();
   if (config_.overlap() > 0 && has_steps_left(1)) {
-    Open(counters_.iteration + 1, weights_);
+    parts_.registry->OpenIteration(LastFragment(counters_.iteration + 1), weights_.version);
     next_is_open_ = true;
   }
   meter_.Switch(Activity::kUpdate);
@@ -111,9 +114,9 @@ absl::Status Trainer::RunIteration() {
   return absl::OkStatus();
 }
 
-void Trainer::Open(int64_t iteration, const Weights& weights) {
+int64_t Trainer::LastFragment(int64_t iteration) const {
   const int per_lane = config_.ppo().rollout_steps() / (config_.lanes() * config_.fragment_steps());
-  collector_.Begin(iteration + 1, (iteration + 1) * per_lane, weights.version);
+  return (iteration + 1) * per_lane;
 }
 
 absl::StatusOr<std::vector<Fragment>> Trainer::Collect() {
@@ -173,10 +176,7 @@ absl::Status Trainer::FinishIteration(const std::vector<Fragment>& fragments, co
   parts_.evaluations->OnIteration(steps_before, counters_.env_steps, weights_.bytes, [this] { return stop_.is_set(); });
   checkpoints_.ServeRequests(counters_.iteration);
   // The last checkpoint is written after the final evaluation.
-  if (!has_steps_left()) return absl::OkStatus();
-  CRAFTFLEET_RETURN_IF_ERROR(checkpoints_.OnIteration(counters_.iteration));
-  collector_.ClearJournal();
-  return absl::OkStatus();
+  return has_steps_left() ? checkpoints_.OnIteration(counters_.iteration) : absl::OkStatus();
 }
 
 void Trainer::LogPictures(const Fragment& first) {

@@ -98,8 +98,8 @@ class Trainer {
   bool has_steps_left(int iterations = 0) const {
     return counters_.env_steps + int64_t{iterations} * config_.ppo().rollout_steps() < config_.steps();
   }
-  // Opens the permits of `iteration`, from 0, to be played with `weights`.
-  void Open(int64_t iteration, const Weights& weights);
+  // The fragments of each lane up to the end of `iteration`, from 0.
+  int64_t LastFragment(int64_t iteration) const;
   // Runs one iteration.   Cancelled: Stop was called.
   absl::Status RunIteration();
   absl::StatusOr<std::vector<Fragment>> Collect();

@@ -131,6 +131,7 @@ class Remote(ServerCase):
     envs = self.connect(address, 2, timeout=1)
     envs.reset(seed=0)
     server.send_signal(signal.SIGSTOP)
+    os.waitid(os.P_PID, server.pid, os.WSTOPPED | os.WNOWAIT)
     try:
       self.assert_refused(TimeoutError, f"{address}: no answer within 1 s", envs.step, [0, 0])
     finally:
