@@ -4,6 +4,7 @@ import asyncio
 import copy
 import hashlib
 import multiprocessing
+import os
 import pickle
 import re
 import signal
