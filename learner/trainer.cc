@@ -147,17 +147,18 @@ absl::StatusOr<UpdateStats> Trainer::Learn(const std::vector<Fragment>& fragment
 }
 
 absl::Status Trainer::UndoIteration(const std::vector<Fragment>& fragments, const absl::Status& error) {
-  status_.OnUpdateUndone();
   ++failed_updates_;
   const bool again = failed_updates_ < kMaxFailedUpdates;
   LogError("the update of iteration %d failed: %s; it is undone, and %s", counters_.iteration + 1, error.message(),
            again ? "its fragments will be played again" : "training ends, since the update has failed twice in a row");
   for (const std::string& line : DescribeSenders(fragments)) LogError("%s", line);
   collector_.ClearJournal();
-  if (!again) return error;
-  parts_.registry->RewindIterations(next_is_open_ ? 2 : 1);
-  next_is_open_ = false;
-  return absl::OkStatus();
+  if (again) {
+    parts_.registry->RewindIterations(next_is_open_ ? 2 : 1);
+    next_is_open_ = false;
+  }
+  status_.OnUpdateUndone();
+  return again ? absl::OkStatus() : error;
 }
 
 absl::Status Trainer::FinishIteration(const std::vector<Fragment>& fragments, const UpdateStats& stats,

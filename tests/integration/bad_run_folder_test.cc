@@ -185,6 +185,7 @@ TEST_F(FullDiskTest, TrainingContinuesAndCatchesUpOnceThereIsSpace) {
   StartWorkers();
   EXPECT_TRUE(learner_->WaitForText("/run/events.out.tfevents.craftfleet: File too large", kPatience))
       << learner_->Err();
+  EXPECT_TRUE(learner_->WaitForText("error: checkpoint of iteration 1: ", kPatience)) << learner_->Err();
   LimitFiles(RLIM_INFINITY);
   const Ended ended = Finish(learner_.get());
   EXPECT_EQ(ended.exit_code, 0) << ended.err;
