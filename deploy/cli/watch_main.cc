@@ -190,6 +190,8 @@ absl::Status Run(const std::vector<std::string>& paths) {
   CRAFTFLEET_ASSIGN_OR_RETURN(const std::vector<int64_t> steps, StripSteps());
   CRAFTFLEET_ASSIGN_OR_RETURN(CheckpointPolicy agent, LoadPolicy(paths[0]));
   CRAFTFLEET_ASSIGN_OR_RETURN(const AgentGame::Options game_options, GameOptions(agent));
+  const bool on_screen = absl::GetFlag(FLAGS_video).empty() && absl::GetFlag(FLAGS_strip).empty();
+  if (on_screen) CRAFTFLEET_RETURN_IF_ERROR(CheckScreen(absl::GetFlag(FLAGS_terminal)));
   std::atomic<bool> stop{false};
   StopSignal signal([&stop] { stop = true; });  // before the window system starts threads
   if (!absl::GetFlag(FLAGS_video).empty()) return WriteVideo(agent, game_options, attention, stop);

@@ -25,6 +25,8 @@ absl::Status CheckEpisodeFlag(int64_t episode) { return CheckFlagRange<int64_t>(
 
 absl::Status CheckSizeFlag(int size) { return CheckFlagRange("size", size, 64, 1024); }
 
+absl::Status CheckScreen(bool terminal) { return terminal ? absl::OkStatus() : TryDisplay(); }
+
 absl::StatusOr<std::unique_ptr<Screen>> OpenScreen(bool terminal, const std::string& title, int size) {
   if (terminal) return TerminalScreen::Open();
   return OpenWindow(title, {size, size});

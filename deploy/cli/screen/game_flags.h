@@ -30,8 +30,12 @@ absl::Status CheckEpisodeFlag(int64_t episode);
 // --size: 64..1024 pixels.
 absl::Status CheckSizeFlag(int size);
 
+// Whether there is the screen that --terminal asks for. To be called before other threads start.
+//   FailedPrecondition: there is no display; a terminal is only checked when it is opened.
+absl::Status CheckScreen(bool terminal);
+
 // --terminal: the terminal, otherwise a window with this title and room for pictures of `size` pixels.
-//   FailedPrecondition: there is no such screen.
+//   FailedPrecondition: the terminal can't be used.   Internal: the window can't be opened.
 absl::StatusOr<std::unique_ptr<Screen>> OpenScreen(bool terminal, const std::string& title, int size);
 
 }  // namespace craftfleet

@@ -4,8 +4,12 @@
 
 namespace craftfleet {
 
-absl::StatusOr<std::unique_ptr<Screen>> OpenWindow(const std::string& /*title*/, PictureRoom /*room*/) {
+absl::Status TryDisplay() {
   return absl::FailedPreconditionError("this build cannot open windows (CRAFTFLEET_WITH_WINDOW=OFF); use --terminal");
+}
+
+absl::StatusOr<std::unique_ptr<Screen>> OpenWindow(const std::string& /*title*/, PictureRoom /*room*/) {
+  return TryDisplay();
 }
 
 }  // namespace craftfleet

@@ -81,7 +81,7 @@ class WindowScreen : public Screen {
 
 }  // namespace
 
-absl::StatusOr<std::unique_ptr<Screen>> OpenWindow(const std::string& title, PictureRoom room) {
+absl::Status TryDisplay() {
   const std::string display = Variable("DISPLAY");
   const std::string wayland = Variable("WAYLAND_DISPLAY");
   if (display.empty() && wayland.empty()) {
@@ -92,6 +92,10 @@ absl::StatusOr<std::unique_ptr<Screen>> OpenWindow(const std::string& title, Pic
     return absl::FailedPreconditionError(
         absl::StrCat("cannot open a window on the display ", display.empty() ? wayland : display, "; use --terminal"));
   }
+  return absl::OkStatus();
+}
+
+absl::StatusOr<std::unique_ptr<Screen>> OpenWindow(const std::string& title, PictureRoom room) {
   try {
     MakeWindow(title);
   } catch (const cv::Exception& error) {
