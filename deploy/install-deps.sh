@@ -109,7 +109,7 @@ if [ -n "$libtorch" ]; then
 fi
 if [ -n "$tests" ]; then
   packages+=(python3-venv python3-dev python3-yaml iproute2 prometheus munge slurmctld slurmd slurm-client tmux xvfb xdotool zsh
-    chromium chromium-driver python3-selenium)
+    chromium chromium-driver python3-selenium qemu-user)
 fi
 if [ -n "$developer" ]; then
   packages+=(clang libclang-rt-14-dev llvm clang-format clang-tidy shellcheck)

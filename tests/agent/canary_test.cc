@@ -39,6 +39,23 @@ TEST(PolicyCanary, WithAvx2MatchesTheKnownOne) {
       << "the pin must win";
 }
 
+// Libraries also choose their code by the CPU's vendor and model. The emulator runs it on CPUs that are not here. The
+// pins are in its environment from the start, since a process that executes itself again would leave the emulator.
+TEST(PolicyCanary, WithAvx2IsTheSameOnEmulatedIntelAndAmdCpus) {
+  if (OutputOf("command -v qemu-x86_64").empty())
+    GTEST_SKIP() << "qemu-x86_64 is missing: deploy/install-deps.sh --tests";
+  const absl::string_view known = KnownPolicyCanary(v1::RunConfig::AVX2);
+  if (known.empty()) GTEST_SKIP() << "the canary of this LibTorch is not known";
+  std::string pins;
+  for (const auto& [name, value] : CpuPins(v1::RunConfig::AVX2)) absl::StrAppend(&pins, name, "=", value, " ");
+  for (const char* cpu : {"Haswell", "Skylake-Client-noTSX-IBRS", "EPYC"}) {
+    EXPECT_EQ(OutputOf(absl::StrCat("(", pins, "qemu-x86_64 -cpu ", cpu,
+                                    " " CRAFTFLEET_BIN_DIR "/print_canary avx2 2>/dev/null)")),
+              absl::StrCat(known, "\n"))
+        << cpu;
+  }
+}
+
 // The canary depends on rounding.
 TEST(PolicyCanary, DiffersBetweenInstructionSets) {
   if (!CheckCpu(v1::RunConfig::AVX2).ok()) GTEST_SKIP() << "a CPU without AVX2";
