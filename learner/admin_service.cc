@@ -4,6 +4,7 @@
 #include <chrono>
 
 #include <absl/status/statusor.h>
+#include <absl/strings/str_cat.h>
 #include <absl/time/clock.h>
 #include <absl/time/time.h>
 
@@ -24,6 +25,9 @@ absl::Duration TimeLeft(const grpc::ServerContext& context) {
   return std::clamp(left, absl::ZeroDuration(), kLongest);
 }
 
+// As the log names the client.
+std::string CallerOf(const grpc::ServerContext& context) { return absl::StrCat("admin ", context.peer()); }
+
 const char* RoleOf(const WorkerRegistry::WorkerId& worker) {
   return worker.role == WorkerRole::kActor ? "actor" : "envserver";
 }
@@ -43,8 +47,7 @@ absl::Status AdminServiceImpl::WaitFor(grpc::ServerContext* context, const std::
 
 grpc::Status AdminServiceImpl::Checkpoint(grpc::ServerContext* context, const v1::CheckpointRequest* /*request*/,
                                           v1::CheckpointReply* reply) {
-  LogInfo("admin %s: checkpoint", context->peer());
-  const absl::StatusOr<int64_t> iteration = parts_.checkpoints->Ask(TimeLeft(*context));
+  const absl::StatusOr<int64_t> iteration = steering_->Checkpoint(CallerOf(*context), TimeLeft(*context));
   if (!iteration.ok()) return wire::ToGrpc(iteration.status());
   reply->set_iteration(*iteration);
   return grpc::Status::OK;
@@ -52,33 +55,27 @@ grpc::Status AdminServiceImpl::Checkpoint(grpc::ServerContext* context, const v1
 
 grpc::Status AdminServiceImpl::Pause(grpc::ServerContext* context, const v1::PauseRequest* /*request*/,
                                      v1::PauseReply* /*reply*/) {
-  LogInfo("admin %s: pause", context->peer());
-  parts_.registry->SetPaused(true);
+  steering_->Pause(CallerOf(*context));
   const absl::Status status = WaitFor(
-      context, [this] { return parts_.registry->permits() == 0; }, "paused, but some fragments are still being played");
+      context, [this] { return steering_->IsStill(); }, "paused, but some fragments are still being played");
   if (status.ok()) LogInfo("paused: nothing is played until craftfleet admin resume");
   return wire::ToGrpc(status);
 }
 
 grpc::Status AdminServiceImpl::Resume(grpc::ServerContext* context, const v1::ResumeRequest* /*request*/,
                                       v1::ResumeReply* reply) {
-  LogInfo("admin %s: resume", context->peer());
-  reply->set_was_paused(parts_.registry->SetPaused(false));
+  reply->set_was_paused(steering_->Resume(CallerOf(*context)));
   return grpc::Status::OK;
 }
 
 grpc::Status AdminServiceImpl::Drain(grpc::ServerContext* context, const v1::DrainRequest* request,
                                      v1::DrainReply* reply) {
-  LogInfo("admin %s: drain %s", context->peer(), request->worker());
-  if (request->worker().empty()) {  // would match workers without an address
-    return wire::ToGrpc(absl::InvalidArgumentError("worker is empty, want a name or an address"));
-  }
-  const absl::StatusOr<WorkerRegistry::WorkerId> worker = parts_.registry->Drain(request->worker());
+  const absl::StatusOr<WorkerRegistry::WorkerId> worker = steering_->Drain(CallerOf(*context), request->worker());
   if (!worker.ok()) return wire::ToGrpc(worker.status());
   const bool is_actor = worker->role == WorkerRole::kActor;
   reply->set_role(RoleOf(*worker));
   const absl::Status status = WaitFor(
-      context, [&] { return parts_.registry->IsDrained(*worker); },
+      context, [&] { return steering_->IsDrained(*worker); },
       is_actor
           ? "it gets no more permits or evaluations, but has not finished its current ones"
           : "actors with --envservers=learner move their games away, but it still has some; actors that were given "
@@ -89,19 +86,14 @@ grpc::Status AdminServiceImpl::Drain(grpc::ServerContext* context, const v1::Dra
 
 grpc::Status AdminServiceImpl::Undrain(grpc::ServerContext* context, const v1::UndrainRequest* request,
                                        v1::UndrainReply* reply) {
-  LogInfo("admin %s: undrain %s", context->peer(), request->worker());
-  if (request->worker().empty()) {
-    return wire::ToGrpc(absl::InvalidArgumentError("worker is empty, want a name or an address"));
-  }
-  const absl::StatusOr<WorkerRegistry::WorkerId> worker = parts_.registry->Undrain(request->worker());
+  const absl::StatusOr<WorkerRegistry::WorkerId> worker = steering_->Undrain(CallerOf(*context), request->worker());
   if (worker.ok()) reply->set_role(RoleOf(*worker));
   return wire::ToGrpc(worker.status());
 }
 
 grpc::Status AdminServiceImpl::Stop(grpc::ServerContext* context, const v1::StopRequest* /*request*/,
                                     v1::StopReply* /*reply*/) {
-  LogInfo("admin %s: stop", context->peer());
-  parts_.stop();
+  steering_->Stop(CallerOf(*context));
   return grpc::Status::OK;
 }
 

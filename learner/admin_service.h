@@ -10,21 +10,14 @@
 #include <absl/strings/string_view.h>
 
 #include "craftfleet/v1/admin.grpc.pb.h"
-#include "learner/checkpoint_requests.h"
-#include "learner/worker_registry.h"
+#include "learner/steering.h"
 
 namespace craftfleet {
 
-// Implements AdminService (admin.proto). Thread-safe; its parts outlive it. Logs every call with the client's address.
+// Implements AdminService (admin.proto). Thread-safe; `steering` outlives it.
 class AdminServiceImpl final : public v1::AdminService::Service {
  public:
-  struct Parts {
-    CheckpointRequests* checkpoints;
-    WorkerRegistry* registry;
-    std::function<void()> stop;  // asks the learner to stop; returns at once
-  };
-
-  explicit AdminServiceImpl(Parts parts) : parts_(std::move(parts)) {}
+  explicit AdminServiceImpl(Steering* steering) : steering_(steering) {}
 
   grpc::Status Checkpoint(grpc::ServerContext* context, const v1::CheckpointRequest* request,
                           v1::CheckpointReply* reply) override;
@@ -41,7 +34,7 @@ class AdminServiceImpl final : public v1::AdminService::Service {
   static absl::Status WaitFor(grpc::ServerContext* context, const std::function<bool()>& done,
                               absl::string_view otherwise);
 
-  const Parts parts_;
+  Steering* const steering_;
 };
 
 }  // namespace craftfleet

@@ -155,10 +155,9 @@ absl::StatusOr<std::unique_ptr<Learner>> Learner::Create(const Options& options)
 
 absl::Status Learner::ServePage(const Options& options, std::shared_ptr<wire::AccessControl> access) {
   const LivePage::Options page = {options.http_address, options.server.files, std::move(access)};
-  CRAFTFLEET_ASSIGN_OR_RETURN(
-      page_, LivePage::Create(
-                 page, {folder_->run_id(), folder_->logdir(), config_, [this] { return status_service_.Snapshot(); },
-                        &trainer_.view(), &checkpoint_requests_, &registry_, clock_.get()}));
+  CRAFTFLEET_ASSIGN_OR_RETURN(page_, LivePage::Create(page, {folder_->run_id(), folder_->logdir(), config_,
+                                                             [this] { return status_service_.Snapshot(); },
+                                                             &trainer_.view(), &steering_, clock_.get()}));
   return absl::OkStatus();
 }
 
@@ -222,7 +221,8 @@ Learner::Learner(const Options& options, Loaded loaded)
       service_({folder_->run_id(), folder_->epoch(), config_, loaded.texture_digest, loaded.shape, kLease,
                 std::move(loaded.access)},
                &registry_, &weights_, &fragments_),
-      admin_service_({&checkpoint_requests_, &registry_, [this] { Stop(); }}),
+      steering_({&checkpoint_requests_, &registry_, [this] { Stop(); }}),
+      admin_service_(&steering_),
       status_service_("learner", [this](v1::StatusReply* reply) { FillStatus(reply); }) {}
 
 void Learner::FillStatus(v1::StatusReply* reply) const {

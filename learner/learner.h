@@ -96,6 +96,7 @@ class Learner {
   ProgressPrinter progress_;
   Trainer trainer_;
   LearnerServiceImpl service_;
+  Steering steering_;
   AdminServiceImpl admin_service_;
   wire::StatusServiceImpl status_service_;
   std::unique_ptr<wire::Server> server_;  // last, with the next: their threads use all of the above

@@ -12,11 +12,9 @@
 #include <absl/strings/strip.h>
 #include <nlohmann/json.hpp>
 
-#include "common/base/printable.h"
 #include "common/base/status_macros.h"
 #include "common/io/files.h"
 #include "common/io/png_encoder.h"
-#include "common/telemetry/log.h"
 #include "common/wire/channel.h"
 #include "common/wire/status_service.h"
 #include "learner/page/page.h"
@@ -33,7 +31,6 @@ constexpr absl::Duration kStatusAge = absl::Seconds(1);
 // The RPCs whose rights apply (common/wire/access.cc).
 constexpr absl::string_view kWatchCall = "/craftfleet.v1.StatusService/GetStatus";
 constexpr absl::string_view kSteerCall = "/craftfleet.v1.AdminService/Pause";
-constexpr size_t kMaxLogged = 200;  // bytes of a client's text
 
 // "'sha256-...' 'sha256-...'": allows exactly these scripts.
 std::string Hashes(const std::vector<absl::string_view>& scripts) {
@@ -252,30 +249,30 @@ LivePage::Response LivePage::Steer(const Request& request) {
   if (!request.Header("X-Craftfleet").has_value()) {
     return Failure(absl::PermissionDeniedError("want the header X-Craftfleet"));
   }
+  const std::string caller = absl::StrCat("page ", request.Client());
   const absl::string_view command = request.path();
-  const std::string worker(request.Argument("worker").value_or(""));
-  LogInfo("page %s: %s %s", request.Client(), Printable(absl::StripPrefix(command, "/").substr(0, kMaxLogged)),
-          Printable(absl::string_view(worker).substr(0, kMaxLogged)));
+  const absl::string_view worker = request.Argument("worker").value_or("");
   Response done;
   if (command == "/pause") {
-    parts_.registry->SetPaused(true);
+    parts_.steering->Pause(caller);
     done.body = "Paused: fragments that are being played are finished first.\n";
   } else if (command == "/resume") {
-    done.body = parts_.registry->SetPaused(false) ? "Resumed.\n" : "The run was not paused.\n";
+    done.body = parts_.steering->Resume(caller) ? "Resumed.\n" : "The run was not paused.\n";
   } else if (command == "/checkpoint") {
-    const absl::StatusOr<int64_t> asked = parts_.checkpoints->Ask(absl::ZeroDuration());
+    const absl::StatusOr<int64_t> asked = parts_.steering->Checkpoint(caller, absl::ZeroDuration());
     if (!asked.ok() && !absl::IsDeadlineExceeded(asked.status())) return Failure(asked.status());
     done.body = "A checkpoint will be written after the update in progress.\n";
-  } else if (worker.empty() && (command == "/drain" || command == "/undrain")) {
-    return Failure(absl::InvalidArgumentError("worker is empty, want a name or an address"));
-  } else if (command == "/drain" || command == "/undrain") {
-    const bool drain = command == "/drain";
-    const absl::Status found = (drain ? parts_.registry->Drain(worker) : parts_.registry->Undrain(worker)).status();
-    if (!found.ok()) return Failure(found);
-    done.body =
-        drain ? "The worker gets no new work; it is drained once it has none left.\n" : "The worker gets work again.\n";
+  } else if (command == "/drain") {
+    if (const auto found = parts_.steering->Drain(caller, worker); !found.ok()) return Failure(found.status());
+    done.body = "The worker gets no new work; it is drained once it has none left.\n";
+  } else if (command == "/undrain") {
+    if (const auto found = parts_.steering->Undrain(caller, worker); !found.ok()) return Failure(found.status());
+    done.body = "The worker gets work again.\n";
+  } else if (command == "/stop") {
+    parts_.steering->Stop(caller);
+    done.body = "The learner stops, with a checkpoint. --resume continues the run.\n";
   } else {
-    return Failure(absl::NotFoundError("want /pause, /resume, /checkpoint, /drain or /undrain"));
+    return Failure(absl::NotFoundError("want /pause, /resume, /checkpoint, /drain, /undrain or /stop"));
   }
   return done;
 }

@@ -19,9 +19,8 @@
 #include "common/wire/http_server.h"
 #include "craftfleet/v1/config.pb.h"
 #include "craftfleet/v1/status.pb.h"
-#include "learner/checkpoint_requests.h"
+#include "learner/steering.h"
 #include "learner/training_view.h"
-#include "learner/worker_registry.h"
 
 namespace craftfleet {
 
@@ -30,7 +29,8 @@ namespace craftfleet {
 //   GET /status.json  the status of the fleet, as craftfleet status --json, at most a second old
 //   GET /curves.json  the run, its curves, success rates and checkpoints, as of the last finished iteration
 //   GET /frame.png    what an agent saw at the end of that iteration
-//   POST /pause, /resume, /checkpoint, /drain?worker=NAME, /undrain?worker=NAME   as craftfleet admin, without waiting
+//   POST /pause, /resume, /checkpoint, /drain?worker=NAME, /undrain?worker=NAME, /stop   as craftfleet admin, without
+//   waiting
 //
 // Rights. Without an access file the page is on loopback only and open to this host's processes, as the learner's port
 // is; the Host header must then name this host, which keeps the names of other sites off. With one, every request but
@@ -50,8 +50,7 @@ class LivePage {
     v1::RunConfig config;
     std::function<v1::StatusReply()> status;  // called from other threads, as the rest
     const TrainingView* view;
-    CheckpointRequests* checkpoints;
-    WorkerRegistry* registry;
+    Steering* steering;
     Clock* clock;
   };
 

@@ -6,7 +6,7 @@ const activityColours = {
 };
 const stateWords = { TRAINING: "Training", PAUSED: "Paused", EVALUATING: "Evaluating", COMPLETE: "Complete" };
 
-const live = { token: "", tag: "", frame: 0, goal: 0, steer: false, state: "" };
+const live = { token: "", tag: "", frame: 0, goal: 0, steer: false, state: "", stopping: false };
 
 // Requests `path` with the token. Throws {code, text} unless the server answers 200 or 304.
 async function ask(path, options = {}) {
@@ -132,6 +132,7 @@ function showStatus(status) {
   setText($("pause"), live.paused ? "Resume" : "Pause");
   $("pause").disabled = state !== "TRAINING" && state !== "PAUSED";
   $("checkpoint").disabled = state === "COMPLETE" || state === "EVALUATING";
+  $("stop").disabled = live.stopping || state === "COMPLETE";
   showTile("score", decimals(metrics.crafter_score, 2));
   showTile("reward", decimals(metrics.reward, 2));
   showTile("unlocked", decimals(metrics.achievements_unlocked, 0), " / 22");
@@ -184,14 +185,29 @@ async function showFrame(number, steps) {
   live.frame = number;
 }
 
+// Returns whether the learner obeys.
 async function steerRun(path) {
+  let done = false;
   try {
     const reply = await ask(path, { method: "POST", headers: { "X-Craftfleet": "page" } });
     setText($("message"), (await reply.text()).trim());
+    done = true;
   } catch (error) {
     setText($("message"), error.text ?? "The learner does not answer.");
   }
   poll.now();
+  return done;
+}
+
+// Asks first: those who only meant to pause lose the page.
+function startStopping() {
+  const dialog = $("stop-dialog");
+  $("stop").addEventListener("click", () => dialog.showModal());
+  $("stop-cancel").addEventListener("click", () => dialog.close());
+  $("stop-confirm").addEventListener("click", async () => {
+    dialog.close();
+    live.stopping = await steerRun("/stop");
+  });
 }
 
 async function update(views) {
@@ -235,7 +251,7 @@ const poll = {
       await update(poll.views);
     } catch (error) {
       if (error.code === 401 || error.code === 403) signIn(error);
-      else setState("lost", "No answer");
+      else setState("lost", live.stopping ? "Stopped" : "No answer");
     }
     poll.busy = false;
     poll.timer = setTimeout(poll.now, kPollMs);
@@ -268,6 +284,7 @@ function startLive() {
   });
   $("pause").addEventListener("click", () => steerRun(live.paused ? "/resume" : "/pause"));
   $("checkpoint").addEventListener("click", () => steerRun("/checkpoint"));
+  startStopping();
   document.addEventListener("visibilitychange", poll.now);
   poll.now();
 }

@@ -109,14 +109,19 @@ def save(driver, name):
   return png
 
 
-def tab_through(driver):
-  """Presses Tab until the focus is back; the elements that had it, each with whether its focus can be seen."""
+def press(driver, key):
+  """Presses a key, such as "ENTER", where the focus is."""
   from selenium.webdriver.common.action_chains import ActionChains  # pylint: disable=import-outside-toplevel
   from selenium.webdriver.common.keys import Keys  # pylint: disable=import-outside-toplevel
+  ActionChains(driver).send_keys(getattr(Keys, key)).perform()
+
+
+def tab_through(driver):
+  """Presses Tab until the focus is back; the elements that had it, each with whether its focus can be seen."""
   driver.execute_script("document.activeElement.blur()")
   reached = []
   for _ in range(200):
-    ActionChains(driver).send_keys(Keys.TAB).perform()
+    press(driver, "TAB")
     element = driver.switch_to.active_element
     if element.tag_name == "body" or element in reached:
       break

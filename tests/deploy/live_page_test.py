@@ -121,6 +121,33 @@ class LivePage(python_case.FolderCase):
     wait_until(lambda: "drain" not in self.text(driver, "workers"), "the worker to work again")
     self.assertEqual(browser.errors(driver), [])
 
+  def test_stopping_asks_first_and_ends_the_learner_with_a_checkpoint(self):
+    driver = browser.open_browser(self)
+    url, log = self.start_run()
+    driver.get(url)
+    self.wait_for_text(driver, "state-text", "Training")
+    dialog = driver.find_element("id", "stop-dialog")
+    focused = lambda: driver.switch_to.active_element.get_attribute("id")
+    for way_out in ["ESCAPE", "ENTER"]:
+      driver.execute_script("document.getElementById('stop').focus()")
+      browser.press(driver, "ENTER")
+      self.assertTrue(dialog.is_displayed())
+      self.assertEqual(focused(), "stop-cancel", "nothing is stopped by pressing Enter twice")
+      browser.press(driver, way_out)
+      self.assertFalse(dialog.is_displayed())
+      self.assertEqual(focused(), "stop")
+    self.assertNotIn(": stop", log.read_text())
+    browser.press(driver, "SPACE")
+    self.check_looks(driver, "stop")
+    browser.press(driver, "TAB")
+    self.assertEqual(focused(), "stop-confirm")
+    self.assertEqual(browser.errors(driver), [])
+    browser.press(driver, "ENTER")
+    self.wait_for_text(driver, "message", "checkpoint")
+    wait_until(lambda: "resume" in log.read_text().split(": stop")[-1], "the learner's last words")
+    self.wait_for_text(driver, "state-text", "Stopped")
+    self.assertGreater(len(list((self.folder / "run/checkpoints").glob("iter-*"))), 0)
+
   def start_secured(self):
     """A run whose page is beyond loopback; returns its port and the log."""
     subprocess.run([SOURCE / "deploy/make-certs.sh", self.folder / "certs", "learner"], check=True, capture_output=True)
@@ -185,7 +212,8 @@ class LivePage(python_case.FolderCase):
       wait_until(lambda wanted=shown: driver.find_element("id", "live").is_displayed() == wanted and
                  driver.find_element("id", "sign-in").is_displayed() != wanted, token)
     self.wait_for_text(driver, "state-text", "Training")
-    self.assertFalse(driver.find_element("id", "pause").is_displayed())
+    for button in ["pause", "stop"]:
+      self.assertFalse(driver.find_element("id", button).is_displayed())
     driver.execute_script("sessionStorage.clear()")
     driver.get("about:blank")
     driver.get(url + "#token=steerer")

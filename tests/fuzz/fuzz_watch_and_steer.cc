@@ -28,7 +28,8 @@ struct Learner : LearnerParts {
 
   CheckpointRequests checkpoints;
   LearnerServiceImpl service{{}, &registry, &weights, &fragments};
-  AdminServiceImpl admin{{&checkpoints, &registry, [] {}}};
+  Steering steering{{&checkpoints, &registry, [] {}}};
+  AdminServiceImpl admin{&steering};
   wire::StatusServiceImpl status{"learner", [this](v1::StatusReply* reply) { service.FillStatus(reply); }};
   std::unique_ptr<wire::Server> server = wire::Server::Create({}, {&service, &admin, &status}).value();
   std::shared_ptr<grpc::Channel> channel = server->InProcess().channel;

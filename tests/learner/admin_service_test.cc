@@ -86,7 +86,8 @@ class AdminServiceTest : public testing::Test {
   CheckpointRequests checkpoints_;
   TestRegistry registry_{{/*lanes=*/2}, std::vector<LaneRecord>(2), &clock_};
   std::atomic<int> stops_{0};
-  AdminServiceImpl service_{{&checkpoints_, &registry_, [this] { ++stops_; }}};
+  Steering steering_{{&checkpoints_, &registry_, [this] { ++stops_; }}};
+  AdminServiceImpl service_{&steering_};
   std::unique_ptr<Stub> stub_;
   std::unique_ptr<wire::Server> server_;  // last: its threads use all of the above
 };

@@ -1,5 +1,6 @@
 #include "learner/live_page.h"
 
+#include <atomic>
 #include <memory>
 #include <string>
 #include <vector>
@@ -37,8 +38,7 @@ class LivePageTest : public OpenRun {
   }
 
   LivePage::Parts Parts() {
-    return {"run-1", logdir_,       run_->config(), [this] { return MakeStatus(); },
-            &view_,  &checkpoints_, &registry_,     &clock_};
+    return {"run-1", logdir_, run_->config(), [this] { return MakeStatus(); }, &view_, &steering_, &clock_};
   }
   v1::StatusReply MakeStatus() {
     v1::StatusReply status;
@@ -82,6 +82,8 @@ class LivePageTest : public OpenRun {
   int statuses_ = 0;  // asked for
   TestRegistry registry_{{LaneScheduler::Options{}}, &clock_};
   CheckpointRequests checkpoints_;
+  std::atomic<int> stops_{0};
+  Steering steering_{{&checkpoints_, &registry_, [this] { ++stops_; }}};
   TrainingView view_;
   std::unique_ptr<LivePage> page_;
 };
@@ -152,7 +154,10 @@ TEST_F(LivePageTest, PostsSteerTheRun) {
   EXPECT_FALSE(registry_.IsDrained("anna"));
   EXPECT_THAT(Post("/drain?worker=bert"), AllOf(StartsWith("HTTP/1.1 404 "), HasSubstr("anna")));
   EXPECT_THAT(Post("/drain"), AllOf(StartsWith("HTTP/1.1 400 "), HasSubstr("worker is empty")));
-  EXPECT_THAT(Post("/stop"), StartsWith("HTTP/1.1 404 "));
+  EXPECT_THAT(Post("/halt"), StartsWith("HTTP/1.1 404 "));
+  EXPECT_EQ(stops_, 0);
+  EXPECT_THAT(Post("/stop"), AllOf(StartsWith("HTTP/1.1 200 "), HasSubstr("--resume")));
+  EXPECT_EQ(stops_, 1);
 }
 
 // A page of another site can make a browser send neither the header nor, under a name of its own, a request at all.
@@ -160,6 +165,9 @@ TEST_F(LivePageTest, OtherSitesCanNeitherSteerNorRead) {
   EXPECT_THAT(Ask("POST /pause"), AllOf(StartsWith("HTTP/1.1 403 "), HasSubstr("X-Craftfleet")));
   EXPECT_THAT(Ask("OPTIONS /pause"), StartsWith("HTTP/1.1 405 "));
   EXPECT_THAT(Ask("GET /pause"), StartsWith("HTTP/1.1 404 "));
+  EXPECT_THAT(Ask("POST /stop"), StartsWith("HTTP/1.1 403 "));
+  EXPECT_THAT(Ask("GET /stop"), StartsWith("HTTP/1.1 404 "));
+  EXPECT_EQ(stops_, 0);
   EXPECT_FALSE(registry_.paused());
   for (const char* host : {"evil.example", "evil.example:80", "127.0.0.1.evil.example", "unix:x", "", "[::2]:1"}) {
     for (const char* path : {"/status.json", "/curves.json", "/frame.png"}) {
@@ -186,7 +194,9 @@ TEST_F(LivePageTest, WithAnAccessFileNothingIsShownWithoutAToken) {
   EXPECT_THAT(AskAs(kWatcher, "GET /status.json"),
               AllOf(StartsWith("HTTP/1.1 200 "), HasSubstr("X-Craftfleet-Steer: no\r\n")));
   EXPECT_THAT(AskAs(kWatcher, "POST /pause", "X-Craftfleet: x\r\n"), StartsWith("HTTP/1.1 403 "));
+  EXPECT_THAT(AskAs(kWatcher, "POST /stop", "X-Craftfleet: x\r\n"), StartsWith("HTTP/1.1 403 "));
   EXPECT_FALSE(registry_.paused());
+  EXPECT_EQ(stops_, 0);
   EXPECT_THAT(AskAs(kSteerer, "GET /status.json"), HasSubstr("X-Craftfleet-Steer: yes\r\n"));
   EXPECT_THAT(AskAs(kSteerer, "POST /pause", "X-Craftfleet: x\r\n"), StartsWith("HTTP/1.1 200 "));
   EXPECT_TRUE(registry_.paused());
