@@ -3,6 +3,11 @@
 #include "learner/ppo/distillation/distiller.h"
 
 #include <cstdint>
+#include <functional>
+#include <memory>
+#include <string>
+#include <utility>
+#include <vector>
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
@@ -106,6 +111,48 @@ TEST(Distiller, APhaseFollowsEveryFewIterations) {
     EXPECT_GT(stats->distillation->divergence, 0);
   }
   EXPECT_FALSE(PredictorOf(*updater) == before);
+}
+
+// Two updaters see the same steps, but the rewards of `changed` instead of the sample's. Returns them after PPO's
+// iteration 0 and after the phase of iteration 1.
+struct Pair {
+  explicit Pair(const std::function<void(Rollout*)>& change) {
+    for (int i = 0; i < 2; ++i) {
+      Sample same(i, one->spec().state_size);
+      Sample other(i, one->spec().state_size);
+      change(&other.rollout);
+      EXPECT_THAT(one->Update(i, same.rollout, NeverStop), IsOk());
+      EXPECT_THAT(two->Update(i, other.rollout, NeverStop), IsOk());
+      equal[i] = StateOf(*one) == StateOf(*two);
+      equal_weights[i] = one->SaveWeights() == two->SaveWeights();
+    }
+  }
+  const std::unique_ptr<PpoUpdater> one = *PpoUpdater::Create(Config(), 1);
+  const std::unique_ptr<PpoUpdater> two = *PpoUpdater::Create(Config(), 1);
+  bool equal[2];          // weights, optimisers and kept rollouts, after each iteration
+  bool equal_weights[2];  // weights alone
+};
+
+TEST(Distiller, OtherGoalsChangeThePhaseButNotPpo) {
+  // Each goal trades places with the step before it.
+  const Pair pair([](Rollout* rollout) {
+    for (int row = 1; row < kRows; ++row) {
+      if (rollout->rewards[row] > 0) std::swap(rollout->rewards[row - 1], rollout->rewards[row]);
+    }
+  });
+  EXPECT_TRUE(pair.equal_weights[0]) << "PPO learns from advantages and returns";
+  EXPECT_FALSE(pair.equal[0]) << "the kept rollouts say which steps are goals";
+  EXPECT_FALSE(pair.equal_weights[1]);
+  EXPECT_FALSE(PredictorOf(*pair.one) == PredictorOf(*pair.two));
+}
+
+TEST(Distiller, OfRewardsOnlyTheUnlocksCount) {
+  // Lost and won health beside an unlock.
+  const Pair pair([](Rollout* rollout) {
+    for (int row = 0; row < kRows; ++row) rollout->rewards[row] += row % 2 == 0 ? 0.1F : -0.1F;
+  });
+  EXPECT_TRUE(pair.equal[0]);
+  EXPECT_TRUE(pair.equal[1]);
 }
 
 TEST(Distiller, ThreadsDoNotChangeABit) {
