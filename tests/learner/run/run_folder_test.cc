@@ -2,25 +2,18 @@
 
 #include <unistd.h>
 
-#include <filesystem>
-#include <map>
 #include <memory>
 #include <string>
 #include <utility>
+#include <vector>
 
 #include <absl/strings/str_cat.h>
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 #include <nlohmann/json.hpp>
 
-#include "common/config/config.h"
-#include "common/io/files.h"
-#include "learner/run/epoch.h"
-#include "tests/fakes/fake_clock.h"
 #include "tests/fakes/file_size_limit.h"
-#include "tests/fakes/status_matchers.h"
-#include "tests/fakes/temp_folder.h"
-#include "tests/learner/run/run_samples.h"
+#include "tests/learner/run/run_folder_fixture.h"
 
 namespace craftfleet {
 namespace {
@@ -28,102 +21,6 @@ namespace {
 using testing::AllOf;
 using testing::ElementsAre;
 using testing::HasSubstr;
-
-TEST(Epoch, CountsStarts) {
-  const TempFolder folder;
-  EXPECT_EQ(ReadEpoch(folder.path()).value(), 0);
-  EpochFence first, second;
-  ASSERT_THAT(first.Take(folder.path(), 1), IsOk());
-  EXPECT_EQ(ReadEpoch(folder.path()).value(), 1);
-  ASSERT_THAT(second.Take(folder.path(), 2), IsOk());
-  EXPECT_EQ(ReadEpoch(folder.path()).value(), 2);
-  for (const char* garbage : {"", "x", "-1", "0", "1 2"}) {
-    ASSERT_THAT(WriteFileSynced(folder / "epoch", garbage), IsOk());
-    EXPECT_THAT(ReadEpoch(folder.path()), StatusIs(absl::StatusCode::kDataLoss, HasSubstr(folder / "epoch")))
-        << garbage;
-    EXPECT_THAT(second.Check(), StatusIs(absl::StatusCode::kUnavailable, HasSubstr(folder / "epoch"))) << garbage;
-  }
-}
-
-TEST(Epoch, ReadsTheFormatOfVersion01) {
-  const TempFolder folder;
-  ASSERT_THAT(WriteFileSynced(folder / "epoch", "7\n"), IsOk());
-  EXPECT_EQ(ReadEpoch(folder.path()).value(), 7);
-  EpochFence fence;
-  EXPECT_THAT(fence.Take(folder.path(), 7), StatusIs(absl::StatusCode::kFailedPrecondition, testing::_));
-  EXPECT_THAT(fence.Take(folder.path(), 8), IsOk());
-}
-
-TEST(EpochFence, OnlyTheLatestStartMayWrite) {
-  const TempFolder folder;
-  EpochFence older, newer;
-  EXPECT_THAT(older.Check(), StatusIs(absl::StatusCode::kFailedPrecondition, testing::_));
-  ASSERT_THAT(older.Take(folder.path(), 1), IsOk());
-  EXPECT_THAT(older.Check(), IsOk());
-  EXPECT_THAT(newer.Take(folder.path(), 1),
-              StatusIs(absl::StatusCode::kFailedPrecondition, HasSubstr(absl::StrCat("process ", ::getpid()))));
-  ASSERT_THAT(newer.Take(folder.path(), 2), IsOk());
-  EXPECT_THAT(newer.Check(), IsOk());
-  EXPECT_THAT(older.Check(),
-              StatusIs(absl::StatusCode::kAborted,
-                       AllOf(HasSubstr(folder.path()), HasSubstr(absl::StrCat("taken over by process ", ::getpid())),
-                             HasSubstr("epoch 2, this one is epoch 1"))));
-}
-
-// Two starts read the same number at the same time.
-TEST(EpochFence, OfTwoStartsWithOneNumberOnlyTheLastMayWrite) {
-  const TempFolder folder, elsewhere;
-  EpochFence first, last;
-  ASSERT_THAT(first.Take(folder.path(), 3), IsOk());
-  ASSERT_THAT(last.Take(elsewhere.path(), 3), IsOk());
-  ASSERT_THAT(WriteFileSynced(folder / "epoch", ReadFile(elsewhere / "epoch").value()), IsOk());
-  EXPECT_THAT(first.Check(), StatusIs(absl::StatusCode::kAborted, testing::_));
-}
-
-class RunFolderTest : public testing::Test {
- protected:
-  std::unique_ptr<RunFolder> Create() {
-    auto folder = RunFolder::Create(logdir_, ResolveRunConfig(DefaultRunConfig()).value(), program_, &clock_);
-    EXPECT_THAT(folder, IsOk());
-    if (!folder.ok()) return nullptr;
-    EXPECT_THAT((*folder)->Begin(), IsOk());
-    return *std::move(folder);
-  }
-  absl::StatusOr<ResumedRun> Look(const ResumeOptions& options = {}) {
-    return RunFolder::Resume(logdir_, options, program_, &clock_);
-  }
-  absl::StatusOr<ResumedRun> Resume(const ResumeOptions& options = {}) {
-    absl::StatusOr<ResumedRun> run = Look(options);
-    EXPECT_TRUE(!run.ok() || run->folder->Begin().ok());
-    return run;
-  }
-  // The content of each file except `lock`, which names its last holder.
-  std::map<std::string, std::string> Contents() const {
-    std::map<std::string, std::string> contents;
-    for (const auto& entry : std::filesystem::recursive_directory_iterator(logdir_)) {
-      const std::string path = entry.path().string();
-      if (path != logdir_ + "/lock") contents[path] = entry.is_regular_file() ? ReadFile(path).value() : "folder";
-    }
-    return contents;
-  }
-
-  // A run of two iterations with a checkpoint after each, then some logs that are in no checkpoint.
-  void MakeRun() {
-    auto folder = Create();
-    for (int64_t iteration = 1; iteration <= 3; ++iteration) {
-      folder->AddEpisodes({SampleEpisode(100 * iteration, 1.0 * iteration), SampleEpisode(10, 0)});
-      folder->AddScalars(4096 * iteration, {{"train/reward", 1.0 * iteration}});
-      ASSERT_THAT(folder->FlushLogs(), IsOk());
-      if (iteration == 3) break;
-      ASSERT_THAT(folder->WriteCheckpoint(SampleCheckpoint(iteration)), IsOk());
-    }
-  }
-
-  const TempFolder temp_;
-  const std::string logdir_ = temp_ / "runs/a";
-  const ProgramInfo program_{"0.1.0", "39702b5", "digest1"};
-  FakeClock clock_;
-};
 
 TEST_F(RunFolderTest, DescribesTheRun) {
   const auto folder = Create();
@@ -351,111 +248,6 @@ TEST_F(RunFolderTest, ResumingARunWithoutACheckpointSuggestsANewStart) {
   ASSERT_THAT(RemoveAll(logdir_ + "/checkpoints"), IsOk());  // killed even earlier
   EXPECT_THAT(Look(), is_told);
   EXPECT_NE(Create(), nullptr) << "a new start works";
-}
-
-// A run that ended after 4096 steps, with a final evaluation of one episode of each kind.
-class FinishedRunTest : public RunFolderTest {
- protected:
-  FinishedRunTest() {
-    const auto folder = Create();
-    EXPECT_THAT(folder->WriteCheckpoint(State(1, 0)), IsOk());
-    EndAt(folder.get(), 4096);
-  }
-  static Checkpoint State(int64_t iteration, int64_t final_evaluation_steps) {
-    Checkpoint checkpoint = SampleCheckpoint(iteration);
-    checkpoint.state.set_env_steps(iteration * 1024);
-    checkpoint.state.set_final_evaluation_steps(final_evaluation_steps);
-    return checkpoint;
-  }
-  static std::string Lines(int64_t steps) { return FormatStatsLine(SampleEpisode(steps, 1)); }
-  // The final evaluation, whose episodes are as long as the run, and the last checkpoint.
-  static void EndAt(RunFolder* folder, int64_t steps) {
-    folder->AddEvaluation(true, {SampleEpisode(steps, 1)}, {SampleEpisode(steps, 1)});
-    EXPECT_THAT(folder->WriteCheckpoint(State(steps / 1024, steps)), IsOk());
-  }
-  // Resumes with another number of steps.
-  std::unique_ptr<RunFolder> ResumeTo(int64_t steps, const std::string& from = "") {
-    absl::StatusOr<ResumedRun> run = Look({from, ""});
-    EXPECT_THAT(run, IsOk());
-    if (!run.ok()) return nullptr;
-    v1::RunConfig config = run->folder->config();
-    config.set_steps(steps);
-    run->folder->TakeChanges(config);
-    EXPECT_THAT(run->folder->Begin(), IsOk());
-    return std::move(run->folder);
-  }
-  std::string Text(const std::string& file) const { return ReadFile(JoinPath(logdir_, file)).value_or("none"); }
-  void ExpectLogs(const std::string& final, const std::string& aside) {
-    for (const char* kind : {"argmax", "sampled"}) {
-      EXPECT_EQ(Text(absl::StrCat("final_", kind, ".jsonl")), final) << kind;
-      EXPECT_EQ(Text(absl::StrCat("final_", kind, "-4096.jsonl")), aside) << kind;
-    }
-  }
-};
-
-TEST_F(FinishedRunTest, ResumedUnchangedItKeepsItsFinalLogs) {
-  const auto run = ResumeTo(4096);
-  ExpectLogs(Lines(4096), "none");
-  EXPECT_EQ(run->score(EpisodeKind::kFinalArgmax).MeanLength(), 4096);
-}
-
-TEST_F(FinishedRunTest, ExtendedItsFinalLogsBelongToTheNewestWeights) {
-  auto run = ResumeTo(8192);
-  ExpectLogs("", Lines(4096));
-  EXPECT_EQ(run->score(EpisodeKind::kFinalArgmax).episodes(), 0);
-  EndAt(run.get(), 8192);
-  ExpectLogs(Lines(8192), Lines(4096));
-  EXPECT_EQ(run->score(EpisodeKind::kFinalSampled).MeanLength(), 8192);
-  run.reset();
-  run = ResumeTo(12'288);
-  ExpectLogs("", Lines(4096));
-  EXPECT_EQ(Text("final_argmax-8192.jsonl"), Lines(8192));
-}
-
-TEST_F(FinishedRunTest, KilledAfterAnExtensionItCanBeResumedEitherWay) {
-  ResumeTo(8192);
-  ResumeTo(8192);  // from the checkpoint of the old end, which finds the logs set aside
-  ExpectLogs("", Lines(4096));
-  const auto run = ResumeTo(4096);
-  ExpectLogs(Lines(4096), "none");
-  EXPECT_EQ(run->score(EpisodeKind::kFinalSampled).MeanLength(), 4096);
-}
-
-TEST_F(FinishedRunTest, StoppedDuringTheExtensionItsLogsStayAside) {
-  auto run = ResumeTo(8192);
-  ASSERT_THAT(run->WriteCheckpoint(State(6, 4096)), IsOk());
-  run.reset();
-  run = ResumeTo(8192);
-  ExpectLogs("", Lines(4096));
-  run.reset();
-  EXPECT_THAT(Resume(), IsOk());
-  ExpectLogs("", Lines(4096));
-}
-
-TEST_F(FinishedRunTest, ResumedFromItsOldEndItHasThatEndsLogs) {
-  auto run = ResumeTo(8192);
-  EndAt(run.get(), 8192);
-  run.reset();
-  run = ResumeTo(4096, "iter-00000004");
-  ExpectLogs(Lines(4096), "none");
-  EXPECT_EQ(run->score(EpisodeKind::kFinalArgmax).MeanLength(), 4096);
-  EXPECT_THAT(run->checkpoints().ListNewestFirst().value(), ElementsAre("iter-00000004", "iter-00000001"));
-}
-
-TEST_F(FinishedRunTest, ResumedFromBeforeItsOldEndItHasNoFinalLogs) {
-  auto run = ResumeTo(8192);
-  EndAt(run.get(), 8192);
-  run.reset();
-  run = ResumeTo(8192, "iter-00000001");
-  ExpectLogs("", "none");
-}
-
-// Version 0.1 did not set logs aside, and appended one final evaluation to the other.
-TEST_F(FinishedRunTest, OnlyTheLinesOfTheCheckpointAreSetAside) {
-  ASSERT_THAT(WriteFileSynced(logdir_ + "/final_argmax.jsonl", Lines(4096) + Lines(5000)), IsOk());
-  ResumeTo(8192);
-  EXPECT_EQ(Text("final_argmax.jsonl"), "");
-  EXPECT_EQ(Text("final_argmax-4096.jsonl"), Lines(4096));
 }
 
 TEST_F(RunFolderTest, ARunOfOtherTexturesOrAnotherAgentIsRefused) {

@@ -1,0 +1,71 @@
+#include "learner/run/epoch.h"
+
+#include <unistd.h>
+
+#include <absl/strings/str_cat.h>
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include "common/io/files.h"
+#include "tests/fakes/status_matchers.h"
+#include "tests/fakes/temp_folder.h"
+
+namespace craftfleet {
+namespace {
+
+using testing::AllOf;
+using testing::HasSubstr;
+
+TEST(Epoch, CountsStarts) {
+  const TempFolder folder;
+  EXPECT_EQ(ReadEpoch(folder.path()).value(), 0);
+  EpochFence first, second;
+  ASSERT_THAT(first.Take(folder.path(), 1), IsOk());
+  EXPECT_EQ(ReadEpoch(folder.path()).value(), 1);
+  ASSERT_THAT(second.Take(folder.path(), 2), IsOk());
+  EXPECT_EQ(ReadEpoch(folder.path()).value(), 2);
+  for (const char* garbage : {"", "x", "-1", "0", "1 2"}) {
+    ASSERT_THAT(WriteFileSynced(folder / "epoch", garbage), IsOk());
+    EXPECT_THAT(ReadEpoch(folder.path()), StatusIs(absl::StatusCode::kDataLoss, HasSubstr(folder / "epoch")))
+        << garbage;
+    EXPECT_THAT(second.Check(), StatusIs(absl::StatusCode::kUnavailable, HasSubstr(folder / "epoch"))) << garbage;
+  }
+}
+
+TEST(Epoch, ReadsTheFormatOfVersion01) {
+  const TempFolder folder;
+  ASSERT_THAT(WriteFileSynced(folder / "epoch", "7\n"), IsOk());
+  EXPECT_EQ(ReadEpoch(folder.path()).value(), 7);
+  EpochFence fence;
+  EXPECT_THAT(fence.Take(folder.path(), 7), StatusIs(absl::StatusCode::kFailedPrecondition, testing::_));
+  EXPECT_THAT(fence.Take(folder.path(), 8), IsOk());
+}
+
+TEST(EpochFence, OnlyTheLatestStartMayWrite) {
+  const TempFolder folder;
+  EpochFence older, newer;
+  EXPECT_THAT(older.Check(), StatusIs(absl::StatusCode::kFailedPrecondition, testing::_));
+  ASSERT_THAT(older.Take(folder.path(), 1), IsOk());
+  EXPECT_THAT(older.Check(), IsOk());
+  EXPECT_THAT(newer.Take(folder.path(), 1),
+              StatusIs(absl::StatusCode::kFailedPrecondition, HasSubstr(absl::StrCat("process ", ::getpid()))));
+  ASSERT_THAT(newer.Take(folder.path(), 2), IsOk());
+  EXPECT_THAT(newer.Check(), IsOk());
+  EXPECT_THAT(older.Check(),
+              StatusIs(absl::StatusCode::kAborted,
+                       AllOf(HasSubstr(folder.path()), HasSubstr(absl::StrCat("taken over by process ", ::getpid())),
+                             HasSubstr("epoch 2, this one is epoch 1"))));
+}
+
+// Two starts read the same number at the same time.
+TEST(EpochFence, OfTwoStartsWithOneNumberOnlyTheLastMayWrite) {
+  const TempFolder folder, elsewhere;
+  EpochFence first, last;
+  ASSERT_THAT(first.Take(folder.path(), 3), IsOk());
+  ASSERT_THAT(last.Take(elsewhere.path(), 3), IsOk());
+  ASSERT_THAT(WriteFileSynced(folder / "epoch", ReadFile(elsewhere / "epoch").value()), IsOk());
+  EXPECT_THAT(first.Check(), StatusIs(absl::StatusCode::kAborted, testing::_));
+}
+
+}  // namespace
+}  // namespace craftfleet

@@ -1,0 +1,72 @@
+// A run folder that is created and resumed, for its tests.
+
+#ifndef CRAFTFLEET_TESTS_LEARNER_RUN_RUN_FOLDER_FIXTURE_H_
+#define CRAFTFLEET_TESTS_LEARNER_RUN_RUN_FOLDER_FIXTURE_H_
+
+#include <cstdint>
+#include <filesystem>
+#include <map>
+#include <memory>
+#include <string>
+#include <utility>
+
+#include <gtest/gtest.h>
+
+#include "common/config/config.h"
+#include "common/io/files.h"
+#include "learner/run/run_folder.h"
+#include "tests/fakes/fake_clock.h"
+#include "tests/fakes/status_matchers.h"
+#include "tests/fakes/temp_folder.h"
+#include "tests/learner/run/run_samples.h"
+
+namespace craftfleet {
+
+class RunFolderTest : public testing::Test {
+ protected:
+  std::unique_ptr<RunFolder> Create() {
+    auto folder = RunFolder::Create(logdir_, ResolveRunConfig(DefaultRunConfig()).value(), program_, &clock_);
+    EXPECT_THAT(folder, IsOk());
+    if (!folder.ok()) return nullptr;
+    EXPECT_THAT((*folder)->Begin(), IsOk());
+    return *std::move(folder);
+  }
+  absl::StatusOr<ResumedRun> Look(const ResumeOptions& options = {}) {
+    return RunFolder::Resume(logdir_, options, program_, &clock_);
+  }
+  absl::StatusOr<ResumedRun> Resume(const ResumeOptions& options = {}) {
+    absl::StatusOr<ResumedRun> run = Look(options);
+    EXPECT_TRUE(!run.ok() || run->folder->Begin().ok());
+    return run;
+  }
+  // The content of each file except `lock`, which names its last holder.
+  std::map<std::string, std::string> Contents() const {
+    std::map<std::string, std::string> contents;
+    for (const auto& entry : std::filesystem::recursive_directory_iterator(logdir_)) {
+      const std::string path = entry.path().string();
+      if (path != logdir_ + "/lock") contents[path] = entry.is_regular_file() ? ReadFile(path).value() : "folder";
+    }
+    return contents;
+  }
+
+  // A run of two iterations with a checkpoint after each, then some logs that are in no checkpoint.
+  void MakeRun() {
+    auto folder = Create();
+    for (int64_t iteration = 1; iteration <= 3; ++iteration) {
+      folder->AddEpisodes({SampleEpisode(100 * iteration, 1.0 * iteration), SampleEpisode(10, 0)});
+      folder->AddScalars(4096 * iteration, {{"train/reward", 1.0 * iteration}});
+      ASSERT_THAT(folder->FlushLogs(), IsOk());
+      if (iteration == 3) break;
+      ASSERT_THAT(folder->WriteCheckpoint(SampleCheckpoint(iteration)), IsOk());
+    }
+  }
+
+  const TempFolder temp_;
+  const std::string logdir_ = temp_ / "runs/a";
+  const ProgramInfo program_{"0.1.0", "39702b5", "digest1"};
+  FakeClock clock_;
+};
+
+}  // namespace craftfleet
+
+#endif  // CRAFTFLEET_TESTS_LEARNER_RUN_RUN_FOLDER_FIXTURE_H_
