@@ -22,6 +22,7 @@ std::atomic<int64_t> sent{0};
 std::atomic<int64_t> fetched{0};
 std::atomic<int64_t> read{0};
 std::atomic<int64_t> computed{0};
+std::atomic<int64_t> last_computed{-1};  // the computation that finds no memory
 
 const c10::Device kDevice(c10::DeviceType::PrivateUse1, 0);
 
@@ -78,7 +79,9 @@ int SharedArgument(const c10::FunctionSchema& schema, size_t result) {
 void Compute(const c10::OperatorHandle& op, torch::jit::Stack* stack) {
   const c10::FunctionSchema& schema = op.schema();
   const std::string& name = schema.name();
-  ++computed;
+  if (++computed == last_computed) {
+    throw std::runtime_error("CUDA out of memory. Tried to allocate 2.00 GiB. GPU 0 has a total capacity of 7.79 GiB");
+  }
   const size_t begin = stack->size() - schema.arguments().size();
   const std::vector<c10::IValue> arguments(stack->begin() + begin, stack->end());
   for (size_t i = begin; i < stack->size(); ++i) ReplaceArgument(name, &(*stack)[i]);
@@ -162,6 +165,8 @@ using DeviceGuard = c10::impl::NoOpDeviceGuardImpl<c10::DeviceType::PrivateUse1>
 C10_REGISTER_GUARD_IMPL(PrivateUse1, DeviceGuard)
 
 }  // namespace
+
+void RunOutOfMemoryAfter(int64_t count) { last_computed = computed + count; }
 
 DeviceTraffic TrafficSoFar() { return {sent, fetched, read, computed}; }
 

@@ -21,6 +21,10 @@ struct DeviceTraffic {
 // Since the start of the process. Thread-safe.
 DeviceTraffic TrafficSoFar();
 
+// Lets the device run out of memory at its computation number `count` from now, 1 for the next one, with CUDA's words.
+// Thread-safe.
+void RunOutOfMemoryAfter(int64_t count);
+
 }  // namespace craftfleet::testing
 
 #endif  // CRAFTFLEET_TESTS_AGENT_STAND_IN_DEVICE_H_

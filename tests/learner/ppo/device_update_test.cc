@@ -8,6 +8,7 @@
 #include <limits>
 #include <map>
 #include <memory>
+#include <ostream>
 #include <string>
 #include <vector>
 
@@ -141,10 +142,16 @@ void ExpectClose(const Trained& actual, const Trained& expected, const std::stri
   near(scale.deviation, expected_scale.deviation, "deviation of returns");
 }
 
-using Agents = ::testing::TestWithParam<const char*>;
+struct AgentCase {
+  const char* config;
+  int most_computations;  // started in a minibatch: what LibTorch 1.13 needs and a seventh more, for other versions
+};
+void PrintTo(const AgentCase& agent, std::ostream* out) { *out << agent.config; }
+
+using Agents = ::testing::TestWithParam<AgentCase>;
 
 TEST_P(Agents, LearnOnADeviceAsOnTheCpu) {
-  const v1::RunConfig config = ConfigOf(GetParam());
+  const v1::RunConfig config = ConfigOf(GetParam().config);
   const Trained expected(config, "cpu", 2);
   const auto start = TensorsOf(Trained(config, "cpu", 0).updater->SaveWeights())["weights"];
   const auto weights = TensorsOf(expected.updater->SaveWeights())["weights"];
@@ -158,21 +165,27 @@ TEST_P(Agents, LearnOnADeviceAsOnTheCpu) {
 INSTANTIATE_TEST_SUITE_P(
     All, Agents,
     ::testing::Values(
-        R"(agent: "ppo_cnn" network { frame_size: 40 } ppo { epochs: 2 })",
-        R"(agent: "ppo_cnn" network { frame_size: 40 } ppo { value_norm_decay: 0.9 })",
-        R"(agent: "lstm_cnn" network { frame_size: 40 } ppo { epochs: 2 recurrent_batches: SEGMENTS })",
-        R"(agent: "lstm_cnn" network { frame_size: 40 critic: LSTM } ppo { recurrent_batches: SEGMENTS })",
-        R"(agent: "lstm_cnn_published" network { frame_size: 40 } ppo { recurrent_batches: PUBLISHED })",
-        R"(agent: "ppo_spcnn" network { frame_size: 12 })",
-        R"(agent: "lstm_spcnn" network { frame_size: 12 } ppo { recurrent_batches: SEGMENTS })",
-        R"(agent: "oc_sa" network { frame_size: 20 })", R"(agent: "oc_sa_published" network { frame_size: 20 })",
-        R"(agent: "oc_ca" network { frame_size: 32 })",
-        R"(agent: "oc_ca" network { frame_size: 32 residual_mlp: true layer_norm: true slot_competition: true })",
-        R"(agent: "ppo_resnet" network { frame_size: 12 } ppo { value_norm_decay: 0.99 })"));
+        AgentCase{R"(agent: "ppo_cnn" network { frame_size: 40 } ppo { epochs: 2 })", 260},
+        AgentCase{R"(agent: "ppo_cnn" network { frame_size: 40 } ppo { value_norm_decay: 0.9 })", 300},
+        AgentCase{R"(agent: "lstm_cnn" network { frame_size: 40 } ppo { epochs: 2 recurrent_batches: SEGMENTS })",
+                  1110},
+        AgentCase{R"(agent: "lstm_cnn" network { frame_size: 40 critic: LSTM } ppo { recurrent_batches: SEGMENTS })",
+                  1920},
+        AgentCase{R"(agent: "lstm_cnn_published" network { frame_size: 40 } ppo { recurrent_batches: PUBLISHED })",
+                  1210},
+        AgentCase{R"(agent: "ppo_spcnn" network { frame_size: 12 })", 270},
+        AgentCase{R"(agent: "lstm_spcnn" network { frame_size: 12 } ppo { recurrent_batches: SEGMENTS })", 1120},
+        AgentCase{R"(agent: "oc_sa" network { frame_size: 20 })", 740},
+        AgentCase{R"(agent: "oc_sa_published" network { frame_size: 20 })", 710},
+        AgentCase{R"(agent: "oc_ca" network { frame_size: 32 })", 390},
+        AgentCase{
+            R"(agent: "oc_ca" network { frame_size: 32 residual_mlp: true layer_norm: true slot_competition: true })",
+            480},
+        AgentCase{R"(agent: "ppo_resnet" network { frame_size: 12 } ppo { value_norm_decay: 0.99 })", 470}));
 
 // bfloat16 has 8 bits: losses and the gradient's norm differ by per mille to per cent, but not by nothing.
 TEST_P(Agents, LearnAlmostTheSameInBf16) {
-  v1::RunConfig config = ConfigOf(GetParam());
+  v1::RunConfig config = ConfigOf(GetParam().config);
   const Trained expected(config, "cpu", 1);
   config.set_precision(v1::RunConfig::BF16);
   const auto refused = PpoUpdater::Create(config, 1, "cpu");
@@ -225,6 +238,27 @@ TEST(DeviceUpdate, AStoppedOrFailedUpdateChangesNothingAndTheNextOneGoesOn) {
               both.updater->SaveWeights() + both.updater->SaveOptimizer());
 }
 
+TEST(DeviceUpdate, WithoutMemoryItSaysWhatToLowerAndLosesNothing) {
+  const v1::RunConfig config = ConfigOf(R"(network { frame_size: 40 })");
+  const Trained trained(config, kStandInDevice, 1);
+  PpoUpdater& updater = *trained.updater;
+  const std::string before = updater.SaveWeights() + updater.SaveOptimizer();
+  const std::vector<Fragment> fragments = RandomFragments(updater);
+  const Rollout rollout = RolloutOf(updater, fragments);
+  for (const int count : {1, 50, 300}) {  // where the rollout is sent, in the first minibatch, in a later one
+    testing::RunOutOfMemoryAfter(count);
+    EXPECT_THAT(updater.Update(1, rollout, NeverStop),
+                StatusIs(absl::StatusCode::kResourceExhausted,
+                         AllOf(HasSubstr("lower ppo.minibatch_size"), HasSubstr("Tried to allocate 2.00 GiB"))))
+        << count;
+    EXPECT_TRUE(updater.SaveWeights() + updater.SaveOptimizer() == before) << count;
+  }
+  ASSERT_THAT(updater.Update(1, rollout, NeverStop), IsOk());
+  const Trained both(config, kStandInDevice, 2);
+  EXPECT_TRUE(updater.SaveWeights() + updater.SaveOptimizer() ==
+              both.updater->SaveWeights() + both.updater->SaveOptimizer());
+}
+
 // What an update of two iterations with `epochs` epochs each moves.
 DeviceTraffic TrafficOf(const std::string& text, int epochs) {
   v1::RunConfig config = ConfigOf(text);
@@ -238,8 +272,8 @@ DeviceTraffic TrafficOf(const std::string& text, int epochs) {
 
 // The host only starts computations during an iteration, whatever the number of minibatches.
 TEST_P(Agents, CopyAndWaitOncePerIterationAndNeverPerMinibatch) {
-  const DeviceTraffic one = TrafficOf(GetParam(), 1);
-  const DeviceTraffic three = TrafficOf(GetParam(), 3);
+  const DeviceTraffic one = TrafficOf(GetParam().config, 1);
+  const DeviceTraffic three = TrafficOf(GetParam().config, 3);
   const int64_t minibatches = 2 * 2 * kRows / 16;  // more of them: two epochs in each of two iterations
   EXPECT_EQ(three.sent, one.sent);
   EXPECT_EQ(three.fetched, one.fetched);
@@ -248,8 +282,8 @@ TEST_P(Agents, CopyAndWaitOncePerIterationAndNeverPerMinibatch) {
   EXPECT_LE(one.sent, 4 + 2 * 7) << "the state once; the rollout and the minibatches in each iteration";
   EXPECT_EQ(one.fetched, 2 * 5) << "statistics, weights, two moments, the normaliser";
   const int64_t launches = (three.computed - one.computed) / minibatches;
-  EXPECT_GT(launches, 100);
-  EXPECT_LT(launches, 2000);
+  EXPECT_GT(launches, GetParam().most_computations / 2) << "this counts something";
+  EXPECT_LE(launches, GetParam().most_computations);
   RecordProperty("computations_per_minibatch", static_cast<int>(launches));
 }
 
