@@ -50,6 +50,11 @@ void TrainingLog::AddIteration(int64_t env_steps, const std::vector<Fragment>& f
       {"rollout/episodes", static_cast<double>(score.episodes())},
       {"time/steps_per_second", steps_per_second},
   };
+  if (stats.importance.has_value()) {
+    scalars.insert(scalars.end(), {{"train/importance_weight_mean", stats.importance->mean},
+                                   {"train/importance_weight_min", stats.importance->min},
+                                   {"train/importance_weight_max", stats.importance->max}});
+  }
   if (stats.distillation.has_value()) {
     const DistillationStats& phase = *stats.distillation;
     scalars.insert(scalars.end(), {{"distillation/matching_loss", phase.matching_loss},

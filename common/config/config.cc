@@ -64,6 +64,8 @@ absl::Status CheckRanges(const v1::RunConfig& config) {
              absl::StrCat("ppo.value_norm_decay is ", ppo.value_norm_decay(), ", want at least 0, less than 1"));
   // Checkpoints of version 0.1 have none.
   if (ppo.has_value_norm_start()) check.Positive("ppo.value_norm_start", ppo.value_norm_start(), 100);
+  check.Within("ppo.vtrace_rho_bar", ppo.vtrace_rho_bar(), 0.0, 100.0);
+  check.Within("ppo.vtrace_c_bar", ppo.vtrace_c_bar(), 0.0, 100.0);
   const v1::DistillationConfig& distillation = config.distillation();
   check.Within("distillation.every_iterations", distillation.every_iterations(), 0, 1000);
   if (config.has_distillation()) {
@@ -85,6 +87,23 @@ absl::Status CheckRanges(const v1::RunConfig& config) {
   return check.status();
 }
 
+// The fields for steps that older weights played.
+absl::Status CheckLagCorrection(const v1::RunConfig& config) {
+  RangeCheck check;
+  const v1::PpoConfig& ppo = config.ppo();
+  const double rho_bar = ppo.vtrace_rho_bar();
+  const double c_bar = ppo.vtrace_c_bar();
+  const bool is_pair = rho_bar == 0 ? c_bar == 0 : c_bar > 0 && c_bar <= rho_bar;
+  check.That(is_pair, absl::StrCat("ppo.vtrace_c_bar is ", c_bar, " and ppo.vtrace_rho_bar ", rho_bar,
+                                   ", want both 0, or a c_bar above 0 and at most rho_bar"));
+  const absl::string_view field = ppo.decoupled_objective() ? "decoupled_objective" : "vtrace_rho_bar";
+  check.That(config.overlap() > 0 || !(ppo.decoupled_objective() || rho_bar > 0),
+             absl::StrCat("ppo.", field,
+                          " is given, but without overlap no step is played with older weights than those that its "
+                          "update starts from: want overlap: 1, or leave the field out"));
+  return check.status();
+}
+
 // Needs values within their ranges.
 absl::Status CheckRelations(const v1::RunConfig& config) {
   CRAFTFLEET_ASSIGN_OR_RETURN(const v1::NetworkConfig network, ResolveNetwork(config));
@@ -99,7 +118,8 @@ absl::Status CheckRelations(const v1::RunConfig& config) {
   check.That(config.distillation().every_iterations() == 0 || network.goal_predictor(),
              "distillation.every_iterations is given, but the network has no goal_predictor to train: want network { "
              "goal_predictor: true }");
-  return check.status();
+  CRAFTFLEET_RETURN_IF_ERROR(check.status());
+  return CheckLagCorrection(config);
 }
 
 // The defaults of all agents; a preset may override them (common/config/agent_presets.cc).
@@ -179,6 +199,10 @@ absl::StatusOr<v1::RunConfig> ResolveRunConfig(v1::RunConfig config) {
   if (config.precision() == v1::RunConfig::FP32) config.clear_precision();
   if (config.overlap() == 0) config.clear_overlap();
   if (config.device() == v1::RunConfig::CPU) config.clear_device();
+  v1::PpoConfig& ppo = *config.mutable_ppo();
+  if (!ppo.decoupled_objective()) ppo.clear_decoupled_objective();
+  if (ppo.vtrace_rho_bar() == 0) ppo.clear_vtrace_rho_bar();
+  if (ppo.vtrace_c_bar() == 0) ppo.clear_vtrace_c_bar();
   CRAFTFLEET_ASSIGN_OR_RETURN(const v1::NetworkConfig network, ResolveNetwork(config));
   const int32_t lane_steps = config.lanes() > 0 ? config.ppo().rollout_steps() / config.lanes() : 0;
   // The agent's own fits the agent's lanes; others were given.

@@ -9,14 +9,17 @@
 
 namespace craftfleet {
 
+// No gather, whose gradient a GPU adds in any order.
+at::Tensor ChosenActions(const at::Tensor& actions) {
+  return actions.unsqueeze(1).eq(at::arange(int64_t{kNumActions}, actions.options())).to(at::kDouble);
+}
+
 DeviceLoss PpoLossOnDevice(const at::Tensor& logits, const at::Tensor& values, const DeviceTargets& targets,
                            const PpoLossOptions& options) {
   const auto rows = static_cast<double>(values.size(0));
   const at::Tensor log_probs = logits.to(at::kDouble).log_softmax(1);
   const at::Tensor probs = log_probs.exp();
-  // double[n,17]: 1 for each row's action. No gather, whose gradient a GPU adds in any order.
-  const at::Tensor chosen =
-      targets.actions.unsqueeze(1).eq(at::arange(int64_t{kNumActions}, targets.actions.options())).to(at::kDouble);
+  const at::Tensor chosen = ChosenActions(targets.actions);
   const at::Tensor advantages = targets.advantages.to(at::kDouble);
   const at::Tensor log_ratio = (log_probs * chosen).sum(1) - targets.log_probs;
   const at::Tensor ratio = log_ratio.exp();

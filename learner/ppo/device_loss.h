@@ -13,7 +13,7 @@ namespace craftfleet {
 struct DeviceTargets {
   at::Tensor actions;     // int64[n]
   at::Tensor log_probs;   // float[n]
-  at::Tensor advantages;  // float[n] normalised
+  at::Tensor advantages;  // float[n] normalised, times importance weights
   at::Tensor returns;     // float[n]
 };
 
@@ -22,6 +22,9 @@ struct DeviceLoss {
   at::Tensor by_values;  // float[n]
   at::Tensor means;      // double[5] the fields of PpoLossSums in their order, divided by n
 };
+
+// int64[n] -> double[n,17]: 1 for each row's action, 0 for the others.
+at::Tensor ChosenActions(const at::Tensor& actions);
 
 // Of logits float[n,17] and values float[n], neither with a gradient. In double where PpoLoss is.
 DeviceLoss PpoLossOnDevice(const at::Tensor& logits, const at::Tensor& values, const DeviceTargets& targets,

@@ -16,13 +16,13 @@ at::Tensor ForSending(at::IntArrayRef shape, at::ScalarType type, at::Device dev
 
 at::Tensor Send(const at::Tensor& host, at::Device device) { return host.to(device, /*non_blocking=*/true); }
 
-// `values` and a zero behind them.
+// `values` and `padding` behind them.
 template <typename Out, typename In>
-at::Tensor SendPadded(const std::vector<In>& values, at::ScalarType type, at::Device device) {
+at::Tensor SendPadded(const std::vector<In>& values, at::ScalarType type, at::Device device, Out padding = 0) {
   const at::Tensor host = ForSending({static_cast<int64_t>(values.size()) + 1}, type, device);
   auto* out = host.data_ptr<Out>();
   for (const In& value : values) *out++ = static_cast<Out>(value);
-  *out = 0;
+  *out = padding;
   return Send(host, device);
 }
 
@@ -111,6 +111,7 @@ DeviceRollout SendRollout(const Rollout& rollout, const AgentSpec& spec, at::Dev
   there.log_probs = SendPadded<float>(rollout.log_probs, at::kFloat, device);
   there.advantages = SendPadded<float>(rollout.advantages, at::kFloat, device);
   there.returns = SendPadded<float>(rollout.returns, at::kFloat, device);
+  if (!rollout.weights.empty()) there.weights = SendPadded(rollout.weights, at::kFloat, device, 1.0F);
   if (spec.state_size > 0) there.states = SendStates(rollout, spec.state_size, device);
   return there;
 }

@@ -15,13 +15,14 @@
 
 namespace craftfleet {
 
-// n rows and after them one of zeros, the padding.
+// n rows and after them one of zeros, the padding, whose weight is 1.
 struct DeviceRollout {
   at::Tensor frames;      // uint8[n+1,H,W,3]
   at::Tensor actions;     // int64[n+1]
-  at::Tensor log_probs;   // float[n+1] when the action was chosen
+  at::Tensor log_probs;   // float[n+1], as Rollout has them
   at::Tensor advantages;  // float[n+1] not normalised
   at::Tensor returns;     // float[n+1]
+  at::Tensor weights;     // float[n+1], as Rollout has them; undefined: 1
   at::Tensor states;      // float[k+1,state_size] the k states that the rollout has, then zeros; recurrent agents only
 };
 

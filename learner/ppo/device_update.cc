@@ -35,6 +35,7 @@ constexpr absl::string_view kKnownFields[] = {
     "ppo.rollout_steps ppo.minibatch_size ppo.epochs ppo.learning_rate ppo.gamma ppo.gae_lambda ppo.clip",
     "ppo.value_coefficient ppo.entropy_coefficient ppo.max_gradient_norm ppo.adam_epsilon ppo.truncation_is_terminal",
     "ppo.recurrent_batches ppo.value_norm_decay ppo.value_norm_start ppo.advantages_over_rollout",
+    "ppo.decoupled_objective ppo.vtrace_rho_bar ppo.vtrace_c_bar",
     "network.extractor network.frame_size network.objects network.patch network.stride network.heads network.slots",
     "network.cls_learned network.positions network.dropout network.residual_mlp network.layer_norm",
     "network.slot_competition network.recurrent network.critic network.width"};
@@ -111,6 +112,34 @@ absl::StatusOr<UpdateStats> DeviceUpdate::Run(const Rollout& rollout, const std:
   }
 }
 
+absl::StatusOr<std::vector<float>> DeviceUpdate::LogProbs(const Rollout& rollout,
+                                                          const std::vector<Minibatch>& minibatches,
+                                                          const std::function<bool()>& should_stop,
+                                                          const UpdateState& state) {
+  try {
+    if (!is_loaded_) Load(state);
+    is_loaded_ = true;
+    const c10::NoGradGuard no_grad;
+    const DeviceRollout there = SendRollout(rollout, spec_, device_);
+    std::vector<at::Tensor> parts;
+    for (const DeviceMinibatch& minibatch : SendMinibatches(minibatches, rollout, device_)) {
+      const at::Tensor actions = there.actions.index_select(0, minibatch.rows);
+      const at::Tensor log_probs = Forward(there, minibatch, std::nullopt).logits.to(at::kDouble).log_softmax(1);
+      parts.push_back((log_probs * ChosenActions(actions)).sum(1).to(at::kFloat));
+      if (should_stop()) return absl::CancelledError("the update was stopped; nothing is changed");
+    }
+    const at::Tensor fetched = at::cat(parts).cpu();
+    const auto* next = fetched.data_ptr<float>();
+    std::vector<float> log_probs(rollout.size());
+    for (const Minibatch& minibatch : minibatches) {
+      for (const int row : minibatch.rows) log_probs[row] = *next++;
+    }
+    return log_probs;
+  } catch (const std::exception& error) {
+    return DeviceError("log-probabilities", error.what());
+  }
+}
+
 void DeviceUpdate::Load(const UpdateState& state) {
   weights_ = OnHost(state.weights).to(device_, at::kFloat, /*non_blocking=*/false, /*copy=*/true);
   params_ = ParamsOf(spec_, weights_);
@@ -163,19 +192,25 @@ absl::StatusOr<UpdateStats> DeviceUpdate::RunEpochs(const Rollout& rollout,
   return stats;
 }
 
-at::Tensor DeviceUpdate::RunMinibatch(const DeviceRollout& rollout, const DeviceMinibatch& minibatch) {
-  const at::Tensor& rows = minibatch.rows;
+NetOutput DeviceUpdate::Forward(const DeviceRollout& rollout, const DeviceMinibatch& minibatch,
+                                const std::optional<Dropout>& dropout) const {
   // Scaled as ScaleFrames does it.
-  const at::Tensor frames = rollout.frames.index_select(0, rows).to(at::kFloat).mul_(double{1.0F / 255.0F});
+  const at::Tensor frames = rollout.frames.index_select(0, minibatch.rows).to(at::kFloat).mul_(double{1.0F / 255.0F});
   Segments segments = minibatch.segments;
   if (spec_.state_size > 0) segments.states = rollout.states.index_select(0, minibatch.first_states);
+  return network_.Forward(params_, frames, segments, dropout);
+}
+
+at::Tensor DeviceUpdate::RunMinibatch(const DeviceRollout& rollout, const DeviceMinibatch& minibatch) {
+  const at::Tensor& rows = minibatch.rows;
   const uint64_t key = KeyedBits(RandomUse::kDropout, seed_, static_cast<uint64_t>(optimizer_steps_), 0);
-  const NetOutput output = network_.Forward(params_, frames, segments, Dropout{key, 0});
+  const NetOutput output = Forward(rollout, minibatch, Dropout{key, 0});
 
   at::Tensor returns = rollout.returns.index_select(0, rows);
   if (config_.value_norm_decay() > 0) returns = NormaliseReturns(returns);
   at::Tensor advantages = rollout.advantages.index_select(0, rows);
   if (!config_.advantages_over_rollout()) advantages = NormaliseOnDevice(advantages);
+  if (rollout.weights.defined()) advantages = advantages * rollout.weights.index_select(0, rows);
   const DeviceTargets targets = {rollout.actions.index_select(0, rows), rollout.log_probs.index_select(0, rows),
                                  advantages, returns};
   const DeviceLoss loss = PpoLossOnDevice(output.logits.detach(), output.values.detach(), targets,

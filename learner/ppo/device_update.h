@@ -6,6 +6,7 @@
 
 #include <cstdint>
 #include <functional>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -49,13 +50,20 @@ class DeviceUpdate {
   absl::StatusOr<UpdateStats> Run(const Rollout& rollout, const std::vector<std::vector<Minibatch>>& epochs,
                                   const std::function<bool()>& should_stop, UpdateState* state);
 
-  // The next Run sends its `state` to the device again.
+  // The log-probabilities of the rollout's actions under the weights of `state`, without dropout: [n]. `minibatches`
+  // have each row once. Waits for them; otherwise as Run.
+  absl::StatusOr<std::vector<float>> LogProbs(const Rollout& rollout, const std::vector<Minibatch>& minibatches,
+                                              const std::function<bool()>& should_stop, const UpdateState& state);
+
+  // The next Run or LogProbs sends its `state` to the device again.
   void Forget() { is_loaded_ = false; }
 
  private:
   void Load(const UpdateState& state);
   absl::StatusOr<UpdateStats> RunEpochs(const Rollout& rollout, const std::vector<std::vector<Minibatch>>& epochs,
                                         const std::function<bool()>& should_stop);
+  NetOutput Forward(const DeviceRollout& rollout, const DeviceMinibatch& minibatch,
+                    const std::optional<Dropout>& dropout) const;
   // One optimiser step. Returns double[6]: the means of the losses, as DeviceLoss has them, and the norm of the
   // gradient.
   at::Tensor RunMinibatch(const DeviceRollout& rollout, const DeviceMinibatch& minibatch);

@@ -1,5 +1,6 @@
 #include "learner/ppo/gae.h"
 
+#include <algorithm>
 #include <cstddef>
 
 #include "common/base/check.h"
@@ -12,7 +13,7 @@ void ComputeGae(const LaneSteps& steps, const GaeOptions& options, absl::Span<fl
   const double carry = static_cast<float>(options.gamma * options.lambda);
   const size_t count = steps.rewards.size();
   size_t truncations = steps.truncation_values.size();
-  double advantage = 0;
+  double error = 0;  // of the value after step t, as the steps from there on show it
   for (size_t t = count; t-- > 0;) {
     const bool is_last = t + 1 == count;
     float next_value = is_last ? steps.bootstrap_value : steps.values[t + 1];
@@ -26,9 +27,12 @@ void ComputeGae(const LaneSteps& steps, const GaeOptions& options, absl::Span<fl
     // The reference computes the last step's difference in double, because its flag "done" is one.
     const double delta = is_last ? static_cast<double>(steps.rewards[t]) + future - steps.values[t]
                                  : steps.rewards[t] + future - steps.values[t];
-    advantage = steps.ends[t] == StepEnd::kNone ? delta + carry * advantage : delta;
-    advantages[t] = static_cast<float>(advantage);
-    returns[t] = advantages[t] + steps.values[t];
+    const double later = steps.ends[t] == StepEnd::kNone ? carry * error : 0;
+    const double rho = steps.ratios.empty() ? 1 : std::min(steps.ratios[t], options.rho_bar);
+    const double c = steps.ratios.empty() ? 1 : std::min(steps.ratios[t], options.c_bar);
+    error = rho * delta + c * later;
+    advantages[t] = static_cast<float>(delta + later);
+    returns[t] = static_cast<float>(error) + steps.values[t];
   }
   CRAFTFLEET_CHECK(truncations == 0);
 }

@@ -18,8 +18,8 @@ struct PpoLossOptions {
 // The loss compares the network's output with these.
 struct PpoTargets {
   absl::Span<const Action> actions;    // [n]
-  absl::Span<const float> log_probs;   // [n] when the actions were chosen
-  absl::Span<const float> advantages;  // [n] normalised
+  absl::Span<const float> log_probs;   // [n] of the policy around which ratios are clipped
+  absl::Span<const float> advantages;  // [n] normalised, times importance weights
   absl::Span<const float> returns;     // [n]
 };
 

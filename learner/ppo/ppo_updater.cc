@@ -6,34 +6,30 @@
 #include <utility>
 
 #include <ATen/ATen.h>
-#include <absl/strings/numbers.h>
 #include <absl/strings/str_cat.h>
 #include <absl/types/span.h>
+#include <c10/core/GradMode.h>
 #include <torch/csrc/autograd/autograd.h>
 
+#include "common/agent/categorical.h"
 #include "common/agent/device.h"
 #include "common/agent/initial_weights.h"
 #include "common/agent/policy_net.h"
 #include "common/agent/torch_setup.h"
 #include "common/agent/weights.h"
 #include "common/base/keyed_random.h"
-#include "common/base/numbers.h"
 #include "common/base/status_macros.h"
 #include "learner/ppo/device_update.h"
+#include "learner/ppo/lag_correction.h"
+#include "learner/ppo/optimizer_file.h"
 
 namespace craftfleet {
 namespace {
 
 constexpr char kCpuDevice[] = "cpu";
-constexpr char kStepsKey[] = "steps";
-constexpr char kExpAvg[] = "exp_avg.";
-constexpr char kExpAvgSq[] = "exp_avg_sq.";
 // Before the names of distillation's optimisers.
 constexpr char kMatching[] = "matching.";
 constexpr char kPrediction[] = "prediction.";
-constexpr char kValueMean[] = "value_norm.mean";
-constexpr char kValueMeanSquare[] = "value_norm.mean_square";
-constexpr char kValueWeight[] = "value_norm.weight";
 
 absl::Span<float> FloatSpan(const at::Tensor& tensor) {
   return absl::MakeSpan(tensor.data_ptr<float>(), tensor.numel());
@@ -108,42 +104,6 @@ PpoLossSums Means(PpoLossSums sums, size_t rows) {
   return sums;
 }
 
-absl::Status ReadNumber(const SafeTensors& file, absl::string_view key, double* number) {
-  const auto entry = file.metadata.find(std::string(key));
-  if (entry != file.metadata.end() && absl::SimpleAtod(entry->second, number) && std::isfinite(*number)) {
-    return absl::OkStatus();
-  }
-  return absl::InvalidArgumentError(absl::StrCat("the optimiser's metadata \"", key, "\" is not a number"));
-}
-
-// `adam` with the names of its tensors and metadata behind `prefix`.
-void AddAdam(const AgentSpec& spec, absl::string_view prefix, const AdamState& adam, SafeTensors* file) {
-  file->metadata[absl::StrCat(prefix, kStepsKey)] = absl::StrCat(adam.steps);
-  for (const auto& [name, moments] : {std::pair(kExpAvg, &adam.exp_avg), std::pair(kExpAvgSq, &adam.exp_avg_sq)}) {
-    for (SafeTensor& tensor : AsTensors(spec, absl::StrCat(prefix, name), *moments)) {
-      file->tensors.push_back(std::move(tensor));
-    }
-  }
-}
-
-absl::Status ReadAdam(const AgentSpec& spec, absl::string_view prefix, const SafeTensors& file, AdamState* adam) {
-  for (const auto& [name, moments] : {std::pair(kExpAvg, &adam->exp_avg), std::pair(kExpAvgSq, &adam->exp_avg_sq)}) {
-    CRAFTFLEET_RETURN_IF_ERROR(CopyTensors(spec, absl::StrCat(prefix, name), file.tensors, absl::MakeSpan(*moments)));
-  }
-  const std::string key = absl::StrCat(prefix, kStepsKey);
-  const auto steps = file.metadata.find(key);
-  if (steps == file.metadata.end() || !absl::SimpleAtoi(steps->second, &adam->steps) || adam->steps < 0) {
-    return absl::InvalidArgumentError(absl::StrCat("the optimiser's metadata \"", key, "\" is not a count"));
-  }
-  return absl::OkStatus();
-}
-
-absl::Status ReadValueNorm(const SafeTensors& file, ValueNorm* value_norm) {
-  CRAFTFLEET_RETURN_IF_ERROR(ReadNumber(file, kValueMean, &value_norm->mean));
-  CRAFTFLEET_RETURN_IF_ERROR(ReadNumber(file, kValueMeanSquare, &value_norm->mean_square));
-  return ReadNumber(file, kValueWeight, &value_norm->weight);
-}
-
 }  // namespace
 
 struct PpoUpdater::Shard {
@@ -211,6 +171,8 @@ RolloutOptions PpoUpdater::rollout_options() const {
   options.gae.gamma = config_.gamma();
   options.gae.lambda = config_.gae_lambda();
   options.gae.truncation_is_terminal = config_.truncation_is_terminal();
+  options.gae.rho_bar = config_.vtrace_rho_bar();
+  options.gae.c_bar = config_.vtrace_c_bar();
   options.value_scale = state_.value_norm.Scale(ValueNormStart(config_));
   return options;
 }
@@ -223,6 +185,16 @@ absl::StatusOr<UpdateStats> PpoUpdater::Update(int64_t iteration, const Rollout&
         "a rollout of ", rollout.size(), " steps, want a multiple of ppo.minibatch_size, ", config_.minibatch_size()));
   }
   SetUpTorchThread();
+  if (!CorrectsLag(config_)) return RunUpdate(iteration, rollout, should_stop);
+  CRAFTFLEET_ASSIGN_OR_RETURN(const std::vector<float> log_probs, LogProbs(rollout, should_stop));
+  const CorrectedRollout corrected = CorrectLag(rollout, log_probs, config_, rollout_options().gae);
+  CRAFTFLEET_ASSIGN_OR_RETURN(UpdateStats stats, RunUpdate(iteration, corrected.rollout, should_stop));
+  stats.importance = corrected.importance;
+  return stats;
+}
+
+absl::StatusOr<UpdateStats> PpoUpdater::RunUpdate(int64_t iteration, const Rollout& rollout,
+                                                  const std::function<bool()>& should_stop) {
   if (device_ != nullptr) return UpdateOnDevice(iteration, rollout, should_stop);
   State before = state_;
   absl::StatusOr<UpdateStats> stats = absl::InternalError("the update did not run");
@@ -276,6 +248,27 @@ std::vector<Minibatch> PpoUpdater::MakeMinibatches(const EpochKey& key, const Ro
   return SegmentMinibatches(key, rollout.starts, size);
 }
 
+std::vector<Minibatch> PpoUpdater::OrderedMinibatches(const Rollout& rollout) const {
+  const int size = config_.minibatch_size();
+  return spec_.network.recurrent() ? OrderedSegments(rollout.starts, size)
+                                   : OrderedSteps(static_cast<int>(rollout.size()), size);
+}
+
+absl::StatusOr<std::vector<float>> PpoUpdater::LogProbs(const Rollout& rollout,
+                                                        const std::function<bool()>& should_stop) {
+  const std::vector<Minibatch> minibatches = OrderedMinibatches(rollout);
+  if (device_ != nullptr) return device_->LogProbs(rollout, minibatches, should_stop, state_);
+  std::vector<float> log_probs(rollout.size());
+  for (const Minibatch& minibatch : minibatches) {
+    const std::vector<Minibatch> parts = CutIntoShards(minibatch, static_cast<int>(shards_.size()));
+    workers_.Run(static_cast<int>(parts.size()),
+                 [&](int i) { ComputeLogProbs(rollout, parts[i], shards_[i].get(), absl::MakeSpan(log_probs)); });
+    for (size_t i = 0; i < parts.size(); ++i) CRAFTFLEET_RETURN_IF_ERROR(shards_[i]->status);
+    if (should_stop()) return absl::CancelledError("the update was stopped; nothing is changed");
+  }
+  return log_probs;
+}
+
 absl::StatusOr<UpdateStats> PpoUpdater::RunEpochs(int64_t iteration, const Rollout& rollout,
                                                   const std::function<bool()>& should_stop) {
   UpdateStats stats;
@@ -316,6 +309,10 @@ PpoUpdater::Batch PpoUpdater::MakeBatch(const Rollout& rollout, const Minibatch&
   }
   batch.advantages = Gather(config_.advantages_over_rollout() ? normalised_advantages_ : rollout.advantages, rows);
   if (!config_.advantages_over_rollout()) Normalise(absl::MakeSpan(batch.advantages));
+  if (!rollout.weights.empty()) {
+    const std::vector<float> weights = Gather(rollout.weights, rows, 1.0F);
+    for (size_t i = 0; i < weights.size(); ++i) batch.advantages[i] *= weights[i];
+  }
   batch.returns = Gather(rollout.returns, rows);
   if (config_.value_norm_decay() > 0) {
     state_.value_norm.Update(batch.returns, config_.value_norm_decay());
@@ -348,14 +345,36 @@ absl::StatusOr<PpoLossSums> PpoUpdater::RunMinibatch(const Rollout& rollout, con
   return Means(sums, batch.advantages.size());
 }
 
+NetOutput PpoUpdater::Forward(const Rollout& rollout, const Minibatch& part, const std::optional<Dropout>& dropout,
+                              Shard* shard) const {
+  shard->frames.resize_({static_cast<int64_t>(part.rows.size()), spec_.frame_size, spec_.frame_size, 3});
+  ScaleFrames(Gather(rollout.frames, part.rows, no_frame_.data()), spec_.frame_bytes(),
+              shard->frames.data_ptr<float>());
+  return shard->net.Forward(shard->frames, SegmentsOf(rollout, part, spec_), dropout);
+}
+
+void PpoUpdater::ComputeLogProbs(const Rollout& rollout, const Minibatch& part, Shard* shard,
+                                 absl::Span<float> log_probs) const {
+  try {
+    const c10::NoGradGuard no_grad;
+    const NetOutput output = Forward(rollout, part, std::nullopt, shard);
+    const float* logits = output.logits.data_ptr<float>();
+    for (const int row : part.rows) {
+      log_probs[row] = static_cast<float>(Categorical(logits).log_probs[static_cast<int>(rollout.actions[row])]);
+      logits += kNumActions;
+    }
+    shard->status = absl::OkStatus();
+  } catch (const std::exception& error) {
+    shard->status = absl::InternalError(absl::StrCat("log-probabilities: ", error.what()));
+  }
+}
+
 void PpoUpdater::ComputeGradient(const Rollout& rollout, const Batch& batch, size_t part, Shard* shard) {
   try {
     const std::vector<int>& rows = batch.parts[part].rows;
     const size_t first = batch.firsts[part];
-    shard->frames.resize_({static_cast<int64_t>(rows.size()), spec_.frame_size, spec_.frame_size, 3});
-    ScaleFrames(Gather(rollout.frames, rows, no_frame_.data()), spec_.frame_bytes(), shard->frames.data_ptr<float>());
-    const PolicyNet::Output output = shard->net.Forward(shard->frames, SegmentsOf(rollout, batch.parts[part], spec_),
-                                                        Dropout{batch.dropout_key, static_cast<int64_t>(first)});
+    const NetOutput output =
+        Forward(rollout, batch.parts[part], Dropout{batch.dropout_key, static_cast<int64_t>(first)}, shard);
 
     const std::vector<Action> actions = Gather(rollout.actions, rows);
     const std::vector<float> log_probs = Gather(rollout.log_probs, rows);
@@ -388,11 +407,7 @@ std::string PpoUpdater::SaveWeights() const { return craftfleet::SaveWeights(spe
 std::string PpoUpdater::SaveOptimizer() const {
   SafeTensors file;
   AddAdam(spec_, "", state_.adam, &file);
-  if (config_.value_norm_decay() > 0) {
-    file.metadata[kValueMean] = ExactNumber(state_.value_norm.mean);
-    file.metadata[kValueMeanSquare] = ExactNumber(state_.value_norm.mean_square);
-    file.metadata[kValueWeight] = ExactNumber(state_.value_norm.weight);
-  }
+  if (config_.value_norm_decay() > 0) AddValueNorm(state_.value_norm, &file);
   if (distiller_ != nullptr) {
     AddAdam(spec_, kMatching, state_.distillation.matching, &file);
     AddAdam(spec_, kPrediction, state_.distillation.prediction, &file);
@@ -420,7 +435,7 @@ absl::Status PpoUpdater::StartFrom(absl::string_view weights, absl::string_view 
   CRAFTFLEET_ASSIGN_OR_RETURN(std::vector<float> loaded, LoadWeights(spec_, weights));
   CRAFTFLEET_ASSIGN_OR_RETURN(const SafeTensors file, ReadSafetensors(optimizer));
   State state = FreshState(std::move(loaded));
-  if (config_.value_norm_decay() > 0 && file.metadata.count(kValueWeight) > 0) {
+  if (config_.value_norm_decay() > 0 && HasValueNorm(file)) {
     CRAFTFLEET_RETURN_IF_ERROR(ReadValueNorm(file, &state.value_norm));
   }
   Restore(std::move(state));

@@ -6,12 +6,14 @@
 #include <cstdint>
 #include <functional>
 #include <memory>
+#include <optional>
 #include <string>
 #include <vector>
 
 #include <absl/status/status.h>
 #include <absl/status/statusor.h>
 #include <absl/strings/string_view.h>
+#include <absl/types/span.h>
 
 #include "common/agent/agent_spec.h"
 #include "common/base/worker_pool.h"
@@ -27,6 +29,8 @@
 namespace craftfleet {
 
 class DeviceUpdate;
+struct Dropout;
+struct NetOutput;
 
 // Owns the weights, Adam's state and the value normaliser of a training run. Each minibatch is cut into
 // `gradient_shards` parts (CutIntoShards) whose gradients are computed apart, each by one thread, and added in order:
@@ -85,7 +89,14 @@ class PpoUpdater {
   // All optimisers without a step.
   State FreshState(std::vector<float> weights) const;
 
-  // The minibatches of an epoch, by the kind of agent.
+  // Update, for a rollout that the epochs take as it is.
+  absl::StatusOr<UpdateStats> RunUpdate(int64_t iteration, const Rollout& rollout,
+                                        const std::function<bool()>& should_stop);
+  // The log-probabilities of the rollout's actions under the present weights, without dropout: [n].
+  absl::StatusOr<std::vector<float>> LogProbs(const Rollout& rollout, const std::function<bool()>& should_stop);
+  // Each step once, by the kind of agent.
+  std::vector<Minibatch> OrderedMinibatches(const Rollout& rollout) const;
+  // The minibatches of an epoch, likewise.
   std::vector<Minibatch> MakeMinibatches(const EpochKey& key, const Rollout& rollout) const;
   absl::StatusOr<UpdateStats> UpdateOnDevice(int64_t iteration, const Rollout& rollout,
                                              const std::function<bool()>& should_stop);
@@ -99,6 +110,11 @@ class PpoUpdater {
   Batch MakeBatch(const Rollout& rollout, const Minibatch& minibatch);
   void Restore(State state);
   bool IsFinite() const;
+  // The network's output for `part`, on the shard's frames.
+  NetOutput Forward(const Rollout& rollout, const Minibatch& part, const std::optional<Dropout>& dropout,
+                    Shard* shard) const;
+  // Writes the rows of `part` in `log_probs`, of the whole rollout.
+  void ComputeLogProbs(const Rollout& rollout, const Minibatch& part, Shard* shard, absl::Span<float> log_probs) const;
   // Forward and backward of the batch's part number `part`.
   void ComputeGradient(const Rollout& rollout, const Batch& batch, size_t part, Shard* shard);
 

@@ -57,20 +57,31 @@ void AppendStates(const Fragment& fragment, const RolloutOptions& options, Rollo
   rollout->last_end = fragment.ends.back();
 }
 
+// Writes the advantages and returns of the rollout's rows in `fragment`; `ratios` are those of the whole rollout.
+void EstimateFragment(const RolloutFragment& fragment, const GaeOptions& options, absl::Span<const double> ratios,
+                      Rollout* rollout) {
+  const auto rows = [&](const auto& column) {
+    return absl::MakeConstSpan(column).subspan(fragment.first, fragment.steps);
+  };
+  const LaneSteps steps = {rows(rollout->rewards),   rows(rollout->values),
+                           rows(rollout->ends),      fragment.truncation_values,
+                           fragment.bootstrap_value, ratios.empty() ? ratios : rows(ratios)};
+  ComputeGae(steps, options, absl::MakeSpan(rollout->advantages).subspan(fragment.first, fragment.steps),
+             absl::MakeSpan(rollout->returns).subspan(fragment.first, fragment.steps));
+}
+
 // Denormalised values, and the advantages and returns computed from them.
 void AppendAdvantages(const Fragment& fragment, const RolloutOptions& options, Rollout* rollout) {
-  const size_t first = rollout->values.size();
-  const size_t steps = fragment.values.size();
   const ValueScale& scale = options.value_scale;
+  RolloutFragment& added = rollout->fragments.emplace_back();
+  added.first = rollout->values.size();
+  added.steps = fragment.values.size();
+  added.bootstrap_value = scale.Denormalise(fragment.bootstrap_value);
+  for (const float value : fragment.truncation_values) added.truncation_values.push_back(scale.Denormalise(value));
   for (const float value : fragment.values) rollout->values.push_back(scale.Denormalise(value));
-  std::vector<float> truncation_values;
-  for (const float value : fragment.truncation_values) truncation_values.push_back(scale.Denormalise(value));
-  rollout->advantages.resize(first + steps);
-  rollout->returns.resize(first + steps);
-  ComputeGae({fragment.rewards, absl::MakeConstSpan(rollout->values).subspan(first), fragment.ends, truncation_values,
-              scale.Denormalise(fragment.bootstrap_value)},
-             options.gae, absl::MakeSpan(rollout->advantages).subspan(first),
-             absl::MakeSpan(rollout->returns).subspan(first));
+  rollout->advantages.resize(rollout->values.size());
+  rollout->returns.resize(rollout->values.size());
+  EstimateFragment(added, options.gae, {}, rollout);
 }
 
 }  // namespace
@@ -87,6 +98,10 @@ absl::Status AppendFragment(const Fragment& fragment, const RolloutOptions& opti
   AppendStates(fragment, options, rollout);
   AppendAdvantages(fragment, options, rollout);
   return absl::OkStatus();
+}
+
+void EstimateAdvantages(const GaeOptions& options, absl::Span<const double> ratios, Rollout* rollout) {
+  for (const RolloutFragment& fragment : rollout->fragments) EstimateFragment(fragment, options, ratios, rollout);
 }
 
 }  // namespace craftfleet

@@ -8,6 +8,7 @@
 #include <vector>
 
 #include <absl/status/status.h>
+#include <absl/types/span.h>
 
 #include "common/base/crafter.h"
 #include "common/base/types.h"
@@ -24,21 +25,31 @@ enum class RowStart : uint8_t {
   kEpisode,   // the first step of an episode
 };
 
+// What the advantages of a fragment need beside its rows.
+struct RolloutFragment {
+  size_t first = 0;  // row
+  size_t steps = 0;
+  float bootstrap_value = 0;
+  std::vector<float> truncation_values;  // of LaneSteps
+};
+
 // Rows are steps, lane after lane. Frames and recurrent states stay where they are: in the fragments, which must
 // outlive the rollout.
 struct Rollout {
   std::vector<const uint8_t*> frames;  // [n] -> uint8[H,W,3]
   std::vector<Action> actions;         // [n]
-  std::vector<float> log_probs;        // [n] when the action was chosen
-  std::vector<float> values;           // [n] likewise
+  std::vector<float> log_probs;        // [n] when the action was chosen, or as CorrectLag changes it
+  std::vector<float> values;           // [n] when the action was chosen
   std::vector<float> advantages;       // [n] not normalised
   std::vector<float> returns;          // [n]
+  std::vector<float> weights;          // [n] of normalised advantages in the loss; empty: 1
   std::vector<float> rewards;          // [n]
   std::vector<StepEnd> ends;           // [n]
   std::vector<RowStart> starts;        // [n]
   std::vector<const float*> states;    // [n] -> float[S] before the step; null: zero, or not kept (kNone)
-  int last_lane = -1;                  // of the last row
-  StepEnd last_end = StepEnd::kNone;   // likewise
+  std::vector<RolloutFragment> fragments;
+  int last_lane = -1;                 // of the last row
+  StepEnd last_end = StepEnd::kNone;  // likewise
 
   size_t size() const { return actions.size(); }
 };
@@ -56,6 +67,10 @@ struct RolloutOptions {
 //   InvalidArgument: the fragment's fields don't have T steps (frames: T * frame_bytes bytes), or an action is not
 //   0..16; the rollout is untouched.
 absl::Status AppendFragment(const Fragment& fragment, const RolloutOptions& options, Rollout* rollout);
+
+// Computes the advantages and returns of all fragments, off-policy with `ratios` [n] as LaneSteps has them; empty: as
+// AppendFragment.
+void EstimateAdvantages(const GaeOptions& options, absl::Span<const double> ratios, Rollout* rollout);
 
 }  // namespace craftfleet
 

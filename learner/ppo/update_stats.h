@@ -18,6 +18,14 @@ struct DistillationStats {
   int episodes = 0;  // whole ones with an achievement
 };
 
+// Of the rollout's importance weights: the probability of a step's action under the policy that the update starts from,
+// divided by that under the policy which played. 1 where these are the same. Source: PPO.md, section 10.
+struct ImportanceStats {
+  double mean = 0;
+  double min = 0;
+  double max = 0;
+};
+
 // Means over the iteration's minibatches, unless stated otherwise. Formulas: learner/ppo/PPO.md, section 7.
 struct UpdateStats {
   double policy_loss = 0;
@@ -27,6 +35,7 @@ struct UpdateStats {
   double gradient_norm = 0;       // L2, before clipping
   double approx_kl = 0;           // of the last epoch
   double explained_variance = 0;  // 1 - Var(returns - values) / Var(returns) of the rollout; 0 if returns are constant
+  std::optional<ImportanceStats> importance;      // if the update uses them
   std::optional<DistillationStats> distillation;  // of iterations that end with a phase
 };
 

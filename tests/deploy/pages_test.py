@@ -29,6 +29,8 @@ NOT_RUN = [
     (r"python3 (envserver/textures|tests/model)/", "writes files of the repository"),
     (r"build/bin/craftfleet report deploy/experiments/results", "writes a page of the repository"),
     (r"(build/bin/craftfleet eval --checkpoint=RUN|python3 deploy/pictures/)", "needs a run of a million steps"),
+    (r"build/bin/craftfleet sweep .*--experiment=overlap_300k", "takes hours"),
+    (r"build/bin/craftfleet report runs/overlap", "on deploy/TUNING.md: of that sweep's runs; README.md makes a report"),
     (r"build/bin/craftfleet train --agent=AGENT", "half an hour for most of the agents"),
     (r"build/bin/craftfleet-learner .*--metrics_listen=127.0.0.1:9464", "serves at a fixed port; watch_test.py"),
     (r"build/bin/craftfleet top --address=127\.0\.0\.1:50051$", "on deploy/cli/top/README.md: README.md and OPERATING.md run it"),

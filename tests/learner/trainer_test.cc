@@ -43,6 +43,7 @@ struct Variant {
   bool keep_fragments = false;
   bool resume = false;
   int overlap = 0;
+  bool corrects_lag = false;
 };
 
 v1::RunConfig Config(const Variant& variant) {
@@ -60,6 +61,11 @@ v1::RunConfig Config(const Variant& variant) {
   config.mutable_checkpoint()->set_every_iterations(100);
   config.mutable_checkpoint()->set_keep_fragments(variant.keep_fragments);
   config.set_overlap(variant.overlap);
+  if (variant.corrects_lag) {
+    config.mutable_ppo()->set_decoupled_objective(true);
+    config.mutable_ppo()->set_vtrace_rho_bar(1);
+    config.mutable_ppo()->set_vtrace_c_bar(1);
+  }
   return config;
 }
 
@@ -322,6 +328,25 @@ TEST_F(TrainerTest, AnOverlappedRunResumesWithTheWeightsThatItPlayedWith) {
   training->Play("a", kPerIteration, [&](Fragment* f) { versions.push_back(f->policy_version); });
   EXPECT_EQ(versions, (std::vector<int64_t>(kPerIteration, 1)));
   EXPECT_EQ(training->Weights(3), quiet->Weights(3));
+}
+
+TEST_F(TrainerTest, ARunThatCorrectsLagResumesAsIfNeverStopped) {
+  Variant variant = {/*keep_fragments=*/false, /*resume=*/false, /*overlap=*/1, /*corrects_lag=*/true};
+  const auto quiet = Begin("quiet-corrected", variant);
+  quiet->Play("a", 3 * kPerIteration);
+  {
+    const auto training = Begin("stopped", variant);
+    training->Play("a", 2 * kPerIteration);
+    ASSERT_FALSE(training->Weights(2).empty());
+    ASSERT_THAT(training->Stop(), IsOk());
+  }
+  variant.resume = true;
+  const auto training = Begin("stopped", variant);
+  training->Play("a", kPerIteration);
+  EXPECT_TRUE(training->Weights(3) == quiet->Weights(3));
+  const auto uncorrected = Begin("uncorrected", {/*keep_fragments=*/false, /*resume=*/false, /*overlap=*/1});
+  uncorrected->Play("a", 3 * kPerIteration);
+  EXPECT_FALSE(uncorrected->Weights(3) == quiet->Weights(3));
 }
 
 }  // namespace

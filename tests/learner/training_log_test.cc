@@ -89,6 +89,20 @@ TEST_F(TrainingLogTest, WritesAPointOfEveryCurve) {
   EXPECT_EQ(ReadEvents(JoinPath(logdir_, kEvents)).back().step(), 4096);
 }
 
+TEST_F(TrainingLogTest, WritesImportanceWeightsOfUpdatesThatUseThem) {
+  TrainingLog log(run_.get(), &disk_);
+  UpdateStats stats;
+  log.AddIteration(4096, {Ending(100)}, stats, 0);
+  log.Flush();
+  EXPECT_EQ(LastPoint().count("train/importance_weight_mean"), 0u);
+  stats.importance = {1.25, 0.5, 3};
+  log.AddIteration(8192, {Ending(100)}, stats, 0);
+  log.Flush();
+  EXPECT_EQ(LastPoint()["train/importance_weight_mean"], 1.25F);
+  EXPECT_EQ(LastPoint()["train/importance_weight_min"], 0.5F);
+  EXPECT_EQ(LastPoint()["train/importance_weight_max"], 3.0F);
+}
+
 TEST_F(TrainingLogTest, WritesEpisodesInTheOrderOfTheFragments) {
   TrainingLog log(run_.get(), &disk_);
   log.AddIteration(1, {Ending(30), Ending(10), Fragment(), Ending(20)}, {}, 0);

@@ -70,6 +70,16 @@ TEST(RunConfig, PrecisionDeviceAndOverlapAreAbsentUnlessChosen) {
   EXPECT_EQ(FromText("precision: BF16 device: CUDA_UPDATES").device(), v1::RunConfig::CUDA_UPDATES);
 }
 
+TEST(RunConfig, FieldsForOlderStepsAreAbsentUnlessChosen) {
+  EXPECT_TRUE(MessageDifferencer::Equals(
+      FromText("ppo { decoupled_objective: false vtrace_rho_bar: 0 vtrace_c_bar: 0 }"), Resolved()));
+  const v1::RunConfig config =
+      FromText("overlap: 1 ppo { decoupled_objective: true vtrace_rho_bar: 1.5 vtrace_c_bar: 1 }");
+  EXPECT_TRUE(config.ppo().decoupled_objective());
+  EXPECT_EQ(config.ppo().vtrace_rho_bar(), 1.5);
+  EXPECT_EQ(config.ppo().vtrace_c_bar(), 1);
+}
+
 TEST(RunConfig, AnAgentHasItsOwnDefaults) {
   const v1::RunConfig resnet = FromText("agent: \"ppo_resnet\" ppo { epochs: 5 }");
   EXPECT_EQ(resnet.lanes(), 8);
@@ -321,6 +331,25 @@ INSTANTIATE_TEST_SUITE_P(
                  [](auto* c) { c->mutable_ppo()->set_value_norm_decay(1); }},
         BadValue{"ppo.value_norm_start is 0, want more than 0",
                  [](auto* c) { c->mutable_ppo()->set_value_norm_start(0); }},
+        BadValue{"ppo.vtrace_rho_bar is -1, want 0..100", [](auto* c) { c->mutable_ppo()->set_vtrace_rho_bar(-1); }},
+        BadValue{"ppo.vtrace_rho_bar is nan", [](auto* c) { c->mutable_ppo()->set_vtrace_rho_bar(kNan); }},
+        BadValue{"ppo.vtrace_c_bar is 101, want 0..100", [](auto* c) { c->mutable_ppo()->set_vtrace_c_bar(101); }},
+        BadValue{"ppo.vtrace_c_bar is 1 and ppo.vtrace_rho_bar 0, want both 0",
+                 [](auto* c) { c->mutable_ppo()->set_vtrace_c_bar(1); }},
+        BadValue{"ppo.vtrace_c_bar is 0 and ppo.vtrace_rho_bar 1, want both 0",
+                 [](auto* c) { c->mutable_ppo()->set_vtrace_rho_bar(1); }},
+        BadValue{"a c_bar above 0 and at most rho_bar",
+                 [](auto* c) {
+                   c->mutable_ppo()->set_vtrace_rho_bar(1);
+                   c->mutable_ppo()->set_vtrace_c_bar(1.5);
+                 }},
+        BadValue{"ppo.decoupled_objective is given, but without overlap",
+                 [](auto* c) { c->mutable_ppo()->set_decoupled_objective(true); }},
+        BadValue{"ppo.vtrace_rho_bar is given, but without overlap",
+                 [](auto* c) {
+                   c->mutable_ppo()->set_vtrace_rho_bar(1);
+                   c->mutable_ppo()->set_vtrace_c_bar(1);
+                 }},
         BadValue{"distillation.every_iterations is -1",
                  [](auto* c) { c->mutable_distillation()->set_every_iterations(-1); }},
         BadValue{"distillation.epochs is -1", [](auto* c) { c->mutable_distillation()->set_epochs(-1); }},

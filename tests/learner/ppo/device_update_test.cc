@@ -128,6 +128,12 @@ void ExpectClose(const Trained& actual, const Trained& expected, const std::stri
   near(actual.stats.approx_kl, expected.stats.approx_kl, "approx_kl");
   near(actual.stats.gradient_norm, expected.stats.gradient_norm, "gradient_norm");
   near(actual.stats.explained_variance, expected.stats.explained_variance, "explained_variance");
+  ASSERT_EQ(actual.stats.importance.has_value(), expected.stats.importance.has_value()) << what;
+  if (actual.stats.importance.has_value()) {
+    near(actual.stats.importance->mean, expected.stats.importance->mean, "mean importance weight");
+    near(actual.stats.importance->min, expected.stats.importance->min, "least importance weight");
+    near(actual.stats.importance->max, expected.stats.importance->max, "greatest importance weight");
+  }
   EXPECT_NEAR(actual.stats.clip_fraction, expected.stats.clip_fraction, 1.01 / kRows) << what << ": one row's rounding";
   auto moments = TensorsOf(actual.updater->SaveOptimizer());
   auto expected_moments = TensorsOf(expected.updater->SaveOptimizer());
@@ -150,8 +156,7 @@ void PrintTo(const AgentCase& agent, std::ostream* out) { *out << agent.config; 
 
 using Agents = ::testing::TestWithParam<AgentCase>;
 
-TEST_P(Agents, LearnOnADeviceAsOnTheCpu) {
-  const v1::RunConfig config = ConfigOf(GetParam().config);
+void ExpectLearnsAsOnTheCpu(const v1::RunConfig& config) {
   const Trained expected(config, "cpu", 2);
   const auto start = TensorsOf(Trained(config, "cpu", 0).updater->SaveWeights())["weights"];
   const auto weights = TensorsOf(expected.updater->SaveWeights())["weights"];
@@ -159,6 +164,22 @@ TEST_P(Agents, LearnOnADeviceAsOnTheCpu) {
     const Trained actual(config, device, 2);
     ExpectClose(actual, expected, device);
     EXPECT_LT(ShareOfWay(TensorsOf(actual.updater->SaveWeights())["weights"], weights, start), 0.01) << device;
+  }
+}
+
+TEST_P(Agents, LearnOnADeviceAsOnTheCpu) { ExpectLearnsAsOnTheCpu(ConfigOf(GetParam().config)); }
+
+TEST(DeviceUpdate, CorrectsLagAsOnTheCpu) {
+  for (const char* text : {R"(agent: "ppo_cnn" network { frame_size: 40 } ppo { epochs: 2 value_norm_decay: 0.9 })",
+                           R"(agent: "lstm_cnn" network { frame_size: 40 } ppo { recurrent_batches: SEGMENTS })",
+                           R"(agent: "lstm_cnn" network { frame_size: 40 } ppo { recurrent_batches: PUBLISHED })",
+                           R"(agent: "oc_sa" network { frame_size: 20 })"}) {
+    const std::string vtrace =
+        absl::StrCat(text, " ppo { gamma: 0.95 gae_lambda: 0.65 vtrace_rho_bar: 1 vtrace_c_bar: 1 }");
+    ExpectLearnsAsOnTheCpu(ConfigOf(vtrace));
+    const v1::RunConfig both = ConfigOf(absl::StrCat(vtrace, " ppo { decoupled_objective: true }"));
+    ExpectLearnsAsOnTheCpu(both);
+    EXPECT_NE(Trained(both, "cpu", 1).stats.policy_loss, Trained(ConfigOf(text), "cpu", 1).stats.policy_loss) << text;
   }
 }
 

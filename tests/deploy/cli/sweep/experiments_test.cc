@@ -157,7 +157,8 @@ TEST(PaperExperiments, HaveACellForEveryNumberOfThePaper) {
                                                   {"small", 8},
                                                   {"lanes", 3},
                                                   {"no_inventory_300k", 2},
-                                                  {"one_iteration", 7}};
+                                                  {"one_iteration", 7},
+                                                  {"overlap_300k", 3}};
   EXPECT_EQ(cells, expected);
 }
 

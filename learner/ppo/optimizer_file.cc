@@ -1,0 +1,70 @@
+#include "learner/ppo/optimizer_file.h"
+
+#include <cmath>
+#include <string>
+#include <utility>
+
+#include <absl/strings/numbers.h>
+#include <absl/strings/str_cat.h>
+#include <absl/types/span.h>
+
+#include "common/agent/weights.h"
+#include "common/base/numbers.h"
+#include "common/base/status_macros.h"
+
+namespace craftfleet {
+namespace {
+
+constexpr char kStepsKey[] = "steps";
+constexpr char kExpAvg[] = "exp_avg.";
+constexpr char kExpAvgSq[] = "exp_avg_sq.";
+constexpr char kValueMean[] = "value_norm.mean";
+constexpr char kValueMeanSquare[] = "value_norm.mean_square";
+constexpr char kValueWeight[] = "value_norm.weight";
+
+absl::Status ReadNumber(const SafeTensors& file, absl::string_view key, double* number) {
+  const auto entry = file.metadata.find(std::string(key));
+  if (entry != file.metadata.end() && absl::SimpleAtod(entry->second, number) && std::isfinite(*number)) {
+    return absl::OkStatus();
+  }
+  return absl::InvalidArgumentError(absl::StrCat("the optimiser's metadata \"", key, "\" is not a number"));
+}
+
+}  // namespace
+
+void AddAdam(const AgentSpec& spec, absl::string_view prefix, const AdamState& adam, SafeTensors* file) {
+  file->metadata[absl::StrCat(prefix, kStepsKey)] = absl::StrCat(adam.steps);
+  for (const auto& [name, moments] : {std::pair(kExpAvg, &adam.exp_avg), std::pair(kExpAvgSq, &adam.exp_avg_sq)}) {
+    for (SafeTensor& tensor : AsTensors(spec, absl::StrCat(prefix, name), *moments)) {
+      file->tensors.push_back(std::move(tensor));
+    }
+  }
+}
+
+void AddValueNorm(const ValueNorm& value_norm, SafeTensors* file) {
+  file->metadata[kValueMean] = ExactNumber(value_norm.mean);
+  file->metadata[kValueMeanSquare] = ExactNumber(value_norm.mean_square);
+  file->metadata[kValueWeight] = ExactNumber(value_norm.weight);
+}
+
+bool HasValueNorm(const SafeTensors& file) { return file.metadata.count(kValueWeight) > 0; }
+
+absl::Status ReadAdam(const AgentSpec& spec, absl::string_view prefix, const SafeTensors& file, AdamState* adam) {
+  for (const auto& [name, moments] : {std::pair(kExpAvg, &adam->exp_avg), std::pair(kExpAvgSq, &adam->exp_avg_sq)}) {
+    CRAFTFLEET_RETURN_IF_ERROR(CopyTensors(spec, absl::StrCat(prefix, name), file.tensors, absl::MakeSpan(*moments)));
+  }
+  const std::string key = absl::StrCat(prefix, kStepsKey);
+  const auto steps = file.metadata.find(key);
+  if (steps == file.metadata.end() || !absl::SimpleAtoi(steps->second, &adam->steps) || adam->steps < 0) {
+    return absl::InvalidArgumentError(absl::StrCat("the optimiser's metadata \"", key, "\" is not a count"));
+  }
+  return absl::OkStatus();
+}
+
+absl::Status ReadValueNorm(const SafeTensors& file, ValueNorm* value_norm) {
+  CRAFTFLEET_RETURN_IF_ERROR(ReadNumber(file, kValueMean, &value_norm->mean));
+  CRAFTFLEET_RETURN_IF_ERROR(ReadNumber(file, kValueMeanSquare, &value_norm->mean_square));
+  return ReadNumber(file, kValueWeight, &value_norm->weight);
+}
+
+}  // namespace craftfleet
