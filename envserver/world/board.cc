@@ -36,15 +36,6 @@ void Board::Clear() {
   any_removed_ = false;
 }
 
-void Board::SetMaterial(Position p, Material material, Variant variant) {
-  Cell& cell = cells_[Index(p)];
-  Chunk& chunk = chunks_[ChunkIndex(p)];
-  --chunk.materials[static_cast<int>(cell.material)];
-  ++chunk.materials[static_cast<int>(material)];
-  cell.material = material;
-  cell.variant = variant;
-}
-
 int Board::Add(Object object) {
   Cell& cell = cells_[Index(object.position)];
   CRAFTFLEET_CHECK(cell.object == 0);
