@@ -5,6 +5,11 @@
 #include "common/base/check.h"
 
 namespace craftfleet {
+namespace {
+
+constexpr int kUsualObjects = 128;  // a step allocates no memory until there are more
+
+}  // namespace
 
 Board::Board(int width, int height)
     : width_(width),
@@ -19,6 +24,8 @@ Board::Board(int width, int height)
       chunks_.push_back(chunk);
     }
   }
+  objects_.reserve(kUsualObjects);
+  known_chunks_.reserve(chunks_.size());
   Clear();
 }
 
