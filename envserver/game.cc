@@ -48,7 +48,7 @@ Episode Game::EndedEpisode() const {
   return episode;
 }
 
-std::string Game::Save() const { return SealSnapshot(env_digest(), world_.Save(before_picture_)); }
+std::string Game::Save() const { return SealSnapshot(env_digest(), world_.Save(before_picture())); }
 
 absl::Status Game::Restore(absl::string_view snapshot, absl::Span<uint8_t> frame) {
   CRAFTFLEET_ASSIGN_OR_RETURN(const absl::string_view game, OpenSnapshot(env_digest(), snapshot));
@@ -58,7 +58,7 @@ absl::Status Game::Restore(absl::string_view snapshot, absl::Span<uint8_t> frame
 }
 
 void Game::Draw(absl::Span<uint8_t> frame) {
-  before_picture_ = world_.random();
+  if (Renderer::DrawsNoise(world_)) before_picture_ = world_.random();
   renderer_->Render(world_, &world_.random(), frame);
 }
 

@@ -63,7 +63,9 @@ class Game {
 
   const World& world() const { return world_; }
   // The world's stream before the current picture was drawn; with it the same picture can be drawn again at night.
-  const RandomStream& before_picture() const { return before_picture_; }
+  const RandomStream& before_picture() const {
+    return Renderer::DrawsNoise(world_) ? before_picture_ : world_.random();
+  }
 
  private:
   Game(std::shared_ptr<const Renderer> renderer, World world)
@@ -77,7 +79,7 @@ class Game {
 
   std::shared_ptr<const Renderer> renderer_;
   World world_;
-  RandomStream before_picture_;
+  RandomStream before_picture_;  // of a picture with noise; others leave the stream as it is
 };
 
 }  // namespace craftfleet

@@ -1,6 +1,6 @@
 #include "envserver/render/image.h"
 
-#include "common/base/multiversion.h"
+#include "common/base/cpu_path.h"
 
 namespace craftfleet {
 namespace {
@@ -12,7 +12,7 @@ Pixel BlendChannel(Pixel over, Pixel under, float alpha) {
   return static_cast<int32_t>(255.0f * sum);
 }
 
-CRAFTFLEET_MULTIVERSION void BlendPixels(const Pixel* over, int count, Pixel* canvas) {
+CRAFTFLEET_KERNEL_BODY void BlendPixelsBody(const Pixel* over, int count, Pixel* canvas) {
   for (int i = 0; i < count; ++i) {
     const Pixel top = over[i];
     const Pixel under = canvas[i];
@@ -22,6 +22,7 @@ CRAFTFLEET_MULTIVERSION void BlendPixels(const Pixel* over, int count, Pixel* ca
                 BlendChannel(top >> 16 & 255, under >> 16 & 255, alpha) << 16;
   }
 }
+CRAFTFLEET_KERNEL(BlendPixels, BlendPixelsBody)
 
 }  // namespace
 

@@ -2,7 +2,7 @@
 
 #include <cstdint>
 
-#include "common/base/multiversion.h"
+#include "common/base/cpu_path.h"
 
 namespace craftfleet {
 namespace {
@@ -49,16 +49,17 @@ Pixel Lit(double daylight, double half_dark, Rgb canvas, Rgb night) {
               Mix(daylight, canvas.blue, half_dark, Dim(night.blue, luma) + kTwiceTintBlue));
 }
 
-CRAFTFLEET_MULTIVERSION void DayLoop(double daylight, int count, Pixel* pixels) {
+CRAFTFLEET_KERNEL_BODY void DayLoopBody(double daylight, int count, Pixel* pixels) {
   const double half_dark = 0.5 * (1 - daylight);
   for (int i = 0; i < count; ++i) {
     const Rgb canvas = Unpack(pixels[i]);
     pixels[i] = Lit(daylight, half_dark, canvas, canvas);
   }
 }
+CRAFTFLEET_KERNEL(DayLoop, DayLoopBody)
 
-CRAFTFLEET_MULTIVERSION void NightLoop(double daylight, const double* __restrict noise, const double* __restrict cover,
-                                       int count, Pixel* __restrict pixels) {
+CRAFTFLEET_KERNEL_BODY void NightLoopBody(double daylight, const double* __restrict noise,
+                                          const double* __restrict cover, int count, Pixel* __restrict pixels) {
   const double half_dark = 0.5 * (1 - daylight);
   const double amount = 2 * (kNoiseBelow - daylight);
   for (int i = 0; i < count; ++i) {
@@ -72,13 +73,15 @@ CRAFTFLEET_MULTIVERSION void NightLoop(double daylight, const double* __restrict
     pixels[i] = Lit(daylight, half_dark, canvas, night);
   }
 }
+CRAFTFLEET_KERNEL(NightLoop, NightLoopBody)
 
-CRAFTFLEET_MULTIVERSION void SleepLoop(int count, Pixel* pixels) {
+CRAFTFLEET_KERNEL_BODY void SleepLoopBody(int count, Pixel* pixels) {
   for (int i = 0; i < count; ++i) {
     const int32_t half = Luma(Unpack(pixels[i])) >> 1;
     pixels[i] = Pack(half, half, half + 8);
   }
 }
+CRAFTFLEET_KERNEL(SleepLoop, SleepLoopBody)
 
 }  // namespace
 

@@ -11,7 +11,6 @@
 #include "common/base/check.h"
 #include "common/base/status_macros.h"
 #include "envserver/render/image.h"
-#include "envserver/render/light.h"
 #include "envserver/render/vignette.h"
 
 namespace craftfleet {
@@ -121,7 +120,7 @@ void Renderer::Render(const World& world, RandomStream* random, absl::Span<uint8
   LayGround(world, &scene);
   LayObjects(world, &scene);
   std::memset(frame.data(), 0, frame.size());
-  if (world.daylight() < kNoiseBelow) {
+  if (DrawsNoise(world)) {
     DrawMapByNight(world, scene, random, frame.data());
   } else {
     DrawMapByDay(world, scene, frame.data());

@@ -12,6 +12,7 @@
 #include <absl/types/span.h>
 
 #include "envserver/render/inventory_strip.h"
+#include "envserver/render/light.h"
 #include "envserver/render/picture_layout.h"
 #include "envserver/render/sprites.h"
 #include "envserver/render/textures.h"
@@ -34,6 +35,9 @@ class Renderer {
   // Where daylight is below 0.5, one uniform draw per map pixel is taken from `random`, in Crafter the world's own
   // stream.
   void Render(const World& world, RandomStream* random, absl::Span<uint8_t> frame) const;
+
+  // Whether a picture of the world takes draws from the stream.
+  static bool DrawsNoise(const World& world) { return world.daylight() < kNoiseBelow; }
 
   const WorldOptions& world_options() const { return world_options_; }
   int frame_bytes() const { return layout_.frame_bytes(); }

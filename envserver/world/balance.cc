@@ -1,7 +1,6 @@
 #include "envserver/world/balance.h"
 
-#include <algorithm>
-#include <vector>
+#include <cstdint>
 
 #include "common/base/check.h"
 #include "envserver/world/creatures.h"
@@ -32,19 +31,28 @@ Position FindCell(const Board& board, const Chunk& chunk, Material material, uin
   CRAFTFLEET_CHECK(false);  // the chunk's count was wrong
 }
 
-// The `number`-th creature of the type in the chunk in the order in which they entered it.
-int FindCreature(const Board& board, int chunk, ObjectType type, uint32_t number) {
-  std::vector<int> found;
+// The creature of the type in the chunk that was the first to enter it after the one with the rank `entered`, or -1.
+int NextToEnter(const Board& board, int chunk, ObjectType type, int64_t entered) {
+  int next = -1;
   for (size_t i = 0; i < board.objects().size(); ++i) {
     const Object& object = board.objects()[i];
-    if (object.type == type && !object.removed && board.ChunkIndex(object.position) == chunk) {
-      found.push_back(static_cast<int>(i));
-    }
+    if (object.type != type || object.removed || object.entered <= entered) continue;
+    if (board.ChunkIndex(object.position) != chunk) continue;
+    if (next < 0 || object.entered < board.object(next).entered) next = static_cast<int>(i);
   }
-  CRAFTFLEET_CHECK(number < found.size());
-  std::nth_element(found.begin(), found.begin() + number, found.end(),
-                   [&](int a, int b) { return board.object(a).entered < board.object(b).entered; });
-  return found[number];
+  return next;
+}
+
+// The `number`-th creature of the type in the chunk in the order in which they entered it.
+int FindCreature(const Board& board, int chunk, ObjectType type, uint32_t number) {
+  int found = -1;
+  int64_t entered = -1;
+  for (uint32_t i = 0; i <= number; ++i) {  // each round finds the next one to have entered
+    found = NextToEnter(board, chunk, type, entered);
+    CRAFTFLEET_CHECK(found >= 0);  // the chunk's count was wrong
+    entered = board.object(found).entered;
+  }
+  return found;
 }
 
 void Balance(const BalanceRule& rule, int chunk_index, WorldState* state) {

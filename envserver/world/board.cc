@@ -5,6 +5,11 @@
 #include "common/base/check.h"
 
 namespace craftfleet {
+namespace {
+
+constexpr int kUsualObjects = 128;  // a step allocates no memory until there are more
+
+}  // namespace
 
 Board::Board(int width, int height)
     : width_(width),
@@ -19,6 +24,8 @@ Board::Board(int width, int height)
       chunks_.push_back(chunk);
     }
   }
+  objects_.reserve(kUsualObjects);
+  known_chunks_.reserve(chunks_.size());
   Clear();
 }
 
@@ -34,15 +41,6 @@ void Board::Clear() {
   known_chunks_.clear();
   entries_ = 0;
   any_removed_ = false;
-}
-
-void Board::SetMaterial(Position p, Material material, Variant variant) {
-  Cell& cell = cells_[Index(p)];
-  Chunk& chunk = chunks_[ChunkIndex(p)];
-  --chunk.materials[static_cast<int>(cell.material)];
-  ++chunk.materials[static_cast<int>(material)];
-  cell.material = material;
-  cell.variant = variant;
 }
 
 int Board::Add(Object object) {

@@ -74,7 +74,14 @@ class Board {
   Object& object(int index) { return objects_[index]; }
   const Object& object(int index) const { return objects_[index]; }
 
-  void SetMaterial(Position p, Material material, Variant variant);
+  void SetMaterial(Position p, Material material, Variant variant) {
+    Cell& cell = cells_[Index(p)];
+    Chunk& chunk = chunks_[ChunkIndex(p)];
+    --chunk.materials[static_cast<int>(cell.material)];
+    ++chunk.materials[static_cast<int>(material)];
+    cell.material = material;
+    cell.variant = variant;
+  }
   // Adds `object` at its position, a free cell, and returns its index. Its chunk becomes known.
   int Add(Object object);
   // Removes an object from the board; its index stays valid until Compact().

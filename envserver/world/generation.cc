@@ -2,7 +2,8 @@
 
 #include <cmath>
 #include <cstdint>
-#include <vector>
+
+#include <absl/container/fixed_array.h>
 
 #include "envserver/world/appearance.h"
 #include "envserver/world/creatures.h"
@@ -54,7 +55,8 @@ void GenerateWorld(WorldState* state) {
   Board& board = state->board;
   RandomStream& random = state->random;
   const SimplexNoise noise(random.Below((uint32_t{1} << 31) - 1));
-  const std::vector<uint16_t> traits = ComputeTraits(noise, board.width(), board.height(), board.object(0).position);
+  absl::FixedArray<uint16_t, 64 * 64> traits(board.width() * board.height());
+  ComputeTraits(noise, board.width(), board.height(), board.object(0).position, absl::MakeSpan(traits));
   const uint16_t* cell_traits = traits.data();
   for (int x = 0; x < board.width(); ++x) {
     for (int y = 0; y < board.height(); ++y) {

@@ -3,7 +3,7 @@
 #include <algorithm>
 
 #include "common/base/check.h"
-#include "common/base/multiversion.h"
+#include "common/base/cpu_path.h"
 
 namespace craftfleet {
 namespace {
@@ -16,35 +16,23 @@ uint32_t Mix(uint32_t upper, uint32_t lower) {
   return (y >> 1) ^ ((y & 1u) != 0 ? 0x9908b0dfu : 0u);
 }
 
-uint32_t Temper(uint32_t y) {
-  y ^= y >> 11;
-  y ^= (y << 7) & 0x9d2c5680u;
-  y ^= (y << 15) & 0xefc60000u;
-  return y ^ (y >> 18);
-}
-
-// Two words to a double with 53 random bits. Both parts are below 2^31, and signed conversion is the one that SIMD has.
-double ToDouble(uint32_t high, uint32_t low) {
-  const double a = static_cast<int32_t>(high >> 5);
-  const double b = static_cast<int32_t>(low >> 6);
-  return (a * 67108864.0 + b) * (1.0 / 9007199254740992.0);
-}
-
 // The next 624 words. In loops whose iterations are independent over any vector's width.
-CRAFTFLEET_MULTIVERSION void Twist(uint32_t* words) {
+CRAFTFLEET_KERNEL_BODY void TwistBody(uint32_t* words) {
   for (int i = 0; i < kWords - kShift; ++i) words[i] = words[i + kShift] ^ Mix(words[i], words[i + 1]);
   for (int i = kWords - kShift; i < kWords - 1; ++i) {
     words[i] = words[i + kShift - kWords] ^ Mix(words[i], words[i + 1]);
   }
   words[kWords - 1] = words[kShift - 1] ^ Mix(words[kWords - 1], words[0]);
 }
+CRAFTFLEET_KERNEL(Twist, TwistBody)
 
 // words[2 * count] to out[count].
-CRAFTFLEET_MULTIVERSION void WordsToDoubles(const uint32_t* words, int count, double* out) {
+CRAFTFLEET_KERNEL_BODY void WordsToDoublesBody(const uint32_t* words, int count, double* out) {
   uint32_t tempered[kWords];
-  for (int i = 0; i < 2 * count; ++i) tempered[i] = Temper(words[i]);
-  for (int i = 0; i < count; ++i) out[i] = ToDouble(tempered[2 * i], tempered[2 * i + 1]);
+  for (int i = 0; i < 2 * count; ++i) tempered[i] = internal::Temper(words[i]);
+  for (int i = 0; i < count; ++i) out[i] = internal::ToDouble(tempered[2 * i], tempered[2 * i + 1]);
 }
+CRAFTFLEET_KERNEL(WordsToDoubles, WordsToDoublesBody)
 
 }  // namespace
 
@@ -55,17 +43,9 @@ RandomStream::RandomStream(uint32_t seed) : position_(kStateWords) {
   }
 }
 
-uint32_t RandomStream::Next() {
-  if (position_ == kStateWords) {
-    Twist(words_.data());
-    position_ = 0;
-  }
-  return Temper(words_[position_++]);
-}
-
-double RandomStream::Uniform() {
-  const uint32_t high = Next();
-  return ToDouble(high, Next());
+void RandomStream::NextBlock() {
+  Twist(words_.data());
+  position_ = 0;
 }
 
 void RandomStream::FillUniform(absl::Span<double> out) {

@@ -11,6 +11,22 @@
 
 namespace craftfleet {
 
+namespace internal {
+inline uint32_t Temper(uint32_t y) {
+  y ^= y >> 11;
+  y ^= (y << 7) & 0x9d2c5680u;
+  y ^= (y << 15) & 0xefc60000u;
+  return y ^ (y >> 18);
+}
+// Two words to a double with 53 random bits. Both parts are below 2^31, and signed conversion is the one that SIMD
+// has.
+inline double ToDouble(uint32_t high, uint32_t low) {
+  const double a = static_cast<int32_t>(high >> 5);
+  const double b = static_cast<int32_t>(low >> 6);
+  return (a * 67108864.0 + b) * (1.0 / 9007199254740992.0);
+}
+}  // namespace internal
+
 class RandomStream {
  public:
   static constexpr int kStateWords = 624;
@@ -19,7 +35,10 @@ class RandomStream {
   explicit RandomStream(uint32_t seed = 0);
 
   // One double in [0, 1): two words.
-  double Uniform();
+  double Uniform() {
+    const uint32_t high = Next();
+    return internal::ToDouble(high, Next());
+  }
   // Fills `out` with what out.size() calls of Uniform() would give, in order, much faster.
   void FillUniform(absl::Span<double> out);
   // One integer in [0, n), n in 1..2^32-1: no word for n = 1, else one word a try.
@@ -32,7 +51,11 @@ class RandomStream {
   void Restore(const State& words, int position);
 
  private:
-  uint32_t Next();
+  uint32_t Next() {
+    if (position_ == kStateWords) NextBlock();
+    return internal::Temper(words_[position_++]);
+  }
+  void NextBlock();
 
   State words_;
   int position_;

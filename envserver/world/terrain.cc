@@ -2,78 +2,50 @@
 
 #include <algorithm>
 #include <cmath>
-#include <iterator>
 
-#include <absl/types/span.h>
+#include <absl/container/fixed_array.h>
 
-#include "common/base/multiversion.h"
+#include "common/base/cpu_path.h"
+#include "envserver/world/noise_field.h"
 
 namespace craftfleet {
 namespace {
 
-constexpr int kBlock = 512;  // cells worked on at a time: their intermediate values stay in the first cache
+constexpr int kSmallField = 64 * 64;  // cells; memory for larger fields comes from the heap
 
-constexpr int kLanes = 16;  // divides kBlock
+// Of a cell that is too near to a threshold of the step at hand; no cell has it in the end.
+constexpr int32_t kUnsure = 1 << 16;
 
-// Place of a cell of the world.
-struct Place {
-  uint8_t x, y;
-};
+// The noise s(x * x_times / x_divided, y * y_times / y_divided, z, {size: 1}) of a cell (x, y).
+struct Shape {
+  double z;
+  double size;
+  double x_times = 1;
+  double x_divided = 1;
+  double y_times = 1;
+  double y_divided = 1;
 
-// s(x * x_scale, y * y_scale, z, {size: 1}) for all cells of a world.
-class Layer {
- public:
-  struct Shape {
-    double z;
-    double size;
-    double x_times = 1;
-    double x_divided = 1;
-    double y_times = 1;
-    double y_divided = 1;
-  };
-
-  Layer(const SimplexNoise& noise, const Shape& shape, int width, int height)
-      : x_(Coordinates(width, shape.x_times, shape.x_divided, shape.size)),
-        y_(Coordinates(height, shape.y_times, shape.y_divided, shape.size)),
-        plane_(noise, {x_.front(), x_.back(), y_.front(), y_.back()}, shape.z) {}
-
-  // values[n] = at places[n], for at most kBlock of them; `values` has room for kBlock.
-  void Sample(absl::Span<const Place> places, double* values) const {
-    double x[kBlock];
-    double y[kBlock];
-    for (size_t n = 0; n < places.size(); ++n) {
-      x[n] = x_[places[n].x];
-      y[n] = y_[places[n].y];
-    }
-    // Whole vectors only: a scalar remainder costs more than some superfluous points.
-    size_t count = places.size();
-    for (; count % kLanes != 0; ++count) {
-      x[count] = x_[0];
-      y[count] = y_[0];
-    }
-    plane_.Evaluate(absl::MakeConstSpan(x, count), absl::MakeConstSpan(y, count), absl::MakeSpan(values, count));
+  // As Crafter computes it: the last bit counts.
+  double At(const SimplexNoise& noise, Position p) const {
+    return noise.At(p.x * x_times / x_divided / size, p.y * y_times / y_divided / size, z);
   }
-
- private:
-  // As Crafter computes them: the last bit counts.
-  static std::vector<double> Coordinates(int count, double times, double divided, double size) {
-    std::vector<double> coordinates(count);
-    for (int i = 0; i < count; ++i) coordinates[i] = i * times / divided / size;
-    return coordinates;
-  }
-
-  std::vector<double> x_;
-  std::vector<double> y_;
-  NoisePlane plane_;
+  NoiseGrid grid() const { return {x_times / x_divided / size, y_times / y_divided / size, z}; }
 };
+constexpr Shape kStartShape = {8, 3};
+constexpr Shape kWaterShape = {3, 15};
+constexpr Shape kFineWaterShape = {3, 5};
+constexpr Shape kMountainShape = {0, 15};
+constexpr Shape kFineMountainShape = {0, 5};
 
 // A trait that cells with all of the traits `of`, and none of `not_of`, have where a layer is above the threshold.
 struct LayerTrait {
-  Layer::Shape shape;
+  Shape shape;
   double threshold;
   uint16_t of;
   uint16_t not_of;
   Trait trait;
+
+  bool AppliesTo(int32_t traits) const { return (traits & (of | not_of)) == of; }
 };
 // Ordered so that the traits in `of` and `not_of` are known when a rule needs them.
 constexpr LayerTrait kLayerTraits[] = {
@@ -87,140 +59,216 @@ constexpr LayerTrait kLayerTraits[] = {
     {{5, 7}, 0, 0, kStart | kMountain | kSandy | kSea, kForest},
 };
 
-// The values that determine the traits of cells before their layers; one array each so that loops over cells vectorise.
-struct Heights {
-  double water[kBlock];     // without the start's part
-  double mountain[kBlock];  // without the start's and the water's part
-  double start[kBlock];
-};
-
-// The traits that follow from the heights alone. Written as a sum of choices between doubles, because the loop
-// vectorises only in this form.
-CRAFTFLEET_MULTIVERSION void BaseTraits(const Heights& heights, int count, uint16_t* traits) {
-  for (int n = 0; n < count; ++n) {
-    const double start = heights.start[n];
-    const double water = heights.water[n] - 2 * start;
-    const double mountain = heights.mountain[n] - (4 * start + 0.3 * water);
-    double sum = mountain > 0.15 ? double{kMountain} : 0.0;
-    sum += mountain > 0.18 ? double{kHigh} : 0.0;
-    sum += mountain > 0.3 ? double{kPeak} : 0.0;
-    sum += water > 0.3 ? double{kSea} : 0.0;
-    const double shore_or_not = water <= 0.35 ? double{kShore} : 0.0;
-    sum += water > 0.25 ? shore_or_not : 0.0;
-    traits[n] = static_cast<uint16_t>(static_cast<int32_t>(start > 0.5 ? double{kStart} : sum));
-  }
+double SquaredDistance(Position a, Position b) {
+  const double dx = a.x - b.x;
+  const double dy = a.y - b.y;
+  return dx * dx + dy * dy;
 }
 
-double Logistic(double value) { return 1 / (1 + std::exp(-value)); }
+// The traits that follow from the heights alone: `start`, water and mountain with all their parts.
+uint16_t BaseTraits(double start, double water, double mountain) {
+  if (start > 0.5) return kStart;
+  if (mountain > 0.15) return kMountain | (mountain > 0.18 ? kHigh : 0) | (mountain > 0.3 ? kPeak : 0);
+  return (water > 0.3 ? kSea : 0) | (water > 0.25 && water <= 0.35 ? kShore : 0);
+}
+
+uint16_t ExactBaseTraits(const SimplexNoise& noise, Position p, Position player) {
+  const double start = 1 / (1 + std::exp(-(4 - std::sqrt(SquaredDistance(p, player)) + 2 * kStartShape.At(noise, p))));
+  const double water = kWaterShape.At(noise, p) + 0.15 * kFineWaterShape.At(noise, p) + 0.1 - 2 * start;
+  const double mountain =
+      (kMountainShape.At(noise, p) + 0.3 * kFineMountainShape.At(noise, p)) / 1.3 - (4 * start + 0.3 * water);
+  return BaseTraits(start, water, mountain);
+}
+
+// A cell farther than this from the player has start < most_far_start: its noise is not needed.
+constexpr int kFar = 16;
+
+// How much the heights of a cell may differ from the exact ones: by the error of their noise and of start. A logistic
+// function's slope is at most 1/4.
+constexpr float kNearStartError = 2 * kNoiseError / 4 + 1e-6F;
+constexpr float WaterError(float start_error) { return 1.15F * kNoiseError + 2 * start_error + 1e-6F; }
+constexpr float MountainError(float start_error) {
+  return kNoiseError + 4 * start_error + 0.3F * WaterError(start_error) + 1e-6F;
+}
+
+bool Within(float value, float threshold, float error) { return std::abs(value - threshold) <= error; }
+
+// Traits of `count` cells by their heights (without the part of start), with kUnsure near a threshold that matters.
+CRAFTFLEET_KERNEL_BODY void CompareHeightsLoop(const float* start, const float* start_error, const float* waters,
+                                               const float* mountains, int count, int32_t* traits) {
+  for (int n = 0; n < count; ++n) {
+    const float water = waters[n] + 0.1F - 2 * start[n];
+    const float mountain = mountains[n] - (4 * start[n] + 0.3F * water);
+    const float water_error = WaterError(start_error[n]);
+    const float mountain_error = MountainError(start_error[n]);
+    int32_t mountain_traits = kMountain;
+    mountain_traits |= mountain > 0.18F ? kHigh : 0;
+    mountain_traits |= mountain > 0.3F ? kPeak : 0;
+    mountain_traits |= Within(mountain, 0.18F, mountain_error) ? kUnsure : 0;
+    mountain_traits |= Within(mountain, 0.3F, mountain_error) ? kUnsure : 0;
+    int32_t water_traits = water > 0.3F ? kSea : 0;
+    water_traits |= (water > 0.25F ? kShore : 0) & (water <= 0.35F ? kShore : 0);
+    water_traits |= Within(water, 0.25F, water_error) ? kUnsure : 0;
+    water_traits |= Within(water, 0.3F, water_error) ? kUnsure : 0;
+    water_traits |= Within(water, 0.35F, water_error) ? kUnsure : 0;
+    int32_t sum = mountain > 0.15F ? mountain_traits : water_traits;
+    sum |= Within(mountain, 0.15F, mountain_error) ? kUnsure : 0;
+    sum = start[n] > 0.5F ? int32_t{kStart} : sum;
+    traits[n] = sum | (Within(start[n], 0.5F, start_error[n]) ? kUnsure : 0);
+  }
+}
+CRAFTFLEET_KERNEL(CompareHeights, CompareHeightsLoop)
+
+// Gives the trait of a rule to the cells to which the rule applies, with kUnsure near the threshold.
+CRAFTFLEET_KERNEL_BODY void CompareLayerLoop(const LayerTrait* rule, const float* values, int count, int32_t* traits) {
+  const auto threshold = static_cast<float>(rule->threshold);
+  const int32_t mask = rule->of | rule->not_of;
+  const int32_t of = rule->of;
+  const int32_t trait = rule->trait;
+  for (int n = 0; n < count; ++n) {
+    int32_t more = values[n] > threshold ? trait : 0;
+    more |= Within(values[n], threshold, kNoiseError) ? kUnsure : 0;
+    traits[n] |= (traits[n] & mask) == of ? more : 0;
+  }
+}
+CRAFTFLEET_KERNEL(CompareLayer, CompareLayerLoop)
+
+// Whether each of `count` blocks of kFieldBlock cells has a cell to which the rule applies.
+CRAFTFLEET_KERNEL_BODY void FindCellsLoop(const LayerTrait* rule, const int32_t* traits, int count, uint8_t* found) {
+  const int32_t mask = rule->of | rule->not_of;
+  const int32_t of = rule->of;
+  for (int block = 0; block < count; ++block) {
+    int32_t any = 0;
+    for (int n = 0; n < kFieldBlock; ++n) any |= static_cast<int32_t>((traits[block * kFieldBlock + n] & mask) == of);
+    found[block] = static_cast<uint8_t>(any);
+  }
+}
+CRAFTFLEET_KERNEL(FindCells, FindCellsLoop)
 
 class Terrain {
  public:
   Terrain(const SimplexNoise& noise, int width, int height, Position player)
-      : player_(player),
-        start_(noise, {8, 3}, width, height),
-        water_(noise, {3, 15}, width, height),
-        fine_water_(noise, {3, 5}, width, height),
-        mountain_(noise, {0, 15}, width, height),
-        fine_mountain_(noise, {0, 5}, width, height) {
-    layers_.reserve(std::size(kLayerTraits));
-    for (const LayerTrait& rule : kLayerTraits) layers_.emplace_back(noise, rule.shape, width, height);
-  }
+      : noise_(noise),
+        width_(width),
+        height_(height),
+        num_blocks_((height + kFieldBlock - 1) / kFieldBlock),
+        stride_(num_blocks_ * kFieldBlock),
+        player_(player),
+        blocks_(num_blocks_),
+        field_(width * stride_),
+        traits_(width * stride_, 0) {}
 
-  // traits[n] of the cells at places[n], at most kBlock.
-  void Compute(absl::Span<const Place> places, uint16_t* traits) const {
-    Heights heights;
-    ComputeHeights(places, &heights);
-    ComputeBase(places, &heights, traits);
-    for (size_t i = 0; i < layers_.size(); ++i) AddTrait(kLayerTraits[i], layers_[i], places, traits);
+  void Compute(absl::Span<uint16_t> traits) {
+    ComputeBase();
+    for (const LayerTrait& rule : kLayerTraits) AddTrait(rule);
+    uint16_t* out = traits.data();
+    for (int x = 0; x < width_; ++x) out = std::copy_n(&traits_[x * stride_], height_, out);
   }
 
  private:
-  void ComputeHeights(absl::Span<const Place> places, Heights* heights) const {
-    double fine_water[kBlock];
-    double fine_mountain[kBlock];
-    water_.Sample(places, heights->water);
-    fine_water_.Sample(places, fine_water);
-    mountain_.Sample(places, heights->mountain);
-    fine_mountain_.Sample(places, fine_mountain);
-    for (size_t n = 0; n < places.size(); ++n) {
-      heights->water[n] = heights->water[n] + 0.15 * fine_water[n] + 0.1;
-      heights->mountain[n] = (heights->mountain[n] + 0.3 * fine_mountain[n]) / 1.3;
+  using Field = absl::FixedArray<float, kSmallField>;
+
+  // Calls exact(position, traits) for the cells that are unsure.
+  template <typename Exact>
+  void Decide(const Exact& exact) {
+    for (int x = 0; x < width_; ++x) {
+      int32_t* traits = &traits_[x * stride_];
+      int32_t any = 0;
+      for (int y = 0; y < height_; ++y) any |= traits[y];
+      if ((any & kUnsure) == 0) continue;
+      for (int y = 0; y < height_; ++y) {
+        if ((traits[y] & kUnsure) != 0) exact(Position{x, y}, &traits[y]);
+      }
     }
   }
 
-  // Far from the player, start is nearly 0: its noise is computed only where it could make a difference.
-  void ComputeBase(absl::Span<const Place> places, Heights* heights, uint16_t* traits) const {
-    constexpr double kFar = 16;  // cells
-    const double most_far_start = Logistic(4 - kFar + 2 * kNoiseBound);
-    constexpr double kBelowZero = -1e-9;  // below 0, so that rounding does not matter
-    const int count = static_cast<int>(places.size());
-    uint16_t other_traits[kBlock];
-    std::fill_n(heights->start, count, most_far_start);
-    BaseTraits(*heights, count, other_traits);
-    std::fill_n(heights->start, count, kBelowZero);
-    BaseTraits(*heights, count, traits);
-
-    Place asked[kBlock];
-    int asked_at[kBlock];
-    int num_asked = 0;
-    for (int n = 0; n < count; ++n) {
-      asked[num_asked] = places[n];
-      asked_at[num_asked] = n;
-      num_asked += static_cast<int>(traits[n] != other_traits[n] || SquaredDistance(places[n]) < kFar * kFar);
-    }
-    double noise[kBlock];
-    start_.Sample(absl::MakeConstSpan(asked, num_asked), noise);
-    for (int i = 0; i < num_asked; ++i) {
-      heights->start[asked_at[i]] = Logistic(4 - std::sqrt(SquaredDistance(asked[i])) + 2 * noise[i]);
-    }
-    if (num_asked > 0) BaseTraits(*heights, count, traits);
+  void ComputeBase() {
+    Field water(field_.size(), 0.0F);
+    Field mountain(field_.size(), 0.0F);
+    Field start(field_.size());
+    Field start_error(field_.size());
+    WantColumns([](int, int) { return true; });
+    AddNoise(noise_, kWaterShape.grid(), 1, blocks_, stride_, water.data());
+    AddNoise(noise_, kFineWaterShape.grid(), 0.15, blocks_, stride_, water.data());
+    AddNoise(noise_, kMountainShape.grid(), 1 / 1.3, blocks_, stride_, mountain.data());
+    AddNoise(noise_, kFineMountainShape.grid(), 0.3 / 1.3, blocks_, stride_, mountain.data());
+    ComputeStart(start.data(), start_error.data());
+    CompareHeights(start.data(), start_error.data(), water.data(), mountain.data(), static_cast<int>(field_.size()),
+                   traits_.data());
+    Decide([&](Position p, int32_t* traits) { *traits = ExactBaseTraits(noise_, p, player_); });
   }
 
-  static void AddTrait(const LayerTrait& rule, const Layer& layer, absl::Span<const Place> places, uint16_t* traits) {
-    Place asked[kBlock];
-    int asked_at[kBlock];
-    int count = 0;
-    const int mask = rule.of | rule.not_of;
-    for (size_t n = 0; n < places.size(); ++n) {
-      asked[count] = places[n];
-      asked_at[count] = static_cast<int>(n);
-      count += static_cast<int>((traits[n] & mask) == rule.of);
-    }
-    double values[kBlock];
-    layer.Sample(absl::MakeConstSpan(asked, count), values);
-    for (int i = 0; i < count; ++i) {
-      if (values[i] > rule.threshold) traits[asked_at[i]] |= rule.trait;
+  void ComputeStart(float* start, float* error) {
+    const auto most_far_start = static_cast<float>(1 / (1 + std::exp(kFar - 4 - 2 * kNoiseBound)));
+    std::fill_n(start, field_.size(), most_far_start / 2);
+    std::fill_n(error, field_.size(), most_far_start / 2);
+    const int first_x = std::max(0, player_.x - kFar);
+    const int end_x = std::min(width_, player_.x + kFar + 1);
+    const int first_y = std::max(0, player_.y - kFar);
+    const int end_y = std::min(height_, player_.y + kFar + 1);
+    WantColumns([&](int x, int block) {
+      return x >= first_x && x < end_x && (block + 1) * kFieldBlock > first_y && block * kFieldBlock < end_y;
+    });
+    std::fill(field_.begin(), field_.end(), 0.0F);
+    AddNoise(noise_, kStartShape.grid(), 1, blocks_, stride_, field_.data());
+    for (int x = first_x; x < end_x; ++x) {
+      for (int y = first_y; y < end_y; ++y) {
+        const auto squared_distance = static_cast<float>(SquaredDistance({x, y}, player_));
+        if (squared_distance > kFar * kFar) continue;
+        const int n = x * stride_ + y;
+        start[n] = 1 / (1 + std::exp(-(4 - std::sqrt(squared_distance) + 2 * field_[n])));
+        error[n] = kNearStartError;
+      }
     }
   }
 
-  double SquaredDistance(Place place) const {
-    const double dx = place.x - player_.x;
-    const double dy = place.y - player_.y;
-    return dx * dx + dy * dy;
+  void AddTrait(const LayerTrait& rule) {
+    std::fill(field_.begin(), field_.end(), 0.0F);
+    absl::FixedArray<uint8_t, kSmallField / kFieldBlock> wanted(width_ * num_blocks_);
+    FindCells(&rule, traits_.data(), static_cast<int>(wanted.size()), wanted.data());
+    WantColumns([&](int x, int block) { return wanted[x * num_blocks_ + block] != 0; });
+    AddNoise(noise_, rule.shape.grid(), 1, blocks_, stride_, field_.data());
+    CompareLayer(&rule, field_.data(), static_cast<int>(field_.size()), traits_.data());
+    Decide([&](Position p, int32_t* traits) {
+      *traits &= ~(kUnsure | rule.trait);
+      if (rule.shape.At(noise_, p) > rule.threshold) *traits |= rule.trait;
+    });
   }
 
+  // Sets blocks_ to the columns from the first to the last for which wanted(column, block).
+  template <typename Wanted>
+  void WantColumns(const Wanted& wanted) {
+    for (int block = 0; block < num_blocks_; ++block) {
+      ColumnRange& columns = blocks_[block] = {width_, 0};
+      for (int x = 0; x < width_; ++x) {
+        if (!wanted(x, block)) continue;
+        columns.begin = std::min(columns.begin, x);
+        columns.end = x + 1;
+      }
+    }
+  }
+
+  const SimplexNoise& noise_;
+  const int width_;
+  const int height_;
+  const int num_blocks_;
+  const int stride_;  // from one column of a field to the next: whole blocks
   const Position player_;
-  const Layer start_;
-  const Layer water_;
-  const Layer fine_water_;
-  const Layer mountain_;
-  const Layer fine_mountain_;
-  std::vector<Layer> layers_;  // of kLayerTraits
+  absl::FixedArray<ColumnRange, 8> blocks_;  // where noise is computed
+  Field field_;
+  absl::FixedArray<int32_t, kSmallField> traits_;  // [width][stride]
 };
 
 }  // namespace
 
-std::vector<uint16_t> ComputeTraits(const SimplexNoise& noise, int width, int height, Position player) {
-  std::vector<Place> places;
-  places.reserve(static_cast<size_t>(width) * height);
-  for (int x = 0; x < width; ++x) {
-    for (int y = 0; y < height; ++y) places.push_back({static_cast<uint8_t>(x), static_cast<uint8_t>(y)});
-  }
-  const Terrain terrain(noise, width, height, player);
-  std::vector<uint16_t> traits(places.size());
-  for (size_t first = 0; first < places.size(); first += kBlock) {
-    const size_t count = std::min<size_t>(kBlock, places.size() - first);
-    terrain.Compute(absl::MakeConstSpan(places).subspan(first, count), traits.data() + first);
+void ComputeTraits(const SimplexNoise& noise, int width, int height, Position player, absl::Span<uint16_t> traits) {
+  Terrain(noise, width, height, player).Compute(traits);
+}
+
+uint16_t ExactTraits(const SimplexNoise& noise, Position cell, Position player) {
+  uint16_t traits = ExactBaseTraits(noise, cell, player);
+  for (const LayerTrait& rule : kLayerTraits) {
+    if (rule.AppliesTo(traits) && rule.shape.At(noise, cell) > rule.threshold) traits |= rule.trait;
   }
   return traits;
 }

@@ -1,11 +1,13 @@
-// The traits of each cell of a new world that follow from the noise alone, before any draw.
+// The traits of each cell of a new world that follow from the noise alone, before any draw. All cells are compared with
+// the thresholds by their inexact noise (noise_field.h), those too near to a threshold again by their exact noise.
 // Source: RULES.md, section 3.
 
 #ifndef CRAFTFLEET_ENVSERVER_WORLD_TERRAIN_H_
 #define CRAFTFLEET_ENVSERVER_WORLD_TERRAIN_H_
 
 #include <cstdint>
-#include <vector>
+
+#include <absl/types/span.h>
 
 #include "envserver/world/simplex_noise.h"
 #include "envserver/world/types.h"
@@ -23,14 +25,18 @@ enum Trait : uint16_t {
   kCoalVein = 1 << 6,   // of mountains but paths: s(x, y, 1, {8: 1}) > 0
   kIronVein = 1 << 7,   // of mountains but paths: s(x, y, 2, {6: 1}) > 0.4
   kLavaField = 1 << 8,  // of peaks but paths: s(x, y, 6, {5: 1}) > 0.35
-  kShore = 1 << 9,      // 0.25 < water <= 0.35
-  kSea = 1 << 10,       // 0.3 < water
+  kShore = 1 << 9,      // of no mountains: 0.25 < water <= 0.35
+  kSea = 1 << 10,       // of no mountains: 0.3 < water
   kSandy = 1 << 11,     // of shores but mountains: s(x, y, 4, {9: 1}) > -0.2
   kForest = 1 << 12,    // of the rest but the sea: s(x, y, 5, {7: 1}) > 0
 };
 
-// uint16[width][height], y fastest, for a world in which the player starts at `player`.
-std::vector<uint16_t> ComputeTraits(const SimplexNoise& noise, int width, int height, Position player);
+// Writes `traits`, uint16[width][height], y fastest, for a world in which the player starts at `player`. Worlds of up
+// to 64x64 cells need no memory from the heap.
+void ComputeTraits(const SimplexNoise& noise, int width, int height, Position player, absl::Span<uint16_t> traits);
+
+// What ComputeTraits is to give, cell by cell from exact noise: for tests, and for cells near a threshold.
+uint16_t ExactTraits(const SimplexNoise& noise, Position cell, Position player);
 
 }  // namespace craftfleet
 

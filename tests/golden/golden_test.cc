@@ -10,6 +10,7 @@
 #include <gtest/gtest.h>
 
 #include "common/io/files.h"
+#include "tests/fakes/cpu_paths.h"
 #include "tests/fakes/status_matchers.h"
 #include "tests/golden/trace_replayer.h"
 
@@ -18,9 +19,10 @@ namespace {
 
 namespace fs = std::filesystem;
 
-class Golden : public testing::Test {
+class Golden : public OnEachCpuPath {
  protected:
   void SetUp() override {
+    OnEachCpuPath::SetUp();
     const char* folder = std::getenv("CRAFTFLEET_GOLDEN_DIR");
     if (folder == nullptr) GTEST_SKIP() << "CRAFTFLEET_GOLDEN_DIR is not set";
     golden_ = folder;
@@ -55,15 +57,17 @@ class Golden : public testing::Test {
   fs::path golden_;
 };
 
-TEST_F(Golden, PlainGamesReplayFieldByField) { ReplayAll("", 32); }
-TEST_F(Golden, FarmsReplayFieldByField) { ReplayAll("farm", 4); }
-TEST_F(Golden, AFullLengthEpisodeReplaysFieldByField) { ReplayAll("long", 1); }
-TEST_F(Golden, VariantGamesReplayFieldByField) { ReplayAll("ood", 16); }
-TEST_F(Golden, StagedSituationsReplayFieldByField) { ReplayAll("scenario", 21); }
-TEST_F(Golden, PicturesOfPlainGamesMatch) { ReplayPictures("", "crafter"); }
-TEST_F(Golden, PicturesOfFarmsMatch) { ReplayPictures("farm", "crafter"); }
-TEST_F(Golden, PicturesOfALongEpisodeMatch) { ReplayPictures("long", "crafter"); }
-TEST_F(Golden, PicturesOfVariantGamesMatch) { ReplayPictures("ood", "crafter-ood"); }
+CRAFTFLEET_ON_EACH_CPU_PATH(Golden);
+
+TEST_P(Golden, PlainGamesReplayFieldByField) { ReplayAll("", 32); }
+TEST_P(Golden, FarmsReplayFieldByField) { ReplayAll("farm", 4); }
+TEST_P(Golden, AFullLengthEpisodeReplaysFieldByField) { ReplayAll("long", 1); }
+TEST_P(Golden, VariantGamesReplayFieldByField) { ReplayAll("ood", 16); }
+TEST_P(Golden, StagedSituationsReplayFieldByField) { ReplayAll("scenario", 21); }
+TEST_P(Golden, PicturesOfPlainGamesMatch) { ReplayPictures("", "crafter"); }
+TEST_P(Golden, PicturesOfFarmsMatch) { ReplayPictures("farm", "crafter"); }
+TEST_P(Golden, PicturesOfALongEpisodeMatch) { ReplayPictures("long", "crafter"); }
+TEST_P(Golden, PicturesOfVariantGamesMatch) { ReplayPictures("ood", "crafter-ood"); }
 
 }  // namespace
 }  // namespace craftfleet

@@ -1,12 +1,14 @@
 // The cost of a step of the game, whole and by part, on one thread. Usage and results: tests/bench/README.md.
 
 #include <memory>
+#include <optional>
 #include <string>
 #include <vector>
 
 #include <benchmark/benchmark.h>
 
 #include "common/base/check.h"
+#include "common/base/cpu_path.h"
 #include "common/io/paths.h"
 #include "envserver/game.h"
 #include "envserver/world/balance.h"
@@ -43,8 +45,21 @@ std::vector<World> PlayedWorlds(int steps) {
   return worlds;
 }
 
+// Forces the CPU path with the number of the benchmark's argument, or skips the benchmark where the CPU lacks it.
+void ForcePath(benchmark::State* state, std::optional<ScopedCpuPath>* forced) {
+  const CpuPath path = kCpuPaths[state->range(0)];
+  state->SetLabel(CpuPathName(path));
+  if (CpuHas(path)) {
+    forced->emplace(path);
+  } else {
+    state->SkipWithError("this CPU has no such path");
+  }
+}
+
 // Random actions, pictures and resets: items_per_second is steps a second.
 void WholeGame(benchmark::State& state) {
+  std::optional<ScopedCpuPath> forced;
+  ForcePath(&state, &forced);
   const auto renderer = MakeRenderer();
   std::vector<uint8_t> frame(renderer->frame_bytes());
   std::string last_frames;
@@ -93,6 +108,8 @@ void Balance(benchmark::State& state) {
 }
 
 void Reset(benchmark::State& state) {
+  std::optional<ScopedCpuPath> forced;
+  ForcePath(&state, &forced);
   World world = *World::Create(WorldOptions(), 0);
   while (state.KeepRunning()) world.Reset();
   state.SetItemsProcessed(state.iterations());
@@ -112,10 +129,10 @@ void Picture(benchmark::State& state, int steps, bool sleeping) {
   state.SetItemsProcessed(state.iterations() * kSeeds);
 }
 
-BENCHMARK(WholeGame)->MinTime(20);
+BENCHMARK(WholeGame)->ArgName("cpu")->DenseRange(0, 2)->MinTime(5);
 BENCHMARK(Rules);
 BENCHMARK(Balance)->Arg(50)->Arg(kNightStep);
-BENCHMARK(Reset);
+BENCHMARK(Reset)->ArgName("cpu")->DenseRange(0, 2);
 BENCHMARK_CAPTURE(Picture, day, 50, false);
 BENCHMARK_CAPTURE(Picture, night, kNightStep, false);
 BENCHMARK_CAPTURE(Picture, asleep_by_day, 50, true);

@@ -13,6 +13,7 @@
 #include "common/io/paths.h"
 #include "envserver/render/renderer.h"
 #include "envserver/world/daylight.h"
+#include "tests/fakes/cpu_paths.h"
 #include "tests/fakes/status_matchers.h"
 #include "tests/golden/trace_fields.h"
 #include "tests/golden/world_editor.h"
@@ -114,7 +115,10 @@ RenderOptions SizeOf(const json& row) {
   return options;
 }
 
-TEST(OwnGoldens, FirstPicturesOfGeneratedWorldsAgree) {
+class OwnGoldens : public OnEachCpuPath {};
+CRAFTFLEET_ON_EACH_CPU_PATH(OwnGoldens);
+
+TEST_P(OwnGoldens, FirstPicturesOfGeneratedWorldsAgree) {
   const std::vector<json> rows = Rows("worlds.jsonl");
   ASSERT_GE(rows.size(), 70u);
   for (const json& row : rows) {
@@ -125,7 +129,7 @@ TEST(OwnGoldens, FirstPicturesOfGeneratedWorldsAgree) {
   }
 }
 
-TEST(OwnGoldens, PicturesOfStagedSituationsAgree) {
+TEST_P(OwnGoldens, PicturesOfStagedSituationsAgree) {
   const std::vector<json> worlds = Rows("worlds.jsonl");
   const std::vector<json> rows = Rows("frames.jsonl");
   const auto pixels = ReadGzipFile(DataPath("frames.bin.gz"));

@@ -8,6 +8,7 @@
 #include "common/io/paths.h"
 #include "envserver/render/renderer.h"
 #include "tests/envserver/render/plain_renderer.h"
+#include "tests/fakes/cpu_paths.h"
 #include "tests/fakes/status_matchers.h"
 #include "tests/golden/world_editor.h"
 
@@ -44,7 +45,10 @@ void Shuffle(RandomStream* random, World* world) {
   state.player.sleeping = random->Below(3) == 0;
 }
 
-TEST(RendererProperty, MatchesThePlainRenderer) {
+class RendererProperty : public OnEachCpuPath {};
+CRAFTFLEET_ON_EACH_CPU_PATH(RendererProperty);
+
+TEST_P(RendererProperty, MatchesThePlainRenderer) {
   const auto textures = Textures::Load(*DefaultTextureDir());
   ASSERT_THAT(textures, IsOk());
   for (int seed = 0; seed < 150; ++seed) {

@@ -7,6 +7,7 @@
 #include <nlohmann/json.hpp>
 
 #include "envserver/world/world.h"
+#include "tests/fakes/cpu_paths.h"
 #include "tests/fakes/status_matchers.h"
 #include "tests/golden/trace_fields.h"
 #include "tests/golden/world_editor.h"
@@ -28,7 +29,10 @@ WorldOptions OptionsOf(const json& row) {
   return options;
 }
 
-TEST(OwnWorlds, MatchThePythonModel) {
+class OwnWorlds : public OnEachCpuPath {};
+CRAFTFLEET_ON_EACH_CPU_PATH(OwnWorlds);
+
+TEST_P(OwnWorlds, MatchThePythonModel) {
   std::ifstream file(CRAFTFLEET_SOURCE_DIR "/tests/data/own/worlds.jsonl");
   std::string line;
   int count = 0;

@@ -5,6 +5,8 @@
 
 #include <gtest/gtest.h>
 
+#include "tests/fakes/cpu_paths.h"
+
 namespace craftfleet {
 namespace {
 
@@ -35,7 +37,10 @@ TEST(RandomStream, MakesADoubleFromTwoWords) {
   }
 }
 
-TEST(RandomStream, FillUniformEqualsRepeatedUniformAtEveryOffset) {
+class RandomStreamOnEachCpu : public OnEachCpuPath {};
+CRAFTFLEET_ON_EACH_CPU_PATH(RandomStreamOnEachCpu);
+
+TEST_P(RandomStreamOnEachCpu, FillUniformEqualsRepeatedUniformAtEveryOffset) {
   for (int offset = 0; offset <= 1250; ++offset) {
     for (const int count : {0, 1, 2, 17, 311, 312, 313, 700}) {
       RandomStream one_by_one(offset);

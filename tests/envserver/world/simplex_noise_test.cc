@@ -1,20 +1,11 @@
 #include "envserver/world/simplex_noise.h"
 
-#include <cmath>
 #include <cstdint>
-#include <vector>
 
 #include <gtest/gtest.h>
 
 namespace craftfleet {
 namespace {
-
-double At(const SimplexNoise& noise, double x, double y, double z) {
-  double value = 0;
-  NoisePlane(noise, {x, x, y, y}, z)
-      .Evaluate(absl::MakeConstSpan(&x, 1), absl::MakeConstSpan(&y, 1), absl::MakeSpan(&value, 1));
-  return value;
-}
 
 // Values of the plain Python model, which agrees with the opensimplex package on 60,000 points.
 TEST(SimplexNoise, MatchesOpenSimplexBitForBit) {
@@ -49,23 +40,9 @@ TEST(SimplexNoise, MatchesOpenSimplexBitForBit) {
       {2147483645, 13.031688344386254, -12.691787406560387, 8.0, -0.2254683158877567},
   };
   for (const Value& value : kValues) {
-    EXPECT_EQ(At(SimplexNoise(value.seed), value.x, value.y, value.z), value.noise)
+    EXPECT_EQ(SimplexNoise(value.seed).At(value.x, value.y, value.z), value.noise)
         << value.seed << " at " << value.x << " " << value.y << " " << value.z;
   }
-}
-
-// Many points at a time use vector instructions, with an odd remainder.
-TEST(SimplexNoise, EvaluatingManyPointsEqualsOneByOne) {
-  const SimplexNoise noise(77);
-  std::vector<double> x;
-  std::vector<double> y;
-  for (int i = 0; i < 1001; ++i) {
-    x.push_back(std::fmod(i * 0.37, 11.0) - 3);
-    y.push_back(std::fmod(i * 0.61, 13.0) - 5);
-  }
-  std::vector<double> all(x.size());
-  NoisePlane(noise, {-3, 8, -5, 8}, 3).Evaluate(x, y, absl::MakeSpan(all));
-  for (size_t i = 0; i < x.size(); ++i) EXPECT_EQ(all[i], At(noise, x[i], y[i], 3)) << i;
 }
 
 }  // namespace
