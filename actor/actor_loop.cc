@@ -63,11 +63,6 @@ absl::Status ActorLoop::RunFragment(const std::vector<HeldPermit>& permits) {
   for (size_t row = 0; row < permits.size(); ++row) rows_[row].permit = permits[row];
   const HeldPermit first = permits.front();
   call_ = CallKind::kWeights;
-  for (const HeldPermit& permit : permits) {
-    if (permit.policy_version != first.policy_version || permit.epoch != first.epoch) {
-      return absl::AbortedError("permits with different policy versions");
-    }
-  }
   CRAFTFLEET_ASSIGN_OR_RETURN(const std::shared_ptr<const Policy> policy,
                               policies_->Get(first.epoch, first.policy_version));
   meter_.Switch(Activity::kEnvironment);
@@ -87,7 +82,9 @@ absl::Status ActorLoop::CloseLanesOfOthers(int64_t version) {
   meter_.BeginCycle();
   std::vector<int> lanes;
   for (const auto& [lane, game] : games_) {
-    if (game.policy_version != last) lanes.push_back(lane);
+    // With max_staleness the lanes of an actor change to the next version one by one.
+    const int64_t unplayed = last - game.policy_version;
+    if (unplayed < 0 || unplayed > options_.config.max_staleness()) lanes.push_back(lane);
   }
   Forget(lanes);
   CRAFTFLEET_ASSIGN_OR_RETURN(const std::vector<int> lost, envs_->Close(lanes));

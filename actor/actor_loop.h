@@ -75,11 +75,11 @@ class ActorLoop {
     std::string snapshot;  // after the last step
   };
 
-  // Plays one fragment of each permit's lane, all with one version of the weights. After an error, rows_ has the
+  // Plays one fragment of each permit's lane; all have one version of the weights. After an error, rows_ has the
   // permits that must still be released; those of lanes lost by an environment server have already been released.
   absl::Status RunFragment(const std::vector<HeldPermit>& permits);
   // To be called before the first fragment with `version`: closes the games that were not played here with the previous
-  // version, since other actors now play their lanes.
+  // version, or the max_staleness before it, since other actors now play their lanes.
   absl::Status CloseLanesOfOthers(int64_t version);
   // Opens the games of all rows; removes the rows whose lanes can't be played.
   absl::Status OpenLanes();

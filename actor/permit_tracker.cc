@@ -30,9 +30,17 @@ std::vector<HeldPermit> PermitTracker::Take(int loop) {
   for (const HeldPermit& done : playing_[loop]) {
     if (const auto entry = active_.find(done); entry != active_.end()) entry->second = steps_[loop];
   }
-  playing_[loop] = {waiting_[loop].begin(), waiting_[loop].end()};
+  const auto age = [](const HeldPermit& permit) { return std::make_pair(permit.epoch, permit.policy_version); };
+  std::vector<HeldPermit>& waiting = waiting_[loop];
+  const auto oldest = age(*std::min_element(waiting.begin(), waiting.end(),
+                                            [&](const HeldPermit& a, const HeldPermit& b) { return age(a) < age(b); }));
+  const auto rest = std::stable_partition(waiting.begin(), waiting.end(),
+                                          [&](const HeldPermit& permit) { return age(permit) == oldest; });
+  std::vector<HeldPermit> taken(waiting.begin(), rest);
+  waiting.erase(waiting.begin(), rest);
+  playing_[loop] = {taken.begin(), taken.end()};
   steps_[loop] = 0;
-  return std::exchange(waiting_[loop], {});
+  return taken;
 }
 
 void PermitTracker::Release(const HeldPermit& permit) {

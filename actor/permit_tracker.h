@@ -44,7 +44,8 @@ class PermitTracker {
 
   // Adds a permit; ignored if it is already held.
   void Add(const HeldPermit& permit) ABSL_LOCKS_EXCLUDED(mu_);
-  // Returns all permits waiting for `loop`; blocks while there are none. Empty: Close was called.
+  // Returns permits waiting for `loop`: all those of the oldest learner epoch and version of the weights. Blocks while
+  // there are none. Empty: Close was called.
   std::vector<HeldPermit> Take(int loop) ABSL_LOCKS_EXCLUDED(mu_);
   // Releases a permit that is settled or will not be played. If no loop has taken it yet, none will.
   void Release(const HeldPermit& permit) ABSL_LOCKS_EXCLUDED(mu_);

@@ -1,10 +1,11 @@
 #include "learner/fragment_collector.h"
 
 #include <algorithm>
+#include <iterator>
 #include <optional>
-#include <tuple>
 #include <utility>
 
+#include "common/base/status_macros.h"
 #include "common/telemetry/log.h"
 #include "common/wire/fragment_digest.h"
 
@@ -27,6 +28,16 @@ void FragmentCollector::BeginOpened() {
   ClearJournal();
 }
 
+void FragmentCollector::BeginWith(absl::Span<const Permit> fragments) {
+  collected_.clear();
+  parts_.registry->OpenFragments(fragments);
+}
+
+void FragmentCollector::BeginNext(int64_t policy_version) {
+  DropReset();  // after an update that was undone
+  parts_.registry->PublishVersion(policy_version);
+}
+
 void FragmentCollector::TakeKept(int64_t iteration, int64_t last_fragment, int64_t policy_version) {
   for (Fragment& fragment : kept_) {
     if (fragment.policy_version != policy_version || fragment.number >= last_fragment) continue;
@@ -34,7 +45,7 @@ void FragmentCollector::TakeKept(int64_t iteration, int64_t last_fragment, int64
     fragment.digest = wire::FragmentDigest(fragment);
     fragment.sender = "an earlier start";
     if (parts_.registry->Restore(permit, fragment.snapshot, fragment.digest)) {
-      collected_.push_back(std::move(fragment));
+      collected_[{permit.lane, permit.fragment}] = std::move(fragment);
     }
   }
   kept_.clear();
@@ -46,6 +57,39 @@ void FragmentCollector::TakeKept(int64_t iteration, int64_t last_fragment, int64
 }
 
 absl::StatusOr<std::vector<Fragment>> FragmentCollector::Collect(size_t wanted, const OnTick& on_tick) {
+  const auto is_complete = [&] { return collected_.size() >= wanted; };
+  CRAFTFLEET_RETURN_IF_ERROR(CollectUntil(is_complete, wanted, on_tick));
+  std::vector<Fragment> fragments;
+  for (auto& [key, fragment] : collected_) fragments.push_back(std::move(fragment));
+  collected_.clear();
+  return fragments;
+}
+
+absl::StatusOr<std::vector<Fragment>> FragmentCollector::CollectRollout(size_t wanted, const OnTick& on_tick,
+                                                                        std::vector<Arrival>* arrivals) {
+  std::optional<std::vector<Arrival>> taken;
+  const auto is_here = [this](const Arrival& arrival) {
+    const auto found = collected_.find({arrival.permit.lane, arrival.permit.fragment});
+    return found != collected_.end() && found->second.digest == arrival.digest;
+  };
+  // Fragments are accepted before they are queued, so the last ones may still be on their way.
+  const auto is_complete = [&] {
+    if (!taken.has_value()) taken = parts_.registry->TakeRollout();
+    return taken.has_value() && std::all_of(taken->begin(), taken->end(), is_here);
+  };
+  CRAFTFLEET_RETURN_IF_ERROR(CollectUntil(is_complete, wanted, on_tick));
+  std::map<Key, Fragment> rollout;
+  for (const Arrival& arrival : *taken) {
+    rollout.insert(collected_.extract({arrival.permit.lane, arrival.permit.fragment}));
+  }
+  std::vector<Fragment> fragments;
+  for (auto& [key, fragment] : rollout) fragments.push_back(std::move(fragment));
+  *arrivals = *std::move(taken);
+  return fragments;
+}
+
+absl::Status FragmentCollector::CollectUntil(const std::function<bool()>& is_complete, size_t wanted,
+                                             const OnTick& on_tick) {
   absl::Time last_news = parts_.clock->Now();
   int64_t resets = parts_.registry->resets();
   while (true) {
@@ -54,7 +98,7 @@ absl::StatusOr<std::vector<Fragment>> FragmentCollector::Collect(size_t wanted, 
       resets = parts_.registry->resets();
       DropReset();
     }
-    if (collected_.size() >= wanted) break;
+    if (is_complete()) return absl::OkStatus();
     std::optional<Fragment> fragment = parts_.fragments->Pop(kTick);
     const bool is_idle = !fragment.has_value();
     if (!is_idle) {
@@ -65,36 +109,27 @@ absl::StatusOr<std::vector<Fragment>> FragmentCollector::Collect(size_t wanted, 
       LogInfo("waiting for actors: %d of %d fragments have arrived, %d actors have joined", collected_.size(), wanted,
               parts_.registry->Actors().size());
     }
-    if (absl::Status status = on_tick(collected_.size(), is_idle); !status.ok()) return status;
+    CRAFTFLEET_RETURN_IF_ERROR(on_tick(collected_.size(), is_idle));
   }
-  std::sort(collected_.begin(), collected_.end(), [](const Fragment& a, const Fragment& b) {
-    return std::tie(a.lane, a.number) < std::tie(b.lane, b.number);
-  });
-  return std::move(collected_);
 }
 
 void FragmentCollector::Add(Fragment fragment) {
   if (!parts_.registry->Counts(fragment.lane, fragment.number, fragment.digest)) return;
   WriteJournal(fragment);
-  const auto same = std::find_if(collected_.begin(), collected_.end(), [&](const Fragment& other) {
-    return other.lane == fragment.lane && other.number == fragment.number;
-  });
-  if (same == collected_.end()) {
-    collected_.push_back(std::move(fragment));
-  } else {
-    *same = std::move(fragment);
-  }
+  const Key key = {fragment.lane, fragment.number};
+  collected_[key] = std::move(fragment);
 }
 
 void FragmentCollector::DropReset() {
-  const auto counts = [this](const Fragment& fragment) {
-    return parts_.registry->Counts(fragment.lane, fragment.number, fragment.digest);
-  };
-  const auto end = std::stable_partition(collected_.begin(), collected_.end(), counts);
-  if (end == collected_.end()) return;
-  collected_.erase(end, collected_.end());
+  const size_t before = collected_.size();
+  for (auto entry = collected_.begin(); entry != collected_.end();) {
+    const Fragment& fragment = entry->second;
+    const bool counts = parts_.registry->Counts(fragment.lane, fragment.number, fragment.digest);
+    entry = counts ? std::next(entry) : collected_.erase(entry);
+  }
+  if (collected_.size() == before) return;
   ClearJournal();
-  for (const Fragment& fragment : collected_) WriteJournal(fragment);
+  for (const auto& [key, fragment] : collected_) WriteJournal(fragment);
 }
 
 void FragmentCollector::WriteJournal(const Fragment& fragment) {

@@ -6,10 +6,13 @@
 #include <cstddef>
 #include <cstdint>
 #include <functional>
+#include <map>
+#include <utility>
 #include <vector>
 
 #include <absl/status/status.h>
 #include <absl/status/statusor.h>
+#include <absl/types/span.h>
 
 #include "common/base/clock.h"
 #include "common/base/types.h"
@@ -19,7 +22,7 @@
 
 namespace craftfleet {
 
-// Waits for the fragments of each lane, drops those of lanes that were reset in the meantime, and records the others in
+// Waits for an iteration's fragments, drops those of lanes that were reset in the meantime, and records the others in
 // the journal. Owned by the training thread.
 class FragmentCollector {
  public:
@@ -41,15 +44,28 @@ class FragmentCollector {
   void Begin(int64_t iteration, int64_t last_fragment, int64_t policy_version);
   // The same for an iteration whose permits are open already, which is not the first.
   void BeginOpened();
+  // The same for an iteration of exactly `fragments` (LaneScheduler::OpenFragments).
+  void BeginWith(absl::Span<const Permit> fragments);
   // Waits until `wanted` fragments are collected; returns them ordered by lane and number. Errors are those of
   // `on_tick`.
   absl::StatusOr<std::vector<Fragment>> Collect(size_t wanted, const OnTick& on_tick);
+
+  // With max_staleness: begins an iteration that ends with the update from `policy_version`, the newest weights.
+  void BeginNext(int64_t policy_version);
+  // Waits for the `wanted` fragments of that update (LaneScheduler::TakeRollout); returns them ordered by lane and
+  // number, and their order of arrival in `arrivals`. Fragments for later updates are kept. Errors as Collect.
+  absl::StatusOr<std::vector<Fragment>> CollectRollout(size_t wanted, const OnTick& on_tick,
+                                                       std::vector<Arrival>* arrivals);
   // Empties the journal.
   void ClearJournal();
 
  private:
+  using Key = std::pair<int, int64_t>;  // lane, number
+
+  // Waits until `is_complete` says so; it is asked after each fragment.
+  absl::Status CollectUntil(const std::function<bool()>& is_complete, size_t wanted, const OnTick& on_tick);
   void TakeKept(int64_t iteration, int64_t last_fragment, int64_t policy_version);
-  // Adds a fragment unless its lane was reset since; it replaces a fragment of the same lane and number.
+  // Adds a fragment unless its lane was reset since; it replaces one of the same lane and number.
   void Add(Fragment fragment);
   // Drops the fragments of lanes that were reset, here and in the journal.
   void DropReset();
@@ -57,7 +73,7 @@ class FragmentCollector {
 
   const Parts parts_;
   std::vector<Fragment> kept_;  // empty once the first iteration has begun
-  std::vector<Fragment> collected_;
+  std::map<Key, Fragment> collected_;
 };
 
 }  // namespace craftfleet

@@ -129,23 +129,25 @@ std::vector<Permit> LaneScheduler::Grant(absl::string_view actor_name) {
   if (paused_ || actor->worker->draining || IsPausing(*actor)) return {};
   const absl::Time now = clock_->Now();
   const Shares shares = FairShares();
+  int64_t ahead = Ahead();
   std::vector<Permit> granted;
   for (const Claim wanted : {Claim::kOwn, Claim::kSpare, Claim::kUnclaimed}) {
     const int share = wanted == Claim::kUnclaimed ? shares.Most() : shares.Of(*actor);
     int room = std::min(CapacityOf(*actor), share) - static_cast<int>(actor->permits.size());
-    for (int l = 0; l < options_.lanes && room > 0; ++l) {
+    for (int l = 0; l < options_.lanes && room > 0 && ahead > 0; ++l) {
       Lane& lane = lanes_[l];
-      if (lane.permit.has_value() || lane.record.next_fragment >= last_fragment_ ||
+      if (lane.permit.has_value() || lane.record.next_fragment >= lane.last_fragment ||
           ClaimOn(lane, *actor, shares, now) != wanted) {
         continue;
       }
       SetHolder(&lane, actor);
-      lane.permit = Permit{l, lane.record.next_fragment, policy_version_, lane.reset_at == lane.record.next_fragment};
+      lane.permit = Permit{l, lane.record.next_fragment, VersionFor(lane), lane.reset_at == lane.record.next_fragment};
       lane.since = now;
       lane.pace = {0, now};
       actor->permits.insert(l);
       granted.push_back(*lane.permit);
       --room;
+      --ahead;
     }
   }
   return granted.empty() && actor->permits.empty() ? GrantBackup(actor, shares) : granted;

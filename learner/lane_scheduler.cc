@@ -79,22 +79,35 @@ absl::StatusOr<LaneScheduler::Verdict> LaneScheduler::Accept(absl::string_view a
     return Verdict::kExpired;
   }
   if (fragment.policy_version != lane.permit->policy_version) {
+    if (options_.max_staleness > 0) return Verdict::kExpired;  // of an earlier permit for this fragment
     return absl::InvalidArgumentError(absl::StrFormat("policy_version %d for fragment %d of lane %d, want %d",
                                                       fragment.policy_version, fragment.fragment, fragment.lane,
                                                       lane.permit->policy_version));
   }
   times_.push_back(clock_->Now() - lane.since);
-  EndPermit(&lane);
-  SetHolder(&lane, sender->second.worker->draining ? nullptr : &sender->second);
+  EndPlayed(&lane, &sender->second);
+  if (options_.max_staleness > 0) {
+    changed_ = true;
+    if (StalenessOf(fragment.policy_version) > options_.max_staleness) {
+      ++dropped_;
+      return Verdict::kStale;
+    }
+    waiting_.push_back({{fragment, digest}, snapshot, sender->first});
+  }
   lane.record = {fragment.fragment + 1, snapshot, std::move(lane.record.snapshot), sender->first};
   lane.accepted.push_back({fragment.fragment, digest, sender->first});
-  lane.stalls = 0;
-  lane.avoided = nullptr;
-  lane.report.reset();
-  EndPause(&sender->second);
   ++sender->second.fragments;
-  if (lane.record.next_fragment < last_fragment_) changed_ = true;
+  if (lane.record.next_fragment < lane.last_fragment) changed_ = true;
   return Verdict::kAccepted;
+}
+
+void LaneScheduler::EndPlayed(Lane* lane, Actor* sender) {
+  EndPermit(lane);
+  SetHolder(lane, sender->worker->draining ? nullptr : sender);
+  lane->stalls = 0;
+  lane->avoided = nullptr;
+  lane->report.reset();
+  EndPause(sender);
 }
 
 void LaneScheduler::Compare(absl::string_view actor, const Permit& fragment, uint64_t digest) {
@@ -174,22 +187,6 @@ void LaneScheduler::Reset(Lane* lane, absl::string_view reason) {
   lane->avoided = nullptr;
 }
 
-void LaneScheduler::Rewind(Lane* lane) {
-  lane->record = lane->start;
-  while (!lane->accepted.empty() && lane->accepted.back().fragment >= lane->start.next_fragment)
-    lane->accepted.pop_back();
-  lane->report.reset();
-}
-
-void LaneScheduler::RewindIterations(int iterations) {
-  last_fragment_ = 0;
-  for (Lane& lane : lanes_) {
-    if (lane.permit.has_value()) EndPermit(&lane);
-    if (iterations == 2) lane.start = std::move(lane.earlier_start);
-    Rewind(&lane);
-  }
-}
-
 absl::StatusOr<LaneSnapshot> LaneScheduler::Snapshot(int lane, int64_t fragment) const {
   if (lane < 0 || lane >= options_.lanes) {
     return absl::InvalidArgumentError(absl::StrFormat("lane %d, want 0..%d", lane, options_.lanes - 1));
@@ -200,22 +197,6 @@ absl::StatusOr<LaneSnapshot> LaneScheduler::Snapshot(int lane, int64_t fragment)
                                               record.next_fragment, fragment));
   }
   return record.snapshot;
-}
-
-void LaneScheduler::OpenIteration(int64_t last_fragment, int64_t policy_version) {
-  last_fragment_ = last_fragment;
-  policy_version_ = policy_version;
-  lapsed_before_ = lapsed_;
-  times_.clear();
-  for (Lane& lane : lanes_) {
-    lane.since = clock_->Now();
-    if (std::exchange(lane.restored, false)) continue;
-    while (!lane.accepted.empty() && lane.accepted.front().fragment < lane.start.next_fragment)
-      lane.accepted.pop_front();
-    lane.earlier_start = std::move(lane.start);
-    lane.start = lane.record;
-  }
-  changed_ = true;
 }
 
 bool LaneScheduler::SetPaused(bool paused) {
@@ -250,6 +231,12 @@ int LaneScheduler::PermitsOf(absl::string_view actor) const {
 std::vector<LaneRecord> LaneScheduler::Records() const {
   std::vector<LaneRecord> records;
   for (const Lane& lane : lanes_) records.push_back(lane.record);
+  return records;
+}
+
+std::vector<LaneRecord> LaneScheduler::StartRecords() const {
+  std::vector<LaneRecord> records;
+  for (const Lane& lane : lanes_) records.push_back(lane.start);
   return records;
 }
 

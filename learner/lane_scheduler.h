@@ -36,8 +36,15 @@ struct LaneRecord {
 // Decides which actor plays which lane. It has no lock and never waits. WorkerRegistry calls it under
 // its mutex, tells it which actors are active, and wakes waiting calls when TakeChange returns true.
 //
-// Permits are synchronous: within an iteration, each lane gets one permit after the other, all with the iteration's
-// weights. An actor gets its fair share of the lanes: first those that it played before (it holds their games), then
+// Permits are synchronous by default: within an iteration, each lane gets one permit after the other, all with the
+// iteration's weights. With `Options::max_staleness` a lane gets its next permit as soon as its last fragment is in,
+// with the newest weights. TakeRollout cuts the fragments, in the order in which they were accepted, into rollouts for
+// one update after the other; it is thus known when a fragment arrives which update would learn from it. A fragment
+// that would then be more than max_staleness versions old is dropped and counted, and its lane plays it again. Permits
+// run ahead only as far as drops are impossible if fragments arrive in the order of their permits: max_staleness
+// rollouts beyond that of the newest weights.
+//
+// An actor gets its fair share of the lanes: first those that it played before (it holds their games), then
 // lanes without a holder or whose holder has more than its share, and finally any lane that has been unclaimed for
 // `Options::patience`. Shares differ by at most one lane, except for actors that can't play that many. While there are
 // other actors, an actor that returns permits because it can't play them gets no new ones for `patience`.
@@ -76,8 +83,12 @@ class LaneScheduler {
     absl::Duration comeback = absl::Seconds(2);  // lease left to an actor whose connection broke; at most `lease`
     absl::Duration progress = absl::Seconds(20);
     int resets = 0;  // initial value of resets(): lanes reset while loading
+    // Asynchronous play: most versions between the weights of a fragment and those from which the update with it
+    // starts; 0: play is synchronous.
+    int max_staleness = 0;
+    int64_t rollout_fragments = 1;  // of an update; only with max_staleness
   };
-  enum class Verdict { kAccepted, kDuplicate, kExpired };
+  enum class Verdict { kAccepted, kDuplicate, kExpired, kStale };
   // An actor's permits and progress.
   struct ActorInfo {
     std::string name;
@@ -133,10 +144,18 @@ class LaneScheduler {
   absl::StatusOr<LaneSnapshot> Snapshot(int lane, int64_t fragment) const;
 
   // Opens the next iteration: permits for fragments up to `last_fragment` (excluded) of each lane, with
-  // `policy_version`.
+  // `policy_version`. With max_staleness an iteration begins at TakeRollout instead.
   void OpenIteration(int64_t last_fragment, int64_t policy_version);
+  // The same for permits for exactly these fragments, each with its own version. Those of a lane are in order and begin
+  // with its next one.
+  void OpenFragments(absl::Span<const Permit> fragments);
+  // With max_staleness: new permits have `policy_version`, from which the update with the next rollout will start.
+  void PublishVersion(int64_t policy_version);
+  // With max_staleness: the fragments that the next update learns from, in the order of their arrival, once they are
+  // complete; from then on no reset affects them. The update after that starts from the next version.
+  std::optional<std::vector<Arrival>> TakeRollout();
   // Rolls every lane back to the beginning of the iteration, or of the one before if `iterations` is 2; nothing is
-  // granted until the next OpenIteration. Must not be called again before it.
+  // granted until the next Open... or PublishVersion. Must not be called again before it.
   void RewindIterations(int iterations);
   // While paused, nothing is granted; outstanding permits remain valid. Returns whether it was paused before.
   bool SetPaused(bool paused);
@@ -145,6 +164,8 @@ class LaneScheduler {
   bool IsKnown(absl::string_view actor) const { return Find(actor) != actors_.end(); }
   bool empty() const { return actors_.empty(); }
   std::vector<LaneRecord> Records() const;
+  // The lanes at the beginning of the iteration.
+  std::vector<LaneRecord> StartRecords() const;
   std::vector<ActorInfo> Actors() const;
   // Information about a known actor.
   ActorInfo InfoOf(absl::string_view actor) const { return InfoOf(*Find(actor)); }
@@ -157,6 +178,9 @@ class LaneScheduler {
   int64_t resets() const { return resets_; }
   // The number of duplicates that differ from the accepted fragment, since the start.
   int64_t differing() const { return differing_; }
+
+  // The number of fragments dropped because they were too old, since the start.
+  int64_t dropped() const { return dropped_; }
 
   // Whether permits may have become available since the last call.
   bool TakeChange() { return std::exchange(changed_, false); }
@@ -209,6 +233,14 @@ class LaneScheduler {
     int64_t reset_at = -1;                  // fragment before which it was reset; games that actors hold there are void
     std::deque<AcceptedFragment> accepted;  // of the current iteration and the previous one
     bool restored = false;                  // advanced by Restore since `start`
+    int64_t last_fragment = 0;              // permits are for fragments before this one
+    std::vector<int64_t> versions;          // after OpenFragments: of its last fragments, up to last_fragment
+  };
+  // A fragment accepted for a rollout that is not taken yet.
+  struct WaitingArrival {
+    Arrival arrival;
+    LaneSnapshot snapshot;  // after it
+    std::string sender;
   };
   // Fair shares: each actor may hold `all` lanes, if it can play that many, and `extra` actors one more.
   struct Shares {
@@ -242,7 +274,19 @@ class LaneScheduler {
   // Resets a lane whose snapshot can't be restored; logs `reason`.
   void Reset(Lane* lane, absl::string_view reason);
   // Rolls the lane back to the beginning of the iteration.
-  static void Rewind(Lane* lane);
+  void Rewind(Lane* lane);
+  // Drops the permits' limits and times of the iteration before.
+  void BeginPermits();
+  // Remembers where the lane stands, as the beginning of an iteration.
+  static void BeginLane(Lane* lane);
+  // The version of the weights for the lane's next fragment.
+  int64_t VersionFor(const Lane& lane) const;
+  // How many more permits may be granted (max_staleness).
+  int64_t Ahead() const;
+  // With max_staleness: how old a fragment that arrives now will be when it is learned from.
+  int64_t StalenessOf(int64_t policy_version) const;
+  // Ends the permit of a fragment that `sender` has played, and leaves the lane to it.
+  void EndPlayed(Lane* lane, Actor* sender);
   // Compares a duplicate with the accepted fragment.
   void Compare(absl::string_view actor, const Permit& fragment, uint64_t digest);
   // The age at which a fragment is overdue.
@@ -275,9 +319,11 @@ class LaneScheduler {
   int64_t lapsed_before_ = 0;  // lapsed_ when the iteration was opened
   int64_t resets_;
   int64_t differing_ = 0;
-  std::vector<absl::Duration> times_;  // durations of the iteration's fragments
-  int64_t last_fragment_ = 0;
-  int64_t policy_version_ = 0;
+  std::vector<absl::Duration> times_;   // durations of the iteration's fragments
+  int64_t policy_version_ = 0;          // of new permits, except after OpenFragments
+  std::deque<WaitingArrival> waiting_;  // with max_staleness, in the order of arrival
+  int64_t next_update_ = 0;             // version from which the update with the next rollout will start
+  int64_t dropped_ = 0;
   bool paused_ = false;
 };
 

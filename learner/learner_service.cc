@@ -54,6 +54,7 @@ v1::FragmentVerdict::Verdict VerdictToProto(LaneScheduler::Verdict verdict) {
     case LaneScheduler::Verdict::kDuplicate:
       return v1::FragmentVerdict::DUPLICATE;
     case LaneScheduler::Verdict::kExpired:
+    case LaneScheduler::Verdict::kStale:
       return v1::FragmentVerdict::EXPIRED;
   }
   return v1::FragmentVerdict::VERDICT_UNSPECIFIED;
@@ -233,7 +234,7 @@ absl::StatusOr<v1::FragmentVerdict::Verdict> LearnerServiceImpl::Intake(v1::Frag
   if (verdict == LaneScheduler::Verdict::kAccepted) {
     ++accepted_;
     CRAFTFLEET_RETURN_IF_ERROR(fragments_->Push(std::move(fragment)));
-  } else {
+  } else if (verdict != LaneScheduler::Verdict::kStale) {  // which the registry counts
     ++(verdict == LaneScheduler::Verdict::kDuplicate ? duplicates_ : expired_);
   }
   return VerdictToProto(verdict);
@@ -336,6 +337,7 @@ void LearnerServiceImpl::FillStatus(v1::StatusReply* reply) const {
   wire::AddMetric("fragments_rejected", static_cast<double>(rejected_.load()), reply);
   wire::AddMetric("fragments_queued", static_cast<double>(fragments_->size()), reply);
   wire::AddMetric("fragments_differing", static_cast<double>(registry_->differing()), reply);
+  wire::AddMetric("fragments_dropped", static_cast<double>(registry_->dropped()), reply);
   wire::AddMetric("lanes_reset", static_cast<double>(registry_->resets()), reply);
   wire::AddMetric("permits_lapsed", static_cast<double>(registry_->lapsed()), reply);
   AddWorkers(*registry_, reply);

@@ -111,7 +111,9 @@ absl::StatusOr<LaneScheduler::Verdict> WorkerRegistry::Accept(absl::string_view 
                                                               const LaneSnapshot& snapshot, uint64_t digest) {
   const MutexLock lock(&mu_);
   const absl::StatusOr<LaneScheduler::Verdict> verdict = lanes_.Accept(name, fragment, snapshot, digest);
-  if (verdict.ok() && *verdict == LaneScheduler::Verdict::kAccepted) FindActor(name)->leased_from = clock_->Now();
+  const bool was_due =
+      verdict.ok() && (*verdict == LaneScheduler::Verdict::kAccepted || *verdict == LaneScheduler::Verdict::kStale);
+  if (was_due) FindActor(name)->leased_from = clock_->Now();
   WakeIfChanged();
   return verdict;
 }
@@ -137,6 +139,23 @@ void WorkerRegistry::OpenIteration(int64_t last_fragment, int64_t policy_version
   WakeIfChanged();
 }
 
+void WorkerRegistry::OpenFragments(absl::Span<const Permit> fragments) {
+  const MutexLock lock(&mu_);
+  lanes_.OpenFragments(fragments);
+  WakeIfChanged();
+}
+
+void WorkerRegistry::PublishVersion(int64_t policy_version) {
+  const MutexLock lock(&mu_);
+  lanes_.PublishVersion(policy_version);
+  WakeIfChanged();
+}
+
+std::optional<std::vector<Arrival>> WorkerRegistry::TakeRollout() {
+  const MutexLock lock(&mu_);
+  return lanes_.TakeRollout();
+}
+
 void WorkerRegistry::RewindIterations(int iterations) {
   const MutexLock lock(&mu_);
   lanes_.RewindIterations(iterations);
@@ -159,6 +178,11 @@ std::vector<LaneRecord> WorkerRegistry::Records() const {
   return lanes_.Records();
 }
 
+std::vector<LaneRecord> WorkerRegistry::StartRecords() const {
+  const MutexLock lock(&mu_);
+  return lanes_.StartRecords();
+}
+
 int WorkerRegistry::permits() const {
   const MutexLock lock(&mu_);
   return lanes_.permits();
@@ -177,6 +201,11 @@ int64_t WorkerRegistry::resets() const {
 int64_t WorkerRegistry::differing() const {
   const MutexLock lock(&mu_);
   return lanes_.differing();
+}
+
+int64_t WorkerRegistry::dropped() const {
+  const MutexLock lock(&mu_);
+  return lanes_.dropped();
 }
 
 void WorkerRegistry::Finish() {

@@ -8,6 +8,7 @@
 #include <utility>
 
 #include <absl/flags/flag.h>
+#include <absl/strings/str_cat.h>
 #include <absl/strings/str_format.h>
 
 #include "common/agent/device.h"
@@ -43,6 +44,13 @@ ABSL_FLAG(std::optional<int32_t>, lanes, std::nullopt, "games played side by sid
 ABSL_FLAG(
     std::optional<int32_t>, overlap, std::nullopt,
     "1: play the next iteration while the update is computed, with the weights from before it; 0: play waits [0]");
+ABSL_FLAG(std::optional<int32_t>, max_staleness, std::nullopt,
+          "from 1 on: lanes play on without waiting, and updates take what arrives first\n"
+          "from weights at most this many updates old, 0..64; 0: play and updates wait for each other\n"
+          "[0]");
+ABSL_FLAG(std::string, replay, "",
+          "start a new run that learns from the same fragments as the run in this folder, in the recorded order\n"
+          "its weights are the same, byte for byte. For runs with --max_staleness; other runs need no record");
 ABSL_FLAG(bool, resume, false,
           "resume the run in --logdir from its newest checkpoint, as if it had never stopped\n"
           "only --steps and the checkpoint settings may change");
@@ -84,16 +92,20 @@ bool Resuming() {
 
 absl::StatusOr<v1::RunConfig> BaseConfig(bool resume) {
   const std::string config = absl::GetFlag(FLAGS_config);
-  if (config.empty() && !resume) return v1::RunConfig();
-  const std::string path = config.empty() ? JoinPath(absl::GetFlag(FLAGS_logdir), "config.txt") : config;
-  absl::StatusOr<std::string> text = ReadFile(path);
-  if (!text.ok()) {
-    return absl::Status(text.status().code(),
-                        config.empty()
-                            ? absl::StrFormat("--resume: no run in --logdir=%s (%s); start it without --resume",
-                                              absl::GetFlag(FLAGS_logdir), text.status().message())
-                            : absl::StrFormat("--config: %s", text.status().message()));
+  const std::string replay = absl::GetFlag(FLAGS_replay);
+  if (config.empty() && replay.empty() && !resume) return v1::RunConfig();
+  std::string path = config;
+  std::string error = "--config: ";
+  if (!replay.empty()) {
+    path = JoinPath(replay, "config.txt");
+    error = absl::StrFormat("--replay: no run in %s: ", replay);
+  } else if (config.empty()) {
+    path = JoinPath(absl::GetFlag(FLAGS_logdir), "config.txt");
+    error =
+        absl::StrFormat("--resume: no run in --logdir=%s; start it without --resume: ", absl::GetFlag(FLAGS_logdir));
   }
+  absl::StatusOr<std::string> text = ReadFile(path);
+  if (!text.ok()) return absl::Status(text.status().code(), absl::StrCat(error, text.status().message()));
   return ParseRunConfig(*text, path);
 }
 
@@ -128,6 +140,12 @@ absl::StatusOr<Learner::Options> LearnerOptionsFromFlags(v1::RunConfig::Device o
   if (absl::GetFlag(FLAGS_resume) && !options.init_from.empty()) {
     return absl::InvalidArgumentError("--init_from starts a new run and cannot be combined with --resume");
   }
+  options.replay = absl::GetFlag(FLAGS_replay);
+  if (!options.replay.empty() && (options.resume || !absl::GetFlag(FLAGS_config).empty())) {
+    return absl::InvalidArgumentError(
+        "--replay starts a new run with the configuration of another and cannot be combined with --resume or --config");
+  }
+  const bool is_begun = options.resume || !options.replay.empty();  // on its type of device
   CRAFTFLEET_ASSIGN_OR_RETURN(options.config, BaseConfig(options.resume));
   if (const auto agent = absl::GetFlag(FLAGS_agent)) options.config.set_agent(*agent);
   if (const auto env = absl::GetFlag(FLAGS_env)) options.config.mutable_env()->set_name(*env);
@@ -136,6 +154,7 @@ absl::StatusOr<Learner::Options> LearnerOptionsFromFlags(v1::RunConfig::Device o
   if (const auto seed = absl::GetFlag(FLAGS_seed)) options.config.set_seed(*seed);
   if (const auto lanes = absl::GetFlag(FLAGS_lanes)) options.config.set_lanes(*lanes);
   if (const auto overlap = absl::GetFlag(FLAGS_overlap)) options.config.set_overlap(*overlap);
+  if (const auto staleness = absl::GetFlag(FLAGS_max_staleness)) options.config.set_max_staleness(*staleness);
   if (const auto cpu = absl::GetFlag(FLAGS_cpu)) {
     CRAFTFLEET_ASSIGN_OR_RETURN(const v1::RunConfig::Cpu parsed, ParseCpu(*cpu));
     options.config.set_cpu(parsed);
@@ -145,8 +164,8 @@ absl::StatusOr<Learner::Options> LearnerOptionsFromFlags(v1::RunConfig::Device o
   if (const auto keep = absl::GetFlag(FLAGS_keep_checkpoints)) checkpoint.set_keep(*keep);
   CRAFTFLEET_ASSIGN_OR_RETURN(options.texture_dir, TextureDir(absl::GetFlag(FLAGS_textures)));
   CRAFTFLEET_ASSIGN_OR_RETURN(options.threads, ThreadsFromFlags());
-  CRAFTFLEET_ASSIGN_OR_RETURN(options.device, DeviceFromFlag(options.resume && !options.config.has_device()));
-  CRAFTFLEET_RETURN_IF_ERROR(SetRunDevice(options.device, options.resume, on_gpu, &options.config));
+  CRAFTFLEET_ASSIGN_OR_RETURN(options.device, DeviceFromFlag(is_begun && !options.config.has_device()));
+  CRAFTFLEET_RETURN_IF_ERROR(SetRunDevice(options.device, is_begun, on_gpu, &options.config));
   SetUpDevice(options.device, options.config.precision());
   options.server = wire::ServerOptionsFromFlags(/*address=*/"");
   options.http_address = absl::GetFlag(FLAGS_http_listen)

@@ -53,12 +53,12 @@ struct Need {
   int64_t value;
 };
 
-// The frames of an iteration, and its recurrent states if fragments contain one per step; with overlap also those of
-// the next one.
+// The frames of an iteration, and its recurrent states if fragments contain one per step; with overlap or
+// asynchronous play also those of the next ones.
 Need IterationNeed(const v1::RunConfig& config, const AgentSpec& spec, const wire::FragmentShape& shape) {
   const double states = static_cast<double>(shape.states) / shape.steps * shape.state_size * sizeof(float);
   const double step = static_cast<double>(spec.frame_bytes()) + states;
-  return {(1 + config.overlap()) * step * config.ppo().rollout_steps(), "ppo.rollout_steps",
+  return {(1 + config.overlap() + config.max_staleness()) * step * config.ppo().rollout_steps(), "ppo.rollout_steps",
           config.ppo().rollout_steps()};
 }
 

@@ -1,8 +1,12 @@
 #include "learner/trainer.h"
 
 #include <algorithm>
+#include <map>
 #include <utility>
 
+#include <absl/strings/str_format.h>
+
+#include "common/base/check.h"
 #include "common/base/status_macros.h"
 #include "common/process/heap.h"
 #include "common/telemetry/log.h"
@@ -17,6 +21,8 @@ constexpr int kMaxFailedUpdates = 2;  // in a row
 
 }  // namespace
 
+int KeptVersions(const v1::RunConfig& config) { return 1 + config.overlap() + config.max_staleness(); }
+
 Trainer::Trainer(const v1::RunConfig& config, const Checkpoint& checkpoint, std::vector<Fragment> kept,
                  const Parts& parts)
     : config_(config),
@@ -29,12 +35,12 @@ Trainer::Trainer(const v1::RunConfig& config, const Checkpoint& checkpoint, std:
                    {parts.folder, parts.checkpoints, &disk_, parts.clock, [this] { return MakeCheckpoint(); }}),
       collector_(std::move(kept), {parts.registry, parts.fragments, parts.journal, parts.clock}),
       lanes_(parts.registry->Records()),
+      first_version_(checkpoint.state.policy_version()),
       train_seconds_(checkpoint.state.train_seconds()) {
   const v1::CheckpointState& state = checkpoint.state;
-  weights_.version = state.policy_version();
   if (state.has_play()) {
     const v1::PlayWeights& play = state.play();
-    play_weights_ = {play.policy_version(), checkpoint.play_weights, {play.value_mean(), play.value_deviation()}};
+    weights_.push_back({play.policy_version(), checkpoint.play_weights, {play.value_mean(), play.value_deviation()}});
   }
   counters_.iteration = state.iteration();
   counters_.env_steps = state.env_steps();
@@ -45,17 +51,17 @@ absl::Status Trainer::Run() {
   start_ = parts_.clock->Now();
   status_.OnStart(parts_.folder->score());
   view_.OnStart(*parts_.folder, counters_.env_steps);
-  if (play_weights_.bytes != nullptr) parts_.weights->Publish(play_weights_.version, play_weights_.bytes);
-  PublishWeights(weights_.version);
-  if (play_weights_.bytes == nullptr) play_weights_ = weights_;
+  for (const Weights& weights : weights_) parts_.weights->Publish(weights.version, weights.bytes);
+  PublishWeights(first_version_);
   absl::Status status = counters_.iteration == 0 ? checkpoints_.Write() : absl::OkStatus();
-  while (status.ok() && has_steps_left()) {
+  while (status.ok() && has_steps_left() && !has_replayed()) {
     status = RunIteration();
     ReleaseFreeMemory();  // two copies of an iteration's frames
   }
   parts_.checkpoints->Close();
   parts_.progress->Finish(counters_.env_steps, parts_.folder->score());
-  End(/*trained=*/status.ok());
+  if (status.ok() && has_steps_left()) LogInfo("the record ends here: everything in it is replayed");
+  End(/*trained=*/status.ok() && !has_steps_left());
   if (status.ok() || absl::IsCancelled(status)) return checkpoints_.WriteLast(counters_.iteration);
   // Keep what was learned before the error.
   if (failed_updates_ > 0) {
@@ -68,7 +74,7 @@ absl::Status Trainer::Run() {
 void Trainer::End(bool trained) {
   if (trained) {
     phase_ = Phase::kEvaluating;
-    parts_.evaluations->OnEnd(counters_.env_steps, weights_.bytes, [this] { return stop_.is_set(); });
+    parts_.evaluations->OnEnd(counters_.env_steps, weights_.back().bytes, [this] { return stop_.is_set(); });
   }
   if (trained && parts_.evaluations->pending() == 0) {
     phase_ = Phase::kComplete;
@@ -89,15 +95,12 @@ absl::Status Trainer::RunIteration() {
   status_.OnIterationBegin();
   meter_.BeginCycle();
   meter_.Switch(Activity::kIntake);
-  if (std::exchange(next_is_open_, false)) {
-    collector_.BeginOpened();
-  } else {
-    collector_.Begin(counters_.iteration + 1, LastFragment(counters_.iteration), play_weights_.version);
-  }
+  CRAFTFLEET_RETURN_IF_ERROR(Begin());
   CRAFTFLEET_ASSIGN_OR_RETURN(const std::vector<Fragment> fragments, Collect());
-  std::vector<LaneRecord> lanes = parts_.registry->Records();
+  // Those of an asynchronous run have already advanced, and some may be reset.
+  std::vector<LaneRecord> lanes = is_asynchronous() ? parts_.registry->StartRecords() : parts_.registry->Records();
   if (config_.overlap() > 0 && has_steps_left(1)) {
-    parts_.registry->OpenIteration(LastFragment(counters_.iteration + 1), weights_.version);
+    parts_.registry->OpenIteration(LastFragment(counters_.iteration + 1), weights_.back().version);
     next_is_open_ = true;
   }
   meter_.Switch(Activity::kUpdate);
@@ -119,6 +122,25 @@ int64_t Trainer::LastFragment(int64_t iteration) const {
   return (iteration + 1) * per_lane;
 }
 
+absl::Status Trainer::Begin() {
+  if (is_asynchronous()) {
+    collector_.BeginNext(weights_.back().version);
+  } else if (parts_.replay != nullptr) {
+    // Still known if its update was undone.
+    if (!arrivals_.has_value()) {
+      CRAFTFLEET_ASSIGN_OR_RETURN(arrivals_, parts_.replay->Next());
+    }
+    std::vector<Permit> permits;
+    for (const Arrival& arrival : arrivals_->fragments) permits.push_back(arrival.permit);
+    collector_.BeginWith(permits);
+  } else if (std::exchange(next_is_open_, false)) {
+    collector_.BeginOpened();
+  } else {
+    collector_.Begin(counters_.iteration + 1, LastFragment(counters_.iteration), weights_.front().version);
+  }
+  return absl::OkStatus();
+}
+
 absl::StatusOr<std::vector<Fragment>> Trainer::Collect() {
   const auto on_tick = [this](size_t collected, bool is_idle) -> absl::Status {
     if (stop_.is_set()) return absl::CancelledError("stopping");
@@ -129,14 +151,44 @@ absl::StatusOr<std::vector<Fragment>> Trainer::Collect() {
                             parts_.folder->score());
     return absl::OkStatus();
   };
-  return collector_.Collect(static_cast<size_t>(config_.ppo().rollout_steps() / config_.fragment_steps()), on_tick);
+  const auto wanted = static_cast<size_t>(config_.ppo().rollout_steps() / config_.fragment_steps());
+  if (is_asynchronous()) {
+    arrivals_ = {weights_.back().version, {}};
+    return collector_.CollectRollout(wanted, on_tick, &arrivals_->fragments);
+  }
+  CRAFTFLEET_ASSIGN_OR_RETURN(std::vector<Fragment> fragments, collector_.Collect(wanted, on_tick));
+  if (parts_.replay != nullptr) CRAFTFLEET_RETURN_IF_ERROR(CheckReplayed(fragments));
+  return fragments;
+}
+
+absl::Status Trainer::CheckReplayed(const std::vector<Fragment>& fragments) const {
+  std::map<std::pair<int, int64_t>, uint64_t> digests;
+  for (const Arrival& arrival : arrivals_->fragments) {
+    digests[{arrival.permit.lane, arrival.permit.fragment}] = arrival.digest;
+  }
+  for (const Fragment& fragment : fragments) {
+    const uint64_t recorded = digests[{fragment.lane, fragment.number}];
+    if (fragment.digest == recorded) continue;
+    return absl::DataLossError(
+        absl::StrFormat("fragment %d of lane %d, from %s, is %016x, but the recorded one was %016x: one of them was "
+                        "played by another build or on another CPU, or after its lane was reset",
+                        fragment.number, fragment.lane, fragment.sender, fragment.digest, recorded));
+  }
+  return absl::OkStatus();
+}
+
+ValueScale Trainer::ScaleOf(int64_t policy_version) const {
+  const auto found = std::find_if(weights_.begin(), weights_.end(),
+                                  [&](const Weights& weights) { return weights.version == policy_version; });
+  CRAFTFLEET_CHECK(found != weights_.end());
+  return found->value_scale;
 }
 
 absl::StatusOr<UpdateStats> Trainer::Learn(const std::vector<Fragment>& fragments) {
   Rollout rollout;
   RolloutOptions options = parts_.updater->rollout_options();
-  options.value_scale = play_weights_.value_scale;
   for (const Fragment& fragment : fragments) {
+    options.value_scale = ScaleOf(fragment.policy_version);
     CRAFTFLEET_RETURN_IF_ERROR(AppendFragment(fragment, options, &rollout));
   }
   const auto should_stop = [this] {
@@ -154,7 +206,7 @@ absl::Status Trainer::UndoIteration(const std::vector<Fragment>& fragments, cons
   for (const std::string& line : DescribeSenders(fragments)) LogError("%s", line);
   collector_.ClearJournal();
   if (again) {
-    parts_.registry->RewindIterations(next_is_open_ ? 2 : 1);
+    parts_.registry->RewindIterations(next_is_open_ || is_asynchronous() ? 2 : 1);
     next_is_open_ = false;
   }
   status_.OnUpdateUndone();
@@ -167,14 +219,17 @@ absl::Status Trainer::FinishIteration(const std::vector<Fragment>& fragments, co
   ++counters_.iteration;
   counters_.env_steps += config_.ppo().rollout_steps();
   lanes_ = std::move(lanes);
-  if (config_.overlap() > 0) play_weights_ = weights_;
-  PublishWeights(weights_.version + 1);
-  if (config_.overlap() == 0) play_weights_ = weights_;
+  const Staleness staleness = StalenessOf(fragments, weights_.back().version);
+  status_.OnUpdate(staleness);
+  PublishWeights(weights_.back().version + 1);
+  if (arrivals_.has_value()) parts_.folder->AddArrivals(*std::exchange(arrivals_, std::nullopt));
   log_.AddIteration(counters_.env_steps, fragments, stats, StepsPerSecond());
+  if (config_.max_staleness() > 0) log_.AddStaleness(counters_.env_steps, staleness, parts_.registry->dropped());
   LogPictures(fragments.front());
   log_.Flush();
   CRAFTFLEET_RETURN_IF_ERROR(parts_.folder->CheckOwned());
-  parts_.evaluations->OnIteration(steps_before, counters_.env_steps, weights_.bytes, [this] { return stop_.is_set(); });
+  parts_.evaluations->OnIteration(steps_before, counters_.env_steps, weights_.back().bytes,
+                                  [this] { return stop_.is_set(); });
   checkpoints_.ServeRequests(counters_.iteration);
   // The last checkpoint is written after the final evaluation.
   return has_steps_left() ? checkpoints_.OnIteration(counters_.iteration) : absl::OkStatus();
@@ -182,7 +237,8 @@ absl::Status Trainer::FinishIteration(const std::vector<Fragment>& fragments, co
 
 void Trainer::LogPictures(const Fragment& first) {
   if (counters_.iteration % kIterationsPerPicture != 1) return;
-  absl::StatusOr<std::vector<EventPicture>> pictures = TrainingPictures(parts_.updater->spec(), *weights_.bytes, first);
+  absl::StatusOr<std::vector<EventPicture>> pictures =
+      TrainingPictures(parts_.updater->spec(), *weights_.back().bytes, first);
   if (!pictures.ok()) {
     LogWarning("no pictures for TensorBoard: %s", pictures.status().message());
     return;
@@ -196,9 +252,10 @@ double Trainer::StepsPerSecond() const {
 }
 
 void Trainer::PublishWeights(int64_t version) {
-  weights_ = {version, std::make_shared<const std::string>(parts_.updater->SaveWeights()),
-              parts_.updater->rollout_options().value_scale};
-  parts_.weights->Publish(version, weights_.bytes);
+  weights_.push_back({version, std::make_shared<const std::string>(parts_.updater->SaveWeights()),
+                      parts_.updater->rollout_options().value_scale});
+  if (weights_.size() > static_cast<size_t>(KeptVersions(config_))) weights_.pop_front();
+  parts_.weights->Publish(version, weights_.back().bytes);
   counters_.policy_version = version;
 }
 
@@ -207,17 +264,18 @@ Checkpoint Trainer::MakeCheckpoint() const {
   v1::CheckpointState& state = checkpoint.state;
   state.set_iteration(counters_.iteration);
   state.set_env_steps(counters_.env_steps);
-  state.set_policy_version(weights_.version);
+  state.set_policy_version(weights_.back().version);
   state.set_optimizer_steps(parts_.updater->optimizer_steps());
   state.set_train_seconds(train_seconds_ + absl::ToDoubleSeconds(parts_.clock->Now() - start_));
   for (const LaneRecord& lane : lanes_) *state.add_lanes() = ToProto(lane);
   parts_.evaluations->FillCheckpoint(&checkpoint);
-  checkpoint.weights = *weights_.bytes;
-  if (play_weights_.version != weights_.version) {
-    state.mutable_play()->set_policy_version(play_weights_.version);
-    state.mutable_play()->set_value_mean(play_weights_.value_scale.mean);
-    state.mutable_play()->set_value_deviation(play_weights_.value_scale.deviation);
-    checkpoint.play_weights = play_weights_.bytes;
+  checkpoint.weights = *weights_.back().bytes;
+  if (config_.overlap() > 0 && weights_.size() > 1) {
+    const Weights& play = weights_.front();
+    state.mutable_play()->set_policy_version(play.version);
+    state.mutable_play()->set_value_mean(play.value_scale.mean);
+    state.mutable_play()->set_value_deviation(play.value_scale.deviation);
+    checkpoint.play_weights = play.bytes;
   }
   checkpoint.optimizer = parts_.updater->SaveOptimizer();
   return checkpoint;

@@ -5,7 +5,9 @@
 
 #include <atomic>
 #include <cstdint>
+#include <deque>
 #include <memory>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -27,6 +29,7 @@
 #include "learner/learner_service.h"
 #include "learner/ppo/ppo_updater.h"
 #include "learner/ppo/value_norm.h"
+#include "learner/run/arrival_log.h"
 #include "learner/run/checkpoint.h"
 #include "learner/run/progress.h"
 #include "learner/run/run_folder.h"
@@ -39,11 +42,17 @@
 
 namespace craftfleet {
 
+// The number of versions of the weights that may play at the same time.
+int KeptVersions(const v1::RunConfig& config);
+
 // An iteration opens permits, waits for every lane's fragments, orders them, computes advantages, runs the PPO epochs,
 // publishes the weights and writes the logs. With config.overlap, it opens the permits of the next iteration before its
 // update, with the weights of that moment, so that actors play during the update; these weights depend only on the
-// iteration's number. The result does not depend on which actors play or in which order their fragments arrive. Run is
-// called from one thread; everything else is thread-safe.
+// iteration's number. The result does not depend on which actors play or in which order their fragments arrive.
+//
+// With config.max_staleness, permits never close, and an update takes the fragments that arrived first. Which these
+// were is recorded in the run folder, and a trainer that is given such a record opens permits for exactly these
+// fragments, so that its weights are the same. Run is called from one thread; everything else is thread-safe.
 class Trainer {
  public:
   struct Parts {
@@ -56,6 +65,7 @@ class Trainer {
     ProgressPrinter* progress;
     CheckpointRequests* checkpoints;
     FragmentJournal* journal;  // null: no journal
+    ArrivalReader* replay;     // the record to replay; null: none
     Clock* clock;
   };
   enum class Phase {
@@ -68,10 +78,11 @@ class Trainer {
   // fragments.
   Trainer(const v1::RunConfig& config, const Checkpoint& checkpoint, std::vector<Fragment> kept, const Parts& parts);
 
-  // Trains until the configured steps are done and then evaluates, unless Stop is called first. In both cases a
-  // checkpoint of the last finished iteration is written, and phase() shows how far the run got.
-  //   Errors: the update failed twice in a row, after which a checkpoint of the last finished iteration is written; or
-  //   the last checkpoint can't be written.
+  // Trains until the configured steps are done and then evaluates, unless Stop is called first or the record that is
+  // replayed ends. In all cases a checkpoint of the last finished iteration is written, and phase() shows how far the
+  // run got.
+  //   Errors: the update failed twice in a row, after which a checkpoint of the last finished iteration is written; the
+  //   last checkpoint can't be written; or the record is damaged, or its fragments have other contents (DataLoss).
   absl::Status Run();
   // Ends Run after the current minibatch, or at once during the final evaluation. An unfinished iteration is dropped;
   // unfinished evaluations are stored in the checkpoint, and the next start continues them. Idempotent.
@@ -94,6 +105,9 @@ class Trainer {
     ValueScale value_scale;                    // of the values that they predict
   };
 
+  bool is_asynchronous() const { return config_.max_staleness() > 0 && parts_.replay == nullptr; }
+  // Whether there is a record to replay, and it has ended.
+  bool has_replayed() const { return parts_.replay != nullptr && parts_.replay->at_end() && !arrivals_.has_value(); }
   // Whether the run goes on after `iterations` more.
   bool has_steps_left(int iterations = 0) const {
     return counters_.env_steps + int64_t{iterations} * config_.ppo().rollout_steps() < config_.steps();
@@ -102,7 +116,14 @@ class Trainer {
   int64_t LastFragment(int64_t iteration) const;
   // Runs one iteration.   Cancelled: Stop was called.
   absl::Status RunIteration();
+  // Opens the iteration's permits, unless they are open.
+  absl::Status Begin();
+  // Waits for the iteration's fragments.
   absl::StatusOr<std::vector<Fragment>> Collect();
+  // DataLoss: a fragment has another content than the recorded one.
+  absl::Status CheckReplayed(const std::vector<Fragment>& fragments) const;
+  // The scale of the values that the weights `policy_version`, which may still play, predict.
+  ValueScale ScaleOf(int64_t policy_version) const;
   // Updates the weights with the iteration's fragments, which are in order. On an error nothing changes.
   absl::StatusOr<UpdateStats> Learn(const std::vector<Fragment>& fragments);
   // Drops `fragments`, whose update failed, so that they are played again. Returns `error` at the second failure in a
@@ -138,12 +159,15 @@ class Trainer {
 
   bool next_is_open_ = false;  // the permits of the iteration after the last finished one
 
+  // What the current iteration learns from; only with max_staleness, unset before that is known.
+  std::optional<UpdateArrivals> arrivals_;
+
   // As of the end of the last finished iteration.
-  Weights weights_;
-  Weights play_weights_;  // with which the next iteration is played
+  std::deque<Weights> weights_;  // those that the next fragments may be played with; the newest last
   std::vector<LaneRecord> lanes_;
 
-  const double train_seconds_;  // before this start
+  const int64_t first_version_;  // of the weights at this start
+  const double train_seconds_;   // before this start
   absl::Time start_;
 };
 

@@ -73,6 +73,13 @@ void TrainingLog::AddIteration(int64_t env_steps, const std::vector<Fragment>& f
   folder_->AddHistograms(env_steps, RolloutHistograms(fragments));
 }
 
+void TrainingLog::AddStaleness(int64_t env_steps, const Staleness& staleness, int64_t dropped) {
+  folder_->AddScalars(env_steps, {{"rollout/staleness_min", static_cast<double>(staleness.min)},
+                                  {"rollout/staleness_mean", staleness.mean},
+                                  {"rollout/staleness_max", static_cast<double>(staleness.max)},
+                                  {"rollout/fragments_dropped", static_cast<double>(dropped)}});
+}
+
 void TrainingLog::Flush() {
   for (absl::Status status = folder_->FlushLogs(); !status.ok(); status = folder_->FlushLogs()) {
     const std::string error =

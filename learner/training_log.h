@@ -10,6 +10,7 @@
 #include "learner/disk_wait.h"
 #include "learner/ppo/update_stats.h"
 #include "learner/run/run_folder.h"
+#include "learner/staleness.h"
 
 namespace craftfleet {
 
@@ -27,6 +28,9 @@ class TrainingLog {
   // histogram (FORMATS.md, section 6). `steps_per_second`: of this start so far.
   void AddIteration(int64_t env_steps, const std::vector<Fragment>& fragments, const UpdateStats& stats,
                     double steps_per_second);
+
+  // Adds a point at `env_steps` to the curves of asynchronous play. `dropped`: fragments that were too old, so far.
+  void AddStaleness(int64_t env_steps, const Staleness& staleness, int64_t dropped);
 
   // Adds pictures of training (training_pictures.h).
   void AddPictures(int64_t env_steps, const std::vector<EventPicture>& pictures) {

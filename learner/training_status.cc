@@ -26,6 +26,11 @@ void TrainingStatus::OnIterationEnd(const ScoreBoard& score) {
   shown_ = ShownOf(score);
 }
 
+void TrainingStatus::OnUpdate(const Staleness& staleness) {
+  const MutexLock lock(&mu_);
+  staleness_ = staleness;
+}
+
 TrainingStatus::Shown TrainingStatus::ShownOf(const ScoreBoard& score) {
   return {score.episodes(), score.RecentReward(), score.RecentLength(), score.Score(), score.Unlocked()};
 }
@@ -52,6 +57,9 @@ void TrainingStatus::Fill(const ActivityMeter& meter, absl::Duration checkpoint_
   wire::AddMetric("episode_length", shown_.length, reply);
   wire::AddMetric("crafter_score", shown_.score, reply);
   wire::AddMetric("achievements_unlocked", shown_.unlocked, reply);
+  wire::AddMetric("staleness_min", static_cast<double>(staleness_.min), reply);
+  wire::AddMetric("staleness_mean", staleness_.mean, reply);
+  wire::AddMetric("staleness_max", static_cast<double>(staleness_.max), reply);
   wire::AddMetric("updates_undone", static_cast<double>(undone_.load()), reply);
   wire::AddMetric("checkpoint_age", absl::ToDoubleSeconds(checkpoint_age), reply);
 }

@@ -14,6 +14,7 @@
 #include "craftfleet/v1/config.pb.h"
 #include "craftfleet/v1/status.pb.h"
 #include "learner/run/score.h"
+#include "learner/staleness.h"
 
 namespace craftfleet {
 
@@ -36,6 +37,8 @@ class TrainingStatus {
   void OnIterationBegin() ABSL_LOCKS_EXCLUDED(mu_);
   // The current iteration is finished; `score` includes its episodes.
   void OnIterationEnd(const ScoreBoard& score) ABSL_LOCKS_EXCLUDED(mu_);
+  // An update with fragments this old is finished.
+  void OnUpdate(const Staleness& staleness) ABSL_LOCKS_EXCLUDED(mu_);
   // The current iteration's update failed and was undone.
   void OnUpdateUndone() { ++undone_; }
 
@@ -61,6 +64,7 @@ class TrainingStatus {
 
   mutable Mutex mu_;
   Shown shown_ ABSL_GUARDED_BY(mu_);
+  Staleness staleness_ ABSL_GUARDED_BY(mu_);            // of the last update
   absl::Duration iteration_time_ ABSL_GUARDED_BY(mu_);  // of the last iteration; 0: none has ended since the start
   absl::Time iteration_begin_ ABSL_GUARDED_BY(mu_) = absl::InfiniteFuture();  // start of the current iteration
 };

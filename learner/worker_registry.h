@@ -172,14 +172,19 @@ class WorkerRegistry {
   bool Counts(int lane, int64_t fragment, uint64_t digest) const ABSL_LOCKS_EXCLUDED(mu_);
   absl::StatusOr<LaneSnapshot> Snapshot(int lane, int64_t fragment) const ABSL_LOCKS_EXCLUDED(mu_);
   void OpenIteration(int64_t last_fragment, int64_t policy_version) ABSL_LOCKS_EXCLUDED(mu_);
+  void OpenFragments(absl::Span<const Permit> fragments) ABSL_LOCKS_EXCLUDED(mu_);
+  void PublishVersion(int64_t policy_version) ABSL_LOCKS_EXCLUDED(mu_);
+  std::optional<std::vector<Arrival>> TakeRollout() ABSL_LOCKS_EXCLUDED(mu_);
   void RewindIterations(int iterations) ABSL_LOCKS_EXCLUDED(mu_);
   bool SetPaused(bool paused) ABSL_LOCKS_EXCLUDED(mu_);
   bool paused() const ABSL_LOCKS_EXCLUDED(mu_);
   std::vector<LaneRecord> Records() const ABSL_LOCKS_EXCLUDED(mu_);
+  std::vector<LaneRecord> StartRecords() const ABSL_LOCKS_EXCLUDED(mu_);
   int permits() const ABSL_LOCKS_EXCLUDED(mu_);
   int64_t lapsed() const ABSL_LOCKS_EXCLUDED(mu_);
   int64_t resets() const ABSL_LOCKS_EXCLUDED(mu_);
   int64_t differing() const ABSL_LOCKS_EXCLUDED(mu_);
+  int64_t dropped() const ABSL_LOCKS_EXCLUDED(mu_);
   // The run is over: actors are told to leave.
   void Finish() ABSL_LOCKS_EXCLUDED(mu_);
   // The learner stops before the end of the run: nothing more is granted and every waiting call returns.

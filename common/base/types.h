@@ -60,6 +60,13 @@ struct Permit {
   friend bool operator!=(const Permit& a, const Permit& b) { return !(a == b); }
 };
 
+// A fragment that the learner accepted, and the digest of its content (FragmentDigest).
+struct Arrival {
+  Permit permit;
+  uint64_t digest = 0;
+  friend bool operator==(const Arrival& a, const Arrival& b) { return a.permit == b.permit && a.digest == b.digest; }
+};
+
 // State of a lane between two fragments: everything that another actor needs to continue it, bit for bit.
 struct LaneSnapshot {
   std::string game;          // state of the game; empty: the lane's first game has not begun

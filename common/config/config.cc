@@ -36,6 +36,7 @@ absl::Status CheckRanges(const v1::RunConfig& config) {
   const bool known_cpu = config.cpu() != v1::RunConfig::CPU_UNSPECIFIED && v1::RunConfig::Cpu_IsValid(config.cpu());
   check.That(!config.has_cpu() || known_cpu, "cpu is CPU_UNSPECIFIED or unknown, want NATIVE, AVX2 or AVX512");
   check.Within("overlap", config.overlap(), 0, 1);
+  check.Within("max_staleness", config.max_staleness(), 0, 64);
   const bool known_precision = config.precision() != v1::RunConfig::PRECISION_UNSPECIFIED &&
                                v1::RunConfig::Precision_IsValid(config.precision());
   check.That(!config.has_precision() || known_precision,
@@ -97,10 +98,11 @@ absl::Status CheckLagCorrection(const v1::RunConfig& config) {
   check.That(is_pair, absl::StrCat("ppo.vtrace_c_bar is ", c_bar, " and ppo.vtrace_rho_bar ", rho_bar,
                                    ", want both 0, or a c_bar above 0 and at most rho_bar"));
   const absl::string_view field = ppo.decoupled_objective() ? "decoupled_objective" : "vtrace_rho_bar";
-  check.That(config.overlap() > 0 || !(ppo.decoupled_objective() || rho_bar > 0),
+  const bool lags = config.overlap() > 0 || config.max_staleness() > 0;
+  check.That(lags || !(ppo.decoupled_objective() || rho_bar > 0),
              absl::StrCat("ppo.", field,
-                          " is given, but without overlap no step is played with older weights than those that its "
-                          "update starts from: want overlap: 1, or leave the field out"));
+                          " is given, but in a synchronous run no step is played with older weights than those that "
+                          "its update starts from: want overlap or max_staleness, or leave the field out"));
   return check.status();
 }
 
@@ -115,6 +117,17 @@ absl::Status CheckRelations(const v1::RunConfig& config) {
                  int64_t{config.lanes()} * config.fragment_steps());
   check.Multiple("ppo.rollout_steps", ppo.rollout_steps(), "ppo.minibatch_size", ppo.minibatch_size());
   check.Multiple("ppo.minibatch_size", ppo.minibatch_size(), "gradient_shards", config.gradient_shards());
+  if (config.max_staleness() > 0) {
+    check.That(config.overlap() == 0,
+               "overlap and max_staleness are both given, but each says which weights play: want one of them");
+    check.That(!config.checkpoint().keep_fragments(),
+               "checkpoint.keep_fragments and max_staleness are both given: a journal restores the fragments of an "
+               "iteration, and asynchronous play does not know which these are before they arrive: want one of them");
+    check.That(
+        config.distillation().every_iterations() == 0,
+        "distillation.every_iterations and max_staleness are both given: distillation needs as many steps of each "
+        "lane from every iteration, and asynchronous play takes them as they arrive: want one of them");
+  }
   check.That(config.distillation().every_iterations() == 0 || network.goal_predictor(),
              "distillation.every_iterations is given, but the network has no goal_predictor to train: want network { "
              "goal_predictor: true }");
@@ -198,6 +211,7 @@ absl::StatusOr<v1::RunConfig> ResolveRunConfig(v1::RunConfig config) {
   // So that a run with them equals one without.
   if (config.precision() == v1::RunConfig::FP32) config.clear_precision();
   if (config.overlap() == 0) config.clear_overlap();
+  if (config.max_staleness() == 0) config.clear_max_staleness();
   if (config.device() == v1::RunConfig::CPU) config.clear_device();
   v1::PpoConfig& ppo = *config.mutable_ppo();
   if (!ppo.decoupled_objective()) ppo.clear_decoupled_objective();

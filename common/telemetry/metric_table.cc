@@ -60,6 +60,13 @@ constexpr MetricInfo kTable[] = {
      "Fragments received again with other bytes: one of two actors computes wrong results."},
     {"lanes_reset", kCounter, "", "Lanes reset to an earlier snapshot because the last one could not be restored."},
     {"updates_undone", kCounter, "", "Updates that failed; their iterations are played again."},
+    {"fragments_dropped", kCounter, "fragments",
+     "Fragments that were not learned from because their weights were older than max_staleness; they are played "
+     "again."},
+    {"staleness_min", kGauge, "", "Updates since the newest weights that played a fragment of the last update."},
+    {"staleness_mean", kGauge, "",
+     "Mean number of updates since the weights that played a fragment of the last update."},
+    {"staleness_max", kGauge, "", "Updates since the oldest weights that played a fragment of the last update."},
     {"permits_lapsed", kCounter, "", "Permits revoked from actors that sent no heartbeat or made no progress."},
     {"fragments_queued", kGauge, "fragments", "Fragments that wait for the trainer."},
 

@@ -30,7 +30,7 @@ namespace {
 // The fields that this update takes into account, or that do not concern updates.
 constexpr absl::string_view kKnownFields[] = {
     "agent env steps seed lanes fragment_steps tile gradient_shards ppo checkpoint network eval cpu precision device "
-    "overlap "
+    "overlap max_staleness "
     "distillation",
     "ppo.rollout_steps ppo.minibatch_size ppo.epochs ppo.learning_rate ppo.gamma ppo.gae_lambda ppo.clip",
     "ppo.value_coefficient ppo.entropy_coefficient ppo.max_gradient_norm ppo.adam_epsilon ppo.truncation_is_terminal",

@@ -115,12 +115,12 @@ absl::StatusOr<ResumedRun> RunFolder::Resume(const std::string& logdir, const Re
                                                   ? folder.checkpoints_.LoadLatest(options.agent)
                                                   : folder.checkpoints_.Load(options.from, options.agent));
   const v1::CheckpointState& state = run.checkpoint.state;
+  folder.config_ = state.config();
   CRAFTFLEET_RETURN_IF_ERROR(folder.CheckFits(state));
   CRAFTFLEET_RETURN_IF_ERROR(folder.CountLogs(state));
   CRAFTFLEET_ASSIGN_OR_RETURN(const int64_t last_epoch, ReadEpoch(logdir));
   folder.epoch_ = last_epoch + 1;
   folder.run_id_ = state.run_id();
-  folder.config_ = state.config();
   folder.best_score_ = state.best_score();
   folder.resumed_.emplace();
   folder.resumed_->set_iteration(state.iteration());
@@ -164,6 +164,7 @@ absl::Status RunFolder::PrepareFinalLogs() {
 absl::Status RunFolder::RemoveUnbegunLogs() const {
   for (const char* file : kEpisodeFiles) CRAFTFLEET_RETURN_IF_ERROR(RemoveAll(JoinPath(logdir_, file)));
   CRAFTFLEET_RETURN_IF_ERROR(RemoveAll(JoinPath(logdir_, kEventsFile)));
+  CRAFTFLEET_RETURN_IF_ERROR(RemoveAll(JoinPath(logdir_, kArrivalsFile)));
   return RemoveAll(JoinPath(logdir_, kConfigFile));
 }
 
@@ -176,6 +177,10 @@ absl::Status RunFolder::OpenLogs() {
   }
   CRAFTFLEET_ASSIGN_OR_RETURN(EventLog events, EventLog::Open(JoinPath(logdir_, kEventsFile), clock_, options));
   events_.emplace(std::move(events));
+  if (config_.max_staleness() > 0) {
+    CRAFTFLEET_ASSIGN_OR_RETURN(AppendFile arrivals, AppendFile::Open(JoinPath(logdir_, kArrivalsFile), options));
+    arrivals_.emplace(std::move(arrivals));
+  }
   return SyncFolder(logdir_);
 }
 
@@ -215,6 +220,7 @@ absl::Status RunFolder::FlushLogs() {
 int64_t RunFolder::waiting_bytes() const {
   int64_t bytes = events_->file().waiting_bytes();
   for (const StatsLog& log : stats_) bytes += log.file().waiting_bytes();
+  if (arrivals_.has_value()) bytes += arrivals_->waiting_bytes();
   return bytes;
 }
 
@@ -238,9 +244,17 @@ absl::Status RunFolder::WriteCheckpoint(Checkpoint checkpoint) {
   return checkpoints_.Write(checkpoint);
 }
 
+std::vector<std::string> RunFolder::LogNames() const {
+  std::vector<std::string> names = {kEventsFile};
+  names.insert(names.end(), kEpisodeFiles.begin(), kEpisodeFiles.end());
+  if (config_.max_staleness() > 0) names.emplace_back(kArrivalsFile);
+  return names;
+}
+
 std::vector<AppendFile*> RunFolder::Logs() {
   std::vector<AppendFile*> logs = {&events_->file()};
   for (StatsLog& log : stats_) logs.push_back(&log.file());
+  if (arrivals_.has_value()) logs.push_back(&*arrivals_);
   return logs;
 }
 
@@ -252,9 +266,7 @@ absl::Status RunFolder::CheckFits(const v1::CheckpointState& state) const {
 }
 
 absl::Status RunFolder::CountLogs(const v1::CheckpointState& state) {
-  std::vector<std::string> names = {kEventsFile};
-  names.insert(names.end(), kEpisodeFiles.begin(), kEpisodeFiles.end());
-  for (const std::string& name : names) {
+  for (const std::string& name : LogNames()) {
     const std::string path = FindFinalLog(logdir_, name, state);
     const absl::StatusOr<int64_t> size = PathExists(path) ? FileSize(path) : 0;
     CRAFTFLEET_RETURN_IF_ERROR(size.status());

@@ -36,6 +36,17 @@ TEST(PermitTracker, LanesOfOneTileGoToOneLoop) {
   EXPECT_THAT(lanes[1], ElementsAre(4, 5, 6, 7, 12, 13, 14, 15));
 }
 
+// A call of the policy has one version of the weights. With asynchronous play, permits with several wait.
+TEST(PermitTracker, PermitsAreTakenVersionByVersionTheOldestFirst) {
+  PermitTracker tracker(1);
+  const HeldPermit newer = {{0, 5, 11}, 1}, old = {{1, 4, 10}, 1}, also_newer = {{2, 5, 11}, 1},
+                   restarted = {{3, 5, 9}, 2};
+  for (const HeldPermit& permit : {newer, restarted, old, also_newer}) tracker.Add(permit);
+  EXPECT_THAT(tracker.Take(0), ElementsAre(old));
+  EXPECT_THAT(tracker.Take(0), ElementsAre(newer, also_newer));
+  EXPECT_THAT(tracker.Take(0), ElementsAre(restarted));
+}
+
 TEST(PermitTracker, APermitGrantedTwiceIsPlayedOnce) {
   PermitTracker tracker(1);
   tracker.Add(Held(3));
@@ -66,7 +77,7 @@ TEST(PermitTracker, FragmentEpochAndVersionDistinguishPermits) {
        {HeldPermit{{0, 0, 10}, 1}, HeldPermit{{0, 1, 10}, 1}, HeldPermit{{0, 0, 10}, 2}, HeldPermit{{0, 0, 11}, 1}}) {
     tracker.Add(permit);
   }
-  EXPECT_EQ(tracker.Take(0).size(), 4);
+  EXPECT_EQ(tracker.Active().size(), 4);
 }
 
 // A permit that lapsed before a loop took it: another actor plays it.

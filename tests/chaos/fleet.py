@@ -94,10 +94,11 @@ class Worker:
 class Fleet:
     """A learner on `learner_site`, with environment servers and actors distributed over `sites`. Logs are in the folder `out`.
 
-    `flags`: additional flags by role: learner, server, actor, and status, for the queries to the learner."""
+    `flags`: additional flags by role: learner, server, actor, and status, for the queries to the learner. `own_servers`: each
+    actor plays on the environment server of its number alone, not on all of them."""
 
     def __init__(self, bin_folder, out, config, logdir, learner_site, sites, actors=0, servers=0,
-                 threads=1, flags=None):
+                 threads=1, flags=None, own_servers=False):
         self.bin, out = pathlib.Path(bin_folder), pathlib.Path(out)
         self.flags = {"learner": [], "server": [], "actor": [], "status": [], **(flags or {})}
         self.learner_site, self.learner_address = learner_site, learner_site.listen()
@@ -117,8 +118,9 @@ class Fleet:
                 self.workers.append(Worker(f"server{i}", command, out / f"server{i}.log", listen))
             for i in range(actors):
                 site = sites[i % len(sites)]
+                games = site.reached_at(self.workers[i].address) if own_servers else "learner"
                 command = [*site.command_prefix, self.bin / "craftfleet-actor", f"--learner={reached}",
-                           "--envservers=learner", f"--threads={threads}", *self.flags["actor"]]
+                           f"--envservers={games}", f"--threads={threads}", *self.flags["actor"]]
                 self.workers.append(Worker(f"actor{i}", command, out / f"actor{i}.log"))
         except BaseException:
             self.stop()

@@ -151,5 +151,64 @@ TEST_F(FragmentCollectorTest, WorksWithoutAJournal) {
   collector.ClearJournal();
 }
 
+// With asynchronous play.
+class AsyncCollectorTest : public FragmentCollectorTest {
+ protected:
+  AsyncCollectorTest() { async_.Join("a", ""); }
+  FragmentCollector MakeAsync() { return {{}, {&async_, &queue_, nullptr, &clock_}}; }
+  // The learner accepts it, but it is not in the queue yet.
+  Fragment Accepted(int lane, int64_t number) {
+    async_.GetPermits("a", {}, 1, absl::ZeroDuration()).IgnoreError();
+    Fragment fragment = Played(lane, number, /*digest=*/100 + number);
+    const Permit permit = {lane, number, kVersion};
+    EXPECT_EQ(*async_.Accept("a", permit, fragment.snapshot, fragment.digest), LaneScheduler::Verdict::kAccepted);
+    return fragment;
+  }
+  static LaneScheduler::Options Options() {
+    LaneScheduler::Options options;
+    options.lanes = kLanes;
+    options.max_staleness = 1;
+    options.rollout_fragments = 2;
+    return options;
+  }
+
+  TestRegistry async_{Options(), std::vector<LaneRecord>(kLanes), &clock_};
+};
+
+TEST_F(AsyncCollectorTest, ReturnsTheFragmentsAcceptedFirstInWhateverOrderTheyAreQueued) {
+  FragmentCollector collector = MakeAsync();
+  collector.BeginNext(kVersion);
+  std::vector<Fragment> accepted;
+  for (int number = 0; number < 4; ++number) accepted.push_back(Accepted(0, number));
+  for (const int number : {2, 3, 1, 0}) ASSERT_THAT(queue_.Push(accepted[number]), IsOk());
+  std::vector<Arrival> arrivals;
+  auto fragments = collector.CollectRollout(2, Continue, &arrivals);
+  ASSERT_THAT(fragments, IsOk());
+  EXPECT_THAT(Names(*fragments), ElementsAre(Pair(0, 0), Pair(0, 1)));
+  EXPECT_THAT(arrivals, ElementsAre(Arrival{{0, 0, kVersion}, 100}, Arrival{{0, 1, kVersion}, 101}));
+  collector.BeginNext(kVersion + 1);
+  fragments = collector.CollectRollout(2, Continue, &arrivals);
+  ASSERT_THAT(fragments, IsOk());
+  EXPECT_THAT(Names(*fragments), ElementsAre(Pair(0, 2), Pair(0, 3))) << "collected before their update";
+}
+
+TEST_F(AsyncCollectorTest, AfterAnUndoneUpdateNothingThatWasCollectedCounts) {
+  FragmentCollector collector = MakeAsync();
+  collector.BeginNext(kVersion);
+  for (int number = 0; number < 3; ++number) ASSERT_THAT(queue_.Push(Accepted(0, number)), IsOk());
+  std::vector<Arrival> arrivals;
+  ASSERT_THAT(collector.CollectRollout(2, Continue, &arrivals), IsOk());
+  async_.RewindIterations(2);
+  collector.BeginNext(kVersion);
+  EXPECT_THAT(collector.CollectRollout(
+                  2,
+                  [](size_t collected, bool is_idle) -> absl::Status {
+                    EXPECT_EQ(collected, 0U);
+                    return is_idle ? absl::CancelledError("stopping") : absl::OkStatus();
+                  },
+                  &arrivals),
+              StatusIs(absl::StatusCode::kCancelled, "stopping"));
+}
+
 }  // namespace
 }  // namespace craftfleet

@@ -16,6 +16,7 @@
 #include "common/agent/canary.h"
 #include "common/base/keyed_random.h"
 #include "common/config/config.h"
+#include "common/io/files.h"
 #include "common/io/paths.h"
 #include "common/io/snapshot_envelope.h"
 #include "common/process/version.h"
@@ -24,6 +25,7 @@
 #include "common/wire/protocol.h"
 #include "craftfleet/v1/learner.grpc.pb.h"
 #include "learner/learner.h"
+#include "learner/run/checkpoint_store.h"
 #include "tests/fakes/status_matchers.h"
 #include "tests/fakes/temp_folder.h"
 
@@ -43,6 +45,8 @@ struct Variant {
   bool keep_fragments = false;
   bool resume = false;
   int overlap = 0;
+  int max_staleness = 0;
+  std::string replay = "";  // folder of the run to replay
   bool corrects_lag = false;
 };
 
@@ -66,6 +70,7 @@ v1::RunConfig Config(const Variant& variant) {
     config.mutable_ppo()->set_vtrace_rho_bar(1);
     config.mutable_ppo()->set_vtrace_c_bar(1);
   }
+  config.set_max_staleness(variant.max_staleness);
   return config;
 }
 
@@ -104,6 +109,7 @@ class Training {
     options.config = Config(variant);
     options.logdir = logdir;
     options.resume = variant.resume;
+    options.replay = variant.replay;
     options.texture_dir = DefaultTextureDir().value();
     learner_ = Learner::Create(options).value();
     stub_ = v1::LearnerService::NewStub(learner_->InProcess().channel);
@@ -134,11 +140,12 @@ class Training {
     epoch_ = reply.epoch();
   }
   // Requests permits for `actor`, which has none.
-  std::vector<v1::Permit> Ask(const std::string& actor, const std::vector<v1::LaneFailure>& failures = {}) {
+  std::vector<v1::Permit> Ask(const std::string& actor, const std::vector<v1::LaneFailure>& failures = {},
+                              int capacity = kLanes) {
     v1::PermitRequest request;
     request.set_actor(actor);
     request.set_epoch(epoch_);
-    request.set_capacity(kLanes);
+    request.set_capacity(capacity);
     request.set_wait_ms(200);
     for (const v1::LaneFailure& failure : failures) *request.add_failures() = failure;
     v1::PermitReply reply;
@@ -179,6 +186,9 @@ class Training {
     }
     ASSERT_EQ(fragments, 0) << "no permits for the rest";
     Leave(actor);
+  }
+  Fragment Played(const v1::Permit& permit) const {
+    return PlayedFragment(permit.lane(), permit.fragment(), permit.policy_version(), epoch_);
   }
   // The only actor can't restore any lane, and reports that twice.
   void RefuseAll(const std::string& actor) {
@@ -310,7 +320,7 @@ TEST_F(TrainerTest, AnOverlappedUpdateThatFailsIsUndoneWithTheFragmentsPlayedMea
   std::vector<int64_t> versions;
   training->Play("a", 2 * kPerIteration, [&](Fragment* f) { versions.push_back(f->policy_version); });
   EXPECT_EQ(versions, (std::vector<int64_t>{0, 0, 0, 0, 1, 1, 1, 1}));
-  EXPECT_EQ(training->Weights(3), quiet->Weights(3));
+  EXPECT_TRUE(training->Weights(3) == quiet->Weights(3));
 }
 
 TEST_F(TrainerTest, AnOverlappedRunResumesWithTheWeightsThatItPlayedWith) {
@@ -327,11 +337,12 @@ TEST_F(TrainerTest, AnOverlappedRunResumesWithTheWeightsThatItPlayedWith) {
   std::vector<int64_t> versions;
   training->Play("a", kPerIteration, [&](Fragment* f) { versions.push_back(f->policy_version); });
   EXPECT_EQ(versions, (std::vector<int64_t>(kPerIteration, 1)));
-  EXPECT_EQ(training->Weights(3), quiet->Weights(3));
+  EXPECT_TRUE(training->Weights(3) == quiet->Weights(3));
 }
 
 TEST_F(TrainerTest, ARunThatCorrectsLagResumesAsIfNeverStopped) {
-  Variant variant = {/*keep_fragments=*/false, /*resume=*/false, /*overlap=*/1, /*corrects_lag=*/true};
+  Variant variant = {/*keep_fragments=*/false, /*resume=*/false, /*overlap=*/1};
+  variant.corrects_lag = true;
   const auto quiet = Begin("quiet-corrected", variant);
   quiet->Play("a", 3 * kPerIteration);
   {
@@ -347,6 +358,130 @@ TEST_F(TrainerTest, ARunThatCorrectsLagResumesAsIfNeverStopped) {
   const auto uncorrected = Begin("uncorrected", {/*keep_fragments=*/false, /*resume=*/false, /*overlap=*/1});
   uncorrected->Play("a", 3 * kPerIteration);
   EXPECT_FALSE(uncorrected->Weights(3) == quiet->Weights(3));
+}
+
+const Variant kAsynchronous = {/*keep_fragments=*/false, /*resume=*/false, /*overlap=*/0, /*max_staleness=*/1};
+
+class AsynchronousTrainerTest : public TrainerTest {
+ protected:
+  std::unique_ptr<Training> Replay(const std::string& run) {
+    Variant variant = kAsynchronous;
+    variant.replay = folder_ / run;
+    return Begin(run + "-replayed", variant);
+  }
+  std::unique_ptr<Training> Resume(const std::string& run) {
+    Variant variant = kAsynchronous;
+    variant.resume = true;
+    return Begin(run, variant);
+  }
+  std::string Record(const std::string& run) const { return ReadFile(folder_ / run + "/arrivals.jsonl").value_or(""); }
+  // Replays `run`, whose last update gave the weights `version`, and expects the same weights and record.
+  void ExpectReplayed(const std::string& run, int64_t version, const std::string& weights) {
+    const auto replay = Replay(run);
+    replay->Play("b", static_cast<int>(version) * kPerIteration);
+    ASSERT_THAT(replay->Wait(), IsOk()) << "it ends with the record";
+    const auto checkpoint = FindCheckpoint(folder_ / run + "-replayed");
+    ASSERT_THAT(checkpoint, IsOk());
+    EXPECT_TRUE(ReadFile(*checkpoint + "/weights.safetensors").value() == weights) << "to the bit";
+    EXPECT_EQ(Record(run + "-replayed"), Record(run));
+  }
+};
+
+TEST_F(AsynchronousTrainerTest, AnUpdateLearnsFromWhatArrivesFirstAndAReplayFromTheSame) {
+  std::string weights;
+  {
+    const auto training = Begin("async", kAsynchronous);
+    training->Join("slow");
+    const std::vector<v1::Permit> slow = training->Ask("slow", {}, /*capacity=*/1);
+    ASSERT_EQ(slow.size(), 1U);
+    training->Play("fast", kPerIteration);
+    ASSERT_FALSE(training->Weights(1).empty());
+    EXPECT_EQ(training->Push("slow", training->Played(slow[0])), v1::FragmentVerdict::ACCEPTED) << "one update old";
+    training->Play("fast", kPerIteration - 1);
+    weights = training->Weights(2);
+    ASSERT_FALSE(weights.empty());
+    while (training->Metric("iteration") < 2) training->Join("slow");
+    EXPECT_EQ(training->Metric("staleness_max"), 1);
+    ASSERT_THAT(training->Stop(), IsOk());
+  }
+  EXPECT_THAT(Record("async"), testing::StartsWith("{\"policy_version\": 0, \"fragments\": [[1, 0, 0, "));
+  EXPECT_THAT(Record("async"), HasSubstr("{\"policy_version\": 1, \"fragments\": [[0, 0, 0, "));
+  ExpectReplayed("async", 2, weights);
+}
+
+TEST_F(AsynchronousTrainerTest, AFragmentThatIsTooOldIsRefused) {
+  const auto training = Begin("async", kAsynchronous);
+  training->Join("slow");
+  const std::vector<v1::Permit> slow = training->Ask("slow", {}, /*capacity=*/1);
+  ASSERT_EQ(slow.size(), 1U);
+  training->Play("fast", 2 * kPerIteration);
+  ASSERT_FALSE(training->Weights(2).empty());
+  EXPECT_EQ(training->Push("slow", training->Played(slow[0])), v1::FragmentVerdict::EXPIRED);
+  training->Play("fast", kPerIteration);
+  EXPECT_FALSE(training->Weights(3).empty());
+}
+
+TEST_F(AsynchronousTrainerTest, AStoppedRunGoesOnFromItsCheckpointAndItsRecordHoldsAllThatWasLearned) {
+  {
+    const auto training = Begin("stopped", kAsynchronous);
+    training->Play("a", 2 * kPerIteration + 1);  // one is not learned from
+    ASSERT_FALSE(training->Weights(2).empty());
+    ASSERT_THAT(training->Stop(), IsOk());
+  }
+  std::string weights;
+  {
+    const auto training = Resume("stopped");
+    std::vector<int64_t> versions;
+    training->Play("a", kPerIteration, [&](Fragment* f) { versions.push_back(f->policy_version); });
+    EXPECT_EQ(versions, (std::vector<int64_t>(kPerIteration, 2)));
+    weights = training->Weights(3);
+    ASSERT_FALSE(weights.empty());
+    while (training->Metric("iteration") < 3) training->Join("a");
+    ASSERT_THAT(training->Stop(), IsOk());
+  }
+  ExpectReplayed("stopped", 3, weights);
+}
+
+TEST_F(AsynchronousTrainerTest, AnUpdateThatFailsIsUndoneAndLeavesNoTraceInTheRecord) {
+  std::string weights;
+  {
+    const auto training = Begin("disturbed", kAsynchronous);
+    training->Play("liar", kPerIteration, Poison);
+    while (training->Metric("updates_undone") == 0) training->Join("a");
+    training->Play("a", 2 * kPerIteration);
+    weights = training->Weights(2);
+    ASSERT_FALSE(weights.empty());
+    while (training->Metric("iteration") < 2) training->Join("a");
+    ASSERT_THAT(training->Stop(), IsOk());
+  }
+  ExpectReplayed("disturbed", 2, weights);
+}
+
+TEST_F(AsynchronousTrainerTest, AReplayOfOtherFragmentsEndsAndNamesTheFirst) {
+  {
+    const auto training = Begin("async", kAsynchronous);
+    training->Play("a", kPerIteration);
+    ASSERT_FALSE(training->Weights(1).empty());
+    ASSERT_THAT(training->Stop(), IsOk());
+  }
+  const auto replay = Replay("async");
+  replay->Play("b", kPerIteration, [](Fragment* fragment) {
+    if (fragment->lane == 1) fragment->rewards[0] = 0.5F;
+  });
+  EXPECT_THAT(replay->Wait(), StatusIs(absl::StatusCode::kDataLoss, HasSubstr("fragment 0 of lane 1, from b, is ")));
+}
+
+TEST_F(AsynchronousTrainerTest, AReplayNeedsARecordAndTheSameConfiguration) {
+  Learner::Options options;
+  options.texture_dir = DefaultTextureDir().value();
+  options.logdir = folder_ / "replay";
+  options.replay = folder_ / "run";
+  { const auto training = Begin("run"); }
+  options.config = Config({});
+  EXPECT_THAT(Learner::Create(options),
+              StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("has no record and needs none")));
+  options.config = Config(kAsynchronous);
+  EXPECT_THAT(Learner::Create(options), StatusIs(absl::StatusCode::kFailedPrecondition, HasSubstr("max_staleness")));
 }
 
 }  // namespace

@@ -54,6 +54,16 @@ class TrainingLogTest : public OpenRun {
   DiskWait disk_{&stop_, &clock_, absl::ZeroDuration()};
 };
 
+TEST_F(TrainingLogTest, WritesHowOldTheWeightsWere) {
+  TrainingLog log(run_.get(), &disk_);
+  log.AddStaleness(4096, {0, 0.5, 2}, 7);
+  log.Flush();
+  EXPECT_EQ(LastPoint(), (std::map<std::string, float>{{"rollout/staleness_min", 0},
+                                                       {"rollout/staleness_mean", 0.5F},
+                                                       {"rollout/staleness_max", 2},
+                                                       {"rollout/fragments_dropped", 7}}));
+}
+
 TEST_F(TrainingLogTest, WritesAPointOfEveryCurve) {
   TrainingLog log(run_.get(), &disk_);
   UpdateStats stats;

@@ -96,6 +96,16 @@ TEST_F(TrainingStatusTest, TheRateIsOfTheLastIterationUnlessThisOneTakesLonger) 
   EXPECT_EQ(Rate(), 200);
 }
 
+TEST_F(TrainingStatusTest, ShowsHowOldTheWeightsOfTheLastUpdateWere) {
+  EXPECT_EQ(Metric("staleness_max"), 0);
+  std::vector<Fragment> fragments(4);
+  for (int i = 0; i < 4; ++i) fragments[i].policy_version = i == 0 ? 4 : 6;
+  status_.OnUpdate(StalenessOf(fragments, 7));
+  EXPECT_EQ(Metric("staleness_min"), 1);
+  EXPECT_EQ(Metric("staleness_mean"), 1.5);
+  EXPECT_EQ(Metric("staleness_max"), 3);
+}
+
 TEST_F(TrainingStatusTest, CountsUndoneUpdates) {
   EXPECT_EQ(Metric("updates_undone"), 0);
   status_.OnUpdateUndone();

@@ -213,6 +213,13 @@ std::string ScoreLine(std::map<std::string, double> metrics) {
                          metrics["achievements_unlocked"], kNumAchievements);
 }
 
+// Empty while every update learns from the newest weights.
+std::string StalenessLine(std::map<std::string, double> metrics) {
+  if (metrics["staleness_max"] == 0 && metrics["fragments_dropped"] == 0) return "";
+  return absl::StrFormat("staleness %.0f to %.0f updates, mean %.2f  %.0f fragments dropped", metrics["staleness_min"],
+                         metrics["staleness_max"], metrics["staleness_mean"], metrics["fragments_dropped"]);
+}
+
 std::string TimesLine(const v1::FleetSummary& fleet) {
   std::vector<std::string> parts;
   for (const v1::ActivityTime& time : fleet.times()) {
@@ -301,6 +308,7 @@ std::vector<TextLine> DrawAll(const v1::StatusReply& status, const TopState& sta
   if (lost) add(page.problem, Style::kBad);
   add(StepsLine(status, MetricsOf(status)));
   add(ScoreLine(MetricsOf(status)));
+  if (const std::string staleness = StalenessLine(MetricsOf(status)); !staleness.empty()) add(staleness);
   add(CountsLine(status));
   add(TimesLine(status.fleet()));
   if (!status.summary().gpu().empty()) add(GpuLine(status.summary()));

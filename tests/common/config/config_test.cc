@@ -61,11 +61,13 @@ v1::RunConfig FromText(const std::string& text) { return ResolveRunConfig(ParseR
 
 TEST(RunConfig, AnEmptyFileGivesTheDefaults) { EXPECT_TRUE(MessageDifferencer::Equals(FromText(""), Resolved())); }
 
-TEST(RunConfig, PrecisionDeviceAndOverlapAreAbsentUnlessChosen) {
+TEST(RunConfig, PrecisionDeviceOverlapAndStalenessAreAbsentUnlessChosen) {
   EXPECT_FALSE(Resolved().has_precision());
   EXPECT_FALSE(Resolved().has_device());
   EXPECT_FALSE(Resolved().has_overlap());
-  EXPECT_TRUE(MessageDifferencer::Equals(FromText("precision: FP32 device: CPU overlap: 0"), Resolved()));
+  EXPECT_FALSE(Resolved().has_max_staleness());
+  EXPECT_TRUE(
+      MessageDifferencer::Equals(FromText("precision: FP32 device: CPU overlap: 0 max_staleness: 0"), Resolved()));
   EXPECT_EQ(FromText("precision: BF16 device: CUDA_UPDATES").precision(), v1::RunConfig::BF16);
   EXPECT_EQ(FromText("precision: BF16 device: CUDA_UPDATES").device(), v1::RunConfig::CUDA_UPDATES);
 }
@@ -307,6 +309,23 @@ INSTANTIATE_TEST_SUITE_P(
         BadValue{"fragment_steps is 20000, want 1..16384", [](auto* c) { c->set_fragment_steps(20000); }},
         BadValue{"tile is 0, want 1..256", [](auto* c) { c->set_tile(0); }},
         BadValue{"overlap is 2, want 0..1", [](auto* c) { c->set_overlap(2); }},
+        BadValue{"max_staleness is -1, want 0..64", [](auto* c) { c->set_max_staleness(-1); }},
+        BadValue{"max_staleness is 65, want 0..64", [](auto* c) { c->set_max_staleness(65); }},
+        BadValue{"overlap and max_staleness are both given",
+                 [](auto* c) {
+                   c->set_overlap(1);
+                   c->set_max_staleness(2);
+                 }},
+        BadValue{"checkpoint.keep_fragments and max_staleness are both given",
+                 [](auto* c) {
+                   c->mutable_checkpoint()->set_keep_fragments(true);
+                   c->set_max_staleness(1);
+                 }},
+        BadValue{"distillation.every_iterations and max_staleness are both given",
+                 [](auto* c) {
+                   c->mutable_distillation()->set_every_iterations(4);
+                   c->set_max_staleness(1);
+                 }},
         BadValue{"precision is PRECISION_UNSPECIFIED or unknown, want FP32, TF32 or BF16",
                  [](auto* c) { c->set_precision(v1::RunConfig::PRECISION_UNSPECIFIED); }},
         BadValue{"device is DEVICE_UNSPECIFIED or unknown, want CPU, CUDA or CUDA_UPDATES",
@@ -343,9 +362,9 @@ INSTANTIATE_TEST_SUITE_P(
                    c->mutable_ppo()->set_vtrace_rho_bar(1);
                    c->mutable_ppo()->set_vtrace_c_bar(1.5);
                  }},
-        BadValue{"ppo.decoupled_objective is given, but without overlap",
+        BadValue{"ppo.decoupled_objective is given, but in a synchronous run",
                  [](auto* c) { c->mutable_ppo()->set_decoupled_objective(true); }},
-        BadValue{"ppo.vtrace_rho_bar is given, but without overlap",
+        BadValue{"ppo.vtrace_rho_bar is given, but in a synchronous run",
                  [](auto* c) {
                    c->mutable_ppo()->set_vtrace_rho_bar(1);
                    c->mutable_ppo()->set_vtrace_c_bar(1);

@@ -274,6 +274,16 @@ TEST(DrawTop, ShowsProblemsPauseErrorsAndHelp) {
   EXPECT_THAT(Page(status, state), HasSubstr("sort by the next"));
 }
 
+TEST(DrawTop, ShowsHowOldTheWeightsAreThatPlay) {
+  v1::StatusReply status = Fleet();
+  EXPECT_THAT(Page(status), Not(HasSubstr("staleness")));
+  AddMetric("staleness_min", 0, &status);
+  AddMetric("staleness_mean", 0.75, &status);
+  AddMetric("staleness_max", 2, &status);
+  AddMetric("fragments_dropped", 3, &status);
+  EXPECT_THAT(Page(status), HasSubstr("staleness 0 to 2 updates, mean 0.75  3 fragments dropped"));
+}
+
 TEST(DrawTop, ShowsTheLearnersGpu) {
   v1::StatusReply status = Fleet();
   EXPECT_THAT(Page(status), Not(HasSubstr("gpu:")));
