@@ -12,8 +12,8 @@ namespace craftfleet {
 
 // Values differ from the exact ones by less than this. The field has all lattice points in reach. The exact noise
 // leaves out one of them in some places, where its attenuation is at most 1/6, so its contribution at most 1.26e-4:
-// 1/6^4 by the lengths of a gradient, sqrt(153), and of the displacement, sqrt(2 - 1/6), divided by kNoiseNorm. That 1/6
-// was found by sampling, and the field's floats add less than 1e-5: hence a bound of three times the sum.
+// 1/6^4 by the lengths of a gradient, sqrt(153), and of the displacement, sqrt(2 - 1/6), divided by kNoiseNorm. That
+// 1/6 was found by sampling, and the field's floats add less than 1e-5: hence a bound of three times the sum.
 inline constexpr float kNoiseError = 4.2e-4F;
 
 // The noise at cell (column, row) is that at (column * step_x, row * step_y, z); steps are 1/20..1.

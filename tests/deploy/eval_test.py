@@ -55,6 +55,23 @@ class Eval(python_case.FolderCase):
     self.assertEqual(result["env"], "crafter:numbers=easy-x2")
     self.assertEqual(result["seed"], 5)
 
+  def test_the_trained_agent_of_the_repository_plays_well(self):
+    result = SOURCE / "deploy/experiments/results/ppo_cnn_1m/seed2"
+    out = self.run_program("craftfleet-eval", f"--checkpoint={result}", "--episodes=5", f"--json={self.folder}/out.json")
+    self.assertIn("20261121-155022-d9b7e5, ppo_cnn after 1000000 steps", out.stdout)
+    reward = json.loads((self.folder / "out.json").read_text())["sampled"]["reward"]
+    self.assertGreater(reward, 6, "random play gets 2")
+
+  def test_a_damaged_result_is_refused(self):
+    result = self.folder / "result"
+    shutil.copytree(SOURCE / "deploy/experiments/results/ppo_cnn_1m/seed2", result)
+    (result / "run.json").write_text("[]")
+    out = self.run_program("craftfleet-eval", f"--checkpoint={result}", code=1)
+    self.assertIn("run.json has no run_id", out.stderr)
+    (result / "weights.safetensors").write_bytes(b"nothing")
+    (result / "run.json").write_text('{"run_id": "a"}')
+    self.run_program("craftfleet-eval", f"--checkpoint={result}", code=1)
+
   def test_recording_changes_no_result(self):
     (self.folder / "config.txt").write_text(CONFIG.replace("every_steps: 64", "every_steps: 0"))
     self.train("--steps=64")

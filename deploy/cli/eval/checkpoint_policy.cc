@@ -2,8 +2,13 @@
 
 #include <utility>
 
+#include <absl/strings/str_cat.h>
+#include <nlohmann/json.hpp>
+
 #include "common/agent/torch_setup.h"
 #include "common/base/status_macros.h"
+#include "common/config/config.h"
+#include "common/io/files.h"
 #include "common/process/cpu_pin.h"
 #include "common/telemetry/log.h"
 #include "learner/run/checkpoint.h"
@@ -19,12 +24,41 @@ absl::Status ComputeAsTheRun(v1::RunConfig::Cpu cpu) {
   return absl::OkStatus();
 }
 
+bool IsResult(const std::string& path) {
+  return PathExists(JoinPath(path, "config.txt")) && PathExists(JoinPath(path, "weights.safetensors"));
+}
+
+// The final weights of a finished run, with what its configuration says of it.
+absl::StatusOr<Checkpoint> LoadResult(const std::string& folder) {
+  Checkpoint checkpoint;
+  const std::string config_path = JoinPath(folder, "config.txt");
+  CRAFTFLEET_ASSIGN_OR_RETURN(const std::string text, ReadFile(config_path));
+  CRAFTFLEET_ASSIGN_OR_RETURN(v1::RunConfig given, ParseRunConfig(text, config_path));
+  CRAFTFLEET_ASSIGN_OR_RETURN(*checkpoint.state.mutable_config(), ResolveRunConfig(std::move(given)));
+  checkpoint.state.set_env_steps(checkpoint.state.config().steps());
+  CRAFTFLEET_ASSIGN_OR_RETURN(const std::string run, ReadFile(JoinPath(folder, "run.json")));
+  const auto json = nlohmann::json::parse(run, nullptr, /*allow_exceptions=*/false);
+  const auto id = json.is_object() ? json.find("run_id") : json.end();
+  if (id == json.end() || !id->is_string()) {
+    return absl::DataLossError(absl::StrCat(folder, "/run.json has no run_id"));
+  }
+  checkpoint.state.set_run_id(id->get<std::string>());
+  CRAFTFLEET_ASSIGN_OR_RETURN(checkpoint.weights, ReadFile(JoinPath(folder, "weights.safetensors")));
+  return checkpoint;
+}
+
+absl::StatusOr<Checkpoint> Load(const std::string& path, std::string* folder) {
+  const absl::StatusOr<std::string> found = FindCheckpoint(path);
+  *folder = found.value_or(path);
+  if (found.ok()) return LoadCheckpoint(*found, "");
+  return IsResult(path) ? LoadResult(path) : found.status();
+}
+
 }  // namespace
 
 absl::StatusOr<CheckpointPolicy> LoadPolicy(const std::string& path) {
   CheckpointPolicy loaded;
-  CRAFTFLEET_ASSIGN_OR_RETURN(loaded.folder, FindCheckpoint(path));
-  CRAFTFLEET_ASSIGN_OR_RETURN(Checkpoint checkpoint, LoadCheckpoint(loaded.folder, ""));
+  CRAFTFLEET_ASSIGN_OR_RETURN(Checkpoint checkpoint, Load(path, &loaded.folder));
   const v1::RunConfig& config = checkpoint.state.config();
   CRAFTFLEET_RETURN_IF_ERROR(ComputeAsTheRun(config.cpu()));
   SetUpTorchThread();

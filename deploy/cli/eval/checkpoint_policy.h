@@ -21,10 +21,11 @@ struct CheckpointPolicy {
   std::shared_ptr<const Policy> policy;
 };
 
-// Loads the checkpoint `path`, or the newest one of the run folder `path`. The first call sets up LibTorch, with the
-// run's instruction set if this CPU supports it, so that episodes are the same as in the run's own evaluations. For
-// that the process may execute itself again (PinCpu): call it before work that would be lost.
-//   Errors as FindCheckpoint, LoadCheckpoint and Policy::Create.
+// Loads the checkpoint `path`, the newest one of the run folder `path`, or the weights in a folder of results
+// (deploy/experiments/collect.sh --weights). The first call sets up LibTorch, with the run's instruction set if this CPU
+// supports it, so that episodes are the same as in the run's own evaluations. For that the process may execute itself
+// again (PinCpu): call it before work that would be lost.
+//   Errors as FindCheckpoint, LoadCheckpoint, ResolveRunConfig and Policy::Create.
 absl::StatusOr<CheckpointPolicy> LoadPolicy(const std::string& path);
 
 }  // namespace craftfleet
