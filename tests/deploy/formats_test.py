@@ -29,6 +29,9 @@ class Formats(unittest.TestCase):
     fields = message_fields(read("proto/craftfleet/v1/config.proto"), "PpoConfig")
     self.assertEqual(sorted(rows), sorted(fields))
     code = dict(re.findall(r"ppo\.set_(\w+)\((?:v1::PpoConfig::)?([^)]*)\);", read("common/config/config.cc")))
+    # Fields that are off are left out of the configuration.
+    off = re.findall(r"if \(.*\) ppo\.clear_(\w+)\(\);", read("common/config/config.cc"))
+    code.update({name: "false" if f"bool {name} =" in read("proto/craftfleet/v1/config.proto") else "0" for name in off})
     self.assertEqual(rows, code)
 
   def test_formats_page_has_every_field_of_a_checkpoint(self):

@@ -28,7 +28,7 @@ NOT_RUN = [
     (r"build/bin/(replay_trace|craftfleet train --textures|craftfleet sweep .*--textures)", "needs the original's textures"),
     (r"python3 (envserver/textures|tests/model)/", "writes files of the repository"),
     (r"build/bin/craftfleet report deploy/experiments/results", "writes a page of the repository"),
-    (r"(build/bin/craftfleet eval --checkpoint=RUN|python3 deploy/pictures/)", "needs a run of a million steps"),
+    (r"(build/bin/craftfleet eval --checkpoint=deploy/|python3 deploy/pictures/)", "makes a picture that is committed"),
     (r"build/bin/craftfleet sweep .*--experiment=overlap_300k", "takes hours"),
     (r"build/bin/craftfleet report runs/overlap", "on deploy/TUNING.md: of that sweep's runs; README.md makes a report"),
     (r"build/bin/craftfleet train --agent=AGENT", "half an hour for most of the agents"),
