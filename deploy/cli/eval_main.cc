@@ -34,7 +34,8 @@
 #include "envserver/env_service.h"
 #include "learner/run/score.h"
 
-ABSL_FLAG(std::string, checkpoint, "", "folder of a run, for its newest checkpoint, of one checkpoint, or of results with weights (required)");
+ABSL_FLAG(std::string, checkpoint, "",
+          "folder of a run, for its newest checkpoint, of one checkpoint, or of results with weights (required)");
 ABSL_FLAG(std::optional<craftfleet::Count>, episodes, std::nullopt, "episodes to play, 1..10000 [20]");
 ABSL_FLAG(std::optional<std::string>, env, std::nullopt,
           "environment to play, such as crafter:inventory=off [the one of the training]");

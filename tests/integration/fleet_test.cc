@@ -170,9 +170,9 @@ class AsynchronousFleetTest : public FleetTest {
  protected:
   void SetUp() override {
     shared_ = std::make_unique<TempFolder>();
-    ASSERT_THAT(WriteFileSynced(*shared_ / "config.txt",
-                                absl::StrReplaceAll(Config(), {{"ppo {", "max_staleness: 2  ppo {"}})),
-                IsOk());
+    ASSERT_THAT(
+        WriteFileSynced(*shared_ / "config.txt", absl::StrReplaceAll(Config(), {{"ppo {", "max_staleness: 2  ppo {"}})),
+        IsOk());
   }
   virtual std::string Config() { return kConfig; }
 
