@@ -43,7 +43,8 @@ function(craftfleet_program)
 endfunction()
 
 # craftfleet_test(NAME fragment_queue_test LABELS unit;tsan SRCS ... DEPS ...): one GoogleTest executable with one ctest entry per
-# TEST, so that `ctest` counts cases. Tests find tests/data through CRAFTFLEET_SOURCE_DIR.
+# TEST, so that `ctest` counts cases; with CRAFTFLEET_TEST_WHOLE_PROGRAMS, one entry per executable, because a program with
+# LibTorch takes a second to start under AddressSanitizer. Tests find tests/data through CRAFTFLEET_SOURCE_DIR.
 function(craftfleet_test)
   cmake_parse_arguments(ARG "" "NAME;TIMEOUT" "SRCS;DEPS;LABELS" ${ARGN})
   add_executable(${ARG_NAME} ${ARG_SRCS})
@@ -54,6 +55,11 @@ function(craftfleet_test)
                                                  CRAFTFLEET_BIN_DIR="${CMAKE_BINARY_DIR}/bin")
   if(NOT ARG_TIMEOUT)
     set(ARG_TIMEOUT 300)
+  endif()
+  if(CRAFTFLEET_TEST_WHOLE_PROGRAMS)
+    add_test(NAME ${ARG_NAME} COMMAND ${ARG_NAME})
+    set_tests_properties(${ARG_NAME} PROPERTIES LABELS "${ARG_LABELS}" TIMEOUT 1800)
+    return()
   endif()
   # CMake 3.25 expands the list of labels four times before ctest reads it; without the backslashes only its first entry
   # would remain, and no timeout.
