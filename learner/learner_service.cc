@@ -22,13 +22,8 @@
 namespace craftfleet {
 namespace {
 
-constexpr int kMaxWaitMs = 2000;  // of a long poll
-// Of weights. Each download that waits for its client holds two chunks, and there may be thousands of downloads.
-constexpr size_t kChunkBytes = 128u << 10;
 constexpr size_t kLinesPerClient = 16;   // about workers, in the period of LimitedLog, whatever their names
 constexpr int kMaxServersReported = 64;  // environment servers in one request of an actor
-
-absl::Duration WaitTime(int wait_ms) { return absl::Milliseconds(std::clamp(wait_ms, 0, kMaxWaitMs)); }
 
 Permit FromProto(const v1::Permit& message) { return {message.lane(), message.fragment(), message.policy_version()}; }
 
@@ -47,19 +42,6 @@ bool IsAboutNames(const absl::Status& status) {
   return status.code() == absl::StatusCode::kPermissionDenied || status.code() == absl::StatusCode::kResourceExhausted;
 }
 
-v1::FragmentVerdict::Verdict VerdictToProto(LaneScheduler::Verdict verdict) {
-  switch (verdict) {
-    case LaneScheduler::Verdict::kAccepted:
-      return v1::FragmentVerdict::ACCEPTED;
-    case LaneScheduler::Verdict::kDuplicate:
-      return v1::FragmentVerdict::DUPLICATE;
-    case LaneScheduler::Verdict::kExpired:
-    case LaneScheduler::Verdict::kStale:
-      return v1::FragmentVerdict::EXPIRED;
-  }
-  return v1::FragmentVerdict::VERDICT_UNSPECIFIED;
-}
-
 }  // namespace
 
 LearnerServiceImpl::LearnerServiceImpl(const Options& options, WorkerRegistry* registry, WeightStore* weights,
@@ -69,19 +51,32 @@ LearnerServiceImpl::LearnerServiceImpl(const Options& options, WorkerRegistry* r
       weights_(weights),
       fragments_(fragments),
       refusals_(&clock_),
-      polls_(options.max_polls_per_client) {}
+      polls_(options.max_polls_per_client) {
+  registry_->SetObserver([this] { waiting_for_permits_.Retry(); });
+  weights_->SetObserver([this] { waiting_for_weights_.Retry(); });
+}
 
-WorkerClient LearnerServiceImpl::ClientOf(const grpc::ServerContext& context) const {
+LearnerServiceImpl::~LearnerServiceImpl() {
+  registry_->SetObserver(nullptr);
+  weights_->SetObserver(nullptr);
+}
+
+absl::Duration LearnerServiceImpl::WaitTime(int wait_ms) {
+  constexpr int kMaxWaitMs = 2000;
+  return absl::Milliseconds(std::clamp(wait_ms, 0, kMaxWaitMs));
+}
+
+WorkerClient LearnerServiceImpl::ClientOf(const grpc::ServerContextBase& context) const {
   return {options_.access != nullptr ? options_.access->Identify(context) : wire::IdentifyByCertificate(context),
           wire::ClientOfPeer(context.peer())};
 }
 
-absl::Status LearnerServiceImpl::NameActor(const grpc::ServerContext& context, absl::string_view name) {
+absl::Status LearnerServiceImpl::NameActor(const grpc::ServerContextBase& context, absl::string_view name) {
   CRAFTFLEET_RETURN_IF_ERROR(wire::CheckName("actor", name));
   return LogRefusal(context, registry_->UseName(WorkerRole::kActor, name, ClientOf(context)));
 }
 
-absl::Status LearnerServiceImpl::LogRefusal(const grpc::ServerContext& context, absl::Status status) {
+absl::Status LearnerServiceImpl::LogRefusal(const grpc::ServerContextBase& context, absl::Status status) {
   if (IsAboutNames(status)) {
     const std::string client = ClientOf(context).Name();
     refusals_.Warn(client, absl::StrFormat("refused %s: %s", client, status.message()));
@@ -89,7 +84,7 @@ absl::Status LearnerServiceImpl::LogRefusal(const grpc::ServerContext& context, 
   return status;
 }
 
-void LearnerServiceImpl::WarnRefused(const grpc::ServerContext& context, absl::string_view worker,
+void LearnerServiceImpl::WarnRefused(const grpc::ServerContextBase& context, absl::string_view worker,
                                      absl::string_view text) {
   const size_t key = std::hash<std::string>()(std::string(worker)) % kLinesPerClient;
   refusals_.Warn(absl::StrCat("worker ", key, " of ", ClientOf(context).Name()), text);
@@ -124,31 +119,58 @@ grpc::Status LearnerServiceImpl::Join(grpc::ServerContext* context, const v1::Jo
   return grpc::Status::OK;
 }
 
-grpc::Status LearnerServiceImpl::GetPermits(grpc::ServerContext* context, const v1::PermitRequest* request,
-                                            v1::PermitReply* reply) {
-  const wire::StreamWatch::Stream poll(&polls_, context);
-  if (!poll.admitted().ok()) return wire::ToGrpc(poll.admitted());
-  if (absl::Status status = CheckEpoch(request->epoch()); !status.ok()) return wire::ToGrpc(status);
-  if (absl::Status status = wire::CheckPermitRequest(*request, options_.shape.lanes, options_.shape.steps);
-      !status.ok()) {
-    WarnRefused(*context, request->actor(),
-                absl::StrFormat("request of actor %s refused: %s",
-                                Printable(request->actor().substr(0, wire::kMaxTextBytes)), status.message()));
-    return wire::ToGrpc(status);
+grpc::ServerUnaryReactor* LearnerServiceImpl::GetPermits(grpc::CallbackServerContext* context,
+                                                         const v1::PermitRequest* request, v1::PermitReply* reply) {
+  grpc::ServerUnaryReactor* const reactor = context->DefaultReactor();
+  auto poll = std::make_shared<wire::StreamWatch::Stream>(&polls_, context);
+  absl::Status status = poll->admitted();
+  if (status.ok()) status = CheckPermits(*context, *request);
+  if (!status.ok()) {
+    reactor->Finish(wire::ToGrpc(status));
+    return reactor;
   }
-  if (absl::Status status = wire::CheckName("actor", request->actor()); !status.ok()) return wire::ToGrpc(status);
-  const absl::StatusOr<WorkerRegistry::PermitReply> given = registry_->GetPermits(ToRequest(context, *request));
-  if (!given.ok()) return wire::ToGrpc(LogRefusal(*context, given.status()));
-  AddPermits(given->granted, reply->mutable_granted());
-  AddPermits(given->lost, reply->mutable_lost());
-  reply->set_finished(given->finished);
-  if (given->evaluation.has_value()) *reply->mutable_evaluation() = ToProto(*given->evaluation);
-  reply->set_env_servers_generation(given->servers_generation);
-  for (const std::string& address : given->servers) reply->add_env_servers(address);
-  return grpc::Status::OK;
+  WorkerRegistry::PermitRequest asked = ToRequest(context, *request);
+  const absl::Duration wait = asked.wait;
+  waiting_for_permits_.Add(
+      [this, context, reply, reactor, poll = std::move(poll), asked = std::move(asked),
+       started = false](bool last) mutable {
+        std::optional<absl::StatusOr<WorkerRegistry::PermitReply>> given;
+        if (!std::exchange(started, true)) given = registry_->StartPermits(asked);
+        if (!given.has_value()) given = registry_->RetryPermits(asked, last);
+        if (!given.has_value()) return false;
+        if (given->ok()) FillPermits(**given, reply);
+        const absl::Status status = LogRefusal(*context, given->status());
+        poll.reset();  // before the call ends, which the service may not outlive
+        reactor->Finish(wire::ToGrpc(status));
+        return true;
+      },
+      wait);
+  return reactor;
 }
 
-WorkerRegistry::PermitRequest LearnerServiceImpl::ToRequest(grpc::ServerContext* context,
+absl::Status LearnerServiceImpl::CheckPermits(const grpc::ServerContextBase& context,
+                                              const v1::PermitRequest& request) {
+  CRAFTFLEET_RETURN_IF_ERROR(CheckEpoch(request.epoch()));
+  if (absl::Status status = wire::CheckPermitRequest(request, options_.shape.lanes, options_.shape.steps);
+      !status.ok()) {
+    WarnRefused(context, request.actor(),
+                absl::StrFormat("request of actor %s refused: %s",
+                                Printable(request.actor().substr(0, wire::kMaxTextBytes)), status.message()));
+    return status;
+  }
+  return wire::CheckName("actor", request.actor());
+}
+
+void LearnerServiceImpl::FillPermits(const WorkerRegistry::PermitReply& given, v1::PermitReply* reply) const {
+  AddPermits(given.granted, reply->mutable_granted());
+  AddPermits(given.lost, reply->mutable_lost());
+  reply->set_finished(given.finished);
+  if (given.evaluation.has_value()) *reply->mutable_evaluation() = ToProto(*given.evaluation);
+  reply->set_env_servers_generation(given.servers_generation);
+  for (const std::string& address : given.servers) reply->add_env_servers(address);
+}
+
+WorkerRegistry::PermitRequest LearnerServiceImpl::ToRequest(grpc::CallbackServerContext* context,
                                                             const v1::PermitRequest& request) const {
   WorkerRegistry::PermitRequest asked;
   asked.client = ClientOf(*context);
@@ -184,93 +206,6 @@ v1::EvaluationTask LearnerServiceImpl::ToProto(const EvaluationScheduler::Task& 
   message.set_episodes(task.episodes);
   message.set_greedy(task.greedy);
   return message;
-}
-
-grpc::Status LearnerServiceImpl::PushFragments(
-    grpc::ServerContext* context, grpc::ServerReaderWriter<v1::FragmentVerdict, v1::FragmentMessage>* stream) {
-  wire::StreamWatch::Stream watched(&streams_, context);
-  if (!watched.admitted().ok()) return wire::ToGrpc(watched.admitted());
-  v1::FragmentMessage message;
-  v1::FragmentVerdict reply;
-  while (true) {
-    watched.Await("a fragment", options_.fragment_timeout);
-    if (!stream->Read(&message)) break;
-    watched.Work();
-    if (absl::Status status = NameActor(*context, message.actor()); !status.ok()) return wire::ToGrpc(status);
-    absl::StatusOr<v1::FragmentVerdict::Verdict> verdict = Intake(&message);
-    if (!verdict.ok()) {
-      if (verdict.status().code() == absl::StatusCode::kInvalidArgument) {
-        ++rejected_;
-        const absl::Status status = absl::InvalidArgumentError(
-            absl::StrFormat("fragment %d of lane %d of actor %s: %s", message.number(), message.lane(),
-                            Printable(message.actor().substr(0, wire::kMaxTextBytes)), verdict.status().message()));
-        WarnRefused(*context, message.actor(), absl::StrFormat("fragment refused: %s", status.message()));
-        return wire::ToGrpc(status);
-      }
-      return wire::ToGrpc(verdict.status());
-    }
-    reply.set_lane(message.lane());
-    reply.set_number(message.number());
-    reply.set_verdict(*verdict);
-    message = v1::FragmentMessage();  // a stream that waits must not keep megabytes of its last fragment
-    watched.Await("a verdict to be taken", options_.reply_timeout);
-    if (!stream->Write(reply)) break;
-  }
-  return wire::ToGrpc(watched.late());
-}
-
-absl::StatusOr<v1::FragmentVerdict::Verdict> LearnerServiceImpl::Intake(v1::FragmentMessage* message) {
-  if (message->epoch() != options_.epoch) {
-    ++expired_;
-    return v1::FragmentVerdict::EXPIRED;
-  }
-  CRAFTFLEET_ASSIGN_OR_RETURN(Fragment fragment, wire::FromProto(message, options_.shape));
-  fragment.sender = message->actor();
-  fragment.digest = wire::FragmentDigest(fragment);
-  CRAFTFLEET_ASSIGN_OR_RETURN(
-      const LaneScheduler::Verdict verdict,
-      registry_->Accept(fragment.sender, {fragment.lane, fragment.number, fragment.policy_version}, fragment.snapshot,
-                        fragment.digest));
-  if (verdict == LaneScheduler::Verdict::kAccepted) {
-    ++accepted_;
-    CRAFTFLEET_RETURN_IF_ERROR(fragments_->Push(std::move(fragment)));
-  } else if (verdict != LaneScheduler::Verdict::kStale) {  // which the registry counts
-    ++(verdict == LaneScheduler::Verdict::kDuplicate ? duplicates_ : expired_);
-  }
-  return VerdictToProto(verdict);
-}
-
-grpc::Status LearnerServiceImpl::GetWeights(grpc::ServerContext* context, const v1::WeightsRequest* request,
-                                            grpc::ServerWriter<v1::WeightsChunk>* writer) {
-  wire::StreamWatch::Stream watched(&streams_, context);
-  if (!watched.admitted().ok()) return wire::ToGrpc(watched.admitted());
-  const absl::StatusOr<WeightStore::Weights> weights = FindWeights(*request);
-  if (!weights.ok()) return wire::ToGrpc(weights.status());
-  v1::WeightsChunk chunk;
-  chunk.set_policy_version(weights->version);
-  chunk.set_total_bytes(static_cast<int64_t>(weights->bytes->size()));
-  for (size_t offset = 0; offset < weights->bytes->size(); offset += kChunkBytes) {
-    chunk.mutable_data()->assign(*weights->bytes, offset, kChunkBytes);
-    watched.Await("weights to be taken", options_.reply_timeout);
-    if (!writer->Write(chunk)) break;
-  }
-  return wire::ToGrpc(watched.late());
-}
-
-absl::StatusOr<WeightStore::Weights> LearnerServiceImpl::FindWeights(const v1::WeightsRequest& request) const {
-  if (request.evaluation() != 0) {
-    std::shared_ptr<const std::string> bytes = registry_->EvaluationWeights(request.evaluation());
-    if (bytes == nullptr) {
-      return absl::AbortedError(absl::StrFormat("evaluation task %d is over", request.evaluation()));
-    }
-    return WeightStore::Weights{0, std::move(bytes)};
-  }
-  WeightStore::Weights weights = weights_->Wait(request.at_least(), WaitTime(request.wait_ms()));
-  if (weights.bytes == nullptr || weights.version < request.at_least()) {
-    return absl::DeadlineExceededError(absl::StrFormat("policy version %d is not available yet, the latest is %d",
-                                                       request.at_least(), weights.version));
-  }
-  return weights;
 }
 
 grpc::Status LearnerServiceImpl::GetSnapshot(grpc::ServerContext* /*context*/, const v1::SnapshotRequest* request,

@@ -1,4 +1,6 @@
-// The learner's gRPC service for workers: converts, checks and delegates.
+// The learner's gRPC service for workers: converts, checks and delegates. Calls that wait for the learner or for their
+// client have no thread each, since every actor nearly always has some: gRPC calls them back on a few threads of its
+// own.
 
 #ifndef CRAFTFLEET_LEARNER_LEARNER_SERVICE_H_
 #define CRAFTFLEET_LEARNER_LEARNER_SERVICE_H_
@@ -11,6 +13,7 @@
 #include "common/base/clock.h"
 #include "common/base/closable_queue.h"
 #include "common/base/types.h"
+#include "common/base/waiting_calls.h"
 #include "common/telemetry/limited_log.h"
 #include "common/wire/access.h"
 #include "common/wire/convert.h"
@@ -25,8 +28,14 @@ namespace craftfleet {
 // Passes accepted fragments to the trainer. Bounded by the number of permits.
 using FragmentQueue = ClosableQueue<Fragment>;
 
-// Implements LearnerService (learner.proto). Thread-safe. The pointers must outlive it.
-class LearnerServiceImpl final : public v1::LearnerService::Service {
+// LearnerService with callbacks instead of threads for the calls that wait.
+using LearnerServiceBase =
+    v1::LearnerService::WithCallbackMethod_GetPermits<v1::LearnerService::WithCallbackMethod_PushFragments<
+        v1::LearnerService::WithCallbackMethod_GetWeights<v1::LearnerService::Service>>>;
+
+// Implements LearnerService (learner.proto). Thread-safe. The pointers must outlive it; registry and weights have no
+// other observer.
+class LearnerServiceImpl final : public LearnerServiceBase {
  public:
   struct Options {
     std::string run_id;
@@ -46,14 +55,15 @@ class LearnerServiceImpl final : public v1::LearnerService::Service {
   };
 
   LearnerServiceImpl(const Options& options, WorkerRegistry* registry, WeightStore* weights, FragmentQueue* fragments);
+  ~LearnerServiceImpl() override;
 
   grpc::Status Join(grpc::ServerContext* context, const v1::JoinRequest* request, v1::JoinReply* reply) override;
-  grpc::Status GetPermits(grpc::ServerContext* context, const v1::PermitRequest* request,
-                          v1::PermitReply* reply) override;
-  grpc::Status PushFragments(grpc::ServerContext* context,
-                             grpc::ServerReaderWriter<v1::FragmentVerdict, v1::FragmentMessage>* stream) override;
-  grpc::Status GetWeights(grpc::ServerContext* context, const v1::WeightsRequest* request,
-                          grpc::ServerWriter<v1::WeightsChunk>* writer) override;
+  grpc::ServerUnaryReactor* GetPermits(grpc::CallbackServerContext* context, const v1::PermitRequest* request,
+                                       v1::PermitReply* reply) override;
+  grpc::ServerBidiReactor<v1::FragmentMessage, v1::FragmentVerdict>* PushFragments(
+      grpc::CallbackServerContext* context) override;
+  grpc::ServerWriteReactor<v1::WeightsChunk>* GetWeights(grpc::CallbackServerContext* context,
+                                                         const v1::WeightsRequest* request) override;
   grpc::Status GetSnapshot(grpc::ServerContext* context, const v1::SnapshotRequest* request,
                            v1::SnapshotReply* reply) override;
   grpc::Status FinishEvaluation(grpc::ServerContext* context, const v1::EvaluationResult* request,
@@ -66,20 +76,34 @@ class LearnerServiceImpl final : public v1::LearnerService::Service {
   void FillStatus(v1::StatusReply* reply) const;
 
  private:
+  class FragmentStream;
+  class WeightStream;
+
+  // How long a call that asks for `wait_ms` may wait.
+  static absl::Duration WaitTime(int wait_ms);
+
   absl::Status CheckEpoch(int64_t epoch) const;
+  // Aborted: another epoch.   InvalidArgument: a field is out of its range; logged.
+  absl::Status CheckPermits(const grpc::ServerContextBase& context, const v1::PermitRequest& request);
   // Converts the request for the registry.
-  WorkerRegistry::PermitRequest ToRequest(grpc::ServerContext* context, const v1::PermitRequest& request) const;
+  WorkerRegistry::PermitRequest ToRequest(grpc::CallbackServerContext* context, const v1::PermitRequest& request) const;
+  void FillPermits(const WorkerRegistry::PermitReply& given, v1::PermitReply* reply) const;
   v1::EvaluationTask ToProto(const EvaluationScheduler::Task& task) const;
+  // weight_stream.cc.   Aborted: the evaluation is over.   DeadlineExceeded: the version is not available yet.
   absl::StatusOr<WeightStore::Weights> FindWeights(const v1::WeightsRequest& request) const;
+  // fragment_stream.cc: checks the fragment and passes it on.   InvalidArgument: a field is out of its range; logged
+  // and counted.   Others as UseName and WorkerRegistry::Accept.
+  absl::StatusOr<v1::FragmentVerdict::Verdict> Receive(const grpc::ServerContextBase& context,
+                                                       v1::FragmentMessage* message);
   absl::StatusOr<v1::FragmentVerdict::Verdict> Intake(v1::FragmentMessage* message);
-  WorkerClient ClientOf(const grpc::ServerContext& context) const;
+  WorkerClient ClientOf(const grpc::ServerContextBase& context) const;
   // Checks that the client may call as actor `name`.   InvalidArgument: `name` is not a valid name.   Others as
   // WorkerRegistry::UseName, logged.
-  absl::Status NameActor(const grpc::ServerContext& context, absl::string_view name);
+  absl::Status NameActor(const grpc::ServerContextBase& context, absl::string_view name);
   // Logs `status` if the client was refused because of its name. Returns `status`.
-  absl::Status LogRefusal(const grpc::ServerContext& context, absl::Status status);
+  absl::Status LogRefusal(const grpc::ServerContextBase& context, absl::Status status);
   // Logs why a call that names `worker` was refused; few lines, however often a client calls, under whatever names.
-  void WarnRefused(const grpc::ServerContext& context, absl::string_view worker, absl::string_view text);
+  void WarnRefused(const grpc::ServerContextBase& context, absl::string_view worker, absl::string_view text);
 
   const Options options_;
   WorkerRegistry* const registry_;
@@ -95,6 +119,8 @@ class LearnerServiceImpl final : public v1::LearnerService::Service {
   LimitedLog refusals_;
   wire::StreamWatch streams_;
   wire::StreamWatch polls_;  // requests for permits
+  WaitingCalls waiting_for_permits_;
+  WaitingCalls waiting_for_weights_;
 };
 
 }  // namespace craftfleet

@@ -31,18 +31,45 @@ absl::Status WorkerRegistry::Join(const WorkerClient& client, absl::string_view 
 
 absl::StatusOr<WorkerRegistry::PermitReply> WorkerRegistry::GetPermits(const PermitRequest& request) {
   const MutexLock lock(&mu_);
+  PermitReply reply;
+  CRAFTFLEET_RETURN_IF_ERROR(ReportAndRenew(request, &reply));
+  changed_.WaitFor(&mu_, request.wait, [&]() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_) { return TryGrant(request, &reply); });
+  return Complete(request, std::move(reply));
+}
+
+std::optional<absl::StatusOr<WorkerRegistry::PermitReply>> WorkerRegistry::StartPermits(const PermitRequest& request) {
+  const MutexLock lock(&mu_);
+  PermitReply reply;
+  if (absl::Status status = ReportAndRenew(request, &reply); !status.ok()) return status;
+  if (!TryGrant(request, &reply)) return std::nullopt;
+  return Complete(request, std::move(reply));
+}
+
+std::optional<absl::StatusOr<WorkerRegistry::PermitReply>> WorkerRegistry::RetryPermits(const PermitRequest& request,
+                                                                                        bool last) {
+  const MutexLock lock(&mu_);
+  PermitReply reply;
+  if (!TryGrant(request, &reply) && !last) return std::nullopt;
+  return Complete(request, std::move(reply));
+}
+
+absl::Status WorkerRegistry::ReportAndRenew(const PermitRequest& request, PermitReply* reply) {
   CRAFTFLEET_RETURN_IF_ERROR(Own(WorkerRole::kActor, request.actor, request.client).status());
   for (const LaneFailure& failure : request.failures) {
     lanes_.Refuse(request.actor, failure.lane, failure.fragment, failure.reason);
   }
   evaluations_.Renew(request.actor, request.evaluation);
-  PermitReply reply;
-  CRAFTFLEET_ASSIGN_OR_RETURN(reply.lost, RenewPlay(request));
-  changed_.WaitFor(&mu_, request.wait, [&]() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_) {
-    if (FindActor(request.actor) == nullptr || closed_) return true;
-    reply.granted = lanes_.Grant(request.actor);
-    return !reply.granted.empty() || !reply.lost.empty() || finished_;
-  });
+  CRAFTFLEET_ASSIGN_OR_RETURN(reply->lost, RenewPlay(request));
+  return absl::OkStatus();
+}
+
+bool WorkerRegistry::TryGrant(const PermitRequest& request, PermitReply* reply) {
+  if (FindActor(request.actor) == nullptr || closed_) return true;
+  reply->granted = lanes_.Grant(request.actor);
+  return !reply->granted.empty() || !reply->lost.empty() || finished_;
+}
+
+absl::StatusOr<WorkerRegistry::PermitReply> WorkerRegistry::Complete(const PermitRequest& request, PermitReply reply) {
   if (closed_) return absl::UnavailableError("the learner is stopping");
   Worker* const actor = FindActor(request.actor);
   if (actor == nullptr) return NotKnown(request.actor);
@@ -60,6 +87,16 @@ absl::StatusOr<WorkerRegistry::PermitReply> WorkerRegistry::GetPermits(const Per
   }
   AddServerList(request, &reply);
   return reply;
+}
+
+void WorkerRegistry::SetObserver(std::function<void()> observer) {
+  const MutexLock lock(&mu_);
+  observer_ = std::move(observer);
+}
+
+void WorkerRegistry::Wake() {
+  changed_.NotifyAll();
+  if (observer_ != nullptr) observer_();
 }
 
 absl::StatusOr<std::vector<Permit>> WorkerRegistry::RenewPlay(const PermitRequest& request) {
@@ -99,7 +136,7 @@ void WorkerRegistry::ShortenLease(Worker* actor) {
 }
 
 void WorkerRegistry::WakeIfChanged() {
-  if (lanes_.TakeChange()) changed_.NotifyAll();
+  if (lanes_.TakeChange()) Wake();
 }
 
 std::vector<LaneScheduler::ActorInfo> WorkerRegistry::Actors() const {
@@ -211,13 +248,13 @@ int64_t WorkerRegistry::dropped() const {
 void WorkerRegistry::Finish() {
   const MutexLock lock(&mu_);
   finished_ = true;
-  changed_.NotifyAll();
+  Wake();
 }
 
 void WorkerRegistry::Close() {
   const MutexLock lock(&mu_);
   closed_ = true;
-  changed_.NotifyAll();
+  Wake();
 }
 
 void WorkerRegistry::WaitUntilEmpty(absl::Duration timeout) {

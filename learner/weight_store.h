@@ -6,11 +6,10 @@
 #include <cstddef>
 #include <cstdint>
 #include <deque>
+#include <functional>
 #include <memory>
 #include <string>
 #include <utility>
-
-#include <absl/time/time.h>
 
 #include "common/base/mutex.h"
 
@@ -27,31 +26,33 @@ class WeightStore {
   // `kept`: 1 or more.
   explicit WeightStore(size_t kept = 1) : kept_(kept) {}
 
-  // Publishes `bytes` (safetensors) and wakes waiting calls. `version` must grow from call to call.
+  // Publishes `bytes` (safetensors). `version` must grow from call to call.
   void Publish(int64_t version, std::shared_ptr<const std::string> bytes) ABSL_LOCKS_EXCLUDED(mu_) {
-    MutexLock lock(&mu_);
+    const MutexLock lock(&mu_);
     if (newest_.size() == kept_) newest_.pop_front();
     newest_.push_back({version, std::move(bytes)});
-    changed_.NotifyAll();
+    if (observer_ != nullptr) observer_();
   }
 
-  // Waits up to `timeout` for `version` or a later one. Returns the weights of `version` if they are kept, otherwise
-  // the latest, which may still be older.
-  Weights Wait(int64_t version, absl::Duration timeout) ABSL_LOCKS_EXCLUDED(mu_) {
-    MutexLock lock(&mu_);
-    changed_.WaitFor(&mu_, timeout, [&]() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_) {
-      return !newest_.empty() && newest_.back().version >= version;
-    });
+  // The weights of `version` if they are kept, otherwise the latest, which may be older.
+  Weights Find(int64_t version) const ABSL_LOCKS_EXCLUDED(mu_) {
+    const MutexLock lock(&mu_);
     for (const Weights& weights : newest_) {
       if (weights.version == version) return weights;
     }
     return newest_.empty() ? Weights() : newest_.back();
   }
 
+  // `observer` is called, with the lock held, at each Publish; null: none.
+  void SetObserver(std::function<void()> observer) ABSL_LOCKS_EXCLUDED(mu_) {
+    const MutexLock lock(&mu_);
+    observer_ = std::move(observer);
+  }
+
  private:
   const size_t kept_;
-  Mutex mu_;
-  CondVar changed_;
+  mutable Mutex mu_;
+  std::function<void()> observer_ ABSL_GUARDED_BY(mu_);
   std::deque<Weights> newest_ ABSL_GUARDED_BY(mu_);  // the latest last
 };
 

@@ -212,7 +212,7 @@ absl::Status WorkerRegistry::Leave(const WorkerClient& client, WorkerRole role, 
     worker->last_seen = clock_->Now();
   }
   ReleaseName(worker);
-  changed_.NotifyAll();
+  Wake();
   return absl::OkStatus();
 }
 
@@ -238,7 +238,7 @@ absl::StatusOr<WorkerRegistry::WorkerId> WorkerRegistry::Undrain(absl::string_vi
   if (worker->draining && worker->role == WorkerRole::kEnvServer) ++generation_;
   worker->draining = false;
   worker->empty = false;
-  changed_.NotifyAll();
+  Wake();
   return WorkerId{worker->role, worker->name};
 }
 

@@ -132,6 +132,13 @@ class WorkerRegistry {
   //   Aborted: the actor is unknown or has left, and must join (again).   Unavailable: Close was called.
   //   Cancelled: the client disconnected; the actor's lease is shortened to `comeback`.
   absl::StatusOr<PermitReply> GetPermits(const PermitRequest& request) ABSL_LOCKS_EXCLUDED(mu_);
+  // The same in two steps that do not wait. nullopt: there is nothing to grant; call RetryPermits once the registry has
+  // changed, and at the latest after `request.wait`, as the `last` time, which always gives a reply.
+  std::optional<absl::StatusOr<PermitReply>> StartPermits(const PermitRequest& request) ABSL_LOCKS_EXCLUDED(mu_);
+  std::optional<absl::StatusOr<PermitReply>> RetryPermits(const PermitRequest& request, bool last)
+      ABSL_LOCKS_EXCLUDED(mu_);
+  // `observer` is called, with the lock held, after each change that may let RetryPermits give a reply; null: none.
+  void SetObserver(std::function<void()> observer) ABSL_LOCKS_EXCLUDED(mu_);
   // The connection of `actor` broke: shortens its lease to `comeback`.
   void OnConnectionLost(absl::string_view actor) ABSL_LOCKS_EXCLUDED(mu_);
   // Makes an environment server active, or renews its lease. `lanes`: its open games.   FailedPrecondition: as Join.
@@ -251,12 +258,22 @@ class WorkerRegistry {
   // Makes `actor` inactive and frees its permits.
   void RemoveActor(Worker* actor) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
   void ExpireActors() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
+  // The parts of GetPermits. Notes failures and renews the actor's lease, permits and evaluation.   Errors as
+  // GetPermits.
+  absl::Status ReportAndRenew(const PermitRequest& request, PermitReply* reply) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
+  // Grants what there is. Returns whether the request need not wait longer.
+  bool TryGrant(const PermitRequest& request, PermitReply* reply) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
+  // Notes the rest of the request and fills in the rest of the reply.   Errors as GetPermits.
+  absl::StatusOr<PermitReply> Complete(const PermitRequest& request, PermitReply reply)
+      ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
   // Renews the actor's lease and permits; returns the permits that it has lost.
   //   Aborted: the actor is unknown.
   absl::StatusOr<std::vector<Permit>> RenewPlay(const PermitRequest& request) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
   // Shortens the actor's lease to `comeback`.
   void ShortenLease(Worker* actor) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
-  // Wakes calls that wait for permits if there may be some.
+  // Wakes calls that wait for permits, or for the last actor to leave.
+  void Wake() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
+  // The same if there may be new permits.
   void WakeIfChanged() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
 
   const Options options_;
@@ -267,6 +284,7 @@ class WorkerRegistry {
   mutable Mutex mu_;
   CondVar changed_;    // permits, or the run is over
   CondVar evaluated_;  // an evaluation task is over
+  std::function<void()> observer_ ABSL_GUARDED_BY(mu_);
   std::map<Key, Worker> workers_ ABSL_GUARDED_BY(mu_);
   std::map<std::string, size_t> names_of_ ABSL_GUARDED_BY(mu_);  // owned names, by identity
   std::map<std::pair<std::string, std::string>, int> names_from_

@@ -48,6 +48,16 @@ void Call(LearnerServiceImpl* service,
   }
 }
 
+void CallGetPermits(LearnerServiceImpl* service, absl::string_view bytes) {
+  v1::PermitRequest request;
+  v1::PermitReply reply;
+  if (request.ParseFromArray(bytes.data(), static_cast<int>(bytes.size()))) {
+    request.set_wait_ms(0);  // the context must outlive the call
+    grpc::CallbackServerContext context;
+    service->GetPermits(&context, &request, &reply);
+  }
+}
+
 // An accepted fragment must have the run's shape.
 void Push(Service* service, absl::string_view bytes) {
   v1::FragmentMessage message;
@@ -84,7 +94,7 @@ void TryInput(absl::string_view input) {
       Call(&service.service, &LearnerServiceImpl::Join, bytes);
       break;
     case 1:
-      Call(&service.service, &LearnerServiceImpl::GetPermits, bytes);
+      CallGetPermits(&service.service, bytes);
       break;
     case 2:
       Push(&service, bytes);

@@ -1,9 +1,13 @@
 // The learner's streams: weights, and limits on time and number.
 
+#include <algorithm>
+#include <atomic>
+#include <filesystem>
 #include <memory>
 #include <string>
 #include <vector>
 
+#include <absl/strings/str_cat.h>
 #include <absl/time/clock.h>
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
@@ -49,6 +53,51 @@ TEST_F(LearnerServiceTest, AMissingVersionOfTheWeightsIsAnError) {
   EXPECT_THAT(wire::FromGrpc(stream->Finish(), "learner"),
               StatusIs(absl::StatusCode::kDeadlineExceeded,
                        AllOf(HasSubstr("policy version 12 is not available yet"), HasSubstr("the latest is 11"))));
+}
+
+int Threads() {
+  int threads = 0;
+  for ([[maybe_unused]] const auto& entry : std::filesystem::directory_iterator("/proc/self/task")) ++threads;
+  return threads;
+}
+
+// Actors always have a stream and nearly always a request that waits. Thousands of them must not need as many threads.
+TEST_F(LearnerServiceTest, WaitingActorsHaveNoThreads) {
+  constexpr int kActors = 200;
+  struct Actor {
+    grpc::ClientContext poll, push;
+    v1::PermitRequest request;
+    v1::PermitReply reply;
+    std::unique_ptr<grpc::ClientReaderWriter<v1::FragmentMessage, v1::FragmentVerdict>> stream;
+  };
+  ASSERT_THAT(Join("plays"), IsOk());
+  ASSERT_THAT(GetPermits("plays"), IsOk());
+  std::vector<Actor> actors(kActors);
+  const int before = Threads();
+  std::atomic<int> answered = 0;
+  for (int i = 0; i < kActors; ++i) {
+    Actor& actor = actors[i];
+    ASSERT_THAT(Join(absl::StrCat("actor", i)), IsOk());
+    actor.stream = stub_->PushFragments(&actor.push);
+    actor.request.set_actor(absl::StrCat("actor", i));
+    actor.request.set_epoch(kEpoch);
+    actor.request.set_capacity(1);
+    actor.request.set_wait_ms(2000);
+    stub_->async()->GetPermits(&actor.poll, &actor.request, &actor.reply, [&](const grpc::Status& status) {
+      EXPECT_TRUE(status.ok()) << status.error_message();
+      ++answered;
+    });
+  }
+  int most = before;
+  while (answered < kActors) {
+    most = std::max(most, Threads());
+    absl::SleepFor(absl::Milliseconds(1));
+  }
+  EXPECT_LT(most, before + 40) << before << " threads before";
+  for (Actor& actor : actors) {
+    actor.stream->WritesDone();
+    EXPECT_TRUE(actor.stream->Finish().ok());
+  }
 }
 
 // The same service with short limits for its streams.

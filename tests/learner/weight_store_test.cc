@@ -6,6 +6,8 @@
 
 #include <gtest/gtest.h>
 
+#include "common/base/mutex.h"
+
 namespace craftfleet {
 namespace {
 
@@ -15,7 +17,7 @@ std::shared_ptr<const std::string> Bytes(int64_t version) {
 
 TEST(WeightStore, HasNothingBeforeTheFirstVersion) {
   WeightStore store;
-  const WeightStore::Weights weights = store.Wait(0, absl::Milliseconds(5));
+  const WeightStore::Weights weights = store.Find(0);
   EXPECT_EQ(weights.version, -1);
   EXPECT_EQ(weights.bytes, nullptr);
 }
@@ -25,22 +27,22 @@ TEST(WeightStore, ReturnsAnAvailableVersionAtOnce) {
   store.Publish(3, Bytes(3));
   store.Publish(4, Bytes(4));
   for (const int64_t wanted : {0, 3, 4}) {
-    const WeightStore::Weights weights = store.Wait(wanted, absl::InfiniteDuration());
+    const WeightStore::Weights weights = store.Find(wanted);
     EXPECT_EQ(weights.version, 4);
     EXPECT_EQ(*weights.bytes, "weights 4");
   }
 }
 
-TEST(WeightStore, ReturnsTheLatestVersionAfterATimeout) {
+TEST(WeightStore, ReturnsTheLatestVersionInsteadOfOneToCome) {
   WeightStore store;
   store.Publish(3, Bytes(3));
-  EXPECT_EQ(store.Wait(4, absl::Milliseconds(5)).version, 3);
+  EXPECT_EQ(store.Find(4).version, 3);
 }
 
 TEST(WeightStore, ReturnedBytesStayValid) {
   WeightStore store;
   store.Publish(1, Bytes(1));
-  const WeightStore::Weights taken = store.Wait(1, absl::ZeroDuration());
+  const WeightStore::Weights taken = store.Find(1);
   store.Publish(2, Bytes(2));
   EXPECT_EQ(*taken.bytes, "weights 1");
 }
@@ -48,22 +50,34 @@ TEST(WeightStore, ReturnedBytesStayValid) {
 TEST(WeightStore, KeepsTheVersionsThatAreWanted) {
   WeightStore store(/*kept=*/2);
   for (int version = 1; version <= 3; ++version) store.Publish(version, Bytes(version));
-  EXPECT_EQ(store.Wait(1, absl::ZeroDuration()).version, 3);
-  EXPECT_EQ(store.Wait(2, absl::ZeroDuration()).version, 2);
-  EXPECT_EQ(*store.Wait(2, absl::ZeroDuration()).bytes, "weights 2");
-  EXPECT_EQ(store.Wait(3, absl::ZeroDuration()).version, 3);
-  EXPECT_EQ(store.Wait(4, absl::ZeroDuration()).version, 3);
+  EXPECT_EQ(store.Find(1).version, 3);
+  EXPECT_EQ(store.Find(2).version, 2);
+  EXPECT_EQ(*store.Find(2).bytes, "weights 2");
+  EXPECT_EQ(store.Find(3).version, 3);
+  EXPECT_EQ(store.Find(4).version, 3);
 }
 
-TEST(WeightStore, PublishWakesWaitingCalls) {
+TEST(WeightStore, TheObserverSeesEachVersion) {
   constexpr int64_t kVersions = 200;
   WeightStore store;
+  Mutex mu;
+  CondVar changed;
+  int64_t published = 0;
+  store.SetObserver([&] {
+    const MutexLock lock(&mu);
+    ++published;
+    changed.NotifyAll();
+  });
   std::vector<std::thread> readers;
   readers.reserve(4);
   for (int r = 0; r < 4; ++r) {
-    readers.emplace_back([&store] {
+    readers.emplace_back([&] {
       for (int64_t version = 0; version < kVersions;) {
-        const WeightStore::Weights weights = store.Wait(version, absl::InfiniteDuration());
+        {
+          const MutexLock lock(&mu);
+          changed.Wait(&mu, [&] { return published > version; });
+        }
+        const WeightStore::Weights weights = store.Find(version);
         EXPECT_GE(weights.version, version);
         EXPECT_EQ(*weights.bytes, *Bytes(weights.version));
         version = weights.version + 1;
@@ -72,6 +86,10 @@ TEST(WeightStore, PublishWakesWaitingCalls) {
   }
   for (int64_t version = 0; version < kVersions; ++version) store.Publish(version, Bytes(version));
   for (std::thread& reader : readers) reader.join();
+  EXPECT_EQ(published, kVersions);
+  store.SetObserver(nullptr);
+  store.Publish(kVersions, Bytes(kVersions));
+  EXPECT_EQ(published, kVersions);
 }
 
 }  // namespace
