@@ -90,25 +90,59 @@ void LearnerServiceImpl::WarnRefused(const grpc::ServerContextBase& context, abs
   refusals_.Warn(absl::StrCat("worker ", key, " of ", ClientOf(context).Name()), text);
 }
 
-grpc::Status LearnerServiceImpl::Join(grpc::ServerContext* context, const v1::JoinRequest* request,
-                                      v1::JoinReply* reply) {
+template <typename Request, typename Reply>
+grpc::ServerUnaryReactor* LearnerServiceImpl::Finish(grpc::CallbackServerContext* context, const Request& request,
+                                                     Reply* reply) {
+  grpc::ServerUnaryReactor* const reactor = context->DefaultReactor();
+  reactor->Finish(wire::ToGrpc(Answer(*context, request, reply)));
+  return reactor;
+}
+
+grpc::ServerUnaryReactor* LearnerServiceImpl::Join(grpc::CallbackServerContext* context, const v1::JoinRequest* request,
+                                                   v1::JoinReply* reply) {
+  return Finish(context, *request, reply);
+}
+
+grpc::ServerUnaryReactor* LearnerServiceImpl::GetSnapshot(grpc::CallbackServerContext* context,
+                                                          const v1::SnapshotRequest* request,
+                                                          v1::SnapshotReply* reply) {
+  return Finish(context, *request, reply);
+}
+
+grpc::ServerUnaryReactor* LearnerServiceImpl::FinishEvaluation(grpc::CallbackServerContext* context,
+                                                               const v1::EvaluationResult* request,
+                                                               v1::EvaluationReply* reply) {
+  return Finish(context, *request, reply);
+}
+
+grpc::ServerUnaryReactor* LearnerServiceImpl::Announce(grpc::CallbackServerContext* context,
+                                                       const v1::Announcement* request, v1::AnnounceReply* reply) {
+  return Finish(context, *request, reply);
+}
+
+grpc::ServerUnaryReactor* LearnerServiceImpl::Leave(grpc::CallbackServerContext* context,
+                                                    const v1::LeaveRequest* request, v1::LeaveReply* reply) {
+  return Finish(context, *request, reply);
+}
+
+absl::Status LearnerServiceImpl::Answer(const grpc::ServerContextBase& context, const v1::JoinRequest& request,
+                                        v1::JoinReply* reply) {
   const wire::Handshake ours = {wire::kProtocolVersion, options_.run_id, ""};
-  const wire::Handshake theirs = {request->protocol_version(), request->run_id(), ""};
+  const wire::Handshake theirs = {request.protocol_version(), request.run_id(), ""};
   if (absl::Status status = wire::CheckHandshake("learner", ours, "actor", theirs); !status.ok()) {
-    WarnRefused(*context, request->actor(),
-                absl::StrFormat("actor %s refused: %s", request->actor(), status.message()));
-    return wire::ToGrpc(status);
+    WarnRefused(context, request.actor(), absl::StrFormat("actor %s refused: %s", request.actor(), status.message()));
+    return status;
   }
-  absl::Status status = wire::CheckJoin(*request);
-  if (status.ok() && request->only_ask()) status = NameActor(*context, request->actor());
-  if (status.ok() && !request->only_ask()) {
-    status = LogRefusal(*context, registry_->Join(ClientOf(*context), request->actor(), request->address(),
-                                                  {request->build(), request->canary(), request->cpu()}));
+  absl::Status status = wire::CheckJoin(request);
+  if (status.ok() && request.only_ask()) status = NameActor(context, request.actor());
+  if (status.ok() && !request.only_ask()) {
+    status = LogRefusal(context, registry_->Join(ClientOf(context), request.actor(), request.address(),
+                                                 {request.build(), request.canary(), request.cpu()}));
     if (status.code() == absl::StatusCode::kFailedPrecondition) {
-      WarnRefused(*context, request->actor(), absl::StrFormat("refused %s", status.message()));
+      WarnRefused(context, request.actor(), absl::StrFormat("refused %s", status.message()));
     }
   }
-  if (!status.ok()) return wire::ToGrpc(status);
+  if (!status.ok()) return status;
   reply->set_run_id(options_.run_id);
   reply->set_epoch(options_.epoch);
   *reply->mutable_config() = options_.config;
@@ -116,7 +150,7 @@ grpc::Status LearnerServiceImpl::Join(grpc::ServerContext* context, const v1::Jo
   reply->set_lease_ms(static_cast<int>(absl::ToInt64Milliseconds(options_.lease)));
   reply->set_program_version(std::string(ProgramVersion()));
   reply->set_game_canary(registry_->GameCanary());
-  return grpc::Status::OK;
+  return absl::OkStatus();
 }
 
 grpc::ServerUnaryReactor* LearnerServiceImpl::GetPermits(grpc::CallbackServerContext* context,
@@ -208,59 +242,59 @@ v1::EvaluationTask LearnerServiceImpl::ToProto(const EvaluationScheduler::Task& 
   return message;
 }
 
-grpc::Status LearnerServiceImpl::GetSnapshot(grpc::ServerContext* /*context*/, const v1::SnapshotRequest* request,
-                                             v1::SnapshotReply* reply) {
-  if (absl::Status status = CheckEpoch(request->epoch()); !status.ok()) return wire::ToGrpc(status);
-  absl::StatusOr<LaneSnapshot> snapshot = registry_->Snapshot(request->lane(), request->fragment());
-  if (!snapshot.ok()) return wire::ToGrpc(snapshot.status());
+absl::Status LearnerServiceImpl::Answer(const grpc::ServerContextBase& /*context*/, const v1::SnapshotRequest& request,
+                                        v1::SnapshotReply* reply) {
+  if (absl::Status status = CheckEpoch(request.epoch()); !status.ok()) return status;
+  absl::StatusOr<LaneSnapshot> snapshot = registry_->Snapshot(request.lane(), request.fragment());
+  if (!snapshot.ok()) return snapshot.status();
   *reply = wire::ToProto(*std::move(snapshot));
-  return grpc::Status::OK;
+  return absl::OkStatus();
 }
 
-grpc::Status LearnerServiceImpl::FinishEvaluation(grpc::ServerContext* context, const v1::EvaluationResult* request,
-                                                  v1::EvaluationReply* /*reply*/) {
-  if (absl::Status status = CheckEpoch(request->epoch()); !status.ok()) return wire::ToGrpc(status);
-  if (absl::Status status = NameActor(*context, request->actor()); !status.ok()) return wire::ToGrpc(status);
-  const absl::StatusOr<std::vector<Episode>> episodes = wire::FromProto(*request, options_.shape.max_length);
-  const absl::Status status = episodes.ok() ? registry_->FinishEvaluation(request->id(), *episodes) : episodes.status();
+absl::Status LearnerServiceImpl::Answer(const grpc::ServerContextBase& context, const v1::EvaluationResult& request,
+                                        v1::EvaluationReply* /*reply*/) {
+  if (absl::Status status = CheckEpoch(request.epoch()); !status.ok()) return status;
+  if (absl::Status status = NameActor(context, request.actor()); !status.ok()) return status;
+  const absl::StatusOr<std::vector<Episode>> episodes = wire::FromProto(request, options_.shape.max_length);
+  const absl::Status status = episodes.ok() ? registry_->FinishEvaluation(request.id(), *episodes) : episodes.status();
   if (!status.ok()) {
-    WarnRefused(*context, request->actor(),
-                absl::StrFormat("evaluation by actor %s refused: %s", request->actor(), status.message()));
+    WarnRefused(context, request.actor(),
+                absl::StrFormat("evaluation by actor %s refused: %s", request.actor(), status.message()));
   }
-  return wire::ToGrpc(status);
+  return status;
 }
 
-grpc::Status LearnerServiceImpl::Announce(grpc::ServerContext* context, const v1::Announcement* request,
-                                          v1::AnnounceReply* reply) {
+absl::Status LearnerServiceImpl::Answer(const grpc::ServerContextBase& context, const v1::Announcement& request,
+                                        v1::AnnounceReply* reply) {
   const wire::Handshake ours = {wire::kProtocolVersion, "", options_.texture_digest};
-  const wire::Handshake theirs = {request->protocol_version(), "", request->texture_digest()};
+  const wire::Handshake theirs = {request.protocol_version(), "", request.texture_digest()};
   absl::Status status = wire::CheckHandshake("learner", ours, "environment server", theirs);
-  if (status.ok()) status = wire::CheckAnnouncement(*request);
-  if (status.ok() && request->leaving()) {
-    status = LogRefusal(
-        *context, registry_->Leave(ClientOf(*context), WorkerRole::kEnvServer, request->name(), request->address()));
+  if (status.ok()) status = wire::CheckAnnouncement(request);
+  if (status.ok() && request.leaving()) {
+    status = LogRefusal(context,
+                        registry_->Leave(ClientOf(context), WorkerRole::kEnvServer, request.name(), request.address()));
   } else if (status.ok()) {
-    status = LogRefusal(*context, registry_->Announce(ClientOf(*context), request->name(), request->address(),
-                                                      request->summary().lanes(), {request->build(), request->canary()},
-                                                      KeepSummary(request->summary())));
+    status = LogRefusal(
+        context, registry_->Announce(ClientOf(context), request.name(), request.address(), request.summary().lanes(),
+                                     {request.build(), request.canary()}, KeepSummary(request.summary())));
   }
   if (!status.ok() && !IsAboutNames(status)) {
-    WarnRefused(*context, request->name(),
-                absl::StrFormat("environment server %s refused: %s", request->name(), status.message()));
+    WarnRefused(context, request.name(),
+                absl::StrFormat("environment server %s refused: %s", request.name(), status.message()));
   }
-  if (!status.ok()) return wire::ToGrpc(status);
+  if (!status.ok()) return status;
   reply->set_run_id(options_.run_id);
   reply->set_lease_ms(static_cast<int>(absl::ToInt64Milliseconds(registry_->server_lease())));
-  return grpc::Status::OK;
+  return absl::OkStatus();
 }
 
-grpc::Status LearnerServiceImpl::Leave(grpc::ServerContext* context, const v1::LeaveRequest* request,
-                                       v1::LeaveReply* /*reply*/) {
-  absl::Status status = wire::CheckName("actor", request->actor());
+absl::Status LearnerServiceImpl::Answer(const grpc::ServerContextBase& context, const v1::LeaveRequest& request,
+                                        v1::LeaveReply* /*reply*/) {
+  absl::Status status = wire::CheckName("actor", request.actor());
   if (status.ok()) {
-    status = LogRefusal(*context, registry_->Leave(ClientOf(*context), WorkerRole::kActor, request->actor()));
+    status = LogRefusal(context, registry_->Leave(ClientOf(context), WorkerRole::kActor, request.actor()));
   }
-  return wire::ToGrpc(status);
+  return status;
 }
 
 void LearnerServiceImpl::FillStatus(v1::StatusReply* reply) const {

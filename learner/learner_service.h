@@ -28,14 +28,9 @@ namespace craftfleet {
 // Passes accepted fragments to the trainer. Bounded by the number of permits.
 using FragmentQueue = ClosableQueue<Fragment>;
 
-// LearnerService with callbacks instead of threads for the calls that wait.
-using LearnerServiceBase =
-    v1::LearnerService::WithCallbackMethod_GetPermits<v1::LearnerService::WithCallbackMethod_PushFragments<
-        v1::LearnerService::WithCallbackMethod_GetWeights<v1::LearnerService::Service>>>;
-
 // Implements LearnerService (learner.proto). Thread-safe. The pointers must outlive it; registry and weights have no
 // other observer.
-class LearnerServiceImpl final : public LearnerServiceBase {
+class LearnerServiceImpl final : public v1::LearnerService::CallbackService {
  public:
   struct Options {
     std::string run_id;
@@ -57,20 +52,22 @@ class LearnerServiceImpl final : public LearnerServiceBase {
   LearnerServiceImpl(const Options& options, WorkerRegistry* registry, WeightStore* weights, FragmentQueue* fragments);
   ~LearnerServiceImpl() override;
 
-  grpc::Status Join(grpc::ServerContext* context, const v1::JoinRequest* request, v1::JoinReply* reply) override;
+  grpc::ServerUnaryReactor* Join(grpc::CallbackServerContext* context, const v1::JoinRequest* request,
+                                 v1::JoinReply* reply) override;
   grpc::ServerUnaryReactor* GetPermits(grpc::CallbackServerContext* context, const v1::PermitRequest* request,
                                        v1::PermitReply* reply) override;
   grpc::ServerBidiReactor<v1::FragmentMessage, v1::FragmentVerdict>* PushFragments(
       grpc::CallbackServerContext* context) override;
   grpc::ServerWriteReactor<v1::WeightsChunk>* GetWeights(grpc::CallbackServerContext* context,
                                                          const v1::WeightsRequest* request) override;
-  grpc::Status GetSnapshot(grpc::ServerContext* context, const v1::SnapshotRequest* request,
-                           v1::SnapshotReply* reply) override;
-  grpc::Status FinishEvaluation(grpc::ServerContext* context, const v1::EvaluationResult* request,
-                                v1::EvaluationReply* reply) override;
-  grpc::Status Announce(grpc::ServerContext* context, const v1::Announcement* request,
-                        v1::AnnounceReply* reply) override;
-  grpc::Status Leave(grpc::ServerContext* context, const v1::LeaveRequest* request, v1::LeaveReply* reply) override;
+  grpc::ServerUnaryReactor* GetSnapshot(grpc::CallbackServerContext* context, const v1::SnapshotRequest* request,
+                                        v1::SnapshotReply* reply) override;
+  grpc::ServerUnaryReactor* FinishEvaluation(grpc::CallbackServerContext* context, const v1::EvaluationResult* request,
+                                             v1::EvaluationReply* reply) override;
+  grpc::ServerUnaryReactor* Announce(grpc::CallbackServerContext* context, const v1::Announcement* request,
+                                     v1::AnnounceReply* reply) override;
+  grpc::ServerUnaryReactor* Leave(grpc::CallbackServerContext* context, const v1::LeaveRequest* request,
+                                  v1::LeaveReply* reply) override;
 
   // Adds fragment counts, and the workers as peers.
   void FillStatus(v1::StatusReply* reply) const;
@@ -81,6 +78,19 @@ class LearnerServiceImpl final : public LearnerServiceBase {
 
   // How long a call that asks for `wait_ms` may wait.
   static absl::Duration WaitTime(int wait_ms);
+
+  // The short calls.
+  absl::Status Answer(const grpc::ServerContextBase& context, const v1::JoinRequest& request, v1::JoinReply* reply);
+  absl::Status Answer(const grpc::ServerContextBase& context, const v1::SnapshotRequest& request,
+                      v1::SnapshotReply* reply);
+  absl::Status Answer(const grpc::ServerContextBase& context, const v1::EvaluationResult& request,
+                      v1::EvaluationReply* reply);
+  absl::Status Answer(const grpc::ServerContextBase& context, const v1::Announcement& request,
+                      v1::AnnounceReply* reply);
+  absl::Status Answer(const grpc::ServerContextBase& context, const v1::LeaveRequest& request, v1::LeaveReply* reply);
+  // Answers a short call at once.
+  template <typename Request, typename Reply>
+  grpc::ServerUnaryReactor* Finish(grpc::CallbackServerContext* context, const Request& request, Reply* reply);
 
   absl::Status CheckEpoch(int64_t epoch) const;
   // Aborted: another epoch.   InvalidArgument: a field is out of its range; logged.

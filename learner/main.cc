@@ -44,7 +44,6 @@ absl::Status Run() {
   CRAFTFLEET_RETURN_IF_ERROR(PinCpu(options.config.cpu()));
   SetUpTorchThread();
   options.server.address = absl::GetFlag(FLAGS_listen);
-  options.server.many_clients = true;
   options.allow_mixed = absl::GetFlag(FLAGS_allow_mixed);
   CRAFTFLEET_ASSIGN_OR_RETURN(const std::unique_ptr<Learner> learner, Learner::Create(options));
   StopSignal signal([&learner] { learner->Stop(); });

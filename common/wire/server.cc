@@ -26,7 +26,7 @@ namespace {
 constexpr int kMaxStreamsPerConnection = 128;  // calls at once; an actor has less than ten
 constexpr int kHandshakeTimeoutMs = 10'000;    // for TLS and HTTP/2's preface
 constexpr int kMaxIdleMs = 300'000;            // of a connection without a call
-constexpr int kMaxThreads = 4096;              // each call that is served has one; beyond: RESOURCE_EXHAUSTED
+constexpr int kMaxThreads = 4096;              // of calls without callbacks, one each; beyond: RESOURCE_EXHAUSTED
 
 // Limits of the health port, which any client may reach: a probe sends one request and disconnects.
 constexpr int kHealthConnections = 64;
@@ -40,13 +40,6 @@ constexpr int kHealthMessageBytes = 4096;
 constexpr size_t kHealthBufferedBytes = 4u << 20;
 
 bool IsUnixSocket(absl::string_view address) { return absl::StartsWith(address, "unix:"); }
-
-// By default gRPC keeps one or two threads waiting for calls and starts a thread for most simultaneous ones: the last
-// of 200 calls waited 100 ms, and 45 ms with these settings.
-void KeepThreadsReady(grpc::ServerBuilder* builder) {
-  builder->SetSyncServerOption(grpc::ServerBuilder::MIN_POLLERS, 32);
-  builder->SetSyncServerOption(grpc::ServerBuilder::MAX_POLLERS, 256);
-}
 
 // Refuses compressed calls by their headers; data that is compressed all the same is not inflated.
 void RefuseCompression(grpc::ServerBuilder* builder) {
@@ -180,7 +173,6 @@ absl::StatusOr<Server::Port> Server::Open(const Options& options, const std::str
         grpc::ServerBuilder::experimental_type::ExternalConnectionType::FROM_FD, std::move(credentials));
   }
   SetLimits(options, &builder);
-  if (options.many_clients) KeepThreadsReady(&builder);
   std::vector<std::unique_ptr<grpc::experimental::ServerInterceptorFactoryInterface>> interceptors;
   interceptors.push_back(LimitBuiltInStreams());
   builder.experimental().SetInterceptorCreators(std::move(interceptors));

@@ -44,7 +44,6 @@ class Server {
     int max_message_bytes = kMaxMessageBytes;
     // Memory for incoming and outgoing messages, MiB, 128..1000000. Beyond it calls end with RESOURCE_EXHAUSTED.
     int max_buffered_mb = 512;
-    bool many_clients = false;  // many calls arrive at once: keep more threads ready
     absl::Status Validate() const;
     // For services that identify callers: opens `access_file`, if there is one, as `access`. Errors as Create.
     absl::Status OpenAccess();

@@ -1,6 +1,7 @@
 // Requests of actors to a learner. The first byte selects the call; after any input the registry must be consistent.
 
 #include <cmath>
+#include <type_traits>
 
 #include "common/base/check.h"
 #include "common/io/snapshot_envelope.h"
@@ -38,24 +39,15 @@ struct Service : LearnerParts {
 
 template <typename Request, typename Reply>
 void Call(LearnerServiceImpl* service,
-          grpc::Status (LearnerServiceImpl::*method)(grpc::ServerContext*, const Request*, Reply*),
+          grpc::ServerUnaryReactor* (LearnerServiceImpl::*method)(grpc::CallbackServerContext*, const Request*, Reply*),
           absl::string_view bytes) {
   Request request;
   Reply reply;
-  if (request.ParseFromArray(bytes.data(), static_cast<int>(bytes.size()))) {
-    grpc::ServerContext context;
-    (service->*method)(&context, &request, &reply);
-  }
-}
-
-void CallGetPermits(LearnerServiceImpl* service, absl::string_view bytes) {
-  v1::PermitRequest request;
-  v1::PermitReply reply;
-  if (request.ParseFromArray(bytes.data(), static_cast<int>(bytes.size()))) {
-    request.set_wait_ms(0);  // the context must outlive the call
-    grpc::CallbackServerContext context;
-    service->GetPermits(&context, &request, &reply);
-  }
+  if (!request.ParseFromArray(bytes.data(), static_cast<int>(bytes.size()))) return;
+  // The call must end before its context.
+  if constexpr (std::is_same_v<Request, v1::PermitRequest>) request.set_wait_ms(0);
+  grpc::CallbackServerContext context;
+  (service->*method)(&context, &request, &reply);
 }
 
 // An accepted fragment must have the run's shape.
@@ -94,7 +86,7 @@ void TryInput(absl::string_view input) {
       Call(&service.service, &LearnerServiceImpl::Join, bytes);
       break;
     case 1:
-      CallGetPermits(&service.service, bytes);
+      Call(&service.service, &LearnerServiceImpl::GetPermits, bytes);
       break;
     case 2:
       Push(&service, bytes);
