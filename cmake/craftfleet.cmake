@@ -43,7 +43,7 @@ function(craftfleet_program)
 endfunction()
 
 # craftfleet_test(NAME fragment_queue_test LABELS unit;tsan SRCS ... DEPS ...): one GoogleTest executable with one ctest entry per
-# TEST, so that `ctest` counts cases; with CRAFTFLEET_TEST_WHOLE_PROGRAMS, one entry per executable, because a program with
+# TEST, so that `ctest` counts cases; with CRAFTFLEET_TEST_LIBRARIES, one entry per executable, because a program with
 # LibTorch takes a second to start under AddressSanitizer. Tests find tests/data through CRAFTFLEET_SOURCE_DIR.
 function(craftfleet_test)
   cmake_parse_arguments(ARG "" "NAME;TIMEOUT" "SRCS;DEPS;LABELS" ${ARGN})
@@ -56,7 +56,7 @@ function(craftfleet_test)
   if(NOT ARG_TIMEOUT)
     set(ARG_TIMEOUT 300)
   endif()
-  if(CRAFTFLEET_TEST_WHOLE_PROGRAMS)
+  if(CRAFTFLEET_TEST_LIBRARIES)
     add_test(NAME ${ARG_NAME} COMMAND ${ARG_NAME})
     set_tests_properties(${ARG_NAME} PROPERTIES LABELS "${ARG_LABELS}" TIMEOUT 1800)
     return()

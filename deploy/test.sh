@@ -50,7 +50,7 @@ run_suite() {
   # ctest also marks tests as skipped whose program is missing, with another message. They count as failed.
   left_out=$(count 'status="disabled"|<skipped message="SKIP_')
   bad=$((ran - good - left_out))
-  if grep -q '^CRAFTFLEET_TEST_WHOLE_PROGRAMS:BOOL=ON' "${results%/*}/CMakeCache.txt"; then
+  if grep -q '^CRAFTFLEET_TEST_LIBRARIES:BOOL=ON' "${results%/*}/CMakeCache.txt"; then
     # Entries without a dot are programs, which say how many of their tests passed. One that fails counts once.
     sum() { sed -nE "s/^\[  $1 \] ([0-9]+) tests?.*/\1/p" "$results" | awk '{sum += $1} END {print sum + 0}'; }
     good=$(($(sum PASSED) + $(count '<testcase name="[^"]*\..*status="run"'))) left_out=$(sum SKIPPED)
