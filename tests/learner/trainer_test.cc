@@ -146,7 +146,7 @@ class Training {
     request.set_actor(actor);
     request.set_epoch(epoch_);
     request.set_capacity(capacity);
-    request.set_wait_ms(200);
+    request.set_wait_ms(2000);
     for (const v1::LaneFailure& failure : failures) *request.add_failures() = failure;
     v1::PermitReply reply;
     grpc::ClientContext context;
