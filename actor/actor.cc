@@ -20,6 +20,7 @@
 #include "common/telemetry/log.h"
 #include "common/wire/protocol.h"
 #include "common/wire/status_service.h"
+#include "envserver/render/built_in_renderer.h"
 
 namespace craftfleet {
 namespace {
@@ -121,6 +122,8 @@ absl::Status Actor::Join() {
       }
       was_accepted_ = true;
       joined_ = *std::move(reply);
+      const auto& formats = joined_.frame_formats();
+      sends_scenes_ = std::find(formats.begin(), formats.end(), v1::FRAMES_SCENE) != formats.end();
       MutexLock lock(&mu_);
       run_id_ = joined_.run_id();
       LogInfo("%s: joined run %s, epoch %d", learner_.name(), joined_.run_id(), joined_.epoch());
@@ -158,6 +161,13 @@ absl::Status Actor::StartLoops() {
   *hello.mutable_env() = config.env();
   hello.set_client(name_);
   hello.set_game_canary(joined_.game_canary());
+  if (options_.frames == FrameFormat::kScene) {
+    if (HasBuiltInTextures(joined_.texture_digest())) {
+      hello.add_frame_formats(v1::FRAMES_SCENE);
+    } else {
+      LogWarning("--frames=scene: the run has other textures than this program, so frames travel raw");
+    }
+  }
   const int frame_bytes = static_cast<int>(spec.frame_bytes());
   v1::SessionHello probe = hello;
   probe.set_client(name_ + " (probe)");
@@ -167,7 +177,8 @@ absl::Status Actor::StartLoops() {
 
   MutexLock lock(&mu_);
   for (int i = 0; i < loops; ++i) {
-    ActorLoop::Options loop = {i, config, frame_bytes, spec.state_size, KeepsEveryState(spec, config.ppo())};
+    ActorLoop::Options loop = {
+        i, config, frame_bytes, spec.state_size, KeepsEveryState(spec, config.ppo()), &sends_scenes_};
     loops_.push_back(std::make_unique<ActorLoop>(loop, &learner_, &permits_, policies_.get(), &sender_,
                                                  std::make_unique<EnvPool>(options_.env_servers, hello, frame_bytes,
                                                                            std::hash<std::string>()(name_) + i, health),

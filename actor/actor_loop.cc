@@ -132,8 +132,9 @@ absl::Status ActorLoop::OpenMissing(const std::vector<HeldPermit>& missing) {
     const HeldPermit& permit = missing[indices[i]];
     EnvPool::OpenedLane& lane = opened.lanes[i];
     if (lane.refusal.empty()) {
-      games_[permit.lane] = {permit.epoch, permit.fragment, /*policy_version=*/-1, std::move(lane.frame),
-                             std::move(snapshots[indices[i]]->state)};
+      games_[permit.lane] = {permit.epoch,           permit.fragment,
+                             /*policy_version=*/-1,  std::move(lane.frame),
+                             std::move(lane.record), std::move(snapshots[indices[i]]->state)};
     } else {
       Fail(permit, lane.refusal);
     }
@@ -170,11 +171,14 @@ void ActorLoop::StartFragments() {
   states_.clear();
   for (Row& row : rows_) {
     const HeldPermit& permit = row.permit;
-    const Game& game = games_[permit.lane];
+    Game& game = games_[permit.lane];
     frames_.append(game.frame);
     states_.insert(states_.end(), game.state.begin(), game.state.end());
+    row.record = std::move(game.record);
+    row.sends_scenes = !row.record.empty() && options_.sends_scenes != nullptr && *options_.sends_scenes;
     row.builder.Start(permit.epoch, permit.lane, permit.fragment, permit.policy_version,
-                      options_.config.fragment_steps(), options_.frame_bytes);
+                      options_.config.fragment_steps(), options_.frame_bytes,
+                      row.sends_scenes ? FrameFormat::kScene : FrameFormat::kRaw);
   }
 }
 
@@ -215,7 +219,9 @@ absl::Status ActorLoop::AppendStep(const Policy& policy, const ActResult& act, E
   for (size_t row = 0; row < rows_.size() && lane != stepped->lanes.end(); ++row) {
     if (lane->lane != rows_[row].permit.lane) continue;
     FragmentBuilder& builder = rows_[row].builder;
-    builder.Append(Frame(row), act.actions[row], act.log_probs[row], act.values[row], lane->reward, lane->end);
+    builder.Append(rows_[row].sends_scenes ? rows_[row].record : Frame(row), act.actions[row], act.log_probs[row],
+                   act.values[row], lane->reward, lane->end);
+    rows_[row].record = std::move(lane->record);
     rows_[row].snapshot = std::move(lane->snapshot);
     if (lane->end != StepEnd::kNone) {
       const absl::Span<float> state = State(row);
@@ -281,7 +287,9 @@ absl::Status ActorLoop::SendFragments(const Policy& policy) {
   for (size_t row = 0; row < rows_.size(); ++row) {
     const HeldPermit& permit = rows_[row].permit;
     const std::vector<float> state(State(row).begin(), State(row).end());
-    games_[permit.lane] = {permit.epoch, permit.fragment + 1, permit.policy_version, std::string(Frame(row)), state};
+    games_[permit.lane] = {
+        permit.epoch, permit.fragment + 1, permit.policy_version, std::string(Frame(row)), std::move(rows_[row].record),
+        state};
     CRAFTFLEET_RETURN_IF_ERROR(
         sender_->Push(rows_[row].builder.Finish(bootstrap[row], {std::move(rows_[row].snapshot), state})));
   }

@@ -41,6 +41,8 @@ class ActorLoop {
     int frame_bytes = 0;
     int state_size = 0;              // of the agent's recurrent state or memory
     bool keeps_every_state = false;  // fragments hold the state before each step (KeepsEveryState)
+    // Whether the learner takes scene records now; outlives the loop. Null: it does not.
+    const std::atomic<bool>* sends_scenes = nullptr;
   };
 
   // Reports the state of the environment servers to `servers`.
@@ -66,13 +68,16 @@ class ActorLoop {
     int64_t next_fragment = 0;
     int64_t policy_version = -1;  // version it was last played with here; -1: none
     std::string frame;            // uint8[H,W,3]: its current observation
+    std::string record;           // the scene record of that; empty: its server sends raw frames
     std::vector<float> state;     // [state_size] before it
   };
   // A lane whose fragment is being played.
   struct Row {
     HeldPermit permit;
     FragmentBuilder builder;
-    std::string snapshot;  // after the last step
+    std::string record;         // of the current observation, as in Game
+    bool sends_scenes = false;  // the fragment has records instead of frames
+    std::string snapshot;       // after the last step
   };
 
   // Plays one fragment of each permit's lane; all have one version of the weights. After an error, rows_ has the

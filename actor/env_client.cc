@@ -57,6 +57,7 @@ EnvClient::EnvClient(const wire::Endpoint& server, v1::SessionHello hello, int f
       frame_bytes_(frame_bytes),
       timeout_(timeout),
       check_(hello_, frame_bytes),
+      frames_(hello_, frame_bytes),
       stub_(v1::EnvironmentService::NewStub(server_.channel)),
       timer_(Watchdog::OfProcess(), [this] {
         const MutexLock lock(&mu_);
@@ -80,6 +81,7 @@ absl::Status EnvClient::Connect(absl::Duration patience) {
   CRAFTFLEET_RETURN_IF_ERROR(Send(timeout_));
   CRAFTFLEET_RETURN_IF_ERROR(Receive());
   CRAFTFLEET_RETURN_IF_ERROR(EndIfInvalid(check_.Hello(reply_)));
+  CRAFTFLEET_RETURN_IF_ERROR(EndIfInvalid(frames_.Begin(reply_)));
   return CheckCanary();
 }
 
@@ -105,6 +107,7 @@ bool EnvClient::Failing() const {
 absl::Status EnvClient::Open(absl::Span<const Lane> lanes, std::string* frames, std::vector<Refused>* refused) {
   frames->clear();
   moments_.clear();
+  records_.clear();
   const size_t at_once = std::min(kOpenAtOnce, GamesPerReply(/*snapshot=*/false));
   absl::Duration busy;
   for (size_t first = 0; first < lanes.size(); first += at_once) {
@@ -127,6 +130,7 @@ absl::Status EnvClient::OpenSome(absl::Span<const Lane> lanes, std::string* fram
   }
   CRAFTFLEET_RETURN_IF_ERROR(Send(timeout_ * (1 + kForAGame * static_cast<double>(lanes.size()))));
   CRAFTFLEET_RETURN_IF_ERROR(Receive());
+  CRAFTFLEET_RETURN_IF_ERROR(EndIfInvalid(frames_.ReadOpened(request_.open(), &reply_, &records_)));
   CRAFTFLEET_RETURN_IF_ERROR(EndIfInvalid(check_.Open(request_.open(), reply_)));
   if (frames->empty()) {
     frames->swap(*reply_.mutable_frames());
@@ -138,6 +142,7 @@ absl::Status EnvClient::OpenSome(absl::Span<const Lane> lanes, std::string* fram
 }
 
 absl::Status EnvClient::Close(absl::Span<const int> lanes) {
+  frames_.Close(lanes);
   request_.mutable_close()->mutable_lanes()->Assign(lanes.begin(), lanes.end());
   CRAFTFLEET_RETURN_IF_ERROR(Send(timeout_));
   CRAFTFLEET_RETURN_IF_ERROR(Receive());
@@ -176,6 +181,7 @@ absl::Status EnvClient::SendRows() {
 
 absl::Status EnvClient::ReceiveStep(StepBatch* batch) {
   moments_.clear();
+  records_.clear();
   CRAFTFLEET_RETURN_IF_ERROR(ReceiveRows(batch));
   absl::Duration busy = busy_;
   while (RowsWaiting() > 0) {
@@ -191,6 +197,7 @@ absl::Status EnvClient::ReceiveStep(StepBatch* batch) {
 
 absl::Status EnvClient::ReceiveRows(StepBatch* batch) {
   CRAFTFLEET_RETURN_IF_ERROR(Receive());
+  CRAFTFLEET_RETURN_IF_ERROR(EndIfInvalid(frames_.ReadStep(request_.step(), &reply_, &records_)));
   CRAFTFLEET_RETURN_IF_ERROR(EndIfInvalid(check_.Step(request_.step(), reply_)));
   const int lanes = request_.step().lanes_size();
   CRAFTFLEET_RETURN_IF_ERROR(EndIfInvalid(wire::FromProto(&reply_, lanes, frame_bytes_, batch)));

@@ -12,6 +12,7 @@
 #include <absl/time/time.h>
 #include <absl/types/span.h>
 
+#include "actor/frame_reader.h"
 #include "actor/play_reply.h"
 #include "common/base/mutex.h"
 #include "common/base/types.h"
@@ -77,6 +78,11 @@ class EnvClient {
   // ended, its last moment.
   const std::vector<Moment>& moments() const { return moments_; }
 
+  // If the session has scene records: that of each observation of the last Open or ReceiveStep, in order; else empty.
+  // The caller may move them out. Those of Open and of a step with snapshots, and the ones after it, can be read
+  // without those before (scene_record.h).
+  std::vector<std::string>& records() { return records_; }
+
   // How long the server worked on the last Connect, Open, Close or step.
   absl::Duration busy() const { return busy_; }
   // The last summary received; empty: none yet.
@@ -99,7 +105,7 @@ class EnvClient {
   int RowsWaiting() const { return step_.lanes_size() - sent_rows_; }
   // Sends as many of them as one message has room for.
   absl::Status SendRows();
-  // Receives the results of the rows last sent; appends to `moments_`.
+  // Receives the results of the rows last sent; appends to `moments_` and `records_`.
   absl::Status ReceiveRows(StepBatch* batch);
   // Opens at most kOpenAtOnce games, and appends to `frames` and `refused`.
   absl::Status OpenSome(absl::Span<const Lane> lanes, std::string* frames, std::vector<Refused>* refused);
@@ -120,6 +126,7 @@ class EnvClient {
   const int frame_bytes_;
   const absl::Duration timeout_;
   const PlayReplyCheck check_;
+  FrameReader frames_;
   const std::unique_ptr<v1::EnvironmentService::Stub> stub_;
 
   v1::PlayRequest request_;  // reused: fresh messages cost page faults
@@ -127,6 +134,7 @@ class EnvClient {
   std::unique_ptr<grpc::ClientReaderWriter<v1::PlayRequest, v1::PlayReply>> stream_;
   v1::ProcessSummary summary_;
   std::vector<Moment> moments_;
+  std::vector<std::string> records_;
   absl::Duration busy_;
   v1::StepLanes step_;  // the current one
   int sent_rows_ = 0;   // its first rows, sent in one or more requests

@@ -163,6 +163,8 @@ absl::StatusOr<std::map<size_t, std::string>> EnvPool::OpenOn(size_t server, con
       const std::string& reason = refused[reasons.size()].reason;
       reasons[row] = absl::StrCat(connections_.client(server).address(), ": ", reason);
     } else {
+      std::vector<std::string>& records = connections_.client(server).records();
+      if (!records.empty()) lane.record = std::move(records[opened]);
       lane.frame.assign(frames, opened++ * frame_bytes_, frame_bytes_);
     }
   }
@@ -222,7 +224,7 @@ absl::StatusOr<EnvPool::Stepped> EnvPool::SendAndReceive(absl::Span<const int> l
     rows.status = client.ReceiveStep(&batch_);
     if (!rows.status.ok()) continue;
     stepped.busy = std::max(stepped.busy, client.busy());
-    Append(lanes.subspan(rows.first, rows.last - rows.first), &batch_, &stepped);
+    Append(lanes.subspan(rows.first, rows.last - rows.first), &batch_, &client.records(), &stepped);
   }
   absl::Status all;
   for (const auto& [server, rows] : rows_on) {
@@ -235,7 +237,8 @@ absl::StatusOr<EnvPool::Stepped> EnvPool::SendAndReceive(absl::Span<const int> l
   return stepped;
 }
 
-void EnvPool::Append(absl::Span<const int> lanes, StepBatch* batch, Stepped* stepped) const {
+void EnvPool::Append(absl::Span<const int> lanes, StepBatch* batch, std::vector<std::string>* records,
+                     Stepped* stepped) const {
   size_t ended = 0;
   size_t truncated = 0;
   for (size_t row = 0; row < lanes.size(); ++row) {
@@ -244,6 +247,7 @@ void EnvPool::Append(absl::Span<const int> lanes, StepBatch* batch, Stepped* ste
     lane.reward = batch->rewards[row];
     lane.end = batch->ends[row];
     if (!batch->snapshots.empty()) lane.snapshot = std::move(batch->snapshots[row]);
+    if (!records->empty()) lane.record = std::move((*records)[row]);
     if (lane.end != StepEnd::kNone) lane.episode = batch->episodes[ended++];
     if (lane.end == StepEnd::kTruncated) {
       lane.last_frame.assign(batch->last_frames, truncated++ * frame_bytes_, frame_bytes_);

@@ -35,6 +35,7 @@ class EnvPool {
   struct OpenedLane {
     int lane = 0;
     std::string frame = {};    // uint8[H,W,3]: its observation
+    std::string record = {};   // the scene record of it, if the server sends these (EnvClient::records)
     std::string refusal = {};  // why two servers, or the only one, refused its snapshot; empty: opened
   };
   struct Opened {
@@ -50,6 +51,7 @@ class EnvPool {
     Episode episode;         // set if `end` is not kNone
     std::string last_frame;  // uint8[H,W,3]: the last frame of a truncated episode, else empty
     std::string snapshot;    // after the step, if requested
+    std::string record;      // of the next observation, if the server sends scene records (EnvClient::records)
   };
   struct Stepped {
     std::vector<SteppedLane> lanes;  // in the order of the request, without `lost`
@@ -128,8 +130,8 @@ class EnvPool {
   // `server` has opened some of `rows`: servers that refused one of these become suspect.
   absl::Status BlameRefusals(size_t server, const std::vector<size_t>& rows, Opening* opening);
   absl::StatusOr<Stepped> SendAndReceive(absl::Span<const int> lanes, absl::Span<const Action> actions, bool snapshot);
-  // Appends the reply of one server, which stepped `lanes`.
-  void Append(absl::Span<const int> lanes, StepBatch* batch, Stepped* stepped) const;
+  // Appends the reply of one server, which stepped `lanes`; it may have no records.
+  void Append(absl::Span<const int> lanes, StepBatch* batch, std::vector<std::string>* records, Stepped* stepped) const;
 
   const int frame_bytes_;
   EnvConnections connections_;

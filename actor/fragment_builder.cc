@@ -3,15 +3,21 @@
 #include <utility>
 
 namespace craftfleet {
+namespace {
 
-void FragmentBuilder::Start(int64_t epoch, int lane, int64_t number, int64_t policy_version, int steps,
-                            int frame_bytes) {
+constexpr int kRecordBytes = 128;  // of a usual scene record
+
+}  // namespace
+
+void FragmentBuilder::Start(int64_t epoch, int lane, int64_t number, int64_t policy_version, int steps, int frame_bytes,
+                            FrameFormat format) {
   fragment_ = Fragment();
   fragment_.epoch = epoch;
   fragment_.lane = lane;
   fragment_.number = number;
   fragment_.policy_version = policy_version;
-  fragment_.frames.reserve(static_cast<size_t>(steps) * frame_bytes);
+  fragment_.frame_format = format;
+  fragment_.frames.reserve(static_cast<size_t>(steps) * (format == FrameFormat::kRaw ? frame_bytes : kRecordBytes));
   fragment_.actions.reserve(steps);
   fragment_.log_probs.reserve(steps);
   fragment_.values.reserve(steps);

@@ -56,6 +56,7 @@ absl::Status CheckCommon(const v1::PlayReply& reply) {
 
 // Checks that fields of the reply to hello are empty.
 absl::Status CheckNoHello(const v1::PlayReply& reply) {
+  CRAFTFLEET_RETURN_IF_ERROR(Within("frame_format", reply.frame_format(), 0, 0));
   const int64_t bytes = SizeOf(reply.program_version()) + SizeOf(reply.cpu()) + SizeOf(reply.canary());
   return WantSize("program_version, cpu and canary", bytes, 0, "bytes after hello");
 }

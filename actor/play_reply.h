@@ -16,7 +16,8 @@ namespace craftfleet {
 // Makes `text` from another process safe to log and forward: printable, at most wire::kMaxReasonBytes.
 std::string CutReason(absl::string_view text);
 
-// Checks the replies of one session. Errors are DataLoss with field, value and what was expected. Immutable.
+// Checks the replies of one session, whose frames are raw: FrameReader comes first. Errors are DataLoss with field,
+// value and what was expected. Immutable.
 class PlayReplyCheck {
  public:
   // For a session that begins with `hello` and has frames of `frame_bytes` bytes.

@@ -24,20 +24,26 @@ absl::Status EnvBatch::Open(absl::Span<const OpenLane> lanes, std::string* frame
   CRAFTFLEET_RETURN_IF_ERROR(CheckRoom(lanes.size()));
   moments_.clear();
   refused_.clear();
-  frames->resize(lanes.size() * renderer_->frame_bytes());
+  const bool scenes = format_ == FrameFormat::kScene;
+  std::string pictures;  // only the first row is used if records are sent instead
+  pictures.resize((scenes ? 1 : lanes.size()) * renderer_->frame_bytes());
+  frames->clear();
   size_t row = 0;
   for (const OpenLane& lane : lanes) {
     CRAFTFLEET_RETURN_IF_ERROR(CheckStopped());
-    const absl::Status status = OpenOne(lane, Row(frames, row, renderer_->frame_bytes()));
+    const absl::Status status = OpenOne(lane, Row(&pictures, scenes ? 0 : row, renderer_->frame_bytes()));
     if (absl::IsDataLoss(status)) {
       games_.erase(lane.lane);
       refused_.push_back({lane.lane, std::string(status.message())});
     } else {
       CRAFTFLEET_RETURN_IF_ERROR(status);
+      if (scenes) games_.at(lane.lane).Record(frames);
       ++row;
     }
   }
-  frames->resize(row * renderer_->frame_bytes());
+  if (scenes) return absl::OkStatus();
+  pictures.resize(row * renderer_->frame_bytes());
+  *frames = std::move(pictures);
   return absl::OkStatus();
 }
 
@@ -81,7 +87,8 @@ absl::Status EnvBatch::OpenOne(const OpenLane& lane, absl::Span<uint8_t> frame) 
 absl::Status EnvBatch::Step(absl::Span<const int> lanes, absl::Span<const Action> actions, bool snapshot,
                             StepBatch* batch) {
   CRAFTFLEET_RETURN_IF_ERROR(Find(lanes));
-  batch->frames.resize(lanes.size() * renderer_->frame_bytes());
+  const bool scenes = format_ == FrameFormat::kScene;
+  batch->frames.resize(scenes ? 0 : lanes.size() * renderer_->frame_bytes());
   batch->last_frames.clear();
   batch->rewards.resize(lanes.size());
   batch->ends.resize(lanes.size());
@@ -90,17 +97,22 @@ absl::Status EnvBatch::Step(absl::Span<const int> lanes, absl::Span<const Action
   moments_.clear();
   for (size_t row = 0; row < lanes.size(); ++row) {
     if (row % kGamesPerCheck == kGamesPerCheck - 1) CRAFTFLEET_RETURN_IF_ERROR(CheckStopped());
-    const absl::Span<uint8_t> frame = Row(&batch->frames, row, renderer_->frame_bytes());
     Game* game = chosen_[row];
-    std::function<void()> record;
-    if (recording_.has_value()) record = [&] { moments_.push_back(recording_->Take(*game, frame)); };
-    const Game::PlayedStep played = game->StepAndAutoReset(actions[row], frame, &batch->last_frames, record);
+    const Game::PlayedStep played =
+        scenes ? game->StepAndRecord(actions[row], snapshot, &batch->frames, &batch->last_frames)
+               : StepAndDraw(actions[row], game, Row(&batch->frames, row, renderer_->frame_bytes()), batch);
     batch->rewards[row] = static_cast<float>(played.outcome.reward);
     batch->ends[row] = played.outcome.end;
     if (played.episode.has_value()) batch->episodes.push_back(*played.episode);
     if (snapshot) batch->snapshots.push_back(game->Save());
   }
   return absl::OkStatus();
+}
+
+Game::PlayedStep EnvBatch::StepAndDraw(Action action, Game* game, absl::Span<uint8_t> frame, StepBatch* batch) {
+  std::function<void()> record;
+  if (recording_.has_value()) record = [&] { moments_.push_back(recording_->Take(*game, frame)); };
+  return game->StepAndAutoReset(action, frame, &batch->last_frames, record);
 }
 
 void EnvBatch::Close(absl::Span<const int> lanes) {

@@ -45,11 +45,13 @@ class EnvBatch {
     std::string reason;
   };
 
-  explicit EnvBatch(std::shared_ptr<const Renderer> renderer, std::optional<MomentTaker> recording = std::nullopt)
-      : renderer_(std::move(renderer)), recording_(std::move(recording)) {}
+  // Observations are of `format`: raw, or scene records if nothing is recorded.
+  explicit EnvBatch(std::shared_ptr<const Renderer> renderer, std::optional<MomentTaker> recording = std::nullopt,
+                    FrameFormat format = FrameFormat::kRaw)
+      : renderer_(std::move(renderer)), recording_(std::move(recording)), format_(format) {}
 
-  // Opens `lanes` (an open one is replaced) and writes their observations, uint8[n,H,W,3], to `frames`. Lanes with an
-  // invalid snapshot are closed: refused() names them, and frames and moments contain the others only.
+  // Opens `lanes` (an open one is replaced) and writes their observations, uint8[n,H,W,3] or n records, to `frames`.
+  // Lanes with an invalid snapshot are closed: refused() names them, and frames and moments contain the others only.
   //   InvalidArgument: a lane below 0, too many lanes, more of them than kMaxMomentBytes allows to record, or an
   //   episode out of range.   Cancelled: see StopWhen.
   absl::Status Open(absl::Span<const OpenLane> lanes, std::string* frames);
@@ -59,7 +61,7 @@ class EnvBatch {
 
   // One step of each of `lanes` with its action. An ended game starts its next episode: the row has the result of
   // the last step and the first frame of the new episode. With `snapshot`, the result includes the games' states after
-  // the step.
+  // the step. Scene records of a step with `snapshot`, and those after it, can be read without those before it.
   //   InvalidArgument: a lane that is not open or named twice; nothing was stepped.   Cancelled: see StopWhen; some
   //   games were stepped, and their results are lost.
   absl::Status Step(absl::Span<const int> lanes, absl::Span<const Action> actions, bool snapshot, StepBatch* batch);
@@ -75,6 +77,7 @@ class EnvBatch {
   void Close(absl::Span<const int> lanes);
 
   const Renderer& renderer() const { return *renderer_; }
+  FrameFormat format() const { return format_; }
   bool records() const { return recording_.has_value(); }
   // Of a recording's larger pictures; 0: none.
   int picture_bytes() const { return recording_.has_value() ? recording_->picture_bytes() : 0; }
@@ -86,11 +89,14 @@ class EnvBatch {
   absl::Status CheckStopped();
   // DataLoss: the snapshot is invalid.
   absl::Status OpenOne(const OpenLane& lane, absl::Span<uint8_t> frame);
+  // One step of a game with pictures; takes its moment if the session records.
+  Game::PlayedStep StepAndDraw(Action action, Game* game, absl::Span<uint8_t> frame, StepBatch* batch);
   // Sets `chosen_`.
   absl::Status Find(absl::Span<const int> lanes);
 
   const std::shared_ptr<const Renderer> renderer_;
   const std::optional<MomentTaker> recording_;
+  const FrameFormat format_;
   std::map<int, Game> games_;
   std::vector<Game*> chosen_;  // the games of the current request, in its order
   std::vector<Moment> moments_;

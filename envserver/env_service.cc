@@ -1,6 +1,7 @@
 #include "envserver/env_service.h"
 
 #include <exception>
+#include <optional>
 #include <utility>
 #include <vector>
 
@@ -31,6 +32,15 @@ int64_t FrameBytes(const RenderOptions& picture) { return int64_t{picture.width}
 // Reserves memory for `games` like those of `batch`, or releases it.
 absl::Status SetGames(int64_t games, const EnvBatch& batch, GameBudget::Share* share) {
   return share->Set(games, SessionBytes(games, batch.renderer().frame_bytes(), batch.records(), batch.picture_bytes()));
+}
+
+// The first format that the client asks for and that this server can send. Scene records only to a client that draws
+// with the same textures: the handshake compares those that it names.
+FrameFormat ChooseFormat(const v1::SessionHello& hello) {
+  for (const int format : hello.frame_formats()) {
+    if (format == v1::FRAMES_SCENE && !hello.texture_digest().empty()) return FrameFormat::kScene;
+  }
+  return FrameFormat::kRaw;
 }
 
 // Reports the lanes that were not opened, with reasons.
@@ -166,6 +176,7 @@ absl::Status EnvServiceImpl::Serve(grpc::ServerContext* context, wire::StreamWat
   CRAFTFLEET_RETURN_IF_ERROR(session.Enter(request.hello(), context->peer()));
   reply.set_program_version(std::string(ProgramVersion()));
   reply.set_canary(canary_);
+  reply.set_frame_format(static_cast<v1::FrameFormat>(batch.format()));
   StepBatch step;
   while (true) {
     const absl::Duration busy = session.meter()->Switch(Activity::kWire);
@@ -181,6 +192,7 @@ absl::Status EnvServiceImpl::Serve(grpc::ServerContext* context, wire::StreamWat
     session.meter()->Switch(Activity::kEnvironment);
     reply.clear_program_version();
     reply.clear_canary();
+    reply.clear_frame_format();
     CRAFTFLEET_RETURN_IF_ERROR(Handle(request, &batch, &share, &step, &reply));
     if (request.has_step()) {
       session.meter()->Count(request.step().lanes_size());
@@ -220,7 +232,7 @@ absl::StatusOr<EnvBatch> EnvServiceImpl::Greet(const v1::SessionHello& hello, Ga
   CRAFTFLEET_RETURN_IF_ERROR(share->Set(
       0, SessionBytes(0, FrameBytes(picture), hello.has_recording(), larger_wanted ? FrameBytes(larger_picture) : 0)));
   CRAFTFLEET_ASSIGN_OR_RETURN(std::shared_ptr<const Renderer> renderer, Renderer::Create(*textures_, world, picture));
-  if (!hello.has_recording()) return EnvBatch(std::move(renderer));
+  if (!hello.has_recording()) return EnvBatch(std::move(renderer), std::nullopt, ChooseFormat(hello));
   std::shared_ptr<const Renderer> larger;
   if (larger_wanted) {
     CRAFTFLEET_ASSIGN_OR_RETURN(larger, Renderer::Create(*textures_, world, larger_picture));

@@ -40,6 +40,34 @@ Game::PlayedStep Game::StepAndAutoReset(Action action, absl::Span<uint8_t> frame
   return played;
 }
 
+Game::PlayedStep Game::StepAndRecord(Action action, bool anew, std::string* frames, std::string* last_frames) {
+  PlayedStep played{world_.Step(action), std::nullopt};
+  const StepEnd end = played.outcome.end;
+  if (anew) scene_writer_.Restart();
+  if (end != StepEnd::kTerminated) {
+    PassPicture();
+    AppendRecord(end == StepEnd::kTruncated ? last_frames : frames);
+  }
+  if (end != StepEnd::kNone) {
+    played.episode = EndedEpisode();
+    world_.Reset();
+    PassPicture();
+    Record(frames);
+  }
+  return played;
+}
+
+void Game::Record(std::string* frames) {
+  scene_writer_.Restart();
+  AppendRecord(frames);
+}
+
+void Game::AppendRecord(std::string* frames) {
+  Scene scene;
+  renderer_->Capture(world_, &scene);
+  scene_writer_.Append(*renderer_, scene, before_picture(), frames);
+}
+
 Episode Game::EndedEpisode() const {
   Episode episode;
   episode.length = world_.step();
@@ -60,6 +88,12 @@ absl::Status Game::Restore(absl::string_view snapshot, absl::Span<uint8_t> frame
 void Game::Draw(absl::Span<uint8_t> frame) {
   if (Renderer::DrawsNoise(world_)) before_picture_ = world_.random();
   renderer_->Render(world_, &world_.random(), frame);
+}
+
+void Game::PassPicture() {
+  if (!Renderer::DrawsNoise(world_)) return;
+  before_picture_ = world_.random();
+  world_.random().Skip(renderer_->noise_words());
 }
 
 }  // namespace craftfleet

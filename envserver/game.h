@@ -18,6 +18,7 @@
 #include "common/base/types.h"
 #include "common/io/snapshot_envelope.h"
 #include "envserver/render/renderer.h"
+#include "envserver/render/scene_record.h"
 #include "envserver/world/random_stream.h"
 #include "envserver/world/world.h"
 
@@ -53,6 +54,12 @@ class Game {
   PlayedStep StepAndAutoReset(Action action, absl::Span<uint8_t> frame, std::string* last_frames,
                               const std::function<void()>& on_step = nullptr);
 
+  // The same without drawing: appends the record of each picture (scene_record.h) to `frames`, or to `last_frames`.
+  // With `anew`, the records from this step on can be read without those before.
+  PlayedStep StepAndRecord(Action action, bool anew, std::string* frames, std::string* last_frames);
+  // Appends the record of the current picture. It can be read without those before.
+  void Record(std::string* frames);
+
   // The whole game as bytes (World::Save) in an envelope (common/io/snapshot_envelope.h). The current picture is not
   // stored but can be drawn again.
   std::string Save() const;
@@ -72,6 +79,10 @@ class Game {
       : renderer_(std::move(renderer)), world_(std::move(world)) {}
 
   void Draw(absl::Span<uint8_t> frame);
+  // Instead of Draw(): takes the draws of a picture from the stream.
+  void PassPicture();
+  // Appends the record of the current picture.
+  void AppendRecord(std::string* frames);
   // The environment digest in envelopes of this game.
   uint64_t env_digest() const { return EnvDigest(world_.options().name, world_.options().length); }
   // The current episode, which has ended; its `step` is left 0.
@@ -80,6 +91,7 @@ class Game {
   std::shared_ptr<const Renderer> renderer_;
   World world_;
   RandomStream before_picture_;  // of a picture with noise; others leave the stream as it is
+  SceneWriter scene_writer_;
 };
 
 }  // namespace craftfleet

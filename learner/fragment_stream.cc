@@ -99,6 +99,7 @@ absl::StatusOr<v1::FragmentVerdict::Verdict> LearnerServiceImpl::Intake(v1::Frag
     ++expired_;
     return v1::FragmentVerdict::EXPIRED;
   }
+  CRAFTFLEET_RETURN_IF_ERROR(frames_.Draw(options_.shape.steps, message));
   CRAFTFLEET_ASSIGN_OR_RETURN(Fragment fragment, wire::FromProto(message, options_.shape));
   fragment.sender = message->actor();
   fragment.digest = wire::FragmentDigest(fragment);

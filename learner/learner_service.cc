@@ -47,6 +47,7 @@ bool IsAboutNames(const absl::Status& status) {
 LearnerServiceImpl::LearnerServiceImpl(const Options& options, WorkerRegistry* registry, WeightStore* weights,
                                        FragmentQueue* fragments)
     : options_(options),
+      frames_(options.config, options.texture_digest),
       registry_(registry),
       weights_(weights),
       fragments_(fragments),
@@ -150,6 +151,7 @@ absl::Status LearnerServiceImpl::Answer(const grpc::ServerContextBase& context, 
   reply->set_lease_ms(static_cast<int>(absl::ToInt64Milliseconds(options_.lease)));
   reply->set_program_version(std::string(ProgramVersion()));
   reply->set_game_canary(registry_->GameCanary());
+  frames_.AddFormats(reply);
   return absl::OkStatus();
 }
 

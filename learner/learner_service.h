@@ -20,6 +20,7 @@
 #include "common/wire/stream_watch.h"
 #include "craftfleet/v1/learner.grpc.pb.h"
 #include "craftfleet/v1/status.pb.h"
+#include "learner/fragment_frames.h"
 #include "learner/weight_store.h"
 #include "learner/worker_registry.h"
 
@@ -116,6 +117,7 @@ class LearnerServiceImpl final : public v1::LearnerService::CallbackService {
   void WarnRefused(const grpc::ServerContextBase& context, absl::string_view worker, absl::string_view text);
 
   const Options options_;
+  const FragmentFrames frames_;
   WorkerRegistry* const registry_;
   WeightStore* const weights_;
   FragmentQueue* const fragments_;

@@ -19,6 +19,12 @@ enum class StepEnd : uint8_t {
   kTruncated = 2,   // the length limit: bootstrap from the last frame
 };
 
+// How frames travel; the receiver has the same bytes in the end. Numbered as FrameFormat of types.proto.
+enum class FrameFormat : uint8_t {
+  kRaw = 0,    // uint8[H,W,3] each
+  kScene = 2,  // a scene record each (envserver/render/scene_record.h)
+};
+
 // One finished episode, as Crafter's recorder counts it.
 struct Episode {
   int step = 0;        // step of the fragment at which it ended, 0..T-1
@@ -96,6 +102,8 @@ struct Fragment {
   // (KeepsEveryState).
   std::vector<float> states;
   LaneSnapshot snapshot;  // after the last step
+  // Of `frames` on their way to the learner; for the learner itself they are raw.
+  FrameFormat frame_format = FrameFormat::kRaw;
 
   // Set by the learner when it receives the fragment.
   std::string sender;   // the actor

@@ -171,6 +171,7 @@ v1::FragmentMessage ToProto(Fragment fragment) {
   message.set_number(fragment.number);
   message.set_policy_version(fragment.policy_version);
   *message.mutable_frames() = std::move(fragment.frames);
+  message.set_frame_format(static_cast<v1::FrameFormat>(fragment.frame_format));
   *message.mutable_actions() = std::move(fragment.actions);
   message.mutable_log_probs()->Assign(fragment.log_probs.begin(), fragment.log_probs.end());
   message.mutable_values()->Assign(fragment.values.begin(), fragment.values.end());
@@ -194,6 +195,9 @@ absl::StatusOr<Fragment> FromProto(v1::FragmentMessage* message, const FragmentS
   fragment.lane = message->lane();
   fragment.number = message->number();
   fragment.policy_version = message->policy_version();
+  if (message->frame_format() != v1::FRAMES_RAW) {
+    return absl::InvalidArgumentError(absl::StrFormat("frame_format: %d, want raw, 0", message->frame_format()));
+  }
   CRAFTFLEET_RETURN_IF_ERROR(CheckSize("frames", static_cast<int64_t>(message->frames().size()),
                                        static_cast<int64_t>(shape.steps) * shape.frame_bytes, "bytes"));
   CRAFTFLEET_RETURN_IF_ERROR(

@@ -18,8 +18,7 @@ namespace {
 
 constexpr Pixel kGrey = 127 | 127 << 8 | 127 << 16;
 
-// A tile by number: the sprites, then the outside, then tiles made for the picture, each an object on its ground.
-constexpr int kOutside = kNumSprites;
+// A tile by number: the sprites, then the outside, then tiles made for the picture, each a thing on its ground.
 constexpr int kFirstMade = kOutside + 1;
 
 // Copies are made in groups of a fixed size, which takes a third of the time of exact ones.
@@ -27,14 +26,14 @@ constexpr int kPixelGroup = 8;
 constexpr int kByteGroup = 32;
 
 // Buffers up to these sizes are on the stack: enough for 64x64 pictures.
-constexpr int kSmallView = 9 * 7;
+constexpr int kSmallView = Scene::kSmallView;
 constexpr int kSmallTile = 7 * 8;
 constexpr int kSmallRgbTile = 7 * 32;
 constexpr int kSmallMap = 63 * 49 + kPixelGroup;
 
 int RoundUp(int value, int multiple) { return (value + multiple - 1) / multiple * multiple; }
 
-int GroundAt(const World& world, Position p) {
+uint8_t GroundAt(const World& world, Position p) {
   const Material material = world.material(p);
   return material == Material::kNone ? kOutside : SpriteOf(material, world.variant(p));
 }
@@ -71,10 +70,11 @@ void WriteRows(const Pixel* columns, int stride, int width, int height, uint8_t*
 }  // namespace
 
 // The tiles in the cells of the view.
-struct Renderer::Scene {
-  Scene(int num_cells, int tile_pixels) : tiles(num_cells), made(num_cells * tile_pixels) {}
+struct Renderer::Tiles {
+  Tiles(const Scene& scene, int tile_pixels)
+      : numbers(scene.ground.begin(), scene.ground.end()), made(numbers.size() * tile_pixels) {}
 
-  absl::FixedArray<int, kSmallView> tiles;                // [columns][map_rows]: number of the tile
+  absl::FixedArray<int, kSmallView> numbers;              // [columns][map_rows]
   absl::FixedArray<Pixel, kSmallView * kSmallTile> made;  // the tiles from kFirstMade on
   int num_made = 0;
 };
@@ -104,6 +104,7 @@ Renderer::Renderer(const Textures& textures, const WorldOptions& world, const Re
       cover_(Vignette(layout_.map_width(), layout_.map_height())) {
   tiles_[kOutside].assign(tile_pixels_, kGrey);
   for (Sprite sprite = 0; sprite < kNumSprites; ++sprite) {
+    possible_[sprite] = IsPossible(world, sprite);
     const Texture* texture = textures.Find(SpriteName(sprite));
     if (texture == nullptr) continue;
     const Image image = Resize(*texture, layout_.cell_width, layout_.cell_height);
@@ -115,57 +116,67 @@ Renderer::Renderer(const Textures& textures, const WorldOptions& world, const Re
 }
 
 void Renderer::Render(const World& world, RandomStream* random, absl::Span<uint8_t> frame) const {
-  CRAFTFLEET_CHECK(static_cast<int>(frame.size()) == frame_bytes());
-  Scene scene(layout_.columns * layout_.map_rows, tile_pixels_);
-  LayGround(world, &scene);
-  LayObjects(world, &scene);
-  std::memset(frame.data(), 0, frame.size());
-  if (DrawsNoise(world)) {
-    DrawMapByNight(world, scene, random, frame.data());
-  } else {
-    DrawMapByDay(world, scene, frame.data());
-  }
-  if (inventory_) strip_.Draw(world.player().inventory, frame);
+  Scene scene;
+  Capture(world, &scene);
+  Render(scene, random, frame);
 }
 
-Position Renderer::Corner(const World& world) const {
+void Renderer::Capture(const World& world, Scene* scene) const {
   const Position player = world.player_position();
-  return {player.x - layout_.columns / 2, player.y - layout_.map_rows / 2};
-}
-
-const Pixel* Renderer::Tile(const Scene& scene, int tile) const {
-  if (tile >= kFirstMade) return scene.made.data() + (tile - kFirstMade) * tile_pixels_;
-  CRAFTFLEET_CHECK(!tiles_[tile].empty());
-  return tiles_[tile].data();
-}
-
-void Renderer::LayGround(const World& world, Scene* scene) const {
-  const Position corner = Corner(world);
+  // The cell in the upper left corner of the view; it may be outside the world.
+  const Position corner = {player.x - layout_.columns / 2, player.y - layout_.map_rows / 2};
+  scene->ground.resize(num_cells());
+  uint8_t* ground = scene->ground.data();
   for (int x = 0; x < layout_.columns; ++x) {
-    for (int y = 0; y < layout_.map_rows; ++y) {
-      scene->tiles[x * layout_.map_rows + y] = GroundAt(world, corner + Position{x, y});
-    }
+    for (int y = 0; y < layout_.map_rows; ++y) *ground++ = GroundAt(world, corner + Position{x, y});
   }
-}
-
-void Renderer::LayObjects(const World& world, Scene* scene) const {
-  const Position corner = Corner(world);
+  scene->sleeping = world.player().sleeping;
+  scene->things.clear();
   for (const Object& object : world.objects()) {
     const int x = object.position.x - corner.x;
     const int y = object.position.y - corner.y;
     if (x < 0 || x >= layout_.columns || y < 0 || y >= layout_.map_rows) continue;
-    int& tile = scene->tiles[x * layout_.map_rows + y];
-    Pixel* made = scene->made.data() + scene->num_made * tile_pixels_;
-    std::copy_n(Tile(*scene, tile), tile_pixels_, made);
-    const Pixel* sprite = Tile(*scene, SpriteOf(object, world.player().sleeping));
+    scene->things.push_back(
+        {static_cast<uint16_t>(x * layout_.map_rows + y), static_cast<uint8_t>(SpriteOf(object, scene->sleeping))});
+  }
+  std::sort(scene->things.begin(), scene->things.end(), [](Scene::Thing a, Scene::Thing b) { return a.cell < b.cell; });
+  scene->inventory = world.player().inventory;
+  scene->daylight = world.daylight();
+}
+
+void Renderer::Render(const Scene& scene, RandomStream* random, absl::Span<uint8_t> frame) const {
+  CRAFTFLEET_CHECK(static_cast<int>(frame.size()) == frame_bytes());
+  Tiles tiles(scene, tile_pixels_);
+  LayThings(scene, &tiles);
+  std::memset(frame.data(), 0, frame.size());
+  if (scene.is_dark()) {
+    DrawMapByNight(scene, tiles, random, frame.data());
+  } else {
+    DrawMapByDay(scene, tiles, frame.data());
+  }
+  if (inventory_) strip_.Draw(scene.inventory, frame);
+}
+
+const Pixel* Renderer::Tile(const Tiles& tiles, int tile) const {
+  if (tile >= kFirstMade) return tiles.made.data() + (tile - kFirstMade) * tile_pixels_;
+  CRAFTFLEET_CHECK(!tiles_[tile].empty());
+  return tiles_[tile].data();
+}
+
+void Renderer::LayThings(const Scene& scene, Tiles* tiles) const {
+  for (const Scene::Thing& thing : scene.things) {
+    int& tile = tiles->numbers[thing.cell];
+    Pixel* made = tiles->made.data() + tiles->num_made * tile_pixels_;
+    std::copy_n(Tile(*tiles, tile), tile_pixels_, made);
+    const Pixel* sprite = Tile(*tiles, thing.sprite);
     Blend(absl::MakeConstSpan(sprite, tile_pixels_), absl::MakeSpan(made, tile_pixels_));
-    tile = kFirstMade + scene->num_made++;
+    tile = kFirstMade + tiles->num_made++;
   }
 }
 
-void Renderer::DrawMapByNight(const World& world, const Scene& scene, RandomStream* random, uint8_t* frame) const {
-  absl::FixedArray<const Pixel*, kSmallView> cells(scene.tiles.size());
-  for (size_t i = 0; i < cells.size(); ++i) cells[i] = Tile(scene, scene.tiles[i]);
+void Renderer::DrawMapByNight(const Scene& scene, const Tiles& tiles, RandomStream* random, uint8_t* frame) const {
+  absl::FixedArray<const Pixel*, kSmallView> cells(tiles.numbers.size());
+  for (size_t i = 0; i < cells.size(); ++i) cells[i] = Tile(tiles, tiles.numbers[i]);
   const size_t map_pixels = cover_.size();
   absl::FixedArray<Pixel, kSmallMap> buffer(map_pixels + kPixelGroup);
   // Pixels may alias the layout: in locals, it need not be read again after each copy.
@@ -181,23 +192,23 @@ void Renderer::DrawMapByNight(const World& world, const Scene& scene, RandomStre
   absl::FixedArray<double, kSmallMap> noise(map_pixels);
   random->FillUniform(absl::MakeSpan(noise));
   const absl::Span<Pixel> map(buffer.data(), map_pixels);
-  LightByNight(world.daylight(), noise, cover_, map);
-  if (world.player().sleeping) LightAsleep(map);
+  LightByNight(scene.daylight, noise, cover_, map);
+  if (scene.sleeping) LightAsleep(map);
   WriteRows(map.data(), layout_.map_height(), layout_.map_width(), layout_.map_height(), frame + layout_.Offset(0, 0),
             layout_.width * 3);
 }
 
-void Renderer::DrawMapByDay(const World& world, const Scene& scene, uint8_t* frame) const {
+void Renderer::DrawMapByDay(const Scene& scene, const Tiles& tiles, uint8_t* frame) const {
   const int rgb_tile_bytes = layout_.cell_height * rgb_stride_;
-  absl::FixedArray<uint8_t, kSmallView * kSmallRgbTile> finished(scene.tiles.size() * rgb_tile_bytes);
-  absl::FixedArray<const uint8_t*, kFirstMade + kSmallView> rgb_of_tile(kFirstMade + scene.num_made, nullptr);
-  absl::FixedArray<const uint8_t*, kSmallView> cells(scene.tiles.size());
+  absl::FixedArray<uint8_t, kSmallView * kSmallRgbTile> finished(tiles.numbers.size() * rgb_tile_bytes);
+  absl::FixedArray<const uint8_t*, kFirstMade + kSmallView> rgb_of_tile(kFirstMade + tiles.num_made, nullptr);
+  absl::FixedArray<const uint8_t*, kSmallView> cells(tiles.numbers.size());
   uint8_t* free_rgb = finished.data();
   for (size_t i = 0; i < cells.size(); ++i) {
-    const uint8_t*& rgb = rgb_of_tile[scene.tiles[i]];
+    const uint8_t*& rgb = rgb_of_tile[tiles.numbers[i]];
     if (rgb == nullptr) {
       rgb = free_rgb;
-      FinishTile(world, Tile(scene, scene.tiles[i]), free_rgb);
+      FinishTile(scene, Tile(tiles, tiles.numbers[i]), free_rgb);
       free_rgb += rgb_tile_bytes;
     }
     cells[i] = rgb;
@@ -217,10 +228,10 @@ void Renderer::DrawMapByDay(const World& world, const Scene& scene, uint8_t* fra
   }
 }
 
-void Renderer::FinishTile(const World& world, const Pixel* tile, uint8_t* rgb) const {
+void Renderer::FinishTile(const Scene& scene, const Pixel* tile, uint8_t* rgb) const {
   absl::FixedArray<Pixel, kSmallTile> lit(tile, tile + tile_pixels_);
-  LightByDay(world.daylight(), absl::MakeSpan(lit));
-  if (world.player().sleeping) LightAsleep(absl::MakeSpan(lit));
+  LightByDay(scene.daylight, absl::MakeSpan(lit));
+  if (scene.sleeping) LightAsleep(absl::MakeSpan(lit));
   std::memset(rgb, 0, layout_.cell_height * rgb_stride_);
   WriteRows(lit.data(), tile_stride_, layout_.cell_width, layout_.cell_height, rgb, rgb_stride_);
 }

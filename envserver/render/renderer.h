@@ -4,6 +4,7 @@
 #ifndef CRAFTFLEET_ENVSERVER_RENDER_RENDERER_H_
 #define CRAFTFLEET_ENVSERVER_RENDER_RENDERER_H_
 
+#include <array>
 #include <cstdint>
 #include <memory>
 #include <vector>
@@ -12,8 +13,8 @@
 #include <absl/types/span.h>
 
 #include "envserver/render/inventory_strip.h"
-#include "envserver/render/light.h"
 #include "envserver/render/picture_layout.h"
+#include "envserver/render/scene.h"
 #include "envserver/render/sprites.h"
 #include "envserver/render/textures.h"
 #include "envserver/world/options.h"
@@ -36,6 +37,18 @@ class Renderer {
   // stream.
   void Render(const World& world, RandomStream* random, absl::Span<uint8_t> frame) const;
 
+  // The same in two steps: what the picture of a world shows, and the picture of a scene. A scene from elsewhere must
+  // have num_cells() of ground, each ShowsAsGround(), things that each ShowsAsThing(), and all its values in range.
+  void Capture(const World& world, Scene* scene) const;
+  void Render(const Scene& scene, RandomStream* random, absl::Span<uint8_t> frame) const;
+
+  int num_cells() const { return layout_.columns * layout_.map_rows; }  // of the map
+  // Whether a world with these options can show the sprite, 0..255, in a cell's ground, or as a thing on it.
+  bool ShowsAsGround(int sprite) const { return sprite == kOutside || (CanDraw(sprite) && IsMaterial(sprite)); }
+  bool ShowsAsThing(int sprite) const { return CanDraw(sprite) && !IsMaterial(sprite); }
+  // Words that a picture with noise draws from the stream.
+  int noise_words() const { return 2 * layout_.map_width() * layout_.map_height(); }
+
   // Whether a picture of the world takes draws from the stream.
   static bool DrawsNoise(const World& world) { return world.daylight() < kNoiseBelow; }
 
@@ -45,30 +58,29 @@ class Renderer {
  private:
   Renderer(const Textures& textures, const WorldOptions& world, const RenderOptions& options);
 
-  struct Scene;
+  struct Tiles;
 
-  // The world's cell in the upper left corner of the view; may be outside.
-  Position Corner(const World& world) const;
+  bool CanDraw(int sprite) const { return sprite < kNumSprites && possible_[sprite]; }
   // Pixel[cell_width][tile_stride_].
-  const Pixel* Tile(const Scene& scene, int tile) const;
-  void LayGround(const World& world, Scene* scene) const;
-  void LayObjects(const World& world, Scene* scene) const;
+  const Pixel* Tile(const Tiles& tiles, int tile) const;
+  void LayThings(const Scene& scene, Tiles* tiles) const;
   // Every pixel has noise of its own, so the map is lit as a whole.
-  void DrawMapByNight(const World& world, const Scene& scene, RandomStream* random, uint8_t* frame) const;
+  void DrawMapByNight(const Scene& scene, const Tiles& tiles, RandomStream* random, uint8_t* frame) const;
   // Cells with the same tile look the same: each tile is lit once and copied.
-  void DrawMapByDay(const World& world, const Scene& scene, uint8_t* frame) const;
+  void DrawMapByDay(const Scene& scene, const Tiles& tiles, uint8_t* frame) const;
   // Lights a tile by day; `rgb` is uint8[cell_height][rgb_stride_], rows filled up with 0.
-  void FinishTile(const World& world, const Pixel* tile, uint8_t* rgb) const;
+  void FinishTile(const Scene& scene, const Pixel* tile, uint8_t* rgb) const;
 
   const WorldOptions world_options_;
   const PictureLayout layout_;
   const InventoryStrip strip_;
   const bool inventory_;
-  const int tile_stride_;                  // pixels from one column of a tile to the next; whole copy groups
-  const int tile_pixels_;                  // of a tile
-  const int rgb_stride_;                   // bytes from one row of a finished tile to the next; whole copy groups
-  std::vector<std::vector<Pixel>> tiles_;  // by sprite, empty without a texture; the last one: outside the world
-  std::vector<double> cover_;              // [map_width][map_height]: the night's vignette
+  const int tile_stride_;                     // pixels from one column of a tile to the next; whole copy groups
+  const int tile_pixels_;                     // of a tile
+  const int rgb_stride_;                      // bytes from one row of a finished tile to the next; whole copy groups
+  std::array<bool, kNumSprites> possible_{};  // whether a world with these options can show it
+  std::vector<std::vector<Pixel>> tiles_;     // by sprite, empty without a texture; the last one: outside the world
+  std::vector<double> cover_;                 // [map_width][map_height]: the night's vignette
 };
 
 }  // namespace craftfleet

@@ -78,6 +78,8 @@ Sprite SpriteOf(const Object& object, bool sleeping) {
   CRAFTFLEET_CHECK(false);
 }
 
+bool IsMaterial(Sprite sprite) { return sprite / kLooksPerKind < kPlayer; }
+
 std::string SpriteName(Sprite sprite) {
   const int kind = sprite / kLooksPerKind;
   std::string name(kind < kPlayer ? kMaterialNames[kind + 1] : kObjectKinds[kind - kPlayer].name);
@@ -90,7 +92,7 @@ bool IsVariant(Sprite sprite) { return sprite % kLooksPerKind != 0; }
 bool IsPossible(const WorldOptions& options, Sprite sprite) {
   const int kind = sprite / kLooksPerKind;
   const auto variant = static_cast<Variant>(sprite % kLooksPerKind - 1);
-  if (kind >= kPlayer) return IsPossibleVariant(options, kObjectKinds[kind - kPlayer].type, variant);
+  if (!IsMaterial(sprite)) return IsPossibleVariant(options, kObjectKinds[kind - kPlayer].type, variant);
   return IsPossibleVariant(options, static_cast<Material>(kind + 1), variant);
 }
 

@@ -24,6 +24,9 @@ Sprite SpriteOf(Material material, Variant variant);
 // `sleeping` is the player's state and matters for the player only.
 Sprite SpriteOf(const Object& object, bool sleeping);
 
+// Whether it is a material's, not that of a creature, player, arrow or plant.
+bool IsMaterial(Sprite sprite);
+
 // The texture's name: "tree", "tree2", "player-left".
 std::string SpriteName(Sprite sprite);
 // Whether it is an appearance variant, "tree2", of a plain sprite.

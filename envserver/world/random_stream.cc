@@ -46,6 +46,12 @@ RandomStream::RandomStream(uint32_t seed) : position_(kStateWords) {
 void RandomStream::NextBlock() {
   Twist(words_.data());
   position_ = 0;
+  ++blocks_;
+}
+
+void RandomStream::Skip(int64_t words) {
+  for (; words > kStateWords - position_; NextBlock()) words -= kStateWords - position_;
+  position_ += static_cast<int>(words);
 }
 
 void RandomStream::FillUniform(absl::Span<double> out) {

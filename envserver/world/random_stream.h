@@ -39,6 +39,8 @@ class RandomStream {
     const uint32_t high = Next();
     return internal::ToDouble(high, Next());
   }
+  // Draws `words` words (0 or more), two for each double, and drops them.
+  void Skip(int64_t words);
   // Fills `out` with what out.size() calls of Uniform() would give, in order, much faster.
   void FillUniform(absl::Span<double> out);
   // One integer in [0, n), n in 1..2^32-1: no word for n = 1, else one word a try.
@@ -49,6 +51,9 @@ class RandomStream {
   const State& state() const { return words_; }
   int position() const { return position_; }
   void Restore(const State& words, int position);
+  // The words drawn since a number that Restore and the constructor set: the difference of two calls counts the draws
+  // in between.
+  int64_t drawn() const { return blocks_ * kStateWords + position_; }
 
  private:
   uint32_t Next() {
@@ -59,6 +64,7 @@ class RandomStream {
 
   State words_;
   int position_;
+  int64_t blocks_ = 0;  // made since the constructor
 };
 
 }  // namespace craftfleet

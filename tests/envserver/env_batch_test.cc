@@ -1,7 +1,10 @@
 #include "envserver/env_batch.h"
 
+#include <map>
 #include <memory>
+#include <optional>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include <absl/time/clock.h>
@@ -10,6 +13,7 @@
 
 #include "common/io/paths.h"
 #include "common/io/snapshot_envelope.h"
+#include "envserver/render/scene_record.h"
 #include "tests/fakes/status_matchers.h"
 
 namespace craftfleet {
@@ -71,6 +75,84 @@ TEST(EnvBatch, OnlyNamedLanesAreStepped) {
   ASSERT_THAT(batch.Step({2}, {Action::kMoveUp}, false, &step), IsOk());
   two.Step(Action::kMoveUp);
   EXPECT_EQ(step.frames, two.frame);
+}
+
+// The frames of a batch's records.
+class Receiver {
+ public:
+  explicit Receiver(std::shared_ptr<const Renderer> renderer) : renderer_(std::move(renderer)) {}
+  // Draws the record at the beginning of `bytes`.
+  std::string Draw(int lane, absl::string_view* bytes) {
+    std::string frame(renderer_->frame_bytes(), '\0');
+    EXPECT_THAT(readers_[lane].Draw(*renderer_, bytes, FrameBytes(&frame)), IsOk());
+    return frame;
+  }
+  void Restart() { readers_.clear(); }
+
+ private:
+  const std::shared_ptr<const Renderer> renderer_;
+  std::map<int, SceneReader> readers_;
+};
+
+// Episodes end in the night; a receiver that forgets everything at each snapshot draws every frame.
+TEST(EnvBatch, RecordsDrawTheFramesOfASessionWithoutThem) {
+  const auto renderer = MakeRenderer(180);
+  EnvBatch raw(renderer);
+  EnvBatch records(renderer, std::nullopt, FrameFormat::kScene);
+  Receiver receiver(renderer);
+  const std::vector<EnvBatch::OpenLane> lanes = {{4, 4, 1, ""}, {2, 2, 1, ""}};
+  std::string raw_frames;
+  std::string record_frames;
+  ASSERT_THAT(raw.Open(lanes, &raw_frames), IsOk());
+  ASSERT_THAT(records.Open(lanes, &record_frames), IsOk());
+  absl::string_view rest = record_frames;
+  std::string opened = receiver.Draw(4, &rest);
+  opened += receiver.Draw(2, &rest);
+  EXPECT_TRUE(opened == raw_frames && rest.empty());
+  StepBatch of_raw;
+  StepBatch of_records;
+  RandomStream random(3);
+  int truncated = 0;
+  size_t bytes = 0;
+  for (int i = 0; i < 1000; ++i) {
+    const std::vector<Action> actions = {static_cast<Action>(random.Below(kNumActions)),
+                                         static_cast<Action>(random.Below(kNumActions))};
+    const bool snapshot = i % 16 == 0;
+    ASSERT_THAT(raw.Step({4, 2}, actions, snapshot, &of_raw), IsOk());
+    ASSERT_THAT(records.Step({4, 2}, actions, snapshot, &of_records), IsOk());
+    ASSERT_TRUE(of_records.rewards == of_raw.rewards && of_records.ends == of_raw.ends);
+    ASSERT_TRUE(of_records.snapshots == of_raw.snapshots);
+    if (snapshot) receiver.Restart();
+    std::string frames;
+    std::string last_frames;
+    rest = of_records.frames;
+    absl::string_view last_rest = of_records.last_frames;
+    for (size_t row = 0; row < 2; ++row) {
+      const int lane = row == 0 ? 4 : 2;
+      if (of_raw.ends[row] == StepEnd::kTruncated) last_frames += receiver.Draw(lane, &last_rest);
+      frames += receiver.Draw(lane, &rest);
+    }
+    ASSERT_TRUE(rest.empty() && last_rest.empty());
+    ASSERT_TRUE(frames == of_raw.frames) << i;
+    ASSERT_TRUE(last_frames == of_raw.last_frames) << i;
+    truncated += last_frames.empty() ? 0 : 1;
+    bytes += of_records.frames.size();
+  }
+  EXPECT_GT(truncated, 2);
+  EXPECT_LT(bytes / 2000, 400);
+}
+
+TEST(EnvBatch, ARestoredGameSendsARecordOfItsOwn) {
+  const auto renderer = MakeRenderer();
+  EnvBatch first(renderer, std::nullopt, FrameFormat::kScene);
+  std::string frames;
+  ASSERT_THAT(first.Open({{0, 5, 1, ""}}, &frames), IsOk());
+  StepBatch step;
+  for (int i = 0; i < 160; ++i) ASSERT_THAT(first.Step({0}, {Action::kNoop}, i == 159, &step), IsOk());
+  EnvBatch second(renderer, std::nullopt, FrameFormat::kScene);
+  ASSERT_THAT(second.Open({{0, 5, 1, step.snapshots[0]}}, &frames), IsOk());
+  EXPECT_TRUE(frames == step.frames);
+  EXPECT_GT(frames.size(), 2496);  // it is night: the record has the stream
 }
 
 TEST(EnvBatch, AnEndedGameStartsItsNextEpisode) {

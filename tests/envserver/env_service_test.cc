@@ -149,6 +149,26 @@ class EnvServiceTest : public testing::Test {
   const std::unique_ptr<wire::Server> server_;
 };
 
+TEST_F(EnvServiceTest, ASessionHasTheFirstFormatThatTheServerKnows) {
+  const auto format_of = [&](const v1::PlayRequest& hello) {
+    const auto reply = Session(server_->InProcess()).Send(hello);
+    EXPECT_THAT(reply, IsOk());
+    return reply->frame_format();
+  };
+  v1::PlayRequest hello = Hello("run-a");
+  EXPECT_EQ(format_of(hello), v1::FRAMES_RAW);
+  for (const int unknown : {1000, -1}) hello.mutable_hello()->add_frame_formats(static_cast<v1::FrameFormat>(unknown));
+  EXPECT_EQ(format_of(hello), v1::FRAMES_RAW);
+  hello.mutable_hello()->add_frame_formats(v1::FRAMES_SCENE);
+  EXPECT_EQ(format_of(hello), v1::FRAMES_SCENE);
+  v1::PlayRequest any_textures = hello;
+  any_textures.mutable_hello()->clear_texture_digest();
+  EXPECT_EQ(format_of(any_textures), v1::FRAMES_RAW) << "the client may draw with others";
+  v1::PlayRequest recording = hello;
+  recording.mutable_hello()->mutable_recording();
+  EXPECT_EQ(format_of(recording), v1::FRAMES_RAW);
+}
+
 TEST_F(EnvServiceTest, StepsReturnTheFramesOfTheGame) {
   Witness witness(server());
   witness.PlayOn(2 * kLength + 5);

@@ -48,6 +48,16 @@ TEST(GameAllocation, StepsAndResetsAllocateNothing) {
     nights += game->world().daylight() < kNoiseBelow ? 1 : 0;
   }
   EXPECT_EQ(allocations - before, 0);
+  std::string records;
+  records.reserve(1 << 16);
+  last_frames.reserve(1 << 16);
+  const int64_t before_records = allocations;
+  for (int i = 0; i < 2000; ++i) {
+    records.clear();
+    const auto action = static_cast<Action>(actions.Below(kNumActions));
+    game->StepAndRecord(action, /*anew=*/i % 32 == 0, &records, &last_frames);
+  }
+  EXPECT_EQ(allocations - before_records, 0);
   EXPECT_GT(ended, 5);
   EXPECT_GT(nights, 100);
 }

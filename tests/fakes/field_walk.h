@@ -219,6 +219,9 @@ class FieldWalk {
         case Field::CPPTYPE_FLOAT:
           reflection.AddFloat(message, field, reflection.GetRepeatedFloat(*message, field, 0));
           break;
+        case Field::CPPTYPE_ENUM:
+          reflection.AddEnumValue(message, field, reflection.GetRepeatedEnumValue(*message, field, 0));
+          break;
         case Field::CPPTYPE_STRING:
           reflection.AddString(message, field, reflection.GetRepeatedString(*message, field, 0));
           break;

@@ -16,6 +16,7 @@
 #include "common/config/env_name.h"
 #include "common/io/gzip_file.h"
 #include "envserver/render/renderer.h"
+#include "envserver/render/scene_record.h"
 #include "envserver/render/textures.h"
 #include "envserver/world/world.h"
 #include "tests/golden/trace_fields.h"
@@ -98,7 +99,7 @@ class TraceReplayer {
     } else if (kind != "state") {
       return absl::InvalidArgumentError(absl::StrCat("line of unknown kind \"", kind, "\""));
     }
-    if (kind != "state") frame_ = Draw(*renderer_, *world_, &world_->random());
+    if (kind != "state") CRAFTFLEET_RETURN_IF_ERROR(DrawObservation(kind == "reset"));
     Compare(line, outcome);
     if (report_.difference.empty() && kind != "state") CRAFTFLEET_RETURN_IF_ERROR(ComparePictures(line));
     if (report_.difference.empty() && kind == "s") ++report_.steps;
@@ -108,6 +109,20 @@ class TraceReplayer {
   const ReplayReport& report() const { return report_; }
 
  private:
+  // Draws the observation. From its record, a receiver must draw the same.
+  absl::Status DrawObservation(bool is_reset) {
+    if (is_reset) writer_.Restart();
+    renderer_->Capture(*world_, &scene_);
+    std::string record;
+    writer_.Append(*renderer_, scene_, world_->random(), &record);
+    frame_ = Draw(*renderer_, *world_, &world_->random());
+    std::vector<uint8_t> received(renderer_->frame_bytes());
+    absl::string_view rest = record;
+    CRAFTFLEET_RETURN_IF_ERROR(reader_.Draw(*renderer_, &rest, absl::MakeSpan(received)));
+    if (received == frame_ && rest.empty()) return absl::OkStatus();
+    return absl::DataLossError("the picture drawn from its scene record differs");
+  }
+
   void Compare(const json& line, const StepOutcome& outcome) {
     json found = TraceFields(*world_);
     found["r"] = outcome.reward;
@@ -173,6 +188,9 @@ class TraceReplayer {
   std::optional<World> world_;  // set by Begin()
   bool reset_before_ = false;   // a world is made in its first episode
   std::vector<uint8_t> frame_;
+  Scene scene_;
+  SceneWriter writer_;
+  SceneReader reader_;
   ReplayReport report_;
 };
 

@@ -118,6 +118,7 @@ const std::vector<BadCommand>& BadCommands() {
       {"LearnerThatIsNoAddress", actor, {"--learner=here"}, {"--learner: \"here\" is no address"}},
       {"OneServerThatIsNoAddress", actor, {"--envservers=127.0.0.1:1,x"}, {"--envservers: \"x\" is no address"}},
       {"NoServers", actor, {"--envservers="}, {"--envservers is empty"}},
+      {"UnknownFrames", actor, {"--frames=png"}, {"--frames=png, want raw or scene"}},
       {"NegativeThreads", actor, {"--threads=-1"}, {"--threads=-1, want 0..256; 0: as many as the CPU quota allows"}},
       {"NoLanesForActor", actor, {"--max_lanes=0"}, {"--max_lanes=0, want 1..4096"}},
       {"NoTimeForServers", actor, {"--env_timeout=0"}, {"--env_timeout=0, want 0.1..3600 s"}},

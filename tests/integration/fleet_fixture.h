@@ -66,14 +66,15 @@ class FleetRunTest : public testing::Test {
     shared_.reset();
   }
 
-  static void TrainQuietly(const std::string& config) {
+  // `length`: steps of a truncated episode.
+  static void TrainQuietly(const std::string& config, int length = 90) {
     if (quiet_ != nullptr) return;
     shared_ = std::make_unique<TempFolder>();
     ASSERT_THAT(WriteFileSynced(*shared_ / "config.txt", config), IsOk());
     const auto train = Train("quiet", {});
     ASSERT_EQ(train->Wait(kPatience), 0) << train->Err();
     quiet_ = std::make_unique<Result>(Read("quiet"));
-    ASSERT_THAT(quiet_->stats, testing::HasSubstr("\"length\": 90,"));
+    ASSERT_THAT(quiet_->stats, testing::HasSubstr(absl::StrCat("\"length\": ", length, ",")));
   }
 
   static std::string Logdir(const std::string& run) { return *shared_ / run; }
@@ -104,9 +105,12 @@ class FleetRunTest : public testing::Test {
     return Start("craftfleet-envserver", log, {"--listen=" + listen});
   }
   static std::unique_ptr<Process> StartActor(const std::string& log, const std::string& learner,
-                                             const std::string& servers, int threads = 2) {
-    return Start("craftfleet-actor", log,
-                 {"--learner=" + learner, "--envservers=" + servers, absl::StrCat("--threads=", threads)});
+                                             const std::string& servers, int threads = 2,
+                                             const std::vector<std::string>& more = {}) {
+    std::vector<std::string> arguments = {"--learner=" + learner, "--envservers=" + servers,
+                                          absl::StrCat("--threads=", threads)};
+    arguments.insert(arguments.end(), more.begin(), more.end());
+    return Start("craftfleet-actor", log, arguments);
   }
 
   // Waits until `run` has written the checkpoint of `iteration`.

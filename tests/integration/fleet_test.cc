@@ -158,6 +158,46 @@ TEST_F(OverlappedFleetTest, AFleetOutlivesItsLearner) { OutliveTheLearner(); }
 
 TEST_F(OverlappedFleetTest, AFinishedRunCanBeExtended) { Extend(); }
 
+// Episodes that end in the night, whose pictures have noise.
+class FrameFormatsFleetTest : public FleetTest {
+ protected:
+  void SetUp() override { TrainQuietly(absl::StrReplaceAll(kConfig, {{"length: 90", "length: 230"}}), 230); }
+};
+
+TEST_F(FrameFormatsFleetTest, SceneRecordsEqualOneProcess) {
+  const auto learner = StartLearner("scene", "127.0.0.1:0");
+  const auto server = StartServer("scene-server");
+  const std::string learner_address = learner->WaitForAddress().value();
+  const auto actor =
+      StartActor("scene-actor", learner_address, server->WaitForAddress().value(), /*threads=*/2, {"--frames=scene"});
+  EXPECT_EQ(learner->Wait(kPatience), 0) << learner->Err();
+  EXPECT_EQ(actor->Wait(absl::Seconds(10)), 0) << actor->Err();
+  ExpectLikeQuiet("scene");
+}
+
+TEST_F(FrameFormatsFleetTest, ActorsWithDifferentFormatsAndKillsEqualOneProcess) {
+  const auto learner = StartLearner("formats", "127.0.0.1:0");
+  const auto first_server = StartServer("formats-server1");
+  const auto second_server = StartServer("formats-server2");
+  const std::string learner_address = learner->WaitForAddress().value();
+  const std::string servers = first_server->WaitForAddress().value() + "," + second_server->WaitForAddress().value();
+  const auto start = [&](const std::string& log, const std::string& format) {
+    return StartActor(log, learner_address, servers, /*threads=*/1, {"--frames=" + format});
+  };
+  auto first_actor = start("formats-actor1", "scene");
+  auto second_actor = start("formats-actor2", "raw");
+  const auto third_actor = start("formats-actor3", "scene");
+  WaitForCheckpoint("formats", 2);
+  first_actor->Kill();
+  first_actor = start("formats-actor1-again", "raw");
+  WaitForCheckpoint("formats", 4);
+  second_actor->Kill();
+  second_actor = start("formats-actor2-again", "scene");
+  EXPECT_EQ(learner->Wait(kPatience), 0) << learner->Err();
+  EXPECT_THAT(learner->Err(), testing::Not(HasSubstr("differ")));
+  ExpectLikeQuiet("formats");
+}
+
 TEST_F(FleetTest, WithoutStalenessARunIsSynchronous) {
   const auto train = Train("no-staleness", {"--max_staleness=0"});
   ASSERT_EQ(train->Wait(kPatience), 0) << train->Err();

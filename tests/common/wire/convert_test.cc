@@ -40,6 +40,16 @@ TEST(ConvertFragment, SurvivesARoundTrip) {
   ExpectSameFragments(*fragment, SampleFragment(2, 7, 40, 3));
 }
 
+TEST(ConvertFragment, FramesAreRawWhenItIsRead) {
+  Fragment fragment = SampleFragment(2, 7, 40);
+  EXPECT_EQ(wire::ToProto(fragment).frame_format(), v1::FRAMES_RAW);
+  fragment.frame_format = FrameFormat::kScene;
+  v1::FragmentMessage message = wire::ToProto(fragment);
+  EXPECT_EQ(message.frame_format(), v1::FRAMES_SCENE);
+  EXPECT_THAT(wire::FromProto(&message, kSampleShape),
+              StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("frame_format: 2, want raw")));
+}
+
 TEST(ConvertFragment, MovesItsBuffers) {
   Fragment fragment = SampleFragment(0, 0, 0);
   fragment.frames.reserve(1000);  // too long for the string to hold within itself

@@ -62,7 +62,9 @@ const FieldExpectations& Expectations() {
           {"EvaluationResult.actor", "checked by name before the result is read (learner_service_test)"},
           {"EvaluationResult.epoch", "compared with the learner's own: ABORTED (learner_service_test)"},
           {"EvaluationResult.id", "compared with the tasks that exist (evaluation_scheduler_test)"},
+          {"JoinReply.frame_formats[]", "the actor looks for one that it knows"},
           {"PermitReply.env_servers_generation", "only sent back"},
+          {"SessionHello.frame_formats[]", "the server looks for one that it knows (env_service_test)"},
           {"OpenLanes.lanes.lane", "any number from 0; a negative one is refused (env_batch_test)"},
           {"OpenLanes.lanes.seed", "any number"},
           {"CloseLanes.lanes[]", "lanes that are not open are ignored"},
@@ -178,6 +180,7 @@ CheckedMessage JoinReplyCase() {
   reply.set_run_id("run-a");
   reply.set_lease_ms(5000);
   *reply.mutable_config() = DefaultRunConfig();
+  reply.add_frame_formats(v1::FRAMES_SCENE);
   return Case<v1::JoinReply>(reply, CheckJoinReply);
 }
 
@@ -245,6 +248,7 @@ v1::PlayRequest OpenRequest() {
 CheckedMessage HelloCase() {
   v1::SessionHello hello = SampleHello(kEpisodeSteps);
   hello.mutable_recording();
+  hello.add_frame_formats(v1::FRAMES_SCENE);
   return Case<v1::SessionHello>(hello, [](v1::SessionHello* h) {
     v1::PlayRequest request;
     *request.mutable_hello() = *h;

@@ -1,12 +1,14 @@
 // Random situations at random sizes: the fast renderer and the plain one must draw the same.
 
 #include <memory>
+#include <string>
 #include <vector>
 
 #include <gtest/gtest.h>
 
 #include "common/io/paths.h"
 #include "envserver/render/renderer.h"
+#include "envserver/render/scene_record.h"
 #include "tests/envserver/render/plain_renderer.h"
 #include "tests/fakes/cpu_paths.h"
 #include "tests/fakes/status_matchers.h"
@@ -75,6 +77,40 @@ TEST_P(RendererProperty, MatchesThePlainRenderer) {
     for (size_t i = 0; i < frame.size(); ++i) {
       ASSERT_EQ(frame[i], plain[i]) << "x " << i / 3 % picture.width << ", y " << i / 3 / picture.width << ", size "
                                     << picture.width << "x" << picture.height << ", light " << world->daylight();
+    }
+  }
+}
+
+// Situations of one game after another: the reader that had all records before draws each picture from its record.
+TEST_P(RendererProperty, RecordsDrawTheSamePictures) {
+  for (int seed = 0; seed < 60; ++seed) {
+    SCOPED_TRACE(seed);
+    RandomStream random(seed);
+    const WorldOptions options = RandomOptions(&random);
+    RenderOptions picture;
+    picture.width = options.view_width * Between(2, 20, &random) + Between(0, 3, &random);
+    picture.height = options.view_height * Between(2, 20, &random) + Between(0, 3, &random);
+    picture.inventory = random.Below(4) != 0;
+    const auto renderer = Renderer::Create(*Textures::BuiltIn(), options, picture);
+    ASSERT_THAT(renderer, IsOk());
+    absl::StatusOr<World> world = World::Create(options, seed);
+    ASSERT_THAT(world, IsOk());
+    std::vector<uint8_t> frame((*renderer)->frame_bytes());
+    std::vector<uint8_t> drawn((*renderer)->frame_bytes());
+    SceneWriter writer;
+    SceneReader reader;
+    Scene scene;
+    for (int i = 0; i < 12; ++i) {
+      Shuffle(&random, &*world);
+      if (random.Below(4) == 0) writer.Restart();
+      (*renderer)->Capture(*world, &scene);
+      std::string record;
+      writer.Append(**renderer, scene, world->random(), &record);
+      (*renderer)->Render(*world, &world->random(), absl::MakeSpan(frame));
+      absl::string_view rest = record;
+      ASSERT_THAT(reader.Draw(**renderer, &rest, absl::MakeSpan(drawn)), IsOk());
+      ASSERT_TRUE(rest.empty());
+      ASSERT_TRUE(drawn == frame) << i << ", light " << world->daylight();
     }
   }
 }

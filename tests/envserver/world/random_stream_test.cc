@@ -55,6 +55,23 @@ TEST_P(RandomStreamOnEachCpu, FillUniformEqualsRepeatedUniformAtEveryOffset) {
   }
 }
 
+TEST(RandomStream, SkipEqualsDrawingAtEveryOffset) {
+  for (int offset = 0; offset <= 1250; ++offset) {
+    for (const int words : {0, 1, 623, 624, 625, 1248, 5000}) {
+      RandomStream one_by_one(offset);
+      for (int i = 0; i < offset; ++i) one_by_one.Below(2);
+      RandomStream at_once = one_by_one;
+      const int64_t before = at_once.drawn();
+      at_once.Skip(words);
+      EXPECT_EQ(at_once.drawn() - before, words);
+      for (int i = 0; i < words; ++i) one_by_one.Below(2);
+      EXPECT_EQ(one_by_one.drawn(), at_once.drawn());
+      ASSERT_EQ(at_once.position(), one_by_one.position());
+      ASSERT_EQ(at_once.state(), one_by_one.state());
+    }
+  }
+}
+
 // Below masks each word to the bits of n - 1 and takes another word if the value is too large.
 TEST(RandomStream, BelowUsesOneWordPerTry) {
   for (const uint32_t n : {2u, 3u, 4u, 5u, 17u, 256u, 257u, 2147483647u, 2147483649u, 4294967295u}) {

@@ -1,0 +1,25 @@
+// Renderers for programs that draw what they receive as scene records. They have the textures that are compiled in.
+
+#ifndef CRAFTFLEET_ENVSERVER_RENDER_BUILT_IN_RENDERER_H_
+#define CRAFTFLEET_ENVSERVER_RENDER_BUILT_IN_RENDERER_H_
+
+#include <memory>
+
+#include <absl/status/statusor.h>
+#include <absl/strings/string_view.h>
+
+#include "envserver/render/renderer.h"
+
+namespace craftfleet {
+
+// For the environment `env` and frames of `frame_size` pixels a side. All callers of a process share one as long as any
+// of them holds it. Thread-safe.
+//   InvalidArgument: no such environment, or no such size; names it.
+absl::StatusOr<std::shared_ptr<const Renderer>> BuiltInRenderer(absl::string_view env, int frame_size);
+
+// Whether `digest` is that of the textures that are compiled in. Thread-safe.
+bool HasBuiltInTextures(absl::string_view digest);
+
+}  // namespace craftfleet
+
+#endif  // CRAFTFLEET_ENVSERVER_RENDER_BUILT_IN_RENDERER_H_
