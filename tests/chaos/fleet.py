@@ -83,6 +83,13 @@ class Worker:
         """The highest resident memory of the process so far. None if it has ended."""
         return self._memory_kib("VmHWM:")
 
+    def threads(self):
+        """The number of threads. 0 if the process has ended."""
+        try:
+            return len(list(pathlib.Path(f"/proc/{self.process.pid}/task").iterdir()))
+        except OSError:
+            return 0
+
     def _memory_kib(self, field):
         try:
             status = pathlib.Path(f"/proc/{self.process.pid}/status").read_text(encoding="utf-8")

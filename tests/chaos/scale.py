@@ -2,8 +2,9 @@
 """One learner with many lanes and many actors over real connections; the actors send made-up fragments.
 
 Checks that shares are fair (the most fragments of an actor divided by the fewest are below 1.2), that the status service
-answers within 50 ms, and that the learner's memory does not grow (less than 1 MiB per minute after the second minute). The
-long form appends its figures to tests/chaos/results/runs.jsonl.
+answers within 50 ms, that the learner's threads follow the cores and not the actors (at most 64), and that its memory does
+not grow (less than 1 MiB per minute after the second minute). The long form appends its figures to
+tests/chaos/results/runs.jsonl.
 
   tests/chaos/scale.py --bin=build/bin --out=/tmp/scale             200 actors, 1,000 lanes, 10 minutes
   tests/chaos/scale.py --bin=build/bin --out=/tmp/scale --short     the short form that the tests run
@@ -26,6 +27,7 @@ CONFIG = """steps: 1000000000 lanes: {lanes} fragment_steps: 4
 START_S = 60
 FAIR_RATIO = 1.2
 STATUS_LIMIT_MS = 50
+THREADS_LIMIT = 64
 
 
 def start(options, program, *flags):
@@ -43,9 +45,10 @@ def run(options, fleet):
     bots = start(options, "many_actors", f"--learner={fleet.learner_address}", f"--actors={options.actors}")
     # A separate process; within that of the actors the probe would measure how busy they are.
     probe = start(options, "status_probe", f"--target={fleet.learner_address}")
-    memory = Memory(time.monotonic())
+    memory, threads = Memory(time.monotonic()), 0
     try:
         while bots.poll() is None:
+            threads = max(threads, fleet.learner.threads())
             memory.note(fleet.learner, time.monotonic())
             time.sleep(0.5)
         shares = json.loads(bots.communicate()[0] or "{}")
@@ -59,7 +62,8 @@ def run(options, fleet):
         return {}, [f"a program ended with an error: {ended}"]
     growth = memory.growth().get("learner")
     figures = {**shares, "status_ms": status_ms, "iterations": fleet.iteration(),
-               "learner_resident_kib": fleet.learner.resident_kib(), "growth_kib_per_minute": growth}
+               "learner_resident_kib": fleet.learner.resident_kib(),
+               "learner_threads": threads, "growth_kib_per_minute": growth}
     failures = []
     if figures["failed"] > 0:
         failures.append(f"{figures['failed']} actors failed")
@@ -71,6 +75,8 @@ def run(options, fleet):
     slow_ms = figures["status_ms"]["median" if options.short else "p99"]
     if slow_ms >= STATUS_LIMIT_MS:
         failures.append(f"the status is answered after {slow_ms} ms, want {STATUS_LIMIT_MS}")
+    if threads > THREADS_LIMIT:
+        failures.append(f"the learner has {threads} threads, want at most {THREADS_LIMIT}")
     if growth is not None and growth.slope > GROWTH_LIMIT_KIB_PER_MINUTE:
         failures.append(f"the learner grows by {growth.slope} KiB a minute, want at most {GROWTH_LIMIT_KIB_PER_MINUTE}")
     if growth is None and not options.short:
