@@ -37,6 +37,7 @@ packages=(
   openssl  # deploy/make-certs.sh
   libgoogle-perftools-dev  # tcmalloc
   libtorch-dev
+  libgloo-dev  # headers only: for several learners of one run
   libopenblas0-pthread  # with the reference BLAS, training is several times slower
   libopencv-dev
   libgtest-dev libgmock-dev libbenchmark-dev python3

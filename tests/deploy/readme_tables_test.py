@@ -8,7 +8,7 @@ from tests.fakes import python_case
 from tests.fakes.python_case import SOURCE
 
 ROOMS = ["common", "common/wire", "common/agent", "envserver", "envserver/world", "envserver/render", "actor", "learner", "learner/ppo", "learner/ppo/distillation",
-         "learner/run", "deploy/cli/top"]
+         "learner/run", "learner/ranks", "deploy/cli/top"]
 
 
 def named_files(room, columns=r"\|.*"):

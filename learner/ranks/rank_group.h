@@ -1,0 +1,68 @@
+// What the learners of one run compute together: each rank's part, added in the order of ranks.
+
+#ifndef CRAFTFLEET_LEARNER_RANKS_RANK_GROUP_H_
+#define CRAFTFLEET_LEARNER_RANKS_RANK_GROUP_H_
+
+#include <cstdint>
+#include <memory>
+#include <string>
+
+#include <absl/status/status.h>
+#include <absl/status/statusor.h>
+#include <absl/types/span.h>
+
+#include "learner/ranks/rank_links.h"
+
+namespace craftfleet {
+
+// The ranks form a chain: each talks to the one before and the one after it, so that no rank sends or receives more
+// than the others. All ranks call the same functions in the same order. Each waits for the others, for as long as they
+// live. The calls are for one thread, Leave and ended are thread-safe.
+//
+// Errors of every call but Agree end the group:
+//   Unavailable: a rank is lost; the message names it.   Internal: the ranks did not call the same functions.
+//   Others: as given to Leave.
+class RankGroup {
+ public:
+  explicit RankGroup(std::unique_ptr<RankLinks> links) : links_(std::move(links)) {}
+
+  int rank() const { return links_->rank(); }
+  int size() const { return links_->size(); }
+
+  // Gives rank 0's `bytes` or `flag` to all.
+  absl::Status Broadcast(std::string* bytes);
+  absl::StatusOr<bool> Share(bool flag);
+
+  // Whether all ranks succeeded: the error of the first rank that has one, the same for all ranks. Each rank's `digest`
+  // must be rank 0's.
+  //   DataLoss: a rank has another digest; names it.   Others: the ranks' own, or ended().
+  absl::Status Agree(const absl::Status& own, uint64_t digest = 0);
+
+  // Adds the terms of all ranks to `total`, of the same size on all: those of rank 0 in their order, then those of rank
+  // 1, and so on. Rank 0 has at least one term; each is as long as `total`. All ranks get the same bits.
+  absl::Status Sum(absl::Span<const absl::Span<const float>> terms, absl::Span<float> total);
+  absl::Status Sum(absl::Span<const absl::Span<const double>> terms, absl::Span<double> total);
+
+  // As those of RankLinks.
+  void Leave(const absl::Status& reason) { links_->Leave(reason); }
+  absl::Status ended() const { return links_->ended(); }
+
+ private:
+  struct Note;  // a message of fixed size
+
+  bool is_first() const { return rank() == 0; }
+  bool is_last() const { return rank() + 1 == size(); }
+  absl::Status SendNote(int rank, const Note& note);
+  // Internal, after leaving: it is of another kind than `note`.
+  absl::Status ReceiveNote(int rank, Note* note);
+  // Rank 0's note to all.
+  absl::Status PassOn(Note* note);
+  template <typename T>
+  absl::Status SumInOrder(absl::Span<const absl::Span<const T>> terms, absl::Span<T> total);
+
+  const std::unique_ptr<RankLinks> links_;
+};
+
+}  // namespace craftfleet
+
+#endif  // CRAFTFLEET_LEARNER_RANKS_RANK_GROUP_H_

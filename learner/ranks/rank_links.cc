@@ -1,0 +1,365 @@
+#include "learner/ranks/rank_links.h"
+
+#include <netdb.h>
+#include <sys/socket.h>
+#include <unistd.h>
+
+#include <algorithm>
+#include <chrono>
+#include <exception>
+#include <functional>
+#include <utility>
+
+#include <ATen/ATen.h>
+#include <absl/strings/numbers.h>
+#include <absl/strings/str_cat.h>
+#include <absl/strings/str_format.h>
+#include <absl/strings/str_join.h>
+#include <absl/strings/str_split.h>
+#include <absl/time/clock.h>
+#include <torch/csrc/distributed/c10d/PrefixStore.hpp>
+#include <torch/csrc/distributed/c10d/ProcessGroupGloo.hpp>
+#include <torch/csrc/distributed/c10d/TCPStore.hpp>
+
+#include "common/base/status_macros.h"
+
+namespace craftfleet {
+namespace {
+
+constexpr absl::Duration kBeat = absl::Seconds(1);
+constexpr absl::Duration kSilence = absl::Seconds(7);
+// For the connections between ranks that are all there.
+constexpr absl::Duration kConnect = absl::Seconds(30);
+// How long rank 0 waits for the others to hear why they can't be a group.
+constexpr absl::Duration kFarewell = absl::Seconds(3);
+// How often a rank that waits for others looks whether it should stop.
+constexpr absl::Duration kPatience = absl::Milliseconds(500);
+constexpr absl::Duration kForever = absl::Hours(24 * 365);
+constexpr int kTag = 0;
+
+// Keys of the store.
+constexpr char kOffer[] = "offer";
+constexpr char kWorldSize[] = "world_size";
+constexpr char kVerdict[] = "verdict";
+std::string KeyOf(absl::string_view what, int rank) { return absl::StrCat(what, "/", rank); }
+
+std::chrono::milliseconds Milliseconds(absl::Duration duration) {
+  return absl::ToChronoMilliseconds(std::max(duration, absl::Milliseconds(1)));
+}
+
+// The first line: LibTorch adds its stack, Gloo its sources.
+std::string MessageOf(const std::exception& error) {
+  const auto* const torch_error = dynamic_cast<const c10::Error*>(&error);
+  const std::string all = torch_error != nullptr ? torch_error->what_without_backtrace() : error.what();
+  const std::string line = all.substr(0, all.find('\n'));
+  // "[../gloo/transport/tcp/pair.cc:598] Connection closed by peer"
+  const size_t source = line[0] == '[' ? line.find("] ") : std::string::npos;
+  return source == std::string::npos ? line : line.substr(source + 2);
+}
+
+// OK, or what `f` threw.
+absl::Status Try(const std::function<void()>& f) {
+  try {
+    f();
+    return absl::OkStatus();
+  } catch (const std::exception& error) {
+    return absl::UnavailableError(MessageOf(error));
+  }
+}
+
+std::vector<uint8_t> Bytes(absl::string_view text) { return {text.begin(), text.end()}; }
+
+// The address of this host that others reach it by: the one from which it reaches rank 0. The name of a host often
+// means its loopback address.
+std::string OwnAddress(const RankOptions& options) {
+  std::string own = "127.0.0.1";
+  addrinfo hints = {};
+  hints.ai_socktype = SOCK_DGRAM;
+  addrinfo* found = nullptr;
+  if (getaddrinfo(options.master_addr.c_str(), absl::StrCat(options.master_port).c_str(), &hints, &found) != 0) {
+    return own;
+  }
+  for (const addrinfo* each = found; each != nullptr; each = each->ai_next) {
+    const int udp = socket(each->ai_family, SOCK_DGRAM | SOCK_CLOEXEC, 0);  // connecting it sends nothing
+    sockaddr_storage local = {};
+    socklen_t size = sizeof(local);
+    auto* const address = reinterpret_cast<sockaddr*>(&local);
+    char text[NI_MAXHOST];
+    const bool is_known = udp >= 0 && connect(udp, each->ai_addr, each->ai_addrlen) == 0 &&
+                          getsockname(udp, address, &size) == 0 &&
+                          getnameinfo(address, size, text, sizeof(text), nullptr, 0, NI_NUMERICHOST) == 0;
+    if (udp >= 0) close(udp);
+    if (!is_known) continue;
+    own = text;
+    break;
+  }
+  freeaddrinfo(found);
+  return own;
+}
+
+// Verdicts as text: a code, then the message.
+std::string ToText(const absl::Status& status) {
+  return status.ok() ? "" : absl::StrCat(status.raw_code(), " ", status.message());
+}
+
+absl::Status FromText(const std::string& text) {
+  const std::pair<std::string, std::string> parts = absl::StrSplit(text, absl::MaxSplits(' ', 1));
+  int code = 0;
+  if (!absl::SimpleAtoi(parts.first, &code)) return absl::OkStatus();
+  return absl::Status(static_cast<absl::StatusCode>(code), parts.second);
+}
+
+c10::intrusive_ptr<c10d::ProcessGroupGloo> MakeGroup(const char* name, const RankOptions& options,
+                                                     const c10::intrusive_ptr<c10d::Store>& store) {
+  auto gloo = c10d::ProcessGroupGloo::Options::create(Milliseconds(kConnect));
+  gloo->devices.push_back(c10d::ProcessGroupGloo::createDeviceForHostname(OwnAddress(options)));
+  return c10::make_intrusive<c10d::ProcessGroupGloo>(c10::make_intrusive<c10d::PrefixStore>(name, store), options.rank,
+                                                     options.world_size, gloo);
+}
+
+}  // namespace
+
+bool HasRanks() { return true; }
+
+struct RankLinks::Operation {
+  c10::intrusive_ptr<c10d::Work> work;  // null: it could not begin
+  std::string error;                    // why not
+};
+
+struct RankLinks::Groups {
+  enum class Way { kSend, kReceive };
+
+  static Operation Begin(c10d::ProcessGroupGloo* group, Way way, int rank, void* data, size_t size) {
+    Operation operation;
+    const absl::Status begun = Try([&] {
+      std::vector<at::Tensor> bytes = {at::from_blob(data, {static_cast<int64_t>(size)}, at::kByte)};
+      operation.work = way == Way::kSend ? group->send(bytes, rank, kTag) : group->recv(bytes, rank, kTag);
+    });
+    operation.error = std::string(begun.message());
+    return operation;
+  }
+
+  c10::intrusive_ptr<c10d::ProcessGroupGloo> data;
+  c10::intrusive_ptr<c10d::ProcessGroupGloo> beats;  // apart, so that beats don't wait behind data
+};
+
+struct RankMeeting::Store {
+  c10::intrusive_ptr<c10d::TCPStore> tcp;
+};
+
+RankMeeting::RankMeeting(const RankOptions& options, std::unique_ptr<Store> store)
+    : options_(options), deadline_(absl::Now() + options.timeout), store_(std::move(store)) {}
+
+RankMeeting::~RankMeeting() = default;
+
+std::string RankMeeting::address() const { return absl::StrCat(options_.master_addr, ":", options_.master_port); }
+
+absl::StatusOr<std::unique_ptr<RankMeeting>> RankMeeting::Open(const RankOptions& options, const std::string& offer) {
+  std::unique_ptr<RankMeeting> meeting(new RankMeeting(options, std::make_unique<Store>()));
+  const bool is_first = options.rank == 0;
+  int world_size = options.world_size;
+  const absl::Status opened = Try([&] {
+    c10d::TCPStoreOptions tcp;
+    tcp.port = static_cast<uint16_t>(options.master_port);
+    tcp.isServer = is_first;
+    tcp.waitWorkers = false;
+    tcp.timeout = Milliseconds(options.timeout);
+    auto& store = meeting->store_->tcp;
+    store = c10::make_intrusive<c10d::TCPStore>(is_first ? "127.0.0.1" : options.master_addr, tcp);
+    if (is_first) {
+      store->set(kWorldSize, Bytes(absl::StrCat(options.world_size)));
+      store->set(kOffer, Bytes(offer));
+      meeting->offer_ = offer;
+      return;
+    }
+    const std::vector<uint8_t> size = store->get(kWorldSize);
+    (void)absl::SimpleAtoi(std::string(size.begin(), size.end()), &world_size);
+    const std::vector<uint8_t> offered = store->get(kOffer);
+    meeting->offer_.assign(offered.begin(), offered.end());
+  });
+  if (!opened.ok() && is_first) {
+    return absl::UnavailableError(absl::StrFormat("--master_port=%d: can't listen for the other ranks: %s",
+                                                  options.master_port, opened.message()));
+  }
+  if (!opened.ok()) {
+    return absl::UnavailableError(absl::StrFormat("rank 0 has not come to %s within %s (--rank_timeout): %s",
+                                                  meeting->address(), absl::FormatDuration(options.timeout),
+                                                  opened.message()));
+  }
+  if (world_size != options.world_size) {
+    return absl::FailedPreconditionError(
+        absl::StrFormat("--world_size=%d, but rank 0 at %s has %d: start all ranks with "
+                        "the same",
+                        options.world_size, meeting->address(), world_size));
+  }
+  return meeting;
+}
+
+absl::Status RankMeeting::CheckOthers(const RankBuild& build) {
+  c10d::TCPStore& store = *store_->tcp;
+  std::vector<int> missing;
+  for (int rank = 1; rank < options_.world_size; ++rank) {
+    const std::string key = KeyOf("build", rank);
+    bool has_come = false;
+    do {
+      if (options_.should_stop()) return absl::CancelledError("rank 0 was stopped before all ranks had come");
+      const absl::Duration left = std::min(deadline_ - absl::Now(), kPatience);
+      has_come = Try([&] { store.wait({key}, Milliseconds(left)); }).ok();
+    } while (!has_come && absl::Now() < deadline_);
+    if (!has_come) missing.push_back(rank);
+  }
+  if (!missing.empty()) {
+    return absl::UnavailableError(absl::StrFormat("%s %s of %d %s not come to %s within %s (--rank_timeout)",
+                                                  missing.size() == 1 ? "rank" : "ranks", absl::StrJoin(missing, ", "),
+                                                  options_.world_size, missing.size() == 1 ? "has" : "have", address(),
+                                                  absl::FormatDuration(options_.timeout)));
+  }
+  absl::Status found;
+  for (int rank = 1; rank < options_.world_size && found.ok(); ++rank) {
+    std::vector<uint8_t> bytes;
+    CRAFTFLEET_RETURN_IF_ERROR(Try([&] { bytes = store.get(KeyOf("build", rank)); }));
+    const std::pair<std::string, std::string> other =
+        absl::StrSplit(std::string(bytes.begin(), bytes.end()), absl::MaxSplits('\n', 1));
+    if (other.first == build.canary) continue;
+    found =
+        absl::FailedPreconditionError(absl::StrFormat("rank %d computes other numbers than rank 0 (canary %s of build "
+                                                      "%s, want %s of build %s): use the same build for "
+                                                      "all ranks and, if their CPUs are of different kinds, --cpu=avx2",
+                                                      rank, other.first, other.second, build.canary, build.build));
+  }
+  return found;
+}
+
+absl::Status RankMeeting::Report(const RankBuild& build) {
+  c10d::TCPStore& store = *store_->tcp;
+  int64_t processes = 0;
+  std::vector<uint8_t> verdict;
+  const absl::Status reported = Try([&] {
+    processes = store.add(KeyOf("process", options_.rank), 1);
+    if (processes > 1) return;
+    store.set(KeyOf("build", options_.rank), Bytes(absl::StrCat(build.canary, "\n", build.build)));
+    store.wait({kVerdict}, Milliseconds(options_.timeout + kFarewell));
+    verdict = store.get(kVerdict);
+    store.set(KeyOf("heard", options_.rank), Bytes("1"));
+  });
+  if (!reported.ok()) {
+    return absl::UnavailableError(
+        absl::StrFormat("rank 0 at %s has left before all ranks had come: %s", address(), reported.message()));
+  }
+  if (processes > 1) {
+    return absl::AlreadyExistsError(
+        absl::StrFormat("rank %d is already in the group at %s: another process has it, or the group has yet to end",
+                        options_.rank, address()));
+  }
+  return FromText(std::string(verdict.begin(), verdict.end()));
+}
+
+absl::StatusOr<std::unique_ptr<RankLinks>> RankMeeting::Connect(const RankBuild& build) {
+  c10d::TCPStore& store = *store_->tcp;
+  if (options_.rank > 0) {
+    CRAFTFLEET_RETURN_IF_ERROR(Report(build));
+  } else {
+    const absl::Status found = CheckOthers(build);
+    CRAFTFLEET_RETURN_IF_ERROR(Try([&] { store.set(kVerdict, Bytes(ToText(found))); }));
+    if (!found.ok()) {
+      // The store ends with this process.
+      const absl::Time deadline = absl::Now() + kFarewell;
+      for (int rank = 1; rank < options_.world_size; ++rank) {
+        bool has_come = false;
+        (void)Try([&] { has_come = store.check({KeyOf("build", rank)}); });
+        if (!has_come) continue;
+        (void)Try([&] { store.wait({KeyOf("heard", rank)}, Milliseconds(deadline - absl::Now())); });
+      }
+      return found;
+    }
+  }
+  auto groups = std::make_unique<RankLinks::Groups>();
+  const absl::Status connected = Try([&] {
+    groups->data = MakeGroup("data", options_, store_->tcp);
+    groups->beats = MakeGroup("beats", options_, store_->tcp);
+  });
+  if (!connected.ok()) {
+    return absl::UnavailableError(absl::StrCat("the ranks have come, but can't connect: ", connected.message()));
+  }
+  return std::unique_ptr<RankLinks>(new RankLinks(options_.rank, options_.world_size, std::move(groups)));
+}
+
+RankLinks::RankLinks(int rank, int size, std::unique_ptr<Groups> groups)
+    : rank_(rank), size_(size), groups_(std::move(groups)), beats_([this] { Beat(); }) {}
+
+RankLinks::~RankLinks() {
+  Leave(absl::CancelledError("the group has ended"));
+  beats_.join();
+}
+
+absl::Status RankLinks::Send(int rank, absl::Span<const char> bytes) {
+  auto* const data = const_cast<char*>(bytes.data());
+  return Finish(Groups::Begin(groups_->data.get(), Groups::Way::kSend, rank, data, bytes.size()), rank, kForever);
+}
+
+absl::Status RankLinks::Receive(int rank, absl::Span<char> bytes) {
+  return Finish(Groups::Begin(groups_->data.get(), Groups::Way::kReceive, rank, bytes.data(), bytes.size()), rank,
+                kForever);
+}
+
+absl::Status RankLinks::Finish(Operation operation, int neighbour, absl::Duration limit) {
+  if (operation.work == nullptr) return Lose(neighbour, operation.error);
+  {
+    const MutexLock lock(&mutex_);
+    if (!ended_.ok()) return ended_;
+    running_.push_back(&operation);
+  }
+  const absl::Time begin = absl::Now();
+  bool is_done = false;
+  const absl::Status waited = Try([&] { is_done = operation.work->wait(Milliseconds(limit)); });
+  {
+    const MutexLock lock(&mutex_);
+    running_.erase(std::find(running_.begin(), running_.end(), &operation));
+    if (waited.ok() && is_done) return absl::OkStatus();
+  }
+  if (absl::Now() - begin >= limit) return Lose(neighbour, absl::StrCat("silent for ", absl::FormatDuration(limit)));
+  return Lose(neighbour, std::string(waited.message()));
+}
+
+absl::Status RankLinks::Lose(int neighbour, const std::string& why) {
+  Leave(absl::UnavailableError(absl::StrFormat("rank %d is lost: %s", neighbour, why)));
+  return ended();
+}
+
+void RankLinks::Leave(const absl::Status& reason) {
+  const MutexLock lock(&mutex_);
+  if (!ended_.ok()) return;
+  ended_ = reason;
+  for (Operation* const operation : running_) (void)Try([&] { operation->work->abort(); });
+  changed_.NotifyAll();
+}
+
+absl::Status RankLinks::ended() const {
+  const MutexLock lock(&mutex_);
+  return ended_;
+}
+
+void RankLinks::Beat() {
+  std::vector<int> neighbours;
+  if (rank_ > 0) neighbours.push_back(rank_ - 1);
+  if (rank_ + 1 < size_) neighbours.push_back(rank_ + 1);
+  while (BeatOnce(neighbours)) {
+    const MutexLock lock(&mutex_);
+    changed_.WaitFor(&mutex_, kBeat, [this]() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_) { return !ended_.ok(); });
+  }
+}
+
+bool RankLinks::BeatOnce(const std::vector<int>& neighbours) {
+  char beat = 0;
+  std::vector<char> heard(neighbours.size());
+  std::vector<std::pair<int, Operation>> operations;
+  for (size_t i = 0; i < neighbours.size(); ++i) {
+    const int rank = neighbours[i];
+    operations.emplace_back(rank, Groups::Begin(groups_->beats.get(), Groups::Way::kSend, rank, &beat, 1));
+    operations.emplace_back(rank, Groups::Begin(groups_->beats.get(), Groups::Way::kReceive, rank, &heard[i], 1));
+  }
+  return std::all_of(operations.begin(), operations.end(),
+                     [this](auto& each) { return Finish(std::move(each.second), each.first, kSilence).ok(); });
+}
+
+}  // namespace craftfleet

@@ -1,0 +1,30 @@
+// RankMeeting and RankLinks of builds without the headers of Gloo.
+
+#include "learner/ranks/rank_links.h"
+
+namespace craftfleet {
+
+struct RankLinks::Groups {};
+struct RankLinks::Operation {};
+struct RankMeeting::Store {};
+
+bool HasRanks() { return false; }
+
+absl::StatusOr<std::unique_ptr<RankMeeting>> RankMeeting::Open(const RankOptions&, const std::string&) {
+  return absl::UnimplementedError(
+      "this build has one learner only: it was built without the headers of Gloo (Debian's package libgloo-dev)");
+}
+
+RankMeeting::~RankMeeting() = default;
+
+absl::StatusOr<std::unique_ptr<RankLinks>> RankMeeting::Connect(const RankBuild&) {
+  return absl::UnimplementedError("no ranks");
+}
+
+RankLinks::~RankLinks() = default;
+absl::Status RankLinks::Send(int, absl::Span<const char>) { return absl::UnimplementedError("no ranks"); }
+absl::Status RankLinks::Receive(int, absl::Span<char>) { return absl::UnimplementedError("no ranks"); }
+void RankLinks::Leave(const absl::Status&) {}
+absl::Status RankLinks::ended() const { return absl::UnimplementedError("no ranks"); }
+
+}  // namespace craftfleet

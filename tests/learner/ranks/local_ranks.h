@@ -1,0 +1,68 @@
+// A group of ranks on threads of this process, connected over loopback.
+
+#ifndef CRAFTFLEET_TESTS_LEARNER_RANKS_LOCAL_RANKS_H_
+#define CRAFTFLEET_TESTS_LEARNER_RANKS_LOCAL_RANKS_H_
+
+#include <netinet/in.h>
+#include <sys/socket.h>
+#include <unistd.h>
+
+#include <functional>
+#include <memory>
+#include <string>
+#include <thread>
+#include <vector>
+
+#include <gtest/gtest.h>
+
+#include "learner/ranks/rank_group.h"
+#include "learner/ranks/rank_links.h"
+
+namespace craftfleet::testing {
+
+// A port of loopback that nobody listens on at the moment.
+inline int FreePort() {
+  const int probe = socket(AF_INET, SOCK_STREAM, 0);
+  sockaddr_in address = {};
+  address.sin_family = AF_INET;
+  address.sin_addr.s_addr = htonl(INADDR_LOOPBACK);
+  socklen_t size = sizeof(address);
+  EXPECT_EQ(bind(probe, reinterpret_cast<sockaddr*>(&address), size), 0);
+  EXPECT_EQ(getsockname(probe, reinterpret_cast<sockaddr*>(&address), &size), 0);
+  close(probe);
+  return ntohs(address.sin_port);
+}
+
+inline RankOptions LocalRank(int rank, int world_size, int port) {
+  RankOptions options;
+  options.rank = rank;
+  options.world_size = world_size;
+  options.master_port = port;
+  options.timeout = absl::Seconds(60);
+  return options;
+}
+
+// Calls `run(rank)` for each rank, on a thread each, and waits for all.
+inline void OnRanks(int world_size, const std::function<void(int)>& run) {
+  std::vector<std::thread> threads;
+  for (int rank = 0; rank < world_size; ++rank) threads.emplace_back(run, rank);
+  for (std::thread& thread : threads) thread.join();
+}
+
+// Makes a group of `world_size` ranks and calls `run` for each, on a thread each.
+inline void InGroup(int world_size, const std::function<void(RankGroup*)>& run) {
+  const int port = FreePort();
+  std::vector<std::unique_ptr<RankGroup>> groups(world_size);
+  OnRanks(world_size, [&](int rank) {
+    const auto meeting = RankMeeting::Open(LocalRank(rank, world_size, port), "");
+    ASSERT_TRUE(meeting.ok()) << meeting.status();
+    auto links = (*meeting)->Connect({"canary", "build"});
+    ASSERT_TRUE(links.ok()) << links.status();
+    groups[rank] = std::make_unique<RankGroup>(*std::move(links));
+    run(groups[rank].get());
+  });
+}
+
+}  // namespace craftfleet::testing
+
+#endif  // CRAFTFLEET_TESTS_LEARNER_RANKS_LOCAL_RANKS_H_

@@ -1,0 +1,224 @@
+#include "learner/ranks/rank_group.h"
+
+#include <sys/wait.h>
+
+#include <csignal>
+#include <string>
+#include <vector>
+
+#include <absl/strings/str_cat.h>
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include "tests/learner/ranks/local_ranks.h"
+
+namespace craftfleet {
+namespace {
+
+using testing::FreePort;
+using ::testing::HasSubstr;
+using testing::InGroup;
+using testing::LocalRank;
+using testing::OnRanks;
+
+constexpr size_t kSize = (size_t{3} << 18) + 17;  // of a sum: some parts, the last of them short
+
+// A term whose sum with others depends on their order.
+float Term(int shard, size_t i) { return static_cast<float>((i * 37 + shard * 1009) % 9973) * 1e-3F + shard * 1e5F; }
+
+std::vector<float> Terms(int shard) {
+  std::vector<float> term(kSize);
+  for (size_t i = 0; i < kSize; ++i) term[i] = Term(shard, i);
+  return term;
+}
+
+class SumTest : public ::testing::TestWithParam<int> {};
+
+TEST_P(SumTest, AddsInTheOrderOfShardsAndGivesAllTheSameBits) {
+  constexpr int kShards = 6;
+  std::vector<float> expected = Terms(0);
+  for (int shard = 1; shard < kShards; ++shard) {
+    for (size_t i = 0; i < kSize; ++i) expected[i] += Term(shard, i);
+  }
+  const int ranks = GetParam();
+  InGroup(ranks, [&](RankGroup* group) {
+    std::vector<std::vector<float>> own;
+    for (int i = 0; i < kShards / ranks; ++i) own.push_back(Terms(group->rank() * kShards / ranks + i));
+    const std::vector<absl::Span<const float>> terms(own.begin(), own.end());
+    std::vector<float> total(kSize);
+    for (int round = 0; round < 3; ++round) {
+      const absl::Status status = group->Sum(terms, absl::MakeSpan(total));
+      ASSERT_TRUE(status.ok()) << status;
+      EXPECT_TRUE(total == expected);
+    }
+  });
+}
+
+INSTANTIATE_TEST_SUITE_P(Ranks, SumTest, ::testing::Values(2, 3));
+
+TEST(RankGroup, RankWithoutATermPassesTheSumOn) {
+  InGroup(3, [](RankGroup* group) {
+    const std::vector<double> own = {1.5, 2};
+    std::vector<absl::Span<const double>> terms;
+    if (group->rank() != 1) terms.emplace_back(own);
+    std::vector<double> total(2);
+    ASSERT_TRUE(group->Sum(terms, absl::MakeSpan(total)).ok());
+    EXPECT_EQ(total, (std::vector<double>{3, 4}));
+  });
+}
+
+TEST(RankGroup, BytesAndFlagsOfRank0ReachAll) {
+  const std::string sent(size_t{5} << 20, 'x');
+  InGroup(3, [&](RankGroup* group) {
+    std::string bytes = group->rank() == 0 ? sent : "own";
+    ASSERT_TRUE(group->Broadcast(&bytes).ok());
+    EXPECT_TRUE(bytes == sent);
+    bytes = group->rank() == 0 ? "" : "own";
+    ASSERT_TRUE(group->Broadcast(&bytes).ok());
+    EXPECT_EQ(bytes, "");
+    EXPECT_TRUE(*group->Share(group->rank() == 0));
+    EXPECT_FALSE(*group->Share(group->rank() == 1));
+  });
+}
+
+TEST(RankGroup, AllGetTheErrorOfTheFirstRankThatHasOne) {
+  InGroup(3, [](RankGroup* group) {
+    const bool fails = group->rank() > 0;
+    const absl::Status own = fails ? absl::InternalError(absl::StrCat("of rank ", group->rank())) : absl::OkStatus();
+    EXPECT_EQ(group->Agree(own), absl::InternalError("of rank 1"));
+    EXPECT_TRUE(group->Agree(absl::OkStatus(), 7).ok());
+    const absl::Status other = group->Agree(absl::OkStatus(), group->rank() == 2 ? 8 : 7);
+    EXPECT_EQ(other.code(), absl::StatusCode::kDataLoss);
+    EXPECT_THAT(std::string(other.message()), HasSubstr("rank 2 has other weights"));
+    EXPECT_TRUE(group->ended().ok());
+  });
+}
+
+TEST(RankGroup, RanksOutOfStepEndTheGroup) {
+  InGroup(2, [](RankGroup* group) {
+    if (group->rank() == 0) {
+      EXPECT_FALSE(group->Agree(absl::OkStatus()).ok());
+    } else {
+      EXPECT_EQ(group->Share(false).status().code(), absl::StatusCode::kInternal);
+    }
+    EXPECT_FALSE(group->ended().ok());
+  });
+}
+
+TEST(RankGroup, LeavingEndsAWaitingCall) {
+  InGroup(2, [](RankGroup* group) {
+    if (group->rank() == 0) {
+      group->Leave(absl::CancelledError("asked to"));
+      EXPECT_EQ(group->ended(), absl::CancelledError("asked to"));
+    } else {
+      std::string bytes;
+      const absl::Status status = group->Broadcast(&bytes);
+      EXPECT_EQ(status.code(), absl::StatusCode::kUnavailable) << status;
+      EXPECT_THAT(std::string(status.message()), HasSubstr("rank 0 is lost"));
+    }
+  });
+}
+
+// A rank in a process of its own, which waits for rank 0's bytes.
+class OtherProcess {
+ public:
+  explicit OtherProcess(int port) : pid_(fork()) {
+    if (pid_ != 0) return;
+    const auto meeting = RankMeeting::Open(LocalRank(1, 2, port), "");
+    auto links = (*meeting)->Connect({"canary", "build"});
+    RankGroup group(*std::move(links));
+    std::string bytes;
+    (void)group.Broadcast(&bytes);
+    _exit(0);
+  }
+  ~OtherProcess() {
+    Signal(SIGKILL);
+    waitpid(pid_, nullptr, 0);
+  }
+  void Signal(int signal) const { kill(pid_, signal); }
+
+ private:
+  const pid_t pid_;
+};
+
+class LostRankTest : public ::testing::TestWithParam<int> {};
+
+// Killed ones are noticed at once, suspended ones by their silence.
+TEST_P(LostRankTest, EndsTheCallsThatWaitForIt) {
+  const int port = FreePort();
+  const OtherProcess other(port);
+  const auto meeting = RankMeeting::Open(LocalRank(0, 2, port), "");
+  ASSERT_TRUE(meeting.ok()) << meeting.status();
+  auto links = (*meeting)->Connect({"canary", "build"});
+  ASSERT_TRUE(links.ok()) << links.status();
+  RankGroup group(*std::move(links));
+  other.Signal(GetParam());
+  // Agree would wait for ever for a rank that waits for bytes.
+  const absl::Status status = group.Agree(absl::OkStatus());
+  EXPECT_EQ(status.code(), absl::StatusCode::kUnavailable) << status;
+  EXPECT_THAT(std::string(status.message()), HasSubstr("rank 1 is lost"));
+  EXPECT_EQ(group.ended(), status);
+}
+
+INSTANTIATE_TEST_SUITE_P(Signals, LostRankTest, ::testing::Values(SIGKILL, SIGSTOP));
+
+TEST(RankMeeting, RanksThatDoNotComeAreNamedToAllThatCame) {
+  const int port = FreePort();
+  OnRanks(2, [port](int rank) {
+    RankOptions options = LocalRank(rank, 4, port);
+    options.timeout = absl::Seconds(3);
+    const auto meeting = RankMeeting::Open(options, "");
+    ASSERT_TRUE(meeting.ok()) << meeting.status();
+    const absl::Status status = (*meeting)->Connect({"canary", "build"}).status();
+    EXPECT_EQ(status.code(), absl::StatusCode::kUnavailable) << status;
+    EXPECT_THAT(std::string(status.message()), HasSubstr("ranks 2, 3 of 4 have not come to 127.0.0.1:"));
+    EXPECT_THAT(std::string(status.message()), HasSubstr("within 3s (--rank_timeout)"));
+  });
+}
+
+TEST(RankMeeting, RankWithAnotherCanaryIsRefusedByNameEverywhere) {
+  const int port = FreePort();
+  OnRanks(3, [port](int rank) {
+    const auto meeting = RankMeeting::Open(LocalRank(rank, 3, port), "");
+    ASSERT_TRUE(meeting.ok()) << meeting.status();
+    const absl::Status status = (*meeting)->Connect({rank == 2 ? "odd" : "canary", "build"}).status();
+    EXPECT_EQ(status.code(), absl::StatusCode::kFailedPrecondition) << status;
+    EXPECT_THAT(std::string(status.message()), HasSubstr("rank 2 computes other numbers than rank 0 (canary odd"));
+  });
+}
+
+TEST(RankMeeting, OfferReachesAllAndAnotherWorldSizeIsRefused) {
+  const int port = FreePort();
+  const auto first = RankMeeting::Open(LocalRank(0, 2, port), "what rank 0 offers");
+  ASSERT_TRUE(first.ok()) << first.status();
+  const auto second = RankMeeting::Open(LocalRank(1, 2, port), "");
+  ASSERT_TRUE(second.ok()) << second.status();
+  EXPECT_EQ((*second)->offer(), "what rank 0 offers");
+  const auto other = RankMeeting::Open(LocalRank(1, 3, port), "");
+  EXPECT_EQ(other.status().code(), absl::StatusCode::kFailedPrecondition) << other.status();
+  EXPECT_THAT(std::string(other.status().message()), HasSubstr("--world_size=3, but rank 0 at 127.0.0.1:"));
+}
+
+TEST(RankMeeting, MissingRank0IsAnErrorAfterTheTimeout) {
+  RankOptions options = LocalRank(1, 2, FreePort());
+  options.timeout = absl::Seconds(1);
+  const auto meeting = RankMeeting::Open(options, "");
+  EXPECT_EQ(meeting.status().code(), absl::StatusCode::kUnavailable);
+  EXPECT_THAT(std::string(meeting.status().message()), HasSubstr("rank 0 has not come to 127.0.0.1:"));
+}
+
+TEST(RankMeeting, SecondProcessOfARankIsRefused) {
+  const int port = FreePort();
+  OnRanks(2, [port](int rank) {
+    const auto meeting = RankMeeting::Open(LocalRank(rank, 2, port), "");
+    ASSERT_TRUE(meeting.ok()) << meeting.status();
+    ASSERT_TRUE((*meeting)->Connect({"canary", "build"}).ok());
+    if (rank == 0) return;
+    const auto again = RankMeeting::Open(LocalRank(rank, 2, port), "");
+    if (!again.ok()) return;  // rank 0 has ended
+    EXPECT_FALSE((*again)->Connect({"canary", "build"}).ok());
+  });
+}
+
+}  // namespace
+}  // namespace craftfleet
