@@ -1,4 +1,5 @@
 // LearnerServiceImpl: streams of fragments.
+#include <optional>
 #include <utility>
 
 #include <absl/strings/str_format.h>
@@ -35,43 +36,49 @@ class LearnerServiceImpl::FragmentStream final
     : public grpc::ServerBidiReactor<v1::FragmentMessage, v1::FragmentVerdict> {
  public:
   FragmentStream(LearnerServiceImpl* service, grpc::CallbackServerContext* context)
-      : service_(service), context_(context), watched_(&service->streams_, context) {
-    if (watched_.admitted().ok()) {
+      : service_(service), context_(context), watched_(std::in_place, &service->streams_, context) {
+    if (watched_->admitted().ok()) {
       ReadNext();
     } else {
-      Finish(wire::ToGrpc(watched_.admitted()));
+      End(watched_->admitted());
     }
   }
 
   void OnReadDone(bool ok) override {
-    if (!ok) return Finish(wire::ToGrpc(watched_.late()));
-    watched_.Work();
+    if (!ok) return End(watched_->late());
+    watched_->Work();
     const absl::StatusOr<v1::FragmentVerdict::Verdict> verdict = service_->Receive(*context_, &message_);
-    if (!verdict.ok()) return Finish(wire::ToGrpc(verdict.status()));
+    if (!verdict.ok()) return End(verdict.status());
     reply_.set_lane(message_.lane());
     reply_.set_number(message_.number());
     reply_.set_verdict(*verdict);
     message_ = v1::FragmentMessage();  // a stream that waits must not keep megabytes of its last fragment
-    watched_.Await("a verdict to be taken", service_->options_.reply_timeout);
+    watched_->Await("a verdict to be taken", service_->options_.reply_timeout);
     StartWrite(&reply_);
   }
 
   void OnWriteDone(bool ok) override {
-    if (!ok) return Finish(wire::ToGrpc(watched_.late()));
+    if (!ok) return End(watched_->late());
     ReadNext();
   }
 
   void OnDone() override { delete this; }
 
  private:
+  // Frees the stream's place before the client learns that it has ended.
+  void End(absl::Status status) {
+    watched_.reset();
+    Finish(wire::ToGrpc(status));
+  }
+
   void ReadNext() {
-    watched_.Await("a fragment", service_->options_.fragment_timeout);
+    watched_->Await("a fragment", service_->options_.fragment_timeout);
     StartRead(&message_);
   }
 
   LearnerServiceImpl* const service_;
   grpc::CallbackServerContext* const context_;
-  wire::StreamWatch::Stream watched_;
+  std::optional<wire::StreamWatch::Stream> watched_;  // until the call ends
   v1::FragmentMessage message_;
   v1::FragmentVerdict reply_;
 };

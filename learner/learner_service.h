@@ -46,7 +46,7 @@ class LearnerServiceImpl final : public v1::LearnerService::CallbackService {
     absl::Duration fragment_timeout = wire::StreamWatch::kRequest;
     absl::Duration reply_timeout = wire::StreamWatch::kTakesReply;
     // Requests for permits at once from one address, of which each actor has one; further ones: RESOURCE_EXHAUSTED.
-    // With the streams of that address they leave threads for others.
+    // With the streams of that address they leave memory for others.
     int max_polls_per_client = wire::StreamWatch::kMaxPerClient / 2;
   };
 

@@ -1,5 +1,6 @@
 // LearnerServiceImpl: downloads of weights.
 #include <memory>
+#include <optional>
 #include <utility>
 
 #include <absl/strings/str_format.h>
@@ -20,22 +21,28 @@ constexpr size_t kChunkBytes = 128u << 10;
 class LearnerServiceImpl::WeightStream final : public grpc::ServerWriteReactor<v1::WeightsChunk> {
  public:
   WeightStream(LearnerServiceImpl* service, grpc::CallbackServerContext* context)
-      : service_(service), watched_(&service->streams_, context) {}
+      : service_(service), watched_(std::in_place, &service->streams_, context) {}
 
   void Start(const v1::WeightsRequest& request) {
-    if (!watched_.admitted().ok()) return Finish(wire::ToGrpc(watched_.admitted()));
+    if (!watched_->admitted().ok()) return End(watched_->admitted());
     service_->waiting_for_weights_.Add([this, request](bool last) { return Find(request, last); },
                                        WaitTime(request.wait_ms()));
   }
 
   void OnWriteDone(bool ok) override {
-    if (!ok) return Finish(wire::ToGrpc(watched_.late()));
+    if (!ok) return End(watched_->late());
     WriteNext();
   }
 
   void OnDone() override { delete this; }
 
  private:
+  // Frees the stream's place before the client learns that it has ended.
+  void End(absl::Status status) {
+    watched_.reset();
+    Finish(wire::ToGrpc(status));
+  }
+
   // Returns false if the weights are not available yet and this is not the `last` attempt.
   bool Find(const v1::WeightsRequest& request, bool last) {
     const absl::StatusOr<WeightStore::Weights> weights = service_->FindWeights(request);
@@ -46,21 +53,21 @@ class LearnerServiceImpl::WeightStream final : public grpc::ServerWriteReactor<v
       chunk_.set_total_bytes(static_cast<int64_t>(bytes_->size()));
       WriteNext();
     } else {
-      Finish(wire::ToGrpc(weights.status()));
+      End(weights.status());
     }
     return true;
   }
 
   void WriteNext() {
-    if (sent_ >= bytes_->size()) return Finish(wire::ToGrpc(watched_.late()));
+    if (sent_ >= bytes_->size()) return End(watched_->late());
     chunk_.mutable_data()->assign(*bytes_, sent_, kChunkBytes);
     sent_ += kChunkBytes;
-    watched_.Await("weights to be taken", service_->options_.reply_timeout);
+    watched_->Await("weights to be taken", service_->options_.reply_timeout);
     StartWrite(&chunk_);
   }
 
   LearnerServiceImpl* const service_;
-  wire::StreamWatch::Stream watched_;
+  std::optional<wire::StreamWatch::Stream> watched_;  // until the call ends
   std::shared_ptr<const std::string> bytes_;
   size_t sent_ = 0;
   v1::WeightsChunk chunk_;

@@ -19,9 +19,9 @@
 
 namespace craftfleet::wire {
 
-// Keepalive ends connections to dead peers, but a live peer could hold a stream, and the thread that serves it, for
-// ever. Each stream states what it waits for and how long; a late one is cancelled with a status that contains the
-// reason. Also limits the number of streams of each client. Thread-safe; has a thread of its own while there are
+// Keepalive ends connections to dead peers, but a live peer could hold a stream, and the memory and thread that serve
+// it, for ever. Each stream states what it waits for and how long; a late one is cancelled with a status that contains
+// the reason. Also limits the number of streams of each client. Thread-safe; has a thread of its own while there are
 // streams.
 class StreamWatch {
  public:
@@ -32,7 +32,7 @@ class StreamWatch {
   explicit StreamWatch(int max_per_client = kMaxPerClient) : max_per_client_(max_per_client) {}
   ~StreamWatch();
 
-  // One stream while it is served. Used by the handler's thread only.
+  // One stream while it is served. Used by one thread at a time.
   class Stream {
    public:
     // `context` is the call's; `watch` outlives the object.
