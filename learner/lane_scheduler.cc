@@ -20,7 +20,7 @@ constexpr int kMaxUnanswered = 3;
 }  // namespace
 
 LaneScheduler::LaneScheduler(const Options& options, std::vector<LaneRecord> lanes, Clock* clock)
-    : options_(options), clock_(clock), resets_(options.resets) {
+    : options_(options), clock_(clock), resets_(options.resets), drops_(clock) {
   CRAFTFLEET_CHECK(static_cast<int>(lanes.size()) == options.lanes);
   for (LaneRecord& record : lanes) {
     Lane& lane = lanes_.emplace_back();
@@ -89,7 +89,7 @@ absl::StatusOr<LaneScheduler::Verdict> LaneScheduler::Accept(absl::string_view a
   if (options_.max_staleness > 0) {
     changed_ = true;
     if (StalenessOf(fragment.policy_version) > options_.max_staleness) {
-      ++dropped_;
+      Drop(fragment, sender->first);
       return Verdict::kStale;
     }
     waiting_.push_back({{fragment, digest}, snapshot, sender->first});
@@ -99,6 +99,15 @@ absl::StatusOr<LaneScheduler::Verdict> LaneScheduler::Accept(absl::string_view a
   ++sender->second.fragments;
   if (lane.record.next_fragment < lane.last_fragment) changed_ = true;
   return Verdict::kAccepted;
+}
+
+void LaneScheduler::Drop(const Permit& fragment, const std::string& actor) {
+  ++dropped_;
+  drops_.Warn(actor,
+              absl::StrFormat("fragment %d of lane %d from actor %s is dropped and played again: its weights are %d "
+                              "updates old, max_staleness is %d (dropped so far, of all actors: %d)",
+                              fragment.fragment, fragment.lane, actor, StalenessOf(fragment.policy_version),
+                              options_.max_staleness, dropped_));
 }
 
 void LaneScheduler::EndPlayed(Lane* lane, Actor* sender) {

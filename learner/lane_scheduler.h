@@ -21,6 +21,7 @@
 
 #include "common/base/clock.h"
 #include "common/base/types.h"
+#include "common/telemetry/limited_log.h"
 #include "learner/worker.h"
 
 namespace craftfleet {
@@ -303,6 +304,8 @@ class LaneScheduler {
   static bool IsPlayer(const Lane& lane, const Actor* actor) { return lane.holder == actor || lane.backup == actor; }
   int NumberOf(const Lane& lane) const { return static_cast<int>(&lane - lanes_.data()); }
   static void SetHolder(Lane* lane, Actor* actor);
+  // Counts a fragment of `actor` that is too old, and logs it at a limited rate.
+  void Drop(const Permit& fragment, const std::string& actor);
   // Ends the lane's permit for both players.
   void EndPermit(Lane* lane);
   // Revokes the lane's permit from `actor`, if it has it; another player continues.
@@ -324,6 +327,7 @@ class LaneScheduler {
   std::deque<WaitingArrival> waiting_;  // with max_staleness, in the order of arrival
   int64_t next_update_ = 0;             // version from which the update with the next rollout will start
   int64_t dropped_ = 0;
+  LimitedLog drops_;
   bool paused_ = false;
 };
 

@@ -66,8 +66,8 @@ absl::Status Run() {
   CRAFTFLEET_ASSIGN_OR_RETURN(const absl::Duration step_time, StepTime());
   const int size = absl::GetFlag(FLAGS_size);
   CRAFTFLEET_RETURN_IF_ERROR(CheckSizeFlag(size));
+  CRAFTFLEET_RETURN_IF_ERROR(CheckScreen(absl::GetFlag(FLAGS_terminal)));  // forks: before anything starts threads
   CRAFTFLEET_ASSIGN_OR_RETURN(const std::unique_ptr<PlaySession> session, PlaySession::Create(options));
-  CRAFTFLEET_RETURN_IF_ERROR(CheckScreen(absl::GetFlag(FLAGS_terminal)));
   std::atomic<bool> stop{false};
   StopSignal signal([&stop] { stop = true; });  // before the window system starts threads
   CRAFTFLEET_ASSIGN_OR_RETURN(std::unique_ptr<Screen> screen,

@@ -105,7 +105,7 @@ class PageRunner:
     with Display(self.checkout) as display:
       process = subprocess.Popen(["bash", "-c", "exec " + command], cwd=self.checkout, env=display.environment, start_new_session=True)
       self.serving.append((command, process, None))
-      display.press_until_exit(display.window("^craftfleet (watch|play)$"), "q", process)
+      display.press_until_exit(display.window("^craftfleet (watch|play)$", process), "q", process)
       self.serving.pop()
       self.case.assertEqual(process.returncode, 0, command)
 

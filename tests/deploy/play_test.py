@@ -57,7 +57,7 @@ class Play(python_case.FolderCase):
       process = subprocess.Popen([PLAY, "--wait", "--seed=3", "--size=288", f"--record={self.folder}/recordings"],
                                  stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=display.environment)
       self.addCleanup(process.kill)
-      window = display.window("craftfleet play")
+      window = display.window("craftfleet play", process)
       for key in ("d", "Up", "space", "z", "h", "h", "period"):
         display.press(window, key)
       display.press_until_exit(window, "Escape", process)
@@ -73,6 +73,14 @@ class Play(python_case.FolderCase):
       self.assertEqual((ended.returncode, ended.stdout), (1, ""))
       self.assertIn(expected, ended.stderr)
       self.assertIn("--terminal", ended.stderr)
+
+  def test_the_display_is_tried_before_anything_is_recorded(self):
+    # The encoder of a video starts threads, and the child that tries the display must not inherit a lock of one of them.
+    folder = self.folder / "recordings"
+    ended = subprocess.run([PLAY, f"--record={folder}"], capture_output=True, text=True, timeout=60,
+                           env={**os.environ, "DISPLAY": ":987"}, check=False)
+    self.assertIn("cannot open a window", ended.stderr)
+    self.assertFalse(folder.exists())
 
   def test_bad_flags_are_refused(self):
     for flag, expected in [("--fps=0", "--fps=0, want 0.1..60"), ("--size=5000", "--size=5000, want 64..1024"),

@@ -56,7 +56,7 @@ class WatchAgent(python_case.FolderCase):
       process = subprocess.Popen([WATCH, "--size=288", str(run)], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
                                  env=display.environment)
       self.addCleanup(process.kill)
-      window = display.window("craftfleet watch")
+      window = display.window("craftfleet watch", process)
       display.press(window, "space", "period")
       display.press_until_exit(window, "Escape", process)
       output, errors = process.communicate(timeout=60)

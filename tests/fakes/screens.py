@@ -61,8 +61,12 @@ class Display:
   def __init__(self, folder):
     need("Xvfb", "xdotool")
     reading, writing = os.pipe()
-    self._server = subprocess.Popen(["Xvfb", "-displayfd", str(writing), "-screen", "0", "1280x800x24", "-nolisten", "tcp"],
-                                    pass_fds=[writing], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    self._log = folder / "Xvfb.log"
+    # Without -noreset the server starts anew whenever its last client leaves, such as the child with which a program tries the
+    # display, and the next client may lose its window.
+    with open(self._log, "w", encoding="utf-8") as log:
+      self._server = subprocess.Popen(["Xvfb", "-displayfd", str(writing), "-screen", "0", "1280x800x24", "-nolisten", "tcp",
+                                       "-noreset"], pass_fds=[writing], stdout=log, stderr=log)
     os.close(writing)
     with open(reading, encoding="utf-8") as numbers:
       self.environment = {**os.environ, "DISPLAY": ":" + numbers.readline().strip(), "XDG_RUNTIME_DIR": str(folder)}
@@ -77,11 +81,29 @@ class Display:
   def _xdotool(self, *words):
     return subprocess.run(["xdotool", *words], capture_output=True, text=True, env=self.environment, check=False).stdout.split()
 
-  def window(self, title):
-    """Waits for a visible window and gives it the focus. Returns its id."""
-    window = wait_until(lambda: self._xdotool("search", "--onlyvisible", "--name", title), f"a window {title!r}")[-1]
-    self._xdotool("windowfocus", "--sync", window)
-    return window
+  def window(self, title, process):
+    """Waits for a visible window of `process` and gives it the focus. Returns its id. If the process ends or shows none, kills it
+    and fails with its output, where that is a pipe, and the X server's."""
+    windows = []
+
+    def has_shown_or_ended():
+      windows.extend(self._xdotool("search", "--onlyvisible", "--name", title))
+      return windows or process.poll() is not None
+
+    try:
+      wait_until(has_shown_or_ended, f"a window {title!r}")
+    except AssertionError as error:
+      self._fail(str(error), process)
+    if not windows:
+      self._fail(f"no window {title!r}: exit code {process.returncode}", process)
+    self._xdotool("windowfocus", "--sync", windows[-1])
+    return windows[-1]
+
+  def _fail(self, text, process):
+    process.kill()
+    output, errors = process.communicate()
+    raise AssertionError(f"{text}\noutput: {output}\nerrors: {errors}\nX server, exit code {self._server.poll()}: "
+                         f"{self._log.read_text()}")
 
   def press(self, window, *keys):
     """Keys as X11 names them: "a", "space", "Up". A program sees only the last of the keys that come while it does not wait for one."""

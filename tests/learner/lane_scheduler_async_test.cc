@@ -21,6 +21,7 @@ namespace craftfleet {
 namespace {
 
 using testing::ElementsAre;
+using testing::HasSubstr;
 using testing::IsEmpty;
 using testing::SizeIs;
 using Verdict = LaneScheduler::Verdict;
@@ -86,7 +87,12 @@ TEST_F(AsyncLanes, AFragmentThatWouldBeTooOldIsDroppedAndPlayedAgain) {
       ASSERT_THAT(Ask("fast"), SizeIs(1));
     }
   }
+  testing::internal::CaptureStderr();
   EXPECT_EQ(Push("slow", {1, 0, 0}), Verdict::kStale) << "two updates have started since";
+  EXPECT_THAT(
+      testing::internal::GetCapturedStderr(),
+      HasSubstr("fragment 0 of lane 1 from actor slow is dropped and played again: its weights are 2 updates old, "
+                "max_staleness is 1 (dropped so far, of all actors: 1)"));
   EXPECT_EQ(registry_.dropped(), 1);
   EXPECT_FALSE(registry_.Counts(1, 0, Digest({1, 0, 0})));
   EXPECT_THAT(Ask("slow"), ElementsAre(Permit{1, 0, 2})) << "the same fragment, with the newest weights";
