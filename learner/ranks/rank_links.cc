@@ -16,11 +16,11 @@
 #include <absl/strings/str_format.h>
 #include <absl/strings/str_join.h>
 #include <absl/strings/str_split.h>
-#include <absl/time/clock.h>
 #include <torch/csrc/distributed/c10d/PrefixStore.hpp>
 #include <torch/csrc/distributed/c10d/ProcessGroupGloo.hpp>
 #include <torch/csrc/distributed/c10d/TCPStore.hpp>
 
+#include "common/base/clock.h"
 #include "common/base/status_macros.h"
 
 namespace craftfleet {
@@ -148,7 +148,7 @@ struct RankMeeting::Store {
 };
 
 RankMeeting::RankMeeting(const RankOptions& options, std::unique_ptr<Store> store)
-    : options_(options), deadline_(absl::Now() + options.timeout), store_(std::move(store)) {}
+    : options_(options), deadline_(SteadyNow() + options.timeout), store_(std::move(store)) {}
 
 RankMeeting::~RankMeeting() = default;
 
@@ -203,9 +203,9 @@ absl::Status RankMeeting::CheckOthers(const RankBuild& build) {
     bool has_come = false;
     do {
       if (options_.should_stop()) return absl::CancelledError("rank 0 was stopped before all ranks had come");
-      const absl::Duration left = std::min(deadline_ - absl::Now(), kPatience);
+      const absl::Duration left = std::min(deadline_ - SteadyNow(), kPatience);
       has_come = Try([&] { store.wait({key}, Milliseconds(left)); }).ok();
-    } while (!has_come && absl::Now() < deadline_);
+    } while (!has_come && SteadyNow() < deadline_);
     if (!has_come) missing.push_back(rank);
   }
   if (!missing.empty()) {
@@ -263,12 +263,12 @@ absl::StatusOr<std::unique_ptr<RankLinks>> RankMeeting::Connect(const RankBuild&
     CRAFTFLEET_RETURN_IF_ERROR(Try([&] { store.set(kVerdict, Bytes(ToText(found))); }));
     if (!found.ok()) {
       // The store ends with this process.
-      const absl::Time deadline = absl::Now() + kFarewell;
+      const absl::Time deadline = SteadyNow() + kFarewell;
       for (int rank = 1; rank < options_.world_size; ++rank) {
         bool has_come = false;
         (void)Try([&] { has_come = store.check({KeyOf("build", rank)}); });
         if (!has_come) continue;
-        (void)Try([&] { store.wait({KeyOf("heard", rank)}, Milliseconds(deadline - absl::Now())); });
+        (void)Try([&] { store.wait({KeyOf("heard", rank)}, Milliseconds(deadline - SteadyNow())); });
       }
       return found;
     }
@@ -309,7 +309,7 @@ absl::Status RankLinks::Finish(Operation operation, int neighbour, absl::Duratio
     if (!ended_.ok()) return ended_;
     running_.push_back(&operation);
   }
-  const absl::Time begin = absl::Now();
+  const absl::Time begin = SteadyNow();
   bool is_done = false;
   const absl::Status waited = Try([&] { is_done = operation.work->wait(Milliseconds(limit)); });
   {
@@ -317,7 +317,7 @@ absl::Status RankLinks::Finish(Operation operation, int neighbour, absl::Duratio
     running_.erase(std::find(running_.begin(), running_.end(), &operation));
     if (waited.ok() && is_done) return absl::OkStatus();
   }
-  if (absl::Now() - begin >= limit) return Lose(neighbour, absl::StrCat("silent for ", absl::FormatDuration(limit)));
+  if (SteadyNow() - begin >= limit) return Lose(neighbour, absl::StrCat("silent for ", absl::FormatDuration(limit)));
   return Lose(neighbour, std::string(waited.message()));
 }
 
