@@ -8,6 +8,7 @@
 
 #include "common/process/cpu_pin.h"
 #include "tests/fakes/command_output.h"
+#include "tests/fakes/sanitizers.h"
 #include "tests/fakes/status_matchers.h"
 
 namespace craftfleet {
@@ -46,6 +47,7 @@ TEST(PolicyCanary, WithAvx2IsTheSameOnEmulatedIntelAndAmdCpus) {
     GTEST_SKIP() << "qemu-x86_64 is missing: deploy/install-deps.sh --tests";
   const absl::string_view known = KnownPolicyCanary(v1::RunConfig::AVX2);
   if (known.empty()) GTEST_SKIP() << "the canary of this LibTorch is not known";
+  if (kAddressSanitizer) GTEST_SKIP() << "the emulator would keep AddressSanitizer's shadow in memory";
   std::string pins;
   for (const auto& [name, value] : CpuPins(v1::RunConfig::AVX2)) absl::StrAppend(&pins, name, "=", value, " ");
   for (const char* cpu : {"Haswell", "Skylake-Client-noTSX-IBRS", "EPYC"}) {
