@@ -44,15 +44,13 @@ endfunction()
 
 # craftfleet_test(NAME fragment_queue_test LABELS unit;tsan SRCS ... DEPS ...): one GoogleTest executable with one ctest entry per
 # TEST, so that `ctest` counts cases; with CRAFTFLEET_TEST_LIBRARIES, one entry per executable, because a program with
-# LibTorch takes a second to start under AddressSanitizer. Tests find tests/data through CRAFTFLEET_SOURCE_DIR.
+# LibTorch takes a second to start under AddressSanitizer. Tests find files and programs with test_paths.h.
 function(craftfleet_test)
   cmake_parse_arguments(ARG "" "NAME;TIMEOUT" "SRCS;DEPS;LABELS" ${ARGN})
   add_executable(${ARG_NAME} ${ARG_SRCS})
-  target_link_libraries(${ARG_NAME} PRIVATE ${ARG_DEPS} GTest::gmock GTest::gtest_main craftfleet_flags)
+  target_link_libraries(${ARG_NAME} PRIVATE ${ARG_DEPS} craftfleet::test_paths GTest::gmock GTest::gtest_main craftfleet_flags)
   # Compiling tests takes longer than running them, so they are not optimised; the code under test is.
   target_compile_options(${ARG_NAME} PRIVATE -O0)
-  target_compile_definitions(${ARG_NAME} PRIVATE CRAFTFLEET_SOURCE_DIR="${PROJECT_SOURCE_DIR}"
-                                                 CRAFTFLEET_BIN_DIR="${CMAKE_BINARY_DIR}/bin")
   if(NOT ARG_TIMEOUT)
     set(ARG_TIMEOUT 300)
   endif()

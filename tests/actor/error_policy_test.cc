@@ -8,6 +8,7 @@
 
 #include "common/io/files.h"
 #include "tests/fakes/status_matchers.h"
+#include "tests/fakes/test_paths.h"
 
 namespace craftfleet {
 namespace {
@@ -22,7 +23,7 @@ TEST(ErrorPolicy, HasEveryCodeOnce) {
 }
 
 TEST(ErrorPolicy, ReadmeHasTheTable) {
-  const auto readme = ReadFile(CRAFTFLEET_SOURCE_DIR "/actor/README.md");
+  const auto readme = ReadFile(SourcePath("actor/README.md"));
   ASSERT_THAT(readme, IsOk());
   EXPECT_THAT(*readme, testing::HasSubstr(FormatErrorPolicy())) << "want this table in actor/README.md";
 }

@@ -10,6 +10,7 @@
 #include "tests/fakes/command_output.h"
 #include "tests/fakes/sanitizers.h"
 #include "tests/fakes/status_matchers.h"
+#include "tests/fakes/test_paths.h"
 
 namespace craftfleet {
 namespace {
@@ -19,7 +20,7 @@ using testing::StartsWith;
 
 // The output of print_canary in a process with the additional environment `variables`.
 std::string Printed(const std::string& cpu, const std::string& variables = "") {
-  return OutputOf(absl::StrCat("(", variables, " " CRAFTFLEET_BIN_DIR "/print_canary ", cpu, " 2>/dev/null)"));
+  return OutputOf(absl::StrCat("(", variables, " ", BuiltProgram("print_canary"), " ", cpu, " 2>/dev/null)"));
 }
 
 TEST(PolicyCanary, IsTheSameInEveryProcessOfAMachine) {
@@ -51,8 +52,8 @@ TEST(PolicyCanary, WithAvx2IsTheSameOnEmulatedIntelAndAmdCpus) {
   std::string pins;
   for (const auto& [name, value] : CpuPins(v1::RunConfig::AVX2)) absl::StrAppend(&pins, name, "=", value, " ");
   for (const char* cpu : {"Haswell", "Skylake-Client-noTSX-IBRS", "EPYC"}) {
-    EXPECT_EQ(OutputOf(absl::StrCat("(", pins, "qemu-x86_64 -cpu ", cpu,
-                                    " " CRAFTFLEET_BIN_DIR "/print_canary avx2 2>/dev/null)")),
+    EXPECT_EQ(OutputOf(absl::StrCat("(", pins, "qemu-x86_64 -cpu ", cpu, " ", BuiltProgram("print_canary"),
+                                    " avx2 2>/dev/null)")),
               absl::StrCat(known, "\n"))
         << cpu;
   }

@@ -6,15 +6,17 @@
 #include <utility>
 
 #include <ATen/ATen.h>
+#include <absl/strings/str_cat.h>
 
 #include "common/agent/policy_net.h"
 #include "common/base/check.h"
 #include "common/base/seeds.h"
+#include "tests/fakes/test_paths.h"
 
 namespace craftfleet::testing {
 
 nlohmann::json ReadGolden(const std::string& file) {
-  std::ifstream stream(std::string(CRAFTFLEET_SOURCE_DIR) + "/tests/data/agents/" + file);
+  std::ifstream stream(SourcePath(absl::StrCat("tests/data/agents/", file)));
   CRAFTFLEET_CHECK(stream.good());
   return nlohmann::json::parse(stream);
 }

@@ -10,6 +10,7 @@
 #include "common/io/files.h"
 #include "tests/agent/golden_agent.h"
 #include "tests/fakes/command_output.h"
+#include "tests/fakes/test_paths.h"
 
 namespace craftfleet {
 namespace {
@@ -17,7 +18,7 @@ namespace {
 TEST(PythonWeights, MatchTheGoldenWhenReadByPython) {
   const std::string file = absl::StrCat(::testing::TempDir(), "/craftfleet-python-weights.safetensors");
   const testing::GoldenAgent agent("lstm_cnn");
-  const std::string scripts = absl::StrCat(CRAFTFLEET_SOURCE_DIR, "/tests/");
+  const std::string scripts = SourcePath("tests/");
   const std::string command =
       absl::StrCat("python3 ", scripts, "agent/check_weights.py ", file, " ", scripts, "data/agents/lstm_cnn.json");
   ASSERT_TRUE(WriteFileSynced(file, SaveWeights(agent.spec, agent.weights)).ok());

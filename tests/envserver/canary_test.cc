@@ -11,11 +11,12 @@
 #include "common/io/texture_digest.h"
 #include "tests/fakes/status_matchers.h"
 #include "tests/fakes/temp_folder.h"
+#include "tests/fakes/test_paths.h"
 
 namespace craftfleet {
 namespace {
 
-constexpr char kBuiltIn[] = CRAFTFLEET_SOURCE_DIR "/envserver/textures";
+const std::string kBuiltIn = SourcePath("envserver/textures");
 
 std::string CanaryOf(const std::string& folder) {
   const auto textures = Textures::Load(folder);

@@ -13,6 +13,7 @@
 #include <gtest/gtest.h>
 #include <nlohmann/json.hpp>
 
+#include "tests/fakes/test_paths.h"
 #include "tests/fakes/wait_until.h"
 #include "tests/integration/small_run.h"
 
@@ -28,10 +29,9 @@ class BadDiskTest : public SmallRunTest {
                                    const std::vector<std::string>& flags) {
     const char* const asan = std::getenv("ASAN_OPTIONS");
     std::vector<std::string> words = {
-        absl::StrCat("LD_PRELOAD=", CRAFTFLEET_BIN_DIR, "/libcraftfleet_bad_disk.so"), "BAD_DISK=" + disk,
+        absl::StrCat("LD_PRELOAD=", BuiltProgram("libcraftfleet_bad_disk.so")), "BAD_DISK=" + disk,
         // AddressSanitizer wants to be the first library itself.
-        absl::StrCat("ASAN_OPTIONS=verify_asan_link_order=0:", asan != nullptr ? asan : ""),
-        JoinPath(CRAFTFLEET_BIN_DIR, program)};
+        absl::StrCat("ASAN_OPTIONS=verify_asan_link_order=0:", asan != nullptr ? asan : ""), BuiltProgram(program)};
     words.insert(words.end(), flags.begin(), flags.end());
     return Start("/usr/bin/env", words);
   }

@@ -14,6 +14,7 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include "tests/fakes/test_paths.h"
 #include "tests/integration/small_run.h"
 
 namespace craftfleet {
@@ -86,7 +87,7 @@ TEST_F(FailingStartsTest, NoFailingStartRemovesAnything) {
   ExpectHarmless(learner, {free, "--lanes=8"}, "lanes");
 
   const std::string textures = folder_ / "textures";
-  std::filesystem::copy(JoinPath(CRAFTFLEET_BIN_DIR, "../share/craftfleet/textures"), textures);
+  std::filesystem::copy(BuiltProgram("../share/craftfleet/textures"), textures);
   std::filesystem::copy_file(textures + "/sand.png", textures + "/stone.png",
                              std::filesystem::copy_options::overwrite_existing);
   ExpectHarmless(learner, {free, "--textures=" + textures}, "was played with textures");

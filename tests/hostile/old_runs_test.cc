@@ -22,6 +22,7 @@
 #include <nlohmann/json.hpp>
 
 #include "common/base/little_endian.h"
+#include "tests/fakes/test_paths.h"
 #include "tests/integration/small_run.h"
 
 namespace craftfleet {
@@ -113,7 +114,7 @@ class OldRunsTest : public SmallRunTest, public testing::WithParamInterface<cons
     EXPECT_THAT(own, HasSubstr(manifest[2] + "\n"));
   }
 
-  const std::string data_ = JoinPath(CRAFTFLEET_SOURCE_DIR, absl::StrCat("tests/data/v0.1/", GetParam()));
+  const std::string data_ = SourcePath(absl::StrCat("tests/data/v0.1/", GetParam()));
 };
 
 TEST_P(OldRunsTest, ResumesInOneProcess) {

@@ -13,6 +13,7 @@
 #include <nlohmann/json.hpp>
 
 #include "common/process/version.h"
+#include "tests/fakes/test_paths.h"
 #include "tests/integration/small_run.h"
 
 namespace craftfleet {
@@ -190,7 +191,7 @@ TEST_F(BadInputTest, ErrorsInAConfigFileHaveFileLineAndField) {
 
 TEST_F(BadInputTest, AMissingOrInvalidTextureIsNamed) {
   const std::string textures = folder_ / "textures";
-  std::filesystem::copy(JoinPath(CRAFTFLEET_BIN_DIR, "../share/craftfleet/textures"), textures);
+  std::filesystem::copy(BuiltProgram("../share/craftfleet/textures"), textures);
   ASSERT_THAT(RemoveAll(textures + "/stone.png"), IsOk());
   Ended ended = Run("craftfleet-envserver", {"--textures=" + textures});
   EXPECT_EQ(ended.exit_code, 1);

@@ -16,6 +16,7 @@
 #include <gtest/gtest.h>
 #include <nlohmann/json.hpp>
 
+#include "tests/fakes/test_paths.h"
 #include "tests/integration/small_run.h"
 
 namespace craftfleet {
@@ -110,7 +111,7 @@ TEST_F(BadPeersTest, ALearnerIsNotAnEnvironmentServer) {
 
 TEST_F(BadPeersTest, DifferentTexturesAreDetected) {
   const std::string textures = folder_ / "textures";
-  std::filesystem::copy(JoinPath(CRAFTFLEET_BIN_DIR, "../share/craftfleet/textures"), textures);
+  std::filesystem::copy(BuiltProgram("../share/craftfleet/textures"), textures);
   std::filesystem::copy_file(textures + "/sand.png", textures + "/stone.png",
                              std::filesystem::copy_options::overwrite_existing);
   const auto server = StartServer(Address("server"), {"--textures=" + textures});

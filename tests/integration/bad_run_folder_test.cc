@@ -13,6 +13,7 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include "tests/fakes/test_paths.h"
 #include "tests/fakes/wait_until.h"
 #include "tests/integration/small_run.h"
 
@@ -69,7 +70,7 @@ TEST_F(BadRunFolderTest, ResumeRefusesAnotherConfiguration) {
 TEST_F(BadRunFolderTest, ResumeRefusesOtherTextures) {
   Train("run");
   const std::string textures = folder_ / "textures";
-  std::filesystem::copy(JoinPath(CRAFTFLEET_BIN_DIR, "../share/craftfleet/textures"), textures);
+  std::filesystem::copy(BuiltProgram("../share/craftfleet/textures"), textures);
   std::filesystem::copy_file(textures + "/sand.png", textures + "/stone.png",
                              std::filesystem::copy_options::overwrite_existing);
   const Ended ended = Run("craftfleet-train", {"--resume", "--logdir=" + Logdir("run"), "--textures=" + textures});
@@ -152,8 +153,7 @@ TEST_F(BadRunFolderTest, ALogThatLostLinesIsRefused) {
 class FullDiskTest : public BadRunFolderTest {
  protected:
   void StartLearner(const std::vector<std::string>& more) {
-    std::vector<std::string> words = {"-c", "trap '' XFSZ; exec \"$0\" \"$@\"",
-                                      JoinPath(CRAFTFLEET_BIN_DIR, "craftfleet-learner")};
+    std::vector<std::string> words = {"-c", "trap '' XFSZ; exec \"$0\" \"$@\"", BuiltProgram("craftfleet-learner")};
     const std::vector<std::string> flags = Flags("run", more);
     words.insert(words.end(), flags.begin(), flags.end());
     learner_ = Start("/bin/bash", words);
@@ -219,9 +219,9 @@ TEST_F(FullDiskTest, TheEndOfTheRunWaitsForSpaceAndAStopReportsTheUnwrittenFile)
 }
 
 TEST_F(FullDiskTest, ARunThatCannotBeginReportsWhy) {
-  const Ended ended = Run("/bin/bash", {"-c", "trap '' XFSZ; ulimit -f 100; exec \"$0\" \"$@\"",
-                                        JoinPath(CRAFTFLEET_BIN_DIR, "craftfleet-train"), "--config=" + config(),
-                                        "--logdir=" + Logdir("run")});
+  const Ended ended =
+      Run("/bin/bash", {"-c", "trap '' XFSZ; ulimit -f 100; exec \"$0\" \"$@\"", BuiltProgram("craftfleet-train"),
+                        "--config=" + config(), "--logdir=" + Logdir("run")});
   EXPECT_EQ(ended.exit_code, 1);
   EXPECT_THAT(ended.err, HasSubstr(Logdir("run")));
   EXPECT_THAT(ended.err, HasSubstr("File too large"));

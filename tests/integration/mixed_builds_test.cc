@@ -9,6 +9,7 @@
 #include <gtest/gtest.h>
 
 #include "common/process/cpu_pin.h"
+#include "tests/fakes/test_paths.h"
 #include "tests/integration/ask_status.h"
 #include "tests/integration/small_run.h"
 
@@ -37,7 +38,7 @@ class MixedBuildsTest : public SmallRunTest {
   // Starts `program` with additional environment `variables`.
   std::unique_ptr<Process> StartWith(std::vector<std::string> variables, const std::string& program,
                                      const std::vector<std::string>& flags) {
-    variables.push_back(CRAFTFLEET_BIN_DIR "/" + program);
+    variables.push_back(BuiltProgram(program));
     variables.insert(variables.end(), flags.begin(), flags.end());
     return Start("/usr/bin/env", variables);
   }

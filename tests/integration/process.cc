@@ -19,6 +19,7 @@
 
 #include "common/base/check.h"
 #include "common/io/files.h"
+#include "tests/fakes/test_paths.h"
 
 namespace craftfleet {
 namespace {
@@ -46,7 +47,7 @@ absl::StatusOr<std::unique_ptr<Process>> Process::Start(const std::string& progr
                                                         const std::vector<std::string>& arguments,
                                                         const std::string& log_prefix) {
   std::vector<std::string> words = arguments;
-  words.insert(words.begin(), absl::StrContains(program, '/') ? program : JoinPath(CRAFTFLEET_BIN_DIR, program));
+  words.insert(words.begin(), absl::StrContains(program, '/') ? program : BuiltProgram(program));
   if (access(words[0].c_str(), X_OK) != 0) return FileError(errno, "cannot run", words[0]);
   std::vector<char*> pointers;
   pointers.reserve(words.size() + 1);

@@ -5,6 +5,7 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include "tests/fakes/test_paths.h"
 #include "tests/integration/small_run.h"
 
 namespace craftfleet {
@@ -107,7 +108,7 @@ TEST_F(SweepProgramTest, BadArgumentsAreNamed) {
 }
 
 TEST_F(SweepProgramTest, ADryRunOnlyPrintsTheCommands) {
-  const std::string textures = std::string(CRAFTFLEET_SOURCE_DIR) + "/envserver/textures";
+  const std::string textures = SourcePath("envserver/textures");
   const Ended ended = Sweep({"--dry_run", "--cell=gamma=0.5", "--threads=1", "--textures=" + textures});
   EXPECT_EQ(ended.exit_code, 0) << ended.err;
   EXPECT_THAT(ended.out, HasSubstr("craftfleet train --config=" + (folder_ / "runs/small/gamma=0.5/cell.txt") +

@@ -16,6 +16,7 @@
 #include "tests/fakes/sample_policy.h"
 #include "tests/fakes/status_matchers.h"
 #include "tests/fakes/temp_folder.h"
+#include "tests/fakes/test_paths.h"
 
 namespace craftfleet {
 namespace {
@@ -147,9 +148,8 @@ TEST_F(EpisodeRecorderTest, WritesTablesThatPythonCanRead) {
     absl::StrAppend(&line, ", \"achievement_", kAchievementNames[i], "\": ", i < 2 ? 4 : 0);
   }
   ASSERT_THAT(WriteFileSynced(folder_ / "stats.jsonl", line + "}\n"), IsOk());
-  const std::string command =
-      absl::StrCat("python3 ", CRAFTFLEET_SOURCE_DIR, "/tests/actor/recording/check_episodes.py ", folder_ / "npz", " ",
-                   folder_ / "stats.jsonl", " ", kFrameSize);
+  const std::string command = absl::StrCat("python3 ", SourcePath("tests/actor/recording/check_episodes.py"), " ",
+                                           folder_ / "npz", " ", folder_ / "stats.jsonl", " ", kFrameSize);
   EXPECT_EQ(OutputOf(command), "1 episodes agree\n");
 }
 

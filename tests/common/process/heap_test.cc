@@ -11,11 +11,13 @@
 #include <utility>
 #include <vector>
 
+#include <absl/strings/str_cat.h>
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
 #include "common/telemetry/process_usage.h"
 #include "tests/fakes/command_output.h"
+#include "tests/fakes/test_paths.h"
 
 namespace craftfleet {
 namespace {
@@ -66,7 +68,7 @@ TEST(Heap, ReleaseFreeMemoryReducesResidentMemory) {
 class HeapOf : public testing::TestWithParam<const char*> {};
 
 TEST_P(HeapOf, IsTcmalloc) {
-  EXPECT_THAT(OutputOf(std::string("ldd " CRAFTFLEET_BIN_DIR "/") + GetParam()), HasSubstr("libtcmalloc_minimal"));
+  EXPECT_THAT(OutputOf(absl::StrCat("ldd ", BuiltProgram(GetParam()))), HasSubstr("libtcmalloc_minimal"));
 }
 
 INSTANTIATE_TEST_SUITE_P(Programs, HeapOf,

@@ -28,6 +28,7 @@
 #include "tests/fakes/status_matchers.h"
 #include "tests/fakes/temp_folder.h"
 #include "tests/fakes/test_certificates.h"
+#include "tests/fakes/test_paths.h"
 #include "tests/fakes/wait_until.h"
 
 namespace craftfleet::wire {
@@ -307,7 +308,7 @@ TEST_F(SecurityTest, ReplacedCertificatesAreUsedAndNoConnectionIsLost) {
 
 TEST_F(SecurityTest, MakeCertsCreatesWorkingCertificates) {
   const std::string made = folder_ / "made";
-  const std::string script = CRAFTFLEET_SOURCE_DIR "/deploy/make-certs.sh " + made + " > /dev/null ";
+  const std::string script = SourcePath("deploy/make-certs.sh") + " " + made + " > /dev/null ";
   ASSERT_EQ(std::system((script + "learner=learner.example.com,10.0.0.5 ops").c_str()), 0);
   const auto files = [&](const std::string& name) {
     return TlsFiles{made + "/" + name + ".pem", made + "/" + name + ".key", made + "/ca.pem"};

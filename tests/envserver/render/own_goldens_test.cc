@@ -15,6 +15,7 @@
 #include "envserver/world/daylight.h"
 #include "tests/fakes/cpu_paths.h"
 #include "tests/fakes/status_matchers.h"
+#include "tests/fakes/test_paths.h"
 #include "tests/golden/trace_fields.h"
 #include "tests/golden/world_editor.h"
 
@@ -23,7 +24,7 @@ namespace {
 
 using nlohmann::json;
 
-std::string DataPath(const std::string& name) { return std::string(CRAFTFLEET_SOURCE_DIR "/tests/data/own/") + name; }
+std::string DataPath(const std::string& name) { return SourcePath("tests/data/own/" + name); }
 
 std::vector<json> Rows(const std::string& name) {
   const auto text = ReadFile(DataPath(name));

@@ -16,6 +16,7 @@
 #include "envserver/render/built_in_textures.h"
 #include "tests/fakes/status_matchers.h"
 #include "tests/fakes/temp_folder.h"
+#include "tests/fakes/test_paths.h"
 
 namespace craftfleet {
 namespace {
@@ -129,7 +130,7 @@ TEST_F(SpoiledTextures, ReadsPixelsRowByRow) {
 
 // A palette is expanded, as other image readers do.
 TEST(DecodeTexture, ExpandsAPalette) {
-  const std::string file = ReadFile(CRAFTFLEET_SOURCE_DIR "/tests/fuzz/regressions/texture/palette.png").value();
+  const std::string file = ReadFile(SourcePath("tests/fuzz/regressions/texture/palette.png")).value();
   const absl::StatusOr<Texture> texture = DecodeTexture(file, "palette.png");
   ASSERT_THAT(texture, IsOk());
   EXPECT_EQ(texture->pixels[0], 30u | 20u << 8 | 10u << 16 | 40u << 24);
@@ -146,7 +147,7 @@ TEST(DecodeTexture, IgnoresBytesAfterTheImage) {
 }
 
 TEST(BuiltInTextures, MatchTheFolder) {
-  const std::string folder = CRAFTFLEET_SOURCE_DIR "/envserver/textures";
+  const std::string folder = SourcePath("envserver/textures");
   EXPECT_EQ(TextureDigest(BuiltInTextures()), TextureDigest(folder).value());
   const std::shared_ptr<const Textures> built_in = Textures::BuiltIn();
   const auto loaded = Textures::Load(folder);

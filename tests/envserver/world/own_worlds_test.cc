@@ -9,6 +9,7 @@
 #include "envserver/world/world.h"
 #include "tests/fakes/cpu_paths.h"
 #include "tests/fakes/status_matchers.h"
+#include "tests/fakes/test_paths.h"
 #include "tests/golden/trace_fields.h"
 #include "tests/golden/world_editor.h"
 
@@ -33,7 +34,7 @@ class OwnWorlds : public OnEachCpuPath {};
 CRAFTFLEET_ON_EACH_CPU_PATH(OwnWorlds);
 
 TEST_P(OwnWorlds, MatchThePythonModel) {
-  std::ifstream file(CRAFTFLEET_SOURCE_DIR "/tests/data/own/worlds.jsonl");
+  std::ifstream file(SourcePath("tests/data/own/worlds.jsonl"));
   std::string line;
   int count = 0;
   while (std::getline(file, line)) {

@@ -11,6 +11,7 @@
 #include "learner/run/stats_log.h"
 #include "tests/fakes/status_matchers.h"
 #include "tests/fakes/temp_folder.h"
+#include "tests/fakes/test_paths.h"
 #include "tests/learner/run/run_samples.h"
 
 namespace craftfleet {
@@ -26,7 +27,7 @@ struct GoldenEpisode {
 };
 
 std::vector<GoldenEpisode> ReadGolden() {
-  const auto golden = nlohmann::json::parse(ReadFile(CRAFTFLEET_SOURCE_DIR "/tests/data/agents/score.json").value());
+  const auto golden = nlohmann::json::parse(ReadFile(SourcePath("tests/data/agents/score.json")).value());
   EXPECT_EQ(golden["achievement_order"].size(), kAchievementNames.size());
   for (int i = 0; i < kNumAchievements; ++i) {
     EXPECT_EQ(golden["achievement_order"][i], std::string(kAchievementNames[i]));

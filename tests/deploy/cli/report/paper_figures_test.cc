@@ -10,14 +10,15 @@
 #include "deploy/cli/report/run_group.h"
 #include "deploy/cli/sweep/experiments.h"
 #include "tests/fakes/status_matchers.h"
+#include "tests/fakes/test_paths.h"
 
 namespace craftfleet {
 namespace {
 
 using testing::HasSubstr;
 
-constexpr char kFile[] = CRAFTFLEET_SOURCE_DIR "/deploy/experiments/paper_figures.csv";
-constexpr char kExperiments[] = CRAFTFLEET_SOURCE_DIR "/deploy/experiments/paper.txt";
+const std::string kFile = SourcePath("deploy/experiments/paper_figures.csv");
+const std::string kExperiments = SourcePath("deploy/experiments/paper.txt");
 constexpr char kHeader[] = "table,cell,measure,at,mean,std,source\n";
 
 TEST(PaperFigures, AreFoundByTableCellMeasureAndSteps) {

@@ -11,6 +11,7 @@
 #include "common/config/known_canary.h"
 #include "deploy/cli/sweep/run_identity.h"
 #include "tests/fakes/status_matchers.h"
+#include "tests/fakes/test_paths.h"
 
 namespace craftfleet {
 namespace {
@@ -18,7 +19,7 @@ namespace {
 using testing::ElementsAre;
 using testing::HasSubstr;
 
-constexpr char kPaper[] = CRAFTFLEET_SOURCE_DIR "/deploy/experiments/paper.txt";
+const std::string kPaper = SourcePath("deploy/experiments/paper.txt");
 
 constexpr char kAxes[] = R"(
   axes {

@@ -13,6 +13,7 @@
 #include "learner/run/folder_lock.h"
 #include "tests/fakes/status_matchers.h"
 #include "tests/fakes/temp_folder.h"
+#include "tests/fakes/test_paths.h"
 #include "tests/fakes/wait_until.h"
 
 namespace craftfleet {
@@ -46,7 +47,7 @@ class SweepTest : public testing::Test {
 
   std::unique_ptr<Sweep> Make(int seeds, double gamma = 0.5) {
     Sweep::Options options;
-    options.program = CRAFTFLEET_BIN_DIR "/fake_train";
+    options.program = BuiltProgram("fake_train");
     options.jobs = 2;
     options.look_again = absl::Milliseconds(20);
     return std::make_unique<Sweep>(Jobs(seeds, gamma), options, &out_, &clock_);

@@ -1,0 +1,21 @@
+// Where tests find files of the source tree and programs of the build. Only test_paths.cc is compiled with these paths,
+// so that a compiler cache has the other tests of a checkout in another folder.
+
+#ifndef CRAFTFLEET_TESTS_FAKES_TEST_PATHS_H_
+#define CRAFTFLEET_TESTS_FAKES_TEST_PATHS_H_
+
+#include <string>
+
+#include <absl/strings/string_view.h>
+
+namespace craftfleet {
+
+// `path` is relative to the top of the source tree.
+std::string SourcePath(absl::string_view path);
+
+// `name` is relative to bin/ of the build.
+std::string BuiltProgram(absl::string_view name);
+
+}  // namespace craftfleet
+
+#endif  // CRAFTFLEET_TESTS_FAKES_TEST_PATHS_H_
