@@ -43,8 +43,8 @@ function(craftfleet_program)
 endfunction()
 
 # craftfleet_test(NAME fragment_queue_test LABELS unit;tsan SRCS ... DEPS ...): one GoogleTest executable with one ctest entry per
-# TEST, so that `ctest` counts cases; with CRAFTFLEET_TEST_LIBRARIES, one entry per executable, because a program with
-# LibTorch takes a second to start under AddressSanitizer. Tests find files and programs with test_paths.h.
+# TEST, so that `ctest` finds them by name; with CRAFTFLEET_TEST_PROGRAMS, one entry per executable of unit and property
+# tests, because a program with LibTorch takes half a second to start. Tests find files and programs with test_paths.h.
 function(craftfleet_test)
   cmake_parse_arguments(ARG "" "NAME;TIMEOUT" "SRCS;DEPS;LABELS" ${ARGN})
   add_executable(${ARG_NAME} ${ARG_SRCS})
@@ -54,7 +54,7 @@ function(craftfleet_test)
   if(NOT ARG_TIMEOUT)
     set(ARG_TIMEOUT 300)
   endif()
-  if(CRAFTFLEET_TEST_LIBRARIES)
+  if(CRAFTFLEET_TEST_PROGRAMS AND ("unit" IN_LIST ARG_LABELS OR "property" IN_LIST ARG_LABELS))
     add_test(NAME ${ARG_NAME} COMMAND ${ARG_NAME})
     set_tests_properties(${ARG_NAME} PROPERTIES LABELS "${ARG_LABELS}" TIMEOUT 1800)
     return()

@@ -36,8 +36,8 @@ run_suite() {
   # GDAL, a dependency of OpenCV, takes its locks in varying order. Races are still reported.
   [ "$preset" != tsan ] || export TSAN_OPTIONS=detect_deadlocks=0
   # One more than there are CPUs: many tests wait for deadlines of the fleets that they run.
-  ctest --preset "$preset" --parallel "$(($(nproc) + 1))" --output-junit "$results" --test-output-size-passed 1000000 "$@" ||
-    ctest_failed=1
+  ctest --preset "$preset" --parallel "$(($(nproc) + 1))" --output-junit "$results" --test-output-size-passed 1000000 \
+    --test-output-truncation middle "$@" || ctest_failed=1
   if ! [ -f "$results" ]; then
     add_failure "$preset: ctest could not run the tests"
     return
@@ -50,10 +50,14 @@ run_suite() {
   # ctest also marks tests as skipped whose program is missing, with another message. They count as failed.
   left_out=$(count 'status="disabled"|<skipped message="SKIP_')
   bad=$((ran - good - left_out))
-  if grep -q '^CRAFTFLEET_TEST_LIBRARIES:BOOL=ON' "${results%/*}/CMakeCache.txt"; then
-    # Entries without a dot are programs, which say how many of their tests passed. One that fails counts once.
-    sum() { sed -nE "s/^\[  $1 \] ([0-9]+) tests?.*/\1/p" "$results" | awk '{sum += $1} END {print sum + 0}'; }
-    good=$(($(sum PASSED) + $(count '<testcase name="[^"]*\..*status="run"'))) left_out=$(sum SKIPPED)
+  # Entries without a dot are programs, which say how many of their tests passed and name those that were skipped. A program
+  # that fails counts once.
+  if grep -q '^CRAFTFLEET_TEST_PROGRAMS:BOOL=ON' "${results%/*}/CMakeCache.txt"; then
+    lines() { awk -v wanted="$1" '/<testcase name="/ {program = /name="[^".]*"/} program && $0 ~ wanted' "$results"; }
+    sum() { lines "^[[]  $1 +[]] [0-9]+ test" | awk '{sum += $4} END {print sum + 0}'; }
+    good=$((good - $(count '<testcase name="[^".]*".*status="run"') + $(sum PASSED)))
+    left_out=$((left_out + $(sum SKIPPED)))
+    lines '^[[]  SKIPPED []] [^ ]+$'
   fi
   echo "$preset: $good passed, $bad failed, $left_out skipped"
   passed=$((passed + good)) failed=$((failed + bad)) skipped=$((skipped + left_out))
@@ -69,8 +73,11 @@ if [ "$suites" = release ]; then
 else
   deploy/install-deps.sh --tests --developer
 fi
+# Tests that are selected by name have ctest entries of their own; otherwise each program of unit and property tests runs once.
+by_program=ON
+[ $# -eq 0 ] || by_program=OFF
 for suite in ${suites//,/ }; do
-  if deploy/build.sh "$suite"; then
+  if deploy/build.sh "$suite" "-DCRAFTFLEET_TEST_PROGRAMS=$by_program"; then
     run_suite "$suite" "$@"
   else
     add_failure "$suite does not build"
