@@ -13,13 +13,15 @@
 #include <absl/strings/string_view.h>
 
 #include "common/agent/linear.h"
+#include "common/base/find_symbol.h"
 #include "common/base/printable.h"
-
-// OpenBLAS' own function; null under another BLAS.
-extern "C" void openblas_set_num_threads(int threads) __attribute__((weak));
 
 namespace craftfleet {
 namespace {
+
+// OpenBLAS' openblas_set_num_threads; null under another BLAS.
+using SetThreads = void(int threads);
+SetThreads* OpenBlasSetThreads() { return FindSymbol<SetThreads>("openblas_set_num_threads"); }
 
 // The rest of the first line that begins with `prefix`.
 std::optional<std::string> ValueAfter(absl::string_view prefix, std::istream* lines) {
@@ -36,13 +38,13 @@ void SetUpTorchThread() {
   if (is_set_up) return;
   at::set_num_threads(1);
   // Ignores at::set_num_threads.
-  if (openblas_set_num_threads != nullptr) openblas_set_num_threads(1);
+  if (SetThreads* const set_threads = OpenBlasSetThreads(); set_threads != nullptr) set_threads(1);
   at::globalContext().setFlushDenormal(true);
   is_set_up = true;
 }
 
 std::string SlowMathWarning() {
-  if (LinearUsesOneDnn() || openblas_set_num_threads != nullptr || at::hasMKL()) return "";
+  if (LinearUsesOneDnn() || OpenBlasSetThreads() != nullptr || at::hasMKL()) return "";
   return "LibTorch runs on the reference BLAS: install libopenblas0-pthread; without it training is 4.5 times slower";
 }
 

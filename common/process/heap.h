@@ -3,15 +3,16 @@
 #ifndef CRAFTFLEET_COMMON_PROCESS_HEAP_H_
 #define CRAFTFLEET_COMMON_PROCESS_HEAP_H_
 
-// Defined by tcmalloc; null in tests and under sanitizers.
-extern "C" void MallocExtension_ReleaseFreeMemory() __attribute__((weak));
+#include "common/base/find_symbol.h"
 
 namespace craftfleet {
 
 // Returns free memory to the system, so that resident memory follows current use instead of the peak. Takes
 // milliseconds; later allocations fault the pages in again. Thread-safe.
 inline void ReleaseFreeMemory() {
-  if (MallocExtension_ReleaseFreeMemory != nullptr) MallocExtension_ReleaseFreeMemory();
+  // Of tcmalloc; null in tests and under sanitizers.
+  static auto* const release = FindSymbol<void()>("MallocExtension_ReleaseFreeMemory");
+  if (release != nullptr) release();
 }
 
 }  // namespace craftfleet

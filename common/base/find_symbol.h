@@ -1,0 +1,20 @@
+// Functions of libraries that a program may have been linked with.
+
+#ifndef CRAFTFLEET_COMMON_BASE_FIND_SYMBOL_H_
+#define CRAFTFLEET_COMMON_BASE_FIND_SYMBOL_H_
+
+#include <dlfcn.h>
+
+namespace craftfleet {
+
+// The function `name` of type `Function` in the program or its libraries; null if none has it. Asked at run time,
+// because linkers disagree about weak symbols: mold sets those that only an indirect dependency defines to null.
+// Thread-safe.
+template <typename Function>
+Function* FindSymbol(const char* name) {
+  return reinterpret_cast<Function*>(dlsym(RTLD_DEFAULT, name));
+}
+
+}  // namespace craftfleet
+
+#endif  // CRAFTFLEET_COMMON_BASE_FIND_SYMBOL_H_
