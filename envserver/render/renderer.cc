@@ -29,7 +29,7 @@ constexpr int kByteGroup = 32;
 constexpr int kSmallView = Scene::kSmallView;
 constexpr int kSmallTile = 7 * 8;
 constexpr int kSmallRgbTile = 7 * 32;
-constexpr int kSmallMap = 63 * 49 + kPixelGroup;
+constexpr int kSmallMap = 63 * 49 + kNightBlock + kPixelGroup;
 
 int RoundUp(int value, int multiple) { return (value + multiple - 1) / multiple * multiple; }
 
@@ -102,6 +102,7 @@ Renderer::Renderer(const Textures& textures, const WorldOptions& world, const Re
       rgb_stride_(RoundUp(layout_.cell_width * 3 + 1, kByteGroup)),
       tiles_(kNumSprites + 1),
       cover_(Vignette(layout_.map_width(), layout_.map_height())) {
+  cover_.resize(RoundUp(static_cast<int>(cover_.size()), kNightBlock));
   tiles_[kOutside].assign(tile_pixels_, kGrey);
   for (Sprite sprite = 0; sprite < kNumSprites; ++sprite) {
     possible_[sprite] = IsPossible(world, sprite);
@@ -177,22 +178,28 @@ void Renderer::LayThings(const Scene& scene, Tiles* tiles) const {
 void Renderer::DrawMapByNight(const Scene& scene, const Tiles& tiles, RandomStream* random, uint8_t* frame) const {
   absl::FixedArray<const Pixel*, kSmallView> cells(tiles.numbers.size());
   for (size_t i = 0; i < cells.size(); ++i) cells[i] = Tile(tiles, tiles.numbers[i]);
-  const size_t map_pixels = cover_.size();
-  absl::FixedArray<Pixel, kSmallMap> buffer(map_pixels + kPixelGroup);
+  const int map_pixels = layout_.map_width() * layout_.map_height();
+  const auto blocks = cover_.size();  // of whole blocks of pixels
+  absl::FixedArray<Pixel, kSmallMap> canvas(blocks + kPixelGroup);
   // Pixels may alias the layout: in locals, it need not be read again after each copy.
   const int map_rows = layout_.map_rows;
   const int cell_height = layout_.cell_height;
-  Pixel* to = buffer.data();
+  Pixel* to = canvas.data();
   for (int x = 0; x < layout_.map_width(); ++x) {
     const Pixel* const* column = &cells[x / layout_.cell_width * map_rows];
     const int offset = x % layout_.cell_width * tile_stride_;
     // The next copy overwrites what this one writes past its cell.
     for (int y = 0; y < map_rows; ++y, to += cell_height) CopyGroups<kPixelGroup>(column[y] + offset, cell_height, to);
   }
-  absl::FixedArray<double, kSmallMap> noise(map_pixels);
-  random->FillUniform(absl::MakeSpan(noise));
-  const absl::Span<Pixel> map(buffer.data(), map_pixels);
-  LightByNight(scene.daylight, noise, cover_, map);
+  absl::FixedArray<uint32_t, kSmallMap> high(blocks);
+  absl::FixedArray<uint32_t, kSmallMap> low(blocks);
+  random->FillWords(absl::MakeSpan(high).first(map_pixels), absl::MakeSpan(low).first(map_pixels));
+  absl::FixedArray<Pixel, kSmallMap> lit(blocks);
+  std::fill(canvas.begin() + map_pixels, canvas.end(), 0);
+  std::fill(high.begin() + map_pixels, high.end(), 0);
+  std::fill(low.begin() + map_pixels, low.end(), 0);
+  LightByNight(scene.daylight, {high, low, cover_, absl::MakeSpan(canvas).first(blocks), absl::MakeSpan(lit)});
+  const absl::Span<Pixel> map = absl::MakeSpan(lit).first(map_pixels);
   if (scene.sleeping) LightAsleep(map);
   WriteRows(map.data(), layout_.map_height(), layout_.map_width(), layout_.map_height(), frame + layout_.Offset(0, 0),
             layout_.width * 3);
