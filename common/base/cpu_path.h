@@ -29,7 +29,7 @@ inline const char* CpuPathName(CpuPath path) {
 // Whether this CPU can run the path.
 inline bool CpuHas(CpuPath path) {
 #ifdef CRAFTFLEET_X86_
-  if (path == CpuPath::kAvx2) return __builtin_cpu_supports("avx2") != 0;
+  if (path == CpuPath::kAvx2) return __builtin_cpu_supports("avx2") != 0 && __builtin_cpu_supports("fma") != 0;
   if (path == CpuPath::kAvx512) {
     return __builtin_cpu_supports("avx512f") != 0 && __builtin_cpu_supports("avx512bw") != 0 &&
            __builtin_cpu_supports("avx512dq") != 0 && __builtin_cpu_supports("avx512vl") != 0;
@@ -69,13 +69,14 @@ class ScopedCpuPath {
 #define CRAFTFLEET_KERNEL_BODY inline __attribute__((always_inline))
 
 #ifdef CRAFTFLEET_X86_
-#define CRAFTFLEET_KERNEL(name, body)                                                               \
+// The same with a body of its own for AVX-512.
+#define CRAFTFLEET_WIDE_KERNEL(name, wide_body, body)                                               \
   template <typename... Args>                                                                       \
   __attribute__((target("avx512f,avx512bw,avx512dq,avx512vl"))) void name##OnAvx512(Args... args) { \
-    body(args...);                                                                                  \
+    wide_body(args...);                                                                             \
   }                                                                                                 \
   template <typename... Args>                                                                       \
-  __attribute__((target("avx2"))) void name##OnAvx2(Args... args) {                                 \
+  __attribute__((target("avx2,fma"))) void name##OnAvx2(Args... args) {                             \
     body(args...);                                                                                  \
   }                                                                                                 \
   template <typename... Args>                                                                       \
@@ -86,11 +87,13 @@ class ScopedCpuPath {
     body(args...);                                                                                  \
   }
 #else
-#define CRAFTFLEET_KERNEL(name, body) \
-  template <typename... Args>         \
-  void name(Args... args) {           \
-    body(args...);                    \
+#define CRAFTFLEET_WIDE_KERNEL(name, wide_body, body) \
+  template <typename... Args>                         \
+  void name(Args... args) {                           \
+    body(args...);                                    \
   }
 #endif
+
+#define CRAFTFLEET_KERNEL(name, body) CRAFTFLEET_WIDE_KERNEL(name, body, body)
 
 #endif  // CRAFTFLEET_COMMON_BASE_CPU_PATH_H_

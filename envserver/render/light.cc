@@ -2,7 +2,10 @@
 
 #include <cstdint>
 
+#include <absl/container/fixed_array.h>
+
 #include "common/base/cpu_path.h"
+#include "envserver/world/random_stream.h"
 
 namespace craftfleet {
 namespace {
@@ -58,15 +61,16 @@ CRAFTFLEET_KERNEL_BODY void DayLoopBody(double daylight, int count, Pixel* pixel
 }
 CRAFTFLEET_KERNEL(DayLoop, DayLoopBody)
 
-CRAFTFLEET_KERNEL_BODY void NightLoopBody(double daylight, const double* __restrict noise,
-                                          const double* __restrict cover, int count, Pixel* __restrict pixels) {
+CRAFTFLEET_KERNEL_BODY void NightLoopBody(double daylight, const uint32_t* __restrict high,
+                                          const uint32_t* __restrict low, const double* __restrict cover, int count,
+                                          Pixel* __restrict pixels) {
   const double half_dark = 0.5 * (1 - daylight);
   const double amount = 2 * (kNoiseBelow - daylight);
   for (int i = 0; i < count; ++i) {
     const Rgb canvas = Unpack(pixels[i]);
     const double covered = amount * cover[i];
     const double clear = 1 - covered;
-    const double grain = covered * (32 + 95 * noise[i]);
+    const double grain = covered * (32 + 95 * RandomStream::UniformOf(high[i], low[i]));
     const Rgb night = {static_cast<int32_t>(clear * canvas.red + grain),
                        static_cast<int32_t>(clear * canvas.green + grain),
                        static_cast<int32_t>(clear * canvas.blue + grain)};
@@ -74,6 +78,39 @@ CRAFTFLEET_KERNEL_BODY void NightLoopBody(double daylight, const double* __restr
   }
 }
 CRAFTFLEET_KERNEL(NightLoop, NightLoopBody)
+
+// Lights single pixels exactly, many at a time.
+class ExactPixels {
+ public:
+  ExactPixels(double daylight, const NightPixels& map) : daylight_(daylight), map_(map) {}
+
+  void Add(int i) {
+    places_[count_] = i;
+    high_[count_] = map_.high[i];
+    low_[count_] = map_.low[i];
+    cover_[count_] = map_.cover[i];
+    pixels_[count_] = map_.canvas[i];
+    if (++count_ == kMost) Light();
+  }
+  // To be called after the last Add().
+  void Light() {
+    NightLoop(daylight_, high_, low_, cover_, count_, pixels_);
+    for (int n = 0; n < count_; ++n) map_.lit[places_[n]] = pixels_[n];
+    count_ = 0;
+  }
+
+ private:
+  static constexpr int kMost = 128;
+
+  const double daylight_;
+  const NightPixels& map_;
+  int count_ = 0;
+  int places_[kMost];
+  uint32_t high_[kMost];
+  uint32_t low_[kMost];
+  double cover_[kMost];
+  Pixel pixels_[kMost];
+};
 
 CRAFTFLEET_KERNEL_BODY void SleepLoopBody(int count, Pixel* pixels) {
   for (int i = 0; i < count; ++i) {
@@ -89,9 +126,17 @@ void LightByDay(double daylight, absl::Span<Pixel> pixels) {
   DayLoop(daylight, static_cast<int>(pixels.size()), pixels.data());
 }
 
-void LightByNight(double daylight, absl::Span<const double> noise, absl::Span<const double> cover,
-                  absl::Span<Pixel> pixels) {
-  NightLoop(daylight, noise.data(), cover.data(), static_cast<int>(pixels.size()), pixels.data());
+void LightByNight(double daylight, const NightPixels& map) {
+  const int blocks = static_cast<int>(map.canvas.size()) / kNightBlock;
+  absl::FixedArray<uint32_t, 128> unsure(blocks);
+  LightRoughly(daylight, map.high.data(), map.cover.data(), map.canvas.data(), blocks, map.lit.data(), unsure.data());
+  ExactPixels exact(daylight, map);
+  for (int block = 0; block < blocks; ++block) {
+    for (uint32_t rest = unsure[block]; rest != 0; rest &= rest - 1) {
+      exact.Add(block * kNightBlock + __builtin_ctz(rest));
+    }
+  }
+  exact.Light();
 }
 
 void LightAsleep(absl::Span<Pixel> pixels) { SleepLoop(static_cast<int>(pixels.size()), pixels.data()); }

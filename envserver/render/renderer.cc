@@ -9,6 +9,7 @@
 #include <absl/strings/str_cat.h>
 
 #include "common/base/check.h"
+#include "common/base/cpu_path.h"
 #include "common/base/status_macros.h"
 #include "envserver/render/image.h"
 #include "envserver/render/vignette.h"
@@ -29,7 +30,7 @@ constexpr int kByteGroup = 32;
 constexpr int kSmallView = Scene::kSmallView;
 constexpr int kSmallTile = 7 * 8;
 constexpr int kSmallRgbTile = 7 * 32;
-constexpr int kSmallMap = 63 * 49 + kPixelGroup;
+constexpr int kSmallMap = 63 * 49 + kNightBlock + kPixelGroup;
 
 int RoundUp(int value, int multiple) { return (value + multiple - 1) / multiple * multiple; }
 
@@ -40,7 +41,7 @@ uint8_t GroundAt(const World& world, Position p) {
 
 // Copies `count` elements and the rest of the last group.
 template <int kGroup, typename T>
-void CopyGroups(const T* from, int count, T* to) {
+CRAFTFLEET_KERNEL_BODY void CopyGroups(const T* from, int count, T* to) {
   for (int i = 0; i < count; i += kGroup) std::memcpy(to + i, from + i, kGroup * sizeof(T));
 }
 
@@ -66,6 +67,33 @@ void WriteRows(const Pixel* columns, int stride, int width, int height, uint8_t*
     for (; x < width; ++x) write();
   }
 }
+
+// How finished tiles are copied to a frame. Lengths in bytes but for the first three.
+struct CellCopy {
+  int columns;      // of cells
+  int rows;         // of cells
+  int cell_height;  // rows of pixels
+  int cell_bytes;   // of a row of a cell
+  int tile_stride;
+  int frame_stride;
+};
+
+// Copies the tiles of [columns][rows] cells. Each copy overwrites what the one before wrote past its cell; past the
+// last cell of a row it is black.
+template <int kGroups>
+CRAFTFLEET_KERNEL_BODY void CopyCellsLoop(const uint8_t* const* cells, CellCopy copy, uint8_t* frame) {
+  for (int row = 0; row < copy.rows; ++row) {
+    for (int y = 0; y < copy.cell_height; ++y, frame += copy.frame_stride) {
+      uint8_t* to = frame;
+      for (int column = 0; column < copy.columns; ++column, to += copy.cell_bytes) {
+        const uint8_t* from = cells[column * copy.rows + row] + y * copy.tile_stride;
+        CopyGroups<kByteGroup>(from, kGroups > 0 ? kGroups * kByteGroup : copy.cell_bytes, to);
+      }
+    }
+  }
+}
+CRAFTFLEET_KERNEL(CopyCells, CopyCellsLoop<0>)
+CRAFTFLEET_KERNEL(CopySmallCells, CopyCellsLoop<1>)
 
 }  // namespace
 
@@ -102,6 +130,7 @@ Renderer::Renderer(const Textures& textures, const WorldOptions& world, const Re
       rgb_stride_(RoundUp(layout_.cell_width * 3 + 1, kByteGroup)),
       tiles_(kNumSprites + 1),
       cover_(Vignette(layout_.map_width(), layout_.map_height())) {
+  cover_.resize(RoundUp(static_cast<int>(cover_.size()), kNightBlock));
   tiles_[kOutside].assign(tile_pixels_, kGrey);
   for (Sprite sprite = 0; sprite < kNumSprites; ++sprite) {
     possible_[sprite] = IsPossible(world, sprite);
@@ -177,22 +206,28 @@ void Renderer::LayThings(const Scene& scene, Tiles* tiles) const {
 void Renderer::DrawMapByNight(const Scene& scene, const Tiles& tiles, RandomStream* random, uint8_t* frame) const {
   absl::FixedArray<const Pixel*, kSmallView> cells(tiles.numbers.size());
   for (size_t i = 0; i < cells.size(); ++i) cells[i] = Tile(tiles, tiles.numbers[i]);
-  const size_t map_pixels = cover_.size();
-  absl::FixedArray<Pixel, kSmallMap> buffer(map_pixels + kPixelGroup);
+  const int map_pixels = layout_.map_width() * layout_.map_height();
+  const auto blocks = cover_.size();  // of whole blocks of pixels
+  absl::FixedArray<Pixel, kSmallMap> canvas(blocks + kPixelGroup);
   // Pixels may alias the layout: in locals, it need not be read again after each copy.
   const int map_rows = layout_.map_rows;
   const int cell_height = layout_.cell_height;
-  Pixel* to = buffer.data();
+  Pixel* to = canvas.data();
   for (int x = 0; x < layout_.map_width(); ++x) {
     const Pixel* const* column = &cells[x / layout_.cell_width * map_rows];
     const int offset = x % layout_.cell_width * tile_stride_;
     // The next copy overwrites what this one writes past its cell.
     for (int y = 0; y < map_rows; ++y, to += cell_height) CopyGroups<kPixelGroup>(column[y] + offset, cell_height, to);
   }
-  absl::FixedArray<double, kSmallMap> noise(map_pixels);
-  random->FillUniform(absl::MakeSpan(noise));
-  const absl::Span<Pixel> map(buffer.data(), map_pixels);
-  LightByNight(scene.daylight, noise, cover_, map);
+  absl::FixedArray<uint32_t, kSmallMap> high(blocks);
+  absl::FixedArray<uint32_t, kSmallMap> low(blocks);
+  random->FillWords(absl::MakeSpan(high).first(map_pixels), absl::MakeSpan(low).first(map_pixels));
+  absl::FixedArray<Pixel, kSmallMap> lit(blocks);
+  std::fill(canvas.begin() + map_pixels, canvas.end(), 0);
+  std::fill(high.begin() + map_pixels, high.end(), 0);
+  std::fill(low.begin() + map_pixels, low.end(), 0);
+  LightByNight(scene.daylight, {high, low, cover_, absl::MakeSpan(canvas).first(blocks), absl::MakeSpan(lit)});
+  const absl::Span<Pixel> map = absl::MakeSpan(lit).first(map_pixels);
   if (scene.sleeping) LightAsleep(map);
   WriteRows(map.data(), layout_.map_height(), layout_.map_width(), layout_.map_height(), frame + layout_.Offset(0, 0),
             layout_.width * 3);
@@ -213,18 +248,13 @@ void Renderer::DrawMapByDay(const Scene& scene, const Tiles& tiles, uint8_t* fra
     }
     cells[i] = rgb;
   }
-  // Bytes may alias the layout: in locals, it need not be read again after each copy.
-  const int num_cells = static_cast<int>(cells.size());
-  const int map_rows = layout_.map_rows;
-  const int cell_bytes = layout_.cell_width * 3;
-  for (int y = 0; y < layout_.map_height(); ++y) {
-    uint8_t* to = frame + layout_.Offset(0, y);
-    const int row = y % layout_.cell_height * rgb_stride_;
-    // The next copy overwrites what this one writes past its cell; past the last cell of a row it is black.
-    for (int i = y / layout_.cell_height; i < num_cells; i += map_rows) {
-      CopyGroups<kByteGroup>(cells[i] + row, cell_bytes, to);
-      to += cell_bytes;
-    }
+  const CellCopy copy = {layout_.columns,        layout_.map_rows, layout_.cell_height,
+                         layout_.cell_width * 3, rgb_stride_,      layout_.width * 3};
+  uint8_t* map = frame + layout_.Offset(0, 0);
+  if (copy.cell_bytes <= kByteGroup) {
+    CopySmallCells(cells.data(), copy, map);
+  } else {
+    CopyCells(cells.data(), copy, map);
   }
 }
 

@@ -80,7 +80,7 @@ class Renderer {
   const int rgb_stride_;                      // bytes from one row of a finished tile to the next; whole copy groups
   std::array<bool, kNumSprites> possible_{};  // whether a world with these options can show it
   std::vector<std::vector<Pixel>> tiles_;     // by sprite, empty without a texture; the last one: outside the world
-  std::vector<double> cover_;                 // [map_width][map_height]: the night's vignette
+  std::vector<double> cover_;                 // [map_width][map_height], and the rest of a block: the night's vignette
 };
 
 }  // namespace craftfleet

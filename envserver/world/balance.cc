@@ -3,6 +3,7 @@
 #include <cstdint>
 
 #include "common/base/check.h"
+#include "envserver/world/appearance.h"
 #include "envserver/world/creatures.h"
 #include "envserver/world/rules.h"
 
@@ -65,7 +66,7 @@ void Balance(const BalanceRule& rule, int chunk_index, WorldState* state) {
   if (creatures < (space < rule.least_space ? 0 : rule.min) && random.Uniform() < rule.spawn_probability) {
     const Position cell = FindCell(board, chunk, rule.on, random.Below(space));
     if (board.cell(cell).object == 0 && Distance(cell, player) >= rule.spawn_distance) {
-      AddCreature(rule.type, cell, state);
+      AddCreature(rule.type, cell, DrawVariant(state->options, rule.type, &random), &board);
     }
   } else if (creatures > rule.max && random.Uniform() < rule.despawn_probability) {
     const int creature = FindCreature(board, chunk_index, rule.type, random.Below(creatures));

@@ -84,6 +84,15 @@ void Board::Compact() {
   }
 }
 
+void Board::CountMaterials() {
+  for (Chunk& chunk : chunks_) {
+    chunk.materials.fill(0);
+    for (int x = chunk.min.x; x < chunk.max.x; ++x) {
+      for (int y = chunk.min.y; y < chunk.max.y; ++y) ++chunk.materials[static_cast<int>(cell({x, y}).material)];
+    }
+  }
+}
+
 void Board::LearnChunk(int index) {
   if (chunks_[index].known) return;
   chunks_[index].known = true;

@@ -6,6 +6,7 @@
 
 #include <array>
 #include <cstdint>
+#include <tuple>
 #include <vector>
 
 #include <absl/types/span.h>
@@ -82,6 +83,12 @@ class Board {
     cell.material = material;
     cell.variant = variant;
   }
+  // Sets all cells, x outer, each to what a call of next() returns: a pair of material and variant.
+  template <typename Next>
+  void SetMaterials(const Next& next) {
+    for (Cell& cell : cells_) std::tie(cell.material, cell.variant) = next();
+    CountMaterials();
+  }
   // Adds `object` at its position, a free cell, and returns its index. Its chunk becomes known.
   int Add(Object object);
   // Removes an object from the board; its index stays valid until Compact().
@@ -104,6 +111,8 @@ class Board {
 
  private:
   int Index(Position p) const { return p.x * height_ + p.y; }
+  // Counts the cells of each chunk anew.
+  void CountMaterials();
   // Counts the object in its chunk as the latest to enter.
   void Enter(Object* object);
 

@@ -3,7 +3,6 @@
 #include <algorithm>
 #include <cstdlib>
 
-#include "envserver/world/appearance.h"
 #include "envserver/world/rules.h"
 
 namespace craftfleet {
@@ -153,10 +152,10 @@ Object MakeObject(ObjectType type, Position position) {
   return object;
 }
 
-void AddCreature(ObjectType type, Position position, WorldState* state) {
+void AddCreature(ObjectType type, Position position, Variant variant, Board* board) {
   Object creature = MakeObject(type, position);
-  creature.variant = DrawVariant(state->options, type, &state->random);
-  state->board.Add(creature);
+  creature.variant = variant;
+  board->Add(creature);
 }
 
 void UpdateObject(int index, WorldState* state) {

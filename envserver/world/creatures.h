@@ -13,8 +13,8 @@ namespace craftfleet {
 // A new object of any type but the player, not yet on the board; no draws.
 Object MakeObject(ObjectType type, Position position);
 
-// Adds a cow, zombie or skeleton to a free cell; draws its variant.
-void AddCreature(ObjectType type, Position position, WorldState* state);
+// Adds a cow, zombie or skeleton to a free cell.
+void AddCreature(ObjectType type, Position position, Variant variant, Board* board);
 
 // Any object but the player.
 void UpdateObject(int index, WorldState* state);

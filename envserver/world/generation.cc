@@ -1,7 +1,8 @@
 #include "envserver/world/generation.h"
 
-#include <cmath>
+#include <array>
 #include <cstdint>
+#include <utility>
 
 #include <absl/container/fixed_array.h>
 
@@ -14,36 +15,66 @@
 namespace craftfleet {
 namespace {
 
-Material MountainMaterial(uint16_t traits, const NumberThresholds& numbers, RandomStream* random) {
+// The stream's uniform draws, made many at a time. The stream itself must not be used until Finish().
+class Draws {
+ public:
+  explicit Draws(RandomStream* stream) : stream_(stream) { Refill(); }
+
+  double Uniform() {
+    if (next_ == kBatch) Refill();
+    return values_[next_++];
+  }
+  // Takes from the stream just what was drawn.
+  void Finish() {
+    *stream_ = before_;
+    stream_->Skip(2 * next_);
+  }
+
+ private:
+  static constexpr int kBatch = 312;  // those of the stream's block
+
+  void Refill() {
+    before_ = *stream_;
+    stream_->FillUniform(absl::MakeSpan(values_));
+    next_ = 0;
+  }
+
+  RandomStream* const stream_;
+  RandomStream before_;  // the batch
+  std::array<double, kBatch> values_;
+  int next_ = 0;
+};
+
+Material MountainMaterial(uint16_t traits, const NumberThresholds& numbers, Draws* draws) {
   if ((traits & (kCave | kTunnel)) != 0) return Material::kPath;
-  if ((traits & kCoalVein) != 0 && random->Uniform() > numbers.coal) return Material::kCoal;
-  if ((traits & kIronVein) != 0 && random->Uniform() > 0.75) return Material::kIron;
-  if ((traits & kHigh) != 0 && random->Uniform() > 0.994) return Material::kDiamond;
+  if ((traits & kCoalVein) != 0 && draws->Uniform() > numbers.coal) return Material::kCoal;
+  if ((traits & kIronVein) != 0 && draws->Uniform() > 0.75) return Material::kIron;
+  if ((traits & kHigh) != 0 && draws->Uniform() > 0.994) return Material::kDiamond;
   if ((traits & kLavaField) != 0) return Material::kLava;
   return Material::kStone;
 }
 
-Material DrawMaterial(uint16_t traits, const NumberThresholds& numbers, RandomStream* random) {
+Material DrawMaterial(uint16_t traits, const NumberThresholds& numbers, Draws* draws) {
   if ((traits & kStart) != 0) return Material::kGrass;
-  if ((traits & kMountain) != 0) return MountainMaterial(traits, numbers, random);
+  if ((traits & kMountain) != 0) return MountainMaterial(traits, numbers, draws);
   if ((traits & kSandy) != 0) return Material::kSand;
   if ((traits & kSea) != 0) return Material::kWater;
-  if ((traits & kForest) != 0 && random->Uniform() > numbers.tree) return Material::kTree;
+  if ((traits & kForest) != 0 && draws->Uniform() > numbers.tree) return Material::kTree;
   return Material::kGrass;
 }
 
-ObjectType DrawCreature(const WorldState& state, Position p, uint16_t traits, RandomStream* random) {
+ObjectType DrawCreature(const WorldState& state, Position p, uint16_t traits, Draws* draws) {
   const Material material = state.board.cell(p).material;
   const NumberThresholds& numbers = state.options.numbers;
   const Position player = state.board.object(0).position;
   const int dx = p.x - player.x;
   const int dy = p.y - player.y;
   const int squared_distance = dx * dx + dy * dy;
-  if (squared_distance > 3 * 3 && material == Material::kGrass && random->Uniform() > numbers.cow) {
+  if (squared_distance > 3 * 3 && material == Material::kGrass && draws->Uniform() > numbers.cow) {
     return ObjectType::kCow;
   }
-  if (squared_distance > 10 * 10 && random->Uniform() > numbers.zombie) return ObjectType::kZombie;
-  if ((traits & kTunnel) != 0 && random->Uniform() > numbers.skeleton) {
+  if (squared_distance > 10 * 10 && draws->Uniform() > numbers.zombie) return ObjectType::kZombie;
+  if ((traits & kTunnel) != 0 && draws->Uniform() > numbers.skeleton) {
     return ObjectType::kSkeleton;
   }
   return ObjectType::kNone;
@@ -53,25 +84,27 @@ ObjectType DrawCreature(const WorldState& state, Position p, uint16_t traits, Ra
 
 void GenerateWorld(WorldState* state) {
   Board& board = state->board;
-  RandomStream& random = state->random;
-  const SimplexNoise noise(random.Below((uint32_t{1} << 31) - 1));
+  const SimplexNoise noise(state->random.Below((uint32_t{1} << 31) - 1));
   absl::FixedArray<uint16_t, 64 * 64> traits(board.width() * board.height());
   ComputeTraits(noise, board.width(), board.height(), board.object(0).position, absl::MakeSpan(traits));
+  Draws draws(&state->random);
+  const auto uniform = [&] { return draws.Uniform(); };
   const uint16_t* cell_traits = traits.data();
-  for (int x = 0; x < board.width(); ++x) {
-    for (int y = 0; y < board.height(); ++y) {
-      const Material material = DrawMaterial(*cell_traits++, state->options.numbers, &random);
-      board.SetMaterial({x, y}, material, DrawVariant(state->options, material, &random));
-    }
-  }
+  board.SetMaterials([&] {
+    const Material material = DrawMaterial(*cell_traits++, state->options.numbers, &draws);
+    return std::make_pair(material, DrawVariant(state->options, material, uniform));
+  });
   cell_traits = traits.data();
   for (int x = 0; x < board.width(); ++x) {
     for (int y = 0; y < board.height(); ++y, ++cell_traits) {
-      if (!kCreatureWalks.Contains(board.cell({x, y}).material)) continue;
-      const ObjectType creature = DrawCreature(*state, {x, y}, *cell_traits, &random);
-      if (creature != ObjectType::kNone) AddCreature(creature, {x, y}, state);
+      const Position p = {x, y};
+      if (!kCreatureWalks.Contains(board.cell(p).material)) continue;
+      const ObjectType creature = DrawCreature(*state, p, *cell_traits, &draws);
+      if (creature != ObjectType::kNone)
+        AddCreature(creature, p, DrawVariant(state->options, creature, uniform), &board);
     }
   }
+  draws.Finish();
 }
 
 }  // namespace craftfleet

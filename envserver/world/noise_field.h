@@ -4,6 +4,10 @@
 #ifndef CRAFTFLEET_ENVSERVER_WORLD_NOISE_FIELD_H_
 #define CRAFTFLEET_ENVSERVER_WORLD_NOISE_FIELD_H_
 
+#include <array>
+#include <cstdint>
+#include <vector>
+
 #include <absl/types/span.h>
 
 #include "envserver/world/simplex_noise.h"
@@ -16,26 +20,40 @@ namespace craftfleet {
 // 1/6 was found by sampling, and the field's floats add less than 1e-5: hence a bound of three times the sum.
 inline constexpr float kNoiseError = 4.2e-4F;
 
-// The noise at cell (column, row) is that at (column * step_x, row * step_y, z); steps are 1/20..1.
-struct NoiseGrid {
-  double step_x;
-  double step_y;
-  double z;
+// A field is stored in tiles of so many cells each way: float[tile rows][tile columns][kTileSize][kTileSize], the last
+// index down. The last tiles may go beyond the world.
+inline constexpr int kTileSize = 8;
+inline constexpr int kTileCells = kTileSize * kTileSize;
+
+// The noise at cell (column, row) is that at (column * step_x, row * step_y, z); steps are 1/20..1. Immutable after
+// construction: may be shared between threads.
+class NoiseField {
+ public:
+  NoiseField(double step_x, double step_y, double z);
+
+  // Adds weight * noise to `values`, a field of `tile_columns`, 1..32, by wanted.size() tiles, in the wanted tiles. Bit
+  // c of wanted[r]: the tile in column c and row r. `values` is aligned to 64 bytes.
+  void Add(const SimplexNoise& noise, double weight, int tile_columns, absl::Span<const uint32_t> wanted,
+           float* values) const;
+
+  // A lattice point in reach of a tile.
+  struct Point {
+    float x, y;           // from the tile's first cell
+    float z;              // from the point to the grid's plane
+    float squared_reach;  // in the plane
+    uint8_t i, j, k;      // the lowest bits of its numbers, on which its gradient depends
+  };
+
+ private:
+  std::vector<Point> PointsOf(int column, int row) const;
+
+  const double step_x_;
+  const double step_y_;
+  const double z_;
+  // Of the tiles of a usual world, 8x8: they are the same for each seed. Other tiles' are found when they are needed.
+  static constexpr int kKept = 8;
+  std::array<std::vector<Point>, kKept * kKept> points_;  // [row][column]
 };
-
-// A field is computed in blocks of so many rows; its last block may go beyond the world's height.
-inline constexpr int kFieldBlock = 8;
-
-// Columns from `begin` to before `end`, which is at most 256.
-struct ColumnRange {
-  int begin = 0;
-  int end = 0;
-};
-
-// Adds weight * noise to `field`, float[columns][stride], where stride is a multiple of kFieldBlock: of each block of
-// rows, in its columns.
-void AddNoise(const SimplexNoise& noise, const NoiseGrid& grid, double weight, absl::Span<const ColumnRange> blocks,
-              int stride, float* field);
 
 }  // namespace craftfleet
 

@@ -34,6 +34,16 @@ CRAFTFLEET_KERNEL_BODY void WordsToDoublesBody(const uint32_t* words, int count,
 }
 CRAFTFLEET_KERNEL(WordsToDoubles, WordsToDoublesBody)
 
+// words[2 * count] to high[count], tempered, and low[count].
+CRAFTFLEET_KERNEL_BODY void SplitWordsBody(const uint32_t* __restrict words, int count, uint32_t* __restrict high,
+                                           uint32_t* __restrict low) {
+  for (int i = 0; i < count; ++i) {
+    high[i] = internal::Temper(words[2 * i]);
+    low[i] = words[2 * i + 1];
+  }
+}
+CRAFTFLEET_KERNEL(SplitWords, SplitWordsBody)
+
 }  // namespace
 
 RandomStream::RandomStream(uint32_t seed) : position_(kStateWords) {
@@ -65,6 +75,23 @@ void RandomStream::FillUniform(absl::Span<double> out) {
     WordsToDoubles(words_.data() + position_, count, out.data());
     position_ += 2 * count;
     out.remove_prefix(count);
+  }
+}
+
+void RandomStream::FillWords(absl::Span<uint32_t> high, absl::Span<uint32_t> low) {
+  while (!high.empty()) {
+    int count = std::min<int>((kStateWords - position_) / 2, high.size());
+    if (count > 0) {
+      SplitWords(words_.data() + position_, count, high.data(), low.data());
+      position_ += 2 * count;
+    } else {  // the block is used up, or one word of it is left
+      count = 1;
+      high[0] = Next();
+      if (position_ == kStateWords) NextBlock();
+      low[0] = words_[position_++];
+    }
+    high.remove_prefix(count);
+    low.remove_prefix(count);
   }
 }
 

@@ -43,6 +43,11 @@ class RandomStream {
   void Skip(int64_t words);
   // Fills `out` with what out.size() calls of Uniform() would give, in order, much faster.
   void FillUniform(absl::Span<double> out);
+  // Draws high.size() doubles as words: UniformOf(high[i], low[i]) is the double that call i of Uniform() would give.
+  // For a caller that rarely needs all bits of a double. Equal sizes.
+  void FillWords(absl::Span<uint32_t> high, absl::Span<uint32_t> low);
+  // `high` is tempered already, `low` is not: so many callers do not need it.
+  static double UniformOf(uint32_t high, uint32_t low) { return internal::ToDouble(high, internal::Temper(low)); }
   // One integer in [0, n), n in 1..2^32-1: no word for n = 1, else one word a try.
   uint32_t Below(uint32_t n);
 

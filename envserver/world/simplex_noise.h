@@ -25,9 +25,10 @@ class SimplexNoise {
 
   double At(double x, double y, double z) const;
   // Of the lattice point (i, j, k), which is at (i + q, j + q, k + q) with q = (i + j + k) / 3.
-  const Gradient& GradientAt(int i, int j, int k) const {
-    return gradients_[(permutation_[(permutation_[i & 255] + j) & 255] + k) & 255];
-  }
+  const Gradient& GradientAt(int i, int j, int k) const { return gradients_[GradientNumber(i, j, k)]; }
+  // Gradients by number, 0..255.
+  int GradientNumber(int i, int j, int k) const { return (permutation_[(permutation_[i & 255] + j) & 255] + k) & 255; }
+  const Gradient& GradientWithNumber(int number) const { return gradients_[number]; }
 
  private:
   // The skewed unit cube around a point: its origin in the lattice, and the point's displacement from there.

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <vector>
 
 #include <absl/container/fixed_array.h>
 
@@ -29,7 +30,7 @@ struct Shape {
   double At(const SimplexNoise& noise, Position p) const {
     return noise.At(p.x * x_times / x_divided / size, p.y * y_times / y_divided / size, z);
   }
-  NoiseGrid grid() const { return {x_times / x_divided / size, y_times / y_divided / size, z}; }
+  NoiseField field() const { return {x_times / x_divided / size, y_times / y_divided / size, z}; }
 };
 constexpr Shape kStartShape = {8, 3};
 constexpr Shape kWaterShape = {3, 15};
@@ -47,8 +48,9 @@ struct LayerTrait {
 
   bool AppliesTo(int32_t traits) const { return (traits & (of | not_of)) == of; }
 };
+constexpr int kNumLayerTraits = 8;
 // Ordered so that the traits in `of` and `not_of` are known when a rule needs them.
-constexpr LayerTrait kLayerTraits[] = {
+constexpr LayerTrait kLayerTraits[kNumLayerTraits] = {
     {{6, 7}, 0.15, kPeak, 0, kCave},
     {{7, 3, 2, 1, 1, 5}, 0.4, kMountain, kCave, kTunnel},
     {{7, 3, 1, 5, 2, 1}, 0.4, kMountain, kCave | kTunnel, kTunnel},
@@ -58,6 +60,24 @@ constexpr LayerTrait kLayerTraits[] = {
     {{4, 9}, -0.2, kShore, kStart | kMountain, kSandy},
     {{5, 7}, 0, 0, kStart | kMountain | kSandy | kSea, kForest},
 };
+
+// The fields of all shapes, shared by all worlds.
+struct NoiseFields {
+  NoiseField start = kStartShape.field();
+  NoiseField water = kWaterShape.field();
+  NoiseField fine_water = kFineWaterShape.field();
+  NoiseField mountain = kMountainShape.field();
+  NoiseField fine_mountain = kFineMountainShape.field();
+  std::vector<NoiseField> layers;  // of kLayerTraits
+
+  NoiseFields() {
+    for (const LayerTrait& rule : kLayerTraits) layers.push_back(rule.shape.field());
+  }
+};
+const NoiseFields& Fields() {
+  static const NoiseFields fields;
+  return fields;
+}
 
 double SquaredDistance(Position a, Position b) {
   const double dx = a.x - b.x;
@@ -133,17 +153,19 @@ CRAFTFLEET_KERNEL_BODY void CompareLayerLoop(const LayerTrait* rule, const float
 }
 CRAFTFLEET_KERNEL(CompareLayer, CompareLayerLoop)
 
-// Whether each of `count` blocks of kFieldBlock cells has a cell to which the rule applies.
-CRAFTFLEET_KERNEL_BODY void FindCellsLoop(const LayerTrait* rule, const int32_t* traits, int count, uint8_t* found) {
+// The tiles of a row of them that have a cell to which the rule applies, a bit each.
+CRAFTFLEET_KERNEL_BODY void FindTilesLoop(const LayerTrait* rule, const int32_t* traits, int count, uint32_t* tiles) {
   const int32_t mask = rule->of | rule->not_of;
   const int32_t of = rule->of;
-  for (int block = 0; block < count; ++block) {
+  uint32_t found = 0;
+  for (int tile = 0; tile < count; ++tile, traits += kTileCells) {
     int32_t any = 0;
-    for (int n = 0; n < kFieldBlock; ++n) any |= static_cast<int32_t>((traits[block * kFieldBlock + n] & mask) == of);
-    found[block] = static_cast<uint8_t>(any);
+    for (int n = 0; n < kTileCells; ++n) any |= (traits[n] & mask) == of ? 1 : 0;
+    found |= static_cast<uint32_t>(any) << tile;
   }
+  *tiles = found;
 }
-CRAFTFLEET_KERNEL(FindCells, FindCellsLoop)
+CRAFTFLEET_KERNEL(FindTiles, FindTilesLoop)
 
 class Terrain {
  public:
@@ -151,112 +173,140 @@ class Terrain {
       : noise_(noise),
         width_(width),
         height_(height),
-        num_blocks_((height + kFieldBlock - 1) / kFieldBlock),
-        stride_(num_blocks_ * kFieldBlock),
         player_(player),
-        blocks_(num_blocks_),
-        field_(width * stride_),
-        traits_(width * stride_, 0) {}
+        tile_columns_(Tiles(width)),
+        wanted_(Tiles(height)),
+        num_tiles_(tile_columns_ * Tiles(height)),
+        field_(num_tiles_),
+        traits_(num_tiles_) {
+    traits_.Fill(0);
+  }
 
   void Compute(absl::Span<uint16_t> traits) {
     ComputeBase();
-    for (const LayerTrait& rule : kLayerTraits) AddTrait(rule);
-    uint16_t* out = traits.data();
-    for (int x = 0; x < width_; ++x) out = std::copy_n(&traits_[x * stride_], height_, out);
+    for (int number = 0; number < kNumLayerTraits; ++number) AddTrait(number);
+    for (int x = 0; x < width_; ++x) {
+      uint16_t* out = &traits[x * height_];
+      for (int y = 0; y < height_; y += kTileSize) {
+        std::copy_n(&traits_[Index({x, y})], std::min(kTileSize, height_ - y), out + y);
+      }
+    }
   }
 
  private:
-  using Field = absl::FixedArray<float, kSmallField>;
+  // Aligned, so that no vector lies across two cache lines.
+  template <typename T>
+  struct alignas(64) Tile {
+    T cells[kTileCells];
+  };
+  template <typename T>
+  class Field {
+   public:
+    explicit Field(int tiles) : tiles_(tiles) {}
+    int size() const { return static_cast<int>(tiles_.size()) * kTileCells; }
+    T* data() { return tiles_.data()->cells; }
+    void Fill(T value) { std::fill_n(data(), size(), value); }
+    T& operator[](int n) { return data()[n]; }
+
+   private:
+    absl::FixedArray<Tile<T>, kSmallField / kTileCells> tiles_;
+  };
+
+  static int Tiles(int cells) { return (cells + kTileSize - 1) / kTileSize; }
+  // In a field.
+  int Index(Position p) const {
+    const int column = p.y / kTileSize * tile_columns_ * kTileSize + p.x;
+    return column * kTileSize + p.y % kTileSize;
+  }
+  Position PositionOf(int index) const {
+    const int column = index / kTileSize;
+    const int columns = tile_columns_ * kTileSize;
+    return {column % columns, column / columns * kTileSize + index % kTileSize};
+  }
 
   // Calls exact(position, traits) for the cells that are unsure.
   template <typename Exact>
   void Decide(const Exact& exact) {
-    for (int x = 0; x < width_; ++x) {
-      int32_t* traits = &traits_[x * stride_];
+    for (int tile = 0; tile < traits_.size(); tile += kTileCells) {
       int32_t any = 0;
-      for (int y = 0; y < height_; ++y) any |= traits[y];
+      for (int n = 0; n < kTileCells; ++n) any |= traits_[tile + n];
       if ((any & kUnsure) == 0) continue;
-      for (int y = 0; y < height_; ++y) {
-        if ((traits[y] & kUnsure) != 0) exact(Position{x, y}, &traits[y]);
+      for (int n = 0; n < kTileCells; ++n) {
+        if ((traits_[tile + n] & kUnsure) == 0) continue;
+        const Position p = PositionOf(tile + n);
+        if (p.x < width_ && p.y < height_) exact(p, &traits_[tile + n]);
       }
     }
   }
 
+  void AddNoise(const NoiseField& noise, double weight, Field<float>* field) const {
+    noise.Add(noise_, weight, tile_columns_, wanted_, field->data());
+  }
+
   void ComputeBase() {
-    Field water(field_.size(), 0.0F);
-    Field mountain(field_.size(), 0.0F);
-    Field start(field_.size());
-    Field start_error(field_.size());
-    WantColumns([](int, int) { return true; });
-    AddNoise(noise_, kWaterShape.grid(), 1, blocks_, stride_, water.data());
-    AddNoise(noise_, kFineWaterShape.grid(), 0.15, blocks_, stride_, water.data());
-    AddNoise(noise_, kMountainShape.grid(), 1 / 1.3, blocks_, stride_, mountain.data());
-    AddNoise(noise_, kFineMountainShape.grid(), 0.3 / 1.3, blocks_, stride_, mountain.data());
-    ComputeStart(start.data(), start_error.data());
-    CompareHeights(start.data(), start_error.data(), water.data(), mountain.data(), static_cast<int>(field_.size()),
-                   traits_.data());
+    Field<float> water(num_tiles_);
+    Field<float> mountain(num_tiles_);
+    Field<float> start(num_tiles_);
+    Field<float> start_error(num_tiles_);
+    water.Fill(0);
+    mountain.Fill(0);
+    std::fill(wanted_.begin(), wanted_.end(), (uint32_t{2} << (tile_columns_ - 1)) - 1);
+    AddNoise(Fields().water, 1, &water);
+    AddNoise(Fields().fine_water, 0.15, &water);
+    AddNoise(Fields().mountain, 1 / 1.3, &mountain);
+    AddNoise(Fields().fine_mountain, 0.3 / 1.3, &mountain);
+    ComputeStart(&start, &start_error);
+    CompareHeights(start.data(), start_error.data(), water.data(), mountain.data(), field_.size(), traits_.data());
     Decide([&](Position p, int32_t* traits) { *traits = ExactBaseTraits(noise_, p, player_); });
   }
 
-  void ComputeStart(float* start, float* error) {
+  void ComputeStart(Field<float>* start, Field<float>* error) {
     const auto most_far_start = static_cast<float>(1 / (1 + std::exp(kFar - 4 - 2 * kNoiseBound)));
-    std::fill_n(start, field_.size(), most_far_start / 2);
-    std::fill_n(error, field_.size(), most_far_start / 2);
+    start->Fill(most_far_start / 2);
+    error->Fill(most_far_start / 2);
     const int first_x = std::max(0, player_.x - kFar);
     const int end_x = std::min(width_, player_.x + kFar + 1);
     const int first_y = std::max(0, player_.y - kFar);
     const int end_y = std::min(height_, player_.y + kFar + 1);
-    WantColumns([&](int x, int block) {
-      return x >= first_x && x < end_x && (block + 1) * kFieldBlock > first_y && block * kFieldBlock < end_y;
-    });
-    std::fill(field_.begin(), field_.end(), 0.0F);
-    AddNoise(noise_, kStartShape.grid(), 1, blocks_, stride_, field_.data());
+    std::fill(wanted_.begin(), wanted_.end(), 0);
+    const uint32_t tiles = (uint32_t{2} << (end_x - 1) / kTileSize) - (uint32_t{1} << first_x / kTileSize);
+    std::fill(wanted_.begin() + first_y / kTileSize, wanted_.begin() + Tiles(end_y), tiles);
+    field_.Fill(0);
+    AddNoise(Fields().start, 1, &field_);
     for (int x = first_x; x < end_x; ++x) {
       for (int y = first_y; y < end_y; ++y) {
         const auto squared_distance = static_cast<float>(SquaredDistance({x, y}, player_));
         if (squared_distance > kFar * kFar) continue;
-        const int n = x * stride_ + y;
-        start[n] = 1 / (1 + std::exp(-(4 - std::sqrt(squared_distance) + 2 * field_[n])));
-        error[n] = kNearStartError;
+        const int n = Index({x, y});
+        (*start)[n] = 1 / (1 + std::exp(-(4 - std::sqrt(squared_distance) + 2 * field_[n])));
+        (*error)[n] = kNearStartError;
       }
     }
   }
 
-  void AddTrait(const LayerTrait& rule) {
-    std::fill(field_.begin(), field_.end(), 0.0F);
-    absl::FixedArray<uint8_t, kSmallField / kFieldBlock> wanted(width_ * num_blocks_);
-    FindCells(&rule, traits_.data(), static_cast<int>(wanted.size()), wanted.data());
-    WantColumns([&](int x, int block) { return wanted[x * num_blocks_ + block] != 0; });
-    AddNoise(noise_, rule.shape.grid(), 1, blocks_, stride_, field_.data());
-    CompareLayer(&rule, field_.data(), static_cast<int>(field_.size()), traits_.data());
+  void AddTrait(int number) {
+    const LayerTrait& rule = kLayerTraits[number];
+    for (size_t row = 0; row < wanted_.size(); ++row) {
+      FindTiles(&rule, &traits_[row * tile_columns_ * kTileCells], tile_columns_, &wanted_[row]);
+    }
+    field_.Fill(0);
+    AddNoise(Fields().layers[number], 1, &field_);
+    CompareLayer(&rule, field_.data(), field_.size(), traits_.data());
     Decide([&](Position p, int32_t* traits) {
       *traits &= ~(kUnsure | rule.trait);
       if (rule.shape.At(noise_, p) > rule.threshold) *traits |= rule.trait;
     });
   }
 
-  // Sets blocks_ to the columns from the first to the last for which wanted(column, block).
-  template <typename Wanted>
-  void WantColumns(const Wanted& wanted) {
-    for (int block = 0; block < num_blocks_; ++block) {
-      ColumnRange& columns = blocks_[block] = {width_, 0};
-      for (int x = 0; x < width_; ++x) {
-        if (!wanted(x, block)) continue;
-        columns.begin = std::min(columns.begin, x);
-        columns.end = x + 1;
-      }
-    }
-  }
-
   const SimplexNoise& noise_;
   const int width_;
   const int height_;
-  const int num_blocks_;
-  const int stride_;  // from one column of a field to the next: whole blocks
   const Position player_;
-  absl::FixedArray<ColumnRange, 8> blocks_;  // where noise is computed
-  Field field_;
-  absl::FixedArray<int32_t, kSmallField> traits_;  // [width][stride]
+  const int tile_columns_;
+  absl::FixedArray<uint32_t, 8> wanted_;  // by row of tiles: those in which noise is computed, a bit each
+  const int num_tiles_;
+  Field<float> field_;
+  Field<int32_t> traits_;
 };
 
 }  // namespace

@@ -55,6 +55,24 @@ TEST_P(RandomStreamOnEachCpu, FillUniformEqualsRepeatedUniformAtEveryOffset) {
   }
 }
 
+TEST_P(RandomStreamOnEachCpu, FillWordsGivesTheWordsOfUniformAtEveryOffset) {
+  for (int offset = 0; offset <= 1250; ++offset) {
+    for (const int count : {0, 1, 2, 17, 311, 312, 313, 700}) {
+      RandomStream one_by_one(offset);
+      for (int i = 0; i < offset; ++i) one_by_one.Below(2);
+      RandomStream at_once = one_by_one;
+      std::vector<uint32_t> high(count);
+      std::vector<uint32_t> low(count);
+      at_once.FillWords(absl::MakeSpan(high), absl::MakeSpan(low));
+      for (int i = 0; i < count; ++i) {
+        ASSERT_EQ(RandomStream::UniformOf(high[i], low[i]), one_by_one.Uniform()) << offset << " " << count << " " << i;
+      }
+      ASSERT_EQ(at_once.position(), one_by_one.position());
+      ASSERT_EQ(at_once.state(), one_by_one.state());
+    }
+  }
+}
+
 TEST(RandomStream, SkipEqualsDrawingAtEveryOffset) {
   for (int offset = 0; offset <= 1250; ++offset) {
     for (const int words : {0, 1, 623, 624, 625, 1248, 5000}) {
