@@ -187,6 +187,18 @@ TEST(RankMeeting, RankWithAnotherCanaryIsRefusedByNameEverywhere) {
   });
 }
 
+TEST(RankMeeting, RankThatObjectsToTheOfferIsNamedEverywhere) {
+  const int port = FreePort();
+  OnRanks(3, [port](int rank) {
+    const auto meeting = RankMeeting::Open(LocalRank(rank, 3, port), "seed: 1");
+    ASSERT_TRUE(meeting.ok()) << meeting.status();
+    RankBuild build = {"canary", "build"};
+    if (rank == 1) build.objection = absl::InvalidArgumentError("--seed=2, but rank 0 has 1\n");
+    const absl::Status status = (*meeting)->Connect(build).status();
+    EXPECT_EQ(status, absl::FailedPreconditionError("rank 1: --seed=2, but rank 0 has 1\n"));
+  });
+}
+
 TEST(RankMeeting, OfferReachesAllAndAnotherWorldSizeIsRefused) {
   const int port = FreePort();
   const auto first = RankMeeting::Open(LocalRank(0, 2, port), "what rank 0 offers");
