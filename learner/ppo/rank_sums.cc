@@ -38,17 +38,18 @@ std::vector<size_t> RankSums::PieceSizes(absl::Span<const ShardGradient> gradien
 absl::Status RankSums::Add(std::vector<ShardGradient>* gradients, absl::Span<const PpoLossSums> losses,
                            PpoLossSums* sums) {
   const std::vector<size_t> sizes = PieceSizes(*gradients);
-  total_.resize(std::accumulate(sizes.begin(), sizes.end(), size_t{0}));
-  flat_.resize(gradients->size());
-  for (size_t i = 0; i < flat_.size(); ++i) {
-    flat_[i].resize(total_.size());
+  const size_t length = std::accumulate(sizes.begin(), sizes.end(), size_t{0});
+  flat_.resize(std::max<size_t>(gradients->size(), 1));
+  for (std::vector<float>& flat : flat_) flat.resize(length);
+  for (size_t i = 0; i < gradients->size(); ++i) {
     auto end = flat_[i].begin();
     for (const absl::Span<const float> piece : (*gradients)[i]) end = std::copy(piece.begin(), piece.end(), end);
   }
-  const std::vector<absl::Span<const float>> terms(flat_.begin(), flat_.end());
-  CRAFTFLEET_RETURN_IF_ERROR(group_->Sum(terms, absl::MakeSpan(total_)));
+  const std::vector<absl::Span<const float>> terms(flat_.begin(), flat_.begin() + gradients->size());
+  const absl::Span<float> total = absl::MakeSpan(flat_[0]);
+  CRAFTFLEET_RETURN_IF_ERROR(group_->Sum(terms, total));
   ShardGradient sum;
-  absl::Span<float> rest = absl::MakeSpan(total_);
+  absl::Span<float> rest = total;
   for (const size_t size : sizes) {
     sum.push_back(rest.subspan(0, size));
     rest.remove_prefix(size);
@@ -65,8 +66,7 @@ absl::Status RankSums::Add(std::vector<ShardGradient>* gradients, absl::Span<con
 }
 
 absl::Status RankSums::Combine(std::vector<float>* values) {
-  const std::vector<float> own = *values;
-  return group_->Sum({absl::MakeConstSpan(own)}, absl::MakeSpan(*values));
+  return group_->Sum({absl::MakeConstSpan(*values)}, absl::MakeSpan(*values));
 }
 
 bool RankSums::Stops(const std::function<bool()>& should_stop) {

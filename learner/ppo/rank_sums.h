@@ -50,8 +50,7 @@ class RankSums {
 
   const AgentSpec& spec_;
   RankGroup* const group_;
-  std::vector<std::vector<float>> flat_;  // this rank's gradients, each in one piece
-  std::vector<float> total_;
+  std::vector<std::vector<float>> flat_;  // this rank's gradients, each in one piece; the first becomes the sum
 };
 
 }  // namespace craftfleet

@@ -318,6 +318,7 @@ absl::Status RankLinks::Finish(Operation operation, int neighbour, absl::Duratio
   {
     const MutexLock lock(&mutex_);
     running_.erase(std::find(running_.begin(), running_.end(), &operation));
+    changed_.NotifyAll();
     if (waited.ok() && is_done) return absl::OkStatus();
   }
   if (SteadyNow() - begin >= limit) return Lose(neighbour, absl::StrCat("silent for ", absl::FormatDuration(limit)));
@@ -333,8 +334,12 @@ void RankLinks::Leave(const absl::Status& reason) {
   const MutexLock lock(&mutex_);
   if (!ended_.ok()) return;
   ended_ = reason;
-  for (Operation* const operation : running_) (void)Try([&] { operation->work->abort(); });
   changed_.NotifyAll();
+  // Again and again, since Gloo forgets an abort that comes before the wait.
+  do {
+    for (Operation* const operation : running_) (void)Try([&] { operation->work->abort(); });
+  } while (!changed_.WaitFor(&mutex_, absl::Milliseconds(10),
+                             [this]() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_) { return running_.empty(); }));
 }
 
 absl::Status RankLinks::ended() const {

@@ -51,6 +51,8 @@ TEST_P(SumTest, AddsInTheOrderOfShardsAndGivesAllTheSameBits) {
       ASSERT_TRUE(status.ok()) << status;
       EXPECT_TRUE(total == expected);
     }
+    ASSERT_TRUE(group->Sum(terms, absl::MakeSpan(own[0])).ok());
+    EXPECT_TRUE(own[0] == expected) << "in place";
   });
 }
 
