@@ -1,9 +1,10 @@
 #!/usr/bin/env bash
-# Runs a fleet on this machine: one learner, actors and environment servers as separate processes, connected by Unix
+# Runs a fleet on this machine: a learner, actors and environment servers as separate processes, connected by Unix
 # sockets in a folder that only this user can enter. All of them stop when the run is complete, at Ctrl-C or SIGTERM (the
 # learner saves its last iteration; the same command with --resume continues the run), and when this script is killed.
 #
-# Usage: deploy/local-fleet.sh [--actors=N] [--envservers=M] [--bin=DIR] --logdir=DIR [LEARNER FLAG]...
+# Usage: deploy/local-fleet.sh [--learners=L] [--actors=N] [--envservers=M] [--bin=DIR] --logdir=DIR [LEARNER FLAG]...
+#   --learners=L     default 1; more share the updates out, at most gradient_shards of the run
 #   --actors=N       default 1
 #   --envservers=M   default 1
 #   --bin=DIR        folder of the programs; default: those of this checkout, installation or bundle, or else the folder in PATH
@@ -20,6 +21,7 @@ say() { echo "local-fleet.sh: $*" >&2; }
 bin=$(dirname "$0")/../build/bin
 [ -x "$bin/craftfleet-learner" ] || bin=$(dirname "$0")/../../bin  # installed, or in a bundle
 [ -x "$bin/craftfleet-learner" ] || bin=$(dirname "$(command -v craftfleet-learner || echo "$bin/craftfleet-learner")")
+learners=1
 actors=1
 envservers=1
 logdir=
@@ -28,10 +30,12 @@ envserver_flags=()
 for argument in "$@"; do
   case "$argument" in
     -h | --help) usage; exit 0 ;;
+    --learners=*) learners=${argument#*=} ;;
     --actors=*) actors=${argument#*=} ;;
     --envservers=*) envservers=${argument#*=} ;;
     --bin=*) bin=${argument#*=} ;;
     --listen=*) refuse "$argument: the fleet uses its own Unix sockets" ;;
+    --rank=* | --world_size=*) refuse "$argument: give --learners=L" ;;
     --*)
       learner_flags+=("$argument")
       case "$argument" in
@@ -42,6 +46,7 @@ for argument in "$@"; do
     *) refuse "'$argument' is no flag of the form --NAME=VALUE; see --help" ;;
   esac
 done
+[[ $learners =~ ^[1-9][0-9]{0,2}$ ]] || refuse "--learners=$learners, want 1..999"
 [[ $actors =~ ^[1-9][0-9]{0,2}$ ]] || refuse "--actors=$actors, want 1..999"
 [[ $envservers =~ ^[1-9][0-9]{0,2}$ ]] || refuse "--envservers=$envservers, want 1..999"
 [ -n "$logdir" ] || refuse "--logdir is missing: the folder to write the run to"
@@ -88,10 +93,25 @@ on_signal() {
   kill -TERM "$learner" 2>/dev/null || true
 }
 
+# A port of loopback that nobody listens on.
+free_port() {
+  local port
+  while port=$((20000 + RANDOM % 10000)); (exec 3<>"/dev/tcp/127.0.0.1/$port") 2>/dev/null; do :; done
+  echo "$port"
+}
+
 mkdir -p "$logdir/fleet"
-setpriv --pdeathsig TERM "$bin/craftfleet-learner" "${learner_flags[@]}" --listen="unix:$sockets/learner" </dev/null &
+learner_flags=(--world_size="$learners" "${learner_flags[@]}")
+if [ "$learners" -gt 1 ]; then
+  threads=$(($(nproc) / learners))
+  learner_flags=(--threads="$((threads > 0 ? threads : 1))" --master_addr=127.0.0.1 --master_port="$(free_port)" "${learner_flags[@]}")
+fi
+setpriv --pdeathsig TERM "$bin/craftfleet-learner" "${learner_flags[@]}" --rank=0 --listen="unix:$sockets/learner" </dev/null &
 learner=$!
 trap on_signal INT TERM HUP
+for ((i = 1; i < learners; i++)); do
+  start_worker "learner-$i" "$bin/craftfleet-learner" "${learner_flags[@]}" --rank="$i" --listen="unix:$sockets/learner-$i"
+done
 
 servers=
 for ((i = 1; i <= envservers; i++)); do
@@ -103,7 +123,7 @@ for ((i = 1; i <= actors; i++)); do
   start_worker "actor-$i" "$bin/craftfleet-actor" --listen="unix:$sockets/actor-$i" --learner="unix:$sockets/learner" \
     --envservers="${servers#,}" --threads="$((threads > 0 ? threads : 1))"
 done
-say "1 learner, $actors actors, $envservers environment servers; watch: craftfleet status --address=unix:$sockets/learner"
+say "$learners learners, $actors actors, $envservers environment servers; watch: craftfleet status --address=unix:$sockets/learner"
 
 # Argument: a kind of worker, such as actor. True while one of them runs.
 any_left() {

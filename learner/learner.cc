@@ -6,9 +6,6 @@
 
 #include <absl/strings/str_cat.h>
 #include <absl/strings/str_format.h>
-#include <absl/strings/str_join.h>
-#include <absl/strings/str_split.h>
-#include <google/protobuf/util/message_differencer.h>
 #include <nlohmann/json.hpp>
 
 #include "common/agent/agent_spec.h"
@@ -41,14 +38,10 @@ absl::Status CheckSameRun(const std::string& logdir, v1::RunConfig asked) {
   CRAFTFLEET_ASSIGN_OR_RETURN(stored, CompleteConfig(std::move(stored)));
   asked.set_steps(stored.steps());
   *asked.mutable_checkpoint() = stored.checkpoint();
-  google::protobuf::util::MessageDifferencer differencer;
-  std::string differences;
-  differencer.ReportDifferencesToString(&differences);
-  if (differencer.Compare(stored, asked)) return absl::OkStatus();
-  const std::vector<absl::string_view> lines = absl::StrSplit(differences, '\n', absl::SkipEmpty());
-  return absl::FailedPreconditionError(
-      absl::StrCat("the run in ", logdir,
-                   " has another configuration (only steps and checkpoint may change): ", absl::StrJoin(lines, "; ")));
+  const std::string differences = Differences(stored, asked);
+  if (differences.empty()) return absl::OkStatus();
+  return absl::FailedPreconditionError(absl::StrCat(
+      "the run in ", logdir, " has another configuration (only steps and checkpoint may change): ", differences));
 }
 
 // Loads the weights of the checkpoint or run folder at `path` into `updater`. Returns their origin, for run.json.
@@ -92,6 +85,20 @@ absl::StatusOr<BuildCheck::Options> ExpectedBuild(v1::RunConfig::Cpu cpu, absl::
                v1::RunConfig::Cpu_Name(cpu), canary, known);
   }
   return BuildCheck::Options{BuildId(), canary, std::string(KnownGameCanary(texture_digest)), allow_mixed};
+}
+
+// Whether so many ranks can share out the updates of such a run.
+absl::Status CheckRanks(const v1::RunConfig& config, const Learner::Options& options) {
+  const int ranks = options.ranks.world_size;
+  if (ranks > 1 && options.device != "cpu") {
+    return absl::InvalidArgumentError(
+        absl::StrFormat("--world_size=%d with updates on %s: several learners compute on CPUs only; give --device=cpu",
+                        ranks, options.device));
+  }
+  if (ranks <= config.gradient_shards()) return absl::OkStatus();
+  return absl::InvalidArgumentError(absl::StrFormat(
+      "--world_size=%d, but gradient_shards is %d: want at least one shard of a minibatch for each learner", ranks,
+      config.gradient_shards()));
 }
 
 size_t FragmentsPerIteration(const v1::RunConfig& config) {
@@ -141,6 +148,7 @@ absl::StatusOr<std::unique_ptr<Learner>> Learner::Create(const Options& options)
   if (!config.ok()) return config.status();
   CRAFTFLEET_ASSIGN_OR_RETURN(const AgentSpec spec, MakeAgentSpec(*config));
   CRAFTFLEET_RETURN_IF_ERROR(CheckRunnable(*config, spec, {OwnMemoryBytes(), options.device == "cpu"}));
+  CRAFTFLEET_RETURN_IF_ERROR(CheckRanks(*config, options));
   CRAFTFLEET_ASSIGN_OR_RETURN(Loaded loaded, Load(options, *config));
   loaded.shape = FragmentShapeOf(*config, spec);
   loaded.lanes = LoadLanes(loaded.checkpoint.state, loaded.shape);
@@ -231,6 +239,7 @@ Learner::Learner(const Options& options, Loaded loaded)
       clock_(std::move(loaded.clock)),
       folder_(std::move(loaded.folder)),
       updater_(std::move(loaded.updater)),
+      ranks_(options.ranks, loaded.build.policy_canary),
       journal_(std::move(loaded.journal)),
       replay_(std::move(loaded.replay)),
       registry_(RegistryOptions(config_, replay_.has_value(), loaded.lanes.resets,
@@ -243,7 +252,7 @@ Learner::Learner(const Options& options, Loaded loaded)
                  std::max(StepsToTrain(config_), loaded.checkpoint.state.env_steps()), folder_->run_id()},
                 options.progress != nullptr ? options.progress : &null_stream_, clock_.get()),
       trainer_(config_, loaded.checkpoint, std::move(loaded.kept),
-               {folder_.get(), updater_.get(), &registry_, &weights_, &fragments_, &evaluations_, &progress_,
+               {folder_.get(), updater_.get(), &ranks_, &registry_, &weights_, &fragments_, &evaluations_, &progress_,
                 &checkpoint_requests_, journal_.has_value() ? &*journal_ : nullptr,
                 replay_.has_value() ? &*replay_ : nullptr, clock_.get()}),
       service_({folder_->run_id(), folder_->epoch(), config_, loaded.texture_digest, loaded.shape, kLease,
@@ -264,8 +273,12 @@ void Learner::FillStatus(v1::StatusReply* reply) const {
 }
 
 absl::Status Learner::Run() {
+  CRAFTFLEET_RETURN_IF_ERROR(ranks_.Connect(
+      config_, [this] { return trainer_.is_stopping(); }, updater_.get()));
   CRAFTFLEET_RETURN_IF_ERROR(folder_->Begin());
   absl::Status status = trainer_.Run();
+  // After an error they end because rank 0 is lost.
+  if (status.ok()) ranks_.End(trainer_.finished());
   // Actors learn from their next request that the run is over. If the learner exited first, they would wait for it.
   if (trainer_.finished()) registry_.WaitUntilEmpty(absl::Seconds(2));
   return status;

@@ -22,6 +22,8 @@
 #include "learner/learner_service.h"
 #include "learner/live_page.h"
 #include "learner/ppo/ppo_updater.h"
+#include "learner/rank_leader.h"
+#include "learner/ranks/rank_links.h"
 #include "learner/run/progress.h"
 #include "learner/run/run_folder.h"
 #include "learner/trainer.h"
@@ -46,6 +48,7 @@ class Learner {
     wire::Server::Options server;
     std::string http_address;          // of the live page (learner/live_page.h); empty: none
     int threads = 1;                   // of the update, 1..256
+    RankOptions ranks;                 // of rank 0; the others are RankWorkers
     std::string device = "cpu";        // of the update, as FindDevice returns it; `config` agrees (SetRunDevice)
     std::ostream* progress = nullptr;  // for progress lines; null: none
     bool progress_in_place = false;    // `progress` is a terminal
@@ -53,15 +56,16 @@ class Learner {
 
   // Reads the run folder, loads the checkpoint and starts to listen. Changes nothing in the folder but its lock; only
   // Run does, so a failed start leaves the folder unchanged.
-  //   InvalidArgument: an invalid value of the configuration; names it. Or `replay` without max_staleness, or without
-  //   the initial weights that the run was given.   AlreadyExists: `logdir` has a run and `resume` is off.
-  //   FailedPrecondition: the run in `logdir` has another configuration (only `steps` and `checkpoint` may change), or
-  //   that of `replay` has, and the message names the field; or `init_from` is of another agent. Others as RunFolder
-  //   and wire::Server.
+  //   InvalidArgument: an invalid value of the configuration; names it. More ranks than gradient_shards, or on a GPU.
+  //   Or `replay` without max_staleness, or without the initial weights that the run was given.   AlreadyExists:
+  //   `logdir` has a run and `resume` is off. FailedPrecondition: the run in `logdir` has another configuration (only
+  //   `steps` and `checkpoint` may change), or that of `replay` has, and the message names the field; or `init_from` is
+  //   of another agent. Others as RunFolder and wire::Server.
   static absl::StatusOr<std::unique_ptr<Learner>> Create(const Options& options);
 
-  // Begins to write the run folder, then trains until the end of the run or Stop.
-  //   Aborted: another learner has taken over the folder (only on disks whose locks have no effect).
+  // Waits for the other ranks, begins to write the run folder, then trains until the end of the run or Stop.
+  //   Aborted: another learner has taken over the folder (only on disks whose locks have no effect).   Cancelled: Stop
+  //   was called before all ranks had come.   Others as RankLeader and Trainer.
   absl::Status Run();
   // Ends Run, after at most a minibatch and a checkpoint. Idempotent.
   void Stop() { trainer_.Stop(); }
@@ -89,6 +93,7 @@ class Learner {
   const std::unique_ptr<Clock> clock_;
   const std::unique_ptr<RunFolder> folder_;
   const std::unique_ptr<PpoUpdater> updater_;
+  RankLeader ranks_;
   std::optional<FragmentJournal> journal_;
   std::optional<ArrivalReader> replay_;
   WorkerRegistry registry_;

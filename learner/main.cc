@@ -8,7 +8,11 @@
 #include "common/process/program.h"
 #include "common/telemetry/log.h"
 #include "common/wire/metrics_flags.h"
+#include "common/wire/server.h"
+#include "common/wire/server_flags.h"
 #include "learner/learner.h"
+#include "learner/rank_flags.h"
+#include "learner/rank_worker.h"
 #include "learner/run_flags.h"
 #include "learner/run_messages.h"
 
@@ -32,11 +36,43 @@ To run a fleet on one machine, start each line in its own terminal. More actors 
 
 Watch it:  craftfleet top --address=127.0.0.1:50051
 
+Several learners share out the updates of a run (gradient_shards at most), each with the same flags and a --rank of its own:
+  craftfleet-learner --world_size=2 --rank=0 --logdir=runs/first
+  craftfleet-learner --world_size=2 --rank=1
+
 Ctrl-C, SIGTERM or closing the terminal stops it within seconds, with a checkpoint of the last finished iteration. The same
 command with --resume continues, also after a crash. Without a reader of its output (craftfleet-learner | head) it
 continues silently.)";
 
+// A stop before the run began is no error: nothing is lost.
+absl::Status OkIfStopped(const absl::Status& status) {
+  if (!absl::IsCancelled(status)) return status;
+  LogInfo("%s", status.message());
+  return absl::OkStatus();
+}
+
+// What a rank other than 0 does.
+absl::Status ComputeForRank0(const RankOptions& ranks) {
+  RankWorker::Options options;
+  options.ranks = ranks;
+  CRAFTFLEET_ASSIGN_OR_RETURN(options.threads, ThreadsFromFlags());
+  options.check = [](const v1::RunConfig& config) -> absl::Status {
+    CRAFTFLEET_RETURN_IF_ERROR(CheckSameAsFlags(config));
+    CRAFTFLEET_RETURN_IF_ERROR(PinCpu(config.cpu()));
+    SetUpTorchThread();
+    return absl::OkStatus();
+  };
+  wire::Server::Options health;
+  health.health_address = wire::ServerOptionsFromFlags(/*address=*/"").health_address;
+  CRAFTFLEET_ASSIGN_OR_RETURN(const std::unique_ptr<wire::Server> server, wire::Server::Create(health, {}));
+  CRAFTFLEET_ASSIGN_OR_RETURN(const std::unique_ptr<RankWorker> worker, RankWorker::Connect(options));
+  const StopSignal signal([&worker] { worker->Stop(); });
+  return worker->Run();
+}
+
 absl::Status Run() {
+  CRAFTFLEET_ASSIGN_OR_RETURN(const RankOptions ranks, RankOptionsFromFlags());
+  if (ranks.rank > 0) return OkIfStopped(ComputeForRank0(ranks));
   CRAFTFLEET_ASSIGN_OR_RETURN(const wire::MetricsServer::Options metrics_options,
                               wire::MetricsOptionsFromFlags(wire::kAnyFreePort));
   CRAFTFLEET_ASSIGN_OR_RETURN(Learner::Options options,
@@ -45,13 +81,15 @@ absl::Status Run() {
   SetUpTorchThread();
   options.server.address = absl::GetFlag(FLAGS_listen);
   options.allow_mixed = absl::GetFlag(FLAGS_allow_mixed);
+  options.ranks = ranks;
   CRAFTFLEET_ASSIGN_OR_RETURN(const std::unique_ptr<Learner> learner, Learner::Create(options));
   StopSignal signal([&learner] { learner->Stop(); });
   if (const std::string warning = SlowMathWarning(); !warning.empty()) LogWarning("%s", warning);
   CRAFTFLEET_RETURN_IF_ERROR(LogRunStart(*learner, options.logdir));
   CRAFTFLEET_ASSIGN_OR_RETURN(const std::unique_ptr<wire::MetricsServer> metrics,
                               wire::ServeMetrics(metrics_options, &learner->status()));
-  CRAFTFLEET_RETURN_IF_ERROR(learner->Run());
+  const absl::Status status = learner->Run();
+  if (!status.ok()) return OkIfStopped(status);
   LogRunEnd(*learner);
   return absl::OkStatus();
 }

@@ -22,6 +22,7 @@
 #include "common/process/flag_values.h"
 #include "common/wire/server_flags.h"
 #include "learner/run/checkpoint_store.h"
+#include "learner/runnable_config.h"
 
 ABSL_FLAG(std::string, logdir, "", "folder of the run: configuration, logs, curves, checkpoints (required)");
 ABSL_FLAG(std::optional<std::string>, agent, std::nullopt, "agent to train; craftfleet agents lists them [ppo_cnn]");
@@ -109,20 +110,53 @@ absl::StatusOr<v1::RunConfig> BaseConfig(bool resume) {
   return ParseRunConfig(*text, path);
 }
 
+// Sets the fields that flags were given for.
+absl::Status ApplyFlags(v1::RunConfig* config) {
+  if (const auto agent = absl::GetFlag(FLAGS_agent)) config->set_agent(*agent);
+  if (const auto env = absl::GetFlag(FLAGS_env)) config->mutable_env()->set_name(*env);
+  if (const auto env = absl::GetFlag(FLAGS_eval_env)) config->mutable_eval()->set_env(*env);
+  if (const auto steps = absl::GetFlag(FLAGS_steps)) config->set_steps(steps->value);
+  if (const auto seed = absl::GetFlag(FLAGS_seed)) config->set_seed(*seed);
+  if (const auto lanes = absl::GetFlag(FLAGS_lanes)) config->set_lanes(*lanes);
+  if (const auto overlap = absl::GetFlag(FLAGS_overlap)) config->set_overlap(*overlap);
+  if (const auto staleness = absl::GetFlag(FLAGS_max_staleness)) config->set_max_staleness(*staleness);
+  if (const auto cpu = absl::GetFlag(FLAGS_cpu)) {
+    CRAFTFLEET_ASSIGN_OR_RETURN(const v1::RunConfig::Cpu parsed, ParseCpu(*cpu));
+    config->set_cpu(parsed);
+  }
+  v1::CheckpointConfig& checkpoint = *config->mutable_checkpoint();
+  if (const auto every = absl::GetFlag(FLAGS_checkpoint_every)) checkpoint.set_every_iterations(*every);
+  if (const auto keep = absl::GetFlag(FLAGS_keep_checkpoints)) checkpoint.set_keep(*keep);
+  return absl::OkStatus();
+}
+
 // `of_cpu_run`: for a run that began on the CPU, which `auto` does not leave.
 absl::StatusOr<std::string> DeviceFromFlag(bool of_cpu_run) {
   const std::string name = absl::GetFlag(FLAGS_device);
   return FindDevice(of_cpu_run && name == "auto" ? "cpu" : name);
 }
 
-// --threads, or by default the cgroup's CPU quota.
+}  // namespace
+
 absl::StatusOr<int> ThreadsFromFlags() {
   const int threads = absl::GetFlag(FLAGS_threads);
   CRAFTFLEET_RETURN_IF_ERROR(CheckFlagRange("threads", threads, 0, 256));
   return threads == 0 ? DefaultThreads() : threads;
 }
 
-}  // namespace
+absl::Status CheckSameAsFlags(const v1::RunConfig& config) {
+  v1::RunConfig own = config;
+  if (!absl::GetFlag(FLAGS_config).empty()) {
+    CRAFTFLEET_ASSIGN_OR_RETURN(own, BaseConfig(/*resume=*/false));
+    if (config.has_device()) own.set_device(config.device());
+  }
+  CRAFTFLEET_RETURN_IF_ERROR(ApplyFlags(&own));
+  CRAFTFLEET_ASSIGN_OR_RETURN(own, CompleteConfig(std::move(own)));
+  const std::string differences = Differences(config, own);
+  if (differences.empty()) return absl::OkStatus();
+  return absl::InvalidArgumentError(
+      absl::StrCat("its flags ask for another configuration than rank 0's: ", differences));
+}
 
 absl::StatusOr<Learner::Options> LearnerOptionsFromFlags(v1::RunConfig::Device on_gpu,
                                                          absl::string_view page_by_default) {
@@ -147,21 +181,7 @@ absl::StatusOr<Learner::Options> LearnerOptionsFromFlags(v1::RunConfig::Device o
   }
   const bool is_begun = options.resume || !options.replay.empty();  // on its type of device
   CRAFTFLEET_ASSIGN_OR_RETURN(options.config, BaseConfig(options.resume));
-  if (const auto agent = absl::GetFlag(FLAGS_agent)) options.config.set_agent(*agent);
-  if (const auto env = absl::GetFlag(FLAGS_env)) options.config.mutable_env()->set_name(*env);
-  if (const auto env = absl::GetFlag(FLAGS_eval_env)) options.config.mutable_eval()->set_env(*env);
-  if (const auto steps = absl::GetFlag(FLAGS_steps)) options.config.set_steps(steps->value);
-  if (const auto seed = absl::GetFlag(FLAGS_seed)) options.config.set_seed(*seed);
-  if (const auto lanes = absl::GetFlag(FLAGS_lanes)) options.config.set_lanes(*lanes);
-  if (const auto overlap = absl::GetFlag(FLAGS_overlap)) options.config.set_overlap(*overlap);
-  if (const auto staleness = absl::GetFlag(FLAGS_max_staleness)) options.config.set_max_staleness(*staleness);
-  if (const auto cpu = absl::GetFlag(FLAGS_cpu)) {
-    CRAFTFLEET_ASSIGN_OR_RETURN(const v1::RunConfig::Cpu parsed, ParseCpu(*cpu));
-    options.config.set_cpu(parsed);
-  }
-  v1::CheckpointConfig& checkpoint = *options.config.mutable_checkpoint();
-  if (const auto every = absl::GetFlag(FLAGS_checkpoint_every)) checkpoint.set_every_iterations(*every);
-  if (const auto keep = absl::GetFlag(FLAGS_keep_checkpoints)) checkpoint.set_keep(*keep);
+  CRAFTFLEET_RETURN_IF_ERROR(ApplyFlags(&options.config));
   CRAFTFLEET_ASSIGN_OR_RETURN(options.texture_dir, TextureDir(absl::GetFlag(FLAGS_textures)));
   CRAFTFLEET_ASSIGN_OR_RETURN(options.threads, ThreadsFromFlags());
   CRAFTFLEET_ASSIGN_OR_RETURN(options.device, DeviceFromFlag(is_begun && !options.config.has_device()));

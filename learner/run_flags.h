@@ -3,7 +3,9 @@
 #ifndef CRAFTFLEET_LEARNER_RUN_FLAGS_H_
 #define CRAFTFLEET_LEARNER_RUN_FLAGS_H_
 
+#include <absl/status/status.h>
 #include <absl/status/statusor.h>
+#include <absl/strings/string_view.h>
 
 #include "craftfleet/v1/config.pb.h"
 #include "learner/learner.h"
@@ -18,6 +20,13 @@ namespace craftfleet {
 //   of another.
 absl::StatusOr<Learner::Options> LearnerOptionsFromFlags(v1::RunConfig::Device on_gpu,
                                                          absl::string_view page_by_default);
+
+// --threads, or by default as many as the cgroup's CPU quota allows.   InvalidArgument: out of range.
+absl::StatusOr<int> ThreadsFromFlags();
+
+// For a rank from 1 on, whose `config` is rank 0's.
+//   InvalidArgument: the flags of this process ask for another configuration; names the fields.
+absl::Status CheckSameAsFlags(const v1::RunConfig& config);
 
 }  // namespace craftfleet
 

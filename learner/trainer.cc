@@ -62,9 +62,11 @@ absl::Status Trainer::Run() {
   parts_.progress->Finish(counters_.env_steps, parts_.folder->score());
   if (status.ok() && has_steps_left()) LogInfo("the record ends here: everything in it is replayed");
   End(/*trained=*/status.ok() && !has_steps_left());
+  // A complete run needs the other ranks no longer.
+  if (status.ok() && !finished()) status = CheckContinues();
   if (status.ok() || absl::IsCancelled(status)) return checkpoints_.WriteLast(counters_.iteration);
   // Keep what was learned before the error.
-  if (failed_updates_ > 0) {
+  if (failed_updates_ > 0 || !parts_.ranks->lost().ok()) {
     const absl::Status written = checkpoints_.WriteUnlessWritten(counters_.iteration);
     if (!written.ok()) LogError("%s", written.message());
   }
@@ -74,7 +76,7 @@ absl::Status Trainer::Run() {
 void Trainer::End(bool trained) {
   if (trained) {
     phase_ = Phase::kEvaluating;
-    parts_.evaluations->OnEnd(counters_.env_steps, weights_.back().bytes, [this] { return stop_.is_set(); });
+    parts_.evaluations->OnEnd(counters_.env_steps, weights_.back().bytes, [this] { return !CheckContinues().ok(); });
   }
   if (trained && parts_.evaluations->pending() == 0) {
     phase_ = Phase::kComplete;
@@ -83,6 +85,10 @@ void Trainer::End(bool trained) {
   } else {
     parts_.registry->Close();
   }
+}
+
+absl::Status Trainer::CheckContinues() const {
+  return stop_.is_set() ? absl::CancelledError("stopping") : parts_.ranks->lost();
 }
 
 void Trainer::Stop() {
@@ -107,6 +113,7 @@ absl::Status Trainer::RunIteration() {
   const absl::StatusOr<UpdateStats> stats = Learn(fragments);
   meter_.Switch(Activity::kOther);
   if (absl::IsCancelled(stats.status())) return stats.status();
+  CRAFTFLEET_RETURN_IF_ERROR(CheckContinues());
   if (!stats.ok()) return UndoIteration(fragments, stats.status());
   failed_updates_ = 0;
   CRAFTFLEET_RETURN_IF_ERROR(FinishIteration(fragments, *stats, std::move(lanes)));
@@ -143,7 +150,7 @@ absl::Status Trainer::Begin() {
 
 absl::StatusOr<std::vector<Fragment>> Trainer::Collect() {
   const auto on_tick = [this](size_t collected, bool is_idle) -> absl::Status {
-    if (stop_.is_set()) return absl::CancelledError("stopping");
+    CRAFTFLEET_RETURN_IF_ERROR(CheckContinues());
     // Notice a takeover of the folder even without actors.
     if (is_idle) CRAFTFLEET_RETURN_IF_ERROR(parts_.folder->CheckOwned());
     checkpoints_.ServeRequests(counters_.iteration);
@@ -187,10 +194,13 @@ ValueScale Trainer::ScaleOf(int64_t policy_version) const {
 absl::StatusOr<UpdateStats> Trainer::Learn(const std::vector<Fragment>& fragments) {
   Rollout rollout;
   RolloutOptions options = parts_.updater->rollout_options();
+  std::vector<ValueScale> scales;
   for (const Fragment& fragment : fragments) {
-    options.value_scale = ScaleOf(fragment.policy_version);
+    scales.push_back(ScaleOf(fragment.policy_version));
+    options.value_scale = scales.back();
     CRAFTFLEET_RETURN_IF_ERROR(AppendFragment(fragment, options, &rollout));
   }
+  CRAFTFLEET_RETURN_IF_ERROR(parts_.ranks->ShareUpdate(counters_.iteration, scales, fragments));
   const auto should_stop = [this] {
     parts_.progress->Update(counters_.env_steps + config_.ppo().rollout_steps(), parts_.folder->score());
     return stop_.is_set();
@@ -229,7 +239,7 @@ absl::Status Trainer::FinishIteration(const std::vector<Fragment>& fragments, co
   log_.Flush();
   CRAFTFLEET_RETURN_IF_ERROR(parts_.folder->CheckOwned());
   parts_.evaluations->OnIteration(steps_before, counters_.env_steps, weights_.back().bytes,
-                                  [this] { return stop_.is_set(); });
+                                  [this] { return !CheckContinues().ok(); });
   checkpoints_.ServeRequests(counters_.iteration);
   // The last checkpoint is written after the final evaluation.
   return has_steps_left() ? checkpoints_.OnIteration(counters_.iteration) : absl::OkStatus();

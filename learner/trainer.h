@@ -29,6 +29,7 @@
 #include "learner/learner_service.h"
 #include "learner/ppo/ppo_updater.h"
 #include "learner/ppo/value_norm.h"
+#include "learner/rank_leader.h"
 #include "learner/run/arrival_log.h"
 #include "learner/run/checkpoint.h"
 #include "learner/run/progress.h"
@@ -58,6 +59,7 @@ class Trainer {
   struct Parts {
     RunFolder* folder;  // all pointers outlive the trainer
     PpoUpdater* updater;
+    RankLeader* ranks;
     WorkerRegistry* registry;
     WeightStore* weights;
     FragmentQueue* fragments;
@@ -82,12 +84,14 @@ class Trainer {
   // replayed ends. In all cases a checkpoint of the last finished iteration is written, and phase() shows how far the
   // run got.
   //   Errors: the update failed twice in a row, after which a checkpoint of the last finished iteration is written; the
-  //   last checkpoint can't be written; or the record is damaged, or its fragments have other contents (DataLoss).
+  //   last checkpoint can't be written; the record is damaged, or its fragments have other contents (DataLoss); or
+  //   another rank is lost (RankLeader::lost), after which a checkpoint is written likewise.
   absl::Status Run();
   // Ends Run after the current minibatch, or at once during the final evaluation. An unfinished iteration is dropped;
   // unfinished evaluations are stored in the checkpoint, and the next start continues them. Idempotent.
   void Stop();
 
+  bool is_stopping() const { return stop_.is_set(); }
   Phase phase() const { return phase_; }
   // Whether the run is complete, with nothing left to resume.
   bool finished() const { return phase_ == Phase::kComplete; }
@@ -114,6 +118,8 @@ class Trainer {
   }
   // The fragments of each lane up to the end of `iteration`, from 0.
   int64_t LastFragment(int64_t iteration) const;
+  // Cancelled: Stop was called.   As RankLeader::lost.
+  absl::Status CheckContinues() const;
   // Runs one iteration.   Cancelled: Stop was called.
   absl::Status RunIteration();
   // Opens the iteration's permits, unless they are open.

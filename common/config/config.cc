@@ -6,8 +6,11 @@
 #include <utility>
 
 #include <absl/strings/str_cat.h>
+#include <absl/strings/str_join.h>
+#include <absl/strings/str_split.h>
 #include <absl/strings/string_view.h>
 #include <google/protobuf/text_format.h>
+#include <google/protobuf/util/message_differencer.h>
 
 #include "common/base/range_check.h"
 #include "common/base/status_macros.h"
@@ -231,6 +234,14 @@ absl::StatusOr<v1::RunConfig> ResolveRunConfig(v1::RunConfig config) {
   }
   CRAFTFLEET_RETURN_IF_ERROR(ValidateRunConfig(config));
   return config;
+}
+
+std::string Differences(const v1::RunConfig& first, const v1::RunConfig& second) {
+  google::protobuf::util::MessageDifferencer differencer;
+  std::string differences;
+  differencer.ReportDifferencesToString(&differences);
+  differencer.Compare(first, second);
+  return absl::StrJoin(absl::StrSplit(differences, '\n', absl::SkipEmpty()), "; ");
 }
 
 absl::Status ValidateRunConfig(const v1::RunConfig& config) {

@@ -34,6 +34,10 @@ absl::StatusOr<v1::RunConfig> ParseRunConfig(absl::string_view text, absl::strin
 //   InvalidArgument: as ValidateRunConfig.
 absl::StatusOr<v1::RunConfig> ResolveRunConfig(v1::RunConfig config);
 
+// What differs between two configurations, for messages: field by field, as "modified: seed: 1 -> 2; ...". Empty:
+// nothing.
+std::string Differences(const v1::RunConfig& first, const v1::RunConfig& second);
+
 // Checks the range of each value, then the relations between values.
 //   InvalidArgument: names the field, its value and its range. Environment names are checked later, where the
 //   environments are built.

@@ -17,6 +17,7 @@
 #include "common/agent/policy_net.h"
 #include "common/agent/torch_setup.h"
 #include "common/agent/weights.h"
+#include "common/base/crc32c.h"
 #include "common/base/keyed_random.h"
 #include "common/base/status_macros.h"
 #include "learner/ppo/device_update.h"
@@ -96,6 +97,10 @@ Minibatch Joined(const std::vector<Minibatch>& parts) {
     joined.lengths.insert(joined.lengths.end(), part.lengths.begin(), part.lengths.end());
   }
   return joined;
+}
+
+uint32_t WeightsDigest(const std::vector<float>& weights) {
+  return Crc32c({reinterpret_cast<const char*>(weights.data()), weights.size() * sizeof(float)});
 }
 
 // Sums over `rows` rows as means.
@@ -185,10 +190,11 @@ absl::StatusOr<UpdateStats> PpoUpdater::Update(int64_t iteration, const Rollout&
         "a rollout of ", rollout.size(), " steps, want a multiple of ppo.minibatch_size, ", config_.minibatch_size()));
   }
   SetUpTorchThread();
-  if (!CorrectsLag(config_)) return RunUpdate(iteration, rollout, should_stop);
-  CRAFTFLEET_ASSIGN_OR_RETURN(const std::vector<float> log_probs, LogProbs(rollout, should_stop));
+  const auto stops = [&] { return ranks_.has_value() ? ranks_->Stops(should_stop) : should_stop(); };
+  if (!CorrectsLag(config_)) return RunUpdate(iteration, rollout, stops);
+  CRAFTFLEET_ASSIGN_OR_RETURN(const std::vector<float> log_probs, LogProbs(rollout, stops));
   const CorrectedRollout corrected = CorrectLag(rollout, log_probs, config_, rollout_options().gae);
-  CRAFTFLEET_ASSIGN_OR_RETURN(UpdateStats stats, RunUpdate(iteration, corrected.rollout, should_stop));
+  CRAFTFLEET_ASSIGN_OR_RETURN(UpdateStats stats, RunUpdate(iteration, corrected.rollout, stops));
   stats.importance = corrected.importance;
   return stats;
 }
@@ -204,6 +210,10 @@ absl::StatusOr<UpdateStats> PpoUpdater::RunUpdate(int64_t iteration, const Rollo
     stats = absl::InternalError(absl::StrCat("update: ", error.what()));
   }
   if (stats.ok() && !IsFinite()) stats = absl::DataLossError("the update's weights or value statistics are not finite");
+  if (ranks_.has_value()) {
+    const absl::Status agreed = ranks_->group()->Agree(stats.status(), WeightsDigest(state_.weights));
+    if (!agreed.ok()) stats = agreed;
+  }
   if (!stats.ok()) Restore(std::move(before));
   if (distiller_ != nullptr && stats.ok()) distiller_->Commit(iteration);
   if (distiller_ != nullptr && !stats.ok()) distiller_->Undo(iteration);
@@ -261,11 +271,12 @@ absl::StatusOr<std::vector<float>> PpoUpdater::LogProbs(const Rollout& rollout,
   std::vector<float> log_probs(rollout.size());
   for (const Minibatch& minibatch : minibatches) {
     const std::vector<Minibatch> parts = CutIntoShards(minibatch, static_cast<int>(shards_.size()));
-    workers_.Run(static_cast<int>(parts.size()),
-                 [&](int i) { ComputeLogProbs(rollout, parts[i], shards_[i].get(), absl::MakeSpan(log_probs)); });
-    for (size_t i = 0; i < parts.size(); ++i) CRAFTFLEET_RETURN_IF_ERROR(shards_[i]->status);
+    RunShards(parts.size(),
+              [&](int i) { ComputeLogProbs(rollout, parts[i], shards_[i].get(), absl::MakeSpan(log_probs)); });
+    CRAFTFLEET_RETURN_IF_ERROR(StatusOfShards(parts.size()));
     if (should_stop()) return absl::CancelledError("the update was stopped; nothing is changed");
   }
+  if (ranks_.has_value()) CRAFTFLEET_RETURN_IF_ERROR(ranks_->Combine(&log_probs));
   return log_probs;
 }
 
@@ -326,15 +337,19 @@ PpoUpdater::Batch PpoUpdater::MakeBatch(const Rollout& rollout, const Minibatch&
 absl::StatusOr<PpoLossSums> PpoUpdater::RunMinibatch(const Rollout& rollout, const Minibatch& minibatch,
                                                      UpdateStats* stats) {
   const Batch batch = MakeBatch(rollout, minibatch);
-  workers_.Run(static_cast<int>(batch.parts.size()),
-               [&](int i) { ComputeGradient(rollout, batch, i, shards_[i].get()); });
+  const size_t parts = batch.parts.size();
+  RunShards(parts, [&](int i) { ComputeGradient(rollout, batch, i, shards_[i].get()); });
+  CRAFTFLEET_RETURN_IF_ERROR(StatusOfShards(parts));
   PpoLossSums sums;
   std::vector<ShardGradient> gradients;
-  for (size_t i = 0; i < batch.parts.size(); ++i) {
-    CRAFTFLEET_RETURN_IF_ERROR(shards_[i]->status);
-    sums.Add(shards_[i]->sums);
+  std::vector<PpoLossSums> losses;
+  const ShardRange own = OwnShards(parts);
+  for (int i = own.begin; i < own.end; ++i) {
     gradients.push_back(shards_[i]->net.gradients());
+    losses.push_back(shards_[i]->sums);
+    sums.Add(losses.back());
   }
+  if (ranks_.has_value()) CRAFTFLEET_RETURN_IF_ERROR(ranks_->Add(&gradients, losses, &sums));
   const double norm =
       AdamStep(AdamOptionsOf(config_), gradients, absl::MakeSpan(state_.weights), &state_.adam, &workers_);
   if (!std::isfinite(norm)) {
@@ -343,6 +358,25 @@ absl::StatusOr<PpoLossSums> PpoUpdater::RunMinibatch(const Rollout& rollout, con
   }
   stats->gradient_norm += norm;
   return Means(sums, batch.advantages.size());
+}
+
+ShardRange PpoUpdater::OwnShards(size_t parts) const {
+  const int count = static_cast<int>(parts);
+  if (!ranks_.has_value()) return {0, count};
+  const ShardRange own = ranks_->OwnShards(static_cast<int>(shards_.size()));
+  return {std::min(own.begin, count), std::min(own.end, count)};
+}
+
+void PpoUpdater::RunShards(size_t parts, const std::function<void(int)>& part) {
+  const ShardRange own = OwnShards(parts);
+  workers_.Run(own.end - own.begin, [&](int i) { part(own.begin + i); });
+}
+
+absl::Status PpoUpdater::StatusOfShards(size_t parts) const {
+  absl::Status status;
+  const ShardRange own = OwnShards(parts);
+  for (int i = own.begin; i < own.end; ++i) status.Update(shards_[i]->status);
+  return ranks_.has_value() ? ranks_->group()->Agree(status) : status;
 }
 
 NetOutput PpoUpdater::Forward(const Rollout& rollout, const Minibatch& part, const std::optional<Dropout>& dropout,

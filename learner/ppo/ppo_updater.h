@@ -22,9 +22,11 @@
 #include "learner/ppo/distillation/distiller.h"
 #include "learner/ppo/minibatches.h"
 #include "learner/ppo/ppo_loss.h"
+#include "learner/ppo/rank_sums.h"
 #include "learner/ppo/rollout.h"
 #include "learner/ppo/update_state.h"
 #include "learner/ppo/update_stats.h"
+#include "learner/ranks/rank_group.h"
 
 namespace craftfleet {
 
@@ -49,14 +51,20 @@ class PpoUpdater {
   PpoUpdater(const PpoUpdater&) = delete;
   PpoUpdater& operator=(const PpoUpdater&) = delete;
 
+  // From now on computes only this rank's shards of each minibatch and adds them to those of the other ranks of
+  // `group`, which has at most gradient_shards and outlives this. All of them have the same configuration, weights and
+  // optimiser, and call Update with the same rollouts; they get the bytes of one process. Only rank 0's should_stop
+  // counts. Distillation is not shared: each rank computes all of it. On the CPU only.
+  void ShareOut(RankGroup* group) { ranks_.emplace(spec_, group); }
+
   // How fragments that the present weights played become a rollout.
   RolloutOptions rollout_options() const;
 
   // Runs the epochs of `iteration`, which orders the minibatches, and distillation after them. `should_stop` is asked
   // after each minibatch. Unless OK, weights, optimiser and value normaliser are as before.
   //   InvalidArgument: the rollout is empty, or the agent feed-forward and its size not a multiple of minibatch_size.
-  //   Cancelled: should_stop() said so.   DataLoss: gradient or weights are not finite.   Internal: LibTorch failed.
-  //   Others, on a GPU, as DeviceUpdate::Run.
+  //   Cancelled: should_stop() said so.   DataLoss: gradient or weights are not finite, or a rank has other weights
+  //   than rank 0.   Internal: LibTorch failed.   Others, on a GPU, as DeviceUpdate::Run; with ranks, as RankGroup.
   absl::StatusOr<UpdateStats> Update(int64_t iteration, const Rollout& rollout,
                                      const std::function<bool()>& should_stop);
 
@@ -108,6 +116,12 @@ class PpoUpdater {
   // One optimiser step; adds its gradient norm to `stats` and returns the means of its losses.
   absl::StatusOr<PpoLossSums> RunMinibatch(const Rollout& rollout, const Minibatch& minibatch, UpdateStats* stats);
   Batch MakeBatch(const Rollout& rollout, const Minibatch& minibatch);
+  // Those that compute a minibatch's `parts` on this rank.
+  ShardRange OwnShards(size_t parts) const;
+  // Calls `part` for each of them, on the workers.
+  void RunShards(size_t parts, const std::function<void(int)>& part);
+  // Whether they have succeeded, on all ranks.
+  absl::Status StatusOfShards(size_t parts) const;
   void Restore(State state);
   bool IsFinite() const;
   // The network's output for `part`, on the shard's frames.
@@ -127,6 +141,7 @@ class PpoUpdater {
   State state_;  // the shards' nets look into the weights
   std::vector<std::unique_ptr<Shard>> shards_;
   std::unique_ptr<Distiller> distiller_;        // null: no distillation
+  std::optional<RankSums> ranks_;               // unset: no other ranks
   std::vector<float> normalised_advantages_;    // of the running update, with advantages_over_rollout
   const std::unique_ptr<DeviceUpdate> device_;  // null: on the CPU
 };

@@ -1,7 +1,7 @@
 #include "learner/ranks/rank_group.h"
 
 #include <algorithm>
-#include <cstring>
+#include <vector>
 
 #include <absl/strings/str_cat.h>
 #include <absl/strings/str_format.h>
@@ -95,17 +95,19 @@ absl::Status RankGroup::Agree(const absl::Status& own, uint64_t digest) {
 template <typename T>
 absl::Status RankGroup::SumInOrder(absl::Span<const absl::Span<const T>> terms, absl::Span<T> total) {
   constexpr size_t kPart = kPartBytes / sizeof(T);
+  std::vector<T> received;
   for (size_t offset = 0; offset < total.size(); offset += kPart) {
     const absl::Span<T> part = total.subspan(offset, kPart);
-    absl::Span<const absl::Span<const T>> added = terms;
     if (is_first()) {
-      std::copy_n(terms[0].begin() + offset, part.size(), part.begin());
-      added.remove_prefix(1);
+      if (terms[0].data() != total.data()) std::copy_n(terms[0].begin() + offset, part.size(), part.begin());
     } else {
-      CRAFTFLEET_RETURN_IF_ERROR(links_->Receive(rank() - 1, BytesOf(part)));
+      received.resize(part.size());
+      CRAFTFLEET_RETURN_IF_ERROR(links_->Receive(rank() - 1, BytesOf(absl::MakeSpan(received))));
+      const T* const first = terms.empty() ? nullptr : terms[0].data() + offset;
+      for (size_t i = 0; i < part.size(); ++i) part[i] = first == nullptr ? received[i] : received[i] + first[i];
     }
-    for (const absl::Span<const T> term : added) {
-      for (size_t i = 0; i < part.size(); ++i) part[i] += term[offset + i];
+    for (size_t k = 1; k < terms.size(); ++k) {
+      for (size_t i = 0; i < part.size(); ++i) part[i] += terms[k][offset + i];
     }
     if (!is_last()) CRAFTFLEET_RETURN_IF_ERROR(links_->Send(rank() + 1, BytesOf(part)));
   }

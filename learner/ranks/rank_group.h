@@ -39,7 +39,8 @@ class RankGroup {
   absl::Status Agree(const absl::Status& own, uint64_t digest = 0);
 
   // Adds the terms of all ranks to `total`, of the same size on all: those of rank 0 in their order, then those of rank
-  // 1, and so on. Rank 0 has at least one term; each is as long as `total`. All ranks get the same bits.
+  // 1, and so on. Rank 0 has at least one term; each is as long as `total`, which may be a rank's first term. All ranks
+  // get the same bits.
   absl::Status Sum(absl::Span<const absl::Span<const float>> terms, absl::Span<float> total);
   absl::Status Sum(absl::Span<const absl::Span<const double>> terms, absl::Span<double> total);
 

@@ -218,14 +218,16 @@ absl::Status RankMeeting::CheckOthers(const RankBuild& build) {
   for (int rank = 1; rank < options_.world_size && found.ok(); ++rank) {
     std::vector<uint8_t> bytes;
     CRAFTFLEET_RETURN_IF_ERROR(Try([&] { bytes = store.get(KeyOf("build", rank)); }));
-    const std::pair<std::string, std::string> other =
-        absl::StrSplit(std::string(bytes.begin(), bytes.end()), absl::MaxSplits('\n', 1));
-    if (other.first == build.canary) continue;
-    found =
-        absl::FailedPreconditionError(absl::StrFormat("rank %d computes other numbers than rank 0 (canary %s of build "
-                                                      "%s, want %s of build %s): use the same build for "
-                                                      "all ranks and, if their CPUs are of different kinds, --cpu=avx2",
-                                                      rank, other.first, other.second, build.canary, build.build));
+    const std::vector<std::string> other =
+        absl::StrSplit(std::string(bytes.begin(), bytes.end()), absl::MaxSplits('\n', 2));
+    if (!other[2].empty()) {
+      found = absl::FailedPreconditionError(absl::StrFormat("rank %d: %s", rank, other[2]));
+    } else if (other[0] != build.canary) {
+      found = absl::FailedPreconditionError(absl::StrFormat(
+          "rank %d computes other numbers than rank 0 (canary %s of build %s, want %s of build %s): use "
+          "the same build for all ranks and, if their CPUs are of different kinds, --cpu=avx2",
+          rank, other[0], other[1], build.canary, build.build));
+    }
   }
   return found;
 }
@@ -237,7 +239,8 @@ absl::Status RankMeeting::Report(const RankBuild& build) {
   const absl::Status reported = Try([&] {
     processes = store.add(KeyOf("process", options_.rank), 1);
     if (processes > 1) return;
-    store.set(KeyOf("build", options_.rank), Bytes(absl::StrCat(build.canary, "\n", build.build)));
+    store.set(KeyOf("build", options_.rank),
+              Bytes(absl::StrCat(build.canary, "\n", build.build, "\n", build.objection.message())));
     store.wait({kVerdict}, Milliseconds(options_.timeout + kFarewell));
     verdict = store.get(kVerdict);
     store.set(KeyOf("heard", options_.rank), Bytes("1"));
@@ -315,6 +318,7 @@ absl::Status RankLinks::Finish(Operation operation, int neighbour, absl::Duratio
   {
     const MutexLock lock(&mutex_);
     running_.erase(std::find(running_.begin(), running_.end(), &operation));
+    changed_.NotifyAll();
     if (waited.ok() && is_done) return absl::OkStatus();
   }
   if (SteadyNow() - begin >= limit) return Lose(neighbour, absl::StrCat("silent for ", absl::FormatDuration(limit)));
@@ -330,8 +334,12 @@ void RankLinks::Leave(const absl::Status& reason) {
   const MutexLock lock(&mutex_);
   if (!ended_.ok()) return;
   ended_ = reason;
-  for (Operation* const operation : running_) (void)Try([&] { operation->work->abort(); });
   changed_.NotifyAll();
+  // Again and again, since Gloo forgets an abort that comes before the wait.
+  do {
+    for (Operation* const operation : running_) (void)Try([&] { operation->work->abort(); });
+  } while (!changed_.WaitFor(&mutex_, absl::Milliseconds(10),
+                             [this]() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_) { return running_.empty(); }));
 }
 
 absl::Status RankLinks::ended() const {

@@ -32,6 +32,8 @@ struct RankOptions {
 struct RankBuild {
   std::string canary;  // PolicyCanary
   std::string build;   // for messages
+  // Why this rank can't be part of what rank 0 offers. OK: it can.
+  absl::Status objection = absl::OkStatus();
 };
 
 // Connections of a rank to those before and after it. A rank that says nothing for 7 s is lost; that ends the links.
@@ -98,7 +100,8 @@ class RankMeeting {
 
   // Waits for all ranks, compares their builds and connects them. To be called once.
   //   Unavailable: some have not come in time; names them.   FailedPrecondition: a rank computes other numbers than
-  //   rank 0; names it.   AlreadyExists: another process has this rank. All ranks that came get the first two.
+  //   rank 0, or objects; names it.   AlreadyExists: another process has this rank. All ranks that came get the first
+  //   two.
   //   Cancelled: rank 0's should_stop said so.
   absl::StatusOr<std::unique_ptr<RankLinks>> Connect(const RankBuild& build);
 

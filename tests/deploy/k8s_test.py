@@ -23,7 +23,7 @@ except ImportError:
   yaml = None
 
 K8S = SOURCE / "deploy/k8s"
-OVERLAYS = ("one-machine", "cpu-cluster", "gpu-learner")
+OVERLAYS = ("one-machine", "cpu-cluster", "gpu-learner", "several-learners")
 # API versions that Kubernetes serves since 1.27 and has not deprecated.
 KINDS = {"Namespace": "v1", "Service": "v1", "ConfigMap": "v1", "Deployment": "apps/v1", "StatefulSet": "apps/v1",
          "HorizontalPodAutoscaler": "autoscaling/v2", "PodDisruptionBudget": "policy/v1",
@@ -149,7 +149,7 @@ class Manifests(unittest.TestCase):
               if "podSelector" in peer:
                 labels = peer["podSelector"]["matchLabels"]
                 self.assertTrue(objects.workloads(labels), f"{document['metadata']['name']}: {peer}")
-                for port in rule["ports"]:
+                for port in rule.get("ports", []):
                   self.assertIn(port["port"], objects.ports(labels if side is None else side))
       default, = [document for document in objects.of("NetworkPolicy") if not document["spec"]["podSelector"] and
                   "Egress" in document["spec"]["policyTypes"]]
@@ -288,7 +288,8 @@ class Manifests(unittest.TestCase):
         self.assertTrue({"cpu", "memory"} <= container["resources"]["limits"].keys())
         self.assertGreaterEqual(pod["terminationGracePeriodSeconds"], STOP_SECONDS + 5)
       stateful, = objects.of("StatefulSet")
-      self.assertEqual(stateful["spec"]["replicas"], 1)
+      variables = {entry["name"]: entry.get("value") for entry in kustomize.containers(stateful)[0]["env"]}
+      self.assertEqual(stateful["spec"]["replicas"], int(variables.get("WORLD_SIZE", 1)), "one pod for each rank")
       logdir = dict(split(argument) for argument in kustomize.containers(stateful)[0]["args"])["logdir"]
       claim, = stateful["spec"]["volumeClaimTemplates"]
       mount, = [mount["mountPath"] for mount in kustomize.containers(stateful)[0]["volumeMounts"]

@@ -47,6 +47,19 @@ class LocalFleet(python_case.FolderCase):
     self.assertEqual(sorted(log.name for log in (self.folder / "run/fleet").iterdir()),
                      ["actor-1.log", "actor-2.log", "envserver-1.log", "envserver-2.log"])
 
+  def test_several_learners_end_with_the_run_and_at_sigterm(self):
+    process = self.start("--learners=2", steps=1000000)
+    self.wait_for_checkpoint(2)
+    self.assertEqual(len(self.processes("craftfleet-learner")), 2)
+    process.terminate()
+    code, errors = self.finish(process)
+    self.assertEqual(code, 0, errors)
+    self.assertIn("rank 0 has stopped", (self.folder / "run/fleet/learner-1.log").read_text())
+    self.expect_nothing_left()
+    code, errors = self.finish(self.start("--learners=2", "--resume", steps=192))
+    self.assertEqual(code, 0, errors)
+    self.expect_nothing_left()
+
   def test_sigterm_stops_all_and_the_run_can_be_resumed(self):
     process = self.start(steps=1000000)
     self.wait_for_checkpoint(2)
@@ -92,6 +105,7 @@ class LocalFleet(python_case.FolderCase):
 
   def test_bad_flags_are_refused_by_name(self):
     for flag, message in (("--actors=0", "--actors=0, want 1..999"), ("--listen=0.0.0.0:1", "its own Unix sockets"),
+                          ("--learners=0", "--learners=0, want 1..999"), ("--rank=1", "give --learners=L"),
                           ("steps", "'steps' is no flag"), ("--bin=/nowhere", "/nowhere/craftfleet-learner does not exist")):
       code, errors = self.finish(self.start(flag))
       self.assertEqual(code, 2, errors)

@@ -134,7 +134,7 @@ class Pages(python_case.FolderCase):
     if name in ("craftfleet-COMMAND", "craftfleet-help"):
       return 0
     if name == "local-fleet.sh":
-      flags = [flag for flag in flags if not re.match("--(actors|envservers|bin)=", flag)]
+      flags = [flag for flag in flags if not re.match("--(learners|actors|envservers|bin)=", flag)]
     if name in ("local-fleet.sh", "sbatch"):
       name = "craftfleet-learner"
     if name.startswith("craftfleet-") and (BIN / name).exists():

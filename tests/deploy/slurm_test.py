@@ -9,6 +9,7 @@ from tests.fakes.python_case import BIN, SOURCE, wait_until
 SCRIPT = SOURCE / "deploy/slurm/fleet.sbatch"
 # 2 actors and 2 environment servers, small enough for three nodes on one machine.
 PARTS = ["--cpus-per-task=1", "--mem-per-cpu=500", ":", "--ntasks=2", "--mem-per-cpu=500", ":", "--ntasks=2", "--mem-per-cpu=500"]
+TWO_LEARNERS = ["--ntasks=2", "--cpus-per-task=1", "--mem-per-cpu=500", ":", "--mem-per-cpu=500", ":", "--mem-per-cpu=500"]
 ENDS = ("COMPLETED", "FAILED", "CANCELLED", "TIMEOUT", "NODE_FAIL", "OUT_OF_MEMORY")
 EXPERIMENTS = """
 axes {
@@ -47,8 +48,8 @@ class Slurm(python_case.FolderCase):
     out = self.cluster.run("sbatch", "--parsable", f"--output={self.folder}/job-%j.log", *arguments).stdout
     return out.strip().split(";")[0]
 
-  def submit_fleet(self, steps):
-    return self.sbatch(*PARTS, SCRIPT, f"--config={self.folder}/config.txt", f"--logdir={self.logdir}", f"--steps={steps}",
+  def submit_fleet(self, steps, parts=tuple(PARTS)):
+    return self.sbatch(*parts, SCRIPT, f"--config={self.folder}/config.txt", f"--logdir={self.logdir}", f"--steps={steps}",
                        "--threads=1")
 
   def job_log(self):
@@ -83,6 +84,12 @@ class Slurm(python_case.FolderCase):
     self.assertIn("the run is complete", self.job_log())
     self.assertNotIn("--insecure", self.job_log())
     self.assertFalse((self.logdir / "fleet/tls/ca.key").exists())
+    self.expect_bytes_of_one_process(steps=192)
+
+  def test_a_fleet_with_two_learners_gives_the_bytes_of_one_process(self):
+    job = self.submit_fleet(steps=192, parts=TWO_LEARNERS)
+    self.expect_state(job, "COMPLETED")
+    self.assertIn("2 ranks share the updates out", self.job_log())
     self.expect_bytes_of_one_process(steps=192)
 
   def use_a_bundle(self):

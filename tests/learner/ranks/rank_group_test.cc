@@ -51,6 +51,8 @@ TEST_P(SumTest, AddsInTheOrderOfShardsAndGivesAllTheSameBits) {
       ASSERT_TRUE(status.ok()) << status;
       EXPECT_TRUE(total == expected);
     }
+    ASSERT_TRUE(group->Sum(terms, absl::MakeSpan(own[0])).ok());
+    EXPECT_TRUE(own[0] == expected) << "in place";
   });
 }
 
@@ -184,6 +186,18 @@ TEST(RankMeeting, RankWithAnotherCanaryIsRefusedByNameEverywhere) {
     const absl::Status status = (*meeting)->Connect({rank == 2 ? "odd" : "canary", "build"}).status();
     EXPECT_EQ(status.code(), absl::StatusCode::kFailedPrecondition) << status;
     EXPECT_THAT(std::string(status.message()), HasSubstr("rank 2 computes other numbers than rank 0 (canary odd"));
+  });
+}
+
+TEST(RankMeeting, RankThatObjectsToTheOfferIsNamedEverywhere) {
+  const int port = FreePort();
+  OnRanks(3, [port](int rank) {
+    const auto meeting = RankMeeting::Open(LocalRank(rank, 3, port), "seed: 1");
+    ASSERT_TRUE(meeting.ok()) << meeting.status();
+    RankBuild build = {"canary", "build"};
+    if (rank == 1) build.objection = absl::InvalidArgumentError("--seed=2, but rank 0 has 1\n");
+    const absl::Status status = (*meeting)->Connect(build).status();
+    EXPECT_EQ(status, absl::FailedPreconditionError("rank 1: --seed=2, but rank 0 has 1\n"));
   });
 }
 

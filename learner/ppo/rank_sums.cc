@@ -1,0 +1,77 @@
+#include "learner/ppo/rank_sums.h"
+
+#include <algorithm>
+#include <array>
+#include <cstddef>
+#include <numeric>
+#include <utility>
+
+#include <absl/status/statusor.h>
+
+#include "common/base/status_macros.h"
+
+namespace craftfleet {
+namespace {
+
+using Losses = std::array<double, 5>;
+
+Losses ToArray(const PpoLossSums& sums) {
+  return {sums.policy_loss, sums.value_loss, sums.entropy, sums.approx_kl, sums.clipped};
+}
+
+}  // namespace
+
+ShardRange RankSums::OwnShards(int shards) const {
+  return {shards * group_->rank() / group_->size(), shards * (group_->rank() + 1) / group_->size()};
+}
+
+std::vector<size_t> RankSums::PieceSizes(absl::Span<const ShardGradient> gradients) const {
+  std::vector<size_t> sizes;
+  if (gradients.empty()) {  // a minibatch with fewer segments than shards
+    for (const ParamSpec& param : spec_.params) sizes.push_back(param.size);
+  } else {
+    for (const absl::Span<float> piece : gradients[0]) sizes.push_back(piece.size());
+  }
+  return sizes;
+}
+
+absl::Status RankSums::Add(std::vector<ShardGradient>* gradients, absl::Span<const PpoLossSums> losses,
+                           PpoLossSums* sums) {
+  const std::vector<size_t> sizes = PieceSizes(*gradients);
+  const size_t length = std::accumulate(sizes.begin(), sizes.end(), size_t{0});
+  flat_.resize(std::max<size_t>(gradients->size(), 1));
+  for (std::vector<float>& flat : flat_) flat.resize(length);
+  for (size_t i = 0; i < gradients->size(); ++i) {
+    auto end = flat_[i].begin();
+    for (const absl::Span<const float> piece : (*gradients)[i]) end = std::copy(piece.begin(), piece.end(), end);
+  }
+  const std::vector<absl::Span<const float>> terms(flat_.begin(), flat_.begin() + gradients->size());
+  const absl::Span<float> total = absl::MakeSpan(flat_[0]);
+  CRAFTFLEET_RETURN_IF_ERROR(group_->Sum(terms, total));
+  ShardGradient sum;
+  absl::Span<float> rest = total;
+  for (const size_t size : sizes) {
+    sum.push_back(rest.subspan(0, size));
+    rest.remove_prefix(size);
+  }
+  *gradients = {std::move(sum)};
+
+  std::vector<Losses> own;
+  for (const PpoLossSums& loss : losses) own.push_back(ToArray(loss));
+  const std::vector<absl::Span<const double>> loss_terms(own.begin(), own.end());
+  Losses all{};
+  CRAFTFLEET_RETURN_IF_ERROR(group_->Sum(loss_terms, absl::MakeSpan(all)));
+  *sums = {all[0], all[1], all[2], all[3], all[4]};
+  return absl::OkStatus();
+}
+
+absl::Status RankSums::Combine(std::vector<float>* values) {
+  return group_->Sum({absl::MakeConstSpan(*values)}, absl::MakeSpan(*values));
+}
+
+bool RankSums::Stops(const std::function<bool()>& should_stop) {
+  const absl::StatusOr<bool> stops = group_->Share(group_->rank() == 0 && should_stop());
+  return !stops.ok() || *stops;
+}
+
+}  // namespace craftfleet

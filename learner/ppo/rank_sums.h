@@ -1,0 +1,58 @@
+// Sums over the learners ("ranks") that share out the gradient shards of each minibatch.
+
+#ifndef CRAFTFLEET_LEARNER_PPO_RANK_SUMS_H_
+#define CRAFTFLEET_LEARNER_PPO_RANK_SUMS_H_
+
+#include <functional>
+#include <vector>
+
+#include <absl/status/status.h>
+#include <absl/types/span.h>
+
+#include "common/agent/agent_spec.h"
+#include "learner/ppo/adam.h"
+#include "learner/ppo/ppo_loss.h"
+#include "learner/ranks/rank_group.h"
+
+namespace craftfleet {
+
+// Consecutive shards: begin..end-1.
+struct ShardRange {
+  int begin = 0;
+  int end = 0;
+};
+
+// Adds what the ranks have computed of a minibatch, shard by shard in order, so that all ranks get the bytes of one
+// process. All ranks call the same functions in the same order; errors as those of RankGroup. Thread-compatible.
+class RankSums {
+ public:
+  // Both outlive this.
+  RankSums(const AgentSpec& spec, RankGroup* group) : spec_(spec), group_(group) {}
+
+  RankGroup* group() const { return group_; }
+
+  // Those of `shards`, at least as many as ranks, that this rank computes: as many as the others, give or take one.
+  ShardRange OwnShards(int shards) const;
+
+  // Replaces the gradients of this rank's shards, of which rank 0 has at least one, by the sum of all ranks', which is
+  // valid until the next call; and `sums` by that of their losses.
+  absl::Status Add(std::vector<ShardGradient>* gradients, absl::Span<const PpoLossSums> losses, PpoLossSums* sums);
+
+  // `values`, zero where other ranks have some, get those of all ranks.
+  absl::Status Combine(std::vector<float>* values);
+
+  // Whether rank 0's `should_stop` says so, or the group has ended.
+  bool Stops(const std::function<bool()>& should_stop);
+
+ private:
+  // The sizes of a gradient's pieces.
+  std::vector<size_t> PieceSizes(absl::Span<const ShardGradient> gradients) const;
+
+  const AgentSpec& spec_;
+  RankGroup* const group_;
+  std::vector<std::vector<float>> flat_;  // this rank's gradients, each in one piece; the first becomes the sum
+};
+
+}  // namespace craftfleet
+
+#endif  // CRAFTFLEET_LEARNER_PPO_RANK_SUMS_H_

@@ -1,0 +1,55 @@
+// What rank 0 tells the other learners of a run.
+
+#ifndef CRAFTFLEET_LEARNER_RANK_MESSAGES_H_
+#define CRAFTFLEET_LEARNER_RANK_MESSAGES_H_
+
+#include <cstdint>
+#include <string>
+#include <vector>
+
+#include <absl/status/status.h>
+#include <absl/status/statusor.h>
+#include <absl/types/span.h>
+
+#include "common/base/types.h"
+#include "common/wire/fragment_check.h"
+#include "craftfleet/v1/config.pb.h"
+#include "learner/ppo/ppo_updater.h"
+#include "learner/ppo/value_norm.h"
+#include "learner/ranks/rank_group.h"
+
+namespace craftfleet {
+
+// The run's complete configuration, as rank 0 offers it when the ranks meet.
+std::string RankOffer(const v1::RunConfig& config);
+//   FailedPrecondition: it is from another version of CraftFleet.
+absl::StatusOr<v1::RunConfig> ParseRankOffer(const std::string& offer);
+
+// Gives rank 0's weights and optimiser to all.
+//   As RankGroup::Broadcast and PpoUpdater::Load.
+absl::Status ShareState(PpoUpdater* updater, RankGroup* group);
+
+// What the others do next.
+struct RankCommand {
+  enum class Kind : int64_t {
+    kUpdate,    // learn from the iteration's fragments
+    kComplete,  // the run is complete
+    kStopped,   // rank 0 was stopped; it can be resumed
+  };
+
+  Kind kind = Kind::kStopped;
+  int64_t iteration = 0;            // of kUpdate
+  std::vector<ValueScale> scales;   // likewise: of each fragment's values
+  std::vector<Fragment> fragments;  // likewise, in their order
+};
+
+// Sends or receives a command.
+//   As RankGroup::Broadcast; receiving also InvalidArgument: a fragment that is none of `shape`.
+absl::Status SendCommand(RankCommand::Kind kind, RankGroup* group);
+absl::Status SendUpdate(int64_t iteration, absl::Span<const ValueScale> scales, absl::Span<const Fragment> fragments,
+                        RankGroup* group);
+absl::StatusOr<RankCommand> ReceiveCommand(const wire::FragmentShape& shape, RankGroup* group);
+
+}  // namespace craftfleet
+
+#endif  // CRAFTFLEET_LEARNER_RANK_MESSAGES_H_

@@ -1,0 +1,150 @@
+// Updates that several learners share out: the bytes of one process, for each kind of agent.
+
+#include <ostream>
+#include <string>
+#include <vector>
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include "common/base/keyed_random.h"
+#include "common/config/config.h"
+#include "learner/ppo/ppo_updater.h"
+#include "learner/ppo/rollout.h"
+#include "tests/fakes/status_matchers.h"
+#include "tests/learner/ppo/update_samples.h"
+#include "tests/learner/ranks/local_ranks.h"
+
+namespace craftfleet {
+namespace {
+
+using testing::InGroup;
+
+constexpr int kIterations = 2;
+
+struct Kind {
+  std::string name;
+  std::string config;
+  int ranks = 2;
+  friend void PrintTo(const Kind& kind, std::ostream* out) { *out << kind.name; }
+};
+
+v1::RunConfig ConfigOf(const std::string& text) {
+  v1::RunConfig config = ParseRunConfig(R"(
+    seed: 7 lanes: 2 fragment_steps: 8 gradient_shards: 3
+    ppo { rollout_steps: 48 minibatch_size: 12 epochs: 1 learning_rate: 1e-3 })",
+                                        "common")
+                             .value();
+  config.MergeFrom(ParseRunConfig(text, "config").value());
+  return ResolveRunConfig(config).value();
+}
+
+// Fragments of an iteration, with random contents.
+std::vector<Fragment> FragmentsOf(int iteration, const PpoUpdater& updater, const v1::RunConfig& config) {
+  const AgentSpec& spec = updater.spec();
+  std::vector<Fragment> fragments(6);
+  for (int i = 0; i < 6; ++i) {
+    auto uniform = [&, n = int64_t{0}]() mutable { return ActionNoise(iteration, i, n++); };
+    Fragment& fragment = fragments[i];
+    fragment.lane = i / 3;
+    fragment.number = iteration * 3 + i % 3;
+    const int states = updater.rollout_options().every_state ? config.fragment_steps() : 1;
+    for (int k = 0; k < states * spec.state_size; ++k) fragment.states.push_back(static_cast<float>(uniform()) / 8);
+    for (int t = 0; t < config.fragment_steps(); ++t) {
+      for (int k = 0; k < spec.frame_bytes(); ++k) fragment.frames.push_back(static_cast<char>(256 * uniform() - 128));
+      fragment.actions.push_back(static_cast<char>(kNumActions * uniform()));
+      fragment.log_probs.push_back(static_cast<float>(-2.8 + 0.2 * uniform()));
+      fragment.values.push_back(static_cast<float>(uniform()));
+      fragment.rewards.push_back(uniform() < 0.3 ? 1 : 0);
+      fragment.ends.push_back(t % 5 == 4 ? StepEnd::kTerminated : StepEnd::kNone);
+    }
+  }
+  return fragments;
+}
+
+// Weights and optimiser after some iterations, with the statistics of the last.
+std::string Train(const v1::RunConfig& config, PpoUpdater* updater) {
+  std::string losses;
+  for (int iteration = 0; iteration < kIterations; ++iteration) {
+    const std::vector<Fragment> fragments = FragmentsOf(iteration, *updater, config);
+    const auto stats = updater->Update(iteration, RolloutOf(*updater, fragments), NeverStop);
+    EXPECT_THAT(stats, IsOk());
+    if (!stats.ok()) return "";
+    losses.assign(reinterpret_cast<const char*>(&stats->policy_loss), sizeof(double) * 7);
+  }
+  return updater->SaveWeights() + updater->SaveOptimizer() + losses;
+}
+
+class RankUpdateTest : public ::testing::TestWithParam<Kind> {};
+
+TEST_P(RankUpdateTest, GivesTheBytesOfOneProcess) {
+  const v1::RunConfig config = ConfigOf(GetParam().config);
+  const std::string alone = Train(config, PpoUpdater::Create(config, 2).value().get());
+  InGroup(GetParam().ranks, [&](RankGroup* group) {
+    const auto updater = PpoUpdater::Create(config, 1).value();
+    updater->ShareOut(group);
+    EXPECT_TRUE(Train(config, updater.get()) == alone) << "rank " << group->rank();
+  });
+}
+
+INSTANTIATE_TEST_SUITE_P(
+    Kinds, RankUpdateTest,
+    ::testing::Values(
+        Kind{"FeedForward", "agent: 'ppo_cnn'", 3},
+        // Some minibatches have fewer segments than shards.
+        Kind{"Recurrent", "agent: 'lstm_cnn' ppo { minibatch_size: 6 }", 3},
+        Kind{"ValueNorm", "agent: 'ppo_resnet' network { extractor: CNN }"},
+        Kind{"Lag", "agent: 'ppo_cnn' overlap: 1 ppo { decoupled_objective: true vtrace_rho_bar: 1 vtrace_c_bar: 1 }"},
+        Kind{"Distillation",
+             "agent: 'achievement_distillation' network { extractor: CNN frame_size: 36 } distillation { "
+             "every_iterations: 2 epochs: 1 minibatch_size: 6 targets: 2 }"}),
+    [](const auto& info) { return info.param.name; });
+
+TEST(RankUpdate, AllStopWhenRank0IsAsked) {
+  const v1::RunConfig config = ConfigOf("agent: 'ppo_cnn'");
+  InGroup(2, [&](RankGroup* group) {
+    const auto updater = PpoUpdater::Create(config, 1).value();
+    updater->ShareOut(group);
+    const std::string before = updater->SaveWeights();
+    const std::vector<Fragment> fragments = FragmentsOf(0, *updater, config);
+    int asked = 0;
+    const auto stop = [&] { return group->rank() == 0 ? ++asked == 2 : true; };
+    EXPECT_EQ(updater->Update(0, RolloutOf(*updater, fragments), stop).status().code(), absl::StatusCode::kCancelled);
+    EXPECT_TRUE(updater->SaveWeights() == before);
+    EXPECT_TRUE(group->ended().ok());
+  });
+}
+
+TEST(RankUpdate, LostRankUndoesTheUpdate) {
+  const v1::RunConfig config = ConfigOf("agent: 'ppo_cnn'");
+  InGroup(2, [&](RankGroup* group) {
+    if (group->rank() == 1) return;
+    const auto updater = PpoUpdater::Create(config, 1).value();
+    updater->ShareOut(group);
+    const std::string before = updater->SaveWeights() + updater->SaveOptimizer();
+    const std::vector<Fragment> fragments = FragmentsOf(0, *updater, config);
+    const absl::Status lost = absl::UnavailableError("rank 1 is lost");
+    group->Leave(lost);
+    EXPECT_EQ(updater->Update(0, RolloutOf(*updater, fragments), NeverStop).status(), lost);
+    EXPECT_TRUE(updater->SaveWeights() + updater->SaveOptimizer() == before);
+  });
+}
+
+TEST(RankUpdate, RankWithOtherWeightsIsNamedAndTheUpdateUndone) {
+  const v1::RunConfig config = ConfigOf("agent: 'ppo_cnn'");
+  InGroup(2, [&](RankGroup* group) {
+    v1::RunConfig own = config;
+    own.set_seed(7 + group->rank());
+    const auto updater = PpoUpdater::Create(own, 1).value();
+    updater->ShareOut(group);
+    const std::string before = updater->SaveWeights();
+    const std::vector<Fragment> fragments = FragmentsOf(0, *updater, config);
+    const auto stats = updater->Update(0, RolloutOf(*updater, fragments), NeverStop);
+    EXPECT_EQ(stats.status().code(), absl::StatusCode::kDataLoss) << stats.status();
+    EXPECT_THAT(std::string(stats.status().message()), ::testing::HasSubstr("rank 1 has other weights"));
+    EXPECT_TRUE(updater->SaveWeights() == before);
+  });
+}
+
+}  // namespace
+}  // namespace craftfleet
