@@ -55,6 +55,12 @@ std::string LostServers(const FleetView& view) {
   return absl::StrFormat(" (%d of %d lost)", view.lost_env_servers, view.lost_env_servers + view.env_servers);
 }
 
+// The share of the time in which the actors' threads play, rather than wait.
+double PlayingShare(const FleetView& view) {
+  const ByActivity actors = view.actors_times.Normalized();
+  return actors.Sum() - actors[Activity::kPermits] - actors[Activity::kIdle];
+}
+
 }  // namespace
 
 ByActivity FleetTimes(const FleetView& view) {
@@ -83,12 +89,12 @@ Bottleneck FindBottleneck(const FleetView& view) {
   const double wire = times[Activity::kWire];
   const double inference = times[Activity::kInference];
   const double permits = times[Activity::kPermits] + times[Activity::kIntake];
-  if (learner >= 0.5) {
+  if (learner >= std::max(0.5, view.plays_on ? PlayingShare(view) : 0)) {
     return {"learner", absl::StrFormat("The learner works %s of the time: give it more or faster CPUs (--threads) or a "
                                        "GPU; more actors would only wait for it.",
                                        Percent(learner))};
   }
-  // The learner waits longer than it works.
+  // Play limits the speed.
   if (view.steps_per_second == 0 && view.env_servers > 0) {
     return {"permits", absl::StrFormat("The actors play nothing although %s: check the actors' logs.",
                                        AnsweringServers(view.env_servers))};

@@ -14,6 +14,7 @@ struct FleetView {
   bool finished = false;        // the run is complete
   bool evaluating = false;      // training is over, its final evaluation is not
   bool paused = false;          // by craftfleet admin pause
+  bool plays_on = false;        // actors play during updates (overlap, max_staleness)
   int actors = 0;               // answering
   int env_servers = 0;          // answering; also 0 if the actors are too old to report theirs
   int lost_env_servers = 0;     // no longer answering
@@ -36,7 +37,8 @@ struct Bottleneck {
 ByActivity FleetTimes(const FleetView& view);
 
 // Reports what is missing, if anything. Otherwise, once an iteration has ended, reports what to add: a faster learner
-// if it works at least half the time, else whatever shortens the largest part of its waiting.
+// if it works at least half the time and, where play goes on during updates, no less of it than the actors play; else
+// whatever shortens the largest part of its waiting.
 Bottleneck FindBottleneck(const FleetView& view);
 
 }  // namespace craftfleet

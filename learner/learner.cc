@@ -269,6 +269,7 @@ void Learner::FillStatus(v1::StatusReply* reply) const {
   view.finished = trainer_.finished();
   view.evaluating = trainer_.phase() == Trainer::Phase::kEvaluating;
   view.paused = registry_.paused();
+  view.plays_on = config_.overlap() > 0 || config_.max_staleness() > 0;
   *reply->mutable_fleet() = SummarizeFleet(view);
 }
 

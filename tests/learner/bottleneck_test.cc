@@ -76,6 +76,20 @@ TEST(FindBottleneck, ALearnerThatWaitsMoreThanItWorksIsNotTheBottleneck) {
   EXPECT_EQ(FindBottleneck(Fleet(4.5, 2, 2, 3, 4.5)).part, "learner");
 }
 
+// With overlap the learner may work most of the time and still wait for actors that never wait.
+TEST(FindBottleneck, WherePlayGoesOnDuringUpdatesTheBusierSideIsTheBottleneck) {
+  FleetView view = Fleet(4, 1, 0, 8.5, 0.5);
+  EXPECT_EQ(FindBottleneck(view).part, "learner") << "they take turns";
+  view.plays_on = true;
+  EXPECT_EQ(FindBottleneck(view).part, "inference") << "the learner works 60% of the time, actors 95%";
+  view = Fleet(0.5, 1, 0, 5, 4);
+  view.plays_on = true;
+  EXPECT_EQ(FindBottleneck(view).part, "learner") << "95% and 60%";
+  view = Fleet(8, 0.5, 0, 1, 8.5);
+  view.plays_on = true;
+  EXPECT_EQ(FindBottleneck(view).part, "permits") << "both wait";
+}
+
 TEST(FindBottleneck, AMissingPartComesFirst) {
   FleetView view = Fleet(9, 0, 0, 0, 0);
   view.steps_per_second = 0;
