@@ -50,7 +50,13 @@ def texture_folder(textures: str | os.PathLike[str] | None) -> str:
     if found is None or not found.submodule_search_locations:
       raise FileNotFoundError('textures "crafter": the package is not installed, want: pip install crafter')
     return str(pathlib.Path(found.submodule_search_locations[0]) / "assets")
-  return os.fspath(textures)
+  try:
+    folder = pathlib.Path(textures).expanduser()
+  except TypeError:
+    raise TypeError(f"textures {textures!r}, want None, 'crafter' or a folder") from None
+  if folder.exists() and not folder.is_dir():
+    raise NotADirectoryError(f"textures {str(folder)!r}, want a folder of PNG files")
+  return str(folder)
 
 
 def setup(env: str, area: Any, view: Any, size: Any, length: Any, textures: Any) -> _engine.Setup:
