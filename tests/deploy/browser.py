@@ -61,6 +61,16 @@ return [...document.querySelectorAll("a[href], button:not(:disabled), input:not(
   .filter((element) => element.checkVisibility());
 """
 
+# What scrolls within the page but cannot be focused: not every browser lets the keyboard scroll that.
+MOUSE_SCROLLERS = """
+return [...document.querySelectorAll("body *")].filter((element) => {
+  const scrolls = (overflow, inner, outer) => /auto|scroll/.test(overflow) && inner > outer + 1;
+  const style = getComputedStyle(element);
+  return (scrolls(style.overflowY, element.scrollHeight, element.clientHeight) ||
+          scrolls(style.overflowX, element.scrollWidth, element.clientWidth)) && element.tabIndex < 0;
+}).map((element) => element.outerHTML.slice(0, 100));
+"""
+
 
 def open_browser(case):
   """A browser for the test `case`, closed at its end. Skips the test if it is not installed."""

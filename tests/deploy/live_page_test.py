@@ -71,6 +71,7 @@ class LivePage(python_case.FolderCase):
     reached = browser.tab_through(driver)
     missed = [element.get_attribute("outerHTML")[:100] for element in controls if element not in reached]
     self.assertEqual(missed, [])
+    self.assertEqual(driver.execute_script(browser.MOUSE_SCROLLERS), [])
     self.assertGreater(len(reached), 2)
 
   def test_the_page_follows_a_run_without_errors_or_shifts(self):
@@ -97,7 +98,7 @@ class LivePage(python_case.FolderCase):
     driver.get(self.start_fleet())
     self.wait_for_text(driver, "workers", "environment server")
     self.wait_for_text(driver, "workers", "actor")
-    self.wait_for_iterations(driver, 2)
+    wait_until(lambda: len(driver.find_elements("css selector", "#checkpoints li")) > 6, "a list of checkpoints that scrolls")
     self.check_looks(driver, "live")
     self.check_keyboard(driver)
     self.assertEqual(browser.errors(driver), [])

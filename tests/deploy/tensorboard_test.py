@@ -1,5 +1,7 @@
-"""The events of a run, read back by the real TensorBoard."""
+"""The events of a run, read back by the real TensorBoard, and by the program that a page has for Weights & Biases."""
 
+import os
+import re
 import subprocess
 import unittest
 
@@ -22,6 +24,25 @@ for tag in sorted(tags["histograms"]):
   print(tag, last.step, last.histogram_value.num, sum(last.histogram_value.bucket))
 """
 
+# Takes the place of the package wandb: prints what it is given.
+WANDB = """
+import contextlib
+
+class Image:
+  def __init__(self, picture):
+    self.size = picture.size
+
+class Run:
+  def log(self, values, step):
+    for tag, value in values.items():
+      print(step, tag, *(value.size if isinstance(value, Image) else ()))
+
+@contextlib.contextmanager
+def init(project, name):
+  print(project, name)
+  yield Run()
+"""
+
 
 def python_with_tensorboard():
   """The Python into which deploy/install-deps.sh --tests puts the package tensorboard."""
@@ -33,19 +54,43 @@ def python_with_tensorboard():
 
 class TensorBoard(python_case.FolderCase):
 
-  def test_it_reads_curves_pictures_and_histograms(self):
-    python = python_with_tensorboard()
-    (self.folder / "config.txt").write_text(python_case.SMALL_RUN + 'agent: "oc_ca"')
+  def setUp(self):
+    super().setUp()
+    self.python = python_with_tensorboard()
+
+  def train(self, agent):
+    """Returns the run folder."""
+    (self.folder / "config.txt").write_text(python_case.SMALL_RUN + f'agent: "{agent}"')
     run = self.folder / "run"
     self.run_program("craftfleet-train", f"--config={self.folder}/config.txt", f"--logdir={run}", "--threads=1")
-    read = subprocess.run([python, "-c", READ, str(run)], capture_output=True, text=True, check=False)
-    self.assertEqual(read.returncode, 0, read.stderr)
-    lines = read.stdout.splitlines()
+    return run
+
+  def read(self, program, run):
+    """The lines that a Python program prints about a run."""
+    ended = subprocess.run([self.python, "-c", program, str(run)], capture_output=True, text=True, check=False,
+                           env={**os.environ, "PYTHONPATH": str(self.folder)})
+    self.assertEqual(ended.returncode, 0, ended.stderr)
+    return ended.stdout.splitlines()
+
+  def test_it_reads_curves_pictures_and_histograms(self):
+    lines = self.read(READ, self.train("oc_ca"))
     self.assertEqual(lines[0], "['rollout/attention', 'rollout/frame']")
     self.assertEqual(lines[1], "['rollout/actions', 'rollout/log_probs', 'rollout/rewards', 'rollout/values']")
     self.assertGreaterEqual(int(lines[2]), 35)
     self.assertIn("rollout/frame 64 288 288 PNG", lines)
     self.assertIn("rollout/actions 192 64.0 64.0", lines)
+
+  def test_the_program_on_the_page_sends_curves_and_pictures(self):
+    (self.folder / "wandb.py").write_text(WANDB)
+    (program,) = re.findall(r"^```python\n(import io.*?)^```", (python_case.SOURCE / "deploy/OPERATING.md").read_text(),
+                            re.MULTILINE | re.DOTALL)
+    run = self.train("ppo_cnn")
+    lines = self.read(program, run)
+    self.assertEqual(lines[0], f"crafter {run}")
+    self.assertIn("64 rollout/frame 256 256", lines)
+    self.assertIn("192 rollout/reward", lines)
+    steps = [int(line.split()[0]) for line in lines[1:]]
+    self.assertEqual(steps, sorted(steps))
 
 
 if __name__ == "__main__":

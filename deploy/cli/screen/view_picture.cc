@@ -9,9 +9,9 @@
 namespace craftfleet {
 namespace {
 
-constexpr int kLines = 24;       // for which there is always room
+constexpr int kLines = 27;       // for which there is always room
 constexpr int kTextWidth = 330;  // pixels: kTextColumns characters
-constexpr int kLineHeight = 21;  // pixels
+constexpr int kLineHeight = 19;  // pixels
 constexpr int kMargin = 14;      // pixels, around the text
 constexpr int kBarLeft = 170;    // pixels, from the left end of the text
 constexpr int kBarWidth = 90;    // pixels

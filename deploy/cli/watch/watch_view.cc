@@ -21,18 +21,17 @@ TextLine ActionLine(int action, const AgentGame::Decision& decision) {
 
 std::vector<TextLine> DescribeMoment(const std::string& title, const AgentGame& game) {
   const World& world = game.world();
-  const std::vector<TextLine> items = InventoryLines(world, kTextColumns);
   std::vector<TextLine> lines = {
       {title, TextLine::Style::kTitle},
       {absl::StrFormat("seed %d, episode %d, step %d", world.seed(), world.episode(), world.step())},
       {absl::StrFormat("reward %.1f (%+.1f), value %.2f", world.episode_reward(), game.outcome().reward,
                        game.decision().value)},
       NeedsLine(world),
-      items.empty() ? TextLine() : items[0],
-      items.size() < 2 ? TextLine() : items[1],
   };
   for (int action = 0; action < kNumActions; ++action) lines.push_back(ActionLine(action, game.decision()));
-  if (!game.events().lines().empty()) lines.push_back(game.events().lines().back());
+  lines.push_back(game.events().lines().empty() ? TextLine() : game.events().lines().back());
+  // At the end, because their number changes.
+  for (TextLine& line : InventoryLines(world, kTextColumns)) lines.push_back(std::move(line));
   return lines;
 }
 

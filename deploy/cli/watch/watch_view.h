@@ -15,7 +15,7 @@
 
 namespace craftfleet {
 
-// The state of the game, and what the policy makes of it: at most 24 lines, with a bar for each action's probability.
+// The state of the game, and what the policy makes of it: at most 27 lines, with a bar for each action's probability.
 // `title` names the agent.
 std::vector<TextLine> DescribeMoment(const std::string& title, const AgentGame& game);
 

@@ -6,8 +6,7 @@
     envs = craftfleet.VectorEnv(64, threads=4)                  # many games in one array
 """
 
-from craftfleet import _registration
-from craftfleet._engine import ACHIEVEMENTS, ACTIONS, ITEMS
+from craftfleet import _engine, _registration
 from craftfleet.env import Env
 from craftfleet.gymnasium_env import GymnasiumEnv
 from craftfleet.recorder import Recorder
@@ -20,5 +19,9 @@ __all__ = [
     "load_weights", "score"
 ]
 __version__ = "0.1.0"
+
+ACTIONS: tuple[str, ...] = _engine.ACTIONS  # by number
+ITEMS: tuple[str, ...] = _engine.ITEMS  # of the inventory
+ACHIEVEMENTS: tuple[str, ...] = _engine.ACHIEVEMENTS
 
 _registration.register()

@@ -41,6 +41,11 @@ def pair(name: str, value: Any) -> Pair:
   return integer(f"{name}[0]", parts[0], 1, MAX_INT), integer(f"{name}[1]", parts[1], 1, MAX_INT)
 
 
+def check_env_name(env: Any) -> None:
+  if not isinstance(env, str):
+    raise TypeError(f"env {env!r}, want the name of an environment like 'crafter:numbers=easy-x2'")
+
+
 def texture_folder(textures: str | os.PathLike[str] | None) -> str:
   """The folder that `textures` means: None the built-in ones (""), "crafter" those of the installed package, else a path."""
   if textures is None:
@@ -50,13 +55,18 @@ def texture_folder(textures: str | os.PathLike[str] | None) -> str:
     if found is None or not found.submodule_search_locations:
       raise FileNotFoundError('textures "crafter": the package is not installed, want: pip install crafter')
     return str(pathlib.Path(found.submodule_search_locations[0]) / "assets")
-  return os.fspath(textures)
+  try:
+    folder = pathlib.Path(textures).expanduser()
+  except TypeError:
+    raise TypeError(f"textures {textures!r}, want None, 'crafter' or a folder") from None
+  if folder.exists() and not folder.is_dir():
+    raise NotADirectoryError(f"textures {str(folder)!r}, want a folder of PNG files")
+  return str(folder)
 
 
 def setup(env: str, area: Any, view: Any, size: Any, length: Any, textures: Any) -> _engine.Setup:
   """The engine's setup. ValueError, TypeError or FileNotFoundError: an argument is refused."""
-  if not isinstance(env, str):
-    raise TypeError(f"env {env!r}, want the name of an environment like 'crafter:numbers=easy-x2'")
+  check_env_name(env)
   steps = integer("length", length or 0, 0, 10**9)
   return _shared_setup(env, pair("area", area), pair("view", view), pair("size", size), steps, texture_folder(textures))
 

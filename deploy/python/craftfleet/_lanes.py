@@ -24,6 +24,8 @@ def seeds(seed: int | Sequence[int | None] | None, lanes: int) -> list[int | Non
 
 def chosen(options: dict[str, Any] | None, lanes: int) -> list[int]:
   """The lanes that reset() is for: those of options["reset_mask"], or all."""
+  if options is not None and not isinstance(options, dict):
+    raise TypeError(f"options {options!r}, want a dict such as {{'reset_mask': mask}}")
   mask = (options or {}).get("reset_mask")
   if mask is None:
     return list(range(lanes))

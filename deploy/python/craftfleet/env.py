@@ -62,3 +62,6 @@ class Env(Playable):
     pixels, frame = self._canvas(size)
     self._game.draw_from_stream(pixels, frame)
     return frame
+
+  def close(self) -> None:
+    """Does nothing; for programs that close their environments."""

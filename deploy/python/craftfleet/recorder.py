@@ -8,6 +8,7 @@ import os
 import pathlib
 from typing import Any
 
+import gymnasium
 import numpy as np
 
 from craftfleet import _arguments
@@ -24,6 +25,8 @@ class Recorder:
   def __init__(
       self, env: Any, directory: str | os.PathLike[str] | None, save_stats: bool = True, save_video: bool = True,
       save_episode: bool = True, video_size: Any = (512, 512)) -> None:
+    if isinstance(env, gymnasium.vector.VectorEnv):
+      raise TypeError(f"{type(env).__name__} plays many games, want an environment with one")
     self._env = env
     self._folder = pathlib.Path(directory or ".").expanduser()
     self._writers: list[Any] = []

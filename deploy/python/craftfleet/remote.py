@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import numbers
 import os
 import pathlib
 import queue
+import re
 import threading
 from collections.abc import Iterator, Sequence
 from typing import Any
@@ -19,6 +21,7 @@ from craftfleet import _arguments, _engine, _lanes
 
 PROTOCOL_VERSION = 2
 MAX_MESSAGE_BYTES = 96 << 20
+MAX_PORT = 2**16 - 1
 TERMINATED, TRUNCATED = 1, 2
 
 
@@ -64,6 +67,11 @@ class RemoteVectorEnv(gymnasium.vector.VectorEnv[np.ndarray, np.ndarray, np.ndar
     self.num_envs = _arguments.integer("num_envs", num_envs, 1, 1 << 20)
     pixels = _arguments.integer("size", size, 9, 1024)
     steps = _arguments.integer("length", length, 1, _arguments.MAX_INT)
+    _arguments.check_env_name(env)
+    if tls is not None and not isinstance(tls, Tls):
+      raise TypeError(f"tls {tls!r}, want a craftfleet.Tls")
+    if not isinstance(timeout, numbers.Real):
+      raise TypeError(f"timeout {timeout!r}, want 0.1..1e6 seconds")
     if not 0.1 <= timeout <= 1e6:
       raise ValueError(f"timeout {timeout!r}, want 0.1..1e6 seconds")
     self._reward, self._details = bool(reward), bool(details)
@@ -75,9 +83,7 @@ class RemoteVectorEnv(gymnasium.vector.VectorEnv[np.ndarray, np.ndarray, np.ndar
     self._observations = np.zeros((self.num_envs, pixels, pixels, 3), np.uint8)
     self._seeds: list[int | None] = [None] * self.num_envs
     self._episodes = np.zeros(self.num_envs, np.int64)  # that each lane plays
-    hosts = [addresses] if isinstance(addresses, str) else list(addresses)
-    if not hosts:
-      raise ValueError("addresses [], want at least one host:port")
+    hosts = _hosts(addresses)
     bounds = np.linspace(0, self.num_envs, len(hosts) + 1).astype(int)
     try:
       for host, first, end in zip(hosts, bounds, bounds[1:]):
@@ -198,6 +204,20 @@ class RemoteVectorEnv(gymnasium.vector.VectorEnv[np.ndarray, np.ndarray, np.ndar
           info["final_obs"] = self._frames(moment.frame)[0]
       if info:
         self._add_info(infos, info, lane)
+
+
+def _hosts(addresses: Any) -> list[str]:
+  if isinstance(addresses, str):
+    addresses = [addresses]
+  if not isinstance(addresses, Sequence):
+    raise TypeError(f"addresses {addresses!r}, want host:port or a list of them")
+  if not addresses:
+    raise ValueError("addresses [], want at least one host:port")
+  for address in addresses:
+    parts = re.fullmatch(r"unix:.+|.+:(\d+)", address)
+    if parts is None or int(parts[1] or 0) > MAX_PORT:
+      raise ValueError(f"address {address!r}, want host:port")
+  return list(addresses)
 
 
 class _Session:

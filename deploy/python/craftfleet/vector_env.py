@@ -29,7 +29,7 @@ class VectorEnv(gymnasium.vector.VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
   They are NumPy arrays, so `torch.from_dlpack(observations)` shares their memory. With `copy=True` each call returns new ones.
 
   The games do not depend on `threads`: lane i plays what GymnasiumEnv plays after `reset(seed=seed + i)`. step() releases the
-  GIL. Use an object from one thread at a time: a call while another thread is in one raises RuntimeError.
+  GIL. Use an object from one thread at a time: a call while another thread is in one raises RuntimeError, as does one after close().
 
   Args:
     num_envs: number of games, the lanes.
@@ -75,6 +75,7 @@ class VectorEnv(gymnasium.vector.VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
     Lanes with a seed start its first episode: `seed + i`, or the i-th of a list, which may have None. Lanes that have never been
     reset take random seeds.
     """
+    self._check_open()
     seeds, lanes = _lanes.seeds(seed, self.num_envs), _lanes.chosen(options, self.num_envs)
     if seed is not None and not hasattr(seed, "__len__"):
       super().reset(seed=int(seed))
@@ -90,6 +91,7 @@ class VectorEnv(gymnasium.vector.VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
     In SAME_STEP, infos has final_obs and final_info of the lanes that ended. ValueError: an action out of 0..16; RuntimeError: a
     lane that is to be reset first. Then no lane has moved.
     """
+    self._check_open()
     self._batch.step(_lanes.actions(actions, self.num_envs))
     observations, infos = self._current()
     rewards, terminated, truncated = (end.copy() for end in self._ends) if self._copy else self._ends
@@ -123,21 +125,25 @@ class VectorEnv(gymnasium.vector.VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
     return self._current()
 
   def __getstate__(self) -> dict[str, Any]:
-    started = all(self._batch.started(lane) for lane in range(self.num_envs))
+    lanes = range(self.num_envs)
     return {
         "arguments": self._arguments,
-        "snapshots": self.snapshot() if started else None,
+        "snapshots": {lane: self._batch.save(lane) for lane in lanes if self._batch.started(lane)},
         "random": (self._np_random, self._np_random_seed),
     }
 
   def __setstate__(self, state: dict[str, Any]) -> None:
     VectorEnv.__init__(self, **state["arguments"])
     self._np_random, self._np_random_seed = state["random"]
-    if state["snapshots"] is not None:
-      self.restore(state["snapshots"])
+    for lane, snapshot in state["snapshots"].items():
+      self._batch.restore(lane, snapshot)
 
   def __copy__(self) -> VectorEnv:
     return copy.deepcopy(self)
+
+  def _check_open(self) -> None:
+    if self.closed:
+      raise RuntimeError("this VectorEnv is closed, want a new one")
 
   def _current(self) -> tuple[np.ndarray, dict[str, Any]]:
     if self._copy:

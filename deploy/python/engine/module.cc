@@ -138,7 +138,7 @@ void DefineGame(nb::module_& m) {
       .def(
           "redraw",
           [](const Lane& lane, Setup::Pair size, const Frame& frame) {
-            WorldOf(lane, "redraw()");
+            WorldOf(lane, "picture()");
             DrawAt(*lane.setup(), size, frame, [&](const Renderer& r, absl::Span<uint8_t> f) { lane.Redraw(r, f); });
           },
           "size"_a, "frame"_a, "Draws this moment again; the game does not change.")

@@ -138,6 +138,7 @@ class Env(package.PackageCase):
         (RuntimeError, "step(): no game yet, want reset() first", lambda: craftfleet.Env().step(0)),
         (RuntimeError, "snapshot(): no game yet", lambda: craftfleet.Env().snapshot()),
         (RuntimeError, "render(): no game yet", lambda: craftfleet.Env().render()),
+        (RuntimeError, "picture(): no game yet", lambda: craftfleet.Env().picture()),
         (ValueError, "area=(2, 64)", lambda: craftfleet.Env(area=(2, 64))),
         (ValueError, "width 2, want 4..250", lambda: craftfleet.Env(area=(2, 64))),
         (ValueError, "view (9, 9, 9), want one or two integers", lambda: craftfleet.Env(view=(9, 9, 9))),
@@ -152,12 +153,15 @@ class Env(package.PackageCase):
         (ValueError, 'numbers "many", want one of easy-x2', lambda: craftfleet.Env(env="crafter:numbers=many")),
         (TypeError, "env 3, want the name of an environment", lambda: craftfleet.Env(env=3)),
         (FileNotFoundError, "/nowhere", lambda: craftfleet.Env(textures="/nowhere")),
+        (NotADirectoryError, f"textures '{__file__}', want a folder", lambda: craftfleet.Env(textures=__file__)),
+        (TypeError, "textures 3, want None, 'crafter' or a folder", lambda: craftfleet.Env(textures=3)),
         (TypeError, "snapshot of type int, want bytes", lambda: env.restore(3)),
         (ValueError, "snapshot: cut, damaged", lambda: env.restore(b"")),
     ):
       with self.subTest(text):
         self.assert_refused(kind, text, call)
     env.step(np.array(3))
+    env.close()
 
 
 class Clones(package.PackageCase):

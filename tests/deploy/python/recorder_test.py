@@ -91,6 +91,9 @@ class Recorder(FolderCase):
     play(craftfleet.Recorder(recorded, self.folder, save_video=False), 2)
     self.assertEqual(plain.snapshot(), recorded.snapshot())
 
+  def test_an_environment_of_many_games_is_refused(self):
+    self.assert_refused(TypeError, "VectorEnv plays many games", craftfleet.Recorder, craftfleet.VectorEnv(2), self.folder)
+
   def test_without_a_directory_nothing_is_written(self):
     play(craftfleet.Recorder(craftfleet.Env(**ARGUMENTS), None), 1)
 

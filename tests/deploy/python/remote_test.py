@@ -150,6 +150,16 @@ class Remote(ServerCase):
     self.assert_refused(RuntimeError, "lane 0: no game yet, want reset() first", envs.step, [0, 0])
     envs.reset(seed=[4, None])
     self.assert_refused(ValueError, "actions[1] 17, want 0..16", envs.step, [0, 17])
+    for kind, text, where, named in (
+        (ValueError, "address '127.0.0.1', want host:port", "127.0.0.1", {}),
+        (ValueError, "address 'a:99999', want host:port", [address, "a:99999"], {}),
+        (ValueError, "addresses [], want", [], {}),
+        (TypeError, "addresses 5, want host:port", 5, {}),
+        (TypeError, "env 3, want the name", address, {"env": 3}),
+        (TypeError, "timeout 'x', want 0.1..", address, {"timeout": "x"}),
+        (TypeError, "tls 'ca.pem', want a craftfleet.Tls", address, {"tls": "ca.pem"}),
+    ):
+      self.assert_refused(kind, text, craftfleet.RemoteVectorEnv, where, 2, **named)
     self.assert_refused(ValueError, "timeout 0, want 0.1..", craftfleet.RemoteVectorEnv, address, 2, timeout=0)
     self.assert_refused(ValueError, 'unknown game "doom"', craftfleet.RemoteVectorEnv, address, 2, env="doom")
     self.assert_refused(ValueError, "length 0, want 1..", craftfleet.RemoteVectorEnv, address, 2, length=0)

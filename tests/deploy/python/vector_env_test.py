@@ -163,6 +163,20 @@ class Lanes(package.PackageCase):
         self.assertEqual(play(clone, 40), expected)
     self.assertEqual(pickle.loads(pickle.dumps(craftfleet.VectorEnv(3))).num_envs, 3)
 
+  def test_copies_have_the_games_of_the_lanes_that_have_begun(self):
+    envs = craftfleet.VectorEnv(3)
+    envs.reset(seed=5, options={"reset_mask": np.array([False, True, False])})
+    clone = pickle.loads(pickle.dumps(envs))
+    self.assert_refused(RuntimeError, "lane 0: no game yet", clone.step, np.zeros(3, int))
+    rest = {"reset_mask": np.array([True, False, True])}
+    self.assertEqual(clone.reset(seed=5, options=rest)[0].tobytes(), envs.reset(seed=5, options=rest)[0].tobytes())
+
+  def test_after_close_it_says_so(self):
+    envs = started()
+    envs.close()
+    for call in (envs.reset, lambda: envs.step([0] * 5)):
+      self.assert_refused(RuntimeError, "this VectorEnv is closed, want a new one", call)
+
   def test_render_draws_each_lane(self):
     envs = started(render_mode="rgb_array", render_size=90)
     pictures = envs.render()
@@ -183,6 +197,7 @@ class Lanes(package.PackageCase):
         (ValueError, "autoreset_mode 'never', want one of", lambda: craftfleet.VectorEnv(1, autoreset_mode="never")),
         (ValueError, "2 seeds, want one for each of 5 lanes", lambda: envs.reset(seed=[1, 2])),
         (ValueError, "reset_mask [1, 0], want a NumPy array", lambda: envs.reset(options={"reset_mask": [1, 0]})),
+        (TypeError, "options [1], want a dict", lambda: envs.reset(options=[1])),
         (ValueError, "1 snapshots, want one for each of 5 lanes", lambda: envs.restore([b""])),
         (ValueError, "lane 0: snapshot: cut, damaged", lambda: envs.restore([b""] * 5)),
     ):

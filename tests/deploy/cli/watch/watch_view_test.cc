@@ -1,11 +1,17 @@
 #include "deploy/cli/watch/watch_view.h"
 
+#include <string>
+#include <vector>
+
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include "common/base/crafter.h"
+#include "deploy/cli/screen/game_text.h"
 #include "tests/deploy/cli/watch/watched_game.h"
 #include "tests/fakes/sample_policy.h"
 #include "tests/fakes/status_matchers.h"
+#include "tests/golden/world_editor.h"
 
 namespace craftfleet {
 namespace {
@@ -24,7 +30,7 @@ TEST(DescribeMoment, ShowsTheStateAndEveryAction) {
   EXPECT_EQ(lines[3].text, "health 9  food 9  drink 9  energy 9");
   int chosen = 0;
   for (int action = 0; action < kNumActions; ++action) {
-    const TextLine& line = lines[6 + action];
+    const TextLine& line = lines[4 + action];
     EXPECT_THAT(line.text, HasSubstr(std::string(kActionNames[action])));
     EXPECT_EQ(line.bar, (*game)->decision().odds.probs[action]);
     if (line.text[0] != '>') continue;
@@ -32,6 +38,22 @@ TEST(DescribeMoment, ShowsTheStateAndEveryAction) {
     EXPECT_EQ(action, static_cast<int>((*game)->decision().action));
   }
   EXPECT_EQ(chosen, 1);
+}
+
+TEST(DescribeMoment, ShowsEverythingThatThePlayerHasBelowTheActions) {
+  const auto game = AgentGame::Create(WatchedOptions(), SamplePolicy(1), 1);
+  ASSERT_THAT(game, IsOk());
+  auto& inventory = WorldEditor::State(const_cast<World*>(&(*game)->world())).player.inventory;
+  const std::vector<TextLine> before = DescribeMoment("", **game);
+  inventory.fill(9);
+  const std::vector<TextLine> lines = DescribeMoment("", **game);
+  ASSERT_GT(lines.size(), before.size());
+  EXPECT_EQ(lines[4].text, before[4].text) << "the actions have moved";
+  std::string items;
+  for (size_t i = before.size(); i < lines.size(); ++i) items += lines[i].text + "; ";
+  for (int i = static_cast<int>(Item::kSapling); i < kNumItems; ++i) {
+    EXPECT_THAT(items, HasSubstr("9 " + Words(kItemNames[i])));
+  }
 }
 
 TEST(DrawMoment, DarkensWhereTheAgentDoesNotLook) {
