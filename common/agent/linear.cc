@@ -1,24 +1,34 @@
 #include "common/agent/linear.h"
 
+#include <dlfcn.h>
+
 #include <cstdint>
 
 #include <ATen/ATen.h>
 #include <torch/csrc/autograd/custom_function.h>
 
-// oneDNN's C API; its header is not among LibTorch's. Row-major C = alpha * op(A) * op(B) + beta * C. Null where
-// libdnnl is not a library of its own.
-extern "C" int dnnl_sgemm(char transpose_a, char transpose_b, int64_t m, int64_t n, int64_t k, float alpha,
-                          const float* a, int64_t lda, const float* b, int64_t ldb, float beta, float* c, int64_t ldc)
-    __attribute__((weak));
-
 namespace craftfleet {
+namespace {
+
+// dnnl_sgemm of oneDNN's C API, whose header is not among LibTorch's. Row-major C = alpha * op(A) * op(B) + beta * C.
+using Sgemm = int (*)(char transpose_a, char transpose_b, int64_t m, int64_t n, int64_t k, float alpha, const float* a,
+                      int64_t lda, const float* b, int64_t ldb, float beta, float* c, int64_t ldc);
+
+// Null where libdnnl is not a library of its own. Not a weak symbol: of libraries that only LibTorch links, some
+// linkers (mold) leave these null.
+Sgemm FindSgemm() {
+  static const auto sgemm = reinterpret_cast<Sgemm>(dlsym(RTLD_DEFAULT, "dnnl_sgemm"));
+  return sgemm;
+}
+
+}  // namespace
 
 void MultiplyInto(Form form_a, const at::Tensor& a, Form form_b, const at::Tensor& b, float beta, at::Tensor* c) {
   const auto letter = [](Form form) { return form == Form::kTransposed ? 'T' : 'N'; };
   const int64_t inner = form_a == Form::kTransposed ? a.size(0) : a.size(1);
-  if (LinearUsesOneDnn()) {
-    dnnl_sgemm(letter(form_a), letter(form_b), c->size(0), c->size(1), inner, 1.0F, a.data_ptr<float>(), a.size(1),
-               b.data_ptr<float>(), b.size(1), beta, c->data_ptr<float>(), c->size(1));
+  if (const Sgemm sgemm = FindSgemm(); sgemm != nullptr) {
+    sgemm(letter(form_a), letter(form_b), c->size(0), c->size(1), inner, 1.0F, a.data_ptr<float>(), a.size(1),
+          b.data_ptr<float>(), b.size(1), beta, c->data_ptr<float>(), c->size(1));
     return;
   }
   const auto op = [](Form form, const at::Tensor& x) { return form == Form::kTransposed ? x.t() : x; };
@@ -63,6 +73,6 @@ at::Tensor Linear(const at::Tensor& input, const at::Tensor& weight, const at::T
   return input.is_cpu() ? LinearFunction::apply(input, weight, maybe_bias) : at::linear(input, weight, maybe_bias);
 }
 
-bool LinearUsesOneDnn() { return dnnl_sgemm != nullptr; }
+bool LinearUsesOneDnn() { return FindSgemm() != nullptr; }
 
 }  // namespace craftfleet

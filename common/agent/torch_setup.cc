@@ -1,5 +1,7 @@
 #include "common/agent/torch_setup.h"
 
+#include <dlfcn.h>
+
 #include <fstream>
 #include <istream>
 #include <optional>
@@ -15,11 +17,15 @@
 #include "common/agent/linear.h"
 #include "common/base/printable.h"
 
-// OpenBLAS' own function; null under another BLAS.
-extern "C" void openblas_set_num_threads(int threads) __attribute__((weak));
-
 namespace craftfleet {
 namespace {
+
+// openblas_set_num_threads; null under another BLAS. Not a weak symbol: see linear.cc.
+using SetThreads = void (*)(int threads);
+SetThreads FindOpenBlasSetThreads() {
+  static const auto set_threads = reinterpret_cast<SetThreads>(dlsym(RTLD_DEFAULT, "openblas_set_num_threads"));
+  return set_threads;
+}
 
 // The rest of the first line that begins with `prefix`.
 std::optional<std::string> ValueAfter(absl::string_view prefix, std::istream* lines) {
@@ -36,13 +42,13 @@ void SetUpTorchThread() {
   if (is_set_up) return;
   at::set_num_threads(1);
   // Ignores at::set_num_threads.
-  if (openblas_set_num_threads != nullptr) openblas_set_num_threads(1);
+  if (const SetThreads set_threads = FindOpenBlasSetThreads(); set_threads != nullptr) set_threads(1);
   at::globalContext().setFlushDenormal(true);
   is_set_up = true;
 }
 
 std::string SlowMathWarning() {
-  if (LinearUsesOneDnn() || openblas_set_num_threads != nullptr || at::hasMKL()) return "";
+  if (LinearUsesOneDnn() || FindOpenBlasSetThreads() != nullptr || at::hasMKL()) return "";
   return "LibTorch runs on the reference BLAS: install libopenblas0-pthread; without it training is 4.5 times slower";
 }
 
