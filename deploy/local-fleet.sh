@@ -43,7 +43,7 @@ for argument in "$@"; do
         --textures=*) envserver_flags+=("$argument") ;;
       esac
       ;;
-    *) refuse "'$argument' is no flag of the form --NAME=VALUE; see --help" ;;
+    *) refuse "'$argument' is not a flag of the form --NAME=VALUE; see --help" ;;
   esac
 done
 [[ $learners =~ ^[1-9][0-9]{0,2}$ ]] || refuse "--learners=$learners, want 1..999"

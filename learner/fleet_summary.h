@@ -1,4 +1,4 @@
-// Summarizes the whole fleet for the learner's status page.
+// Summarises the whole fleet for the learner's status page.
 
 #ifndef CRAFTFLEET_LEARNER_FLEET_SUMMARY_H_
 #define CRAFTFLEET_LEARNER_FLEET_SUMMARY_H_

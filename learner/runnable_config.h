@@ -21,7 +21,7 @@ absl::StatusOr<v1::RunConfig> CompleteConfig(v1::RunConfig config);
 // The shape of the run's fragments. Here and below, `config` is complete (CompleteConfig).
 wire::FragmentShape FragmentShapeOf(const v1::RunConfig& config, const AgentSpec& spec);
 
-// The maximum size of a serialized fragment, in bytes.
+// The maximum size of a serialised fragment, in bytes.
 int64_t LargestFragmentBytes(const wire::FragmentShape& shape);
 
 // The maximum size of any message to the learner of such a run, in bytes; at most wire::kMaxMessageBytes.

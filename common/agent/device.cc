@@ -32,7 +32,7 @@ absl::StatusOr<std::string> FindDevice(absl::string_view name) {
   if (!at::hasCUDA() && absl::StartsWith(name, "cuda")) {
     return absl::FailedPreconditionError(absl::StrFormat(
         "--device=%s: LibTorch was built without CUDA or finds no driver: build against one that has it "
-        "(-DCRAFTFLEET_LIBTORCH=DIR), or take --device=cpu",
+        "(-DCRAFTFLEET_LIBTORCH=DIR), or use --device=cpu",
         name));
   }
   return ChooseDevice(name, static_cast<int>(at::getNumGPUs()));
@@ -64,7 +64,7 @@ absl::Status SetRunDevice(absl::string_view device, bool resumed, v1::RunConfig:
   if (device == kCpu || of_gpu) return absl::OkStatus();
   if (resumed || config->has_device()) {
     return absl::FailedPreconditionError(
-        absl::StrFormat("--device=%s: the run computes on the CPU: take --device=cpu, or start a new run with its "
+        absl::StrFormat("--device=%s: the run computes on the CPU: use --device=cpu, or start a new run with its "
                         "weights (--init_from)",
                         device));
   }
@@ -158,7 +158,7 @@ absl::Status DeviceError(absl::string_view task, absl::string_view what) {
   if (says("no kernel image is available")) {
     return absl::FailedPreconditionError(absl::StrFormat(
         "%s: this LibTorch has no kernels for this GPU: build against one that names its compute capability "
-        "(-DCRAFTFLEET_LIBTORCH=DIR), or take --device=cpu (%s)",
+        "(-DCRAFTFLEET_LIBTORCH=DIR), or use --device=cpu (%s)",
         task, line));
   }
   if (says("CUDA error") || says("CUDNN_STATUS") || says("CUBLAS_STATUS")) {

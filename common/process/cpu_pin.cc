@@ -102,7 +102,7 @@ absl::Status PinCpu(v1::RunConfig::Cpu cpu) {
   std::vector<std::string> arguments = absl::StrSplit(command_line, '\0');
   arguments.pop_back();  // each ends with a zero
   std::vector<std::string> environment = EnvironmentWith(pins);
-  LogInfo("cpu: %s: restarts with it", v1::RunConfig::Cpu_Name(cpu));
+  LogInfo("cpu: %s: restarting with it", v1::RunConfig::Cpu_Name(cpu));
   execve("/proc/self/exe", Pointers(&arguments).data(), Pointers(&environment).data());
   return FileError(errno, absl::StrCat("cpu: ", v1::RunConfig::Cpu_Name(cpu), ": cannot execute"), "/proc/self/exe");
 }

@@ -209,7 +209,7 @@ void ParseFlags(absl::string_view program, absl::string_view usage, int argc, ch
                 const std::vector<absl::string_view>& main_flags) {
   const std::vector<std::string> rest = ParseFlagsAndArguments(program, usage, argc, argv, main_flags);
   if (rest.empty()) return;
-  Refuse(program, absl::StrFormat("\"%s\" is no flag", rest[0]), FlagOf(rest[0]) == nullptr ? "" : rest[0]);
+  Refuse(program, absl::StrFormat("\"%s\" is not a flag", rest[0]), FlagOf(rest[0]) == nullptr ? "" : rest[0]);
 }
 
 absl::Status FinishStandardOutput() {

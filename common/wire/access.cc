@@ -45,7 +45,7 @@ constexpr ServiceRight kRights[] = {
 };
 constexpr absl::string_view kWantedRights = "want WATCH, PLAY, SERVE or STEER";
 constexpr absl::string_view kNoWork =
-    "WORK is no right any more: write PLAY for actors, SERVE for environment servers, or both";
+    "WORK is no longer a right: write PLAY for actors, SERVE for environment servers, or both";
 constexpr int kWork = 2;  // its former number
 
 bool FitsCertificate(const v1::AccessClient& client, const Caller& caller) {

@@ -110,7 +110,7 @@ absl::Status CheckAddress(absl::string_view flag, absl::string_view address) {
   if (colon == absl::string_view::npos || colon == 0 || !absl::SimpleAtoi(address.substr(colon + 1), &port) ||
       port < 0 || port > 65535) {
     return absl::InvalidArgumentError(
-        absl::StrFormat("--%s: \"%s\" is no address, want HOST:PORT or unix:PATH", flag, address));
+        absl::StrFormat("--%s: \"%s\" is not an address, want HOST:PORT or unix:PATH", flag, address));
   }
   return absl::OkStatus();
 }

@@ -86,7 +86,7 @@ grpc::Status StatusServiceImpl::WatchStatus(grpc::ServerContext* context, const 
     const MutexLock lock(&mu_);
     if (watchers_ >= kMaxWatchers) {
       return {grpc::StatusCode::RESOURCE_EXHAUSTED,
-              absl::StrCat(watchers_, " clients watch already: end one of them, or ask for single snapshots")};
+              absl::StrCat(watchers_, " clients are already watching: end one of them, or ask for single snapshots")};
     }
     ++watchers_;
   }

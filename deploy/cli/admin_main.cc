@@ -105,7 +105,7 @@ absl::Status CheckCommand(const std::vector<std::string>& command) {
   if (std::find(verbs.begin(), verbs.end(), verb) == verbs.end()) {
     const std::string closest = ClosestName(verb, verbs);
     return absl::InvalidArgumentError(
-        absl::StrCat("\"", verb, "\" is no command",
+        absl::StrCat("\"", verb, "\" is not a command",
                      closest.empty() ? "" : absl::StrCat(" (did you mean \"", closest, "\"?)"), ", want ", kAll));
   }
   const bool of_worker = verb == "drain" || verb == "undrain";

@@ -21,7 +21,7 @@
 #include "deploy/cli/sweep/experiments.h"
 
 ABSL_FLAG(std::string, out, "",
-          "folder for the report: report.md, CSV files, pictures; -: report.md alone, on standard output (needed)");
+          "folder for the report: report.md, CSV files, pictures; -: report.md alone, on standard output (required)");
 ABSL_FLAG(bool, html, false,
           "also make report.html: a leaderboard of the runs with curves, in one file for browsers that needs no other");
 ABSL_FLAG(std::string, experiments, "", "file with the experiments to make tables for [those of the paper]");

@@ -30,7 +30,7 @@ Board::Board(int width, int height)
 }
 
 void Board::Clear() {
-  std::fill(cells_.begin(), cells_.end(), Cell());
+  std::fill(cells_.begin(), cells_.end(), BoardCell());
   objects_.clear();
   for (Chunk& chunk : chunks_) {
     chunk.known = false;
@@ -44,7 +44,7 @@ void Board::Clear() {
 }
 
 int Board::Add(Object object) {
-  Cell& cell = cells_[Index(object.position)];
+  BoardCell& cell = cells_[Index(object.position)];
   CRAFTFLEET_CHECK(cell.object == 0);
   Enter(&object);
   objects_.push_back(object);

@@ -32,7 +32,7 @@ struct Object {
   int64_t entered = 0;  // rank of its entry into its chunk among all entries so far
 };
 
-struct Cell {
+struct BoardCell {
   Material material = Material::kNone;
   Variant variant = kNoVariant;
   uint16_t object = 0;  // index in objects() + 1; 0: none
@@ -62,9 +62,9 @@ class Board {
     return static_cast<unsigned>(p.x) < static_cast<unsigned>(width_) &&
            static_cast<unsigned>(p.y) < static_cast<unsigned>(height_);
   }
-  const Cell& cell(Position p) const { return cells_[Index(p)]; }
+  const BoardCell& cell(Position p) const { return cells_[Index(p)]; }
   // [x][y], y fastest.
-  absl::Span<const Cell> cells() const { return cells_; }
+  absl::Span<const BoardCell> cells() const { return cells_; }
   // kNone outside.
   Material material(Position p) const { return Inside(p) ? cell(p).material : Material::kNone; }
   // Index of the object at `p`, or -1; `p` may be outside.
@@ -76,7 +76,7 @@ class Board {
   const Object& object(int index) const { return objects_[index]; }
 
   void SetMaterial(Position p, Material material, Variant variant) {
-    Cell& cell = cells_[Index(p)];
+    BoardCell& cell = cells_[Index(p)];
     Chunk& chunk = chunks_[ChunkIndex(p)];
     --chunk.materials[static_cast<int>(cell.material)];
     ++chunk.materials[static_cast<int>(material)];
@@ -119,7 +119,7 @@ class Board {
   int width_;
   int height_;
   int chunks_down_;
-  std::vector<Cell> cells_;  // [x][y]
+  std::vector<BoardCell> cells_;  // [x][y]
   std::vector<Object> objects_;
   std::vector<Chunk> chunks_;  // [x / 12][y / 12]
   std::vector<int16_t> known_chunks_;

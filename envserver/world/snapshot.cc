@@ -161,7 +161,7 @@ void GetStream(Reader* reader, RandomStream* stream) {
 }
 
 void PutCells(const Board& board, Writer* writer) {
-  for (const Cell& cell : board.cells()) {
+  for (const BoardCell& cell : board.cells()) {
     writer->Put(static_cast<uint8_t>(static_cast<int>(cell.material) + 16 * (cell.variant - kNoVariant)));
   }
 }

@@ -101,7 +101,7 @@ void World::SemanticView(absl::Span<uint8_t> out) const {
   const Board& board = state_.board;
   CRAFTFLEET_CHECK(out.size() == static_cast<size_t>(board.width()) * board.height());
   size_t n = 0;
-  for (const Cell& cell : board.cells()) out[n++] = static_cast<uint8_t>(cell.material);
+  for (const BoardCell& cell : board.cells()) out[n++] = static_cast<uint8_t>(cell.material);
   for (const Object& object : board.objects()) {
     const int id = kNumMaterials - 1 + static_cast<int>(object.type);
     out[object.position.x * board.height() + object.position.y] = static_cast<uint8_t>(id);

@@ -199,7 +199,7 @@ async function steerRun(path) {
   return done;
 }
 
-// Asks first: those who only meant to pause lose the page.
+// Asks first: whoever only meant to pause would lose the page.
 function startStopping() {
   const dialog = $("stop-dialog");
   $("stop").addEventListener("click", () => dialog.showModal());

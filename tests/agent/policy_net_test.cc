@@ -1,6 +1,10 @@
 #include "common/agent/policy_net.h"
 
 #include <cmath>
+#include <fstream>
+#include <iterator>
+#include <string>
+#include <vector>
 
 #include <ATen/ATen.h>
 #include <gtest/gtest.h>
@@ -60,6 +64,12 @@ TEST(ScaleFrames, ScalesBytesToZeroToOne) {
 TEST(TorchSetup, DescribesTheCpuAndWarnsOnlyIfMathIsSlow) {
   EXPECT_NE(CpuDescription().find(", "), std::string::npos) << CpuDescription();
   EXPECT_TRUE(!LinearUsesOneDnn() || SlowMathWarning().empty());
+}
+
+TEST(TorchSetup, LinearLayersUseOneDnnWhereItIsALibraryOfItsOwn) {
+  std::ifstream file("/proc/self/maps");
+  const std::string maps((std::istreambuf_iterator<char>(file)), std::istreambuf_iterator<char>());
+  EXPECT_EQ(LinearUsesOneDnn(), maps.find("/libdnnl.so") != std::string::npos);
 }
 
 }  // namespace

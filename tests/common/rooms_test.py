@@ -1,4 +1,5 @@
-"""The folders of common/ include and link each other only as listed in its README, so that there are no cycles."""
+"""The folders of common/ include and link each other only as listed in its README, so that there are no cycles; and rules for all
+rooms, about clocks and names."""
 
 import re
 import unittest
@@ -47,6 +48,21 @@ class Clocks(unittest.TestCase):
           found.add(str(path.relative_to(SOURCE)))
     self.assertEqual(found - DATES, set())
     self.assertEqual(DATES - found, set(), "no longer needed in the list")
+
+
+class Names(unittest.TestCase):
+
+  def test_each_class_has_a_name_of_its_own(self):
+    """A program that links two classes of one name may run the destructor of one for the other."""
+    headers = {}
+    for room in ["common", "actor", "learner", "envserver", "deploy"]:
+      for path in (SOURCE / room).rglob("*.h"):
+        text = path.read_text()
+        namespace = "::".join(re.findall(r"^namespace (\w+) {", text, re.M))
+        for name in re.findall(r"^(?:class|struct|enum class) (?:ABSL_\S+ )?(\w+)[^;{]*{", text, re.M):
+          headers.setdefault(f"{namespace}::{name}", set()).add(str(path.relative_to(SOURCE)))
+    self.assertGreater(len(headers), 200)
+    self.assertEqual({name: sorted(paths) for name, paths in headers.items() if len(paths) > 1}, {})
 
 
 class Rooms(unittest.TestCase):

@@ -10,27 +10,14 @@ import subprocess
 
 from tests.deploy import browser
 from tests.fakes import python_case
-from tests.fakes.python_case import BIN, SOURCE, wait_until
+from tests.fakes.python_case import SOURCE, wait_until
 
 ENDLESS = python_case.SMALL_RUN.replace("steps: 192 ", "steps: 100000000 ").replace("length: 20", "length: 200")
 LOOKS = [(390, False), (390, True), (1440, False), (1440, True)]
 TEXT = "return document.getElementById(arguments[0]).textContent"
 
 
-class LivePage(python_case.FolderCase):
-
-  def start(self, name, *flags):
-    """Starts a program; returns it and its log file."""
-    log = self.folder / f"{name}-{len(list(self.folder.glob('*.log')))}.log"
-    with open(log, "w", encoding="utf-8") as errors:
-      process = subprocess.Popen([BIN / name, *flags], stdout=subprocess.DEVNULL, stderr=errors)
-    self.addCleanup(process.wait)
-    self.addCleanup(process.kill)
-    return process, log
-
-  def word_after(self, log, before):
-    found = wait_until(lambda: re.search(re.escape(before) + r"(\S+)", log.read_text()), f"'{before}' in {log}")
-    return found.group(1)
+class LivePage(python_case.ProcessCase):
 
   def start_run(self, program="craftfleet-train", *flags):
     """Starts an endless run with a page; returns the page's URL and the log."""

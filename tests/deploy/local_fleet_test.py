@@ -106,7 +106,7 @@ class LocalFleet(python_case.FolderCase):
   def test_bad_flags_are_refused_by_name(self):
     for flag, message in (("--actors=0", "--actors=0, want 1..999"), ("--listen=0.0.0.0:1", "its own Unix sockets"),
                           ("--learners=0", "--learners=0, want 1..999"), ("--rank=1", "give --learners=L"),
-                          ("steps", "'steps' is no flag"), ("--bin=/nowhere", "/nowhere/craftfleet-learner does not exist")):
+                          ("steps", "'steps' is not a flag"), ("--bin=/nowhere", "/nowhere/craftfleet-learner does not exist")):
       code, errors = self.finish(self.start(flag))
       self.assertEqual(code, 2, errors)
       self.assertIn(message, errors)

@@ -5,8 +5,8 @@ import re
 from tests.fakes.python_case import SOURCE
 
 # The beginning of a code block line that is a command, in contrast to configuration or output.
-COMMAND = re.compile(r"(build/bin/|deploy/|tests/|\.ci/run|(sudo|cmake|ninja|ctest|cp|printf|git|tar|pip|python3|docker|kubectl|sbatch|prometheus|"
-                     r"promtool|craftfleet-[\d.]+-linux\S*/bin/craftfleet|source)\b)")
+COMMAND = re.compile(r"((build/|venv/)?bin/|deploy/|tests/|\.ci/run|craftfleet [a-z]+ -|(sudo|cmake|ninja|ctest|cd|cp|cmp|printf|git|tar|pip|"
+                     r"python3|docker|kubectl|sbatch|prometheus|promtool|craftfleet-[\d.]+-linux\S*/bin/craftfleet|source)\b)")
 # An inline command between backticks: a command with arguments, or a script.
 INLINE = re.compile(r"`((?:build/bin/[\w-]+|craftfleet(?:-\w+)?|deploy/[\w/-]+\.sh|tests/[\w/-]+\.(?:sh|py))(?: [^`\n]+)?)`")
 

@@ -37,26 +37,11 @@ def families(text):
   return {name: (kind, helps[name]) for name, kind in re.findall(r"^# TYPE (\w+) (\w+)$", text, re.M)}
 
 
-class Watch(python_case.FolderCase):
+class Watch(python_case.ProcessCase):
 
   def setUp(self):
     super().setUp()
     (self.folder / "config.txt").write_text(ENDLESS)
-    self.programs = 0
-
-  def start(self, name, *flags):
-    """Starts a process; returns it and its log file."""
-    self.programs += 1
-    log = self.folder / f"{self.programs}-{name}.log"
-    with open(log, "w", encoding="utf-8") as errors:
-      process = subprocess.Popen([BIN / name, *flags], stdout=subprocess.DEVNULL, stderr=errors)
-    self.addCleanup(process.wait)
-    self.addCleanup(process.kill)
-    return process, log
-
-  def word_after(self, log, before):
-    found = wait_until(lambda: re.search(re.escape(before) + r"([^\s\"]+)", log.read_text()), f"'{before}' in {log}")
-    return found.group(1)
 
   def start_learner(self, *flags):
     process, log = self.start("craftfleet-learner", f"--config={self.folder}/config.txt",

@@ -6,6 +6,7 @@ without any for all of them. Environment: CRAFTFLEET_BIN_DIR, CRAFTFLEET_SOURCE_
 
 import os
 import pathlib
+import re
 import subprocess
 import sys
 import tempfile
@@ -39,6 +40,29 @@ class FolderCase(unittest.TestCase):
     ended = subprocess.run([BIN / name, *flags], capture_output=True, text=True, timeout=120)
     self.assertEqual(ended.returncode, code, ended.stderr)
     return ended
+
+
+class ProcessCase(FolderCase):
+  """A test case with programs in the background, killed at its end."""
+
+  def setUp(self):
+    super().setUp()
+    self.programs = 0  # started so far
+
+  def start(self, name, *flags):
+    """Starts a program; returns it and its log file."""
+    self.programs += 1
+    log = self.folder / f"{self.programs}-{name}.log"
+    with open(log, "w", encoding="utf-8") as errors:
+      process = subprocess.Popen([BIN / name, *flags], stdout=subprocess.DEVNULL, stderr=errors)
+    self.addCleanup(process.wait)
+    self.addCleanup(process.kill)
+    return process, log
+
+  def word_after(self, log, before):
+    """Waits for a line of the log with `before`, and returns what follows it: "127.0.0.1:41234" after "listening on "."""
+    found = wait_until(lambda: re.search(re.escape(before) + r"([^\s\"]+)", log.read_text()), f"'{before}' in {log}")
+    return found.group(1)
 
 
 def wait_until(condition, what, seconds=60):

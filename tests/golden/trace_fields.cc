@@ -23,13 +23,13 @@ void Append(int64_t value, int bytes, std::string* out) {
 
 std::string Materials(const Board& board) {
   std::string out;
-  for (const Cell& cell : board.cells()) Append(static_cast<int>(cell.material), 1, &out);
+  for (const BoardCell& cell : board.cells()) Append(static_cast<int>(cell.material), 1, &out);
   return out;
 }
 
 std::string MaterialVariants(const Board& board) {
   std::string out;
-  for (const Cell& cell : board.cells()) Append(cell.variant + 1, 1, &out);
+  for (const BoardCell& cell : board.cells()) Append(cell.variant + 1, 1, &out);
   return out;
 }
 

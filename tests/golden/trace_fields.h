@@ -1,4 +1,4 @@
-// The fields of a trace line, taken from a world. Source: README of the golden data, the table of keys.
+// The fields of a trace line, taken from a world. Source: the README in CRAFTFLEET_GOLDEN_DIR, the table of keys.
 
 #ifndef CRAFTFLEET_TESTS_GOLDEN_TRACE_FIELDS_H_
 #define CRAFTFLEET_TESTS_GOLDEN_TRACE_FIELDS_H_

@@ -1,5 +1,5 @@
 // Plays a golden trace again and compares every field of every line and, where given, pictures.
-// Source: README of the golden data.
+// Source: the README in CRAFTFLEET_GOLDEN_DIR.
 
 #ifndef CRAFTFLEET_TESTS_GOLDEN_TRACE_REPLAYER_H_
 #define CRAFTFLEET_TESTS_GOLDEN_TRACE_REPLAYER_H_

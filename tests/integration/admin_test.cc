@@ -140,7 +140,7 @@ TEST_F(AdminTest, AStoppedLearnerContinuesWithResume) {
 
 TEST_F(AdminTest, ErrorsNameTheProblem) {
   StartFleet("wrong");
-  EXPECT_THAT(Admin({"dance"}).err, HasSubstr("\"dance\" is no command, want checkpoint, pause"));
+  EXPECT_THAT(Admin({"dance"}).err, HasSubstr("\"dance\" is not a command, want checkpoint, pause"));
   EXPECT_THAT(Admin({"drain"}).err, HasSubstr("drain needs the name of one worker"));
   EXPECT_THAT(Admin({"undrain"}).err, HasSubstr("undrain needs the name of one worker"));
   EXPECT_THAT(Admin({"undrain", "nobody"}).err, HasSubstr("no worker \"nobody\" has joined or registered"));

@@ -88,13 +88,13 @@ Finding CheckDiskSync(const DiskFacts& disk) {
 Finding CheckClock(const ClockFacts& clock) {
   const std::string now = absl::FormatTime("%Y-%m-%d %H:%M:%S UTC", clock.now, absl::UTCTimeZone());
   const char* remedy =
-      "set the clock and synchronize it with systemd-timesyncd or chrony: certificates and logs depend on it";
+      "set the clock and synchronise it with systemd-timesyncd or chrony: certificates and logs depend on it";
   if (clock.now < clock.program_built - absl::Hours(24)) {
     return {"clock", Verdict::kFail, absl::StrCat(now, " is before this program was installed"), remedy};
   }
   if (!clock.synchronized.has_value()) return Ok("clock", now);
-  if (!*clock.synchronized) return {"clock", Verdict::kWarn, absl::StrCat(now, "; not synchronized"), remedy};
-  return Ok("clock", absl::StrCat(now, "; synchronized"));
+  if (!*clock.synchronized) return {"clock", Verdict::kWarn, absl::StrCat(now, "; not synchronised"), remedy};
+  return Ok("clock", absl::StrCat(now, "; synchronised"));
 }
 
 Finding CheckSharedMemory(std::optional<int64_t> size) {

@@ -56,7 +56,7 @@ struct ClockFacts {
   absl::Time program_built;          // modification time of the program's file
   std::optional<bool> synchronized;  // as the kernel reports; nullopt if it does not
 };
-// kFail if the clock is more than a day behind the program's file; kWarn if it is not synchronized.
+// kFail if the clock is more than a day behind the program's file; kWarn if it is not synchronised.
 Finding CheckClock(const ClockFacts& clock);
 
 // `size`: bytes of the file system at /dev/shm; nullopt without one. kWarn without one, or below 64 MiB.

@@ -70,7 +70,7 @@ class PlaySession {
   Game game_;
   std::string frame_;  // uint8[64,64,3]: what an agent sees
   StepEnd end_ = StepEnd::kNone;
-  EventLog events_{6};
+  RecentEvents events_{6};
   GamePictures shown_;
   GamePictures recorded_;
   std::unique_ptr<EpisodeRecorder> recorder_;  // null: nothing is recorded

@@ -30,7 +30,7 @@ std::vector<TextLine> InventoryLines(const World& world, size_t width) {
   return lines;
 }
 
-void EventLog::Add(const World& world, const StepOutcome& outcome) {
+void RecentEvents::Add(const World& world, const StepOutcome& outcome) {
   const auto add = [this, &world](absl::string_view text, TextLine::Style style) {
     lines_.push_back({absl::StrFormat("%5d %s", world.step(), text), style});
     if (lines_.size() > most_) lines_.pop_front();
@@ -45,7 +45,7 @@ void EventLog::Add(const World& world, const StepOutcome& outcome) {
   if (outcome.end == StepEnd::kTruncated) add("time is up", TextLine::Style::kTitle);
 }
 
-void EventLog::Clear() {
+void RecentEvents::Clear() {
   lines_.clear();
   health_ = 9;
 }

@@ -24,9 +24,9 @@ TextLine NeedsLine(const World& world);
 std::vector<TextLine> InventoryLines(const World& world, size_t width);
 
 // What happened in an episode: achievements, lost health, the end. Keeps the latest events. Thread-compatible.
-class EventLog {
+class RecentEvents {
  public:
-  explicit EventLog(size_t most) : most_(most) {}
+  explicit RecentEvents(size_t most) : most_(most) {}
 
   // `world` after a step with `outcome`.
   void Add(const World& world, const StepOutcome& outcome);

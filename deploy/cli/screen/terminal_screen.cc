@@ -56,7 +56,7 @@ std::vector<std::string> PageRows(const View& view, int columns, int rows) {
 
 absl::StatusOr<std::unique_ptr<Screen>> TerminalScreen::Open() {
   if (isatty(STDIN_FILENO) != 1 || isatty(STDOUT_FILENO) != 1) {
-    return absl::FailedPreconditionError("--terminal: standard input and output are no terminal");
+    return absl::FailedPreconditionError("--terminal: standard input and output are not a terminal");
   }
   const auto [columns, rows] = Terminal::Size();
   if (columns < kLeastColumns || rows < kLeastRows) {

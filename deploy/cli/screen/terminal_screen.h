@@ -22,7 +22,7 @@ std::vector<std::string> PageRows(const View& view, int columns, int rows);
 class TerminalScreen : public Screen {
  public:
   // Takes over the terminal at standard input and output until the object is destroyed.
-  //   FailedPrecondition: they are no terminal, or it is too small.
+  //   FailedPrecondition: they are not a terminal, or it is too small.
   static absl::StatusOr<std::unique_ptr<Screen>> Open();
 
   PictureRoom Room() const override;

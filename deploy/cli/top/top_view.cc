@@ -302,7 +302,7 @@ std::vector<TextLine> DrawAll(const v1::StatusReply& status, const TopState& sta
     for (const absl::string_view line : absl::StrSplit(kHelp, '\n')) add(line);
     return lines;
   }
-  // The learner of a complete run ends: that it does not answer any more is no problem then.
+  // The learner of a complete run ends: then it is no problem that it no longer answers.
   const bool ended = !page.problem.empty() && status.fleet().run_state() == v1::FleetSummary::COMPLETE;
   const bool lost = !page.problem.empty() && !ended;
   if (lost) add(page.problem, Style::kBad);

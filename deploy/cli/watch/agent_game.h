@@ -57,7 +57,7 @@ class AgentGame {
   const StepOutcome& outcome() const { return outcome_; }
   // The next action; that of the last step once the episode has ended.
   const Decision& decision() const { return *decision_; }
-  const EventLog& events() const { return events_; }
+  const RecentEvents& events() const { return events_; }
 
   // uint8[size,size,3].
   absl::StatusOr<std::string> Picture(int size);
@@ -82,7 +82,7 @@ class AgentGame {
   std::vector<float> state_;  // of the policy
   StepOutcome outcome_;
   std::optional<Decision> decision_;
-  EventLog events_{1};
+  RecentEvents events_{1};
 };
 
 }  // namespace craftfleet

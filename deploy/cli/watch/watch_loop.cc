@@ -20,7 +20,7 @@ constexpr double kFastest = 256;
 std::vector<TextLine> KeyHelp() {
   return {
       {"Keys", TextLine::Style::kTitle},
-      {"space    pause, go on"},
+      {"space    pause, continue"},
       {".        one step"},
       {"+ -      faster, slower"},
       {"n        next episode"},

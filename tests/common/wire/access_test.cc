@@ -121,7 +121,7 @@ TEST(Access, TheFormerRightWorkIsRefusedWithItsReplacement) {
     const std::string text = absl::StrCat("client { name: \"x\" certificate: \"*\" right: ", right, " }");
     EXPECT_THAT(ParseAccess(text, "a.txt"),
                 StatusIs(absl::StatusCode::kInvalidArgument,
-                         AllOf(HasSubstr("a.txt: "), HasSubstr("WORK is no right any more"),
+                         AllOf(HasSubstr("a.txt: "), HasSubstr("WORK is no longer a right"),
                                HasSubstr("write PLAY for actors, SERVE for environment servers"))));
   }
   for (const char* right : {"77", "RIGHT_UNSPECIFIED"}) {

@@ -83,9 +83,9 @@ TEST(DoctorChecks, ASlowDiskWarnsOrFails) {
 }
 
 TEST(DoctorChecks, AClockBeforeTheProgramFails) {
-  EXPECT_THAT(CheckClock({kNow, kNow - absl::Hours(1), true}), IsOk("2027-01-15 08:00:00 UTC; synchronized"));
+  EXPECT_THAT(CheckClock({kNow, kNow - absl::Hours(1), true}), IsOk("2027-01-15 08:00:00 UTC; synchronised"));
   EXPECT_THAT(CheckClock({kNow, kNow + absl::Hours(23), std::nullopt}), IsOk("2027-01-15 08:00:00 UTC"));
-  EXPECT_THAT(CheckClock({kNow, kNow, false}), Warns("not synchronized", "chrony"));
+  EXPECT_THAT(CheckClock({kNow, kNow, false}), Warns("not synchronised", "chrony"));
   EXPECT_THAT(CheckClock({kNow, kNow + absl::Hours(25), true}), Fails("before this program", "set the clock"));
 }
 
