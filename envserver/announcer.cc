@@ -26,10 +26,12 @@ absl::Duration AnnouncementInterval(const v1::AnnounceReply& reply) {
 }
 
 Announcer::Announcer(wire::Endpoint learner, const std::string& address, const std::string& texture_digest,
-                     const std::string& canary, std::function<v1::ProcessSummary()> summarize)
+                     const std::string& canary, std::function<v1::ProcessSummary()> summarize,
+                     std::function<void(const std::string& run_id)> registered)
     : learner_(std::move(learner)),
       stub_(v1::LearnerService::NewStub(learner_.channel)),
-      summarize_(std::move(summarize)) {
+      summarize_(std::move(summarize)),
+      registered_(std::move(registered)) {
   announcement_.set_protocol_version(wire::kProtocolVersion);
   announcement_.set_name(UniqueWorkerName());
   announcement_.set_address(address);
@@ -63,6 +65,7 @@ void Announcer::Run() {
       LogWarning("%s; trying again until it answers", status.message());
     }
     known = status.ok();
+    if (known && registered_ != nullptr) registered_(reply->run_id());
     ever_known |= known;
     last_error = std::string(status.message());
     if (known) backoff.Reset();
@@ -83,6 +86,7 @@ absl::StatusOr<v1::AnnounceReply> Announcer::Announce(bool leaving) {
   v1::AnnounceReply reply;
   CRAFTFLEET_RETURN_IF_ERROR(wire::FromCall(stub_->Announce(&context, announcement_, &reply),
                                             absl::StrCat("learner ", learner_.address), learner_));
+  CRAFTFLEET_RETURN_IF_ERROR(wire::CheckText("run_id", reply.run_id()));
   return reply;
 }
 

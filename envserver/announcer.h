@@ -25,9 +25,10 @@ absl::Duration AnnouncementInterval(const v1::AnnounceReply& reply);
 class Announcer {
  public:
   // `address` is where actors find the server, `canary` its GameCanary; `summarize` returns what the learner shows in
-  // its status.
+  // its status. `registered` is called on the announcer's thread after each registration, with the learner's run.
   Announcer(wire::Endpoint learner, const std::string& address, const std::string& texture_digest,
-            const std::string& canary, std::function<v1::ProcessSummary()> summarize);
+            const std::string& canary, std::function<v1::ProcessSummary()> summarize,
+            std::function<void(const std::string& run_id)> registered = nullptr);
   ~Announcer();
 
   // Withdraws the announcement, so that actors move their games, and ends the thread. Idempotent.
@@ -40,6 +41,7 @@ class Announcer {
   const wire::Endpoint learner_;
   const std::unique_ptr<v1::LearnerService::Stub> stub_;
   const std::function<v1::ProcessSummary()> summarize_;
+  const std::function<void(const std::string&)> registered_;
   v1::Announcement announcement_;
 
   Mutex mu_;

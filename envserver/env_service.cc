@@ -1,6 +1,7 @@
 #include "envserver/env_service.h"
 
 #include <exception>
+#include <limits>
 #include <optional>
 #include <utility>
 #include <vector>
@@ -9,6 +10,7 @@
 #include <absl/strings/str_cat.h>
 #include <absl/strings/str_format.h>
 
+#include "common/base/clock.h"
 #include "common/base/printable.h"
 #include "common/base/status_macros.h"
 #include "common/config/env_name.h"
@@ -68,15 +70,19 @@ class EnvServiceImpl::SessionGuard {
     service_->changed_.NotifyAll();
   }
   // Binds the server to the session's run.   FailedPrecondition: it has sessions of another run.
-  absl::Status Enter(const v1::SessionHello& hello, const std::string& address) {
+  absl::Status Enter(const v1::SessionHello& hello, grpc::ServerContext* context) {
     MutexLock lock(&service_->mu_);
     std::string& run_id = service_->run_id_;
     const std::string last_run_id = run_id;
-    if (service_->sessions_.empty() || run_id.empty()) run_id = hello.run_id();
+    if (!service_->own_run_id_.empty()) {
+      run_id = service_->own_run_id_;
+    } else if (service_->sessions_.empty() || run_id.empty()) {
+      run_id = hello.run_id();
+    }
     if (run_id != last_run_id && !run_id.empty()) service_->log_.Info("run", absl::StrCat("serves run ", run_id));
     CRAFTFLEET_RETURN_IF_ERROR(wire::CheckHandshake("environment server", {wire::kProtocolVersion, run_id, ""}, "actor",
                                                     {wire::kProtocolVersion, hello.run_id(), ""}));
-    service_->sessions_[this] = {hello.client(), address, 0, &meter_};
+    service_->sessions_[this] = {hello.client(), context->peer(), 0, &meter_, context, &idle_since_};
     return absl::OkStatus();
   }
   void SetLanes(int lanes) {
@@ -92,11 +98,14 @@ class EnvServiceImpl::SessionGuard {
     *reply->mutable_server() = service_->RecentSummary();
   }
   ActivityMeter* meter() { return &meter_; }
+  // The session waits for its client, or is served again.
+  void SetIdle(bool idle) { idle_since_ = idle ? absl::ToUnixNanos(SteadyNow()) : 0; }
 
  private:
   EnvServiceImpl* const service_;
   ActivityMeter meter_;
   absl::Time next_summary_ = absl::InfinitePast();
+  std::atomic<int64_t> idle_since_{0};
 };
 
 absl::Status EnvServiceImpl::Options::Validate() const {
@@ -138,7 +147,12 @@ EnvServiceImpl::EnvServiceImpl(std::shared_ptr<const Textures> textures, std::st
       texture_digest_(std::move(texture_digest)),
       canary_(std::move(canary)),
       options_(options),
-      budget_(options.budget) {}
+      budget_(options.budget, [this] { EndIdlest(); }) {}
+
+void EnvServiceImpl::SetRun(absl::string_view run_id) {
+  const MutexLock lock(&mu_);
+  own_run_id_ = std::string(run_id);
+}
 
 grpc::Status EnvServiceImpl::Play(grpc::ServerContext* context,
                                   grpc::ServerReaderWriter<v1::PlayReply, v1::PlayRequest>* stream) {
@@ -173,7 +187,7 @@ absl::Status EnvServiceImpl::Serve(grpc::ServerContext* context, wire::StreamWat
   CRAFTFLEET_ASSIGN_OR_RETURN(EnvBatch batch, Greet(request.hello(), &share));
   batch.StopWhen([context] { return context->IsCancelled(); });
   SessionGuard session(this);
-  CRAFTFLEET_RETURN_IF_ERROR(session.Enter(request.hello(), context->peer()));
+  CRAFTFLEET_RETURN_IF_ERROR(session.Enter(request.hello(), context));
   reply.set_program_version(std::string(ProgramVersion()));
   reply.set_canary(canary_);
   reply.set_frame_format(static_cast<v1::FrameFormat>(batch.format()));
@@ -185,9 +199,11 @@ absl::Status EnvServiceImpl::Serve(grpc::ServerContext* context, wire::StreamWat
     watched->Await("a reply to be taken (--reply_timeout)", options_.reply_timeout);
     if (!stream->Write(reply)) return absl::OkStatus();
     session.meter()->Switch(Activity::kIdle);
+    session.SetIdle(true);
     request = v1::PlayRequest();  // a session that waits must not keep megabytes of its last request
     watched->Await("the next request (--idle_timeout)", options_.idle_timeout);
     if (!stream->Read(&request)) return absl::OkStatus();
+    session.SetIdle(false);
     watched->Work();
     session.meter()->Switch(Activity::kEnvironment);
     reply.clear_program_version();
@@ -275,6 +291,24 @@ absl::Status EnvServiceImpl::Handle(const v1::PlayRequest& request, EnvBatch* ba
       break;
   }
   return absl::InvalidArgumentError("an empty request, want open, step or close");
+}
+
+void EnvServiceImpl::EndIdlest() {
+  const MutexLock lock(&mu_);
+  const Session* idlest = nullptr;
+  int64_t idlest_since = std::numeric_limits<int64_t>::max();
+  for (const auto& [key, session] : sessions_) {
+    const int64_t since = *session.idle_since;
+    if (session.lanes == 0 || since == 0 || since >= idlest_since) continue;
+    idlest = &session;
+    idlest_since = since;
+  }
+  if (idlest == nullptr) return;
+  const absl::Duration idle = SteadyNow() - absl::FromUnixNanos(idlest_since);
+  if (idle < options_.gives_way) return;
+  log_.Warn("idle", absl::StrFormat("session of %s ended: it sent nothing for %s while others need room for games",
+                                    idlest->address, absl::FormatDuration(absl::Trunc(idle, absl::Milliseconds(1)))));
+  idlest->context->TryCancel();
 }
 
 void EnvServiceImpl::WaitUntilEmpty(absl::Duration timeout) {

@@ -25,7 +25,8 @@
 
 namespace craftfleet {
 
-// Serves any number of sessions of one run at a time, one gRPC thread each. Thread-safe.
+// Serves any number of sessions of one run at a time, one gRPC thread each: of the run that it belongs to, or without
+// one (SetRun) of that of the first session. Thread-safe.
 class EnvServiceImpl final : public v1::EnvironmentService::Service {
  public:
   // Without limits by default, which suits a single client in the same process.
@@ -34,6 +35,8 @@ class EnvServiceImpl final : public v1::EnvironmentService::Service {
     absl::Duration hello_timeout = absl::InfiniteDuration();  // for a session's first request, at least 1 s
     absl::Duration idle_timeout = absl::InfiniteDuration();   // for each later one, at least 1 s
     absl::Duration reply_timeout = absl::InfiniteDuration();  // for the client to take a reply, at least 1 s
+    // A session that has sent no request for this long ends if others need the room of its games.
+    absl::Duration gives_way = absl::Seconds(10);
     absl::Status Validate() const;
   };
 
@@ -44,6 +47,10 @@ class EnvServiceImpl final : public v1::EnvironmentService::Service {
 
   grpc::Status Play(grpc::ServerContext* context,
                     grpc::ServerReaderWriter<v1::PlayReply, v1::PlayRequest>* stream) override;
+
+  // From now on refuses sessions of other runs than `run_id`, that of the learner that the server is registered with:
+  // without this, any client could keep a run's actors out with an idle session. Open sessions go on.
+  void SetRun(absl::string_view run_id) ABSL_LOCKS_EXCLUDED(mu_);
 
   // TextureDigest of the textures.
   const std::string& texture_digest() const { return texture_digest_; }
@@ -65,6 +72,8 @@ class EnvServiceImpl final : public v1::EnvironmentService::Service {
     std::string address;
     int lanes = 0;
     const ActivityMeter* meter = nullptr;  // of its thread
+    grpc::ServerContext* context = nullptr;
+    const std::atomic<int64_t>* idle_since = nullptr;  // ns of the steady clock; 0: it is served
   };
   class SessionGuard;
 
@@ -88,6 +97,8 @@ class EnvServiceImpl final : public v1::EnvironmentService::Service {
 
   Work TotalWorkLocked() const ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
   v1::ProcessSummary SummaryLocked() const ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
+  // Ends the session that has been idle for longest, if that is long enough.
+  void EndIdlest() ABSL_LOCKS_EXCLUDED(mu_);
   // A summary at most a second old, for the replies of all sessions.
   v1::ProcessSummary RecentSummary() ABSL_LOCKS_EXCLUDED(mu_);
 
@@ -97,8 +108,9 @@ class EnvServiceImpl final : public v1::EnvironmentService::Service {
   std::atomic<int64_t> rejected_{0};  // sessions ended by a bad request
 
   mutable Mutex mu_;
-  CondVar changed_;                          // games of a session
-  std::string run_id_ ABSL_GUARDED_BY(mu_);  // of the open sessions; kept after the last one for the status page
+  CondVar changed_;                              // games of a session
+  std::string own_run_id_ ABSL_GUARDED_BY(mu_);  // as SetRun; empty: none
+  std::string run_id_ ABSL_GUARDED_BY(mu_);      // of the open sessions; kept after the last one for the status page
   std::map<const void*, Session> sessions_ ABSL_GUARDED_BY(mu_);
   Work ended_ ABSL_GUARDED_BY(mu_);  // of sessions that have ended
   v1::ProcessSummary recent_summary_ ABSL_GUARDED_BY(mu_);

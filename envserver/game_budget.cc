@@ -44,22 +44,28 @@ absl::Status GameBudget::Options::Validate() const {
 }
 
 absl::Status GameBudget::Share::Set(int64_t games, int64_t bytes) {
-  CRAFTFLEET_RETURN_IF_ERROR(budget_->Take(games_, bytes_, games, bytes));
+  // A release is never refused.
+  if (games > games_ || bytes > bytes_) CRAFTFLEET_RETURN_IF_ERROR(budget_->CheckSession(games, bytes));
+  if (absl::Status status = budget_->Take(games_, bytes_, games, bytes); !status.ok()) {
+    if (budget_->full_ != nullptr) budget_->full_();
+    return status;
+  }
   games_ = games;
   bytes_ = bytes;
   return absl::OkStatus();
+}
+
+absl::Status GameBudget::CheckSession(int64_t games, int64_t bytes) const {
+  CRAFTFLEET_RETURN_IF_ERROR(CheckRoom("games of one session", games, options_.session_games, "max_session_games"));
+  return CheckMemory("MiB for one session's games", bytes, options_.session_bytes, "max_session_mb");
 }
 
 absl::Status GameBudget::Take(int64_t had_games, int64_t had_bytes, int64_t games, int64_t bytes) {
   const MutexLock lock(&mu_);
   const int64_t all_games = games_ - had_games + games;
   const int64_t all_bytes = bytes_ - had_bytes + bytes;
-  // A release is never refused.
   if (games > had_games || bytes > had_bytes) {
-    CRAFTFLEET_RETURN_IF_ERROR(CheckRoom("games of one session", games, options_.session_games, "max_session_games"));
     CRAFTFLEET_RETURN_IF_ERROR(CheckRoom("games of all sessions", all_games, options_.games, "max_games"));
-    CRAFTFLEET_RETURN_IF_ERROR(
-        CheckMemory("MiB for one session's games", bytes, options_.session_bytes, "max_session_mb"));
     CRAFTFLEET_RETURN_IF_ERROR(CheckMemory("MiB for all games", all_bytes, options_.bytes, "max_games_mb"));
   }
   games_ = all_games;

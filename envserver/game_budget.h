@@ -4,7 +4,9 @@
 #define CRAFTFLEET_ENVSERVER_GAME_BUDGET_H_
 
 #include <cstdint>
+#include <functional>
 #include <limits>
+#include <utility>
 
 #include <absl/status/status.h>
 
@@ -26,7 +28,9 @@ class GameBudget {
     absl::Status Validate() const;
   };
 
-  explicit GameBudget(const Options& options) : options_(options) {}
+  // `full` is called, without locks held, when a share within the limits of a session exceeds those of all together.
+  explicit GameBudget(const Options& options, std::function<void()> full = nullptr)
+      : options_(options), full_(std::move(full)) {}
 
   // The share of one session, released on destruction. Thread-compatible.
   class Share {
@@ -50,10 +54,12 @@ class GameBudget {
   int64_t bytes() const ABSL_LOCKS_EXCLUDED(mu_);
 
  private:
+  absl::Status CheckSession(int64_t games, int64_t bytes) const;
   absl::Status Take(int64_t had_games, int64_t had_bytes, int64_t games, int64_t bytes) ABSL_LOCKS_EXCLUDED(mu_);
   void Return(int64_t games, int64_t bytes) ABSL_LOCKS_EXCLUDED(mu_);
 
   const Options options_;
+  const std::function<void()> full_;
   mutable Mutex mu_;
   int64_t games_ ABSL_GUARDED_BY(mu_) = 0;
   int64_t bytes_ ABSL_GUARDED_BY(mu_) = 0;

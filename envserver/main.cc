@@ -88,8 +88,7 @@ absl::StatusOr<EnvServiceImpl::Options> OptionsFromFlags() {
 }
 
 // Null without --learner.
-absl::StatusOr<std::unique_ptr<Announcer>> AnnounceIfAsked(const EnvServiceImpl& service,
-                                                           const std::string& listens_on) {
+absl::StatusOr<std::unique_ptr<Announcer>> AnnounceIfAsked(EnvServiceImpl* service, const std::string& listens_on) {
   const std::string learner = absl::GetFlag(FLAGS_learner);
   const std::string advertise = absl::GetFlag(FLAGS_advertise);
   if (learner.empty()) {
@@ -100,8 +99,9 @@ absl::StatusOr<std::unique_ptr<Announcer>> AnnounceIfAsked(const EnvServiceImpl&
   const std::string address = advertise.empty() ? listens_on : advertise;
   CRAFTFLEET_RETURN_IF_ERROR(wire::CheckAddress("advertise", address));
   CRAFTFLEET_ASSIGN_OR_RETURN(const wire::ChannelSecurity security, wire::ChannelSecurityFromFlags());
-  return std::make_unique<Announcer>(wire::Connect(learner, security), address, service.texture_digest(),
-                                     service.canary(), [&service] { return service.Summary(); });
+  return std::make_unique<Announcer>(
+      wire::Connect(learner, security), address, service->texture_digest(), service->canary(),
+      [service] { return service->Summary(); }, [service](const std::string& run_id) { service->SetRun(run_id); });
 }
 
 absl::Status Run() {
@@ -117,7 +117,8 @@ absl::Status Run() {
   LogInfo("listening on %s", server->address());
   CRAFTFLEET_ASSIGN_OR_RETURN(const std::unique_ptr<wire::MetricsServer> metrics,
                               wire::ServeMetrics(metrics_options, &status));
-  CRAFTFLEET_ASSIGN_OR_RETURN(const std::unique_ptr<Announcer> announcer, AnnounceIfAsked(*service, server->address()));
+  CRAFTFLEET_ASSIGN_OR_RETURN(const std::unique_ptr<Announcer> announcer,
+                              AnnounceIfAsked(service.get(), server->address()));
   StopSignal signal([&] {
     if (announcer != nullptr) {
       announcer->Leave();

@@ -36,6 +36,7 @@ constexpr rlim_t kKeptForCalls = 8192;    // if the limit is large enough: two f
 constexpr int kUserTimeoutMs = 4000;      // until unacknowledged data ends a connection; as keepalive's
 constexpr int kPauseMs = 100;             // after running out of descriptors
 constexpr int kMaxEvents = 64;            // per wait
+constexpr int kInspectEveryMs = 200;
 
 void SetOption(int socket, int level, int option, int value) {
   setsockopt(socket, level, option, &value, sizeof(value));
@@ -133,8 +134,9 @@ absl::Status Listener::BindTo(const addrinfo& address) {
   return absl::OkStatus();
 }
 
-void Listener::Start(Handle handle) {
+void Listener::Start(Handle handle, Inspect inspect) {
   handle_ = std::move(handle);
+  inspect_ = std::move(inspect);
   CRAFTFLEET_CHECK(pipe2(wake_up_, O_CLOEXEC) == 0);
   poll_ = epoll_create1(EPOLL_CLOEXEC);
   CRAFTFLEET_CHECK(poll_ >= 0);
@@ -164,7 +166,8 @@ void Listener::Stop() {
 void Listener::Run() {
   epoll_event events[kMaxEvents];
   while (true) {
-    const int count = epoll_wait(poll_, events, kMaxEvents, -1);
+    const bool inspects = inspect_ != nullptr && !connections_.empty();
+    const int count = epoll_wait(poll_, events, kMaxEvents, inspects ? kInspectEveryMs : -1);
     // Closed connections are handled first, so that a client that replaces a connection is not refused.
     for (int i = 0; i < count; ++i) {
       if (events[i].data.fd == wake_up_[0]) return;
@@ -174,6 +177,7 @@ void Listener::Run() {
       const int descriptor = events[i].data.fd;
       if (std::find(sockets_.begin(), sockets_.end(), descriptor) != sockets_.end()) Accept(descriptor);
     }
+    if (inspects) EndInspected();
   }
 }
 
@@ -230,6 +234,16 @@ void Listener::Forget(int copy) {
   // Closing a copy does not remove it from the epoll set while the server holds the original.
   epoll_ctl(poll_, EPOLL_CTL_DEL, copy, nullptr);
   close(copy);
+}
+
+void Listener::EndInspected() {
+  if (clock_.Now() < next_inspection_) return;
+  next_inspection_ = clock_.Now() + absl::Milliseconds(kInspectEveryMs);
+  for (const auto& [copy, reason] : inspect_(connections_)) {
+    const std::string& client = connections_[copy];
+    log_.Warn(client, absl::StrFormat("%s: ended a connection from %s: %s", address_, client, reason));
+    shutdown(copy, SHUT_RDWR);  // the server closes the connection, and epoll reports it
+  }
 }
 
 }  // namespace craftfleet::wire

@@ -13,6 +13,7 @@
 #include <absl/status/status.h>
 #include <absl/status/statusor.h>
 #include <absl/strings/string_view.h>
+#include <absl/time/time.h>
 
 #include "common/base/clock.h"
 #include "common/telemetry/limited_log.h"
@@ -33,14 +34,17 @@ class Listener {
   };
   // Takes ownership of the descriptor of a connection; called on the listener's thread.
   using Handle = std::function<void(int descriptor)>;
+  // Gets the client of each connection by a descriptor, and returns those to end, with reasons; called on that thread
+  // five times a second while there are connections.
+  using Inspect = std::function<std::map<int, std::string>(const std::map<int, std::string>& connections)>;
 
   // Binds the port; connections wait in the backlog until Start.
   //   Unavailable: the port is in use, the host is unknown or not this machine.
   static absl::StatusOr<std::unique_ptr<Listener>> Create(const Options& options);
   ~Listener();
 
-  // Starts accepting connections on the listener's thread. Called at most once.
-  void Start(Handle handle);
+  // Starts accepting connections on the listener's thread. Called at most once. Without `inspect` none is ended.
+  void Start(Handle handle, Inspect inspect = nullptr);
   // Closes the port. Connections that were handed over stay open. Idempotent.
   void Stop();
 
@@ -57,11 +61,14 @@ class Listener {
   // Hands a connection over and watches a copy of its descriptor, to learn when it has ended.
   void Admit(int descriptor, const std::string& client);
   void Forget(int copy);
+  void EndInspected();
 
   const Options options_;
   RealClock clock_;
   LimitedLog log_{&clock_};
   Handle handle_;
+  Inspect inspect_;
+  absl::Time next_inspection_ = absl::InfinitePast();
   std::string address_;
   int port_ = 0;
   std::vector<int> sockets_;

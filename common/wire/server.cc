@@ -1,6 +1,7 @@
 #include "common/wire/server.h"
 
 #include <chrono>
+#include <map>
 #include <mutex>
 #include <utility>
 
@@ -26,6 +27,7 @@ namespace {
 constexpr int kMaxStreamsPerConnection = 128;  // calls at once; an actor has less than ten
 constexpr int kHandshakeTimeoutMs = 10'000;    // for TLS and HTTP/2's preface
 constexpr int kMaxIdleMs = 300'000;            // of a connection without a call
+constexpr int64_t kMaxHeaderBytes = 1 << 20;   // of calls that are beginning
 constexpr int kMaxThreads = 4096;              // of calls without callbacks, one each; beyond: RESOURCE_EXHAUSTED
 
 // Limits of the health port, which any client may reach: a probe sends one request and disconnects.
@@ -181,7 +183,10 @@ absl::StatusOr<Server::Port> Server::Open(const Options& options, const std::str
   if (opened.server == nullptr || port == 0) {
     return absl::UnavailableError(absl::StrFormat("cannot listen on %s: choose another --listen", address));
   }
-  if (opened.listener != nullptr) opened.Listen();
+  ConnectionLimits limits;
+  limits.unfinished_bytes = options.max_message_bytes + kMaxHeaderBytes;
+  limits.client_unfinished_bytes = int64_t{options.max_buffered_mb} << 20;
+  if (opened.listener != nullptr) opened.Listen(limits);
   return opened;
 }
 
@@ -212,16 +217,23 @@ absl::StatusOr<Server::Port> Server::OpenHealth(const std::string& address,
   if (opened.server == nullptr || port == 0) {
     return absl::UnavailableError(absl::StrFormat("cannot listen on %s: choose another --health_listen", address));
   }
-  if (opened.listener != nullptr) opened.Listen();
+  ConnectionLimits limits;
+  limits.streams = 2 * kHealthStreamsPerConnection;
+  limits.unfinished_bytes = kHealthMessageBytes + kMaxHeaderBytes;
+  limits.client_unfinished_bytes = kHealthBufferedBytes;
+  if (opened.listener != nullptr) opened.Listen(limits);
   return opened;
 }
 
-void Server::Port::Listen() {
-  listener->Start([acceptor = acceptor.get()](int descriptor) {
+void Server::Port::Listen(const ConnectionLimits& limits) {
+  const auto hand_over = [acceptor = acceptor.get()](int descriptor) {
     grpc::experimental::ExternalConnectionAcceptor::NewConnectionParameters connection;
     connection.fd = descriptor;
     acceptor->HandleNewConnection(&connection);
-  });
+  };
+  const auto watch = std::make_shared<ConnectionWatch>(limits);
+  listener->Start(hand_over,
+                  [watch](const std::map<int, std::string>& connections) { return watch->Look(connections); });
 }
 
 Server::~Server() { Stop(absl::Milliseconds(200)); }

@@ -15,6 +15,7 @@
 #include <grpcpp/server.h>
 
 #include "common/wire/channel.h"
+#include "common/wire/connection_watch.h"
 #include "common/wire/listener.h"
 #include "common/wire/protocol.h"
 #include "common/wire/security.h"
@@ -74,8 +75,8 @@ class Server {
     std::unique_ptr<grpc::Server> server;
     std::unique_ptr<Listener> listener;
     std::string address;
-    // Starts accepting connections.
-    void Listen();
+    // Starts accepting connections; ends those beyond the limits.
+    void Listen(const ConnectionLimits& limits);
   };
 
   Server() = default;

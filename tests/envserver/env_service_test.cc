@@ -24,6 +24,7 @@
 #include "envserver/game.h"
 #include "tests/fakes/sanitizers.h"
 #include "tests/fakes/status_matchers.h"
+#include "tests/fakes/wait_until.h"
 
 namespace craftfleet {
 namespace {
@@ -194,6 +195,34 @@ TEST_F(EnvServiceTest, ASessionWithAnotherGameCanaryIsRefused) {
   EXPECT_THAT(Session(server()).Send(hello),
               StatusIs(absl::StatusCode::kFailedPrecondition,
                        AllOf(HasSubstr("plays another game"), HasSubstr("want 0123456789abcdef"))));
+}
+
+// An idle session of another run used to keep out the actors of the run that the server is registered with.
+TEST_F(EnvServiceTest, ARegisteredServerServesItsOwnRunWhateverOthersClaim) {
+  Session squatter(server());
+  ASSERT_THAT(squatter.Send(Hello("run-b")), IsOk());
+  service_->SetRun("run-a");
+  Session session(server());
+  EXPECT_THAT(session.Send(Hello("run-a")), IsOk());
+  EXPECT_THAT(Session(server()).Send(Hello("run-b")),
+              StatusIs(absl::StatusCode::kFailedPrecondition, HasSubstr("serves run run-a")));
+}
+
+// It used to keep the room of its games for --idle_timeout, ten minutes.
+TEST(EnvService, AnIdleSessionGivesWayToOneThatNeedsItsRoom) {
+  EnvServiceImpl::Options options;
+  options.budget.games = 1;
+  options.budget.session_games = 1;
+  options.gives_way = absl::ZeroDuration();
+  const auto service = *EnvServiceImpl::Create(*DefaultTextureDir(), options);
+  const auto server = *wire::Server::Create({}, {service.get()});
+  Session idle(server->InProcess());
+  ASSERT_THAT(idle.Send(Hello("run-a")), IsOk());
+  ASSERT_THAT(idle.Send(Open(0, 1)), IsOk());
+  EXPECT_TRUE(WaitUntil([&] {
+    Session session(server->InProcess());
+    return session.Send(Hello("run-a")).ok() && session.Send(Open(0, 1)).ok();
+  }));
 }
 
 // Each session of a client that alternates between two runs used to be a line of the log.

@@ -1,7 +1,10 @@
 """Clients of an environment server that request too much, send nothing, read nothing or disconnect."""
 
+import itertools
+import threading
 import time
 
+import hpack
 import messages
 import raw_http2
 import server_case
@@ -133,6 +136,39 @@ class Floods(server_case.ServerCase):
             self.assertIn(flag.partition("=")[0] + "=", ended.stderr)
 
 
+class Squatters(server_case.ServerCase):
+
+    def test_an_idle_session_of_another_run_keeps_nobody_out_of_a_registered_server(self):
+        learner = self.learner()
+        server = self.envserver(f"--learner={learner.address}")
+        squatter = self.client(server.address)
+        stream = squatter.start(messages.PLAY)
+        squatter.send_message(stream, messages.hello(run_id="another"))
+        server.told("registered with learner")
+        server_case.Program(self, "craftfleet-actor", f"--learner={learner.address}", f"--envservers={server.address}",
+                            listens="status on")
+        self.assertEqual(learner.process.wait(server_case.PATIENCE_S), 0, learner.text())
+
+
+    def answer_pings(self, client):
+        try:
+            while True:
+                client.read_frame(1)
+        except (OSError, raw_http2.Closed):
+            pass  # the server has ended it, or the test
+
+    def test_idle_games_make_room_for_others(self):
+        server = self.envserver("--max_session_games=64", "--max_games=64")
+        hog, stream = self.session(server.address, run_id="")
+        hog.send_message(stream, messages.open_lanes(range(64)))
+        threading.Thread(target=self.answer_pings, args=[hog], daemon=True).start()
+        learner = self.learner()
+        server_case.Program(self, "craftfleet-actor", f"--learner={learner.address}", f"--envservers={server.address}",
+                            listens="status on")
+        self.assertEqual(learner.process.wait(server_case.PATIENCE_S), 0, learner.text())
+        self.assertIn("while others need room for games", server.text())
+
+
 class LearnersStreams(server_case.ServerCase):
 
     def test_a_waiting_stream_keeps_nothing_of_its_last_fragment(self):
@@ -218,6 +254,90 @@ class HealthPort(server_case.ServerCase):
             sock.settimeout(server_case.PATIENCE_S)
             while sock.recv(1 << 16):
                 pass  # until the server closes the connection
+
+
+class Http2Floods(server_case.ServerCase):
+    """Of clients that do not acknowledge the server's settings, without which gRPC applies none of its limits."""
+
+    ROOM_MB = 500
+    HEADERS = [(":method", "POST"), (":scheme", "http"), (":path", messages.GET_STATUS), (":authority", "localhost"),
+               ("te", "trailers"), ("content-type", "application/grpc")]
+
+    def flood(self, server, address, frames, seconds=4):
+        """Sends the frames of `frames()` on four connections. Returns how many the server has not ended."""
+        before = server.memory_mb()
+        clients = [(self.client(address), frames()) for _ in range(4)]
+        end = time.monotonic() + seconds
+        while clients and time.monotonic() < end:
+            for entry in list(clients):
+                client, pieces = entry
+                try:
+                    client.sock.settimeout(0.1)
+                    client.write(next(pieces))
+                except TimeoutError:
+                    pass
+                except OSError:
+                    clients.remove(entry)
+        self.assertLess(server.memory_mb() - before, self.ROOM_MB)
+        self.assertIn("ended a connection from 127.0.0.1", server.text())
+        for client, _ in clients:
+            client.close()
+        python_case.wait_until(lambda: self.healthy(address), "it answers others")
+        return len(clients)
+
+    def streams(self, resets=False):
+        block = hpack.encode(self.HEADERS)
+        for first in range(1, 1 << 24, 1000):
+            ids = range(first, first + 1000, 2)
+            yield b"".join(raw_http2.frame(raw_http2.HEADERS, raw_http2.END_HEADERS, stream, block) +
+                           (raw_http2.frame(raw_http2.RST_STREAM, 0, stream, bytes(4)) if resets else b"")
+                           for stream in ids)
+
+    def headers_without_end(self):
+        yield raw_http2.frame(raw_http2.HEADERS, 0, 1, hpack.encode(self.HEADERS))
+        while True:
+            yield raw_http2.frame(raw_http2.CONTINUATION, 0, 1, (b"\x40\x01x\x7e" + b"v" * 126) * 100)
+
+    def test_of_streams(self):
+        server = self.envserver()
+        self.assertEqual(self.flood(server, server.address, self.streams), 0)
+
+    def test_of_streams_over_tls(self):
+        server = self.envserver(*self.tls_flags())
+        client = self.client(server.address, tls=self.tls_client())
+        with self.assertRaises(OSError):
+            for frames in itertools.islice(self.streams(), 200):
+                client.write(frames)
+        self.assertLess(server.memory_mb(), self.ROOM_MB)
+
+    def test_of_streams_that_are_reset(self):
+        """A connection that gRPC keeps up with may go on."""
+        server = self.envserver()
+        self.flood(server, server.address, lambda: self.streams(resets=True), seconds=10)
+
+    def test_of_headers(self):
+        learner = self.learner()
+        self.flood(learner, learner.address, self.headers_without_end, seconds=6)
+
+    def test_of_connections_with_a_few_streams_each(self):
+        """None of them is beyond its own limit."""
+        server = self.envserver()
+        before = server.memory_mb()
+        clients = [self.client(server.address) for _ in range(100)]
+        for client in clients:
+            client.write(next(self.streams())[:100 * (9 + len(hpack.encode(self.HEADERS)))])
+        def ended():
+            count = 0
+            for client in clients:
+                try:
+                    while client.read_frame(0.001):
+                        pass
+                except (OSError, raw_http2.Closed):
+                    count += 1
+            return count
+        python_case.wait_until(lambda: ended() >= 60, "some are ended", server_case.PATIENCE_S)
+        self.assertLess(ended(), 100)
+        self.assertLess(server.memory_mb() - before, self.ROOM_MB)
 
 
 class Streams(server_case.ServerCase):
