@@ -86,7 +86,7 @@ class Board {
   // Sets all cells, x outer, each to what a call of next() returns: a pair of material and variant.
   template <typename Next>
   void SetMaterials(const Next& next) {
-    for (Cell& cell : cells_) std::tie(cell.material, cell.variant) = next();
+    for (BoardCell& cell : cells_) std::tie(cell.material, cell.variant) = next();
     CountMaterials();
   }
   // Adds `object` at its position, a free cell, and returns its index. Its chunk becomes known.
