@@ -23,6 +23,7 @@ NOT_RUN = [
     (r"(python3 -m venv|pip install|tar -xf craftfleet|craftfleet-[\d.]+-linux)", "needs a bundle and another LibTorch; bundle_test.py"),
     (r"(prometheus|promtool) ", "needs Prometheus; watch_test.py"),
     (r"build/bin/\w+_bench", "takes minutes"),
+    (r"build/bin/craftfleet plan\b", "measures for a minute, once for each agent; plan_test.py"),
     (r"tests/fuzz/(fuzz|corpus)", "searches for hours, or writes files of the repository; corpus_test.py"),
     (r"tests/(bench|chaos|hostile)/", "the long forms, which take minutes to hours; their short forms are tests"),
     (r"build/bin/(replay_trace|craftfleet train --textures|craftfleet sweep .*--textures)", "needs the original's textures"),
