@@ -124,8 +124,7 @@ absl::StatusOr<Costs> MeasureAndKeep(const v1::RunConfig& config, const std::str
   SetUpDevice(device, config.precision());
   LogInfo("measuring what %s costs here: some %s", config.agent(), absl::FormatDuration(time));
   CRAFTFLEET_ASSIGN_OR_RETURN(const Costs costs, MeasureCosts(config, device, time));
-  CRAFTFLEET_RETURN_IF_ERROR(CreateFolders(path.substr(0, path.rfind('/') + 1)));
-  CRAFTFLEET_RETURN_IF_ERROR(ReplaceFile(path, FormatCosts(costs)));
+  CRAFTFLEET_RETURN_IF_ERROR(KeepCosts(costs, path));
   LogInfo("costs are in %s", path);
   return costs;
 }

@@ -2,6 +2,7 @@
 
 #include <cmath>
 #include <cstdlib>
+#include <filesystem>
 #include <utility>
 #include <vector>
 
@@ -151,6 +152,12 @@ absl::StatusOr<Costs> ParseCosts(absl::string_view text, absl::string_view path)
   CRAFTFLEET_RETURN_IF_ERROR(ReadFrameCosts(json, "raw", path, &costs.raw));
   CRAFTFLEET_RETURN_IF_ERROR(ReadFrameCosts(json, "scene", path, &costs.scene));
   return costs;
+}
+
+absl::Status KeepCosts(const Costs& costs, const std::string& path) {
+  const std::string folder = std::filesystem::path(path).parent_path();
+  if (!folder.empty()) CRAFTFLEET_RETURN_IF_ERROR(CreateFolders(folder));
+  return ReplaceFile(path, FormatCosts(costs));
 }
 
 absl::StatusOr<std::string> DefaultCostsPath(absl::string_view agent) {

@@ -49,6 +49,9 @@ std::string FormatCosts(const Costs& costs);
 //   InvalidArgument: no such JSON, or a number that no cost can be; names `path` and the field.
 absl::StatusOr<Costs> ParseCosts(absl::string_view text, absl::string_view path);
 
+// Writes FormatCosts to `path`, in a folder that is created if need be.   Errors as ReplaceFile.
+absl::Status KeepCosts(const Costs& costs, const std::string& path);
+
 // Where the costs of `agent` are kept unless a file is given: in $XDG_CACHE_HOME or ~/.cache.
 //   FailedPrecondition: neither variable is set.
 absl::StatusOr<std::string> DefaultCostsPath(absl::string_view agent);

@@ -1,13 +1,16 @@
 #include "deploy/cli/plan/costs.h"
 
 #include <cstdlib>
+#include <filesystem>
 
 #include <absl/strings/str_replace.h>
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include "common/io/files.h"
 #include "tests/deploy/cli/plan/sample_costs.h"
 #include "tests/fakes/status_matchers.h"
+#include "tests/fakes/temp_folder.h"
 
 namespace craftfleet {
 namespace {
@@ -47,6 +50,18 @@ TEST(Costs, ANumberThatNoCostCanBeIsRefusedByName) {
   EXPECT_THAT(error("\"scene\"", "\"scenes\""), HasSubstr("scene, want an object"));
   EXPECT_THAT(std::string(ParseCosts("[1]", "x").status().message()), HasSubstr("x: not the JSON that"));
   EXPECT_THAT(std::string(ParseCosts("{", "x").status().message()), HasSubstr("x: not the JSON that"));
+}
+
+TEST(Costs, AreKeptInAFolderOrInTheWorkingFolder) {
+  const TempFolder folder;
+  const std::string path = folder / "a/b/costs.json";
+  ASSERT_THAT(KeepCosts(SampleCosts(), path), IsOk());
+  EXPECT_EQ(*ReadFile(path), FormatCosts(SampleCosts()));
+  const std::filesystem::path before = std::filesystem::current_path();
+  std::filesystem::current_path(folder.path());
+  EXPECT_THAT(KeepCosts(SampleCosts(), "costs.json"), IsOk());
+  std::filesystem::current_path(before);
+  EXPECT_EQ(*ReadFile(folder / "costs.json"), FormatCosts(SampleCosts()));
 }
 
 TEST(CostlyFields, HasWhatCostsDependOnAndNothingElse) {
