@@ -31,7 +31,8 @@ NOT_RUN = [
     (r"build/bin/(replay_trace|craftfleet train --textures|craftfleet sweep .*--textures)", "needs the original's textures"),
     (r"python3 (envserver/textures|tests/model)/", "writes files of the repository"),
     (r"build/bin/craftfleet report deploy/experiments/results", "writes a page of the repository"),
-    (r"(build/bin/craftfleet (eval --checkpoint=(deploy/|runs/small)|train --config=small|watch --\w+=\S+ --size=360)|python3 deploy/pictures/)",
+    (r"(build/bin/craftfleet (eval --checkpoint=(deploy/|runs/small)|train --config=small)|build/bin/craftfleet watch "
+     r"--(video=\S+ --size=360|strip=attention-strip)|python3 deploy/pictures/)",
      "makes a picture that is committed"),
     (r"build/bin/craftfleet sweep .*--experiment=overlap_300k", "takes hours"),
     (r"build/bin/craftfleet report runs/overlap", "on deploy/TUNING.md: of that sweep's runs; README.md makes a report"),

@@ -114,7 +114,10 @@ class VectorEnv(gymnasium.vector.VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
     return [self._batch.save(lane) for lane in range(self.num_envs)]
 
   def restore(self, snapshots: Sequence[bytes]) -> tuple[np.ndarray, dict[str, Any]]:
-    """Continues each lane from its snapshot; the same one may be given to many. Returns observations and infos."""
+    """Continues each lane from its snapshot; the same one may be given to many. Returns observations and infos.
+
+    ValueError: damaged, or of other arguments; names the lane. The lanes before it have their snapshots by then.
+    """
     if len(snapshots) != self.num_envs:
       raise ValueError(f"{len(snapshots)} snapshots, want one for each of {self.num_envs} lanes")
     for lane, snapshot in enumerate(snapshots):
