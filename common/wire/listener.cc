@@ -237,9 +237,13 @@ void Listener::Forget(int copy) {
 }
 
 void Listener::EndInspected() {
-  if (clock_.Now() < next_inspection_) return;
-  next_inspection_ = clock_.Now() + absl::Milliseconds(kInspectEveryMs);
-  for (const auto& [copy, reason] : inspect_(connections_)) {
+  const absl::Time begin = clock_.Now();
+  if (begin < next_inspection_) return;
+  const std::map<int, std::string> floods = inspect_(connections_);
+  // With very many connections less often, at the cost of some 2% of a core.
+  const absl::Time end = clock_.Now();
+  next_inspection_ = end + std::clamp(50 * (end - begin), absl::Milliseconds(kInspectEveryMs), absl::Seconds(1));
+  for (const auto& [copy, reason] : floods) {
     const std::string& client = connections_[copy];
     log_.Warn(client, absl::StrFormat("%s: ended a connection from %s: %s", address_, client, reason));
     shutdown(copy, SHUT_RDWR);  // the server closes the connection, and epoll reports it
