@@ -38,8 +38,8 @@ json Parse(char* answer) {
 int64_t Count(const json& data, const char* name) {
   const auto found = data.find(name);
   int64_t count = 0;
-  if (found != data.end() && found->is_string()) (void)absl::SimpleAtoi(found->get_ref<const std::string&>(), &count);
-  return count;
+  const bool given = found != data.end() && found->is_string();
+  return given && absl::SimpleAtoi(found->get_ref<const std::string&>(), &count) ? count : 0;
 }
 
 int64_t LastServer() {
