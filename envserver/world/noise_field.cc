@@ -12,43 +12,46 @@ namespace {
 // One or two columns of a tile: what fits into the vectors of the CPU.
 using Column = float __attribute__((vector_size(kTileSize * sizeof(float))));
 using TwoColumns = float __attribute__((vector_size(2 * kTileSize * sizeof(float))));
-constexpr float kRows[] = {0, 1, 2, 3, 4, 5, 6, 7, 0, 1, 2, 3, 4, 5, 6, 7};
-constexpr float kColumns[] = {0, 0, 0, 0, 0, 0, 0, 0, 1, 1, 1, 1, 1, 1, 1, 1};
 
 // The gradients by number, times the weight.
 using Gradients = std::array<float, 3>[256];
 
-struct Tile {
-  float step_x, step_y;  // from cell to cell
-  float* values;         // [kTileSize][kTileSize]
+// Where the cells of a tile's first two columns are, from its first cell. In memory, where the compiler does not see
+// that the x of a column are equal: it would compute them as scalars, and need more operations to spread them over
+// vectors.
+struct Cells {
+  Cells(float step_x, float step_y) : next_column(step_x) {
+    for (int n = 0; n < 2 * kTileSize; ++n) {
+      x[n] = step_x * static_cast<float>(n / kTileSize);
+      y[n] = step_y * static_cast<float>(n % kTileSize);
+    }
+  }
+
+  float x[2 * kTileSize];
+  float y[2 * kTileSize];
+  float next_column;
 };
 
+// Adds to each cell of a tile, values[kTileSize][kTileSize], what the lattice points contribute: attenuation^4 *
+// (gradient . displacement).
 template <typename Vector>
-CRAFTFLEET_KERNEL_BODY void Load(const float* values, Vector* vector) {
-  std::memcpy(vector, values, sizeof(*vector));
-}
-
-// Adds to each cell of the tile what the lattice points contribute: attenuation^4 * (gradient . displacement).
-template <typename Vector>
-CRAFTFLEET_KERNEL_BODY void AddPointsLoop(const SimplexNoise* noise, const Gradients* gradients, const Tile* tile,
-                                          absl::Span<const NoiseField::Point> points) {
+CRAFTFLEET_KERNEL_BODY void AddPointsLoop(const SimplexNoise* noise, const Gradients* gradients, const Cells* cells,
+                                          absl::Span<const NoiseField::Point> points, float* values) {
   constexpr int kStep = sizeof(Vector) / sizeof(Column);
   constexpr int kSteps = kTileSize / kStep;
-  Vector rows;
-  Vector columns;
-  Load(kRows, &rows);
-  Load(kColumns, &columns);
-  const Vector tile_y = tile->step_y * rows;
-  const Vector tile_x = tile->step_x * columns;
-  const float step_x = kStep * tile->step_x;
+  Vector cells_x;
+  Vector cells_y;
+  std::memcpy(&cells_x, cells->x, sizeof(cells_x));
+  std::memcpy(&cells_y, cells->y, sizeof(cells_y));
+  const float step_x = kStep * cells->next_column;
   Vector sums[kSteps];
-  std::memcpy(sums, tile->values, sizeof(sums));
+  std::memcpy(sums, values, sizeof(sums));
   for (const NoiseField::Point& point : points) {
     const std::array<float, 3>& gradient = (*gradients)[noise->GradientNumber(point.i, point.j, point.k)];
-    const Vector y = tile_y - point.y;
+    const Vector y = cells_y - point.y;
     const Vector reach_left = point.squared_reach - y * y;
     const Vector along_yz = gradient[2] * point.z + gradient[1] * y;
-    Vector x = tile_x - point.x;
+    Vector x = cells_x - point.x;
     for (int step = 0; step < kSteps; ++step) {
       Vector attenuation = reach_left - x * x;
       attenuation = attenuation > 0 ? attenuation : Vector{};
@@ -57,7 +60,7 @@ CRAFTFLEET_KERNEL_BODY void AddPointsLoop(const SimplexNoise* noise, const Gradi
       x += step_x;
     }
   }
-  std::memcpy(tile->values, sums, sizeof(sums));
+  std::memcpy(values, sums, sizeof(sums));
 }
 CRAFTFLEET_WIDE_KERNEL(AddPoints, AddPointsLoop<TwoColumns>, AddPointsLoop<Column>)
 
@@ -112,16 +115,16 @@ void NoiseField::Add(const SimplexNoise& noise, double weight, int tile_columns,
     const SimplexNoise::Gradient& gradient = noise.GradientWithNumber(n);
     gradients[n] = {scale * gradient.x, scale * gradient.y, scale * gradient.z};
   }
+  const Cells cells(static_cast<float>(step_x_), static_cast<float>(step_y_));
   for (int row = 0; row < static_cast<int>(wanted.size()); ++row) {
     for (int column = 0; column < tile_columns; ++column) {
       if ((wanted[row] >> column & 1) == 0) continue;
-      const Tile tile = {static_cast<float>(step_x_), static_cast<float>(step_y_),
-                         values + (row * tile_columns + column) * kTileCells};
+      float* tile = values + (row * tile_columns + column) * kTileCells;
       if (column < kKept && row < kKept) {
-        AddPoints(&noise, &gradients, &tile, absl::MakeConstSpan(points_[row * kKept + column]));
+        AddPoints(&noise, &gradients, &cells, absl::MakeConstSpan(points_[row * kKept + column]), tile);
       } else {
         const std::vector<Point> points = PointsOf(column, row);
-        AddPoints(&noise, &gradients, &tile, absl::MakeConstSpan(points));
+        AddPoints(&noise, &gradients, &cells, absl::MakeConstSpan(points), tile);
       }
     }
   }
