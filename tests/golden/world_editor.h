@@ -16,7 +16,8 @@ class WorldEditor {
   static const WorldState& State(const World& world) { return world.state_; }
   static WorldState& State(World* world) { return world->state_; }
 
-  // Applies a `set` line of a scenario trace; draws nothing. Source: the README in CRAFTFLEET_GOLDEN_DIR, "Scenario traces".
+  // Applies a `set` line of a scenario trace; draws nothing. Source: the README in CRAFTFLEET_GOLDEN_DIR, "Scenario
+  // traces".
   //   InvalidArgument: a position outside the world, a missing object, or an occupied cell.
   // Throws nlohmann::json::exception if a value has the wrong shape.
   static absl::Status Apply(const nlohmann::json& edit, World* world);
