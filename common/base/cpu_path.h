@@ -1,6 +1,7 @@
 // Kernels compiled for several CPUs: AVX-512, AVX2 and the base CPU. Unlike CRAFTFLEET_MULTIVERSION, a test can force
 // each of them. For loops over arrays that the compiler vectorises. Results are the same on every path because nothing
-// is contracted or reassociated (-ffp-contract=off).
+// is contracted or reassociated (-ffp-contract=off), but in two files whose results need not be exact, as their callers
+// know by how much they may be wrong (noise_field.cc, rough_night.cc).
 //
 //     CRAFTFLEET_KERNEL_BODY void DoubleLoop(int count, float* values) { ... }
 //     CRAFTFLEET_KERNEL(Double, DoubleLoop)  // defines Double(), with the same parameters

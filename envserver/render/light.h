@@ -1,5 +1,5 @@
 // The light on the map's pixels: daylight, the night's noise, sleep. All three ignore the alpha of the pixels: it
-// becomes 0. Double and float operations in the original's order, so results are exact.
+// becomes 0. Results are exactly those of the original's double and float operations in their order.
 // Source: RULES.md, section 13.
 
 #ifndef CRAFTFLEET_ENVSERVER_RENDER_LIGHT_H_
