@@ -27,7 +27,7 @@ namespace {
 constexpr int kMaxStreamsPerConnection = 128;  // calls at once; an actor has less than ten
 constexpr int kHandshakeTimeoutMs = 10'000;    // for TLS and HTTP/2's preface
 constexpr int kMaxIdleMs = 300'000;            // of a connection without a call
-constexpr int64_t kMaxHeaderBytes = 1 << 20;   // of calls that are beginning
+constexpr int64_t kMaxWindowBytes = 16 << 20;  // of messages that gRPC may hold for a slow handler, and of headers
 constexpr int kMaxThreads = 4096;              // of calls without callbacks, one each; beyond: RESOURCE_EXHAUSTED
 
 // Limits of the health port, which any client may reach: a probe sends one request and disconnects.
@@ -39,6 +39,7 @@ constexpr int kHealthIdleMs = 10'000;
 constexpr int kHealthAgeMs = 60'000;  // of a connection, even an active one; watchers reconnect
 constexpr int kHealthGraceMs = 2000;
 constexpr int kHealthMessageBytes = 4096;
+constexpr int64_t kHealthHeaderBytes = 1 << 20;
 constexpr size_t kHealthBufferedBytes = 4u << 20;
 
 bool IsUnixSocket(absl::string_view address) { return absl::StartsWith(address, "unix:"); }
@@ -184,7 +185,7 @@ absl::StatusOr<Server::Port> Server::Open(const Options& options, const std::str
     return absl::UnavailableError(absl::StrFormat("cannot listen on %s: choose another --listen", address));
   }
   ConnectionLimits limits;
-  limits.unfinished_bytes = options.max_message_bytes + kMaxHeaderBytes;
+  limits.unfinished_bytes = options.max_message_bytes + kMaxWindowBytes;
   limits.client_unfinished_bytes = int64_t{options.max_buffered_mb} << 20;
   if (opened.listener != nullptr) opened.Listen(limits);
   return opened;
@@ -219,7 +220,7 @@ absl::StatusOr<Server::Port> Server::OpenHealth(const std::string& address,
   }
   ConnectionLimits limits;
   limits.streams = 2 * kHealthStreamsPerConnection;
-  limits.unfinished_bytes = kHealthMessageBytes + kMaxHeaderBytes;
+  limits.unfinished_bytes = kHealthMessageBytes + kHealthHeaderBytes;
   limits.client_unfinished_bytes = kHealthBufferedBytes;
   if (opened.listener != nullptr) opened.Listen(limits);
   return opened;
