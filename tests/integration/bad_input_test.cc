@@ -163,7 +163,7 @@ const std::vector<BadCommand>& BadCommands() {
       {"NoHostCores", "craftfleet-plan", {"--host_cores=-4"}, {"--host_cores=-4, want 1..1000000"}},
       {"NegativeGpus", "craftfleet-plan", {"--gpus=-1"}, {"--gpus=-1, want 0..1"}},
       {"NoSpeedOfALink", "craftfleet-plan", {"--gbit=nan"}, {"--gbit=nan, want 0..100000"}},
-      {"NoLearners", "craftfleet-plan", {"--learners=0"}, {"--learners=0, want 1..256"}},
+      {"NoLearnersOfAPlan", "craftfleet-plan", {"--learners=0"}, {"--learners=0, want 1..256"}},
       {"UnknownFramesOfAPlan", "craftfleet-plan", {"--frames=png"}, {"--frames=png, want raw or scene"}},
       {"UnknownAgentOfAPlan", "craftfleet-plan", {"--agent=nope"}, {"\"nope\"", "known agents: ppo_cnn"}},
       {"NoTimeToMeasure", "craftfleet-plan", {"--measure", "--measure_time=0"}, {"--measure_time=0, want 0.1s..1h"}},
