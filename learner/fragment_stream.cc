@@ -106,8 +106,10 @@ absl::StatusOr<v1::FragmentVerdict::Verdict> LearnerServiceImpl::Intake(v1::Frag
     ++expired_;
     return v1::FragmentVerdict::EXPIRED;
   }
+  std::string scenes = message->frame_format() == v1::FRAMES_SCENE ? message->frames() : "";
   CRAFTFLEET_RETURN_IF_ERROR(frames_.Draw(options_.shape.steps, message));
   CRAFTFLEET_ASSIGN_OR_RETURN(Fragment fragment, wire::FromProto(message, options_.shape));
+  fragment.scenes = std::move(scenes);
   fragment.sender = message->actor();
   fragment.digest = wire::FragmentDigest(fragment);
   CRAFTFLEET_ASSIGN_OR_RETURN(

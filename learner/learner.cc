@@ -239,7 +239,7 @@ Learner::Learner(const Options& options, Loaded loaded)
       clock_(std::move(loaded.clock)),
       folder_(std::move(loaded.folder)),
       updater_(std::move(loaded.updater)),
-      ranks_(options.ranks, loaded.build.policy_canary),
+      ranks_(options.ranks, {config_, loaded.texture_digest}, loaded.build.policy_canary),
       journal_(std::move(loaded.journal)),
       replay_(std::move(loaded.replay)),
       registry_(RegistryOptions(config_, replay_.has_value(), loaded.lanes.resets,
@@ -273,8 +273,7 @@ void Learner::FillStatus(v1::StatusReply* reply) const {
 }
 
 absl::Status Learner::Run() {
-  CRAFTFLEET_RETURN_IF_ERROR(ranks_.Connect(
-      config_, [this] { return trainer_.is_stopping(); }, updater_.get()));
+  CRAFTFLEET_RETURN_IF_ERROR(ranks_.Connect([this] { return trainer_.is_stopping(); }, updater_.get()));
   CRAFTFLEET_RETURN_IF_ERROR(folder_->Begin());
   absl::Status status = trainer_.Run();
   // After an error they end because rank 0 is lost.

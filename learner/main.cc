@@ -72,6 +72,7 @@ absl::Status ComputeForRank0(const RankOptions& ranks) {
 
 absl::Status Run() {
   CRAFTFLEET_ASSIGN_OR_RETURN(const RankOptions ranks, RankOptionsFromFlags());
+  if (ranks.world_size > 1) CRAFTFLEET_RETURN_IF_ERROR(CheckRankDevice());
   if (ranks.rank > 0) return OkIfStopped(ComputeForRank0(ranks));
   CRAFTFLEET_ASSIGN_OR_RETURN(const wire::MetricsServer::Options metrics_options,
                               wire::MetricsOptionsFromFlags(wire::kAnyFreePort));

@@ -6,16 +6,16 @@
 #include "common/base/status_macros.h"
 #include "common/process/version.h"
 #include "common/telemetry/log.h"
-#include "learner/rank_messages.h"
 
 namespace craftfleet {
 
-absl::Status RankLeader::Connect(const v1::RunConfig& config, std::function<bool()> should_stop, PpoUpdater* updater) {
+absl::Status RankLeader::Connect(std::function<bool()> should_stop, PpoUpdater* updater) {
   if (ranks_.world_size == 1) return absl::OkStatus();
   ranks_.should_stop = std::move(should_stop);
   LogInfo("waiting for %d other ranks, at most %s, on port %d", ranks_.world_size - 1,
           absl::FormatDuration(ranks_.timeout), ranks_.master_port);
-  CRAFTFLEET_ASSIGN_OR_RETURN(const std::unique_ptr<RankMeeting> meeting, RankMeeting::Open(ranks_, RankOffer(config)));
+  CRAFTFLEET_ASSIGN_OR_RETURN(const std::unique_ptr<RankMeeting> meeting,
+                              RankMeeting::Open(ranks_, FormatRankOffer(offer_)));
   CRAFTFLEET_ASSIGN_OR_RETURN(std::unique_ptr<RankLinks> links, meeting->Connect({canary_, BuildId()}));
   group_.emplace(std::move(links));
   CRAFTFLEET_RETURN_IF_ERROR(ShareState(updater, &*group_));

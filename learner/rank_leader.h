@@ -13,9 +13,9 @@
 #include <absl/types/span.h>
 
 #include "common/base/types.h"
-#include "craftfleet/v1/config.pb.h"
 #include "learner/ppo/ppo_updater.h"
 #include "learner/ppo/value_norm.h"
+#include "learner/rank_messages.h"
 #include "learner/ranks/rank_group.h"
 #include "learner/ranks/rank_links.h"
 
@@ -25,12 +25,13 @@ namespace craftfleet {
 class RankLeader {
  public:
   // `canary` is this process's (PolicyCanary).
-  RankLeader(RankOptions ranks, std::string canary) : ranks_(std::move(ranks)), canary_(std::move(canary)) {}
+  RankLeader(RankOptions ranks, RankOffer offer, std::string canary)
+      : ranks_(std::move(ranks)), offer_(std::move(offer)), canary_(std::move(canary)) {}
 
   // Waits for the other ranks, unless `should_stop` says otherwise, and gives them the run's state. From then on
   // `updater` shares its updates out.
   //   As RankMeeting, and lost().
-  absl::Status Connect(const v1::RunConfig& config, std::function<bool()> should_stop, PpoUpdater* updater);
+  absl::Status Connect(std::function<bool()> should_stop, PpoUpdater* updater);
 
   // Gives the others what `updater` will learn from next: `scales` are of the values of each fragment.   As lost().
   absl::Status ShareUpdate(int64_t iteration, absl::Span<const ValueScale> scales,
@@ -45,6 +46,7 @@ class RankLeader {
 
  private:
   RankOptions ranks_;
+  const RankOffer offer_;
   const std::string canary_;
   std::optional<RankGroup> group_;  // unset before Connect, and without other ranks
 };

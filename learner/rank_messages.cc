@@ -1,5 +1,6 @@
 #include "learner/rank_messages.h"
 
+#include <algorithm>
 #include <cstring>
 #include <utility>
 
@@ -17,6 +18,15 @@ namespace {
 // Before the configuration. Its number changes with the messages between ranks.
 constexpr absl::string_view kProtocol = "craftfleet ranks 1\n";
 
+std::string Serialized(const Fragment& fragment) {
+  v1::FragmentMessage message = wire::ToProto(fragment);
+  if (!fragment.scenes.empty()) {
+    message.set_frames(fragment.scenes);
+    message.set_frame_format(v1::FRAMES_SCENE);
+  }
+  return message.SerializeAsString();
+}
+
 // The beginning of a command; the scales follow.
 struct Head {
   RankCommand::Kind kind;
@@ -32,16 +42,21 @@ absl::Status SendHead(const Head& head, absl::Span<const ValueScale> scales, Ran
 
 }  // namespace
 
-std::string RankOffer(const v1::RunConfig& config) { return absl::StrCat(kProtocol, config.SerializeAsString()); }
+std::string FormatRankOffer(const RankOffer& offer) {
+  return absl::StrCat(kProtocol, offer.texture_digest, "\n", offer.config.SerializeAsString());
+}
 
-absl::StatusOr<v1::RunConfig> ParseRankOffer(const std::string& offer) {
-  absl::string_view bytes = offer;
-  v1::RunConfig config;
-  if (!absl::ConsumePrefix(&bytes, kProtocol) || !config.ParseFromString(std::string(bytes))) {
+absl::StatusOr<RankOffer> ParseRankOffer(absl::string_view text) {
+  RankOffer offer;
+  const bool is_known = absl::ConsumePrefix(&text, kProtocol);
+  const size_t end = std::min(text.find('\n'), text.size());
+  offer.texture_digest = std::string(text.substr(0, end));
+  text.remove_prefix(std::min(end + 1, text.size()));
+  if (!is_known || !offer.config.ParseFromString(std::string(text))) {
     return absl::FailedPreconditionError(
         "rank 0 is of another version of CraftFleet: use the same build for all ranks");
   }
-  return config;
+  return offer;
 }
 
 absl::Status ShareState(PpoUpdater* updater, RankGroup* group) {
@@ -60,13 +75,14 @@ absl::Status SendUpdate(int64_t iteration, absl::Span<const ValueScale> scales, 
   const Head head = {RankCommand::Kind::kUpdate, iteration, static_cast<int64_t>(fragments.size())};
   CRAFTFLEET_RETURN_IF_ERROR(SendHead(head, scales, group));
   for (const Fragment& fragment : fragments) {
-    std::string bytes = wire::ToProto(fragment).SerializeAsString();
+    std::string bytes = Serialized(fragment);
     CRAFTFLEET_RETURN_IF_ERROR(group->Broadcast(&bytes));
   }
   return absl::OkStatus();
 }
 
-absl::StatusOr<RankCommand> ReceiveCommand(const wire::FragmentShape& shape, RankGroup* group) {
+absl::StatusOr<RankCommand> ReceiveCommand(const wire::FragmentShape& shape, const FragmentFrames& frames,
+                                           RankGroup* group) {
   std::string bytes;
   CRAFTFLEET_RETURN_IF_ERROR(group->Broadcast(&bytes));
   Head head;
@@ -78,6 +94,7 @@ absl::StatusOr<RankCommand> ReceiveCommand(const wire::FragmentShape& shape, Ran
     v1::FragmentMessage message;
     if (!message.ParseFromString(bytes))
       return absl::InvalidArgumentError("rank 0 sent something else than a fragment");
+    CRAFTFLEET_RETURN_IF_ERROR(frames.Draw(shape.steps, &message));
     CRAFTFLEET_ASSIGN_OR_RETURN(Fragment fragment, wire::FromProto(&message, shape));
     command.fragments.push_back(std::move(fragment));
   }

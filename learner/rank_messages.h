@@ -9,21 +9,28 @@
 
 #include <absl/status/status.h>
 #include <absl/status/statusor.h>
+#include <absl/strings/string_view.h>
 #include <absl/types/span.h>
 
 #include "common/base/types.h"
 #include "common/wire/fragment_check.h"
 #include "craftfleet/v1/config.pb.h"
+#include "learner/fragment_frames.h"
 #include "learner/ppo/ppo_updater.h"
 #include "learner/ppo/value_norm.h"
 #include "learner/ranks/rank_group.h"
 
 namespace craftfleet {
 
-// The run's complete configuration, as rank 0 offers it when the ranks meet.
-std::string RankOffer(const v1::RunConfig& config);
+// The run, as rank 0 offers it when the ranks meet.
+struct RankOffer {
+  v1::RunConfig config;  // complete
+  std::string texture_digest;
+};
+
+std::string FormatRankOffer(const RankOffer& offer);
 //   FailedPrecondition: it is from another version of CraftFleet.
-absl::StatusOr<v1::RunConfig> ParseRankOffer(const std::string& offer);
+absl::StatusOr<RankOffer> ParseRankOffer(absl::string_view text);
 
 // Gives rank 0's weights and optimiser to all.
 //   As RankGroup::Broadcast and PpoUpdater::Load.
@@ -43,12 +50,13 @@ struct RankCommand {
   std::vector<Fragment> fragments;  // likewise, in their order
 };
 
-// Sends or receives a command.
+// Sends or receives a command. Fragments that came as scene records travel so; the receiver draws them with `frames`.
 //   As RankGroup::Broadcast; receiving also InvalidArgument: a fragment that is none of `shape`.
 absl::Status SendCommand(RankCommand::Kind kind, RankGroup* group);
 absl::Status SendUpdate(int64_t iteration, absl::Span<const ValueScale> scales, absl::Span<const Fragment> fragments,
                         RankGroup* group);
-absl::StatusOr<RankCommand> ReceiveCommand(const wire::FragmentShape& shape, RankGroup* group);
+absl::StatusOr<RankCommand> ReceiveCommand(const wire::FragmentShape& shape, const FragmentFrames& frames,
+                                           RankGroup* group);
 
 }  // namespace craftfleet
 

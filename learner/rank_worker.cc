@@ -28,26 +28,28 @@ absl::StatusOr<std::unique_ptr<RankWorker>> RankWorker::Connect(const Options& o
   LogInfo("rank %d of %d; waiting for rank 0 at %s:%d", ranks.rank, ranks.world_size, ranks.master_addr,
           ranks.master_port);
   CRAFTFLEET_ASSIGN_OR_RETURN(const std::unique_ptr<RankMeeting> meeting, RankMeeting::Open(ranks, ""));
-  v1::RunConfig config;
+  RankOffer offer;
   std::unique_ptr<PpoUpdater> updater;
   const auto prepare = [&]() -> absl::Status {
-    CRAFTFLEET_ASSIGN_OR_RETURN(config, ParseRankOffer(meeting->offer()));
-    CRAFTFLEET_RETURN_IF_ERROR(options.check(config));
-    CRAFTFLEET_ASSIGN_OR_RETURN(updater, PpoUpdater::Create(config, options.threads));
+    CRAFTFLEET_ASSIGN_OR_RETURN(offer, ParseRankOffer(meeting->offer()));
+    CRAFTFLEET_RETURN_IF_ERROR(options.check(offer.config));
+    CRAFTFLEET_ASSIGN_OR_RETURN(updater, PpoUpdater::Create(offer.config, options.threads));
     return absl::OkStatus();
   };
   RankBuild build = {"", BuildId(), prepare()};
   CRAFTFLEET_ASSIGN_OR_RETURN(build.canary, PolicyCanary());
   CRAFTFLEET_ASSIGN_OR_RETURN(std::unique_ptr<RankLinks> links, meeting->Connect(build));
-  std::unique_ptr<RankWorker> worker(new RankWorker(config, std::move(updater), std::move(links)));
+  std::unique_ptr<RankWorker> worker(new RankWorker(offer, std::move(updater), std::move(links)));
   CRAFTFLEET_RETURN_IF_ERROR(ShareState(worker->updater_.get(), &worker->group_));
   LogInfo("rank %d computes for rank 0", ranks.rank);
   return worker;
 }
 
-RankWorker::RankWorker(const v1::RunConfig& config, std::unique_ptr<PpoUpdater> updater,
-                       std::unique_ptr<RankLinks> links)
-    : shape_(FragmentShapeOf(config, updater->spec())), updater_(std::move(updater)), group_(std::move(links)) {
+RankWorker::RankWorker(const RankOffer& offer, std::unique_ptr<PpoUpdater> updater, std::unique_ptr<RankLinks> links)
+    : shape_(FragmentShapeOf(offer.config, updater->spec())),
+      frames_(offer.config, offer.texture_digest),
+      updater_(std::move(updater)),
+      group_(std::move(links)) {
   updater_->ShareOut(&group_);
 }
 
@@ -55,7 +57,7 @@ absl::Status RankWorker::Run() {
   absl::StatusOr<RankCommand> command;
   absl::Status status;
   while (status.ok()) {
-    command = ReceiveCommand(shape_, &group_);
+    command = ReceiveCommand(shape_, frames_, &group_);
     status = command.status();
     if (!status.ok() || command->kind != RankCommand::Kind::kUpdate) break;
     status = Update(*command);

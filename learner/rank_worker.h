@@ -11,6 +11,7 @@
 
 #include "common/wire/fragment_check.h"
 #include "craftfleet/v1/config.pb.h"
+#include "learner/fragment_frames.h"
 #include "learner/ppo/ppo_updater.h"
 #include "learner/rank_messages.h"
 #include "learner/ranks/rank_group.h"
@@ -42,11 +43,12 @@ class RankWorker {
   void Stop();
 
  private:
-  RankWorker(const v1::RunConfig& config, std::unique_ptr<PpoUpdater> updater, std::unique_ptr<RankLinks> links);
+  RankWorker(const RankOffer& offer, std::unique_ptr<PpoUpdater> updater, std::unique_ptr<RankLinks> links);
   // Learns from the fragments of `command`, as Trainer does on rank 0.
   absl::Status Update(const RankCommand& command);
 
   const wire::FragmentShape shape_;
+  const FragmentFrames frames_;
   const std::unique_ptr<PpoUpdater> updater_;
   RankGroup group_;
   StopFlag ended_;  // Run

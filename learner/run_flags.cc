@@ -144,6 +144,12 @@ absl::StatusOr<int> ThreadsFromFlags() {
   return threads == 0 ? DefaultThreads() : threads;
 }
 
+absl::Status CheckRankDevice() {
+  const std::string device = absl::GetFlag(FLAGS_device);
+  if (device == "auto" || device == "cpu") return absl::OkStatus();
+  return InvalidFlag("device", device, "cpu: several learners compute on CPUs only");
+}
+
 absl::Status CheckSameAsFlags(const v1::RunConfig& config) {
   v1::RunConfig own = config;
   if (!absl::GetFlag(FLAGS_config).empty()) {

@@ -24,6 +24,9 @@ absl::StatusOr<Learner::Options> LearnerOptionsFromFlags(v1::RunConfig::Device o
 // --threads, or by default as many as the cgroup's CPU quota allows.   InvalidArgument: out of range.
 absl::StatusOr<int> ThreadsFromFlags();
 
+// For one of several learners.   InvalidArgument: --device names a GPU.
+absl::Status CheckRankDevice();
+
 // For a rank from 1 on, whose `config` is rank 0's.
 //   InvalidArgument: the flags of this process ask for another configuration; names the fields.
 absl::Status CheckSameAsFlags(const v1::RunConfig& config);

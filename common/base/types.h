@@ -106,6 +106,7 @@ struct Fragment {
   FrameFormat frame_format = FrameFormat::kRaw;
 
   // Set by the learner when it receives the fragment.
+  std::string scenes;   // the frames as scene records, if they came so; else empty
   std::string sender;   // the actor
   uint64_t digest = 0;  // FragmentDigest of the content
 };

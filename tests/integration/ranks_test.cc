@@ -69,9 +69,9 @@ class RanksTest : public FleetRunTest {
     return ranks;
   }
   // An actor and an environment server for `learner_`, which outlive the learners.
-  void StartWorkers(const std::string& run) {
+  void StartWorkers(const std::string& run, const std::vector<std::string>& more = {}) {
     server_ = StartServer(run + "-server");
-    actor_ = StartActor(run + "-actor", learner_, server_->WaitForAddress().value());
+    actor_ = StartActor(run + "-actor", learner_, server_->WaitForAddress().value(), /*threads=*/2, more);
   }
   static void ExpectEnd(const Ranks& ranks, int exit_code, absl::Duration timeout, absl::string_view text) {
     for (const auto& rank : ranks) {
@@ -94,7 +94,7 @@ TEST_F(RanksTest, TwoLearnersEqualOneProcess) {
 }
 
 TEST_F(RanksTest, AKilledRankEndsTheOthersAndTheSameCommandsContinue) {
-  StartWorkers("killed");
+  StartWorkers("killed", {"--frames=scene"});
   Ranks ranks = StartRanks("killed", 2);
   WaitForCheckpoint("killed", 4);
   ranks[1]->Kill();

@@ -228,7 +228,9 @@ TEST(RankMeeting, SecondProcessOfARankIsRefused) {
     ASSERT_TRUE(meeting.ok()) << meeting.status();
     ASSERT_TRUE((*meeting)->Connect({"canary", "build"}).ok());
     if (rank == 0) return;
-    const auto again = RankMeeting::Open(LocalRank(rank, 2, port), "");
+    RankOptions second = LocalRank(rank, 2, port);
+    second.timeout = absl::Seconds(5);
+    const auto again = RankMeeting::Open(second, "");
     if (!again.ok()) return;  // rank 0 has ended
     EXPECT_FALSE((*again)->Connect({"canary", "build"}).ok());
   });
