@@ -9,7 +9,7 @@ from tests.fakes.python_case import BIN, SOURCE, wait_until
 SCRIPT = SOURCE / "deploy/slurm/fleet.sbatch"
 # 2 actors and 2 environment servers, small enough for three nodes on one machine.
 PARTS = ["--cpus-per-task=1", "--mem-per-cpu=500", ":", "--ntasks=2", "--mem-per-cpu=500", ":", "--ntasks=2", "--mem-per-cpu=500"]
-TWO_LEARNERS = ["--ntasks=2", "--cpus-per-task=1", "--mem-per-cpu=500", ":", "--mem-per-cpu=500", ":", "--mem-per-cpu=500"]
+TWO_LEARNERS = ["--ntasks=2", "--cpus-per-task=1", "--mem-per-cpu=500", ":", "--ntasks=1", "--mem-per-cpu=500", ":", "--ntasks=1", "--mem-per-cpu=500"]
 ENDS = ("COMPLETED", "FAILED", "CANCELLED", "TIMEOUT", "NODE_FAIL", "OUT_OF_MEMORY")
 EXPERIMENTS = """
 axes {
