@@ -169,10 +169,10 @@ class Manifests(unittest.TestCase):
           if value.startswith("dns:"):
             self.assertEqual(service["spec"]["clusterIP"], "None", "every pod's address is wanted")
           labels = workload["spec"]["template"]["metadata"]["labels"]
-          for document in objects.of("NetworkPolicy"):
-            if document["spec"]["podSelector"].get("matchLabels") == service["spec"]["selector"]:
-              allowed = [peer["podSelector"]["matchLabels"] for rule in document["spec"]["ingress"] for peer in rule["from"]]
-              self.assertTrue(any(fits(peer, labels) for peer in allowed))
+          policies = [document["spec"] for document in objects.of("NetworkPolicy")
+                      if document["spec"]["podSelector"].get("matchLabels") == service["spec"]["selector"]]
+          allowed = [peer["podSelector"]["matchLabels"] for policy in policies for rule in policy["ingress"] for peer in rule["from"]]
+          self.assertTrue(any(fits(peer, labels) for peer in allowed))
       stateful, = objects.of("StatefulSet")
       service, = [document for document in objects.of("Service") if document["metadata"]["name"] == stateful["spec"]["serviceName"]]
       self.assertEqual(service["spec"]["clusterIP"], "None")
@@ -198,8 +198,11 @@ class Manifests(unittest.TestCase):
         sources = {volume["name"]: volume for volume in pod.get("volumes", [])}
         self.assertEqual(claims | sources.keys(), {mount["name"] for mount in container["volumeMounts"]})
         for entry in container.get("env", []):
-          reference = entry["valueFrom"]["configMapKeyRef"]
-          self.assertIn(reference["key"], maps[reference["name"]])
+          reference = entry.get("valueFrom", {}).get("configMapKeyRef")
+          if reference is None:  # a value, or a field of the pod
+            self.assertTrue("value" in entry or "fieldRef" in entry["valueFrom"], entry)
+          else:
+            self.assertIn(reference["key"], maps[reference["name"]])
         for secrets in secret_sets:
           files = {}
           for mount in container["volumeMounts"]:
