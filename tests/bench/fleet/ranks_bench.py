@@ -68,14 +68,15 @@ def train(options, learners, folder):
                      folder / f"rank{rank}.log") for rank in range(1, learners)]
     done, used = {}, {}  # when each iteration had ended, seen while the learner waits for the next one's steps
     try:
-        for worker, core in zip([fleet.learner, *others], options.cores):
-            pin(worker, {core})
         while fleet.learner.process.poll() is None:
             time.sleep(0.2)
             seen = update_seconds(options, fleet)
             if seen is not None and seen[0] not in done:
                 done[seen[0]] = seen[1]
                 used[seen[0]] = [cpu_seconds(worker) for worker in [fleet.learner, *others]]
+                if seen[0] == 1:  # loading and the canary are over
+                    for worker, core in zip([fleet.learner, *others], options.cores):
+                        pin(worker, {core})
     finally:
         fleet.stop()
         for worker in others:
