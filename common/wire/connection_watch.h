@@ -22,7 +22,7 @@ struct ConnectionLoad {
 
 struct ConnectionLimits {
   int64_t streams = 256;                // of a connection
-  int64_t client_streams = 4096;        // of all connections of one client: some 13 KB each
+  int64_t client_streams = 4096;        // of all connections of one client; a stream takes some 13 KB
   int64_t unfinished_bytes = 0;         // of a connection: the largest message, and some headers
   int64_t client_unfinished_bytes = 0;  // of all connections of one client
 };

@@ -25,6 +25,7 @@ namespace craftfleet::wire {
 namespace {
 
 constexpr int kMaxStreamsPerConnection = 128;  // calls at once; an actor has less than ten
+constexpr int kStreamsPerConnection = 4;       // in the mean, of all connections that an address may have
 constexpr int kHandshakeTimeoutMs = 10'000;    // for TLS and HTTP/2's preface
 constexpr int kMaxIdleMs = 300'000;            // of a connection without a call
 constexpr int64_t kMaxWindowBytes = 16 << 20;  // of messages that gRPC may hold for a slow handler, and of headers
@@ -185,6 +186,7 @@ absl::StatusOr<Server::Port> Server::Open(const Options& options, const std::str
     return absl::UnavailableError(absl::StrFormat("cannot listen on %s: choose another --listen", address));
   }
   ConnectionLimits limits;
+  limits.client_streams = int64_t{kStreamsPerConnection} * options.max_connections_per_client;
   limits.unfinished_bytes = options.max_message_bytes + kMaxWindowBytes;
   limits.client_unfinished_bytes = int64_t{options.max_buffered_mb} << 20;
   if (opened.listener != nullptr) opened.Listen(limits);
