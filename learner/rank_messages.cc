@@ -85,8 +85,12 @@ absl::StatusOr<RankCommand> ReceiveCommand(const wire::FragmentShape& shape, con
                                            RankGroup* group) {
   std::string bytes;
   CRAFTFLEET_RETURN_IF_ERROR(group->Broadcast(&bytes));
-  Head head;
-  std::memcpy(&head, bytes.data(), sizeof(head));
+  Head head = {};
+  if (bytes.size() >= sizeof(head)) std::memcpy(&head, bytes.data(), sizeof(head));
+  const size_t scales = (bytes.size() - sizeof(head)) / sizeof(ValueScale);
+  if (bytes.size() < sizeof(head) || head.fragments < 0 || static_cast<size_t>(head.fragments) != scales) {
+    return absl::InvalidArgumentError("rank 0 sent something else than a command");
+  }
   RankCommand command = {head.kind, head.iteration, std::vector<ValueScale>(head.fragments), {}};
   std::memcpy(command.scales.data(), bytes.data() + sizeof(head), head.fragments * sizeof(ValueScale));
   while (command.fragments.size() < command.scales.size()) {
