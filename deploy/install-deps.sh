@@ -6,7 +6,7 @@
 #   --tests         also the packages without which some tests are skipped: Slurm, a YAML parser, network namespaces, displays,
 #                   terminals and a browser; and, from PyPI into .cache/python (300 MB), what the tests of the Python package need
 #   --tests=torch   the same, and PyTorch with Stable-Baselines3 from PyPI (6 GB), for the tests of examples that train
-#   --developer     also the packages for the other builds and checks of .ci/run: clang and its tools, ccache, mold, shellcheck
+#   --developer     also the packages for the other builds and checks of .ci/run: clang and its tools, ccache, lld, shellcheck
 #   --libtorch=DIR  leave out Debian's LibTorch, because the build uses the one in DIR: an unpacked LibTorch, a Python
 #                   environment with torch, or its site-packages; default: the environment variable CRAFTFLEET_LIBTORCH
 #   --libtorch=cuda the LibTorch of torch 2.11.0 with CUDA 13, from PyPI, in a Python environment of its own in
@@ -113,7 +113,7 @@ if [ -n "$tests" ]; then
     chromium chromium-driver python3-selenium qemu-user)
 fi
 if [ -n "$developer" ]; then
-  packages+=(ccache mold clang libclang-rt-14-dev llvm clang-format clang-tidy shellcheck)
+  packages+=(ccache lld clang libclang-rt-14-dev llvm clang-format clang-tidy shellcheck)
 fi
 
 if ! command -v apt-get >/dev/null || ! command -v dpkg-query >/dev/null; then

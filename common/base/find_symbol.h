@@ -8,7 +8,7 @@
 namespace craftfleet {
 
 // The function `name` of type `Function` in the program or its libraries; null if none has it. Asked at run time,
-// because linkers disagree about weak symbols: mold sets those that only an indirect dependency defines to null.
+// because linkers disagree about weak symbols: some set those that only an indirect dependency defines to null.
 // Thread-safe.
 template <typename Function>
 Function* FindSymbol(const char* name) {
