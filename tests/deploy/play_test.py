@@ -1,6 +1,7 @@
 """craftfleet play: episodes in a window on a virtual display, and in a terminal."""
 
 import os
+import re
 import shlex
 import subprocess
 
@@ -39,7 +40,7 @@ class Play(python_case.FolderCase):
     command = shlex.join([str(PLAY), "--terminal", "--fps=20", "--seed=3", f"--record={self.folder}/recordings"])
     with Tmux(self.folder, f"{command}; stty -a | tr ' ;' '\\n\\n' | grep -x -e -echo -e echo") as terminal:
       terminal.resize(120, 40)
-      terminal.wait_for("step 10,")
+      wait_until(lambda: re.search(r"step \d\d", terminal.page()), "ten steps on the terminal")  # each stands for 50 ms
       pid, = (pid for pid in python_case.processes_with(f"--record={self.folder}")
               if python_case.command_line(pid).startswith(str(PLAY)))
       os.kill(pid, 15)
