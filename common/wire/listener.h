@@ -35,7 +35,7 @@ class Listener {
   // Takes ownership of the descriptor of a connection; called on the listener's thread.
   using Handle = std::function<void(int descriptor)>;
   // Gets the client of each connection by a descriptor, and returns those to end, with reasons; called on that thread
-  // up to five times a second while there are connections.
+  // up to forty times a second while there are connections.
   using Inspect = std::function<std::map<int, std::string>(const std::map<int, std::string>& connections)>;
 
   // Binds the port; connections wait in the backlog until Start.
