@@ -84,7 +84,7 @@ int64_t BytesReceived(int descriptor) {
 
 struct Counters {
   int64_t open = 0;      // streams
-  int64_t progress = 0;  // streams that began, and messages that arrived
+  int64_t progress = 0;  // streams that began or ended, and messages that arrived
 };
 
 // Of each connection of the server, by its peer.
@@ -100,9 +100,9 @@ std::map<std::string, Counters> ReadCounters(int64_t server) {
     const json& peer = socket["remote"]["tcpip_address"];
     const json& data = socket["data"];
     const int64_t started = Count(data, "streamsStarted");
+    const int64_t ended = Count(data, "streamsSucceeded") + Count(data, "streamsFailed");
     counters[PeerKey(peer.value("ip_address", ""), peer.value("port", 0))] = {
-        started - Count(data, "streamsSucceeded") - Count(data, "streamsFailed"),
-        started + Count(data, "messagesReceived")};
+        started - ended, started + ended + Count(data, "messagesReceived")};
   }
   return counters;
 }

@@ -411,11 +411,12 @@ TEST_F(SecureFleetTest, AGigabyteMessageIsRefusedWithoutUsingAGigabyte) {
   const auto security =
       wire::ChannelSecurity::Create({{folder_ / "actor.pem", folder_ / "actor.key", folder_ / "ca.pem"}, "", ""});
   ASSERT_THAT(security, IsOk());
+  // UNAVAILABLE: the connection was reset because it sent so much without a message. That may come first.
+  const auto refused = testing::AnyOf(grpc::StatusCode::RESOURCE_EXHAUSTED, grpc::StatusCode::UNAVAILABLE);
   for (const char* method : {"/craftfleet.v1.LearnerService/Join", "/craftfleet.v1.LearnerService/PushFragments"}) {
-    EXPECT_EQ(SendGigabyte(learner_address_, *security, method).error_code(), grpc::StatusCode::RESOURCE_EXHAUSTED);
+    EXPECT_THAT(SendGigabyte(learner_address_, *security, method).error_code(), refused);
   }
-  EXPECT_EQ(SendGigabyte(server_address, *security, "/craftfleet.v1.EnvironmentService/Play").error_code(),
-            grpc::StatusCode::RESOURCE_EXHAUSTED);
+  EXPECT_THAT(SendGigabyte(server_address, *security, "/craftfleet.v1.EnvironmentService/Play").error_code(), refused);
   const int most = kAddressSanitizer ? 800 : 500;
   EXPECT_LT(PeakMemory(*learner_) - learner_memory, most);
   EXPECT_LT(PeakMemory(*server_) - server_memory, most);
