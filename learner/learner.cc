@@ -30,18 +30,34 @@ constexpr absl::Duration kLease = absl::Seconds(5);
 // Servers report once a second, actors twice. Like an actor, a server that was suspended for 4 s must stay listed.
 constexpr absl::Duration kServerLease = absl::Seconds(8);
 
-// FailedPrecondition if the run in `logdir` has another configuration than `asked`, apart from steps and checkpoints.
-absl::Status CheckSameRun(const std::string& logdir, v1::RunConfig asked) {
-  const std::string path = JoinPath(logdir, "config.txt");
-  CRAFTFLEET_ASSIGN_OR_RETURN(const std::string text, ReadFile(path));
-  CRAFTFLEET_ASSIGN_OR_RETURN(v1::RunConfig stored, ParseRunConfig(text, path));
+// How `asked` differs from `stored`, a configuration that may lack defaults, apart from what a resumed run may change.
+absl::StatusOr<std::string> FixedDifferences(v1::RunConfig stored, v1::RunConfig asked) {
   CRAFTFLEET_ASSIGN_OR_RETURN(stored, CompleteConfig(std::move(stored)));
   asked.set_steps(stored.steps());
   *asked.mutable_checkpoint() = stored.checkpoint();
-  const std::string differences = Differences(stored, asked);
+  return Differences(stored, asked);
+}
+
+std::string ConfigPath(const std::string& logdir) { return JoinPath(logdir, "config.txt"); }
+
+// FailedPrecondition if the run in `logdir` has another configuration than `asked`, apart from steps and checkpoints.
+absl::Status CheckSameRun(const std::string& logdir, const v1::RunConfig& asked) {
+  const std::string path = ConfigPath(logdir);
+  CRAFTFLEET_ASSIGN_OR_RETURN(const std::string text, ReadFile(path));
+  CRAFTFLEET_ASSIGN_OR_RETURN(const v1::RunConfig stored, ParseRunConfig(text, path));
+  CRAFTFLEET_ASSIGN_OR_RETURN(const std::string differences, FixedDifferences(stored, asked));
   if (differences.empty()) return absl::OkStatus();
   return absl::FailedPreconditionError(absl::StrCat(
       "the run in ", logdir, " has another configuration (only steps and checkpoint may change): ", differences));
+}
+
+// DataLoss if the checkpoint's configuration is another than `config`, which agrees with the run's config.txt.
+absl::Status CheckConfigFile(const std::string& logdir, const v1::CheckpointState& state, const v1::RunConfig& config) {
+  CRAFTFLEET_ASSIGN_OR_RETURN(const std::string differences, FixedDifferences(state.config(), config));
+  if (differences.empty()) return absl::OkStatus();
+  return absl::DataLossError(absl::StrCat(ConfigPath(logdir),
+                                          " is not the configuration of the run's checkpoint after ", "iteration ",
+                                          state.iteration(), ": undo these changes in it: ", differences));
 }
 
 // Loads the weights of the checkpoint or run folder at `path` into `updater`. Returns their origin, for run.json.
@@ -195,6 +211,7 @@ absl::StatusOr<Learner::Loaded> Learner::Load(const Options& options, const v1::
   CRAFTFLEET_RETURN_IF_ERROR(CheckSameRun(options.logdir, config));
   CRAFTFLEET_ASSIGN_OR_RETURN(ResumedRun run, RunFolder::Resume(options.logdir, {options.resume_from, config.agent()},
                                                                 program, loaded.clock.get()));
+  CRAFTFLEET_RETURN_IF_ERROR(CheckConfigFile(options.logdir, run.checkpoint.state, config));
   CRAFTFLEET_RETURN_IF_ERROR(loaded.updater->Load(run.checkpoint.weights, run.checkpoint.optimizer));
   CRAFTFLEET_RETURN_IF_ERROR(CheckLaneStates(run.checkpoint.state, loaded.updater->spec().state_size));
   run.folder->TakeChanges(config);

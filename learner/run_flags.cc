@@ -101,9 +101,11 @@ absl::StatusOr<v1::RunConfig> BaseConfig(bool resume) {
     path = JoinPath(replay, "config.txt");
     error = absl::StrFormat("--replay: no run in %s: ", replay);
   } else if (config.empty()) {
-    path = JoinPath(absl::GetFlag(FLAGS_logdir), "config.txt");
-    error =
-        absl::StrFormat("--resume: no run in --logdir=%s; start it without --resume: ", absl::GetFlag(FLAGS_logdir));
+    const std::string logdir = absl::GetFlag(FLAGS_logdir);
+    path = JoinPath(logdir, "config.txt");
+    error = FindCheckpoint(logdir).ok()
+                ? "--resume: the run has checkpoints; put back the configuration that it was started with: "
+                : absl::StrFormat("--resume: no run in --logdir=%s; start it without --resume: ", logdir);
   }
   absl::StatusOr<std::string> text = ReadFile(path);
   if (!text.ok()) return absl::Status(text.status().code(), absl::StrCat(error, text.status().message()));

@@ -10,12 +10,15 @@
 #include <absl/strings/str_format.h>
 #include <absl/strings/str_split.h>
 
+#include "common/base/printable.h"
 #include "common/base/status_macros.h"
 #include "common/io/files.h"
 #include "learner/run/folder_lock.h"
 
 namespace craftfleet {
 namespace {
+
+constexpr size_t kMostShown = 40;  // bytes of a damaged file
 
 std::string EpochPath(const std::string& logdir) { return JoinPath(logdir, "epoch"); }
 
@@ -29,7 +32,9 @@ absl::StatusOr<EpochFile> ParseEpoch(const std::string& path, const std::string&
   const std::vector<std::string> lines = absl::StrSplit(text, '\n');
   EpochFile taken;
   if (!absl::SimpleAtoi(lines[0], &taken.epoch) || taken.epoch < 1) {
-    return absl::DataLossError(absl::StrCat(path, " holds \"", text, "\", want a number from 1"));
+    return absl::DataLossError(
+        absl::StrCat(path, " begins with \"", Printable(lines[0].substr(0, kMostShown)),
+                     "\", want a number from 1: write the number of starts of this run into it, or a larger one"));
   }
   if (lines.size() > 1 && !lines[1].empty()) taken.by = lines[1];
   return taken;

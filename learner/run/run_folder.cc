@@ -47,11 +47,15 @@ constexpr char kCheckpointFolder[] = "checkpoints";
 
 // AlreadyExists if `logdir` has a run, unless the run ended before its first checkpoint: nothing is lost then.
 absl::Status CheckNoRun(const std::string& logdir) {
-  if (!PathExists(JoinPath(logdir, kConfigFile))) return absl::OkStatus();
   const std::string folder = JoinPath(logdir, kCheckpointFolder);
   if (!PathExists(folder)) return absl::OkStatus();
   CRAFTFLEET_ASSIGN_OR_RETURN(const std::vector<std::string> names, CheckpointStore::At(folder).ListNewestFirst());
   if (names.empty()) return absl::OkStatus();
+  if (!PathExists(JoinPath(logdir, kConfigFile))) {
+    return absl::AlreadyExistsError(
+        absl::StrCat(logdir, " already has a run, which lost its ", kConfigFile,
+                     ": put back the configuration that it was started with, or use another --logdir"));
+  }
   return absl::AlreadyExistsError(
       absl::StrCat(logdir, " already has a run: resume it with --resume, or use another --logdir"));
 }

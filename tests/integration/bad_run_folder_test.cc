@@ -67,6 +67,28 @@ TEST_F(BadRunFolderTest, ResumeRefusesAnotherConfiguration) {
   refused("--env=crafter:inventory=off", "\"crafter\" -> \"crafter:inventory=off\"");
 }
 
+TEST_F(BadRunFolderTest, ADamagedConfigurationIsRefusedAndNothingIsWritten) {
+  Train("run");
+  const std::string path = Logdir("run") + "/config.txt";
+  const std::string sound = ReadFile(path).value();
+  const auto refused = [&](const std::string& error) {
+    const std::string stats = ReadLog("run", "stats.jsonl");
+    const Ended ended = Run("craftfleet-train", {"--resume", "--logdir=" + Logdir("run"), "--steps=256"});
+    EXPECT_EQ(ended.exit_code, 1);
+    EXPECT_THAT(ended.err, HasSubstr(path));
+    EXPECT_THAT(ended.err, HasSubstr(error));
+    EXPECT_EQ(ReadLog("run", "stats.jsonl"), stats);
+  };
+  for (const std::string& damaged : {std::string(), absl::StrReplaceAll(sound, {{"seed: 3", "seed: 4"}})}) {
+    ASSERT_THAT(WriteFileSynced(path, damaged), IsOk());
+    refused("undo these changes in it: modified: ");
+  }
+  ASSERT_THAT(RemoveAll(path), IsOk());
+  refused("put back the configuration that it was started with");
+  ASSERT_THAT(WriteFileSynced(path, sound), IsOk());
+  EXPECT_EQ(Run("craftfleet-train", {"--resume", "--logdir=" + Logdir("run")}).exit_code, 0);
+}
+
 TEST_F(BadRunFolderTest, ResumeRefusesOtherTextures) {
   Train("run");
   const std::string textures = folder_ / "textures";

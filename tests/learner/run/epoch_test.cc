@@ -2,7 +2,10 @@
 
 #include <unistd.h>
 
+#include <string>
+
 #include <absl/strings/str_cat.h>
+#include <absl/strings/string_view.h>
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
@@ -55,6 +58,17 @@ TEST(EpochFence, OnlyTheLatestStartMayWrite) {
               StatusIs(absl::StatusCode::kAborted,
                        AllOf(HasSubstr(folder.path()), HasSubstr(absl::StrCat("taken over by process ", ::getpid())),
                              HasSubstr("epoch 2, this one is epoch 1"))));
+}
+
+// The content may be long and binary; the error is one short line.
+TEST(Epoch, ADamagedFileIsReportedInOneLine) {
+  const TempFolder folder;
+  ASSERT_THAT(WriteFileSynced(folder / "epoch", std::string(5000, '\x1b') + "\nprocess 7"), IsOk());
+  const absl::Status status = ReadEpoch(folder.path()).status();
+  EXPECT_THAT(status.message(), HasSubstr("write the number of starts"));
+  EXPECT_EQ(status.message().find('\n'), absl::string_view::npos);
+  EXPECT_EQ(status.message().find('\x1b'), absl::string_view::npos);
+  EXPECT_LT(status.message().size(), 500U);
 }
 
 // Two starts read the same number at the same time.

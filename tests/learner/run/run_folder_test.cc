@@ -268,6 +268,15 @@ TEST_F(RunFolderTest, ResumeFailsWithoutARunOrACheckpoint) {
   EXPECT_THAT(Resume(), StatusIs(absl::StatusCode::kNotFound, HasSubstr("no checkpoint in " + logdir_)));
 }
 
+TEST_F(RunFolderTest, ARunThatLostItsConfigurationIsNotOverwritten) {
+  ASSERT_NO_FATAL_FAILURE(MakeRun());
+  ASSERT_THAT(RemoveAll(logdir_ + "/config.txt"), IsOk());
+  const auto before = Contents();
+  EXPECT_THAT(RunFolder::Create(logdir_, DefaultRunConfig(), program_, &clock_),
+              StatusIs(absl::StatusCode::kAlreadyExists, HasSubstr("lost its config.txt: put back")));
+  EXPECT_TRUE(Contents() == before);
+}
+
 TEST_F(RunFolderTest, ResumingARunWithoutACheckpointSuggestsANewStart) {
   const auto is_told = StatusIs(absl::StatusCode::kNotFound, HasSubstr("start it again without --resume"));
   Create();
