@@ -348,6 +348,7 @@ TEST(DeviceLoss, IsTheCpus) {
   const at::Tensor actions = at::randint(0, kNumActions, {kRowsHere}, at::kLong);
   const at::Tensor log_probs = at::log_softmax(logits, 1).gather(1, actions.unsqueeze(1)).squeeze(1) +
                                at::randn({kRowsHere}) * 0.2;  // some ratios are clipped, some are not
+  log_probs[0] = -104;                                        // made up: the bound of log ratios
   const at::Tensor returns = at::randn({kRowsHere});
   std::vector<float> advantages(kRowsHere);
   for (int i = 0; i < kRowsHere; ++i) advantages[i] = static_cast<float>(ActionNoise(1, i, 0)) - 0.3F;
