@@ -348,7 +348,6 @@ TEST(DeviceLoss, IsTheCpus) {
   const at::Tensor actions = at::randint(0, kNumActions, {kRowsHere}, at::kLong);
   const at::Tensor log_probs = at::log_softmax(logits, 1).gather(1, actions.unsqueeze(1)).squeeze(1) +
                                at::randn({kRowsHere}) * 0.2;  // some ratios are clipped, some are not
-  log_probs[0] = -104;                                        // made up: the bound of log ratios
   const at::Tensor returns = at::randn({kRowsHere});
   std::vector<float> advantages(kRowsHere);
   for (int i = 0; i < kRowsHere; ++i) advantages[i] = static_cast<float>(ActionNoise(1, i, 0)) - 0.3F;
@@ -373,6 +372,16 @@ TEST(DeviceLoss, IsTheCpus) {
   EXPECT_TRUE(at::allclose(loss.by_values, by_values, 1e-5, 1e-8));
   const double expected[] = {sums.policy_loss, sums.value_loss, sums.entropy, sums.approx_kl, sums.clipped};
   for (int i = 0; i < 5; ++i) EXPECT_NEAR(loss.means[i].item<double>(), expected[i] / kRowsHere, 1e-9) << i;
+}
+
+// As PpoLoss.AMadeUpLogProbabilityKeepsTheGradientFinite.
+TEST(DeviceLoss, AMadeUpLogProbabilityKeepsTheGradientFinite) {
+  SetUpTorchThread();
+  const at::Tensor zero = at::zeros({1});
+  const DeviceTargets targets = {at::zeros({1}, at::kLong), at::full({1}, -104.0F), at::full({1}, -8.0F), zero};
+  const DeviceLoss loss = PpoLossOnDevice(at::zeros({1, kNumActions}), zero, targets, {0.2, 0.5, 0});
+  EXPECT_GT(loss.by_logits.abs().max().item<double>(), 0);
+  EXPECT_LT(loss.by_logits.abs().max().item<double>(), 1e15);
 }
 
 }  // namespace
