@@ -51,7 +51,7 @@ constexpr ErrorRule kTable[] = {
      "soon as it is available."},
     {Code::kResourceExhausted,
      {kRetry, kRetry, kRetry, kRetry, kRetry, kOther},
-     "The other end is overloaded, or an answer was too large."},
+     "The other end is overloaded, a server plays for another run at the moment, or an answer was too large."},
     {Code::kFailedPrecondition,
      {kEnd, kEnd, kRetry, kEnd, kEnd, kUnfit},
      "Another protocol version, run or textures, or a build that the run refuses: the user must fix it."},

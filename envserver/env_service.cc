@@ -69,7 +69,8 @@ class EnvServiceImpl::SessionGuard {
     if (service_->sessions_.erase(this) > 0) service_->ended_.Add(meter_.Total());
     service_->changed_.NotifyAll();
   }
-  // Binds the server to the session's run.   FailedPrecondition: it has sessions of another run.
+  // Binds the server to the session's run.   FailedPrecondition: it belongs to another run (SetRun).
+  // ResourceExhausted: it has sessions of another run.
   absl::Status Enter(const v1::SessionHello& hello, grpc::ServerContext* context) {
     MutexLock lock(&service_->mu_);
     std::string& run_id = service_->run_id_;
@@ -80,8 +81,11 @@ class EnvServiceImpl::SessionGuard {
       run_id = hello.run_id();
     }
     if (run_id != last_run_id && !run_id.empty()) service_->log_.Info("run", absl::StrCat("serves run ", run_id));
-    CRAFTFLEET_RETURN_IF_ERROR(wire::CheckHandshake("environment server", {wire::kProtocolVersion, run_id, ""}, "actor",
-                                                    {wire::kProtocolVersion, hello.run_id(), ""}));
+    const absl::Status same_run = wire::CheckHandshake("environment server", {wire::kProtocolVersion, run_id, ""},
+                                                       "actor", {wire::kProtocolVersion, hello.run_id(), ""});
+    // Without a learner it is free again when the other run's sessions end: actors wait, as any client may claim it.
+    if (!same_run.ok() && service_->own_run_id_.empty()) return absl::ResourceExhaustedError(same_run.message());
+    CRAFTFLEET_RETURN_IF_ERROR(same_run);
     service_->sessions_[this] = {hello.client(), context->peer(), 0, &meter_, context, &idle_since_};
     return absl::OkStatus();
   }

@@ -111,9 +111,10 @@ absl::Status Run() {
   CRAFTFLEET_ASSIGN_OR_RETURN(const std::unique_ptr<EnvServiceImpl> service,
                               EnvServiceImpl::Create(absl::GetFlag(FLAGS_textures), options));
   wire::StatusServiceImpl status("envserver", [&service](v1::StatusReply* reply) { service->FillStatus(reply); });
-  CRAFTFLEET_ASSIGN_OR_RETURN(
-      const std::unique_ptr<wire::Server> server,
-      wire::Server::Create(wire::ServerOptionsFromFlags(absl::GetFlag(FLAGS_listen)), {service.get(), &status}));
+  wire::Server::Options listen = wire::ServerOptionsFromFlags(absl::GetFlag(FLAGS_listen));
+  listen.max_message_bytes = EnvServiceImpl::kMaxRequestBytes;
+  CRAFTFLEET_ASSIGN_OR_RETURN(const std::unique_ptr<wire::Server> server,
+                              wire::Server::Create(listen, {service.get(), &status}));
   LogInfo("listening on %s", server->address());
   CRAFTFLEET_ASSIGN_OR_RETURN(const std::unique_ptr<wire::MetricsServer> metrics,
                               wire::ServeMetrics(metrics_options, &status));

@@ -4,6 +4,7 @@
 
 #include <absl/strings/str_cat.h>
 
+#include "common/base/printable.h"
 #include "common/telemetry/log.h"
 
 namespace craftfleet::wire {
@@ -35,7 +36,9 @@ grpc::Status ToGrpc(const absl::Status& status) {
 
 absl::Status FromGrpc(const grpc::Status& status, absl::string_view context) {
   if (status.ok()) return absl::OkStatus();
-  return {static_cast<absl::StatusCode>(status.error_code()), absl::StrCat(context, ": ", Message(status))};
+  // Programs print it: a peer must not send a terminal more than text.
+  const std::string message = Printable(Shortened(Message(status), kMaxStatusBytes));
+  return {static_cast<absl::StatusCode>(status.error_code()), absl::StrCat(context, ": ", message)};
 }
 
 }  // namespace craftfleet::wire

@@ -138,7 +138,8 @@ void FillUsage(v1::ProcessSummary* summary) {
   summary->set_memory_bytes(ResidentMemoryBytes());
   const LogCounts logged = CountLogged();
   summary->set_errors(logged.errors);
-  summary->set_last_error(logged.last_error.substr(0, kMaxErrorBytes));
+  // Any other text, such as half a letter, makes the message invalid for its receiver.
+  summary->set_last_error(Printable(logged.last_error.substr(0, kMaxErrorBytes)));
   if (const std::optional<GpuUsage> gpu = ReadGpuUsage(); gpu.has_value()) {
     summary->set_gpu(Printable(gpu->name).substr(0, kMaxGpuNameBytes));
     summary->set_gpu_memory_bytes(gpu->memory_bytes);

@@ -9,6 +9,7 @@
 #include <absl/strings/str_cat.h>
 #include <absl/strings/str_format.h>
 
+#include "common/base/printable.h"
 #include "common/base/status_macros.h"
 #include "common/process/closest_name.h"
 #include "common/process/flag_check.h"
@@ -85,13 +86,13 @@ absl::StatusOr<std::string> Do(const std::vector<std::string>& command, Admin* a
     v1::DrainRequest request;
     request.set_worker(command[1]);
     CRAFTFLEET_ASSIGN_OR_RETURN(const v1::DrainReply reply, admin->Call(&Stub::Drain, request));
-    return absl::StrCat(reply.role(), " ", command[1], " is drained; you can stop it now");
+    return absl::StrCat(Printable(reply.role().substr(0, 80)), " ", command[1], " is drained; you can stop it now");
   }
   if (verb == "undrain") {
     v1::UndrainRequest request;
     request.set_worker(command[1]);
     CRAFTFLEET_ASSIGN_OR_RETURN(const v1::UndrainReply reply, admin->Call(&Stub::Undrain, request));
-    return absl::StrCat(reply.role(), " ", command[1], " gets work again");
+    return absl::StrCat(Printable(reply.role().substr(0, 80)), " ", command[1], " gets work again");
   }
   CRAFTFLEET_RETURN_IF_ERROR(admin->Call(&Stub::Stop, v1::StopRequest()).status());
   return "the learner is stopping";

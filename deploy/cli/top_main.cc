@@ -11,6 +11,7 @@
 #include <absl/strings/str_format.h>
 #include <absl/time/clock.h>
 
+#include "common/base/printable.h"
 #include "common/base/status_macros.h"
 #include "common/process/flag_check.h"
 #include "common/process/flag_values.h"
@@ -96,7 +97,7 @@ absl::Status Run() {
   if (first.role() != "learner") {
     return absl::InvalidArgumentError(
         absl::StrFormat("--address=%s has the role %s, want the learner; craftfleet status shows any process",
-                        page.address, first.role()));
+                        page.address, Printable(first.role().substr(0, 80))));
   }
   if (absl::GetFlag(FLAGS_once)) {
     PrintPage(first, state, page);

@@ -21,7 +21,7 @@ DeviceLoss PpoLossOnDevice(const at::Tensor& logits, const at::Tensor& values, c
   const at::Tensor probs = log_probs.exp();
   const at::Tensor chosen = ChosenActions(targets.actions);
   const at::Tensor advantages = targets.advantages.to(at::kDouble);
-  const at::Tensor log_ratio = (log_probs * chosen).sum(1) - targets.log_probs;
+  const at::Tensor log_ratio = ((log_probs * chosen).sum(1) - targets.log_probs).clamp_max(kMaxLogRatio);
   const at::Tensor ratio = log_ratio.exp();
   const at::Tensor plain = advantages * ratio;
   const at::Tensor clipped = advantages * ratio.clamp(1 - options.clip, 1 + options.clip);

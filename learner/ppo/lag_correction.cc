@@ -5,6 +5,8 @@
 #include <cstddef>
 #include <vector>
 
+#include "learner/ppo/ppo_loss.h"
+
 namespace craftfleet {
 
 bool CorrectsLag(const v1::PpoConfig& config) { return config.decoupled_objective() || config.vtrace_rho_bar() > 0; }
@@ -14,7 +16,7 @@ CorrectedRollout CorrectLag(const Rollout& rollout, absl::Span<const float> log_
   std::vector<double> ratios;
   double sum = 0;
   for (size_t row = 0; row < rollout.size(); ++row) {
-    ratios.push_back(std::exp(double{log_probs[row]} - rollout.log_probs[row]));
+    ratios.push_back(std::exp(std::min(double{log_probs[row]} - rollout.log_probs[row], kMaxLogRatio)));
     sum += ratios.back();
   }
   const auto [min, max] = std::minmax_element(ratios.begin(), ratios.end());

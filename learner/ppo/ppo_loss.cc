@@ -26,7 +26,7 @@ PpoLossSums PpoLoss(absl::Span<const float> logits, absl::Span<const float> valu
     const Categorical policy(&logits[row * kNumActions]);
     const int action = static_cast<int>(targets.actions[row]);
     const double advantage = targets.advantages[row];
-    const double log_ratio = policy.log_probs[action] - targets.log_probs[row];
+    const double log_ratio = std::min<double>(policy.log_probs[action] - targets.log_probs[row], kMaxLogRatio);
     const double ratio = std::exp(log_ratio);
     const double plain = advantage * ratio;
     const double clipped = advantage * std::clamp(ratio, low, high);

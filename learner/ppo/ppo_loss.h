@@ -9,6 +9,10 @@
 
 namespace craftfleet {
 
+// Log ratios are cut to this. No policy that learns gets near it, but one actor's made-up log probability of -104 would
+// otherwise overflow the gradient, and twice in a row end the run.
+inline constexpr double kMaxLogRatio = 20;
+
 struct PpoLossOptions {
   double clip = 0.2;  // of the probability ratio, +-
   double value_coefficient = 0.5;

@@ -334,6 +334,27 @@ TEST(EnvPool, AnIncompatibleServerIsNoErrorIfAnotherIsCompatible) {
   EXPECT_THAT(seen.Step(&pool), IsOk());
 }
 
+// It was a fatal error for actors that start: any client could end them.
+TEST(EnvPool, AServerThatAnotherRunOccupiesIsWaitedFor) {
+  const EnvServer server;
+  v1::SessionHello other_run = SampleHello(kLength);
+  other_run.set_run_id("run-b");
+  auto other = std::make_unique<EnvPool>(Listing({server.Connect()}), other_run, kFrameBytes);
+  ASSERT_THAT(other->Open(NewLanes({0})), IsOk());
+
+  EnvPool pool = PoolOf({&server});
+  EXPECT_THAT(pool.Open(NewLanes({0})), StatusIs(absl::StatusCode::kUnavailable, HasSubstr("serves run run-b")));
+  other.reset();
+  EXPECT_TRUE(WaitUntil([&] { return pool.Open(NewLanes({0})).ok(); }));
+}
+
+TEST(EnvPool, AServerThatBelongsToAnotherRunIsAnError) {
+  const EnvServer server;
+  server.service->SetRun("run-b");
+  EnvPool pool = PoolOf({&server});
+  EXPECT_THAT(pool.Open(NewLanes({0})), StatusIs(absl::StatusCode::kFailedPrecondition, HasSubstr("serves run run-b")));
+}
+
 // The server restarts, and an actor of another run is the first to connect.
 TEST(EnvPool, AServerThatAcceptedTheActorIsWaitedFor) {
   const TempFolder folder;

@@ -9,6 +9,7 @@
 #include "common/config/env_name.h"
 #include "common/io/snapshot_envelope.h"
 #include "common/wire/protocol.h"
+#include "envserver/env_service.h"
 #include "tests/fakes/env_server.h"
 #include "tests/fakes/status_matchers.h"
 
@@ -23,6 +24,7 @@ constexpr int kPixels = 1024;  // the largest frames
 constexpr size_t kFrameBytes = size_t{kPixels} * kPixels * 3;
 constexpr int kGames = 40;
 static_assert(kGames * kFrameBytes > wire::kMaxMessageBytes);
+static_assert(2 * EnvClient::kOpenAtOnce * kMaxSnapshotBytes <= EnvServiceImpl::kMaxRequestBytes);
 
 v1::SessionHello LargeHello() {
   v1::SessionHello hello = SampleHello(kLength);

@@ -336,7 +336,7 @@ TEST_F(EnvServiceTest, AnotherRunIsRefusedUntilTheFirstHasLeft) {
   auto first = std::make_unique<Session>(server());
   ASSERT_THAT(first->Send(Hello("run-a")), IsOk());
   EXPECT_THAT(Session(server()).Send(Hello("run-b")),
-              StatusIs(absl::StatusCode::kFailedPrecondition, AllOf(HasSubstr("run-a"), HasSubstr("run-b"))));
+              StatusIs(absl::StatusCode::kResourceExhausted, AllOf(HasSubstr("run-a"), HasSubstr("run-b"))));
   first->Leave();
   EXPECT_THAT(Session(server()).Send(Hello("run-b")), IsOk());
 }
@@ -348,7 +348,7 @@ TEST_F(EnvServiceTest, BesideASessionWithoutRunOneRunIsAdmitted) {
   Session first(server());
   ASSERT_THAT(first.Send(Hello("run-a")), IsOk());
   EXPECT_THAT(Session(server()).Send(Hello("run-b")),
-              StatusIs(absl::StatusCode::kFailedPrecondition, HasSubstr("run-a")));
+              StatusIs(absl::StatusCode::kResourceExhausted, HasSubstr("run-a")));
   EXPECT_THAT(Session(server()).Send(Hello("")), IsOk());
 }
 
@@ -424,7 +424,7 @@ const std::vector<InvalidClient>& AllInvalidClients() {
        {"0123456789abcdef", "--textures"}},
       {"OtherRun",
        [] { return Requests{Hello("run-b")}; },
-       kPrecondition,
+       absl::StatusCode::kResourceExhausted,  // the server is free again when that run ends
        {"serves run run-a", "belongs to run run-b"}},
       {"ClientOfManyWords",
        [] { return Requests{HelloBut([](auto* h) { h->set_client(std::string(513, 'a')); })}; },

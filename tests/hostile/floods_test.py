@@ -316,8 +316,9 @@ class Http2Floods(server_case.ServerCase):
         self.flood(server, server.address, lambda: self.streams(resets=True), seconds=10)
 
     def test_of_headers(self):
-        learner = self.learner()
-        self.flood(learner, learner.address, self.headers_without_end, seconds=6)
+        for server in (self.learner(), self.envserver()):
+            with self.subTest(server.address):
+                self.flood(server, server.address, self.headers_without_end, seconds=6)
 
     def test_of_connections_with_a_few_streams_each(self):
         """None of them is beyond its own limit."""

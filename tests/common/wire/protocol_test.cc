@@ -69,6 +69,13 @@ TEST(GrpcStatus, AnEmptyMessageIsReplaced) {
               StatusIs(absl::StatusCode::kUnavailable, "x: UNAVAILABLE"));
 }
 
+// A hostile server's error used to reach the user's terminal as it was, also in craftfleet status and admin.
+TEST(GrpcStatus, AMessageIsReceivedAsTextOfABoundedLength) {
+  EXPECT_THAT(FromGrpc({grpc::StatusCode::ABORTED, "a\x1b]0;b\x07\xc2\x9b"}, "x"),
+              StatusIs(absl::StatusCode::kAborted, "x: a?]0;b???"));
+  EXPECT_LT(FromGrpc({grpc::StatusCode::ABORTED, std::string(8000, 'a')}, "x").message().size(), 1100);
+}
+
 TEST(Text, IsPrintableAndBounded) {
   EXPECT_THAT(CheckText("client", ""), IsOk());
   EXPECT_THAT(CheckText("client", std::string(kMaxTextBytes, '~')), IsOk());

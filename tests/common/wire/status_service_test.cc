@@ -7,6 +7,7 @@
 #include <gtest/gtest.h>
 
 #include "common/process/version.h"
+#include "common/telemetry/log.h"
 #include "common/wire/server.h"
 #include "tests/fakes/status_matchers.h"
 #include "tests/fakes/wait_until.h"
@@ -47,6 +48,16 @@ class StatusServiceTest : public testing::Test {
   const std::unique_ptr<Server> server_ = *Server::Create({}, {&service_});
   const std::unique_ptr<v1::StatusService::Stub> stub_ = v1::StatusService::NewStub(server_->InProcess().channel);
 };
+
+// Half a letter made the message invalid for its receiver.
+TEST(FillUsage, ALongErrorIsCutToText) {
+  testing::internal::CaptureStderr();
+  LogError("%s", std::string(kMaxErrorBytes - 1, 'x') + "\u00e4");
+  testing::internal::GetCapturedStderr();
+  v1::ProcessSummary summary;
+  FillUsage(&summary);
+  EXPECT_EQ(summary.last_error(), std::string(kMaxErrorBytes - 1, 'x') + "?");
+}
 
 TEST_F(StatusServiceTest, ReportsRoleRunAndMetrics) {
   service_.SetMetricsAddress("http://here/metrics");

@@ -374,5 +374,15 @@ TEST(DeviceLoss, IsTheCpus) {
   for (int i = 0; i < 5; ++i) EXPECT_NEAR(loss.means[i].item<double>(), expected[i] / kRowsHere, 1e-9) << i;
 }
 
+// As PpoLoss.AMadeUpLogProbabilityKeepsTheGradientFinite.
+TEST(DeviceLoss, AMadeUpLogProbabilityKeepsTheGradientFinite) {
+  SetUpTorchThread();
+  const at::Tensor zero = at::zeros({1});
+  const DeviceTargets targets = {at::zeros({1}, at::kLong), at::full({1}, -104.0F), at::full({1}, -8.0F), zero};
+  const DeviceLoss loss = PpoLossOnDevice(at::zeros({1, kNumActions}), zero, targets, {0.2, 0.5, 0});
+  EXPECT_GT(loss.by_logits.abs().max().item<double>(), 0);
+  EXPECT_LT(loss.by_logits.abs().max().item<double>(), 1e15);
+}
+
 }  // namespace
 }  // namespace craftfleet

@@ -57,6 +57,13 @@ TEST(LagCorrection, IsWantedByEitherField) {
   EXPECT_TRUE(CorrectsLag(Config(false, true)));
 }
 
+TEST(LagCorrection, AMadeUpLogProbabilityHasAFiniteWeight) {
+  Rollout rollout = FourSteps();
+  rollout.log_probs[1] = -104;
+  const CorrectedRollout corrected = CorrectLag(rollout, LogProbs({1, 1, 1, 1}), Config(true, true), kGae);
+  for (const float weight : corrected.rollout.weights) EXPECT_LT(weight, 1e9);
+}
+
 TEST(LagCorrection, DecoupledRatiosAreWeighted) {
   const Rollout rollout = FourSteps();
   const Floats log_probs = LogProbs({0.5, 1, 2, 4});

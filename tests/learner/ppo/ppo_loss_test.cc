@@ -87,6 +87,24 @@ TEST(PpoLoss, ClipsOnlyWhereItTakesAwayGain) {
   }
 }
 
+// The lowest log probability that a learner accepts from an actor used to overflow the gradient and end the run.
+TEST(PpoLoss, AMadeUpLogProbabilityKeepsTheGradientFinite) {
+  const std::vector<float> logits(kNumActions, 0.0F);
+  const std::vector<float> values = {0};
+  const std::vector<Action> actions = {Action::kDo};
+  const std::vector<float> log_probs = {-104};
+  const std::vector<float> advantages = {-8};
+  const std::vector<float> returns = {0};
+  std::vector<float> by_logits(kNumActions);
+  std::vector<float> by_values(1);
+  PpoLoss(logits, values, {actions, log_probs, advantages, returns}, {0.2, 0.5, 0}, 1, absl::MakeSpan(by_logits),
+          absl::MakeSpan(by_values));
+  double squares = 0;
+  for (const float x : by_logits) squares += double{x} * x;
+  EXPECT_GT(squares, 0);
+  EXPECT_LT(squares, 1e30) << "far from the largest float, also after the network's layers";
+}
+
 TEST(PpoLoss, PartsOfABatchAddUpToTheWhole) {
   const Example example;
   std::vector<float> by_logits(kRows * kNumActions);
