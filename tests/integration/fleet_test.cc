@@ -367,8 +367,13 @@ class JournalFleetTest : public FleetTest {
       absl::SleepFor(absl::Milliseconds(1));
       if (KeptBytes(run) == 0) continue;
       actor->Signal(SIGSTOP);
-      absl::SleepFor(absl::Milliseconds(200));
-      if (KeptBytes(run) > 0) return;
+      // An update that has begun ends, and its fragments leave the journal.
+      uintmax_t kept = 0;
+      do {
+        kept = KeptBytes(run);
+        absl::SleepFor(absl::Milliseconds(500));
+      } while (KeptBytes(run) != kept);
+      if (kept > 0) return;
       actor->Signal(SIGCONT);
     }
     FAIL() << "no iteration was caught halfway";

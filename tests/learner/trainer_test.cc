@@ -1,4 +1,4 @@
-// A learner with fragments that make the update fail, and with invalid snapshots. The learner runs in this process; the
+// A learner with updates that fail, and with invalid snapshots. The learner runs in this process; the
 // tests act as its actors.
 #include "learner/trainer.h"
 
@@ -10,6 +10,7 @@
 #include <vector>
 
 #include <absl/strings/str_cat.h>
+#include <absl/time/clock.h>
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
@@ -26,6 +27,7 @@
 #include "craftfleet/v1/learner.grpc.pb.h"
 #include "learner/learner.h"
 #include "learner/run/checkpoint_store.h"
+#include "tests/fakes/no_tensor_memory.h"
 #include "tests/fakes/status_matchers.h"
 #include "tests/fakes/temp_folder.h"
 
@@ -96,7 +98,7 @@ Fragment PlayedFragment(int lane, int64_t number, int64_t version, int64_t epoch
   return fragment;
 }
 
-// Every value is within its range, but the gradients are not finite.
+// Every value is within its range, but an update that learned from it would be another.
 void Poison(Fragment* fragment) {
   for (float& log_prob : fragment->log_probs) log_prob = wire::kMinLogProb;
 }
@@ -187,6 +189,12 @@ class Training {
     ASSERT_EQ(fragments, 0) << "no permits for the rest";
     Leave(actor);
   }
+  // Plays an iteration of poisoned fragments, whose update fails.
+  void PlayInVain(const std::string& actor) {
+    const NoTensorMemory no_memory;
+    Play(actor, kPerIteration, Poison);
+    while (Metric("updates_undone") == 0) absl::SleepFor(absl::Milliseconds(5));
+  }
   Fragment Played(const v1::Permit& permit) const {
     return PlayedFragment(permit.lane(), permit.fragment(), permit.policy_version(), epoch_);
   }
@@ -261,9 +269,9 @@ TEST_F(TrainerTest, AnUpdateThatFailsIsUndoneAndItsIterationPlayedAgain) {
   training->Play("a", kPerIteration);
   ASSERT_FALSE(training->Weights(1).empty());
   testing::internal::CaptureStderr();
-  training->Play("liar", kPerIteration, Poison);
+  training->PlayInVain("liar");
   training->Play("a", kPerIteration);
-  EXPECT_EQ(training->Weights(2), quiet) << "to the bit";
+  EXPECT_TRUE(training->Weights(2) == quiet) << "to the bit";
   EXPECT_THAT(testing::internal::GetCapturedStderr(),
               AllOf(HasSubstr("the update of iteration 2 failed"), HasSubstr("its fragments will be played again"),
                     HasSubstr("from liar (lane/fragment): 0/2 0/3 1/2 1/3; log_probs down to -104")));
@@ -277,13 +285,14 @@ TEST_F(TrainerTest, TheSecondFailureInARowEndsTheLearnerAndItResumes) {
     const auto training = Begin("ended", {/*keep_fragments=*/true});
     training->Play("a", kPerIteration);
     ASSERT_FALSE(training->Weights(1).empty());
+    const NoTensorMemory no_memory;
     for (int i = 0; i < 2; ++i) training->Play("liar", kPerIteration, Poison);
-    EXPECT_THAT(training->Wait(), StatusIs(absl::StatusCode::kDataLoss, HasSubstr("gradient")));
+    EXPECT_THAT(training->Wait(), StatusIs(absl::StatusCode::kInternal, HasSubstr("bad_alloc")));
   }
   const auto training = Begin("ended", {/*keep_fragments=*/true, /*resume=*/true});
   EXPECT_EQ(training->Metric("iteration"), 1) << "although the next checkpoint was only due after 100";
   training->Play("a", kPerIteration);
-  EXPECT_EQ(training->Weights(2), quiet);
+  EXPECT_TRUE(training->Weights(2) == quiet);
 }
 
 TEST_F(TrainerTest, ALaneResetWithinAnIterationDoesNotChangeTheResult) {
@@ -297,7 +306,7 @@ TEST_F(TrainerTest, ALaneResetWithinAnIterationDoesNotChangeTheResult) {
   });
   training->RefuseAll("a");
   training->Play("a", kPerIteration);
-  EXPECT_EQ(training->Weights(2), quiet);
+  EXPECT_TRUE(training->Weights(2) == quiet);
 }
 
 TEST_F(TrainerTest, OverlappedIterationsArePlayedWithTheWeightsFromBeforeTheUpdate) {
@@ -315,8 +324,8 @@ TEST_F(TrainerTest, AnOverlappedUpdateThatFailsIsUndoneWithTheFragmentsPlayedMea
   quiet->Play("a", 3 * kPerIteration);
   const auto training = Begin("disturbed-overlapped", overlapped);
   training->Play("a", kPerIteration);
-  training->Play("liar", kPerIteration, Poison);
-  while (training->Metric("updates_undone") == 0) training->Join("a");
+  ASSERT_FALSE(training->Weights(1).empty());
+  training->PlayInVain("liar");
   std::vector<int64_t> versions;
   training->Play("a", 2 * kPerIteration, [&](Fragment* f) { versions.push_back(f->policy_version); });
   EXPECT_EQ(versions, (std::vector<int64_t>{0, 0, 0, 0, 1, 1, 1, 1}));
@@ -446,8 +455,7 @@ TEST_F(AsynchronousTrainerTest, AnUpdateThatFailsIsUndoneAndLeavesNoTraceInTheRe
   std::string weights;
   {
     const auto training = Begin("disturbed", kAsynchronous);
-    training->Play("liar", kPerIteration, Poison);
-    while (training->Metric("updates_undone") == 0) training->Join("a");
+    training->PlayInVain("liar");
     training->Play("a", 2 * kPerIteration);
     weights = training->Weights(2);
     ASSERT_FALSE(weights.empty());
