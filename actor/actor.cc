@@ -123,7 +123,8 @@ absl::Status Actor::Join() {
       was_accepted_ = true;
       joined_ = *std::move(reply);
       const auto& formats = joined_.frame_formats();
-      sends_scenes_ = std::find(formats.begin(), formats.end(), v1::FRAMES_SCENE) != formats.end();
+      const bool takes = std::find(formats.begin(), formats.end(), static_cast<int>(options_.frames)) != formats.end();
+      fragment_format_ = takes ? options_.frames : FrameFormat::kRaw;
       MutexLock lock(&mu_);
       run_id_ = joined_.run_id();
       LogInfo("%s: joined run %s, epoch %d", learner_.name(), joined_.run_id(), joined_.epoch());
@@ -161,12 +162,10 @@ absl::Status Actor::StartLoops() {
   *hello.mutable_env() = config.env();
   hello.set_client(name_);
   hello.set_game_canary(joined_.game_canary());
-  if (options_.frames == FrameFormat::kScene) {
-    if (HasBuiltInTextures(joined_.texture_digest())) {
-      hello.add_frame_formats(v1::FRAMES_SCENE);
-    } else {
-      LogWarning("--frames=scene: the run has other textures than this program, so frames travel raw");
-    }
+  if (options_.frames == FrameFormat::kScene && !HasBuiltInTextures(joined_.texture_digest())) {
+    LogWarning("--frames=scene: the run has other textures than this program, so frames travel raw; try lz4");
+  } else if (options_.frames != FrameFormat::kRaw) {
+    hello.add_frame_formats(static_cast<v1::FrameFormat>(options_.frames));
   }
   const int frame_bytes = static_cast<int>(spec.frame_bytes());
   v1::SessionHello probe = hello;
@@ -178,7 +177,7 @@ absl::Status Actor::StartLoops() {
   MutexLock lock(&mu_);
   for (int i = 0; i < loops; ++i) {
     ActorLoop::Options loop = {
-        i, config, frame_bytes, spec.state_size, KeepsEveryState(spec, config.ppo()), &sends_scenes_};
+        i, config, frame_bytes, spec.state_size, KeepsEveryState(spec, config.ppo()), &fragment_format_};
     loops_.push_back(std::make_unique<ActorLoop>(loop, &learner_, &permits_, policies_.get(), &sender_,
                                                  std::make_unique<EnvPool>(options_.env_servers, hello, frame_bytes,
                                                                            std::hash<std::string>()(name_) + i, health),

@@ -43,7 +43,7 @@ class Actor {
     int threads = 1;                                  // loops, 1..256
     int capacity = 4096;                              // lanes to play at once, 1..4096
     std::string device = "auto";                      // to act on, as FindActingDevice takes it
-    FrameFormat frames = FrameFormat::kRaw;           // in which frames travel where both ends can: raw or scene
+    FrameFormat frames = FrameFormat::kRaw;           // in which frames travel where both ends can
     absl::Duration env_timeout = kDefaultEnvTimeout;  // of each request to an environment server, 0.1..3600 s
     // Called once with the run's configuration, before the actor joins and computes anything; may restart the process
     // by exec. Null: nothing to set up.
@@ -98,8 +98,8 @@ class Actor {
   RealClock clock_;
   LimitedLog log_{&clock_};  // of what the learner causes
   absl::Time retry_logged_ = absl::InfinitePast();
-  int64_t env_servers_generation_ = 0;     // of the learner's registry, as last received
-  std::atomic<bool> sends_scenes_{false};  // the learner takes scene records
+  int64_t env_servers_generation_ = 0;                           // of the learner's registry, as last received
+  std::atomic<FrameFormat> fragment_format_{FrameFormat::kRaw};  // options_.frames if the learner takes that
   std::unique_ptr<PolicySource> policies_;
   std::unique_ptr<EvaluationWorker> evaluations_;
   std::vector<std::thread> threads_;

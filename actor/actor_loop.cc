@@ -175,10 +175,10 @@ void ActorLoop::StartFragments() {
     frames_.append(game.frame);
     states_.insert(states_.end(), game.state.begin(), game.state.end());
     row.record = std::move(game.record);
-    row.sends_scenes = !row.record.empty() && options_.sends_scenes != nullptr && *options_.sends_scenes;
+    row.format = options_.format == nullptr ? FrameFormat::kRaw : options_.format->load();
+    if (row.format == FrameFormat::kScene && row.record.empty()) row.format = FrameFormat::kRaw;
     row.builder.Start(permit.epoch, permit.lane, permit.fragment, permit.policy_version,
-                      options_.config.fragment_steps(), options_.frame_bytes,
-                      row.sends_scenes ? FrameFormat::kScene : FrameFormat::kRaw);
+                      options_.config.fragment_steps(), options_.frame_bytes, row.format);
   }
 }
 
@@ -219,8 +219,8 @@ absl::Status ActorLoop::AppendStep(const Policy& policy, const ActResult& act, E
   for (size_t row = 0; row < rows_.size() && lane != stepped->lanes.end(); ++row) {
     if (lane->lane != rows_[row].permit.lane) continue;
     FragmentBuilder& builder = rows_[row].builder;
-    builder.Append(rows_[row].sends_scenes ? rows_[row].record : Frame(row), act.actions[row], act.log_probs[row],
-                   act.values[row], lane->reward, lane->end);
+    builder.Append(rows_[row].format == FrameFormat::kScene ? rows_[row].record : Frame(row), act.actions[row],
+                   act.log_probs[row], act.values[row], lane->reward, lane->end);
     rows_[row].record = std::move(lane->record);
     rows_[row].snapshot = std::move(lane->snapshot);
     if (lane->end != StepEnd::kNone) {

@@ -41,8 +41,9 @@ class ActorLoop {
     int frame_bytes = 0;
     int state_size = 0;              // of the agent's recurrent state or memory
     bool keeps_every_state = false;  // fragments hold the state before each step (KeepsEveryState)
-    // Whether the learner takes scene records now; outlives the loop. Null: it does not.
-    const std::atomic<bool>* sends_scenes = nullptr;
+    // The format in which fragments are sent now if their games' frames have it or are raw; outlives the loop. Null:
+    // raw.
+    const std::atomic<FrameFormat>* format = nullptr;
   };
 
   // Reports the state of the environment servers to `servers`.
@@ -75,9 +76,9 @@ class ActorLoop {
   struct Row {
     HeldPermit permit;
     FragmentBuilder builder;
-    std::string record;         // of the current observation, as in Game
-    bool sends_scenes = false;  // the fragment has records instead of frames
-    std::string snapshot;       // after the last step
+    std::string record;                      // of the current observation, as in Game
+    FrameFormat format = FrameFormat::kRaw;  // of the fragment's frames
+    std::string snapshot;                    // after the last step
   };
 
   // Plays one fragment of each permit's lane; all have one version of the weights. After an error, rows_ has the

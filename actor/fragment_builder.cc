@@ -2,6 +2,8 @@
 
 #include <utility>
 
+#include "common/wire/packed_frames.h"
+
 namespace craftfleet {
 namespace {
 
@@ -17,7 +19,7 @@ void FragmentBuilder::Start(int64_t epoch, int lane, int64_t number, int64_t pol
   fragment_.number = number;
   fragment_.policy_version = policy_version;
   fragment_.frame_format = format;
-  fragment_.frames.reserve(static_cast<size_t>(steps) * (format == FrameFormat::kRaw ? frame_bytes : kRecordBytes));
+  fragment_.frames.reserve(static_cast<size_t>(steps) * (format == FrameFormat::kScene ? kRecordBytes : frame_bytes));
   fragment_.actions.reserve(steps);
   fragment_.log_probs.reserve(steps);
   fragment_.values.reserve(steps);
@@ -49,6 +51,7 @@ void FragmentBuilder::AddTruncationValue(float value) { fragment_.truncation_val
 Fragment FragmentBuilder::Finish(float bootstrap_value, LaneSnapshot snapshot) {
   fragment_.bootstrap_value = bootstrap_value;
   fragment_.snapshot = std::move(snapshot);
+  if (fragment_.frame_format == FrameFormat::kLz4) wire::PackFrames(&fragment_.frames);
   return std::move(fragment_);
 }
 

@@ -16,13 +16,13 @@ namespace craftfleet {
 class FragmentBuilder {
  public:
   // Begins a fragment of `steps` steps, and reserves memory for `steps` frames of `frame_bytes` each. `format`: of the
-  // frames that are appended, which are raw or scene records.
+  // fragment; scene records are appended as such, all other frames raw.
   void Start(int64_t epoch, int lane, int64_t number, int64_t policy_version, int steps, int frame_bytes,
              FrameFormat format = FrameFormat::kRaw);
 
   // Adds the recurrent state before the next step. Called before the first step only, or before each step.
   void AddState(absl::Span<const float> state);
-  // Appends a transition: the policy's observation (in the fragment's format) and action, and the result.
+  // Appends a transition: the policy's observation (raw, or its scene record) and action, and the result.
   void Append(absl::string_view frame, Action action, float log_prob, float value, float reward, StepEnd end);
   // Adds the episode that ended with the last appended step.
   void AddEpisode(Episode episode);

@@ -3,6 +3,7 @@
 #ifndef CRAFTFLEET_ACTOR_FRAME_READER_H_
 #define CRAFTFLEET_ACTOR_FRAME_READER_H_
 
+#include <cstdint>
 #include <map>
 #include <memory>
 #include <string>
@@ -20,15 +21,15 @@ namespace craftfleet {
 // Owned by one thread. Errors are InvalidArgument with field, value and what was expected.
 class FrameReader {
  public:
-  // For sessions that begin with `hello`, which asks for scene records only if this program can draw them
+  // For sessions that begin with `hello`. Scene records are read only if this program can draw them
   // (built_in_renderer.h).
   FrameReader(const v1::SessionHello& hello, int frame_bytes);
 
   // Begins a session, whose format the reply to hello says.
   absl::Status Begin(const v1::PlayReply& reply);
 
-  // These replace the frames of a reply by pixels, and append the record of each of `frames` to `records`; raw frames
-  // have none. Sizes are checked by PlayReplyCheck afterwards.
+  // These replace the frames of a reply by pixels, and append the record of each of `frames` to `records`; only
+  // scenes have one. Sizes are checked by PlayReplyCheck afterwards.
   absl::Status ReadOpened(const v1::OpenLanes& request, v1::PlayReply* reply, std::vector<std::string>* records);
   absl::Status ReadStep(const v1::StepLanes& request, v1::PlayReply* reply, std::vector<std::string>* records);
 
@@ -36,11 +37,14 @@ class FrameReader {
   void Close(absl::Span<const int> lanes);
 
  private:
+  // Decompresses the frames, of `frames` games, and the last frames of a reply.
+  absl::Status Unpack(int64_t frames, v1::PlayReply* reply) const;
   // Draws the frame of the record at the beginning of `bytes`, removes the record, and appends the frame to `pixels`.
   absl::Status Draw(int lane, absl::string_view* bytes, std::string* pixels);
 
   const int frame_bytes_;
-  std::shared_ptr<const Renderer> renderer_;  // null: raw frames only
+  const bool asks_for_lz4_;
+  std::shared_ptr<const Renderer> renderer_;  // null: no scene records
   v1::FrameFormat format_ = v1::FRAMES_RAW;   // of the session
   std::map<int, SceneReader> readers_;        // by lane
   std::string pixels_;                        // reused

@@ -27,11 +27,10 @@ ABSL_FLAG(int32_t, threads, 0, "playing threads; 0: as many as the CPU quota all
 ABSL_FLAG(std::string, device, "auto",
           "device to act on: auto (what the run acts on), cpu, cuda or cuda:N\n"
           "a run acts on GPUs if its configuration has device: CUDA; two threads play then");
-ABSL_FLAG(
-    std::string, frames, "raw",
-    "how frames travel: raw or scene\n"
-    "scene: as records of some hundred bytes, from which this program and the learner draw the same frames. Where\n"
-    "the other end can't, raw");
+ABSL_FLAG(std::string, frames, "raw",
+          "how frames travel: raw, lz4 or scene\n"
+          "scene: as records of some hundred bytes, from which this program and the learner draw the same frames\n"
+          "lz4: compressed, also frames that only the environment server can draw. Where the other end can't, raw");
 ABSL_FLAG(int32_t, max_lanes, 4096,
           "maximum number of games to play side by side, 1..4096; the learner assigns each actor its share");
 ABSL_FLAG(craftfleet::TimeSpan, env_timeout, {absl::Seconds(10)},
@@ -42,6 +41,13 @@ ABSL_FLAG(std::string, listen, "127.0.0.1:0", "address to serve status on, HOST:
 
 namespace craftfleet {
 namespace {
+
+absl::StatusOr<FrameFormat> ParseFrames(const std::string& frames) {
+  if (frames == "raw") return FrameFormat::kRaw;
+  if (frames == "lz4") return FrameFormat::kLz4;
+  if (frames == "scene") return FrameFormat::kScene;
+  return InvalidFlag("frames", frames, "raw, lz4 or scene");
+}
 
 constexpr char kProgram[] = "craftfleet-actor";
 constexpr char kUsage[] =
@@ -71,9 +77,7 @@ absl::Status Run() {
   options.threads = threads == 0 ? DefaultThreads() : threads;
   options.capacity = absl::GetFlag(FLAGS_max_lanes);
   options.device = absl::GetFlag(FLAGS_device);
-  const std::string frames = absl::GetFlag(FLAGS_frames);
-  if (frames != "raw" && frames != "scene") return InvalidFlag("frames", frames, "raw or scene");
-  options.frames = frames == "scene" ? FrameFormat::kScene : FrameFormat::kRaw;
+  CRAFTFLEET_ASSIGN_OR_RETURN(options.frames, ParseFrames(absl::GetFlag(FLAGS_frames)));
   options.set_up = [](const v1::RunConfig& config) { return PinCpu(config.cpu()); };
   options.env_timeout = absl::GetFlag(FLAGS_env_timeout).value;
   CRAFTFLEET_ASSIGN_OR_RETURN(const std::unique_ptr<Actor> actor, Actor::Create(options));

@@ -18,6 +18,7 @@
 #include "common/process/version.h"
 #include "common/wire/convert.h"
 #include "common/wire/grpc_status.h"
+#include "common/wire/packed_frames.h"
 #include "common/wire/protocol.h"
 #include "common/wire/request_check.h"
 #include "common/wire/status_service.h"
@@ -41,8 +42,16 @@ absl::Status SetGames(int64_t games, const EnvBatch& batch, GameBudget::Share* s
 FrameFormat ChooseFormat(const v1::SessionHello& hello) {
   for (const int format : hello.frame_formats()) {
     if (format == v1::FRAMES_SCENE && !hello.texture_digest().empty()) return FrameFormat::kScene;
+    if (format == v1::FRAMES_LZ4) return FrameFormat::kLz4;
   }
   return FrameFormat::kRaw;
+}
+
+// Gives a reply's raw frames the session's format.
+void Pack(FrameFormat format, v1::PlayReply* reply) {
+  if (format != FrameFormat::kLz4) return;
+  wire::PackFrames(reply->mutable_frames());
+  wire::PackFrames(reply->mutable_last_frames());
 }
 
 // Reports the lanes that were not opened, with reasons.
@@ -270,6 +279,7 @@ absl::Status EnvServiceImpl::Handle(const v1::PlayRequest& request, EnvBatch* ba
       episodes_ += static_cast<int64_t>(step->episodes.size());
       reply->clear_refused();
       wire::ToProto(step, reply);
+      Pack(batch->format(), reply);
       wire::ToProto(std::move(batch->moments()), reply);
       return absl::OkStatus();
     }
@@ -281,6 +291,7 @@ absl::Status EnvServiceImpl::Handle(const v1::PlayRequest& request, EnvBatch* ba
       }
       reply->Clear();
       CRAFTFLEET_RETURN_IF_ERROR(batch->Open(lanes, reply->mutable_frames()));
+      Pack(batch->format(), reply);
       AddRefused(batch->refused(), &log_, reply);
       wire::ToProto(std::move(batch->moments()), reply);
       return SetGames(batch->size(), *batch, share);  // some lanes may have been open already

@@ -134,7 +134,7 @@ const std::vector<BadCommand>& BadCommands() {
       {"LearnerThatIsNoAddress", actor, {"--learner=here"}, {"--learner: \"here\" is not an address"}},
       {"OneServerThatIsNoAddress", actor, {"--envservers=127.0.0.1:1,x"}, {"--envservers: \"x\" is not an address"}},
       {"NoServers", actor, {"--envservers="}, {"--envservers is empty"}},
-      {"UnknownFrames", actor, {"--frames=png"}, {"--frames=png, want raw or scene"}},
+      {"UnknownFrames", actor, {"--frames=png"}, {"--frames=png, want raw, lz4 or scene"}},
       {"NegativeThreads", actor, {"--threads=-1"}, {"--threads=-1, want 0..256; 0: as many as the CPU quota allows"}},
       {"NoLanesForActor", actor, {"--max_lanes=0"}, {"--max_lanes=0, want 1..4096"}},
       {"NoTimeForServers", actor, {"--env_timeout=0"}, {"--env_timeout=0, want 0.1..3600 s"}},

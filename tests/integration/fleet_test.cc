@@ -164,15 +164,17 @@ class FrameFormatsFleetTest : public FleetTest {
   void SetUp() override { TrainQuietly(absl::StrReplaceAll(kConfig, {{"length: 90", "length: 230"}}), 230); }
 };
 
-TEST_F(FrameFormatsFleetTest, SceneRecordsEqualOneProcess) {
-  const auto learner = StartLearner("scene", "127.0.0.1:0");
-  const auto server = StartServer("scene-server");
-  const std::string learner_address = learner->WaitForAddress().value();
-  const auto actor =
-      StartActor("scene-actor", learner_address, server->WaitForAddress().value(), /*threads=*/2, {"--frames=scene"});
-  EXPECT_EQ(learner->Wait(kPatience), 0) << learner->Err();
-  EXPECT_EQ(actor->Wait(absl::Seconds(10)), 0) << actor->Err();
-  ExpectLikeQuiet("scene");
+TEST_F(FrameFormatsFleetTest, SceneRecordsAndCompressedFramesEqualOneProcess) {
+  for (const std::string format : {"scene", "lz4"}) {
+    const auto learner = StartLearner(format, "127.0.0.1:0");
+    const auto server = StartServer(format + "-server");
+    const std::string learner_address = learner->WaitForAddress().value();
+    const auto actor = StartActor(format + "-actor", learner_address, server->WaitForAddress().value(), /*threads=*/2,
+                                  {"--frames=" + format});
+    EXPECT_EQ(learner->Wait(kPatience), 0) << learner->Err();
+    EXPECT_EQ(actor->Wait(absl::Seconds(10)), 0) << actor->Err();
+    ExpectLikeQuiet(format);
+  }
 }
 
 TEST_F(FrameFormatsFleetTest, ActorsWithDifferentFormatsAndKillsEqualOneProcess) {
@@ -186,7 +188,7 @@ TEST_F(FrameFormatsFleetTest, ActorsWithDifferentFormatsAndKillsEqualOneProcess)
   };
   auto first_actor = start("formats-actor1", "scene");
   auto second_actor = start("formats-actor2", "raw");
-  const auto third_actor = start("formats-actor3", "scene");
+  const auto third_actor = start("formats-actor3", "lz4");
   WaitForCheckpoint("formats", 2);
   first_actor->Kill();
   first_actor = start("formats-actor1-again", "raw");
