@@ -89,7 +89,7 @@ absl::StatusOr<RankCommand> ReceiveCommand(const wire::FragmentShape& shape, con
   if (bytes.size() >= sizeof(head)) std::memcpy(&head, bytes.data(), sizeof(head));
   const size_t scales = (bytes.size() - sizeof(head)) / sizeof(ValueScale);
   if (bytes.size() < sizeof(head) || head.fragments < 0 || static_cast<size_t>(head.fragments) != scales) {
-    return absl::InvalidArgumentError("rank 0 sent something else than a command");
+    return absl::InvalidArgumentError("rank 0 sent something other than a command");
   }
   RankCommand command = {head.kind, head.iteration, std::vector<ValueScale>(head.fragments), {}};
   std::memcpy(command.scales.data(), bytes.data() + sizeof(head), head.fragments * sizeof(ValueScale));
@@ -97,7 +97,7 @@ absl::StatusOr<RankCommand> ReceiveCommand(const wire::FragmentShape& shape, con
     CRAFTFLEET_RETURN_IF_ERROR(group->Broadcast(&bytes));
     v1::FragmentMessage message;
     if (!message.ParseFromString(bytes))
-      return absl::InvalidArgumentError("rank 0 sent something else than a fragment");
+      return absl::InvalidArgumentError("rank 0 sent something other than a fragment");
     CRAFTFLEET_RETURN_IF_ERROR(frames.Draw(shape.steps, &message));
     CRAFTFLEET_ASSIGN_OR_RETURN(Fragment fragment, wire::FromProto(&message, shape));
     command.fragments.push_back(std::move(fragment));

@@ -152,7 +152,7 @@ absl::Status ChannelSecurity::Explain(const absl::Status& error, absl::string_vi
                                                          : ": check the token in --token_file=" + options_.token_file);
       break;
     case absl::StatusCode::kPermissionDenied:
-      if (!absl::StrContains(text, "not allowed")) break;  // about something else than rights
+      if (!absl::StrContains(text, "not allowed")) break;  // not about rights
       absl::StrAppend(&text, ": its --access_file gives this process' ",
                       options_.token_file.empty() ? "certificate" : "token or certificate", " no right to this");
       break;

@@ -79,6 +79,13 @@ absl::Status CheckFlags() {
   if (!strip.empty() && !absl::EndsWith(strip, ".png"))
     return InvalidFlag("strip", strip, "a file name that ends in .png");
   if (!video.empty() && !strip.empty()) return absl::InvalidArgumentError("--video and --strip: want one of them");
+  const absl::string_view file = !video.empty() ? "--video" : !strip.empty() ? "--strip" : "";
+  for (const auto& [name, is_set] :
+       {std::pair("--follow", absl::GetFlag(FLAGS_follow)), std::pair("--terminal", absl::GetFlag(FLAGS_terminal))}) {
+    if (!file.empty() && is_set) {
+      return absl::InvalidArgumentError(absl::StrCat(name, " and ", file, ": want one of them"));
+    }
+  }
   return absl::OkStatus();
 }
 

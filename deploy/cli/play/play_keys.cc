@@ -45,9 +45,9 @@ std::optional<Action> ActionOfKey(Key key) {
 std::vector<TextLine> KeyHelp() {
   return {
       {"Keys", TextLine::Style::kTitle},
-      {"wasd, arrows  walk, turn"},
+      {"wasd   walk, turn; also arrows"},
       {"space  collect, drink, eat, fight"},
-      {"tab, z sleep"},
+      {"tab z  sleep"},
       {".      wait a step"},
       {"r      place a stone"},
       {"t      place a table"},
