@@ -101,11 +101,12 @@ class Worker:
 class Fleet:
     """A learner on `learner_site`, with environment servers and actors distributed over `sites`. Logs are in the folder `out`.
 
-    `flags`: additional flags by role: learner, server, actor, and status, for the queries to the learner. `own_servers`: each
-    actor plays on the environment server of its number alone, not on all of them."""
+    `actor_sites`: those of the actors, if not `sites`. `flags`: additional flags by role: learner, server, actor, and status,
+    for the queries to the learner. `own_servers`: each actor plays on the environment server of its number alone, not on all
+    of them."""
 
     def __init__(self, bin_folder, out, config, logdir, learner_site, sites, actors=0, servers=0,
-                 threads=1, flags=None, own_servers=False):
+                 threads=1, flags=None, own_servers=False, actor_sites=None):
         self.bin, out = pathlib.Path(bin_folder), pathlib.Path(out)
         self.flags = {"learner": [], "server": [], "actor": [], "status": [], **(flags or {})}
         self.learner_site, self.learner_address = learner_site, learner_site.listen()
@@ -123,8 +124,9 @@ class Fleet:
                            f"--advertise={site.reached_at(listen)}", f"--learner={reached}", *site.flags,
                            *self.flags["server"]]
                 self.workers.append(Worker(f"server{i}", command, out / f"server{i}.log", listen))
+            actor_sites = actor_sites or sites
             for i in range(actors):
-                site = sites[i % len(sites)]
+                site = actor_sites[i % len(actor_sites)]
                 games = site.reached_at(self.workers[i].address) if own_servers else "learner"
                 command = [*site.command_prefix, self.bin / "craftfleet-actor", f"--learner={reached}",
                            f"--envservers={games}", f"--threads={threads}", *self.flags["actor"]]

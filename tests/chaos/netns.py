@@ -91,6 +91,12 @@ class Network:
         self.learner_host, self.worker_hosts = self.hosts[0], self.hosts[1:]
 
     def build(self):
+        self.lay_cables()
+        self.slow_down(self.hosts[-1])
+        for host in self.hosts:
+            host.start_proxy()
+
+    def lay_cables(self):
         run("ip", "netns", "add", self.switch)
         run("ip", "-n", self.switch, "link", "add", "name", "bridge", "type", "bridge")
         run("ip", "-n", self.switch, "link", "set", "bridge", "up")
@@ -102,11 +108,11 @@ class Network:
             run("ip", "-n", host.name, "address", "add", f"{host.address}/24", "dev", "eth0")
             for namespace, device in [(host.name, "lo"), (host.name, "eth0"), (self.switch, self.cable(host))]:
                 run("ip", "-n", namespace, "link", "set", device, "up")
-        slow = self.hosts[-1]
-        for namespace, device in [(slow.name, "eth0"), (self.switch, self.cable(slow))]:
+
+    def slow_down(self, host):
+        """Limits the cable of a host to 100 Mbit/s in each direction."""
+        for namespace, device in [(host.name, "eth0"), (self.switch, self.cable(host))]:
             run("tc", "-n", namespace, "qdisc", "add", "dev", device, "root", "tbf", *SLOW_LINK)
-        for host in self.hosts:
-            host.start_proxy()
 
     @staticmethod
     def cable(host):
