@@ -27,6 +27,15 @@ struct Minibatch {
   std::vector<int> lengths;  // of the segments, which the network sees as sequences; empty: each step stands alone
 };
 
+// The elements of `values` at `rows`; `padding` for kPadding.
+template <typename T>
+std::vector<T> Gather(const std::vector<T>& values, absl::Span<const int> rows, T padding = T()) {
+  std::vector<T> chosen;
+  chosen.reserve(rows.size());
+  for (const int row : rows) chosen.push_back(row == kPadding ? padding : values[row]);
+  return chosen;
+}
+
 // A permutation of 0..count-1, each equally likely.
 std::vector<int> ShuffledOrder(const EpochKey& key, int count);
 

@@ -5,16 +5,11 @@
 #include <exception>
 #include <utility>
 
-#include <ATen/ATen.h>
 #include <absl/strings/str_cat.h>
 #include <absl/types/span.h>
-#include <c10/core/GradMode.h>
-#include <torch/csrc/autograd/autograd.h>
 
-#include "common/agent/categorical.h"
 #include "common/agent/device.h"
 #include "common/agent/initial_weights.h"
-#include "common/agent/policy_net.h"
 #include "common/agent/torch_setup.h"
 #include "common/agent/weights.h"
 #include "common/base/crc32c.h"
@@ -31,10 +26,6 @@ constexpr char kCpuDevice[] = "cpu";
 // Before the names of distillation's optimisers.
 constexpr char kMatching[] = "matching.";
 constexpr char kPrediction[] = "prediction.";
-
-absl::Span<float> FloatSpan(const at::Tensor& tensor) {
-  return absl::MakeSpan(tensor.data_ptr<float>(), tensor.numel());
-}
 
 AdamOptions AdamOptionsOf(const v1::PpoConfig& config) {
   AdamOptions options;
@@ -58,30 +49,6 @@ double ExplainedVariance(const Rollout& rollout) {
   for (size_t i = 0; i < rollout.size(); ++i) errors.push_back(double{rollout.returns[i]} - rollout.values[i]);
   const double variance = Variance({rollout.returns.begin(), rollout.returns.end()});
   return variance > 0 ? 1 - Variance(errors) / variance : 0;
-}
-
-// The chosen elements of `values`; `padding` for kPadding.
-template <typename T>
-std::vector<T> Gather(const std::vector<T>& values, absl::Span<const int> rows, T padding = T()) {
-  std::vector<T> chosen;
-  chosen.reserve(rows.size());
-  for (const int row : rows) chosen.push_back(row == kPadding ? padding : values[row]);
-  return chosen;
-}
-
-// The segments of `part` with the states before them; with a memory, each row is a segment.
-Segments SegmentsOf(const Rollout& rollout, const Minibatch& part, const AgentSpec& spec) {
-  const std::vector<int> lengths = spec.network.memory() ? std::vector<int>(part.rows.size(), 1) : part.lengths;
-  Segments segments{lengths, at::zeros({static_cast<int64_t>(lengths.size()), spec.state_size})};
-  auto* state = segments.states.data_ptr<float>();
-  size_t first = 0;
-  for (const int length : lengths) {
-    const float* const before = rollout.states[part.rows[first]];
-    if (before != nullptr) std::copy_n(before, spec.state_size, state);
-    state += spec.state_size;
-    first += length;
-  }
-  return segments;
 }
 
 // Configurations of older runs lack the field.
@@ -111,24 +78,6 @@ PpoLossSums Means(PpoLossSums sums, size_t rows) {
 
 }  // namespace
 
-struct PpoUpdater::Shard {
-  Shard(const AgentSpec& spec, absl::Span<float> weights)
-      : net(spec, PolicyNet::Use::kTraining, weights), frames(at::empty({0})) {}
-
-  PolicyNet net;
-  at::Tensor frames;    // float[rows,H,W,3], reused
-  PpoLossSums sums;     // of the last minibatch
-  absl::Status status;  // likewise
-};
-
-struct PpoUpdater::Batch {
-  std::vector<Minibatch> parts;   // for the shards
-  std::vector<size_t> firsts;     // [parts] the row of the batch that each begins with
-  std::vector<float> advantages;  // [n] normalised
-  std::vector<float> returns;     // [n] normalised where values are
-  uint64_t dropout_key = 0;
-};
-
 absl::StatusOr<std::unique_ptr<PpoUpdater>> PpoUpdater::Create(const v1::RunConfig& config, int threads,
                                                                const std::string& device) {
   CRAFTFLEET_ASSIGN_OR_RETURN(AgentSpec spec, MakeAgentSpec(config));
@@ -148,18 +97,23 @@ PpoUpdater::PpoUpdater(AgentSpec spec, const v1::RunConfig& config, int threads,
     : spec_(std::move(spec)),
       config_(config.ppo()),
       seed_(config.seed()),
-      no_frame_(spec_.frame_bytes()),
+      gradient_shards_(config.gradient_shards()),
       distills_(config.distillation().every_iterations() > 0),
       workers_(threads, SetUpTorchThread),
       state_(FreshState(InitialWeights(spec_, seed_))),
-      shards_(config.gradient_shards()),
       device_(device == kCpuDevice ? nullptr : std::make_unique<DeviceUpdate>(spec_, config, at::Device(device))) {
   if (device_ != nullptr) return;
   if (distills_) distiller_ = std::make_unique<Distiller>(spec_, config, absl::MakeSpan(state_.weights), &workers_);
-  for (auto& shard : shards_) shard = std::make_unique<Shard>(spec_, absl::MakeSpan(state_.weights));
+  shards_ =
+      std::make_unique<GradientShards>(spec_, config_, gradient_shards_, absl::MakeSpan(state_.weights), &workers_);
 }
 
 PpoUpdater::~PpoUpdater() = default;
+
+void PpoUpdater::ShareOut(RankGroup* group) {
+  ranks_.emplace(spec_, group);
+  shards_->ShareOut(&*ranks_);
+}
 
 PpoUpdater::State PpoUpdater::FreshState(std::vector<float> weights) const {
   const AdamState fresh = {0, std::vector<float>(spec_.param_count), std::vector<float>(spec_.param_count)};
@@ -237,7 +191,7 @@ absl::StatusOr<UpdateStats> PpoUpdater::UpdateOnDevice(int64_t iteration, const 
     epochs[epoch] = MakeMinibatches({seed_, iteration, epoch}, rollout);
     // In the order of its parts, so that dropout finds each row where it is on the CPU.
     for (Minibatch& minibatch : epochs[epoch]) {
-      minibatch = Joined(CutIntoShards(minibatch, static_cast<int>(shards_.size())));
+      minibatch = Joined(CutIntoShards(minibatch, gradient_shards_));
     }
   }
   CRAFTFLEET_ASSIGN_OR_RETURN(UpdateStats stats, device_->Run(rollout, epochs, should_stop, &state_));
@@ -270,10 +224,8 @@ absl::StatusOr<std::vector<float>> PpoUpdater::LogProbs(const Rollout& rollout,
   if (device_ != nullptr) return device_->LogProbs(rollout, minibatches, should_stop, state_);
   std::vector<float> log_probs(rollout.size());
   for (const Minibatch& minibatch : minibatches) {
-    const std::vector<Minibatch> parts = CutIntoShards(minibatch, static_cast<int>(shards_.size()));
-    RunShards(parts.size(),
-              [&](int i) { ComputeLogProbs(rollout, parts[i], shards_[i].get(), absl::MakeSpan(log_probs)); });
-    CRAFTFLEET_RETURN_IF_ERROR(StatusOfShards(parts.size()));
+    CRAFTFLEET_RETURN_IF_ERROR(
+        shards_->ComputeLogProbs(rollout, CutIntoShards(minibatch, gradient_shards_), absl::MakeSpan(log_probs)));
     if (should_stop()) return absl::CancelledError("the update was stopped; nothing is changed");
   }
   if (ranks_.has_value()) CRAFTFLEET_RETURN_IF_ERROR(ranks_->Combine(&log_probs));
@@ -310,9 +262,9 @@ absl::StatusOr<UpdateStats> PpoUpdater::RunEpochs(int64_t iteration, const Rollo
   return stats;
 }
 
-PpoUpdater::Batch PpoUpdater::MakeBatch(const Rollout& rollout, const Minibatch& minibatch) {
-  Batch batch;
-  batch.parts = CutIntoShards(minibatch, static_cast<int>(shards_.size()));
+ShardedMinibatch PpoUpdater::CutForShards(const Rollout& rollout, const Minibatch& minibatch) {
+  ShardedMinibatch batch;
+  batch.parts = CutIntoShards(minibatch, gradient_shards_);
   std::vector<int> rows;
   for (const Minibatch& part : batch.parts) {
     batch.firsts.push_back(rows.size());
@@ -336,20 +288,9 @@ PpoUpdater::Batch PpoUpdater::MakeBatch(const Rollout& rollout, const Minibatch&
 
 absl::StatusOr<PpoLossSums> PpoUpdater::RunMinibatch(const Rollout& rollout, const Minibatch& minibatch,
                                                      UpdateStats* stats) {
-  const Batch batch = MakeBatch(rollout, minibatch);
-  const size_t parts = batch.parts.size();
-  RunShards(parts, [&](int i) { ComputeGradient(rollout, batch, i, shards_[i].get()); });
-  CRAFTFLEET_RETURN_IF_ERROR(StatusOfShards(parts));
-  PpoLossSums sums;
+  const ShardedMinibatch batch = CutForShards(rollout, minibatch);
   std::vector<ShardGradient> gradients;
-  std::vector<PpoLossSums> losses;
-  const ShardRange own = OwnShards(parts);
-  for (int i = own.begin; i < own.end; ++i) {
-    gradients.push_back(shards_[i]->net.gradients());
-    losses.push_back(shards_[i]->sums);
-    sums.Add(losses.back());
-  }
-  if (ranks_.has_value()) CRAFTFLEET_RETURN_IF_ERROR(ranks_->Add(&gradients, losses, &sums));
+  CRAFTFLEET_ASSIGN_OR_RETURN(const PpoLossSums sums, shards_->ComputeGradients(rollout, batch, &gradients));
   const double norm =
       AdamStep(AdamOptionsOf(config_), gradients, absl::MakeSpan(state_.weights), &state_.adam, &workers_);
   if (!std::isfinite(norm)) {
@@ -358,73 +299,6 @@ absl::StatusOr<PpoLossSums> PpoUpdater::RunMinibatch(const Rollout& rollout, con
   }
   stats->gradient_norm += norm;
   return Means(sums, batch.advantages.size());
-}
-
-ShardRange PpoUpdater::OwnShards(size_t parts) const {
-  const int count = static_cast<int>(parts);
-  if (!ranks_.has_value()) return {0, count};
-  const ShardRange own = ranks_->OwnShards(static_cast<int>(shards_.size()));
-  return {std::min(own.begin, count), std::min(own.end, count)};
-}
-
-void PpoUpdater::RunShards(size_t parts, const std::function<void(int)>& part) {
-  const ShardRange own = OwnShards(parts);
-  workers_.Run(own.end - own.begin, [&](int i) { part(own.begin + i); });
-}
-
-absl::Status PpoUpdater::StatusOfShards(size_t parts) const {
-  absl::Status status;
-  const ShardRange own = OwnShards(parts);
-  for (int i = own.begin; i < own.end; ++i) status.Update(shards_[i]->status);
-  return ranks_.has_value() ? ranks_->group()->Agree(status) : status;
-}
-
-NetOutput PpoUpdater::Forward(const Rollout& rollout, const Minibatch& part, const std::optional<Dropout>& dropout,
-                              Shard* shard) const {
-  shard->frames.resize_({static_cast<int64_t>(part.rows.size()), spec_.frame_size, spec_.frame_size, 3});
-  ScaleFrames(Gather(rollout.frames, part.rows, no_frame_.data()), spec_.frame_bytes(),
-              shard->frames.data_ptr<float>());
-  return shard->net.Forward(shard->frames, SegmentsOf(rollout, part, spec_), dropout);
-}
-
-void PpoUpdater::ComputeLogProbs(const Rollout& rollout, const Minibatch& part, Shard* shard,
-                                 absl::Span<float> log_probs) const {
-  try {
-    const c10::NoGradGuard no_grad;
-    const NetOutput output = Forward(rollout, part, std::nullopt, shard);
-    const float* logits = output.logits.data_ptr<float>();
-    for (const int row : part.rows) {
-      log_probs[row] = static_cast<float>(Categorical(logits).log_probs[static_cast<int>(rollout.actions[row])]);
-      logits += kNumActions;
-    }
-    shard->status = absl::OkStatus();
-  } catch (const std::exception& error) {
-    shard->status = absl::InternalError(absl::StrCat("log-probabilities: ", error.what()));
-  }
-}
-
-void PpoUpdater::ComputeGradient(const Rollout& rollout, const Batch& batch, size_t part, Shard* shard) {
-  try {
-    const std::vector<int>& rows = batch.parts[part].rows;
-    const size_t first = batch.firsts[part];
-    const NetOutput output =
-        Forward(rollout, batch.parts[part], Dropout{batch.dropout_key, static_cast<int64_t>(first)}, shard);
-
-    const std::vector<Action> actions = Gather(rollout.actions, rows);
-    const std::vector<float> log_probs = Gather(rollout.log_probs, rows);
-    const auto advantages = absl::MakeConstSpan(batch.advantages).subspan(first, rows.size());
-    const auto returns = absl::MakeConstSpan(batch.returns).subspan(first, rows.size());
-    const at::Tensor by_logits = at::empty_like(output.logits);
-    const at::Tensor by_values = at::empty_like(output.values);
-    shard->sums = PpoLoss(FloatSpan(output.logits), FloatSpan(output.values), {actions, log_probs, advantages, returns},
-                          {config_.clip(), config_.value_coefficient(), config_.entropy_coefficient()},
-                          static_cast<int>(batch.advantages.size()), FloatSpan(by_logits), FloatSpan(by_values));
-    shard->net.ClearGradients();
-    torch::autograd::backward({output.logits, output.values}, {by_logits, by_values});
-    shard->status = absl::OkStatus();
-  } catch (const std::exception& error) {
-    shard->status = absl::InternalError(absl::StrCat("gradient: ", error.what()));
-  }
 }
 
 void PpoUpdater::Restore(State state) {

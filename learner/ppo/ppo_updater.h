@@ -20,6 +20,7 @@
 #include "craftfleet/v1/config.pb.h"
 #include "learner/ppo/adam.h"
 #include "learner/ppo/distillation/distiller.h"
+#include "learner/ppo/gradient_shards.h"
 #include "learner/ppo/minibatches.h"
 #include "learner/ppo/ppo_loss.h"
 #include "learner/ppo/rank_sums.h"
@@ -31,8 +32,6 @@
 namespace craftfleet {
 
 class DeviceUpdate;
-struct Dropout;
-struct NetOutput;
 
 // Owns the weights, Adam's state and the value normaliser of a training run. Each minibatch is cut into
 // `gradient_shards` parts (CutIntoShards) whose gradients are computed apart, each by one thread, and added in order:
@@ -55,7 +54,7 @@ class PpoUpdater {
   // `group`, which has at most gradient_shards and outlives this. All of them have the same configuration, weights and
   // optimiser, and call Update with the same rollouts; they get the bytes of one process. Only rank 0's should_stop
   // counts. Distillation is not shared: each rank computes all of it. On the CPU only.
-  void ShareOut(RankGroup* group) { ranks_.emplace(spec_, group); }
+  void ShareOut(RankGroup* group);
 
   // How fragments that the present weights played become a rollout.
   RolloutOptions rollout_options() const;
@@ -88,8 +87,6 @@ class PpoUpdater {
   int64_t optimizer_steps() const { return state_.adam.steps; }
 
  private:
-  struct Shard;  // one replica: net, gradients, input
-  struct Batch;  // a minibatch, cut for the shards, with its targets
   using State = UpdateState;
 
   PpoUpdater(AgentSpec spec, const v1::RunConfig& config, int threads, const std::string& device);
@@ -115,31 +112,18 @@ class PpoUpdater {
                                            const std::function<bool()>& should_stop);
   // One optimiser step; adds its gradient norm to `stats` and returns the means of its losses.
   absl::StatusOr<PpoLossSums> RunMinibatch(const Rollout& rollout, const Minibatch& minibatch, UpdateStats* stats);
-  Batch MakeBatch(const Rollout& rollout, const Minibatch& minibatch);
-  // Those that compute a minibatch's `parts` on this rank.
-  ShardRange OwnShards(size_t parts) const;
-  // Calls `part` for each of them, on the workers.
-  void RunShards(size_t parts, const std::function<void(int)>& part);
-  // Whether they have succeeded, on all ranks.
-  absl::Status StatusOfShards(size_t parts) const;
+  ShardedMinibatch CutForShards(const Rollout& rollout, const Minibatch& minibatch);
   void Restore(State state);
   bool IsFinite() const;
-  // The network's output for `part`, on the shard's frames.
-  NetOutput Forward(const Rollout& rollout, const Minibatch& part, const std::optional<Dropout>& dropout,
-                    Shard* shard) const;
-  // Writes the rows of `part` in `log_probs`, of the whole rollout.
-  void ComputeLogProbs(const Rollout& rollout, const Minibatch& part, Shard* shard, absl::Span<float> log_probs) const;
-  // Forward and backward of the batch's part number `part`.
-  void ComputeGradient(const Rollout& rollout, const Batch& batch, size_t part, Shard* shard);
 
   const AgentSpec spec_;
   const v1::PpoConfig config_;
   const uint64_t seed_;
-  const std::vector<uint8_t> no_frame_;  // [frame_bytes] zeros, for padding
+  const int gradient_shards_;
   const bool distills_;
   WorkerPool workers_;
-  State state_;  // the shards' nets look into the weights
-  std::vector<std::unique_ptr<Shard>> shards_;
+  State state_;                                 // the shards' nets look into the weights
+  std::unique_ptr<GradientShards> shards_;      // null: on a device
   std::unique_ptr<Distiller> distiller_;        // null: no distillation
   std::optional<RankSums> ranks_;               // unset: no other ranks
   std::vector<float> normalised_advantages_;    // of the running update, with advantages_over_rollout

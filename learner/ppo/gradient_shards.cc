@@ -1,0 +1,138 @@
+#include "learner/ppo/gradient_shards.h"
+
+#include <algorithm>
+#include <exception>
+
+#include <ATen/ATen.h>
+#include <absl/strings/str_cat.h>
+#include <c10/core/GradMode.h>
+#include <torch/csrc/autograd/autograd.h>
+
+#include "common/agent/categorical.h"
+#include "common/agent/policy_net.h"
+#include "common/base/status_macros.h"
+
+namespace craftfleet {
+namespace {
+
+absl::Span<float> FloatSpan(const at::Tensor& tensor) {
+  return absl::MakeSpan(tensor.data_ptr<float>(), tensor.numel());
+}
+
+// The segments of `part` with the states before them; with a memory, each row is a segment.
+Segments SegmentsOf(const Rollout& rollout, const Minibatch& part, const AgentSpec& spec) {
+  const std::vector<int> lengths = spec.network.memory() ? std::vector<int>(part.rows.size(), 1) : part.lengths;
+  Segments segments{lengths, at::zeros({static_cast<int64_t>(lengths.size()), spec.state_size})};
+  auto* state = segments.states.data_ptr<float>();
+  size_t first = 0;
+  for (const int length : lengths) {
+    const float* const before = rollout.states[part.rows[first]];
+    if (before != nullptr) std::copy_n(before, spec.state_size, state);
+    state += spec.state_size;
+    first += length;
+  }
+  return segments;
+}
+
+}  // namespace
+
+struct GradientShards::Shard {
+  Shard(const AgentSpec& spec, absl::Span<float> weights)
+      : net(spec, PolicyNet::Use::kTraining, weights), frames(at::empty({0})) {}
+
+  PolicyNet net;
+  at::Tensor frames;    // float[rows,H,W,3], reused
+  PpoLossSums sums;     // of the last minibatch
+  absl::Status status;  // of the last part
+};
+
+GradientShards::GradientShards(const AgentSpec& spec, const v1::PpoConfig& config, int count, absl::Span<float> weights,
+                               WorkerPool* workers)
+    : spec_(spec), config_(config), no_frame_(spec.frame_bytes()), workers_(workers), shards_(count) {
+  for (auto& shard : shards_) shard = std::make_unique<Shard>(spec_, weights);
+}
+
+GradientShards::~GradientShards() = default;
+
+absl::StatusOr<PpoLossSums> GradientShards::ComputeGradients(const Rollout& rollout, const ShardedMinibatch& minibatch,
+                                                             std::vector<ShardGradient>* gradients) {
+  const size_t parts = minibatch.parts.size();
+  CRAFTFLEET_RETURN_IF_ERROR(Run("gradient", parts, [&](int i) { ComputeGradient(rollout, minibatch, i); }));
+  PpoLossSums sums;
+  std::vector<PpoLossSums> losses;
+  gradients->clear();
+  const ShardRange own = OwnShards(parts);
+  for (int i = own.begin; i < own.end; ++i) {
+    gradients->push_back(shards_[i]->net.gradients());
+    losses.push_back(shards_[i]->sums);
+    sums.Add(losses.back());
+  }
+  if (ranks_ != nullptr) CRAFTFLEET_RETURN_IF_ERROR(ranks_->Add(gradients, losses, &sums));
+  return sums;
+}
+
+absl::Status GradientShards::ComputeLogProbs(const Rollout& rollout, const std::vector<Minibatch>& parts,
+                                             absl::Span<float> log_probs) {
+  return Run("log-probabilities", parts.size(), [&](int i) {
+    const c10::NoGradGuard no_grad;
+    const NetOutput output = Forward(rollout, parts[i], std::nullopt, shards_[i].get());
+    const float* logits = output.logits.data_ptr<float>();
+    for (const int row : parts[i].rows) {
+      log_probs[row] = static_cast<float>(Categorical(logits).log_probs[static_cast<int>(rollout.actions[row])]);
+      logits += kNumActions;
+    }
+  });
+}
+
+ShardRange GradientShards::OwnShards(size_t parts) const {
+  const int count = static_cast<int>(parts);
+  if (ranks_ == nullptr) return {0, count};
+  const ShardRange own = ranks_->OwnShards(static_cast<int>(shards_.size()));
+  return {std::min(own.begin, count), std::min(own.end, count)};
+}
+
+absl::Status GradientShards::Run(absl::string_view what, size_t parts, const std::function<void(int)>& part) {
+  const ShardRange own = OwnShards(parts);
+  workers_->Run(own.end - own.begin, [&](int i) {
+    Shard* const shard = shards_[own.begin + i].get();
+    try {
+      part(own.begin + i);
+      shard->status = absl::OkStatus();
+    } catch (const std::exception& error) {  // of LibTorch, or out of memory
+      shard->status = absl::InternalError(absl::StrCat(what, ": ", error.what()));
+    }
+  });
+  absl::Status status;
+  for (int i = own.begin; i < own.end; ++i) status.Update(shards_[i]->status);
+  return ranks_ != nullptr ? ranks_->group()->Agree(status) : status;
+}
+
+NetOutput GradientShards::Forward(const Rollout& rollout, const Minibatch& part, const std::optional<Dropout>& dropout,
+                                  Shard* shard) const {
+  shard->frames.resize_({static_cast<int64_t>(part.rows.size()), spec_.frame_size, spec_.frame_size, 3});
+  ScaleFrames(Gather(rollout.frames, part.rows, no_frame_.data()), spec_.frame_bytes(),
+              shard->frames.data_ptr<float>());
+  return shard->net.Forward(shard->frames, SegmentsOf(rollout, part, spec_), dropout);
+}
+
+void GradientShards::ComputeGradient(const Rollout& rollout, const ShardedMinibatch& minibatch, size_t number) {
+  Shard* const shard = shards_[number].get();
+  const Minibatch& part = minibatch.parts[number];
+  const size_t first = minibatch.firsts[number];
+  const Dropout dropout{minibatch.dropout_key, static_cast<int64_t>(first)};
+  const NetOutput output = Forward(rollout, part, dropout, shard);
+
+  const std::vector<Action> actions = Gather(rollout.actions, part.rows);
+  const std::vector<float> log_probs = Gather(rollout.log_probs, part.rows);
+  const auto advantages = absl::MakeConstSpan(minibatch.advantages).subspan(first, part.rows.size());
+  const auto returns = absl::MakeConstSpan(minibatch.returns).subspan(first, part.rows.size());
+  const at::Tensor by_logits = at::empty_like(output.logits);
+  const at::Tensor by_values = at::empty_like(output.values);
+  shard->sums = PpoLoss(FloatSpan(output.logits), FloatSpan(output.values), {actions, log_probs, advantages, returns},
+                        {config_.clip(), config_.value_coefficient(), config_.entropy_coefficient()},
+                        static_cast<int>(minibatch.advantages.size()), FloatSpan(by_logits), FloatSpan(by_values));
+  shard->net.ClearGradients();
+  torch::autograd::backward({output.logits, output.values}, {by_logits, by_values});
+}
+
+}  // namespace craftfleet

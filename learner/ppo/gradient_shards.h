@@ -1,0 +1,89 @@
+// The gradient of a minibatch in parts ("shards"), each computed by one thread.
+
+#ifndef CRAFTFLEET_LEARNER_PPO_GRADIENT_SHARDS_H_
+#define CRAFTFLEET_LEARNER_PPO_GRADIENT_SHARDS_H_
+
+#include <cstddef>
+#include <cstdint>
+#include <functional>
+#include <memory>
+#include <optional>
+#include <vector>
+
+#include <absl/status/status.h>
+#include <absl/status/statusor.h>
+#include <absl/strings/string_view.h>
+#include <absl/types/span.h>
+
+#include "common/agent/agent_spec.h"
+#include "common/base/worker_pool.h"
+#include "craftfleet/v1/config.pb.h"
+#include "learner/ppo/adam.h"
+#include "learner/ppo/minibatches.h"
+#include "learner/ppo/ppo_loss.h"
+#include "learner/ppo/rank_sums.h"
+#include "learner/ppo/rollout.h"
+
+namespace craftfleet {
+
+struct Dropout;
+struct NetOutput;
+
+// A minibatch, cut for the shards, with its targets.
+struct ShardedMinibatch {
+  std::vector<Minibatch> parts;   // at most one for each shard
+  std::vector<size_t> firsts;     // [parts] the row of the minibatch that each begins with
+  std::vector<float> advantages;  // [n] normalised
+  std::vector<float> returns;     // [n] normalised where values are
+  uint64_t dropout_key = 0;
+};
+
+// Replicas of the network, one for each shard. Owned by one thread, which computes as well. With ranks, each function
+// computes this rank's shards and returns what all ranks have; errors then also as those of RankGroup.
+class GradientShards {
+ public:
+  // `count` shards on the CPU, whose networks look into `weights`, [param_count]. Spec, configuration, weights and
+  // workers outlive this.
+  GradientShards(const AgentSpec& spec, const v1::PpoConfig& config, int count, absl::Span<float> weights,
+                 WorkerPool* workers);
+  ~GradientShards();
+
+  // From now on the ranks share out the shards; `ranks` outlives this.
+  void ShareOut(RankSums* ranks) { ranks_ = ranks; }
+
+  // The sums of the losses over the minibatch's rows. `gradients` gets the gradients that AdamStep adds, valid until
+  // the next call.
+  //   Internal: LibTorch failed.
+  absl::StatusOr<PpoLossSums> ComputeGradients(const Rollout& rollout, const ShardedMinibatch& minibatch,
+                                               std::vector<ShardGradient>* gradients);
+
+  // Writes the log-probabilities of the actions of this rank's rows of `parts`, without dropout, to `log_probs`, of the
+  // whole rollout.
+  //   Internal: LibTorch failed.
+  absl::Status ComputeLogProbs(const Rollout& rollout, const std::vector<Minibatch>& parts,
+                               absl::Span<float> log_probs);
+
+ private:
+  struct Shard;  // one replica: net, gradients, input
+
+  // Those that compute a minibatch's `parts` on this rank.
+  ShardRange OwnShards(size_t parts) const;
+  // Calls `part` for each of them, on the workers. The error of one of them, on any rank, says `what` was computed.
+  absl::Status Run(absl::string_view what, size_t parts, const std::function<void(int)>& part);
+  // The network's output for `part`, on the shard's frames.
+  NetOutput Forward(const Rollout& rollout, const Minibatch& part, const std::optional<Dropout>& dropout,
+                    Shard* shard) const;
+  // Forward and backward of the part with this number.
+  void ComputeGradient(const Rollout& rollout, const ShardedMinibatch& minibatch, size_t number);
+
+  const AgentSpec& spec_;
+  const v1::PpoConfig& config_;
+  const std::vector<uint8_t> no_frame_;  // [frame_bytes] zeros, for padding
+  WorkerPool* const workers_;
+  std::vector<std::unique_ptr<Shard>> shards_;
+  RankSums* ranks_ = nullptr;  // null: no other ranks
+};
+
+}  // namespace craftfleet
+
+#endif  // CRAFTFLEET_LEARNER_PPO_GRADIENT_SHARDS_H_
