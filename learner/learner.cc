@@ -63,8 +63,8 @@ absl::Status CheckConfigFile(const std::string& logdir, const v1::CheckpointStat
 // Loads the weights of the checkpoint or run folder at `path` into `updater`. Returns their origin, for run.json.
 absl::StatusOr<std::string> InitFrom(const std::string& path, const v1::RunConfig& config, PpoUpdater* updater) {
   const auto load = [&]() -> absl::StatusOr<std::string> {
-    CRAFTFLEET_ASSIGN_OR_RETURN(const std::string folder, FindCheckpoint(path));
-    CRAFTFLEET_ASSIGN_OR_RETURN(const Checkpoint checkpoint, LoadCheckpoint(folder, config.agent()));
+    std::string folder;
+    CRAFTFLEET_ASSIGN_OR_RETURN(const Checkpoint checkpoint, LoadFound(path, config.agent(), &folder));
     CRAFTFLEET_RETURN_IF_ERROR(updater->StartFrom(checkpoint.weights, checkpoint.optimizer));
     const v1::CheckpointState& state = checkpoint.state;
     return absl::StrFormat("run %s after iteration %d, %d steps", state.run_id(), state.iteration(), state.env_steps());
@@ -212,7 +212,10 @@ absl::StatusOr<Learner::Loaded> Learner::Load(const Options& options, const v1::
   CRAFTFLEET_ASSIGN_OR_RETURN(ResumedRun run, RunFolder::Resume(options.logdir, {options.resume_from, config.agent()},
                                                                 program, loaded.clock.get()));
   CRAFTFLEET_RETURN_IF_ERROR(CheckConfigFile(options.logdir, run.checkpoint.state, config));
-  CRAFTFLEET_RETURN_IF_ERROR(loaded.updater->Load(run.checkpoint.weights, run.checkpoint.optimizer));
+  if (absl::Status load = loaded.updater->Load(run.checkpoint.weights, run.checkpoint.optimizer); !load.ok()) {
+    const std::string name = CheckpointName(run.checkpoint.state.iteration());
+    return absl::DataLossError(absl::StrCat("checkpoint ", name, " of ", options.logdir, ": ", load.message()));
+  }
   CRAFTFLEET_RETURN_IF_ERROR(CheckLaneStates(run.checkpoint.state, loaded.updater->spec().state_size));
   run.folder->TakeChanges(config);
   loaded.folder = std::move(run.folder);

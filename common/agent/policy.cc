@@ -92,11 +92,6 @@ absl::StatusOr<std::unique_ptr<const Policy>> Policy::Create(const AgentSpec& sp
     return absl::InvalidArgumentError(absl::StrCat("tile is ", tile, ", want 1..", kMaxTile));
   }
   CRAFTFLEET_ASSIGN_OR_RETURN(std::vector<float> values, LoadWeights(spec, weights));
-  const auto bad = std::find_if_not(values.begin(), values.end(), [](float value) { return std::isfinite(value); });
-  if (bad != values.end()) {
-    return absl::InvalidArgumentError(
-        absl::StrCat(spec.name, ": weight ", bad - values.begin(), " is ", *bad, ", want finite numbers"));
-  }
   CRAFTFLEET_RETURN_IF_ERROR(CheckPrecision(device, spec.precision));
   try {
     return std::unique_ptr<const Policy>(new Policy(spec, std::move(values), tile, device));

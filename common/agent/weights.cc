@@ -1,5 +1,7 @@
 #include "common/agent/weights.h"
 
+#include <algorithm>
+#include <cmath>
 #include <cstring>
 
 #include <absl/strings/match.h>
@@ -75,7 +77,10 @@ absl::StatusOr<std::vector<float>> LoadWeights(const AgentSpec& spec, absl::stri
   CRAFTFLEET_ASSIGN_OR_RETURN(const SafeTensors file, ReadSafetensors(bytes));
   std::vector<float> weights(spec.param_count);
   CRAFTFLEET_RETURN_IF_ERROR(CopyTensors(spec, "", file.tensors, absl::MakeSpan(weights)));
-  return weights;
+  const auto bad = std::find_if_not(weights.begin(), weights.end(), [](float weight) { return std::isfinite(weight); });
+  if (bad == weights.end()) return weights;
+  return absl::InvalidArgumentError(
+      absl::StrCat(spec.name, ": weight ", bad - weights.begin(), " is ", *bad, ", want finite numbers"));
 }
 
 }  // namespace craftfleet

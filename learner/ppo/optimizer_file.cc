@@ -53,6 +53,12 @@ absl::Status ReadAdam(const AgentSpec& spec, absl::string_view prefix, const Saf
   for (const auto& [name, moments] : {std::pair(kExpAvg, &adam->exp_avg), std::pair(kExpAvgSq, &adam->exp_avg_sq)}) {
     CRAFTFLEET_RETURN_IF_ERROR(CopyTensors(spec, absl::StrCat(prefix, name), file.tensors, absl::MakeSpan(*moments)));
   }
+  for (size_t i = 0; i < adam->exp_avg.size(); ++i) {
+    if (std::isfinite(adam->exp_avg[i]) && std::isfinite(adam->exp_avg_sq[i]) && adam->exp_avg_sq[i] >= 0) continue;
+    return absl::InvalidArgumentError(absl::StrCat("the optimiser's moments of weight ", i, " are ", adam->exp_avg[i],
+                                                   " and ", adam->exp_avg_sq[i],
+                                                   ", want finite numbers, the second not negative"));
+  }
   const std::string key = absl::StrCat(prefix, kStepsKey);
   const auto steps = file.metadata.find(key);
   if (steps == file.metadata.end() || !absl::SimpleAtoi(steps->second, &adam->steps) || adam->steps < 0) {

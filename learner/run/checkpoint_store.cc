@@ -53,6 +53,15 @@ absl::Status EndReplacement(const std::string& folder, const std::string& replac
   return RenameSynced(JoinPath(folder, replaced), JoinPath(folder, name));
 }
 
+// The newest checkpoint but the first of `newest_first` that can be loaded; "" if there is none.
+std::string NewestOlder(const std::string& folder, const std::vector<std::string>& newest_first,
+                        absl::string_view agent) {
+  for (size_t i = 1; i < newest_first.size(); ++i) {
+    if (LoadCheckpoint(PathIn(folder, newest_first[i]), agent).ok()) return newest_first[i];
+  }
+  return "";
+}
+
 // Whether two checkpoints of the same iteration have the same evaluations, and so the same content.
 bool SameEvaluations(const v1::CheckpointState& a, const v1::CheckpointState& b) {
   return a.pending_size() == b.pending_size() && a.final_evaluation_steps() == b.final_evaluation_steps();
@@ -70,6 +79,17 @@ absl::StatusOr<std::string> FindCheckpoint(const std::string& path) {
   }
   return absl::NotFoundError(
       absl::StrCat("no checkpoint at ", path, ": want a run's folder, or one like <logdir>/checkpoints/iter-00000010"));
+}
+
+absl::StatusOr<Checkpoint> LoadFound(const std::string& path, absl::string_view agent, std::string* folder) {
+  CRAFTFLEET_ASSIGN_OR_RETURN(*folder, FindCheckpoint(path));
+  absl::StatusOr<Checkpoint> found = LoadCheckpoint(*folder, agent);
+  if (found.ok() || *folder == path) return found;
+  const std::string parent = folder->substr(0, folder->rfind('/'));
+  const std::string older = NewestOlder(parent, ListCheckpoints(parent).value_or(std::vector<std::string>()), agent);
+  if (older.empty()) return found;
+  return absl::Status(found.status().code(), absl::StrCat(found.status().message(), "; the newest valid one is ",
+                                                          PathIn(parent, older), ": give that one"));
 }
 
 absl::StatusOr<CheckpointStore> CheckpointStore::Open(const std::string& folder, const EpochFence* fence) {
@@ -134,13 +154,10 @@ absl::StatusOr<Checkpoint> CheckpointStore::LoadLatest(absl::string_view agent) 
   if (names.empty()) return absl::NotFoundError(absl::StrCat("no checkpoint in ", folder_));
   absl::StatusOr<Checkpoint> newest = LoadCheckpoint(PathIn(folder_, names.front()), agent);
   if (newest.ok()) return newest;
-  for (size_t i = 1; i < names.size(); ++i) {
-    if (!LoadCheckpoint(PathIn(folder_, names[i]), agent).ok()) continue;
-    return absl::Status(newest.status().code(),
-                        absl::StrCat(newest.status().message(), "; the newest valid one is ", names[i],
-                                     ": resume from it with --resume_from=", names[i]));
-  }
-  return newest;
+  const std::string older = NewestOlder(folder_, names, agent);
+  if (older.empty()) return newest;
+  return absl::Status(newest.status().code(), absl::StrCat(newest.status().message(), "; the newest valid one is ",
+                                                           older, ": resume from it with --resume_from=", older));
 }
 
 absl::Status CheckpointStore::DiscardNewerThan(int64_t iteration) {

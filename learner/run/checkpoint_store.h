@@ -25,6 +25,11 @@ std::string CheckpointName(int64_t iteration);
 //   NotFound: it is neither.
 absl::StatusOr<std::string> FindCheckpoint(const std::string& path);
 
+// Loads FindCheckpoint(path) and stores its folder in `folder`. If a run's newest checkpoint can't be loaded, the error
+// names the newest older one that can.
+//   Errors as FindCheckpoint and LoadCheckpoint.
+absl::StatusOr<Checkpoint> LoadFound(const std::string& path, absl::string_view agent, std::string* folder);
+
 // Thread-compatible: one thread at a time. Only one process may write a store (RunFolder locks).
 class CheckpointStore {
  public:

@@ -80,6 +80,21 @@ TEST_F(OddCheckpointsTest, ALaneWithAnInvalidSnapshotIsResetAndTheOthersAreUnaff
   EXPECT_EQ(learner->Wait(kPatience), 0) << learner->Err();
 }
 
+// Actors would end at such weights one by one, and the learner wait for others for ever.
+TEST_F(OddCheckpointsTest, WeightsThatAreNotFiniteAreRefusedWithTheirCheckpoint) {
+  Train("run");
+  auto checkpoint = LoadCheckpoint(Checkpoint("run", 3), "");
+  ASSERT_THAT(checkpoint, IsOk());
+  std::string& weights = checkpoint->weights;
+  weights.replace(weights.size() - 4, 4, std::string("\0\0\xc0\x7f", 4));  // NaN
+  std::filesystem::remove_all(Checkpoint("run", 3));
+  ASSERT_THAT(WriteCheckpointFiles(Checkpoint("run", 3), *checkpoint), IsOk());
+  const Ended ended = Run("craftfleet-learner", Flags("run", {"--listen=127.0.0.1:0", "--resume", "--steps=640"}));
+  EXPECT_EQ(ended.exit_code, 1) << ended.err;
+  EXPECT_THAT(ended.err, HasSubstr("checkpoint iter-00000003 of " + Logdir("run")));
+  EXPECT_THAT(ended.err, HasSubstr("is nan, want finite numbers"));
+}
+
 // A made-up fragment is accepted, since it looks like others. The next one cannot be played from its snapshot, so the
 // lane is reset to the beginning of the iteration, and nothing of the first remains.
 TEST_F(OddCheckpointsTest, AMadeUpFragmentIsPlayedAgainByOthers) {

@@ -48,10 +48,10 @@ absl::StatusOr<Checkpoint> LoadResult(const std::string& folder) {
 }
 
 absl::StatusOr<Checkpoint> Load(const std::string& path, std::string* folder) {
-  const absl::StatusOr<std::string> found = FindCheckpoint(path);
-  *folder = found.value_or(path);
-  if (found.ok()) return LoadCheckpoint(*found, "");
-  return IsResult(path) ? LoadResult(path) : found.status();
+  absl::StatusOr<Checkpoint> found = LoadFound(path, "", folder);
+  if (!absl::IsNotFound(found.status()) || !IsResult(path)) return found;
+  *folder = path;
+  return LoadResult(path);
 }
 
 }  // namespace

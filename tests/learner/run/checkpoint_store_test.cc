@@ -308,5 +308,21 @@ TEST(FindCheckpoint, AcceptsACheckpointOrARunFolder) {
   EXPECT_EQ(FindCheckpoint(run / "checkpoints/iter-00000010").value(), run / "checkpoints/iter-00000010");
 }
 
+TEST(LoadFound, NamesTheNewestValidCheckpointOfARunWhoseNewestIsTorn) {
+  const TempFolder run;
+  CheckpointStore store = CheckpointStore::Open(run / "checkpoints").value();
+  for (const int iteration : {10, 20, 30}) ASSERT_THAT(store.Write(SampleCheckpoint(iteration)), IsOk());
+  std::string folder;
+  EXPECT_EQ(LoadFound(run.path(), "", &folder)->state.iteration(), 30);
+  EXPECT_EQ(folder, run / "checkpoints/iter-00000030");
+  ASSERT_THAT(WriteFileSynced(run / "checkpoints/iter-00000030/weights.safetensors", "torn"), IsOk());
+  EXPECT_THAT(LoadFound(run.path(), "", &folder),
+              StatusIs(absl::StatusCode::kDataLoss,
+                       HasSubstr("; the newest valid one is " + (run / "checkpoints/iter-00000020") + ": give that")));
+  EXPECT_THAT(LoadFound(run / "checkpoints/iter-00000030", "", &folder),
+              StatusIs(absl::StatusCode::kDataLoss, Not(HasSubstr("newest valid"))))
+      << "it was asked for by name";
+}
+
 }  // namespace
 }  // namespace craftfleet
