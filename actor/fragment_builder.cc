@@ -1,13 +1,19 @@
 #include "actor/fragment_builder.h"
 
+#include <algorithm>
 #include <utility>
 
+#include "common/wire/fragment_check.h"
 #include "common/wire/packed_frames.h"
 
 namespace craftfleet {
 namespace {
 
 constexpr int kRecordBytes = 128;  // of a usual scene record
+
+// Only an agent whose training diverges leaves these ranges. Its fragments must not be refused: the learner ends such
+// a run when it learns from them.
+float InRange(float value) { return std::clamp(value, -wire::kMaxValue, wire::kMaxValue); }
 
 }  // namespace
 
@@ -35,8 +41,8 @@ void FragmentBuilder::Append(absl::string_view frame, Action action, float log_p
                              StepEnd end) {
   fragment_.frames.append(frame.data(), frame.size());
   fragment_.actions.push_back(static_cast<char>(action));
-  fragment_.log_probs.push_back(log_prob);
-  fragment_.values.push_back(value);
+  fragment_.log_probs.push_back(std::max(log_prob, wire::kMinLogProb));
+  fragment_.values.push_back(InRange(value));
   fragment_.rewards.push_back(reward);
   fragment_.ends.push_back(end);
 }
@@ -46,10 +52,10 @@ void FragmentBuilder::AddEpisode(Episode episode) {
   fragment_.episodes.push_back(episode);
 }
 
-void FragmentBuilder::AddTruncationValue(float value) { fragment_.truncation_values.push_back(value); }
+void FragmentBuilder::AddTruncationValue(float value) { fragment_.truncation_values.push_back(InRange(value)); }
 
 Fragment FragmentBuilder::Finish(float bootstrap_value, LaneSnapshot snapshot) {
-  fragment_.bootstrap_value = bootstrap_value;
+  fragment_.bootstrap_value = InRange(bootstrap_value);
   fragment_.snapshot = std::move(snapshot);
   if (fragment_.frame_format == FrameFormat::kLz4) wire::PackFrames(&fragment_.frames);
   return std::move(fragment_);

@@ -23,6 +23,7 @@
 #include "common/base/keyed_random.h"
 #include "common/base/status_macros.h"
 #include "learner/ppo/device_loss.h"
+#include "learner/ppo/divergence.h"
 
 namespace craftfleet {
 namespace {
@@ -157,29 +158,31 @@ absl::StatusOr<UpdateStats> DeviceUpdate::RunEpochs(const Rollout& rollout,
   const int64_t steps_before = optimizer_steps_;
   std::vector<Minibatch> minibatches;
   for (const std::vector<Minibatch>& epoch : epochs) minibatches.insert(minibatches.end(), epoch.begin(), epoch.end());
+  minibatches.push_back(TrialSteps(rollout, spec_.network.recurrent()));
   DeviceRollout there = SendRollout(rollout, spec_, device_);
   if (config_.advantages_over_rollout()) {
     at::Tensor of_steps = there.advantages.narrow(0, 0, static_cast<int64_t>(rollout.size()));
     of_steps.copy_(NormaliseOnDevice(of_steps));
   }
+  std::vector<DeviceMinibatch> sent = SendMinibatches(minibatches, rollout, device_);
+  const DeviceMinibatch trial = std::move(sent.back());
+  sent.pop_back();
   std::vector<at::Tensor> records;
-  for (const DeviceMinibatch& minibatch : SendMinibatches(minibatches, rollout, device_)) {
+  for (const DeviceMinibatch& minibatch : sent) {
     records.push_back(RunMinibatch(there, minibatch));
     if (should_stop()) return absl::CancelledError("the update was stopped; nothing is changed");
   }
   const auto count = static_cast<int64_t>(records.size());
   const at::Tensor are_finite = at::isfinite(weights_).all().logical_and(at::isfinite(value_norm_).all());
-  // The only wait: double[6 * count + 1].
-  const at::Tensor fetched = at::cat({at::stack(records).flatten(), are_finite.to(at::kDouble).view({1})}).cpu();
+  // The only wait: double[6 * count + 3].
+  const at::Tensor fetched =
+      at::cat({at::stack(records).flatten(), are_finite.to(at::kDouble).view({1}), TryWeights(there, trial)}).cpu();
   const auto* const record = fetched.data_ptr<double>();
   UpdateStats stats;
   const auto last_epoch = static_cast<int64_t>(epochs.back().size());
   for (int64_t i = 0; i < count; ++i) {
     const double* const means = record + 6 * i;
-    if (!std::isfinite(means[5])) {
-      return absl::DataLossError(
-          absl::StrCat("the gradient's norm is ", means[5], " at optimiser step ", steps_before + i + 1));
-    }
+    CRAFTFLEET_RETURN_IF_ERROR(CheckGradient(means[5], steps_before + i + 1));
     const auto share = 1 / static_cast<double>(count);
     stats.policy_loss += means[0] * share;
     stats.value_loss += means[1] * share;
@@ -188,8 +191,15 @@ absl::StatusOr<UpdateStats> DeviceUpdate::RunEpochs(const Rollout& rollout,
     stats.gradient_norm += means[5] * share;
     if (i >= count - last_epoch) stats.approx_kl += means[3] / static_cast<double>(last_epoch);
   }
-  if (record[6 * count] == 0) return absl::DataLossError("the update's weights or value statistics are not finite");
+  const double* const last = record + 6 * count;
+  if (last[0] == 0) return absl::DataLossError("the update's weights or value statistics are not finite");
+  CRAFTFLEET_RETURN_IF_ERROR(CheckOutputs(static_cast<float>(last[1]), static_cast<float>(last[2])));
   return stats;
+}
+
+at::Tensor DeviceUpdate::TryWeights(const DeviceRollout& rollout, const DeviceMinibatch& trial) const {
+  const c10::NoGradGuard no_grad;
+  return LargestOutputs(Forward(rollout, trial, std::nullopt)).to(at::kDouble);
 }
 
 NetOutput DeviceUpdate::Forward(const DeviceRollout& rollout, const DeviceMinibatch& minibatch,

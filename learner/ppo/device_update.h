@@ -45,8 +45,9 @@ class DeviceUpdate {
   // Takes optimiser steps over `epochs`, each epoch's minibatches of `rollout` in order, from `state` on. If that is
   // not what the last Run returned, Forget must be called before. `should_stop` is asked after each minibatch. Unless
   // OK, `state` is as before.
-  //   Cancelled: should_stop() said so.   DataLoss: gradient or weights are not finite.   ResourceExhausted: the
-  //   device's memory does not suffice; says what to lower.   Others as DeviceError (common/agent/device.h).
+  //   Cancelled: should_stop() said so.   DataLoss: gradient or weights are not finite, or training diverges
+  //   (divergence.h).   ResourceExhausted: the device's memory does not suffice; says what to lower.   Others as
+  //   DeviceError (common/agent/device.h).
   absl::StatusOr<UpdateStats> Run(const Rollout& rollout, const std::vector<std::vector<Minibatch>>& epochs,
                                   const std::function<bool()>& should_stop, UpdateState* state);
 
@@ -64,6 +65,8 @@ class DeviceUpdate {
                                         const std::function<bool()>& should_stop);
   NetOutput Forward(const DeviceRollout& rollout, const DeviceMinibatch& minibatch,
                     const std::optional<Dropout>& dropout) const;
+  // LargestOutputs of the present weights for the steps of `trial`: double[2].
+  at::Tensor TryWeights(const DeviceRollout& rollout, const DeviceMinibatch& trial) const;
   // One optimiser step. Returns double[6]: the means of the losses, as DeviceLoss has them, and the norm of the
   // gradient.
   at::Tensor RunMinibatch(const DeviceRollout& rollout, const DeviceMinibatch& minibatch);

@@ -11,6 +11,7 @@
 #include "common/agent/categorical.h"
 #include "common/agent/policy_net.h"
 #include "common/base/status_macros.h"
+#include "learner/ppo/divergence.h"
 
 namespace craftfleet {
 namespace {
@@ -82,6 +83,13 @@ absl::Status GradientShards::ComputeLogProbs(const Rollout& rollout, const std::
       logits += kNumActions;
     }
   });
+}
+
+absl::Status GradientShards::TryWeights(const Rollout& rollout) {
+  const c10::NoGradGuard no_grad;
+  const Minibatch steps = TrialSteps(rollout, spec_.network.recurrent());
+  const at::Tensor largest = LargestOutputs(Forward(rollout, steps, std::nullopt, shards_.front().get()));
+  return CheckOutputs(largest[0].item<float>(), largest[1].item<float>());
 }
 
 ShardRange GradientShards::OwnShards(size_t parts) const {

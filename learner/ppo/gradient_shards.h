@@ -63,6 +63,10 @@ class GradientShards {
   absl::Status ComputeLogProbs(const Rollout& rollout, const std::vector<Minibatch>& parts,
                                absl::Span<float> log_probs);
 
+  // Whether the weights can be played with, tried on some of the rollout's steps. The same on each rank.
+  //   DataLoss: as CheckOutputs (divergence.h). LibTorch's exceptions pass.
+  absl::Status TryWeights(const Rollout& rollout);
+
  private:
   struct Shard;  // one replica: net, gradients, input
 

@@ -16,6 +16,7 @@
 #include "common/base/keyed_random.h"
 #include "common/base/status_macros.h"
 #include "learner/ppo/device_update.h"
+#include "learner/ppo/divergence.h"
 #include "learner/ppo/lag_correction.h"
 #include "learner/ppo/optimizer_file.h"
 
@@ -163,7 +164,6 @@ absl::StatusOr<UpdateStats> PpoUpdater::RunUpdate(int64_t iteration, const Rollo
   } catch (const std::exception& error) {  // of LibTorch, or out of memory
     stats = absl::InternalError(absl::StrCat("update: ", error.what()));
   }
-  if (stats.ok() && !IsFinite()) stats = absl::DataLossError("the update's weights or value statistics are not finite");
   if (ranks_.has_value()) {
     const absl::Status agreed = ranks_->group()->Agree(stats.status(), WeightsDigest(state_.weights));
     if (!agreed.ok()) stats = agreed;
@@ -181,6 +181,7 @@ absl::StatusOr<UpdateStats> PpoUpdater::RunIteration(int64_t iteration, const Ro
     CRAFTFLEET_RETURN_IF_ERROR(
         distiller_->OnIteration(iteration, rollout, should_stop, &state_.distillation, &state_.value_norm, &stats));
   }
+  CRAFTFLEET_RETURN_IF_ERROR(CheckWeights(rollout));
   return stats;
 }
 
@@ -199,10 +200,13 @@ absl::StatusOr<UpdateStats> PpoUpdater::UpdateOnDevice(int64_t iteration, const 
   return stats;
 }
 
-bool PpoUpdater::IsFinite() const {
+absl::Status PpoUpdater::CheckWeights(const Rollout& rollout) {
   const ValueNorm& norm = state_.value_norm;
-  return std::isfinite(norm.mean) && std::isfinite(norm.mean_square) &&
-         std::all_of(state_.weights.begin(), state_.weights.end(), [](float weight) { return std::isfinite(weight); });
+  const bool are_finite =
+      std::isfinite(norm.mean) && std::isfinite(norm.mean_square) &&
+      std::all_of(state_.weights.begin(), state_.weights.end(), [](float weight) { return std::isfinite(weight); });
+  if (!are_finite) return absl::DataLossError("the update's weights or value statistics are not finite");
+  return shards_->TryWeights(rollout);
 }
 
 std::vector<Minibatch> PpoUpdater::MakeMinibatches(const EpochKey& key, const Rollout& rollout) const {
@@ -293,10 +297,7 @@ absl::StatusOr<PpoLossSums> PpoUpdater::RunMinibatch(const Rollout& rollout, con
   CRAFTFLEET_ASSIGN_OR_RETURN(const PpoLossSums sums, shards_->ComputeGradients(rollout, batch, &gradients));
   const double norm =
       AdamStep(AdamOptionsOf(config_), gradients, absl::MakeSpan(state_.weights), &state_.adam, &workers_);
-  if (!std::isfinite(norm)) {
-    return absl::DataLossError(
-        absl::StrCat("the gradient's norm is ", norm, " at optimiser step ", state_.adam.steps + 1));
-  }
+  CRAFTFLEET_RETURN_IF_ERROR(CheckGradient(norm, state_.adam.steps + 1));
   stats->gradient_norm += norm;
   return Means(sums, batch.advantages.size());
 }

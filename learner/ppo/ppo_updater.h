@@ -62,8 +62,9 @@ class PpoUpdater {
   // Runs the epochs of `iteration`, which orders the minibatches, and distillation after them. `should_stop` is asked
   // after each minibatch. Unless OK, weights, optimiser and value normaliser are as before.
   //   InvalidArgument: the rollout is empty, or the agent feed-forward and its size not a multiple of minibatch_size.
-  //   Cancelled: should_stop() said so.   DataLoss: gradient or weights are not finite, or a rank has other weights
-  //   than rank 0.   Internal: LibTorch failed.   Others, on a GPU, as DeviceUpdate::Run; with ranks, as RankGroup.
+  //   Cancelled: should_stop() said so.   DataLoss: gradient or weights are not finite, training diverges
+  //   (divergence.h), or a rank has other weights than rank 0.   Internal: LibTorch failed.   Others, on a GPU, as
+  //   DeviceUpdate::Run; with ranks, as RankGroup.
   absl::StatusOr<UpdateStats> Update(int64_t iteration, const Rollout& rollout,
                                      const std::function<bool()>& should_stop);
 
@@ -114,7 +115,8 @@ class PpoUpdater {
   absl::StatusOr<PpoLossSums> RunMinibatch(const Rollout& rollout, const Minibatch& minibatch, UpdateStats* stats);
   ShardedMinibatch CutForShards(const Rollout& rollout, const Minibatch& minibatch);
   void Restore(State state);
-  bool IsFinite() const;
+  // DataLoss: weights or value normaliser are not finite, or as GradientShards::TryWeights.
+  absl::Status CheckWeights(const Rollout& rollout);
 
   const AgentSpec spec_;
   const v1::PpoConfig config_;

@@ -5,6 +5,7 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include "common/wire/fragment_check.h"
 #include "common/wire/packed_frames.h"
 #include "tests/fakes/status_matchers.h"
 #include "tests/fakes/wire_samples.h"
@@ -55,6 +56,19 @@ TEST(FragmentBuilder, CompressesRawFramesIfTheFragmentIsSentSo) {
   EXPECT_LT(fragment.frames.size(), 100u);
   ASSERT_THAT(wire::UnpackFrames(6000, &fragment.frames), IsOk());
   EXPECT_TRUE(fragment.frames == std::string(6000, 'g'));
+}
+
+TEST(FragmentBuilder, NumbersOfAnAgentThatDivergesStayWithinTheirRanges) {
+  FragmentBuilder builder;
+  builder.Start(3, 1, 5, 9, 2, 1);
+  builder.Append("f", Action::kDo, -200, 1e9F, 0, StepEnd::kNone);
+  builder.Append("f", Action::kDo, -2, -1e9F, 0, StepEnd::kTruncated);
+  builder.AddTruncationValue(1e9F);
+  const Fragment fragment = builder.Finish(-1e9F, {});
+  EXPECT_THAT(fragment.log_probs, testing::ElementsAre(wire::kMinLogProb, -2));
+  EXPECT_THAT(fragment.values, testing::ElementsAre(wire::kMaxValue, -wire::kMaxValue));
+  EXPECT_THAT(fragment.truncation_values, testing::ElementsAre(wire::kMaxValue));
+  EXPECT_EQ(fragment.bootstrap_value, -wire::kMaxValue);
 }
 
 }  // namespace

@@ -69,5 +69,24 @@ INSTANTIATE_TEST_SUITE_P(
             ""}),
     [](const auto& info) { return absl::StrCat("N", info.index); });
 
+class ExtremeRunsTest : public SmallRunTest {};
+
+// The learner used to refuse what actors made of such weights, for ever.
+TEST_F(ExtremeRunsTest, TrainingThatDivergesEndsWithItsReasonAndACheckpointThatResumes) {
+  ASSERT_THAT(WriteFileSynced(config(), R"(
+    steps: 192  lanes: 4  fragment_steps: 16
+    ppo { rollout_steps: 64  minibatch_size: 32  epochs: 1  learning_rate: 1 }
+    eval { every_steps: 0  final_episodes: 0 }
+  )"),
+              IsOk());
+  for (const std::vector<std::string>& more : {std::vector<std::string>{}, {"--resume"}}) {
+    const Ended ended = Run("craftfleet-train", Flags("run", more));
+    EXPECT_EQ(ended.exit_code, 1) << ended.err;
+    EXPECT_THAT(ended.err, HasSubstr("training diverges"));
+    EXPECT_THAT(ended.err, HasSubstr("a smaller ppo.learning_rate"));
+  }
+  EXPECT_TRUE(PathExists(Checkpoint("run", 0)));
+}
+
 }  // namespace
 }  // namespace craftfleet

@@ -259,6 +259,15 @@ TEST(DeviceUpdate, AStoppedOrFailedUpdateChangesNothingAndTheNextOneGoesOn) {
               both.updater->SaveWeights() + both.updater->SaveOptimizer());
 }
 
+TEST(DeviceUpdate, RecognisesThatTrainingDiverges) {
+  const auto updater = *PpoUpdater::Create(ConfigOf("ppo { learning_rate: 1  minibatch_size: 32 }"), 1, kOnTheCpu);
+  const std::string before = updater->SaveWeights();
+  const std::vector<Fragment> fragments = RandomFragments(*updater);
+  EXPECT_THAT(updater->Update(0, RolloutOf(*updater, fragments), NeverStop),
+              StatusIs(absl::StatusCode::kDataLoss, HasSubstr("training diverges")));
+  EXPECT_TRUE(updater->SaveWeights() == before);
+}
+
 TEST(DeviceUpdate, WithoutMemoryItSaysWhatToLowerAndLosesNothing) {
   const v1::RunConfig config = ConfigOf(R"(network { frame_size: 40 })");
   const Trained trained(config, kStandInDevice, 1);

@@ -1,6 +1,7 @@
 #include "learner/ppo/ppo_updater.h"
 
 #include <cmath>
+#include <cstring>
 #include <limits>
 #include <map>
 
@@ -138,6 +139,19 @@ TEST(PpoUpdater, GradientThatIsNotFiniteIsDataLossAndChangesNothing) {
   EXPECT_TRUE(updater->SaveWeights() + updater->SaveOptimizer() == before);
 }
 
+// The weights are finite, but actors could not play with them.
+TEST(PpoUpdater, TrainingThatDivergesIsDataLossAndChangesNothing) {
+  const OwnedRollout owned = RandomRollout(11, 64);
+  v1::RunConfig config = SmallConfig(64);
+  config.mutable_ppo()->set_learning_rate(1);
+  const auto updater = *PpoUpdater::Create(config, 1);
+  const std::string before = updater->SaveWeights() + updater->SaveOptimizer();
+  const auto stats = updater->Update(0, owned.rollout, NeverStop);
+  EXPECT_EQ(stats.status().code(), absl::StatusCode::kDataLoss) << stats.status();
+  EXPECT_THAT(std::string(stats.status().message()), HasSubstr("training diverges"));
+  EXPECT_TRUE(updater->SaveWeights() + updater->SaveOptimizer() == before);
+}
+
 TEST(PpoUpdater, RefusesSizesThatDoNotDivide) {
   const auto updater = *PpoUpdater::Create(SmallConfig(32), 1);
   const auto stats = updater->Update(0, RandomRollout(1, 40).rollout, NeverStop);
@@ -183,6 +197,25 @@ TEST(PpoUpdater, LoadRefusesWhatIsNotTheAgentsAndKeepsItsState) {
   EXPECT_THAT(std::string(updater->Load(weights, weights).message()),
               HasSubstr("exp_avg.features_extractor.cnn.0.weight"));
   EXPECT_TRUE(updater->SaveWeights() == weights);
+}
+
+TEST(PpoUpdater, LoadRefusesNumbersThatNoUpdateLeaves) {
+  const auto updater = *PpoUpdater::Create(SmallConfig(32), 1);
+  const std::string weights = updater->SaveWeights();
+  const std::string optimizer = updater->SaveOptimizer();
+  // Both files end with the last number of their last tensor; that of the optimiser is a second moment.
+  const auto with_last = [](std::string file, float number) {
+    std::memcpy(&file[file.size() - sizeof(number)], &number, sizeof(number));
+    return file;
+  };
+  const float kNan = std::numeric_limits<float>::quiet_NaN();
+  EXPECT_THAT(std::string(updater->Load(with_last(weights, kNan), optimizer).message()), HasSubstr("is nan, want"));
+  EXPECT_THAT(std::string(updater->StartFrom(with_last(weights, kNan), optimizer).message()),
+              HasSubstr("is nan, want"));
+  for (const float moment : {kNan, -1.0F}) {
+    EXPECT_THAT(std::string(updater->Load(weights, with_last(optimizer, moment)).message()), HasSubstr("moments"));
+  }
+  EXPECT_TRUE(updater->SaveWeights() + updater->SaveOptimizer() == weights + optimizer);
 }
 
 TEST(PpoUpdater, NormalisedValuesGoOnAsIfNeverStopped) {

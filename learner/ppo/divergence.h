@@ -1,0 +1,36 @@
+// Recognises training that diverges: weights that are finite, but whose outputs are too large to play with. Includes
+// LibTorch's tensors.
+
+#ifndef CRAFTFLEET_LEARNER_PPO_DIVERGENCE_H_
+#define CRAFTFLEET_LEARNER_PPO_DIVERGENCE_H_
+
+#include <cstdint>
+
+#include <ATen/core/Tensor.h>
+#include <absl/status/status.h>
+
+#include "common/agent/nets/segments.h"
+#include "learner/ppo/minibatches.h"
+#include "learner/ppo/rollout.h"
+
+namespace craftfleet {
+
+// Largest absolute value of a critic on a rollout's steps. A tenth of what the learner accepts from actors
+// (wire::kMaxValue), so that other steps stay below that; returns stay within about +-22.
+inline constexpr float kMaxSoundValue = 1e5F;
+
+// The steps on which new weights are tried out: the first of each segment, at most 64. Each stands alone.
+Minibatch TrialSteps(const Rollout& rollout, bool has_segments);
+
+// DataLoss: the norm of the gradient at an optimiser step, from 1, is not finite.
+absl::Status CheckGradient(double norm, int64_t step);
+
+// float[2]: the largest absolute value and logit. NaN if one is NaN.
+at::Tensor LargestOutputs(const NetOutput& output);
+
+// DataLoss: the largest value is more than kMaxSoundValue, or one of the two is not finite.
+absl::Status CheckOutputs(float largest_value, float largest_logit);
+
+}  // namespace craftfleet
+
+#endif  // CRAFTFLEET_LEARNER_PPO_DIVERGENCE_H_
