@@ -41,7 +41,7 @@ void EvaluationPlanner::OnIteration(int64_t steps_before, int64_t env_steps,
                                     const std::shared_ptr<const std::string>& weights,
                                     const std::function<bool()>& should_stop) {
   const int64_t every = config_.every_steps();
-  const bool due = every > 0 && env_steps / every > steps_before / every;
+  const bool due = every > 0 && config_.episodes() > 0 && env_steps / every > steps_before / every;
   LogFinished(due ? kMaxPending : kAnyNumber, should_stop);
   if (due) Begin(env_steps, config_.episodes(), /*final=*/false, weights);
 }

@@ -30,7 +30,7 @@ absl::Status CheckRanges(const v1::RunConfig& config) {
   check.Named("env.name", config.env().name());
   // Each of the nine rows of tiles needs at least one pixel; 0 selects the agent's own size.
   if (config.env().frame_size() != 0) check.Within("env.frame_size", config.env().frame_size(), kMinFrameSize, 1024);
-  check.Within("env.length", config.env().length(), 0, std::numeric_limits<int32_t>::max());
+  check.Within("env.length", config.env().length(), 0, 1'000'000'000);  // the most that worlds allow
   check.Within("steps", config.steps(), int64_t{1}, int64_t{1'000'000'000'000});
   check.Within("lanes", config.lanes(), 1, 4096);
   check.Within("tile", config.tile(), 1, 256);

@@ -149,6 +149,14 @@ TEST_F(EvaluationPlannerTest, WithoutEveryStepsNothingIsEvaluatedInTraining) {
   EXPECT_THAT(start->Pending(), IsEmpty());
 }
 
+// Actors would end at a task of no episodes.
+TEST_F(EvaluationPlannerTest, WithoutEpisodesNothingIsEvaluatedInTraining) {
+  config_.set_episodes(0);
+  const auto start = Begin();
+  start->Train(5000);
+  EXPECT_THAT(start->Pending(), IsEmpty());
+}
+
 TEST_F(EvaluationPlannerTest, EpisodesContinueFromEvaluationToEvaluation) {
   const auto start = Begin();
   for (int64_t number = 1; number <= 3; ++number) {

@@ -304,6 +304,8 @@ INSTANTIATE_TEST_SUITE_P(
         BadValue{"env.name is empty", [](auto* c) { c->mutable_env()->set_name(""); }},
         BadValue{"env.frame_size is 17, want 18..1024", [](auto* c) { c->mutable_env()->set_frame_size(17); }},
         BadValue{"env.length is -1, want 0..", [](auto* c) { c->mutable_env()->set_length(-1); }},
+        BadValue{"env.length is 1000000001, want 0..1000000000",
+                 [](auto* c) { c->mutable_env()->set_length(1'000'000'001); }},
         BadValue{"steps is 0, want 1..", [](auto* c) { c->set_steps(0); }},
         BadValue{"lanes is 0, want 1..4096", [](auto* c) { c->set_lanes(0); }},
         BadValue{"fragment_steps is 20000, want 1..16384", [](auto* c) { c->set_fragment_steps(20000); }},
