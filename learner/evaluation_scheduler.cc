@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <utility>
+#include <vector>
 
 #include <absl/strings/str_format.h>
 
@@ -11,7 +12,8 @@ namespace craftfleet {
 namespace {
 
 constexpr absl::Duration kPatience = absl::Minutes(2);
-constexpr int kMaxMoves = 16;  // each doubles the patience
+constexpr int kMaxMoves = 16;     // each doubles the patience
+constexpr size_t kMaxTimes = 16;  // of tasks, which get longer as training goes on
 
 }  // namespace
 
@@ -57,11 +59,18 @@ std::optional<EvaluationScheduler::Task> EvaluationScheduler::Take(absl::string_
   return std::nullopt;
 }
 
+absl::Duration EvaluationScheduler::Patience() const {
+  if (times_.empty()) return kPatience;
+  std::vector<absl::Duration> times(times_.begin(), times_.end());
+  const auto middle = times.begin() + (times.size() - 1) / 2;
+  std::nth_element(times.begin(), middle, times.end());
+  return std::max(kPatience, 4 * *middle);
+}
+
 bool EvaluationScheduler::IsFree(const Part& part, absl::string_view actor, absl::Time now) const {
   if (!part.episodes.empty()) return false;
   if (part.actor.empty() || now - part.renewed >= lease_) return true;
-  const absl::Duration patience = std::max(kPatience, 4 * longest_) * (int64_t{1} << std::min(part.moves, kMaxMoves));
-  return part.actor != actor && now - part.begun > patience;
+  return part.actor != actor && now - part.begun > Patience() * (int64_t{1} << std::min(part.moves, kMaxMoves));
 }
 
 std::shared_ptr<const std::string> EvaluationScheduler::Weights(int64_t id) const {
@@ -80,7 +89,8 @@ absl::Status EvaluationScheduler::Finish(int64_t id, absl::Span<const Episode> e
   }
   Part& part = entries_[index].parts[id % 2];
   if (!part.episodes.empty()) return absl::OkStatus();
-  if (!part.actor.empty()) longest_ = std::max(longest_, clock_->Now() - part.begun);
+  if (!part.actor.empty()) times_.push_back(clock_->Now() - part.begun);
+  if (times_.size() > kMaxTimes) times_.pop_front();
   part.actor.clear();
   part.episodes.assign(episodes.begin(), episodes.end());
   return absl::OkStatus();

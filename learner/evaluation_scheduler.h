@@ -43,9 +43,9 @@ struct FinishedEvaluation {
 //
 // An evaluation consists of two tasks, one for each kind of episode. A task is leased like a permit: if its actor has
 // not reported it for `lease`, the next actor that requests work gets it. So that an actor which only reports cannot
-// hold up a run, the task is also given to another actor after two minutes, or after four times the longest time that a
-// task has taken if that is more; this limit doubles each time. The first actor may still send its result, and the
-// first result counts.
+// hold up a run, the task is also given to another actor after two minutes, or after four times the median of the times
+// that the last tasks have taken if that is more; this limit doubles each time. The first actor may still send its
+// result, and the first result counts.
 //
 // Not thread-safe.
 class EvaluationScheduler {
@@ -103,13 +103,16 @@ class EvaluationScheduler {
   }
   // The index in entries_ of the evaluation with task `id`; entries_.size() if not found.
   size_t IndexOf(int64_t id) const;
+  // How long a task that moves for the first time must have been with its actor. A median, so that a few actors that
+  // dawdle over their results do not stretch it.
+  absl::Duration Patience() const;
   // Whether `part` may be assigned to `actor` at `now`.
   bool IsFree(const Part& part, absl::string_view actor, absl::Time now) const;
 
   const absl::Duration lease_;
   Clock* const clock_;
   std::deque<Entry> entries_;
-  absl::Duration longest_;  // longest time a task has taken
+  std::deque<absl::Duration> times_;  // that the last tasks have taken, at most kMaxTimes
 };
 
 }  // namespace craftfleet

@@ -97,6 +97,45 @@ TEST_F(EvaluationSchedulerTest, ASlowTaskIsAlsoAssignedToAnotherActor) {
   EXPECT_TRUE(scheduler_.Front().has_value());
 }
 
+// An actor that sends each result just before its task would move could otherwise quadruple the limit again and again.
+TEST_F(EvaluationSchedulerTest, AnActorThatDawdlesDoesNotStretchTheLimit) {
+  for (int number = 1; number <= 5; ++number) {
+    scheduler_.Add(SampleEvaluation(number, 1, 1));
+    const auto slow = scheduler_.Take("dawdler");
+    const auto quick = scheduler_.Take("good");
+    clock_.Advance(absl::Seconds(10));
+    ASSERT_THAT(scheduler_.Finish(quick->id, Episodes(1, 30)), IsOk());
+    for (int i = 0; i < 110; ++i) {
+      clock_.Advance(absl::Seconds(1));
+      scheduler_.Renew("dawdler", slow->id);
+    }
+    if (number == 5) {
+      EXPECT_FALSE(scheduler_.Take("good").has_value()) << "two minutes";
+      clock_.Advance(absl::Seconds(1));
+      EXPECT_TRUE(scheduler_.Take("good").has_value());
+    }
+    ASSERT_THAT(scheduler_.Finish(slow->id, Episodes(1, 30)), IsOk());
+    scheduler_.Pop();
+  }
+}
+
+TEST_F(EvaluationSchedulerTest, TheLimitFollowsTasksThatTakeLonger) {
+  for (int number = 1; number <= 2; ++number) {
+    scheduler_.Add(SampleEvaluation(number, 1, 1));
+    const auto argmax = scheduler_.Take("a");
+    const auto sampled = scheduler_.Take("b");
+    const int minutes = number == 1 ? 1 : 4;
+    for (int i = 0; i < 60 * minutes; ++i) {
+      clock_.Advance(absl::Seconds(1));
+      scheduler_.Renew("a", argmax->id);
+      scheduler_.Renew("b", sampled->id);
+      EXPECT_FALSE(scheduler_.Take("c").has_value()) << i;
+    }
+    for (const auto& task : {argmax, sampled}) ASSERT_THAT(scheduler_.Finish(task->id, Episodes(1, 30)), IsOk());
+    scheduler_.Pop();
+  }
+}
+
 TEST_F(EvaluationSchedulerTest, ATaskLapsesUnlessItsActorReportsIt) {
   scheduler_.Add(SampleEvaluation(1, 1, 1));
   const auto task = scheduler_.Take("a");
