@@ -154,6 +154,8 @@ absl::StatusOr<v1::Access> ParseAccess(absl::string_view text, absl::string_view
     if (!absl::StrContains(status.message(), "\"WORK\"")) return status;
     return absl::InvalidArgumentError(absl::StrCat(filename, ": ", kNoWork));
   }
+  // Rather an emptied or half-written file than the wish to lock everybody out.
+  if (access.client().empty()) return absl::InvalidArgumentError(absl::StrCat(filename, ": it has no client"));
   for (v1::AccessClient& client : *access.mutable_client()) {
     if (absl::Status status = CheckClient(client); !status.ok()) {
       return absl::InvalidArgumentError(absl::StrCat(filename, ": ", status.message()));

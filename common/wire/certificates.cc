@@ -33,9 +33,9 @@ using KeyPtr = std::unique_ptr<EVP_PKEY, Free>;
 // Keeps OpenSSL from asking for a password on the terminal.
 int NoPassword(char* /*buffer*/, int /*size*/, int /*writing*/, void* /*data*/) { return -1; }
 
-// All certificates of a PEM file, at least one.
-absl::StatusOr<std::vector<CertificatePtr>> ReadCertificates(absl::string_view flag, const std::string& path) {
-  CRAFTFLEET_ASSIGN_OR_RETURN(const std::string pem, ReadFile(path));
+// All certificates in `pem`, the contents of file `path`; at least one.
+absl::StatusOr<std::vector<CertificatePtr>> ParseCertificates(absl::string_view flag, const std::string& path,
+                                                              absl::string_view pem) {
   const BioPtr bio(BIO_new_mem_buf(pem.data(), static_cast<int>(pem.size())));
   std::vector<CertificatePtr> certificates;
   while (X509* certificate = PEM_read_bio_X509(bio.get(), nullptr, NoPassword, nullptr)) {
@@ -49,6 +49,11 @@ absl::StatusOr<std::vector<CertificatePtr>> ReadCertificates(absl::string_view f
   return certificates;
 }
 
+absl::StatusOr<std::vector<CertificatePtr>> ReadCertificates(absl::string_view flag, const std::string& path) {
+  CRAFTFLEET_ASSIGN_OR_RETURN(const std::string pem, ReadFile(path));
+  return ParseCertificates(flag, path, pem);
+}
+
 std::string Date(const ASN1_TIME* time) {
   std::tm parts = {};
   if (ASN1_TIME_to_tm(time, &parts) != 1) return "an unreadable date";
@@ -58,9 +63,16 @@ std::string Date(const ASN1_TIME* time) {
 }  // namespace
 
 absl::Status CheckKeyPair(const std::string& certificate, const std::string& key) {
-  CRAFTFLEET_ASSIGN_OR_RETURN(const std::vector<CertificatePtr> chain, ReadCertificates("tls_cert", certificate));
-  CRAFTFLEET_ASSIGN_OR_RETURN(const std::string pem, ReadFile(key));
-  const BioPtr bio(BIO_new_mem_buf(pem.data(), static_cast<int>(pem.size())));
+  CRAFTFLEET_ASSIGN_OR_RETURN(const std::string certificate_pem, ReadFile(certificate));
+  CRAFTFLEET_ASSIGN_OR_RETURN(const std::string key_pem, ReadFile(key));
+  return CheckKeyPair(certificate, certificate_pem, key, key_pem);
+}
+
+absl::Status CheckKeyPair(const std::string& certificate, absl::string_view certificate_pem, const std::string& key,
+                          absl::string_view key_pem) {
+  CRAFTFLEET_ASSIGN_OR_RETURN(const std::vector<CertificatePtr> chain,
+                              ParseCertificates("tls_cert", certificate, certificate_pem));
+  const BioPtr bio(BIO_new_mem_buf(key_pem.data(), static_cast<int>(key_pem.size())));
   const KeyPtr private_key(PEM_read_bio_PrivateKey(bio.get(), nullptr, NoPassword, nullptr));
   const bool fits = private_key != nullptr && X509_check_private_key(chain.front().get(), private_key.get()) == 1;
   ERR_clear_error();
@@ -77,6 +89,10 @@ absl::Status CheckKeyPair(const std::string& certificate, const std::string& key
 
 absl::Status CheckAuthorities(const std::string& authorities) {
   return ReadCertificates("tls_ca", authorities).status();
+}
+
+absl::Status CheckAuthorities(const std::string& authorities, absl::string_view pem) {
+  return ParseCertificates("tls_ca", authorities, pem).status();
 }
 
 std::string CertificateProblem(const std::string& certificate, const std::string& authorities, absl::Time now) {

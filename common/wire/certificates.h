@@ -18,6 +18,11 @@ absl::Status CheckKeyPair(const std::string& certificate, const std::string& key
 // OK if `authorities` is a PEM file with at least one certificate. Errors as above.
 absl::Status CheckAuthorities(const std::string& authorities);
 
+// The same for contents that were read from these files.
+absl::Status CheckKeyPair(const std::string& certificate, absl::string_view certificate_pem, const std::string& key,
+                          absl::string_view key_pem);
+absl::Status CheckAuthorities(const std::string& authorities, absl::string_view pem);
+
 // Why peers may refuse the first certificate of file `certificate` at time `now`: a clause such as "--tls_cert=a.pem
 // expired on 2026-01-31 12:00 UTC", or that no authority in `authorities` signed it (not checked if empty). Empty: no
 // reason is known.

@@ -1,5 +1,7 @@
 #include "common/wire/security.h"
 
+#include <algorithm>
+#include <cstddef>
 #include <map>
 #include <memory>
 #include <utility>
@@ -19,6 +21,7 @@
 #include "common/io/files.h"
 #include "common/io/watched_file.h"
 #include "common/telemetry/log.h"
+#include "common/wire/certificate_copies.h"
 #include "common/wire/certificates.h"
 
 namespace craftfleet::wire {
@@ -27,9 +30,17 @@ namespace {
 using grpc::experimental::FileWatcherCertificateProvider;
 
 constexpr unsigned int kLookEverySeconds = 1;
+constexpr size_t kMaxTokenBytes = 4096;  // peers limit headers to 8 KiB
+constexpr absl::string_view kWanted = "want one line of printable characters, at most 4096";
+
+// HTTP/2 cannot carry others: with such a token all calls would fail.
+bool IsToken(absl::string_view text) {
+  return !text.empty() && text.size() <= kMaxTokenBytes && std::all_of(text.begin(), text.end(), absl::ascii_isprint);
+}
 
 std::shared_ptr<FileWatcherCertificateProvider> Watch(const TlsFiles& files) {
-  return std::make_shared<FileWatcherCertificateProvider>(files.key, files.certificate, files.authorities,
+  const TlsFiles copies = CopiesInMemory(files);
+  return std::make_shared<FileWatcherCertificateProvider>(copies.key, copies.certificate, copies.authorities,
                                                           kLookEverySeconds);
 }
 
@@ -43,7 +54,7 @@ class Token {
   // Returns false if `contents` is not a token; the former one stays.
   bool Set(const std::string& contents) ABSL_LOCKS_EXCLUDED(mu_) {
     std::string token(absl::StripAsciiWhitespace(contents));
-    if (token.empty() || token.find_first_of("\r\n") != std::string::npos) return false;
+    if (!IsToken(token)) return false;
     const MutexLock lock(&mu_);
     token_ = std::move(token);
     return true;
@@ -63,7 +74,7 @@ class TokenPlugin : public grpc::MetadataCredentialsPlugin {
     absl::StatusOr<std::string> contents = ReadFile(path);
     if (!contents.ok() || !token->Set(*contents)) {
       return absl::InvalidArgumentError(
-          absl::StrCat("--token_file=", path, " cannot be read or is empty, want one line"));
+          absl::StrCat("--token_file=", path, " cannot be read or is not a token, ", kWanted));
     }
     return std::unique_ptr<TokenPlugin>(new TokenPlugin(path, *contents, std::move(token)));
   }
@@ -83,7 +94,7 @@ class TokenPlugin : public grpc::MetadataCredentialsPlugin {
           if (token->Set(now)) {
             LogInfo("--token_file=%s was read again", path);
           } else {
-            LogError("--token_file=%s: want one line; the former token remains in use", path);
+            LogError("--token_file=%s: %s; the former token remains in use", path, kWanted);
           }
         }) {}
 

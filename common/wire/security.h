@@ -18,8 +18,7 @@ class ServerCredentials;
 namespace craftfleet::wire {
 
 // PEM files. All may be replaced while the program runs: within two seconds new connections use the new content; open
-// connections are not affected. Replace a certificate and its key together, by one rename of their folder or of a link
-// to it: while they don't match, new connections fail.
+// connections are not affected. While the files are missing, invalid or don't match, the former content remains in use.
 struct TlsFiles {
   std::string certificate;  // --tls_cert: presented to peers, with intermediate certificates
   std::string key;          // --tls_key: the certificate's

@@ -104,6 +104,8 @@ TEST(Access, TextFromUnknownCallersIsShortenedAndEscaped) {
 }
 
 TEST(Access, ErrorsInTheFileNameTheProblem) {
+  EXPECT_THAT(ParseAccess("\n", "a.txt"),
+              StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("a.txt: it has no client")));
   EXPECT_THAT(ParseAccess("client { nam: 3 }", "a.txt"),
               StatusIs(absl::StatusCode::kInvalidArgument, AllOf(HasSubstr("a.txt:1"), HasSubstr("nam"))));
   EXPECT_THAT(ParseAccess("client { certificate: \"x\" right: PLAY }", "a.txt"),
@@ -174,8 +176,10 @@ TEST(AccessControl, HidesReasonsFromCallersAndReloadsItsFile) {
   EXPECT_TRUE(WaitUntil([&] { return (*control)->Check(a, kJoin).ok(); }));
   EXPECT_FALSE((*control)->Check(a, kStatus).ok());
 
-  ASSERT_THAT(ReplaceFile(path, "nonsense"), IsOk());
-  EXPECT_FALSE(WaitUntil([&] { return !(*control)->Check(a, kJoin).ok(); }, absl::Seconds(2)));
+  for (const char* text : {"nonsense", ""}) {
+    ASSERT_THAT(ReplaceFile(path, text), IsOk());
+    EXPECT_FALSE(WaitUntil([&] { return !(*control)->Check(a, kJoin).ok(); }, absl::Seconds(2))) << text;
+  }
 }
 
 TEST(AccessControl, NoCallWaitsForTheFile) {

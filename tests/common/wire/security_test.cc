@@ -253,6 +253,28 @@ TEST_F(SecurityTest, AChangedTokenIsUsed) {
   ErrorLog([&] { EXPECT_TRUE(WaitUntil([&] { return GetStatus(endpoint).ok(); })); });
 }
 
+TEST_F(SecurityTest, WhatIsNoTokenLeavesTheFormerOneInUse) {
+  const std::string access = folder_ / "access.txt";
+  ASSERT_THAT(ReplaceFile(access, absl::StrFormat("client { name: \"a\" token_sha256: \"%s\" right: WATCH }",
+                                                  Sha256Hex("old"))),
+              IsOk());
+  const auto server = Listen(Files("server", ""), access);
+  const std::string path = WriteToken("token", "old");
+  const ChannelSecurity client = Client("", "ca", path);
+  ErrorLog(
+      [&] {
+        WriteToken("token", "\xff\x01 binary");
+        absl::SleepFor(absl::Seconds(1.5));  // longer than the interval between checks
+        EXPECT_THAT(GetStatus(server->address(), client), IsOk());
+      },
+      "the former token remains in use");
+  for (const std::string& text : {std::string(), std::string("two\nlines"), std::string(5000, 'x')}) {
+    WriteToken("token", text);
+    EXPECT_THAT(ChannelSecurity::Create({Files("", "ca"), "", path}),
+                StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("want one line")));
+  }
+}
+
 TEST_F(SecurityTest, NoCallWaitsForTheTokenFile) {
   const std::string access = folder_ / "access.txt";
   ASSERT_THAT(ReplaceFile(access, absl::StrFormat("client { name: \"a\" token_sha256: \"%s\" right: WATCH }",
@@ -304,6 +326,23 @@ TEST_F(SecurityTest, ReplacedCertificatesAreUsedAndNoConnectionIsLost) {
   EXPECT_TRUE(stream->Write({}) && stream->Read(&reply));
   stream->WritesDone();
   EXPECT_TRUE(stream->Finish().ok());
+}
+
+// gRPC's own watcher aborts the process when it finds an empty file, and refuses clients while a file is not valid.
+TEST_F(SecurityTest, SpoiltFilesLeaveTheFormerCertificatesInUse) {
+  const auto server = Listen(Files("server"));
+  const ChannelSecurity client = Client("client");
+  const std::string log = ErrorLog([&] {
+    for (const std::string& text : {std::string(), std::string("no certificate")}) {
+      for (const char* file : {"server.pem", "server.key", "client.pem", "client.key", "ca.pem"}) {
+        ASSERT_THAT(WriteFileSynced(folder_ / file, text), IsOk());
+      }
+      absl::SleepFor(absl::Seconds(2.5));  // two looks at the files
+      EXPECT_THAT(GetStatus(server->address(), client), IsOk());
+    }
+  });
+  EXPECT_THAT(log, HasSubstr("--tls_cert=" + Pem("server") + ": no certificate in it"));
+  EXPECT_THAT(log, HasSubstr("the former certificates remain in use"));
 }
 
 TEST_F(SecurityTest, MakeCertsCreatesWorkingCertificates) {
