@@ -35,7 +35,7 @@ class EnvClient {
  public:
   // The most games that one request opens; fewer if their observations would not fit one message. Making a world takes
   // some hundredths of a second, so the timeout of such a request is longer by a hundredth for each game.
-  static constexpr size_t kOpenAtOnce = 64;
+  static constexpr size_t kOpenAtOnce = 32;
 
   struct Lane {
     int lane = 0;

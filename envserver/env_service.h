@@ -29,8 +29,8 @@ namespace craftfleet {
 // one (SetRun) of that of the first session. Thread-safe.
 class EnvServiceImpl final : public v1::EnvironmentService::Service {
  public:
-  // Largest request, bytes: clients open at most 64 games at once (EnvClient::kOpenAtOnce), each from a snapshot of at
-  // most 64 KiB, with as much room to spare. Replies are larger.
+  // Largest request, bytes: clients open at most 32 games at once (EnvClient::kOpenAtOnce), each from a snapshot of at
+  // most 112 KiB, with as much room to spare. Replies are larger.
   static constexpr int kMaxRequestBytes = 8 << 20;
 
   // Without limits by default, which suits a single client in the same process.

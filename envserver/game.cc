@@ -3,9 +3,23 @@
 #include <optional>
 #include <utility>
 
+#include <absl/strings/str_cat.h>
+
 #include "common/base/status_macros.h"
 
 namespace craftfleet {
+namespace {
+
+// A game begins anew as soon as it ends, so none is saved at its end. Another step would make a longer episode than the
+// options allow.
+absl::Status CheckGoesOn(const World& world) {
+  const int64_t length = world.options().length;
+  if (world.player().health() > 0 && (length == 0 || world.step() < length)) return absl::OkStatus();
+  return absl::DataLossError(absl::StrCat("snapshot: of a game that has ended, with health ", world.player().health(),
+                                          " at step ", world.step()));
+}
+
+}  // namespace
 
 absl::StatusOr<Game> Game::Create(std::shared_ptr<const Renderer> renderer, int64_t seed, absl::Span<uint8_t> frame,
                                   int64_t episode) {
@@ -80,7 +94,10 @@ std::string Game::Save() const { return SealSnapshot(env_digest(), world_.Save(b
 
 absl::Status Game::Restore(absl::string_view snapshot, absl::Span<uint8_t> frame) {
   CRAFTFLEET_ASSIGN_OR_RETURN(const absl::string_view game, OpenSnapshot(env_digest(), snapshot));
-  CRAFTFLEET_RETURN_IF_ERROR(world_.Restore(game));
+  World restored = world_;
+  CRAFTFLEET_RETURN_IF_ERROR(restored.Restore(game));
+  CRAFTFLEET_RETURN_IF_ERROR(CheckGoesOn(restored));
+  world_ = std::move(restored);
   Draw(frame);
   return absl::OkStatus();
 }

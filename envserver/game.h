@@ -65,7 +65,8 @@ class Game {
   std::string Save() const;
   // Restores the state at Save() and writes the picture of that moment to `frame`. On failure game and frame are
   // unchanged.
-  //   InvalidArgument: too large, or no envelope of such a game.   Others as World::Restore().
+  //   InvalidArgument: too large, or no envelope of such a game.   DataLoss: of a game that has ended.   Others as
+  //   World::Restore().
   absl::Status Restore(absl::string_view snapshot, absl::Span<uint8_t> frame);
 
   const World& world() const { return world_; }

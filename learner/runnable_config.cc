@@ -25,7 +25,7 @@ namespace craftfleet {
 namespace {
 
 // Bytes of a fragment that don't depend on its steps: a snapshot, names, numbers, lengths.
-constexpr int64_t kFragmentRest = 72 << 10;
+constexpr int64_t kFragmentRest = kMaxSnapshotBytes + (8 << 10);
 // Bytes per step: action, end, log-probability, value, reward, value at a truncation.
 constexpr int64_t kStepBytes = 1 + 1 + 4 * sizeof(float);
 // Bytes per episode: 22 counts of at most 5 bytes, length, reward.

@@ -14,8 +14,10 @@
 
 namespace craftfleet {
 
-// Largest snapshot in bytes, with its envelope. A game takes 8 KB, and 24 bytes for each of its few hundred objects.
-inline constexpr size_t kMaxSnapshotBytes = 64 << 10;
+// Largest snapshot in bytes, with its envelope. A game takes 8 KB, and 24 bytes for each object: usually a few hundred,
+// at most one on each of 64x64 cells. A smaller bound would be one that a valid game can grow beyond, and whoever
+// played its lane could send no fragment.
+inline constexpr size_t kMaxSnapshotBytes = 112 << 10;
 
 // The environment's digest in an envelope: over the world's canonical name (EnvName::WorldName) and the number of steps
 // after which an episode is truncated. Options of the picture are not included: a snapshot contains no picture.

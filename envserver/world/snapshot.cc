@@ -26,6 +26,7 @@ constexpr uint8_t kVersion = 1;
 constexpr int64_t kMaxCount = 1'000'000'000;
 constexpr int64_t kMaxLongCount = int64_t{1} << 52;
 constexpr double kMaxNeed = 1000;
+constexpr double kSlack = 1e-7;  // for sums of doubles
 
 class Writer {
  public:
@@ -252,6 +253,26 @@ void GetObjects(const WorldOptions& options, Reader* reader, Board* board) {
   board->set_entries(entries);
 }
 
+// What the episode's own steps leave (RULES.md, section 5). Others would end with numbers that no game has, and that a
+// learner refuses whoever plays them.
+void CheckProgress(const WorldState& state, Reader* reader) {
+  const int health = state.player.health();
+  if (state.last_health != health) {
+    reader->Fail(absl::StrCat("last health ", state.last_health, ", want the player's, ", health));
+  }
+  int unlocked = 0;
+  for (const int32_t count : state.player.achievements) {
+    if (count > state.step) reader->Fail(absl::StrCat("achievement ", count, " after ", state.step, " steps"));
+    unlocked += count > 0 ? 1 : 0;
+  }
+  const double lost = (health - kMaxItem) / 10.0;
+  const double low = lost + (unlocked > 0 ? 1 : 0);  // all unlocked by one step
+  const double high = lost + unlocked;
+  if (!(state.episode_reward >= low - kSlack && state.episode_reward <= high + kSlack)) {
+    reader->Fail(absl::StrCat("episode reward ", state.episode_reward, ", want ", low, "..", high));
+  }
+}
+
 }  // namespace
 
 std::string SaveState(const WorldState& state, const RandomStream& stream) {
@@ -297,6 +318,7 @@ absl::Status RestoreState(absl::string_view snapshot, WorldState* state) {
   GetCells(restored.options, &reader, &restored.board);
   GetChunks(&reader, &restored.board);
   GetObjects(restored.options, &reader, &restored.board);
+  CheckProgress(restored, &reader);
   if (!reader.rest().empty()) reader.Fail("bytes are left over");
   CRAFTFLEET_RETURN_IF_ERROR(reader.status());
   *state = std::move(restored);

@@ -275,7 +275,7 @@ TEST(EnvBatch, LanesWithInvalidSnapshotsAreRefusedAndOthersOpen) {
   EXPECT_EQ(batch.refused()[1].lane, 5);
   EXPECT_THAT(batch.refused()[1].reason, HasSubstr("not a world's"));
   EXPECT_EQ(batch.refused()[2].lane, 6);
-  EXPECT_THAT(batch.refused()[2].reason, HasSubstr("65537 bytes, want at most 65536"));
+  EXPECT_THAT(batch.refused()[2].reason, HasSubstr("114689 bytes, want at most 114688"));
   ASSERT_THAT(batch.Open({{4, 1, 1, ""}}, &frames), IsOk());
   EXPECT_THAT(batch.refused(), IsEmpty());
 }

@@ -92,6 +92,26 @@ TEST(Game, RestoredAfterATruncationContinuesIdentically) {
   ExpectToGoOnTheSame(&played, renderer);
 }
 
+// The next step would end an episode that is longer than the options allow, or play on after a death.
+TEST(Game, SnapshotOfAGameThatHasEndedIsRefusedAndChangesNothing) {
+  const auto renderer = MakeRenderer(500);
+  Played played(renderer, 1);
+  const std::string before = played.game.Save();
+  for (const bool is_dead : {false, true}) {
+    Played ended(renderer, 2);
+    if (is_dead) {
+      ended.state().player.item(Item::kHealth) = 0;
+      ended.state().last_health = 0;
+      ended.state().episode_reward = -0.9;
+    } else {
+      ended.state().step = 500;
+    }
+    EXPECT_THAT(played.game.Restore(ended.game.Save(), absl::MakeSpan(played.frame)),
+                StatusIs(absl::StatusCode::kDataLoss, testing::HasSubstr("of a game that has ended")));
+  }
+  EXPECT_EQ(played.game.Save(), before);
+}
+
 TEST(Game, SnapshotOfAnotherGameIsRefusedAndChangesNothing) {
   Played longer(MakeRenderer(10000), 1);
   Played shorter(MakeRenderer(500), 1);

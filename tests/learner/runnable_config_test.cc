@@ -63,7 +63,7 @@ TEST(RunnableConfig, AFragmentFitsAMessage) {
   episode.reward = 0.1;
   episode.achievements.fill(std::numeric_limits<int32_t>::max());
   for (episode.step = 0; episode.step < shape.steps; ++episode.step) fragment.episodes.push_back(episode);
-  fragment.snapshot.game.assign(64 << 10, 'x');
+  fragment.snapshot.game.assign(kMaxSnapshotBytes, 'x');
   fragment.snapshot.state.assign(shape.state_size, 1.F);
   fragment.states.assign(static_cast<size_t>(shape.states) * shape.state_size, 1.F);
   const size_t bytes = wire::ToProto(std::move(fragment)).ByteSizeLong();

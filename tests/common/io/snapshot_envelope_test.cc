@@ -34,7 +34,7 @@ TEST(SnapshotEnvelope, AcceptsSizesUpToTheLimit) {
   const size_t head = SealSnapshot(kDigest, "").size();
   EXPECT_THAT(Open(SealSnapshot(kDigest, std::string(kMaxSnapshotBytes - head, 'x'))), IsOk());
   EXPECT_THAT(Open(SealSnapshot(kDigest, std::string(kMaxSnapshotBytes - head + 1, 'x'))),
-              StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("65537 bytes, want at most 65536")));
+              StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("114689 bytes, want at most 114688")));
 }
 
 TEST(SnapshotEnvelope, SnapshotOfAnotherEnvironmentIsRefused) {

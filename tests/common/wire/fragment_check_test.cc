@@ -123,7 +123,7 @@ TEST(FragmentCheck, TheSnapshotMustBeOfTheRunsEnvironment) {
   EXPECT_THAT(Check(message), StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("other options")));
   message.set_snapshot(std::string(80 << 20, 's'));
   EXPECT_THAT(Check(message),
-              StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("snapshot: 83886080 bytes, want at most 65536")));
+              StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("snapshot: 83886080 bytes, want at most 114688")));
 }
 
 // The sample's episodes end at steps 1 and 3.

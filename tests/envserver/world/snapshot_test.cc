@@ -1,14 +1,17 @@
 #include <cstdint>
 #include <cstring>
+#include <functional>
 #include <random>
 #include <string>
 
 #include <gmock/gmock.h>
 
 #include "common/base/crc32c.h"
+#include "common/io/snapshot_envelope.h"
 #include "envserver/world/world.h"
 #include "tests/envserver/world/invariants.h"
 #include "tests/fakes/status_matchers.h"
+#include "tests/golden/world_editor.h"
 
 namespace craftfleet {
 namespace {
@@ -65,6 +68,43 @@ TEST(Snapshot, IsAtMost64KilobytesFor64x64Cells) {
   options.numbers = {0.2, 0.4, 0.91, 0.96, 0.8};  // the settings with the most things
   EXPECT_LT(Save(NewWorld(options)).size(), 64u << 10);
   EXPECT_LT(Save(NewWorld()).size(), 12u << 10);
+}
+
+// Whatever is on the cells, a fleet must be able to send the game.
+TEST(Snapshot, OfAFullWorldFitsItsEnvelope) {
+  World world = NewWorld();
+  Board& board = WorldEditor::State(&world).board;
+  for (int x = 0; x < board.width(); ++x) {
+    for (int y = 0; y < board.height(); ++y) {
+      Object plant;
+      plant.type = ObjectType::kPlant;
+      plant.position = {x, y};
+      if (board.ObjectAt(plant.position) < 0) board.Add(plant);
+    }
+  }
+  const std::string snapshot = Save(world);
+  EXPECT_GT(snapshot.size(), 64u << 10);
+  EXPECT_LE(SealSnapshot(0, snapshot).size(), kMaxSnapshotBytes);
+  EXPECT_THAT(NewWorld().Restore(snapshot), IsOk());
+}
+
+// Such a game would end with an episode that learners refuse, whoever plays it.
+TEST(Snapshot, WithNumbersThatItsStepsCannotLeaveIsRefused) {
+  const World played = PlayedWorld();
+  const auto restore = [&](const std::function<void(WorldState*)>& change) {
+    World changed = played;
+    change(&WorldEditor::State(&changed));
+    return NewWorld(played.options()).Restore(Save(changed));
+  };
+  ASSERT_THAT(restore([](WorldState*) {}), IsOk());
+  EXPECT_THAT(restore([](WorldState* state) { state->player.achievements[3] = 61; }),
+              StatusIs(absl::StatusCode::kDataLoss, HasSubstr("achievement 61 after 60 steps")));
+  for (const double reward : {-0.91, 22.1, 1e9}) {
+    EXPECT_THAT(restore([&](WorldState* state) { state->episode_reward = reward; }),
+                StatusIs(absl::StatusCode::kDataLoss, HasSubstr("episode reward")));
+  }
+  EXPECT_THAT(restore([](WorldState* state) { state->last_health = 1; }),
+              StatusIs(absl::StatusCode::kDataLoss, HasSubstr("last health 1, want the player's")));
 }
 
 TEST(Snapshot, OfAWorldWithOtherOptionsIsRefused) {
