@@ -24,7 +24,10 @@ std::string Shown(absl::string_view text, absl::string_view nothing) {
 absl::Status BuildCheck::Check(const WorkerBuild& build, absl::Time now, Worker* worker) {
   worker->mismatch.reset();
   const bool is_actor = worker->role == WorkerRole::kActor;
-  if (!is_actor && game_canary_.empty()) game_canary_ = build.canary;
+  if (!is_actor && game_canary_.empty()) {
+    game_canary_ = build.canary;
+    first_server_ = worker->name;
+  }
   const std::string& want = is_actor ? options_.policy_canary : game_canary_;
   if ((is_actor && want.empty()) || build.canary == want) return absl::OkStatus();
 
@@ -32,8 +35,9 @@ absl::Status BuildCheck::Check(const WorkerBuild& build, absl::Time now, Worker*
   const std::string shown_build = Shown(build.build, "older than this one");
   worker->mismatch = {shown_build, now};
   const std::string does =
-      is_actor ? absl::StrCat("computes different results from this learner, on \"", Shown(build.cpu, "?"), "\"")
-               : absl::StrCat("plays another game", options_.game_canary.empty() ? " than the first one" : "");
+      is_actor
+          ? absl::StrCat("computes different results from this learner, on \"", Shown(build.cpu, "?"), "\"")
+          : absl::StrCat("plays another game", first_server_.empty() ? "" : " than the first one, " + first_server_);
   const std::string text = absl::StrFormat("%s %s (build %s) %s (build %s): its canary is %s, want %s",
                                            is_actor ? "actor" : "environment server", worker->name, shown_build, does,
                                            options_.build, Shown(build.canary, "none"), want);

@@ -42,7 +42,8 @@ class BuildCheck {
  private:
   const Options options_;
   std::string game_canary_;
-  std::string warned_;  // build that was last accepted with a warning
+  std::string first_server_;  // whose canary is required of the others; empty: none's
+  std::string warned_;        // build that was last accepted with a warning
   int64_t differing_ = 0;
 };
 

@@ -105,7 +105,7 @@ TEST(BuildCheck, ServersWithCustomTexturesAreComparedWithTheFirst) {
   EXPECT_EQ(check.GameCanary(), "game");
   EXPECT_THAT(check.CheckServer("b", "game"), IsOk());
   EXPECT_THAT(check.CheckServer("c", "other"),
-              StatusIs(absl::StatusCode::kFailedPrecondition, HasSubstr("another game than the first one")));
+              StatusIs(absl::StatusCode::kFailedPrecondition, HasSubstr("another game than the first one, a (build")));
 }
 
 TEST(BuildCheck, RemembersTheNewestAndShowsPrintableText) {
