@@ -77,6 +77,7 @@ absl::Status EnvClient::Connect(absl::Duration patience) {
     context_->set_initial_metadata_corked(true);
     stream_ = stub_->Play(context_.get());
   }
+  lengths_ = {};
   *request_.mutable_hello() = hello_;
   CRAFTFLEET_RETURN_IF_ERROR(Send(timeout_));
   CRAFTFLEET_RETURN_IF_ERROR(Receive());
@@ -132,6 +133,7 @@ absl::Status EnvClient::OpenSome(absl::Span<const Lane> lanes, std::string* fram
   CRAFTFLEET_RETURN_IF_ERROR(Receive());
   CRAFTFLEET_RETURN_IF_ERROR(EndIfInvalid(frames_.ReadOpened(request_.open(), &reply_, &records_)));
   CRAFTFLEET_RETURN_IF_ERROR(EndIfInvalid(check_.Open(request_.open(), reply_)));
+  lengths_.Open(request_.open());
   if (frames->empty()) {
     frames->swap(*reply_.mutable_frames());
   } else {
@@ -199,6 +201,7 @@ absl::Status EnvClient::ReceiveRows(StepBatch* batch) {
   CRAFTFLEET_RETURN_IF_ERROR(Receive());
   CRAFTFLEET_RETURN_IF_ERROR(EndIfInvalid(frames_.ReadStep(request_.step(), &reply_, &records_)));
   CRAFTFLEET_RETURN_IF_ERROR(EndIfInvalid(check_.Step(request_.step(), reply_)));
+  CRAFTFLEET_RETURN_IF_ERROR(EndIfInvalid(lengths_.Step(request_.step(), reply_)));
   const int lanes = request_.step().lanes_size();
   CRAFTFLEET_RETURN_IF_ERROR(EndIfInvalid(wire::FromProto(&reply_, lanes, frame_bytes_, batch)));
   return TakeMoments(lanes);

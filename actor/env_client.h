@@ -126,6 +126,7 @@ class EnvClient {
   const int frame_bytes_;
   const absl::Duration timeout_;
   const PlayReplyCheck check_;
+  EpisodeLengths lengths_;
   FrameReader frames_;
   const std::unique_ptr<v1::EnvironmentService::Stub> stub_;
 

@@ -179,4 +179,24 @@ absl::Status PlayReplyCheck::Moments(const v1::PlayReply& reply) const {
   return absl::OkStatus();
 }
 
+void EpisodeLengths::Open(const v1::OpenLanes& request) {
+  for (const v1::OpenLanes::Lane& lane : request.lanes()) games_[lane.lane()] = {0, lane.snapshot().empty()};
+}
+
+absl::Status EpisodeLengths::Step(const v1::StepLanes& request, const v1::PlayReply& reply) {
+  int ended = 0;
+  for (int row = 0; row < request.lanes_size(); ++row) {
+    Game& game = games_[request.lanes(row)];
+    ++game.steps;
+    if (reply.ends()[row] == static_cast<char>(StepEnd::kNone)) continue;
+    const int64_t length = reply.episodes(ended++).length();
+    if (length < game.steps || (game.is_whole && length != game.steps)) {
+      return Invalid(absl::StrFormat("episodes.length: %d of lane %d, want %s%d", length, request.lanes(row),
+                                     game.is_whole ? "" : "at least ", game.steps));
+    }
+    game = {0, true};
+  }
+  return absl::OkStatus();
+}
+
 }  // namespace craftfleet

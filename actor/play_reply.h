@@ -5,6 +5,7 @@
 
 #include <cstdint>
 #include <string>
+#include <unordered_map>
 
 #include <absl/status/status.h>
 #include <absl/strings/string_view.h>
@@ -37,6 +38,24 @@ class PlayReplyCheck {
   const int64_t frame_bytes_;
   const int64_t max_length_;   // steps of an episode
   const uint64_t env_digest_;  // for snapshots
+};
+
+// Compares the lengths of a session's episodes with the steps that were played. Thread-compatible: one thread at a
+// time.
+class EpisodeLengths {
+ public:
+  // The games of `request` begin, or go on from snapshots.
+  void Open(const v1::OpenLanes& request);
+  // `reply` has passed PlayReplyCheck.   DataLoss: an episode that began in this session has another length than its
+  // steps; or one from a snapshot a smaller length than its steps since then. The learner would refuse its fragment.
+  absl::Status Step(const v1::StepLanes& request, const v1::PlayReply& reply);
+
+ private:
+  struct Game {
+    int64_t steps = 0;      // of the current episode, in this session
+    bool is_whole = false;  // it began here
+  };
+  std::unordered_map<int, Game> games_;  // by lane
 };
 
 }  // namespace craftfleet

@@ -212,6 +212,15 @@ INSTANTIATE_TEST_SUITE_P(
                                    for (int i = 0; i < kNumAchievements; ++i) episode->add_achievements(0);
                                  },
                                  "length"},
+                    // After one step; the learner would refuse the fragment, and its lane never leave this server.
+                    InvalidReply{"EpisodeLength",
+                                 [](v1::PlayReply* r) {
+                                   r->mutable_ends()->at(0) = 1;
+                                   v1::EpisodeMessage* episode = r->add_episodes();
+                                   episode->set_length(7);
+                                   for (int i = 0; i < kNumAchievements; ++i) episode->add_achievements(0);
+                                 },
+                                 "episodes.length: 7 of lane"},
                     InvalidReply{"Snapshots", [](v1::PlayReply* r) { r->add_snapshots("x"); }, "snapshots"},
                     InvalidReply{"Refused", [](v1::PlayReply* r) { r->add_refused(); }, "refused"},
                     InvalidReply{"Moments", [](v1::PlayReply* r) { r->add_moments(); }, "moments"},
