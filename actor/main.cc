@@ -5,6 +5,7 @@
 
 #include "actor/actor.h"
 #include "common/agent/torch_setup.h"
+#include "common/base/frame_format.h"
 #include "common/base/status_macros.h"
 #include "common/process/cpu_pin.h"
 #include "common/process/cpu_quota.h"
@@ -43,9 +44,7 @@ namespace craftfleet {
 namespace {
 
 absl::StatusOr<FrameFormat> ParseFrames(const std::string& frames) {
-  if (frames == "raw") return FrameFormat::kRaw;
-  if (frames == "lz4") return FrameFormat::kLz4;
-  if (frames == "scene") return FrameFormat::kScene;
+  if (const auto format = FindFrameFormat(frames)) return *format;
   return InvalidFlag("frames", frames, "raw, lz4 or scene");
 }
 

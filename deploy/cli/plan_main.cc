@@ -12,6 +12,7 @@
 
 #include "common/agent/device.h"
 #include "common/agent/torch_setup.h"
+#include "common/base/frame_format.h"
 #include "common/base/status_macros.h"
 #include "common/config/config.h"
 #include "common/io/files.h"
@@ -43,7 +44,7 @@ ABSL_FLAG(int32_t, gpus, 0,
           "GPUs for updates, 0..1; what one costs is measured where --device is one, or comes with --costs\n"
           "several learners compute on CPUs only");
 ABSL_FLAG(int32_t, learners, 256, "the most learners to plan for, 1..256; no more than help, and at most one a host");
-ABSL_FLAG(std::string, frames, "raw", "how frames travel: raw or scene, as craftfleet-actor --frames");
+ABSL_FLAG(std::string, frames, "raw", "how frames travel: raw, lz4 or scene, as craftfleet-actor --frames");
 ABSL_FLAG(bool, measure, false,
           "measure again, although there are costs\n"
           "without it costs are kept, and measured anew if the CPU, the build, the agent or another field of the\n"
@@ -153,8 +154,9 @@ absl::StatusOr<Costs> CostsFromFlags(const v1::RunConfig& config) {
 absl::Status Run() {
   PlanRequest request;
   const std::string frames = absl::GetFlag(FLAGS_frames);
-  if (frames != "raw" && frames != "scene") return InvalidFlag("frames", frames, "raw or scene");
-  request.scene_frames = frames == "scene";
+  const std::optional<FrameFormat> format = FindFrameFormat(frames);
+  if (!format.has_value()) return InvalidFlag("frames", frames, "raw, lz4 or scene");
+  request.frames = *format;
   request.config_file = absl::GetFlag(FLAGS_config);
   CRAFTFLEET_ASSIGN_OR_RETURN(request.machines, MachinesFromFlags());
   CRAFTFLEET_ASSIGN_OR_RETURN(request.config, ConfigFromFlags());

@@ -134,8 +134,9 @@ std::string FormatCosts(const Costs& costs) {
   for (const OptionalNumber& number : OptionalNumbersOf(&copy)) {
     if (number.value->has_value()) json[number.name] = **number.value;
   }
-  for (const Number& number : NumbersOf(&copy.raw)) json["raw"][number.name] = *number.value;
-  for (const Number& number : NumbersOf(&copy.scene)) json["scene"][number.name] = *number.value;
+  for (const FrameFormat format : kFrameFormats) {
+    for (const Number& number : NumbersOf(&copy[format])) json[FrameFormatName(format)][number.name] = *number.value;
+  }
   return json.dump(2, ' ', /*ensure_ascii=*/false, nlohmann::ordered_json::error_handler_t::replace) + "\n";
 }
 
@@ -149,8 +150,9 @@ absl::StatusOr<Costs> ParseCosts(absl::string_view text, absl::string_view path)
   for (const auto& [name, value] : TextsOf(&costs)) CRAFTFLEET_RETURN_IF_ERROR(reader.Text(name, value));
   for (const Number& number : NumbersOf(&costs)) CRAFTFLEET_RETURN_IF_ERROR(reader.Read(number));
   for (const OptionalNumber& number : OptionalNumbersOf(&costs)) CRAFTFLEET_RETURN_IF_ERROR(reader.Read(number));
-  CRAFTFLEET_RETURN_IF_ERROR(ReadFrameCosts(json, "raw", path, &costs.raw));
-  CRAFTFLEET_RETURN_IF_ERROR(ReadFrameCosts(json, "scene", path, &costs.scene));
+  for (const FrameFormat format : kFrameFormats) {
+    CRAFTFLEET_RETURN_IF_ERROR(ReadFrameCosts(json, FrameFormatName(format), path, &costs[format]));
+  }
   return costs;
 }
 

@@ -3,6 +3,8 @@
 #ifndef CRAFTFLEET_DEPLOY_CLI_PLAN_COSTS_H_
 #define CRAFTFLEET_DEPLOY_CLI_PLAN_COSTS_H_
 
+#include <array>
+#include <cstddef>
 #include <optional>
 #include <string>
 
@@ -10,6 +12,8 @@
 #include <absl/status/statusor.h>
 #include <absl/strings/string_view.h>
 
+#include "common/base/frame_format.h"
+#include "common/base/types.h"
 #include "craftfleet/v1/config.pb.h"
 
 namespace craftfleet {
@@ -35,9 +39,11 @@ struct Costs {
   std::optional<double> two_thread_us;  // the same elapsed, with two threads; absent: minibatches can't be halved
   std::optional<double> gpu_update_us;  // elapsed on one GPU; absent: not measured
   double act_us = 0;                    // of a frame in a full tile
-  FrameCosts raw;
-  FrameCosts scene;
+  std::array<FrameCosts, kFrameFormats.size()> frames;  // by FrameFormat
   double weight_bytes = 0;
+
+  const FrameCosts& operator[](FrameFormat format) const { return frames[static_cast<size_t>(format)]; }
+  FrameCosts& operator[](FrameFormat format) { return frames[static_cast<size_t>(format)]; }
 };
 
 // The fields of a complete configuration on which costs depend, as text of one line: agent and network, environment,

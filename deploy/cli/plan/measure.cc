@@ -135,7 +135,7 @@ absl::StatusOr<CallTime> MeasureUpdate(const v1::RunConfig& run, const AgentSpec
 
 absl::StatusOr<Costs> MeasureCosts(const v1::RunConfig& config, const std::string& device, absl::Duration duration) {
   CRAFTFLEET_ASSIGN_OR_RETURN(const AgentSpec spec, MakeAgentSpec(config));
-  const absl::Duration part = duration / 6;
+  const absl::Duration part = duration / 7;
   Costs costs;
   costs.cpu = CpuDescription();
   costs.build = BuildId();
@@ -143,8 +143,9 @@ absl::StatusOr<Costs> MeasureCosts(const v1::RunConfig& config, const std::strin
   costs.measured = absl::FormatTime("%Y-%m-%d %H:%M UTC", absl::Now(), absl::UTCTimeZone());
   costs.weight_bytes = static_cast<double>(spec.param_count) * sizeof(float);
 
-  CRAFTFLEET_ASSIGN_OR_RETURN(costs.raw, MeasureGames(config, /*scene_frames=*/false, part));
-  CRAFTFLEET_ASSIGN_OR_RETURN(costs.scene, MeasureGames(config, /*scene_frames=*/true, part));
+  for (const FrameFormat format : kFrameFormats) {
+    CRAFTFLEET_ASSIGN_OR_RETURN(costs[format], MeasureGames(config, format, part));
+  }
   CRAFTFLEET_ASSIGN_OR_RETURN(costs.act_us, MeasureActing(config, spec, part));
 
   CRAFTFLEET_ASSIGN_OR_RETURN(const CallTime one, MeasureUpdate(config, spec, 1, "cpu", part));

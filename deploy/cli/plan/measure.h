@@ -8,6 +8,7 @@
 #include <absl/status/statusor.h>
 #include <absl/time/time.h>
 
+#include "common/base/types.h"
 #include "craftfleet/v1/config.pb.h"
 #include "deploy/cli/plan/costs.h"
 
@@ -22,7 +23,7 @@ namespace craftfleet {
 absl::StatusOr<Costs> MeasureCosts(const v1::RunConfig& config, const std::string& device, absl::Duration duration);
 
 // A part of that: games are played with random actions, on an environment server over TCP.
-absl::StatusOr<FrameCosts> MeasureGames(const v1::RunConfig& config, bool scene_frames, absl::Duration duration);
+absl::StatusOr<FrameCosts> MeasureGames(const v1::RunConfig& config, FrameFormat format, absl::Duration duration);
 
 }  // namespace craftfleet
 

@@ -81,8 +81,9 @@ class Intake final : public v1::LearnerService::Service {
 // Plays games with random actions, as an actor's thread does.
 class RandomPlayer {
  public:
-  RandomPlayer(const wire::Endpoint& server, const v1::SessionHello& hello, int lanes, const wire::FragmentShape& shape)
-      : client_(server, hello, shape.frame_bytes), lanes_(lanes), actions_(lanes), shape_(shape) {
+  RandomPlayer(const wire::Endpoint& server, const v1::SessionHello& hello, FrameFormat format, int lanes,
+               const wire::FragmentShape& shape)
+      : client_(server, hello, shape.frame_bytes), format_(format), lanes_(lanes), actions_(lanes), shape_(shape) {
     std::iota(lanes_.begin(), lanes_.end(), 0);
   }
 
@@ -95,9 +96,9 @@ class RandomPlayer {
 
   // Plays a fragment of each lane, and returns that of the first.
   absl::StatusOr<v1::FragmentMessage> PlayFragment() {
-    const bool scene = !client_.records().empty();
+    const bool scene = format_ == FrameFormat::kScene;
     FragmentBuilder builder;
-    builder.Start(0, 0, 0, 0, shape_.steps, shape_.frame_bytes, scene ? FrameFormat::kScene : FrameFormat::kRaw);
+    builder.Start(0, 0, 0, 0, shape_.steps, shape_.frame_bytes, format_);
     const std::vector<float> state(shape_.state_size);
     for (int t = 0; t < shape_.steps; ++t) {
       const std::string frame = scene ? client_.records()[0] : frames_.substr(0, shape_.frame_bytes);
@@ -121,6 +122,7 @@ class RandomPlayer {
 
  private:
   EnvClient client_;
+  const FrameFormat format_;
   std::vector<int> lanes_;
   std::vector<Action> actions_;
   const wire::FragmentShape shape_;
@@ -163,7 +165,7 @@ absl::Status MeasureIntake(const v1::FragmentMessage& message, int steps, Intake
 
 }  // namespace
 
-absl::StatusOr<FrameCosts> MeasureGames(const v1::RunConfig& config, bool scene_frames, absl::Duration duration) {
+absl::StatusOr<FrameCosts> MeasureGames(const v1::RunConfig& config, FrameFormat format, absl::Duration duration) {
   CRAFTFLEET_ASSIGN_OR_RETURN(const AgentSpec spec, MakeAgentSpec(config));
   const wire::FragmentShape shape = FragmentShapeOf(config, spec);
   CRAFTFLEET_ASSIGN_OR_RETURN(const std::string textures, DefaultTextureDir());
@@ -175,9 +177,9 @@ absl::StatusOr<FrameCosts> MeasureGames(const v1::RunConfig& config, bool scene_
   hello.set_protocol_version(wire::kProtocolVersion);
   hello.set_texture_digest(service->texture_digest());
   *hello.mutable_env() = config.env();
-  if (scene_frames) hello.add_frame_formats(v1::FRAMES_SCENE);
+  if (format != FrameFormat::kRaw) hello.add_frame_formats(static_cast<v1::FrameFormat>(format));
 
-  RandomPlayer player(wire::Connect(server->address()), hello, std::min(config.lanes(), config.tile()), shape);
+  RandomPlayer player(wire::Connect(server->address()), hello, format, std::min(config.lanes(), config.tile()), shape);
   CRAFTFLEET_RETURN_IF_ERROR(player.Begin());
   FrameCosts costs;
   const CpuTimer timer;

@@ -28,14 +28,14 @@ v1::RunConfig WithMode(v1::RunConfig config, int overlap) {
 }
 
 FleetPlan PlanOf(const PlanRequest& request, const v1::RunConfig& config) {
-  return PlanFleet(request.costs, config, request.scene_frames, request.machines);
+  return PlanFleet(request.costs, config, request.frames, request.machines);
 }
 
 double WorkingShare(const FleetPlan& plan) { return plan.update_us * plan.steps_per_second / 1e6; }
 
 std::string CostsText(const PlanRequest& request) {
   const Costs& costs = request.costs;
-  const FrameCosts& frame = request.scene_frames ? costs.scene : costs.raw;
+  const FrameCosts& frame = costs[request.frames];
   const int epochs = request.config.ppo().epochs();
   std::string text = absl::StrFormat("A step costs, on one core of %s (measured %s):\n", costs.cpu, costs.measured);
   absl::StrAppendFormat(&text, "  learner             %8.1f us  %d x %.1f to learn from it (%s), %.1f to receive it\n",
@@ -46,7 +46,7 @@ std::string CostsText(const PlanRequest& request) {
   absl::StrAppendFormat(&text, "  environment server  %8.1f us  %.1f for the game, %.1f for messages\n",
                         frame.server_us, frame.game_us, frame.server_us - frame.game_us);
   absl::StrAppendFormat(&text, "  network             %8.0f bytes to the learner (--frames=%s)\n", frame.bytes,
-                        request.scene_frames ? "scene" : "raw");
+                        FrameFormatName(request.frames));
   if (costs.gpu_update_us.has_value()) {
     absl::StrAppendFormat(&text, "  a GPU               %8.1f us  %d x %.1f to learn from it\n",
                           epochs * *costs.gpu_update_us, epochs, *costs.gpu_update_us);
@@ -120,9 +120,11 @@ std::vector<Command> Commands(const PlanRequest& request, const FleetPlan& plan)
       plan.actors == 1 ? "on a host that plays" : absl::StrFormat("on each of %d hosts that play", plan.actors);
   commands.push_back({where, "craftfleet-envserver --listen=127.0.0.1:50061"});
   commands.push_back(
-      {where, absl::StrFormat("craftfleet-actor --learner=A:50051 --envservers=127.0.0.1:50061 --threads=%d%s",
-                              (plan.actor_threads + plan.actors - 1) / plan.actors,
-                              request.scene_frames ? " --frames=scene" : "")});
+      {where,
+       absl::StrFormat(
+           "craftfleet-actor --learner=A:50051 --envservers=127.0.0.1:50061 --threads=%d%s",
+           (plan.actor_threads + plan.actors - 1) / plan.actors,
+           request.frames == FrameFormat::kRaw ? "" : absl::StrCat(" --frames=", FrameFormatName(request.frames)))});
   return commands;
 }
 
@@ -153,8 +155,7 @@ std::string SharesText(const FleetPlan& plan) {
 }
 
 std::string RemediesText(const PlanRequest& request) {
-  const std::vector<Remedy> remedies =
-      FindRemedies(request.costs, request.config, request.scene_frames, request.machines);
+  const std::vector<Remedy> remedies = FindRemedies(request.costs, request.config, request.frames, request.machines);
   if (remedies.empty()) return "Nothing that this program knows makes it 5% faster.\n";
   std::string text = "What would help:\n";
   for (const Remedy& remedy : remedies) {
@@ -203,7 +204,7 @@ std::string PlanJson(const PlanRequest& request) {
   json["synchronous"] = PlanOf(request, WithMode(request.config, 0)).steps_per_second;
   json["overlapped"] = PlanOf(request, WithMode(request.config, 1)).steps_per_second;
   nlohmann::ordered_json remedies = nlohmann::ordered_json::array();
-  for (const Remedy& remedy : FindRemedies(request.costs, request.config, request.scene_frames, request.machines)) {
+  for (const Remedy& remedy : FindRemedies(request.costs, request.config, request.frames, request.machines)) {
     remedies.push_back({{"change", remedy.change}, {"steps_per_second", remedy.steps_per_second}});
   }
   json["remedies"] = std::move(remedies);

@@ -27,10 +27,11 @@ bool PlaysOn(const v1::RunConfig& config) { return config.overlap() > 0 || confi
 // Searches the fleets of one run.
 class Planner {
  public:
-  Planner(const Costs& costs, const v1::RunConfig& config, bool scene_frames, const Machines& machines)
+  Planner(const Costs& costs, const v1::RunConfig& config, FrameFormat format, const Machines& machines)
       : costs_(costs),
         config_(config),
-        frame_(scene_frames ? costs.scene : costs.raw),
+        format_(format),
+        frame_(costs[format]),
         machines_(machines),
         worker_us_(costs.act_us + frame_.actor_us + frame_.server_us) {}
 
@@ -107,7 +108,7 @@ class Planner {
     if (plan.learners == 1) return computing;
     // Learners form a chain. Each passes the frames on once, and sends and receives the gradient twice a minibatch.
     const double gradients = 2.0 * epochs * costs_.weight_bytes / config_.ppo().minibatch_size();
-    return computing + SendingTime(costs_.raw.bytes + gradients);
+    return computing + SendingTime(costs_[FrameFormat::kRaw].bytes + gradients);
   }
 
   // CPU time a step. A learner's thread waits actively for its GPU.
@@ -150,7 +151,7 @@ class Planner {
     Bottleneck limit = FindBottleneck(plan.view);
     if (limit.part == "learner") return limit;
     if (IsLinkFull(plan)) {
-      const bool scene = &frame_ == &costs_.scene;
+      const bool scene = format_ == FrameFormat::kScene;
       limit = {"wire", absl::StrFormat("The learner's network link is full: take a faster one%s.",
                                        scene ? "" : ", or send scene records (--frames=scene)")};
     } else if (plan.lacks_lanes) {
@@ -162,6 +163,7 @@ class Planner {
 
   const Costs& costs_;
   const v1::RunConfig& config_;
+  const FrameFormat format_;
   const FrameCosts& frame_;
   const Machines& machines_;
   const double worker_us_;  // of actor and environment server together
@@ -234,21 +236,21 @@ double UpdateMicros(const Costs& costs, int shards, int parallel) {
   return costs.update_us * (serial + (1 - serial) * CeilOf(shards, threads) / shards);
 }
 
-FleetPlan PlanFleet(const Costs& costs, const v1::RunConfig& config, bool scene_frames, const Machines& machines) {
-  return Planner(costs, config, scene_frames, machines).Best();
+FleetPlan PlanFleet(const Costs& costs, const v1::RunConfig& config, FrameFormat format, const Machines& machines) {
+  return Planner(costs, config, format, machines).Best();
 }
 
-std::vector<Remedy> FindRemedies(const Costs& costs, const v1::RunConfig& config, bool scene_frames,
+std::vector<Remedy> FindRemedies(const Costs& costs, const v1::RunConfig& config, FrameFormat format,
                                  const Machines& machines) {
-  const double rate = PlanFleet(costs, config, scene_frames, machines).steps_per_second;
+  const double rate = PlanFleet(costs, config, format, machines).steps_per_second;
   std::vector<Remedy> remedies;
-  const auto consider = [&](std::string change, const Machines& with, const v1::RunConfig& run, bool scene) {
-    const double faster = PlanFleet(costs, run, scene, with).steps_per_second;
+  const auto consider = [&](std::string change, const Machines& with, const v1::RunConfig& run, FrameFormat frames) {
+    const double faster = PlanFleet(costs, run, frames, with).steps_per_second;
     if (faster > kWorthwhile * rate) remedies.push_back({std::move(change), faster});
   };
-  for (const auto& [change, with] : BetterMachines(costs, machines)) consider(change, with, config, scene_frames);
-  for (const auto& [change, run] : FasterRuns(config)) consider(change, machines, run, scene_frames);
-  if (!scene_frames) consider("--frames=scene", machines, config, true);
+  for (const auto& [change, with] : BetterMachines(costs, machines)) consider(change, with, config, format);
+  for (const auto& [change, run] : FasterRuns(config)) consider(change, machines, run, format);
+  if (format != FrameFormat::kScene) consider("--frames=scene", machines, config, FrameFormat::kScene);
   std::stable_sort(remedies.begin(), remedies.end(),
                    [](const Remedy& a, const Remedy& b) { return a.steps_per_second > b.steps_per_second; });
   return remedies;

@@ -43,7 +43,8 @@ struct FleetPlan {
 };
 
 // The fastest fleet on all of `machines` or fewer, and of equally fast ones that with the fewest learners and threads,
-// for a run with `config`, which is complete (ResolveRunConfig). `costs` have those of a GPU if `machines` has one.
+// for a run with `config`, which is complete (ResolveRunConfig), and frames that travel in `format`. `costs` have those
+// of a GPU if `machines` has one.
 //
 // With S steps a second, T = 1/S, the model is
 //   one after the other (neither overlap nor max_staleness)   T = update + play
@@ -52,7 +53,7 @@ struct FleetPlan {
 // and lengthened by the gradients and frames that learners send each other; and `play` the longest of these: the work
 // of actors and environment servers, divided among the actors' threads; the bytes on the learner's link; and the work
 // of all workers and of the learner's intake, divided among the cores.
-FleetPlan PlanFleet(const Costs& costs, const v1::RunConfig& config, bool scene_frames, const Machines& machines);
+FleetPlan PlanFleet(const Costs& costs, const v1::RunConfig& config, FrameFormat format, const Machines& machines);
 
 // The elapsed time of one epoch's sample where `parallel` threads, of all learners together, compute `shards` parts.
 // The part of the work that threads do not shorten follows from costs.two_thread_us; without it all of it is shared
@@ -66,7 +67,7 @@ struct Remedy {
 };
 
 // What would make the fleet of PlanFleet with these arguments at least 5% faster, by the rate.
-std::vector<Remedy> FindRemedies(const Costs& costs, const v1::RunConfig& config, bool scene_frames,
+std::vector<Remedy> FindRemedies(const Costs& costs, const v1::RunConfig& config, FrameFormat format,
                                  const Machines& machines);
 
 }  // namespace craftfleet

@@ -25,7 +25,7 @@ TEST(Costs, AreReadAsTheyWereWritten) {
   const absl::StatusOr<Costs> read = ParseCosts(text, "costs.json");
   ASSERT_TRUE(read.ok()) << read.status();
   EXPECT_EQ(FormatCosts(*read), text);
-  EXPECT_EQ(read->scene.learner_us, 10);
+  EXPECT_EQ((*read)[FrameFormat::kScene].learner_us, 10);
   EXPECT_EQ(read->gpu_update_us, 5.5);
   costs.two_thread_us.reset();
   costs.gpu_update_us.reset();

@@ -42,22 +42,26 @@ TEST(MeasureCosts, OnAnotherDeviceUpdatesAreMeasuredToo) {
   EXPECT_TRUE(costs->gpu_update_us.has_value());
 }
 
-TEST(MeasureGames, RawFramesTravelWholeAndScenesAsRecords) {
+TEST(MeasureGames, RawFramesTravelWholeOthersSmaller) {
   const v1::RunConfig config = SmallConfig("ppo_cnn");
-  const absl::StatusOr<FrameCosts> raw = MeasureGames(config, /*scene_frames=*/false, absl::Milliseconds(100));
+  const absl::StatusOr<FrameCosts> raw = MeasureGames(config, FrameFormat::kRaw, absl::Milliseconds(100));
   ASSERT_THAT(raw, IsOk());
   EXPECT_GT(raw->bytes, 64 * 64 * 3);
   EXPECT_LT(raw->bytes, 64 * 64 * 3 + 2000) << "a snapshot of some 12,000 bytes for 16 steps";
   EXPECT_LE(raw->game_us, raw->server_us);
-  const absl::StatusOr<FrameCosts> scene = MeasureGames(config, /*scene_frames=*/true, absl::Milliseconds(100));
+  const absl::StatusOr<FrameCosts> scene = MeasureGames(config, FrameFormat::kScene, absl::Milliseconds(100));
   ASSERT_THAT(scene, IsOk());
+  const absl::StatusOr<FrameCosts> lz4 = MeasureGames(config, FrameFormat::kLz4, absl::Milliseconds(100));
+  ASSERT_THAT(lz4, IsOk());
+  EXPECT_LT(lz4->bytes, raw->bytes / 2);
+  EXPECT_LT(scene->bytes, lz4->bytes);
   EXPECT_LT(scene->bytes, 2000);
 }
 
 TEST(MeasureGames, AnUnknownGameIsRefused) {
   v1::RunConfig config = SmallConfig("ppo_cnn");
   config.mutable_env()->set_name("pong");
-  EXPECT_THAT(MeasureGames(config, false, absl::Milliseconds(1)),
+  EXPECT_THAT(MeasureGames(config, FrameFormat::kRaw, absl::Milliseconds(1)),
               StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("unknown game \"pong\"")));
 }
 

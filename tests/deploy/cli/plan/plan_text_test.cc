@@ -12,7 +12,9 @@ namespace {
 using testing::HasSubstr;
 using testing::Not;
 
-PlanRequest Request(const Machines& machines) { return {SampleCosts(), SampleConfig(), false, machines, ""}; }
+PlanRequest Request(const Machines& machines) {
+  return {SampleCosts(), SampleConfig(), FrameFormat::kRaw, machines, ""};
+}
 
 TEST(PlanText, SaysWhatAStepCostsWhatToStartAndWhatWouldHelp) {
   const std::string text = PlanText(Request({2, 2}));
@@ -40,7 +42,7 @@ TEST(PlanText, OnSeveralHostsTheLearnerAndTheOthersHaveCommandsOfTheirOwn) {
   request.config.set_lanes(64);
   request.config.set_max_staleness(2);
   request.config_file = "run.txt";
-  request.scene_frames = true;
+  request.frames = FrameFormat::kScene;
   request.costs.act_us = 900;
   const std::string text = PlanText(request);
   EXPECT_THAT(text, HasSubstr("6 cores on 3 hosts of 2, 10 Gbit/s:\n"));

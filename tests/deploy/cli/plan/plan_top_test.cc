@@ -41,12 +41,12 @@ TEST(PlanAndTop, GiveTheSameAdvice) {
         for (const int cores : {1, 2, 3, 8}) {
           Costs costs = SampleCosts();
           costs.act_us = act_us;
-          costs.raw.game_us = game_us;
-          costs.raw.server_us = 2 * game_us;
+          costs[FrameFormat::kRaw].game_us = game_us;
+          costs[FrameFormat::kRaw].server_us = 2 * game_us;
           v1::RunConfig config = SampleConfig();
           config.set_overlap(overlap);
           config.set_lanes(64);
-          const FleetPlan plan = PlanFleet(costs, config, /*scene_frames=*/false, {cores, cores});
+          const FleetPlan plan = PlanFleet(costs, config, FrameFormat::kRaw, {cores, cores});
           Work trainer;
           trainer.times = plan.view.learner;
           FleetView seen = ViewFleet(trainer, StatusOf(plan));

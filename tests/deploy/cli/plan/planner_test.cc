@@ -23,8 +23,8 @@ v1::RunConfig Overlapped(v1::RunConfig config) {
 Machines OneHost(int cores) { return {cores, cores}; }
 
 FleetPlan Plan(const Machines& machines, const v1::RunConfig& config = SampleConfig(),
-               const Costs& costs = SampleCosts(), bool scene = false) {
-  return PlanFleet(costs, config, scene, machines);
+               const Costs& costs = SampleCosts(), FrameFormat format = FrameFormat::kRaw) {
+  return PlanFleet(costs, config, format, machines);
 }
 
 TEST(UpdateMicros, ThreadsShareOutWholeShards) {
@@ -117,7 +117,7 @@ TEST(PlanFleet, AFullLinkLimitsTheNumberOfActors) {
   EXPECT_NEAR(plan.steps_per_second, 1e6 / ((12500 + 4 * 2.5e6 / 4096) * 8 / (100 * 1448.0 / 1538)), kTolerance);
   EXPECT_EQ(plan.limit.part, "wire");
   EXPECT_THAT(plan.limit.advice, HasSubstr("link is full: take a faster one, or send scene records"));
-  const FleetPlan scene = Plan(machines, config, costs, /*scene=*/true);
+  const FleetPlan scene = Plan(machines, config, costs, FrameFormat::kScene);
   EXPECT_EQ(scene.actors, 7);
   EXPECT_GT(scene.steps_per_second, 1.5 * plan.steps_per_second);
 }
@@ -158,7 +158,7 @@ TEST(PlanFleet, AGpuUpdatesInstead) {
 struct Case {
   Costs costs = SampleCosts();
   v1::RunConfig config = SampleConfig();
-  bool scene = false;
+  FrameFormat format = FrameFormat::kRaw;
 };
 
 Case RandomCase(std::mt19937* random) {
@@ -170,13 +170,13 @@ Case RandomCase(std::mt19937* random) {
   c.costs.two_thread_us = c.costs.update_us * one_of({0.4, 0.5, 0.55, 0.8, 1.5});
   c.costs.gpu_update_us = one_of({0.5, 5, 500});
   c.costs.act_us = one_of({1, 60, 5000});
-  c.costs.raw.server_us = one_of({7, 50, 3000});
+  c.costs[FrameFormat::kRaw].server_us = one_of({7, 50, 3000});
   c.costs.weight_bytes = one_of({1e4, 2.5e6, 1e8});
   c.config.set_lanes(static_cast<int>(one_of({1, 8, 16, 64, 256})));
   c.config.set_gradient_shards(static_cast<int>(one_of({1, 2, 4, 16})));
   c.config.mutable_ppo()->set_epochs(static_cast<int>(one_of({1, 4})));
   c.config.set_overlap(static_cast<int>(one_of({0, 1})));
-  c.scene = one_of({0, 1}) > 0;
+  c.format = kFrameFormats[(*random)() % kFrameFormats.size()];
   return c;
 }
 
@@ -191,7 +191,7 @@ TEST(PlanFleet, MoreOfAnythingIsNeverSlowerAndNoCoreIsUsedTwice) {
     machines.max_learners = 1 + static_cast<int>(random() % 3);
     double rate = 0;
     for (machines.cores = 1; machines.cores <= 20; ++machines.cores) {
-      const FleetPlan plan = PlanFleet(c.costs, c.config, c.scene, machines);
+      const FleetPlan plan = PlanFleet(c.costs, c.config, c.format, machines);
       EXPECT_GE(plan.steps_per_second, rate * (1 - 1e-9)) << i << ": " << machines.cores << " cores";
       EXPECT_LE(plan.cores_used, machines.cores * (1 + 1e-9)) << i << ": " << machines.cores << " cores";
       EXPECT_LE(plan.learners * plan.learner_threads, machines.cores);
@@ -202,10 +202,10 @@ TEST(PlanFleet, MoreOfAnythingIsNeverSlowerAndNoCoreIsUsedTwice) {
     machines.cores = 20;
     Machines better = machines;
     better.gbit *= 2;
-    EXPECT_GE(PlanFleet(c.costs, c.config, c.scene, better).steps_per_second, rate * (1 - 1e-9)) << i;
+    EXPECT_GE(PlanFleet(c.costs, c.config, c.format, better).steps_per_second, rate * (1 - 1e-9)) << i;
     better = machines;
     ++better.max_learners;
-    EXPECT_GE(PlanFleet(c.costs, c.config, c.scene, better).steps_per_second, rate * (1 - 1e-9)) << i;
+    EXPECT_GE(PlanFleet(c.costs, c.config, c.format, better).steps_per_second, rate * (1 - 1e-9)) << i;
   }
 }
 
@@ -217,7 +217,7 @@ TEST(PlanFleet, TheBottleneckIsBusyMostOfTheTime) {
     const Case c = RandomCase(&random);
     Machines machines = OneHost(1 + static_cast<int>(random() % 20));
     if (random() % 2 == 0) machines.host_cores = 1 + static_cast<int>(random() % 4);
-    const FleetPlan plan = PlanFleet(c.costs, c.config, c.scene, machines);
+    const FleetPlan plan = PlanFleet(c.costs, c.config, c.format, machines);
     const double learner = plan.update_us * plan.steps_per_second / 1e6;
     const ByActivity actors = plan.view.actors_times.Normalized();
     const double playing = 1 - actors[Activity::kPermits];
@@ -241,7 +241,7 @@ TEST(PlanFleet, TheBottleneckIsBusyMostOfTheTime) {
 }
 
 TEST(FindRemedies, AreFasterPlansThemselves) {
-  const std::vector<Remedy> remedies = FindRemedies(SampleCosts(), SampleConfig(), false, OneHost(2));
+  const std::vector<Remedy> remedies = FindRemedies(SampleCosts(), SampleConfig(), FrameFormat::kRaw, OneHost(2));
   ASSERT_EQ(remedies.size(), 2);
   EXPECT_THAT(remedies[0].change, HasSubstr("ppo { epochs: 2 }"));
   EXPECT_NEAR(remedies[0].steps_per_second, 1e6 / (2 * 110 + 42), kTolerance);
@@ -252,7 +252,8 @@ TEST(FindRemedies, AreFasterPlansThemselves) {
 TEST(FindRemedies, MoreCoresHelpOnlyWithEnoughShardsAndLanes) {
   const auto names = [](const v1::RunConfig& config) {
     std::string names;
-    for (const Remedy& remedy : FindRemedies(SampleCosts(), config, false, OneHost(2))) names += remedy.change + "; ";
+    for (const Remedy& remedy : FindRemedies(SampleCosts(), config, FrameFormat::kRaw, OneHost(2)))
+      names += remedy.change + "; ";
     return names;
   };
   EXPECT_THAT(names(SampleConfig()), testing::Not(HasSubstr("twice the cores")));

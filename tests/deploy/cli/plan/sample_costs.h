@@ -18,8 +18,9 @@ inline Costs SampleCosts() {
   costs.update_us = 200;
   costs.two_thread_us = 110;
   costs.act_us = 60;
-  costs.raw = {/*server_us=*/12, /*game_us=*/6, /*actor_us=*/8, /*learner_us=*/4, /*bytes=*/12500};
-  costs.scene = {/*server_us=*/8, /*game_us=*/4, /*actor_us=*/12, /*learner_us=*/10, /*bytes=*/100};
+  costs[FrameFormat::kRaw] = {/*server_us=*/12, /*game_us=*/6, /*actor_us=*/8, /*learner_us=*/4, /*bytes=*/12500};
+  costs[FrameFormat::kLz4] = {/*server_us=*/20, /*game_us=*/6, /*actor_us=*/30, /*learner_us=*/11, /*bytes=*/1200};
+  costs[FrameFormat::kScene] = {/*server_us=*/8, /*game_us=*/4, /*actor_us=*/12, /*learner_us=*/10, /*bytes=*/100};
   costs.weight_bytes = 2.5e6;
   return costs;
 }
