@@ -164,7 +164,7 @@ const std::vector<BadCommand>& BadCommands() {
       {"NegativeGpus", "craftfleet-plan", {"--gpus=-1"}, {"--gpus=-1, want 0..1"}},
       {"NoSpeedOfALink", "craftfleet-plan", {"--gbit=nan"}, {"--gbit=nan, want 0..100000"}},
       {"NoLearnersOfAPlan", "craftfleet-plan", {"--learners=0"}, {"--learners=0, want 1..256"}},
-      {"UnknownFramesOfAPlan", "craftfleet-plan", {"--frames=png"}, {"--frames=png, want raw or scene"}},
+      {"UnknownFramesOfAPlan", "craftfleet-plan", {"--frames=png"}, {"--frames=png, want raw, lz4 or scene"}},
       {"AVideoCannotFollow",
        "craftfleet-watch",
        {"run", "--video=a.mp4", "--follow"},
