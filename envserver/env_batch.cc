@@ -22,29 +22,51 @@ absl::Span<uint8_t> Row(std::string* frames, size_t row, size_t frame_bytes) {
 
 absl::Status EnvBatch::Open(absl::Span<const OpenLane> lanes, std::string* frames) {
   CRAFTFLEET_RETURN_IF_ERROR(CheckRoom(lanes.size()));
-  moments_.clear();
+  Begin(lanes.size());
   refused_.clear();
-  const bool scenes = format_ == FrameFormat::kScene;
-  std::string pictures;  // only the first row is used if records are sent instead
-  pictures.resize((scenes ? 1 : lanes.size()) * renderer_->frame_bytes());
+  to_open_ = lanes;
+  opened_frames_ = frames;
   frames->clear();
-  size_t row = 0;
-  for (const OpenLane& lane : lanes) {
-    CRAFTFLEET_RETURN_IF_ERROR(CheckStopped());
-    const absl::Status status = OpenOne(lane, Row(&pictures, scenes ? 0 : row, renderer_->frame_bytes()));
-    if (absl::IsDataLoss(status)) {
-      games_.erase(lane.lane);
-      refused_.push_back({lane.lane, std::string(status.message())});
-    } else {
-      CRAFTFLEET_RETURN_IF_ERROR(status);
-      if (scenes) games_.at(lane.lane).Record(frames);
-      ++row;
-    }
+  if (format_ != FrameFormat::kScene) frames->resize(lanes.size() * renderer_->frame_bytes());
+  return Resume();
+}
+
+void EnvBatch::Begin(size_t count) {
+  count_ = count;
+  next_ = 0;
+  to_open_ = {};
+  moments_.clear();
+}
+
+absl::Status EnvBatch::Resume() {
+  const bool opening = !to_open_.empty();
+  while (unfinished()) {
+    CRAFTFLEET_RETURN_IF_ERROR(opening ? OpenNext() : StepNext());
+    ++next_;
+    if (paused_ != nullptr && unfinished() && paused_()) return absl::OkStatus();
   }
-  if (scenes) return absl::OkStatus();
-  pictures.resize(row * renderer_->frame_bytes());
-  *frames = std::move(pictures);
+  if (opening && format_ != FrameFormat::kScene) {
+    opened_frames_->resize((count_ - refused_.size()) * renderer_->frame_bytes());
+  }
+  picture_ = {};
   return absl::OkStatus();
+}
+
+absl::Status EnvBatch::OpenNext() {
+  CRAFTFLEET_RETURN_IF_ERROR(CheckStopped());
+  const OpenLane& lane = to_open_[next_];
+  const bool scenes = format_ == FrameFormat::kScene;
+  if (scenes) picture_.resize(renderer_->frame_bytes());
+  const absl::Status status =
+      OpenOne(lane, scenes ? Row(&picture_, 0, renderer_->frame_bytes())
+                           : Row(opened_frames_, next_ - refused_.size(), renderer_->frame_bytes()));
+  if (absl::IsDataLoss(status)) {
+    games_.erase(lane.lane);
+    refused_.push_back({lane.lane, std::string(status.message())});
+    return absl::OkStatus();
+  }
+  if (status.ok() && scenes) games_.at(lane.lane).Record(opened_frames_);
+  return status;
 }
 
 absl::Status EnvBatch::CheckRoom(size_t more) const {
@@ -87,25 +109,31 @@ absl::Status EnvBatch::OpenOne(const OpenLane& lane, absl::Span<uint8_t> frame) 
 absl::Status EnvBatch::Step(absl::Span<const int> lanes, absl::Span<const Action> actions, bool snapshot,
                             StepBatch* batch) {
   CRAFTFLEET_RETURN_IF_ERROR(Find(lanes));
-  const bool scenes = format_ == FrameFormat::kScene;
-  batch->frames.resize(scenes ? 0 : lanes.size() * renderer_->frame_bytes());
+  Begin(lanes.size());
+  actions_ = actions;
+  snapshot_ = snapshot;
+  step_ = batch;
+  batch->frames.resize(format_ == FrameFormat::kScene ? 0 : lanes.size() * renderer_->frame_bytes());
   batch->last_frames.clear();
   batch->rewards.resize(lanes.size());
   batch->ends.resize(lanes.size());
   batch->episodes.clear();
   batch->snapshots.clear();
-  moments_.clear();
-  for (size_t row = 0; row < lanes.size(); ++row) {
-    if (row % kGamesPerCheck == kGamesPerCheck - 1) CRAFTFLEET_RETURN_IF_ERROR(CheckStopped());
-    Game* game = chosen_[row];
-    const Game::PlayedStep played =
-        scenes ? game->StepAndRecord(actions[row], snapshot, &batch->frames, &batch->last_frames)
-               : StepAndDraw(actions[row], game, Row(&batch->frames, row, renderer_->frame_bytes()), batch);
-    batch->rewards[row] = static_cast<float>(played.outcome.reward);
-    batch->ends[row] = played.outcome.end;
-    if (played.episode.has_value()) batch->episodes.push_back(*played.episode);
-    if (snapshot) batch->snapshots.push_back(game->Save());
-  }
+  return Resume();
+}
+
+absl::Status EnvBatch::StepNext() {
+  const size_t row = next_;
+  if (row % kGamesPerCheck == kGamesPerCheck - 1) CRAFTFLEET_RETURN_IF_ERROR(CheckStopped());
+  Game* game = chosen_[row];
+  const Game::PlayedStep played =
+      format_ == FrameFormat::kScene
+          ? game->StepAndRecord(actions_[row], snapshot_, &step_->frames, &step_->last_frames)
+          : StepAndDraw(actions_[row], game, Row(&step_->frames, row, renderer_->frame_bytes()), step_);
+  step_->rewards[row] = static_cast<float>(played.outcome.reward);
+  step_->ends[row] = played.outcome.end;
+  if (played.episode.has_value()) step_->episodes.push_back(*played.episode);
+  if (snapshot_) step_->snapshots.push_back(game->Save());
   return absl::OkStatus();
 }
 

@@ -74,6 +74,14 @@ class EnvBatch {
   // Open and Step call `stopped` between games, some times a second, and return Cancelled if it returns true.
   void StopWhen(std::function<bool()> stopped) { stopped_ = std::move(stopped); }
 
+  // Open and Step also call `paused` between games, and return if it returns true. Their results are complete when
+  // Resume, called until nothing is left, has returned OK; until then their arguments must not change.
+  void PauseWhen(std::function<bool()> paused) { paused_ = std::move(paused); }
+  // Whether games of the last Open or Step, which returned OK, are left.
+  bool unfinished() const { return next_ < count_; }
+  // Goes on with at least one of them. Errors as those of Open and Step.
+  absl::Status Resume();
+
   // Drops games. Lanes that are not open are ignored.
   void Close(absl::Span<const int> lanes);
 
@@ -94,14 +102,28 @@ class EnvBatch {
   Game::PlayedStep StepAndDraw(Action action, Game* game, absl::Span<uint8_t> frame, StepBatch* batch);
   // Sets `chosen_`.
   absl::Status Find(absl::Span<const int> lanes);
+  // Begins a request for `count` games.
+  void Begin(size_t count);
+  absl::Status OpenNext();
+  absl::Status StepNext();
 
   const std::shared_ptr<const Renderer> renderer_;
   const std::optional<MomentTaker> recording_;
   const FrameFormat format_;
   std::map<int, Game> games_;
   std::vector<Game*> chosen_;  // the games of the current request, in its order
+  // The current request: how many games it has, how many of them are done, and its arguments.
+  size_t count_ = 0;
+  size_t next_ = 0;
+  absl::Span<const OpenLane> to_open_;  // empty: it is a step
+  std::string* opened_frames_ = nullptr;
+  absl::Span<const Action> actions_;
+  bool snapshot_ = false;
+  StepBatch* step_ = nullptr;
+  std::string picture_;  // not sent, of games that are opened in a session with records
   std::vector<Moment> moments_;
   std::function<bool()> stopped_;
+  std::function<bool()> paused_;
   absl::Time next_check_ = absl::InfinitePast();
   std::vector<Refused> refused_;
 };

@@ -1,4 +1,5 @@
-// The gRPC service of an environment server.
+// The gRPC service of an environment server. Sessions have no thread each, since most of them wait for their client
+// most of the time: gRPC calls them back on a few threads of its own, and others, one for each core, play all games.
 
 #ifndef CRAFTFLEET_ENVSERVER_ENV_SERVICE_H_
 #define CRAFTFLEET_ENVSERVER_ENV_SERVICE_H_
@@ -8,12 +9,16 @@
 #include <map>
 #include <memory>
 #include <string>
+#include <utility>
+#include <vector>
 
 #include <absl/status/statusor.h>
 #include <absl/time/time.h>
 
 #include "common/base/clock.h"
 #include "common/base/mutex.h"
+#include "common/base/types.h"
+#include "common/process/cpu_quota.h"
 #include "common/telemetry/activity_meter.h"
 #include "common/telemetry/limited_log.h"
 #include "common/wire/stream_watch.h"
@@ -21,13 +26,14 @@
 #include "craftfleet/v1/status.pb.h"
 #include "envserver/env_batch.h"
 #include "envserver/game_budget.h"
+#include "envserver/game_threads.h"
 #include "envserver/render/textures.h"
 
 namespace craftfleet {
 
-// Serves any number of sessions of one run at a time, one gRPC thread each: of the run that it belongs to, or without
-// one (SetRun) of that of the first session. Thread-safe.
-class EnvServiceImpl final : public v1::EnvironmentService::Service {
+// Serves any number of sessions of one run at a time: of the run that it belongs to, or without one (SetRun) of that of
+// the first session. Thread-safe.
+class EnvServiceImpl final : public v1::EnvironmentService::CallbackService {
  public:
   // Largest request, bytes: clients open at most 32 games at once (EnvClient::kOpenAtOnce), each from a snapshot of at
   // most 112 KiB, with as much room to spare. Replies are larger.
@@ -41,6 +47,7 @@ class EnvServiceImpl final : public v1::EnvironmentService::Service {
     absl::Duration reply_timeout = absl::InfiniteDuration();  // for the client to take a reply, at least 1 s
     // A session that has sent no request for this long ends if others need the room of its games.
     absl::Duration gives_way = absl::Seconds(10);
+    int game_threads = DefaultThreads();  // that play the games of all sessions, at least 1
     absl::Status Validate() const;
   };
 
@@ -49,8 +56,7 @@ class EnvServiceImpl final : public v1::EnvironmentService::Service {
   static absl::StatusOr<std::unique_ptr<EnvServiceImpl>> Create(const std::string& texture_dir, const Options& options);
   static absl::StatusOr<std::unique_ptr<EnvServiceImpl>> Create(const std::string& texture_dir);
 
-  grpc::Status Play(grpc::ServerContext* context,
-                    grpc::ServerReaderWriter<v1::PlayReply, v1::PlayRequest>* stream) override;
+  grpc::ServerBidiReactor<v1::PlayRequest, v1::PlayReply>* Play(grpc::CallbackServerContext* context) override;
 
   // From now on refuses sessions of other runs than `run_id`, that of the learner that the server is registered with:
   // without this, any client could keep a run's actors out with an idle session. Open sessions go on.
@@ -75,22 +81,37 @@ class EnvServiceImpl final : public v1::EnvironmentService::Service {
     std::string client;
     std::string address;
     int lanes = 0;
-    const ActivityMeter* meter = nullptr;  // of its thread
-    grpc::ServerContext* context = nullptr;
+    const ActivityMeter* meter = nullptr;
+    grpc::CallbackServerContext* context = nullptr;
     const std::atomic<int64_t>* idle_since = nullptr;  // ns of the steady clock; 0: it is served
   };
+  // The games of a session, and what the request that it is answering refers to.
+  struct Games {
+    Games(std::unique_ptr<GameBudget::Share> of_session, EnvBatch opened)
+        : share(std::move(of_session)), batch(std::move(opened)) {}
+    // Reserves memory for `games` like those of the batch, or releases it. Errors as GameBudget::Share::Set.
+    absl::Status Reserve(int64_t games);
+
+    const std::unique_ptr<GameBudget::Share> share;
+    EnvBatch batch;
+    std::vector<EnvBatch::OpenLane> to_open;
+    std::vector<Action> actions;
+    StepBatch step;
+  };
   class SessionGuard;
+  class PlayStream;
 
   EnvServiceImpl(std::shared_ptr<const Textures> textures, std::string texture_digest, std::string canary,
                  const Options& options);
 
-  absl::Status Serve(grpc::ServerContext* context, wire::StreamWatch::Stream* watched,
-                     grpc::ServerReaderWriter<v1::PlayReply, v1::PlayRequest>* stream);
-  // Performs the handshake and returns the session's batch, without open games. FailedPrecondition or InvalidArgument:
-  // it cannot be served. ResourceExhausted: its pictures exceed the memory limit.
-  absl::StatusOr<EnvBatch> Greet(const v1::SessionHello& hello, GameBudget::Share* share) const;
-  absl::Status Handle(const v1::PlayRequest& request, EnvBatch* batch, GameBudget::Share* share, StepBatch* step,
-                      v1::PlayReply* reply);
+  // play_requests.cc: performs the handshake and returns the session's games, none of which is open.
+  // FailedPrecondition or InvalidArgument: it cannot be served.   ResourceExhausted: its pictures exceed the memory
+  // limit.
+  absl::StatusOr<std::unique_ptr<Games>> Greet(const v1::SessionHello& hello);
+  // Begins to answer `request`, which must not change meanwhile. If that leaves games unfinished, EnvBatch::Resume goes
+  // on. Then Complete fills in `reply`.   InvalidArgument, ResourceExhausted, Cancelled: the session ends.
+  static absl::Status Begin(const v1::PlayRequest& request, Games* games, v1::PlayReply* reply);
+  absl::Status Complete(const v1::PlayRequest& request, Games* games, v1::PlayReply* reply);
 
   const std::shared_ptr<const Textures> textures_;
   const std::string texture_digest_;
@@ -103,7 +124,8 @@ class EnvServiceImpl final : public v1::EnvironmentService::Service {
   v1::ProcessSummary SummaryLocked() const ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
   // Ends the session that has been idle for longest, if that is long enough.
   void EndIdlest() ABSL_LOCKS_EXCLUDED(mu_);
-  // A summary at most a second old, for the replies of all sessions.
+  static constexpr absl::Duration kSummarizeEvery = absl::Seconds(1);
+  // A summary at most that old, for the replies of all sessions.
   v1::ProcessSummary RecentSummary() ABSL_LOCKS_EXCLUDED(mu_);
 
   RealClock clock_;
@@ -119,6 +141,8 @@ class EnvServiceImpl final : public v1::EnvironmentService::Service {
   Work ended_ ABSL_GUARDED_BY(mu_);  // of sessions that have ended
   v1::ProcessSummary recent_summary_ ABSL_GUARDED_BY(mu_);
   absl::Time summarized_ ABSL_GUARDED_BY(mu_) = absl::InfinitePast();
+
+  GameThreads game_threads_;  // the last member: it uses all of the above
 };
 
 }  // namespace craftfleet

@@ -4,6 +4,7 @@
 #define CRAFTFLEET_TESTS_FAKES_FAILING_ONCE_SERVICE_H_
 
 #include <atomic>
+#include <memory>
 #include <stdexcept>
 
 #include "common/wire/server.h"
@@ -12,29 +13,33 @@
 
 namespace craftfleet {
 
-// The session after the probe answers `messages` requests and then throws; all other sessions work.
+// Passes sessions on to the real service. The session after the probe answers `messages` requests and then throws.
 class FailingOnceService : public v1::EnvironmentService::Service {
  public:
-  FailingOnceService(EnvServiceImpl* real, int messages) : real_(real), messages_(messages) {}
-  grpc::Status Play(grpc::ServerContext* context,
+  FailingOnceService(EnvServiceImpl* real, int messages)
+      : real_(*wire::Server::Create({}, {real})),
+        stub_(v1::EnvironmentService::NewStub(real_->InProcess().channel)),
+        messages_(messages) {}
+  grpc::Status Play(grpc::ServerContext* /*context*/,
                     grpc::ServerReaderWriter<v1::PlayReply, v1::PlayRequest>* stream) override {
-    if (sessions_++ != 1) return real_->Play(context, stream);
-    const auto server = *wire::Server::Create({}, {real_});
-    const auto stub = v1::EnvironmentService::NewStub(server->InProcess().channel);
+    const bool fails = sessions_++ == 1;
     grpc::ClientContext inner_context;
-    const auto inner = stub->Play(&inner_context);
+    const auto inner = stub_->Play(&inner_context);
     v1::PlayRequest request;
     v1::PlayReply reply;
-    for (int i = 0; i < messages_ && stream->Read(&request) && inner->Write(request) && inner->Read(&reply); ++i) {
-      stream->Write(reply);
+    for (int i = 0; (!fails || i < messages_) && stream->Read(&request) && inner->Write(request); ++i) {
+      if (!inner->Read(&reply) || !stream->Write(reply)) break;
     }
-    inner_context.TryCancel();
-    inner->Finish();
-    throw std::runtime_error("out of pixels");
+    if (fails) inner_context.TryCancel();
+    inner->WritesDone();
+    const grpc::Status end = inner->Finish();
+    if (fails) throw std::runtime_error("out of pixels");
+    return end;
   }
 
  private:
-  EnvServiceImpl* const real_;
+  const std::unique_ptr<wire::Server> real_;
+  const std::unique_ptr<v1::EnvironmentService::Stub> stub_;
   const int messages_;
   std::atomic<int> sessions_{0};
 };

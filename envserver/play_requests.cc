@@ -1,0 +1,146 @@
+// EnvServiceImpl: the requests of a session.
+#include <memory>
+#include <optional>
+#include <utility>
+#include <vector>
+
+#include <absl/strings/escaping.h>
+#include <absl/strings/str_format.h>
+
+#include "common/base/printable.h"
+#include "common/base/status_macros.h"
+#include "common/config/env_name.h"
+#include "common/process/version.h"
+#include "common/wire/convert.h"
+#include "common/wire/packed_frames.h"
+#include "common/wire/protocol.h"
+#include "common/wire/request_check.h"
+#include "envserver/env_service.h"
+
+namespace craftfleet {
+namespace {
+
+int64_t FrameBytes(const RenderOptions& picture) { return int64_t{picture.width} * picture.height * 3; }
+
+// The first format that the client asks for and that this server can send. Scene records only to a client that draws
+// with the same textures: the handshake compares those that it names.
+FrameFormat ChooseFormat(const v1::SessionHello& hello) {
+  for (const int format : hello.frame_formats()) {
+    if (format == v1::FRAMES_SCENE && !hello.texture_digest().empty()) return FrameFormat::kScene;
+    if (format == v1::FRAMES_LZ4) return FrameFormat::kLz4;
+  }
+  return FrameFormat::kRaw;
+}
+
+// Gives a reply's raw frames the session's format.
+void Pack(FrameFormat format, v1::PlayReply* reply) {
+  if (format != FrameFormat::kLz4) return;
+  wire::PackFrames(reply->mutable_frames());
+  wire::PackFrames(reply->mutable_last_frames());
+}
+
+// Reports the lanes that were not opened, with reasons.
+void AddRefused(const std::vector<EnvBatch::Refused>& refused, LimitedLog* log, v1::PlayReply* reply) {
+  for (const EnvBatch::Refused& lane : refused) {
+    v1::RefusedLane* message = reply->add_refused();
+    message->set_lane(lane.lane);
+    message->set_reason(Printable(lane.reason.substr(0, wire::kMaxReasonBytes)));
+  }
+  if (refused.empty()) return;
+  log->Warn("lanes", absl::StrFormat("%d lanes refused; lane %d: %s", refused.size(), refused[0].lane,
+                                     reply->refused(0).reason()));
+}
+
+}  // namespace
+
+absl::Status EnvServiceImpl::Games::Reserve(int64_t games) {
+  return share->Set(games, SessionBytes(games, batch.renderer().frame_bytes(), batch.records(), batch.picture_bytes()));
+}
+
+absl::StatusOr<std::unique_ptr<EnvServiceImpl::Games>> EnvServiceImpl::Greet(const v1::SessionHello& hello) {
+  const wire::Handshake ours = {wire::kProtocolVersion, "", texture_digest_};
+  const wire::Handshake theirs = {hello.protocol_version(), hello.run_id(), hello.texture_digest()};
+  CRAFTFLEET_RETURN_IF_ERROR(wire::CheckHandshake("environment server", ours, "actor", theirs));
+  if (!hello.game_canary().empty() && hello.game_canary() != canary_) {
+    return absl::FailedPreconditionError(absl::StrFormat(
+        "this environment server (build %s) plays another game than the run: canary %s, want %s; run the same build "
+        "everywhere",
+        BuildId(), canary_, absl::CHexEscape(hello.game_canary().substr(0, 64))));
+  }
+  CRAFTFLEET_RETURN_IF_ERROR(wire::CheckText("client", hello.client()));
+  CRAFTFLEET_RETURN_IF_ERROR(wire::CheckText("run_id", hello.run_id()));
+  CRAFTFLEET_ASSIGN_OR_RETURN(const EnvName name, EnvName::Parse(hello.env().name()));
+  WorldOptions world = WorldOptions::FromEnvName(name);
+  if (hello.env().length() != 0) world.length = hello.env().length();
+  CRAFTFLEET_RETURN_IF_ERROR(world.Validate());
+  RenderOptions picture;
+  picture.width = hello.env().frame_size();
+  picture.height = hello.env().frame_size();
+  picture.inventory = name.inventory;
+  CRAFTFLEET_RETURN_IF_ERROR(picture.Validate(world));
+  RenderOptions larger_picture = picture;
+  larger_picture.width = hello.recording().picture_size();
+  larger_picture.height = hello.recording().picture_size();
+  const bool larger_wanted = larger_picture.width != 0;
+  if (larger_wanted) CRAFTFLEET_RETURN_IF_ERROR(larger_picture.Validate(world));
+  // A renderer's tables are as large as some pictures.
+  auto share = std::make_unique<GameBudget::Share>(&budget_);
+  CRAFTFLEET_RETURN_IF_ERROR(share->Set(
+      0, SessionBytes(0, FrameBytes(picture), hello.has_recording(), larger_wanted ? FrameBytes(larger_picture) : 0)));
+  CRAFTFLEET_ASSIGN_OR_RETURN(std::shared_ptr<const Renderer> renderer, Renderer::Create(*textures_, world, picture));
+  if (!hello.has_recording()) {
+    return std::make_unique<Games>(std::move(share), EnvBatch(std::move(renderer), std::nullopt, ChooseFormat(hello)));
+  }
+  std::shared_ptr<const Renderer> larger;
+  if (larger_wanted) {
+    CRAFTFLEET_ASSIGN_OR_RETURN(larger, Renderer::Create(*textures_, world, larger_picture));
+  }
+  return std::make_unique<Games>(std::move(share), EnvBatch(std::move(renderer), MomentTaker(std::move(larger))));
+}
+
+absl::Status EnvServiceImpl::Begin(const v1::PlayRequest& request, Games* games, v1::PlayReply* reply) {
+  switch (request.request_case()) {
+    case v1::PlayRequest::kStep:
+      CRAFTFLEET_RETURN_IF_ERROR(wire::ActionsFromProto(request.step(), &games->actions));
+      return games->batch.Step(request.step().lanes(), games->actions, request.step().snapshot(), &games->step);
+    case v1::PlayRequest::kOpen:
+      CRAFTFLEET_RETURN_IF_ERROR(games->Reserve(int64_t{games->batch.size()} + request.open().lanes_size()));
+      games->to_open.clear();
+      for (const v1::OpenLanes::Lane& lane : request.open().lanes()) {
+        games->to_open.push_back({lane.lane(), lane.seed(), lane.episode() == 0 ? 1 : lane.episode(), lane.snapshot()});
+      }
+      reply->Clear();
+      return games->batch.Open(games->to_open, reply->mutable_frames());
+    case v1::PlayRequest::kClose:
+      games->batch.Close(request.close().lanes());
+      return absl::OkStatus();
+    case v1::PlayRequest::kHello:
+      return absl::InvalidArgumentError("hello came twice");
+    case v1::PlayRequest::REQUEST_NOT_SET:
+      break;
+  }
+  return absl::InvalidArgumentError("an empty request, want open, step or close");
+}
+
+absl::Status EnvServiceImpl::Complete(const v1::PlayRequest& request, Games* games, v1::PlayReply* reply) {
+  EnvBatch& batch = games->batch;
+  if (request.has_step()) {
+    episodes_ += static_cast<int64_t>(games->step.episodes.size());
+    reply->clear_refused();
+    wire::ToProto(&games->step, reply);
+    Pack(batch.format(), reply);
+    wire::ToProto(std::move(batch.moments()), reply);
+    return absl::OkStatus();
+  }
+  if (request.has_open()) {
+    games->to_open = {};
+    Pack(batch.format(), reply);
+    AddRefused(batch.refused(), &log_, reply);
+    wire::ToProto(std::move(batch.moments()), reply);
+  } else {
+    reply->Clear();
+  }
+  return games->Reserve(batch.size());  // some of the lanes may have been open already, or refused
+}
+
+}  // namespace craftfleet

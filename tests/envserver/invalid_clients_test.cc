@@ -1,0 +1,148 @@
+// EnvServiceImpl: clients whose requests are invalid.
+#include <functional>
+#include <ostream>
+#include <string>
+#include <vector>
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include "envserver/env_service.h"
+#include "tests/envserver/test_session.h"
+#include "tests/fakes/status_matchers.h"
+
+namespace craftfleet {
+namespace {
+
+using testing::HasSubstr;
+
+// Sends `requests` in order; the last one is answered by an error.
+struct InvalidClient {
+  std::string what;
+  std::function<std::vector<v1::PlayRequest>()> requests;
+  absl::StatusCode code;
+  std::vector<std::string> message;
+  friend void PrintTo(const InvalidClient& misdeed, std::ostream* out) { *out << misdeed.what; }
+};
+
+class InvalidClients : public EnvServiceTest, public testing::WithParamInterface<InvalidClient> {};
+
+TEST_P(InvalidClients, EndTheirSessionAndNoOther) {
+  Witness witness(server());
+  witness.PlayOn(3);
+  Session session(server());
+  std::vector<v1::PlayRequest> requests = GetParam().requests();
+  const v1::PlayRequest last = requests.back();
+  requests.pop_back();
+  for (const v1::PlayRequest& request : requests) ASSERT_THAT(session.Send(request), IsOk());
+  const auto reply = session.Send(last);
+  for (const std::string& part : GetParam().message) EXPECT_THAT(reply, StatusIs(GetParam().code, HasSubstr(part)));
+  witness.PlayOn(3);
+  EXPECT_EQ(Status().peers_size(), 1);
+}
+
+v1::PlayRequest HelloBut(const std::function<void(v1::SessionHello*)>& change) {
+  v1::PlayRequest request = Hello("run-a");
+  change(request.mutable_hello());
+  return request;
+}
+
+const std::vector<InvalidClient>& AllInvalidClients() {
+  using Requests = std::vector<v1::PlayRequest>;
+  constexpr auto kInvalid = absl::StatusCode::kInvalidArgument;
+  constexpr auto kPrecondition = absl::StatusCode::kFailedPrecondition;
+  static const auto* const misdeeds = new std::vector<InvalidClient>{
+      {"NoHello", [] { return Requests{Open(0, 1)}; }, kInvalid, {"a session begins with hello"}},
+      {"HelloTwice",
+       [] {
+         return Requests{Hello("run-a"), Hello("run-a")};
+       },
+       kInvalid,
+       {"hello came twice"}},
+      {"EmptyRequest",
+       [] {
+         return Requests{Hello("run-a"), {}};
+       },
+       kInvalid,
+       {"want open, step or close"}},
+      {"OlderProtocol",
+       [] { return Requests{HelloBut([](auto* h) { h->set_protocol_version(0); })}; },
+       kPrecondition,
+       {"speaks protocol version 2, the actor 0", "upgrade the actor"}},
+      {"OtherTextures",
+       [] { return Requests{HelloBut([](auto* h) { h->set_texture_digest("0123456789abcdef"); })}; },
+       kPrecondition,
+       {"0123456789abcdef", "--textures"}},
+      {"OtherRun",
+       [] { return Requests{Hello("run-b")}; },
+       absl::StatusCode::kResourceExhausted,  // the server is free again when that run ends
+       {"serves run run-a", "belongs to run run-b"}},
+      {"ClientOfManyWords",
+       [] { return Requests{HelloBut([](auto* h) { h->set_client(std::string(513, 'a')); })}; },
+       kInvalid,
+       {"client has 513 bytes, want at most 512"}},
+      {"RunThatCannotBePrinted",
+       [] { return Requests{HelloBut([](auto* h) { h->set_run_id("run-a\n"); })}; },
+       kInvalid,
+       {"run_id is \"run-a\\n\", want printable ASCII"}},
+      {"UnknownGame",
+       [] { return Requests{HelloBut([](auto* h) { h->mutable_env()->set_name("pong"); })}; },
+       kInvalid,
+       {"environment \"pong\"", "want \"crafter\""}},
+      {"UnknownOption",
+       [] { return Requests{HelloBut([](auto* h) { h->mutable_env()->set_name("crafter:colour=red"); })}; },
+       kInvalid,
+       {"unknown option \"colour", "want one of"}},
+      {"TinyFrames",
+       [] { return Requests{HelloBut([](auto* h) { h->mutable_env()->set_frame_size(3); })}; },
+       kInvalid,
+       {"picture width 3, want "}},
+      {"NegativeLength",
+       [] { return Requests{HelloBut([](auto* h) { h->mutable_env()->set_length(-5); })}; },
+       kInvalid,
+       {"length -5, want "}},
+      {"UnknownLane",
+       [] {
+         return Requests{Hello("run-a"), Open(0, 1), Step({0, 3}, "\x01\x01")};
+       },
+       kInvalid,
+       {"lane 3 is not open"}},
+      {"AnotherSessionsLane",
+       [] {
+         return Requests{Hello("run-a"), Step({7}, "\x01")};
+       },
+       kInvalid,
+       {"lane 7 is not open in this session"}},
+      {"LaneTwice",
+       [] {
+         return Requests{Hello("run-a"), Open(0, 1), Step({0, 0}, "\x01\x01")};
+       },
+       kInvalid,
+       {"lane 0 is named twice"}},
+      {"Action17",
+       [] {
+         return Requests{Hello("run-a"), Open(0, 1), Step({0}, "\x11")};
+       },
+       kInvalid,
+       {"action 17 at 0, want 0..16"}},
+      {"ActionMissing",
+       [] {
+         return Requests{Hello("run-a"), Open(0, 1), Step({0}, "")};
+       },
+       kInvalid,
+       {"actions: 0 bytes, want 1"}},
+      {"NegativeLane",
+       [] {
+         return Requests{Hello("run-a"), Open(-2, 1)};
+       },
+       kInvalid,
+       {"lane -2, want at least 0"}},
+  };
+  return *misdeeds;
+}
+
+INSTANTIATE_TEST_SUITE_P(EnvService, InvalidClients, testing::ValuesIn(AllInvalidClients()),
+                         [](const auto& info) { return info.param.what; });
+
+}  // namespace
+}  // namespace craftfleet

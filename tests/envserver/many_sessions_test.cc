@@ -1,0 +1,111 @@
+// EnvServiceImpl: sessions beside each other.
+#include <sys/resource.h>
+
+#include <filesystem>
+#include <memory>
+#include <string>
+#include <vector>
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include "common/io/paths.h"
+#include "common/wire/server.h"
+#include "envserver/env_service.h"
+#include "tests/envserver/test_session.h"
+#include "tests/fakes/sanitizers.h"
+#include "tests/fakes/status_matchers.h"
+#include "tests/fakes/wait_until.h"
+
+namespace craftfleet {
+namespace {
+
+using testing::AllOf;
+using testing::HasSubstr;
+
+// An exception ends only its session, with an error after which its fragments are played again. Here there is too
+// little memory for the pictures of 4096 games.
+TEST_F(EnvServiceTest, AnExceptionEndsOnlyItsSession) {
+  if (kAddressSanitizer) GTEST_SKIP() << "AddressSanitizer needs address space without a limit";
+  Witness witness(server());
+  Session session(server());
+  v1::PlayRequest hello = Hello("run-a");
+  hello.mutable_hello()->mutable_env()->set_frame_size(1024);
+  ASSERT_THAT(session.Send(hello), IsOk());
+  v1::PlayRequest open;
+  for (int lane = 0; lane < EnvBatch::kMaxLanes; ++lane) open.mutable_open()->add_lanes()->set_lane(lane);
+  rlimit before{};
+  ASSERT_EQ(getrlimit(RLIMIT_AS, &before), 0);
+  const rlimit limit = {4UL << 30, before.rlim_max};
+  ASSERT_EQ(setrlimit(RLIMIT_AS, &limit), 0);
+  const absl::Status status = session.Send(open).status();
+  ASSERT_EQ(setrlimit(RLIMIT_AS, &before), 0);
+  EXPECT_THAT(status,
+              StatusIs(absl::StatusCode::kAborted, AllOf(HasSubstr("the environment failed"), HasSubstr("bad_alloc"))));
+  witness.PlayOn(10);
+}
+
+// It used to keep the room of its games for --idle_timeout, ten minutes.
+TEST(EnvService, AnIdleSessionGivesWayToOneThatNeedsItsRoom) {
+  EnvServiceImpl::Options options;
+  options.budget.games = 1;
+  options.budget.session_games = 1;
+  options.gives_way = absl::ZeroDuration();
+  const auto service = *EnvServiceImpl::Create(*DefaultTextureDir(), options);
+  const auto server = *wire::Server::Create({}, {service.get()});
+  Session idle(server->InProcess());
+  ASSERT_THAT(idle.Send(Hello("run-a")), IsOk());
+  ASSERT_THAT(idle.Send(Open(0, 1)), IsOk());
+  EXPECT_TRUE(WaitUntil([&] {
+    Session session(server->InProcess());
+    return session.Send(Hello("run-a")).ok() && session.Send(Open(0, 1)).ok();
+  }));
+}
+
+// The threads of this process, which has the clients too.
+size_t Threads() {
+  size_t count = 0;
+  for ([[maybe_unused]] const auto& thread : std::filesystem::directory_iterator("/proc/self/task")) ++count;
+  return count;
+}
+
+// Each used to have a thread for as long as it was open.
+TEST_F(EnvServiceTest, ManySessionsHaveNoThreadsOfTheirOwn) {
+  constexpr int kSessions = 300;
+  Witness witness(server());
+  const size_t before = Threads();
+  std::vector<std::unique_ptr<Session>> sessions;
+  for (int i = 0; i < kSessions; ++i) {
+    sessions.push_back(std::make_unique<Session>(server()));
+    ASSERT_THAT(sessions.back()->Send(Hello("run-a")), IsOk());
+    ASSERT_THAT(sessions.back()->Send(Open(i, i)), IsOk());
+  }
+  for (int i = 0; i < kSessions; ++i) ASSERT_THAT(sessions[i]->Send(Step({i}, "\x02")), IsOk());
+  EXPECT_LT(Threads(), before + 20);
+  EXPECT_EQ(Status().peers_size(), kSessions + 1);
+  witness.PlayOn(5);
+}
+
+// Opening as many games takes a second and more. They used to share the cores by having a thread each.
+TEST(EnvService, ALongRequestLetsOtherSessionsPlay) {
+  EnvServiceImpl::Options options;
+  options.game_threads = 1;
+  const auto service = *EnvServiceImpl::Create(*DefaultTextureDir(), options);
+  const auto server = *wire::Server::Create({}, {service.get()});
+  Witness witness(server->InProcess());
+  Session session(server->InProcess());
+  ASSERT_THAT(session.Send(Hello("run-a")), IsOk());
+  v1::PlayRequest open;
+  for (int lane = 0; lane < EnvBatch::kMaxLanes; ++lane) open.mutable_open()->add_lanes()->set_lane(lane);
+  const double memory = Metric(*service, "games_memory");
+  session.Write(open);
+  ASSERT_TRUE(WaitUntil([&] { return Metric(*service, "games_memory") > memory; })) << "it has begun";
+  witness.PlayOn(10);
+  v1::StatusReply status;
+  service->FillStatus(&status);
+  EXPECT_EQ(status.summary().lanes(), 1) << "only the witness has its reply";
+  EXPECT_THAT(session.Read(), IsOk());
+}
+
+}  // namespace
+}  // namespace craftfleet
