@@ -138,6 +138,5 @@ int main(int argc, char** argv) {
   craftfleet::OutliveReaders();
   craftfleet::ParseFlags(craftfleet::kProgram, craftfleet::kUsage, argc, argv,
                          {"listen", "learner", "advertise", "textures", "max_games", "max_games_mb"});
-  craftfleet::wire::PollFewConnections();
   return craftfleet::ExitCode(craftfleet::kProgram, craftfleet::Run());
 }

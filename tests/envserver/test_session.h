@@ -28,7 +28,8 @@ inline v1::PlayRequest Hello(const std::string& run_id) {
   v1::SessionHello* hello = request.mutable_hello();
   hello->set_protocol_version(wire::kProtocolVersion);
   hello->set_run_id(run_id);
-  hello->set_texture_digest(*TextureDigest(*DefaultTextureDir()));
+  static const std::string digest = *TextureDigest(*DefaultTextureDir());
+  hello->set_texture_digest(digest);
   hello->mutable_env()->set_name("crafter");
   hello->mutable_env()->set_frame_size(64);
   hello->mutable_env()->set_length(kLength);

@@ -365,7 +365,6 @@ void ServeLearners(int from_child, int to_child) {
 }
 
 void ServeEnvironments(int from_child, int to_child) {
-  wire::PollFewConnections();  // as craftfleet-envserver
   Addresses addresses;
   const std::unique_ptr<EnvServiceImpl> envs = *EnvServiceImpl::Create(*DefaultTextureDir());
   wire::Server::Options options;
