@@ -11,7 +11,7 @@ namespace {
 constexpr int64_t kMiB = int64_t{1} << 20;
 constexpr int64_t kWorldBytes = 64 << 10;     // per game: its world, its snapshot and the messages with it
 constexpr int64_t kMomentBytes = 16 << 10;    // per recorded game, in addition to its pictures
-constexpr int64_t kSessionBytes = 256 << 10;  // per session without games: stream, thread, the renderer's small tables
+constexpr int64_t kSessionBytes = 256 << 10;  // per session without games: stream, buffers, the renderer's tables
 constexpr int64_t kFrameCopies = 4;     // in the reply and its message, for the last pictures of episodes once more
 constexpr int64_t kMomentCopies = 2;    // taken, and in the message
 constexpr int64_t kRendererFrames = 8;  // tables of light and sprites, in pictures of their size

@@ -42,7 +42,7 @@ void KeepGrpcUp();
 // Makes gRPC use poll(2), for programs with few connections: call after ParseFlags, before any other use of gRPC. By
 // default one thread polls for all and wakes the waiting one, which doubles the context switches of a round trip; with
 // poll(2) the waiting thread polls itself. It needs more descriptors (so it has no effect if the limit of open files is
-// below kPlentyOfFiles), and its cost grows with the number of connections, so a learner must not use it.
+// below kPlentyOfFiles), and its cost grows with the number of connections, so only clients with few may use it.
 // GRPC_POLL_STRATEGY in the environment, if set, takes precedence.
 void PollFewConnections();
 

@@ -77,6 +77,40 @@ TEST(EnvBatch, OnlyNamedLanesAreStepped) {
   EXPECT_EQ(step.frames, two.frame);
 }
 
+// A batch that pauses after each game gives the same results as one that does not.
+TEST(EnvBatch, ResumesWhereItPaused) {
+  const auto renderer = MakeRenderer();
+  for (const FrameFormat format : {FrameFormat::kRaw, FrameFormat::kScene}) {
+    EnvBatch whole(renderer, std::nullopt, format);
+    EnvBatch paused(renderer, std::nullopt, format);
+    paused.PauseWhen([] { return true; });
+    const std::vector<EnvBatch::OpenLane> lanes = {{3, 33, 1, ""}, {2, 22, 1, "no snapshot"}, {1, 11, 1, ""}};
+    std::string whole_frames;
+    std::string paused_frames;
+    ASSERT_THAT(whole.Open(lanes, &whole_frames), IsOk());
+    ASSERT_THAT(paused.Open(lanes, &paused_frames), IsOk());
+    for (int left = 2; left > 0; --left) {
+      ASSERT_TRUE(paused.unfinished()) << left;
+      ASSERT_THAT(paused.Resume(), IsOk());
+    }
+    EXPECT_FALSE(paused.unfinished());
+    EXPECT_EQ(paused_frames, whole_frames);
+    EXPECT_THAT(paused.refused(), SizeIs(1));
+    StepBatch whole_step;
+    StepBatch paused_step;
+    for (int i = 0; i < 5; ++i) {
+      const std::vector<Action> actions = {Action::kMoveLeft, Action::kDo};
+      ASSERT_THAT(whole.Step({1, 3}, actions, /*snapshot=*/true, &whole_step), IsOk());
+      ASSERT_THAT(paused.Step({1, 3}, actions, /*snapshot=*/true, &paused_step), IsOk());
+      ASSERT_TRUE(paused.unfinished());
+      ASSERT_THAT(paused.Resume(), IsOk());
+      ASSERT_FALSE(paused.unfinished());
+      ASSERT_EQ(paused_step.frames, whole_step.frames) << i;
+      ASSERT_EQ(paused_step.snapshots, whole_step.snapshots) << i;
+    }
+  }
+}
+
 // The frames of a batch's records.
 class Receiver {
  public:

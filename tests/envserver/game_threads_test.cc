@@ -3,7 +3,6 @@
 #include <atomic>
 #include <functional>
 #include <future>
-#include <memory>
 #include <vector>
 
 #include <gmock/gmock.h>
@@ -14,10 +13,11 @@ namespace {
 
 using testing::ElementsAre;
 
-// Keeps a thread until it is told to go on.
+// Keeps a thread until it is told to go on. Outlives the threads.
 class Obstacle {
  public:
-  explicit Obstacle(GameThreads* threads) {
+  // Returns when a thread has reached it.
+  void Block(GameThreads* threads) {
     threads->Add([this] {
       reached_.set_value();
       removed_.get_future().wait();
@@ -33,9 +33,10 @@ class Obstacle {
 
 TEST(GameThreads, RunsJobsInTheirOrder) {
   std::vector<int> done;
+  Obstacle obstacle;
   {
     GameThreads threads(1);
-    Obstacle obstacle(&threads);
+    obstacle.Block(&threads);
     for (int i = 0; i < 3; ++i) threads.Add([&done, i] { done.push_back(i); });
     obstacle.Remove();
   }
@@ -43,10 +44,12 @@ TEST(GameThreads, RunsJobsInTheirOrder) {
 }
 
 TEST(GameThreads, RunsAJobWhileOthersTakeLong) {
-  GameThreads threads(3);
-  Obstacle first(&threads);
-  Obstacle second(&threads);
+  Obstacle first;
+  Obstacle second;
   std::promise<void> done;
+  GameThreads threads(3);
+  first.Block(&threads);
+  second.Block(&threads);
   threads.Add([&] { done.set_value(); });
   done.get_future().wait();
   first.Remove();
@@ -55,10 +58,12 @@ TEST(GameThreads, RunsAJobWhileOthersTakeLong) {
 
 TEST(GameThreads, AJobThatAddsItsRestLetsOthersRunBefore) {
   std::vector<int> done;
+  Obstacle obstacle;
+  std::function<void()> long_job;
   {
     GameThreads threads(1);
-    Obstacle obstacle(&threads);
-    std::function<void()> long_job = [&] {
+    obstacle.Block(&threads);
+    long_job = [&] {
       done.push_back(1);
       if (threads.others_wait()) threads.Add(long_job);
     };
@@ -66,15 +71,8 @@ TEST(GameThreads, AJobThatAddsItsRestLetsOthersRunBefore) {
     threads.Add([&] { done.push_back(2); });
     EXPECT_TRUE(threads.others_wait());
     obstacle.Remove();
-    std::promise<void> last;
-    threads.Add([&] { last.set_value(); });
-    last.get_future().wait();
-    while (threads.others_wait()) {
-    }
   }
-  EXPECT_EQ(done[0], 1);
-  EXPECT_EQ(done[1], 2);
-  EXPECT_EQ(done.back(), 1);
+  EXPECT_THAT(done, ElementsAre(1, 2, 1));
 }
 
 TEST(GameThreads, TheDestructorRunsWhatWaits) {

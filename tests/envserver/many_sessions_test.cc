@@ -86,6 +86,22 @@ TEST_F(EnvServiceTest, ManySessionsHaveNoThreadsOfTheirOwn) {
   witness.PlayOn(5);
 }
 
+TEST_F(EnvServiceTest, RequestsSentAheadAreAnsweredInTheirOrder) {
+  Session session(server());
+  ASSERT_THAT(session.Send(Hello("run-a")), IsOk());
+  ASSERT_THAT(session.Send(Open(0, 5)), IsOk());
+  Session ahead(server());
+  ASSERT_THAT(ahead.Send(Hello("run-a")), IsOk());
+  ahead.Write(Open(0, 5));
+  for (char action = 1; action < 6; ++action) ahead.Write(Step({0}, std::string(1, action)));
+  ASSERT_THAT(ahead.Read(), IsOk());
+  for (char action = 1; action < 6; ++action) {
+    const auto reply = ahead.Read();
+    ASSERT_THAT(reply, IsOk());
+    EXPECT_EQ(reply->frames(), session.Send(Step({0}, std::string(1, action)))->frames()) << int{action};
+  }
+}
+
 // Opening as many games takes a second and more. They used to share the cores by having a thread each.
 TEST(EnvService, ALongRequestLetsOtherSessionsPlay) {
   EnvServiceImpl::Options options;
