@@ -10,6 +10,7 @@
 #include <gtest/gtest.h>
 
 #include "common/io/paths.h"
+#include "common/wire/channel.h"
 #include "common/wire/server.h"
 #include "envserver/env_service.h"
 #include "tests/envserver/test_session.h"
@@ -90,7 +91,8 @@ TEST_F(EnvServiceTest, RequestsSentAheadAreAnsweredInTheirOrder) {
   Session session(server());
   ASSERT_THAT(session.Send(Hello("run-a")), IsOk());
   ASSERT_THAT(session.Send(Open(0, 5)), IsOk());
-  Session ahead(server());
+  const auto listening = *wire::Server::Create({"127.0.0.1:0"}, {service_.get()});  // sockets keep what is sent ahead
+  Session ahead(wire::Connect(listening->address()));
   ASSERT_THAT(ahead.Send(Hello("run-a")), IsOk());
   ahead.Write(Open(0, 5));
   for (char action = 1; action < 6; ++action) ahead.Write(Step({0}, std::string(1, action)));
