@@ -122,6 +122,7 @@ class EnvServiceImpl::PlayStream final : public grpc::ServerBidiReactor<v1::Play
 
   // Begins to answer the request, or goes on. After the write or the end this object may be gone.
   void Answer() {
+    if (context_->IsCancelled()) return End(absl::OkStatus());  // while the request waited for a thread
     turn_ends_ = SteadyNow() + kTurn;
     absl::Status status;
     try {
