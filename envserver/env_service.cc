@@ -55,7 +55,7 @@ EnvServiceImpl::EnvServiceImpl(std::shared_ptr<const Textures> textures, std::st
       texture_digest_(std::move(texture_digest)),
       canary_(std::move(canary)),
       options_(options),
-      budget_(options.budget, [this] { EndIdlest(); }),
+      budget_(options.budget, [this](const std::string* client) { EndIdlest(client); }),
       game_threads_(options.game_threads) {}
 
 void EnvServiceImpl::SetRun(absl::string_view run_id) {
@@ -63,11 +63,17 @@ void EnvServiceImpl::SetRun(absl::string_view run_id) {
   own_run_id_ = std::string(run_id);
 }
 
-void EnvServiceImpl::EndIdlest() {
+std::string EnvServiceImpl::ClientOf(const grpc::ServerContextBase& context) const {
+  std::string identity = wire::Identify(options_.access.get(), context);
+  return identity.empty() ? wire::ClientOfPeer(context.peer()) : identity;
+}
+
+void EnvServiceImpl::EndIdlest(const std::string* client) {
   const MutexLock lock(&mu_);
   const Session* idlest = nullptr;
   int64_t idlest_since = std::numeric_limits<int64_t>::max();
   for (const auto& [key, session] : sessions_) {
+    if (client != nullptr && session.client != *client) continue;
     const int64_t since = *session.idle_since;
     if (session.lanes == 0 || since == 0 || since >= idlest_since) continue;
     idlest = &session;
@@ -136,7 +142,7 @@ void EnvServiceImpl::FillStatus(v1::StatusReply* reply) const {
   reply->set_run_id(run_id_);
   for (const auto& [key, session] : sessions_) {
     v1::Peer* peer = reply->add_peers();
-    peer->set_name(session.client);
+    peer->set_name(session.name);
     peer->set_role("actor");
     peer->set_address(session.address);
     peer->set_state(absl::StrFormat("%d lanes", session.lanes));

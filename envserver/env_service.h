@@ -21,6 +21,7 @@
 #include "common/process/cpu_quota.h"
 #include "common/telemetry/activity_meter.h"
 #include "common/telemetry/limited_log.h"
+#include "common/wire/access.h"
 #include "common/wire/stream_watch.h"
 #include "craftfleet/v1/environment.grpc.pb.h"
 #include "craftfleet/v1/status.pb.h"
@@ -48,6 +49,8 @@ class EnvServiceImpl final : public v1::EnvironmentService::CallbackService {
     // A session that has sent no request for this long ends if others need the room of its games.
     absl::Duration gives_way = absl::Seconds(10);
     int game_threads = DefaultThreads();  // that play the games of all sessions, at least 1
+    // Identifies clients by the access file; null: by certificate.
+    std::shared_ptr<const wire::AccessControl> access = nullptr;
     absl::Status Validate() const;
   };
 
@@ -78,7 +81,8 @@ class EnvServiceImpl final : public v1::EnvironmentService::CallbackService {
 
  private:
   struct Session {
-    std::string client;
+    std::string name;    // as its client calls itself
+    std::string client;  // as ClientOf
     std::string address;
     int lanes = 0;
     const ActivityMeter* meter = nullptr;
@@ -87,12 +91,11 @@ class EnvServiceImpl final : public v1::EnvironmentService::CallbackService {
   };
   // The games of a session, and what the request that it is answering refers to.
   struct Games {
-    Games(std::unique_ptr<GameBudget::Share> of_session, EnvBatch opened)
-        : share(std::move(of_session)), batch(std::move(opened)) {}
+    Games(GameBudget::Share* of_session, EnvBatch opened) : share(of_session), batch(std::move(opened)) {}
     // Reserves memory for `games` like those of the batch, or releases it. Errors as GameBudget::Share::Set.
     absl::Status Reserve(int64_t games);
 
-    const std::unique_ptr<GameBudget::Share> share;
+    GameBudget::Share* const share;
     EnvBatch batch;
     std::vector<EnvBatch::OpenLane> to_open;
     std::vector<Action> actions;
@@ -104,10 +107,11 @@ class EnvServiceImpl final : public v1::EnvironmentService::CallbackService {
   EnvServiceImpl(std::shared_ptr<const Textures> textures, std::string texture_digest, std::string canary,
                  const Options& options);
 
-  // play_requests.cc: performs the handshake and returns the session's games, none of which is open.
+  // play_requests.cc: performs the handshake and returns the session's games, none of which is open. `share` outlives
+  // them.
   // FailedPrecondition or InvalidArgument: it cannot be served.   ResourceExhausted: its pictures exceed the memory
-  // limit.
-  absl::StatusOr<std::unique_ptr<Games>> Greet(const v1::SessionHello& hello);
+  // limits.
+  absl::StatusOr<std::unique_ptr<Games>> Greet(const v1::SessionHello& hello, GameBudget::Share* share);
   // Begins to answer `request`, which must not change meanwhile. If that leaves games unfinished, EnvBatch::Resume goes
   // on. Then Complete fills in `reply`.   InvalidArgument, ResourceExhausted, Cancelled: the session ends.
   static absl::Status Begin(const v1::PlayRequest& request, Games* games, v1::PlayReply* reply);
@@ -122,8 +126,10 @@ class EnvServiceImpl final : public v1::EnvironmentService::CallbackService {
 
   Work TotalWorkLocked() const ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
   v1::ProcessSummary SummaryLocked() const ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
-  // Ends the session that has been idle for longest, if that is long enough.
-  void EndIdlest() ABSL_LOCKS_EXCLUDED(mu_);
+  // What tells the client of a session apart from others, as in the learner: its certificate or token, else its host.
+  std::string ClientOf(const grpc::ServerContextBase& context) const;
+  // Ends the session that has been idle for longest, of `client` or (null) of all, if that is long enough.
+  void EndIdlest(const std::string* client) ABSL_LOCKS_EXCLUDED(mu_);
   static constexpr absl::Duration kSummarizeEvery = absl::Seconds(1);
   // A summary at most that old, for the replies of all sessions.
   v1::ProcessSummary RecentSummary() ABSL_LOCKS_EXCLUDED(mu_);

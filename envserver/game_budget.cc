@@ -1,5 +1,7 @@
 #include "envserver/game_budget.h"
 
+#include <algorithm>
+
 #include <absl/strings/str_format.h>
 #include <absl/strings/string_view.h>
 
@@ -34,59 +36,98 @@ absl::Status CheckMemory(absl::string_view what, int64_t asked, int64_t limit, a
   return CheckRoom(what, RoundedUpMiB(asked), limit / kMiB, flag);
 }
 
+// `percent` hundredths of a limit, which may be kUnlimited.
+int64_t Part(int64_t limit, int percent) { return limit / 100 * percent + limit % 100 * percent / 100; }
+
+bool Exceeds(const GameBudget::Amount& one, const GameBudget::Amount& other) {
+  return one.games > other.games || one.bytes > other.bytes;
+}
+
+// What `total` becomes if a part of it that was `had` becomes `wanted`.
+GameBudget::Amount Changed(const GameBudget::Amount& total, const GameBudget::Amount& had,
+                           const GameBudget::Amount& wanted) {
+  return {total.games - had.games + wanted.games, total.bytes - had.bytes + wanted.bytes};
+}
+
 }  // namespace
 
 absl::Status GameBudget::Options::Validate() const {
   CRAFTFLEET_RETURN_IF_ERROR(CheckLimit("max_session_games", session_games, 1, ""));
   CRAFTFLEET_RETURN_IF_ERROR(CheckLimit("max_games", games, session_games, ", which is --max_session_games"));
   CRAFTFLEET_RETURN_IF_ERROR(CheckLimit("max_session_mb", session_bytes / kMiB, 1, ""));
-  return CheckLimit("max_games_mb", bytes / kMiB, session_bytes / kMiB, ", which is --max_session_mb");
+  CRAFTFLEET_RETURN_IF_ERROR(
+      CheckLimit("max_games_mb", bytes / kMiB, session_bytes / kMiB, ", which is --max_session_mb"));
+  if (client_percent >= 1 && client_percent <= 100) return absl::OkStatus();
+  return absl::InvalidArgumentError(absl::StrFormat("--max_client_percent=%d, want 1..100", client_percent));
 }
 
 absl::Status GameBudget::Share::Set(int64_t games, int64_t bytes) {
-  // A release is never refused.
-  if (games > games_ || bytes > bytes_) CRAFTFLEET_RETURN_IF_ERROR(budget_->CheckSession(games, bytes));
-  if (absl::Status status = budget_->Take(games_, bytes_, games, bytes); !status.ok()) {
-    if (budget_->full_ != nullptr) budget_->full_();
+  const Amount wanted = {games, bytes};
+  if (Exceeds(wanted, amount_)) CRAFTFLEET_RETURN_IF_ERROR(budget_->CheckSession(wanted));
+  bool client_is_full = false;
+  if (absl::Status status = budget_->Take(client_, amount_, wanted, &client_is_full); !status.ok()) {
+    if (budget_->full_ != nullptr) budget_->full_(client_is_full ? &client_ : nullptr);
     return status;
   }
-  games_ = games;
-  bytes_ = bytes;
+  amount_ = wanted;
   return absl::OkStatus();
 }
 
-absl::Status GameBudget::CheckSession(int64_t games, int64_t bytes) const {
-  CRAFTFLEET_RETURN_IF_ERROR(CheckRoom("games of one session", games, options_.session_games, "max_session_games"));
-  return CheckMemory("MiB for one session's games", bytes, options_.session_bytes, "max_session_mb");
+absl::Status GameBudget::CheckSession(const Amount& wanted) const {
+  CRAFTFLEET_RETURN_IF_ERROR(
+      CheckRoom("games of one session", wanted.games, options_.session_games, "max_session_games"));
+  return CheckMemory("MiB for one session's games", wanted.bytes, options_.session_bytes, "max_session_mb");
 }
 
-absl::Status GameBudget::Take(int64_t had_games, int64_t had_bytes, int64_t games, int64_t bytes) {
+absl::Status GameBudget::CheckClient(const Amount& wanted) const {
+  const int percent = options_.client_percent;
+  if (percent == 100) return absl::OkStatus();
+  const int64_t games = std::max(options_.session_games, Part(options_.games, percent));
+  const int64_t bytes = std::max(options_.session_bytes, Part(options_.bytes, percent));
+  CRAFTFLEET_RETURN_IF_ERROR(CheckRoom("games of one client", wanted.games, games, "max_client_percent"));
+  return CheckMemory("MiB for one client's games", wanted.bytes, bytes, "max_client_percent");
+}
+
+absl::Status GameBudget::CheckAll(const Amount& wanted) const {
+  CRAFTFLEET_RETURN_IF_ERROR(CheckRoom("games of all sessions", wanted.games, options_.games, "max_games"));
+  return CheckMemory("MiB for all games", wanted.bytes, options_.bytes, "max_games_mb");
+}
+
+absl::Status GameBudget::Take(const std::string& client, const Amount& had, const Amount& wanted,
+                              bool* client_is_full) {
   const MutexLock lock(&mu_);
-  const int64_t all_games = games_ - had_games + games;
-  const int64_t all_bytes = bytes_ - had_bytes + bytes;
-  if (games > had_games || bytes > had_bytes) {
-    CRAFTFLEET_RETURN_IF_ERROR(CheckRoom("games of all sessions", all_games, options_.games, "max_games"));
-    CRAFTFLEET_RETURN_IF_ERROR(CheckMemory("MiB for all games", all_bytes, options_.bytes, "max_games_mb"));
+  if (Exceeds(wanted, had)) {  // a release is never refused
+    const auto found = clients_.find(client);
+    const absl::Status of_client =
+        CheckClient(Changed(found == clients_.end() ? Amount() : found->second, had, wanted));
+    *client_is_full = !of_client.ok();
+    CRAFTFLEET_RETURN_IF_ERROR(of_client);
+    CRAFTFLEET_RETURN_IF_ERROR(CheckAll(Changed(all_, had, wanted)));
   }
-  games_ = all_games;
-  bytes_ = all_bytes;
+  Replace(client, had, wanted);
   return absl::OkStatus();
 }
 
-void GameBudget::Return(int64_t games, int64_t bytes) {
+void GameBudget::Return(const std::string& client, const Amount& had) {
   const MutexLock lock(&mu_);
-  games_ -= games;
-  bytes_ -= bytes;
+  Replace(client, had, {});
+}
+
+void GameBudget::Replace(const std::string& client, const Amount& had, const Amount& wanted) {
+  all_ = Changed(all_, had, wanted);
+  const auto entry = clients_.try_emplace(client).first;
+  entry->second = Changed(entry->second, had, wanted);
+  if (entry->second.games == 0 && entry->second.bytes == 0) clients_.erase(entry);
 }
 
 int64_t GameBudget::games() const {
   const MutexLock lock(&mu_);
-  return games_;
+  return all_.games;
 }
 
 int64_t GameBudget::bytes() const {
   const MutexLock lock(&mu_);
-  return bytes_;
+  return all_.bytes;
 }
 
 int64_t SessionBytes(int64_t games, int64_t frame_bytes, bool records, int64_t picture_bytes) {

@@ -1,4 +1,4 @@
-// Limits the games and their memory, per session and for all sessions of an environment server.
+// Limits the games and their memory, per session, per client and for all sessions of an environment server.
 
 #ifndef CRAFTFLEET_ENVSERVER_GAME_BUDGET_H_
 #define CRAFTFLEET_ENVSERVER_GAME_BUDGET_H_
@@ -6,6 +6,8 @@
 #include <cstdint>
 #include <functional>
 #include <limits>
+#include <map>
+#include <string>
 #include <utility>
 
 #include <absl/status/status.h>
@@ -24,45 +26,62 @@ class GameBudget {
     int64_t games = kUnlimited;          // of all together, at least session_games
     int64_t session_bytes = kUnlimited;  // memory of one session, at least 1 MiB
     int64_t bytes = kUnlimited;          // of all together, at least session_bytes
+    // The part of `games` and of `bytes` that the sessions of one client may have together, 1..100; they may always
+    // have as much as one session.
+    int client_percent = 100;
     // InvalidArgument, naming the flag of craftfleet-envserver.
     absl::Status Validate() const;
   };
 
-  // `full` is called, without locks held, when a share within the limits of a session exceeds those of all together.
-  explicit GameBudget(const Options& options, std::function<void()> full = nullptr)
-      : options_(options), full_(std::move(full)) {}
+  // Called, without locks held, when a share within the limits of a session exceeds those of its client, whose name it
+  // is given, or those of all together (null).
+  using Full = std::function<void(const std::string* client)>;
+  explicit GameBudget(const Options& options, Full full = nullptr) : options_(options), full_(std::move(full)) {}
 
-  // The share of one session, released on destruction. Thread-compatible.
+  // Games and bytes that somebody has.
+  struct Amount {
+    int64_t games = 0;
+    int64_t bytes = 0;
+  };
+
+  // The share of one session of `client`, released on destruction. Thread-compatible.
   class Share {
    public:
-    explicit Share(GameBudget* budget) : budget_(budget) {}
-    ~Share() { budget_->Return(games_, bytes_); }
+    Share(GameBudget* budget, std::string client) : budget_(budget), client_(std::move(client)) {}
+    ~Share() { budget_->Return(client_, amount_); }
     Share(const Share&) = delete;
     Share& operator=(const Share&) = delete;
 
     // Changes the share to `games` with `bytes` of memory.
     //   ResourceExhausted, naming the request, the limit and its flag: the share is unchanged.
     absl::Status Set(int64_t games, int64_t bytes);
+    const std::string& client() const { return client_; }
 
    private:
     GameBudget* const budget_;
-    int64_t games_ = 0;
-    int64_t bytes_ = 0;
+    const std::string client_;
+    Amount amount_;
   };
 
   int64_t games() const ABSL_LOCKS_EXCLUDED(mu_);
   int64_t bytes() const ABSL_LOCKS_EXCLUDED(mu_);
 
  private:
-  absl::Status CheckSession(int64_t games, int64_t bytes) const;
-  absl::Status Take(int64_t had_games, int64_t had_bytes, int64_t games, int64_t bytes) ABSL_LOCKS_EXCLUDED(mu_);
-  void Return(int64_t games, int64_t bytes) ABSL_LOCKS_EXCLUDED(mu_);
+  absl::Status CheckSession(const Amount& wanted) const;
+  absl::Status CheckClient(const Amount& wanted) const;
+  absl::Status CheckAll(const Amount& wanted) const;
+  // Changes what a session of `client` has. On errors it is unchanged, and `client_is_full` whether the client's limits
+  // are the reason.
+  absl::Status Take(const std::string& client, const Amount& had, const Amount& wanted, bool* client_is_full)
+      ABSL_LOCKS_EXCLUDED(mu_);
+  void Return(const std::string& client, const Amount& had) ABSL_LOCKS_EXCLUDED(mu_);
+  void Replace(const std::string& client, const Amount& had, const Amount& wanted) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
 
   const Options options_;
-  const std::function<void()> full_;
+  const Full full_;
   mutable Mutex mu_;
-  int64_t games_ ABSL_GUARDED_BY(mu_) = 0;
-  int64_t bytes_ ABSL_GUARDED_BY(mu_) = 0;
+  Amount all_ ABSL_GUARDED_BY(mu_);
+  std::map<std::string, Amount> clients_ ABSL_GUARDED_BY(mu_);  // those that have something
 };
 
 // Estimates the memory of a session whose games have pictures of `frame_bytes` and are recorded with larger ones of

@@ -31,6 +31,9 @@ ABSL_FLAG(int32_t, max_games, 16384, "most games of all sessions together, --max
 ABSL_FLAG(int32_t, max_session_mb, 512,
           "memory in MB for the games of one session with their pictures, 1..1000000; more is refused");
 ABSL_FLAG(int32_t, max_games_mb, 2048, "memory in MB for the games of all sessions, --max_session_mb..1000000");
+ABSL_FLAG(int32_t, max_client_percent, 50,
+          "part of --max_games and --max_games_mb for all sessions of one client, in percent, 1..100\n"
+          "at least the limits of one session; a client is a certificate or token and, without either, a host");
 ABSL_FLAG(craftfleet::TimeSpan, hello_timeout, {absl::Seconds(10)},
           "how long a new session may take to send its first message, 1s..1h");
 ABSL_FLAG(craftfleet::TimeSpan, idle_timeout, {absl::Minutes(10)},
@@ -73,6 +76,7 @@ absl::StatusOr<EnvServiceImpl::Options> OptionsFromFlags() {
   options.budget.games = absl::GetFlag(FLAGS_max_games);
   options.budget.session_bytes = int64_t{absl::GetFlag(FLAGS_max_session_mb)} << 20;
   options.budget.bytes = int64_t{absl::GetFlag(FLAGS_max_games_mb)} << 20;
+  options.budget.client_percent = absl::GetFlag(FLAGS_max_client_percent);
   options.hello_timeout = absl::GetFlag(FLAGS_hello_timeout).value;
   options.idle_timeout = absl::GetFlag(FLAGS_idle_timeout).value;
   options.reply_timeout = absl::GetFlag(FLAGS_reply_timeout).value;
@@ -107,12 +111,14 @@ absl::StatusOr<std::unique_ptr<Announcer>> AnnounceIfAsked(EnvServiceImpl* servi
 absl::Status Run() {
   CRAFTFLEET_ASSIGN_OR_RETURN(const wire::MetricsServer::Options metrics_options,
                               wire::MetricsOptionsFromFlags(wire::kAnyFreePort));
-  CRAFTFLEET_ASSIGN_OR_RETURN(const EnvServiceImpl::Options options, OptionsFromFlags());
+  CRAFTFLEET_ASSIGN_OR_RETURN(EnvServiceImpl::Options options, OptionsFromFlags());
+  wire::Server::Options listen = wire::ServerOptionsFromFlags(absl::GetFlag(FLAGS_listen));
+  listen.max_message_bytes = EnvServiceImpl::kMaxRequestBytes;
+  CRAFTFLEET_RETURN_IF_ERROR(listen.OpenAccess());
+  options.access = listen.access;
   CRAFTFLEET_ASSIGN_OR_RETURN(const std::unique_ptr<EnvServiceImpl> service,
                               EnvServiceImpl::Create(absl::GetFlag(FLAGS_textures), options));
   wire::StatusServiceImpl status("envserver", [&service](v1::StatusReply* reply) { service->FillStatus(reply); });
-  wire::Server::Options listen = wire::ServerOptionsFromFlags(absl::GetFlag(FLAGS_listen));
-  listen.max_message_bytes = EnvServiceImpl::kMaxRequestBytes;
   CRAFTFLEET_ASSIGN_OR_RETURN(const std::unique_ptr<wire::Server> server,
                               wire::Server::Create(listen, {service.get(), &status}));
   LogInfo("listening on %s", server->address());

@@ -57,7 +57,8 @@ absl::Status EnvServiceImpl::Games::Reserve(int64_t games) {
   return share->Set(games, SessionBytes(games, batch.renderer().frame_bytes(), batch.records(), batch.picture_bytes()));
 }
 
-absl::StatusOr<std::unique_ptr<EnvServiceImpl::Games>> EnvServiceImpl::Greet(const v1::SessionHello& hello) {
+absl::StatusOr<std::unique_ptr<EnvServiceImpl::Games>> EnvServiceImpl::Greet(const v1::SessionHello& hello,
+                                                                             GameBudget::Share* share) {
   const wire::Handshake ours = {wire::kProtocolVersion, "", texture_digest_};
   const wire::Handshake theirs = {hello.protocol_version(), hello.run_id(), hello.texture_digest()};
   CRAFTFLEET_RETURN_IF_ERROR(wire::CheckHandshake("environment server", ours, "actor", theirs));
@@ -84,18 +85,17 @@ absl::StatusOr<std::unique_ptr<EnvServiceImpl::Games>> EnvServiceImpl::Greet(con
   const bool larger_wanted = larger_picture.width != 0;
   if (larger_wanted) CRAFTFLEET_RETURN_IF_ERROR(larger_picture.Validate(world));
   // A renderer's tables are as large as some pictures.
-  auto share = std::make_unique<GameBudget::Share>(&budget_);
   CRAFTFLEET_RETURN_IF_ERROR(share->Set(
       0, SessionBytes(0, FrameBytes(picture), hello.has_recording(), larger_wanted ? FrameBytes(larger_picture) : 0)));
   CRAFTFLEET_ASSIGN_OR_RETURN(std::shared_ptr<const Renderer> renderer, Renderer::Create(*textures_, world, picture));
   if (!hello.has_recording()) {
-    return std::make_unique<Games>(std::move(share), EnvBatch(std::move(renderer), std::nullopt, ChooseFormat(hello)));
+    return std::make_unique<Games>(share, EnvBatch(std::move(renderer), std::nullopt, ChooseFormat(hello)));
   }
   std::shared_ptr<const Renderer> larger;
   if (larger_wanted) {
     CRAFTFLEET_ASSIGN_OR_RETURN(larger, Renderer::Create(*textures_, world, larger_picture));
   }
-  return std::make_unique<Games>(std::move(share), EnvBatch(std::move(renderer), MomentTaker(std::move(larger))));
+  return std::make_unique<Games>(share, EnvBatch(std::move(renderer), MomentTaker(std::move(larger))));
 }
 
 absl::Status EnvServiceImpl::Begin(const v1::PlayRequest& request, Games* games, v1::PlayReply* reply) {

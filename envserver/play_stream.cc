@@ -32,9 +32,9 @@ class EnvServiceImpl::SessionGuard {
     if (service_->sessions_.erase(this) > 0) service_->ended_.Add(meter_.Total());
     service_->changed_.NotifyAll();
   }
-  // Binds the server to the session's run.   FailedPrecondition: it belongs to another run (SetRun).
-  // ResourceExhausted: it has sessions of another run.
-  absl::Status Enter(const v1::SessionHello& hello, grpc::CallbackServerContext* context) {
+  // Binds the server to the session's run; `client` is as GameBudget's.   FailedPrecondition: it belongs to another run
+  // (SetRun).   ResourceExhausted: it has sessions of another run.
+  absl::Status Enter(const v1::SessionHello& hello, const std::string& client, grpc::CallbackServerContext* context) {
     MutexLock lock(&service_->mu_);
     std::string& run_id = service_->run_id_;
     const std::string last_run_id = run_id;
@@ -49,7 +49,7 @@ class EnvServiceImpl::SessionGuard {
     // Without a learner it is free again when the other run's sessions end: actors wait, as any client may claim it.
     if (!same_run.ok() && service_->own_run_id_.empty()) return absl::ResourceExhaustedError(same_run.message());
     CRAFTFLEET_RETURN_IF_ERROR(same_run);
-    service_->sessions_[this] = {hello.client(), context->peer(), 0, &meter_, context, &idle_since_};
+    service_->sessions_[this] = {hello.client(), client, context->peer(), 0, &meter_, context, &idle_since_};
     return absl::OkStatus();
   }
   void SetLanes(int lanes) {
@@ -88,12 +88,17 @@ class EnvServiceImpl::SessionGuard {
 class EnvServiceImpl::PlayStream final : public grpc::ServerBidiReactor<v1::PlayRequest, v1::PlayReply> {
  public:
   PlayStream(EnvServiceImpl* service, grpc::CallbackServerContext* context)
-      : service_(service), context_(context), watched_(std::in_place, &service->watch_, context) {
-    if (watched_->admitted().ok()) {
+      : service_(service),
+        context_(context),
+        watched_(std::in_place, &service->watch_, context),
+        share_(std::in_place, &service->budget_, service->ClientOf(*context)) {
+    absl::Status admitted = watched_->admitted();
+    if (admitted.ok()) admitted = share_->Set(0, SessionBytes(0, 0, false, 0));
+    if (admitted.ok()) {
       watched_->Await("a hello (--hello_timeout)", service_->options_.hello_timeout);
       StartRead(&request_);
     } else {
-      End(watched_->admitted());
+      End(admitted);
     }
   }
 
@@ -139,11 +144,11 @@ class EnvServiceImpl::PlayStream final : public grpc::ServerBidiReactor<v1::Play
 
   absl::Status Greet() {
     if (!request_.has_hello()) return absl::InvalidArgumentError("a session begins with hello");
-    CRAFTFLEET_ASSIGN_OR_RETURN(games_, service_->Greet(request_.hello()));
+    CRAFTFLEET_ASSIGN_OR_RETURN(games_, service_->Greet(request_.hello(), &*share_));
     games_->batch.StopWhen([this] { return context_->IsCancelled(); });
     games_->batch.PauseWhen([this] { return service_->game_threads_.others_wait() && SteadyNow() >= turn_ends_; });
     session_.emplace(service_);
-    CRAFTFLEET_RETURN_IF_ERROR(session_->Enter(request_.hello(), context_));
+    CRAFTFLEET_RETURN_IF_ERROR(session_->Enter(request_.hello(), share_->client(), context_));
     reply_.set_program_version(std::string(ProgramVersion()));
     reply_.set_canary(service_->canary_);
     reply_.set_frame_format(static_cast<v1::FrameFormat>(games_->batch.format()));
@@ -179,6 +184,7 @@ class EnvServiceImpl::PlayStream final : public grpc::ServerBidiReactor<v1::Play
   void End(absl::Status status) {
     session_.reset();
     games_.reset();
+    share_.reset();
     if (const absl::Status late = watched_->late(); !late.ok()) status = late;
     const bool stopped = absl::IsCancelled(status);  // by the client or by this server
     if (!status.ok() && !stopped) {
@@ -193,10 +199,11 @@ class EnvServiceImpl::PlayStream final : public grpc::ServerBidiReactor<v1::Play
   EnvServiceImpl* const service_;
   grpc::CallbackServerContext* const context_;
   std::optional<wire::StreamWatch::Stream> watched_;  // until the call ends
+  std::optional<GameBudget::Share> share_;            // likewise
   v1::PlayRequest request_;
   v1::PlayReply reply_;
   std::unique_ptr<Games> games_;         // from the hello on
-  std::optional<SessionGuard> session_;  // likewise
+  std::optional<SessionGuard> session_;  // from the hello on
   absl::Time turn_ends_;
 };
 

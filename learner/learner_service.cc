@@ -68,8 +68,7 @@ absl::Duration LearnerServiceImpl::WaitTime(int wait_ms) {
 }
 
 WorkerClient LearnerServiceImpl::ClientOf(const grpc::ServerContextBase& context) const {
-  return {options_.access != nullptr ? options_.access->Identify(context) : wire::IdentifyByCertificate(context),
-          wire::ClientOfPeer(context.peer())};
+  return {wire::Identify(options_.access.get(), context), wire::ClientOfPeer(context.peer())};
 }
 
 absl::Status LearnerServiceImpl::NameActor(const grpc::ServerContextBase& context, absl::string_view name) {

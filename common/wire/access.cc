@@ -245,7 +245,8 @@ std::string AccessControl::Identify(const grpc::ServerContextBase& context) cons
   return Identity(*snapshot_->Get(), MakeCaller(context.client_metadata(), context.auth_context().get()));
 }
 
-std::string IdentifyByCertificate(const grpc::ServerContextBase& context) {
+std::string Identify(const AccessControl* access, const grpc::ServerContextBase& context) {
+  if (access != nullptr) return access->Identify(context);
   return Identity(v1::Access(), MakeCaller(context.client_metadata(), context.auth_context().get()));
 }
 

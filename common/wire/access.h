@@ -93,8 +93,9 @@ class AccessControl {
   std::unique_ptr<FileWatch> watch_;
 };
 
-// Identity of the caller of `context` without an access file: from its certificate. Empty without one.
-std::string IdentifyByCertificate(const grpc::ServerContextBase& context);
+// Identity of the caller of `context`: as `access` identifies it or, if that is null, from its certificate alone.
+// Empty: the caller cannot be told apart from others.
+std::string Identify(const AccessControl* access, const grpc::ServerContextBase& context);
 
 // Checks each call to a server with these credentials against `access`.
 std::shared_ptr<grpc::AuthMetadataProcessor> MakeAccessProcessor(std::shared_ptr<AccessControl> access);

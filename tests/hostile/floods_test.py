@@ -37,7 +37,7 @@ class Floods(server_case.ServerCase):
         self.ask(self.session(server.address), messages.open_lanes(range(16)))
 
     def test_games_are_counted_by_session_and_by_process(self):
-        server = self.envserver("--max_session_games=10", "--max_games=15")
+        server = self.envserver("--max_session_games=10", "--max_games=15", "--max_client_percent=100")
         first = self.session(server.address)
         self.assertEqual(self.ask(first, messages.open_lanes(range(10))).ended, False)
         # Restarting open lanes needs additional memory only for a moment.
@@ -53,6 +53,16 @@ class Floods(server_case.ServerCase):
             return not self.ask(self.session(server.address), messages.open_lanes(range(10))).ended
         python_case.wait_until(room, "room for others", server_case.PATIENCE_S)
 
+    def test_one_client_leaves_room_for_others(self):
+        server = self.envserver("--max_session_games=10", "--max_games=40")
+        for _ in range(2):
+            self.assertFalse(self.ask(self.session(server.address), messages.open_lanes(range(10))).ended)
+        self.expect_refused(self.ask(self.session(server.address), messages.open_lanes([0])),
+                            "games of one client: 21 requested", "at most 20", "--max_client_percent")
+        for _ in range(2):
+            other = self.session(server.address, source="127.0.0.2")
+            self.assertFalse(self.ask(other, messages.open_lanes(range(10))).ended)
+
     def test_a_hello_alone_is_counted(self):
         server = self.envserver("--max_session_mb=150", "--max_games_mb=150")
         sessions = [self.session(server.address, frame_size=2048)]
@@ -61,6 +71,16 @@ class Floods(server_case.ServerCase):
         client.send_message(stream, messages.hello(frame_size=2048))
         self.expect_refused(client.read_reply(stream, server_case.PATIENCE_S), "--max_games_mb")
         self.assertFalse(sessions[0][0].read_reply(sessions[0][1], 0).ended)
+
+    def test_streams_without_a_hello_are_counted(self):
+        server = self.envserver("--max_session_mb=4", "--max_games_mb=10", "--max_client_percent=100")
+        client = self.client(server.address)
+        streams = [client.start(messages.PLAY) for _ in range(41)]  # 0.25 MiB each
+        def refused():
+            return [reply for reply in (client.read_reply(stream, 0.01) for stream in streams) if reply.ended]
+        python_case.wait_until(refused, "one is refused", server_case.PATIENCE_S)
+        self.assertEqual(len(refused()), 1)
+        self.expect_refused(refused()[0], "--max_games_mb")
 
     def test_a_waiting_session_keeps_nothing_of_its_last_request(self):
         server = self.envserver()
@@ -131,7 +151,7 @@ class Floods(server_case.ServerCase):
 
     def test_wrong_limits_are_refused_by_name(self):
         for flag in ["--max_session_games=0", "--max_session_games=5000", "--max_games=7", "--max_session_mb=0",
-                     "--max_games_mb=100", "--hello_timeout=0s", "--idle_timeout=25h", "--reply_timeout=10ms"]:
+                     "--max_games_mb=100", "--max_client_percent=0", "--max_client_percent=101", "--hello_timeout=0s", "--idle_timeout=25h", "--reply_timeout=10ms"]:
             ended = self.run_program("craftfleet-envserver", "--listen=127.0.0.1:0", flag, code=1)
             self.assertIn(flag.partition("=")[0] + "=", ended.stderr)
 

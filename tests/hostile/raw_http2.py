@@ -47,15 +47,15 @@ def message(payload, compressed=False):
     return struct.pack(">BI", 1 if compressed else 0, len(payload)) + payload
 
 
-def connect_socket(address, timeout=10, tls=None, server_name=None):
-    """A socket to HOST:PORT or unix:PATH; `tls` is an ssl.SSLContext of a client."""
+def connect_socket(address, timeout=10, tls=None, server_name=None, source=None):
+    """A socket to HOST:PORT, from the host `source`, or to unix:PATH; `tls` is an ssl.SSLContext of a client."""
     if address.startswith("unix:"):
         plain = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
         plain.settimeout(timeout)
         plain.connect(address[5:])
     else:
         host, port = address.rsplit(":", 1)
-        plain = socket.create_connection((host.strip("[]"), int(port)), timeout)
+        plain = socket.create_connection((host.strip("[]"), int(port)), timeout, source and (source, 0))
         plain.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
     if tls is None:
         return plain
@@ -303,8 +303,8 @@ class Connection:
 class Client(Connection):
     """A client's connection, after the HTTP/2 preface."""
 
-    def __init__(self, address, timeout=10, tls=None, server_name=None, settings=None, grants=True):
-        super().__init__(connect_socket(address, timeout, tls, server_name), settings, grants)
+    def __init__(self, address, timeout=10, tls=None, server_name=None, source=None, settings=None, grants=True):
+        super().__init__(connect_socket(address, timeout, tls, server_name, source), settings, grants)
         self.scheme = "https" if tls else "http"
         self.next_stream = 1
         self.write(PREFACE)

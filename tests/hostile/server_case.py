@@ -101,9 +101,9 @@ class ServerCase(python_case.FolderCase):
         self.addCleanup(client.close)
         return client
 
-    def session(self, address, **hello):
-        """A client and its stream, after the server's hello."""
-        client = self.client(address)
+    def session(self, address, source=None, **hello):
+        """A client, which connects from the host `source`, and its stream, after the server's hello."""
+        client = self.client(address, source=source)
         stream = client.start(messages.PLAY)
         client.send_message(stream, messages.hello(**hello))
         reply = client.read_reply(stream, PATIENCE_S, messages=1)
