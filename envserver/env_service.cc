@@ -56,7 +56,8 @@ EnvServiceImpl::EnvServiceImpl(std::shared_ptr<const Textures> textures, std::st
       canary_(std::move(canary)),
       options_(options),
       budget_(options.budget, [this](const std::string* client) { EndIdlest(client); }),
-      game_threads_(options.game_threads) {}
+      game_threads_(options.game_threads),
+      slow_threads_(options.game_threads) {}
 
 void EnvServiceImpl::SetRun(absl::string_view run_id) {
   const MutexLock lock(&mu_);

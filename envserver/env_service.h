@@ -1,5 +1,5 @@
 // The gRPC service of an environment server. Sessions have no thread each, since most of them wait for their client
-// most of the time: gRPC calls them back on a few threads of its own, and others, one for each core, play all games.
+// most of the time: gRPC calls them back on a few threads of its own, and others, two for each core, play all games.
 
 #ifndef CRAFTFLEET_ENVSERVER_ENV_SERVICE_H_
 #define CRAFTFLEET_ENVSERVER_ENV_SERVICE_H_
@@ -48,7 +48,7 @@ class EnvServiceImpl final : public v1::EnvironmentService::CallbackService {
     absl::Duration reply_timeout = absl::InfiniteDuration();  // for the client to take a reply, at least 1 s
     // A session that has sent no request for this long ends if others need the room of its games.
     absl::Duration gives_way = absl::Seconds(10);
-    int game_threads = DefaultThreads();  // that play the games of all sessions, at least 1
+    int game_threads = DefaultThreads();  // that play the games of all sessions, at least 1, and as many for slow ones
     // Identifies clients by the access file; null: by certificate.
     std::shared_ptr<const wire::AccessControl> access = nullptr;
     absl::Status Validate() const;
@@ -94,6 +94,8 @@ class EnvServiceImpl final : public v1::EnvironmentService::CallbackService {
     Games(GameBudget::Share* of_session, EnvBatch opened) : share(of_session), batch(std::move(opened)) {}
     // Reserves memory for `games` like those of the batch, or releases it. Errors as GameBudget::Share::Set.
     absl::Status Reserve(int64_t games);
+    // Whether a step of one game may take longer than a thread's turn: its pictures are large.
+    bool slow() const;
 
     GameBudget::Share* const share;
     EnvBatch batch;
@@ -148,7 +150,10 @@ class EnvServiceImpl final : public v1::EnvironmentService::CallbackService {
   v1::ProcessSummary recent_summary_ ABSL_GUARDED_BY(mu_);
   absl::Time summarized_ ABSL_GUARDED_BY(mu_) = absl::InfinitePast();
 
-  GameThreads game_threads_;  // the last member: it uses all of the above
+  // The last members: they use all of the above. A hello, or a step of a slow game, keeps a thread for up to a second.
+  // With threads of their own, the system divides the cores between them and the other games.
+  GameThreads game_threads_;
+  GameThreads slow_threads_;
 };
 
 }  // namespace craftfleet

@@ -1,4 +1,5 @@
 // EnvServiceImpl: the requests of a session.
+#include <algorithm>
 #include <memory>
 #include <optional>
 #include <utility>
@@ -19,6 +20,9 @@
 
 namespace craftfleet {
 namespace {
+
+// Of a picture; twice its width takes 2 ms.
+constexpr int kQuicklyDrawnBytes = 256 * 256 * 3;
 
 int64_t FrameBytes(const RenderOptions& picture) { return int64_t{picture.width} * picture.height * 3; }
 
@@ -55,6 +59,10 @@ void AddRefused(const std::vector<EnvBatch::Refused>& refused, LimitedLog* log, 
 
 absl::Status EnvServiceImpl::Games::Reserve(int64_t games) {
   return share->Set(games, SessionBytes(games, batch.renderer().frame_bytes(), batch.records(), batch.picture_bytes()));
+}
+
+bool EnvServiceImpl::Games::slow() const {
+  return std::max(batch.renderer().frame_bytes(), batch.picture_bytes()) > kQuicklyDrawnBytes;
 }
 
 absl::StatusOr<std::unique_ptr<EnvServiceImpl::Games>> EnvServiceImpl::Greet(const v1::SessionHello& hello,

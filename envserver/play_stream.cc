@@ -104,13 +104,13 @@ class EnvServiceImpl::PlayStream final : public grpc::ServerBidiReactor<v1::Play
 
   void OnReadDone(bool ok) override {
     watched_->Work();
-    if (!ok) return service_->game_threads_.Add([this] { End(WithoutRequest()); });
+    if (!ok) return Threads()->Add([this] { End(WithoutRequest()); });
     if (session_.has_value()) session_->BeginWork();
-    service_->game_threads_.Add([this] { Answer(); });
+    Threads()->Add([this] { Answer(); });
   }
 
   void OnWriteDone(bool ok) override {
-    if (!ok) return service_->game_threads_.Add([this] { End(absl::OkStatus()); });
+    if (!ok) return Threads()->Add([this] { End(absl::OkStatus()); });
     session_->BeginIdle();
     watched_->Await("the next request (--idle_timeout)", service_->options_.idle_timeout);
     StartRead(&request_);
@@ -119,6 +119,11 @@ class EnvServiceImpl::PlayStream final : public grpc::ServerBidiReactor<v1::Play
   void OnDone() override { delete this; }
 
  private:
+  // Those that answer the next request.
+  GameThreads* Threads() const {
+    return games_ == nullptr || games_->slow() ? &service_->slow_threads_ : &service_->game_threads_;
+  }
+
   // The status of a session that ends because its client sends no more requests.
   absl::Status WithoutRequest() const {
     if (games_ != nullptr || context_->IsCancelled()) return absl::OkStatus();
@@ -137,7 +142,7 @@ class EnvServiceImpl::PlayStream final : public grpc::ServerBidiReactor<v1::Play
           absl::AbortedError(absl::StrCat("the environment failed (", error.what(), "): continue from the snapshots"));
     }
     if (!status.ok()) return End(status);
-    if (games_->batch.unfinished()) return service_->game_threads_.Add([this] { Answer(); });
+    if (games_->batch.unfinished()) return Threads()->Add([this] { Answer(); });
     watched_->Await("a reply to be taken (--reply_timeout)", service_->options_.reply_timeout);
     StartWrite(&reply_);
   }
@@ -146,7 +151,7 @@ class EnvServiceImpl::PlayStream final : public grpc::ServerBidiReactor<v1::Play
     if (!request_.has_hello()) return absl::InvalidArgumentError("a session begins with hello");
     CRAFTFLEET_ASSIGN_OR_RETURN(games_, service_->Greet(request_.hello(), &*share_));
     games_->batch.StopWhen([this] { return context_->IsCancelled(); });
-    games_->batch.PauseWhen([this] { return service_->game_threads_.others_wait() && SteadyNow() >= turn_ends_; });
+    games_->batch.PauseWhen([this] { return Threads()->others_wait() && SteadyNow() >= turn_ends_; });
     session_.emplace(service_);
     CRAFTFLEET_RETURN_IF_ERROR(session_->Enter(request_.hello(), share_->client(), context_));
     reply_.set_program_version(std::string(ProgramVersion()));

@@ -1,9 +1,11 @@
 // EnvServiceImpl: sessions beside each other.
 #include <sys/resource.h>
 
+#include <atomic>
 #include <filesystem>
 #include <memory>
 #include <string>
+#include <thread>
 #include <vector>
 
 #include <gmock/gmock.h>
@@ -123,6 +125,31 @@ TEST(EnvService, ALongRequestLetsOtherSessionsPlay) {
   service->FillStatus(&status);
   EXPECT_EQ(status.summary().lanes(), 1) << "only the witness has its reply";
   EXPECT_THAT(session.Read(), IsOk());
+}
+
+// A step of such a game takes some 50 ms. They used to have a thread each, between which the system divided the cores.
+TEST(EnvService, LargePicturesDoNotDelayOtherSessions) {
+  EnvServiceImpl::Options options;
+  options.game_threads = 1;
+  const auto service = *EnvServiceImpl::Create(*DefaultTextureDir(), options);
+  const auto server = *wire::Server::Create({}, {service.get()});
+  Witness witness(server->InProcess());
+  Session session(server->InProcess());
+  v1::PlayRequest hello = Hello("run-a");
+  hello.mutable_hello()->mutable_env()->set_frame_size(2048);
+  ASSERT_THAT(session.Send(hello), IsOk());
+  ASSERT_THAT(session.Send(Open(0, 1)), IsOk());
+  std::atomic<int> steps{0};
+  std::atomic<bool> enough{false};
+  std::thread player([&] {
+    while (!enough && session.Send(Step({0}, "\x02")).ok()) ++steps;
+  });
+  EXPECT_TRUE(WaitUntil([&] { return steps > 0; }));
+  const int before = steps;
+  witness.PlayOn(20);
+  EXPECT_LT(steps - before, 10) << "they took turns";
+  enough = true;
+  player.join();
 }
 
 }  // namespace

@@ -64,7 +64,7 @@ class Floods(server_case.ServerCase):
             self.assertFalse(self.ask(other, messages.open_lanes(range(10))).ended)
 
     def test_a_hello_alone_is_counted(self):
-        server = self.envserver("--max_session_mb=150", "--max_games_mb=150")
+        server = self.envserver("--max_session_mb=150", "--max_games_mb=150", "--max_client_percent=100")
         sessions = [self.session(server.address, frame_size=2048)]
         client = self.client(server.address)
         stream = client.start(messages.PLAY)
