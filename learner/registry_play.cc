@@ -272,8 +272,10 @@ std::shared_ptr<const std::string> WorkerRegistry::EvaluationWeights(int64_t tas
   return evaluations_.Weights(task);
 }
 
-absl::Status WorkerRegistry::FinishEvaluation(int64_t task, absl::Span<const Episode> episodes) {
+absl::Status WorkerRegistry::FinishEvaluation(absl::string_view actor, int64_t task,
+                                              absl::Span<const Episode> episodes) {
   const MutexLock lock(&mu_);
+  if (FindActor(actor) == nullptr) return NotKnown(actor);
   absl::Status status = evaluations_.Finish(task, episodes);
   evaluated_.NotifyAll();
   return status;

@@ -203,7 +203,9 @@ class WorkerRegistry {
 
   void AddEvaluation(Evaluation evaluation) ABSL_LOCKS_EXCLUDED(mu_);
   std::shared_ptr<const std::string> EvaluationWeights(int64_t task) const ABSL_LOCKS_EXCLUDED(mu_);
-  absl::Status FinishEvaluation(int64_t task, absl::Span<const Episode> episodes) ABSL_LOCKS_EXCLUDED(mu_);
+  // The result of an actor.   Aborted: the actor is unknown or has left, and must join (again).
+  absl::Status FinishEvaluation(absl::string_view actor, int64_t task, absl::Span<const Episode> episodes)
+      ABSL_LOCKS_EXCLUDED(mu_);
   // Waits up to `timeout` until the oldest evaluation is finished. PopEvaluation removes it.
   std::optional<FinishedEvaluation> FrontEvaluation(absl::Duration timeout) ABSL_LOCKS_EXCLUDED(mu_);
   void PopEvaluation() ABSL_LOCKS_EXCLUDED(mu_);

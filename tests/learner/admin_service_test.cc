@@ -162,7 +162,7 @@ TEST_F(AdminServiceTest, DrainingAnActorWaitsForItsFragmentsAndItsEvaluation) {
   ExpectDoneOnlyAfter(done, [&] {
     Finish("a", permits);
     EXPECT_FALSE(WaitUntil([&] { return done.load(); }, kShort)) << "it plays an evaluation";
-    EXPECT_THAT(registry_.FinishEvaluation(task->id, std::vector<Episode>(1)), IsOk());
+    EXPECT_THAT(registry_.FinishEvaluation("a", task->id, std::vector<Episode>(1)), IsOk());
   });
   client.join();
   registry_.OpenIteration(2, 2);

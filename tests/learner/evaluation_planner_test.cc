@@ -65,7 +65,7 @@ struct Start {
   void Finish(const Task& task, int64_t length) {
     std::vector<Episode> episodes(task.episodes);
     for (Episode& episode : episodes) episode.length = length;
-    EXPECT_THAT(registry.FinishEvaluation(task.id, episodes), IsOk());
+    EXPECT_THAT(registry.FinishEvaluation("actor 1", task.id, episodes), IsOk());
   }
   // Plays all tasks; the episodes of a task are as long as the number of its first episode.
   void PlayAll() {

@@ -181,10 +181,11 @@ TEST_F(EvaluationSchedulerTest, AWrongNumberOfEpisodesIsRefused) {
 TEST(WorkerRegistryEvaluations, FrontWaitsForTheResult) {
   FakeClock clock;
   TestRegistry registry({1}, std::vector<LaneRecord>(1), &clock);
+  registry.Join("a", "");
   registry.AddEvaluation(SampleEvaluation(1, 1, 1));
   EXPECT_EQ(registry.pending_evaluations(), 1);
   std::thread actor([&] {
-    for (const int64_t task : {2, 3}) EXPECT_TRUE(registry.FinishEvaluation(task, Episodes(1, 10)).ok());
+    for (const int64_t task : {2, 3}) EXPECT_TRUE(registry.FinishEvaluation("a", task, Episodes(1, 10)).ok());
   });
   EXPECT_TRUE(registry.FrontEvaluation(absl::Seconds(60)).has_value());
   actor.join();

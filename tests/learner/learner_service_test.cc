@@ -321,6 +321,11 @@ TEST_F(LearnerServiceTest, AnActorThatEvaluatesGetsATaskAndReturnsItsResult) {
     episode->set_length(30 + i);
     for (int k = 0; k < kNumAchievements; ++k) episode->add_achievements(0);
   }
+  result.set_actor("b");
+  EXPECT_THAT(Call(&v1::LearnerService::Stub::FinishEvaluation, result),
+              StatusIs(absl::StatusCode::kAborted, HasSubstr("actor b is unknown: join again")));
+  EXPECT_EQ(weights().value(), "old weights") << "the task goes on";
+  result.set_actor("a");
   EXPECT_THAT(Call(&v1::LearnerService::Stub::FinishEvaluation, result), IsOk());
   EXPECT_THAT(weights(), StatusIs(absl::StatusCode::kAborted, HasSubstr("is over")));
   result.set_epoch(kEpoch - 1);

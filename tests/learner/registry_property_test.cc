@@ -88,7 +88,7 @@ class History {
         if (Below(10) == 0) Rewind();
         return;
       case 7:
-        return FinishTask(&player);
+        return FinishTask(name, &player);
       case 8:
       case 9:
         return Push(name, &player);
@@ -198,10 +198,14 @@ class History {
     Drop(player, permit);
   }
 
-  void FinishTask(Player* player) {
+  void FinishTask(const std::string& name, Player* player) {
     if (player->evaluation == 0) return;
-    ASSERT_TRUE(registry_.FinishEvaluation(player->evaluation, std::vector<Episode>(1)).ok());
+    const std::vector<LaneScheduler::ActorInfo> actors = registry_.Actors();
+    const bool is_known = std::any_of(actors.begin(), actors.end(), [&](const auto& actor) { return actor.name == name; });
+    const absl::Status status = registry_.FinishEvaluation(name, player->evaluation, std::vector<Episode>(1));
+    ASSERT_EQ(status.code(), is_known ? absl::StatusCode::kOk : absl::StatusCode::kAborted) << status;
     player->evaluation = 0;
+    if (!status.ok()) return;
     if (!registry_.FrontEvaluation(absl::ZeroDuration()).has_value()) return;
     registry_.PopEvaluation();
     registry_.AddEvaluation({++evaluations_, 1000, 1, 1, false, std::make_shared<std::string>("weights")});

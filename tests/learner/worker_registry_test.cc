@@ -68,7 +68,7 @@ TEST_F(WorkerRegistryTest, ADrainedActorIsNotAssignedAnEvaluation) {
   ASSERT_TRUE(reply.evaluation.has_value());
   EXPECT_FALSE(registry_.IsDrained("a"));
   EXPECT_FALSE(Ask(Question("a", reply.evaluation->id)).evaluation.has_value());
-  EXPECT_THAT(registry_.FinishEvaluation(reply.evaluation->id, std::vector<Episode>(1)), IsOk());
+  EXPECT_THAT(registry_.FinishEvaluation("a", reply.evaluation->id, std::vector<Episode>(1)), IsOk());
   EXPECT_FALSE(Ask(Question("a")).evaluation.has_value()) << "the other task is for other actors";
   EXPECT_TRUE(registry_.IsDrained("a"));
 }
@@ -80,7 +80,7 @@ TEST_F(WorkerRegistryTest, AnActorIsDrainedOnceItPlaysNeitherFragmentsNorAnEvalu
   registry_.Drain("a");
   EXPECT_FALSE(registry_.IsDrained("a"));
   EXPECT_TRUE(Ask(Question("a", task)).resting);
-  EXPECT_THAT(registry_.FinishEvaluation(task, std::vector<Episode>(1)), IsOk());
+  EXPECT_THAT(registry_.FinishEvaluation("a", task, std::vector<Episode>(1)), IsOk());
   EXPECT_TRUE(registry_.IsDrained("a"));
 }
 
