@@ -49,9 +49,8 @@ void CheckpointWriter::ServeRequests(int64_t iteration) {
 
 absl::Status CheckpointWriter::WriteLast(int64_t iteration) {
   absl::Status status = WriteUnlessWritten(iteration);
-  while (
-      absl::IsResourceExhausted(status) &&
-      parts_.disk->Wait(absl::StrCat(status.message(), "; the last checkpoint will be written once there is space"))) {
+  while (absl::IsResourceExhausted(status) &&
+         parts_.disk->Wait(status, "the last checkpoint will be written once there is space")) {
     status = Write();
   }
   return status;

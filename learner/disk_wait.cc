@@ -3,15 +3,24 @@
 #include "common/telemetry/log.h"
 
 namespace craftfleet {
+namespace {
 
-void DiskWait::Report(absl::string_view error) {
-  if (clock_->Now() - reported_ < kReportEvery) return;
-  reported_ = clock_->Now();
-  LogError("%s; free space on that disk", error);
+absl::string_view Remedy(const absl::Status& error) {
+  if (absl::IsResourceExhausted(error)) return "free space on that disk";
+  if (absl::IsPermissionDenied(error)) return "make that disk writable";
+  return "check that disk and its connection: the kernel's log (dmesg) may say more";
 }
 
-bool DiskWait::Wait(absl::string_view error) {
-  Report(error);
+}  // namespace
+
+void DiskWait::Report(const absl::Status& error, absl::string_view consequence) {
+  if (clock_->Now() - reported_ < kReportEvery) return;
+  reported_ = clock_->Now();
+  LogError("%s; %s; %s", error.message(), consequence, Remedy(error));
+}
+
+bool DiskWait::Wait(const absl::Status& error, absl::string_view consequence) {
+  Report(error, consequence);
   return !stop_->Sleep(tick_);
 }
 

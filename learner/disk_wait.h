@@ -1,8 +1,9 @@
-// Waits for free space while the disk of the run folder is full.
+// Waits while the disk of the run folder cannot be written.
 
 #ifndef CRAFTFLEET_LEARNER_DISK_WAIT_H_
 #define CRAFTFLEET_LEARNER_DISK_WAIT_H_
 
+#include <absl/status/status.h>
 #include <absl/strings/string_view.h>
 #include <absl/time/time.h>
 
@@ -11,7 +12,7 @@
 
 namespace craftfleet {
 
-// Logs the error, at a limited rate, and waits for free space. Owned by one thread.
+// Logs the error, at a limited rate, and waits for the disk. Owned by one thread.
 class DiskWait {
  public:
   static constexpr absl::Duration kReportEvery = absl::Seconds(15);
@@ -20,10 +21,10 @@ class DiskWait {
   DiskWait(const StopFlag* stop, Clock* clock, absl::Duration tick = absl::Seconds(1))
       : stop_(stop), clock_(clock), tick_(tick) {}
 
-  // Logs `error` and the remedy, at most once in kReportEvery.
-  void Report(absl::string_view error);
-  // Reports `error`, then waits one `tick`. Returns false if training is asked to stop.
-  bool Wait(absl::string_view error);
+  // Logs `error`, that of a write (common/io/files.h), its `consequence` and the remedy, at most once in kReportEvery.
+  void Report(const absl::Status& error, absl::string_view consequence);
+  // Reports, then waits one `tick`. Returns false if training is asked to stop.
+  bool Wait(const absl::Status& error, absl::string_view consequence);
 
  private:
   const StopFlag* const stop_;
