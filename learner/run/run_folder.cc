@@ -280,7 +280,9 @@ absl::Status RunFolder::CountLogs(const v1::CheckpointState& state) {
       return absl::DataLossError(absl::StrCat("the checkpoint has no length for ", path));
     }
     if (*length > *size) {
-      return absl::DataLossError(absl::StrCat(path, " has ", *size, " bytes, but the checkpoint expects ", *length));
+      return absl::DataLossError(absl::StrCat(path, " has ", *size, " bytes, but the checkpoint expects ", *length,
+                                              ": put back a whole copy of the file, or go back to an older checkpoint "
+                                              "with --resume_from"));
     }
   }
   for (int kind = 0; kind < kNumEpisodeKinds; ++kind) {

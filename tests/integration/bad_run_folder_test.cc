@@ -20,6 +20,7 @@
 namespace craftfleet {
 namespace {
 
+using testing::AllOf;
 using testing::HasSubstr;
 
 class BadRunFolderTest : public SmallRunTest {
@@ -168,7 +169,11 @@ TEST_F(BadRunFolderTest, ALogThatLostLinesIsRefused) {
   ASSERT_THAT(WriteFileSynced(Logdir("run") + "/stats.jsonl", "{}\n"), IsOk());
   const Ended ended = Run("craftfleet-train", {"--resume", "--logdir=" + Logdir("run"), "--steps=256"});
   EXPECT_EQ(ended.exit_code, 1);
-  EXPECT_THAT(ended.err, HasSubstr("stats.jsonl has 3 bytes, but the checkpoint expects "));
+  EXPECT_THAT(ended.err, AllOf(HasSubstr("stats.jsonl has 3 bytes, but the checkpoint expects "),
+                               HasSubstr("go back to an older checkpoint with --resume_from")));
+  const Ended older =
+      Run("craftfleet-train", {"--resume", "--resume_from=iter-00000000", "--logdir=" + Logdir("run"), "--steps=256"});
+  EXPECT_EQ(older.exit_code, 0) << older.err;
 }
 
 // A fleet whose learner's disk fills up. A file size limit simulates the full disk, so SIGXFSZ must be ignored.
