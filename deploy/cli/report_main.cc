@@ -13,6 +13,7 @@
 #include "common/io/files.h"
 #include "common/io/paths.h"
 #include "common/process/program.h"
+#include "common/telemetry/log.h"
 #include "deploy/cli/report/paper_figures.h"
 #include "deploy/cli/report/report.h"
 #include "deploy/cli/report/report_target.h"
@@ -35,7 +36,8 @@ constexpr char kUsage[] =
     R"(craftfleet report DIR... makes the paper's tables from the runs in or below the given folders: mean and standard deviation
 over seeds, compared with the paper's; success rates, learning curves with their spread, and heatmaps; as Markdown, CSV and
 PNG. A run is a folder with config.txt and stats.jsonl. Its configuration determines the cell of the table. The report marks
-cells without a run, and lists unfinished runs without averaging them.
+cells without a run, and lists unfinished runs without averaging them. A run that cannot be read is named in a warning and
+left out; if there is no other, the program ends with its error.
 
   craftfleet report runs/paper --out=report
   craftfleet report runs/paper --out=report --html
@@ -57,16 +59,20 @@ absl::Status Run(const std::vector<std::string>& folders) {
                               FileOr(absl::GetFlag(FLAGS_figures), "experiments/paper_figures.csv"));
   CRAFTFLEET_ASSIGN_OR_RETURN(const std::string figures, ReadFile(figures_path));
   CRAFTFLEET_ASSIGN_OR_RETURN(const PaperFigures paper, PaperFigures::Parse(figures, figures_path));
-  CRAFTFLEET_ASSIGN_OR_RETURN(const std::vector<RunRecord> runs, FindRuns(folders));
+  CRAFTFLEET_ASSIGN_OR_RETURN(const FoundRuns found, FindRuns(folders));
+  const std::vector<RunRecord>& runs = found.runs;
+  if (runs.empty() && !found.unreadable.empty()) return found.unreadable.front();
   if (runs.empty()) {
     return absl::NotFoundError(absl::StrCat("no run in or below ", absl::StrJoin(folders, ", "),
                                             ", want a folder with config.txt and stats.jsonl"));
   }
+  for (const absl::Status& error : found.unreadable) LogWarning("a run is left out: %s", error.message());
   Report report = MakeReport(experiments, paper, runs);
   if (absl::GetFlag(FLAGS_html)) report.files["report.html"] = WebPage(runs);
   CRAFTFLEET_ASSIGN_OR_RETURN(const int files, target.Write(report));
   std::FILE* const people = target.is_standard_output() ? stderr : stdout;
   absl::FPrintF(people, "%d runs, %d complete; ", runs.size(), report.complete);
+  if (!found.unreadable.empty()) absl::FPrintF(people, "%d more cannot be read; ", found.unreadable.size());
   if (files == 1) {
     absl::FPrintF(people, "report.md written to %s\n", target.is_standard_output() ? "standard output" : out);
   } else {

@@ -79,6 +79,16 @@ TEST_F(SweepProgramTest, RunsResumesReportsAndNeverRunsAFinishedCellAgain) {
   ASSERT_EQ(page.exit_code, 0) << page.err;
   EXPECT_EQ(page.out, ReadFile(folder_ / "report/report.md").value());
   EXPECT_THAT(page.err, HasSubstr("4 runs, 4 complete; report.md written to standard output"));
+
+  const std::string damaged = RunFolder("gamma=0.9/seed1") + "/config.txt";
+  ASSERT_THAT(WriteFileSynced(damaged, "no configuration"), IsOk());
+  const Ended rest = Run("craftfleet-report", {folder_ / "runs", "--out=-"});
+  EXPECT_EQ(rest.exit_code, 0) << rest.err;
+  EXPECT_THAT(rest.err,
+              AllOf(HasSubstr("warning: a run is left out: " + damaged), HasSubstr("3 runs, 3 complete; 1 more")));
+  const Ended none = Run("craftfleet-report", {RunFolder("gamma=0.9/seed1"), "--out=-"});
+  EXPECT_EQ(none.exit_code, 1);
+  EXPECT_THAT(none.err, HasSubstr(damaged));
 }
 
 TEST_F(SweepProgramTest, SigtermStopsItsRunsAndTheSameCommandResumes) {

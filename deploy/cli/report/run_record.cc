@@ -4,6 +4,7 @@
 #include <filesystem>
 #include <set>
 #include <system_error>
+#include <utility>
 
 #include <absl/strings/str_cat.h>
 #include <nlohmann/json.hpp>
@@ -124,15 +125,19 @@ std::string StepsText(const RunRecord& run) {
   return absl::StrCat(WithCommas(run.steps), " of ", WithCommas(StepsToTrain(run.config)));
 }
 
-absl::StatusOr<std::vector<RunRecord>> FindRuns(absl::Span<const std::string> folders) {
-  std::set<std::string> found;
-  for (const std::string& folder : folders) CRAFTFLEET_RETURN_IF_ERROR(AddRunFolders(folder, &found));
-  std::vector<RunRecord> runs;
-  for (const std::string& folder : found) {
-    CRAFTFLEET_ASSIGN_OR_RETURN(RunRecord run, ReadRun(folder));
-    runs.push_back(std::move(run));
+absl::StatusOr<FoundRuns> FindRuns(absl::Span<const std::string> folders) {
+  std::set<std::string> run_folders;
+  for (const std::string& folder : folders) CRAFTFLEET_RETURN_IF_ERROR(AddRunFolders(folder, &run_folders));
+  FoundRuns found;
+  for (const std::string& folder : run_folders) {
+    absl::StatusOr<RunRecord> run = ReadRun(folder);
+    if (run.ok()) {
+      found.runs.push_back(*std::move(run));
+    } else {
+      found.unreadable.push_back(run.status());
+    }
   }
-  return runs;
+  return found;
 }
 
 }  // namespace craftfleet

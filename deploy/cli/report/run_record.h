@@ -7,6 +7,7 @@
 #include <string>
 #include <vector>
 
+#include <absl/status/status.h>
 #include <absl/status/statusor.h>
 #include <absl/types/span.h>
 
@@ -56,9 +57,14 @@ absl::StatusOr<RunRecord> ReadRun(const std::string& folder);
 // "4,000 of 8,192": the steps that the run has reached, and those that it trains for, in whole iterations.
 std::string StepsText(const RunRecord& run);
 
-// All runs in or below `folders`, sorted by folder. A folder with config.txt and stats.jsonl is a run.
-//   NotFound: no such folder.   Others as ReadRun.
-absl::StatusOr<std::vector<RunRecord>> FindRuns(absl::Span<const std::string> folders);
+struct FoundRuns {
+  std::vector<RunRecord> runs;           // sorted by folder
+  std::vector<absl::Status> unreadable;  // the errors of ReadRun of those that cannot be read
+};
+
+// All runs in or below `folders`. A folder with config.txt and stats.jsonl is a run.
+//   NotFound: no such folder.   Others: a folder cannot be listed.
+absl::StatusOr<FoundRuns> FindRuns(absl::Span<const std::string> folders);
 
 }  // namespace craftfleet
 

@@ -59,7 +59,7 @@ class ReportTest : public testing::Test {
     experiments_ = ParseExperiments(kExperiments, "e").value();
     const auto runs = FindRuns({folder_.path()});
     EXPECT_THAT(runs, IsOk());
-    return MakeReport(experiments_, PaperFigures::Parse(kFigures, "f").value(), *runs);
+    return MakeReport(experiments_, PaperFigures::Parse(kFigures, "f").value(), runs->runs);
   }
   // The first line of `text` that begins so.
   static std::string Line(const std::string& text, const std::string& begin) {

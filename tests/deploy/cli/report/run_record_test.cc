@@ -168,11 +168,27 @@ TEST(FindRuns, FindsEachRunInOrBelowTheFoldersOnceInOrder) {
   WriteSampleRun(folder / "b/c/seed1", 1, "", 3, 1);
   WriteSampleRun(folder / "a", 1, "", 3, 1);
   WriteTextFile(folder / "b/config.txt", "no run, it has no stats.jsonl");
-  const auto runs = FindRuns({folder.path(), folder / "a", folder / "b"});
-  ASSERT_THAT(runs, IsOk());
-  ASSERT_EQ(runs->size(), 3U);
-  EXPECT_EQ(runs->at(0).folder, folder / "a");
-  EXPECT_EQ(runs->at(2).folder, folder / "b/c/seed2");
+  const auto found = FindRuns({folder.path(), folder / "a", folder / "b"});
+  ASSERT_THAT(found, IsOk());
+  ASSERT_EQ(found->runs.size(), 3U);
+  EXPECT_EQ(found->runs[0].folder, folder / "a");
+  EXPECT_EQ(found->runs[2].folder, folder / "b/c/seed2");
+  EXPECT_TRUE(found->unreadable.empty());
+}
+
+TEST(FindRuns, ARunThatCannotBeReadIsNamedBesideTheOthers) {
+  const TempFolder folder;
+  WriteSampleRun(folder / "a", 1, "", 3, 1);
+  WriteSampleRun(folder / "b", 2, "", 3, 1);
+  WriteSampleRun(folder / "c", 3, "", 3, 1);
+  ASSERT_THAT(CheckpointStore::Open(folder / "b/checkpoints")->Write(SampleCheckpoint(3)), IsOk());
+  WriteTextFile(folder / "b/checkpoints/iter-00000003/state.pb", "garbage");
+  const auto found = FindRuns({folder.path()});
+  ASSERT_THAT(found, IsOk());
+  ASSERT_EQ(found->runs.size(), 2U);
+  EXPECT_EQ(found->runs[1].folder, folder / "c");
+  ASSERT_EQ(found->unreadable.size(), 1U);
+  EXPECT_THAT(std::string(found->unreadable[0].message()), HasSubstr(folder / "b/checkpoints/iter-00000003"));
 }
 
 TEST(FindRuns, AMissingFolderIsAnError) {

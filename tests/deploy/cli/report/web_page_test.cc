@@ -18,7 +18,7 @@ class WebPageTest : public testing::Test {
   // What the page's scripts read.
   nlohmann::json Data() const {
     const std::vector<std::string> folders = {temp_.path()};
-    const std::string page = WebPage(FindRuns(folders).value());
+    const std::string page = WebPage(FindRuns(folders).value().runs);
     const std::string begin = "id=\"report\">";
     const size_t at = page.find(begin) + begin.size();
     return nlohmann::json::parse(page.substr(at, page.find("</script>", at) - at));
@@ -56,7 +56,7 @@ TEST_F(WebPageTest, CurvesOfLongRunsAreThinned) {
 TEST_F(WebPageTest, NamesOfFoldersCannotEndTheScript) {
   WriteSampleRun(temp_ / "</script><script>alert(1)</script>/run", 1, "", 40, 3);
   const std::vector<std::string> folders = {temp_.path()};
-  EXPECT_THAT(WebPage(FindRuns(folders).value()), Not(HasSubstr("<script>alert(1)")));
+  EXPECT_THAT(WebPage(FindRuns(folders).value().runs), Not(HasSubstr("<script>alert(1)")));
   EXPECT_THAT(Data()["runs"][0]["name"].get<std::string>(), HasSubstr("</script><script>alert(1)</script>/run"));
 }
 
