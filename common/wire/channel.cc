@@ -69,8 +69,9 @@ void PollFewConnections() {
   rlimit limit = {};
   if (getrlimit(RLIMIT_NOFILE, &limit) != 0 || limit.rlim_cur < kPlentyOfFiles) return;
   setenv("GRPC_POLL_STRATEGY", "poll", /*overwrite=*/0);
-  // A connection without a waiting call is polled only by a timer, by default every 5 s: too late for keepalive.
-  setenv("GRPC_CLIENT_CHANNEL_BACKUP_POLL_INTERVAL_MS", "500", /*overwrite=*/0);
+  // A connection without a waiting call is polled only by a timer, by default every 5 s: too late for keepalive. The
+  // handshake of TLS takes several polls, and must be over before the time for an attempt to connect (ClientArguments).
+  setenv("GRPC_CLIENT_CHANNEL_BACKUP_POLL_INTERVAL_MS", "100", /*overwrite=*/0);
 }
 
 grpc::ChannelArguments ClientArguments() {
