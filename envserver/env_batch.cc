@@ -7,6 +7,7 @@
 
 #include "common/base/clock.h"
 #include "common/base/status_macros.h"
+#include "envserver/game_budget.h"
 
 namespace craftfleet {
 namespace {
@@ -16,6 +17,10 @@ constexpr size_t kGamesPerCheck = 16;  // small games take microseconds a step
 
 absl::Span<uint8_t> Row(std::string* frames, size_t row, size_t frame_bytes) {
   return absl::MakeSpan(reinterpret_cast<uint8_t*>(&(*frames)[row * frame_bytes]), frame_bytes);
+}
+
+int64_t MoreObjects(const Game& game) {
+  return std::max<int64_t>(static_cast<int64_t>(game.world().object_room()) - kUsualObjects, 0);
 }
 
 }  // namespace
@@ -61,7 +66,7 @@ absl::Status EnvBatch::OpenNext() {
       OpenOne(lane, scenes ? Row(&picture_, 0, renderer_->frame_bytes())
                            : Row(opened_frames_, next_ - refused_.size(), renderer_->frame_bytes()));
   if (absl::IsDataLoss(status)) {
-    games_.erase(lane.lane);
+    Drop(lane.lane);
     refused_.push_back({lane.lane, std::string(status.message())});
     return absl::OkStatus();
   }
@@ -101,7 +106,8 @@ absl::Status EnvBatch::OpenOne(const OpenLane& lane, absl::Span<uint8_t> frame) 
     }
   }
   if (recording_.has_value()) moments_.push_back(recording_->Take(game, frame));
-  games_.erase(lane.lane);
+  Drop(lane.lane);
+  more_objects_ += MoreObjects(game);
   games_.emplace(lane.lane, std::move(game));
   return absl::OkStatus();
 }
@@ -126,10 +132,12 @@ absl::Status EnvBatch::StepNext() {
   const size_t row = next_;
   if (row % kGamesPerCheck == kGamesPerCheck - 1) CRAFTFLEET_RETURN_IF_ERROR(CheckStopped());
   Game* game = chosen_[row];
+  more_objects_ -= MoreObjects(*game);
   const Game::PlayedStep played =
       format_ == FrameFormat::kScene
           ? game->StepAndRecord(actions_[row], snapshot_, &step_->frames, &step_->last_frames)
           : StepAndDraw(actions_[row], game, Row(&step_->frames, row, renderer_->frame_bytes()), step_);
+  more_objects_ += MoreObjects(*game);
   step_->rewards[row] = static_cast<float>(played.outcome.reward);
   step_->ends[row] = played.outcome.end;
   if (played.episode.has_value()) step_->episodes.push_back(*played.episode);
@@ -144,7 +152,14 @@ Game::PlayedStep EnvBatch::StepAndDraw(Action action, Game* game, absl::Span<uin
 }
 
 void EnvBatch::Close(absl::Span<const int> lanes) {
-  for (const int lane : lanes) games_.erase(lane);
+  for (const int lane : lanes) Drop(lane);
+}
+
+void EnvBatch::Drop(int lane) {
+  const auto game = games_.find(lane);
+  if (game == games_.end()) return;
+  more_objects_ -= MoreObjects(game->second);
+  games_.erase(game);
 }
 
 absl::Status EnvBatch::Find(absl::Span<const int> lanes) {

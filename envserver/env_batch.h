@@ -91,11 +91,15 @@ class EnvBatch {
   // Of a recording's larger pictures; 0: none.
   int picture_bytes() const { return recording_.has_value() ? recording_->picture_bytes() : 0; }
   int size() const { return static_cast<int>(games_.size()); }
+  // The room for objects beyond kUsualObjects, of all games (SessionBytes).
+  int64_t more_objects() const { return more_objects_; }
 
  private:
   absl::Status CheckRoom(size_t more) const;
   // Cancelled: the result is no longer needed.
   absl::Status CheckStopped();
+  // Drops the game of a lane, if it is open.
+  void Drop(int lane);
   // DataLoss: the snapshot is invalid.
   absl::Status OpenOne(const OpenLane& lane, absl::Span<uint8_t> frame);
   // One step of a game with pictures; takes its moment if the session records.
@@ -111,6 +115,7 @@ class EnvBatch {
   const std::optional<MomentTaker> recording_;
   const FrameFormat format_;
   std::map<int, Game> games_;
+  int64_t more_objects_ = 0;
   std::vector<Game*> chosen_;  // the games of the current request, in its order
   // The current request: how many games it has, how many of them are done, and its arguments.
   size_t count_ = 0;

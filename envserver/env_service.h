@@ -92,8 +92,9 @@ class EnvServiceImpl final : public v1::EnvironmentService::CallbackService {
   // The games of a session, and what the request that it is answering refers to.
   struct Games {
     Games(GameBudget::Share* of_session, EnvBatch opened) : share(of_session), batch(std::move(opened)) {}
-    // Reserves memory for `games` like those of the batch, or releases it. Errors as GameBudget::Share::Set.
-    absl::Status Reserve(int64_t games);
+    // Reserves memory for the games of the batch and `more_games` like them, with room for so many objects more than
+    // usual, or releases it. Errors as GameBudget::Share::Set.
+    absl::Status Reserve(int64_t more_games, int64_t more_objects);
     // Whether a step of one game may take longer than a thread's turn: its pictures are large.
     bool slow() const;
 

@@ -12,6 +12,7 @@ namespace {
 
 constexpr int64_t kMiB = int64_t{1} << 20;
 constexpr int64_t kWorldBytes = 64 << 10;     // per game: its world, its snapshot and the messages with it
+constexpr int64_t kObjectBytes = 96;          // per object: in the world, and in the snapshot and its message
 constexpr int64_t kMomentBytes = 16 << 10;    // per recorded game, in addition to its pictures
 constexpr int64_t kSessionBytes = 256 << 10;  // per session without games: stream, buffers, the renderer's tables
 constexpr int64_t kFrameCopies = 4;     // in the reply and its message, for the last pictures of episodes once more
@@ -63,6 +64,7 @@ absl::Status GameBudget::Options::Validate() const {
 
 absl::Status GameBudget::Share::Set(int64_t games, int64_t bytes) {
   const Amount wanted = {games, bytes};
+  if (games == amount_.games && bytes == amount_.bytes) return absl::OkStatus();
   if (Exceeds(wanted, amount_)) CRAFTFLEET_RETURN_IF_ERROR(budget_->CheckSession(wanted));
   bool client_is_full = false;
   if (absl::Status status = budget_->Take(client_, amount_, wanted, &client_is_full); !status.ok()) {
@@ -130,10 +132,10 @@ int64_t GameBudget::bytes() const {
   return all_.bytes;
 }
 
-int64_t SessionBytes(int64_t games, int64_t frame_bytes, bool records, int64_t picture_bytes) {
+int64_t SessionBytes(int64_t games, int64_t more_objects, int64_t frame_bytes, bool records, int64_t picture_bytes) {
   const int64_t moment = records ? kMomentCopies * (frame_bytes + picture_bytes + kMomentBytes) : 0;
   const int64_t game = kWorldBytes + kFrameCopies * frame_bytes + moment;
-  return kSessionBytes + kRendererFrames * (frame_bytes + picture_bytes) + games * game;
+  return kSessionBytes + kRendererFrames * (frame_bytes + picture_bytes) + games * game + more_objects * kObjectBytes;
 }
 
 }  // namespace craftfleet

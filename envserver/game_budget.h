@@ -52,7 +52,7 @@ class GameBudget {
     Share(const Share&) = delete;
     Share& operator=(const Share&) = delete;
 
-    // Changes the share to `games` with `bytes` of memory.
+    // Changes the share to `games` with `bytes` of memory. Cheap if nothing changes.
     //   ResourceExhausted, naming the request, the limit and its flag: the share is unchanged.
     absl::Status Set(int64_t games, int64_t bytes);
     const std::string& client() const { return client_; }
@@ -84,9 +84,14 @@ class GameBudget {
   std::map<std::string, Amount> clients_ ABSL_GUARDED_BY(mu_);  // those that have something
 };
 
+// The room for objects (World::object_room) that is counted with each game. Play leaves it at that; a crafted snapshot,
+// or a player that only plants, may fill all cells.
+inline constexpr int64_t kUsualObjects = 256;
+
 // Estimates the memory of a session whose games have pictures of `frame_bytes` and are recorded with larger ones of
-// `picture_bytes` (0: not recorded). The estimate is somewhat too high.
-int64_t SessionBytes(int64_t games, int64_t frame_bytes, bool records, int64_t picture_bytes);
+// `picture_bytes` (0: not recorded). `more_objects`: the room beyond kUsualObjects, of all games. The estimate is
+// somewhat too high.
+int64_t SessionBytes(int64_t games, int64_t more_objects, int64_t frame_bytes, bool records, int64_t picture_bytes);
 
 }  // namespace craftfleet
 

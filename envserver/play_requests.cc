@@ -17,6 +17,7 @@
 #include "common/wire/protocol.h"
 #include "common/wire/request_check.h"
 #include "envserver/env_service.h"
+#include "envserver/world/snapshot.h"
 
 namespace craftfleet {
 namespace {
@@ -43,6 +44,16 @@ void Pack(FrameFormat format, v1::PlayReply* reply) {
   wire::PackFrames(reply->mutable_last_frames());
 }
 
+// At most the objects beyond the usual ones that `open` makes room for, before its snapshots are read.
+int64_t MostObjects(const v1::OpenLanes& open) {
+  int64_t objects = 0;
+  for (const v1::OpenLanes::Lane& lane : open.lanes()) {
+    const auto saved = static_cast<int64_t>(lane.snapshot().size() / kSavedObjectBytes);
+    objects += std::max<int64_t>(2 * saved - kUsualObjects, 0);  // room doubles when there is none
+  }
+  return objects;
+}
+
 // Reports the lanes that were not opened, with reasons.
 void AddRefused(const std::vector<EnvBatch::Refused>& refused, LimitedLog* log, v1::PlayReply* reply) {
   for (const EnvBatch::Refused& lane : refused) {
@@ -57,8 +68,10 @@ void AddRefused(const std::vector<EnvBatch::Refused>& refused, LimitedLog* log, 
 
 }  // namespace
 
-absl::Status EnvServiceImpl::Games::Reserve(int64_t games) {
-  return share->Set(games, SessionBytes(games, batch.renderer().frame_bytes(), batch.records(), batch.picture_bytes()));
+absl::Status EnvServiceImpl::Games::Reserve(int64_t more_games, int64_t more_objects) {
+  const int64_t games = batch.size() + more_games;
+  return share->Set(games, SessionBytes(games, batch.more_objects() + more_objects, batch.renderer().frame_bytes(),
+                                        batch.records(), batch.picture_bytes()));
 }
 
 bool EnvServiceImpl::Games::slow() const {
@@ -93,8 +106,8 @@ absl::StatusOr<std::unique_ptr<EnvServiceImpl::Games>> EnvServiceImpl::Greet(con
   const bool larger_wanted = larger_picture.width != 0;
   if (larger_wanted) CRAFTFLEET_RETURN_IF_ERROR(larger_picture.Validate(world));
   // A renderer's tables are as large as some pictures.
-  CRAFTFLEET_RETURN_IF_ERROR(share->Set(
-      0, SessionBytes(0, FrameBytes(picture), hello.has_recording(), larger_wanted ? FrameBytes(larger_picture) : 0)));
+  CRAFTFLEET_RETURN_IF_ERROR(share->Set(0, SessionBytes(0, 0, FrameBytes(picture), hello.has_recording(),
+                                                        larger_wanted ? FrameBytes(larger_picture) : 0)));
   CRAFTFLEET_ASSIGN_OR_RETURN(std::shared_ptr<const Renderer> renderer, Renderer::Create(*textures_, world, picture));
   if (!hello.has_recording()) {
     return std::make_unique<Games>(share, EnvBatch(std::move(renderer), std::nullopt, ChooseFormat(hello)));
@@ -112,7 +125,7 @@ absl::Status EnvServiceImpl::Begin(const v1::PlayRequest& request, Games* games,
       CRAFTFLEET_RETURN_IF_ERROR(wire::ActionsFromProto(request.step(), &games->actions));
       return games->batch.Step(request.step().lanes(), games->actions, request.step().snapshot(), &games->step);
     case v1::PlayRequest::kOpen:
-      CRAFTFLEET_RETURN_IF_ERROR(games->Reserve(int64_t{games->batch.size()} + request.open().lanes_size()));
+      CRAFTFLEET_RETURN_IF_ERROR(games->Reserve(request.open().lanes_size(), MostObjects(request.open())));
       games->to_open.clear();
       for (const v1::OpenLanes::Lane& lane : request.open().lanes()) {
         games->to_open.push_back({lane.lane(), lane.seed(), lane.episode() == 0 ? 1 : lane.episode(), lane.snapshot()});
@@ -138,7 +151,7 @@ absl::Status EnvServiceImpl::Complete(const v1::PlayRequest& request, Games* gam
     wire::ToProto(&games->step, reply);
     Pack(batch.format(), reply);
     wire::ToProto(std::move(batch.moments()), reply);
-    return absl::OkStatus();
+    return games->Reserve(0, 0);  // objects appear in play
   }
   if (request.has_open()) {
     games->to_open = {};
@@ -148,7 +161,7 @@ absl::Status EnvServiceImpl::Complete(const v1::PlayRequest& request, Games* gam
   } else {
     reply->Clear();
   }
-  return games->Reserve(batch.size());  // some of the lanes may have been open already, or refused
+  return games->Reserve(0, 0);  // some of the lanes may have been open already, or refused
 }
 
 }  // namespace craftfleet

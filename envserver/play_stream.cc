@@ -93,7 +93,7 @@ class EnvServiceImpl::PlayStream final : public grpc::ServerBidiReactor<v1::Play
         watched_(std::in_place, &service->watch_, context),
         share_(std::in_place, &service->budget_, service->ClientOf(*context)) {
     absl::Status admitted = watched_->admitted();
-    if (admitted.ok()) admitted = share_->Set(0, SessionBytes(0, 0, false, 0));
+    if (admitted.ok()) admitted = share_->Set(0, SessionBytes(0, 0, 0, false, 0));
     if (admitted.ok()) {
       watched_->Await("a hello (--hello_timeout)", service_->options_.hello_timeout);
       StartRead(&request_);

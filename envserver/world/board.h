@@ -5,6 +5,7 @@
 #define CRAFTFLEET_ENVSERVER_WORLD_BOARD_H_
 
 #include <array>
+#include <cstddef>
 #include <cstdint>
 #include <tuple>
 #include <vector>
@@ -72,6 +73,8 @@ class Board {
 
   // In order of creation. After Compact() all are live.
   absl::Span<const Object> objects() const { return objects_; }
+  // The objects that memory is allocated for. Never decreases.
+  size_t object_room() const { return objects_.capacity(); }
   Object& object(int index) { return objects_[index]; }
   const Object& object(int index) const { return objects_[index]; }
 

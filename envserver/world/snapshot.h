@@ -3,6 +3,7 @@
 #ifndef CRAFTFLEET_ENVSERVER_WORLD_SNAPSHOT_H_
 #define CRAFTFLEET_ENVSERVER_WORLD_SNAPSHOT_H_
 
+#include <cstddef>
 #include <string>
 
 #include <absl/status/status.h>
@@ -23,6 +24,8 @@ namespace craftfleet {
 //   known chunks  count uint16; indices uint16
 //   objects       entries int64; count uint16; of each type uint8; variant int8; health, x, y, facing x, y
 //                 int16; counter int32; entered int64
+inline constexpr size_t kSavedObjectBytes = 24;  // of each object
+
 std::string SaveState(const WorldState& state, const RandomStream& stream);
 absl::Status RestoreState(absl::string_view snapshot, WorldState* state);
 

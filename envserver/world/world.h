@@ -3,6 +3,7 @@
 #ifndef CRAFTFLEET_ENVSERVER_WORLD_WORLD_H_
 #define CRAFTFLEET_ENVSERVER_WORLD_WORLD_H_
 
+#include <cstddef>
 #include <cstdint>
 #include <string>
 #include <vector>
@@ -56,6 +57,8 @@ class World {
   Variant variant(Position p) const { return state_.board.Inside(p) ? state_.board.cell(p).variant : kNoVariant; }
   // The live objects in order of creation; the first is the player.
   absl::Span<const Object> objects() const { return state_.board.objects(); }
+  // See Board::object_room().
+  size_t object_room() const { return state_.board.object_room(); }
 
   const Player& player() const { return state_.player; }
   Position player_position() const { return objects()[0].position; }

@@ -13,7 +13,9 @@
 
 #include "common/io/paths.h"
 #include "common/io/snapshot_envelope.h"
+#include "envserver/game_budget.h"
 #include "envserver/render/scene_record.h"
+#include "tests/envserver/full_game.h"
 #include "tests/fakes/status_matchers.h"
 
 namespace craftfleet {
@@ -109,6 +111,20 @@ TEST(EnvBatch, ResumesWhereItPaused) {
       ASSERT_EQ(paused_step.snapshots, whole_step.snapshots) << i;
     }
   }
+}
+
+TEST(EnvBatch, CountsObjectsBeyondTheUsualOnesWhileTheirGamesAreOpen) {
+  const auto renderer = MakeRenderer();
+  const std::string full = FullSnapshot(renderer);
+  EnvBatch batch(renderer);
+  std::string frames;
+  ASSERT_THAT(batch.Open({{1, 1, 1, ""}, {2, 2, 1, full}, {3, 3, 1, full}}, &frames), IsOk());
+  const int64_t each = 64 * 64 - kUsualObjects;
+  EXPECT_EQ(batch.more_objects(), 2 * each);
+  ASSERT_THAT(batch.Open({{2, 2, 1, ""}}, &frames), IsOk());
+  EXPECT_EQ(batch.more_objects(), each);
+  batch.Close({3, 4});
+  EXPECT_EQ(batch.more_objects(), 0);
 }
 
 // The frames of a batch's records.

@@ -110,11 +110,11 @@ TEST(GameBudget, ConcurrentRequestsStayWithinTheLimit) {
 }
 
 TEST(GameBudget, EstimatesMoreForLargerPicturesAndForRecordings) {
-  const int64_t small = SessionBytes(16, 64 * 64 * 3, false, 0);
+  const int64_t small = SessionBytes(16, 0, 64 * 64 * 3, false, 0);
   EXPECT_LT(small, 3 * kMiB);
-  EXPECT_GT(SessionBytes(16, 64 * 64 * 3, true, 256 * 256 * 3), small + 16 * 2 * 256 * 256 * 3);
-  EXPECT_GT(SessionBytes(120, 2048 * 2048 * 3, false, 0), int64_t{3} << 30);  // once possible without a limit
-  EXPECT_LT(SessionBytes(4096, 64 * 64 * 3, false, 0), 512 * kMiB);           // allowed by default
+  EXPECT_GT(SessionBytes(16, 0, 64 * 64 * 3, true, 256 * 256 * 3), small + 16 * 2 * 256 * 256 * 3);
+  EXPECT_GT(SessionBytes(120, 0, 2048 * 2048 * 3, false, 0), int64_t{3} << 30);  // once possible without a limit
+  EXPECT_LT(SessionBytes(4096, 0, 64 * 64 * 3, false, 0), 512 * kMiB);           // allowed by default
 }
 
 TEST(GameBudget, InvalidLimitsNameTheFlag) {

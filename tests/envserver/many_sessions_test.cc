@@ -15,6 +15,7 @@
 #include "common/wire/channel.h"
 #include "common/wire/server.h"
 #include "envserver/env_service.h"
+#include "tests/envserver/full_game.h"
 #include "tests/envserver/test_session.h"
 #include "tests/fakes/sanitizers.h"
 #include "tests/fakes/status_matchers.h"
@@ -63,6 +64,27 @@ TEST(EnvService, AnIdleSessionGivesWayToOneThatNeedsItsRoom) {
     Session session(server->InProcess());
     return session.Send(Hello("run-a")).ok() && session.Send(Open(0, 1)).ok();
   }));
+}
+
+// 64 KiB were counted for each game, whatever its snapshot held.
+TEST(EnvService, GamesWithManyObjectsTakeMoreOfTheBudget) {
+  WorldOptions world;
+  world.length = kLength;
+  const std::string full =
+      FullSnapshot(*Renderer::Create(**Textures::Load(*DefaultTextureDir()), world, RenderOptions()));
+  EnvServiceImpl::Options options;
+  options.budget.session_bytes = 4 << 20;
+  const auto service = *EnvServiceImpl::Create(*DefaultTextureDir(), options);
+  const auto server = *wire::Server::Create({}, {service.get()});
+  const auto open = [&](const std::string& snapshot) {
+    Session session(server->InProcess());
+    EXPECT_THAT(session.Send(Hello("")), IsOk());
+    v1::PlayRequest request;
+    for (int lane = 0; lane < 16; ++lane) request.mutable_open()->MergeFrom(Open(lane, lane, snapshot).open());
+    return session.Send(request).status();
+  };
+  EXPECT_THAT(open(""), IsOk());
+  EXPECT_THAT(open(full), StatusIs(absl::StatusCode::kResourceExhausted, HasSubstr("--max_session_mb")));
 }
 
 // The threads of this process, which has the clients too.

@@ -1,0 +1,84 @@
+// Games take no more memory than is counted for them. A program of its own: it replaces operator new.
+
+#include <malloc.h>
+
+#include <atomic>
+#include <cstdlib>
+#include <memory>
+#include <new>
+#include <string>
+#include <vector>
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include "common/io/paths.h"
+#include "envserver/env_batch.h"
+#include "envserver/game_budget.h"
+#include "tests/envserver/full_game.h"
+#include "tests/fakes/status_matchers.h"
+
+namespace {
+std::atomic<int64_t> bytes_in_use = 0;
+}  // namespace
+
+void* operator new(size_t size) {
+  void* memory = std::malloc(size);
+  if (memory == nullptr) std::abort();
+  bytes_in_use += static_cast<int64_t>(malloc_usable_size(memory));
+  return memory;
+}
+void operator delete(void* memory) noexcept {
+  bytes_in_use -= static_cast<int64_t>(malloc_usable_size(memory));
+  std::free(memory);
+}
+void operator delete(void* memory, size_t /*size*/) noexcept { operator delete(memory); }
+
+namespace craftfleet {
+namespace {
+
+constexpr int kGames = 8;
+constexpr int kMessages = 1;  // that gRPC makes of a reply, beside the reply
+
+// Plays games from `snapshot` (empty: new ones), and checks after each step what they take.
+void ExpectToFit(const std::string& snapshot) {
+  const std::shared_ptr<const Renderer> renderer =
+      *Renderer::Create(**Textures::Load(*DefaultTextureDir()), WorldOptions(), RenderOptions());
+  std::vector<uint8_t> frame(renderer->frame_bytes());
+  ASSERT_THAT(Game::Create(renderer, 1, absl::MakeSpan(frame)), IsOk());  // makes the tables that all worlds share
+  const int64_t before = bytes_in_use;
+  EnvBatch batch(renderer);
+  std::vector<EnvBatch::OpenLane> lanes;
+  for (int lane = 0; lane < kGames; ++lane) lanes.push_back({lane, lane, 1, snapshot});
+  std::string frames;
+  ASSERT_THAT(batch.Open(lanes, &frames), IsOk());
+  ASSERT_THAT(batch.refused(), testing::IsEmpty());
+  RandomStream actions(1);
+  StepBatch step;
+  for (int t = 0; t < 300; ++t) {
+    std::vector<int> numbers;
+    std::vector<Action> chosen;
+    for (int lane = 0; lane < kGames; ++lane) {
+      numbers.push_back(lane);
+      chosen.push_back(static_cast<Action>(actions.Below(kNumActions)));
+    }
+    ASSERT_THAT(batch.Step(numbers, chosen, /*snapshot=*/true, &step), IsOk());
+    int64_t message = static_cast<int64_t>(step.frames.size() + step.last_frames.size());
+    for (const std::string& saved : step.snapshots) message += static_cast<int64_t>(saved.size());
+    const int64_t counted = SessionBytes(kGames, batch.more_objects(), renderer->frame_bytes(), false, 0) -
+                            SessionBytes(0, 0, renderer->frame_bytes(), false, 0);
+    ASSERT_LE(bytes_in_use - before + kMessages * message, counted) << "step " << t;
+  }
+}
+
+TEST(GameMemory, OfNewGamesIsCounted) { ExpectToFit(""); }
+
+// Its objects alone took 160 KiB of the 64 that were counted.
+TEST(GameMemory, OfGamesWithAnObjectOnEveryCellIsCounted) {
+  const std::string snapshot =
+      FullSnapshot(*Renderer::Create(**Textures::Load(*DefaultTextureDir()), WorldOptions(), RenderOptions()));
+  ExpectToFit(snapshot);
+}
+
+}  // namespace
+}  // namespace craftfleet
