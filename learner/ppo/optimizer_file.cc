@@ -22,11 +22,10 @@ constexpr char kValueMean[] = "value_norm.mean";
 constexpr char kValueMeanSquare[] = "value_norm.mean_square";
 constexpr char kValueWeight[] = "value_norm.weight";
 
-absl::Status ReadNumber(const SafeTensors& file, absl::string_view key, double* number) {
+absl::StatusOr<double> ReadNumber(const SafeTensors& file, absl::string_view key) {
   const auto entry = file.metadata.find(std::string(key));
-  if (entry != file.metadata.end() && absl::SimpleAtod(entry->second, number) && std::isfinite(*number)) {
-    return absl::OkStatus();
-  }
+  double number = 0;
+  if (entry != file.metadata.end() && absl::SimpleAtod(entry->second, &number) && std::isfinite(number)) return number;
   return absl::InvalidArgumentError(absl::StrCat("the optimiser's metadata \"", key, "\" is not a number"));
 }
 
@@ -49,28 +48,32 @@ void AddValueNorm(const ValueNorm& value_norm, SafeTensors* file) {
 
 bool HasValueNorm(const SafeTensors& file) { return file.metadata.count(kValueWeight) > 0; }
 
-absl::Status ReadAdam(const AgentSpec& spec, absl::string_view prefix, const SafeTensors& file, AdamState* adam) {
-  for (const auto& [name, moments] : {std::pair(kExpAvg, &adam->exp_avg), std::pair(kExpAvgSq, &adam->exp_avg_sq)}) {
+absl::StatusOr<AdamState> ReadAdam(const AgentSpec& spec, absl::string_view prefix, const SafeTensors& file) {
+  AdamState adam;
+  for (const auto& [name, moments] : {std::pair(kExpAvg, &adam.exp_avg), std::pair(kExpAvgSq, &adam.exp_avg_sq)}) {
+    moments->resize(spec.param_count);
     CRAFTFLEET_RETURN_IF_ERROR(CopyTensors(spec, absl::StrCat(prefix, name), file.tensors, absl::MakeSpan(*moments)));
   }
-  for (size_t i = 0; i < adam->exp_avg.size(); ++i) {
-    if (std::isfinite(adam->exp_avg[i]) && std::isfinite(adam->exp_avg_sq[i]) && adam->exp_avg_sq[i] >= 0) continue;
-    return absl::InvalidArgumentError(absl::StrCat("the optimiser's moments of weight ", i, " are ", adam->exp_avg[i],
-                                                   " and ", adam->exp_avg_sq[i],
+  for (size_t i = 0; i < adam.exp_avg.size(); ++i) {
+    if (std::isfinite(adam.exp_avg[i]) && std::isfinite(adam.exp_avg_sq[i]) && adam.exp_avg_sq[i] >= 0) continue;
+    return absl::InvalidArgumentError(absl::StrCat("the optimiser's moments of weight ", i, " are ", adam.exp_avg[i],
+                                                   " and ", adam.exp_avg_sq[i],
                                                    ", want finite numbers, the second not negative"));
   }
   const std::string key = absl::StrCat(prefix, kStepsKey);
   const auto steps = file.metadata.find(key);
-  if (steps == file.metadata.end() || !absl::SimpleAtoi(steps->second, &adam->steps) || adam->steps < 0) {
+  if (steps == file.metadata.end() || !absl::SimpleAtoi(steps->second, &adam.steps) || adam.steps < 0) {
     return absl::InvalidArgumentError(absl::StrCat("the optimiser's metadata \"", key, "\" is not a count"));
   }
-  return absl::OkStatus();
+  return adam;
 }
 
-absl::Status ReadValueNorm(const SafeTensors& file, ValueNorm* value_norm) {
-  CRAFTFLEET_RETURN_IF_ERROR(ReadNumber(file, kValueMean, &value_norm->mean));
-  CRAFTFLEET_RETURN_IF_ERROR(ReadNumber(file, kValueMeanSquare, &value_norm->mean_square));
-  return ReadNumber(file, kValueWeight, &value_norm->weight);
+absl::StatusOr<ValueNorm> ReadValueNorm(const SafeTensors& file) {
+  ValueNorm value_norm;
+  CRAFTFLEET_ASSIGN_OR_RETURN(value_norm.mean, ReadNumber(file, kValueMean));
+  CRAFTFLEET_ASSIGN_OR_RETURN(value_norm.mean_square, ReadNumber(file, kValueMeanSquare));
+  CRAFTFLEET_ASSIGN_OR_RETURN(value_norm.weight, ReadNumber(file, kValueWeight));
+  return value_norm;
 }
 
 }  // namespace craftfleet

@@ -3,7 +3,7 @@
 #ifndef CRAFTFLEET_LEARNER_PPO_OPTIMIZER_FILE_H_
 #define CRAFTFLEET_LEARNER_PPO_OPTIMIZER_FILE_H_
 
-#include <absl/status/status.h>
+#include <absl/status/statusor.h>
 #include <absl/strings/string_view.h>
 
 #include "common/agent/agent_spec.h"
@@ -21,8 +21,8 @@ bool HasValueNorm(const SafeTensors& file);
 
 // Read what the functions above added.
 //   InvalidArgument: it is missing or not this agent's; names the tensor or number.
-absl::Status ReadAdam(const AgentSpec& spec, absl::string_view prefix, const SafeTensors& file, AdamState* adam);
-absl::Status ReadValueNorm(const SafeTensors& file, ValueNorm* value_norm);
+absl::StatusOr<AdamState> ReadAdam(const AgentSpec& spec, absl::string_view prefix, const SafeTensors& file);
+absl::StatusOr<ValueNorm> ReadValueNorm(const SafeTensors& file);
 
 }  // namespace craftfleet
 

@@ -329,11 +329,13 @@ absl::Status PpoUpdater::Load(absl::string_view weights, absl::string_view optim
   CRAFTFLEET_ASSIGN_OR_RETURN(std::vector<float> loaded, LoadWeights(spec_, weights));
   CRAFTFLEET_ASSIGN_OR_RETURN(const SafeTensors file, ReadSafetensors(optimizer));
   State state = FreshState(std::move(loaded));
-  CRAFTFLEET_RETURN_IF_ERROR(ReadAdam(spec_, "", file, &state.adam));
-  if (config_.value_norm_decay() > 0) CRAFTFLEET_RETURN_IF_ERROR(ReadValueNorm(file, &state.value_norm));
+  CRAFTFLEET_ASSIGN_OR_RETURN(state.adam, ReadAdam(spec_, "", file));
+  if (config_.value_norm_decay() > 0) {
+    CRAFTFLEET_ASSIGN_OR_RETURN(state.value_norm, ReadValueNorm(file));
+  }
   if (distiller_ != nullptr) {
-    CRAFTFLEET_RETURN_IF_ERROR(ReadAdam(spec_, kMatching, file, &state.distillation.matching));
-    CRAFTFLEET_RETURN_IF_ERROR(ReadAdam(spec_, kPrediction, file, &state.distillation.prediction));
+    CRAFTFLEET_ASSIGN_OR_RETURN(state.distillation.matching, ReadAdam(spec_, kMatching, file));
+    CRAFTFLEET_ASSIGN_OR_RETURN(state.distillation.prediction, ReadAdam(spec_, kPrediction, file));
     CRAFTFLEET_RETURN_IF_ERROR(distiller_->Load(file));
   }
   Restore(std::move(state));
@@ -345,7 +347,7 @@ absl::Status PpoUpdater::StartFrom(absl::string_view weights, absl::string_view 
   CRAFTFLEET_ASSIGN_OR_RETURN(const SafeTensors file, ReadSafetensors(optimizer));
   State state = FreshState(std::move(loaded));
   if (config_.value_norm_decay() > 0 && HasValueNorm(file)) {
-    CRAFTFLEET_RETURN_IF_ERROR(ReadValueNorm(file, &state.value_norm));
+    CRAFTFLEET_ASSIGN_OR_RETURN(state.value_norm, ReadValueNorm(file));
   }
   Restore(std::move(state));
   return absl::OkStatus();
