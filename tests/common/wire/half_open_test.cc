@@ -10,6 +10,7 @@
 #include "common/wire/channel.h"
 #include "common/wire/server.h"
 #include "craftfleet/v1/environment.grpc.pb.h"
+#include "tests/fakes/echo_service.h"
 #include "tests/fakes/tcp_forwarder.h"
 #include "tests/fakes/wait_until.h"
 
@@ -17,22 +18,6 @@ namespace craftfleet::wire {
 namespace {
 
 constexpr absl::Duration kNoticed = absl::Seconds(10);
-
-// Answers each request, and counts the sessions that have ended.
-class EchoService : public v1::EnvironmentService::Service {
- public:
-  grpc::Status Play(grpc::ServerContext* /*context*/,
-                    grpc::ServerReaderWriter<v1::PlayReply, v1::PlayRequest>* stream) override {
-    v1::PlayRequest request;
-    while (stream->Read(&request)) stream->Write({});
-    ++ended_;
-    return grpc::Status::OK;
-  }
-  int ended() const { return ended_; }
-
- private:
-  std::atomic<int> ended_{0};
-};
 
 // Both ends wait for a message, so only keepalive can detect the failure.
 TEST(HalfOpenConnection, BothEndsDetectIt) {

@@ -18,13 +18,13 @@
 #include <gtest/gtest.h>
 
 #include "common/io/files.h"
-#include "common/wire/access.h"
 #include "common/wire/certificates.h"
 #include "common/wire/channel.h"
 #include "common/wire/server.h"
 #include "common/wire/status_service.h"
 #include "craftfleet/v1/environment.grpc.pb.h"
 #include "craftfleet/v1/status.grpc.pb.h"
+#include "tests/fakes/echo_service.h"
 #include "tests/fakes/status_matchers.h"
 #include "tests/fakes/temp_folder.h"
 #include "tests/fakes/test_certificates.h"
@@ -37,22 +37,6 @@ namespace {
 using testing::AllOf;
 using testing::HasSubstr;
 using testing::Not;
-
-// Echoes requests.
-class EchoService : public v1::EnvironmentService::Service {
- public:
-  grpc::Status Play(grpc::ServerContext* context,
-                    grpc::ServerReaderWriter<v1::PlayReply, v1::PlayRequest>* stream) override {
-    identity_ = Identify(nullptr, *context);
-    v1::PlayRequest request;
-    while (stream->Read(&request)) stream->Write({});
-    return grpc::Status::OK;
-  }
-  std::string identity() const { return identity_; }  // of the last client; read it after the call
-
- private:
-  std::string identity_;
-};
 
 class SecurityTest : public testing::Test {
  protected:

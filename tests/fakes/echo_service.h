@@ -1,0 +1,34 @@
+// A service whose sessions answer every request.
+
+#ifndef CRAFTFLEET_TESTS_FAKES_ECHO_SERVICE_H_
+#define CRAFTFLEET_TESTS_FAKES_ECHO_SERVICE_H_
+
+#include <atomic>
+#include <string>
+
+#include "common/wire/access.h"
+#include "craftfleet/v1/environment.grpc.pb.h"
+
+namespace craftfleet::wire {
+
+class EchoService : public v1::EnvironmentService::Service {
+ public:
+  grpc::Status Play(grpc::ServerContext* context,
+                    grpc::ServerReaderWriter<v1::PlayReply, v1::PlayRequest>* stream) override {
+    identity_ = Identify(nullptr, *context);
+    v1::PlayRequest request;
+    while (stream->Read(&request)) stream->Write({});
+    ++ended_;
+    return grpc::Status::OK;
+  }
+  std::string identity() const { return identity_; }  // of the last client; read it after the call
+  int ended() const { return ended_; }                // sessions
+
+ private:
+  std::string identity_;
+  std::atomic<int> ended_{0};
+};
+
+}  // namespace craftfleet::wire
+
+#endif  // CRAFTFLEET_TESTS_FAKES_ECHO_SERVICE_H_
