@@ -1,6 +1,7 @@
 #include "common/wire/certificates.h"
 
 #include <openssl/bio.h>
+#include <openssl/crypto.h>
 #include <openssl/err.h>
 #include <openssl/evp.h>
 #include <openssl/pem.h>
@@ -9,6 +10,7 @@
 
 #include <ctime>
 #include <memory>
+#include <mutex>
 #include <vector>
 
 #include <absl/status/statusor.h>
@@ -36,6 +38,7 @@ int NoPassword(char* /*buffer*/, int /*size*/, int /*writing*/, void* /*data*/) 
 // All certificates in `pem`, the contents of file `path`; at least one.
 absl::StatusOr<std::vector<CertificatePtr>> ParseCertificates(absl::string_view flag, const std::string& path,
                                                               absl::string_view pem) {
+  KeepOpenSslUp();
   const BioPtr bio(BIO_new_mem_buf(pem.data(), static_cast<int>(pem.size())));
   std::vector<CertificatePtr> certificates;
   while (X509* certificate = PEM_read_bio_X509(bio.get(), nullptr, NoPassword, nullptr)) {
@@ -61,6 +64,11 @@ std::string Date(const ASN1_TIME* time) {
 }
 
 }  // namespace
+
+void KeepOpenSslUp() {
+  static std::once_flag once;
+  std::call_once(once, [] { OPENSSL_init_crypto(OPENSSL_INIT_NO_ATEXIT, nullptr); });
+}
 
 absl::Status CheckKeyPair(const std::string& certificate, const std::string& key) {
   CRAFTFLEET_ASSIGN_OR_RETURN(const std::string certificate_pem, ReadFile(certificate));
@@ -119,6 +127,7 @@ std::string CertificateProblem(const std::string& certificate, const std::string
 }
 
 std::string Sha256Hex(absl::string_view text) {
+  KeepOpenSslUp();
   unsigned char digest[SHA256_DIGEST_LENGTH];
   SHA256(reinterpret_cast<const unsigned char*>(text.data()), text.size(), digest);
   return absl::BytesToHexString(absl::string_view(reinterpret_cast<const char*>(digest), sizeof(digest)));

@@ -11,6 +11,11 @@
 
 namespace craftfleet::wire {
 
+// Keeps OpenSSL usable until the process ends. By default exit() tears it down, while threads of gRPC, which is not
+// shut down (KeepGrpcUp), may still be in a handshake: they then wrote to freed memory. To be called before OpenSSL's
+// first use, as the functions below and KeepGrpcUp do. Thread-safe.
+void KeepOpenSslUp();
+
 // OK if `certificate` is a PEM file with a certificate and `key` one with its private key. Dates are not checked.
 //   InvalidArgument names the flag and the file.   Others: a file can't be read.
 absl::Status CheckKeyPair(const std::string& certificate, const std::string& key);

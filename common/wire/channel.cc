@@ -22,6 +22,7 @@
 #include <grpcpp/security/credentials.h>
 
 #include "common/base/status_macros.h"
+#include "common/wire/certificates.h"
 #include "common/wire/grpc_status.h"
 #include "common/wire/protocol.h"
 
@@ -60,6 +61,7 @@ std::string ConnectionProblem(const Endpoint& endpoint) {
 }  // namespace
 
 void KeepGrpcUp() {
+  KeepOpenSslUp();
   static std::once_flag once;
   std::call_once(once, grpc_init);
 }

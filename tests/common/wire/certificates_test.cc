@@ -1,9 +1,17 @@
 #include "common/wire/certificates.h"
 
+#include <openssl/crypto.h>
+#include <unistd.h>
+
+#include <cstdlib>
+#include <functional>
+#include <string>
+
 #include <absl/time/clock.h>
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include "common/wire/channel.h"
 #include "tests/fakes/status_matchers.h"
 #include "tests/fakes/temp_folder.h"
 #include "tests/fakes/test_certificates.h"
@@ -59,6 +67,30 @@ TEST_F(CertificatesTest, ExplainsWhyPeersMayRefuseACertificate) {
 // The standard's example: FIPS 180-2, "abc".
 TEST(Sha256, MatchesTheExampleOfFips180) {
   EXPECT_EQ(Sha256Hex("abc"), "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad");
+}
+
+// Ends a process whose first use of OpenSSL is in `use`, and checks that it can be used until the last handler of
+// exit() has run. Actors crashed at their end if a thread of gRPC was in a handshake meanwhile.
+void ExpectOpenSslToOutlive(const std::function<void()>& use) {
+  GTEST_FLAG_SET(death_test_style, "threadsafe");  // a new process
+  EXPECT_EXIT(
+      {
+        std::atexit([] { _exit(OPENSSL_init_crypto(0, nullptr) == 1 ? 0 : 1); });  // the first handler is called last
+        use();
+        std::exit(2);
+      },
+      testing::ExitedWithCode(0), "");
+}
+
+TEST(OpenSsl, OutlivesTheHandlersOfExitAfterAConnection) {
+  ExpectOpenSslToOutlive([] {
+    Connect("127.0.0.1:1");
+    OPENSSL_init_crypto(OPENSSL_INIT_LOAD_CRYPTO_STRINGS, nullptr);  // as gRPC does for its first handshake
+  });
+}
+
+TEST(OpenSsl, OutlivesTheHandlersOfExitAfterACheckOfFiles) {
+  ExpectOpenSslToOutlive([] { CheckAuthorities("ca.pem", "no certificate").IgnoreError(); });
 }
 
 }  // namespace
