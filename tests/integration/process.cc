@@ -16,6 +16,7 @@
 #include <absl/strings/str_cat.h>
 #include <absl/strings/str_format.h>
 #include <absl/time/clock.h>
+#include <gtest/gtest.h>
 
 #include "common/base/check.h"
 #include "common/io/files.h"
@@ -74,8 +75,10 @@ Process::Process(pid_t pid, int pid_descriptor, std::string log_prefix)
     : pid_(pid), pid_descriptor_(pid_descriptor), log_prefix_(std::move(log_prefix)) {}
 
 Process::~Process() {
+  const bool ended_unnoticed = !exit_code_.has_value() && WaitForEnd(absl::ZeroDuration());
   Kill();
   close(pid_descriptor_);
+  if (ended_unnoticed) ReportCrash();
 }
 
 void Process::Signal(int signal) {
@@ -128,6 +131,14 @@ absl::StatusOr<std::string> Process::WaitForAddress(absl::string_view before, ab
 std::string Process::Out() const { return ReadFile(absl::StrCat(log_prefix_, ".out")).value_or(""); }
 
 std::string Process::Err() const { return ReadFile(absl::StrCat(log_prefix_, ".err")).value_or(""); }
+
+void Process::ReportCrash() const {
+  const int code = exit_code_.value_or(0);
+  const std::string err = Err();
+  bool crashed = absl::StrContains(err, "Sanitizer: ") || absl::StrContains(err, ": runtime error: ");
+  for (const int signal : {SIGSEGV, SIGABRT, SIGBUS, SIGFPE, SIGILL}) crashed |= code == 128 + signal;
+  if (crashed) ADD_FAILURE() << log_prefix_ << ": a process ended by itself with " << code << ":\n" << err;
+}
 
 bool Process::WaitForEnd(absl::Duration timeout) const {
   if (exit_code_.has_value()) return true;

@@ -17,7 +17,8 @@
 namespace craftfleet {
 
 // The process is killed by the destructor, and by the kernel when the thread that started it ends, so that no process
-// outlives a test that crashes or is killed. Thread-compatible.
+// outlives a test that crashes or is killed. The test fails if a process that it did not wait for has crashed, or a
+// sanitizer has ended it. Thread-compatible.
 class Process {
  public:
   // Starts `program`, a name in build/bin or a path with a slash, with standard output and error in the files
@@ -53,6 +54,8 @@ class Process {
   Process(pid_t pid, int pid_descriptor, std::string log_prefix);
   // Waits for the process to end without reaping it. False: it still runs.
   bool WaitForEnd(absl::Duration timeout) const;
+  // Fails the test if the process, which has ended by itself, crashed.
+  void ReportCrash() const;
 
   const pid_t pid_;
   const int pid_descriptor_;

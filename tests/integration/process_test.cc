@@ -3,6 +3,7 @@
 #include <signal.h>
 
 #include <gmock/gmock.h>
+#include <gtest/gtest-spi.h>
 #include <gtest/gtest.h>
 
 #include "tests/fakes/status_matchers.h"
@@ -42,6 +43,19 @@ TEST(Process, IsKilledWithItsObject) {
     EXPECT_EQ(kill(pid, 0), 0);
   }
   EXPECT_NE(kill(pid, 0), 0);
+}
+
+TEST(Process, ThatCrashesFailsATestThatDoesNotWaitForIt) {
+  const TempFolder folder;
+  const auto run = [&](const std::string& script) {
+    const auto process = Process::Start("/bin/sh", {"-c", script}, folder / "p");
+    EXPECT_FALSE((*process)->WaitForText("never printed", absl::Seconds(10)));
+  };
+  run("exit 1");
+  run("kill -TERM $$");
+  EXPECT_NONFATAL_FAILURE(run("echo why >&2; kill -SEGV $$"), "ended by itself with 139:\nwhy");
+  EXPECT_NONFATAL_FAILURE(run("echo '==7==ERROR: AddressSanitizer: heap-use-after-free' >&2; exit 1"),
+                          "heap-use-after-free");
 }
 
 TEST(Process, FindsAnAddressOnceItsLineIsComplete) {
