@@ -275,12 +275,24 @@ Learner::Learner(const Options& options, Loaded loaded)
                {folder_.get(), updater_.get(), &ranks_, &registry_, &weights_, &fragments_, &evaluations_, &progress_,
                 &checkpoint_requests_, journal_.has_value() ? &*journal_ : nullptr,
                 replay_.has_value() ? &*replay_ : nullptr, clock_.get()}),
-      service_({folder_->run_id(), folder_->epoch(), config_, loaded.texture_digest, loaded.shape, kLease,
-                std::move(loaded.access)},
-               &registry_, &weights_, &fragments_),
+      service_(ServiceOptions(options, &loaded), &registry_, &weights_, &fragments_),
       steering_({&checkpoint_requests_, &registry_, [this] { Stop(); }}),
       admin_service_(&steering_),
       status_service_("learner", [this](v1::StatusReply* reply) { FillStatus(reply); }) {}
+
+LearnerServiceImpl::Options Learner::ServiceOptions(const Options& options, Loaded* loaded) const {
+  LearnerServiceImpl::Options service;
+  service.run_id = folder_->run_id();
+  service.epoch = folder_->epoch();
+  service.config = config_;
+  service.texture_digest = loaded->texture_digest;
+  service.shape = loaded->shape;
+  service.lease = kLease;
+  service.access = std::move(loaded->access);
+  service.max_polls_per_client = options.server.max_connections_per_client;
+  service.max_streams_per_client = 2 * options.server.max_connections_per_client;
+  return service;
+}
 
 void Learner::FillStatus(v1::StatusReply* reply) const {
   service_.FillStatus(reply);

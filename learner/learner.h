@@ -84,6 +84,7 @@ class Learner {
 
   Learner(const Options& options, Loaded loaded);
   void FillStatus(v1::StatusReply* reply) const;
+  LearnerServiceImpl::Options ServiceOptions(const Options& options, Loaded* loaded) const;
   absl::Status ServePage(const Options& options, std::shared_ptr<wire::AccessControl> access);
   static absl::StatusOr<Loaded> Load(const Options& options, const v1::RunConfig& config);
   static void OpenJournal(Loaded* loaded);

@@ -52,6 +52,7 @@ LearnerServiceImpl::LearnerServiceImpl(const Options& options, WorkerRegistry* r
       weights_(weights),
       fragments_(fragments),
       refusals_(&clock_),
+      streams_(options.max_streams_per_client),
       polls_(options.max_polls_per_client) {
   registry_->SetObserver([this] { waiting_for_permits_.Retry(); });
   weights_->SetObserver([this] { waiting_for_weights_.Retry(); });

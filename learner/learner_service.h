@@ -45,9 +45,10 @@ class LearnerServiceImpl final : public v1::LearnerService::CallbackService {
     // How long a stream's client may take to send the next fragment, and to accept a verdict or a chunk of weights.
     absl::Duration fragment_timeout = wire::StreamWatch::kRequest;
     absl::Duration reply_timeout = wire::StreamWatch::kTakesReply;
-    // Requests for permits at once from one address, of which each actor has one; further ones: RESOURCE_EXHAUSTED.
-    // With the streams of that address they leave memory for others.
+    // Requests for permits at once from one address, of which each actor has one, and streams; further ones:
+    // RESOURCE_EXHAUSTED.
     int max_polls_per_client = wire::StreamWatch::kMaxPerClient / 2;
+    int max_streams_per_client = wire::StreamWatch::kMaxPerClient;
   };
 
   LearnerServiceImpl(const Options& options, WorkerRegistry* registry, WeightStore* weights, FragmentQueue* fragments);

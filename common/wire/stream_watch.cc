@@ -35,12 +35,13 @@ StreamWatch::Stream::Stream(StreamWatch* watch, grpc::ServerContextBase* context
     return;
   }
   ++count;
+  const bool is_first = watch_->streams_.empty();
   watch_->streams_[this] = false;
   if (!watch_->started_) {
     watch_->started_ = true;
     watch_->thread_ = std::thread([watch] { watch->Run(); });
   }
-  watch_->changed_.NotifyAll();
+  if (is_first) watch_->changed_.NotifyAll();  // otherwise the thread is awake, and there may be thousands of streams
 }
 
 StreamWatch::Stream::~Stream() {

@@ -2,6 +2,7 @@
 
 import json
 import math
+import os
 import pathlib
 import signal
 import socket
@@ -89,6 +90,15 @@ class Worker:
             return len(list(pathlib.Path(f"/proc/{self.process.pid}/task").iterdir()))
         except OSError:
             return 0
+
+    def cpu_seconds(self):
+        """The CPU time of all threads so far. 0 if the process has ended."""
+        try:
+            stat = pathlib.Path(f"/proc/{self.process.pid}/stat").read_text(encoding="utf-8")
+        except OSError:
+            return 0
+        user, system = stat.rsplit(") ", 1)[1].split()[11:13]
+        return (int(user) + int(system)) / os.sysconf("SC_CLK_TCK")
 
     def _memory_kib(self, field):
         try:

@@ -1,13 +1,15 @@
 #!/usr/bin/env python3
-"""One learner with many lanes and many actors over real connections; the actors send made-up fragments.
+"""One learner with many lanes, actors and environment servers over real connections; the actors send made-up fragments.
 
 Checks that shares are fair (the most fragments of an actor divided by the fewest are below 1.2), that the status service
-answers within 50 ms, that the learner's threads follow the cores and not the actors (at most 64), and that its memory does
-not grow (less than 1 MiB per minute after the second minute). The long form appends its figures to
+answers within 50 ms, that the learner's threads follow the cores and not the actors (at most 64), that its memory stays
+below 1.5 GB and does not grow (less than 1 MiB per minute after the second minute) and, where actors take time to play,
+that the median of the verdicts on fragments is at most 5 ms. The long form appends its figures to
 tests/chaos/results/runs.jsonl.
 
   tests/chaos/scale.py --bin=build/bin --out=/tmp/scale             200 actors, 1,000 lanes, 10 minutes
   tests/chaos/scale.py --bin=build/bin --out=/tmp/scale --short     the short form that the tests run
+  tests/chaos/scale.py --bin=build/bin --out=/tmp/scale --actors=10000 --servers=5000 --lanes=10000 --share=10 --play_ms=20000
 """
 
 import argparse
@@ -23,11 +25,14 @@ from results import record
 
 # The shortest possible fragments, so that there are many.
 CONFIG = """steps: 1000000000 lanes: {lanes} fragment_steps: 4
-  ppo {{ rollout_steps: {rollout} minibatch_size: 100 epochs: 1 }} eval {{ every_steps: 0 final_episodes: 0 }}"""
+  network {{ frame_size: 36 }} ppo {{ rollout_steps: {rollout} minibatch_size: 100 epochs: 1 }}
+  eval {{ every_steps: 0 final_episodes: 0 }}"""
 START_S = 60
 FAIR_RATIO = 1.2
 STATUS_LIMIT_MS = 50
 THREADS_LIMIT = 64
+VERDICT_LIMIT_MS = 5
+MEMORY_LIMIT_KIB = 1_500_000
 
 
 def start(options, program, *flags):
@@ -42,7 +47,8 @@ def run(options, fleet):
         if time.monotonic() > give_up or fleet.learner.process.poll() is not None:
             return {}, [f"the learner did not start: see {fleet.learner.log}"]
         time.sleep(0.2)
-    bots = start(options, "many_actors", f"--learner={fleet.learner_address}", f"--actors={options.actors}")
+    bots = start(options, "simulated_fleet", f"--learner={fleet.learner_address}", f"--actors={options.actors}",
+                 f"--servers={options.servers}", f"--share={options.share}", f"--play_ms={options.play_ms}")
     # A separate process; within that of the actors the probe would measure how busy they are.
     probe = start(options, "status_probe", f"--target={fleet.learner_address}")
     memory, threads = Memory(time.monotonic()), 0
@@ -57,12 +63,13 @@ def run(options, fleet):
         for process in [bots, probe]:
             process.kill()
             process.wait()
-    ended = {"many_actors": bots.returncode, "status_probe": probe.returncode}
+    ended = {"simulated_fleet": bots.returncode, "status_probe": probe.returncode}
     if any(ended.values()):
         return {}, [f"a program ended with an error: {ended}"]
     growth = memory.growth().get("learner")
     figures = {**shares, "status_ms": status_ms, "iterations": fleet.iteration(),
-               "learner_resident_kib": fleet.learner.resident_kib(),
+               "learner_resident_kib": fleet.learner.resident_kib(), "learner_peak_kib": fleet.learner.peak_kib(),
+               "learner_cpu_s": round(fleet.learner.cpu_seconds(), 1),
                "learner_threads": threads, "growth_kib_per_minute": growth}
     failures = []
     if figures["failed"] > 0:
@@ -77,6 +84,10 @@ def run(options, fleet):
         failures.append(f"the status is answered after {slow_ms} ms, want {STATUS_LIMIT_MS}")
     if threads > THREADS_LIMIT:
         failures.append(f"the learner has {threads} threads, want at most {THREADS_LIMIT}")
+    if options.play_ms and figures["verdict_ms"]["median"] > VERDICT_LIMIT_MS:
+        failures.append(f"verdicts take {figures['verdict_ms']['median']} ms, want {VERDICT_LIMIT_MS}")
+    if figures["learner_peak_kib"] > MEMORY_LIMIT_KIB:
+        failures.append(f"the learner takes {figures['learner_peak_kib']} KiB, want at most {MEMORY_LIMIT_KIB}")
     if growth is not None and growth.slope > GROWTH_LIMIT_KIB_PER_MINUTE:
         failures.append(f"the learner grows by {growth.slope} KiB a minute, want at most {GROWTH_LIMIT_KIB_PER_MINUTE}")
     if growth is None and not options.short:
@@ -90,7 +101,11 @@ def main():
     parser.add_argument("--out", required=True, help="folder for the run and logs; replaced")
     parser.add_argument("--seconds", type=int, default=600)
     parser.add_argument("--actors", type=int, default=200)
+    parser.add_argument("--servers", type=int, default=0)
     parser.add_argument("--lanes", type=int, default=1000)
+    parser.add_argument("--share", type=int, default=1, help="workers on one connection")
+    parser.add_argument("--play_ms", type=int, default=0, help="mean time to play a fragment")
+    parser.add_argument("--keep", action="store_true", help="do not append the figures to the results")
     parser.add_argument("--short", action="store_true", help="40 actors, 200 lanes, 15 s")
     options = parser.parse_args()
     if options.short:
@@ -99,14 +114,17 @@ def main():
     config = empty_folder(options.out) / "config.txt"
     config.write_text(CONFIG.format(lanes=options.lanes, rollout=4 * options.lanes), encoding="utf-8")
     here = Site()
-    fleet = Fleet(options.bin, options.out, config, pathlib.Path(options.out) / "run", here, [])
+    # All workers come from one address; a learner lets 1,024 of these in unless told otherwise.
+    workers = max(1024, options.actors + options.servers + 16)
+    fleet = Fleet(options.bin, options.out, config, pathlib.Path(options.out) / "run", here, [],
+                  flags={"learner": [f"--max_connections_per_client={workers}"]})
     try:
         figures, failures = run(options, fleet)
     finally:
         fleet.stop()
     print(json.dumps(figures))
     print("FAILED: " + "; ".join(failures) if failures else "fair shares, quick answers, bounded memory")
-    if not options.short:
+    if not (options.short or options.keep):
         record(options.bin, figures, failures)
     return 1 if failures else 0
 
