@@ -1,6 +1,9 @@
 // LaneScheduler: grants permits, and revokes those without progress.
 #include <algorithm>
 #include <map>
+#include <optional>
+#include <set>
+#include <utility>
 #include <vector>
 
 #include "common/telemetry/log.h"
@@ -36,6 +39,7 @@ void LaneScheduler::NoteProgress(absl::string_view actor_name, absl::Span<const 
 void LaneScheduler::EndPause(Actor* actor) {
   actor->pause = absl::ZeroDuration();
   actor->pause_end = absl::InfinitePast();
+  CountCapacity(actor);
 }
 
 bool LaneScheduler::HasOthers(const Actor& actor) const {
@@ -92,22 +96,23 @@ void LaneScheduler::EndStalls() {
 void LaneScheduler::PauseStalled(absl::string_view name, Actor* actor, int permits) {
   actor->pause = std::clamp(2 * actor->pause, kFirstPause, kLongestPause);
   actor->pause_end = clock_->Now() + actor->pause;
+  CountCapacity(actor);
   lapsed_ += permits;
   LogWarning("actor %s makes no progress: %d permits revoked, no new ones for %s", name, permits,
              absl::FormatDuration(actor->pause));
-  changed_ = true;
+  change_.all = true;
 }
 
 void LaneScheduler::GiveToOthers(Lane* lane, Actor* actor) {
   Revoke(lane, actor);
-  lane->avoided = actor;
+  lane->avoided = actor->number;
   lane->avoided_until = clock_->Now() + options_.lease;
 }
 
 bool LaneScheduler::IsAvoided(const Lane& lane, const Actor& actor, absl::Time now) const {
   if (now >= lane.avoided_until) return false;
   const bool has_reported = lane.report.has_value() && lane.report->client == actor.worker->client.Name();
-  return (lane.avoided == &actor && HasOthers(actor)) || (has_reported && HasOtherClients(actor));
+  return (lane.avoided == actor.number && HasOthers(actor)) || (has_reported && HasOtherClients(actor));
 }
 
 bool LaneScheduler::IsPausing(const Actor& actor) const {
@@ -117,11 +122,8 @@ bool LaneScheduler::IsPausing(const Actor& actor) const {
 }
 
 absl::Duration LaneScheduler::Overdue() const {
-  if (times_.empty()) return absl::InfiniteDuration();
-  std::vector<absl::Duration> times = times_;
-  const auto middle = times.begin() + times.size() / 2;
-  std::nth_element(times.begin(), middle, times.end());
-  return 2 * options_.patience + 4 * *middle;
+  const std::optional<absl::Duration> median = times_.Get();
+  return median.has_value() ? 2 * options_.patience + 4 * *median : absl::InfiniteDuration();
 }
 
 std::vector<Permit> LaneScheduler::Grant(absl::string_view actor_name) {
@@ -134,17 +136,18 @@ std::vector<Permit> LaneScheduler::Grant(absl::string_view actor_name) {
   for (const Claim wanted : {Claim::kOwn, Claim::kSpare, Claim::kUnclaimed}) {
     const int share = wanted == Claim::kUnclaimed ? shares.Most() : shares.Of(*actor);
     int room = std::min(CapacityOf(*actor), share) - static_cast<int>(actor->permits.size());
-    for (int l = 0; l < options_.lanes && room > 0 && ahead > 0; ++l) {
+    if (room <= 0 || ahead <= 0) continue;
+    const Candidates candidates = CandidatesFor(wanted, *actor, shares, now);
+    for (int l = candidates.Next(-1); l >= 0 && room > 0 && ahead > 0; l = candidates.Next(l)) {
       Lane& lane = lanes_[l];
-      if (lane.permit.has_value() || lane.record.next_fragment >= lane.last_fragment ||
-          ClaimOn(lane, *actor, shares, now) != wanted) {
-        continue;
-      }
+      if (!lane.IsOpen() || ClaimOn(lane, *actor, shares, now) != wanted) continue;
       SetHolder(&lane, actor);
       lane.permit = Permit{l, lane.record.next_fragment, VersionFor(lane), lane.reset_at == lane.record.next_fragment};
       lane.since = now;
       lane.pace = {0, now};
       actor->permits.insert(l);
+      ++playing_;
+      List(&lane);
       granted.push_back(*lane.permit);
       --room;
       --ahead;
@@ -158,16 +161,41 @@ std::vector<Permit> LaneScheduler::GrantBackup(Actor* actor, const Shares& share
   const int most = std::min(CapacityOf(*actor), shares.Most());
   const absl::Duration age = lapsed_ > lapsed_before_ ? std::min(options_.patience, Overdue()) : Overdue();
   std::vector<Permit> granted;
-  for (Lane& lane : lanes_) {
+  if (most <= 0) return granted;
+  for (const int l : OlderThan(without_backup_, age, now)) {
     if (static_cast<int>(actor->permits.size()) >= most) break;
-    if (!lane.permit.has_value() || lane.backup != nullptr || now - lane.since <= age) continue;
+    Lane& lane = lanes_[l];
     if (IsAvoided(lane, *actor, now)) continue;
     lane.backup = actor;
     lane.backup_pace = {0, now};
-    actor->permits.insert(NumberOf(lane));
+    List(&lane);
+    actor->permits.insert(l);
     granted.push_back(*lane.permit);
   }
   return granted;
+}
+
+LaneScheduler::Candidates LaneScheduler::CandidatesFor(Claim claim, const Actor& actor, const Shares& shares,
+                                                       absl::Time now) const {
+  static const std::set<int> kNone;
+  if (claim == Claim::kOwn) return {&actor.lanes, {}};
+  if (claim == Claim::kUnclaimed) return {&kNone, OlderThan(open_, options_.patience, now)};
+  if (actor.held() >= shares.Of(actor)) return {&kNone, {}};
+  Candidates spare = {&open_and_free_, {}};
+  for (auto held = by_held_.upper_bound(shares.all); held != by_held_.end(); ++held) {
+    for (const Actor* const other : held->second) {
+      if (shares.IsOver(*other)) spare.more.insert(spare.more.end(), other->lanes.begin(), other->lanes.end());
+    }
+  }
+  std::sort(spare.more.begin(), spare.more.end());
+  return spare;
+}
+
+int LaneScheduler::Candidates::Next(int after) const {
+  const auto listed = list->upper_bound(after);
+  const auto other = std::upper_bound(more.begin(), more.end(), after);
+  if (listed == list->end()) return other == more.end() ? -1 : *other;
+  return other == more.end() ? *listed : std::min(*listed, *other);
 }
 
 LaneScheduler::Claim LaneScheduler::ClaimOn(const Lane& lane, const Actor& actor, const Shares& shares,
@@ -175,7 +203,7 @@ LaneScheduler::Claim LaneScheduler::ClaimOn(const Lane& lane, const Actor& actor
   if (IsAvoided(lane, actor, now)) return Claim::kNone;
   if (lane.holder == &actor) return Claim::kOwn;
   const bool spare = lane.holder == nullptr || shares.IsOver(*lane.holder);
-  if (spare && actor.held < shares.Of(actor)) return Claim::kSpare;
+  if (spare && actor.held() < shares.Of(actor)) return Claim::kSpare;
   return now - lane.since > options_.patience ? Claim::kUnclaimed : Claim::kNone;
 }
 
@@ -184,23 +212,36 @@ int LaneScheduler::CapacityOf(const Actor& actor) {
   return actor.pause > absl::ZeroDuration() ? std::min(actor.capacity, 1) : actor.capacity;
 }
 
+void LaneScheduler::CountCapacity(Actor* actor) {
+  UncountCapacity(actor);
+  actor->counted_capacity = CapacityOf(*actor);
+  ++capacities_[actor->counted_capacity];
+}
+
+void LaneScheduler::UncountCapacity(Actor* actor) {
+  const auto counted = capacities_.find(std::exchange(actor->counted_capacity, -1));
+  if (counted != capacities_.end() && --counted->second == 0) capacities_.erase(counted);
+}
+
 LaneScheduler::Shares LaneScheduler::FairShares() const {
-  std::vector<int> capacities;
-  capacities.reserve(actors_.size());
-  for (const auto& [name, actor] : actors_) capacities.push_back(CapacityOf(actor));
-  std::sort(capacities.begin(), capacities.end());
   Shares shares;
   int lanes = options_.lanes;
-  auto actors = static_cast<int>(capacities.size());
+  auto actors = static_cast<int>(actors_.size());
   // If an actor can't play a full share, the others get more.
-  for (const int capacity : capacities) {
+  for (const auto& [capacity, count] : capacities_) {
     shares.all = lanes / actors;
     shares.extra = lanes % actors;
     if (capacity > shares.all) break;
+    lanes -= (count - 1) * capacity;
+    actors -= count - 1;
+    shares.all = lanes / actors;  // what the last one of these leaves
+    shares.extra = lanes % actors;
     lanes -= capacity;
     --actors;
   }
-  for (const auto& [name, actor] : actors_) shares.above += actor.held > shares.all ? 1 : 0;
+  for (auto held = by_held_.upper_bound(shares.all); held != by_held_.end(); ++held) {
+    shares.above += static_cast<int>(held->second.size());
+  }
   return shares;
 }
 

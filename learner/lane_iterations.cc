@@ -17,6 +17,7 @@ void LaneScheduler::OpenIteration(int64_t last_fragment, int64_t policy_version)
     lane.last_fragment = last_fragment;
     lane.versions.clear();
   }
+  ListAll();
 }
 
 void LaneScheduler::OpenFragments(absl::Span<const Permit> fragments) {
@@ -32,6 +33,7 @@ void LaneScheduler::OpenFragments(absl::Span<const Permit> fragments) {
     ++lane.last_fragment;
     lane.versions.push_back(permit.policy_version);
   }
+  ListAll();
 }
 
 void LaneScheduler::PublishVersion(int64_t policy_version) {
@@ -39,6 +41,7 @@ void LaneScheduler::PublishVersion(int64_t policy_version) {
   next_update_ = policy_version;
   BeginPermits();
   for (Lane& lane : lanes_) lane.last_fragment = std::numeric_limits<int64_t>::max();
+  ListAll();
 }
 
 std::optional<std::vector<Arrival>> LaneScheduler::TakeRollout() {
@@ -64,11 +67,11 @@ std::optional<std::vector<Arrival>> LaneScheduler::TakeRollout() {
 
 void LaneScheduler::BeginPermits() {
   lapsed_before_ = lapsed_;
-  times_.clear();
+  times_.Clear();
   for (Lane& lane : lanes_) {
     if (!lane.permit.has_value()) lane.since = clock_->Now();
   }
-  changed_ = true;
+  change_.all = true;
 }
 
 void LaneScheduler::BeginLane(Lane* lane) {
@@ -87,9 +90,7 @@ int64_t LaneScheduler::VersionFor(const Lane& lane) const {
 int64_t LaneScheduler::Ahead() const {
   if (options_.max_staleness == 0) return std::numeric_limits<int64_t>::max();
   const int64_t rollouts = policy_version_ + options_.max_staleness + 1 - next_update_;
-  const int64_t playing =
-      std::count_if(lanes_.begin(), lanes_.end(), [](const Lane& lane) { return lane.permit.has_value(); });
-  return rollouts * options_.rollout_fragments - static_cast<int64_t>(waiting_.size()) - playing;
+  return rollouts * options_.rollout_fragments - static_cast<int64_t>(waiting_.size()) - playing_;
 }
 
 int64_t LaneScheduler::StalenessOf(int64_t policy_version) const {
@@ -114,6 +115,7 @@ void LaneScheduler::RewindIterations(int iterations) {
     if (iterations == 2) lane.start = std::move(lane.earlier_start);
     Rewind(&lane);
   }
+  ListAll();
 }
 
 }  // namespace craftfleet

@@ -48,7 +48,7 @@ LoadedLanes LoadLanes(const v1::CheckpointState& state, const wire::FragmentShap
       continue;
     }
     LogError("the checkpoint's lane %d: %s; it resumes %s", i, snapshot.status().message(),
-             record.previous.game.empty() ? "with a new game" : "from the snapshot before its last fragment");
+             record.previous->game.empty() ? "with a new game" : "from the snapshot before its last fragment");
     record.snapshot = std::exchange(record.previous, begin);
     ++lanes.resets;
   }
@@ -58,10 +58,10 @@ LoadedLanes LoadLanes(const v1::CheckpointState& state, const wire::FragmentShap
 v1::LaneState ToProto(const LaneRecord& record) {
   v1::LaneState message;
   message.set_next_fragment(record.next_fragment);
-  message.set_snapshot(record.snapshot.game);
-  message.mutable_state()->Assign(record.snapshot.state.begin(), record.snapshot.state.end());
-  message.set_previous_snapshot(record.previous.game);
-  message.mutable_previous_state()->Assign(record.previous.state.begin(), record.previous.state.end());
+  message.set_snapshot(record.snapshot->game);
+  message.mutable_state()->Assign(record.snapshot->state.begin(), record.snapshot->state.end());
+  message.set_previous_snapshot(record.previous->game);
+  message.mutable_previous_state()->Assign(record.previous->state.begin(), record.previous->state.end());
   return message;
 }
 

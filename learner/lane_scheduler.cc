@@ -32,8 +32,15 @@ LaneScheduler::LaneScheduler(const Options& options, std::vector<LaneRecord> lan
 
 void LaneScheduler::Add(const Worker* worker) {
   Actor& actor = actors_[worker->name];
+  if (actor.number == 0) actor.number = ++last_actor_;
   actor.worker = worker;
   actor.capacity = options_.lanes;  // until it reports its own
+  CountCapacity(&actor);
+  NoteLease(*worker);
+}
+
+void LaneScheduler::NoteLease(const Worker& worker) {
+  next_expiry_ = std::min(next_expiry_, worker.leased_from + options_.lease);
 }
 
 void LaneScheduler::Remove(absl::string_view actor) {
@@ -43,12 +50,16 @@ void LaneScheduler::Remove(absl::string_view actor) {
 std::vector<std::string> LaneScheduler::RemoveExpired() {
   const absl::Time now = clock_->Now();
   std::vector<std::string> expired;
+  if (now <= next_expiry_) return expired;
+  next_expiry_ = absl::InfiniteFuture();
   for (auto actor = actors_.begin(); actor != actors_.end();) {
     const auto next = std::next(actor);
     if (now - actor->second.worker->leased_from > options_.lease) {
       lapsed_ += static_cast<int64_t>(actor->second.permits.size());
       expired.push_back(actor->first);
       Remove(actor);
+    } else {
+      NoteLease(*actor->second.worker);
     }
     actor = next;
   }
@@ -56,13 +67,16 @@ std::vector<std::string> LaneScheduler::RemoveExpired() {
 }
 
 void LaneScheduler::Remove(ActorMap::iterator actor) {
-  for (Lane& lane : lanes_) {
-    if (lane.permit.has_value()) Revoke(&lane, &actor->second);
-    if (lane.holder == &actor->second) SetHolder(&lane, nullptr);
-    if (lane.avoided == &actor->second) lane.avoided = nullptr;
+  for (const int l : std::vector<int>(actor->second.permits.begin(), actor->second.permits.end())) {
+    Revoke(&lanes_[l], &actor->second);
   }
+  for (const int l : std::vector<int>(actor->second.lanes.begin(), actor->second.lanes.end())) {
+    SetHolder(&lanes_[l], nullptr);
+    List(&lanes_[l]);
+  }
+  UncountCapacity(&actor->second);
   actors_.erase(actor);
-  changed_ = true;
+  change_.all = true;
 }
 
 absl::StatusOr<LaneScheduler::Verdict> LaneScheduler::Accept(absl::string_view actor, const Permit& fragment,
@@ -84,21 +98,32 @@ absl::StatusOr<LaneScheduler::Verdict> LaneScheduler::Accept(absl::string_view a
                                                       fragment.policy_version, fragment.fragment, fragment.lane,
                                                       lane.permit->policy_version));
   }
-  times_.push_back(clock_->Now() - lane.since);
+  const SharedSnapshot shared(snapshot);
+  times_.Add(clock_->Now() - lane.since);
   EndPlayed(&lane, &sender->second);
   if (options_.max_staleness > 0) {
-    changed_ = true;
     if (StalenessOf(fragment.policy_version) > options_.max_staleness) {
       Drop(fragment, sender->first);
+      change_.all = true;
       return Verdict::kStale;
     }
-    waiting_.push_back({{fragment, digest}, snapshot, sender->first});
+    waiting_.push_back({{fragment, digest}, shared, sender->first});
   }
-  lane.record = {fragment.fragment + 1, snapshot, std::move(lane.record.snapshot), sender->first};
+  lane.record = {fragment.fragment + 1, shared, std::move(lane.record.snapshot), sender->first};
   lane.accepted.push_back({fragment.fragment, digest, sender->first});
   ++sender->second.fragments;
-  if (lane.record.next_fragment < lane.last_fragment) changed_ = true;
+  List(&lane);
+  if (lane.IsOpen()) NoteOpened(lane, sender->second);
   return Verdict::kAccepted;
+}
+
+void LaneScheduler::NoteOpened(const Lane& lane, const Actor& sender) {
+  // Others may only take a lane from an actor that has more than its share.
+  if (lane.holder == nullptr || FairShares().IsOver(sender)) {
+    change_.all = true;
+  } else {
+    change_.actors.push_back(sender.worker->name);
+  }
 }
 
 void LaneScheduler::Drop(const Permit& fragment, const std::string& actor) {
@@ -114,8 +139,9 @@ void LaneScheduler::EndPlayed(Lane* lane, Actor* sender) {
   EndPermit(lane);
   SetHolder(lane, sender->worker->draining ? nullptr : sender);
   lane->stalls = 0;
-  lane->avoided = nullptr;
+  lane->avoided = 0;
   lane->report.reset();
+  List(lane);
   EndPause(sender);
 }
 
@@ -156,8 +182,8 @@ void LaneScheduler::Refuse(absl::string_view actor_name, int l, int64_t fragment
   Lane& lane = lanes_[l];
   if (!IsPlayer(lane, &actor->second) || !lane.permit.has_value() || lane.permit->fragment != fragment) return;
   GiveToOthers(&lane, &actor->second);
-  changed_ = true;
-  if (lane.record.snapshot.game.empty()) return;  // a new game cannot be reset
+  change_.all = true;
+  if (lane.record.snapshot->game.empty()) return;  // a new game cannot be reset
   const bool is_first = !lane.report.has_value();
   const bool is_confirmed = !is_first && (IsIndependent(*lane.report, actor->second) || !HasOthers(actor->second) ||
                                           lane.report->unanswered >= kMaxUnanswered);
@@ -182,10 +208,10 @@ void LaneScheduler::Reset(Lane* lane, absl::string_view reason) {
     Rewind(lane);
   } else {
     LogError("%s; it resumes %s", error,
-             record.previous.game.empty() ? "with a new game" : "from the snapshot before that fragment");
-    const size_t state_size = record.snapshot.state.size();
-    record.snapshot = std::move(record.previous);
-    record.snapshot.state.resize(state_size);
+             record.previous->game.empty() ? "with a new game" : "from the snapshot before that fragment");
+    LaneSnapshot previous = *record.previous;
+    previous.state.resize(record.snapshot->state.size());
+    record.snapshot = std::move(previous);
     record.previous = {};
     record.sender.clear();
     lane->start = record;
@@ -193,7 +219,8 @@ void LaneScheduler::Reset(Lane* lane, absl::string_view reason) {
   }
   ++resets_;
   lane->report.reset();
-  lane->avoided = nullptr;
+  lane->avoided = 0;
+  List(lane);
 }
 
 absl::StatusOr<LaneSnapshot> LaneScheduler::Snapshot(int lane, int64_t fragment) const {
@@ -205,7 +232,7 @@ absl::StatusOr<LaneSnapshot> LaneScheduler::Snapshot(int lane, int64_t fragment)
     return absl::AbortedError(absl::StrFormat("lane %d is at fragment %d, not %d: request permits again", lane,
                                               record.next_fragment, fragment));
   }
-  return record.snapshot;
+  return *record.snapshot;
 }
 
 bool LaneScheduler::SetPaused(bool paused) {
@@ -213,17 +240,23 @@ bool LaneScheduler::SetPaused(bool paused) {
   paused_ = paused;
   // Time in the pause must not count as time unclaimed.
   for (Lane& lane : lanes_) lane.since = clock_->Now();
-  changed_ = true;
+  ListAll();
+  change_.all = true;
   return before;
 }
 
-void LaneScheduler::ReleaseIdleLanes(absl::string_view actor) {
-  const auto entry = actors_.find(actor);
+void LaneScheduler::NoteDrain(absl::string_view actor_name) {
+  const auto entry = actors_.find(actor_name);
   if (entry == actors_.end()) return;
-  for (Lane& lane : lanes_) {
-    if (lane.holder == &entry->second && !lane.permit.has_value()) SetHolder(&lane, nullptr);
+  Actor* const actor = &entry->second;
+  CountCapacity(actor);
+  change_.all = true;
+  if (!actor->worker->draining) return;
+  for (const int l : std::vector<int>(actor->lanes.begin(), actor->lanes.end())) {
+    if (lanes_[l].permit.has_value()) continue;
+    SetHolder(&lanes_[l], nullptr);
+    List(&lanes_[l]);
   }
-  changed_ = true;
 }
 
 int LaneScheduler::permits() const {
@@ -269,12 +302,13 @@ LaneScheduler::ActorInfo LaneScheduler::InfoOf(const ActorMap::value_type& entry
 std::vector<Permit> LaneScheduler::Renew(absl::string_view actor_name, absl::Span<const Permit> active, int capacity) {
   Actor* const actor = &actors_.find(actor_name)->second;
   actor->capacity = std::clamp(capacity, 0, options_.lanes);
+  CountCapacity(actor);
   for (const int l : std::vector<int>(actor->permits.begin(), actor->permits.end())) {
     Lane& lane = lanes_[l];
     if (std::find(active.begin(), active.end(), *lane.permit) != active.end()) continue;
     Revoke(&lane, actor);
     actor->returned = clock_->Now();
-    changed_ = true;
+    change_.all = true;
   }
   std::vector<Permit> lost;
   for (const Permit& permit : active) {
@@ -286,38 +320,6 @@ std::vector<Permit> LaneScheduler::Renew(absl::string_view actor_name, absl::Spa
     }
   }
   return lost;
-}
-
-void LaneScheduler::SetHolder(Lane* lane, Actor* actor) {
-  if (lane->holder != nullptr) --lane->holder->held;
-  if (actor != nullptr) ++actor->held;
-  lane->holder = actor;
-}
-
-void LaneScheduler::EndPermit(Lane* lane) {
-  const int l = NumberOf(*lane);
-  lane->holder->permits.erase(l);
-  if (lane->backup != nullptr) lane->backup->permits.erase(l);
-  lane->backup = nullptr;
-  lane->permit.reset();
-  lane->since = clock_->Now();
-}
-
-void LaneScheduler::Revoke(Lane* lane, Actor* actor) {
-  if (!IsPlayer(*lane, actor)) return;
-  if (lane->report.has_value() && IsIndependent(*lane->report, *actor)) ++lane->report->unanswered;
-  if (lane->backup == nullptr) {
-    EndPermit(lane);
-    SetHolder(lane, nullptr);
-    lane->since = absl::InfinitePast();  // free for any actor at once
-    return;
-  }
-  actor->permits.erase(NumberOf(*lane));
-  if (lane->holder == actor) {
-    SetHolder(lane, lane->backup);
-    lane->pace = lane->backup_pace;
-  }
-  lane->backup = nullptr;
 }
 
 }  // namespace craftfleet

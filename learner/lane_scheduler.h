@@ -22,6 +22,8 @@
 #include "common/base/clock.h"
 #include "common/base/types.h"
 #include "common/telemetry/limited_log.h"
+#include "learner/running_median.h"
+#include "learner/shared_snapshot.h"
 #include "learner/worker.h"
 
 namespace craftfleet {
@@ -29,9 +31,9 @@ namespace craftfleet {
 // A lane after its last accepted fragment. Checkpoints store all of it except the sender.
 struct LaneRecord {
   int64_t next_fragment = 0;
-  LaneSnapshot snapshot;       // the state before that fragment
-  LaneSnapshot previous = {};  // the state before the last one; used if no server can restore `snapshot`
-  std::string sender = "";     // the actor that sent the last fragment; empty: unknown, of an earlier start
+  SharedSnapshot snapshot;       // the state before that fragment
+  SharedSnapshot previous = {};  // the state before the last one; used if no server can restore `snapshot`
+  std::string sender = "";       // the actor that sent the last fragment; empty: unknown, of an earlier start
 };
 
 // Decides which actor plays which lane. It has no lock and never waits. WorkerRegistry calls it under
@@ -74,6 +76,10 @@ struct LaneRecord {
 // to ask. Actors that get the lane to confirm a report, but neither play it nor report, must not keep a lane broken:
 // after three of them, the next report confirms.
 //
+// There may be ten thousand actors, most of whose requests change nothing. So no request looks at all actors or lanes:
+// lanes are listed by what may happen to them next, and lapsed leases are looked for when the first one may have
+// lapsed.
+//
 // Not thread-safe.
 class LaneScheduler {
  public:
@@ -110,8 +116,10 @@ class LaneScheduler {
   void Remove(absl::string_view actor);
   // Removes actors whose lease has expired; returns their names.
   std::vector<std::string> RemoveExpired();
-  // Releases the lanes that `actor`, which is being drained, holds without a permit.
-  void ReleaseIdleLanes(absl::string_view actor);
+  // `actor` is being drained, which releases the lanes that it holds without a permit, or no longer so.
+  void NoteDrain(absl::string_view actor);
+  // The lease of `worker`, which was added, now ends earlier than before.
+  void NoteLease(const Worker& worker);
 
   // Records the progress that the actor reports: `steps` played of each of `active`; empty: no progress.
   void NoteProgress(absl::string_view actor, absl::Span<const Permit> active, absl::Span<const int64_t> steps);
@@ -164,6 +172,7 @@ class LaneScheduler {
 
   bool IsKnown(absl::string_view actor) const { return Find(actor) != actors_.end(); }
   bool empty() const { return actors_.empty(); }
+  int actors() const { return static_cast<int>(actors_.size()); }
   std::vector<LaneRecord> Records() const;
   // The lanes at the beginning of the iteration.
   std::vector<LaneRecord> StartRecords() const;
@@ -183,19 +192,26 @@ class LaneScheduler {
   // The number of fragments dropped because they were too old, since the start.
   int64_t dropped() const { return dropped_; }
 
-  // Whether permits may have become available since the last call.
-  bool TakeChange() { return std::exchange(changed_, false); }
+  // Which actors may get permits that they could not get at the last call.
+  struct Change {
+    bool all = false;
+    std::vector<std::string> actors = {};  // if not all
+  };
+  Change TakeChange() { return std::exchange(change_, {}); }
 
  private:
   struct Actor {
     const Worker* worker = nullptr;
     absl::Time returned = absl::InfinitePast();  // when it last returned permits
+    int64_t number = 0;                          // unique, from 1
     int capacity = 0;                            // lanes it can play at once, as last reported
-    int held = 0;                                // lanes it holds
+    int counted_capacity = -1;                   // CapacityOf as counted in `capacities_`; -1: not counted
+    std::set<int> lanes;                         // that it holds
     std::set<int> permits;                       // lanes for which it has one, including backups
     int64_t fragments = 0;
     absl::Duration pause;  // length of the current or last pause for lack of progress; 0: it has progressed since
     absl::Time pause_end = absl::InfinitePast();
+    int held() const { return static_cast<int>(lanes.size()); }
   };
   using ActorMap = std::map<std::string, Actor, std::less<>>;  // by name
 
@@ -226,9 +242,10 @@ class LaneScheduler {
     Pace pace;                     // of `holder`
     Actor* backup = nullptr;       // also plays the fragment, if any
     Pace backup_pace;
-    absl::Time since;          // when the permit was granted, or the lane became free
-    int stalls = 0;            // permits revoked for lack of progress since the last fragment
-    Actor* avoided = nullptr;  // failed to play it last; others are preferred until avoided_until
+    absl::Time since;  // when the permit was granted, or the lane became free
+    int stalls = 0;    // permits revoked for lack of progress since the last fragment
+    int64_t avoided =
+        0;  // the number of the actor that failed to play it last; others are preferred until avoided_until
     absl::Time avoided_until;
     std::optional<Report> report;           // the first one on its current snapshot
     int64_t reset_at = -1;                  // fragment before which it was reset; games that actors hold there are void
@@ -236,11 +253,17 @@ class LaneScheduler {
     bool restored = false;                  // advanced by Restore since `start`
     int64_t last_fragment = 0;              // permits are for fragments before this one
     std::vector<int64_t> versions;          // after OpenFragments: of its last fragments, up to last_fragment
+    bool IsOpen() const { return !permit.has_value() && record.next_fragment < last_fragment; }
+
+    // How it is listed at present.
+    enum class List { kNone, kOpen, kOpenAndFree, kWithoutBackup };
+    List list = List::kNone;
+    absl::Time listed_since;
   };
   // A fragment accepted for a rollout that is not taken yet.
   struct WaitingArrival {
     Arrival arrival;
-    LaneSnapshot snapshot;  // after it
+    SharedSnapshot snapshot;  // after it
     std::string sender;
   };
   // Fair shares: each actor may hold `all` lanes, if it can play that many, and `extra` actors one more.
@@ -249,19 +272,22 @@ class LaneScheduler {
     int extra = 0;
     int above = 0;  // number of actors that hold more than `all`
     int Most() const { return all + (extra > 0 ? 1 : 0); }
-    bool IsOver(const Actor& actor) const { return actor.held > all + 1 || (actor.held > all && above > extra); }
-    int Of(const Actor& actor) const { return all + (above - (actor.held > all ? 1 : 0) < extra ? 1 : 0); }
+    bool IsOver(const Actor& actor) const { return actor.held() > all + 1 || (actor.held() > all && above > extra); }
+    int Of(const Actor& actor) const { return all + (above - (actor.held() > all ? 1 : 0) < extra ? 1 : 0); }
   };
 
   // The reason for which an actor may get a lane, strongest first.
   enum class Claim { kOwn, kSpare, kUnclaimed, kNone };
 
   // Ends the pause of an actor that makes progress.
-  static void EndPause(Actor* actor);
+  void EndPause(Actor* actor);
   // Pauses an actor that lost `permits` permits for lack of progress.
   void PauseStalled(absl::string_view name, Actor* actor, int permits);
   // The number of lanes that the actor may currently play at once.
   static int CapacityOf(const Actor& actor);
+  // Counts the actor's capacity, which may have changed.
+  void CountCapacity(Actor* actor);
+  void UncountCapacity(Actor* actor);
   // When the player's permit is revoked, if it makes no progress until then.
   absl::Time StallsAt(const Lane& lane, const Pace& pace) const;
   bool IsStalled(const Lane& lane, const Actor* player, const Pace& pace) const;
@@ -298,14 +324,31 @@ class LaneScheduler {
   bool IsPausing(const Actor& actor) const;
   // Grants fragments of other actors to `actor` as a backup.
   std::vector<Permit> GrantBackup(Actor* actor, const Shares& shares);
+  // Lanes that `actor` may have the claim to, ascending: of a list, and more in a vector.
+  struct Candidates {
+    const std::set<int>* list;
+    std::vector<int> more;
+    // The first one after lane `after`; -1: none.
+    int Next(int after) const;
+  };
+  Candidates CandidatesFor(Claim claim, const Actor& actor, const Shares& shares, absl::Time now) const;
+  // The lanes in `list` that were listed longer than `age` ago, ascending.
+  static std::vector<int> OlderThan(const std::set<std::pair<absl::Time, int>>& list, absl::Duration age,
+                                    absl::Time now);
   Claim ClaimOn(const Lane& lane, const Actor& actor, const Shares& shares, absl::Time now) const;
   bool IsAvoided(const Lane& lane, const Actor& actor, absl::Time now) const;
   Shares FairShares() const;
   static bool IsPlayer(const Lane& lane, const Actor* actor) { return lane.holder == actor || lane.backup == actor; }
   int NumberOf(const Lane& lane) const { return static_cast<int>(&lane - lanes_.data()); }
-  static void SetHolder(Lane* lane, Actor* actor);
+  void SetHolder(Lane* lane, Actor* actor);
   // Counts a fragment of `actor` that is too old, and logs it at a limited rate.
   void Drop(const Permit& fragment, const std::string& actor);
+  // lane_lists.cc. Lists the lane by its present state; to be called after each change of its state.
+  void List(Lane* lane);
+  void ListAll();
+  void Unlist(Lane* lane);
+  // Notes that a fragment of the lane, which `sender` has played, is open.
+  void NoteOpened(const Lane& lane, const Actor& sender);
   // Ends the lane's permit for both players.
   void EndPermit(Lane* lane);
   // Revokes the lane's permit from `actor`, if it has it; another player continues.
@@ -314,15 +357,25 @@ class LaneScheduler {
   const Options options_;
   Clock* const clock_;
 
-  bool changed_ = false;
+  Change change_;
   std::vector<Lane> lanes_;
   ActorMap actors_;
-  absl::Time next_stall_ = absl::InfinitePast();  // no permit is stalled before then
+  int64_t last_actor_ = 0;  // number
+  int playing_ = 0;         // lanes with a permit
+  // Lists of lanes: open ones that nobody holds; with the times since when, all open ones, and those with a permit but
+  // no backup.
+  std::set<int> open_and_free_;
+  std::set<std::pair<absl::Time, int>> open_;
+  std::set<std::pair<absl::Time, int>> without_backup_;
+  std::map<int, int> capacities_;                    // number of actors by capacity
+  std::map<int, std::set<Actor*>> by_held_;          // actors by the number of lanes that they hold, from 1
+  absl::Time next_expiry_ = absl::InfiniteFuture();  // no lease expires before then
+  absl::Time next_stall_ = absl::InfinitePast();     // no permit is stalled before then
   int64_t lapsed_ = 0;
   int64_t lapsed_before_ = 0;  // lapsed_ when the iteration was opened
   int64_t resets_;
   int64_t differing_ = 0;
-  std::vector<absl::Duration> times_;   // durations of the iteration's fragments
+  RunningMedian times_;                 // durations of the iteration's fragments
   int64_t policy_version_ = 0;          // of new permits, except after OpenFragments
   std::deque<WaitingArrival> waiting_;  // with max_staleness, in the order of arrival
   int64_t next_update_ = 0;             // version from which the update with the next rollout will start

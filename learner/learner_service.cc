@@ -54,7 +54,13 @@ LearnerServiceImpl::LearnerServiceImpl(const Options& options, WorkerRegistry* r
       refusals_(&clock_),
       streams_(options.max_streams_per_client),
       polls_(options.max_polls_per_client) {
-  registry_->SetObserver([this] { waiting_for_permits_.Retry(); });
+  registry_->SetObserver([this](absl::string_view actor) {
+    if (actor.empty()) {
+      waiting_for_permits_.Retry();
+    } else {
+      waiting_for_permits_.Retry(actor);
+    }
+  });
   weights_->SetObserver([this] { waiting_for_weights_.Retry(); });
 }
 
@@ -180,7 +186,7 @@ grpc::ServerUnaryReactor* LearnerServiceImpl::GetPermits(grpc::CallbackServerCon
         reactor->Finish(wire::ToGrpc(status));
         return true;
       },
-      wait);
+      wait, request->actor());
   return reactor;
 }
 

@@ -89,14 +89,14 @@ absl::StatusOr<WorkerRegistry::PermitReply> WorkerRegistry::Complete(const Permi
   return reply;
 }
 
-void WorkerRegistry::SetObserver(std::function<void()> observer) {
+void WorkerRegistry::SetObserver(Observer observer) {
   const MutexLock lock(&mu_);
   observer_ = std::move(observer);
 }
 
-void WorkerRegistry::Wake() {
+void WorkerRegistry::Wake(absl::string_view actor) {
   changed_.NotifyAll();
-  if (observer_ != nullptr) observer_();
+  if (observer_ != nullptr) observer_(actor);
 }
 
 absl::StatusOr<std::vector<Permit>> WorkerRegistry::RenewPlay(const PermitRequest& request) {
@@ -136,8 +136,11 @@ void WorkerRegistry::ShortenLease(Worker* actor) {
 }
 
 void WorkerRegistry::WakeIfChanged() {
-  if (lanes_.TakeChange()) Wake();
+  const LaneScheduler::Change change = lanes_.TakeChange();
+  if (change.all) return Wake();
+  for (const std::string& actor : change.actors) Wake(actor);
 }
+  lanes_.NoteLease(*actor);
 
 std::vector<LaneScheduler::ActorInfo> WorkerRegistry::Actors() const {
   const MutexLock lock(&mu_);

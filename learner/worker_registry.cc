@@ -222,7 +222,7 @@ absl::StatusOr<WorkerRegistry::WorkerId> WorkerRegistry::Drain(absl::string_view
   CRAFTFLEET_ASSIGN_OR_RETURN(Worker* const worker, FindActive(name_or_address));
   if (worker->role == WorkerRole::kActor) {
     worker->draining = true;
-    lanes_.ReleaseIdleLanes(worker->name);
+    lanes_.NoteDrain(worker->name);
     WakeIfChanged();
   } else if (!worker->draining) {
     worker->draining = true;
@@ -238,6 +238,7 @@ absl::StatusOr<WorkerRegistry::WorkerId> WorkerRegistry::Undrain(absl::string_vi
   if (worker->draining && worker->role == WorkerRole::kEnvServer) ++generation_;
   worker->draining = false;
   worker->empty = false;
+  if (worker->role == WorkerRole::kActor) lanes_.NoteDrain(worker->name);
   Wake();
   return WorkerId{worker->role, worker->name};
 }

@@ -137,8 +137,9 @@ class WorkerRegistry {
   std::optional<absl::StatusOr<PermitReply>> StartPermits(const PermitRequest& request) ABSL_LOCKS_EXCLUDED(mu_);
   std::optional<absl::StatusOr<PermitReply>> RetryPermits(const PermitRequest& request, bool last)
       ABSL_LOCKS_EXCLUDED(mu_);
-  // `observer` is called, with the lock held, after each change that may let RetryPermits give a reply; null: none.
-  void SetObserver(std::function<void()> observer) ABSL_LOCKS_EXCLUDED(mu_);
+  // Called, with the lock held, after each change that may let RetryPermits give a reply to `actor`; empty: to any.
+  using Observer = std::function<void(absl::string_view actor)>;
+  void SetObserver(Observer observer) ABSL_LOCKS_EXCLUDED(mu_);  // null: none
   // The connection of `actor` broke: shortens its lease to `comeback`.
   void OnConnectionLost(absl::string_view actor) ABSL_LOCKS_EXCLUDED(mu_);
   // Makes an environment server active, or renews its lease. `lanes`: its open games.   FailedPrecondition: as Join.
@@ -273,8 +274,8 @@ class WorkerRegistry {
   absl::StatusOr<std::vector<Permit>> RenewPlay(const PermitRequest& request) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
   // Shortens the actor's lease to `comeback`.
   void ShortenLease(Worker* actor) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
-  // Wakes calls that wait for permits, or for the last actor to leave.
-  void Wake() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
+  // Wakes calls of `actor` that wait for permits; empty: all, and those that wait for the last actor to leave.
+  void Wake(absl::string_view actor = "") ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
   // The same if there may be new permits.
   void WakeIfChanged() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
 
@@ -286,7 +287,7 @@ class WorkerRegistry {
   mutable Mutex mu_;
   CondVar changed_;    // permits, or the run is over
   CondVar evaluated_;  // an evaluation task is over
-  std::function<void()> observer_ ABSL_GUARDED_BY(mu_);
+  Observer observer_ ABSL_GUARDED_BY(mu_);
   std::map<Key, Worker> workers_ ABSL_GUARDED_BY(mu_);
   std::map<std::string, size_t> names_of_ ABSL_GUARDED_BY(mu_);  // owned names, by identity
   std::map<std::pair<std::string, std::string>, int> names_from_

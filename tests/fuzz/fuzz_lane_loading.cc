@@ -45,8 +45,8 @@ void TryInput(absl::string_view input) {
   CRAFTFLEET_CHECK(static_cast<int>(lanes.records.size()) == kSampleShape.lanes);
   CRAFTFLEET_CHECK(lanes.resets >= 0 && lanes.resets <= kSampleShape.lanes);
   for (const LaneRecord& record : lanes.records) {
-    CheckLoaded(record.snapshot);
-    CheckLoaded(record.previous);
+    CheckLoaded(*record.snapshot);
+    CheckLoaded(*record.previous);
   }
   const v1::CheckpointState stored = ToState(lanes);
   const LoadedLanes again = LoadLanes(stored, kSampleShape);

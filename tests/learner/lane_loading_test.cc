@@ -30,7 +30,7 @@ LaneRecord Load(const v1::CheckpointState& state, int resets) {
   LoadedLanes lanes = LoadLanes(state, kSampleShape);
   EXPECT_EQ(lanes.resets, resets);
   EXPECT_EQ(lanes.records.size(), kSampleShape.lanes);
-  EXPECT_EQ(lanes.records[0].snapshot.game, SampleSnapshot("five"));
+  EXPECT_EQ(lanes.records[0].snapshot->game, SampleSnapshot("five"));
   return lanes.records[1];
 }
 
@@ -56,7 +56,7 @@ TEST(LaneLoading, AddsEnvelopesToSnapshotsOfVersion01) {
   lane->clear_previous_snapshot();
   lane->clear_previous_state();
   const LaneRecord record = Load(state, 0);
-  EXPECT_EQ(record.snapshot.game, SampleSnapshot("CFWORLD and so on"));
+  EXPECT_EQ(record.snapshot->game, SampleSnapshot("CFWORLD and so on"));
   EXPECT_EQ(record.previous, kNewGame);
 }
 
@@ -82,7 +82,7 @@ TEST(LaneLoading, UsesThePreviousSnapshotIfTheRecurrentStateIsInvalid) {
   for (const float bad : {2.0F, std::nanf("")}) {
     v1::CheckpointState state = State();
     state.mutable_lanes(1)->set_state(0, bad);
-    EXPECT_EQ(Load(state, 1).snapshot.game, SampleSnapshot("four"));
+    EXPECT_EQ(Load(state, 1).snapshot->game, SampleSnapshot("four"));
   }
 }
 

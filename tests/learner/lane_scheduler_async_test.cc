@@ -129,8 +129,8 @@ TEST_F(AsyncLanes, ACheckpointHasTheLanesAfterTheFragmentsThatWereTaken) {
   ASSERT_TRUE(registry_.TakeRollout().has_value());
   const LaneRecord lane = registry_.StartRecords()[0];
   EXPECT_EQ(lane.next_fragment, 2);
-  EXPECT_EQ(lane.snapshot.game, "after 1");
-  EXPECT_EQ(lane.previous.game, "after 0");
+  EXPECT_EQ(lane.snapshot->game, "after 1");
+  EXPECT_EQ(lane.previous->game, "after 0");
   EXPECT_EQ(registry_.Records()[0].next_fragment, 3);
 }
 

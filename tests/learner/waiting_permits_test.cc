@@ -33,7 +33,13 @@ constexpr int kLanes = 8;
 class WaitingPermitsTest : public testing::Test {
  protected:
   WaitingPermitsTest() {
-    registry_.SetObserver([this] { waiters_->Retry(); });
+    registry_.SetObserver([this](absl::string_view actor) {
+      if (actor.empty()) {
+        waiters_->Retry();
+      } else {
+        waiters_->Retry(actor);
+      }
+    });
   }
   ~WaitingPermitsTest() override { registry_.SetObserver(nullptr); }
 
@@ -47,7 +53,7 @@ class WaitingPermitsTest : public testing::Test {
           if (reply.has_value()) answer(*std::move(reply));
           return reply.has_value();
         },
-        wait);
+        wait, actor);
   }
   void Ask(const std::string& actor, absl::Duration wait) {
     Ask(actor, wait, [this](Reply reply) { replies_.Push(std::move(reply)).IgnoreError(); });
@@ -77,6 +83,25 @@ TEST_F(WaitingPermitsTest, ARequestWaitsForTheNextIteration) {
   EXPECT_EQ(replies_.size(), 0);
   registry_.OpenIteration(2, 1);
   EXPECT_THAT(Next()->granted, SizeIs(kLanes));
+}
+
+TEST_F(WaitingPermitsTest, AnAcceptedFragmentConcernsItsSenderAloneUnlessItsLaneIsFree) {
+  for (const char* actor : {"a", "b"}) registry_.Join(actor, "");
+  registry_.OpenIteration(2, 1);
+  std::map<std::string, std::vector<Permit>> granted;
+  for (const char* actor : {"a", "b"}) {
+    Ask(actor, absl::InfiniteDuration());
+    granted[actor] = Next()->granted;
+    ASSERT_THAT(granted[actor], SizeIs(kLanes / 2));
+  }
+  std::vector<std::string> concerned;
+  registry_.SetObserver([&](absl::string_view actor) { concerned.emplace_back(actor); });
+  EXPECT_THAT(registry_.Accept("a", granted["a"][0], {}), IsOk());
+  EXPECT_EQ(concerned, std::vector<std::string>{"a"});
+  registry_.Drain("b");
+  concerned.clear();
+  EXPECT_THAT(registry_.Accept("b", granted["b"][0], {}), IsOk());
+  EXPECT_EQ(concerned, std::vector<std::string>{""}) << "anyone may have it";
 }
 
 TEST_F(WaitingPermitsTest, ARequestThatGetsNothingIsAnsweredAfterItsWait) {
