@@ -16,6 +16,7 @@
 #include "common/wire/channel.h"
 #include "common/wire/channel_flags.h"
 #include "common/wire/metrics_flags.h"
+#include "common/wire/protocol.h"
 #include "common/wire/server_flags.h"
 #include "common/wire/status_service.h"
 
@@ -24,6 +25,8 @@ ABSL_FLAG(std::string, envservers, "127.0.0.1:50061",
           "environment servers, joined by commas: HOST:PORT, dns:HOST:PORT or learner\n"
           "dns: every address of a name, resolved again every 3 s; learner: the servers that registered with the\n"
           "learner (craftfleet-envserver --learner=...)");
+ABSL_FLAG(std::string, zone, "",
+          "label of the place where this runs, such as a rack: the learner prefers its environment servers [none]");
 ABSL_FLAG(int32_t, threads, 0, "playing threads; 0: as many as the CPU quota allows");
 ABSL_FLAG(std::string, device, "auto",
           "device to act on: auto (what the run acts on), cpu, cuda or cuda:N\n"
@@ -76,6 +79,8 @@ absl::Status Run() {
   options.threads = threads == 0 ? DefaultThreads() : threads;
   options.capacity = absl::GetFlag(FLAGS_max_lanes);
   options.device = absl::GetFlag(FLAGS_device);
+  options.zone = absl::GetFlag(FLAGS_zone);
+  CRAFTFLEET_RETURN_IF_ERROR(wire::CheckText("--zone", options.zone));
   CRAFTFLEET_ASSIGN_OR_RETURN(options.frames, ParseFrames(absl::GetFlag(FLAGS_frames)));
   options.set_up = [](const v1::RunConfig& config) { return PinCpu(config.cpu()); };
   options.env_timeout = absl::GetFlag(FLAGS_env_timeout).value;

@@ -11,6 +11,7 @@
 #include "common/wire/channel.h"
 #include "common/wire/channel_flags.h"
 #include "common/wire/metrics_flags.h"
+#include "common/wire/protocol.h"
 #include "common/wire/server_flags.h"
 #include "common/wire/status_service.h"
 #include "envserver/announcer.h"
@@ -22,6 +23,8 @@ ABSL_FLAG(std::string, learner, "",
           "learner to register with, HOST:PORT; actors with --envservers=learner then find this server");
 ABSL_FLAG(std::string, advertise, "",
           "with --learner: the address that actors are to connect to, HOST:PORT [--listen]");
+ABSL_FLAG(std::string, zone, "",
+          "with --learner: label of the place where this runs, such as a rack; actors there prefer this server [none]");
 ABSL_FLAG(std::string, textures, "",
           "folder with Crafter's textures as PNG; the same as the learner's\n"
           "[the ones that come with this program]");
@@ -95,17 +98,21 @@ absl::StatusOr<EnvServiceImpl::Options> OptionsFromFlags() {
 absl::StatusOr<std::unique_ptr<Announcer>> AnnounceIfAsked(EnvServiceImpl* service, const std::string& listens_on) {
   const std::string learner = absl::GetFlag(FLAGS_learner);
   const std::string advertise = absl::GetFlag(FLAGS_advertise);
+  const std::string zone = absl::GetFlag(FLAGS_zone);
   if (learner.empty()) {
-    if (advertise.empty()) return nullptr;
-    return absl::InvalidArgumentError("--advertise requires --learner");
+    if (!advertise.empty()) return absl::InvalidArgumentError("--advertise requires --learner");
+    if (!zone.empty()) return absl::InvalidArgumentError("--zone requires --learner");
+    return nullptr;
   }
+  CRAFTFLEET_RETURN_IF_ERROR(wire::CheckText("--zone", zone));
   CRAFTFLEET_RETURN_IF_ERROR(wire::CheckAddress("learner", learner));
   const std::string address = advertise.empty() ? listens_on : advertise;
   CRAFTFLEET_RETURN_IF_ERROR(wire::CheckAddress("advertise", address));
   CRAFTFLEET_ASSIGN_OR_RETURN(const wire::ChannelSecurity security, wire::ChannelSecurityFromFlags());
   return std::make_unique<Announcer>(
       wire::Connect(learner, security), address, service->texture_digest(), service->canary(),
-      [service] { return service->Summary(); }, [service](const std::string& run_id) { service->SetRun(run_id); });
+      [service] { return service->Summary(); }, [service](const std::string& run_id) { service->SetRun(run_id); },
+      zone);
 }
 
 absl::Status Run() {
@@ -143,6 +150,6 @@ absl::Status Run() {
 int main(int argc, char** argv) {
   craftfleet::OutliveReaders();
   craftfleet::ParseFlags(craftfleet::kProgram, craftfleet::kUsage, argc, argv,
-                         {"listen", "learner", "advertise", "textures", "max_games", "max_games_mb"});
+                         {"listen", "learner", "advertise", "zone", "textures", "max_games", "max_games_mb"});
   return craftfleet::ExitCode(craftfleet::kProgram, craftfleet::Run());
 }

@@ -1,28 +1,44 @@
 #include "learner/fleet_summary.h"
 
+#include <map>
+#include <utility>
+
 #include "common/wire/status_service.h"
+#include "learner/worker_page.h"
 
 namespace craftfleet {
 
-FleetView ViewFleet(const Work& trainer, const v1::StatusReply& reply) {
+FleetView ViewFleet(const Work& trainer, const std::vector<WorkerRegistry::Glance>& workers) {
+  using Health = WorkerRegistry::Health;
   FleetView view;
   view.learner = trainer.times;
   view.early = trainer.times[Activity::kUpdate] == 0;  // times cover at least one whole iteration
-  for (const v1::Peer& peer : reply.peers()) {
-    const bool ok = peer.health() == v1::Peer::OK;
-    const bool drained = peer.drain() == v1::Peer::DRAINED;
-    if (peer.role() == "envserver") {
+  for (const WorkerRegistry::Glance& worker : workers) {
+    const bool ok = worker.health == Health::kOk;
+    if (worker.role == WorkerRole::kEnvServer) {
       view.env_servers += ok ? 1 : 0;
-      view.drained_env_servers += ok && drained ? 1 : 0;
-      view.lost_env_servers += peer.health() == v1::Peer::LOST || peer.health() == v1::Peer::NOT_ANSWERING ? 1 : 0;
+      view.drained_env_servers += ok && worker.drained ? 1 : 0;
+      view.lost_env_servers += worker.health == Health::kLost || worker.health == Health::kNotAnswering ? 1 : 0;
     } else if (ok) {
       ++view.actors;
-      view.drained_actors += drained ? 1 : 0;
-      view.steps_per_second += peer.summary().steps_per_second();
-      view.actors_times.Add(wire::TimesOf(peer.summary()));
+      view.drained_actors += worker.drained ? 1 : 0;
+      if (worker.summary == nullptr) continue;
+      view.steps_per_second += worker.summary->steps_per_second();
+      view.actors_times.Add(wire::TimesOf(*worker.summary));
     }
   }
   return view;
+}
+
+void CountWorkers(const std::vector<WorkerRegistry::Glance>& workers, v1::FleetSummary* summary) {
+  std::map<std::pair<WorkerRole, WorkerRegistry::Health>, int> counts;
+  for (const WorkerRegistry::Glance& worker : workers) ++counts[{worker.role, worker.health}];
+  for (const auto& [kind, number] : counts) {
+    v1::WorkerCount* const count = summary->add_workers();
+    count->set_role(RoleName(kind.first));
+    count->set_health(ToProto(kind.second));
+    count->set_number(number);
+  }
 }
 
 namespace {

@@ -22,7 +22,9 @@
 namespace craftfleet {
 namespace {
 
-constexpr size_t kLinesPerClient = 16;   // about workers, in the period of LimitedLog, whatever their names
+constexpr size_t kLinesPerClient = 16;  // about workers, in the period of LimitedLog, whatever their names
+constexpr int kMaxWaitMs = 2000;
+constexpr int kPollsPerSecond = 2000;    // where actors that get nothing would ask for permits more often
 constexpr int kMaxServersReported = 64;  // environment servers in one request of an actor
 
 Permit FromProto(const v1::Permit& message) { return {message.lane(), message.fragment(), message.policy_version()}; }
@@ -70,8 +72,13 @@ LearnerServiceImpl::~LearnerServiceImpl() {
 }
 
 absl::Duration LearnerServiceImpl::WaitTime(int wait_ms) {
-  constexpr int kMaxWaitMs = 2000;
   return absl::Milliseconds(std::clamp(wait_ms, 0, kMaxWaitMs));
+}
+
+absl::Duration LearnerServiceImpl::PollTime(int wait_ms) const {
+  // An actor may get permits at any time, but its request is repeated less often where there are many.
+  const int actors = registry_->actors();
+  return wait_ms <= 0 ? absl::ZeroDuration() : WaitTime(std::max(wait_ms, actors * 1000 / kPollsPerSecond));
 }
 
 WorkerClient LearnerServiceImpl::ClientOf(const grpc::ServerContextBase& context) const {
@@ -144,7 +151,7 @@ absl::Status LearnerServiceImpl::Answer(const grpc::ServerContextBase& context, 
   if (status.ok() && request.only_ask()) status = NameActor(context, request.actor());
   if (status.ok() && !request.only_ask()) {
     status = LogRefusal(context, registry_->Join(ClientOf(context), request.actor(), request.address(),
-                                                 {request.build(), request.canary(), request.cpu()}));
+                                                 {request.build(), request.canary(), request.cpu(), request.zone()}));
     if (status.code() == absl::StatusCode::kFailedPrecondition) {
       WarnRefused(context, request.actor(), absl::StrFormat("refused %s", status.message()));
     }
@@ -223,7 +230,7 @@ WorkerRegistry::PermitRequest LearnerServiceImpl::ToRequest(grpc::CallbackServer
     asked.failures.push_back({failure.lane(), failure.fragment(), failure.reason()});
   }
   asked.capacity = request.capacity();
-  asked.wait = WaitTime(request.wait_ms());
+  asked.wait = PollTime(request.wait_ms());
   asked.evaluates = request.evaluates();
   asked.evaluation = request.evaluation();
   asked.wants_servers = request.wants_env_servers();
@@ -286,7 +293,8 @@ absl::Status LearnerServiceImpl::Answer(const grpc::ServerContextBase& context, 
   } else if (status.ok()) {
     status = LogRefusal(
         context, registry_->Announce(ClientOf(context), request.name(), request.address(), request.summary().lanes(),
-                                     {request.build(), request.canary()}, KeepSummary(request.summary())));
+                                     {request.build(), request.canary(), /*cpu=*/"", request.zone()},
+                                     KeepSummary(request.summary())));
   }
   if (!status.ok() && !IsAboutNames(status)) {
     WarnRefused(context, request.name(),
@@ -294,7 +302,7 @@ absl::Status LearnerServiceImpl::Answer(const grpc::ServerContextBase& context, 
   }
   if (!status.ok()) return status;
   reply->set_run_id(options_.run_id);
-  reply->set_lease_ms(static_cast<int>(absl::ToInt64Milliseconds(registry_->server_lease())));
+  reply->set_lease_ms(static_cast<int>(absl::ToInt64Milliseconds(registry_->LeaseForServers())));
   return absl::OkStatus();
 }
 

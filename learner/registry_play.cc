@@ -20,6 +20,7 @@ absl::Status WorkerRegistry::Join(const WorkerClient& client, absl::string_view 
   const MutexLock lock(&mu_);
   CRAFTFLEET_ASSIGN_OR_RETURN(Worker* const actor, Own(WorkerRole::kActor, name, client));
   if (!address.empty()) actor->address = std::string(address);
+  actor->zone = build.zone;
   CRAFTFLEET_RETURN_IF_ERROR(CheckBuild(build, actor));
   ExpireActors();
   actor->active = true;
@@ -85,7 +86,7 @@ absl::StatusOr<WorkerRegistry::PermitReply> WorkerRegistry::Complete(const Permi
   if (request.evaluates && request.evaluation == 0 && !reply.resting) {
     reply.evaluation = evaluations_.Take(request.actor);
   }
-  AddServerList(request, &reply);
+  AddServerList(request, *actor, &reply);
   return reply;
 }
 
@@ -116,12 +117,16 @@ absl::StatusOr<std::vector<Permit>> WorkerRegistry::RenewPlay(const PermitReques
 
 void WorkerRegistry::RemoveActor(Worker* actor) {
   lanes_.Remove(actor->name);
+  groups_.RemoveActor(actor->name);
   actor->active = false;
   WakeIfChanged();
 }
 
 void WorkerRegistry::ExpireActors() {
-  for (const std::string& name : lanes_.RemoveExpired()) Find(WorkerRole::kActor, name)->active = false;
+  for (const std::string& name : lanes_.RemoveExpired()) {
+    groups_.RemoveActor(name);
+    Find(WorkerRole::kActor, name)->active = false;
+  }
   WakeIfChanged();
 }
 
@@ -133,6 +138,7 @@ void WorkerRegistry::OnConnectionLost(absl::string_view name) {
 void WorkerRegistry::ShortenLease(Worker* actor) {
   const absl::Duration rest = options_.lanes.lease - options_.lanes.comeback;
   actor->leased_from = std::min(actor->leased_from, clock_->Now() - rest);
+  lanes_.NoteLease(*actor);
 }
 
 void WorkerRegistry::WakeIfChanged() {
@@ -140,7 +146,6 @@ void WorkerRegistry::WakeIfChanged() {
   if (change.all) return Wake();
   for (const std::string& actor : change.actors) Wake(actor);
 }
-  lanes_.NoteLease(*actor);
 
 std::vector<LaneScheduler::ActorInfo> WorkerRegistry::Actors() const {
   const MutexLock lock(&mu_);
@@ -221,6 +226,11 @@ std::vector<LaneRecord> WorkerRegistry::Records() const {
 std::vector<LaneRecord> WorkerRegistry::StartRecords() const {
   const MutexLock lock(&mu_);
   return lanes_.StartRecords();
+}
+
+int WorkerRegistry::actors() const {
+  const MutexLock lock(&mu_);
+  return lanes_.actors();
 }
 
 int WorkerRegistry::permits() const {

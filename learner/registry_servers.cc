@@ -1,4 +1,5 @@
 // WorkerRegistry: environment servers.
+#include <algorithm>
 #include <utility>
 
 #include "common/base/status_macros.h"
@@ -9,8 +10,6 @@ namespace {
 
 constexpr absl::Duration kCheckEvery = absl::Seconds(1);
 constexpr absl::Duration kRelayed = absl::Seconds(10);
-
-bool IsListed(const Worker& server) { return server.active && !server.draining; }
 
 }  // namespace
 
@@ -23,9 +22,11 @@ absl::Status WorkerRegistry::Announce(const WorkerClient& client, absl::string_v
   CRAFTFLEET_RETURN_IF_ERROR(CheckAddress(name, address, client));
   if (server->own_report == absl::InfinitePast()) server->address = std::string(address);
   CRAFTFLEET_RETURN_IF_ERROR(CheckBuild(build, server));
+  server->zone = build.zone;
   PlaceServer(server, address);
   server->empty = server->draining && lanes == 0;
   server->leased_from = clock_->Now();
+  server->lease = ServerLease();
   NoteReport(server, std::move(summary));
   return absl::OkStatus();
 }
@@ -39,13 +40,9 @@ void WorkerRegistry::PlaceServer(Worker* server, absl::string_view address) {
     }
   }
   const auto placed = servers_.find(address);
-  bool was_listed = false;
-  if (placed != servers_.end()) {
-    was_listed = IsListed(*placed->second);
-    if (placed->second != server) {
-      placed->second->active = false;  // replaced: the list of addresses may stay the same
-      Erase(placed->second);
-    }
+  if (placed != servers_.end() && placed->second != server) {
+    placed->second->active = false;  // replaced: groups keep the address
+    Erase(placed->second);
   }
   // The record made from actors' reports on this address.
   Worker* const reported = Find(WorkerRole::kEnvServer, address);
@@ -56,12 +53,21 @@ void WorkerRegistry::PlaceServer(Worker* server, absl::string_view address) {
   server->address = std::string(address);
   server->active = true;
   servers_[server->address] = server;
-  if (IsListed(*server) != was_listed) ++generation_;
+  ListServer(*server);
 }
 
 void WorkerRegistry::RemoveServer(Worker* server) {
-  if (IsListed(*server)) ++generation_;
+  if (!server->active) return;
   server->active = false;
+  ListServer(*server);
+}
+
+void WorkerRegistry::ListServer(const Worker& server) {
+  if (server.active && !server.draining) {
+    groups_.PutServer(server.address, {server.client.host, server.zone});
+  } else {
+    groups_.RemoveServer(server.address);
+  }
 }
 
 void WorkerRegistry::NoteServer(const ServerReport& report) {
@@ -72,7 +78,7 @@ void WorkerRegistry::NoteServer(const ServerReport& report) {
   }
   Worker* server = Find(WorkerRole::kEnvServer, report.address);
   if (server == nullptr) {
-    Prune();
+    if (reported_ >= kMaxReported) Prune();
     if (reported_ >= kMaxReported) return;
     server = Record(WorkerRole::kEnvServer, report.address);
     server->reported = true;
@@ -89,20 +95,19 @@ void WorkerRegistry::NoteServer(const ServerReport& report) {
   server->summary_time = now;
 }
 
-void WorkerRegistry::AddServerList(const PermitRequest& request, PermitReply* reply) {
+void WorkerRegistry::AddServerList(const PermitRequest& request, const Worker& actor, PermitReply* reply) {
   if (!request.wants_servers) return;
   const int64_t generation = request.servers_generation;
   reply->servers_generation = generation;
   ExpireServersSometimes();
-  // The actor keeps a list from an earlier start of the learner until every server has had time to register again.
+  // The actor keeps a group from an earlier start of the learner until every server has had time to register again.
   const bool keeps =
       generation != 0 && generation < first_generation_ && clock_->Now() - start_ < options_.server_lease;
-  if (generation == generation_ || keeps) return;
-  ExpireServers();
-  reply->servers_generation = generation_;
-  for (const auto& [address, server] : servers_) {
-    if (IsListed(*server)) reply->servers.push_back(address);
-  }
+  if (keeps) return;
+  const ServerGroups::Group& group = groups_.GroupOf(actor.name, {actor.client.host, actor.zone});
+  if (group.generation == generation) return;
+  reply->servers_generation = group.generation;
+  reply->servers.assign(group.addresses.begin(), group.addresses.end());
 }
 
 std::vector<WorkerRegistry::Server> WorkerRegistry::Servers() {
@@ -116,6 +121,15 @@ std::vector<WorkerRegistry::Server> WorkerRegistry::Servers() {
   return servers;
 }
 
+absl::Duration WorkerRegistry::LeaseForServers() const {
+  const MutexLock lock(&mu_);
+  return ServerLease();
+}
+
+absl::Duration WorkerRegistry::ServerLease() const {
+  return options_.server_lease * std::clamp(static_cast<int>(groups_.servers() / kServersOfALease), 1, kMaxLeases);
+}
+
 void WorkerRegistry::ExpireServersSometimes() {
   if (clock_->Now() - servers_checked_ >= kCheckEvery) ExpireServers();
 }
@@ -123,7 +137,7 @@ void WorkerRegistry::ExpireServersSometimes() {
 void WorkerRegistry::ExpireServers() {
   servers_checked_ = clock_->Now();
   for (const auto& [address, server] : servers_) {
-    if (server->active && servers_checked_ - server->leased_from >= options_.server_lease) RemoveServer(server);
+    if (server->active && servers_checked_ - server->leased_from >= server->lease) RemoveServer(server);
   }
 }
 

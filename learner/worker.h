@@ -22,6 +22,7 @@ struct WorkerBuild {
   std::string build;   // version and git revision, for people
   std::string canary;  // digest of its numerics (actor) or game rules (environment server)
   std::string cpu = "";
+  std::string zone = "";  // where it runs, for ServerGroups; empty: not said
 };
 
 // What the learner knows of the caller of a worker's calls.
@@ -44,6 +45,7 @@ struct Worker {
   WorkerRole role = WorkerRole::kActor;
   std::string name;
   std::string address;  // empty: not known
+  std::string zone;     // as in WorkerBuild
 
   // The owner of the name, and when the name was last used. It becomes free when unused for `name_lapse`.
   WorkerClient client;
@@ -51,6 +53,7 @@ struct Worker {
 
   // Has joined (actor) or registered (server), has not left, and its lease has not expired.
   bool active = false;
+  absl::Duration lease;  // environment server: how long it is listed after a report
   // Start of its lease: its last report, or earlier if its connection broke.
   absl::Time leased_from = absl::InfinitePast();
   // Gets no new permits, evaluations or games, until it leaves or is undrained.

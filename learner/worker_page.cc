@@ -16,20 +16,6 @@ namespace {
 
 constexpr size_t kMaxNameBytes = 32;  // of an activity
 
-v1::Peer::Health ToProto(WorkerRegistry::Health health) {
-  switch (health) {
-    case WorkerRegistry::Health::kOk:
-      return v1::Peer::OK;
-    case WorkerRegistry::Health::kLost:
-      return v1::Peer::LOST;
-    case WorkerRegistry::Health::kLeft:
-      return v1::Peer::LEFT;
-    case WorkerRegistry::Health::kNotAnswering:
-      return v1::Peer::NOT_ANSWERING;
-  }
-  return v1::Peer::HEALTH_UNSPECIFIED;
-}
-
 // Removes figures that only apply to active workers.
 void ClearPresentWork(v1::ProcessSummary* summary) {
   summary->set_steps_per_second(0);
@@ -42,7 +28,10 @@ std::string StateOf(const WorkerRegistry::WorkerInfo& info, bool allow_mixed) {
   std::string state;
   const Worker& worker = info.worker;
   if (info.play.has_value()) {
-    state = absl::StrFormat("%d permits, %d fragments accepted%s%s", info.play->permits, info.play->fragments,
+    state = absl::StrFormat("%d permits, %d fragments accepted%s%s%s", info.play->permits, info.play->fragments,
+                            info.group < info.servers && info.group > 0
+                                ? absl::StrFormat(", %d of %d servers", info.group, info.servers)
+                                : "",
                             info.play->stalled ? ", makes no progress" : "",
                             !worker.draining          ? ""
                             : info.play->permits == 0 ? ", drained"
@@ -50,6 +39,7 @@ std::string StateOf(const WorkerRegistry::WorkerInfo& info, bool allow_mixed) {
   } else if (worker.role == WorkerRole::kEnvServer && worker.active && worker.draining) {
     state = worker.empty ? "drained" : "draining";
   }
+  if (!worker.zone.empty()) absl::StrAppend(&state, state.empty() ? "" : ", ", "zone ", worker.zone);
   if (worker.mismatch.has_value()) {
     absl::StrAppend(&state, state.empty() ? "" : "; ", allow_mixed ? "mixed" : "refused", ": another canary, build ",
                     worker.mismatch->build);
@@ -64,6 +54,22 @@ v1::Peer::Drain DrainOf(const WorkerRegistry::WorkerInfo& info) {
 }
 
 }  // namespace
+
+std::string RoleName(WorkerRole role) { return role == WorkerRole::kActor ? "actor" : "envserver"; }
+
+v1::Peer::Health ToProto(WorkerRegistry::Health health) {
+  switch (health) {
+    case WorkerRegistry::Health::kOk:
+      return v1::Peer::OK;
+    case WorkerRegistry::Health::kLost:
+      return v1::Peer::LOST;
+    case WorkerRegistry::Health::kLeft:
+      return v1::Peer::LEFT;
+    case WorkerRegistry::Health::kNotAnswering:
+      return v1::Peer::NOT_ANSWERING;
+  }
+  return v1::Peer::HEALTH_UNSPECIFIED;
+}
 
 std::shared_ptr<const v1::ProcessSummary> KeepSummary(const v1::ProcessSummary& summary) {
   if (summary.ByteSizeLong() == 0) return nullptr;
@@ -81,10 +87,9 @@ WorkerRegistry::ServerReport ToServerReport(const v1::Peer& server) {
 }
 
 void AddWorkers(const WorkerRegistry& registry, v1::StatusReply* reply) {
-  for (const WorkerRegistry::WorkerInfo& info : registry.Workers()) {
+  for (const WorkerRegistry::WorkerInfo& info : registry.Workers(kMaxPeers)) {
     v1::Peer* const peer = reply->add_peers();
-    const bool is_actor = info.worker.role == WorkerRole::kActor;
-    peer->set_role(is_actor ? "actor" : "envserver");
+    peer->set_role(RoleName(info.worker.role));
     peer->set_name(info.worker.name);
     peer->set_address(info.worker.address);
     peer->set_health(ToProto(info.health));

@@ -3,7 +3,9 @@
 #ifndef CRAFTFLEET_LEARNER_WORKER_PAGE_H_
 #define CRAFTFLEET_LEARNER_WORKER_PAGE_H_
 
+#include <cstddef>
 #include <memory>
+#include <string>
 
 #include "craftfleet/v1/status.pb.h"
 #include "learner/worker_registry.h"
@@ -16,7 +18,13 @@ std::shared_ptr<const v1::ProcessSummary> KeepSummary(const v1::ProcessSummary& 
 // Converts an actor's report on an environment server.
 WorkerRegistry::ServerReport ToServerReport(const v1::Peer& server);
 
-// Adds every worker as a peer, and the metric workers_mixed.
+// Names as in status.proto.
+std::string RoleName(WorkerRole role);
+v1::Peer::Health ToProto(WorkerRegistry::Health health);
+
+inline constexpr size_t kMaxPeers = 1000;  // on a status page: more would take long, and nobody reads them
+
+// Adds workers as peers, at most kMaxPeers, and the metric workers_mixed.
 void AddWorkers(const WorkerRegistry& registry, v1::StatusReply* reply);
 
 }  // namespace craftfleet

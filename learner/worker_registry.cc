@@ -30,7 +30,7 @@ WorkerRegistry::WorkerRegistry(const Options& options, std::vector<LaneRecord> l
       clock_(clock),
       start_(clock->Now()),
       first_generation_(absl::ToUnixMicros(clock->WallNow())),
-      generation_(first_generation_),
+      groups_(first_generation_),
       lanes_(options.lanes, std::move(lanes), clock),
       evaluations_(options.lanes.lease, clock),
       builds_(options.build) {}
@@ -76,8 +76,13 @@ absl::StatusOr<Worker*> WorkerRegistry::Own(WorkerRole role, absl::string_view n
     has_owner = false;
   }
   if (!has_owner) {
-    Prune();
-    CRAFTFLEET_RETURN_IF_ERROR(CountName(role, name, client));
+    PruneSometimes();
+    absl::Status counted = CountName(role, name, client);
+    if (!counted.ok()) {
+      Prune();
+      counted = CountName(role, name, client);
+    }
+    CRAFTFLEET_RETURN_IF_ERROR(counted);
     worker = Record(role, name);
     worker->client = client;
   }
@@ -136,8 +141,14 @@ void WorkerRegistry::Erase(Worker* worker) {
   workers_.erase(Key(worker->role, worker->name));
 }
 
+void WorkerRegistry::PruneSometimes() {
+  if (++added_ >= workers_.size() / kPruneParts || clock_->Now() - pruned_ >= kPruneEvery) Prune();
+}
+
 void WorkerRegistry::Prune() {
   const absl::Time now = clock_->Now();
+  added_ = 0;
+  pruned_ = now;
   std::vector<Worker*> gone;
   std::vector<Worker*> unowned;
   for (auto& [key, worker] : workers_) {
@@ -172,11 +183,12 @@ absl::Status WorkerRegistry::CheckBuild(const WorkerBuild& build, Worker* worker
   return status;
 }
 
-WorkerRegistry::Health WorkerRegistry::HealthOf(const Worker& worker) const {
-  const absl::Time now = clock_->Now();
+WorkerRegistry::Health WorkerRegistry::HealthOf(const Worker& worker, absl::Time now) const {
   if (worker.left) return Health::kLeft;
   if (now - worker.not_answering < kRelayed) return Health::kNotAnswering;
-  const absl::Duration lease = worker.own_report == kNever ? kRelayed : options_.lanes.lease;
+  // A server that is silent is shown as lost before it is no longer listed.
+  const absl::Duration lease =
+      worker.own_report == kNever ? kRelayed : std::max(options_.lanes.lease, worker.lease * 5 / 8);
   return now - worker.last_seen < lease ? Health::kOk : Health::kLost;
 }
 
@@ -224,9 +236,9 @@ absl::StatusOr<WorkerRegistry::WorkerId> WorkerRegistry::Drain(absl::string_view
     worker->draining = true;
     lanes_.NoteDrain(worker->name);
     WakeIfChanged();
-  } else if (!worker->draining) {
+  } else {
     worker->draining = true;
-    ++generation_;
+    ListServer(*worker);
   }
   return WorkerId{worker->role, worker->name};
 }
@@ -235,10 +247,13 @@ absl::StatusOr<WorkerRegistry::WorkerId> WorkerRegistry::Undrain(absl::string_vi
   const MutexLock lock(&mu_);
   ExpireServers();
   CRAFTFLEET_ASSIGN_OR_RETURN(Worker* const worker, FindActive(name_or_address));
-  if (worker->draining && worker->role == WorkerRole::kEnvServer) ++generation_;
   worker->draining = false;
   worker->empty = false;
-  if (worker->role == WorkerRole::kActor) lanes_.NoteDrain(worker->name);
+  if (worker->role == WorkerRole::kActor) {
+    lanes_.NoteDrain(worker->name);
+  } else {
+    ListServer(*worker);
+  }
   Wake();
   return WorkerId{worker->role, worker->name};
 }
@@ -250,31 +265,6 @@ bool WorkerRegistry::IsDrained(const WorkerId& id) {
   if (id.role == WorkerRole::kEnvServer) return worker == nullptr || !worker->active || worker->empty;
   const bool has_permits = worker != nullptr && worker->active && (!worker->draining || lanes_.PermitsOf(id.name) > 0);
   return !has_permits && !evaluations_.IsPlaying(id.name);
-}
-
-std::vector<WorkerRegistry::WorkerInfo> WorkerRegistry::Workers() const {
-  std::vector<WorkerInfo> infos;
-  const MutexLock lock(&mu_);
-  const absl::Time now = clock_->Now();
-  for (const auto& [key, worker] : workers_) {
-    WorkerInfo info;
-    info.health = HealthOf(worker);
-    info.silent = now - worker.last_seen;
-    const bool is_known = info.silent <= (info.health == Health::kLeft ? kRememberLeft : kRememberLost);
-    const bool differs = worker.mismatch.has_value() && now - worker.mismatch->time <= kRememberLost;
-    info.refused = !is_known && differs && !options_.build.allow_mixed;
-    if (!is_known && !info.refused) continue;
-    if (info.refused) {
-      info.health = Health::kLost;
-      info.silent = now - worker.mismatch->time;
-    }
-    info.worker = worker;
-    if (!differs) info.worker.mismatch.reset();
-    info.summary_is_old = now - worker.summary_time > kRelayed;
-    if (worker.role == WorkerRole::kActor && worker.active) info.play = lanes_.InfoOf(worker.name);
-    infos.push_back(std::move(info));
-  }
-  return infos;
 }
 
 std::string WorkerRegistry::GameCanary() const {

@@ -6,6 +6,7 @@
 #include <cstddef>
 #include <cstdint>
 #include <functional>
+#include <limits>
 #include <map>
 #include <memory>
 #include <optional>
@@ -25,6 +26,7 @@
 #include "learner/build_check.h"
 #include "learner/evaluation_scheduler.h"
 #include "learner/lane_scheduler.h"
+#include "learner/server_groups.h"
 #include "learner/worker.h"
 
 namespace craftfleet {
@@ -37,22 +39,27 @@ namespace craftfleet {
 // effect.
 //
 // Environment servers: one per address. A server that registers an address already in use replaces the earlier server,
-// which must be gone. A server that has not reported for `server_lease` is no longer listed.
+// which must be gone. A server that has not reported for `server_lease` is no longer listed. Each actor gets the
+// addresses of its group (ServerGroups).
 //
 // Records outlive their workers for a while, so that the status page shows missing workers. Thread-safe.
 class WorkerRegistry {
  public:
   static constexpr absl::Duration kRememberLost = absl::Minutes(10);  // of lost and refused workers
   static constexpr absl::Duration kRememberLeft = absl::Minutes(1);
-  static constexpr size_t kMaxGone = 64;      // lost workers and those that left; the newest are kept
-  static constexpr int kMaxReported = 1024;   // servers known from actors' reports; further reports are ignored
-  static constexpr size_t kMaxRefused = 16;   // workers with another canary; the newest are kept
+  static constexpr size_t kMaxGone = 64;     // lost workers and those that left; the newest are kept
+  static constexpr int kMaxReported = 1024;  // servers known from actors' reports; further reports are ignored
+  static constexpr size_t kMaxRefused = 16;  // workers with another canary; the newest are kept
+  static constexpr size_t kPruneParts = 64;
+  static constexpr absl::Duration kPruneEvery = absl::Seconds(1);
+  static constexpr size_t kServersOfALease = 1000;
+  static constexpr int kMaxLeases = 8;
   static constexpr size_t kMaxNames = 16384;  // owned by one identity at a time, from all hosts
 
   struct Options {
-    LaneScheduler::Options lanes;  // its lease also applies to evaluations
-    absl::Duration server_lease = absl::Seconds(8);
-    absl::Duration name_lapse = absl::Seconds(16);  // at least the longest lease
+    LaneScheduler::Options lanes;                    // its lease also applies to evaluations
+    absl::Duration server_lease = absl::Seconds(8);  // of up to kServersOfALease servers; see LeaseForServers
+    absl::Duration name_lapse = absl::Seconds(16);   // at least the longest lease of an actor
     // Names owned by one identity from one host at a time: as many as connections, of which each worker has one.
     int max_names_per_client = 1024;
     BuildCheck::Options build = {};
@@ -84,7 +91,7 @@ class WorkerRegistry {
     bool evaluates = false;                             // it can play evaluations
     int64_t evaluation = 0;                             // its current task; 0: none
     bool wants_servers = false;                         // it gets its environment servers from here
-    int64_t servers_generation = 0;                     // of its current list; 0: none
+    int64_t servers_generation = 0;                     // of its current group; 0: none
     std::shared_ptr<const v1::ProcessSummary> summary;  // null: none
     std::vector<ServerReport> servers;
     std::function<bool()> is_cancelled;  // whether the client disconnected; may be null. Called with the lock held
@@ -96,7 +103,7 @@ class WorkerRegistry {
     bool resting = false;      // the run is paused or the actor is being drained, so it gets no work
     std::optional<EvaluationScheduler::Task> evaluation;
     int64_t servers_generation = 0;
-    std::vector<std::string> servers;  // addresses of listed servers, if the actor's generation is outdated
+    std::vector<std::string> servers;  // addresses of its group, if the actor's generation is outdated
   };
   struct Server {
     std::string name;
@@ -105,6 +112,13 @@ class WorkerRegistry {
     bool draining = false;
   };
   enum class Health { kOk, kLost, kLeft, kNotAnswering };
+  // A worker as sums over the fleet need it.
+  struct Glance {
+    WorkerRole role = WorkerRole::kActor;
+    Health health = Health::kOk;
+    bool drained = false;                                         // has no work left, or gets none
+    std::shared_ptr<const v1::ProcessSummary> summary = nullptr;  // null: none, or its figures are outdated
+  };
   // A worker as status pages show it.
   struct WorkerInfo {
     Worker worker;
@@ -113,6 +127,8 @@ class WorkerRegistry {
     bool summary_is_old = false;                   // its figures are outdated
     bool refused = false;                          // refused because of its canary
     std::optional<LaneScheduler::ActorInfo> play;  // of an active actor
+    size_t group = 0;                              // an actor's environment servers from here; 0: it uses others
+    size_t servers = 0;                            // that there are for groups
   };
 
   // `lanes` has `options.lanes.lanes` records. `clock` outlives the registry.
@@ -146,6 +162,11 @@ class WorkerRegistry {
   absl::Status Announce(const WorkerClient& client, absl::string_view name, absl::string_view address, int lanes,
                         const WorkerBuild& build, std::shared_ptr<const v1::ProcessSummary> summary = nullptr)
       ABSL_LOCKS_EXCLUDED(mu_);
+  // The lease of servers that report now: `server_lease`, and as much more for each further kServersOfALease, up to
+  // kMaxLeases times as long. They report several times in a lease, so this bounds how often reports come.
+  absl::Duration LeaseForServers() const ABSL_LOCKS_EXCLUDED(mu_);
+  // The number of active actors.
+  int actors() const ABSL_LOCKS_EXCLUDED(mu_);
   // The worker leaves: frees its permits, tasks and name. Unknown workers are ignored.
   absl::Status Leave(const WorkerClient& client, WorkerRole role, absl::string_view name,
                      absl::string_view address = "") ABSL_LOCKS_EXCLUDED(mu_);
@@ -159,8 +180,11 @@ class WorkerRegistry {
   // Whether the worker is gone, or is being drained and has no permits, evaluation or (by its last report) games left.
   bool IsDrained(const WorkerId& worker) ABSL_LOCKS_EXCLUDED(mu_);
 
-  // All records for the status page: actors first, then environment servers, each ordered by name.
-  std::vector<WorkerInfo> Workers() const ABSL_LOCKS_EXCLUDED(mu_);
+  // Records for the status page, at most `most`, of which those of workers that are lost, do not answer or are being
+  // drained come first: actors first, then environment servers, each ordered by name.
+  std::vector<WorkerInfo> Workers(size_t most = std::numeric_limits<size_t>::max()) const ABSL_LOCKS_EXCLUDED(mu_);
+  // All workers of the status page, for sums.
+  std::vector<Glance> Glances() const ABSL_LOCKS_EXCLUDED(mu_);
   std::vector<LaneScheduler::ActorInfo> Actors() const ABSL_LOCKS_EXCLUDED(mu_);
   // Active servers ordered by address, including those being drained.
   std::vector<Server> Servers() ABSL_LOCKS_EXCLUDED(mu_);
@@ -169,7 +193,6 @@ class WorkerRegistry {
   // As BuildCheck::differing.
   int64_t mixed() const ABSL_LOCKS_EXCLUDED(mu_);
   bool allow_mixed() const { return options_.build.allow_mixed; }
-  absl::Duration server_lease() const { return options_.server_lease; }
 
   // -- Lanes: see the methods of LaneScheduler with the same names.
 
@@ -236,12 +259,17 @@ class WorkerRegistry {
   void ReleaseName(Worker* worker) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
   void Erase(Worker* worker) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
   // Frees lapsed names and erases records that are no longer needed: those of workers gone long ago, and the oldest
-  // beyond the limits. Scans all records, so it is called only when a record is added, which is when the registry
-  // grows.
+  // beyond the limits. Scans all records.
   void Prune() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
+  // Notes that a record is about to be added, which is when the registry grows; prunes once a kPruneParts-th of all
+  // records were added, and after kPruneEvery.
+  void PruneSometimes() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
   // As BuildCheck::Check; also forgets the oldest differing workers beyond kMaxRefused.
   absl::Status CheckBuild(const WorkerBuild& build, Worker* worker) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
-  Health HealthOf(const Worker& worker) const;
+  Health HealthOf(const Worker& worker) const { return HealthOf(worker, clock_->Now()); }
+  Health HealthOf(const Worker& worker, absl::Time now) const;
+  // Whether a status page shows the worker; sets `info` but for the worker's record and its play.
+  bool IsShown(const Worker& worker, absl::Time now, WorkerInfo* info) const;
   // Records a report by the worker itself. A null `summary` keeps the last one.
   void NoteReport(Worker* worker, std::shared_ptr<const v1::ProcessSummary> summary) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
 
@@ -250,9 +278,13 @@ class WorkerRegistry {
   void NoteServer(const ServerReport& report) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
   // Makes `server` the active one at `address`.
   void PlaceServer(Worker* server, absl::string_view address) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
+  absl::Duration ServerLease() const ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
   // Makes `server` inactive.
   void RemoveServer(Worker* server) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
-  void AddServerList(const PermitRequest& request, PermitReply* reply) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
+  // Lets groups have `server` if it is listed, or no longer.
+  void ListServer(const Worker& server) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
+  void AddServerList(const PermitRequest& request, const Worker& actor, PermitReply* reply)
+      ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
   void ExpireServers() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
   // The same, at most once a second, since there may be thousands of servers.
   void ExpireServersSometimes() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
@@ -293,9 +325,11 @@ class WorkerRegistry {
   std::map<std::pair<std::string, std::string>, int> names_from_
       ABSL_GUARDED_BY(mu_);  // the same, by identity and host
   std::map<std::string, Worker*, std::less<>> servers_
-      ABSL_GUARDED_BY(mu_);                  // those that report themselves, by address
-  int64_t generation_ ABSL_GUARDED_BY(mu_);  // changes with the set of listed addresses
+      ABSL_GUARDED_BY(mu_);                   // those that report themselves, by address
+  ServerGroups groups_ ABSL_GUARDED_BY(mu_);  // of the listed servers
   absl::Time servers_checked_ ABSL_GUARDED_BY(mu_) = absl::InfinitePast();
+  size_t added_ ABSL_GUARDED_BY(mu_) = 0;  // records since the last Prune
+  absl::Time pruned_ ABSL_GUARDED_BY(mu_) = absl::InfinitePast();
   int reported_ ABSL_GUARDED_BY(mu_) = 0;  // records made from actors' reports
   LaneScheduler lanes_ ABSL_GUARDED_BY(mu_);
   EvaluationScheduler evaluations_ ABSL_GUARDED_BY(mu_);

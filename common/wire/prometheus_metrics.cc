@@ -9,6 +9,7 @@
 #include "common/base/check.h"
 #include "common/telemetry/activity.h"
 #include "common/telemetry/metric_table.h"
+#include "common/wire/status_service.h"
 
 namespace craftfleet::wire {
 namespace {
@@ -59,8 +60,7 @@ void AddFleet(const v1::StatusReply& status, Families* families) {
     const std::string name(part);
     families->Add("fleet_bottleneck", status.fleet().bottleneck() == name ? 1 : 0, {{"part", name}});
   }
-  std::map<std::pair<std::string, v1::Peer::Health>, int> workers;
-  for (const v1::Peer& peer : status.peers()) ++workers[{peer.role(), peer.health()}];
+  std::map<std::pair<std::string, v1::Peer::Health>, int> workers = WorkersOf(status);
   for (const char* worker : {"actor", "envserver"}) {
     families->Add("workers", workers[{worker, v1::Peer::OK}], {{"worker", worker}, {"state", "ok"}});
     families->Add("workers", workers[{worker, v1::Peer::LOST}], {{"worker", worker}, {"state", "lost"}});

@@ -162,6 +162,16 @@ void FillWork(const Work& total, const Work& recent, int threads, v1::ProcessSum
   }
 }
 
+std::map<std::pair<std::string, v1::Peer::Health>, int> WorkersOf(const v1::StatusReply& reply) {
+  std::map<std::pair<std::string, v1::Peer::Health>, int> workers;
+  for (const v1::WorkerCount& count : reply.fleet().workers()) {
+    workers[{count.role(), count.health()}] += count.number();
+  }
+  if (!workers.empty()) return workers;
+  for (const v1::Peer& peer : reply.peers()) ++workers[{peer.role(), peer.health()}];  // of an older learner
+  return workers;
+}
+
 ByActivity TimesOf(const v1::ProcessSummary& summary) {
   ByActivity times;
   for (const v1::ActivityTime& time : summary.times()) {

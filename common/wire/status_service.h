@@ -4,7 +4,9 @@
 #define CRAFTFLEET_COMMON_WIRE_STATUS_SERVICE_H_
 
 #include <functional>
+#include <map>
 #include <string>
+#include <utility>
 
 #include <absl/status/statusor.h>
 #include <absl/strings/string_view.h>
@@ -64,6 +66,9 @@ void FillUsage(v1::ProcessSummary* summary);
 
 // Fills in rate, threads and times of a process: `total` work since the start, `recent` work, by `threads` threads.
 void FillWork(const Work& total, const Work& recent, int threads, v1::ProcessSummary* summary);
+
+// The number of workers by role and health in the status of a learner.
+std::map<std::pair<std::string, v1::Peer::Health>, int> WorkersOf(const v1::StatusReply& reply);
 
 // The process's time by activity within one second, summed over its threads.
 ByActivity TimesOf(const v1::ProcessSummary& summary);

@@ -59,6 +59,11 @@ void AddPeers(const v1::StatusReply& reply, std::string* text) {
     }
     AddLine(line, text);
   }
+  int workers = 0;
+  for (const v1::WorkerCount& count : reply.fleet().workers()) workers += count.number();
+  if (workers > reply.peers_size()) {
+    AddLine(absl::StrFormat("  and %d more workers", workers - reply.peers_size()), text);
+  }
   const bool any_drained = std::any_of(reply.peers().begin(), reply.peers().end(), [](const v1::Peer& peer) {
     return peer.drain() != v1::Peer::NO_DRAIN && peer.health() == v1::Peer::OK;
   });

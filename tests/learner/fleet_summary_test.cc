@@ -1,35 +1,38 @@
 #include "learner/fleet_summary.h"
 
+#include <memory>
+#include <utility>
+#include <vector>
+
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
 namespace craftfleet {
 namespace {
 
-void AddWorker(const std::string& role, v1::Peer::Health health, double rate, int threads, double inference,
-               v1::StatusReply* reply) {
-  v1::Peer* peer = reply->add_peers();
-  peer->set_role(role);
-  peer->set_health(health);
-  peer->mutable_summary()->set_steps_per_second(rate);
-  peer->mutable_summary()->set_threads(threads);
-  v1::ActivityTime* time = peer->mutable_summary()->add_times();
+using Health = WorkerRegistry::Health;
+
+WorkerRegistry::Glance Worker(WorkerRole role, Health health, double rate, int threads, double inference) {
+  auto summary = std::make_shared<v1::ProcessSummary>();
+  summary->set_steps_per_second(rate);
+  summary->set_threads(threads);
+  v1::ActivityTime* time = summary->add_times();
   time->set_activity("inference");
   time->set_share(inference);
+  return {role, health, /*drained=*/false, std::move(summary)};
 }
 
 TEST(ViewFleet, CountsAnsweringWorkersAndWeighsActorsByThreads) {
-  v1::StatusReply reply;
-  AddWorker("actor", v1::Peer::OK, 100, 1, 0.5, &reply);
-  AddWorker("actor", v1::Peer::OK, 300, 4, 0.25, &reply);
-  AddWorker("actor", v1::Peer::LOST, 300, 4, 1, &reply);
-  AddWorker("envserver", v1::Peer::OK, 400, 5, 0, &reply);
-  AddWorker("envserver", v1::Peer::LOST, 400, 5, 0, &reply);
-  AddWorker("envserver", v1::Peer::NOT_ANSWERING, 400, 5, 0, &reply);
-  AddWorker("envserver", v1::Peer::LEFT, 400, 5, 0, &reply);
+  const std::vector<WorkerRegistry::Glance> workers = {Worker(WorkerRole::kActor, Health::kOk, 100, 1, 0.5),
+                                                       Worker(WorkerRole::kActor, Health::kOk, 300, 4, 0.25),
+                                                       Worker(WorkerRole::kActor, Health::kLost, 300, 4, 1),
+                                                       Worker(WorkerRole::kEnvServer, Health::kOk, 400, 5, 0),
+                                                       Worker(WorkerRole::kEnvServer, Health::kLost, 400, 5, 0),
+                                                       Worker(WorkerRole::kEnvServer, Health::kNotAnswering, 400, 5, 0),
+                                                       Worker(WorkerRole::kEnvServer, Health::kLeft, 400, 5, 0)};
   Work trainer;
   trainer.times[Activity::kUpdate] = 9;
-  const FleetView view = ViewFleet(trainer, reply);
+  const FleetView view = ViewFleet(trainer, workers);
   EXPECT_EQ(view.actors, 2);
   EXPECT_EQ(view.env_servers, 1);
   EXPECT_EQ(view.lost_env_servers, 2) << "one lost, one that does not answer";
@@ -37,7 +40,20 @@ TEST(ViewFleet, CountsAnsweringWorkersAndWeighsActorsByThreads) {
   EXPECT_DOUBLE_EQ(view.actors_times[Activity::kInference], 1.5);
   EXPECT_EQ(view.learner[Activity::kUpdate], 9);
   EXPECT_FALSE(view.early);
-  EXPECT_TRUE(ViewFleet(Work(), reply).early) << "no update yet";
+  EXPECT_TRUE(ViewFleet(Work(), workers).early) << "no update yet";
+}
+
+TEST(CountWorkers, CountsByRoleAndHealth) {
+  v1::FleetSummary summary;
+  CountWorkers({Worker(WorkerRole::kActor, Health::kOk, 1, 1, 0), Worker(WorkerRole::kActor, Health::kLost, 1, 1, 0),
+                Worker(WorkerRole::kActor, Health::kOk, 1, 1, 0), Worker(WorkerRole::kEnvServer, Health::kOk, 1, 1, 0)},
+               &summary);
+  ASSERT_EQ(summary.workers_size(), 3);
+  EXPECT_EQ(summary.workers(0).role(), "actor");
+  EXPECT_EQ(summary.workers(0).health(), v1::Peer::OK);
+  EXPECT_EQ(summary.workers(0).number(), 2);
+  EXPECT_EQ(summary.workers(1).health(), v1::Peer::LOST);
+  EXPECT_EQ(summary.workers(2).role(), "envserver");
 }
 
 TEST(SummarizeFleet, ContainsTimesBottleneckAndAdvice) {

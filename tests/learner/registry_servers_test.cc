@@ -1,3 +1,4 @@
+#include <algorithm>
 #include <string>
 #include <vector>
 
@@ -183,6 +184,40 @@ TEST_F(RegistryServersTest, ServersThatActorsReportAreBounded) {
   request.servers = {{"real:1", /*answers=*/true, /*hangs=*/false, nullptr}};
   ASSERT_THAT(static_cast<WorkerRegistry&>(registry_).GetPermits(request), IsOk());
   EXPECT_EQ(registry_.Workers().size(), 2) << "there is room again";
+}
+
+TEST_F(RegistryServersTest, AnActorGetsTheServersOfItsZone) {
+  WorkerRegistry& registry = registry_;
+  EXPECT_THAT(registry.Announce({"", "host 1"}, "s1", "a:1", 0, {"", "", "", "east"}), IsOk());
+  EXPECT_THAT(registry.Announce({"", "host 2"}, "s2", "b:1", 0, {"", "", "", "west"}), IsOk());
+  EXPECT_THAT(registry.Join({"", "host 3"}, "asks", "", {"", "", "", "west"}), IsOk());
+  TestRegistry::PermitRequest request = Question(0);
+  request.client.host = "host 3";
+  const auto reply = registry.GetPermits(request);
+  ASSERT_THAT(reply, IsOk());
+  EXPECT_THAT(reply->servers, ElementsAre("b:1"));
+  EXPECT_THAT(registry.Leave({"", "host 2"}, WorkerRole::kEnvServer, "s2"), IsOk());
+  request.servers_generation = reply->servers_generation;
+  const auto next = registry.GetPermits(request);
+  ASSERT_THAT(next, IsOk());
+  EXPECT_THAT(next->servers, ElementsAre("a:1")) << "another one instead";
+}
+
+TEST_F(RegistryServersTest, ManyServersReportLessOften) {
+  TestRegistry::Options options = Options();
+  options.max_names_per_client = 10000;
+  TestRegistry registry(options, &clock_);
+  EXPECT_EQ(registry.LeaseForServers(), kLease);
+  for (int i = 0; i < 3000; ++i) {
+    const std::string number = std::to_string(i);
+    ASSERT_THAT(registry.Announce({}, "s" + number, "a:" + number, 0, {}), IsOk());
+  }
+  EXPECT_EQ(registry.LeaseForServers(), 3 * kLease);
+  ASSERT_THAT(registry.Announce({}, "s1", "a:1", 0, {}), IsOk());
+  clock_.Advance(2 * kLease);
+  const std::vector<WorkerRegistry::Server> left = registry.Servers();
+  EXPECT_LT(left.size(), 3000) << "the first ones had a short lease";
+  EXPECT_TRUE(std::any_of(left.begin(), left.end(), [](const auto& server) { return server.name == "s1"; }));
 }
 
 }  // namespace

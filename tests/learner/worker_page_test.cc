@@ -14,6 +14,7 @@
 namespace craftfleet {
 namespace {
 
+using testing::Contains;
 using testing::ElementsAre;
 
 v1::ProcessSummary Summary(double rate) {
@@ -181,6 +182,35 @@ TEST_F(WorkerPageTest, LongReportsAreShortened) {
   summary.add_times()->set_activity(std::string(100000, 'x'));
   Report("actor", "a", "", summary);
   EXPECT_LT(Workers()[0].ByteSizeLong(), 1000);
+}
+
+TEST_F(WorkerPageTest, OfALargeFleetItListsTheLostFirst) {
+  registry_.Join("zzz", "");
+  clock_.Advance(absl::Seconds(6));
+  for (size_t i = 0; i < kMaxPeers + 10; ++i) registry_.Join(absl::StrCat("actor", i), "");
+  const std::vector<std::string> lines = Lines();
+  EXPECT_EQ(lines.size(), kMaxPeers);
+  EXPECT_THAT(lines, Contains("actor zzz LOST"));
+  EXPECT_EQ(registry_.Glances().size(), kMaxPeers + 11) << "sums include all";
+}
+
+TEST_F(WorkerPageTest, ShowsZones) {
+  ASSERT_THAT(registry_.Announce({}, "s1", "a:1", 0, {"", "", "", "rack-7"}), IsOk());
+  EXPECT_EQ(Workers()[0].state(), "zone rack-7");
+}
+
+TEST_F(WorkerPageTest, ShowsTheSizeOfAGroupThatHasNotAllServers) {
+  for (int i = 0; i < 20; ++i) {
+    const std::string number = absl::StrCat(i);
+    ASSERT_THAT(registry_.Announce({}, "s" + number, "a:" + number, 0, {}), IsOk());
+  }
+  for (const char* actor : {"a", "b", "c", "d"}) registry_.Join(actor, "");
+  for (const char* actor : {"a", "b", "c", "d", "a"}) {
+    TestRegistry::PermitRequest request = TestRegistry::RequestOf(actor, {}, 0);
+    request.wants_servers = true;
+    ASSERT_THAT(static_cast<WorkerRegistry&>(registry_).GetPermits(request), IsOk());
+  }
+  EXPECT_THAT(Workers()[0].state(), testing::HasSubstr("8 of 20 servers"));
 }
 
 }  // namespace

@@ -13,6 +13,7 @@
 #include "common/base/crafter.h"
 #include "common/base/numbers.h"
 #include "common/base/printable.h"
+#include "common/wire/status_service.h"
 #include "learner/run/progress.h"
 
 namespace craftfleet {
@@ -234,12 +235,9 @@ std::string GpuLine(const v1::ProcessSummary& summary) {
 }
 
 std::string CountsLine(const v1::StatusReply& status) {
-  std::map<std::pair<std::string, v1::Peer::Health>, int> count;
+  std::map<std::pair<std::string, v1::Peer::Health>, int> count = wire::WorkersOf(status);
   int64_t errors = status.summary().errors();
-  for (const v1::Peer& peer : status.peers()) {
-    ++count[{peer.role(), peer.health()}];
-    errors += peer.summary().errors();
-  }
+  for (const v1::Peer& peer : status.peers()) errors += peer.summary().errors();
   const auto lost = [&](const char* role) {
     std::vector<std::string> bad;
     if (const int number = count[{role, v1::Peer::LOST}]; number > 0) bad.push_back(absl::StrFormat("%d lost", number));

@@ -112,6 +112,7 @@ const FieldExpectations& Expectations() {
           {"StatusReply", "for people: clients accept any value (fuzz_status_reply)"},
           {"Metric", "the same"},
           {"FleetSummary", "the same"},
+          {"WorkerCount", "the same"},
           {"CheckpointRequest", "empty"},
           {"CheckpointReply", "for people"},
           {"PauseRequest", "empty"},

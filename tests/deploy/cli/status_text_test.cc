@@ -41,6 +41,16 @@ TEST(StatusText, HasALineForEachField) {
   EXPECT_THAT(text, Not(HasSubstr("bottleneck")));
 }
 
+TEST(StatusText, SaysHowManyWorkersItDoesNotList) {
+  v1::StatusReply reply = Status();
+  v1::WorkerCount* const count = reply.mutable_fleet()->add_workers();
+  count->set_role("actor");
+  count->set_number(reply.peers_size());
+  EXPECT_THAT(StatusText(reply), Not(HasSubstr("more workers")));
+  count->set_number(reply.peers_size() + 1200);
+  EXPECT_THAT(StatusText(reply), HasSubstr("  and 1200 more workers\n"));
+}
+
 TEST(StatusText, ShowsTheStateOfWorkers) {
   v1::StatusReply reply = Status();
   v1::Peer* peer = reply.mutable_peers(0);

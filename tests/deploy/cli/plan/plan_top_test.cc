@@ -1,5 +1,10 @@
 // What craftfleet plan says beforehand, craftfleet top says of the running fleet.
 
+#include <memory>
+#include <string>
+#include <utility>
+#include <vector>
+
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
@@ -10,28 +15,23 @@
 namespace craftfleet {
 namespace {
 
-// The status of a learner whose fleet runs exactly as planned.
-v1::StatusReply StatusOf(const FleetPlan& plan) {
-  v1::StatusReply reply;
+// The workers of a fleet that runs exactly as planned.
+std::vector<WorkerRegistry::Glance> WorkersOf(const FleetPlan& plan) {
+  std::vector<WorkerRegistry::Glance> workers;
   const ByActivity shares = plan.view.actors_times.Normalized();
   for (int i = 0; i < plan.actors; ++i) {
-    v1::Peer* actor = reply.add_peers();
-    actor->set_role("actor");
-    actor->set_health(v1::Peer::OK);
-    actor->mutable_summary()->set_threads(plan.actor_threads / plan.actors);
-    actor->mutable_summary()->set_steps_per_second(plan.steps_per_second / plan.actors);
+    auto summary = std::make_shared<v1::ProcessSummary>();
+    summary->set_threads(plan.actor_threads / plan.actors);
+    summary->set_steps_per_second(plan.steps_per_second / plan.actors);
     for (const Activity activity : kActivities) {
-      v1::ActivityTime* time = actor->mutable_summary()->add_times();
+      v1::ActivityTime* time = summary->add_times();
       time->set_activity(std::string(ActivityName(activity)));
       time->set_share(shares[activity]);
     }
+    workers.push_back({WorkerRole::kActor, WorkerRegistry::Health::kOk, /*drained=*/false, std::move(summary)});
   }
-  for (int i = 0; i < plan.env_servers; ++i) {
-    v1::Peer* server = reply.add_peers();
-    server->set_role("envserver");
-    server->set_health(v1::Peer::OK);
-  }
-  return reply;
+  for (int i = 0; i < plan.env_servers; ++i) workers.push_back({WorkerRole::kEnvServer});
+  return workers;
 }
 
 TEST(PlanAndTop, GiveTheSameAdvice) {
@@ -49,7 +49,7 @@ TEST(PlanAndTop, GiveTheSameAdvice) {
           const FleetPlan plan = PlanFleet(costs, config, FrameFormat::kRaw, {cores, cores});
           Work trainer;
           trainer.times = plan.view.learner;
-          FleetView seen = ViewFleet(trainer, StatusOf(plan));
+          FleetView seen = ViewFleet(trainer, WorkersOf(plan));
           seen.plays_on = overlap > 0;
           const v1::FleetSummary shown = SummarizeFleet(seen);
           EXPECT_EQ(shown.bottleneck(), plan.limit.part);

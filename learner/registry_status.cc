@@ -1,0 +1,83 @@
+// WorkerRegistry: what status pages show.
+#include <algorithm>
+#include <iterator>
+#include <tuple>
+#include <utility>
+#include <vector>
+
+#include "learner/worker_registry.h"
+
+namespace craftfleet {
+namespace {
+
+constexpr absl::Duration kCurrent = absl::Seconds(10);  // age of a summary
+
+}  // namespace
+
+bool WorkerRegistry::IsShown(const Worker& worker, absl::Time now, WorkerInfo* info) const {
+  info->health = HealthOf(worker, now);
+  info->silent = now - worker.last_seen;
+  const bool is_known = info->silent <= (info->health == Health::kLeft ? kRememberLeft : kRememberLost);
+  const bool differs = worker.mismatch.has_value() && now - worker.mismatch->time <= kRememberLost;
+  info->refused = !is_known && differs && !options_.build.allow_mixed;
+  if (info->refused) {
+    info->health = Health::kLost;
+    info->silent = now - worker.mismatch->time;
+  }
+  info->summary_is_old = now - worker.summary_time > kCurrent;
+  return is_known || info->refused;
+}
+
+std::vector<WorkerRegistry::WorkerInfo> WorkerRegistry::Workers(size_t most) const {
+  const MutexLock lock(&mu_);
+  const absl::Time now = clock_->Now();
+  std::vector<std::pair<const Worker*, WorkerInfo>> notable;
+  std::vector<std::pair<const Worker*, WorkerInfo>> others;
+  for (const auto& [key, worker] : workers_) {
+    WorkerInfo info;
+    if (!IsShown(worker, now, &info)) continue;
+    const bool is_notable = info.health != Health::kOk || worker.draining || worker.mismatch.has_value();
+    std::vector<std::pair<const Worker*, WorkerInfo>>& kind = is_notable ? notable : others;
+    if (kind.size() < most) kind.emplace_back(&worker, std::move(info));
+  }
+  others.resize(std::min(others.size(), most - notable.size()));
+  notable.insert(notable.end(), std::make_move_iterator(others.begin()), std::make_move_iterator(others.end()));
+  std::sort(notable.begin(), notable.end(), [](const auto& a, const auto& b) {
+    return std::tie(a.first->role, a.first->name) < std::tie(b.first->role, b.first->name);
+  });
+  std::vector<WorkerInfo> infos;
+  for (auto& [worker, info] : notable) {
+    info.worker = *worker;
+    if (info.worker.mismatch.has_value() && now - info.worker.mismatch->time > kRememberLost) {
+      info.worker.mismatch.reset();
+    }
+    if (worker->role == WorkerRole::kActor && worker->active) {
+      info.play = lanes_.InfoOf(worker->name);
+      info.group = groups_.SizeOf(worker->name);
+      info.servers = groups_.servers();
+    }
+    infos.push_back(std::move(info));
+  }
+  return infos;
+}
+
+std::vector<WorkerRegistry::Glance> WorkerRegistry::Glances() const {
+  std::vector<Glance> glances;
+  const MutexLock lock(&mu_);
+  const absl::Time now = clock_->Now();
+  glances.reserve(workers_.size());
+  for (const auto& [key, worker] : workers_) {
+    WorkerInfo info;
+    if (!IsShown(worker, now, &info)) continue;
+    Glance glance = {worker.role, info.health};
+    if (worker.draining) {
+      const bool plays = worker.role == WorkerRole::kActor && worker.active;
+      glance.drained = plays ? lanes_.PermitsOf(worker.name) == 0 : worker.empty;
+    }
+    if (info.health == Health::kOk && !info.summary_is_old) glance.summary = worker.summary;
+    glances.push_back(std::move(glance));
+  }
+  return glances;
+}
+
+}  // namespace craftfleet
