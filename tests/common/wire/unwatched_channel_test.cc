@@ -3,6 +3,8 @@
 
 #include <sys/resource.h>
 
+#include <string>
+
 #include <gtest/gtest.h>
 
 #include "common/wire/channel.h"
@@ -15,10 +17,20 @@
 namespace craftfleet::wire {
 namespace {
 
+// Whether a new channel is connected by its first attempt.
+bool ConnectsAtOnce(const std::string& address, const ChannelSecurity& security) {
+  const Endpoint endpoint = Connect(address, security);
+  grpc_connectivity_state state = GRPC_CHANNEL_IDLE;
+  WaitUntil([&] {
+    state = endpoint.channel->GetState(/*try_to_connect=*/true);
+    return state == GRPC_CHANNEL_READY || state == GRPC_CHANNEL_TRANSIENT_FAILURE;
+  });
+  return state == GRPC_CHANNEL_READY;
+}
+
 // An actor looks at the state of its servers now and then. Polled every half second, the handshake of TLS took longer
 // than an attempt to connect may take, and a server was used after some twelve seconds.
-TEST(UnwatchedChannel, ATlsHandshakeFinishesInItsFirstAttempts) {
-  constexpr int kMaxFailures = 1;  // on a loaded machine
+TEST(UnwatchedChannel, ATlsHandshakeFinishesWithinAnAttemptToConnect) {
   rlimit files = {};
   ASSERT_EQ(getrlimit(RLIMIT_NOFILE, &files), 0);
   ASSERT_GE(files.rlim_max, kPlentyOfFiles) << "below, actors poll in another way";
@@ -36,16 +48,8 @@ TEST(UnwatchedChannel, ATlsHandshakeFinishesInItsFirstAttempts) {
   ASSERT_THAT(server, IsOk());
   const auto security = ChannelSecurity::Create({tls, "", ""});
   ASSERT_THAT(security, IsOk());
-  const Endpoint endpoint = Connect((*server)->address(), *security);
-  int failures = 0;
-  grpc_connectivity_state last = GRPC_CHANNEL_IDLE;
-  EXPECT_TRUE(WaitUntil([&] {
-    const grpc_connectivity_state state = endpoint.channel->GetState(/*try_to_connect=*/true);
-    if (state == GRPC_CHANNEL_TRANSIENT_FAILURE && last != state) ++failures;
-    last = state;
-    return state == GRPC_CHANNEL_READY || failures > kMaxFailures;
-  }));
-  EXPECT_LE(failures, kMaxFailures);
+  const auto connects = [&] { return ConnectsAtOnce((*server)->address(), *security); };
+  EXPECT_TRUE(connects() || connects() || connects()) << "three attempts, as the machine may be busy";
 }
 
 }  // namespace
