@@ -10,7 +10,7 @@ tests/chaos/results/runs.jsonl.
 
   tests/chaos/scale.py --bin=build/bin --out=/tmp/scale             200 actors, 1,000 lanes, 10 minutes
   tests/chaos/scale.py --bin=build/bin --out=/tmp/scale --short     the short form that the tests run
-  tests/chaos/scale.py --bin=build/bin --out=/tmp/scale --actors=10000 --servers=5000 --lanes=4096 --share=10 --play_ms=20000
+  tests/chaos/scale.py --bin=build/bin --out=/tmp/scale --actors=10000 --servers=5000 --lanes=4000 --share=10 --play_ms=20000
 """
 
 import argparse
