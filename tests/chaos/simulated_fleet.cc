@@ -136,9 +136,10 @@ class EmptyActor final : public grpc::ClientBidiReactor<v1::FragmentMessage, v1:
     env_digest_ = EnvDigest(env.WorldName(), length);
     AwaitOthers();
   }
-  // Starts when all have joined, so that they share the lanes from the first fragment on.
+  // Without time to play, starts when all have joined, so that they share the lanes from the first fragment on. The
+  // leases of thousands of actors would lapse meanwhile.
   void AwaitOthers() {
-    if (fleet_->absent > 0 && !fleet_->stopping) {
+    if (fleet_->play == absl::ZeroDuration() && fleet_->absent > 0 && !fleet_->stopping) {
       return fleet_->timer.After(absl::Milliseconds(100), [this] { AwaitOthers(); });
     }
     stub_->async()->PushFragments(&stream_context_, this);
