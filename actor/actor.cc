@@ -252,9 +252,8 @@ v1::PermitRequest Actor::NextRequest(std::vector<HeldPermit>* failures) {
   }
   request.set_evaluation(evaluations_->current(joined_.epoch()));
   *request.mutable_summary() = Summary();
-  // Registered servers report themselves, but they can't report that they don't answer.
-  for (v1::Peer& server :
-       uses_registry ? servers_.NextNotAnswering(kServersReported) : servers_.Next(kServersReported)) {
+  // Registered servers report themselves, but they can't report that this actor can't use them.
+  for (v1::Peer& server : uses_registry ? servers_.NextUnusable(kServersReported) : servers_.Next(kServersReported)) {
     request.add_env_servers()->Swap(&server);
   }
   // Read before the active permits: a permit that fails in between is still active, and is reported next time.

@@ -47,10 +47,9 @@ std::vector<v1::Peer> EnvServerTracker::All() const {
 
 std::vector<v1::Peer> EnvServerTracker::Next(size_t count) { return Rotate(All(), count); }
 
-std::vector<v1::Peer> EnvServerTracker::NextNotAnswering(size_t count) {
+std::vector<v1::Peer> EnvServerTracker::NextUnusable(size_t count) {
   std::vector<v1::Peer> all = All();
-  all.erase(std::remove_if(all.begin(), all.end(),
-                           [](const v1::Peer& peer) { return peer.health() != v1::Peer::NOT_ANSWERING; }),
+  all.erase(std::remove_if(all.begin(), all.end(), [](const v1::Peer& peer) { return peer.health() == v1::Peer::OK; }),
             all.end());
   return Rotate(std::move(all), count);
 }

@@ -32,8 +32,8 @@ class EnvServerTracker {
   std::vector<v1::Peer> All() const ABSL_LOCKS_EXCLUDED(mu_);
   // At most `count` of them; each call continues where the last one ended.
   std::vector<v1::Peer> Next(size_t count) ABSL_LOCKS_EXCLUDED(mu_);
-  // The same, only with servers that are NOT_ANSWERING.
-  std::vector<v1::Peer> NextNotAnswering(size_t count) ABSL_LOCKS_EXCLUDED(mu_);
+  // The same, only with servers that are NOT_ANSWERING or LOST.
+  std::vector<v1::Peer> NextUnusable(size_t count) ABSL_LOCKS_EXCLUDED(mu_);
 
  private:
   // At most `count` of `all`, starting after the last one of the previous call.

@@ -271,9 +271,8 @@ absl::Status LearnerServiceImpl::Answer(const grpc::ServerContextBase& context, 
   if (absl::Status status = CheckEpoch(request.epoch()); !status.ok()) return status;
   if (absl::Status status = NameActor(context, request.actor()); !status.ok()) return status;
   const absl::StatusOr<std::vector<Episode>> episodes = wire::FromProto(request, options_.shape.max_length);
-  const absl::Status status = episodes.ok()
-                                  ? registry_->FinishEvaluation(request.actor(), request.id(), *episodes)
-                                  : episodes.status();
+  const absl::Status status =
+      episodes.ok() ? registry_->FinishEvaluation(request.actor(), request.id(), *episodes) : episodes.status();
   if (!status.ok()) {
     WarnRefused(context, request.actor(),
                 absl::StrFormat("evaluation by actor %s refused: %s", request.actor(), status.message()));

@@ -80,13 +80,17 @@ absl::StatusOr<WorkerRegistry::PermitReply> WorkerRegistry::Complete(const Permi
     return absl::CancelledError("the client disconnected");
   }
   NoteReport(actor, request.summary);
-  for (const ServerReport& server : request.servers) NoteServer(server);
+  for (const ServerReport& server : request.servers) {
+    if (!server.answers) NoteUnusable(server.address, actor);
+    // A server of the registry that an actor can't reach has left, or reports itself.
+    if (!request.wants_servers || server.answers || server.hangs) NoteServer(server);
+  }
   reply.finished = finished_;
   reply.resting = lanes_.paused() || actor->draining;
   if (request.evaluates && request.evaluation == 0 && !reply.resting) {
     reply.evaluation = evaluations_.Take(request.actor);
   }
-  AddServerList(request, *actor, &reply);
+  AddServerList(request, actor, &reply);
   return reply;
 }
 

@@ -10,6 +10,10 @@ namespace {
 
 constexpr absl::Duration kCheckEvery = absl::Seconds(1);
 constexpr absl::Duration kRelayed = absl::Seconds(10);
+// How long an actor must be unable to use any server of its group until it gets another; and within which time it
+// reports each of them again.
+constexpr absl::Duration kUnusableFor = absl::Seconds(10);
+constexpr absl::Duration kReportedAgain = absl::Seconds(20);
 
 }  // namespace
 
@@ -95,7 +99,25 @@ void WorkerRegistry::NoteServer(const ServerReport& report) {
   server->summary_time = now;
 }
 
-void WorkerRegistry::AddServerList(const PermitRequest& request, const Worker& actor, PermitReply* reply) {
+void WorkerRegistry::NoteUnusable(const std::string& address, Worker* actor) {
+  if (servers_.find(address) == servers_.end()) return;
+  if (actor->unusable.size() >= ServerGroups::kLargest) actor->unusable.clear();
+  const absl::Time now = clock_->Now();
+  Worker::Unusable& unusable = actor->unusable.try_emplace(address, Worker::Unusable{now, now}).first->second;
+  if (now - unusable.reported > kReportedAgain) unusable.since = now;
+  unusable.reported = now;
+}
+
+bool WorkerRegistry::LacksServers(const Worker& actor, const std::set<std::string>& addresses) const {
+  const absl::Time now = clock_->Now();
+  return !addresses.empty() && std::all_of(addresses.begin(), addresses.end(), [&](const std::string& address) {
+    const auto unusable = actor.unusable.find(address);
+    return unusable != actor.unusable.end() && now - unusable->second.reported <= kReportedAgain &&
+           unusable->second.reported - unusable->second.since >= kUnusableFor;
+  });
+}
+
+void WorkerRegistry::AddServerList(const PermitRequest& request, Worker* actor, PermitReply* reply) {
   if (!request.wants_servers) return;
   const int64_t generation = request.servers_generation;
   reply->servers_generation = generation;
@@ -104,7 +126,12 @@ void WorkerRegistry::AddServerList(const PermitRequest& request, const Worker& a
   const bool keeps =
       generation != 0 && generation < first_generation_ && clock_->Now() - start_ < options_.server_lease;
   if (keeps) return;
-  const ServerGroups::Group& group = groups_.GroupOf(actor.name, {actor.client.host, actor.zone});
+  const ServerGroups::Place place = {actor->client.host, actor->zone};
+  if (LacksServers(*actor, groups_.GroupOf(actor->name, place).addresses)) {
+    groups_.Avoid(actor->name);
+    actor->unusable.clear();
+  }
+  const ServerGroups::Group& group = groups_.GroupOf(actor->name, place);
   if (group.generation == generation) return;
   reply->servers_generation = group.generation;
   reply->servers.assign(group.addresses.begin(), group.addresses.end());

@@ -1,6 +1,7 @@
 #include "learner/server_groups.h"
 
 #include <algorithm>
+#include <iterator>
 #include <tuple>
 
 namespace craftfleet {
@@ -53,6 +54,18 @@ const ServerGroups::Group& ServerGroups::GroupOf(const std::string& name, const 
     actor.seen = changes_;
   }
   return actor.group;
+}
+
+void ServerGroups::Avoid(absl::string_view name) {
+  const auto known = actors_.find(name);
+  if (known == actors_.end()) return;
+  Actor& actor = known->second;
+  actor.avoided = actor.group.addresses;
+  if (!HasOthers(all_, actor)) {
+    actor.avoided.clear();
+    return;
+  }
+  for (const std::string& address : actor.avoided) Drop(&actor, address);
 }
 
 size_t ServerGroups::SizeOf(absl::string_view name) const {
@@ -114,12 +127,17 @@ const ServerGroups::Site& ServerGroups::SiteOf(const Place& place, Distance dist
   return site == sites.end() ? kNowhere : site->second;
 }
 
-ServerGroups::Distance ServerGroups::ReachOf(const Place& place) const {
+ServerGroups::Distance ServerGroups::ReachOf(const Actor& actor) const {
   for (const Distance distance : {kSameHost, kSameZone}) {
-    const Site& site = SiteOf(place, distance);
-    if (!site.servers.empty() && Suffices(site)) return distance;
+    const Site& site = SiteOf(actor.place, distance);
+    if (HasOthers(site, actor) && Suffices(site)) return distance;
   }
   return kElsewhere;
+}
+
+bool ServerGroups::HasOthers(const Site& site, const Actor& actor) const {
+  return std::any_of(site.servers.begin(), site.servers.end(),
+                     [&](const auto& server) { return actor.avoided.count(server.second) == 0; });
 }
 
 const std::string* ServerGroups::Best(const Actor& actor, Distance reach) const {
@@ -127,7 +145,7 @@ const std::string* ServerGroups::Best(const Actor& actor, Distance reach) const 
     if (distance > reach) break;
     for (const auto& [groups, address] : SiteOf(actor.place, distance).servers) {
       if (distance < reach && groups >= MostGroups()) break;
-      if (actor.group.addresses.count(address) == 0) return &address;
+      if (actor.group.addresses.count(address) == 0 && actor.avoided.count(address) == 0) return &address;
     }
   }
   return nullptr;
@@ -144,7 +162,12 @@ const std::string& ServerGroups::Worst(const Actor& actor) const {
 }
 
 bool ServerGroups::Adapt(Actor* actor) {
-  const Distance reach = ReachOf(actor->place);
+  for (auto avoided = actor->avoided.begin(); avoided != actor->avoided.end();) {
+    const auto server = servers_.find(*avoided);
+    const bool is_there = server != servers_.end() && server->second.is_there;
+    avoided = is_there ? std::next(avoided) : actor->avoided.erase(avoided);
+  }
+  const Distance reach = ReachOf(*actor);
   bool changed = Shrink(actor, reach);
   while (actor->group.addresses.size() < Size()) {
     const std::string* const best = Best(*actor, reach);

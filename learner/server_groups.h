@@ -56,6 +56,10 @@ class ServerGroups {
   // Forgets an actor; ignored if it never asked.
   void RemoveActor(absl::string_view actor);
 
+  // None of its group's servers answers this actor: its next group has others, near or far, if there are any. Those
+  // that it had come back if the others do not answer either, or after they were removed. Ignored if it never asked.
+  void Avoid(absl::string_view actor);
+
   // The group of `actor`, which is at `place`. The reference is valid until the next call.
   const Group& GroupOf(const std::string& actor, const Place& place);
 
@@ -75,7 +79,8 @@ class ServerGroups {
   struct Actor {
     Place place;
     Group group;
-    int64_t seen = -1;  // `changes_` when the group was last found to be right
+    std::set<std::string> avoided;  // servers that did not answer it
+    int64_t seen = -1;              // `changes_` when the group was last found to be right
   };
   // The servers and actors of a host, of a zone, or all.
   struct Site {
@@ -99,7 +104,9 @@ class ServerGroups {
   // How many groups a near server may be in.
   int MostGroups() const;
   // How far away the actor's servers may be.
-  Distance ReachOf(const Place& place) const;
+  Distance ReachOf(const Actor& actor) const;
+  // Whether `site` has a server that the actor does not avoid.
+  bool HasOthers(const Site& site, const Actor& actor) const;
   // Whether the servers of `site` are at least half of those that its actors would have on average.
   bool Suffices(const Site& site) const;
   const Site& SiteOf(const Place& place, Distance distance) const;

@@ -3,6 +3,7 @@
 #ifndef CRAFTFLEET_LEARNER_WORKER_H_
 #define CRAFTFLEET_LEARNER_WORKER_H_
 
+#include <map>
 #include <memory>
 #include <optional>
 #include <string>
@@ -59,6 +60,13 @@ struct Worker {
   // Gets no new permits, evaluations or games, until it leaves or is undrained.
   bool draining = false;
   bool empty = false;  // environment server: has reported no games since the drain began
+
+  // Actor: the registered servers that it reports as not answering or not reachable, by address.
+  struct Unusable {
+    absl::Time since;
+    absl::Time reported;
+  };
+  std::map<std::string, Unusable> unusable;
 
   absl::Time last_seen = absl::InfinitePast();   // last report by itself or, for a server, by an actor that reaches it
   absl::Time own_report = absl::InfinitePast();  // last report by itself

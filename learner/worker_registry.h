@@ -10,6 +10,7 @@
 #include <map>
 #include <memory>
 #include <optional>
+#include <set>
 #include <string>
 #include <utility>
 #include <vector>
@@ -276,6 +277,11 @@ class WorkerRegistry {
   // registry_servers.cc: environment servers.
   // Records an actor's report. For servers that report themselves, only `hangs` is used.
   void NoteServer(const ServerReport& report) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
+  // The actor can't use the server at `address`.
+  void NoteUnusable(const std::string& address, Worker* actor) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
+  // Whether the actor has been unable to use each of `addresses` for a while.
+  bool LacksServers(const Worker& actor, const std::set<std::string>& addresses) const
+      ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
   // Makes `server` the active one at `address`.
   void PlaceServer(Worker* server, absl::string_view address) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
   absl::Duration ServerLease() const ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
@@ -283,7 +289,7 @@ class WorkerRegistry {
   void RemoveServer(Worker* server) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
   // Lets groups have `server` if it is listed, or no longer.
   void ListServer(const Worker& server) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
-  void AddServerList(const PermitRequest& request, const Worker& actor, PermitReply* reply)
+  void AddServerList(const PermitRequest& request, Worker* actor, PermitReply* reply)
       ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
   void ExpireServers() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
   // The same, at most once a second, since there may be thousands of servers.

@@ -43,12 +43,13 @@ TEST(EnvServerTracker, ASummaryOfAServerWithoutGamesIsOutdated) {
 
 TEST(EnvServerTracker, AServerThatDoesNotAnswerIsShownAsNotAnswering) {
   EnvServerTracker tracker;
-  tracker.Update(0, {{"a:1", true, 2, {}, "no answer within 10s"}, {"b:1", true, 1, {}, ""}});
+  tracker.Update(0,
+                 {{"a:1", true, 2, {}, "no answer within 10s"}, {"b:1", true, 1, {}, ""}, {"c:1", false, 0, {}, ""}});
   tracker.Update(1, {{"a:1", true, 1, {}, ""}, {"b:1", true, 1, {}, ""}});
   EXPECT_EQ(tracker.All()[0].health(), v1::Peer::NOT_ANSWERING);
   EXPECT_EQ(tracker.All()[0].state(), "not answering");
   EXPECT_EQ(tracker.All()[1].health(), v1::Peer::OK);
-  EXPECT_THAT(Addresses(tracker.NextNotAnswering(8)), ElementsAre("a:1"));
+  EXPECT_THAT(Addresses(tracker.NextUnusable(8)), ElementsAre("a:1", "c:1"));
 }
 
 TEST(EnvServerTracker, NextGoesThroughAllServersInTurn) {

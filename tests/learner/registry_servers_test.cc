@@ -203,6 +203,26 @@ TEST_F(RegistryServersTest, AnActorGetsTheServersOfItsZone) {
   EXPECT_THAT(next->servers, ElementsAre("a:1")) << "another one instead";
 }
 
+// A server that registers, but does not answer its neighbours, would stop them for good.
+TEST_F(RegistryServersTest, AnActorThatCanUseNoneOfItsServersGetsOthers) {
+  WorkerRegistry& registry = registry_;
+  EXPECT_THAT(registry.Join({"", "host 1"}, "asks", "", {}), IsOk());
+  TestRegistry::PermitRequest request = Question(0);
+  request.client.host = "host 1";
+  request.servers = {{"a:1", /*answers=*/false, /*hangs=*/true, nullptr}};
+  std::vector<std::string> servers;
+  for (int seconds = 0; seconds <= 12; seconds += 2) {
+    EXPECT_THAT(registry.Announce({"", "host 1"}, "s1", "a:1", 0, {}), IsOk());
+    EXPECT_THAT(registry.Announce({"", "host 2"}, "s2", "b:1", 0, {}), IsOk());
+    const auto reply = registry.GetPermits(request);
+    ASSERT_THAT(reply, IsOk());
+    request.servers_generation = reply->servers_generation;
+    if (!reply->servers.empty()) servers = reply->servers;
+    EXPECT_THAT(servers, ElementsAre(seconds < 10 ? "a:1" : "b:1")) << "after " << seconds << " s";
+    clock_.Advance(absl::Seconds(2));
+  }
+}
+
 TEST_F(RegistryServersTest, ManyServersReportLessOften) {
   TestRegistry::Options options = Options();
   options.max_names_per_client = 10000;

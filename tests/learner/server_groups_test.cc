@@ -107,6 +107,32 @@ TEST_F(ServerGroupsTest, AnActorHasTheServersOfItsHost) {
   EXPECT_THAT(Ask("on two", {"two", ""}), ElementsAre(Server(0), Server(1), Server(4), Server(5)));
 }
 
+TEST_F(ServerGroupsTest, AnActorThatNoneOfItsServersAnswersHasOthers) {
+  AddServers(2, {"one", ""});
+  AddServers(3, {"two", ""});
+  Ask("on two", {"two", ""});
+  EXPECT_THAT(Ask("on one", {"one", ""}), ElementsAre(Server(0), Server(1)));
+  groups_.Avoid("on one");
+  EXPECT_THAT(Ask("on one", {"one", ""}), ElementsAre(Server(2), Server(3), Server(4)));
+  EXPECT_THAT(Ask("on one", {"one", ""}), ElementsAre(Server(2), Server(3), Server(4))) << "and keeps them";
+  groups_.RemoveServer(Server(1));
+  Ask("on one", {"one", ""});
+  groups_.PutServer(Server(1), {"one", ""});
+  EXPECT_THAT(Ask("on one", {"one", ""}), ElementsAre(Server(1))) << "it came back";
+  groups_.Avoid("on one");
+  EXPECT_THAT(Ask("on one", {"one", ""}), ElementsAre(Server(0))) << "not avoided any more";
+  EXPECT_THAT(Ask("on two", {"two", ""}), ElementsAre(Server(2), Server(3), Server(4))) << "it has its own";
+}
+
+TEST_F(ServerGroupsTest, AnActorThatNoServerAnswersKeepsItsGroup) {
+  AddServers(2, {});
+  const int64_t before = groups_.GroupOf("actor", {}).generation;
+  groups_.Avoid("actor");
+  groups_.Avoid("another");
+  EXPECT_THAT(Ask("actor"), SizeIs(2));
+  EXPECT_EQ(groups_.GroupOf("actor", {}).generation, before);
+}
+
 TEST_F(ServerGroupsTest, WithoutServersOnItsHostItHasThoseOfItsZone) {
   AddServers(3, {"one", "east"});
   AddServers(3, {"two", "west"});
@@ -246,7 +272,8 @@ class GroupsHistory {
           ASSERT_LE(used_distance, reach) << name;
           ASSERT_FALSE(distance < used_distance) << name << " has " << used << ", and " << unused << " is nearer";
           if (used_distance == distance) {
-            ASSERT_LE(groups[used], groups[unused] + 1) << name << " has " << used << ", not " << unused << " at distance " << distance << " of " << reach;
+            ASSERT_LE(groups[used], groups[unused] + 1)
+                << name << " has " << used << ", not " << unused << " at distance " << distance << " of " << reach;
           }
         }
       }
