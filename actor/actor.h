@@ -44,7 +44,7 @@ class Actor {
     int capacity = 4096;                              // lanes to play at once, 1..4096
     std::string device = "auto";                      // to act on, as FindActingDevice takes it
     std::string zone = "";                            // label of the place where it runs; empty: none
-    FrameFormat frames = FrameFormat::kRaw;           // in which frames travel where both ends can
+    FrameFormat frames = FrameFormat::kScene;         // in which frames travel where both ends can
     absl::Duration env_timeout = kDefaultEnvTimeout;  // of each request to an environment server, 0.1..3600 s
     // Called once with the run's configuration, before the actor joins and computes anything; may restart the process
     // by exec. Null: nothing to set up.

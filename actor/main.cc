@@ -31,7 +31,7 @@ ABSL_FLAG(int32_t, threads, 0, "playing threads; 0: as many as the CPU quota all
 ABSL_FLAG(std::string, device, "auto",
           "device to act on: auto (what the run acts on), cpu, cuda or cuda:N\n"
           "a run acts on GPUs if its configuration has device: CUDA; two threads play then");
-ABSL_FLAG(std::string, frames, "raw",
+ABSL_FLAG(std::string, frames, "scene",
           "how frames travel: raw, lz4 or scene\n"
           "scene: as records of some hundred bytes, from which this program and the learner draw the same frames\n"
           "lz4: compressed, also frames that only the environment server can draw. Where the other end can't, raw");

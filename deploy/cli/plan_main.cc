@@ -44,7 +44,7 @@ ABSL_FLAG(int32_t, gpus, 0,
           "GPUs for updates, 0..1; what one costs is measured where --device is one, or comes with --costs\n"
           "several learners compute on CPUs only");
 ABSL_FLAG(int32_t, learners, 256, "the most learners to plan for, 1..256; no more than help, and at most one a host");
-ABSL_FLAG(std::string, frames, "raw", "how frames travel: raw, lz4 or scene, as craftfleet-actor --frames");
+ABSL_FLAG(std::string, frames, "scene", "how frames travel: raw, lz4 or scene, as craftfleet-actor --frames");
 ABSL_FLAG(bool, measure, false,
           "measure again, although there are costs\n"
           "without it costs are kept, and measured anew if the CPU, the build, the agent or another field of the\n"
@@ -68,7 +68,7 @@ and what would help. It measures for a minute what a step costs on this machine,
 
   craftfleet plan
   craftfleet plan --agent=lstm_cnn --cores=64 --gbit=10
-  craftfleet plan --cores=64 --host_cores=16 --gbit=1 --frames=scene --overlap=1
+  craftfleet plan --cores=64 --host_cores=16 --gbit=1 --frames=raw --overlap=1
   craftfleet plan --cores=32 --gpus=1 --costs=costs-of-the-gpu-machine.json
 
 A plan assumes that all hosts are like the measured machine and do nothing else. What a GPU costs is only known where it

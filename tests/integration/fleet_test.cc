@@ -164,8 +164,8 @@ class FrameFormatsFleetTest : public FleetTest {
   void SetUp() override { TrainQuietly(absl::StrReplaceAll(kConfig, {{"length: 90", "length: 230"}}), 230); }
 };
 
-TEST_F(FrameFormatsFleetTest, SceneRecordsAndCompressedFramesEqualOneProcess) {
-  for (const std::string format : {"scene", "lz4"}) {
+TEST_F(FrameFormatsFleetTest, EveryFormatEqualsOneProcess) {
+  for (const std::string format : {"raw", "lz4", "scene"}) {
     const auto learner = StartLearner(format, "127.0.0.1:0");
     const auto server = StartServer(format + "-server");
     const std::string learner_address = learner->WaitForAddress().value();

@@ -201,7 +201,8 @@ class History {
   void FinishTask(const std::string& name, Player* player) {
     if (player->evaluation == 0) return;
     const std::vector<LaneScheduler::ActorInfo> actors = registry_.Actors();
-    const bool is_known = std::any_of(actors.begin(), actors.end(), [&](const auto& actor) { return actor.name == name; });
+    const bool is_known =
+        std::any_of(actors.begin(), actors.end(), [&](const auto& actor) { return actor.name == name; });
     const absl::Status status = registry_.FinishEvaluation(name, player->evaluation, std::vector<Episode>(1));
     ASSERT_EQ(status.code(), is_known ? absl::StatusCode::kOk : absl::StatusCode::kAborted) << status;
     player->evaluation = 0;

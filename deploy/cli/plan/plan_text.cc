@@ -124,7 +124,7 @@ std::vector<Command> Commands(const PlanRequest& request, const FleetPlan& plan)
        absl::StrFormat(
            "craftfleet-actor --learner=A:50051 --envservers=127.0.0.1:50061 --threads=%d%s",
            (plan.actor_threads + plan.actors - 1) / plan.actors,
-           request.frames == FrameFormat::kRaw ? "" : absl::StrCat(" --frames=", FrameFormatName(request.frames)))});
+           request.frames == FrameFormat::kScene ? "" : absl::StrCat(" --frames=", FrameFormatName(request.frames)))});
   return commands;
 }
 

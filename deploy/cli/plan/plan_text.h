@@ -14,8 +14,8 @@ namespace craftfleet {
 // What a plan is made for.
 struct PlanRequest {
   Costs costs;
-  v1::RunConfig config;                    // complete (ResolveRunConfig)
-  FrameFormat frames = FrameFormat::kRaw;  // how they travel
+  v1::RunConfig config;                      // complete (ResolveRunConfig)
+  FrameFormat frames = FrameFormat::kScene;  // how they travel
   Machines machines;
   std::string config_file;  // of the run, for the commands; empty: none
 };

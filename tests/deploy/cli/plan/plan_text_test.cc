@@ -42,7 +42,7 @@ TEST(PlanText, OnSeveralHostsTheLearnerAndTheOthersHaveCommandsOfTheirOwn) {
   request.config.set_lanes(64);
   request.config.set_max_staleness(2);
   request.config_file = "run.txt";
-  request.frames = FrameFormat::kScene;
+  request.frames = FrameFormat::kLz4;
   request.costs.act_us = 900;
   const std::string text = PlanText(request);
   EXPECT_THAT(text, HasSubstr("6 cores on 3 hosts of 2, 10 Gbit/s:\n"));
@@ -50,7 +50,7 @@ TEST(PlanText, OnSeveralHostsTheLearnerAndTheOthersHaveCommandsOfTheirOwn) {
       text, HasSubstr(" on host A:\n  craftfleet-learner --config=run.txt --agent=ppo_cnn --lanes=64 "
                       "--max_staleness=2 --threads=2 --logdir=runs/plan --listen=0.0.0.0:50051 --insecure\n on each of "
                       "2 hosts that play:\n  craftfleet-envserver --listen=127.0.0.1:50061\n  craftfleet-actor "
-                      "--learner=A:50051 --envservers=127.0.0.1:50061 --threads=2 --frames=scene\n"));
+                      "--learner=A:50051 --envservers=127.0.0.1:50061 --threads=2 --frames=lz4\n"));
   EXPECT_THAT(text, HasSubstr("--insecure is for networks that you trust: deploy/SECURING.md\n"));
 }
 
