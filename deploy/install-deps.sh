@@ -109,7 +109,7 @@ if [ -n "$libtorch" ]; then
   done
 fi
 if [ -n "$tests" ]; then
-  packages+=(python3-venv python3-dev python3-yaml iproute2 prometheus munge slurmctld slurmd slurm-client tmux xvfb xdotool zsh
+  packages+=(less xz-utils python3-venv python3-dev python3-yaml iproute2 prometheus munge slurmctld slurmd slurm-client tmux xvfb xdotool zsh
     chromium chromium-driver python3-selenium qemu-user)
 fi
 if [ -n "$developer" ]; then

@@ -48,7 +48,8 @@ fi
 
 source=$(cd "$(dirname "$0")/.." && pwd)
 root=$(mktemp -d "$dir/craftfleet-$suite.XXXXXX")
-mounted=()
+mount --bind "$root" "$root"  # tests make mount namespaces, for which / must be a mount
+mounted=("$root")
 # shellcheck disable=SC2317  # the trap calls it
 clean_up() {
   for ((i = ${#mounted[@]} - 1; i >= 0; i--)); do umount --recursive "${mounted[$i]}" || true; done

@@ -97,6 +97,14 @@ std::string OwnAddress(const RankOptions& options) {
   return own;
 }
 
+// Debian's LibTorch 2.6 asks for libuv by default, but is built without it. Older ones don't have the field.
+template <typename Options>
+auto LeaveOutLibuv(Options* tcp, int /*preferred*/) -> decltype(tcp->useLibUV = false, void()) {
+  tcp->useLibUV = false;
+}
+template <typename Options>
+void LeaveOutLibuv(Options* /*tcp*/, char /*otherwise*/) {}
+
 // Verdicts as text: a code, then the message.
 std::string ToText(const absl::Status& status) {
   return status.ok() ? "" : absl::StrCat(status.raw_code(), " ", status.message());
@@ -163,6 +171,7 @@ absl::StatusOr<std::unique_ptr<RankMeeting>> RankMeeting::Open(const RankOptions
     tcp.port = static_cast<uint16_t>(options.master_port);
     tcp.isServer = is_first;
     tcp.waitWorkers = false;
+    LeaveOutLibuv(&tcp, 0);
     tcp.timeout = Milliseconds(options.timeout);
     auto& store = meeting->store_->tcp;
     store = c10::make_intrusive<c10d::TCPStore>(is_first ? "127.0.0.1" : options.master_addr, tcp);

@@ -160,8 +160,10 @@ TORCH_LIBRARY_IMPL(aten, PrivateUse1, library) {
   }
 }
 
-// Gives autograd a thread for the device.
-using DeviceGuard = c10::impl::NoOpDeviceGuardImpl<c10::DeviceType::PrivateUse1>;
+// Gives autograd a thread for the device and, since LibTorch 2, its only stream.
+struct DeviceGuard final : c10::impl::NoOpDeviceGuardImpl<c10::DeviceType::PrivateUse1> {
+  c10::Stream getDefaultStream(c10::Device device) const override { return getStream(device); }
+};
 C10_REGISTER_GUARD_IMPL(PrivateUse1, DeviceGuard)
 
 }  // namespace

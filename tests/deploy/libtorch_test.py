@@ -48,7 +48,7 @@ class FoundLibtorch(python_case.FolderCase):
     if variable:
       environment["CRAFTFLEET_LIBTORCH"] = str(folder)
     flags = [] if variable else [f"-DCRAFTFLEET_LIBTORCH={folder}"]
-    return subprocess.run(["cmake", "-S", self.folder, "-B", build, *flags], capture_output=True, text=True, check=False, env=environment)
+    return subprocess.run(["cmake", "-G", "Ninja", "-S", self.folder, "-B", build, *flags], capture_output=True, text=True, check=False, env=environment)
 
   def assert_refused(self, reason, ended):
     self.assertNotEqual(ended.returncode, 0)

@@ -1,5 +1,7 @@
 #include "common/wire/metrics_server.h"
 
+#include <microhttpd.h>
+
 #include <ctime>
 #include <random>
 #include <thread>
@@ -28,6 +30,13 @@ v1::StatusReply Status() {
   return status;
 }
 
+// An error with this status. From version 1.0 on, libmicrohttpd closes the connection of what is no HTTP without one.
+testing::Matcher<std::string> IsRefused(const std::string& status) {
+  const testing::Matcher<std::string> error = StartsWith(absl::StrCat("HTTP/1.1 ", status, " "));
+  if (MHD_VERSION < 0x01000000) return error;
+  return AnyOf(IsEmpty(), error);
+}
+
 class MetricsServerTest : public testing::Test {
  protected:
   std::string Get(const std::string& path = "/metrics", const char* from = "127.0.0.1") {
@@ -53,7 +62,7 @@ TEST_F(MetricsServerTest, AnswersOtherRequestsWithErrors) {
   EXPECT_THAT(HttpClient(server_->url()).Ask("HEAD /metrics HTTP/1.0\r\n\r\n"),
               AllOf(StartsWith("HTTP/1.1 200 "), testing::EndsWith("\r\n\r\n")));
   EXPECT_THAT(HttpClient(server_->url()).Ask("PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n"), StartsWith("HTTP/1.1 505 "));
-  EXPECT_THAT(HttpClient(server_->url()).Ask("\x16\x03\x01 TLS?\r\n\r\n"), StartsWith("HTTP/1.1 400 "));
+  EXPECT_THAT(HttpClient(server_->url()).Ask("\x16\x03\x01 TLS?\r\n\r\n"), IsRefused("400"));
   // Empty lines before a request are ignored, and a line of zeros counts as empty: this client waits until the timeout.
   EXPECT_THAT(HttpClient(server_->url()).Ask(std::string(100, '\0') + "\r\n\r\n"), IsEmpty());
   EXPECT_THAT(Get(), StartsWith("HTTP/1.1 200 "));
@@ -62,7 +71,7 @@ TEST_F(MetricsServerTest, AnswersOtherRequestsWithErrors) {
 TEST_F(MetricsServerTest, ARequestMayComeInPieces) {
   HttpClient client(server_->url());
   client.Send("GET /metr");
-  client.Send("ics HTTP/1.1\r\n");
+  client.Send("ics HTTP/1.1\r\nHost: a\r\n");
   EXPECT_THAT(client.Ask("\r\n"), StartsWith("HTTP/1.1 200 "));
 }
 
@@ -71,8 +80,7 @@ TEST_F(MetricsServerTest, OverlongRequestsAreRefused) {
   const std::string head = "GET /metrics HTTP/1.1\r\nHost: a\r\n";
   EXPECT_THAT(HttpClient(server_->url()).Ask(head + std::string(HttpServer::kMaxRequestBytes - head.size(), 'x')),
               StartsWith("HTTP/1.1 431 "));
-  EXPECT_THAT(HttpClient(server_->url()).Ask(std::string(HttpServer::kMaxRequestBytes, 'x')),
-              StartsWith("HTTP/1.1 414 "));
+  EXPECT_THAT(HttpClient(server_->url()).Ask(std::string(HttpServer::kMaxRequestBytes, 'x')), IsRefused("414"));
 }
 
 TEST_F(MetricsServerTest, SilentClientsAreDisconnectedAndBlockNoOthers) {
