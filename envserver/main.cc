@@ -94,17 +94,23 @@ absl::StatusOr<EnvServiceImpl::Options> OptionsFromFlags() {
   return options;
 }
 
+// Before anything listens.
+absl::Status CheckLearnerFlags() {
+  if (absl::GetFlag(FLAGS_learner).empty()) {
+    if (!absl::GetFlag(FLAGS_advertise).empty()) {
+      return absl::InvalidArgumentError("--advertise requires --learner");
+    }
+    if (!absl::GetFlag(FLAGS_zone).empty()) return absl::InvalidArgumentError("--zone requires --learner");
+  }
+  return wire::CheckText("--zone", absl::GetFlag(FLAGS_zone));
+}
+
 // Null without --learner.
 absl::StatusOr<std::unique_ptr<Announcer>> AnnounceIfAsked(EnvServiceImpl* service, const std::string& listens_on) {
   const std::string learner = absl::GetFlag(FLAGS_learner);
   const std::string advertise = absl::GetFlag(FLAGS_advertise);
   const std::string zone = absl::GetFlag(FLAGS_zone);
-  if (learner.empty()) {
-    if (!advertise.empty()) return absl::InvalidArgumentError("--advertise requires --learner");
-    if (!zone.empty()) return absl::InvalidArgumentError("--zone requires --learner");
-    return nullptr;
-  }
-  CRAFTFLEET_RETURN_IF_ERROR(wire::CheckText("--zone", zone));
+  if (learner.empty()) return nullptr;
   CRAFTFLEET_RETURN_IF_ERROR(wire::CheckAddress("learner", learner));
   const std::string address = advertise.empty() ? listens_on : advertise;
   CRAFTFLEET_RETURN_IF_ERROR(wire::CheckAddress("advertise", address));
@@ -119,6 +125,7 @@ absl::Status Run() {
   CRAFTFLEET_ASSIGN_OR_RETURN(const wire::MetricsServer::Options metrics_options,
                               wire::MetricsOptionsFromFlags(wire::kAnyFreePort));
   CRAFTFLEET_ASSIGN_OR_RETURN(EnvServiceImpl::Options options, OptionsFromFlags());
+  CRAFTFLEET_RETURN_IF_ERROR(CheckLearnerFlags());
   wire::Server::Options listen = wire::ServerOptionsFromFlags(absl::GetFlag(FLAGS_listen));
   listen.max_message_bytes = EnvServiceImpl::kMaxRequestBytes;
   CRAFTFLEET_RETURN_IF_ERROR(listen.OpenAccess());

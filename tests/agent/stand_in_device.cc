@@ -146,12 +146,30 @@ at::Tensor MaxPoolBackward(const at::Tensor& by_output, const at::Tensor& input,
                                                    padding, dilation, ceil_mode, Argument(indices, name)));
 }
 
+// The cell of an LSTM, for which LibTorch 2 takes this computation on devices; the CPU lacks it.
+std::tuple<at::Tensor, at::Tensor, at::Tensor> LstmCell(const at::Tensor& input_gates, const at::Tensor& hidden_gates,
+                                                        const at::Tensor& cell,
+                                                        const c10::optional<at::Tensor>& input_bias,
+                                                        const c10::optional<at::Tensor>& hidden_bias) {
+  ++computed;
+  const std::string name = "lstm_cell";
+  const at::AutoDispatchBelowADInplaceOrView guard;
+  at::Tensor all = Argument(input_gates, name) + Argument(hidden_gates, name);
+  for (const auto* bias : {&input_bias, &hidden_bias}) {
+    if (bias->has_value() && (*bias)->defined()) all = all + Argument(**bias, name);
+  }
+  const std::vector<at::Tensor> gates = at::chunk(all, 4, 1);
+  const at::Tensor next = at::sigmoid(gates[1]) * Argument(cell, name) + at::sigmoid(gates[0]) * at::tanh(gates[2]);
+  return {Ours(at::sigmoid(gates[3]) * at::tanh(next)), Ours(next), Ours(all)};
+}
+
 TORCH_LIBRARY_IMPL(_, PrivateUse1, library) { library.fallback(torch::CppFunction::makeFromBoxedFunction<&Compute>()); }
 
 TORCH_LIBRARY_IMPL(aten, PrivateUse1, library) {
   library.impl("_copy_from", &CopyFrom);
   library.impl("max_pool2d_with_indices", &MaxPool);
   library.impl("max_pool2d_with_indices_backward", &MaxPoolBackward);
+  library.impl("_thnn_fused_lstm_cell", &LstmCell);
   // LibTorch would take these apart into computations that resize their output, which ours can't.
   for (const char* name :
        {"arange", "arange.start", "arange.start_step", "linspace", "convolution", "convolution_backward",

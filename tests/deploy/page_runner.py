@@ -114,7 +114,11 @@ class PageRunner:
 
   def stop(self):
     """Stops the background commands in reverse order; some may already have ended without an error."""
-    time.sleep(1)  # before a program has set up its handlers, a signal would kill it
+    # Before a program has set up its handlers, a signal would kill it. That takes seconds on a busy machine.
+    end = time.monotonic() + 60
+    while any(process.poll() is None and log.tell() == 0 for _, process, log in self.serving) and time.monotonic() < end:
+      time.sleep(0.1)
+    time.sleep(1)
     for command, process, log in reversed(self.serving):
       if process.poll() is None:
         process.send_signal(signal.SIGTERM)
