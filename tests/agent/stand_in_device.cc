@@ -146,7 +146,8 @@ at::Tensor MaxPoolBackward(const at::Tensor& by_output, const at::Tensor& input,
                                                    padding, dilation, ceil_mode, Argument(indices, name)));
 }
 
-// The cell of an LSTM, for which LibTorch 2 takes this computation on devices; the CPU lacks it.
+// The cell of an LSTM, for which LibTorch 2 takes this computation on devices; the CPU lacks it. The third result is
+// for the backward pass.
 std::tuple<at::Tensor, at::Tensor, at::Tensor> LstmCell(const at::Tensor& input_gates, const at::Tensor& hidden_gates,
                                                         const at::Tensor& cell,
                                                         const c10::optional<at::Tensor>& input_bias,
@@ -163,6 +164,34 @@ std::tuple<at::Tensor, at::Tensor, at::Tensor> LstmCell(const at::Tensor& input_
   return {Ours(at::sigmoid(gates[3]) * at::tanh(next)), Ours(next), Ours(all)};
 }
 
+// The gradients of the gates, of the cell before and of the biases.
+std::tuple<at::Tensor, at::Tensor, at::Tensor> LstmCellBackward(const c10::optional<at::Tensor>& by_hidden,
+                                                                const c10::optional<at::Tensor>& by_next,
+                                                                const at::Tensor& cell, const at::Tensor& next,
+                                                                const at::Tensor& all, bool has_bias) {
+  ++computed;
+  const std::string name = "lstm_cell_backward";
+  const at::AutoDispatchBelowADInplaceOrView guard;
+  const std::vector<at::Tensor> gates = at::chunk(Argument(all, name), 4, 1);
+  const at::Tensor in = at::sigmoid(gates[0]);
+  const at::Tensor forget = at::sigmoid(gates[1]);
+  const at::Tensor value = at::tanh(gates[2]);
+  const at::Tensor out = at::sigmoid(gates[3]);
+  const at::Tensor shown = at::tanh(Argument(next, name));
+  at::Tensor by_cell = at::zeros_like(shown);
+  at::Tensor by_out = at::zeros_like(shown);
+  if (by_hidden.has_value() && by_hidden->defined()) {
+    by_cell = Argument(*by_hidden, name) * out * (1 - shown * shown);
+    by_out = Argument(*by_hidden, name) * shown;
+  }
+  if (by_next.has_value() && by_next->defined()) by_cell = by_cell + Argument(*by_next, name);
+  const at::Tensor by_gates =
+      at::cat({by_cell * value * in * (1 - in), by_cell * Argument(cell, name) * forget * (1 - forget),
+               by_cell * in * (1 - value * value), by_out * out * (1 - out)},
+              1);
+  return {Ours(by_gates), Ours(by_cell * forget), has_bias ? Ours(by_gates.sum(0)) : at::Tensor()};
+}
+
 TORCH_LIBRARY_IMPL(_, PrivateUse1, library) { library.fallback(torch::CppFunction::makeFromBoxedFunction<&Compute>()); }
 
 TORCH_LIBRARY_IMPL(aten, PrivateUse1, library) {
@@ -170,6 +199,7 @@ TORCH_LIBRARY_IMPL(aten, PrivateUse1, library) {
   library.impl("max_pool2d_with_indices", &MaxPool);
   library.impl("max_pool2d_with_indices_backward", &MaxPoolBackward);
   library.impl("_thnn_fused_lstm_cell", &LstmCell);
+  library.impl("_thnn_fused_lstm_cell_backward_impl", &LstmCellBackward);
   // LibTorch would take these apart into computations that resize their output, which ours can't.
   for (const char* name :
        {"arange", "arange.start", "arange.start_step", "linspace", "convolution", "convolution_backward",
