@@ -14,6 +14,7 @@ absl::StatusOr<std::unique_ptr<LocalFleet>> LocalFleet::Create(const Learner::Op
   CRAFTFLEET_ASSIGN_OR_RETURN(fleet->env_server_, wire::Server::Create({}, {fleet->env_service_.get()}));
   CRAFTFLEET_ASSIGN_OR_RETURN(fleet->learner_, Learner::Create(options));
   Actor::Options actor;
+  actor.frames = FrameFormat::kRaw;  // nothing travels: drawn once is enough
   actor.learner = fleet->learner_->InProcess();
   actor.env_servers = std::make_shared<EnvDirectory>(std::vector<wire::Endpoint>{fleet->env_server_->InProcess()});
   actor.threads = options.threads;
