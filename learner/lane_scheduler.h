@@ -242,11 +242,10 @@ class LaneScheduler {
     Pace pace;                     // of `holder`
     Actor* backup = nullptr;       // also plays the fragment, if any
     Pace backup_pace;
-    absl::Time since;  // when the permit was granted, or the lane became free
-    int stalls = 0;    // permits revoked for lack of progress since the last fragment
-    int64_t avoided =
-        0;  // the number of the actor that failed to play it last; others are preferred until avoided_until
-    absl::Time avoided_until;
+    absl::Time since;                       // when the permit was granted, or the lane became free
+    int stalls = 0;                         // permits revoked for lack of progress since the last fragment
+    int64_t avoided = 0;                    // the number of the actor that failed to play it last; 0: none
+    absl::Time avoided_until;               // others are preferred until then
     std::optional<Report> report;           // the first one on its current snapshot
     int64_t reset_at = -1;                  // fragment before which it was reset; games that actors hold there are void
     std::deque<AcceptedFragment> accepted;  // of the current iteration and the previous one

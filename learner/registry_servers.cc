@@ -101,11 +101,16 @@ void WorkerRegistry::NoteServer(const ServerReport& report) {
 
 void WorkerRegistry::NoteUnusable(const std::string& address, Worker* actor) {
   if (servers_.find(address) == servers_.end()) return;
-  if (actor->unusable.size() >= ServerGroups::kLargest) actor->unusable.clear();
   const absl::Time now = clock_->Now();
-  Worker::Unusable& unusable = actor->unusable.try_emplace(address, Worker::Unusable{now, now}).first->second;
-  if (now - unusable.reported > kReportedAgain) unusable.since = now;
-  unusable.reported = now;
+  const auto known = actor->unusable.find(address);
+  if (known != actor->unusable.end()) {
+    Worker::Unusable& unusable = known->second;
+    if (now - unusable.reported > kReportedAgain) unusable.since = now;
+    unusable.reported = now;
+    return;
+  }
+  if (actor->unusable.size() >= ServerGroups::kLargest) actor->unusable.clear();  // some are of a former group
+  actor->unusable[address] = {now, now};
 }
 
 bool WorkerRegistry::LacksServers(const Worker& actor, const std::set<std::string>& addresses) const {
@@ -127,14 +132,15 @@ void WorkerRegistry::AddServerList(const PermitRequest& request, Worker* actor, 
       generation != 0 && generation < first_generation_ && clock_->Now() - start_ < options_.server_lease;
   if (keeps) return;
   const ServerGroups::Place place = {actor->client.host, actor->zone};
-  if (LacksServers(*actor, groups_.GroupOf(actor->name, place).addresses)) {
+  const ServerGroups::Group* group = &groups_.GroupOf(actor->name, place);
+  if (LacksServers(*actor, group->addresses)) {
     groups_.Avoid(actor->name);
     actor->unusable.clear();
+    group = &groups_.GroupOf(actor->name, place);
   }
-  const ServerGroups::Group& group = groups_.GroupOf(actor->name, place);
-  if (group.generation == generation) return;
-  reply->servers_generation = group.generation;
-  reply->servers.assign(group.addresses.begin(), group.addresses.end());
+  if (group->generation == generation) return;
+  reply->servers_generation = group->generation;
+  reply->servers.assign(group->addresses.begin(), group->addresses.end());
 }
 
 std::vector<WorkerRegistry::Server> WorkerRegistry::Servers() {

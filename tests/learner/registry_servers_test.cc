@@ -2,6 +2,7 @@
 #include <string>
 #include <vector>
 
+#include <absl/strings/str_cat.h>
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
@@ -221,6 +222,28 @@ TEST_F(RegistryServersTest, AnActorThatCanUseNoneOfItsServersGetsOthers) {
     EXPECT_THAT(servers, ElementsAre(seconds < 10 ? "a:1" : "b:1")) << "after " << seconds << " s";
     clock_.Advance(absl::Seconds(2));
   }
+}
+
+TEST_F(RegistryServersTest, SoDoesOneWithTheLargestGroup) {
+  WorkerRegistry& registry = registry_;
+  EXPECT_THAT(registry.Join({"", "host 1"}, "asks", "", {}), IsOk());
+  TestRegistry::PermitRequest request = Question(0);
+  request.client.host = "host 1";
+  std::vector<std::string> servers;
+  for (int seconds = 0; seconds <= 12; seconds += 2) {
+    for (size_t i = 0; i < ServerGroups::kLargest; ++i) {
+      const std::string address = absl::StrCat("a:", i);
+      EXPECT_THAT(registry.Announce({"", "host 1"}, address, address, 0, {}), IsOk());
+      if (seconds == 0) request.servers.push_back({address, /*answers=*/false, /*hangs=*/true, nullptr});
+    }
+    EXPECT_THAT(registry.Announce({"", "host 2"}, "other", "b:1", 0, {}), IsOk());
+    const auto reply = registry.GetPermits(request);
+    ASSERT_THAT(reply, IsOk());
+    request.servers_generation = reply->servers_generation;
+    if (!reply->servers.empty()) servers = reply->servers;
+    clock_.Advance(absl::Seconds(2));
+  }
+  EXPECT_THAT(servers, ElementsAre("b:1"));
 }
 
 TEST_F(RegistryServersTest, ManyServersReportLessOften) {

@@ -161,8 +161,8 @@ AdamState FreshAdam(const AgentSpec& spec) {
 
 // Relative, for norms of gradients in the first step. The same formulas in double precision agree with the golden to
 // 2e-6. Sums that round more than they must would show: a ReLU whose input comes out on the other side of zero changes
-// norms by a thousandth. LibTorch 2's convolutions round more: with 2.6 norms differ by up to 2.3e-4, and by up to 3.4e-3
-// in prediction steps, which have few rows.
+// norms by a thousandth. LibTorch 2's convolutions round more: with 2.6 norms differ by up to 2.3e-4, and by up
+// to 3.4e-3 in prediction steps, which have few rows.
 constexpr double kNormTolerance = TORCH_VERSION_MAJOR < 2 ? 1e-4 : 5e-3;
 // In later steps, whose weights differ as Adam divides small gradients by themselves.
 constexpr double kLaterNormTolerance = TORCH_VERSION_MAJOR < 2 ? 1e-3 : 5e-3;
