@@ -2,11 +2,10 @@
 """One learner with many lanes, actors and environment servers over real connections; the actors send made-up fragments.
 
 Checks that shares are fair (the most fragments of an actor divided by the fewest are below 1.2, where there are as many lanes
-as actors), that the status service
-answers within 50 ms, that the learner's threads follow the cores and not the actors (at most 64), that its memory stays
-below 1.5 GB and does not grow (less than 1 MiB per minute after the second minute) and, where actors take time to play,
-that the median of the verdicts on fragments is at most 5 ms. The long form appends its figures to
-tests/chaos/results/runs.jsonl.
+as actors), that the status service answers within 50 ms, that the learner's threads follow the cores and not the actors (at
+most 64), that its memory stays below 1.5 GB and does not grow (less than 1 MiB per minute after the second minute) and, where
+actors take time to play, that the median time to a verdict on a fragment is at most 5 ms. The long form appends its figures
+to tests/chaos/results/runs.jsonl.
 
   tests/chaos/scale.py --bin=build/bin --out=/tmp/scale             200 actors, 1,000 lanes, 10 minutes
   tests/chaos/scale.py --bin=build/bin --out=/tmp/scale --short     the short form that the tests run

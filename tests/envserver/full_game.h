@@ -18,15 +18,7 @@ namespace craftfleet {
 inline std::string FullSnapshot(std::shared_ptr<const Renderer> renderer) {
   std::vector<uint8_t> frame(renderer->frame_bytes());
   const Game game = *Game::Create(std::move(renderer), 1, absl::MakeSpan(frame));
-  Board& board = WorldEditor::State(const_cast<World*>(&game.world())).board;
-  for (int x = 0; x < board.width(); ++x) {
-    for (int y = 0; y < board.height(); ++y) {
-      Object plant;
-      plant.type = ObjectType::kPlant;
-      plant.position = {x, y};
-      if (board.ObjectAt(plant.position) < 0) board.Add(plant);
-    }
-  }
+  WorldEditor::FillWithPlants(const_cast<World*>(&game.world()));
   return game.Save();
 }
 

@@ -2,7 +2,6 @@
 #include <sys/resource.h>
 
 #include <atomic>
-#include <filesystem>
 #include <memory>
 #include <string>
 #include <thread>
@@ -19,6 +18,7 @@
 #include "tests/envserver/test_session.h"
 #include "tests/fakes/sanitizers.h"
 #include "tests/fakes/status_matchers.h"
+#include "tests/fakes/threads.h"
 #include "tests/fakes/wait_until.h"
 
 namespace craftfleet {
@@ -87,18 +87,11 @@ TEST(EnvService, GamesWithManyObjectsTakeMoreOfTheBudget) {
   EXPECT_THAT(open(full), StatusIs(absl::StatusCode::kResourceExhausted, HasSubstr("--max_session_mb")));
 }
 
-// The threads of this process, which has the clients too.
-size_t Threads() {
-  size_t count = 0;
-  for ([[maybe_unused]] const auto& thread : std::filesystem::directory_iterator("/proc/self/task")) ++count;
-  return count;
-}
-
 // Each used to have a thread for as long as it was open.
 TEST_F(EnvServiceTest, ManySessionsHaveNoThreadsOfTheirOwn) {
   constexpr int kSessions = 300;
   Witness witness(server());
-  const size_t before = Threads();
+  const int before = CountThreads();
   std::vector<std::unique_ptr<Session>> sessions;
   for (int i = 0; i < kSessions; ++i) {
     sessions.push_back(std::make_unique<Session>(server()));
@@ -106,7 +99,7 @@ TEST_F(EnvServiceTest, ManySessionsHaveNoThreadsOfTheirOwn) {
     ASSERT_THAT(sessions.back()->Send(Open(i, i)), IsOk());
   }
   for (int i = 0; i < kSessions; ++i) ASSERT_THAT(sessions[i]->Send(Step({i}, "\x02")), IsOk());
-  EXPECT_LT(Threads(), before + 20);
+  EXPECT_LT(CountThreads(), before + 20);
   EXPECT_EQ(Status().peers_size(), kSessions + 1);
   witness.PlayOn(5);
 }
@@ -128,47 +121,50 @@ TEST_F(EnvServiceTest, RequestsSentAheadAreAnsweredInTheirOrder) {
   }
 }
 
+// A single thread for games, and a session that another one must not hold up.
+class OneGameThreadTest : public testing::Test {
+ protected:
+  static EnvServiceImpl::Options Options() {
+    EnvServiceImpl::Options options;
+    options.game_threads = 1;
+    return options;
+  }
+
+  const std::unique_ptr<EnvServiceImpl> service_ = *EnvServiceImpl::Create(*DefaultTextureDir(), Options());
+  const std::unique_ptr<wire::Server> server_ = *wire::Server::Create({}, {service_.get()});
+  Witness witness_{server_->InProcess()};
+  Session session_{server_->InProcess()};
+};
+
 // Opening as many games takes a second and more. They used to share the cores by having a thread each.
-TEST(EnvService, ALongRequestLetsOtherSessionsPlay) {
-  EnvServiceImpl::Options options;
-  options.game_threads = 1;
-  const auto service = *EnvServiceImpl::Create(*DefaultTextureDir(), options);
-  const auto server = *wire::Server::Create({}, {service.get()});
-  Witness witness(server->InProcess());
-  Session session(server->InProcess());
-  ASSERT_THAT(session.Send(Hello("run-a")), IsOk());
+TEST_F(OneGameThreadTest, ALongRequestLetsOtherSessionsPlay) {
+  ASSERT_THAT(session_.Send(Hello("run-a")), IsOk());
   v1::PlayRequest open;
   for (int lane = 0; lane < EnvBatch::kMaxLanes; ++lane) open.mutable_open()->add_lanes()->set_lane(lane);
-  const double memory = Metric(*service, "games_memory");
-  session.Write(open);
-  ASSERT_TRUE(WaitUntil([&] { return Metric(*service, "games_memory") > memory; })) << "it has begun";
-  witness.PlayOn(10);
+  const double memory = Metric(*service_, "games_memory");
+  session_.Write(open);
+  ASSERT_TRUE(WaitUntil([&] { return Metric(*service_, "games_memory") > memory; })) << "it has begun";
+  witness_.PlayOn(10);
   v1::StatusReply status;
-  service->FillStatus(&status);
+  service_->FillStatus(&status);
   EXPECT_EQ(status.summary().lanes(), 1) << "only the witness has its reply";
-  EXPECT_THAT(session.Read(), IsOk());
+  EXPECT_THAT(session_.Read(), IsOk());
 }
 
 // A step of such a game takes some 50 ms. They used to have a thread each, between which the system divided the cores.
-TEST(EnvService, LargePicturesDoNotDelayOtherSessions) {
-  EnvServiceImpl::Options options;
-  options.game_threads = 1;
-  const auto service = *EnvServiceImpl::Create(*DefaultTextureDir(), options);
-  const auto server = *wire::Server::Create({}, {service.get()});
-  Witness witness(server->InProcess());
-  Session session(server->InProcess());
+TEST_F(OneGameThreadTest, LargePicturesDoNotDelayOtherSessions) {
   v1::PlayRequest hello = Hello("run-a");
   hello.mutable_hello()->mutable_env()->set_frame_size(2048);
-  ASSERT_THAT(session.Send(hello), IsOk());
-  ASSERT_THAT(session.Send(Open(0, 1)), IsOk());
+  ASSERT_THAT(session_.Send(hello), IsOk());
+  ASSERT_THAT(session_.Send(Open(0, 1)), IsOk());
   std::atomic<int> steps{0};
   std::atomic<bool> enough{false};
   std::thread player([&] {
-    while (!enough && session.Send(Step({0}, "\x02")).ok()) ++steps;
+    while (!enough && session_.Send(Step({0}, "\x02")).ok()) ++steps;
   });
   EXPECT_TRUE(WaitUntil([&] { return steps > 0; }));
   const int before = steps;
-  witness.PlayOn(20);
+  witness_.PlayOn(20);
   EXPECT_LT(steps - before, 10) << "they took turns";
   enough = true;
   player.join();

@@ -102,4 +102,16 @@ absl::Status WorldEditor::Apply(const json& edit, World* world) {
   return absl::OkStatus();
 }
 
+void WorldEditor::FillWithPlants(World* world) {
+  Board& board = State(world).board;
+  for (int x = 0; x < board.width(); ++x) {
+    for (int y = 0; y < board.height(); ++y) {
+      Object plant;
+      plant.type = ObjectType::kPlant;
+      plant.position = {x, y};
+      if (board.ObjectAt(plant.position) < 0) board.Add(plant);
+    }
+  }
+}
+
 }  // namespace craftfleet

@@ -21,6 +21,9 @@ class WorldEditor {
   //   InvalidArgument: a position outside the world, a missing object, or an occupied cell.
   // Throws nlohmann::json::exception if a value has the wrong shape.
   static absl::Status Apply(const nlohmann::json& edit, World* world);
+
+  // Puts a plant on each free cell: the most objects that a world can have.
+  static void FillWithPlants(World* world);
 };
 
 }  // namespace craftfleet

@@ -2,7 +2,6 @@
 
 #include <algorithm>
 #include <atomic>
-#include <filesystem>
 #include <memory>
 #include <string>
 #include <vector>
@@ -12,6 +11,7 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include "tests/fakes/threads.h"
 #include "tests/learner/learner_service_fixture.h"
 
 namespace craftfleet {
@@ -55,12 +55,6 @@ TEST_F(LearnerServiceTest, AMissingVersionOfTheWeightsIsAnError) {
                        AllOf(HasSubstr("policy version 12 is not available yet"), HasSubstr("the latest is 11"))));
 }
 
-int Threads() {
-  int threads = 0;
-  for ([[maybe_unused]] const auto& entry : std::filesystem::directory_iterator("/proc/self/task")) ++threads;
-  return threads;
-}
-
 // Actors always have a stream and nearly always a request that waits. Thousands of them must not need as many threads.
 TEST_F(LearnerServiceTest, WaitingActorsHaveNoThreads) {
   constexpr int kActors = 200;
@@ -73,7 +67,7 @@ TEST_F(LearnerServiceTest, WaitingActorsHaveNoThreads) {
   ASSERT_THAT(Join("plays"), IsOk());
   ASSERT_THAT(GetPermits("plays"), IsOk());
   std::vector<Actor> actors(kActors);
-  const int before = Threads();
+  const int before = CountThreads();
   std::atomic<int> answered = 0;
   for (int i = 0; i < kActors; ++i) {
     Actor& actor = actors[i];
@@ -90,7 +84,7 @@ TEST_F(LearnerServiceTest, WaitingActorsHaveNoThreads) {
   }
   int most = before;
   while (answered < kActors) {
-    most = std::max(most, Threads());
+    most = std::max(most, CountThreads());
     absl::SleepFor(absl::Milliseconds(1));
   }
   EXPECT_LT(most, before + 40) << before << " threads before";

@@ -56,15 +56,10 @@ class ThreeHosts(Network):
         return json.loads(run("ip", "-n", host.name, "-s", "-j", "link", "show", "eth0"))[0]["stats64"]["tx"]["bytes"]
 
 
-def cpu_seconds(worker):
-    fields = pathlib.Path(f"/proc/{worker.process.pid}/stat").read_text(encoding="ascii").rsplit(")", 1)[1].split()
-    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
-
-
 def observe(network, fleet):
     """Bytes sent by the server's and the actor's host, and CPU seconds of learner, server and actor."""
     return [network.sent(network.hosts[1]), network.sent(network.hosts[2]),
-            *[cpu_seconds(worker) for worker in [fleet.learner, *fleet.workers]]]
+            *[worker.cpu_seconds() for worker in [fleet.learner, *fleet.workers]]]
 
 
 def train(options, frames, slow, folder):

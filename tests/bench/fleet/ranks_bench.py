@@ -38,15 +38,6 @@ def update_seconds(options, fleet):
     return int(metrics["iteration"]), times.get("update", 0)
 
 
-def cpu_seconds(worker):
-    """That the process has used so far; nothing if it has ended."""
-    try:
-        fields = pathlib.Path(f"/proc/{worker.process.pid}/stat").read_text(encoding="utf-8").rsplit(") ", 1)[1].split()
-    except OSError:
-        return 0
-    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
-
-
 def pin(worker, cores):
     """All threads of a process, those that it has started already too."""
     for thread in pathlib.Path(f"/proc/{worker.process.pid}/task").iterdir():
@@ -73,7 +64,7 @@ def train(options, learners, folder):
             seen = update_seconds(options, fleet)
             if seen is not None and seen[0] not in done:
                 done[seen[0]] = seen[1]
-                used[seen[0]] = [cpu_seconds(worker) for worker in [fleet.learner, *others]]
+                used[seen[0]] = [worker.cpu_seconds() for worker in [fleet.learner, *others]]
                 if seen[0] == 1:  # loading and the canary are over
                     for worker, core in zip([fleet.learner, *others], options.cores):
                         pin(worker, {core})

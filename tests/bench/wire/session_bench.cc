@@ -25,6 +25,7 @@
 #include "common/process/program.h"
 #include "common/wire/channel.h"
 #include "common/wire/protocol.h"
+#include "tests/fakes/temp_folder.h"
 #include "tests/integration/process.h"
 
 ABSL_FLAG(std::string, server, "craftfleet-envserver", "the server: a program in build/bin, or a path with a slash");
@@ -123,10 +124,11 @@ void Bench() {
   const int lanes = absl::GetFlag(FLAGS_lanes);
   const int count = absl::GetFlag(FLAGS_sessions);
   const int groups = std::min(absl::GetFlag(FLAGS_threads), count);
+  const TempFolder logs;
   const auto server = *Process::Start(
       absl::GetFlag(FLAGS_server),
       {"--listen=127.0.0.1:0", "--max_connections_per_client=65536", "--max_games=1000000", "--max_games_mb=1000000"},
-      absl::StrCat("/tmp/session_bench-", getpid()));
+      logs / "server");
   wire::PollFewConnections();  // as craftfleet-actor; the server has a copy of the environment before this
   const std::string address = *server->WaitForAddress();
   PrintServer(server->pid(), "no session");

@@ -73,15 +73,7 @@ TEST(Snapshot, IsAtMost64KilobytesFor64x64Cells) {
 // Whatever is on the cells, a fleet must be able to send the game.
 TEST(Snapshot, OfAFullWorldFitsItsEnvelope) {
   World world = NewWorld();
-  Board& board = WorldEditor::State(&world).board;
-  for (int x = 0; x < board.width(); ++x) {
-    for (int y = 0; y < board.height(); ++y) {
-      Object plant;
-      plant.type = ObjectType::kPlant;
-      plant.position = {x, y};
-      if (board.ObjectAt(plant.position) < 0) board.Add(plant);
-    }
-  }
+  WorldEditor::FillWithPlants(&world);
   const std::string snapshot = Save(world);
   EXPECT_GT(snapshot.size(), 64u << 10);
   EXPECT_LE(SealSnapshot(0, snapshot).size(), kMaxSnapshotBytes);
