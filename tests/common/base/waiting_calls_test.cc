@@ -6,9 +6,11 @@
 #include <string>
 #include <vector>
 
+#include <absl/time/clock.h>
 #include <absl/time/time.h>
 #include <gtest/gtest.h>
 
+#include "common/base/clock.h"
 #include "common/base/closable_queue.h"
 
 namespace craftfleet {
@@ -52,6 +54,9 @@ TEST_F(WaitingCallsTest, AChangeForAllRetriesEach) {
   std::vector<std::string> retried = {NextAttempt(), NextAttempt(), NextAttempt()};
   std::sort(retried.begin(), retried.end());
   EXPECT_EQ(retried, (std::vector<std::string>{"", "a", "b"}));
+  // An attempt reports before its call waits again.
+  const absl::Time deadline = SteadyNow() + kLong;
+  while (calls_->size() < 3 && SteadyNow() < deadline) absl::SleepFor(absl::Milliseconds(1));
   EXPECT_EQ(calls_->size(), 3);
 }
 
