@@ -1,6 +1,7 @@
 #!/usr/bin/env bash
 # Runs one process of a fleet in a Slurm step, listening on any free port of its host, and creates a file when Slurm stops
-# the step. Slurm signals all processes of a step, so this shell need not forward the signal.
+# the step. Slurm signals all processes of a step, so this shell need not forward the signal. Actors and environment servers
+# get the network switches above their node as their zone, if Slurm knows them (TopologyPlugin).
 #
 # Usage, by fleet.sbatch: step.sh FILE PROGRAM [FLAG]...
 #   FILE  is created at SIGTERM; may be /dev/null
@@ -10,7 +11,14 @@ set -uo pipefail
 note=$1
 shift
 trap 'touch "$note"' TERM
-"$@" --listen="$(hostname):0" &
+zone=()
+switches=${SLURM_TOPOLOGY_ADDR:-}
+switches=${switches%.*}
+case "$1" in
+  *-learner) ;;  # has no zone
+  *) [ "$switches" = "${SLURM_TOPOLOGY_ADDR:-}" ] || zone=(--zone="$switches") ;;
+esac
+"$@" "${zone[@]}" --listen="$(hostname):0" &
 while true; do
   wait $!
   status=$?

@@ -34,6 +34,7 @@ SlurmdLogFile={folder}/slurmd-%n.log
 ProctrackType=proctrack/linuxproc
 TaskPlugin=task/none
 SwitchType=switch/none
+TopologyPlugin=topology/tree
 MpiDefault=none
 SelectType=select/cons_tres
 SelectTypeParameters=CR_CPU
@@ -70,7 +71,8 @@ def free_port():
 
 
 class SlurmCluster:
-  """`with SlurmCluster() as cluster:`; nodes n1, n2, ...; partitions `low` (default, preempted by requeueing) and `high`."""
+  """`with SlurmCluster() as cluster:`; nodes n1, n2, ... at the switch `leaf` below `root`; partitions `low` (default, preempted
+  by requeueing) and `high`."""
 
   def __init__(self, nodes=3, cpus=8):
     self._temp = tempfile.TemporaryDirectory(prefix="craftfleet-slurm-")
@@ -99,6 +101,8 @@ class SlurmCluster:
         host=host, folder=self.folder, controller_port=free_port(), nodes="\n".join(
             f"NodeName={node} NodeHostname={host} NodeAddr=127.0.0.1 Port={free_port()} CPUs={self._cpus} RealMemory=4000"
             for node in self._nodes)))
+    (self.folder / "topology.conf").write_text(
+        f"SwitchName=root Switches=leaf\nSwitchName=leaf Nodes={','.join(self._nodes)}\n")
     key = self.folder / "munge.key"
     key.write_bytes(os.urandom(128))
     key.chmod(0o400)
