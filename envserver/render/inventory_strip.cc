@@ -25,6 +25,17 @@ void DrawAt(const Image& image, int x, int y, Image* canvas) {
   }
 }
 
+// A row of a cell. One of usual size is copied by two overlapping copies of fixed size: a call of memcpy takes longer.
+void CopyRow(const uint8_t* from, int bytes, uint8_t* to) {
+  constexpr int kHalf = 16;
+  if (bytes >= kHalf && bytes <= 2 * kHalf) {
+    std::memcpy(to, from, kHalf);
+    std::memcpy(to + bytes - kHalf, from + bytes - kHalf, kHalf);
+  } else {
+    std::memcpy(to, from, bytes);
+  }
+}
+
 }  // namespace
 
 InventoryStrip::InventoryStrip(const Textures& textures, const PictureLayout& layout)
@@ -63,7 +74,7 @@ void InventoryStrip::Draw(const std::array<int8_t, kNumItems>& inventory, absl::
     const int x = item % layout_.columns * layout_.cell_width;
     const int y = layout_.map_height() + item / layout_.columns * layout_.cell_height;
     for (int row = 0; row < layout_.cell_height; ++row, cell += row_bytes) {
-      std::memcpy(frame.data() + layout_.Offset(x, y + row), cell, row_bytes);
+      CopyRow(cell, row_bytes, frame.data() + layout_.Offset(x, y + row));
     }
   }
 }

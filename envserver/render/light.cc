@@ -129,7 +129,8 @@ void LightByDay(double daylight, absl::Span<Pixel> pixels) {
 void LightByNight(double daylight, const NightPixels& map) {
   const int blocks = static_cast<int>(map.canvas.size()) / kNightBlock;
   absl::FixedArray<uint32_t, 128> unsure(blocks);
-  LightRoughly(daylight, map.high.data(), map.cover.data(), map.canvas.data(), blocks, map.lit.data(), unsure.data());
+  LightRoughly(daylight, map.high.data(), map.float_cover.data(), map.canvas.data(), blocks, map.lit.data(),
+               unsure.data());
   ExactPixels exact(daylight, map);
   for (int block = 0; block < blocks; ++block) {
     for (uint32_t rest = unsure[block]; rest != 0; rest &= rest - 1) {

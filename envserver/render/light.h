@@ -24,6 +24,7 @@ void LightByDay(double daylight, absl::Span<Pixel> pixels);
 struct NightPixels {
   absl::Span<const uint32_t> high, low;  // the noise: RandomStream::FillWords
   absl::Span<const double> cover;        // the vignette
+  absl::Span<const float> float_cover;   // the same
   absl::Span<const Pixel> canvas;
   absl::Span<Pixel> lit;  // the result
 };

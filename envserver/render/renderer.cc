@@ -34,9 +34,18 @@ constexpr int kSmallMap = 63 * 49 + kNightBlock + kPixelGroup;
 
 int RoundUp(int value, int multiple) { return (value + multiple - 1) / multiple * multiple; }
 
-uint8_t GroundAt(const World& world, Position p) {
-  const Material material = world.material(p);
-  return material == Material::kNone ? kOutside : SpriteOf(material, world.variant(p));
+// Writes the ground of a column of the view whose upper end is `top`.
+void CaptureColumn(const World& world, Position top, int rows, uint8_t* ground) {
+  const int width = world.options().width;
+  const int height = world.options().height;
+  std::memset(ground, kOutside, rows);
+  if (top.x < 0 || top.x >= width) return;
+  const absl::Span<const BoardCell> cells = world.column(top.x);
+  const int end = std::min(rows, height - top.y);
+  for (int y = std::max(0, -top.y); y < end; ++y) {
+    const BoardCell& cell = cells[top.y + y];
+    if (cell.material != Material::kNone) ground[y] = SpriteOf(cell.material, cell.variant);
+  }
 }
 
 // Copies `count` elements and the rest of the last group.
@@ -131,6 +140,7 @@ Renderer::Renderer(const Textures& textures, const WorldOptions& world, const Re
       tiles_(kNumSprites + 1),
       cover_(Vignette(layout_.map_width(), layout_.map_height())) {
   cover_.resize(RoundUp(static_cast<int>(cover_.size()), kNightBlock));
+  float_cover_.assign(cover_.begin(), cover_.end());
   tiles_[kOutside].assign(tile_pixels_, kGrey);
   for (Sprite sprite = 0; sprite < kNumSprites; ++sprite) {
     possible_[sprite] = IsPossible(world, sprite);
@@ -157,7 +167,7 @@ void Renderer::Capture(const World& world, Scene* scene) const {
   scene->ground.resize(num_cells());
   uint8_t* ground = scene->ground.data();
   for (int x = 0; x < layout_.columns; ++x) {
-    for (int y = 0; y < layout_.map_rows; ++y) *ground++ = GroundAt(world, corner + Position{x, y});
+    CaptureColumn(world, corner + Position{x, 0}, layout_.map_rows, ground + x * layout_.map_rows);
   }
   scene->sleeping = world.player().sleeping;
   scene->things.clear();
@@ -226,7 +236,8 @@ void Renderer::DrawMapByNight(const Scene& scene, const Tiles& tiles, RandomStre
   std::fill(canvas.begin() + map_pixels, canvas.end(), 0);
   std::fill(high.begin() + map_pixels, high.end(), 0);
   std::fill(low.begin() + map_pixels, low.end(), 0);
-  LightByNight(scene.daylight, {high, low, cover_, absl::MakeSpan(canvas).first(blocks), absl::MakeSpan(lit)});
+  LightByNight(scene.daylight,
+               {high, low, cover_, float_cover_, absl::MakeSpan(canvas).first(blocks), absl::MakeSpan(lit)});
   const absl::Span<Pixel> map = absl::MakeSpan(lit).first(map_pixels);
   if (scene.sleeping) LightAsleep(map);
   WriteRows(map.data(), layout_.map_height(), layout_.map_width(), layout_.map_height(), frame + layout_.Offset(0, 0),
@@ -262,7 +273,7 @@ void Renderer::FinishTile(const Scene& scene, const Pixel* tile, uint8_t* rgb) c
   absl::FixedArray<Pixel, kSmallTile> lit(tile, tile + tile_pixels_);
   LightByDay(scene.daylight, absl::MakeSpan(lit));
   if (scene.sleeping) LightAsleep(absl::MakeSpan(lit));
-  std::memset(rgb, 0, layout_.cell_height * rgb_stride_);
+  for (int i = 0; i < layout_.cell_height * rgb_stride_; i += kByteGroup) std::memset(rgb + i, 0, kByteGroup);
   WriteRows(lit.data(), tile_stride_, layout_.cell_width, layout_.cell_height, rgb, rgb_stride_);
 }
 

@@ -81,6 +81,7 @@ class Renderer {
   std::array<bool, kNumSprites> possible_{};  // whether a world with these options can show it
   std::vector<std::vector<Pixel>> tiles_;     // by sprite, empty without a texture; the last one: outside the world
   std::vector<double> cover_;                 // [map_width][map_height], and the rest of a block: the night's vignette
+  std::vector<float> float_cover_;            // the same
 };
 
 }  // namespace craftfleet

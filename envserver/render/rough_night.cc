@@ -51,7 +51,7 @@ Pixel Byte(Whole whole) {
 
 // As light.cc, but with floats, and fused operations where the CPU has them.
 CRAFTFLEET_KERNEL_BODY void LightLoop(const Light* light, const uint32_t* __restrict high,
-                                      const double* __restrict cover, const Pixel* __restrict canvas, int blocks,
+                                      const float* __restrict cover, const Pixel* __restrict canvas, int blocks,
                                       Pixel* __restrict lit, uint32_t* __restrict unsure) {
   const Light l = *light;
   constexpr float kLimit = (0.5F - kError) * (0.5F - kError);
@@ -63,7 +63,7 @@ CRAFTFLEET_KERNEL_BODY void LightLoop(const Light* light, const uint32_t* __rest
       const auto green = static_cast<float>(static_cast<int32_t>(canvas[i] >> 8 & 255));
       const auto blue = static_cast<float>(static_cast<int32_t>(canvas[i] >> 16 & 255));
       const auto noise = static_cast<float>(static_cast<int32_t>(high[i] >> 8));
-      const float covered = l.amount * static_cast<float>(cover[i]);
+      const float covered = l.amount * cover[i];
       const float clear = 1 - covered;
       const float grain = covered * (32 + noise * (95.0F / (1 << 24))) - 0.5F;
       const Whole night_red(clear * red + grain);
@@ -97,7 +97,7 @@ CRAFTFLEET_KERNEL(LightKernel, LightLoop)
 
 }  // namespace
 
-void LightRoughly(double daylight, const uint32_t* high, const double* cover, const Pixel* canvas, int blocks,
+void LightRoughly(double daylight, const uint32_t* high, const float* cover, const Pixel* canvas, int blocks,
                   Pixel* lit, uint32_t* unsure) {
   const Light light = {static_cast<float>(2 * (kNoiseBelow - daylight)), static_cast<float>(daylight),
                        static_cast<float>(0.5 * (1 - daylight))};

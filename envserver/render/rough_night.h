@@ -15,7 +15,7 @@ inline constexpr int kNightBlock = 32;
 
 // Lights `blocks` blocks of `canvas` into `lit`, without alpha. `high`: the high words of the noise; `cover`: the
 // vignette. Bit n of unsure[b] says that pixel n of block b may be wrong.
-void LightRoughly(double daylight, const uint32_t* high, const double* cover, const Pixel* canvas, int blocks,
+void LightRoughly(double daylight, const uint32_t* high, const float* cover, const Pixel* canvas, int blocks,
                   Pixel* lit, uint32_t* unsure);
 
 }  // namespace craftfleet

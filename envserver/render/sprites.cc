@@ -56,8 +56,6 @@ int FacingIndex(Position facing) {
 
 }  // namespace
 
-Sprite SpriteOf(Material material, Variant variant) { return Look(static_cast<int>(material) - 1, variant); }
-
 Sprite SpriteOf(const Object& object, bool sleeping) {
   switch (object.type) {
     case ObjectType::kPlayer:

@@ -20,7 +20,9 @@ inline constexpr int kLooksPerKind = kNumVariants + 1;  // without variant, then
 inline constexpr int kNumSprites = kNumSpriteKinds * kLooksPerKind;
 
 // `material` is not kNone.
-Sprite SpriteOf(Material material, Variant variant);
+inline Sprite SpriteOf(Material material, Variant variant) {
+  return (static_cast<int>(material) - 1) * kLooksPerKind + variant + 1;
+}
 // `sleeping` is the player's state and matters for the player only.
 Sprite SpriteOf(const Object& object, bool sleeping);
 

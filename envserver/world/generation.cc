@@ -63,13 +63,8 @@ Material DrawMaterial(uint16_t traits, const NumberThresholds& numbers, Draws* d
   return Material::kGrass;
 }
 
-ObjectType DrawCreature(const WorldState& state, Position p, uint16_t traits, Draws* draws) {
-  const Material material = state.board.cell(p).material;
-  const NumberThresholds& numbers = state.options.numbers;
-  const Position player = state.board.object(0).position;
-  const int dx = p.x - player.x;
-  const int dy = p.y - player.y;
-  const int squared_distance = dx * dx + dy * dy;
+ObjectType DrawCreature(Material material, uint16_t traits, int squared_distance, const NumberThresholds& numbers,
+                        Draws* draws) {
   if (squared_distance > 3 * 3 && material == Material::kGrass && draws->Uniform() > numbers.cow) {
     return ObjectType::kCow;
   }
@@ -88,20 +83,25 @@ void GenerateWorld(WorldState* state) {
   absl::FixedArray<uint16_t, 64 * 64> traits(board.width() * board.height());
   ComputeTraits(noise, board.width(), board.height(), board.object(0).position, absl::MakeSpan(traits));
   Draws draws(&state->random);
-  const auto uniform = [&] { return draws.Uniform(); };
+  const WorldOptions& options = state->options;
+  const bool has_variants = !options.appearance.empty();  // a call for each cell costs a tenth of all
+  const auto variant_of = [&](auto thing) {
+    return has_variants ? DrawVariant(options, thing, [&] { return draws.Uniform(); }) : kNoVariant;
+  };
   const uint16_t* cell_traits = traits.data();
   board.SetMaterials([&] {
-    const Material material = DrawMaterial(*cell_traits++, state->options.numbers, &draws);
-    return std::make_pair(material, DrawVariant(state->options, material, uniform));
+    const Material material = DrawMaterial(*cell_traits++, options.numbers, &draws);
+    return std::make_pair(material, variant_of(material));
   });
   cell_traits = traits.data();
+  const BoardCell* cell = board.cells().data();
+  const Position player = board.object(0).position;
   for (int x = 0; x < board.width(); ++x) {
-    for (int y = 0; y < board.height(); ++y, ++cell_traits) {
-      const Position p = {x, y};
-      if (!kCreatureWalks.Contains(board.cell(p).material)) continue;
-      const ObjectType creature = DrawCreature(*state, p, *cell_traits, &draws);
-      if (creature != ObjectType::kNone)
-        AddCreature(creature, p, DrawVariant(state->options, creature, uniform), &board);
+    for (int y = 0; y < board.height(); ++y, ++cell, ++cell_traits) {
+      if (!kCreatureWalks.Contains(cell->material)) continue;
+      const int squared_distance = (x - player.x) * (x - player.x) + (y - player.y) * (y - player.y);
+      const ObjectType creature = DrawCreature(cell->material, *cell_traits, squared_distance, options.numbers, &draws);
+      if (creature != ObjectType::kNone) AddCreature(creature, {x, y}, variant_of(creature), &board);
     }
   }
   draws.Finish();

@@ -55,6 +55,10 @@ class World {
   Material material(Position p) const { return state_.board.material(p); }
   // kNoVariant outside the world.
   Variant variant(Position p) const { return state_.board.Inside(p) ? state_.board.cell(p).variant : kNoVariant; }
+  // The cells (x, y) with x inside the world, by y.
+  absl::Span<const BoardCell> column(int x) const {
+    return state_.board.cells().subspan(static_cast<size_t>(x) * state_.board.height(), state_.board.height());
+  }
   // The live objects in order of creation; the first is the player.
   absl::Span<const Object> objects() const { return state_.board.objects(); }
   // See Board::object_room().

@@ -50,7 +50,8 @@ TEST_P(LightByNightOnEachCpu, EqualsThePlainFormulas) {
       cover[i] = i % 50 == 0 ? 0 : random.Uniform();
       canvas[i] = random.Below(0xffffffff);
     }
-    LightByNight(daylight, {high, low, cover, canvas, absl::MakeSpan(lit)});
+    const std::vector<float> float_cover(cover.begin(), cover.end());
+    LightByNight(daylight, {high, low, cover, float_cover, canvas, absl::MakeSpan(lit)});
     for (int i = 0; i < kPixels; ++i) {
       const double noise = RandomStream::UniformOf(high[i], low[i]);
       ASSERT_EQ(lit[i], PlainLight(daylight, noise, cover[i], canvas[i])) << round << ": " << i << ", " << daylight;
@@ -62,6 +63,7 @@ TEST_P(LightByNightOnEachCpu, EqualsThePlainFormulas) {
 // dimmed channel and its tint are twice the canvas: in grey, green of 16 and blue of 64.
 TEST_P(LightByNightOnEachCpu, IsExactWhereValuesAreWholeNumbers) {
   const std::vector<double> cover(256, 0);
+  const std::vector<float> float_cover(256, 0);
   const std::vector<uint32_t> words(256, 0x12345678);
   std::vector<Pixel> canvas(256);
   std::vector<Pixel> lit(256);
@@ -69,7 +71,7 @@ TEST_P(LightByNightOnEachCpu, IsExactWhereValuesAreWholeNumbers) {
   for (int round = 0; round < 500; ++round) {
     const double daylight = random.Uniform() / 2;
     for (uint32_t i = 0; i < 256; ++i) canvas[i] = i | i << 8 | i << 16;
-    LightByNight(daylight, {words, words, cover, canvas, absl::MakeSpan(lit)});
+    LightByNight(daylight, {words, words, cover, float_cover, canvas, absl::MakeSpan(lit)});
     for (int i = 0; i < 256; ++i) ASSERT_EQ(lit[i], PlainLight(daylight, 0.5, 0, canvas[i])) << round << ": " << i;
   }
 }
