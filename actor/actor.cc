@@ -62,7 +62,7 @@ Actor::Actor(const Options& options)
       name_(UniqueWorkerName()),
       learner_(options.learner),
       permits_(options.threads),
-      sender_(&learner_, name_, &permits_) {}
+      stream_(&learner_, name_, &permits_) {}
 
 Actor::~Actor() {
   Stop();
@@ -94,6 +94,7 @@ void Actor::Stop() {
   // First of all, so that other actors can continue its lanes at once.
   if (joined) learner_.Leave(name_);
   learner_.Cancel();
+  stream_.Cancel();
 }
 
 absl::Status Actor::Join() {
@@ -132,7 +133,7 @@ absl::Status Actor::Join() {
       return absl::OkStatus();
     }
     // A learner that accepted this actor before may be replacing tokens, so a refusal is treated as for other calls.
-    const CallKind call = was_accepted_ && IsAboutRights(reply.status()) ? CallKind::kPermits : CallKind::kJoin;
+    const CallKind call = was_accepted_ && IsAboutRights(reply.status()) ? CallKind::kPlay : CallKind::kJoin;
     if (!IsTransient(call, reply.status())) return reply.status();
     LogRetry(reply.status());
     Pause(backoff.Next());
@@ -179,13 +180,13 @@ absl::Status Actor::StartLoops() {
   for (int i = 0; i < loops; ++i) {
     ActorLoop::Options loop = {
         i, config, frame_bytes, spec.state_size, KeepsEveryState(spec, config.ppo()), &fragment_format_};
-    loops_.push_back(std::make_unique<ActorLoop>(loop, &learner_, &permits_, policies_.get(), &sender_,
+    loops_.push_back(std::make_unique<ActorLoop>(loop, &learner_, &permits_, policies_.get(), &stream_,
                                                  std::make_unique<EnvPool>(options_.env_servers, hello, frame_bytes,
                                                                            std::hash<std::string>()(name_) + i, health),
                                                  &servers_));
   }
   for (const auto& loop : loops_) threads_.emplace_back([this, loop = loop.get()] { RunLoop(loop); });
-  sender_.Start();
+  stream_.Start();
   return absl::OkStatus();
 }
 
@@ -201,30 +202,31 @@ void Actor::RunLoop(ActorLoop* loop) {
 absl::Status Actor::KeepPermits() {
   Backoff backoff(kFirstRetry, kLastRetry);
   bool joined_again = false;  // since the last reply
+  bool answered = false;      // since the last error; one reply says little about a stream that breaks again and again
   while (!stopping()) {
     std::vector<HeldPermit> failures;
     const v1::PermitRequest request = NextRequest(&failures);
-    const absl::StatusOr<v1::PermitReply> reply = learner_.GetPermits(request);
+    const absl::StatusOr<v1::PermitReply> reply = stream_.Ask(request);
     if (reply.ok()) {
-      backoff.Reset();
+      if (std::exchange(answered, true)) backoff.Reset();
       joined_again = false;
       permits_.SetReported(failures);
       if (reply->finished()) return absl::OkStatus();
       const v1::RunConfig& config = joined_.config();
       if (const absl::Status status = CheckPermitReply(request, config.lanes(), config.env().frame_size(), *reply);
           !status.ok()) {
-        return absl::DataLossError(
-            absl::StrFormat("%s: invalid reply to GetPermits: %s", learner_.name(), status.message()));
+        return absl::DataLossError(absl::StrFormat("%s: invalid permits: %s", learner_.name(), status.message()));
       }
       HandleReply(*reply);
       continue;
     }
-    switch (ReactionTo(CallKind::kPermits, reply.status())) {
+    answered = false;
+    switch (ReactionTo(CallKind::kPlay, reply.status())) {
       case Reaction::kJoinAgain:
         if (std::exchange(joined_again, true)) Pause(backoff.Next());
         LogInfo("%s", reply.status().message());
         permits_.DropWaiting();
-        sender_.DropWaiting();
+        stream_.DropWaiting();
         CRAFTFLEET_RETURN_IF_ERROR(Join());
         break;
       case Reaction::kRetry:
@@ -307,7 +309,7 @@ void Actor::StopLoops() {
     MutexLock lock(&mu_);
     for (const auto& loop : loops_) loop->Cancel();
   }
-  sender_.Stop();
+  stream_.Stop();
   if (evaluations_ != nullptr) evaluations_->Stop();
   for (std::thread& thread : threads_) {
     if (thread.joinable()) thread.join();
@@ -355,9 +357,9 @@ void Actor::FillStatus(v1::StatusReply* reply) const {
   }
   reply->set_name(name_);
   wire::AddMetric("env_steps", static_cast<double>(steps), reply);
-  wire::AddMetric("fragments_accepted", static_cast<double>(sender_.accepted()), reply);
-  wire::AddMetric("fragments_refused", static_cast<double>(sender_.refused()), reply);
-  wire::AddMetric("fragments_resent", static_cast<double>(sender_.resent()), reply);
+  wire::AddMetric("fragments_accepted", static_cast<double>(stream_.accepted()), reply);
+  wire::AddMetric("fragments_refused", static_cast<double>(stream_.refused()), reply);
+  wire::AddMetric("fragments_resent", static_cast<double>(stream_.resent()), reply);
   wire::AddMetric("fragments_abandoned", static_cast<double>(abandoned), reply);
   v1::Peer* learner = reply->add_peers();
   learner->set_name(learner_.name());

@@ -19,8 +19,8 @@
 #include "actor/env_server_tracker.h"
 #include "actor/error_policy.h"
 #include "actor/evaluation_worker.h"
-#include "actor/fragment_sender.h"
 #include "actor/learner_client.h"
+#include "actor/learner_stream.h"
 #include "actor/permit_tracker.h"
 #include "actor/policy_source.h"
 #include "actor/server_health.h"
@@ -33,7 +33,7 @@
 namespace craftfleet {
 
 // Run is called once; Stop and FillStatus may be called from any thread. Run requests permits; each ActorLoop (one
-// thread each) plays fragments, and the FragmentSender (one thread) sends them. An EvaluationWorker (one thread) plays
+// thread each) plays fragments, and the LearnerStream (two threads) sends them. An EvaluationWorker (one thread) plays
 // evaluations.
 class Actor {
  public:
@@ -91,7 +91,7 @@ class Actor {
   LearnerClient learner_;
   EnvServerTracker servers_;
   PermitTracker permits_;
-  FragmentSender sender_;
+  LearnerStream stream_;
   std::string address_;        // this and the next are used only by Run's thread
   v1::JoinReply joined_;       // the last one
   bool set_up_ = false;        // options_.set_up was called

@@ -26,13 +26,13 @@ constexpr absl::Duration kReportEvery = absl::Milliseconds(500);  // of the stat
 }  // namespace
 
 ActorLoop::ActorLoop(const Options& options, const LearnerClient* learner, PermitTracker* permits,
-                     PolicySource* policies, FragmentSender* sender, std::unique_ptr<EnvPool> envs,
+                     PolicySource* policies, LearnerStream* stream, std::unique_ptr<EnvPool> envs,
                      EnvServerTracker* servers)
     : options_(options),
       learner_(learner),
       permits_(permits),
       policies_(policies),
-      sender_(sender),
+      stream_(stream),
       envs_(std::move(envs)),
       servers_(servers) {}
 
@@ -291,7 +291,7 @@ absl::Status ActorLoop::SendFragments(const Policy& policy) {
         permit.epoch, permit.fragment + 1, permit.policy_version, std::string(Frame(row)), std::move(rows_[row].record),
         state};
     CRAFTFLEET_RETURN_IF_ERROR(
-        sender_->Push(rows_[row].builder.Finish(bootstrap[row], {std::move(rows_[row].snapshot), state})));
+        stream_->Push(rows_[row].builder.Finish(bootstrap[row], {std::move(rows_[row].snapshot), state})));
   }
   return absl::OkStatus();
 }

@@ -20,8 +20,8 @@
 #include "actor/env_server_tracker.h"
 #include "actor/error_policy.h"
 #include "actor/fragment_builder.h"
-#include "actor/fragment_sender.h"
 #include "actor/learner_client.h"
+#include "actor/learner_stream.h"
 #include "actor/permit_tracker.h"
 #include "actor/policy_source.h"
 #include "common/agent/policy.h"
@@ -48,7 +48,7 @@ class ActorLoop {
 
   // Reports the state of the environment servers to `servers`.
   ActorLoop(const Options& options, const LearnerClient* learner, PermitTracker* permits, PolicySource* policies,
-            FragmentSender* sender, std::unique_ptr<EnvPool> envs, EnvServerTracker* servers);
+            LearnerStream* stream, std::unique_ptr<EnvPool> envs, EnvServerTracker* servers);
 
   // Plays until the permit tracker closes. Returns ok then, or the first error that waiting does not resolve.
   absl::Status Run();
@@ -123,7 +123,7 @@ class ActorLoop {
   const LearnerClient* const learner_;
   PermitTracker* const permits_;
   PolicySource* const policies_;
-  FragmentSender* const sender_;
+  LearnerStream* const stream_;
   const std::unique_ptr<EnvPool> envs_;
   EnvServerTracker* const servers_;
 

@@ -14,65 +14,59 @@ using Code = absl::StatusCode;
 
 constexpr Reaction kRetry = Reaction::kRetry;
 constexpr Reaction kJoin = Reaction::kJoinAgain;
-constexpr Reaction kDrop = Reaction::kDropFragment;
 constexpr Reaction kOther = Reaction::kOtherServer;
 constexpr Reaction kProbe = Reaction::kProbeFirst;
 constexpr Reaction kUnfit = Reaction::kUnfit;
 constexpr Reaction kEnd = Reaction::kEnd;
 
-constexpr absl::string_view kCallKindNames[kNumCallKinds] = {"join",    "permits",  "push",
-                                                             "weights", "snapshot", "session"};
+constexpr absl::string_view kCallKindNames[kNumCallKinds] = {"join", "play", "weights", "snapshot", "session"};
 
 // There may be many environment servers, and some may misbehave. Their errors end the program only if every server of a
 // fixed list is unfit. There is only one learner: errors that a retry cannot fix end the program.
 constexpr ErrorRule kTable[] = {
     {Code::kCancelled,
-     {kRetry, kRetry, kRetry, kRetry, kRetry, kOther},
+     {kRetry, kRetry, kRetry, kRetry, kOther},
      "The other end is stopping. (When the actor itself stops, this table is not used.)"},
     {Code::kUnknown,
-     {kRetry, kRetry, kRetry, kRetry, kRetry, kOther},
+     {kRetry, kRetry, kRetry, kRetry, kOther},
      "gRPC reports an exception at the other end in this way."},
     {Code::kInvalidArgument,
-     {kEnd, kEnd, kDrop, kEnd, kEnd, kProbe},
+     {kEnd, kEnd, kEnd, kEnd, kProbe},
      "The learner rejects the request, or the actor rejects the weights: a retry would not help. From a server it is "
      "an invalid answer, since the requests are valid."},
     {Code::kDeadlineExceeded,
-     {kRetry, kRetry, kRetry, kRetry, kRetry, kProbe},
+     {kRetry, kRetry, kRetry, kRetry, kProbe},
      "The learner is slow or unreachable. A server that takes this long for a step hangs."},
     {Code::kNotFound,
-     {kEnd, kEnd, kRetry, kEnd, kEnd, kProbe},
+     {kEnd, kEnd, kEnd, kEnd, kProbe},
      "This version never returns it: another program or a later version answered."},
     {Code::kAlreadyExists,
-     {kEnd, kEnd, kRetry, kEnd, kEnd, kProbe},
+     {kEnd, kEnd, kEnd, kEnd, kProbe},
      "This version never returns it: another program or a later version answered."},
     {Code::kPermissionDenied,
-     {kEnd, kRetry, kRetry, kRetry, kRetry, kUnfit},
+     {kEnd, kRetry, kRetry, kRetry, kUnfit},
      "At the first join the token is wrong. Later the token or its rights are being replaced: the new token is used as "
      "soon as it is available."},
     {Code::kResourceExhausted,
-     {kRetry, kRetry, kRetry, kRetry, kRetry, kOther},
+     {kRetry, kRetry, kRetry, kRetry, kOther},
      "The other end is overloaded, a server plays for another run at the moment, or an answer was too large."},
     {Code::kFailedPrecondition,
-     {kEnd, kEnd, kRetry, kEnd, kEnd, kUnfit},
+     {kEnd, kEnd, kEnd, kEnd, kUnfit},
      "Another protocol version, run or textures, or a build that the run refuses: the user must fix it."},
     {Code::kAborted,
-     {kRetry, kJoin, kRetry, kRetry, kRetry, kOther},
+     {kRetry, kJoin, kRetry, kRetry, kOther},
      "The state has changed: the learner restarted or dropped this actor, the lane or the weights have advanced, or a "
      "game failed."},
     {Code::kOutOfRange,
-     {kEnd, kEnd, kRetry, kEnd, kEnd, kProbe},
+     {kEnd, kEnd, kEnd, kEnd, kProbe},
      "This version never returns it: another program or a later version answered."},
-    {Code::kUnimplemented,
-     {kEnd, kEnd, kRetry, kEnd, kEnd, kUnfit},
-     "Another program, or an older one, listens there."},
+    {Code::kUnimplemented, {kEnd, kEnd, kEnd, kEnd, kUnfit}, "Another program, or an older one, listens there."},
     {Code::kInternal,
-     {kRetry, kRetry, kRetry, kRetry, kRetry, kProbe},
+     {kRetry, kRetry, kRetry, kRetry, kProbe},
      "A transient HTTP/2 failure, or a bug at the other end, which the log shows."},
-    {Code::kUnavailable, {kRetry, kRetry, kRetry, kRetry, kRetry, kOther}, "Not running, restarting, or cut off."},
-    {Code::kDataLoss,
-     {kEnd, kEnd, kRetry, kEnd, kEnd, kProbe},
-     "An impossible answer (learner_replies.h, play_reply.h)."},
-    {Code::kUnauthenticated, {kEnd, kRetry, kRetry, kRetry, kRetry, kUnfit}, "As PERMISSION_DENIED."},
+    {Code::kUnavailable, {kRetry, kRetry, kRetry, kRetry, kOther}, "Not running, restarting, or cut off."},
+    {Code::kDataLoss, {kEnd, kEnd, kEnd, kEnd, kProbe}, "An impossible answer (learner_replies.h, play_reply.h)."},
+    {Code::kUnauthenticated, {kEnd, kRetry, kRetry, kRetry, kUnfit}, "As PERMISSION_DENIED."},
 };
 
 absl::string_view NameOf(Reaction reaction) {
@@ -81,8 +75,6 @@ absl::string_view NameOf(Reaction reaction) {
       return "retry";
     case Reaction::kJoinAgain:
       return "join again";
-    case Reaction::kDropFragment:
-      return "drop fragment";
     case Reaction::kOtherServer:
       return "other server";
     case Reaction::kProbeFirst:
@@ -114,7 +106,7 @@ bool IsTransient(CallKind call, const absl::Status& error) {
 std::string FormatErrorPolicy() {
   std::string text = "| Error |";
   for (const absl::string_view call : kCallKindNames) absl::StrAppend(&text, " ", call, " |");
-  absl::StrAppend(&text, " Why |\n|---|---|---|---|---|---|---|---|\n");
+  absl::StrAppend(&text, " Why |\n|---|---|---|---|---|---|---|\n");
   for (const ErrorRule& rule : kTable) {
     absl::StrAppend(&text, "| ", absl::StatusCodeToString(rule.code), " |");
     for (const Reaction reaction : rule.reactions) absl::StrAppend(&text, " ", NameOf(reaction), " |");

@@ -14,22 +14,20 @@ namespace craftfleet {
 // The kinds of calls.
 enum class CallKind {
   kJoin,      // to the learner, like all but the last
-  kPermits,   // also results of evaluations
-  kPush,      // sending fragments
+  kPlay,      // permits and fragments; also results of evaluations
   kWeights,   // also making a policy of them
   kSnapshot,  // of a lane before a fragment
   kSession,   // to an environment server: hello, open, step or close
 };
-inline constexpr int kNumCallKinds = 6;
+inline constexpr int kNumCallKinds = 5;
 
 enum class Reaction {
-  kRetry,         // try again with growing pauses; permits that depend on the call are released
-  kJoinAgain,     // drop the waiting permits and fragments, and join
-  kDropFragment,  // the learner refuses the fragment for good: its permit is released, the next fragment is sent
-  kOtherServer,   // the games continue elsewhere from their snapshots; the server is tried again with growing pauses
-  kProbeFirst,    // the same, but the server must answer a probe first (server_health.h)
-  kUnfit,         // as kOtherServer; if every server of a fixed list is unfit, the program ends
-  kEnd,           // the program ends with the error, exit code 1
+  kRetry,        // try again with growing pauses; permits that depend on the call are released
+  kJoinAgain,    // drop the waiting permits and fragments, and join
+  kOtherServer,  // the games continue elsewhere from their snapshots; the server is tried again with growing pauses
+  kProbeFirst,   // the same, but the server must answer a probe first (server_health.h)
+  kUnfit,        // as kOtherServer; if every server of a fixed list is unfit, the program ends
+  kEnd,          // the program ends with the error, exit code 1
 };
 
 // A row of the table.

@@ -58,14 +58,6 @@ absl::StatusOr<v1::JoinReply> LearnerClient::Join(const v1::JoinRequest& request
   return reply;
 }
 
-absl::StatusOr<v1::PermitReply> LearnerClient::GetPermits(const v1::PermitRequest& request) const {
-  Call call(this, kCallTimeout + absl::Milliseconds(request.wait_ms()));
-  v1::PermitReply reply;
-  const grpc::Status status = stub_->GetPermits(call.context(), request, &reply);
-  if (!status.ok()) return FromCall(status);
-  return reply;
-}
-
 struct LearnerClient::SnapshotCall {
   explicit SnapshotCall(const LearnerClient* client) : call(client, kCallTimeout) {}
 

@@ -31,7 +31,6 @@ class LearnerClient {
   explicit LearnerClient(wire::Endpoint learner);
 
   absl::StatusOr<v1::JoinReply> Join(const v1::JoinRequest& request) const;
-  absl::StatusOr<v1::PermitReply> GetPermits(const v1::PermitRequest& request) const;
   // Fetches the snapshots before the fragments of `permits`, which are of one epoch; returns them in the same order.
   // The requests run in parallel, since the learner may be far away. `state_size` is that of the agent (AgentSpec). An
   // invalid snapshot is returned as DataLoss.
@@ -40,7 +39,7 @@ class LearnerClient {
   // Tells the learner that the actor leaves. Errors are ignored: without this call, the lease expires.
   void Leave(const std::string& actor) const;
 
-  // Ends all current and future calls except Leave and PushFragments. May be called from any thread.
+  // Ends all current and future calls except Leave and Play. May be called from any thread.
   void Cancel() ABSL_LOCKS_EXCLUDED(mu_);
 
   // Fetches the weights of `version` or a later one: (version, safetensors bytes).
@@ -51,11 +50,14 @@ class LearnerClient {
   absl::StatusOr<std::string> GetEvaluationWeights(int64_t id, int64_t max_bytes) const;
   absl::Status FinishEvaluation(const v1::EvaluationResult& result) const;
 
-  // Opens a stream for fragments. Cancelling `context` ends it.
-  std::unique_ptr<grpc::ClientReaderWriter<v1::FragmentMessage, v1::FragmentVerdict>> PushFragments(
+  // Opens a stream for permits and fragments. Cancelling `context` ends it.
+  std::unique_ptr<grpc::ClientReaderWriter<v1::ActorMessage, v1::LearnerMessage>> Play(
       grpc::ClientContext* context) const {
-    return stub_->PushFragments(context);
+    return stub_->Play(context);
   }
+
+  // Converts the status of a finished call, and adds the learner's name.
+  absl::Status FromCall(const grpc::Status& status) const ABSL_LOCKS_EXCLUDED(mu_);
 
   const std::string& name() const { return name_; }
 
@@ -66,9 +68,6 @@ class LearnerClient {
   // As GetSnapshots, for few enough permits to be requested all at once.
   absl::Status AppendSnapshots(absl::Span<const HeldPermit> permits, int state_size,
                                std::vector<absl::StatusOr<LaneSnapshot>>* snapshots) const;
-  // Converts the status of a finished call, and adds the learner's name.
-  absl::Status FromCall(const grpc::Status& status) const ABSL_LOCKS_EXCLUDED(mu_);
-
   absl::StatusOr<std::pair<int64_t, std::string>> ReceiveWeights(const v1::WeightsRequest& request,
                                                                  int64_t max_bytes) const;
 

@@ -289,7 +289,6 @@ LearnerServiceImpl::Options Learner::ServiceOptions(const Options& options, Load
   service.shape = loaded->shape;
   service.lease = kLease;
   service.access = std::move(loaded->access);
-  service.max_polls_per_client = options.server.max_connections_per_client;
   service.max_streams_per_client = 2 * options.server.max_connections_per_client;
   return service;
 }

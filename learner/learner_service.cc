@@ -2,7 +2,6 @@
 
 #include <algorithm>
 #include <functional>
-#include <optional>
 #include <utility>
 #include <vector>
 
@@ -12,7 +11,6 @@
 #include "common/base/printable.h"
 #include "common/base/status_macros.h"
 #include "common/process/version.h"
-#include "common/wire/fragment_digest.h"
 #include "common/wire/grpc_status.h"
 #include "common/wire/protocol.h"
 #include "common/wire/request_check.h"
@@ -54,8 +52,7 @@ LearnerServiceImpl::LearnerServiceImpl(const Options& options, WorkerRegistry* r
       weights_(weights),
       fragments_(fragments),
       refusals_(&clock_),
-      streams_(options.max_streams_per_client),
-      polls_(options.max_polls_per_client) {
+      streams_(options.max_streams_per_client) {
   registry_->SetObserver([this](absl::string_view actor) {
     if (actor.empty()) {
       waiting_for_permits_.Retry();
@@ -87,13 +84,13 @@ WorkerClient LearnerServiceImpl::ClientOf(const grpc::ServerContextBase& context
 
 absl::Status LearnerServiceImpl::NameActor(const grpc::ServerContextBase& context, absl::string_view name) {
   CRAFTFLEET_RETURN_IF_ERROR(wire::CheckName("actor", name));
-  return LogRefusal(context, registry_->UseName(WorkerRole::kActor, name, ClientOf(context)));
+  const WorkerClient client = ClientOf(context);
+  return LogRefusal(client, registry_->UseName(WorkerRole::kActor, name, client));
 }
 
-absl::Status LearnerServiceImpl::LogRefusal(const grpc::ServerContextBase& context, absl::Status status) {
+absl::Status LearnerServiceImpl::LogRefusal(const WorkerClient& client, absl::Status status) {
   if (IsAboutNames(status)) {
-    const std::string client = ClientOf(context).Name();
-    refusals_.Warn(client, absl::StrFormat("refused %s: %s", client, status.message()));
+    refusals_.Warn(client.Name(), absl::StrFormat("refused %s: %s", client.Name(), status.message()));
   }
   return status;
 }
@@ -150,8 +147,9 @@ absl::Status LearnerServiceImpl::Answer(const grpc::ServerContextBase& context, 
   absl::Status status = wire::CheckJoin(request);
   if (status.ok() && request.only_ask()) status = NameActor(context, request.actor());
   if (status.ok() && !request.only_ask()) {
-    status = LogRefusal(context, registry_->Join(ClientOf(context), request.actor(), request.address(),
-                                                 {request.build(), request.canary(), request.cpu(), request.zone()}));
+    const WorkerClient client = ClientOf(context);
+    status = LogRefusal(client, registry_->Join(client, request.actor(), request.address(),
+                                                {request.build(), request.canary(), request.cpu(), request.zone()}));
     if (status.code() == absl::StatusCode::kFailedPrecondition) {
       WarnRefused(context, request.actor(), absl::StrFormat("refused %s", status.message()));
     }
@@ -166,35 +164,6 @@ absl::Status LearnerServiceImpl::Answer(const grpc::ServerContextBase& context, 
   reply->set_game_canary(registry_->GameCanary());
   frames_.AddFormats(reply);
   return absl::OkStatus();
-}
-
-grpc::ServerUnaryReactor* LearnerServiceImpl::GetPermits(grpc::CallbackServerContext* context,
-                                                         const v1::PermitRequest* request, v1::PermitReply* reply) {
-  grpc::ServerUnaryReactor* const reactor = context->DefaultReactor();
-  auto poll = std::make_shared<wire::StreamWatch::Stream>(&polls_, context);
-  absl::Status status = poll->admitted();
-  if (status.ok()) status = CheckPermits(*context, *request);
-  if (!status.ok()) {
-    reactor->Finish(wire::ToGrpc(status));
-    return reactor;
-  }
-  WorkerRegistry::PermitRequest asked = ToRequest(context, *request);
-  const absl::Duration wait = asked.wait;
-  waiting_for_permits_.Add(
-      [this, context, reply, reactor, poll = std::move(poll), asked = std::move(asked),
-       started = false](bool last) mutable {
-        std::optional<absl::StatusOr<WorkerRegistry::PermitReply>> given;
-        if (!std::exchange(started, true)) given = registry_->StartPermits(asked);
-        if (!given.has_value()) given = registry_->RetryPermits(asked, last);
-        if (!given.has_value()) return false;
-        if (given->ok()) FillPermits(**given, reply);
-        const absl::Status status = LogRefusal(*context, given->status());
-        poll.reset();  // before the call ends, which the service may not outlive
-        reactor->Finish(wire::ToGrpc(status));
-        return true;
-      },
-      wait, request->actor());
-  return reactor;
 }
 
 absl::Status LearnerServiceImpl::CheckPermits(const grpc::ServerContextBase& context,
@@ -219,10 +188,10 @@ void LearnerServiceImpl::FillPermits(const WorkerRegistry::PermitReply& given, v
   for (const std::string& address : given.servers) reply->add_env_servers(address);
 }
 
-WorkerRegistry::PermitRequest LearnerServiceImpl::ToRequest(grpc::CallbackServerContext* context,
+WorkerRegistry::PermitRequest LearnerServiceImpl::ToRequest(WorkerClient client,
                                                             const v1::PermitRequest& request) const {
   WorkerRegistry::PermitRequest asked;
-  asked.client = ClientOf(*context);
+  asked.client = std::move(client);
   asked.actor = request.actor();
   for (const v1::Permit& permit : request.active()) asked.active.push_back(FromProto(permit));
   asked.steps.assign(request.active_steps().begin(), request.active_steps().end());
@@ -241,7 +210,6 @@ WorkerRegistry::PermitRequest LearnerServiceImpl::ToRequest(grpc::CallbackServer
     const bool valid = wire::CheckText("address", server.address()).ok() && wire::CheckSummary(server.summary()).ok();
     if (valid) asked.servers.push_back(ToServerReport(server));
   }
-  asked.is_cancelled = [context] { return context->IsCancelled(); };
   return asked;
 }
 
@@ -284,16 +252,16 @@ absl::Status LearnerServiceImpl::Answer(const grpc::ServerContextBase& context, 
                                         v1::AnnounceReply* reply) {
   const wire::Handshake ours = {wire::kProtocolVersion, "", options_.texture_digest};
   const wire::Handshake theirs = {request.protocol_version(), "", request.texture_digest()};
+  const WorkerClient client = ClientOf(context);
   absl::Status status = wire::CheckHandshake("learner", ours, "environment server", theirs);
   if (status.ok()) status = wire::CheckAnnouncement(request);
   if (status.ok() && request.leaving()) {
-    status = LogRefusal(context,
-                        registry_->Leave(ClientOf(context), WorkerRole::kEnvServer, request.name(), request.address()));
+    status = LogRefusal(client, registry_->Leave(client, WorkerRole::kEnvServer, request.name(), request.address()));
   } else if (status.ok()) {
-    status = LogRefusal(
-        context, registry_->Announce(ClientOf(context), request.name(), request.address(), request.summary().lanes(),
-                                     {request.build(), request.canary(), /*cpu=*/"", request.zone()},
-                                     KeepSummary(request.summary())));
+    status =
+        LogRefusal(client, registry_->Announce(client, request.name(), request.address(), request.summary().lanes(),
+                                               {request.build(), request.canary(), /*cpu=*/"", request.zone()},
+                                               KeepSummary(request.summary())));
   }
   if (!status.ok() && !IsAboutNames(status)) {
     WarnRefused(context, request.name(),
@@ -309,7 +277,8 @@ absl::Status LearnerServiceImpl::Answer(const grpc::ServerContextBase& context, 
                                         v1::LeaveReply* /*reply*/) {
   absl::Status status = wire::CheckName("actor", request.actor());
   if (status.ok()) {
-    status = LogRefusal(context, registry_->Leave(ClientOf(context), WorkerRole::kActor, request.actor()));
+    const WorkerClient client = ClientOf(context);
+    status = LogRefusal(client, registry_->Leave(client, WorkerRole::kActor, request.actor()));
   }
   return status;
 }

@@ -42,12 +42,11 @@ class LearnerServiceImpl final : public v1::LearnerService::CallbackService {
     absl::Duration lease;  // of actors; sent to them in JoinReply
     // Identifies workers; null: they are identified by certificate.
     std::shared_ptr<const wire::AccessControl> access = nullptr;
-    // How long a stream's client may take to send the next fragment, and to accept a verdict or a chunk of weights.
-    absl::Duration fragment_timeout = wire::StreamWatch::kRequest;
+    // How long a stream's client may take to send the next message, and to accept an answer or a chunk of weights.
+    absl::Duration message_timeout = wire::StreamWatch::kRequest;
     absl::Duration reply_timeout = wire::StreamWatch::kTakesReply;
-    // Requests for permits at once from one address, of which each actor has one, and streams; further ones:
-    // RESOURCE_EXHAUSTED.
-    int max_polls_per_client = wire::StreamWatch::kMaxPerClient / 2;
+    // Streams at once from one address, of which each actor has one, and one more while it downloads weights; further
+    // ones: RESOURCE_EXHAUSTED.
     int max_streams_per_client = wire::StreamWatch::kMaxPerClient;
   };
 
@@ -56,10 +55,7 @@ class LearnerServiceImpl final : public v1::LearnerService::CallbackService {
 
   grpc::ServerUnaryReactor* Join(grpc::CallbackServerContext* context, const v1::JoinRequest* request,
                                  v1::JoinReply* reply) override;
-  grpc::ServerUnaryReactor* GetPermits(grpc::CallbackServerContext* context, const v1::PermitRequest* request,
-                                       v1::PermitReply* reply) override;
-  grpc::ServerBidiReactor<v1::FragmentMessage, v1::FragmentVerdict>* PushFragments(
-      grpc::CallbackServerContext* context) override;
+  grpc::ServerBidiReactor<v1::ActorMessage, v1::LearnerMessage>* Play(grpc::CallbackServerContext* context) override;
   grpc::ServerWriteReactor<v1::WeightsChunk>* GetWeights(grpc::CallbackServerContext* context,
                                                          const v1::WeightsRequest* request) override;
   grpc::ServerUnaryReactor* GetSnapshot(grpc::CallbackServerContext* context, const v1::SnapshotRequest* request,
@@ -75,7 +71,7 @@ class LearnerServiceImpl final : public v1::LearnerService::CallbackService {
   void FillStatus(v1::StatusReply* reply) const;
 
  private:
-  class FragmentStream;
+  class ActorStream;
   class WeightStream;
 
   // How long a call that asks for `wait_ms` may wait.
@@ -100,22 +96,24 @@ class LearnerServiceImpl final : public v1::LearnerService::CallbackService {
   // Aborted: another epoch.   InvalidArgument: a field is out of its range; logged.
   absl::Status CheckPermits(const grpc::ServerContextBase& context, const v1::PermitRequest& request);
   // Converts the request for the registry.
-  WorkerRegistry::PermitRequest ToRequest(grpc::CallbackServerContext* context, const v1::PermitRequest& request) const;
+  WorkerRegistry::PermitRequest ToRequest(WorkerClient client, const v1::PermitRequest& request) const;
   void FillPermits(const WorkerRegistry::PermitReply& given, v1::PermitReply* reply) const;
   v1::EvaluationTask ToProto(const EvaluationScheduler::Task& task) const;
   // weight_stream.cc.   Aborted: the evaluation is over.   DeadlineExceeded: the version is not available yet.
   absl::StatusOr<WeightStore::Weights> FindWeights(const v1::WeightsRequest& request) const;
-  // fragment_stream.cc: checks the fragment and passes it on.   InvalidArgument: a field is out of its range; logged
-  // and counted.   Others as UseName and WorkerRegistry::Accept.
-  absl::StatusOr<v1::FragmentVerdict::Verdict> Receive(const grpc::ServerContextBase& context,
-                                                       v1::FragmentMessage* message);
+  // actor_stream.cc: whether the client of a stream may go on.   Errors as wire::AccessControl::Check.
+  absl::Status CheckAllowed(const grpc::ServerContextBase& context) const;
+  // Checks the fragment and passes it on. An invalid one is logged and counted.   Errors as UseName.   Cancelled: the
+  // learner is stopping.
+  absl::StatusOr<v1::FragmentVerdict> Receive(const grpc::ServerContextBase& context, v1::FragmentMessage* message);
+  // The same without the name.   InvalidArgument: a field is out of its range.
   absl::StatusOr<v1::FragmentVerdict::Verdict> Intake(v1::FragmentMessage* message);
   WorkerClient ClientOf(const grpc::ServerContextBase& context) const;
   // Checks that the client may call as actor `name`.   InvalidArgument: `name` is not a valid name.   Others as
   // WorkerRegistry::UseName, logged.
   absl::Status NameActor(const grpc::ServerContextBase& context, absl::string_view name);
   // Logs `status` if the client was refused because of its name. Returns `status`.
-  absl::Status LogRefusal(const grpc::ServerContextBase& context, absl::Status status);
+  absl::Status LogRefusal(const WorkerClient& client, absl::Status status);
   // Logs why a call that names `worker` was refused; few lines, however often a client calls, under whatever names.
   void WarnRefused(const grpc::ServerContextBase& context, absl::string_view worker, absl::string_view text);
 
@@ -129,11 +127,11 @@ class LearnerServiceImpl final : public v1::LearnerService::CallbackService {
   std::atomic<int64_t> duplicates_{0};
   std::atomic<int64_t> expired_{0};
   std::atomic<int64_t> rejected_{0};
+  std::atomic<int64_t> last_stream_{0};  // of Play; they are numbered from 1
 
   RealClock clock_;
   LimitedLog refusals_;
   wire::StreamWatch streams_;
-  wire::StreamWatch polls_;  // requests for permits
   WaitingCalls waiting_for_permits_;
   WaitingCalls waiting_for_weights_;
 };

@@ -1,4 +1,5 @@
 // WorkerRegistry: permits, lanes and evaluations.
+#include <algorithm>
 #include <utility>
 
 #include <absl/strings/str_format.h>
@@ -61,6 +62,8 @@ absl::Status WorkerRegistry::ReportAndRenew(const PermitRequest& request, Permit
   }
   evaluations_.Renew(request.actor, request.evaluation);
   CRAFTFLEET_ASSIGN_OR_RETURN(reply->lost, RenewPlay(request));
+  Worker* const actor = FindActor(request.actor);
+  actor->stream = std::max(actor->stream, request.stream);
   return absl::OkStatus();
 }
 
@@ -74,11 +77,8 @@ absl::StatusOr<WorkerRegistry::PermitReply> WorkerRegistry::Complete(const Permi
   if (closed_) return absl::UnavailableError("the learner is stopping");
   Worker* const actor = FindActor(request.actor);
   if (actor == nullptr) return NotKnown(request.actor);
+  if (request.is_cancelled != nullptr && request.is_cancelled()) return absl::CancelledError("the client disconnected");
   actor->leased_from = clock_->Now();
-  if (request.is_cancelled != nullptr && request.is_cancelled()) {
-    ShortenLease(actor);
-    return absl::CancelledError("the client disconnected");
-  }
   NoteReport(actor, request.summary);
   for (const ServerReport& server : request.servers) {
     if (!server.answers) NoteUnusable(server.address, actor);
@@ -134,12 +134,10 @@ void WorkerRegistry::ExpireActors() {
   WakeIfChanged();
 }
 
-void WorkerRegistry::OnConnectionLost(absl::string_view name) {
+void WorkerRegistry::OnConnectionLost(absl::string_view name, int64_t stream) {
   const MutexLock lock(&mu_);
-  if (Worker* const actor = FindActor(name); actor != nullptr) ShortenLease(actor);
-}
-
-void WorkerRegistry::ShortenLease(Worker* actor) {
+  Worker* const actor = FindActor(name);
+  if (actor == nullptr || actor->stream != stream) return;
   const absl::Duration rest = options_.lanes.lease - options_.lanes.comeback;
   actor->leased_from = std::min(actor->leased_from, clock_->Now() - rest);
   lanes_.NoteLease(*actor);

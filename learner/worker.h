@@ -57,6 +57,8 @@ struct Worker {
   absl::Duration lease;  // environment server: how long it is listed after a report
   // Start of its lease: its last report, or earlier if its connection broke.
   absl::Time leased_from = absl::InfinitePast();
+  // Actor: the stream of its last request for permits (PermitRequest.stream).
+  int64_t stream = 0;
   // Gets no new permits, evaluations or games, until it leaves or is undrained.
   bool draining = false;
   bool empty = false;  // environment server: has reported no games since the drain began

@@ -83,6 +83,7 @@ class WorkerRegistry {
   };
   struct PermitRequest {
     WorkerClient client;
+    int64_t stream = 0;  // that it came on; later streams have larger numbers
     std::string actor;
     std::vector<Permit> active;  // held by the actor
     std::vector<int64_t> steps;  // played so far of each of `active`; empty: no progress
@@ -147,7 +148,7 @@ class WorkerRegistry {
   // Renews the actor's lease and permits, and grants it more. Waits up to `request.wait` while there is nothing to
   // grant.
   //   Aborted: the actor is unknown or has left, and must join (again).   Unavailable: Close was called.
-  //   Cancelled: the client disconnected; the actor's lease is shortened to `comeback`.
+  //   Cancelled: the client disconnected.
   absl::StatusOr<PermitReply> GetPermits(const PermitRequest& request) ABSL_LOCKS_EXCLUDED(mu_);
   // The same in two steps that do not wait. nullopt: there is nothing to grant; call RetryPermits once the registry has
   // changed, and at the latest after `request.wait`, as the `last` time, which always gives a reply.
@@ -157,8 +158,9 @@ class WorkerRegistry {
   // Called, with the lock held, after each change that may let RetryPermits give a reply to `actor`; empty: to any.
   using Observer = std::function<void(absl::string_view actor)>;
   void SetObserver(Observer observer) ABSL_LOCKS_EXCLUDED(mu_);  // null: none
-  // The connection of `actor` broke: shortens its lease to `comeback`.
-  void OnConnectionLost(absl::string_view actor) ABSL_LOCKS_EXCLUDED(mu_);
+  // The connection of a `stream` of `actor` broke: shortens its lease to `comeback`, unless it has sent a request on a
+  // later stream.
+  void OnConnectionLost(absl::string_view actor, int64_t stream = 0) ABSL_LOCKS_EXCLUDED(mu_);
   // Makes an environment server active, or renews its lease. `lanes`: its open games.   FailedPrecondition: as Join.
   absl::Status Announce(const WorkerClient& client, absl::string_view name, absl::string_view address, int lanes,
                         const WorkerBuild& build, std::shared_ptr<const v1::ProcessSummary> summary = nullptr)
@@ -310,8 +312,6 @@ class WorkerRegistry {
   // Renews the actor's lease and permits; returns the permits that it has lost.
   //   Aborted: the actor is unknown.
   absl::StatusOr<std::vector<Permit>> RenewPlay(const PermitRequest& request) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
-  // Shortens the actor's lease to `comeback`.
-  void ShortenLease(Worker* actor) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
   // Wakes calls of `actor` that wait for permits; empty: all, and those that wait for the last actor to leave.
   void Wake(absl::string_view actor = "") ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
   // The same if there may be new permits.

@@ -119,6 +119,10 @@ Caller MakeCaller(const std::multimap<grpc::string_ref, grpc::string_ref>& metad
   return caller;
 }
 
+Caller CallerOf(const grpc::ServerContextBase& context) {
+  return MakeCaller(context.client_metadata(), context.auth_context().get());
+}
+
 class AccessProcessor : public grpc::AuthMetadataProcessor {
  public:
   explicit AccessProcessor(std::shared_ptr<AccessControl> access) : access_(std::move(access)) {}
@@ -230,11 +234,15 @@ absl::StatusOr<std::shared_ptr<AccessControl>> AccessControl::Create(const std::
   return control;
 }
 
-absl::Status AccessControl::Check(const Caller& caller, absl::string_view path) {
+absl::Status AccessControl::Check(const Caller& caller, absl::string_view path) const {
   const absl::Status status = CheckAccess(*snapshot_->Get(), caller, path);
   if (status.ok()) return status;
   log_.Warn(status.message(), absl::StrFormat("refused %s: %s", Printable(path), status.message()));
   return absl::Status(status.code(), "not allowed; the log of the process that was called says why");
+}
+
+absl::Status AccessControl::Check(const grpc::ServerContextBase& context, absl::string_view path) const {
+  return Check(CallerOf(context), path);
 }
 
 bool AccessControl::Allows(const Caller& caller, absl::string_view path) const {
@@ -242,12 +250,12 @@ bool AccessControl::Allows(const Caller& caller, absl::string_view path) const {
 }
 
 std::string AccessControl::Identify(const grpc::ServerContextBase& context) const {
-  return Identity(*snapshot_->Get(), MakeCaller(context.client_metadata(), context.auth_context().get()));
+  return Identity(*snapshot_->Get(), CallerOf(context));
 }
 
 std::string Identify(const AccessControl* access, const grpc::ServerContextBase& context) {
   if (access != nullptr) return access->Identify(context);
-  return Identity(v1::Access(), MakeCaller(context.client_metadata(), context.auth_context().get()));
+  return Identity(v1::Access(), CallerOf(context));
 }
 
 std::shared_ptr<grpc::AuthMetadataProcessor> MakeAccessProcessor(std::shared_ptr<AccessControl> access) {

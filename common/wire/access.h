@@ -59,7 +59,9 @@ class AccessControl {
   static absl::StatusOr<std::shared_ptr<AccessControl>> Create(const std::string& path);
 
   // As CheckAccess; refusals are logged. The error's message is safe to send to the caller: it contains no reason.
-  absl::Status Check(const Caller& caller, absl::string_view path);
+  absl::Status Check(const Caller& caller, absl::string_view path) const;
+  // The same for a stream that goes on, since the file may have changed after it began.
+  absl::Status Check(const grpc::ServerContextBase& context, absl::string_view path) const;
   // Whether Check would return OK; logs nothing.
   bool Allows(const Caller& caller, absl::string_view path) const;
   // Identity of the caller of `context`.
@@ -88,7 +90,7 @@ class AccessControl {
   AccessControl() = default;
 
   RealClock clock_;
-  LimitedLog log_{&clock_};
+  mutable LimitedLog log_{&clock_};
   std::shared_ptr<Snapshot> snapshot_;
   std::unique_ptr<FileWatch> watch_;
 };

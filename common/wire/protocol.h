@@ -13,7 +13,7 @@
 namespace craftfleet::wire {
 
 // Increased with every change of the protocol that an older process would misread.
-inline constexpr int kProtocolVersion = 2;
+inline constexpr int kProtocolVersion = 3;
 
 // Largest accepted message, bytes: a fragment of 4096 frames of 72x72 with room to spare.
 inline constexpr int kMaxMessageBytes = 96 << 20;

@@ -19,7 +19,7 @@ namespace craftfleet {
 namespace {
 
 // Joins and takes all permits.
-void TakePermits(const LearnerClient& client, const std::string& actor, PermitTracker* permits) {
+void TakePermits(const LearnerClient& client, const std::string& actor, LearnerStream* stream, PermitTracker* permits) {
   v1::JoinRequest join;
   join.set_protocol_version(wire::kProtocolVersion);
   join.set_actor(actor);
@@ -28,7 +28,7 @@ void TakePermits(const LearnerClient& client, const std::string& actor, PermitTr
   request.set_actor(actor);
   request.set_epoch(1);
   request.set_capacity(kLanes);
-  const auto reply = client.GetPermits(request);
+  const auto reply = stream->Ask(request);
   ASSERT_THAT(reply, IsOk());
   for (const v1::Permit& permit : reply->granted()) permits->Add({{permit.lane(), permit.fragment(), 0}, 1});
 }
@@ -50,15 +50,15 @@ TEST(ActorLoop, GamesLostWhileOthersOpenAreOpenedAgain) {
   learner.Open(0);
   const LearnerClient client(learner.Connect());
   PermitTracker permits(1);
-  TakePermits(client, "a loop", &permits);
+  LearnerStream stream(&client, "a loop", &permits);
+  stream.Start();
+  TakePermits(client, "a loop", &stream, &permits);
 
   const AgentSpec spec = *FindAgent(agent);
   PolicySource policies(&client, spec, Config(agent).tile());
-  FragmentSender sender(&client, "a loop", &permits);
-  sender.Start();
   EnvServerTracker tracker;
   ActorLoop loop({0, Config(agent), kFrameBytes, spec.state_size, KeepsEveryState(spec, Config(agent).ppo())}, &client,
-                 &permits, &policies, &sender,
+                 &permits, &policies, &stream,
                  std::make_unique<EnvPool>(std::make_shared<EnvDirectory>(servers), SampleHello(kLength), kFrameBytes),
                  &tracker);
   std::thread thread([&] { EXPECT_THAT(loop.Run(), IsOk()); });
@@ -66,7 +66,7 @@ TEST(ActorLoop, GamesLostWhileOthersOpenAreOpenedAgain) {
   EXPECT_EQ(loop.abandoned(), 0);
   permits.Close();
   thread.join();
-  sender.Stop();
+  stream.Stop();
 }
 
 // The other lanes continue. Lane 0 is reset to its previous snapshot, while the actor has its later game.
@@ -80,11 +80,11 @@ TEST(ActorLoop, AResetLaneIsLoadedFromItsSnapshot) {
   PermitTracker permits(1);
   const AgentSpec spec = *FindAgent(agent);
   PolicySource policies(&client, spec, Config(agent).tile());
-  FragmentSender sender(&client, "a loop", &permits);
-  sender.Start();
+  LearnerStream stream(&client, "a loop", &permits);
+  stream.Start();
   EnvServerTracker tracker;
   const std::vector<wire::Endpoint> servers = {env.Connect()};
-  ActorLoop loop({0, Config(agent), kFrameBytes, spec.state_size}, &client, &permits, &policies, &sender,
+  ActorLoop loop({0, Config(agent), kFrameBytes, spec.state_size}, &client, &permits, &policies, &stream,
                  std::make_unique<EnvPool>(std::make_shared<EnvDirectory>(servers), SampleHello(kLength), kFrameBytes),
                  &tracker);
   std::thread thread([&] { EXPECT_THAT(loop.Run(), IsOk()); });
@@ -114,22 +114,22 @@ TEST(ActorLoop, AResetLaneIsLoadedFromItsSnapshot) {
     }
     return frames;
   };
-  play(client.GetPermits(request).value());
+  play(stream.Ask(request).value());
   first_frames();
-  play(client.GetPermits(request).value());
+  play(stream.Ask(request).value());
   std::map<int, std::string> before = first_frames();
   ASSERT_EQ(before.size(), kLanes);
 
   learner.Open(1);
-  v1::PermitReply held = client.GetPermits(request).value();
+  v1::PermitReply held = stream.Ask(request).value();
   ASSERT_EQ(held.granted_size(), kLanes);
   v1::LaneFailure* failure = request.add_failures();  // of the only actor, twice
   failure->set_fragment(held.granted(0).fragment());
   for (const v1::Permit& permit : held.granted()) {
     if (permit.lane() != 0) *request.add_active() = permit;
   }
-  ASSERT_THAT(client.GetPermits(request), IsOk());
-  const v1::PermitReply reset = client.GetPermits(request).value();
+  ASSERT_THAT(stream.Ask(request), IsOk());
+  const v1::PermitReply reset = stream.Ask(request).value();
   ASSERT_EQ(reset.granted_size(), 1);
   ASSERT_TRUE(reset.granted(0).reload());
   *held.mutable_granted(0) = reset.granted(0);
@@ -140,7 +140,7 @@ TEST(ActorLoop, AResetLaneIsLoadedFromItsSnapshot) {
   for (int lane = 1; lane < kLanes; ++lane) EXPECT_FALSE(after[lane] == before[lane]) << lane;
   permits.Close();
   thread.join();
-  sender.Stop();
+  stream.Stop();
 }
 
 }  // namespace

@@ -37,14 +37,14 @@ TEST(ErrorPolicy, NoReplyOfAnEnvironmentServerEndsAnActor) {
 TEST(ErrorPolicy, ARefusedTokenIsRetriedExceptAtTheFirstJoin) {
   for (const absl::Status& error : {absl::PermissionDeniedError(""), absl::UnauthenticatedError("")}) {
     EXPECT_EQ(ReactionTo(CallKind::kJoin, error), Reaction::kEnd);
-    for (const CallKind called : {CallKind::kPermits, CallKind::kPush, CallKind::kWeights, CallKind::kSnapshot}) {
+    for (const CallKind called : {CallKind::kPlay, CallKind::kWeights, CallKind::kSnapshot}) {
       EXPECT_EQ(ReactionTo(called, error), Reaction::kRetry);
     }
   }
 }
 
 TEST(ErrorPolicy, ALearnerThatRestartedIsJoinedAgain) {
-  EXPECT_EQ(ReactionTo(CallKind::kPermits, absl::AbortedError("")), Reaction::kJoinAgain);
+  EXPECT_EQ(ReactionTo(CallKind::kPlay, absl::AbortedError("")), Reaction::kJoinAgain);
 }
 
 }  // namespace

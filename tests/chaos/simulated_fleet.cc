@@ -94,8 +94,8 @@ v1::ProcessSummary Summary(const char* activity) {
   return summary;
 }
 
-// Requests permits and answers each with a fragment of black frames.
-class EmptyActor final : public grpc::ClientBidiReactor<v1::FragmentMessage, v1::FragmentVerdict> {
+// Requests permits and answers each with a fragment of black frames; sends one fragment after the other.
+class EmptyActor final : public grpc::ClientBidiReactor<v1::ActorMessage, v1::LearnerMessage> {
  public:
   EmptyActor(std::shared_ptr<grpc::Channel> channel, int number, Fleet* fleet)
       : stub_(v1::LearnerService::NewStub(std::move(channel))),
@@ -142,47 +142,38 @@ class EmptyActor final : public grpc::ClientBidiReactor<v1::FragmentMessage, v1:
     if (fleet_->play == absl::ZeroDuration() && fleet_->absent > 0 && !fleet_->stopping) {
       return fleet_->timer.After(absl::Milliseconds(100), [this] { AwaitOthers(); });
     }
-    stub_->async()->PushFragments(&stream_context_, this);
+    stub_->async()->Play(&stream_context_, this);
     ++fleet_->calls;
     AddHold();  // for writes outside of its own callbacks
+    StartRead(&answer_);
     StartCall();
     Ask();
   }
 
   void Ask() {
     if (fleet_->stopping) return End();
-    auto call = std::make_shared<Call<v1::PermitRequest, v1::PermitReply>>();
-    v1::PermitRequest& request = call->request;
+    const MutexLock lock(&mu_);
+    v1::PermitRequest& request = *request_.mutable_permits();
+    request.Clear();
     request.set_actor(name_);
     request.set_epoch(epoch_);
     request.set_capacity(4096);
     request.set_wait_ms(kPollMs);
     request.set_wants_env_servers(true);
     *request.mutable_summary() = Summary("environment");
-    {
-      const MutexLock lock(&mu_);
-      request.set_env_servers_generation(generation_);
-      for (const auto& [lane, held] : held_) {
-        v1::Permit* const permit = request.add_active();
-        permit->set_lane(lane);
-        permit->set_fragment(held.permit.fragment);
-        permit->set_policy_version(held.permit.policy_version);
-        request.add_active_steps(1);
-      }
+    request.set_env_servers_generation(generation_);
+    for (const auto& [lane, held] : held_) {
+      v1::Permit* const permit = request.add_active();
+      permit->set_lane(lane);
+      permit->set_fragment(held.permit.fragment);
+      permit->set_policy_version(held.permit.policy_version);
+      request.add_active_steps(1);
     }
-    wire::SetDeadline(&call->context, absl::Seconds(20));
-    ++fleet_->calls;
-    stub_->async()->GetPermits(&call->context, &request, &call->reply, [this, call](const grpc::Status& status) {
-      OnPermits(status, call->reply);
-      --fleet_->calls;
-    });
+    asks_ = true;
+    WriteNext();
   }
 
-  void OnPermits(const grpc::Status& status, const v1::PermitReply& reply) {
-    if (!status.ok()) {
-      fleet_->Fail("GetPermits", status);
-      return End();
-    }
+  void OnPermits(const v1::PermitReply& reply) {
     {
       const MutexLock lock(&mu_);
       generation_ = reply.env_servers_generation();
@@ -204,31 +195,51 @@ class EmptyActor final : public grpc::ClientBidiReactor<v1::FragmentMessage, v1:
 
   void Send(int lane) {
     const MutexLock lock(&mu_);
-    const auto held = held_.find(lane);
-    if (held == held_.end() || ended_) return;
+    if (held_.count(lane) == 0) return;
     ready_.push_back(lane);
-    if (ready_.size() == 1) WriteNext();
+    WriteNext();
   }
+  // Requests come first, as in real actors.
   void WriteNext() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_) {
-    message_ = Fill(held_[ready_.front()].permit);
-    sent_ = SteadyNow();
-    StartWrite(&message_);
+    if (writing_ || ended_) return;
+    if (asks_) {
+      asks_ = false;
+      writing_ = true;
+      StartWrite(&request_);
+    } else if (!ready_.empty() && !is_sent_) {
+      *fragment_.mutable_fragment() = Fill(held_[ready_.front()].permit);
+      is_sent_ = true;
+      writing_ = true;
+      sent_ = SteadyNow();
+      StartWrite(&fragment_);
+    }
   }
   void OnWriteDone(bool ok) override {
-    message_.Clear();
-    if (ok) StartRead(&verdict_);
+    const MutexLock lock(&mu_);
+    fragment_.Clear();
+    writing_ = false;
+    if (ok) WriteNext();
   }
   void OnReadDone(bool ok) override {
     if (!ok) return;
+    if (answer_.has_permits()) {
+      OnPermits(answer_.permits());
+    } else {
+      OnVerdict(answer_.verdict());
+    }
+    StartRead(&answer_);
+  }
+  void OnVerdict(const v1::FragmentVerdict& verdict) {
     const MutexLock lock(&mu_);
     fleet_->Note(&fleet_->verdict_ms, SteadyNow() - sent_);
-    if (verdict_.verdict() == v1::FragmentVerdict::ACCEPTED) ++fragments_;
+    if (verdict.verdict() == v1::FragmentVerdict::ACCEPTED) ++fragments_;
     held_.erase(ready_.front());
     ready_.pop_front();
-    if (!ready_.empty() && !ended_) WriteNext();
+    is_sent_ = false;
+    WriteNext();
   }
   void OnDone(const grpc::Status& status) override {
-    if (!fleet_->stopping) fleet_->Fail("PushFragments", status);
+    if (!fleet_->stopping) fleet_->Fail("Play", status);
     --fleet_->calls;
   }
 
@@ -261,7 +272,7 @@ class EmptyActor final : public grpc::ClientBidiReactor<v1::FragmentMessage, v1:
 
   const std::unique_ptr<v1::LearnerService::Stub> stub_;
   const std::string name_;
-  std::mt19937 random_;  // of the thread that answers GetPermits, one at a time
+  std::mt19937 random_;  // of the thread that takes the permits, one at a time
   Fleet* const fleet_;
   int64_t epoch_ = 0;
   int steps_ = 0;
@@ -269,13 +280,17 @@ class EmptyActor final : public grpc::ClientBidiReactor<v1::FragmentMessage, v1:
   uint64_t env_digest_ = 0;  // of the run's environment
   grpc::ClientContext stream_context_;
   std::atomic<int64_t> fragments_{0};
-  v1::FragmentMessage message_;
-  v1::FragmentVerdict verdict_;
-  absl::Time sent_;
+  v1::LearnerMessage answer_;
 
   Mutex mu_;
+  v1::ActorMessage request_ ABSL_GUARDED_BY(mu_);
+  v1::ActorMessage fragment_ ABSL_GUARDED_BY(mu_);
+  absl::Time sent_ ABSL_GUARDED_BY(mu_);       // when the fragment was
+  bool asks_ ABSL_GUARDED_BY(mu_) = false;     // the request is to be written
+  bool is_sent_ ABSL_GUARDED_BY(mu_) = false;  // the fragment of the first lane of `ready_` was written
+  bool writing_ ABSL_GUARDED_BY(mu_) = false;
   std::map<int, Held> held_ ABSL_GUARDED_BY(mu_);  // permits, by lane
-  std::deque<int> ready_ ABSL_GUARDED_BY(mu_);     // lanes whose fragment is to be sent; the first one is under way
+  std::deque<int> ready_ ABSL_GUARDED_BY(mu_);     // lanes whose fragment is to be sent
   int64_t generation_ ABSL_GUARDED_BY(mu_) = 0;    // of its list of servers
   bool ended_ ABSL_GUARDED_BY(mu_) = false;
 };

@@ -4,6 +4,7 @@
 #define CRAFTFLEET_TESTS_FAKES_FAKE_LEARNER_SERVICE_H_
 
 #include <deque>
+#include <string>
 #include <vector>
 
 #include "common/base/mutex.h"
@@ -19,8 +20,10 @@ class FakeLearnerService : public v1::LearnerService::Service {
     kDuplicate,
     kExpire,
     kBreak,         // end the stream without a verdict
-    kRefuse,        // end it with INVALID_ARGUMENT
+    kRefuse,        // with a reason
+    kBadVerdict,    // one that does not exist
     kWrongVerdict,  // on another fragment
+    kUnasked,       // a reply to a request for permits instead
     kSilence,       // no answer until the client ends the stream
   };
 
@@ -39,15 +42,39 @@ class FakeLearnerService : public v1::LearnerService::Service {
     return received_;
   }
 
-  grpc::Status PushFragments(grpc::ServerContext* /*context*/,
-                             grpc::ServerReaderWriter<v1::FragmentVerdict, v1::FragmentMessage>* stream) override {
-    v1::FragmentMessage message;
-    while (stream->Read(&message)) {
-      v1::FragmentVerdict verdict;
-      verdict.set_lane(message.lane());
-      verdict.set_number(message.number());
+  // Answers no request for permits from now on; the others get an empty reply.
+  void IgnoreRequests() {
+    const MutexLock lock(&mu_);
+    ignores_requests_ = true;
+  }
+  // Reads nothing until `pauses` is false again.
+  void PauseReading(bool pauses) {
+    const MutexLock lock(&mu_);
+    pauses_ = pauses;
+    changed_.NotifyAll();
+  }
+  // What came, in order: 'p' for a request for permits, 'f' for a fragment.
+  std::string order() const {
+    const MutexLock lock(&mu_);
+    return order_;
+  }
+
+  grpc::Status Play(grpc::ServerContext* /*context*/,
+                    grpc::ServerReaderWriter<v1::LearnerMessage, v1::ActorMessage>* stream) override {
+    v1::ActorMessage message;
+    while (Read(stream, &message)) {
+      v1::LearnerMessage answer;
+      if (message.has_permits()) {
+        answer.mutable_permits();
+        if (!ignores_requests()) stream->Write(answer);
+        continue;
+      }
+      const v1::FragmentMessage& fragment = message.fragment();
+      v1::FragmentVerdict& verdict = *answer.mutable_verdict();
+      verdict.set_lane(fragment.lane());
+      verdict.set_number(fragment.number());
       verdict.set_verdict(v1::FragmentVerdict::ACCEPTED);
-      switch (Take(message)) {
+      switch (Take(fragment)) {
         case Answer::kAccept:
           break;
         case Answer::kDuplicate:
@@ -59,14 +86,22 @@ class FakeLearnerService : public v1::LearnerService::Service {
         case Answer::kBreak:
           return {grpc::StatusCode::UNAVAILABLE, "broken off"};
         case Answer::kRefuse:
-          return {grpc::StatusCode::INVALID_ARGUMENT, "frames: 1 bytes, want 2"};
+          verdict.set_verdict(v1::FragmentVerdict::REFUSED);
+          verdict.set_reason("frames: 1 bytes, want 2");
+          break;
+        case Answer::kBadVerdict:
+          verdict.set_verdict(static_cast<v1::FragmentVerdict::Verdict>(17));
+          break;
         case Answer::kWrongVerdict:
-          verdict.set_number(message.number() + 1);
+          verdict.set_number(fragment.number() + 1);
+          break;
+        case Answer::kUnasked:
+          answer.mutable_permits();
           break;
         case Answer::kSilence:
           continue;
       }
-      stream->Write(verdict);
+      stream->Write(answer);
     }
     return grpc::Status::OK;
   }
@@ -83,6 +118,20 @@ class FakeLearnerService : public v1::LearnerService::Service {
   }
 
  private:
+  bool Read(grpc::ServerReaderWriter<v1::LearnerMessage, v1::ActorMessage>* stream, v1::ActorMessage* message) {
+    {
+      const MutexLock lock(&mu_);
+      changed_.Wait(&mu_, [this]() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_) { return !pauses_; });
+    }
+    if (!stream->Read(message)) return false;
+    const MutexLock lock(&mu_);
+    order_ += message->has_permits() ? 'p' : 'f';
+    return true;
+  }
+  bool ignores_requests() const {
+    const MutexLock lock(&mu_);
+    return ignores_requests_;
+  }
   Answer Take(const v1::FragmentMessage& message) {
     const MutexLock lock(&mu_);
     received_.push_back(message);
@@ -93,6 +142,10 @@ class FakeLearnerService : public v1::LearnerService::Service {
   }
 
   mutable Mutex mu_;
+  CondVar changed_;
+  bool ignores_requests_ ABSL_GUARDED_BY(mu_) = false;
+  bool pauses_ ABSL_GUARDED_BY(mu_) = false;
+  std::string order_ ABSL_GUARDED_BY(mu_);
   std::deque<Answer> answers_ ABSL_GUARDED_BY(mu_);
   std::vector<v1::FragmentMessage> received_ ABSL_GUARDED_BY(mu_);
   std::vector<v1::WeightsChunk> chunks_ ABSL_GUARDED_BY(mu_);

@@ -4,6 +4,7 @@
 #include <functional>
 #include <limits>
 #include <thread>
+#include <utility>
 #include <vector>
 
 #include <absl/strings/str_cat.h>
@@ -16,6 +17,7 @@
 #include "common/process/worker_name.h"
 #include "common/wire/channel.h"
 #include "common/wire/protocol.h"
+#include "tests/fakes/play_once.h"
 
 namespace craftfleet {
 namespace {
@@ -28,7 +30,11 @@ constexpr float kNan = std::numeric_limits<float>::quiet_NaN();
 }  // namespace
 
 BadActor::BadActor(const wire::Endpoint& learner, uint64_t seed)
-    : endpoint_(learner), learner_(learner), random_(seed), name_(UniqueWorkerName()) {}
+    : endpoint_(learner),
+      learner_(learner),
+      stub_(v1::LearnerService::NewStub(learner.channel)),
+      random_(seed),
+      name_(UniqueWorkerName()) {}
 
 absl::Status BadActor::Join() {
   v1::JoinRequest request;
@@ -47,7 +53,7 @@ absl::StatusOr<v1::PermitReply> BadActor::AskForPermits(int capacity) {
   request.set_epoch(joined_.epoch());
   request.set_capacity(capacity);
   request.set_wait_ms(200);
-  return learner_.GetPermits(request);
+  return AskOnce(stub_.get(), request);
 }
 
 void BadActor::StaySilent() {
@@ -60,7 +66,7 @@ void BadActor::StaySilent() {
     request.set_capacity(4096);
     request.set_evaluates(true);
     request.set_wait_ms(200);
-    absl::StatusOr<v1::PermitReply> reply = learner_.GetPermits(request);
+    absl::StatusOr<v1::PermitReply> reply = AskOnce(stub_.get(), request);
     while (reply.ok() && !reply->finished()) {
       for (const v1::Permit& permit : reply->granted()) {
         *request.add_active() = permit;
@@ -68,7 +74,7 @@ void BadActor::StaySilent() {
       }
       if (reply->has_evaluation()) request.set_evaluation(reply->evaluation().id());
       absl::SleepFor(absl::Milliseconds(200));
-      reply = learner_.GetPermits(request);
+      reply = AskOnce(stub_.get(), request);
     }
     if (reply.ok()) return;
   }
@@ -94,14 +100,8 @@ absl::Status BadActor::Pretend() {
   v1::FragmentMessage message = Fragment(reply.granted(0));
   const v1::EnvConfig& env = joined_.config().env();
   message.set_snapshot(SealSnapshot(EnvDigest(env.name(), env.length()), "no game"));
-  grpc::ClientContext context;
-  wire::SetDeadline(&context, absl::Seconds(60));
-  const auto stream = learner_.PushFragments(&context);
-  v1::FragmentVerdict verdict;
-  const bool accepted =
-      stream->Write(message) && stream->Read(&verdict) && verdict.verdict() == v1::FragmentVerdict::ACCEPTED;
-  context.TryCancel();
-  stream->Finish().IgnoreError();
+  const absl::StatusOr<v1::FragmentVerdict> verdict = PushOnce(stub_.get(), std::move(message));
+  const bool accepted = verdict.ok() && verdict->verdict() == v1::FragmentVerdict::ACCEPTED;
   learner_.Leave(name_);
   return accepted ? absl::OkStatus() : absl::InternalError("the fragment was not accepted");
 }
@@ -118,7 +118,7 @@ void BadActor::Report() {
         request.set_capacity(4096);
         request.set_wait_ms(20);
       }
-      const absl::StatusOr<v1::PermitReply> reply = learner_.GetPermits(request);
+      const absl::StatusOr<v1::PermitReply> reply = AskOnce(stub_.get(), request);
       if (reply.ok() && reply->finished()) return;
       request.clear_failures();
       if (!reply.ok()) request.Clear();  // joins again
@@ -183,15 +183,9 @@ void BadActor::Spoil(v1::FragmentMessage* message) {
 }
 
 void BadActor::SendLie(const v1::Permit& permit) {
-  grpc::ClientContext context;
-  wire::SetDeadline(&context, absl::Seconds(10));
-  const auto stream = learner_.PushFragments(&context);
   v1::FragmentMessage message = Fragment(permit);
   Spoil(&message);
-  v1::FragmentVerdict verdict;
-  if (stream->Write(message)) stream->Read(&verdict);
-  context.TryCancel();
-  stream->Finish().IgnoreError();
+  PushOnce(stub_.get(), std::move(message)).status().IgnoreError();
 }
 
 void BadActor::SayNonsense() {
@@ -206,7 +200,8 @@ void BadActor::SayNonsense() {
     request.add_active_steps(std::numeric_limits<int64_t>::max());
   }
   request.mutable_summary()->set_last_error(std::string(1 << 20, '\x1b'));
-  learner_.GetPermits(request).IgnoreError();
+  AskOnce(stub_.get(), request).status().IgnoreError();
+  PlayOnce(stub_.get(), v1::ActorMessage()).status().IgnoreError();
 
   v1::EvaluationResult result;
   result.set_actor(name_);
@@ -236,10 +231,10 @@ void BadActor::FloodOnce() {
   }
   grpc::ClientContext push;
   wire::SetDeadline(&push, absl::Seconds(10));
-  const auto stream = client.PushFragments(&push);
-  v1::FragmentMessage message;
-  message.set_actor(request.actor());
-  message.set_frames(std::string(kLargeBytes, 'x'));
+  const auto stream = client.Play(&push);
+  v1::ActorMessage message;
+  message.mutable_fragment()->set_actor(request.actor());
+  message.mutable_fragment()->set_frames(std::string(kLargeBytes, 'x'));
   while (stream->Write(message)) absl::SleepFor(absl::Milliseconds(50));
   push.TryCancel();
   stream->Finish().IgnoreError();

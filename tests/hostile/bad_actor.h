@@ -4,6 +4,7 @@
 #define CRAFTFLEET_TESTS_HOSTILE_BAD_ACTOR_H_
 
 #include <cstdint>
+#include <memory>
 #include <random>
 #include <string>
 
@@ -11,7 +12,7 @@
 
 #include "actor/learner_client.h"
 #include "common/agent/agent_spec.h"
-#include "craftfleet/v1/learner.pb.h"
+#include "craftfleet/v1/learner.grpc.pb.h"
 
 namespace craftfleet {
 
@@ -53,6 +54,7 @@ class BadActor {
 
   const wire::Endpoint endpoint_;
   const LearnerClient learner_;
+  const std::unique_ptr<v1::LearnerService::Stub> stub_;
   std::mt19937_64 random_;
   std::string name_;
   v1::JoinReply joined_;

@@ -53,15 +53,28 @@ grpc::Status BadLearnerService::Join(grpc::ServerContext* context, const v1::Joi
   return grpc::Status::OK;
 }
 
-grpc::Status BadLearnerService::GetPermits(grpc::ServerContext* context, const v1::PermitRequest* request,
-                                           v1::PermitReply* reply) {
+grpc::Status BadLearnerService::Play(grpc::ServerContext* context,
+                                     grpc::ServerReaderWriter<v1::LearnerMessage, v1::ActorMessage>* stream) {
   if (Ignored(*context)) return grpc::Status::CANCELLED;
+  v1::ActorMessage message;
+  while (stream->Read(&message)) {
+    v1::LearnerMessage answer;
+    if (message.has_permits()) {
+      AnswerRequest(message.permits(), answer.mutable_permits());
+    } else {
+      answer.mutable_verdict()->set_reason(std::string(1 << 20, '\x1b'));
+    }
+    stream->Write(answer);
+  }
+  return grpc::Status::OK;
+}
+
+void BadLearnerService::AnswerRequest(const v1::PermitRequest& request, v1::PermitReply* reply) {
   absl::SleepFor(absl::Milliseconds(100));
   const bool lies = misdeed_ == LearnerMisdeed::kLying;
-  const int count = lies && asked_++ % 2 == 0 ? 100000 : std::min(request->capacity(), kLanes);
-  for (int i = request->active_size(); i < count; ++i) reply->add_granted()->set_lane(lies ? -i : i);
+  const int count = lies && asked_++ % 2 == 0 ? 100000 : std::min(request.capacity(), kLanes);
+  for (int i = request.active_size(); i < count; ++i) reply->add_granted()->set_lane(lies ? -i : i);
   if (lies) reply->add_env_servers(std::string(1 << 20, '\x1b'));
-  return grpc::Status::OK;
 }
 
 grpc::Status BadLearnerService::GetWeights(grpc::ServerContext* context, const v1::WeightsRequest* /*request*/,

@@ -21,8 +21,8 @@ class BadLearnerService : public v1::LearnerService::Service {
   explicit BadLearnerService(LearnerMisdeed misdeed) : misdeed_(misdeed) {}
 
   grpc::Status Join(grpc::ServerContext* context, const v1::JoinRequest* request, v1::JoinReply* reply) override;
-  grpc::Status GetPermits(grpc::ServerContext* context, const v1::PermitRequest* request,
-                          v1::PermitReply* reply) override;
+  grpc::Status Play(grpc::ServerContext* context,
+                    grpc::ServerReaderWriter<v1::LearnerMessage, v1::ActorMessage>* stream) override;
   grpc::Status GetWeights(grpc::ServerContext* context, const v1::WeightsRequest* request,
                           grpc::ServerWriter<v1::WeightsChunk>* writer) override;
   grpc::Status GetSnapshot(grpc::ServerContext* context, const v1::SnapshotRequest* request,
@@ -31,6 +31,7 @@ class BadLearnerService : public v1::LearnerService::Service {
                         v1::AnnounceReply* reply) override;
 
  private:
+  void AnswerRequest(const v1::PermitRequest& request, v1::PermitReply* reply);
   // If this learner is silent: waits until the caller has disconnected, and returns true.
   bool Ignored(const grpc::ServerContext& context) const;
 

@@ -73,7 +73,7 @@ class Compression(server_case.ServerCase):
     def test_a_learners_health_port_inflates_nothing(self):
         learner = self.learner("--health_listen=127.0.0.1:0")
         health = learner.told("health on")
-        self.attack(learner, health, [messages.HEALTH, messages.WATCH_HEALTH, messages.JOIN, messages.PUSH_FRAGMENTS])
+        self.attack(learner, health, [messages.HEALTH, messages.WATCH_HEALTH, messages.JOIN, messages.LEARNER_PLAY])
         self.assertTrue(self.healthy(health))
 
     def test_an_actors_ports_inflate_nothing(self):

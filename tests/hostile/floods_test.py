@@ -196,9 +196,8 @@ class LearnersStreams(server_case.ServerCase):
         before = learner.memory_mb()
         client = self.client(learner.address)
         for i in range(100):
-            stream = client.start(messages.PUSH_FRAGMENTS)
-            fragment = messages.field(1, "host-1-a") + messages.field(2, 99) + messages.field(6, bytes(3 << 20))
-            client.send_message(stream, fragment)  # of an unknown epoch
+            stream = client.start(messages.LEARNER_PLAY)
+            client.send_message(stream, messages.fragment(epoch=99, frame_bytes=3 << 20))  # of an unknown epoch
             reply = client.read_reply(stream, server_case.PATIENCE_S, messages=1)
             self.assertEqual(len(reply.messages), 1, (i, reply.error))
         self.assertLess(learner.memory_mb() - before, 150)
@@ -222,13 +221,13 @@ class LearnersStreams(server_case.ServerCase):
     def test_refused_calls_do_not_fill_the_log(self):
         learner = self.learner()
         before = len(learner.text().splitlines())
-        fragment = messages.field(1, "host-1-a") + messages.field(2, 1) + messages.field(3, 7)  # of a lane that does not exist
+        fragment = messages.fragment(epoch=1, lane=7)  # of a lane that does not exist
         with raw_http2.Client(learner.address) as client:
             for i in range(500):
                 reply = client.call(messages.JOIN, messages.field(1, 99) + messages.field(3, "host-1-a"))
                 self.assertEqual(reply.status, messages.FAILED_PRECONDITION, (i, reply.error))
-                reply = client.call(messages.PUSH_FRAGMENTS, fragment)
-                self.assertEqual(reply.status, messages.INVALID_ARGUMENT, reply.error)
+                reply = client.call(messages.LEARNER_PLAY, fragment)
+                self.assertIn(b"lane 7, want 0..", b"".join(reply.messages), (i, reply.error))
         self.assertLess(len(learner.text().splitlines()) - before, 20)
 
 

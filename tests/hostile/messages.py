@@ -11,7 +11,7 @@ GET_STATUS = "/craftfleet.v1.StatusService/GetStatus"
 WATCH_STATUS = "/craftfleet.v1.StatusService/WatchStatus"
 HEALTH = "/grpc.health.v1.Health/Check"
 WATCH_HEALTH = "/grpc.health.v1.Health/Watch"
-PUSH_FRAGMENTS = "/craftfleet.v1.LearnerService/PushFragments"
+LEARNER_PLAY = "/craftfleet.v1.LearnerService/Play"
 JOIN = "/craftfleet.v1.LearnerService/Join"
 GET_WEIGHTS = "/craftfleet.v1.LearnerService/GetWeights"
 REFLECTION = "/grpc.reflection.v1alpha.ServerReflection/ServerReflectionInfo"
@@ -60,6 +60,12 @@ def open_lanes(lanes, episode=1):
 def step(lanes, action=0):
     packed = b"".join(varint(lane) for lane in lanes)
     return field(3, field(1, packed) + field(2, bytes([action] * len(lanes))))
+
+
+def fragment(epoch, lane=0, frame_bytes=0):
+    """A message of an actor to a learner, which is no valid fragment."""
+    message = field(1, "host-1-a") + field(2, epoch) + field(3, lane) + field(6, bytes(frame_bytes))
+    return field(2, message)
 
 
 def bomb(encoding, megabytes):

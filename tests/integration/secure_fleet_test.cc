@@ -413,7 +413,7 @@ TEST_F(SecureFleetTest, AGigabyteMessageIsRefusedWithoutUsingAGigabyte) {
   ASSERT_THAT(security, IsOk());
   // UNAVAILABLE: the connection was reset because it sent so much without a message. That may come first.
   const auto refused = testing::AnyOf(grpc::StatusCode::RESOURCE_EXHAUSTED, grpc::StatusCode::UNAVAILABLE);
-  for (const char* method : {"/craftfleet.v1.LearnerService/Join", "/craftfleet.v1.LearnerService/PushFragments"}) {
+  for (const char* method : {"/craftfleet.v1.LearnerService/Join", "/craftfleet.v1.LearnerService/Play"}) {
     EXPECT_THAT(SendGigabyte(learner_address_, *security, method).error_code(), refused);
   }
   EXPECT_THAT(SendGigabyte(server_address, *security, "/craftfleet.v1.EnvironmentService/Play").error_code(), refused);

@@ -257,6 +257,22 @@ TEST(LaneScheduler, ABrokenConnectionEndsTheLeaseSooner) {
   fleet.registry.OnConnectionLost("a");  // no longer known
 }
 
+TEST(LaneScheduler, TheEndOfAnEarlierStreamDoesNotShortenALease) {
+  Fleet fleet(2);
+  WorkerRegistry::PermitRequest renewal = TestRegistry::RequestOf("a", fleet.Enter("a"), kAll);
+  fleet.registry.Join("b", "");
+  for (const int64_t stream : {1, 2}) {
+    renewal.stream = stream;
+    EXPECT_THAT(fleet.registry.WorkerRegistry::GetPermits(renewal), IsOk());
+  }
+  fleet.registry.OnConnectionLost("a", 1);
+  fleet.clock.Advance(absl::Milliseconds(2001));
+  EXPECT_THAT(fleet.Ask("b").granted, IsEmpty());
+  fleet.registry.OnConnectionLost("a", 2);
+  fleet.clock.Advance(absl::Milliseconds(2001));
+  EXPECT_THAT(fleet.Ask("b").granted, SizeIs(2));
+}
+
 TEST(LaneScheduler, AReconnectedActorKeepsItsLease) {
   Fleet fleet(2);
   const std::vector<Permit> of_a = fleet.Enter("a");

@@ -15,6 +15,7 @@
 #include "common/wire/server.h"
 #include "learner/learner_service.h"
 #include "tests/fakes/fake_clock.h"
+#include "tests/fakes/play_once.h"
 #include "tests/fakes/status_matchers.h"
 #include "tests/fakes/wire_samples.h"
 #include "tests/learner/learner_parts.h"
@@ -73,8 +74,9 @@ class LearnerServiceTest : public testing::Test {
     request.set_actor(actor);
     request.set_epoch(epoch);
     request.set_capacity(100);
-    return Call(&v1::LearnerService::Stub::GetPermits, request);
+    return Ask(request);
   }
+  absl::StatusOr<v1::PermitReply> Ask(const v1::PermitRequest& request) { return AskOnce(stub_.get(), request); }
   absl::StatusOr<v1::SnapshotReply> GetSnapshot(int lane, int64_t fragment, int64_t epoch = kEpoch) {
     v1::SnapshotRequest request;
     request.set_epoch(epoch);
@@ -96,11 +98,13 @@ class LearnerServiceTest : public testing::Test {
   absl::StatusOr<std::vector<v1::FragmentVerdict>> Push(const std::vector<v1::FragmentMessage>& messages) {
     grpc::ClientContext context;
     wire::SetDeadline(&context, absl::Seconds(20));
-    const auto stream = stub_->PushFragments(&context);
+    const auto stream = stub_->Play(&context);
     std::vector<v1::FragmentVerdict> verdicts;
-    v1::FragmentVerdict verdict;
-    for (const v1::FragmentMessage& message : messages) {
-      if (stream->Write(message) && stream->Read(&verdict)) verdicts.push_back(verdict);
+    v1::ActorMessage message;
+    v1::LearnerMessage answer;
+    for (const v1::FragmentMessage& fragment : messages) {
+      *message.mutable_fragment() = fragment;
+      if (stream->Write(message) && stream->Read(&answer)) verdicts.push_back(answer.verdict());
     }
     stream->WritesDone();
     const grpc::Status status = stream->Finish();

@@ -3,7 +3,6 @@
 #include <cmath>
 #include <memory>
 #include <string>
-#include <thread>
 #include <utility>
 #include <vector>
 
@@ -59,7 +58,7 @@ TEST_F(LearnerServiceTest, AnActorReportsABoundedNumberOfServers) {
   request.set_epoch(kEpoch);
   request.add_env_servers()->set_address("10.0.0.1:\x1b[2J");
   for (int i = 1; i < 100; ++i) request.add_env_servers()->set_address(absl::StrCat("10.0.0.1:", i));
-  ASSERT_THAT(Call(&v1::LearnerService::Stub::GetPermits, request), IsOk());
+  ASSERT_THAT(Ask(request), IsOk());
   v1::StatusReply status;
   service_.FillStatus(&status);
   EXPECT_EQ(status.peers_size(), 1 + 63) << "the actor, and the first 64 servers except the one without an address";
@@ -74,7 +73,7 @@ TEST_F(LearnerServiceTest, AServersImpossibleSummaryIsLeftOut) {
   v1::Peer* const bad = request.add_env_servers();
   bad->set_address("10.0.0.1:2");
   bad->mutable_summary()->set_steps_per_second(std::nan(""));
-  ASSERT_THAT(Call(&v1::LearnerService::Stub::GetPermits, request), IsOk());
+  ASSERT_THAT(Ask(request), IsOk());
   v1::StatusReply status;
   service_.FillStatus(&status);
   ASSERT_EQ(status.peers_size(), 2) << "the actor and the first server";
@@ -88,8 +87,8 @@ TEST_F(LearnerServiceTest, PermitsAreForThisEpoch) {
       StatusIs(absl::StatusCode::kAborted, AllOf(HasSubstr("epoch 3"), HasSubstr("epoch 4"), HasSubstr("join again"))));
 }
 
-// When an actor's process dies, its call that waits for permits breaks.
-TEST_F(LearnerServiceTest, ABrokenCallShortensTheLease) {
+// When an actor's process dies, its stream breaks.
+TEST_F(LearnerServiceTest, ABrokenStreamShortensTheLease) {
   Enter("a");
   ASSERT_THAT(Join("b"), IsOk());
   grpc::ClientContext context;
@@ -102,13 +101,13 @@ TEST_F(LearnerServiceTest, ABrokenCallShortensTheLease) {
     permit->set_lane(lane);
     permit->set_policy_version(kVersion);
   }
-  std::thread call([&] {
-    v1::PermitReply reply;
-    stub_->GetPermits(&context, request, &reply);
-  });
+  const auto stream = stub_->Play(&context);
+  v1::ActorMessage message;
+  *message.mutable_permits() = request;
+  EXPECT_TRUE(stream->Write(message));
   absl::SleepFor(absl::Milliseconds(100));
   context.TryCancel();
-  call.join();
+  stream->Finish().IgnoreError();
   int granted = 0;
   for (int i = 0; i < 49 && granted == 0; ++i) {  // less than the lease
     absl::SleepFor(absl::Milliseconds(100));
@@ -155,10 +154,15 @@ TEST_F(LearnerServiceTest, FragmentsWithoutPermitAreExpired) {
   EXPECT_EQ(Metric("fragments_expired"), 3);
 }
 
-TEST_F(LearnerServiceTest, AnInvalidFragmentEndsOnlyItsStream) {
+TEST_F(LearnerServiceTest, AnInvalidFragmentIsRefusedAndTheStreamGoesOn) {
   Enter("a");
   const auto refused = [this](v1::FragmentMessage message, const std::string& error) {
-    EXPECT_THAT(Push({std::move(message)}), StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr(error)));
+    const auto verdicts = Push({std::move(message), Message("a", 1, 1)});
+    ASSERT_THAT(verdicts, IsOk());
+    ASSERT_EQ(verdicts->size(), 2);
+    EXPECT_EQ((*verdicts)[0].verdict(), v1::FragmentVerdict::REFUSED);
+    EXPECT_THAT((*verdicts)[0].reason(), HasSubstr(error));
+    EXPECT_EQ((*verdicts)[1].verdict(), v1::FragmentVerdict::EXPIRED) << "it has no permit for the next fragment";
   };
   v1::FragmentMessage cut = Message("a", 0, 0);
   cut.mutable_frames()->pop_back();
@@ -179,12 +183,14 @@ TEST_F(LearnerServiceTest, ImpossibleValuesAreRefusedWithActorLaneFieldAndValue)
   Enter("a");
   v1::FragmentMessage wild = Message("a", 1, 0);
   wild.set_log_probs(2, 40);
-  EXPECT_THAT(Push({wild}), StatusIs(absl::StatusCode::kInvalidArgument,
-                                     HasSubstr("fragment 0 of lane 1 of actor a: log_probs: 40 at 2, want -104..0")));
+  v1::FragmentVerdict verdict = Push({wild}).value()[0];
+  EXPECT_EQ(verdict.verdict(), v1::FragmentVerdict::REFUSED);
+  EXPECT_THAT(verdict.reason(), HasSubstr("fragment 0 of lane 1 of actor a: log_probs: 40 at 2, want -104..0"));
   wild = Message("a", 1, 0);
   wild.set_snapshot(std::string(9000, 's'));
-  EXPECT_THAT(Push({wild}), StatusIs(absl::StatusCode::kInvalidArgument,
-                                     HasSubstr("fragment 0 of lane 1 of actor a: snapshot: 9000 bytes without")));
+  verdict = Push({wild}).value()[0];
+  EXPECT_EQ(verdict.verdict(), v1::FragmentVerdict::REFUSED);
+  EXPECT_THAT(verdict.reason(), HasSubstr("fragment 0 of lane 1 of actor a: snapshot: 9000 bytes without"));
   EXPECT_EQ(Metric("fragments_rejected"), 2);
   EXPECT_EQ(GetSnapshot(1, 0)->snapshot(), "") << "the lane has not advanced";
 }
@@ -195,12 +201,10 @@ TEST_F(LearnerServiceTest, ImpossibleRequestsForPermitsAreRefused) {
   request.set_actor("a");
   request.set_epoch(kEpoch);
   request.add_active()->set_lane(3);
-  EXPECT_THAT(Call(&v1::LearnerService::Stub::GetPermits, request),
-              StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("active: lane 3, want 0..2")));
+  EXPECT_THAT(Ask(request), StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("active: lane 3, want 0..2")));
   request.mutable_active(0)->set_lane(2);
   request.add_active_steps(kSampleShape.steps + 1);
-  EXPECT_THAT(Call(&v1::LearnerService::Stub::GetPermits, request),
-              StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("active_steps: 6, want 0..5")));
+  EXPECT_THAT(Ask(request), StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("active_steps: 6, want 0..5")));
 }
 
 // The only actor reports twice that a lane's game can't be restored.
@@ -223,9 +227,9 @@ TEST_F(LearnerServiceTest, ALaneWithAnInvalidSnapshotIsReset) {
     return -1;
   };
   ASSERT_EQ(granted(GetPermits("a")), 1);
-  EXPECT_EQ(granted(Call(&v1::LearnerService::Stub::GetPermits, request)), 1);
+  EXPECT_EQ(granted(Ask(request)), 1);
   EXPECT_EQ(Metric("lanes_reset"), 0);
-  EXPECT_EQ(granted(Call(&v1::LearnerService::Stub::GetPermits, request)), 0) << "played again";
+  EXPECT_EQ(granted(Ask(request)), 0) << "played again";
   EXPECT_EQ(Metric("lanes_reset"), 1);
 }
 
@@ -287,7 +291,7 @@ TEST_F(LearnerServiceTest, AnActorThatEvaluatesGetsATaskAndReturnsItsResult) {
     request.set_epoch(kEpoch);
     request.set_evaluates(true);
     request.set_evaluation(at_hand);
-    return *Call(&v1::LearnerService::Stub::GetPermits, request);
+    return Ask(request).value();
   };
   const v1::EvaluationTask task = ask(0).evaluation();
   EXPECT_EQ(task.env().name(), "crafter:numbers=easy-x2");

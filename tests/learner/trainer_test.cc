@@ -28,6 +28,7 @@
 #include "learner/learner.h"
 #include "learner/run/checkpoint_store.h"
 #include "tests/fakes/no_tensor_memory.h"
+#include "tests/fakes/play_once.h"
 #include "tests/fakes/status_matchers.h"
 #include "tests/fakes/temp_folder.h"
 
@@ -150,22 +151,14 @@ class Training {
     request.set_capacity(capacity);
     request.set_wait_ms(2000);
     for (const v1::LaneFailure& failure : failures) *request.add_failures() = failure;
-    v1::PermitReply reply;
-    grpc::ClientContext context;
-    stub_->GetPermits(&context, request, &reply);
-    return {reply.granted().begin(), reply.granted().end()};
+    const auto reply = AskOnce(stub_.get(), request);
+    if (!reply.ok()) return {};
+    return {reply->granted().begin(), reply->granted().end()};
   }
   v1::FragmentVerdict::Verdict Push(const std::string& actor, const Fragment& fragment) {
     v1::FragmentMessage message = wire::ToProto(fragment);
     message.set_actor(actor);
-    grpc::ClientContext context;
-    const auto stream = stub_->PushFragments(&context);
-    v1::FragmentVerdict verdict;
-    stream->Write(message);
-    stream->Read(&verdict);
-    stream->WritesDone();
-    stream->Finish();
-    return verdict.verdict();
+    return PushOnce(stub_.get(), std::move(message)).value_or(v1::FragmentVerdict()).verdict();
   }
   void Leave(const std::string& actor) {
     v1::LeaveRequest request;

@@ -2,6 +2,7 @@
 
 #include <memory>
 #include <string>
+#include <utility>
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
@@ -10,6 +11,7 @@
 #include "common/wire/protocol.h"
 #include "common/wire/server.h"
 #include "learner/learner_service.h"
+#include "tests/fakes/play_once.h"
 #include "tests/fakes/status_matchers.h"
 #include "tests/fakes/temp_folder.h"
 #include "tests/fakes/test_certificates.h"
@@ -59,18 +61,12 @@ class WorkerNamesTest : public testing::Test {
     request.set_actor(actor);
     request.set_epoch(kEpoch);
     request.set_capacity(100);
-    return Call<v1::PermitReply>(stub, &v1::LearnerService::Stub::GetPermits, request);
+    return AskOnce(stub, request).status();
   }
   static absl::Status Push(v1::LearnerService::Stub* stub, const std::string& actor) {
-    grpc::ClientContext context;
-    wire::SetDeadline(&context, absl::Seconds(20));
-    const auto stream = stub->PushFragments(&context);
     v1::FragmentMessage message = wire::ToProto(SampleFragment(1, 0, kVersion, kEpoch));
     message.set_actor(actor);
-    v1::FragmentVerdict verdict;
-    if (stream->Write(message)) stream->Read(&verdict);
-    stream->WritesDone();
-    return wire::FromGrpc(stream->Finish(), "learner");
+    return PushOnce(stub, std::move(message)).status();
   }
   static absl::Status FinishEvaluation(v1::LearnerService::Stub* stub, const std::string& actor) {
     v1::EvaluationResult request;

@@ -59,16 +59,16 @@ class Intake final : public v1::LearnerService::Service {
   Intake(const v1::RunConfig& config, const std::string& texture_digest, const wire::FragmentShape& shape)
       : frames_(config, texture_digest), shape_(shape) {}
 
-  grpc::Status PushFragments(grpc::ServerContext* /*context*/,
-                             grpc::ServerReaderWriter<v1::FragmentVerdict, v1::FragmentMessage>* stream) override {
-    v1::FragmentMessage message;
+  grpc::Status Play(grpc::ServerContext* /*context*/,
+                    grpc::ServerReaderWriter<v1::LearnerMessage, v1::ActorMessage>* stream) override {
+    v1::ActorMessage message;
     while (stream->Read(&message)) {
-      absl::Status status = frames_.Draw(shape_.steps, &message);
-      if (status.ok()) status = wire::FromProto(&message, shape_).status();
+      absl::Status status = frames_.Draw(shape_.steps, message.mutable_fragment());
+      if (status.ok()) status = wire::FromProto(message.mutable_fragment(), shape_).status();
       if (!status.ok()) return {grpc::StatusCode::INVALID_ARGUMENT, std::string(status.message())};
-      v1::FragmentVerdict verdict;
-      verdict.set_verdict(v1::FragmentVerdict::ACCEPTED);
-      if (!stream->Write(verdict)) break;
+      v1::LearnerMessage answer;
+      answer.mutable_verdict()->set_verdict(v1::FragmentVerdict::ACCEPTED);
+      if (!stream->Write(answer)) break;
     }
     return grpc::Status::OK;
   }
@@ -134,7 +134,7 @@ class RandomPlayer {
 };
 
 // Adds to `costs` those of sending `message` to a learner.
-absl::Status MeasureIntake(const v1::FragmentMessage& message, int steps, Intake* intake, absl::Duration duration,
+absl::Status MeasureIntake(const v1::ActorMessage& message, int steps, Intake* intake, absl::Duration duration,
                            FrameCosts* costs) {
   wire::Server::Options options;
   options.address = kAnyPort;
@@ -142,13 +142,13 @@ absl::Status MeasureIntake(const v1::FragmentMessage& message, int steps, Intake
   const wire::Endpoint endpoint = wire::Connect(server->address());
   const auto stub = v1::LearnerService::NewStub(endpoint.channel);
   grpc::ClientContext context;
-  const auto stream = stub->PushFragments(&context);
-  v1::FragmentVerdict verdict;
-  bool connected = stream->Write(message) && stream->Read(&verdict);
+  const auto stream = stub->Play(&context);
+  v1::LearnerMessage answer;
+  bool connected = stream->Write(message) && stream->Read(&answer);
   const CpuTimer timer;
   int64_t sent = 0;
   for (const absl::Time end = absl::Now() + duration; connected && (absl::Now() < end || sent == 0); ++sent) {
-    connected = stream->Write(message) && stream->Read(&verdict);
+    connected = stream->Write(message) && stream->Read(&answer);
   }
   const double actor_us = timer.own_us();
   const double learner_us = timer.others_us();
@@ -183,9 +183,9 @@ absl::StatusOr<FrameCosts> MeasureGames(const v1::RunConfig& config, FrameFormat
   CRAFTFLEET_RETURN_IF_ERROR(player.Begin());
   FrameCosts costs;
   const CpuTimer timer;
-  v1::FragmentMessage message;
+  v1::ActorMessage message;
   for (const absl::Time end = absl::Now() + duration / 2; absl::Now() < end || player.steps() == 0;) {
-    CRAFTFLEET_ASSIGN_OR_RETURN(message, player.PlayFragment());
+    CRAFTFLEET_ASSIGN_OR_RETURN(*message.mutable_fragment(), player.PlayFragment());
   }
   const auto steps = static_cast<double>(player.steps());
   costs.actor_us = timer.own_us() / steps;

@@ -19,7 +19,7 @@ from gymnasium.vector import AutoresetMode
 
 from craftfleet import _arguments, _engine, _lanes
 
-PROTOCOL_VERSION = 2
+PROTOCOL_VERSION = 3
 MAX_MESSAGE_BYTES = 96 << 20
 MAX_PORT = 2**16 - 1
 TERMINATED, TRUNCATED = 1, 2

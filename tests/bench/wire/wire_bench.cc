@@ -9,6 +9,7 @@
 #include <memory>
 #include <string>
 #include <thread>
+#include <utility>
 #include <vector>
 
 #include <absl/flags/flag.h>
@@ -128,13 +129,13 @@ class Actor {
   Actor(const std::string& learner, int number, int steps)
       : name_(absl::StrCat("host-1234-bench-", number)),
         stub_(v1::LearnerService::NewStub(wire::Connect(learner).channel)),
-        message_(EmptyFragment(name_, steps)) {
+        stream_(stub_->Play(&context_)) {
+    *fragment_.mutable_fragment() = EmptyFragment(name_, steps);
     v1::JoinRequest request;
     request.set_protocol_version(wire::kProtocolVersion);
     request.set_actor(name_);
     v1::JoinReply reply;
     Call(&v1::LearnerService::Stub::Join, request, &reply);
-    stream_ = stub_->PushFragments(&context_);
   }
   ~Actor() {
     stream_->WritesDone();
@@ -142,17 +143,17 @@ class Actor {
   }
 
   // Requests permits, and sends a fragment for each.
-  Turn PushFragments() {
+  Turn Play() {
     const v1::PermitReply permits = GetPermits({});
     Turn turn;
-    v1::FragmentVerdict verdict;
+    v1::LearnerMessage answer;
     for (const v1::Permit& permit : permits.granted()) {
-      message_.set_lane(permit.lane());
-      message_.set_number(permit.fragment());
-      CRAFTFLEET_CHECK(stream_->Write(message_) && stream_->Read(&verdict));
-      CRAFTFLEET_CHECK(verdict.verdict() == v1::FragmentVerdict::ACCEPTED);
+      fragment_.mutable_fragment()->set_lane(permit.lane());
+      fragment_.mutable_fragment()->set_number(permit.fragment());
+      CRAFTFLEET_CHECK(stream_->Write(fragment_) && stream_->Read(&answer));
+      CRAFTFLEET_CHECK(answer.verdict().verdict() == v1::FragmentVerdict::ACCEPTED);
       ++turn.calls;
-      turn.bytes += static_cast<int64_t>(message_.ByteSizeLong() + verdict.ByteSizeLong());
+      turn.bytes += static_cast<int64_t>(fragment_.ByteSizeLong() + answer.ByteSizeLong());
     }
     return turn;
   }
@@ -217,26 +218,27 @@ class Actor {
   }
 
   v1::PermitReply GetPermits(const std::vector<v1::Permit>& active, int64_t* bytes = nullptr) {
-    v1::PermitRequest request;
+    v1::ActorMessage message;
+    v1::PermitRequest& request = *message.mutable_permits();
     request.set_actor(name_);
     request.set_capacity(kLanesOfClient);
     request.set_wants_env_servers(true);
     request.set_env_servers_generation(env_servers_generation_);
     for (const v1::Permit& permit : active) *request.add_active() = permit;
-    v1::PermitReply reply;
-    Call(&v1::LearnerService::Stub::GetPermits, request, &reply);
-    env_servers_generation_ = reply.env_servers_generation();
-    if (bytes != nullptr) *bytes = static_cast<int64_t>(request.ByteSizeLong() + reply.ByteSizeLong());
-    return reply;
+    v1::LearnerMessage answer;
+    CRAFTFLEET_CHECK(stream_->Write(message) && stream_->Read(&answer) && answer.has_permits());
+    env_servers_generation_ = answer.permits().env_servers_generation();
+    if (bytes != nullptr) *bytes = static_cast<int64_t>(message.ByteSizeLong() + answer.ByteSizeLong());
+    return std::move(*answer.mutable_permits());
   }
 
   const std::string name_;
   const std::unique_ptr<v1::LearnerService::Stub> stub_;
-  v1::FragmentMessage message_;
+  grpc::ClientContext context_;
+  const std::unique_ptr<grpc::ClientReaderWriter<v1::ActorMessage, v1::LearnerMessage>> stream_;
+  v1::ActorMessage fragment_;
   std::vector<v1::Permit> active_;
   int64_t env_servers_generation_ = 0;
-  grpc::ClientContext context_;
-  std::unique_ptr<grpc::ClientReaderWriter<v1::FragmentMessage, v1::FragmentVerdict>> stream_;
 };
 
 // Plays `lanes` games with a fixed sequence of actions.
@@ -295,12 +297,13 @@ void MeasureFragments(const Addresses& addresses, int clients, Meter* meter) {
     for (int k = 0; k < clients; ++k) {
       actors.push_back(std::make_unique<Actor>(addresses.learners[i], k, kFragmentSteps[i]));
     }
-    meter->Measure(absl::StrCat("fragment of ", kFragmentSteps[i], " steps, with 1/16 call for permits"), clients,
-                   [&](int client) { return actors[client]->PushFragments(); });
+    meter->Measure(absl::StrCat("fragment of ", kFragmentSteps[i], " steps, with 1/16 request for permits"), clients,
+                   [&](int client) { return actors[client]->Play(); });
     if (i + 1 < kServices) continue;
     for (const auto& actor : actors) actor->TakePermits();
     meter->Measure("snapshot of a lane", clients, [&](int client) { return actors[client]->GetSnapshots(); });
-    meter->Measure("call that renews 16 permits", clients, [&](int client) { return actors[client]->RenewPermits(); });
+    meter->Measure("request that renews 16 permits", clients,
+                   [&](int client) { return actors[client]->RenewPermits(); });
     meter->Measure("announcement of an environment server", clients,
                    [&](int client) { return actors[client]->Announce(client); });
     meter->Measure("weights of ppo_cnn", clients, [&](int client) { return actors[client]->GetWeights(); });
@@ -315,8 +318,8 @@ void MeasureCrowd(const Addresses& addresses, int clients, Meter* meter) {
   for (int k = 0; k < kCrowd; ++k) actors.push_back(std::make_unique<Actor>(addresses.crowded, k, 4));
   for (int k = 0; k < clients; ++k) actors[k]->TakePermits();
   for (int server = 0; server < kMany; ++server) actors[0]->Announce(server);
-  meter->Measure(absl::StrCat("call for permits; ", kMany, " lanes, ", kMany, " servers, ", kCrowd, " actors"), clients,
-                 [&](int client) { return actors[client]->RenewPermits(); });
+  meter->Measure(absl::StrCat("request for permits; ", kMany, " lanes, ", kMany, " servers, ", kCrowd, " actors"),
+                 clients, [&](int client) { return actors[client]->RenewPermits(); });
   std::vector<int> servers(clients);
   meter->Measure(absl::StrCat("announcement of one of ", kMany, " environment servers"), clients, [&](int client) {
     return actors[client]->Announce(client + clients * (servers[client]++ % (kMany / clients)));

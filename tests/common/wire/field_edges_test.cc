@@ -100,7 +100,9 @@ const FieldExpectations& Expectations() {
       {
           {"RunConfig", "config_test, extreme_configs_test"},
           {"EnvConfig", "config_test, env_service_test"},
-          {"FragmentVerdict", "names a fragment that the actor sent; others are ignored (fragment_sender_test)"},
+          {"ActorMessage", "what it has in it is walked by itself; empty: refused (learner_streams_test)"},
+          {"LearnerMessage", "the same; empty or not asked for: the stream ends (learner_stream_test)"},
+          {"FragmentVerdict", "of a fragment that the actor sent, else the stream ends (learner_stream_test)"},
           {"WeightsRequest", "waits are bounded; any version and any task may be requested (learner_service_test)"},
           {"SnapshotRequest", "compared with the lane's next fragment: ABORTED (learner_service_test)"},
           {"AnnounceReply", "not read"},
