@@ -7,6 +7,8 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include "common/io/files.h"
+#include "common/wire/access.h"
 #include "common/wire/grpc_status.h"
 #include "common/wire/protocol.h"
 #include "common/wire/server.h"
@@ -15,6 +17,7 @@
 #include "tests/fakes/status_matchers.h"
 #include "tests/fakes/temp_folder.h"
 #include "tests/fakes/test_certificates.h"
+#include "tests/fakes/wait_until.h"
 #include "tests/fakes/wire_samples.h"
 #include "tests/learner/learner_parts.h"
 
@@ -168,6 +171,33 @@ TEST_F(WorkerNamesTest, ARenewedCertificateIsTheSameWorker) {
   ASSERT_THAT(Join(Client("one").get(), "a"), IsOk());
   ca_.Issue("one", {"one", 77});
   EXPECT_THAT(GetPermits(Client("one").get(), "a"), IsOk());
+}
+
+TEST_F(WorkerNamesTest, AStreamEndsOnceItsClientIsNoLongerAllowed) {
+  ASSERT_THAT(WriteFileSynced(folder_ / "access.txt", R"(client { name: "x" certificate: "one" right: PLAY })"),
+              IsOk());
+  LearnerServiceImpl::Options options = ServiceOptions();
+  options.access = wire::AccessControl::Create(folder_ / "access.txt").value();
+  LearnerServiceImpl service(options, &registry_, &parts_.weights, &parts_.fragments);
+  wire::Server::Options server;
+  server.address = "127.0.0.1:0";
+  server.files = Files("learner");
+  server_ = *wire::Server::Create(server, {&service});
+  const auto stub = Client("one");
+  ASSERT_THAT(Join(stub.get(), "a"), IsOk());
+  grpc::ClientContext context;
+  wire::SetDeadline(&context, absl::Seconds(60));
+  const auto stream = stub->Play(&context);
+  v1::ActorMessage message;
+  message.mutable_permits()->set_actor("a");
+  message.mutable_permits()->set_epoch(kEpoch);
+  v1::LearnerMessage answer;
+  ASSERT_TRUE(stream->Write(message) && stream->Read(&answer));
+  ASSERT_THAT(ReplaceFile(folder_ / "access.txt", R"(client { name: "x" certificate: "two" right: PLAY })"), IsOk());
+  EXPECT_TRUE(WaitUntil([&] { return !stream->Write(message) || !stream->Read(&answer); }));
+  EXPECT_THAT(wire::FromGrpc(stream->Finish(), "learner"),
+              StatusIs(absl::StatusCode::kPermissionDenied, HasSubstr("not allowed")));
+  server_.reset();  // before its service
 }
 
 TEST_F(WorkerNamesTest, WithoutTlsNamesAreNotOwned) {
