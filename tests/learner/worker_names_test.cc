@@ -93,6 +93,16 @@ class WorkerNamesTest : public testing::Test {
     return Call<v1::AnnounceReply>(stub, &v1::LearnerService::Stub::Announce, request);
   }
 
+  static LearnerServiceImpl::Options ServiceOptions() {
+    LearnerServiceImpl::Options options;
+    options.run_id = "run-a";
+    options.epoch = kEpoch;
+    options.config.set_lanes(kSampleShape.lanes);
+    options.shape = kSampleShape;
+    options.lease = absl::Minutes(5);
+    return options;
+  }
+
   int Permits(const std::string& actor) {
     for (const LaneScheduler::ActorInfo& info : registry_.Actors()) {
       if (info.name == actor) return info.permits;
@@ -109,15 +119,6 @@ class WorkerNamesTest : public testing::Test {
   std::unique_ptr<wire::Server> server_;
 
  private:
-  static LearnerServiceImpl::Options ServiceOptions() {
-    LearnerServiceImpl::Options options;
-    options.run_id = "run-a";
-    options.epoch = kEpoch;
-    options.config.set_lanes(kSampleShape.lanes);
-    options.shape = kSampleShape;
-    options.lease = absl::Minutes(5);
-    return options;
-  }
   template <typename Reply, typename Request>
   static absl::Status Call(v1::LearnerService::Stub* stub,
                            grpc::Status (v1::LearnerService::Stub::*method)(grpc::ClientContext*, const Request&,
