@@ -4,9 +4,11 @@
 #include <string>
 #include <vector>
 
+#include <absl/strings/str_cat.h>
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include "common/wire/protocol.h"
 #include "envserver/env_service.h"
 #include "tests/envserver/test_session.h"
 #include "tests/fakes/status_matchers.h"
@@ -68,7 +70,7 @@ const std::vector<InvalidClient>& AllInvalidClients() {
       {"OlderProtocol",
        [] { return Requests{HelloBut([](auto* h) { h->set_protocol_version(0); })}; },
        kPrecondition,
-       {"speaks protocol version 2, the actor 0", "upgrade the actor"}},
+       {absl::StrCat("speaks protocol version ", wire::kProtocolVersion, ", the actor 0"), "upgrade the actor"}},
       {"OtherTextures",
        [] { return Requests{HelloBut([](auto* h) { h->set_texture_digest("0123456789abcdef"); })}; },
        kPrecondition,
