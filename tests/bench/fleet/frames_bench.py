@@ -26,7 +26,7 @@ from netns import Host, Network, run, why_not  # noqa: E402
 
 LANES, FRAGMENT = 128, 32
 STEPS_OF_AN_ITERATION = LANES * FRAGMENT
-CONFIG = """steps: {steps} seed: 1 lanes: 128 fragment_steps: 32 ppo {{ rollout_steps: 4096 epochs: 1 }}
+CONFIG = """steps: {steps} seed: 1 lanes: 128 fragment_steps: 32 overlap: {overlap} ppo {{ rollout_steps: 4096 epochs: {epochs} }}
   eval {{ every_steps: 0 final_episodes: 0 }}"""
 DAY, NIGHT = range(2, 5), range(7, 9)  # iterations: steps 32 to 128 of an episode, and 192 to 256
 FORMATS = ["raw", "lz4", "scene"]
@@ -65,7 +65,8 @@ def observe(network, fleet):
 def train(options, frames, slow, folder):
     """Returns steps per second, and what was observed after each iteration."""
     config, logdir = folder / "config.txt", folder / "run"
-    config.write_text(CONFIG.format(steps=STEPS_OF_AN_ITERATION * options.iterations), encoding="utf-8")
+    config.write_text(CONFIG.format(steps=STEPS_OF_AN_ITERATION * options.iterations, epochs=options.epochs,
+                                    overlap=int(options.overlap)), encoding="utf-8")
     network = ThreeHosts(slow)
     learner_host, server_host, actor_host = network.hosts
     try:
@@ -101,12 +102,16 @@ def main():
     parser.add_argument("--bin", required=True, help="folder of the programs")
     parser.add_argument("--iterations", type=int, default=10, help="of 4,096 steps, a run; at least 9")
     parser.add_argument("--rounds", type=int, default=3)
+    parser.add_argument("--epochs", type=int, default=1, help="of an update")
+    parser.add_argument("--overlap", action="store_true", help="play while the learner updates")
+    parser.add_argument("--formats", type=lambda text: text.split(","), default=FORMATS, help="some of raw,lz4,scene")
     options = parser.parse_args()
     if (missing := why_not()) is not None:
         sys.exit(missing)
     for number in range(options.rounds):
         # The order rotates, since other load on the machine may drift.
-        for frames in FORMATS[number % 3:] + FORMATS[:number % 3]:
+        first = number % len(options.formats)
+        for frames in options.formats[first:] + options.formats[:first]:
             rates = {}
             for slow in [False, True]:
                 with tempfile.TemporaryDirectory(prefix="frames_bench-") as folder:
