@@ -25,17 +25,8 @@ struct Service : LearnerParts {
     weights.Publish(kVersion, std::make_shared<std::string>("weights"));
     registry.AddEvaluation({1, 4096, 1, 2, false, std::make_shared<std::string>("old weights")});
   }
-  static LearnerServiceImpl::Options ServiceOptions() {
-    LearnerServiceImpl::Options options;
-    options.run_id = "run-a";
-    options.epoch = kEpoch;
-    options.config.set_lanes(kSampleShape.lanes);
-    options.shape = kSampleShape;
-    options.lease = absl::Seconds(5);
-    return options;
-  }
 
-  LearnerServiceImpl service{ServiceOptions(), &registry, &weights, &fragments};
+  LearnerServiceImpl service{SampleServiceOptions(kEpoch, absl::Seconds(5)), &registry, &weights, &fragments};
 };
 
 template <typename Request, typename Reply>

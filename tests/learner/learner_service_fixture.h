@@ -26,16 +26,11 @@ inline constexpr int64_t kEpoch = 4;
 inline constexpr int64_t kVersion = 11;
 
 inline LearnerServiceImpl::Options ServiceOptions() {
-  LearnerServiceImpl::Options options;
-  options.run_id = "run-a";
-  options.epoch = kEpoch;
-  options.config.set_lanes(kSampleShape.lanes);
+  LearnerServiceImpl::Options options = SampleServiceOptions(kEpoch, absl::Seconds(5));
   options.config.mutable_env()->set_frame_size(64);
   options.config.mutable_eval()->set_env("crafter:numbers=easy-x2");
   options.config.mutable_eval()->set_seed(7);
   options.texture_digest = "digest";
-  options.shape = kSampleShape;
-  options.lease = absl::Seconds(5);
   return options;
 }
 

@@ -93,15 +93,7 @@ class WorkerNamesTest : public testing::Test {
     return Call<v1::AnnounceReply>(stub, &v1::LearnerService::Stub::Announce, request);
   }
 
-  static LearnerServiceImpl::Options ServiceOptions() {
-    LearnerServiceImpl::Options options;
-    options.run_id = "run-a";
-    options.epoch = kEpoch;
-    options.config.set_lanes(kSampleShape.lanes);
-    options.shape = kSampleShape;
-    options.lease = absl::Minutes(5);
-    return options;
-  }
+  static LearnerServiceImpl::Options ServiceOptions() { return SampleServiceOptions(kEpoch, absl::Minutes(5)); }
 
   int Permits(const std::string& actor) {
     for (const LaneScheduler::ActorInfo& info : registry_.Actors()) {

@@ -6,12 +6,11 @@
 #include <string>
 #include <vector>
 
-#include <absl/time/clock.h>
 #include <absl/time/time.h>
 #include <gtest/gtest.h>
 
-#include "common/base/clock.h"
 #include "common/base/closable_queue.h"
+#include "tests/fakes/wait_until.h"
 
 namespace craftfleet {
 namespace {
@@ -55,9 +54,7 @@ TEST_F(WaitingCallsTest, AChangeForAllRetriesEach) {
   std::sort(retried.begin(), retried.end());
   EXPECT_EQ(retried, (std::vector<std::string>{"", "a", "b"}));
   // An attempt reports before its call waits again.
-  const absl::Time deadline = SteadyNow() + kLong;
-  while (calls_->size() < 3 && SteadyNow() < deadline) absl::SleepFor(absl::Milliseconds(1));
-  EXPECT_EQ(calls_->size(), 3);
+  EXPECT_TRUE(WaitUntil([this] { return calls_->size() == 3; }, kLong)) << calls_->size();
 }
 
 TEST_F(WaitingCallsTest, AllCallsOfACallerAreRetried) {
