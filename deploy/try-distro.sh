@@ -4,7 +4,7 @@
 # root, and needs access to a mirror of the distribution. Takes about an hour on two cores without a ccache.
 #
 # Usage: deploy/try-distro.sh SUITE [--quick] [--mirror=URL] [--ccache=DIR] [--dir=DIR] [--keep]
-#   SUITE         bookworm (Debian 12), trixie (Debian 13), noble (Ubuntu 24.04, whose archive's keys mmdebstrap must know)
+#   SUITE         bookworm (Debian 12), trixie (Debian 13), noble (Ubuntu 24.04; needs the keys of Ubuntu's archive)
 #   --quick       only deploy/quickstart.sh --steps=8192
 #   --mirror=URL  mirror of the packages; default: mmdebstrap's for the suite
 #   --ccache=DIR  folder of a ccache, kept for the next time
@@ -74,7 +74,7 @@ mmdebstrap --quiet --variant=minbase --components="$components" "${include[@]}" 
 git clone --quiet --no-hardlinks "$source" "$root/src"
 git -C "$root/src" remote remove origin
 cp /etc/resolv.conf "$root/etc/resolv.conf"
-[ -e "$root/etc/hosts" ] || printf '127.0.0.1 localhost\n::1 localhost\n' >"$root/etc/hosts"  # as machines and containers have
+[ -e "$root/etc/hosts" ] || printf '127.0.0.1 localhost\n::1 localhost\n' >"$root/etc/hosts"  # every machine has one
 for folder in proc sys dev; do bind "/$folder" "$folder"; done
 
 variables=(HOME=/root PATH=/usr/sbin:/usr/bin:/sbin:/bin LANG=C.UTF-8)

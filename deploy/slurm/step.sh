@@ -12,11 +12,9 @@ note=$1
 shift
 trap 'touch "$note"' TERM
 zone=()
-switches=${SLURM_TOPOLOGY_ADDR:-}
-switches=${switches%.*}
-case "$1" in
-  *-learner) ;;  # has no zone
-  *) [ "$switches" = "${SLURM_TOPOLOGY_ADDR:-}" ] || zone=(--zone="$switches") ;;
+case "$1 ${SLURM_TOPOLOGY_ADDR:-}" in
+  *-learner\ *) ;;  # has no zone
+  *\ *.*) zone=(--zone="${SLURM_TOPOLOGY_ADDR%.*}") ;;
 esac
 "$@" "${zone[@]}" --listen="$(hostname):0" &
 while true; do

@@ -25,7 +25,7 @@ void DrawAt(const Image& image, int x, int y, Image* canvas) {
   }
 }
 
-// A row of a cell. One of usual size is copied by two overlapping copies of fixed size: a call of memcpy takes longer.
+// Copies a row of a cell. For the usual size, two overlapping copies of fixed size are faster than a call of memcpy.
 void CopyRow(const uint8_t* from, int bytes, uint8_t* to) {
   constexpr int kHalf = 16;
   if (bytes >= kHalf && bytes <= 2 * kHalf) {

@@ -84,7 +84,7 @@ void GenerateWorld(WorldState* state) {
   ComputeTraits(noise, board.width(), board.height(), board.object(0).position, absl::MakeSpan(traits));
   Draws draws(&state->random);
   const WorldOptions& options = state->options;
-  const bool has_variants = !options.appearance.empty();  // a call for each cell costs a tenth of all
+  const bool has_variants = !options.appearance.empty();  // calling DrawVariant for each cell takes a tenth of a reset
   const auto variant_of = [&](auto thing) {
     return has_variants ? DrawVariant(options, thing, [&] { return draws.Uniform(); }) : kNoVariant;
   };
