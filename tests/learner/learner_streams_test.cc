@@ -212,7 +212,9 @@ TEST_F(LearnerServiceTest, TheEndOfAnEarlierStreamDoesNotShortenTheLease) {
   ASSERT_GT(earlier->Read().permits().granted_size(), 0);
   ActorsStream later(stub_.get());
   v1::ActorMessage request = RequestOf("a");
-  for (const Permit& permit : registry_.GetPermits("a", {}, 100, absl::ZeroDuration())->granted) {
+  const auto granted = registry_.GetPermits("a", {}, 100, absl::ZeroDuration());
+  ASSERT_THAT(granted, IsOk());
+  for (const Permit& permit : granted->granted) {
     v1::Permit* const held = request.mutable_permits()->add_active();
     held->set_lane(permit.lane);
     held->set_policy_version(permit.policy_version);

@@ -23,8 +23,9 @@ class WaitingCallsTest : public testing::Test {
   void Add(const std::string& caller) {
     calls_->Add(
         [this, caller](bool last) {
+          const bool done = last || allowed_;  // as it was before the test could know of the attempt
           attempts_.Push(caller).IgnoreError();
-          return last || allowed_;
+          return done;
         },
         kLong, caller);
   }
@@ -68,28 +69,27 @@ TEST_F(WaitingCallsTest, AllCallsOfACallerAreRetried) {
 }
 
 TEST_F(WaitingCallsTest, AChangeDuringAnAttemptIsNotMissed) {
-  int attempts = 0;
   calls_->Add(
-      [&](bool /*last*/) {
+      [this, attempt = 0](bool /*last*/) mutable {
+        ++attempt;
+        if (attempt == 1) calls_->Retry("a");  // the caller is not known to wait yet
+        if (attempt == 2) calls_->Retry();
         attempts_.Push("attempt").IgnoreError();
-        if (++attempts == 1) calls_->Retry("a");  // the caller is not known to wait yet
-        if (attempts == 2) calls_->Retry();
-        return attempts == 3;
+        return attempt == 3;
       },
       kLong, "a");
   for (int i = 0; i < 3; ++i) EXPECT_EQ(NextAttempt(), "attempt");
 }
 
 TEST_F(WaitingCallsTest, AWaitThatEndsMakesTheLastAttempt) {
-  ClosableQueue<bool> attempts{10};
   calls_->Add(
-      [&](bool last) {
-        attempts.Push(last).IgnoreError();
+      [this](bool last) {
+        attempts_.Push(last ? "last" : "first").IgnoreError();
         return last;
       },
       absl::Milliseconds(1), "a");
-  EXPECT_EQ(attempts.Pop(kLong), false);
-  EXPECT_EQ(attempts.Pop(kLong), true);
+  EXPECT_EQ(NextAttempt(), "first");
+  EXPECT_EQ(NextAttempt(), "last");
 }
 
 TEST_F(WaitingCallsTest, DestructionMakesTheLastAttemptOfAll) {
