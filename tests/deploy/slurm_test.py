@@ -104,7 +104,7 @@ class Slurm(python_case.FolderCase):
 
   def test_a_preempted_fleet_is_requeued_and_resumes_as_if_never_stopped(self):
     self.use_a_bundle()
-    job = self.submit_fleet(steps=768)
+    job = self.submit_fleet(steps=10240)  # long enough to be going on still when the urgent job comes
     self.wait_for_checkpoint(2)
     urgent = self.sbatch("--partition=high", "--nodes=3", "--exclusive", "--wrap=sleep 1")
     self.expect_state(urgent, "COMPLETED")
@@ -113,7 +113,7 @@ class Slurm(python_case.FolderCase):
     self.expect_state(job, "COMPLETED")
     self.assertEqual(self.cluster.job(job)["Restarts"], "1")
     self.assertIn("resumes after iteration", self.job_log())
-    self.expect_bytes_of_one_process(steps=768)
+    self.expect_bytes_of_one_process(steps=10240)
 
   def command_lines(self, program):
     lines = [python_case.command_line(pid).split() for pid in python_case.processes_with(str(self.logdir))]
