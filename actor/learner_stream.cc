@@ -104,6 +104,7 @@ void LearnerStream::Run() {
     absl::Status status = Serve(context);
     const MutexLock lock(&mu_);
     failure_ = !broken_.ok() ? broken_ : std::move(status);
+    request_ = nullptr;  // its caller learns of the failure, and asks anew
     broken_ = absl::OkStatus();
     context_ = nullptr;
     written_ = 0;

@@ -54,6 +54,13 @@ class LearnerStreamTest : public testing::Test {
     permits_.Add(PermitOf(lane, number));
     EXPECT_THAT(stream_.Push(SampleFragment(lane, number, 5)), IsOk());
   }
+  // The same with more bytes than any window has room for, so that they can't be written until they are read.
+  void PushLarge(int lane) {
+    permits_.Add(PermitOf(lane, 0));
+    Fragment fragment = SampleFragment(lane, 0, 5);
+    fragment.frames.assign(8 << 20, 'f');
+    EXPECT_THAT(stream_.Push(std::move(fragment)), IsOk());
+  }
   bool WaitForVerdicts() {
     return WaitUntil([this] { return permits_.Active().empty(); });
   }
@@ -199,12 +206,7 @@ TEST_F(LearnerStreamTest, ARequestOvertakesTheFragmentsThatWait) {
   service_.PauseReading(true);
   Push(0, 0);  // is read, since the read has begun
   ASSERT_TRUE(WaitUntil([this] { return service_.received().size() == 1; }));
-  for (int lane = 1; lane < kFragments; ++lane) {
-    permits_.Add(PermitOf(lane, 0));
-    Fragment fragment = SampleFragment(lane, 0, 5);
-    fragment.frames.assign(8 << 20, 'f');  // more than any window: the first one keeps the writer busy
-    EXPECT_THAT(stream_.Push(std::move(fragment)), IsOk());
-  }
+  for (int lane = 1; lane < kFragments; ++lane) PushLarge(lane);  // the first one keeps the writer busy
   absl::SleepFor(absl::Milliseconds(200));
   asking_ = std::thread([this] { EXPECT_THAT(stream_.Ask({}), IsOk()); });
   absl::SleepFor(absl::Milliseconds(200));
@@ -212,6 +214,28 @@ TEST_F(LearnerStreamTest, ARequestOvertakesTheFragmentsThatWait) {
   ASSERT_TRUE(WaitForVerdicts());
   asking_.join();
   EXPECT_EQ(service_.order(), "pff" + std::string("p") + std::string(kFragments - 2, 'f'));
+}
+
+// Its caller has learned that the stream ended, and asks anew: two requests at once would end the next stream for good.
+TEST_F(LearnerStreamTest, ARequestThatWaitedWhenTheStreamEndedIsNotSentOnTheNextOne) {
+  stream_.Start();
+  EXPECT_THAT(stream_.Ask({}), IsOk());
+  service_.PauseReading(true);
+  Push(0, 0);  // is read, since the read has begun
+  ASSERT_TRUE(WaitUntil([this] { return service_.received().size() == 1; }));
+  PushLarge(1);
+  absl::SleepFor(absl::Milliseconds(200));
+  asking_ = std::thread([this] {
+    EXPECT_THAT(stream_.Ask({}), StatusIs(absl::StatusCode::kUnavailable, testing::HasSubstr("ended the stream")));
+  });
+  absl::SleepFor(absl::Milliseconds(200));
+  service_.EndStream();
+  service_.PauseReading(false);
+  asking_.join();
+  EXPECT_FALSE(WaitUntil([this] { return service_.order() != "pf"; }, absl::Milliseconds(300))) << service_.order();
+  EXPECT_THAT(stream_.Ask({}), IsOk());
+  ASSERT_TRUE(WaitForVerdicts());
+  EXPECT_EQ(service_.order(), "pfpf");
 }
 
 TEST_F(LearnerStreamTest, StopDoesNotWaitForVerdicts) {

@@ -5,6 +5,7 @@
 
 #include <deque>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include "common/base/mutex.h"
@@ -51,6 +52,12 @@ class FakeLearnerService : public v1::LearnerService::Service {
   void PauseReading(bool pauses) {
     const MutexLock lock(&mu_);
     pauses_ = pauses;
+    changed_.NotifyAll();
+  }
+  // Ends the stream, although reading pauses, before the next read.
+  void EndStream() {
+    const MutexLock lock(&mu_);
+    ends_stream_ = true;
     changed_.NotifyAll();
   }
   // What came, in order: 'p' for a request for permits, 'f' for a fragment.
@@ -121,7 +128,8 @@ class FakeLearnerService : public v1::LearnerService::Service {
   bool Read(grpc::ServerReaderWriter<v1::LearnerMessage, v1::ActorMessage>* stream, v1::ActorMessage* message) {
     {
       const MutexLock lock(&mu_);
-      changed_.Wait(&mu_, [this]() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_) { return !pauses_; });
+      changed_.Wait(&mu_, [this]() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_) { return !pauses_ || ends_stream_; });
+      if (std::exchange(ends_stream_, false)) return false;
     }
     if (!stream->Read(message)) return false;
     const MutexLock lock(&mu_);
@@ -145,6 +153,7 @@ class FakeLearnerService : public v1::LearnerService::Service {
   CondVar changed_;
   bool ignores_requests_ ABSL_GUARDED_BY(mu_) = false;
   bool pauses_ ABSL_GUARDED_BY(mu_) = false;
+  bool ends_stream_ ABSL_GUARDED_BY(mu_) = false;
   std::string order_ ABSL_GUARDED_BY(mu_);
   std::deque<Answer> answers_ ABSL_GUARDED_BY(mu_);
   std::vector<v1::FragmentMessage> received_ ABSL_GUARDED_BY(mu_);

@@ -125,6 +125,19 @@ TEST_F(FaultsTest, AServerPausedFor4SecondsKeepsItsGamesAndOnePausedFor15LosesTh
   ExpectCompleteLikeQuiet("paused-server", learner.get());
 }
 
+// As when a batch system or a laptop suspends it.
+TEST_F(FaultsTest, ARunInOneProcessThatIsPausedGoesOn) {
+  const auto train = Train("paused-run", {});
+  WaitForCheckpoint("paused-run", 2);
+  for (int pause = 0; pause < 3; ++pause) {
+    train->Signal(SIGSTOP);
+    absl::SleepFor(absl::Seconds(6));  // longer than any answer may take
+    train->Signal(SIGCONT);
+    absl::SleepFor(absl::Milliseconds(100));
+  }
+  ExpectCompleteLikeQuiet("paused-run", train.get());
+}
+
 TEST_F(FaultsTest, AStoppedActorReturnsItsLanesAtOnce) {
   const auto learner = StartLearner("stopped-actor", "127.0.0.1:0");
   const auto server = StartServer("stopped-actor-server");
