@@ -56,7 +56,7 @@ absl::Status Trainer::Run() {
   absl::Status status = counters_.iteration == 0 ? checkpoints_.Write() : absl::OkStatus();
   while (status.ok() && has_steps_left() && !has_replayed()) {
     status = RunIteration();
-    ReleaseFreeMemory();  // two copies of an iteration's frames
+    ReleaseFreeMemory();  // up to two copies of an iteration's frames
   }
   parts_.checkpoints->Close();
   parts_.progress->Finish(counters_.env_steps, parts_.folder->score());

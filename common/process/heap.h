@@ -3,13 +3,26 @@
 #ifndef CRAFTFLEET_COMMON_PROCESS_HEAP_H_
 #define CRAFTFLEET_COMMON_PROCESS_HEAP_H_
 
+#include <atomic>
+#include <cstdint>
+#include <limits>
+
+#include <absl/time/time.h>
+
+#include "common/base/clock.h"
 #include "common/base/find_symbol.h"
 
 namespace craftfleet {
 
-// Returns free memory to the system, so that resident memory follows current use instead of the peak. Takes
-// milliseconds; later allocations fault the pages in again. Thread-safe.
-inline void ReleaseFreeMemory() {
+// Returns free memory to the system, so that resident memory follows the use of the last half minute instead of the
+// peak. Once in half a minute; other calls do nothing, since the next iteration would fault the same pages in again,
+// which costs a run of short iterations 3% of its speed. `now`: as SteadyNow(). Thread-safe.
+inline void ReleaseFreeMemory(absl::Time now = SteadyNow()) {
+  constexpr int64_t kEveryNs = int64_t{30} * 1'000'000'000;
+  static std::atomic<int64_t> next_ns{std::numeric_limits<int64_t>::min()};
+  const int64_t now_ns = absl::ToUnixNanos(now);
+  int64_t next = next_ns;
+  if (now_ns < next || !next_ns.compare_exchange_strong(next, now_ns + kEveryNs)) return;
   // Of tcmalloc; null in tests and under sanitizers.
   static auto* const release = FindSymbol<void()>("MallocExtension_ReleaseFreeMemory");
   if (release != nullptr) release();

@@ -58,11 +58,16 @@ TEST(Heap, MemoryFreedByOneThreadIsReusedByAnother) {
   for (std::thread& thread : threads) thread.join();
 }
 
-TEST(Heap, ReleaseFreeMemoryReducesResidentMemory) {
-  HoldForAMoment();
+TEST(Heap, ReleaseFreeMemoryReducesResidentMemoryOnceInHalfAMinute) {
+  constexpr int64_t kFreed = kBlocks * kBlock / 2;
+  const absl::Time start = SteadyNow();
+  ReleaseFreeMemory(start);
   const int64_t before = ResidentMemoryBytes();
-  ReleaseFreeMemory();
-  EXPECT_LT(ResidentMemoryBytes(), before - static_cast<int64_t>(kBlocks * kBlock / 2));
+  HoldForAMoment();
+  ReleaseFreeMemory(start + absl::Seconds(29));
+  EXPECT_GT(ResidentMemoryBytes(), before + kFreed);
+  ReleaseFreeMemory(start + absl::Seconds(30));
+  EXPECT_LT(ResidentMemoryBytes(), before + kFreed);
 }
 
 class HeapOf : public testing::TestWithParam<const char*> {};
