@@ -19,11 +19,10 @@ namespace {
 constexpr absl::string_view kProtocol = "craftfleet ranks 1\n";
 
 std::string Serialized(const Fragment& fragment) {
-  v1::FragmentMessage message = wire::ToProto(fragment);
-  if (!fragment.scenes.empty()) {
-    message.set_frames(fragment.scenes);
-    message.set_frame_format(v1::FRAMES_SCENE);
-  }
+  if (fragment.scenes.empty()) return wire::ToProto(fragment).SerializeAsString();
+  v1::FragmentMessage message = wire::ToProtoWithoutFrames(fragment);
+  message.set_frames(fragment.scenes);
+  message.set_frame_format(v1::FRAMES_SCENE);
   return message.SerializeAsString();
 }
 

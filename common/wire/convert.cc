@@ -165,14 +165,19 @@ int CountTruncated(const std::vector<StepEnd>& ends) {
 }  // namespace
 
 v1::FragmentMessage ToProto(Fragment fragment) {
+  v1::FragmentMessage message = ToProtoWithoutFrames(fragment);
+  *message.mutable_frames() = std::move(fragment.frames);
+  message.set_frame_format(static_cast<v1::FrameFormat>(fragment.frame_format));
+  return message;
+}
+
+v1::FragmentMessage ToProtoWithoutFrames(const Fragment& fragment) {
   v1::FragmentMessage message;
   message.set_epoch(fragment.epoch);
   message.set_lane(fragment.lane);
   message.set_number(fragment.number);
   message.set_policy_version(fragment.policy_version);
-  *message.mutable_frames() = std::move(fragment.frames);
-  message.set_frame_format(static_cast<v1::FrameFormat>(fragment.frame_format));
-  *message.mutable_actions() = std::move(fragment.actions);
+  message.set_actions(fragment.actions);
   message.mutable_log_probs()->Assign(fragment.log_probs.begin(), fragment.log_probs.end());
   message.mutable_values()->Assign(fragment.values.begin(), fragment.values.end());
   message.mutable_rewards()->Assign(fragment.rewards.begin(), fragment.rewards.end());
@@ -181,7 +186,7 @@ v1::FragmentMessage ToProto(Fragment fragment) {
   message.set_bootstrap_value(fragment.bootstrap_value);
   EpisodesToProto(fragment.episodes, message.mutable_episodes());
   message.mutable_states()->Assign(fragment.states.begin(), fragment.states.end());
-  *message.mutable_snapshot() = std::move(fragment.snapshot.game);
+  message.set_snapshot(fragment.snapshot.game);
   message.mutable_last_state()->Assign(fragment.snapshot.state.begin(), fragment.snapshot.state.end());
   return message;
 }

@@ -18,6 +18,8 @@
 namespace craftfleet::wire {
 
 v1::FragmentMessage ToProto(Fragment fragment);
+// The same without frames, of which there are megabytes: the caller sets them in another format.
+v1::FragmentMessage ToProtoWithoutFrames(const Fragment& fragment);
 
 // InvalidArgument: a field of the wrong size or out of range; the message names it, the value and what was expected.
 absl::StatusOr<Fragment> FromProto(v1::FragmentMessage* message, const FragmentShape& shape);

@@ -58,23 +58,24 @@ GradientShards::~GradientShards() = default;
 absl::StatusOr<PpoLossSums> GradientShards::ComputeGradients(const Rollout& rollout, const ShardedMinibatch& minibatch,
                                                              std::vector<ShardGradient>* gradients) {
   const size_t parts = minibatch.parts.size();
-  CRAFTFLEET_RETURN_IF_ERROR(Run("gradient", parts, [&](int i) { ComputeGradient(rollout, minibatch, i); }));
+  const absl::Status own = Run("gradient", parts, [&](int i) { ComputeGradient(rollout, minibatch, i); });
+  if (ranks_ == nullptr) CRAFTFLEET_RETURN_IF_ERROR(own);
   PpoLossSums sums;
   std::vector<PpoLossSums> losses;
   gradients->clear();
-  const ShardRange own = OwnShards(parts);
-  for (int i = own.begin; i < own.end; ++i) {
+  const ShardRange range = OwnShards(parts);
+  for (int i = range.begin; i < range.end; ++i) {
     gradients->push_back(shards_[i]->net.gradients());
     losses.push_back(shards_[i]->sums);
     sums.Add(losses.back());
   }
-  if (ranks_ != nullptr) CRAFTFLEET_RETURN_IF_ERROR(ranks_->Add(gradients, losses, &sums));
+  if (ranks_ != nullptr) CRAFTFLEET_RETURN_IF_ERROR(ranks_->Add(own, gradients, losses, &sums));
   return sums;
 }
 
 absl::Status GradientShards::ComputeLogProbs(const Rollout& rollout, const std::vector<Minibatch>& parts,
                                              absl::Span<float> log_probs) {
-  return Run("log-probabilities", parts.size(), [&](int i) {
+  const absl::Status own = Run("log-probabilities", parts.size(), [&](int i) {
     const c10::NoGradGuard no_grad;
     const NetOutput output = Forward(rollout, parts[i], std::nullopt, shards_[i].get());
     const float* logits = output.logits.data_ptr<float>();
@@ -83,6 +84,7 @@ absl::Status GradientShards::ComputeLogProbs(const Rollout& rollout, const std::
       logits += kNumActions;
     }
   });
+  return ranks_ != nullptr ? ranks_->group()->Agree(own) : own;
 }
 
 absl::Status GradientShards::TryWeights(const Rollout& rollout) {
@@ -112,7 +114,7 @@ absl::Status GradientShards::Run(absl::string_view what, size_t parts, const std
   });
   absl::Status status;
   for (int i = own.begin; i < own.end; ++i) status.Update(shards_[i]->status);
-  return ranks_ != nullptr ? ranks_->group()->Agree(status) : status;
+  return status;
 }
 
 NetOutput GradientShards::Forward(const Rollout& rollout, const Minibatch& part, const std::optional<Dropout>& dropout,

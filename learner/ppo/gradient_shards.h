@@ -53,7 +53,7 @@ class GradientShards {
 
   // The sums of the losses over the minibatch's rows. `gradients` gets the gradients that AdamStep adds, valid until
   // the next call.
-  //   Internal: LibTorch failed.
+  //   Internal: LibTorch failed.   Cancelled, with several ranks: as RankSums::Add.
   absl::StatusOr<PpoLossSums> ComputeGradients(const Rollout& rollout, const ShardedMinibatch& minibatch,
                                                std::vector<ShardGradient>* gradients);
 
@@ -72,7 +72,7 @@ class GradientShards {
 
   // Those that compute a minibatch's `parts` on this rank.
   ShardRange OwnShards(size_t parts) const;
-  // Calls `part` for each of them, on the workers. The error of one of them, on any rank, says `what` was computed.
+  // Calls `part` for each of them, on the workers. The error of one of them says `what` was computed.
   absl::Status Run(absl::string_view what, size_t parts, const std::function<void(int)>& part);
   // The network's output for `part`, on the shard's frames.
   NetOutput Forward(const Rollout& rollout, const Minibatch& part, const std::optional<Dropout>& dropout,

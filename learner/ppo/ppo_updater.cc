@@ -145,7 +145,8 @@ absl::StatusOr<UpdateStats> PpoUpdater::Update(int64_t iteration, const Rollout&
         "a rollout of ", rollout.size(), " steps, want a multiple of ppo.minibatch_size, ", config_.minibatch_size()));
   }
   SetUpTorchThread();
-  const auto stops = [&] { return ranks_.has_value() ? ranks_->Stops(should_stop) : should_stop(); };
+  if (ranks_.has_value()) ranks_->Begin(should_stop);
+  const auto stops = [&] { return ranks_.has_value() ? ranks_->Stops() : should_stop(); };
   if (!CorrectsLag(config_)) return RunUpdate(iteration, rollout, stops);
   CRAFTFLEET_ASSIGN_OR_RETURN(const std::vector<float> log_probs, LogProbs(rollout, stops));
   const CorrectedRollout corrected = CorrectLag(rollout, log_probs, config_, rollout_options().gae);
@@ -255,7 +256,10 @@ absl::StatusOr<UpdateStats> PpoUpdater::RunEpochs(int64_t iteration, const Rollo
       stats.clip_fraction += means.clipped;
       if (last_epoch) stats.approx_kl += means.approx_kl / static_cast<double>(minibatches.size());
       ++count;
-      if (should_stop()) return absl::CancelledError("the update was stopped; nothing is changed");
+      // Several ranks have agreed on it already, with the gradients.
+      if (!ranks_.has_value() && should_stop()) {
+        return absl::CancelledError("the update was stopped; nothing is changed");
+      }
     }
   }
   for (double* sum :

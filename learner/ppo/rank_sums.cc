@@ -1,7 +1,6 @@
 #include "learner/ppo/rank_sums.h"
 
 #include <algorithm>
-#include <array>
 #include <cstddef>
 #include <numeric>
 #include <utility>
@@ -13,9 +12,7 @@
 namespace craftfleet {
 namespace {
 
-using Losses = std::array<double, 5>;
-
-Losses ToArray(const PpoLossSums& sums) {
+RankGroup::Few ToFew(const PpoLossSums& sums) {
   return {sums.policy_loss, sums.value_loss, sums.entropy, sums.approx_kl, sums.clipped};
 }
 
@@ -35,8 +32,8 @@ std::vector<size_t> RankSums::PieceSizes(absl::Span<const ShardGradient> gradien
   return sizes;
 }
 
-absl::Status RankSums::Add(std::vector<ShardGradient>* gradients, absl::Span<const PpoLossSums> losses,
-                           PpoLossSums* sums) {
+absl::Status RankSums::Add(const absl::Status& own, std::vector<ShardGradient>* gradients,
+                           absl::Span<const PpoLossSums> losses, PpoLossSums* sums) {
   const std::vector<size_t> sizes = PieceSizes(*gradients);
   const size_t length = std::accumulate(sizes.begin(), sizes.end(), size_t{0});
   flat_.resize(std::max<size_t>(gradients->size(), 1));
@@ -47,7 +44,12 @@ absl::Status RankSums::Add(std::vector<ShardGradient>* gradients, absl::Span<con
   }
   const std::vector<absl::Span<const float>> terms(flat_.begin(), flat_.begin() + gradients->size());
   const absl::Span<float> total = absl::MakeSpan(flat_[0]);
-  CRAFTFLEET_RETURN_IF_ERROR(group_->Sum(terms, total));
+  std::vector<RankGroup::Few> loss_terms;
+  for (const PpoLossSums& loss : losses) loss_terms.push_back(ToFew(loss));
+  RankGroup::Few all{};
+  const absl::Status here = is_to_stop() ? absl::CancelledError("the update was stopped; nothing is changed") : own;
+  CRAFTFLEET_RETURN_IF_ERROR(group_->AgreeAndSum(here, loss_terms, &all, terms, total));
+  *sums = {all[0], all[1], all[2], all[3], all[4]};
   ShardGradient sum;
   absl::Span<float> rest = total;
   for (const size_t size : sizes) {
@@ -55,13 +57,6 @@ absl::Status RankSums::Add(std::vector<ShardGradient>* gradients, absl::Span<con
     rest.remove_prefix(size);
   }
   *gradients = {std::move(sum)};
-
-  std::vector<Losses> own;
-  for (const PpoLossSums& loss : losses) own.push_back(ToArray(loss));
-  const std::vector<absl::Span<const double>> loss_terms(own.begin(), own.end());
-  Losses all{};
-  CRAFTFLEET_RETURN_IF_ERROR(group_->Sum(loss_terms, absl::MakeSpan(all)));
-  *sums = {all[0], all[1], all[2], all[3], all[4]};
   return absl::OkStatus();
 }
 
@@ -69,8 +64,8 @@ absl::Status RankSums::Combine(std::vector<float>* values) {
   return group_->Sum({absl::MakeConstSpan(*values)}, absl::MakeSpan(*values));
 }
 
-bool RankSums::Stops(const std::function<bool()>& should_stop) {
-  const absl::StatusOr<bool> stops = group_->Share(group_->rank() == 0 && should_stop());
+bool RankSums::Stops() {
+  const absl::StatusOr<bool> stops = group_->Share(is_to_stop());
   return !stops.ok() || *stops;
 }
 

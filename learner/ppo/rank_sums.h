@@ -4,6 +4,7 @@
 #define CRAFTFLEET_LEARNER_PPO_RANK_SUMS_H_
 
 #include <functional>
+#include <utility>
 #include <vector>
 
 #include <absl/status/status.h>
@@ -31,25 +32,32 @@ class RankSums {
 
   RankGroup* group() const { return group_; }
 
+  // Begins an update, which rank 0 ends when `should_stop` says so.
+  void Begin(std::function<bool()> should_stop) { should_stop_ = std::move(should_stop); }
+
   // Those of `shards`, at least as many as ranks, that this rank computes: as many as the others, give or take one.
   ShardRange OwnShards(int shards) const;
 
   // Replaces the gradients of this rank's shards, of which rank 0 has at least one, by the sum of all ranks', which is
-  // valid until the next call; and `sums` by that of their losses.
-  absl::Status Add(std::vector<ShardGradient>* gradients, absl::Span<const PpoLossSums> losses, PpoLossSums* sums);
+  // valid until the next call; and `sums` by that of their losses. `own`: whether this rank has computed them.
+  //   Cancelled: rank 0's should_stop said so.   Others: the error of the first rank that has one.
+  absl::Status Add(const absl::Status& own, std::vector<ShardGradient>* gradients, absl::Span<const PpoLossSums> losses,
+                   PpoLossSums* sums);
 
   // `values`, zero where other ranks have some, get those of all ranks.
   absl::Status Combine(std::vector<float>* values);
 
-  // Whether rank 0's `should_stop` says so, or the group has ended.
-  bool Stops(const std::function<bool()>& should_stop);
+  // Whether rank 0's should_stop says so, or the group has ended.
+  bool Stops();
 
  private:
+  bool is_to_stop() const { return group_->rank() == 0 && should_stop_(); }
   // The sizes of a gradient's pieces.
   std::vector<size_t> PieceSizes(absl::Span<const ShardGradient> gradients) const;
 
   const AgentSpec& spec_;
   RankGroup* const group_;
+  std::function<bool()> should_stop_;
   std::vector<std::vector<float>> flat_;  // this rank's gradients, each in one piece; the first becomes the sum
 };
 

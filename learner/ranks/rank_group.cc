@@ -1,7 +1,7 @@
 #include "learner/ranks/rank_group.h"
 
 #include <algorithm>
-#include <vector>
+#include <cstring>
 
 #include <absl/strings/str_cat.h>
 #include <absl/strings/str_format.h>
@@ -13,36 +13,56 @@ namespace {
 
 // Of one transfer: the next rank works on a part while this one prepares the next.
 constexpr size_t kPartBytes = size_t{1} << 20;
+constexpr size_t kPart = kPartBytes / sizeof(float);
 
 template <typename T>
 absl::Span<char> BytesOf(absl::Span<T> values) {
   return absl::MakeSpan(reinterpret_cast<char*>(values.data()), values.size() * sizeof(T));
 }
+template <typename T>
+absl::Span<const char> BytesOf(absl::Span<const T> values) {
+  return absl::MakeConstSpan(reinterpret_cast<const char*>(values.data()), values.size() * sizeof(T));
+}
 
 }  // namespace
 
 struct RankGroup::Note {
-  enum class Kind : int32_t { kBroadcast, kShare, kAgree };
+  enum class Kind : int32_t { kBroadcast, kShare, kAgree, kSum };
 
   Kind kind;
-  int32_t code = 0;     // kAgree: of the status
+  int32_t code = 0;     // kAgree, kSum: of the status
   uint64_t number = 0;  // kBroadcast: bytes that follow; kShare: the flag; kAgree: rank 0's digest
-  char message[496] = {};
+  Few few = {};         // kSum
+  char message[432] = {};
 };
 
 absl::Status RankGroup::SendNote(int rank, const Note& note) {
-  return links_->Send(rank, absl::MakeConstSpan(reinterpret_cast<const char*>(&note), sizeof(note)));
+  return links_->Send(rank, BytesOf(absl::MakeConstSpan(&note, 1)));
 }
 
 absl::Status RankGroup::ReceiveNote(int rank, Note* note) {
   const Note::Kind wanted = note->kind;
   CRAFTFLEET_RETURN_IF_ERROR(links_->Receive(rank, BytesOf(absl::MakeSpan(note, 1))));
-  if (note->kind == wanted) return absl::OkStatus();
+  return note->kind == wanted ? absl::OkStatus() : OutOfStep(rank);
+}
+
+absl::Status RankGroup::OutOfStep(int rank) {
   Leave(
       absl::InternalError(absl::StrFormat("ranks %d and %d are out of step: one of them failed in the middle of an "
                                           "update",
                                           this->rank(), rank)));
   return ended();
+}
+
+void RankGroup::AddError(const absl::Status& own, Note* note) const {
+  if (note->code != 0 || own.ok()) return;
+  note->code = own.raw_code();
+  absl::SNPrintF(note->message, sizeof(note->message), "%s", own.message());
+}
+
+absl::Status RankGroup::StatusOf(const Note& note) {
+  const absl::string_view message(note.message, strnlen(note.message, sizeof(note.message)));
+  return absl::Status(static_cast<absl::StatusCode>(note.code), message);
 }
 
 absl::Status RankGroup::PassOn(Note* note) {
@@ -79,53 +99,96 @@ absl::Status RankGroup::Agree(const absl::Status& own, uint64_t digest) {
   if (mine.ok() && note.number != digest) {
     mine = absl::DataLossError(absl::StrFormat("rank %d has other weights than rank 0 after the same update", rank()));
   }
-  if (note.code == 0 && !mine.ok()) {
-    note.code = mine.raw_code();
-    absl::SNPrintF(note.message, sizeof(note.message), "%s", mine.message());
-  }
+  AddError(mine, &note);
   if (!is_last()) {
     CRAFTFLEET_RETURN_IF_ERROR(SendNote(rank() + 1, note));
     CRAFTFLEET_RETURN_IF_ERROR(ReceiveNote(rank() + 1, &note));
   }
   if (!is_first()) CRAFTFLEET_RETURN_IF_ERROR(SendNote(rank() - 1, note));
-  note.message[sizeof(note.message) - 1] = '\0';
-  return absl::Status(static_cast<absl::StatusCode>(note.code), note.message);
+  return StatusOf(note);
 }
 
-template <typename T>
-absl::Status RankGroup::SumInOrder(absl::Span<const absl::Span<const T>> terms, absl::Span<T> total) {
-  constexpr size_t kPart = kPartBytes / sizeof(T);
-  std::vector<T> received;
+absl::Status RankGroup::Sum(absl::Span<const absl::Span<const float>> terms, absl::Span<float> total) {
+  Few none;
+  return AgreeAndSum(absl::OkStatus(), {}, &none, terms, total);
+}
+
+absl::Status RankGroup::AgreeAndSum(const absl::Status& own, absl::Span<const Few> few, Few* few_total,
+                                    absl::Span<const absl::Span<const float>> terms, absl::Span<float> total) {
+  Note note{Note::Kind::kSum};
+  Note agreed{Note::Kind::kSum};
+  Transfers from_before;
+  Transfers from_after;
+  Transfers sent;
+  // A part of the total can only arrive when the next rank has this rank's sum of the part, so it may take its place.
+  if (!is_last()) from_after = StartReceive(rank() + 1, &agreed, total);
+  if (!is_first()) {
+    before_.resize(total.size());
+    from_before = StartReceive(rank() - 1, &note, absl::MakeSpan(before_));
+    CRAFTFLEET_RETURN_IF_ERROR(links_->Wait(from_before.front()));
+    if (note.kind != Note::Kind::kSum) return OutOfStep(rank() - 1);
+  }
+  AddError(own, &note);
+  CRAFTFLEET_RETURN_IF_ERROR(SumForward(from_before, &note, few, terms, total, &sent));
+  if (is_last()) {
+    agreed = note;
+  } else {
+    CRAFTFLEET_RETURN_IF_ERROR(links_->Wait(from_after.front()));
+    if (agreed.kind != Note::Kind::kSum) return OutOfStep(rank() + 1);
+    CRAFTFLEET_RETURN_IF_ERROR(PassBack(from_after, agreed, total, &sent));
+  }
+  for (const RankLinks::Transfer& transfer : sent) CRAFTFLEET_RETURN_IF_ERROR(links_->Wait(transfer));
+  *few_total = agreed.few;
+  return StatusOf(agreed);
+}
+
+RankGroup::Transfers RankGroup::StartReceive(int rank, Note* note, absl::Span<float> values) {
+  Transfers transfers = {links_->StartReceive(rank, BytesOf(absl::MakeSpan(note, 1)))};
+  for (size_t offset = 0; offset < values.size(); offset += kPart) {
+    transfers.push_back(links_->StartReceive(rank, BytesOf(values.subspan(offset, kPart))));
+  }
+  return transfers;
+}
+
+absl::Status RankGroup::SumForward(const Transfers& from_before, Note* note, absl::Span<const Few> few,
+                                   absl::Span<const absl::Span<const float>> terms, absl::Span<float> total,
+                                   Transfers* sent) {
+  for (const Few& term : few) {
+    for (int i = 0; i < kFew; ++i) note->few[i] += term[i];
+  }
+  const int next = is_last() ? rank() - 1 : rank() + 1;
+  sent->push_back(links_->StartSend(next, BytesOf(absl::MakeConstSpan(note, 1))));
   for (size_t offset = 0; offset < total.size(); offset += kPart) {
-    const absl::Span<T> part = total.subspan(offset, kPart);
+    const absl::Span<float> part = total.subspan(offset, kPart);
+    size_t added = 0;
     if (is_first()) {
       if (terms[0].data() != total.data()) std::copy_n(terms[0].begin() + offset, part.size(), part.begin());
+      added = 1;
     } else {
-      received.resize(part.size());
-      CRAFTFLEET_RETURN_IF_ERROR(links_->Receive(rank() - 1, BytesOf(absl::MakeSpan(received))));
-      const T* const first = terms.empty() ? nullptr : terms[0].data() + offset;
-      for (size_t i = 0; i < part.size(); ++i) part[i] = first == nullptr ? received[i] : received[i] + first[i];
+      CRAFTFLEET_RETURN_IF_ERROR(links_->Wait(from_before[1 + offset / kPart]));
+      // The first term may be where the total goes.
+      for (size_t i = 0; i < part.size(); ++i) {
+        part[i] = terms.empty() ? before_[offset + i] : before_[offset + i] + terms[0][offset + i];
+      }
+      added = terms.empty() ? 0 : 1;
     }
-    for (size_t k = 1; k < terms.size(); ++k) {
+    for (size_t k = added; k < terms.size(); ++k) {
       for (size_t i = 0; i < part.size(); ++i) part[i] += terms[k][offset + i];
     }
-    if (!is_last()) CRAFTFLEET_RETURN_IF_ERROR(links_->Send(rank() + 1, BytesOf(part)));
-  }
-  // The last rank has the total.
-  for (size_t offset = 0; offset < total.size(); offset += kPart) {
-    const absl::Span<char> part = BytesOf(total.subspan(offset, kPart));
-    if (!is_last()) CRAFTFLEET_RETURN_IF_ERROR(links_->Receive(rank() + 1, part));
-    if (!is_first()) CRAFTFLEET_RETURN_IF_ERROR(links_->Send(rank() - 1, part));
+    sent->push_back(links_->StartSend(next, BytesOf(part)));
   }
   return absl::OkStatus();
 }
 
-absl::Status RankGroup::Sum(absl::Span<const absl::Span<const float>> terms, absl::Span<float> total) {
-  return SumInOrder(terms, total);
-}
-
-absl::Status RankGroup::Sum(absl::Span<const absl::Span<const double>> terms, absl::Span<double> total) {
-  return SumInOrder(terms, total);
+absl::Status RankGroup::PassBack(const Transfers& from_after, const Note& agreed, absl::Span<float> total,
+                                 Transfers* sent) {
+  if (!is_first()) sent->push_back(links_->StartSend(rank() - 1, BytesOf(absl::MakeConstSpan(&agreed, 1))));
+  for (size_t offset = 0; offset < total.size(); offset += kPart) {
+    CRAFTFLEET_RETURN_IF_ERROR(links_->Wait(from_after[1 + offset / kPart]));
+    if (is_first()) continue;
+    sent->push_back(links_->StartSend(rank() - 1, BytesOf(total.subspan(offset, kPart))));
+  }
+  return absl::OkStatus();
 }
 
 }  // namespace craftfleet

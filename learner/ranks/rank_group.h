@@ -3,9 +3,12 @@
 #ifndef CRAFTFLEET_LEARNER_RANKS_RANK_GROUP_H_
 #define CRAFTFLEET_LEARNER_RANKS_RANK_GROUP_H_
 
+#include <array>
+#include <cstddef>
 #include <cstdint>
 #include <memory>
 #include <string>
+#include <vector>
 
 #include <absl/status/status.h>
 #include <absl/status/statusor.h>
@@ -42,7 +45,14 @@ class RankGroup {
   // 1, and so on. Rank 0 has at least one term; each is as long as `total`, which may be a rank's first term. All ranks
   // get the same bits.
   absl::Status Sum(absl::Span<const absl::Span<const float>> terms, absl::Span<float> total);
-  absl::Status Sum(absl::Span<const absl::Span<const double>> terms, absl::Span<double> total);
+
+  // Terms of kFew doubles, and their sum.
+  static constexpr int kFew = 8;
+  using Few = std::array<double, kFew>;
+  // Agree(own), Sum, and a sum of `few` terms to `few_total`, in a single exchange. If ranks do not agree, the totals
+  // are unspecified.
+  absl::Status AgreeAndSum(const absl::Status& own, absl::Span<const Few> few, Few* few_total,
+                           absl::Span<const absl::Span<const float>> terms, absl::Span<float> total);
 
   // As those of RankLinks.
   void Leave(const absl::Status& reason) { links_->Leave(reason); }
@@ -50,18 +60,30 @@ class RankGroup {
 
  private:
   struct Note;  // a message of fixed size
+  using Transfers = std::vector<RankLinks::Transfer>;
 
   bool is_first() const { return rank() == 0; }
   bool is_last() const { return rank() + 1 == size(); }
   absl::Status SendNote(int rank, const Note& note);
-  // Internal, after leaving: it is of another kind than `note`.
+  // Into `note`, of whose kind it must be.   Errors also as OutOfStep.
   absl::Status ReceiveNote(int rank, Note* note);
   // Rank 0's note to all.
   absl::Status PassOn(Note* note);
-  template <typename T>
-  absl::Status SumInOrder(absl::Span<const absl::Span<const T>> terms, absl::Span<T> total);
+  // Internal, after leaving: what `rank` sent is of another kind than this rank waits for.
+  absl::Status OutOfStep(int rank);
+  // Adds this rank's error to a note on its way to the last rank.
+  void AddError(const absl::Status& own, Note* note) const;
+  static absl::Status StatusOf(const Note& note);
+  // Receives a note and the parts of `values`; the transfers are in this order.
+  Transfers StartReceive(int rank, Note* note, absl::Span<float> values);
+  // Adds this rank's terms to what `from_before` brings, and sends the sums on; from the last rank, back.
+  absl::Status SumForward(const Transfers& from_before, Note* note, absl::Span<const Few> few,
+                          absl::Span<const absl::Span<const float>> terms, absl::Span<float> total, Transfers* sent);
+  // Passes the totals that `from_after` brings on to the rank before.
+  absl::Status PassBack(const Transfers& from_after, const Note& agreed, absl::Span<float> total, Transfers* sent);
 
   const std::unique_ptr<RankLinks> links_;
+  std::vector<float> before_;  // sums that came from the rank before
 };
 
 }  // namespace craftfleet

@@ -130,20 +130,21 @@ c10::intrusive_ptr<c10d::ProcessGroupGloo> MakeGroup(const char* name, const Ran
 bool HasRanks() { return true; }
 
 struct RankLinks::Operation {
-  c10::intrusive_ptr<c10d::Work> work;  // null: it could not begin
-  std::string error;                    // why not
+  int neighbour;
+  c10::intrusive_ptr<c10d::Work> work = {};  // null: it could not begin
+  std::string error = {};                    // why not
 };
 
 struct RankLinks::Groups {
   enum class Way { kSend, kReceive };
 
-  static Operation Begin(c10d::ProcessGroupGloo* group, Way way, int rank, void* data, size_t size) {
-    Operation operation;
+  static Transfer Begin(c10d::ProcessGroupGloo* group, Way way, int rank, void* data, size_t size) {
+    const auto operation = std::make_shared<Operation>(Operation{rank});
     const absl::Status begun = Try([&] {
       std::vector<at::Tensor> bytes = {at::from_blob(data, {static_cast<int64_t>(size)}, at::kByte)};
-      operation.work = way == Way::kSend ? group->send(bytes, rank, kTag) : group->recv(bytes, rank, kTag);
+      operation->work = way == Way::kSend ? group->send(bytes, rank, kTag) : group->recv(bytes, rank, kTag);
     });
-    operation.error = std::string(begun.message());
+    operation->error = std::string(begun.message());
     return operation;
   }
 
@@ -304,29 +305,30 @@ RankLinks::~RankLinks() {
   beats_.join();
 }
 
-absl::Status RankLinks::Send(int rank, absl::Span<const char> bytes) {
-  auto* const data = const_cast<char*>(bytes.data());
-  return Finish(Groups::Begin(groups_->data.get(), Groups::Way::kSend, rank, data, bytes.size()), rank, kForever);
+RankLinks::Transfer RankLinks::StartSend(int rank, absl::Span<const char> bytes) {
+  return Groups::Begin(groups_->data.get(), Groups::Way::kSend, rank, const_cast<char*>(bytes.data()), bytes.size());
 }
 
-absl::Status RankLinks::Receive(int rank, absl::Span<char> bytes) {
-  return Finish(Groups::Begin(groups_->data.get(), Groups::Way::kReceive, rank, bytes.data(), bytes.size()), rank,
-                kForever);
+RankLinks::Transfer RankLinks::StartReceive(int rank, absl::Span<char> bytes) {
+  return Groups::Begin(groups_->data.get(), Groups::Way::kReceive, rank, bytes.data(), bytes.size());
 }
 
-absl::Status RankLinks::Finish(Operation operation, int neighbour, absl::Duration limit) {
-  if (operation.work == nullptr) return Lose(neighbour, operation.error);
+absl::Status RankLinks::Wait(const Transfer& transfer) { return Finish(transfer, kForever); }
+
+absl::Status RankLinks::Finish(const Transfer& transfer, absl::Duration limit) {
+  const int neighbour = transfer->neighbour;
+  if (transfer->work == nullptr) return Lose(neighbour, transfer->error);
   {
     const MutexLock lock(&mutex_);
     if (!ended_.ok()) return ended_;
-    running_.push_back(&operation);
+    running_.push_back(transfer.get());
   }
   const absl::Time begin = SteadyNow();
   bool is_done = false;
-  const absl::Status waited = Try([&] { is_done = operation.work->wait(Milliseconds(limit)); });
+  const absl::Status waited = Try([&] { is_done = transfer->work->wait(Milliseconds(limit)); });
   {
     const MutexLock lock(&mutex_);
-    running_.erase(std::find(running_.begin(), running_.end(), &operation));
+    running_.erase(std::find(running_.begin(), running_.end(), transfer.get()));
     changed_.NotifyAll();
     if (waited.ok() && is_done) return absl::OkStatus();
   }
@@ -369,14 +371,13 @@ void RankLinks::Beat() {
 bool RankLinks::BeatOnce(const std::vector<int>& neighbours) {
   char beat = 0;
   std::vector<char> heard(neighbours.size());
-  std::vector<std::pair<int, Operation>> operations;
+  std::vector<Transfer> transfers;
   for (size_t i = 0; i < neighbours.size(); ++i) {
-    const int rank = neighbours[i];
-    operations.emplace_back(rank, Groups::Begin(groups_->beats.get(), Groups::Way::kSend, rank, &beat, 1));
-    operations.emplace_back(rank, Groups::Begin(groups_->beats.get(), Groups::Way::kReceive, rank, &heard[i], 1));
+    transfers.push_back(Groups::Begin(groups_->beats.get(), Groups::Way::kSend, neighbours[i], &beat, 1));
+    transfers.push_back(Groups::Begin(groups_->beats.get(), Groups::Way::kReceive, neighbours[i], &heard[i], 1));
   }
-  return std::all_of(operations.begin(), operations.end(),
-                     [this](auto& each) { return Finish(std::move(each.second), each.first, kSilence).ok(); });
+  return std::all_of(transfers.begin(), transfers.end(),
+                     [this](const Transfer& each) { return Finish(each, kSilence).ok(); });
 }
 
 }  // namespace craftfleet

@@ -37,7 +37,7 @@ struct RankBuild {
 };
 
 // Connections of a rank to those before and after it. A rank that says nothing for 7 s is lost; that ends the links.
-// Send and Receive are for one thread, the rest is thread-safe.
+// Transfers are for one thread, the rest is thread-safe.
 class RankLinks {
  public:
   ~RankLinks();
@@ -47,11 +47,19 @@ class RankLinks {
   int rank() const { return rank_; }
   int size() const { return size_; }
 
-  // Block until `bytes`, at least one, are sent to `rank`, or as many have come from it. `rank` is a neighbour: this
-  // rank's number plus or minus 1. Both wait for as long as the neighbour lives.
+  struct Operation;
+  // A transfer under way. Its bytes stay where they are until it is waited for, or destroyed.
+  using Transfer = std::shared_ptr<Operation>;
+
+  // Start to send `bytes`, at least one, to `rank`, or to receive as many from it. `rank` is a neighbour: this rank's
+  // number plus or minus 1. A message that is received early needs no word from the receiver first.
+  Transfer StartSend(int rank, absl::Span<const char> bytes);
+  Transfer StartReceive(int rank, absl::Span<char> bytes);
+  // Waits for a transfer for as long as the neighbour lives.
   //   As ended().
-  absl::Status Send(int rank, absl::Span<const char> bytes);
-  absl::Status Receive(int rank, absl::Span<char> bytes);
+  absl::Status Wait(const Transfer& transfer);
+  absl::Status Send(int rank, absl::Span<const char> bytes) { return Wait(StartSend(rank, bytes)); }
+  absl::Status Receive(int rank, absl::Span<char> bytes) { return Wait(StartReceive(rank, bytes)); }
 
   // Ends the links, and so the calls that wait; the neighbours notice. The first reason stays.
   void Leave(const absl::Status& reason) ABSL_LOCKS_EXCLUDED(mutex_);
@@ -62,12 +70,11 @@ class RankLinks {
 
  private:
   friend class RankMeeting;
-  struct Groups;     // of c10d
-  struct Operation;  // a transfer that runs
+  struct Groups;  // of c10d
 
   RankLinks(int rank, int size, std::unique_ptr<Groups> groups);
-  // Waits for `operation` with `neighbour`, for at most `limit`.
-  absl::Status Finish(Operation operation, int neighbour, absl::Duration limit) ABSL_LOCKS_EXCLUDED(mutex_);
+  // Waits for at most `limit`.
+  absl::Status Finish(const Transfer& transfer, absl::Duration limit) ABSL_LOCKS_EXCLUDED(mutex_);
   // Ends the links because `neighbour` is lost.
   absl::Status Lose(int neighbour, const std::string& why) ABSL_LOCKS_EXCLUDED(mutex_);
   // Tells the neighbours once a second that this rank lives, and notices when one of them does not.

@@ -60,12 +60,12 @@ INSTANTIATE_TEST_SUITE_P(Ranks, SumTest, ::testing::Values(2, 3));
 
 TEST(RankGroup, RankWithoutATermPassesTheSumOn) {
   InGroup(3, [](RankGroup* group) {
-    const std::vector<double> own = {1.5, 2};
-    std::vector<absl::Span<const double>> terms;
+    const std::vector<float> own = {1.5, 2};
+    std::vector<absl::Span<const float>> terms;
     if (group->rank() != 1) terms.emplace_back(own);
-    std::vector<double> total(2);
+    std::vector<float> total(2);
     ASSERT_TRUE(group->Sum(terms, absl::MakeSpan(total)).ok());
-    EXPECT_EQ(total, (std::vector<double>{3, 4}));
+    EXPECT_EQ(total, (std::vector<float>{3, 4}));
   });
 }
 
@@ -96,6 +96,22 @@ TEST(RankGroup, AllGetTheErrorOfTheFirstRankThatHasOne) {
   });
 }
 
+TEST(RankGroup, AnErrorWithASumReachesAllAndTheNextSumIsRight) {
+  InGroup(3, [](RankGroup* group) {
+    const std::vector<float> own(kSize, static_cast<float>(group->rank()));
+    const std::vector<RankGroup::Few> few = {{0.5, 1e9}, {0.25, 1}};
+    std::vector<float> total(kSize);
+    RankGroup::Few few_total{};
+    const absl::Status error =
+        group->rank() == 0 ? absl::OkStatus() : absl::InternalError(absl::StrCat("of rank ", group->rank()));
+    EXPECT_EQ(group->AgreeAndSum(error, few, &few_total, {own}, absl::MakeSpan(total)),
+              absl::InternalError("of rank 1"));
+    ASSERT_TRUE(group->AgreeAndSum(absl::OkStatus(), few, &few_total, {own}, absl::MakeSpan(total)).ok());
+    EXPECT_TRUE(total == std::vector<float>(kSize, 3));
+    EXPECT_EQ(few_total, (RankGroup::Few{2.25, 3e9 + 3}));
+  });
+}
+
 TEST(RankGroup, RanksOutOfStepEndTheGroup) {
   InGroup(2, [](RankGroup* group) {
     if (group->rank() == 0) {
@@ -103,6 +119,13 @@ TEST(RankGroup, RanksOutOfStepEndTheGroup) {
     } else {
       EXPECT_EQ(group->Share(false).status().code(), absl::StatusCode::kInternal);
     }
+    EXPECT_FALSE(group->ended().ok());
+  });
+  InGroup(3, [](RankGroup* group) {
+    std::vector<float> values(kSize);
+    EXPECT_FALSE((group->rank() == 1 ? group->Agree(absl::OkStatus())
+                                     : group->Sum({absl::MakeConstSpan(values)}, absl::MakeSpan(values)))
+                     .ok());
     EXPECT_FALSE(group->ended().ok());
   });
 }
