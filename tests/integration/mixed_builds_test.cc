@@ -42,12 +42,16 @@ class MixedBuildsTest : public SmallRunTest {
     variables.insert(variables.end(), flags.begin(), flags.end());
     return Start("/usr/bin/env", variables);
   }
-  void StartFleet(const std::string& run, const std::vector<std::string>& flags) {
+  void StartLearner(const std::string& run, const std::vector<std::string>& flags) {
     std::vector<std::string> more = flags;
     more.push_back("--listen=127.0.0.1:0");
     learner_ = Start("craftfleet-learner", Flags(run, more));
     address_ = learner_->WaitForAddress("listening on ", kPatience).value();
-    server_ = Start("craftfleet-envserver", {"--listen=127.0.0.1:0", "--learner=" + address_});
+  }
+  void StartServer() { server_ = Start("craftfleet-envserver", {"--listen=127.0.0.1:0", "--learner=" + address_}); }
+  void StartFleet(const std::string& run, const std::vector<std::string>& flags) {
+    StartLearner(run, flags);
+    StartServer();
   }
   std::vector<std::string> ActorFlags() const {
     return {"--learner=" + address_, "--envservers=learner", "--threads=1"};
@@ -92,9 +96,14 @@ TEST_F(MixedBuildsTest, APinnedRunIsTheSameOnEveryMachine) {
   ASSERT_EQ(alone.exit_code, 0) << alone.err;
   EXPECT_THAT(ReadFile(JoinPath(Logdir("alone"), "config.txt")).value_or(""), HasSubstr("cpu: AVX2"));
   EXPECT_THAT(alone.err, Not(HasSubstr("the canary is")));
-  StartFleet("pinned", {"--cpu=avx2"});
+  StartLearner("pinned", {"--cpu=avx2"});
   const auto odd = StartWith(OldCpu(), "craftfleet-actor", ActorFlags());
   const auto plain = Start("craftfleet-actor", ActorFlags());
+  // Without a server the run can't be over before one of them has restarted.
+  for (const auto& actor : {odd.get(), plain.get()}) {
+    ASSERT_TRUE(actor->WaitForText("joined run", kPatience)) << actor->Err();
+  }
+  StartServer();
   EXPECT_EQ(learner_->Wait(kPatience), 0) << learner_->Err();
   EXPECT_EQ(odd->Wait(kPatience), 0) << odd->Err();
   EXPECT_EQ(plain->Wait(kPatience), 0) << plain->Err();
