@@ -16,7 +16,7 @@ namespace craftfleet {
 namespace {
 
 // Before the configuration. Its number changes with the messages between ranks.
-constexpr absl::string_view kProtocol = "craftfleet ranks 1\n";
+constexpr absl::string_view kProtocol = "craftfleet ranks 2\n";
 
 std::string Serialized(const Fragment& fragment) {
   if (fragment.scenes.empty()) return wire::ToProto(fragment).SerializeAsString();
