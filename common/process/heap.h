@@ -14,11 +14,11 @@
 
 namespace craftfleet {
 
-// Returns free memory to the system, so that resident memory follows the use of the last half minute instead of the
-// peak. Once in half a minute; other calls do nothing, since the next iteration would fault the same pages in again,
-// which costs a run of short iterations 3% of its speed. `now`: as SteadyNow(). Thread-safe.
+// Returns free memory to the system, so that resident memory follows recent use instead of the peak. At most once in
+// half a minute; other calls do nothing, since the next iteration would fault the same pages in again, which costs a
+// run of short iterations 3% of its speed. `now`: as SteadyNow(). Thread-safe.
 inline void ReleaseFreeMemory(absl::Time now = SteadyNow()) {
-  constexpr int64_t kEveryNs = int64_t{30} * 1'000'000'000;
+  constexpr int64_t kEveryNs = 30'000'000'000;
   static std::atomic<int64_t> next_ns{std::numeric_limits<int64_t>::min()};
   const int64_t now_ns = absl::ToUnixNanos(now);
   int64_t next = next_ns;

@@ -127,7 +127,7 @@ absl::StatusOr<std::vector<float>> DeviceUpdate::LogProbs(const Rollout& rollout
       const at::Tensor actions = there.actions.index_select(0, minibatch.rows);
       const at::Tensor log_probs = Forward(there, minibatch, std::nullopt).logits.to(at::kDouble).log_softmax(1);
       parts.push_back((log_probs * ChosenActions(actions)).sum(1).to(at::kFloat));
-      if (should_stop()) return absl::CancelledError("the update was stopped; nothing is changed");
+      if (should_stop()) return UpdateStopped();
     }
     const at::Tensor fetched = at::cat(parts).cpu();
     const auto* next = fetched.data_ptr<float>();
@@ -170,7 +170,7 @@ absl::StatusOr<UpdateStats> DeviceUpdate::RunEpochs(const Rollout& rollout,
   std::vector<at::Tensor> records;
   for (const DeviceMinibatch& minibatch : sent) {
     records.push_back(RunMinibatch(there, minibatch));
-    if (should_stop()) return absl::CancelledError("the update was stopped; nothing is changed");
+    if (should_stop()) return UpdateStopped();
   }
   const auto count = static_cast<int64_t>(records.size());
   const at::Tensor are_finite = at::isfinite(weights_).all().logical_and(at::isfinite(value_norm_).all());

@@ -53,7 +53,7 @@ class GradientShards {
 
   // The sums of the losses over the minibatch's rows. `gradients` gets the gradients that AdamStep adds, valid until
   // the next call.
-  //   Internal: LibTorch failed.   Cancelled, with several ranks: as RankSums::Add.
+  //   Internal: LibTorch failed.   Cancelled: rank 0 was asked to stop.
   absl::StatusOr<PpoLossSums> ComputeGradients(const Rollout& rollout, const ShardedMinibatch& minibatch,
                                                std::vector<ShardGradient>* gradients);
 

@@ -231,7 +231,7 @@ absl::StatusOr<std::vector<float>> PpoUpdater::LogProbs(const Rollout& rollout,
   for (const Minibatch& minibatch : minibatches) {
     CRAFTFLEET_RETURN_IF_ERROR(
         shards_->ComputeLogProbs(rollout, CutIntoShards(minibatch, gradient_shards_), absl::MakeSpan(log_probs)));
-    if (should_stop()) return absl::CancelledError("the update was stopped; nothing is changed");
+    if (should_stop()) return UpdateStopped();
   }
   if (ranks_.has_value()) CRAFTFLEET_RETURN_IF_ERROR(ranks_->Combine(&log_probs));
   return log_probs;
@@ -257,9 +257,7 @@ absl::StatusOr<UpdateStats> PpoUpdater::RunEpochs(int64_t iteration, const Rollo
       if (last_epoch) stats.approx_kl += means.approx_kl / static_cast<double>(minibatches.size());
       ++count;
       // Several ranks have agreed on it already, with the gradients.
-      if (!ranks_.has_value() && should_stop()) {
-        return absl::CancelledError("the update was stopped; nothing is changed");
-      }
+      if (!ranks_.has_value() && should_stop()) return UpdateStopped();
     }
   }
   for (double* sum :

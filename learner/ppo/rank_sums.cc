@@ -8,6 +8,7 @@
 #include <absl/status/statusor.h>
 
 #include "common/base/status_macros.h"
+#include "learner/ppo/update_state.h"
 
 namespace craftfleet {
 namespace {
@@ -47,8 +48,7 @@ absl::Status RankSums::Add(const absl::Status& own, std::vector<ShardGradient>* 
   std::vector<RankGroup::Few> loss_terms;
   for (const PpoLossSums& loss : losses) loss_terms.push_back(ToFew(loss));
   RankGroup::Few all{};
-  const absl::Status here = is_to_stop() ? absl::CancelledError("the update was stopped; nothing is changed") : own;
-  CRAFTFLEET_RETURN_IF_ERROR(group_->AgreeAndSum(here, loss_terms, &all, terms, total));
+  CRAFTFLEET_RETURN_IF_ERROR(group_->AgreeAndSum(is_to_stop() ? UpdateStopped() : own, loss_terms, &all, terms, total));
   *sums = {all[0], all[1], all[2], all[3], all[4]};
   ShardGradient sum;
   absl::Span<float> rest = total;

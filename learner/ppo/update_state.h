@@ -5,6 +5,8 @@
 
 #include <vector>
 
+#include <absl/status/status.h>
+
 #include "learner/ppo/adam.h"
 #include "learner/ppo/distillation/distillation_adams.h"
 #include "learner/ppo/value_norm.h"
@@ -17,6 +19,9 @@ struct UpdateState {
   ValueNorm value_norm;
   DistillationAdams distillation;  // empty without distillation
 };
+
+// Of an update that was asked to stop.
+inline absl::Status UpdateStopped() { return absl::CancelledError("the update was stopped; nothing is changed"); }
 
 }  // namespace craftfleet
 

@@ -24,12 +24,25 @@ absl::Span<const char> BytesOf(absl::Span<const T> values) {
   return absl::MakeConstSpan(reinterpret_cast<const char*>(values.data()), values.size() * sizeof(T));
 }
 
+// Sets `sum` to `before`, if there is one, plus the terms from `offset` on, added in this order. `sum` may be in place
+// of the first term.
+void AddInOrder(const float* before, absl::Span<const absl::Span<const float>> terms, size_t offset,
+                absl::Span<float> sum) {
+  const float* const first = terms.empty() ? nullptr : terms[0].data() + offset;
+  if (before != nullptr && first != nullptr) {
+    for (size_t i = 0; i < sum.size(); ++i) sum[i] = before[i] + first[i];
+  } else if (const float* const only = before != nullptr ? before : first; only != sum.data()) {
+    std::copy_n(only, sum.size(), sum.begin());
+  }
+  for (size_t k = 1; k < terms.size(); ++k) {
+    for (size_t i = 0; i < sum.size(); ++i) sum[i] += terms[k][offset + i];
+  }
+}
+
 }  // namespace
 
 struct RankGroup::Note {
-  enum class Kind : int32_t { kBroadcast, kShare, kAgree, kSum };
-
-  Kind kind;
+  NoteKind kind;
   int32_t code = 0;     // kAgree, kSum: of the status
   uint64_t number = 0;  // kBroadcast: bytes that follow; kShare: the flag; kAgree: rank 0's digest
   Few few = {};         // kSum
@@ -41,12 +54,13 @@ absl::Status RankGroup::SendNote(int rank, const Note& note) {
 }
 
 absl::Status RankGroup::ReceiveNote(int rank, Note* note) {
-  const Note::Kind wanted = note->kind;
-  CRAFTFLEET_RETURN_IF_ERROR(links_->Receive(rank, BytesOf(absl::MakeSpan(note, 1))));
-  return note->kind == wanted ? absl::OkStatus() : OutOfStep(rank);
+  const NoteKind wanted = note->kind;
+  return AwaitNote(links_->StartReceive(rank, BytesOf(absl::MakeSpan(note, 1))), rank, wanted, *note);
 }
 
-absl::Status RankGroup::OutOfStep(int rank) {
+absl::Status RankGroup::AwaitNote(const RankLinks::Transfer& transfer, int rank, NoteKind wanted, const Note& note) {
+  CRAFTFLEET_RETURN_IF_ERROR(links_->Wait(transfer));
+  if (note.kind == wanted) return absl::OkStatus();
   Leave(
       absl::InternalError(absl::StrFormat("ranks %d and %d are out of step: one of them failed in the middle of an "
                                           "update",
@@ -54,7 +68,7 @@ absl::Status RankGroup::OutOfStep(int rank) {
   return ended();
 }
 
-void RankGroup::AddError(const absl::Status& own, Note* note) const {
+void RankGroup::AddError(const absl::Status& own, Note* note) {
   if (note->code != 0 || own.ok()) return;
   note->code = own.raw_code();
   absl::SNPrintF(note->message, sizeof(note->message), "%s", own.message());
@@ -71,7 +85,7 @@ absl::Status RankGroup::PassOn(Note* note) {
 }
 
 absl::Status RankGroup::Broadcast(std::string* bytes) {
-  Note note{Note::Kind::kBroadcast};
+  Note note{NoteKind::kBroadcast};
   note.number = bytes->size();
   CRAFTFLEET_RETURN_IF_ERROR(PassOn(&note));
   bytes->resize(note.number);
@@ -85,14 +99,14 @@ absl::Status RankGroup::Broadcast(std::string* bytes) {
 }
 
 absl::StatusOr<bool> RankGroup::Share(bool flag) {
-  Note note{Note::Kind::kShare};
+  Note note{NoteKind::kShare};
   note.number = flag ? 1 : 0;
   CRAFTFLEET_RETURN_IF_ERROR(PassOn(&note));
   return note.number == 1;
 }
 
 absl::Status RankGroup::Agree(const absl::Status& own, uint64_t digest) {
-  Note note{Note::Kind::kAgree};
+  Note note{NoteKind::kAgree};
   note.number = digest;
   if (!is_first()) CRAFTFLEET_RETURN_IF_ERROR(ReceiveNote(rank() - 1, &note));
   absl::Status mine = own;
@@ -115,26 +129,24 @@ absl::Status RankGroup::Sum(absl::Span<const absl::Span<const float>> terms, abs
 
 absl::Status RankGroup::AgreeAndSum(const absl::Status& own, absl::Span<const Few> few, Few* few_total,
                                     absl::Span<const absl::Span<const float>> terms, absl::Span<float> total) {
-  Note note{Note::Kind::kSum};
-  Note agreed{Note::Kind::kSum};
+  Note note{NoteKind::kSum};
+  Note agreed{NoteKind::kSum};
   Transfers from_before;
   Transfers from_after;
   Transfers sent;
-  // A part of the total can only arrive when the next rank has this rank's sum of the part, so it may take its place.
+  // A part of the total comes only once the next rank has this rank's sum of that part, so it may overwrite it.
   if (!is_last()) from_after = StartReceive(rank() + 1, &agreed, total);
   if (!is_first()) {
     before_.resize(total.size());
     from_before = StartReceive(rank() - 1, &note, absl::MakeSpan(before_));
-    CRAFTFLEET_RETURN_IF_ERROR(links_->Wait(from_before.front()));
-    if (note.kind != Note::Kind::kSum) return OutOfStep(rank() - 1);
+    CRAFTFLEET_RETURN_IF_ERROR(AwaitNote(from_before.front(), rank() - 1, NoteKind::kSum, note));
   }
   AddError(own, &note);
   CRAFTFLEET_RETURN_IF_ERROR(SumForward(from_before, &note, few, terms, total, &sent));
   if (is_last()) {
     agreed = note;
   } else {
-    CRAFTFLEET_RETURN_IF_ERROR(links_->Wait(from_after.front()));
-    if (agreed.kind != Note::Kind::kSum) return OutOfStep(rank() + 1);
+    CRAFTFLEET_RETURN_IF_ERROR(AwaitNote(from_after.front(), rank() + 1, NoteKind::kSum, agreed));
     CRAFTFLEET_RETURN_IF_ERROR(PassBack(from_after, agreed, total, &sent));
   }
   for (const RankLinks::Transfer& transfer : sent) CRAFTFLEET_RETURN_IF_ERROR(links_->Wait(transfer));
@@ -160,21 +172,8 @@ absl::Status RankGroup::SumForward(const Transfers& from_before, Note* note, abs
   sent->push_back(links_->StartSend(next, BytesOf(absl::MakeConstSpan(note, 1))));
   for (size_t offset = 0; offset < total.size(); offset += kPart) {
     const absl::Span<float> part = total.subspan(offset, kPart);
-    size_t added = 0;
-    if (is_first()) {
-      if (terms[0].data() != total.data()) std::copy_n(terms[0].begin() + offset, part.size(), part.begin());
-      added = 1;
-    } else {
-      CRAFTFLEET_RETURN_IF_ERROR(links_->Wait(from_before[1 + offset / kPart]));
-      // The first term may be where the total goes.
-      for (size_t i = 0; i < part.size(); ++i) {
-        part[i] = terms.empty() ? before_[offset + i] : before_[offset + i] + terms[0][offset + i];
-      }
-      added = terms.empty() ? 0 : 1;
-    }
-    for (size_t k = added; k < terms.size(); ++k) {
-      for (size_t i = 0; i < part.size(); ++i) part[i] += terms[k][offset + i];
-    }
+    if (!is_first()) CRAFTFLEET_RETURN_IF_ERROR(links_->Wait(from_before[1 + offset / kPart]));
+    AddInOrder(is_first() ? nullptr : before_.data() + offset, terms, offset, part);
     sent->push_back(links_->StartSend(next, BytesOf(part)));
   }
   return absl::OkStatus();

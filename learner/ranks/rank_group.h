@@ -46,11 +46,11 @@ class RankGroup {
   // get the same bits.
   absl::Status Sum(absl::Span<const absl::Span<const float>> terms, absl::Span<float> total);
 
-  // Terms of kFew doubles, and their sum.
+  // A few numbers whose sum travels with a large one.
   static constexpr int kFew = 8;
   using Few = std::array<double, kFew>;
-  // Agree(own), Sum, and a sum of `few` terms to `few_total`, in a single exchange. If ranks do not agree, the totals
-  // are unspecified.
+  // Agree(own), Sum, and the sum of the ranks' `few` terms in the same order, in a single exchange. If a rank has an
+  // error, the totals are unspecified.
   absl::Status AgreeAndSum(const absl::Status& own, absl::Span<const Few> few, Few* few_total,
                            absl::Span<const absl::Span<const float>> terms, absl::Span<float> total);
 
@@ -59,22 +59,24 @@ class RankGroup {
   absl::Status ended() const { return links_->ended(); }
 
  private:
+  enum class NoteKind : int32_t { kBroadcast, kShare, kAgree, kSum };
   struct Note;  // a message of fixed size
   using Transfers = std::vector<RankLinks::Transfer>;
 
   bool is_first() const { return rank() == 0; }
   bool is_last() const { return rank() + 1 == size(); }
   absl::Status SendNote(int rank, const Note& note);
-  // Into `note`, of whose kind it must be.   Errors also as OutOfStep.
+  // `note` has the kind that is wanted.   Errors as AwaitNote.
   absl::Status ReceiveNote(int rank, Note* note);
   // Rank 0's note to all.
   absl::Status PassOn(Note* note);
-  // Internal, after leaving: what `rank` sent is of another kind than this rank waits for.
-  absl::Status OutOfStep(int rank);
+  // Waits for `transfer`, which brings `note` from `rank`.
+  //   Internal, after leaving: it is not of the kind `wanted`.
+  absl::Status AwaitNote(const RankLinks::Transfer& transfer, int rank, NoteKind wanted, const Note& note);
   // Adds this rank's error to a note on its way to the last rank.
-  void AddError(const absl::Status& own, Note* note) const;
+  static void AddError(const absl::Status& own, Note* note);
   static absl::Status StatusOf(const Note& note);
-  // Receives a note and the parts of `values`; the transfers are in this order.
+  // Starts to receive a note and the parts of `values`; the transfers are in this order.
   Transfers StartReceive(int rank, Note* note, absl::Span<float> values);
   // Adds this rank's terms to what `from_before` brings, and sends the sums on; from the last rank, back.
   absl::Status SumForward(const Transfers& from_before, Note* note, absl::Span<const Few> few,

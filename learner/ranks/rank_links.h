@@ -48,11 +48,12 @@ class RankLinks {
   int size() const { return size_; }
 
   struct Operation;
-  // A transfer under way. Its bytes stay where they are until it is waited for, or destroyed.
+  // A transfer that has been started. Its bytes must stay where they are until Wait returns, or the transfer is
+  // destroyed.
   using Transfer = std::shared_ptr<Operation>;
 
   // Start to send `bytes`, at least one, to `rank`, or to receive as many from it. `rank` is a neighbour: this rank's
-  // number plus or minus 1. A message that is received early needs no word from the receiver first.
+  // number plus or minus 1. The bytes travel once both sides have started.
   Transfer StartSend(int rank, absl::Span<const char> bytes);
   Transfer StartReceive(int rank, absl::Span<char> bytes);
   // Waits for a transfer for as long as the neighbour lives.

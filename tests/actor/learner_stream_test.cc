@@ -61,6 +61,17 @@ class LearnerStreamTest : public testing::Test {
     fragment.frames.assign(8 << 20, 'f');
     EXPECT_THAT(stream_.Push(std::move(fragment)), IsOk());
   }
+  // Starts the stream, has a request and fragment 0 of lane 0 answered, and leaves the writer within the large fragment
+  // of lane 1, since the learner reads no more.
+  void BlockTheWriter() {
+    stream_.Start();
+    EXPECT_THAT(stream_.Ask({}), IsOk());
+    service_.PauseReading(true);
+    Push(0, 0);  // is read, since the read has begun
+    ASSERT_TRUE(WaitUntil([this] { return service_.received().size() == 1; }));
+    PushLarge(1);
+    absl::SleepFor(absl::Milliseconds(200));
+  }
   bool WaitForVerdicts() {
     return WaitUntil([this] { return permits_.Active().empty(); });
   }
@@ -201,13 +212,8 @@ TEST_F(LearnerStreamTest, ARequestThatIsNotAnsweredIsAnErrorWithin5Seconds) {
 // On a slow link, a lease must not lapse while megabytes are sent.
 TEST_F(LearnerStreamTest, ARequestOvertakesTheFragmentsThatWait) {
   constexpr int kFragments = 8;
-  stream_.Start();
-  EXPECT_THAT(stream_.Ask({}), IsOk());
-  service_.PauseReading(true);
-  Push(0, 0);  // is read, since the read has begun
-  ASSERT_TRUE(WaitUntil([this] { return service_.received().size() == 1; }));
-  for (int lane = 1; lane < kFragments; ++lane) PushLarge(lane);  // the first one keeps the writer busy
-  absl::SleepFor(absl::Milliseconds(200));
+  ASSERT_NO_FATAL_FAILURE(BlockTheWriter());
+  for (int lane = 2; lane < kFragments; ++lane) PushLarge(lane);
   asking_ = std::thread([this] { EXPECT_THAT(stream_.Ask({}), IsOk()); });
   absl::SleepFor(absl::Milliseconds(200));
   service_.PauseReading(false);
@@ -218,13 +224,7 @@ TEST_F(LearnerStreamTest, ARequestOvertakesTheFragmentsThatWait) {
 
 // Its caller has learned that the stream ended, and asks anew: two requests at once would end the next stream for good.
 TEST_F(LearnerStreamTest, ARequestThatWaitedWhenTheStreamEndedIsNotSentOnTheNextOne) {
-  stream_.Start();
-  EXPECT_THAT(stream_.Ask({}), IsOk());
-  service_.PauseReading(true);
-  Push(0, 0);  // is read, since the read has begun
-  ASSERT_TRUE(WaitUntil([this] { return service_.received().size() == 1; }));
-  PushLarge(1);
-  absl::SleepFor(absl::Milliseconds(200));
+  ASSERT_NO_FATAL_FAILURE(BlockTheWriter());
   asking_ = std::thread([this] {
     EXPECT_THAT(stream_.Ask({}), StatusIs(absl::StatusCode::kUnavailable, testing::HasSubstr("ended the stream")));
   });

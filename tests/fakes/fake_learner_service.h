@@ -54,7 +54,7 @@ class FakeLearnerService : public v1::LearnerService::Service {
     pauses_ = pauses;
     changed_.NotifyAll();
   }
-  // Ends the stream, although reading pauses, before the next read.
+  // Ends the stream before the next read, even while reading pauses.
   void EndStream() {
     const MutexLock lock(&mu_);
     ends_stream_ = true;

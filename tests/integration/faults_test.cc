@@ -125,7 +125,7 @@ TEST_F(FaultsTest, AServerPausedFor4SecondsKeepsItsGamesAndOnePausedFor15LosesTh
   ExpectCompleteLikeQuiet("paused-server", learner.get());
 }
 
-// As when a batch system or a laptop suspends it.
+// Batch systems and laptops suspend processes.
 TEST_F(FaultsTest, ARunInOneProcessThatIsPausedGoesOn) {
   const auto train = Train("paused-run", {});
   WaitForCheckpoint("paused-run", 2);

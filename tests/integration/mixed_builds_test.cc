@@ -99,7 +99,7 @@ TEST_F(MixedBuildsTest, APinnedRunIsTheSameOnEveryMachine) {
   StartLearner("pinned", {"--cpu=avx2"});
   const auto odd = StartWith(OldCpu(), "craftfleet-actor", ActorFlags());
   const auto plain = Start("craftfleet-actor", ActorFlags());
-  // Without a server the run can't be over before one of them has restarted.
+  // Without a server the run can't end before the one that restarts is back.
   for (const auto& actor : {odd.get(), plain.get()}) {
     ASSERT_TRUE(actor->WaitForText("joined run", kPatience)) << actor->Err();
   }
