@@ -148,7 +148,10 @@ struct RankLinks::Groups {
     return operation;
   }
 
-  c10::intrusive_ptr<c10d::ProcessGroupGloo> data;
+  // Data has a connection for each direction: on a single one, Gloo's thread spins on what arrives while the caller
+  // sends.
+  c10::intrusive_ptr<c10d::ProcessGroupGloo> to_higher;
+  c10::intrusive_ptr<c10d::ProcessGroupGloo> to_lower;
   c10::intrusive_ptr<c10d::ProcessGroupGloo> beats;  // apart, so that beats don't wait behind data
 };
 
@@ -288,7 +291,8 @@ absl::StatusOr<std::unique_ptr<RankLinks>> RankMeeting::Connect(const RankBuild&
   }
   auto groups = std::make_unique<RankLinks::Groups>();
   const absl::Status connected = Try([&] {
-    groups->data = MakeGroup("data", options_, store_->tcp);
+    groups->to_higher = MakeGroup("to_higher", options_, store_->tcp);
+    groups->to_lower = MakeGroup("to_lower", options_, store_->tcp);
     groups->beats = MakeGroup("beats", options_, store_->tcp);
   });
   if (!connected.ok()) {
@@ -306,11 +310,13 @@ RankLinks::~RankLinks() {
 }
 
 RankLinks::Transfer RankLinks::StartSend(int rank, absl::Span<const char> bytes) {
-  return Groups::Begin(groups_->data.get(), Groups::Way::kSend, rank, const_cast<char*>(bytes.data()), bytes.size());
+  c10d::ProcessGroupGloo* const group = rank > rank_ ? groups_->to_higher.get() : groups_->to_lower.get();
+  return Groups::Begin(group, Groups::Way::kSend, rank, const_cast<char*>(bytes.data()), bytes.size());
 }
 
 RankLinks::Transfer RankLinks::StartReceive(int rank, absl::Span<char> bytes) {
-  return Groups::Begin(groups_->data.get(), Groups::Way::kReceive, rank, bytes.data(), bytes.size());
+  c10d::ProcessGroupGloo* const group = rank > rank_ ? groups_->to_lower.get() : groups_->to_higher.get();
+  return Groups::Begin(group, Groups::Way::kReceive, rank, bytes.data(), bytes.size());
 }
 
 absl::Status RankLinks::Wait(const Transfer& transfer) { return Finish(transfer, kForever); }
