@@ -178,13 +178,15 @@ std::vector<Permit> LaneScheduler::GrantBackup(Actor* actor, const Shares& share
 LaneScheduler::Candidates LaneScheduler::CandidatesFor(Claim claim, const Actor& actor, const Shares& shares,
                                                        absl::Time now) const {
   static const std::set<int> kNone;
-  if (claim == Claim::kOwn) return {&actor.lanes, {}};
+  if (claim == Claim::kOwn) return {&actor.open, {}};
   if (claim == Claim::kUnclaimed) return {&kNone, OlderThan(open_, options_.patience, now)};
   if (actor.held() >= shares.Of(actor)) return {&kNone, {}};
   Candidates spare = {&open_and_free_, {}};
-  for (auto held = by_held_.upper_bound(shares.all); held != by_held_.end(); ++held) {
+  // Of holders above their share alone: every one looked at has a lane to give.
+  const int least = shares.above > shares.extra ? shares.all : shares.all + 1;
+  for (auto held = open_by_held_.upper_bound(least); held != open_by_held_.end(); ++held) {
     for (const Actor* const other : held->second) {
-      if (shares.IsOver(*other)) spare.more.insert(spare.more.end(), other->lanes.begin(), other->lanes.end());
+      spare.more.insert(spare.more.end(), other->open.begin(), other->open.end());
     }
   }
   std::sort(spare.more.begin(), spare.more.end());

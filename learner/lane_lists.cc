@@ -1,31 +1,53 @@
 // LaneScheduler: who holds which lane, and the lists of lanes by what may happen to them next.
 #include <algorithm>
+#include <map>
+#include <set>
 #include <utility>
 #include <vector>
 
 #include "learner/lane_scheduler.h"
 
 namespace craftfleet {
+namespace {
+
+// Removes `actor` from the set with this key; empty sets go.
+template <typename Actor>
+void Erase(int key, Actor* actor, std::map<int, std::set<Actor*>>* sets) {
+  const auto entry = sets->find(key);
+  if (entry == sets->end()) return;
+  entry->second.erase(actor);
+  if (entry->second.empty()) sets->erase(entry);
+}
+
+}  // namespace
 
 void LaneScheduler::SetHolder(Lane* lane, Actor* actor) {
-  const int l = NumberOf(*lane);
-  const auto count = [this, l](Actor* holder, bool holds) {
-    const auto before = by_held_.find(holder->held());
-    if (before != by_held_.end()) {
-      before->second.erase(holder);
-      if (before->second.empty()) by_held_.erase(before);
-    }
-    if (holds) {
-      holder->lanes.insert(l);
-    } else {
-      holder->lanes.erase(l);
-    }
-    if (!holder->lanes.empty()) by_held_[holder->held()].insert(holder);
-  };
   if (lane->holder == actor) return;
-  if (lane->holder != nullptr) count(lane->holder, false);
-  if (actor != nullptr) count(actor, true);
+  if (lane->holder != nullptr) NoteHeld(lane->holder, NumberOf(*lane), false);
+  if (actor != nullptr) NoteHeld(actor, NumberOf(*lane), true);
   lane->holder = actor;
+}
+
+void LaneScheduler::NoteHeld(Actor* actor, int lane, bool holds) {
+  Erase(actor->held(), actor, &by_held_);
+  Erase(actor->held(), actor, &open_by_held_);
+  if (holds) {
+    actor->lanes.insert(lane);
+  } else {
+    actor->lanes.erase(lane);
+  }
+  if (!actor->lanes.empty()) by_held_[actor->held()].insert(actor);
+  if (!actor->open.empty()) open_by_held_[actor->held()].insert(actor);
+}
+
+void LaneScheduler::NoteOpen(Actor* actor, int lane, bool is_open) {
+  if (is_open) {
+    actor->open.insert(lane);
+    open_by_held_[actor->held()].insert(actor);
+  } else {
+    actor->open.erase(lane);
+    if (actor->open.empty()) Erase(actor->held(), actor, &open_by_held_);
+  }
 }
 
 void LaneScheduler::EndPermit(Lane* lane) {
@@ -64,7 +86,12 @@ void LaneScheduler::List(Lane* lane) {
   if (lane->IsOpen()) {
     lane->list = lane->holder == nullptr ? Lane::List::kOpenAndFree : Lane::List::kOpen;
     open_.emplace(lane->since, l);
-    if (lane->holder == nullptr) open_and_free_.insert(l);
+    if (lane->holder == nullptr) {
+      open_and_free_.insert(l);
+    } else {
+      NoteOpen(lane->holder, l, true);
+    }
+    lane->listed_holder = lane->holder;
   } else if (lane->permit.has_value() && lane->backup == nullptr) {
     lane->list = Lane::List::kWithoutBackup;
     without_backup_.emplace(lane->since, l);
@@ -77,6 +104,7 @@ void LaneScheduler::Unlist(Lane* lane) {
   if (list == Lane::List::kWithoutBackup) without_backup_.erase({lane->listed_since, l});
   if (list == Lane::List::kOpen || list == Lane::List::kOpenAndFree) open_.erase({lane->listed_since, l});
   if (list == Lane::List::kOpenAndFree) open_and_free_.erase(l);
+  if (list == Lane::List::kOpen) NoteOpen(lane->listed_holder, l, false);
 }
 
 void LaneScheduler::ListAll() {

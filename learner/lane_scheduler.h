@@ -207,6 +207,7 @@ class LaneScheduler {
     int capacity = 0;                            // lanes it can play at once, as last reported
     int counted_capacity = -1;                   // CapacityOf as counted in `capacities_`; -1: not counted
     std::set<int> lanes;                         // that it holds
+    std::set<int> open;                          // those of them that are open, as listed
     std::set<int> permits;                       // lanes for which it has one, including backups
     int64_t fragments = 0;
     absl::Duration pause;  // length of the current or last pause for lack of progress; 0: it has progressed since
@@ -258,6 +259,7 @@ class LaneScheduler {
     enum class List { kNone, kOpen, kOpenAndFree, kWithoutBackup };
     List list = List::kNone;
     absl::Time listed_since;
+    Actor* listed_holder = nullptr;  // of kOpen
   };
   // A fragment accepted for a rollout that is not taken yet.
   struct WaitingArrival {
@@ -340,6 +342,10 @@ class LaneScheduler {
   static bool IsPlayer(const Lane& lane, const Actor* actor) { return lane.holder == actor || lane.backup == actor; }
   int NumberOf(const Lane& lane) const { return static_cast<int>(&lane - lanes_.data()); }
   void SetHolder(Lane* lane, Actor* actor);
+  // Notes that `actor` holds the lane, or no longer.
+  void NoteHeld(Actor* actor, int lane, bool holds);
+  // Notes that a lane of `actor` is listed as open, or no longer.
+  void NoteOpen(Actor* actor, int lane, bool is_open);
   // Counts a fragment of `actor` that is too old, and logs it at a limited rate.
   void Drop(const Permit& fragment, const std::string& actor);
   // lane_lists.cc. Lists the lane by its present state; to be called after each change of its state.
@@ -366,8 +372,10 @@ class LaneScheduler {
   std::set<int> open_and_free_;
   std::set<std::pair<absl::Time, int>> open_;
   std::set<std::pair<absl::Time, int>> without_backup_;
-  std::map<int, int> capacities_;                    // number of actors by capacity
-  std::map<int, std::set<Actor*>> by_held_;          // actors by the number of lanes that they hold, from 1
+  std::map<int, int> capacities_;  // number of actors by capacity
+  // Actors by the number of lanes that they hold, from 1: all, and those that hold an open one.
+  std::map<int, std::set<Actor*>> by_held_;
+  std::map<int, std::set<Actor*>> open_by_held_;
   absl::Time next_expiry_ = absl::InfiniteFuture();  // no lease expires before then
   absl::Time next_stall_ = absl::InfinitePast();     // no permit is stalled before then
   int64_t lapsed_ = 0;

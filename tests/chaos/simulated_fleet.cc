@@ -167,7 +167,7 @@ class EmptyActor final : public grpc::ClientBidiReactor<v1::ActorMessage, v1::Le
       permit->set_lane(lane);
       permit->set_fragment(held.permit.fragment);
       permit->set_policy_version(held.permit.policy_version);
-      request.add_active_steps(1);
+      request.add_active_steps(StepsOf(held));
     }
     asks_ = true;
     WriteNext();
@@ -221,7 +221,7 @@ class EmptyActor final : public grpc::ClientBidiReactor<v1::ActorMessage, v1::Le
     if (ok) WriteNext();
   }
   void OnReadDone(bool ok) override {
-    if (!ok) return;
+    if (!ok) return End();  // without which OnDone does not come
     if (answer_.has_permits()) {
       OnPermits(answer_.permits());
     } else {
@@ -250,6 +250,12 @@ class EmptyActor final : public grpc::ClientBidiReactor<v1::ActorMessage, v1::Le
     }
     stream_context_.TryCancel();
     RemoveHold();
+  }
+
+  // Those of a fragment that have been played, so that the learner sees progress.
+  int StepsOf(const Held& held) const {
+    if (fleet_->play == absl::ZeroDuration()) return steps_;
+    return std::min(steps_, 1 + static_cast<int>(steps_ * ((SteadyNow() - held.since) / fleet_->play)));
   }
 
   v1::FragmentMessage Fill(const Permit& permit) const {
