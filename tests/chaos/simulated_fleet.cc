@@ -255,7 +255,7 @@ class EmptyActor final : public grpc::ClientBidiReactor<v1::ActorMessage, v1::Le
   // Those of a fragment that have been played, so that the learner sees progress.
   int StepsOf(const Held& held) const {
     if (fleet_->play == absl::ZeroDuration()) return steps_;
-    return std::min(steps_, 1 + static_cast<int>(steps_ * ((SteadyNow() - held.since) / fleet_->play)));
+    return std::min(steps_, 1 + static_cast<int>(steps_ * absl::FDivDuration(SteadyNow() - held.since, fleet_->play)));
   }
 
   v1::FragmentMessage Fill(const Permit& permit) const {

@@ -14,10 +14,10 @@
 namespace craftfleet {
 namespace {
 
-// A fleet whose actors have a permit each.
+// A fleet whose actors have a permit each, or the first to join has all.
 class BusyFleet {
  public:
-  explicit BusyFleet(int actors) : actors_(actors) {
+  explicit BusyFleet(int actors, bool one_plays_all = false) : actors_(actors) {
     WorkerRegistry::Options options;
     options.lanes.lanes = actors;
     options.lanes.lease = absl::Hours(1);
@@ -27,13 +27,20 @@ class BusyFleet {
     registry =
         std::make_unique<WorkerRegistry>(options, std::vector<LaneRecord>(actors, {0, snapshot, snapshot}), &clock_);
     for (int i = 0; i < actors / 2; ++i) Announce(i);
-    for (int i = 0; i < actors; ++i) registry->Join({"", HostOf(i)}, NameOf(i), "", {}).IgnoreError();
+    if (one_plays_all) {
+      Join(0);
+      Open();
+      Ask(0, {});
+    }
+    for (int i = 0; i < actors; ++i) Join(i);
+    if (one_plays_all) return;
     Open();
     for (int i = 0; i < actors; ++i) Ask(i, {});
   }
 
   static std::string NameOf(int actor) { return absl::StrCat("host-", actor, "-0123456789abcdef"); }
   static std::string HostOf(int worker) { return absl::StrCat("ipv4:10.0.", worker / 256, ".", worker % 256); }
+  void Join(int i) { registry->Join({"", HostOf(i)}, NameOf(i), "", {}).IgnoreError(); }
   void Announce(int i) {
     registry->Announce({"", HostOf(i)}, absl::StrCat("server-", i), absl::StrCat("server", i, ":50061"), 1, {})
         .IgnoreError();
@@ -101,6 +108,17 @@ void Idle(benchmark::State& state) {
   }
 }
 
+// An actor that has just joined asks, while the first one still plays all lanes.
+void OnePlaysAll(benchmark::State& state) {
+  const auto actors = static_cast<int>(state.range(0));
+  BusyFleet fleet(actors, /*one_plays_all=*/true);
+  int i = 1;
+  for (auto _ : state) {
+    fleet.Ask(i, {});
+    i = i % (actors - 1) + 1;
+  }
+}
+
 // All actors play a fragment; the time is per fragment.
 void Iteration(benchmark::State& state) {
   const auto actors = static_cast<int>(state.range(0));
@@ -154,6 +172,7 @@ void Status(benchmark::State& state) {
 #define FLEETS ->Arg(100)->Arg(1000)->Arg(10000)->Unit(benchmark::kMicrosecond)
 BENCHMARK(Renew) FLEETS;
 BENCHMARK(Idle) FLEETS;
+BENCHMARK(OnePlaysAll) FLEETS;
 BENCHMARK(Iteration) FLEETS;
 BENCHMARK(OpenIteration) FLEETS;
 BENCHMARK(Announce) FLEETS;
