@@ -15,8 +15,8 @@
 namespace craftfleet {
 namespace {
 
-// Before the configuration. Its number changes with the messages between ranks.
-constexpr absl::string_view kProtocol = "craftfleet ranks 2\n";
+// Before the configuration. Its number changes with the messages and connections between ranks.
+constexpr absl::string_view kProtocol = "craftfleet ranks 3\n";
 
 std::string Serialized(const Fragment& fragment) {
   if (fragment.scenes.empty()) return wire::ToProto(fragment).SerializeAsString();
