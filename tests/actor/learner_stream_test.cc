@@ -29,7 +29,7 @@ class LearnerStreamTest : public testing::Test {
  protected:
   LearnerStreamTest() : client_(wire::Connect(address())) { StartLearner(); }
   ~LearnerStreamTest() override {
-    service_.PauseReading(false);
+    service_.ResumeReading();
     stream_.Stop();
     if (asking_.joinable()) asking_.join();
   }
@@ -64,10 +64,10 @@ class LearnerStreamTest : public testing::Test {
   // Starts the stream, has a request and fragment 0 of lane 0 answered, and leaves the writer within the large fragment
   // of lane 1, since the learner reads no more.
   void BlockTheWriter() {
+    service_.PauseReadingAfter(2);
     stream_.Start();
     EXPECT_THAT(stream_.Ask({}), IsOk());
-    service_.PauseReading(true);
-    Push(0, 0);  // is read, since the read has begun
+    Push(0, 0);
     ASSERT_TRUE(WaitUntil([this] { return service_.received().size() == 1; }));
     PushLarge(1);
     absl::SleepFor(absl::Milliseconds(200));
@@ -216,7 +216,7 @@ TEST_F(LearnerStreamTest, ARequestOvertakesTheFragmentsThatWait) {
   for (int lane = 2; lane < kFragments; ++lane) PushLarge(lane);
   asking_ = std::thread([this] { EXPECT_THAT(stream_.Ask({}), IsOk()); });
   absl::SleepFor(absl::Milliseconds(200));
-  service_.PauseReading(false);
+  service_.ResumeReading();
   ASSERT_TRUE(WaitForVerdicts());
   asking_.join();
   EXPECT_EQ(service_.order(), "pff" + std::string("p") + std::string(kFragments - 2, 'f'));
@@ -230,7 +230,7 @@ TEST_F(LearnerStreamTest, ARequestThatWaitedWhenTheStreamEndedIsNotSentOnTheNext
   });
   absl::SleepFor(absl::Milliseconds(200));
   service_.EndStream();
-  service_.PauseReading(false);
+  service_.ResumeReading();
   asking_.join();
   EXPECT_FALSE(WaitUntil([this] { return service_.order() != "pf"; }, absl::Milliseconds(300))) << service_.order();
   EXPECT_THAT(stream_.Ask({}), IsOk());

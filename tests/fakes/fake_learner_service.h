@@ -3,6 +3,7 @@
 #ifndef CRAFTFLEET_TESTS_FAKES_FAKE_LEARNER_SERVICE_H_
 #define CRAFTFLEET_TESTS_FAKES_FAKE_LEARNER_SERVICE_H_
 
+#include <cstddef>
 #include <deque>
 #include <string>
 #include <utility>
@@ -48,10 +49,14 @@ class FakeLearnerService : public v1::LearnerService::Service {
     const MutexLock lock(&mu_);
     ignores_requests_ = true;
   }
-  // Reads nothing until `pauses` is false again.
-  void PauseReading(bool pauses) {
+  // Reads so many messages in all, and no more until ResumeReading.
+  void PauseReadingAfter(size_t messages) {
     const MutexLock lock(&mu_);
-    pauses_ = pauses;
+    most_ = messages;
+  }
+  void ResumeReading() {
+    const MutexLock lock(&mu_);
+    most_ = std::string::npos;
     changed_.NotifyAll();
   }
   // Ends the stream before the next read, even while reading pauses.
@@ -128,7 +133,8 @@ class FakeLearnerService : public v1::LearnerService::Service {
   bool Read(grpc::ServerReaderWriter<v1::LearnerMessage, v1::ActorMessage>* stream, v1::ActorMessage* message) {
     {
       const MutexLock lock(&mu_);
-      changed_.Wait(&mu_, [this]() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_) { return !pauses_ || ends_stream_; });
+      changed_.Wait(&mu_,
+                    [this]() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_) { return order_.size() < most_ || ends_stream_; });
       if (std::exchange(ends_stream_, false)) return false;
     }
     if (!stream->Read(message)) return false;
@@ -152,7 +158,7 @@ class FakeLearnerService : public v1::LearnerService::Service {
   mutable Mutex mu_;
   CondVar changed_;
   bool ignores_requests_ ABSL_GUARDED_BY(mu_) = false;
-  bool pauses_ ABSL_GUARDED_BY(mu_) = false;
+  size_t most_ ABSL_GUARDED_BY(mu_) = std::string::npos;  // messages to read
   bool ends_stream_ ABSL_GUARDED_BY(mu_) = false;
   std::string order_ ABSL_GUARDED_BY(mu_);
   std::deque<Answer> answers_ ABSL_GUARDED_BY(mu_);
