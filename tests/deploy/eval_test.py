@@ -58,7 +58,8 @@ class Eval(python_case.FolderCase):
   def test_the_trained_agent_of_the_repository_plays_well(self):
     result = SOURCE / "deploy/experiments/results/ppo_cnn_1m/seed2"
     out = self.run_program("craftfleet-eval", f"--checkpoint={result}", "--episodes=5", f"--json={self.folder}/out.json")
-    self.assertIn("20261121-155022-d9b7e5, ppo_cnn after 1000000 steps", out.stdout)
+    run = json.loads((result / "run.json").read_text())["run_id"]
+    self.assertIn(f"run {run}, ppo_cnn after 1000000 steps", out.stdout)
     reward = json.loads((self.folder / "out.json").read_text())["reward"]
     self.assertGreater(reward, 6, "random play gets 2")
 
