@@ -241,9 +241,7 @@ LaneScheduler::Shares LaneScheduler::FairShares() const {
     lanes -= capacity;
     --actors;
   }
-  for (auto held = by_held_.upper_bound(shares.all); held != by_held_.end(); ++held) {
-    shares.above += static_cast<int>(held->second.size());
-  }
+  for (auto held = by_held_.upper_bound(shares.all); held != by_held_.end(); ++held) shares.above += held->second;
   return shares;
 }
 

@@ -29,14 +29,15 @@ void LaneScheduler::SetHolder(Lane* lane, Actor* actor) {
 }
 
 void LaneScheduler::NoteHeld(Actor* actor, int lane, bool holds) {
-  Erase(actor->held(), actor, &by_held_);
+  const auto counted = by_held_.find(actor->held());
+  if (counted != by_held_.end() && --counted->second == 0) by_held_.erase(counted);
   Erase(actor->held(), actor, &open_by_held_);
   if (holds) {
     actor->lanes.insert(lane);
   } else {
     actor->lanes.erase(lane);
   }
-  if (!actor->lanes.empty()) by_held_[actor->held()].insert(actor);
+  if (!actor->lanes.empty()) ++by_held_[actor->held()];
   if (!actor->open.empty()) open_by_held_[actor->held()].insert(actor);
 }
 

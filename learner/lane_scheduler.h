@@ -373,8 +373,8 @@ class LaneScheduler {
   std::set<std::pair<absl::Time, int>> open_;
   std::set<std::pair<absl::Time, int>> without_backup_;
   std::map<int, int> capacities_;  // number of actors by capacity
-  // Actors by the number of lanes that they hold, from 1: all, and those that hold an open one.
-  std::map<int, std::set<Actor*>> by_held_;
+  // By the number of lanes that they hold: the number of actors, from 1 lane, and those actors that hold an open one.
+  std::map<int, int> by_held_;
   std::map<int, std::set<Actor*>> open_by_held_;
   absl::Time next_expiry_ = absl::InfiniteFuture();  // no lease expires before then
   absl::Time next_stall_ = absl::InfinitePast();     // no permit is stalled before then
