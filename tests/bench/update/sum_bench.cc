@@ -3,7 +3,6 @@
 //   build/bin/sum_bench [--floats=607000] [--sums=300]
 
 #include <sched.h>
-#include <sys/resource.h>
 #include <sys/wait.h>
 #include <unistd.h>
 
@@ -13,24 +12,24 @@
 
 #include <absl/flags/flag.h>
 #include <absl/flags/parse.h>
+#include <absl/status/status.h>
 #include <absl/time/time.h>
 
 #include "common/base/clock.h"
+#include "common/telemetry/process_usage.h"
 #include "learner/ranks/rank_group.h"
 #include "learner/ranks/rank_links.h"
 
 ABSL_FLAG(int, floats, 607000, "of a gradient; PPO-CNN has 607,000 parameters");
 ABSL_FLAG(int, sums, 300, "to measure");
-ABSL_FLAG(int, port, 29517, "of loopback, free");
+ABSL_FLAG(int, port, 29517, "a free one, of loopback");
 
 namespace craftfleet {
 namespace {
 
-double CpuSeconds() {
-  rusage usage = {};
-  getrusage(RUSAGE_SELF, &usage);
-  const auto seconds = [](const timeval& time) { return static_cast<double>(time.tv_sec) + time.tv_usec * 1e-6; };
-  return seconds(usage.ru_utime) + seconds(usage.ru_stime);
+int Fail(const absl::Status& status) {
+  std::fprintf(stderr, "%s\n", status.ToString().c_str());
+  return 1;
 }
 
 void Pin(int core) {
@@ -48,9 +47,9 @@ int Run(int rank) {
   options.world_size = 2;
   options.master_port = absl::GetFlag(FLAGS_port);
   const auto meeting = RankMeeting::Open(options, "");
-  if (!meeting.ok()) return std::fprintf(stderr, "%s\n", meeting.status().ToString().c_str()), 1;
+  if (!meeting.ok()) return Fail(meeting.status());
   auto links = (*meeting)->Connect({"canary", "build"});
-  if (!links.ok()) return std::fprintf(stderr, "%s\n", links.status().ToString().c_str()), 1;
+  if (!links.ok()) return Fail(links.status());
   RankGroup group(*std::move(links));
   const std::vector<float> own(absl::GetFlag(FLAGS_floats), 0.5F);
   std::vector<float> total(own.size());
@@ -61,14 +60,14 @@ int Run(int rank) {
   for (int i = -10; i < sums; ++i) {
     if (i == 0) {
       begin = SteadyNow();
-      cpu = CpuSeconds();
+      cpu = ReadProcessUsage().cpu_seconds;
     }
     const absl::Status status = group.Sum(terms, absl::MakeSpan(total));
-    if (!status.ok()) return std::fprintf(stderr, "%s\n", status.ToString().c_str()), 1;
+    if (!status.ok()) return Fail(status);
   }
   std::printf("rank %d: %.2f ms a sum of %.1f MB, %.2f ms of CPU time\n", rank,
               absl::ToDoubleMilliseconds(SteadyNow() - begin) / sums, own.size() * sizeof(float) / 1e6,
-              (CpuSeconds() - cpu) * 1e3 / sums);
+              (ReadProcessUsage().cpu_seconds - cpu) * 1e3 / sums);
   (void)group.Agree(absl::OkStatus());
   return 0;
 }
