@@ -3,6 +3,7 @@
 
 #include <unistd.h>
 
+#include <algorithm>
 #include <cerrno>
 #include <cstdio>
 #include <cstring>
@@ -99,7 +100,8 @@ int RunCommand(const std::string& command, std::vector<std::string> arguments) {
   for (const Command& known : kCommands) names.emplace_back(known.name);
   const std::string closest = craftfleet::ClosestName(command, names);
   const std::string suggestion = closest.empty() ? "" : " (did you mean \"" + closest + "\"?)";
-  if (error == ENOENT || is_path) {
+  const bool is_known = std::find(names.begin(), names.end(), command) != names.end();
+  if ((error == ENOENT && !is_known) || is_path) {
     std::fprintf(stderr, "craftfleet: there is no command \"%s\"%s; see craftfleet --help\n", command.c_str(),
                  suggestion.c_str());
   } else {

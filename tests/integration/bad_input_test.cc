@@ -248,6 +248,15 @@ TEST_F(BadInputTest, EvalRefusesAnInvalidEnvironment) {
   EXPECT_THAT(ended.err, HasSubstr("unknown option \"bogus\", want one of"));
 }
 
+// Its programs were not copied with it.
+TEST_F(BadInputTest, ACommandWithoutItsProgramIsNotCalledUnknown) {
+  const std::string alone = folder_ / "craftfleet";
+  std::filesystem::copy_file(BuiltProgram("craftfleet"), alone);
+  const Ended ended = Run(alone, {"train"});
+  EXPECT_EQ(ended.exit_code, 1);
+  EXPECT_THAT(ended.err, HasSubstr("cannot run " + alone + "-train: No such file"));
+}
+
 // Every installed program, and the developers' one.
 class EveryProgram : public SmallRunTest, public testing::WithParamInterface<std::string> {};
 
