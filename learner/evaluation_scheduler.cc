@@ -22,13 +22,13 @@ void EvaluationScheduler::Add(Evaluation evaluation) {
   entry.evaluation = std::move(evaluation);
 }
 
-void EvaluationScheduler::Renew(absl::string_view actor, int64_t id) {
+void EvaluationScheduler::Renew(absl::string_view actor, int64_t id, absl::Duration lease) {
   for (Entry& entry : entries_) {
     for (size_t i = 0; i < entry.parts.size(); ++i) {
       Part& part = entry.parts[i];
       if (part.actor != actor) continue;
       if (TaskId(entry.evaluation, i) == id) {
-        part.renewed = clock_->Now();
+        part.lease_end = clock_->Now() + lease;
       } else {
         part.actor.clear();
       }
@@ -36,20 +36,20 @@ void EvaluationScheduler::Renew(absl::string_view actor, int64_t id) {
   }
 }
 
-std::optional<EvaluationScheduler::Task> EvaluationScheduler::Take(absl::string_view actor) {
+std::optional<EvaluationScheduler::Task> EvaluationScheduler::Take(absl::string_view actor, absl::Duration lease) {
   const absl::Time now = clock_->Now();
   for (Entry& entry : entries_) {
     for (size_t i = 0; i < entry.parts.size(); ++i) {
       Part& part = entry.parts[i];
       if (!IsFree(part, actor, now)) continue;
-      if (!part.actor.empty() && now - part.renewed < lease_) {
+      if (!part.actor.empty() && now < part.lease_end) {
         ++part.moves;
         LogWarning("actor %s has had evaluation task %d for %s: actor %s plays it too", part.actor,
                    TaskId(entry.evaluation, i), absl::FormatDuration(absl::Trunc(now - part.begun, absl::Seconds(1))),
                    actor);
       }
       part.actor = std::string(actor);
-      part.renewed = now;
+      part.lease_end = now + lease;
       part.begun = now;
       const Evaluation& evaluation = entry.evaluation;
       return Task{TaskId(evaluation, i), evaluation.first_episode + static_cast<int64_t>(i) * evaluation.episodes,
@@ -69,7 +69,7 @@ absl::Duration EvaluationScheduler::Patience() const {
 
 bool EvaluationScheduler::IsFree(const Part& part, absl::string_view actor, absl::Time now) const {
   if (!part.episodes.empty()) return false;
-  if (part.actor.empty() || now - part.renewed >= lease_) return true;
+  if (part.actor.empty() || now >= part.lease_end) return true;
   return part.actor != actor && now - part.begun > Patience() * (int64_t{1} << std::min(part.moves, kMaxMoves));
 }
 
@@ -99,7 +99,7 @@ absl::Status EvaluationScheduler::Finish(int64_t id, absl::Span<const Episode> e
 bool EvaluationScheduler::IsPlaying(absl::string_view actor) const {
   for (const Entry& entry : entries_) {
     for (const Part& part : entry.parts) {
-      if (part.actor == actor && clock_->Now() - part.renewed <= lease_) return true;
+      if (part.actor == actor && clock_->Now() <= part.lease_end) return true;
     }
   }
   return false;

@@ -42,7 +42,7 @@ struct FinishedEvaluation {
 // Decides which actor plays which evaluation task. Has no lock: WorkerRegistry calls it under its mutex.
 //
 // An evaluation consists of two tasks, one for each kind of episode. A task is leased like a permit: if its actor has
-// not reported it for `lease`, the next actor that requests work gets it. So that an actor which only reports cannot
+// not reported it for its lease, the next actor that requests work gets it. So that an actor which only reports cannot
 // hold up a run, the task is also given to another actor after two minutes, or after four times the median of the times
 // that the last tasks have taken if that is more; this limit doubles each time. The first actor may still send its
 // result, and the first result counts.
@@ -58,15 +58,15 @@ class EvaluationScheduler {
   };
 
   // `clock` outlives the scheduler.
-  EvaluationScheduler(absl::Duration lease, Clock* clock) : lease_(lease), clock_(clock) {}
+  explicit EvaluationScheduler(Clock* clock) : clock_(clock) {}
 
   // Adds an evaluation. Its number is higher than those added before.
   void Add(Evaluation evaluation);
 
-  // Renews the lease of task `id`, which `actor` reports to be playing (0: none); frees its other tasks.
-  void Renew(absl::string_view actor, int64_t id);
-  // Assigns the oldest free task to `actor`, which has none. Nothing: no task is free.
-  std::optional<Task> Take(absl::string_view actor);
+  // Task `id`, which `actor` reports to be playing (0: none), has a `lease` from now on; frees the actor's other tasks.
+  void Renew(absl::string_view actor, int64_t id, absl::Duration lease);
+  // Assigns the oldest free task to `actor`, which has none, for a `lease`. Nothing: no task is free.
+  std::optional<Task> Take(absl::string_view actor, absl::Duration lease);
   // Whether `actor` has a task.
   bool IsPlaying(absl::string_view actor) const;
   // The weights (safetensors) to play task `id` with; nullptr: the task is over.
@@ -87,7 +87,7 @@ class EvaluationScheduler {
  private:
   struct Part {
     std::string actor;  // plays it; empty: none
-    absl::Time renewed;
+    absl::Time lease_end;
     absl::Time begun;               // when it was assigned to the actor
     int moves = 0;                  // reassignments although the actor still reported it
     std::vector<Episode> episodes;  // the result; empty until it is over
@@ -109,7 +109,6 @@ class EvaluationScheduler {
   // Whether `part` may be assigned to `actor` at `now`.
   bool IsFree(const Part& part, absl::string_view actor, absl::Time now) const;
 
-  const absl::Duration lease_;
   Clock* const clock_;
   std::deque<Entry> entries_;
   std::deque<absl::Duration> times_;  // that the last tasks have taken, at most kMaxTimes

@@ -40,7 +40,7 @@ void LaneScheduler::Add(const Worker* worker) {
 }
 
 void LaneScheduler::NoteLease(const Worker& worker) {
-  next_expiry_ = std::min(next_expiry_, worker.leased_from + options_.lease);
+  next_expiry_ = std::min(next_expiry_, worker.leased_from + worker.lease);
 }
 
 void LaneScheduler::Remove(absl::string_view actor) {
@@ -54,7 +54,7 @@ std::vector<std::string> LaneScheduler::RemoveExpired() {
   next_expiry_ = absl::InfiniteFuture();
   for (auto actor = actors_.begin(); actor != actors_.end();) {
     const auto next = std::next(actor);
-    if (now - actor->second.worker->leased_from > options_.lease) {
+    if (now - actor->second.worker->leased_from > actor->second.worker->lease) {
       lapsed_ += static_cast<int64_t>(actor->second.permits.size());
       expired.push_back(actor->first);
       Remove(actor);

@@ -52,7 +52,7 @@ struct LaneRecord {
 // `Options::patience`. Shares differ by at most one lane, except for actors that can't play that many. While there are
 // other actors, an actor that returns permits because it can't play them gets no new ones for `patience`.
 //
-// A permit lapses when its actor has sent no request for `lease`, or for twice as long if no other actor sends
+// A permit lapses when its actor has sent no request for its lease, or for twice as long if no other actor sends
 // requests; the actor is then removed. A fragment is accepted at most once. Once permits have lapsed in an iteration,
 // an actor without work is also granted, as a backup, permits that another actor has had for `patience`. At most two
 // actors play a fragment; they produce the same bytes, and the first result counts. Without backups, an iteration's
@@ -84,8 +84,8 @@ struct LaneRecord {
 class LaneScheduler {
  public:
   struct Options {
-    int lanes = 16;  // 1..
-    absl::Duration lease = absl::Seconds(5);
+    int lanes = 16;                           // 1..
+    absl::Duration lease = absl::Seconds(5);  // that actors have at least (Worker::lease)
     absl::Duration patience = absl::Seconds(1);
     absl::Duration comeback = absl::Seconds(2);  // lease left to an actor whose connection broke; at most `lease`
     absl::Duration progress = absl::Seconds(20);

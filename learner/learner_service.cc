@@ -20,9 +20,7 @@
 namespace craftfleet {
 namespace {
 
-constexpr size_t kLinesPerClient = 16;  // about workers, in the period of LimitedLog, whatever their names
-constexpr int kMaxWaitMs = 2000;
-constexpr int kPollsPerSecond = 2000;    // where actors that get nothing would ask for permits more often
+constexpr size_t kLinesPerClient = 16;   // about workers, in the period of LimitedLog, whatever their names
 constexpr int kMaxServersReported = 64;  // environment servers in one request of an actor
 
 Permit FromProto(const v1::Permit& message) { return {message.lane(), message.fragment(), message.policy_version()}; }
@@ -69,13 +67,7 @@ LearnerServiceImpl::~LearnerServiceImpl() {
 }
 
 absl::Duration LearnerServiceImpl::WaitTime(int wait_ms) {
-  return absl::Milliseconds(std::clamp(wait_ms, 0, kMaxWaitMs));
-}
-
-absl::Duration LearnerServiceImpl::PollTime(int wait_ms) const {
-  // An actor may get permits at any time, but its request is repeated less often where there are many.
-  const int actors = registry_->actors();
-  return wait_ms <= 0 ? absl::ZeroDuration() : WaitTime(std::max(wait_ms, actors * 1000 / kPollsPerSecond));
+  return std::clamp(absl::Milliseconds(wait_ms), absl::ZeroDuration(), WorkerRegistry::kLongestPoll);
 }
 
 WorkerClient LearnerServiceImpl::ClientOf(const grpc::ServerContextBase& context) const {
@@ -183,6 +175,7 @@ void LearnerServiceImpl::FillPermits(const WorkerRegistry::PermitReply& given, v
   AddPermits(given.granted, reply->mutable_granted());
   AddPermits(given.lost, reply->mutable_lost());
   reply->set_finished(given.finished);
+  reply->set_wait_ms(static_cast<int>(absl::ToInt64Milliseconds(given.wait)));
   if (given.evaluation.has_value()) *reply->mutable_evaluation() = ToProto(*given.evaluation);
   reply->set_env_servers_generation(given.servers_generation);
   for (const std::string& address : given.servers) reply->add_env_servers(address);
@@ -199,7 +192,7 @@ WorkerRegistry::PermitRequest LearnerServiceImpl::ToRequest(WorkerClient client,
     asked.failures.push_back({failure.lane(), failure.fragment(), failure.reason()});
   }
   asked.capacity = request.capacity();
-  asked.wait = PollTime(request.wait_ms());
+  asked.wait = WaitTime(request.wait_ms());
   asked.evaluates = request.evaluates();
   asked.evaluation = request.evaluation();
   asked.wants_servers = request.wants_env_servers();

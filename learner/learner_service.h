@@ -76,8 +76,6 @@ class LearnerServiceImpl final : public v1::LearnerService::CallbackService {
 
   // How long a call that asks for `wait_ms` may wait.
   static absl::Duration WaitTime(int wait_ms);
-  // The same for a request for permits: longer, the more actors there are.
-  absl::Duration PollTime(int wait_ms) const;
 
   // The short calls.
   absl::Status Answer(const grpc::ServerContextBase& context, const v1::JoinRequest& request, v1::JoinReply* reply);

@@ -26,6 +26,7 @@ absl::Status WorkerRegistry::Join(const WorkerClient& client, absl::string_view 
   ExpireActors();
   actor->active = true;
   actor->leased_from = clock_->Now();
+  actor->lease = ActorLease();
   NoteReport(actor, nullptr);
   lanes_.Add(actor);
   return absl::OkStatus();
@@ -60,7 +61,7 @@ absl::Status WorkerRegistry::ReportAndRenew(const PermitRequest& request, Permit
   for (const LaneFailure& failure : request.failures) {
     lanes_.Refuse(request.actor, failure.lane, failure.fragment, failure.reason);
   }
-  evaluations_.Renew(request.actor, request.evaluation);
+  evaluations_.Renew(request.actor, request.evaluation, ActorLease());
   CRAFTFLEET_ASSIGN_OR_RETURN(reply->lost, RenewPlay(request));
   Worker* const actor = FindActor(request.actor);
   actor->stream = std::max(actor->stream, request.stream);
@@ -87,8 +88,9 @@ absl::StatusOr<WorkerRegistry::PermitReply> WorkerRegistry::Complete(const Permi
   }
   reply.finished = finished_;
   reply.resting = lanes_.paused() || actor->draining;
+  reply.wait = PollInterval();
   if (request.evaluates && request.evaluation == 0 && !reply.resting) {
-    reply.evaluation = evaluations_.Take(request.actor);
+    reply.evaluation = evaluations_.Take(request.actor, actor->lease);
   }
   AddServerList(request, actor, &reply);
   return reply;
@@ -107,8 +109,9 @@ void WorkerRegistry::Wake(absl::string_view actor) {
 absl::StatusOr<std::vector<Permit>> WorkerRegistry::RenewPlay(const PermitRequest& request) {
   Worker* const actor = FindActor(request.actor);
   // A late renewal is accepted if no other actor has requested its lanes in the meantime.
-  if (actor != nullptr && clock_->Now() - actor->leased_from <= 2 * options_.lanes.lease) {
+  if (actor != nullptr && clock_->Now() - actor->leased_from <= 2 * actor->lease) {
     actor->leased_from = clock_->Now();
+    actor->lease = ActorLease();
     lanes_.NoteProgress(request.actor, request.active, request.steps);
   }
   ExpireActors();
@@ -118,6 +121,12 @@ absl::StatusOr<std::vector<Permit>> WorkerRegistry::RenewPlay(const PermitReques
   WakeIfChanged();
   return lost;
 }
+
+absl::Duration WorkerRegistry::PollInterval() const {
+  return std::clamp(absl::Seconds(lanes_.actors()) / kPollsPerSecond, kShortestPoll, kLongestPoll);
+}
+
+absl::Duration WorkerRegistry::ActorLease() const { return options_.lanes.lease + PollInterval() - kShortestPoll; }
 
 void WorkerRegistry::RemoveActor(Worker* actor) {
   lanes_.Remove(actor->name);
@@ -138,7 +147,7 @@ void WorkerRegistry::OnConnectionLost(absl::string_view name, int64_t stream) {
   const MutexLock lock(&mu_);
   Worker* const actor = FindActor(name);
   if (actor == nullptr || actor->stream != stream) return;
-  const absl::Duration rest = options_.lanes.lease - options_.lanes.comeback;
+  const absl::Duration rest = actor->lease - options_.lanes.comeback;
   actor->leased_from = std::min(actor->leased_from, clock_->Now() - rest);
   lanes_.NoteLease(*actor);
 }

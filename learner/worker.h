@@ -54,7 +54,7 @@ struct Worker {
 
   // Has joined (actor) or registered (server), has not left, and its lease has not expired.
   bool active = false;
-  absl::Duration lease;  // environment server: how long it is listed after a report
+  absl::Duration lease;  // how long it counts as there after a report
   // Start of its lease: its last report, or earlier if its connection broke.
   absl::Time leased_from = absl::InfinitePast();
   // Actor: the stream of its last request for permits (PermitRequest.stream).

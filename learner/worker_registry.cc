@@ -32,7 +32,7 @@ WorkerRegistry::WorkerRegistry(const Options& options, std::vector<LaneRecord> l
       first_generation_(absl::ToUnixMicros(clock->WallNow())),
       groups_(first_generation_),
       lanes_(options.lanes, std::move(lanes), clock),
-      evaluations_(options.lanes.lease, clock),
+      evaluations_(clock),
       builds_(options.build) {}
 
 Worker* WorkerRegistry::Find(WorkerRole role, absl::string_view name) {
@@ -187,9 +187,9 @@ WorkerRegistry::Health WorkerRegistry::HealthOf(const Worker& worker, absl::Time
   if (worker.left) return Health::kLeft;
   if (now - worker.not_answering < kRelayed) return Health::kNotAnswering;
   // A server that is silent is shown as lost before it is no longer listed.
-  const absl::Duration lease =
-      worker.own_report == kNever ? kRelayed : std::max(options_.lanes.lease, worker.lease * 5 / 8);
-  return now - worker.last_seen < lease ? Health::kOk : Health::kLost;
+  const absl::Duration lease = worker.role == WorkerRole::kActor ? worker.lease : worker.lease * 5 / 8;
+  const absl::Duration silence = worker.own_report == kNever ? kRelayed : std::max(options_.lanes.lease, lease);
+  return now - worker.last_seen < silence ? Health::kOk : Health::kLost;
 }
 
 void WorkerRegistry::NoteReport(Worker* worker, std::shared_ptr<const v1::ProcessSummary> summary) {
@@ -213,7 +213,7 @@ absl::Status WorkerRegistry::Leave(const WorkerClient& client, WorkerRole role, 
   if (role == WorkerRole::kEnvServer) CRAFTFLEET_RETURN_IF_ERROR(CheckAddress(name, address, client));
   if (role == WorkerRole::kActor) {
     RemoveActor(worker);
-    evaluations_.Renew(name, 0);
+    evaluations_.Renew(name, 0, absl::ZeroDuration());
   } else {
     RemoveServer(worker);
   }

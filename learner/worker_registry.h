@@ -53,6 +53,9 @@ class WorkerRegistry {
   static constexpr size_t kMaxRefused = 16;  // workers with another canary; the newest are kept
   static constexpr size_t kPruneParts = 64;
   static constexpr absl::Duration kPruneEvery = absl::Seconds(1);
+  static constexpr int kPollsPerSecond = 2000;  // requests for permits that get nothing, of all actors
+  static constexpr absl::Duration kShortestPoll = absl::Milliseconds(500);
+  static constexpr absl::Duration kLongestPoll = absl::Seconds(5);
   static constexpr size_t kServersOfALease = 1000;
   static constexpr int kMaxLeases = 8;
   static constexpr size_t kMaxNames = 16384;  // owned by one identity at a time, from all hosts
@@ -60,7 +63,7 @@ class WorkerRegistry {
   struct Options {
     LaneScheduler::Options lanes;                    // its lease also applies to evaluations
     absl::Duration server_lease = absl::Seconds(8);  // of up to kServersOfALease servers; see LeaseForServers
-    absl::Duration name_lapse = absl::Seconds(16);   // at least the longest lease of an actor
+    absl::Duration name_lapse = absl::Seconds(20);   // at least twice the longest lease of an actor
     // Names owned by one identity from one host at a time: as many as connections, of which each worker has one.
     int max_names_per_client = 1024;
     BuildCheck::Options build = {};
@@ -104,6 +107,7 @@ class WorkerRegistry {
     bool finished = false;     // the run is over
     bool resting = false;      // the run is paused or the actor is being drained, so it gets no work
     std::optional<EvaluationScheduler::Task> evaluation;
+    absl::Duration wait;  // that the actor's next request should have: PollInterval
     int64_t servers_generation = 0;
     std::vector<std::string> servers;  // addresses of its group, if the actor's generation is outdated
   };
@@ -287,6 +291,11 @@ class WorkerRegistry {
   // Makes `server` the active one at `address`.
   void PlaceServer(Worker* server, absl::string_view address) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
   absl::Duration ServerLease() const ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
+  // How long a request for permits should wait while there is nothing to grant: longer where there are more than 1,000
+  // actors, so that no more than kPollsPerSecond requests come for nothing, up to kLongestPoll.
+  absl::Duration PollInterval() const ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
+  // The lease of actors that report now. Requests that wait longer have a longer one.
+  absl::Duration ActorLease() const ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
   // Makes `server` inactive.
   void RemoveServer(Worker* server) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
   // Lets groups have `server` if it is listed, or no longer.

@@ -74,6 +74,11 @@ TEST(LearnerReplies, PermitsAreChecked) {
   v1::PermitReply reply;
   reply.add_env_servers("nowhere");
   EXPECT_THAT(CheckPermitReply({}, 4, 64, reply), IsInvalid("env_servers"));
+  for (const int wait_ms : {-1, 60'001}) {
+    reply = {};
+    reply.set_wait_ms(wait_ms);
+    EXPECT_THAT(CheckPermitReply({}, 4, 64, reply), IsInvalid("wait_ms"));
+  }
   reply.Clear();
   reply.add_lost();
   EXPECT_THAT(CheckPermitReply({}, 4, 64, reply), IsInvalid("lost"));
@@ -100,14 +105,14 @@ TEST(LearnerReplies, PermitsAreChecked) {
 TEST(LearnerReplies, TasksOfLateEvaluationsAreAccepted) {
   RealClock clock;
   for (const int64_t first : {int64_t{1}, int64_t{9'998}, kLastEvaluationEpisode - 2 * kMaxEvaluationEpisodes + 1}) {
-    EvaluationScheduler scheduler(absl::Minutes(1), &clock);
+    EvaluationScheduler scheduler(&clock);
     Evaluation evaluation;
     evaluation.number = 1;
     evaluation.first_episode = first;
     evaluation.episodes = kMaxEvaluationEpisodes;
     scheduler.Add(evaluation);
     for (const char* actor : {"plays argmax episodes", "plays sampled episodes"}) {
-      const auto task = scheduler.Take(actor);
+      const auto task = scheduler.Take(actor, absl::Minutes(1));
       ASSERT_TRUE(task.has_value());
       v1::PermitReply reply;
       reply.mutable_evaluation()->set_id(task->id);

@@ -27,14 +27,14 @@ std::vector<Episode> Episodes(int count, int64_t length) {
 class EvaluationSchedulerTest : public testing::Test {
  protected:
   FakeClock clock_;
-  EvaluationScheduler scheduler_{kLease, &clock_};
+  EvaluationScheduler scheduler_{&clock_};
 };
 
 TEST_F(EvaluationSchedulerTest, AnEvaluationIsAnArgmaxTaskAndASampledTask) {
-  EXPECT_FALSE(scheduler_.Take("a").has_value());
+  EXPECT_FALSE(scheduler_.Take("a", kLease).has_value());
   scheduler_.Add(SampleEvaluation(3, 21, 5));
-  const auto argmax = scheduler_.Take("a");
-  const auto sampled = scheduler_.Take("b");
+  const auto argmax = scheduler_.Take("a", kLease);
+  const auto sampled = scheduler_.Take("b", kLease);
   ASSERT_TRUE(argmax.has_value() && sampled.has_value());
   EXPECT_TRUE(argmax->greedy);
   EXPECT_EQ(argmax->first_episode, 21);
@@ -43,7 +43,7 @@ TEST_F(EvaluationSchedulerTest, AnEvaluationIsAnArgmaxTaskAndASampledTask) {
   EXPECT_EQ(sampled->first_episode, 26);
   EXPECT_EQ(sampled->episodes, 5);
   EXPECT_NE(argmax->id, sampled->id);
-  EXPECT_FALSE(scheduler_.Take("c").has_value());
+  EXPECT_FALSE(scheduler_.Take("c", kLease).has_value());
   EXPECT_EQ(*scheduler_.Weights(argmax->id), "weights");
 }
 
@@ -51,7 +51,7 @@ TEST_F(EvaluationSchedulerTest, ResultsAreReturnedInOrderAndStayUntilPop) {
   scheduler_.Add(SampleEvaluation(1, 1, 2));
   scheduler_.Add(SampleEvaluation(2, 5, 2));
   std::vector<EvaluationScheduler::Task> tasks;
-  while (const auto task = scheduler_.Take("a")) tasks.push_back(*task);
+  while (const auto task = scheduler_.Take("a", kLease)) tasks.push_back(*task);
   ASSERT_EQ(tasks.size(), 4u);
   EXPECT_THAT(scheduler_.Finish(tasks[2].id, Episodes(2, 30)), IsOk());
   EXPECT_THAT(scheduler_.Finish(tasks[3].id, Episodes(2, 40)), IsOk());
@@ -75,24 +75,24 @@ TEST_F(EvaluationSchedulerTest, ResultsAreReturnedInOrderAndStayUntilPop) {
 // An actor that reports a task but never finishes it must not hold up the end of a run.
 TEST_F(EvaluationSchedulerTest, ASlowTaskIsAlsoAssignedToAnotherActor) {
   scheduler_.Add(SampleEvaluation(1, 1, 2));
-  const auto stuck = scheduler_.Take("stuck");
-  const auto other = scheduler_.Take("good");
+  const auto stuck = scheduler_.Take("stuck", kLease);
+  const auto other = scheduler_.Take("good", kLease);
   clock_.Advance(absl::Seconds(20));
   EXPECT_THAT(scheduler_.Finish(other->id, Episodes(2, 30)), IsOk());
   const auto wait = [&](int seconds) {
     for (int i = 0; i < seconds; ++i) {
       clock_.Advance(absl::Seconds(1));
-      scheduler_.Renew("stuck", stuck->id);
+      scheduler_.Renew("stuck", stuck->id, kLease);
     }
   };
   wait(100);
-  EXPECT_FALSE(scheduler_.Take("good").has_value()) << "two minutes";
+  EXPECT_FALSE(scheduler_.Take("good", kLease).has_value()) << "two minutes";
   wait(1);
-  EXPECT_FALSE(scheduler_.Take("stuck").has_value()) << "it already has the task";
-  const auto again = scheduler_.Take("good");
+  EXPECT_FALSE(scheduler_.Take("stuck", kLease).has_value()) << "it already has the task";
+  const auto again = scheduler_.Take("good", kLease);
   ASSERT_TRUE(again.has_value());
   EXPECT_EQ(again->id, stuck->id);
-  EXPECT_FALSE(scheduler_.Take("third").has_value());
+  EXPECT_FALSE(scheduler_.Take("third", kLease).has_value());
   EXPECT_THAT(scheduler_.Finish(stuck->id, Episodes(2, 40)), IsOk()) << "the first result counts";
   EXPECT_TRUE(scheduler_.Front().has_value());
 }
@@ -101,18 +101,18 @@ TEST_F(EvaluationSchedulerTest, ASlowTaskIsAlsoAssignedToAnotherActor) {
 TEST_F(EvaluationSchedulerTest, AnActorThatDawdlesDoesNotStretchTheLimit) {
   for (int number = 1; number <= 5; ++number) {
     scheduler_.Add(SampleEvaluation(number, 1, 1));
-    const auto slow = scheduler_.Take("dawdler");
-    const auto quick = scheduler_.Take("good");
+    const auto slow = scheduler_.Take("dawdler", kLease);
+    const auto quick = scheduler_.Take("good", kLease);
     clock_.Advance(absl::Seconds(10));
     ASSERT_THAT(scheduler_.Finish(quick->id, Episodes(1, 30)), IsOk());
     for (int i = 0; i < 110; ++i) {
       clock_.Advance(absl::Seconds(1));
-      scheduler_.Renew("dawdler", slow->id);
+      scheduler_.Renew("dawdler", slow->id, kLease);
     }
     if (number == 5) {
-      EXPECT_FALSE(scheduler_.Take("good").has_value()) << "two minutes";
+      EXPECT_FALSE(scheduler_.Take("good", kLease).has_value()) << "two minutes";
       clock_.Advance(absl::Seconds(1));
-      EXPECT_TRUE(scheduler_.Take("good").has_value());
+      EXPECT_TRUE(scheduler_.Take("good", kLease).has_value());
     }
     ASSERT_THAT(scheduler_.Finish(slow->id, Episodes(1, 30)), IsOk());
     scheduler_.Pop();
@@ -122,14 +122,14 @@ TEST_F(EvaluationSchedulerTest, AnActorThatDawdlesDoesNotStretchTheLimit) {
 TEST_F(EvaluationSchedulerTest, TheLimitFollowsTasksThatTakeLonger) {
   for (int number = 1; number <= 2; ++number) {
     scheduler_.Add(SampleEvaluation(number, 1, 1));
-    const auto argmax = scheduler_.Take("a");
-    const auto sampled = scheduler_.Take("b");
+    const auto argmax = scheduler_.Take("a", kLease);
+    const auto sampled = scheduler_.Take("b", kLease);
     const int minutes = number == 1 ? 1 : 4;
     for (int i = 0; i < 60 * minutes; ++i) {
       clock_.Advance(absl::Seconds(1));
-      scheduler_.Renew("a", argmax->id);
-      scheduler_.Renew("b", sampled->id);
-      EXPECT_FALSE(scheduler_.Take("c").has_value()) << i;
+      scheduler_.Renew("a", argmax->id, kLease);
+      scheduler_.Renew("b", sampled->id, kLease);
+      EXPECT_FALSE(scheduler_.Take("c", kLease).has_value()) << i;
     }
     for (const auto& task : {argmax, sampled}) ASSERT_THAT(scheduler_.Finish(task->id, Episodes(1, 30)), IsOk());
     scheduler_.Pop();
@@ -138,29 +138,29 @@ TEST_F(EvaluationSchedulerTest, TheLimitFollowsTasksThatTakeLonger) {
 
 TEST_F(EvaluationSchedulerTest, ATaskLapsesUnlessItsActorReportsIt) {
   scheduler_.Add(SampleEvaluation(1, 1, 1));
-  const auto task = scheduler_.Take("a");
-  ASSERT_TRUE(scheduler_.Take("b").has_value());
+  const auto task = scheduler_.Take("a", kLease);
+  ASSERT_TRUE(scheduler_.Take("b", kLease).has_value());
   clock_.Advance(kLease - absl::Seconds(1));
-  scheduler_.Renew("a", task->id);
+  scheduler_.Renew("a", task->id, kLease);
   clock_.Advance(absl::Seconds(2));
-  EXPECT_FALSE(scheduler_.Take("c")->greedy) << "b's task, which b did not report";
-  EXPECT_FALSE(scheduler_.Take("c").has_value()) << "a's task was renewed";
+  EXPECT_FALSE(scheduler_.Take("c", kLease)->greedy) << "b's task, which b did not report";
+  EXPECT_FALSE(scheduler_.Take("c", kLease).has_value()) << "a's task was renewed";
   clock_.Advance(kLease);
-  EXPECT_EQ(scheduler_.Take("c")->id, task->id);
+  EXPECT_EQ(scheduler_.Take("c", kLease)->id, task->id);
 }
 
 TEST_F(EvaluationSchedulerTest, ATaskThatIsNoLongerReportedIsFreeAtOnce) {
   scheduler_.Add(SampleEvaluation(1, 1, 1));
-  const auto task = scheduler_.Take("a");
-  ASSERT_TRUE(scheduler_.Take("b").has_value());
-  scheduler_.Renew("a", 0);
-  EXPECT_EQ(scheduler_.Take("c")->id, task->id);
+  const auto task = scheduler_.Take("a", kLease);
+  ASSERT_TRUE(scheduler_.Take("b", kLease).has_value());
+  scheduler_.Renew("a", 0, kLease);
+  EXPECT_EQ(scheduler_.Take("c", kLease)->id, task->id);
 }
 
 TEST_F(EvaluationSchedulerTest, TheFirstResultCountsAndLaterOnesAreIgnored) {
   scheduler_.Add(SampleEvaluation(1, 1, 1));
-  const int64_t argmax = scheduler_.Take("a")->id;
-  const int64_t sampled = scheduler_.Take("a")->id;
+  const int64_t argmax = scheduler_.Take("a", kLease)->id;
+  const int64_t sampled = scheduler_.Take("a", kLease)->id;
   EXPECT_THAT(scheduler_.Finish(argmax, Episodes(1, 10)), IsOk());
   EXPECT_THAT(scheduler_.Finish(argmax, Episodes(1, 99)), IsOk());
   EXPECT_EQ(scheduler_.Weights(argmax), nullptr);
@@ -172,7 +172,7 @@ TEST_F(EvaluationSchedulerTest, TheFirstResultCountsAndLaterOnesAreIgnored) {
 
 TEST_F(EvaluationSchedulerTest, AWrongNumberOfEpisodesIsRefused) {
   scheduler_.Add(SampleEvaluation(1, 1, 5));
-  const int64_t id = scheduler_.Take("a")->id;
+  const int64_t id = scheduler_.Take("a", kLease)->id;
   EXPECT_THAT(scheduler_.Finish(id, Episodes(4, 10)),
               StatusIs(absl::StatusCode::kInvalidArgument, testing::HasSubstr("4 episodes, want 5")));
   EXPECT_NE(scheduler_.Weights(id), nullptr);

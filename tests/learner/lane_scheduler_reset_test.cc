@@ -34,6 +34,7 @@ class Lanes : public LaneScheduler {
     worker.name = actor;
     worker.client = {client, "one host"};
     worker.leased_from = clock_->Now();
+    worker.lease = Options().lease;
     Add(&worker);
   }
   void Leave(const std::string& actor) { Remove(actor); }

@@ -98,7 +98,7 @@ class History {
   }
 
   bool MayUse(const Player& player, const std::string& identity) const {
-    return player.owner.empty() || player.owner == identity || clock_.Now() - player.used >= absl::Seconds(16);
+    return player.owner.empty() || player.owner == identity || clock_.Now() - player.used >= absl::Seconds(20);
   }
 
   void Join(const std::string& name, const std::string& identity) {

@@ -7,6 +7,7 @@
 #include <thread>
 #include <vector>
 
+#include <absl/strings/str_format.h>
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
@@ -155,6 +156,29 @@ TEST_F(WorkerRegistryTest, APermitForAResetLaneRequiresItsSnapshot) {
   EXPECT_TRUE(granted[0].reload);
 }
 
+// A request may be answered with the interval that is right for many actors shortly before most of them leave.
+TEST_F(WorkerRegistryTest, ManyActorsAskLessOftenAndKeepTheirLeaseForThat) {
+  TestRegistry::Options options;
+  options.lanes.lanes = 4;
+  options.max_names_per_client = 10000;
+  TestRegistry registry(options, &clock_);
+  const auto ask = [&](const std::string& actor) { return registry.GetPermits(actor, {}, 4, absl::ZeroDuration()); };
+  const auto name = [](int i) { return absl::StrFormat("a%04d", i); };
+  for (int i = 0; i < 1000; ++i) registry.Join(name(i), "");
+  EXPECT_EQ(ask(name(0))->wait, absl::Milliseconds(500));
+  for (int i = 1000; i < 4000; ++i) registry.Join(name(i), "");
+  EXPECT_EQ(ask(name(1))->wait, absl::Seconds(2));
+  for (int i = 2; i < 4000; ++i) registry.Leave(name(i));
+  clock_.Advance(absl::Seconds(6));
+  registry.Join("b", "");
+  const std::vector<LaneScheduler::ActorInfo> left = registry.Actors();
+  ASSERT_THAT(left, SizeIs(2)) << "the first one had a lease of 5 s";
+  EXPECT_EQ(left[0].name, name(1));
+  EXPECT_EQ(ask(name(1))->wait, absl::Milliseconds(500));
+  for (int i = 0; i < 9999; ++i) registry.Join(name(i), "");  // and "b"
+  EXPECT_EQ(ask(name(1))->wait, absl::Seconds(5));
+}
+
 TEST_F(WorkerRegistryTest, ALapsedNameHasNoStateOfItsFormerOwner) {
   EXPECT_THAT(registry().Join({"one"}, "a", "host:1", {}), IsOk());
   registry_.OpenIteration(2, 1);
@@ -162,7 +186,7 @@ TEST_F(WorkerRegistryTest, ALapsedNameHasNoStateOfItsFormerOwner) {
   request.client.identity = "one";
   EXPECT_THAT(Ask(request).granted, SizeIs(4));
   registry_.Drain("a");
-  clock_.Advance(absl::Seconds(16));
+  clock_.Advance(absl::Seconds(20));
   request.client.identity = "two";
   EXPECT_THAT(registry().GetPermits(request), StatusIs(absl::StatusCode::kAborted, testing::HasSubstr("join again")));
   EXPECT_EQ(registry_.permits(), 0);
