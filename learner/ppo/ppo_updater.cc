@@ -112,7 +112,7 @@ PpoUpdater::PpoUpdater(AgentSpec spec, const v1::RunConfig& config, int threads,
 PpoUpdater::~PpoUpdater() = default;
 
 void PpoUpdater::ShareOut(RankGroup* group) {
-  ranks_.emplace(spec_, group);
+  ranks_.emplace(spec_, gradient_shards_, group);
   shards_->ShareOut(&*ranks_);
 }
 

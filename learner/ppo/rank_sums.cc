@@ -13,7 +13,7 @@
 namespace craftfleet {
 namespace {
 
-RankGroup::Few ToFew(const PpoLossSums& sums) {
+Few ToFew(const PpoLossSums& sums) {
   return {sums.policy_loss, sums.value_loss, sums.entropy, sums.approx_kl, sums.clipped};
 }
 
@@ -37,17 +37,17 @@ absl::Status RankSums::Add(const absl::Status& own, std::vector<ShardGradient>* 
                            absl::Span<const PpoLossSums> losses, PpoLossSums* sums) {
   const std::vector<size_t> sizes = PieceSizes(*gradients);
   const size_t length = std::accumulate(sizes.begin(), sizes.end(), size_t{0});
-  flat_.resize(std::max<size_t>(gradients->size(), 1));
-  for (std::vector<float>& flat : flat_) flat.resize(length);
-  for (size_t i = 0; i < gradients->size(); ++i) {
-    auto end = flat_[i].begin();
-    for (const absl::Span<const float> piece : (*gradients)[i]) end = std::copy(piece.begin(), piece.end(), end);
+  if (!std::exchange(has_shared_memory_, true)) {
+    const int terms = (shards_ + group_->size() - 1) / group_->size();
+    CRAFTFLEET_RETURN_IF_ERROR(group_->ShareMemory(terms, length));
   }
-  const std::vector<absl::Span<const float>> terms(flat_.begin(), flat_.begin() + gradients->size());
-  const absl::Span<float> total = absl::MakeSpan(flat_[0]);
-  std::vector<RankGroup::Few> loss_terms;
+  std::vector<SumTerm> terms;
+  for (const ShardGradient& gradient : *gradients) terms.emplace_back(gradient.begin(), gradient.end());
+  total_.resize(length);
+  const absl::Span<float> total = absl::MakeSpan(total_);
+  std::vector<Few> loss_terms;
   for (const PpoLossSums& loss : losses) loss_terms.push_back(ToFew(loss));
-  RankGroup::Few all{};
+  Few all{};
   CRAFTFLEET_RETURN_IF_ERROR(group_->AgreeAndSum(is_to_stop() ? UpdateStopped() : own, loss_terms, &all, terms, total));
   *sums = {all[0], all[1], all[2], all[3], all[4]};
   ShardGradient sum;
@@ -61,7 +61,7 @@ absl::Status RankSums::Add(const absl::Status& own, std::vector<ShardGradient>* 
 }
 
 absl::Status RankSums::Combine(std::vector<float>* values) {
-  return group_->Sum({absl::MakeConstSpan(*values)}, absl::MakeSpan(*values));
+  return group_->Sum({{absl::MakeConstSpan(*values)}}, absl::MakeSpan(*values));
 }
 
 bool RankSums::Stops() {

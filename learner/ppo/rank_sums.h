@@ -27,8 +27,8 @@ struct ShardRange {
 // process. All ranks call the same functions in the same order; errors as those of RankGroup. Thread-compatible.
 class RankSums {
  public:
-  // Both outlive this.
-  RankSums(const AgentSpec& spec, RankGroup* group) : spec_(spec), group_(group) {}
+  // Spec and group outlive this. `shards`: of a minibatch, at most.
+  RankSums(const AgentSpec& spec, int shards, RankGroup* group) : spec_(spec), shards_(shards), group_(group) {}
 
   RankGroup* group() const { return group_; }
 
@@ -56,9 +56,11 @@ class RankSums {
   std::vector<size_t> PieceSizes(absl::Span<const ShardGradient> gradients) const;
 
   const AgentSpec& spec_;
+  const int shards_;
   RankGroup* const group_;
+  bool has_shared_memory_ = false;  // RankGroup::ShareMemory was called
   std::function<bool()> should_stop_;
-  std::vector<std::vector<float>> flat_;  // this rank's gradients, each in one piece; the first becomes the sum
+  std::vector<float> total_;  // of the last gradients
 };
 
 }  // namespace craftfleet

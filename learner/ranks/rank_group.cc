@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cstring>
+#include <utility>
 
 #include <absl/strings/str_cat.h>
 #include <absl/strings/str_format.h>
@@ -24,15 +25,13 @@ absl::Span<const char> BytesOf(absl::Span<const T> values) {
   return absl::MakeConstSpan(reinterpret_cast<const char*>(values.data()), values.size() * sizeof(T));
 }
 
-// Sets `sum` to `before`, if there is one, plus the terms from `offset` on, added in this order. `sum` may be in place
-// of the first term.
-void AddInOrder(const float* before, absl::Span<const absl::Span<const float>> terms, size_t offset,
-                absl::Span<float> sum) {
+// Sets `sum` to `before`, if there is one, plus the terms from `offset` on, added in this order.
+void AddInOrder(const float* before, absl::Span<const std::vector<float>> terms, size_t offset, absl::Span<float> sum) {
   const float* const first = terms.empty() ? nullptr : terms[0].data() + offset;
   if (before != nullptr && first != nullptr) {
     for (size_t i = 0; i < sum.size(); ++i) sum[i] = before[i] + first[i];
-  } else if (const float* const only = before != nullptr ? before : first; only != sum.data()) {
-    std::copy_n(only, sum.size(), sum.begin());
+  } else {
+    std::copy_n(before != nullptr ? before : first, sum.size(), sum.begin());
   }
   for (size_t k = 1; k < terms.size(); ++k) {
     for (size_t i = 0; i < sum.size(); ++i) sum[i] += terms[k][offset + i];
@@ -48,6 +47,23 @@ struct RankGroup::Note {
   Few few = {};         // kSum
   char message[432] = {};
 };
+
+void RankGroup::BeginCall() {
+  if (shared_ != nullptr) shared_->NoteOtherCall();
+}
+
+absl::Status RankGroup::ShareMemory(int terms, size_t floats) {
+  const SharedSum::Size most = {size(), floats, terms};
+  std::unique_ptr<SharedSum> shared = is_first() ? SharedSum::Create(most) : nullptr;
+  std::string name = shared == nullptr ? "" : shared->name();
+  CRAFTFLEET_RETURN_IF_ERROR(Broadcast(&name));
+  if (!is_first() && !name.empty()) shared = SharedSum::Open(name, rank(), most);
+  const absl::Status found = Agree(shared == nullptr ? absl::NotFoundError("no memory to share") : absl::OkStatus());
+  if (is_first() && shared != nullptr) shared->Hide();
+  CRAFTFLEET_RETURN_IF_ERROR(ended());
+  if (found.ok()) shared_ = std::move(shared);
+  return absl::OkStatus();
+}
 
 absl::Status RankGroup::SendNote(int rank, const Note& note) {
   return links_->Send(rank, BytesOf(absl::MakeConstSpan(&note, 1)));
@@ -85,6 +101,7 @@ absl::Status RankGroup::PassOn(Note* note) {
 }
 
 absl::Status RankGroup::Broadcast(std::string* bytes) {
+  BeginCall();
   Note note{NoteKind::kBroadcast};
   note.number = bytes->size();
   CRAFTFLEET_RETURN_IF_ERROR(PassOn(&note));
@@ -99,6 +116,7 @@ absl::Status RankGroup::Broadcast(std::string* bytes) {
 }
 
 absl::StatusOr<bool> RankGroup::Share(bool flag) {
+  BeginCall();
   Note note{NoteKind::kShare};
   note.number = flag ? 1 : 0;
   CRAFTFLEET_RETURN_IF_ERROR(PassOn(&note));
@@ -106,6 +124,7 @@ absl::StatusOr<bool> RankGroup::Share(bool flag) {
 }
 
 absl::Status RankGroup::Agree(const absl::Status& own, uint64_t digest) {
+  BeginCall();
   Note note{NoteKind::kAgree};
   note.number = digest;
   if (!is_first()) CRAFTFLEET_RETURN_IF_ERROR(ReceiveNote(rank() - 1, &note));
@@ -122,13 +141,20 @@ absl::Status RankGroup::Agree(const absl::Status& own, uint64_t digest) {
   return StatusOf(note);
 }
 
-absl::Status RankGroup::Sum(absl::Span<const absl::Span<const float>> terms, absl::Span<float> total) {
+absl::Status RankGroup::Sum(absl::Span<const SumTerm> terms, absl::Span<float> total) {
   Few none;
   return AgreeAndSum(absl::OkStatus(), {}, &none, terms, total);
 }
 
 absl::Status RankGroup::AgreeAndSum(const absl::Status& own, absl::Span<const Few> few, Few* few_total,
-                                    absl::Span<const absl::Span<const float>> terms, absl::Span<float> total) {
+                                    absl::Span<const SumTerm> terms, absl::Span<float> total) {
+  if (shared_ != nullptr && shared_->Fits(total.size())) return SumShared(own, few, few_total, terms, total);
+  BeginCall();
+  own_.resize(terms.size());
+  for (size_t i = 0; i < terms.size(); ++i) {
+    own_[i].resize(total.size());
+    CopyPieces(terms[i], own_[i].data());
+  }
   Note note{NoteKind::kSum};
   Note agreed{NoteKind::kSum};
   Transfers from_before;
@@ -142,7 +168,7 @@ absl::Status RankGroup::AgreeAndSum(const absl::Status& own, absl::Span<const Fe
     CRAFTFLEET_RETURN_IF_ERROR(AwaitNote(from_before.front(), rank() - 1, NoteKind::kSum, note));
   }
   AddError(own, &note);
-  CRAFTFLEET_RETURN_IF_ERROR(SumForward(from_before, &note, few, terms, total, &sent));
+  CRAFTFLEET_RETURN_IF_ERROR(SumForward(from_before, &note, few, total, &sent));
   if (is_last()) {
     agreed = note;
   } else {
@@ -154,6 +180,16 @@ absl::Status RankGroup::AgreeAndSum(const absl::Status& own, absl::Span<const Fe
   return StatusOf(agreed);
 }
 
+absl::Status RankGroup::SumShared(const absl::Status& own, absl::Span<const Few> few, Few* few_total,
+                                  absl::Span<const SumTerm> terms, absl::Span<float> total) {
+  absl::Status agreed;
+  const absl::Status added =
+      shared_->Add(own, &agreed, few, few_total, terms, total, [this] { return links_->ended(); });
+  if (added.ok()) return agreed;
+  Leave(added);
+  return ended();
+}
+
 RankGroup::Transfers RankGroup::StartReceive(int rank, Note* note, absl::Span<float> values) {
   Transfers transfers = {links_->StartReceive(rank, BytesOf(absl::MakeSpan(note, 1)))};
   for (size_t offset = 0; offset < values.size(); offset += kPart) {
@@ -163,8 +199,7 @@ RankGroup::Transfers RankGroup::StartReceive(int rank, Note* note, absl::Span<fl
 }
 
 absl::Status RankGroup::SumForward(const Transfers& from_before, Note* note, absl::Span<const Few> few,
-                                   absl::Span<const absl::Span<const float>> terms, absl::Span<float> total,
-                                   Transfers* sent) {
+                                   absl::Span<float> total, Transfers* sent) {
   for (const Few& term : few) {
     for (int i = 0; i < kFew; ++i) note->few[i] += term[i];
   }
@@ -173,7 +208,7 @@ absl::Status RankGroup::SumForward(const Transfers& from_before, Note* note, abs
   for (size_t offset = 0; offset < total.size(); offset += kPart) {
     const absl::Span<float> part = total.subspan(offset, kPart);
     if (!is_first()) CRAFTFLEET_RETURN_IF_ERROR(links_->Wait(from_before[1 + offset / kPart]));
-    AddInOrder(is_first() ? nullptr : before_.data() + offset, terms, offset, part);
+    AddInOrder(is_first() ? nullptr : before_.data() + offset, own_, offset, part);
     sent->push_back(links_->StartSend(next, BytesOf(part)));
   }
   return absl::OkStatus();

@@ -3,7 +3,6 @@
 #ifndef CRAFTFLEET_LEARNER_RANKS_RANK_GROUP_H_
 #define CRAFTFLEET_LEARNER_RANKS_RANK_GROUP_H_
 
-#include <array>
 #include <cstddef>
 #include <cstdint>
 #include <memory>
@@ -15,6 +14,7 @@
 #include <absl/types/span.h>
 
 #include "learner/ranks/rank_links.h"
+#include "learner/ranks/shared_sum.h"
 
 namespace craftfleet {
 
@@ -42,17 +42,18 @@ class RankGroup {
   absl::Status Agree(const absl::Status& own, uint64_t digest = 0);
 
   // Adds the terms of all ranks to `total`, of the same size on all: those of rank 0 in their order, then those of rank
-  // 1, and so on. Rank 0 has at least one term; each is as long as `total`, which may be a rank's first term. All ranks
-  // get the same bits.
-  absl::Status Sum(absl::Span<const absl::Span<const float>> terms, absl::Span<float> total);
+  // 1, and so on. Rank 0 has at least one term; each has as many numbers as `total`, which may be one of them. All
+  // ranks get the same bits.
+  absl::Status Sum(absl::Span<const SumTerm> terms, absl::Span<float> total);
 
-  // A few numbers whose sum travels with a large one.
-  static constexpr int kFew = 8;
-  using Few = std::array<double, kFew>;
   // Agree(own), Sum, and the sum of the ranks' `few` terms in the same order, in a single exchange. If a rank has an
   // error, the totals are unspecified.
   absl::Status AgreeAndSum(const absl::Status& own, absl::Span<const Few> few, Few* few_total,
-                           absl::Span<const absl::Span<const float>> terms, absl::Span<float> total);
+                           absl::Span<const SumTerm> terms, absl::Span<float> total);
+
+  // From now on, sums of up to `floats` numbers go through memory if all ranks are on one host that has enough of it.
+  // No rank has more than `terms` terms, or Fews.
+  absl::Status ShareMemory(int terms, size_t floats);
 
   // As those of RankLinks.
   void Leave(const absl::Status& reason) { links_->Leave(reason); }
@@ -63,6 +64,8 @@ class RankGroup {
   struct Note;  // a message of fixed size
   using Transfers = std::vector<RankLinks::Transfer>;
 
+  // Each call but sums through memory begins with it.
+  void BeginCall();
   bool is_first() const { return rank() == 0; }
   bool is_last() const { return rank() + 1 == size(); }
   absl::Status SendNote(int rank, const Note& note);
@@ -76,16 +79,21 @@ class RankGroup {
   // Adds this rank's error to a note on its way to the last rank.
   static void AddError(const absl::Status& own, Note* note);
   static absl::Status StatusOf(const Note& note);
+  // AgreeAndSum through memory.
+  absl::Status SumShared(const absl::Status& own, absl::Span<const Few> few, Few* few_total,
+                         absl::Span<const SumTerm> terms, absl::Span<float> total);
   // Starts to receive a note and the parts of `values`; the transfers are in this order.
   Transfers StartReceive(int rank, Note* note, absl::Span<float> values);
   // Adds this rank's terms to what `from_before` brings, and sends the sums on; from the last rank, back.
-  absl::Status SumForward(const Transfers& from_before, Note* note, absl::Span<const Few> few,
-                          absl::Span<const absl::Span<const float>> terms, absl::Span<float> total, Transfers* sent);
+  absl::Status SumForward(const Transfers& from_before, Note* note, absl::Span<const Few> few, absl::Span<float> total,
+                          Transfers* sent);
   // Passes the totals that `from_after` brings on to the rank before.
   absl::Status PassBack(const Transfers& from_after, const Note& agreed, absl::Span<float> total, Transfers* sent);
 
   const std::unique_ptr<RankLinks> links_;
-  std::vector<float> before_;  // sums that came from the rank before
+  std::unique_ptr<SharedSum> shared_;    // null: sums go along the chain
+  std::vector<std::vector<float>> own_;  // along the chain: this rank's terms, each in one piece
+  std::vector<float> before_;            // and sums that came from the rank before
 };
 
 }  // namespace craftfleet

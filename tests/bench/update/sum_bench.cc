@@ -1,6 +1,6 @@
 // Measures what two ranks pay for the sum of a gradient: two processes, each on a core of its own.
 //
-//   build/bin/sum_bench [--floats=607000] [--sums=300]
+//   build/bin/sum_bench [--floats=607000] [--sums=300] [--shared=false]
 
 #include <sched.h>
 #include <sys/wait.h>
@@ -22,6 +22,7 @@
 
 ABSL_FLAG(int, floats, 607000, "of a gradient; PPO-CNN has 607,000 parameters");
 ABSL_FLAG(int, sums, 300, "to measure");
+ABSL_FLAG(bool, shared, true, "through shared memory; false: as between hosts");
 ABSL_FLAG(int, port, 29517, "a free one, of loopback");
 
 namespace craftfleet {
@@ -52,8 +53,11 @@ int Run(int rank) {
   if (!links.ok()) return Fail(links.status());
   RankGroup group(*std::move(links));
   const std::vector<float> own(absl::GetFlag(FLAGS_floats), 0.5F);
+  if (absl::GetFlag(FLAGS_shared)) {
+    if (const absl::Status status = group.ShareMemory(1, own.size()); !status.ok()) return Fail(status);
+  }
   std::vector<float> total(own.size());
-  const std::vector<absl::Span<const float>> terms = {own};
+  const std::vector<SumTerm> terms = {{own}};
   const int sums = absl::GetFlag(FLAGS_sums);
   double cpu = 0;
   absl::Time begin;

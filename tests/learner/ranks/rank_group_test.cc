@@ -32,7 +32,11 @@ std::vector<float> Terms(int shard) {
   return term;
 }
 
-class SumTest : public ::testing::TestWithParam<int> {};
+struct SumCase {
+  int ranks;
+  bool shares_memory;
+};
+class SumTest : public ::testing::TestWithParam<SumCase> {};
 
 TEST_P(SumTest, AddsInTheOrderOfShardsAndGivesAllTheSameBits) {
   constexpr int kShards = 6;
@@ -40,11 +44,18 @@ TEST_P(SumTest, AddsInTheOrderOfShardsAndGivesAllTheSameBits) {
   for (int shard = 1; shard < kShards; ++shard) {
     for (size_t i = 0; i < kSize; ++i) expected[i] += Term(shard, i);
   }
-  const int ranks = GetParam();
+  const int ranks = GetParam().ranks;
   InGroup(ranks, [&](RankGroup* group) {
     std::vector<std::vector<float>> own;
     for (int i = 0; i < kShards / ranks; ++i) own.push_back(Terms(group->rank() * kShards / ranks + i));
-    const std::vector<absl::Span<const float>> terms(own.begin(), own.end());
+    std::vector<SumTerm> terms;  // in pieces
+    for (const auto& term : own) {
+      const absl::Span<const float> all = term;
+      terms.push_back({all.subspan(0, 5), all.subspan(5)});
+    }
+    if (GetParam().shares_memory) {
+      ASSERT_TRUE(group->ShareMemory(kShards / ranks, kSize).ok());
+    }
     std::vector<float> total(kSize);
     for (int round = 0; round < 3; ++round) {
       const absl::Status status = group->Sum(terms, absl::MakeSpan(total));
@@ -56,13 +67,42 @@ TEST_P(SumTest, AddsInTheOrderOfShardsAndGivesAllTheSameBits) {
   });
 }
 
-INSTANTIATE_TEST_SUITE_P(Ranks, SumTest, ::testing::Values(2, 3));
+INSTANTIATE_TEST_SUITE_P(Ranks, SumTest,
+                         ::testing::Values(SumCase{2, false}, SumCase{2, true}, SumCase{3, false}, SumCase{3, true}));
 
-TEST(RankGroup, RankWithoutATermPassesTheSumOn) {
+// More numbers, or more memory, than there is room for: along the chain.
+TEST(RankGroup, SumsThatDoNotFitIntoSharedMemoryAreRightToo) {
+  for (const size_t floats : {size_t{1}, size_t{1} << 44}) {
+    InGroup(2, [&](RankGroup* group) {
+      ASSERT_TRUE(group->ShareMemory(1, floats).ok());
+      std::vector<float> values = {1.5, 2};
+      ASSERT_TRUE(group->Sum({{absl::MakeConstSpan(values)}}, absl::MakeSpan(values)).ok());
+      EXPECT_EQ(values, (std::vector<float>{3, 4}));
+      ASSERT_TRUE(group->Sum({{absl::MakeConstSpan(values).subspan(0, 1)}}, absl::MakeSpan(values).subspan(1)).ok());
+      EXPECT_EQ(values, (std::vector<float>{3, 6}));
+    });
+  }
+}
+
+// Tests of what is the same along the chain and through memory.
+class SharedOrNotTest : public ::testing::TestWithParam<bool> {
+ protected:
+  static void InGroup(int world_size, const std::function<void(RankGroup*)>& run) {
+    testing::InGroup(world_size, [&](RankGroup* group) {
+      if (GetParam()) {
+        ASSERT_TRUE(group->ShareMemory(2, kSize).ok());
+      }
+      run(group);
+    });
+  }
+};
+INSTANTIATE_TEST_SUITE_P(Memory, SharedOrNotTest, ::testing::Bool());
+
+TEST_P(SharedOrNotTest, RankWithoutATermPassesTheSumOn) {
   InGroup(3, [](RankGroup* group) {
     const std::vector<float> own = {1.5, 2};
-    std::vector<absl::Span<const float>> terms;
-    if (group->rank() != 1) terms.emplace_back(own);
+    std::vector<SumTerm> terms;
+    if (group->rank() != 1) terms.push_back({own});
     std::vector<float> total(2);
     ASSERT_TRUE(group->Sum(terms, absl::MakeSpan(total)).ok());
     EXPECT_EQ(total, (std::vector<float>{3, 4}));
@@ -96,23 +136,23 @@ TEST(RankGroup, AllGetTheErrorOfTheFirstRankThatHasOne) {
   });
 }
 
-TEST(RankGroup, AnErrorWithASumReachesAllAndTheNextSumIsRight) {
+TEST_P(SharedOrNotTest, AnErrorWithASumReachesAllAndTheNextSumIsRight) {
   InGroup(3, [](RankGroup* group) {
     const std::vector<float> own(kSize, static_cast<float>(group->rank()));
-    const std::vector<RankGroup::Few> few = {{0.5, 1e9}, {0.25, 1}};
+    const std::vector<Few> few = {{0.5, 1e9}, {0.25, 1}};
     std::vector<float> total(kSize);
-    RankGroup::Few few_total{};
+    Few few_total{};
     const absl::Status error =
         group->rank() == 0 ? absl::OkStatus() : absl::InternalError(absl::StrCat("of rank ", group->rank()));
-    EXPECT_EQ(group->AgreeAndSum(error, few, &few_total, {own}, absl::MakeSpan(total)),
+    EXPECT_EQ(group->AgreeAndSum(error, few, &few_total, {{own}}, absl::MakeSpan(total)),
               absl::InternalError("of rank 1"));
-    ASSERT_TRUE(group->AgreeAndSum(absl::OkStatus(), few, &few_total, {own}, absl::MakeSpan(total)).ok());
+    ASSERT_TRUE(group->AgreeAndSum(absl::OkStatus(), few, &few_total, {{own}}, absl::MakeSpan(total)).ok());
     EXPECT_TRUE(total == std::vector<float>(kSize, 3));
-    EXPECT_EQ(few_total, (RankGroup::Few{2.25, 3e9 + 3}));
+    EXPECT_EQ(few_total, (Few{2.25, 3e9 + 3}));
   });
 }
 
-TEST(RankGroup, RanksOutOfStepEndTheGroup) {
+TEST_P(SharedOrNotTest, RanksOutOfStepEndTheGroup) {
   InGroup(2, [](RankGroup* group) {
     if (group->rank() == 0) {
       EXPECT_FALSE(group->Agree(absl::OkStatus()).ok());
@@ -124,7 +164,7 @@ TEST(RankGroup, RanksOutOfStepEndTheGroup) {
   InGroup(3, [](RankGroup* group) {
     std::vector<float> values(kSize);
     EXPECT_FALSE((group->rank() == 1 ? group->Agree(absl::OkStatus())
-                                     : group->Sum({absl::MakeConstSpan(values)}, absl::MakeSpan(values)))
+                                     : group->Sum({{absl::MakeConstSpan(values)}}, absl::MakeSpan(values)))
                      .ok());
     EXPECT_FALSE(group->ended().ok());
   });
