@@ -108,12 +108,16 @@ DeviceRollout SendRollout(const Rollout& rollout, const AgentSpec& spec, at::Dev
   DeviceRollout there;
   there.frames = SendFrames(rollout, spec, device);
   there.actions = SendPadded<int64_t>(rollout.actions, at::kLong, device);
-  there.log_probs = SendPadded<float>(rollout.log_probs, at::kFloat, device);
-  there.advantages = SendPadded<float>(rollout.advantages, at::kFloat, device);
-  there.returns = SendPadded<float>(rollout.returns, at::kFloat, device);
-  if (!rollout.weights.empty()) there.weights = SendPadded(rollout.weights, at::kFloat, device, 1.0F);
+  SendTargets(rollout, device, &there);
   if (spec.state_size > 0) there.states = SendStates(rollout, spec.state_size, device);
   return there;
+}
+
+void SendTargets(const Rollout& rollout, at::Device device, DeviceRollout* there) {
+  there->log_probs = SendPadded<float>(rollout.log_probs, at::kFloat, device);
+  there->advantages = SendPadded<float>(rollout.advantages, at::kFloat, device);
+  there->returns = SendPadded<float>(rollout.returns, at::kFloat, device);
+  if (!rollout.weights.empty()) there->weights = SendPadded(rollout.weights, at::kFloat, device, 1.0F);
 }
 
 std::vector<DeviceMinibatch> SendMinibatches(const std::vector<Minibatch>& minibatches, const Rollout& rollout,

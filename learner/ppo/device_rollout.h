@@ -36,6 +36,9 @@ struct DeviceMinibatch {
 // Sends `rollout` to `device`, from pinned memory if that is a GPU. Throws c10::Error.
 DeviceRollout SendRollout(const Rollout& rollout, const AgentSpec& spec, at::Device device);
 
+// Sends what CorrectLag may change: log-probabilities, advantages, returns and weights. Throws c10::Error.
+void SendTargets(const Rollout& rollout, at::Device device, DeviceRollout* there);
+
 // Sends `minibatches` of `rollout`, in one copy. Throws c10::Error.
 std::vector<DeviceMinibatch> SendMinibatches(const std::vector<Minibatch>& minibatches, const Rollout& rollout,
                                              at::Device device);

@@ -36,7 +36,7 @@ constexpr absl::string_view kKnownFields[] = {
     "ppo.rollout_steps ppo.minibatch_size ppo.epochs ppo.learning_rate ppo.gamma ppo.gae_lambda ppo.clip",
     "ppo.value_coefficient ppo.entropy_coefficient ppo.max_gradient_norm ppo.adam_epsilon ppo.truncation_is_terminal",
     "ppo.recurrent_batches ppo.value_norm_decay ppo.value_norm_start ppo.advantages_over_rollout",
-    "ppo.decoupled_objective ppo.vtrace_rho_bar ppo.vtrace_c_bar",
+    "ppo.decoupled_objective ppo.vtrace_rho_bar ppo.vtrace_c_bar ppo.recompute_values ppo.correction_pass",
     "network.extractor network.frame_size network.objects network.patch network.stride network.heads network.slots",
     "network.cls_learned network.positions network.dropout network.residual_mlp network.layer_norm",
     "network.slot_competition network.recurrent network.critic network.width"};
@@ -113,32 +113,47 @@ absl::StatusOr<UpdateStats> DeviceUpdate::Run(const Rollout& rollout, const std:
   }
 }
 
-absl::StatusOr<std::vector<float>> DeviceUpdate::LogProbs(const Rollout& rollout,
-                                                          const std::vector<Minibatch>& minibatches,
-                                                          const std::function<bool()>& should_stop,
-                                                          const UpdateState& state) {
+absl::StatusOr<StartOutputs> DeviceUpdate::ComputeStart(const Rollout& rollout,
+                                                        const std::vector<Minibatch>& minibatches,
+                                                        const std::function<bool()>& should_stop,
+                                                        const UpdateState& state) {
   try {
     if (!is_loaded_) Load(state);
     is_loaded_ = true;
     const c10::NoGradGuard no_grad;
     const DeviceRollout there = SendRollout(rollout, spec_, device_);
-    std::vector<at::Tensor> parts;
+    const at::Tensor outputs = at::zeros({there.actions.size(0), 2}, there.advantages.options());
     for (const DeviceMinibatch& minibatch : SendMinibatches(minibatches, rollout, device_)) {
-      const at::Tensor actions = there.actions.index_select(0, minibatch.rows);
-      const at::Tensor log_probs = Forward(there, minibatch, std::nullopt).logits.to(at::kDouble).log_softmax(1);
-      parts.push_back((log_probs * ChosenActions(actions)).sum(1).to(at::kFloat));
+      outputs.index_copy_(0, minibatch.rows, OutputsOf(there, minibatch, Forward(there, minibatch, std::nullopt)));
       if (should_stop()) return UpdateStopped();
     }
-    const at::Tensor fetched = at::cat(parts).cpu();
-    const auto* next = fetched.data_ptr<float>();
-    std::vector<float> log_probs(rollout.size());
-    for (const Minibatch& minibatch : minibatches) {
-      for (const int row : minibatch.rows) log_probs[row] = *next++;
-    }
-    return log_probs;
+    return FetchStart(outputs);
   } catch (const std::exception& error) {
-    return DeviceError("log-probabilities", error.what());
+    return DeviceError("the start's outputs", error.what());
   }
+}
+
+at::Tensor DeviceUpdate::OutputsOf(const DeviceRollout& rollout, const DeviceMinibatch& minibatch,
+                                   const NetOutput& output) const {
+  const at::Tensor chosen = ChosenActions(rollout.actions.index_select(0, minibatch.rows));
+  const at::Tensor log_probs = (output.logits.detach().to(at::kDouble).log_softmax(1) * chosen).sum(1);
+  at::Tensor values = output.values.detach().to(at::kDouble);
+  if (config_.value_norm_decay() > 0) {
+    const DeviceScale scale = value_scale();
+    values = values * scale.deviation + scale.mean;
+  }
+  return at::stack({log_probs, values}, 1).to(at::kFloat);
+}
+
+StartOutputs DeviceUpdate::FetchStart(const at::Tensor& outputs) {
+  const at::Tensor fetched = outputs.cpu();
+  const auto* next = fetched.data_ptr<float>();
+  StartOutputs start(outputs.size(0) - 1);
+  for (size_t row = 0; row < start.values.size(); ++row) {
+    start.log_probs[row] = *next++;
+    start.values[row] = *next++;
+  }
+  return start;
 }
 
 void DeviceUpdate::Load(const UpdateState& state) {
@@ -160,25 +175,33 @@ absl::StatusOr<UpdateStats> DeviceUpdate::RunEpochs(const Rollout& rollout,
   for (const std::vector<Minibatch>& epoch : epochs) minibatches.insert(minibatches.end(), epoch.begin(), epoch.end());
   minibatches.push_back(TrialSteps(rollout, spec_.network.recurrent()));
   DeviceRollout there = SendRollout(rollout, spec_, device_);
-  if (config_.advantages_over_rollout()) {
-    at::Tensor of_steps = there.advantages.narrow(0, 0, static_cast<int64_t>(rollout.size()));
-    of_steps.copy_(NormaliseOnDevice(of_steps));
+  NormaliseOverRollout(&there);
+  at::Tensor start;
+  if (LagCorrectionOf(config_) == LagCorrection::kInFirstEpoch) {
+    start = at::zeros({there.actions.size(0), 2}, there.advantages.options());
   }
+  UpdateStats stats;
   std::vector<DeviceMinibatch> sent = SendMinibatches(minibatches, rollout, device_);
   const DeviceMinibatch trial = std::move(sent.back());
   sent.pop_back();
   std::vector<at::Tensor> records;
   for (const DeviceMinibatch& minibatch : sent) {
-    records.push_back(RunMinibatch(there, minibatch));
+    if (start.defined() && records.size() == epochs[0].size()) {
+      const CorrectedRollout corrected = CorrectLag(rollout, FetchStart(start), config_);
+      stats.importance = corrected.importance;
+      SendTargets(corrected.rollout, device_, &there);
+      NormaliseOverRollout(&there);
+      start = at::Tensor();
+    }
+    records.push_back(RunMinibatch(there, minibatch, start));
     if (should_stop()) return UpdateStopped();
   }
   const auto count = static_cast<int64_t>(records.size());
   const at::Tensor are_finite = at::isfinite(weights_).all().logical_and(at::isfinite(value_norm_).all());
-  // The only wait: double[6 * count + 3].
+  // The only wait, but for FetchStart: double[6 * count + 3].
   const at::Tensor fetched =
       at::cat({at::stack(records).flatten(), are_finite.to(at::kDouble).view({1}), TryWeights(there, trial)}).cpu();
   const auto* const record = fetched.data_ptr<double>();
-  UpdateStats stats;
   const auto last_epoch = static_cast<int64_t>(epochs.back().size());
   for (int64_t i = 0; i < count; ++i) {
     const double* const means = record + 6 * i;
@@ -197,6 +220,12 @@ absl::StatusOr<UpdateStats> DeviceUpdate::RunEpochs(const Rollout& rollout,
   return stats;
 }
 
+void DeviceUpdate::NormaliseOverRollout(DeviceRollout* rollout) const {
+  if (!config_.advantages_over_rollout()) return;
+  at::Tensor of_steps = rollout->advantages.narrow(0, 0, rollout->advantages.size(0) - 1);
+  of_steps.copy_(NormaliseOnDevice(of_steps));
+}
+
 at::Tensor DeviceUpdate::TryWeights(const DeviceRollout& rollout, const DeviceMinibatch& trial) const {
   const c10::NoGradGuard no_grad;
   return LargestOutputs(Forward(rollout, trial, std::nullopt)).to(at::kDouble);
@@ -211,10 +240,12 @@ NetOutput DeviceUpdate::Forward(const DeviceRollout& rollout, const DeviceMiniba
   return network_.Forward(params_, frames, segments, dropout);
 }
 
-at::Tensor DeviceUpdate::RunMinibatch(const DeviceRollout& rollout, const DeviceMinibatch& minibatch) {
+at::Tensor DeviceUpdate::RunMinibatch(const DeviceRollout& rollout, const DeviceMinibatch& minibatch,
+                                      const at::Tensor& start) {
   const at::Tensor& rows = minibatch.rows;
   const uint64_t key = KeyedBits(RandomUse::kDropout, seed_, static_cast<uint64_t>(optimizer_steps_), 0);
   const NetOutput output = Forward(rollout, minibatch, Dropout{key, 0});
+  if (start.defined()) start.index_copy_(0, rows, OutputsOf(rollout, minibatch, output));
 
   at::Tensor returns = rollout.returns.index_select(0, rows);
   if (config_.value_norm_decay() > 0) returns = NormaliseReturns(returns);
@@ -234,10 +265,17 @@ at::Tensor DeviceUpdate::NormaliseReturns(const at::Tensor& returns) {
   const at::Tensor values = returns.to(at::kDouble);
   value_norm_ = value_norm_ * decay + at::stack({values.mean(), values.square().mean()}) * (1 - decay);
   value_weight_ = decay * value_weight_ + (1 - decay);
+  const DeviceScale scale = value_scale();
+  return ((values - scale.mean) / scale.deviation).to(at::kFloat);
+}
+
+DeviceUpdate::DeviceScale DeviceUpdate::value_scale() const {
+  if (value_weight_ == 0) {
+    return {at::zeros({}, value_norm_.options()), at::full({}, ValueNormStart(config_), value_norm_.options())};
+  }
   const at::Tensor corrected = value_norm_ / value_weight_;
   const at::Tensor mean = corrected.select(0, 0);
-  const at::Tensor deviation = (corrected.select(0, 1) - mean.square()).clamp_min(ValueNorm::kMinVariance).sqrt();
-  return ((values - mean) / deviation).to(at::kFloat);
+  return {mean, (corrected.select(0, 1) - mean.square()).clamp_min(ValueNorm::kMinVariance).sqrt()};
 }
 
 at::Tensor DeviceUpdate::TakeGradient() {

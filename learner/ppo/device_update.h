@@ -20,6 +20,7 @@
 #include "common/agent/nets/param_tensors.h"
 #include "craftfleet/v1/config.pb.h"
 #include "learner/ppo/device_rollout.h"
+#include "learner/ppo/lag_correction.h"
 #include "learner/ppo/minibatches.h"
 #include "learner/ppo/rollout.h"
 #include "learner/ppo/update_state.h"
@@ -51,12 +52,12 @@ class DeviceUpdate {
   absl::StatusOr<UpdateStats> Run(const Rollout& rollout, const std::vector<std::vector<Minibatch>>& epochs,
                                   const std::function<bool()>& should_stop, UpdateState* state);
 
-  // The log-probabilities of the rollout's actions under the weights of `state`, without dropout: [n]. `minibatches`
-  // have each row once. Waits for them; otherwise as Run.
-  absl::StatusOr<std::vector<float>> LogProbs(const Rollout& rollout, const std::vector<Minibatch>& minibatches,
-                                              const std::function<bool()>& should_stop, const UpdateState& state);
+  // What the weights of `state` say about the rollout. `minibatches` have each row once. Waits for the device;
+  // otherwise as Run.
+  absl::StatusOr<StartOutputs> ComputeStart(const Rollout& rollout, const std::vector<Minibatch>& minibatches,
+                                            const std::function<bool()>& should_stop, const UpdateState& state);
 
-  // The next Run or LogProbs sends its `state` to the device again.
+  // The next Run or ComputeStart sends its `state` to the device again.
   void Forget() { is_loaded_ = false; }
 
  private:
@@ -67,9 +68,22 @@ class DeviceUpdate {
                     const std::optional<Dropout>& dropout) const;
   // LargestOutputs of the present weights for the steps of `trial`: double[2].
   at::Tensor TryWeights(const DeviceRollout& rollout, const DeviceMinibatch& trial) const;
-  // One optimiser step. Returns double[6]: the means of the losses, as DeviceLoss has them, and the norm of the
-  // gradient.
-  at::Tensor RunMinibatch(const DeviceRollout& rollout, const DeviceMinibatch& minibatch);
+  // What the network says about the rows of `minibatch`: float[m,2], log-probabilities of the actions and values, not
+  // normalised.
+  at::Tensor OutputsOf(const DeviceRollout& rollout, const DeviceMinibatch& minibatch, const NetOutput& output) const;
+  // ValueNorm::Scale now: double.
+  struct DeviceScale {
+    at::Tensor mean;
+    at::Tensor deviation;
+  };
+  DeviceScale value_scale() const;
+  // With advantages_over_rollout.
+  void NormaliseOverRollout(DeviceRollout* rollout) const;
+  // `outputs` float[n+1,2] of all rows and the padding, on the host. Waits for the device.
+  static StartOutputs FetchStart(const at::Tensor& outputs);
+  // One optimiser step. `start` float[n+1,2] gets OutputsOf; undefined: they are not wanted. Returns double[6]: the
+  // means of the losses, as DeviceLoss has them, and the norm of the gradient.
+  at::Tensor RunMinibatch(const DeviceRollout& rollout, const DeviceMinibatch& minibatch, const at::Tensor& start);
   // Adds returns float[n] to the value normaliser, and returns them normalised.
   at::Tensor NormaliseReturns(const at::Tensor& returns);
   // The gradient of all parameters, float[param_count], which is then forgotten.

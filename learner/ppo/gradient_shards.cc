@@ -73,18 +73,26 @@ absl::StatusOr<PpoLossSums> GradientShards::ComputeGradients(const Rollout& roll
   return sums;
 }
 
-absl::Status GradientShards::ComputeLogProbs(const Rollout& rollout, const std::vector<Minibatch>& parts,
-                                             absl::Span<float> log_probs) {
-  const absl::Status own = Run("log-probabilities", parts.size(), [&](int i) {
+absl::Status GradientShards::ComputeStart(const Rollout& rollout, const std::vector<Minibatch>& parts,
+                                          const ValueScale& scale, StartOutputs* start) {
+  const absl::Status own = Run("the start's outputs", parts.size(), [&](int i) {
     const c10::NoGradGuard no_grad;
-    const NetOutput output = Forward(rollout, parts[i], std::nullopt, shards_[i].get());
-    const float* logits = output.logits.data_ptr<float>();
-    for (const int row : parts[i].rows) {
-      log_probs[row] = static_cast<float>(Categorical(logits).log_probs[static_cast<int>(rollout.actions[row])]);
-      logits += kNumActions;
-    }
+    WriteStart(rollout, parts[i], Forward(rollout, parts[i], std::nullopt, shards_[i].get()), scale, start);
   });
   return ranks_ != nullptr ? ranks_->group()->Agree(own) : own;
+}
+
+void GradientShards::WriteStart(const Rollout& rollout, const Minibatch& part, const NetOutput& output,
+                                const ValueScale& scale, StartOutputs* start) {
+  const float* logits = output.logits.data_ptr<float>();
+  const float* values = output.values.data_ptr<float>();
+  for (size_t i = 0; i < part.rows.size(); ++i) {
+    const int row = part.rows[i];
+    if (row == kPadding) continue;
+    const auto action = static_cast<int>(rollout.actions[row]);
+    start->log_probs[row] = static_cast<float>(Categorical(logits + i * kNumActions).log_probs[action]);
+    start->values[row] = scale.Denormalise(values[i]);
+  }
 }
 
 absl::Status GradientShards::TryWeights(const Rollout& rollout) {
@@ -131,6 +139,7 @@ void GradientShards::ComputeGradient(const Rollout& rollout, const ShardedMiniba
   const size_t first = minibatch.firsts[number];
   const Dropout dropout{minibatch.dropout_key, static_cast<int64_t>(first)};
   const NetOutput output = Forward(rollout, part, dropout, shard);
+  if (minibatch.start != nullptr) WriteStart(rollout, part, output, minibatch.scale, minibatch.start);
 
   const std::vector<Action> actions = Gather(rollout.actions, part.rows);
   const std::vector<float> log_probs = Gather(rollout.log_probs, part.rows);

@@ -19,10 +19,12 @@
 #include "common/base/worker_pool.h"
 #include "craftfleet/v1/config.pb.h"
 #include "learner/ppo/adam.h"
+#include "learner/ppo/lag_correction.h"
 #include "learner/ppo/minibatches.h"
 #include "learner/ppo/ppo_loss.h"
 #include "learner/ppo/rank_sums.h"
 #include "learner/ppo/rollout.h"
+#include "learner/ppo/value_norm.h"
 
 namespace craftfleet {
 
@@ -36,6 +38,8 @@ struct ShardedMinibatch {
   std::vector<float> advantages;  // [n] normalised
   std::vector<float> returns;     // [n] normalised where values are
   uint64_t dropout_key = 0;
+  StartOutputs* start = nullptr;  // gets the outputs for this minibatch's rows, with `scale`; null: they are not wanted
+  ValueScale scale = {};
 };
 
 // Replicas of the network, one for each shard. Owned by one thread, which computes as well. With ranks, each function
@@ -57,11 +61,10 @@ class GradientShards {
   absl::StatusOr<PpoLossSums> ComputeGradients(const Rollout& rollout, const ShardedMinibatch& minibatch,
                                                std::vector<ShardGradient>* gradients);
 
-  // Writes the log-probabilities of the actions of this rank's rows of `parts`, without dropout, to `log_probs`, of the
-  // whole rollout.
+  // Writes what the weights say about this rank's rows of `parts` to `start`, with `scale`.
   //   Internal: LibTorch failed.
-  absl::Status ComputeLogProbs(const Rollout& rollout, const std::vector<Minibatch>& parts,
-                               absl::Span<float> log_probs);
+  absl::Status ComputeStart(const Rollout& rollout, const std::vector<Minibatch>& parts, const ValueScale& scale,
+                            StartOutputs* start);
 
   // Whether the weights can be played with, tried on some of the rollout's steps. The same on each rank.
   //   DataLoss: as CheckOutputs (divergence.h). LibTorch's exceptions pass.
@@ -77,6 +80,9 @@ class GradientShards {
   // The network's output for `part`, on the shard's frames.
   NetOutput Forward(const Rollout& rollout, const Minibatch& part, const std::optional<Dropout>& dropout,
                     Shard* shard) const;
+  // Writes `output` of `part` to `start`.
+  static void WriteStart(const Rollout& rollout, const Minibatch& part, const NetOutput& output,
+                         const ValueScale& scale, StartOutputs* start);
   // Forward and backward of the part with this number.
   void ComputeGradient(const Rollout& rollout, const ShardedMinibatch& minibatch, size_t number);
 

@@ -17,7 +17,6 @@
 #include "common/base/status_macros.h"
 #include "learner/ppo/device_update.h"
 #include "learner/ppo/divergence.h"
-#include "learner/ppo/lag_correction.h"
 #include "learner/ppo/optimizer_file.h"
 
 namespace craftfleet {
@@ -50,11 +49,6 @@ double ExplainedVariance(const Rollout& rollout) {
   for (size_t i = 0; i < rollout.size(); ++i) errors.push_back(double{rollout.returns[i]} - rollout.values[i]);
   const double variance = Variance({rollout.returns.begin(), rollout.returns.end()});
   return variance > 0 ? 1 - Variance(errors) / variance : 0;
-}
-
-// Configurations of older runs lack the field.
-double ValueNormStart(const v1::PpoConfig& config) {
-  return config.has_value_norm_start() ? config.value_norm_start() : 1;
 }
 
 // The parts of a minibatch, one after the other.
@@ -123,17 +117,15 @@ PpoUpdater::State PpoUpdater::FreshState(std::vector<float> weights) const {
   return state;
 }
 
+ValueScale PpoUpdater::value_scale() const { return state_.value_norm.Scale(ValueNormStart(config_)); }
+
 RolloutOptions PpoUpdater::rollout_options() const {
   RolloutOptions options;
   options.frame_bytes = spec_.frame_bytes();
   options.state_size = spec_.state_size;
   options.every_state = KeepsEveryState(spec_, config_);
-  options.gae.gamma = config_.gamma();
-  options.gae.lambda = config_.gae_lambda();
-  options.gae.truncation_is_terminal = config_.truncation_is_terminal();
-  options.gae.rho_bar = config_.vtrace_rho_bar();
-  options.gae.c_bar = config_.vtrace_c_bar();
-  options.value_scale = state_.value_norm.Scale(ValueNormStart(config_));
+  options.gae = GaeOptionsOf(config_);
+  options.value_scale = value_scale();
   return options;
 }
 
@@ -147,9 +139,9 @@ absl::StatusOr<UpdateStats> PpoUpdater::Update(int64_t iteration, const Rollout&
   SetUpTorchThread();
   if (ranks_.has_value()) ranks_->Begin(should_stop);
   const auto stops = [&] { return ranks_.has_value() ? ranks_->Stops() : should_stop(); };
-  if (!CorrectsLag(config_)) return RunUpdate(iteration, rollout, stops);
-  CRAFTFLEET_ASSIGN_OR_RETURN(const std::vector<float> log_probs, LogProbs(rollout, stops));
-  const CorrectedRollout corrected = CorrectLag(rollout, log_probs, config_, rollout_options().gae);
+  if (LagCorrectionOf(config_) != LagCorrection::kBefore) return RunUpdate(iteration, rollout, stops);
+  CRAFTFLEET_ASSIGN_OR_RETURN(const StartOutputs start, ComputeStart(rollout, stops));
+  const CorrectedRollout corrected = CorrectLag(rollout, start, config_);
   CRAFTFLEET_ASSIGN_OR_RETURN(UpdateStats stats, RunUpdate(iteration, corrected.rollout, stops));
   stats.importance = corrected.importance;
   return stats;
@@ -177,10 +169,12 @@ absl::StatusOr<UpdateStats> PpoUpdater::RunUpdate(int64_t iteration, const Rollo
 
 absl::StatusOr<UpdateStats> PpoUpdater::RunIteration(int64_t iteration, const Rollout& rollout,
                                                      const std::function<bool()>& should_stop) {
-  CRAFTFLEET_ASSIGN_OR_RETURN(UpdateStats stats, RunEpochs(iteration, rollout, should_stop));
+  CorrectedRollout corrected;
+  const Rollout* learned = &rollout;
+  CRAFTFLEET_ASSIGN_OR_RETURN(UpdateStats stats, RunEpochs(iteration, should_stop, &corrected, &learned));
   if (distiller_ != nullptr) {
     CRAFTFLEET_RETURN_IF_ERROR(
-        distiller_->OnIteration(iteration, rollout, should_stop, &state_.distillation, &state_.value_norm, &stats));
+        distiller_->OnIteration(iteration, *learned, should_stop, &state_.distillation, &state_.value_norm, &stats));
   }
   CRAFTFLEET_RETURN_IF_ERROR(CheckWeights(rollout));
   return stats;
@@ -223,53 +217,80 @@ std::vector<Minibatch> PpoUpdater::OrderedMinibatches(const Rollout& rollout) co
                                    : OrderedSteps(static_cast<int>(rollout.size()), size);
 }
 
-absl::StatusOr<std::vector<float>> PpoUpdater::LogProbs(const Rollout& rollout,
-                                                        const std::function<bool()>& should_stop) {
+absl::StatusOr<StartOutputs> PpoUpdater::ComputeStart(const Rollout& rollout,
+                                                      const std::function<bool()>& should_stop) {
   const std::vector<Minibatch> minibatches = OrderedMinibatches(rollout);
-  if (device_ != nullptr) return device_->LogProbs(rollout, minibatches, should_stop, state_);
-  std::vector<float> log_probs(rollout.size());
+  if (device_ != nullptr) return device_->ComputeStart(rollout, minibatches, should_stop, state_);
+  StartOutputs start(rollout.size());
   for (const Minibatch& minibatch : minibatches) {
     CRAFTFLEET_RETURN_IF_ERROR(
-        shards_->ComputeLogProbs(rollout, CutIntoShards(minibatch, gradient_shards_), absl::MakeSpan(log_probs)));
+        shards_->ComputeStart(rollout, CutIntoShards(minibatch, gradient_shards_), value_scale(), &start));
     if (should_stop()) return UpdateStopped();
   }
-  if (ranks_.has_value()) CRAFTFLEET_RETURN_IF_ERROR(ranks_->Combine(&log_probs));
-  return log_probs;
+  CRAFTFLEET_RETURN_IF_ERROR(Combine(&start));
+  return start;
 }
 
-absl::StatusOr<UpdateStats> PpoUpdater::RunEpochs(int64_t iteration, const Rollout& rollout,
-                                                  const std::function<bool()>& should_stop) {
+absl::Status PpoUpdater::Combine(StartOutputs* start) {
+  if (!ranks_.has_value()) return absl::OkStatus();
+  CRAFTFLEET_RETURN_IF_ERROR(ranks_->Combine(&start->log_probs));
+  return ranks_->Combine(&start->values);
+}
+
+absl::StatusOr<UpdateStats> PpoUpdater::RunEpochs(int64_t iteration, const std::function<bool()>& should_stop,
+                                                  CorrectedRollout* corrected, const Rollout** rollout) {
+  const Rollout& played = **rollout;
   UpdateStats stats;
   int count = 0;
-  if (config_.advantages_over_rollout()) {
-    normalised_advantages_ = rollout.advantages;
-    Normalise(absl::MakeSpan(normalised_advantages_));
-  }
+  std::optional<StartOutputs> start;
+  if (LagCorrectionOf(config_) == LagCorrection::kInFirstEpoch) start.emplace(played.size());
+  NormaliseOverRollout(played);
   for (int epoch = 0; epoch < config_.epochs(); ++epoch) {
-    const std::vector<Minibatch> minibatches = MakeMinibatches({seed_, iteration, epoch}, rollout);
-    const bool last_epoch = epoch + 1 == config_.epochs();
-    for (const Minibatch& minibatch : minibatches) {
-      CRAFTFLEET_ASSIGN_OR_RETURN(const PpoLossSums means, RunMinibatch(rollout, minibatch, &stats));
-      stats.policy_loss += means.policy_loss;
-      stats.value_loss += means.value_loss;
-      stats.entropy += means.entropy;
-      stats.clip_fraction += means.clipped;
-      if (last_epoch) stats.approx_kl += means.approx_kl / static_cast<double>(minibatches.size());
-      ++count;
-      // Several ranks have agreed on it already, with the gradients.
-      if (!ranks_.has_value() && should_stop()) return UpdateStopped();
-    }
+    StartOutputs* const wanted = epoch == 0 && start.has_value() ? &*start : nullptr;
+    CRAFTFLEET_RETURN_IF_ERROR(RunEpoch({seed_, iteration, epoch}, **rollout, wanted, should_stop, &stats, &count));
+    if (wanted == nullptr) continue;
+    CRAFTFLEET_RETURN_IF_ERROR(Combine(wanted));
+    *corrected = CorrectLag(played, *wanted, config_);
+    stats.importance = corrected->importance;
+    *rollout = &corrected->rollout;
+    NormaliseOverRollout(**rollout);
   }
   for (double* sum :
        {&stats.policy_loss, &stats.value_loss, &stats.entropy, &stats.clip_fraction, &stats.gradient_norm}) {
     *sum /= count;
   }
-  stats.explained_variance = ExplainedVariance(rollout);
+  stats.explained_variance = ExplainedVariance(played);
   return stats;
 }
 
-ShardedMinibatch PpoUpdater::CutForShards(const Rollout& rollout, const Minibatch& minibatch) {
+absl::Status PpoUpdater::RunEpoch(const EpochKey& key, const Rollout& rollout, StartOutputs* start,
+                                  const std::function<bool()>& should_stop, UpdateStats* stats, int* count) {
+  const std::vector<Minibatch> minibatches = MakeMinibatches(key, rollout);
+  const bool last_epoch = key.epoch + 1 == config_.epochs();
+  for (const Minibatch& minibatch : minibatches) {
+    CRAFTFLEET_ASSIGN_OR_RETURN(const PpoLossSums means, RunMinibatch(rollout, minibatch, start, stats));
+    stats->policy_loss += means.policy_loss;
+    stats->value_loss += means.value_loss;
+    stats->entropy += means.entropy;
+    stats->clip_fraction += means.clipped;
+    if (last_epoch) stats->approx_kl += means.approx_kl / static_cast<double>(minibatches.size());
+    ++*count;
+    // Several ranks have agreed on it already, with the gradients.
+    if (!ranks_.has_value() && should_stop()) return UpdateStopped();
+  }
+  return absl::OkStatus();
+}
+
+void PpoUpdater::NormaliseOverRollout(const Rollout& rollout) {
+  if (!config_.advantages_over_rollout()) return;
+  normalised_advantages_ = rollout.advantages;
+  Normalise(absl::MakeSpan(normalised_advantages_));
+}
+
+ShardedMinibatch PpoUpdater::CutForShards(const Rollout& rollout, const Minibatch& minibatch, StartOutputs* start) {
   ShardedMinibatch batch;
+  batch.start = start;
+  batch.scale = value_scale();
   batch.parts = CutIntoShards(minibatch, gradient_shards_);
   std::vector<int> rows;
   for (const Minibatch& part : batch.parts) {
@@ -285,7 +306,7 @@ ShardedMinibatch PpoUpdater::CutForShards(const Rollout& rollout, const Minibatc
   batch.returns = Gather(rollout.returns, rows);
   if (config_.value_norm_decay() > 0) {
     state_.value_norm.Update(batch.returns, config_.value_norm_decay());
-    const ValueScale scale = state_.value_norm.Scale(ValueNormStart(config_));
+    const ValueScale scale = value_scale();
     for (float& target : batch.returns) target = scale.Normalise(target);
   }
   batch.dropout_key = KeyedBits(RandomUse::kDropout, seed_, static_cast<uint64_t>(state_.adam.steps), 0);
@@ -293,8 +314,8 @@ ShardedMinibatch PpoUpdater::CutForShards(const Rollout& rollout, const Minibatc
 }
 
 absl::StatusOr<PpoLossSums> PpoUpdater::RunMinibatch(const Rollout& rollout, const Minibatch& minibatch,
-                                                     UpdateStats* stats) {
-  const ShardedMinibatch batch = CutForShards(rollout, minibatch);
+                                                     StartOutputs* start, UpdateStats* stats) {
+  const ShardedMinibatch batch = CutForShards(rollout, minibatch, start);
   std::vector<ShardGradient> gradients;
   CRAFTFLEET_ASSIGN_OR_RETURN(const PpoLossSums sums, shards_->ComputeGradients(rollout, batch, &gradients));
   const double norm =

@@ -21,6 +21,7 @@
 #include "learner/ppo/adam.h"
 #include "learner/ppo/distillation/distiller.h"
 #include "learner/ppo/gradient_shards.h"
+#include "learner/ppo/lag_correction.h"
 #include "learner/ppo/minibatches.h"
 #include "learner/ppo/ppo_loss.h"
 #include "learner/ppo/rank_sums.h"
@@ -98,22 +99,33 @@ class PpoUpdater {
   // Update, for a rollout that the epochs take as it is.
   absl::StatusOr<UpdateStats> RunUpdate(int64_t iteration, const Rollout& rollout,
                                         const std::function<bool()>& should_stop);
-  // The log-probabilities of the rollout's actions under the present weights, without dropout: [n].
-  absl::StatusOr<std::vector<float>> LogProbs(const Rollout& rollout, const std::function<bool()>& should_stop);
+  // The outputs of the present weights.
+  absl::StatusOr<StartOutputs> ComputeStart(const Rollout& rollout, const std::function<bool()>& should_stop);
+  // Gives all ranks' outputs to all, where each has those of its own rows and zeros.
+  absl::Status Combine(StartOutputs* start);
+  ValueScale value_scale() const;
   // Each step once, by the kind of agent.
   std::vector<Minibatch> OrderedMinibatches(const Rollout& rollout) const;
   // The minibatches of an epoch, likewise.
   std::vector<Minibatch> MakeMinibatches(const EpochKey& key, const Rollout& rollout) const;
   absl::StatusOr<UpdateStats> UpdateOnDevice(int64_t iteration, const Rollout& rollout,
                                              const std::function<bool()>& should_stop);
-  absl::StatusOr<UpdateStats> RunEpochs(int64_t iteration, const Rollout& rollout,
-                                        const std::function<bool()>& should_stop);
+  // From the first epoch on `*rollout`, or on what becomes of it in `corrected`, which it then points to.
+  absl::StatusOr<UpdateStats> RunEpochs(int64_t iteration, const std::function<bool()>& should_stop,
+                                        CorrectedRollout* corrected, const Rollout** rollout);
+  // Adds to `stats` and to the `count` of minibatches. `start` gets the start's outputs; null: it is known, or not
+  // wanted.
+  absl::Status RunEpoch(const EpochKey& key, const Rollout& rollout, StartOutputs* start,
+                        const std::function<bool()>& should_stop, UpdateStats* stats, int* count);
+  // Sets normalised_advantages_.
+  void NormaliseOverRollout(const Rollout& rollout);
   // RunEpochs, then distillation if there is one.
   absl::StatusOr<UpdateStats> RunIteration(int64_t iteration, const Rollout& rollout,
                                            const std::function<bool()>& should_stop);
   // One optimiser step; adds its gradient norm to `stats` and returns the means of its losses.
-  absl::StatusOr<PpoLossSums> RunMinibatch(const Rollout& rollout, const Minibatch& minibatch, UpdateStats* stats);
-  ShardedMinibatch CutForShards(const Rollout& rollout, const Minibatch& minibatch);
+  absl::StatusOr<PpoLossSums> RunMinibatch(const Rollout& rollout, const Minibatch& minibatch, StartOutputs* start,
+                                           UpdateStats* stats);
+  ShardedMinibatch CutForShards(const Rollout& rollout, const Minibatch& minibatch, StartOutputs* start);
   void Restore(State state);
   // DataLoss: weights or value normaliser are not finite, or as GradientShards::TryWeights.
   absl::Status CheckWeights(const Rollout& rollout);

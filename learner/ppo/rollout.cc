@@ -1,6 +1,7 @@
 #include "learner/ppo/rollout.h"
 
 #include <algorithm>
+#include <utility>
 
 #include <absl/strings/str_cat.h>
 #include <absl/types/span.h>
@@ -98,6 +99,15 @@ absl::Status AppendFragment(const Fragment& fragment, const RolloutOptions& opti
   AppendStates(fragment, options, rollout);
   AppendAdvantages(fragment, options, rollout);
   return absl::OkStatus();
+}
+
+void ReplaceValues(std::vector<float> values, Rollout* rollout) {
+  rollout->values = std::move(values);
+  for (RolloutFragment& fragment : rollout->fragments) {
+    const size_t after = fragment.first + fragment.steps;
+    const bool is_there = after < rollout->size() && rollout->starts[after] == RowStart::kFragment;
+    if (is_there) fragment.bootstrap_value = rollout->values[after];
+  }
 }
 
 void EstimateAdvantages(const GaeOptions& options, absl::Span<const double> ratios, Rollout* rollout) {

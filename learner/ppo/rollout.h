@@ -39,7 +39,7 @@ struct Rollout {
   std::vector<const uint8_t*> frames;  // [n] -> uint8[H,W,3]
   std::vector<Action> actions;         // [n]
   std::vector<float> log_probs;        // [n] when the action was chosen, or as CorrectLag changes it
-  std::vector<float> values;           // [n] when the action was chosen
+  std::vector<float> values;           // [n] likewise
   std::vector<float> advantages;       // [n] not normalised
   std::vector<float> returns;          // [n]
   std::vector<float> weights;          // [n] of normalised advantages in the loss; empty: 1
@@ -67,6 +67,10 @@ struct RolloutOptions {
 //   InvalidArgument: the fragment's fields don't have T steps (frames: T * frame_bytes bytes), or an action is not
 //   0..16; the rollout is untouched.
 absl::Status AppendFragment(const Fragment& fragment, const RolloutOptions& options, Rollout* rollout);
+
+// Puts `values` [n] in the place of those that were played. Where the rollout has the observation after a fragment, the
+// value of that replaces the fragment's bootstrap value too.
+void ReplaceValues(std::vector<float> values, Rollout* rollout);
 
 // Computes the advantages and returns of all fragments, off-policy with `ratios` [n] as LaneSteps has them; empty: as
 // AppendFragment.

@@ -72,14 +72,34 @@ TEST(RunConfig, PrecisionDeviceOverlapAndStalenessAreAbsentUnlessChosen) {
   EXPECT_EQ(FromText("precision: BF16 device: CUDA_UPDATES").device(), v1::RunConfig::CUDA_UPDATES);
 }
 
-TEST(RunConfig, FieldsForOlderStepsAreAbsentUnlessChosen) {
+TEST(RunConfig, FieldsForOlderStepsAreAbsentFromSynchronousRuns) {
   EXPECT_TRUE(MessageDifferencer::Equals(
-      FromText("ppo { decoupled_objective: false vtrace_rho_bar: 0 vtrace_c_bar: 0 }"), Resolved()));
+      FromText("ppo { decoupled_objective: false vtrace_rho_bar: 0 vtrace_c_bar: 0 recompute_values: false "
+               "correction_pass: false }"),
+      Resolved()));
   const v1::RunConfig config =
       FromText("overlap: 1 ppo { decoupled_objective: true vtrace_rho_bar: 1.5 vtrace_c_bar: 1 }");
   EXPECT_TRUE(config.ppo().decoupled_objective());
   EXPECT_EQ(config.ppo().vtrace_rho_bar(), 1.5);
   EXPECT_EQ(config.ppo().vtrace_c_bar(), 1);
+}
+
+TEST(RunConfig, OlderStepsAreCorrectedWhereThatIsFree) {
+  for (const char* lags : {"overlap: 1", "max_staleness: 2"}) {
+    EXPECT_TRUE(FromText(lags).ppo().decoupled_objective()) << lags;
+    EXPECT_TRUE(FromText(lags).ppo().recompute_values()) << lags;
+    for (const char* not_free : {"ppo { epochs: 1 }", "agent: 'oc_sa' network { dropout: 0.1 }"}) {
+      const v1::RunConfig config = FromText(absl::StrCat(lags, " ", not_free));
+      EXPECT_FALSE(config.ppo().decoupled_objective()) << lags << not_free;
+      EXPECT_FALSE(config.ppo().recompute_values()) << lags << not_free;
+    }
+    const v1::RunConfig chosen =
+        FromText(absl::StrCat(lags, " ppo { decoupled_objective: false recompute_values: false }"));
+    EXPECT_FALSE(chosen.ppo().decoupled_objective());
+    EXPECT_FALSE(chosen.ppo().recompute_values());
+    EXPECT_FALSE(MessageDifferencer::Equals(chosen, FromText(lags))) << "runs are told apart by it";
+  }
+  EXPECT_TRUE(FromText("overlap: 1 ppo { epochs: 1 decoupled_objective: true }").ppo().decoupled_objective());
 }
 
 TEST(RunConfig, AnAgentHasItsOwnDefaults) {
@@ -366,6 +386,10 @@ INSTANTIATE_TEST_SUITE_P(
                  }},
         BadValue{"ppo.decoupled_objective is given, but in a synchronous run",
                  [](auto* c) { c->mutable_ppo()->set_decoupled_objective(true); }},
+        BadValue{"ppo.recompute_values is given, but in a synchronous run",
+                 [](auto* c) { c->mutable_ppo()->set_recompute_values(true); }},
+        BadValue{"ppo.correction_pass is given, but in a synchronous run",
+                 [](auto* c) { c->mutable_ppo()->set_correction_pass(true); }},
         BadValue{"ppo.vtrace_rho_bar is given, but in a synchronous run",
                  [](auto* c) {
                    c->mutable_ppo()->set_vtrace_rho_bar(1);

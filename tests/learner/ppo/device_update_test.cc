@@ -177,8 +177,13 @@ TEST(DeviceUpdate, CorrectsLagAsOnTheCpu) {
     const std::string vtrace =
         absl::StrCat(text, " ppo { gamma: 0.95 gae_lambda: 0.65 vtrace_rho_bar: 1 vtrace_c_bar: 1 }");
     ExpectLearnsAsOnTheCpu(ConfigOf(vtrace));
-    const v1::RunConfig both = ConfigOf(absl::StrCat(vtrace, " ppo { decoupled_objective: true }"));
+    const v1::RunConfig both =
+        ConfigOf(absl::StrCat(vtrace, " ppo { decoupled_objective: true recompute_values: true }"));
     ExpectLearnsAsOnTheCpu(both);
+    ExpectLearnsAsOnTheCpu(ConfigOf(absl::StrCat(
+        text, " ppo { epochs: 2 decoupled_objective: true recompute_values: true correction_pass: true }")));
+    ExpectLearnsAsOnTheCpu(
+        ConfigOf(absl::StrCat(text, " ppo { epochs: 2 decoupled_objective: true recompute_values: true }")));
     EXPECT_NE(Trained(both, "cpu", 1).stats.policy_loss, Trained(ConfigOf(text), "cpu", 1).stats.policy_loss) << text;
   }
 }

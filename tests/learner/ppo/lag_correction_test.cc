@@ -16,15 +16,18 @@ using Floats = std::vector<float>;
 
 constexpr GaeOptions kGae = {0.5, 0.5, false, /*rho_bar=*/1.5, /*c_bar=*/1};
 
-v1::PpoConfig Config(bool decoupled, bool vtrace) {
+v1::PpoConfig Config(bool decoupled, bool vtrace, bool recompute = false) {
   v1::PpoConfig config;
+  config.set_gamma(kGae.gamma);
+  config.set_gae_lambda(kGae.lambda);
+  if (recompute) config.set_recompute_values(true);
   if (decoupled) config.set_decoupled_objective(true);
   if (vtrace) config.set_vtrace_rho_bar(kGae.rho_bar);
   if (vtrace) config.set_vtrace_c_bar(kGae.c_bar);
   return config;
 }
 
-// Two fragments of two steps; an episode of the second is cut off at its first step.
+// Two fragments of two steps, of two lanes; an episode of the second is cut off at its first step.
 Rollout FourSteps() {
   Rollout rollout;
   rollout.actions.resize(4);
@@ -32,6 +35,7 @@ Rollout FourSteps() {
   rollout.values = {10, 20, 30, 40};
   rollout.rewards = {1, 2, 3, 4};
   rollout.ends = {StepEnd::kNone, StepEnd::kNone, StepEnd::kTruncated, StepEnd::kNone};
+  rollout.starts = {RowStart::kEpisode, RowStart::kNone, RowStart::kLane, RowStart::kEpisode};
   rollout.fragments = {{0, 2, 8, {}}, {2, 2, 12, {60}}};
   rollout.advantages.resize(4);
   rollout.returns.resize(4);
@@ -39,11 +43,12 @@ Rollout FourSteps() {
   return rollout;
 }
 
-// Log-probabilities that are `ratios` times as likely as FourSteps'.
-Floats LogProbs(const std::vector<double>& ratios) {
-  Floats log_probs;
-  for (const double ratio : ratios) log_probs.push_back(static_cast<float>(-1 + std::log(ratio)));
-  return log_probs;
+// The start makes FourSteps' actions `ratios` times as likely, and has the values that were played.
+StartOutputs Start(const std::vector<double>& ratios) {
+  StartOutputs start(ratios.size());
+  start.values = FourSteps().values;
+  for (size_t i = 0; i < ratios.size(); ++i) start.log_probs[i] = static_cast<float>(-1 + std::log(ratios[i]));
+  return start;
 }
 
 void ExpectNear(const Floats& actual, const Floats& wanted, double tolerance) {
@@ -51,24 +56,35 @@ void ExpectNear(const Floats& actual, const Floats& wanted, double tolerance) {
   for (size_t i = 0; i < wanted.size(); ++i) EXPECT_NEAR(actual[i], wanted[i], tolerance) << i;
 }
 
-TEST(LagCorrection, IsWantedByEitherField) {
-  EXPECT_FALSE(CorrectsLag(Config(false, false)));
-  EXPECT_TRUE(CorrectsLag(Config(true, false)));
-  EXPECT_TRUE(CorrectsLag(Config(false, true)));
+TEST(LagCorrection, IsMadeInTheFirstOfSeveralEpochsUnlessAPassIsWanted) {
+  const auto correction_of = [](v1::PpoConfig config, int epochs, bool pass = false) {
+    config.set_epochs(epochs);
+    config.set_correction_pass(pass);
+    return LagCorrectionOf(config);
+  };
+  for (const int epochs : {1, 4}) {
+    EXPECT_EQ(correction_of(Config(false, false), epochs), LagCorrection::kNone);
+    EXPECT_EQ(correction_of(Config(false, false), epochs, true), LagCorrection::kNone);
+  }
+  for (const v1::PpoConfig& config : {Config(true, false), Config(false, true), Config(false, false, true)}) {
+    EXPECT_EQ(correction_of(config, 1), LagCorrection::kBefore);
+    EXPECT_EQ(correction_of(config, 4), LagCorrection::kInFirstEpoch);
+    EXPECT_EQ(correction_of(config, 4, true), LagCorrection::kBefore);
+  }
 }
 
 TEST(LagCorrection, AMadeUpLogProbabilityHasAFiniteWeight) {
   Rollout rollout = FourSteps();
   rollout.log_probs[1] = -104;
-  const CorrectedRollout corrected = CorrectLag(rollout, LogProbs({1, 1, 1, 1}), Config(true, true), kGae);
+  const CorrectedRollout corrected = CorrectLag(rollout, Start({1, 1, 1, 1}), Config(true, true));
   for (const float weight : corrected.rollout.weights) EXPECT_LT(weight, 1e9);
 }
 
 TEST(LagCorrection, DecoupledRatiosAreWeighted) {
   const Rollout rollout = FourSteps();
-  const Floats log_probs = LogProbs({0.5, 1, 2, 4});
-  const CorrectedRollout corrected = CorrectLag(rollout, log_probs, Config(true, false), kGae);
-  EXPECT_EQ(corrected.rollout.log_probs, log_probs);
+  const StartOutputs start = Start({0.5, 1, 2, 4});
+  const CorrectedRollout corrected = CorrectLag(rollout, start, Config(true, false));
+  EXPECT_EQ(corrected.rollout.log_probs, start.log_probs);
   ExpectNear(corrected.rollout.weights, {0.5, 1, 2, 4}, 1e-6);
   EXPECT_EQ(corrected.rollout.advantages, rollout.advantages);
   EXPECT_EQ(corrected.rollout.returns, rollout.returns);
@@ -83,22 +99,53 @@ TEST(LagCorrection, DecoupledRatiosAreWeighted) {
 TEST(LagCorrection, VTraceIsAsByHand) {
   const Rollout rollout = FourSteps();
   EXPECT_EQ(rollout.advantages, (Floats{1 + 0.25F * -14, -14, 3, -30}));
-  const CorrectedRollout corrected = CorrectLag(rollout, LogProbs({0.5, 1, 2, 4}), Config(false, true), kGae);
+  const CorrectedRollout corrected = CorrectLag(rollout, Start({0.5, 1, 2, 4}), Config(false, true));
   EXPECT_EQ(corrected.rollout.log_probs, rollout.log_probs);
   EXPECT_TRUE(corrected.rollout.weights.empty());
   ExpectNear(corrected.rollout.advantages, {1 + 0.25F * -14, -14, 3, -30}, 1e-5);
   ExpectNear(corrected.rollout.returns, {10 - 1.25F, 20 - 14, 30 + 4.5F, 40 - 45}, 1e-5);
 }
 
+// By hand: deltas 1 + 11 - 11 = 1 and 2 + 4 - 22 = -16; 3 + 30 - 33 = 0, cut off, and 4 + 6 - 44 = -34. What was played
+// remains where the start says nothing: after the last step of a lane and of an episode that was cut off.
+TEST(LagCorrection, ValuesAreTheStarts) {
+  StartOutputs start = Start({0.5, 1, 2, 4});
+  start.values = {11, 22, 33, 44};
+  const CorrectedRollout corrected = CorrectLag(FourSteps(), start, Config(false, false, true));
+  EXPECT_EQ(corrected.rollout.values, start.values);
+  EXPECT_EQ(corrected.rollout.log_probs, FourSteps().log_probs);
+  EXPECT_TRUE(corrected.rollout.weights.empty());
+  ExpectNear(corrected.rollout.advantages, {1 + 0.25F * -16, -16, 0, -34}, 1e-5);
+  ExpectNear(corrected.rollout.returns, {11 - 3, 22 - 16, 33, 44 - 34}, 1e-5);
+}
+
+// Where the next fragment continues the lane, its first value is the bootstrap value of the one before.
+TEST(LagCorrection, TheValueAfterAFragmentIsTheStarts) {
+  Rollout rollout = FourSteps();
+  rollout.starts[2] = RowStart::kFragment;
+  StartOutputs start = Start({1, 1, 1, 1});
+  start.values = {11, 22, 33, 44};
+  const CorrectedRollout corrected = CorrectLag(rollout, start, Config(false, false, true));
+  ExpectNear(corrected.rollout.returns, {11 + 1 + 0.25F * (2 + 16.5F - 22), 2 + 16.5F, 33, 44 - 34}, 1e-5);
+}
+
+// 1.5 and 1 bound the weights: fragment 1 has errors -16 and 0.5 * 1 + 0.5 * 0.25 * -16 = -1.5.
+TEST(LagCorrection, VTraceTakesTheStartsValuesIfTheyAreWanted) {
+  StartOutputs start = Start({0.5, 1, 2, 4});
+  start.values = {11, 22, 33, 44};
+  const CorrectedRollout corrected = CorrectLag(FourSteps(), start, Config(false, true, true));
+  ExpectNear(corrected.rollout.returns, {11 - 1.5F, 22 - 16, 33, 44 - 1.5F * 34}, 1e-5);
+}
+
 // An action's own weight is not part of its advantage, whose ratio has it already; those of later actions are.
 TEST(LagCorrection, AnAdvantageHasTheWeightsOfWhatFollows) {
-  const CorrectedRollout corrected = CorrectLag(FourSteps(), LogProbs({9, 0.5, 1, 1}), Config(false, true), kGae);
+  const CorrectedRollout corrected = CorrectLag(FourSteps(), Start({9, 0.5, 1, 1}), Config(false, true));
   ExpectNear(corrected.rollout.advantages, {1 + 0.25F * 0.5F * -14, -14, 3, -30}, 1e-5);
 }
 
 TEST(LagCorrection, OnPolicyNothingChangesAndWeightsAreOne) {
   const Rollout rollout = FourSteps();
-  const CorrectedRollout corrected = CorrectLag(rollout, rollout.log_probs, Config(true, true), kGae);
+  const CorrectedRollout corrected = CorrectLag(rollout, Start({1, 1, 1, 1}), Config(true, true, true));
   EXPECT_EQ(corrected.rollout.log_probs, rollout.log_probs);
   EXPECT_EQ(corrected.rollout.weights, Floats(4, 1));
   EXPECT_EQ(corrected.rollout.advantages, rollout.advantages);
@@ -113,7 +160,7 @@ TEST(LagCorrection, OnPolicyNothingChangesAndWeightsAreOne) {
 TEST(LagCorrection, TheLossIsTheDecoupledOneAsByHand) {
   Rollout rollout = FourSteps();
   rollout.advantages = {1, -1, 2, -2};
-  const CorrectedRollout corrected = CorrectLag(rollout, LogProbs({0.5, 1, 2, 4}), Config(true, false), kGae);
+  const CorrectedRollout corrected = CorrectLag(rollout, Start({0.5, 1, 2, 4}), Config(true, false));
   Floats advantages = corrected.rollout.advantages;
   for (int i = 0; i < 4; ++i) advantages[i] *= corrected.rollout.weights[i];
   // All actions are as likely now: 1/17.

@@ -7,6 +7,7 @@
 #include <vector>
 
 #include <absl/strings/str_cat.h>
+#include <absl/strings/str_replace.h>
 #include <gmock/gmock.h>
 #include <google/protobuf/text_format.h>
 #include <gtest/gtest.h>
@@ -30,7 +31,8 @@ constexpr int kSteps = 8;      // of a fragment
 constexpr int kFragments = 2;  // of a lane
 constexpr int kRows = kLanes * kSteps * kFragments;
 
-constexpr char kBoth[] = "ppo { decoupled_objective: true vtrace_rho_bar: 1 vtrace_c_bar: 1 }";
+// All corrections; with one epoch, in a pass before the update.
+constexpr char kAll[] = "ppo { decoupled_objective: true recompute_values: true vtrace_rho_bar: 1 vtrace_c_bar: 1 }";
 
 // Of one minibatch, with the fields in `text` and `more`.
 v1::RunConfig ConfigOf(const std::string& text, const std::string& more = "") {
@@ -60,12 +62,13 @@ std::vector<Fragment> Play(const PpoUpdater& updater, const PpoUpdater& judge, s
   const auto policy = *Policy::Create(spec, updater.SaveWeights(), 1);
   const auto judging = *Policy::Create(spec, judge.SaveWeights(), 1);
   std::vector<Fragment> fragments;
+  std::vector<float> state;
   for (int i = 0; i < kLanes * kFragments; ++i) {
     Fragment& fragment = fragments.emplace_back();
     fragment.lane = i / kFragments;
     fragment.frames = GoldenFrames(100 + i, kSteps, spec.frame_size);
-    std::vector<float> state(spec.state_size);
-    std::vector<float> judged_state(spec.state_size);
+    if (i % kFragments == 0) state.assign(spec.state_size, 0);
+    std::vector<float> judged_state = state;
     for (int step = 0; step < kSteps; ++step) {
       const auto uniform = [&](int k) { return ActionNoise(5, i * kSteps + step, k); };
       if (step == 0 || updater.rollout_options().every_state) {
@@ -84,6 +87,9 @@ std::vector<Fragment> Play(const PpoUpdater& updater, const PpoUpdater& judge, s
       state.assign(state.size(), 0);
       judged_state.assign(judged_state.size(), 0);
     }
+  }
+  for (size_t i = 0; i + 1 < fragments.size(); ++i) {
+    if (fragments[i].lane == fragments[i + 1].lane) fragments[i].bootstrap_value = fragments[i + 1].values[0];
   }
   return fragments;
 }
@@ -114,7 +120,8 @@ TEST_P(LagUpdate, WithoutLagTheLossIsTheUsualOne) {
   const auto player = MakeUpdater(config, "a", 0.01);
   const Updated usual(config, *player, "a", 0.01);
   EXPECT_FALSE(usual.stats.importance.has_value());
-  for (const char* fields : {kBoth, "ppo { decoupled_objective: true }", "ppo { vtrace_rho_bar: 1 vtrace_c_bar: 1 }"}) {
+  for (const char* fields : {kAll, "ppo { decoupled_objective: true }", "ppo { recompute_values: true }",
+                             "ppo { vtrace_rho_bar: 1 vtrace_c_bar: 1 }"}) {
     const Updated corrected(ConfigOf(GetParam(), fields), *player, "a", 0.01);
     EXPECT_NEAR(corrected.stats.policy_loss, usual.stats.policy_loss, 1e-6) << fields;
     EXPECT_NEAR(corrected.stats.value_loss, usual.stats.value_loss, 1e-6) << fields;
@@ -128,9 +135,43 @@ TEST_P(LagUpdate, WithoutLagTheLossIsTheUsualOne) {
   }
 }
 
+// The first of two epochs is as usual and says what the second corrects. With a single minibatch it has the weights
+// that the update starts from, as a pass before the update would.
+TEST_P(LagUpdate, TheFirstEpochSaysWhatAPassWouldSay) {
+  // Dropout's noise would be taken for lag.
+  const std::string text = absl::StrReplaceAll(GetParam(), {{"dropout: 0.3", "dropout: 0"}});
+  const std::string two_epochs = "ppo { epochs: 2 } ";
+  const v1::RunConfig usual_config = ConfigOf(text, two_epochs);
+  const auto player = MakeUpdater(usual_config, "a", 0.01);
+  const v1::RunConfig config = ConfigOf(text, absl::StrCat(two_epochs, kAll));
+  const Updated corrected(config, *player, "b", 0.01);
+  const Updated with_pass(ConfigOf(text, absl::StrCat(two_epochs, kAll, " ppo { correction_pass: true }")), *player,
+                          "b", 0.01);
+  // The published minibatches begin in the middle of fragments, with states that were played.
+  if (config.ppo().recurrent_batches() != v1::PpoConfig::PUBLISHED) {
+    EXPECT_NEAR(corrected.stats.importance->mean, with_pass.stats.importance->mean, 1e-6);
+    EXPECT_NEAR(corrected.stats.importance->min, with_pass.stats.importance->min, 1e-6);
+    EXPECT_NEAR(corrected.stats.importance->max, with_pass.stats.importance->max, 1e-6);
+  }
+  EXPECT_FALSE(corrected.updater->SaveWeights() == with_pass.updater->SaveWeights());
+  // The usual first epoch, then another one with what is corrected: another loss than that of two usual ones.
+  const Updated usual(usual_config, *player, "b", 0.01);
+  EXPECT_FALSE(corrected.updater->SaveWeights() == usual.updater->SaveWeights());
+  const Updated first(ConfigOf(text), *player, "b", 0.01);
+  const double second_loss = 2 * corrected.stats.policy_loss - first.stats.policy_loss;
+  EXPECT_GT(std::abs(second_loss - (2 * usual.stats.policy_loss - first.stats.policy_loss)), 1e-6);
+
+  // Without lag all three agree.
+  const Updated same(config, *player, "a", 0.01);
+  const Updated usual_same(usual_config, *player, "a", 0.01);
+  EXPECT_NEAR(same.stats.policy_loss, usual_same.stats.policy_loss, 1e-6);
+  EXPECT_NEAR(same.stats.value_loss, usual_same.stats.value_loss, 1e-6);
+  EXPECT_NEAR(same.stats.importance->max, 1, 1e-5);
+}
+
 // What the update takes for the probabilities under its first weights are those of an actor with these weights.
 TEST_P(LagUpdate, ImportanceWeightsAreThoseOfActing) {
-  const v1::RunConfig config = ConfigOf(GetParam(), kBoth);
+  const v1::RunConfig config = ConfigOf(GetParam(), kAll);
   const auto player = MakeUpdater(config, "a", 0.01);
   const Updated updated(config, *player, "b", 0.01);
   double sum = 0;
@@ -149,12 +190,15 @@ TEST_P(LagUpdate, ImportanceWeightsAreThoseOfActing) {
 }
 
 TEST_P(LagUpdate, ThreadsChangeNoBit) {
-  const v1::RunConfig config = ConfigOf(GetParam(), kBoth);
-  const auto player = MakeUpdater(config, "a", 0.01);
-  const Updated one(config, *player, "b", 0.01, /*threads=*/1);
-  const Updated three(config, *player, "b", 0.01, /*threads=*/3);
-  EXPECT_TRUE(one.updater->SaveWeights() + one.updater->SaveOptimizer() ==
-              three.updater->SaveWeights() + three.updater->SaveOptimizer());
+  for (const char* epochs : {"ppo { epochs: 1 }", "ppo { epochs: 2 }"}) {
+    const v1::RunConfig config = ConfigOf(GetParam(), absl::StrCat(kAll, " ", epochs));
+    const auto player = MakeUpdater(config, "a", 0.01);
+    const Updated one(config, *player, "b", 0.01, /*threads=*/1);
+    const Updated three(config, *player, "b", 0.01, /*threads=*/3);
+    EXPECT_TRUE(one.updater->SaveWeights() + one.updater->SaveOptimizer() ==
+                three.updater->SaveWeights() + three.updater->SaveOptimizer())
+        << epochs;
+  }
 }
 
 INSTANTIATE_TEST_SUITE_P(
@@ -187,7 +231,7 @@ TEST(DecoupledUpdate, FirstMinibatchIsAsByHand) {
 }
 
 TEST(DecoupledUpdate, StoppedWhileItLooksAtTheRolloutChangesNothing) {
-  const v1::RunConfig config = ConfigOf(kCnn, kBoth);
+  const v1::RunConfig config = ConfigOf(kCnn, kAll);
   const auto player = MakeUpdater(config, "a", 0.01);
   const Updated updated(config, *player, "b", 0.01);
   const std::string before = updated.updater->SaveWeights() + updated.updater->SaveOptimizer();

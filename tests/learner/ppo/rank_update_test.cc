@@ -89,15 +89,16 @@ TEST_P(RankUpdateTest, GivesTheBytesOfOneProcess) {
 
 INSTANTIATE_TEST_SUITE_P(
     Kinds, RankUpdateTest,
-    ::testing::Values(
-        Kind{"FeedForward", "agent: 'ppo_cnn'", 3},
-        // Some minibatches have fewer segments than shards.
-        Kind{"Recurrent", "agent: 'lstm_cnn' ppo { minibatch_size: 6 }", 3},
-        Kind{"ValueNorm", "agent: 'ppo_resnet' network { extractor: CNN }"},
-        Kind{"Lag", "agent: 'ppo_cnn' overlap: 1 ppo { decoupled_objective: true vtrace_rho_bar: 1 vtrace_c_bar: 1 }"},
-        Kind{"Distillation",
-             "agent: 'achievement_distillation' network { extractor: CNN frame_size: 36 } distillation { "
-             "every_iterations: 2 epochs: 1 minibatch_size: 6 targets: 2 }"}),
+    ::testing::Values(Kind{"FeedForward", "agent: 'ppo_cnn'", 3},
+                      // Some minibatches have fewer segments than shards.
+                      Kind{"Recurrent", "agent: 'lstm_cnn' ppo { minibatch_size: 6 }", 3},
+                      Kind{"ValueNorm", "agent: 'ppo_resnet' network { extractor: CNN }"},
+                      Kind{"Lag", "agent: 'ppo_cnn' overlap: 1 ppo { epochs: 2 vtrace_rho_bar: 1 vtrace_c_bar: 1 }"},
+                      Kind{"LagWithAPass",
+                           "agent: 'lstm_cnn' overlap: 1 ppo { epochs: 2 minibatch_size: 6 correction_pass: true }"},
+                      Kind{"Distillation",
+                           "agent: 'achievement_distillation' network { extractor: CNN frame_size: 36 } distillation { "
+                           "every_iterations: 2 epochs: 1 minibatch_size: 6 targets: 2 }"}),
     [](const auto& info) { return info.param.name; });
 
 TEST(RankUpdate, AllStopWhenRank0IsAsked) {
