@@ -30,7 +30,7 @@ class Formats(unittest.TestCase):
     self.assertEqual(sorted(rows), sorted(fields))
     code = dict(re.findall(r"ppo\.set_(\w+)\((?:v1::PpoConfig::)?([^)]*)\);", read("common/config/config.cc")))
     # Fields that are off are left out of the configuration.
-    off = re.findall(r"if \(.*\) ppo\.clear_(\w+)\(\);", read("common/config/config.cc"))
+    off = re.findall(r"if \(.*\) ppo(?:\.|->)clear_(\w+)\(\);", read("common/config/config.cc"))
     code.update({name: "false" if f"bool {name} =" in read("proto/craftfleet/v1/config.proto") else "0" for name in off})
     self.assertEqual(rows, code)
 

@@ -9,7 +9,6 @@
 #include <ATen/ATen.h>
 #include <gtest/gtest.h>
 #include <torch/csrc/autograd/autograd.h>
-#include <torch/version.h>
 
 #include "common/agent/policy.h"
 #include "common/agent/policy_net.h"
@@ -159,13 +158,11 @@ AdamState FreshAdam(const AgentSpec& spec) {
   return {0, std::vector<float>(spec.param_count), std::vector<float>(spec.param_count)};
 }
 
-// Relative, for norms of gradients in the first step. The same formulas in double precision agree with the golden to
-// 2e-6. Sums that round more than they must would show: a ReLU whose input comes out on the other side of zero changes
-// norms by a thousandth. LibTorch 2's convolutions round more: with 2.6 norms differ by up to 2.3e-4, and by up
-// to 3.4e-3 in prediction steps, which have few rows.
-constexpr double kNormTolerance = TORCH_VERSION_MAJOR < 2 ? 1e-4 : 5e-3;
-// In later steps, whose weights differ as Adam divides small gradients by themselves.
-constexpr double kLaterNormTolerance = TORCH_VERSION_MAJOR < 2 ? 1e-3 : 5e-3;
+// Relative, for norms of gradients. The same formulas in double precision agree with the golden to 2e-6. Convolutions
+// round differently with each version of LibTorch and each kind of CPU, and a ReLU whose input comes out on the other
+// side of zero changes norms by a thousandth: by up to 2.3e-4 with LibTorch 2.6, and by up to 3.4e-3 in prediction
+// steps, which have few rows. A term that is missing or wrong changes them by more than a hundredth.
+constexpr double kNormTolerance = 5e-3;
 
 void ExpectNorms(const std::map<std::string, double>& norms, const json& expected) {
   for (const auto& [name, value] : norms) {
@@ -216,7 +213,7 @@ void ExpectPpoSteps(const std::string& agent, const json& part, const json& of_a
     options.epsilon = part["adam_epsilon"];
     const ShardGradient gradient = net.gradients();
     const double norm_before_clipping = AdamStep(options, {gradient}, absl::MakeSpan(weights), &adam, &workers);
-    EXPECT_NEAR(norm_before_clipping, total, total * (i == 0 ? kNormTolerance : kLaterNormTolerance)) << i;
+    EXPECT_NEAR(norm_before_clipping, total, total * kNormTolerance) << i;
     if (i == 0) ExpectNorms(GradientNorms(spec, adam, total), step["grad_norms"]);
   }
 }
@@ -315,7 +312,7 @@ class DistillationStepsGolden : public ::testing::Test {
       EXPECT_NEAR(losses->divergence, step["kl"].get<double>(), tolerance) << i;
       EXPECT_NEAR(losses->value, step["value"].get<double>(), tolerance) << i;
       const double total = step["grad_norm_total"];
-      EXPECT_NEAR(losses->gradient_norm, total, total * (i == 0 ? kNormTolerance : kLaterNormTolerance)) << i;
+      EXPECT_NEAR(losses->gradient_norm, total, total * kNormTolerance) << i;
       EXPECT_NEAR(norm.Scale().mean, step["normaliser"]["mean"].get<double>(), 1e-6) << i;
       EXPECT_NEAR(norm.Scale().deviation, step["normaliser"]["deviation"].get<double>(), 1e-6) << i;
       if (i == 0) ExpectNorms(GradientNorms(spec_, adam_, total), step["grad_norms"]);
