@@ -19,6 +19,9 @@ namespace {
 
 namespace fs = std::filesystem;
 
+// More than a folder of ours has files. Each removal ends those that were added during the one before.
+constexpr int kRemovals = 100;
+
 absl::Status SyncDescriptor(int descriptor, const std::string& path) {
   return ::fsync(descriptor) == 0 ? absl::OkStatus() : FileError(errno, "cannot sync", path);
 }
@@ -116,7 +119,10 @@ absl::Status RenameSynced(const std::string& from, const std::string& to) {
 
 absl::Status RemoveAll(const std::string& path) {
   std::error_code error;
-  fs::remove_all(path, error);
+  int tries = kRemovals;
+  do {
+    fs::remove_all(path, error);
+  } while (error == std::errc::directory_not_empty && --tries > 0);
   return error ? FileError(error.value(), "cannot remove", path) : absl::OkStatus();
 }
 

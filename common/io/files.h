@@ -48,7 +48,7 @@ absl::Status CreateFolders(const std::string& path);
 // Renames and syncs the folder of `to`. If the sync fails the new name exists, but may not survive a crash.
 absl::Status RenameSynced(const std::string& from, const std::string& to);
 
-// Removes `path` and its contents. OK if it does not exist.
+// Removes `path` and its contents, also if another process is still adding files there. OK if it does not exist.
 absl::Status RemoveAll(const std::string& path);
 
 // Names (not paths) in `folder`, sorted.

@@ -2,7 +2,9 @@
 
 #include <unistd.h>
 
+#include <fstream>
 #include <string>
+#include <thread>
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
@@ -72,6 +74,21 @@ TEST(Files, FoldersAreCreatedListedAndRemoved) {
   EXPECT_FALSE(PathExists(folder / "x"));
   ASSERT_THAT(WriteFileSynced(folder / "f", ""), IsOk());
   EXPECT_THAT(CreateFolders(folder / "f/g"), testing::Not(IsOk()));
+}
+
+// As a learner that has lost its run folder does for a moment.
+TEST(Files, AFolderIsRemovedWhileAnotherStillWritesToIt) {
+  const TempFolder folder;
+  for (int i = 0; i < 300; ++i) {
+    ASSERT_THAT(CreateFolders(folder / "x"), IsOk());
+    std::thread other([&] {
+      for (const char* name : {"x/a", "x/b", "x/c", "x/d", "x/e", "x/f"}) std::ofstream(folder / name) << name;
+    });
+    const absl::Status removed = RemoveAll(folder / "x");
+    other.join();
+    ASSERT_THAT(removed, IsOk());
+    ASSERT_FALSE(PathExists(folder / "x"));
+  }
 }
 
 TEST(Files, JoinPathInsertsOneSlash) {
