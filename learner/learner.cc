@@ -294,9 +294,8 @@ LearnerServiceImpl::Options Learner::ServiceOptions(const Options& options, Load
 }
 
 void Learner::FillStatus(v1::StatusReply* reply) const {
-  service_.FillStatus(reply);
+  const std::vector<WorkerRegistry::Glance> workers = service_.FillStatus(reply);
   trainer_.FillStatus(reply);
-  const std::vector<WorkerRegistry::Glance> workers = registry_.Glances();
   FleetView view = ViewFleet(trainer_.meter().Recent(), workers);
   view.finished = trainer_.finished();
   view.evaluating = trainer_.phase() == Trainer::Phase::kEvaluating;

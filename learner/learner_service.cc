@@ -276,7 +276,7 @@ absl::Status LearnerServiceImpl::Answer(const grpc::ServerContextBase& context, 
   return status;
 }
 
-void LearnerServiceImpl::FillStatus(v1::StatusReply* reply) const {
+std::vector<WorkerRegistry::Glance> LearnerServiceImpl::FillStatus(v1::StatusReply* reply) const {
   reply->set_run_id(options_.run_id);
   wire::AddMetric("epoch", static_cast<double>(options_.epoch), reply);
   wire::AddMetric("fragments_accepted", static_cast<double>(accepted_.load()), reply);
@@ -288,7 +288,7 @@ void LearnerServiceImpl::FillStatus(v1::StatusReply* reply) const {
   wire::AddMetric("fragments_dropped", static_cast<double>(registry_->dropped()), reply);
   wire::AddMetric("lanes_reset", static_cast<double>(registry_->resets()), reply);
   wire::AddMetric("permits_lapsed", static_cast<double>(registry_->lapsed()), reply);
-  AddWorkers(*registry_, reply);
+  return AddWorkers(*registry_, reply);
 }
 
 absl::Status LearnerServiceImpl::CheckEpoch(int64_t epoch) const {

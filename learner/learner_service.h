@@ -67,8 +67,8 @@ class LearnerServiceImpl final : public v1::LearnerService::CallbackService {
   grpc::ServerUnaryReactor* Leave(grpc::CallbackServerContext* context, const v1::LeaveRequest* request,
                                   v1::LeaveReply* reply) override;
 
-  // Adds fragment counts, and the workers as peers.
-  void FillStatus(v1::StatusReply* reply) const;
+  // Adds fragment counts, and the workers as peers. Returns all workers, for sums.
+  std::vector<WorkerRegistry::Glance> FillStatus(v1::StatusReply* reply) const;
 
  private:
   class ActorStream;

@@ -28,14 +28,26 @@ bool WorkerRegistry::IsShown(const Worker& worker, absl::Time now, WorkerInfo* i
   return is_known || info->refused;
 }
 
-std::vector<WorkerRegistry::WorkerInfo> WorkerRegistry::Workers(size_t most) const {
+WorkerRegistry::Glance WorkerRegistry::GlanceAt(const Worker& worker, const WorkerInfo& info) const {
+  Glance glance = {worker.role, info.health};
+  if (worker.draining) {
+    const bool plays = worker.role == WorkerRole::kActor && worker.active;
+    glance.drained = plays ? lanes_.PermitsOf(worker.name) == 0 : worker.empty;
+  }
+  if (info.health == Health::kOk && !info.summary_is_old) glance.summary = worker.summary;
+  return glance;
+}
+
+std::vector<WorkerRegistry::WorkerInfo> WorkerRegistry::Workers(size_t most, std::vector<Glance>* all) const {
   const MutexLock lock(&mu_);
   const absl::Time now = clock_->Now();
   std::vector<std::pair<const Worker*, WorkerInfo>> notable;
   std::vector<std::pair<const Worker*, WorkerInfo>> others;
+  if (all != nullptr) all->reserve(workers_.size());
   for (const auto& [key, worker] : workers_) {
     WorkerInfo info;
     if (!IsShown(worker, now, &info)) continue;
+    if (all != nullptr) all->push_back(GlanceAt(worker, info));
     const bool is_notable = info.health != Health::kOk || worker.draining || worker.mismatch.has_value();
     std::vector<std::pair<const Worker*, WorkerInfo>>& kind = is_notable ? notable : others;
     if (kind.size() < most) kind.emplace_back(&worker, std::move(info));
@@ -59,25 +71,6 @@ std::vector<WorkerRegistry::WorkerInfo> WorkerRegistry::Workers(size_t most) con
     infos.push_back(std::move(info));
   }
   return infos;
-}
-
-std::vector<WorkerRegistry::Glance> WorkerRegistry::Glances() const {
-  std::vector<Glance> glances;
-  const MutexLock lock(&mu_);
-  const absl::Time now = clock_->Now();
-  glances.reserve(workers_.size());
-  for (const auto& [key, worker] : workers_) {
-    WorkerInfo info;
-    if (!IsShown(worker, now, &info)) continue;
-    Glance glance = {worker.role, info.health};
-    if (worker.draining) {
-      const bool plays = worker.role == WorkerRole::kActor && worker.active;
-      glance.drained = plays ? lanes_.PermitsOf(worker.name) == 0 : worker.empty;
-    }
-    if (info.health == Health::kOk && !info.summary_is_old) glance.summary = worker.summary;
-    glances.push_back(std::move(glance));
-  }
-  return glances;
 }
 
 }  // namespace craftfleet

@@ -86,8 +86,9 @@ WorkerRegistry::ServerReport ToServerReport(const v1::Peer& server) {
           KeepSummary(server.summary())};
 }
 
-void AddWorkers(const WorkerRegistry& registry, v1::StatusReply* reply) {
-  for (const WorkerRegistry::WorkerInfo& info : registry.Workers(kMaxPeers)) {
+std::vector<WorkerRegistry::Glance> AddWorkers(const WorkerRegistry& registry, v1::StatusReply* reply) {
+  std::vector<WorkerRegistry::Glance> all;
+  for (const WorkerRegistry::WorkerInfo& info : registry.Workers(kMaxPeers, &all)) {
     v1::Peer* const peer = reply->add_peers();
     peer->set_role(RoleName(info.worker.role));
     peer->set_name(info.worker.name);
@@ -101,6 +102,7 @@ void AddWorkers(const WorkerRegistry& registry, v1::StatusReply* reply) {
     if (info.health != WorkerRegistry::Health::kOk || info.summary_is_old) ClearPresentWork(peer->mutable_summary());
   }
   wire::AddMetric("workers_mixed", static_cast<double>(registry.mixed()), reply);
+  return all;
 }
 
 }  // namespace craftfleet

@@ -6,6 +6,7 @@
 #include <cstddef>
 #include <memory>
 #include <string>
+#include <vector>
 
 #include "craftfleet/v1/status.pb.h"
 #include "learner/worker_registry.h"
@@ -24,8 +25,8 @@ v1::Peer::Health ToProto(WorkerRegistry::Health health);
 
 inline constexpr size_t kMaxPeers = 1000;  // on a status page: more would take long, and nobody reads them
 
-// Adds workers as peers, at most kMaxPeers, and the metric workers_mixed.
-void AddWorkers(const WorkerRegistry& registry, v1::StatusReply* reply);
+// Adds workers as peers, at most kMaxPeers, and the metric workers_mixed. Returns all workers, for sums.
+std::vector<WorkerRegistry::Glance> AddWorkers(const WorkerRegistry& registry, v1::StatusReply* reply);
 
 }  // namespace craftfleet
 

@@ -189,9 +189,10 @@ class WorkerRegistry {
 
   // Records for the status page, at most `most`, of which those of workers that are lost, do not answer or are being
   // drained come first: actors first, then environment servers, each ordered by name.
-  std::vector<WorkerInfo> Workers(size_t most = std::numeric_limits<size_t>::max()) const ABSL_LOCKS_EXCLUDED(mu_);
-  // All workers of the status page, for sums.
-  std::vector<Glance> Glances() const ABSL_LOCKS_EXCLUDED(mu_);
+  // `all`: also a glance at each, for sums; null: not wanted. Both together, because in a large fleet it is reaching
+  // each worker's record that takes time.
+  std::vector<WorkerInfo> Workers(size_t most = std::numeric_limits<size_t>::max(),
+                                  std::vector<Glance>* all = nullptr) const ABSL_LOCKS_EXCLUDED(mu_);
   std::vector<LaneScheduler::ActorInfo> Actors() const ABSL_LOCKS_EXCLUDED(mu_);
   // Active servers ordered by address, including those being drained.
   std::vector<Server> Servers() ABSL_LOCKS_EXCLUDED(mu_);
@@ -277,6 +278,8 @@ class WorkerRegistry {
   Health HealthOf(const Worker& worker, absl::Time now) const;
   // Whether a status page shows the worker; sets `info` but for the worker's record and its play.
   bool IsShown(const Worker& worker, absl::Time now, WorkerInfo* info) const;
+  // `info` of IsShown.
+  Glance GlanceAt(const Worker& worker, const WorkerInfo& info) const ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
   // Records a report by the worker itself. A null `summary` keeps the last one.
   void NoteReport(Worker* worker, std::shared_ptr<const v1::ProcessSummary> summary) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
 
