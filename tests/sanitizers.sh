@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
 # Runs the tests under AddressSanitizer and UndefinedBehaviorSanitizer, then those of targets that link neither gRPC nor
-# LibTorch under ThreadSanitizer. Installs and builds what is missing; reports like deploy/test.sh.
+# LibTorch under ThreadSanitizer, but for the goldens. Installs and builds what is missing; reports like deploy/test.sh.
 #
 # Usage: tests/sanitizers.sh [CTEST ARGUMENT]...
 

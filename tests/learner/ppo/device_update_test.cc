@@ -115,11 +115,11 @@ double ShareOfWay(const at::Tensor& actual, const at::Tensor& expected, const at
   return length(actual - expected) / length(expected - start);
 }
 
-// Both add the same numbers in another order, in float32: gradients, and with them Adam's first moment, agree to about
-// 1e-6 of their norm, and to some thousandths where rounding moves a ratio across its bound or a ReLU's input across
-// zero. Where a gradient is about as small as such a difference, Adam's division by its root mean square makes steps of
-// full size of it; hence 1% of the weights' way. A wrong term shows as 10% and more.
-void ExpectClose(const Trained& actual, const Trained& expected, const std::string& what) {
+// Both add the same numbers in another order, in float32: gradients, and with them Adam's moments, agree to about 1e-6
+// of their norm. Where a gradient is about as small as such a difference, Adam's division by its root mean square makes
+// steps of full size of it; hence 1% of the weights' way. A wrong term shows as 10% and more. `moments` is the limit
+// for Adam's.
+void ExpectClose(const Trained& actual, const Trained& expected, double moments, const std::string& what) {
   const auto near = [&](double a, double b, const char* name) {
     EXPECT_NEAR(a, b, 1e-4 * std::max(0.1, std::abs(b))) << what << ": " << name;
   };
@@ -136,11 +136,11 @@ void ExpectClose(const Trained& actual, const Trained& expected, const std::stri
     near(actual.stats.importance->max, expected.stats.importance->max, "greatest importance weight");
   }
   EXPECT_NEAR(actual.stats.clip_fraction, expected.stats.clip_fraction, 1.01 / kRows) << what << ": one row's rounding";
-  auto moments = TensorsOf(actual.updater->SaveOptimizer());
+  auto actual_moments = TensorsOf(actual.updater->SaveOptimizer());
   auto expected_moments = TensorsOf(expected.updater->SaveOptimizer());
   for (const char* name : {"exp_avg", "exp_avg_sq"}) {
     const at::Tensor& moment = expected_moments[name];
-    EXPECT_LT(ShareOfWay(moments[name], moment, at::zeros_like(moment)), 0.01) << what << ": " << name;
+    EXPECT_LT(ShareOfWay(actual_moments[name], moment, at::zeros_like(moment)), moments) << what << ": " << name;
   }
   EXPECT_EQ(actual.updater->optimizer_steps(), expected.updater->optimizer_steps());
   const ValueScale scale = actual.updater->rollout_options().value_scale;
@@ -157,13 +157,13 @@ void PrintTo(const AgentCase& agent, std::ostream* out) { *out << agent.config; 
 
 using Agents = ::testing::TestWithParam<AgentCase>;
 
-void ExpectLearnsAsOnTheCpu(const v1::RunConfig& config, int iterations = 2) {
+void ExpectLearnsAsOnTheCpu(const v1::RunConfig& config, int iterations = 2, double moments = 1e-3) {
   const Trained expected(config, "cpu", iterations);
   const auto start = TensorsOf(Trained(config, "cpu", 0).updater->SaveWeights())["weights"];
   const auto weights = TensorsOf(expected.updater->SaveWeights())["weights"];
   for (const char* device : {kOnTheCpu, kStandInDevice}) {
     const Trained actual(config, device, iterations);
-    ExpectClose(actual, expected, device);
+    ExpectClose(actual, expected, moments, device);
     EXPECT_LT(ShareOfWay(TensorsOf(actual.updater->SaveWeights())["weights"], weights, start), 0.01) << device;
   }
 }
@@ -181,12 +181,14 @@ TEST(DeviceUpdate, CorrectsLagAsOnTheCpu) {
     ExpectLearnsAsOnTheCpu(ConfigOf(vtrace));
     const v1::RunConfig both =
         ConfigOf(absl::StrCat(vtrace, " ppo { decoupled_objective: true recompute_values: true }"));
-    // Recomputed targets follow the weights: with more iterations the rounding of one is the error of the next.
-    ExpectLearnsAsOnTheCpu(both, 1);
+    // Recomputed targets follow the weights, so that the rounding of one iteration is the error of the next; and
+    // rounding can move a ratio across its bound, which changes a gradient by a thousandth or two.
+    constexpr double kMoments = 0.01;
+    ExpectLearnsAsOnTheCpu(both, 1, kMoments);
     const std::string epochs =
         absl::StrCat(text, " ppo { epochs: 2 decoupled_objective: true recompute_values: true }");
-    ExpectLearnsAsOnTheCpu(ConfigOf(epochs), 1);
-    ExpectLearnsAsOnTheCpu(ConfigOf(absl::StrCat(epochs, " ppo { correction_pass: true }")), 1);
+    ExpectLearnsAsOnTheCpu(ConfigOf(epochs), 1, kMoments);
+    ExpectLearnsAsOnTheCpu(ConfigOf(absl::StrCat(epochs, " ppo { correction_pass: true }")), 1, kMoments);
     EXPECT_NE(Trained(both, "cpu", 1).stats.policy_loss, Trained(ConfigOf(text), "cpu", 1).stats.policy_loss) << text;
   }
 }

@@ -9,12 +9,14 @@
 #include <ATen/ATen.h>
 #include <gtest/gtest.h>
 #include <torch/csrc/autograd/autograd.h>
+#include <torch/version.h>
 
 #include "common/agent/policy.h"
 #include "common/agent/policy_net.h"
 #include "common/agent/torch_setup.h"
 #include "common/agent/weights.h"
 #include "common/config/agent_presets.h"
+#include "common/process/cpu_pin.h"
 #include "learner/ppo/distillation/distillation_steps.h"
 #include "learner/ppo/gae.h"
 #include "learner/ppo/ppo_loss.h"
@@ -158,16 +160,21 @@ AdamState FreshAdam(const AgentSpec& spec) {
   return {0, std::vector<float>(spec.param_count), std::vector<float>(spec.param_count)};
 }
 
-// Relative, for norms of gradients. The same formulas in double precision agree with the golden to 2e-6. Convolutions
-// round differently with each version of LibTorch and each kind of CPU, and a ReLU whose input comes out on the other
-// side of zero changes norms by a thousandth: by up to 2.3e-4 with LibTorch 2.6, and by up to 3.4e-3 in prediction
-// steps, which have few rows. A term that is missing or wrong changes them by more than a hundredth.
-constexpr double kNormTolerance = 5e-3;
+// Relative, for norms of gradients; `step` is 0 for the first. The same formulas in double precision agree with the
+// golden to 2e-6. Sums that round more than they must would show: a ReLU whose input comes out on the other side of
+// zero changes norms by a thousandth. In later steps weights differ, as Adam divides small gradients by themselves.
+// Convolutions round more in LibTorch 2, where norms differ by up to 2.3e-4, and by up to 3.4e-3 in prediction steps,
+// which have few rows; and in LibTorch 1.13 on a CPU without AVX-512, where they differ by up to 5.9e-3.
+double NormTolerance(size_t step) {
+  if (TORCH_VERSION_MAJOR >= 2) return 5e-3;
+  if (!CheckCpu(v1::RunConfig::AVX512).ok()) return 1e-2;
+  return step == 0 ? 1e-4 : 1e-3;
+}
 
 void ExpectNorms(const std::map<std::string, double>& norms, const json& expected) {
   for (const auto& [name, value] : norms) {
     const double known = expected.contains(name) ? expected[name].get<double>() : 0;
-    EXPECT_NEAR(value, known, known * kNormTolerance) << name;
+    EXPECT_NEAR(value, known, known * NormTolerance(0)) << name;
   }
 }
 
@@ -213,7 +220,7 @@ void ExpectPpoSteps(const std::string& agent, const json& part, const json& of_a
     options.epsilon = part["adam_epsilon"];
     const ShardGradient gradient = net.gradients();
     const double norm_before_clipping = AdamStep(options, {gradient}, absl::MakeSpan(weights), &adam, &workers);
-    EXPECT_NEAR(norm_before_clipping, total, total * kNormTolerance) << i;
+    EXPECT_NEAR(norm_before_clipping, total, total * NormTolerance(i)) << i;
     if (i == 0) ExpectNorms(GradientNorms(spec, adam, total), step["grad_norms"]);
   }
 }
@@ -312,7 +319,7 @@ class DistillationStepsGolden : public ::testing::Test {
       EXPECT_NEAR(losses->divergence, step["kl"].get<double>(), tolerance) << i;
       EXPECT_NEAR(losses->value, step["value"].get<double>(), tolerance) << i;
       const double total = step["grad_norm_total"];
-      EXPECT_NEAR(losses->gradient_norm, total, total * kNormTolerance) << i;
+      EXPECT_NEAR(losses->gradient_norm, total, total * NormTolerance(i)) << i;
       EXPECT_NEAR(norm.Scale().mean, step["normaliser"]["mean"].get<double>(), 1e-6) << i;
       EXPECT_NEAR(norm.Scale().deviation, step["normaliser"]["deviation"].get<double>(), 1e-6) << i;
       if (i == 0) ExpectNorms(GradientNorms(spec_, adam_, total), step["grad_norms"]);
