@@ -89,7 +89,7 @@ std::string OwnFolder() {
 int RunCommand(const std::string& command, std::vector<std::string> arguments) {
   const bool is_path = command.find('/') != std::string::npos;
   const std::string program = OwnFolder() + "craftfleet-" + command;
-  arguments.insert(arguments.begin(), command);
+  arguments.insert(arguments.begin(), program);  // what ps shows
   std::vector<char*> pointers;
   pointers.reserve(arguments.size() + 1);
   for (std::string& argument : arguments) pointers.push_back(argument.data());

@@ -4,8 +4,8 @@
 Checks that shares are fair (the most fragments of an actor divided by the fewest are below 1.2, where there are as many lanes
 as actors), that the status service answers within 50 ms, that the learner's threads follow the cores and not the actors (at
 most 64), that its memory stays below 1.5 GB and does not grow (less than 1 MiB per minute after the second minute) and, where
-actors take time to play, that the median time to a verdict on a fragment is at most 5 ms. The long form appends its figures
-to tests/chaos/results/runs.jsonl.
+actors take time to play, that the median time to a verdict on a fragment is at most 5 ms. The simulated workers have a lower
+priority than the learner (nice 10). The long form appends its figures to tests/chaos/results/runs.jsonl.
 
   tests/chaos/scale.py --bin=build/bin --out=/tmp/scale             200 actors, 1,000 lanes, 10 minutes
   tests/chaos/scale.py --bin=build/bin --out=/tmp/scale --short     the short form that the tests run
@@ -14,6 +14,7 @@ to tests/chaos/results/runs.jsonl.
 
 import argparse
 import json
+import os
 import pathlib
 import subprocess
 import sys
@@ -35,9 +36,11 @@ VERDICT_LIMIT_MS = 5
 MEMORY_LIMIT_KIB = 1_500_000
 
 
-def start(options, program, *flags):
+def start(options, program, *flags, nice=0):
+    """Starts a program in this session: among sessions Linux shares the cores out evenly, whatever their nice values."""
     return subprocess.Popen([pathlib.Path(options.bin) / program, *flags, f"--seconds={options.seconds}"],
-                            stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, text=True, start_new_session=True)
+                            stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, text=True,
+                            preexec_fn=lambda: os.nice(nice))
 
 
 def run(options, fleet):
@@ -47,8 +50,9 @@ def run(options, fleet):
         if time.monotonic() > give_up or fleet.learner.process.poll() is not None:
             return {}, [f"the learner did not start: see {fleet.learner.log}"]
         time.sleep(0.2)
+    # Real workers would have cores of their own.
     bots = start(options, "simulated_fleet", f"--learner={fleet.learner_address}", f"--actors={options.actors}",
-                 f"--servers={options.servers}", f"--share={options.share}", f"--play_ms={options.play_ms}")
+                 f"--servers={options.servers}", f"--share={options.share}", f"--play_ms={options.play_ms}", nice=10)
     # A separate process; within that of the actors the probe would measure how busy they are.
     probe = start(options, "status_probe", f"--target={fleet.learner_address}")
     memory, threads = Memory(time.monotonic()), 0
