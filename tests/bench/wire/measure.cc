@@ -73,7 +73,7 @@ void Meter::Measure(const std::string& what, int clients, const std::function<Tu
 }
 
 void PrintMeasurements(int from_child, int to_child) {
-  std::printf("%-52s %10s %9s %11s %14s %14s\n", "", "calls/s", "MB/s", "bytes/call", "server us/call",
+  std::printf("%-60s %10s %9s %11s %14s %14s\n", "", "calls/s", "MB/s", "bytes/call", "server us/call",
               "client us/call");
   char go = 0;
   while (Get(from_child, &go)) {
@@ -82,7 +82,7 @@ void PrintMeasurements(int from_child, int to_child) {
     Measurement result;
     if (!Get(from_child, &result)) return;
     const auto calls = static_cast<double>(std::max<int64_t>(1, result.calls));
-    std::printf("%-52s %10.0f %9.1f %11.0f %14.1f %14.1f\n", result.what, calls / result.seconds,
+    std::printf("%-60s %10.0f %9.1f %11.0f %14.1f %14.1f\n", result.what, calls / result.seconds,
                 1e-6 * static_cast<double>(result.bytes) / result.seconds, static_cast<double>(result.bytes) / calls,
                 1e6 * (CpuSeconds() - cpu_s) / calls, 1e6 * result.client_cpu_s / calls);
     std::fflush(stdout);

@@ -16,21 +16,20 @@
 #include <absl/strings/str_cat.h>
 #include <absl/time/time.h>
 
-#include "actor/env_client.h"
 #include "common/base/check.h"
 #include "common/base/clock.h"
+#include "common/base/frame_format.h"
 #include "common/base/status_macros.h"
 #include "common/config/config.h"
 #include "common/io/paths.h"
-#include "common/io/snapshot_envelope.h"
 #include "common/io/texture_digest.h"
 #include "common/process/program.h"
 #include "common/wire/channel.h"
-#include "common/wire/convert.h"
 #include "common/wire/protocol.h"
 #include "common/wire/server.h"
 #include "envserver/env_service.h"
 #include "learner/learner_service.h"
+#include "tests/bench/wire/game_player.h"
 #include "tests/bench/wire/measure.h"
 
 ABSL_FLAG(double, seconds, 3, "duration of each measurement, seconds");
@@ -46,8 +45,6 @@ constexpr int kFragmentSteps[] = {256, 32, 4};
 constexpr int kServices = std::size(kFragmentSteps);
 constexpr int kLanesOfClient = 16;
 constexpr int kMany = 10000;
-constexpr int kFrameBytes = 64 * 64 * 3;
-constexpr size_t kSnapshotBytes = 8000;     // as in the row about steps with snapshots
 constexpr size_t kWeightBytes = 2'441'040;  // of ppo_cnn
 constexpr absl::Duration kLease = absl::Seconds(60);
 
@@ -95,6 +92,8 @@ class Intake {
     LearnerServiceImpl::Options options;
     options.run_id = "bench";
     options.config = DefaultRunConfig();
+    options.config.mutable_env()->set_frame_size(64);
+    options.texture_digest = *TextureDigest(*DefaultTextureDir());
     options.shape = {lanes, steps, kFrameBytes, 0, 1};
     options.lease = kLease;
     return options;
@@ -109,28 +108,15 @@ class Intake {
   std::thread drain_;
 };
 
-v1::FragmentMessage EmptyFragment(const std::string& actor, int steps) {
-  Fragment fragment;
-  fragment.frames.assign(static_cast<size_t>(steps) * kFrameBytes, 'f');
-  fragment.actions.assign(steps, '\1');
-  fragment.log_probs.assign(steps, -2.5F);
-  fragment.values.assign(steps, 0.5F);
-  fragment.rewards.assign(steps, 0.1F);
-  fragment.ends.assign(steps, StepEnd::kNone);
-  fragment.snapshot.game = SealSnapshot(/*env_digest=*/0, std::string(kSnapshotBytes, 's'));
-  v1::FragmentMessage message = wire::ToProto(std::move(fragment));
-  message.set_actor(actor);
-  return message;
-}
-
 // A client that calls a learner like an actor.
 class Actor {
  public:
-  Actor(const std::string& learner, int number, int steps)
+  Actor(const std::string& learner, int number, const v1::FragmentMessage& fragment)
       : name_(absl::StrCat("host-1234-bench-", number)),
         stub_(v1::LearnerService::NewStub(wire::Connect(learner).channel)),
         stream_(stub_->Play(&context_)) {
-    *fragment_.mutable_fragment() = EmptyFragment(name_, steps);
+    *fragment_.mutable_fragment() = fragment;
+    fragment_.mutable_fragment()->set_actor(name_);
     v1::JoinRequest request;
     request.set_protocol_version(wire::kProtocolVersion);
     request.set_actor(name_);
@@ -241,81 +227,37 @@ class Actor {
   int64_t env_servers_generation_ = 0;
 };
 
-// Plays `lanes` games with a fixed sequence of actions.
-class Player {
- public:
-  Player(const std::string& server, int number, int lanes) : client_(wire::Connect(server), Hello(), kFrameBytes) {
-    CRAFTFLEET_CHECK(client_.Connect(absl::Seconds(10)).ok());
-    std::vector<EnvClient::Lane> open;
-    for (int i = 0; i < lanes; ++i) {
-      lanes_.push_back(i);
-      open.push_back({i, int64_t{1000} * number + i, 1, ""});
-    }
-    std::string frames;
-    CRAFTFLEET_CHECK(client_.Open(open, &frames).ok());
-  }
-
-  // One step of each game. Counts only the bytes of frames.
-  Turn Step(bool snapshot = false) {
-    std::vector<Action> actions;
-    for (const int lane : lanes_) actions.push_back(static_cast<Action>((7 * steps_ + 3 * lane) % kNumActions));
-    ++steps_;
-    CRAFTFLEET_CHECK(client_.SendStep(lanes_, actions, snapshot).ok() && client_.ReceiveStep(&batch_).ok());
-    return {static_cast<int64_t>(lanes_.size()), static_cast<int64_t>(batch_.frames.size())};
-  }
-  // The same with snapshots. Counts only the bytes of snapshots.
-  Turn StepAndSave() {
-    Turn turn = Step(/*snapshot=*/true);
-    turn.bytes = 0;
-    for (const std::string& snapshot : batch_.snapshots) turn.bytes += static_cast<int64_t>(snapshot.size());
-    return turn;
-  }
-
- private:
-  static v1::SessionHello Hello() {
-    v1::SessionHello hello;
-    hello.set_protocol_version(wire::kProtocolVersion);
-    hello.set_run_id("bench");
-    hello.set_texture_digest(*TextureDigest(*DefaultTextureDir()));
-    hello.mutable_env()->set_name("crafter");
-    hello.mutable_env()->set_frame_size(64);
-    hello.mutable_env()->set_length(10000);
-    hello.set_client("bench");
-    return hello;
-  }
-
-  EnvClient client_;
-  std::vector<int> lanes_;
-  StepBatch batch_;
-  int64_t steps_ = 0;
-};
+std::vector<std::unique_ptr<Actor>> ConnectActors(const std::string& learner, int count, int steps,
+                                                  FrameFormat frames) {
+  const v1::FragmentMessage fragment = PlayFragment(steps, frames);
+  std::vector<std::unique_ptr<Actor>> actors;
+  actors.reserve(count);
+  for (int k = 0; k < count; ++k) actors.push_back(std::make_unique<Actor>(learner, k, fragment));
+  return actors;
+}
 
 void MeasureFragments(const Addresses& addresses, int clients, Meter* meter) {
   for (int i = 0; i < kServices; ++i) {
-    std::vector<std::unique_ptr<Actor>> actors;
-    actors.reserve(clients);
-    for (int k = 0; k < clients; ++k) {
-      actors.push_back(std::make_unique<Actor>(addresses.learners[i], k, kFragmentSteps[i]));
+    for (const FrameFormat frames : {FrameFormat::kRaw, FrameFormat::kScene}) {
+      const auto actors = ConnectActors(addresses.learners[i], clients, kFragmentSteps[i], frames);
+      meter->Measure(absl::StrCat("fragment of ", kFragmentSteps[i], " steps, ", FrameFormatName(frames),
+                                  ", 1/16 request for permits"),
+                     clients, [&](int client) { return actors[client]->Play(); });
     }
-    meter->Measure(absl::StrCat("fragment of ", kFragmentSteps[i], " steps, with 1/16 request for permits"), clients,
-                   [&](int client) { return actors[client]->Play(); });
-    if (i + 1 < kServices) continue;
-    for (const auto& actor : actors) actor->TakePermits();
-    meter->Measure("snapshot of a lane", clients, [&](int client) { return actors[client]->GetSnapshots(); });
-    meter->Measure("request that renews 16 permits", clients,
-                   [&](int client) { return actors[client]->RenewPermits(); });
-    meter->Measure("announcement of an environment server", clients,
-                   [&](int client) { return actors[client]->Announce(client); });
-    meter->Measure("weights of ppo_cnn", clients, [&](int client) { return actors[client]->GetWeights(); });
   }
+  const auto actors = ConnectActors(addresses.learners[kServices - 1], clients, 4, FrameFormat::kRaw);
+  for (const auto& actor : actors) actor->TakePermits();
+  meter->Measure("snapshot of a lane", clients, [&](int client) { return actors[client]->GetSnapshots(); });
+  meter->Measure("request that renews 16 permits", clients, [&](int client) { return actors[client]->RenewPermits(); });
+  meter->Measure("announcement of an environment server", clients,
+                 [&](int client) { return actors[client]->Announce(client); });
+  meter->Measure("weights of ppo_cnn", clients, [&](int client) { return actors[client]->GetWeights(); });
 }
 
 // Calls whose cost depends on the number of lanes and workers.
 void MeasureCrowd(const Addresses& addresses, int clients, Meter* meter) {
   constexpr int kCrowd = kMany / kLanesOfClient;
-  std::vector<std::unique_ptr<Actor>> actors;
-  actors.reserve(kCrowd);
-  for (int k = 0; k < kCrowd; ++k) actors.push_back(std::make_unique<Actor>(addresses.crowded, k, 4));
+  const auto actors = ConnectActors(addresses.crowded, kCrowd, 4, FrameFormat::kRaw);
   for (int k = 0; k < clients; ++k) actors[k]->TakePermits();
   for (int server = 0; server < kMany; ++server) actors[0]->Announce(server);
   meter->Measure(absl::StrCat("request for permits; ", kMany, " lanes, ", kMany, " servers, ", kCrowd, " actors"),
@@ -332,15 +274,20 @@ void MeasureLearners(const Addresses& addresses, int clients, Meter* meter) {
 }
 
 void MeasureEnvServer(const Addresses& addresses, int clients, Meter* meter) {
-  for (const int lanes : {1, 16, 64}) {
-    std::vector<std::unique_ptr<Player>> players;
-    players.reserve(clients);
-    for (int k = 0; k < clients; ++k) players.push_back(std::make_unique<Player>(addresses.env_server, k, lanes));
-    meter->Measure(absl::StrCat("step of a game, ", lanes, " in a message (with the game)"), clients,
-                   [&](int client) { return players[client]->Step(); });
-    if (lanes != 16) continue;
-    meter->Measure("step with snapshot, 16 in a message (its bytes)", clients,
-                   [&](int client) { return players[client]->StepAndSave(); });
+  for (const FrameFormat frames : {FrameFormat::kRaw, FrameFormat::kScene}) {
+    for (const int lanes : {1, 16, 64}) {
+      std::vector<std::unique_ptr<GamePlayer>> players;
+      players.reserve(clients);
+      for (int k = 0; k < clients; ++k) {
+        players.push_back(std::make_unique<GamePlayer>(addresses.env_server, k, lanes, frames));
+      }
+      meter->Measure(
+          absl::StrCat("step of a game, ", FrameFormatName(frames), ", ", lanes, " in a message (with the game)"),
+          clients, [&](int client) { return players[client]->Step(); });
+      if (lanes != 16) continue;
+      meter->Measure(absl::StrCat("step with snapshot, ", FrameFormatName(frames), ", 16 in a message (its bytes)"),
+                     clients, [&](int client) { return players[client]->StepAndSave(); });
+    }
   }
 }
 
