@@ -11,9 +11,17 @@
 #include <ATen/ATen.h>
 #include <ATen/core/LegacyTypeDispatch.h>
 #include <ATen/core/dispatch/Dispatcher.h>
+#include <c10/core/DeviceType.h>
 #include <c10/core/InferenceMode.h>
 #include <c10/core/impl/DeviceGuardImplInterface.h>
 #include <torch/library.h>
+#include <torch/version.h>
+
+#if TORCH_VERSION_MAJOR > 2 || (TORCH_VERSION_MAJOR == 2 && TORCH_VERSION_MINOR >= 11)
+#include <ATen/DeviceAccelerator.h>
+#include <ATen/detail/PrivateUse1HooksInterface.h>
+#define CRAFTFLEET_HAS_ACCELERATORS_
+#endif
 
 namespace craftfleet::testing {
 namespace {
@@ -230,6 +238,24 @@ class DeviceGuard final : public c10::impl::DeviceGuardImplInterface {
   void synchronizeStream(const c10::Stream& /*stream*/) const override {}
 };
 C10_REGISTER_GUARD_IMPL(PrivateUse1, DeviceGuard)
+
+#ifdef CRAFTFLEET_HAS_ACCELERATORS_
+class Hooks final : public at::PrivateUse1HooksInterface {
+ public:
+  bool isBuilt() const override { return true; }
+  bool isAvailable() const override { return true; }
+  bool hasPrimaryContext(c10::DeviceIndex /*device*/) const override { return true; }
+};
+
+// A LibTorch with CUDA would ask the GPU's driver for the stream of every device, also where there is no GPU, until
+// another device is its accelerator.
+const bool is_accelerator = [] {
+  if (!at::getAccelerator().has_value()) return false;
+  c10::register_privateuse1_backend("privateuseone");
+  at::RegisterPrivateUse1HooksInterface(new Hooks);
+  return true;
+}();
+#endif
 
 }  // namespace
 
