@@ -68,6 +68,9 @@ if(CRAFTFLEET_LIBTORCH)
   target_include_directories(craftfleet_torch SYSTEM INTERFACE ${libtorch_includes})
   target_link_libraries(craftfleet_torch INTERFACE
     -Wl,--push-state,--no-as-needed,${libtorch_lib}/libtorch.so,--pop-state ${libtorch_lib}/libtorch_cpu.so ${libtorch_lib}/libc10.so)
+  # The wheel's libraries export parts of their own C++ standard library, such as std::filesystem, which crash in other
+  # programs. Symbols come from the library that was linked first.
+  target_link_options(craftfleet_torch INTERFACE LINKER:--push-state,--no-as-needed,-lstdc++,--pop-state)
   # The link through which programs find it (see craftfleet_program), in the build tree and in installations.
   file(MAKE_DIRECTORY ${CMAKE_BINARY_DIR}/lib/craftfleet)
   file(CREATE_LINK ${libtorch_lib} ${CMAKE_BINARY_DIR}/lib/craftfleet/libtorch SYMBOLIC)
