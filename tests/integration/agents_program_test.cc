@@ -31,6 +31,7 @@ const std::map<std::string, int64_t> kParameters = {
     {"ppo_resnet", 3'948'306},
     {"ppo_resnet_published", 3'948'306},
     {"achievement_distillation", 9'234'228},
+    {"cnn_distillation", 1'942'228},
 };
 
 TEST_F(AgentsProgram, ListsEachAgentWithItsParameterCount) {
@@ -50,7 +51,7 @@ TEST_F(AgentsProgram, JsonHasTheSameContent) {
     parameters[agent["agent"]] = agent["parameters"];
     const bool is_object_centric = agent["agent"].get<std::string>().rfind("oc_", 0) == 0;
     EXPECT_EQ(agent["frame_size"], is_object_centric ? 72 : 64) << agent;
-    const int state_size = agent["core"] == "-" ? 0 : agent["core"] == "memory, goals" ? 1024 : 512;
+    const int state_size = agent["core"] == "-" ? 0 : agent["agent"] == "achievement_distillation" ? 1024 : 512;
     EXPECT_EQ(agent["state_size"], state_size) << agent;
   }
   EXPECT_EQ(parameters, kParameters);

@@ -24,9 +24,10 @@ absl::StatusOr<Network> NetworkOf(const std::string& agent, const std::string& t
 }
 
 TEST(AgentPresets, NamesAreInTheOrderOfThePage) {
-  EXPECT_THAT(AgentNames(), ElementsAre("ppo_cnn", "lstm_cnn", "lstm_cnn_published", "ppo_spcnn", "lstm_spcnn",
-                                        "lstm_spcnn_published", "oc_sa", "oc_sa_published", "oc_ca", "oc_ca_published",
-                                        "ppo_resnet", "ppo_resnet_published", "achievement_distillation"));
+  EXPECT_THAT(AgentNames(),
+              ElementsAre("ppo_cnn", "lstm_cnn", "lstm_cnn_published", "ppo_spcnn", "lstm_spcnn",
+                          "lstm_spcnn_published", "oc_sa", "oc_sa_published", "oc_ca", "oc_ca_published", "ppo_resnet",
+                          "ppo_resnet_published", "achievement_distillation", "cnn_distillation"));
 }
 
 // Source: AGENTS.md, section 8.
