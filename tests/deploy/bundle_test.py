@@ -105,7 +105,7 @@ class Bundle(python_case.FolderCase):
       launched = {"LD_LIBRARY_PATH": f"{root}/lib/craftfleet:{libtorch}"} if program.parent.name == "libexec" else {}
       for name, path in libraries(program, **launched).items():
         self.assertIsNotNone(path, f"{program.name} finds no {name}")
-        # A wheel has an OpenMP, which its libraries find first.
+        # A wheel comes with an OpenMP library of its own, which LibTorch finds first.
         if "/site-packages/torch/lib/libgomp.so" in path:
           continue
         inside = pathlib.Path(os.path.abspath(path)).is_relative_to(root)

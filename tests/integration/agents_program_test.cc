@@ -51,7 +51,7 @@ TEST_F(AgentsProgram, JsonHasTheSameContent) {
     parameters[agent["agent"]] = agent["parameters"];
     const bool is_object_centric = agent["agent"].get<std::string>().rfind("oc_", 0) == 0;
     EXPECT_EQ(agent["frame_size"], is_object_centric ? 72 : 64) << agent;
-    const int state_size = agent["core"] == "-" ? 0 : agent["agent"] == "achievement_distillation" ? 1024 : 512;
+    const int state_size = agent["core"] == "-" ? 0 : agent["extractor"] == "RESNET" ? 1024 : 512;
     EXPECT_EQ(agent["state_size"], state_size) << agent;
   }
   EXPECT_EQ(parameters, kParameters);
