@@ -44,10 +44,19 @@ absl::Status AppendFile::OpenDescriptor() {
   return descriptor_ >= 0 ? absl::OkStatus() : FileError(errno, "cannot open", path_);
 }
 
+absl::Status AppendFile::CheckFence() const {
+  return options_.fence != nullptr ? options_.fence->Check() : absl::OkStatus();
+}
+
 absl::Status AppendFile::Prepare() {
-  if (options_.fence != nullptr) CRAFTFLEET_RETURN_IF_ERROR(options_.fence->Check());
-  if (descriptor_ < 0) CRAFTFLEET_RETURN_IF_ERROR(OpenDescriptor());
-  if (torn_ && ::ftruncate(descriptor_, length_) != 0) return FileError(errno, "cannot truncate", path_);
+  if (descriptor_ < 0) {
+    CRAFTFLEET_RETURN_IF_ERROR(CheckFence());
+    CRAFTFLEET_RETURN_IF_ERROR(OpenDescriptor());
+  }
+  // Seen before the fence is checked, so that these bytes are not those of a later start.
+  const off_t end = ::lseek(descriptor_, 0, SEEK_END);
+  CRAFTFLEET_RETURN_IF_ERROR(CheckFence());
+  if (end > length_ && ::ftruncate(descriptor_, length_) != 0) return FileError(errno, "cannot truncate", path_);
   torn_ = false;
   return absl::OkStatus();
 }

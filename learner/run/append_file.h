@@ -56,7 +56,9 @@ class AppendFile {
  private:
   AppendFile(std::string path, const Options& options) : path_(std::move(path)), options_(options) {}
   absl::Status OpenDescriptor();
-  // To be called before a change: checks the fence, reopens the file after a failed sync, cuts off a torn end.
+  absl::Status CheckFence() const;
+  // To be called before a change: checks the fence, reopens the file after a failed sync, cuts off what is not this
+  // log's: a torn end, or a line that an earlier start was writing when this one took over.
   absl::Status Prepare();
 
   std::string path_;

@@ -1,5 +1,6 @@
 // Learners on disks without working locks, or that lose synced data.
 
+#include <csignal>
 #include <cstdlib>
 #include <memory>
 #include <string>
@@ -58,16 +59,18 @@ class BadDiskTest : public SmallRunTest {
   std::vector<std::unique_ptr<Process>> actors_;
 };
 
-// The older learner is training with an actor when the newer one resumes the run.
+// The older learner is suspended while it trains with an actor, and goes on once the newer one has resumed the run.
 TEST_F(BadDiskTest, OfTwoLearnersWithoutLocksOnlyTheNewerWrites) {
   ASSERT_THAT(WriteFileSynced(config(), absl::StrReplaceAll(kConfig, {{"steps: 192", "steps: 1920"}})), IsOk());
   const std::vector<std::string> flags = Flags("run", {"--listen=127.0.0.1:0", "--autoresume"});
   const auto older = StartOn("nolocks", "craftfleet-learner", flags);
   StartWorker(older->WaitForAddress().value());
   ASSERT_TRUE(WaitUntil([this] { return PathExists(Checkpoint("run", 3)); }, kPatience)) << older->Err();
+  older->Signal(SIGSTOP);  // or it might end before the newer one has started
 
   const auto newer = StartOn("nolocks", "craftfleet-learner", flags);
   StartWorker(newer->WaitForAddress().value());
+  older->Signal(SIGCONT);
   Ended ended = Finish(older.get());
   EXPECT_EQ(ended.exit_code, 1);
   EXPECT_THAT(ended.err, HasSubstr(absl::StrCat("was taken over by process ", newer->pid(), " on ")));

@@ -3,6 +3,7 @@
 #include <sys/wait.h>
 
 #include <csignal>
+#include <memory>
 #include <string>
 #include <vector>
 
@@ -290,17 +291,19 @@ TEST(RankMeeting, MissingRank0IsAnErrorAfterTheTimeout) {
 
 TEST(RankMeeting, SecondProcessOfARankIsRefused) {
   const int port = FreePort();
-  OnRanks(2, [port](int rank) {
+  std::vector<std::unique_ptr<RankLinks>> group(2);  // stays while the second process comes
+  OnRanks(2, [&](int rank) {
     const auto meeting = RankMeeting::Open(LocalRank(rank, 2, port), "");
     ASSERT_TRUE(meeting.ok()) << meeting.status();
-    ASSERT_TRUE((*meeting)->Connect({"canary", "build"}).ok());
-    if (rank == 0) return;
-    RankOptions second = LocalRank(rank, 2, port);
-    second.timeout = absl::Seconds(5);
-    const auto again = RankMeeting::Open(second, "");
-    if (!again.ok()) return;  // rank 0 has ended
-    EXPECT_FALSE((*again)->Connect({"canary", "build"}).ok());
+    auto links = (*meeting)->Connect({"canary", "build"});
+    ASSERT_TRUE(links.ok()) << links.status();
+    group[rank] = *std::move(links);
   });
+  const auto second = RankMeeting::Open(LocalRank(1, 2, port), "");
+  ASSERT_TRUE(second.ok()) << second.status();
+  const absl::Status status = (*second)->Connect({"canary", "build"}).status();
+  EXPECT_EQ(status.code(), absl::StatusCode::kAlreadyExists) << status;
+  EXPECT_THAT(std::string(status.message()), HasSubstr("rank 1 is already in the group at 127.0.0.1:"));
 }
 
 }  // namespace

@@ -114,6 +114,21 @@ TEST(StatsLog, CanBeTruncatedAndContinued) {
               StatusIs(absl::StatusCode::kDataLoss, HasSubstr("the checkpoint expects 100000")));
 }
 
+// As of a learner that was in the middle of a write when this one took over its run.
+TEST(StatsLog, ALineOfAnotherLearnerIsCutOff) {
+  const TempFolder folder;
+  const std::string path = folder / "stats.jsonl";
+  StatsLog log(AppendFile::Open(path).value());
+  StatsLog other(AppendFile::Open(path).value());
+  other.Append({SampleEpisode(1, 0), SampleEpisode(2, 0)});
+  ASSERT_THAT(other.file().Flush(), IsOk());
+  for (const int episode : {1, 2}) {
+    log.Append({SampleEpisode(episode, 0)});
+    ASSERT_THAT(log.file().Flush(), IsOk());
+  }
+  EXPECT_EQ(ReadFile(path).value(), FormatStatsLine(SampleEpisode(1, 0)) + FormatStatsLine(SampleEpisode(2, 0)));
+}
+
 TEST(StatsLog, AFullDiskLosesNothingAndLeavesNoPartialLine) {
   const TempFolder folder;
   const std::string path = folder / "stats.jsonl";
