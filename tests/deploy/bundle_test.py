@@ -9,18 +9,12 @@ import subprocess
 import tarfile
 
 from tests.fakes import python_case
-from tests.fakes.python_case import BIN, SMALL_RUN, SOURCE
+from tests.fakes.python_case import BIN, SMALL_RUN, SOURCE, cmake_setting
 
 LAUNCHER = SOURCE / "deploy/bundle-launcher.sh"
 GLIBC = re.compile(r"/(ld-linux.*\.so\.\d|lib(c|m|mvec|dl|pthread|rt|util|resolv|anl)\.so\.\d|libnsl\.so\.1)$")
 TOOLS = ("sh", "env", "true", "readlink", "basename", "dirname", "getconf", "sed", "sort", "head")  # a shell, coreutils, sed, libc-bin
 OF_LIBTORCH = re.compile(r"/lib(torch|c10|caffe2)")
-
-
-def setting(name):
-  """Of this build's CMake cache."""
-  text = (BIN.parent / "CMakeCache.txt").read_text(encoding="utf-8")
-  return re.search(rf"^{name}:[A-Z]*=(.*)$", text, re.MULTILINE)[1]
 
 
 def libraries(program, **environment):
@@ -73,7 +67,7 @@ class Bundle(python_case.FolderCase):
 
   def test_a_moved_bundle_trains_with_its_own_libraries(self):
     root = self.bundle()
-    libtorch = setting("CRAFTFLEET_LIBTORCH_LIB_DIR")
+    libtorch = cmake_setting("CRAFTFLEET_LIBTORCH_LIB_DIR")
     environment = {"PATH": "/usr/bin:/bin", "CRAFTFLEET_LIBTORCH": libtorch}
 
     def run(*words):
@@ -136,9 +130,9 @@ class Bundle(python_case.FolderCase):
     self.assertRegex(missing, r"^craftfleet-train: no LibTorch: .*pip install.*CRAFTFLEET_LIBTORCH")
     self.assertEqual(len(missing.splitlines()), 1)
 
-    if setting("CRAFTFLEET_LIBTORCH_CUDA") == "ON":
+    if cmake_setting("CRAFTFLEET_LIBTORCH_CUDA") == "ON":
       return  # gigabytes to copy; test_a_moved_bundle_trains_with_its_own_libraries runs it where it is
-    libtorch = pathlib.Path(setting("CRAFTFLEET_LIBTORCH_LIB_DIR"))
+    libtorch = pathlib.Path(cmake_setting("CRAFTFLEET_LIBTORCH_LIB_DIR"))
     brought = {name: path for name, path in libraries(libtorch / "libtorch.so").items() if path and not GLIBC.search(path)}
     for path in (*libtorch.glob("libtorch*.so*"), *libtorch.glob("libc10*.so*"), *map(pathlib.Path, brought.values())):
       shutil.copy(path, root / "libtorch" / path.name)

@@ -27,6 +27,12 @@ eval { every_steps: 0  final_episodes: 0 }
 """
 
 
+def cmake_setting(name):
+  """The value of a variable in this build's CMake cache."""
+  text = (BIN.parent / "CMakeCache.txt").read_text(encoding="utf-8")
+  return re.search(rf"^{name}:[A-Z]*=(.*)$", text, re.MULTILINE)[1]
+
+
 class FolderCase(unittest.TestCase):
   """A test case with a temporary folder, removed at its end."""
 
