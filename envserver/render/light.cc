@@ -79,6 +79,24 @@ CRAFTFLEET_KERNEL_BODY void NightLoopBody(double daylight, const uint32_t* __res
 }
 CRAFTFLEET_KERNEL(NightLoop, NightLoopBody)
 
+// Whether each lit value at this daylight is far from whole numbers, or whole and stays so in doubles. It is the canvas
+// plus half_dark * (dimmed value + tint, doubled - twice the canvas): its fraction depends on that difference alone,
+// which is within -510..319.
+CRAFTFLEET_KERNEL_BODY void CheckLitBody(double daylight, bool* is_sure) {
+  constexpr uint32_t kDifferences = 511;
+  constexpr double kOne = 4294967296.0;  // of fractions in 32 bits
+  constexpr auto kFar = static_cast<uint32_t>(kFarFromWhole * kOne);
+  const double half_dark = 0.5 * (1 - daylight);
+  const auto part = static_cast<uint32_t>(half_dark * kOne);
+  uint32_t count = 0;
+  for (uint32_t i = 1; i < kDifferences; ++i) count += static_cast<uint32_t>(i * part + kFar < 2 * kFar);
+  for (int32_t canvas = 0; canvas < 256; ++canvas) {
+    count += static_cast<uint32_t>(Mix(daylight, canvas, half_dark, 2 * canvas) != canvas);
+  }
+  *is_sure = count == 0;
+}
+CRAFTFLEET_KERNEL(CheckLit, CheckLitBody)
+
 // Lights single pixels exactly, many at a time.
 class ExactPixels {
  public:
@@ -128,13 +146,15 @@ void LightByDay(double daylight, absl::Span<Pixel> pixels) {
 
 void LightByNight(double daylight, const NightPixels& map) {
   const int blocks = static_cast<int>(map.canvas.size()) / kNightBlock;
-  absl::FixedArray<uint32_t, 128> unsure(blocks);
-  LightRoughly(daylight, map.high.data(), map.float_cover.data(), map.canvas.data(), blocks, map.lit.data(),
-               unsure.data());
+  absl::FixedArray<uint32_t, 128> unsure(UnsureWords(blocks));
+  bool lit_is_sure = false;
+  CheckLit(daylight, &lit_is_sure);
+  LightRoughly(daylight, lit_is_sure, map.high.data(), map.float_cover.data(), map.canvas.data(), blocks,
+               map.lit.data(), unsure.data());
   ExactPixels exact(daylight, map);
-  for (int block = 0; block < blocks; ++block) {
-    for (uint32_t rest = unsure[block]; rest != 0; rest &= rest - 1) {
-      exact.Add(block * kNightBlock + __builtin_ctz(rest));
+  for (size_t word = 0; word < unsure.size(); ++word) {
+    for (uint32_t rest = unsure[word]; rest != 0; rest &= rest - 1) {
+      exact.Add(PixelOfBit(static_cast<int>(word), __builtin_ctz(rest)));
     }
   }
   exact.Light();

@@ -64,7 +64,7 @@ absl::Status AppendFile::Prepare() {
 absl::Status AppendFile::Flush() {
   if (waiting_.empty() && !torn_) return absl::OkStatus();
   CRAFTFLEET_RETURN_IF_ERROR(Prepare());
-  const absl::Status status = WriteAll(descriptor_, waiting_, path_);
+  absl::Status status = WriteAll(descriptor_, waiting_, path_);
   if (!status.ok()) {
     torn_ = ::ftruncate(descriptor_, length_) != 0;
     return status;
@@ -81,7 +81,7 @@ absl::Status AppendFile::Sync() {
     std::string().swap(unsynced_);
     return absl::OkStatus();
   }
-  const absl::Status status = FileError(errno, "cannot sync", path_);
+  absl::Status status = FileError(errno, "cannot sync", path_);
   ::close(descriptor_);
   descriptor_ = -1;
   length_ -= static_cast<int64_t>(unsynced_.size());

@@ -45,6 +45,7 @@ inline RankOptions LocalRank(int rank, int world_size, int port) {
 // Calls `run(rank)` for each rank, on a thread each, and waits for all.
 inline void OnRanks(int world_size, const std::function<void(int)>& run) {
   std::vector<std::thread> threads;
+  threads.reserve(world_size);
   for (int rank = 0; rank < world_size; ++rank) threads.emplace_back(run, rank);
   for (std::thread& thread : threads) thread.join();
 }
