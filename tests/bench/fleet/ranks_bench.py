@@ -22,8 +22,10 @@ sys.path.insert(0, str(pathlib.Path(__file__).resolve().parents[2] / "chaos"))
 from fleet import Fleet, Site, Worker  # noqa: E402
 from fleet_bench import STEPS_OF_AN_ITERATION  # noqa: E402
 
+LANES = 16
 CONFIG = """steps: {steps} seed: 1 agent: "{agent}" gradient_shards: 2
-  ppo {{ epochs: {epochs} minibatch_size: {minibatch} }} eval {{ every_steps: 0 final_episodes: 0 }}"""
+  lanes: {lanes} fragment_steps: {fragment}
+  ppo {{ rollout_steps: {rollout} epochs: {epochs} minibatch_size: {minibatch} }} eval {{ every_steps: 0 final_episodes: 0 }}"""
 
 
 def update_seconds(address):
@@ -49,8 +51,9 @@ def train(options, learners, folder):
     but the first."""
     config, logdir = folder / "config.txt", folder / "run"
     # One iteration more: the learner must still answer when the last one has ended.
-    config.write_text(CONFIG.format(steps=STEPS_OF_AN_ITERATION * (options.iterations + 1), agent=options.agent,
-                                    epochs=options.epochs, minibatch=options.minibatch), encoding="utf-8")
+    config.write_text(CONFIG.format(steps=options.rollout * (options.iterations + 1), agent=options.agent, lanes=LANES,
+                                    rollout=options.rollout, fragment=options.rollout // LANES, epochs=options.epochs,
+                                    minibatch=options.minibatch), encoding="utf-8")
     port = Site().listen().rsplit(":", 1)[1]
     metrics = Site().listen()
     ranks = [f"--world_size={learners}", f"--master_port={port}"]
@@ -86,7 +89,8 @@ def main():
     parser.add_argument("--agent", default="ppo_cnn")
     parser.add_argument("--epochs", type=int, default=4)
     parser.add_argument("--minibatch", type=int, default=128)
-    parser.add_argument("--iterations", type=int, default=5, help="of 4,096 steps, a run")
+    parser.add_argument("--iterations", type=int, default=5, help="in a run")
+    parser.add_argument("--rollout", type=int, default=STEPS_OF_AN_ITERATION, help="steps of an iteration: fewer for large agents")
     parser.add_argument("--rounds", type=int, default=3)
     parser.add_argument("--cores", type=int, nargs=2, default=[0, 1], help="of the learners")
     options = parser.parse_args()
