@@ -56,7 +56,7 @@ constexpr std::array kPresets = {
     Preset{"achievement_distillation", "ppo_resnet_published",
            "network { memory: true goal_predictor: true } distillation { every_iterations: 8 } "
            "checkpoint { every_iterations: 8 }"},
-    // Not of a paper: the smallest network that was found to score more than 15 at 1M steps.
+    // Not from a paper. It scores 14.7 ± 2.9 at 1M steps, over three seeds.
     Preset{"cnn_distillation", "achievement_distillation", "network { extractor: CNN }"},
 };
 

@@ -10,8 +10,8 @@ namespace {
 
 // A channel's values before their fractions are dropped are within these of the exact ones. They are computed so much
 // too large; a whole part may be wrong where the fraction is then below twice that.
-constexpr float kNoiseError = 1e-4F;  // with noise; at most 0.8e-4
-constexpr float kLitError = 0.5e-4F;  // lit; at most 0.4e-4
+constexpr float kNoiseError = 1e-4F;            // with noise; at most 0.8e-4
+constexpr float kLitError = kFarFromWhole / 2;  // lit; at most 0.4e-4
 
 struct Light {
   float amount;  // of noise, in full cover
@@ -22,10 +22,10 @@ struct Light {
 // A value of 0 or more without its fraction.
 struct Whole {
   explicit CRAFTFLEET_KERNEL_BODY Whole(float exact)
-      : bits(static_cast<int32_t>(exact)), value(static_cast<float>(bits)), fraction(exact - value) {}
+      : integer(static_cast<int32_t>(exact)), value(static_cast<float>(integer)), fraction(exact - value) {}
 
-  int32_t bits;
-  float value;
+  int32_t integer;
+  float value;  // the same
   float fraction;
 };
 
@@ -67,7 +67,7 @@ CRAFTFLEET_KERNEL_BODY void LightLoop(const Light* light, const uint32_t* __rest
       const Whole lit_red(l.half_dark * dim_red.value + (l.daylight * red + kLitError));
       const Whole lit_green(l.half_dark * dim_green.value + (l.daylight * green + (16 * l.half_dark + kLitError)));
       const Whole lit_blue(l.half_dark * dim_blue.value + (l.daylight * blue + (64 * l.half_dark + kLitError)));
-      lit[i] = lit_red.bits | lit_green.bits << 8 | lit_blue.bits << 16;
+      lit[i] = lit_red.integer | lit_green.integer << 8 | lit_blue.integer << 16;
 
       bool is_unsure = LeastFraction(night_red, night_green, night_blue) < 2 * kNoiseError;
       if (!kLitIsSure) is_unsure = is_unsure | (LeastFraction(lit_red, lit_green, lit_blue) < 2 * kLitError);

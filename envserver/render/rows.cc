@@ -38,7 +38,7 @@ CRAFTFLEET_KERNEL_BODY void WritePixels(Columns columns, uint8_t* rows, int row_
   }
 }
 
-// A square of pixels is turned in vectors, one for each column and then one for each row.
+// A square of pixels is transposed in vectors: one for each column, then one for each row.
 constexpr int kSide = 16;
 using Places = std::make_index_sequence<kSide>;
 using Vector = Pixel __attribute__((vector_size(kSide * sizeof(Pixel))));
@@ -46,8 +46,11 @@ using Bytes = uint8_t __attribute__((vector_size(kSide * sizeof(Pixel))));
 using Half = Pixel __attribute__((vector_size(kSide / 2 * sizeof(Pixel))));
 using Quarter = Pixel __attribute__((vector_size(kSide / 4 * sizeof(Pixel))));
 
-// Units of kPixels of two vectors are dealt out to two: within the quarters of vectors if a unit is less than a
-// quarter. Where place n of the first one comes from; that of the second is kApart further.
+// A step of the transposition makes two vectors of a and b, as AVX-512's unpack and shuffle instructions do:
+//   kPixels 1, 2  each quarter of the first interleaves the lower halves of that quarter of a and b, kPixels at a time;
+//                 the second interleaves the upper halves
+//   kPixels 4     the first is the even quarters of a, then those of b; the second is the odd ones
+// Returns where element n of the first comes from, 0..15 in a and 16..31 in b; that of the second is kApart further on.
 template <int kPixels>
 constexpr size_t From(size_t n) {
   if (kPixels == 4) return n / 8 * kSide + n / 4 % 2 * 8 + n % 4;
@@ -57,17 +60,17 @@ template <int kPixels>
 constexpr size_t kApart = kPixels == 4 ? 4 : 2;
 
 template <int kPixels, size_t... n>
-CRAFTFLEET_KERNEL_BODY void Deal(Vector* a, Vector* b, std::index_sequence<n...> /*places*/) {
+CRAFTFLEET_KERNEL_BODY void Shuffle(Vector* a, Vector* b, std::index_sequence<n...> /*places*/) {
   const Vector first = __builtin_shufflevector(*a, *b, From<kPixels>(n)...);
   *b = __builtin_shufflevector(*a, *b, (From<kPixels>(n) + kApart<kPixels>)...);
   *a = first;
 }
 
-// Deals to all pairs of vectors that are `distance` apart.
+// Shuffles all pairs of vectors that are `distance` apart.
 template <int kPixels>
-CRAFTFLEET_KERNEL_BODY void DealAll(Vector* vectors, int distance) {
+CRAFTFLEET_KERNEL_BODY void ShuffleAll(Vector* vectors, int distance) {
   for (int n = 0; n < kSide; ++n) {
-    if ((n & distance) == 0) Deal<kPixels>(vectors + n, vectors + n + distance, Places());
+    if ((n & distance) == 0) Shuffle<kPixels>(vectors + n, vectors + n + distance, Places());
   }
 }
 
@@ -88,11 +91,11 @@ CRAFTFLEET_KERNEL_BODY void WriteRow(const Vector& row, uint8_t* to, std::index_
 CRAFTFLEET_KERNEL_BODY void WriteSquare(const Pixel* columns, int stride, uint8_t* rows, int row_bytes) {
   Vector vectors[kSide];
   for (int n = 0; n < kSide; ++n) std::memcpy(&vectors[n], columns + n * stride, sizeof(Vector));
-  DealAll<1>(vectors, 1);
-  DealAll<2>(vectors, 2);
-  DealAll<4>(vectors, 4);
-  DealAll<4>(vectors, 8);
-  // Rows 1 and 2 of each four have changed places.
+  ShuffleAll<1>(vectors, 1);
+  ShuffleAll<2>(vectors, 2);
+  ShuffleAll<4>(vectors, 4);
+  ShuffleAll<4>(vectors, 8);
+  // Rows 1 and 2 of each four are now in each other's place.
   for (int n = 0; n < kSide; ++n) {
     WriteRow(vectors[n / 4 * 4 + n % 2 * 2 + n / 2 % 2], rows + n * row_bytes, Places());
   }

@@ -20,9 +20,7 @@ constexpr size_t kMaxUnsyncedBytes = 1 << 20;
 absl::StatusOr<AppendFile> AppendFile::Open(const std::string& path, const Options& options) {
   AppendFile file(path, options);
   CRAFTFLEET_RETURN_IF_ERROR(file.OpenDescriptor());
-  const off_t length = ::lseek(file.descriptor_, 0, SEEK_END);
-  if (length < 0) return FileError(errno, "cannot seek in", path);
-  file.length_ = length;
+  CRAFTFLEET_ASSIGN_OR_RETURN(file.length_, file.FindEnd());
   return file;
 }
 
@@ -44,6 +42,12 @@ absl::Status AppendFile::OpenDescriptor() {
   return descriptor_ >= 0 ? absl::OkStatus() : FileError(errno, "cannot open", path_);
 }
 
+absl::StatusOr<int64_t> AppendFile::FindEnd() const {
+  const off_t end = ::lseek(descriptor_, 0, SEEK_END);
+  if (end < 0) return FileError(errno, "cannot seek in", path_);
+  return end;
+}
+
 absl::Status AppendFile::CheckFence() const {
   return options_.fence != nullptr ? options_.fence->Check() : absl::OkStatus();
 }
@@ -54,7 +58,7 @@ absl::Status AppendFile::Prepare() {
     CRAFTFLEET_RETURN_IF_ERROR(OpenDescriptor());
   }
   // Seen before the fence is checked, so that these bytes are not those of a later start.
-  const off_t end = ::lseek(descriptor_, 0, SEEK_END);
+  CRAFTFLEET_ASSIGN_OR_RETURN(const int64_t end, FindEnd());
   CRAFTFLEET_RETURN_IF_ERROR(CheckFence());
   if (end > length_ && ::ftruncate(descriptor_, length_) != 0) return FileError(errno, "cannot truncate", path_);
   torn_ = false;

@@ -56,6 +56,7 @@ class AppendFile {
  private:
   AppendFile(std::string path, const Options& options) : path_(std::move(path)), options_(options) {}
   absl::Status OpenDescriptor();
+  absl::StatusOr<int64_t> FindEnd() const;  // the file's length, in bytes
   absl::Status CheckFence() const;
   // To be called before a change: checks the fence, reopens the file after a failed sync, cuts off what is not this
   // log's: a torn end, or a line that an earlier start was writing when this one took over.

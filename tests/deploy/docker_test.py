@@ -121,7 +121,7 @@ class Dockerfiles(unittest.TestCase):
     self.assertIn("-DCRAFTFLEET_WITH_WINDOW=OFF", pathlib.Path(SOURCE / "deploy/docker/Dockerfile").read_text(encoding="utf-8"))
     for library, owners in found.items():
       if library.startswith("libopencv_highgui") or library in copied:
-        continue  # for windows, which this build may have; of the LibTorch that the image for GPUs copies
+        continue  # only for windows, which this build may have; or part of LibTorch, which the GPU image copies
       self.assertTrue(owners & (packages(run) | base), f"a program wants {library}, of {owners}")
 
   def test_images_run_without_root_and_watch_their_health(self):

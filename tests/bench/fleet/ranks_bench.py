@@ -22,10 +22,9 @@ sys.path.insert(0, str(pathlib.Path(__file__).resolve().parents[2] / "chaos"))
 from fleet import Fleet, Site, Worker  # noqa: E402
 from fleet_bench import STEPS_OF_AN_ITERATION  # noqa: E402
 
-LANES = 16
+LANES = 16  # with --rollout
 CONFIG = """steps: {steps} seed: 1 agent: "{agent}" gradient_shards: 2
-  lanes: {lanes} fragment_steps: {fragment}
-  ppo {{ rollout_steps: {rollout} epochs: {epochs} minibatch_size: {minibatch} }} eval {{ every_steps: 0 final_episodes: 0 }}"""
+  {lanes} ppo {{ rollout_steps: {rollout} epochs: {epochs} minibatch_size: {minibatch} }} eval {{ every_steps: 0 final_episodes: 0 }}"""
 
 
 def update_seconds(address):
@@ -51,9 +50,11 @@ def train(options, learners, folder):
     but the first."""
     config, logdir = folder / "config.txt", folder / "run"
     # One iteration more: the learner must still answer when the last one has ended.
-    config.write_text(CONFIG.format(steps=options.rollout * (options.iterations + 1), agent=options.agent, lanes=LANES,
-                                    rollout=options.rollout, fragment=options.rollout // LANES, epochs=options.epochs,
-                                    minibatch=options.minibatch), encoding="utf-8")
+    is_default = options.rollout == STEPS_OF_AN_ITERATION  # then lanes and fragments are the agent's own
+    lanes = "" if is_default else f"lanes: {LANES} fragment_steps: {options.rollout // LANES}"
+    config.write_text(CONFIG.format(steps=options.rollout * (options.iterations + 1), agent=options.agent, lanes=lanes,
+                                    rollout=options.rollout, epochs=options.epochs, minibatch=options.minibatch),
+                      encoding="utf-8")
     port = Site().listen().rsplit(":", 1)[1]
     metrics = Site().listen()
     ranks = [f"--world_size={learners}", f"--master_port={port}"]
@@ -89,7 +90,7 @@ def main():
     parser.add_argument("--agent", default="ppo_cnn")
     parser.add_argument("--epochs", type=int, default=4)
     parser.add_argument("--minibatch", type=int, default=128)
-    parser.add_argument("--iterations", type=int, default=5, help="in a run")
+    parser.add_argument("--iterations", type=int, default=5, help="of a run")
     parser.add_argument("--rollout", type=int, default=STEPS_OF_AN_ITERATION, help="steps of an iteration: fewer for large agents")
     parser.add_argument("--rounds", type=int, default=3)
     parser.add_argument("--cores", type=int, nargs=2, default=[0, 1], help="of the learners")

@@ -114,7 +114,7 @@ TEST(StatsLog, CanBeTruncatedAndContinued) {
               StatusIs(absl::StatusCode::kDataLoss, HasSubstr("the checkpoint expects 100000")));
 }
 
-// As of a learner that was in the middle of a write when this one took over its run.
+// Such as one from a learner that was in the middle of a write when this one took over its run.
 TEST(StatsLog, ALineOfAnotherLearnerIsCutOff) {
   const TempFolder folder;
   const std::string path = folder / "stats.jsonl";
