@@ -155,7 +155,7 @@ absl::Status Actor::StartLoops() {
   }
   permits_.SetTile(tile);
   permits_.UseLoops(loops);
-  policies_ = std::make_unique<PolicySource>(&learner_, spec, tile, device);
+  policies_ = std::make_unique<PolicySource>(&learner_, spec, tile, device, options_.weights);
 
   v1::SessionHello hello;
   hello.set_protocol_version(wire::kProtocolVersion);

@@ -46,6 +46,7 @@ class Actor {
     std::string zone = "";                            // label of the place where it runs; empty: none
     FrameFormat frames = FrameFormat::kScene;         // in which frames travel where both ends can
     absl::Duration env_timeout = kDefaultEnvTimeout;  // of each request to an environment server, 0.1..3600 s
+    LocalWeights weights = nullptr;                   // of a learner in the same process; null: call it for them
     // Called once with the run's configuration, before the actor joins and computes anything; may restart the process
     // by exec. Null: nothing to set up.
     std::function<absl::Status(const v1::RunConfig&)> set_up = nullptr;

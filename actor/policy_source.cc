@@ -11,15 +11,26 @@
 
 namespace craftfleet {
 
-PolicySource::PolicySource(const LearnerClient* learner, AgentSpec spec, int tile, std::string device)
-    : learner_(learner), spec_(std::move(spec)), tile_(tile), device_(std::move(device)) {}
+PolicySource::PolicySource(const LearnerClient* learner, AgentSpec spec, int tile, std::string device,
+                           LocalWeights local)
+    : learner_(learner), spec_(std::move(spec)), tile_(tile), device_(std::move(device)), local_(std::move(local)) {}
+
+absl::StatusOr<VersionedWeights> PolicySource::GetWeights(int64_t version) const {
+  if (local_ != nullptr) {
+    VersionedWeights weights = local_(version);
+    if (weights.second == nullptr) return absl::AbortedError("the learner has published no weights yet");
+    return weights;
+  }
+  CRAFTFLEET_ASSIGN_OR_RETURN(auto weights, learner_->GetWeights(version, MaxWeightsBytes(spec_)));
+  return VersionedWeights(weights.first, std::make_shared<const std::string>(std::move(weights.second)));
+}
 
 absl::StatusOr<std::shared_ptr<const Policy>> PolicySource::Get(int64_t epoch, int64_t version) {
   MutexLock lock(&mu_);
   if (epoch_ == epoch && version_ == version) return policy_;
-  CRAFTFLEET_ASSIGN_OR_RETURN(const auto weights, learner_->GetWeights(version, MaxWeightsBytes(spec_)));
+  CRAFTFLEET_ASSIGN_OR_RETURN(const VersionedWeights weights, GetWeights(version));
   const auto& [fetched, bytes] = weights;
-  CRAFTFLEET_ASSIGN_OR_RETURN(policy_, Policy::Create(spec_, bytes, tile_, device_));
+  CRAFTFLEET_ASSIGN_OR_RETURN(policy_, Policy::Create(spec_, *bytes, tile_, device_));
   epoch_ = epoch;
   version_ = fetched;
   ReleaseFreeMemory();  // of the previous iteration's fragments and policy

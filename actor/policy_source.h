@@ -4,8 +4,10 @@
 #define CRAFTFLEET_ACTOR_POLICY_SOURCE_H_
 
 #include <cstdint>
+#include <functional>
 #include <memory>
 #include <string>
+#include <utility>
 
 #include <absl/status/statusor.h>
 
@@ -16,21 +18,33 @@
 
 namespace craftfleet {
 
+// A version of the weights, safetensors.
+using VersionedWeights = std::pair<int64_t, std::shared_ptr<const std::string>>;
+
+// The weights of a learner in the same process: those of `version` if it keeps them, otherwise the latest, which may be
+// older; (-1, null): it has published none. Thread-safe.
+using LocalWeights = std::function<VersionedWeights(int64_t version)>;
+
 // Keeps the last policy. Thread-safe: one thread fetches while the others wait for it.
 class PolicySource {
  public:
-  // Policies compute tiles of `tile` rows on `device` (Policy::Create).
-  PolicySource(const LearnerClient* learner, AgentSpec spec, int tile, std::string device = "cpu");
+  // Policies compute tiles of `tile` rows on `device` (Policy::Create). `local`: where to get weights instead of
+  // calling the learner, which takes half of the time with half a gigabyte of them; null: call it.
+  PolicySource(const LearnerClient* learner, AgentSpec spec, int tile, std::string device = "cpu",
+               LocalWeights local = nullptr);
 
   // The policy of exactly `version` in learner epoch `epoch`, since a restarted learner may compute other weights.
-  //   Aborted: the learner has a later version.   Others as LearnerClient::GetWeights and Policy::Create.
+  //   Aborted: the learner has another version.   Others as LearnerClient::GetWeights and Policy::Create.
   absl::StatusOr<std::shared_ptr<const Policy>> Get(int64_t epoch, int64_t version) ABSL_LOCKS_EXCLUDED(mu_);
 
  private:
+  absl::StatusOr<VersionedWeights> GetWeights(int64_t version) const;
+
   const LearnerClient* const learner_;
   const AgentSpec spec_;
   const int tile_;
   const std::string device_;
+  const LocalWeights local_;  // may be null
 
   Mutex mu_;
   int64_t epoch_ ABSL_GUARDED_BY(mu_) = -1;

@@ -71,6 +71,8 @@ class Learner {
   void Stop() { trainer_.Stop(); }
 
   wire::Endpoint InProcess() { return server_->InProcess(); }
+  // As WeightStore::Find.
+  WeightStore::Weights FindWeights(int64_t version) const { return weights_.Find(version); }
   const std::string& address() const { return server_->address(); }
   const std::string& run_id() const { return folder_->run_id(); }
   const Trainer& trainer() const { return trainer_; }

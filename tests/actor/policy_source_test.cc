@@ -86,6 +86,24 @@ TEST_F(PolicySourceTest, MoreBytesThanTheAgentNeedsAreRefusedAtTheFirstChunk) {
               StatusIs(absl::StatusCode::kDataLoss, testing::HasSubstr("weights of the run's agent: total_bytes: 24")));
 }
 
+TEST_F(PolicySourceTest, TakesLocalWeightsInsteadOfCallingTheLearner) {
+  VersionedWeights local = {-1, nullptr};
+  int64_t asked = 0;
+  PolicySource source(&client_, *FindAgent("ppo_cnn"), 8, "cpu", [&](int64_t version) {
+    asked = version;
+    return local;
+  });
+  service_.SetWeights(Chunks(3, SampleWeights(1)));
+  EXPECT_THAT(source.Get(1, 3), StatusIs(absl::StatusCode::kAborted, testing::HasSubstr("no weights yet")));
+  EXPECT_EQ(asked, 3);
+  local = {2, std::make_shared<const std::string>(SampleWeights(2))};
+  EXPECT_THAT(source.Get(1, 3),
+              StatusIs(absl::StatusCode::kAborted, testing::HasSubstr("version 2, the permit is for 3")));
+  service_.SetWeights({});
+  local.first = 3;
+  EXPECT_THAT(source.Get(1, 3), IsOk());
+}
+
 TEST_F(PolicySourceTest, InvalidWeightsAreAnError) {
   service_.SetWeights(Chunks(3, std::string(5000, 'x')));
   EXPECT_THAT(source_.Get(1, 3), StatusIs(absl::StatusCode::kInvalidArgument, testing::Not(testing::IsEmpty())));
