@@ -78,6 +78,14 @@ void Apply(Step step, size_t size, const float* __restrict gradient, float* __re
 
 }  // namespace
 
+AdamOptions AdamOptionsOf(const v1::PpoConfig& config) {
+  AdamOptions options;
+  options.learning_rate = config.learning_rate();
+  options.epsilon = config.adam_epsilon();
+  options.max_gradient_norm = config.max_gradient_norm();
+  return options;
+}
+
 double AdamStep(const AdamOptions& options, absl::Span<const ShardGradient> shards, absl::Span<float> weights,
                 AdamState* state, WorkerPool* workers) {
   const std::vector<Block> blocks = CutIntoBlocks(shards[0]);

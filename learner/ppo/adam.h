@@ -9,6 +9,7 @@
 #include <absl/types/span.h>
 
 #include "common/base/worker_pool.h"
+#include "craftfleet/v1/config.pb.h"
 
 namespace craftfleet {
 
@@ -25,6 +26,9 @@ struct AdamState {
   std::vector<float> exp_avg;     // [parameters] running mean of the gradient
   std::vector<float> exp_avg_sq;  // [parameters] and of its square
 };
+
+// Those of a run's configuration.
+AdamOptions AdamOptionsOf(const v1::PpoConfig& config);
 
 // One shard's gradient: consecutive pieces (parameters) that together are as long as the weights.
 using ShardGradient = std::vector<absl::Span<float>>;

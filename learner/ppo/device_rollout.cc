@@ -9,17 +9,12 @@
 namespace craftfleet {
 namespace {
 
-// Host memory that the device can read by itself.
-at::Tensor ForSending(at::IntArrayRef shape, at::ScalarType type, at::Device device) {
-  return at::empty(shape, at::TensorOptions(type).pinned_memory(device.is_cuda()));
-}
-
 at::Tensor Send(const at::Tensor& host, at::Device device) { return host.to(device, /*non_blocking=*/true); }
 
 // `values` and `padding` behind them.
 template <typename Out, typename In>
 at::Tensor SendPadded(const std::vector<In>& values, at::ScalarType type, at::Device device, Out padding = 0) {
-  const at::Tensor host = ForSending({static_cast<int64_t>(values.size()) + 1}, type, device);
+  const at::Tensor host = HostTensor({static_cast<int64_t>(values.size()) + 1}, type, device);
   auto* out = host.data_ptr<Out>();
   for (const In& value : values) *out++ = static_cast<Out>(value);
   *out = padding;
@@ -28,7 +23,7 @@ at::Tensor SendPadded(const std::vector<In>& values, at::ScalarType type, at::De
 
 at::Tensor SendFrames(const Rollout& rollout, const AgentSpec& spec, at::Device device) {
   const auto rows = static_cast<int64_t>(rollout.size());
-  const at::Tensor host = ForSending({rows + 1, spec.frame_size, spec.frame_size, 3}, at::kByte, device);
+  const at::Tensor host = HostTensor({rows + 1, spec.frame_size, spec.frame_size, 3}, at::kByte, device);
   auto* out = host.data_ptr<uint8_t>();
   for (const uint8_t* frame : rollout.frames) out = std::copy_n(frame, spec.frame_bytes(), out);
   std::fill_n(out, spec.frame_bytes(), uint8_t{0});
@@ -38,7 +33,7 @@ at::Tensor SendFrames(const Rollout& rollout, const AgentSpec& spec, at::Device 
 at::Tensor SendStates(const Rollout& rollout, int state_size, at::Device device) {
   const auto& states = rollout.states;
   const auto kept = std::count_if(states.begin(), states.end(), [](const float* state) { return state != nullptr; });
-  const at::Tensor host = ForSending({kept + 1, state_size}, at::kFloat, device);
+  const at::Tensor host = HostTensor({kept + 1, state_size}, at::kFloat, device);
   auto* out = host.data_ptr<float>();
   for (const float* state : states) {
     if (state != nullptr) out = std::copy_n(state, state_size, out);
@@ -73,7 +68,7 @@ class Indices {
   }
 
   void SendTo(at::Device device) {
-    const at::Tensor host = ForSending({static_cast<int64_t>(all_.size())}, at::kLong, device);
+    const at::Tensor host = HostTensor({static_cast<int64_t>(all_.size())}, at::kLong, device);
     std::copy(all_.begin(), all_.end(), host.data_ptr<int64_t>());
     there_ = Send(host, device);
   }
@@ -103,6 +98,16 @@ std::vector<int64_t> FirstStatesOf(const Minibatch& minibatch, const std::vector
 }
 
 }  // namespace
+
+at::Tensor HostTensor(at::IntArrayRef shape, at::ScalarType type, at::Device device) {
+  return at::empty(shape, at::TensorOptions(type).pinned_memory(device.is_cuda()));
+}
+
+at::Tensor SendFloats(const std::vector<float>& values, at::Device device) {
+  const auto count = static_cast<int64_t>(values.size());
+  const at::Tensor host = at::from_blob(const_cast<float*>(values.data()), {count}, at::kFloat);
+  return host.to(device, at::kFloat, /*non_blocking=*/false, /*copy=*/true);
+}
 
 DeviceRollout SendRollout(const Rollout& rollout, const AgentSpec& spec, at::Device device) {
   DeviceRollout there;

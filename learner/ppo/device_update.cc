@@ -1,7 +1,6 @@
 #include "learner/ppo/device_update.h"
 
 #include <algorithm>
-#include <cmath>
 #include <exception>
 #include <set>
 #include <string>
@@ -30,9 +29,8 @@ namespace {
 
 // The fields that this update takes into account, or that do not concern updates.
 constexpr absl::string_view kKnownFields[] = {
-    "agent env steps seed lanes fragment_steps tile gradient_shards ppo checkpoint network eval cpu precision device "
-    "overlap max_staleness "
-    "distillation",
+    "agent env steps seed lanes fragment_steps tile gradient_shards ppo checkpoint network eval cpu precision device",
+    "overlap max_staleness distillation",
     "ppo.rollout_steps ppo.minibatch_size ppo.epochs ppo.learning_rate ppo.gamma ppo.gae_lambda ppo.clip",
     "ppo.value_coefficient ppo.entropy_coefficient ppo.max_gradient_norm ppo.adam_epsilon ppo.truncation_is_terminal",
     "ppo.recurrent_batches ppo.value_norm_decay ppo.value_norm_start ppo.advantages_over_rollout",
@@ -61,11 +59,6 @@ bool IsOff(const google::protobuf::Message& message, const google::protobuf::Fie
     default:
       return false;
   }
-}
-
-// A view of host memory.
-at::Tensor OnHost(const std::vector<float>& values) {
-  return at::from_blob(const_cast<float*>(values.data()), {static_cast<int64_t>(values.size())});
 }
 
 }  // namespace
@@ -97,14 +90,15 @@ DeviceUpdate::DeviceUpdate(AgentSpec spec, const v1::RunConfig& config, at::Devi
       config_(config.ppo()),
       seed_(config.seed()),
       device_(device),
-      network_(MakeNetwork(spec_.network)) {}
+      network_(MakeNetwork(spec_.network)),
+      adam_(AdamOptionsOf(config_)) {}
 
 absl::StatusOr<UpdateStats> DeviceUpdate::Run(const Rollout& rollout, const std::vector<std::vector<Minibatch>>& epochs,
                                               const std::function<bool()>& should_stop, UpdateState* state) {
   try {
-    if (!is_loaded_) Load(*state);
+    if (!is_loaded_) Load(state);
     is_loaded_ = false;
-    CRAFTFLEET_ASSIGN_OR_RETURN(const UpdateStats stats, RunEpochs(rollout, epochs, should_stop));
+    CRAFTFLEET_ASSIGN_OR_RETURN(const UpdateStats stats, RunEpochs(rollout, epochs, should_stop, &state->adam));
     Fetch(state);
     is_loaded_ = true;
     return stats;
@@ -115,8 +109,7 @@ absl::StatusOr<UpdateStats> DeviceUpdate::Run(const Rollout& rollout, const std:
 
 absl::StatusOr<StartOutputs> DeviceUpdate::ComputeStart(const Rollout& rollout,
                                                         const std::vector<Minibatch>& minibatches,
-                                                        const std::function<bool()>& should_stop,
-                                                        const UpdateState& state) {
+                                                        const std::function<bool()>& should_stop, UpdateState* state) {
   try {
     if (!is_loaded_) Load(state);
     is_loaded_ = true;
@@ -156,21 +149,20 @@ StartOutputs DeviceUpdate::FetchStart(const at::Tensor& outputs) {
   return start;
 }
 
-void DeviceUpdate::Load(const UpdateState& state) {
-  weights_ = OnHost(state.weights).to(device_, at::kFloat, /*non_blocking=*/false, /*copy=*/true);
+void DeviceUpdate::Load(UpdateState* state) {
+  CopyMoments(&state->adam);
+  weights_ = SendFloats(state->weights, device_);
   params_ = ParamsOf(spec_, weights_);
   for (at::Tensor& weight : params_.tensors) weight.set_requires_grad(true);
-  exp_avg_ = OnHost(state.adam.exp_avg).to(device_, at::kFloat, /*non_blocking=*/false, /*copy=*/true);
-  exp_avg_sq_ = OnHost(state.adam.exp_avg_sq).to(device_, at::kFloat, /*non_blocking=*/false, /*copy=*/true);
-  value_norm_ = at::tensor({state.value_norm.mean, state.value_norm.mean_square}, at::kDouble).to(device_);
-  value_weight_ = state.value_norm.weight;
-  optimizer_steps_ = state.adam.steps;
+  adam_.Load(state->adam, device_);
+  value_norm_ = at::tensor({state->value_norm.mean, state->value_norm.mean_square}, at::kDouble).to(device_);
+  value_weight_ = state->value_norm.weight;
 }
 
 absl::StatusOr<UpdateStats> DeviceUpdate::RunEpochs(const Rollout& rollout,
                                                     const std::vector<std::vector<Minibatch>>& epochs,
-                                                    const std::function<bool()>& should_stop) {
-  const int64_t steps_before = optimizer_steps_;
+                                                    const std::function<bool()>& should_stop, AdamState* adam) {
+  const int64_t steps_before = adam_.steps();
   std::vector<Minibatch> minibatches;
   for (const std::vector<Minibatch>& epoch : epochs) minibatches.insert(minibatches.end(), epoch.begin(), epoch.end());
   minibatches.push_back(TrialSteps(rollout, spec_.network.recurrent()));
@@ -198,6 +190,7 @@ absl::StatusOr<UpdateStats> DeviceUpdate::RunEpochs(const Rollout& rollout,
   }
   const auto count = static_cast<int64_t>(records.size());
   const at::Tensor are_finite = at::isfinite(weights_).all().logical_and(at::isfinite(value_norm_).all());
+  CopyMoments(adam);  // the device still computes
   // The only wait, but for FetchStart: double[6 * count + 3].
   const at::Tensor fetched =
       at::cat({at::stack(records).flatten(), are_finite.to(at::kDouble).view({1}), TryWeights(there, trial)}).cpu();
@@ -243,7 +236,7 @@ NetOutput DeviceUpdate::Forward(const DeviceRollout& rollout, const DeviceMiniba
 at::Tensor DeviceUpdate::RunMinibatch(const DeviceRollout& rollout, const DeviceMinibatch& minibatch,
                                       const at::Tensor& start) {
   const at::Tensor& rows = minibatch.rows;
-  const uint64_t key = KeyedBits(RandomUse::kDropout, seed_, static_cast<uint64_t>(optimizer_steps_), 0);
+  const uint64_t key = KeyedBits(RandomUse::kDropout, seed_, static_cast<uint64_t>(adam_.steps()), 0);
   const NetOutput output = Forward(rollout, minibatch, Dropout{key, 0});
   if (start.defined()) start.index_copy_(0, rows, OutputsOf(rollout, minibatch, output));
 
@@ -257,7 +250,7 @@ at::Tensor DeviceUpdate::RunMinibatch(const DeviceRollout& rollout, const Device
   const DeviceLoss loss = PpoLossOnDevice(output.logits.detach(), output.values.detach(), targets,
                                           {config_.clip(), config_.value_coefficient(), config_.entropy_coefficient()});
   torch::autograd::backward({output.logits, output.values}, {loss.by_logits, loss.by_values});
-  return at::cat({loss.means, StepAdam(TakeGradient()).view({1})});
+  return at::cat({loss.means, adam_.Step(TakeGradient(), weights_).view({1})});
 }
 
 at::Tensor DeviceUpdate::NormaliseReturns(const at::Tensor& returns) {
@@ -287,31 +280,26 @@ at::Tensor DeviceUpdate::TakeGradient() {
   return at::cat(parts);
 }
 
-at::Tensor DeviceUpdate::StepAdam(const at::Tensor& gradient) {
+void DeviceUpdate::Fetch(UpdateState* state) {
   const c10::NoGradGuard no_grad;
-  AdamOptions options;
-  options.learning_rate = config_.learning_rate();
-  options.epsilon = config_.adam_epsilon();
-  options.max_gradient_norm = config_.max_gradient_norm();
-  const at::Tensor norm = gradient.square().sum(at::kDouble).sqrt();
-  const at::Tensor clipped = gradient * (options.max_gradient_norm / (norm + 1e-6)).clamp_max(1).to(at::kFloat);
-  const auto t = static_cast<double>(++optimizer_steps_);
-  exp_avg_.mul_(options.beta1).add_(clipped, 1 - options.beta1);
-  exp_avg_sq_.mul_(options.beta2).addcmul_(clipped, clipped, 1 - options.beta2);
-  const at::Tensor divisor =
-      exp_avg_sq_.sqrt().mul_(1 / std::sqrt(1 - std::pow(options.beta2, t))).add_(options.epsilon);
-  weights_.addcdiv_(exp_avg_, divisor, -options.learning_rate / (1 - std::pow(options.beta1, t)));
-  return norm;
+  const int64_t count = weights_.numel();
+  if (!fetched_.defined()) fetched_ = HostTensor({3, count}, at::kFloat, device_);
+  fetched_.select(0, 0).copy_(weights_, /*non_blocking=*/true);
+  fetched_.select(0, 1).copy_(adam_.exp_avg(), /*non_blocking=*/true);
+  fetched_.select(0, 2).copy_(adam_.exp_avg_sq(), /*non_blocking=*/true);
+  const at::Tensor value_norm = value_norm_.cpu();  // waits for all of them
+  std::copy_n(fetched_.data_ptr<float>(), count, state->weights.data());
+  has_moments_ = true;
+  state->adam.steps = adam_.steps();
+  state->value_norm = {value_norm.data_ptr<double>()[0], value_norm.data_ptr<double>()[1], value_weight_};
 }
 
-void DeviceUpdate::Fetch(UpdateState* state) const {
-  const c10::NoGradGuard no_grad;
-  OnHost(state->weights).copy_(weights_);
-  OnHost(state->adam.exp_avg).copy_(exp_avg_);
-  OnHost(state->adam.exp_avg_sq).copy_(exp_avg_sq_);
-  state->adam.steps = optimizer_steps_;
-  const at::Tensor value_norm = value_norm_.cpu();
-  state->value_norm = {value_norm.data_ptr<double>()[0], value_norm.data_ptr<double>()[1], value_weight_};
+void DeviceUpdate::CopyMoments(AdamState* adam) {
+  if (!std::exchange(has_moments_, false)) return;
+  const auto count = static_cast<int64_t>(adam->exp_avg.size());
+  const auto* const moments = fetched_.data_ptr<float>() + count;
+  std::copy_n(moments, count, adam->exp_avg.data());
+  std::copy_n(moments + count, count, adam->exp_avg_sq.data());
 }
 
 }  // namespace craftfleet

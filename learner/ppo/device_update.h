@@ -19,6 +19,8 @@
 #include "common/agent/nets/network.h"
 #include "common/agent/nets/param_tensors.h"
 #include "craftfleet/v1/config.pb.h"
+#include "learner/ppo/adam.h"
+#include "learner/ppo/device_adam.h"
 #include "learner/ppo/device_rollout.h"
 #include "learner/ppo/lag_correction.h"
 #include "learner/ppo/minibatches.h"
@@ -45,7 +47,7 @@ class DeviceUpdate {
 
   // Takes optimiser steps over `epochs`, each epoch's minibatches of `rollout` in order, from `state` on. If that is
   // not what the last Run returned, Forget must be called before. `should_stop` is asked after each minibatch. Unless
-  // OK, `state` is as before.
+  // OK, `state` is as before. Adam's moments come to `state` with CopyMoments.
   //   Cancelled: should_stop() said so.   DataLoss: gradient or weights are not finite, or training diverges
   //   (divergence.h).   ResourceExhausted: the device's memory does not suffice; says what to lower.   Others as
   //   DeviceError (common/agent/device.h).
@@ -55,15 +57,24 @@ class DeviceUpdate {
   // What the weights of `state` say about the rollout. `minibatches` have each row once. Waits for the device;
   // otherwise as Run.
   absl::StatusOr<StartOutputs> ComputeStart(const Rollout& rollout, const std::vector<Minibatch>& minibatches,
-                                            const std::function<bool()>& should_stop, const UpdateState& state);
+                                            const std::function<bool()>& should_stop, UpdateState* state);
+
+  // Copies the moments after the last Run that was OK to `adam`, that of its `state`, if they are not there yet. They
+  // are in host memory already, but only a checkpoint needs them.
+  void CopyMoments(AdamState* adam);
 
   // The next Run or ComputeStart sends its `state` to the device again.
-  void Forget() { is_loaded_ = false; }
+  void Forget() {
+    is_loaded_ = false;
+    has_moments_ = false;
+  }
 
  private:
-  void Load(const UpdateState& state);
+  // Sends `state` to the device, with the moments of the last Run that was OK.
+  void Load(UpdateState* state);
+  // `adam`: gets the moments of the last Run while the device computes.
   absl::StatusOr<UpdateStats> RunEpochs(const Rollout& rollout, const std::vector<std::vector<Minibatch>>& epochs,
-                                        const std::function<bool()>& should_stop);
+                                        const std::function<bool()>& should_stop, AdamState* adam);
   NetOutput Forward(const DeviceRollout& rollout, const DeviceMinibatch& minibatch,
                     const std::optional<Dropout>& dropout) const;
   // LargestOutputs of the present weights for the steps of `trial`: double[2].
@@ -88,10 +99,9 @@ class DeviceUpdate {
   at::Tensor NormaliseReturns(const at::Tensor& returns);
   // The gradient of all parameters, float[param_count], which is then forgotten.
   at::Tensor TakeGradient();
-  // Clips the gradient and takes Adam's step. Returns its norm before clipping, double[].
-  at::Tensor StepAdam(const at::Tensor& gradient);
-  // Copies everything that an update changes to the host.
-  void Fetch(UpdateState* state) const;
+  // Copies everything that an update changes to the host: moments to `fetched_`, the rest to `state`, which does not
+  // change if that throws.
+  void Fetch(UpdateState* state);
 
   const AgentSpec spec_;
   const v1::PpoConfig config_;
@@ -102,11 +112,12 @@ class DeviceUpdate {
   bool is_loaded_ = false;  // whether the following is the state after the last Run
   at::Tensor weights_;      // float[param_count]
   ParamTensors params_;     // views of them
-  at::Tensor exp_avg_;      // float[param_count] Adam's moments
-  at::Tensor exp_avg_sq_;
+  DeviceAdam adam_;
   at::Tensor value_norm_;    // double[2] the normaliser's mean and mean square, not corrected
   double value_weight_ = 0;  // and its weight
-  int64_t optimizer_steps_ = 0;
+
+  at::Tensor fetched_;        // float[3,param_count] on the host: weights and moments; undefined before the first Run
+  bool has_moments_ = false;  // whether they are newer than the state's
 };
 
 }  // namespace craftfleet

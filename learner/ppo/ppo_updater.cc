@@ -27,14 +27,6 @@ constexpr char kCpuDevice[] = "cpu";
 constexpr char kMatching[] = "matching.";
 constexpr char kPrediction[] = "prediction.";
 
-AdamOptions AdamOptionsOf(const v1::PpoConfig& config) {
-  AdamOptions options;
-  options.learning_rate = config.learning_rate();
-  options.epsilon = config.adam_epsilon();
-  options.max_gradient_norm = config.max_gradient_norm();
-  return options;
-}
-
 double Variance(const std::vector<double>& values) {
   double sum = 0;
   for (const double x : values) sum += x;
@@ -220,7 +212,7 @@ std::vector<Minibatch> PpoUpdater::OrderedMinibatches(const Rollout& rollout) co
 absl::StatusOr<StartOutputs> PpoUpdater::ComputeStart(const Rollout& rollout,
                                                       const std::function<bool()>& should_stop) {
   const std::vector<Minibatch> minibatches = OrderedMinibatches(rollout);
-  if (device_ != nullptr) return device_->ComputeStart(rollout, minibatches, should_stop, state_);
+  if (device_ != nullptr) return device_->ComputeStart(rollout, minibatches, should_stop, &state_);
   StartOutputs start(rollout.size());
   for (const Minibatch& minibatch : minibatches) {
     CRAFTFLEET_RETURN_IF_ERROR(
@@ -336,7 +328,8 @@ void PpoUpdater::Restore(State state) {
 
 std::string PpoUpdater::SaveWeights() const { return craftfleet::SaveWeights(spec_, state_.weights); }
 
-std::string PpoUpdater::SaveOptimizer() const {
+std::string PpoUpdater::SaveOptimizer() {
+  if (device_ != nullptr) device_->CopyMoments(&state_.adam);
   SafeTensors file;
   AddAdam(spec_, "", state_.adam, &file);
   if (config_.value_norm_decay() > 0) AddValueNorm(state_.value_norm, &file);

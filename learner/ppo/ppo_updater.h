@@ -73,7 +73,7 @@ class PpoUpdater {
   // "steps") and, where values are normalised, the normaliser ("value_norm.mean", ".mean_square" and ".weight"). With
   // distillation, also its Adams' ("matching.exp_avg.<name>", ...) and the kept rollouts (FORMATS.md, section 7).
   std::string SaveWeights() const;
-  std::string SaveOptimizer() const;
+  std::string SaveOptimizer();
 
   // Continues from the results of SaveWeights and SaveOptimizer, bit for bit.
   //   InvalidArgument: not this agent's; names the tensor. Nothing is changed.

@@ -11,6 +11,7 @@
 #include <ATen/ATen.h>
 #include <ATen/core/LegacyTypeDispatch.h>
 #include <ATen/core/dispatch/Dispatcher.h>
+#include <absl/strings/match.h>
 #include <c10/core/DeviceType.h>
 #include <c10/core/InferenceMode.h>
 #include <c10/core/impl/DeviceGuardImplInterface.h>
@@ -30,7 +31,8 @@ std::atomic<int64_t> sent{0};
 std::atomic<int64_t> fetched{0};
 std::atomic<int64_t> read{0};
 std::atomic<int64_t> computed{0};
-std::atomic<int64_t> last_computed{-1};  // the computation that finds no memory
+std::atomic<int64_t> called{0};
+std::atomic<int64_t> last_called{-1};  // the call that finds no memory
 
 const c10::Device kDevice(c10::DeviceType::PrivateUse1, 0);
 
@@ -83,11 +85,19 @@ int SharedArgument(const c10::FunctionSchema& schema, size_t result) {
   return -1;
 }
 
+// Whether a call makes a view or takes memory, for which a GPU runs nothing.
+bool OnlyDescribes(const c10::FunctionSchema& schema) {
+  if (absl::StartsWith(schema.name(), "aten::empty")) return true;
+  const auto* const alias = schema.returns().empty() ? nullptr : schema.returns()[0].alias_info();
+  return alias != nullptr && !alias->isWrite();
+}
+
 // Any computation of the device: that of the CPU, on the same memory.
 void Compute(const c10::OperatorHandle& op, torch::jit::Stack* stack) {
   const c10::FunctionSchema& schema = op.schema();
   const std::string& name = schema.name();
-  if (++computed == last_computed) {
+  if (!OnlyDescribes(schema)) ++computed;
+  if (++called == last_called) {
     throw std::runtime_error("CUDA out of memory. Tried to allocate 2.00 GiB. GPU 0 has a total capacity of 7.79 GiB");
   }
   const size_t begin = stack->size() - schema.arguments().size();
@@ -259,7 +269,7 @@ const bool is_accelerator = [] {
 
 }  // namespace
 
-void RunOutOfMemoryAfter(int64_t count) { last_computed = computed + count; }
+void RunOutOfMemoryAfter(int64_t count) { last_called = called + count; }
 
 DeviceTraffic TrafficSoFar() { return {sent, fetched, read, computed}; }
 

@@ -21,7 +21,8 @@ struct DeviceTraffic {
 // Since the start of the process. Thread-safe.
 DeviceTraffic TrafficSoFar();
 
-// Lets the device run out of memory at its computation number `count` from now, 1 for the next one, with CUDA's words.
+// Lets the device run out of memory at call number `count` from now, 1 for the next one, with CUDA's words. Calls are
+// computations, views and requests for memory.
 // Thread-safe.
 void RunOutOfMemoryAfter(int64_t count);
 

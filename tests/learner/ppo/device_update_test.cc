@@ -22,9 +22,13 @@
 #include "common/agent/nets/attention.h"
 #include "common/agent/torch_setup.h"
 #include "common/base/keyed_random.h"
+#include "common/base/worker_pool.h"
 #include "common/config/agent_presets.h"
 #include "common/config/config.h"
+#include "learner/ppo/adam.h"
+#include "learner/ppo/device_adam.h"
 #include "learner/ppo/device_loss.h"
+#include "learner/ppo/device_rollout.h"
 #include "learner/ppo/ppo_updater.h"
 #include "tests/agent/golden_agent.h"
 #include "tests/agent/stand_in_device.h"
@@ -196,23 +200,22 @@ TEST(DeviceUpdate, CorrectsLagAsOnTheCpu) {
 INSTANTIATE_TEST_SUITE_P(
     All, Agents,
     ::testing::Values(
-        AgentCase{R"(agent: "ppo_cnn" network { frame_size: 40 } ppo { epochs: 2 })", 260},
-        AgentCase{R"(agent: "ppo_cnn" network { frame_size: 40 } ppo { value_norm_decay: 0.9 })", 300},
-        AgentCase{R"(agent: "lstm_cnn" network { frame_size: 40 } ppo { epochs: 2 recurrent_batches: SEGMENTS })",
-                  1110},
+        AgentCase{R"(agent: "ppo_cnn" network { frame_size: 40 } ppo { epochs: 2 })", 126},
+        AgentCase{R"(agent: "ppo_cnn" network { frame_size: 40 } ppo { value_norm_decay: 0.9 })", 144},
+        AgentCase{R"(agent: "lstm_cnn" network { frame_size: 40 } ppo { epochs: 2 recurrent_batches: SEGMENTS })", 493},
         AgentCase{R"(agent: "lstm_cnn" network { frame_size: 40 critic: LSTM } ppo { recurrent_batches: SEGMENTS })",
-                  1920},
+                  851},
         AgentCase{R"(agent: "lstm_cnn_published" network { frame_size: 40 } ppo { recurrent_batches: PUBLISHED })",
-                  1210},
-        AgentCase{R"(agent: "ppo_spcnn" network { frame_size: 12 })", 270},
-        AgentCase{R"(agent: "lstm_spcnn" network { frame_size: 12 } ppo { recurrent_batches: SEGMENTS })", 1120},
-        AgentCase{R"(agent: "oc_sa" network { frame_size: 20 })", 740},
-        AgentCase{R"(agent: "oc_sa_published" network { frame_size: 20 })", 710},
-        AgentCase{R"(agent: "oc_ca" network { frame_size: 32 })", 390},
+                  541},
+        AgentCase{R"(agent: "ppo_spcnn" network { frame_size: 12 })", 133},
+        AgentCase{R"(agent: "lstm_spcnn" network { frame_size: 12 } ppo { recurrent_batches: SEGMENTS })", 500},
+        AgentCase{R"(agent: "oc_sa" network { frame_size: 20 })", 310},
+        AgentCase{R"(agent: "oc_sa_published" network { frame_size: 20 })", 299},
+        AgentCase{R"(agent: "oc_ca" network { frame_size: 32 })", 167},
         AgentCase{
             R"(agent: "oc_ca" network { frame_size: 32 residual_mlp: true layer_norm: true slot_competition: true })",
-            480},
-        AgentCase{R"(agent: "ppo_resnet" network { frame_size: 12 } ppo { value_norm_decay: 0.99 })", 470}));
+            205},
+        AgentCase{R"(agent: "ppo_resnet" network { frame_size: 12 } ppo { value_norm_decay: 0.99 })", 267}));
 
 // bfloat16 has 8 bits: losses and the gradient's norm differ by per mille to per cent, but not by nothing.
 TEST_P(Agents, LearnAlmostTheSameInBf16) {
@@ -269,6 +272,36 @@ TEST(DeviceUpdate, AStoppedOrFailedUpdateChangesNothingAndTheNextOneGoesOn) {
               both.updater->SaveWeights() + both.updater->SaveOptimizer());
 }
 
+// Adam's moments are then in the memory where the device left them.
+TEST(DeviceUpdate, GoesOnAfterAStopThatNoCheckpointPreceded) {
+  for (const char* text : {"", "ppo { recompute_values: true correction_pass: true }"}) {
+    SCOPED_TRACE(text);
+    const v1::RunConfig config = ConfigOf(absl::StrCat("network { frame_size: 40 } ", text));
+    const Trained thrice(config, kOnTheCpu, 3);
+    const Trained trained(config, kOnTheCpu, 0);
+    PpoUpdater& updater = *trained.updater;
+    const std::vector<Fragment> fragments = RandomFragments(updater);
+    for (int iteration = 0; iteration < 3; ++iteration) {
+      const Rollout rollout = RolloutOf(updater, fragments);
+      if (iteration > 0) {
+        EXPECT_TRUE(absl::IsCancelled(updater.Update(iteration, rollout, [] { return true; }).status()));
+      }
+      ASSERT_THAT(updater.Update(iteration, rollout, NeverStop), IsOk());
+    }
+    EXPECT_TRUE(updater.SaveWeights() + updater.SaveOptimizer() ==
+                thrice.updater->SaveWeights() + thrice.updater->SaveOptimizer());
+  }
+}
+
+TEST(DeviceUpdate, LoadsOverAnUpdateThatNoCheckpointFollowed) {
+  const v1::RunConfig config = ConfigOf("network { frame_size: 40 }");
+  const Trained other(config, "cpu", 1);
+  const Trained trained(config, kOnTheCpu, 1);
+  const std::string optimizer = other.updater->SaveOptimizer();
+  ASSERT_THAT(trained.updater->Load(other.updater->SaveWeights(), optimizer), IsOk());
+  EXPECT_TRUE(trained.updater->SaveOptimizer() == optimizer);
+}
+
 TEST(DeviceUpdate, RecognisesThatTrainingDiverges) {
   const auto updater = *PpoUpdater::Create(ConfigOf("ppo { learning_rate: 1  minibatch_size: 32 }"), 1, kOnTheCpu);
   const std::string before = updater->SaveWeights();
@@ -285,7 +318,7 @@ TEST(DeviceUpdate, WithoutMemoryItSaysWhatToLowerAndLosesNothing) {
   const std::string before = updater.SaveWeights() + updater.SaveOptimizer();
   const std::vector<Fragment> fragments = RandomFragments(updater);
   const Rollout rollout = RolloutOf(updater, fragments);
-  for (const int count : {1, 50, 300}) {  // where the rollout is sent, in the first minibatch, in a later one
+  for (const int count : {1, 50, 200}) {  // where the rollout is sent, in the first minibatch, in a later one
     testing::RunOutOfMemoryAfter(count);
     EXPECT_THAT(updater.Update(1, rollout, NeverStop),
                 StatusIs(absl::StatusCode::kResourceExhausted,
@@ -357,6 +390,44 @@ TEST(DeviceUpdate, DropoutMasksAreTheCpus) {
       const at::Tensor actual = DropoutMaskOnDevice({3, 2, 4, 7}, probability, 1, dropout, at::kCPU);
       EXPECT_TRUE(actual.equal(expected)) << probability << " " << key;
     }
+  }
+}
+
+TEST(DeviceAdam, StepsAsTheCpus) {
+  SetUpTorchThread();
+  constexpr int kWeights = 70000;
+  WorkerPool workers(1, [] {});
+  AdamOptions options;
+  options.max_gradient_norm = 100;  // clips the gradients of odd steps
+  for (const char* device : {kOnTheCpu, kStandInDevice}) {
+    std::vector<float> expected(kWeights, 1);
+    AdamState state = {7, std::vector<float>(kWeights, 0.1F), std::vector<float>(kWeights, 0.5F)};
+    DeviceAdam adam(options);
+    adam.Load(state, at::Device(device));
+    const at::Tensor weights = at::ones({kWeights}).to(at::Device(device));
+    for (int step = 0; step < 6; ++step) {
+      std::vector<float> gradient = testing::GoldenUniforms(absl::StrCat("gradient", step), kWeights, -0.2, 0.6);
+      if (step % 2 == 1)
+        std::transform(gradient.begin(), gradient.end(), gradient.begin(), [](float g) { return 9 * g; });
+      const at::Tensor norm = adam.Step(SendFloats(gradient, at::Device(device)), weights);
+      const std::vector<ShardGradient> shards = {{absl::MakeSpan(gradient)}};
+      const double expected_norm = AdamStep(options, shards, absl::MakeSpan(expected), &state, &workers);
+      EXPECT_EQ(expected_norm > options.max_gradient_norm, step % 2 == 1);
+      EXPECT_NEAR(norm.cpu().item<double>(), expected_norm, 1e-5 * expected_norm);
+    }
+    EXPECT_EQ(adam.steps(), state.steps);
+    const auto close = [](const at::Tensor& actual, const std::vector<float>& wanted) {
+      return at::allclose(actual.cpu(), at::tensor(wanted), 1e-5, 1e-7);
+    };
+    EXPECT_TRUE(close(adam.exp_avg(), state.exp_avg)) << device;
+    EXPECT_TRUE(close(adam.exp_avg_sq(), state.exp_avg_sq)) << device;
+    EXPECT_TRUE(close(weights - 1,
+                      [&] {
+                        std::vector<float> way = expected;
+                        for (float& weight : way) weight -= 1;
+                        return way;
+                      }()))
+        << device;
   }
 }
 

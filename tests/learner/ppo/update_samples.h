@@ -51,7 +51,7 @@ inline std::string FreshOptimizer(const v1::RunConfig& config) {
 }
 
 // The L2 norm of each parameter's gradient in the optimiser's first step, whose norm in all was `norm`, clipped at 0.5.
-inline std::map<std::string, double> FirstGradientNorms(const PpoUpdater& updater, double norm) {
+inline std::map<std::string, double> FirstGradientNorms(PpoUpdater& updater, double norm) {
   const std::string bytes = updater.SaveOptimizer();
   const SafeTensors state = *ReadSafetensors(bytes);
   // Adam's first mean is (1 - beta1) * the clipped gradient.

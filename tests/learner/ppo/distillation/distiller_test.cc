@@ -78,7 +78,7 @@ absl::StatusOr<UpdateStats> Update(int iteration, PpoUpdater* updater) {
   return updater->Update(iteration, Sample(iteration, updater->spec().state_size).rollout, NeverStop);
 }
 
-std::string StateOf(const PpoUpdater& updater) { return updater.SaveWeights() + updater.SaveOptimizer(); }
+std::string StateOf(PpoUpdater& updater) { return updater.SaveWeights() + updater.SaveOptimizer(); }
 
 // The weights of the goal predictor.
 std::string PredictorOf(const PpoUpdater& updater) {

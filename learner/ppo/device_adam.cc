@@ -1,0 +1,53 @@
+#include "learner/ppo/device_adam.h"
+
+#include <cmath>
+
+#include <ATen/ATen.h>
+#include <c10/core/GradMode.h>
+#include <torch/version.h>
+
+#include "learner/ppo/device_rollout.h"
+
+namespace craftfleet {
+namespace {
+
+// LibTorch has Adam's whole step as one computation: on the CPU, where tests compare it, from 2.4 on.
+constexpr bool kIsFused = TORCH_VERSION_MAJOR > 2 || (TORCH_VERSION_MAJOR == 2 && TORCH_VERSION_MINOR >= 4);
+
+}  // namespace
+
+void DeviceAdam::Load(const AdamState& state, at::Device device) {
+  exp_avg_ = SendFloats(state.exp_avg, device);
+  exp_avg_sq_ = SendFloats(state.exp_avg_sq, device);
+  steps_ = state.steps;
+  if (kIsFused) device_steps_ = at::full({}, static_cast<double>(steps_), exp_avg_.options());
+}
+
+at::Tensor DeviceAdam::Step(const at::Tensor& gradient, const at::Tensor& weights) {
+  const c10::NoGradGuard no_grad;
+  at::Tensor norm = at::linalg_vector_norm(gradient, 2, at::OptionalIntArrayRef(), /*keepdim=*/false, at::kDouble);
+  ++steps_;
+  kIsFused ? StepFused(gradient, norm, weights) : StepApart(gradient, norm, weights);
+  return norm;
+}
+
+void DeviceAdam::StepFused(const at::Tensor& gradient, const at::Tensor& norm, const at::Tensor& weights) {
+  device_steps_.add_(1);
+  // The gradient is divided by it.
+  const at::Tensor scale = ((norm + 1e-6) / options_.max_gradient_norm).clamp_min(1).to(at::kFloat);
+  at::_fused_adam_({weights}, {gradient}, {exp_avg_}, {exp_avg_sq_}, {}, {device_steps_}, options_.learning_rate,
+                   options_.beta1, options_.beta2, /*weight_decay=*/0, options_.epsilon, /*amsgrad=*/false,
+                   /*maximize=*/false, scale);
+}
+
+void DeviceAdam::StepApart(const at::Tensor& gradient, const at::Tensor& norm, const at::Tensor& weights) {
+  gradient.mul_((options_.max_gradient_norm / (norm + 1e-6)).clamp_max(1).to(at::kFloat));
+  const auto t = static_cast<double>(steps_);
+  exp_avg_.mul_(options_.beta1).add_(gradient, 1 - options_.beta1);
+  exp_avg_sq_.mul_(options_.beta2).addcmul_(gradient, gradient, 1 - options_.beta2);
+  const at::Tensor divisor =
+      exp_avg_sq_.sqrt().mul_(1 / std::sqrt(1 - std::pow(options_.beta2, t))).add_(options_.epsilon);
+  weights.addcdiv_(exp_avg_, divisor, -options_.learning_rate / (1 - std::pow(options_.beta1, t)));
+}
+
+}  // namespace craftfleet

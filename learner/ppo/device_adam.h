@@ -1,0 +1,47 @@
+// Adam on a device. Equations: PPO.md, adam.h. Includes LibTorch's tensors.
+
+#ifndef CRAFTFLEET_LEARNER_PPO_DEVICE_ADAM_H_
+#define CRAFTFLEET_LEARNER_PPO_DEVICE_ADAM_H_
+
+#include <cstdint>
+
+#include <ATen/core/Tensor.h>
+#include <c10/core/Device.h>
+
+#include "learner/ppo/adam.h"
+
+namespace craftfleet {
+
+// The optimiser of one flat array of weights; moments and the number of steps stay on the device. Its functions throw
+// c10::Error. Used by one thread.
+class DeviceAdam {
+ public:
+  explicit DeviceAdam(const AdamOptions& options) : options_(options) {}
+
+  // Goes on from `state`, whose moments go to `device`.
+  void Load(const AdamState& state, at::Device device);
+
+  // Takes one step on `weights`, float[n], in place. `gradient`, float[n], is clipped by its norm; it may be changed.
+  // Returns its norm before: double[]. Waits for nothing.
+  at::Tensor Step(const at::Tensor& gradient, const at::Tensor& weights);
+
+  // float[n]
+  const at::Tensor& exp_avg() const { return exp_avg_; }
+  const at::Tensor& exp_avg_sq() const { return exp_avg_sq_; }
+  int64_t steps() const { return steps_; }
+
+ private:
+  // The same by one computation for clipping, moments and weights, which reads and writes each number once.
+  void StepFused(const at::Tensor& gradient, const at::Tensor& norm, const at::Tensor& weights);
+  void StepApart(const at::Tensor& gradient, const at::Tensor& norm, const at::Tensor& weights);
+
+  const AdamOptions options_;
+  at::Tensor exp_avg_;
+  at::Tensor exp_avg_sq_;
+  int64_t steps_ = 0;
+  at::Tensor device_steps_;  // float[] the same
+};
+
+}  // namespace craftfleet
+
+#endif  // CRAFTFLEET_LEARNER_PPO_DEVICE_ADAM_H_
