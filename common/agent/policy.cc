@@ -180,7 +180,7 @@ absl::Status Policy::Remember(absl::string_view before, absl::string_view after,
       }
     }
   } catch (const std::exception& error) {
-    return absl::InternalError(absl::StrCat("memory: ", error.what()));
+    return DeviceError("memory", error.what());
   }
   if (!AllFinite(changes)) return absl::InternalError("memory: the change of features is not finite");
   std::copy(changes.begin(), changes.end(), states.begin());

@@ -26,28 +26,32 @@ void DeviceAdam::Load(const AdamState& state, at::Device device) {
 at::Tensor DeviceAdam::Step(const at::Tensor& gradient, const at::Tensor& weights) {
   const c10::NoGradGuard no_grad;
   at::Tensor norm = at::linalg_vector_norm(gradient, 2, at::OptionalIntArrayRef(), /*keepdim=*/false, at::kDouble);
+  const int64_t count = gradient.numel();
+  const Parts parts = {gradient, weights.narrow(0, 0, count), exp_avg_.narrow(0, 0, count),
+                       exp_avg_sq_.narrow(0, 0, count)};
   ++steps_;
-  kIsFused ? StepFused(gradient, norm, weights) : StepApart(gradient, norm, weights);
+  kIsFused ? StepFused(parts, norm) : StepApart(parts, norm);
   return norm;
 }
 
-void DeviceAdam::StepFused(const at::Tensor& gradient, const at::Tensor& norm, const at::Tensor& weights) {
+void DeviceAdam::StepFused(const Parts& parts, const at::Tensor& norm) {
   device_steps_.add_(1);
   // The gradient is divided by it.
   const at::Tensor scale = ((norm + 1e-6) / options_.max_gradient_norm).clamp_min(1).to(at::kFloat);
-  at::_fused_adam_({weights}, {gradient}, {exp_avg_}, {exp_avg_sq_}, {}, {device_steps_}, options_.learning_rate,
-                   options_.beta1, options_.beta2, /*weight_decay=*/0, options_.epsilon, /*amsgrad=*/false,
-                   /*maximize=*/false, scale);
+  at::_fused_adam_({parts.weights}, {parts.gradient}, {parts.exp_avg}, {parts.exp_avg_sq}, {}, {device_steps_},
+                   options_.learning_rate, options_.beta1, options_.beta2, /*weight_decay=*/0, options_.epsilon,
+                   /*amsgrad=*/false, /*maximize=*/false, scale);
 }
 
-void DeviceAdam::StepApart(const at::Tensor& gradient, const at::Tensor& norm, const at::Tensor& weights) {
+void DeviceAdam::StepApart(const Parts& parts, const at::Tensor& norm) {
+  const auto& [gradient, weights, exp_avg, exp_avg_sq] = parts;
   gradient.mul_((options_.max_gradient_norm / (norm + 1e-6)).clamp_max(1).to(at::kFloat));
   const auto t = static_cast<double>(steps_);
-  exp_avg_.mul_(options_.beta1).add_(gradient, 1 - options_.beta1);
-  exp_avg_sq_.mul_(options_.beta2).addcmul_(gradient, gradient, 1 - options_.beta2);
+  exp_avg.mul_(options_.beta1).add_(gradient, 1 - options_.beta1);
+  exp_avg_sq.mul_(options_.beta2).addcmul_(gradient, gradient, 1 - options_.beta2);
   const at::Tensor divisor =
-      exp_avg_sq_.sqrt().mul_(1 / std::sqrt(1 - std::pow(options_.beta2, t))).add_(options_.epsilon);
-  weights.addcdiv_(exp_avg_, divisor, -options_.learning_rate / (1 - std::pow(options_.beta1, t)));
+      exp_avg_sq.sqrt().mul_(1 / std::sqrt(1 - std::pow(options_.beta2, t))).add_(options_.epsilon);
+  weights.addcdiv_(exp_avg, divisor, -options_.learning_rate / (1 - std::pow(options_.beta1, t)));
 }
 
 }  // namespace craftfleet

@@ -21,8 +21,9 @@ class DeviceAdam {
   // Goes on from `state`, whose moments go to `device`.
   void Load(const AdamState& state, at::Device device);
 
-  // Takes one step on `weights`, float[n], in place. `gradient`, float[n], is clipped by its norm; it may be changed.
-  // Returns its norm before: double[]. Waits for nothing.
+  // Takes one step on `weights`, float[n], in place. `gradient` is that of the first k of them, float[k]; the others
+  // stay as they are. It is clipped by its norm, and may be changed. Returns its norm before: double[]. Waits for
+  // nothing.
   at::Tensor Step(const at::Tensor& gradient, const at::Tensor& weights);
 
   // float[n]
@@ -31,9 +32,13 @@ class DeviceAdam {
   int64_t steps() const { return steps_; }
 
  private:
-  // The same by one computation for clipping, moments and weights, which reads and writes each number once.
-  void StepFused(const at::Tensor& gradient, const at::Tensor& norm, const at::Tensor& weights);
-  void StepApart(const at::Tensor& gradient, const at::Tensor& norm, const at::Tensor& weights);
+  // float[k] each.
+  struct Parts {
+    at::Tensor gradient, weights, exp_avg, exp_avg_sq;
+  };
+  // By one computation for clipping, moments and weights, which reads and writes each number once.
+  void StepFused(const Parts& parts, const at::Tensor& norm);
+  void StepApart(const Parts& parts, const at::Tensor& norm);
 
   const AdamOptions options_;
   at::Tensor exp_avg_;

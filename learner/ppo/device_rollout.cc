@@ -138,7 +138,10 @@ std::vector<DeviceMinibatch> SendMinibatches(const std::vector<Minibatch>& minib
     Parts parts;
     parts.rows = indices.Add(RowsOf(minibatch, rollout));
     DeviceMinibatch& sent = there.emplace_back();
-    if (!minibatch.lengths.empty()) {
+    if (minibatch.lengths.empty() && !rollout.states.empty()) {  // a memory before each row
+      parts.first_states =
+          indices.Add(FirstStatesOf({minibatch.rows, std::vector<int>(minibatch.rows.size(), 1)}, places));
+    } else if (!minibatch.lengths.empty()) {
       sent.segments.lengths = minibatch.lengths;
       sent.segments.packing = Pack(minibatch.lengths);
       parts.first_states = indices.Add(FirstStatesOf(minibatch, places));
@@ -152,8 +155,8 @@ std::vector<DeviceMinibatch> SendMinibatches(const std::vector<Minibatch>& minib
   indices.SendTo(device);
   for (size_t i = 0; i < there.size(); ++i) {
     there[i].rows = indices.Get(all[i].rows);
-    if (!there[i].segments.packing.has_value()) continue;
     there[i].first_states = indices.Get(all[i].first_states);
+    if (!there[i].segments.packing.has_value()) continue;
     Packing& packing = *there[i].segments.packing;
     packing.rows = indices.Get(all[i].packed_rows);
     packing.inverse_rows = indices.Get(all[i].inverse_rows);

@@ -22,6 +22,7 @@
 #include "common/base/keyed_random.h"
 #include "common/base/status_macros.h"
 #include "learner/ppo/device_loss.h"
+#include "learner/ppo/distillation/device_net.h"
 #include "learner/ppo/divergence.h"
 
 namespace craftfleet {
@@ -37,7 +38,7 @@ constexpr absl::string_view kKnownFields[] = {
     "ppo.decoupled_objective ppo.vtrace_rho_bar ppo.vtrace_c_bar ppo.recompute_values ppo.correction_pass",
     "network.extractor network.frame_size network.objects network.patch network.stride network.heads network.slots",
     "network.cls_learned network.positions network.dropout network.residual_mlp network.layer_norm",
-    "network.slot_competition network.recurrent network.critic network.width"};
+    "network.slot_competition network.recurrent network.critic network.width network.memory network.goal_predictor"};
 
 bool IsKnown(absl::string_view field) {
   const std::set<std::string> known = absl::StrSplit(absl::StrJoin(kKnownFields, " "), ' ');
@@ -61,6 +62,13 @@ bool IsOff(const google::protobuf::Message& message, const google::protobuf::Fie
   }
 }
 
+// The states of the first `count` Adams: PPO's and, if there are three, those of distillation.
+std::vector<AdamState*> AdamsOf(UpdateState* state, size_t count) {
+  std::vector<AdamState*> adams = {&state->adam, &state->distillation.matching, &state->distillation.prediction};
+  adams.resize(count);
+  return adams;
+}
+
 }  // namespace
 
 absl::Status DeviceUpdate::CheckFields(const google::protobuf::Message& message, const std::string& prefix) {
@@ -78,11 +86,7 @@ absl::Status DeviceUpdate::CheckFields(const google::protobuf::Message& message,
 absl::Status DeviceUpdate::CheckSupported(const v1::RunConfig& config) {
   CRAFTFLEET_RETURN_IF_ERROR(CheckFields(config, ""));
   CRAFTFLEET_RETURN_IF_ERROR(CheckFields(config.network(), "network."));
-  CRAFTFLEET_RETURN_IF_ERROR(CheckFields(config.ppo(), "ppo."));
-  if (config.distillation().every_iterations() == 0) return absl::OkStatus();
-  return absl::InvalidArgumentError(
-      "distillation.every_iterations: distillation is not computed on a device yet: set it to 0, or train with "
-      "--device=cpu");
+  return CheckFields(config.ppo(), "ppo.");
 }
 
 DeviceUpdate::DeviceUpdate(AgentSpec spec, const v1::RunConfig& config, at::Device device)
@@ -91,14 +95,15 @@ DeviceUpdate::DeviceUpdate(AgentSpec spec, const v1::RunConfig& config, at::Devi
       seed_(config.seed()),
       device_(device),
       network_(MakeNetwork(spec_.network)),
-      adam_(AdamOptionsOf(config_)) {}
+      adams_(config.distillation().every_iterations() > 0 ? 3 : 1, DeviceAdam(AdamOptionsOf(config_))) {}
 
 absl::StatusOr<UpdateStats> DeviceUpdate::Run(const Rollout& rollout, const std::vector<std::vector<Minibatch>>& epochs,
-                                              const std::function<bool()>& should_stop, UpdateState* state) {
+                                              const std::function<bool()>& should_stop, const AfterEpochs& after_epochs,
+                                              UpdateState* state) {
   try {
     if (!is_loaded_) Load(state);
     is_loaded_ = false;
-    CRAFTFLEET_ASSIGN_OR_RETURN(const UpdateStats stats, RunEpochs(rollout, epochs, should_stop, &state->adam));
+    CRAFTFLEET_ASSIGN_OR_RETURN(const UpdateStats stats, RunEpochs(rollout, epochs, should_stop, after_epochs, state));
     Fetch(state);
     is_loaded_ = true;
     return stats;
@@ -150,19 +155,18 @@ StartOutputs DeviceUpdate::FetchStart(const at::Tensor& outputs) {
 }
 
 void DeviceUpdate::Load(UpdateState* state) {
-  CopyMoments(&state->adam);
-  weights_ = SendFloats(state->weights, device_);
-  params_ = ParamsOf(spec_, weights_);
-  for (at::Tensor& weight : params_.tensors) weight.set_requires_grad(true);
-  adam_.Load(state->adam, device_);
-  value_norm_ = at::tensor({state->value_norm.mean, state->value_norm.mean_square}, at::kDouble).to(device_);
-  value_weight_ = state->value_norm.weight;
+  CopyMoments(state);
+  weights_.Load(spec_, state->weights, device_);
+  const std::vector<AdamState*> adams = AdamsOf(state, adams_.size());
+  for (size_t i = 0; i < adams.size(); ++i) adams_[i].Load(*adams[i], device_);
+  SendValueNorm(state->value_norm);
 }
 
 absl::StatusOr<UpdateStats> DeviceUpdate::RunEpochs(const Rollout& rollout,
                                                     const std::vector<std::vector<Minibatch>>& epochs,
-                                                    const std::function<bool()>& should_stop, AdamState* adam) {
-  const int64_t steps_before = adam_.steps();
+                                                    const std::function<bool()>& should_stop,
+                                                    const AfterEpochs& after_epochs, UpdateState* state) {
+  const int64_t steps_before = adams_[0].steps();
   std::vector<Minibatch> minibatches;
   for (const std::vector<Minibatch>& epoch : epochs) minibatches.insert(minibatches.end(), epoch.begin(), epoch.end());
   minibatches.push_back(TrialSteps(rollout, spec_.network.recurrent()));
@@ -177,20 +181,24 @@ absl::StatusOr<UpdateStats> DeviceUpdate::RunEpochs(const Rollout& rollout,
   const DeviceMinibatch trial = std::move(sent.back());
   sent.pop_back();
   std::vector<at::Tensor> records;
+  CorrectedRollout corrected;
+  const Rollout* learned = &rollout;
   for (const DeviceMinibatch& minibatch : sent) {
     if (start.defined() && records.size() == epochs[0].size()) {
-      const CorrectedRollout corrected = CorrectLag(rollout, FetchStart(start), config_);
+      corrected = CorrectLag(rollout, FetchStart(start), config_);
       stats.importance = corrected.importance;
-      SendTargets(corrected.rollout, device_, &there);
+      learned = &corrected.rollout;
+      SendTargets(*learned, device_, &there);
       NormaliseOverRollout(&there);
       start = at::Tensor();
     }
     records.push_back(RunMinibatch(there, minibatch, start));
     if (should_stop()) return UpdateStopped();
   }
+  if (after_epochs != nullptr) CRAFTFLEET_RETURN_IF_ERROR(after_epochs(*learned, &stats));
   const auto count = static_cast<int64_t>(records.size());
-  const at::Tensor are_finite = at::isfinite(weights_).all().logical_and(at::isfinite(value_norm_).all());
-  CopyMoments(adam);  // the device still computes
+  const at::Tensor are_finite = at::isfinite(weights_.flat).all().logical_and(at::isfinite(value_norm_).all());
+  CopyMoments(state);  // the device still computes
   // The only wait, but for FetchStart: double[6 * count + 3].
   const at::Tensor fetched =
       at::cat({at::stack(records).flatten(), are_finite.to(at::kDouble).view({1}), TryWeights(there, trial)}).cpu();
@@ -230,13 +238,13 @@ NetOutput DeviceUpdate::Forward(const DeviceRollout& rollout, const DeviceMiniba
   const at::Tensor frames = rollout.frames.index_select(0, minibatch.rows).to(at::kFloat).mul_(double{1.0F / 255.0F});
   Segments segments = minibatch.segments;
   if (spec_.state_size > 0) segments.states = rollout.states.index_select(0, minibatch.first_states);
-  return network_.Forward(params_, frames, segments, dropout);
+  return network_.Forward(weights_.params, frames, segments, dropout);
 }
 
 at::Tensor DeviceUpdate::RunMinibatch(const DeviceRollout& rollout, const DeviceMinibatch& minibatch,
                                       const at::Tensor& start) {
   const at::Tensor& rows = minibatch.rows;
-  const uint64_t key = KeyedBits(RandomUse::kDropout, seed_, static_cast<uint64_t>(adam_.steps()), 0);
+  const uint64_t key = KeyedBits(RandomUse::kDropout, seed_, static_cast<uint64_t>(adams_[0].steps()), 0);
   const NetOutput output = Forward(rollout, minibatch, Dropout{key, 0});
   if (start.defined()) start.index_copy_(0, rows, OutputsOf(rollout, minibatch, output));
 
@@ -250,7 +258,7 @@ at::Tensor DeviceUpdate::RunMinibatch(const DeviceRollout& rollout, const Device
   const DeviceLoss loss = PpoLossOnDevice(output.logits.detach(), output.values.detach(), targets,
                                           {config_.clip(), config_.value_coefficient(), config_.entropy_coefficient()});
   torch::autograd::backward({output.logits, output.values}, {loss.by_logits, loss.by_values});
-  return at::cat({loss.means, adam_.Step(TakeGradient(), weights_).view({1})});
+  return at::cat({loss.means, adams_[0].Step(weights_.TakeGradient(), weights_.flat).view({1})});
 }
 
 at::Tensor DeviceUpdate::NormaliseReturns(const at::Tensor& returns) {
@@ -271,35 +279,48 @@ DeviceUpdate::DeviceScale DeviceUpdate::value_scale() const {
   return {mean, (corrected.select(0, 1) - mean.square()).clamp_min(ValueNorm::kMinVariance).sqrt()};
 }
 
-at::Tensor DeviceUpdate::TakeGradient() {
-  std::vector<at::Tensor> parts;
-  for (at::Tensor& param : params_.tensors) {
-    parts.push_back(param.grad().flatten());
-    param.mutable_grad().reset();
-  }
-  return at::cat(parts);
-}
-
 void DeviceUpdate::Fetch(UpdateState* state) {
   const c10::NoGradGuard no_grad;
-  const int64_t count = weights_.numel();
-  if (!fetched_.defined()) fetched_ = HostTensor({3, count}, at::kFloat, device_);
-  fetched_.select(0, 0).copy_(weights_, /*non_blocking=*/true);
-  fetched_.select(0, 1).copy_(adam_.exp_avg(), /*non_blocking=*/true);
-  fetched_.select(0, 2).copy_(adam_.exp_avg_sq(), /*non_blocking=*/true);
-  const at::Tensor value_norm = value_norm_.cpu();  // waits for all of them
+  const int64_t count = weights_.flat.numel();
+  const auto rows = static_cast<int64_t>(1 + 2 * adams_.size());
+  if (!fetched_.defined()) fetched_ = HostTensor({rows, count}, at::kFloat, device_);
+  fetched_.select(0, 0).copy_(weights_.flat, /*non_blocking=*/true);
+  for (size_t i = 0; i < adams_.size(); ++i) {
+    fetched_.select(0, static_cast<int64_t>(1 + 2 * i)).copy_(adams_[i].exp_avg(), /*non_blocking=*/true);
+    fetched_.select(0, static_cast<int64_t>(2 + 2 * i)).copy_(adams_[i].exp_avg_sq(), /*non_blocking=*/true);
+  }
+  const ValueNorm value_norm = FetchValueNorm();  // waits for all of them
   std::copy_n(fetched_.data_ptr<float>(), count, state->weights.data());
   has_moments_ = true;
-  state->adam.steps = adam_.steps();
-  state->value_norm = {value_norm.data_ptr<double>()[0], value_norm.data_ptr<double>()[1], value_weight_};
+  const std::vector<AdamState*> adams = AdamsOf(state, adams_.size());
+  for (size_t i = 0; i < adams.size(); ++i) adams[i]->steps = adams_[i].steps();
+  state->value_norm = value_norm;
 }
 
-void DeviceUpdate::CopyMoments(AdamState* adam) {
+void DeviceUpdate::CopyMoments(UpdateState* state) {
   if (!std::exchange(has_moments_, false)) return;
-  const auto count = static_cast<int64_t>(adam->exp_avg.size());
-  const auto* const moments = fetched_.data_ptr<float>() + count;
-  std::copy_n(moments, count, adam->exp_avg.data());
-  std::copy_n(moments + count, count, adam->exp_avg_sq.data());
+  const auto count = static_cast<int64_t>(state->weights.size());
+  const float* moments = fetched_.data_ptr<float>() + count;
+  for (AdamState* const adam : AdamsOf(state, adams_.size())) {
+    for (std::vector<float>* const moment : {&adam->exp_avg, &adam->exp_avg_sq}) {
+      std::copy_n(moments, count, moment->data());
+      moments += count;
+    }
+  }
+}
+
+ValueNorm DeviceUpdate::FetchValueNorm() const {
+  const at::Tensor fetched = value_norm_.cpu();
+  return {fetched.data_ptr<double>()[0], fetched.data_ptr<double>()[1], value_weight_};
+}
+
+void DeviceUpdate::SendValueNorm(const ValueNorm& norm) {
+  value_norm_ = at::tensor({norm.mean, norm.mean_square}, at::kDouble).to(device_);
+  value_weight_ = norm.weight;
+}
+
+std::unique_ptr<DistillationNet> DeviceUpdate::MakeDistillationNet() {
+  return std::make_unique<DeviceNet>(spec_, device_, &weights_, &adams_[1], &adams_[2]);
 }
 
 }  // namespace craftfleet

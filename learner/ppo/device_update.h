@@ -6,6 +6,7 @@
 
 #include <cstdint>
 #include <functional>
+#include <memory>
 #include <optional>
 #include <string>
 #include <vector>
@@ -17,16 +18,17 @@
 
 #include "common/agent/agent_spec.h"
 #include "common/agent/nets/network.h"
-#include "common/agent/nets/param_tensors.h"
 #include "craftfleet/v1/config.pb.h"
-#include "learner/ppo/adam.h"
 #include "learner/ppo/device_adam.h"
 #include "learner/ppo/device_rollout.h"
+#include "learner/ppo/device_weights.h"
+#include "learner/ppo/distillation/distillation_net.h"
 #include "learner/ppo/lag_correction.h"
 #include "learner/ppo/minibatches.h"
 #include "learner/ppo/rollout.h"
 #include "learner/ppo/update_state.h"
 #include "learner/ppo/update_stats.h"
+#include "learner/ppo/value_norm.h"
 
 namespace craftfleet {
 
@@ -45,23 +47,35 @@ class DeviceUpdate {
   // Fields that are false or 0 ask for nothing.
   static absl::Status CheckFields(const google::protobuf::Message& message, const std::string& prefix);
 
+  // What follows PPO's epochs in an iteration: takes the rollout that they learned from, maybe corrected, and adds to
+  // the statistics.
+  using AfterEpochs = std::function<absl::Status(const Rollout&, UpdateStats*)>;
+
   // Takes optimiser steps over `epochs`, each epoch's minibatches of `rollout` in order, from `state` on. If that is
   // not what the last Run returned, Forget must be called before. `should_stop` is asked after each minibatch. Unless
-  // OK, `state` is as before. Adam's moments come to `state` with CopyMoments.
+  // OK, `state` is as before. Adams' moments come to `state` with CopyMoments. `after_epochs`: null: nothing.
   //   Cancelled: should_stop() said so.   DataLoss: gradient or weights are not finite, or training diverges
   //   (divergence.h).   ResourceExhausted: the device's memory does not suffice; says what to lower.   Others as
-  //   DeviceError (common/agent/device.h).
+  //   DeviceError (common/agent/device.h), or of `after_epochs`.
   absl::StatusOr<UpdateStats> Run(const Rollout& rollout, const std::vector<std::vector<Minibatch>>& epochs,
-                                  const std::function<bool()>& should_stop, UpdateState* state);
+                                  const std::function<bool()>& should_stop, const AfterEpochs& after_epochs,
+                                  UpdateState* state);
 
   // What the weights of `state` say about the rollout. `minibatches` have each row once. Waits for the device;
   // otherwise as Run.
   absl::StatusOr<StartOutputs> ComputeStart(const Rollout& rollout, const std::vector<Minibatch>& minibatches,
                                             const std::function<bool()>& should_stop, UpdateState* state);
 
-  // Copies the moments after the last Run that was OK to `adam`, that of its `state`, if they are not there yet. They
-  // are in host memory already, but only a checkpoint needs them.
-  void CopyMoments(AdamState* adam);
+  // Copies the moments after the last Run that was OK to its `state`, if they are not there yet. They are in host
+  // memory already, but only a checkpoint needs them.
+  void CopyMoments(UpdateState* state);
+
+  // For `after_epochs`: the value normaliser, which is fetched and sent, and a network that trains the weights. Throw
+  // c10::Error.
+  ValueNorm FetchValueNorm() const;
+  void SendValueNorm(const ValueNorm& norm);
+  // Used by `after_epochs` alone. This object outlives it.
+  std::unique_ptr<DistillationNet> MakeDistillationNet();
 
   // The next Run or ComputeStart sends its `state` to the device again.
   void Forget() {
@@ -72,9 +86,10 @@ class DeviceUpdate {
  private:
   // Sends `state` to the device, with the moments of the last Run that was OK.
   void Load(UpdateState* state);
-  // `adam`: gets the moments of the last Run while the device computes.
+  // `state` gets the moments of the last Run while the device computes.
   absl::StatusOr<UpdateStats> RunEpochs(const Rollout& rollout, const std::vector<std::vector<Minibatch>>& epochs,
-                                        const std::function<bool()>& should_stop, AdamState* adam);
+                                        const std::function<bool()>& should_stop, const AfterEpochs& after_epochs,
+                                        UpdateState* state);
   NetOutput Forward(const DeviceRollout& rollout, const DeviceMinibatch& minibatch,
                     const std::optional<Dropout>& dropout) const;
   // LargestOutputs of the present weights for the steps of `trial`: double[2].
@@ -97,8 +112,6 @@ class DeviceUpdate {
   at::Tensor RunMinibatch(const DeviceRollout& rollout, const DeviceMinibatch& minibatch, const at::Tensor& start);
   // Adds returns float[n] to the value normaliser, and returns them normalised.
   at::Tensor NormaliseReturns(const at::Tensor& returns);
-  // The gradient of all parameters, float[param_count], which is then forgotten.
-  at::Tensor TakeGradient();
   // Copies everything that an update changes to the host: moments to `fetched_`, the rest to `state`, which does not
   // change if that throws.
   void Fetch(UpdateState* state);
@@ -110,13 +123,12 @@ class DeviceUpdate {
   const Network network_;
 
   bool is_loaded_ = false;  // whether the following is the state after the last Run
-  at::Tensor weights_;      // float[param_count]
-  ParamTensors params_;     // views of them
-  DeviceAdam adam_;
-  at::Tensor value_norm_;    // double[2] the normaliser's mean and mean square, not corrected
-  double value_weight_ = 0;  // and its weight
+  DeviceWeights weights_;
+  std::vector<DeviceAdam> adams_;  // PPO's; with distillation also those of matching and prediction
+  at::Tensor value_norm_;          // double[2] the normaliser's mean and mean square, not corrected
+  double value_weight_ = 0;        // and its weight
 
-  at::Tensor fetched_;        // float[3,param_count] on the host: weights and moments; undefined before the first Run
+  at::Tensor fetched_;        // float[1+2k,param_count] on the host: weights, k Adams' moments; undefined before a Run
   bool has_moments_ = false;  // whether they are newer than the state's
 };
 

@@ -16,6 +16,7 @@
 #include "common/base/keyed_random.h"
 #include "common/base/status_macros.h"
 #include "learner/ppo/device_update.h"
+#include "learner/ppo/distillation/sharded_net.h"
 #include "learner/ppo/divergence.h"
 #include "learner/ppo/optimizer_file.h"
 
@@ -89,10 +90,15 @@ PpoUpdater::PpoUpdater(AgentSpec spec, const v1::RunConfig& config, int threads,
       workers_(threads, SetUpTorchThread),
       state_(FreshState(InitialWeights(spec_, seed_))),
       device_(device == kCpuDevice ? nullptr : std::make_unique<DeviceUpdate>(spec_, config, at::Device(device))) {
+  const auto weights = absl::MakeSpan(state_.weights);
+  if (distills_) {
+    distiller_ = std::make_unique<Distiller>(
+        spec_, config,
+        device_ != nullptr ? device_->MakeDistillationNet()
+                           : std::make_unique<ShardedNet>(spec_, config, weights, &state_.distillation, &workers_));
+  }
   if (device_ != nullptr) return;
-  if (distills_) distiller_ = std::make_unique<Distiller>(spec_, config, absl::MakeSpan(state_.weights), &workers_);
-  shards_ =
-      std::make_unique<GradientShards>(spec_, config_, gradient_shards_, absl::MakeSpan(state_.weights), &workers_);
+  shards_ = std::make_unique<GradientShards>(spec_, config_, gradient_shards_, weights, &workers_);
 }
 
 PpoUpdater::~PpoUpdater() = default;
@@ -154,9 +160,17 @@ absl::StatusOr<UpdateStats> PpoUpdater::RunUpdate(int64_t iteration, const Rollo
     if (!agreed.ok()) stats = agreed;
   }
   if (!stats.ok()) Restore(std::move(before));
-  if (distiller_ != nullptr && stats.ok()) distiller_->Commit(iteration);
-  if (distiller_ != nullptr && !stats.ok()) distiller_->Undo(iteration);
+  EndDistillation(iteration, stats.ok());
   return stats;
+}
+
+void PpoUpdater::EndDistillation(int64_t iteration, bool succeeded) {
+  if (distiller_ == nullptr) return;
+  if (succeeded) {
+    distiller_->Commit(iteration);
+  } else {
+    distiller_->Undo(iteration);
+  }
 }
 
 absl::StatusOr<UpdateStats> PpoUpdater::RunIteration(int64_t iteration, const Rollout& rollout,
@@ -165,8 +179,7 @@ absl::StatusOr<UpdateStats> PpoUpdater::RunIteration(int64_t iteration, const Ro
   const Rollout* learned = &rollout;
   CRAFTFLEET_ASSIGN_OR_RETURN(UpdateStats stats, RunEpochs(iteration, should_stop, &corrected, &learned));
   if (distiller_ != nullptr) {
-    CRAFTFLEET_RETURN_IF_ERROR(
-        distiller_->OnIteration(iteration, *learned, should_stop, &state_.distillation, &state_.value_norm, &stats));
+    CRAFTFLEET_RETURN_IF_ERROR(distiller_->OnIteration(iteration, *learned, should_stop, &state_.value_norm, &stats));
   }
   CRAFTFLEET_RETURN_IF_ERROR(CheckWeights(rollout));
   return stats;
@@ -182,8 +195,18 @@ absl::StatusOr<UpdateStats> PpoUpdater::UpdateOnDevice(int64_t iteration, const 
       minibatch = Joined(CutIntoShards(minibatch, gradient_shards_));
     }
   }
-  CRAFTFLEET_ASSIGN_OR_RETURN(UpdateStats stats, device_->Run(rollout, epochs, should_stop, &state_));
-  stats.explained_variance = ExplainedVariance(rollout);
+  const auto distil = [&](const Rollout& learned, UpdateStats* stats) {
+    ValueNorm norm;
+    const bool is_due = distiller_->IsDue(iteration);
+    if (is_due) norm = device_->FetchValueNorm();
+    CRAFTFLEET_RETURN_IF_ERROR(distiller_->OnIteration(iteration, learned, should_stop, &norm, stats));
+    if (is_due) device_->SendValueNorm(norm);
+    return absl::OkStatus();
+  };
+  absl::StatusOr<UpdateStats> stats =
+      device_->Run(rollout, epochs, should_stop, distills_ ? DeviceUpdate::AfterEpochs(distil) : nullptr, &state_);
+  EndDistillation(iteration, stats.ok());
+  if (stats.ok()) stats->explained_variance = ExplainedVariance(rollout);
   return stats;
 }
 
@@ -329,7 +352,7 @@ void PpoUpdater::Restore(State state) {
 std::string PpoUpdater::SaveWeights() const { return craftfleet::SaveWeights(spec_, state_.weights); }
 
 std::string PpoUpdater::SaveOptimizer() {
-  if (device_ != nullptr) device_->CopyMoments(&state_.adam);
+  if (device_ != nullptr) device_->CopyMoments(&state_);
   SafeTensors file;
   AddAdam(spec_, "", state_.adam, &file);
   if (config_.value_norm_decay() > 0) AddValueNorm(state_.value_norm, &file);

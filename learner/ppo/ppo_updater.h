@@ -122,6 +122,8 @@ class PpoUpdater {
   // RunEpochs, then distillation if there is one.
   absl::StatusOr<UpdateStats> RunIteration(int64_t iteration, const Rollout& rollout,
                                            const std::function<bool()>& should_stop);
+  // Ends an iteration for the distiller, if there is one.
+  void EndDistillation(int64_t iteration, bool succeeded);
   // One optimiser step; adds its gradient norm to `stats` and returns the means of its losses.
   absl::StatusOr<PpoLossSums> RunMinibatch(const Rollout& rollout, const Minibatch& minibatch, StartOutputs* start,
                                            UpdateStats* stats);

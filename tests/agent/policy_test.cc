@@ -14,6 +14,7 @@
 #include "common/base/keyed_random.h"
 #include "tests/agent/golden_agent.h"
 #include "tests/agent/stand_in_device.h"
+#include "tests/fakes/status_matchers.h"
 
 namespace craftfleet {
 namespace {
@@ -207,7 +208,8 @@ TEST(Policy, ActsOnADeviceAsOnTheCpu) {
        {R"(agent: "ppo_cnn" network { frame_size: 40 })",
         R"(agent: "lstm_cnn" network { frame_size: 40 critic: LSTM })",
         R"(agent: "ppo_spcnn" network { frame_size: 12 })", R"(agent: "oc_sa" network { frame_size: 20 })",
-        R"(agent: "oc_ca" network { frame_size: 32 })", R"(agent: "ppo_resnet" network { frame_size: 12 })"}) {
+        R"(agent: "oc_ca" network { frame_size: 32 })", R"(agent: "ppo_resnet" network { frame_size: 12 })",
+        R"(agent: "achievement_distillation" network { extractor: CNN frame_size: 40 })"}) {
     const auto here = SmallPolicy(text, "cpu");
     for (const std::string device : {"cpu:0", testing::kStandInDevice}) {
       const auto there = SmallPolicy(text, device);
@@ -241,6 +243,21 @@ TEST(Policy, ActsOnADeviceAsOnTheCpu) {
       const auto state = absl::MakeSpan(alone).subspan(2 * size_of_state, size_of_state);
       EXPECT_EQ(there->Act(frame, {2}, {0.3}, state)->values[0], actual.values[2]) << text << device;
     }
+  }
+}
+
+TEST(Policy, RemembersOnADeviceAsOnTheCpu) {
+  const std::string text = R"(agent: "achievement_distillation" network { extractor: CNN frame_size: 40 })";
+  const auto here = SmallPolicy(text, "cpu");
+  const std::vector<int> lanes = {0, 1, 2, 3, 5};  // two tiles
+  const std::string before = GoldenFrames(1, 5, 40);
+  const std::string after = GoldenFrames(2, 5, 40);
+  std::vector<float> expected(5 * here->state_size());
+  ASSERT_THAT(here->Remember(before, after, lanes, absl::MakeSpan(expected)), IsOk());
+  for (const std::string device : {"cpu:0", testing::kStandInDevice}) {
+    std::vector<float> actual(expected.size());
+    ASSERT_THAT(SmallPolicy(text, device)->Remember(before, after, lanes, absl::MakeSpan(actual)), IsOk());
+    for (size_t i = 0; i < actual.size(); ++i) ASSERT_NEAR(actual[i], expected[i], 1e-4) << device;
   }
 }
 

@@ -2,49 +2,18 @@
 
 #include <algorithm>
 #include <cmath>
-#include <exception>
 #include <map>
 #include <utility>
 
-#include <ATen/ATen.h>
 #include <absl/strings/str_cat.h>
-#include <c10/core/GradMode.h>
-#include <torch/csrc/autograd/autograd.h>
 
 #include "common/agent/code_change.h"
-#include "common/agent/policy_net.h"
-#include "common/agent/torch_setup.h"
 #include "common/base/status_macros.h"
 #include "learner/ppo/distillation/distillation_loss.h"
 #include "learner/ppo/distillation/goals.h"
 
 namespace craftfleet {
 namespace {
-
-constexpr size_t kRowsAtOnce = 64;  // of one shard, without gradients
-
-int CodeSizeOf(const AgentSpec& spec) {
-  // The heads see features and memory.
-  for (const ParamSpec& param : spec.params) {
-    if (param.name == "value_net.weight") return static_cast<int>(param.shape[1]) - spec.state_size;
-  }
-  return 0;
-}
-
-// Copies float[rows,width] to rows first.. of `all`, float[n,width].
-void CopyRows(const at::Tensor& tensor, size_t first, std::vector<float>* all) {
-  const at::Tensor contiguous = tensor.detach().contiguous();
-  const int64_t width = contiguous.numel() / contiguous.size(0);
-  std::copy_n(contiguous.data_ptr<float>(), contiguous.numel(), all->begin() + first * width);
-}
-
-// Rows first.. of `all`, as a tensor like `output`.
-at::Tensor RowsLike(const at::Tensor& output, size_t first, const std::vector<float>& all) {
-  at::Tensor rows = at::empty(output.sizes());
-  const int64_t width = rows.numel() / rows.size(0);
-  std::copy_n(all.begin() + first * width, rows.numel(), rows.data_ptr<float>());
-  return rows;
-}
 
 // The rows of `step`, each once, with their place in it. A new row does not count in keeping policy and value.
 class RowIndex {
@@ -69,104 +38,18 @@ class RowIndex {
 
 }  // namespace
 
-struct DistillationSteps::Shard {
-  Shard(const AgentSpec& spec, absl::Span<float> weights)
-      : net(spec, PolicyNet::Use::kTraining, weights), frames(at::empty({0})) {}
-
-  PolicyNet net;
-  at::Tensor frames;  // float[rows,H,W,3], reused
-  NetOutput output;   // of the last forward pass
-  absl::Status status;
-};
-
-struct DistillationSteps::Numbers {
-  Numbers(size_t rows, int code_size, bool predicts)
-      : logits(rows * kNumActions),
-        values(rows),
-        codes(rows * code_size),
-        predictions(predicts ? rows * code_size : 0),
-        width(code_size) {}
-
-  const float* code(int row) const { return &codes[static_cast<size_t>(row) * width]; }
-  float* code(int row) { return &codes[static_cast<size_t>(row) * width]; }
-  const float* prediction(int row) const { return &predictions[static_cast<size_t>(row) * width]; }
-  float* prediction(int row) { return &predictions[static_cast<size_t>(row) * width]; }
-
-  std::vector<float> logits;       // [n,17]
-  std::vector<float> values;       // [n]
-  std::vector<float> codes;        // [n,width]
-  std::vector<float> predictions;  // [n,width], or empty
-  int width;
-};
-
 DistillationSteps::DistillationSteps(const AgentSpec& spec, const v1::RunConfig& config, const KeptRollouts* rollouts,
-                                     absl::Span<float> weights, WorkerPool* workers)
-    : spec_(spec),
-      ppo_(config.ppo()),
+                                     DistillationNet* net)
+    : ppo_(config.ppo()),
       temperature_(config.distillation().temperature()),
       code_size_(CodeSizeOf(spec)),
       rollouts_(rollouts),
-      weights_(weights),
-      workers_(workers) {
-  for (int i = 0; i < config.gradient_shards(); ++i) {
-    shards_.push_back(std::make_unique<Shard>(spec_, weights_));
-  }
-}
-
-DistillationSteps::~DistillationSteps() = default;
-
-void DistillationSteps::LoadFrames(absl::Span<const int> rows, Shard* shard) const {
-  std::vector<const uint8_t*> frames;
-  frames.reserve(rows.size());
-  for (const int row : rows) frames.push_back(rollouts_->frame(row));
-  shard->frames.resize_({static_cast<int64_t>(rows.size()), spec_.frame_size, spec_.frame_size, 3});
-  ScaleFrames(frames, spec_.frame_bytes(), shard->frames.data_ptr<float>());
-}
-
-absl::Status DistillationSteps::RunShards(size_t rows, const std::function<void(Shard*, size_t, size_t)>& part) {
-  const size_t parts = std::min(shards_.size(), rows);
-  workers_->Run(static_cast<int>(parts), [&](int i) {
-    Shard* const shard = shards_[i].get();
-    const size_t first = rows * i / parts;
-    try {
-      part(shard, first, rows * (i + 1) / parts - first);
-      shard->status = absl::OkStatus();
-    } catch (const std::exception& error) {
-      shard->status = absl::InternalError(absl::StrCat("distillation: ", error.what()));
-    }
-  });
-  for (size_t i = 0; i < parts; ++i) CRAFTFLEET_RETURN_IF_ERROR(shards_[i]->status);
-  return absl::OkStatus();
-}
-
-absl::StatusOr<std::vector<float>> DistillationSteps::Codes(absl::Span<const int> rows) {
-  std::vector<float> codes(rows.size() * code_size_);
-  CRAFTFLEET_RETURN_IF_ERROR(RunShards(rows.size(), [&](Shard* shard, size_t first, size_t count) {
-    const c10::NoGradGuard no_grad;
-    for (size_t done = 0; done < count; done += kRowsAtOnce) {
-      LoadFrames(rows.subspan(first + done, std::min(kRowsAtOnce, count - done)), shard);
-      CopyRows(shard->net.Codes(shard->frames).cpu(), first + done, &codes);
-    }
-  }));
-  return codes;
-}
-
-absl::StatusOr<std::vector<float>> DistillationSteps::Logits(absl::Span<const int> rows) {
-  std::vector<float> logits;
-  const c10::NoGradGuard no_grad;
-  const size_t at_once = kRowsAtOnce * shards_.size();
-  for (size_t done = 0; done < rows.size(); done += at_once) {
-    const absl::Span<const int> some = rows.subspan(done, at_once);
-    CRAFTFLEET_ASSIGN_OR_RETURN(const Numbers outputs, Forward({{some.begin(), some.end()}, {}, /*predicts=*/false}));
-    logits.insert(logits.end(), outputs.logits.begin(), outputs.logits.end());
-  }
-  return logits;
-}
+      net_(net) {}
 
 absl::StatusOr<std::vector<float>> DistillationSteps::GoalChanges(const KeptEpisode& episode) {
   std::vector<int> rows;
   for (const int goal : episode.goals) rows.insert(rows.end(), {episode.rows[goal], episode.rows[goal + 1]});
-  CRAFTFLEET_ASSIGN_OR_RETURN(const std::vector<float> codes, Codes(rows));
+  CRAFTFLEET_ASSIGN_OR_RETURN(const std::vector<float> codes, net_->Codes(rows));
   const auto size = static_cast<size_t>(code_size_);
   const absl::Span<const float> all = codes;
   std::vector<float> changes(episode.goals.size() * size);
@@ -177,52 +60,9 @@ absl::StatusOr<std::vector<float>> DistillationSteps::GoalChanges(const KeptEpis
   return changes;
 }
 
-absl::StatusOr<DistillationSteps::Numbers> DistillationSteps::Forward(const Step& step) {
-  Numbers outputs(step.rows.size(), code_size_, step.predicts);
-  const bool has_gradients = c10::GradMode::is_enabled();
-  CRAFTFLEET_RETURN_IF_ERROR(RunShards(step.rows.size(), [&](Shard* shard, size_t first, size_t count) {
-    const c10::AutoGradMode mode(has_gradients);
-    const auto rows = absl::MakeConstSpan(step.rows).subspan(first, count);
-    LoadFrames(rows, shard);
-    const auto n = static_cast<int64_t>(count);
-    Segments inputs{std::vector<int>(count, 1), at::zeros({n, spec_.state_size})};
-    inputs.wants_codes = true;
-    if (step.predicts) inputs.actions = at::zeros({n, kNumActions});
-    for (size_t i = 0; i < count; ++i) {
-      const float* const memory = rollouts_->memory(rows[i]);
-      if (memory != nullptr) {
-        std::copy_n(memory, spec_.state_size, inputs.states.data_ptr<float>() + i * spec_.state_size);
-      }
-      const auto action = static_cast<size_t>(rollouts_->action(rows[i]));
-      if (step.predicts) inputs.actions.data_ptr<float>()[i * kNumActions + action] = 1;
-    }
-    shard->output = shard->net.Forward(shard->frames, inputs);
-    CopyRows(shard->output.logits, first, &outputs.logits);
-    CopyRows(shard->output.values, first, &outputs.values);
-    CopyRows(shard->output.codes, first, &outputs.codes);
-    if (step.predicts) CopyRows(shard->output.predictions, first, &outputs.predictions);
-  }));
-  return outputs;
-}
-
-absl::Status DistillationSteps::Backward(const Numbers& gradients, size_t rows) {
-  return RunShards(rows, [&](Shard* shard, size_t first, size_t /*count*/) {
-    const NetOutput output = std::exchange(shard->output, {});
-    std::vector<at::Tensor> outputs = {output.logits, output.values};
-    std::vector<at::Tensor> by_outputs = {RowsLike(output.logits, first, gradients.logits),
-                                          RowsLike(output.values, first, gradients.values)};
-    // Predicting does not train the goals' features, nor matching the predictor.
-    outputs.push_back(gradients.predictions.empty() ? output.codes : output.predictions);
-    by_outputs.push_back(
-        RowsLike(outputs.back(), first, gradients.predictions.empty() ? gradients.codes : gradients.predictions));
-    shard->net.ClearGradients();
-    torch::autograd::backward(outputs, by_outputs);
-  });
-}
-
-void DistillationSteps::KeepPolicyAndValue(const Step& step, const Numbers& outputs,
+void DistillationSteps::KeepPolicyAndValue(const Step& step, const NetNumbers& outputs,
                                            const std::vector<float>& old_logits, ValueNorm* value_norm,
-                                           Numbers* gradients, DistillationLosses* losses) const {
+                                           NetNumbers* gradients, DistillationLosses* losses) const {
   std::vector<float> returns;
   for (size_t i = 0; i < step.rows.size(); ++i) {
     returns.insert(returns.end(), step.counts[i], rollouts_->return_of(step.rows[i]));
@@ -244,23 +84,14 @@ void DistillationSteps::KeepPolicyAndValue(const Step& step, const Numbers& outp
 }
 
 absl::StatusOr<DistillationLosses> DistillationSteps::Run(const Step& step, const Contrast& contrast,
-                                                          const std::vector<float>& old_logits, ValueNorm* value_norm,
-                                                          AdamState* adam) {
-  CRAFTFLEET_ASSIGN_OR_RETURN(const Numbers outputs, Forward(step));
-  Numbers gradients(step.rows.size(), code_size_, step.predicts);
+                                                          const std::vector<float>& old_logits, ValueNorm* value_norm) {
+  const bool predicts = step.loss == DistillationLoss::kPrediction;
+  CRAFTFLEET_ASSIGN_OR_RETURN(const NetNumbers outputs, net_->Forward(step.rows, predicts));
+  NetNumbers gradients(step.rows.size(), code_size_, predicts);
   DistillationLosses losses;
   losses.contrastive = contrast(outputs, &gradients);
   KeepPolicyAndValue(step, outputs, old_logits, value_norm, &gradients, &losses);
-  CRAFTFLEET_RETURN_IF_ERROR(Backward(gradients, step.rows.size()));
-  std::vector<ShardGradient> by_shard;
-  for (size_t i = 0; i < std::min(shards_.size(), step.rows.size()); ++i) {
-    by_shard.push_back(shards_[i]->net.gradients());
-  }
-  AdamOptions options;
-  options.learning_rate = ppo_.learning_rate();
-  options.epsilon = ppo_.adam_epsilon();
-  options.max_gradient_norm = ppo_.max_gradient_norm();
-  losses.gradient_norm = AdamStep(options, by_shard, weights_, adam, workers_);
+  CRAFTFLEET_ASSIGN_OR_RETURN(losses.gradient_norm, net_->Step(gradients, step.loss));
   if (!std::isfinite(losses.gradient_norm)) {
     return absl::DataLossError(absl::StrCat("distillation: the gradient's norm is ", losses.gradient_norm));
   }
@@ -269,11 +100,11 @@ absl::StatusOr<DistillationLosses> DistillationSteps::Run(const Step& step, cons
 
 absl::StatusOr<DistillationLosses> DistillationSteps::Predict(const PredictionBatch& batch,
                                                               const std::vector<float>& old_logits,
-                                                              ValueNorm* value_norm, AdamState* adam) {
+                                                              ValueNorm* value_norm) {
   const KeptEpisode& episode = *batch.episode;
   const int length = static_cast<int>(episode.rows.size());
   Step step;
-  step.predicts = true;
+  step.loss = DistillationLoss::kPrediction;
   RowIndex index(&step.rows, &step.counts);
   struct Places {
     int before, after, positive, negative;  // of the step's rows; after: kNoFrame
@@ -286,7 +117,7 @@ absl::StatusOr<DistillationLosses> DistillationSteps::Predict(const PredictionBa
                       index.Add(episode.rows[batch.steps[i]], 1), index.Add(episode.rows[batch.negatives[i]], 1)});
   }
   const auto size = static_cast<size_t>(code_size_);
-  const Contrast contrast = [&](const Numbers& outputs, Numbers* gradients) {
+  const Contrast contrast = [&](const NetNumbers& outputs, NetNumbers* gradients) {
     std::vector<float> anchors(places.size() * size);
     std::vector<ContrastiveRow> rows;
     for (size_t i = 0; i < places.size(); ++i) {
@@ -299,12 +130,12 @@ absl::StatusOr<DistillationLosses> DistillationSteps::Predict(const PredictionBa
     }
     return ContrastiveLoss(rows, code_size_, temperature_);
   };
-  return Run(step, contrast, old_logits, value_norm, adam);
+  return Run(step, contrast, old_logits, value_norm);
 }
 
 absl::StatusOr<DistillationLosses> DistillationSteps::Match(const MatchingBatch& batch,
-                                                            const std::vector<float>& old_logits, ValueNorm* value_norm,
-                                                            AdamState* adam) {
+                                                            const std::vector<float>& old_logits,
+                                                            ValueNorm* value_norm) {
   const KeptEpisode& source = *batch.source;
   Step step;
   RowIndex index(&step.rows, &step.counts);
@@ -317,10 +148,10 @@ absl::StatusOr<DistillationLosses> DistillationSteps::Match(const MatchingBatch&
     }
   }
   for (const int t : batch.kept) index.Add(source.rows[t], 1);
-  CRAFTFLEET_ASSIGN_OR_RETURN(const std::vector<float> target_codes, Codes(target_rows));
+  CRAFTFLEET_ASSIGN_OR_RETURN(const std::vector<float> target_codes, net_->Codes(target_rows));
 
   const auto size = static_cast<size_t>(code_size_);
-  const Contrast contrast = [&](const Numbers& outputs, Numbers* gradients) {
+  const Contrast contrast = [&](const NetNumbers& outputs, NetNumbers* gradients) {
     // Positive, negative, anchor and the gradient by the anchor of each goal.
     std::vector<float> vectors(places.size() * 4 * size);
     std::vector<ContrastiveRow> rows;
@@ -347,7 +178,7 @@ absl::StatusOr<DistillationLosses> DistillationSteps::Match(const MatchingBatch&
     }
     return loss;
   };
-  return Run(step, contrast, old_logits, value_norm, adam);
+  return Run(step, contrast, old_logits, value_norm);
 }
 
 }  // namespace craftfleet

@@ -43,13 +43,12 @@ class Draws {
 class Distiller::Phase {
  public:
   Phase(const v1::DistillationConfig& config, Draws draws, std::vector<KeptEpisode> episodes, DistillationSteps* steps,
-        const std::function<bool()>& should_stop, DistillationAdams* adams, ValueNorm* value_norm)
+        const std::function<bool()>& should_stop, ValueNorm* value_norm)
       : config_(config),
         draws_(draws),
         episodes_(std::move(episodes)),
         steps_(steps),
         should_stop_(should_stop),
-        adams_(adams),
         value_norm_(value_norm) {}
 
   absl::Status Run(int rows) {
@@ -117,8 +116,7 @@ class Distiller::Phase {
     for (size_t i = 0; i < batch.goals.size(); ++i) {
       batch.kept.push_back(draws_.Below(static_cast<int>(source.rows.size())));
     }
-    CRAFTFLEET_ASSIGN_OR_RETURN(const DistillationLosses losses,
-                                steps_->Match(batch, old_logits_, value_norm_, &adams_->matching));
+    CRAFTFLEET_ASSIGN_OR_RETURN(const DistillationLosses losses, steps_->Match(batch, old_logits_, value_norm_));
     stats_.matching_loss += losses.contrastive;
     ++stats_.matching_steps;
     return Add(losses);
@@ -135,8 +133,7 @@ class Distiller::Phase {
         batch.steps.push_back(order[i]);
         batch.negatives.push_back(negatives[order[i]]);
       }
-      CRAFTFLEET_ASSIGN_OR_RETURN(const DistillationLosses losses,
-                                  steps_->Predict(batch, old_logits_, value_norm_, &adams_->prediction));
+      CRAFTFLEET_ASSIGN_OR_RETURN(const DistillationLosses losses, steps_->Predict(batch, old_logits_, value_norm_));
       stats_.prediction_loss += losses.contrastive;
       ++stats_.prediction_steps;
       CRAFTFLEET_RETURN_IF_ERROR(Add(losses));
@@ -156,24 +153,27 @@ class Distiller::Phase {
   const std::vector<KeptEpisode> episodes_;
   DistillationSteps* const steps_;
   const std::function<bool()>& should_stop_;
-  DistillationAdams* const adams_;
   ValueNorm* const value_norm_;
   std::vector<float> old_logits_;  // [rows,17], of the rows of episodes_
   DistillationStats stats_;        // sums
 };
 
-Distiller::Distiller(const AgentSpec& spec, const v1::RunConfig& config, absl::Span<float> weights, WorkerPool* workers)
+Distiller::Distiller(const AgentSpec& spec, const v1::RunConfig& config, std::unique_ptr<DistillationNet> net)
     : config_(config.distillation()),
       seed_(config.seed()),
       rollouts_(config.lanes(), spec.frame_bytes(), spec.state_size),
-      steps_(spec, config, &rollouts_, weights, workers) {}
+      net_(std::move(net)),
+      steps_(spec, config, &rollouts_, net_.get()) {}
 
 absl::Status Distiller::OnIteration(int64_t iteration, const Rollout& rollout, const std::function<bool()>& should_stop,
-                                    DistillationAdams* adams, ValueNorm* value_norm, UpdateStats* stats) {
+                                    ValueNorm* value_norm, UpdateStats* stats) {
   rollouts_.Add(iteration, rollout);
   if (!IsDue(iteration)) return absl::OkStatus();
-  Phase phase(config_, Draws(seed_, iteration), rollouts_.Episodes(), &steps_, should_stop, adams, value_norm);
-  CRAFTFLEET_RETURN_IF_ERROR(phase.Run(rollouts_.rows()));
+  Phase phase(config_, Draws(seed_, iteration), rollouts_.Episodes(), &steps_, should_stop, value_norm);
+  absl::Status status = net_->Begin(&rollouts_);
+  if (status.ok()) status = phase.Run(rollouts_.rows());
+  net_->End();
+  CRAFTFLEET_RETURN_IF_ERROR(status);
   stats->distillation = phase.stats();
   return absl::OkStatus();
 }

@@ -6,17 +6,13 @@
 
 #include <cstdint>
 #include <functional>
-#include <string>
-#include <vector>
+#include <memory>
 
 #include <absl/status/status.h>
-#include <absl/status/statusor.h>
-#include <absl/types/span.h>
 
 #include "common/agent/agent_spec.h"
-#include "common/base/worker_pool.h"
 #include "craftfleet/v1/config.pb.h"
-#include "learner/ppo/distillation/distillation_adams.h"
+#include "learner/ppo/distillation/distillation_net.h"
 #include "learner/ppo/distillation/distillation_steps.h"
 #include "learner/ppo/distillation/kept_rollouts.h"
 #include "learner/ppo/update_stats.h"
@@ -27,16 +23,19 @@ namespace craftfleet {
 // Keeps rollouts and runs the phases. Owned by one thread.
 class Distiller {
  public:
-  // The fields of `config` that count: seed, lanes, gradient_shards, ppo and distillation. `weights`,
-  // float[spec.param_count], are those that PPO trains; they and `workers` outlive the object.
-  Distiller(const AgentSpec& spec, const v1::RunConfig& config, absl::Span<float> weights, WorkerPool* workers);
+  // The fields of `config` that count: seed, lanes, ppo and distillation. `net` computes on the weights that PPO
+  // trains.
+  Distiller(const AgentSpec& spec, const v1::RunConfig& config, std::unique_ptr<DistillationNet> net);
 
-  // To be called after PPO's epochs of `iteration`, from 0, with its rollout, which is copied: runs the phase if it is
-  // due. `should_stop` is asked after each optimiser step.
+  // Whether a phase follows PPO's epochs of `iteration`, from 0.
+  bool IsDue(int64_t iteration) const { return (iteration + 1) % config_.every_iterations() == 0; }
+
+  // To be called after PPO's epochs of `iteration` with its rollout, which is copied: runs the phase if it is due.
+  // `should_stop` is asked after each optimiser step.
   //   Cancelled: should_stop() said so.   DataLoss, Internal: as DistillationSteps. The caller then restores weights,
   //   Adams and normaliser and calls Undo.
   absl::Status OnIteration(int64_t iteration, const Rollout& rollout, const std::function<bool()>& should_stop,
-                           DistillationAdams* adams, ValueNorm* value_norm, UpdateStats* stats);
+                           ValueNorm* value_norm, UpdateStats* stats);
   // Ends OnIteration: as if `iteration` had not been played, or for good.
   void Undo(int64_t iteration) { rollouts_.DropFrom(iteration); }
   void Commit(int64_t iteration);
@@ -48,11 +47,10 @@ class Distiller {
  private:
   class Phase;
 
-  bool IsDue(int64_t iteration) const { return (iteration + 1) % config_.every_iterations() == 0; }
-
   const v1::DistillationConfig config_;
   const uint64_t seed_;
   KeptRollouts rollouts_;
+  const std::unique_ptr<DistillationNet> net_;
   DistillationSteps steps_;
 };
 

@@ -215,6 +215,7 @@ INSTANTIATE_TEST_SUITE_P(
         AgentCase{
             R"(agent: "oc_ca" network { frame_size: 32 residual_mlp: true layer_norm: true slot_competition: true })",
             205},
+        AgentCase{R"(agent: "achievement_distillation" network { extractor: CNN frame_size: 40 })", 128},
         AgentCase{R"(agent: "ppo_resnet" network { frame_size: 12 } ppo { value_norm_decay: 0.99 })", 267}));
 
 // bfloat16 has 8 bits: losses and the gradient's norm differ by per mille to per cent, but not by nothing.
@@ -360,14 +361,9 @@ TEST_P(Agents, CopyAndWaitOncePerIterationAndNeverPerMinibatch) {
   RecordProperty("computations_per_minibatch", static_cast<int>(launches));
 }
 
-TEST(DeviceUpdate, TakesEveryAgentsDefaultsButDistillation) {
+TEST(DeviceUpdate, TakesEveryAgentsDefaults) {
   for (const absl::string_view agent : AgentNames()) {
-    const absl::Status supported = DeviceUpdate::CheckSupported(*DefaultRunConfig(agent));
-    if (absl::EndsWith(agent, "_distillation")) {
-      EXPECT_THAT(supported, StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("distillation.every_iterations")));
-    } else {
-      EXPECT_THAT(supported, IsOk()) << agent;
-    }
+    EXPECT_THAT(DeviceUpdate::CheckSupported(*DefaultRunConfig(agent)), IsOk()) << agent;
   }
 }
 

@@ -17,10 +17,15 @@
 #include "common/agent/weights.h"
 #include "common/config/agent_presets.h"
 #include "common/process/cpu_pin.h"
+#include "learner/ppo/device_adam.h"
+#include "learner/ppo/device_weights.h"
+#include "learner/ppo/distillation/device_net.h"
 #include "learner/ppo/distillation/distillation_steps.h"
+#include "learner/ppo/distillation/sharded_net.h"
 #include "learner/ppo/gae.h"
 #include "learner/ppo/ppo_loss.h"
 #include "tests/agent/golden_agent.h"
+#include "tests/agent/stand_in_device.h"
 
 namespace craftfleet {
 namespace {
@@ -262,7 +267,7 @@ TEST(DistillationGolden, AdvantagesAreNormalisedOverAllLanes) {
 }
 
 // Two lanes of seven steps: the source episode has steps 0..5 of the first, the target steps 0..4 of the second.
-class DistillationStepsGolden : public ::testing::Test {
+class DistillationStepsGolden : public ::testing::TestWithParam<const char*> {  // the device
  protected:
   static constexpr int kLaneSteps = 7;
 
@@ -274,7 +279,8 @@ class DistillationStepsGolden : public ::testing::Test {
         weights_(GoldenWeights(spec_, golden_)),
         rollouts_(2, kFrameBytes, kCode),
         workers_(2, SetUpTorchThread),
-        steps_(spec_, config_, &rollouts_, absl::MakeSpan(weights_), &workers_) {
+        net_(MakeNet(GetParam())),
+        steps_(spec_, config_, &rollouts_, net_.get()) {
     SetUpTorchThread();
     rollouts_.Add(0, MakeRollout());
     for (int t = 0; t < 6; ++t) source_.rows.push_back(t);
@@ -283,7 +289,29 @@ class DistillationStepsGolden : public ::testing::Test {
     target_.goals = golden_["matching_step"]["target"]["goals"].get<std::vector<int>>();
     old_logits_ = GoldenUniforms("old_logits", 6 * kNumActions, -1, 1);
     old_logits_.resize(2 * kLaneSteps * kNumActions);
-    adam_ = FreshAdam(spec_);
+    EXPECT_TRUE(net_->Begin(&rollouts_).ok());
+  }
+
+  std::unique_ptr<DistillationNet> MakeNet(const std::string& device) {
+    adams_ = {FreshAdam(spec_), FreshAdam(spec_)};
+    if (device == "cpu") {
+      return std::make_unique<ShardedNet>(spec_, config_, absl::MakeSpan(weights_), &adams_, &workers_);
+    }
+    device_weights_.Load(spec_, weights_, at::Device(device));
+    device_matching_.Load(adams_.matching, at::Device(device));
+    device_prediction_.Load(adams_.prediction, at::Device(device));
+    return std::make_unique<DeviceNet>(spec_, at::Device(device), &device_weights_, &device_matching_,
+                                       &device_prediction_);
+  }
+
+  // The optimiser of `loss` now.
+  AdamState AdamOf(DistillationLoss loss) const {
+    const bool matches = loss == DistillationLoss::kMatching;
+    if (std::string(GetParam()) == "cpu") return matches ? adams_.matching : adams_.prediction;
+    const DeviceAdam& adam = matches ? device_matching_ : device_prediction_;
+    const at::Tensor moment = adam.exp_avg().cpu();
+    const auto* const values = moment.data_ptr<float>();
+    return {adam.steps(), std::vector<float>(values, values + moment.numel()), {}};
   }
 
   Rollout MakeRollout() {
@@ -307,7 +335,7 @@ class DistillationStepsGolden : public ::testing::Test {
 
   // Takes the golden's steps with `take`.
   template <typename Take>
-  void ExpectSteps(const json& part, const Take& take) {
+  void ExpectSteps(const json& part, DistillationLoss loss, const Take& take) {
     ValueNorm norm = UpdatedNorm();
     for (size_t i = 0; i < part["steps"].size(); ++i) {
       const json& step = part["steps"][i];
@@ -321,9 +349,9 @@ class DistillationStepsGolden : public ::testing::Test {
       EXPECT_NEAR(losses->gradient_norm, total, total * NormTolerance(i)) << i;
       EXPECT_NEAR(norm.Scale().mean, step["normaliser"]["mean"].get<double>(), 1e-6) << i;
       EXPECT_NEAR(norm.Scale().deviation, step["normaliser"]["deviation"].get<double>(), 1e-6) << i;
-      if (i == 0) ExpectNorms(GradientNorms(spec_, adam_, total), step["grad_norms"]);
+      if (i == 0) ExpectNorms(GradientNorms(spec_, AdamOf(loss), total), step["grad_norms"]);
     }
-    EXPECT_EQ(adam_.steps, static_cast<int64_t>(part["steps"].size()));
+    EXPECT_EQ(AdamOf(loss).steps, static_cast<int64_t>(part["steps"].size()));
   }
 
   const json golden_;
@@ -335,18 +363,25 @@ class DistillationStepsGolden : public ::testing::Test {
   std::vector<float> memory_a_, memory_b_;
   KeptRollouts rollouts_;
   WorkerPool workers_;
+  DistillationAdams adams_;
+  DeviceWeights device_weights_;
+  DeviceAdam device_matching_{AdamOptionsOf(config_.ppo())};
+  DeviceAdam device_prediction_{AdamOptionsOf(config_.ppo())};
+  const std::unique_ptr<DistillationNet> net_;
   DistillationSteps steps_;
   KeptEpisode source_, target_;
   std::vector<float> old_logits_;
-  AdamState adam_;
 };
 
-TEST_F(DistillationStepsGolden, PredictionStepsMatch) {
+INSTANTIATE_TEST_SUITE_P(Devices, DistillationStepsGolden, ::testing::Values("cpu", "cpu:0", testing::kStandInDevice));
+
+TEST_P(DistillationStepsGolden, PredictionStepsMatch) {
   PredictionBatch batch{&source_, {0, 1, 2, 3, 4, 5}, prediction_["negatives"].get<std::vector<int>>()};
-  ExpectSteps(prediction_, [&](ValueNorm* norm) { return steps_.Predict(batch, old_logits_, norm, &adam_); });
+  ExpectSteps(prediction_, DistillationLoss::kPrediction,
+              [&](ValueNorm* norm) { return steps_.Predict(batch, old_logits_, norm); });
 }
 
-TEST_F(DistillationStepsGolden, MatchingStepsMatch) {
+TEST_P(DistillationStepsGolden, MatchingStepsMatch) {
   const json& matching = golden_["matching_step"];
   MatchingBatch batch;
   batch.source = &source_;
@@ -356,10 +391,11 @@ TEST_F(DistillationStepsGolden, MatchingStepsMatch) {
                            target_.goals[matching["negatives"][i].get<int>()]});
   }
   batch.kept = matching["kept_steps"].get<std::vector<int>>();
-  ExpectSteps(matching, [&](ValueNorm* norm) { return steps_.Match(batch, old_logits_, norm, &adam_); });
+  ExpectSteps(matching, DistillationLoss::kMatching,
+              [&](ValueNorm* norm) { return steps_.Match(batch, old_logits_, norm); });
 }
 
-TEST_F(DistillationStepsGolden, ChangesAtGoalsGiveTheGoldensCost) {
+TEST_P(DistillationStepsGolden, ChangesAtGoalsGiveTheGoldensCost) {
   const std::vector<float> source = *steps_.GoalChanges(source_);
   const std::vector<float> target = *steps_.GoalChanges(target_);
   const json& cost = golden_["matching_step"]["cost"];

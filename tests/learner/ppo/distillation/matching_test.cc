@@ -15,6 +15,7 @@
 #include "common/base/keyed_random.h"
 #include "common/config/config.h"
 #include "learner/ppo/distillation/distiller.h"
+#include "learner/ppo/distillation/sharded_net.h"
 #include "learner/ppo/distillation/transport.h"
 #include "tests/fakes/status_matchers.h"
 #include "tests/learner/ppo/update_samples.h"
@@ -91,10 +92,12 @@ class Distillation {
         spec_(*MakeAgentSpec(config_)),
         weights_(InitialWeights(spec_, config_.seed())),
         workers_(1, SetUpTorchThread),
-        distiller_(spec_, config_, absl::MakeSpan(weights_), &workers_),
+        distiller_(spec_, config_, MakeNet()),
         unseen_(kLanes, spec_.frame_bytes(), 0),
-        steps_(spec_, config_, &unseen_, absl::MakeSpan(weights_), &workers_) {
+        unseen_net_(MakeNet()),
+        steps_(spec_, config_, &unseen_, unseen_net_.get()) {
     SetUpTorchThread();
+    EXPECT_THAT(unseen_net_->Begin(&unseen_), IsOk());
     for (AdamState* const adam : {&adams_.matching, &adams_.prediction}) {
       adam->exp_avg.resize(spec_.param_count);
       adam->exp_avg_sq.resize(spec_.param_count);
@@ -105,9 +108,8 @@ class Distillation {
   // The phase after the next rollout.
   DistillationStats Run(bool changes = true) {
     UpdateStats stats;
-    EXPECT_THAT(
-        distiller_.OnIteration(iteration_, Sample(iteration_, changes).rollout, NeverStop, &adams_, &norm_, &stats),
-        IsOk());
+    EXPECT_THAT(distiller_.OnIteration(iteration_, Sample(iteration_, changes).rollout, NeverStop, &norm_, &stats),
+                IsOk());
     distiller_.Commit(iteration_++);
     return *stats.distillation;
   }
@@ -158,6 +160,10 @@ class Distillation {
   }
 
  private:
+  std::unique_ptr<DistillationNet> MakeNet() {
+    return std::make_unique<ShardedNet>(spec_, config_, absl::MakeSpan(weights_), &adams_, &workers_);
+  }
+
   struct Episode {
     std::string kinds;           // of its goals
     std::vector<float> changes;  // [goals,F]
@@ -190,10 +196,11 @@ class Distillation {
   const AgentSpec spec_;
   std::vector<float> weights_;
   WorkerPool workers_;
+  DistillationAdams adams_;
   Distiller distiller_;
   KeptRollouts unseen_;
+  const std::unique_ptr<DistillationNet> unseen_net_;
   DistillationSteps steps_;
-  DistillationAdams adams_;
   ValueNorm norm_;
   int iteration_ = 0;
 };

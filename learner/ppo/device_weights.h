@@ -1,0 +1,31 @@
+// An agent's weights on a device. Includes LibTorch's tensors.
+
+#ifndef CRAFTFLEET_LEARNER_PPO_DEVICE_WEIGHTS_H_
+#define CRAFTFLEET_LEARNER_PPO_DEVICE_WEIGHTS_H_
+
+#include <vector>
+
+#include <ATen/core/Tensor.h>
+#include <c10/core/Device.h>
+
+#include "common/agent/agent_spec.h"
+#include "common/agent/nets/param_tensors.h"
+
+namespace craftfleet {
+
+// Its functions throw c10::Error.
+struct DeviceWeights {
+  at::Tensor flat;      // float[param_count]
+  ParamTensors params;  // views of it, which get gradients
+
+  // Sends `weights`, float[spec.param_count].
+  void Load(const AgentSpec& spec, const std::vector<float>& weights, at::Device device);
+
+  // The gradient of the parameters that backward passes have reached since the last call, float[k], which is then
+  // forgotten: all, or all but the last ones (a goal predictor's).
+  at::Tensor TakeGradient();
+};
+
+}  // namespace craftfleet
+
+#endif  // CRAFTFLEET_LEARNER_PPO_DEVICE_WEIGHTS_H_

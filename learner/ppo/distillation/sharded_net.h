@@ -1,0 +1,60 @@
+// Distillation's network on the CPU.
+
+#ifndef CRAFTFLEET_LEARNER_PPO_DISTILLATION_SHARDED_NET_H_
+#define CRAFTFLEET_LEARNER_PPO_DISTILLATION_SHARDED_NET_H_
+
+#include <functional>
+#include <memory>
+#include <vector>
+
+#include <absl/status/status.h>
+#include <absl/status/statusor.h>
+#include <absl/types/span.h>
+
+#include "common/agent/agent_spec.h"
+#include "common/base/worker_pool.h"
+#include "craftfleet/v1/config.pb.h"
+#include "learner/ppo/adam.h"
+#include "learner/ppo/distillation/distillation_adams.h"
+#include "learner/ppo/distillation/distillation_net.h"
+
+namespace craftfleet {
+
+// Cuts rows into `gradient_shards` parts, as PpoUpdater does: the number of threads changes no bit.
+class ShardedNet final : public DistillationNet {
+ public:
+  // The fields of `config` that count: ppo (the optimiser's) and gradient_shards. `weights`, float[spec.param_count],
+  // `adams` and `workers` outlive the object.
+  ShardedNet(const AgentSpec& spec, const v1::RunConfig& config, absl::Span<float> weights, DistillationAdams* adams,
+             WorkerPool* workers);
+  ~ShardedNet() override;
+
+  absl::Status Begin(const KeptRollouts* rollouts) override;
+  void End() override { rollouts_ = nullptr; }
+  absl::StatusOr<std::vector<float>> Codes(absl::Span<const int> rows) override;
+  absl::StatusOr<std::vector<float>> Logits(absl::Span<const int> rows) override;
+  absl::StatusOr<NetNumbers> Forward(absl::Span<const int> rows, bool predicts) override;
+  absl::StatusOr<double> Step(const NetNumbers& gradients, DistillationLoss loss) override;
+
+ private:
+  struct Shard;  // one replica: net, input, output
+
+  // Runs `part(shard, first, count)` for the parts of `rows` rows.
+  absl::Status RunShards(size_t rows, const std::function<void(Shard*, size_t, size_t)>& part);
+  absl::Status Backward(const NetNumbers& gradients);
+  // The frames of `rows`, as input of the shard's net.
+  void LoadFrames(absl::Span<const int> rows, Shard* shard) const;
+
+  const AgentSpec spec_;
+  const AdamOptions options_;
+  const int code_size_;
+  const absl::Span<float> weights_;
+  DistillationAdams* const adams_;
+  WorkerPool* const workers_;
+  std::vector<std::unique_ptr<Shard>> shards_;
+  const KeptRollouts* rollouts_ = nullptr;  // between Begin and End
+};
+
+}  // namespace craftfleet
+
+#endif  // CRAFTFLEET_LEARNER_PPO_DISTILLATION_SHARDED_NET_H_
