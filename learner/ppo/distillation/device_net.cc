@@ -24,7 +24,7 @@ absl::Status Failure(const std::exception& error) { return DeviceError("distilla
 // Sends float[rows,width] or uint8, a row at a time from `row_of`; null: zeros.
 template <typename Value, typename RowOf>
 at::Tensor SendTable(int64_t rows, int64_t width, at::ScalarType type, at::Device device, const RowOf& row_of) {
-  const at::Tensor there = at::empty({rows, width}, at::TensorOptions(type).device(device));
+  at::Tensor there = at::empty({rows, width}, at::TensorOptions(type).device(device));
   for (int64_t first = 0; first < rows; first += kSentAtOnce) {
     const int64_t count = std::min(kSentAtOnce, rows - first);
     const at::Tensor host = HostTensor({count, width}, type, device);
@@ -45,12 +45,12 @@ class Columns {
 
   void CopyTo(int64_t count, std::vector<float>* all) {
     auto out = all->begin();
-    for (const float* row = data_ + next_; out != all->end(); row += width_) out = std::copy_n(row, count, out);
+    for (int64_t row = 0; out != all->end(); ++row) out = std::copy_n(data_ + row * width_ + next_, count, out);
     next_ += count;
   }
   void CopyFrom(int64_t count, const std::vector<float>& all) {
-    float* row = data_ + next_;
-    for (auto in = all.begin(); in != all.end(); in += count, row += width_) std::copy_n(in, count, row);
+    auto in = all.begin();
+    for (int64_t row = 0; in != all.end(); ++row, in += count) std::copy_n(in, count, data_ + row * width_ + next_);
     next_ += count;
   }
 
