@@ -32,8 +32,8 @@ class Distiller {
 
   // To be called after PPO's epochs of `iteration` with its rollout, which is copied: runs the phase if it is due.
   // `should_stop` is asked after each optimiser step.
-  //   Cancelled: should_stop() said so.   DataLoss, Internal: as DistillationSteps. The caller then restores weights,
-  //   Adams and normaliser and calls Undo.
+  //   Cancelled: should_stop() said so.   Others as DistillationSteps. The caller then restores weights, Adams and
+  //   normaliser and calls Undo.
   absl::Status OnIteration(int64_t iteration, const Rollout& rollout, const std::function<bool()>& should_stop,
                            ValueNorm* value_norm, UpdateStats* stats);
   // Ends OnIteration: as if `iteration` had not been played, or for good.
