@@ -29,7 +29,7 @@ using LocalWeights = std::function<VersionedWeights(int64_t version)>;
 class PolicySource {
  public:
   // Policies compute tiles of `tile` rows on `device` (Policy::Create). `local`: where to get weights instead of
-  // calling the learner, which takes half of the time with half a gigabyte of them; null: call it.
+  // calling the learner, which takes three quarters of the time with half a gigabyte of them; null: call it.
   PolicySource(const LearnerClient* learner, AgentSpec spec, int tile, std::string device = "cpu",
                LocalWeights local = nullptr);
 

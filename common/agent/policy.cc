@@ -263,7 +263,7 @@ void Policy::EvaluateTileOnDevice(absl::string_view frames, absl::Span<const int
     segments.states = host_states.to(device, /*non_blocking=*/true);
     segments.packing = *packing_;
   }
-  const at::Tensor input = host_frames.to(device, /*non_blocking=*/true).to(at::kFloat).mul_(double{1.0F / 255.0F});
+  const at::Tensor input = ScaleFrames(host_frames.to(device, /*non_blocking=*/true));
   const PolicyNet::Output output = net_->Forward(input, segments);
   std::vector<at::Tensor> parts = {output.logits, output.values.unsqueeze(1)};
   if (state_size_ > 0) parts.push_back(output.states);

@@ -8,6 +8,11 @@
 #include "common/base/multiversion.h"
 
 namespace craftfleet {
+namespace {
+
+constexpr float kScale = 1.0F / 255.0F;  // of a frame's bytes
+
+}  // namespace
 
 Network MakeNetwork(const v1::NetworkConfig& config) {
   ParamList params;  // known from the spec
@@ -68,11 +73,12 @@ void PolicyNet::ClearGradients() {
 
 CRAFTFLEET_MULTIVERSION
 void ScaleFrames(absl::Span<const uint8_t* const> frames, int64_t frame_bytes, float* out) {
-  constexpr float kScale = 1.0F / 255.0F;
   for (const uint8_t* frame : frames) {
     for (int64_t i = 0; i < frame_bytes; ++i) out[i] = static_cast<float>(int{frame[i]}) * kScale;
     out += frame_bytes;
   }
 }
+
+at::Tensor ScaleFrames(const at::Tensor& frames) { return frames.to(at::kFloat).mul_(double{kScale}); }
 
 }  // namespace craftfleet

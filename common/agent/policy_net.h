@@ -69,6 +69,9 @@ class PolicyNet {
 // Frames as the net wants them: `out` is float[n,H,W,3] in 0..1, each of `frames` points to `frame_bytes` bytes.
 void ScaleFrames(absl::Span<const uint8_t* const> frames, int64_t frame_bytes, float* out);
 
+// The same of frames uint8[N,H,W,3] on a device.
+at::Tensor ScaleFrames(const at::Tensor& frames);
+
 }  // namespace craftfleet
 
 #endif  // CRAFTFLEET_COMMON_AGENT_POLICY_NET_H_

@@ -234,8 +234,7 @@ at::Tensor DeviceUpdate::TryWeights(const DeviceRollout& rollout, const DeviceMi
 
 NetOutput DeviceUpdate::Forward(const DeviceRollout& rollout, const DeviceMinibatch& minibatch,
                                 const std::optional<Dropout>& dropout) const {
-  // Scaled as ScaleFrames does it.
-  const at::Tensor frames = rollout.frames.index_select(0, minibatch.rows).to(at::kFloat).mul_(double{1.0F / 255.0F});
+  const at::Tensor frames = ScaleFrames(rollout.frames.index_select(0, minibatch.rows));
   Segments segments = minibatch.segments;
   if (spec_.state_size > 0) segments.states = rollout.states.index_select(0, minibatch.first_states);
   return network_.Forward(weights_.params, frames, segments, dropout);

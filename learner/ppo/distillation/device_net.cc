@@ -104,10 +104,7 @@ at::Tensor DeviceNet::SendRows(absl::Span<const int> rows) const {
   return host.to(device_, /*non_blocking=*/true);
 }
 
-at::Tensor DeviceNet::Frames(const at::Tensor& rows) const {
-  // Scaled as ScaleFrames does it.
-  return frames_.index_select(0, rows).to(at::kFloat).mul_(double{1.0F / 255.0F});
-}
+at::Tensor DeviceNet::Frames(const at::Tensor& rows) const { return ScaleFrames(frames_.index_select(0, rows)); }
 
 at::Tensor DeviceNet::Fetch(const at::Tensor& outputs) const {
   at::Tensor host = HostTensor(outputs.sizes(), at::kFloat, device_);
