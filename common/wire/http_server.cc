@@ -235,7 +235,7 @@ absl::StatusOr<std::unique_ptr<HttpServer>> HttpServer::Create(const Options& op
     watch(options.files.certificate, certificate, /*is_key=*/false);
     watch(options.files.key, key, /*is_key=*/true);
   }
-  server->listener_->Start([daemons = server->daemons_](int descriptor) { daemons->Serve(descriptor); });
+  server->listener_->Start({[daemons = server->daemons_](int descriptor) { daemons->Serve(descriptor); }});
   return server;
 }
 

@@ -24,6 +24,7 @@
 
 #include "common/base/check.h"
 #include "common/base/status_macros.h"
+#include "common/telemetry/process_usage.h"
 #include "common/wire/channel.h"
 #include "common/wire/handshake_log.h"
 
@@ -37,7 +38,9 @@ constexpr rlim_t kKeptForCalls = 8192;    // if the limit is large enough: two f
 constexpr int kUserTimeoutMs = 4000;      // until unacknowledged data ends a connection; as keepalive's
 constexpr int kPauseMs = 100;             // after running out of descriptors
 constexpr int kMaxEvents = 64;            // per wait
-constexpr int kInspectEveryMs = 25;       // a flood takes up to a gigabyte a second
+constexpr int kInspectEveryMs = 25;       // a flood takes up to two gigabytes a second
+constexpr absl::Duration kMaxHandOver = absl::Seconds(2);
+constexpr int64_t kMemoryUninspected = int64_t{64} << 20;
 
 void SetOption(int socket, int level, int option, int value) {
   setsockopt(socket, level, option, &value, sizeof(value));
@@ -71,14 +74,6 @@ absl::Duration ThreadTime() {
   timespec time = {};
   clock_gettime(CLOCK_THREAD_CPUTIME_ID, &time);
   return absl::DurationFromTimespec(time);
-}
-
-// Ends a connection at once, and discards what the server has not read. After shutdown() it would still read megabytes
-// of frames, and go on as long as the client sends.
-void Reset(int socket) {
-  sockaddr nowhere = {};
-  nowhere.sa_family = AF_UNSPEC;
-  if (connect(socket, &nowhere, sizeof(nowhere)) != 0) shutdown(socket, SHUT_RDWR);
 }
 
 }  // namespace
@@ -150,8 +145,8 @@ absl::Status Listener::BindTo(const addrinfo& address) {
   return absl::OkStatus();
 }
 
-void Listener::Start(Handle handle, Inspect inspect) {
-  handle_ = std::move(handle);
+void Listener::Start(std::vector<HandOver::Handle> handles, Inspect inspect) {
+  hand_over_ = std::make_unique<HandOver>(std::move(handles));
   inspect_ = std::move(inspect);
   CRAFTFLEET_CHECK(pipe2(wake_up_, O_CLOEXEC) == 0);
   poll_ = epoll_create1(EPOLL_CLOEXEC);
@@ -172,6 +167,7 @@ void Listener::Stop() {
     close(wake_up_[0]);
     close(wake_up_[1]);
     close(poll_);
+    hand_over_.reset();
   }
   for (const int socket : sockets_) close(socket);
   sockets_.clear();
@@ -193,7 +189,10 @@ void Listener::Run() {
       const int descriptor = events[i].data.fd;
       if (std::find(sockets_.begin(), sockets_.end(), descriptor) != sockets_.end()) Accept(descriptor);
     }
-    if (inspects) EndInspected();
+    if (inspects) {
+      EndInspected();
+      EndSlow();
+    }
   }
 }
 
@@ -237,7 +236,7 @@ void Listener::Admit(int descriptor, const std::string& client) {
   connections_[copy] = client;
   ++per_client_[client];
   NoteConnection(client);
-  handle_(descriptor);
+  hand_over_->Add(descriptor);
 }
 
 // gRPC shuts a connection down before it closes it, which the copy reports too; so does a peer that disconnects.
@@ -253,16 +252,25 @@ void Listener::Forget(int copy) {
 }
 
 void Listener::EndInspected() {
-  if (clock_.Now() < next_inspection_) return;
+  const bool memory_grows = ResidentMemoryBytes() > inspected_memory_ + kMemoryUninspected;
+  if (clock_.Now() < next_inspection_ && !memory_grows) return;
   const absl::Duration begin = ThreadTime();
   const std::map<int, std::string> floods = inspect_(connections_);
+  inspected_memory_ = ResidentMemoryBytes();
   // With very many connections less often, at the cost of some 2% of a core.
   const absl::Duration cost = ThreadTime() - begin;
   next_inspection_ = clock_.Now() + std::clamp(50 * cost, absl::Milliseconds(kInspectEveryMs), absl::Seconds(1));
   for (const auto& [copy, reason] : floods) {
     const std::string& client = connections_[copy];
     log_.Warn(client, absl::StrFormat("%s: ended a connection from %s: %s", address_, client, reason));
-    Reset(copy);  // the server closes it, and epoll reports it
+    ResetConnection(copy);  // the server closes it, and epoll reports it
+  }
+}
+
+void Listener::EndSlow() {
+  if (const int count = hand_over_->ResetSlow(kMaxHandOver); count > 0) {
+    log_.Warn("slow", absl::StrFormat("%s: ended %d connections that the server was still reading %s after it began",
+                                      address_, count, absl::FormatDuration(kMaxHandOver)));
   }
 }
 

@@ -3,6 +3,7 @@
 #ifndef CRAFTFLEET_COMMON_WIRE_LISTENER_H_
 #define CRAFTFLEET_COMMON_WIRE_LISTENER_H_
 
+#include <cstdint>
 #include <functional>
 #include <map>
 #include <memory>
@@ -17,13 +18,14 @@
 
 #include "common/base/clock.h"
 #include "common/telemetry/limited_log.h"
+#include "common/wire/hand_over.h"
 
 struct addrinfo;
 
 namespace craftfleet::wire {
 
 // Listens on a TCP port and hands each connection over. gRPC's own listener is not used, because that of 1.51 has no
-// limits and never recovers when the process runs out of file descriptors. Thread-compatible; one thread of its own.
+// limits and never recovers when the process runs out of file descriptors. Thread-compatible; has threads of its own.
 class Listener {
  public:
   struct Options {
@@ -32,10 +34,9 @@ class Listener {
     int max_connections = 0;                             // in all; 0: as many as the limit of open files allows
     std::string limit = "--max_connections_per_client";  // named in the log when a client has too many
   };
-  // Takes ownership of the descriptor of a connection; called on the listener's thread.
-  using Handle = std::function<void(int descriptor)>;
-  // Gets the client of each connection by a descriptor, and returns those to end, with reasons; called on that thread
-  // up to forty times a second while there are connections.
+  // Gets the client of each connection by a descriptor, and returns those to end, with reasons; called on the
+  // listener's thread while there are connections: up to forty times a second, less often if it takes long, unless
+  // memory grows.
   using Inspect = std::function<std::map<int, std::string>(const std::map<int, std::string>& connections)>;
 
   // Binds the port; connections wait in the backlog until Start.
@@ -43,9 +44,9 @@ class Listener {
   static absl::StatusOr<std::unique_ptr<Listener>> Create(const Options& options);
   ~Listener();
 
-  // Starts accepting connections on the listener's thread. Called at most once. Without `inspect` none is ended.
-  void Start(Handle handle, Inspect inspect = nullptr);
-  // Closes the port. Connections that were handed over stay open. Idempotent.
+  // Starts accepting connections, which `handles` get (HandOver). Called at most once. Without `inspect` none is ended.
+  void Start(std::vector<HandOver::Handle> handles, Inspect inspect = nullptr);
+  // Closes the port. Connections that were handed over stay open; one that is not after a second is ended. Idempotent.
   void Stop();
 
   // HOST:PORT with the requested host and the actual port.
@@ -62,13 +63,15 @@ class Listener {
   void Admit(int descriptor, const std::string& client);
   void Forget(int copy);
   void EndInspected();
+  void EndSlow();
 
   const Options options_;
   RealClock clock_;
   LimitedLog log_{&clock_};
-  Handle handle_;
+  std::unique_ptr<HandOver> hand_over_;
   Inspect inspect_;
   absl::Time next_inspection_ = absl::InfinitePast();
+  int64_t inspected_memory_ = 0;  // resident bytes after the last inspection
   std::string address_;
   int port_ = 0;
   std::vector<int> sockets_;

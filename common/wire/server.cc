@@ -29,6 +29,7 @@ constexpr int kStreamsPerConnection = 4;       // in the mean, of all connection
 constexpr int kHandshakeTimeoutMs = 10'000;    // for TLS and HTTP/2's preface
 constexpr int kMaxIdleMs = 300'000;            // of a connection without a call
 constexpr int64_t kMaxWindowBytes = 16 << 20;  // of messages that gRPC may hold for a slow handler, and of headers
+constexpr int kAcceptors = 4;                  // connections that may be handed over at once
 constexpr int kMaxThreads = 4096;              // of calls without callbacks, one each; beyond: RESOURCE_EXHAUSTED
 
 // Limits of the health port, which any client may reach: a probe sends one request and disconnects.
@@ -173,8 +174,7 @@ absl::StatusOr<Server::Port> Server::Open(const Options& options, const std::str
   } else if (!address.empty()) {
     CRAFTFLEET_ASSIGN_OR_RETURN(opened.listener, Listener::Create({address, options.max_connections_per_client}));
     opened.address = opened.listener->address();
-    opened.acceptor = builder.experimental().AddExternalConnectionAcceptor(
-        grpc::ServerBuilder::experimental_type::ExternalConnectionType::FROM_FD, std::move(credentials));
+    opened.AddAcceptors(&builder, credentials);
   }
   SetLimits(options, &builder);
   std::vector<std::unique_ptr<grpc::experimental::ServerInterceptorFactoryInterface>> interceptors;
@@ -213,8 +213,7 @@ absl::StatusOr<Server::Port> Server::OpenHealth(const std::string& address,
     listen.limit = "a health port";
     CRAFTFLEET_ASSIGN_OR_RETURN(opened.listener, Listener::Create(listen));
     opened.address = opened.listener->address();
-    opened.acceptor = builder.experimental().AddExternalConnectionAcceptor(
-        grpc::ServerBuilder::experimental_type::ExternalConnectionType::FROM_FD, grpc::InsecureServerCredentials());
+    opened.AddAcceptors(&builder, grpc::InsecureServerCredentials());
   }
   opened.server = builder.BuildAndStart();
   if (opened.server == nullptr || port == 0) {
@@ -228,14 +227,26 @@ absl::StatusOr<Server::Port> Server::OpenHealth(const std::string& address,
   return opened;
 }
 
+void Server::Port::AddAcceptors(grpc::ServerBuilder* builder,
+                                const std::shared_ptr<grpc::ServerCredentials>& credentials) {
+  // Each of them takes one connection at a time.
+  for (int i = 0; i < kAcceptors; ++i) {
+    acceptors.push_back(builder->experimental().AddExternalConnectionAcceptor(
+        grpc::ServerBuilder::experimental_type::ExternalConnectionType::FROM_FD, credentials));
+  }
+}
+
 void Server::Port::Listen(const ConnectionLimits& limits) {
-  const auto hand_over = [acceptor = acceptor.get()](int descriptor) {
-    grpc::experimental::ExternalConnectionAcceptor::NewConnectionParameters connection;
-    connection.fd = descriptor;
-    acceptor->HandleNewConnection(&connection);
-  };
+  std::vector<HandOver::Handle> handles;
+  for (const auto& acceptor : acceptors) {
+    handles.emplace_back([acceptor = acceptor.get()](int descriptor) {
+      grpc::experimental::ExternalConnectionAcceptor::NewConnectionParameters connection;
+      connection.fd = descriptor;
+      acceptor->HandleNewConnection(&connection);
+    });
+  }
   const auto watch = std::make_shared<ConnectionWatch>(limits);
-  listener->Start(hand_over,
+  listener->Start(std::move(handles),
                   [watch](const std::map<int, std::string>& connections) { return watch->Look(connections); });
 }
 

@@ -71,10 +71,12 @@ class Server {
  private:
   // A gRPC server and the listener that feeds it; none for unix: and in-process.
   struct Port {
-    std::unique_ptr<grpc::experimental::ExternalConnectionAcceptor> acceptor;
+    std::vector<std::unique_ptr<grpc::experimental::ExternalConnectionAcceptor>> acceptors;
     std::unique_ptr<grpc::Server> server;
     std::unique_ptr<Listener> listener;
     std::string address;
+    // Before the server is built.
+    void AddAcceptors(grpc::ServerBuilder* builder, const std::shared_ptr<grpc::ServerCredentials>& credentials);
     // Starts accepting connections; ends those beyond the limits.
     void Listen(const ConnectionLimits& limits);
   };

@@ -334,6 +334,16 @@ class Http2Floods(server_case.ServerCase):
         server = self.envserver()
         self.flood(server, server.address, lambda: self.streams(resets=True), seconds=10)
 
+    def test_of_streams_beside_many_connections(self):
+        """The more connections there are, the longer a look at them takes."""
+        server = self.envserver()
+        before = server.memory_mb()
+        for _ in range(900):
+            self.client(server.address)
+        for _ in range(5):
+            self.flood(server, server.address, self.streams)
+        self.assertLess(server.memory_mb() - before, self.ROOM_MB)
+
     def test_of_headers(self):
         for server in (self.learner(), self.envserver()):
             with self.subTest(server.address):

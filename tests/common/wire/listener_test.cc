@@ -46,7 +46,7 @@ class ListenerTest : public testing::Test {
  protected:
   void Listen(int max_connections_per_client) {
     listener_ = *Listener::Create({"127.0.0.1:0", max_connections_per_client});
-    listener_->Start([this](int descriptor) { EXPECT_THAT(accepted_.Push(descriptor), IsOk()); });
+    listener_->Start({[this](int descriptor) { EXPECT_THAT(accepted_.Push(descriptor), IsOk()); }});
   }
   int Accepted() { return accepted_.Pop(absl::Seconds(20)).value_or(-1); }
 
@@ -95,7 +95,7 @@ TEST_F(ListenerTest, RefusesConnectionsBeyondTheTotalLimit) {
   options.address = "127.0.0.1:0";
   options.max_connections = 2;
   listener_ = *Listener::Create(options);
-  listener_->Start([this](int descriptor) { EXPECT_THAT(accepted_.Push(descriptor), IsOk()); });
+  listener_->Start({[this](int descriptor) { EXPECT_THAT(accepted_.Push(descriptor), IsOk()); }});
   const int first = ConnectTo(*listener_);
   const int second = ConnectTo(*listener_);
   Accepted();
@@ -139,6 +139,25 @@ TEST_F(ListenerTest, StopClosesThePortAndKeepsConnections) {
   EXPECT_THAT(Listener::Create({address}), IsOk());
   EXPECT_FALSE(IsClosed(client));
   close(server);
+  close(client);
+}
+
+// gRPC reads on that thread what a client sends meanwhile, and may go on as long as the client does.
+TEST_F(ListenerTest, InspectsConnectionsWhileTheyAreHandedOver) {
+  listener_ = *Listener::Create({"127.0.0.1:0"});
+  listener_->Start({[this](int descriptor) {
+                     char byte = 0;
+                     while (recv(descriptor, &byte, 1, 0) > 0 || errno == EAGAIN) {
+                     }
+                     EXPECT_THAT(accepted_.Push(descriptor), IsOk());
+                   }},
+                   [](const std::map<int, std::string>& connections) {
+                     std::map<int, std::string> ended;
+                     for (const auto& [connection, client] : connections) ended[connection] = "a flood";
+                     return ended;
+                   });
+  const int client = ConnectTo(*listener_);
+  close(Accepted());
   close(client);
 }
 

@@ -1,0 +1,88 @@
+#include "common/wire/hand_over.h"
+
+#include <sys/socket.h>
+#include <unistd.h>
+
+#include <memory>
+#include <utility>
+
+#include <gtest/gtest.h>
+
+#include "common/base/closable_queue.h"
+#include "tests/fakes/status_matchers.h"
+#include "tests/fakes/wait_until.h"
+
+namespace craftfleet::wire {
+namespace {
+
+// Whether the other side has closed the connection.
+bool IsClosed(int client) {
+  char byte = 0;
+  return recv(client, &byte, 1, MSG_DONTWAIT) == 0;
+}
+
+// Its servers read until a connection ends, as gRPC may while a client keeps sending.
+class HandOverTest : public testing::Test {
+ protected:
+  HandOverTest() {
+    const HandOver::Handle serve = [this](int descriptor) {
+      EXPECT_THAT(served_.Push(descriptor), IsOk());
+      char byte = 0;
+      while (recv(descriptor, &byte, 1, 0) > 0) {
+      }
+      close(descriptor);
+    };
+    hand_over_ = std::make_unique<HandOver>(std::vector<HandOver::Handle>{serve, serve});
+  }
+
+  // The client's side of a new connection.
+  int Add() {
+    int pair[2];
+    EXPECT_EQ(socketpair(AF_UNIX, SOCK_STREAM | SOCK_CLOEXEC, 0, pair), 0);
+    hand_over_->Add(pair[0]);
+    return pair[1];
+  }
+  bool IsServed() { return served_.Pop(absl::Seconds(20)).has_value(); }
+
+  ClosableQueue<int> served_{100};
+  std::unique_ptr<HandOver> hand_over_;
+};
+
+TEST_F(HandOverTest, OthersAreHandedOverWhileOneTakesLong) {
+  const int sends_for_ever = Add();
+  EXPECT_TRUE(IsServed());
+  for (int i = 0; i < 3; ++i) {
+    const int client = Add();
+    EXPECT_TRUE(IsServed());
+    close(client);
+  }
+  close(sends_for_ever);
+}
+
+TEST_F(HandOverTest, SlowOnesAreReset) {
+  const int first = Add();
+  const int second = Add();
+  const int third = Add();
+  EXPECT_TRUE(IsServed());
+  EXPECT_TRUE(IsServed());
+  EXPECT_EQ(hand_over_->ResetSlow(absl::Hours(1)), 0);
+  EXPECT_EQ(hand_over_->ResetSlow(absl::ZeroDuration()), 2);
+  EXPECT_TRUE(IsServed());  // the third
+  EXPECT_TRUE(WaitUntil([&] { return IsClosed(first) && IsClosed(second); }));
+  EXPECT_FALSE(IsClosed(third));
+  for (const int client : {first, second, third}) close(client);
+}
+
+TEST_F(HandOverTest, EndsWhileClientsAreConnected) {
+  const int clients[] = {Add(), Add(), Add()};
+  EXPECT_TRUE(IsServed());
+  EXPECT_TRUE(IsServed());
+  hand_over_.reset();
+  for (const int client : clients) {
+    EXPECT_TRUE(IsClosed(client));
+    close(client);
+  }
+}
+
+}  // namespace
+}  // namespace craftfleet::wire
