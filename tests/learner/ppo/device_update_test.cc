@@ -4,16 +4,13 @@
 
 #include <algorithm>
 #include <cmath>
-#include <cstring>
 #include <limits>
-#include <map>
 #include <memory>
 #include <ostream>
 #include <string>
 #include <vector>
 
 #include <ATen/ATen.h>
-#include <absl/strings/match.h>
 #include <absl/strings/str_cat.h>
 #include <gmock/gmock.h>
 #include <google/protobuf/text_format.h>
@@ -33,6 +30,7 @@
 #include "tests/agent/golden_agent.h"
 #include "tests/agent/stand_in_device.h"
 #include "tests/fakes/status_matchers.h"
+#include "tests/learner/ppo/saved_tensors.h"
 #include "tests/learner/ppo/update_samples.h"
 
 namespace craftfleet {
@@ -43,6 +41,8 @@ using testing::DeviceTraffic;
 using testing::GoldenFrames;
 using ::testing::HasSubstr;
 using testing::kStandInDevice;
+using testing::SavedTensors;
+using testing::ShareOfWay;
 using testing::TrafficSoFar;
 
 constexpr int kSteps = 8;      // of a fragment
@@ -98,27 +98,6 @@ struct Trained {
   UpdateStats stats;  // of the last
 };
 
-// All tensors of a safetensors file, one after the other as float[n], by the first part of their names.
-std::map<std::string, at::Tensor> TensorsOf(const std::string& bytes) {
-  std::map<std::string, std::vector<at::Tensor>> groups;
-  const SafeTensors file = *ReadSafetensors(bytes);
-  for (const SafeTensor& tensor : file.tensors) {
-    const at::Tensor values = at::empty({static_cast<int64_t>(tensor.data.size() / sizeof(float))});
-    std::memcpy(values.data_ptr<float>(), tensor.data.data(), tensor.data.size());
-    const bool is_moment = absl::StartsWith(tensor.name, "exp_avg");
-    groups[is_moment ? std::string(tensor.name.substr(0, tensor.name.find('.'))) : "weights"].push_back(values);
-  }
-  std::map<std::string, at::Tensor> joined;
-  for (const auto& [name, tensors] : groups) joined[name] = at::cat(tensors);
-  return joined;
-}
-
-// The distance of `actual` from `expected` as a share of that from `start` to `expected`.
-double ShareOfWay(const at::Tensor& actual, const at::Tensor& expected, const at::Tensor& start) {
-  const auto length = [](const at::Tensor& x) { return std::sqrt(x.square().sum(at::kDouble).item<double>()); };
-  return length(actual - expected) / length(expected - start);
-}
-
 // Both add the same numbers in another order, in float32: gradients, and with them Adam's moments, agree to about 1e-6
 // of their norm. Where a gradient is about as small as such a difference, Adam's division by its root mean square makes
 // steps of full size of it; hence 1% of the weights' way. A wrong term shows as 10% and more. `moments` is the limit
@@ -140,11 +119,12 @@ void ExpectClose(const Trained& actual, const Trained& expected, double moments,
     near(actual.stats.importance->max, expected.stats.importance->max, "greatest importance weight");
   }
   EXPECT_NEAR(actual.stats.clip_fraction, expected.stats.clip_fraction, 1.01 / kRows) << what << ": one row's rounding";
-  auto actual_moments = TensorsOf(actual.updater->SaveOptimizer());
-  auto expected_moments = TensorsOf(expected.updater->SaveOptimizer());
-  for (const char* name : {"exp_avg", "exp_avg_sq"}) {
-    const at::Tensor& moment = expected_moments[name];
-    EXPECT_LT(ShareOfWay(actual_moments[name], moment, at::zeros_like(moment)), moments) << what << ": " << name;
+  const std::string actual_moments = actual.updater->SaveOptimizer();
+  const std::string expected_moments = expected.updater->SaveOptimizer();
+  for (const char* name : {"exp_avg.", "exp_avg_sq."}) {
+    const at::Tensor moment = SavedTensors(expected_moments, name);
+    EXPECT_LT(ShareOfWay(SavedTensors(actual_moments, name), moment, at::zeros_like(moment)), moments)
+        << what << ": " << name;
   }
   EXPECT_EQ(actual.updater->optimizer_steps(), expected.updater->optimizer_steps());
   const ValueScale scale = actual.updater->rollout_options().value_scale;
@@ -163,12 +143,12 @@ using Agents = ::testing::TestWithParam<AgentCase>;
 
 void ExpectLearnsAsOnTheCpu(const v1::RunConfig& config, int iterations = 2, double moments = 1e-3) {
   const Trained expected(config, "cpu", iterations);
-  const auto start = TensorsOf(Trained(config, "cpu", 0).updater->SaveWeights())["weights"];
-  const auto weights = TensorsOf(expected.updater->SaveWeights())["weights"];
+  const at::Tensor start = SavedTensors(Trained(config, "cpu", 0).updater->SaveWeights());
+  const at::Tensor weights = SavedTensors(expected.updater->SaveWeights());
   for (const char* device : {kOnTheCpu, kStandInDevice}) {
     const Trained actual(config, device, iterations);
     ExpectClose(actual, expected, moments, device);
-    EXPECT_LT(ShareOfWay(TensorsOf(actual.updater->SaveWeights())["weights"], weights, start), 0.01) << device;
+    EXPECT_LT(ShareOfWay(SavedTensors(actual.updater->SaveWeights()), weights, start), 0.01) << device;
   }
 }
 

@@ -2,15 +2,14 @@
 
 #include "learner/ppo/distillation/distiller.h"
 
-#include <cmath>
 #include <cstdint>
-#include <cstring>
 #include <functional>
 #include <memory>
 #include <string>
 #include <utility>
 #include <vector>
 
+#include <ATen/ATen.h>
 #include <absl/strings/match.h>
 #include <absl/strings/str_cat.h>
 #include <gmock/gmock.h>
@@ -22,10 +21,14 @@
 #include "learner/ppo/ppo_updater.h"
 #include "tests/agent/stand_in_device.h"
 #include "tests/fakes/status_matchers.h"
+#include "tests/learner/ppo/saved_tensors.h"
 #include "tests/learner/ppo/update_samples.h"
 
 namespace craftfleet {
 namespace {
+
+using testing::SavedTensors;
+using testing::ShareOfWay;
 
 constexpr int kLanes = 2;
 constexpr int kLaneSteps = 24;
@@ -171,25 +174,6 @@ TEST(Distiller, ThreadsDoNotChangeABit) {
   EXPECT_TRUE(StateOf(*one) == StateOf(*three));
 }
 
-// All values of a safetensors file's float tensors whose names begin with `prefix`.
-std::vector<float> ValuesOf(const std::string& bytes, absl::string_view prefix) {
-  std::vector<float> values;
-  const SafeTensors file = *ReadSafetensors(bytes);
-  for (const SafeTensor& tensor : file.tensors) {
-    if (!absl::StartsWith(tensor.name, prefix) || tensor.type != SafeTensor::Type::kFloat32) continue;
-    const size_t before = values.size();
-    values.resize(before + tensor.data.size() / sizeof(float));
-    std::memcpy(&values[before], tensor.data.data(), tensor.data.size());
-  }
-  return values;
-}
-
-double Distance(const std::vector<float>& a, const std::vector<float>& b) {
-  double squares = 0;
-  for (size_t i = 0; i < a.size(); ++i) squares += (double{a[i]} - b[i]) * (double{a[i]} - b[i]);
-  return std::sqrt(squares);
-}
-
 // The figures agree but for rounding, which Adam makes visible where a gradient is small: the learning rate is low, so
 // that it does not grow from step to step. A wrong term would show as 10% and more.
 TEST(Distiller, LearnsOnADeviceAsOnTheCpu) {
@@ -198,7 +182,7 @@ TEST(Distiller, LearnsOnADeviceAsOnTheCpu) {
     config.mutable_network()->set_memory(memory);
     config.mutable_ppo()->set_learning_rate(1e-5);
     const auto expected = *PpoUpdater::Create(config, 1);
-    const std::vector<float> start = ValuesOf(expected->SaveWeights(), "");
+    const at::Tensor start = SavedTensors(expected->SaveWeights());
     UpdateStats wanted;
     for (int i = 0; i < 2; ++i) wanted = *Update(i, expected.get());
     for (const char* device : kDevices) {
@@ -216,12 +200,12 @@ TEST(Distiller, LearnsOnADeviceAsOnTheCpu) {
         EXPECT_NEAR(stats->distillation->divergence, wanted.distillation->divergence, 1e-4);
         EXPECT_NEAR(stats->distillation->value_loss, wanted.distillation->value_loss, 1e-3);
       }
-      const std::vector<float> weights = ValuesOf(expected->SaveWeights(), "");
-      EXPECT_LT(Distance(ValuesOf(actual->SaveWeights(), ""), weights), 0.02 * Distance(start, weights));
+      const at::Tensor weights = SavedTensors(expected->SaveWeights());
+      EXPECT_LT(ShareOfWay(SavedTensors(actual->SaveWeights()), weights, start), 0.02);
       for (const char* adam : {"exp_avg", "matching.exp_avg", "prediction.exp_avg"}) {
-        const std::vector<float> moments = ValuesOf(expected->SaveOptimizer(), adam);
-        const std::vector<float> zero(moments.size());
-        EXPECT_LT(Distance(ValuesOf(actual->SaveOptimizer(), adam), moments), 0.02 * Distance(zero, moments)) << adam;
+        const at::Tensor moments = SavedTensors(expected->SaveOptimizer(), adam);
+        EXPECT_LT(ShareOfWay(SavedTensors(actual->SaveOptimizer(), adam), moments, at::zeros_like(moments)), 0.02)
+            << adam;
       }
       EXPECT_NEAR(actual->rollout_options().value_scale.mean, expected->rollout_options().value_scale.mean, 1e-5);
     }
