@@ -24,7 +24,7 @@ class HandOver {
 
   // Each of `handles` gets a thread; a connection goes to one that is free. At least one.
   explicit HandOver(std::vector<Handle> handles);
-  // Resets the connections that are not handed over after a second.
+  // Closes the connections that wait; resets those whose hand-over takes another second.
   ~HandOver();
 
   // Takes ownership of the descriptor; returns at once.
