@@ -34,9 +34,8 @@ NOT_RUN = [
     (r"(build/bin/craftfleet (eval --checkpoint=(deploy/|runs/small)|train --config=small)|build/bin/craftfleet watch "
      r"--(video=\S+ --size=360|strip=attention-strip)|python3 deploy/pictures/)",
      "makes a picture that is committed"),
-    (r"build/bin/craftfleet sweep .*--experiment=(overlap_300k|reproduction)", "takes hours"),
+    (r"build/bin/craftfleet sweep .*--experiment=(overlap_300k|reproduction|one_iteration)", "takes hours"),
     (r"build/bin/craftfleet report runs/overlap", "on deploy/TUNING.md: of that sweep's runs; README.md makes a report"),
-    (r"build/bin/craftfleet train --agent=AGENT", "half an hour for most of the agents"),
     (r"build/bin/craftfleet-learner .*--metrics_listen=127.0.0.1:9464", "serves at a fixed port; watch_test.py"),
     (r"build/bin/craftfleet top --address=127\.0\.0\.1:50051$", "on deploy/cli/top/README.md: README.md and OPERATING.md run it"),
     (r"deploy/local-fleet\.sh", "on deploy/DEPLOYING.md: README.md runs it"),
