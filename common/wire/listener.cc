@@ -40,6 +40,7 @@ constexpr int kPauseMs = 100;             // after running out of descriptors
 constexpr int kMaxEvents = 64;            // per wait
 constexpr int kInspectEveryMs = 25;       // a flood takes up to two gigabytes a second
 constexpr absl::Duration kMaxHandOver = absl::Seconds(2);
+// If the process grows by more, connections are inspected early.
 constexpr int64_t kMemoryUninspected = int64_t{64} << 20;
 
 void SetOption(int socket, int level, int option, int value) {
@@ -252,8 +253,7 @@ void Listener::Forget(int copy) {
 }
 
 void Listener::EndInspected() {
-  const bool memory_grows = ResidentMemoryBytes() > inspected_memory_ + kMemoryUninspected;
-  if (clock_.Now() < next_inspection_ && !memory_grows) return;
+  if (clock_.Now() < next_inspection_ && ResidentMemoryBytes() <= inspected_memory_ + kMemoryUninspected) return;
   const absl::Duration begin = ThreadTime();
   const std::map<int, std::string> floods = inspect_(connections_);
   inspected_memory_ = ResidentMemoryBytes();
@@ -269,8 +269,8 @@ void Listener::EndInspected() {
 
 void Listener::EndSlow() {
   if (const int count = hand_over_->ResetSlow(kMaxHandOver); count > 0) {
-    log_.Warn("slow", absl::StrFormat("%s: ended %d connections that the server was still reading %s after it began",
-                                      address_, count, absl::FormatDuration(kMaxHandOver)));
+    log_.Warn("slow", absl::StrFormat("%s: reset connections whose hand-over took longer than %s: %d", address_,
+                                      absl::FormatDuration(kMaxHandOver), count));
   }
 }
 

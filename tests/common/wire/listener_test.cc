@@ -6,6 +6,9 @@
 #include <sys/socket.h>
 #include <unistd.h>
 
+#include <cerrno>
+#include <map>
+#include <memory>
 #include <string>
 #include <vector>
 
@@ -142,7 +145,7 @@ TEST_F(ListenerTest, StopClosesThePortAndKeepsConnections) {
   close(client);
 }
 
-// gRPC reads on that thread what a client sends meanwhile, and may go on as long as the client does.
+// gRPC may serve a client on the thread that hands it over for as long as the client sends.
 TEST_F(ListenerTest, InspectsConnectionsWhileTheyAreHandedOver) {
   listener_ = *Listener::Create({"127.0.0.1:0"});
   listener_->Start({[this](int descriptor) {
