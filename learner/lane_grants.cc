@@ -177,10 +177,10 @@ std::vector<Permit> LaneScheduler::GrantBackup(Actor* actor, const Shares& share
 
 LaneScheduler::Candidates LaneScheduler::CandidatesFor(Claim claim, const Actor& actor, const Shares& shares,
                                                        absl::Time now) const {
-  static const std::set<int> kNone;
+  static const std::set<int> none;
   if (claim == Claim::kOwn) return {&actor.open, {}};
-  if (claim == Claim::kUnclaimed) return {&kNone, OlderThan(open_, options_.patience, now)};
-  if (actor.held() >= shares.Of(actor)) return {&kNone, {}};
+  if (claim == Claim::kUnclaimed) return {&none, OlderThan(open_, options_.patience, now)};
+  if (actor.held() >= shares.Of(actor)) return {&none, {}};
   Candidates spare = {&open_and_free_, {}};
   // Of holders above their share alone: every one looked at has a lane to give.
   const int least = shares.above > shares.extra ? shares.all : shares.all + 1;

@@ -120,11 +120,11 @@ bool ServerGroups::Suffices(const Site& site) const {
 }
 
 const ServerGroups::Site& ServerGroups::SiteOf(const Place& place, Distance distance) const {
-  static const Site kNowhere;
+  static const Site nowhere;
   if (distance == kElsewhere) return all_;
   const Sites& sites = distance == kSameHost ? hosts_ : zones_;
   const auto site = sites.find(distance == kSameHost ? place.host : place.zone);
-  return site == sites.end() ? kNowhere : site->second;
+  return site == sites.end() ? nowhere : site->second;
 }
 
 ServerGroups::Distance ServerGroups::ReachOf(const Actor& actor) const {

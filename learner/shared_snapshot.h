@@ -24,8 +24,8 @@ class SharedSnapshot {
       : SharedSnapshot(LaneSnapshot{std::move(game), std::move(state)}) {}
 
   const LaneSnapshot& operator*() const {
-    static const LaneSnapshot kEmpty;
-    return snapshot_ == nullptr ? kEmpty : *snapshot_;
+    static const LaneSnapshot empty;
+    return snapshot_ == nullptr ? empty : *snapshot_;
   }
   const LaneSnapshot* operator->() const { return &**this; }
   friend bool operator==(const SharedSnapshot& a, const SharedSnapshot& b) { return *a == *b; }

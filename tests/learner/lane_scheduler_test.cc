@@ -1,16 +1,13 @@
-
-#include <set>
+// How actors share lanes, and which fragments are accepted.
 #include <string>
 #include <thread>
-#include <utility>
 #include <vector>
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
-#include "tests/fakes/fake_clock.h"
 #include "tests/fakes/status_matchers.h"
-#include "tests/learner/test_registry.h"
+#include "tests/learner/lane_fleet.h"
 
 namespace craftfleet {
 namespace {
@@ -23,53 +20,14 @@ using testing::SizeIs;
 
 using Verdict = LaneScheduler::Verdict;
 
-constexpr int kAll = 4096;  // a capacity that never limits
-constexpr int64_t kVersion = 20;
-
-// A registry with `lanes` new lanes, its clock, and short forms of its calls. An iteration of `fragments` is open.
-class Fleet {
- public:
-  explicit Fleet(int lanes, int64_t fragments = 1) : Fleet(std::vector<LaneRecord>(lanes), fragments) {}
-  Fleet(std::vector<LaneRecord> records, int64_t last_fragment)
-      : registry({static_cast<int>(records.size()), absl::Seconds(5), absl::Seconds(1)}, records, &clock) {
-    registry.OpenIteration(last_fragment, kVersion);
-  }
-
-  TestRegistry::Grant Ask(const std::string& actor, const std::vector<Permit>& active = {}, int capacity = kAll) {
-    const auto grant = registry.GetPermits(actor, active, capacity, absl::ZeroDuration());
-    EXPECT_THAT(grant, IsOk());
-    return grant.value_or(TestRegistry::Grant());
-  }
-  // Joins and requests permits.
-  std::vector<Permit> Enter(const std::string& actor, int capacity = kAll) {
-    registry.Join(actor, "address of " + actor);
-    return Ask(actor, {}, capacity).granted;
-  }
-  Verdict Push(const std::string& actor, const Permit& permit) {
-    const auto verdict = registry.Accept(actor, permit, {"after " + std::to_string(permit.fragment), {1.5F}});
-    EXPECT_THAT(verdict, IsOk());
-    return verdict.value_or(Verdict::kExpired);
-  }
-
-  FakeClock clock;
-  TestRegistry registry;
-};
-
-std::vector<int> Lanes(const std::vector<Permit>& permits) {
-  std::vector<int> lanes;
-  lanes.reserve(permits.size());
-  for (const Permit& permit : permits) lanes.push_back(permit.lane);
-  return lanes;
-}
-
 TEST(LaneScheduler, ALoneActorGetsEveryLane) {
-  Fleet fleet(4);
+  LaneFleet fleet(4);
   EXPECT_THAT(fleet.Enter("a"), ElementsAre(Permit{0, 0, kVersion}, Permit{1, 0, kVersion}, Permit{2, 0, kVersion},
                                             Permit{3, 0, kVersion}));
 }
 
 TEST(LaneScheduler, GrantsNoMoreThanTheActorCanPlay) {
-  Fleet fleet(4);
+  LaneFleet fleet(4);
   const std::vector<Permit> first = fleet.Enter("a", 2);
   EXPECT_THAT(Lanes(first), ElementsAre(0, 1));
   EXPECT_THAT(fleet.Ask("a", first, 2).granted, IsEmpty());
@@ -78,7 +36,7 @@ TEST(LaneScheduler, GrantsNoMoreThanTheActorCanPlay) {
 }
 
 TEST(LaneScheduler, ActorsGetFairShares) {
-  Fleet fleet(16);
+  LaneFleet fleet(16);
   fleet.registry.Join("a", "");
   fleet.registry.Join("b", "");
   fleet.registry.Join("c", "");
@@ -89,7 +47,7 @@ TEST(LaneScheduler, ActorsGetFairShares) {
 
 TEST(LaneScheduler, SharesDifferByOneAtMostWhateverTheNumberOfActors) {
   for (int actors = 1; actors <= 20; ++actors) {
-    Fleet fleet(16);
+    LaneFleet fleet(16);
     for (int i = 0; i < actors; ++i) fleet.registry.Join(std::to_string(i), "");
     size_t total = 0;
     for (int i = 0; i < actors; ++i) {
@@ -103,7 +61,7 @@ TEST(LaneScheduler, SharesDifferByOneAtMostWhateverTheNumberOfActors) {
 }
 
 TEST(LaneScheduler, LanesBeyondAnActorsCapacityGoToTheOthers) {
-  Fleet fleet(16);
+  LaneFleet fleet(16);
   fleet.registry.Join("small", "");
   fleet.registry.Join("a", "");
   fleet.registry.Join("b", "");
@@ -113,7 +71,7 @@ TEST(LaneScheduler, LanesBeyondAnActorsCapacityGoToTheOthers) {
 }
 
 TEST(LaneScheduler, TheOddLaneGoesToTheFirstActorThatAsks) {
-  Fleet fleet(5, 100);
+  LaneFleet fleet(5, 100);
   std::vector<Permit> of_a = fleet.Enter("a");
   fleet.registry.Join("b", "");
   std::vector<Permit> of_b;
@@ -130,7 +88,7 @@ TEST(LaneScheduler, TheOddLaneGoesToTheFirstActorThatAsks) {
 }
 
 TEST(LaneScheduler, AnActorKeepsItsLanes) {
-  Fleet fleet(8);
+  LaneFleet fleet(8);
   fleet.registry.Join("a", "");
   fleet.registry.Join("b", "");
   const std::vector<Permit> of_a = fleet.Ask("a").granted;
@@ -143,7 +101,7 @@ TEST(LaneScheduler, AnActorKeepsItsLanes) {
 }
 
 TEST(LaneScheduler, ANewActorGetsTheOthersExcessLanes) {
-  Fleet fleet(4);
+  LaneFleet fleet(4);
   const std::vector<Permit> of_a = fleet.Enter("a");
   EXPECT_THAT(fleet.Enter("b"), IsEmpty());  // all permits are outstanding
   for (const Permit& permit : of_a) EXPECT_EQ(fleet.Push("a", permit), Verdict::kAccepted);
@@ -153,7 +111,7 @@ TEST(LaneScheduler, ANewActorGetsTheOthersExcessLanes) {
 }
 
 TEST(LaneScheduler, GrantsAreForTheNextFragmentUnderTheIterationsWeights) {
-  Fleet fleet(1, 3);
+  LaneFleet fleet(1, 3);
   fleet.registry.Join("a", "");
   for (int64_t fragment = 0; fragment < 3; ++fragment) {
     const std::vector<Permit> granted = fleet.Ask("a").granted;
@@ -167,13 +125,13 @@ TEST(LaneScheduler, GrantsAreForTheNextFragmentUnderTheIterationsWeights) {
 }
 
 TEST(LaneScheduler, ContinuesFromGivenRecords) {
-  Fleet fleet({{7, {"seven", {7}}}, {6, {"six", {6}}}}, 7);
+  LaneFleet fleet({{7, {"seven", {7}}}, {6, {"six", {6}}}}, 7);
   EXPECT_THAT(fleet.Enter("a"), ElementsAre(Permit{1, 6, kVersion}));
   EXPECT_EQ(fleet.registry.Snapshot(0, 7).value(), (LaneSnapshot{"seven", {7}}));
 }
 
 TEST(LaneScheduler, RestoresFragmentsAcceptedByAnEarlierStart) {
-  Fleet fleet({{5, {"before 5", {}}}, {6, {"before 6", {}}}}, 7);
+  LaneFleet fleet({{5, {"before 5", {}}}, {6, {"before 6", {}}}}, 7);
   EXPECT_TRUE(fleet.registry.Restore({0, 5, kVersion}, {"after 5", {}}));
   EXPECT_FALSE(fleet.registry.Restore({0, 5, kVersion}, {"again", {}}));
   EXPECT_FALSE(fleet.registry.Restore({1, 7, kVersion}, {"too far", {}}));
@@ -184,13 +142,13 @@ TEST(LaneScheduler, RestoresFragmentsAcceptedByAnEarlierStart) {
 }
 
 TEST(LaneScheduler, AnUnknownActorMustJoin) {
-  Fleet fleet(1);
+  LaneFleet fleet(1);
   EXPECT_THAT(fleet.registry.GetPermits("stranger", {}, kAll, absl::InfiniteDuration()),
               StatusIs(absl::StatusCode::kAborted, AllOf(HasSubstr("stranger"), HasSubstr("join again"))));
 }
 
 TEST(LaneScheduler, LeaveFreesLanesForOthers) {
-  Fleet fleet(2);
+  LaneFleet fleet(2);
   EXPECT_THAT(fleet.Enter("a"), SizeIs(2));
   EXPECT_THAT(fleet.Enter("b"), IsEmpty());
   fleet.registry.Leave("a");
@@ -199,160 +157,8 @@ TEST(LaneScheduler, LeaveFreesLanesForOthers) {
               StatusIs(absl::StatusCode::kAborted, HasSubstr("a")));
 }
 
-TEST(LaneScheduler, ALapsedLeaseFreesLanes) {
-  Fleet fleet(2);
-  const std::vector<Permit> of_a = fleet.Enter("a");
-  fleet.registry.Join("b", "");
-  fleet.clock.Advance(absl::Seconds(5));
-  EXPECT_THAT(fleet.Ask("b").granted, IsEmpty()) << "the lease is not over yet";
-  fleet.clock.Advance(absl::Milliseconds(1));
-  EXPECT_THAT(fleet.Ask("b").granted, SizeIs(2));
-  EXPECT_EQ(fleet.Push("a", of_a[0]), Verdict::kExpired);
-  EXPECT_THAT(fleet.registry.GetPermits("a", of_a, kAll, absl::ZeroDuration()),
-              StatusIs(absl::StatusCode::kAborted, HasSubstr("join")));
-}
-
-// The guaranteed times: an actor that was suspended for 4 s keeps its lanes; one suspended for 15 s learns that it lost
-// them.
-TEST(LaneScheduler, ASlowActorKeepsItsLanes) {
-  Fleet fleet(2);
-  const std::vector<Permit> of_a = fleet.Enter("a");
-  fleet.registry.Join("b", "");
-  fleet.clock.Advance(absl::Seconds(4));
-  EXPECT_THAT(fleet.Ask("b").granted, IsEmpty());
-  EXPECT_THAT(fleet.Ask("a", of_a).lost, IsEmpty());
-  EXPECT_EQ(fleet.registry.lapsed(), 0);
-  for (int i = 0; i < 15; ++i) {
-    fleet.clock.Advance(absl::Seconds(1));
-    fleet.Ask("b", {});
-  }
-  EXPECT_EQ(fleet.registry.lapsed(), 2);
-  EXPECT_THAT(fleet.registry.GetPermits("a", of_a, kAll, absl::ZeroDuration()),
-              StatusIs(absl::StatusCode::kAborted, HasSubstr("join again")));
-  fleet.registry.Join("a", "");
-  EXPECT_EQ(fleet.Ask("a", of_a).lost, of_a);
-}
-
-TEST(LaneScheduler, ALeaseLastsTwiceAsLongIfNoOtherActorAsks) {
-  Fleet fleet(2);
-  const std::vector<Permit> of_a = fleet.Enter("a");
-  fleet.clock.Advance(absl::Seconds(10));
-  EXPECT_THAT(fleet.Ask("a", of_a).lost, IsEmpty());
-  fleet.clock.Advance(absl::Milliseconds(10001));
-  EXPECT_THAT(fleet.registry.GetPermits("a", of_a, kAll, absl::ZeroDuration()),
-              StatusIs(absl::StatusCode::kAborted, HasSubstr("join again")));
-  EXPECT_EQ(fleet.registry.lapsed(), 2);
-}
-
-TEST(LaneScheduler, ABrokenConnectionEndsTheLeaseSooner) {
-  Fleet fleet(2);
-  fleet.Enter("a");
-  fleet.registry.Join("b", "");
-  fleet.registry.OnConnectionLost("a");
-  fleet.clock.Advance(absl::Seconds(2));
-  EXPECT_THAT(fleet.Ask("b").granted, IsEmpty()) << "it may reconnect";
-  fleet.clock.Advance(absl::Milliseconds(1));
-  EXPECT_THAT(fleet.Ask("b").granted, SizeIs(2));
-  EXPECT_EQ(fleet.registry.lapsed(), 2);
-  fleet.registry.OnConnectionLost("a");  // no longer known
-}
-
-TEST(LaneScheduler, TheEndOfAnEarlierStreamDoesNotShortenALease) {
-  Fleet fleet(2);
-  WorkerRegistry::PermitRequest renewal = TestRegistry::RequestOf("a", fleet.Enter("a"), kAll);
-  fleet.registry.Join("b", "");
-  for (const int64_t stream : {1, 2}) {
-    renewal.stream = stream;
-    EXPECT_THAT(fleet.registry.WorkerRegistry::GetPermits(renewal), IsOk());
-  }
-  fleet.registry.OnConnectionLost("a", 1);
-  fleet.clock.Advance(absl::Milliseconds(2001));
-  EXPECT_THAT(fleet.Ask("b").granted, IsEmpty());
-  fleet.registry.OnConnectionLost("a", 2);
-  fleet.clock.Advance(absl::Milliseconds(2001));
-  EXPECT_THAT(fleet.Ask("b").granted, SizeIs(2));
-}
-
-TEST(LaneScheduler, AReconnectedActorKeepsItsLease) {
-  Fleet fleet(2);
-  const std::vector<Permit> of_a = fleet.Enter("a");
-  fleet.registry.Join("b", "");
-  fleet.registry.OnConnectionLost("a");
-  fleet.clock.Advance(absl::Milliseconds(1900));
-  EXPECT_THAT(fleet.Ask("a", of_a).lost, IsEmpty());
-  fleet.clock.Advance(absl::Seconds(4));
-  EXPECT_THAT(fleet.Ask("b").granted, IsEmpty());
-}
-
-TEST(LaneScheduler, ABrokenConnectionDoesNotLengthenALease) {
-  Fleet fleet(2);
-  fleet.Enter("a");
-  fleet.registry.Join("b", "");
-  fleet.clock.Advance(absl::Milliseconds(4500));
-  fleet.registry.OnConnectionLost("a");
-  fleet.clock.Advance(absl::Milliseconds(501));
-  EXPECT_THAT(fleet.Ask("b").granted, SizeIs(2));
-}
-
-TEST(LaneScheduler, LeavingEndsAWaitingRequest) {
-  Fleet fleet(1, 0);
-  fleet.registry.Join("a", "");
-  absl::Status status;
-  std::thread waiting([&] { status = fleet.registry.GetPermits("a", {}, kAll, absl::InfiniteDuration()).status(); });
-  fleet.registry.Leave("a");
-  waiting.join();
-  EXPECT_THAT(status, StatusIs(absl::StatusCode::kAborted, HasSubstr("join again")));
-}
-
-TEST(LaneScheduler, ARestartedActorIsANewActor) {
-  Fleet fleet(2);
-  const std::vector<Permit> of_old = fleet.Enter("host-1-aaaa");
-  ASSERT_THAT(of_old, SizeIs(2));
-  EXPECT_THAT(fleet.Enter("host-1-bbbb"), IsEmpty()) << "the permits of the old process are still outstanding";
-  EXPECT_EQ(fleet.Ask("host-1-bbbb", of_old).lost, of_old) << "they are not its permits";
-  EXPECT_EQ(fleet.Push("host-1-bbbb", of_old[0]), Verdict::kExpired);
-  fleet.clock.Advance(absl::Milliseconds(5001));
-  const std::vector<Permit> of_new = fleet.Ask("host-1-bbbb").granted;
-  EXPECT_EQ(of_new, of_old);
-  EXPECT_EQ(fleet.Push("host-1-aaaa", of_old[0]), Verdict::kExpired) << "a late fragment of the old process";
-  EXPECT_THAT(fleet.registry.GetPermits("host-1-aaaa", of_old, kAll, absl::ZeroDuration()),
-              StatusIs(absl::StatusCode::kAborted, HasSubstr("join again")))
-      << "a late request of the old process";
-  EXPECT_EQ(fleet.Push("host-1-bbbb", of_new[0]), Verdict::kAccepted);
-}
-
-// The registry is bounded even if actors crash right after joining, again and again, under new names.
-TEST(LaneScheduler, ActorsThatJoinAndVanishAreForgotten) {
-  Fleet fleet(2);
-  for (int i = 0; i < 1000; ++i) {
-    fleet.registry.Join(std::to_string(i), "");
-    fleet.clock.Advance(absl::Seconds(1));
-  }
-  EXPECT_LE(fleet.registry.Actors().size(), 6);
-}
-
-TEST(LaneScheduler, AskingRenewsTheLease) {
-  Fleet fleet(2);
-  const std::vector<Permit> of_a = fleet.Enter("a");
-  for (int i = 0; i < 5; ++i) {
-    fleet.clock.Advance(absl::Seconds(4));
-    EXPECT_THAT(fleet.Ask("a", of_a).lost, IsEmpty());
-  }
-  EXPECT_EQ(fleet.Push("a", of_a[0]), Verdict::kAccepted);
-}
-
-TEST(LaneScheduler, AnAcceptedFragmentRenewsTheLease) {
-  Fleet fleet(2);
-  const std::vector<Permit> of_a = fleet.Enter("a");
-  fleet.clock.Advance(absl::Seconds(4));
-  EXPECT_EQ(fleet.Push("a", of_a[0]), Verdict::kAccepted);
-  fleet.clock.Advance(absl::Seconds(4));
-  EXPECT_THAT(fleet.Enter("b"), IsEmpty());
-  EXPECT_EQ(fleet.Push("a", of_a[1]), Verdict::kAccepted);
-}
-
 TEST(LaneScheduler, ReportsLostPermits) {
-  Fleet fleet(3, 2);
+  LaneFleet fleet(3, 2);
   const std::vector<Permit> of_a = fleet.Enter("a");
   EXPECT_EQ(fleet.Push("a", of_a[0]), Verdict::kAccepted);
   fleet.clock.Advance(absl::Seconds(6));
@@ -366,7 +172,7 @@ TEST(LaneScheduler, ReportsLostPermits) {
 }
 
 TEST(LaneScheduler, AnUnreportedPermitIsRevoked) {
-  Fleet fleet(2);
+  LaneFleet fleet(2);
   const std::vector<Permit> of_a = fleet.Enter("a");
   EXPECT_THAT(fleet.Ask("a", {of_a[0]}).granted, ElementsAre(of_a[1]));
   fleet.Ask("a", {of_a[1]}, 1);
@@ -376,7 +182,7 @@ TEST(LaneScheduler, AnUnreportedPermitIsRevoked) {
 
 // Its environment servers may be unreachable; without this it would get the same lanes forever.
 TEST(LaneScheduler, ReturnedLanesGoToOtherActorsFirst) {
-  Fleet fleet(4);
+  LaneFleet fleet(4);
   fleet.registry.Join("a", "");
   const std::vector<Permit> of_b = fleet.Enter("b");
   ASSERT_THAT(of_b, SizeIs(2));
@@ -390,7 +196,7 @@ TEST(LaneScheduler, ReturnedLanesGoToOtherActorsFirst) {
 }
 
 TEST(LaneScheduler, AReturnedLaneGoesBackIfNoOtherActorTakesIt) {
-  Fleet fleet(4);
+  LaneFleet fleet(4);
   fleet.registry.Join("b", "");
   const std::vector<Permit> of_a = fleet.Enter("a");
   EXPECT_THAT(fleet.Ask("a", {}).granted, IsEmpty());
@@ -399,7 +205,7 @@ TEST(LaneScheduler, AReturnedLaneGoesBackIfNoOtherActorTakesIt) {
 }
 
 TEST(LaneScheduler, AcceptsAFragmentOnce) {
-  Fleet fleet(2);
+  LaneFleet fleet(2);
   const std::vector<Permit> of_a = fleet.Enter("a");
   EXPECT_EQ(fleet.Push("a", of_a[0]), Verdict::kAccepted);
   EXPECT_EQ(fleet.Push("a", of_a[0]), Verdict::kDuplicate);
@@ -408,7 +214,7 @@ TEST(LaneScheduler, AcceptsAFragmentOnce) {
 }
 
 TEST(LaneScheduler, RefusesFragmentsWithoutAPermit) {
-  Fleet fleet(2, 2);
+  LaneFleet fleet(2, 2);
   const std::vector<Permit> of_a = fleet.Enter("a", 1);
   EXPECT_EQ(fleet.Push("b", of_a[0]), Verdict::kExpired) << "another actor's permit";
   EXPECT_EQ(fleet.Push("a", {1, 0, kVersion}), Verdict::kExpired) << "there is no permit for this lane";
@@ -418,7 +224,7 @@ TEST(LaneScheduler, RefusesFragmentsWithoutAPermit) {
 }
 
 TEST(LaneScheduler, RefusesFragmentsOfOtherWeights) {
-  Fleet fleet(1);
+  LaneFleet fleet(1);
   const Permit permit = fleet.Enter("a")[0];
   EXPECT_THAT(fleet.registry.Accept("a", {0, 0, kVersion - 1}, {"s", {}}),
               StatusIs(absl::StatusCode::kInvalidArgument,
@@ -427,7 +233,7 @@ TEST(LaneScheduler, RefusesFragmentsOfOtherWeights) {
 }
 
 TEST(LaneScheduler, KeepsTheSnapshotOfTheLastAcceptedFragment) {
-  Fleet fleet({{3, {"before 3", {0.5F}}}}, 5);
+  LaneFleet fleet({{3, {"before 3", {0.5F}}}}, 5);
   const Permit permit = fleet.Enter("a")[0];
   EXPECT_EQ(fleet.registry.Snapshot(0, 3).value(), (LaneSnapshot{"before 3", {0.5F}}));
   EXPECT_EQ(fleet.Push("a", permit), Verdict::kAccepted);
@@ -442,7 +248,7 @@ TEST(LaneScheduler, KeepsTheSnapshotOfTheLastAcceptedFragment) {
 }
 
 TEST(LaneScheduler, AnUnclaimedLaneGoesToAnyActorAfterAWhile) {
-  Fleet fleet(4);
+  LaneFleet fleet(4);
   fleet.registry.Join("slow", "");
   const std::vector<Permit> of_fast = fleet.Enter("fast");
   ASSERT_THAT(of_fast, SizeIs(2));
@@ -453,7 +259,7 @@ TEST(LaneScheduler, AnUnclaimedLaneGoesToAnyActorAfterAWhile) {
 }
 
 TEST(LaneScheduler, ReportsTheEndOfTheRun) {
-  Fleet fleet(1);
+  LaneFleet fleet(1);
   const std::vector<Permit> of_a = fleet.Enter("a");
   EXPECT_FALSE(fleet.Ask("a", of_a).finished);
   std::thread waiting(
@@ -467,7 +273,7 @@ TEST(LaneScheduler, ReportsTheEndOfTheRun) {
 }
 
 TEST(LaneScheduler, CloseWakesWaitingRequestsAndGrantsNothing) {
-  Fleet fleet(1, 0);
+  LaneFleet fleet(1, 0);
   fleet.registry.Join("a", "");
   absl::Status status;
   std::thread waiting([&] { status = fleet.registry.GetPermits("a", {}, kAll, absl::InfiniteDuration()).status(); });
@@ -480,7 +286,7 @@ TEST(LaneScheduler, CloseWakesWaitingRequestsAndGrantsNothing) {
 }
 
 TEST(LaneScheduler, ANewIterationWakesWaitingRequests) {
-  Fleet fleet(1, 0);
+  LaneFleet fleet(1, 0);
   fleet.registry.Join("a", "");
   std::vector<Permit> granted;
   std::thread waiting([&] { granted = fleet.registry.GetPermits("a", {}, kAll, absl::InfiniteDuration())->granted; });
@@ -490,7 +296,7 @@ TEST(LaneScheduler, ANewIterationWakesWaitingRequests) {
 }
 
 TEST(LaneScheduler, ReportsActors) {
-  Fleet fleet(3, 2);
+  LaneFleet fleet(3, 2);
   const std::vector<Permit> of_a = fleet.Enter("a", 2);
   fleet.Push("a", of_a[0]);
   fleet.clock.Advance(absl::Seconds(2));

@@ -9,17 +9,12 @@
 #include <gtest/gtest.h>
 
 #include "common/base/closable_queue.h"
+#include "tests/fakes/is_closed.h"
 #include "tests/fakes/status_matchers.h"
 #include "tests/fakes/wait_until.h"
 
 namespace craftfleet::wire {
 namespace {
-
-// Whether the other side has closed the connection.
-bool IsClosed(int client) {
-  char byte = 0;
-  return recv(client, &byte, 1, MSG_DONTWAIT) == 0;
-}
 
 // Its servers read until a connection ends, as gRPC may while a client keeps sending.
 class HandOverTest : public testing::Test {

@@ -17,6 +17,7 @@
 #include <gtest/gtest.h>
 
 #include "common/base/closable_queue.h"
+#include "tests/fakes/is_closed.h"
 #include "tests/fakes/sanitizers.h"
 #include "tests/fakes/status_matchers.h"
 #include "tests/fakes/wait_until.h"
@@ -37,12 +38,6 @@ int ConnectTo(const Listener& listener) {
   address.sin_addr.s_addr = htonl(INADDR_LOOPBACK);
   EXPECT_EQ(connect(client, reinterpret_cast<const sockaddr*>(&address), sizeof(address)), 0);
   return client;
-}
-
-// Whether the other side has closed the connection.
-bool IsClosed(int client) {
-  char byte = 0;
-  return recv(client, &byte, 1, MSG_DONTWAIT) == 0 || (errno != EAGAIN && errno != EWOULDBLOCK);
 }
 
 class ListenerTest : public testing::Test {
