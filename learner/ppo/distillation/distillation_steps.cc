@@ -46,16 +46,22 @@ DistillationSteps::DistillationSteps(const AgentSpec& spec, const v1::RunConfig&
       rollouts_(rollouts),
       net_(net) {}
 
-absl::StatusOr<std::vector<float>> DistillationSteps::GoalChanges(const KeptEpisode& episode) {
+absl::StatusOr<std::vector<std::vector<float>>> DistillationSteps::GoalChanges(
+    absl::Span<const KeptEpisode* const> episodes) {
   std::vector<int> rows;
-  for (const int goal : episode.goals) rows.insert(rows.end(), {episode.rows[goal], episode.rows[goal + 1]});
+  for (const KeptEpisode* episode : episodes) {
+    for (const int goal : episode->goals) rows.insert(rows.end(), {episode->rows[goal], episode->rows[goal + 1]});
+  }
   CRAFTFLEET_ASSIGN_OR_RETURN(const std::vector<float> codes, net_->Codes(rows));
   const auto size = static_cast<size_t>(code_size_);
-  const absl::Span<const float> all = codes;
-  std::vector<float> changes(episode.goals.size() * size);
-  for (size_t i = 0; i < episode.goals.size(); ++i) {
-    CodeChange(all.subspan(2 * i * size, size), all.subspan((2 * i + 1) * size, size),
-               absl::MakeSpan(changes).subspan(i * size, size));
+  absl::Span<const float> rest = codes;
+  std::vector<std::vector<float>> changes;
+  for (const KeptEpisode* episode : episodes) {
+    std::vector<float>& of_episode = changes.emplace_back(episode->goals.size() * size);
+    for (size_t i = 0; i < episode->goals.size(); ++i) {
+      CodeChange(rest.subspan(0, size), rest.subspan(size, size), absl::MakeSpan(of_episode).subspan(i * size, size));
+      rest.remove_prefix(2 * size);
+    }
   }
   return changes;
 }
@@ -140,32 +146,22 @@ absl::StatusOr<DistillationLosses> DistillationSteps::Match(const MatchingBatch&
   Step step;
   RowIndex index(&step.rows, &step.counts);
   std::vector<std::pair<int, int>> places;  // of the source's frames before and after each goal
-  std::vector<int> target_rows;             // of the frames before and after the positive, and the negative
   for (const MatchedGoal& goal : batch.goals) {
     places.emplace_back(index.Add(source.rows[goal.source], 0), index.Add(source.rows[goal.source + 1], 0));
-    for (const int t : {goal.positive, goal.negative}) {
-      target_rows.insert(target_rows.end(), {goal.target->rows[t], goal.target->rows[t + 1]});
-    }
   }
   for (const int t : batch.kept) index.Add(source.rows[t], 1);
-  CRAFTFLEET_ASSIGN_OR_RETURN(const std::vector<float> target_codes, net_->Codes(target_rows));
 
   const auto size = static_cast<size_t>(code_size_);
   const Contrast contrast = [&](const NetNumbers& outputs, NetNumbers* gradients) {
-    // Positive, negative, anchor and the gradient by the anchor of each goal.
-    std::vector<float> vectors(places.size() * 4 * size);
+    std::vector<float> vectors(places.size() * 2 * size);  // the anchor of each goal, and the gradient by it
     std::vector<ContrastiveRow> rows;
     for (size_t i = 0; i < places.size(); ++i) {
-      float* const positive = &vectors[i * 4 * size];
-      float* const negative = positive + size;
-      float* const anchor = negative + size;
-      const absl::Span<const float> codes = absl::MakeConstSpan(target_codes).subspan(i * 4 * size, 4 * size);
-      CodeChange(codes.subspan(0, size), codes.subspan(size, size), {positive, size});
-      CodeChange(codes.subspan(2 * size, size), codes.subspan(3 * size, size), {negative, size});
+      float* const anchor = &vectors[i * 2 * size];
       const float* const before = outputs.code(places[i].first);
       const float* const after = outputs.code(places[i].second);
       for (size_t k = 0; k < size; ++k) anchor[k] = after[k] - before[k];
-      rows.push_back({anchor, positive, negative, anchor + size, nullptr, nullptr});
+      const MatchedGoal& goal = batch.goals[i];
+      rows.push_back({anchor, goal.positive.data(), goal.negative.data(), anchor + size, nullptr, nullptr});
     }
     const double loss = ContrastiveLoss(rows, code_size_, temperature_);
     for (size_t i = 0; i < places.size(); ++i) {

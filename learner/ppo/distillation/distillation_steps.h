@@ -24,12 +24,11 @@ struct PredictionBatch {
   std::vector<int> negatives;  // [steps] likewise
 };
 
-// A goal of the source episode, and two of the same other episode, by step.
+// A goal of the source episode, by step, and the changes of features at two goals of another episode.
 struct MatchedGoal {
   int source = 0;
-  const KeptEpisode* target = nullptr;
-  int positive = 0;
-  int negative = 0;
+  absl::Span<const float> positive;  // [F], as of GoalChanges under the present weights
+  absl::Span<const float> negative;
 };
 struct MatchingBatch {
   const KeptEpisode* source = nullptr;
@@ -55,8 +54,8 @@ class DistillationSteps {
   // float[rows,17] logits of rows of the rollouts, without gradients.   Errors as DistillationNet.
   absl::StatusOr<std::vector<float>> Logits(absl::Span<const int> rows) { return net_->Logits(rows); }
 
-  // float[goals,F]: the change of features at each goal of `episode`, under the present weights; [F] each.
-  absl::StatusOr<std::vector<float>> GoalChanges(const KeptEpisode& episode);
+  // For each episode, float[goals,F]: the change of features at each of its goals, under the present weights.
+  absl::StatusOr<std::vector<std::vector<float>>> GoalChanges(absl::Span<const KeptEpisode* const> episodes);
 
   // One optimiser step that teaches to predict the next goal, or to recognise goals that are the same. `old_logits`,
   // float[n,17] for all rows of the rollouts, are those of the policy to keep.

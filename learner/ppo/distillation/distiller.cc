@@ -87,31 +87,36 @@ class Distiller::Phase {
     return absl::OkStatus();
   }
 
-  // The matches of a source with one target, each with a random goal of the target as negative.
-  absl::Status MatchTarget(const KeptEpisode& source, absl::Span<const float> changes, const KeptEpisode& target,
-                           MatchingBatch* batch) {
-    CRAFTFLEET_ASSIGN_OR_RETURN(const std::vector<float> target_changes, steps_->GoalChanges(target));
+  // The source and up to `targets` others, in random order.
+  std::vector<const KeptEpisode*> SourceAndTargets(int source) {
+    std::vector<const KeptEpisode*> chosen = {&episodes_[source]};
+    std::vector<int> others = draws_.Permutation(count() - 1);
+    others.resize(std::min<size_t>(others.size(), config_.targets()));
+    // A number from `source` on stands for the next one.
+    for (const int other : others) chosen.push_back(&episodes_[other + (other >= source ? 1 : 0)]);
+    return chosen;
+  }
+
+  // The matches of the source with one target, each with a random goal of the target as negative.
+  void MatchTarget(const KeptEpisode& source, absl::Span<const float> changes, absl::Span<const float> target_changes,
+                   MatchingBatch* batch) {
+    const auto size = static_cast<size_t>(steps_->code_size());
+    const auto target_goals = static_cast<int>(target_changes.size() / size);
     const TransportOptions options = {config_.transport_regularization(), config_.transport_rounds()};
-    for (const Match& match : MatchGoals(changes, target_changes, static_cast<size_t>(steps_->code_size()), options,
-                                         config_.match_threshold())) {
-      const int negative = target.goals[draws_.Below(static_cast<int>(target.goals.size()))];
-      batch->goals.push_back({source.goals[match.row], &target, target.goals[match.column], negative});
+    for (const Match& match : MatchGoals(changes, target_changes, size, options, config_.match_threshold())) {
+      batch->goals.push_back({source.goals[match.row], target_changes.subspan(match.column * size, size),
+                              target_changes.subspan(draws_.Below(target_goals) * size, size)});
     }
-    return absl::OkStatus();
   }
 
   absl::Status MatchSource(int number) {
-    const KeptEpisode& source = episodes_[number];
+    const std::vector<const KeptEpisode*> chosen = SourceAndTargets(number);
+    if (chosen.size() == 1) return absl::OkStatus();
+    CRAFTFLEET_ASSIGN_OR_RETURN(const std::vector<std::vector<float>> changes, steps_->GoalChanges(chosen));
+    const KeptEpisode& source = *chosen[0];
     MatchingBatch batch;
     batch.source = &source;
-    // The others in random order: a number from `number` on stands for the next one.
-    std::vector<int> others = draws_.Permutation(count() - 1);
-    others.resize(std::min<size_t>(others.size(), config_.targets()));
-    if (others.empty()) return absl::OkStatus();
-    CRAFTFLEET_ASSIGN_OR_RETURN(const std::vector<float> changes, steps_->GoalChanges(source));
-    for (const int other : others) {
-      CRAFTFLEET_RETURN_IF_ERROR(MatchTarget(source, changes, episodes_[other + (other >= number ? 1 : 0)], &batch));
-    }
+    for (size_t i = 1; i < changes.size(); ++i) MatchTarget(source, changes[0], changes[i], &batch);
     if (batch.goals.empty()) return absl::OkStatus();
     for (size_t i = 0; i < batch.goals.size(); ++i) {
       batch.kept.push_back(draws_.Below(static_cast<int>(source.rows.size())));

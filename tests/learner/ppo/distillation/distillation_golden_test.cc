@@ -383,26 +383,29 @@ TEST_P(DistillationStepsGolden, PredictionStepsMatch) {
 
 TEST_P(DistillationStepsGolden, MatchingStepsMatch) {
   const json& matching = golden_["matching_step"];
-  MatchingBatch batch;
-  batch.source = &source_;
-  for (size_t i = 0; i < matching["pairs_used"].size(); ++i) {
-    batch.goals.push_back({source_.goals[matching["pairs_used"][i][0].get<int>()], &target_,
-                           target_.goals[matching["pairs_used"][i][1].get<int>()],
-                           target_.goals[matching["negatives"][i].get<int>()]});
-  }
-  batch.kept = matching["kept_steps"].get<std::vector<int>>();
-  ExpectSteps(matching, DistillationLoss::kMatching,
-              [&](ValueNorm* norm) { return steps_.Match(batch, old_logits_, norm); });
+  ExpectSteps(matching, DistillationLoss::kMatching, [&](ValueNorm* norm) {
+    const std::vector<float> changes = (*steps_.GoalChanges({&target_}))[0];
+    const auto change = [&](const json& goal) {
+      return absl::MakeConstSpan(changes).subspan(goal.get<size_t>() * kCode, kCode);
+    };
+    MatchingBatch batch;
+    batch.source = &source_;
+    for (size_t i = 0; i < matching["pairs_used"].size(); ++i) {
+      const json& pair = matching["pairs_used"][i];
+      batch.goals.push_back({source_.goals[pair[0].get<int>()], change(pair[1]), change(matching["negatives"][i])});
+    }
+    batch.kept = matching["kept_steps"].get<std::vector<int>>();
+    return steps_.Match(batch, old_logits_, norm);
+  });
 }
 
 TEST_P(DistillationStepsGolden, ChangesAtGoalsGiveTheGoldensCost) {
-  const std::vector<float> source = *steps_.GoalChanges(source_);
-  const std::vector<float> target = *steps_.GoalChanges(target_);
+  const std::vector<std::vector<float>> changes = *steps_.GoalChanges({&source_, &target_});
   const json& cost = golden_["matching_step"]["cost"];
   for (size_t i = 0; i < cost.size(); ++i) {
     for (size_t j = 0; j < cost[i].size(); ++j) {
       double product = 0;
-      for (int k = 0; k < kCode; ++k) product += double{source[i * kCode + k]} * target[j * kCode + k];
+      for (int k = 0; k < kCode; ++k) product += double{changes[0][i * kCode + k]} * changes[1][j * kCode + k];
       EXPECT_NEAR(1 - product, cost[i][j].get<double>(), 1e-5) << i << " " << j;
     }
   }

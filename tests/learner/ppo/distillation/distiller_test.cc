@@ -212,6 +212,22 @@ TEST(Distiller, LearnsOnADeviceAsOnTheCpu) {
   }
 }
 
+TEST(Distiller, AStepOnADeviceFetchesEachKindOfOutputOnce) {
+  const auto updater = *PpoUpdater::Create(Config(), 1, testing::kStandInDevice);
+  const auto fetches = [&](int iteration, UpdateStats* stats) {
+    const int64_t before = testing::TrafficSoFar().fetched;
+    *stats = *Update(iteration, updater.get());
+    return testing::TrafficSoFar().fetched - before;
+  };
+  UpdateStats stats;
+  const int64_t of_ppo = fetches(0, &stats);
+  const int64_t of_phase = fetches(1, &stats) - of_ppo;
+  const DistillationStats& phase = *stats.distillation;
+  // Prediction fetches outputs and the gradient's norm, matching also the features at all goals. Besides, a phase
+  // fetches the policy to keep, an episode at a time, and the value normaliser.
+  EXPECT_EQ(of_phase, 2 * phase.prediction_steps + 3 * phase.matching_steps + phase.episodes + 1);
+}
+
 class DistillerOn : public ::testing::TestWithParam<const char*> {};
 INSTANTIATE_TEST_SUITE_P(Devices, DistillerOn, ::testing::Values("cpu", kDevices[0], kDevices[1]));
 

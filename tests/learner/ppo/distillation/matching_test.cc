@@ -181,7 +181,7 @@ class Distillation {
     std::vector<Episode> episodes;
     for (const KeptEpisode& kept : unseen_.Episodes()) {
       const int place = kept.rows.front() % kRows / kEpisode;
-      episodes.push_back({kOrders[place / kEpisodesEach][place % kEpisodesEach], *steps_.GoalChanges(kept)});
+      episodes.push_back({kOrders[place / kEpisodesEach][place % kEpisodesEach], (*steps_.GoalChanges({&kept}))[0]});
       EXPECT_EQ(episodes.back().kinds.size(), kept.goals.size());
     }
     EXPECT_EQ(episodes.size(), 8U) << "all but the first and last of each lane";
