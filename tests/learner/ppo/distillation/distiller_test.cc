@@ -59,8 +59,9 @@ struct Sample {
       const int t = step % kEpisode;
       const auto noise = [&](int k) { return ActionNoise(5, iteration * kRows + row, k); };
       const int brightness = t > 6 ? 200 : t > 3 ? 100 : 0;
-      for (int i = 0; i < kFrameBytes; ++i)
+      for (int i = 0; i < kFrameBytes; ++i) {
         frames.push_back(static_cast<char>(static_cast<uint8_t>(brightness + 50 * noise(i + 9))));
+      }
       if (t > 3 && memory_size > 0) memories[static_cast<size_t>(row) * memory_size + (t > 6 ? 1 : 0)] = 1;
       rollout.actions.push_back(static_cast<Action>(noise(0) * kNumActions));
       rollout.log_probs.push_back(-2.8F);
