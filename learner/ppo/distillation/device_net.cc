@@ -11,12 +11,15 @@
 
 #include "common/agent/device.h"
 #include "common/agent/policy_net.h"
+#include "common/base/crafter.h"
+#include "common/base/status_macros.h"
 #include "learner/ppo/device_rollout.h"
+#include "learner/ppo/distillation/device_losses.h"
 
 namespace craftfleet {
 namespace {
 
-constexpr size_t kRowsAtOnce = 512;    // without gradients
+constexpr int64_t kRowsAtOnce = 512;   // without gradients
 constexpr int64_t kSentAtOnce = 4096;  // rows of pinned memory
 
 absl::Status Failure(const std::exception& error) { return DeviceError("distillation", error.what()); }
@@ -38,28 +41,6 @@ at::Tensor SendTable(int64_t rows, int64_t width, at::ScalarType type, at::Devic
   return there;
 }
 
-// Copies columns of float[n,width] between a table on the host and NetNumbers.
-class Columns {
- public:
-  explicit Columns(const at::Tensor& table) : data_(table.data_ptr<float>()), width_(table.size(1)) {}
-
-  void CopyTo(int64_t count, std::vector<float>* all) {
-    auto out = all->begin();
-    for (int64_t row = 0; out != all->end(); ++row) out = std::copy_n(data_ + row * width_ + next_, count, out);
-    next_ += count;
-  }
-  void CopyFrom(int64_t count, const std::vector<float>& all) {
-    auto in = all.begin();
-    for (int64_t row = 0; in != all.end(); ++row, in += count) std::copy_n(in, count, data_ + row * width_ + next_);
-    next_ += count;
-  }
-
- private:
-  float* const data_;
-  const int64_t width_;
-  int64_t next_ = 0;
-};
-
 }  // namespace
 
 DeviceNet::DeviceNet(const AgentSpec& spec, at::Device device, DeviceWeights* weights, DeviceAdam* matching,
@@ -67,7 +48,6 @@ DeviceNet::DeviceNet(const AgentSpec& spec, at::Device device, DeviceWeights* we
     : spec_(spec),
       device_(device),
       network_(MakeNetwork(spec_.network)),
-      code_size_(CodeSizeOf(spec)),
       weights_(weights),
       matching_(matching),
       prediction_(prediction) {}
@@ -87,6 +67,9 @@ absl::Status DeviceNet::Begin(const KeptRollouts* rollouts) {
       return chosen.data();
     };
     actions_ = SendTable<float>(rows, kNumActions, at::kFloat, device_, action_of);
+    for (at::Tensor* sums : {&matching_sums_, &prediction_sums_}) {
+      *sums = at::zeros({4}, at::TensorOptions(at::kDouble).device(device_));
+    }
   } catch (const std::exception& error) {
     return Failure(error);
   }
@@ -94,92 +77,105 @@ absl::Status DeviceNet::Begin(const KeptRollouts* rollouts) {
 }
 
 void DeviceNet::End() {
-  for (at::Tensor* tensor : {&frames_, &memories_, &actions_}) *tensor = at::Tensor();
-  output_ = NetOutput();
-}
-
-at::Tensor DeviceNet::SendRows(absl::Span<const int> rows) const {
-  const at::Tensor host = HostTensor({static_cast<int64_t>(rows.size())}, at::kLong, device_);
-  std::copy(rows.begin(), rows.end(), host.data_ptr<int64_t>());
-  return host.to(device_, /*non_blocking=*/true);
+  for (at::Tensor* tensor :
+       {&frames_, &memories_, &actions_, &old_log_probs_, &changes_, &matching_sums_, &prediction_sums_}) {
+    *tensor = at::Tensor();
+  }
 }
 
 at::Tensor DeviceNet::Frames(const at::Tensor& rows) const { return ScaleFrames(frames_.index_select(0, rows)); }
 
-at::Tensor DeviceNet::Fetch(const at::Tensor& outputs) const {
-  at::Tensor host = HostTensor(outputs.sizes(), at::kFloat, device_);
-  host.copy_(outputs);
-  return host;
-}
-
 template <typename Compute>
-absl::StatusOr<std::vector<float>> DeviceNet::ComputeAll(absl::Span<const int> rows, const Compute& compute) const {
-  std::vector<float> all;
-  try {
-    const c10::NoGradGuard no_grad;
-    for (size_t done = 0; done < rows.size(); done += kRowsAtOnce) {
-      const at::Tensor some = Fetch(compute(SendRows(rows.subspan(done, kRowsAtOnce))));
-      all.insert(all.end(), some.data_ptr<float>(), some.data_ptr<float>() + some.numel());
-    }
-  } catch (const std::exception& error) {
-    return Failure(error);
+at::Tensor DeviceNet::ComputeAll(absl::Span<const int> rows, const Compute& compute) const {
+  const c10::NoGradGuard no_grad;
+  const at::Tensor host = HostTensor({static_cast<int64_t>(rows.size())}, at::kLong, device_);
+  std::copy(rows.begin(), rows.end(), host.data_ptr<int64_t>());
+  std::vector<at::Tensor> parts;
+  for (const at::Tensor& some : host.to(device_, /*non_blocking=*/true).split(kRowsAtOnce)) {
+    parts.push_back(compute(some));
   }
-  return all;
+  return at::cat(parts);
 }
 
-absl::StatusOr<std::vector<float>> DeviceNet::Codes(absl::Span<const int> rows) {
-  return ComputeAll(
-      rows, [this](const at::Tensor& some) { return network_.Features(weights_->params, Frames(some), std::nullopt); });
+std::vector<float> DeviceNet::Fetch(const at::Tensor& table) const {
+  const at::Tensor host = HostTensor(table.sizes(), at::kFloat, device_);
+  host.copy_(table);
+  return {host.data_ptr<float>(), host.data_ptr<float>() + host.numel()};
 }
 
 absl::StatusOr<std::vector<float>> DeviceNet::Logits(absl::Span<const int> rows) {
-  return ComputeAll(rows, [this](const at::Tensor& some) {
-    const Segments inputs{{}, memories_.index_select(0, some)};
-    return network_.Forward(weights_->params, Frames(some), inputs, std::nullopt).logits;
-  });
-}
-
-absl::StatusOr<NetNumbers> DeviceNet::Forward(absl::Span<const int> rows, bool predicts) {
-  NetNumbers outputs(rows.size(), code_size_, predicts);
   try {
-    const at::Tensor there = SendRows(rows);
-    Segments inputs{{}, memories_.index_select(0, there)};
-    inputs.wants_codes = true;
-    if (predicts) inputs.actions = actions_.index_select(0, there);
-    output_ = network_.Forward(weights_->params, Frames(there), inputs, std::nullopt);
-    std::vector<at::Tensor> tensors = {output_.logits, output_.values.unsqueeze(1), output_.codes};
-    if (predicts) tensors.push_back(output_.predictions);
-    const at::Tensor fetched = Fetch(at::cat(tensors, 1).detach());
-    Columns columns(fetched);
-    columns.CopyTo(kNumActions, &outputs.logits);
-    columns.CopyTo(1, &outputs.values);
-    columns.CopyTo(code_size_, &outputs.codes);
-    if (predicts) columns.CopyTo(code_size_, &outputs.predictions);
+    return Fetch(ComputeAll(rows, [this](const at::Tensor& some) { return Forward(some, false).logits; }));
   } catch (const std::exception& error) {
     return Failure(error);
   }
-  return outputs;
 }
 
-absl::StatusOr<double> DeviceNet::Step(const NetNumbers& gradients, DistillationLoss loss) {
-  const bool predicts = !gradients.predictions.empty();
-  const auto rows = static_cast<int64_t>(gradients.values.size());
+absl::Status DeviceNet::SetOldLogits(std::vector<float> logits) {
   try {
-    const NetOutput output = std::exchange(output_, {});
-    const at::Tensor host = HostTensor({rows, kNumActions + 1 + code_size_}, at::kFloat, device_);
-    Columns columns(host);
-    columns.CopyFrom(kNumActions, gradients.logits);
-    columns.CopyFrom(1, gradients.values);
-    columns.CopyFrom(code_size_, predicts ? gradients.predictions : gradients.codes);
-    const at::Tensor there = host.to(device_, /*non_blocking=*/true);
-    torch::autograd::backward(
-        {output.logits, output.values, predicts ? output.predictions : output.codes},
-        {there.narrow(1, 0, kNumActions), there.select(1, kNumActions), there.narrow(1, kNumActions + 1, code_size_)});
-    DeviceAdam* const adam = loss == DistillationLoss::kMatching ? matching_ : prediction_;
-    return adam->Step(weights_->TakeGradient(), weights_->flat).cpu().item<double>();
+    const auto logits_of = [&](int row) { return &logits[static_cast<size_t>(row) * kNumActions]; };
+    const auto rows = static_cast<int64_t>(logits.size() / kNumActions);
+    old_log_probs_ = SendTable<float>(rows, kNumActions, at::kFloat, device_, logits_of).to(at::kDouble).log_softmax(1);
   } catch (const std::exception& error) {
     return Failure(error);
   }
+  return absl::OkStatus();
+}
+
+absl::StatusOr<std::vector<float>> DeviceNet::Changes(absl::Span<const FramePair> pairs) {
+  std::vector<int> rows;
+  for (const FramePair& pair : pairs) rows.push_back(pair.before);
+  for (const FramePair& pair : pairs) rows.push_back(pair.after);
+  try {
+    const at::Tensor codes = ComputeAll(rows, [this](const at::Tensor& some) {
+      return network_.Features(weights_->params, Frames(some), std::nullopt);
+    });
+    const auto count = static_cast<int64_t>(pairs.size());
+    const at::Tensor differences = (codes.narrow(0, count, count) - codes.narrow(0, 0, count)).to(at::kDouble);
+    const at::Tensor lengths = differences.square().sum(1, /*keepdim=*/true).sqrt().clamp_min(1e-12);
+    changes_ = (differences / lengths).to(at::kFloat);
+    return Fetch(changes_);
+  } catch (const std::exception& error) {
+    return Failure(error);
+  }
+}
+
+NetOutput DeviceNet::Forward(const at::Tensor& rows, bool predicts) const {
+  Segments inputs{{}, memories_.index_select(0, rows)};
+  inputs.wants_codes = true;
+  if (predicts) inputs.actions = actions_.index_select(0, rows);
+  return network_.Forward(weights_->params, Frames(rows), inputs, std::nullopt);
+}
+
+absl::Status DeviceNet::Step(const DistillationStep& step) {
+  const bool predicts = step.loss == DistillationLoss::kPrediction;
+  try {
+    const DeviceStep sent = SendStep(step, device_);
+    const NetOutput output = Forward(sent.rows, predicts);
+    const DeviceStepLosses losses =
+        StepLossesOnDevice(sent, output, changes_, old_log_probs_.index_select(0, sent.rows));
+    torch::autograd::backward({output.logits, output.values, predicts ? output.predictions : output.codes},
+                              {losses.by_logits, losses.by_values, losses.by_features});
+    const at::Tensor norm = (predicts ? prediction_ : matching_)->Step(weights_->TakeGradient(), weights_->flat);
+    SumsOf(step.loss)->add_(at::cat({losses.means, norm.view({1})}));
+  } catch (const std::exception& error) {
+    return Failure(error);
+  }
+  return absl::OkStatus();
+}
+
+absl::StatusOr<DistillationLosses> DeviceNet::TakeLosses(DistillationLoss loss) {
+  DistillationLosses losses;
+  try {
+    at::Tensor* const sums = SumsOf(loss);
+    const at::Tensor fetched = std::exchange(*sums, at::zeros_like(*sums)).cpu();
+    const auto* const fields = fetched.data_ptr<double>();
+    losses = {fields[0], fields[1], fields[2], fields[3]};
+  } catch (const std::exception& error) {
+    return Failure(error);
+  }
+  CRAFTFLEET_RETURN_IF_ERROR(CheckNorm(losses.gradient_norm));
+  return losses;
 }
 
 }  // namespace craftfleet

@@ -21,8 +21,8 @@
 
 namespace craftfleet {
 
-// The rollouts of a phase go to the device at its beginning. A step fetches the outputs of its rows and sends the
-// gradients by them, since the losses are computed on the host.
+// The rollouts of a phase go to the device at its beginning. Losses are computed there; a step of matching waits once,
+// for the changes that its goals are matched by, and a step of prediction never.
 class DeviceNet final : public DistillationNet {
  public:
   // Trains `weights`, with an optimiser for each loss; all outlive the object.
@@ -31,33 +31,40 @@ class DeviceNet final : public DistillationNet {
 
   absl::Status Begin(const KeptRollouts* rollouts) override;
   void End() override;
-  absl::StatusOr<std::vector<float>> Codes(absl::Span<const int> rows) override;
   absl::StatusOr<std::vector<float>> Logits(absl::Span<const int> rows) override;
-  absl::StatusOr<NetNumbers> Forward(absl::Span<const int> rows, bool predicts) override;
-  absl::StatusOr<double> Step(const NetNumbers& gradients, DistillationLoss loss) override;
+  absl::Status SetOldLogits(std::vector<float> logits) override;
+  absl::StatusOr<std::vector<float>> Changes(absl::Span<const FramePair> pairs) override;
+  absl::Status Step(const DistillationStep& step) override;
+  absl::StatusOr<DistillationLosses> TakeLosses(DistillationLoss loss) override;
 
  private:
-  at::Tensor SendRows(absl::Span<const int> rows) const;  // int64[n] on the device
-  at::Tensor Frames(const at::Tensor& rows) const;        // float[n,H,W,3] in 0..1
-  // `outputs`, float[n,width], on the host. Waits for the device.
-  at::Tensor Fetch(const at::Tensor& outputs) const;
+  at::Tensor Frames(const at::Tensor& rows) const;  // float[n,H,W,3] in 0..1
   // float[rows,width] of all rows, computed without gradients, some at a time. `compute` takes rows on the device.
   template <typename Compute>
-  absl::StatusOr<std::vector<float>> ComputeAll(absl::Span<const int> rows, const Compute& compute) const;
+  at::Tensor ComputeAll(absl::Span<const int> rows, const Compute& compute) const;
+  // `table`, float[n,width], on the host. Waits for the device.
+  std::vector<float> Fetch(const at::Tensor& table) const;
+  NetOutput Forward(const at::Tensor& rows, bool predicts) const;
+  at::Tensor* SumsOf(DistillationLoss loss) {
+    return loss == DistillationLoss::kMatching ? &matching_sums_ : &prediction_sums_;
+  }
 
   const AgentSpec spec_;
   const at::Device device_;
   const Network network_;
-  const int code_size_;
   DeviceWeights* const weights_;
   DeviceAdam* const matching_;
   DeviceAdam* const prediction_;
 
-  // Of all rows of the rollouts, between Begin and End.
-  at::Tensor frames_;    // uint8[n,H,W,3]
-  at::Tensor memories_;  // float[n,state_size]
-  at::Tensor actions_;   // float[n,17], 1 at the action
-  NetOutput output_;     // of the last Forward
+  // Between Begin and End, on the device. Of all rows of the rollouts:
+  at::Tensor frames_;         // uint8[n,H,W,3]
+  at::Tensor memories_;       // float[n,state_size]
+  at::Tensor actions_;        // float[n,17], 1 at the action
+  at::Tensor old_log_probs_;  // double[n,17] of the policy to keep
+
+  at::Tensor changes_;          // float[pairs,F] that Changes computed last
+  at::Tensor matching_sums_;    // double[4] the fields of DistillationLosses
+  at::Tensor prediction_sums_;  // likewise
 };
 
 }  // namespace craftfleet

@@ -5,7 +5,7 @@
 #include <vector>
 
 #include "common/agent/categorical.h"
-#include "common/base/crafter.h"
+#include "learner/ppo/distillation/goals.h"
 
 namespace craftfleet {
 namespace {
@@ -43,6 +43,46 @@ double Softplus(double x) { return x > 0 ? x + std::log1p(std::exp(-x)) : std::l
 
 double Sigmoid(double x) { return x > 0 ? 1 / (1 + std::exp(-x)) : std::exp(x) / (1 + std::exp(x)); }
 
+double MatchingLoss(const DistillationStep& step, const NetNumbers& outputs, absl::Span<const float> changes,
+                    NetNumbers* gradients) {
+  const int size = outputs.width;
+  std::vector<float> anchors(step.contrasts.size() * 2 * size);  // each with the gradient by it
+  std::vector<ContrastiveRow> rows;
+  for (const Contrast& contrast : step.contrasts) {
+    float* const anchor = &anchors[rows.size() * 2 * size];
+    const float* const before = outputs.code(contrast.before);
+    const float* const after = outputs.code(contrast.after);
+    for (int i = 0; i < size; ++i) anchor[i] = after[i] - before[i];
+    rows.push_back({anchor, &changes[static_cast<size_t>(contrast.positive) * size],
+                    &changes[static_cast<size_t>(contrast.negative) * size], anchor + size, nullptr, nullptr});
+  }
+  const double loss = ContrastiveLoss(rows, size, step.temperature);
+  for (size_t row = 0; row < rows.size(); ++row) {
+    float* const by_before = gradients->code(step.contrasts[row].before);
+    float* const by_after = gradients->code(step.contrasts[row].after);
+    for (int i = 0; i < size; ++i) {
+      by_before[i] -= rows[row].by_anchor[i];
+      by_after[i] += rows[row].by_anchor[i];
+    }
+  }
+  return loss;
+}
+
+double PredictionLoss(const DistillationStep& step, const NetNumbers& outputs, NetNumbers* gradients) {
+  const int size = outputs.width;
+  std::vector<float> anchors(step.contrasts.size() * size);
+  std::vector<ContrastiveRow> rows;
+  for (const Contrast& contrast : step.contrasts) {
+    float* const anchor = &anchors[rows.size() * size];
+    const float* const before = outputs.code(contrast.before);
+    const float* const after = contrast.after == kNoFrame ? nullptr : outputs.code(contrast.after);
+    for (int i = 0; i < size; ++i) anchor[i] = (after == nullptr ? 0.0F : after[i]) - before[i];
+    rows.push_back({anchor, outputs.prediction(contrast.positive), outputs.prediction(contrast.negative), nullptr,
+                    gradients->prediction(contrast.positive), gradients->prediction(contrast.negative)});
+  }
+  return ContrastiveLoss(rows, size, step.temperature);
+}
+
 }  // namespace
 
 double ContrastiveLoss(absl::Span<const ContrastiveRow> rows, int size, double temperature) {
@@ -73,6 +113,23 @@ double PolicyDivergence(const float* logits, const float* old_logits, double wei
     by_logits[i] = static_cast<float>(weight * policy.probs[i] * excess);
   }
   return divergence;
+}
+
+DistillationLosses StepLosses(const DistillationStep& step, const NetNumbers& outputs, absl::Span<const float> changes,
+                              absl::Span<const float> old_logits, NetNumbers* gradients) {
+  DistillationLosses losses;
+  losses.contrastive = step.loss == DistillationLoss::kMatching ? MatchingLoss(step, outputs, changes, gradients)
+                                                                : PredictionLoss(step, outputs, gradients);
+  for (size_t i = 0; i < step.rows.size(); ++i) {
+    const double weight = step.weights[i];
+    const float* const old = &old_logits[static_cast<size_t>(step.rows[i]) * kNumActions];
+    losses.divergence +=
+        weight * PolicyDivergence(&outputs.logits[i * kNumActions], old, weight, &gradients->logits[i * kNumActions]);
+    const double error = double{outputs.values[i]} - step.targets[i];
+    losses.value += weight * error * error;
+    gradients->values[i] = static_cast<float>(2 * weight * error);
+  }
+  return losses;
 }
 
 }  // namespace craftfleet

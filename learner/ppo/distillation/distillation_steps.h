@@ -3,7 +3,6 @@
 #ifndef CRAFTFLEET_LEARNER_PPO_DISTILLATION_DISTILLATION_STEPS_H_
 #define CRAFTFLEET_LEARNER_PPO_DISTILLATION_DISTILLATION_STEPS_H_
 
-#include <functional>
 #include <vector>
 
 #include <absl/status/statusor.h>
@@ -24,11 +23,17 @@ struct PredictionBatch {
   std::vector<int> negatives;  // [steps] likewise
 };
 
-// A goal of the source episode, by step, and the changes of features at two goals of another episode.
+// The changes of features at the goals of some episodes.
+struct GoalChanges {
+  std::vector<float> values;  // [goals,F] of length 1 or 0, episode by episode
+  std::vector<int> first;     // by episode, its first goal; then the number of goals
+};
+
+// A goal of the source episode, by step, and goals of another one, as GoalChanges counted them last.
 struct MatchedGoal {
   int source = 0;
-  absl::Span<const float> positive;  // [F], as of GoalChanges under the present weights
-  absl::Span<const float> negative;
+  int positive = 0;
+  int negative = 0;
 };
 struct MatchingBatch {
   const KeptEpisode* source = nullptr;
@@ -36,52 +41,30 @@ struct MatchingBatch {
   std::vector<int> kept;           // steps of the source at which policy and value are kept, with repetition
 };
 
-// The losses of one step, means over its rows.
-struct DistillationLosses {
-  double contrastive = 0;
-  double divergence = 0;     // KL(new policy || old one), nats
-  double value = 0;          // squared error of normalised values
-  double gradient_norm = 0;  // L2, before clipping
-};
-
-// Makes the minibatches and losses of a phase. Owned by one thread. Source: DISTILLATION.md, sections 2 to 4.
+// Makes the steps of a phase, which `net` takes. Owned by one thread. Errors are those of DistillationNet.
+// Source: DISTILLATION.md, sections 2 to 4.
 class DistillationSteps {
  public:
   // The fields of `config` that count: ppo (value normaliser) and distillation. All pointers outlive the object.
   DistillationSteps(const AgentSpec& spec, const v1::RunConfig& config, const KeptRollouts* rollouts,
                     DistillationNet* net);
 
-  // float[rows,17] logits of rows of the rollouts, without gradients.   Errors as DistillationNet.
-  absl::StatusOr<std::vector<float>> Logits(absl::Span<const int> rows) { return net_->Logits(rows); }
+  // Keeps the policy as it is now, at all steps of `episodes`.
+  absl::Status KeepPolicy(absl::Span<const KeptEpisode> episodes);
 
-  // For each episode, float[goals,F]: the change of features at each of its goals, under the present weights.
-  absl::StatusOr<std::vector<std::vector<float>>> GoalChanges(absl::Span<const KeptEpisode* const> episodes);
+  // The changes at the goals of `episodes`, at least one, under the present weights.
+  absl::StatusOr<GoalChanges> ChangesAtGoals(absl::Span<const KeptEpisode* const> episodes);
 
-  // One optimiser step that teaches to predict the next goal, or to recognise goals that are the same. `old_logits`,
-  // float[n,17] for all rows of the rollouts, are those of the policy to keep.
-  //   DataLoss: the gradient is not finite.   Others as DistillationNet.
-  absl::StatusOr<DistillationLosses> Predict(const PredictionBatch& batch, const std::vector<float>& old_logits,
-                                             ValueNorm* value_norm);
-  absl::StatusOr<DistillationLosses> Match(const MatchingBatch& batch, const std::vector<float>& old_logits,
-                                           ValueNorm* value_norm);
+  // One optimiser step that teaches to predict the next goal, or to recognise goals that are the same.
+  absl::Status Predict(const PredictionBatch& batch, ValueNorm* value_norm);
+  absl::Status Match(const MatchingBatch& batch, ValueNorm* value_norm);
 
   // Of the agent's features (F).
   int code_size() const { return code_size_; }
 
  private:
-  struct Step {
-    std::vector<int> rows;    // distinct, of the rollouts
-    std::vector<int> counts;  // how often each counts in keeping policy and value
-    DistillationLoss loss = DistillationLoss::kMatching;
-  };
-  // The contrastive loss of `outputs`; adds its gradients.
-  using Contrast = std::function<double(const NetNumbers& outputs, NetNumbers* gradients)>;
-
-  absl::StatusOr<DistillationLosses> Run(const Step& step, const Contrast& contrast,
-                                         const std::vector<float>& old_logits, ValueNorm* value_norm);
-  // Adds the losses that keep policy and value, and their gradients.
-  void KeepPolicyAndValue(const Step& step, const NetNumbers& outputs, const std::vector<float>& old_logits,
-                          ValueNorm* value_norm, NetNumbers* gradients, DistillationLosses* losses) const;
+  // Takes a step that has its rows and contrasts. Row i of it counts `counts[i]` times in keeping policy and value.
+  absl::Status Run(DistillationStep step, const std::vector<int>& counts, ValueNorm* value_norm);
 
   const v1::PpoConfig ppo_;
   const double temperature_;

@@ -4,7 +4,8 @@
 #include <numeric>
 #include <utility>
 
-#include "common/base/crafter.h"
+#include <absl/cleanup/cleanup.h>
+
 #include "common/base/keyed_random.h"
 #include "common/base/status_macros.h"
 #include "learner/ppo/distillation/transport.h"
@@ -39,52 +40,43 @@ class Draws {
 
 }  // namespace
 
-// One phase: the episodes, the policy to keep, the random choices and the sums of losses.
+// One phase: the episodes and the random choices.
 class Distiller::Phase {
  public:
   Phase(const v1::DistillationConfig& config, Draws draws, std::vector<KeptEpisode> episodes, DistillationSteps* steps,
-        const std::function<bool()>& should_stop, ValueNorm* value_norm)
+        DistillationNet* net, const std::function<bool()>& should_stop, ValueNorm* value_norm)
       : config_(config),
         draws_(draws),
         episodes_(std::move(episodes)),
         steps_(steps),
+        net_(net),
         should_stop_(should_stop),
         value_norm_(value_norm) {}
 
-  absl::Status Run(int rows) {
-    CRAFTFLEET_RETURN_IF_ERROR(KeepPolicy(rows));
+  absl::StatusOr<DistillationStats> Run() {
+    CRAFTFLEET_RETURN_IF_ERROR(steps_->KeepPolicy(episodes_));
     for (int epoch = 0; epoch < config_.epochs(); ++epoch) {
       for (const int source : draws_.Permutation(count())) CRAFTFLEET_RETURN_IF_ERROR(MatchSource(source));
       for (const int episode : draws_.Permutation(count())) CRAFTFLEET_RETURN_IF_ERROR(Predict(episodes_[episode]));
     }
-    return absl::OkStatus();
-  }
-
-  DistillationStats stats() const {
-    DistillationStats means = stats_;
-    means.matching_loss /= std::max(means.matching_steps, 1);
-    means.prediction_loss /= std::max(means.prediction_steps, 1);
-    const int steps = std::max(means.matching_steps + means.prediction_steps, 1);
-    means.divergence /= steps;
-    means.value_loss /= steps;
-    means.episodes = count();
-    return means;
+    return Stats();
   }
 
  private:
   int count() const { return static_cast<int>(episodes_.size()); }
 
-  // Computes the logits of the policy as it is now, for all rows that a step may use.
-  absl::Status KeepPolicy(int rows) {
-    old_logits_.resize(static_cast<size_t>(rows) * kNumActions);
-    for (const KeptEpisode& episode : episodes_) {
-      CRAFTFLEET_ASSIGN_OR_RETURN(const std::vector<float> logits, steps_->Logits(episode.rows));
-      for (size_t t = 0; t < episode.rows.size(); ++t) {
-        std::copy_n(logits.begin() + t * kNumActions, kNumActions,
-                    old_logits_.begin() + static_cast<int64_t>(episode.rows[t]) * kNumActions);
-      }
-    }
-    return absl::OkStatus();
+  absl::StatusOr<DistillationStats> Stats() {
+    CRAFTFLEET_ASSIGN_OR_RETURN(const DistillationLosses matching, net_->TakeLosses(DistillationLoss::kMatching));
+    CRAFTFLEET_ASSIGN_OR_RETURN(const DistillationLosses prediction, net_->TakeLosses(DistillationLoss::kPrediction));
+    DistillationStats means = {matching.contrastive / std::max(matching_steps_, 1),
+                               prediction.contrastive / std::max(prediction_steps_, 1)};
+    const int steps = std::max(matching_steps_ + prediction_steps_, 1);
+    means.divergence = (matching.divergence + prediction.divergence) / steps;
+    means.value_loss = (matching.value + prediction.value) / steps;
+    means.matching_steps = matching_steps_;
+    means.prediction_steps = prediction_steps_;
+    means.episodes = count();
+    return means;
   }
 
   // The source and up to `targets` others, in random order.
@@ -97,34 +89,38 @@ class Distiller::Phase {
     return chosen;
   }
 
-  // The matches of the source with one target, each with a random goal of the target as negative.
-  void MatchTarget(const KeptEpisode& source, absl::Span<const float> changes, absl::Span<const float> target_changes,
-                   MatchingBatch* batch) {
+  // The matches of the source with the targets, each with a random goal of its target as negative.
+  MatchingBatch Matches(const KeptEpisode& source, const GoalChanges& changes) {
     const auto size = static_cast<size_t>(steps_->code_size());
-    const auto target_goals = static_cast<int>(target_changes.size() / size);
     const TransportOptions options = {config_.transport_regularization(), config_.transport_rounds()};
-    for (const Match& match : MatchGoals(changes, target_changes, size, options, config_.match_threshold())) {
-      batch->goals.push_back({source.goals[match.row], target_changes.subspan(match.column * size, size),
-                              target_changes.subspan(draws_.Below(target_goals) * size, size)});
+    const auto of_episode = [&](size_t i) {
+      return absl::MakeConstSpan(changes.values)
+          .subspan(changes.first[i] * size, (changes.first[i + 1] - changes.first[i]) * size);
+    };
+    MatchingBatch batch;
+    batch.source = &source;
+    for (size_t i = 1; i + 1 < changes.first.size(); ++i) {
+      const int first = changes.first[i];
+      for (const Match& match : MatchGoals(of_episode(0), of_episode(i), size, options, config_.match_threshold())) {
+        const int negative = draws_.Below(changes.first[i + 1] - first);
+        batch.goals.push_back({source.goals[match.row], first + match.column, first + negative});
+      }
     }
+    return batch;
   }
 
   absl::Status MatchSource(int number) {
     const std::vector<const KeptEpisode*> chosen = SourceAndTargets(number);
     if (chosen.size() == 1) return absl::OkStatus();
-    CRAFTFLEET_ASSIGN_OR_RETURN(const std::vector<std::vector<float>> changes, steps_->GoalChanges(chosen));
-    const KeptEpisode& source = *chosen[0];
-    MatchingBatch batch;
-    batch.source = &source;
-    for (size_t i = 1; i < changes.size(); ++i) MatchTarget(source, changes[0], changes[i], &batch);
+    CRAFTFLEET_ASSIGN_OR_RETURN(const GoalChanges changes, steps_->ChangesAtGoals(chosen));
+    MatchingBatch batch = Matches(*chosen[0], changes);
     if (batch.goals.empty()) return absl::OkStatus();
     for (size_t i = 0; i < batch.goals.size(); ++i) {
-      batch.kept.push_back(draws_.Below(static_cast<int>(source.rows.size())));
+      batch.kept.push_back(draws_.Below(static_cast<int>(chosen[0]->rows.size())));
     }
-    CRAFTFLEET_ASSIGN_OR_RETURN(const DistillationLosses losses, steps_->Match(batch, old_logits_, value_norm_));
-    stats_.matching_loss += losses.contrastive;
-    ++stats_.matching_steps;
-    return Add(losses);
+    CRAFTFLEET_RETURN_IF_ERROR(steps_->Match(batch, value_norm_));
+    ++matching_steps_;
+    return CheckStop();
   }
 
   absl::Status Predict(const KeptEpisode& episode) {
@@ -138,17 +134,14 @@ class Distiller::Phase {
         batch.steps.push_back(order[i]);
         batch.negatives.push_back(negatives[order[i]]);
       }
-      CRAFTFLEET_ASSIGN_OR_RETURN(const DistillationLosses losses, steps_->Predict(batch, old_logits_, value_norm_));
-      stats_.prediction_loss += losses.contrastive;
-      ++stats_.prediction_steps;
-      CRAFTFLEET_RETURN_IF_ERROR(Add(losses));
+      CRAFTFLEET_RETURN_IF_ERROR(steps_->Predict(batch, value_norm_));
+      ++prediction_steps_;
+      CRAFTFLEET_RETURN_IF_ERROR(CheckStop());
     }
     return absl::OkStatus();
   }
 
-  absl::Status Add(const DistillationLosses& losses) {
-    stats_.divergence += losses.divergence;
-    stats_.value_loss += losses.value;
+  absl::Status CheckStop() const {
     if (should_stop_()) return absl::CancelledError("distillation was stopped; nothing is changed");
     return absl::OkStatus();
   }
@@ -157,10 +150,11 @@ class Distiller::Phase {
   Draws draws_;
   const std::vector<KeptEpisode> episodes_;
   DistillationSteps* const steps_;
+  DistillationNet* const net_;
   const std::function<bool()>& should_stop_;
   ValueNorm* const value_norm_;
-  std::vector<float> old_logits_;  // [rows,17], of the rows of episodes_
-  DistillationStats stats_;        // sums
+  int matching_steps_ = 0;
+  int prediction_steps_ = 0;
 };
 
 Distiller::Distiller(const AgentSpec& spec, const v1::RunConfig& config, std::unique_ptr<DistillationNet> net)
@@ -174,12 +168,10 @@ absl::Status Distiller::OnIteration(int64_t iteration, const Rollout& rollout, c
                                     ValueNorm* value_norm, UpdateStats* stats) {
   rollouts_.Add(iteration, rollout);
   if (!IsDue(iteration)) return absl::OkStatus();
-  Phase phase(config_, Draws(seed_, iteration), rollouts_.Episodes(), &steps_, should_stop, value_norm);
-  absl::Status status = net_->Begin(&rollouts_);
-  if (status.ok()) status = phase.Run(rollouts_.rows());
-  net_->End();
-  CRAFTFLEET_RETURN_IF_ERROR(status);
-  stats->distillation = phase.stats();
+  const absl::Cleanup end = [this] { net_->End(); };
+  CRAFTFLEET_RETURN_IF_ERROR(net_->Begin(&rollouts_));
+  Phase phase(config_, Draws(seed_, iteration), rollouts_.Episodes(), &steps_, net_.get(), should_stop, value_norm);
+  CRAFTFLEET_ASSIGN_OR_RETURN(stats->distillation, phase.Run());
   return absl::OkStatus();
 }
 

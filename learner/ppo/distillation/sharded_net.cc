@@ -9,6 +9,7 @@
 #include <c10/core/GradMode.h>
 #include <torch/csrc/autograd/autograd.h>
 
+#include "common/agent/code_change.h"
 #include "common/agent/policy_net.h"
 #include "common/agent/torch_setup.h"
 #include "common/base/status_macros.h"
@@ -62,6 +63,7 @@ ShardedNet::~ShardedNet() = default;
 
 absl::Status ShardedNet::Begin(const KeptRollouts* rollouts) {
   rollouts_ = rollouts;
+  matching_sums_ = prediction_sums_ = {};
   return absl::OkStatus();
 }
 
@@ -99,6 +101,19 @@ absl::StatusOr<std::vector<float>> ShardedNet::Codes(absl::Span<const int> rows)
     }
   }));
   return codes;
+}
+
+absl::StatusOr<std::vector<float>> ShardedNet::Changes(absl::Span<const FramePair> pairs) {
+  std::vector<int> rows;
+  for (const FramePair& pair : pairs) rows.insert(rows.end(), {pair.before, pair.after});
+  CRAFTFLEET_ASSIGN_OR_RETURN(const std::vector<float> codes, Codes(rows));
+  const auto size = static_cast<size_t>(code_size_);
+  changes_.resize(pairs.size() * size);
+  for (size_t i = 0; i < pairs.size(); ++i) {
+    const auto of_pair = absl::MakeConstSpan(codes).subspan(2 * i * size, 2 * size);
+    CodeChange(of_pair.first(size), of_pair.last(size), absl::MakeSpan(changes_).subspan(i * size, size));
+  }
+  return changes_;
 }
 
 absl::StatusOr<std::vector<float>> ShardedNet::Logits(absl::Span<const int> rows) {
@@ -154,14 +169,35 @@ absl::Status ShardedNet::Backward(const NetNumbers& gradients) {
   });
 }
 
-absl::StatusOr<double> ShardedNet::Step(const NetNumbers& gradients, DistillationLoss loss) {
-  CRAFTFLEET_RETURN_IF_ERROR(Backward(gradients));
+double ShardedNet::StepAdam(size_t rows, AdamState* adam) {
   std::vector<ShardGradient> by_shard;
-  for (size_t i = 0; i < std::min(shards_.size(), gradients.values.size()); ++i) {
-    by_shard.push_back(shards_[i]->net.gradients());
-  }
-  AdamState* const adam = loss == DistillationLoss::kMatching ? &adams_->matching : &adams_->prediction;
+  for (size_t i = 0; i < std::min(shards_.size(), rows); ++i) by_shard.push_back(shards_[i]->net.gradients());
   return AdamStep(options_, by_shard, weights_, adam, workers_);
+}
+
+absl::Status ShardedNet::SetOldLogits(std::vector<float> logits) {
+  old_logits_ = std::move(logits);
+  return absl::OkStatus();
+}
+
+absl::Status ShardedNet::Step(const DistillationStep& step) {
+  const bool predicts = step.loss == DistillationLoss::kPrediction;
+  CRAFTFLEET_ASSIGN_OR_RETURN(const NetNumbers outputs, Forward(step.rows, predicts));
+  NetNumbers gradients(step.rows.size(), code_size_, predicts);
+  const DistillationLosses losses = StepLosses(step, outputs, changes_, old_logits_, &gradients);
+  CRAFTFLEET_RETURN_IF_ERROR(Backward(gradients));
+  const double norm = StepAdam(step.rows.size(), predicts ? &adams_->prediction : &adams_->matching);
+  CRAFTFLEET_RETURN_IF_ERROR(CheckNorm(norm));
+  DistillationLosses* const sums = SumsOf(step.loss);
+  sums->contrastive += losses.contrastive;
+  sums->divergence += losses.divergence;
+  sums->value += losses.value;
+  sums->gradient_norm += norm;
+  return absl::OkStatus();
+}
+
+absl::StatusOr<DistillationLosses> ShardedNet::TakeLosses(DistillationLoss loss) {
+  return std::exchange(*SumsOf(loss), {});
 }
 
 }  // namespace craftfleet

@@ -31,17 +31,26 @@ class ShardedNet final : public DistillationNet {
 
   absl::Status Begin(const KeptRollouts* rollouts) override;
   void End() override { rollouts_ = nullptr; }
-  absl::StatusOr<std::vector<float>> Codes(absl::Span<const int> rows) override;
   absl::StatusOr<std::vector<float>> Logits(absl::Span<const int> rows) override;
-  absl::StatusOr<NetNumbers> Forward(absl::Span<const int> rows, bool predicts) override;
-  absl::StatusOr<double> Step(const NetNumbers& gradients, DistillationLoss loss) override;
+  absl::Status SetOldLogits(std::vector<float> logits) override;
+  absl::StatusOr<std::vector<float>> Changes(absl::Span<const FramePair> pairs) override;
+  absl::Status Step(const DistillationStep& step) override;
+  absl::StatusOr<DistillationLosses> TakeLosses(DistillationLoss loss) override;
 
  private:
   struct Shard;  // one replica: net, input, output
 
   // Runs `part(shard, first, count)` for the parts of `rows` rows.
   absl::Status RunShards(size_t rows, const std::function<void(Shard*, size_t, size_t)>& part);
+  // float[rows,F] features, without gradients.
+  absl::StatusOr<std::vector<float>> Codes(absl::Span<const int> rows);
+  absl::StatusOr<NetNumbers> Forward(absl::Span<const int> rows, bool predicts);
   absl::Status Backward(const NetNumbers& gradients);
+  // Returns the L2 norm of the weights' gradient after Backward, before clipping.
+  double StepAdam(size_t rows, AdamState* adam);
+  DistillationLosses* SumsOf(DistillationLoss loss) {
+    return loss == DistillationLoss::kMatching ? &matching_sums_ : &prediction_sums_;
+  }
   // The frames of `rows`, as input of the shard's net.
   void LoadFrames(absl::Span<const int> rows, Shard* shard) const;
 
@@ -52,7 +61,12 @@ class ShardedNet final : public DistillationNet {
   DistillationAdams* const adams_;
   WorkerPool* const workers_;
   std::vector<std::unique_ptr<Shard>> shards_;
+
   const KeptRollouts* rollouts_ = nullptr;  // between Begin and End
+  std::vector<float> old_logits_;           // float[n,17] of all rows
+  std::vector<float> changes_;              // float[pairs,F] that Changes computed last
+  DistillationLosses matching_sums_;
+  DistillationLosses prediction_sums_;
 };
 
 }  // namespace craftfleet

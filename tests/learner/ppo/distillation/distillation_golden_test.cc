@@ -5,8 +5,11 @@
 #include <cmath>
 #include <map>
 #include <memory>
+#include <numeric>
+#include <utility>
 
 #include <ATen/ATen.h>
+#include <gmock/gmock.h>
 #include <gtest/gtest.h>
 #include <torch/csrc/autograd/autograd.h>
 #include <torch/version.h>
@@ -15,6 +18,7 @@
 #include "common/agent/policy_net.h"
 #include "common/agent/torch_setup.h"
 #include "common/agent/weights.h"
+#include "common/base/status_macros.h"
 #include "common/config/agent_presets.h"
 #include "common/process/cpu_pin.h"
 #include "learner/ppo/device_adam.h"
@@ -287,9 +291,10 @@ class DistillationStepsGolden : public ::testing::TestWithParam<const char*> {  
     for (int t = 0; t < 5; ++t) target_.rows.push_back(kLaneSteps + t);
     source_.goals = prediction_["goals"].get<std::vector<int>>();
     target_.goals = golden_["matching_step"]["target"]["goals"].get<std::vector<int>>();
-    old_logits_ = GoldenUniforms("old_logits", 6 * kNumActions, -1, 1);
-    old_logits_.resize(2 * kLaneSteps * kNumActions);
     EXPECT_TRUE(net_->Begin(&rollouts_).ok());
+    std::vector<float> old_logits = GoldenUniforms("old_logits", 6 * kNumActions, -1, 1);
+    old_logits.resize(2 * kLaneSteps * kNumActions);
+    EXPECT_TRUE(net_->SetOldLogits(std::move(old_logits)).ok());
   }
 
   std::unique_ptr<DistillationNet> MakeNet(const std::string& device) {
@@ -339,7 +344,9 @@ class DistillationStepsGolden : public ::testing::TestWithParam<const char*> {  
     ValueNorm norm = UpdatedNorm();
     for (size_t i = 0; i < part["steps"].size(); ++i) {
       const json& step = part["steps"][i];
-      const absl::StatusOr<DistillationLosses> losses = take(&norm);
+      const absl::Status taken = take(&norm);
+      ASSERT_TRUE(taken.ok()) << taken;
+      const absl::StatusOr<DistillationLosses> losses = net_->TakeLosses(loss);
       ASSERT_TRUE(losses.ok()) << losses.status();
       const double tolerance = i == 0 ? 1e-5 : 1e-3;
       EXPECT_NEAR(losses->contrastive, step["contrastive"].get<double>(), tolerance) << i;
@@ -370,43 +377,41 @@ class DistillationStepsGolden : public ::testing::TestWithParam<const char*> {  
   const std::unique_ptr<DistillationNet> net_;
   DistillationSteps steps_;
   KeptEpisode source_, target_;
-  std::vector<float> old_logits_;
 };
 
 INSTANTIATE_TEST_SUITE_P(Devices, DistillationStepsGolden, ::testing::Values("cpu", "cpu:0", testing::kStandInDevice));
 
 TEST_P(DistillationStepsGolden, PredictionStepsMatch) {
   PredictionBatch batch{&source_, {0, 1, 2, 3, 4, 5}, prediction_["negatives"].get<std::vector<int>>()};
-  ExpectSteps(prediction_, DistillationLoss::kPrediction,
-              [&](ValueNorm* norm) { return steps_.Predict(batch, old_logits_, norm); });
+  ExpectSteps(prediction_, DistillationLoss::kPrediction, [&](ValueNorm* norm) { return steps_.Predict(batch, norm); });
 }
 
 TEST_P(DistillationStepsGolden, MatchingStepsMatch) {
   const json& matching = golden_["matching_step"];
-  ExpectSteps(matching, DistillationLoss::kMatching, [&](ValueNorm* norm) {
-    const std::vector<float> changes = (*steps_.GoalChanges({&target_}))[0];
-    const auto change = [&](const json& goal) {
-      return absl::MakeConstSpan(changes).subspan(goal.get<size_t>() * kCode, kCode);
-    };
-    MatchingBatch batch;
-    batch.source = &source_;
-    for (size_t i = 0; i < matching["pairs_used"].size(); ++i) {
-      const json& pair = matching["pairs_used"][i];
-      batch.goals.push_back({source_.goals[pair[0].get<int>()], change(pair[1]), change(matching["negatives"][i])});
-    }
-    batch.kept = matching["kept_steps"].get<std::vector<int>>();
-    return steps_.Match(batch, old_logits_, norm);
+  MatchingBatch batch;
+  batch.source = &source_;
+  for (size_t i = 0; i < matching["pairs_used"].size(); ++i) {
+    const json& pair = matching["pairs_used"][i];
+    batch.goals.push_back({source_.goals[pair[0].get<int>()], pair[1].get<int>(), matching["negatives"][i].get<int>()});
+  }
+  batch.kept = matching["kept_steps"].get<std::vector<int>>();
+  ExpectSteps(matching, DistillationLoss::kMatching, [&](ValueNorm* norm) -> absl::Status {
+    CRAFTFLEET_RETURN_IF_ERROR(steps_.ChangesAtGoals({&target_}).status());
+    return steps_.Match(batch, norm);
   });
 }
 
 TEST_P(DistillationStepsGolden, ChangesAtGoalsGiveTheGoldensCost) {
-  const std::vector<std::vector<float>> changes = *steps_.GoalChanges({&source_, &target_});
+  const GoalChanges changes = *steps_.ChangesAtGoals({&source_, &target_});
   const json& cost = golden_["matching_step"]["cost"];
+  const auto source_goals = static_cast<int>(cost.size());
+  EXPECT_THAT(changes.first, ::testing::ElementsAre(0, source_goals, source_goals + static_cast<int>(cost[0].size())));
   for (size_t i = 0; i < cost.size(); ++i) {
     for (size_t j = 0; j < cost[i].size(); ++j) {
-      double product = 0;
-      for (int k = 0; k < kCode; ++k) product += double{changes[0][i * kCode + k]} * changes[1][j * kCode + k];
-      EXPECT_NEAR(1 - product, cost[i][j].get<double>(), 1e-5) << i << " " << j;
+      const float* const source = &changes.values[i * kCode];
+      const float* const target = &changes.values[(cost.size() + j) * kCode];
+      EXPECT_NEAR(1 - std::inner_product(source, source + kCode, target, 0.0), cost[i][j].get<double>(), 1e-5)
+          << i << " " << j;
     }
   }
 }

@@ -31,7 +31,7 @@ constexpr int kFrameSize = 36;
 constexpr int kKinds = 3;
 // The achievements of the episodes, in their order. Those of the shorter ones are in all others, so that every goal
 // of the shorter of two episodes has a right match.
-const char* const kOrders[kLanes][kEpisodesEach] = {{"AB", "CAB", "BA"}, {"BA", "BCA", "AB"}};
+constexpr const char* kOrders[kLanes][kEpisodesEach] = {{"AB", "CAB", "BA"}, {"BA", "BCA", "AB"}};
 
 v1::RunConfig Config(int targets) {
   v1::RunConfig config = *ParseRunConfig(R"(
@@ -181,7 +181,8 @@ class Distillation {
     std::vector<Episode> episodes;
     for (const KeptEpisode& kept : unseen_.Episodes()) {
       const int place = kept.rows.front() % kRows / kEpisode;
-      episodes.push_back({kOrders[place / kEpisodesEach][place % kEpisodesEach], (*steps_.GoalChanges({&kept}))[0]});
+      episodes.push_back(
+          {kOrders[place / kEpisodesEach][place % kEpisodesEach], steps_.ChangesAtGoals({&kept})->values});
       EXPECT_EQ(episodes.back().kinds.size(), kept.goals.size());
     }
     EXPECT_EQ(episodes.size(), 8U) << "all but the first and last of each lane";
