@@ -12,7 +12,7 @@ namespace craftfleet {
 inline bool IsClosed(int client) {
   char byte = 0;
   const ssize_t received = recv(client, &byte, 1, MSG_DONTWAIT | MSG_PEEK);
-  return received == 0 || (received < 0 && errno != EAGAIN && errno != EWOULDBLOCK);
+  return received == 0 || (received < 0 && errno == ECONNRESET);
 }
 
 }  // namespace craftfleet

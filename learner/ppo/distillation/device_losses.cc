@@ -2,7 +2,6 @@
 
 #include <algorithm>
 #include <cstdint>
-#include <vector>
 
 #include <ATen/ATen.h>
 
@@ -29,7 +28,7 @@ struct Units {
   at::Tensor inverse;  // double[k,1] of their lengths; 0 for 0
 };
 
-// double[n,k]: 1 where `places`, int64[k], has the row. Adds by multiplication, in a fixed order.
+// double[n,k]: 1 where `places`, int64[k], has the row. The product with it adds vectors by place, in a fixed order.
 at::Tensor OneHot(const at::Tensor& places, int64_t rows) {
   return at::arange(rows, places.options()).unsqueeze(1).eq(places.unsqueeze(0)).to(at::kDouble);
 }

@@ -43,6 +43,13 @@ double Softplus(double x) { return x > 0 ? x + std::log1p(std::exp(-x)) : std::l
 
 double Sigmoid(double x) { return x > 0 ? 1 / (1 + std::exp(-x)) : std::exp(x) / (1 + std::exp(x)); }
 
+// Writes how features change between the contrast's frames: float[width].
+void WriteAnchor(const NetNumbers& outputs, const Contrast& contrast, float* anchor) {
+  const float* const before = outputs.code(contrast.before);
+  const float* const after = contrast.after == kNoFrame ? nullptr : outputs.code(contrast.after);
+  for (int i = 0; i < outputs.width; ++i) anchor[i] = (after == nullptr ? 0.0F : after[i]) - before[i];
+}
+
 double MatchingLoss(const DistillationStep& step, const NetNumbers& outputs, absl::Span<const float> changes,
                     NetNumbers* gradients) {
   const int size = outputs.width;
@@ -50,9 +57,7 @@ double MatchingLoss(const DistillationStep& step, const NetNumbers& outputs, abs
   std::vector<ContrastiveRow> rows;
   for (const Contrast& contrast : step.contrasts) {
     float* const anchor = &anchors[rows.size() * 2 * size];
-    const float* const before = outputs.code(contrast.before);
-    const float* const after = outputs.code(contrast.after);
-    for (int i = 0; i < size; ++i) anchor[i] = after[i] - before[i];
+    WriteAnchor(outputs, contrast, anchor);
     rows.push_back({anchor, &changes[static_cast<size_t>(contrast.positive) * size],
                     &changes[static_cast<size_t>(contrast.negative) * size], anchor + size, nullptr, nullptr});
   }
@@ -74,9 +79,7 @@ double PredictionLoss(const DistillationStep& step, const NetNumbers& outputs, N
   std::vector<ContrastiveRow> rows;
   for (const Contrast& contrast : step.contrasts) {
     float* const anchor = &anchors[rows.size() * size];
-    const float* const before = outputs.code(contrast.before);
-    const float* const after = contrast.after == kNoFrame ? nullptr : outputs.code(contrast.after);
-    for (int i = 0; i < size; ++i) anchor[i] = (after == nullptr ? 0.0F : after[i]) - before[i];
+    WriteAnchor(outputs, contrast, anchor);
     rows.push_back({anchor, outputs.prediction(contrast.positive), outputs.prediction(contrast.negative), nullptr,
                     gradients->prediction(contrast.positive), gradients->prediction(contrast.negative)});
   }

@@ -5,6 +5,7 @@
 
 #include <vector>
 
+#include <absl/status/status.h>
 #include <absl/status/statusor.h>
 #include <absl/types/span.h>
 
@@ -29,7 +30,7 @@ struct GoalChanges {
   std::vector<int> first;     // by episode, its first goal; then the number of goals
 };
 
-// A goal of the source episode, by step, and goals of another one, as GoalChanges counted them last.
+// A goal of the source episode, by step, and two of another one, by their numbers in the last GoalChanges.
 struct MatchedGoal {
   int source = 0;
   int positive = 0;

@@ -5,7 +5,6 @@
 #include <cmath>
 #include <map>
 #include <memory>
-#include <numeric>
 #include <utility>
 
 #include <ATen/ATen.h>
@@ -410,8 +409,9 @@ TEST_P(DistillationStepsGolden, ChangesAtGoalsGiveTheGoldensCost) {
     for (size_t j = 0; j < cost[i].size(); ++j) {
       const float* const source = &changes.values[i * kCode];
       const float* const target = &changes.values[(cost.size() + j) * kCode];
-      EXPECT_NEAR(1 - std::inner_product(source, source + kCode, target, 0.0), cost[i][j].get<double>(), 1e-5)
-          << i << " " << j;
+      double product = 0;
+      for (int k = 0; k < kCode; ++k) product += double{source[k]} * target[k];
+      EXPECT_NEAR(1 - product, cost[i][j].get<double>(), 1e-5) << i << " " << j;
     }
   }
 }
