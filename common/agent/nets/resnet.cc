@@ -30,7 +30,12 @@ Resnet::NormedConv::NormedConv(const std::string& name, int64_t inputs, int64_t 
             params) {}
 
 at::Tensor Resnet::NormedConv::Forward(const ParamTensors& params, const at::Tensor& map) const {
-  return conv_.Forward(params, norm_.has_value() ? norm_->Forward(params, map) : map).relu_().to(at::kFloat);
+  return conv_.Forward(params, norm_.has_value() ? norm_->Forward(params, map) : map);
+}
+
+at::Tensor Resnet::Block::Forward(const ParamTensors& params, const at::Tensor& map) const {
+  const at::Tensor hidden = first.Forward(params, map).relu_().to(at::kFloat);
+  return map + second.Forward(params, hidden).relu_().to(at::kFloat);
 }
 
 Resnet::Resnet(const std::string& name, int64_t frame_size, int64_t width, ParamList* params) {
@@ -60,14 +65,13 @@ at::Tensor Resnet::Forward(const ParamTensors& params, const at::Tensor& input,
                            const std::optional<Dropout>& /*dropout*/) const {
   at::Tensor map = input;
   for (const Stack& stack : stacks_) {
-    map = stack.first.Forward(params, map);
+    map = stack.first.Forward(params, map).to(at::kFloat);
     // Of the layouts that a GPU has kernels for, only this one's gradient adds in a fixed order.
     if (!map.is_cpu()) map = map.contiguous();
-    map = at::max_pool2d(map, {3, 3}, {2, 2}, {1, 1});
+    // The ReLU belongs before the pooling. After it, values and gradients are the same for a quarter of the work.
+    map = at::max_pool2d(map, {3, 3}, {2, 2}, {1, 1}).relu_();
     map = stack.norm.Forward(params, map);
-    for (const Block& block : stack.blocks) {
-      map = map + block.second.Forward(params, block.first.Forward(params, map));
-    }
+    for (const Block& block : stack.blocks) map = block.Forward(params, map);
   }
   at::Tensor features = map.flatten(1);
   for (const NormedLinear& linear : linears_) features = linear.Forward(params, features);

@@ -25,7 +25,7 @@ class Resnet : public Part {
                      const std::optional<Dropout>& dropout) const override;
 
  private:
-  // Normalises its input, convolves 3x3, ReLU. `name`.norm and `name`.layer.
+  // Normalises its input and convolves it 3x3. `name`.norm and `name`.layer.
   class NormedConv {
    public:
     // `normed`: false for the network's first layer, which has a bias instead.
@@ -37,8 +37,11 @@ class Resnet : public Part {
     std::optional<NormLayer> norm_;
     ConvLayer conv_;
   };
+  // Two convolutions with a ReLU each, added to the block's input.
   struct Block {
-    NormedConv first, second;  // added to the block's input
+    NormedConv first, second;
+
+    at::Tensor Forward(const ParamTensors& params, const at::Tensor& map) const;
   };
   struct Stack {
     NormedConv first;
