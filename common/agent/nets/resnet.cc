@@ -68,7 +68,8 @@ at::Tensor Resnet::Forward(const ParamTensors& params, const at::Tensor& input,
     map = stack.first.Forward(params, map).to(at::kFloat);
     // Of the layouts that a GPU has kernels for, only this one's gradient adds in a fixed order.
     if (!map.is_cpu()) map = map.contiguous();
-    // The ReLU belongs before the pooling. After it, values and gradients are the same for a quarter of the work.
+    // The network's ReLU comes before the pooling. Applied after it, values and gradients are the same, and it has a
+    // quarter of the work.
     map = at::max_pool2d(map, {3, 3}, {2, 2}, {1, 1}).relu_();
     map = stack.norm.Forward(params, map);
     for (const Block& block : stack.blocks) map = block.Forward(params, map);

@@ -31,6 +31,7 @@ class Resnet : public Part {
     // `normed`: false for the network's first layer, which has a bias instead.
     NormedConv(const std::string& name, int64_t inputs, int64_t outputs, double row_norm, bool normed,
                ParamList* params);
+    // Before the ReLU, in the type that `params` is multiplied as.
     at::Tensor Forward(const ParamTensors& params, const at::Tensor& map) const;
 
    private:
