@@ -58,6 +58,7 @@ constexpr std::array kPresets = {
            "checkpoint { every_iterations: 8 }"},
     // Not from a paper. It scores 14.7 ± 2.9 at 1M steps, over three seeds.
     Preset{"cnn_distillation", "achievement_distillation", "network { extractor: CNN }"},
+    Preset{"grid_distillation", "achievement_distillation", "network { extractor: GRID_RESNET }"},
 };
 
 const Preset* Find(absl::string_view name) {
@@ -79,6 +80,11 @@ constexpr int kMinCnnFrameSize = 36;  // pixels; below, the last convolution's i
 constexpr int kAttentionWidth = 256;  // all heads together
 constexpr int kMaxSlots = 256;
 constexpr int kResnetWidth = 64;  // channels; Moon et al. 2023
+constexpr int kGridResnetWidth = 32;
+
+bool HasWidth(const Network& network) {
+  return network.extractor() == Network::RESNET || network.extractor() == Network::GRID_RESNET;
+}
 
 // InvalidArgument if `given` sets a field that the network does not use.
 absl::Status CheckGivenFields(const Network& given, const Network& network) {
@@ -100,7 +106,7 @@ absl::Status CheckGivenFields(const Network& given, const Network& network) {
   wants(given.has_layer_norm(), "layer_norm", cross_attention, "objects: CROSS_ATTENTION");
   wants(given.has_slot_competition(), "slot_competition", cross_attention, "objects: CROSS_ATTENTION");
   wants(given.has_critic(), "critic", network.recurrent(), "recurrent: true");
-  wants(given.has_width(), "width", network.extractor() == Network::RESNET, "extractor: RESNET");
+  wants(given.has_width(), "width", HasWidth(network), "extractor: RESNET or GRID_RESNET");
   return check.status();
 }
 
@@ -123,7 +129,7 @@ absl::Status CheckObjects(const Network& network) {
 absl::Status CheckNetwork(const Network& network) {
   RangeCheck check;
   check.That(network.extractor() != Network::EXTRACTOR_UNSPECIFIED,
-             "network.extractor is EXTRACTOR_UNSPECIFIED, want CNN, SPCNN or RESNET");
+             "network.extractor is EXTRACTOR_UNSPECIFIED, want CNN, SPCNN, RESNET or GRID_RESNET");
   check.That(network.objects() != Network::OBJECT_MODULE_UNSPECIFIED,
              "network.objects is OBJECT_MODULE_UNSPECIFIED, want NO_OBJECTS, SELF_ATTENTION or CROSS_ATTENTION");
   check.That(!network.recurrent() || network.critic() != Network::CRITIC_UNSPECIFIED,
@@ -131,7 +137,7 @@ absl::Status CheckNetwork(const Network& network) {
   // Each of the nine rows of tiles needs at least one pixel.
   const int least_size = network.extractor() == Network::CNN ? kMinCnnFrameSize : 9;
   check.Within("network.frame_size", network.frame_size(), least_size, kMaxFrameSize);
-  if (network.extractor() == Network::RESNET) check.Within("network.width", network.width(), 1, 256);
+  if (HasWidth(network)) check.Within("network.width", network.width(), 1, 256);
   const bool plain = network.objects() == Network::NO_OBJECTS && !network.recurrent();
   check.That(!network.memory() || plain, "network.memory is true, want NO_OBJECTS and recurrent: false with it");
   check.That(!network.goal_predictor() || plain,
@@ -144,6 +150,7 @@ absl::Status CheckNetwork(const Network& network) {
 
 std::vector<absl::string_view> AgentNames() {
   std::vector<absl::string_view> names;
+  names.reserve(kPresets.size());
   for (const Preset& preset : kPresets) names.push_back(preset.name);
   return names;
 }
@@ -162,6 +169,7 @@ absl::StatusOr<v1::NetworkConfig> ResolveNetwork(const v1::RunConfig& config) {
   Network network = preset.network();
   network.MergeFrom(config.network());
   if (network.extractor() == Network::RESNET && !network.has_width()) network.set_width(kResnetWidth);
+  if (network.extractor() == Network::GRID_RESNET && !network.has_width()) network.set_width(kGridResnetWidth);
   CRAFTFLEET_RETURN_IF_ERROR(CheckNetwork(network));
   CRAFTFLEET_RETURN_IF_ERROR(CheckGivenFields(config.network(), network));
   return network;

@@ -69,7 +69,7 @@ std::string Core(const Network& network) {
 absl::Status Run() {
   nlohmann::ordered_json json = nlohmann::ordered_json::array();
   if (!absl::GetFlag(FLAGS_json)) {
-    absl::PrintF("%-24s %5s  %-9s  %-20s %12s  %s\n", "agent", "frame", "extractor", "core", "parameters", "objects");
+    absl::PrintF("%-24s %5s  %-11s  %-20s %12s  %s\n", "agent", "frame", "extractor", "core", "parameters", "objects");
   }
   for (const absl::string_view name : AgentNames()) {
     CRAFTFLEET_ASSIGN_OR_RETURN(const AgentSpec spec, FindAgent(name));
@@ -84,7 +84,7 @@ absl::Status Run() {
                       {"parameters", spec.param_count}});
       continue;
     }
-    absl::PrintF("%-24s %5d  %-9s  %-20s %12s  %s\n", spec.name, spec.frame_size, extractor, Core(spec.network),
+    absl::PrintF("%-24s %5d  %-11s  %-20s %12s  %s\n", spec.name, spec.frame_size, extractor, Core(spec.network),
                  WithCommas(spec.param_count), Objects(spec.network));
   }
   std::fputs(absl::GetFlag(FLAGS_json) ? absl::StrCat(json.dump(2), "\n").c_str() : kNotes, stdout);

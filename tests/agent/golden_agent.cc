@@ -68,6 +68,7 @@ std::vector<float> GoldenUniforms(const std::string& tag, int64_t n, double low,
 
 std::string GoldenFrames(uint32_t seed, int n, int size) {
   constexpr int kBlock = 4;
+  CRAFTFLEET_CHECK(size % kBlock == 0);
   std::string frames(static_cast<size_t>(n) * size * size * 3, '\0');
   uint32_t x = seed;
   for (int frame = 0; frame < n; ++frame) {

@@ -23,7 +23,7 @@ std::vector<float> GoldenWeights(const AgentSpec& spec, const nlohmann::json& go
 // float[n] in [low, high): U(`tag`, n, low, high) of the goldens.
 std::vector<float> GoldenUniforms(const std::string& tag, int64_t n, double low, double high);
 
-// uint8[n,size,size,3]: random blocks of 4x4 pixels.
+// uint8[n,size,size,3]: random blocks of 4x4 pixels. `size` is a multiple of 4.
 std::string GoldenFrames(uint32_t seed, int n, int size);
 
 // `frames` as the input of a network: float[n,size,size,3] in 0..1.

@@ -12,6 +12,7 @@
 #include <vector>
 
 #include <ATen/ATen.h>
+#include <absl/strings/str_cat.h>
 #include <google/protobuf/text_format.h>
 #include <gtest/gtest.h>
 #include <torch/csrc/autograd/autograd.h>
@@ -223,6 +224,22 @@ TEST(Network, LstmCriticTrainsItsOwnParameters) {
   EXPECT_EQ(sample.net.gradients().size(), 20U);
 }
 
+const ParamSpec& ParamNamed(const AgentSpec& spec, const std::string& name) {
+  const auto found =
+      std::find_if(spec.params.begin(), spec.params.end(), [&](const ParamSpec& p) { return p.name == name; });
+  EXPECT_NE(found, spec.params.end()) << name;
+  return *found;
+}
+
+void ExpectRowNorm(const Sample& sample, const std::string& name, double expected) {
+  const ParamSpec& param = ParamNamed(sample.spec, name);
+  const int64_t columns = param.size / param.shape[0];
+  for (int64_t row = 0; row < param.shape[0]; row += 31) {
+    const float* begin = &sample.weights[param.offset + row * columns];
+    EXPECT_NEAR(std::sqrt(std::inner_product(begin, begin + columns, begin, 0.0)), expected, 1e-5) << name;
+  }
+}
+
 // Source: AGENTS.md, section 7.
 TEST(Resnet, HasThePublishedSizeAndInitialRowNorms) {
   SetUpTorchThread();
@@ -231,24 +248,74 @@ TEST(Resnet, HasThePublishedSizeAndInitialRowNorms) {
   const PolicyNet::Output output = sample.net.Forward(sample.input);
   EXPECT_LT(output.logits.abs().max().item<float>(), 0.5);
   EXPECT_NE(output.values[0].item<float>(), output.values[1].item<float>());
-  const auto expect_norm = [&](const std::string& name, double expected) {
-    for (const ParamSpec& param : sample.spec.params) {
-      if (param.name != name) continue;
-      const int64_t columns = param.size / param.shape[0];
-      for (int64_t row = 0; row < param.shape[0]; row += 31) {
-        const float* begin = &sample.weights[param.offset + row * columns];
-        EXPECT_NEAR(std::sqrt(std::inner_product(begin, begin + columns, begin, 0.0)), expected, 1e-5) << name;
-      }
-      return;
-    }
-    ADD_FAILURE() << "no parameter " << name;
+  ExpectRowNorm(sample, "features_extractor.stacks.0.first.layer.weight", 1);
+  ExpectRowNorm(sample, "features_extractor.stacks.1.blocks.1.conv0.layer.weight", std::sqrt(1 / std::sqrt(6.0)));
+  ExpectRowNorm(sample, "features_extractor.linear0.layer.weight", 1.4);
+  ExpectRowNorm(sample, "features_extractor.linear1.layer.weight", 1);
+  ExpectRowNorm(sample, "action_net.weight", 0.01);
+  ExpectRowNorm(sample, "value_net.weight", 0.1);
+}
+
+TEST(GridResnet, HasItsSizeAndInitialRowNorms) {
+  SetUpTorchThread();
+  Sample sample("grid_distillation", "", 2);
+  EXPECT_EQ(sample.spec.param_count, 2'183'732);
+  ExpectRowNorm(sample, "features_extractor.embed.weight", 1);
+  ExpectRowNorm(sample, "features_extractor.blocks.1.conv1.layer.weight", std::sqrt(1 / std::sqrt(2.0)));
+  ExpectRowNorm(sample, "features_extractor.linear0.layer.weight", 1.4);
+  ExpectRowNorm(sample, "features_extractor.linear1.layer.weight", 1);
+  ExpectRowNorm(sample, "value_net.weight", 0.1);
+}
+
+// The features by their definition, in double, cell by cell where that is simple. Source: AGENTS.md, section 7.
+at::Tensor SlowGridFeatures(const Sample& sample, int64_t border) {
+  const auto param = [&](const std::string& name) {
+    const ParamSpec& spec = ParamNamed(sample.spec, "features_extractor." + name);
+    return at::tensor(at::ArrayRef<float>(&sample.weights[spec.offset], spec.size)).view(spec.shape).to(at::kDouble);
   };
-  expect_norm("features_extractor.stacks.0.first.layer.weight", 1);
-  expect_norm("features_extractor.stacks.1.blocks.1.conv0.layer.weight", std::sqrt(1 / std::sqrt(6.0)));
-  expect_norm("features_extractor.linear0.layer.weight", 1.4);
-  expect_norm("features_extractor.linear1.layer.weight", 1);
-  expect_norm("action_net.weight", 0.01);
-  expect_norm("value_net.weight", 0.1);
+  const auto norm = [&](const std::string& name, const at::Tensor& x) {  // of each row, over all that it has
+    const at::Tensor rows = x.flatten(1);
+    const at::Tensor centred = rows - rows.mean(1, true);
+    const at::Tensor normal = (centred / (centred.pow(2).mean(1, true) + 1e-5).sqrt()).view_as(x);
+    const std::vector<int64_t> shape = x.dim() == 4 ? std::vector<int64_t>{1, -1, 1, 1} : std::vector<int64_t>{1, -1};
+    return normal * param(name + ".weight").view(shape) + param(name + ".bias").view(shape);
+  };
+  const at::Tensor embed = param("embed.weight");
+  const int64_t cell = embed.size(2);
+  at::Tensor map = at::empty({sample.input.size(0), embed.size(0), 9, 9}, at::kDouble);
+  for (int64_t y = 0; y < 9; ++y) {
+    for (int64_t x = 0; x < 9; ++x) {
+      const at::Tensor pixels = sample.input.narrow(1, border + y * cell, cell).narrow(2, border + x * cell, cell);
+      const at::Tensor flat = pixels.permute({0, 3, 1, 2}).flatten(1).to(at::kDouble);
+      map.select(3, x).select(2, y).copy_((flat.mm(embed.flatten(1).t()) + param("embed.bias")).relu());
+    }
+  }
+  map = norm("norm", map);
+  for (const std::string block : {"blocks.0.", "blocks.1."}) {
+    at::Tensor hidden = map;
+    for (const std::string conv : {"conv0", "conv1"}) {
+      const at::Tensor weight = param(block + conv + ".layer.weight");
+      hidden = at::conv2d(norm(block + conv + ".norm", hidden), weight, {}, 1, 1).relu();
+    }
+    map = map + hidden;
+  }
+  at::Tensor features = map.flatten(1);
+  for (const std::string linear : {"linear0", "linear1"}) {
+    features = norm(linear + ".norm", features).mm(param(linear + ".layer.weight").t()).relu();
+  }
+  return features;
+}
+
+TEST(GridResnet, MatchesTheDefinition) {
+  SetUpTorchThread();
+  // Cells of 7 pixels and one pixel left over on the right and below; cells of 10 between borders of 3.
+  for (const auto& [size, border] : {std::pair<int, int>{64, 0}, {96, 3}}) {
+    const Sample sample("grid_distillation", absl::StrCat("width: 8 frame_size: ", size), 3);
+    const at::Tensor features = sample.net.Codes(sample.input);
+    ASSERT_EQ(features.sizes(), (std::vector<int64_t>{3, 512}));
+    EXPECT_TRUE(at::allclose(features.to(at::kDouble), SlowGridFeatures(sample, border), 1e-4, 1e-5)) << size;
+    EXPECT_FALSE(at::allclose(features[0], features[1], 1e-2, 1e-2)) << size;
+  }
 }
 
 }  // namespace

@@ -182,14 +182,16 @@ TEST(Policy, RecurrentActionsOfALaneDoNotDependOnOtherLanes) {
 
 // The same for the parts that the small agents lack.
 TEST(Policy, AttentionValuesOfALaneDoNotDependOnOtherLanes) {
-  for (const char* const name : {"oc_sa", "oc_ca", "ppo_resnet"}) {
+  for (const char* const name : {"oc_sa", "oc_ca", "ppo_resnet", "grid_distillation"}) {
     const AgentSpec spec = *FindAgent(name);
     const auto policy = *Policy::Create(spec, SaveWeights(spec, InitialWeights(spec, 1)), 4);
     const std::string frames = GoldenFrames(12345, 3, spec.frame_size);
-    const std::vector<float> all = *policy->Values(frames, {0, 1, 2}, {});
+    const std::vector<float> state(spec.state_size, 0.5F);
+    const std::vector<float> states(3 * state.size(), 0.5F);
+    const std::vector<float> all = *policy->Values(frames, {0, 1, 2}, states);
     for (int lane = 0; lane < 3; ++lane) {
       const std::string frame = frames.substr(lane * spec.frame_bytes(), spec.frame_bytes());
-      EXPECT_EQ((*policy->Values(frame, {lane}, {}))[0], all[lane]) << name << " " << lane;
+      EXPECT_EQ((*policy->Values(frame, {lane}, state))[0], all[lane]) << name << " " << lane;
     }
   }
 }
@@ -209,7 +211,8 @@ TEST(Policy, ActsOnADeviceAsOnTheCpu) {
         R"(agent: "lstm_cnn" network { frame_size: 40 critic: LSTM })",
         R"(agent: "ppo_spcnn" network { frame_size: 12 })", R"(agent: "oc_sa" network { frame_size: 20 })",
         R"(agent: "oc_ca" network { frame_size: 32 })", R"(agent: "ppo_resnet" network { frame_size: 12 })",
-        R"(agent: "achievement_distillation" network { extractor: CNN frame_size: 40 })"}) {
+        R"(agent: "achievement_distillation" network { extractor: CNN frame_size: 40 })",
+        R"(agent: "grid_distillation" network { frame_size: 20 })"}) {
     const auto here = SmallPolicy(text, "cpu");
     for (const std::string device : {"cpu:0", testing::kStandInDevice}) {
       const auto there = SmallPolicy(text, device);

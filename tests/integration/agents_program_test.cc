@@ -32,6 +32,7 @@ const std::map<std::string, int64_t> kParameters = {
     {"ppo_resnet_published", 3'948'306},
     {"achievement_distillation", 9'234'228},
     {"cnn_distillation", 1'942'228},
+    {"grid_distillation", 2'183'732},
 };
 
 TEST_F(AgentsProgram, ListsEachAgentWithItsParameterCount) {

@@ -36,8 +36,9 @@ absl::Status Check(const std::string& text, int64_t memory_bytes = 16 * kGiB) {
 }
 
 TEST(RunnableConfig, EveryAgentRunsWithItsDefaults) {
-  for (const char* agent : {"ppo_cnn", "lstm_cnn", "lstm_cnn_published", "oc_sa", "oc_ca", "ppo_resnet",
-                            "ppo_resnet_published", "achievement_distillation", "cnn_distillation"}) {
+  for (const char* agent :
+       {"ppo_cnn", "lstm_cnn", "lstm_cnn_published", "oc_sa", "oc_ca", "ppo_resnet", "ppo_resnet_published",
+        "achievement_distillation", "cnn_distillation", "grid_distillation"}) {
     EXPECT_THAT(Check(absl::StrCat("agent: \"", agent, "\"")), IsOk()) << agent;
   }
 }

@@ -8,6 +8,7 @@
 #include "common/agent/nets/attention.h"
 #include "common/agent/nets/convolutions.h"
 #include "common/agent/nets/cross_attention.h"
+#include "common/agent/nets/grid_resnet.h"
 #include "common/agent/nets/param_tensors.h"
 #include "common/agent/nets/resnet.h"
 #include "common/agent/nets/segments.h"
@@ -26,11 +27,12 @@ ParamInit Orthogonal(double gain) { return {ParamInit::Kind::kOrthogonal, gain};
 
 Network::Network(const v1::NetworkConfig& config, ParamList* params) {
   const int64_t features = AddExtractor(config, params);
-  const bool is_resnet = config.extractor() == v1::NetworkConfig::RESNET;
+  const bool is_residual =
+      config.extractor() == v1::NetworkConfig::RESNET || config.extractor() == v1::NetworkConfig::GRID_RESNET;
   if (config.memory()) memory_size_ = features;
   const int64_t head_inputs = config.recurrent() ? LstmLayer::kHidden : features + memory_size_;
   action_net_.emplace("action_net", head_inputs, kNumActions, Orthogonal(0.01), Bias::kZero, params);
-  value_net_.emplace("value_net", head_inputs, 1, Orthogonal(is_resnet ? 0.1 : 1), Bias::kZero, params);
+  value_net_.emplace("value_net", head_inputs, 1, Orthogonal(is_residual ? 0.1 : 1), Bias::kZero, params);
   if (config.recurrent()) {
     const bool lstm_critic = config.critic() == v1::NetworkConfig::LSTM;
     core_.emplace(features, lstm_critic ? RecurrentCore::Critic::kLstm : RecurrentCore::Critic::kLinear, params);
@@ -44,6 +46,10 @@ int64_t Network::AddExtractor(const v1::NetworkConfig& config, ParamList* params
   if (config.extractor() == v1::NetworkConfig::RESNET) {
     parts_.push_back(std::make_unique<Resnet>(name, config.frame_size(), config.width(), params));
     return Resnet::kFeatures;
+  }
+  if (config.extractor() == v1::NetworkConfig::GRID_RESNET) {
+    parts_.push_back(std::make_unique<GridResnet>(name, config.frame_size(), config.width(), params));
+    return GridResnet::kFeatures;
   }
   if (config.objects() != v1::NetworkConfig::NO_OBJECTS) {
     parts_.push_back(std::make_unique<Convolutions>(Convolutions::SizePreserving(name + ".precnn.cnn", params)));

@@ -1,6 +1,5 @@
 #include "common/agent/nets/resnet.h"
 
-#include <cmath>
 #include <optional>
 
 #include <ATen/ATen.h>
@@ -13,30 +12,7 @@ constexpr int kStacks = 3;
 constexpr int kBlocks = 2;  // of a stack
 constexpr int64_t kHidden = 256;
 
-// Of the convolutions in residual blocks: their sum over all stacks and blocks keeps its variance.
-double BlockNorm() { return std::sqrt(1 / (std::sqrt(double{kStacks}) * std::sqrt(double{kBlocks}))); }
-
-std::optional<NormLayer> MaybeNorm(bool normed, const std::string& name, int64_t size, ParamList* params) {
-  if (!normed) return std::nullopt;
-  return NormLayer(name, size, NormLayer::Over::kMap, params);
-}
-
 }  // namespace
-
-Resnet::NormedConv::NormedConv(const std::string& name, int64_t inputs, int64_t outputs, double row_norm, bool normed,
-                               ParamList* params)
-    : norm_(MaybeNorm(normed, name + ".norm", inputs, params)),
-      conv_(name + ".layer", {inputs, outputs, 3, 1, 1}, RowNorm(row_norm), normed ? Bias::kNone : Bias::kZero,
-            params) {}
-
-at::Tensor Resnet::NormedConv::Forward(const ParamTensors& params, const at::Tensor& map) const {
-  return conv_.Forward(params, norm_.has_value() ? norm_->Forward(params, map) : map);
-}
-
-at::Tensor Resnet::Block::Forward(const ParamTensors& params, const at::Tensor& map) const {
-  const at::Tensor hidden = first.Forward(params, map).relu_().to(at::kFloat);
-  return map + second.Forward(params, hidden).relu_().to(at::kFloat);
-}
 
 Resnet::Resnet(const std::string& name, int64_t frame_size, int64_t width, ParamList* params) {
   int64_t channels = 3;
@@ -46,12 +22,10 @@ Resnet::Resnet(const std::string& name, int64_t frame_size, int64_t width, Param
     const std::string stack = absl::StrCat(name, ".stacks.", s);
     NormedConv first(stack + ".first", channels, outputs, 1, /*normed=*/s > 0, params);
     const NormLayer norm(stack + ".norm", outputs, NormLayer::Over::kMap, params);
-    std::vector<Block> blocks;
-    for (int i = 0; i < kBlocks; ++i) {
-      const std::string block = absl::StrCat(stack, ".blocks.", i);
-      const NormedConv conv0(block + ".conv0", outputs, outputs, BlockNorm(), /*normed=*/true, params);
-      const NormedConv conv1(block + ".conv1", outputs, outputs, BlockNorm(), /*normed=*/true, params);
-      blocks.push_back({conv0, conv1});
+    std::vector<ResidualBlock> blocks;
+    blocks.reserve(kBlocks);
+    for (int b = 0; b < kBlocks; ++b) {
+      blocks.emplace_back(absl::StrCat(stack, ".blocks.", b), outputs, ResidualBlockNorm(kStacks, kBlocks), params);
     }
     stacks_.push_back({first, norm, blocks});
     channels = outputs;
@@ -72,7 +46,7 @@ at::Tensor Resnet::Forward(const ParamTensors& params, const at::Tensor& input,
     // quarter of the work.
     map = at::max_pool2d(map, {3, 3}, {2, 2}, {1, 1}).relu_();
     map = stack.norm.Forward(params, map);
-    for (const Block& block : stack.blocks) map = block.Forward(params, map);
+    for (const ResidualBlock& block : stack.blocks) map = block.Forward(params, map);
   }
   at::Tensor features = map.flatten(1);
   for (const NormedLinear& linear : linears_) features = linear.Forward(params, features);

@@ -10,6 +10,7 @@
 
 #include "common/agent/nets/layers.h"
 #include "common/agent/nets/part.h"
+#include "common/agent/nets/residual_block.h"
 
 namespace craftfleet {
 
@@ -25,29 +26,10 @@ class Resnet : public Part {
                      const std::optional<Dropout>& dropout) const override;
 
  private:
-  // Normalises its input and convolves it 3x3. `name`.norm and `name`.layer.
-  class NormedConv {
-   public:
-    // `normed`: false for the network's first layer, which has a bias instead.
-    NormedConv(const std::string& name, int64_t inputs, int64_t outputs, double row_norm, bool normed,
-               ParamList* params);
-    // Before the ReLU, in the type that `params` is multiplied as.
-    at::Tensor Forward(const ParamTensors& params, const at::Tensor& map) const;
-
-   private:
-    std::optional<NormLayer> norm_;
-    ConvLayer conv_;
-  };
-  // Two convolutions with a ReLU each, added to the block's input.
-  struct Block {
-    NormedConv first, second;
-
-    at::Tensor Forward(const ParamTensors& params, const at::Tensor& map) const;
-  };
   struct Stack {
     NormedConv first;
     NormLayer norm;  // after pooling
-    std::vector<Block> blocks;
+    std::vector<ResidualBlock> blocks;
   };
 
   std::vector<Stack> stacks_;

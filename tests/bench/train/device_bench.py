@@ -25,7 +25,7 @@ sys.path.insert(0, str(pathlib.Path(__file__).resolve().parents[2] / "chaos"))
 from fleet_bench import STEPS_OF_AN_ITERATION, wall_time_of_iterations  # noqa: E402
 
 AGENTS = ["ppo_cnn", "lstm_cnn", "ppo_spcnn", "lstm_spcnn", "oc_sa", "oc_ca", "ppo_resnet", "achievement_distillation",
-          "cnn_distillation"]
+          "cnn_distillation", "grid_distillation"]
 CONFIG = """agent: "{agent}" seed: 1 steps: {steps} {precision} checkpoint {{ every_iterations: 1000 }}
   eval {{ every_steps: 0 final_episodes: 0 }} {more}"""
 

@@ -27,7 +27,7 @@ TEST(AgentPresets, NamesAreInTheOrderOfThePage) {
   EXPECT_THAT(AgentNames(),
               ElementsAre("ppo_cnn", "lstm_cnn", "lstm_cnn_published", "ppo_spcnn", "lstm_spcnn",
                           "lstm_spcnn_published", "oc_sa", "oc_sa_published", "oc_ca", "oc_ca_published", "ppo_resnet",
-                          "ppo_resnet_published", "achievement_distillation", "cnn_distillation"));
+                          "ppo_resnet_published", "achievement_distillation", "cnn_distillation", "grid_distillation"));
 }
 
 // Source: AGENTS.md, section 8.
@@ -61,10 +61,12 @@ TEST(AgentPresets, GivenFieldsOverrideTheAgents) {
   EXPECT_EQ(network.extractor(), Network::SPCNN);
 }
 
-TEST(AgentPresets, AResidualNetworkHasThePapersWidthUnlessGiven) {
+TEST(AgentPresets, AResidualNetworkHasItsWidthUnlessGiven) {
   EXPECT_EQ(NetworkOf("ppo_resnet", "")->width(), 64);
   EXPECT_EQ(NetworkOf("ppo_cnn", "extractor: RESNET")->width(), 64);
   EXPECT_EQ(NetworkOf("ppo_resnet", "width: 16")->width(), 16);
+  EXPECT_EQ(NetworkOf("grid_distillation", "")->width(), 32);
+  EXPECT_EQ(NetworkOf("grid_distillation", "width: 48")->width(), 48);
   EXPECT_FALSE(NetworkOf("ppo_cnn", "")->has_width());
 }
 
@@ -103,7 +105,9 @@ INSTANTIATE_TEST_SUITE_P(
         BadNetwork{"ppo_cnn", "heads: 4", "network.heads is given, but only a network with objects has it"},
         BadNetwork{"ppo_cnn", "critic: LSTM", "network.critic is given, but only recurrent: true has it"},
         BadNetwork{"ppo_resnet", "width: 0", "network.width is 0, want 1..256"},
-        BadNetwork{"ppo_cnn", "width: 16", "network.width is given, but only extractor: RESNET has it"},
+        BadNetwork{"grid_distillation", "width: 257", "network.width is 257, want 1..256"},
+        BadNetwork{"grid_distillation", "frame_size: 8", "network.frame_size is 8, want 9..256"},
+        BadNetwork{"ppo_cnn", "width: 16", "network.width is given, but only extractor: RESNET or GRID_RESNET has it"},
         BadNetwork{"lstm_cnn", "memory: true", "network.memory is true, want NO_OBJECTS and recurrent: false"},
         BadNetwork{"oc_sa", "goal_predictor: true", "network.goal_predictor is true, want NO_OBJECTS and"},
         BadNetwork{"ppo_cnn", "recurrent: true", "network.critic is CRITIC_UNSPECIFIED, want LINEAR or LSTM"}));

@@ -121,7 +121,8 @@ TEST(RunConfig, AnAgentHasItsOwnDefaults) {
 
 // Moon et al. 2023, as its code does it.
 TEST(RunConfig, ThePublishedResidualAgentsHaveTheirOwnDefaults) {
-  for (const char* agent : {"ppo_resnet_published", "achievement_distillation", "cnn_distillation"}) {
+  for (const char* agent :
+       {"ppo_resnet_published", "achievement_distillation", "cnn_distillation", "grid_distillation"}) {
     const v1::RunConfig config = FromText(std::string("agent: \"") + agent + "\"");
     EXPECT_EQ(config.lanes(), 8);
     EXPECT_EQ(config.fragment_steps(), 512);

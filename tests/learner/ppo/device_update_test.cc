@@ -196,6 +196,7 @@ INSTANTIATE_TEST_SUITE_P(
             R"(agent: "oc_ca" network { frame_size: 32 residual_mlp: true layer_norm: true slot_competition: true })",
             205},
         AgentCase{R"(agent: "achievement_distillation" network { extractor: CNN frame_size: 40 })", 128},
+        AgentCase{R"(agent: "grid_distillation" network { frame_size: 20 })", 177},
         AgentCase{R"(agent: "ppo_resnet" network { frame_size: 12 } ppo { value_norm_decay: 0.99 })", 267}));
 
 // bfloat16 has 8 bits: losses and the gradient's norm differ by per mille to per cent, but not by nothing.

@@ -155,7 +155,7 @@ TEST(PaperExperiments, HaveACellForEveryNumberOfThePaper) {
                                                   {"beyond", 3},
                                                   {"critic", 2},
                                                   {"reproduction", 3},
-                                                  {"small", 10},
+                                                  {"small", 11},
                                                   {"lanes", 3},
                                                   {"no_inventory_300k", 2},
                                                   {"one_iteration", 7},
