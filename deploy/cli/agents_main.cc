@@ -33,8 +33,9 @@ parameters of each agent.
   craftfleet train --agent=lstm_cnn --logdir=runs/lstm)";
 
 constexpr char kNotes[] = R"(
-cnn_distillation is recommended: of the agents that were trained for 1M steps here it scores most. It is
-achievement_distillation with the network of ppo_cnn.
+grid_distillation is recommended: of the agents that were trained for 1M steps here it scores most. It is
+achievement_distillation with a small residual network on the 9x9 cells of the picture; cnn_distillation has the network of
+ppo_cnn.
 ppo_resnet and achievement_distillation are from Moon et al. 2023, the others from Stanic et al. 2022. Where that paper's text
 differs from its published code, the plain name follows the text and NAME_published the code: the learning rate (1e-4), the
 treatment of the length limit (as a death) and, for recurrent agents, the minibatches. ppo_resnet_published has the optimiser
