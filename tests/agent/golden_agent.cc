@@ -50,8 +50,9 @@ std::vector<float> GoldenWeights(const AgentSpec& spec, const nlohmann::json& go
     CRAFTFLEET_CHECK(found != params.end());
     double scale = (*found)["scale"];
     // The baseline's heads bear the names of wider ones; the scale is sqrt(3 / width).
-    if (param.shape.size() == 2)
+    if (param.shape.size() == 2) {
       scale *= std::sqrt((*found)["shape"][1].get<double>() / static_cast<double>(param.shape[1]));
+    }
     const double offset = found->value("offset", 0.0);
     const SignedUniforms u(param.name);
     for (int64_t i = 0; i < param.size; ++i) weights[param.offset + i] = static_cast<float>(offset + scale * u[i]);

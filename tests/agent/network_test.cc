@@ -100,7 +100,7 @@ TEST(CutPatches, AreInRowOrderAndFlattenedByChannel) {
 // Attention by its definition, computed number by number. `competition`: softmax over queries.
 at::Tensor SlowAttention(const at::Tensor& q, const at::Tensor& k, const at::Tensor& v, int heads, bool competition) {
   const int64_t width = 256 / heads;
-  const at::Tensor out = at::zeros({k.size(0), q.size(0), 256});
+  at::Tensor out = at::zeros({k.size(0), q.size(0), 256});
   for (int64_t n = 0; n < k.size(0); ++n) {
     for (int head = 0; head < heads; ++head) {
       const auto part = [&](const at::Tensor& x) { return x.narrow(-1, head * width, width); };
