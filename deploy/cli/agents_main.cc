@@ -36,10 +36,10 @@ constexpr char kNotes[] = R"(
 grid_distillation is recommended: of the agents that were trained for 1M steps here it scores most. It is
 achievement_distillation with a small residual network on the 9x9 cells of the picture; cnn_distillation has the network of
 ppo_cnn.
-ppo_resnet and achievement_distillation are from Moon et al. 2023, those before them from Stanic et al. 2022. Where the latter's
-text differs from its published code, the plain name follows the text and NAME_published the code: the learning rate (1e-4), the
-treatment of the length limit (as a death) and, for recurrent agents, the minibatches. ppo_resnet_published has the optimiser
-and advantages of its code.
+ppo_resnet and achievement_distillation are from Moon et al. 2023, those before them from Stanic et al. 2022. Where that
+paper's text differs from its published code, the plain name follows the text and NAME_published the code: the learning rate
+(1e-4), the treatment of the length limit (as a death) and, for recurrent agents, the minibatches. ppo_resnet_published has the
+optimiser and advantages of its code.
 "memory" is the change of features at the last achievement, "goals" the layers that distillation trains.
 A configuration file (--config) may change any part of a network, for example: agent: "oc_ca" network { slots: 4 layer_norm: true }
 )";

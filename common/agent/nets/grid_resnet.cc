@@ -10,7 +10,6 @@ namespace {
 
 constexpr int64_t kCells = 9;  // of the picture, across and down
 constexpr int kBlocks = 2;
-constexpr int64_t kHidden = 256;
 
 }  // namespace
 
@@ -21,8 +20,7 @@ GridResnet::GridResnet(const std::string& name, int64_t frame_size, int64_t widt
       norm_(name + ".norm", width, NormLayer::Over::kMap, params) {
   const double row_norm = ResidualBlockNorm(1, kBlocks);
   for (int b = 0; b < kBlocks; ++b) blocks_.emplace_back(absl::StrCat(name, ".blocks.", b), width, row_norm, params);
-  linears_.emplace_back(name + ".linear0", width * kCells * kCells, kHidden, 1.4, params);
-  linears_.emplace_back(name + ".linear1", kHidden, kFeatures, 1, params);
+  features_.emplace(name, width * kCells * kCells, kFeatures, params);
 }
 
 at::Tensor GridResnet::Forward(const ParamTensors& params, const at::Tensor& input,
@@ -31,9 +29,7 @@ at::Tensor GridResnet::Forward(const ParamTensors& params, const at::Tensor& inp
   const at::Tensor cells = input.narrow(2, border_, used).narrow(3, border_, used);
   at::Tensor map = norm_.Forward(params, embed_.Forward(params, cells).relu_().to(at::kFloat));
   for (const ResidualBlock& block : blocks_) map = block.Forward(params, map);
-  at::Tensor features = map.flatten(1);
-  for (const NormedLinear& linear : linears_) features = linear.Forward(params, features);
-  return features;
+  return features_->Forward(params, map);
 }
 
 }  // namespace craftfleet

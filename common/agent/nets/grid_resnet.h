@@ -10,7 +10,7 @@
 
 #include "common/agent/nets/layers.h"
 #include "common/agent/nets/part.h"
-#include "common/agent/nets/residual_block.h"
+#include "common/agent/nets/residual_layers.h"
 
 namespace craftfleet {
 
@@ -32,7 +32,7 @@ class GridResnet : public Part {
   ConvLayer embed_;
   NormLayer norm_;
   std::vector<ResidualBlock> blocks_;
-  std::vector<NormedLinear> linears_;
+  std::optional<FeatureLayers> features_;
 };
 
 }  // namespace craftfleet

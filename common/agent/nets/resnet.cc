@@ -10,7 +10,6 @@ namespace {
 
 constexpr int kStacks = 3;
 constexpr int kBlocks = 2;  // of a stack
-constexpr int64_t kHidden = 256;
 
 }  // namespace
 
@@ -31,8 +30,7 @@ Resnet::Resnet(const std::string& name, int64_t frame_size, int64_t width, Param
     channels = outputs;
     size = (size + 1) / 2;
   }
-  linears_.emplace_back(name + ".linear0", channels * size * size, kHidden, 1.4, params);
-  linears_.emplace_back(name + ".linear1", kHidden, kFeatures, 1, params);
+  features_.emplace(name, channels * size * size, kFeatures, params);
 }
 
 at::Tensor Resnet::Forward(const ParamTensors& params, const at::Tensor& input,
@@ -48,9 +46,7 @@ at::Tensor Resnet::Forward(const ParamTensors& params, const at::Tensor& input,
     map = stack.norm.Forward(params, map);
     for (const ResidualBlock& block : stack.blocks) map = block.Forward(params, map);
   }
-  at::Tensor features = map.flatten(1);
-  for (const NormedLinear& linear : linears_) features = linear.Forward(params, features);
-  return features;
+  return features_->Forward(params, map);
 }
 
 }  // namespace craftfleet

@@ -10,7 +10,7 @@
 
 #include "common/agent/nets/layers.h"
 #include "common/agent/nets/part.h"
-#include "common/agent/nets/residual_block.h"
+#include "common/agent/nets/residual_layers.h"
 
 namespace craftfleet {
 
@@ -33,7 +33,7 @@ class Resnet : public Part {
   };
 
   std::vector<Stack> stacks_;
-  std::vector<NormedLinear> linears_;
+  std::optional<FeatureLayers> features_;
 };
 
 }  // namespace craftfleet

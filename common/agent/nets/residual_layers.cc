@@ -1,4 +1,4 @@
-#include "common/agent/nets/residual_block.h"
+#include "common/agent/nets/residual_layers.h"
 
 #include <cmath>
 #include <optional>
@@ -7,6 +7,8 @@
 
 namespace craftfleet {
 namespace {
+
+constexpr int64_t kHidden = 256;
 
 std::optional<NormLayer> MaybeNorm(bool normed, const std::string& name, int64_t size, ParamList* params) {
   if (!normed) return std::nullopt;
@@ -32,6 +34,14 @@ ResidualBlock::ResidualBlock(const std::string& name, int64_t channels, double r
 at::Tensor ResidualBlock::Forward(const ParamTensors& params, const at::Tensor& map) const {
   const at::Tensor hidden = first_.Forward(params, map).relu_().to(at::kFloat);
   return map + second_.Forward(params, hidden).relu_().to(at::kFloat);
+}
+
+FeatureLayers::FeatureLayers(const std::string& name, int64_t map_values, int64_t features, ParamList* params)
+    : first_(name + ".linear0", map_values, kHidden, 1.4, params),
+      second_(name + ".linear1", kHidden, features, 1, params) {}
+
+at::Tensor FeatureLayers::Forward(const ParamTensors& params, const at::Tensor& map) const {
+  return second_.Forward(params, first_.Forward(params, map.flatten(1)));
 }
 
 double ResidualBlockNorm(int stacks, int blocks) { return std::sqrt(1 / (std::sqrt(stacks) * std::sqrt(blocks))); }

@@ -1,7 +1,7 @@
-// The residual blocks of Moon et al. 2023. Does not include LibTorch.
+// What residual networks are made of, after Moon et al. 2023. Does not include LibTorch.
 
-#ifndef CRAFTFLEET_COMMON_AGENT_NETS_RESIDUAL_BLOCK_H_
-#define CRAFTFLEET_COMMON_AGENT_NETS_RESIDUAL_BLOCK_H_
+#ifndef CRAFTFLEET_COMMON_AGENT_NETS_RESIDUAL_LAYERS_H_
+#define CRAFTFLEET_COMMON_AGENT_NETS_RESIDUAL_LAYERS_H_
 
 #include <cstdint>
 #include <optional>
@@ -38,9 +38,23 @@ class ResidualBlock {
   NormedConv second_;
 };
 
+// A map, flattened, to features: `name`.linear0 to 256 values, then `name`.linear1.
+class FeatureLayers {
+ public:
+  // `map_values`: of a row's map, all channels.
+  FeatureLayers(const std::string& name, int64_t map_values, int64_t features, ParamList* params);
+
+  // map float[N,C,H,W] -> float[N,features]
+  at::Tensor Forward(const ParamTensors& params, const at::Tensor& map) const;
+
+ private:
+  NormedLinear first_;
+  NormedLinear second_;
+};
+
 // The row norm of all blocks of a network of `stacks` with `blocks` each: their sum keeps its variance.
 double ResidualBlockNorm(int stacks, int blocks);
 
 }  // namespace craftfleet
 
-#endif  // CRAFTFLEET_COMMON_AGENT_NETS_RESIDUAL_BLOCK_H_
+#endif  // CRAFTFLEET_COMMON_AGENT_NETS_RESIDUAL_LAYERS_H_
