@@ -135,7 +135,6 @@ absl::Status Run() {
   wire::StatusServiceImpl status("envserver", [&service](v1::StatusReply* reply) { service->FillStatus(reply); });
   CRAFTFLEET_ASSIGN_OR_RETURN(const std::unique_ptr<wire::Server> server,
                               wire::Server::Create(listen, {service.get(), &status}));
-  LogInfo("listening on %s", server->address());
   CRAFTFLEET_ASSIGN_OR_RETURN(const std::unique_ptr<wire::MetricsServer> metrics,
                               wire::ServeMetrics(metrics_options, &status));
   CRAFTFLEET_ASSIGN_OR_RETURN(const std::unique_ptr<Announcer> announcer,
@@ -147,6 +146,8 @@ absl::Status Run() {
     }
     server->Stop(absl::Milliseconds(500));
   });
+  // Says that the server is ready, also to be stopped.
+  LogInfo("listening on %s", server->address());
   server->Wait();
   return absl::OkStatus();
 }

@@ -78,6 +78,15 @@ class Endings(python_case.FolderCase):
     actor.send_signal(signal.SIGHUP)
     self.assertEqual(actor.wait(20), 0)
 
+  def test_a_server_can_be_stopped_as_soon_as_it_says_that_it_listens(self):
+    for _ in range(10):
+      server = self.start("craftfleet-envserver", "--listen=127.0.0.1:0", stderr=subprocess.PIPE, text=True)
+      with server.stderr as log:
+        self.assertTrue(any("listening on" in line for line in log))
+        server.send_signal(signal.SIGHUP)
+        log.read()
+      self.assertEqual(server.wait(20), 0)
+
   def test_under_nohup_a_hangup_is_ignored(self):
     server = self.start("craftfleet-envserver", "--listen=127.0.0.1:0",
                         preexec_fn=lambda: signal.signal(signal.SIGHUP, signal.SIG_IGN))
