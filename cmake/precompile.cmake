@@ -1,0 +1,22 @@
+# Precompiled headers for the sanitizer builds of .ci/run, which compile everything once more: what most files include, once
+# for libraries and once for tests, whose options differ. All other builds do without, so that they find a missing #include.
+
+# gRPC asks for it, and a precompiled header is only for files that agree with it.
+target_compile_options(craftfleet_flags INTERFACE -pthread)
+
+file(WRITE ${CMAKE_BINARY_DIR}/precompiled.cc "")
+foreach(kind library test)
+  set(headers craftfleet_${kind}_headers)
+  add_library(${headers} OBJECT ${CMAKE_BINARY_DIR}/precompiled.cc)
+  target_link_libraries(${headers} PRIVATE absl::statusor absl::str_format absl::strings absl::time craftfleet_flags)
+  target_precompile_headers(${headers} PRIVATE
+    <algorithm> <functional> <map> <memory> <string> <vector>
+    <absl/status/statusor.h> <absl/strings/str_cat.h> <absl/strings/str_format.h> <absl/time/time.h>)
+  # A precompiled header without its time is the same each time, which ccache needs.
+  target_compile_options(${headers} PRIVATE "SHELL:-Xclang -fno-pch-timestamp")
+endforeach()
+target_link_libraries(craftfleet_test_headers PRIVATE GTest::gmock)
+target_precompile_headers(craftfleet_test_headers PRIVATE <gmock/gmock.h> <gtest/gtest.h>)
+# As craftfleet_test() has it for executables.
+set_target_properties(craftfleet_test_headers PROPERTIES POSITION_INDEPENDENT_CODE OFF)
+target_compile_options(craftfleet_test_headers PRIVATE -fPIE -O0)
