@@ -1,7 +1,8 @@
-# Precompiled headers for the sanitizer builds of .ci/run, which compile everything once more: what most files include, once
-# for libraries and once for tests, whose options differ. All other builds do without, so that they find a missing #include.
-
-# gRPC asks for it, and a precompiled header is only for files that agree with it.
+# Precompiles the headers that most files include, for the sanitizer builds of .ci/run: once for libraries and once for tests,
+# whose options differ. All other builds do without, so that they find a missing #include.
+#
+# clang refuses a precompiled header in a file whose options differ from its own. Single files with other options have
+# SKIP_PRECOMPILE_HEADERS; -pthread, which only users of gRPC have otherwise, is given to all.
 target_compile_options(craftfleet_flags INTERFACE -pthread)
 
 file(WRITE ${CMAKE_BINARY_DIR}/precompiled.cc "")
@@ -12,11 +13,11 @@ foreach(kind library test)
   target_precompile_headers(${headers} PRIVATE
     <algorithm> <functional> <map> <memory> <string> <vector>
     <absl/status/statusor.h> <absl/strings/str_cat.h> <absl/strings/str_format.h> <absl/time/time.h>)
-  # A precompiled header without its time is the same each time, which ccache needs.
+  # ccache stores a file only if its precompiled header is always the same: without timestamps.
   target_compile_options(${headers} PRIVATE "SHELL:-Xclang -fno-pch-timestamp")
 endforeach()
 target_link_libraries(craftfleet_test_headers PRIVATE GTest::gmock)
 target_precompile_headers(craftfleet_test_headers PRIVATE <gmock/gmock.h> <gtest/gtest.h>)
-# As craftfleet_test() has it for executables.
+# The options of the executables of craftfleet_test().
 set_target_properties(craftfleet_test_headers PROPERTIES POSITION_INDEPENDENT_CODE OFF)
 target_compile_options(craftfleet_test_headers PRIVATE -fPIE -O0)

@@ -146,7 +146,7 @@ absl::Status Run() {
     }
     server->Stop(absl::Milliseconds(500));
   });
-  // Says that the server is ready, also to be stopped.
+  // Last, because whoever reads it may send a signal at once.
   LogInfo("listening on %s", server->address());
   server->Wait();
   return absl::OkStatus();
