@@ -68,7 +68,7 @@ void EvaluationWorker::Run() {
     job_.reset();
     if (status.ok()) {
       backoff_.Reset();
-    } else if (!stopping_) {
+    } else if (!stopping_ && !absl::IsCancelled(status)) {  // Cancelled: the actor is stopping
       next_try_ = SteadyNow() + backoff_.Next();
       LogWarning("evaluation task %d returned: %s", job.task.id(), status.message());
     }
