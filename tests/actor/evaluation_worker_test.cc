@@ -2,15 +2,13 @@
 
 #include <memory>
 #include <string>
-#include <thread>
 #include <vector>
 
-#include <absl/time/time.h>
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
-#include "common/base/clock.h"
 #include "common/wire/channel.h"
+#include "tests/fakes/wait_until.h"
 
 namespace craftfleet {
 namespace {
@@ -22,7 +20,7 @@ constexpr char kNobody[] = "127.0.0.1:1";  // where no learner listens
 constexpr int64_t kEpoch = 3;
 constexpr int64_t kTask = 43;
 
-// What a worker logs about a task, for which it asks `learner`.
+// What a worker logs about a task whose weights it requests from `learner`.
 std::string LogOfATask(const LearnerClient& learner) {
   EvaluationWorker::Options options;
   options.env_servers = std::make_shared<EnvDirectory>(std::vector<wire::Endpoint>());
@@ -32,9 +30,7 @@ std::string LogOfATask(const LearnerClient& learner) {
   task.set_id(kTask);
   testing::internal::CaptureStderr();
   worker.Assign(kEpoch, task);
-  const absl::Time deadline = SteadyNow() + absl::Seconds(60);
-  while (worker.current(kEpoch) != 0 && SteadyNow() < deadline) std::this_thread::yield();
-  EXPECT_EQ(worker.current(kEpoch), 0) << "the task is over";
+  EXPECT_TRUE(WaitUntil([&worker] { return worker.current(kEpoch) == 0; })) << "the task is over";
   worker.Stop();
   return testing::internal::GetCapturedStderr();
 }
