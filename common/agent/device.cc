@@ -29,13 +29,12 @@ void NumberGpusAsTheDriver() { ::setenv("CUDA_DEVICE_ORDER", "PCI_BUS_ID", /*ove
 
 absl::StatusOr<std::string> FindDevice(absl::string_view name) {
   NumberGpusAsTheDriver();
-  if (!at::hasCUDA() && absl::StartsWith(name, "cuda")) {
-    return absl::FailedPreconditionError(absl::StrFormat(
-        "--device=%s: LibTorch was built without CUDA or finds no driver: build against one that has it "
-        "(-DCRAFTFLEET_LIBTORCH=DIR), or use --device=cpu",
-        name));
-  }
-  return ChooseDevice(name, static_cast<int>(at::getNumGPUs()));
+  const absl::StatusOr<std::string> device = ChooseDevice(name, static_cast<int>(at::getNumGPUs()));
+  if (at::hasCUDA() || !absl::IsFailedPrecondition(device.status())) return device;
+  return absl::FailedPreconditionError(
+      absl::StrFormat("--device=%s: LibTorch was built without CUDA or finds no driver: build against one that has it "
+                      "(-DCRAFTFLEET_LIBTORCH=DIR), or use --device=cpu",
+                      name));
 }
 
 absl::StatusOr<std::string> ChooseDevice(absl::string_view name, int gpus) {

@@ -18,6 +18,8 @@ namespace {
 
 using google::protobuf::Descriptor;
 using google::protobuf::DescriptorPool;
+using google::protobuf::EnumDescriptor;
+using google::protobuf::FieldDescriptor;
 
 // " (known fields of RunConfig: agent, env, ...)" for an error about an unknown field, else "".
 std::string KnownFields(absl::string_view message) {
@@ -29,6 +31,32 @@ std::string KnownFields(absl::string_view message) {
   names.reserve(descriptor->field_count());
   for (int i = 0; i < descriptor->field_count(); ++i) names.push_back(descriptor->field(i)->name());
   return absl::StrCat(" (known fields of ", descriptor->name(), ": ", absl::StrJoin(names, ", "), ")");
+}
+
+// The enumeration of the field `name` in a message of `type`, or in one that is part of it; null: there is none. No
+// type may be part of itself.
+const EnumDescriptor* FindEnum(const Descriptor& type, absl::string_view name) {
+  for (int i = 0; i < type.field_count(); ++i) {
+    const FieldDescriptor& field = *type.field(i);
+    if (field.enum_type() != nullptr && field.name() == name) return field.enum_type();
+    if (field.message_type() == nullptr) continue;
+    if (const EnumDescriptor* found = FindEnum(*field.message_type(), name)) return found;
+  }
+  return nullptr;
+}
+
+// " (known values: FP32, TF32, BF16)" for an error about an unknown value in a message of `type`, else "".
+std::string KnownValues(absl::string_view message, const Descriptor& type) {
+  const std::vector<std::string> parts = absl::StrSplit(message, '"');
+  if (parts.size() < 4 || !absl::StartsWith(message, "Unknown enumeration value")) return "";
+  const EnumDescriptor* values = FindEnum(type, parts[3]);
+  if (values == nullptr) return "";
+  std::vector<std::string> names;
+  for (int i = 0; i < values->value_count(); ++i) {
+    const absl::string_view name = values->value(i)->name();
+    if (!absl::EndsWith(name, "_UNSPECIFIED")) names.emplace_back(name);
+  }
+  return absl::StrCat(" (known values: ", absl::StrJoin(names, ", "), ")");
 }
 
 // "learning_rate: " if the text before `column` of `line` ends in "learning_rate:" or, for a number's sign,
@@ -43,15 +71,17 @@ std::string FieldBefore(absl::string_view line, int column) {
 // Keeps the first error, with its position in readable form.
 class FirstError : public google::protobuf::io::ErrorCollector {
  public:
-  FirstError(absl::string_view text, absl::string_view filename)
-      : lines_(absl::StrSplit(text, '\n')), filename_(filename) {}
+  // `type` is the message's.
+  FirstError(absl::string_view text, absl::string_view filename, const Descriptor& type)
+      : lines_(absl::StrSplit(text, '\n')), filename_(filename), type_(type) {}
 
   void AddError(int line, google::protobuf::io::ColumnNumber column, const std::string& message) override {
     if (!status_.ok()) return;
     const bool known_place = line >= 0 && line < static_cast<int>(lines_.size());
     const std::string field = known_place ? FieldBefore(lines_[line], column) : "";
     const std::string place = line >= 0 ? absl::StrCat(":", line + 1, ":", column + 1) : "";
-    status_ = absl::InvalidArgumentError(absl::StrCat(filename_, place, ": ", field, message, KnownFields(message)));
+    status_ = absl::InvalidArgumentError(
+        absl::StrCat(filename_, place, ": ", field, message, KnownFields(message), KnownValues(message, type_)));
   }
 
   const absl::Status& status() const { return status_; }
@@ -59,6 +89,7 @@ class FirstError : public google::protobuf::io::ErrorCollector {
  private:
   const std::vector<absl::string_view> lines_;
   const absl::string_view filename_;
+  const Descriptor& type_;
   absl::Status status_;
 };
 
@@ -66,7 +97,7 @@ class FirstError : public google::protobuf::io::ErrorCollector {
 
 absl::Status ParseTextFormat(absl::string_view text, absl::string_view filename, google::protobuf::Message* message) {
   const std::string bytes(text);
-  FirstError error(text, filename);
+  FirstError error(text, filename, *message->GetDescriptor());
   google::protobuf::TextFormat::Parser parser;
   parser.RecordErrorsTo(&error);
   if (parser.ParseFromString(bytes, message)) return absl::OkStatus();

@@ -129,6 +129,7 @@ TEST(FindDevice, ReportsALibTorchWithoutCuda) {
   EXPECT_THAT(FindDevice("auto"), IsOk());
   if (at::hasCUDA()) GTEST_SKIP() << "this LibTorch has CUDA";
   EXPECT_EQ(*FindDevice("auto"), "cpu");
+  EXPECT_THAT(FindDevice("cuda:x"), StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("cuda or cuda:N")));
   EXPECT_THAT(FindDevice("cuda:0"), StatusIs(absl::StatusCode::kFailedPrecondition, HasSubstr("without CUDA")));
 }
 

@@ -11,7 +11,11 @@
 #include <ATen/ATen.h>
 #include <ATen/core/LegacyTypeDispatch.h>
 #include <ATen/core/dispatch/Dispatcher.h>
+#include <absl/base/const_init.h>
+#include <absl/base/thread_annotations.h>
 #include <absl/strings/match.h>
+#include <absl/strings/string_view.h>
+#include <absl/synchronization/mutex.h>
 #include <c10/core/DeviceType.h>
 #include <c10/core/InferenceMode.h>
 #include <c10/core/impl/DeviceGuardImplInterface.h>
@@ -33,6 +37,20 @@ std::atomic<int64_t> read{0};
 std::atomic<int64_t> computed{0};
 std::atomic<int64_t> called{0};
 std::atomic<int64_t> last_called{-1};  // the call that finds no memory
+
+absl::Mutex observer_mutex(absl::kConstInit);
+ComputationObserver& Observer() ABSL_EXCLUSIVE_LOCKS_REQUIRED(observer_mutex) {
+  static auto* const observer = new ComputationObserver;
+  return *observer;
+}
+
+// Counts a computation that is done.
+void Computed(absl::string_view name, const std::vector<c10::IValue>& arguments,
+              const std::vector<at::Tensor>& results) {
+  ++computed;
+  const absl::MutexLock lock(&observer_mutex);
+  if (Observer()) Observer()(name, arguments, results);
+}
 
 const c10::Device kDevice(c10::DeviceType::PrivateUse1, 0);
 
@@ -96,7 +114,6 @@ bool OnlyDescribes(const c10::FunctionSchema& schema) {
 void Compute(const c10::OperatorHandle& op, torch::jit::Stack* stack) {
   const c10::FunctionSchema& schema = op.schema();
   const std::string& name = schema.name();
-  if (!OnlyDescribes(schema)) ++computed;
   if (++called == last_called) {
     throw std::runtime_error("CUDA out of memory. Tried to allocate 2.00 GiB. GPU 0 has a total capacity of 7.79 GiB");
   }
@@ -112,6 +129,7 @@ void Compute(const c10::OperatorHandle& op, torch::jit::Stack* stack) {
     }
   }
   const size_t first = stack->size() - schema.returns().size();
+  std::vector<at::Tensor> results;
   for (size_t i = 0; i < schema.returns().size(); ++i) {
     c10::IValue& result = (*stack)[first + i];
     const int shared = SharedArgument(schema, i);
@@ -130,38 +148,44 @@ void Compute(const c10::OperatorHandle& op, torch::jit::Stack* stack) {
     } else if (!result.isTensor()) {
       ++read;
     }
+    if (result.isTensor()) results.push_back(result.toTensor());
   }
+  if (!OnlyDescribes(schema)) Computed(name, arguments, results);
 }
 
 at::Tensor CopyFrom(const at::Tensor& from, const at::Tensor& to, bool /*non_blocking*/) {
-  if (!IsOurs(from)) {
-    ++sent;
-  } else {
-    ++(IsOurs(to) ? computed : fetched);
-  }
   at::Tensor there = IsOurs(to) ? OnHost(to) : to;
   there.copy_(IsOurs(from) ? OnHost(from) : from);
+  if (!IsOurs(from)) {
+    ++sent;
+  } else if (!IsOurs(to)) {
+    ++fetched;
+  } else {
+    Computed("aten::copy_", {from}, {to});
+  }
   return to;
 }
 
 // Max pooling, whose two outputs LibTorch boxes in a way to which UndefinedBehaviorSanitizer objects.
 std::tuple<at::Tensor, at::Tensor> MaxPool(const at::Tensor& input, at::IntArrayRef kernel, at::IntArrayRef stride,
                                            at::IntArrayRef padding, at::IntArrayRef dilation, bool ceil_mode) {
-  ++computed;
   const at::Tensor host = Argument(input, "max_pool2d");
   const at::AutoDispatchBelowADInplaceOrView guard;
   const auto [output, indices] = at::max_pool2d_with_indices(host, kernel, stride, padding, dilation, ceil_mode);
+  Computed("aten::max_pool2d_with_indices", {input}, {output, indices});
   return {Ours(output), Ours(indices)};
 }
 
 at::Tensor MaxPoolBackward(const at::Tensor& by_output, const at::Tensor& input, at::IntArrayRef kernel,
                            at::IntArrayRef stride, at::IntArrayRef padding, at::IntArrayRef dilation, bool ceil_mode,
                            const at::Tensor& indices) {
-  ++computed;
   const std::string name = "max_pool2d_backward";
   const at::AutoDispatchBelowADInplaceOrView guard;
-  return Ours(at::max_pool2d_with_indices_backward(Argument(by_output, name), Argument(input, name), kernel, stride,
-                                                   padding, dilation, ceil_mode, Argument(indices, name)));
+  const at::Tensor by_input =
+      at::max_pool2d_with_indices_backward(Argument(by_output, name), Argument(input, name), kernel, stride, padding,
+                                           dilation, ceil_mode, Argument(indices, name));
+  Computed("aten::max_pool2d_with_indices_backward", {by_output, indices}, {by_input});
+  return Ours(by_input);
 }
 
 // The cell of an LSTM, for which LibTorch 2 takes this computation on devices; the CPU lacks it. The third result is
@@ -170,7 +194,6 @@ std::tuple<at::Tensor, at::Tensor, at::Tensor> LstmCell(const at::Tensor& input_
                                                         const at::Tensor& cell,
                                                         const c10::optional<at::Tensor>& input_bias,
                                                         const c10::optional<at::Tensor>& hidden_bias) {
-  ++computed;
   const std::string name = "lstm_cell";
   const at::AutoDispatchBelowADInplaceOrView guard;
   at::Tensor all = Argument(input_gates, name) + Argument(hidden_gates, name);
@@ -179,7 +202,9 @@ std::tuple<at::Tensor, at::Tensor, at::Tensor> LstmCell(const at::Tensor& input_
   }
   const std::vector<at::Tensor> gates = at::chunk(all, 4, 1);
   const at::Tensor next = at::sigmoid(gates[1]) * Argument(cell, name) + at::sigmoid(gates[0]) * at::tanh(gates[2]);
-  return {Ours(at::sigmoid(gates[3]) * at::tanh(next)), Ours(next), Ours(all)};
+  const at::Tensor hidden = at::sigmoid(gates[3]) * at::tanh(next);
+  Computed("aten::_thnn_fused_lstm_cell", {input_gates, hidden_gates, cell}, {hidden, next, all});
+  return {Ours(hidden), Ours(next), Ours(all)};
 }
 
 // The gradients of the gates, of the cell before and of the biases.
@@ -187,7 +212,6 @@ std::tuple<at::Tensor, at::Tensor, at::Tensor> LstmCellBackward(const c10::optio
                                                                 const c10::optional<at::Tensor>& by_next,
                                                                 const at::Tensor& cell, const at::Tensor& next,
                                                                 const at::Tensor& all, bool has_bias) {
-  ++computed;
   const std::string name = "lstm_cell_backward";
   const at::AutoDispatchBelowADInplaceOrView guard;
   const std::vector<at::Tensor> gates = at::chunk(Argument(all, name), 4, 1);
@@ -207,6 +231,7 @@ std::tuple<at::Tensor, at::Tensor, at::Tensor> LstmCellBackward(const c10::optio
       at::cat({by_cell * value * in * (1 - in), by_cell * Argument(cell, name) * forget * (1 - forget),
                by_cell * in * (1 - value * value), by_out * out * (1 - out)},
               1);
+  Computed("aten::_thnn_fused_lstm_cell_backward_impl", {cell, next, all}, {by_gates, by_cell});
   return {Ours(by_gates), Ours(by_cell * forget), has_bias ? Ours(by_gates.sum(0)) : at::Tensor()};
 }
 
@@ -270,6 +295,11 @@ const bool is_accelerator = [] {
 }  // namespace
 
 void RunOutOfMemoryAfter(int64_t count) { last_called = called + count; }
+
+void ObserveComputations(ComputationObserver observer) {
+  const absl::MutexLock lock(&observer_mutex);
+  Observer() = std::move(observer);
+}
 
 DeviceTraffic TrafficSoFar() { return {sent, fetched, read, computed}; }
 

@@ -5,6 +5,12 @@
 #define CRAFTFLEET_TESTS_AGENT_STAND_IN_DEVICE_H_
 
 #include <cstdint>
+#include <functional>
+#include <vector>
+
+#include <ATen/core/Tensor.h>
+#include <ATen/core/ivalue.h>
+#include <absl/strings/string_view.h>
 
 namespace craftfleet::testing {
 
@@ -25,6 +31,14 @@ DeviceTraffic TrafficSoFar();
 // computations, views and requests for memory.
 // Thread-safe.
 void RunOutOfMemoryAfter(int64_t count);
+
+// Sees a computation, such as "aten::mm": its arguments, and the tensors that it returned.
+using ComputationObserver = std::function<void(absl::string_view name, const std::vector<c10::IValue>& arguments,
+                                               const std::vector<at::Tensor>& results)>;
+
+// From now on `observer`, if not empty, is called after each computation, by one thread at a time.
+// Thread-safe.
+void ObserveComputations(ComputationObserver observer);
 
 }  // namespace craftfleet::testing
 

@@ -193,6 +193,14 @@ TEST(RunConfig, AnUnknownFieldsErrorHasItsPositionAndTheKnownFields) {
                      HasSubstr("known fields of PpoConfig: rollout_steps, minibatch_size, epochs, learning_rate, "))));
 }
 
+TEST(RunConfig, AnUnknownValueOfAnEnumerationsErrorListsTheKnownOnes) {
+  EXPECT_THAT(ParseRunConfig("precision: FP16", "a.txt"),
+              StatusIs(absl::StatusCode::kInvalidArgument,
+                       AllOf(HasSubstr("\"FP16\""), HasSubstr("known values: FP32, TF32, BF16)"))));
+  EXPECT_THAT(ParseRunConfig("network { extractor: VIT }", "a.txt"),
+              StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("known values: CNN, SPCNN, ")));
+}
+
 TEST(RunConfig, AMalformedValuesErrorHasItsPositionAndField) {
   EXPECT_THAT(ParseRunConfig("ppo { learning_rate: fast }", "a.txt"),
               StatusIs(absl::StatusCode::kInvalidArgument,

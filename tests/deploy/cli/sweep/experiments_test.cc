@@ -122,6 +122,7 @@ INSTANTIATE_TEST_SUITE_P(
     Files, ParseExperimentsBad,
     testing::Values(
         BadFile{"experiments { nam: \"t\" }", "known fields of Experiment: name, title"},
+        BadFile{"experiments { name: \"t\" combine: ALL }", "known values: PRODUCT, EACH, PAIRS)"},
         BadFile{"experiments { name: \"t\" axes { axis: \"x\" } }", "experiment \"t\": axis \"x\" is not in the file"},
         BadFile{"experiments { name: \"t\" axes { axis: \"agent\" only: \"c\" } }",
                 "axis \"agent\" has no choice \"c\""},
