@@ -144,7 +144,9 @@ absl::Status Actor::Join() {
 absl::Status Actor::StartLoops() {
   const v1::RunConfig& config = joined_.config();
   CRAFTFLEET_ASSIGN_OR_RETURN(const AgentSpec spec, MakeAgentSpec(config));
-  CRAFTFLEET_ASSIGN_OR_RETURN(const std::string device, FindActingDevice(options_.device, config.device()));
+  CRAFTFLEET_ASSIGN_OR_RETURN(const std::string device, options_.find_device != nullptr
+                                                            ? options_.find_device(config.device())
+                                                            : FindActingDevice("auto", config.device()));
   const bool on_gpu = device != "cpu";
   // A GPU computes all lanes of a group at once. While it does, the other group's games go on.
   const int tile = on_gpu ? std::min((config.lanes() + kGroups - 1) / kGroups, Policy::kMaxTile) : config.tile();

@@ -42,11 +42,13 @@ class Actor {
     std::shared_ptr<EnvDirectory> env_servers;
     int threads = 1;                                  // loops, 1..256
     int capacity = 4096;                              // lanes to play at once, 1..4096
-    std::string device = "auto";                      // to act on, as FindActingDevice takes it
     std::string zone = "";                            // label of the place where it runs; empty: none
     FrameFormat frames = FrameFormat::kScene;         // in which frames travel where both ends can
     absl::Duration env_timeout = kDefaultEnvTimeout;  // of each request to an environment server, 0.1..3600 s
     LocalWeights weights = nullptr;                   // of a learner in the same process; null: call it for them
+    // The device to act on, in LibTorch's notation, in a run that computes on this type of device. Null: as
+    // --device=auto.
+    std::function<absl::StatusOr<std::string>(v1::RunConfig::Device)> find_device = nullptr;
     // Called once with the run's configuration, before the actor joins and computes anything; may restart the process
     // by exec. Null: nothing to set up.
     std::function<absl::Status(const v1::RunConfig&)> set_up = nullptr;

@@ -4,6 +4,7 @@
 #include <absl/strings/str_format.h>
 
 #include "actor/actor.h"
+#include "common/agent/device.h"
 #include "common/agent/torch_setup.h"
 #include "common/base/frame_format.h"
 #include "common/base/status_macros.h"
@@ -78,7 +79,9 @@ absl::Status Run() {
   }
   options.threads = threads == 0 ? DefaultThreads() : threads;
   options.capacity = absl::GetFlag(FLAGS_max_lanes);
-  options.device = absl::GetFlag(FLAGS_device);
+  options.find_device = [name = absl::GetFlag(FLAGS_device)](v1::RunConfig::Device run) {
+    return FindActingDevice(name, run);
+  };
   options.zone = absl::GetFlag(FLAGS_zone);
   CRAFTFLEET_RETURN_IF_ERROR(wire::CheckText("--zone", options.zone));
   CRAFTFLEET_ASSIGN_OR_RETURN(options.frames, ParseFrames(absl::GetFlag(FLAGS_frames)));

@@ -25,7 +25,7 @@ absl::StatusOr<std::unique_ptr<LocalFleet>> LocalFleet::Create(const Learner::Op
   actor.threads = options.threads;
   const bool acts_on_gpu = fleet->learner_->config().device() == v1::RunConfig::CUDA;
   if (acts_on_gpu) actor.threads = std::max(actor.threads, 2);  // one group of lanes plays while the other is computed
-  actor.device = acts_on_gpu ? options.device : "cpu";
+  actor.find_device = [device = acts_on_gpu ? options.device : "cpu"](v1::RunConfig::Device) { return device; };
   actor.env_timeout = env_timeout;
   CRAFTFLEET_ASSIGN_OR_RETURN(fleet->actor_, Actor::Create(actor));
   return fleet;

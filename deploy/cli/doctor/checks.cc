@@ -107,11 +107,21 @@ Finding CheckSharedMemory(std::optional<int64_t> size) {
                 absl::StrCat(Size(*size), " at /dev/shm"), remedy);
 }
 
+std::string DescribeGpu(const std::string& device, const std::optional<GpuUsage>& usage,
+                        std::optional<int> capability) {
+  if (!usage.has_value()) return device;
+  std::string text = absl::StrCat(device, ": ", usage->name, ", ", Size(usage->memory_total_bytes));
+  if (capability.has_value()) {
+    absl::StrAppendFormat(&text, ", compute capability %d.%d", *capability / 10, *capability % 10);
+  }
+  return text;
+}
+
 Finding CheckGpu(const GpuFacts& gpu) {
   if (gpu.devices.empty()) {
     return Ok("GPU", gpu.libtorch_has_cuda ? "none; LibTorch has CUDA" : "none; LibTorch has no CUDA");
   }
-  const std::string devices = absl::StrJoin(gpu.devices, ", ");
+  const std::string devices = absl::StrJoin(gpu.devices, "; ");
   if (!gpu.libtorch_has_cuda) {
     return {"GPU", Verdict::kWarn, absl::StrCat(devices, ", but this LibTorch has no CUDA"),
             "updates run on the CPU: build with -DCRAFTFLEET_LIBTORCH=DIR, a LibTorch that has CUDA"};

@@ -14,6 +14,7 @@
 #include <absl/status/statusor.h>
 #include <absl/time/time.h>
 
+#include "common/telemetry/gpu_usage.h"
 #include "deploy/cli/doctor/finding.h"
 
 namespace craftfleet {
@@ -63,10 +64,14 @@ Finding CheckClock(const ClockFacts& clock);
 Finding CheckSharedMemory(std::optional<int64_t> size);
 
 struct GpuFacts {
-  std::vector<std::string> devices;  // /dev/nvidia0, ...
+  std::vector<std::string> devices;  // "/dev/nvidia0", or that with what the driver says of it (DescribeGpu)
   bool libtorch_has_cuda = false;    // the library libtorch_cuda is loaded
   int usable = 0;                    // GPUs that LibTorch sees
 };
+// "/dev/nvidia0: NVIDIA H100 80GB HBM3, 79.6 GiB, compute capability 9.0"; without what the driver does not say.
+// `capability` as Nvml::ComputeCapability.
+std::string DescribeGpu(const std::string& device, const std::optional<GpuUsage>& usage, std::optional<int> capability);
+
 // kWarn for a GPU that this LibTorch can't use because it has no CUDA; kFail if it has CUDA but finds no GPU.
 Finding CheckGpu(const GpuFacts& gpu);
 

@@ -12,6 +12,8 @@
 #include <array>
 #include <cerrno>
 #include <climits>
+#include <memory>
+#include <optional>
 
 #include <ATen/Context.h>
 #include <absl/cleanup/cleanup.h>
@@ -33,6 +35,7 @@
 #include "common/process/cpu_pin.h"
 #include "common/process/cpu_quota.h"
 #include "common/process/version.h"
+#include "common/telemetry/gpu_usage.h"
 #include "common/wire/listener.h"
 
 namespace craftfleet {
@@ -148,8 +151,11 @@ std::optional<int64_t> ReadSharedMemory() {
 
 GpuFacts ReadGpu() {
   GpuFacts facts;
+  const std::unique_ptr<Nvml> driver = Nvml::Open();
   for (int i = 0; PathExists(absl::StrCat("/dev/nvidia", i)); ++i) {
-    facts.devices.push_back(absl::StrCat("/dev/nvidia", i));
+    const std::string number = absl::StrCat(i);
+    facts.devices.push_back(DescribeGpu("/dev/nvidia" + number, driver == nullptr ? std::nullopt : driver->Read(number),
+                                        driver == nullptr ? std::nullopt : driver->ComputeCapability(number)));
   }
   facts.libtorch_has_cuda = !MappedFile(Maps(), {"libtorch_cuda"}).empty();
   facts.usable = static_cast<int>(at::getNumGPUs());

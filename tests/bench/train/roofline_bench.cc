@@ -8,6 +8,7 @@
 #include <functional>
 #include <map>
 #include <memory>
+#include <numeric>
 #include <string>
 #include <utility>
 #include <vector>
@@ -19,7 +20,7 @@
 #include <absl/strings/numbers.h>
 #include <absl/strings/str_cat.h>
 #include <absl/strings/str_format.h>
-#include <absl/strings/str_split.h>
+#include <absl/strings/str_join.h>
 #include <absl/strings/string_view.h>
 #include <absl/types/span.h>
 
@@ -51,7 +52,7 @@ constexpr char kUsage[] =
     R"(roofline_bench counts what training an agent needs of a GPU: floating-point operations of products (convolutions and matrices), bytes
 that computations read and write, and computations. It prints the least time that a million steps take: each computation at the
 speed of products or of memory, whichever takes longer. Needs no GPU; see tests/bench/README.md.)";
-constexpr int kPrecisions = 3;
+constexpr size_t kPrecisions = 3;
 
 // Of computations in float32; the products of the other precisions read and write at most as many bytes.
 struct Cost {
@@ -64,7 +65,7 @@ struct Cost {
     computations += factor * other.computations;
     flop += factor * other.flop;
     bytes += factor * other.bytes;
-    for (int i = 0; i < kPrecisions; ++i) seconds[i] += factor * other.seconds[i];
+    for (size_t i = 0; i < kPrecisions; ++i) seconds[i] += factor * other.seconds[i];
   }
 };
 
@@ -91,7 +92,7 @@ double FlopOf(absl::string_view name, const std::vector<c10::IValue>& arguments,
               const std::vector<at::Tensor>& results) {
   const auto tensor = [&](int i) { return arguments[i].toTensor(); };
   const auto per_output = [](const at::Tensor& weight) {
-    return 2.0 * static_cast<double>(weight.numel() / weight.size(0));
+    return 2 * static_cast<double>(weight.numel()) / static_cast<double>(weight.size(0));
   };
   if (name == "aten::convolution") return per_output(tensor(1)) * static_cast<double>(results[0].numel());
   if (name == "aten::convolution_backward") {  // the gradients of the input and of the weight, where they are wanted
@@ -128,7 +129,7 @@ absl::StatusOr<Costs> CostsOf(const Speeds& speeds, const std::function<absl::St
         const double flop = FlopOf(name, arguments, results);
         const double bytes = BytesOf(name, arguments, results);
         Cost one = {1, flop, bytes, {}};
-        for (int i = 0; i < kPrecisions; ++i) {
+        for (size_t i = 0; i < kPrecisions; ++i) {
           one.seconds[i] = std::max(flop / speeds.flop_per_second[i], bytes / speeds.bytes_per_second);
         }
         costs[std::string(name)].Add(one);
@@ -171,8 +172,8 @@ absl::StatusOr<Costs> CostsOfPlay(const Speeds& speeds, const v1::RunConfig& con
       const std::unique_ptr<const Policy> policy,
       Policy::Create(spec, SaveWeights(spec, InitialWeights(spec, 1)), rows, testing::kStandInDevice));
   const std::string frames = testing::GoldenFrames(1, rows, spec.frame_size);
-  std::vector<int> lanes;
-  for (int lane = 0; lane < rows; ++lane) lanes.push_back(lane);
+  std::vector<int> lanes(rows);
+  std::iota(lanes.begin(), lanes.end(), 0);
   std::vector<float> states(size_t{1} * rows * spec.state_size);
   return CostsOf(speeds, [&] {
     return policy->Act(frames, lanes, std::vector<double>(rows, 0.5), absl::MakeSpan(states)).status();
@@ -223,14 +224,16 @@ absl::Status PrintAgent(const Speeds& speeds, const std::string& agent) {
 absl::Status Run() {
   Speeds speeds;
   speeds.bytes_per_second = absl::GetFlag(FLAGS_terabytes_per_second) * 1e12;
+  if (speeds.bytes_per_second <= 0) return absl::InvalidArgumentError("--terabytes_per_second: want more than 0");
   const std::vector<std::string> tflops = absl::GetFlag(FLAGS_tflops);
-  bool is_good = tflops.size() == kPrecisions && speeds.bytes_per_second > 0;
-  for (int i = 0; is_good && i < kPrecisions; ++i) {
-    is_good = absl::SimpleAtod(tflops[i], &speeds.flop_per_second[i]) && speeds.flop_per_second[i] > 0;
-    speeds.flop_per_second[i] *= 1e12;
+  for (size_t i = 0; i < kPrecisions; ++i) {
+    double& speed = speeds.flop_per_second[i];
+    if (tflops.size() != kPrecisions || !absl::SimpleAtod(tflops[i], &speed) || speed <= 0) {
+      return absl::InvalidArgumentError(absl::StrCat("--tflops=", absl::StrJoin(tflops, ","),
+                                                     ", want three numbers above 0, for FP32, TF32 and BF16"));
+    }
+    speed *= 1e12;
   }
-  if (!is_good)
-    return absl::InvalidArgumentError("--tflops, --terabytes_per_second: want three numbers and one, above 0");
   SetUpTorchThread();
   for (const std::string& agent : absl::GetFlag(FLAGS_agents)) {
     CRAFTFLEET_RETURN_IF_ERROR(PrintAgent(speeds, agent));
