@@ -34,7 +34,7 @@ NOT_RUN = [
     (r"(build/bin/craftfleet (eval --checkpoint=(deploy/|runs/small)|train --config=small)|build/bin/craftfleet watch "
      r"--(video=\S+ --size=360|strip=attention-strip)|python3 deploy/pictures/)",
      "makes a picture that is committed"),
-    (r"build/bin/craftfleet sweep .*--experiment=(overlap_300k|reproduction|one_iteration)", "takes hours"),
+    (r"build/bin/craftfleet sweep .*--experiment=(overlap_300k|reproduction|one_iteration|small)", "takes hours"),
     (r"build/bin/craftfleet report runs/overlap", "on deploy/TUNING.md: of that sweep's runs; README.md makes a report"),
     (r"build/bin/craftfleet-learner .*--metrics_listen=127.0.0.1:9464", "serves at a fixed port; watch_test.py"),
     (r"build/bin/craftfleet top --address=127\.0\.0\.1:50051$", "on deploy/cli/top/README.md: README.md and OPERATING.md run it"),
@@ -186,7 +186,7 @@ class Pages(python_case.FolderCase):
 
   def test_troubleshooting_explains_lines_that_programs_print(self):
     sources = [path.read_text(encoding="utf-8") for room in ("actor", "common", "deploy", "envserver", "learner")
-               for path in (SOURCE / room).rglob("*.cc")]
+               for path in [*(SOURCE / room).rglob("*.cc"), *(SOURCE / room).rglob("*.sh")]]
     # A string for each sequence of adjacent literals, without escapes; arguments of absl::StrCat are separate strings.
     source = re.sub(r'"\s*\n\s*"', "", "\n".join(sources)).replace("\\", "")
     symptoms = re.findall(r"^### `(.*)`$", pages.text_of("deploy/TROUBLESHOOTING.md"), re.MULTILINE)
