@@ -89,7 +89,7 @@ TEST_P(DeviceRun, PlaysAndLearnsThereAndGoesOnAfterAStopAsIfNeverStopped) {
     const auto first = Start("stopped", /*resume=*/false);
     ASSERT_NE(first, nullptr);
     std::thread stop([&] {
-      EXPECT_TRUE(WaitUntil([&] { return PathExists(JoinPath(Logdir("stopped"), "checkpoints/iter-00000002")); }));
+      EXPECT_TRUE(WaitUntil([&] { return PathExists(JoinPath(Logdir("stopped"), "checkpoints/iter-00000001")); }));
       first->Stop();
     });
     EXPECT_THAT(first->Run(), IsOk());
