@@ -139,9 +139,9 @@ absl::Status CheckGpuPrecision(absl::string_view device, int capability, v1::Run
   const bool is_narrow = precision == v1::RunConfig::TF32 || precision == v1::RunConfig::BF16;
   if (!is_narrow || capability == 0 || capability >= kLeastNarrowCapability) return absl::OkStatus();
   return absl::InvalidArgumentError(absl::StrFormat(
-      "precision is %s, which GPUs have from compute capability %d.%d on, and --device=%s has %d.%d, want FP32",
-      v1::RunConfig::Precision_Name(precision), kLeastNarrowCapability / 10, kLeastNarrowCapability % 10, device,
-      capability / 10, capability % 10));
+      "precision is %s, which GPUs have from compute capability %s on, and --device=%s has %s, want FP32",
+      v1::RunConfig::Precision_Name(precision), CapabilityText(kLeastNarrowCapability), device,
+      CapabilityText(capability)));
 }
 
 absl::Status DeviceError(absl::string_view task, absl::string_view what) {

@@ -114,6 +114,8 @@ std::optional<int> Nvml::ComputeCapability(const std::string& gpu) const {
   return 10 * major + minor;
 }
 
+std::string CapabilityText(int capability) { return absl::StrCat(capability / 10, ".", capability % 10); }
+
 std::string NvmlName(int number, const std::string& visible) {
   if (visible.empty()) return absl::StrCat(number);
   const std::vector<std::string> names = absl::StrSplit(visible, ',');

@@ -42,6 +42,9 @@ class Nvml {
   const std::unique_ptr<Functions> functions_;
 };
 
+// "9.0" for a compute capability of 90.
+std::string CapabilityText(int capability);
+
 // NVML's name for GPU number `number` as CUDA counts, from 0: an entry of `visible`, the variable CUDA_VISIBLE_DEVICES,
 // or the number itself if that is empty.
 std::string NvmlName(int number, const std::string& visible);

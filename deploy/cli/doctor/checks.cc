@@ -111,9 +111,7 @@ std::string DescribeGpu(const std::string& device, const std::optional<GpuUsage>
                         std::optional<int> capability) {
   if (!usage.has_value()) return device;
   std::string text = absl::StrCat(device, ": ", usage->name, ", ", Size(usage->memory_total_bytes));
-  if (capability.has_value()) {
-    absl::StrAppendFormat(&text, ", compute capability %d.%d", *capability / 10, *capability % 10);
-  }
+  if (capability.has_value()) absl::StrAppend(&text, ", compute capability ", CapabilityText(*capability));
   return text;
 }
 

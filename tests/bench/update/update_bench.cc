@@ -1,5 +1,6 @@
-// Times of acting and learning: one inference tile, one minibatch and a whole PPO update, beside the fastest that the
-// CPU multiplies matrices. Usage: update_bench [seconds a figure, default 2 [AGENT...]]
+// Times of acting and learning: one inference tile, one minibatch and a whole PPO update, beside the speed at which
+// the CPU multiplies matrices.
+// Usage: update_bench [seconds a figure, default 2 [AGENT...]]
 
 #include <algorithm>
 #include <cstdio>

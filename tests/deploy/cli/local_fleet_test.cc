@@ -25,8 +25,6 @@ namespace {
 
 using ::testing::HasSubstr;
 
-constexpr char kLastCheckpoint[] = "checkpoints/iter-00000006";
-
 // Six short iterations with ends of episodes and evaluations; `more` is added to the configuration.
 struct RunCase {
   const char* name;
@@ -44,6 +42,9 @@ struct Result {
 class DeviceRun : public ::testing::TestWithParam<RunCase> {
  protected:
   std::string Logdir(const std::string& run) const { return folder_ / run; }
+  std::string Checkpoint(const std::string& run, int iteration) const {
+    return JoinPath(Logdir(run), JoinPath("checkpoints", CheckpointName(iteration)));
+  }
 
   std::unique_ptr<LocalFleet> Start(const std::string& run, bool resume) const {
     Learner::Options options;
@@ -65,10 +66,13 @@ class DeviceRun : public ::testing::TestWithParam<RunCase> {
   }
 
   Result Read(const std::string& run) const {
-    const auto file = [&](const std::string& name) { return ReadFile(JoinPath(Logdir(run), name)).value_or("none"); };
-    const std::string checkpoint = kLastCheckpoint;
-    return {file("stats.jsonl"), file("eval_sampled.jsonl") + file("final_argmax.jsonl"),
-            file(checkpoint + "/weights.safetensors"), file(checkpoint + "/optimizer.safetensors")};
+    const auto file = [](const std::string& folder, const std::string& name) {
+      return ReadFile(JoinPath(folder, name)).value_or("none");
+    };
+    const std::string logdir = Logdir(run);
+    const std::string last = Checkpoint(run, 6);
+    return {file(logdir, "stats.jsonl"), file(logdir, "eval_sampled.jsonl") + file(logdir, "final_argmax.jsonl"),
+            file(last, "weights.safetensors"), file(last, "optimizer.safetensors")};
   }
 
   const TempFolder folder_;
@@ -89,12 +93,12 @@ TEST_P(DeviceRun, PlaysAndLearnsThereAndGoesOnAfterAStopAsIfNeverStopped) {
     const auto first = Start("stopped", /*resume=*/false);
     ASSERT_NE(first, nullptr);
     std::thread stop([&] {
-      EXPECT_TRUE(WaitUntil([&] { return PathExists(JoinPath(Logdir("stopped"), "checkpoints/iter-00000001")); }));
+      EXPECT_TRUE(WaitUntil([&] { return PathExists(Checkpoint("stopped", 1)); }));
       first->Stop();
     });
     EXPECT_THAT(first->Run(), IsOk());
     stop.join();
-    ASSERT_FALSE(PathExists(JoinPath(Logdir("stopped"), kLastCheckpoint))) << "it ended before the stop";
+    ASSERT_FALSE(PathExists(Checkpoint("stopped", 6))) << "it ended before the stop";
   }
   const auto second = Start("stopped", /*resume=*/true);
   ASSERT_NE(second, nullptr);
