@@ -23,11 +23,12 @@
 namespace craftfleet {
 namespace {
 
-// Small networks that together use every kind of layer of the agents. Changing them changes every canary.
+// Small networks that together use every kind of layer of the agents, convolutions by FFT with both sizes of tiles.
+// Changing them changes every canary.
 constexpr const char* kNetworks[] = {
     R"(agent: "lstm_cnn")",
-    R"(agent: "oc_sa" network { frame_size: 16 patch: 4 stride: 4 })",
-    R"(agent: "oc_ca" network { frame_size: 16 patch: 4 stride: 4 residual_mlp: true layer_norm: true })",
+    R"(agent: "oc_sa" network { frame_size: 32 patch: 4 stride: 4 })",
+    R"(agent: "oc_ca" network { frame_size: 24 patch: 4 stride: 4 residual_mlp: true layer_norm: true })",
 };
 constexpr int kRows = 8;   // the default tile
 constexpr int kSteps = 2;  // of the LSTM

@@ -3,6 +3,7 @@
 #include <optional>
 
 #include <ATen/ATen.h>
+#include <c10/core/InferenceMode.h>
 
 #include "common/base/check.h"
 #include "common/base/multiversion.h"
@@ -40,6 +41,15 @@ PolicyNet::PolicyNet(const AgentSpec& spec, Use use, absl::Span<float> weights, 
       weight = weight.contiguous(at::MemoryFormat::ChannelsLast);
     }
   }
+  if (use == Use::kTraining) return;
+  const c10::InferenceMode inference;
+  params_.prepared = network_.Prepare(params_, /*for_gradients=*/false, [](const auto& tasks) {
+    for (const auto& task : tasks) task();
+  });
+}
+
+std::shared_ptr<const PreparedWeights> PolicyNet::Prepare(const RunTasks& run) const {
+  return network_.Prepare(params_, /*for_gradients=*/true, run);
 }
 
 PolicyNet::Output PolicyNet::Forward(const at::Tensor& frames, const Segments& segments,

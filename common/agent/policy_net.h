@@ -5,7 +5,9 @@
 #define CRAFTFLEET_COMMON_AGENT_POLICY_NET_H_
 
 #include <cstdint>
+#include <memory>
 #include <optional>
+#include <utility>
 #include <vector>
 
 #include <ATen/core/Tensor.h>
@@ -54,6 +56,11 @@ class PolicyNet {
   // frames as above -> float[N,views,patches]: how much each view attends to each patch (nets/part.h). Only for agents
   // with an object module.
   at::Tensor Attention(const at::Tensor& frames) const;
+
+  // Training: what the network computes from the present weights alone, shared out by `run`. Replicas on the same
+  // weights get it with UsePrepared, until the weights change; nullptr: each pass computes it again.
+  std::shared_ptr<const PreparedWeights> Prepare(const RunTasks& run) const;
+  void UsePrepared(std::shared_ptr<const PreparedWeights> prepared) { params_.prepared = std::move(prepared); }
 
   // Training: the gradient of each parameter since the last ClearGradients, in the spec's order, without those of the
   // last parameters that no backward pass has reached (a goal predictor's). The spans hold until the next backward pass

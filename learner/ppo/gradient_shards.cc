@@ -58,7 +58,8 @@ GradientShards::~GradientShards() = default;
 absl::StatusOr<PpoLossSums> GradientShards::ComputeGradients(const Rollout& rollout, const ShardedMinibatch& minibatch,
                                                              std::vector<ShardGradient>* gradients) {
   const size_t parts = minibatch.parts.size();
-  const absl::Status own = Run("gradient", parts, [&](int i) { ComputeGradient(rollout, minibatch, i); });
+  absl::Status own = PrepareWeights();
+  if (own.ok()) own = Run("gradient", parts, [&](int i) { ComputeGradient(rollout, minibatch, i); });
   if (ranks_ == nullptr) CRAFTFLEET_RETURN_IF_ERROR(own);
   PpoLossSums sums;
   std::vector<PpoLossSums> losses;
@@ -75,10 +76,13 @@ absl::StatusOr<PpoLossSums> GradientShards::ComputeGradients(const Rollout& roll
 
 absl::Status GradientShards::ComputeStart(const Rollout& rollout, const std::vector<Minibatch>& parts,
                                           const ValueScale& scale, StartOutputs* start) {
-  const absl::Status own = Run("the start's outputs", parts.size(), [&](int i) {
-    const c10::NoGradGuard no_grad;
-    WriteStart(rollout, parts[i], Forward(rollout, parts[i], std::nullopt, shards_[i].get()), scale, start);
-  });
+  absl::Status own = PrepareWeights();
+  if (own.ok()) {
+    own = Run("the start's outputs", parts.size(), [&](int i) {
+      const c10::NoGradGuard no_grad;
+      WriteStart(rollout, parts[i], Forward(rollout, parts[i], std::nullopt, shards_[i].get()), scale, start);
+    });
+  }
   return ranks_ != nullptr ? ranks_->group()->Agree(own) : own;
 }
 
@@ -96,6 +100,7 @@ void GradientShards::WriteStart(const Rollout& rollout, const Minibatch& part, c
 }
 
 absl::Status GradientShards::TryWeights(const Rollout& rollout) {
+  CRAFTFLEET_RETURN_IF_ERROR(PrepareWeights());
   const c10::NoGradGuard no_grad;
   const Minibatch steps = TrialSteps(rollout, spec_.network.recurrent());
   const at::Tensor largest = LargestOutputs(Forward(rollout, steps, std::nullopt, shards_.front().get()));
@@ -107,6 +112,25 @@ ShardRange GradientShards::OwnShards(size_t parts) const {
   if (ranks_ == nullptr) return {0, count};
   const ShardRange own = ranks_->OwnShards(static_cast<int>(shards_.size()));
   return {std::min(own.begin, count), std::min(own.end, count)};
+}
+
+absl::Status GradientShards::PrepareWeights() {
+  std::vector<absl::Status> statuses;
+  const RunTasks run = [&](const std::vector<std::function<void()>>& tasks) {
+    statuses.resize(tasks.size());
+    workers_->Run(static_cast<int>(tasks.size()), [&](int i) {
+      try {
+        tasks[i]();
+      } catch (const std::exception& error) {  // of LibTorch, or out of memory
+        statuses[i] = absl::InternalError(absl::StrCat("weights: ", error.what()));
+      }
+    });
+  };
+  const std::shared_ptr<const PreparedWeights> prepared = shards_.front()->net.Prepare(run);
+  for (const auto& shard : shards_) shard->net.UsePrepared(prepared);
+  absl::Status status;
+  for (const absl::Status& of_task : statuses) status.Update(of_task);
+  return status;
 }
 
 absl::Status GradientShards::Run(absl::string_view what, size_t parts, const std::function<void(int)>& part) {

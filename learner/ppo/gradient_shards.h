@@ -73,6 +73,8 @@ class GradientShards {
  private:
   struct Shard;  // one replica: net, gradients, input
 
+  // What all shards need of the present weights.
+  absl::Status PrepareWeights();
   // Those that compute a minibatch's `parts` on this rank.
   ShardRange OwnShards(size_t parts) const;
   // Calls `part` for each of them, on the workers. The error of one of them says `what` was computed.

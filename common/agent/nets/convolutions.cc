@@ -22,19 +22,27 @@ std::vector<ConvLayer> MakeLayers(const std::string& name, const std::vector<Con
 }  // namespace
 
 Convolutions Convolutions::Dqn(const std::string& name, ParamList* params) {
-  return Convolutions(MakeLayers(name, {{3, 32, 8, 4, 0}, {32, 64, 4, 2, 0}, {64, kChannels, 3, 1, 0}}, params));
+  return Convolutions(MakeLayers(name, {{3, 32, 8, 4, 0}, {32, 64, 4, 2, 0}, {64, kChannels, 3, 1, 0}}, params),
+                      /*kept_size=*/0);
 }
 
-Convolutions Convolutions::SizePreserving(const std::string& name, ParamList* params) {
+Convolutions Convolutions::SizePreserving(const std::string& name, int64_t frame_size, ParamList* params) {
   return Convolutions(
-      MakeLayers(name, {{3, 64, 5, 1, 2}, {64, 64, 5, 1, 2}, {64, 64, 5, 1, 2}, {64, kChannels, 5, 1, 2}}, params));
+      MakeLayers(name, {{3, 64, 5, 1, 2}, {64, 64, 5, 1, 2}, {64, 64, 5, 1, 2}, {64, kChannels, 5, 1, 2}}, params),
+      frame_size);
 }
 
 at::Tensor Convolutions::Forward(const ParamTensors& params, const at::Tensor& input,
                                  const std::optional<Dropout>& /*dropout*/) const {
   at::Tensor map = input;
-  for (const ConvLayer& layer : layers_) map = layer.Forward(params, map).relu_();
+  for (const ConvLayer& layer : layers_) map = layer.ForwardRelu(params, map);
   return map.to(at::kFloat);
+}
+
+void Convolutions::Prepare(const ParamTensors& params, bool for_gradients, PreparedWeights* prepared,
+                           std::vector<std::function<void()>>* tasks) const {
+  if (kept_size_ == 0) return;
+  for (const ConvLayer& layer : layers_) layer.Prepare(params, kept_size_, for_gradients, prepared, tasks);
 }
 
 at::Tensor FlattenLinear::Forward(const ParamTensors& params, const at::Tensor& input,

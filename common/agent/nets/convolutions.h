@@ -4,8 +4,10 @@
 #define CRAFTFLEET_COMMON_AGENT_NETS_CONVOLUTIONS_H_
 
 #include <cstdint>
+#include <functional>
 #include <optional>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include "common/agent/nets/layers.h"
@@ -18,20 +20,23 @@ class Convolutions : public Part {
  public:
   // Mnih et al. 2015: frames of at least 36 pixels to 64 channels. Names: `name`.0, .2, .4.
   static Convolutions Dqn(const std::string& name, ParamList* params);
-  // Four of 5x5 with 64 channels that keep the resolution. Names: `name`.0, .2, .4, .6.
-  static Convolutions SizePreserving(const std::string& name, ParamList* params);
+  // Four of 5x5 with 64 channels that keep the resolution, `frame_size` pixels a side. Names: `name`.0, .2, .4, .6.
+  static Convolutions SizePreserving(const std::string& name, int64_t frame_size, ParamList* params);
 
   at::Tensor Forward(const ParamTensors& params, const at::Tensor& input,
                      const std::optional<Dropout>& dropout) const override;
+  void Prepare(const ParamTensors& params, bool for_gradients, PreparedWeights* prepared,
+               std::vector<std::function<void()>>* tasks) const override;
 
   static constexpr int64_t kChannels = 64;  // of the output
   // Pixels, width and height, of DQN's output.
   static int64_t DqnOutputSize(int64_t frame_size) { return ((frame_size - 4) / 4 - 2) / 2 - 2; }
 
  private:
-  explicit Convolutions(std::vector<ConvLayer> layers) : layers_(std::move(layers)) {}
+  Convolutions(std::vector<ConvLayer> layers, int64_t kept_size) : layers_(std::move(layers)), kept_size_(kept_size) {}
 
   std::vector<ConvLayer> layers_;
+  int64_t kept_size_;  // pixels a side of each layer's map; 0: they differ
 };
 
 // Flattens a map in the order C,H,W, then a linear layer `name` and a ReLU: features.

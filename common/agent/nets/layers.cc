@@ -5,6 +5,8 @@
 #include <ATen/ATen.h>
 
 #include "common/agent/linear.h"
+#include "common/agent/nets/fft_conv.h"
+#include "common/agent/nets/fft_convolution/fft_convolution.h"
 #include "common/agent/nets/param_tensors.h"
 
 namespace craftfleet {
@@ -58,6 +60,35 @@ at::Tensor ConvLayer::Forward(const ParamTensors& params, const at::Tensor& inpu
   return at::convolution(input.to(type), params[weight_].to(type), bias.defined() ? bias.to(type) : bias,
                          {stride, stride}, {padding, padding},
                          /*dilation=*/{1, 1}, /*transposed=*/false, /*output_padding=*/{0, 0}, /*groups=*/1);
+}
+
+bool ConvLayer::FitsFft(const ParamTensors& params, int64_t height, int64_t width) const {
+  constexpr int64_t kChannels = FftConvolution::kChannels;
+  return shape_.inputs == kChannels && shape_.outputs == kChannels && shape_.kernel == FftConvolution::kKernel &&
+         shape_.stride == 1 && shape_.padding == FftConvolution::kKernel / 2 && bias_ != kNoParam && height == width &&
+         params[weight_].is_cpu() && FftConvolution::Fits(height);
+}
+
+at::Tensor ConvLayer::ForwardRelu(const ParamTensors& params, const at::Tensor& input) const {
+  if (!FitsFft(params, input.size(2), input.size(3))) return Forward(params, input).relu_();
+  const at::Tensor& weight = params[weight_];
+  if (params.prepared != nullptr) {
+    const auto found = params.prepared->filters.find(weight_);
+    if (found != params.prepared->filters.end()) {
+      return FftConvRelu(input.to(at::kFloat), weight, params[bias_], found->second);
+    }
+  }
+  const FftFilters filters = AllocateFftFilters(input.size(2), weight.requires_grad());
+  FillFftFilters(input.size(2), weight, filters);
+  return FftConvRelu(input.to(at::kFloat), weight, params[bias_], filters);
+}
+
+void ConvLayer::Prepare(const ParamTensors& params, int64_t size, bool for_gradients, PreparedWeights* prepared,
+                        std::vector<std::function<void()>>* tasks) const {
+  if (!FitsFft(params, size, size)) return;
+  const FftFilters filters = AllocateFftFilters(size, for_gradients);
+  prepared->filters[weight_] = filters;
+  tasks->push_back([size, weight = params[weight_], filters] { FillFftFilters(size, weight, filters); });
 }
 
 NormLayer::NormLayer(const std::string& name, int64_t size, Over over, ParamList* params)

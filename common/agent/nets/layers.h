@@ -5,7 +5,9 @@
 #define CRAFTFLEET_COMMON_AGENT_NETS_LAYERS_H_
 
 #include <cstdint>
+#include <functional>
 #include <string>
+#include <vector>
 
 #include <ATen/core/ATen_fwd.h>
 
@@ -14,6 +16,7 @@
 namespace craftfleet {
 
 struct ParamTensors;
+struct PreparedWeights;
 
 // The default initialisation of a layer's weight: orthogonal, gain sqrt(2).
 constexpr ParamInit kHiddenInit = {ParamInit::Kind::kOrthogonal, 1.4142135623730951};
@@ -48,7 +51,17 @@ class ConvLayer {
   // input [N,in,H,W] -> [N,out,H',W'], of the type that `params` are multiplied as.
   at::Tensor Forward(const ParamTensors& params, const at::Tensor& input) const;
 
+  // The same with a ReLU. Where FftConvolution fits, it computes in float32.
+  at::Tensor ForwardRelu(const ParamTensors& params, const at::Tensor& input) const;
+
+  // As Part::Prepare, for maps of `size` pixels a side.
+  void Prepare(const ParamTensors& params, int64_t size, bool for_gradients, PreparedWeights* prepared,
+               std::vector<std::function<void()>>* tasks) const;
+
  private:
+  // Whether FftConvolution computes maps of this size, on the device of the weight.
+  bool FitsFft(const ParamTensors& params, int64_t height, int64_t width) const;
+
   Shape shape_;
   ParamIndex weight_;
   ParamIndex bias_;

@@ -52,7 +52,8 @@ int64_t Network::AddExtractor(const v1::NetworkConfig& config, ParamList* params
     return GridResnet::kFeatures;
   }
   if (config.objects() != v1::NetworkConfig::NO_OBJECTS) {
-    parts_.push_back(std::make_unique<Convolutions>(Convolutions::SizePreserving(name + ".precnn.cnn", params)));
+    parts_.push_back(std::make_unique<Convolutions>(
+        Convolutions::SizePreserving(name + ".precnn.cnn", config.frame_size(), params)));
     std::unique_ptr<AttentionPart> objects = MakeObjectModule(config, name + ".rsn", params);
     attention_ = objects.get();
     parts_.push_back(std::move(objects));
@@ -60,7 +61,7 @@ int64_t Network::AddExtractor(const v1::NetworkConfig& config, ParamList* params
   }
   int64_t size = config.frame_size();
   if (config.extractor() == v1::NetworkConfig::SPCNN) {
-    parts_.push_back(std::make_unique<Convolutions>(Convolutions::SizePreserving(name + ".cnn.cnn", params)));
+    parts_.push_back(std::make_unique<Convolutions>(Convolutions::SizePreserving(name + ".cnn.cnn", size, params)));
   } else {
     parts_.push_back(std::make_unique<Convolutions>(Convolutions::Dqn(name + ".cnn", params)));
     size = Convolutions::DqnOutputSize(size);
@@ -87,6 +88,15 @@ std::unique_ptr<AttentionPart> Network::MakeObjectModule(const v1::NetworkConfig
   options.layer_norm = config.layer_norm();
   options.slot_competition = config.slot_competition();
   return std::make_unique<CrossAttention>(name, options, params);
+}
+
+std::shared_ptr<const PreparedWeights> Network::Prepare(const ParamTensors& params, bool for_gradients,
+                                                        const RunTasks& run) const {
+  auto prepared = std::make_shared<PreparedWeights>();
+  std::vector<std::function<void()>> tasks;
+  for (const std::unique_ptr<Part>& part : parts_) part->Prepare(params, for_gradients, prepared.get(), &tasks);
+  run(tasks);
+  return prepared;
 }
 
 at::Tensor Network::Features(const ParamTensors& params, const at::Tensor& frames,

@@ -5,6 +5,7 @@
 #define CRAFTFLEET_COMMON_AGENT_NETS_NETWORK_H_
 
 #include <cstdint>
+#include <functional>
 #include <memory>
 #include <optional>
 #include <string>
@@ -21,6 +22,9 @@ namespace craftfleet {
 struct NetOutput;
 struct Segments;
 
+// Runs independent tasks and returns when all of them have ended.
+using RunTasks = std::function<void(const std::vector<std::function<void()>>&)>;
+
 // Declares parameters and computes with them, but does not hold them. Immutable and thread-safe.
 // Source: Stanic et al. 2022; AGENTS.md.
 class Network {
@@ -30,6 +34,10 @@ class Network {
 
   // Floats of state: recurrent, or the memory; 0: none.
   int64_t state_size() const { return core_.has_value() ? core_->state_size() : memory_size_; }
+
+  // What the parts compute from the weights alone. `for_gradients`: also what a backward pass needs.
+  std::shared_ptr<const PreparedWeights> Prepare(const ParamTensors& params, bool for_gradients,
+                                                 const RunTasks& run) const;
 
   // frames float[N,H,W,3], values 0..1 -> float[N,F]: the input of core or heads.
   at::Tensor Features(const ParamTensors& params, const at::Tensor& frames,

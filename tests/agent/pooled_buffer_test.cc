@@ -1,0 +1,51 @@
+#include "common/agent/pooled_buffer.h"
+
+#include <cstdint>
+#include <cstring>
+#include <utility>
+
+#include <gtest/gtest.h>
+
+namespace craftfleet {
+namespace {
+
+constexpr int64_t kFloats = 3 << 20;  // a size that no other code of this process uses
+
+TEST(PooledBuffer, IsAlignedAndWritable) {
+  const PooledBuffer buffer(kFloats);
+  EXPECT_EQ(reinterpret_cast<uintptr_t>(buffer.get()) % 64, 0U);
+  std::memset(buffer.get(), 1, kFloats * sizeof(float));
+  EXPECT_NE(PooledBuffer(0).get(), nullptr);
+}
+
+TEST(PooledBuffer, MemoryIsUsedAgain) {
+  const float* first = nullptr;
+  {
+    const PooledBuffer buffer(kFloats);
+    first = buffer.get();
+  }
+  const PooledBuffer again(kFloats);
+  EXPECT_EQ(again.get(), first);
+  const PooledBuffer other(kFloats);
+  EXPECT_NE(other.get(), first) << "in use";
+}
+
+TEST(PooledBuffer, ALargerOneMayServe) {
+  const float* first = nullptr;
+  {
+    const PooledBuffer buffer(8 * kFloats);
+    first = buffer.get();
+  }
+  const PooledBuffer smaller(5 * kFloats);
+  EXPECT_EQ(smaller.get(), first);
+}
+
+TEST(PooledBuffer, AMoveKeepsTheMemory) {
+  PooledBuffer buffer(kFloats);
+  const float* const data = buffer.get();
+  const PooledBuffer moved(std::move(buffer));
+  EXPECT_EQ(moved.get(), data);
+}
+
+}  // namespace
+}  // namespace craftfleet
