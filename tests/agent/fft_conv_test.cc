@@ -47,7 +47,7 @@ class FftConvTest : public ::testing::Test {
   at::Tensor input_ = Numbers({3, 64, kSize, kSize}, 1, 1);
   at::Tensor weight_ = Numbers({64, 64, 5, 5}, 2, 0.2);
   at::Tensor bias_ = Numbers({64}, 3, 0.2);
-  FftFilters filters_;
+  PreparedWeight filters_;
 };
 
 TEST_F(FftConvTest, IsAConvolutionWithReluForAutograd) {

@@ -160,7 +160,7 @@ TEST(Network, DropoutChangesOnlyUpdatesOfOcSa) {
 // The output of OC-SA for four patches, and for the same with the first two swapped.
 std::pair<at::Tensor, at::Tensor> BeforeAndAfterSwap(bool positions) {
   ParamList params;
-  const SelfAttention part("sa", {2, 2, 8, true, positions, 0}, &params);
+  const SelfAttention part("sa", {4, 2, 2, 8, true, positions, 0}, &params);
   at::manual_seed(4);
   ParamTensors tensors;
   for (const ParamSpec& param : params.specs()) tensors.tensors.push_back(at::randn(param.shape) * 0.1);

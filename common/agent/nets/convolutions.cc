@@ -35,14 +35,15 @@ Convolutions Convolutions::SizePreserving(const std::string& name, int64_t frame
 at::Tensor Convolutions::Forward(const ParamTensors& params, const at::Tensor& input,
                                  const std::optional<Dropout>& /*dropout*/) const {
   at::Tensor map = input;
-  for (const ConvLayer& layer : layers_) map = layer.ForwardRelu(params, map);
+  for (const ConvLayer& layer : layers_) {
+    map = kept_size_ > 0 ? layer.ForwardRelu(params, map) : layer.Forward(params, map).relu_();
+  }
   return map.to(at::kFloat);
 }
 
-void Convolutions::Prepare(const ParamTensors& params, bool for_gradients, PreparedWeights* prepared,
-                           std::vector<std::function<void()>>* tasks) const {
+void Convolutions::Prepare(const ParamTensors& params, Preparation* preparation) const {
   if (kept_size_ == 0) return;
-  for (const ConvLayer& layer : layers_) layer.Prepare(params, kept_size_, for_gradients, prepared, tasks);
+  for (const ConvLayer& layer : layers_) layer.Prepare(params, kept_size_, preparation);
 }
 
 at::Tensor FlattenLinear::Forward(const ParamTensors& params, const at::Tensor& input,

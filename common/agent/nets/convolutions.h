@@ -4,7 +4,6 @@
 #define CRAFTFLEET_COMMON_AGENT_NETS_CONVOLUTIONS_H_
 
 #include <cstdint>
-#include <functional>
 #include <optional>
 #include <string>
 #include <utility>
@@ -25,8 +24,7 @@ class Convolutions : public Part {
 
   at::Tensor Forward(const ParamTensors& params, const at::Tensor& input,
                      const std::optional<Dropout>& dropout) const override;
-  void Prepare(const ParamTensors& params, bool for_gradients, PreparedWeights* prepared,
-               std::vector<std::function<void()>>* tasks) const override;
+  void Prepare(const ParamTensors& params, Preparation* preparation) const override;
 
   static constexpr int64_t kChannels = 64;  // of the output
   // Pixels, width and height, of DQN's output.

@@ -54,11 +54,19 @@ at::Tensor CrossAttention::Queries(const ParamTensors& params) const {
 }
 
 std::vector<at::Tensor> CrossAttention::KeysValues(const ParamTensors& params, const at::Tensor& input) const {
+  const int64_t side = PatchesPerSide(input.size(2), options_.patch, options_.stride);
+  const at::Tensor positions = Positions(side * side, input.device());
+  if (!norm_tokens_.has_value()) {
+    return to_kv_.ForwardPatches(params, input, options_.patch, options_.stride, positions).chunk(2, -1);
+  }
   const at::Tensor patches = CutPatches(input, options_.patch, options_.stride);
-  const at::Tensor positions =
-      Positions(patches.size(1), patches.device()).expand({patches.size(0), patches.size(1), kPositionWidth});
-  const at::Tensor tokens = Normed(norm_tokens_, params, at::cat({patches, positions}, 2));
-  return to_kv_.Forward(params, tokens).chunk(2, -1);
+  const at::Tensor tokens = at::cat({patches, positions.expand({patches.size(0), patches.size(1), kPositionWidth})}, 2);
+  return to_kv_.Forward(params, norm_tokens_->Forward(params, tokens)).chunk(2, -1);
+}
+
+void CrossAttention::Prepare(const ParamTensors& params, Preparation* preparation) const {
+  if (norm_tokens_.has_value()) return;
+  to_kv_.PreparePatches(params, Convolutions::kChannels, options_.size, options_.patch, options_.stride, preparation);
 }
 
 at::Tensor CrossAttention::Forward(const ParamTensors& params, const at::Tensor& input,

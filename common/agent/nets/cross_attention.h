@@ -16,6 +16,7 @@ namespace craftfleet {
 class CrossAttention : public AttentionPart {
  public:
   struct Options {
+    int64_t size = 72;    // pixels of the map, a side
     int64_t patch = 16;   // pixels
     int64_t stride = 16;  // pixels
     int64_t heads = 8;
@@ -29,6 +30,7 @@ class CrossAttention : public AttentionPart {
 
   at::Tensor Forward(const ParamTensors& params, const at::Tensor& input,
                      const std::optional<Dropout>& dropout) const override;
+  void Prepare(const ParamTensors& params, Preparation* preparation) const override;
   // Of each slot, mean over its heads.
   at::Tensor Attention(const ParamTensors& params, const at::Tensor& input) const override;
 

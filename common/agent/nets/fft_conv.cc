@@ -1,13 +1,11 @@
 #include "common/agent/nets/fft_conv.h"
 
-#include <memory>
-
 #include <ATen/ATen.h>
 #include <c10/core/GradMode.h>
 #include <torch/csrc/autograd/custom_function.h>
 
 #include "common/agent/nets/fft_convolution/fft_convolution.h"
-#include "common/agent/pooled_buffer.h"
+#include "common/agent/nets/map_tensors.h"
 
 namespace craftfleet {
 namespace {
@@ -17,28 +15,9 @@ constexpr int64_t kKernel = FftConvolution::kKernel;
 
 FftConvolution ConvolutionOf(int64_t size) { return FftConvolution(static_cast<int>(size)); }
 
-// Uninitialised, in pooled memory.
-at::Tensor PooledTensor(at::IntArrayRef shape) {
-  int64_t numel = 1;
-  for (const int64_t size : shape) numel *= size;
-  const auto buffer = std::make_shared<PooledBuffer>(numel);
-  return at::from_blob(buffer->get(), shape, [buffer](void*) {});
-}
-
-// [N,64,S,S] -> [N,S,S,64], contiguous and aligned to a cache line.
-at::Tensor PixelsOf(const at::Tensor& map) {
-  const at::Tensor pixels = map.permute({0, 2, 3, 1}).contiguous();
-  return reinterpret_cast<uintptr_t>(pixels.data_ptr()) % 64 == 0 ? pixels : pixels.clone();
-}
-
-at::Tensor MapOf(const at::Tensor& pixels) { return pixels.permute({0, 3, 1, 2}); }
-
-// Null for an undefined tensor.
-float* DataOf(const at::Tensor& tensor) { return tensor.defined() ? tensor.data_ptr<float>() : nullptr; }
-
 // The output's pixels; the mask goes to `mask` and, where it is defined, what a backward pass needs to `spectra`.
-at::Tensor Compute(const at::Tensor& pixels, const at::Tensor& bias, const FftFilters& filters, const at::Tensor& mask,
-                   const at::Tensor& spectra) {
+at::Tensor Compute(const at::Tensor& pixels, const at::Tensor& bias, const PreparedWeight& filters,
+                   const at::Tensor& mask, const at::Tensor& spectra) {
   at::Tensor output = PooledTensor(pixels.sizes());
   ConvolutionOf(pixels.size(1))
       .Forward(pixels.size(0), DataOf(pixels), DataOf(filters.for_output), DataOf(bias), DataOf(output),
@@ -82,12 +61,12 @@ struct FftConvFunction : torch::autograd::Function<FftConvFunction> {
 
 }  // namespace
 
-FftFilters AllocateFftFilters(int64_t size, bool for_gradients) {
+PreparedWeight AllocateFftFilters(int64_t size, bool for_gradients) {
   const int64_t floats = ConvolutionOf(size).filter_floats();
   return {PooledTensor({floats}), for_gradients ? PooledTensor({floats}) : at::Tensor()};
 }
 
-void FillFftFilters(int64_t size, const at::Tensor& weight, const FftFilters& filters) {
+void FillFftFilters(int64_t size, const at::Tensor& weight, const PreparedWeight& filters) {
   const FftConvolution convolution = ConvolutionOf(size);
   const at::Tensor values = weight.contiguous();
   convolution.TransformFilter(DataOf(values), FftConvolution::Use::kOutput, DataOf(filters.for_output));
@@ -96,7 +75,7 @@ void FillFftFilters(int64_t size, const at::Tensor& weight, const FftFilters& fi
 }
 
 at::Tensor FftConvRelu(const at::Tensor& input, const at::Tensor& weight, const at::Tensor& bias,
-                       const FftFilters& filters) {
+                       const PreparedWeight& filters) {
   if (c10::GradMode::is_enabled() && (weight.requires_grad() || input.requires_grad())) {
     return FftConvFunction::apply(input, weight, bias, filters.for_output, filters.for_input_gradient);
   }

@@ -7,22 +7,19 @@
 
 #include <ATen/core/Tensor.h>
 
+#include "common/agent/nets/prepared_weights.h"
+
 namespace craftfleet {
 
-// The spectra of a layer's weight, float[64,64,5,5], for maps of one size.
-struct FftFilters {
-  at::Tensor for_output;
-  at::Tensor for_input_gradient;  // undefined: there is no backward pass
-};
-
-// Memory for the filters of maps of `size` pixels a side, which FftConvolution fits, and what fills them.
-FftFilters AllocateFftFilters(int64_t size, bool for_gradients);
-void FillFftFilters(int64_t size, const at::Tensor& weight, const FftFilters& filters);
+// Memory for the spectra of a weight, for maps of `size` pixels a side, which FftConvolution fits, and what fills them:
+// weight float[64,64,5,5].
+PreparedWeight AllocateFftFilters(int64_t size, bool for_gradients);
+void FillFftFilters(int64_t size, const at::Tensor& weight, const PreparedWeight& filters);
 
 // max(input * weight + bias, 0): input float[N,64,S,S] on the CPU, of a size that FftConvolution fits, bias float[64]
 // -> float[N,64,S,S], channels last. `filters` are those of the weight, with gradients if autograd records.
 at::Tensor FftConvRelu(const at::Tensor& input, const at::Tensor& weight, const at::Tensor& bias,
-                       const FftFilters& filters);
+                       const PreparedWeight& filters);
 
 }  // namespace craftfleet
 

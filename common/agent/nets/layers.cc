@@ -3,11 +3,15 @@
 #include <vector>
 
 #include <ATen/ATen.h>
+#include <c10/core/GradMode.h>
 
 #include "common/agent/linear.h"
+#include "common/agent/nets/attention.h"
+#include "common/agent/nets/direct_conv.h"
 #include "common/agent/nets/fft_conv.h"
 #include "common/agent/nets/fft_convolution/fft_convolution.h"
 #include "common/agent/nets/param_tensors.h"
+#include "common/agent/nets/part.h"
 
 namespace craftfleet {
 namespace {
@@ -47,6 +51,72 @@ at::Tensor LinearLayer::Forward(const ParamTensors& params, const at::Tensor& in
   return LinearAs(params.multiplied_as, input.reshape({-1, weight.size(1)}), weight, bias).view(shape);
 }
 
+namespace {
+
+// The weights of patches, [out,in] or the first of them, as those of a convolution: [out,C,patch,patch].
+at::Tensor PatchWeight(const at::Tensor& weight, int64_t channels, int64_t patch) {
+  return weight.narrow(1, 0, channels * patch * patch).view({weight.size(0), channels, patch, patch});
+}
+
+DirectShape PatchShape(const at::Tensor& weight, int64_t channels, int64_t size, int64_t patch, int64_t stride) {
+  const auto number = [](int64_t x) { return static_cast<int>(x); };
+  return {number(channels), number(weight.size(0)), number(patch), number(stride), /*padding=*/0, number(size)};
+}
+
+bool UsesDirectPatches(const ParamTensors& params, const at::Tensor& weight, const DirectShape& shape) {
+  return weight.is_cpu() && params.multiplied_as == at::kFloat &&
+         DirectConvolution::Fits(shape, /*wants_input_gradient=*/true);
+}
+
+}  // namespace
+
+at::Tensor LinearLayer::ForwardPatches(const ParamTensors& params, const at::Tensor& map, int64_t patch, int64_t stride,
+                                       const at::Tensor& tail) const {
+  const at::Tensor& weight = params[weight_];
+  const at::Tensor bias = BiasOf(params, bias_);
+  const DirectShape shape = PatchShape(weight, map.size(1), map.size(2), patch, stride);
+  const bool is_direct = UsesDirectPatches(params, weight, shape);
+  if (!is_direct && weight.is_cpu()) {
+    const at::Tensor patches = CutPatches(map, patch, stride);
+    if (!tail.defined()) return Forward(params, patches);
+    return Forward(params, at::cat({patches, tail.expand({patches.size(0), tail.size(0), tail.size(1)})}, 2));
+  }
+  const at::Tensor of_patch = PatchWeight(weight, map.size(1), patch);
+  at::Tensor output;
+  if (is_direct) {
+    const PreparedWeight* prepared = params.FindPrepared(weight_);
+    PreparedWeight own;
+    if (prepared == nullptr) {
+      own = AllocateDirectPanels(shape, weight.requires_grad());
+      FillDirectPanels(shape, of_patch, own);
+      prepared = &own;
+    }
+    output = DirectConv(shape, map, of_patch, bias.defined() ? bias : at::zeros({weight.size(0)}), Activation::kNone,
+                        *prepared);
+  } else {
+    const at::ScalarType type = params.multiplied_as;
+    output = at::conv2d(map.to(type), of_patch.to(type), {}, {stride, stride}).to(at::kFloat);
+    if (bias.defined()) output = output + bias.view({1, -1, 1, 1});
+  }
+  const at::Tensor tokens = output.flatten(2).transpose(1, 2);
+  if (!tail.defined()) return tokens;
+  const int64_t width = tail.size(1);
+  return tokens +
+         LinearAs(params.multiplied_as, tail, weight.narrow(1, weight.size(1) - width, width).contiguous(), {});
+}
+
+void LinearLayer::PreparePatches(const ParamTensors& params, int64_t channels, int64_t size, int64_t patch,
+                                 int64_t stride, Preparation* preparation) const {
+  const at::Tensor& weight = params[weight_];
+  const DirectShape shape = PatchShape(weight, channels, size, patch, stride);
+  if (!UsesDirectPatches(params, weight, shape)) return;
+  const PreparedWeight panels = AllocateDirectPanels(shape, preparation->for_gradients);
+  preparation->Add(weight_, panels, [shape, of_patch = PatchWeight(weight, channels, patch), panels] {
+    const c10::NoGradGuard no_grad;
+    FillDirectPanels(shape, of_patch, panels);
+  });
+}
+
 ConvLayer::ConvLayer(const std::string& name, const Shape& shape, ParamInit init, Bias bias, ParamList* params)
     : shape_(shape),
       weight_(params->Add(name + ".weight", {shape.outputs, shape.inputs, shape.kernel, shape.kernel}, init)),
@@ -62,33 +132,60 @@ at::Tensor ConvLayer::Forward(const ParamTensors& params, const at::Tensor& inpu
                          /*dilation=*/{1, 1}, /*transposed=*/false, /*output_padding=*/{0, 0}, /*groups=*/1);
 }
 
-bool ConvLayer::FitsFft(const ParamTensors& params, int64_t height, int64_t width) const {
+DirectShape ConvLayer::DirectShapeFor(int64_t size) const {
+  const auto number = [](int64_t x) { return static_cast<int>(x); };
+  return {number(shape_.inputs), number(shape_.outputs), number(shape_.kernel),
+          number(shape_.stride), number(shape_.padding), number(size)};
+}
+
+ConvLayer::Kernels ConvLayer::KernelsFor(const ParamTensors& params, int64_t size, bool wants_input_gradient) const {
   constexpr int64_t kChannels = FftConvolution::kChannels;
-  return shape_.inputs == kChannels && shape_.outputs == kChannels && shape_.kernel == FftConvolution::kKernel &&
-         shape_.stride == 1 && shape_.padding == FftConvolution::kKernel / 2 && bias_ != kNoParam && height == width &&
-         params[weight_].is_cpu() && FftConvolution::Fits(height);
+  if (!params[weight_].is_cpu() || bias_ == kNoParam) return Kernels::kLibTorch;
+  if (shape_.inputs == kChannels && shape_.outputs == kChannels && shape_.kernel == FftConvolution::kKernel &&
+      shape_.stride == 1 && shape_.padding == FftConvolution::kKernel / 2 && FftConvolution::Fits(size)) {
+    return Kernels::kFft;
+  }
+  return DirectConvolution::Fits(DirectShapeFor(size), wants_input_gradient) ? Kernels::kDirect : Kernels::kLibTorch;
+}
+
+PreparedWeight ConvLayer::Allocate(Kernels kernels, int64_t size, bool for_gradients) const {
+  if (kernels == Kernels::kFft) return AllocateFftFilters(size, for_gradients);
+  const DirectShape shape = DirectShapeFor(size);
+  return AllocateDirectPanels(shape, for_gradients && DirectConvolution::Fits(shape, /*wants_input_gradient=*/true));
+}
+
+void ConvLayer::Fill(Kernels kernels, int64_t size, const at::Tensor& weight, const PreparedWeight& prepared) const {
+  if (kernels == Kernels::kFft) {
+    FillFftFilters(size, weight, prepared);
+  } else {
+    FillDirectPanels(DirectShapeFor(size), weight, prepared);
+  }
 }
 
 at::Tensor ConvLayer::ForwardRelu(const ParamTensors& params, const at::Tensor& input) const {
-  if (!FitsFft(params, input.size(2), input.size(3))) return Forward(params, input).relu_();
+  const int64_t size = input.size(2);
+  const Kernels kernels = size == input.size(3) ? KernelsFor(params, size, input.requires_grad()) : Kernels::kLibTorch;
+  if (kernels == Kernels::kLibTorch) return Forward(params, input).relu_();
   const at::Tensor& weight = params[weight_];
-  if (params.prepared != nullptr) {
-    const auto found = params.prepared->filters.find(weight_);
-    if (found != params.prepared->filters.end()) {
-      return FftConvRelu(input.to(at::kFloat), weight, params[bias_], found->second);
-    }
+  const PreparedWeight* prepared = params.FindPrepared(weight_);
+  PreparedWeight own;
+  if (prepared == nullptr) {
+    own = Allocate(kernels, size, weight.requires_grad());
+    Fill(kernels, size, weight, own);
+    prepared = &own;
   }
-  const FftFilters filters = AllocateFftFilters(input.size(2), weight.requires_grad());
-  FillFftFilters(input.size(2), weight, filters);
-  return FftConvRelu(input.to(at::kFloat), weight, params[bias_], filters);
+  const at::Tensor map = input.to(at::kFloat);
+  if (kernels == Kernels::kFft) return FftConvRelu(map, weight, params[bias_], *prepared);
+  return DirectConv(DirectShapeFor(size), map, weight, params[bias_], Activation::kRelu, *prepared);
 }
 
-void ConvLayer::Prepare(const ParamTensors& params, int64_t size, bool for_gradients, PreparedWeights* prepared,
-                        std::vector<std::function<void()>>* tasks) const {
-  if (!FitsFft(params, size, size)) return;
-  const FftFilters filters = AllocateFftFilters(size, for_gradients);
-  prepared->filters[weight_] = filters;
-  tasks->push_back([size, weight = params[weight_], filters] { FillFftFilters(size, weight, filters); });
+void ConvLayer::Prepare(const ParamTensors& params, int64_t size, Preparation* preparation) const {
+  const Kernels kernels = KernelsFor(params, size, /*wants_input_gradient=*/false);
+  if (kernels == Kernels::kLibTorch) return;
+  const PreparedWeight prepared = Allocate(kernels, size, preparation->for_gradients);
+  preparation->Add(weight_, prepared, [layer = *this, kernels, size, weight = params[weight_], prepared] {
+    layer.Fill(kernels, size, weight, prepared);
+  });
 }
 
 NormLayer::NormLayer(const std::string& name, int64_t size, Over over, ParamList* params)

@@ -5,9 +5,7 @@
 #define CRAFTFLEET_COMMON_AGENT_NETS_LAYERS_H_
 
 #include <cstdint>
-#include <functional>
 #include <string>
-#include <vector>
 
 #include <ATen/core/ATen_fwd.h>
 
@@ -15,8 +13,10 @@
 
 namespace craftfleet {
 
+struct DirectShape;
 struct ParamTensors;
-struct PreparedWeights;
+struct Preparation;
+struct PreparedWeight;
 
 // The default initialisation of a layer's weight: orthogonal, gain sqrt(2).
 constexpr ParamInit kHiddenInit = {ParamInit::Kind::kOrthogonal, 1.4142135623730951};
@@ -30,6 +30,15 @@ class LinearLayer {
 
   // input float[...,in] -> float[...,out], multiplied as `params` say.
   at::Tensor Forward(const ParamTensors& params, const at::Tensor& input) const;
+
+  // The patches of a map (CutPatches), each followed by its row of `tail`, float[patches,in - C patch^2], unless that
+  // is undefined: map float[N,C,S,S] -> float[N,patches,out]. A convolution wherever that is quicker.
+  at::Tensor ForwardPatches(const ParamTensors& params, const at::Tensor& map, int64_t patch, int64_t stride,
+                            const at::Tensor& tail) const;
+
+  // As Part::Prepare, for ForwardPatches on maps of `channels` channels and `size` pixels a side.
+  void PreparePatches(const ParamTensors& params, int64_t channels, int64_t size, int64_t patch, int64_t stride,
+                      Preparation* preparation) const;
 
  private:
   ParamIndex weight_;
@@ -51,16 +60,20 @@ class ConvLayer {
   // input [N,in,H,W] -> [N,out,H',W'], of the type that `params` are multiplied as.
   at::Tensor Forward(const ParamTensors& params, const at::Tensor& input) const;
 
-  // The same with a ReLU. Where FftConvolution fits, it computes in float32.
+  // The same with a ReLU and without LibTorch, in float32, where this CPU and FftConvolution or DirectConvolution fit.
   at::Tensor ForwardRelu(const ParamTensors& params, const at::Tensor& input) const;
 
-  // As Part::Prepare, for maps of `size` pixels a side.
-  void Prepare(const ParamTensors& params, int64_t size, bool for_gradients, PreparedWeights* prepared,
-               std::vector<std::function<void()>>* tasks) const;
+  // As Part::Prepare, for ForwardRelu on maps of `size` pixels a side.
+  void Prepare(const ParamTensors& params, int64_t size, Preparation* preparation) const;
 
  private:
-  // Whether FftConvolution computes maps of this size, on the device of the weight.
-  bool FitsFft(const ParamTensors& params, int64_t height, int64_t width) const;
+  // What computes maps of this size.
+  enum class Kernels { kLibTorch, kFft, kDirect };
+  Kernels KernelsFor(const ParamTensors& params, int64_t size, bool wants_input_gradient) const;
+  DirectShape DirectShapeFor(int64_t size) const;
+  // Room for the prepared weight, and what fills it.
+  PreparedWeight Allocate(Kernels kernels, int64_t size, bool for_gradients) const;
+  void Fill(Kernels kernels, int64_t size, const at::Tensor& weight, const PreparedWeight& prepared) const;
 
   Shape shape_;
   ParamIndex weight_;

@@ -74,11 +74,12 @@ int64_t Network::AddExtractor(const v1::NetworkConfig& config, ParamList* params
 std::unique_ptr<AttentionPart> Network::MakeObjectModule(const v1::NetworkConfig& config, const std::string& name,
                                                          ParamList* params) {
   if (config.objects() == v1::NetworkConfig::SELF_ATTENTION) {
-    const SelfAttention::Options options = {config.patch(),       config.stride(),    config.heads(),
+    const SelfAttention::Options options = {config.frame_size(),  config.patch(),     config.stride(), config.heads(),
                                             config.cls_learned(), config.positions(), config.dropout()};
     return std::make_unique<SelfAttention>(name, options, params);
   }
   CrossAttention::Options options;
+  options.size = config.frame_size();
   options.patch = config.patch();
   options.stride = config.stride();
   options.heads = config.heads();
@@ -92,11 +93,11 @@ std::unique_ptr<AttentionPart> Network::MakeObjectModule(const v1::NetworkConfig
 
 std::shared_ptr<const PreparedWeights> Network::Prepare(const ParamTensors& params, bool for_gradients,
                                                         const RunTasks& run) const {
-  auto prepared = std::make_shared<PreparedWeights>();
-  std::vector<std::function<void()>> tasks;
-  for (const std::unique_ptr<Part>& part : parts_) part->Prepare(params, for_gradients, prepared.get(), &tasks);
-  run(tasks);
-  return prepared;
+  Preparation preparation;
+  preparation.for_gradients = for_gradients;
+  for (const std::unique_ptr<Part>& part : parts_) part->Prepare(params, &preparation);
+  run(preparation.tasks);
+  return std::make_shared<const PreparedWeights>(std::move(preparation.weights));
 }
 
 at::Tensor Network::Features(const ParamTensors& params, const at::Tensor& frames,

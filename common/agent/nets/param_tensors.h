@@ -3,22 +3,15 @@
 #ifndef CRAFTFLEET_COMMON_AGENT_NETS_PARAM_TENSORS_H_
 #define CRAFTFLEET_COMMON_AGENT_NETS_PARAM_TENSORS_H_
 
-#include <map>
 #include <memory>
 #include <vector>
 
 #include <ATen/core/Tensor.h>
 
-#include "common/agent/nets/fft_conv.h"
 #include "common/agent/nets/params.h"
+#include "common/agent/nets/prepared_weights.h"
 
 namespace craftfleet {
-
-// What layers compute from their weights alone, by the weight: once for all rows, shards and passes between two changes
-// of the weights (Network::Prepare).
-struct PreparedWeights {
-  std::map<ParamIndex, FftFilters> filters;
-};
 
 struct ParamTensors {
   std::vector<at::Tensor> tensors;                            // in ParamList's order
@@ -26,6 +19,13 @@ struct ParamTensors {
   std::shared_ptr<const PreparedWeights> prepared = nullptr;  // of these weights; null: layers prepare what they need
 
   const at::Tensor& operator[](ParamIndex index) const { return tensors[index]; }
+
+  // Null: it has not been prepared.
+  const PreparedWeight* FindPrepared(ParamIndex weight) const {
+    if (prepared == nullptr) return nullptr;
+    const auto found = prepared->find(weight);
+    return found == prepared->end() ? nullptr : &found->second;
+  }
 };
 
 }  // namespace craftfleet

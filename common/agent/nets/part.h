@@ -4,16 +4,14 @@
 #define CRAFTFLEET_COMMON_AGENT_NETS_PART_H_
 
 #include <cstdint>
-#include <functional>
 #include <optional>
-#include <vector>
 
 #include <ATen/core/ATen_fwd.h>
 
 namespace craftfleet {
 
 struct ParamTensors;
-struct PreparedWeights;
+struct Preparation;
 
 // The dropout of attention weights in a forward pass of training: a function of (key, row, index), independent of
 // threads.
@@ -33,10 +31,8 @@ class Part {
   virtual at::Tensor Forward(const ParamTensors& params, const at::Tensor& input,
                              const std::optional<Dropout>& dropout) const = 0;
 
-  // Adds room for what the part computes from its weights alone to `prepared`, and to `tasks` what computes it; they
-  // are independent of each other. `for_gradients`: also what a backward pass needs.
-  virtual void Prepare(const ParamTensors& /*params*/, bool /*for_gradients*/, PreparedWeights* /*prepared*/,
-                       std::vector<std::function<void()>>* /*tasks*/) const {}
+  // Adds what the part computes from its weights alone (prepared_weights.h).
+  virtual void Prepare(const ParamTensors& /*params*/, Preparation* /*preparation*/) const {}
 };
 
 // A part that attends to patches of its map and can report its attention.

@@ -43,7 +43,7 @@ SelfAttention::SelfAttention(const std::string& name, const Options& options, Pa
 }
 
 at::Tensor SelfAttention::Tokens(const ParamTensors& params, const at::Tensor& input) const {
-  const at::Tensor patches = embedding_.Forward(params, CutPatches(input, options_.patch, options_.stride));
+  const at::Tensor patches = embedding_.ForwardPatches(params, input, options_.patch, options_.stride, {});
   const at::Tensor cls = cls_ == kNoParam ? at::zeros({TokenWidth(options_.patch)}, input.options()) : params[cls_];
   const at::Tensor embedded_cls = embedding_.Forward(params, cls.view({1, 1, -1}));
   const at::Tensor tokens = at::cat({embedded_cls.expand({patches.size(0), 1, kAttentionWidth}), patches}, 1);
@@ -65,6 +65,11 @@ at::Tensor SelfAttention::Forward(const ParamTensors& params, const at::Tensor& 
   at::Tensor x = Tokens(params, input);
   for (int i = 0; i < kLayers; ++i) x = Layer(params, i, x, dropout);
   return x.select(1, 0);
+}
+
+void SelfAttention::Prepare(const ParamTensors& params, Preparation* preparation) const {
+  embedding_.PreparePatches(params, Convolutions::kChannels, options_.size, options_.patch, options_.stride,
+                            preparation);
 }
 
 at::Tensor SelfAttention::Attention(const ParamTensors& params, const at::Tensor& input) const {

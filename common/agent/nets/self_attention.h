@@ -18,6 +18,7 @@ namespace craftfleet {
 class SelfAttention : public AttentionPart {
  public:
   struct Options {
+    int64_t size = 72;   // pixels of the map, a side
     int64_t patch = 12;  // pixels
     int64_t stride = 8;  // pixels
     int64_t heads = 8;
@@ -29,6 +30,7 @@ class SelfAttention : public AttentionPart {
 
   at::Tensor Forward(const ParamTensors& params, const at::Tensor& input,
                      const std::optional<Dropout>& dropout) const override;
+  void Prepare(const ParamTensors& params, Preparation* preparation) const override;
   // Of each head in the last layer. The CLS token's attention to itself is left out, so that a head's sum is below 1.
   at::Tensor Attention(const ParamTensors& params, const at::Tensor& input) const override;
 

@@ -5,7 +5,7 @@
 #ifndef CRAFTFLEET_COMMON_AGENT_NETS_FFT_CONVOLUTION_DFT_H_
 #define CRAFTFLEET_COMMON_AGENT_NETS_FFT_CONVOLUTION_DFT_H_
 
-#include "common/agent/nets/fft_convolution/simd.h"
+#include "common/agent/nets/simd.h"
 
 namespace craftfleet::CRAFTFLEET_SIMD {
 

@@ -7,7 +7,7 @@
 
 #include <cstdint>
 
-#include "common/agent/nets/fft_convolution/simd.h"
+#include "common/agent/nets/simd.h"
 
 namespace craftfleet::CRAFTFLEET_SIMD {
 

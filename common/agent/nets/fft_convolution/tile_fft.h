@@ -12,7 +12,7 @@
 #define CRAFTFLEET_COMMON_AGENT_NETS_FFT_CONVOLUTION_TILE_FFT_H_
 
 #include "common/agent/nets/fft_convolution/dft.h"
-#include "common/agent/nets/fft_convolution/simd.h"
+#include "common/agent/nets/simd.h"
 
 namespace craftfleet::CRAFTFLEET_SIMD {
 

@@ -12,7 +12,7 @@
 #include <cstring>
 
 #include "common/agent/nets/fft_convolution/products.h"
-#include "common/agent/nets/fft_convolution/simd.h"
+#include "common/agent/nets/simd.h"
 #include "common/agent/nets/fft_convolution/tile_fft.h"
 
 namespace craftfleet::CRAFTFLEET_SIMD {

@@ -1,10 +1,10 @@
-// Vectors of floats for the kernels in this folder: 16 floats with AVX-512, 8 with AVX2. A file that includes this is
+// Vectors of floats for kernels of layers: 16 floats with AVX-512, 8 with AVX2. A file that includes this is
 // compiled for one of them; what it defines lives in a namespace of that name, so that both variants link into one
 // program. Arithmetic is by operators: products and sums are fused only where MulAdd says so (-ffp-contract=off), so
 // each float goes through the same roundings in both variants.
 
-#ifndef CRAFTFLEET_COMMON_AGENT_NETS_FFT_CONVOLUTION_SIMD_H_
-#define CRAFTFLEET_COMMON_AGENT_NETS_FFT_CONVOLUTION_SIMD_H_
+#ifndef CRAFTFLEET_COMMON_AGENT_NETS_SIMD_H_
+#define CRAFTFLEET_COMMON_AGENT_NETS_SIMD_H_
 
 #include <immintrin.h>
 
@@ -90,4 +90,4 @@ CRAFTFLEET_SIMD_INLINE void Touch(const float* begin, int64_t floats) {
 
 }  // namespace craftfleet::CRAFTFLEET_SIMD
 
-#endif  // CRAFTFLEET_COMMON_AGENT_NETS_FFT_CONVOLUTION_SIMD_H_
+#endif  // CRAFTFLEET_COMMON_AGENT_NETS_SIMD_H_
