@@ -196,7 +196,10 @@ absl::StatusOr<Learner::Loaded> Learner::Load(const Options& options, const v1::
   loaded.clock = std::make_unique<RealClock>();
   CRAFTFLEET_ASSIGN_OR_RETURN(loaded.texture_digest, TextureDigest(options.texture_dir));
   const ProgramInfo program = {std::string(ProgramVersion()), std::string(GitRevision()), loaded.texture_digest};
-  CRAFTFLEET_ASSIGN_OR_RETURN(loaded.updater, PpoUpdater::Create(config, options.threads, options.device));
+  const bool loads_weights = options.resume || !options.init_from.empty();
+  CRAFTFLEET_ASSIGN_OR_RETURN(loaded.updater, PpoUpdater::Create(config, options.threads, options.device,
+                                                                 loads_weights ? PpoUpdater::Start::kZeros
+                                                                               : PpoUpdater::Start::kInitialWeights));
   if (options.device != "cpu") LogInfo("updates on %s, precision %s", options.device, PrecisionName(config));
   CRAFTFLEET_ASSIGN_OR_RETURN(loaded.build, ExpectedBuild(config.cpu(), loaded.texture_digest, options.allow_mixed));
   if (!options.resume) {

@@ -33,7 +33,8 @@ absl::StatusOr<std::unique_ptr<RankWorker>> RankWorker::Connect(const Options& o
   const auto prepare = [&]() -> absl::Status {
     CRAFTFLEET_ASSIGN_OR_RETURN(offer, ParseRankOffer(meeting->offer()));
     CRAFTFLEET_RETURN_IF_ERROR(options.check(offer.config));
-    CRAFTFLEET_ASSIGN_OR_RETURN(updater, PpoUpdater::Create(offer.config, options.threads));
+    CRAFTFLEET_ASSIGN_OR_RETURN(updater,
+                                PpoUpdater::Create(offer.config, options.threads, "cpu", PpoUpdater::Start::kZeros));
     return absl::OkStatus();
   };
   RankBuild build = {"", BuildId(), prepare()};

@@ -4,6 +4,7 @@
 #include <array>
 #include <cmath>
 #include <cstddef>
+#include <functional>
 
 #include <absl/strings/string_view.h>
 #include <absl/types/span.h>
@@ -20,19 +21,32 @@ uint64_t Fnv1a64(absl::string_view text) {
   return hash;
 }
 
-// `count` independent N(0, 1) by Box and Muller.
-std::vector<double> Normals(uint64_t seed, uint64_t stream, int64_t count) {
-  constexpr double kTwoPi = 6.283185307179586;
-  std::vector<double> normals(count);
-  for (int64_t i = 0; i < count; i += 2) {
-    const auto uniform = [&](int64_t k) {
-      return UnitInterval(KeyedBits(RandomUse::kInitialWeights, seed, stream, static_cast<uint64_t>(k)));
-    };
-    const double radius = std::sqrt(-2 * std::log(1 - uniform(i)));
-    const double angle = kTwoPi * uniform(i + 1);
-    normals[i] = radius * std::cos(angle);
-    if (i + 1 < count) normals[i + 1] = radius * std::sin(angle);
+// Calls part(i) for each i of 0..count-1, on the workers if there are any. No result depends on their number.
+void RunParts(WorkerPool* workers, int64_t count, const std::function<void(int)>& part) {
+  if (workers != nullptr) {
+    workers->Run(static_cast<int>(count), part);
+    return;
   }
+  for (int i = 0; i < count; ++i) part(i);
+}
+
+// `count` independent N(0, 1) by Box and Muller.
+std::vector<double> Normals(uint64_t seed, uint64_t stream, int64_t count, WorkerPool* workers) {
+  constexpr double kTwoPi = 6.283185307179586;
+  constexpr int64_t kPart = 1 << 16;
+  std::vector<double> normals(count);
+  RunParts(workers, (count + kPart - 1) / kPart, [&](int part) {
+    const int64_t end = std::min(count, (part + 1) * kPart);
+    for (int64_t i = part * kPart; i < end; i += 2) {
+      const auto uniform = [&](int64_t k) {
+        return UnitInterval(KeyedBits(RandomUse::kInitialWeights, seed, stream, static_cast<uint64_t>(k)));
+      };
+      const double radius = std::sqrt(-2 * std::log(1 - uniform(i)));
+      const double angle = kTwoPi * uniform(i + 1);
+      normals[i] = radius * std::cos(angle);
+      if (i + 1 < count) normals[i + 1] = radius * std::sin(angle);
+    }
+  });
   return normals;
 }
 
@@ -76,18 +90,22 @@ void AddMultiples(const double* factors, int64_t factor_stride, const double* ro
 constexpr int64_t kChunk = 128;  // columns at a time, so that those of all rows stay in the cache
 
 // The lower triangle of matrix * matrix^T, [count,count].
-std::vector<double> GramMatrix(int64_t count, int64_t length, const std::vector<double>& matrix) {
+std::vector<double> GramMatrix(int64_t count, int64_t length, const std::vector<double>& matrix, WorkerPool* workers) {
   std::vector<double> gram(count * count, 0.0);
-  std::vector<double> columns(kChunk * count);  // [kChunk,count]
-  for (int64_t first = 0; first < length; first += kChunk) {
-    const int64_t width = std::min(kChunk, length - first);
-    for (int64_t i = 0; i < count; ++i) {
-      for (int64_t k = 0; k < width; ++k) columns[k * count + i] = matrix[i * length + first + k];
+  // Each part computes every so many rows of the result, since later ones are longer.
+  const int64_t parts = workers == nullptr ? 1 : std::min<int64_t>(count, 2 * workers->threads());
+  RunParts(workers, parts, [&](int part) {
+    std::vector<double> columns(kChunk * count);  // [kChunk,count]
+    for (int64_t first = 0; first < length; first += kChunk) {
+      const int64_t width = std::min(kChunk, length - first);
+      for (int64_t i = 0; i < count; ++i) {
+        for (int64_t k = 0; k < width; ++k) columns[k * count + i] = matrix[i * length + first + k];
+      }
+      for (int64_t i = part; i < count; i += parts) {
+        AddMultiples(&columns[i], count, columns.data(), count, width, i + 1, &gram[i * count]);
+      }
     }
-    for (int64_t i = 0; i < count; ++i) {
-      AddMultiples(&columns[i], count, columns.data(), count, width, i + 1, &gram[i * count]);
-    }
-  }
+  });
   return gram;
 }
 
@@ -107,13 +125,14 @@ void Decompose(int64_t count, std::vector<double>* matrix) {
 // Makes the `count` rows of `length` >= `count` orthonormal: the inverse of their Gram matrix' Cholesky factor times
 // the matrix, the result of Gram-Schmidt, but in blocks. From normal numbers it is the uniform distribution, as
 // QR with a positive diagonal of R.
-void OrthonormaliseRows(int64_t count, int64_t length, std::vector<double>* matrix) {
-  std::vector<double> factor = GramMatrix(count, length, *matrix);
+void OrthonormaliseRows(int64_t count, int64_t length, std::vector<double>* matrix, WorkerPool* workers) {
+  std::vector<double> factor = GramMatrix(count, length, *matrix, workers);
   Decompose(count, &factor);
   for (double& x : factor) x = -x;
-  std::vector<double> chunk(count * kChunk);  // [count,kChunk]
-  for (int64_t first = 0; first < length; first += kChunk) {
+  RunParts(workers, (length + kChunk - 1) / kChunk, [&](int part) {
+    const int64_t first = part * kChunk;
     const int64_t width = std::min(kChunk, length - first);
+    std::vector<double> chunk(count * kChunk);  // [count,kChunk]
     for (int64_t i = 0; i < count; ++i) {
       double* row = &chunk[i * kChunk];
       double* place = matrix->data() + i * length + first;
@@ -122,26 +141,26 @@ void OrthonormaliseRows(int64_t count, int64_t length, std::vector<double>* matr
       for (int64_t k = 0; k < width; ++k) row[k] /= -factor[i * count + i];
       std::copy_n(row, width, place);
     }
-  }
+  });
 }
 
 // The numbers of `param`, an orthogonal matrix.
-void FillOrthogonal(const ParamSpec& param, uint64_t seed, float* weight) {
+void FillOrthogonal(const ParamSpec& param, uint64_t seed, WorkerPool* workers, float* weight) {
   const int64_t outputs = param.shape[0];
   const int64_t inputs = param.size / outputs;
   const bool wide = outputs <= inputs;
-  std::vector<double> matrix = Normals(seed, Fnv1a64(param.name), param.size);
+  std::vector<double> matrix = Normals(seed, Fnv1a64(param.name), param.size, workers);
   const int64_t count = wide ? outputs : inputs;
   const int64_t length = wide ? inputs : outputs;
-  OrthonormaliseRows(count, length, &matrix);
+  OrthonormaliseRows(count, length, &matrix, workers);
   // A matrix that is nearly square is ill-conditioned and needs a second time.
-  if (length < 4 * count) OrthonormaliseRows(count, length, &matrix);
-  for (int64_t out = 0; out < outputs; ++out) {
+  if (length < 4 * count) OrthonormaliseRows(count, length, &matrix, workers);
+  RunParts(workers, outputs, [&](int64_t out) {
     for (int64_t in = 0; in < inputs; ++in) {
       const double value = wide ? matrix[out * inputs + in] : matrix[in * outputs + out];
       weight[out * inputs + in] = static_cast<float>(param.init.scale * value);
     }
-  }
+  });
 }
 
 // U(-1, 1).
@@ -160,14 +179,14 @@ void FillRowNorm(const ParamSpec& param, uint64_t seed, float* weight) {
   }
 }
 
-void Fill(const ParamSpec& param, uint64_t seed, float* weight) {
+void Fill(const ParamSpec& param, uint64_t seed, WorkerPool* workers, float* weight) {
   const double scale = param.init.scale;
   switch (param.init.kind) {
     case ParamInit::Kind::kConstant:
       std::fill_n(weight, param.size, static_cast<float>(scale));
       return;
     case ParamInit::Kind::kNormal: {
-      const std::vector<double> normals = Normals(seed, Fnv1a64(param.name), param.size);
+      const std::vector<double> normals = Normals(seed, Fnv1a64(param.name), param.size, workers);
       for (int64_t i = 0; i < param.size; ++i) weight[i] = static_cast<float>(scale * normals[i]);
       return;
     }
@@ -175,7 +194,7 @@ void Fill(const ParamSpec& param, uint64_t seed, float* weight) {
       for (int64_t i = 0; i < param.size; ++i) weight[i] = static_cast<float>(scale * SignedUniform(param, seed, i));
       return;
     case ParamInit::Kind::kOrthogonal:
-      return FillOrthogonal(param, seed, weight);
+      return FillOrthogonal(param, seed, workers, weight);
     case ParamInit::Kind::kRowNorm:
       return FillRowNorm(param, seed, weight);
   }
@@ -183,9 +202,9 @@ void Fill(const ParamSpec& param, uint64_t seed, float* weight) {
 
 }  // namespace
 
-std::vector<float> InitialWeights(const AgentSpec& spec, uint64_t seed) {
+std::vector<float> InitialWeights(const AgentSpec& spec, uint64_t seed, WorkerPool* workers) {
   std::vector<float> weights(spec.param_count);
-  for (const ParamSpec& param : spec.params) Fill(param, seed, weights.data() + param.offset);
+  for (const ParamSpec& param : spec.params) Fill(param, seed, workers, weights.data() + param.offset);
   return weights;
 }
 

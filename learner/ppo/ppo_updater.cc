@@ -67,7 +67,7 @@ PpoLossSums Means(PpoLossSums sums, size_t rows) {
 }  // namespace
 
 absl::StatusOr<std::unique_ptr<PpoUpdater>> PpoUpdater::Create(const v1::RunConfig& config, int threads,
-                                                               const std::string& device) {
+                                                               const std::string& device, Start start) {
   CRAFTFLEET_ASSIGN_OR_RETURN(AgentSpec spec, MakeAgentSpec(config));
   if (config.gradient_shards() < 1 || config.ppo().minibatch_size() % config.gradient_shards() != 0) {
     return absl::InvalidArgumentError(absl::StrCat("ppo.minibatch_size is ", config.ppo().minibatch_size(),
@@ -78,17 +78,18 @@ absl::StatusOr<std::unique_ptr<PpoUpdater>> PpoUpdater::Create(const v1::RunConf
     CRAFTFLEET_RETURN_IF_ERROR(DeviceUpdate::CheckSupported(config));
     CRAFTFLEET_RETURN_IF_ERROR(DeviceUpdate::CheckFields(spec.network, "network."));
   }
-  return std::unique_ptr<PpoUpdater>(new PpoUpdater(std::move(spec), config, threads, device));
+  return std::unique_ptr<PpoUpdater>(new PpoUpdater(std::move(spec), config, threads, device, start));
 }
 
-PpoUpdater::PpoUpdater(AgentSpec spec, const v1::RunConfig& config, int threads, const std::string& device)
+PpoUpdater::PpoUpdater(AgentSpec spec, const v1::RunConfig& config, int threads, const std::string& device, Start start)
     : spec_(std::move(spec)),
       config_(config.ppo()),
       seed_(config.seed()),
       gradient_shards_(config.gradient_shards()),
       distills_(config.distillation().every_iterations() > 0),
       workers_(threads, SetUpTorchThread),
-      state_(FreshState(InitialWeights(spec_, seed_))),
+      state_(FreshState(start == Start::kZeros ? std::vector<float>(spec_.param_count)
+                                               : InitialWeights(spec_, seed_, &workers_))),
       device_(device == kCpuDevice ? nullptr : std::make_unique<DeviceUpdate>(spec_, config, at::Device(device))) {
   const auto weights = absl::MakeSpan(state_.weights);
   if (distills_) {

@@ -40,13 +40,19 @@ class DeviceUpdate;
 // computes as well.
 class PpoUpdater {
  public:
+  enum class Start {
+    kInitialWeights,  // InitialWeights of the seed
+    kZeros,           // Load or StartFrom comes next: the initial weights of a large agent take seconds
+  };
+
   // The fields of `config` that count: agent, network, seed, gradient_shards and ppo, all valid (ValidateRunConfig).
-  // Starts from InitialWeights of the seed. `threads` >= 1; more than gradient_shards help little. `device`, as
+  // `threads` >= 1; more than gradient_shards help little. `device`, as
   // FindDevice returns it, computes; "cpu:0" is the CPU as if it were a GPU, for tests.
   //   InvalidArgument: unknown agent; minibatch_size is not a multiple of gradient_shards; a field or a precision that
   //   this device does not compute.
   static absl::StatusOr<std::unique_ptr<PpoUpdater>> Create(const v1::RunConfig& config, int threads,
-                                                            const std::string& device = "cpu");
+                                                            const std::string& device = "cpu",
+                                                            Start start = Start::kInitialWeights);
   ~PpoUpdater();
   PpoUpdater(const PpoUpdater&) = delete;
   PpoUpdater& operator=(const PpoUpdater&) = delete;
@@ -91,7 +97,7 @@ class PpoUpdater {
  private:
   using State = UpdateState;
 
-  PpoUpdater(AgentSpec spec, const v1::RunConfig& config, int threads, const std::string& device);
+  PpoUpdater(AgentSpec spec, const v1::RunConfig& config, int threads, const std::string& device, Start start);
 
   // All optimisers without a step.
   State FreshState(std::vector<float> weights) const;

@@ -57,6 +57,10 @@ TEST(InitialWeights, TallMatricesHaveOrthonormalColumns) {
 TEST(InitialWeights, DependOnlyOnTheSeed) {
   const AgentSpec spec = *FindAgent("ppo_cnn");
   EXPECT_EQ(InitialWeights(spec, 1), InitialWeights(spec, 1));
+  for (const int threads : {1, 2, 3}) {
+    WorkerPool workers(threads, [] {});
+    EXPECT_EQ(InitialWeights(spec, 1, &workers), InitialWeights(spec, 1)) << threads << " threads";
+  }
   EXPECT_NE(InitialWeights(spec, 1), InitialWeights(spec, 2));
 }
 
