@@ -1,6 +1,7 @@
 // Times of acting and learning: one inference tile, one minibatch and a whole PPO update, beside the speed at which
 // the CPU multiplies matrices.
 // Usage: update_bench [seconds a figure, default 2 [AGENT...]]
+// As on a CPU without AVX-512: ATEN_CPU_CAPABILITY=avx2 ONEDNN_MAX_CPU_ISA=AVX2 update_bench ...
 
 #include <algorithm>
 #include <cstdio>
@@ -8,6 +9,7 @@
 #include <ctime>
 #include <functional>
 #include <numeric>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -19,6 +21,7 @@
 #include "common/agent/policy.h"
 #include "common/agent/torch_setup.h"
 #include "common/agent/weights.h"
+#include "common/base/cpu_path.h"
 #include "common/base/keyed_random.h"
 #include "common/base/worker_pool.h"
 #include "learner/ppo/ppo_updater.h"
@@ -137,6 +140,9 @@ void BenchUpdate(absl::Duration limit, const std::string& agent) {
 
 int main(int argc, char** argv) {
   craftfleet::SetUpTorchThread();
+  const char* const capability = std::getenv("ATEN_CPU_CAPABILITY");
+  std::optional<craftfleet::ScopedCpuPath> path;
+  if (capability != nullptr && std::string(capability) == "avx2") path.emplace(craftfleet::CpuPath::kAvx2);
   const absl::Duration limit = absl::Seconds(argc > 1 ? std::atof(argv[1]) : 2);
   std::printf("%s\n%s", craftfleet::CpuDescription().c_str(), craftfleet::SlowMathWarning().c_str());
   craftfleet::BenchProducts(limit);
