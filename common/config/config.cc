@@ -68,8 +68,6 @@ absl::Status CheckRanges(const v1::RunConfig& config) {
              absl::StrCat("ppo.value_norm_decay is ", ppo.value_norm_decay(), ", want at least 0, less than 1"));
   // Checkpoints of version 0.1 have none.
   if (ppo.has_value_norm_start()) check.Positive("ppo.value_norm_start", ppo.value_norm_start(), 100);
-  check.Within("ppo.vtrace_rho_bar", ppo.vtrace_rho_bar(), 0.0, 100.0);
-  check.Within("ppo.vtrace_c_bar", ppo.vtrace_c_bar(), 0.0, 100.0);
   const v1::DistillationConfig& distillation = config.distillation();
   check.Within("distillation.every_iterations", distillation.every_iterations(), 0, 1000);
   if (config.has_distillation()) {
@@ -88,31 +86,6 @@ absl::Status CheckRanges(const v1::RunConfig& config) {
   check.Within("eval.episodes", eval.episodes(), 0, 10'000);
   check.Within("eval.final_episodes", eval.final_episodes(), 0, 10'000);
   check.Within("eval.seed", eval.seed(), int64_t{0}, int64_t{std::numeric_limits<int32_t>::max()});
-  return check.status();
-}
-
-// Whether steps are played with older weights than those that their update starts from.
-bool Lags(const v1::RunConfig& config) { return config.overlap() > 0 || config.max_staleness() > 0; }
-
-// The fields for such steps.
-absl::Status CheckLagCorrection(const v1::RunConfig& config) {
-  RangeCheck check;
-  const v1::PpoConfig& ppo = config.ppo();
-  const double rho_bar = ppo.vtrace_rho_bar();
-  const double c_bar = ppo.vtrace_c_bar();
-  const bool is_pair = rho_bar == 0 ? c_bar == 0 : c_bar > 0 && c_bar <= rho_bar;
-  check.That(is_pair, absl::StrCat("ppo.vtrace_c_bar is ", c_bar, " and ppo.vtrace_rho_bar ", rho_bar,
-                                   ", want both 0, or a c_bar above 0 and at most rho_bar"));
-  const std::pair<bool, absl::string_view> fields[] = {{ppo.decoupled_objective(), "decoupled_objective"},
-                                                       {rho_bar > 0, "vtrace_rho_bar"},
-                                                       {ppo.recompute_values(), "recompute_values"},
-                                                       {ppo.correction_pass(), "correction_pass"}};
-  for (const auto& [is_given, field] : fields) {
-    check.That(Lags(config) || !is_given,
-               absl::StrCat("ppo.", field,
-                            " is given, but in a synchronous run no step is played with older weights than those that "
-                            "its update starts from: want overlap or max_staleness, or leave the field out"));
-  }
   return check.status();
 }
 
@@ -141,8 +114,7 @@ absl::Status CheckRelations(const v1::RunConfig& config) {
   check.That(config.distillation().every_iterations() == 0 || network.goal_predictor(),
              "distillation.every_iterations is given, but the network has no goal_predictor to train: want network { "
              "goal_predictor: true }");
-  CRAFTFLEET_RETURN_IF_ERROR(check.status());
-  return CheckLagCorrection(config);
+  return check.status();
 }
 
 // The defaults of all agents; a preset may override them (common/config/agent_presets.cc).
@@ -193,17 +165,6 @@ v1::RunConfig PaperConfig() {
   return config;
 }
 
-// Corrections that cost nothing are made wherever play lags. With dropout they would take its noise for lag. Those of a
-// synchronous run are left out, so that it equals one without the fields.
-void ResolveLagCorrection(bool lags, const v1::NetworkConfig& network, v1::PpoConfig* ppo) {
-  const bool are_free = ppo->epochs() > 1 && network.dropout() == 0;
-  if (lags && !ppo->has_decoupled_objective()) ppo->set_decoupled_objective(are_free);
-  if (lags && !ppo->has_recompute_values()) ppo->set_recompute_values(are_free);
-  if (!lags && !ppo->decoupled_objective()) ppo->clear_decoupled_objective();
-  if (!lags && !ppo->recompute_values()) ppo->clear_recompute_values();
-  if (!ppo->correction_pass()) ppo->clear_correction_pass();
-}
-
 }  // namespace
 
 absl::StatusOr<v1::RunConfig> DefaultRunConfig(absl::string_view agent) {
@@ -234,11 +195,7 @@ absl::StatusOr<v1::RunConfig> ResolveRunConfig(v1::RunConfig config) {
   if (config.overlap() == 0) config.clear_overlap();
   if (config.max_staleness() == 0) config.clear_max_staleness();
   if (config.device() == v1::RunConfig::CPU) config.clear_device();
-  v1::PpoConfig& ppo = *config.mutable_ppo();
-  if (ppo.vtrace_rho_bar() == 0) ppo.clear_vtrace_rho_bar();
-  if (ppo.vtrace_c_bar() == 0) ppo.clear_vtrace_c_bar();
   CRAFTFLEET_ASSIGN_OR_RETURN(const v1::NetworkConfig network, ResolveNetwork(config));
-  ResolveLagCorrection(Lags(config), network, &ppo);
   const int32_t lane_steps = config.lanes() > 0 ? config.ppo().rollout_steps() / config.lanes() : 0;
   // The agent's own fits the agent's lanes; others were given.
   if (!given_fragment_steps && config.fragment_steps() > 0 && lane_steps % config.fragment_steps() != 0) {

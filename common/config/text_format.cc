@@ -13,6 +13,8 @@
 #include <google/protobuf/io/tokenizer.h>
 #include <google/protobuf/text_format.h>
 
+#include "common/config/removed_fields.h"
+
 namespace craftfleet {
 namespace {
 
@@ -21,12 +23,16 @@ using google::protobuf::DescriptorPool;
 using google::protobuf::EnumDescriptor;
 using google::protobuf::FieldDescriptor;
 
-// " (known fields of RunConfig: agent, env, ...)" for an error about an unknown field, else "".
-std::string KnownFields(absl::string_view message) {
+// " (known fields of RunConfig: agent, env, ...)" for an error about an unknown field, or what replaces a removed one;
+// else "".
+std::string FieldAdvice(absl::string_view message) {
   const std::vector<std::string> parts = absl::StrSplit(message, '"');
   if (parts.size() < 2 || !absl::StrContains(message, "no field named")) return "";
   const Descriptor* descriptor = DescriptorPool::generated_pool()->FindMessageTypeByName(parts[1]);
   if (descriptor == nullptr) return "";
+  if (std::string removed = parts.size() > 3 ? RemovedFieldAdvice(parts[1], parts[3]) : ""; !removed.empty()) {
+    return removed;
+  }
   std::vector<std::string> names;
   names.reserve(descriptor->field_count());
   for (int i = 0; i < descriptor->field_count(); ++i) names.push_back(descriptor->field(i)->name());
@@ -81,7 +87,7 @@ class FirstError : public google::protobuf::io::ErrorCollector {
     const std::string field = known_place ? FieldBefore(lines_[line], column) : "";
     const std::string place = line >= 0 ? absl::StrCat(":", line + 1, ":", column + 1) : "";
     status_ = absl::InvalidArgumentError(
-        absl::StrCat(filename_, place, ": ", field, message, KnownFields(message), KnownValues(message, type_)));
+        absl::StrCat(filename_, place, ": ", field, message, FieldAdvice(message), KnownValues(message, type_)));
   }
 
   const absl::Status& status() const { return status_; }

@@ -35,7 +35,6 @@ constexpr absl::string_view kKnownFields[] = {
     "ppo.rollout_steps ppo.minibatch_size ppo.epochs ppo.learning_rate ppo.gamma ppo.gae_lambda ppo.clip",
     "ppo.value_coefficient ppo.entropy_coefficient ppo.max_gradient_norm ppo.adam_epsilon ppo.truncation_is_terminal",
     "ppo.recurrent_batches ppo.value_norm_decay ppo.value_norm_start ppo.advantages_over_rollout",
-    "ppo.decoupled_objective ppo.vtrace_rho_bar ppo.vtrace_c_bar ppo.recompute_values ppo.correction_pass",
     "network.extractor network.frame_size network.objects network.patch network.stride network.heads network.slots",
     "network.cls_learned network.positions network.dropout network.residual_mlp network.layer_norm",
     "network.slot_competition network.recurrent network.critic network.width network.memory network.goal_predictor"};
@@ -93,6 +92,7 @@ DeviceUpdate::DeviceUpdate(AgentSpec spec, const v1::RunConfig& config, at::Devi
     : spec_(std::move(spec)),
       config_(config.ppo()),
       seed_(config.seed()),
+      corrects_lag_(CorrectsLag(config, spec_.network)),
       device_(device),
       network_(MakeNetwork(spec_.network)),
       adams_(config.distillation().every_iterations() > 0 ? 3 : 1, DeviceAdam(AdamOptionsOf(config_))) {}
@@ -109,25 +109,6 @@ absl::StatusOr<UpdateStats> DeviceUpdate::Run(const Rollout& rollout, const std:
     return stats;
   } catch (const std::exception& error) {
     return DeviceError("update", error.what());
-  }
-}
-
-absl::StatusOr<StartOutputs> DeviceUpdate::ComputeStart(const Rollout& rollout,
-                                                        const std::vector<Minibatch>& minibatches,
-                                                        const std::function<bool()>& should_stop, UpdateState* state) {
-  try {
-    if (!is_loaded_) Load(state);
-    is_loaded_ = true;
-    const c10::NoGradGuard no_grad;
-    const DeviceRollout there = SendRollout(rollout, spec_, device_);
-    const at::Tensor outputs = at::zeros({there.actions.size(0), 2}, there.advantages.options());
-    for (const DeviceMinibatch& minibatch : SendMinibatches(minibatches, rollout, device_)) {
-      outputs.index_copy_(0, minibatch.rows, OutputsOf(there, minibatch, Forward(there, minibatch, std::nullopt)));
-      if (should_stop()) return UpdateStopped();
-    }
-    return FetchStart(outputs);
-  } catch (const std::exception& error) {
-    return DeviceError("the start's outputs", error.what());
   }
 }
 
@@ -173,9 +154,7 @@ absl::StatusOr<UpdateStats> DeviceUpdate::RunEpochs(const Rollout& rollout,
   DeviceRollout there = SendRollout(rollout, spec_, device_);
   NormaliseOverRollout(&there);
   at::Tensor start;
-  if (LagCorrectionOf(config_) == LagCorrection::kInFirstEpoch) {
-    start = at::zeros({there.actions.size(0), 2}, there.advantages.options());
-  }
+  if (corrects_lag_) start = at::zeros({there.actions.size(0), 2}, there.advantages.options());
   UpdateStats stats;
   std::vector<DeviceMinibatch> sent = SendMinibatches(minibatches, rollout, device_);
   const DeviceMinibatch trial = std::move(sent.back());

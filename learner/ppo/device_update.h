@@ -61,11 +61,6 @@ class DeviceUpdate {
                                   const std::function<bool()>& should_stop, const AfterEpochs& after_epochs,
                                   UpdateState* state);
 
-  // What the weights of `state` say about the rollout. `minibatches` have each row once. Waits for the device;
-  // otherwise as Run.
-  absl::StatusOr<StartOutputs> ComputeStart(const Rollout& rollout, const std::vector<Minibatch>& minibatches,
-                                            const std::function<bool()>& should_stop, UpdateState* state);
-
   // Copies the moments after the last Run that was OK to its `state`, if they are not there yet. They are in host
   // memory already, but only a checkpoint needs them.
   void CopyMoments(UpdateState* state);
@@ -77,7 +72,7 @@ class DeviceUpdate {
   // Used by `after_epochs` alone. This object outlives it.
   std::unique_ptr<DistillationNet> MakeDistillationNet();
 
-  // The next Run or ComputeStart sends its `state` to the device again.
+  // The next Run sends its `state` to the device again.
   void Forget() {
     is_loaded_ = false;
     has_moments_ = false;
@@ -119,6 +114,7 @@ class DeviceUpdate {
   const AgentSpec spec_;
   const v1::PpoConfig config_;
   const uint64_t seed_;
+  const bool corrects_lag_;
   const at::Device device_;
   const Network network_;
 

@@ -1,6 +1,5 @@
 #include "learner/ppo/gae.h"
 
-#include <algorithm>
 #include <cstddef>
 
 #include "common/base/check.h"
@@ -28,11 +27,9 @@ void ComputeGae(const LaneSteps& steps, const GaeOptions& options, absl::Span<fl
     const double delta = is_last ? static_cast<double>(steps.rewards[t]) + future - steps.values[t]
                                  : steps.rewards[t] + future - steps.values[t];
     const double later = steps.ends[t] == StepEnd::kNone ? carry * error : 0;
-    const double rho = steps.ratios.empty() ? 1 : std::min(steps.ratios[t], options.rho_bar);
-    const double c = steps.ratios.empty() ? 1 : std::min(steps.ratios[t], options.c_bar);
-    error = rho * delta + c * later;
-    advantages[t] = static_cast<float>(delta + later);
-    returns[t] = static_cast<float>(error) + steps.values[t];
+    error = delta + later;
+    advantages[t] = static_cast<float>(error);
+    returns[t] = advantages[t] + steps.values[t];
   }
   CRAFTFLEET_CHECK(truncations == 0);
 }

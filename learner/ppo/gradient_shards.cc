@@ -59,7 +59,7 @@ absl::StatusOr<PpoLossSums> GradientShards::ComputeGradients(const Rollout& roll
                                                              std::vector<ShardGradient>* gradients) {
   const size_t parts = minibatch.parts.size();
   absl::Status own = PrepareWeights();
-  if (own.ok()) own = Run("gradient", parts, [&](int i) { ComputeGradient(rollout, minibatch, i); });
+  if (own.ok()) own = Run(parts, [&](int i) { ComputeGradient(rollout, minibatch, i); });
   if (ranks_ == nullptr) CRAFTFLEET_RETURN_IF_ERROR(own);
   PpoLossSums sums;
   std::vector<PpoLossSums> losses;
@@ -72,18 +72,6 @@ absl::StatusOr<PpoLossSums> GradientShards::ComputeGradients(const Rollout& roll
   }
   if (ranks_ != nullptr) CRAFTFLEET_RETURN_IF_ERROR(ranks_->Add(own, gradients, losses, &sums));
   return sums;
-}
-
-absl::Status GradientShards::ComputeStart(const Rollout& rollout, const std::vector<Minibatch>& parts,
-                                          const ValueScale& scale, StartOutputs* start) {
-  absl::Status own = PrepareWeights();
-  if (own.ok()) {
-    own = Run("the start's outputs", parts.size(), [&](int i) {
-      const c10::NoGradGuard no_grad;
-      WriteStart(rollout, parts[i], Forward(rollout, parts[i], std::nullopt, shards_[i].get()), scale, start);
-    });
-  }
-  return ranks_ != nullptr ? ranks_->group()->Agree(own) : own;
 }
 
 void GradientShards::WriteStart(const Rollout& rollout, const Minibatch& part, const NetOutput& output,
@@ -133,7 +121,7 @@ absl::Status GradientShards::PrepareWeights() {
   return status;
 }
 
-absl::Status GradientShards::Run(absl::string_view what, size_t parts, const std::function<void(int)>& part) {
+absl::Status GradientShards::Run(size_t parts, const std::function<void(int)>& part) {
   const ShardRange own = OwnShards(parts);
   workers_->Run(own.end - own.begin, [&](int i) {
     Shard* const shard = shards_[own.begin + i].get();
@@ -141,7 +129,7 @@ absl::Status GradientShards::Run(absl::string_view what, size_t parts, const std
       part(own.begin + i);
       shard->status = absl::OkStatus();
     } catch (const std::exception& error) {  // of LibTorch, or out of memory
-      shard->status = absl::InternalError(absl::StrCat(what, ": ", error.what()));
+      shard->status = absl::InternalError(absl::StrCat("gradient: ", error.what()));
     }
   });
   absl::Status status;

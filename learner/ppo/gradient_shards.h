@@ -12,7 +12,6 @@
 
 #include <absl/status/status.h>
 #include <absl/status/statusor.h>
-#include <absl/strings/string_view.h>
 #include <absl/types/span.h>
 
 #include "common/agent/agent_spec.h"
@@ -61,11 +60,6 @@ class GradientShards {
   absl::StatusOr<PpoLossSums> ComputeGradients(const Rollout& rollout, const ShardedMinibatch& minibatch,
                                                std::vector<ShardGradient>* gradients);
 
-  // Writes what the weights say about this rank's rows of `parts` to `start`, with `scale`.
-  //   Internal: LibTorch failed.
-  absl::Status ComputeStart(const Rollout& rollout, const std::vector<Minibatch>& parts, const ValueScale& scale,
-                            StartOutputs* start);
-
   // Whether the weights can be played with, tried on some of the rollout's steps. The same on each rank.
   //   DataLoss: as CheckOutputs (divergence.h). LibTorch's exceptions pass.
   absl::Status TryWeights(const Rollout& rollout);
@@ -77,8 +71,8 @@ class GradientShards {
   absl::Status PrepareWeights();
   // Those that compute a minibatch's `parts` on this rank.
   ShardRange OwnShards(size_t parts) const;
-  // Calls `part` for each of them, on the workers. The error of one of them says `what` was computed.
-  absl::Status Run(absl::string_view what, size_t parts, const std::function<void(int)>& part);
+  // Calls `part` for each of them, on the workers.
+  absl::Status Run(size_t parts, const std::function<void(int)>& part);
   // The network's output for `part`, on the shard's frames.
   NetOutput Forward(const Rollout& rollout, const Minibatch& part, const std::optional<Dropout>& dropout,
                     Shard* shard) const;

@@ -3,16 +3,13 @@
 #include <algorithm>
 #include <cmath>
 
-#include <absl/types/span.h>
-
 #include "learner/ppo/ppo_loss.h"
 
 namespace craftfleet {
 
-LagCorrection LagCorrectionOf(const v1::PpoConfig& config) {
-  const bool corrects = config.decoupled_objective() || config.recompute_values() || config.vtrace_rho_bar() > 0;
-  if (!corrects) return LagCorrection::kNone;
-  return config.correction_pass() || config.epochs() == 1 ? LagCorrection::kBefore : LagCorrection::kInFirstEpoch;
+bool CorrectsLag(const v1::RunConfig& config, const v1::NetworkConfig& network) {
+  const bool lags = config.overlap() > 0 || config.max_staleness() > 0;
+  return lags && config.ppo().epochs() > 1 && network.dropout() == 0;
 }
 
 GaeOptions GaeOptionsOf(const v1::PpoConfig& config) {
@@ -20,8 +17,6 @@ GaeOptions GaeOptionsOf(const v1::PpoConfig& config) {
   options.gamma = config.gamma();
   options.lambda = config.gae_lambda();
   options.truncation_is_terminal = config.truncation_is_terminal();
-  options.rho_bar = config.vtrace_rho_bar();
-  options.c_bar = config.vtrace_c_bar();
   return options;
 }
 
@@ -34,16 +29,10 @@ CorrectedRollout CorrectLag(const Rollout& rollout, const StartOutputs& start, c
   }
   const auto [min, max] = std::minmax_element(ratios.begin(), ratios.end());
   CorrectedRollout corrected = {rollout, {sum / static_cast<double>(ratios.size()), *min, *max}};
-  if (config.recompute_values()) ReplaceValues(start.values, &corrected.rollout);
-  const bool weighs = config.vtrace_rho_bar() > 0;
-  if (config.recompute_values() || weighs) {
-    EstimateAdvantages(GaeOptionsOf(config), weighs ? absl::MakeConstSpan(ratios) : absl::Span<const double>(),
-                       &corrected.rollout);
-  }
-  if (config.decoupled_objective()) {
-    corrected.rollout.log_probs = start.log_probs;
-    corrected.rollout.weights.assign(ratios.begin(), ratios.end());
-  }
+  ReplaceValues(start.values, &corrected.rollout);
+  EstimateAdvantages(GaeOptionsOf(config), &corrected.rollout);
+  corrected.rollout.log_probs = start.log_probs;
+  corrected.rollout.weights.assign(ratios.begin(), ratios.end());
   return corrected;
 }
 

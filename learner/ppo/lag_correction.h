@@ -1,5 +1,5 @@
-// Rollouts that older weights played: the decoupled objective (Hilton et al. 2021) and V-trace's weights (Espeholt et
-// al. 2018). Equations: PPO.md, section 10.
+// Rollouts that older weights played, corrected with what the first epoch says about them (Hilton et al. 2021).
+// Equations: PPO.md, section 10.
 
 #ifndef CRAFTFLEET_LEARNER_PPO_LAG_CORRECTION_H_
 #define CRAFTFLEET_LEARNER_PPO_LAG_CORRECTION_H_
@@ -14,15 +14,13 @@
 
 namespace craftfleet {
 
-// Whether updates correct their rollout with outputs of the weights that they start from, and where these come from:
-// from the passes of the first epoch, or from a pass before the update.
-enum class LagCorrection { kNone, kInFirstEpoch, kBefore };
-LagCorrection LagCorrectionOf(const v1::PpoConfig& config);
+// Whether updates correct their rollout after the first epoch: where older weights play, there are several epochs, and
+// the network has no dropout, whose noise would be taken for lag.
+bool CorrectsLag(const v1::RunConfig& config, const v1::NetworkConfig& network);
 
 GaeOptions GaeOptionsOf(const v1::PpoConfig& config);
 
-// What these weights say about the rollout's steps. Before the update without dropout; in the first epoch each step has
-// the outputs that it was learned from, of weights a few optimiser steps later.
+// What the first epoch says about the rollout's steps: the outputs that each step was learned from.
 struct StartOutputs {
   explicit StartOutputs(size_t n) : log_probs(n), values(n) {}
   std::vector<float> log_probs;  // [n] of the actions
@@ -34,9 +32,8 @@ struct CorrectedRollout {
   ImportanceStats importance;
 };
 
-// `rollout` as an update uses it; n > 0. With decoupled_objective the start's log-probabilities replace the rollout's,
-// and the importance weights become Rollout::weights; with recompute_values the start's values replace the rollout's.
-// With these or V-trace, advantages and returns are computed anew.
+// `rollout` as the other epochs use it; n > 0. The start's log-probabilities and values replace the rollout's, the
+// importance weights become Rollout::weights, and advantages and returns are computed from the new values.
 CorrectedRollout CorrectLag(const Rollout& rollout, const StartOutputs& start, const v1::PpoConfig& config);
 
 }  // namespace craftfleet

@@ -49,41 +49,12 @@ std::vector<Segment> CutSlice(absl::Span<const RowStart> starts, int first, int 
   return segments;
 }
 
-std::vector<int> Ascending(int count) {
-  std::vector<int> order(count);
-  std::iota(order.begin(), order.end(), 0);
-  return order;
-}
-
-std::vector<Minibatch> CutSteps(const std::vector<int>& order, int size) {
-  std::vector<Minibatch> minibatches;
-  for (auto first = order.begin(); first != order.end(); first += size) {
-    minibatches.push_back({{first, first + size}, {}});
-  }
-  return minibatches;
-}
-
-// Whole segments in `order`.
-std::vector<Minibatch> DealSegments(const std::vector<Segment>& segments, const std::vector<int>& order, int size) {
-  std::vector<Minibatch> minibatches(1);
-  int done = 0;       // steps dealt out
-  int target = size;  // where the minibatch should end
-  for (const int i : order) {
-    const int length = segments[i].length;
-    for (; target - done <= done + length - target; target += size) {
-      if (!minibatches.back().rows.empty()) minibatches.emplace_back();
-    }
-    AppendSegment(segments[i], length, &minibatches.back());
-    done += length;
-  }
-  return minibatches;
-}
-
 }  // namespace
 
 std::vector<int> ShuffledOrder(const EpochKey& key, int count) {
   const uint64_t seed = BitsOf(key);
-  std::vector<int> order = Ascending(count);
+  std::vector<int> order(count);
+  std::iota(order.begin(), order.end(), 0);
   // Fisher and Yates. 53 random bits leave a bias below 2^-30 for any count that fits memory.
   for (int last = count - 1; last > 0; --last) {
     const double uniform = UnitInterval(KeyedBits(RandomUse::kMinibatchOrder, seed, static_cast<uint64_t>(last), 0));
@@ -93,19 +64,28 @@ std::vector<int> ShuffledOrder(const EpochKey& key, int count) {
 }
 
 std::vector<Minibatch> StepMinibatches(const EpochKey& key, int n, int size) {
-  return CutSteps(ShuffledOrder(key, n), size);
+  const std::vector<int> order = ShuffledOrder(key, n);
+  std::vector<Minibatch> minibatches;
+  for (auto first = order.begin(); first != order.end(); first += size) {
+    minibatches.push_back({{first, first + size}, {}});
+  }
+  return minibatches;
 }
 
 std::vector<Minibatch> SegmentMinibatches(const EpochKey& key, absl::Span<const RowStart> starts, int size) {
   const std::vector<Segment> segments = CutAtStarts(starts);
-  return DealSegments(segments, ShuffledOrder(key, static_cast<int>(segments.size())), size);
-}
-
-std::vector<Minibatch> OrderedSteps(int n, int size) { return CutSteps(Ascending(n), size); }
-
-std::vector<Minibatch> OrderedSegments(absl::Span<const RowStart> starts, int size) {
-  const std::vector<Segment> segments = CutAtStarts(starts);
-  return DealSegments(segments, Ascending(static_cast<int>(segments.size())), size);
+  std::vector<Minibatch> minibatches(1);
+  int done = 0;       // steps that are in minibatches
+  int target = size;  // where the minibatch should end
+  for (const int i : ShuffledOrder(key, static_cast<int>(segments.size()))) {
+    const int length = segments[i].length;
+    for (; target - done <= done + length - target; target += size) {
+      if (!minibatches.back().rows.empty()) minibatches.emplace_back();
+    }
+    AppendSegment(segments[i], length, &minibatches.back());
+    done += length;
+  }
+  return minibatches;
 }
 
 std::vector<Minibatch> PublishedMinibatches(const EpochKey& key, absl::Span<const RowStart> starts, int size) {

@@ -54,10 +54,6 @@ std::vector<Minibatch> SegmentMinibatches(const EpochKey& key, absl::Span<const 
 // Source: PPO.md, section 5; golden `recurrent_minibatches`.
 std::vector<Minibatch> PublishedMinibatches(const EpochKey& key, absl::Span<const RowStart> starts, int size);
 
-// The steps and segments of StepMinibatches and SegmentMinibatches, in the rollout's order.
-std::vector<Minibatch> OrderedSteps(int n, int size);
-std::vector<Minibatch> OrderedSegments(absl::Span<const RowStart> starts, int size);
-
 // At most `shards` parts that hold the minibatch's segments, each whole, the longest ones dealt first, each to the part
 // that has fewest steps by then; without segments, equal consecutive parts.
 std::vector<Minibatch> CutIntoShards(const Minibatch& minibatch, int shards);

@@ -86,6 +86,7 @@ PpoUpdater::PpoUpdater(AgentSpec spec, const v1::RunConfig& config, int threads,
       config_(config.ppo()),
       seed_(config.seed()),
       gradient_shards_(config.gradient_shards()),
+      corrects_lag_(CorrectsLag(config, spec_.network)),
       distills_(config.distillation().every_iterations() > 0),
       workers_(threads, SetUpTorchThread),
       state_(FreshState(start == Start::kZeros ? std::vector<float>(spec_.param_count)
@@ -137,22 +138,12 @@ absl::StatusOr<UpdateStats> PpoUpdater::Update(int64_t iteration, const Rollout&
   }
   SetUpTorchThread();
   if (ranks_.has_value()) ranks_->Begin(should_stop);
-  const auto stops = [&] { return ranks_.has_value() ? ranks_->Stops() : should_stop(); };
-  if (LagCorrectionOf(config_) != LagCorrection::kBefore) return RunUpdate(iteration, rollout, stops);
-  CRAFTFLEET_ASSIGN_OR_RETURN(const StartOutputs start, ComputeStart(rollout, stops));
-  const CorrectedRollout corrected = CorrectLag(rollout, start, config_);
-  CRAFTFLEET_ASSIGN_OR_RETURN(UpdateStats stats, RunUpdate(iteration, corrected.rollout, stops));
-  stats.importance = corrected.importance;
-  return stats;
-}
-
-absl::StatusOr<UpdateStats> PpoUpdater::RunUpdate(int64_t iteration, const Rollout& rollout,
-                                                  const std::function<bool()>& should_stop) {
   if (device_ != nullptr) return UpdateOnDevice(iteration, rollout, should_stop);
+  const auto stops = [&] { return ranks_.has_value() ? ranks_->Stops() : should_stop(); };
   State before = state_;
   absl::StatusOr<UpdateStats> stats = absl::InternalError("the update did not run");
   try {
-    stats = RunIteration(iteration, rollout, should_stop);
+    stats = RunIteration(iteration, rollout, stops);
   } catch (const std::exception& error) {  // of LibTorch, or out of memory
     stats = absl::InternalError(absl::StrCat("update: ", error.what()));
   }
@@ -227,26 +218,6 @@ std::vector<Minibatch> PpoUpdater::MakeMinibatches(const EpochKey& key, const Ro
   return SegmentMinibatches(key, rollout.starts, size);
 }
 
-std::vector<Minibatch> PpoUpdater::OrderedMinibatches(const Rollout& rollout) const {
-  const int size = config_.minibatch_size();
-  return spec_.network.recurrent() ? OrderedSegments(rollout.starts, size)
-                                   : OrderedSteps(static_cast<int>(rollout.size()), size);
-}
-
-absl::StatusOr<StartOutputs> PpoUpdater::ComputeStart(const Rollout& rollout,
-                                                      const std::function<bool()>& should_stop) {
-  const std::vector<Minibatch> minibatches = OrderedMinibatches(rollout);
-  if (device_ != nullptr) return device_->ComputeStart(rollout, minibatches, should_stop, &state_);
-  StartOutputs start(rollout.size());
-  for (const Minibatch& minibatch : minibatches) {
-    CRAFTFLEET_RETURN_IF_ERROR(
-        shards_->ComputeStart(rollout, CutIntoShards(minibatch, gradient_shards_), value_scale(), &start));
-    if (should_stop()) return UpdateStopped();
-  }
-  CRAFTFLEET_RETURN_IF_ERROR(Combine(&start));
-  return start;
-}
-
 absl::Status PpoUpdater::Combine(StartOutputs* start) {
   if (!ranks_.has_value()) return absl::OkStatus();
   CRAFTFLEET_RETURN_IF_ERROR(ranks_->Combine(&start->log_probs));
@@ -259,7 +230,7 @@ absl::StatusOr<UpdateStats> PpoUpdater::RunEpochs(int64_t iteration, const std::
   UpdateStats stats;
   int count = 0;
   std::optional<StartOutputs> start;
-  if (LagCorrectionOf(config_) == LagCorrection::kInFirstEpoch) start.emplace(played.size());
+  if (corrects_lag_) start.emplace(played.size());
   NormaliseOverRollout(played);
   for (int epoch = 0; epoch < config_.epochs(); ++epoch) {
     StartOutputs* const wanted = epoch == 0 && start.has_value() ? &*start : nullptr;

@@ -102,25 +102,17 @@ class PpoUpdater {
   // All optimisers without a step.
   State FreshState(std::vector<float> weights) const;
 
-  // Update, for a rollout that the epochs take as it is.
-  absl::StatusOr<UpdateStats> RunUpdate(int64_t iteration, const Rollout& rollout,
-                                        const std::function<bool()>& should_stop);
-  // The outputs of the present weights.
-  absl::StatusOr<StartOutputs> ComputeStart(const Rollout& rollout, const std::function<bool()>& should_stop);
   // Gives all ranks' outputs to all, where each has those of its own rows and zeros.
   absl::Status Combine(StartOutputs* start);
   ValueScale value_scale() const;
-  // Each step once, by the kind of agent.
-  std::vector<Minibatch> OrderedMinibatches(const Rollout& rollout) const;
-  // The minibatches of an epoch, likewise.
+  // The minibatches of an epoch, by the kind of agent.
   std::vector<Minibatch> MakeMinibatches(const EpochKey& key, const Rollout& rollout) const;
   absl::StatusOr<UpdateStats> UpdateOnDevice(int64_t iteration, const Rollout& rollout,
                                              const std::function<bool()>& should_stop);
   // From the first epoch on `*rollout`, or on what becomes of it in `corrected`, which it then points to.
   absl::StatusOr<UpdateStats> RunEpochs(int64_t iteration, const std::function<bool()>& should_stop,
                                         CorrectedRollout* corrected, const Rollout** rollout);
-  // Adds to `stats` and to the `count` of minibatches. `start` gets the start's outputs; null: it is known, or not
-  // wanted.
+  // Adds to `stats` and to the `count` of minibatches. `start` gets the epoch's outputs; null: they are not wanted.
   absl::Status RunEpoch(const EpochKey& key, const Rollout& rollout, StartOutputs* start,
                         const std::function<bool()>& should_stop, UpdateStats* stats, int* count);
   // Sets normalised_advantages_.
@@ -142,6 +134,7 @@ class PpoUpdater {
   const v1::PpoConfig config_;
   const uint64_t seed_;
   const int gradient_shards_;
+  const bool corrects_lag_;
   const bool distills_;
   WorkerPool workers_;
   State state_;                                 // the shards' nets look into the weights

@@ -58,15 +58,13 @@ void AppendStates(const Fragment& fragment, const RolloutOptions& options, Rollo
   rollout->last_end = fragment.ends.back();
 }
 
-// Writes the advantages and returns of the rollout's rows in `fragment`; `ratios` are those of the whole rollout.
-void EstimateFragment(const RolloutFragment& fragment, const GaeOptions& options, absl::Span<const double> ratios,
-                      Rollout* rollout) {
+// Writes the advantages and returns of the rollout's rows in `fragment`.
+void EstimateFragment(const RolloutFragment& fragment, const GaeOptions& options, Rollout* rollout) {
   const auto rows = [&](const auto& column) {
     return absl::MakeConstSpan(column).subspan(fragment.first, fragment.steps);
   };
-  const LaneSteps steps = {rows(rollout->rewards),   rows(rollout->values),
-                           rows(rollout->ends),      fragment.truncation_values,
-                           fragment.bootstrap_value, ratios.empty() ? ratios : rows(ratios)};
+  const LaneSteps steps = {rows(rollout->rewards), rows(rollout->values), rows(rollout->ends),
+                           fragment.truncation_values, fragment.bootstrap_value};
   ComputeGae(steps, options, absl::MakeSpan(rollout->advantages).subspan(fragment.first, fragment.steps),
              absl::MakeSpan(rollout->returns).subspan(fragment.first, fragment.steps));
 }
@@ -82,7 +80,7 @@ void AppendAdvantages(const Fragment& fragment, const RolloutOptions& options, R
   for (const float value : fragment.values) rollout->values.push_back(scale.Denormalise(value));
   rollout->advantages.resize(rollout->values.size());
   rollout->returns.resize(rollout->values.size());
-  EstimateFragment(added, options.gae, {}, rollout);
+  EstimateFragment(added, options.gae, rollout);
 }
 
 }  // namespace
@@ -110,8 +108,8 @@ void ReplaceValues(std::vector<float> values, Rollout* rollout) {
   }
 }
 
-void EstimateAdvantages(const GaeOptions& options, absl::Span<const double> ratios, Rollout* rollout) {
-  for (const RolloutFragment& fragment : rollout->fragments) EstimateFragment(fragment, options, ratios, rollout);
+void EstimateAdvantages(const GaeOptions& options, Rollout* rollout) {
+  for (const RolloutFragment& fragment : rollout->fragments) EstimateFragment(fragment, options, rollout);
 }
 
 }  // namespace craftfleet

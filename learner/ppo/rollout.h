@@ -8,7 +8,6 @@
 #include <vector>
 
 #include <absl/status/status.h>
-#include <absl/types/span.h>
 
 #include "common/base/crafter.h"
 #include "common/base/types.h"
@@ -72,9 +71,8 @@ absl::Status AppendFragment(const Fragment& fragment, const RolloutOptions& opti
 // value of that replaces the fragment's bootstrap value too.
 void ReplaceValues(std::vector<float> values, Rollout* rollout);
 
-// Computes the advantages and returns of all fragments, off-policy with `ratios` [n] as LaneSteps has them; empty: as
-// AppendFragment.
-void EstimateAdvantages(const GaeOptions& options, absl::Span<const double> ratios, Rollout* rollout);
+// Computes the advantages and returns of all fragments from their values, as AppendFragment does.
+void EstimateAdvantages(const GaeOptions& options, Rollout* rollout);
 
 }  // namespace craftfleet
 

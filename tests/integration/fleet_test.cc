@@ -324,22 +324,9 @@ class OverlappedNormFleetTest : public FleetTest {
   }
 };
 
+TEST_F(OverlappedNormFleetTest, ThreeActorsAndTwoServersWithKillsEqualOneProcess) { PlayWithKills(); }
+
 TEST_F(OverlappedNormFleetTest, AFleetOutlivesItsLearner) { OutliveTheLearner(); }
-
-// The same with corrections for the older weights that played.
-class OverlappedCorrectedFleetTest : public FleetTest {
- protected:
-  void SetUp() override {
-    TrainQuietly(absl::StrReplaceAll(
-        kRecurrentConfig, {{"ppo {",
-                            "overlap: 1  ppo { value_norm_decay: 0.9  decoupled_objective: true  vtrace_rho_bar: 1  "
-                            "vtrace_c_bar: 1 "}}));
-  }
-};
-
-TEST_F(OverlappedCorrectedFleetTest, ThreeActorsAndTwoServersWithKillsEqualOneProcess) { PlayWithKills(); }
-
-TEST_F(OverlappedCorrectedFleetTest, AFleetOutlivesItsLearner) { OutliveTheLearner(); }
 
 // Memories travel as recurrent states do, and checkpoints between two phases of distillation hold the rollouts so far.
 class DistillationFleetTest : public FleetTest {

@@ -33,7 +33,7 @@ constexpr char kRecurrentConfig[] = R"(
   agent: "lstm_cnn"  steps: 1280  lanes: 4  seed: 3  fragment_steps: 16  gradient_shards: 4  overlap: 1
   env { length: 90 }
   eval { every_steps: 0  final_episodes: 0 }
-  ppo { rollout_steps: 128  minibatch_size: 32  epochs: 1  decoupled_objective: true }
+  ppo { rollout_steps: 128  minibatch_size: 32  epochs: 2 }
   checkpoint { every_iterations: 2  keep: 20 }
 )";
 

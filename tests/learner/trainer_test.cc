@@ -50,7 +50,7 @@ struct Variant {
   int overlap = 0;
   int max_staleness = 0;
   std::string replay = "";  // folder of the run to replay
-  bool corrects_lag = false;
+  int epochs = 1;
 };
 
 v1::RunConfig Config(const Variant& variant) {
@@ -62,17 +62,12 @@ v1::RunConfig Config(const Variant& variant) {
   config.set_gradient_shards(2);
   config.mutable_ppo()->set_rollout_steps(kPerIteration * kSteps);
   config.mutable_ppo()->set_minibatch_size(16);
-  config.mutable_ppo()->set_epochs(1);
+  config.mutable_ppo()->set_epochs(variant.epochs);
   config.mutable_eval()->set_every_steps(0);
   config.mutable_eval()->set_final_episodes(0);
   config.mutable_checkpoint()->set_every_iterations(100);
   config.mutable_checkpoint()->set_keep_fragments(variant.keep_fragments);
   config.set_overlap(variant.overlap);
-  if (variant.corrects_lag) {
-    config.mutable_ppo()->set_decoupled_objective(true);
-    config.mutable_ppo()->set_vtrace_rho_bar(1);
-    config.mutable_ppo()->set_vtrace_c_bar(1);
-  }
   config.set_max_staleness(variant.max_staleness);
   return config;
 }
@@ -344,7 +339,7 @@ TEST_F(TrainerTest, AnOverlappedRunResumesWithTheWeightsThatItPlayedWith) {
 
 TEST_F(TrainerTest, ARunThatCorrectsLagResumesAsIfNeverStopped) {
   Variant variant = {/*keep_fragments=*/false, /*resume=*/false, /*overlap=*/1};
-  variant.corrects_lag = true;
+  variant.epochs = 2;
   const auto quiet = Begin("quiet-corrected", variant);
   quiet->Play("a", 3 * kPerIteration);
   {
@@ -357,7 +352,9 @@ TEST_F(TrainerTest, ARunThatCorrectsLagResumesAsIfNeverStopped) {
   const auto training = Begin("stopped", variant);
   training->Play("a", kPerIteration);
   EXPECT_TRUE(training->Weights(3) == quiet->Weights(3));
-  const auto uncorrected = Begin("uncorrected", {/*keep_fragments=*/false, /*resume=*/false, /*overlap=*/1});
+  variant.overlap = 0;
+  variant.resume = false;
+  const auto uncorrected = Begin("synchronous", variant);
   uncorrected->Play("a", 3 * kPerIteration);
   EXPECT_FALSE(uncorrected->Weights(3) == quiet->Weights(3));
 }

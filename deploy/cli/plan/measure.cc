@@ -114,9 +114,6 @@ absl::StatusOr<CallTime> MeasureUpdate(const v1::RunConfig& run, const AgentSpec
                                        const std::string& device, absl::Duration duration) {
   v1::RunConfig config = run;
   config.mutable_ppo()->set_epochs(1);
-  config.mutable_ppo()->clear_decoupled_objective();
-  config.mutable_ppo()->clear_vtrace_rho_bar();
-  config.mutable_ppo()->clear_vtrace_c_bar();
   config.clear_distillation();
   if (threads == 2) config.set_gradient_shards(2);
   CRAFTFLEET_ASSIGN_OR_RETURN(const auto updater, PpoUpdater::Create(config, threads, device));

@@ -1,9 +1,11 @@
 #include "common/config/config.h"
 
+#include <cstring>
 #include <functional>
 #include <limits>
 #include <string>
 
+#include <absl/strings/str_cat.h>
 #include <gmock/gmock.h>
 #include <google/protobuf/util/message_differencer.h>
 #include <gtest/gtest.h>
@@ -70,36 +72,6 @@ TEST(RunConfig, PrecisionDeviceOverlapAndStalenessAreAbsentUnlessChosen) {
       MessageDifferencer::Equals(FromText("precision: FP32 device: CPU overlap: 0 max_staleness: 0"), Resolved()));
   EXPECT_EQ(FromText("precision: BF16 device: CUDA_UPDATES").precision(), v1::RunConfig::BF16);
   EXPECT_EQ(FromText("precision: BF16 device: CUDA_UPDATES").device(), v1::RunConfig::CUDA_UPDATES);
-}
-
-TEST(RunConfig, FieldsForOlderStepsAreAbsentFromSynchronousRuns) {
-  EXPECT_TRUE(MessageDifferencer::Equals(
-      FromText("ppo { decoupled_objective: false vtrace_rho_bar: 0 vtrace_c_bar: 0 recompute_values: false "
-               "correction_pass: false }"),
-      Resolved()));
-  const v1::RunConfig config =
-      FromText("overlap: 1 ppo { decoupled_objective: true vtrace_rho_bar: 1.5 vtrace_c_bar: 1 }");
-  EXPECT_TRUE(config.ppo().decoupled_objective());
-  EXPECT_EQ(config.ppo().vtrace_rho_bar(), 1.5);
-  EXPECT_EQ(config.ppo().vtrace_c_bar(), 1);
-}
-
-TEST(RunConfig, OlderStepsAreCorrectedWhereThatIsFree) {
-  for (const char* lags : {"overlap: 1", "max_staleness: 2"}) {
-    EXPECT_TRUE(FromText(lags).ppo().decoupled_objective()) << lags;
-    EXPECT_TRUE(FromText(lags).ppo().recompute_values()) << lags;
-    for (const char* not_free : {"ppo { epochs: 1 }", "agent: 'oc_sa' network { dropout: 0.1 }"}) {
-      const v1::RunConfig config = FromText(absl::StrCat(lags, " ", not_free));
-      EXPECT_FALSE(config.ppo().decoupled_objective()) << lags << not_free;
-      EXPECT_FALSE(config.ppo().recompute_values()) << lags << not_free;
-    }
-    const v1::RunConfig chosen =
-        FromText(absl::StrCat(lags, " ppo { decoupled_objective: false recompute_values: false }"));
-    EXPECT_FALSE(chosen.ppo().decoupled_objective());
-    EXPECT_FALSE(chosen.ppo().recompute_values());
-    EXPECT_FALSE(MessageDifferencer::Equals(chosen, FromText(lags))) << "runs are told apart by it";
-  }
-  EXPECT_TRUE(FromText("overlap: 1 ppo { epochs: 1 decoupled_objective: true }").ppo().decoupled_objective());
 }
 
 TEST(RunConfig, AnAgentHasItsOwnDefaults) {
@@ -194,6 +166,13 @@ TEST(RunConfig, AnUnknownFieldsErrorHasItsPositionAndTheKnownFields) {
 }
 
 TEST(RunConfig, AnUnknownValueOfAnEnumerationsErrorListsTheKnownOnes) {
+  for (const char* field : {"decoupled_objective: true", "vtrace_rho_bar: 1", "vtrace_c_bar: 1",
+                            "recompute_values: true", "correction_pass: true"}) {
+    EXPECT_THAT(ParseRunConfig(absl::StrCat("overlap: 1\nppo { ", field, " }"), "a.txt"),
+                StatusIs(absl::StatusCode::kInvalidArgument,
+                         AllOf(StartsWith("a.txt:2:"), HasSubstr(std::string(field, std::strcspn(field, ":"))),
+                               HasSubstr("removed in version 0.2: leave it out; "))));
+  }
   EXPECT_THAT(ParseRunConfig("precision: FP16", "a.txt"),
               StatusIs(absl::StatusCode::kInvalidArgument,
                        AllOf(HasSubstr("\"FP16\""), HasSubstr("known values: FP32, TF32, BF16)"))));
@@ -381,29 +360,6 @@ INSTANTIATE_TEST_SUITE_P(
                  [](auto* c) { c->mutable_ppo()->set_value_norm_decay(1); }},
         BadValue{"ppo.value_norm_start is 0, want more than 0",
                  [](auto* c) { c->mutable_ppo()->set_value_norm_start(0); }},
-        BadValue{"ppo.vtrace_rho_bar is -1, want 0..100", [](auto* c) { c->mutable_ppo()->set_vtrace_rho_bar(-1); }},
-        BadValue{"ppo.vtrace_rho_bar is nan", [](auto* c) { c->mutable_ppo()->set_vtrace_rho_bar(kNan); }},
-        BadValue{"ppo.vtrace_c_bar is 101, want 0..100", [](auto* c) { c->mutable_ppo()->set_vtrace_c_bar(101); }},
-        BadValue{"ppo.vtrace_c_bar is 1 and ppo.vtrace_rho_bar 0, want both 0",
-                 [](auto* c) { c->mutable_ppo()->set_vtrace_c_bar(1); }},
-        BadValue{"ppo.vtrace_c_bar is 0 and ppo.vtrace_rho_bar 1, want both 0",
-                 [](auto* c) { c->mutable_ppo()->set_vtrace_rho_bar(1); }},
-        BadValue{"a c_bar above 0 and at most rho_bar",
-                 [](auto* c) {
-                   c->mutable_ppo()->set_vtrace_rho_bar(1);
-                   c->mutable_ppo()->set_vtrace_c_bar(1.5);
-                 }},
-        BadValue{"ppo.decoupled_objective is given, but in a synchronous run",
-                 [](auto* c) { c->mutable_ppo()->set_decoupled_objective(true); }},
-        BadValue{"ppo.recompute_values is given, but in a synchronous run",
-                 [](auto* c) { c->mutable_ppo()->set_recompute_values(true); }},
-        BadValue{"ppo.correction_pass is given, but in a synchronous run",
-                 [](auto* c) { c->mutable_ppo()->set_correction_pass(true); }},
-        BadValue{"ppo.vtrace_rho_bar is given, but in a synchronous run",
-                 [](auto* c) {
-                   c->mutable_ppo()->set_vtrace_rho_bar(1);
-                   c->mutable_ppo()->set_vtrace_c_bar(1);
-                 }},
         BadValue{"distillation.every_iterations is -1",
                  [](auto* c) { c->mutable_distillation()->set_every_iterations(-1); }},
         BadValue{"distillation.epochs is -1", [](auto* c) { c->mutable_distillation()->set_epochs(-1); }},

@@ -74,21 +74,6 @@ TEST(ShuffledOrder, IsAPermutation) {
   }
 }
 
-TEST(OrderedMinibatches, HaveEachStepOnceInTheRolloutsOrder) {
-  const std::vector<Minibatch> steps = OrderedSteps(12, 4);
-  ASSERT_EQ(steps.size(), 3);
-  EXPECT_THAT(steps[1].rows, ElementsAre(4, 5, 6, 7));
-  EXPECT_THAT(steps[1].lengths, IsEmpty());
-  const std::vector<RowStart> starts = RandomStarts(3, 4, 64, 16, 20);
-  const std::vector<Minibatch> segments = OrderedSegments(starts, 32);
-  std::vector<int> wanted(starts.size());
-  std::iota(wanted.begin(), wanted.end(), 0);
-  EXPECT_EQ(AllRows(segments), wanted);
-  for (const Minibatch& minibatch : segments) {
-    for (const std::vector<int>& segment : SegmentsOf(minibatch)) EXPECT_NE(starts[segment[0]], kNone);
-  }
-}
-
 TEST(ShuffledOrder, FollowsFromSeedIterationAndEpoch) {
   const std::vector<int> order = ShuffledOrder({1, 2, 3}, 4096);
   EXPECT_EQ(ShuffledOrder({1, 2, 3}, 4096), order);

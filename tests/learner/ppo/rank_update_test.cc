@@ -93,9 +93,8 @@ INSTANTIATE_TEST_SUITE_P(
                       // Some minibatches have fewer segments than shards.
                       Kind{"Recurrent", "agent: 'lstm_cnn' ppo { minibatch_size: 6 }", 3},
                       Kind{"ValueNorm", "agent: 'ppo_resnet' network { extractor: CNN }"},
-                      Kind{"Lag", "agent: 'ppo_cnn' overlap: 1 ppo { epochs: 2 vtrace_rho_bar: 1 vtrace_c_bar: 1 }"},
-                      Kind{"LagWithAPass",
-                           "agent: 'lstm_cnn' overlap: 1 ppo { epochs: 2 minibatch_size: 6 correction_pass: true }"},
+                      Kind{"Lag", "agent: 'ppo_cnn' overlap: 1 ppo { epochs: 2 }"},
+                      Kind{"RecurrentLag", "agent: 'lstm_cnn' overlap: 1 ppo { epochs: 2 minibatch_size: 6 }"},
                       Kind{"Distillation",
                            "agent: 'achievement_distillation' network { extractor: CNN frame_size: 36 } distillation { "
                            "every_iterations: 2 epochs: 1 minibatch_size: 6 targets: 2 }"}),

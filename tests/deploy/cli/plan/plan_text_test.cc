@@ -68,11 +68,8 @@ TEST(PlanText, SeveralLearnersHaveARankEach) {
 TEST(PlanText, WhatIsNotCountedIsSaid) {
   PlanRequest request = Request({1, 1});
   EXPECT_THAT(PlanText(request), Not(HasSubstr("Not counted")));
-  request.config.mutable_ppo()->set_decoupled_objective(true);
-  EXPECT_THAT(PlanText(request), HasSubstr("Not counted: the pass for decoupled_objective and V-trace.\n"));
   request.config.mutable_distillation()->set_every_iterations(8);
-  EXPECT_THAT(PlanText(request),
-              HasSubstr("Not counted: distillation, the pass for decoupled_objective and V-trace.\n"));
+  EXPECT_THAT(PlanText(request), HasSubstr("Not counted: distillation.\n"));
 }
 
 TEST(PlanText, ANetworkThatNothingUsesIsMentioned) {
