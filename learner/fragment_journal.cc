@@ -9,7 +9,6 @@
 #include "common/base/little_endian.h"
 #include "common/base/status_macros.h"
 #include "common/io/files.h"
-#include "common/io/snapshot_envelope.h"
 #include "common/wire/protocol.h"
 
 namespace craftfleet {
@@ -40,9 +39,6 @@ std::vector<Fragment> FragmentJournal::Read(const wire::FragmentShape& shape) {
     while (const std::optional<absl::string_view> record = NextRecord(&rest)) {
       v1::FragmentMessage message;
       if (!message.ParseFromArray(record->data(), static_cast<int>(record->size()))) break;
-      if (!HasEnvelope(message.snapshot())) {  // of version 0.1
-        message.set_snapshot(SealSnapshot(shape.env_digest, message.snapshot()));
-      }
       absl::StatusOr<Fragment> fragment = wire::FromProto(&message, shape);
       if (!fragment.ok()) break;
       fragments.push_back(*std::move(fragment));

@@ -24,11 +24,8 @@ absl::StatusOr<LaneSnapshot> LoadSnapshot(const std::string& game, const Floats&
         absl::StrFormat("the recurrent state has %d numbers, want %d", state.size(), shape.state_size));
   }
   CRAFTFLEET_RETURN_IF_ERROR(wire::CheckStates("recurrent state", state, shape.hidden, shape.max_length));
-  LaneSnapshot snapshot = {game, {state.begin(), state.end()}};
-  const bool is_version_0_1 = !game.empty() && game.size() <= kMaxSnapshotBytes && !HasEnvelope(game);
-  if (is_version_0_1) snapshot.game = SealSnapshot(shape.env_digest, game);
-  CRAFTFLEET_RETURN_IF_ERROR(CheckSnapshot(shape.env_digest, snapshot.game));
-  return snapshot;
+  CRAFTFLEET_RETURN_IF_ERROR(CheckSnapshot(shape.env_digest, game));
+  return LaneSnapshot{game, {state.begin(), state.end()}};
 }
 
 }  // namespace

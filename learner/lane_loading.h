@@ -16,9 +16,8 @@ struct LoadedLanes {
   int resets = 0;  // number of records that were reset because their state was invalid
 };
 
-// Returns the checkpoint's lanes, or new ones if `state` has none. Adds the envelope to snapshots of version 0.1. If
-// the snapshot or recurrent state of a lane is invalid, the lane is reset to its previous snapshot or to a new game,
-// and an error is logged.
+// Returns the checkpoint's lanes, or new ones if `state` has none. If the snapshot or recurrent state of a lane is
+// invalid, the lane is reset to its previous snapshot or to a new game, and an error is logged.
 LoadedLanes LoadLanes(const v1::CheckpointState& state, const wire::FragmentShape& shape);
 
 // Converts a record to its form in checkpoints.

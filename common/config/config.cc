@@ -35,9 +35,8 @@ absl::Status CheckRanges(const v1::RunConfig& config) {
   check.Within("lanes", config.lanes(), 1, 4096);
   check.Within("tile", config.tile(), 1, 256);
   check.Within("gradient_shards", config.gradient_shards(), 1, 256);
-  // Checkpoints of version 0.1 have none.
   const bool known_cpu = config.cpu() != v1::RunConfig::CPU_UNSPECIFIED && v1::RunConfig::Cpu_IsValid(config.cpu());
-  check.That(!config.has_cpu() || known_cpu, "cpu is CPU_UNSPECIFIED or unknown, want NATIVE, AVX2 or AVX512");
+  check.That(known_cpu, "cpu is CPU_UNSPECIFIED or unknown, want NATIVE, AVX2 or AVX512");
   check.Within("overlap", config.overlap(), 0, 1);
   check.Within("max_staleness", config.max_staleness(), 0, 64);
   const bool known_precision = config.precision() != v1::RunConfig::PRECISION_UNSPECIFIED &&
@@ -66,19 +65,16 @@ absl::Status CheckRanges(const v1::RunConfig& config) {
   check.Within("ppo.adam_epsilon", ppo.adam_epsilon(), 1e-30, 1.0);
   check.That(ppo.value_norm_decay() >= 0 && ppo.value_norm_decay() < 1,
              absl::StrCat("ppo.value_norm_decay is ", ppo.value_norm_decay(), ", want at least 0, less than 1"));
-  // Checkpoints of version 0.1 have none.
-  if (ppo.has_value_norm_start()) check.Positive("ppo.value_norm_start", ppo.value_norm_start(), 100);
+  check.Positive("ppo.value_norm_start", ppo.value_norm_start(), 100);
   const v1::DistillationConfig& distillation = config.distillation();
   check.Within("distillation.every_iterations", distillation.every_iterations(), 0, 1000);
-  if (config.has_distillation()) {
-    check.Within("distillation.epochs", distillation.epochs(), 0, 1000);
-    check.Within("distillation.minibatch_size", distillation.minibatch_size(), 1, 1 << 20);
-    check.Within("distillation.targets", distillation.targets(), 0, 1000);
-    check.Within("distillation.temperature", distillation.temperature(), 1e-3, 1000.0);
-    check.Within("distillation.transport_regularization", distillation.transport_regularization(), 1e-3, 1000.0);
-    check.Within("distillation.transport_rounds", distillation.transport_rounds(), 1, 10'000);
-    check.Within("distillation.match_threshold", distillation.match_threshold(), 0.0, 1.0);
-  }
+  check.Within("distillation.epochs", distillation.epochs(), 0, 1000);
+  check.Within("distillation.minibatch_size", distillation.minibatch_size(), 1, 1 << 20);
+  check.Within("distillation.targets", distillation.targets(), 0, 1000);
+  check.Within("distillation.temperature", distillation.temperature(), 1e-3, 1000.0);
+  check.Within("distillation.transport_regularization", distillation.transport_regularization(), 1e-3, 1000.0);
+  check.Within("distillation.transport_rounds", distillation.transport_rounds(), 1, 10'000);
+  check.Within("distillation.match_threshold", distillation.match_threshold(), 0.0, 1.0);
   check.Within("checkpoint.every_iterations", config.checkpoint().every_iterations(), 1, 1'000'000);
   check.Within("checkpoint.keep", config.checkpoint().keep(), 1, 1000);
   const v1::EvalConfig& eval = config.eval();

@@ -51,7 +51,7 @@ absl::StatusOr<absl::string_view> OpenSnapshot(uint64_t env_digest, absl::string
   if (sealed.size() > kMaxSnapshotBytes) {
     return Wrong("snapshot: %d bytes, want at most %d", sealed.size(), kMaxSnapshotBytes);
   }
-  if (!HasEnvelope(sealed) || sealed.size() < kHeadBytes) {
+  if (!absl::StartsWith(sealed, kMagic) || sealed.size() < kHeadBytes) {
     return Wrong("snapshot: %d bytes without an envelope, want one of %d bytes that begins with \"%s\"", sealed.size(),
                  kHeadBytes, kMagic);
   }
@@ -70,8 +70,6 @@ absl::StatusOr<absl::string_view> OpenSnapshot(uint64_t env_digest, absl::string
   }
   return rest;
 }
-
-bool HasEnvelope(absl::string_view bytes) { return absl::StartsWith(bytes, kMagic); }
 
 absl::Status CheckSnapshot(uint64_t env_digest, absl::string_view sealed) {
   return sealed.empty() ? absl::OkStatus() : OpenSnapshot(env_digest, sealed).status();

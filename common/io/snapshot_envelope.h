@@ -32,9 +32,6 @@ std::string SealSnapshot(uint64_t env_digest, absl::string_view game);
 //   was found and what was expected.
 absl::StatusOr<absl::string_view> OpenSnapshot(uint64_t env_digest, absl::string_view sealed);
 
-// Whether `bytes` begins with an envelope. Snapshots of version 0.1 had none.
-bool HasEnvelope(absl::string_view bytes);
-
 // The status of OpenSnapshot; OK for an empty snapshot, which is a game that has not begun.
 absl::Status CheckSnapshot(uint64_t env_digest, absl::string_view sealed);
 

@@ -44,9 +44,6 @@ constexpr ServiceRight kRights[] = {
     {"/craftfleet.v1.AdminService/", v1::STEER},
 };
 constexpr absl::string_view kWantedRights = "want WATCH, PLAY, SERVE or STEER";
-constexpr absl::string_view kNoWork =
-    "WORK is no longer a right: write PLAY for actors, SERVE for environment servers, or both";
-constexpr int kWork = 2;  // its former number
 
 bool FitsCertificate(const v1::AccessClient& client, const Caller& caller) {
   return client.certificate().empty() ||
@@ -96,8 +93,7 @@ absl::Status CheckClient(const v1::AccessClient& client) {
   for (const int right : client.right()) {
     if (right != v1::RIGHT_UNSPECIFIED && v1::Right_IsValid(right)) continue;
     return absl::InvalidArgumentError(
-        right == kWork ? absl::StrFormat("client \"%s\": %s", client.name(), kNoWork)
-                       : absl::StrFormat("client \"%s\" has right %d, %s", client.name(), right, kWantedRights));
+        absl::StrFormat("client \"%s\" has right %d, %s", client.name(), right, kWantedRights));
   }
   return absl::OkStatus();
 }
@@ -154,10 +150,7 @@ v1::Right RightFor(absl::string_view path) {
 
 absl::StatusOr<v1::Access> ParseAccess(absl::string_view text, absl::string_view filename) {
   v1::Access access;
-  if (absl::Status status = ParseTextFormat(text, filename, &access); !status.ok()) {
-    if (!absl::StrContains(status.message(), "\"WORK\"")) return status;
-    return absl::InvalidArgumentError(absl::StrCat(filename, ": ", kNoWork));
-  }
+  CRAFTFLEET_RETURN_IF_ERROR(ParseTextFormat(text, filename, &access));
   // Rather an emptied or half-written file than the wish to lock everybody out.
   if (access.client().empty()) return absl::InvalidArgumentError(absl::StrCat(filename, ": it has no client"));
   for (v1::AccessClient& client : *access.mutable_client()) {

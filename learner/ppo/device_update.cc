@@ -250,7 +250,7 @@ at::Tensor DeviceUpdate::NormaliseReturns(const at::Tensor& returns) {
 
 DeviceUpdate::DeviceScale DeviceUpdate::value_scale() const {
   if (value_weight_ == 0) {
-    return {at::zeros({}, value_norm_.options()), at::full({}, ValueNormStart(config_), value_norm_.options())};
+    return {at::zeros({}, value_norm_.options()), at::full({}, config_.value_norm_start(), value_norm_.options())};
   }
   const at::Tensor corrected = value_norm_ / value_weight_;
   const at::Tensor mean = corrected.select(0, 0);

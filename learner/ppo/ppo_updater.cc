@@ -117,7 +117,7 @@ PpoUpdater::State PpoUpdater::FreshState(std::vector<float> weights) const {
   return state;
 }
 
-ValueScale PpoUpdater::value_scale() const { return state_.value_norm.Scale(ValueNormStart(config_)); }
+ValueScale PpoUpdater::value_scale() const { return state_.value_norm.Scale(config_.value_norm_start()); }
 
 RolloutOptions PpoUpdater::rollout_options() const {
   RolloutOptions options;

@@ -24,9 +24,4 @@ ValueScale ValueNorm::Scale(double start) const {
   return {corrected, std::sqrt(std::max(mean_square / weight - corrected * corrected, kMinVariance))};
 }
 
-// Configurations of older runs lack the field.
-double ValueNormStart(const v1::PpoConfig& config) {
-  return config.has_value_norm_start() ? config.value_norm_start() : 1;
-}
-
 }  // namespace craftfleet

@@ -7,8 +7,6 @@
 
 #include <absl/types/span.h>
 
-#include "craftfleet/v1/config.pb.h"
-
 namespace craftfleet {
 
 // value = mean + deviation * output of the value head.
@@ -37,9 +35,6 @@ struct ValueNorm {
   // With a variance of at least kMinVariance; mean 0 and deviation `start` before the first Update.
   ValueScale Scale(double start = 1) const;
 };
-
-// What values are multiplied by before the first Update.
-double ValueNormStart(const v1::PpoConfig& config);
 
 }  // namespace craftfleet
 

@@ -63,10 +63,13 @@ absl::StatusOr<std::vector<std::string>> ReadManifest(const std::string& folder)
     return Torn(folder, "MANIFEST has no program version");
   }
   const std::string program = lines[1].substr(kProgramPrefix.size());
-  if (format > kCheckpointFormat) {
-    return absl::FailedPreconditionError(
-        absl::StrCat("checkpoint ", folder, " has format ", format, ", written by craftfleet ", program,
-                     "; this program reads formats up to ", kCheckpointFormat, ": use that version or a newer one"));
+  if (format != kCheckpointFormat) {
+    const absl::string_view advice = format > kCheckpointFormat
+                                         ? "use that version or a newer one"
+                                         : "finish the run with that version, or start a new one";
+    return absl::FailedPreconditionError(absl::StrCat("checkpoint ", folder, " has format ", format,
+                                                      ", written by craftfleet ", program,
+                                                      "; this program reads format ", kCheckpointFormat, ": ", advice));
   }
   lines.erase(lines.begin(), lines.begin() + 2);
   return lines;

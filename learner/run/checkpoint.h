@@ -16,7 +16,7 @@
 
 namespace craftfleet {
 
-inline constexpr int kCheckpointFormat = 1;
+inline constexpr int kCheckpointFormat = 2;
 
 struct Checkpoint {
   v1::CheckpointState state;
@@ -38,7 +38,7 @@ absl::StatusOr<v1::CheckpointState> LoadCheckpointState(const std::string& folde
 
 // Reads and checks the whole checkpoint. `agent`: the agent that it must be of; empty: any.
 //   InvalidArgument: not a checkpoint.   DataLoss: torn or inconsistent; names the file and the error.
-//   FailedPrecondition: of a newer format, or of another agent.
+//   FailedPrecondition: of another format, or of another agent.
 absl::StatusOr<Checkpoint> LoadCheckpoint(const std::string& folder, absl::string_view agent);
 
 }  // namespace craftfleet

@@ -22,7 +22,7 @@ constexpr size_t kMostShown = 40;  // bytes of a damaged file
 
 std::string EpochPath(const std::string& logdir) { return JoinPath(logdir, "epoch"); }
 
-// The file's content: the number, and the process that took it. Version 0.1 wrote only the number.
+// The file's content: the number, and the process that took it, unknown if somebody repaired the file.
 struct EpochFile {
   int64_t epoch = 0;
   std::string by = "another learner";

@@ -275,7 +275,6 @@ absl::Status RunFolder::CountLogs(const v1::CheckpointState& state) {
     const absl::StatusOr<int64_t> size = PathExists(path) ? FileSize(path) : 0;
     CRAFTFLEET_RETURN_IF_ERROR(size.status());
     const std::optional<int64_t> length = LengthOf(name, state);
-    if (!length.has_value() && *size == 0) continue;  // absent in older versions
     if (!length.has_value()) {
       return absl::DataLossError(absl::StrCat("the checkpoint has no length for ", path));
     }

@@ -34,7 +34,7 @@ namespace craftfleet {
 
 // The program that writes a run folder.
 struct ProgramInfo {
-  std::string version;         // "0.1.0"
+  std::string version;         // "0.2.0"
   std::string git_revision;    // "39702b5"
   std::string texture_digest;  // digest of the textures in use
 };

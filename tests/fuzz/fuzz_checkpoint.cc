@@ -20,7 +20,7 @@ Checkpoint SoundCheckpoint() {
   checkpoint.optimizer = "optimizer";
   v1::CheckpointState& state = checkpoint.state;
   *state.mutable_config() = *ResolveRunConfig(config);
-  state.set_program_version("0.1.0");
+  state.set_program_version("0.2.0");
   state.set_run_id("20231114-221320-abcdef");
   state.set_iteration(3);
   state.set_env_steps(12288);

@@ -59,7 +59,7 @@ std::vector<std::string> SoundInputs() {
   v1::CheckpointState sound;
   for (int lane = 0; lane < kSampleShape.lanes; ++lane) *sound.add_lanes() = SampleLane(game, game);
   v1::CheckpointState damaged;
-  *damaged.add_lanes() = SampleLane(game.substr(1), game);                    // without an envelope, as in version 0.1
+  *damaged.add_lanes() = SampleLane(game.substr(1), game);                    // without an envelope
   *damaged.add_lanes() = SampleLane(game.substr(0, game.size() - 1), game);   // cut off
   *damaged.add_lanes() = SampleLane(SealSnapshot(1, "of another game"), "");  // and no earlier snapshot
   damaged.mutable_lanes(1)->clear_previous_state();

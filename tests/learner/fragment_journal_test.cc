@@ -79,19 +79,7 @@ TEST_F(FragmentJournalTest, ReadingEndsAtAFragmentOfAnotherShape) {
   EXPECT_THAT(Open().Read(narrower), SizeIs(2));
 }
 
-TEST_F(FragmentJournalTest, SnapshotsOfVersion01GetAnEnvelope) {
-  {
-    Fragment old = SampleFragment(0, 4, 7);
-    old.snapshot.game = "CFWORLD and so on";
-    FragmentJournal journal = Open();
-    ASSERT_THAT(journal.Append(old), IsOk());
-  }
-  const std::vector<Fragment> fragments = Open().Read(kSampleShape);
-  ASSERT_THAT(fragments, SizeIs(1));
-  EXPECT_EQ(fragments[0].snapshot.game, SampleSnapshot("CFWORLD and so on"));
-}
-
-// Version 0.1 stored such fragments; they would end the learner at each start.
+// Such fragments would end the learner at each start.
 TEST_F(FragmentJournalTest, ReadingEndsAtAFragmentWithImpossibleValues) {
   Keep(1);
   Fragment wild = SampleFragment(1, 4, 7);

@@ -49,22 +49,11 @@ TEST(LaneLoading, MakesNewLanesWithoutACheckpoint) {
   }
 }
 
-TEST(LaneLoading, AddsEnvelopesToSnapshotsOfVersion01) {
-  v1::CheckpointState state = State();
-  v1::LaneState* lane = state.mutable_lanes(1);
-  lane->set_snapshot("CFWORLD and so on");
-  lane->clear_previous_snapshot();
-  lane->clear_previous_state();
-  const LaneRecord record = Load(state, 0);
-  EXPECT_EQ(record.snapshot->game, SampleSnapshot("CFWORLD and so on"));
-  EXPECT_EQ(record.previous, kNewGame);
-}
-
 TEST(LaneLoading, UsesThePreviousSnapshotIfTheLastIsInvalid) {
   std::string damaged = SampleSnapshot("five");
   damaged.back() = 'E';
-  for (const std::string& bad :
-       {std::string(80 << 20, 's'), damaged, SealSnapshot(kSampleShape.env_digest + 1, "five")}) {
+  for (const std::string& bad : {std::string(80 << 20, 's'), damaged, std::string("no envelope"),
+                                 SealSnapshot(kSampleShape.env_digest + 1, "five")}) {
     v1::CheckpointState state = State();
     state.mutable_lanes(1)->set_snapshot(bad);
     testing::internal::CaptureStderr();

@@ -33,7 +33,7 @@ class OpenRun : public testing::Test {
 
   const TempFolder temp_;
   const std::string logdir_ = temp_ / "run";
-  const ProgramInfo program_{"0.1.0", "39702b5", "digest1"};
+  const ProgramInfo program_{"0.2.0", "39702b5", "digest1"};
   FakeClock clock_;
   std::unique_ptr<RunFolder> run_;
 };

@@ -18,7 +18,7 @@ __all__ = [
     "ACHIEVEMENTS", "ACTIONS", "ITEMS", "Env", "GymnasiumEnv", "Recorder", "RemoteVectorEnv", "Score", "Tls", "VectorEnv",
     "load_weights", "score"
 ]
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 
 ACTIONS: tuple[str, ...] = _engine.ACTIONS  # by number
 ITEMS: tuple[str, ...] = _engine.ITEMS  # of the inventory

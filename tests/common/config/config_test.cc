@@ -124,15 +124,6 @@ TEST(RunConfig, AnAgentsFragmentStepsGiveWayToOtherLanes) {
   EXPECT_EQ(FromText("agent: \"ppo_resnet_published\" lanes: 16").fragment_steps(), 256);
 }
 
-// Runs of older versions keep what they had.
-TEST(RunConfig, FieldsThatOlderRunsLackMayBeMissing) {
-  v1::RunConfig config = Resolved();
-  config.mutable_ppo()->clear_value_norm_start();
-  config.mutable_ppo()->clear_advantages_over_rollout();
-  config.clear_distillation();
-  EXPECT_THAT(ValidateRunConfig(config), IsOk());
-}
-
 TEST(RunConfig, RecurrentNetworksHaveShortFragmentsWhateverTheAgent) {
   EXPECT_EQ(FromText("agent: \"ppo_cnn\" network { recurrent: true critic: LSTM }").fragment_steps(), 32);
   EXPECT_EQ(FromText("agent: \"lstm_cnn\" network { recurrent: false }").fragment_steps(), 256);
@@ -280,13 +271,6 @@ TEST(RunConfig, GivenFragmentStepsAreKept) {
   config.set_fragment_steps(0);
   EXPECT_THAT(ResolveRunConfig(config),
               StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("fragment_steps is 0, want 1..16384")));
-}
-
-TEST(RunConfig, CheckpointsOfVersion01HaveNoCpu) {
-  v1::RunConfig config = Resolved();
-  config.clear_cpu();
-  EXPECT_THAT(ValidateRunConfig(config), IsOk());
-  EXPECT_EQ(ResolveRunConfig(config).value().cpu(), v1::RunConfig::NATIVE);
 }
 
 struct BadValue {

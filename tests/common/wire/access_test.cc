@@ -118,15 +118,11 @@ TEST(Access, ErrorsInTheFileNameTheProblem) {
               StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("has no right")));
 }
 
-TEST(Access, TheFormerRightWorkIsRefusedWithItsReplacement) {
-  for (const char* right : {"WORK", "2"}) {
-    const std::string text = absl::StrCat("client { name: \"x\" certificate: \"*\" right: ", right, " }");
-    EXPECT_THAT(ParseAccess(text, "a.txt"),
-                StatusIs(absl::StatusCode::kInvalidArgument,
-                         AllOf(HasSubstr("a.txt: "), HasSubstr("WORK is no longer a right"),
-                               HasSubstr("write PLAY for actors, SERVE for environment servers"))));
-  }
-  for (const char* right : {"77", "RIGHT_UNSPECIFIED"}) {
+TEST(Access, AnUnknownRightIsRefusedWithTheKnownOnes) {
+  EXPECT_THAT(ParseAccess("client { name: \"x\" certificate: \"*\" right: WORK }", "a.txt"),
+              StatusIs(absl::StatusCode::kInvalidArgument,
+                       AllOf(HasSubstr("a.txt:1:"), HasSubstr("known values: WATCH, STEER, PLAY, SERVE"))));
+  for (const char* right : {"2", "77", "RIGHT_UNSPECIFIED"}) {
     const std::string text = absl::StrCat("client { name: \"x\" certificate: \"*\" right: ", right, " }");
     EXPECT_THAT(ParseAccess(text, "a.txt"),
                 StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("want WATCH, PLAY, SERVE or STEER")));

@@ -30,6 +30,7 @@ inline v1::RunConfig SmallConfig(int minibatch_size, const std::string& agent = 
   ppo->set_epochs(1);
   ppo->set_learning_rate(1e-4);
   ppo->set_clip(0.2);
+  ppo->set_value_norm_start(1);
   ppo->set_value_coefficient(0.5);
   ppo->set_max_gradient_norm(0.5);
   ppo->set_adam_epsilon(1e-5);

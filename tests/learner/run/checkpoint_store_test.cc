@@ -77,8 +77,8 @@ TEST_F(CheckpointStoreTest, LoadsWhatWasWritten) {
 TEST_F(CheckpointStoreTest, TheManifestIsText) {
   Write(10);
   const std::string manifest = ReadFile(PathOf(10, "MANIFEST")).value();
-  EXPECT_THAT(manifest, testing::MatchesRegex("craftfleet checkpoint, format 1\n"
-                                              "program 0.1.0\n"
+  EXPECT_THAT(manifest, testing::MatchesRegex("craftfleet checkpoint, format 2\n"
+                                              "program 0.2.0\n"
                                               "state.pb [0-9]+ [0-9a-f]+\n"
                                               "weights.safetensors 3010 [0-9a-f]+\n"
                                               "optimizer.safetensors 14 [0-9a-f]+\n"));
@@ -163,10 +163,20 @@ TEST_F(CheckpointStoreTest, ATruncatedManifestIsTorn) {
 
 TEST_F(CheckpointStoreTest, ANewerFormatIsRefusedWithTheVersionThatWroteIt) {
   Write(10);
-  Edit(10, "MANIFEST", "format 1\nprogram 0.1.0", "format 2\nprogram 3.1.4");
+  Edit(10, "MANIFEST", "format 2\nprogram 0.2.0", "format 3\nprogram 3.1.4");
   EXPECT_THAT(store_.LoadLatest(""),
               StatusIs(absl::StatusCode::kFailedPrecondition,
-                       AllOf(HasSubstr("has format 2, written by craftfleet 3.1.4"), HasSubstr("up to 1"))));
+                       AllOf(HasSubstr("has format 3, written by craftfleet 3.1.4"),
+                             HasSubstr("this program reads format 2: use that version or a newer one"))));
+}
+
+TEST_F(CheckpointStoreTest, AnOlderFormatIsRefusedWithWhatToDo) {
+  Write(10);
+  Edit(10, "MANIFEST", "format 2\nprogram 0.2.0", "format 1\nprogram 0.1.0");
+  EXPECT_THAT(store_.LoadLatest(""),
+              StatusIs(absl::StatusCode::kFailedPrecondition,
+                       AllOf(HasSubstr("has format 1, written by craftfleet 0.1.0"),
+                             HasSubstr("finish the run with that version, or start a new one"))));
 }
 
 TEST_F(CheckpointStoreTest, AnotherAgentIsRefused) {

@@ -35,7 +35,7 @@ TEST(Epoch, CountsStarts) {
   }
 }
 
-TEST(Epoch, ReadsTheFormatOfVersion01) {
+TEST(Epoch, ReadsAFileThatSomebodyRepaired) {
   const TempFolder folder;
   ASSERT_THAT(WriteFileSynced(folder / "epoch", "7\n"), IsOk());
   EXPECT_EQ(ReadEpoch(folder.path()).value(), 7);

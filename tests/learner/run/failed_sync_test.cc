@@ -149,7 +149,7 @@ TEST_F(FailedSyncTest, AFailedReplacementKeepsTheOldCheckpoint) {
 
 TEST_F(FailedSyncTest, ARunResumesFromCompleteLogs) {
   const std::string logdir = temp_ / "run";
-  const ProgramInfo program = {"0.1.0", "39702b5", "digest1"};
+  const ProgramInfo program = {"0.2.0", "39702b5", "digest1"};
   FakeClock clock;
   std::string wanted;
   {

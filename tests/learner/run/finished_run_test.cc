@@ -113,7 +113,7 @@ TEST_F(FinishedRunTest, ResumedFromBeforeItsOldEndItHasNoFinalLogs) {
   ExpectLogs("", "none");
 }
 
-// Version 0.1 did not set logs aside, and appended one final evaluation to the other.
+// A learner was killed while it wrote the lines of a later end.
 TEST_F(FinishedRunTest, OnlyTheLinesOfTheCheckpointAreSetAside) {
   ASSERT_THAT(WriteFileSynced(logdir_ + "/final_argmax.jsonl", Lines(4096) + Lines(5000)), IsOk());
   ResumeTo(8192);

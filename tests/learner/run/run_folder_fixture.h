@@ -63,7 +63,7 @@ class RunFolderTest : public testing::Test {
 
   const TempFolder temp_;
   const std::string logdir_ = temp_ / "runs/a";
-  const ProgramInfo program_{"0.1.0", "39702b5", "digest1"};
+  const ProgramInfo program_{"0.2.0", "39702b5", "digest1"};
   FakeClock clock_;
 };
 

@@ -30,7 +30,7 @@ TEST_F(RunFolderTest, DescribesTheRun) {
   EXPECT_EQ(ReadFile(logdir_ + "/config.txt").value(), FormatRunConfig(folder->config()));
   EXPECT_EQ(nlohmann::json::parse(ReadFile(logdir_ + "/run.json").value()),
             nlohmann::json({{"run_id", folder->run_id()},
-                            {"program_version", "0.1.0"},
+                            {"program_version", "0.2.0"},
                             {"git_revision", "39702b5"},
                             {"seed", 0},
                             {"texture_digest", "digest1"}}));
@@ -237,7 +237,7 @@ TEST_F(RunFolderTest, OfTwoSimultaneousStartsTheSecondToBeginIsRefused) {
 TEST_F(RunFolderTest, ACheckpointDescribesTheRun) {
   MakeRun();
   const v1::CheckpointState state = Resume().value().checkpoint.state;
-  EXPECT_EQ(state.program_version(), "0.1.0");
+  EXPECT_EQ(state.program_version(), "0.2.0");
   EXPECT_EQ(state.texture_digest(), "digest1");
   EXPECT_EQ(state.config().agent(), "ppo_cnn");
   EXPECT_EQ(state.lanes(3).snapshot(), "snapshot of lane 3");
@@ -289,7 +289,7 @@ TEST_F(RunFolderTest, ResumingARunWithoutACheckpointSuggestsANewStart) {
 
 TEST_F(RunFolderTest, ARunOfOtherTexturesOrAnotherAgentIsRefused) {
   MakeRun();
-  EXPECT_THAT(RunFolder::Resume(logdir_, {}, {"0.1.0", "39702b5", "digest2"}, &clock_),
+  EXPECT_THAT(RunFolder::Resume(logdir_, {}, {"0.2.0", "39702b5", "digest2"}, &clock_),
               StatusIs(absl::StatusCode::kFailedPrecondition,
                        AllOf(HasSubstr("digest1"), HasSubstr("digest2"), HasSubstr("--textures"))));
   EXPECT_THAT(Resume({"", "oc_sa"}), StatusIs(absl::StatusCode::kFailedPrecondition, HasSubstr("oc_sa")));

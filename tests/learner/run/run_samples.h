@@ -27,7 +27,7 @@ inline Checkpoint SampleCheckpoint(int64_t iteration, double best_score = 0) {
   checkpoint.optimizer = "optimizer " + std::to_string(iteration) + std::string("\0\n", 2);
   v1::CheckpointState& state = checkpoint.state;
   *state.mutable_config() = ResolveRunConfig(DefaultRunConfig()).value();
-  state.set_program_version("0.1.0");
+  state.set_program_version("0.2.0");
   state.set_run_id("20231114-221320-abcdef");
   state.set_iteration(iteration);
   state.set_env_steps(iteration * 4096);

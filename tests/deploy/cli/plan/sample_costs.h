@@ -12,7 +12,7 @@ namespace craftfleet {
 inline Costs SampleCosts() {
   Costs costs;
   costs.cpu = "a CPU";
-  costs.build = "0.1.0 (abc)";
+  costs.build = "0.2.0 (abc)";
   costs.config = CostlyFields(*ResolveRunConfig(DefaultRunConfig()));
   costs.measured = "2026-01-02 03:04 UTC";
   costs.update_us = 200;

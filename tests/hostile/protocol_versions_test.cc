@@ -22,9 +22,9 @@ using testing::HasSubstr;
 constexpr int kOlder = wire::kProtocolVersion - 1;
 constexpr int kNewer = wire::kProtocolVersion + 1;
 
-class OldPeersTest : public SmallRunTest {};
+class ProtocolVersionsTest : public SmallRunTest {};
 
-TEST_F(OldPeersTest, ALearnerRefusesActors) {
+TEST_F(ProtocolVersionsTest, ALearnerRefusesActors) {
   const auto learner = Start("craftfleet-learner", Flags("run", {"--listen=127.0.0.1:0"}));
   const auto stub = v1::LearnerService::NewStub(wire::Connect(learner->WaitForAddress().value()).channel);
   for (const auto& [version, side] : {std::pair{kOlder, "upgrade the actor"}, {kNewer, "upgrade the learner"}}) {
@@ -39,7 +39,7 @@ TEST_F(OldPeersTest, ALearnerRefusesActors) {
   }
 }
 
-TEST_F(OldPeersTest, AnEnvironmentServerRefusesActors) {
+TEST_F(ProtocolVersionsTest, AnEnvironmentServerRefusesActors) {
   const auto server = Start("craftfleet-envserver", {"--listen=127.0.0.1:0"});
   const auto stub = v1::EnvironmentService::NewStub(wire::Connect(server->WaitForAddress().value()).channel);
   for (const auto& [version, side] :
@@ -58,7 +58,7 @@ TEST_F(OldPeersTest, AnEnvironmentServerRefusesActors) {
   }
 }
 
-// Simulates a learner of version 0.1 or of a later version that refuses the actor.
+// Simulates a learner of another protocol version that refuses the actor.
 class OtherLearner : public v1::LearnerService::Service {
  public:
   explicit OtherLearner(int version) : version_(version) {}
@@ -72,7 +72,7 @@ class OtherLearner : public v1::LearnerService::Service {
   const int version_;
 };
 
-TEST_F(OldPeersTest, AnActorThatIsRefusedEndsWithWhatToUpgrade) {
+TEST_F(ProtocolVersionsTest, AnActorThatIsRefusedEndsWithWhatToUpgrade) {
   for (const auto& [version, side] : {std::pair{kOlder, "upgrade the learner"}, {kNewer, "upgrade the actor"}}) {
     OtherLearner service(version);
     const auto server = wire::Server::Create({"127.0.0.1:0"}, {&service});
