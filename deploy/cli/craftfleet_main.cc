@@ -35,7 +35,6 @@ constexpr Command kCommands[] = {
     {"status", "print the status of a process of the fleet"},
     {"top", "watch a whole fleet live, and see what limits its speed"},
     {"admin", "steer a run: checkpoint, pause, resume, drain or undrain a worker, stop"},
-    {"plan", "size a fleet: what to start, the rate to expect, what will limit it"},
     {"doctor", "check this machine and suggest what to change"},
 };
 

@@ -25,7 +25,6 @@ NOT_RUN = [
     (r"venv/bin/", "needs packages; tests/deploy/python installs the package and runs the examples"),
     (r"(prometheus|promtool) ", "needs Prometheus; watch_test.py"),
     (r"build/bin/\w+_bench", "takes minutes"),
-    (r"build/bin/craftfleet plan\b", "measures for a minute, once for each agent; plan_test.py"),
     (r"tests/fuzz/(fuzz|corpus)", "searches for hours, or writes files of the repository; corpus_test.py"),
     (r"tests/(bench|chaos|hostile)/", "the long forms, which take minutes to hours; their short forms are tests"),
     (r"build/bin/(replay_trace|craftfleet train --textures|craftfleet sweep .*--textures)", "needs the original's textures"),
