@@ -167,7 +167,7 @@ absl::Status Actor::StartLoops() {
   hello.set_client(name_);
   hello.set_game_canary(joined_.game_canary());
   if (options_.frames == FrameFormat::kScene && !HasBuiltInTextures(joined_.texture_digest())) {
-    LogInfo("frames travel raw, since the run has other textures than this program; --frames=lz4 compresses them");
+    LogInfo("frames travel raw, since the run has other textures than this program");
   } else if (options_.frames != FrameFormat::kRaw) {
     hello.add_frame_formats(static_cast<v1::FrameFormat>(options_.frames));
   }

@@ -4,7 +4,6 @@
 #include <utility>
 
 #include "common/wire/fragment_check.h"
-#include "common/wire/packed_frames.h"
 
 namespace craftfleet {
 namespace {
@@ -57,7 +56,6 @@ void FragmentBuilder::AddTruncationValue(float value) { fragment_.truncation_val
 Fragment FragmentBuilder::Finish(float bootstrap_value, LaneSnapshot snapshot) {
   fragment_.bootstrap_value = InRange(bootstrap_value);
   fragment_.snapshot = std::move(snapshot);
-  if (fragment_.frame_format == FrameFormat::kLz4) wire::PackFrames(&fragment_.frames);
   return std::move(fragment_);
 }
 

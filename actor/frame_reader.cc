@@ -7,7 +7,6 @@
 
 #include "common/base/status_macros.h"
 #include "common/base/types.h"
-#include "common/wire/packed_frames.h"
 #include "envserver/render/built_in_renderer.h"
 
 namespace craftfleet {
@@ -28,8 +27,7 @@ bool AsksFor(const v1::SessionHello& hello, v1::FrameFormat format) {
 
 }  // namespace
 
-FrameReader::FrameReader(const v1::SessionHello& hello, int frame_bytes)
-    : frame_bytes_(frame_bytes), asks_for_lz4_(AsksFor(hello, v1::FRAMES_LZ4)) {
+FrameReader::FrameReader(const v1::SessionHello& hello, int frame_bytes) : frame_bytes_(frame_bytes) {
   if (!AsksFor(hello, v1::FRAMES_SCENE)) return;
   const auto renderer = BuiltInRenderer(hello.env().name(), hello.env().frame_size());
   if (renderer.ok() && (*renderer)->frame_bytes() == frame_bytes) renderer_ = *renderer;
@@ -40,7 +38,6 @@ absl::Status FrameReader::Begin(const v1::PlayReply& reply) {
   format_ = reply.frame_format();
   if (format_ == v1::FRAMES_RAW) return absl::OkStatus();
   if (format_ == v1::FRAMES_SCENE && renderer_ != nullptr) return absl::OkStatus();
-  if (format_ == v1::FRAMES_LZ4 && asks_for_lz4_) return absl::OkStatus();
   return absl::InvalidArgumentError(
       absl::StrFormat("frame_format %d, want raw, 0, or one that hello asked for", static_cast<int>(format_)));
 }
@@ -48,7 +45,6 @@ absl::Status FrameReader::Begin(const v1::PlayReply& reply) {
 absl::Status FrameReader::ReadOpened(const v1::OpenLanes& request, v1::PlayReply* reply,
                                      std::vector<std::string>* records) {
   if (format_ == v1::FRAMES_RAW) return absl::OkStatus();
-  if (format_ == v1::FRAMES_LZ4) return Unpack(request.lanes_size() - reply->refused_size(), reply);
   pixels_.clear();
   absl::string_view bytes = reply->frames();
   int refused = 0;
@@ -74,7 +70,6 @@ absl::Status FrameReader::ReadStep(const v1::StepLanes& request, v1::PlayReply* 
     return absl::InvalidArgumentError(
         absl::StrFormat("ends: %d bytes, want %d", reply->ends().size(), request.lanes_size()));
   }
-  if (format_ == v1::FRAMES_LZ4) return Unpack(request.lanes_size(), reply);
   pixels_.clear();
   std::string last_pixels;
   absl::string_view bytes = reply->frames();
@@ -93,14 +88,6 @@ absl::Status FrameReader::ReadStep(const v1::StepLanes& request, v1::PlayReply* 
   reply->mutable_frames()->swap(pixels_);
   reply->mutable_last_frames()->swap(last_pixels);
   return absl::OkStatus();
-}
-
-absl::Status FrameReader::Unpack(int64_t frames, v1::PlayReply* reply) const {
-  const auto last_frames =
-      std::count(reply->ends().begin(), reply->ends().end(), static_cast<char>(StepEnd::kTruncated));
-  const auto bytes = [this](int64_t count) { return static_cast<size_t>(std::max<int64_t>(count, 0)) * frame_bytes_; };
-  CRAFTFLEET_RETURN_IF_ERROR(About("frames", wire::UnpackFrames(bytes(frames), reply->mutable_frames())));
-  return About("last_frames", wire::UnpackFrames(bytes(last_frames), reply->mutable_last_frames()));
 }
 
 absl::Status FrameReader::Draw(int lane, absl::string_view* bytes, std::string* pixels) {

@@ -37,13 +37,10 @@ class FrameReader {
   void Close(absl::Span<const int> lanes);
 
  private:
-  // Decompresses the frames, of `frames` games, and the last frames of a reply.
-  absl::Status Unpack(int64_t frames, v1::PlayReply* reply) const;
   // Draws the frame of the record at the beginning of `bytes`, removes the record, and appends the frame to `pixels`.
   absl::Status Draw(int lane, absl::string_view* bytes, std::string* pixels);
 
   const int frame_bytes_;
-  const bool asks_for_lz4_;
   std::shared_ptr<const Renderer> renderer_;  // null: no scene records
   v1::FrameFormat format_ = v1::FRAMES_RAW;   // of the session
   std::map<int, SceneReader> readers_;        // by lane

@@ -33,9 +33,10 @@ ABSL_FLAG(std::string, device, "auto",
           "device to act on: auto (what the run acts on), cpu, cuda or cuda:N\n"
           "a run acts on GPUs if its configuration has device: CUDA; two threads play then");
 ABSL_FLAG(std::string, frames, "scene",
-          "how frames travel: raw, lz4 or scene\n"
-          "scene: as records of some hundred bytes, from which this program and the learner draw the same frames\n"
-          "lz4: compressed, also frames that only the environment server can draw. Where the other end can't, raw");
+          "how frames travel: raw or scene\n"
+          "scene: as records of some hundred bytes, from which this program and the learner draw the same frames. "
+          "Where one of\n"
+          "them can't, raw");
 ABSL_FLAG(int32_t, max_lanes, 4096,
           "maximum number of games to play side by side, 1..4096; the learner assigns each actor its share");
 ABSL_FLAG(craftfleet::TimeSpan, env_timeout, {absl::Seconds(10)},
@@ -49,7 +50,7 @@ namespace {
 
 absl::StatusOr<FrameFormat> ParseFrames(const std::string& frames) {
   if (const auto format = FindFrameFormat(frames)) return *format;
-  return InvalidFlag("frames", frames, "raw, lz4 or scene");
+  return InvalidFlag("frames", frames, "raw or scene");
 }
 
 constexpr char kProgram[] = "craftfleet-actor";

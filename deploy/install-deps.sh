@@ -32,7 +32,7 @@ done
 packages=(
   g++ cmake ninja-build git pkg-config
   protobuf-compiler protobuf-compiler-grpc libprotobuf-dev libgrpc++-dev libssl-dev
-  libabsl-dev nlohmann-json3-dev zlib1g-dev liblz4-dev libpng-dev libzip-dev prometheus-cpp-dev libmicrohttpd-dev
+  libabsl-dev nlohmann-json3-dev zlib1g-dev libpng-dev libzip-dev prometheus-cpp-dev libmicrohttpd-dev
   libjs-chart.js  # charts of the live page and of reports, compiled in
   openssl  # deploy/make-certs.sh
   libgoogle-perftools-dev  # tcmalloc

@@ -13,7 +13,6 @@
 #include "common/config/env_name.h"
 #include "common/process/version.h"
 #include "common/wire/convert.h"
-#include "common/wire/packed_frames.h"
 #include "common/wire/protocol.h"
 #include "common/wire/request_check.h"
 #include "envserver/env_service.h"
@@ -32,16 +31,8 @@ int64_t FrameBytes(const RenderOptions& picture) { return int64_t{picture.width}
 FrameFormat ChooseFormat(const v1::SessionHello& hello) {
   for (const int format : hello.frame_formats()) {
     if (format == v1::FRAMES_SCENE && !hello.texture_digest().empty()) return FrameFormat::kScene;
-    if (format == v1::FRAMES_LZ4) return FrameFormat::kLz4;
   }
   return FrameFormat::kRaw;
-}
-
-// Gives a reply's raw frames the session's format.
-void Pack(FrameFormat format, v1::PlayReply* reply) {
-  if (format != FrameFormat::kLz4) return;
-  wire::PackFrames(reply->mutable_frames());
-  wire::PackFrames(reply->mutable_last_frames());
 }
 
 // At most the objects beyond the usual ones that `open` makes room for, before its snapshots are read.
@@ -149,13 +140,11 @@ absl::Status EnvServiceImpl::Complete(const v1::PlayRequest& request, Games* gam
     episodes_ += static_cast<int64_t>(games->step.episodes.size());
     reply->clear_refused();
     wire::ToProto(&games->step, reply);
-    Pack(batch.format(), reply);
     wire::ToProto(std::move(batch.moments()), reply);
     return games->Reserve(0, 0);  // objects appear in play
   }
   if (request.has_open()) {
     games->to_open = {};
-    Pack(batch.format(), reply);
     AddRefused(batch.refused(), &log_, reply);
     wire::ToProto(std::move(batch.moments()), reply);
   } else {

@@ -4,7 +4,6 @@
 #include <absl/strings/string_view.h>
 
 #include "common/base/status_macros.h"
-#include "common/wire/packed_frames.h"
 #include "envserver/render/built_in_renderer.h"
 #include "envserver/render/scene_record.h"
 
@@ -18,21 +17,16 @@ FragmentFrames::FragmentFrames(const v1::RunConfig& config, const std::string& t
 }
 
 void FragmentFrames::AddFormats(v1::JoinReply* reply) const {
-  reply->add_frame_formats(v1::FRAMES_LZ4);
   if (renderer_ != nullptr) reply->add_frame_formats(v1::FRAMES_SCENE);
 }
 
 absl::Status FragmentFrames::Draw(int steps, v1::FragmentMessage* message) const {
   if (message->frame_format() == v1::FRAMES_RAW) return absl::OkStatus();
-  if (message->frame_format() == v1::FRAMES_LZ4) {
-    const absl::Status status = wire::UnpackFrames(steps * frame_bytes_, message->mutable_frames());
-    if (!status.ok()) return absl::InvalidArgumentError(absl::StrFormat("frames: %s", status.message()));
-  } else if (message->frame_format() == v1::FRAMES_SCENE && renderer_ != nullptr) {
-    CRAFTFLEET_RETURN_IF_ERROR(DrawScenes(steps, message->mutable_frames()));
-  } else {
+  if (message->frame_format() != v1::FRAMES_SCENE || renderer_ == nullptr) {
     return absl::InvalidArgumentError(
         absl::StrFormat("frame_format: %d, want raw, 0, or one of the reply to Join", message->frame_format()));
   }
+  CRAFTFLEET_RETURN_IF_ERROR(DrawScenes(steps, message->mutable_frames()));
   message->set_frame_format(v1::FRAMES_RAW);
   return absl::OkStatus();
 }

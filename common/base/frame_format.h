@@ -12,12 +12,10 @@
 
 namespace craftfleet {
 
-constexpr std::array<FrameFormat, 3> kFrameFormats = {FrameFormat::kRaw, FrameFormat::kLz4, FrameFormat::kScene};
+constexpr std::array<FrameFormat, 2> kFrameFormats = {FrameFormat::kRaw, FrameFormat::kScene};
 
-// "raw", "lz4" or "scene".
-constexpr const char* FrameFormatName(FrameFormat format) {
-  return format == FrameFormat::kRaw ? "raw" : format == FrameFormat::kLz4 ? "lz4" : "scene";
-}
+// "raw" or "scene".
+constexpr const char* FrameFormatName(FrameFormat format) { return format == FrameFormat::kRaw ? "raw" : "scene"; }
 
 // The format of that name; nullopt: there is none.
 inline std::optional<FrameFormat> FindFrameFormat(absl::string_view name) {

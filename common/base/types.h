@@ -22,7 +22,6 @@ enum class StepEnd : uint8_t {
 // How frames travel; the receiver has the same bytes in the end. Numbered as FrameFormat of types.proto.
 enum class FrameFormat : uint8_t {
   kRaw = 0,    // uint8[H,W,3] each
-  kLz4 = 1,    // those compressed (common/wire/packed_frames.h)
   kScene = 2,  // a scene record each (envserver/render/scene_record.h)
 };
 

@@ -6,7 +6,6 @@
 #include <gtest/gtest.h>
 
 #include "common/wire/fragment_check.h"
-#include "common/wire/packed_frames.h"
 #include "tests/fakes/status_matchers.h"
 #include "tests/fakes/wire_samples.h"
 
@@ -46,16 +45,6 @@ TEST(FragmentBuilder, NothingRemainsOfAnEarlierFragment) {
   builder.Append("left behind!", Action::kDo, 0, 0, 0, StepEnd::kTerminated);  // then the environment server failed
   builder.AddEpisode(EndedEpisode(0, 1));
   ExpectSameFragments(Build(&builder, 2, 0), SampleFragment(2, 0, 9, 3));
-}
-
-TEST(FragmentBuilder, CompressesRawFramesIfTheFragmentIsSentSo) {
-  FragmentBuilder builder;
-  builder.Start(3, 1, 5, 9, /*steps=*/2, /*frame_bytes=*/3000, FrameFormat::kLz4);
-  for (int t = 0; t < 2; ++t) builder.Append(std::string(3000, 'g'), Action::kDo, 0, 0, 0, StepEnd::kNone);
-  Fragment fragment = builder.Finish(0, {});
-  EXPECT_LT(fragment.frames.size(), 100u);
-  ASSERT_THAT(wire::UnpackFrames(6000, &fragment.frames), IsOk());
-  EXPECT_TRUE(fragment.frames == std::string(6000, 'g'));
 }
 
 TEST(FragmentBuilder, NumbersOfAnAgentThatDivergesStayWithinTheirRanges) {

@@ -9,7 +9,6 @@
 
 #include "actor/env_client.h"
 #include "common/io/texture_digest.h"
-#include "common/wire/packed_frames.h"
 #include "envserver/render/built_in_renderer.h"
 #include "tests/fakes/env_server.h"
 #include "tests/fakes/status_matchers.h"
@@ -36,49 +35,34 @@ v1::SessionHello SceneHello() {
   return hello;
 }
 
-v1::SessionHello Lz4Hello() {
-  v1::SessionHello hello = RawHello();
-  hello.add_frame_formats(v1::FRAMES_LZ4);
-  return hello;
-}
-
-// Sessions with the same games: one has raw frames, one has records, one has compressed frames.
-TEST(FrameReader, SessionsOfAllFormatsHaveTheFramesOfARawOne) {
+// Sessions with the same games: one has raw frames, one has records.
+TEST(FrameReader, ASessionWithRecordsHasTheFramesOfARawOne) {
   const EnvServer server;
   EnvClient raw(server.Connect(), RawHello(), kFrameBytes);
   EnvClient scenes(server.Connect(), SceneHello(), kFrameBytes);
-  EnvClient compressed(server.Connect(), Lz4Hello(), kFrameBytes);
   const std::vector<EnvClient::Lane> lanes = {{3, 3, 1, ""}, {1, 1, 1, ""}};
   std::string raw_frames;
   std::string frames;
-  for (EnvClient* client : {&raw, &scenes, &compressed}) ASSERT_THAT(client->Connect(absl::Seconds(20)), IsOk());
+  for (EnvClient* client : {&raw, &scenes}) ASSERT_THAT(client->Connect(absl::Seconds(20)), IsOk());
   ASSERT_THAT(raw.Open(lanes, &raw_frames), IsOk());
   ASSERT_THAT(scenes.Open(lanes, &frames), IsOk());
   EXPECT_TRUE(frames == raw_frames);
   EXPECT_THAT(scenes.records(), SizeIs(2));
   EXPECT_THAT(raw.records(), IsEmpty());
-  ASSERT_THAT(compressed.Open(lanes, &frames), IsOk());
-  EXPECT_TRUE(frames == raw_frames);
   StepBatch of_raw;
   StepBatch of_scenes;
-  StepBatch of_compressed;
   int truncated = 0;
   for (int i = 0; i < 3 * kSteps; ++i) {
     const std::vector<Action> actions = {static_cast<Action>(i % kNumActions), Action::kNoop};
     const bool snapshot = i % 32 == 31;
     ASSERT_THAT(raw.SendStep({3, 1}, actions, snapshot), IsOk());
     ASSERT_THAT(scenes.SendStep({3, 1}, actions, snapshot), IsOk());
-    ASSERT_THAT(compressed.SendStep({3, 1}, actions, snapshot), IsOk());
     ASSERT_THAT(raw.ReceiveStep(&of_raw), IsOk());
     ASSERT_THAT(scenes.ReceiveStep(&of_scenes), IsOk());
-    ASSERT_THAT(compressed.ReceiveStep(&of_compressed), IsOk());
     ASSERT_TRUE(of_scenes.frames == of_raw.frames) << i;
     ASSERT_TRUE(of_scenes.last_frames == of_raw.last_frames) << i;
-    ASSERT_TRUE(of_compressed.frames == of_raw.frames) << i;
-    ASSERT_TRUE(of_compressed.last_frames == of_raw.last_frames) << i;
     ASSERT_TRUE(of_scenes.snapshots == of_raw.snapshots) << i;
     ASSERT_THAT(scenes.records(), SizeIs(2));
-    ASSERT_THAT(compressed.records(), IsEmpty());
     truncated += of_raw.last_frames.empty() ? 0 : 1;
   }
   EXPECT_GT(truncated, 0);
@@ -151,31 +135,6 @@ TEST_F(FrameReplies, TheLastFrameOfALaneComesBeforeItsNext) {
               StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("noise without a stream")));
 }
 
-TEST(FrameReader, CompressedFramesMatchTheRowsOfTheRequest) {
-  std::string two(2 * kFrameBytes, 'g');
-  wire::PackFrames(&two);
-  ASSERT_LT(two.size(), 1000u);
-  v1::PlayReply hello;
-  hello.set_frame_format(v1::FRAMES_LZ4);
-  for (const int lanes : {1, 2, 3}) {
-    FrameReader reader(Lz4Hello(), kFrameBytes);
-    ASSERT_THAT(reader.Begin(hello), IsOk());
-    v1::StepLanes request;
-    for (int lane = 0; lane < lanes; ++lane) request.add_lanes(lane);
-    v1::PlayReply reply;
-    reply.set_frames(two);
-    reply.set_ends(std::string(lanes, '\0'));
-    std::vector<std::string> records;
-    const absl::Status status = reader.ReadStep(request, &reply, &records);
-    if (lanes == 2) {
-      EXPECT_THAT(status, IsOk());
-      EXPECT_TRUE(reply.frames() == std::string(2 * kFrameBytes, 'g'));
-    } else {
-      EXPECT_THAT(status, StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("frames: ")));
-    }
-  }
-}
-
 TEST_F(FrameReplies, AFormatThatWasNotAskedForIsRefused) {
   FrameReader raw(RawHello(), kFrameBytes);
   FrameReader scenes(SceneHello(), kFrameBytes);
@@ -185,8 +144,7 @@ TEST_F(FrameReplies, AFormatThatWasNotAskedForIsRefused) {
   hello.set_frame_format(v1::FRAMES_SCENE);
   EXPECT_THAT(scenes.Begin(hello), IsOk());
   EXPECT_THAT(raw.Begin(hello), StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("frame_format 2")));
-  hello.set_frame_format(v1::FRAMES_LZ4);
-  EXPECT_THAT(FrameReader(Lz4Hello(), kFrameBytes).Begin(hello), IsOk());
+  hello.set_frame_format(static_cast<v1::FrameFormat>(1));
   EXPECT_THAT(scenes.Begin(hello), StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("frame_format 1")));
   hello.set_frame_format(static_cast<v1::FrameFormat>(77));
   EXPECT_THAT(scenes.Begin(hello), StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("frame_format 77")));

@@ -137,7 +137,7 @@ const std::vector<BadCommand>& BadCommands() {
       {"LearnerThatIsNoAddress", actor, {"--learner=here"}, {"--learner: \"here\" is not an address"}},
       {"OneServerThatIsNoAddress", actor, {"--envservers=127.0.0.1:1,x"}, {"--envservers: \"x\" is not an address"}},
       {"NoServers", actor, {"--envservers="}, {"--envservers is empty"}},
-      {"UnknownFrames", actor, {"--frames=png"}, {"--frames=png, want raw, lz4 or scene"}},
+      {"UnknownFrames", actor, {"--frames=png"}, {"--frames=png, want raw or scene"}},
       {"NegativeThreads", actor, {"--threads=-1"}, {"--threads=-1, want 0..256; 0: as many as the CPU quota allows"}},
       {"ZoneThatIsNoText", actor, {"--zone=a\tb"}, {"--zone is \"a\\tb\", want printable ASCII"}},
       {"ZoneOfAServerWithoutLearner", server, {"--zone=a"}, {"--zone requires --learner"}},

@@ -7,7 +7,6 @@
 
 #include "common/config/config.h"
 #include "common/io/texture_digest.h"
-#include "common/wire/packed_frames.h"
 #include "envserver/game.h"
 #include "envserver/render/built_in_textures.h"
 #include "tests/fakes/status_matchers.h"
@@ -81,30 +80,9 @@ TEST_F(FragmentFramesTest, TheNumberOfRecordsIsThatOfTheSteps) {
   }
 }
 
-TEST_F(FragmentFramesTest, CompressedFramesBecomeTheSameFramesWithAnyTextures) {
-  for (const std::string& textures : {Digest(), std::string("0123456789abcdef")}) {
-    v1::FragmentMessage compressed = Message(frames_, v1::FRAMES_LZ4);
-    wire::PackFrames(compressed.mutable_frames());
-    EXPECT_LT(compressed.frames().size(), frames_.size() / 4);
-    ASSERT_THAT(FragmentFrames(config_, textures).Draw(kSteps, &compressed), IsOk());
-    EXPECT_TRUE(compressed.frames() == frames_);
-    EXPECT_EQ(compressed.frame_format(), v1::FRAMES_RAW);
-  }
-}
-
-TEST_F(FragmentFramesTest, CompressedFramesOfOtherStepsAreRefused) {
-  std::string block = frames_;
-  wire::PackFrames(&block);
-  for (const int steps : {kSteps - 1, kSteps + 1}) {
-    v1::FragmentMessage compressed = Message(block, v1::FRAMES_LZ4);
-    EXPECT_THAT(FragmentFrames(config_, Digest()).Draw(steps, &compressed),
-                StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("frames: ")));
-  }
-}
-
 TEST_F(FragmentFramesTest, OtherFormatsAreRefused) {
   const FragmentFrames frames(config_, Digest());
-  for (const int format : {3, -1}) {
+  for (const int format : {1, 3, -1}) {
     v1::FragmentMessage message = Message(records_, static_cast<v1::FrameFormat>(format));
     EXPECT_THAT(frames.Draw(kSteps, &message),
                 StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("frame_format: " + std::to_string(format))));
@@ -114,11 +92,11 @@ TEST_F(FragmentFramesTest, OtherFormatsAreRefused) {
 TEST_F(FragmentFramesTest, RecordsAreTakenOnlyWithTheTexturesOfThisProgram) {
   v1::JoinReply reply;
   FragmentFrames(config_, Digest()).AddFormats(&reply);
-  EXPECT_THAT(reply.frame_formats(), ElementsAre(v1::FRAMES_LZ4, v1::FRAMES_SCENE));
+  EXPECT_THAT(reply.frame_formats(), ElementsAre(v1::FRAMES_SCENE));
   const FragmentFrames other_textures(config_, "0123456789abcdef");
   reply.Clear();
   other_textures.AddFormats(&reply);
-  EXPECT_THAT(reply.frame_formats(), ElementsAre(v1::FRAMES_LZ4));
+  EXPECT_THAT(reply.frame_formats(), IsEmpty());
   v1::FragmentMessage scenes = Message(records_, v1::FRAMES_SCENE);
   EXPECT_THAT(other_textures.Draw(kSteps, &scenes),
               StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("frame_format: 2")));

@@ -29,7 +29,7 @@ STEPS_OF_AN_ITERATION = LANES * FRAGMENT
 CONFIG = """steps: {steps} seed: 1 lanes: 128 fragment_steps: 32 overlap: {overlap} ppo {{ rollout_steps: 4096 epochs: {epochs} }}
   eval {{ every_steps: 0 final_episodes: 0 }}"""
 DAY, NIGHT = range(2, 5), range(7, 9)  # iterations: steps 32 to 128 of an episode, and 192 to 256
-FORMATS = ["raw", "lz4", "scene"]
+FORMATS = ["raw", "scene"]
 
 
 class PlainHost(Host):
@@ -104,7 +104,7 @@ def main():
     parser.add_argument("--rounds", type=int, default=3)
     parser.add_argument("--epochs", type=int, default=1, help="of an update")
     parser.add_argument("--overlap", action="store_true", help="play while the learner updates")
-    parser.add_argument("--formats", type=lambda text: text.split(","), default=FORMATS, help="some of raw,lz4,scene")
+    parser.add_argument("--formats", type=lambda text: text.split(","), default=FORMATS, help="some of raw,scene")
     options = parser.parse_args()
     if (missing := why_not()) is not None:
         sys.exit(missing)
