@@ -105,7 +105,6 @@ absl::Status Actor::Join() {
   request.set_cpu(CpuDescription());
   request.set_address(address_);
   request.set_build(BuildId());
-  request.set_zone(options_.zone);
   request.set_only_ask(options_.set_up != nullptr && !set_up_);
   if (!request.only_ask()) {
     CRAFTFLEET_ASSIGN_OR_RETURN(*request.mutable_canary(), PolicyCanary());

@@ -42,7 +42,6 @@ class Actor {
     std::shared_ptr<EnvDirectory> env_servers;
     int threads = 1;                                  // loops, 1..256
     int capacity = 4096;                              // lanes to play at once, 1..4096
-    std::string zone = "";                            // label of the place where it runs; empty: none
     FrameFormat frames = FrameFormat::kScene;         // in which frames travel where both ends can
     absl::Duration env_timeout = kDefaultEnvTimeout;  // of each request to an environment server, 0.1..3600 s
     LocalWeights weights = nullptr;                   // of a learner in the same process; null: call it for them

@@ -26,8 +26,6 @@ ABSL_FLAG(std::string, envservers, "127.0.0.1:50061",
           "environment servers, joined by commas: HOST:PORT, dns:HOST:PORT or learner\n"
           "dns: every address of a name, resolved again every 3 s; learner: the servers that registered with the\n"
           "learner (craftfleet-envserver --learner=...)");
-ABSL_FLAG(std::string, zone, "",
-          "label of the place where this runs, such as a rack: the learner prefers its environment servers [none]");
 ABSL_FLAG(int32_t, threads, 0, "playing threads; 0: as many as the CPU quota allows");
 ABSL_FLAG(std::string, device, "auto",
           "device to act on: auto (what the run acts on), cpu, cuda or cuda:N\n"
@@ -83,8 +81,6 @@ absl::Status Run() {
   options.find_device = [name = absl::GetFlag(FLAGS_device)](v1::RunConfig::Device run) {
     return FindActingDevice(name, run);
   };
-  options.zone = absl::GetFlag(FLAGS_zone);
-  CRAFTFLEET_RETURN_IF_ERROR(wire::CheckText("--zone", options.zone));
   CRAFTFLEET_ASSIGN_OR_RETURN(options.frames, ParseFrames(absl::GetFlag(FLAGS_frames)));
   options.set_up = [](const v1::RunConfig& config) { return PinCpu(config.cpu()); };
   options.env_timeout = absl::GetFlag(FLAGS_env_timeout).value;

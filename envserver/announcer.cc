@@ -27,7 +27,7 @@ absl::Duration AnnouncementInterval(const v1::AnnounceReply& reply) {
 
 Announcer::Announcer(wire::Endpoint learner, const std::string& address, const std::string& texture_digest,
                      const std::string& canary, std::function<v1::ProcessSummary()> summarize,
-                     std::function<void(const std::string& run_id)> registered, const std::string& zone)
+                     std::function<void(const std::string& run_id)> registered)
     : learner_(std::move(learner)),
       stub_(v1::LearnerService::NewStub(learner_.channel)),
       summarize_(std::move(summarize)),
@@ -38,7 +38,6 @@ Announcer::Announcer(wire::Endpoint learner, const std::string& address, const s
   announcement_.set_texture_digest(texture_digest);
   announcement_.set_build(BuildId());
   announcement_.set_canary(canary);
-  announcement_.set_zone(zone);
   thread_ = std::thread([this] { Run(); });
 }
 

@@ -26,10 +26,9 @@ class Announcer {
  public:
   // `address` is where actors find the server, `canary` its GameCanary; `summarize` returns what the learner shows in
   // its status. `registered` is called on the announcer's thread after each registration, with the learner's run.
-  // `zone`: label of the place where the server runs; empty: none.
   Announcer(wire::Endpoint learner, const std::string& address, const std::string& texture_digest,
             const std::string& canary, std::function<v1::ProcessSummary()> summarize,
-            std::function<void(const std::string& run_id)> registered = nullptr, const std::string& zone = "");
+            std::function<void(const std::string& run_id)> registered = nullptr);
   ~Announcer();
 
   // Withdraws the announcement, so that actors move their games, and ends the thread. Idempotent.

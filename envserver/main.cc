@@ -23,8 +23,6 @@ ABSL_FLAG(std::string, learner, "",
           "learner to register with, HOST:PORT; actors with --envservers=learner then find this server");
 ABSL_FLAG(std::string, advertise, "",
           "with --learner: the address that actors are to connect to, HOST:PORT [--listen]");
-ABSL_FLAG(std::string, zone, "",
-          "with --learner: label of the place where this runs, such as a rack; actors there prefer this server [none]");
 ABSL_FLAG(std::string, textures, "",
           "folder with Crafter's textures as PNG; the same as the learner's\n"
           "[the ones that come with this program]");
@@ -96,20 +94,16 @@ absl::StatusOr<EnvServiceImpl::Options> OptionsFromFlags() {
 
 // Before anything listens.
 absl::Status CheckLearnerFlags() {
-  if (absl::GetFlag(FLAGS_learner).empty()) {
-    if (!absl::GetFlag(FLAGS_advertise).empty()) {
-      return absl::InvalidArgumentError("--advertise requires --learner");
-    }
-    if (!absl::GetFlag(FLAGS_zone).empty()) return absl::InvalidArgumentError("--zone requires --learner");
+  if (absl::GetFlag(FLAGS_learner).empty() && !absl::GetFlag(FLAGS_advertise).empty()) {
+    return absl::InvalidArgumentError("--advertise requires --learner");
   }
-  return wire::CheckText("--zone", absl::GetFlag(FLAGS_zone));
+  return absl::OkStatus();
 }
 
 // Null without --learner.
 absl::StatusOr<std::unique_ptr<Announcer>> AnnounceIfAsked(EnvServiceImpl* service, const std::string& listens_on) {
   const std::string learner = absl::GetFlag(FLAGS_learner);
   const std::string advertise = absl::GetFlag(FLAGS_advertise);
-  const std::string zone = absl::GetFlag(FLAGS_zone);
   if (learner.empty()) return nullptr;
   CRAFTFLEET_RETURN_IF_ERROR(wire::CheckAddress("learner", learner));
   const std::string address = advertise.empty() ? listens_on : advertise;
@@ -117,8 +111,7 @@ absl::StatusOr<std::unique_ptr<Announcer>> AnnounceIfAsked(EnvServiceImpl* servi
   CRAFTFLEET_ASSIGN_OR_RETURN(const wire::ChannelSecurity security, wire::ChannelSecurityFromFlags());
   return std::make_unique<Announcer>(
       wire::Connect(learner, security), address, service->texture_digest(), service->canary(),
-      [service] { return service->Summary(); }, [service](const std::string& run_id) { service->SetRun(run_id); },
-      zone);
+      [service] { return service->Summary(); }, [service](const std::string& run_id) { service->SetRun(run_id); });
 }
 
 absl::Status Run() {
@@ -158,6 +151,6 @@ absl::Status Run() {
 int main(int argc, char** argv) {
   craftfleet::OutliveReaders();
   craftfleet::ParseFlags(craftfleet::kProgram, craftfleet::kUsage, argc, argv,
-                         {"listen", "learner", "advertise", "zone", "textures", "max_games", "max_games_mb"});
+                         {"listen", "learner", "advertise", "textures", "max_games", "max_games_mb"});
   return craftfleet::ExitCode(craftfleet::kProgram, craftfleet::Run());
 }

@@ -141,7 +141,7 @@ absl::Status LearnerServiceImpl::Answer(const grpc::ServerContextBase& context, 
   if (status.ok() && !request.only_ask()) {
     const WorkerClient client = ClientOf(context);
     status = LogRefusal(client, registry_->Join(client, request.actor(), request.address(),
-                                                {request.build(), request.canary(), request.cpu(), request.zone()}));
+                                                {request.build(), request.canary(), request.cpu()}));
     if (status.code() == absl::StatusCode::kFailedPrecondition) {
       WarnRefused(context, request.actor(), absl::StrFormat("refused %s", status.message()));
     }
@@ -251,10 +251,9 @@ absl::Status LearnerServiceImpl::Answer(const grpc::ServerContextBase& context, 
   if (status.ok() && request.leaving()) {
     status = LogRefusal(client, registry_->Leave(client, WorkerRole::kEnvServer, request.name(), request.address()));
   } else if (status.ok()) {
-    status =
-        LogRefusal(client, registry_->Announce(client, request.name(), request.address(), request.summary().lanes(),
-                                               {request.build(), request.canary(), /*cpu=*/"", request.zone()},
-                                               KeepSummary(request.summary())));
+    status = LogRefusal(
+        client, registry_->Announce(client, request.name(), request.address(), request.summary().lanes(),
+                                    {request.build(), request.canary(), /*cpu=*/""}, KeepSummary(request.summary())));
   }
   if (!status.ok() && !IsAboutNames(status)) {
     WarnRefused(context, request.name(),

@@ -21,7 +21,6 @@ absl::Status WorkerRegistry::Join(const WorkerClient& client, absl::string_view 
   const MutexLock lock(&mu_);
   CRAFTFLEET_ASSIGN_OR_RETURN(Worker* const actor, Own(WorkerRole::kActor, name, client));
   if (!address.empty()) actor->address = std::string(address);
-  actor->zone = build.zone;
   CRAFTFLEET_RETURN_IF_ERROR(CheckBuild(build, actor));
   ExpireActors();
   actor->active = true;
@@ -130,14 +129,14 @@ absl::Duration WorkerRegistry::ActorLease() const { return options_.lanes.lease 
 
 void WorkerRegistry::RemoveActor(Worker* actor) {
   lanes_.Remove(actor->name);
-  groups_.RemoveActor(actor->name);
+  lists_.RemoveActor(actor->name);
   actor->active = false;
   WakeIfChanged();
 }
 
 void WorkerRegistry::ExpireActors() {
   for (const std::string& name : lanes_.RemoveExpired()) {
-    groups_.RemoveActor(name);
+    lists_.RemoveActor(name);
     Find(WorkerRole::kActor, name)->active = false;
   }
   WakeIfChanged();

@@ -10,7 +10,7 @@ namespace {
 
 constexpr absl::Duration kCheckEvery = absl::Seconds(1);
 constexpr absl::Duration kRelayed = absl::Seconds(10);
-// How long an actor must be unable to use any server of its group until it gets another; and within which time it
+// How long an actor must be unable to use any server of its list until it gets others; and within which time it
 // reports each of them again.
 constexpr absl::Duration kUnusableFor = absl::Seconds(10);
 constexpr absl::Duration kReportedAgain = absl::Seconds(20);
@@ -26,7 +26,6 @@ absl::Status WorkerRegistry::Announce(const WorkerClient& client, absl::string_v
   CRAFTFLEET_RETURN_IF_ERROR(CheckAddress(name, address, client));
   if (server->own_report == absl::InfinitePast()) server->address = std::string(address);
   CRAFTFLEET_RETURN_IF_ERROR(CheckBuild(build, server));
-  server->zone = build.zone;
   PlaceServer(server, address);
   server->empty = server->draining && lanes == 0;
   server->leased_from = clock_->Now();
@@ -45,7 +44,7 @@ void WorkerRegistry::PlaceServer(Worker* server, absl::string_view address) {
   }
   const auto placed = servers_.find(address);
   if (placed != servers_.end() && placed->second != server) {
-    placed->second->active = false;  // replaced: groups keep the address
+    placed->second->active = false;  // replaced: lists keep the address
     Erase(placed->second);
   }
   // The record made from actors' reports on this address.
@@ -68,9 +67,9 @@ void WorkerRegistry::RemoveServer(Worker* server) {
 
 void WorkerRegistry::ListServer(const Worker& server) {
   if (server.active && !server.draining) {
-    groups_.PutServer(server.address, {server.client.host, server.zone});
+    lists_.PutServer(server.address, server.client.host);
   } else {
-    groups_.RemoveServer(server.address);
+    lists_.RemoveServer(server.address);
   }
 }
 
@@ -109,7 +108,7 @@ void WorkerRegistry::NoteUnusable(const std::string& address, Worker* actor) {
     unusable.reported = now;
     return;
   }
-  if (actor->unusable.size() >= ServerGroups::kLargest) actor->unusable.clear();  // some are of a former group
+  if (actor->unusable.size() >= ServerLists::kMost) actor->unusable.clear();  // some are of a former list
   actor->unusable[address] = {now, now};
 }
 
@@ -127,20 +126,19 @@ void WorkerRegistry::AddServerList(const PermitRequest& request, Worker* actor, 
   const int64_t generation = request.servers_generation;
   reply->servers_generation = generation;
   ExpireServersSometimes();
-  // The actor keeps a group from an earlier start of the learner until every server has had time to register again.
+  // The actor keeps a list from an earlier start of the learner until every server has had time to register again.
   const bool keeps =
       generation != 0 && generation < first_generation_ && clock_->Now() - start_ < options_.server_lease;
   if (keeps) return;
-  const ServerGroups::Place place = {actor->client.host, actor->zone};
-  const ServerGroups::Group* group = &groups_.GroupOf(actor->name, place);
-  if (LacksServers(*actor, group->addresses)) {
-    groups_.Avoid(actor->name);
+  const ServerLists::List* list = &lists_.ListOf(actor->name, actor->client.host);
+  if (LacksServers(*actor, list->addresses)) {
+    lists_.Avoid(actor->name);
     actor->unusable.clear();
-    group = &groups_.GroupOf(actor->name, place);
+    list = &lists_.ListOf(actor->name, actor->client.host);
   }
-  if (group->generation == generation) return;
-  reply->servers_generation = group->generation;
-  reply->servers.assign(group->addresses.begin(), group->addresses.end());
+  if (list->generation == generation) return;
+  reply->servers_generation = list->generation;
+  reply->servers.assign(list->addresses.begin(), list->addresses.end());
 }
 
 std::vector<WorkerRegistry::Server> WorkerRegistry::Servers() {
@@ -160,7 +158,7 @@ absl::Duration WorkerRegistry::LeaseForServers() const {
 }
 
 absl::Duration WorkerRegistry::ServerLease() const {
-  return options_.server_lease * std::clamp(static_cast<int>(groups_.servers() / kServersOfALease), 1, kMaxLeases);
+  return options_.server_lease * std::clamp(static_cast<int>(lists_.servers() / kServersOfALease), 1, kMaxLeases);
 }
 
 void WorkerRegistry::ExpireServersSometimes() {

@@ -65,8 +65,8 @@ std::vector<WorkerRegistry::WorkerInfo> WorkerRegistry::Workers(size_t most, std
     }
     if (worker->role == WorkerRole::kActor && worker->active) {
       info.play = lanes_.InfoOf(worker->name);
-      info.group = groups_.SizeOf(worker->name);
-      info.servers = groups_.servers();
+      info.group = lists_.SizeOf(worker->name);
+      info.servers = lists_.servers();
     }
     infos.push_back(std::move(info));
   }

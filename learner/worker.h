@@ -23,7 +23,6 @@ struct WorkerBuild {
   std::string build;   // version and git revision, for people
   std::string canary;  // digest of its numerics (actor) or game rules (environment server)
   std::string cpu = "";
-  std::string zone = "";  // where it runs, for ServerGroups; empty: not said
 };
 
 // What the learner knows of the caller of a worker's calls.
@@ -46,7 +45,6 @@ struct Worker {
   WorkerRole role = WorkerRole::kActor;
   std::string name;
   std::string address;  // empty: not known
-  std::string zone;     // as in WorkerBuild
 
   // The owner of the name, and when the name was last used. It becomes free when unused for `name_lapse`.
   WorkerClient client;

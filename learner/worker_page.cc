@@ -39,7 +39,6 @@ std::string StateOf(const WorkerRegistry::WorkerInfo& info, bool allow_mixed) {
   } else if (worker.role == WorkerRole::kEnvServer && worker.active && worker.draining) {
     state = worker.empty ? "drained" : "draining";
   }
-  if (!worker.zone.empty()) absl::StrAppend(&state, state.empty() ? "" : ", ", "zone ", worker.zone);
   if (worker.mismatch.has_value()) {
     absl::StrAppend(&state, state.empty() ? "" : "; ", allow_mixed ? "mixed" : "refused", ": another canary, build ",
                     worker.mismatch->build);

@@ -30,7 +30,7 @@ WorkerRegistry::WorkerRegistry(const Options& options, std::vector<LaneRecord> l
       clock_(clock),
       start_(clock->Now()),
       first_generation_(absl::ToUnixMicros(clock->WallNow())),
-      groups_(first_generation_),
+      lists_(first_generation_),
       lanes_(options.lanes, std::move(lanes), clock),
       evaluations_(clock),
       builds_(options.build) {}

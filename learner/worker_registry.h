@@ -27,7 +27,7 @@
 #include "learner/build_check.h"
 #include "learner/evaluation_scheduler.h"
 #include "learner/lane_scheduler.h"
-#include "learner/server_groups.h"
+#include "learner/server_lists.h"
 #include "learner/worker.h"
 
 namespace craftfleet {
@@ -41,7 +41,7 @@ namespace craftfleet {
 //
 // Environment servers: one per address. A server that registers an address already in use replaces the earlier server,
 // which must be gone. A server that has not reported for `server_lease` is no longer listed. Each actor gets the
-// addresses of its group (ServerGroups).
+// addresses of its list (ServerLists).
 //
 // Records outlive their workers for a while, so that the status page shows missing workers. Thread-safe.
 class WorkerRegistry {
@@ -96,7 +96,7 @@ class WorkerRegistry {
     bool evaluates = false;                             // it can play evaluations
     int64_t evaluation = 0;                             // its current task; 0: none
     bool wants_servers = false;                         // it gets its environment servers from here
-    int64_t servers_generation = 0;                     // of its current group; 0: none
+    int64_t servers_generation = 0;                     // of its current list; 0: none
     std::shared_ptr<const v1::ProcessSummary> summary;  // null: none
     std::vector<ServerReport> servers;
     std::function<bool()> is_cancelled;  // whether the client disconnected; may be null. Called with the lock held
@@ -109,7 +109,7 @@ class WorkerRegistry {
     std::optional<EvaluationScheduler::Task> evaluation;
     absl::Duration wait;  // that the actor's next request should have: PollInterval
     int64_t servers_generation = 0;
-    std::vector<std::string> servers;  // addresses of its group, if the actor's generation is outdated
+    std::vector<std::string> servers;  // addresses of its list, if the actor's generation is outdated
   };
   struct Server {
     std::string name;
@@ -343,8 +343,8 @@ class WorkerRegistry {
   std::map<std::pair<std::string, std::string>, int> names_from_
       ABSL_GUARDED_BY(mu_);  // the same, by identity and host
   std::map<std::string, Worker*, std::less<>> servers_
-      ABSL_GUARDED_BY(mu_);                   // those that report themselves, by address
-  ServerGroups groups_ ABSL_GUARDED_BY(mu_);  // of the listed servers
+      ABSL_GUARDED_BY(mu_);                 // those that report themselves, by address
+  ServerLists lists_ ABSL_GUARDED_BY(mu_);  // of the active servers
   absl::Time servers_checked_ ABSL_GUARDED_BY(mu_) = absl::InfinitePast();
   size_t added_ ABSL_GUARDED_BY(mu_) = 0;  // records since the last Prune
   absl::Time pruned_ ABSL_GUARDED_BY(mu_) = absl::InfinitePast();

@@ -69,7 +69,6 @@ absl::Status CheckJoin(const v1::JoinRequest& request) {
   CRAFTFLEET_RETURN_IF_ERROR(CheckText("address", request.address()));
   CRAFTFLEET_RETURN_IF_ERROR(CheckText("cpu", request.cpu()));
   CRAFTFLEET_RETURN_IF_ERROR(CheckText("build", request.build()));
-  CRAFTFLEET_RETURN_IF_ERROR(CheckText("zone", request.zone()));
   return CheckText("canary", request.canary());
 }
 
@@ -117,7 +116,6 @@ absl::Status CheckAnnouncement(const v1::Announcement& announcement) {
   CRAFTFLEET_RETURN_IF_ERROR(CheckAddress("advertise", announcement.address()));
   CRAFTFLEET_RETURN_IF_ERROR(CheckText("build", announcement.build()));
   CRAFTFLEET_RETURN_IF_ERROR(CheckText("canary", announcement.canary()));
-  CRAFTFLEET_RETURN_IF_ERROR(CheckText("zone", announcement.zone()));
   return CheckSummary(announcement.summary());
 }
 

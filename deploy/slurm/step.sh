@@ -1,7 +1,6 @@
 #!/usr/bin/env bash
 # Runs one process of a fleet in a Slurm step, listening on any free port of its host, and creates a file when Slurm stops
-# the step. Slurm signals all processes of a step, so this shell need not forward the signal. Actors and environment servers
-# get the network switches above their node as their zone, if Slurm knows them (TopologyPlugin).
+# the step. Slurm signals all processes of a step, so this shell need not forward the signal.
 #
 # Usage, by fleet.sbatch: step.sh FILE PROGRAM [FLAG]...
 #   FILE  is created at SIGTERM; may be /dev/null
@@ -11,12 +10,7 @@ set -uo pipefail
 note=$1
 shift
 trap 'touch "$note"' TERM
-zone=()
-case "$1 ${SLURM_TOPOLOGY_ADDR:-}" in
-  *-learner\ *) ;;  # has no zone
-  *\ *.*) zone=(--zone="${SLURM_TOPOLOGY_ADDR%.*}") ;;
-esac
-"$@" "${zone[@]}" --listen="$(hostname):0" &
+"$@" --listen="$(hostname):0" &
 while true; do
   wait $!
   status=$?

@@ -119,14 +119,12 @@ class Slurm(python_case.FolderCase):
     lines = [python_case.command_line(pid).split() for pid in python_case.processes_with(str(self.logdir))]
     return [line for line in lines if line and line[0].endswith(program)]
 
-  def test_workers_know_their_switches_and_scancel_ends_a_fleet_for_good(self):
+  def test_scancel_ends_a_fleet_for_good(self):
     job = self.submit_fleet(steps=1000000)
     self.wait_for_checkpoint(1)
     for program in ("craftfleet-actor", "craftfleet-envserver"):
       workers = self.command_lines(program)
       self.assertEqual(len(workers), 2)
-      for flags in workers:
-        self.assertIn("--zone=root.leaf", flags)
     self.cluster.run("scancel", job)
     self.expect_state(job, "CANCELLED")
     wait_until(lambda: self.cluster.run("squeue", "-h").stdout == "", "an empty queue")

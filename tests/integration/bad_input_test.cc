@@ -139,8 +139,6 @@ const std::vector<BadCommand>& BadCommands() {
       {"NoServers", actor, {"--envservers="}, {"--envservers is empty"}},
       {"UnknownFrames", actor, {"--frames=png"}, {"--frames=png, want raw or scene"}},
       {"NegativeThreads", actor, {"--threads=-1"}, {"--threads=-1, want 0..256; 0: as many as the CPU quota allows"}},
-      {"ZoneThatIsNoText", actor, {"--zone=a\tb"}, {"--zone is \"a\\tb\", want printable ASCII"}},
-      {"ZoneOfAServerWithoutLearner", server, {"--zone=a"}, {"--zone requires --learner"}},
       {"NoLanesForActor", actor, {"--max_lanes=0"}, {"--max_lanes=0, want 1..4096"}},
       {"NoTimeForServers", actor, {"--env_timeout=0"}, {"--env_timeout=0, want 0.1..3600 s"}},
       {"NoCheckpoint", "craftfleet-eval", {}, {"--checkpoint is missing"}},

@@ -187,23 +187,6 @@ TEST_F(RegistryServersTest, ServersThatActorsReportAreBounded) {
   EXPECT_EQ(registry_.Workers().size(), 2) << "there is room again";
 }
 
-TEST_F(RegistryServersTest, AnActorGetsTheServersOfItsZone) {
-  WorkerRegistry& registry = registry_;
-  EXPECT_THAT(registry.Announce({"", "host 1"}, "s1", "a:1", 0, {"", "", "", "east"}), IsOk());
-  EXPECT_THAT(registry.Announce({"", "host 2"}, "s2", "b:1", 0, {"", "", "", "west"}), IsOk());
-  EXPECT_THAT(registry.Join({"", "host 3"}, "asks", "", {"", "", "", "west"}), IsOk());
-  TestRegistry::PermitRequest request = Question(0);
-  request.client.host = "host 3";
-  const auto reply = registry.GetPermits(request);
-  ASSERT_THAT(reply, IsOk());
-  EXPECT_THAT(reply->servers, ElementsAre("b:1"));
-  EXPECT_THAT(registry.Leave({"", "host 2"}, WorkerRole::kEnvServer, "s2"), IsOk());
-  request.servers_generation = reply->servers_generation;
-  const auto next = registry.GetPermits(request);
-  ASSERT_THAT(next, IsOk());
-  EXPECT_THAT(next->servers, ElementsAre("a:1")) << "another one instead";
-}
-
 // A server that registers, but does not answer its neighbours, would stop them for good.
 TEST_F(RegistryServersTest, AnActorThatCanUseNoneOfItsServersGetsOthers) {
   WorkerRegistry& registry = registry_;
@@ -224,14 +207,14 @@ TEST_F(RegistryServersTest, AnActorThatCanUseNoneOfItsServersGetsOthers) {
   }
 }
 
-TEST_F(RegistryServersTest, SoDoesOneWithTheLargestGroup) {
+TEST_F(RegistryServersTest, SoDoesOneWithTheLongestList) {
   WorkerRegistry& registry = registry_;
   EXPECT_THAT(registry.Join({"", "host 1"}, "asks", "", {}), IsOk());
   TestRegistry::PermitRequest request = Question(0);
   request.client.host = "host 1";
   std::vector<std::string> servers;
   for (int seconds = 0; seconds <= 12; seconds += 2) {
-    for (size_t i = 0; i < ServerGroups::kLargest; ++i) {
+    for (size_t i = 0; i < ServerLists::kMost; ++i) {
       const std::string address = absl::StrCat("a:", i);
       EXPECT_THAT(registry.Announce({"", "host 1"}, address, address, 0, {}), IsOk());
       if (seconds == 0) request.servers.push_back({address, /*answers=*/false, /*hangs=*/true, nullptr});
