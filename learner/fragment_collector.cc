@@ -28,11 +28,6 @@ void FragmentCollector::BeginOpened() {
   ClearJournal();
 }
 
-void FragmentCollector::BeginWith(absl::Span<const Permit> fragments) {
-  collected_.clear();
-  parts_.registry->OpenFragments(fragments);
-}
-
 void FragmentCollector::BeginNext(int64_t policy_version) {
   DropReset();  // after an update that was undone
   parts_.registry->PublishVersion(policy_version);
@@ -65,8 +60,7 @@ absl::StatusOr<std::vector<Fragment>> FragmentCollector::Collect(size_t wanted, 
   return fragments;
 }
 
-absl::StatusOr<std::vector<Fragment>> FragmentCollector::CollectRollout(size_t wanted, const OnTick& on_tick,
-                                                                        std::vector<Arrival>* arrivals) {
+absl::StatusOr<std::vector<Fragment>> FragmentCollector::CollectRollout(size_t wanted, const OnTick& on_tick) {
   std::optional<std::vector<Arrival>> taken;
   const auto is_here = [this](const Arrival& arrival) {
     const auto found = collected_.find({arrival.permit.lane, arrival.permit.fragment});
@@ -84,7 +78,6 @@ absl::StatusOr<std::vector<Fragment>> FragmentCollector::CollectRollout(size_t w
   }
   std::vector<Fragment> fragments;
   for (auto& [key, fragment] : rollout) fragments.push_back(std::move(fragment));
-  *arrivals = *std::move(taken);
   return fragments;
 }
 

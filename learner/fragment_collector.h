@@ -12,7 +12,6 @@
 
 #include <absl/status/status.h>
 #include <absl/status/statusor.h>
-#include <absl/types/span.h>
 
 #include "common/base/clock.h"
 #include "common/base/types.h"
@@ -44,8 +43,6 @@ class FragmentCollector {
   void Begin(int64_t iteration, int64_t last_fragment, int64_t policy_version);
   // The same for an iteration whose permits are open already, which is not the first.
   void BeginOpened();
-  // The same for an iteration of exactly `fragments` (LaneScheduler::OpenFragments).
-  void BeginWith(absl::Span<const Permit> fragments);
   // Waits until `wanted` fragments are collected; returns them ordered by lane and number. Errors are those of
   // `on_tick`.
   absl::StatusOr<std::vector<Fragment>> Collect(size_t wanted, const OnTick& on_tick);
@@ -53,9 +50,8 @@ class FragmentCollector {
   // With max_staleness: begins an iteration that ends with the update from `policy_version`, the newest weights.
   void BeginNext(int64_t policy_version);
   // Waits for the `wanted` fragments of that update (LaneScheduler::TakeRollout); returns them ordered by lane and
-  // number, and their order of arrival in `arrivals`. Fragments for later updates are kept. Errors as Collect.
-  absl::StatusOr<std::vector<Fragment>> CollectRollout(size_t wanted, const OnTick& on_tick,
-                                                       std::vector<Arrival>* arrivals);
+  // number. Fragments for later updates are kept. Errors as Collect.
+  absl::StatusOr<std::vector<Fragment>> CollectRollout(size_t wanted, const OnTick& on_tick);
   // Empties the journal.
   void ClearJournal();
 

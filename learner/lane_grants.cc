@@ -142,7 +142,7 @@ std::vector<Permit> LaneScheduler::Grant(absl::string_view actor_name) {
       Lane& lane = lanes_[l];
       if (!lane.IsOpen() || ClaimOn(lane, *actor, shares, now) != wanted) continue;
       SetHolder(&lane, actor);
-      lane.permit = Permit{l, lane.record.next_fragment, VersionFor(lane), lane.reset_at == lane.record.next_fragment};
+      lane.permit = Permit{l, lane.record.next_fragment, policy_version_, lane.reset_at == lane.record.next_fragment};
       lane.since = now;
       lane.pace = {0, now};
       actor->permits.insert(l);

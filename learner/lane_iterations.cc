@@ -4,7 +4,6 @@
 #include <utility>
 #include <vector>
 
-#include "common/base/check.h"
 #include "learner/lane_scheduler.h"
 
 namespace craftfleet {
@@ -15,23 +14,6 @@ void LaneScheduler::OpenIteration(int64_t last_fragment, int64_t policy_version)
   for (Lane& lane : lanes_) {
     BeginLane(&lane);
     lane.last_fragment = last_fragment;
-    lane.versions.clear();
-  }
-  ListAll();
-}
-
-void LaneScheduler::OpenFragments(absl::Span<const Permit> fragments) {
-  BeginPermits();
-  for (Lane& lane : lanes_) {
-    BeginLane(&lane);
-    lane.last_fragment = lane.record.next_fragment;
-    lane.versions.clear();
-  }
-  for (const Permit& permit : fragments) {
-    Lane& lane = lanes_[permit.lane];
-    CRAFTFLEET_CHECK(permit.fragment == lane.last_fragment);
-    ++lane.last_fragment;
-    lane.versions.push_back(permit.policy_version);
   }
   ListAll();
 }
@@ -80,11 +62,6 @@ void LaneScheduler::BeginLane(Lane* lane) {
     lane->accepted.pop_front();
   lane->earlier_start = std::move(lane->start);
   lane->start = lane->record;
-}
-
-int64_t LaneScheduler::VersionFor(const Lane& lane) const {
-  if (lane.versions.empty()) return policy_version_;
-  return *(lane.versions.end() - (lane.last_fragment - lane.record.next_fragment));
 }
 
 int64_t LaneScheduler::Ahead() const {

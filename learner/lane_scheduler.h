@@ -155,9 +155,6 @@ class LaneScheduler {
   // Opens the next iteration: permits for fragments up to `last_fragment` (excluded) of each lane, with
   // `policy_version`. With max_staleness an iteration begins at TakeRollout instead.
   void OpenIteration(int64_t last_fragment, int64_t policy_version);
-  // The same for permits for exactly these fragments, each with its own version. Those of a lane are in order and begin
-  // with its next one.
-  void OpenFragments(absl::Span<const Permit> fragments);
   // With max_staleness: new permits have `policy_version`, from which the update with the next rollout will start.
   void PublishVersion(int64_t policy_version);
   // With max_staleness: the fragments that the next update learns from, in the order of their arrival, once they are
@@ -252,7 +249,6 @@ class LaneScheduler {
     std::deque<AcceptedFragment> accepted;  // of the current iteration and the previous one
     bool restored = false;                  // advanced by Restore since `start`
     int64_t last_fragment = 0;              // permits are for fragments before this one
-    std::vector<int64_t> versions;          // after OpenFragments: of its last fragments, up to last_fragment
     bool IsOpen() const { return !permit.has_value() && record.next_fragment < last_fragment; }
 
     // How it is listed at present.
@@ -307,8 +303,6 @@ class LaneScheduler {
   void BeginPermits();
   // Remembers where the lane stands, as the beginning of an iteration.
   static void BeginLane(Lane* lane);
-  // The version of the weights for the lane's next fragment.
-  int64_t VersionFor(const Lane& lane) const;
   // How many more permits may be granted (max_staleness).
   int64_t Ahead() const;
   // With max_staleness: how old a fragment that arrives now will be when it is learned from.
@@ -383,7 +377,7 @@ class LaneScheduler {
   int64_t resets_;
   int64_t differing_ = 0;
   RunningMedian times_;                 // durations of the iteration's fragments
-  int64_t policy_version_ = 0;          // of new permits, except after OpenFragments
+  int64_t policy_version_ = 0;          // of new permits
   std::deque<WaitingArrival> waiting_;  // with max_staleness, in the order of arrival
   int64_t next_update_ = 0;             // version from which the update with the next rollout will start
   int64_t dropped_ = 0;

@@ -6,7 +6,6 @@
 
 #include <absl/strings/str_cat.h>
 #include <absl/strings/str_format.h>
-#include <nlohmann/json.hpp>
 
 #include "common/agent/agent_spec.h"
 #include "common/agent/canary.h"
@@ -121,13 +120,13 @@ size_t FragmentsPerIteration(const v1::RunConfig& config) {
   return static_cast<size_t>(config.ppo().rollout_steps() / config.fragment_steps());
 }
 
-WorkerRegistry::Options RegistryOptions(const v1::RunConfig& config, bool is_replay, int resets,
-                                        int connections_per_client, BuildCheck::Options build) {
+WorkerRegistry::Options RegistryOptions(const v1::RunConfig& config, int resets, int connections_per_client,
+                                        BuildCheck::Options build) {
   WorkerRegistry::Options options;
   options.lanes.resets = resets;
   options.lanes.lanes = config.lanes();
   options.lanes.lease = kLease;
-  options.lanes.max_staleness = is_replay ? 0 : config.max_staleness();
+  options.lanes.max_staleness = config.max_staleness();
   options.lanes.rollout_fragments = static_cast<int64_t>(FragmentsPerIteration(config));
   options.server_lease = kServerLease;
   options.max_names_per_client = connections_per_client;
@@ -143,7 +142,6 @@ struct Learner::Loaded {
   std::unique_ptr<RunFolder> folder;
   std::unique_ptr<PpoUpdater> updater;
   std::optional<FragmentJournal> journal;  // with checkpoint.keep_fragments
-  std::optional<ArrivalReader> replay;     // with options.replay
   std::vector<Fragment> kept;              // from the journal of an earlier start
   Checkpoint checkpoint;                   // empty for a new run; without weights and optimiser, which the updater has
   wire::FragmentShape shape;
@@ -169,7 +167,6 @@ absl::StatusOr<std::unique_ptr<Learner>> Learner::Create(const Options& options)
   loaded.shape = FragmentShapeOf(*config, spec);
   loaded.lanes = LoadLanes(loaded.checkpoint.state, loaded.shape);
   if (config->checkpoint().keep_fragments()) OpenJournal(&loaded);
-  if (!options.replay.empty()) CRAFTFLEET_RETURN_IF_ERROR(OpenReplay(options, &loaded));
   wire::Server::Options server = options.server;
   server.max_message_bytes = LargestMessageBytes(loaded.shape);
   CRAFTFLEET_RETURN_IF_ERROR(server.OpenAccess());
@@ -236,27 +233,6 @@ void Learner::OpenJournal(Loaded* loaded) {
   loaded->kept = loaded->journal->Read(loaded->shape);
 }
 
-absl::Status Learner::OpenReplay(const Options& options, Loaded* loaded) {
-  const v1::RunConfig& config = loaded->config;
-  if (config.max_staleness() == 0) {
-    return absl::InvalidArgumentError(absl::StrCat("--replay: the run in ", options.replay,
-                                                   " has no record and needs none: without max_staleness, its "
-                                                   "configuration alone gives the same bytes"));
-  }
-  CRAFTFLEET_RETURN_IF_ERROR(CheckSameRun(options.replay, config));
-  CRAFTFLEET_ASSIGN_OR_RETURN(const std::string run, ReadFile(JoinPath(options.replay, "run.json")));
-  const auto description = nlohmann::json::parse(run, nullptr, /*allow_exceptions=*/false);
-  if (description.contains("init_from") && options.init_from.empty()) {
-    return absl::InvalidArgumentError(absl::StrCat("--replay: the run in ", options.replay,
-                                                   " began with the weights of ", description["init_from"].dump(),
-                                                   ": give them with --init_from"));
-  }
-  const ArrivalReader::Run shape = {config.lanes(), config.max_staleness(),
-                                    static_cast<int>(FragmentsPerIteration(config))};
-  CRAFTFLEET_ASSIGN_OR_RETURN(loaded->replay, ArrivalReader::Open(JoinPath(options.replay, kArrivalsFile), shape));
-  return absl::OkStatus();
-}
-
 Learner::Learner(const Options& options, Loaded loaded)
     : config_(std::move(loaded.config)),
       clock_(std::move(loaded.clock)),
@@ -264,9 +240,8 @@ Learner::Learner(const Options& options, Loaded loaded)
       updater_(std::move(loaded.updater)),
       ranks_(options.ranks, {config_, loaded.texture_digest}, loaded.build.policy_canary),
       journal_(std::move(loaded.journal)),
-      replay_(std::move(loaded.replay)),
-      registry_(RegistryOptions(config_, replay_.has_value(), loaded.lanes.resets,
-                                options.server.max_connections_per_client, std::move(loaded.build)),
+      registry_(RegistryOptions(config_, loaded.lanes.resets, options.server.max_connections_per_client,
+                                std::move(loaded.build)),
                 std::move(loaded.lanes.records), clock_.get()),
       weights_(KeptVersions(config_)),
       fragments_(FragmentsPerIteration(config_) * (1 + config_.max_staleness())),
@@ -276,8 +251,7 @@ Learner::Learner(const Options& options, Loaded loaded)
                 options.progress != nullptr ? options.progress : &null_stream_, clock_.get()),
       trainer_(config_, loaded.checkpoint, std::move(loaded.kept),
                {folder_.get(), updater_.get(), &ranks_, &registry_, &weights_, &fragments_, &evaluations_, &progress_,
-                &checkpoint_requests_, journal_.has_value() ? &*journal_ : nullptr,
-                replay_.has_value() ? &*replay_ : nullptr, clock_.get()}),
+                &checkpoint_requests_, journal_.has_value() ? &*journal_ : nullptr, clock_.get()}),
       service_(ServiceOptions(options, &loaded), &registry_, &weights_, &fragments_),
       steering_({&checkpoint_requests_, &registry_, [this] { Stop(); }}),
       admin_service_(&steering_),

@@ -42,7 +42,6 @@ class Learner {
     bool resume = false;       // continue the run in `logdir`
     std::string resume_from;   // name of the checkpoint to resume from; empty: the newest
     std::string init_from;     // for a new run: checkpoint or run folder with its initial weights; empty: none
-    std::string replay;        // for a new run: folder of the run whose record it replays (arrivals.jsonl); empty: none
     std::string texture_dir;   // folder of textures; empty: the built-in ones
     bool allow_mixed = false;  // accept workers with another canary (learner/build_check.h)
     wire::Server::Options server;
@@ -57,10 +56,9 @@ class Learner {
   // Reads the run folder, loads the checkpoint and starts to listen. Changes nothing in the folder but its lock; only
   // Run does, so a failed start leaves the folder unchanged.
   //   InvalidArgument: an invalid value of the configuration; names it. More ranks than gradient_shards, or on a GPU.
-  //   Or `replay` without max_staleness, or without the initial weights that the run was given.   AlreadyExists:
-  //   `logdir` has a run and `resume` is off. FailedPrecondition: the run in `logdir` has another configuration (only
-  //   `steps` and `checkpoint` may change), or that of `replay` has, and the message names the field; or `init_from` is
-  //   of another agent. Others as RunFolder and wire::Server.
+  //   AlreadyExists: `logdir` has a run and `resume` is off. FailedPrecondition: the run in `logdir` has another
+  //   configuration (only `steps` and `checkpoint` may change), and the message names the field; or `init_from` is of
+  //   another agent. Others as RunFolder and wire::Server.
   static absl::StatusOr<std::unique_ptr<Learner>> Create(const Options& options);
 
   // Waits for the other ranks, begins to write the run folder, then trains until the end of the run or Stop.
@@ -90,7 +88,6 @@ class Learner {
   absl::Status ServePage(const Options& options, std::shared_ptr<wire::AccessControl> access);
   static absl::StatusOr<Loaded> Load(const Options& options, const v1::RunConfig& config);
   static void OpenJournal(Loaded* loaded);
-  static absl::Status OpenReplay(const Options& options, Loaded* loaded);
 
   const v1::RunConfig config_;
   const std::unique_ptr<Clock> clock_;
@@ -98,7 +95,6 @@ class Learner {
   const std::unique_ptr<PpoUpdater> updater_;
   RankLeader ranks_;
   std::optional<FragmentJournal> journal_;
-  std::optional<ArrivalReader> replay_;
   WorkerRegistry registry_;
   WeightStore weights_;
   FragmentQueue fragments_;

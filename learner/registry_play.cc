@@ -194,12 +194,6 @@ void WorkerRegistry::OpenIteration(int64_t last_fragment, int64_t policy_version
   WakeIfChanged();
 }
 
-void WorkerRegistry::OpenFragments(absl::Span<const Permit> fragments) {
-  const MutexLock lock(&mu_);
-  lanes_.OpenFragments(fragments);
-  WakeIfChanged();
-}
-
 void WorkerRegistry::PublishVersion(int64_t policy_version) {
   const MutexLock lock(&mu_);
   lanes_.PublishVersion(policy_version);

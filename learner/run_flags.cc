@@ -49,9 +49,6 @@ ABSL_FLAG(std::optional<int32_t>, max_staleness, std::nullopt,
           "from 1 on: lanes play on without waiting, and updates take what arrives first\n"
           "from weights at most this many updates old, 0..64; 0: play and updates wait for each other\n"
           "[0]");
-ABSL_FLAG(std::string, replay, "",
-          "start a new run that learns from the same fragments as the run in this folder, in the recorded order\n"
-          "its weights are the same, byte for byte. For runs with --max_staleness; other runs need no record");
 ABSL_FLAG(bool, resume, false,
           "resume the run in --logdir from its newest checkpoint, as if it had never stopped\n"
           "only --steps and the checkpoint settings may change");
@@ -93,14 +90,10 @@ bool Resuming() {
 
 absl::StatusOr<v1::RunConfig> BaseConfig(bool resume) {
   const std::string config = absl::GetFlag(FLAGS_config);
-  const std::string replay = absl::GetFlag(FLAGS_replay);
-  if (config.empty() && replay.empty() && !resume) return v1::RunConfig();
+  if (config.empty() && !resume) return v1::RunConfig();
   std::string path = config;
   std::string error = "--config: ";
-  if (!replay.empty()) {
-    path = JoinPath(replay, "config.txt");
-    error = absl::StrFormat("--replay: no run in %s: ", replay);
-  } else if (config.empty()) {
+  if (config.empty()) {
     const std::string logdir = absl::GetFlag(FLAGS_logdir);
     path = JoinPath(logdir, "config.txt");
     error = FindCheckpoint(logdir).ok()
@@ -182,18 +175,12 @@ absl::StatusOr<Learner::Options> LearnerOptionsFromFlags(v1::RunConfig::Device o
   if (absl::GetFlag(FLAGS_resume) && !options.init_from.empty()) {
     return absl::InvalidArgumentError("--init_from starts a new run and cannot be combined with --resume");
   }
-  options.replay = absl::GetFlag(FLAGS_replay);
-  if (!options.replay.empty() && (options.resume || !absl::GetFlag(FLAGS_config).empty())) {
-    return absl::InvalidArgumentError(
-        "--replay starts a new run with the configuration of another and cannot be combined with --resume or --config");
-  }
-  const bool is_begun = options.resume || !options.replay.empty();  // on its type of device
   CRAFTFLEET_ASSIGN_OR_RETURN(options.config, BaseConfig(options.resume));
   CRAFTFLEET_RETURN_IF_ERROR(ApplyFlags(&options.config));
   CRAFTFLEET_ASSIGN_OR_RETURN(options.texture_dir, TextureDir(absl::GetFlag(FLAGS_textures)));
   CRAFTFLEET_ASSIGN_OR_RETURN(options.threads, ThreadsFromFlags());
-  CRAFTFLEET_ASSIGN_OR_RETURN(options.device, DeviceFromFlag(is_begun && !options.config.has_device()));
-  CRAFTFLEET_RETURN_IF_ERROR(SetRunDevice(options.device, is_begun, on_gpu, &options.config));
+  CRAFTFLEET_ASSIGN_OR_RETURN(options.device, DeviceFromFlag(options.resume && !options.config.has_device()));
+  CRAFTFLEET_RETURN_IF_ERROR(SetRunDevice(options.device, options.resume, on_gpu, &options.config));
   SetUpDevice(options.device, options.config.precision());
   options.server = wire::ServerOptionsFromFlags(/*address=*/"");
   options.http_address = absl::GetFlag(FLAGS_http_listen)

@@ -1,7 +1,6 @@
 #include "learner/trainer.h"
 
 #include <algorithm>
-#include <map>
 #include <utility>
 
 #include <absl/strings/str_format.h>
@@ -54,13 +53,12 @@ absl::Status Trainer::Run() {
   for (const Weights& weights : weights_) parts_.weights->Publish(weights.version, weights.bytes);
   PublishWeights(first_version_);
   absl::Status status = counters_.iteration == 0 ? checkpoints_.Write() : absl::OkStatus();
-  while (status.ok() && has_steps_left() && !has_replayed()) {
+  while (status.ok() && has_steps_left()) {
     status = RunIteration();
     ReleaseFreeMemory();  // up to two copies of an iteration's frames
   }
   parts_.checkpoints->Close();
   parts_.progress->Finish(counters_.env_steps, parts_.folder->score());
-  if (status.ok() && has_steps_left()) LogInfo("the record ends here: everything in it is replayed");
   End(/*trained=*/status.ok() && !has_steps_left());
   // A complete run needs the other ranks no longer.
   if (status.ok() && !finished()) status = CheckContinues();
@@ -101,7 +99,7 @@ absl::Status Trainer::RunIteration() {
   status_.OnIterationBegin();
   meter_.BeginCycle();
   meter_.Switch(Activity::kIntake);
-  CRAFTFLEET_RETURN_IF_ERROR(Begin());
+  Begin();
   CRAFTFLEET_ASSIGN_OR_RETURN(const std::vector<Fragment> fragments, Collect());
   // Those of an asynchronous run have already advanced, and some may be reset.
   std::vector<LaneRecord> lanes = is_asynchronous() ? parts_.registry->StartRecords() : parts_.registry->Records();
@@ -129,23 +127,14 @@ int64_t Trainer::LastFragment(int64_t iteration) const {
   return (iteration + 1) * per_lane;
 }
 
-absl::Status Trainer::Begin() {
+void Trainer::Begin() {
   if (is_asynchronous()) {
     collector_.BeginNext(weights_.back().version);
-  } else if (parts_.replay != nullptr) {
-    // Still known if its update was undone.
-    if (!arrivals_.has_value()) {
-      CRAFTFLEET_ASSIGN_OR_RETURN(arrivals_, parts_.replay->Next());
-    }
-    std::vector<Permit> permits;
-    for (const Arrival& arrival : arrivals_->fragments) permits.push_back(arrival.permit);
-    collector_.BeginWith(permits);
   } else if (std::exchange(next_is_open_, false)) {
     collector_.BeginOpened();
   } else {
     collector_.Begin(counters_.iteration + 1, LastFragment(counters_.iteration), weights_.front().version);
   }
-  return absl::OkStatus();
 }
 
 absl::StatusOr<std::vector<Fragment>> Trainer::Collect() {
@@ -159,29 +148,7 @@ absl::StatusOr<std::vector<Fragment>> Trainer::Collect() {
     return absl::OkStatus();
   };
   const auto wanted = static_cast<size_t>(config_.ppo().rollout_steps() / config_.fragment_steps());
-  if (is_asynchronous()) {
-    arrivals_ = {weights_.back().version, {}};
-    return collector_.CollectRollout(wanted, on_tick, &arrivals_->fragments);
-  }
-  CRAFTFLEET_ASSIGN_OR_RETURN(std::vector<Fragment> fragments, collector_.Collect(wanted, on_tick));
-  if (parts_.replay != nullptr) CRAFTFLEET_RETURN_IF_ERROR(CheckReplayed(fragments));
-  return fragments;
-}
-
-absl::Status Trainer::CheckReplayed(const std::vector<Fragment>& fragments) const {
-  std::map<std::pair<int, int64_t>, uint64_t> digests;
-  for (const Arrival& arrival : arrivals_->fragments) {
-    digests[{arrival.permit.lane, arrival.permit.fragment}] = arrival.digest;
-  }
-  for (const Fragment& fragment : fragments) {
-    const uint64_t recorded = digests[{fragment.lane, fragment.number}];
-    if (fragment.digest == recorded) continue;
-    return absl::DataLossError(
-        absl::StrFormat("fragment %d of lane %d, from %s, is %016x, but the recorded one was %016x: one of them was "
-                        "played by another build or on another CPU, or after its lane was reset",
-                        fragment.number, fragment.lane, fragment.sender, fragment.digest, recorded));
-  }
-  return absl::OkStatus();
+  return is_asynchronous() ? collector_.CollectRollout(wanted, on_tick) : collector_.Collect(wanted, on_tick);
 }
 
 ValueScale Trainer::ScaleOf(int64_t policy_version) const {
@@ -232,7 +199,6 @@ absl::Status Trainer::FinishIteration(const std::vector<Fragment>& fragments, co
   const Staleness staleness = StalenessOf(fragments, weights_.back().version);
   status_.OnUpdate(staleness);
   PublishWeights(weights_.back().version + 1);
-  if (arrivals_.has_value()) parts_.folder->AddArrivals(*std::exchange(arrivals_, std::nullopt));
   log_.AddIteration(counters_.env_steps, fragments, stats, StepsPerSecond());
   if (config_.max_staleness() > 0) log_.AddStaleness(counters_.env_steps, staleness, parts_.registry->dropped());
   LogPictures(fragments.front());

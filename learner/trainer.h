@@ -30,7 +30,6 @@
 #include "learner/ppo/ppo_updater.h"
 #include "learner/ppo/value_norm.h"
 #include "learner/rank_leader.h"
-#include "learner/run/arrival_log.h"
 #include "learner/run/checkpoint.h"
 #include "learner/run/progress.h"
 #include "learner/run/run_folder.h"
@@ -67,7 +66,6 @@ class Trainer {
     ProgressPrinter* progress;
     CheckpointRequests* checkpoints;
     FragmentJournal* journal;  // null: no journal
-    ArrivalReader* replay;     // the record to replay; null: none
     Clock* clock;
   };
   enum class Phase {
@@ -80,11 +78,10 @@ class Trainer {
   // fragments.
   Trainer(const v1::RunConfig& config, const Checkpoint& checkpoint, std::vector<Fragment> kept, const Parts& parts);
 
-  // Trains until the configured steps are done and then evaluates, unless Stop is called first or the record that is
-  // replayed ends. In all cases a checkpoint of the last finished iteration is written, and phase() shows how far the
-  // run got.
+  // Trains until the configured steps are done and then evaluates, unless Stop is called first. In all cases a
+  // checkpoint of the last finished iteration is written, and phase() shows how far the run got.
   //   Errors: the update failed twice in a row, after which a checkpoint of the last finished iteration is written; the
-  //   last checkpoint can't be written; the record is damaged, or its fragments have other contents (DataLoss); or
+  //   last checkpoint can't be written; or
   //   another rank is lost (RankLeader::lost), after which a checkpoint is written likewise.
   absl::Status Run();
   // Ends Run after the current minibatch, or at once during the final evaluation. An unfinished iteration is dropped;
@@ -109,9 +106,7 @@ class Trainer {
     ValueScale value_scale;                    // of the values that they predict
   };
 
-  bool is_asynchronous() const { return config_.max_staleness() > 0 && parts_.replay == nullptr; }
-  // Whether there is a record to replay, and it has ended.
-  bool has_replayed() const { return parts_.replay != nullptr && parts_.replay->at_end() && !arrivals_.has_value(); }
+  bool is_asynchronous() const { return config_.max_staleness() > 0; }
   // Whether the run goes on after `iterations` more.
   bool has_steps_left(int iterations = 0) const {
     return counters_.env_steps + int64_t{iterations} * config_.ppo().rollout_steps() < config_.steps();
@@ -123,11 +118,9 @@ class Trainer {
   // Runs one iteration.   Cancelled: Stop was called.
   absl::Status RunIteration();
   // Opens the iteration's permits, unless they are open.
-  absl::Status Begin();
+  void Begin();
   // Waits for the iteration's fragments.
   absl::StatusOr<std::vector<Fragment>> Collect();
-  // DataLoss: a fragment has another content than the recorded one.
-  absl::Status CheckReplayed(const std::vector<Fragment>& fragments) const;
   // The scale of the values that the weights `policy_version`, which may still play, predict.
   ValueScale ScaleOf(int64_t policy_version) const;
   // Updates the weights with the iteration's fragments, which are in order. On an error nothing changes.
@@ -164,9 +157,6 @@ class Trainer {
   int failed_updates_ = 0;  // in a row
 
   bool next_is_open_ = false;  // the permits of the iteration after the last finished one
-
-  // What the current iteration learns from; only with max_staleness, unset before that is known.
-  std::optional<UpdateArrivals> arrivals_;
 
   // As of the end of the last finished iteration.
   std::deque<Weights> weights_;  // those that the next fragments may be played with; the newest last

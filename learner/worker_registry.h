@@ -211,7 +211,6 @@ class WorkerRegistry {
   bool Counts(int lane, int64_t fragment, uint64_t digest) const ABSL_LOCKS_EXCLUDED(mu_);
   absl::StatusOr<LaneSnapshot> Snapshot(int lane, int64_t fragment) const ABSL_LOCKS_EXCLUDED(mu_);
   void OpenIteration(int64_t last_fragment, int64_t policy_version) ABSL_LOCKS_EXCLUDED(mu_);
-  void OpenFragments(absl::Span<const Permit> fragments) ABSL_LOCKS_EXCLUDED(mu_);
   void PublishVersion(int64_t policy_version) ABSL_LOCKS_EXCLUDED(mu_);
   std::optional<std::vector<Arrival>> TakeRollout() ABSL_LOCKS_EXCLUDED(mu_);
   void RewindIterations(int iterations) ABSL_LOCKS_EXCLUDED(mu_);

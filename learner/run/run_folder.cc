@@ -168,7 +168,6 @@ absl::Status RunFolder::PrepareFinalLogs() {
 absl::Status RunFolder::RemoveUnbegunLogs() const {
   for (const char* file : kEpisodeFiles) CRAFTFLEET_RETURN_IF_ERROR(RemoveAll(JoinPath(logdir_, file)));
   CRAFTFLEET_RETURN_IF_ERROR(RemoveAll(JoinPath(logdir_, kEventsFile)));
-  CRAFTFLEET_RETURN_IF_ERROR(RemoveAll(JoinPath(logdir_, kArrivalsFile)));
   return RemoveAll(JoinPath(logdir_, kConfigFile));
 }
 
@@ -181,10 +180,6 @@ absl::Status RunFolder::OpenLogs() {
   }
   CRAFTFLEET_ASSIGN_OR_RETURN(EventLog events, EventLog::Open(JoinPath(logdir_, kEventsFile), clock_, options));
   events_.emplace(std::move(events));
-  if (config_.max_staleness() > 0) {
-    CRAFTFLEET_ASSIGN_OR_RETURN(AppendFile arrivals, AppendFile::Open(JoinPath(logdir_, kArrivalsFile), options));
-    arrivals_.emplace(std::move(arrivals));
-  }
   return SyncFolder(logdir_);
 }
 
@@ -224,7 +219,6 @@ absl::Status RunFolder::FlushLogs() {
 int64_t RunFolder::waiting_bytes() const {
   int64_t bytes = events_->file().waiting_bytes();
   for (const StatsLog& log : stats_) bytes += log.file().waiting_bytes();
-  if (arrivals_.has_value()) bytes += arrivals_->waiting_bytes();
   return bytes;
 }
 
@@ -251,14 +245,12 @@ absl::Status RunFolder::WriteCheckpoint(Checkpoint checkpoint) {
 std::vector<std::string> RunFolder::LogNames() const {
   std::vector<std::string> names = {kEventsFile};
   names.insert(names.end(), kEpisodeFiles.begin(), kEpisodeFiles.end());
-  if (config_.max_staleness() > 0) names.emplace_back(kArrivalsFile);
   return names;
 }
 
 std::vector<AppendFile*> RunFolder::Logs() {
   std::vector<AppendFile*> logs = {&events_->file()};
   for (StatsLog& log : stats_) logs.push_back(&log.file());
-  if (arrivals_.has_value()) logs.push_back(&*arrivals_);
   return logs;
 }
 

@@ -21,7 +21,6 @@
 #include "common/base/types.h"
 #include "craftfleet/v1/checkpoint.pb.h"
 #include "craftfleet/v1/config.pb.h"
-#include "learner/run/arrival_log.h"
 #include "learner/run/checkpoint_store.h"
 #include "learner/run/epoch.h"
 #include "learner/run/event_log.h"
@@ -94,8 +93,6 @@ class RunFolder {
   void AddEpisodes(absl::Span<const Episode> episodes);
   // The same for an evaluation, during training or after it.
   void AddEvaluation(bool final, absl::Span<const Episode> argmax, absl::Span<const Episode> sampled);
-  // Records what an update of an asynchronous run (config.max_staleness) learned from.
-  void AddArrivals(const UpdateArrivals& update) { arrivals_->Append(FormatArrivals(update)); }
   // Appends a point to each curve.
   void AddScalars(int64_t step, absl::Span<const Scalar> scalars) { events_->AddScalars(step, scalars); }
   // Appends histograms and pictures for TensorBoard.
@@ -149,9 +146,8 @@ class RunFolder {
   EpochFence fence_;
   std::array<ScoreBoard, kNumEpisodeKinds> scores_;
   ScoreCurve curve_;
-  std::vector<StatsLog> stats_;         // by kind; empty before Begin
-  std::optional<EventLog> events_;      // unset before Begin
-  std::optional<AppendFile> arrivals_;  // unset before Begin, and without max_staleness
+  std::vector<StatsLog> stats_;     // by kind; empty before Begin
+  std::optional<EventLog> events_;  // unset before Begin
   CheckpointStore checkpoints_;
   double best_score_ = -std::numeric_limits<double>::infinity();
 };

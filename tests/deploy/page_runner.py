@@ -18,7 +18,7 @@ from tests.fakes.screens import Display, Tmux
 
 # name of a program -> a shell command that runs the real one, $REAL, with the arguments of the page, "$@".
 SMALLER = {
-    "craftfleet-train": 'case " $* " in *" --resume "* | *" --replay="*) exec "$REAL" "$@" ;; *" --config="*) ;; *) set -- --config="$SMALL" "$@" ;; esac\n'
+    "craftfleet-train": 'case " $* " in *" --resume "*) exec "$REAL" "$@" ;; *" --config="*) ;; *) set -- --config="$SMALL" "$@" ;; esac\n'
                         'exec "$REAL" "$@" --steps=192 --lanes=4',
     "craftfleet-learner": 'exec "$REAL" --config="$SMALL" "$@" --lanes=4',
     "craftfleet-eval": 'case " $* " in *--protocol=*) exec "$REAL" "$@" ;; esac\nexec "$REAL" "$@" --episodes=1',

@@ -204,10 +204,9 @@ TEST_F(FleetTest, WithoutStalenessARunIsSynchronous) {
   const auto train = Train("no-staleness", {"--max_staleness=0"});
   ASSERT_EQ(train->Wait(kPatience), 0) << train->Err();
   ExpectLikeQuiet("no-staleness");
-  EXPECT_FALSE(PathExists(Logdir("no-staleness") + "/arrivals.jsonl"));
 }
 
-// Lanes play on without waiting for each other. Its result depends on the order of arrival, which a replay repeats.
+// Lanes play on without waiting for each other. The result depends on the order of arrival.
 class AsynchronousFleetTest : public FleetTest {
  protected:
   void SetUp() override {
@@ -219,7 +218,7 @@ class AsynchronousFleetTest : public FleetTest {
   virtual std::string Config() { return kConfig; }
 
   // Trains with three actors, of which one is stopped for a while and one is killed, and a learner that is killed.
-  static void TrainWithFaults() {
+  static void OutliveFaults() {
     auto learner = StartLearner("async", "127.0.0.1:0");
     const auto server = StartServer("async-server");
     const std::string learner_address = learner->WaitForAddress().value();
@@ -238,72 +237,23 @@ class AsynchronousFleetTest : public FleetTest {
     EXPECT_EQ(learner->Wait(kPatience), 0) << learner->Err();
     EXPECT_THAT(learner->Err(), HasSubstr("resumes after iteration"));
     EXPECT_EQ(steady->Wait(absl::Seconds(10)), 0) << steady->Err();
+    ExpectComplete();
   }
-  static std::string Record(const std::string& run) {
-    return ReadFile(Logdir(run) + "/arrivals.jsonl").value_or("none");
-  }
-  static void ExpectReplayed(const std::string& run) {
-    const Result replayed = Read(run);
-    const Result original = Read("async");
-    ExpectSame(replayed.weights, original.weights, "weights");
-    ExpectSame(replayed.optimizer, original.optimizer, "optimizer");
-    ExpectSame(replayed.stats, original.stats, "stats.jsonl");
-    ExpectSame(replayed.evaluations, original.evaluations, "evaluations");
-    ExpectSame(replayed.final_evaluation, original.final_evaluation, "final evaluation");
-    ExpectSame(Record(run), Record("async"), "arrivals.jsonl");
-  }
-  static std::string Replay() { return "--replay=" + Logdir("async"); }
-  static std::vector<std::string> Arguments(const std::string& run) { return {Replay(), "--logdir=" + Logdir(run)}; }
-
-  // In one process, and in a fleet with two actors of which one is killed.
-  static void TrainAndReplay() {
-    ASSERT_NO_FATAL_FAILURE(TrainWithFaults());
-    ASSERT_EQ(Lines(Record("async")), 10) << "an update a line";
-    const auto train = Start("craftfleet-train", "replayed-learner", Arguments("replayed"));
-    EXPECT_EQ(train->Wait(kPatience), 0) << train->Err();
-    ExpectReplayed("replayed");
-
-    std::vector<std::string> arguments = Arguments("replayed-by-fleet");
-    arguments.emplace_back("--listen=127.0.0.1:0");
-    const auto learner = Start("craftfleet-learner", "replayed-by-fleet-learner", arguments);
-    const auto server = StartServer("replayed-by-fleet-server");
-    const std::string learner_address = learner->WaitForAddress().value();
-    const std::string server_address = server->WaitForAddress().value();
-    auto killed = StartActor("replayed-by-fleet-killed", learner_address, server_address);
-    const auto steady = StartActor("replayed-by-fleet-steady", learner_address, server_address);
-    WaitForCheckpoint("replayed-by-fleet", 4);
-    killed->Kill();
-    EXPECT_EQ(learner->Wait(kPatience), 0) << learner->Err();
-    ExpectReplayed("replayed-by-fleet");
+  static void ExpectComplete() {
+    EXPECT_GT(Lines(Read("async").stats), 0);
+    EXPECT_FALSE(Read("async").weights.empty());
   }
 };
 
-TEST_F(AsynchronousFleetTest, AReplayOfARunWithFaultsGivesTheSameBytes) { TrainAndReplay(); }
+TEST_F(AsynchronousFleetTest, AFleetOutlivesFaults) { OutliveFaults(); }
 
-TEST_F(AsynchronousFleetTest, ARunInOneProcessCanBeKilledResumedAndReplayed) {
+TEST_F(AsynchronousFleetTest, ARunInOneProcessCanBeKilledAndResumed) {
   auto train = Train("async", {});
   WaitForCheckpoint("async", 4);
   train->Kill();
   train = Train("async", {"--resume"});
   ASSERT_EQ(train->Wait(kPatience), 0) << train->Err();
-  train = Start("craftfleet-train", "replayed-learner", Arguments("replayed"));
-  EXPECT_EQ(train->Wait(kPatience), 0) << train->Err();
-  ExpectReplayed("replayed");
-}
-
-TEST_F(AsynchronousFleetTest, TheRecordOfAStoppedRunIsReplayedToItsEnd) {
-  auto train = Train("async", {});
-  WaitForCheckpoint("async", 4);
-  train->Signal(SIGTERM);
-  ASSERT_EQ(train->Wait(absl::Seconds(10)), 0) << train->Err();
-  train = Start("craftfleet-train", "replayed-learner", Arguments("replayed"));
-  EXPECT_EQ(train->Wait(kPatience), 0) << train->Err();
-  EXPECT_THAT(train->Err(), HasSubstr("the record ends here"));
-  EXPECT_EQ(Record("replayed"), Record("async"));
-  const std::string checkpoint = FindCheckpoint(Logdir("async")).value();
-  const std::string name = checkpoint.substr(checkpoint.rfind('/'));
-  ExpectSame(ReadFile(Logdir("replayed") + "/checkpoints" + name + "/weights.safetensors").value_or("none"),
-             ReadFile(checkpoint + "/weights.safetensors").value(), "weights");
+  ExpectComplete();
 }
 
 // Values are normalised by statistics that change with each update; each fragment's are those of its weights.
@@ -314,7 +264,7 @@ class AsynchronousNormFleetTest : public AsynchronousFleetTest {
   }
 };
 
-TEST_F(AsynchronousNormFleetTest, AReplayOfARunWithFaultsGivesTheSameBytes) { TrainAndReplay(); }
+TEST_F(AsynchronousNormFleetTest, AFleetOutlivesFaults) { OutliveFaults(); }
 
 // With values that are normalised, by statistics that change with each update, and a recurrent state.
 class OverlappedNormFleetTest : public FleetTest {

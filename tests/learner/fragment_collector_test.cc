@@ -181,13 +181,11 @@ TEST_F(AsyncCollectorTest, ReturnsTheFragmentsAcceptedFirstInWhateverOrderTheyAr
   std::vector<Fragment> accepted;
   for (int number = 0; number < 4; ++number) accepted.push_back(Accepted(0, number));
   for (const int number : {2, 3, 1, 0}) ASSERT_THAT(queue_.Push(accepted[number]), IsOk());
-  std::vector<Arrival> arrivals;
-  auto fragments = collector.CollectRollout(2, Continue, &arrivals);
+  auto fragments = collector.CollectRollout(2, Continue);
   ASSERT_THAT(fragments, IsOk());
   EXPECT_THAT(Names(*fragments), ElementsAre(Pair(0, 0), Pair(0, 1)));
-  EXPECT_THAT(arrivals, ElementsAre(Arrival{{0, 0, kVersion}, 100}, Arrival{{0, 1, kVersion}, 101}));
   collector.BeginNext(kVersion + 1);
-  fragments = collector.CollectRollout(2, Continue, &arrivals);
+  fragments = collector.CollectRollout(2, Continue);
   ASSERT_THAT(fragments, IsOk());
   EXPECT_THAT(Names(*fragments), ElementsAre(Pair(0, 2), Pair(0, 3))) << "collected before their update";
 }
@@ -196,17 +194,14 @@ TEST_F(AsyncCollectorTest, AfterAnUndoneUpdateNothingThatWasCollectedCounts) {
   FragmentCollector collector = MakeAsync();
   collector.BeginNext(kVersion);
   for (int number = 0; number < 3; ++number) ASSERT_THAT(queue_.Push(Accepted(0, number)), IsOk());
-  std::vector<Arrival> arrivals;
-  ASSERT_THAT(collector.CollectRollout(2, Continue, &arrivals), IsOk());
+  ASSERT_THAT(collector.CollectRollout(2, Continue), IsOk());
   async_.RewindIterations(2);
   collector.BeginNext(kVersion);
-  EXPECT_THAT(collector.CollectRollout(
-                  2,
-                  [](size_t collected, bool is_idle) -> absl::Status {
-                    EXPECT_EQ(collected, 0U);
-                    return is_idle ? absl::CancelledError("stopping") : absl::OkStatus();
-                  },
-                  &arrivals),
+  EXPECT_THAT(collector.CollectRollout(2,
+                                       [](size_t collected, bool is_idle) -> absl::Status {
+                                         EXPECT_EQ(collected, 0U);
+                                         return is_idle ? absl::CancelledError("stopping") : absl::OkStatus();
+                                       }),
               StatusIs(absl::StatusCode::kCancelled, "stopping"));
 }
 

@@ -149,20 +149,6 @@ TEST_F(AsyncLanes, AnUndoneUpdateAndAllThatWasPlayedSinceArePlayedAgain) {
   EXPECT_FALSE(registry_.TakeRollout().has_value());
 }
 
-TEST_F(AsyncLanes, AReplayOpensExactlyTheRecordedFragmentsWithTheirVersions) {
-  TestRegistry replay(AsyncOptions(2, 0, 1), std::vector<LaneRecord>(2), &clock_);
-  replay.Join("a", "");
-  replay.OpenFragments(std::vector<Permit>{{1, 0, 3}, {1, 1, 4}});
-  const auto ask = [&] { return replay.GetPermits("a", {}, 2, absl::ZeroDuration())->granted; };
-  EXPECT_THAT(ask(), ElementsAre(Permit{1, 0, 3}));
-  ASSERT_EQ(*replay.Accept("a", {1, 0, 3}, {}), Verdict::kAccepted);
-  EXPECT_THAT(ask(), ElementsAre(Permit{1, 1, 4}));
-  ASSERT_EQ(*replay.Accept("a", {1, 1, 4}, {}), Verdict::kAccepted);
-  EXPECT_THAT(ask(), IsEmpty());
-  replay.OpenFragments(std::vector<Permit>{{0, 0, 4}});
-  EXPECT_THAT(ask(), ElementsAre(Permit{0, 0, 4}));
-}
-
 // Actors that act randomly, a trainer that takes rollouts and publishes versions at random moments, and a model of what
 // was accepted and learned.
 class History {

@@ -49,7 +49,6 @@ struct Variant {
   bool resume = false;
   int overlap = 0;
   int max_staleness = 0;
-  std::string replay = "";  // folder of the run to replay
   int epochs = 1;
 };
 
@@ -107,7 +106,6 @@ class Training {
     options.config = Config(variant);
     options.logdir = logdir;
     options.resume = variant.resume;
-    options.replay = variant.replay;
     options.texture_dir = DefaultTextureDir().value();
     learner_ = Learner::Create(options).value();
     stub_ = v1::LearnerService::NewStub(learner_->InProcess().channel);
@@ -363,49 +361,26 @@ const Variant kAsynchronous = {/*keep_fragments=*/false, /*resume=*/false, /*ove
 
 class AsynchronousTrainerTest : public TrainerTest {
  protected:
-  std::unique_ptr<Training> Replay(const std::string& run) {
-    Variant variant = kAsynchronous;
-    variant.replay = folder_ / run;
-    return Begin(run + "-replayed", variant);
-  }
   std::unique_ptr<Training> Resume(const std::string& run) {
     Variant variant = kAsynchronous;
     variant.resume = true;
     return Begin(run, variant);
   }
-  std::string Record(const std::string& run) const { return ReadFile(folder_ / run + "/arrivals.jsonl").value_or(""); }
-  // Replays `run`, whose last update gave the weights `version`, and expects the same weights and record.
-  void ExpectReplayed(const std::string& run, int64_t version, const std::string& weights) {
-    const auto replay = Replay(run);
-    replay->Play("b", static_cast<int>(version) * kPerIteration);
-    ASSERT_THAT(replay->Wait(), IsOk()) << "it ends with the record";
-    const auto checkpoint = FindCheckpoint(folder_ / run + "-replayed");
-    ASSERT_THAT(checkpoint, IsOk());
-    EXPECT_TRUE(ReadFile(*checkpoint + "/weights.safetensors").value() == weights) << "to the bit";
-    EXPECT_EQ(Record(run + "-replayed"), Record(run));
-  }
 };
 
-TEST_F(AsynchronousTrainerTest, AnUpdateLearnsFromWhatArrivesFirstAndAReplayFromTheSame) {
-  std::string weights;
-  {
-    const auto training = Begin("async", kAsynchronous);
-    training->Join("slow");
-    const std::vector<v1::Permit> slow = training->Ask("slow", {}, /*capacity=*/1);
-    ASSERT_EQ(slow.size(), 1U);
-    training->Play("fast", kPerIteration);
-    ASSERT_FALSE(training->Weights(1).empty());
-    EXPECT_EQ(training->Push("slow", training->Played(slow[0])), v1::FragmentVerdict::ACCEPTED) << "one update old";
-    training->Play("fast", kPerIteration - 1);
-    weights = training->Weights(2);
-    ASSERT_FALSE(weights.empty());
-    while (training->Metric("iteration") < 2) training->Join("slow");
-    EXPECT_EQ(training->Metric("staleness_max"), 1);
-    ASSERT_THAT(training->Stop(), IsOk());
-  }
-  EXPECT_THAT(Record("async"), testing::StartsWith("{\"policy_version\": 0, \"fragments\": [[1, 0, 0, "));
-  EXPECT_THAT(Record("async"), HasSubstr("{\"policy_version\": 1, \"fragments\": [[0, 0, 0, "));
-  ExpectReplayed("async", 2, weights);
+TEST_F(AsynchronousTrainerTest, AnUpdateLearnsFromWhatArrivesFirst) {
+  const auto training = Begin("async", kAsynchronous);
+  training->Join("slow");
+  const std::vector<v1::Permit> slow = training->Ask("slow", {}, /*capacity=*/1);
+  ASSERT_EQ(slow.size(), 1U);
+  training->Play("fast", kPerIteration);
+  ASSERT_FALSE(training->Weights(1).empty());
+  EXPECT_EQ(training->Push("slow", training->Played(slow[0])), v1::FragmentVerdict::ACCEPTED) << "one update old";
+  training->Play("fast", kPerIteration - 1);
+  ASSERT_FALSE(training->Weights(2).empty());
+  while (training->Metric("iteration") < 2) training->Join("slow");
+  EXPECT_EQ(training->Metric("staleness_max"), 1);
+  ASSERT_THAT(training->Stop(), IsOk());
 }
 
 TEST_F(AsynchronousTrainerTest, AFragmentThatIsTooOldIsRefused) {
@@ -420,66 +395,26 @@ TEST_F(AsynchronousTrainerTest, AFragmentThatIsTooOldIsRefused) {
   EXPECT_FALSE(training->Weights(3).empty());
 }
 
-TEST_F(AsynchronousTrainerTest, AStoppedRunGoesOnFromItsCheckpointAndItsRecordHoldsAllThatWasLearned) {
+TEST_F(AsynchronousTrainerTest, AStoppedRunGoesOnFromItsCheckpoint) {
   {
     const auto training = Begin("stopped", kAsynchronous);
     training->Play("a", 2 * kPerIteration + 1);  // one is not learned from
     ASSERT_FALSE(training->Weights(2).empty());
     ASSERT_THAT(training->Stop(), IsOk());
   }
-  std::string weights;
-  {
-    const auto training = Resume("stopped");
-    std::vector<int64_t> versions;
-    training->Play("a", kPerIteration, [&](Fragment* f) { versions.push_back(f->policy_version); });
-    EXPECT_EQ(versions, (std::vector<int64_t>(kPerIteration, 2)));
-    weights = training->Weights(3);
-    ASSERT_FALSE(weights.empty());
-    while (training->Metric("iteration") < 3) training->Join("a");
-    ASSERT_THAT(training->Stop(), IsOk());
-  }
-  ExpectReplayed("stopped", 3, weights);
+  const auto training = Resume("stopped");
+  std::vector<int64_t> versions;
+  training->Play("a", kPerIteration, [&](Fragment* f) { versions.push_back(f->policy_version); });
+  EXPECT_EQ(versions, (std::vector<int64_t>(kPerIteration, 2)));
+  EXPECT_FALSE(training->Weights(3).empty());
 }
 
-TEST_F(AsynchronousTrainerTest, AnUpdateThatFailsIsUndoneAndLeavesNoTraceInTheRecord) {
-  std::string weights;
-  {
-    const auto training = Begin("disturbed", kAsynchronous);
-    training->PlayInVain("liar");
-    training->Play("a", 2 * kPerIteration);
-    weights = training->Weights(2);
-    ASSERT_FALSE(weights.empty());
-    while (training->Metric("iteration") < 2) training->Join("a");
-    ASSERT_THAT(training->Stop(), IsOk());
-  }
-  ExpectReplayed("disturbed", 2, weights);
-}
-
-TEST_F(AsynchronousTrainerTest, AReplayOfOtherFragmentsEndsAndNamesTheFirst) {
-  {
-    const auto training = Begin("async", kAsynchronous);
-    training->Play("a", kPerIteration);
-    ASSERT_FALSE(training->Weights(1).empty());
-    ASSERT_THAT(training->Stop(), IsOk());
-  }
-  const auto replay = Replay("async");
-  replay->Play("b", kPerIteration, [](Fragment* fragment) {
-    if (fragment->lane == 1) fragment->rewards[0] = 0.5F;
-  });
-  EXPECT_THAT(replay->Wait(), StatusIs(absl::StatusCode::kDataLoss, HasSubstr("fragment 0 of lane 1, from b, is ")));
-}
-
-TEST_F(AsynchronousTrainerTest, AReplayNeedsARecordAndTheSameConfiguration) {
-  Learner::Options options;
-  options.texture_dir = DefaultTextureDir().value();
-  options.logdir = folder_ / "replay";
-  options.replay = folder_ / "run";
-  { const auto training = Begin("run"); }
-  options.config = Config({});
-  EXPECT_THAT(Learner::Create(options),
-              StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("has no record and needs none")));
-  options.config = Config(kAsynchronous);
-  EXPECT_THAT(Learner::Create(options), StatusIs(absl::StatusCode::kFailedPrecondition, HasSubstr("max_staleness")));
+TEST_F(AsynchronousTrainerTest, AnUpdateThatFailsIsUndone) {
+  const auto training = Begin("disturbed", kAsynchronous);
+  training->PlayInVain("liar");
+  training->Play("a", 2 * kPerIteration);
+  EXPECT_FALSE(training->Weights(2).empty());
+  EXPECT_EQ(training->Metric("updates_undone"), 1);
 }
 
 }  // namespace

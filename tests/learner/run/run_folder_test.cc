@@ -126,34 +126,6 @@ TEST_F(RunFolderTest, AResumedRunWritesTheSameFilesAsAnUninterruptedOne) {
   EXPECT_EQ(ReadFile(logdir_ + "/events.out.tfevents.craftfleet").value(), events);
 }
 
-TEST_F(RunFolderTest, TheRecordOfArrivalsIsTruncatedLikeTheOtherLogs) {
-  v1::RunConfig config = DefaultRunConfig();
-  config.set_max_staleness(2);
-  config = ResolveRunConfig(config).value();
-  const UpdateArrivals first = {0, {{{0, 0, 0}, 7}}};
-  const UpdateArrivals second = {1, {{{0, 1, 0}, 8}}};
-  {
-    auto folder = RunFolder::Create(logdir_, config, program_, &clock_).value();
-    ASSERT_THAT(folder->Begin(), IsOk());
-    folder->AddArrivals(first);
-    Checkpoint checkpoint = SampleCheckpoint(1);
-    *checkpoint.state.mutable_config() = config;
-    ASSERT_THAT(folder->WriteCheckpoint(checkpoint), IsOk());
-    folder->AddArrivals(second);
-    ASSERT_THAT(folder->FlushLogs(), IsOk());
-  }
-  EXPECT_EQ(ReadFile(logdir_ + "/arrivals.jsonl").value(), FormatArrivals(first) + FormatArrivals(second));
-  ASSERT_THAT(Resume(), IsOk());
-  EXPECT_EQ(ReadFile(logdir_ + "/arrivals.jsonl").value(), FormatArrivals(first));
-  ASSERT_THAT(WriteFileSynced(logdir_ + "/arrivals.jsonl", "{"), IsOk());
-  EXPECT_THAT(Look(), StatusIs(absl::StatusCode::kDataLoss, HasSubstr("arrivals.jsonl has 1 bytes")));
-}
-
-TEST_F(RunFolderTest, ASynchronousRunHasNoRecordOfArrivals) {
-  MakeRun();
-  EXPECT_FALSE(PathExists(logdir_ + "/arrivals.jsonl"));
-}
-
 TEST_F(RunFolderTest, ResumingFromAnOlderCheckpointRemovesNewerOnes) {
   MakeRun();
   {
