@@ -3,8 +3,6 @@
 #include <algorithm>
 #include <iterator>
 
-#include <absl/strings/str_cat.h>
-
 #include "common/base/check.h"
 
 namespace craftfleet {
@@ -18,8 +16,6 @@ constexpr Reaction kOther = Reaction::kOtherServer;
 constexpr Reaction kProbe = Reaction::kProbeFirst;
 constexpr Reaction kUnfit = Reaction::kUnfit;
 constexpr Reaction kEnd = Reaction::kEnd;
-
-constexpr absl::string_view kCallKindNames[kNumCallKinds] = {"join", "play", "weights", "snapshot", "session"};
 
 // There may be many environment servers, and some may misbehave. Their errors end the program only if every server of a
 // fixed list is unfit. There is only one learner: errors that a retry cannot fix end the program.
@@ -69,24 +65,6 @@ constexpr ErrorRule kTable[] = {
     {Code::kUnauthenticated, {kEnd, kRetry, kRetry, kRetry, kUnfit}, "As PERMISSION_DENIED."},
 };
 
-absl::string_view NameOf(Reaction reaction) {
-  switch (reaction) {
-    case Reaction::kRetry:
-      return "retry";
-    case Reaction::kJoinAgain:
-      return "join again";
-    case Reaction::kOtherServer:
-      return "other server";
-    case Reaction::kProbeFirst:
-      return "probe first";
-    case Reaction::kUnfit:
-      return "unfit";
-    case Reaction::kEnd:
-      break;
-  }
-  return "**end**";
-}
-
 }  // namespace
 
 absl::Span<const ErrorRule> ErrorPolicy() { return kTable; }
@@ -101,18 +79,6 @@ Reaction ReactionTo(CallKind call, const absl::Status& error) {
 bool IsTransient(CallKind call, const absl::Status& error) {
   const Reaction reaction = ReactionTo(call, error);
   return reaction != Reaction::kEnd && reaction != Reaction::kUnfit;
-}
-
-std::string FormatErrorPolicy() {
-  std::string text = "| Error |";
-  for (const absl::string_view call : kCallKindNames) absl::StrAppend(&text, " ", call, " |");
-  absl::StrAppend(&text, " Why |\n|---|---|---|---|---|---|---|\n");
-  for (const ErrorRule& rule : kTable) {
-    absl::StrAppend(&text, "| ", absl::StatusCodeToString(rule.code), " |");
-    for (const Reaction reaction : rule.reactions) absl::StrAppend(&text, " ", NameOf(reaction), " |");
-    absl::StrAppend(&text, " ", rule.why, " |\n");
-  }
-  return text;
 }
 
 }  // namespace craftfleet

@@ -46,9 +46,6 @@ Reaction ReactionTo(CallKind call, const absl::Status& error);
 // Whether the same call may succeed later: any reaction but kEnd and kUnfit.
 bool IsTransient(CallKind call, const absl::Status& error);
 
-// Formats the table as in README.md.
-std::string FormatErrorPolicy();
-
 }  // namespace craftfleet
 
 #endif  // CRAFTFLEET_ACTOR_ERROR_POLICY_H_

@@ -81,8 +81,8 @@ class Trainer {
   // Trains until the configured steps are done and then evaluates, unless Stop is called first. In all cases a
   // checkpoint of the last finished iteration is written, and phase() shows how far the run got.
   //   Errors: the update failed twice in a row, after which a checkpoint of the last finished iteration is written; the
-  //   last checkpoint can't be written; or
-  //   another rank is lost (RankLeader::lost), after which a checkpoint is written likewise.
+  //   last checkpoint can't be written; or another rank is lost (RankLeader::lost), after which a checkpoint is written
+  //   likewise.
   absl::Status Run();
   // Ends Run after the current minibatch, or at once during the final evaluation. An unfinished iteration is dropped;
   // unfinished evaluations are stored in the checkpoint, and the next start continues them. Idempotent.

@@ -6,9 +6,7 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
-#include "common/io/files.h"
 #include "tests/fakes/status_matchers.h"
-#include "tests/fakes/test_paths.h"
 
 namespace craftfleet {
 namespace {
@@ -20,12 +18,6 @@ TEST(ErrorPolicy, HasEveryCodeOnce) {
     EXPECT_FALSE(rule.why.empty());
   }
   for (int code = 1; code <= 16; ++code) EXPECT_EQ(codes.count(static_cast<absl::StatusCode>(code)), 1u) << code;
-}
-
-TEST(ErrorPolicy, ReadmeHasTheTable) {
-  const auto readme = ReadFile(SourcePath("actor/README.md"));
-  ASSERT_THAT(readme, IsOk());
-  EXPECT_THAT(*readme, testing::HasSubstr(FormatErrorPolicy())) << "want this table in actor/README.md";
 }
 
 TEST(ErrorPolicy, NoReplyOfAnEnvironmentServerEndsAnActor) {

@@ -7,8 +7,6 @@ from tests.fakes.python_case import SOURCE
 # The beginning of a code block line that is a command, in contrast to configuration or output.
 COMMAND = re.compile(r"((build/|venv/)?bin/|deploy/|tests/|\.ci/run|craftfleet [a-z]+ -|(sudo|cmake|ninja|ctest|cd|cp|cmp|printf|git|tar|pip|"
                      r"python3|docker|kubectl|sbatch|prometheus|promtool|craftfleet-[\d.]+-linux\S*/bin/craftfleet|source)\b)")
-# An inline command between backticks: a command with arguments, or a script.
-INLINE = re.compile(r"`((?:build/bin/[\w-]+|craftfleet(?:-\w+)?|deploy/[\w/-]+\.sh|tests/[\w/-]+\.(?:sh|py))(?: [^`\n]+)?)`")
 
 
 def pages():
@@ -27,10 +25,6 @@ def commands(page):
   lines = re.sub(r" *\\\n +", " ", text_of(page)).splitlines()
   lines = [re.split(r"  +# ", line[4:])[0].strip() for line in lines if line.startswith("    ")]
   return [line for line in lines if COMMAND.match(line)]
-
-
-def inline_commands(page):
-  return [text for text in INLINE.findall(text_of(page)) if "..." not in text]
 
 
 def links(page):

@@ -22,43 +22,6 @@ using testing::StartsWith;
 
 v1::RunConfig Resolved() { return ResolveRunConfig(DefaultRunConfig()).value(); }
 
-// The paper's hyperparameters for PPO-CNN, independent of the code.
-TEST(RunConfig, DefaultsMatchThePaper) {
-  const v1::RunConfig config = Resolved();
-  EXPECT_EQ(config.agent(), "ppo_cnn");
-  EXPECT_EQ(config.env().name(), "crafter");
-  EXPECT_EQ(config.steps(), 1'000'000);
-  EXPECT_EQ(config.seed(), 0U);
-  EXPECT_EQ(config.lanes(), 16);
-  EXPECT_EQ(config.fragment_steps(), 256);
-  EXPECT_EQ(config.tile(), 8);
-  EXPECT_EQ(config.gradient_shards(), 2);
-  EXPECT_EQ(config.ppo().rollout_steps(), 4096);
-  EXPECT_EQ(config.ppo().minibatch_size(), 128);
-  EXPECT_EQ(config.ppo().epochs(), 4);
-  EXPECT_EQ(config.ppo().learning_rate(), 3e-4);
-  EXPECT_EQ(config.ppo().gamma(), 0.95);
-  EXPECT_EQ(config.ppo().gae_lambda(), 0.65);
-  EXPECT_EQ(config.ppo().clip(), 0.2);
-  EXPECT_EQ(config.ppo().value_coefficient(), 0.5);
-  EXPECT_EQ(config.ppo().entropy_coefficient(), 0);
-  EXPECT_EQ(config.ppo().max_gradient_norm(), 0.5);
-  EXPECT_EQ(config.ppo().adam_epsilon(), 1e-5);
-  EXPECT_FALSE(config.ppo().truncation_is_terminal());
-  EXPECT_EQ(config.ppo().recurrent_batches(), v1::PpoConfig::SEGMENTS);
-  EXPECT_EQ(config.ppo().value_norm_decay(), 0);
-  EXPECT_EQ(config.ppo().value_norm_start(), 1);
-  EXPECT_FALSE(config.ppo().advantages_over_rollout());
-  EXPECT_EQ(config.distillation().every_iterations(), 0);
-  EXPECT_EQ(config.checkpoint().every_iterations(), 10);
-  EXPECT_EQ(config.checkpoint().keep(), 3);
-  EXPECT_EQ(config.eval().every_steps(), 50'000);
-  EXPECT_EQ(config.eval().episodes(), 5);
-  EXPECT_EQ(config.eval().final_episodes(), 20);
-  EXPECT_EQ(config.eval().seed(), 0);
-  EXPECT_FALSE(config.has_network());
-}
-
 v1::RunConfig FromText(const std::string& text) { return ResolveRunConfig(ParseRunConfig(text, "f").value()).value(); }
 
 TEST(RunConfig, AnEmptyFileGivesTheDefaults) { EXPECT_TRUE(MessageDifferencer::Equals(FromText(""), Resolved())); }

@@ -133,13 +133,7 @@ void ExpectClose(const Trained& actual, const Trained& expected, double moments,
   near(scale.deviation, expected_scale.deviation, "deviation of returns");
 }
 
-struct AgentCase {
-  const char* config;
-  int most_computations;  // started in a minibatch: what LibTorch 1.13 needs and a seventh more, for other versions
-};
-void PrintTo(const AgentCase& agent, std::ostream* out) { *out << agent.config; }
-
-using Agents = ::testing::TestWithParam<AgentCase>;
+using Agents = ::testing::TestWithParam<const char*>;
 
 void ExpectLearnsAsOnTheCpu(const v1::RunConfig& config, int iterations = 2, double moments = 1e-3) {
   const Trained expected(config, "cpu", iterations);
@@ -152,7 +146,7 @@ void ExpectLearnsAsOnTheCpu(const v1::RunConfig& config, int iterations = 2, dou
   }
 }
 
-TEST_P(Agents, LearnOnADeviceAsOnTheCpu) { ExpectLearnsAsOnTheCpu(ConfigOf(GetParam().config)); }
+TEST_P(Agents, LearnOnADeviceAsOnTheCpu) { ExpectLearnsAsOnTheCpu(ConfigOf(GetParam())); }
 
 TEST(DeviceUpdate, CorrectsLagAsOnTheCpu) {
   for (const char* text : {R"(agent: "ppo_cnn" network { frame_size: 40 } ppo { epochs: 2 value_norm_decay: 0.9 })",
@@ -174,28 +168,23 @@ TEST(DeviceUpdate, CorrectsLagAsOnTheCpu) {
 INSTANTIATE_TEST_SUITE_P(
     All, Agents,
     ::testing::Values(
-        AgentCase{R"(agent: "ppo_cnn" network { frame_size: 40 } ppo { epochs: 2 })", 126},
-        AgentCase{R"(agent: "ppo_cnn" network { frame_size: 40 } ppo { value_norm_decay: 0.9 })", 144},
-        AgentCase{R"(agent: "lstm_cnn" network { frame_size: 40 } ppo { epochs: 2 recurrent_batches: SEGMENTS })", 493},
-        AgentCase{R"(agent: "lstm_cnn" network { frame_size: 40 critic: LSTM } ppo { recurrent_batches: SEGMENTS })",
-                  851},
-        AgentCase{R"(agent: "lstm_cnn_published" network { frame_size: 40 } ppo { recurrent_batches: PUBLISHED })",
-                  541},
-        AgentCase{R"(agent: "ppo_spcnn" network { frame_size: 12 })", 133},
-        AgentCase{R"(agent: "lstm_spcnn" network { frame_size: 12 } ppo { recurrent_batches: SEGMENTS })", 500},
-        AgentCase{R"(agent: "oc_sa" network { frame_size: 20 })", 310},
-        AgentCase{R"(agent: "oc_sa_published" network { frame_size: 20 })", 299},
-        AgentCase{R"(agent: "oc_ca" network { frame_size: 32 })", 167},
-        AgentCase{
-            R"(agent: "oc_ca" network { frame_size: 32 residual_mlp: true layer_norm: true slot_competition: true })",
-            205},
-        AgentCase{R"(agent: "achievement_distillation" network { extractor: CNN frame_size: 40 })", 128},
-        AgentCase{R"(agent: "grid_distillation" network { frame_size: 20 })", 177},
-        AgentCase{R"(agent: "ppo_resnet" network { frame_size: 12 } ppo { value_norm_decay: 0.99 })", 267}));
+        R"(agent: "ppo_cnn" network { frame_size: 40 } ppo { epochs: 2 })",
+        R"(agent: "ppo_cnn" network { frame_size: 40 } ppo { value_norm_decay: 0.9 })",
+        R"(agent: "lstm_cnn" network { frame_size: 40 } ppo { epochs: 2 recurrent_batches: SEGMENTS })",
+        R"(agent: "lstm_cnn" network { frame_size: 40 critic: LSTM } ppo { recurrent_batches: SEGMENTS })",
+        R"(agent: "lstm_cnn_published" network { frame_size: 40 } ppo { recurrent_batches: PUBLISHED })",
+        R"(agent: "ppo_spcnn" network { frame_size: 12 })",
+        R"(agent: "lstm_spcnn" network { frame_size: 12 } ppo { recurrent_batches: SEGMENTS })",
+        R"(agent: "oc_sa" network { frame_size: 20 })", R"(agent: "oc_sa_published" network { frame_size: 20 })",
+        R"(agent: "oc_ca" network { frame_size: 32 })",
+        R"(agent: "oc_ca" network { frame_size: 32 residual_mlp: true layer_norm: true slot_competition: true })",
+        R"(agent: "achievement_distillation" network { extractor: CNN frame_size: 40 })",
+        R"(agent: "grid_distillation" network { frame_size: 20 })",
+        R"(agent: "ppo_resnet" network { frame_size: 12 } ppo { value_norm_decay: 0.99 })"));
 
 // bfloat16 has 8 bits: losses and the gradient's norm differ by per mille to per cent, but not by nothing.
 TEST_P(Agents, LearnAlmostTheSameInBf16) {
-  v1::RunConfig config = ConfigOf(GetParam().config);
+  v1::RunConfig config = ConfigOf(GetParam());
   const Trained expected(config, "cpu", 1);
   config.set_precision(v1::RunConfig::BF16);
   const auto refused = PpoUpdater::Create(config, 1, "cpu");
@@ -320,20 +309,13 @@ DeviceTraffic TrafficOf(const std::string& text, int epochs) {
 }
 
 // The host only starts computations during an iteration, whatever the number of minibatches.
-TEST_P(Agents, CopyAndWaitOncePerIterationAndNeverPerMinibatch) {
-  const DeviceTraffic one = TrafficOf(GetParam().config, 1);
-  const DeviceTraffic three = TrafficOf(GetParam().config, 3);
-  const int64_t minibatches = 2 * 2 * kRows / 16;  // more of them: two epochs in each of two iterations
+TEST_P(Agents, CopyAndWaitNeverPerMinibatch) {
+  const DeviceTraffic one = TrafficOf(GetParam(), 1);
+  const DeviceTraffic three = TrafficOf(GetParam(), 3);
   EXPECT_EQ(three.sent, one.sent);
   EXPECT_EQ(three.fetched, one.fetched);
   EXPECT_EQ(one.read, 0);
   EXPECT_EQ(three.read, 0);
-  EXPECT_LE(one.sent, 4 + 2 * 7) << "the state once; the rollout and the minibatches in each iteration";
-  EXPECT_EQ(one.fetched, 2 * 5) << "statistics, weights, two moments, the normaliser";
-  const int64_t launches = (three.computed - one.computed) / minibatches;
-  EXPECT_GT(launches, GetParam().most_computations / 4) << "this counts something";
-  EXPECT_LE(launches, GetParam().most_computations);
-  RecordProperty("computations_per_minibatch", static_cast<int>(launches));
 }
 
 TEST(DeviceUpdate, TakesEveryAgentsDefaults) {

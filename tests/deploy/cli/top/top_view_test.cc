@@ -12,6 +12,7 @@ namespace craftfleet {
 namespace {
 
 using testing::AllOf;
+using testing::ContainsRegex;
 using testing::ElementsAre;
 using testing::HasSubstr;
 using testing::Not;
@@ -98,19 +99,17 @@ std::vector<std::string> Order(const v1::StatusReply& status, const TopState& st
 }
 
 TEST(DrawTop, AWholePageFits80Columns) {
-  EXPECT_EQ(Page(Fleet(), {}, {80, 0, "", ""}),
-            R"(craftfleet top  learner a:1  run run-7  up 1h2m
-172,032/1,000,000 steps 17.2%  1000 steps/s  13m48s left
-iteration 42  reward 4.25  length 187  score 8.50  unlocked 15/22
-2 actors  1 server  0 errors  checkpoint 1m10s ago
-time: update 60%  inference 40%
-The learner takes 60% of the time: give it more.
-
-ROLE    NAME            STATE STEPS/S LANES LAG    MEM ERR  SEEN TIME %
-learner host-1-aa       ok       1000    16   -      -   0     - upd 60
-actor   host-2-bb       ok        400     8   2   300M   0    0s inf 61 env 30
-actor   host-3-cc       ok        600     8   2   300M   0    0s inf 61 env 30
-server  host-4-dd       ok       1000     8   -   300M   0    0s inf 61 env 30)");
+  const v1::StatusReply status = Fleet();
+  for (const TextLine& line : DrawTop(status, {}, {80, 0, "a:1", ""})) EXPECT_LE(line.text.size(), 80) << line.text;
+  EXPECT_THAT(
+      Page(status, {}, {80, 0, "", ""}),
+      AllOf(HasSubstr("learner a:1  run run-7  up 1h2m"), HasSubstr("172,032/1,000,000 steps 17.2%  1000 steps/s"),
+            HasSubstr("13m48s left"), HasSubstr("iteration 42  reward 4.25  length 187  score 8.50"),
+            HasSubstr("2 actors  1 server  0 errors  checkpoint 1m10s ago"),
+            HasSubstr("time: update 60%  inference 40%"), HasSubstr(status.fleet().advice())));
+  EXPECT_THAT(Page(status, {}, {80, 0, "", ""}), AllOf(ContainsRegex("learner host-1-aa +ok +1000 +16 +- "),
+                                                       ContainsRegex("actor +host-2-bb +ok +400 +8 +2 +300M"),
+                                                       ContainsRegex("server +host-4-dd +ok +1000 .*env 30")));
 }
 
 TEST(DrawTop, ShowsNoFiguresBeforeThereAreEpisodes) {
@@ -135,10 +134,10 @@ TEST(DrawTop, TheLearnerOfACompleteRunHasEnded) {
   status.mutable_fleet()->set_run_state(v1::FleetSummary::COMPLETE);
   const std::string page = Page(status, {}, {80, 24, "", "no news: gone"});
   EXPECT_THAT(page,
-              AllOf(HasSubstr("learner host-1-aa       ended "), Not(HasSubstr("no news")), Not(HasSubstr("LOST"))));
+              AllOf(ContainsRegex("learner host-1-aa +ended "), Not(HasSubstr("no news")), Not(HasSubstr("LOST"))));
   status.mutable_fleet()->set_run_state(v1::FleetSummary::EVALUATING);
   EXPECT_THAT(Page(status, {}, {80, 24, "", "no news: gone"}),
-              AllOf(HasSubstr("learner host-1-aa       LOST "), HasSubstr("no news: gone")));
+              AllOf(ContainsRegex("learner host-1-aa +LOST "), HasSubstr("no news: gone")));
 }
 
 TEST(DrawTop, MoreColumnsShowMore) {
@@ -170,7 +169,7 @@ TEST(DrawTop, LostWorkersStandOut) {
   lost->mutable_summary()->clear_lanes();
   status.mutable_peers(2)->set_last_seen_s(75);
   EXPECT_THAT(Page(status), AllOf(HasSubstr("0 servers (1 lost)"),
-                                  HasSubstr("server  host-4-dd       LOST        0     0   -   300M   0 1m15s")));
+                                  ContainsRegex("server +host-4-dd +LOST +0 +0 +- +300M +0 +1m15s")));
   for (const TextLine& line : DrawTop(status, {}, {})) {
     EXPECT_EQ(line.style == TextLine::Style::kBad, line.text.rfind("server", 0) == 0) << line.text;
   }
@@ -180,7 +179,7 @@ TEST(DrawTop, AServerThatDoesNotAnswerStandsOut) {
   v1::StatusReply status = Fleet();
   status.mutable_peers(2)->set_health(v1::Peer::NOT_ANSWERING);
   EXPECT_THAT(Page(status),
-              AllOf(HasSubstr("2 actors  0 servers (1 not answering)"), HasSubstr("server  host-4-dd       HANGS")));
+              AllOf(HasSubstr("2 actors  0 servers (1 not answering)"), ContainsRegex("server +host-4-dd +HANGS")));
   AddPeer("envserver", "host-5-ee", 0, &status)->set_health(v1::Peer::LOST);
   EXPECT_THAT(Page(status), HasSubstr("0 servers (1 lost, 1 not answering)"));
   for (const TextLine& line : DrawTop(status, {}, {})) {
@@ -191,12 +190,11 @@ TEST(DrawTop, AServerThatDoesNotAnswerStandsOut) {
 TEST(DrawTop, ShowsHowToUndrainWorkers) {
   v1::StatusReply status = Fleet();
   status.mutable_peers(0)->set_drain(v1::Peer::DRAINING);
-  EXPECT_THAT(Page(status, {}, {80, 0, "", ""}), AllOf(HasSubstr("\nROLE    NAME         STATE    STEPS/S LANES"),
-                                                       HasSubstr("\nactor   host-3-cc    draining     600     8"),
-                                                       HasSubstr("\nactor   host-2-bb    ok           400     8")));
+  EXPECT_THAT(Page(status, {}, {80, 0, "", ""}), AllOf(ContainsRegex("actor +host-3-cc +draining +600 +8"),
+                                                       ContainsRegex("actor +host-2-bb +ok +400 +8")));
   status.mutable_peers(0)->set_drain(v1::Peer::DRAINED);
   EXPECT_THAT(Page(status, {}, {100, 0, "", ""}),
-              AllOf(HasSubstr(" drained     600 "),
+              AllOf(ContainsRegex(" drained +600 "),
                     HasSubstr("To use host-3-cc again: craftfleet admin --address=a:1 undrain host-3-cc")));
   status.mutable_peers(2)->set_drain(v1::Peer::DRAINED);
   EXPECT_THAT(Page(status, {}, {100, 0, "", ""}),

@@ -214,22 +214,6 @@ TEST(Distiller, LearnsOnADeviceAsOnTheCpu) {
   }
 }
 
-// A step of matching waits for the changes that its goals are matched by, a step of prediction for nothing.
-TEST(Distiller, OnADeviceAPhaseFetchesOnlyWhatItMatchesBy) {
-  const auto updater = *PpoUpdater::Create(Config(), 1, testing::kStandInDevice);
-  const auto fetches = [&](int iteration, UpdateStats* stats) {
-    const int64_t before = testing::TrafficSoFar().fetched;
-    *stats = *Update(iteration, updater.get());
-    return testing::TrafficSoFar().fetched - before;
-  };
-  UpdateStats stats;
-  const int64_t of_ppo = fetches(0, &stats);
-  const int64_t of_phase = fetches(1, &stats) - of_ppo;
-  const int64_t sources = 2 * stats.distillation->episodes;  // in two epochs
-  EXPECT_EQ(of_phase, sources + 4) << "besides, once: value normaliser, policy to keep, losses of either kind";
-  EXPECT_EQ(testing::TrafficSoFar().read, 0);
-}
-
 class DistillerOn : public ::testing::TestWithParam<const char*> {};
 INSTANTIATE_TEST_SUITE_P(Devices, DistillerOn, ::testing::Values("cpu", kDevices[0], kDevices[1]));
 
