@@ -45,30 +45,62 @@ function(craftfleet_program)
   set_property(GLOBAL APPEND PROPERTY CRAFTFLEET_PROGRAMS ${ARG_NAME})
 endfunction()
 
-# craftfleet_test(NAME fragment_queue_test LABELS unit;tsan SRCS ... DEPS ...): one GoogleTest executable with one ctest entry per
-# TEST, so that `ctest` finds them by name; with CRAFTFLEET_TEST_PROGRAMS, one entry per executable of unit and property
-# tests, because a program with LibTorch takes half a second to start. Tests find files and programs with test_paths.h.
+# craftfleet_test(NAME learner_test LABELS unit tsan SRCS a_test.cc b_test.cc DEPS ...): GoogleTest sources of the executable
+# NAME. One executable holds the tests of a folder, since linking LibTorch and gRPC takes longer than compiling a test: further
+# calls with its NAME add sources, also with other labels. There is one ctest entry per TEST, so that `ctest` finds them by name;
+# with CRAFTFLEET_TEST_PROGRAMS, one per source of unit and property tests, because a program with LibTorch takes half a second to
+# start. Tests find files and programs with test_paths.h.
 function(craftfleet_test)
   cmake_parse_arguments(ARG "" "NAME;TIMEOUT" "SRCS;DEPS;LABELS" ${ARGN})
-  add_executable(${ARG_NAME} ${ARG_SRCS})
-  target_link_libraries(${ARG_NAME} PRIVATE ${ARG_DEPS} craftfleet::test_paths GTest::gmock GTest::gtest_main craftfleet_flags)
-  # Compiling tests takes longer than running them, so they are not optimised; the code under test is.
-  target_compile_options(${ARG_NAME} PRIVATE -O0)
-  if(TARGET craftfleet_test_headers)
-    target_precompile_headers(${ARG_NAME} REUSE_FROM craftfleet_test_headers)
+  if(NOT TARGET ${ARG_NAME})
+    add_executable(${ARG_NAME})
+    target_link_libraries(${ARG_NAME} PRIVATE craftfleet::test_paths GTest::gmock GTest::gtest_main craftfleet_flags)
+    # Compiling tests takes longer than running them, so they are not optimised; the code under test is.
+    target_compile_options(${ARG_NAME} PRIVATE -O0)
+    if(TARGET craftfleet_test_headers)
+      target_precompile_headers(${ARG_NAME} REUSE_FROM craftfleet_test_headers)
+    endif()
   endif()
+  target_link_libraries(${ARG_NAME} PRIVATE ${ARG_DEPS})
   if(NOT ARG_TIMEOUT)
     set(ARG_TIMEOUT 300)
   endif()
-  if(CRAFTFLEET_TEST_PROGRAMS AND ("unit" IN_LIST ARG_LABELS OR "property" IN_LIST ARG_LABELS))
-    add_test(NAME ${ARG_NAME} COMMAND ${ARG_NAME})
-    set_tests_properties(${ARG_NAME} PROPERTIES LABELS "${ARG_LABELS}" TIMEOUT 1800)
+  set(all_filter "")
+  foreach(source IN LISTS ARG_SRCS)
+    target_sources(${ARG_NAME} PRIVATE ${CMAKE_CURRENT_SOURCE_DIR}/${source})
+    craftfleet_new_suites(${ARG_NAME} ${CMAKE_CURRENT_SOURCE_DIR}/${source} filter)
+    string(APPEND all_filter "${filter}")
+    if(CRAFTFLEET_TEST_PROGRAMS AND filter AND ("unit" IN_LIST ARG_LABELS OR "property" IN_LIST ARG_LABELS))
+      get_filename_component(stem ${source} NAME_WE)
+      add_test(NAME ${ARG_NAME}/${stem} COMMAND ${ARG_NAME} --gtest_filter=${filter})
+      set_tests_properties(${ARG_NAME}/${stem} PROPERTIES LABELS "${ARG_LABELS}" TIMEOUT 1800)
+      set(is_added TRUE)
+    endif()
+  endforeach()
+  if(is_added OR NOT all_filter)
     return()
   endif()
   # CMake 3.25 expands the list of labels four times before ctest reads it; without the backslashes only its first entry
   # would remain, and no timeout.
   string(REPLACE ";" "\\\\\\\\\\\\\\\\;" labels "${ARG_LABELS}")
-  gtest_discover_tests(${ARG_NAME} DISCOVERY_TIMEOUT 60 PROPERTIES LABELS "${labels}" TIMEOUT ${ARG_TIMEOUT})
+  gtest_discover_tests(${ARG_NAME} TEST_FILTER "${all_filter}" DISCOVERY_TIMEOUT 60
+                       PROPERTIES LABELS "${labels}" TIMEOUT ${ARG_TIMEOUT})
+endfunction()
+
+# Sets `result` to a filter for the suites of a source of tests that no source of the program `name` before it has.
+function(craftfleet_new_suites name source result)
+  set_property(DIRECTORY APPEND PROPERTY CMAKE_CONFIGURE_DEPENDS ${source})
+  get_target_property(known ${name} CRAFTFLEET_SUITES)
+  file(STRINGS ${source} lines REGEX "^(TYPED_)?TEST(_F|_P)?\\(")
+  list(TRANSFORM lines REPLACE "^[A-Z_]+\\( *([A-Za-z0-9_]+).*" "\\1")
+  list(REMOVE_DUPLICATES lines)
+  list(REMOVE_ITEM lines ${known})
+  set_property(TARGET ${name} APPEND PROPERTY CRAFTFLEET_SUITES ${lines})
+  set(filter "")
+  foreach(suite IN LISTS lines)
+    string(APPEND filter "${suite}.*:${suite}/*:*/${suite}.*:*/${suite}/*:")
+  endforeach()
+  set(${result} "${filter}" PARENT_SCOPE)
 endfunction()
 include(GoogleTest)
 

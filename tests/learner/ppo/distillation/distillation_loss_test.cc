@@ -121,7 +121,7 @@ TEST(PolicyDivergence, GradientIsThatOfFiniteDifferences) {
   }
 }
 
-TEST(ValueNorm, MatchesTheGoldenOfDistillation) {
+TEST(NormalisedValueLoss, MatchesTheGoldenOfDistillation) {
   const nlohmann::json golden = Golden("value_normaliser");
   ValueNorm norm;
   EXPECT_NEAR(norm.Scale(0.1).Denormalise(1.5F), golden["before_any"]["denormalised_of_1_5"].get<double>(), 1e-6);
