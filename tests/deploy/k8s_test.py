@@ -23,7 +23,7 @@ except ImportError:
   yaml = None
 
 K8S = SOURCE / "deploy/k8s"
-OVERLAYS = ("one-machine", "cpu-cluster", "gpu-learner", "several-learners")
+OVERLAYS = ("one-machine", "cpu-cluster")
 # API versions that Kubernetes serves since 1.27 and has not deprecated.
 KINDS = {"Namespace": "v1", "Service": "v1", "ConfigMap": "v1", "Deployment": "apps/v1", "StatefulSet": "apps/v1",
          "HorizontalPodAutoscaler": "autoscaling/v2", "PodDisruptionBudget": "policy/v1",
@@ -237,25 +237,13 @@ class Manifests(unittest.TestCase):
         self.assertIn(name, [spec["commonName"] for spec in certificates.values()])
     self.over_all(check)
 
-  def test_only_the_gpu_overlay_asks_for_a_gpu_and_for_the_image_that_can_use_it(self):
-    for overlay in OVERLAYS:
-      for document in Objects(kustomize.build(K8S / "overlays" / overlay)).of("StatefulSet"):
-        pod = document["spec"]["template"]["spec"]
-        container = pod["containers"][0]
-        is_gpus = overlay == "gpu-learner" and document["metadata"]["name"] == "craftfleet-learner"
-        self.assertEqual(container.get("resources", {}).get("limits", {}).get("nvidia.com/gpu"), "1" if is_gpus else None)
-        self.assertEqual("--device=cuda" in container["args"], is_gpus)
-        self.assertEqual(container["image"].endswith("-cuda"), is_gpus)
-        self.assertEqual("nvidia.com/gpu" in [entry["key"] for entry in pod.get("tolerations", [])], is_gpus)
-
-  def test_the_cluster_overlays_are_autoscaled_by_a_metric_that_the_adapter_exposes(self):
+  def test_the_cluster_overlay_is_autoscaled_by_a_metric_that_the_adapter_exposes(self):
     rules, = kustomize.load_all(K8S / "autoscale/prometheus-adapter-values.yaml")
-    for overlay in ("cpu-cluster", "gpu-learner"):
-      autoscalers = Objects(kustomize.build(K8S / "overlays" / overlay)).of("HorizontalPodAutoscaler")
-      self.assertEqual(len(autoscalers), 2)
-      for document in autoscalers:
-        names = [metric["external"]["metric"]["name"] for metric in document["spec"]["metrics"]]
-        self.assertEqual(names, [rule["name"]["matches"] for rule in rules["rules"]["external"]])
+    autoscalers = Objects(kustomize.build(K8S / "overlays/cpu-cluster")).of("HorizontalPodAutoscaler")
+    self.assertEqual(len(autoscalers), 2)
+    for document in autoscalers:
+      names = [metric["external"]["metric"]["name"] for metric in document["spec"]["metrics"]]
+      self.assertEqual(names, [rule["name"]["matches"] for rule in rules["rules"]["external"]])
 
   # The containers.
 
