@@ -3,15 +3,22 @@
 namespace craftfleet {
 
 WorkerPool::WorkerPool(int threads, const std::function<void()>& on_start) {
-  for (int i = 1; i < threads; ++i) {
-    threads_.emplace_back([this, on_start] {
-      on_start();
-      WorkUntilStopped();
-    });
+  try {
+    for (int i = 1; i < threads; ++i) {
+      threads_.emplace_back([this, on_start] {
+        on_start();
+        WorkUntilStopped();
+      });
+    }
+  } catch (...) {
+    Stop();
+    throw;
   }
 }
 
-WorkerPool::~WorkerPool() {
+WorkerPool::~WorkerPool() { Stop(); }
+
+void WorkerPool::Stop() {
   {
     MutexLock lock(&mu_);
     stopping_ = true;

@@ -14,7 +14,8 @@ namespace craftfleet {
 // Used by one thread, which takes part in the work: only `threads` - 1 are started.
 class WorkerPool {
  public:
-  // `threads` >= 1. Each started thread calls `on_start` first.
+  // `threads` >= 1. Each started thread calls `on_start` first.   Throws std::system_error: the system refuses a
+  // thread.
   WorkerPool(int threads, const std::function<void()>& on_start);
   ~WorkerPool();
   WorkerPool(const WorkerPool&) = delete;
@@ -27,6 +28,7 @@ class WorkerPool {
   int threads() const { return static_cast<int>(threads_.size()) + 1; }
 
  private:
+  void Stop() ABSL_LOCKS_EXCLUDED(mu_);
   void WorkUntilStopped() ABSL_LOCKS_EXCLUDED(mu_);
   // Runs parts until all have been started.
   void TakeParts() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);

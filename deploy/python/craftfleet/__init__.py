@@ -6,7 +6,13 @@
     envs = craftfleet.VectorEnv(64, threads=4)                  # many games in one array
 """
 
-from craftfleet import _engine, _registration
+try:
+  from craftfleet import _engine
+except ImportError as error:
+  raise ImportError(
+      f"{error}. In the folder with the package's source, Python finds the source instead of the installed package: start it "
+      f"in another folder. If craftfleet is not installed: pip install ./deploy/python") from None
+from craftfleet import _registration
 from craftfleet.env import Env
 from craftfleet.gymnasium_env import GymnasiumEnv
 from craftfleet.recorder import Recorder

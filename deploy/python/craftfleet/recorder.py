@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
 import datetime
+import errno
 import json
 import os
 import pathlib
+import tempfile
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import gymnasium
@@ -14,75 +18,148 @@ import numpy as np
 from craftfleet import _arguments
 
 
-class Recorder:
+class Recorder(gymnasium.Wrapper, gymnasium.utils.RecordConstructorArgs):
   """An environment whose episodes are recorded: `craftfleet.Recorder(craftfleet.Env(), "recordings")`.
 
   The folder gets a line in stats.jsonl, a video (.mp4, needs imageio[ffmpeg]) and a table (.npz) of each finished episode; the
-  latter are named by time, number of achievements and length. The game is the same with and without a recorder. For craftfleet.Env
-  and for Gymnasium environments of this package; everything else of the environment is reached through the recorder.
+  latter are named by time, number of achievements and length. Several recorders may share a folder. The game is the same with and
+  without a recorder. For craftfleet.Env, where it has crafter's interface, and for Gymnasium environments of this package, where it
+  is a gymnasium.Wrapper. Steps after the end of an episode are not recorded.
   """
+
+  def __new__(cls, env: Any = None, *arguments: Any, **named: Any) -> Any:
+    # A copy is made without arguments.
+    if env is not None and not isinstance(env, gymnasium.Env) and not isinstance(env, gymnasium.vector.VectorEnv):
+      return _CrafterRecorder(env, *arguments, **named)
+    return super().__new__(cls)
 
   def __init__(
       self, env: Any, directory: str | os.PathLike[str] | None, save_stats: bool = True, save_video: bool = True,
       save_episode: bool = True, video_size: Any = (512, 512)) -> None:
     if isinstance(env, gymnasium.vector.VectorEnv):
       raise TypeError(f"{type(env).__name__} plays many games, want an environment with one")
+    gymnasium.utils.RecordConstructorArgs.__init__(
+        self, directory=directory, save_stats=save_stats, save_video=save_video, save_episode=save_episode, video_size=video_size)
+    gymnasium.Wrapper.__init__(self, env)
+    self._files = _Files(env.unwrapped, directory, save_stats, save_video, save_episode, video_size)
+
+  def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
+    """The environment's reset(). An episode that has not ended is dropped."""
+    observation, info = self.env.reset(seed=seed, options=options)
+    self._files.begin(observation)
+    return observation, info
+
+  def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
+    """The environment's step()."""
+    observation, reward, terminated, truncated, info = self.env.step(action)
+    self._files.add(action, observation, terminated or truncated, info)
+    return observation, reward, terminated, truncated, info
+
+  def close(self) -> None:
+    """Drops an unfinished episode and closes the environment."""
+    self._files.drop()
+    super().close()
+
+
+class _CrafterRecorder:
+  """The same with the interface of crafter.Recorder; everything else of the environment is reached through it."""
+
+  def __init__(
+      self, env: Any, directory: str | os.PathLike[str] | None, save_stats: bool = True, save_video: bool = True,
+      save_episode: bool = True, video_size: Any = (512, 512)) -> None:
     self._env = env
-    self._folder = pathlib.Path(directory or ".").expanduser()
-    self._writers: list[Any] = []
-    if not directory:
-      return
-    self._folder.mkdir(parents=True, exist_ok=True)
-    if save_stats:
-      self._writers.append(_Stats())
-    if save_video:
-      self._writers.append(_Video(getattr(env, "unwrapped", env), _arguments.pair("video_size", video_size)))
-    if save_episode:
-      self._writers.append(_Table())
+    self._files = _Files(env, directory, save_stats, save_video, save_episode, video_size)
 
   def __getattr__(self, name: str) -> Any:
     if name.startswith("_"):
       raise AttributeError(name)
     return getattr(self._env, name)
 
-  def reset(self, **arguments: Any) -> Any:
+  def reset(self) -> np.ndarray:
     """The environment's reset(). An episode that has not ended is dropped."""
-    result = self._env.reset(**arguments)
-    observation = result[0] if isinstance(result, tuple) else result
-    for writer in self._writers:
-      writer.begin(self._folder, observation)
-    return result
+    observation = self._env.reset()
+    self._files.begin(observation)
+    return observation
 
-  def step(self, action: Any) -> Any:
+  def step(self, action: Any) -> tuple[np.ndarray, float, bool, dict[str, Any]]:
     """The environment's step()."""
-    result = self._env.step(action)
-    info, done = result[-1], any(result[2:-1])
-    for writer in self._writers:
-      writer.add(action, result[0], done, info)
-    if done:
-      stem = self._stem(info) if self._writers else ""
-      for writer in self._writers:
-        writer.save(self._folder, stem)
-    return result
+    observation, reward, done, info = self._env.step(action)
+    self._files.add(action, observation, done, info)
+    return observation, reward, done, info
 
   def close(self) -> None:
     """Drops an unfinished episode and closes the environment."""
-    for writer in self._writers:
-      writer.drop()
+    self._files.drop()
     close = getattr(self._env, "close", None)
     if close is not None:
       close()
 
-  def _stem(self, info: dict[str, Any]) -> str:
-    """A name that no file has yet: a second later if it is taken."""
+
+class _Files:
+  """What is recorded of an environment. A file gets its name when it is complete, so that a full disk leaves no half one."""
+
+  def __init__(
+      self, env: Any, directory: str | os.PathLike[str] | None, save_stats: bool, save_video: bool, save_episode: bool,
+      video_size: Any) -> None:
+    self._folder = pathlib.Path(directory or ".").expanduser()
+    self._writers: list[_Writer] = []
+    self._playing = False
+    if not directory:
+      return
+    self._folder.mkdir(parents=True, exist_ok=True)
+    if save_stats:
+      self._writers.append(_Stats())
+    if save_video:
+      self._writers.append(_Video(env, _arguments.pair("video_size", video_size)))
+    if save_episode:
+      self._writers.append(_Table())
+
+  def begin(self, observation: np.ndarray) -> None:
+    self.drop()
+    for writer in self._writers:
+      writer.begin(self._folder, observation)
+    self._playing = True
+
+  def add(self, action: Any, observation: np.ndarray, done: bool, info: dict[str, Any]) -> None:
+    if not self._playing or not self._writers:
+      return
+    try:
+      for writer in self._writers:
+        writer.add(action, observation, done, info)
+      if done:
+        with self._name(info) as stem:
+          for writer in self._writers:
+            writer.save(self._folder, stem)
+        self.drop()
+    except BaseException:
+      self.drop()
+      raise
+
+  def drop(self) -> None:
+    self._playing = False
+    for writer in self._writers:
+      writer.drop()
+
+  @contextlib.contextmanager
+  def _name(self, info: dict[str, Any]) -> Iterator[str]:
+    """A name that no file has, nor any other recorder takes meanwhile: a second later if it is taken."""
     unlocked = sum(count > 0 for count in info["achievements"].values())
     length = self._writers[0].length
     time = datetime.datetime.now()
     while True:
       stem = f"{time:%Y%m%dT%H%M%S}-ach{unlocked}-len{length}"
-      if not any((self._folder / f"{stem}{suffix}").exists() for suffix in (".mp4", ".npz")):
-        return stem
+      claim = self._folder / f".{stem}.claim"
       time += datetime.timedelta(seconds=1)
+      try:
+        claim.touch(exist_ok=False)
+      except FileExistsError:
+        continue
+      try:
+        if not any((self._folder / f"{stem}{suffix}").exists() for suffix in (".mp4", ".npz")):
+          yield stem
+          return
+      finally:
+        claim.unlink()
 
 
 class _Writer:
@@ -91,7 +168,6 @@ class _Writer:
   length = 0
 
   def begin(self, folder: pathlib.Path, observation: np.ndarray) -> None:
-    self.drop()
     self.length = 0
 
   def add(self, action: Any, observation: np.ndarray, done: bool, info: dict[str, Any]) -> None:
@@ -119,8 +195,13 @@ class _Stats(_Writer):
   def save(self, folder, stem):
     stats = {"length": self.length, "reward": round(self._reward, 1)}
     stats.update((f"achievement_{name}", count) for name, count in self._achievements.items())
-    with open(folder / "stats.jsonl", "a", encoding="utf-8") as file:
-      file.write(json.dumps(stats) + "\n")
+    line = (json.dumps(stats) + "\n").encode()
+    with open(folder / "stats.jsonl", "ab", buffering=0) as file:
+      begin = file.seek(0, os.SEEK_END)
+      written = file.write(line)
+      if written < len(line):
+        file.truncate(begin)
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), file.name)
 
 
 class _Video(_Writer):
@@ -129,15 +210,16 @@ class _Video(_Writer):
   def __init__(self, env: Any, size: _arguments.Pair) -> None:
     try:
       import imageio.v2 as imageio  # optional, and slow to import
-      import imageio_ffmpeg  # pylint: disable=unused-import  # what imageio writes videos with
+      import imageio_ffmpeg  # what imageio writes videos with
     except ImportError as error:
       raise ImportError(f"save_video=True: {error}, want: pip install 'imageio[ffmpeg]', or save_video=False") from None
-    self._open, self._env, self._size = imageio.get_writer, env, size
-    self._file = None
+    self._open, self._count = imageio.get_writer, imageio_ffmpeg.count_frames_and_secs
+    self._env, self._size = env, size
+    self._file = self._path = None
 
   def begin(self, folder, observation):
     super().begin(folder, observation)
-    self._path = folder / f".recording-{os.getpid()}-{id(self)}.mp4"
+    self._path = _unfinished(folder, ".mp4")
     self._file = self._open(self._path)
     self._file.append_data(self._env.picture(self._size))
 
@@ -148,13 +230,18 @@ class _Video(_Writer):
   def save(self, folder, stem):
     self._file.close()
     self._file = None
+    if _frames(self._count, self._path) != self.length + 1:  # ffmpeg does not report that it could not write
+      raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), f"{folder / stem}.mp4")
     self._path.rename(folder / f"{stem}.mp4")
+    self._path = None
 
   def drop(self):
     if self._file is not None:
-      self._file.close()
-      self._file = None
-      self._path.unlink()
+      with contextlib.suppress(OSError):
+        self._file.close()
+    if self._path is not None:
+      self._path.unlink(missing_ok=True)
+    self._file = self._path = None
 
 
 class _Table(_Writer):
@@ -176,4 +263,25 @@ class _Table(_Writer):
     # The reset has an image; everything else of its row is zero.
     first = {name: np.zeros_like(value) for name, value in self._rows[0].items()} | {"image": self._first}
     columns = {name: np.array([row[name] for row in (first, *self._rows)]) for name in first}
-    np.savez_compressed(folder / f"{stem}.npz", **columns)
+    path = _unfinished(folder, ".npz")
+    try:
+      np.savez_compressed(path, **columns)
+      path.rename(folder / f"{stem}.npz")
+    finally:
+      path.unlink(missing_ok=True)
+
+
+def _unfinished(folder: pathlib.Path, suffix: str) -> pathlib.Path:
+  """A new file under a name that no other recorder has."""
+  descriptor, path = tempfile.mkstemp(suffix, ".recording-", folder)
+  os.fchmod(descriptor, 0o644)
+  os.close(descriptor)
+  return pathlib.Path(path)
+
+
+def _frames(count: Callable[[str], tuple[int, float]], path: pathlib.Path) -> int:
+  """The pictures of a video; 0 if it is damaged."""
+  try:
+    return count(str(path))[0]
+  except RuntimeError:
+    return 0

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import functools
 import numbers
 import os
 import pathlib
 import queue
 import re
 import threading
+import types
+import urllib.parse
 from collections.abc import Iterator, Sequence
 from typing import Any
 
@@ -23,6 +26,9 @@ PROTOCOL_VERSION = 3
 MAX_MESSAGE_BYTES = 96 << 20
 MAX_PORT = 2**16 - 1
 TERMINATED, TRUNCATED = 1, 2
+# What a step can give, by tenths from LEAST_REWARD: a change of health, and 1 for achievements. Replies have these in float32.
+LEAST_REWARD, MOST_REWARD = -9, 19
+REWARDS = np.array([tenths / 10.0 if tenths < 2 else (tenths - 10) / 10.0 + 1.0 for tenths in range(LEAST_REWARD, MOST_REWARD + 1)])
 
 
 @dataclasses.dataclass(frozen=True)
@@ -40,7 +46,7 @@ class Tls:
 
 
 class RemoteVectorEnv(gymnasium.vector.VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
-  """`num_envs` games on environment servers: `craftfleet.RemoteVectorEnv("host:50061", 64)`. Needs grpcio and grpcio-tools.
+  """`num_envs` games on environment servers: `craftfleet.RemoteVectorEnv("host:50061", 64)`. Needs grpcio and protobuf.
 
   The interface is that of VectorEnv with autoreset_mode SAME_STEP, and lane i plays the same game. Observations are one array that
   each call overwrites. Servers don't send the picture of a death: final_obs has one only of truncated lanes, and of others with
@@ -154,8 +160,10 @@ class RemoteVectorEnv(gymnasium.vector.VectorEnv[np.ndarray, np.ndarray, np.ndar
     infos: dict[str, Any] = {}
     for session, reply in self._exchange():
       mine = [lane for lane in lanes if lane in session.lanes]
-      self._observations[mine] = self._frames(reply.frames)
-      for lane, moment in zip(mine, reply.moments):
+      with session.checks_reply():
+        self._observations[mine] = self._frames(reply.frames, len(mine))
+        moments = self._moments(reply, len(mine))
+      for lane, moment in zip(mine, moments):
         self._add_info(infos, _details(moment), lane)
     return self._observations, infos
 
@@ -172,9 +180,11 @@ class RemoteVectorEnv(gymnasium.vector.VectorEnv[np.ndarray, np.ndarray, np.ndar
     rewards, ends = np.zeros(self.num_envs), np.zeros(self.num_envs, np.uint8)
     infos: dict[str, Any] = {"reward": rewards, "_reward": np.ones(self.num_envs, np.bool_)}
     for session, reply in self._exchange():
-      self._observations[session.rows] = self._frames(reply.frames)
-      rewards[session.rows], ends[session.rows] = reply.rewards, np.frombuffer(reply.ends, np.uint8)
-      self._add_infos(infos, session.lanes, ends, reply)
+      with session.checks_reply():
+        self._observations[session.rows] = self._frames(reply.frames, len(session.lanes))
+        rewards[session.rows] = _exact_rewards(reply.rewards, len(session.lanes))
+        ends[session.rows] = _ends(reply.ends, len(session.lanes))
+        self._add_infos(infos, session.lanes, ends, reply)
     self._episodes += ends != 0
     returned = rewards.copy() if self._reward else np.zeros(self.num_envs)
     return self._observations, returned, ends == TERMINATED, ends == TRUNCATED, infos
@@ -184,24 +194,33 @@ class RemoteVectorEnv(gymnasium.vector.VectorEnv[np.ndarray, np.ndarray, np.ndar
     asked = [session for session in self._sessions if session.send()]
     return [(session, session.receive()) for session in asked]
 
-  def _frames(self, frames: bytes) -> np.ndarray:
-    return np.frombuffer(frames, np.uint8).reshape(-1, *self._observations.shape[1:])
+  def _frames(self, frames: bytes, count: int) -> np.ndarray:
+    return _array(frames, "frames", count, self._observations.shape[1:])
+
+  def _moments(self, reply: Any, count: int) -> Sequence[Any]:
+    """Those of each lane with `details`; otherwise none."""
+    _expect("moments", len(reply.moments), count if self._details else 0)
+    return reply.moments
 
   def _add_infos(self, infos: dict[str, Any], lanes: range, ends: np.ndarray, reply: Any) -> None:
     """The details of each lane, and what Gymnasium's infos have of those that ended: their details belong to the end."""
-    episodes, last_frames = iter(reply.episodes), iter(self._frames(reply.last_frames))
+    ended = ends[lanes.start:lanes.stop]
+    _expect("episodes", len(reply.episodes), np.count_nonzero(ended))
+    episodes = iter(reply.episodes)
+    last_frames = iter(self._frames(reply.last_frames, np.count_nonzero(ended == TRUNCATED)))
+    moments = self._moments(reply, len(lanes))
     for row, lane in enumerate(lanes):
-      moment = reply.moments[row] if reply.moments else None
+      moment = moments[row] if moments else None
       info = {} if moment is None else _details(moment)
       if ends[lane]:
         episode = next(episodes)
         info["episode"] = {"r": episode.reward, "l": episode.length}
-        info["achievements"] = dict(zip(_engine.ACHIEVEMENTS, episode.achievements))
+        info["achievements"] = _by_name(_engine.ACHIEVEMENTS, episode.achievements)
         info = {"final_info": info}
         if ends[lane] == TRUNCATED:
           info["final_obs"] = next(last_frames)
         if moment is not None:
-          info["final_obs"] = self._frames(moment.frame)[0]
+          info["final_obs"] = self._frames(moment.frame, 1)[0]
       if info:
         self._add_info(infos, info, lane)
 
@@ -214,6 +233,11 @@ def _hosts(addresses: Any) -> list[str]:
   if not addresses:
     raise ValueError("addresses [], want at least one host:port")
   for address in addresses:
+    scheme = re.match(r"\w+://", address)
+    if scheme:
+      raise ValueError(f"address {address!r}, want host:port without {scheme[0]}")
+    if address.startswith("unix:") and "," in address:
+      raise ValueError(f"address {address!r}, want a path without commas, at which gRPC divides it")
     parts = re.fullmatch(r"unix:.+|.+:(\d+)", address)
     if parts is None or int(parts[1] or 0) > MAX_PORT:
       raise ValueError(f"address {address!r}, want host:port")
@@ -244,6 +268,15 @@ class _Session:
     if self._request is None:
       self._request = self._messages.PlayRequest()
     return self._request
+
+  @contextlib.contextmanager
+  def checks_reply(self) -> Iterator[None]:
+    """What is wrong with a reply, as ValueError, becomes the session's error."""
+    try:
+      yield
+    except ValueError as error:
+      self._error = ConnectionError(f"{self.address}: a reply that does not fit the request: {error}")
+      raise self._error from None
 
   def send(self) -> bool:
     """Whether there was a request to send."""
@@ -290,25 +323,74 @@ class _Session:
 
 def _details(moment: Any) -> dict[str, Any]:
   return {
-      "inventory": dict(zip(_engine.ITEMS, moment.inventory)),
-      "achievements": dict(zip(_engine.ACHIEVEMENTS, moment.achievements)),
-      "semantic": np.frombuffer(moment.semantic, np.uint8).reshape(64, 64),
+      "inventory": _by_name(_engine.ITEMS, moment.inventory),
+      "achievements": _by_name(_engine.ACHIEVEMENTS, moment.achievements),
+      "semantic": _array(moment.semantic, "semantic", 64, (64,)),
       "player_pos": np.array([moment.player_x, moment.player_y]),
   }
 
 
+def _expect(what: str, found: int, wanted: int) -> None:
+  if found != wanted:
+    raise ValueError(f"{found} {what}, want {wanted}")
+
+
+def _array(data: bytes, what: str, count: int, shape: tuple[int, ...]) -> np.ndarray:
+  """uint8[count, *shape]."""
+  _expect(f"bytes of {what}", len(data), count * int(np.prod(shape)))
+  return np.frombuffer(data, np.uint8).reshape(count, *shape)
+
+
+def _by_name(names: Sequence[str], counts: Sequence[int]) -> dict[str, int]:
+  _expect("counts", len(counts), len(names))
+  return dict(zip(names, counts))
+
+
+def _exact_rewards(rewards: Sequence[float], count: int) -> np.ndarray:
+  """float64[count]: what the games gave, which the wire rounds to float32."""
+  _expect("rewards", len(rewards), count)
+  tenths = 10 * np.asarray(rewards, np.float64)
+  if not np.all((tenths > LEAST_REWARD - 0.5) & (tenths < MOST_REWARD + 0.5)):
+    raise ValueError(f"rewards {list(rewards)}, want each within {LEAST_REWARD / 10}..{MOST_REWARD / 10}")
+  return REWARDS[np.rint(tenths).astype(int) - LEAST_REWARD]
+
+
+def _ends(ends: bytes, count: int) -> np.ndarray:
+  found = _array(ends, "ends", count, ())
+  if count and found.max() > TRUNCATED:
+    raise ValueError(f"an end of {found.max()}, want 0..{TRUNCATED}")
+  return found
+
+
 def _grpc_and_messages() -> tuple[Any, Any]:
-  """grpc, and the messages of environment.proto, which grpcio-tools compiles once a process."""
+  """grpc, and the messages of environment.proto."""
   try:
     import grpc  # optional, and slow to import
-    return grpc, grpc.protos("craftfleet/v1/environment.proto")
-  except (ImportError, NotImplementedError) as error:
-    raise ImportError(f"RemoteVectorEnv: {error}, want: pip install grpcio grpcio-tools") from None
+    return grpc, _messages()
+  except ImportError as error:
+    raise ImportError(f"RemoteVectorEnv: {error}, want: pip install grpcio protobuf") from None
+
+
+@functools.cache
+def _messages() -> Any:
+  """From environment.binpb, which the package's build makes of the proto files."""
+  from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
+  content = (pathlib.Path(__file__).parent / "environment.binpb").read_bytes()
+  pool = descriptor_pool.DescriptorPool()
+  for file in descriptor_pb2.FileDescriptorSet.FromString(content).file:
+    pool.Add(file)
+  return types.SimpleNamespace(**{
+      name: message_factory.GetMessageClass(pool.FindMessageTypeByName(f"craftfleet.v1.{name}"))
+      for name in ("PlayRequest", "PlayReply")})
 
 
 def _channel(grpc: Any, address: str, tls: Tls | None) -> tuple[Any, list[tuple[str, str]]]:
   """A channel, and what each call adds."""
-  options = [("grpc.max_receive_message_length", MAX_MESSAGE_BYTES), ("grpc.max_send_message_length", MAX_MESSAGE_BYTES)]
+  # The proxy of http_proxy is one for web pages.
+  options = [("grpc.max_receive_message_length", MAX_MESSAGE_BYTES), ("grpc.max_send_message_length", MAX_MESSAGE_BYTES),
+             ("grpc.enable_http_proxy", 0)]
+  if address.startswith("unix:"):
+    address = f"unix:{urllib.parse.quote(address[len('unix:'):])}"  # in a URI, a path may not have all characters
   if tls is None:
     return grpc.insecure_channel(address, options), []
   if (tls.cert is None) != (tls.key is None):

@@ -8,6 +8,7 @@ import json
 import math
 import os
 import pathlib
+import re
 
 import numpy as np
 
@@ -56,10 +57,11 @@ def load_weights(run: str | os.PathLike[str]) -> dict[str, np.ndarray]:
   """
   path = pathlib.Path(run).expanduser()
   if (path / "checkpoints").is_dir():
-    checkpoints = sorted((path / "checkpoints").glob("iter-*"), key=lambda folder: int(folder.name[5:]))
-    if not checkpoints:
+    # Beside checkpoints there may be what people put there, such as iter-00000010.bak.
+    found = [folder for folder in (path / "checkpoints").iterdir() if re.fullmatch(r"iter-[0-9]+", folder.name)]
+    if not found:
       raise FileNotFoundError(f"{path / 'checkpoints'}: no checkpoint, want folders like iter-00000010")
-    path = checkpoints[-1]
+    path = max(found, key=lambda folder: int(folder.name[5:]))
   if path.is_dir():
     path = path / "weights.safetensors"
   content = path.read_bytes()

@@ -38,6 +38,7 @@ class VectorEnv(gymnasium.vector.VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
     copy: whether calls return copies.
     semantic: whether infos have the semantic views, 4 KB a lane.
     render_mode, render_size: as of GymnasiumEnv; render() returns a picture of each lane.
+    max_episode_steps: as gymnasium.make_vec() passes it: episodes are truncated after so many steps, if `length` is not less.
     Others: as of craftfleet.Env.
   """
 
@@ -45,7 +46,7 @@ class VectorEnv(gymnasium.vector.VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
       self, num_envs: int, *, threads: int = 1, env: str = "crafter", area: Any = (64, 64), view: Any = (9, 9), size: Any = (64, 64),
       reward: bool = True, length: int | None = 10000, textures: str | os.PathLike[str] | None = None,
       autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP, copy: bool = False, semantic: bool = False,
-      render_mode: str | None = None, render_size: Any = None) -> None:
+      render_mode: str | None = None, render_size: Any = None, max_episode_steps: int | None = None) -> None:
     self._arguments = {name: value for name, value in locals().items() if name not in ("self", "__class__")}
     self.num_envs = _arguments.integer("num_envs", num_envs, 1, MAX_LANES)
     self.autoreset_mode = _autoreset_mode(autoreset_mode)
@@ -53,6 +54,9 @@ class VectorEnv(gymnasium.vector.VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
       raise ValueError(f"render_mode {render_mode!r}, want None or 'rgb_array'")
     self.render_mode = render_mode
     self.metadata = {"render_modes": ["rgb_array"], "render_fps": 10, "autoreset_mode": self.autoreset_mode}
+    if max_episode_steps is not None:
+      most = _arguments.integer("max_episode_steps", max_episode_steps, 1, 10**9)
+      length = min(_arguments.integer("length", length or 0, 0, 10**9) or most, most)
     setup = _arguments.setup(env, area, view, size, length, textures)
     width, height = setup.arguments[3]
     self._render_size = (width, height) if render_size is None else _arguments.pair("render_size", render_size)

@@ -3,11 +3,13 @@
 #include <unistd.h>
 
 #include <algorithm>
+#include <system_error>
 #include <utility>
 
 #include <absl/cleanup/cleanup.h>
 #include <absl/strings/str_cat.h>
 
+#include "common/base/openmp_places.h"
 #include "common/base/status_macros.h"
 
 namespace craftfleet {
@@ -82,19 +84,19 @@ Batch::~Batch() {
 absl::Status Batch::Reset(const std::vector<int>& lanes, const std::vector<bool>& seeded,
                           const std::vector<int64_t>& seeds) {
   CRAFTFLEET_ENTER_OR_RETURN();
-  ForEach(static_cast<int>(lanes.size()), [&](int i) {
+  return ForEach(static_cast<int>(lanes.size()), [&](int i) {
     const int lane = lanes[i];
     if (seeded[lane]) lanes_[lane] = Lane(setup_, seeds[lane]);
     ResetLane(lane);
   });
-  return absl::OkStatus();
 }
 
 absl::Status Batch::Step(absl::Span<const int64_t> actions) {
   CRAFTFLEET_ENTER_OR_RETURN();
-  CRAFTFLEET_RETURN_IF_ERROR(CheckStep(actions));
-  ForEach(options_.lanes, [&](int lane) { StepLane(lane, static_cast<Action>(actions[lane])); });
-  return absl::OkStatus();
+  // Copied, because another thread may write the array meanwhile: what was checked is what is played.
+  actions_.assign(actions.begin(), actions.end());
+  CRAFTFLEET_RETURN_IF_ERROR(CheckStep());
+  return ForEach(options_.lanes, [&](int lane) { StepLane(lane, static_cast<Action>(actions_[lane])); });
 }
 
 absl::StatusOr<std::string> Batch::Save(int lane) {
@@ -125,9 +127,9 @@ absl::Status Batch::CheckStarted(int lane) const {
   return absl::FailedPreconditionError(absl::StrCat("lane ", lane, ": no game yet, want reset() first"));
 }
 
-absl::Status Batch::CheckStep(absl::Span<const int64_t> actions) const {
+absl::Status Batch::CheckStep() const {
   for (int lane = 0; lane < options_.lanes; ++lane) {
-    const int64_t action = actions[lane];
+    const int64_t action = actions_[lane];
     if (action < 0 || action >= kNumActions) {
       return absl::InvalidArgumentError(absl::StrCat("actions[", lane, "] ", action, ", want 0..", kNumActions - 1));
     }
@@ -166,21 +168,32 @@ void Batch::SetEnd(int lane, StepEnd end) {
   truncated_[lane] = end == StepEnd::kTruncated;
 }
 
-void Batch::ForEach(int count, const std::function<void(int)>& part) {
+absl::Status Batch::ForEach(int count, const std::function<void(int)>& part) {
   const int parts = options_.threads == 1 ? 1 : std::min(count, options_.threads * kPartsPerThread);
   if (parts <= 1) {
     for (int i = 0; i < count; ++i) part(i);
-    return;
+    return absl::OkStatus();
   }
-  if (pool_ == nullptr || pool_owner_ != getpid()) {
-    pool_.release();  // NOLINT(bugprone-unused-return-value): null, or its threads are not in this process
-    pool_ = std::make_unique<WorkerPool>(options_.threads, [] {});
-    pool_owner_ = getpid();
-  }
+  CRAFTFLEET_RETURN_IF_ERROR(StartThreads());
   pool_->Run(parts, [&](int p) {
     const int end = static_cast<int>(int64_t{p + 1} * count / parts);
     for (int i = static_cast<int>(int64_t{p} * count / parts); i < end; ++i) part(i);
   });
+  return absl::OkStatus();
+}
+
+absl::Status Batch::StartThreads() {
+  if (pool_ != nullptr && pool_owner_ == getpid()) return absl::OkStatus();
+  pool_.release();  // NOLINT(bugprone-unused-return-value): null, or its threads are not in this process
+  pool_owner_ = getpid();
+  try {
+    pool_ = std::make_unique<WorkerPool>(options_.threads, UseAllOpenMpPlaces);
+  } catch (const std::system_error& error) {
+    return absl::FailedPreconditionError(
+        absl::StrCat("threads ", options_.threads, ": the system starts no more (", error.what(),
+                     "), want fewer, or a higher limit (ulimit -u, pids.max of the container)"));
+  }
+  return absl::OkStatus();
 }
 
 }  // namespace craftfleet

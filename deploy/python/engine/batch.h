@@ -67,6 +67,7 @@ class Batch {
   Batch& operator=(const Batch&) = delete;
 
   // Starts the next episode of each lane of `lanes`; of those in `seeded`, the first one of seeds[lane].
+  //   FailedPrecondition: the system does not start the threads; also of Step. No lane moves.
   absl::Status Reset(const std::vector<int>& lanes, const std::vector<bool>& seeded, const std::vector<int64_t>& seeds);
   // One action for each lane.
   //   InvalidArgument: an action out of its range; FailedPrecondition: a lane that is to be reset first. Both name the
@@ -89,19 +90,21 @@ class Batch {
   bool* truncated() { return truncated_.get(); }           // [n]
 
  private:
-  absl::Status CheckStep(absl::Span<const int64_t> actions) const;
+  absl::Status CheckStep() const;  // of actions_
   absl::Status CheckStarted(int lane) const;
   void ResetLane(int lane);
   void StepLane(int lane, Action action);
   void SetEnd(int lane, StepEnd end);
-  // Calls `part` for the numbers 0..count-1 on all threads.
-  void ForEach(int count, const std::function<void(int)>& part);
+  // Calls `part` for the numbers 0..count-1 on all threads; for none if they can't be started.
+  absl::Status ForEach(int count, const std::function<void(int)>& part);
+  absl::Status StartThreads();
 
   const std::shared_ptr<const Setup> setup_;
   const Options options_;
   std::vector<Lane> lanes_;
   Rows rows_;
   Rows final_rows_;
+  std::vector<int64_t> actions_;  // of the step in progress
   std::vector<double> step_rewards_;
   std::unique_ptr<bool[]> terminated_;
   std::unique_ptr<bool[]> truncated_;

@@ -6,7 +6,7 @@ Usage: python_bench.py [--seconds=S] [--rounds=N] [--envserver=PROGRAM]
   --rounds=N           measurements of each, in turn, default 5
   --envserver=PROGRAM  also RemoteVectorEnv over loopback, with this craftfleet-envserver
 
-Needs the packages craftfleet and crafter 1.8.3; for RemoteVectorEnv also grpcio and grpcio-tools. All play random actions with the
+Needs the packages craftfleet and crafter 1.8.3; for RemoteVectorEnv also grpcio and protobuf. All play random actions with the
 original's textures, resets included. This process and the server share one core, to which they are pinned. Prints the steps per
 second of CPU time in each round, the server's time included, and their ratios to the original in the same round: median, lowest and
 highest.

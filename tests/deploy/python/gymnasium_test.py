@@ -2,11 +2,18 @@
 
 import copy
 import importlib.util
+import os
+import pathlib
 import pickle
+import subprocess
+import sys
+import tempfile
+import textwrap
 import unittest
 
 from tests.deploy.python import package
 from tests.fakes import python_case
+from tests.fakes.python_case import SOURCE
 
 package.need("craftfleet", "gymnasium")
 import craftfleet  # pylint: disable=wrong-import-position
@@ -113,6 +120,32 @@ class Environment(package.PackageCase):
     self.assert_refused(ValueError, "render_mode 'human', want None or 'rgb_array'", craftfleet.GymnasiumEnv, render_mode="human")
     self.assert_refused(ValueError, "render_size (0, 5)"[:11], craftfleet.GymnasiumEnv, render_size=(0, 5))
     self.assert_refused(ValueError, 'unknown game "minecraft", want "crafter"', craftfleet.GymnasiumEnv, env="minecraft")
+
+  def test_spawned_workers_find_the_environment_by_the_id_with_the_package(self):
+    """As a user's script would do it; a worker that is spawned has imported nothing."""
+    script = self.script("""
+        import gymnasium
+        if __name__ == "__main__":
+          envs = gymnasium.make_vec("craftfleet:CraftFleet/Crafter-v1", 2, vectorization_mode="async", vector_kwargs={"context": "spawn"})
+          print(envs.reset(seed=4)[0].shape)
+          envs.close()
+        """)
+    self.assertEqual(script.stdout, "(2, 64, 64, 3)\n", script.stderr)
+
+  def script(self, code, **options):
+    with tempfile.TemporaryDirectory(prefix="craftfleet-") as folder:
+      path = pathlib.Path(folder) / "script.py"
+      path.write_text(textwrap.dedent(code))
+      options = {"cwd": folder, "env": {**os.environ, "PYTHONPATH": str(package.SITE)}, **options}
+      return subprocess.run([sys.executable, path], capture_output=True, text=True, timeout=120, check=False, **options)
+
+  def test_in_the_folder_of_its_source_the_import_says_what_to_do(self):
+    ended = subprocess.run(
+        [sys.executable, "-c", "import craftfleet"], capture_output=True, text=True, timeout=120, check=False,
+        cwd=SOURCE / "deploy/python", env={**os.environ, "PYTHONPATH": str(package.SITE)})
+    self.assertEqual(ended.returncode, 1)
+    self.assertIn("start it in another folder", ended.stderr)
+    self.assertIn("pip install ./deploy/python", ended.stderr)
 
   def test_gymnasiums_own_vectors_take_it(self):
     for mode in ("sync", "async"):

@@ -4,11 +4,13 @@ import gzip
 import importlib.util
 import json
 import pathlib
+import shutil
 import tempfile
+import threading
 import unittest
 
 from tests.deploy.python import package
-from tests.fakes import python_case
+from tests.fakes import full_disk, python_case
 from tests.fakes.python_case import SOURCE
 
 package.need("craftfleet", "numpy")
@@ -91,6 +93,74 @@ class Recorder(FolderCase):
     play(craftfleet.Recorder(recorded, self.folder, save_video=False), 2)
     self.assertEqual(plain.snapshot(), recorded.snapshot())
 
+  def recorded(self, **named):
+    return craftfleet.Recorder(gymnasium.make("CraftFleet/Crafter-v1", length=15), self.folder, **named)
+
+  def test_it_is_a_wrapper_that_gymnasiums_own_wrappers_take(self):
+    env = self.recorded(save_video=False)
+    self.assertIsInstance(env, gymnasium.Wrapper)
+    wrapped = gymnasium.wrappers.RecordEpisodeStatistics(
+        gymnasium.wrappers.FrameStackObservation(gymnasium.wrappers.TimeLimit(env, 10), 2))
+    observation, _ = wrapped.reset(seed=12)
+    self.assertEqual(observation.shape, (2, 64, 64, 3))
+    for _ in range(10):
+      *_, truncated, info = wrapped.step(0)
+    self.assertTrue(truncated)
+    self.assertEqual(info["episode"]["l"], 10)
+    self.assertEqual(wrapped.unwrapped.snapshot(), env.unwrapped.snapshot())
+    self.assertFalse((self.folder / "stats.jsonl").exists(), "its own episode goes on")
+    inner = craftfleet.Recorder(gymnasium.wrappers.TimeLimit(gymnasium.make("CraftFleet/Crafter-v1"), 10), self.folder)
+    play(inner, 1)
+    self.assertEqual(craftfleet.score(self.folder).length, 10)
+
+  def test_steps_after_the_end_are_not_recorded(self):
+    for number, env in enumerate((craftfleet.Env(**ARGUMENTS), gymnasium.make("CraftFleet/Crafter-v1", length=15).unwrapped)):
+      folder = self.folder / str(number)
+      env = craftfleet.Recorder(env, folder)
+      play(env, 1)
+      before = sorted(path.name for path in folder.iterdir())
+      for _ in range(3):
+        env.step(0)
+      env.close()
+      self.assertEqual(sorted(path.name for path in folder.iterdir()), before)
+      self.assertEqual(craftfleet.score(folder).episodes, 1)
+
+  def test_an_environment_that_has_begun_already_is_recorded_from_its_next_episode(self):
+    env = craftfleet.Env(**ARGUMENTS)
+    env.reset()
+    env = craftfleet.Recorder(env, self.folder, save_video=False)
+    env.step(0)
+    play(env, 1)
+    self.assertEqual(craftfleet.score(self.folder).length, 15)
+
+  def test_recorders_that_share_a_folder_keep_their_files_apart(self):
+    threads = [
+        threading.Thread(target=play, args=(craftfleet.Recorder(craftfleet.Env(**ARGUMENTS), self.folder, video_size=(64, 64)), 3))
+        for _ in range(4)]
+    for thread in threads:
+      thread.start()
+    for thread in threads:
+      thread.join()
+    self.assertEqual(craftfleet.score(self.folder).episodes, 12)
+    tables = {path.stem for path in self.folder.glob("[0-9]*.npz")}
+    self.assertEqual(len(tables), 12)
+    self.assertEqual({path.stem for path in self.folder.glob("[0-9]*.mp4")}, tables)
+    self.assertEqual(len(list(self.folder.iterdir())), 25, "nothing else is left")
+    for table in self.folder.glob("*.npz"):
+      with np.load(table) as columns:
+        self.assertEqual(len(columns["image"]), 16)
+
+  def test_on_a_full_disk_no_half_file_has_a_final_name(self):
+    for what in ({"save_stats": False, "save_video": False}, {"save_stats": False, "save_episode": False},
+                 {"save_video": False, "save_episode": False}):
+      with self.subTest(what), full_disk.small_disk(self) as disk:
+        env = craftfleet.Recorder(craftfleet.Env(**ARGUMENTS, size=(512, 512)), disk / "out", **what)
+        full_disk.fill(disk)
+        with self.assertRaises(OSError):
+          play(env, 1)
+        env.close()
+        self.assertEqual([path.name for path in (disk / "out").iterdir() if path.stat().st_size > 0], [])
+
   def test_an_environment_of_many_games_is_refused(self):
     self.assert_refused(TypeError, "VectorEnv plays many games", craftfleet.Recorder, craftfleet.VectorEnv(2), self.folder)
 
@@ -127,6 +197,13 @@ class Runs(FolderCase):
     self.assertGreater(sum(value.size for value in weights.values()), 10000)
     self.assertTrue(all(np.isfinite(value).all() for value in weights.values()))
 
+  def test_other_names_beside_checkpoints_are_ignored(self):
+    run = self.folder / "run"
+    shutil.copytree(RUN / "run", run)
+    for name in ("iter-00000010.bak", "iter-", "iter-99999999-old", "iter-٣", "best"):
+      (run / "checkpoints" / name).mkdir()
+    self.assertEqual(set(craftfleet.load_weights(run)), set(craftfleet.load_weights(RUN / "run")))
+
   def test_what_is_missing_or_damaged_is_named(self):
     self.assert_refused(FileNotFoundError, "stats.jsonl", craftfleet.score, self.folder)
     (self.folder / "stats.jsonl").write_text("")
@@ -135,6 +212,8 @@ class Runs(FolderCase):
     self.assert_refused(ValueError, "stats.jsonl, line 1: 'reward'", craftfleet.score, self.folder)
     self.assert_refused(FileNotFoundError, "weights.safetensors", craftfleet.load_weights, self.folder)
     (self.folder / "checkpoints").mkdir()
+    self.assert_refused(FileNotFoundError, "no checkpoint, want folders like iter-", craftfleet.load_weights, self.folder)
+    (self.folder / "checkpoints/iter-00000010.bak").mkdir()
     self.assert_refused(FileNotFoundError, "no checkpoint, want folders like iter-", craftfleet.load_weights, self.folder)
     whole = next((RUN / "run/checkpoints").glob("*/weights.safetensors")).read_bytes()
     for content in (b"", b"garbage!" * 9, whole[:200], whole[:-4]):

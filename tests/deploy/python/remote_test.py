@@ -9,14 +9,17 @@ import pickle
 import re
 import signal
 import subprocess
+import sys
 import threading
 import warnings
+from concurrent import futures
+from unittest import mock
 
 from tests.deploy.python import package
 from tests.fakes import python_case
 from tests.fakes.python_case import BIN, SOURCE
 
-package.need("craftfleet", "grpc", "grpc_tools")
+package.need("craftfleet", "grpc", "google.protobuf")
 import craftfleet  # pylint: disable=wrong-import-position
 import numpy as np  # pylint: disable=wrong-import-position
 
@@ -53,14 +56,14 @@ def send_what_a_fork_sees(writer, inherited, local):
 
 class ServerCase(python_case.FolderCase, package.PackageCase):
 
-  def server(self, *flags):
+  def server(self, *flags, cwd=None):
     """A process of an environment server, and its address."""
     log = self.folder / f"server-{len(list(self.folder.glob('server-*')))}.log"
     with log.open("wb") as out:
-      process = subprocess.Popen([BIN / "craftfleet-envserver", "--listen=127.0.0.1:0", *flags], stderr=out)
+      process = subprocess.Popen([BIN / "craftfleet-envserver", "--listen=127.0.0.1:0", *flags], stderr=out, cwd=cwd)
     self.addCleanup(process.wait)
     self.addCleanup(process.kill)
-    listening = python_case.wait_until(lambda: re.search(r"listening on (\S+)", log.read_text()), f"an address in {log}")
+    listening = python_case.wait_until(lambda: re.search(r"listening on (.+)", log.read_text()), f"an address in {log}")
     return process, listening[1]
 
   def connect(self, *arguments, **named):
@@ -76,7 +79,7 @@ class Remote(ServerCase):
     for actions in np.random.default_rng(1).integers(17, size=(steps, LANES)):
       found, expected = remote.step(actions), local.step(actions)
       self.assertEqual(found[0].tobytes(), expected[0].tobytes())
-      self.assertTrue(np.array_equal(found[1], expected[1].astype(np.float32)))
+      self.assertEqual(found[1].tolist(), expected[1].tolist())
       for i in (2, 3):
         self.assertEqual(found[i].tolist(), expected[i].tolist())
       self.compare_infos(found, expected)
@@ -163,6 +166,81 @@ class Remote(ServerCase):
     self.assert_refused(ValueError, "timeout 0, want 0.1..", craftfleet.RemoteVectorEnv, address, 2, timeout=0)
     self.assert_refused(ValueError, 'unknown game "doom"', craftfleet.RemoteVectorEnv, address, 2, env="doom")
     self.assert_refused(ValueError, "length 0, want 1..", craftfleet.RemoteVectorEnv, address, 2, length=0)
+
+  def test_every_form_of_an_address_is_reached_or_refused_with_what_to_write(self):
+    folder = self.folder / "größe 50%25 a"
+    folder.mkdir()
+    self.server("--listen=unix:socket", cwd=folder)
+    here = os.getcwd()
+    self.addCleanup(os.chdir, here)
+    os.chdir(folder)
+    for address in (f"unix:{folder}/socket", "unix:socket"):
+        self.assertEqual(self.connect(address, 2).reset(seed=1)[0].shape, (2, 64, 64, 3))
+    for address, text in (("http://127.0.0.1:5", "want host:port without http://"), ("127.0.0.1:5/", "want host:port"),
+                          ("unix:/tmp/a,b", "want a path without commas")):
+      self.assert_refused(ValueError, text, craftfleet.RemoteVectorEnv, address, 2)
+
+  def test_the_proxy_for_web_pages_is_not_used(self):
+    _, address = self.server()
+    with mock.patch.dict(os.environ, {name: "http://127.0.0.1:9" for name in ("http_proxy", "https_proxy", "grpc_proxy")}):
+      self.assertEqual(self.connect(address, 2).reset(seed=1)[0].shape, (2, 64, 64, 3))
+
+  def test_it_works_from_a_folder_with_any_name(self):
+    _, address = self.server()
+    site = self.folder / "größe, 50%"
+    site.mkdir()
+    (site / "craftfleet").symlink_to(package.SITE / "craftfleet")
+    code = f"import craftfleet; print(craftfleet.RemoteVectorEnv({address!r}, 2).reset(seed=1)[0].shape)"
+    for locale in ("C", "C.UTF-8"):
+      played = subprocess.run(
+          [sys.executable, "-c", code], capture_output=True, text=True, timeout=120, check=False, cwd=site,
+          env={**os.environ, "PYTHONPATH": str(site), "LC_ALL": locale})
+      self.assertEqual((played.returncode, played.stdout), (0, "(2, 64, 64, 3)\n"), played.stderr)
+
+  def test_a_reply_that_does_not_fit_is_refused(self):
+    """A server that answers each request with what `change` makes of the right reply."""
+    from craftfleet import remote  # pylint: disable=import-outside-toplevel
+    grpc, messages = remote._grpc_and_messages()  # pylint: disable=protected-access
+    frame = bytes(64 * 64 * 3)
+    changes = {
+        "frames": lambda reply: setattr(reply, "frames", frame),
+        "rewards": lambda reply: reply.rewards.append(0),
+        "rewards [inf, 0.0]": lambda reply: reply.rewards.__setitem__(0, float("inf")),
+        "rewards [nan, 0.0]": lambda reply: reply.rewards.__setitem__(0, float("nan")),
+        "bytes of ends": lambda reply: setattr(reply, "ends", b""),
+        "an end of 7": lambda reply: setattr(reply, "ends", b"\0\7"),
+        "episodes": lambda reply: setattr(reply, "ends", b"\0\1"),
+        "bytes of frames, want 0": lambda reply: setattr(reply, "last_frames", frame),
+        "moments": lambda reply: reply.moments.add(),
+    }
+    changed = []
+
+    def play_badly(requests, _):
+      for request in requests:
+        reply = messages.PlayReply()
+        if request.WhichOneof("request") != "hello":
+          reply.frames = 2 * frame
+        if request.WhichOneof("request") == "step":
+          reply.rewards.extend([0, 0])
+          reply.ends = bytes(2)
+          changed[-1](reply)
+        yield reply
+
+    server = grpc.server(futures.ThreadPoolExecutor(4))
+    server.add_generic_rpc_handlers((grpc.method_handlers_generic_handler("craftfleet.v1.EnvironmentService", {
+        "Play": grpc.stream_stream_rpc_method_handler(
+            play_badly, messages.PlayRequest.FromString, messages.PlayReply.SerializeToString)}),))
+    address = f"127.0.0.1:{server.add_insecure_port('127.0.0.1:0')}"
+    server.start()
+    self.addCleanup(server.stop, 0)
+    for text, change in changes.items():
+      with self.subTest(text):
+        changed.append(change)
+        envs = self.connect(address, 2)
+        envs.reset(seed=1)
+        self.assert_refused(ConnectionError, f"{address}: a reply that does not fit the request: ", envs.step, [0, 0])
+        self.assert_refused(ConnectionError, text, envs.step, [0, 0])
+        envs.close()
 
   def test_after_close_it_says_so(self):
     envs = self.connect(self.server()[1], 2)

@@ -2,13 +2,19 @@
 
 import asyncio
 import copy
+import ctypes.util
 import multiprocessing
+import os
 import pickle
+import subprocess
+import sys
 import threading
+import unittest
 import warnings
 
 from tests.deploy.python import package
 from tests.fakes import python_case
+from tests.fakes.python_case import BIN
 
 package.need("craftfleet", "gymnasium")
 import craftfleet  # pylint: disable=wrong-import-position
@@ -97,6 +103,15 @@ class LikeGymnasium(package.PackageCase):
     envs.reset(seed=1)
     steps = [envs.step(np.full(3, 6)) for _ in range(5)]
     self.assertEqual({reward for step in steps for reward in step[1]}, {0.0})
+
+  def test_make_vec_limits_episodes(self):
+    for given, expected in (({"max_episode_steps": 5}, 5), ({"max_episode_steps": 5, "length": 3}, 3),
+                            ({"max_episode_steps": 5, "length": None}, 5)):
+      envs = gymnasium.make_vec(NAME, num_envs=2, **given)
+      envs.reset(seed=1)
+      truncated = [envs.step(np.zeros(2, int))[3].tolist() for _ in range(expected)]
+      self.assertEqual(truncated, [[False] * 2] * (expected - 1) + [[True] * 2], given)
+    self.assert_refused(ValueError, "max_episode_steps 0, want 1..", craftfleet.VectorEnv, 2, max_episode_steps=0)
 
 
 class Lanes(package.PackageCase):
@@ -207,6 +222,53 @@ class Lanes(package.PackageCase):
     for _ in range(12):
       envs.step([0] * 5)
     self.assert_refused(RuntimeError, "lane 0: its episode is over, want reset(", envs.step, [0] * 5)
+
+
+class Limits(package.PackageCase):
+  """In a process of its own, with the environment and libraries of a site."""
+
+  def run_with(self, code, **variables):
+    return subprocess.run(
+        [sys.executable, "-c", f"import craftfleet, numpy as np, os\n{code}"], capture_output=True, text=True, timeout=120,
+        check=False, env={**os.environ, "PYTHONPATH": str(package.SITE), **variables})
+
+  def test_a_system_that_starts_no_more_threads_is_an_exception(self):
+    library = BIN / "libcraftfleet_few_threads.so"
+    if not library.exists():
+      self.skipTest(f"no {library}, want: ninja craftfleet_few_threads")
+    ended = self.run_with("""
+envs = craftfleet.VectorEnv(256, threads=64)
+for call in (lambda: envs.reset(seed=1), lambda: envs.reset(seed=1)):
+  try:
+    call()
+  except RuntimeError as error:
+    print(error)
+few = craftfleet.VectorEnv(256, threads=2)
+print(few.reset(seed=1)[0].shape)
+""", LD_PRELOAD=str(library), FEW_THREADS="16", OPENBLAS_NUM_THREADS="1")
+    self.assertEqual(ended.returncode, 0, ended.stderr)
+    self.assertEqual(ended.stdout.count("threads 64: the system starts no more ("), 2, ended.stdout)
+    self.assertIn("want fewer, or a higher limit (ulimit -u", ended.stdout)
+    self.assertIn("(256, 64, 64, 3)", ended.stdout)
+
+  @unittest.skipUnless(len(os.sched_getaffinity(0)) > 1, "one CPU, want two")
+  def test_openmp_that_binds_threads_leaves_those_of_the_games_all_cpus(self):
+    found = ctypes.util.find_library("gomp")
+    if found is None:
+      self.skipTest("no libgomp")
+    for variables in ({"OMP_PROC_BIND": "true"}, {"GOMP_CPU_AFFINITY": "0-1"}):
+      ended = self.run_with(f"""
+import ctypes
+ctypes.CDLL({found!r}, mode=ctypes.RTLD_GLOBAL)  # as PyTorch does
+print(len(os.sched_getaffinity(0)))
+envs = craftfleet.VectorEnv(8, threads=4)
+envs.reset(seed=1)
+for _ in range(300):  # until all threads have begun
+  envs.step(np.zeros(8, int))
+print(sorted(len(os.sched_getaffinity(int(task))) for task in os.listdir("/proc/self/task"))[-3:])
+""", **variables, OPENBLAS_NUM_THREADS="1")
+      cpus = len(os.sched_getaffinity(0)) if "OMP_PROC_BIND" in variables else 2
+      self.assertEqual(ended.stdout, f"1\n{[cpus] * 3}\n", ended.stderr)
 
 
 class Around(package.PackageCase):
