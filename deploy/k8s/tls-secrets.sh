@@ -13,7 +13,7 @@ case "${1:-}" in
 esac
 dir=$1
 names=(craftfleet-learner craftfleet-envserver craftfleet-actor craftfleet-ops)
-"$(dirname "$0")/../make-certs.sh" "$dir" "${names[@]}" >&2
+"$(dirname "$(readlink -f "$0")")/../make-certs.sh" "$dir" "${names[@]}" >&2
 for name in "${names[@]}"; do
   cat <<SECRET
 ---

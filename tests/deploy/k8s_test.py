@@ -154,7 +154,17 @@ class Manifests(unittest.TestCase):
       default, = [document for document in objects.of("NetworkPolicy") if not document["spec"]["podSelector"] and
                   "Egress" in document["spec"]["policyTypes"]]
       self.assertNotIn("ingress", default["spec"])
+      self.check_dns(default["spec"]["egress"])
     self.over_all(check)
+
+  def check_dns(self, egress):
+    """Every pod reaches the DNS of a usual cluster, of one with NodeLocal DNS and of OpenShift."""
+    (rule,) = egress
+    spaces, = [peer["namespaceSelector"]["matchExpressions"] for peer in rule["to"] if "namespaceSelector" in peer]
+    self.assertEqual(set(spaces[0]["values"]), {"kube-system", "openshift-dns"})
+    self.assertIn({"ipBlock": {"cidr": "169.254.20.10/32"}}, rule["to"])
+    self.assertEqual({(port["protocol"], port["port"]) for port in rule["ports"]},
+                     {(protocol, port) for protocol in ("UDP", "TCP") for port in (53, 5353)})
 
   def test_addresses_in_flags_are_services_and_the_policies_let_them_through(self):
     def check(objects):
@@ -261,9 +271,9 @@ class Manifests(unittest.TestCase):
         container, = kustomize.containers(workload)
         listens = dict(split(argument) for argument in container["args"])
         ports = {port["name"]: port["containerPort"] for port in container["ports"]}
-        self.assertEqual(listens["listen"], f"0.0.0.0:{ports['grpc']}")
-        self.assertEqual(listens["health_listen"], f"0.0.0.0:{ports['health']}")
-        self.assertEqual(listens["metrics_listen"], f"0.0.0.0:{ports['metrics']}")
+        self.assertEqual(listens["listen"], f"[::]:{ports['grpc']}")
+        self.assertEqual(listens["health_listen"], f"[::]:{ports['health']}")
+        self.assertEqual(listens["metrics_listen"], f"[::]:{ports['metrics']}")
         self.assertEqual(len(set(ports.values())), 3)
         self.assertEqual(workload["spec"]["template"]["metadata"]["annotations"]["prometheus.io/port"], str(ports["metrics"]))
         # Kubernetes' probes do not support TLS, so they use the health port.
@@ -284,6 +294,7 @@ class Manifests(unittest.TestCase):
         self.assertGreater(pod["securityContext"]["runAsUser"], 0)
         self.assertEqual(pod["securityContext"]["seccompProfile"], {"type": "RuntimeDefault"})
         self.assertFalse(pod["automountServiceAccountToken"])
+        self.assertTrue(pod["shareProcessNamespace"], "or a SIGTERM is lost while it starts")
         self.assertEqual(container["securityContext"], {
             "allowPrivilegeEscalation": False, "readOnlyRootFilesystem": True, "capabilities": {"drop": ["ALL"]}})
         self.assertTrue({"cpu", "memory"} <= container["resources"]["requests"].keys())
