@@ -24,7 +24,7 @@ for argument in "$@"; do
   esac
 done
 preset=${preset:-release}
-cd "$(dirname "$0")/.."
+cd "$(dirname "$(readlink -f "$0")")/.."
 
 # A file that includes LibTorch takes up to 2 GB to compile.
 memory_kib=$(awk '/^MemAvailable:/ {print $2}' /proc/meminfo)
@@ -32,7 +32,7 @@ if [ -r /sys/fs/cgroup/memory.max ] && [ "$(cat /sys/fs/cgroup/memory.max)" != m
   limit_kib=$(($(cat /sys/fs/cgroup/memory.max) / 1024))
   [ "$limit_kib" -ge "$memory_kib" ] || memory_kib=$limit_kib
 fi
-jobs=$(nproc)
+jobs=$(env -u OMP_NUM_THREADS -u OMP_THREAD_LIMIT nproc)
 by_memory=$((memory_kib / (2 * 1024 * 1024)))
 [ "$by_memory" -ge "$jobs" ] || jobs=$by_memory
 [ "$jobs" -ge 1 ] || jobs=1

@@ -15,7 +15,7 @@ set -euo pipefail
 usage() { sed -n '2,/^$/s/^# \{0,1\}//p' "$0"; }
 refuse() { echo "bundle.sh: $*" >&2; exit 2; }
 
-source=$(cd "$(dirname "$0")/.." && pwd)
+source=$(readlink -f "$(dirname "$(readlink -f "$0")")/..")
 build=$source/build
 out=
 level=9

@@ -44,7 +44,7 @@ packages=(
 )
 torch=2.11.0
 torch_gb=4.6
-torch_dir=$(cd "${BASH_SOURCE[0]%/*}/.." && pwd)/.cache/libtorch-cuda
+torch_dir=$(readlink -f "$(dirname "$(readlink -f "${BASH_SOURCE[0]}")")/..")/.cache/libtorch-cuda
 
 # pip installs torch after everything that it needs, and lists its files when all of them are there.
 has_torch() { compgen -G "$torch_dir/lib/python3*/site-packages/torch-$torch*.dist-info/RECORD" >/dev/null; }

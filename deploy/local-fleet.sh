@@ -18,8 +18,9 @@ usage() { sed -n '2,/^$/s/^# \{0,1\}//p' "$0"; }
 refuse() { echo "local-fleet.sh: $*" >&2; exit 2; }
 say() { echo "local-fleet.sh: $*" >&2; }
 
-bin=$(dirname "$0")/../build/bin
-[ -x "$bin/craftfleet-learner" ] || bin=$(dirname "$0")/../../bin  # installed, or in a bundle
+here=$(dirname "$(readlink -f "$0")")
+bin=$here/../build/bin
+[ -x "$bin/craftfleet-learner" ] || bin=$here/../../bin  # installed, or in a bundle
 [ -x "$bin/craftfleet-learner" ] || bin=$(dirname "$(command -v craftfleet-learner || echo "$bin/craftfleet-learner")")
 learners=1
 actors=1
@@ -28,6 +29,9 @@ logdir=
 learner_flags=()
 envserver_flags=()
 for argument in "$@"; do
+  case "$argument" in
+    --*=\~ | --*=\~/*) argument=${argument%%=*}=$HOME${argument#*=\~} ;;  # the shell expands ~ at the start of a word only
+  esac
   case "$argument" in
     -h | --help) usage; exit 0 ;;
     --learners=*) learners=${argument#*=} ;;
@@ -54,7 +58,22 @@ for program in learner actor envserver; do
   [ -x "$bin/craftfleet-$program" ] || refuse "$bin/craftfleet-$program does not exist: build first (deploy/build.sh), or give --bin=DIR"
 done
 
-sockets=$(mktemp -d "${TMPDIR:-/tmp}/craftfleet.XXXXXX")
+# Argument: the folder of the sockets. The length in bytes of the longest path in it.
+socket_length() {
+  local LC_ALL=C path="$1/envserver-$envservers"
+  echo ${#path}
+}
+folder=${TMPDIR:-/tmp}
+[[ $folder != *,* ]] || refuse "TMPDIR=$folder: paths of Unix sockets may not have commas: set TMPDIR to another folder"
+length=$(socket_length "$folder/craftfleet.XXXXXX")
+[ "$length" -le 107 ] || refuse "TMPDIR=$folder: paths of Unix sockets there have $length bytes, want at most 107: set TMPDIR to a shorter folder"
+if [ ! -d "$folder" ] || [ ! -w "$folder" ]; then
+  refuse "TMPDIR=$folder is not a folder that can be written: set TMPDIR to one for Unix sockets"
+fi
+# nproc counts the threads that OpenMP may use.
+cores=$(env -u OMP_NUM_THREADS -u OMP_THREAD_LIMIT nproc)
+mkdir -p "$logdir/fleet"
+sockets=$(mktemp -d "$folder/craftfleet.XXXXXX")
 declare -A names=()  # the running workers, by process id
 
 # Each process has a group of its own, so that Ctrl-C reaches it once, through this script.
@@ -100,10 +119,9 @@ free_port() {
   echo "$port"
 }
 
-mkdir -p "$logdir/fleet"
 learner_flags=(--world_size="$learners" "${learner_flags[@]}")
 if [ "$learners" -gt 1 ]; then
-  threads=$(($(nproc) / learners))
+  threads=$((cores / learners))
   learner_flags=(--threads="$((threads > 0 ? threads : 1))" --master_addr=127.0.0.1 --master_port="$(free_port)" "${learner_flags[@]}")
 fi
 setpriv --pdeathsig TERM "$bin/craftfleet-learner" "${learner_flags[@]}" --rank=0 --listen="unix:$sockets/learner" </dev/null &
@@ -118,12 +136,12 @@ for ((i = 1; i <= envservers; i++)); do
   start_worker "envserver-$i" "$bin/craftfleet-envserver" --listen="unix:$sockets/envserver-$i" "${envserver_flags[@]}"
   servers+=,unix:$sockets/envserver-$i
 done
-threads=$(($(nproc) / actors))
+threads=$((cores / actors))
 for ((i = 1; i <= actors; i++)); do
   start_worker "actor-$i" "$bin/craftfleet-actor" --listen="unix:$sockets/actor-$i" --learner="unix:$sockets/learner" \
     --envservers="${servers#,}" --threads="$((threads > 0 ? threads : 1))"
 done
-say "$learners learners, $actors actors, $envservers environment servers; watch: craftfleet status --address=unix:$sockets/learner"
+say "$learners learners, $actors actors, $envservers environment servers; watch: craftfleet status --address=$(printf %q "unix:$sockets/learner")"
 
 # Argument: a kind of worker, such as actor. True while one of them runs.
 any_left() {

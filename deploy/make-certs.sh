@@ -34,15 +34,33 @@ shift
 
 umask 077
 mkdir -p "$dir"
-new_key=(-newkey ec -pkeyopt ec_paramgen_curve:prime256v1 -nodes)
-
-if [ ! -e "$dir/ca.pem" ]; then
-  openssl req -x509 "${new_key[@]}" -keyout "$dir/ca.key" -out "$dir/ca.pem" -days 3650 -subj "/CN=CraftFleet CA" \
-    -addext "basicConstraints=critical,CA:TRUE" -addext "keyUsage=critical,keyCertSign,cRLSign" 2>/dev/null
-fi
-
 work=$(mktemp -d "$dir/.new.XXXXXX")
 trap 'rm -rf "$work"' EXIT
+new_key=(-newkey ec -pkeyopt ec_paramgen_curve:prime256v1 -nodes)
+printf '%s\n' '[ca]' 'default_ca=this' '[this]' 'database=index' 'rand_serial=yes' 'default_md=sha256' 'policy=any' \
+  'unique_subject=no' '[any]' 'commonName=supplied' >"$work/config"
+: >"$work/index"
+
+# Arguments: the request and the certificate to make of it, in $work; its days; its extensions, in one word; options of
+# openssl ca. It begins a day ago, because clocks differ.
+sign() {
+  local request=$1 certificate=$2 days=$3 extensions=$4
+  shift 4
+  (cd "$work" && openssl ca -batch -notext -config config -outdir . -in "$request" -out "$certificate" \
+    -startdate "$(date -u -d '-1 day' +%Y%m%d%H%M%SZ)" -enddate "$(date -u -d "+$days days" +%Y%m%d%H%M%SZ)" \
+    -extfile <(echo "$extensions") "$@") 2>"$work/log" || { cat "$work/log" >&2; exit 1; }
+}
+# Arguments: key, request and name.
+request() {
+  openssl req -new "${new_key[@]}" -keyout "$1" -out "$2" -subj "/CN=$3" 2>"$work/log" || { cat "$work/log" >&2; exit 1; }
+}
+
+if [ ! -e "$dir/ca.pem" ]; then
+  request "$work/ca.key" "$work/request" "CraftFleet CA"
+  sign request ca.pem 3650 "$(printf '%s\n' "basicConstraints=critical,CA:TRUE" \
+    "keyUsage=critical,keyCertSign,cRLSign" "subjectKeyIdentifier=hash")" -selfsign -keyfile ca.key
+  mv "$work/ca.key" "$work/ca.pem" "$dir/"
+fi
 
 for argument in "$@"; do
   name=${argument%%=*}
@@ -53,10 +71,9 @@ for argument in "$@"; do
       if [[ "$host" =~ ^[0-9.]+$ || "$host" == *:* ]]; then names+=",IP:$host"; else names+=",DNS:$host"; fi
     done
   fi
-  openssl req -new "${new_key[@]}" -keyout "$work/key" -out "$work/request" -subj "/CN=$name" 2>/dev/null
-  openssl x509 -req -in "$work/request" -CA "$dir/ca.pem" -CAkey "$dir/ca.key" -set_serial "0x$(openssl rand -hex 8)" \
-    -days "$days" -out "$work/pem" 2>/dev/null \
-    -extfile <(printf '%s\n' "subjectAltName=$names" "basicConstraints=CA:FALSE" "extendedKeyUsage=serverAuth,clientAuth")
+  request "$work/key" "$work/request" "$name"
+  sign request pem "$days" "$(printf '%s\n' "subjectAltName=$names" "basicConstraints=CA:FALSE" \
+    "extendedKeyUsage=serverAuth,clientAuth")" -cert ../ca.pem -keyfile ../ca.key
   mv "$work/key" "$dir/$name.key"
   mv "$work/pem" "$dir/$name.pem"
   echo "$dir/$name.pem, $dir/$name.key: $names, $days days"

@@ -23,7 +23,7 @@ if ! [[ $steps =~ ^[0-9]+$ && $seed =~ ^[0-9]+$ ]]; then
   echo "quickstart.sh: --steps=$steps --seed=$seed, want whole numbers" >&2
   exit 2
 fi
-cd "$(dirname "$0")/.."
+cd "$(dirname "$(readlink -f "$0")")/.."
 
 deploy/install-deps.sh
 deploy/build.sh release

@@ -17,7 +17,7 @@ case "${1:-}" in
   -h | --help) usage; exit 0 ;;
   --suites=*) suites=${1#*=}; shift ;;
 esac
-cd "$(dirname "$0")/.."
+cd "$(dirname "$(readlink -f "$0")")/.."
 
 passed=0 failed=0 skipped=0
 
@@ -36,7 +36,7 @@ run_suite() {
   # GDAL, a dependency of OpenCV, takes its locks in varying order. Races are still reported.
   [ "$preset" != tsan ] || export TSAN_OPTIONS=detect_deadlocks=0
   # One more than there are CPUs: many tests wait for deadlines of the fleets that they run.
-  ctest --preset "$preset" --parallel "$(($(nproc) + 1))" --output-junit "$results" --test-output-size-passed 1000000 \
+  ctest --preset "$preset" --parallel "$(($(env -u OMP_NUM_THREADS -u OMP_THREAD_LIMIT nproc) + 1))" --output-junit "$results" --test-output-size-passed 1000000 \
     --test-output-truncation middle "$@" || ctest_failed=1
   if ! [ -f "$results" ]; then
     add_failure "$preset: ctest could not run the tests"

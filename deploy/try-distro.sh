@@ -46,7 +46,7 @@ if [ -z "${TRY_DISTRO_UNSHARED:-}" ]; then
   TRY_DISTRO_UNSHARED=yes exec unshare --mount --propagation private "$0" "$@"
 fi
 
-source=$(cd "$(dirname "$0")/.." && pwd)
+source=$(readlink -f "$(dirname "$(readlink -f "$0")")/..")
 root=$(mktemp -d "$dir/craftfleet-$suite.XXXXXX")
 mount --bind "$root" "$root"  # tests make mount namespaces, for which / must be a mount
 mounted=("$root")

@@ -22,13 +22,17 @@ run=$1
 result=$2
 [ -f "$run/config.txt" ] || { echo "collect.sh: $run is not a run folder: it has no config.txt" >&2; exit 1; }
 
+# Everything is made beside the result and then moved, so that a full disk leaves no half file in it.
 mkdir -p "$result"
-cp "$run/config.txt" "$run/run.json" "$result/"
+made=$(mktemp -d "$result/.collect.XXXXXX")
+trap 'rm -rf "$made"' EXIT
+cp "$run/config.txt" "$run/run.json" "$made/"
 for log in stats eval_argmax eval_sampled final_argmax final_sampled; do
-  [ ! -s "$run/$log.jsonl" ] || gzip -9 --no-name --stdout "$run/$log.jsonl" >"$result/$log.jsonl.gz"
+  [ ! -s "$run/$log.jsonl" ] || gzip -9 --no-name --stdout "$run/$log.jsonl" >"$made/$log.jsonl.gz"
 done
 if [ -n "$weights" ]; then
-  newest=$(find "$run/checkpoints" -maxdepth 1 -name 'iter-*' | sort | tail -n 1)
-  cp "$newest/weights.safetensors" "$result/"
+  newest=$(find "$run/checkpoints" -maxdepth 1 -regex '.*/iter-[0-9]+' | sort | tail -n 1)
+  cp "$newest/weights.safetensors" "$made/"
 fi
-"$(dirname "$0")/../../build/bin/craftfleet" curve --out="$result/curve.png" "$run"
+"$(dirname "$(readlink -f "$0")")/../../build/bin/craftfleet" curve --out="$made/curve.png" "$run"
+mv "$made"/* "$result/"

@@ -10,7 +10,7 @@ set -uo pipefail
 note=$1
 shift
 trap 'touch "$note"' TERM
-"$@" --listen="$(hostname):0" &
+"$@" --listen="$("$(dirname "$(readlink -f "$0")")/own-host.sh"):0" &
 while true; do
   wait $!
   status=$?

@@ -27,7 +27,7 @@ for argument in "$@"; do
     *) targets+=("$argument") ;;
   esac
 done
-cd "$(dirname "$0")/../.."
+cd "$(dirname "$(readlink -f "$0")")/../.."
 if [ ${#targets[@]} -eq 0 ]; then
   for source in tests/fuzz/fuzz_*.cc; do
     name=${source##*/fuzz_}
@@ -39,7 +39,7 @@ programs=()
 for target in "${targets[@]}"; do programs+=("fuzz_$target" "fuzz_${target}_replay"); done
 deploy/install-deps.sh --developer
 cmake --preset fuzz
-cmake --build --preset fuzz --parallel "${JOBS:-$(nproc)}" --target "${programs[@]}"
+cmake --build --preset fuzz --parallel "${JOBS:-$(env -u OMP_NUM_THREADS -u OMP_THREAD_LIMIT nproc)}" --target "${programs[@]}"
 
 findings=$PWD/build-fuzz/findings
 mkdir -p "$findings"

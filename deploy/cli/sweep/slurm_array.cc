@@ -15,7 +15,7 @@ constexpr char kScript[] = R"sh(#!/usr/bin/env bash
 # Written by craftfleet sweep --executor=slurm: one task for each run.
 #SBATCH --job-name=craftfleet-sweep
 #SBATCH --array=0-<LAST>%<AT A TIME>
-#SBATCH --output=<LOGS>/%A_%a.log
+#SBATCH --output=<LOGS>
 #SBATCH --open-mode=append
 #SBATCH --requeue
 #SBATCH --signal=TERM@60
@@ -26,7 +26,7 @@ runs=(
   <RUNS>
 )
 trap : TERM  # this shell waits until the run has stopped
-srun <COMMAND> --run="${runs[SLURM_ARRAY_TASK_ID]}" --threads="$SLURM_CPUS_PER_TASK" &
+srun --cpu-bind=none <COMMAND> --run="${runs[SLURM_ARRAY_TASK_ID]}" --threads="$SLURM_CPUS_PER_TASK" &
 while true; do
   wait $!
   status=$?
@@ -41,6 +41,12 @@ exit "$status"
 )sh";
 
 bool IsPlain(char c) { return absl::ascii_isalnum(c) || absl::StrContains("_-+=:,./@%", c); }
+
+// The path of a log in a directive of sbatch: %% is a %, quotes keep spaces. `pattern` has placeholders of its own.
+std::string DirectiveWord(absl::string_view folder, absl::string_view pattern) {
+  return absl::StrCat("\"", absl::StrReplaceAll(folder, {{"%", "%%"}, {"\\", "\\\\"}, {"\"", "\\\""}}), pattern,
+                      "\"");
+}
 
 std::string ShellWords(const std::vector<std::string>& words, absl::string_view separator) {
   return absl::StrJoin(words, separator,
@@ -57,7 +63,7 @@ std::string ShellWord(absl::string_view word) {
 std::string SlurmArrayScript(const SlurmArray& array) {
   return absl::StrReplaceAll(kScript, {{"<LAST>", absl::StrCat(array.runs.size() - 1)},
                                        {"<AT A TIME>", absl::StrCat(array.at_a_time)},
-                                       {"<LOGS>", array.logs},
+                                       {"<LOGS>", DirectiveWord(array.logs, "/%A_%a.log")},
                                        {"<THREADS>", absl::StrCat(array.threads)},
                                        {"<RUNS>", ShellWords(array.runs, "\n  ")},
                                        {"<COMMAND>", ShellWords(array.command, " ")},

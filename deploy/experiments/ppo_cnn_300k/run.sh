@@ -13,7 +13,7 @@
 set -euo pipefail
 
 usage() { sed -n '2,/^$/s/^# \{0,1\}//p' "$0"; }
-root=$(cd "$(dirname "$0")/../../.." && pwd)
+root=$(readlink -f "$(dirname "$(readlink -f "$0")")/../../..")
 reference=
 steps=300000
 runs=$root/runs/ppo_cnn_300k
@@ -37,7 +37,7 @@ for seed in "${seeds[@]}"; do
   if compgen -G "$run/checkpoints/iter-*" >/dev/null; then
     "$craftfleet" train --resume --steps="$steps" --logdir="$run"
   else
-    "$craftfleet" train --config="${0%/*}/config.txt" --steps="$steps" --seed="$seed" --logdir="$run"
+    "$craftfleet" train --config="$root/deploy/experiments/ppo_cnn_300k/config.txt" --steps="$steps" --seed="$seed" --logdir="$run"
   fi
 done
 
