@@ -103,7 +103,7 @@ absl::Status Actor::Join() {
   request.set_run_id(joined_.run_id());
   request.set_actor(name_);
   request.set_cpu(CpuDescription());
-  request.set_address(address_);
+  request.set_address(wire::GrpcAddress(address_));  // printable, whatever the path of a Unix socket
   request.set_build(BuildId());
   request.set_only_ask(options_.set_up != nullptr && !set_up_);
   if (!request.only_ask()) {

@@ -50,6 +50,14 @@ absl::Status CheckSameRun(const std::string& logdir, const v1::RunConfig& asked)
       "the run in ", logdir, " has another configuration (only steps and checkpoint may change): ", differences));
 }
 
+// InvalidArgument if the run is to train fewer steps than it has.
+absl::Status CheckStepsLeft(const v1::RunConfig& config, const v1::CheckpointState& state) {
+  if (StepsToTrain(config) >= state.env_steps()) return absl::OkStatus();
+  return absl::InvalidArgumentError(
+      absl::StrCat("--steps=", config.steps(), ": the run has ", state.env_steps(),
+                   " steps already; want more, or go back to an older checkpoint with --resume_from"));
+}
+
 // DataLoss if the checkpoint's configuration is another than `config`, which agrees with the run's config.txt.
 absl::Status CheckConfigFile(const std::string& logdir, const v1::CheckpointState& state, const v1::RunConfig& config) {
   CRAFTFLEET_ASSIGN_OR_RETURN(const std::string differences, FixedDifferences(state.config(), config));
@@ -107,13 +115,14 @@ absl::Status CheckRanks(const v1::RunConfig& config, const Learner::Options& opt
   const int ranks = options.ranks.world_size;
   if (ranks > 1 && options.device != "cpu") {
     return absl::InvalidArgumentError(
-        absl::StrFormat("--world_size=%d with updates on %s: several learners compute on CPUs only; give --device=cpu",
-                        ranks, options.device));
+        absl::StrFormat("%s with updates on %s: several learners compute on CPUs only; give --device=cpu",
+                        options.ranks.given, options.device));
   }
   if (ranks <= config.gradient_shards()) return absl::OkStatus();
   return absl::InvalidArgumentError(absl::StrFormat(
-      "--world_size=%d, but gradient_shards is %d: want at least one shard of a minibatch for each learner", ranks,
-      config.gradient_shards()));
+      "%s, but gradient_shards is %d: want at least one shard of a minibatch for each learner; a learner that is alone "
+      "wants --world_size=1",
+      options.ranks.given, config.gradient_shards()));
 }
 
 size_t FragmentsPerIteration(const v1::RunConfig& config) {
@@ -180,7 +189,7 @@ absl::StatusOr<std::unique_ptr<Learner>> Learner::Create(const Options& options)
 }
 
 absl::Status Learner::ServePage(const Options& options, std::shared_ptr<wire::AccessControl> access) {
-  const LivePage::Options page = {options.http_address, options.server.files, std::move(access)};
+  const LivePage::Options page = {options.http_address, options.server.files, std::move(access), options.http_hosts};
   CRAFTFLEET_ASSIGN_OR_RETURN(page_, LivePage::Create(page, {folder_->run_id(), folder_->logdir(), config_,
                                                              [this] { return status_service_.Snapshot(); },
                                                              &trainer_.view(), &steering_, clock_.get()}));
@@ -212,6 +221,7 @@ absl::StatusOr<Learner::Loaded> Learner::Load(const Options& options, const v1::
   CRAFTFLEET_ASSIGN_OR_RETURN(ResumedRun run, RunFolder::Resume(options.logdir, {options.resume_from, config.agent()},
                                                                 program, loaded.clock.get()));
   CRAFTFLEET_RETURN_IF_ERROR(CheckConfigFile(options.logdir, run.checkpoint.state, config));
+  CRAFTFLEET_RETURN_IF_ERROR(CheckStepsLeft(config, run.checkpoint.state));
   if (absl::Status load = loaded.updater->Load(run.checkpoint.weights, run.checkpoint.optimizer); !load.ok()) {
     const std::string name = CheckpointName(run.checkpoint.state.iteration());
     return absl::DataLossError(absl::StrCat("checkpoint ", name, " of ", options.logdir, ": ", load.message()));

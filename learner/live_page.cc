@@ -2,6 +2,7 @@
 
 #include <openssl/sha.h>
 
+#include <algorithm>
 #include <vector>
 
 #include <absl/strings/escaping.h>
@@ -12,9 +13,11 @@
 #include <absl/strings/strip.h>
 #include <nlohmann/json.hpp>
 
+#include "common/base/printable.h"
 #include "common/base/status_macros.h"
 #include "common/io/files.h"
 #include "common/io/png_encoder.h"
+#include "common/telemetry/log.h"
 #include "common/wire/channel.h"
 #include "common/wire/status_service.h"
 #include "learner/page/page.h"
@@ -28,6 +31,7 @@ constexpr char kJson[] = "application/json";
 // The page has 90 KiB: a phone far away may need seconds for it.
 constexpr absl::Duration kTimeout = absl::Seconds(10);
 constexpr absl::Duration kStatusAge = absl::Seconds(1);
+constexpr size_t kMaxShownHost = 100;  // bytes
 // The RPCs whose rights apply (common/wire/access.cc).
 constexpr absl::string_view kWatchCall = "/craftfleet.v1.StatusService/GetStatus";
 constexpr absl::string_view kSteerCall = "/craftfleet.v1.AdminService/Pause";
@@ -44,11 +48,22 @@ std::string Hashes(const std::vector<absl::string_view>& scripts) {
   return hashes;
 }
 
-// Whether `host`, the value of a Host header, is an address of this host or localhost. Any other name may be that of a
+// Whether `name`, of a Host header, is an address of this host or localhost. Any other name may be that of a
 // site whose owner directed it here, so that its scripts could read the page.
-bool NamesThisHost(absl::string_view host) {
-  const bool has_port = host.rfind(':') != absl::string_view::npos && !absl::EndsWith(host, "]");
-  return !absl::StartsWith(host, "unix:") && wire::IsLoopback(has_port ? std::string(host) : absl::StrCat(host, ":0"));
+bool NamesThisHost(absl::string_view name) {
+  return !absl::StartsWith(name, "unix") && wire::IsLoopback(absl::StrCat(name, ":0"));
+}
+
+// The value of a Host header without its port.
+absl::string_view WithoutPort(absl::string_view host) {
+  const size_t colon = host.rfind(':');
+  return colon == absl::string_view::npos || absl::EndsWith(host, "]") ? host : host.substr(0, colon);
+}
+
+// The last part of a path: "/status.json" of "/user/me/proxy/50080/status.json".
+absl::string_view LastPart(absl::string_view path) {
+  const size_t slash = path.rfind('/');
+  return slash == absl::string_view::npos ? path : path.substr(slash);
 }
 
 int CodeOf(const absl::Status& status) {
@@ -152,6 +167,7 @@ absl::StatusOr<std::unique_ptr<LivePage>> LivePage::Create(const Options& option
 
 LivePage::LivePage(const Options& options, Parts parts)
     : access_(options.access),
+      hosts_(options.hosts),
       parts_(std::move(parts)),
       page_(PageTemplate()),
       packed_page_(Gzip(page_)),
@@ -161,7 +177,7 @@ LivePage::LivePage(const Options& options, Parts parts)
 
 LivePage::Response LivePage::Respond(const Request& request) {
   Response response;
-  const absl::string_view path = request.path();
+  const absl::string_view path = LastPart(request.path());
   if (request.is_post()) {
     response = Steer(request);
   } else if (path == "/") {
@@ -185,8 +201,13 @@ LivePage::Response LivePage::Respond(const Request& request) {
 
 absl::Status LivePage::Check(const Request& request, absl::string_view path) const {
   if (access_ != nullptr) return access_->Check(CallerOf(request), path);
-  if (NamesThisHost(request.Header("Host").value_or(""))) return absl::OkStatus();
-  return absl::PermissionDeniedError("want a Host header with localhost or an address of this host");
+  const absl::string_view host = WithoutPort(request.Header("Host").value_or(""));
+  if (NamesThisHost(host) || std::find(hosts_.begin(), hosts_.end(), host) != hosts_.end()) return absl::OkStatus();
+  const std::string shown = Shortened(Printable(host), kMaxShownHost);
+  return absl::PermissionDeniedError(absl::StrFormat(
+      "The page answers to localhost and addresses of this host, not to \"%s\", which may be another site's. Open it "
+      "through an SSH tunnel at localhost, or, behind a proxy with that name, start the learner with --http_hosts=%s",
+      shown, shown));
 }
 
 LivePage::Response LivePage::Page(const Request& request) const {
@@ -250,7 +271,7 @@ LivePage::Response LivePage::Steer(const Request& request) {
     return Failure(absl::PermissionDeniedError("want the header X-Craftfleet"));
   }
   const std::string caller = absl::StrCat("page ", request.Client());
-  const absl::string_view command = request.path();
+  const absl::string_view command = LastPart(request.path());
   const absl::string_view worker = request.Argument("worker").value_or("");
   Response done;
   if (command == "/pause") {

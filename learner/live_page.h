@@ -9,6 +9,7 @@
 #include <optional>
 #include <string>
 #include <utility>
+#include <vector>
 
 #include <absl/status/status.h>
 #include <absl/status/statusor.h>
@@ -31,17 +32,19 @@ namespace craftfleet {
 //   GET /frame.png    what an agent saw at the end of that iteration
 //   POST /pause, /resume, /checkpoint, /drain?worker=NAME, /undrain?worker=NAME, /stop   as craftfleet admin, without
 //   waiting
+// A proxy may put a path before these.
 //
 // Rights. Without an access file the page is on loopback only and open to this host's processes, as the learner's port
-// is; the Host header must then name this host, which keeps the names of other sites off. With one, every request but
-// the first needs a bearer token with the right of the RPC behind it: WATCH, or STEER to post. Posts carry the header
-// X-Craftfleet, which no other site can make a browser send.
+// is; the Host header must then name this host or one of `hosts`, which keeps the names of other sites off. With one,
+// every request but the first needs a bearer token with the right of the RPC behind it: WATCH, or STEER to post. Posts
+// carry the header X-Craftfleet, which no other site can make a browser send.
 class LivePage {
  public:
   struct Options {
     std::string address;                               // HOST:PORT; port 0: any free one; empty: no page
     wire::TlsFiles files = {};                         // with a certificate: TLS
     std::shared_ptr<wire::AccessControl> access = {};  // null: no access file
+    std::vector<std::string> hosts = {};               // without one, further names that browsers may ask for
     absl::Status Validate() const;
   };
   struct Parts {
@@ -77,6 +80,7 @@ class LivePage {
   absl::Status Check(const Request& request, absl::string_view path) const;
 
   const std::shared_ptr<wire::AccessControl> access_;
+  const std::vector<std::string> hosts_;
   const Parts parts_;
   std::string page_;
   std::string packed_page_;

@@ -52,12 +52,25 @@ absl::StatusOr<int> Number(absl::string_view flag, const std::optional<int32_t>&
   return otherwise;
 }
 
+// What says how many ranks there are: "--world_size=2", or "WORLD_SIZE=2 of the environment".
+std::string GivenWorldSize(int world_size) {
+  const char* from = "--world_size";
+  const char* where = "";
+  for (const char* const variable : {"SLURM_STEP_NUM_TASKS", "WORLD_SIZE"}) {
+    if (absl::GetFlag(FLAGS_world_size).has_value() || std::getenv(variable) == nullptr) continue;
+    from = variable;
+    where = " of the environment";
+  }
+  return absl::StrCat(from, "=", world_size, where);
+}
+
 }  // namespace
 
 absl::StatusOr<RankOptions> RankOptionsFromFlags() {
   RankOptions options;
   CRAFTFLEET_ASSIGN_OR_RETURN(options.world_size, Number("world_size", absl::GetFlag(FLAGS_world_size),
                                                          {"WORLD_SIZE", "SLURM_STEP_NUM_TASKS"}, 1, 1, kMaxRanks));
+  options.given = GivenWorldSize(options.world_size);
   if (options.world_size == 1 && !absl::GetFlag(FLAGS_rank).has_value()) return options;
   CRAFTFLEET_ASSIGN_OR_RETURN(
       options.rank, Number("rank", absl::GetFlag(FLAGS_rank), {"RANK", "SLURM_PROCID", "JOB_COMPLETION_INDEX"}, 0, 0,

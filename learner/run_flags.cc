@@ -6,6 +6,7 @@
 #include <iostream>
 #include <optional>
 #include <utility>
+#include <vector>
 
 #include <absl/flags/flag.h>
 #include <absl/strings/str_cat.h>
@@ -74,6 +75,9 @@ ABSL_FLAG(craftfleet::GivenAddress, http_listen, {},
           "address to serve the live page on, HOST:PORT, for browsers; empty: none\n"
           "beyond this host it requires --tls_cert, --tls_key and --access_file with the tokens of its readers\n"
           "[any free port of this host, see the log; craftfleet train, and learners with TLS: none]");
+ABSL_FLAG(std::vector<std::string>, http_hosts, {},
+          "names under which browsers reach the live page besides localhost, joined by commas\n"
+          "such as that of a proxy (jupyter.example.com); without --access_file other names are refused");
 ABSL_FLAG(int32_t, threads, 0, "threads that compute; 0: as many as the CPU quota allows");
 ABSL_FLAG(
     std::string, device, "auto",
@@ -185,6 +189,7 @@ absl::StatusOr<Learner::Options> LearnerOptionsFromFlags(v1::RunConfig::Device o
   options.server = wire::ServerOptionsFromFlags(/*address=*/"");
   options.http_address = absl::GetFlag(FLAGS_http_listen)
                              .address.value_or(options.server.files.empty() ? std::string(page_by_default) : "");
+  options.http_hosts = absl::GetFlag(FLAGS_http_hosts);
   options.progress = &std::cout;
   options.progress_in_place = isatty(STDOUT_FILENO) == 1;
   return options;

@@ -8,8 +8,6 @@
 #include <string>
 #include <utility>
 
-#include <absl/strings/ascii.h>
-#include <absl/strings/numbers.h>
 #include <absl/strings/str_format.h>
 
 #include "common/agent/nets/attention.h"
@@ -17,8 +15,8 @@
 #include "common/base/status_macros.h"
 #include "common/config/config.h"
 #include "common/config/env_name.h"
-#include "common/io/files.h"
 #include "common/io/snapshot_envelope.h"
+#include "common/process/cgroup.h"
 #include "common/wire/protocol.h"
 
 namespace craftfleet {
@@ -119,13 +117,6 @@ absl::Status CheckMessage(const v1::RunConfig& config, const wire::FragmentShape
                       config.fragment_steps(), bytes, wire::kMaxMessageBytes, fits.steps));
 }
 
-// The limit in a cgroup's file, in bytes; 0: no file or no limit.
-int64_t ReadLimit(const std::string& path) {
-  int64_t bytes = 0;
-  const absl::StatusOr<std::string> text = ReadFile(path);
-  return text.ok() && absl::SimpleAtoi(absl::StripAsciiWhitespace(*text), &bytes) && bytes > 0 ? bytes : 0;
-}
-
 }  // namespace
 
 absl::StatusOr<v1::RunConfig> CompleteConfig(v1::RunConfig config) {
@@ -175,10 +166,7 @@ int LargestMessageBytes(const wire::FragmentShape& shape) {
 
 int64_t OwnMemoryBytes() {
   int64_t bytes = int64_t{::sysconf(_SC_PHYS_PAGES)} * ::sysconf(_SC_PAGESIZE);
-  for (const char* path : {"/sys/fs/cgroup/memory.max", "/sys/fs/cgroup/memory/memory.limit_in_bytes"}) {
-    const int64_t limit = ReadLimit(path);
-    if (limit > 0) bytes = std::min(bytes, limit);
-  }
+  if (const auto group = OwnMemoryLimit(); group.has_value()) bytes = std::min(bytes, group->limit);
   return std::max<int64_t>(bytes, 0);
 }
 

@@ -33,7 +33,7 @@ struct LearnerMachine {
   bool updates_on_cpu = true;  // false: gradients and minibatches are in another device's memory
 };
 
-// The smaller of the machine's memory and the limit of the outermost cgroup visible to this process; 0: unknown.
+// The smaller of the machine's memory and the tightest limit of this process' cgroups; 0: unknown.
 int64_t OwnMemoryBytes();
 
 // Checks that the run's messages fit the size limit, and that the learner's memory suffices. Counts only memory that is

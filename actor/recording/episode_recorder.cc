@@ -39,7 +39,7 @@ absl::StatusOr<std::unique_ptr<EpisodeRecorder>> EpisodeRecorder::Create(const O
 absl::Status EpisodeRecorder::OnStart(int64_t number, const Moment& moment) {
   Recording recording;
   if (!options_.video_folder.empty()) {
-    const std::string path = JoinPath(options_.video_folder, absl::StrCat("unfinished-", number, ".mp4"));
+    const std::string path = JoinPath(options_.video_folder, absl::StrCat("episode ", number));
     CRAFTFLEET_ASSIGN_OR_RETURN(recording.video, VideoFile::Create(path, picture_width(), picture_height()));
   }
   if (!options_.npz_folder.empty()) recording.table.emplace(options_.frame_size, moment);

@@ -120,7 +120,7 @@ cv::Mat ToBgr(absl::string_view picture, int width, int height) {
 absl::Status WritePng(const std::string& path, absl::string_view picture, int width, int height) {
   const absl::StatusOr<std::string> png = EncodePng(picture, width, height);
   if (!png.ok()) return absl::Status(png.status().code(), absl::StrCat(path, ": ", png.status().message()));
-  return WriteFileSynced(path, *png);
+  return ReplaceFile(path, *png);
 }
 
 }  // namespace craftfleet

@@ -17,6 +17,16 @@ namespace {
 // In order of preference; browsers can play the first.
 constexpr std::array<const char*, 2> kCodecs = {"avc1", "mp4v"};
 
+// The pictures in a finished video; 0 if it is damaged.
+int64_t CountPictures(const std::string& path) {
+  try {
+    cv::VideoCapture video(path, cv::CAP_FFMPEG);
+    return video.isOpened() ? static_cast<int64_t>(video.get(cv::CAP_PROP_FRAME_COUNT)) : 0;
+  } catch (const cv::Exception&) {
+    return 0;
+  }
+}
+
 }  // namespace
 
 struct VideoFile::Writer {
@@ -34,12 +44,13 @@ VideoFile::~VideoFile() {
 
 absl::StatusOr<std::unique_ptr<VideoFile>> VideoFile::Create(const std::string& path, int width, int height) {
   CRAFTFLEET_CHECK(width > 0 && height > 0 && width % 2 == 0 && height % 2 == 0);
-  CRAFTFLEET_RETURN_IF_ERROR(WriteFileSynced(path, ""));  // OpenCV does not report why it can't write a file
-  std::unique_ptr<VideoFile> video(new VideoFile(path, width, height));
+  // Created first, because OpenCV does not report why it can't write a file.
+  CRAFTFLEET_ASSIGN_OR_RETURN(const std::string unfinished, CreateBeside(path, ".mp4"));
+  std::unique_ptr<VideoFile> video(new VideoFile(unfinished, width, height));
   for (const char* codec : kCodecs) {
     try {
       const int code = cv::VideoWriter::fourcc(codec[0], codec[1], codec[2], codec[3]);
-      if (video->writer_->video.open(path, cv::CAP_FFMPEG, code, kPicturesPerSecond, cv::Size(width, height)))
+      if (video->writer_->video.open(unfinished, cv::CAP_FFMPEG, code, kPicturesPerSecond, cv::Size(width, height)))
         return video;
     } catch (const cv::Exception& error) {
       return absl::InternalError(absl::StrCat(path, ": ", error.what()));
@@ -55,11 +66,18 @@ absl::Status VideoFile::Append(absl::string_view picture) {
   } catch (const cv::Exception& error) {
     return absl::InternalError(absl::StrCat(path_, ": ", error.what()));
   }
+  ++pictures_;
   return absl::OkStatus();
 }
 
 absl::Status VideoFile::Finish(const std::string& path) {
   writer_->video.release();
+  // OpenCV does not report that it could not write.
+  const int64_t written = CountPictures(path_);
+  if (written != pictures_) {
+    return absl::DataLossError(absl::StrCat("cannot write ", path, ": it has ", written, " of ", pictures_,
+                                            " pictures: free space on that disk"));
+  }
   writer_ = nullptr;
   return RenameSynced(path_, path);
 }

@@ -3,6 +3,7 @@
 #ifndef CRAFTFLEET_ACTOR_RECORDING_VIDEO_FILE_H_
 #define CRAFTFLEET_ACTOR_RECORDING_VIDEO_FILE_H_
 
+#include <cstdint>
 #include <memory>
 #include <string>
 
@@ -17,8 +18,8 @@ class VideoFile {
  public:
   static constexpr int kPicturesPerSecond = 15;
 
-  // Begins an mp4 file at `path`, in H.264 if OpenCV can write it, else in MPEG-4. Width and height are even,
-  // pixels.
+  // Begins an mp4 file in the folder of `path`, under a name that no file had, in H.264 if OpenCV can write it, else
+  // in MPEG-4. Width and height are even, pixels.
   //   Codes of common/io/files.h; FailedPrecondition: OpenCV can write neither, or the build has no video support.
   static absl::StatusOr<std::unique_ptr<VideoFile>> Create(const std::string& path, int width, int height);
   ~VideoFile();
@@ -28,7 +29,8 @@ class VideoFile {
   // `picture` is uint8[height,width,3], RGB.   Internal: OpenCV failed.
   absl::Status Append(absl::string_view picture);
 
-  // Ends the video and moves it to `path`.
+  // Ends the video and moves it to `path`.   DataLoss: pictures are missing, since the disk is full; `path` is as
+  // before.
   absl::Status Finish(const std::string& path);
 
  private:
@@ -39,6 +41,7 @@ class VideoFile {
   const std::string path_;  // while it is being written
   const int width_;
   const int height_;
+  int64_t pictures_ = 0;
   std::unique_ptr<Writer> writer_;
 };
 

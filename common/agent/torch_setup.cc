@@ -2,8 +2,10 @@
 
 #include <fstream>
 #include <istream>
+#include <mutex>
 #include <optional>
 #include <sstream>
+#include <thread>
 
 #include <ATen/Context.h>
 #include <ATen/Parallel.h>
@@ -14,6 +16,7 @@
 
 #include "common/agent/linear.h"
 #include "common/base/find_symbol.h"
+#include "common/base/need_threads.h"
 #include "common/base/printable.h"
 
 namespace craftfleet {
@@ -36,6 +39,9 @@ std::optional<std::string> ValueAfter(absl::string_view prefix, std::istream* li
 void SetUpTorchThread() {
   thread_local bool is_set_up = false;
   if (is_set_up) return;
+  // LibTorch then starts a thread for each CPU, and hangs if it gets none.
+  static std::once_flag once;
+  std::call_once(once, NeedThreads, std::thread::hardware_concurrency());
   at::set_num_threads(1);
   // Ignores at::set_num_threads.
   if (SetThreads* const set_threads = OpenBlasSetThreads(); set_threads != nullptr) set_threads(1);

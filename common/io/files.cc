@@ -4,6 +4,7 @@
 #include <unistd.h>
 
 #include <algorithm>
+#include <atomic>
 #include <cerrno>
 #include <filesystem>
 #include <system_error>
@@ -22,8 +23,18 @@ namespace fs = std::filesystem;
 // More than a folder of ours has files. Each removal ends those that were added during the one before.
 constexpr int kRemovals = 100;
 
-absl::Status SyncDescriptor(int descriptor, const std::string& path) {
-  return ::fsync(descriptor) == 0 ? absl::OkStatus() : FileError(errno, "cannot sync", path);
+std::string ParentOf(const std::string& path) {
+  const fs::path parent = fs::path(path).parent_path();
+  return parent.empty() ? "." : parent.string();
+}
+
+// Writes all of `bytes`, syncs and closes. `path` is for the message only.
+absl::Status WriteAndClose(int descriptor, absl::string_view bytes, const std::string& path) {
+  absl::Status status = WriteAll(descriptor, bytes, path);
+  if (status.ok() && SyncDescriptor(descriptor) != 0) status = FileError(errno, "cannot sync", path);
+  // Network file systems report a full disk only here.
+  if (::close(descriptor) != 0 && status.ok()) status = FileError(errno, "cannot close", path);
+  return status;
 }
 
 }  // namespace
@@ -80,19 +91,34 @@ absl::Status WriteAll(int descriptor, absl::string_view bytes, absl::string_view
   return absl::OkStatus();
 }
 
+int SyncDescriptor(int descriptor) {
+  if (::fsync(descriptor) == 0) return 0;
+  return errno == EINVAL || errno == ENOSYS || errno == EOPNOTSUPP || errno == EBADF || errno == EISDIR ? 0 : -1;
+}
+
 absl::Status WriteFileSynced(const std::string& path, absl::string_view bytes) {
   const int descriptor = ::open(path.c_str(), O_WRONLY | O_CREAT | O_TRUNC | O_CLOEXEC, 0644);
   if (descriptor < 0) return FileError(errno, "cannot create", path);
-  absl::Status status = WriteAll(descriptor, bytes, path);
-  if (status.ok()) status = SyncDescriptor(descriptor, path);
-  // Network file systems report a full disk only here.
-  if (::close(descriptor) != 0 && status.ok()) status = FileError(errno, "cannot close", path);
-  return status;
+  return WriteAndClose(descriptor, bytes, path);
+}
+
+absl::StatusOr<std::string> CreateBeside(const std::string& path, absl::string_view ending) {
+  static std::atomic<int> number{0};
+  while (true) {
+    std::string name = JoinPath(ParentOf(path), absl::StrCat(".craftfleet-", ::getpid(), "-", ++number, ending));
+    const int descriptor = ::open(name.c_str(), O_WRONLY | O_CREAT | O_EXCL | O_CLOEXEC, 0644);
+    if (descriptor < 0 && errno == EEXIST) continue;
+    if (descriptor < 0) return FileError(errno, "cannot create", path);
+    ::close(descriptor);
+    return name;
+  }
 }
 
 absl::Status ReplaceFile(const std::string& path, absl::string_view bytes) {
-  const std::string temporary = absl::StrCat(path, ".tmp");
-  absl::Status status = WriteFileSynced(temporary, bytes);
+  CRAFTFLEET_ASSIGN_OR_RETURN(const std::string temporary, CreateBeside(path));
+  const int descriptor = ::open(temporary.c_str(), O_WRONLY | O_CLOEXEC);
+  absl::Status status =
+      descriptor < 0 ? FileError(errno, "cannot open", temporary) : WriteAndClose(descriptor, bytes, path);
   if (status.ok()) status = RenameSynced(temporary, path);
   if (!status.ok()) ::unlink(temporary.c_str());
   return status;
@@ -102,7 +128,7 @@ absl::Status SyncFolder(const std::string& folder) {
   const int descriptor = ::open(folder.c_str(), O_RDONLY | O_DIRECTORY | O_CLOEXEC);
   if (descriptor < 0) return FileError(errno, "cannot open", folder);
   const absl::Cleanup close = [descriptor] { ::close(descriptor); };
-  return SyncDescriptor(descriptor, folder);
+  return SyncDescriptor(descriptor) == 0 ? absl::OkStatus() : FileError(errno, "cannot sync", folder);
 }
 
 absl::Status CreateFolders(const std::string& path) {
@@ -113,8 +139,7 @@ absl::Status CreateFolders(const std::string& path) {
 
 absl::Status RenameSynced(const std::string& from, const std::string& to) {
   if (::rename(from.c_str(), to.c_str()) != 0) return FileError(errno, absl::StrCat("cannot rename ", from, " to"), to);
-  const fs::path parent = fs::path(to).parent_path();
-  return SyncFolder(parent.empty() ? "." : parent.string());
+  return SyncFolder(ParentOf(to));
 }
 
 absl::Status RemoveAll(const std::string& path) {

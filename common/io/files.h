@@ -31,9 +31,15 @@ absl::StatusOr<int64_t> FileSize(const std::string& path);
 // Writes all of `bytes` at the descriptor's position. `path` is for the message only.
 absl::Status WriteAll(int descriptor, absl::string_view bytes, absl::string_view path);
 
+// fsync(2); 0 also where the file system cannot do it for this kind of file, as FUSE and some NFS for folders.
+int SyncDescriptor(int descriptor);
+
 // Creates or truncates `path`, writes `bytes` and syncs the file, not its folder. After an error the content is
 // undefined, even if a later sync succeeds: call it again with all the bytes, or remove the file.
 absl::Status WriteFileSynced(const std::string& path, absl::string_view bytes);
+
+// Creates an empty file in the folder of `path`, under a name with this `ending` that no file had. Returns its path.
+absl::StatusOr<std::string> CreateBeside(const std::string& path, absl::string_view ending = ".tmp");
 
 // Replaces `path` atomically: after a crash it holds the old bytes or the new ones. On failure the old ones stay,
 // unless the sync of the folder failed: then the new ones are in place but may not survive a crash.

@@ -118,10 +118,7 @@ absl::Status OutputFile::OpenStream() {
 // A regular file is written under a temporary name and renamed. Checks now that this is possible.
 absl::Status OutputFile::TryFile() {
   CRAFTFLEET_ASSIGN_OR_RETURN(path_, FollowLinks(path_));
-  const std::string probe = absl::StrCat(path_, ".tmp");
-  const int descriptor = ::open(probe.c_str(), O_WRONLY | O_CREAT | O_CLOEXEC, 0644);
-  if (descriptor < 0) return FileError(errno, "cannot create", path_);
-  ::close(descriptor);
+  CRAFTFLEET_ASSIGN_OR_RETURN(const std::string probe, CreateBeside(path_));
   ::unlink(probe.c_str());
   return absl::OkStatus();
 }

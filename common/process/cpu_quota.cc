@@ -3,22 +3,20 @@
 #include <sched.h>
 
 #include <algorithm>
-#include <fstream>
-#include <iterator>
 #include <vector>
 
 #include <absl/strings/numbers.h>
 #include <absl/strings/str_cat.h>
 #include <absl/strings/str_split.h>
 
+#include "common/io/files.h"
+#include "common/process/cgroup.h"
+
 namespace craftfleet {
 namespace {
 
 // The file's text; empty if it can't be read.
-std::string ReadText(const std::string& path) {
-  std::ifstream file(path);
-  return {std::istreambuf_iterator<char>(file), std::istreambuf_iterator<char>()};
-}
+std::string ReadText(const std::string& path) { return ReadFile(path).value_or(""); }
 
 // The limit of one cgroup folder: v2's file, else v1's two.
 std::optional<double> FolderLimit(const std::string& folder) {
@@ -40,27 +38,10 @@ std::optional<double> ParseCpuMax(absl::string_view text) {
   return quota / period;
 }
 
-std::optional<double> CgroupCpuLimit(const std::string& root, const std::string& path) {
-  std::optional<double> tightest;
-  std::string at = path == "/" ? "" : path;
-  while (true) {
-    const std::optional<double> limit = FolderLimit(root + at);
-    if (limit.has_value()) tightest = std::min(limit.value(), tightest.value_or(*limit));
-    const size_t slash = at.rfind('/');
-    if (slash == std::string::npos) return tightest;
-    at.resize(slash);
-  }
-}
-
 std::optional<double> OwnCpuLimit(absl::string_view own_cgroups, const std::string& root) {
   std::optional<double> tightest;
-  for (const absl::string_view line : absl::StrSplit(own_cgroups, '\n')) {
-    const std::vector<std::string> fields = absl::StrSplit(line, absl::MaxSplits(':', 2));
-    if (fields.size() != 3) continue;
-    const std::vector<std::string> controllers = absl::StrSplit(fields[1], ',', absl::SkipEmpty());
-    const bool v2 = controllers.empty();
-    if (!v2 && std::count(controllers.begin(), controllers.end(), "cpu") == 0) continue;
-    const std::optional<double> limit = CgroupCpuLimit(v2 ? root : root + "/cpu", fields[2]);
+  for (const std::string& folder : CgroupFolders(own_cgroups, "cpu", root)) {
+    const std::optional<double> limit = FolderLimit(folder);
     if (limit.has_value()) tightest = std::min(*limit, tightest.value_or(*limit));
   }
   return tightest;

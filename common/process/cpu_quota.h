@@ -13,13 +13,7 @@ namespace craftfleet {
 // The number of CPUs in a cgroup v2 `cpu.max` ("150000 100000" is 1.5); nullopt: "max" (no limit), or malformed text.
 std::optional<double> ParseCpuMax(absl::string_view text);
 
-// The tightest limit, in CPUs, from cgroup `path` ("/a/b") up to `root` ("/sys/fs/cgroup"), for both cgroup versions;
-// nullopt: no quota.
-std::optional<double> CgroupCpuLimit(const std::string& root, const std::string& path);
-
-// The tightest limit, in CPUs, of a process with the text `own_cgroups` in /proc/self/cgroup. `root` ("/sys/fs/cgroup")
-// has the tree of version 2, that of version 1 in `root`/cpu, or both. In a container the path is often the host's, and
-// only its top is visible: the container's own limit is there.
+// The tightest limit, in CPUs, of the groups of a process; nullopt: no quota.   Arguments as CgroupFolders (cgroup.h).
 std::optional<double> OwnCpuLimit(absl::string_view own_cgroups, const std::string& root);
 
 // The default number of threads: whole CPUs that the cgroup's quota and the affinity mask allow, at least 1.

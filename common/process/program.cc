@@ -11,6 +11,7 @@
 #include <cstdio>
 #include <cstdlib>
 #include <cstring>
+#include <deque>
 #include <optional>
 #include <system_error>
 #include <utility>
@@ -26,8 +27,11 @@
 #include <absl/synchronization/mutex.h>
 
 #include "common/base/check.h"
+#include "common/base/openmp_places.h"
 #include "common/process/closest_name.h"
+#include "common/process/first_process.h"
 #include "common/process/help.h"
+#include "common/process/refused_resources.h"
 #include "common/process/version.h"
 #include "common/telemetry/log.h"
 
@@ -144,6 +148,23 @@ void CheckValue(absl::string_view program, absl::CommandLineFlag* flag, absl::st
          "");
 }
 
+// A shell expands "~/" at the start of a word only, so not in --logdir=~/runs.
+void ExpandHome(int argc, char** argv) {
+  static auto* const expanded = new std::deque<std::string>;  // argv points into it until the end
+  const char* const home = std::getenv("HOME");
+  for (int i = 1; i < argc && home != nullptr; ++i) {
+    const absl::string_view argument = argv[i];
+    if (argument == "--") return;
+    const size_t equals = argument.find('=');
+    if (!absl::StartsWith(argument, "-") || equals == absl::string_view::npos) continue;
+    absl::string_view value = argument.substr(equals + 1);
+    const absl::CommandLineFlag* const flag = FlagOf(argument);
+    if (flag == nullptr || !IsOneOf<std::string, std::optional<std::string>>(*flag)) continue;
+    if (!absl::ConsumePrefix(&value, "~") || (!value.empty() && value[0] != '/')) continue;
+    argv[i] = expanded->emplace_back(absl::StrCat(argument.substr(0, equals + 1), home, value)).data();
+  }
+}
+
 // Before absl parses the flags: its own errors neither suggest a flag nor name the accepted values.
 void RefuseBadFlags(absl::string_view program, int argc, char** argv) {
   for (int i = 1; i < argc; ++i) {
@@ -194,14 +215,18 @@ std::vector<std::string> ParseFlagsAndArguments(absl::string_view program, absl:
   // Exceeding the file size limit becomes a write error, like a full disk, instead of ending the process.
   signal(SIGXFSZ, SIG_IGN);
   RaiseFileLimit();
+  UseAllOpenMpPlaces();
+  LetSignalsEndProcess1();
   // Packaged Abseil looks for lock cycles at each lock of gRPC, under one lock for the process. Tests keep that check.
   absl::SetMutexDeadlockDetectionMode(absl::OnDeadlockCycle::kIgnore);
   for (int i = 1; i < argc && absl::string_view(argv[i]) != "--"; ++i) {
     AnswerHelp({program, usage, main_flags}, argv[i]);
   }
+  ExpandHome(argc, argv);
   RefuseBadFlags(program, argc, argv);
   const std::vector<char*> rest = absl::ParseCommandLine(argc, argv);
   SetUpLog({absl::GetFlag(FLAGS_log_level), absl::GetFlag(FLAGS_log_format), std::string(program)});
+  ExplainRefusedResources();
   return {rest.begin() + 1, rest.end()};
 }
 

@@ -112,7 +112,9 @@ std::string CertificateProblem(const std::string& certificate, const std::string
     return absl::StrFormat("--tls_cert=%s expired on %s", certificate, Date(X509_get0_notAfter(leaf)));
   }
   if (X509_cmp_time(X509_get0_notBefore(leaf), &seconds) > 0) {
-    return absl::StrFormat("--tls_cert=%s is not valid before %s", certificate, Date(X509_get0_notBefore(leaf)));
+    return absl::StrFormat("--tls_cert=%s is not valid before %s, and this host's clock says %s: set the clock",
+                           certificate, Date(X509_get0_notBefore(leaf)),
+                           absl::FormatTime("%Y-%m-%d %H:%M UTC", now, absl::UTCTimeZone()));
   }
   // A chain may lead to an authority through intermediate certificates; only a single certificate can be checked here.
   if (authorities.empty() || chain->size() > 1) return "";

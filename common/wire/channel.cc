@@ -5,12 +5,15 @@
 #include <grpc/grpc.h>
 #include <stdlib.h>
 #include <sys/resource.h>
+#include <sys/un.h>
 #include <unistd.h>
 
+#include <algorithm>
 #include <chrono>
 #include <mutex>
 
 #include <absl/status/status.h>
+#include <absl/strings/ascii.h>
 #include <absl/strings/match.h>
 #include <absl/strings/numbers.h>
 #include <absl/strings/str_cat.h>
@@ -21,6 +24,7 @@
 #include <grpcpp/generic/generic_stub.h>
 #include <grpcpp/security/credentials.h>
 
+#include "common/base/need_threads.h"
 #include "common/base/status_macros.h"
 #include "common/wire/certificates.h"
 #include "common/wire/grpc_status.h"
@@ -29,6 +33,9 @@
 namespace craftfleet::wire {
 
 namespace {
+
+constexpr absl::string_view kUnix = "unix:";
+constexpr int kGrpcThreads = 12;  // that a server of gRPC 1.51 starts at once; it aborts or hangs without them
 
 // The user agent, which peers log: "craftfleet-actor@host/1234".
 std::string UserAgent() {
@@ -63,7 +70,10 @@ std::string ConnectionProblem(const Endpoint& endpoint) {
 void KeepGrpcUp() {
   KeepOpenSslUp();
   static std::once_flag once;
-  std::call_once(once, grpc_init);
+  std::call_once(once, [] {
+    NeedThreads(kGrpcThreads);
+    grpc_init();
+  });
 }
 
 void PollFewConnections() {
@@ -89,6 +99,8 @@ grpc::ChannelArguments ClientArguments() {
   arguments.SetInt(GRPC_ARG_INITIAL_RECONNECT_BACKOFF_MS, 200);
   arguments.SetInt(GRPC_ARG_MIN_RECONNECT_BACKOFF_MS, 1000);
   arguments.SetInt(GRPC_ARG_MAX_RECONNECT_BACKOFF_MS, 2000);
+  // The proxy of http_proxy is one for web pages: it reaches no process of a fleet.
+  arguments.SetInt(GRPC_ARG_ENABLE_HTTP_PROXY, 0);
   // Separate channels to one server (one per thread) must not share a connection.
   arguments.SetInt(GRPC_ARG_USE_LOCAL_SUBCHANNEL_POOL, 1);
   return arguments;
@@ -98,7 +110,7 @@ Endpoint Connect(absl::string_view address, const ChannelSecurity& security) {
   KeepGrpcUp();
   grpc::ChannelArguments arguments = ClientArguments();
   if (!security.server_name().empty()) arguments.SetSslTargetNameOverride(security.server_name());
-  return {std::string(address), grpc::CreateCustomChannel(std::string(address), security.Credentials(), arguments),
+  return {std::string(address), grpc::CreateCustomChannel(GrpcAddress(address), security.Credentials(), arguments),
           security};
 }
 
@@ -106,20 +118,51 @@ Endpoint ConnectApart(const Endpoint& peer) {
   return peer.address == kInProcess ? peer : Connect(peer.address, peer.security);
 }
 
+std::string GrpcAddress(absl::string_view address) {
+  absl::string_view path = address;
+  if (!absl::ConsumePrefix(&path, kUnix)) return std::string(address);
+  std::string uri(kUnix);
+  for (const char c : path) {
+    if (absl::ascii_isalnum(c) || absl::StrContains("/-._~", c)) {
+      uri.push_back(c);
+    } else {
+      absl::StrAppendFormat(&uri, "%%%02X", static_cast<unsigned char>(c));
+    }
+  }
+  return uri;
+}
+
 absl::Status CheckAddress(absl::string_view flag, absl::string_view address) {
-  if (absl::StartsWith(address, "unix:") && address.size() > 5) return absl::OkStatus();
+  const auto error = [&](absl::string_view want) {
+    return absl::InvalidArgumentError(absl::StrFormat("--%s: \"%s\" is not an address, want %s", flag, address, want));
+  };
+  absl::string_view path = address;
+  if (absl::ConsumePrefix(&path, kUnix) && !path.empty()) {
+    if (absl::StrContains(path, ',')) return error("a path without commas, at which gRPC divides it");
+    if (path.size() < sizeof(sockaddr_un::sun_path)) return absl::OkStatus();
+    return error(absl::StrCat("a path of at most ", sizeof(sockaddr_un::sun_path) - 1,
+                              " bytes, as Unix sockets have; give a shorter folder"));
+  }
+  const size_t scheme = address.find("://");
+  if (scheme != absl::string_view::npos) {
+    return error(absl::StrCat("HOST:PORT or unix:PATH, without ", address.substr(0, scheme + 3)));
+  }
   const size_t colon = address.rfind(':');
+  const absl::string_view host = address.substr(0, colon);
+  const absl::string_view number = colon == absl::string_view::npos ? "" : address.substr(colon + 1);
   int port = -1;
-  if (colon == absl::string_view::npos || colon == 0 || !absl::SimpleAtoi(address.substr(colon + 1), &port) ||
-      port < 0 || port > 65535) {
-    return absl::InvalidArgumentError(
-        absl::StrFormat("--%s: \"%s\" is not an address, want HOST:PORT or unix:PATH", flag, address));
+  if (host.empty() || !std::all_of(number.begin(), number.end(), absl::ascii_isdigit) ||
+      !absl::SimpleAtoi(number, &port) || port > 65535 || host.find_first_of(" \t/") != absl::string_view::npos) {
+    return error("HOST:PORT or unix:PATH");
+  }
+  if (absl::StrContains(host, ':') && !(absl::StartsWith(host, "[") && absl::EndsWith(host, "]"))) {
+    return error("an IPv6 address in brackets, such as [::1]:50051");
   }
   return absl::OkStatus();
 }
 
 bool IsLoopback(absl::string_view address) {
-  if (absl::StartsWith(address, "unix:")) return true;
+  if (absl::StartsWith(address, kUnix)) return true;
   const std::string host(address.substr(0, address.rfind(':')));
   in_addr number{};
   const bool in_127 = inet_pton(AF_INET, host.c_str(), &number) == 1 && (ntohl(number.s_addr) >> 24) == 127;

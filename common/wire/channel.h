@@ -60,7 +60,11 @@ Endpoint Connect(absl::string_view address, const ChannelSecurity& security = {}
 // messages, which doubled the time of a step of games.
 Endpoint ConnectApart(const Endpoint& peer);
 
-// InvalidArgument, naming the flag, unless `address` looks like HOST:PORT (port 0..65535) or unix:PATH.
+// `address` as clients of gRPC want it: they take the path of a Unix socket for part of a URI. Servers take it as it is.
+std::string GrpcAddress(absl::string_view address);
+
+// InvalidArgument, naming the flag, unless `address` looks like HOST:PORT (port 0..65535) or unix:PATH. Says what to
+// write instead of a URL, an IPv6 address without brackets or a path that is too long for a Unix socket or has commas.
 absl::Status CheckAddress(absl::string_view flag, absl::string_view address);
 
 // Whether `address`, which passes CheckAddress, is reachable from this host only.

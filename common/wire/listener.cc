@@ -24,6 +24,7 @@
 
 #include "common/base/check.h"
 #include "common/base/status_macros.h"
+#include "common/telemetry/log.h"
 #include "common/telemetry/process_usage.h"
 #include "common/wire/channel.h"
 #include "common/wire/handshake_log.h"
@@ -54,7 +55,14 @@ std::string ClientOf(const sockaddr_storage& address, socklen_t size) {
       0) {
     return "?";
   }
-  return host;
+  return std::string(absl::StripPrefix(host, "::ffff:"));  // of a client with IPv4 at a socket for both
+}
+
+bool IsLoopbackAddress(const addrinfo& address) {
+  if (address.ai_family == AF_INET) {
+    return ntohl(reinterpret_cast<const sockaddr_in*>(address.ai_addr)->sin_addr.s_addr) >> 24 == 127;
+  }
+  return IN6_IS_ADDR_LOOPBACK(&reinterpret_cast<const sockaddr_in6*>(address.ai_addr)->sin6_addr);
 }
 
 // The number of connections that the process can hold, at two descriptors each.
@@ -107,11 +115,37 @@ absl::Status Listener::Bind() {
         absl::StrFormat("cannot listen on %s: %s; choose another address", address, gai_strerror(error)));
   }
   absl::Status status;
-  for (const addrinfo* entry = found; entry != nullptr; entry = entry->ai_next) status.Update(BindTo(*entry));
+  bool only_here = true;
+  for (const addrinfo* entry = found; entry != nullptr; entry = entry->ai_next) {
+    status.Update(BindTo(*entry));
+    only_here &= IsLoopbackAddress(*entry);
+  }
   freeaddrinfo(found);
+  if (sockets_.empty() && host == "::") return BindAllOfIpv4(service);
+  if (!sockets_.empty() && only_here && !IsLoopback(address)) {
+    LogWarning(
+        "%s: on this host the name is an address of loopback (see /etc/hosts): other hosts cannot connect; listen on "
+        "an "
+        "address of the network, or on [::]",
+        address);
+  }
   address_ = absl::StrCat(address.substr(0, colon), ":", port_);
   // A name like localhost may have addresses of a family that this machine lacks.
   return sockets_.empty() ? status : absl::OkStatus();
+}
+
+// For hosts without IPv6.
+absl::Status Listener::BindAllOfIpv4(const std::string& service) {
+  sockaddr_in any = {};
+  any.sin_family = AF_INET;
+  any.sin_port = htons(static_cast<uint16_t>(std::stoi(service)));
+  addrinfo entry = {};
+  entry.ai_family = AF_INET;
+  entry.ai_addr = reinterpret_cast<sockaddr*>(&any);
+  entry.ai_addrlen = sizeof(any);
+  CRAFTFLEET_RETURN_IF_ERROR(BindTo(entry));
+  address_ = absl::StrCat("0.0.0.0:", port_);
+  return absl::OkStatus();
 }
 
 absl::Status Listener::BindTo(const addrinfo& address) {
@@ -125,6 +159,7 @@ absl::Status Listener::BindTo(const addrinfo& address) {
   const int socket = ::socket(address.ai_family, SOCK_STREAM | SOCK_NONBLOCK | SOCK_CLOEXEC, 0);
   if (socket < 0) return error("socket");
   SetOption(socket, SOL_SOCKET, SO_REUSEADDR, 1);
+  if (address.ai_family == AF_INET6) SetOption(socket, IPPROTO_IPV6, IPV6_V6ONLY, 0);  // [::] is IPv4 too
   // Accepted sockets inherit these options.
   SetOption(socket, IPPROTO_TCP, TCP_NODELAY, 1);
   SetOption(socket, IPPROTO_TCP, TCP_USER_TIMEOUT, kUserTimeoutMs);

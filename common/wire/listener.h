@@ -57,6 +57,7 @@ class Listener {
 
   absl::Status Bind();
   absl::Status BindTo(const addrinfo& address);
+  absl::Status BindAllOfIpv4(const std::string& service);
   void Run();
   void Accept(int socket);
   // Hands a connection over and watches a copy of its descriptor, to learn when it has ended.

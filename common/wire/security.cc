@@ -180,7 +180,7 @@ std::string ChannelSecurity::ExplainConnection(absl::string_view error, absl::st
   }
   if (absl::StrContains(error, "certificate verify failed")) {
     return absl::StrCat("TLS: its certificate is not from an authority in --tls_ca=", files.authorities,
-                        ", or it has expired");
+                        ", or it has expired, or begins later than this host's clock says");
   }
   if (absl::StrContains(error, "erification")) {  // "Hostname Verification Check failed", in some spelling
     const std::string name(server_name().empty() ? address.substr(0, address.rfind(':')) : server_name());

@@ -1,5 +1,10 @@
 #include "common/wire/server.h"
 
+#include <sys/socket.h>
+#include <sys/un.h>
+#include <unistd.h>
+
+#include <cerrno>
 #include <chrono>
 #include <map>
 #include <mutex>
@@ -7,6 +12,7 @@
 
 #include <absl/strings/match.h>
 #include <absl/strings/str_format.h>
+#include <absl/strings/strip.h>
 #include <grpcpp/ext/proto_server_reflection_plugin.h>
 #include <grpcpp/health_check_service_interface.h>
 #include <grpcpp/impl/server_builder_option.h>
@@ -15,6 +21,7 @@
 #include <grpcpp/server_builder.h>
 
 #include "common/base/status_macros.h"
+#include "common/io/files.h"
 #include "common/telemetry/log.h"
 #include "common/wire/access.h"
 #include "common/wire/builtin_streams.h"
@@ -44,7 +51,24 @@ constexpr int kHealthMessageBytes = 4096;
 constexpr int64_t kHealthHeaderBytes = 1 << 20;
 constexpr size_t kHealthBufferedBytes = 4u << 20;
 
-bool IsUnixSocket(absl::string_view address) { return absl::StartsWith(address, "unix:"); }
+constexpr absl::string_view kUnix = "unix:";
+
+bool IsUnixSocket(absl::string_view address) { return absl::StartsWith(address, kUnix); }
+
+// Unavailable if another process listens there: gRPC would take the name from it.
+absl::Status CheckUnixSocketFree(absl::string_view flag, absl::string_view address) {
+  const absl::string_view path = absl::StripPrefix(address, kUnix);
+  sockaddr_un name = {};
+  name.sun_family = AF_UNIX;
+  path.copy(name.sun_path, sizeof(name.sun_path) - 1);
+  const int socket = ::socket(AF_UNIX, SOCK_STREAM | SOCK_CLOEXEC, 0);
+  if (socket < 0) return FileError(errno, "cannot open a socket for", address);
+  const bool taken = connect(socket, reinterpret_cast<const sockaddr*>(&name), sizeof(name)) == 0;
+  close(socket);
+  if (!taken) return absl::OkStatus();
+  return absl::UnavailableError(
+      absl::StrFormat("cannot listen on %s: another process listens there; choose another --%s", address, flag));
+}
 
 // Refuses compressed calls by their headers; data that is compressed all the same is not inflated.
 void RefuseCompression(grpc::ServerBuilder* builder) {
@@ -170,6 +194,7 @@ absl::StatusOr<Server::Port> Server::Open(const Options& options, const std::str
   grpc::ServerBuilder builder;
   int port = 1;
   if (IsUnixSocket(address)) {
+    CRAFTFLEET_RETURN_IF_ERROR(CheckUnixSocketFree("listen", address));
     builder.AddListeningPort(address, std::move(credentials), &port);
   } else if (!address.empty()) {
     CRAFTFLEET_ASSIGN_OR_RETURN(opened.listener, Listener::Create({address, options.max_connections_per_client}));
@@ -204,6 +229,7 @@ absl::StatusOr<Server::Port> Server::OpenHealth(const std::string& address,
   builder.RegisterCallbackGenericService(nothing_else);
   int port = 1;
   if (IsUnixSocket(address)) {
+    CRAFTFLEET_RETURN_IF_ERROR(CheckUnixSocketFree("health_listen", address));
     builder.AddListeningPort(address, grpc::InsecureServerCredentials(), &port);
   } else {
     Listener::Options listen;

@@ -15,6 +15,7 @@
 #include "common/base/status_macros.h"
 #include "common/io/output_file.h"
 #include "common/process/program.h"
+#include "common/telemetry/log.h"
 #include "deploy/cli/plot/curve_chart.h"
 
 ABSL_FLAG(std::string, out, "", "PNG file for the picture; -: standard output [none: only print the table]");
@@ -34,14 +35,22 @@ over all training episodes so far on the right, against the environment steps of
   craftfleet curve --out=curve.png runs/first runs/second
   craftfleet curve --out=curve.png --reference=paper.csv deploy/experiments/results/ppo_cnn_300k/seed*)";
 
+// Those that can be read; the others are named in warnings. The first error if none can.
 absl::StatusOr<std::vector<NamedCurve>> ReadCurves(
     const std::vector<std::string>& paths, absl::FunctionRef<absl::StatusOr<LearningCurve>(const std::string&)> read) {
   const std::vector<std::string> names = ShortNames(paths);
   std::vector<NamedCurve> curves;
+  std::vector<absl::Status> errors;
   for (size_t i = 0; i < paths.size(); ++i) {
-    CRAFTFLEET_ASSIGN_OR_RETURN(LearningCurve curve, read(paths[i]));
-    curves.push_back({names[i], std::move(curve)});
+    absl::StatusOr<LearningCurve> curve = read(paths[i]);
+    if (curve.ok()) {
+      curves.push_back({names[i], *std::move(curve)});
+    } else {
+      errors.push_back(curve.status());
+    }
   }
+  if (curves.empty() && !errors.empty()) return errors.front();
+  for (const absl::Status& error : errors) LogWarning("left out: %s", error.message());
   return curves;
 }
 

@@ -66,7 +66,7 @@ absl::Status Run(const std::vector<std::string>& folders) {
     return absl::NotFoundError(absl::StrCat("no run in or below ", absl::StrJoin(folders, ", "),
                                             ", want a folder with config.txt and stats.jsonl"));
   }
-  for (const absl::Status& error : found.unreadable) LogWarning("a run is left out: %s", error.message());
+  for (const absl::Status& error : found.unreadable) LogWarning("left out: %s", error.message());
   Report report = MakeReport(experiments, paper, runs);
   if (absl::GetFlag(FLAGS_html)) report.files["report.html"] = WebPage(runs);
   CRAFTFLEET_ASSIGN_OR_RETURN(const int files, target.Write(report));

@@ -13,6 +13,7 @@
 #include <vector>
 
 #include <absl/flags/flag.h>
+#include <absl/strings/match.h>
 #include <absl/strings/str_cat.h>
 #include <absl/strings/str_format.h>
 #include <absl/strings/str_join.h>
@@ -26,6 +27,7 @@
 #include "common/process/flag_check.h"
 #include "common/process/flag_values.h"
 #include "common/process/program.h"
+#include "common/telemetry/log.h"
 #include "deploy/cli/sweep/experiments.h"
 #include "deploy/cli/sweep/run_state.h"
 #include "deploy/cli/sweep/slurm_array.h"
@@ -107,14 +109,20 @@ std::vector<std::string> TrainFlags() {
   return flags;
 }
 
+// What a run has; names a run that cannot be read in a warning, and takes it for one that is not complete.
+RunState StateOf(const SweepJob& job) {
+  const absl::StatusOr<RunState> state = ReadRunState(job.folder, job.config.steps());
+  if (!state.ok()) LogWarning("%s cannot be read: %s", job.name, state.status().message());
+  return state.value_or(RunState());
+}
+
 absl::Status List(const std::vector<const Cell*>& cells, const SweepSettings& settings) {
   for (const Cell* cell : cells) {
     absl::PrintF("%-48s %9d steps", absl::StrCat(cell->experiment, "/", cell->name), cell->config.steps());
     if (!settings.logdir.empty()) {
       int done = 0;
       for (const SweepJob& job : PlanSweep({cell}, settings)) {
-        CRAFTFLEET_ASSIGN_OR_RETURN(const RunState state, ReadRunState(job.folder, job.config.steps()));
-        done += state.finished ? 1 : 0;
+        done += StateOf(job).finished ? 1 : 0;
       }
       absl::PrintF("   %d of %d done", done, settings.seeds);
     }
@@ -127,7 +135,7 @@ absl::Status List(const std::vector<const Cell*>& cells, const SweepSettings& se
 
 absl::Status PrintCommands(const std::vector<SweepJob>& jobs) {
   for (const SweepJob& job : jobs) {
-    CRAFTFLEET_ASSIGN_OR_RETURN(const RunState state, ReadRunState(job.folder, job.config.steps()));
+    const RunState state = StateOf(job);
     if (state.finished) continue;
     absl::PrintF("craftfleet train %s\n", absl::StrJoin(state.begun ? job.resume : job.start, " "));
   }
@@ -166,8 +174,7 @@ absl::StatusOr<SlurmArray> MakeSlurmArray(const std::string& file, const std::st
     array.command.push_back(absl::StrCat("--textures=", std::filesystem::absolute(textures).string()));
   }
   for (const SweepJob& job : jobs) {
-    CRAFTFLEET_ASSIGN_OR_RETURN(const RunState state, ReadRunState(job.folder, job.config.steps()));
-    if (!state.finished) array.runs.push_back(job.name);
+    if (!StateOf(job).finished) array.runs.push_back(job.name);
   }
   return array;
 }
@@ -194,8 +201,12 @@ absl::Status Submit(const SlurmArray& array) {
 }
 
 absl::Status RunOnSlurm(const std::string& file, const std::string& logdir, const std::vector<SweepJob>& jobs) {
-  CRAFTFLEET_ASSIGN_OR_RETURN(const SlurmArray array,
-                              MakeSlurmArray(file, std::filesystem::absolute(logdir).string(), jobs));
+  const std::string absolute = std::filesystem::absolute(logdir).string();
+  // Slurm 22.05 replaces these in names of an array's logs, however they are written.
+  if (absl::StrContains(absolute, "%A") || absl::StrContains(absolute, "%a")) {
+    return InvalidFlag("logdir", absolute, "a folder without %A and %a, which Slurm replaces by numbers of the job");
+  }
+  CRAFTFLEET_ASSIGN_OR_RETURN(const SlurmArray array, MakeSlurmArray(file, absolute, jobs));
   if (array.runs.empty()) {
     absl::PrintF("all runs are done: %d\n", jobs.size());
     return absl::OkStatus();

@@ -8,7 +8,7 @@ const stateWords = { TRAINING: "Training", PAUSED: "Paused", EVALUATING: "Evalua
 
 const live = { token: "", tag: "", frame: 0, goal: 0, steer: false, state: "", stopping: false };
 
-// Requests `path` with the token. Throws {code, text} unless the server answers 200 or 304.
+// Requests `path`, seen from the page's own, with the token: behind a proxy the page may have a path before it. Throws {code, text} unless the server answers 200 or 304.
 async function ask(path, options = {}) {
   const headers = { ...options.headers };
   if (live.token) headers.Authorization = `Bearer ${live.token}`;
@@ -110,7 +110,7 @@ function showWorker(row, peer, published) {
   const button = make("button", "", wanted);
   button.type = "button";
   button.setAttribute("aria-label", `${wanted} ${peer.name || peer.address}`);
-  button.addEventListener("click", () => steerRun(`/${wanted.toLowerCase()}?worker=${encodeURIComponent(peer.name || peer.address)}`));
+  button.addEventListener("click", () => steerRun(`${wanted.toLowerCase()}?worker=${encodeURIComponent(peer.name || peer.address)}`));
   steer.append(button);
 }
 
@@ -174,7 +174,7 @@ function showCurves(data, views) {
 }
 
 async function showFrame(number, steps) {
-  const picture = await (await ask("/frame.png")).blob();
+  const picture = await (await ask("frame.png")).blob();
   const image = $("frame");
   const former = image.src;
   image.src = URL.createObjectURL(picture);
@@ -206,12 +206,12 @@ function startStopping() {
   $("stop-cancel").addEventListener("click", () => dialog.close());
   $("stop-confirm").addEventListener("click", async () => {
     dialog.close();
-    live.stopping = await steerRun("/stop");
+    live.stopping = await steerRun("stop");
   });
 }
 
 async function update(views) {
-  const reply = await ask("/status.json");
+  const reply = await ask("status.json");
   const steer = reply.headers.get("X-Craftfleet-Steer") === "yes";
   const status = await reply.json();
   live.steer = steer;
@@ -220,7 +220,7 @@ async function update(views) {
   $("live").hidden = false;
   showStatus(status);
   // Unless an iteration has ended since, the answer is 304.
-  const curves = await ask("/curves.json", live.tag ? { headers: { "If-None-Match": live.tag } } : {});
+  const curves = await ask("curves.json", live.tag ? { headers: { "If-None-Match": live.tag } } : {});
   if (curves.status === 304) return;
   const data = await curves.json();
   showCurves(data, views);
@@ -282,8 +282,8 @@ function startLive() {
     $("sign-in").hidden = true;
     poll.now();
   });
-  $("pause").addEventListener("click", () => steerRun(live.paused ? "/resume" : "/pause"));
-  $("checkpoint").addEventListener("click", () => steerRun("/checkpoint"));
+  $("pause").addEventListener("click", () => steerRun(live.paused ? "resume" : "pause"));
+  $("checkpoint").addEventListener("click", () => steerRun("checkpoint"));
   startStopping();
   document.addEventListener("visibilitychange", poll.now);
   poll.now();

@@ -22,6 +22,7 @@ namespace craftfleet {
 struct RankOptions {
   int rank = 0;                                              // of this process, 0..world_size-1
   int world_size = 1;                                        // ranks of the run
+  std::string given = "--world_size=1";                      // what said so, for messages: a flag or a variable
   std::string master_addr = "127.0.0.1";                     // where rank 0 is, for all
   int master_port = 29500;                                   // where rank 0 listens, on every address of its host
   absl::Duration timeout = absl::Minutes(5);                 // for all ranks to come

@@ -81,7 +81,7 @@ absl::Status AppendFile::Flush() {
 
 absl::Status AppendFile::Sync() {
   if (descriptor_ < 0) CRAFTFLEET_RETURN_IF_ERROR(Prepare());
-  if (::fsync(descriptor_) == 0) {
+  if (SyncDescriptor(descriptor_) == 0) {
     std::string().swap(unsynced_);
     return absl::OkStatus();
   }

@@ -12,6 +12,7 @@
 
 #include "common/base/status_macros.h"
 #include "common/io/files.h"
+#include "common/telemetry/log.h"
 
 namespace craftfleet {
 namespace {
@@ -46,10 +47,21 @@ std::string PathIn(const std::string& folder, absl::string_view name) {
   return !PathExists(path) && PathExists(replaced) ? replaced : path;
 }
 
+// Deletes what no name of a checkpoint leads to any more. A file system may refuse, such as NFS (EBUSY) while another
+// process has a file open: the next start of a learner tries again.
+void Delete(const std::string& path) {
+  if (const absl::Status status = RemoveAll(path); !status.ok()) {
+    LogWarning("%s; the next start on this folder deletes it", status.message());
+  }
+}
+
 // Completes or undoes a replacement that was interrupted by a kill.
 absl::Status EndReplacement(const std::string& folder, const std::string& replaced) {
   const std::string name = replaced.substr(kReplacedPrefix.size());
-  if (PathExists(JoinPath(folder, name))) return RemoveAll(JoinPath(folder, replaced));
+  if (PathExists(JoinPath(folder, name))) {
+    Delete(JoinPath(folder, replaced));
+    return absl::OkStatus();
+  }
   return RenameSynced(JoinPath(folder, replaced), JoinPath(folder, name));
 }
 
@@ -98,7 +110,7 @@ absl::StatusOr<CheckpointStore> CheckpointStore::Open(const std::string& folder,
   CRAFTFLEET_RETURN_IF_ERROR(CreateFolders(folder));
   CRAFTFLEET_ASSIGN_OR_RETURN(const std::vector<std::string> names, ListFolder(folder));
   for (const std::string& name : names) {
-    if (absl::StartsWith(name, kTemporaryPrefix)) CRAFTFLEET_RETURN_IF_ERROR(RemoveAll(JoinPath(folder, name)));
+    if (absl::StartsWith(name, kTemporaryPrefix)) Delete(JoinPath(folder, name));
     if (absl::StartsWith(name, kReplacedPrefix)) CRAFTFLEET_RETURN_IF_ERROR(EndReplacement(folder, name));
   }
   return store;
@@ -131,7 +143,10 @@ absl::Status CheckpointStore::MoveIn(const std::string& temporary, const std::st
   const bool replaces = PathExists(path);
   absl::Status status = replaces ? RenameSynced(path, replaced) : absl::OkStatus();
   if (status.ok()) status = RenameSynced(temporary, path);
-  if (status.ok()) return replaces ? RemoveAll(replaced) : status;
+  if (status.ok()) {
+    if (replaces) Delete(replaced);
+    return status;
+  }
   // If the sync of the rename failed, the name may vanish in a crash, so undo the rename.
   if (PathExists(path) && !PathExists(temporary)) RenameSynced(path, temporary).IgnoreError();
   if (PathExists(replaced)) RenameSynced(replaced, path).IgnoreError();
@@ -179,7 +194,8 @@ absl::Status CheckpointStore::Remove(const std::string& name) {
   // Rename first, so that a kill during the removal leaves no torn checkpoint under a valid name.
   const std::string discarded = TemporaryPath(absl::StrCat("old-", name));
   CRAFTFLEET_RETURN_IF_ERROR(RenameSynced(PathOf(name), discarded));
-  return RemoveAll(discarded);
+  Delete(discarded);
+  return absl::OkStatus();
 }
 
 absl::Status CheckpointStore::Prune(size_t keep) {
@@ -187,7 +203,10 @@ absl::Status CheckpointStore::Prune(size_t keep) {
   if (names.size() <= keep) return absl::OkStatus();
   const std::string best = BestOf(names);
   for (size_t i = keep; i < names.size(); ++i) {
-    if (names[i] != best) CRAFTFLEET_RETURN_IF_ERROR(Remove(names[i]));
+    if (names[i] == best) continue;
+    const absl::Status removed = Remove(names[i]);
+    if (absl::IsAborted(removed)) return removed;  // the run has been taken over
+    if (!removed.ok()) LogWarning("%s; the next checkpoint tries again", removed.message());
   }
   return absl::OkStatus();
 }

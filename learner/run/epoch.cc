@@ -1,7 +1,5 @@
 #include "learner/run/epoch.h"
 
-#include <unistd.h>
-
 #include <random>
 #include <vector>
 
@@ -63,14 +61,7 @@ absl::Status EpochFence::Take(const std::string& logdir, int64_t epoch) {
   // The random part distinguishes two starts with the same number.
   std::random_device random;
   const std::string text = absl::StrFormat("%d\n%s, start %08x%08x\n", epoch, ProcessName(), random(), random());
-  // A unique name, since another start may be writing its own file at this moment.
-  const std::string temporary = absl::StrFormat("%s.%08x.tmp", EpochPath(logdir), random());
-  absl::Status status = WriteFileSynced(temporary, text);
-  if (status.ok()) status = RenameSynced(temporary, EpochPath(logdir));
-  if (!status.ok()) {
-    ::unlink(temporary.c_str());
-    return status;
-  }
+  CRAFTFLEET_RETURN_IF_ERROR(ReplaceFile(EpochPath(logdir), text));
   logdir_ = logdir;
   text_ = text;
   epoch_ = epoch;

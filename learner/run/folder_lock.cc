@@ -6,6 +6,7 @@
 
 #include <array>
 #include <cerrno>
+#include <system_error>
 #include <utility>
 
 #include <absl/status/status.h>
@@ -14,8 +15,17 @@
 
 #include "common/base/status_macros.h"
 #include "common/io/files.h"
+#include "common/telemetry/log.h"
 
 namespace craftfleet {
+namespace {
+
+// Whether this error of flock(2) means that the file system, or its server, offers no locks.
+bool HasNoLocks(int error_number) {
+  return error_number == ENOSYS || error_number == ENOLCK || error_number == EOPNOTSUPP || error_number == EINVAL;
+}
+
+}  // namespace
 
 std::string ProcessName() {
   std::array<char, 256> host{};
@@ -29,6 +39,13 @@ absl::StatusOr<FolderLock> FolderLock::Acquire(const std::string& folder) {
   if (descriptor < 0) return FileError(errno, "cannot open", path);
   FolderLock lock(descriptor);
   if (::flock(descriptor, LOCK_EX | LOCK_NB) != 0) {
+    if (HasNoLocks(errno)) {
+      LogWarning(
+          "%s: the file system has no locks (%s); do not start a second process with this --logdir: it would take "
+          "the run over",
+          folder, std::generic_category().message(errno));
+      return lock;
+    }
     if (errno != EWOULDBLOCK) return FileError(errno, "cannot lock", path);
     const absl::StatusOr<std::string> holder = ReadFile(path);
     return absl::FailedPreconditionError(

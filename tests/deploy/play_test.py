@@ -1,9 +1,13 @@
 """craftfleet play: episodes in a window on a virtual display, and in a terminal."""
 
+import fcntl
 import os
+import pty
 import re
 import shlex
+import struct
 import subprocess
+import termios
 
 from tests.fakes import python_case
 from tests.fakes.python_case import BIN, wait_until
@@ -35,6 +39,25 @@ class Play(python_case.FolderCase):
       terminal.wait_for_exit(0)
       self.assertIn("crafter, seed 3, episode 1: 5 steps", terminal.page())
     self.assertRegex(self.recorded(), r"^\d{8}T\d{6}-episode0001-ach0-len5\.mp4$")
+
+  def test_a_terminal_gets_no_colours_that_it_does_not_have(self):
+    for variables, wanted, unwanted in (({"TERM": "xterm-256color"}, b"8;5;", b"8;2;"), ({"TERM": "linux"}, b"\x1b[4", b"8;5;"),
+                                        ({"TERM": "linux"}, b"\x1b[4", b"8;2;"), ({"TERM": "xterm", "COLORTERM": "truecolor"}, b"8;2;", b"8;5;")):
+      with self.subTest(variables):
+        environment = {name: value for name, value in os.environ.items() if name != "COLORTERM"} | variables
+        master, terminal = pty.openpty()
+        fcntl.ioctl(terminal, termios.TIOCSWINSZ, struct.pack("HHHH", 40, 120, 0, 0))
+        process = subprocess.Popen([PLAY, "--terminal", "--wait", "--seed=3"], stdin=terminal, stdout=terminal, env=environment)
+        self.addCleanup(process.kill)
+        shown = b""
+        while b"seed 3" not in shown:
+          shown += os.read(master, 65536)
+        os.write(master, b"q")
+        self.assertEqual(process.wait(20), 0)
+        os.close(master)
+        os.close(terminal)
+        self.assertIn(wanted, shown)
+        self.assertNotIn(unwanted, shown)
 
   def test_a_signal_restores_the_terminal_and_keeps_the_recording(self):
     command = shlex.join([str(PLAY), "--terminal", "--fps=20", "--seed=3", f"--record={self.folder}/recordings"])

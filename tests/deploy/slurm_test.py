@@ -139,9 +139,27 @@ class Slurm(python_case.FolderCase):
     self.assertIn(f"{self.folder}/build/bin/craftfleet-learner does not exist", self.job_log())
     self.assertIn("submit this script with sbatch", self.cluster.run("bash", SCRIPT, "--logdir=x", check=False).stderr)
 
-  def sweep(self, *flags):
+  def sweep(self, *flags, runs="runs", check=True):
     return self.cluster.run(BIN / "craftfleet-sweep", self.folder / "experiments.txt", "--seeds=2", "--executor=slurm",
-                            f"--logdir={self.folder}/runs", "--jobs=10", "--slurm_flags=--mem-per-cpu=400 --parsable", *flags)
+                            f"--logdir={self.folder}/{runs}", "--jobs=10", "--slurm_flags=--mem-per-cpu=400 --parsable", *flags,
+                            check=check)
+
+  def test_folders_may_have_odd_names(self):
+    """The log folders of a sweep and of a fleet, which are in directives and options of Slurm."""
+    odd = 'größe 50% b, 9%j "q"'
+    (self.folder / "experiments.txt").write_text(EXPERIMENTS % python_case.SMALL_RUN)
+    job = self.sweep("--run=small/gamma=0.9/seed1", runs=odd).stdout.split()[-1]
+    wait_until(lambda: self.cluster.run("squeue", "-h").stdout == "", "an empty queue", seconds=200)
+    log = self.folder / odd / f"slurm/{job}_0.log"
+    self.assertTrue(log.exists(), [str(path) for path in self.folder.rglob("*.log")] + [self.cluster.logs()])
+    self.assertIn("done: small/gamma=0.9/seed1", log.read_text())
+    self.logdir = self.folder / odd / "fleet 9%A"
+    self.expect_state(self.submit_fleet(steps=192), "COMPLETED")
+    self.assertTrue(list(self.logdir.glob("fleet/*.learner.log")))
+    refused = self.sweep(runs="9%A", check=False)
+    self.assertEqual(refused.returncode, 1)
+    self.assertIn("want a folder without %A and %a", refused.stderr)
+    self.assertFalse((self.folder / "9%A").exists())
 
   def test_a_sweep_runs_as_an_array_and_a_stopped_task_is_requeued(self):
     (self.folder / "experiments.txt").write_text(EXPERIMENTS % python_case.SMALL_RUN.replace("steps: 192", "steps: 1280", 1))

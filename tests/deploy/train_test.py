@@ -70,11 +70,14 @@ class Train(python_case.FolderCase):
     self.assertIn("\n128/128 steps 100.0%", train.stdout)
     self.assertNotIn("instead of", self.train("exact", "--steps=128").stderr)
 
-  def test_a_run_that_has_more_steps_says_so(self):
+  def test_a_run_cannot_be_resumed_to_fewer_steps_than_it_has(self):
     self.train("run")
-    again = self.train("run", "--resume", "--steps=64")
-    self.assertIn("the run has 192 steps already, and 64 were requested", again.stderr)
-    self.assertIn("192/192 steps 100.0%", again.stdout)
+    before = (self.folder / "run/config.txt").read_text()
+    again = self.train("run", "--resume", "--steps=64", code=1)
+    self.assertIn("--steps=64: the run has 192 steps already; want more", again.stderr)
+    self.assertEqual((self.folder / "run/config.txt").read_text(), before)
+    whole = self.train("run", "--resume", "--steps=190")
+    self.assertIn("the run has 192 steps already, and 190 were requested", whole.stderr)
 
   def test_a_stopped_run_waits_for_nothing(self):
     log = self.folder / "train.err"

@@ -30,6 +30,11 @@ class DroppingDisk {
     ending_ = ending;
     left_ = nth;
   }
+  // From now on the sync of a folder fails with EINVAL.
+  void SyncNoFolders() {
+    const std::lock_guard<std::mutex> lock(mu_);
+    syncs_no_folders_ = true;
+  }
   // Whether that sync has happened.
   bool failed() const {
     const std::lock_guard<std::mutex> lock(mu_);
@@ -46,6 +51,10 @@ class DroppingDisk {
       errno = EIO;
       return -1;
     }
+    if (syncs_no_folders_ && IsFolder(descriptor)) {
+      errno = EINVAL;
+      return -1;
+    }
     const auto result = static_cast<int>(::syscall(SYS_fsync, descriptor));
     if (result == 0) synced_[path] = SizeOf(descriptor);
     return result;
@@ -56,6 +65,10 @@ class DroppingDisk {
     char path[4096];
     const ssize_t size = ::readlink(("/proc/self/fd/" + std::to_string(descriptor)).c_str(), path, sizeof(path));
     return {path, size > 0 ? static_cast<size_t>(size) : 0};
+  }
+  static bool IsFolder(int descriptor) {
+    struct stat status {};
+    return ::fstat(descriptor, &status) == 0 && S_ISDIR(status.st_mode);
   }
   // Bytes in a regular file; 0 for folders, whose syncs drop nothing.
   static off_t SizeOf(int descriptor) {
@@ -74,6 +87,7 @@ class DroppingDisk {
   mutable std::mutex mu_;
   std::string ending_;
   int left_ = -1;
+  bool syncs_no_folders_ = false;
   std::map<std::string, off_t> synced_;  // by path
 };
 

@@ -22,7 +22,8 @@ class Tmux:
   def __init__(self, folder, command, columns=100, rows=30):
     need("tmux")
     self._socket = str(folder / "tmux")
-    self._run("-f", "/dev/null", "new-session", "-d", "-x", str(columns), "-y", str(rows), f"{command}; echo exit $?; sleep 1000")
+    self._run("-f", "/dev/null", "new-session", "-d", "-e", "COLORTERM=truecolor", "-x", str(columns), "-y", str(rows),
+              f"{command}; echo exit $?; sleep 1000")
 
   def __enter__(self):
     return self

@@ -1,5 +1,6 @@
 // Learners on disks without working locks, or that lose synced data.
 
+#include <cerrno>
 #include <csignal>
 #include <cstdlib>
 #include <memory>
@@ -111,6 +112,48 @@ TEST_F(BadDiskTest, ACheckpointThatCouldNotBeSyncedIsWrittenAgain) {
   EXPECT_THAT(ended.err, HasSubstr("checkpoint of iteration 1: cannot sync "));
   EXPECT_FALSE(PathExists(Checkpoint("run", 1)));
   ExpectLikeQuiet(3);
+}
+
+TEST_F(BadDiskTest, FoldersThatCannotBeSyncedAreNoError) {
+  for (const char* program : {"craftfleet-train", "craftfleet-curve", "craftfleet-eval"}) {
+    std::vector<std::string> flags = Flags("run");
+    if (program == std::string("craftfleet-curve")) flags = {Logdir("run"), "--out=" + folder_ / "curve.png"};
+    if (program == std::string("craftfleet-eval")) {
+      flags = {"--checkpoint=" + Logdir("run"), "--episodes=1", "--json=" + folder_ / "eval.json"};
+    }
+    const Ended ended = Finish(StartOn("nofoldersync", program, flags).get());
+    EXPECT_EQ(ended.exit_code, 0) << program << ": " << ended.err;
+  }
+  EXPECT_TRUE(PathExists(folder_ / "curve.png"));
+  EXPECT_TRUE(PathExists(folder_ / "eval.json"));
+  ExpectLikeQuiet(3);
+}
+
+TEST_F(BadDiskTest, ADiskWithoutLocksIsWarnedOfAndUsed) {
+  for (const int error : {ENOSYS, ENOLCK, EOPNOTSUPP}) {
+    const std::string run = absl::StrCat("run-", error);
+    const Ended ended = Finish(StartOn(absl::StrCat("flock=", error), "craftfleet-train", Flags(run)).get());
+    EXPECT_EQ(ended.exit_code, 0) << ended.err;
+    EXPECT_THAT(ended.err, HasSubstr(Logdir(run) + ": the file system has no locks ("));
+    EXPECT_THAT(ended.err, HasSubstr("do not start a second process with this --logdir"));
+  }
+}
+
+TEST_F(BadDiskTest, ACheckpointThatCannotBeDeletedDoesNotEndTheRun) {
+  const auto train = StartOn("busy=iter-00000001", "craftfleet-train", Flags("run", {"--keep_checkpoints=1"}));
+  const Ended ended = Finish(train.get());
+  EXPECT_EQ(ended.exit_code, 0) << ended.err;
+  EXPECT_THAT(ended.err, HasSubstr("cannot remove "));
+  EXPECT_THAT(ended.err, HasSubstr("Device or resource busy"));
+  ExpectLikeQuiet(3);
+  // The next start deletes it, or says again that it cannot.
+  for (const char* disk : {"busy=iter-00000001", ""}) {
+    const Ended again = Finish(StartOn(disk, "craftfleet-train", {"--resume", "--logdir=" + Logdir("run")}).get());
+    EXPECT_EQ(again.exit_code, 0) << again.err;
+  }
+  for (const std::string& name : ListFolder(Logdir("run") + "/checkpoints").value()) {
+    EXPECT_THAT(name, testing::StartsWith("iter-"));
+  }
 }
 
 }  // namespace

@@ -182,6 +182,31 @@ TEST_F(LivePageTest, OtherSitesCanNeitherSteerNorRead) {
   }
 }
 
+TEST_F(LivePageTest, ANameThatIsNotExpectedIsToldWhatToDo) {
+  const std::string host = "Host: hub.example.com:8000\r\n";
+  EXPECT_THAT(Ask("GET /status.json", host), AllOf(StartsWith("HTTP/1.1 403 "), HasSubstr("\"hub.example.com\""),
+                                                   HasSubstr("--http_hosts=hub.example.com")));
+  LivePage::Options options = {"127.0.0.1:0"};
+  options.hosts = {"other.example", "hub.example.com"};
+  page_ = *LivePage::Create(options, Parts());
+  EXPECT_THAT(Ask("GET /status.json", host), StartsWith("HTTP/1.1 200 "));
+  EXPECT_THAT(Ask("GET /status.json", "Host: hub.example.com.evil\r\n"), StartsWith("HTTP/1.1 403 "));
+}
+
+TEST_F(LivePageTest, AProxyMayPutAPathBeforeEverything) {
+  const std::string prefix = "/user/me/proxy/50080";
+  const std::string page = Ask("GET " + prefix + "/");
+  EXPECT_THAT(page, StartsWith("HTTP/1.1 200 "));
+  EXPECT_THAT(Ask("GET " + prefix + "/status.json"), StartsWith("HTTP/1.1 200 "));
+  EXPECT_THAT(Ask("GET " + prefix + "/curves.json"), StartsWith("HTTP/1.1 200 "));
+  EXPECT_THAT(Ask("GET " + prefix + "/frame.png"), HasSubstr("no iteration has ended yet"));
+  for (const char* path : {"/status.json", "/curves.json", "/frame.png", "/pause", "/stop"}) {
+    EXPECT_THAT(page, Not(HasSubstr(absl::StrCat("\"", path)))) << "the browser would leave the prefix";
+  }
+  EXPECT_THAT(Post(prefix + "/pause"), StartsWith("HTTP/1.1 200 "));
+  EXPECT_TRUE(registry_.paused());
+}
+
 TEST_F(LivePageTest, WithAnAccessFileNothingIsShownWithoutAToken) {
   ServeWithTokens();
   EXPECT_THAT(Ask("GET /"), StartsWith("HTTP/1.1 200 ")) << "asks for the token";

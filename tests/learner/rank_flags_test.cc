@@ -87,6 +87,16 @@ TEST_F(RankFlagsTest, FlagsGoBeforeTheEnvironment) {
   EXPECT_EQ(options->timeout, absl::Seconds(30));
 }
 
+TEST_F(RankFlagsTest, WhatSaysHowManyRanksThereAreIsKnown) {
+  EXPECT_EQ(RankOptionsFromFlags()->given, "--world_size=1");
+  Set("SLURM_STEP_NUM_TASKS", "4");
+  EXPECT_EQ(RankOptionsFromFlags()->given, "SLURM_STEP_NUM_TASKS=4 of the environment");
+  Set("WORLD_SIZE", "3");
+  EXPECT_EQ(RankOptionsFromFlags()->given, "WORLD_SIZE=3 of the environment");
+  Give("world_size", "2");
+  EXPECT_EQ(RankOptionsFromFlags()->given, "--world_size=2");
+}
+
 TEST_F(RankFlagsTest, BadVariablesAreNamed) {
   Set("WORLD_SIZE", "two");
   EXPECT_THAT(std::string(RankOptionsFromFlags().status().message()),

@@ -32,6 +32,7 @@
 #include "common/agent/torch_setup.h"
 #include "common/base/status_macros.h"
 #include "common/io/files.h"
+#include "common/process/cgroup.h"
 #include "common/process/cpu_pin.h"
 #include "common/process/cpu_quota.h"
 #include "common/process/version.h"
@@ -99,27 +100,22 @@ BlasFacts ReadBlas() {
   return {MappedFile(Maps(), {"libopenblas", "libblas", "libmkl", "libblis", "libatlas"}), SlowMathWarning()};
 }
 
-int64_t AvailableMemory(absl::string_view meminfo, absl::string_view cgroup_limit, absl::string_view cgroup_used) {
-  int64_t available = 0;
+int64_t AvailableMemory(absl::string_view meminfo) {
   for (absl::string_view line : absl::StrSplit(meminfo, '\n')) {
     int64_t kib = 0;
     if (absl::ConsumePrefix(&line, "MemAvailable:") && absl::ConsumeSuffix(&line, "kB") &&
         absl::SimpleAtoi(line, &kib)) {
-      available = kib * 1024;
+      return kib * 1024;
     }
   }
-  int64_t limit = 0;
-  int64_t used = 0;
-  if (absl::SimpleAtoi(cgroup_limit, &limit) && absl::SimpleAtoi(cgroup_used, &used)) {
-    const int64_t left = std::max<int64_t>(0, limit - used);
-    available = available == 0 ? left : std::min(available, left);
-  }
-  return available;
+  return 0;
 }
 
 int64_t ReadAvailableMemory() {
-  return AvailableMemory(TextOf("/proc/meminfo"), TextOf("/sys/fs/cgroup/memory.max"),
-                         TextOf("/sys/fs/cgroup/memory.current"));
+  const int64_t available = AvailableMemory(TextOf("/proc/meminfo"));
+  const std::optional<MemoryLimit> limit = OwnMemoryLimit();
+  if (!limit.has_value()) return available;
+  return available == 0 ? limit->left : std::min(available, limit->left);
 }
 
 uint64_t ReadOpenFilesLimit() {

@@ -19,9 +19,9 @@ namespace craftfleet {
 CpuFacts ReadCpu();
 BlasFacts ReadBlas();
 
-// Available bytes: the lesser of MemAvailable in `meminfo` (the text of /proc/meminfo) and the rest of the cgroup v2
-// whose memory.max and memory.current are given; 0 if both are unknown.
-int64_t AvailableMemory(absl::string_view meminfo, absl::string_view cgroup_limit, absl::string_view cgroup_used);
+// Bytes: MemAvailable in `meminfo`, the text of /proc/meminfo; 0: unknown.
+int64_t AvailableMemory(absl::string_view meminfo);
+// The lesser of that and of what this process' cgroups leave.
 int64_t ReadAvailableMemory();
 
 uint64_t ReadOpenFilesLimit();

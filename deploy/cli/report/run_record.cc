@@ -75,17 +75,24 @@ bool IsRun(const std::string& folder) {
   return PathExists(JoinPath(folder, "config.txt")) && !FindLog(folder, "stats.jsonl").empty();
 }
 
-absl::Status AddRunFolders(const std::string& folder, std::set<std::string>* found) {
-  std::error_code error;
-  if (!std::filesystem::is_directory(folder, error)) {
-    return absl::NotFoundError(absl::StrCat(folder, ": no such folder"));
-  }
+// Adds the runs in and below `folder`, and the errors of folders that cannot be listed. Links to folders are not
+// entered.
+void AddRunFolders(const std::string& folder, std::set<std::string>* found, std::vector<absl::Status>* unreadable) {
   if (IsRun(folder)) found->insert(folder);
-  for (std::filesystem::recursive_directory_iterator entry(folder, error), end; !error && entry != end;
-       entry.increment(error)) {
-    if (entry->is_directory(error) && IsRun(entry->path().string())) found->insert(entry->path().string());
+  const absl::StatusOr<std::vector<std::string>> names = ListFolder(folder);
+  if (!names.ok()) {
+    unreadable->push_back(names.status());
+    return;
   }
-  return error ? FileError(error.value(), "cannot list", folder) : absl::OkStatus();
+  for (const std::string& name : *names) {
+    const std::string path = JoinPath(folder, name);
+    std::error_code ignored;
+    if (std::filesystem::is_directory(std::filesystem::symlink_status(path, ignored))) {
+      AddRunFolders(path, found, unreadable);
+    } else if (std::filesystem::is_directory(path, ignored) && IsRun(path)) {
+      found->insert(path);
+    }
+  }
 }
 
 }  // namespace
@@ -127,8 +134,14 @@ std::string StepsText(const RunRecord& run) {
 
 absl::StatusOr<FoundRuns> FindRuns(absl::Span<const std::string> folders) {
   std::set<std::string> run_folders;
-  for (const std::string& folder : folders) CRAFTFLEET_RETURN_IF_ERROR(AddRunFolders(folder, &run_folders));
   FoundRuns found;
+  for (const std::string& folder : folders) {
+    std::error_code ignored;
+    if (!std::filesystem::is_directory(folder, ignored)) {
+      return absl::NotFoundError(absl::StrCat(folder, ": no such folder"));
+    }
+    AddRunFolders(folder, &run_folders, &found.unreadable);
+  }
   for (const std::string& folder : run_folders) {
     absl::StatusOr<RunRecord> run = ReadRun(folder);
     if (run.ok()) {

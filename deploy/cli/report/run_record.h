@@ -59,11 +59,11 @@ std::string StepsText(const RunRecord& run);
 
 struct FoundRuns {
   std::vector<RunRecord> runs;           // sorted by folder
-  std::vector<absl::Status> unreadable;  // the errors of ReadRun of those that cannot be read
+  std::vector<absl::Status> unreadable;  // the errors of folders and runs that cannot be read
 };
 
 // All runs in or below `folders`. A folder with config.txt and stats.jsonl is a run.
-//   NotFound: no such folder.   Others: a folder cannot be listed.
+//   NotFound: no such folder.
 absl::StatusOr<FoundRuns> FindRuns(absl::Span<const std::string> folders);
 
 }  // namespace craftfleet

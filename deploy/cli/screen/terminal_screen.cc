@@ -4,12 +4,11 @@
 
 #include <algorithm>
 #include <cmath>
+#include <cstdlib>
 
 #include <absl/memory/memory.h>
 #include <absl/strings/str_cat.h>
 #include <absl/strings/str_format.h>
-
-#include "deploy/cli/screen/half_blocks.h"
 
 namespace craftfleet {
 namespace {
@@ -41,9 +40,9 @@ View Cut(const View& view, int width, int height) {
 
 }  // namespace
 
-std::vector<std::string> PageRows(const View& view, int columns, int rows) {
+std::vector<std::string> PageRows(const View& view, int columns, int rows, Colours colours) {
   const View cut = Cut(view, columns, 2 * rows);
-  std::vector<std::string> page = HalfBlocks(cut.picture, cut.width, cut.height);
+  std::vector<std::string> page = HalfBlocks(cut.picture, cut.width, cut.height, colours);
   page.resize(rows, std::string(cut.width, ' '));
   const int text_columns = std::max(0, columns - cut.width - kGapColumns);
   for (size_t i = 0; i < std::min(page.size(), view.lines.size()); ++i) {
@@ -67,6 +66,8 @@ absl::StatusOr<std::unique_ptr<Screen>> TerminalScreen::Open() {
   return absl::WrapUnique<Screen>(new TerminalScreen());
 }
 
+TerminalScreen::TerminalScreen() : colours_(ColoursOf(std::getenv("COLORTERM"), std::getenv("TERM"))) {}
+
 PictureRoom TerminalScreen::Room() const {
   const auto [columns, rows] = Terminal::Size();
   return {std::max(1, columns - kGapColumns - kTextColumns), std::max(1, 2 * rows)};
@@ -74,7 +75,7 @@ PictureRoom TerminalScreen::Room() const {
 
 absl::Status TerminalScreen::Show(const View& view) {
   const auto [columns, rows] = Terminal::Size();
-  std::vector<std::string> page = PageRows(view, columns, rows);
+  std::vector<std::string> page = PageRows(view, columns, rows, colours_);
   std::string text;
   if (size_ != std::make_pair(columns, rows)) {
     absl::StrAppend(&text, "\x1b[2J");

@@ -1,4 +1,4 @@
-// A screen in a terminal with 24-bit colours, also over ssh.
+// A screen in a terminal, in the colours that it has, also over ssh.
 
 #ifndef CRAFTFLEET_DEPLOY_CLI_SCREEN_TERMINAL_SCREEN_H_
 #define CRAFTFLEET_DEPLOY_CLI_SCREEN_TERMINAL_SCREEN_H_
@@ -11,13 +11,14 @@
 
 #include <absl/status/statusor.h>
 
+#include "deploy/cli/screen/half_blocks.h"
 #include "deploy/cli/screen/screen.h"
 #include "deploy/cli/screen/terminal.h"
 
 namespace craftfleet {
 
 // The rows of a page: the picture as half blocks, the text beside it, cut to `columns` and `rows`.
-std::vector<std::string> PageRows(const View& view, int columns, int rows);
+std::vector<std::string> PageRows(const View& view, int columns, int rows, Colours colours = Colours::kTrue);
 
 class TerminalScreen : public Screen {
  public:
@@ -30,8 +31,9 @@ class TerminalScreen : public Screen {
   Key ReadKey(absl::Duration timeout) override;
 
  private:
-  TerminalScreen() = default;
+  TerminalScreen();
 
+  const Colours colours_;
   Terminal terminal_;
   std::deque<Key> keys_;            // pressed and not read yet
   std::pair<int, int> size_;        // columns and rows when shown_ was drawn

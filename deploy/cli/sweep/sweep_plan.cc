@@ -112,7 +112,7 @@ absl::Status WriteCellConfigs(absl::Span<const Cell* const> cells, const std::st
   for (const Cell* cell : cells) {
     const std::string path = JoinPath(folder, absl::StrCat(cell->experiment, "/", cell->name, ".txt"));
     CRAFTFLEET_RETURN_IF_ERROR(WithPrefix("--write_configs", CreateFolders(path.substr(0, path.rfind('/')))));
-    CRAFTFLEET_RETURN_IF_ERROR(WriteFileSynced(path, CellConfigFile(*cell)));
+    CRAFTFLEET_RETURN_IF_ERROR(ReplaceFile(path, CellConfigFile(*cell)));
   }
   return absl::OkStatus();
 }

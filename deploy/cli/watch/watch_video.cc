@@ -23,12 +23,11 @@ absl::StatusOr<cv::Mat> DrawPicture(const WatchVideoOptions& options, AgentGame*
 }  // namespace
 
 absl::Status WriteWatchVideo(const WatchVideoOptions& options, const std::atomic<bool>& stop, AgentGame* game) {
-  const std::string unfinished = options.path + ".unfinished.mp4";
   std::unique_ptr<VideoFile> video;
   while (true) {
     CRAFTFLEET_ASSIGN_OR_RETURN(const cv::Mat picture, DrawPicture(options, game));
     if (video == nullptr) {
-      CRAFTFLEET_ASSIGN_OR_RETURN(video, VideoFile::Create(unfinished, picture.cols, picture.rows));
+      CRAFTFLEET_ASSIGN_OR_RETURN(video, VideoFile::Create(options.path, picture.cols, picture.rows));
     }
     CRAFTFLEET_RETURN_IF_ERROR(
         video->Append({reinterpret_cast<const char*>(picture.data), picture.total() * picture.elemSize()}));

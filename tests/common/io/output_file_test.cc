@@ -54,6 +54,18 @@ std::string Printed(const std::string& output, const std::string& path, absl::st
   return ReadFile(output).value();
 }
 
+TEST(OutputFile, AFileBesideItIsNotTouched) {
+  const TempFolder folder;
+  const std::string long_name(255, 'a');  // as long as a name may be
+  for (const std::string& name : {std::string("a.png"), long_name}) {
+    ASSERT_THAT(WriteFileSynced(folder / "a.png.tmp", "mine"), IsOk());
+    EXPECT_THAT(WriteTo(folder / name, "bytes"), IsOk());
+    EXPECT_EQ(ReadFile(folder / name).value(), "bytes");
+    EXPECT_EQ(ReadFile(folder / "a.png.tmp").value(), "mine");
+  }
+  EXPECT_THAT(ListFolder(folder.path()).value(), ElementsAre("a.png", "a.png.tmp", long_name));
+}
+
 TEST(OutputFile, CreatesAFileOrReplacesIt) {
   const TempFolder folder;
   const std::string path = folder / "a.png";

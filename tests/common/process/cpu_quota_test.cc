@@ -34,11 +34,11 @@ TEST(CpuQuota, TightestLimitOfAllAncestorsApplies) {
   Write(root + "/pod/container/cpu.max", "max 100000");
   Write(root + "/old/cpu.cfs_quota_us", "300000\n");
   Write(root + "/old/cpu.cfs_period_us", "100000\n");
-  EXPECT_EQ(CgroupCpuLimit(root, "/pod/container"), 2.0);
-  EXPECT_EQ(CgroupCpuLimit(root, "/old"), 3.0);
-  EXPECT_EQ(CgroupCpuLimit(root, "/elsewhere"), 8.0);
-  EXPECT_EQ(CgroupCpuLimit(root, "/"), 8.0);
-  EXPECT_EQ(CgroupCpuLimit(root + "/pod/container", "/"), std::nullopt);
+  EXPECT_EQ(OwnCpuLimit("0::/pod/container", root), 2.0);
+  EXPECT_EQ(OwnCpuLimit("0::/old", root), 3.0);
+  EXPECT_EQ(OwnCpuLimit("0::/elsewhere", root), 8.0);
+  EXPECT_EQ(OwnCpuLimit("0::/", root), 8.0);
+  EXPECT_EQ(OwnCpuLimit("0::/", root + "/pod/container"), std::nullopt);
 }
 
 class OwnCpuLimitTest : public ::testing::Test {

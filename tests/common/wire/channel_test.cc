@@ -38,6 +38,26 @@ TEST(Address, RefusesOtherTextWithFlagAndValue) {
   }
 }
 
+TEST(Address, SaysWhatToWriteInstead) {
+  const auto refused = [](const std::string& address, const std::string& want) {
+    EXPECT_THAT(CheckAddress("learner", address), StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr(want)))
+        << address;
+  };
+  refused("http://learner:1", "without http://");
+  refused("dns:///learner:1", "without dns:///");
+  refused("::1:50051", "in brackets, such as [::1]:50051");
+  refused("learner:1/", "HOST:PORT");
+  refused("learner:+1", "HOST:PORT");
+  refused("unix:/a,b", "without commas");
+  refused("unix:" + std::string(108, 'a'), "at most 107 bytes");
+  EXPECT_THAT(CheckAddress("learner", "unix:" + std::string(107, 'a')), IsOk());
+}
+
+TEST(Address, ClientsOfGrpcGetTheUriOfAUnixSocket) {
+  EXPECT_EQ(GrpcAddress("unix:/tmp/gr\u00f6\u00dfe 5%25/a-b_c.~"), "unix:/tmp/gr%C3%B6%C3%9Fe%205%2525/a-b_c.~");
+  EXPECT_EQ(GrpcAddress("[::1]:5"), "[::1]:5");
+}
+
 TEST(WaitUntilConnected, ReachesAServerOnLoopback) {
   const auto server = Server::Create({"127.0.0.1:0"}, {});
   ASSERT_THAT(server, IsOk());

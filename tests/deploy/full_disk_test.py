@@ -1,0 +1,178 @@
+"""Every output of every program on a disk that fills up: an error, and no half file under a final name."""
+
+import gzip
+import json
+import struct
+import subprocess
+import zipfile
+import zlib
+
+from tests.fakes import full_disk, python_case
+from tests.fakes.python_case import BIN, SOURCE
+
+EXPERIMENT = """
+experiments {
+  name: "small"
+  base { steps: 192  lanes: 4  fragment_steps: 16  env { length: 20 }
+         ppo { rollout_steps: 64  minibatch_size: 32  epochs: 1 }  eval { every_steps: 0  final_episodes: 0 } }
+}
+"""
+
+
+def is_whole_png(content):
+  if content[:8] != b"\x89PNG\r\n\x1a\n":
+    return False
+  at, kind = 8, b""
+  while at < len(content):
+    size, kind = struct.unpack(">I4s", content[at:at + 8])
+    chunk = content[at + 4:at + 8 + size]
+    if struct.pack(">I", zlib.crc32(chunk)) != content[at + 8 + size:at + 12 + size]:
+      return False
+    at += 12 + size
+  return kind == b"IEND" and at == len(content)
+
+
+def is_whole_mp4(content):
+  at, boxes = 0, []
+  while at + 8 <= len(content):
+    size, kind = struct.unpack(">I4s", content[at:at + 8])
+    boxes.append(kind)
+    if size < 8:
+      return False
+    at += size
+  return at == len(content) and b"moov" in boxes and b"mdat" in boxes
+
+
+def is_whole(path):
+  """Whether a file is one that a reader of its kind accepts to its end."""
+  content = path.read_bytes()
+  if path.suffix == ".png":
+    return is_whole_png(content)
+  if path.suffix == ".mp4":
+    return is_whole_mp4(content)
+  if path.suffix == ".npz":
+    try:
+      return zipfile.ZipFile(path).testzip() is None
+    except zipfile.BadZipFile:
+      return False
+  if path.suffix == ".json":
+    try:
+      return bool(json.loads(content))
+    except ValueError:
+      return False
+  if path.suffix == ".gz":
+    try:
+      return bool(gzip.decompress(content))
+    except (EOFError, OSError):
+      return False
+  return content.endswith(b"\n")
+
+
+class FullDisk(python_case.FolderCase):
+
+  def setUp(self):
+    super().setUp()
+    (self.folder / "config.txt").write_text(python_case.SMALL_RUN)
+    (self.folder / "experiments.txt").write_text(EXPERIMENT)
+    self.run_program("craftfleet-train", f"--config={self.folder}/config.txt", f"--logdir={self.folder}/run", "--threads=1")
+
+  def outputs(self, out):
+    """Commands that write below the folder `out`."""
+    run = self.folder / "run"
+    return [
+        ["craftfleet-curve", run, f"--out={out}/curve.png"],
+        ["craftfleet-eval", f"--checkpoint={run}", "--episodes=2", f"--json={out}/eval.json"],
+        ["craftfleet-eval", f"--checkpoint={run}", "--episodes=2", f"--pictures={out}/pictures"],
+        ["craftfleet-eval", f"--checkpoint={run}", "--episodes=2", f"--video={out}/videos"],
+        ["craftfleet-eval", f"--checkpoint={run}", "--episodes=2", f"--episodes_npz={out}/episodes"],
+        ["craftfleet-watch", f"--video={out}/watch.mp4", run],
+        ["craftfleet-report", run, f"--out={out}/report", "--html"],
+        ["craftfleet-sweep", self.folder / "experiments.txt", f"--write_configs={out}/configs"],
+        ["craftfleet-sweep", self.folder / "experiments.txt", "--executor=slurm", f"--logdir={out}/sweep"],
+        ["craftfleet-train", f"--config={self.folder}/config.txt", f"--logdir={out}/train"],
+    ]
+
+  def test_no_output_is_half_written_under_its_final_name(self):
+    for left in (0, 4096, 20000):
+      with full_disk.small_disk(self) as disk:
+        for number, command in enumerate(self.outputs(disk)):
+          out = disk / str(number)
+          with self.subTest(command=command, left=left):
+            out.mkdir()
+            # The old file at the target stays, or the new one is whole.
+            command = [str(word).replace(f"={disk}/", f"={out}/") for word in command]
+            full_disk.fill(disk, left)
+            ended = self.run_for_a_while(command)
+            made = [path for path in out.rglob("*") if path.is_file() and path.name not in ("lock", "epoch")]
+            (disk / "filler").unlink()
+            if command[0] == "craftfleet-train":
+              self.check_waiting(ended, made)
+              continue
+            self.assertIn(ended.returncode, (0, 1), ended.stderr)
+            final = [path for path in made if not path.name.startswith(".")]
+            self.assertEqual([path for path in final if not is_whole(path)], [], ended.stderr)
+            if left == 0:
+              self.assertEqual(ended.returncode, 1, ended.stderr)
+              self.assertEqual([path.name for path in made if path.stat().st_size > 0], [], ended.stderr)
+            if ended.returncode == 1:
+              self.assertRegex(ended.stderr, "No space left on device|free space on that disk|cannot start sbatch")
+            else:
+              self.assertTrue(final, "it says that it has written")
+            self.assertEqual([path.name for path in made if path.name.startswith(".craftfleet-")], [], "leftovers")
+
+  def run_for_a_while(self, command):
+    """A learner waits until there is space; it is stopped after some seconds."""
+    process = subprocess.Popen([BIN / command[0], *command[1:]], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+                               stdin=subprocess.DEVNULL)
+    self.addCleanup(process.kill)
+    try:
+      out, errors = process.communicate(timeout=8 if command[0] == "craftfleet-train" else 120)
+    except subprocess.TimeoutExpired:
+      process.terminate()
+      out, errors = process.communicate(timeout=60)
+    return subprocess.CompletedProcess(command, process.returncode, out, errors)
+
+  def check_waiting(self, ended, made):
+    self.assertRegex(ended.stderr, "No space left on device")
+    for path in made:
+      if path.suffix in (".safetensors", ".pb") and not path.parent.name.startswith("."):
+        self.assertTrue((path.parent / "MANIFEST").exists(), path)
+
+  def test_a_file_that_is_replaced_keeps_its_old_content(self):
+    run = self.folder / "run"
+    for flag, command in (("--out", ["craftfleet-curve", run]), ("--video", ["craftfleet-watch", run]),
+                          ("--json", ["craftfleet-eval", f"--checkpoint={run}", "--episodes=1"])):
+      with self.subTest(flag), full_disk.small_disk(self) as disk:
+        target = disk / f"old{'.mp4' if flag == '--video' else '.png' if flag == '--out' else '.json'}"
+        target.write_bytes(b"old")
+        (disk / f"{target.name}.tmp").write_bytes(b"mine")
+        full_disk.fill(disk)
+        ended = subprocess.run([BIN / command[0], *command[1:], f"{flag}={target}"], capture_output=True, text=True, timeout=120,
+                               check=False)
+        self.assertEqual(ended.returncode, 1, ended.stderr)
+        self.assertEqual(target.read_bytes(), b"old")
+        (disk / "filler").unlink()
+        ended = subprocess.run([BIN / command[0], *command[1:], f"{flag}={target}"], capture_output=True, text=True, timeout=120,
+                               check=False)
+        self.assertEqual(ended.returncode, 0, ended.stderr)
+        self.assertTrue(is_whole(target))
+        self.assertEqual((disk / f"{target.name}.tmp").read_bytes(), b"mine", "a user's file is not touched")
+        self.assertEqual({path.name for path in disk.iterdir()}, {target.name, f"{target.name}.tmp"})
+
+  def test_results_are_collected_whole_or_not_at_all(self):
+    root = self.folder / "root"
+    (root / "deploy/experiments").mkdir(parents=True)
+    (root / "deploy/experiments/collect.sh").write_text((SOURCE / "deploy/experiments/collect.sh").read_text())
+    (root / "build").mkdir()
+    (root / "build/bin").symlink_to(BIN)
+    for left in (0, 4096, 12288):
+      with self.subTest(left=left), full_disk.small_disk(self) as disk:
+        (disk / "result").mkdir()
+        full_disk.fill(disk, left)
+        ended = subprocess.run(["bash", root / "deploy/experiments/collect.sh", "--weights", self.folder / "run", disk / "result"],
+                               capture_output=True, text=True, timeout=120, check=False)
+        self.assertNotEqual(ended.returncode, 0)
+        self.assertEqual(list((disk / "result").iterdir()), [], ended.stderr)
+
+
+python_case.main()

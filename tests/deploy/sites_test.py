@@ -1,0 +1,425 @@
+"""What programs and scripts meet at sites: variables of the environment, limits, odd names, names of hosts, PID 1."""
+
+import os
+import pathlib
+import re
+import shutil
+import signal
+import socket
+import subprocess
+import time
+import unittest
+import unittest.mock
+
+from tests.fakes import python_case
+from tests.fakes.python_case import BIN, SOURCE, wait_until
+
+CPUS = len(os.sched_getaffinity(0))
+PROXY = {name: "http://127.0.0.1:9" for name in ("http_proxy", "https_proxy", "grpc_proxy", "all_proxy")}
+ODD = "größe 50% a"  # of a folder
+ENDLESS = python_case.SMALL_RUN.replace("steps: 192 ", "steps: 1000000000 ")
+NO_THREAD = "cannot start another thread: raise the limit of threads (ulimit -u"
+
+
+def environment(**variables):
+  return {**os.environ, **variables}
+
+
+class Case(python_case.ProcessCase):
+
+  def setUp(self):
+    super().setUp()
+    self.config = self.folder / "config.txt"
+    self.config.write_text(python_case.SMALL_RUN)
+    self.run_folder = self.folder / "run"
+
+  def train(self):
+    self.run_program("craftfleet-train", f"--config={self.config}", f"--logdir={self.run_folder}", "--threads=1")
+
+  def run_in(self, command, seconds=120, **options):
+    return subprocess.run(command, capture_output=True, text=True, timeout=seconds, check=False, **options)
+
+  def start_in(self, command, **options):
+    """Starts a command; returns it and the file of its standard error."""
+    self.programs += 1
+    log = self.folder / f"{self.programs}.log"
+    with log.open("w") as errors:
+      process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=errors, **options)
+    self.addCleanup(process.wait)
+    self.addCleanup(process.kill)
+    return process, log
+
+  def in_other_mounts(self, script):
+    """The start of a command that runs `script` with mounts of its own, then what follows; skips where it may not."""
+    tried = self.run_in(["unshare", "--mount", "true"])
+    if tried.returncode != 0:
+      self.skipTest(f"no mounts of its own: {tried.stderr.strip()}; want root")
+    return ["unshare", "--mount", "sh", "-euc", f'{script}\nexec "$@"', "sh"]
+
+
+class Variables(Case):
+
+  def test_the_proxy_for_web_pages_is_not_used(self):
+    with unittest.mock.patch.dict(os.environ, PROXY):
+      _, log = self.start("craftfleet-learner", f"--config={self.config}", f"--logdir={self.run_folder}", "--threads=1",
+                          "--listen=127.0.0.1:0")
+      learner = self.word_after(log, "listening on ")
+      self.assertIn("learner", self.run_program("craftfleet-status", f"--address={learner}").stdout)
+      self.start("craftfleet-envserver", "--listen=127.0.0.1:0", f"--learner={learner}")
+      actor, log = self.start("craftfleet-actor", f"--learner={learner}", "--envservers=learner", "--threads=1")
+      self.assertEqual(actor.wait(60), 0, log.read_text())
+
+  @unittest.skipIf(CPUS < 2, "one CPU, want two")
+  def test_threads_use_all_cpus_whatever_openmp_is_told(self):
+    self.config.write_text(ENDLESS)
+    for number, (variables, cpus) in enumerate(
+        (({"OMP_PROC_BIND": "true"}, CPUS), ({"OMP_PROC_BIND": "spread", "OMP_PLACES": "cores"}, CPUS),
+         ({"GOMP_CPU_AFFINITY": "0-1"}, 2))):
+      with self.subTest(variables):
+        logdir = self.folder / f"run-{number}"
+        command = [BIN / "craftfleet-train", f"--config={self.config}", f"--logdir={logdir}", "--threads=2"]
+        process, log = self.start_in(command, env=environment(**variables))
+        wait_until((logdir / "checkpoints/iter-00000002").exists, f"checkpoints in {log}")
+        masks = {task.name: len(os.sched_getaffinity(int(task.name)))
+                 for task in pathlib.Path(f"/proc/{process.pid}/task").iterdir()}
+        process.kill()
+        self.assertEqual(set(masks.values()), {cpus}, masks)
+        doctor = self.run_in([BIN / "craftfleet-doctor", f"--logdir={self.folder}"], env=environment(**variables))
+        self.assertIn(f"; {cpus} threads;", doctor.stdout)
+
+  def test_the_variable_that_sets_the_number_of_ranks_is_named(self):
+    ended = self.run_in([BIN / "craftfleet-learner", f"--config={self.config}", f"--logdir={self.run_folder}"],
+                        env=environment(WORLD_SIZE="9", RANK="0"))
+    self.assertEqual(ended.returncode, 1)
+    self.assertIn("WORLD_SIZE=9 of the environment, but gradient_shards is ", ended.stderr)
+    self.assertNotIn("--world_size=9", ended.stderr)
+
+  def test_scripts_count_the_cpus_not_the_threads_of_openmp(self):
+    for script in sorted(SOURCE.rglob("deploy/**/*.sh")):
+      for line in script.read_text().splitlines():
+        if re.search(r"\bnproc\b", line) and not line.lstrip().startswith("#"):
+          self.assertRegex(line, r"env -u OMP_NUM_THREADS -u OMP_THREAD_LIMIT nproc", script)
+    args = Scripts.start_stub_fleet(self, {"OMP_NUM_THREADS": "1", "OMP_THREAD_LIMIT": "1"})
+    self.assertIn(f"--threads={CPUS}", args["actor"])
+
+
+class Limits(Case):
+
+  def commands(self):
+    """For each program, a command that works; those without an end of their own are stopped once they serve."""
+    run, config = self.run_folder, self.config
+    return {
+        "craftfleet": ["--version"],
+        "craftfleet-actor": ["--learner=127.0.0.1:1", "--threads=2"],
+        "craftfleet-admin": ["pause", "--address=127.0.0.1:1"],
+        "craftfleet-agents": [],
+        "craftfleet-curve": [run],
+        "craftfleet-doctor": [f"--logdir={self.folder}"],
+        "craftfleet-envs": ["--worlds=1"],
+        "craftfleet-envserver": ["--listen=127.0.0.1:0"],
+        "craftfleet-eval": [f"--checkpoint={run}", "--episodes=1"],
+        "craftfleet-learner": [f"--config={config}", f"--logdir={self.folder}/learner", "--listen=127.0.0.1:0"],
+        "craftfleet-plan": ["--agent=ppo_cnn", "--seconds=1"],
+        "craftfleet-play": [],
+        "craftfleet-report": [run, f"--out={self.folder}/report"],
+        "craftfleet-status": ["--address=127.0.0.1:1"],
+        "craftfleet-sweep": [SOURCE / "deploy/experiments/paper.txt", "--list"],
+        "craftfleet-top": ["--address=127.0.0.1:1", "--once"],
+        "craftfleet-train": [f"--config={config}", f"--logdir={self.folder}/train-%", "--threads=2"],
+        "craftfleet-watch": [f"--video={self.folder}/watch.mp4", run],
+    }
+
+  def test_a_limit_of_threads_is_a_sentence_and_an_exit_code_of_one(self):
+    self.train()
+    library = BIN / "libcraftfleet_few_threads.so"
+    commands = self.commands()
+    programs = {path.name for path in BIN.glob("craftfleet*") if os.access(path, os.X_OK)}
+    self.assertLessEqual(programs, set(commands), "each program has a row")
+    refused = 0
+    for program in sorted(programs):
+      for limit in (1, 2, 4, 8, 12, 16):
+        with self.subTest(program, limit=limit):
+          arguments = [str(argument).replace("%", str(limit)) for argument in commands[program]]
+          process, log = self.start_in([BIN / program, *arguments], stdin=subprocess.DEVNULL, env=environment(
+              LD_PRELOAD=str(library), FEW_THREADS=str(limit), OPENBLAS_NUM_THREADS="1"))
+          wait_until(lambda: process.poll() is not None or re.search("listening on|status on|trying again", log.read_text()),
+                     f"the end of {program} with {limit} threads")
+          process.terminate()
+          code = process.wait(60)
+          if NO_THREAD in log.read_text():
+            self.assertEqual(code, 1, log.read_text())
+            refused += 1
+          self.assertIn(code, (0, 1, -signal.SIGTERM), log.read_text())
+    self.assertGreater(refused, 5)
+
+  def memory_of(self, version, limit):
+    """The start of a command in a group of cgroups whose parent has a limit of memory, in bytes."""
+    own, root = self.folder / "own", "/sys/fs/cgroup"
+    if version == 2:
+      own.write_text("0::/job/step\n")
+      files = {"job/memory.max": limit, "job/memory.current": 1 << 20, "job/step/memory.max": "max", "job/step/memory.current": 0}
+    else:
+      own.write_text("4:cpu,memory:/job/step\n0::/\n")
+      files = {"memory/job/memory.limit_in_bytes": limit, "memory/job/memory.usage_in_bytes": 1 << 20,
+               "memory/job/step/memory.limit_in_bytes": 2**63 - 4096, "memory/memory.limit_in_bytes": 2**63 - 4096}
+    script = f"mount -t tmpfs none {root}\n" + "".join(
+        f"mkdir -p $(dirname {root}/{name})\necho {value} >{root}/{name}\n" for name, value in files.items())
+    return self.in_other_mounts(f"{script}mount --bind {own} /proc/$$/cgroup")
+
+  def test_the_memory_of_a_group_is_seen_in_both_versions_of_cgroups(self):
+    for version in (1, 2):
+      with self.subTest(version):
+        limited = self.memory_of(version, 1 << 30)
+        doctor = self.run_in([*limited, BIN / "craftfleet-doctor", f"--logdir={self.folder}"])
+        self.assertRegex(doctor.stdout, r"memory +10\d\d MiB available")
+        limited = self.memory_of(version, 1 << 29)
+        refused = self.run_in([*limited, BIN / "craftfleet-train", "--agent=ppo_spcnn", f"--logdir={self.run_folder}"])
+        self.assertEqual(refused.returncode, 1, refused.stderr)
+        self.assertRegex(refused.stderr, r"the learner needs at least [\d.]+ GiB of memory, .*; it has 0\.5 GiB")
+        self.assertFalse(self.run_folder.exists())
+
+
+class Names(Case):
+
+  def test_a_home_that_the_shell_did_not_expand(self):
+    self.train()
+    here, home = self.folder / "here", self.folder / "home"
+    here.mkdir()
+    home.mkdir()
+    for program, *arguments in (
+        ["craftfleet-train", f"--config={self.config}", "--logdir=~/run", "--threads=1"],
+        ["craftfleet-curve", f"{self.run_folder}", "--out=~/curve.png"],
+        ["craftfleet-eval", f"--checkpoint={self.run_folder}", "--episodes=1", "--json=~/eval.json", "--pictures=~/pictures"],
+        ["craftfleet-report", f"{self.run_folder}", "--out=~/report"],
+        ["craftfleet-sweep", SOURCE / "deploy/experiments/paper.txt", "--write_configs=~/configs", "--experiment=table1"]):
+      ended = self.run_in([BIN / program, *arguments], cwd=here, env=environment(HOME=str(home)))
+      self.assertEqual(ended.returncode, 0, ended.stderr)
+    self.assertEqual(list(here.iterdir()), [], "no folder named ~")
+    self.assertEqual({path.name for path in home.iterdir()}, {"run", "curve.png", "eval.json", "pictures", "report", "configs"})
+
+  def test_every_form_of_an_address_is_used_or_refused_with_what_to_write(self):
+    flags = (["craftfleet-status", "address"], ["craftfleet-actor", "learner"], ["craftfleet-actor", "envservers"],
+             ["craftfleet-envserver", "listen"], ["craftfleet-envserver", "health_listen"], ["craftfleet-envserver", "learner"],
+             ["craftfleet-envserver", "metrics_listen"], ["craftfleet-top", "address"], ["craftfleet-admin", "address"],
+             ["craftfleet-train", "listen"], ["craftfleet-train", "http_listen"], ["craftfleet-learner", "listen"])
+    for program, flag in flags:
+      for address, want in (
+          ("http://127.0.0.1:50051", "HOST:PORT or unix:PATH, without http://"), ("grpc://a:1", "without grpc://"),
+          ("127.0.0.1:50051/", "HOST:PORT"), ("127.0.0.1", "HOST:PORT"), ("::1:50051", "in brackets, such as [::1]:50051"),
+          ("127.0.0.1:+1", "HOST:PORT"), ("a b:1", "HOST:PORT"), ("127.0.0.1:99999", "HOST:PORT"),
+          ("unix:", "HOST:PORT"), ("unix:/" + 120 * "a", "at most 107 bytes")):
+        with self.subTest(program, flag=flag, address=address):
+          more = {"craftfleet-admin": ["pause"], "craftfleet-train": [f"--logdir={self.run_folder}"],
+                  "craftfleet-learner": [f"--logdir={self.run_folder}"],
+                  "craftfleet-actor": [] if flag == "learner" else ["--learner=127.0.0.1:1"]}.get(program, [])
+          refused = self.run_program(program, f"--{flag}={address}", *more, code=1)
+          self.assertIn(f'--{flag}: "{address}" is not an address, want ', refused.stderr)
+          self.assertIn(want, refused.stderr)
+    self.assertFalse((self.run_folder / "config.txt").exists())
+
+  def test_a_unix_socket_in_a_folder_with_an_odd_name(self):
+    folder = self.folder / ODD
+    folder.mkdir()
+    server, log = self.start("craftfleet-envserver", f"--listen=unix:{folder}/socket", f"--health_listen=unix:{folder}/health")
+    wait_until(lambda: "listening on" in log.read_text(), log)
+    self.assertIn("envserver", self.run_program("craftfleet-status", f"--address=unix:{folder}/socket").stdout)
+    server.terminate()
+    self.assertEqual(server.wait(20), 0)
+    # A file that is left by a killed process is no obstacle.
+    server, log = self.start("craftfleet-envserver", f"--listen=unix:{folder}/socket")
+    wait_until(lambda: "listening on" in log.read_text(), log)
+    server.kill()
+    server.wait()
+    _, log = self.start("craftfleet-envserver", f"--listen=unix:{folder}/socket")
+    wait_until(lambda: "listening on" in log.read_text(), log)
+
+  def test_a_second_process_on_an_address_refuses_and_harms_neither(self):
+    for listen in (f"unix:{self.folder}/socket", "127.0.0.1:0", "[::1]:0"):
+      _, log = self.start("craftfleet-envserver", f"--listen={listen}")
+      address = self.word_after(log, "listening on ")
+      for program, more in (("craftfleet-envserver", []), ("craftfleet-actor", ["--learner=127.0.0.1:1"]),
+                            ("craftfleet-learner", [f"--config={self.config}", f"--logdir={self.run_folder}"]),
+                            ("craftfleet-train", [f"--config={self.config}", f"--logdir={self.run_folder}"])):
+        with self.subTest(program, address=address):
+          refused = self.run_program(program, f"--listen={address}", *more, code=1)
+          self.assertIn(f"cannot listen on {address}", refused.stderr)
+          self.assertIn("envserver", self.run_program("craftfleet-status", f"--address={address}").stdout)
+    self.assertFalse((self.run_folder / "config.txt").exists())
+
+
+class Scripts(Case):
+
+  def start_stub_fleet(self, variables, *flags, script=SOURCE / "deploy/local-fleet.sh"):
+    """Runs local-fleet.sh with programs that only write their arguments; returns these by program."""
+    stubs = self.folder / "stubs"
+    stubs.mkdir(exist_ok=True)
+    for name in ("learner", "actor", "envserver"):
+      stub = stubs / f"craftfleet-{name}"
+      stub.write_text(f'#!/bin/sh\nprintf "%s\\n" "$@" >"{self.folder}/{name}.args"\n' +
+                      ("sleep 1\n" if name == "learner" else "sleep 60\n"))
+      stub.chmod(0o755)
+    ended = self.run_in([script, f"--bin={stubs}", f"--logdir={self.run_folder}", *flags], env=environment(**variables))
+    self.assertEqual(ended.returncode, 0, ended.stderr)
+    return {name: (self.folder / f"{name}.args").read_text().splitlines() for name in ("learner", "actor", "envserver")}
+
+  def local_fleet(self, *flags, **variables):
+    return self.run_in([SOURCE / "deploy/local-fleet.sh", f"--bin={BIN}", f"--config={self.config}", "--threads=1", *flags],
+                       env=environment(**variables))
+
+  def test_a_fleet_runs_in_folders_with_odd_names(self):
+    temporary, logdir = self.folder / ODD, self.folder / f"run, {ODD}"
+    temporary.mkdir()
+    ended = self.local_fleet(f"--logdir={logdir}", TMPDIR=str(temporary))
+    self.assertEqual(ended.returncode, 0, ended.stderr)
+    self.assertTrue((logdir / "checkpoints/iter-00000003").exists())
+    self.assertEqual(list(temporary.iterdir()), [])
+
+  def test_a_folder_that_sockets_cannot_be_in_is_named_and_nothing_is_begun(self):
+    long, commas = self.folder / ("a" * 90), self.folder / "a,b"
+    long.mkdir()
+    commas.mkdir()
+    for folder, text in ((long, "want at most 107: set TMPDIR to a shorter folder"), (commas, "may not have commas"),
+                         (self.folder / "none", "is not a folder that can be written")):
+      refused = self.local_fleet(f"--logdir={self.run_folder}", TMPDIR=str(folder))
+      self.assertEqual(refused.returncode, 2)
+      self.assertIn(f"TMPDIR={folder}", refused.stderr)
+      self.assertIn(text, refused.stderr)
+      self.assertEqual(python_case.processes_with(str(self.folder)), [])
+    self.assertFalse(self.run_folder.exists())
+    self.assertEqual([*long.iterdir(), *commas.iterdir()], [])
+
+  def test_a_home_that_the_shell_did_not_expand_in_flags_of_a_script(self):
+    home, here = self.folder / "home", self.folder / "here"
+    home.mkdir()
+    here.mkdir()
+    args = self.start_stub_fleet({"HOME": str(home)}, "--textures=~/textures")
+    self.assertIn(f"--textures={home}/textures", args["envserver"])
+    self.assertIn(f"--textures={home}/textures", args["learner"])
+
+  def test_scripts_may_be_started_through_a_link(self):
+    links = self.folder / "links"
+    links.mkdir()
+    for script in sorted(SOURCE.rglob("deploy/**/*.sh")):
+      text = script.read_text()
+      for line in text.splitlines():
+        if re.search(r'dirname "\$0"|\$\{0%|\$\{BASH_SOURCE', line) and not line.lstrip().startswith("#"):
+          self.assertIn("readlink -f", line, f"{script}: a link would be taken for the script")
+    link = links / "fleet"
+    link.symlink_to(SOURCE / "deploy/local-fleet.sh")
+    refused = self.run_in([link, f"--logdir={self.run_folder}", "--actors=0"], env=environment(PATH="/usr/bin:/bin"))
+    self.assertIn("--actors=0, want 1..999", refused.stderr)
+    again = self.run_in([link, "--help"])
+    self.assertIn("--envservers=M", again.stdout)
+    stubs = self.start_stub_fleet({}, script=link)
+    self.assertIn("--rank=0", stubs["learner"])
+
+  def test_what_reads_many_runs_names_and_skips_what_it_cannot_read(self):
+    """As another user: root may read everything."""
+    self.train()
+    runs = self.folder / "runs"
+    shutil.copytree(self.run_folder, runs / "good")
+    shutil.copytree(self.run_folder, runs / "empty")
+    for name in ("stats.jsonl", "config.txt"):
+      (runs / "empty" / name).write_text("")
+    shutil.copytree(self.run_folder, runs / "closed")
+    (runs / "unlisted/below").mkdir(parents=True)
+    as_nobody = ["setpriv", "--reuid=65534", "--regid=65534", "--clear-groups"]
+    if self.run_in([*as_nobody, BIN / "craftfleet", "--version"]).returncode != 0:
+      self.skipTest(f"another user cannot run the programs in {BIN}")
+    for path in (runs / "closed/stats.jsonl", runs / "unlisted"):
+      path.chmod(0)
+    self.folder.chmod(0o755)
+    out = self.folder / "out"
+    out.mkdir()
+    out.chmod(0o777)
+    report = self.run_in([*as_nobody, BIN / "craftfleet-report", runs, f"--out={out}/report", "--html"])
+    self.assertEqual(report.returncode, 0, report.stderr)
+    for name in ("closed/stats.jsonl", "unlisted"):
+      self.assertIn(f"{runs}/{name}: Permission denied", report.stderr)
+    self.assertIn("1 complete", report.stdout)
+    curve = self.run_in([*as_nobody, BIN / "craftfleet-curve", *(runs / name for name in ("good", "empty", "closed", "unlisted")),
+                         f"--out={out}/curve.png"])
+    self.assertEqual(curve.returncode, 0, curve.stderr)
+    for text in (f"{runs}/empty/stats.jsonl: no episode has finished yet", "closed/stats.jsonl", "unlisted"):
+      self.assertRegex(curve.stderr, f"warning: left out: .*{re.escape(text)}")
+    self.assertTrue((out / "curve.png").exists())
+    alone = self.run_in([*as_nobody, BIN / "craftfleet-curve", runs / "closed"])
+    self.assertEqual(alone.returncode, 1)
+    (runs / "unlisted").chmod(0o755)
+
+  def test_results_are_collected_beside_odd_names(self):
+    self.train()
+    (self.run_folder / "checkpoints/iter-99999999.bak").mkdir()
+    result = self.folder / "result"
+    # The script takes the programs of the checkout.
+    root = self.folder / "root"
+    (root / "deploy").mkdir(parents=True)
+    shutil.copytree(SOURCE / "deploy/experiments", root / "deploy/experiments", ignore=shutil.ignore_patterns("res*", "report"))
+    (root / "build").mkdir()
+    (root / "build/bin").symlink_to(BIN)
+    ended = self.run_in([root / "deploy/experiments/collect.sh", "--weights", self.run_folder, result])
+    self.assertEqual(ended.returncode, 0, ended.stderr)
+    self.assertEqual({path.name for path in result.iterdir()},
+                     {"config.txt", "run.json", "stats.jsonl.gz", "weights.safetensors", "curve.png"})
+
+
+class Networks(Case):
+
+  def with_hosts(self, line):
+    hosts = self.folder / "hosts"
+    hosts.write_text(f"127.0.0.1 localhost\n{line}\n")
+    return self.in_other_mounts(f"mount --bind {hosts} /etc/hosts")
+
+  def test_a_name_that_is_an_address_of_loopback_is_warned_of(self):
+    for line, warned in (("127.0.1.1 node1", True), ("::1 node1", True), ("127.0.1.1 node0", False)):
+      name = "node1" if warned else "localhost"
+      _, log = self.start_in([*self.with_hosts(line), BIN / "craftfleet-envserver", f"--listen={name}:0", "--insecure"])
+      address = self.word_after(log, "listening on ")
+      self.assertTrue(address.startswith(f"{name}:"))
+      self.assertEqual(f"{name}:0: on this host the name is an address of loopback" in log.read_text(), warned, log.read_text())
+
+  def test_slurms_steps_listen_where_other_hosts_reach_them(self):
+    script = SOURCE / "deploy/slurm/own-host.sh"
+    name = socket.gethostname()
+    addresses = self.run_in(["hostname", "-I"]).stdout.split()
+    if not any("." in address for address in addresses):
+      self.skipTest("this host has no address but those of loopback")
+    found = self.run_in([*self.with_hosts(f"127.0.1.1 {name}"), script]).stdout.strip()
+    self.assertIn(found, addresses)
+    self.assertEqual(self.run_in([*self.with_hosts(f"{addresses[0]} {name}"), script]).stdout.strip(), name)
+
+  def test_all_addresses_means_those_of_both_families(self):
+    for listen in ("[::]:0", "0.0.0.0:0"):
+      _, log = self.start("craftfleet-envserver", f"--listen={listen}", "--insecure")
+      port = self.word_after(log, "listening on ").rpartition(":")[2]
+      hosts = ["127.0.0.1"] + (["[::1]"] if listen.startswith("[") and socket.has_dualstack_ipv6() else [])
+      for host in hosts:
+        self.assertIn("envserver", self.run_program("craftfleet-status", f"--address={host}:{port}").stdout)
+
+  def test_process_1_ends_at_the_first_signal(self):
+    tried = self.run_in(["unshare", "--pid", "--fork", "true"])
+    if tried.returncode != 0:
+      self.skipTest(f"no process ids of its own: {tried.stderr.strip()}; want root")
+    self.config.write_text(ENDLESS)
+    for seconds in (0.2, 0.4, 0.7, 1.5, 3):
+      for program, *flags in (
+          ["craftfleet-learner", f"--config={self.config}", f"--logdir={self.folder}/run-{seconds}", "--listen=127.0.0.1:0"],
+          ["craftfleet-envserver", "--listen=127.0.0.1:0"], ["craftfleet-actor", "--learner=127.0.0.1:1"]):
+        with self.subTest(program, seconds=seconds):
+          process, log = self.start_in(["unshare", "--pid", "--fork", "--kill-child", BIN / program, *flags])
+          child = pathlib.Path(f"/proc/{process.pid}/task/{process.pid}/children")
+          first = int(wait_until(lambda: child.read_text().split(), "process 1")[0])
+          time.sleep(seconds)  # the moment at which the signal comes is what is tested
+          os.kill(first, signal.SIGTERM)
+          self.assertIn(process.wait(20), (0, 143), log.read_text())
+
+  def test_certificates_are_valid_on_hosts_whose_clocks_are_behind(self):
+    certs = self.folder / ODD
+    subprocess.run([SOURCE / "deploy/make-certs.sh", certs, "server"], check=True, capture_output=True)
+    for name in ("ca", "server"):
+      dates = self.run_in(["openssl", "x509", "-in", certs / f"{name}.pem", "-noout", "-startdate", "-checkend", "0"]).stdout
+      begin = time.mktime(time.strptime(re.search("notBefore=(.*) GMT", dates)[1], "%b %d %H:%M:%S %Y")) - time.timezone
+      self.assertLess(begin, time.time() - 3600)
+
+
+python_case.main()
