@@ -17,6 +17,8 @@ namespace {
 // In order of preference; browsers can play the first.
 constexpr std::array<const char*, 2> kCodecs = {"avc1", "mp4v"};
 
+constexpr size_t kLeastBytes = 1 << 16;  // more than the shortest video has
+
 // The pictures in a finished video; 0 if it is damaged.
 int64_t CountPictures(const std::string& path) {
   try {
@@ -44,9 +46,10 @@ VideoFile::~VideoFile() {
 
 absl::StatusOr<std::unique_ptr<VideoFile>> VideoFile::Create(const std::string& path, int width, int height) {
   CRAFTFLEET_CHECK(width > 0 && height > 0 && width % 2 == 0 && height % 2 == 0);
-  // Created first, because OpenCV does not report why it can't write a file.
   CRAFTFLEET_ASSIGN_OR_RETURN(const std::string unfinished, CreateBeside(path, ".mp4"));
   std::unique_ptr<VideoFile> video(new VideoFile(unfinished, width, height));
+  // Tried first, because OpenCV does not report why it can't write a file.
+  CRAFTFLEET_RETURN_IF_ERROR(WriteFileSynced(unfinished, std::string(kLeastBytes, '\0')));
   for (const char* codec : kCodecs) {
     try {
       const int code = cv::VideoWriter::fourcc(codec[0], codec[1], codec[2], codec[3]);

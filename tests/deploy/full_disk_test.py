@@ -115,7 +115,7 @@ class FullDisk(python_case.FolderCase):
               self.assertEqual(ended.returncode, 1, ended.stderr)
               self.assertEqual([path.name for path in made if path.stat().st_size > 0], [], ended.stderr)
             if ended.returncode == 1:
-              self.assertRegex(ended.stderr, "No space left on device|free space on that disk|cannot start sbatch")
+              self.assertRegex(ended.stderr, "No space left on device|free space on that disk|sbatch")
             else:
               self.assertTrue(final, "it says that it has written")
             self.assertEqual([path.name for path in made if path.name.startswith(".craftfleet-")], [], "leftovers")

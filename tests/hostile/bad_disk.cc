@@ -18,11 +18,11 @@ namespace {
 
 bool locks_nothing = false;
 int lock_error = 0;
-std::string busy;
+char busy[NAME_MAX] = "";  // not a string, which would be set before it is constructed
 
 // Whether `path`, seen from the folder `descriptor`, is one that can't be deleted.
 bool IsBusy(int descriptor, const char* path) {
-  if (busy.empty()) return false;
+  if (busy[0] == '\0') return false;
   std::string whole = path;
   char folder[PATH_MAX] = "";
   if (descriptor >= 0 && path[0] != '/' &&
@@ -51,7 +51,7 @@ __attribute__((constructor)) void ReadEnvironment() {
     if (word == "nolocks") locks_nothing = true;
     if (word == "nofoldersync") craftfleet::DroppingDisk::Get().SyncNoFolders();
     if (word.rfind("flock=", 0) == 0) lock_error = std::atoi(word.c_str() + 6);
-    if (word.rfind("busy=", 0) == 0) busy = word.substr(5);
+    if (word.rfind("busy=", 0) == 0) word.copy(busy, sizeof(busy) - 1, 5);
     if (colon != std::string::npos) {
       craftfleet::DroppingDisk::Get().FailSync(word.substr(0, colon), std::atoi(word.c_str() + colon + 1));
     }

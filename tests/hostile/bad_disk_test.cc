@@ -151,9 +151,7 @@ TEST_F(BadDiskTest, ACheckpointThatCannotBeDeletedDoesNotEndTheRun) {
     const Ended again = Finish(StartOn(disk, "craftfleet-train", {"--resume", "--logdir=" + Logdir("run")}).get());
     EXPECT_EQ(again.exit_code, 0) << again.err;
   }
-  for (const std::string& name : ListFolder(Logdir("run") + "/checkpoints").value()) {
-    EXPECT_THAT(name, testing::StartsWith("iter-"));
-  }
+  EXPECT_THAT(ListFolder(Logdir("run") + "/checkpoints").value(), testing::Each(testing::StartsWith("iter-")));
 }
 
 }  // namespace

@@ -44,7 +44,7 @@ TEST(Address, SaysWhatToWriteInstead) {
         << address;
   };
   refused("http://learner:1", "without http://");
-  refused("dns:///learner:1", "without dns:///");
+  refused("dns:///learner:1", "without dns://");
   refused("::1:50051", "in brackets, such as [::1]:50051");
   refused("learner:1/", "HOST:PORT");
   refused("learner:+1", "HOST:PORT");

@@ -42,7 +42,7 @@ TEST(HalfBlocks, ColorsAreUnsigned) {
 TEST(HalfBlocks, TerminalsWithFewerColorsGetTheNearest) {
   const std::string picture("\xff\x80\x00\x41\x40\x42", 6);
   EXPECT_THAT(HalfBlocks(picture, 1, 2, Colours::k256), ElementsAre("\x1b[38;5;208m\x1b[48;5;238m\u2580\x1b[0m"));
-  EXPECT_THAT(HalfBlocks(picture, 1, 2, Colours::k16), ElementsAre("\x1b[33m\x1b[40m\u2580\x1b[0m"));
+  EXPECT_THAT(HalfBlocks(picture, 1, 2, Colours::k16), ElementsAre("\x1b[33m\x1b[100m\u2580\x1b[0m"));
   EXPECT_THAT(HalfBlocks(std::string("\xff\xff\xff\x5c\x5c\xff", 6), 1, 2, Colours::k16),
               ElementsAre("\x1b[97m\x1b[104m\u2580\x1b[0m"));
   EXPECT_THAT(HalfBlocks(std::string(6, '\0'), 1, 2, Colours::k256),
