@@ -60,7 +60,8 @@ Endpoint Connect(absl::string_view address, const ChannelSecurity& security = {}
 // messages, which doubled the time of a step of games.
 Endpoint ConnectApart(const Endpoint& peer);
 
-// `address` as clients of gRPC want it: they take the path of a Unix socket for part of a URI. Servers take it as it is.
+// `address` as clients of gRPC want it: they take the path of a Unix socket for part of a URI. Servers take it as it
+// is.
 std::string GrpcAddress(absl::string_view address);
 
 // InvalidArgument, naming the flag, unless `address` looks like HOST:PORT (port 0..65535) or unix:PATH. Says what to

@@ -22,7 +22,8 @@ ABSL_FLAG(std::string, env, "crafter",
           "environment to play, such as crafter:numbers=hard-x2; craftfleet envs lists them");
 ABSL_FLAG(std::optional<int64_t>, seed, std::nullopt, "seed of the environment [a new one each time]");
 ABSL_FLAG(int64_t, episode, 1, "episode of the environment to begin with, 1..1000000000");
-ABSL_FLAG(bool, terminal, false, "play in the terminal, also over ssh, instead of a window, in the colours that it has");
+ABSL_FLAG(bool, terminal, false,
+          "play in the terminal, also over ssh, instead of a window, in the colours that it has");
 ABSL_FLAG(double, fps, 5, "steps a second, 0.1..60");
 ABSL_FLAG(bool, wait, false, "wait for a key before each step, instead of --fps");
 ABSL_FLAG(int32_t, size, 576, "width and height of the picture in a window, in pixels, 64..1024");

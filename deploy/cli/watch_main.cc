@@ -36,7 +36,8 @@ ABSL_FLAG(std::optional<std::string>, env, std::nullopt,
 ABSL_FLAG(int64_t, seed, 0, "seed of the environment; the same episodes as craftfleet eval --seed");
 ABSL_FLAG(int64_t, episode, 1, "episode of the environment to begin with, 1..1000000000");
 ABSL_FLAG(bool, deterministic, false, "always take the most likely action instead of sampling one");
-ABSL_FLAG(bool, terminal, false, "show it in the terminal, also over ssh, instead of a window, in the colours that it has");
+ABSL_FLAG(bool, terminal, false,
+          "show it in the terminal, also over ssh, instead of a window, in the colours that it has");
 ABSL_FLAG(double, speed, 5, "steps a second, 0.25..256; the keys + and - change it");
 ABSL_FLAG(int32_t, size, 512, "width and height of the picture in windows and videos, in pixels, 64..1024");
 ABSL_FLAG(std::string, attention, "off",

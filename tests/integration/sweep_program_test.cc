@@ -84,8 +84,7 @@ TEST_F(SweepProgramTest, RunsResumesReportsAndNeverRunsAFinishedCellAgain) {
   ASSERT_THAT(WriteFileSynced(damaged, "no configuration"), IsOk());
   const Ended rest = Run("craftfleet-report", {folder_ / "runs", "--out=-"});
   EXPECT_EQ(rest.exit_code, 0) << rest.err;
-  EXPECT_THAT(rest.err,
-              AllOf(HasSubstr("warning: left out: " + damaged), HasSubstr("3 runs, 3 complete; 1 more")));
+  EXPECT_THAT(rest.err, AllOf(HasSubstr("warning: left out: " + damaged), HasSubstr("3 runs, 3 complete; 1 more")));
   const Ended none = Run("craftfleet-report", {RunFolder("gamma=0.9/seed1"), "--out=-"});
   EXPECT_EQ(none.exit_code, 1);
   EXPECT_THAT(none.err, HasSubstr(damaged));

@@ -44,8 +44,7 @@ bool IsPlain(char c) { return absl::ascii_isalnum(c) || absl::StrContains("_-+=:
 
 // The path of a log in a directive of sbatch: %% is a %, quotes keep spaces. `pattern` has placeholders of its own.
 std::string DirectiveWord(absl::string_view folder, absl::string_view pattern) {
-  return absl::StrCat("\"", absl::StrReplaceAll(folder, {{"%", "%%"}, {"\\", "\\\\"}, {"\"", "\\\""}}), pattern,
-                      "\"");
+  return absl::StrCat("\"", absl::StrReplaceAll(folder, {{"%", "%%"}, {"\\", "\\\\"}, {"\"", "\\\""}}), pattern, "\"");
 }
 
 std::string ShellWords(const std::vector<std::string>& words, absl::string_view separator) {

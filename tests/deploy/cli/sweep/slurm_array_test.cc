@@ -44,8 +44,8 @@ SlurmArray TwoRuns() {
 TEST(SlurmArray, AsksForOneTaskForEachRun) {
   const std::string script = SlurmArrayScript(TwoRuns());
   EXPECT_THAT(script, StartsWith("#!/usr/bin/env bash\n"));
-  for (const char* line : {"#SBATCH --array=0-1%5\n", "#SBATCH --output=\"/runs/slurm/%A_%a.log\"\n", "#SBATCH --requeue\n",
-                           "#SBATCH --cpus-per-task=2\n", "#SBATCH --signal=TERM@60\n"}) {
+  for (const char* line : {"#SBATCH --array=0-1%5\n", "#SBATCH --output=\"/runs/slurm/%A_%a.log\"\n",
+                           "#SBATCH --requeue\n", "#SBATCH --cpus-per-task=2\n", "#SBATCH --signal=TERM@60\n"}) {
     EXPECT_THAT(script, HasSubstr(line));
   }
 }
@@ -60,7 +60,8 @@ TEST(SlurmArray, TheFolderOfTheLogsMayHaveAnyName) {
 TEST(SlurmArray, EachTaskRunsItsOwnRun) {
   const std::string script = SlurmArrayScript(TwoRuns());
   EXPECT_EQ(RunTask(script, 0),
-            "[--cpu-bind=none][/bin/craftfleet-sweep][/it's here/paper.txt][--logdir=/runs][--run=t/a/seed1][--threads=2] exit 0\n");
+            "[--cpu-bind=none][/bin/craftfleet-sweep][/it's "
+            "here/paper.txt][--logdir=/runs][--run=t/a/seed1][--threads=2] exit 0\n");
   EXPECT_THAT(RunTask(script, 1), HasSubstr("[--run=t/b c/seed1]"));
 }
 
