@@ -29,6 +29,12 @@ KINDS = {"Namespace": "v1", "Service": "v1", "ConfigMap": "v1", "Deployment": "a
          "HorizontalPodAutoscaler": "autoscaling/v2", "PodDisruptionBudget": "policy/v1",
          "NetworkPolicy": "networking.k8s.io/v1"}
 WORKLOADS = ("Deployment", "StatefulSet")
+
+
+def mebibytes(quantity):
+  return int(quantity[:-2]) * {"Mi": 1, "Gi": 1024}[quantity[-2:]]
+
+
 STOP_SECONDS = 10  # time in which a process must end after SIGTERM
 
 
@@ -299,6 +305,10 @@ class Manifests(unittest.TestCase):
             "allowPrivilegeEscalation": False, "readOnlyRootFilesystem": True, "capabilities": {"drop": ["ALL"]}})
         self.assertTrue({"cpu", "memory"} <= container["resources"]["requests"].keys())
         self.assertTrue({"cpu", "memory"} <= container["resources"]["limits"].keys())
+        if container["command"] == ["craftfleet-envserver"]:
+          flags = dict(split(argument) for argument in container["args"])
+          budget = int(flags.get("max_games_mb", 2048)) + int(flags.get("max_buffered_mb", 512))
+          self.assertGreater(mebibytes(container["resources"]["limits"]["memory"]), budget)
         self.assertGreaterEqual(pod["terminationGracePeriodSeconds"], STOP_SECONDS + 5)
       stateful, = objects.of("StatefulSet")
       variables = {entry["name"]: entry.get("value") for entry in kustomize.containers(stateful)[0]["env"]}

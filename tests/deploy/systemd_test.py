@@ -50,6 +50,17 @@ class Systemd(unittest.TestCase):
       line = re.sub(r"\$\{?([A-Z]+)\}?", lambda found: values[found[1]], line)
       self.assertEqual(unknown_flags(program, line.split()), [], name)
 
+  def test_the_learner_gives_rights(self):
+    self.assertIn("--access_file=/etc/craftfleet/access.txt", (UNITS / "learner.env").read_text(encoding="utf-8"))
+    rights = (UNITS / "access.txt").read_text(encoding="utf-8")
+    for certificate, right in (("actor", "PLAY"), ("envserver", "SERVE"), ("ops", "STEER")):
+      self.assertRegex(rights, rf'certificate: "{certificate}\*".* right: {right}')
+
+  def test_an_environment_server_has_room_for_its_budget(self):
+    unit = (UNITS / "craftfleet-envserver@.service").read_text(encoding="utf-8")
+    gigabytes, = re.findall(r"^MemoryMax=(\d+)G$", unit, re.MULTILINE)
+    self.assertGreater(int(gigabytes) * 1024, 2048 + 512, "the defaults of --max_games_mb and --max_buffered_mb")
+
   def test_there_is_time_to_stop(self):
     for name in NAMES:
       seconds = re.search(r"^TimeoutStopSec=(\d+)$", (UNITS / name).read_text(encoding="utf-8"), re.MULTILINE)
