@@ -25,17 +25,31 @@ absl::StatusOr<VersionedWeights> PolicySource::GetWeights(int64_t version) const
   return VersionedWeights(weights.first, std::make_shared<const std::string>(std::move(weights.second)));
 }
 
-absl::StatusOr<std::shared_ptr<const Policy>> PolicySource::Get(int64_t epoch, int64_t version) {
-  MutexLock lock(&mu_);
-  if (epoch_ == epoch && version_ == version) return policy_;
+absl::StatusOr<std::pair<int64_t, std::shared_ptr<const Policy>>> PolicySource::Fetch(int64_t version) const {
   CRAFTFLEET_ASSIGN_OR_RETURN(const VersionedWeights weights, GetWeights(version));
-  const auto& [fetched, bytes] = weights;
-  CRAFTFLEET_ASSIGN_OR_RETURN(policy_, Policy::Create(spec_, *bytes, tile_, device_));
+  CRAFTFLEET_ASSIGN_OR_RETURN(std::shared_ptr<const Policy> policy,
+                              Policy::Create(spec_, *weights.second, tile_, device_));
+  return std::make_pair(weights.first, std::move(policy));
+}
+
+absl::StatusOr<std::shared_ptr<const Policy>> PolicySource::Get(int64_t epoch, int64_t version) {
+  {
+    const MutexLock lock(&mu_);
+    fetched_.Wait(&mu_, [this]() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_) { return !fetching_; });
+    if (epoch_ == epoch && version_ == version) return policy_;
+    fetching_ = true;
+  }
+  auto fetched = Fetch(version);
+  const MutexLock lock(&mu_);
+  fetching_ = false;
+  fetched_.NotifyAll();
+  CRAFTFLEET_RETURN_IF_ERROR(fetched.status());
   epoch_ = epoch;
-  version_ = fetched;
+  version_ = fetched->first;
+  policy_ = std::move(fetched->second);
   ReleaseFreeMemory();  // of the previous iteration's fragments and policy
-  if (fetched != version) {
-    return absl::AbortedError(absl::StrFormat("weights are at version %d, the permit is for %d", fetched, version));
+  if (version_ != version) {
+    return absl::AbortedError(absl::StrFormat("weights are at version %d, the permit is for %d", version_, version));
   }
   return policy_;
 }

@@ -39,6 +39,8 @@ class PolicySource {
 
  private:
   absl::StatusOr<VersionedWeights> GetWeights(int64_t version) const;
+  // Fetches and makes the policy of `version`, or of the version that there is.
+  absl::StatusOr<std::pair<int64_t, std::shared_ptr<const Policy>>> Fetch(int64_t version) const;
 
   const LearnerClient* const learner_;
   const AgentSpec spec_;
@@ -47,6 +49,8 @@ class PolicySource {
   const LocalWeights local_;  // may be null
 
   Mutex mu_;
+  CondVar fetched_;
+  bool fetching_ ABSL_GUARDED_BY(mu_) = false;  // a thread, without the lock
   int64_t epoch_ ABSL_GUARDED_BY(mu_) = -1;
   int64_t version_ ABSL_GUARDED_BY(mu_) = -1;
   std::shared_ptr<const Policy> policy_ ABSL_GUARDED_BY(mu_);

@@ -170,12 +170,13 @@ absl::Status EnvBatch::Find(absl::Span<const int> lanes) {
       return absl::InvalidArgumentError(absl::StrFormat(
           "lane %d is not open in this session, which has %d lanes: open it first", lane, games_.size()));
     }
-    if (std::find(chosen_.begin(), chosen_.end(), &game->second) != chosen_.end()) {
-      return absl::InvalidArgumentError(absl::StrFormat("lane %d is named twice in one step", lane));
-    }
     chosen_.push_back(&game->second);
   }
-  return absl::OkStatus();
+  std::vector<int> sorted(lanes.begin(), lanes.end());
+  std::sort(sorted.begin(), sorted.end());
+  const auto twice = std::adjacent_find(sorted.begin(), sorted.end());
+  if (twice == sorted.end()) return absl::OkStatus();
+  return absl::InvalidArgumentError(absl::StrFormat("lane %d is named twice in one step", *twice));
 }
 
 }  // namespace craftfleet

@@ -25,14 +25,19 @@ constexpr size_t kMaxHeaderBytes = 100'000'000;  // the format's own limit
 
 absl::Status Bad(absl::string_view what) { return absl::InvalidArgumentError(absl::StrCat("safetensors: ", what)); }
 
+// For errors. Arrays and objects only by their kind: writing one recurses, and it may be nested a million times.
+std::string Shown(const json& value) {
+  if (value.is_structured()) return absl::StrCat("an ", value.type_name());
+  return value.dump(-1, ' ', true, json::error_handler_t::replace);
+}
+
 // The whole numbers of array `value`; `what` names it in the error.
 absl::StatusOr<std::vector<int64_t>> Counts(const json& value, const std::string& what) {
   if (!value.is_array()) return Bad(absl::StrCat(what, " is not an array"));
   std::vector<int64_t> counts;
   for (const json& count : value) {
     if (!count.is_number_unsigned() || count.get<uint64_t>() > std::numeric_limits<int64_t>::max()) {
-      return Bad(absl::StrCat(what, " has ", count.dump(-1, ' ', true, json::error_handler_t::replace),
-                              ", want whole numbers"));
+      return Bad(absl::StrCat(what, " has ", Shown(count), ", want whole numbers"));
     }
     counts.push_back(count.get<int64_t>());
   }
@@ -58,8 +63,7 @@ absl::StatusOr<SafeTensor> ReadTensor(const std::string& name, const json& entry
   }
   const json& dtype = entry["dtype"];
   if (dtype != kFloat32 && dtype != kUint8) {
-    return Bad(absl::StrCat(what, " has dtype ", dtype.dump(-1, ' ', true, json::error_handler_t::replace),
-                            ", want F32 or U8"));
+    return Bad(absl::StrCat(what, " has dtype ", Shown(dtype), ", want F32 or U8"));
   }
   const SafeTensor::Type type = dtype == kFloat32 ? SafeTensor::Type::kFloat32 : SafeTensor::Type::kUint8;
   CRAFTFLEET_ASSIGN_OR_RETURN(std::vector<int64_t> shape, Counts(entry["shape"], what + ": shape"));

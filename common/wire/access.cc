@@ -194,8 +194,10 @@ absl::Status CheckAccess(const v1::Access& access, const Caller& caller, absl::s
 
 std::string Identity(const v1::Access& access, const Caller& caller) {
   const std::optional<std::string> digest = TokenDigest(caller);
+  // Of entries with its token: others may come and go, with patterns that its certificate also fits.
   std::set<std::string> names;
   for (const v1::AccessClient& client : access.client()) {
+    if (client.token_sha256().empty()) continue;
     if (FitsCertificate(client, caller) && FitsToken(client, digest)) names.insert(client.name());
   }
   std::string identity;
@@ -230,7 +232,10 @@ absl::StatusOr<std::shared_ptr<AccessControl>> AccessControl::Create(const std::
 absl::Status AccessControl::Check(const Caller& caller, absl::string_view path) const {
   const absl::Status status = CheckAccess(*snapshot_->Get(), caller, path);
   if (status.ok()) return status;
-  log_.Warn(status.message(), absl::StrFormat("refused %s: %s", Printable(path), status.message()));
+  // By certificate, which callers do not choose as freely as program, token and path.
+  log_.Warn(absl::StrCat(absl::StatusCodeToString(status.code()), caller.token.has_value() ? " token " : " ",
+                         absl::StrJoin(caller.certificate_names, ", ")),
+            absl::StrFormat("refused %s: %s", Printable(path), status.message()));
   return absl::Status(status.code(), "not allowed; the log of the process that was called says why");
 }
 

@@ -63,7 +63,9 @@ void HandOver::Run(const Handle& handle, Current* current) {
       waiting_.pop_front();
       *current = {fcntl(descriptor, F_DUPFD_CLOEXEC, 0), clock_.Now()};
       if (current->copy < 0) {  // the process has no more descriptors
+        ResetConnection(descriptor);  // so that the client does not wait for an answer
         close(descriptor);
+        changed_.NotifyAll();
         continue;
       }
     }

@@ -233,7 +233,9 @@ absl::Status RankMeeting::CheckOthers(const RankBuild& build) {
     CRAFTFLEET_RETURN_IF_ERROR(Try([&] { bytes = store.get(KeyOf("build", rank)); }));
     const std::vector<std::string> other =
         absl::StrSplit(std::string(bytes.begin(), bytes.end()), absl::MaxSplits('\n', 2));
-    if (!other[2].empty()) {
+    if (other.size() != 3) {
+      found = absl::DataLossError(absl::StrFormat("rank %d: its report has %d lines, want 3", rank, other.size()));
+    } else if (!other[2].empty()) {
       found = absl::FailedPreconditionError(absl::StrFormat("rank %d: %s", rank, other[2]));
     } else if (other[0] != build.canary) {
       found = absl::FailedPreconditionError(absl::StrFormat(

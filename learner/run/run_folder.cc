@@ -180,6 +180,7 @@ absl::Status RunFolder::OpenLogs() {
   }
   CRAFTFLEET_ASSIGN_OR_RETURN(EventLog events, EventLog::Open(JoinPath(logdir_, kEventsFile), clock_, options));
   events_.emplace(std::move(events));
+  SyncFolder(JoinPath(logdir_, "..")).IgnoreError();  // which has a new folder's entry; it may not be readable
   return SyncFolder(logdir_);
 }
 

@@ -26,7 +26,8 @@ absl::StatusOr<int64_t> ReadInteger(const nlohmann::json& object, const std::str
   const auto found = object.find(key);
   if (found == object.end()) return absl::DataLossError(absl::StrCat("no \"", key, "\""));
   if (!found->is_number_integer() || *found < low || *found > high) {
-    return absl::DataLossError(absl::StrCat("\"", key, "\" is ", found->dump(), ", want ", low, "..", high));
+    return absl::DataLossError(absl::StrCat(
+        "\"", key, "\" is ", found->is_structured() ? found->type_name() : found->dump(), ", want ", low, "..", high));
   }
   return found->get<int64_t>();
 }

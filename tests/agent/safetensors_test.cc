@@ -93,6 +93,15 @@ TEST(Safetensors, RefusesHostileBytesWithAReason) {
   EXPECT_THAT(ErrorOf(File(R"({"__metadata__":[]})", "")), HasSubstr("not an object"));
 }
 
+// An error that shows such a value recursed into it until the stack was full.
+TEST(Safetensors, NestedValuesAreNotShown) {
+  const std::string nested = std::string(1'000'000, '[') + std::string(1'000'000, ']');
+  EXPECT_THAT(ErrorOf(File(R"({"a":{"dtype":)" + nested + R"(,"shape":[2],"data_offsets":[0,4]}})", "1234")),
+              HasSubstr("has dtype an array, want"));
+  EXPECT_THAT(ErrorOf(File(R"({"a":{"dtype":"F32","shape":[)" + nested + R"(],"data_offsets":[0,4]}})", "1234")),
+              HasSubstr("has an array, want whole numbers"));
+}
+
 TEST(Safetensors, EveryTruncationIsRefused) {
   const std::string data = Floats({1, 2});
   const std::string bytes = WriteSafetensors({{{"a", {2}, data}}, {}});

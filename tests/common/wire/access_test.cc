@@ -150,11 +150,23 @@ TEST(Access, IdentityDoesNotChangeWithRenewedCertificatesOrTokens) {
   };
   EXPECT_EQ(identity({}, "watch me"), "\"m\"");
   EXPECT_EQ(identity({}, "boss"), "\"m\"");
-  EXPECT_EQ(identity({"actor-1"}, std::nullopt), "certificate actor-1; \"all\"");
+  EXPECT_EQ(identity({"actor-1"}, std::nullopt), "certificate actor-1");
   EXPECT_NE(identity({"actor-2"}, std::nullopt), identity({"actor-1"}, std::nullopt));
   EXPECT_NE(identity({"actor-1"}, "boss"), identity({"actor-1"}, std::nullopt));
   EXPECT_EQ(identity({}, std::nullopt), "");
   EXPECT_EQ(identity({}, "unknown"), "");
+}
+
+// The workers that it fits were refused their own names until these had lapsed.
+TEST(Access, IdentityDoesNotChangeWithOtherLinesOfTheFile) {
+  const std::string workers = "client { name: \"workers\" certificate: \"actor-*\" right: PLAY }";
+  const std::string watchers = "client { name: \"watchers\" certificate: \"*\" right: WATCH }";
+  const Caller caller = {{"actor-1"}, std::nullopt, "program"};
+  const auto before = ParseAccess(workers, "access.txt");
+  const auto after = ParseAccess(watchers + workers, "access.txt");
+  ASSERT_THAT(before, IsOk());
+  ASSERT_THAT(after, IsOk());
+  EXPECT_EQ(Identity(*after, caller), Identity(*before, caller));
 }
 
 TEST(AccessControl, HidesReasonsFromCallersAndReloadsItsFile) {

@@ -1,10 +1,14 @@
 #include "common/wire/hand_over.h"
 
+#include <fcntl.h>
+#include <poll.h>
+#include <sys/resource.h>
 #include <sys/socket.h>
 #include <unistd.h>
 
 #include <memory>
 #include <utility>
+#include <vector>
 
 #include <gtest/gtest.h>
 
@@ -52,6 +56,26 @@ TEST_F(HandOverTest, OthersAreHandedOverWhileOneTakesLong) {
     close(client);
   }
   close(sends_for_ever);
+}
+
+// The listener has a descriptor of it too, so that closing ours alone left the client waiting.
+TEST_F(HandOverTest, AConnectionThatCannotBeHandedOverEnds) {
+  int pair[2];
+  ASSERT_EQ(socketpair(AF_UNIX, SOCK_STREAM | SOCK_CLOEXEC, 0, pair), 0);
+  const int of_listener = fcntl(pair[0], F_DUPFD_CLOEXEC, 0);
+  rlimit limit = {};
+  ASSERT_EQ(getrlimit(RLIMIT_NOFILE, &limit), 0);
+  const rlimit few = {static_cast<rlim_t>(of_listener) + 1, limit.rlim_max};
+  ASSERT_EQ(setrlimit(RLIMIT_NOFILE, &few), 0);
+  std::vector<int> others;
+  for (int other = dup(of_listener); other >= 0; other = dup(of_listener)) others.push_back(other);
+  hand_over_->Add(pair[0]);
+  pollfd end = {pair[1], POLLIN, 0};
+  EXPECT_EQ(poll(&end, 1, 20'000), 1) << "the client waits";
+  ASSERT_EQ(setrlimit(RLIMIT_NOFILE, &limit), 0);
+  for (const int other : others) close(other);
+  close(of_listener);
+  close(pair[1]);
 }
 
 TEST_F(HandOverTest, SlowOnesAreReset) {
