@@ -145,6 +145,15 @@ absl::Status Server::Options::Validate() const {
   if (!health_address.empty()) CRAFTFLEET_RETURN_IF_ERROR(CheckAddress("health_listen", health_address));
   if (address.empty()) return absl::OkStatus();
   CRAFTFLEET_RETURN_IF_ERROR(CheckAddress("listen", address));
+  const bool knows_clients = (ask_clients && !files.authorities.empty()) || !access_file.empty();
+  if (!insecure && tls && !knows_clients && !IsLoopback(address)) {
+    return absl::InvalidArgumentError(
+        absl::StrFormat("--listen=%s reaches beyond this host, where without certificates of clients anyone could "
+                        "connect, with all rights: give the authority of their certificates (--tls_ca, without "
+                        "--tls_client_certs=false) or their rights (--access_file), or add --insecure if the network "
+                        "is trusted",
+                        address));
+  }
   if (!insecure && !tls && !IsLoopback(address)) {
     return absl::InvalidArgumentError(
         absl::StrFormat("--listen=%s reaches beyond this host, where anyone could connect: listen on 127.0.0.1, give a "

@@ -364,12 +364,30 @@ TEST_F(SecurityTest, ConflictingOptionsAreNamed) {
   EXPECT_THAT(options.Validate(), StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("--access_file requires")));
 }
 
-TEST_F(SecurityTest, WithTlsAServerMayListenBeyondThisHost) {
+TEST_F(SecurityTest, WithTlsAServerThatKnowsItsClientsMayListenBeyondThisHost) {
   Server::Options options;
   options.address = "0.0.0.0:0";
   EXPECT_THAT(options.Validate(), StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("--tls_cert")));
-  options.files = Files("server");
+  options.files = Files("server", "ca");
   EXPECT_THAT(options.Validate(), IsOk());
+}
+
+// TLS without a CA gave every stranger all rights.
+TEST_F(SecurityTest, WithTlsAServerThatAdmitsStrangersMayNot) {
+  Server::Options options;
+  options.address = "0.0.0.0:0";
+  options.files = Files("server", "");
+  EXPECT_THAT(options.Validate(), StatusIs(absl::StatusCode::kInvalidArgument,
+                                           testing::AllOf(HasSubstr("--listen=0.0.0.0:0"), HasSubstr("--tls_ca"))));
+  options.insecure = true;
+  EXPECT_THAT(options.Validate(), IsOk());
+  options.insecure = false;
+  options.access_file = "access.txt";
+  EXPECT_THAT(options.Validate(), IsOk()) << "it has rights only for those whom it knows";
+  options.access_file.clear();
+  options.files = Files("server", "ca");
+  options.ask_clients = false;
+  EXPECT_THAT(options.Validate(), StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("--tls_client_certs")));
 }
 
 // For probes that cannot use TLS.
