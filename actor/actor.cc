@@ -78,6 +78,7 @@ absl::Status Actor::Run(absl::string_view address) {
   learner_.Leave(name_);
   MutexLock lock(&mu_);
   stopping_ = true;
+  asked_to_stop_ = true;  // it has left
   if (!loop_error_.ok()) return loop_error_;
   return status.code() == absl::StatusCode::kCancelled ? absl::OkStatus() : status;
 }
@@ -86,7 +87,7 @@ void Actor::Stop() {
   bool joined = false;
   {
     MutexLock lock(&mu_);
-    if (stopping_) return;
+    if (std::exchange(asked_to_stop_, true)) return;
     stopping_ = true;
     changed_.NotifyAll();
     joined = !run_id_.empty();
@@ -194,10 +195,13 @@ absl::Status Actor::StartLoops() {
 void Actor::RunLoop(ActorLoop* loop) {
   const absl::Status status = loop->Run();
   if (status.ok()) return;
-  MutexLock lock(&mu_);
-  if (loop_error_.ok()) loop_error_ = status;
-  stopping_ = true;
-  changed_.NotifyAll();
+  {
+    const MutexLock lock(&mu_);
+    if (loop_error_.ok()) loop_error_ = status;
+    stopping_ = true;
+    changed_.NotifyAll();
+  }
+  stream_.Cancel();  // a request that waits
 }
 
 absl::Status Actor::KeepPermits() {
@@ -273,7 +277,6 @@ v1::PermitRequest Actor::NextRequest(std::vector<HeldPermit>* failures) {
     message->set_lane(permit.lane);
     message->set_fragment(permit.fragment);
     message->set_policy_version(permit.policy_version);
-    request.add_active_steps(permit.steps);
   }
   return request;
 }

@@ -111,6 +111,7 @@ class Actor {
   mutable Mutex mu_;
   CondVar changed_;
   bool stopping_ ABSL_GUARDED_BY(mu_) = false;
+  bool asked_to_stop_ ABSL_GUARDED_BY(mu_) = false;  // by Stop, rather than by the error of a loop
   absl::Status loop_error_ ABSL_GUARDED_BY(mu_);
   std::string run_id_ ABSL_GUARDED_BY(mu_);
   std::vector<std::unique_ptr<ActorLoop>> loops_ ABSL_GUARDED_BY(mu_);  // filled once

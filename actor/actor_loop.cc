@@ -209,7 +209,6 @@ absl::Status ActorLoop::PlaySteps(const Policy& policy) {
     }
     frames_ = std::move(stepped.frames);
     meter_.Count(static_cast<int64_t>(rows_.size()));
-    permits_->SetSteps(options_.index, t + 1);
   }
   return absl::OkStatus();
 }

@@ -57,6 +57,7 @@ EnvClient::EnvClient(const wire::Endpoint& server, v1::SessionHello hello, int f
       frame_bytes_(frame_bytes),
       timeout_(timeout),
       check_(hello_, frame_bytes),
+      lengths_(check_.max_length()),
       frames_(hello_, frame_bytes),
       stub_(v1::EnvironmentService::NewStub(server_.channel)),
       timer_(Watchdog::OfProcess(), [this] {
@@ -77,7 +78,7 @@ absl::Status EnvClient::Connect(absl::Duration patience) {
     context_->set_initial_metadata_corked(true);
     stream_ = stub_->Play(context_.get());
   }
-  lengths_ = {};
+  lengths_.Clear();
   *request_.mutable_hello() = hello_;
   CRAFTFLEET_RETURN_IF_ERROR(Send(timeout_));
   CRAFTFLEET_RETURN_IF_ERROR(Receive());

@@ -73,6 +73,14 @@ absl::Status EnvConnections::HealthOf(size_t server) const {
   return health_->ErrorOf(servers_[server]->client->address());
 }
 
+bool EnvConnections::MustLeave(size_t server) const {
+  if (!IsSlow(server)) return true;
+  return health_->ShouldLeave(client(server).address()) &&
+         std::any_of(servers_.begin(), servers_.end(), [this](const auto& other) {
+           return other->client->connected() && health_->ErrorOf(other->client->address()).ok();
+         });
+}
+
 void EnvConnections::DisconnectAll() {
   for (const auto& server : servers_) server->client->Disconnect();
 }
@@ -119,7 +127,14 @@ void EnvConnections::ConnectReachable() {
 absl::Status EnvConnections::ConnectAny() {
   ConnectReachable();
   if (!AnyConnected()) WaitForServers();
+  if (!AnyConnected()) ConnectSlow();
   return AnyConnected() ? absl::OkStatus() : WhyNone();
+}
+
+void EnvConnections::ConnectSlow() {
+  for (const auto& server : servers_) {
+    if (health_->IsSlow(server->client->address()) && server->client->Reachable()) Connect(server.get());
+  }
 }
 
 void EnvConnections::WaitForServers() {

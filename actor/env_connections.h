@@ -6,6 +6,7 @@
 #include <cstddef>
 #include <cstdint>
 #include <memory>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -57,6 +58,15 @@ class EnvConnections {
   void Postpone(size_t server);
   // Why `server` gets no games, according to ServerHealth; ok: it answers.
   absl::Status HealthOf(size_t server) const;
+  // Whether the games of `server`, which has an error, must go: it does not answer, or it is slow and another server
+  // that is not is connected.
+  bool MustLeave(size_t server) const;
+  // The rest of what ServerHealth knows of `server`, and what it must know.
+  bool IsSlow(size_t server) const { return health_->IsSlow(client(server).address()); }
+  std::optional<absl::Duration> StepTimeOf(size_t server) const {
+    return health_->StepTimeOf(client(server).address());
+  }
+  void NoteStep(size_t server, absl::Duration time) { health_->NoteStep(client(server).server(), time); }
   // Ends all sessions.
   void DisconnectAll();
   // Ends all sessions for good; from any thread.
@@ -72,6 +82,8 @@ class EnvConnections {
 
   // Waits until one server is connected, and a moment longer for others.
   void WaitForServers() ABSL_LOCKS_EXCLUDED(mu_);
+  // Begins sessions with slow servers.
+  void ConnectSlow();
   // Explains why no server is connected.
   absl::Status WhyNone() const;
   void Connect(Server* server);

@@ -10,6 +10,7 @@
 
 #include "actor/error_policy.h"
 #include "common/base/check.h"
+#include "common/base/clock.h"
 #include "common/base/status_macros.h"
 
 namespace craftfleet {
@@ -102,7 +103,7 @@ absl::Status EnvPool::DropSuspects(std::vector<int>* lost) {
   for (size_t i = 0; i < connections_.size(); ++i) {
     if (!connections_.client(i).connected()) continue;
     const absl::Status error = connections_.HealthOf(i);
-    if (!error.ok()) CRAFTFLEET_RETURN_IF_ERROR(Lose(i, error, lost));
+    if (!error.ok() && connections_.MustLeave(i)) CRAFTFLEET_RETURN_IF_ERROR(Lose(i, error, lost));
   }
   return absl::OkStatus();
 }
@@ -211,20 +212,36 @@ absl::StatusOr<EnvPool::Stepped> EnvPool::SendAndReceive(absl::Span<const int> l
     Rows& rows = rows_on.try_emplace(*placement_.ServerOf(lanes[row]), Rows{row, row, {}}).first->second;
     rows.last = row + 1;
   }
+  batches_.resize(connections_.size());
+  const absl::Time sent = SteadyNow();
   for (auto& [server, rows] : rows_on) {
     const size_t count = rows.last - rows.first;
     rows.status = connections_.client(server).SendStep(lanes.subspan(rows.first, count),
                                                        actions.subspan(rows.first, count), snapshot);
+  }
+  // The quickest first: the time of a server that is read after a slower one can't be measured.
+  std::vector<size_t> order;
+  for (const auto& [server, rows] : rows_on) order.push_back(server);
+  const auto time_of = [this](size_t server) { return connections_.StepTimeOf(server).value_or(absl::ZeroDuration()); };
+  if (order.size() > 1) {
+    std::stable_sort(order.begin(), order.end(), [&](size_t a, size_t b) { return time_of(a) < time_of(b); });
+  }
+  for (const size_t server : order) {
+    Rows& rows = rows_on.at(server);
+    if (!rows.status.ok()) continue;
+    const absl::Time begun = SteadyNow();
+    rows.status = connections_.client(server).ReceiveStep(&batches_[server]);
+    const absl::Time end = SteadyNow();
+    const bool was_waited_for = end - begun > (end - sent) / 4;  // otherwise its reply was there before
+    if (rows.status.ok() && was_waited_for) connections_.NoteStep(server, end - sent);
   }
   Stepped stepped;
   stepped.lanes.reserve(lanes.size());
   for (auto& [server, rows] : rows_on) {
     if (!rows.status.ok()) continue;
     EnvClient& client = connections_.client(server);
-    rows.status = client.ReceiveStep(&batch_);
-    if (!rows.status.ok()) continue;
     stepped.busy = std::max(stepped.busy, client.busy());
-    Append(lanes.subspan(rows.first, rows.last - rows.first), &batch_, &client.records(), &stepped);
+    Append(lanes.subspan(rows.first, rows.last - rows.first), &batches_[server], &client.records(), &stepped);
   }
   absl::Status all;
   for (const auto& [server, rows] : rows_on) {
@@ -265,7 +282,8 @@ std::vector<EnvServerTracker::Server> EnvPool::Report() const {
   for (size_t i = 0; i < connections_.size(); ++i) {
     const EnvClient& client = connections_.client(i);
     report.push_back({client.address(), client.connected(), placement_.LanesOn(i), client.summary(),
-                      std::string(connections_.HealthOf(i).message())});
+                      std::string(connections_.HealthOf(i).message()), connections_.IsSlow(i),
+                      connections_.StepTimeOf(i).value_or(absl::ZeroDuration())});
   }
   return report;
 }

@@ -136,7 +136,7 @@ class EnvPool {
   const int frame_bytes_;
   EnvConnections connections_;
   LanePlacement placement_;
-  StepBatch batch_;  // of the server that is being read; reused
+  std::vector<StepBatch> batches_;  // of the last step, by server; reused
 };
 
 }  // namespace craftfleet

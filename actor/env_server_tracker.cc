@@ -23,6 +23,8 @@ std::vector<v1::Peer> EnvServerTracker::All() const {
         all.lanes += server.lanes;
         if (server.connected) all.summary = server.summary;
         if (!server.error.empty()) all.error = server.error;
+        all.slow = server.slow;  // all loops ask the same ServerHealth, as of `step_time`
+        all.step_time = server.step_time;
       }
     }
   }
@@ -32,13 +34,15 @@ std::vector<v1::Peer> EnvServerTracker::All() const {
     peer.set_name("environment server " + address);
     peer.set_role("envserver");
     peer.set_address(address);
-    if (!server.error.empty()) {
+    peer.set_step_ms(absl::ToDoubleMilliseconds(server.step_time));
+    if (!server.error.empty() && !server.slow) {
       peer.set_health(v1::Peer::NOT_ANSWERING);
       peer.set_state("not answering");
       continue;
     }
-    peer.set_health(server.connected ? v1::Peer::OK : v1::Peer::LOST);
-    peer.set_state(server.connected ? absl::StrFormat("%d lanes", server.lanes) : "not reachable");
+    peer.set_health(server.slow ? v1::Peer::SLOW : server.connected ? v1::Peer::OK : v1::Peer::LOST);
+    peer.set_state(server.slow || server.connected ? absl::StrFormat("%d lanes", server.lanes) : "not reachable");
+    if (peer.step_ms() > 0) absl::StrAppendFormat(peer.mutable_state(), ", %.1f ms a step", peer.step_ms());
     // The server sends summaries only while games are played there; earlier ones are outdated.
     if (server.lanes > 0 && server.summary.memory_bytes() > 0) *peer.mutable_summary() = std::move(server.summary);
   }

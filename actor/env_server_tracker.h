@@ -8,6 +8,8 @@
 #include <string>
 #include <vector>
 
+#include <absl/time/time.h>
+
 #include "common/base/mutex.h"
 #include "craftfleet/v1/status.pb.h"
 
@@ -21,18 +23,20 @@ class EnvServerTracker {
     bool connected = false;
     int lanes = 0;               // the loop's games there
     v1::ProcessSummary summary;  // as the server last reported it
-    std::string error;           // why it gets no games; empty: it answers
+    std::string error;           // why it gets no games, or why only for want of others; empty: it answers
+    bool slow = false;           // that is why
+    absl::Duration step_time;    // typical time of a step; zero: not known
   };
 
   // Replaces the report of loop number `loop`.
   void Update(int loop, std::vector<Server> servers) ABSL_LOCKS_EXCLUDED(mu_);
 
-  // All servers, as peers: OK if reached by at least one loop, NOT_ANSWERING, or LOST. Servers without games of this
-  // actor have no summary.
+  // All servers, as peers: OK if reached by at least one loop, SLOW, NOT_ANSWERING, or LOST. Servers without games of
+  // this actor have no summary.
   std::vector<v1::Peer> All() const ABSL_LOCKS_EXCLUDED(mu_);
   // At most `count` of them; each call continues where the last one ended.
   std::vector<v1::Peer> Next(size_t count) ABSL_LOCKS_EXCLUDED(mu_);
-  // The same, only with servers that are NOT_ANSWERING or LOST.
+  // The same, only with servers that are SLOW, NOT_ANSWERING or LOST.
   std::vector<v1::Peer> NextUnusable(size_t count) ABSL_LOCKS_EXCLUDED(mu_);
 
  private:

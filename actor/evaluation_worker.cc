@@ -3,8 +3,6 @@
 #include <utility>
 #include <vector>
 
-#include <absl/strings/match.h>
-
 #include "actor/error_policy.h"
 #include "actor/evaluator.h"
 #include "common/agent/policy.h"
@@ -126,8 +124,7 @@ absl::StatusOr<EnvClient*> EvaluationWorker::Connect(const v1::EnvConfig& env) {
 }
 
 void EvaluationWorker::Blame(const EnvClient& env, const absl::Status& error) {
-  // Errors of the session name the server; other errors come from the policy.
-  if (!absl::StartsWith(error.message(), "environment server ")) return;
+  if (env.connected()) return;  // an error of the policy: those of the session end it
   if (ReactionTo(CallKind::kSession, error) == Reaction::kProbeFirst) options_.health->Suspect(env.server(), error);
 }
 

@@ -18,7 +18,7 @@ void PermitTracker::UseLoops(int loops) {
 
 void PermitTracker::Add(const HeldPermit& permit) {
   MutexLock lock(&mu_);
-  if (!active_.try_emplace(permit, 0).second) return;
+  if (!active_.insert(permit).second) return;
   waiting_[LoopOf(permit.lane)].push_back(permit);
   changed_.NotifyAll();
 }
@@ -27,9 +27,6 @@ std::vector<HeldPermit> PermitTracker::Take(int loop) {
   MutexLock lock(&mu_);
   changed_.Wait(&mu_, [&]() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_) { return closed_ || !waiting_[loop].empty(); });
   if (closed_) return {};
-  for (const HeldPermit& done : playing_[loop]) {
-    if (const auto entry = active_.find(done); entry != active_.end()) entry->second = steps_[loop];
-  }
   const auto age = [](const HeldPermit& permit) { return std::make_pair(permit.epoch, permit.policy_version); };
   std::vector<HeldPermit>& waiting = waiting_[loop];
   const auto oldest = age(*std::min_element(waiting.begin(), waiting.end(),
@@ -38,8 +35,6 @@ std::vector<HeldPermit> PermitTracker::Take(int loop) {
                                           [&](const HeldPermit& permit) { return age(permit) == oldest; });
   std::vector<HeldPermit> taken(waiting.begin(), rest);
   waiting.erase(waiting.begin(), rest);
-  playing_[loop] = {taken.begin(), taken.end()};
-  steps_[loop] = 0;
   return taken;
 }
 
@@ -50,25 +45,13 @@ void PermitTracker::Release(const HeldPermit& permit) {
 
 void PermitTracker::ReleaseLocked(const HeldPermit& permit) {
   active_.erase(permit);
-  playing_[LoopOf(permit.lane)].erase(permit);
   std::vector<HeldPermit>& waiting = waiting_[LoopOf(permit.lane)];
   waiting.erase(std::remove(waiting.begin(), waiting.end(), permit), waiting.end());
 }
 
 std::vector<HeldPermit> PermitTracker::Active() const {
   MutexLock lock(&mu_);
-  std::vector<HeldPermit> permits;
-  for (const auto& [permit, steps] : active_) {
-    const size_t loop = LoopOf(permit.lane);
-    permits.push_back(permit);
-    permits.back().steps = playing_[loop].count(permit) > 0 ? steps_[loop] : steps;
-  }
-  return permits;
-}
-
-void PermitTracker::SetSteps(int loop, int64_t steps) {
-  MutexLock lock(&mu_);
-  steps_[loop] = steps;
+  return {active_.begin(), active_.end()};
 }
 
 void PermitTracker::Fail(const HeldPermit& permit, const std::string& reason) {

@@ -21,7 +21,6 @@ namespace craftfleet {
 // A permit held by an actor. It is identified by the permit and the epoch.
 struct HeldPermit : Permit {
   int64_t epoch = 0;         // learner epoch that granted it
-  int64_t steps = 0;         // steps of its fragment played so far
   std::string failure = {};  // why its lane can't be played; empty: no failure is known
 
   friend bool operator==(const HeldPermit& a, const HeldPermit& b) { return a.Key() == b.Key(); }
@@ -35,7 +34,7 @@ struct HeldPermit : Permit {
 // All permits of a lane go to the same loop, as do all lanes of a tile. Thread-safe.
 class PermitTracker {
  public:
-  explicit PermitTracker(int loops) : loops_(loops), waiting_(loops), playing_(loops), steps_(loops) {}
+  explicit PermitTracker(int loops) : loops_(loops), waiting_(loops) {}
 
   // Sets the rows of an inference call, by which lanes are distributed over loops.
   void SetTile(int tile) ABSL_LOCKS_EXCLUDED(mu_);
@@ -49,10 +48,8 @@ class PermitTracker {
   std::vector<HeldPermit> Take(int loop) ABSL_LOCKS_EXCLUDED(mu_);
   // Releases a permit that is settled or will not be played. If no loop has taken it yet, none will.
   void Release(const HeldPermit& permit) ABSL_LOCKS_EXCLUDED(mu_);
-  // All held permits, taken or not, with their steps played.
+  // All held permits, taken or not.
   std::vector<HeldPermit> Active() const ABSL_LOCKS_EXCLUDED(mu_);
-  // Records that `loop` has played `steps` of each fragment that it last took.
-  void SetSteps(int loop, int64_t steps) ABSL_LOCKS_EXCLUDED(mu_);
   // Releases a permit and stores the reason, to be reported to the learner.
   void Fail(const HeldPermit& permit, const std::string& reason) ABSL_LOCKS_EXCLUDED(mu_);
   // The permits that failed in `epoch` and are not yet reported, at most one per lane. Those of other epochs are
@@ -75,10 +72,8 @@ class PermitTracker {
   CondVar changed_;
   int tile_ ABSL_GUARDED_BY(mu_) = 1;
   int loops_ ABSL_GUARDED_BY(mu_);
-  std::map<HeldPermit, int64_t> active_ ABSL_GUARDED_BY(mu_);          // value: steps of fully played fragments, else 0
+  std::set<HeldPermit> active_ ABSL_GUARDED_BY(mu_);
   std::vector<std::vector<HeldPermit>> waiting_ ABSL_GUARDED_BY(mu_);  // by loop
-  std::vector<std::set<HeldPermit>> playing_ ABSL_GUARDED_BY(mu_);     // permits last taken, by loop
-  std::vector<int64_t> steps_ ABSL_GUARDED_BY(mu_);                    // steps played of those, by loop
   std::map<int, HeldPermit> failed_ ABSL_GUARDED_BY(mu_);              // by lane
   bool closed_ ABSL_GUARDED_BY(mu_) = false;
 };

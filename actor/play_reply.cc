@@ -188,7 +188,11 @@ absl::Status EpisodeLengths::Step(const v1::StepLanes& request, const v1::PlayRe
   for (int row = 0; row < request.lanes_size(); ++row) {
     Game& game = games_[request.lanes(row)];
     ++game.steps;
-    if (reply.ends()[row] == static_cast<char>(StepEnd::kNone)) continue;
+    if (reply.ends()[row] == static_cast<char>(StepEnd::kNone)) {
+      if (game.steps < most_) continue;
+      return Invalid(absl::StrFormat("ends: the episode of lane %d goes on after %d steps, want at most %d",
+                                     request.lanes(row), game.steps, most_));
+    }
     const int64_t length = reply.episodes(ended++).length();
     if (length < game.steps || (game.is_whole && length != game.steps)) {
       return Invalid(absl::StrFormat("episodes.length: %d of lane %d, want %s%d", length, request.lanes(row),

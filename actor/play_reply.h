@@ -24,6 +24,8 @@ class PlayReplyCheck {
   // For a session that begins with `hello` and has frames of `frame_bytes` bytes.
   PlayReplyCheck(const v1::SessionHello& hello, int frame_bytes);
 
+  int64_t max_length() const { return max_length_; }  // of an episode, steps
+
   absl::Status Hello(const v1::PlayReply& reply) const;
   absl::Status Open(const v1::OpenLanes& request, const v1::PlayReply& reply) const;
   absl::Status Step(const v1::StepLanes& request, const v1::PlayReply& reply) const;
@@ -44,10 +46,16 @@ class PlayReplyCheck {
 // time.
 class EpisodeLengths {
  public:
+  // `most`: steps of an episode of the session's environment.
+  explicit EpisodeLengths(int64_t most) : most_(most) {}
+
+  // A new session begins.
+  void Clear() { games_.clear(); }
   // The games of `request` begin, or go on from snapshots.
   void Open(const v1::OpenLanes& request);
   // `reply` has passed PlayReplyCheck.   DataLoss: an episode that began in this session has another length than its
-  // steps; or one from a snapshot a smaller length than its steps since then. The learner would refuse its fragment.
+  // steps; or one from a snapshot a smaller length than its steps since then (the learner would refuse its fragment);
+  // or one does not end when it has the most steps.
   absl::Status Step(const v1::StepLanes& request, const v1::PlayReply& reply);
 
  private:
@@ -55,6 +63,7 @@ class EpisodeLengths {
     int64_t steps = 0;      // of the current episode, in this session
     bool is_whole = false;  // it began here
   };
+  const int64_t most_;
   std::unordered_map<int, Game> games_;  // by lane
 };
 

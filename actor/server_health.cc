@@ -4,6 +4,10 @@
 #include <iterator>
 #include <utility>
 
+#include <absl/strings/str_cat.h>
+#include <absl/strings/str_format.h>
+#include <absl/time/clock.h>
+
 #include "actor/error_policy.h"
 #include "common/base/clock.h"
 #include "common/base/status_macros.h"
@@ -21,6 +25,11 @@ constexpr absl::Duration kConnectPatience = absl::Milliseconds(500);  // probes 
 constexpr absl::Duration kBetweenProbes = absl::Milliseconds(500);    // of one server, however often it reconnects
 constexpr absl::Duration kForgetAfter = absl::Minutes(10);
 constexpr int64_t kKeptFiles = 128;
+constexpr absl::Duration kBetweenSteps = absl::Milliseconds(20);  // of a probe
+// A slow server that plays games for want of another is measured by these.
+constexpr absl::Duration kInUse = absl::Seconds(10);
+
+std::string Rounded(absl::Duration time) { return absl::FormatDuration(absl::Trunc(time, absl::Microseconds(100))); }
 
 }  // namespace
 
@@ -63,6 +72,7 @@ void ServerHealth::Suspect(const wire::Endpoint& endpoint, const absl::Status& w
   server.asked_for = SteadyNow();
   // Other threads that play there report the same error.
   if (server.state == State::kSuspect) return;
+  step_times_.Reset(endpoint.address);
   BecomeSuspect(&server, why);
   Prepare(endpoint, &server);
 }
@@ -73,12 +83,77 @@ absl::Status ServerHealth::ErrorOf(const std::string& address) const {
   return found == servers_.end() ? absl::OkStatus() : found->second.error;
 }
 
-void ServerHealth::BecomeSuspect(Server* server, const absl::Status& why) {
+void ServerHealth::NoteStep(const wire::Endpoint& endpoint, absl::Duration time) {
+  const MutexLock lock(&mu_);
   const absl::Time now = SteadyNow();
-  const bool first = server->pause == absl::ZeroDuration() ||
-                     (server->state == State::kGood && now - server->good_since > kForgiveAfter);
-  server->pause = first ? options_.first_pause : std::min(2 * server->pause, options_.last_pause);
+  Server& server = servers_[endpoint.address];
+  server.last_step = now;
+  const bool is_new = step_times_.Add(endpoint.address, time, now);
+  if (!is_new || (server.state != State::kGood && server.state != State::kSlow)) return;
+  const absl::Duration typical = *step_times_.TypicalOf(endpoint.address);
+  if (step_times_.IsSlow(endpoint.address, typical)) {
+    server.asked_for = now;
+    BecomeSlow(endpoint.address, typical, &server);
+    Prepare(endpoint, &server);
+  } else if (server.state == State::kSlow) {
+    BecomeGood(endpoint.address, &server);
+  }
+}
+
+bool ServerHealth::IsSlow(const std::string& address) const {
+  const MutexLock lock(&mu_);
+  const auto found = servers_.find(address);
+  return found != servers_.end() && found->second.state == State::kSlow;
+}
+
+bool ServerHealth::ShouldLeave(const std::string& address) const {
+  const MutexLock lock(&mu_);
+  const auto found = servers_.find(address);
+  return found != servers_.end() && found->second.state == State::kSlow && found->second.should_leave;
+}
+
+std::optional<absl::Duration> ServerHealth::StepTimeOf(const std::string& address) const {
+  const MutexLock lock(&mu_);
+  const auto found = servers_.find(address);
+  if (found != servers_.end() && found->second.state == State::kSlow) return found->second.step_time;
+  return step_times_.TypicalOf(address);
+}
+
+void ServerHealth::BecomeSlow(const std::string& address, absl::Duration step_time, Server* server) {
+  const std::optional<absl::Duration> others = step_times_.OthersOf(address);
+  server->should_leave = !others.has_value() || step_times_.IsSlowerThanOthers(address, step_time);
+  step_times_.Reset(address);
+  const std::string compared =
+      others.has_value() ? absl::StrCat(", ", Rounded(*others), " on this actor's other servers") : "";
+  if (server->state == State::kGood) {
+    Postpone(std::max(options_.first_pause, kFirstPauseOfSlow), server);
+    LogWarning("environment server %s is slow: a step takes %s%s; %s", address, Rounded(step_time), compared,
+               server->should_leave ? "its games move to other servers, if there are any" : "the others are slow too");
+  }
+  server->state = State::kSlow;
+  server->step_time = step_time;
+  server->error = absl::UnavailableError(
+      absl::StrCat("environment server ", address, ": slow, a step takes ", Rounded(step_time), compared));
+}
+
+void ServerHealth::BecomeGood(const std::string& address, Server* server) {
+  if (server->state == State::kSuspect) LogInfo("environment server %s answers again", address);
+  if (server->state == State::kSlow) LogInfo("environment server %s is no longer slow", address);
+  server->state = State::kGood;
+  server->error = absl::OkStatus();
+  server->good_since = SteadyNow();
+}
+
+void ServerHealth::Postpone(absl::Duration first, Server* server) {
+  const absl::Time now = SteadyNow();
+  const bool is_first = server->pause == absl::ZeroDuration() ||
+                        (server->state == State::kGood && now - server->good_since > kForgiveAfter);
+  server->pause = is_first ? first : std::min(2 * server->pause, options_.last_pause);
   server->next_probe = now + server->pause;
+}
+
+void ServerHealth::BecomeSuspect(Server* server, const absl::Status& why) {
+  Postpone(options_.first_pause, server);
   if (server->state != State::kSuspect) {
     LogWarning("%s; not used until it answers a probe, the first one in %s", why.message(),
                absl::FormatDuration(server->pause));
@@ -138,24 +213,42 @@ bool ServerHealth::IsDue(Server* server) {
   const bool reachable = server->client->Reachable();
   const bool came_back = reachable && !server->was_reachable;
   server->was_reachable = reachable;
-  if (came_back) server->next_probe = std::min(server->next_probe, now);
+  if (server->state == State::kSlow && now - server->last_step < kInUse) return false;
+  if (came_back && server->state != State::kSlow) server->next_probe = std::min(server->next_probe, now);
   return reachable && now >= server->next_probe && now - server->last_probe >= kBetweenProbes;
 }
 
 void ServerHealth::Probe(const std::string& address, EnvClient* client) {
-  TakeResult(address, [&]() -> absl::Status {
-    CRAFTFLEET_RETURN_IF_ERROR(client->Connect(kConnectPatience));
-    std::string frames;
-    CRAFTFLEET_RETURN_IF_ERROR(client->Open({{0, 0, 1, ""}}, &frames));
-    CRAFTFLEET_RETURN_IF_ERROR(client->SendStep({0}, {Action::kNoop}, /*snapshot=*/true));
-    StepBatch batch;
-    CRAFTFLEET_RETURN_IF_ERROR(client->ReceiveStep(&batch));
-    client->Leave();
-    return absl::OkStatus();
-  }());
+  TakeResult(address, PlayProbe(client, IsSlow(address) ? StepTimes::kWindow : absl::ZeroDuration()));
 }
 
-void ServerHealth::TakeResult(const std::string& address, const absl::Status& result) {
+absl::StatusOr<absl::Duration> ServerHealth::PlayProbe(EnvClient* client, absl::Duration duration) {
+  CRAFTFLEET_RETURN_IF_ERROR(client->Connect(kConnectPatience));
+  std::string frames;
+  CRAFTFLEET_RETURN_IF_ERROR(client->Open({{0, 0, 1, ""}}, &frames));
+  absl::Duration total;
+  int64_t steps = 0;
+  StepBatch batch;
+  const absl::Time end = SteadyNow() + duration;
+  do {
+    if (steps > 0) absl::SleepFor(kBetweenSteps);
+    const absl::Time begun = SteadyNow();
+    CRAFTFLEET_RETURN_IF_ERROR(client->SendStep({0}, {Action::kNoop}, /*snapshot=*/true));
+    CRAFTFLEET_RETURN_IF_ERROR(client->ReceiveStep(&batch));
+    total += SteadyNow() - begun;
+    ++steps;
+  } while (SteadyNow() < end && !IsStopping());
+  client->Leave();
+  return total / steps;
+}
+
+bool ServerHealth::IsStopping() const {
+  const MutexLock lock(&mu_);
+  return stopping_;
+}
+
+void ServerHealth::TakeResult(const std::string& address, const absl::StatusOr<absl::Duration>& step_time) {
+  const absl::Status& result = step_time.status();
   const MutexLock lock(&mu_);
   Server& server = servers_.at(address);
   server.probing = false;
@@ -170,12 +263,12 @@ void ServerHealth::TakeResult(const std::string& address, const absl::Status& re
     // The server is gone. If suspect, it remains so and is probed as soon as there is a connection.
     server.was_reachable = false;
     server.next_probe = server.last_probe + std::max(server.pause, kBetweenProbes);
+  } else if (step_time.ok() && server.state == State::kSlow && step_times_.IsSlow(address, *step_time)) {
+    BecomeSlow(address, *step_time, &server);
+    Postpone(kFirstPauseOfSlow, &server);
   } else {
     // The server answers. If it answers with an error, the playing threads handle that.
-    if (server.state == State::kSuspect) LogInfo("environment server %s answers again", address);
-    server.state = State::kGood;
-    server.error = absl::OkStatus();
-    server.good_since = server.last_probe;
+    BecomeGood(address, &server);
   }
 }
 

@@ -1,4 +1,4 @@
-// Knows which environment servers answer; shared by all threads of an actor.
+// Knows which environment servers answer, and how fast; shared by all threads of an actor.
 
 #ifndef CRAFTFLEET_ACTOR_SERVER_HEALTH_H_
 #define CRAFTFLEET_ACTOR_SERVER_HEALTH_H_
@@ -6,14 +6,17 @@
 #include <cstddef>
 #include <map>
 #include <memory>
+#include <optional>
 #include <string>
 #include <thread>
 #include <vector>
 
 #include <absl/status/status.h>
+#include <absl/status/statusor.h>
 #include <absl/time/time.h>
 
 #include "actor/env_client.h"
+#include "actor/step_times.h"
 #include "common/base/mutex.h"
 #include "common/wire/channel.h"
 #include "craftfleet/v1/environment.pb.h"
@@ -22,11 +25,15 @@ namespace craftfleet {
 
 // A new or suspect server must answer a probe before games are opened on it: a whole session of one game and one step,
 // on its own thread, with a deadline for each request. After a failed probe, the next one follows after a pause, which
-// doubles each time, or as soon as there is a new connection. Thread-safe.
+// doubles each time, or as soon as there is a new connection.
+//
+// A slow server (StepTimes) gets games only if there is no other. It is probed for some seconds, so that trying it
+// again holds up no game, and must be as fast in them as the others. Thread-safe.
 class ServerHealth {
  public:
   static constexpr absl::Duration kFirstPause = absl::Seconds(2);
   static constexpr absl::Duration kLastPause = absl::Minutes(5);
+  static constexpr absl::Duration kFirstPauseOfSlow = absl::Seconds(10);
   // After answering for this long, a server starts with the first pause again.
   static constexpr absl::Duration kForgiveAfter = absl::Minutes(5);
   static constexpr size_t kMaxProbes = 16;  // at once
@@ -48,21 +55,32 @@ class ServerHealth {
   bool MayUse(const wire::Endpoint& server) ABSL_LOCKS_EXCLUDED(mu_);
   // Marks a server that missed a deadline or sent an invalid answer as suspect. `why` is logged.
   void Suspect(const wire::Endpoint& server, const absl::Status& why) ABSL_LOCKS_EXCLUDED(mu_);
-  // Why the server gets no games; ok: it answers, or is unknown.
+  // A step of the games on `server` took `time`.
+  void NoteStep(const wire::Endpoint& server, absl::Duration time) ABSL_LOCKS_EXCLUDED(mu_);
+  // Why the server gets no games, or only for want of another; ok: it answers, or is unknown.
   absl::Status ErrorOf(const std::string& address) const ABSL_LOCKS_EXCLUDED(mu_);
+  // Whether it answers, but slowly.
+  bool IsSlow(const std::string& address) const ABSL_LOCKS_EXCLUDED(mu_);
+  // Whether its games should move to any other server that has no error.
+  bool ShouldLeave(const std::string& address) const ABSL_LOCKS_EXCLUDED(mu_);
+  // The typical time of a step there (StepTimes); for a slow server, as last measured. nullopt: not known yet.
+  std::optional<absl::Duration> StepTimeOf(const std::string& address) const ABSL_LOCKS_EXCLUDED(mu_);
 
   // The timeout of each request to a server.
   absl::Duration timeout() const { return options_.timeout; }
 
  private:
-  enum class State { kNew, kGood, kSuspect };
+  enum class State { kNew, kGood, kSlow, kSuspect };
   struct Server {
     State state = State::kNew;
-    absl::Status error;                 // of a suspect
-    std::unique_ptr<EnvClient> client;  // for probes; null while it is good
-    bool was_reachable = false;         // when it was last checked
-    absl::Duration pause;               // before the next probe; zero: no recent failure
-    absl::Time next_probe;              // SteadyNow, as all times here
+    absl::Status error;                           // of a suspect or slow one
+    absl::Duration step_time;                     // of a slow one, when it was last measured
+    bool should_leave = false;                    // a slow one: others are faster, or not known
+    absl::Time last_step = absl::InfinitePast();  // of games, other than the probes'
+    std::unique_ptr<EnvClient> client;            // for probes; null while it is good
+    bool was_reachable = false;                   // when it was last checked
+    absl::Duration pause;                         // before the next probe; zero: no recent failure
+    absl::Time next_probe;                        // SteadyNow, as all times here
     absl::Time last_probe = absl::InfinitePast();
     absl::Time good_since = absl::InfiniteFuture();
     absl::Time asked_for;  // last call of MayUse
@@ -76,7 +94,15 @@ class ServerHealth {
   bool IsDue(Server* server) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
   // Runs a probe, on its own thread.
   void Probe(const std::string& address, EnvClient* client) ABSL_LOCKS_EXCLUDED(mu_);
-  void TakeResult(const std::string& address, const absl::Status& result) ABSL_LOCKS_EXCLUDED(mu_);
+  // Plays one game for `duration`, at least a step. Returns the mean time of a step.
+  absl::StatusOr<absl::Duration> PlayProbe(EnvClient* client, absl::Duration duration) ABSL_LOCKS_EXCLUDED(mu_);
+  void TakeResult(const std::string& address, const absl::StatusOr<absl::Duration>& step_time) ABSL_LOCKS_EXCLUDED(mu_);
+  void BecomeSlow(const std::string& address, absl::Duration step_time, Server* server)
+      ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
+  void BecomeGood(const std::string& address, Server* server) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
+  // Sets the time of the next probe; the pauses double, beginning with `first`.
+  void Postpone(absl::Duration first, Server* server) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
+  bool IsStopping() const ABSL_LOCKS_EXCLUDED(mu_);
   void BecomeSuspect(Server* server, const absl::Status& why) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
   // Creates the client for probes, if enough file descriptors are available.
   void Prepare(const wire::Endpoint& endpoint, Server* server) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
@@ -85,6 +111,7 @@ class ServerHealth {
   mutable Mutex mu_;
   CondVar changed_;
   std::map<std::string, Server> servers_ ABSL_GUARDED_BY(mu_);  // by address
+  StepTimes step_times_ ABSL_GUARDED_BY(mu_);                   // of servers with games
   size_t probes_ ABSL_GUARDED_BY(mu_) = 0;                      // under way
   bool changed_state_ ABSL_GUARDED_BY(mu_) = false;
   bool stopping_ ABSL_GUARDED_BY(mu_) = false;

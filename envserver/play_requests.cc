@@ -76,9 +76,9 @@ absl::StatusOr<std::unique_ptr<EnvServiceImpl::Games>> EnvServiceImpl::Greet(con
   CRAFTFLEET_RETURN_IF_ERROR(wire::CheckHandshake("environment server", ours, "actor", theirs));
   if (!hello.game_canary().empty() && hello.game_canary() != canary_) {
     return absl::FailedPreconditionError(absl::StrFormat(
-        "this environment server (build %s) plays another game than the run: canary %s, want %s; run the same build "
+        "this environment server (build %s) plays another game than the run: its canary is not %s; run the same build "
         "everywhere",
-        BuildId(), canary_, absl::CHexEscape(hello.game_canary().substr(0, 64))));
+        BuildId(), absl::CHexEscape(hello.game_canary().substr(0, 64))));
   }
   CRAFTFLEET_RETURN_IF_ERROR(wire::CheckText("client", hello.client()));
   CRAFTFLEET_RETURN_IF_ERROR(wire::CheckText("run_id", hello.run_id()));

@@ -10,6 +10,7 @@
 
 #include "common/base/printable.h"
 #include "common/base/status_macros.h"
+#include "common/wire/fragment_check.h"
 #include "common/wire/fragment_digest.h"
 #include "common/wire/grpc_status.h"
 #include "common/wire/request_check.h"
@@ -216,33 +217,50 @@ absl::Status LearnerServiceImpl::CheckAllowed(const grpc::ServerContextBase& con
 
 absl::StatusOr<v1::FragmentVerdict> LearnerServiceImpl::Receive(const grpc::ServerContextBase& context,
                                                                 v1::FragmentMessage* message) {
-  CRAFTFLEET_RETURN_IF_ERROR(NameActor(context, message->actor()));
+  CRAFTFLEET_RETURN_IF_ERROR(wire::CheckName("actor", message->actor()));
   v1::FragmentVerdict verdict;
   verdict.set_lane(message->lane());
   verdict.set_number(message->number());
-  const absl::StatusOr<v1::FragmentVerdict::Verdict> given = Intake(message);
+  const absl::StatusOr<v1::FragmentVerdict::Verdict> given = Intake(ClientOf(context), message);
   if (given.status().code() == absl::StatusCode::kInvalidArgument) {
     ++rejected_;
     verdict.set_verdict(v1::FragmentVerdict::REFUSED);
     const std::string refused = Printable(absl::StrFormat("fragment %d of lane %d of actor %s: %s", message->number(),
                                                           message->lane(), message->actor(), given.status().message()));
     verdict.set_reason(refused.substr(0, wire::kMaxReasonBytes));
-    WarnRefused(context, message->actor(), absl::StrFormat("fragment refused: %s", refused));
+    WarnRefused(context, absl::StrFormat("fragment refused: %s", refused));
     return verdict;
   }
-  CRAFTFLEET_RETURN_IF_ERROR(given.status());
+  if (!given.ok()) return LogRefusal(ClientOf(context), given.status());
   verdict.set_verdict(*given);
   return verdict;
 }
 
-absl::StatusOr<v1::FragmentVerdict::Verdict> LearnerServiceImpl::Intake(v1::FragmentMessage* message) {
-  if (message->epoch() != options_.epoch) {
+absl::StatusOr<LaneScheduler::Verdict> LearnerServiceImpl::Judge(const WorkerClient& client,
+                                                                 const v1::FragmentMessage& message) {
+  if (message.epoch() != options_.epoch) return LaneScheduler::Verdict::kExpired;
+  if (message.lane() < 0 || message.lane() >= options_.shape.lanes) {
+    return absl::InvalidArgumentError(absl::StrFormat("lane %d, want 0..%d", message.lane(), options_.shape.lanes - 1));
+  }
+  return registry_->Judge(client, message.actor(), {message.lane(), message.number(), message.policy_version()});
+}
+
+absl::StatusOr<v1::FragmentVerdict::Verdict> LearnerServiceImpl::Intake(const WorkerClient& client,
+                                                                        v1::FragmentMessage* message) {
+  // Before any work on its content.
+  CRAFTFLEET_ASSIGN_OR_RETURN(const LaneScheduler::Verdict judged, Judge(client, *message));
+  if (judged == LaneScheduler::Verdict::kExpired) {
     ++expired_;
     return v1::FragmentVerdict::EXPIRED;
   }
   std::string scenes = message->frame_format() == v1::FRAMES_SCENE ? message->frames() : "";
   CRAFTFLEET_RETURN_IF_ERROR(frames_.Draw(options_.shape.steps, message));
   CRAFTFLEET_ASSIGN_OR_RETURN(Fragment fragment, wire::FromProto(message, options_.shape));
+  if (const WeightStore::Weights played = weights_->Find(fragment.policy_version);
+      played.version == fragment.policy_version) {
+    CRAFTFLEET_RETURN_IF_ERROR(
+        wire::CheckValues(*message, static_cast<float>(played.values.low), static_cast<float>(played.values.high)));
+  }
   fragment.scenes = std::move(scenes);
   fragment.sender = message->actor();
   fragment.digest = wire::FragmentDigest(fragment);

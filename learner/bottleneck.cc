@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <optional>
 
 #include <absl/strings/str_cat.h>
 #include <absl/strings/str_format.h>
@@ -55,6 +56,16 @@ std::string LostServers(const FleetView& view) {
   return absl::StrFormat(" (%d of %d lost)", view.lost_env_servers, view.lost_env_servers + view.env_servers);
 }
 
+// That a server holds up the games of its actors; nothing where none does.
+std::optional<Bottleneck> SlowServer(const FleetView& view) {
+  if (view.slow_env_servers.empty()) return std::nullopt;
+  const size_t more = view.slow_env_servers.size() - 1;
+  return Bottleneck{"environment", absl::StrFormat("Environment server %s is slow%s: look for load, swapping or a full "
+                                                   "disk on its machine, or stop it.",
+                                                   view.slow_env_servers[0],
+                                                   more == 0 ? "" : absl::StrFormat(", as are %d more", more))};
+}
+
 // The share of the time in which the actors' threads play, rather than wait.
 double PlayingShare(const FleetView& view) {
   const ByActivity actors = view.actors_times.Normalized();
@@ -80,6 +91,7 @@ ByActivity FleetTimes(const FleetView& view) {
 
 Bottleneck FindBottleneck(const FleetView& view) {
   if (Bottleneck missing = WhatIsMissing(view); !missing.part.empty()) return missing;
+  if (const std::optional<Bottleneck> slow = SlowServer(view); slow.has_value()) return *slow;
   const ByActivity times = FleetTimes(view);
   if (view.early || view.learner.Sum() < kEnoughSeconds || times.Sum() == 0) {
     return {"none", "No iteration has ended yet: advice follows after the first one."};

@@ -77,7 +77,9 @@ void EvaluationPlanner::LogFinished(size_t below, const std::function<bool()>& s
       last_news = SteadyNow();
     } else if (SteadyNow() - last_news > kReportEvery) {
       last_news = SteadyNow();
-      LogInfo("waiting for actors to play %d evaluations", registry_->pending_evaluations());
+      const std::string played = registry_->WaitsFor();
+      LogInfo("waiting for actors to play %d evaluations%s%s", registry_->pending_evaluations(),
+              played.empty() ? "" : "; being played: ", played);
     }
   }
 }

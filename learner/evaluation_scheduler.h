@@ -19,6 +19,7 @@
 
 #include "common/base/clock.h"
 #include "common/base/types.h"
+#include "learner/overdue.h"
 
 namespace craftfleet {
 
@@ -41,15 +42,18 @@ struct FinishedEvaluation {
 
 // Decides which actor plays which evaluation task. Has no lock: WorkerRegistry calls it under its mutex.
 //
-// An evaluation consists of two tasks, one for each kind of episode. A task is leased like a permit: if its actor has
-// not reported it for its lease, the next actor that requests work gets it. So that an actor which only reports cannot
-// hold up a run, the task is also given to another actor after two minutes, or after four times the median of the times
-// that the last tasks have taken if that is more; this limit doubles each time. The first actor may still send its
-// result, and the first result counts.
+// An evaluation consists of two tasks, one for each kind of episode. A task is leased like a permit: if none of its
+// players has reported it for its lease, the next actor that requests work gets it. An overdue one (Overdue) is given
+// to one more actor, whatever its players report: of another client than these, or after `kPatience` to any. The first
+// result of an actor that got the task counts.
 //
 // Not thread-safe.
 class EvaluationScheduler {
  public:
+  static constexpr absl::Duration kLeast = absl::Seconds(30);    // no task is overdue earlier,
+  static constexpr absl::Duration kAtFirst = absl::Minutes(2);   // or this early if there are no results yet
+  static constexpr absl::Duration kPatience = absl::Seconds(2);  // longer than the time between two requests
+
   struct Task {
     int64_t id = 0;  // from 1
     int64_t first_episode = 1;
@@ -65,15 +69,19 @@ class EvaluationScheduler {
 
   // Task `id`, which `actor` reports to be playing (0: none), has a `lease` from now on; frees the actor's other tasks.
   void Renew(absl::string_view actor, int64_t id, absl::Duration lease);
-  // Assigns the oldest free task to `actor`, which has none, for a `lease`. Nothing: no task is free.
-  std::optional<Task> Take(absl::string_view actor, absl::Duration lease);
+  // Assigns the oldest task that is free or overdue to `actor` of `client` (WorkerClient::Name), which has none, for a
+  // `lease`. Nothing: there is none.
+  std::optional<Task> Take(absl::string_view actor, absl::Duration lease, absl::string_view client = "");
   // Whether `actor` has a task.
   bool IsPlaying(absl::string_view actor) const;
   // The weights (safetensors) to play task `id` with; nullptr: the task is over.
   std::shared_ptr<const std::string> Weights(int64_t id) const;
-  // Stores the result of task `id`; ignored if the task is over.
-  //   InvalidArgument: the number of episodes differs from the task's.
-  absl::Status Finish(int64_t id, absl::Span<const Episode> episodes);
+  // Stores the result of task `id`; ignored if the evaluation is over.
+  //   InvalidArgument: the number of episodes differs from the task's; or the task is over, with another result: names
+  //   both actors.   FailedPrecondition: `actor` does not have the task.
+  absl::Status Finish(absl::string_view actor, int64_t id, absl::Span<const Episode> episodes);
+  // The unfinished tasks that are being played, and by whom: "evaluation task 4 (actor a for 3m5s)".
+  std::vector<std::string> BeingPlayed() const;
 
   // Whether the oldest evaluation is finished.
   bool FrontFinished() const { return !entries_.empty() && entries_.front().finished(); }
@@ -85,12 +93,16 @@ class EvaluationScheduler {
   size_t pending() const { return entries_.size(); }  // their number
 
  private:
+  struct Player {
+    std::string actor;
+    std::string client;
+    absl::Time since;      // when it got the task
+    absl::Time lease_end;  // it may send its result even later
+  };
   struct Part {
-    std::string actor;  // plays it; empty: none
-    absl::Time lease_end;
-    absl::Time begun;               // when it was assigned to the actor
-    int moves = 0;                  // reassignments although the actor still reported it
+    std::vector<Player> players;    // in the order in which they got it
     std::vector<Episode> episodes;  // the result; empty until it is over
+    std::string sender;             // of the result
   };
   struct Entry {
     Evaluation evaluation;
@@ -103,15 +115,13 @@ class EvaluationScheduler {
   }
   // The index in entries_ of the evaluation with task `id`; entries_.size() if not found.
   size_t IndexOf(int64_t id) const;
-  // How long a task that moves for the first time must have been with its actor. A median, so that a few actors that
-  // dawdle over their results do not stretch it.
-  absl::Duration Patience() const;
+  static Player* FindPlayer(absl::string_view actor, Part* part);
   // Whether `part` may be assigned to `actor` at `now`.
-  bool IsFree(const Part& part, absl::string_view actor, absl::Time now) const;
+  bool IsFree(const Part& part, absl::string_view actor, absl::string_view client, absl::Time now) const;
 
   Clock* const clock_;
   std::deque<Entry> entries_;
-  std::deque<absl::Duration> times_;  // that the last tasks have taken, at most kMaxTimes
+  Overdue overdue_{kLeast, kAtFirst};
 };
 
 }  // namespace craftfleet

@@ -14,7 +14,8 @@ FleetView ViewFleet(const Work& trainer, const std::vector<WorkerRegistry::Glanc
   view.learner = trainer.times;
   view.early = trainer.times[Activity::kUpdate] == 0;  // times cover at least one whole iteration
   for (const WorkerRegistry::Glance& worker : workers) {
-    const bool ok = worker.health == Health::kOk;
+    const bool ok = worker.health == Health::kOk || worker.health == Health::kSlow;
+    if (worker.health == Health::kSlow) view.slow_env_servers.push_back(worker.name);
     if (worker.role == WorkerRole::kEnvServer) {
       view.env_servers += ok ? 1 : 0;
       view.drained_env_servers += ok && worker.drained ? 1 : 0;

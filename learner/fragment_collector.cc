@@ -99,8 +99,9 @@ absl::Status FragmentCollector::CollectUntil(const std::function<bool()>& is_com
       last_news = parts_.clock->Now();
     } else if (parts_.clock->Now() - last_news > kReportEvery) {
       last_news = parts_.clock->Now();
-      LogInfo("waiting for actors: %d of %d fragments have arrived, %d actors have joined", collected_.size(), wanted,
-              parts_.registry->Actors().size());
+      const std::string played = parts_.registry->WaitsFor();
+      LogInfo("waiting for actors: %d of %d fragments have arrived, %d actors have joined%s%s", collected_.size(),
+              wanted, parts_.registry->Actors().size(), played.empty() ? "" : "; being played: ", played);
     }
     CRAFTFLEET_RETURN_IF_ERROR(on_tick(collected_.size(), is_idle));
   }

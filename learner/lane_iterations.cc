@@ -15,7 +15,6 @@ void LaneScheduler::OpenIteration(int64_t last_fragment, int64_t policy_version)
     BeginLane(&lane);
     lane.last_fragment = last_fragment;
   }
-  ListAll();
 }
 
 void LaneScheduler::PublishVersion(int64_t policy_version) {
@@ -23,7 +22,6 @@ void LaneScheduler::PublishVersion(int64_t policy_version) {
   next_update_ = policy_version;
   BeginPermits();
   for (Lane& lane : lanes_) lane.last_fragment = std::numeric_limits<int64_t>::max();
-  ListAll();
 }
 
 std::optional<std::vector<Arrival>> LaneScheduler::TakeRollout() {
@@ -48,8 +46,6 @@ std::optional<std::vector<Arrival>> LaneScheduler::TakeRollout() {
 }
 
 void LaneScheduler::BeginPermits() {
-  lapsed_before_ = lapsed_;
-  times_.Clear();
   for (Lane& lane : lanes_) {
     if (!lane.permit.has_value()) lane.since = clock_->Now();
   }
@@ -92,7 +88,6 @@ void LaneScheduler::RewindIterations(int iterations) {
     if (iterations == 2) lane.start = std::move(lane.earlier_start);
     Rewind(&lane);
   }
-  ListAll();
 }
 
 }  // namespace craftfleet

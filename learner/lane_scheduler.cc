@@ -2,6 +2,8 @@
 
 #include <algorithm>
 #include <iterator>
+#include <set>
+#include <tuple>
 #include <utility>
 
 #include <absl/strings/str_cat.h>
@@ -9,6 +11,7 @@
 
 #include "common/base/check.h"
 #include "common/base/printable.h"
+#include "common/base/status_macros.h"
 #include "common/telemetry/log.h"
 
 namespace craftfleet {
@@ -20,7 +23,11 @@ constexpr int kMaxUnanswered = 3;
 }  // namespace
 
 LaneScheduler::LaneScheduler(const Options& options, std::vector<LaneRecord> lanes, Clock* clock)
-    : options_(options), clock_(clock), resets_(options.resets), drops_(clock) {
+    : options_(options),
+      clock_(clock),
+      resets_(options.resets),
+      overdue_(options.overdue, options.overdue_at_first),
+      drops_(clock) {
   CRAFTFLEET_CHECK(static_cast<int>(lanes.size()) == options.lanes);
   for (LaneRecord& record : lanes) {
     Lane& lane = lanes_.emplace_back();
@@ -35,7 +42,7 @@ void LaneScheduler::Add(const Worker* worker) {
   if (actor.number == 0) actor.number = ++last_actor_;
   actor.worker = worker;
   actor.capacity = options_.lanes;  // until it reports its own
-  CountCapacity(&actor);
+  shares_.reset();
   NoteLease(*worker);
 }
 
@@ -72,34 +79,20 @@ void LaneScheduler::Remove(ActorMap::iterator actor) {
   }
   for (const int l : std::vector<int>(actor->second.lanes.begin(), actor->second.lanes.end())) {
     SetHolder(&lanes_[l], nullptr);
-    List(&lanes_[l]);
   }
-  UncountCapacity(&actor->second);
+  shares_.reset();
   actors_.erase(actor);
   change_.all = true;
 }
 
 absl::StatusOr<LaneScheduler::Verdict> LaneScheduler::Accept(absl::string_view actor, const Permit& fragment,
                                                              const LaneSnapshot& snapshot, uint64_t digest) {
-  CRAFTFLEET_CHECK(fragment.lane >= 0 && fragment.lane < options_.lanes);
+  CRAFTFLEET_ASSIGN_OR_RETURN(const Verdict verdict, Judge(actor, fragment));
+  if (verdict == Verdict::kDuplicate) Compare(actor, fragment, digest);
+  if (verdict != Verdict::kAccepted) return verdict;
   Lane& lane = lanes_[fragment.lane];
-  if (fragment.fragment < lane.record.next_fragment) {
-    Compare(actor, fragment, digest);
-    return Verdict::kDuplicate;
-  }
   const auto sender = actors_.find(actor);
-  if (sender == actors_.end() || !IsPlayer(lane, &sender->second) || !lane.permit.has_value() ||
-      lane.permit->fragment != fragment.fragment) {
-    return Verdict::kExpired;
-  }
-  if (fragment.policy_version != lane.permit->policy_version) {
-    if (options_.max_staleness > 0) return Verdict::kExpired;  // of an earlier permit for this fragment
-    return absl::InvalidArgumentError(absl::StrFormat("policy_version %d for fragment %d of lane %d, want %d",
-                                                      fragment.policy_version, fragment.fragment, fragment.lane,
-                                                      lane.permit->policy_version));
-  }
   const SharedSnapshot shared(snapshot);
-  times_.Add(clock_->Now() - lane.since);
   EndPlayed(&lane, &sender->second);
   if (options_.max_staleness > 0) {
     if (StalenessOf(fragment.policy_version) > options_.max_staleness) {
@@ -112,9 +105,24 @@ absl::StatusOr<LaneScheduler::Verdict> LaneScheduler::Accept(absl::string_view a
   lane.record = {fragment.fragment + 1, shared, std::move(lane.record.snapshot), sender->first};
   lane.accepted.push_back({fragment.fragment, digest, sender->first});
   ++sender->second.fragments;
-  List(&lane);
   if (lane.IsOpen()) NoteOpened(lane, sender->second);
   return Verdict::kAccepted;
+}
+
+absl::StatusOr<LaneScheduler::Verdict> LaneScheduler::Judge(absl::string_view actor, const Permit& fragment) const {
+  CRAFTFLEET_CHECK(fragment.lane >= 0 && fragment.lane < options_.lanes);
+  const Lane& lane = lanes_[fragment.lane];
+  if (fragment.fragment < lane.record.next_fragment) return Verdict::kDuplicate;
+  const auto sender = actors_.find(actor);
+  if (sender == actors_.end() || !IsPlayer(lane, &sender->second) || !lane.permit.has_value() ||
+      lane.permit->fragment != fragment.fragment) {
+    return Verdict::kExpired;
+  }
+  if (fragment.policy_version == lane.permit->policy_version) return Verdict::kAccepted;
+  if (options_.max_staleness > 0) return Verdict::kExpired;  // of an earlier permit for this fragment
+  return absl::InvalidArgumentError(absl::StrFormat("policy_version %d for fragment %d of lane %d, want %d",
+                                                    fragment.policy_version, fragment.fragment, fragment.lane,
+                                                    lane.permit->policy_version));
 }
 
 void LaneScheduler::NoteOpened(const Lane& lane, const Actor& sender) {
@@ -128,7 +136,7 @@ void LaneScheduler::NoteOpened(const Lane& lane, const Actor& sender) {
 
 void LaneScheduler::Drop(const Permit& fragment, const std::string& actor) {
   ++dropped_;
-  drops_.Warn(actor,
+  drops_.Warn(actors_.at(actor).worker->client.Name(),
               absl::StrFormat("fragment %d of lane %d from actor %s is dropped and played again: its weights are %d "
                               "updates old, max_staleness is %d (dropped so far, of all actors: %d)",
                               fragment.fragment, fragment.lane, actor, StalenessOf(fragment.policy_version),
@@ -136,12 +144,14 @@ void LaneScheduler::Drop(const Permit& fragment, const std::string& actor) {
 }
 
 void LaneScheduler::EndPlayed(Lane* lane, Actor* sender) {
+  PauseLate(*lane, *sender);
+  for (const Player& player : lane->players) {
+    if (player.actor == sender) overdue_.Add(clock_->Now() - player.since);
+  }
   EndPermit(lane);
   SetHolder(lane, sender->worker->draining ? nullptr : sender);
-  lane->stalls = 0;
   lane->avoided = 0;
   lane->report.reset();
-  List(lane);
   EndPause(sender);
 }
 
@@ -220,7 +230,6 @@ void LaneScheduler::Reset(Lane* lane, absl::string_view reason) {
   ++resets_;
   lane->report.reset();
   lane->avoided = 0;
-  List(lane);
 }
 
 absl::StatusOr<LaneSnapshot> LaneScheduler::Snapshot(int lane, int64_t fragment) const {
@@ -240,7 +249,6 @@ bool LaneScheduler::SetPaused(bool paused) {
   paused_ = paused;
   // Time in the pause must not count as time unclaimed.
   for (Lane& lane : lanes_) lane.since = clock_->Now();
-  ListAll();
   change_.all = true;
   return before;
 }
@@ -249,14 +257,33 @@ void LaneScheduler::NoteDrain(absl::string_view actor_name) {
   const auto entry = actors_.find(actor_name);
   if (entry == actors_.end()) return;
   Actor* const actor = &entry->second;
-  CountCapacity(actor);
+  shares_.reset();
   change_.all = true;
   if (!actor->worker->draining) return;
   for (const int l : std::vector<int>(actor->lanes.begin(), actor->lanes.end())) {
     if (lanes_[l].permit.has_value()) continue;
     SetHolder(&lanes_[l], nullptr);
-    List(&lanes_[l]);
   }
+}
+
+bool LaneScheduler::IsPlayer(const Lane& lane, const Actor* actor) {
+  return std::any_of(lane.players.begin(), lane.players.end(),
+                     [actor](const Player& player) { return player.actor == actor; });
+}
+
+std::vector<LaneScheduler::Playing> LaneScheduler::BeingPlayed() const {
+  std::vector<Playing> playing;
+  for (const Lane& lane : lanes_) {
+    if (!lane.permit.has_value()) continue;
+    Playing& one = playing.emplace_back(Playing{*lane.permit, {}});
+    for (const Player& player : lane.players) {
+      one.actors.emplace_back(player.actor->worker->name, clock_->Now() - player.since);
+    }
+  }
+  std::stable_sort(playing.begin(), playing.end(), [](const Playing& a, const Playing& b) {
+    return a.actors.front().second > b.actors.front().second;
+  });
+  return playing;
 }
 
 int LaneScheduler::permits() const {
@@ -299,13 +326,21 @@ LaneScheduler::ActorInfo LaneScheduler::InfoOf(const ActorMap::value_type& entry
           actor.pause > absl::ZeroDuration()};
 }
 
+bool LaneScheduler::IsAcceptedFrom(absl::string_view actor, const Permit& fragment) const {
+  const std::deque<AcceptedFragment>& accepted = lanes_[fragment.lane].accepted;
+  return std::any_of(accepted.begin(), accepted.end(),
+                     [&](const AcceptedFragment& t) { return t.fragment == fragment.fragment && t.sender == actor; });
+}
+
 std::vector<Permit> LaneScheduler::Renew(absl::string_view actor_name, absl::Span<const Permit> active, int capacity) {
   Actor* const actor = &actors_.find(actor_name)->second;
-  actor->capacity = std::clamp(capacity, 0, options_.lanes);
-  CountCapacity(actor);
+  capacity = std::clamp(capacity, 0, options_.lanes);
+  if (std::exchange(actor->capacity, capacity) != capacity) shares_.reset();
+  std::set<std::tuple<int, int64_t, int64_t>> reported;
+  for (const Permit& permit : active) reported.emplace(permit.lane, permit.fragment, permit.policy_version);
   for (const int l : std::vector<int>(actor->permits.begin(), actor->permits.end())) {
     Lane& lane = lanes_[l];
-    if (std::find(active.begin(), active.end(), *lane.permit) != active.end()) continue;
+    if (reported.count({l, lane.permit->fragment, lane.permit->policy_version}) > 0) continue;
     Revoke(&lane, actor);
     actor->returned = clock_->Now();
     change_.all = true;
@@ -313,13 +348,46 @@ std::vector<Permit> LaneScheduler::Renew(absl::string_view actor_name, absl::Spa
   std::vector<Permit> lost;
   for (const Permit& permit : active) {
     const bool in_range = permit.lane >= 0 && permit.lane < options_.lanes;
-    // The permit of an accepted fragment is not lost: its verdict is on the way.
-    if (in_range && permit.fragment < lanes_[permit.lane].record.next_fragment) continue;
+    // The permit of a fragment that was accepted from this actor is not lost: its verdict is on the way.
+    if (in_range && IsAcceptedFrom(actor_name, permit)) continue;
     if (!in_range || !IsPlayer(lanes_[permit.lane], actor) || lanes_[permit.lane].permit != permit) {
       lost.push_back(permit);
     }
   }
   return lost;
+}
+
+void LaneScheduler::SetHolder(Lane* lane, Actor* actor) {
+  if (lane->holder == actor) return;
+  if (lane->holder != nullptr) lane->holder->lanes.erase(NumberOf(*lane));
+  if (actor != nullptr) actor->lanes.insert(NumberOf(*lane));
+  lane->holder = actor;
+  shares_.reset();
+}
+
+void LaneScheduler::EndPermit(Lane* lane) {
+  const int l = NumberOf(*lane);
+  for (const Player& player : lane->players) player.actor->permits.erase(l);
+  lane->players.clear();
+  lane->permit.reset();
+  lane->since = clock_->Now();
+  --playing_;
+}
+
+void LaneScheduler::Revoke(Lane* lane, Actor* actor) {
+  if (!IsPlayer(*lane, actor)) return;
+  if (lane->report.has_value() && IsIndependent(*lane->report, *actor)) ++lane->report->unanswered;
+  if (lane->players.size() == 1) {
+    EndPermit(lane);
+    SetHolder(lane, nullptr);
+    lane->since = absl::InfinitePast();  // free for any actor at once
+  } else {
+    actor->permits.erase(NumberOf(*lane));
+    std::vector<Player>& players = lane->players;
+    players.erase(std::find_if(players.begin(), players.end(), [&](const Player& p) { return p.actor == actor; }));
+    SetHolder(lane, players.front().actor);
+    lane->since = players.back().since;
+  }
 }
 
 }  // namespace craftfleet

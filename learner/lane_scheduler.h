@@ -1,4 +1,4 @@
-// Decides which actor plays which lane: permits, shares and backups.
+// Decides which actor plays which lane: permits and shares.
 
 #ifndef CRAFTFLEET_LEARNER_LANE_SCHEDULER_H_
 #define CRAFTFLEET_LEARNER_LANE_SCHEDULER_H_
@@ -22,7 +22,7 @@
 #include "common/base/clock.h"
 #include "common/base/types.h"
 #include "common/telemetry/limited_log.h"
-#include "learner/running_median.h"
+#include "learner/overdue.h"
 #include "learner/shared_snapshot.h"
 #include "learner/worker.h"
 
@@ -53,16 +53,12 @@ struct LaneRecord {
 // other actors, an actor that returns permits because it can't play them gets no new ones for `patience`.
 //
 // A permit lapses when its actor has sent no request for its lease, or for twice as long if no other actor sends
-// requests; the actor is then removed. A fragment is accepted at most once. Once permits have lapsed in an iteration,
-// an actor without work is also granted, as a backup, permits that another actor has had for `patience`. At most two
-// actors play a fragment; they produce the same bytes, and the first result counts. Without backups, an iteration's
-// last fragments would pass from one failing worker to the next. Fragments that are overdue compared with the others of
-// their iteration also get a backup, even if no permit has lapsed.
+// requests; the actor is then removed. A fragment is accepted at most once.
 //
-// A request renews the lease of the actor but not its permits; only progress renews those. A permit whose step count
-// has not grown for `progress` is revoked if another actor can play it. The time doubles with each revocation in a row
-// on a lane, so that slow agents can finish. The actor then gets no permits for 1 s, doubling up to 5 min, and after
-// that one at a time until it makes progress again.
+// A fragment that is overdue (Overdue) since it was last granted is also granted to an actor without work, whatever its
+// players report: of another client than its players, or after one more `patience` to any. All players produce the same
+// bytes, and the first result counts; the others are told that they have lost the permit. A player that was overdue
+// then gets no permits for 1 s, doubling up to 5 min, and after that one at a time until a fragment of its is accepted.
 //
 // A lane whose snapshot can't be restored is reset. If it has advanced in this iteration, it is reset to the beginning
 // of the iteration, so that the result does not change; otherwise to its previous snapshot, or to a new game if it has
@@ -76,9 +72,8 @@ struct LaneRecord {
 // to ask. Actors that get the lane to confirm a report, but neither play it nor report, must not keep a lane broken:
 // after three of them, the next report confirms.
 //
-// There may be ten thousand actors, most of whose requests change nothing. So no request looks at all actors or lanes:
-// lanes are listed by what may happen to them next, and lapsed leases are looked for when the first one may have
-// lapsed.
+// Most requests change nothing. So none looks at all actors: shares are computed when something has changed, and lapsed
+// leases are looked for when the first one may have lapsed.
 //
 // Not thread-safe.
 class LaneScheduler {
@@ -88,8 +83,9 @@ class LaneScheduler {
     absl::Duration lease = absl::Seconds(5);  // that actors have at least (Worker::lease)
     absl::Duration patience = absl::Seconds(1);
     absl::Duration comeback = absl::Seconds(2);  // lease left to an actor whose connection broke; at most `lease`
-    absl::Duration progress = absl::Seconds(20);
-    int resets = 0;  // initial value of resets(): lanes reset while loading
+    absl::Duration overdue = absl::Seconds(3);   // no fragment is overdue earlier,
+    absl::Duration overdue_at_first = absl::Seconds(20);  // or this early if none has been accepted yet
+    int resets = 0;                                       // initial value of resets(): lanes reset while loading
     // Asynchronous play: most versions between the weights of a fragment and those from which the update with it
     // starts; 0: play is synchronous.
     int max_staleness = 0;
@@ -104,7 +100,12 @@ class LaneScheduler {
     int64_t fragments = 0;  // number of accepted fragments
     absl::Duration idle;    // since its last request
     bool draining = false;
-    bool stalled = false;  // lost permits for lack of progress, and has made none since
+    bool late = false;  // others finished its fragments, and it has finished none since
+  };
+  // A fragment that is being played, and by whom.
+  struct Playing {
+    Permit permit;
+    std::vector<std::pair<std::string, absl::Duration>> actors;  // with the time since they got it
   };
 
   // `clock` outlives the scheduler.
@@ -121,10 +122,6 @@ class LaneScheduler {
   // The lease of `worker`, which was added, now ends earlier than before.
   void NoteLease(const Worker& worker);
 
-  // Records the progress that the actor reports: `steps` played of each of `active`; empty: no progress.
-  void NoteProgress(absl::string_view actor, absl::Span<const Permit> active, absl::Span<const int64_t> steps);
-  // Revokes permits without progress. Takes time only when one may have been without it for long enough.
-  void EndStalls();
   // Updates `actor`, which is known: it can play `capacity` lanes at once and reports the permits `active`. Frees its
   // other permits. Returns those of `active` that it has lost.
   std::vector<Permit> Renew(absl::string_view actor, absl::Span<const Permit> active, int capacity);
@@ -141,6 +138,10 @@ class LaneScheduler {
   //   InvalidArgument: the version of the weights is not the permit's.
   absl::StatusOr<Verdict> Accept(absl::string_view actor, const Permit& fragment, const LaneSnapshot& snapshot,
                                  uint64_t digest = 0);
+
+  // What Accept would say of a fragment of `actor`, before its content is known: kDuplicate for one that was accepted.
+  //   InvalidArgument: as Accept.
+  absl::StatusOr<Verdict> Judge(absl::string_view actor, const Permit& fragment) const;
 
   // Advances the lane by one fragment that an earlier start of the learner accepted. Returns false if the lane is at
   // another fragment. To be called before the first OpenIteration.
@@ -179,7 +180,9 @@ class LaneScheduler {
   // The number of outstanding permits, of all actors and of one.
   int permits() const;
   int PermitsOf(absl::string_view actor) const;
-  // The number of permits that lapsed or were revoked for lack of progress, since the start.
+  // The fragments that are being played.
+  std::vector<Playing> BeingPlayed() const;
+  // The number of permits that lapsed, or whose overdue fragments others finished, since the start.
   int64_t lapsed() const { return lapsed_; }
   // The number of resets of lanes because of invalid snapshots, since the start.
   int64_t resets() const { return resets_; }
@@ -202,21 +205,19 @@ class LaneScheduler {
     absl::Time returned = absl::InfinitePast();  // when it last returned permits
     int64_t number = 0;                          // unique, from 1
     int capacity = 0;                            // lanes it can play at once, as last reported
-    int counted_capacity = -1;                   // CapacityOf as counted in `capacities_`; -1: not counted
     std::set<int> lanes;                         // that it holds
-    std::set<int> open;                          // those of them that are open, as listed
-    std::set<int> permits;                       // lanes for which it has one, including backups
+    std::set<int> permits;                       // lanes for which it has one
     int64_t fragments = 0;
-    absl::Duration pause;  // length of the current or last pause for lack of progress; 0: it has progressed since
+    absl::Duration pause;  // length of the current or last pause for being late; 0: it has finished a fragment since
     absl::Time pause_end = absl::InfinitePast();
     int held() const { return static_cast<int>(lanes.size()); }
   };
   using ActorMap = std::map<std::string, Actor, std::less<>>;  // by name
 
-  // A player's progress with its fragment.
-  struct Pace {
-    int64_t steps = 0;  // as last reported
-    absl::Time grew;    // when `steps` last grew
+  // An actor that has a lane's permit.
+  struct Player {
+    Actor* actor = nullptr;
+    absl::Time since;  // when it got it
   };
   // An accepted fragment.
   struct AcceptedFragment {
@@ -233,15 +234,12 @@ class LaneScheduler {
   };
   struct Lane {
     LaneRecord record;
-    LaneRecord start;              // at the beginning of the current iteration
-    LaneRecord earlier_start;      // at the beginning of the one before
-    Actor* holder = nullptr;       // the actor with its game, if any
-    std::optional<Permit> permit;  // the outstanding permit of `holder`
-    Pace pace;                     // of `holder`
-    Actor* backup = nullptr;       // also plays the fragment, if any
-    Pace backup_pace;
-    absl::Time since;                       // when the permit was granted, or the lane became free
-    int stalls = 0;                         // permits revoked for lack of progress since the last fragment
+    LaneRecord start;                       // at the beginning of the current iteration
+    LaneRecord earlier_start;               // at the beginning of the one before
+    Actor* holder = nullptr;                // the actor with its game, if any
+    std::optional<Permit> permit;           // the outstanding one
+    std::vector<Player> players;            // who have it, in the order of their grants; the first is `holder`
+    absl::Time since;                       // when the permit was last granted, or the lane became free
     int64_t avoided = 0;                    // the number of the actor that failed to play it last; 0: none
     absl::Time avoided_until;               // others are preferred until then
     std::optional<Report> report;           // the first one on its current snapshot
@@ -250,12 +248,6 @@ class LaneScheduler {
     bool restored = false;                  // advanced by Restore since `start`
     int64_t last_fragment = 0;              // permits are for fragments before this one
     bool IsOpen() const { return !permit.has_value() && record.next_fragment < last_fragment; }
-
-    // How it is listed at present.
-    enum class List { kNone, kOpen, kOpenAndFree, kWithoutBackup };
-    List list = List::kNone;
-    absl::Time listed_since;
-    Actor* listed_holder = nullptr;  // of kOpen
   };
   // A fragment accepted for a rollout that is not taken yet.
   struct WaitingArrival {
@@ -276,19 +268,14 @@ class LaneScheduler {
   // The reason for which an actor may get a lane, strongest first.
   enum class Claim { kOwn, kSpare, kUnclaimed, kNone };
 
-  // Ends the pause of an actor that makes progress.
+  // Ends the pause of an actor, a fragment of which was accepted.
   void EndPause(Actor* actor);
-  // Pauses an actor that lost `permits` permits for lack of progress.
-  void PauseStalled(absl::string_view name, Actor* actor, int permits);
+  // Pauses those players of the lane for which its fragment was overdue when `sender` finished it.
+  void PauseLate(const Lane& lane, const Actor& sender);
   // The number of lanes that the actor may currently play at once.
   static int CapacityOf(const Actor& actor);
-  // Counts the actor's capacity, which may have changed.
-  void CountCapacity(Actor* actor);
-  void UncountCapacity(Actor* actor);
-  // When the player's permit is revoked, if it makes no progress until then.
-  absl::Time StallsAt(const Lane& lane, const Pace& pace) const;
-  bool IsStalled(const Lane& lane, const Actor* player, const Pace& pace) const;
-  // Whether another actor could play; or an actor of another client.
+  // Whether the actor could play now, and whether another one could; or an actor of another client.
+  bool CanPlay(const Actor& actor) const;
   bool HasOthers(const Actor& actor) const;
   bool HasOtherClients(const Actor& actor) const;
   // Whether the actor's word counts beside that of `report`.
@@ -309,48 +296,31 @@ class LaneScheduler {
   int64_t StalenessOf(int64_t policy_version) const;
   // Ends the permit of a fragment that `sender` has played, and leaves the lane to it.
   void EndPlayed(Lane* lane, Actor* sender);
+  // Whether the fragment, of this or the previous iteration, was accepted from `actor`.
+  bool IsAcceptedFrom(absl::string_view actor, const Permit& fragment) const;
   // Compares a duplicate with the accepted fragment.
   void Compare(absl::string_view actor, const Permit& fragment, uint64_t digest);
-  // The age at which a fragment is overdue.
-  absl::Duration Overdue() const;
   ActorMap::const_iterator Find(absl::string_view actor) const { return actors_.find(actor); }
   void Remove(ActorMap::iterator actor);
   ActorInfo InfoOf(const ActorMap::value_type& actor) const;
-  bool IsPausing(const Actor& actor) const;
-  // Grants fragments of other actors to `actor` as a backup.
-  std::vector<Permit> GrantBackup(Actor* actor, const Shares& shares);
-  // Lanes that `actor` may have the claim to, ascending: of a list, and more in a vector.
-  struct Candidates {
-    const std::set<int>* list;
-    std::vector<int> more;
-    // The first one after lane `after`; -1: none.
-    int Next(int after) const;
-  };
-  Candidates CandidatesFor(Claim claim, const Actor& actor, const Shares& shares, absl::Time now) const;
-  // The lanes in `list` that were listed longer than `age` ago, ascending.
-  static std::vector<int> OlderThan(const std::set<std::pair<absl::Time, int>>& list, absl::Duration age,
-                                    absl::Time now);
+  bool HasJustReturned(const Actor& actor) const;
+  // Grants overdue fragments of other actors to `actor`, which has no work.
+  std::vector<Permit> GrantOverdue(Actor* actor, const Shares& shares);
+  // Whether `actor` should get an overdue lane before others do.
+  bool IsPreferred(const Lane& lane, const Actor& actor) const;
   Claim ClaimOn(const Lane& lane, const Actor& actor, const Shares& shares, absl::Time now) const;
   bool IsAvoided(const Lane& lane, const Actor& actor, absl::Time now) const;
-  Shares FairShares() const;
-  static bool IsPlayer(const Lane& lane, const Actor* actor) { return lane.holder == actor || lane.backup == actor; }
+  const Shares& FairShares() const;
+  static bool IsPlayer(const Lane& lane, const Actor* actor);
   int NumberOf(const Lane& lane) const { return static_cast<int>(&lane - lanes_.data()); }
   void SetHolder(Lane* lane, Actor* actor);
-  // Notes that `actor` holds the lane, or no longer.
-  void NoteHeld(Actor* actor, int lane, bool holds);
-  // Notes that a lane of `actor` is listed as open, or no longer.
-  void NoteOpen(Actor* actor, int lane, bool is_open);
   // Counts a fragment of `actor` that is too old, and logs it at a limited rate.
   void Drop(const Permit& fragment, const std::string& actor);
-  // lane_lists.cc. Lists the lane by its present state; to be called after each change of its state.
-  void List(Lane* lane);
-  void ListAll();
-  void Unlist(Lane* lane);
   // Notes that a fragment of the lane, which `sender` has played, is open.
   void NoteOpened(const Lane& lane, const Actor& sender);
-  // Ends the lane's permit for both players.
+  // Ends the lane's permit for all players.
   void EndPermit(Lane* lane);
-  // Revokes the lane's permit from `actor`, if it has it; another player continues.
+  // Revokes the lane's permit from `actor`, if it has it; other players continue.
   void Revoke(Lane* lane, Actor* actor);
 
   const Options options_;
@@ -359,24 +329,14 @@ class LaneScheduler {
   Change change_;
   std::vector<Lane> lanes_;
   ActorMap actors_;
-  int64_t last_actor_ = 0;  // number
-  int playing_ = 0;         // lanes with a permit
-  // Lists of lanes: open ones that nobody holds; with the times since when, all open ones, and those with a permit but
-  // no backup.
-  std::set<int> open_and_free_;
-  std::set<std::pair<absl::Time, int>> open_;
-  std::set<std::pair<absl::Time, int>> without_backup_;
-  std::map<int, int> capacities_;  // number of actors by capacity
-  // By the number of lanes that they hold: the number of actors, from 1 lane, and those actors that hold an open one.
-  std::map<int, int> by_held_;
-  std::map<int, std::set<Actor*>> open_by_held_;
+  int64_t last_actor_ = 0;                // number
+  int playing_ = 0;                       // lanes with a permit
+  mutable std::optional<Shares> shares_;  // unset: to be computed, since actors, capacities or holders have changed
   absl::Time next_expiry_ = absl::InfiniteFuture();  // no lease expires before then
-  absl::Time next_stall_ = absl::InfinitePast();     // no permit is stalled before then
   int64_t lapsed_ = 0;
-  int64_t lapsed_before_ = 0;  // lapsed_ when the iteration was opened
   int64_t resets_;
   int64_t differing_ = 0;
-  RunningMedian times_;                 // durations of the iteration's fragments
+  Overdue overdue_;
   int64_t policy_version_ = 0;          // of new permits
   std::deque<WaitingArrival> waiting_;  // with max_staleness, in the order of arrival
   int64_t next_update_ = 0;             // version from which the update with the next rollout will start

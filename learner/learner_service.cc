@@ -20,7 +20,7 @@
 namespace craftfleet {
 namespace {
 
-constexpr size_t kLinesPerClient = 16;   // about workers, in the period of LimitedLog, whatever their names
+constexpr int kLinesPerClient = 16;      // about workers, in the period of LimitedLog, whatever their names
 constexpr int kMaxServersReported = 64;  // environment servers in one request of an actor
 
 Permit FromProto(const v1::Permit& message) { return {message.lane(), message.fragment(), message.policy_version()}; }
@@ -50,6 +50,7 @@ LearnerServiceImpl::LearnerServiceImpl(const Options& options, WorkerRegistry* r
       weights_(weights),
       fragments_(fragments),
       refusals_(&clock_),
+      worker_refusals_(&clock_, kLinesPerClient),
       streams_(options.max_streams_per_client) {
   registry_->SetObserver([this](absl::string_view actor) {
     if (actor.empty()) {
@@ -87,10 +88,8 @@ absl::Status LearnerServiceImpl::LogRefusal(const WorkerClient& client, absl::St
   return status;
 }
 
-void LearnerServiceImpl::WarnRefused(const grpc::ServerContextBase& context, absl::string_view worker,
-                                     absl::string_view text) {
-  const size_t key = std::hash<std::string>()(std::string(worker)) % kLinesPerClient;
-  refusals_.Warn(absl::StrCat("worker ", key, " of ", ClientOf(context).Name()), text);
+void LearnerServiceImpl::WarnRefused(const grpc::ServerContextBase& context, absl::string_view text) {
+  worker_refusals_.Warn(ClientOf(context).Name(), text);
 }
 
 template <typename Request, typename Reply>
@@ -133,7 +132,7 @@ absl::Status LearnerServiceImpl::Answer(const grpc::ServerContextBase& context, 
   const wire::Handshake ours = {wire::kProtocolVersion, options_.run_id, ""};
   const wire::Handshake theirs = {request.protocol_version(), request.run_id(), ""};
   if (absl::Status status = wire::CheckHandshake("learner", ours, "actor", theirs); !status.ok()) {
-    WarnRefused(context, request.actor(), absl::StrFormat("actor %s refused: %s", request.actor(), status.message()));
+    WarnRefused(context, absl::StrFormat("actor %s refused: %s", request.actor(), status.message()));
     return status;
   }
   absl::Status status = wire::CheckJoin(request);
@@ -143,7 +142,7 @@ absl::Status LearnerServiceImpl::Answer(const grpc::ServerContextBase& context, 
     status = LogRefusal(client, registry_->Join(client, request.actor(), request.address(),
                                                 {request.build(), request.canary(), request.cpu()}));
     if (status.code() == absl::StatusCode::kFailedPrecondition) {
-      WarnRefused(context, request.actor(), absl::StrFormat("refused %s", status.message()));
+      WarnRefused(context, absl::StrFormat("refused %s", status.message()));
     }
   }
   if (!status.ok()) return status;
@@ -161,9 +160,8 @@ absl::Status LearnerServiceImpl::Answer(const grpc::ServerContextBase& context, 
 absl::Status LearnerServiceImpl::CheckPermits(const grpc::ServerContextBase& context,
                                               const v1::PermitRequest& request) {
   CRAFTFLEET_RETURN_IF_ERROR(CheckEpoch(request.epoch()));
-  if (absl::Status status = wire::CheckPermitRequest(request, options_.shape.lanes, options_.shape.steps);
-      !status.ok()) {
-    WarnRefused(context, request.actor(),
+  if (absl::Status status = wire::CheckPermitRequest(request, options_.shape.lanes); !status.ok()) {
+    WarnRefused(context,
                 absl::StrFormat("request of actor %s refused: %s",
                                 Printable(request.actor().substr(0, wire::kMaxTextBytes)), status.message()));
     return status;
@@ -187,7 +185,6 @@ WorkerRegistry::PermitRequest LearnerServiceImpl::ToRequest(WorkerClient client,
   asked.client = std::move(client);
   asked.actor = request.actor();
   for (const v1::Permit& permit : request.active()) asked.active.push_back(FromProto(permit));
-  asked.steps.assign(request.active_steps().begin(), request.active_steps().end());
   for (const v1::LaneFailure& failure : request.failures()) {
     asked.failures.push_back({failure.lane(), failure.fragment(), failure.reason()});
   }
@@ -200,8 +197,7 @@ WorkerRegistry::PermitRequest LearnerServiceImpl::ToRequest(WorkerClient client,
   asked.summary = KeepSummary(request.summary());
   for (int i = 0; i < std::min(request.env_servers_size(), kMaxServersReported); ++i) {
     const v1::Peer& server = request.env_servers(i);
-    const bool valid = wire::CheckText("address", server.address()).ok() && wire::CheckSummary(server.summary()).ok();
-    if (valid) asked.servers.push_back(ToServerReport(server));
+    if (wire::CheckServerReport(server).ok()) asked.servers.push_back(ToServerReport(server));
   }
   return asked;
 }
@@ -235,7 +231,7 @@ absl::Status LearnerServiceImpl::Answer(const grpc::ServerContextBase& context, 
   const absl::Status status =
       episodes.ok() ? registry_->FinishEvaluation(request.actor(), request.id(), *episodes) : episodes.status();
   if (!status.ok()) {
-    WarnRefused(context, request.actor(),
+    WarnRefused(context,
                 absl::StrFormat("evaluation by actor %s refused: %s", request.actor(), status.message()));
   }
   return status;
@@ -256,7 +252,7 @@ absl::Status LearnerServiceImpl::Answer(const grpc::ServerContextBase& context, 
                                     {request.build(), request.canary(), /*cpu=*/""}, KeepSummary(request.summary())));
   }
   if (!status.ok() && !IsAboutNames(status)) {
-    WarnRefused(context, request.name(),
+    WarnRefused(context,
                 absl::StrFormat("environment server %s refused: %s", request.name(), status.message()));
   }
   if (!status.ok()) return status;

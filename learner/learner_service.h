@@ -104,16 +104,18 @@ class LearnerServiceImpl final : public v1::LearnerService::CallbackService {
   // Checks the fragment and passes it on. An invalid one is logged and counted.   Errors as UseName.   Cancelled: the
   // learner is stopping.
   absl::StatusOr<v1::FragmentVerdict> Receive(const grpc::ServerContextBase& context, v1::FragmentMessage* message);
-  // The same without the name.   InvalidArgument: a field is out of its range.
-  absl::StatusOr<v1::FragmentVerdict::Verdict> Intake(v1::FragmentMessage* message);
+  // Whether it is wanted.   Errors as WorkerRegistry::Judge.   InvalidArgument: also, no such lane.
+  absl::StatusOr<LaneScheduler::Verdict> Judge(const WorkerClient& client, const v1::FragmentMessage& message);
+  // As Receive, for a valid name.   InvalidArgument: a field is out of its range.
+  absl::StatusOr<v1::FragmentVerdict::Verdict> Intake(const WorkerClient& client, v1::FragmentMessage* message);
   WorkerClient ClientOf(const grpc::ServerContextBase& context) const;
   // Checks that the client may call as actor `name`.   InvalidArgument: `name` is not a valid name.   Others as
   // WorkerRegistry::UseName, logged.
   absl::Status NameActor(const grpc::ServerContextBase& context, absl::string_view name);
   // Logs `status` if the client was refused because of its name. Returns `status`.
   absl::Status LogRefusal(const WorkerClient& client, absl::Status status);
-  // Logs why a call that names `worker` was refused; few lines, however often a client calls, under whatever names.
-  void WarnRefused(const grpc::ServerContextBase& context, absl::string_view worker, absl::string_view text);
+  // Logs why a call that names a worker was refused; few lines, however often a client calls, under whatever names.
+  void WarnRefused(const grpc::ServerContextBase& context, absl::string_view text);
 
   const Options options_;
   const FragmentFrames frames_;
@@ -129,6 +131,7 @@ class LearnerServiceImpl final : public v1::LearnerService::CallbackService {
 
   RealClock clock_;
   LimitedLog refusals_;
+  LimitedLog worker_refusals_;
   wire::StreamWatch streams_;
   WaitingCalls waiting_for_permits_;
   WaitingCalls waiting_for_weights_;

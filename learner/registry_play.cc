@@ -83,13 +83,13 @@ absl::StatusOr<WorkerRegistry::PermitReply> WorkerRegistry::Complete(const Permi
   for (const ServerReport& server : request.servers) {
     if (!server.answers) NoteUnusable(server.address, actor);
     // A server of the registry that an actor can't reach has left, or reports itself.
-    if (!request.wants_servers || server.answers || server.hangs) NoteServer(server);
+    if (!request.wants_servers || server.answers || server.hangs || server.slow) NoteServer(server);
   }
   reply.finished = finished_;
   reply.resting = lanes_.paused() || actor->draining;
   reply.wait = PollInterval();
   if (request.evaluates && request.evaluation == 0 && !reply.resting) {
-    reply.evaluation = evaluations_.Take(request.actor, actor->lease);
+    reply.evaluation = evaluations_.Take(request.actor, actor->lease, actor->client.Name());
   }
   AddServerList(request, actor, &reply);
   return reply;
@@ -111,10 +111,8 @@ absl::StatusOr<std::vector<Permit>> WorkerRegistry::RenewPlay(const PermitReques
   if (actor != nullptr && clock_->Now() - actor->leased_from <= 2 * actor->lease) {
     actor->leased_from = clock_->Now();
     actor->lease = ActorLease();
-    lanes_.NoteProgress(request.actor, request.active, request.steps);
   }
   ExpireActors();
-  lanes_.EndStalls();
   absl::StatusOr<std::vector<Permit>> lost = NotKnown(request.actor);
   if (FindActor(request.actor) != nullptr) lost = lanes_.Renew(request.actor, request.active, request.capacity);
   WakeIfChanged();
@@ -129,6 +127,7 @@ absl::Duration WorkerRegistry::ActorLease() const { return options_.lanes.lease 
 
 void WorkerRegistry::RemoveActor(Worker* actor) {
   lanes_.Remove(actor->name);
+  evaluations_.Renew(actor->name, 0, absl::ZeroDuration());
   lists_.RemoveActor(actor->name);
   actor->active = false;
   WakeIfChanged();
@@ -160,6 +159,14 @@ void WorkerRegistry::WakeIfChanged() {
 std::vector<LaneScheduler::ActorInfo> WorkerRegistry::Actors() const {
   const MutexLock lock(&mu_);
   return lanes_.Actors();
+}
+
+absl::StatusOr<LaneScheduler::Verdict> WorkerRegistry::Judge(const WorkerClient& client, absl::string_view name,
+                                                             const Permit& fragment) {
+  const MutexLock lock(&mu_);
+  if (FindActor(name) == nullptr) return LaneScheduler::Verdict::kExpired;
+  CRAFTFLEET_RETURN_IF_ERROR(Own(WorkerRole::kActor, name, client).status());
+  return lanes_.Judge(name, fragment);
 }
 
 absl::StatusOr<LaneScheduler::Verdict> WorkerRegistry::Accept(absl::string_view name, const Permit& fragment,
@@ -293,7 +300,7 @@ absl::Status WorkerRegistry::FinishEvaluation(absl::string_view actor, int64_t t
                                               absl::Span<const Episode> episodes) {
   const MutexLock lock(&mu_);
   if (FindActor(actor) == nullptr) return NotKnown(actor);
-  absl::Status status = evaluations_.Finish(task, episodes);
+  absl::Status status = evaluations_.Finish(actor, task, episodes);
   evaluated_.NotifyAll();
   return status;
 }

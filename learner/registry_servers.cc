@@ -3,6 +3,7 @@
 #include <utility>
 
 #include "common/base/status_macros.h"
+#include "common/telemetry/log.h"
 #include "learner/worker_registry.h"
 
 namespace craftfleet {
@@ -77,6 +78,7 @@ void WorkerRegistry::NoteServer(const ServerReport& report) {
   const absl::Time now = clock_->Now();
   if (const auto placed = servers_.find(report.address); placed != servers_.end()) {
     if (report.hangs) placed->second->not_answering = now;
+    if (report.slow) NoteSlow(report.step_ms, placed->second);
     return;
   }
   Worker* server = Find(WorkerRole::kEnvServer, report.address);
@@ -93,9 +95,19 @@ void WorkerRegistry::NoteServer(const ServerReport& report) {
   }
   if (report.answers) server->last_seen = now;
   if (report.hangs) server->not_answering = now;
+  if (report.slow) NoteSlow(report.step_ms, server);
   if (report.summary == nullptr) return;
   server->summary = report.summary;
   server->summary_time = now;
+}
+
+void WorkerRegistry::NoteSlow(double step_ms, Worker* server) {
+  const absl::Time now = clock_->Now();
+  if (now - server->slow >= kRelayed) {
+    LogWarning("environment server %s is slow: a step takes %.0f ms", server->address, step_ms);
+  }
+  server->slow = now;
+  server->step_ms = step_ms;
 }
 
 void WorkerRegistry::NoteUnusable(const std::string& address, Worker* actor) {

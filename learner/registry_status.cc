@@ -5,12 +5,17 @@
 #include <utility>
 #include <vector>
 
+#include <absl/strings/str_cat.h>
+#include <absl/strings/str_format.h>
+#include <absl/strings/str_join.h>
+
 #include "learner/worker_registry.h"
 
 namespace craftfleet {
 namespace {
 
 constexpr absl::Duration kCurrent = absl::Seconds(10);  // age of a summary
+constexpr size_t kMaxNamed = 4;                         // fragments and tasks in a log line
 
 }  // namespace
 
@@ -35,7 +40,26 @@ WorkerRegistry::Glance WorkerRegistry::GlanceAt(const Worker& worker, const Work
     glance.drained = plays ? lanes_.PermitsOf(worker.name) == 0 : worker.empty;
   }
   if (info.health == Health::kOk && !info.summary_is_old) glance.summary = worker.summary;
+  if (info.health == Health::kSlow)
+    glance.name = absl::StrFormat("%s (%.0f ms a step)", worker.address, worker.step_ms);
   return glance;
+}
+
+std::string WorkerRegistry::WaitsFor() const {
+  const MutexLock lock(&mu_);
+  std::vector<std::string> waits;
+  for (const LaneScheduler::Playing& playing : lanes_.BeingPlayed()) {
+    waits.push_back(absl::StrFormat("fragment %d of lane %d (%s)", playing.permit.fragment, playing.permit.lane,
+                                    absl::StrJoin(playing.actors, ", ", [](std::string* out, const auto& actor) {
+                                      absl::StrAppendFormat(
+                                          out, "actor %s for %s", actor.first,
+                                          absl::FormatDuration(absl::Trunc(actor.second, absl::Seconds(1))));
+                                    })));
+  }
+  for (std::string& task : evaluations_.BeingPlayed()) waits.push_back(std::move(task));
+  const size_t more = waits.size() - std::min(waits.size(), kMaxNamed);
+  waits.resize(waits.size() - more);
+  return absl::StrCat(absl::StrJoin(waits, ", "), more == 0 ? "" : absl::StrFormat(" and %d more", more));
 }
 
 std::vector<WorkerRegistry::WorkerInfo> WorkerRegistry::Workers(size_t most, std::vector<Glance>* all) const {

@@ -50,7 +50,7 @@ absl::Status Trainer::Run() {
   start_ = parts_.clock->Now();
   status_.OnStart(parts_.folder->score());
   view_.OnStart(*parts_.folder, counters_.env_steps);
-  for (const Weights& weights : weights_) parts_.weights->Publish(weights.version, weights.bytes);
+  for (const Weights& weights : weights_) parts_.weights->Publish(weights.version, weights.bytes, RangeOf(weights));
   PublishWeights(first_version_);
   absl::Status status = counters_.iteration == 0 ? checkpoints_.Write() : absl::OkStatus();
   while (status.ok() && has_steps_left()) {
@@ -151,6 +151,10 @@ absl::StatusOr<std::vector<Fragment>> Trainer::Collect() {
   return is_asynchronous() ? collector_.CollectRollout(wanted, on_tick) : collector_.Collect(wanted, on_tick);
 }
 
+ValueRange Trainer::RangeOf(const Weights& weights) const {
+  return config_.ppo().value_norm_decay() > 0 ? weights.value_scale.Outputs() : ValueRange();
+}
+
 ValueScale Trainer::ScaleOf(int64_t policy_version) const {
   const auto found = std::find_if(weights_.begin(), weights_.end(),
                                   [&](const Weights& weights) { return weights.version == policy_version; });
@@ -231,7 +235,7 @@ void Trainer::PublishWeights(int64_t version) {
   weights_.push_back({version, std::make_shared<const std::string>(parts_.updater->SaveWeights()),
                       parts_.updater->rollout_options().value_scale});
   if (weights_.size() > static_cast<size_t>(KeptVersions(config_))) weights_.pop_front();
-  parts_.weights->Publish(version, weights_.back().bytes);
+  parts_.weights->Publish(version, weights_.back().bytes, RangeOf(weights_.back()));
   counters_.policy_version = version;
 }
 

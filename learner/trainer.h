@@ -123,6 +123,8 @@ class Trainer {
   absl::StatusOr<std::vector<Fragment>> Collect();
   // The scale of the values that the weights `policy_version`, which may still play, predict.
   ValueScale ScaleOf(int64_t policy_version) const;
+  // What fragments that were played with these weights may have as values.
+  ValueRange RangeOf(const Weights& weights) const;
   // Updates the weights with the iteration's fragments, which are in order. On an error nothing changes.
   absl::StatusOr<UpdateStats> Learn(const std::vector<Fragment>& fragments);
   // Drops `fragments`, whose update failed, so that they are played again. Returns `error` at the second failure in a

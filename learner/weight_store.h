@@ -12,6 +12,7 @@
 #include <utility>
 
 #include "common/base/mutex.h"
+#include "learner/value_range.h"
 
 namespace craftfleet {
 
@@ -21,16 +22,19 @@ class WeightStore {
   struct Weights {
     int64_t version = -1;                      // -1: none published yet
     std::shared_ptr<const std::string> bytes;  // safetensors
+    ValueRange values;                         // of fragments played with them
   };
 
   // `kept`: 1 or more.
   explicit WeightStore(size_t kept = 1) : kept_(kept) {}
 
-  // Publishes `bytes` (safetensors). `version` must grow from call to call.
-  void Publish(int64_t version, std::shared_ptr<const std::string> bytes) ABSL_LOCKS_EXCLUDED(mu_) {
+  // Publishes `bytes` (safetensors). `version` must grow from call to call. `values`: what fragments played with them
+  // may have.
+  void Publish(int64_t version, std::shared_ptr<const std::string> bytes, const ValueRange& values = {})
+      ABSL_LOCKS_EXCLUDED(mu_) {
     const MutexLock lock(&mu_);
     if (newest_.size() == kept_) newest_.pop_front();
-    newest_.push_back({version, std::move(bytes)});
+    newest_.push_back({version, std::move(bytes), values});
     if (observer_ != nullptr) observer_();
   }
 

@@ -71,9 +71,11 @@ struct Worker {
   absl::Time last_seen = absl::InfinitePast();   // last report by itself or, for a server, by an actor that reaches it
   absl::Time own_report = absl::InfinitePast();  // last report by itself
   absl::Time not_answering =
-      absl::InfinitePast();  // environment server: last time an actor reported that it does not answer
-  bool reported = false;     // environment server: recorded because an actor reported it
-  bool left = false;         // has reported that it leaves
+      absl::InfinitePast();                // environment server: last time an actor reported that it does not answer
+  absl::Time slow = absl::InfinitePast();  // environment server: last time an actor reported that it is slow
+  double step_ms = 0;                      // then: typical time of a step there
+  bool reported = false;                   // environment server: recorded because an actor reported it
+  bool left = false;                       // has reported that it leaves
   std::shared_ptr<const v1::ProcessSummary> summary;  // the last one; null: none
   absl::Time summary_time = absl::InfinitePast();
 

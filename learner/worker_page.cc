@@ -32,12 +32,15 @@ std::string StateOf(const WorkerRegistry::WorkerInfo& info, bool allow_mixed) {
                             info.group < info.servers && info.group > 0
                                 ? absl::StrFormat(", %d of %d servers", info.group, info.servers)
                                 : "",
-                            info.play->stalled ? ", makes no progress" : "",
+                            info.play->late ? ", late: others finish its fragments" : "",
                             !worker.draining          ? ""
                             : info.play->permits == 0 ? ", drained"
                                                       : ", draining");
   } else if (worker.role == WorkerRole::kEnvServer && worker.active && worker.draining) {
     state = worker.empty ? "drained" : "draining";
+  }
+  if (info.health == WorkerRegistry::Health::kSlow) {
+    absl::StrAppendFormat(&state, "%sslow: %.0f ms a step", state.empty() ? "" : ", ", worker.step_ms);
   }
   if (worker.mismatch.has_value()) {
     absl::StrAppend(&state, state.empty() ? "" : "; ", allow_mixed ? "mixed" : "refused", ": another canary, build ",
@@ -66,6 +69,8 @@ v1::Peer::Health ToProto(WorkerRegistry::Health health) {
       return v1::Peer::LEFT;
     case WorkerRegistry::Health::kNotAnswering:
       return v1::Peer::NOT_ANSWERING;
+    case WorkerRegistry::Health::kSlow:
+      return v1::Peer::SLOW;
   }
   return v1::Peer::HEALTH_UNSPECIFIED;
 }
@@ -81,8 +86,13 @@ std::shared_ptr<const v1::ProcessSummary> KeepSummary(const v1::ProcessSummary& 
 }
 
 WorkerRegistry::ServerReport ToServerReport(const v1::Peer& server) {
-  return {server.address(), server.health() == v1::Peer::OK, server.health() == v1::Peer::NOT_ANSWERING,
-          KeepSummary(server.summary())};
+  const bool slow = server.health() == v1::Peer::SLOW;
+  return {server.address(),
+          server.health() == v1::Peer::OK || slow,
+          server.health() == v1::Peer::NOT_ANSWERING,
+          KeepSummary(server.summary()),
+          slow,
+          server.step_ms()};
 }
 
 std::vector<WorkerRegistry::Glance> AddWorkers(const WorkerRegistry& registry, v1::StatusReply* reply) {
@@ -94,11 +104,13 @@ std::vector<WorkerRegistry::Glance> AddWorkers(const WorkerRegistry& registry, v
     peer->set_address(info.worker.address);
     peer->set_health(ToProto(info.health));
     peer->set_last_seen_s(absl::ToDoubleSeconds(info.silent));
+    if (info.health == WorkerRegistry::Health::kSlow) peer->set_step_ms(info.worker.step_ms);
     if (std::string state = StateOf(info, registry.allow_mixed()); !state.empty()) peer->set_state(std::move(state));
     if (const v1::Peer::Drain drain = DrainOf(info); drain != v1::Peer::NO_DRAIN) peer->set_drain(drain);
     if (info.refused) continue;
     if (info.worker.summary != nullptr) *peer->mutable_summary() = *info.worker.summary;
-    if (info.health != WorkerRegistry::Health::kOk || info.summary_is_old) ClearPresentWork(peer->mutable_summary());
+    const bool answers = info.health == WorkerRegistry::Health::kOk || info.health == WorkerRegistry::Health::kSlow;
+    if (!answers || info.summary_is_old) ClearPresentWork(peer->mutable_summary());
   }
   wire::AddMetric("workers_mixed", static_cast<double>(registry.mixed()), reply);
   return all;

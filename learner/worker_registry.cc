@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <iterator>
 
+#include <absl/strings/str_cat.h>
 #include <absl/strings/str_format.h>
 #include <absl/strings/str_join.h>
 
@@ -47,10 +48,20 @@ Worker* WorkerRegistry::FindActor(absl::string_view name) {
 
 absl::StatusOr<Worker*> WorkerRegistry::FindActive(absl::string_view name_or_address) {
   std::vector<std::string> names;
+  std::vector<Worker*> there;  // workers say themselves at which address they are
   for (auto& [key, worker] : workers_) {
     if (!worker.active) continue;
-    if (worker.name == name_or_address || worker.address == name_or_address) return &worker;
+    if (worker.name == name_or_address) return &worker;
+    if (worker.address == name_or_address) there.push_back(&worker);
     names.push_back(worker.name);
+  }
+  if (there.size() == 1) return there[0];
+  if (there.size() > 1) {
+    return absl::NotFoundError(absl::StrFormat("%d workers say that they are at %s: name one of %s", there.size(),
+                                               name_or_address,
+                                               absl::StrJoin(there, ", ", [](std::string* out, const Worker* worker) {
+                                                 absl::StrAppend(out, worker->name);
+                                               })));
   }
   return absl::NotFoundError(absl::StrFormat(
       "no worker \"%s\" has joined or registered; there are: %s", name_or_address,
@@ -186,6 +197,7 @@ absl::Status WorkerRegistry::CheckBuild(const WorkerBuild& build, Worker* worker
 WorkerRegistry::Health WorkerRegistry::HealthOf(const Worker& worker, absl::Time now) const {
   if (worker.left) return Health::kLeft;
   if (now - worker.not_answering < kRelayed) return Health::kNotAnswering;
+  if (now - worker.slow < kRelayed) return Health::kSlow;
   // A server that is silent is shown as lost before it is no longer listed.
   const absl::Duration lease = worker.role == WorkerRole::kActor ? worker.lease : worker.lease * 5 / 8;
   const absl::Duration silence = worker.own_report == kNever ? kRelayed : std::max(options_.lanes.lease, lease);
@@ -209,11 +221,11 @@ absl::Status WorkerRegistry::UseName(WorkerRole role, absl::string_view name, co
 absl::Status WorkerRegistry::Leave(const WorkerClient& client, WorkerRole role, absl::string_view name,
                                    absl::string_view address) {
   const MutexLock lock(&mu_);
+  if (Find(role, name) == nullptr) return absl::OkStatus();
   CRAFTFLEET_ASSIGN_OR_RETURN(Worker* const worker, Own(role, name, client));
   if (role == WorkerRole::kEnvServer) CRAFTFLEET_RETURN_IF_ERROR(CheckAddress(name, address, client));
   if (role == WorkerRole::kActor) {
     RemoveActor(worker);
-    evaluations_.Renew(name, 0, absl::ZeroDuration());
   } else {
     RemoveServer(worker);
   }

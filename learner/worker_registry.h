@@ -83,13 +83,14 @@ class WorkerRegistry {
     bool answers = false;                               // the actor reaches it
     bool hangs = false;                                 // it is connected but does not answer
     std::shared_ptr<const v1::ProcessSummary> summary;  // null: none
+    bool slow = false;                                  // it answers, but slowly
+    double step_ms = 0;                                 // then: typical time of a step there
   };
   struct PermitRequest {
     WorkerClient client;
     int64_t stream = 0;  // that it came on; later streams have larger numbers
     std::string actor;
     std::vector<Permit> active;  // held by the actor
-    std::vector<int64_t> steps;  // played so far of each of `active`; empty: no progress
     std::vector<LaneFailure> failures;
     int capacity = 0;                                   // lanes it can play at once
     absl::Duration wait;                                // longest time to wait for permits
@@ -117,13 +118,14 @@ class WorkerRegistry {
     absl::Duration idle;  // since its last report
     bool draining = false;
   };
-  enum class Health { kOk, kLost, kLeft, kNotAnswering };
+  enum class Health { kOk, kLost, kLeft, kNotAnswering, kSlow };
   // A worker as sums over the fleet need it.
   struct Glance {
     WorkerRole role = WorkerRole::kActor;
     Health health = Health::kOk;
     bool drained = false;                                         // has no work left, or gets none
     std::shared_ptr<const v1::ProcessSummary> summary = nullptr;  // null: none, or its figures are outdated
+    std::string name = "";                                        // of a slow server, with its step time
   };
   // A worker as status pages show it.
   struct WorkerInfo {
@@ -198,12 +200,19 @@ class WorkerRegistry {
   std::vector<Server> Servers() ABSL_LOCKS_EXCLUDED(mu_);
   // The canary that actors require of environment servers; empty: any.
   std::string GameCanary() const ABSL_LOCKS_EXCLUDED(mu_);
+  // What the run waits for: the fragments and evaluation tasks that are being played, the oldest first, and by whom.
+  // For log lines.
+  std::string WaitsFor() const ABSL_LOCKS_EXCLUDED(mu_);
   // As BuildCheck::differing.
   int64_t mixed() const ABSL_LOCKS_EXCLUDED(mu_);
   bool allow_mixed() const { return options_.build.allow_mixed; }
 
   // -- Lanes: see the methods of LaneScheduler with the same names.
 
+  // Judge for a fragment that `client` sends as `actor`; kExpired unless that actor has joined.   Errors also as
+  // UseName, but no name becomes the client's.
+  absl::StatusOr<LaneScheduler::Verdict> Judge(const WorkerClient& client, absl::string_view actor,
+                                               const Permit& fragment) ABSL_LOCKS_EXCLUDED(mu_);
   absl::StatusOr<LaneScheduler::Verdict> Accept(absl::string_view actor, const Permit& fragment,
                                                 const LaneSnapshot& snapshot, uint64_t digest = 0)
       ABSL_LOCKS_EXCLUDED(mu_);
@@ -302,6 +311,8 @@ class WorkerRegistry {
   void RemoveServer(Worker* server) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
   // Lets groups have `server` if it is listed, or no longer.
   void ListServer(const Worker& server) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
+  // An actor has reported that `server` is slow.
+  void NoteSlow(double step_ms, Worker* server) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
   void AddServerList(const PermitRequest& request, Worker* actor, PermitReply* reply)
       ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
   void ExpireServers() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
@@ -309,7 +320,7 @@ class WorkerRegistry {
   void ExpireServersSometimes() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
 
   // registry_play.cc: permits and evaluations.
-  // Makes `actor` inactive and frees its permits.
+  // Makes `actor` inactive and frees its permits and evaluations.
   void RemoveActor(Worker* actor) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
   void ExpireActors() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
   // The parts of GetPermits. Notes failures and renews the actor's lease, permits and evaluation.   Errors as

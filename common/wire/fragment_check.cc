@@ -5,6 +5,7 @@
 #include <absl/strings/str_format.h>
 
 #include "common/base/status_macros.h"
+#include "common/base/types.h"
 #include "common/io/snapshot_envelope.h"
 #include "common/wire/protocol.h"
 
@@ -43,6 +44,32 @@ absl::Status CheckRewards(const Floats& rewards) {
   return CheckRange("rewards", rewards, static_cast<float>(kMinStepReward), static_cast<float>(kMaxStepReward));
 }
 
+absl::Status CheckValues(const v1::FragmentMessage& message, float low, float high) {
+  CRAFTFLEET_RETURN_IF_ERROR(CheckRange("values", message.values(), low, high));
+  CRAFTFLEET_RETURN_IF_ERROR(CheckRange("truncation_values", message.truncation_values(), low, high));
+  if (message.bootstrap_value() >= low && message.bootstrap_value() <= high) return absl::OkStatus();
+  return absl::InvalidArgumentError(
+      absl::StrFormat("bootstrap_value: %g, want %g..%g", message.bootstrap_value(), low, high));
+}
+
+absl::Status CheckRewardSums(const v1::FragmentMessage& message) {
+  // An episode that began before the fragment may begin it with any health, and regain all of it.
+  constexpr double kHighest = kMaxEpisodeReward - kMinEpisodeReward;
+  constexpr double kRounding = 1e-3;  // of as many floats
+  double sum = 0;
+  for (int t = 0; t < message.rewards_size(); ++t) {
+    sum += double{message.rewards(t)};
+    const bool ends = t + 1 == message.rewards_size() || message.ends()[t] != static_cast<char>(StepEnd::kNone);
+    if (!ends) continue;
+    if (!(sum >= kMinEpisodeReward - kRounding && sum <= kHighest + kRounding)) {
+      return absl::InvalidArgumentError(absl::StrFormat("rewards: those up to step %d add up to %g, want %g..%g", t,
+                                                        sum, kMinEpisodeReward, kHighest));
+    }
+    sum = 0;
+  }
+  return absl::OkStatus();
+}
+
 absl::Status CheckFragmentValues(const v1::FragmentMessage& message, const FragmentShape& shape) {
   for (const auto& [field, count] : {std::pair("epoch", message.epoch()), std::pair("number", message.number()),
                                      std::pair("policy_version", message.policy_version())}) {
@@ -51,13 +78,9 @@ absl::Status CheckFragmentValues(const v1::FragmentMessage& message, const Fragm
     }
   }
   CRAFTFLEET_RETURN_IF_ERROR(CheckRange("log_probs", message.log_probs(), kMinLogProb, 0));
-  CRAFTFLEET_RETURN_IF_ERROR(CheckRange("values", message.values(), -kMaxValue, kMaxValue));
+  CRAFTFLEET_RETURN_IF_ERROR(CheckValues(message, -kMaxValue, kMaxValue));
   CRAFTFLEET_RETURN_IF_ERROR(CheckRewards(message.rewards()));
-  CRAFTFLEET_RETURN_IF_ERROR(CheckRange("truncation_values", message.truncation_values(), -kMaxValue, kMaxValue));
-  if (!(std::abs(message.bootstrap_value()) <= kMaxValue)) {
-    return absl::InvalidArgumentError(
-        absl::StrFormat("bootstrap_value: %g, want %g..%g", message.bootstrap_value(), -kMaxValue, kMaxValue));
-  }
+  CRAFTFLEET_RETURN_IF_ERROR(CheckRewardSums(message));
   CRAFTFLEET_RETURN_IF_ERROR(CheckStates("states", message.states(), shape.hidden, shape.max_length));
   CRAFTFLEET_RETURN_IF_ERROR(CheckStates("last_state", message.last_state(), shape.hidden, shape.max_length));
   if (message.snapshot().empty()) {

@@ -47,6 +47,12 @@ absl::Status CheckFragmentValues(const v1::FragmentMessage& message, const Fragm
 absl::Status CheckStates(absl::string_view field, const google::protobuf::RepeatedField<float>& states, int hidden,
                          int64_t max_length);
 
+// Checks the outputs of the value head in a fragment: values, truncation_values and bootstrap_value.
+absl::Status CheckValues(const v1::FragmentMessage& message, float low, float high);
+
+// Checks that the rewards of each episode's steps in a fragment add up to what a game can give.
+absl::Status CheckRewardSums(const v1::FragmentMessage& message);
+
 // Checks each reward against the range of a step (common/base/crafter.h).
 absl::Status CheckRewards(const google::protobuf::RepeatedField<float>& rewards);
 

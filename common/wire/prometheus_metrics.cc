@@ -66,6 +66,7 @@ void AddFleet(const v1::StatusReply& status, Families* families) {
     families->Add("workers", workers[{worker, v1::Peer::LOST}], {{"worker", worker}, {"state", "lost"}});
     families->Add("workers", workers[{worker, v1::Peer::NOT_ANSWERING}],
                   {{"worker", worker}, {"state", "not_answering"}});
+    families->Add("workers", workers[{worker, v1::Peer::SLOW}], {{"worker", worker}, {"state", "slow"}});
   }
 }
 

@@ -16,7 +16,8 @@ constexpr int kMaxThreads = 1 << 16;
 constexpr int kMaxActivities = 16;
 constexpr size_t kMaxActivityBytes = 32;
 constexpr size_t kMaxGpuNameBytes = 96;
-constexpr double kMaxShare = 1.001;  // 1, with room for rounding
+constexpr double kMaxStepMs = 3.6e6;  // an hour: the longest --env_timeout
+constexpr double kMaxShare = 1.001;   // 1, with room for rounding
 
 absl::Status CheckCount(absl::string_view field, int64_t count, int64_t low, int64_t high) {
   if (count >= low && count <= high) return absl::OkStatus();
@@ -38,21 +39,13 @@ absl::Status CheckLane(absl::string_view field, int lane, int lanes) {
   return absl::InvalidArgumentError(absl::StrFormat("%s: lane %d, want 0..%d", field, lane, lanes - 1));
 }
 
-absl::Status CheckActive(const v1::PermitRequest& request, int lanes, int steps) {
+absl::Status CheckActive(const v1::PermitRequest& request, int lanes) {
   // Twice: while the verdict on a fragment is in transit, the actor may hold the next permit of the lane.
   CRAFTFLEET_RETURN_IF_ERROR(CheckCount("active permits", request.active_size(), 0, 2 * int64_t{lanes}));
   for (const v1::Permit& permit : request.active()) {
     CRAFTFLEET_RETURN_IF_ERROR(CheckLane("active", permit.lane(), lanes));
     CRAFTFLEET_RETURN_IF_ERROR(CheckCount("active.fragment", permit.fragment(), 0, kMaxCount));
     CRAFTFLEET_RETURN_IF_ERROR(CheckCount("active.policy_version", permit.policy_version(), 0, kMaxCount));
-  }
-  // An empty list means no progress.
-  if (request.active_steps_size() != 0 && request.active_steps_size() != request.active_size()) {
-    return absl::InvalidArgumentError(absl::StrFormat("active_steps: %d numbers for %d active permits, want as many",
-                                                      request.active_steps_size(), request.active_size()));
-  }
-  for (const int64_t played : request.active_steps()) {
-    CRAFTFLEET_RETURN_IF_ERROR(CheckCount("active_steps", played, 0, steps));
   }
   return absl::OkStatus();
 }
@@ -72,13 +65,13 @@ absl::Status CheckJoin(const v1::JoinRequest& request) {
   return CheckText("canary", request.canary());
 }
 
-absl::Status CheckPermitRequest(const v1::PermitRequest& request, int lanes, int steps) {
+absl::Status CheckPermitRequest(const v1::PermitRequest& request, int lanes) {
   CRAFTFLEET_RETURN_IF_ERROR(CheckName("actor", request.actor()));
   CRAFTFLEET_RETURN_IF_ERROR(CheckCount("capacity", request.capacity(), 0, kMaxGames));
   CRAFTFLEET_RETURN_IF_ERROR(CheckCount("wait_ms", request.wait_ms(), 0, 24 * 3600 * 1000));
   CRAFTFLEET_RETURN_IF_ERROR(CheckCount("evaluation", request.evaluation(), 0, kMaxCount));
   CRAFTFLEET_RETURN_IF_ERROR(CheckCount("env_servers_generation", request.env_servers_generation(), 0, 4 * kMaxCount));
-  CRAFTFLEET_RETURN_IF_ERROR(CheckActive(request, lanes, steps));
+  CRAFTFLEET_RETURN_IF_ERROR(CheckActive(request, lanes));
   CRAFTFLEET_RETURN_IF_ERROR(CheckCount("failures", request.failures_size(), 0, lanes));
   for (const v1::LaneFailure& failure : request.failures()) {
     CRAFTFLEET_RETURN_IF_ERROR(CheckLane("failures", failure.lane(), lanes));
@@ -108,6 +101,12 @@ absl::Status CheckSummary(const v1::ProcessSummary& summary) {
     CRAFTFLEET_RETURN_IF_ERROR(CheckNumber("summary.times.share", time.share(), kMaxShare));
   }
   return absl::OkStatus();
+}
+
+absl::Status CheckServerReport(const v1::Peer& server) {
+  CRAFTFLEET_RETURN_IF_ERROR(CheckText("address", server.address()));
+  CRAFTFLEET_RETURN_IF_ERROR(CheckNumber("step_ms", server.step_ms(), kMaxStepMs));
+  return CheckSummary(server.summary());
 }
 
 absl::Status CheckAnnouncement(const v1::Announcement& announcement) {

@@ -24,11 +24,14 @@ absl::Status CheckName(absl::string_view field, absl::string_view name);
 
 absl::Status CheckJoin(const v1::JoinRequest& request);
 
-// Checks a request in a run with `lanes` lanes and fragments of `steps` steps.
-absl::Status CheckPermitRequest(const v1::PermitRequest& request, int lanes, int steps);
+// Checks a request in a run with `lanes` lanes.
+absl::Status CheckPermitRequest(const v1::PermitRequest& request, int lanes);
 
 // Checks that rates, counts and shares are within what a single process can reach.
 absl::Status CheckSummary(const v1::ProcessSummary& summary);
+
+// Checks what an actor reports about an environment server.
+absl::Status CheckServerReport(const v1::Peer& server);
 
 absl::Status CheckAnnouncement(const v1::Announcement& announcement);
 

@@ -28,6 +28,7 @@ void AddTimes(const google::protobuf::RepeatedPtrField<v1::ActivityTime>& times,
 const char* StateOf(const v1::Peer& peer) {
   if (peer.health() == v1::Peer::LOST) return "LOST";
   if (peer.health() == v1::Peer::NOT_ANSWERING) return "NOT ANSWERING";
+  if (peer.health() == v1::Peer::SLOW) return "SLOW";
   if (peer.health() == v1::Peer::LEFT) return "left";
   if (peer.drain() == v1::Peer::DRAINING) return "draining";
   return peer.drain() == v1::Peer::DRAINED ? "drained" : "";

@@ -67,6 +67,7 @@ function showShares(times) {
 function stateOf(peer) {
   if (peer.health === "LOST") return ["lost", "bad"];
   if (peer.health === "NOT_ANSWERING") return ["not answering", "bad"];
+  if (peer.health === "SLOW") return ["slow", "bad"];
   if (peer.health === "LEFT") return ["left", ""];
   if (peer.drain === "DRAINING") return ["draining", ""];
   if (peer.drain === "DRAINED") return ["drained", ""];
@@ -103,7 +104,7 @@ function showWorker(row, peer, published) {
   const busiest = [...(summary.times ?? [])].sort((a, b) => b.share - a.share).slice(0, 2);
   setText(time, busiest.map((part) => `${part.activity} ${decimals(100 * part.share, 0)} %`).join(", "));
   const drained = peer.drain && peer.drain !== "NO_DRAIN";
-  const wanted = live.steer && peer.role !== "learner" && (peer.health === "OK" || drained) ? (drained ? "Undrain" : "Drain") : "";
+  const wanted = live.steer && peer.role !== "learner" && (["OK", "SLOW"].includes(peer.health) || drained) ? (drained ? "Undrain" : "Drain") : "";
   if (steer.textContent === wanted) return;
   steer.replaceChildren();
   if (!wanted) return;

@@ -73,6 +73,7 @@ absl::StatusOr<ValueNorm> ReadValueNorm(const SafeTensors& file) {
   CRAFTFLEET_ASSIGN_OR_RETURN(value_norm.mean, ReadNumber(file, kValueMean));
   CRAFTFLEET_ASSIGN_OR_RETURN(value_norm.mean_square, ReadNumber(file, kValueMeanSquare));
   CRAFTFLEET_ASSIGN_OR_RETURN(value_norm.weight, ReadNumber(file, kValueWeight));
+  CRAFTFLEET_RETURN_IF_ERROR(value_norm.Check());
   return value_norm;
 }
 

@@ -3,7 +3,23 @@
 #include <algorithm>
 #include <cmath>
 
+#include <absl/strings/str_format.h>
+
 namespace craftfleet {
+
+ValueRange ValueScale::Outputs() const { return {(-kMaxValue - mean) / deviation, (kMaxValue - mean) / deviation}; }
+
+absl::Status ValueNorm::Check() const {
+  constexpr double kSlack = 1e-6;
+  const double most = weight * kMaxReturn;
+  const bool is_possible = weight >= 0 && weight <= 1 + kSlack && std::abs(mean) <= most && mean_square >= 0 &&
+                           mean_square <= most * kMaxReturn;
+  if (is_possible) return absl::OkStatus();
+  return absl::InvalidArgumentError(absl::StrFormat(
+      "the statistics of returns are mean %g, mean square %g and weight %g, want those of returns within +-%g and a "
+      "weight of 0..1",
+      mean, mean_square, weight, kMaxReturn));
+}
 
 void ValueNorm::Update(absl::Span<const float> returns, double decay) {
   double sum = 0;

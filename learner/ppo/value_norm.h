@@ -5,9 +5,19 @@
 
 #include <cstdint>
 
+#include <absl/status/status.h>
 #include <absl/types/span.h>
 
+#include "craftfleet/v1/config.pb.h"
+#include "learner/value_range.h"
+
 namespace craftfleet {
+
+// The largest absolute value that a critic of normalised values may have: many times what a game can give (crafter.h),
+// which no critic that learns exceeds.
+inline constexpr double kMaxValue = 1000;
+// Of a return from such values: at most the rewards of a whole episode more.
+inline constexpr double kMaxReturn = kMaxValue + 25;
 
 // value = mean + deviation * output of the value head.
 struct ValueScale {
@@ -16,6 +26,8 @@ struct ValueScale {
 
   float Denormalise(float value) const { return static_cast<float>(mean + deviation * value); }
   float Normalise(float value) const { return static_cast<float>((value - mean) / deviation); }
+  // The outputs of the value head that stand for values within +-kMaxValue.
+  ValueRange Outputs() const;
 };
 
 // Running mean and mean square of the targets, exponentially weighted: a step's share in them decays by `decay` with
@@ -31,6 +43,9 @@ struct ValueNorm {
 
   // Adds a minibatch of returns, n > 0. `decay` is in (0, 1).
   void Update(absl::Span<const float> returns, double decay);
+
+  //   InvalidArgument: no returns within +-kMaxReturn have these statistics.
+  absl::Status Check() const;
 
   // With a variance of at least kMinVariance; mean 0 and deviation `start` before the first Update.
   ValueScale Scale(double start = 1) const;

@@ -20,6 +20,7 @@
 #include "common/base/status_macros.h"
 #include "common/config/config.h"
 #include "common/io/files.h"
+#include "learner/ppo/value_norm.h"
 
 namespace craftfleet {
 namespace {
@@ -107,10 +108,9 @@ absl::Status CheckPending(const v1::PendingEvaluation& evaluation) {
 }
 
 void CheckPlay(const v1::PlayWeights& play, RangeCheck* check) {
-  constexpr double kMost = std::numeric_limits<float>::max();
   check->Within<int64_t>("play.policy_version", play.policy_version(), 0, kMaxCount);
-  check->Within("play.value_mean", play.value_mean(), -kMost, kMost);
-  check->Within("play.value_deviation", play.value_deviation(), double{std::numeric_limits<float>::min()}, kMost);
+  check->Within("play.value_mean", play.value_mean(), -kMaxReturn, kMaxReturn);
+  check->Within("play.value_deviation", play.value_deviation(), double{std::numeric_limits<float>::min()}, kMaxReturn);
 }
 
 absl::StatusOr<v1::CheckpointState> ReadState(const std::string& folder, const std::vector<std::string>& manifest) {

@@ -155,6 +155,25 @@ TEST_F(BadEnvServer, ASilentServerCostsOneDeadlineAndIsUsedAgainOnceItAnswers) {
   EXPECT_THAT(Error(), IsOk());
 }
 
+// Evaluations waited for such a game for ever.
+TEST_F(BadEnvServer, AGameThatNeverEndsIsAFaultOfItsServer) {
+  Start([](const v1::PlayRequest& request, v1::PlayReply* reply) {
+    if (!request.has_step()) return true;
+    reply->mutable_ends()->assign(reply->ends().size(), static_cast<char>(StepEnd::kNone));
+    reply->clear_episodes();
+    reply->clear_last_frames();
+    return true;
+  });
+  ASSERT_THAT(OpenFour(), IsOk());
+  for (int step = 1; step < 50; ++step) ASSERT_THAT(StepFour(), IsOk());
+  EXPECT_EQ(lost_, 0u);
+  ASSERT_THAT(StepFour(), IsOk());
+  EXPECT_EQ(lost_, 2u);
+  EXPECT_THAT(Error(),
+              StatusIs(absl::StatusCode::kDataLoss,
+                       AllOf(HasSubstr(server_->address()), HasSubstr("goes on after 50 steps, want at most 50"))));
+}
+
 TEST_F(BadEnvServer, AServerThatIsSilentFromTheStartDelaysNothing) {
   Start([](const v1::PlayRequest&, v1::PlayReply*) { return false; });
   service_->spares_probe = false;

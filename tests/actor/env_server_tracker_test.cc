@@ -52,6 +52,18 @@ TEST(EnvServerTracker, AServerThatDoesNotAnswerIsShownAsNotAnswering) {
   EXPECT_THAT(Addresses(tracker.NextUnusable(8)), ElementsAre("a:1", "c:1"));
 }
 
+TEST(EnvServerTracker, ASlowServerIsShownWithItsStepTime) {
+  EnvServerTracker tracker;
+  tracker.Update(0, {{"a:1", false, 0, {}, "slow", true, absl::Milliseconds(430)},
+                     {"b:1", true, 1, {}, "", false, absl::Milliseconds(3)}});
+  EXPECT_EQ(tracker.All()[0].health(), v1::Peer::SLOW);
+  EXPECT_EQ(tracker.All()[0].step_ms(), 430);
+  EXPECT_EQ(tracker.All()[0].state(), "0 lanes, 430.0 ms a step");
+  EXPECT_EQ(tracker.All()[1].health(), v1::Peer::OK);
+  EXPECT_EQ(tracker.All()[1].step_ms(), 3);
+  EXPECT_THAT(Addresses(tracker.NextUnusable(8)), ElementsAre("a:1"));
+}
+
 TEST(EnvServerTracker, NextGoesThroughAllServersInTurn) {
   EnvServerTracker tracker;
   tracker.Update(0, {{"a", true, 1, {}, ""}, {"b", true, 1, {}, ""}, {"c", true, 1, {}, ""}});

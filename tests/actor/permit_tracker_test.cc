@@ -89,31 +89,6 @@ TEST(PermitTracker, APermitReleasedBeforeItWasTakenIsNotPlayed) {
   EXPECT_THAT(tracker.Take(0), ElementsAre(Held(1)));
 }
 
-int64_t StepsOf(const PermitTracker& tracker, const HeldPermit& permit) {
-  for (const HeldPermit& active : tracker.Active()) {
-    if (active == permit) return active.steps;
-  }
-  return -1;
-}
-
-TEST(PermitTracker, ReportsTheProgressOfFragments) {
-  PermitTracker tracker(2);
-  for (int lane = 0; lane < 3; ++lane) tracker.Add(Held(lane));
-  tracker.Take(0);  // lanes 0 and 2
-  tracker.SetSteps(0, 5);
-  EXPECT_EQ(StepsOf(tracker, Held(0)), 5);
-  EXPECT_EQ(StepsOf(tracker, Held(1)), 0) << "no loop plays it yet";
-  EXPECT_EQ(StepsOf(tracker, Held(2)), 5);
-  tracker.SetSteps(0, 8);
-  tracker.Release(Held(2));
-  tracker.Add(Held(2, 1));
-  tracker.Take(0);
-  tracker.SetSteps(0, 3);
-  EXPECT_EQ(StepsOf(tracker, Held(0)), 8) << "played, but without a verdict";
-  EXPECT_EQ(StepsOf(tracker, Held(2)), -1);
-  EXPECT_EQ(StepsOf(tracker, Held(2, 1)), 3);
-}
-
 TEST(PermitTracker, FailuresAreReportedOnce) {
   PermitTracker tracker(1);
   tracker.Add(Held(3));

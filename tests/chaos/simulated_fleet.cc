@@ -167,7 +167,6 @@ class EmptyActor final : public grpc::ClientBidiReactor<v1::ActorMessage, v1::Le
       permit->set_lane(lane);
       permit->set_fragment(held.permit.fragment);
       permit->set_policy_version(held.permit.policy_version);
-      request.add_active_steps(StepsOf(held));
     }
     asks_ = true;
     WriteNext();
@@ -253,12 +252,6 @@ class EmptyActor final : public grpc::ClientBidiReactor<v1::ActorMessage, v1::Le
     RemoveHold();
   }
 
-  // Those of a fragment that have been played, so that the learner sees progress.
-  int StepsOf(const Held& held) const {
-    if (fleet_->play == absl::ZeroDuration()) return steps_;
-    return std::min(steps_, 1 + static_cast<int>(steps_ * absl::FDivDuration(SteadyNow() - held.since, fleet_->play)));
-  }
-
   v1::FragmentMessage Fill(const Permit& permit) const {
     Fragment fragment;
     fragment.epoch = epoch_;
@@ -269,7 +262,7 @@ class EmptyActor final : public grpc::ClientBidiReactor<v1::ActorMessage, v1::Le
     fragment.actions.assign(steps_, '\0');
     fragment.log_probs.assign(steps_, -2.833F);
     fragment.values.assign(steps_, 0);
-    for (int t = 0; t < steps_; ++t) fragment.rewards.push_back(static_cast<float>((permit.lane + t) % 2));
+    for (int t = 0; t < steps_; ++t) fragment.rewards.push_back(t % 64 == permit.lane % 64 ? 1.0F : 0.0F);
     fragment.ends.assign(steps_, StepEnd::kNone);
     fragment.snapshot.game = SealSnapshot(env_digest_, std::string(kSnapshotBytes, 's'));
     v1::FragmentMessage message = wire::ToProto(std::move(fragment));

@@ -96,7 +96,7 @@ class Watch(python_case.ProcessCase):
     self.assertNotEqual(promtool("check", "rules", str(MONITORING / "README.md")).returncode, 0)
 
   def test_workers_that_are_lost_or_do_not_answer_raise_an_alert(self):
-    for state, firing in [("lost", 1), ("not_answering", 1), ("ok", 0)]:
+    for state, firing in [("lost", 1), ("not_answering", 1), ("slow", 1), ("ok", 0)]:
       case = {
           "rule_files": [str(MONITORING / "alerts.yml")],
           "evaluation_interval": "1m",

@@ -63,7 +63,7 @@ TEST_F(EnvServiceTest, ASessionWithAnotherGameCanaryIsRefused) {
   hello.mutable_hello()->set_game_canary("0123456789abcdef");
   EXPECT_THAT(Session(server()).Send(hello),
               StatusIs(absl::StatusCode::kFailedPrecondition,
-                       AllOf(HasSubstr("plays another game"), HasSubstr("want 0123456789abcdef"))));
+                       AllOf(HasSubstr("plays another game"), HasSubstr("its canary is not 0123456789abcdef"))));
 }
 
 TEST_F(EnvServiceTest, ASnapshotContinuesInAnotherSession) {

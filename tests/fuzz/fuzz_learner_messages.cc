@@ -123,7 +123,6 @@ std::vector<std::string> SoundInputs() {
   permits.set_wants_env_servers(true);
   v1::Permit* permit = permits.add_active();
   permit->set_policy_version(kVersion);
-  permits.add_active_steps(3);
   v1::LaneFailure* failure = permits.add_failures();
   failure->set_lane(1);
   failure->set_reason("not a world's");

@@ -70,7 +70,6 @@ void BadActor::StaySilent() {
     while (reply.ok() && !reply->finished()) {
       for (const v1::Permit& permit : reply->granted()) {
         *request.add_active() = permit;
-        request.add_active_steps(0);
       }
       if (reply->has_evaluation()) request.set_evaluation(reply->evaluation().id());
       absl::SleepFor(absl::Milliseconds(200));
@@ -160,6 +159,9 @@ void BadActor::Spoil(v1::FragmentMessage* message) {
       [&] { message->set_values(0, 3e38F); },
       [&] { message->set_rewards(0, 1e6F); },
       [&] { message->set_bootstrap_value(kNan); },
+      [&] {
+        for (float& reward : *message->mutable_rewards()) reward = 1.9F;
+      },
       [&] { message->mutable_actions()->at(0) = 17; },
       [&] { message->mutable_ends()->at(0) = 3; },
       [&] { message->mutable_ends()->at(0) = 1; },
@@ -197,7 +199,6 @@ void BadActor::SayNonsense() {
     v1::Permit* permit = request.add_active();
     permit->set_lane(Draw(2) == 0 ? i : -i);
     permit->set_fragment(Draw(10));
-    request.add_active_steps(std::numeric_limits<int64_t>::max());
   }
   request.mutable_summary()->set_last_error(std::string(1 << 20, '\x1b'));
   AskOnce(stub_.get(), request).status().IgnoreError();

@@ -11,6 +11,7 @@ namespace craftfleet {
 namespace {
 
 constexpr absl::Duration kSlowAnswer = absl::Seconds(30);
+constexpr absl::Duration kSluggishAnswer = absl::Milliseconds(300);
 constexpr size_t kLargeBytes = 32 << 20;
 constexpr int kLongestTruth = 40;  // replies of a session before the first lie
 
@@ -60,6 +61,12 @@ grpc::Status BadEnvService::PassOn(grpc::ServerContext* context,
     if (misdeed_ == Misdeed::kSlow) {
       const absl::Time end = absl::Now() + kSlowAnswer;
       while (absl::Now() < end && !context->IsCancelled()) absl::SleepFor(absl::Milliseconds(50));
+    } else if (misdeed_ == Misdeed::kSluggish) {
+      absl::SleepFor(kSluggishAnswer);
+    } else if (misdeed_ == Misdeed::kEndless) {
+      reply.mutable_ends()->assign(reply.ends().size(), '\0');
+      reply.clear_episodes();
+      reply.clear_last_frames();
     } else if (truths-- == 0) {
       Spoil(&reply);
     }

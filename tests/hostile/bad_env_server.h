@@ -16,6 +16,8 @@ namespace craftfleet {
 enum class Misdeed {
   kSilent,    // accepts every request and answers none
   kSlow,      // forwards each reply of the server behind it after 30 s
+  kSluggish,  // forwards each reply after 0.3 s
+  kEndless,   // forwards the replies of the server behind it, but no end of an episode
   kLying,     // forwards the replies of the server behind it until it corrupts one reply of a session
   kFlooding,  // answers a request with endless large replies
 };

@@ -32,7 +32,7 @@
 ABSL_FLAG(std::string, role, "", "actor, envserver or learner");
 ABSL_FLAG(std::string, misdeed, "",
           "silent, lying, flooding; for an actor also pretending (one fragment) and reporting (snapshots), for an "
-          "environment server slow and announcing (servers)");
+          "environment server slow, sluggish, endless (games) and announcing (servers)");
 ABSL_FLAG(std::string, learner, "", "address of the learner, for actors and environment servers");
 ABSL_FLAG(std::string, behind, "", "address of the environment server that a bad one passes sessions on to");
 ABSL_FLAG(std::string, listen, "127.0.0.1:0", "address to listen on, for environment servers and learners");
@@ -93,6 +93,10 @@ absl::Status RunEnvServer(const std::string& misdeed, const wire::Endpoint& lear
   Misdeed kind = Misdeed::kSilent;
   if (misdeed == "slow") {
     kind = Misdeed::kSlow;
+  } else if (misdeed == "sluggish") {
+    kind = Misdeed::kSluggish;
+  } else if (misdeed == "endless") {
+    kind = Misdeed::kEndless;
   } else if (misdeed == "lying") {
     kind = Misdeed::kLying;
   } else if (misdeed == "flooding") {

@@ -3,7 +3,7 @@
 
 First a single process trains undisturbed. Then a learner, actors and environment servers train the same run. Workers and
 the learner are killed (SIGKILL) and restarted, while peers of all three roles join and leave that are silent, slow (a byte
-per second; a reply after half a minute), lying or flooding. A bad learner gets its own actor and server, which must
+per second; a reply after half a minute or 0.3 s), lying or flooding. A bad learner gets its own actor and server, which must
 survive it. At the end logs, evaluations and weights of both runs must be identical; no iteration may have taken more than
 a minute; no process may have ended on its own or exceeded its memory bound (MEMORY_BOUND_MIB). The growth of memory is
 recorded with its error, but not checked. Long forms append their figures to tests/chaos/results/runs.jsonl.
@@ -36,6 +36,7 @@ MEMORY_BOUND_MIB = {"learner": 1536, "actor": 1024, "server": 1024}
 DRIPS = 20  # connections that send a byte a second
 PEERS = [("actor", "silent"), ("actor", "lying"), ("actor", "flooding"), ("actor", "slow"),
          ("envserver", "silent"), ("envserver", "lying"), ("envserver", "flooding"), ("envserver", "slow"),
+         ("envserver", "sluggish"), ("envserver", "endless"),
          ("learner", "silent"), ("learner", "lying"), ("learner", "flooding")]
 RIGHTS = """client { name: "actors" certificate: "actor" right: PLAY right: WATCH }
 client { name: "servers" certificate: "envserver" right: SERVE right: WATCH }

@@ -51,6 +51,18 @@ TEST(FleetTimes, WithoutPlayTheLearnerWaits) {
   EXPECT_EQ(FleetTimes(FleetView()).Sum(), 0);
 }
 
+// The actors that wait for it also wait for permits: the advice was to run fewer of them.
+TEST(FindBottleneck, ASlowServerIsNamedWhateverElseTakesLong) {
+  for (FleetView view : {Fleet(9, 2, 0, 1, 7), Fleet(1, 1, 0, 1, 8), FleetView(Fleet(5, 3, 0.5, 1.5, 5))}) {
+    view.env_servers = 2;
+    view.slow_env_servers = {"10.0.0.7:50061 (430 ms a step)"};
+    EXPECT_EQ(FindBottleneck(view).part, "environment");
+    EXPECT_THAT(FindBottleneck(view).advice, HasSubstr("Environment server 10.0.0.7:50061 (430 ms a step) is slow: "));
+    view.slow_env_servers.emplace_back("another");
+    EXPECT_THAT(FindBottleneck(view).advice, HasSubstr(" is slow, as are 1 more: "));
+  }
+}
+
 TEST(FindBottleneck, NamesTheLargestPartAndWhatToAdd) {
   const struct {
     FleetView view;

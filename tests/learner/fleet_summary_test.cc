@@ -43,6 +43,15 @@ TEST(ViewFleet, CountsAnsweringWorkersAndWeighsActorsByThreads) {
   EXPECT_TRUE(ViewFleet(Work(), workers).early) << "no update yet";
 }
 
+TEST(ViewFleet, ASlowServerAnswersAndIsNamed) {
+  WorkerRegistry::Glance slow = Worker(WorkerRole::kEnvServer, Health::kSlow, 1, 1, 0);
+  slow.name = "a:1 (430 ms a step)";
+  const FleetView view = ViewFleet(Work(), {slow, Worker(WorkerRole::kEnvServer, Health::kOk, 1, 1, 0)});
+  EXPECT_EQ(view.env_servers, 2);
+  EXPECT_EQ(view.lost_env_servers, 0);
+  EXPECT_EQ(view.slow_env_servers, std::vector<std::string>{"a:1 (430 ms a step)"});
+}
+
 TEST(CountWorkers, CountsByRoleAndHealth) {
   v1::FleetSummary summary;
   CountWorkers({Worker(WorkerRole::kActor, Health::kOk, 1, 1, 0), Worker(WorkerRole::kActor, Health::kLost, 1, 1, 0),

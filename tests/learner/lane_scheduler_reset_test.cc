@@ -44,7 +44,6 @@ class Lanes : public LaneScheduler {
   std::vector<Permit> Ask(const std::string& actor, const std::vector<Permit>& active) {
     if (IsKnown(actor)) workers_[actor].leased_from = clock_->Now();
     RemoveExpired();
-    EndStalls();
     if (!IsKnown(actor)) return {};
     Renew(actor, active, 1);
     return Grant(actor);

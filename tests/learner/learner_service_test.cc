@@ -1,6 +1,7 @@
 #include "learner/learner_service.h"
 
 #include <cmath>
+#include <functional>
 #include <memory>
 #include <string>
 #include <utility>
@@ -195,6 +196,39 @@ TEST_F(LearnerServiceTest, ImpossibleValuesAreRefusedWithActorLaneFieldAndValue)
   EXPECT_EQ(GetSnapshot(1, 0)->snapshot(), "") << "the lane has not advanced";
 }
 
+TEST_F(LearnerServiceTest, ValuesBeyondWhatTheCriticOfTheirWeightsCanSayAreRefused) {
+  weights_.Publish(kVersion, std::make_shared<const std::string>("weights"), {-50, 100});
+  Enter("a");
+  for (const float value : {101.0F, -51.0F}) {
+    for (const auto& set : std::vector<std::function<void(v1::FragmentMessage*)>>{
+             [&](auto* m) { m->set_values(1, value); }, [&](auto* m) { m->set_truncation_values(0, value); },
+             [&](auto* m) { m->set_bootstrap_value(value); }}) {
+      v1::FragmentMessage wild = Message("a", 1, 0);
+      set(&wild);
+      const v1::FragmentVerdict verdict = Push({wild}).value()[0];
+      EXPECT_EQ(verdict.verdict(), v1::FragmentVerdict::REFUSED);
+      EXPECT_THAT(verdict.reason(), AllOf(HasSubstr("actor a: "), HasSubstr("value"), HasSubstr("want -50..100")));
+    }
+  }
+  EXPECT_EQ(Push({Message("a", 1, 0)}).value()[0].verdict(), v1::FragmentVerdict::ACCEPTED);
+}
+
+// Nothing is drawn, converted or digested for a stranger.
+TEST_F(LearnerServiceTest, TheContentOfFragmentsThatNobodyWantsIsNotLookedAt) {
+  Enter("a");
+  const auto garbage = [](v1::FragmentMessage message) {
+    message.set_frames("none");
+    message.set_frame_format(v1::FRAMES_SCENE);
+    return message;
+  };
+  const auto verdicts = Push({garbage(Message("stranger", 0, 0)), garbage(Message("a", 0, 5)),
+                              garbage(Message("a", 0, 0, kVersion, kEpoch - 1)), garbage(Message("a", 0, 0))});
+  ASSERT_THAT(verdicts, IsOk());
+  ASSERT_EQ(verdicts->size(), 4);
+  for (int i = 0; i < 3; ++i) EXPECT_EQ((*verdicts)[i].verdict(), v1::FragmentVerdict::EXPIRED) << i;
+  EXPECT_EQ((*verdicts)[3].verdict(), v1::FragmentVerdict::REFUSED) << "this one was wanted";
+}
+
 TEST_F(LearnerServiceTest, ImpossibleRequestsForPermitsAreRefused) {
   ASSERT_THAT(Join("a"), IsOk());
   v1::PermitRequest request;
@@ -202,9 +236,6 @@ TEST_F(LearnerServiceTest, ImpossibleRequestsForPermitsAreRefused) {
   request.set_epoch(kEpoch);
   request.add_active()->set_lane(3);
   EXPECT_THAT(Ask(request), StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("active: lane 3, want 0..2")));
-  request.mutable_active(0)->set_lane(2);
-  request.add_active_steps(kSampleShape.steps + 1);
-  EXPECT_THAT(Ask(request), StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("active_steps: 6, want 0..5")));
 }
 
 // The only actor reports twice that a lane's game can't be restored.

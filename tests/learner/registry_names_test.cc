@@ -54,6 +54,24 @@ TEST_F(RegistryNamesTest, TheFirstIdentityOwnsTheName) {
   EXPECT_THAT(Use("actor", "b", "two"), IsOk());
 }
 
+// A record was made for it, and its name counted.
+TEST_F(RegistryNamesTest, AnUnknownWorkerLeavesWithoutARecord) {
+  Leave("actor", "stranger", "one");
+  EXPECT_THAT(Use("actor", "stranger", "two"), IsOk()) << "one owns no name";
+}
+
+// A worker may say that it is at another's address, to be drained in its place, or to have it drained.
+TEST_F(RegistryNamesTest, AnAddressThatSeveralWorkersClaimDrainsNone) {
+  ASSERT_THAT(registry_.Join({"one"}, "a", "10.0.0.1:50052", {}), IsOk());
+  EXPECT_EQ(registry_.Drain("10.0.0.1:50052")->name, "a");
+  EXPECT_THAT(registry_.Undrain("a"), IsOk());
+  ASSERT_THAT(registry_.Join({"two"}, "liar", "10.0.0.1:50052", {}), IsOk());
+  EXPECT_THAT(registry_.Drain("10.0.0.1:50052"),
+              StatusIs(absl::StatusCode::kNotFound, AllOf(HasSubstr("2 workers"), HasSubstr("a, liar"))));
+  ASSERT_THAT(registry_.Join({"two"}, "second", "a", {}), IsOk()) << "a name as an address";
+  EXPECT_EQ(registry_.Drain("a")->name, "a");
+}
+
 TEST_F(RegistryNamesTest, ANameIsFreeAfterItsOwnerLeftOrWasSilent) {
   EXPECT_THAT(Use("actor", "a", "one"), IsOk());
   Leave("actor", "a", "one");

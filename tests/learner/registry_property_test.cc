@@ -46,7 +46,6 @@ class History {
     std::string owner;           // identity that it joined with; empty: not joined
     absl::Time used;             // when the owner last used its name
     std::vector<Permit> active;  // permits it believes to hold
-    std::vector<int64_t> steps;
     bool drained = false;
     int64_t evaluation = 0;
   };
@@ -132,29 +131,24 @@ class History {
     request.evaluates = true;
     request.evaluation = player->evaluation;
     for (size_t i = 0; i < player->active.size(); ++i) {
-      player->steps[i] += Below(3);
       if (Below(20) == 0) {  // returns the permit
         if (Below(2) == 0) request.failures.push_back({player->active[i].lane, player->active[i].fragment, "no game"});
         continue;
       }
       request.active.push_back(player->active[i]);
-      request.steps.push_back(player->steps[i]);
     }
     player->used = clock_.Now();
     const auto reply = registry_.GetPermits(request);
     player->active = request.active;
-    player->steps = request.steps;
     if (!reply.ok()) {
       ASSERT_EQ(reply.status().code(), absl::StatusCode::kAborted) << reply.status();
       player->active.clear();
-      player->steps.clear();
       return;
     }
     for (const Permit& lost : reply->lost) Drop(player, lost);
     const int before = Live(*player);
     for (const Permit& permit : reply->granted) {
       player->active.push_back(permit);
-      player->steps.push_back(0);
     }
     if (!reply->granted.empty()) {
       ASSERT_LE(Live(*player), std::max(capacity, before)) << name << " got more than it can play";
@@ -177,7 +171,6 @@ class History {
   static void Drop(Player* player, const Permit& permit) {
     const auto at = std::find(player->active.begin(), player->active.end(), permit);
     if (at == player->active.end()) return;
-    player->steps.erase(player->steps.begin() + (at - player->active.begin()));
     player->active.erase(at);
   }
 
@@ -236,7 +229,7 @@ class History {
       permits += actor.permits;
     }
     ASSERT_EQ(permits, registry_.permits());
-    ASSERT_LE(permits, 2 * lanes_) << "at most two actors play a lane's fragment";
+    ASSERT_LE(permits, kNames * lanes_) << "an actor plays a fragment once";
     for (const LaneRecord& lane : registry_.Records()) {
       ASSERT_GE(lane.next_fragment, last_fragment_ - kPerIteration) << "a finished iteration stays finished";
       ASSERT_LE(lane.next_fragment, last_fragment_);

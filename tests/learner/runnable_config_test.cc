@@ -176,7 +176,6 @@ TEST(RunnableConfig, MessagesWithTheMaximumNumberOfLanesFit) {
   for (int lane = 0; lane < kMostLanes; ++lane) {
     for (int i = 0; i < 2; ++i) {
       fill(request.add_active());
-      request.add_active_steps(16384);
       fill(reply.add_lost());
     }
     fill(reply.add_granted());
@@ -187,7 +186,7 @@ TEST(RunnableConfig, MessagesWithTheMaximumNumberOfLanesFit) {
   }
   request.set_actor(std::string(wire::kMaxTextBytes, 'a'));
   request.set_capacity(kMostLanes);
-  EXPECT_THAT(wire::CheckPermitRequest(request, kMostLanes, 16384), IsOk());
+  EXPECT_THAT(wire::CheckPermitRequest(request, kMostLanes), IsOk());
   wire::FragmentShape smallest;
   smallest.steps = 1;
   EXPECT_LT(request.ByteSizeLong(), static_cast<size_t>(LargestMessageBytes(smallest)));

@@ -32,9 +32,8 @@ class TestRegistry : public WorkerRegistry {
   }
   void Leave(absl::string_view actor) { WorkerRegistry::Leave({}, WorkerRole::kActor, actor).IgnoreError(); }
   absl::StatusOr<Grant> GetPermits(absl::string_view actor, std::vector<Permit> active, int capacity,
-                                   absl::Duration wait, std::vector<int64_t> steps = {}) {
+                                   absl::Duration wait) {
     PermitRequest request = RequestOf(actor, std::move(active), capacity);
-    request.steps = std::move(steps);
     request.wait = wait;
     return WorkerRegistry::GetPermits(request);
   }

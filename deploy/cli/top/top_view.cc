@@ -27,6 +27,7 @@ constexpr int kFootLines = 2;
 constexpr char kHelp[] = R"(
  role     learner, actor or server (environment server)
  state    ok; LOST: no heartbeat within its lease; HANGS: does not answer;
+          SLOW: steps take several times as long as elsewhere;
           left: has left the fleet; draining: gets no new work; drained: idle
  steps/s  environment steps: of the last iterations (learner), of 20 s (others)
  lanes    games: of the run, with a permit at the actor, open at the server
@@ -94,6 +95,7 @@ std::map<std::string, double> MetricsOf(const v1::StatusReply& status) {
 const char* StateOf(const v1::Peer& peer) {
   if (peer.health() == v1::Peer::LOST) return "LOST";
   if (peer.health() == v1::Peer::NOT_ANSWERING) return "HANGS";
+  if (peer.health() == v1::Peer::SLOW) return "SLOW";
   if (peer.health() == v1::Peer::LEFT) return "left";
   if (peer.drain() == v1::Peer::DRAINING) return "draining";
   return peer.drain() == v1::Peer::DRAINED ? "drained" : "ok";
@@ -105,7 +107,8 @@ std::vector<Row> RowsOf(const v1::StatusReply& status) {
     Row row;
     row.role = peer.role() == "envserver" ? "server" : peer.role();
     row.name = peer.name();
-    row.bad = peer.health() == v1::Peer::LOST || peer.health() == v1::Peer::NOT_ANSWERING;
+    row.bad =
+        peer.health() == v1::Peer::LOST || peer.health() == v1::Peer::NOT_ANSWERING || peer.health() == v1::Peer::SLOW;
     row.state = StateOf(peer);
     row.summary = peer.summary();
     if (peer.role() == "actor" && peer.health() == v1::Peer::OK && peer.summary().policy_version() >= 0) {
@@ -133,7 +136,7 @@ void Sort(const TopState& state, std::vector<Row>* rows) {
     case TopColumn::kName:
       break;
     case TopColumn::kState:
-      by_text(&Row::state);  // LOST and HANGS, in capitals, come first
+      by_text(&Row::state);  // LOST, HANGS and SLOW, in capitals, come first
       break;
     case TopColumn::kSteps:
       by_number([](const Row& row) { return row.summary.steps_per_second(); });
@@ -244,10 +247,11 @@ std::string CountsLine(const v1::StatusReply& status) {
     if (const int number = count[{role, v1::Peer::NOT_ANSWERING}]; number > 0) {
       bad.push_back(absl::StrFormat("%d not answering", number));
     }
+    if (const int number = count[{role, v1::Peer::SLOW}]; number > 0) bad.push_back(absl::StrFormat("%d slow", number));
     return bad.empty() ? "" : absl::StrCat(" (", absl::StrJoin(bad, ", "), ")");
   };
   return absl::StrFormat("%s%s  %s%s  %s  checkpoint %s ago", Counted(count[{"actor", v1::Peer::OK}], "actor"),
-                         lost("actor"), Counted(count[{"envserver", v1::Peer::OK}], "server"), lost("envserver"),
+                         lost("actor"), Counted(count[{"envserver", v1::Peer::OK}] + count[{"envserver", v1::Peer::SLOW}], "server"), lost("envserver"),
                          Counted(errors, "error"), FormatTimeLeft(MetricsOf(status)["checkpoint_age"]));
 }
 

@@ -1,5 +1,6 @@
 #include "common/telemetry/limited_log.h"
 
+#include <algorithm>
 #include <string>
 
 #include <absl/strings/str_cat.h>
@@ -49,6 +50,27 @@ TEST_F(LimitedLogTest, ManyKeysProduceALimitedNumberOfLines) {
   int lines = 0;
   for (int i = 0; i < 1000; ++i) lines += Warn(absl::StrCat("key ", i), "x").empty() ? 0 : 1;
   EXPECT_LE(lines, 257);
+}
+
+TEST_F(LimitedLogTest, OldKeysAreForgotten) {
+  for (int i = 0; i < 1000; ++i) Warn(absl::StrCat("key ", i), "x");
+  EXPECT_THAT(Warn("new", "first"), IsEmpty()) << "it shares an entry with the others";
+  clock_.Advance(absl::Seconds(11));
+  EXPECT_THAT(Warn("one", "first"), HasSubstr("first"));
+  EXPECT_THAT(Warn("two", "first"), HasSubstr("first"));
+}
+
+TEST_F(LimitedLogTest, MayWriteSeveralLinesWithAKey) {
+  LimitedLog log(&clock_, 3);
+  const auto lines = [&](int count) {
+    testing::internal::CaptureStderr();
+    for (int i = 0; i < count; ++i) log.Warn("client", absl::StrCat("line ", i));
+    const std::string text = testing::internal::GetCapturedStderr();
+    return std::count(text.begin(), text.end(), '\n');
+  };
+  EXPECT_EQ(lines(5), 3);
+  clock_.Advance(absl::Seconds(11));
+  EXPECT_EQ(lines(5), 3);
 }
 
 // Keys may be names that a client made up.

@@ -153,11 +153,10 @@ CheckedMessage PermitRequestCase() {
   request.set_actor("host-1-a");
   request.set_capacity(kLanes);
   request.add_active();
-  request.add_active_steps(1);
   FillSummary(request.mutable_summary());
   request.add_env_servers();
   request.add_failures()->set_reason("damaged");
-  return Case<v1::PermitRequest>(request, [](v1::PermitRequest* r) { return wire::CheckPermitRequest(*r, kLanes, 8); });
+  return Case<v1::PermitRequest>(request, [](v1::PermitRequest* r) { return wire::CheckPermitRequest(*r, kLanes); });
 }
 
 CheckedMessage AnnouncementCase() {

@@ -96,6 +96,26 @@ TEST(FragmentCheck, ErrorsNameFieldValueAndRange) {
               StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("values: 3e+38 at 3, want -1e+06..1e+06")));
 }
 
+// Each is possible, but all together they are more than a game can give: returns, and with them the statistics of
+// normalised values, would grow without bound.
+TEST(FragmentCheck, RewardsAddUpToWhatAGameCanGive) {
+  v1::FragmentMessage message;
+  for (int t = 0; t < 22; ++t) message.add_rewards(1);
+  message.add_rewards(0.9F);
+  message.set_ends(std::string(30, '\0'));
+  EXPECT_THAT(wire::CheckRewardSums(message), IsOk()) << "all achievements, and all health";
+  message.add_rewards(0.1F);
+  EXPECT_THAT(wire::CheckRewardSums(message),
+              StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("rewards: those up to step 23 add up to 23")));
+  message.mutable_ends()->at(10) = static_cast<char>(StepEnd::kTerminated);
+  EXPECT_THAT(wire::CheckRewardSums(message), IsOk()) << "of two episodes";
+  message.clear_rewards();
+  message.add_rewards(-0.9F);
+  EXPECT_THAT(wire::CheckRewardSums(message), IsOk());
+  message.add_rewards(-0.1F);
+  EXPECT_THAT(wire::CheckRewardSums(message), StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("add up to -1")));
+}
+
 TEST(FragmentCheck, CountsAreExactAsDoubles) {
   constexpr int64_t kMost = int64_t{1} << 52;
   for (const auto& [field, set] : std::vector<std::pair<std::string, std::function<void(Message*, int64_t)>>>{

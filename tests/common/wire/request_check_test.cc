@@ -19,7 +19,6 @@ namespace {
 using testing::HasSubstr;
 
 constexpr int kLanes = 3;
-constexpr int kSteps = 8;
 
 // A change of a valid request, and the expected error; empty: it is still valid.
 template <typename Message>
@@ -34,7 +33,6 @@ v1::PermitRequest SoundRequest() {
   request.set_capacity(4);
   for (int lane = 0; lane < 2; ++lane) {
     request.add_active()->set_lane(lane);
-    request.add_active_steps(lane);
   }
   request.add_failures()->set_lane(2);
   request.mutable_summary()->set_policy_version(-1);
@@ -80,13 +78,8 @@ TEST(RequestCheck, ChecksPermitRequests) {
           {[](Request* r) { r->mutable_active(0)->set_lane(-1); }, "active: lane -1, want 0..2"},
           {[](Request* r) { r->mutable_active(0)->set_fragment(-1); }, "active.fragment: -1"},
           {[](Request* r) { r->mutable_active(0)->set_policy_version(-1); }, "active.policy_version: -1"},
-          {[](Request* r) { r->clear_active_steps(); }, ""},
-          {[](Request* r) { r->add_active_steps(0); }, "active_steps: 3 numbers for 2 active permits"},
-          {[](Request* r) { r->set_active_steps(0, kSteps); }, ""},
-          {[](Request* r) { r->set_active_steps(0, kSteps + 1); }, "active_steps: 9, want 0..8"},
-          {[](Request* r) { r->set_active_steps(0, -1); }, "active_steps: -1, want 0..8"},
           {[](Request* r) {
-             for (int i = 0; i < 5; ++i) r->add_active(), r->add_active_steps(0);
+             for (int i = 0; i < 5; ++i) r->add_active();
            },
            "active permits: 7, want 0..6"},
           {[](Request* r) { r->mutable_failures(0)->set_lane(kLanes); }, "failures: lane 3, want 0..2"},
@@ -100,7 +93,7 @@ TEST(RequestCheck, ChecksPermitRequests) {
            "failures: 4, want 0..3"},
           {[](Request* r) { r->mutable_summary()->set_lanes(-1); }, "summary.lanes: -1"},
       },
-      [](const Request& request) { return wire::CheckPermitRequest(request, kLanes, kSteps); });
+      [](const Request& request) { return wire::CheckPermitRequest(request, kLanes); });
 }
 
 TEST(RequestCheck, ChecksSummaries) {

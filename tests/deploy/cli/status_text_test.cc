@@ -56,6 +56,8 @@ TEST(StatusText, ShowsTheStateOfWorkers) {
   v1::Peer* peer = reply.mutable_peers(0);
   peer->set_health(v1::Peer::NOT_ANSWERING);
   EXPECT_THAT(StatusText(reply), HasSubstr(" NOT ANSWERING "));
+  peer->set_health(v1::Peer::SLOW);
+  EXPECT_THAT(StatusText(reply), HasSubstr(" SLOW "));
   peer->set_health(v1::Peer::OK);
   peer->set_drain(v1::Peer::DRAINING);
   EXPECT_THAT(StatusText(reply), HasSubstr(" draining "));

@@ -2,7 +2,10 @@
 
 #include <cmath>
 
+#include <gmock/gmock.h>
 #include <gtest/gtest.h>
+
+#include "tests/fakes/status_matchers.h"
 
 namespace craftfleet {
 namespace {
@@ -11,6 +14,28 @@ TEST(ValueNorm, BeforeTheFirstTargetsValuesStayAsTheyAre) {
   const ValueScale scale = ValueNorm().Scale();
   EXPECT_EQ(scale.Denormalise(0.3F), 0.3F);
   EXPECT_EQ(scale.Normalise(-2.5F), -2.5F);
+}
+
+// Values of 1e6 deviations made a fragment's returns a million times larger than the last ones, again and again: after
+// some updates the deviation was 1e32.
+TEST(ValueNorm, OutputsAreBoundedByTheValuesThatTheyStandFor) {
+  for (const ValueScale& scale : {ValueScale{0, 1}, ValueScale{-3, 0.1}, ValueScale{20, 500}}) {
+    const ValueRange range = scale.Outputs();
+    EXPECT_NEAR(scale.Denormalise(static_cast<float>(range.low)), -kMaxValue, 0.01);
+    EXPECT_NEAR(scale.Denormalise(static_cast<float>(range.high)), kMaxValue, 0.01);
+  }
+}
+
+TEST(ValueNorm, StatisticsOfImpossibleReturnsAreRefused) {
+  ValueNorm norm;
+  EXPECT_THAT(norm.Check(), IsOk());
+  for (int i = 0; i < 100; ++i) norm.Update({static_cast<float>(kMaxReturn), -3}, 0.9);
+  EXPECT_THAT(norm.Check(), IsOk());
+  for (const ValueNorm& wrong : {ValueNorm{1e32, 1e64, 1}, ValueNorm{0, 1e12, 1}, ValueNorm{0, -1, 1}, ValueNorm{0, 0, 2},
+                                 ValueNorm{5, 5, 0}, ValueNorm{std::nan(""), 0, 1}}) {
+    EXPECT_THAT(wrong.Check(), StatusIs(absl::StatusCode::kInvalidArgument, testing::HasSubstr("returns within +-1025")))
+        << wrong.mean << " " << wrong.mean_square << " " << wrong.weight;
+  }
 }
 
 TEST(ValueNorm, ValuesMayStartWithAnotherDeviation) {

@@ -175,6 +175,16 @@ TEST(DrawTop, LostWorkersStandOut) {
   }
 }
 
+TEST(DrawTop, ASlowServerStandsOut) {
+  v1::StatusReply status = Fleet();
+  status.mutable_peers(2)->set_health(v1::Peer::SLOW);
+  EXPECT_THAT(Page(status),
+              AllOf(HasSubstr("2 actors  1 server (1 slow)"), HasSubstr("server  host-4-dd       SLOW ")));
+  for (const TextLine& line : DrawTop(status, {}, {})) {
+    EXPECT_EQ(line.style == TextLine::Style::kBad, line.text.rfind("server", 0) == 0) << line.text;
+  }
+}
+
 TEST(DrawTop, AServerThatDoesNotAnswerStandsOut) {
   v1::StatusReply status = Fleet();
   status.mutable_peers(2)->set_health(v1::Peer::NOT_ANSWERING);

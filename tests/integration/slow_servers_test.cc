@@ -1,0 +1,141 @@
+// Environment servers that are stopped again and again, as on a host that swaps: the fleet goes on, and they are named.
+
+#include <atomic>
+#include <csignal>
+#include <memory>
+#include <string>
+#include <thread>
+
+#include <absl/time/clock.h>
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include "tests/fakes/wait_until.h"
+#include "tests/integration/ask_status.h"
+#include "tests/integration/fleet_fixture.h"
+
+namespace craftfleet {
+namespace {
+
+using testing::HasSubstr;
+using testing::Not;
+
+// Stops a process for `off` of each `off` + `on`, until it is destroyed.
+class Stutter {
+ public:
+  Stutter(Process* process, absl::Duration off, absl::Duration on)
+      : thread_([=] {
+          while (!done_) {
+            process->Signal(SIGSTOP);
+            absl::SleepFor(off);
+            process->Signal(SIGCONT);
+            absl::SleepFor(on);
+          }
+        }) {}
+  ~Stutter() {
+    done_ = true;
+    thread_.join();
+  }
+
+ private:
+  std::atomic<bool> done_{false};
+  std::thread thread_;
+};
+
+// A run that does not end during a test.
+constexpr char kLongRun[] = R"(
+  steps: 100000000  lanes: 8  seed: 3  fragment_steps: 64
+  env { length: 200 }
+  ppo { rollout_steps: 512  minibatch_size: 256  epochs: 1 }
+  checkpoint { every_iterations: 1000 }
+)";
+
+class SlowServersTest : public FleetRunTest {
+ protected:
+  void SetUp() override {
+    shared_ = std::make_unique<TempFolder>();
+    ASSERT_THAT(WriteFileSynced(*shared_ / "config.txt", kLongRun), IsOk());
+    learner_ = StartLearner("slow", "127.0.0.1:0");
+    learner_address_ = learner_->WaitForAddress().value();
+    first_ = StartServer("first");
+    second_ = StartServer("second");
+  }
+  void StartActorOn(const std::string& servers) {
+    actor_ = StartActor("actor", learner_address_, servers, 1);
+    ASSERT_TRUE(WaitUntil([&] { return Steps() > 0; }, kPatience)) << actor_->Err();
+  }
+  double Steps() const { return MetricOf(learner_address_, "env_steps"); }
+  double RateOver(absl::Duration duration) const {
+    const double before = Steps();
+    const absl::Time begin = absl::Now();
+    absl::SleepFor(duration);
+    return (Steps() - before) / absl::ToDoubleSeconds(absl::Now() - begin);
+  }
+  std::string Advice() const {
+    const absl::StatusOr<v1::StatusReply> status = AskStatus(learner_address_);
+    return status.ok() ? status->fleet().advice() : "";
+  }
+  // The health of the server at `address`, as the learner shows it.
+  v1::Peer::Health HealthOf(const std::string& address) const {
+    absl::SleepFor(absl::Milliseconds(200));  // called again and again
+    const absl::StatusOr<v1::StatusReply> status = AskStatus(learner_address_);
+    if (!status.ok()) return v1::Peer::HEALTH_UNSPECIFIED;
+    for (const v1::Peer& peer : status->peers()) {
+      if (peer.address() == address) return peer.health();
+    }
+    return v1::Peer::HEALTH_UNSPECIFIED;
+  }
+  // Two servers, of which the second is stopped: it is named, and the fleet soon has most of its speed.
+  void ExpectFleetGoesOn(absl::Duration off, absl::Duration on) {
+    const std::string slow = second_->WaitForAddress().value();
+    StartActorOn(first_->WaitForAddress().value() + "," + slow);
+    absl::SleepFor(absl::Seconds(4));
+    const double before = RateOver(absl::Seconds(6));
+    {
+      const Stutter stutter(second_.get(), off, on);
+      absl::SleepFor(absl::Seconds(20));
+      const double rate = RateOver(absl::Seconds(20));
+      RecordProperty("before", std::to_string(before));
+      RecordProperty("after", std::to_string(rate));
+      EXPECT_GE(rate, 0.7 * before) << before << " steps/s before, " << rate << " since";
+      EXPECT_THAT(actor_->Err(), HasSubstr("environment server " + slow + " is slow: a step takes "));
+      EXPECT_THAT(learner_->Err(), HasSubstr("environment server " + slow + " is slow: a step takes "));
+      EXPECT_EQ(HealthOf(slow), v1::Peer::SLOW);
+      EXPECT_THAT(Advice(), HasSubstr("Environment server " + slow));
+    }
+    EXPECT_TRUE(WaitUntil([&] { return HealthOf(slow) == v1::Peer::OK; }, kPatience)) << "it is tried again";
+    EXPECT_THAT(Advice(), Not(HasSubstr(slow)));
+  }
+
+  std::string learner_address_;
+  std::unique_ptr<Process> learner_;
+  std::unique_ptr<Process> first_;
+  std::unique_ptr<Process> second_;
+  std::unique_ptr<Process> actor_;
+};
+
+TEST_F(SlowServersTest, AServerStoppedForMostOfEachSecondLosesItsGames) {
+  ExpectFleetGoesOn(absl::Milliseconds(950), absl::Milliseconds(50));
+}
+
+TEST_F(SlowServersTest, AServerStoppedForNineSecondsAgainAndAgainLosesItsGames) {
+  ExpectFleetGoesOn(absl::Seconds(9), absl::Milliseconds(200));
+}
+
+TEST_F(SlowServersTest, TheOnlyServerIsNamedAndKeepsItsGames) {
+  const std::string slow = first_->WaitForAddress().value();
+  StartActorOn(slow);
+  absl::SleepFor(absl::Seconds(5));
+  {
+    const Stutter stutter(first_.get(), absl::Milliseconds(950), absl::Milliseconds(50));
+    EXPECT_TRUE(WaitUntil([&] { return HealthOf(slow) == v1::Peer::SLOW; }, absl::Seconds(30))) << actor_->Err();
+    EXPECT_THAT(Advice(), HasSubstr("Environment server " + slow));
+    EXPECT_THAT(actor_->Err(), HasSubstr("environment server " + slow + " is slow"));
+    EXPECT_THAT(actor_->Err(), Not(HasSubstr("fragments returned")));
+    EXPECT_GT(RateOver(absl::Seconds(10)), 0);
+  }
+  EXPECT_TRUE(WaitUntil([&] { return HealthOf(slow) == v1::Peer::OK; }, kPatience));
+}
+
+}  // namespace
+}  // namespace craftfleet
