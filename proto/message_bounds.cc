@@ -1,6 +1,8 @@
 #include "craftfleet/v1/message_bounds.h"
 
 #include <cstdint>
+#include <limits>
+#include <map>
 #include <string>
 
 #include <google/protobuf/io/coded_stream.h>
@@ -35,13 +37,31 @@ bool CountFields(CodedInputStream* in, const Descriptor& type, size_t* fields) {
   return true;
 }
 
+// The bytes that a message of this type needs at most. Others are limited by the channel (wire::kMaxMessageBytes).
+size_t MaxBytes(const Descriptor& type) {
+  static const auto* const large = new std::map<const Descriptor*, size_t>{
+      {EvaluationResult::descriptor(), 8 << 20},  // 10,000 episodes
+      {StatusReply::descriptor(), 8 << 20},       // 1,000 workers
+      {SnapshotReply::descriptor(), 8 << 20},     // a game and the largest state
+      {PlayRequest::descriptor(), 8 << 20},       // environment.proto
+  };
+  if (const auto found = large->find(&type); found != large->end()) return found->second;
+  const bool is_unlimited = &type == PlayReply::descriptor() || &type == ActorMessage::descriptor() ||
+                            &type == LearnerMessage::descriptor() || &type == WeightsChunk::descriptor() ||
+                            type.file()->package() != "craftfleet.v1";
+  return is_unlimited ? std::numeric_limits<size_t>::max() : kSmallMessage;
+}
+
 }  // namespace
 
-grpc::Status CheckBounds(const grpc::ByteBuffer& buffer, size_t max_bytes, const Descriptor& type) {
+grpc::Status CheckBounds(const grpc::ByteBuffer& buffer, const google::protobuf::MessageLite& message) {
+  const auto* const full = dynamic_cast<const google::protobuf::Message*>(&message);
+  if (full == nullptr) return grpc::Status::OK;  // none of ours
+  const Descriptor& type = *full->GetDescriptor();
   const size_t bytes = buffer.Length();
-  if (bytes > max_bytes) {
+  if (bytes > MaxBytes(type)) {
     return {grpc::StatusCode::RESOURCE_EXHAUSTED,
-            type.name() + " of " + std::to_string(bytes) + " bytes, want at most " + std::to_string(max_bytes)};
+            type.name() + " of " + std::to_string(bytes) + " bytes, want at most " + std::to_string(MaxBytes(type))};
   }
   if (bytes <= kSmallMessage) return grpc::Status::OK;
   grpc::ByteBuffer copy(buffer);  // shares the bytes; reading consumes it

@@ -12,7 +12,6 @@
 #include <grpcpp/support/proto_buffer_writer.h>
 #include <grpcpp/support/status.h>
 
-#include "craftfleet/v1/admin.pb.h"
 #include "craftfleet/v1/environment.pb.h"
 #include "craftfleet/v1/learner.pb.h"
 #include "craftfleet/v1/status.pb.h"
@@ -24,11 +23,12 @@ namespace craftfleet::v1 {
 inline constexpr size_t kMaxFields = 1 << 17;
 inline constexpr size_t kSmallMessage = 64 << 10;  // bytes; such messages are parsed without counting
 
-// ResourceExhausted: `buffer` has more than `max_bytes` bytes, or more than kMaxFields fields.
-grpc::Status CheckBounds(const grpc::ByteBuffer& buffer, size_t max_bytes, const google::protobuf::Descriptor& type);
+// ResourceExhausted: `buffer` has more bytes than a message of the type of `message` needs, or more than kMaxFields
+// fields.
+grpc::Status CheckBounds(const grpc::ByteBuffer& buffer, const google::protobuf::MessageLite& message);
 
-// How gRPC reads and writes messages of one type.
-template <typename T, size_t kMaxBytes>
+// How gRPC reads and writes messages.
+template <typename T>
 class BoundedTraits {
  public:
   static grpc::Status Serialize(const google::protobuf::MessageLite& message, grpc::ByteBuffer* buffer,
@@ -36,7 +36,7 @@ class BoundedTraits {
     return grpc::GenericSerialize<grpc::ProtoBufferWriter, T>(message, buffer, own_buffer);
   }
   static grpc::Status Deserialize(grpc::ByteBuffer* buffer, google::protobuf::MessageLite* message) {
-    if (grpc::Status status = CheckBounds(*buffer, kMaxBytes, *T::descriptor()); !status.ok()) {
+    if (grpc::Status status = CheckBounds(*buffer, *message); !status.ok()) {
       buffer->Clear();
       return status;
     }
@@ -46,37 +46,50 @@ class BoundedTraits {
 
 }  // namespace craftfleet::v1
 
-// The bytes that a message of this type needs at most. Larger ones are limited by the channel (wire::kMaxMessageBytes).
-#define CRAFTFLEET_BOUND_MESSAGE(Type, bytes)                 \
-  template <>                                                 \
-  class grpc::SerializationTraits<craftfleet::v1::Type, void> \
-      : public craftfleet::v1::BoundedTraits<craftfleet::v1::Type, bytes> {}
+namespace grpc {
 
-CRAFTFLEET_BOUND_MESSAGE(StatusRequest, craftfleet::v1::kSmallMessage);
-CRAFTFLEET_BOUND_MESSAGE(WatchRequest, craftfleet::v1::kSmallMessage);
-CRAFTFLEET_BOUND_MESSAGE(CheckpointRequest, craftfleet::v1::kSmallMessage);
-CRAFTFLEET_BOUND_MESSAGE(PauseRequest, craftfleet::v1::kSmallMessage);
-CRAFTFLEET_BOUND_MESSAGE(ResumeRequest, craftfleet::v1::kSmallMessage);
-CRAFTFLEET_BOUND_MESSAGE(DrainRequest, craftfleet::v1::kSmallMessage);
-CRAFTFLEET_BOUND_MESSAGE(UndrainRequest, craftfleet::v1::kSmallMessage);
-CRAFTFLEET_BOUND_MESSAGE(StopRequest, craftfleet::v1::kSmallMessage);
-CRAFTFLEET_BOUND_MESSAGE(JoinRequest, craftfleet::v1::kSmallMessage);
-CRAFTFLEET_BOUND_MESSAGE(LeaveRequest, craftfleet::v1::kSmallMessage);
-CRAFTFLEET_BOUND_MESSAGE(SnapshotRequest, craftfleet::v1::kSmallMessage);
-CRAFTFLEET_BOUND_MESSAGE(WeightsRequest, craftfleet::v1::kSmallMessage);
-CRAFTFLEET_BOUND_MESSAGE(Announcement, craftfleet::v1::kSmallMessage);
-CRAFTFLEET_BOUND_MESSAGE(AnnounceReply, craftfleet::v1::kSmallMessage);
-CRAFTFLEET_BOUND_MESSAGE(EvaluationReply, craftfleet::v1::kSmallMessage);
-CRAFTFLEET_BOUND_MESSAGE(LeaveReply, craftfleet::v1::kSmallMessage);
-CRAFTFLEET_BOUND_MESSAGE(JoinReply, craftfleet::v1::kSmallMessage);
-CRAFTFLEET_BOUND_MESSAGE(EvaluationResult, 8 << 20);  // 10,000 episodes
-CRAFTFLEET_BOUND_MESSAGE(StatusReply, 8 << 20);       // 1,000 workers
-CRAFTFLEET_BOUND_MESSAGE(SnapshotReply, 8 << 20);     // a game and the largest state
-CRAFTFLEET_BOUND_MESSAGE(PlayRequest, 8 << 20);       // environment.proto
-CRAFTFLEET_BOUND_MESSAGE(PlayReply, size_t{1} << 30);
-CRAFTFLEET_BOUND_MESSAGE(ActorMessage, size_t{1} << 30);
-CRAFTFLEET_BOUND_MESSAGE(LearnerMessage, size_t{1} << 30);
+// gRPC reads requests and replies of calls with one of each as MessageLite, messages of streams by their type.
+template <>
+class SerializationTraits<google::protobuf::MessageLite, void>
+    : public craftfleet::v1::BoundedTraits<google::protobuf::MessageLite> {};
+template <>
+class SerializationTraits<craftfleet::v1::WatchRequest, void>
+    : public craftfleet::v1::BoundedTraits<craftfleet::v1::WatchRequest> {};
+template <>
+class SerializationTraits<craftfleet::v1::StatusReply, void>
+    : public craftfleet::v1::BoundedTraits<craftfleet::v1::StatusReply> {};
+template <>
+class SerializationTraits<craftfleet::v1::PlayRequest, void>
+    : public craftfleet::v1::BoundedTraits<craftfleet::v1::PlayRequest> {};
+template <>
+class SerializationTraits<craftfleet::v1::PlayReply, void>
+    : public craftfleet::v1::BoundedTraits<craftfleet::v1::PlayReply> {};
+template <>
+class SerializationTraits<craftfleet::v1::ActorMessage, void>
+    : public craftfleet::v1::BoundedTraits<craftfleet::v1::ActorMessage> {};
+template <>
+class SerializationTraits<craftfleet::v1::LearnerMessage, void>
+    : public craftfleet::v1::BoundedTraits<craftfleet::v1::LearnerMessage> {};
+template <>
+class SerializationTraits<craftfleet::v1::WeightsRequest, void>
+    : public craftfleet::v1::BoundedTraits<craftfleet::v1::WeightsRequest> {};
+// The learner's short calls have callbacks, which read requests by their type.
+template <>
+class SerializationTraits<craftfleet::v1::JoinRequest, void>
+    : public craftfleet::v1::BoundedTraits<craftfleet::v1::JoinRequest> {};
+template <>
+class SerializationTraits<craftfleet::v1::SnapshotRequest, void>
+    : public craftfleet::v1::BoundedTraits<craftfleet::v1::SnapshotRequest> {};
+template <>
+class SerializationTraits<craftfleet::v1::EvaluationResult, void>
+    : public craftfleet::v1::BoundedTraits<craftfleet::v1::EvaluationResult> {};
+template <>
+class SerializationTraits<craftfleet::v1::Announcement, void>
+    : public craftfleet::v1::BoundedTraits<craftfleet::v1::Announcement> {};
+template <>
+class SerializationTraits<craftfleet::v1::LeaveRequest, void>
+    : public craftfleet::v1::BoundedTraits<craftfleet::v1::LeaveRequest> {};
 
-#undef CRAFTFLEET_BOUND_MESSAGE
+}  // namespace grpc
 
 #endif  // CRAFTFLEET_PROTO_MESSAGE_BOUNDS_H_

@@ -23,6 +23,9 @@ grpc::Status Parse(const std::string& bytes, Message* message) {
   grpc::ByteBuffer buffer = Buffer(bytes);
   return grpc::SerializationTraits<Message>::Deserialize(&buffer, message);
 }
+grpc::Status Parse(const std::string& bytes, v1::StatusRequest* message) {
+  return Parse<google::protobuf::MessageLite>(bytes, message);
+}
 
 // `count` empty messages in field `number`: two bytes each.
 std::string EmptyMessages(int number, size_t count) {
