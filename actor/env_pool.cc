@@ -234,6 +234,9 @@ absl::StatusOr<EnvPool::Stepped> EnvPool::SendAndReceive(absl::Span<const int> l
     const absl::Time end = SteadyNow();
     const bool was_waited_for = end - begun > (end - sent) / 4;  // otherwise its reply was there before
     if (rows.status.ok() && was_waited_for) connections_.NoteStep(server, end - sent);
+    // In the middle of a fragment, whose end may be minutes away.
+    const bool must_leave = connections_.IsSlow(server) && connections_.MustLeave(server);
+    if (rows.status.ok() && must_leave) rows.status = connections_.HealthOf(server);
   }
   Stepped stepped;
   stepped.lanes.reserve(lanes.size());

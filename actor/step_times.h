@@ -21,7 +21,7 @@ class StepTimes {
   static constexpr absl::Duration kNeverSlow = absl::Milliseconds(10);
   // Where all servers are alike, or there is only one: slow in any case, or if it was several times faster before.
   static constexpr absl::Duration kAlwaysSlow = absl::Milliseconds(250);
-  static constexpr absl::Duration kSlowerThanBefore = absl::Milliseconds(30);
+  static constexpr absl::Duration kSlowerThanBefore = absl::Milliseconds(50);
 
   // A step on `server`, of any number of games, took `time` and ended at `now`. Returns whether this ended a window, so
   // that the typical time is new.

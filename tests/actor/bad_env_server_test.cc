@@ -155,6 +155,22 @@ TEST_F(BadEnvServer, ASilentServerCostsOneDeadlineAndIsUsedAgainOnceItAnswers) {
   EXPECT_THAT(Error(), IsOk());
 }
 
+TEST_F(BadEnvServer, ASlowServerLosesItsGamesInTheMiddleOfAFragment) {
+  Start([](const v1::PlayRequest& request, v1::PlayReply*) {
+    if (request.has_step()) absl::SleepFor(absl::Milliseconds(200));
+    return true;
+  });
+  ASSERT_THAT(OpenFour(), IsOk());
+  for (const absl::Time end = absl::Now() + absl::Seconds(60); lost_ == 0 && absl::Now() < end;) {
+    ASSERT_THAT(StepFour(), IsOk());
+  }
+  EXPECT_EQ(lost_, 2u);
+  EXPECT_THAT(Error(), StatusIs(absl::StatusCode::kUnavailable, HasSubstr("slow, a step takes 2")));
+  for (const EnvServerTracker::Server& server : pool_->Report()) {
+    EXPECT_EQ(server.slow, server.address == server_->address());
+  }
+}
+
 // Evaluations waited for such a game for ever.
 TEST_F(BadEnvServer, AGameThatNeverEndsIsAFaultOfItsServer) {
   Start([](const v1::PlayRequest& request, v1::PlayReply* reply) {
