@@ -106,6 +106,10 @@ bool ServerHealth::IsSlow(const std::string& address) const {
   return found != servers_.end() && found->second.state == State::kSlow;
 }
 
+bool ServerHealth::WasLate(const std::string& address) const {
+  return IsSlow(address) || absl::IsDeadlineExceeded(ErrorOf(address));
+}
+
 bool ServerHealth::ShouldLeave(const std::string& address) const {
   const MutexLock lock(&mu_);
   const auto found = servers_.find(address);
@@ -219,7 +223,7 @@ bool ServerHealth::IsDue(Server* server) {
 }
 
 void ServerHealth::Probe(const std::string& address, EnvClient* client) {
-  TakeResult(address, PlayProbe(client, IsSlow(address) ? StepTimes::kWindow : absl::ZeroDuration()));
+  TakeResult(address, PlayProbe(client, WasLate(address) ? StepTimes::kWindow : absl::ZeroDuration()));
 }
 
 absl::StatusOr<absl::Duration> ServerHealth::PlayProbe(EnvClient* client, absl::Duration duration) {
@@ -263,7 +267,7 @@ void ServerHealth::TakeResult(const std::string& address, const absl::StatusOr<a
     // The server is gone. If suspect, it remains so and is probed as soon as there is a connection.
     server.was_reachable = false;
     server.next_probe = server.last_probe + std::max(server.pause, kBetweenProbes);
-  } else if (step_time.ok() && server.state == State::kSlow && step_times_.IsSlow(address, *step_time)) {
+  } else if (step_time.ok() && server.state != State::kNew && step_times_.IsSlow(address, *step_time)) {
     BecomeSlow(address, *step_time, &server);
     Postpone(kFirstPauseOfSlow, &server);
   } else {
