@@ -1,6 +1,7 @@
 #include "actor/step_times.h"
 
 #include <algorithm>
+#include <cstddef>
 #include <vector>
 
 namespace craftfleet {

@@ -38,9 +38,9 @@ absl::Status BuildCheck::Check(const WorkerBuild& build, absl::Time now, Worker*
       is_actor
           ? absl::StrCat("computes different results from this learner, on \"", Shown(build.cpu, "?"), "\"")
           : absl::StrCat("plays another game", first_server_.empty() ? "" : " than the first one, " + first_server_);
-  const std::string text = absl::StrFormat("%s %s (build %s) %s (build %s): its canary is %s",
-                                           is_actor ? "actor" : "environment server", worker->name, shown_build, does,
-                                           options_.build, Shown(build.canary, "none"));
+  const std::string text =
+      absl::StrFormat("%s %s (build %s) %s (build %s): its canary is %s", is_actor ? "actor" : "environment server",
+                      worker->name, shown_build, does, options_.build, Shown(build.canary, "none"));
   if (!options_.allow_mixed) {
     return absl::FailedPreconditionError(
         absl::StrCat(text, ". ", is_actor ? kComputes : kPlays, "; with --allow_mixed the learner accepts it"));

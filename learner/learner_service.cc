@@ -161,9 +161,8 @@ absl::Status LearnerServiceImpl::CheckPermits(const grpc::ServerContextBase& con
                                               const v1::PermitRequest& request) {
   CRAFTFLEET_RETURN_IF_ERROR(CheckEpoch(request.epoch()));
   if (absl::Status status = wire::CheckPermitRequest(request, options_.shape.lanes); !status.ok()) {
-    WarnRefused(context,
-                absl::StrFormat("request of actor %s refused: %s",
-                                Printable(request.actor().substr(0, wire::kMaxTextBytes)), status.message()));
+    WarnRefused(context, absl::StrFormat("request of actor %s refused: %s",
+                                         Printable(request.actor().substr(0, wire::kMaxTextBytes)), status.message()));
     return status;
   }
   return wire::CheckName("actor", request.actor());
@@ -231,8 +230,7 @@ absl::Status LearnerServiceImpl::Answer(const grpc::ServerContextBase& context, 
   const absl::Status status =
       episodes.ok() ? registry_->FinishEvaluation(request.actor(), request.id(), *episodes) : episodes.status();
   if (!status.ok()) {
-    WarnRefused(context,
-                absl::StrFormat("evaluation by actor %s refused: %s", request.actor(), status.message()));
+    WarnRefused(context, absl::StrFormat("evaluation by actor %s refused: %s", request.actor(), status.message()));
   }
   return status;
 }
@@ -252,8 +250,7 @@ absl::Status LearnerServiceImpl::Answer(const grpc::ServerContextBase& context, 
                                     {request.build(), request.canary(), /*cpu=*/""}, KeepSummary(request.summary())));
   }
   if (!status.ok() && !IsAboutNames(status)) {
-    WarnRefused(context,
-                absl::StrFormat("environment server %s refused: %s", request.name(), status.message()));
+    WarnRefused(context, absl::StrFormat("environment server %s refused: %s", request.name(), status.message()));
   }
   if (!status.ok()) return status;
   reply->set_run_id(options_.run_id);

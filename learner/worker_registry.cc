@@ -57,11 +57,10 @@ absl::StatusOr<Worker*> WorkerRegistry::FindActive(absl::string_view name_or_add
   }
   if (there.size() == 1) return there[0];
   if (there.size() > 1) {
-    return absl::NotFoundError(absl::StrFormat("%d workers say that they are at %s: name one of %s", there.size(),
-                                               name_or_address,
-                                               absl::StrJoin(there, ", ", [](std::string* out, const Worker* worker) {
-                                                 absl::StrAppend(out, worker->name);
-                                               })));
+    return absl::NotFoundError(absl::StrFormat(
+        "%d workers say that they are at %s: name one of %s", there.size(), name_or_address,
+        absl::StrJoin(there, ", ",
+                      [](std::string* out, const Worker* worker) { absl::StrAppend(out, worker->name); })));
   }
   return absl::NotFoundError(absl::StrFormat(
       "no worker \"%s\" has joined or registered; there are: %s", name_or_address,

@@ -5,6 +5,7 @@
 #include <array>
 #include <atomic>
 #include <cstdlib>
+#include <type_traits>
 #include <utility>
 #include <vector>
 

@@ -16,10 +16,10 @@
 
 namespace craftfleet {
 
-// The first `lines` lines with a key are written at once, later ones in the next ten seconds only counted: the first line
-// after these has their number. Keys must not be chosen by those who cause the lines: they could use a new one each time.
-// Keeps at most 256 keys of 128 bytes, and forgets those without lines for ten seconds; all further keys share one entry.
-// Thread-safe.
+// The first `lines` lines with a key are written at once, later ones in the next ten seconds only counted: the first
+// line after these has their number. Keys must not be chosen by those who cause the lines: they could use a new one
+// each time. Keeps at most 256 keys of 128 bytes, and forgets those without lines for ten seconds; all further keys
+// share one entry. Thread-safe.
 class LimitedLog {
  public:
   // `clock` outlives the object.

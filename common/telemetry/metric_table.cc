@@ -53,7 +53,8 @@ constexpr MetricInfo kTable[] = {
      "Times that a worker with another canary asked to join: refused, or admitted by --allow_mixed."},
     // The learner: intake.
     {"fragments_accepted", kCounter, "fragments", "Fragments accepted for training."},
-    {"fragments_duplicate", kCounter, "fragments", "Fragments received again: after a lost answer, or from a second player."},
+    {"fragments_duplicate", kCounter, "fragments",
+     "Fragments received again: after a lost answer, or from a second player."},
     {"fragments_expired", kCounter, "fragments", "Fragments whose permit had been granted to another actor."},
     {"fragments_rejected", kCounter, "fragments", "Fragments of a wrong shape or version, or with impossible values."},
     {"fragments_differing", kCounter, "fragments",
@@ -67,7 +68,8 @@ constexpr MetricInfo kTable[] = {
     {"staleness_mean", kGauge, "",
      "Mean number of updates since the weights that played a fragment of the last update."},
     {"staleness_max", kGauge, "", "Updates since the oldest weights that played a fragment of the last update."},
-    {"permits_lapsed", kCounter, "", "Permits of actors that sent no heartbeat, or whose overdue fragments others finished."},
+    {"permits_lapsed", kCounter, "",
+     "Permits of actors that sent no heartbeat, or whose overdue fragments others finished."},
     {"fragments_queued", kGauge, "fragments", "Fragments that wait for the trainer."},
 
     // Actors.

@@ -47,8 +47,8 @@ absl::StatusOr<v1::Access> ParseAccess(absl::string_view text, absl::string_view
 absl::Status CheckAccess(const v1::Access& access, const Caller& caller, absl::string_view path);
 
 // The identity of `caller`: the names in its certificate, and those of the clients of `access` that have its token. It
-// does not depend on the certificate or token itself, so that both can be renewed, nor on other clients of `access`. Empty: the caller cannot be told apart
-// from others.
+// does not depend on the certificate or token itself, so that both can be renewed, nor on other clients of `access`.
+// Empty: the caller cannot be told apart from others.
 std::string Identity(const v1::Access& access, const Caller& caller);
 
 // Applies an access file, which may change while it is in use. If a new version has errors, they are logged and the

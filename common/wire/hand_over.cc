@@ -62,7 +62,7 @@ void HandOver::Run(const Handle& handle, Current* current) {
       descriptor = waiting_.front();
       waiting_.pop_front();
       *current = {fcntl(descriptor, F_DUPFD_CLOEXEC, 0), clock_.Now()};
-      if (current->copy < 0) {  // the process has no more descriptors
+      if (current->copy < 0) {        // the process has no more descriptors
         ResetConnection(descriptor);  // so that the client does not wait for an answer
         close(descriptor);
         changed_.NotifyAll();

@@ -5,6 +5,7 @@
 #include <atomic>
 #include <cstdio>
 #include <string>
+#include <tuple>
 
 #include <absl/flags/flag.h>
 #include <absl/strings/str_cat.h>

@@ -6,6 +6,7 @@
 #include <cstdlib>
 #include <filesystem>
 #include <string>
+#include <system_error>
 
 #include <absl/strings/string_view.h>
 #include <gtest/gtest.h>

@@ -58,11 +58,11 @@ TEST(BuildCheck, AWorkerThatDiffersIsRefusedAndLogged) {
   FakeClock clock;
   Check check({"0.2", "cafe", "game", false}, &clock);
   EXPECT_THAT(check.CheckActor("a", "cafe"), IsOk());
-  EXPECT_THAT(
-      check.CheckActor("b", "dead", "0.1 (abc)"),
-      StatusIs(absl::StatusCode::kFailedPrecondition,
-               AllOf(HasSubstr("actor b (build 0.1 (abc)) computes different results"), HasSubstr("a CPU, AVX512"),
-                     HasSubstr("its canary is dead"), Not(HasSubstr("cafe")), HasSubstr("--cpu=avx2"), HasSubstr("--allow_mixed"))));
+  EXPECT_THAT(check.CheckActor("b", "dead", "0.1 (abc)"),
+              StatusIs(absl::StatusCode::kFailedPrecondition,
+                       AllOf(HasSubstr("actor b (build 0.1 (abc)) computes different results"),
+                             HasSubstr("a CPU, AVX512"), HasSubstr("its canary is dead"), Not(HasSubstr("cafe")),
+                             HasSubstr("--cpu=avx2"), HasSubstr("--allow_mixed"))));
   EXPECT_THAT(check.CheckActor("old", "", ""),
               StatusIs(absl::StatusCode::kFailedPrecondition, HasSubstr("build older than this one")));
   EXPECT_THAT(check.CheckServer("s", "other"),

@@ -1,5 +1,6 @@
 // Thousands of random histories of a fleet, checked against a plain model after every step.
 #include <algorithm>
+#include <cmath>
 #include <cstdint>
 #include <map>
 #include <memory>

@@ -7,6 +7,7 @@
 
 #include <absl/strings/str_cat.h>
 #include <gmock/gmock.h>
+#include <google/protobuf/descriptor.h>
 #include <gtest/gtest.h>
 
 #include "common/agent/nets/recurrent_core.h"

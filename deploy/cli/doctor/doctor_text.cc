@@ -1,6 +1,7 @@
 #include "deploy/cli/doctor/doctor_text.h"
 
 #include <algorithm>
+#include <utility>
 
 #include <absl/strings/str_cat.h>
 #include <absl/strings/str_format.h>

@@ -1,5 +1,6 @@
 #include "deploy/cli/plot/canvas.h"
 
+#include <algorithm>
 #include <cmath>
 #include <utility>
 #include <vector>

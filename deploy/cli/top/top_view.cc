@@ -250,9 +250,10 @@ std::string CountsLine(const v1::StatusReply& status) {
     if (const int number = count[{role, v1::Peer::SLOW}]; number > 0) bad.push_back(absl::StrFormat("%d slow", number));
     return bad.empty() ? "" : absl::StrCat(" (", absl::StrJoin(bad, ", "), ")");
   };
-  return absl::StrFormat("%s%s  %s%s  %s  checkpoint %s ago", Counted(count[{"actor", v1::Peer::OK}], "actor"),
-                         lost("actor"), Counted(count[{"envserver", v1::Peer::OK}] + count[{"envserver", v1::Peer::SLOW}], "server"), lost("envserver"),
-                         Counted(errors, "error"), FormatTimeLeft(MetricsOf(status)["checkpoint_age"]));
+  return absl::StrFormat(
+      "%s%s  %s%s  %s  checkpoint %s ago", Counted(count[{"actor", v1::Peer::OK}], "actor"), lost("actor"),
+      Counted(count[{"envserver", v1::Peer::OK}] + count[{"envserver", v1::Peer::SLOW}], "server"), lost("envserver"),
+      Counted(errors, "error"), FormatTimeLeft(MetricsOf(status)["checkpoint_age"]));
 }
 
 // Names the drained workers and the command that undoes it; empty if there are none.

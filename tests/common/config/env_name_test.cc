@@ -1,6 +1,7 @@
 #include "common/config/env_name.h"
 
 #include <string>
+#include <utility>
 
 #include <gmock/gmock.h>
 

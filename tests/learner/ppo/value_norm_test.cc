@@ -31,9 +31,10 @@ TEST(ValueNorm, StatisticsOfImpossibleReturnsAreRefused) {
   EXPECT_THAT(norm.Check(), IsOk());
   for (int i = 0; i < 100; ++i) norm.Update({static_cast<float>(kMaxReturn), -3}, 0.9);
   EXPECT_THAT(norm.Check(), IsOk());
-  for (const ValueNorm& wrong : {ValueNorm{1e32, 1e64, 1}, ValueNorm{0, 1e12, 1}, ValueNorm{0, -1, 1}, ValueNorm{0, 0, 2},
-                                 ValueNorm{5, 5, 0}, ValueNorm{std::nan(""), 0, 1}}) {
-    EXPECT_THAT(wrong.Check(), StatusIs(absl::StatusCode::kInvalidArgument, testing::HasSubstr("returns within +-1025")))
+  for (const ValueNorm& wrong : {ValueNorm{1e32, 1e64, 1}, ValueNorm{0, 1e12, 1}, ValueNorm{0, -1, 1},
+                                 ValueNorm{0, 0, 2}, ValueNorm{5, 5, 0}, ValueNorm{std::nan(""), 0, 1}}) {
+    EXPECT_THAT(wrong.Check(),
+                StatusIs(absl::StatusCode::kInvalidArgument, testing::HasSubstr("returns within +-1025")))
         << wrong.mean << " " << wrong.mean_square << " " << wrong.weight;
   }
 }

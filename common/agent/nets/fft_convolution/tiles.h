@@ -12,8 +12,8 @@
 #include <cstring>
 
 #include "common/agent/nets/fft_convolution/products.h"
-#include "common/agent/nets/simd.h"
 #include "common/agent/nets/fft_convolution/tile_fft.h"
+#include "common/agent/nets/simd.h"
 
 namespace craftfleet::CRAFTFLEET_SIMD {
 

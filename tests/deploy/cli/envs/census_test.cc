@@ -1,6 +1,7 @@
 #include "deploy/cli/envs/census.h"
 
 #include <set>
+#include <utility>
 
 #include <absl/strings/str_cat.h>
 #include <absl/strings/str_format.h>

@@ -1,6 +1,8 @@
 #include "deploy/cli/plot/axis.h"
 
+#include <cmath>
 #include <random>
+#include <utility>
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>

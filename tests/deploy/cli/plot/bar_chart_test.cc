@@ -1,5 +1,7 @@
 #include "deploy/cli/plot/bar_chart.h"
 
+#include <algorithm>
+
 #include <gtest/gtest.h>
 
 #include "tests/deploy/cli/plot/picture.h"

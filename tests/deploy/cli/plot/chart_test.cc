@@ -1,5 +1,7 @@
 #include "deploy/cli/plot/chart.h"
 
+#include <utility>
+
 #include <gtest/gtest.h>
 
 #include "tests/deploy/cli/plot/picture.h"

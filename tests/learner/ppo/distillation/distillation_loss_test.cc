@@ -1,6 +1,7 @@
 #include "learner/ppo/distillation/distillation_loss.h"
 
 #include <cmath>
+#include <tuple>
 #include <vector>
 
 #include <gtest/gtest.h>
