@@ -1,10 +1,12 @@
 #!/usr/bin/env bash
-# Installs the Debian packages that CraftFleet is built and tested with (Debian 12 or later).
+# Installs the Debian packages that CraftFleet is built with (Debian 12 or later).
 # Does nothing if all are installed. Uses sudo when not run as root.
 #
-# Usage: deploy/install-deps.sh [--tests[=torch]] [--developer] [--libtorch=DIR|cuda]
-#   --tests         also the packages without which some tests are skipped: Slurm, a YAML parser, network namespaces, displays,
-#                   terminals and a browser; and, from PyPI into .cache/python (300 MB), what the tests of the Python package need
+# Usage: deploy/install-deps.sh [--core] [--tests[=torch]] [--developer] [--libtorch=DIR|cuda]
+#   --core          without the packages for windows and videos, which are half of all on Debian 13
+#   --tests         also the packages of the tests: GoogleTest, and those without which some tests are skipped, such as Slurm, a
+#                   YAML parser, network namespaces, displays, terminals and a browser; and, from PyPI into .cache/python
+#                   (300 MB), what the tests of the Python package need
 #   --tests=torch   the same, and PyTorch with Stable-Baselines3 from PyPI (6 GB), for the tests of examples that train
 #   --developer     also the packages for the other builds and checks of .ci/run: clang and its tools, ccache, lld, shellcheck
 #   --libtorch=DIR  leave out Debian's LibTorch, because the build uses the one in DIR: an unpacked LibTorch, a Python
@@ -14,12 +16,14 @@
 
 set -euo pipefail
 
+core=
 tests=
 developer=
 libtorch=${CRAFTFLEET_LIBTORCH:-}
 usage() { sed -n '2,/^$/s/^# \{0,1\}//p' "$0"; }
 for argument in "$@"; do
   case "$argument" in
+    --core) core=yes ;;
     --tests) tests=yes ;;
     --tests=torch) tests=torch ;;
     --developer) developer=yes ;;
@@ -39,8 +43,9 @@ packages=(
   libtorch-dev
   libgloo-dev  # headers only: for several learners of one run
   libopenblas0-pthread  # with the reference BLAS, training is several times slower
-  libopencv-dev
-  libgtest-dev libgmock-dev libbenchmark-dev python3
+  libopencv-core-dev libopencv-imgproc-dev  # not libopencv-dev, which needs every module
+  libopencv-videoio-dev libopencv-highgui-dev
+  python3
 )
 torch=2.11.0
 torch_gb=4.6
@@ -103,12 +108,20 @@ elif [ -n "$libtorch" ]; then
     exit 2
   fi
 fi
-if [ -n "$libtorch" ]; then
+# Argument: a package that is not wanted.
+leave_out() {
+  local i
   for i in "${!packages[@]}"; do
-    [ "${packages[$i]}" != libtorch-dev ] || unset "packages[$i]"
+    [ "${packages[$i]}" != "$1" ] || unset "packages[$i]"
   done
+}
+if [ -n "$libtorch" ]; then leave_out libtorch-dev; fi
+if [ -n "$core" ] && [ -z "$tests" ]; then
+  leave_out libopencv-videoio-dev
+  leave_out libopencv-highgui-dev
 fi
 if [ -n "$tests" ]; then
+  packages+=(libgtest-dev libgmock-dev libbenchmark-dev libopencv-imgcodecs-dev)
   packages+=(less xz-utils python3-venv python3-dev python3-yaml iproute2 prometheus munge slurmctld slurmd slurm-client tmux xvfb xdotool zsh
     chromium chromium-driver python3-selenium qemu-user)
 fi

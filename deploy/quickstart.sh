@@ -25,26 +25,41 @@ if ! [[ $steps =~ ^[0-9]+$ && $seed =~ ^[0-9]+$ ]]; then
 fi
 cd "$(dirname "$(readlink -f "$0")")/.."
 
-deploy/install-deps.sh
-deploy/build.sh release
+# Announces a step, with what it may take on two cores. Argument: what it does.
+started=$SECONDS
+step=0
+say() {
+  step=$((step + 1))
+  printf '\n[%d/4, %d:%02d so far] %s\n' "$step" $(((SECONDS - started) / 60)) $(((SECONDS - started) % 60)) "$*"
+}
+
+say "Installing the packages that are missing: up to 360 MB, one to three minutes."
+deploy/install-deps.sh --core
+say "Building the programs: the longest step, about five minutes on two cores; a line counts the files. Tests are left out."
+deploy/build.sh release -DCRAFTFLEET_BUILD_TESTS=OFF
 
 number=1
 while [ -e "runs/quickstart-$number" ]; do number=$((number + 1)); done
 logdir=runs/quickstart-$number
 
-echo
-echo "Training PPO-CNN on Crafter for $steps steps into $logdir (stop it with Ctrl-C; it can be resumed)."
+say "Training PPO-CNN on Crafter for $steps steps into $logdir, a minute or two per 100,000 (stop it with Ctrl-C; it can be resumed)."
 build/bin/craftfleet train --agent=ppo_cnn --env=crafter --steps="$steps" --seed="$seed" --lanes=16 --logdir="$logdir"
 
-echo
-echo "Evaluating its last checkpoint over 20 episodes."
+say "Evaluating its last checkpoint over 20 episodes: a few seconds."
 build/bin/craftfleet eval --checkpoint="$logdir" --episodes=20
 
 cat <<RESULTS
 
-Results in $logdir:
+Done in $(((SECONDS - started) / 60)):$(printf %02d $(((SECONDS - started) % 60))). Results in $logdir:
   stats.jsonl     one line per training episode, as Crafter's own recorder writes it
   events.out.*    curves; watch them with: tensorboard --logdir $logdir
   checkpoints/    weights and everything needed to resume
   config.txt      the configuration as it ran
 RESULTS
+if ! grep -qs '^OPENCV_highgui_LIBRARY:[A-Z]*=/' build/CMakeCache.txt; then
+  cat <<'MORE'
+
+The programs are in build/bin. They show games in the terminal: build/bin/craftfleet watch --terminal RUN
+For windows and videos as well: deploy/install-deps.sh && deploy/build.sh
+MORE
+fi

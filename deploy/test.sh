@@ -77,7 +77,7 @@ fi
 by_program=ON
 [ $# -eq 0 ] || by_program=OFF
 for suite in ${suites//,/ }; do
-  if deploy/build.sh "$suite" "-DCRAFTFLEET_TEST_PROGRAMS=$by_program"; then
+  if deploy/build.sh "$suite" -DCRAFTFLEET_BUILD_TESTS=ON "-DCRAFTFLEET_TEST_PROGRAMS=$by_program"; then
     run_suite "$suite" "$@"
   else
     add_failure "$suite does not build"

@@ -99,6 +99,6 @@ fi
 echo "try-distro.sh: $suite, commit $(git -C "$source" rev-parse --short HEAD):"
 # shellcheck disable=SC2016  # dpkg-query expands it
 inside dpkg-query --show --showformat='  ${Package} ${Version}\n' g++ cmake libtorch-dev libgrpc++-dev libprotobuf-dev libabsl-dev \
-  libopencv-dev || result=1
+  libopencv-core-dev || result=1
 if [ "$result" -eq 0 ]; then echo "try-distro.sh: $suite passed"; else echo "try-distro.sh: $suite FAILED"; fi
 exit "$result"
