@@ -102,6 +102,17 @@ class InstallDeps(python_case.FolderCase):
     for folder in (self.folder / "venv", library.parent.parent, library.parent.parent.parent):
       self.assertEqual(self.install(f"--libtorch={folder}").stderr, packages.replace(" libtorch-dev ", " "))
 
+  def test_windows_and_videos_can_be_left_out(self):
+    windows = {"libopencv-highgui-dev", "libopencv-videoio-dev"}
+    packages = set(self.install().stderr.split())
+    self.assertLess(windows, packages)
+    self.assertEqual(set(self.install("--core").stderr.split()), packages - windows)
+
+  def test_only_the_tests_need_googletest_and_image_codecs(self):
+    wanted = {"libgtest-dev", "libgmock-dev", "libbenchmark-dev", "libopencv-imgcodecs-dev"}
+    self.assertFalse(wanted & set(self.install().stderr.split()))
+    self.assertLess(wanted, set(self.install("--tests").stderr.split()))
+
   def with_cuda(self, pip="exit 0", free_kib=9 * 2**20):
     """`--libtorch=cuda` in a checkout where all packages are installed, with a fake pip: the ended script, and pip's calls."""
     checkout = self.folder / "checkout"
