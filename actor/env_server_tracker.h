@@ -25,7 +25,7 @@ class EnvServerTracker {
     v1::ProcessSummary summary;  // as the server last reported it
     std::string error;           // why it gets no games, or why only for want of others; empty: it answers
     bool slow = false;           // that is why
-    absl::Duration step_time;    // typical time of a step; zero: not known
+    absl::Duration step_time = absl::ZeroDuration();  // typical time of a step; zero: not known
   };
 
   // Replaces the report of loop number `loop`.

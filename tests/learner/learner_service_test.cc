@@ -65,7 +65,7 @@ TEST_F(LearnerServiceTest, AnActorReportsABoundedNumberOfServers) {
   EXPECT_EQ(status.peers_size(), 1 + 63) << "the actor, and the first 64 servers except the one without an address";
 }
 
-TEST_F(LearnerServiceTest, AServersImpossibleSummaryIsLeftOut) {
+TEST_F(LearnerServiceTest, AServerWithImpossibleNumbersIsLeftOut) {
   ASSERT_THAT(Join("a"), IsOk());
   v1::PermitRequest request;
   request.set_actor("a");
@@ -74,6 +74,9 @@ TEST_F(LearnerServiceTest, AServersImpossibleSummaryIsLeftOut) {
   v1::Peer* const bad = request.add_env_servers();
   bad->set_address("10.0.0.1:2");
   bad->mutable_summary()->set_steps_per_second(std::nan(""));
+  v1::Peer* const slow = request.add_env_servers();
+  slow->set_address("10.0.0.1:3");
+  slow->set_step_ms(-1);
   ASSERT_THAT(Ask(request), IsOk());
   v1::StatusReply status;
   service_.FillStatus(&status);

@@ -54,7 +54,6 @@ class BusyFleet {
     WorkerRegistry::PermitRequest request;
     request.client.host = HostOf(actor);
     request.actor = NameOf(actor);
-    request.steps.assign(active.size(), ++steps_);
     request.active = std::move(active);
     request.capacity = actors_;
     request.wants_servers = true;
@@ -80,7 +79,6 @@ class BusyFleet {
   const int actors_;
   RealClock clock_;
   int64_t last_fragment_ = 0;
-  int64_t steps_ = 0;
   std::vector<std::vector<Permit>> permits_ = std::vector<std::vector<Permit>>(actors_);
   std::vector<int64_t> generations_ = std::vector<int64_t>(actors_);
 };

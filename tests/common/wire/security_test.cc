@@ -219,7 +219,7 @@ TEST_F(SecurityTest, TokensGiveRights) {
                     StatusIs(absl::StatusCode::kUnauthenticated, HasSubstr("give --token_file")));
       },
       "it sent no token");
-  EXPECT_THAT(log, AllOf(HasSubstr("refused /craftfleet.v1.EnvironmentService/Play: security_test@"),
+  EXPECT_THAT(log, AllOf(HasSubstr("refused /craftfleet.v1.EnvironmentService/Play: wire_test@"),
                          HasSubstr("it is \"monitor\" in the access file, without the right to play"),
                          HasSubstr("its token is not in the access file"), HasSubstr("it sent no token"),
                          Not(HasSubstr("monitor's"))));
