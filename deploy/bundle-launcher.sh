@@ -51,8 +51,9 @@ how="activate a Python environment with torch $LIBTORCH_VERSION (pip install 'to
 if [ -n "${CRAFTFLEET_LIBTORCH:-}" ]; then
   libraries=$(library_folder "$CRAFTFLEET_LIBTORCH") || fail "CRAFTFLEET_LIBTORCH=$CRAFTFLEET_LIBTORCH: no LibTorch there; $how"
 else
-  # Finds the folder of torch without importing it, which takes seconds. -I: a torch in the current folder is not meant.
-  package=$(python3 -I -c 'import importlib.util as u; s = u.find_spec("torch"); print(s.submodule_search_locations[0] if s else "")' 2>/dev/null) || package=
+  # Finds the folder of torch without importing it, which takes seconds. A torch in the current folder is not meant.
+  package=$(python3 -c 'import sys; sys.path = [p for p in sys.path if p]
+import importlib.util as u; s = u.find_spec("torch"); print(s.submodule_search_locations[0] if s else "")' 2>/dev/null) || package=
   [ -n "$package" ] || fail "no LibTorch: python3 has no torch; $how"
   libraries=$(library_folder "$package") || fail "no LibTorch in $package/lib; $how"
 fi

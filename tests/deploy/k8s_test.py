@@ -348,7 +348,7 @@ class Fleet(python_case.FolderCase):
     arguments = []
     for argument in container["args"]:
       argument = argument.replace("/etc/craftfleet", f"{self.folder}/{name}").replace("/runs/$(CRAFTFLEET_RUN)", f"{self.folder}/run")
-      argument = re.sub(r"=0\.0\.0\.0:\d+$", "=127.0.0.1:0", argument)
+      argument = re.sub(r"=\[::\]:\d+$", "=127.0.0.1:0", argument)
       for service, address in addresses.items():
         argument = re.sub(rf"=(dns:)?{service}:\d+$", f"={address}", argument)
       arguments.append(argument)

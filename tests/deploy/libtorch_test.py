@@ -86,7 +86,7 @@ class InstallDeps(python_case.FolderCase):
     tools = self.folder / "tools"
     if not tools.exists():
       tools.mkdir()
-      for tool in ("bash", "env", "sed"):
+      for tool in ("bash", "dirname", "env", "readlink", "sed"):
         (tools / tool).symlink_to(shutil.which(tool))
       for tool, line in (("apt-get", "exit 1"), ("dpkg-query", "exit 1"), ("id", "echo 1000")):
         (tools / tool).write_text(f"#!{shutil.which('sh')}\n{line}\n")

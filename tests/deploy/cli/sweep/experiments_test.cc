@@ -160,7 +160,7 @@ TEST(PaperExperiments, HaveACellForEveryNumberOfThePaper) {
                                                   {"lanes", 3},
                                                   {"no_inventory_300k", 2},
                                                   {"one_iteration", 7},
-                                                  {"overlap_300k", 4},
+                                                  {"overlap_300k", 2},
                                                   {"precision_300k", 2}};
   EXPECT_EQ(cells, expected);
 }
