@@ -1,6 +1,8 @@
 #include "learner/evaluation_planner.h"
 
 #include <atomic>
+#include <cstdint>
+#include <map>
 #include <memory>
 #include <optional>
 #include <string>
@@ -54,7 +56,9 @@ struct Start {
     TestRegistry::PermitRequest request = TestRegistry::RequestOf(actor, {}, 0);
     request.evaluates = true;
     const auto reply = static_cast<WorkerRegistry&>(registry).GetPermits(request);
-    return reply.ok() ? reply->evaluation : std::nullopt;
+    if (!reply.ok() || !reply->evaluation.has_value()) return std::nullopt;
+    holders_[reply->evaluation->id] = actor;
+    return reply->evaluation;
   }
   std::vector<Task> TakeAll() {
     std::vector<Task> tasks;
@@ -65,7 +69,7 @@ struct Start {
   void Finish(const Task& task, int64_t length) {
     std::vector<Episode> episodes(task.episodes);
     for (Episode& episode : episodes) episode.length = length;
-    EXPECT_THAT(registry.FinishEvaluation("actor 1", task.id, episodes), IsOk());
+    EXPECT_THAT(registry.FinishEvaluation(holders_.at(task.id), task.id, episodes), IsOk());
   }
   // Plays all tasks; the episodes of a task are as long as the number of its first episode.
   void PlayAll() {
@@ -98,6 +102,7 @@ struct Start {
 
  private:
   int actors_ = 0;
+  std::map<int64_t, std::string> holders_;  // of tasks
 };
 
 class EvaluationPlannerTest : public OpenRun {
