@@ -36,7 +36,7 @@ void ServerLists::Avoid(absl::string_view name) {
   const auto known = actors_.find(name);
   if (known == actors_.end()) return;
   Actor& actor = known->second;
-  actor.avoided = actor.list.addresses;
+  actor.avoided.insert(actor.list.addresses.begin(), actor.list.addresses.end());
   const bool has_others = std::any_of(servers_.begin(), servers_.end(),
                                       [&](const auto& server) { return actor.avoided.count(server.first) == 0; });
   if (!has_others) actor.avoided.clear();

@@ -43,8 +43,8 @@ class ServerLists {
   // Forgets an actor; ignored if it never asked.
   void RemoveActor(absl::string_view actor);
 
-  // None of its list's servers answers this actor: its next list has others, near or far, if there are any. Those that
-  // it had come back if the others do not answer either, or after they were removed. Ignored if it never asked.
+  // None of its list's servers answers this actor: its next list has others, near or far. Those that it had come back
+  // once all have been tried, or after they were removed. Ignored if it never asked.
   void Avoid(absl::string_view actor);
 
   // The list of `actor`, which is on `host`. The reference is valid until the next call.

@@ -46,7 +46,7 @@ class Pool {
 
   void Return(float* data, size_t bytes) ABSL_LOCKS_EXCLUDED(mu_) {
     const MutexLock lock(&mu_);
-    free_.emplace(bytes, data);
+    free_.emplace_hint(free_.lower_bound(bytes), bytes, data);  // the newest first: it may still be in a cache
   }
 
  private:

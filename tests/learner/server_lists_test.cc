@@ -1,6 +1,7 @@
 #include "learner/server_lists.h"
 
 #include <algorithm>
+#include <cstddef>
 #include <map>
 #include <set>
 #include <string>
@@ -117,6 +118,20 @@ TEST(ServerLists, AvoidedServersComeBackIfTheOthersDoNotAnswerEither) {
   EXPECT_THAT(Of(&lists, "a", "east"), ElementsAre("west:0"));
   lists.Avoid("a");
   EXPECT_THAT(Of(&lists, "a", "east"), ElementsAre("east:0"));
+}
+
+// As when a client announces a thousand servers that do not exist.
+TEST(ServerLists, AllServersAreTriedBeforeOneComesBack) {
+  ServerLists lists(0);
+  constexpr size_t kServers = 5 * ServerLists::kMost;
+  PutServers(&lists, "", kServers);
+  std::set<std::string> tried;
+  for (int i = 0; i < 5; ++i) {
+    const std::set<std::string> list = Of(&lists, "a");
+    tried.insert(list.begin(), list.end());
+    lists.Avoid("a");
+  }
+  EXPECT_EQ(tried.size(), kServers);
 }
 
 TEST(ServerLists, AnAvoidedServerComesBackAfterItWasRemoved) {
