@@ -13,7 +13,7 @@ constexpr absl::Duration kCheckEvery = absl::Seconds(1);
 constexpr absl::Duration kRelayed = absl::Seconds(10);
 // How long an actor must be unable to use any server of its list until it gets others; and within which time it
 // reports each of them again.
-constexpr absl::Duration kUnusableFor = absl::Seconds(10);
+constexpr absl::Duration kUnusableFor = absl::Seconds(3);
 constexpr absl::Duration kReportedAgain = absl::Seconds(20);
 
 }  // namespace
