@@ -134,15 +134,15 @@ TEST_F(BadRunFolderTest, AFlippedBitIsDetected) {
 
 TEST_F(BadRunFolderTest, ACheckpointOfANewerFormatIsRefused) {
   Train("run");
-  Damage(Checkpoint("run", 3) + "/MANIFEST", "format 1", "format 2");
+  Damage(Checkpoint("run", 3) + "/MANIFEST", "format 2", "format 3");
   for (const auto& [program, flag] :
        {std::pair<std::string, std::string>{"craftfleet-train", "--logdir="}, {"craftfleet-eval", "--checkpoint="}}) {
     std::vector<std::string> arguments = {flag + Logdir("run")};
     if (program == "craftfleet-train") arguments.emplace_back("--resume");
     const Ended ended = Run(program, arguments);
     EXPECT_EQ(ended.exit_code, 1);
-    EXPECT_THAT(ended.err, HasSubstr("has format 2, written by craftfleet"));
-    EXPECT_THAT(ended.err, HasSubstr("reads formats up to 1: use that version or a newer one"));
+    EXPECT_THAT(ended.err, HasSubstr("has format 3, written by craftfleet"));
+    EXPECT_THAT(ended.err, HasSubstr("reads format 2: use that version or a newer one"));
   }
 }
 
