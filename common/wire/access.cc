@@ -232,9 +232,9 @@ absl::StatusOr<std::shared_ptr<AccessControl>> AccessControl::Create(const std::
 absl::Status AccessControl::Check(const Caller& caller, absl::string_view path) const {
   const absl::Status status = CheckAccess(*snapshot_->Get(), caller, path);
   if (status.ok()) return status;
-  // By certificate, which callers do not choose as freely as program, token and path.
-  log_.Warn(absl::StrCat(absl::StatusCodeToString(status.code()), caller.token.has_value() ? " token " : " ",
-                         absl::StrJoin(caller.certificate_names, ", ")),
+  // By right and certificate, which callers do not choose as freely as program, token and path.
+  log_.Warn(absl::StrCat(absl::StatusCodeToString(status.code()), " ", v1::Right_Name(RightFor(path)),
+                         caller.token.has_value() ? " token " : " ", absl::StrJoin(caller.certificate_names, ", ")),
             absl::StrFormat("refused %s: %s", Printable(path), status.message()));
   return absl::Status(status.code(), "not allowed; the log of the process that was called says why");
 }

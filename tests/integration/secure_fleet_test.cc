@@ -140,6 +140,7 @@ TEST_F(SecureFleetTest, StrangersAreRefusedAndTheRunIsTheSame) {
                     HasSubstr("the access file has no client with this certificate and no token"),
                     HasSubstr("its token is not in the access file"),
                     HasSubstr("it is \"monitor\" in the access file, without the right to play"),
+                    HasSubstr("it is \"monitor\" in the access file, without the right to steer"),
                     HasSubstr("it is \"workers\" in the access file, without the right to watch")));
   EXPECT_THAT(learner_->Err(), Not(HasSubstr("sesame")));
   ExpectTheRunToEndLikeQuiet("strangers");
