@@ -1,10 +1,9 @@
 #include "learner/ppo/gradient_shards.h"
 
 #include <algorithm>
-#include <exception>
+#include <functional>
 
 #include <ATen/ATen.h>
-#include <absl/strings/str_cat.h>
 #include <c10/core/GradMode.h>
 #include <torch/csrc/autograd/autograd.h>
 
@@ -12,6 +11,7 @@
 #include "common/agent/policy_net.h"
 #include "common/base/status_macros.h"
 #include "learner/ppo/divergence.h"
+#include "learner/ppo/run_parts.h"
 
 namespace craftfleet {
 namespace {
@@ -42,9 +42,8 @@ struct GradientShards::Shard {
       : net(spec, PolicyNet::Use::kTraining, weights), frames(at::empty({0})) {}
 
   PolicyNet net;
-  at::Tensor frames;    // float[rows,H,W,3], reused
-  PpoLossSums sums;     // of the last minibatch
-  absl::Status status;  // of the last part
+  at::Tensor frames;  // float[rows,H,W,3], reused
+  PpoLossSums sums;   // of the last minibatch
 };
 
 GradientShards::GradientShards(const AgentSpec& spec, const v1::PpoConfig& config, int count, absl::Span<float> weights,
@@ -59,12 +58,15 @@ absl::StatusOr<PpoLossSums> GradientShards::ComputeGradients(const Rollout& roll
                                                              std::vector<ShardGradient>* gradients) {
   const size_t parts = minibatch.parts.size();
   absl::Status own = PrepareWeights();
-  if (own.ok()) own = Run(parts, [&](int i) { ComputeGradient(rollout, minibatch, i); });
+  const ShardRange range = OwnShards(parts);
+  if (own.ok()) {
+    own = RunParts(workers_, "gradient", range.end - range.begin,
+                   [&](int i) { ComputeGradient(rollout, minibatch, range.begin + i); });
+  }
   if (ranks_ == nullptr) CRAFTFLEET_RETURN_IF_ERROR(own);
   PpoLossSums sums;
   std::vector<PpoLossSums> losses;
   gradients->clear();
-  const ShardRange range = OwnShards(parts);
   for (int i = range.begin; i < range.end; ++i) {
     gradients->push_back(shards_[i]->net.gradients());
     losses.push_back(shards_[i]->sums);
@@ -103,37 +105,12 @@ ShardRange GradientShards::OwnShards(size_t parts) const {
 }
 
 absl::Status GradientShards::PrepareWeights() {
-  std::vector<absl::Status> statuses;
-  const RunTasks run = [&](const std::vector<std::function<void()>>& tasks) {
-    statuses.resize(tasks.size());
-    workers_->Run(static_cast<int>(tasks.size()), [&](int i) {
-      try {
-        tasks[i]();
-      } catch (const std::exception& error) {  // of LibTorch, or out of memory
-        statuses[i] = absl::InternalError(absl::StrCat("weights: ", error.what()));
-      }
-    });
-  };
-  const std::shared_ptr<const PreparedWeights> prepared = shards_.front()->net.Prepare(run);
-  for (const auto& shard : shards_) shard->net.UsePrepared(prepared);
+  for (const auto& shard : shards_) shard->net.UsePrepared(nullptr);  // its memory serves again
   absl::Status status;
-  for (const absl::Status& of_task : statuses) status.Update(of_task);
-  return status;
-}
-
-absl::Status GradientShards::Run(size_t parts, const std::function<void(int)>& part) {
-  const ShardRange own = OwnShards(parts);
-  workers_->Run(own.end - own.begin, [&](int i) {
-    Shard* const shard = shards_[own.begin + i].get();
-    try {
-      part(own.begin + i);
-      shard->status = absl::OkStatus();
-    } catch (const std::exception& error) {  // of LibTorch, or out of memory
-      shard->status = absl::InternalError(absl::StrCat("gradient: ", error.what()));
-    }
+  const auto prepared = shards_.front()->net.Prepare([&](const std::vector<std::function<void()>>& tasks) {
+    status = RunParts(workers_, "weights", static_cast<int>(tasks.size()), [&](int i) { tasks[i](); });
   });
-  absl::Status status;
-  for (int i = own.begin; i < own.end; ++i) status.Update(shards_[i]->status);
+  for (const auto& shard : shards_) shard->net.UsePrepared(prepared);
   return status;
 }
 

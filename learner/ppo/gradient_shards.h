@@ -5,7 +5,6 @@
 
 #include <cstddef>
 #include <cstdint>
-#include <functional>
 #include <memory>
 #include <optional>
 #include <vector>
@@ -71,8 +70,6 @@ class GradientShards {
   absl::Status PrepareWeights();
   // Those that compute a minibatch's `parts` on this rank.
   ShardRange OwnShards(size_t parts) const;
-  // Calls `part` for each of them, on the workers.
-  absl::Status Run(size_t parts, const std::function<void(int)>& part);
   // The network's output for `part`, on the shard's frames.
   NetOutput Forward(const Rollout& rollout, const Minibatch& part, const std::optional<Dropout>& dropout,
                     Shard* shard) const;

@@ -1,11 +1,9 @@
 #include "learner/ppo/distillation/sharded_net.h"
 
 #include <algorithm>
-#include <exception>
 #include <utility>
 
 #include <ATen/ATen.h>
-#include <absl/strings/str_cat.h>
 #include <c10/core/GradMode.h>
 #include <torch/csrc/autograd/autograd.h>
 
@@ -13,6 +11,7 @@
 #include "common/agent/policy_net.h"
 #include "common/agent/torch_setup.h"
 #include "common/base/status_macros.h"
+#include "learner/ppo/run_parts.h"
 
 namespace craftfleet {
 namespace {
@@ -43,7 +42,6 @@ struct ShardedNet::Shard {
   PolicyNet net;
   at::Tensor frames;  // float[rows,H,W,3], reused
   NetOutput output;   // of the last forward pass
-  absl::Status status;
 };
 
 ShardedNet::ShardedNet(const AgentSpec& spec, const v1::RunConfig& config, absl::Span<float> weights,
@@ -77,18 +75,10 @@ void ShardedNet::LoadFrames(absl::Span<const int> rows, Shard* shard) const {
 
 absl::Status ShardedNet::RunShards(size_t rows, const std::function<void(Shard*, size_t, size_t)>& part) {
   const size_t parts = std::min(shards_.size(), rows);
-  workers_->Run(static_cast<int>(parts), [&](int i) {
-    Shard* const shard = shards_[i].get();
+  return RunParts(workers_, "distillation", static_cast<int>(parts), [&](int i) {
     const size_t first = rows * i / parts;
-    try {
-      part(shard, first, rows * (i + 1) / parts - first);
-      shard->status = absl::OkStatus();
-    } catch (const std::exception& error) {
-      shard->status = absl::InternalError(absl::StrCat("distillation: ", error.what()));
-    }
+    part(shards_[i].get(), first, rows * (i + 1) / parts - first);
   });
-  for (size_t i = 0; i < parts; ++i) CRAFTFLEET_RETURN_IF_ERROR(shards_[i]->status);
-  return absl::OkStatus();
 }
 
 absl::StatusOr<std::vector<float>> ShardedNet::Codes(absl::Span<const int> rows) {
