@@ -15,33 +15,15 @@
 #include "common/agent/nets/direct_convolution/direct_convolution.h"
 #include "common/agent/torch_setup.h"
 #include "common/base/cpu_path.h"
-#include "common/base/keyed_random.h"
+#include "tests/agent/kernel_numbers.h"
 
 namespace craftfleet {
 namespace {
 
-constexpr double kMaxError = 6e-7;  // relative, in the L2 norm
-
-at::Tensor Numbers(at::IntArrayRef shape, uint64_t stream, double scale) {
-  at::Tensor numbers = at::empty(shape);
-  float* const values = numbers.data_ptr<float>();
-  for (int64_t i = 0; i < numbers.numel(); ++i) {
-    values[i] = static_cast<float>(scale * (UnitInterval(MixBits(stream * 0x9E3779B97F4A7C15ULL + i)) - 0.5));
-  }
-  return numbers;
-}
-
-double RelativeError(const at::Tensor& want, const at::Tensor& got) {
-  return ((want - got.to(at::kDouble)).norm() / want.norm()).item<double>();
-}
-
-std::vector<CpuPath> Paths() {
-  std::vector<CpuPath> paths;
-  for (const CpuPath path : {CpuPath::kAvx2, CpuPath::kAvx512}) {
-    if (CpuHas(path)) paths.push_back(path);
-  }
-  return paths;
-}
+using testing::KernelPaths;
+using testing::kMaxError;
+using testing::Numbers;
+using testing::RelativeError;
 
 struct Case {
   DirectShape shape;
@@ -87,12 +69,12 @@ class DirectConvTest : public ::testing::TestWithParam<Case> {
  protected:
   void SetUp() override {
     SetUpTorchThread();
-    if (Paths().empty()) GTEST_SKIP() << "a CPU without AVX2";
+    if (KernelPaths().empty()) GTEST_SKIP() << "a CPU without AVX2";
   }
 };
 
 TEST_P(DirectConvTest, IsAConvolutionForAutograd) {
-  for (const CpuPath path : Paths()) {
+  for (const CpuPath path : KernelPaths()) {
     const ScopedCpuPath scoped(path);
     SCOPED_TRACE(CpuPathName(path));
     ASSERT_TRUE(DirectConvolution::Fits(GetParam().shape, GetParam().wants_input_gradient));
@@ -118,9 +100,9 @@ TEST_P(DirectConvTest, IsAConvolutionForAutograd) {
 }
 
 TEST_P(DirectConvTest, BothInstructionSetsComputeTheSameBits) {
-  if (Paths().size() < 2) GTEST_SKIP() << "a CPU without AVX-512";
+  if (KernelPaths().size() < 2) GTEST_SKIP() << "a CPU without AVX-512";
   std::vector<std::vector<at::Tensor>> results;
-  for (const CpuPath path : Paths()) {
+  for (const CpuPath path : KernelPaths()) {
     const ScopedCpuPath scoped(path);
     Layer layer(GetParam());
     layer.Compute();
@@ -151,7 +133,7 @@ INSTANTIATE_TEST_SUITE_P(Shapes, DirectConvTest,
                                            Case{{64, 64, 4, 1, 0, 4}, 1, Activation::kNone, true}));
 
 TEST(DirectConv, SaysWhatFits) {
-  if (Paths().empty()) GTEST_SKIP() << "a CPU without AVX2";
+  if (KernelPaths().empty()) GTEST_SKIP() << "a CPU without AVX2";
   EXPECT_FALSE(DirectConvolution::Fits({3, 32, 8, 4, 0, 64}, false)) << "outputs are no multiple of 64";
   EXPECT_FALSE(DirectConvolution::Fits({3, 64, 5, 1, 2, 64}, true)) << "padding";
   EXPECT_FALSE(DirectConvolution::Fits({64, 64, 5, 1, 0, 4}, false)) << "no output";

@@ -11,23 +11,14 @@
 
 #include "common/agent/nets/fft_convolution/fft_convolution.h"
 #include "common/agent/torch_setup.h"
-#include "common/base/keyed_random.h"
+#include "tests/agent/kernel_numbers.h"
 
 namespace craftfleet {
 namespace {
 
-at::Tensor Numbers(at::IntArrayRef shape, uint64_t stream, double scale) {
-  at::Tensor numbers = at::empty(shape);
-  float* const values = numbers.data_ptr<float>();
-  for (int64_t i = 0; i < numbers.numel(); ++i) {
-    values[i] = static_cast<float>(scale * (UnitInterval(MixBits(stream * 0x9E3779B97F4A7C15ULL + i)) - 0.5));
-  }
-  return numbers;
-}
-
-double RelativeError(const at::Tensor& want, const at::Tensor& got) {
-  return ((want - got.to(at::kDouble)).norm() / want.norm()).item<double>();
-}
+using testing::kMaxError;
+using testing::Numbers;
+using testing::RelativeError;
 
 class FftConvTest : public ::testing::Test {
  protected:
@@ -64,10 +55,10 @@ TEST_F(FftConvTest, IsAConvolutionWithReluForAutograd) {
   const at::Tensor exact =
       at::conv2d(leaves[0], leaves[1], leaves[2], /*stride=*/1, /*padding=*/2) * output.detach().gt(0).to(at::kDouble);
   torch::autograd::backward({exact}, {by_output.to(at::kDouble)});
-  EXPECT_LT(RelativeError(exact.detach(), output.detach()), 6e-7);
-  EXPECT_LT(RelativeError(leaves[0].grad(), input_.grad()), 6e-7);
-  EXPECT_LT(RelativeError(leaves[1].grad(), weight_.grad()), 6e-7);
-  EXPECT_LT(RelativeError(leaves[2].grad(), bias_.grad()), 6e-7);
+  EXPECT_LT(RelativeError(exact.detach(), output.detach()), kMaxError);
+  EXPECT_LT(RelativeError(leaves[0].grad(), input_.grad()), kMaxError);
+  EXPECT_LT(RelativeError(leaves[1].grad(), weight_.grad()), kMaxError);
+  EXPECT_LT(RelativeError(leaves[2].grad(), bias_.grad()), kMaxError);
 }
 
 TEST_F(FftConvTest, GradientsAreFiniteDifferences) {

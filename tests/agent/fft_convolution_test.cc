@@ -18,15 +18,18 @@
 #include "common/agent/nets/fft_convolution/kernels.h"
 #include "common/agent/pooled_buffer.h"
 #include "common/base/cpu_path.h"
-#include "common/base/keyed_random.h"
+#include "tests/agent/kernel_numbers.h"
 
 namespace craftfleet {
 namespace {
 
+using testing::KernelPaths;
+using testing::kMaxError;
+using testing::RelativeError;
+
 constexpr int kChannels = FftConvolution::kChannels;
 constexpr int kKernel = FftConvolution::kKernel;
-constexpr int64_t kFilterStep = 2 * kChannels * kChannels + 80;  // products.h
-constexpr double kMaxError = 6e-7;                               // relative, in the L2 norm
+constexpr int64_t kFilterStep = FftKernels::kFilterStep;
 
 // Aligned floats.
 class Floats {
@@ -34,9 +37,7 @@ class Floats {
   explicit Floats(int64_t size) : size_(size), buffer_(size) { std::fill_n(data(), size, 0.0F); }
   // Numbers in [-scale / 2, scale / 2) that depend on `stream`.
   Floats(int64_t size, uint64_t stream, double scale = 1) : Floats(size) {
-    for (int64_t i = 0; i < size; ++i) {
-      data()[i] = static_cast<float>(scale * (UnitInterval(MixBits(stream * 0x9E3779B97F4A7C15ULL + i)) - 0.5));
-    }
+    testing::FillNumbers(size, stream, scale, data());
   }
   float* data() const { return buffer_.get(); }
   float operator[](int64_t i) const { return data()[i]; }
@@ -56,14 +57,6 @@ double RelativeError(const std::vector<double>& want, const Floats& got) {
     norm += want[i] * want[i];
   }
   return std::sqrt(error / norm);
-}
-
-std::vector<CpuPath> Paths() {
-  std::vector<CpuPath> paths;
-  for (const CpuPath path : {CpuPath::kAvx2, CpuPath::kAvx512}) {
-    if (CpuHas(path)) paths.push_back(path);
-  }
-  return paths;
 }
 
 // The frequency k of a spectrum of 4 Q points at the place k0 Q + k1, where k0 = k mod 4 and k1 = k mod Q.
@@ -97,14 +90,14 @@ std::vector<std::pair<int, int>> Frequencies(int q) {
 class FftKernelsTest : public ::testing::TestWithParam<int> {
  protected:
   void SetUp() override {
-    if (Paths().empty()) GTEST_SKIP() << "a CPU without AVX2";
+    if (KernelPaths().empty()) GTEST_SKIP() << "a CPU without AVX2";
   }
 };
 
 // X[ky, kx] = sum over y and x of x[y, x] exp(-2 pi i (y ky + x kx) / N), of a tile with its border of zeros.
 TEST_P(FftKernelsTest, TheTransformOfATileIsItsDefinition) {
   const int size = GetParam();
-  for (const CpuPath path : Paths()) {
+  for (const CpuPath path : KernelPaths()) {
     const FftKernels& kernels = *FindFftKernels(path, size);
     const int points = kernels.outputs + 4;
     const Floats map(int64_t{size} * size * kChannels, 1);
@@ -141,7 +134,7 @@ std::complex<double> Complex(const Floats& values, int64_t at, int64_t im_step) 
 
 TEST(FftProducts, AreComplexMatrixProductsAtEachFrequency) {
   constexpr int kFrequencies = 3;
-  for (const CpuPath path : Paths()) {
+  for (const CpuPath path : KernelPaths()) {
     const FftKernels& kernels = *FindFftKernels(path, 32);
     for (const int tiles : {1, 4, 5, 8, 63, 64, 71}) {
       const Floats a(int64_t{kFrequencies} * tiles * 2 * kChannels, 2);
@@ -170,7 +163,7 @@ TEST(FftProducts, AreComplexMatrixProductsAtEachFrequency) {
 TEST(FftProducts, CorrelateAllTilesOfAllChunks) {
   constexpr int kFrequencies = 3;
   constexpr int kChunk = 70;
-  for (const CpuPath path : Paths()) {
+  for (const CpuPath path : KernelPaths()) {
     const FftKernels& kernels = *FindFftKernels(path, 32);
     for (const int tiles : {1, 9, 70, 150}) {
       const Floats x(int64_t{kFrequencies} * tiles * 2 * kChannels, 4);
@@ -239,10 +232,6 @@ at::Tensor Map(const Floats& pixels, int n, int size) {
   return at::from_blob(pixels.data(), {n, size, size, kChannels}).permute({0, 3, 1, 2}).to(at::kDouble);
 }
 
-double RelativeError(const at::Tensor& want, const at::Tensor& got) {
-  return ((want - got.to(at::kDouble)).norm() / want.norm()).item<double>();
-}
-
 // Y = max(X * W + b, 0) and its gradients in float64, with the layer's own mask: where the exact value is next to 0,
 // either side is right.
 void ExpectDefinition(const Layer& layer) {
@@ -267,7 +256,7 @@ class FftConvolutionTest : public ::testing::TestWithParam<std::tuple<int, int>>
 
 TEST_P(FftConvolutionTest, OutputsAndGradientsAreTheirDefinition) {
   const auto [size, n] = GetParam();
-  for (const CpuPath path : Paths()) {
+  for (const CpuPath path : KernelPaths()) {
     const ScopedCpuPath scoped(path);
     SCOPED_TRACE(CpuPathName(path));
     Layer layer(size, n);
@@ -282,10 +271,10 @@ INSTANTIATE_TEST_SUITE_P(SizesAndMaps, FftConvolutionTest,
                                            std::tuple(64, 3), std::tuple(72, 1), std::tuple(96, 1)));
 
 TEST(FftConvolution, BothInstructionSetsComputeTheSameBits) {
-  if (Paths().size() < 2) GTEST_SKIP() << "a CPU without AVX-512";
+  if (KernelPaths().size() < 2) GTEST_SKIP() << "a CPU without AVX-512";
   for (const int size : {64, 72}) {
     std::vector<std::vector<float>> results;
-    for (const CpuPath path : Paths()) {
+    for (const CpuPath path : KernelPaths()) {
       const ScopedCpuPath scoped(path);
       Layer layer(size, 5);
       layer.Compute();
@@ -300,7 +289,7 @@ TEST(FftConvolution, BothInstructionSetsComputeTheSameBits) {
 }
 
 TEST(FftConvolution, AMapDoesNotDependOnTheOthers) {
-  if (Paths().empty()) GTEST_SKIP() << "a CPU without AVX2";
+  if (KernelPaths().empty()) GTEST_SKIP() << "a CPU without AVX2";
   constexpr int kSize = 24;
   constexpr int kMaps = 37;
   Layer all(kSize, kMaps);
@@ -319,7 +308,7 @@ TEST(FftConvolution, AMapDoesNotDependOnTheOthers) {
 
 // As in the black parts of a frame before the biases have been trained.
 TEST(FftConvolution, ZerosStayZeros) {
-  if (Paths().empty()) GTEST_SKIP() << "a CPU without AVX2";
+  if (KernelPaths().empty()) GTEST_SKIP() << "a CPU without AVX2";
   Layer layer(32, 1);
   std::fill_n(layer.bias.data(), kChannels, 0.0F);
   constexpr int kLit = 8;  // rows of the map that are not black
@@ -332,7 +321,7 @@ TEST(FftConvolution, ZerosStayZeros) {
 }
 
 TEST(FftConvolution, FitsMultiplesOf32And24) {
-  if (Paths().empty()) GTEST_SKIP() << "a CPU without AVX2";
+  if (KernelPaths().empty()) GTEST_SKIP() << "a CPU without AVX2";
   for (const int size : {24, 32, 64, 72, 96, 120}) EXPECT_TRUE(FftConvolution::Fits(size)) << size;
   for (const int size : {0, 16, 36, 65}) EXPECT_FALSE(FftConvolution::Fits(size)) << size;
   const ScopedCpuPath base(CpuPath::kBase);
