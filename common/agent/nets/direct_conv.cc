@@ -8,6 +8,7 @@
 #include <torch/csrc/autograd/custom_function.h>
 
 #include "common/agent/nets/map_tensors.h"
+#include "common/base/check.h"
 
 namespace craftfleet {
 namespace {
@@ -33,8 +34,7 @@ std::vector<int64_t> NumbersOf(const DirectShape& shape) {
   return {shape.channels, shape.outputs, shape.kernel, shape.stride, shape.padding, shape.size};
 }
 DirectShape ShapeOf(const std::vector<int64_t>& numbers) {
-  const auto at = [&](int i) { return static_cast<int>(numbers[i]); };
-  return {at(0), at(1), at(2), at(3), at(4), at(5)};
+  return {numbers[0], numbers[1], numbers[2], numbers[3], numbers[4], numbers[5]};
 }
 
 struct DirectConvFunction : torch::autograd::Function<DirectConvFunction> {
@@ -94,6 +94,7 @@ at::Tensor DirectConv(const DirectShape& shape, const at::Tensor& input, const a
                       const at::Tensor& bias, Activation activation, const PreparedWeight& panels) {
   if (c10::GradMode::is_enabled() && (weight.requires_grad() || input.requires_grad())) {
     const at::Tensor& for_input = panels.for_input_gradient;
+    CRAFTFLEET_CHECK(for_input.defined() || !input.requires_grad());
     return DirectConvFunction::apply(input, weight, bias, panels.for_output,
                                      for_input.defined() ? c10::make_optional(for_input) : c10::nullopt,
                                      NumbersOf(shape), activation == Activation::kRelu);

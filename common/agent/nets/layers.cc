@@ -11,7 +11,7 @@
 #include "common/agent/nets/fft_conv.h"
 #include "common/agent/nets/fft_convolution/fft_convolution.h"
 #include "common/agent/nets/param_tensors.h"
-#include "common/agent/nets/part.h"
+#include "common/agent/nets/prepared_weights.h"
 
 namespace craftfleet {
 namespace {
@@ -53,14 +53,20 @@ at::Tensor LinearLayer::Forward(const ParamTensors& params, const at::Tensor& in
 
 namespace {
 
+// The prepared weight in `params`, or what `make` returns.
+template <typename Make>
+PreparedWeight PreparedOr(const ParamTensors& params, ParamIndex weight, const Make& make) {
+  const PreparedWeight* const prepared = params.FindPrepared(weight);
+  return prepared != nullptr ? *prepared : make();
+}
+
 // The weights of patches, [out,in] or the first of them, as those of a convolution: [out,C,patch,patch].
 at::Tensor PatchWeight(const at::Tensor& weight, int64_t channels, int64_t patch) {
   return weight.narrow(1, 0, channels * patch * patch).view({weight.size(0), channels, patch, patch});
 }
 
 DirectShape PatchShape(const at::Tensor& weight, int64_t channels, int64_t size, int64_t patch, int64_t stride) {
-  const auto number = [](int64_t x) { return static_cast<int>(x); };
-  return {number(channels), number(weight.size(0)), number(patch), number(stride), /*padding=*/0, number(size)};
+  return {channels, weight.size(0), patch, stride, /*padding=*/0, size};
 }
 
 bool UsesDirectPatches(const ParamTensors& params, const at::Tensor& weight, const DirectShape& shape) {
@@ -84,15 +90,13 @@ at::Tensor LinearLayer::ForwardPatches(const ParamTensors& params, const at::Ten
   const at::Tensor of_patch = PatchWeight(weight, map.size(1), patch);
   at::Tensor output;
   if (is_direct) {
-    const PreparedWeight* prepared = params.FindPrepared(weight_);
-    PreparedWeight own;
-    if (prepared == nullptr) {
-      own = AllocateDirectPanels(shape, weight.requires_grad());
-      FillDirectPanels(shape, of_patch, own);
-      prepared = &own;
-    }
+    const PreparedWeight panels = PreparedOr(params, weight_, [&] {
+      PreparedWeight made = AllocateDirectPanels(shape, weight.requires_grad());
+      FillDirectPanels(shape, of_patch, made);
+      return made;
+    });
     output = DirectConv(shape, map, of_patch, bias.defined() ? bias : at::zeros({weight.size(0)}), Activation::kNone,
-                        *prepared);
+                        panels);
   } else {
     const at::ScalarType type = params.multiplied_as;
     output = at::conv2d(map.to(type), of_patch.to(type), {}, {stride, stride}).to(at::kFloat);
@@ -133,25 +137,22 @@ at::Tensor ConvLayer::Forward(const ParamTensors& params, const at::Tensor& inpu
 }
 
 DirectShape ConvLayer::DirectShapeFor(int64_t size) const {
-  const auto number = [](int64_t x) { return static_cast<int>(x); };
-  return {number(shape_.inputs), number(shape_.outputs), number(shape_.kernel),
-          number(shape_.stride), number(shape_.padding), number(size)};
+  return {shape_.inputs, shape_.outputs, shape_.kernel, shape_.stride, shape_.padding, size};
 }
 
-ConvLayer::Kernels ConvLayer::KernelsFor(const ParamTensors& params, int64_t size, bool wants_input_gradient) const {
+ConvLayer::Kernels ConvLayer::KernelsFor(const ParamTensors& params, int64_t size) const {
   constexpr int64_t kChannels = FftConvolution::kChannels;
   if (!params[weight_].is_cpu() || bias_ == kNoParam) return Kernels::kLibTorch;
   if (shape_.inputs == kChannels && shape_.outputs == kChannels && shape_.kernel == FftConvolution::kKernel &&
       shape_.stride == 1 && shape_.padding == FftConvolution::kKernel / 2 && FftConvolution::Fits(size)) {
     return Kernels::kFft;
   }
-  return DirectConvolution::Fits(DirectShapeFor(size), wants_input_gradient) ? Kernels::kDirect : Kernels::kLibTorch;
+  return DirectConvolution::Fits(DirectShapeFor(size), !sees_frames()) ? Kernels::kDirect : Kernels::kLibTorch;
 }
 
 PreparedWeight ConvLayer::Allocate(Kernels kernels, int64_t size, bool for_gradients) const {
   if (kernels == Kernels::kFft) return AllocateFftFilters(size, for_gradients);
-  const DirectShape shape = DirectShapeFor(size);
-  return AllocateDirectPanels(shape, for_gradients && DirectConvolution::Fits(shape, /*wants_input_gradient=*/true));
+  return AllocateDirectPanels(DirectShapeFor(size), for_gradients && !sees_frames());
 }
 
 void ConvLayer::Fill(Kernels kernels, int64_t size, const at::Tensor& weight, const PreparedWeight& prepared) const {
@@ -164,23 +165,21 @@ void ConvLayer::Fill(Kernels kernels, int64_t size, const at::Tensor& weight, co
 
 at::Tensor ConvLayer::ForwardRelu(const ParamTensors& params, const at::Tensor& input) const {
   const int64_t size = input.size(2);
-  const Kernels kernels = size == input.size(3) ? KernelsFor(params, size, input.requires_grad()) : Kernels::kLibTorch;
+  const Kernels kernels = size == input.size(3) ? KernelsFor(params, size) : Kernels::kLibTorch;
   if (kernels == Kernels::kLibTorch) return Forward(params, input).relu_();
   const at::Tensor& weight = params[weight_];
-  const PreparedWeight* prepared = params.FindPrepared(weight_);
-  PreparedWeight own;
-  if (prepared == nullptr) {
-    own = Allocate(kernels, size, weight.requires_grad());
-    Fill(kernels, size, weight, own);
-    prepared = &own;
-  }
+  const PreparedWeight prepared = PreparedOr(params, weight_, [&] {
+    PreparedWeight made = Allocate(kernels, size, weight.requires_grad());
+    Fill(kernels, size, weight, made);
+    return made;
+  });
   const at::Tensor map = input.to(at::kFloat);
-  if (kernels == Kernels::kFft) return FftConvRelu(map, weight, params[bias_], *prepared);
-  return DirectConv(DirectShapeFor(size), map, weight, params[bias_], Activation::kRelu, *prepared);
+  if (kernels == Kernels::kFft) return FftConvRelu(map, weight, params[bias_], prepared);
+  return DirectConv(DirectShapeFor(size), map, weight, params[bias_], Activation::kRelu, prepared);
 }
 
 void ConvLayer::Prepare(const ParamTensors& params, int64_t size, Preparation* preparation) const {
-  const Kernels kernels = KernelsFor(params, size, /*wants_input_gradient=*/false);
+  const Kernels kernels = KernelsFor(params, size);
   if (kernels == Kernels::kLibTorch) return;
   const PreparedWeight prepared = Allocate(kernels, size, preparation->for_gradients);
   preparation->Add(weight_, prepared, [layer = *this, kernels, size, weight = params[weight_], prepared] {

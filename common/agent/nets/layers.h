@@ -69,7 +69,9 @@ class ConvLayer {
  private:
   // What computes maps of this size.
   enum class Kernels { kLibTorch, kFft, kDirect };
-  Kernels KernelsFor(const ParamTensors& params, int64_t size, bool wants_input_gradient) const;
+  Kernels KernelsFor(const ParamTensors& params, int64_t size) const;
+  // Frames need no gradient.
+  bool sees_frames() const { return shape_.inputs == 3; }
   DirectShape DirectShapeFor(int64_t size) const;
   // Room for the prepared weight, and what fills it.
   PreparedWeight Allocate(Kernels kernels, int64_t size, bool for_gradients) const;

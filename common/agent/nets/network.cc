@@ -10,6 +10,7 @@
 #include "common/agent/nets/cross_attention.h"
 #include "common/agent/nets/grid_resnet.h"
 #include "common/agent/nets/param_tensors.h"
+#include "common/agent/nets/prepared_weights.h"
 #include "common/agent/nets/resnet.h"
 #include "common/agent/nets/segments.h"
 #include "common/agent/nets/self_attention.h"

@@ -14,13 +14,13 @@
 #include "common/agent/nets/goal_predictor.h"
 #include "common/agent/nets/layers.h"
 #include "common/agent/nets/part.h"
-#include "common/agent/nets/prepared_weights.h"
 #include "common/agent/nets/recurrent_core.h"
 #include "craftfleet/v1/config.pb.h"
 
 namespace craftfleet {
 
 struct NetOutput;
+struct PreparedWeights;
 struct Segments;
 
 // Runs independent tasks and returns when all of them have ended.

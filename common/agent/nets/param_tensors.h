@@ -23,8 +23,8 @@ struct ParamTensors {
   // Null: it has not been prepared.
   const PreparedWeight* FindPrepared(ParamIndex weight) const {
     if (prepared == nullptr) return nullptr;
-    const auto found = prepared->find(weight);
-    return found == prepared->end() ? nullptr : &found->second;
+    const auto found = prepared->by_weight.find(weight);
+    return found == prepared->by_weight.end() ? nullptr : &found->second;
   }
 };
 

@@ -20,8 +20,10 @@ struct PreparedWeight {
   at::Tensor for_input_gradient;  // undefined: no backward pass needs it
 };
 
-// By the weight: once for all rows, shards and passes between two changes of the weights (Network::Prepare).
-using PreparedWeights = std::map<ParamIndex, PreparedWeight>;
+// Once for all rows, shards and passes between two changes of the weights (Network::Prepare).
+struct PreparedWeights {
+  std::map<ParamIndex, PreparedWeight> by_weight;
+};
 
 // Prepared weights in the making: layers add room for their own, and a task that fills it. Tasks are independent of
 // each other.
@@ -31,7 +33,7 @@ struct Preparation {
   std::vector<std::function<void()>> tasks;
 
   void Add(ParamIndex weight, PreparedWeight prepared, std::function<void()> fill) {
-    weights[weight] = std::move(prepared);
+    weights.by_weight[weight] = std::move(prepared);
     tasks.push_back(std::move(fill));
   }
 };

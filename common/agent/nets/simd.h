@@ -35,7 +35,7 @@ constexpr int kWidth = 16;  // floats of a vector
 // Addresses are aligned to a vector.
 CRAFTFLEET_SIMD_INLINE Vector Load(const float* from) { return _mm512_load_ps(from); }
 CRAFTFLEET_SIMD_INLINE void Store(float* to, Vector v) { _mm512_store_ps(to, v); }
-// Around the caches; _mm_sfence() before other threads may read it.
+// A non-temporal store, which bypasses the caches: _mm_sfence() before other threads read what it wrote.
 CRAFTFLEET_SIMD_INLINE void Stream(float* to, Vector v) { _mm512_stream_ps(to, v); }
 CRAFTFLEET_SIMD_INLINE Vector Broadcast(float x) { return _mm512_set1_ps(x); }
 // a b + c, rounded once.

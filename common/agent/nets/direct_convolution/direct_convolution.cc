@@ -12,8 +12,8 @@ namespace {
 constexpr int kColumns = DirectKernels::kColumns;
 // So that what the innermost loops read again stays in a core's cache of 1 MB, and rounding errors stay small: partial
 // sums are added afterwards.
-constexpr int kDepthAtOnce = 512;   // numbers of a window: 128 KB of weights
-constexpr int kPixelsAtOnce = 512;  // 128 KB of gradients
+constexpr int64_t kDepthAtOnce = 512;   // numbers of a window: 128 KB of weights
+constexpr int64_t kPixelsAtOnce = 512;  // 128 KB of gradients
 
 // Pointers to `count` rows that are `step` floats apart.
 template <typename Float>
@@ -39,17 +39,17 @@ bool DirectConvolution::Fits(const DirectShape& shape, bool wants_input_gradient
          shape.size + 2 * shape.padding >= shape.kernel && (has_input_gradient || !wants_input_gradient);
 }
 
-int64_t DirectConvolution::chunk_maps() const { return std::max(1, kPixelsAtOnce / pixels()); }
+int64_t DirectConvolution::chunk_maps() const { return std::max<int64_t>(1, kPixelsAtOnce / pixels()); }
 
 template <typename Each>
 void DirectConvolution::ForWeights(const Each& each) const {
-  const int area = shape_.kernel * shape_.kernel;
-  for (int first = 0; first < shape_.outputs; first += kColumns) {
-    for (int in = 0; in < shape_.channels; ++in) {
-      for (int place = 0; place < area; ++place) {
-        const int64_t k = int64_t{place} * shape_.channels + in;
-        for (int out = first; out < first + kColumns; ++out) {
-          each((int64_t{out} * shape_.channels + in) * area + place, out, k);
+  const int64_t area = shape_.kernel * shape_.kernel;
+  for (int64_t first = 0; first < shape_.outputs; first += kColumns) {
+    for (int64_t in = 0; in < shape_.channels; ++in) {
+      for (int64_t place = 0; place < area; ++place) {
+        const int64_t k = place * shape_.channels + in;
+        for (int64_t out = first; out < first + kColumns; ++out) {
+          each((out * shape_.channels + in) * area + place, out, k);
         }
       }
     }
@@ -58,16 +58,16 @@ void DirectConvolution::ForWeights(const Each& each) const {
 
 void DirectConvolution::ArrangeWeight(const float* weight, Use use, float* panels) const {
   if (use == Use::kOutput) {
-    ForWeights([&](int64_t from, int out, int64_t k) { panels[PanelIndex(out, k)] = weight[from]; });
+    ForWeights([&](int64_t from, int64_t out, int64_t k) { panels[PanelIndex(out, k)] = weight[from]; });
     return;
   }
-  const int area = shape_.kernel * shape_.kernel;
-  for (int out = 0; out < shape_.outputs; ++out) {
-    for (int place = 0; place < area; ++place) {
-      for (int in = 0; in < shape_.channels; ++in) {
-        const int64_t k = int64_t{place} * shape_.channels + in;
+  const int64_t area = shape_.kernel * shape_.kernel;
+  for (int64_t out = 0; out < shape_.outputs; ++out) {
+    for (int64_t place = 0; place < area; ++place) {
+      for (int64_t in = 0; in < shape_.channels; ++in) {
+        const int64_t k = place * shape_.channels + in;
         panels[(k / kColumns * shape_.outputs + out) * kColumns + k % kColumns] =
-            weight[(int64_t{out} * shape_.channels + in) * area + place];
+            weight[(out * shape_.channels + in) * area + place];
       }
     }
   }
@@ -75,10 +75,10 @@ void DirectConvolution::ArrangeWeight(const float* weight, Use use, float* panel
 
 const float* DirectConvolution::Padded(int64_t maps, const float* input, float* padded) const {
   if (shape_.padding == 0) return input;
-  const int64_t line = int64_t{shape_.size} * shape_.channels;
+  const int64_t line = shape_.size * shape_.channels;
   std::memset(padded, 0, sizeof(float) * maps * map_floats());
   for (int64_t map = 0; map < maps; ++map) {
-    for (int y = 0; y < shape_.size; ++y) {
+    for (int64_t y = 0; y < shape_.size; ++y) {
       std::memcpy(padded + map * map_floats() + (y + shape_.padding) * row() + shape_.padding * shape_.channels,
                   input + (map * shape_.size + y) * line, sizeof(float) * line);
     }
@@ -91,8 +91,8 @@ std::vector<Float*> DirectConvolution::Windows(int64_t maps, Float* map) const {
   std::vector<Float*> windows;
   windows.reserve(maps * pixels());
   for (int64_t i = 0; i < maps; ++i) {
-    for (int y = 0; y < shape_.output_size(); ++y) {
-      for (int x = 0; x < shape_.output_size(); ++x) {
+    for (int64_t y = 0; y < shape_.output_size(); ++y) {
+      for (int64_t x = 0; x < shape_.output_size(); ++x) {
         windows.push_back(map + i * map_floats() + y * shape_.stride * row() + x * shape_.stride * shape_.channels);
       }
     }
@@ -102,21 +102,21 @@ std::vector<Float*> DirectConvolution::Windows(int64_t maps, Float* map) const {
 
 void DirectConvolution::Forward(int64_t n, const float* input, const float* panels, const float* bias, float* output,
                                 uint8_t* mask) const {
-  const int64_t input_floats = int64_t{shape_.size} * shape_.size * shape_.channels;
+  const int64_t input_floats = shape_.size * shape_.size * shape_.channels;
   const PooledBuffer padded(shape_.padding == 0 ? 0 : chunk_maps() * map_floats());
-  const int rows_at_once = std::max(1, kDepthAtOnce / stretch());
-  const int pieces = (stretch() + kDepthAtOnce - 1) / kDepthAtOnce;  // of a row
-  const int piece = (stretch() + pieces - 1) / pieces;
+  const int64_t rows_at_once = std::max<int64_t>(1, kDepthAtOnce / stretch());
+  const int64_t pieces = (stretch() + kDepthAtOnce - 1) / kDepthAtOnce;  // of a row
+  const int64_t piece = (stretch() + pieces - 1) / pieces;
   for (int64_t first = 0; first < n; first += chunk_maps()) {
     const int64_t maps = std::min(n - first, chunk_maps());
     const auto windows = Windows(maps, Padded(maps, input + first * input_floats, padded.get()));
-    const auto count = static_cast<int>(windows.size());
+    const auto count = static_cast<int64_t>(windows.size());
     float* const chunk = output + first * pixels() * shape_.outputs;
-    for (int column = 0; column < shape_.outputs; column += kColumns) {
+    for (int64_t column = 0; column < shape_.outputs; column += kColumns) {
       const auto outputs = Rows(count, chunk + column, shape_.outputs);
-      for (int y = 0; y < shape_.kernel; y += rows_at_once) {
-        for (int k = 0; k < stretch(); k += piece) {
-          const float* const panel = panels + (int64_t{column} / kColumns * window() + y * stretch() + k) * kColumns;
+      for (int64_t y = 0; y < shape_.kernel; y += rows_at_once) {
+        for (int64_t k = 0; k < stretch(); k += piece) {
+          const float* const panel = panels + (column / kColumns * window() + y * stretch() + k) * kColumns;
           kernels_.multiply(count, Moved(windows, y * row() + k).data(),
                             {std::min(rows_at_once, shape_.kernel - y), std::min(piece, stretch() - k), row()}, panel,
                             /*adds=*/y + k > 0, outputs.data());
@@ -130,8 +130,8 @@ void DirectConvolution::Forward(int64_t n, const float* input, const float* pane
 
 void DirectConvolution::Backward(int64_t n, const float* output_gradient, const uint8_t* mask, const float* input,
                                  const float* panels, const Gradients& gradients) const {
-  const int64_t input_floats = int64_t{shape_.size} * shape_.size * shape_.channels;
-  const int64_t output_floats = int64_t{pixels()} * shape_.outputs;
+  const int64_t input_floats = shape_.size * shape_.size * shape_.channels;
+  const int64_t output_floats = pixels() * shape_.outputs;
   const PooledBuffer padded(shape_.padding == 0 ? 0 : chunk_maps() * map_floats());
   const PooledBuffer kept(mask == nullptr ? 0 : chunk_maps() * output_floats);
   const PooledBuffer sums(weight_floats());
@@ -151,7 +151,7 @@ void DirectConvolution::Backward(int64_t n, const float* output_gradient, const 
     }
   }
   std::copy(bias_sums.begin(), bias_sums.end(), gradients.bias);
-  ForWeights([&](int64_t to, int out, int64_t k) { gradients.weight[to] = sums.get()[PanelIndex(out, k)]; });
+  ForWeights([&](int64_t to, int64_t out, int64_t k) { gradients.weight[to] = sums.get()[PanelIndex(out, k)]; });
 }
 
 void DirectConvolution::AddBiasGradient(int64_t count, const float* output_gradient, std::vector<double>* sums) const {
@@ -159,8 +159,8 @@ void DirectConvolution::AddBiasGradient(int64_t count, const float* output_gradi
   const std::vector<const float*> ones(kPixelsAtOnce, &kOne);
   alignas(64) float part[kColumns];
   for (int64_t first = 0; first < count; first += kPixelsAtOnce) {
-    for (int column = 0; column < shape_.outputs; column += kColumns) {
-      kernels_.correlate(static_cast<int>(std::min<int64_t>(kPixelsAtOnce, count - first)), ones.data(), /*depth=*/1,
+    for (int64_t column = 0; column < shape_.outputs; column += kColumns) {
+      kernels_.correlate(std::min(kPixelsAtOnce, count - first), ones.data(), /*depth=*/1,
                          output_gradient + first * shape_.outputs + column, shape_.outputs, /*adds=*/false, part);
       for (int o = 0; o < kColumns; ++o) (*sums)[column + o] += part[o];
     }
@@ -170,15 +170,14 @@ void DirectConvolution::AddBiasGradient(int64_t count, const float* output_gradi
 void DirectConvolution::AddWeightGradient(int64_t maps, const float* output_gradient, const float* map, bool adds,
                                           float* sums) const {
   const auto windows = Windows(maps, map);
-  const auto count = static_cast<int>(windows.size());
-  for (int y = 0; y < shape_.kernel; ++y) {
+  const auto count = static_cast<int64_t>(windows.size());
+  for (int64_t y = 0; y < shape_.kernel; ++y) {
     const auto rows = Moved(windows, y * row());
-    for (int column = 0; column < shape_.outputs; column += kColumns) {
-      float* const to = sums + (int64_t{column} / kColumns * window() + y * stretch()) * kColumns;
-      for (int first = 0; first < count; first += kPixelsAtOnce) {
+    for (int64_t column = 0; column < shape_.outputs; column += kColumns) {
+      float* const to = sums + (column / kColumns * window() + y * stretch()) * kColumns;
+      for (int64_t first = 0; first < count; first += kPixelsAtOnce) {
         kernels_.correlate(std::min(kPixelsAtOnce, count - first), rows.data() + first, stretch(),
-                           output_gradient + int64_t{first} * shape_.outputs + column, shape_.outputs,
-                           adds || first > 0, to);
+                           output_gradient + first * shape_.outputs + column, shape_.outputs, adds || first > 0, to);
       }
     }
   }
@@ -188,11 +187,11 @@ void DirectConvolution::AddInputGradient(int64_t maps, const float* output_gradi
                                          float* gradient) const {
   std::memset(gradient, 0, sizeof(float) * maps * map_floats());
   const auto windows = Windows(maps, gradient);
-  const auto count = static_cast<int>(windows.size());
+  const auto count = static_cast<int64_t>(windows.size());
   const auto rows = Rows(count, output_gradient, shape_.outputs);
-  for (int y = 0; y < shape_.kernel; ++y) {
-    for (int k = 0; k < stretch(); k += kColumns) {
-      const float* const panel = panels + (int64_t{y} * stretch() + k) * shape_.outputs;
+  for (int64_t y = 0; y < shape_.kernel; ++y) {
+    for (int64_t k = 0; k < stretch(); k += kColumns) {
+      const float* const panel = panels + (y * stretch() + k) * shape_.outputs;
       kernels_.multiply(count, rows.data(), {1, shape_.outputs, 0}, panel, /*adds=*/true,
                         Moved(windows, y * row() + k).data());
     }

@@ -19,17 +19,17 @@
 namespace craftfleet {
 
 struct DirectShape {
-  int channels;  // of the input
-  int outputs;   // channels of the output: a multiple of 64
-  int kernel;    // pixels a side
-  int stride;
-  int padding;  // zeros around the input
-  int size;     // pixels of the input, a side
+  int64_t channels;  // of the input
+  int64_t outputs;   // channels of the output: a multiple of 64
+  int64_t kernel;    // pixels a side
+  int64_t stride;
+  int64_t padding;  // zeros around the input
+  int64_t size;     // pixels of the input, a side
 
-  int output_size() const { return (size + 2 * padding - kernel) / stride + 1; }
+  int64_t output_size() const { return (size + 2 * padding - kernel) / stride + 1; }
 };
 
-// Thread-safe: it has no state. Arrays of floats are aligned to 64 bytes, but for weight and bias.
+// Immutable and thread-safe. Arrays of floats are aligned to 64 bytes, but for weight and bias.
 class DirectConvolution {
  public:
   // Whether this CPU has the kernels and they compute `shape`, with its gradients: that with respect to the input needs
@@ -40,7 +40,7 @@ class DirectConvolution {
   explicit DirectConvolution(const DirectShape& shape)
       : shape_(shape), kernels_(*FindDirectKernels(CurrentCpuPath())) {}
 
-  int64_t weight_floats() const { return int64_t{window()} * shape_.outputs; }
+  int64_t weight_floats() const { return window() * shape_.outputs; }
   // Bytes of the mask of n maps: one bit an output.
   int64_t mask_bytes(int64_t n) const { return n * pixels() * shape_.outputs / 8; }
 
@@ -64,16 +64,16 @@ class DirectConvolution {
 
  private:
   // Output pixels of a map, and numbers in a window.
-  int pixels() const { return shape_.output_size() * shape_.output_size(); }
-  int window() const { return shape_.kernel * stretch(); }
+  int64_t pixels() const { return shape_.output_size() * shape_.output_size(); }
+  int64_t window() const { return shape_.kernel * stretch(); }
   // Numbers of a window in one input row, and between the beginnings of two rows.
-  int stretch() const { return shape_.kernel * shape_.channels; }
-  int64_t row() const { return int64_t{shape_.size + 2 * shape_.padding} * shape_.channels; }
+  int64_t stretch() const { return shape_.kernel * shape_.channels; }
+  int64_t row() const { return (shape_.size + 2 * shape_.padding) * shape_.channels; }
   int64_t map_floats() const { return row() * (shape_.size + 2 * shape_.padding); }
   // Where panels for Forward, [outputs / 64][window][64], have the weight of place k in a window.
-  int64_t PanelIndex(int out, int64_t k) const {
+  int64_t PanelIndex(int64_t out, int64_t k) const {
     constexpr int kColumns = DirectKernels::kColumns;
-    return (int64_t{out} / kColumns * window() + k) * kColumns + out % kColumns;
+    return (out / kColumns * window() + k) * kColumns + out % kColumns;
   }
   // Calls each(index in the weight, out, place in a window) for all weights, panels in order.
   template <typename Each>

@@ -11,8 +11,8 @@ namespace craftfleet {
 
 // A row of a factor: `count` stretches of `floats` numbers, `step` floats apart.
 struct Stretches {
-  int count;
-  int floats;
+  int64_t count;
+  int64_t floats;
   int64_t step;
 };
 
@@ -22,14 +22,14 @@ struct DirectKernels {
   static constexpr int kColumns = 64;
 
   // outputs[i][64] = or += sum over k of rows[i][k] b[k][64], where k goes through the stretches.
-  void (*multiply)(int count, const float* const* rows, Stretches stretches, const float* b, bool adds,
+  void (*multiply)(int64_t count, const float* const* rows, Stretches stretches, const float* b, bool adds,
                    float* const* outputs);
   // sums[k][64] = or += sum over i of rows[i][k] b[i][64], for k < depth; b's rows are `b_step` floats apart.
-  void (*correlate)(int count, const float* const* rows, int depth, const float* b, int64_t b_step, bool adds,
+  void (*correlate)(int64_t count, const float* const* rows, int64_t depth, const float* b, int64_t b_step, bool adds,
                     float* sums);
   // values[i][64] += bias[64]; with a mask also max(.., 0), and bit i step + o says whether it is positive. Rows are
   // `step` floats apart; `bias` may be at any address.
-  void (*finish)(int count, int64_t step, const float* bias, float* values, uint8_t* mask);
+  void (*finish)(int64_t count, int64_t step, const float* bias, float* values, uint8_t* mask);
   // kept[i] = values[i] where bit i of the mask is 1, else 0. `count` is a multiple of 64.
   void (*keep)(int64_t count, const float* values, const uint8_t* mask, float* kept);
 };

@@ -10,11 +10,10 @@ namespace {
 
 // Maps between transforms and inverse transforms: their spectra are read from memory anyway, so more are no slower.
 constexpr int64_t kChunk = 32;
-constexpr int64_t kFilterStep = 2 * 64 * 64 + 80;  // products.h
 
 }  // namespace
 
-int64_t FftConvolution::filter_floats() const { return kernels_.frequencies * kFilterStep; }
+int64_t FftConvolution::filter_floats() const { return kernels_.frequencies * FftKernels::kFilterStep; }
 
 int64_t FftConvolution::spectra_floats(int64_t n) const { return n * tiles_per_map() * tile_floats(); }
 

@@ -2,9 +2,9 @@
 // lie side by side, float[n][size][size][64]. Fewer multiplications than the definition: 9 times as fast on one core as
 // oneDNN's direct convolution, which runs at the core's peak, and more exact.
 //
-// A map is cut into tiles, each a multiple of kOutputs pixels with what it overlaps of its neighbours; Y = F^-1(sum
-// over channels of F(X) conj F(W)) for each (convolution theorem). Sources: Zlateski et al. 2018, arXiv 1809.07851;
-// tile_fft.h, products.h and tiles.h have the equations.
+// A map is cut into tiles that overlap by four pixels. For each tile Y = F^-1(sum over input channels of F(X) conj
+// F(W)), by the convolution theorem. Sources: Zlateski et al. 2018, arXiv 1809.07851; tile_fft.h, products.h and
+// tiles.h have the equations.
 //
 // Results depend on nothing but a map's own pixels and the weights: not on the other maps, the number of threads or the
 // instruction set.
@@ -18,7 +18,7 @@
 
 namespace craftfleet {
 
-// Thread-safe: it has no state. Arrays of floats are aligned to 64 bytes, but for weight and bias.
+// Immutable and thread-safe. Arrays of floats are aligned to 64 bytes, but for weight and bias.
 class FftConvolution {
  public:
   static constexpr int kChannels = 64;

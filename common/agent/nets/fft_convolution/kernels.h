@@ -12,6 +12,9 @@ namespace craftfleet {
 // For tiles of one size. Arrays of floats are aligned to 64 bytes, but for weight and bias. Both variants compute the
 // same bits.
 struct FftKernels {
+  static constexpr int64_t kFilterStep =
+      2 * 64 * 64 + 80;  // floats between two frequencies of a filter; off powers of two
+
   int outputs;      // of a tile, a side
   int frequencies;  // of its spectrum
   int64_t (*scratch_floats)(int size);

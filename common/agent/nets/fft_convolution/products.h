@@ -7,17 +7,17 @@
 
 #include <cstdint>
 
+#include "common/agent/nets/fft_convolution/kernels.h"
 #include "common/agent/nets/simd.h"
+#include "common/agent/nets/simd_block.h"
 
 namespace craftfleet::CRAFTFLEET_SIMD {
 
-constexpr int kChannels = 64;                     // of every matrix
-constexpr int kPanel = kChannels * kChannels;     // floats of a square matrix
-constexpr int kSpectrumFloats = 2 * kChannels;    // of one tile at one frequency: [re, im][64]
-constexpr int64_t kFilterStep = 2 * kPanel + 80;  // between two frequencies of a filter; off powers of two
-constexpr int kVectors = kWidth == 16 ? 4 : 2;    // of a row that a kernel's accumulators hold: 6 x 4 or 6 x 2
+constexpr int kChannels = 64;                   // of every matrix
+constexpr int kPanel = kChannels * kChannels;   // floats of a square matrix
+constexpr int kSpectrumFloats = 2 * kChannels;  // of one tile at one frequency: [re, im][64]
+constexpr int64_t kFilterStep = FftKernels::kFilterStep;
 
-enum class Sign { kPlus, kMinus };
 enum class Target { kCached, kStreamed };
 
 // Memory that the next product will read: its lines are prefetched while this one computes.
@@ -59,30 +59,15 @@ struct Factor {
   int64_t column_step;
 };
 
-// c[Rows][Vectors * kWidth] = init +- a[Rows][depth] b[depth][..], added in the order of depth; no init: zeros.
-// `ahead`: prefetched meanwhile, if it is not null. Loops are of 8 steps, since the end of a loop of 64 is not
-// predicted.
-template <int Rows, int Vectors, Sign S, Target T>
+// c[Rows][kStrip] = init +- a[Rows][depth] b[depth][kStrip], added in the order of depth; no init: zeros. `ahead`:
+// prefetched meanwhile, if it is not null. Loops are of 8 steps, since the end of a loop of 64 is not predicted.
+template <int Rows, Sign S, Target T>
 CRAFTFLEET_SIMD_INLINE void MultiplyBlock(int depth, Factor a, const float* b, int64_t b_step, const float* init,
                                           int64_t init_step, float* c, int64_t c_step, const float* ahead) {
-  Vector sums[Rows][Vectors];
-  CRAFTFLEET_UNROLL
-  for (int m = 0; m < Rows; ++m) {
-    CRAFTFLEET_UNROLL
-    for (int n = 0; n < Vectors; ++n) sums[m][n] = init != nullptr ? Load(init + m * init_step + n * kWidth) : Zero();
-  }
+  Block<Rows> sums;
+  if (init != nullptr) sums.Begin([&](int m) { return init + m * init_step; });
   const auto step = [&] {
-    Vector row[Vectors];
-    CRAFTFLEET_UNROLL
-    for (int n = 0; n < Vectors; ++n) row[n] = Load(b + n * kWidth);
-    CRAFTFLEET_UNROLL
-    for (int m = 0; m < Rows; ++m) {
-      const Vector factor = Broadcast(a.data[m * a.row_step]);
-      CRAFTFLEET_UNROLL
-      for (int n = 0; n < Vectors; ++n) {
-        sums[m][n] = S == Sign::kPlus ? MulAdd(factor, row[n], sums[m][n]) : NegMulAdd(factor, row[n], sums[m][n]);
-      }
-    }
+    sums.template Add<S>([&](int m) { return a.data[m * a.row_step]; }, b);
     a.data += a.column_step;
     b += b_step;
   };
@@ -103,14 +88,8 @@ CRAFTFLEET_SIMD_INLINE void MultiplyBlock(int depth, Factor a, const float* b, i
     }
   }
   for (; left > 0; --left) step();
-  CRAFTFLEET_UNROLL
-  for (int m = 0; m < Rows; ++m) {
-    CRAFTFLEET_UNROLL
-    for (int n = 0; n < Vectors; ++n) {
-      float* const to = c + m * c_step + n * kWidth;
-      T == Target::kStreamed ? Stream(to, sums[m][n]) : Store(to, sums[m][n]);
-    }
-  }
+  sums.End([&](int m) { return c + m * c_step; },
+           [](float* to, Vector v) { T == Target::kStreamed ? Stream(to, v) : Store(to, v); });
 }
 
 // The same for any number of rows and 64 columns. Out of line, so that each variant is compiled once.
@@ -118,31 +97,20 @@ template <Sign S, Target T>
 __attribute__((noinline)) void MultiplyPanel(int rows, int depth, Factor a, const float* b, int64_t b_step,
                                              const float* init, int64_t init_step, float* c, int64_t c_step,
                                              Ahead* ahead) {
-  const auto next = [&] { return ahead != nullptr ? ahead->Next() : nullptr; };
-  const auto from_row = [&](int row) { return Factor{a.data + row * a.row_step, a.row_step, a.column_step}; };
-  for (int column = 0; column < kChannels; column += kVectors * kWidth) {
-    const auto init_of = [&](int row) { return init != nullptr ? init + row * init_step + column : nullptr; };
-    const auto c_of = [&](int row) { return c + row * c_step + column; };
-    int row = 0;
-    for (; rows - row >= 6 && rows - row != 8; row += 6) {
-      MultiplyBlock<6, kVectors, S, T>(depth, from_row(row), b + column, b_step, init_of(row), init_step, c_of(row),
-                                       c_step, next());
-    }
-    for (; rows - row >= 4; row += 4) {
-      MultiplyBlock<4, kVectors, S, T>(depth, from_row(row), b + column, b_step, init_of(row), init_step, c_of(row),
-                                       c_step, next());
-    }
-    for (; row < rows; ++row) {
-      MultiplyBlock<1, kVectors, S, T>(depth, from_row(row), b + column, b_step, init_of(row), init_step, c_of(row),
-                                       c_step, nullptr);
-    }
+  for (int column = 0; column < kChannels; column += kStrip) {
+    ForBlocks(rows, [&](auto count, int64_t row) {
+      MultiplyBlock<decltype(count)::kRows, S, T>(depth, {a.data + row * a.row_step, a.row_step, a.column_step},
+                                                  b + column, b_step,
+                                                  init != nullptr ? init + row * init_step + column : nullptr,
+                                                  init_step, c + row * c_step + column, c_step, ahead->Next());
+    });
   }
 }
 
 // C = A G at every frequency: spectra of tiles times a filter.
 //   a: [frequencies][tiles][re, im][64]
 //   filter: frequency f at f * kFilterStep, [re, im][64][64]
-//   c: [tiles][frequencies][re, im][64], written around the caches
+//   c: [tiles][frequencies][re, im][64], written by non-temporal stores
 inline void MultiplySpectra(int frequencies, int tiles, const float* a, const float* filter, float* c) {
   constexpr int kBlock = 64;  // tiles
   alignas(64) float difference[kPanel], total[kPanel], sums[kBlock * kChannels], products[kBlock * kChannels];

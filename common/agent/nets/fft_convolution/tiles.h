@@ -3,7 +3,7 @@
 //
 // The spectrum of a tile is [frequencies][re, im][64]; a chunk of tiles has theirs as [frequencies][tiles][re, im][64]
 // before the product (MultiplySpectra) and one after the other behind it. All large arrays are read in the order of
-// their addresses and written around the caches, whole lines at a time: that counts as much as the arithmetic.
+// their addresses and written by non-temporal stores of whole cache lines: that matters as much as the arithmetic.
 
 #ifndef CRAFTFLEET_COMMON_AGENT_NETS_FFT_CONVOLUTION_TILES_H_
 #define CRAFTFLEET_COMMON_AGENT_NETS_FFT_CONVOLUTION_TILES_H_
