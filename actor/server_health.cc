@@ -88,6 +88,7 @@ void ServerHealth::NoteStep(const wire::Endpoint& endpoint, absl::Duration time)
   const absl::Time now = SteadyNow();
   Server& server = servers_[endpoint.address];
   server.last_step = now;
+  if (server.state == State::kNew) BecomeGood(endpoint.address, &server);  // it plays games, and was forgotten
   const bool is_new = step_times_.Add(endpoint.address, time, now);
   if (!is_new || (server.state != State::kGood && server.state != State::kSlow)) return;
   const absl::Duration typical = *step_times_.TypicalOf(endpoint.address);
@@ -104,10 +105,6 @@ bool ServerHealth::IsSlow(const std::string& address) const {
   const MutexLock lock(&mu_);
   const auto found = servers_.find(address);
   return found != servers_.end() && found->second.state == State::kSlow;
-}
-
-bool ServerHealth::WasLate(const std::string& address) const {
-  return IsSlow(address) || absl::IsDeadlineExceeded(ErrorOf(address));
 }
 
 bool ServerHealth::ShouldLeave(const std::string& address) const {
@@ -193,7 +190,8 @@ absl::Duration ServerHealth::Look() {
     }
     if (server.prober.joinable()) server.prober.join();  // it has delivered its result
     if (server.state == State::kGood) server.client = nullptr;
-    if (SteadyNow() - server.asked_for > kForgetAfter) {
+    if (SteadyNow() - std::max(server.asked_for, server.last_step) > kForgetAfter) {
+      step_times_.Forget(it->first);
       it = servers_.erase(it);
       continue;
     }
@@ -223,7 +221,9 @@ bool ServerHealth::IsDue(Server* server) {
 }
 
 void ServerHealth::Probe(const std::string& address, EnvClient* client) {
-  TakeResult(address, PlayProbe(client, WasLate(address) ? StepTimes::kWindow : absl::ZeroDuration()));
+  // Where it was late, one quick answer does not show that it is well.
+  const bool was_late = IsSlow(address) || absl::IsDeadlineExceeded(ErrorOf(address));
+  TakeResult(address, PlayProbe(client, was_late ? StepTimes::kWindow : absl::ZeroDuration()));
 }
 
 absl::StatusOr<absl::Duration> ServerHealth::PlayProbe(EnvClient* client, absl::Duration duration) {

@@ -61,8 +61,6 @@ class ServerHealth {
   absl::Status ErrorOf(const std::string& address) const ABSL_LOCKS_EXCLUDED(mu_);
   // Whether it answers, but slowly.
   bool IsSlow(const std::string& address) const ABSL_LOCKS_EXCLUDED(mu_);
-  // The same, or it has missed a deadline: then one quick answer does not show that it is well.
-  bool WasLate(const std::string& address) const ABSL_LOCKS_EXCLUDED(mu_);
   // Whether its games should move to any other server that has no error.
   bool ShouldLeave(const std::string& address) const ABSL_LOCKS_EXCLUDED(mu_);
   // The typical time of a step there (StepTimes); for a slow server, as last measured. nullopt: not known yet.

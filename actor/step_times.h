@@ -36,6 +36,8 @@ class StepTimes {
   bool IsSlow(const std::string& server, absl::Duration typical) const;
   // The server's typical time no longer counts.
   void Reset(const std::string& server);
+  // Nor does its best time.
+  void Forget(const std::string& server) { servers_.erase(server); }
 
  private:
   struct Server {

@@ -59,6 +59,13 @@ TEST_F(StepTimesTest, OneServerIsComparedWithItsBestTime) {
   EXPECT_FALSE(times_.IsSlowerThanOthers("alone", *times_.TypicalOf("alone")));
 }
 
+TEST_F(StepTimesTest, AForgottenServerIsNotComparedWithItsBestTime) {
+  Play("alone", absl::Seconds(4), 1, absl::ZeroDuration());
+  times_.Forget("alone");
+  Play("alone", absl::Seconds(4), 8, absl::Milliseconds(950));
+  EXPECT_FALSE(IsSlow("alone"));
+}
+
 TEST_F(StepTimesTest, OneServerThatWasNeverFastIsSlowByItself) {
   Play("alone", absl::Seconds(4), 0, absl::Milliseconds(400));
   EXPECT_TRUE(IsSlow("alone"));
