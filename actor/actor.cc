@@ -30,7 +30,8 @@ constexpr absl::Duration kLastRetry = absl::Seconds(2);
 constexpr absl::Duration kLogAgain = absl::Seconds(10);  // between two lines about the same error
 constexpr int kPollMs = 500;  // long poll for permits, unless the learner says otherwise; a tenth of the lease
 constexpr int kGroups = 2;    // of lanes that play in turn on a GPU
-constexpr size_t kServersReported = 8;  // environment servers reported to the learner per poll
+constexpr size_t kServersReported = 8;    // environment servers reported to the learner per poll,
+constexpr size_t kUnusableReported = 64;  // or, of those from the learner, all unusable ones of a list
 
 bool IsAboutRights(const absl::Status& error) {
   return absl::IsPermissionDenied(error) || absl::IsUnauthenticated(error);
@@ -260,7 +261,7 @@ v1::PermitRequest Actor::NextRequest(std::vector<HeldPermit>* failures) {
   request.set_evaluation(evaluations_->current(joined_.epoch()));
   *request.mutable_summary() = Summary();
   // Registered servers report themselves, but they can't report that this actor can't use them.
-  for (v1::Peer& server : uses_registry ? servers_.NextUnusable(kServersReported) : servers_.Next(kServersReported)) {
+  for (v1::Peer& server : uses_registry ? servers_.NextUnusable(kUnusableReported) : servers_.Next(kServersReported)) {
     request.add_env_servers()->Swap(&server);
   }
   // Read before the active permits: a permit that fails in between is still active, and is reported next time.

@@ -220,13 +220,12 @@ absl::StatusOr<EnvPool::Stepped> EnvPool::SendAndReceive(absl::Span<const int> l
                                                        actions.subspan(rows.first, count), snapshot);
   }
   // The quickest first: the time of a server that is read after a slower one can't be measured.
-  std::vector<size_t> order;
-  for (const auto& [server, rows] : rows_on) order.push_back(server);
-  const auto time_of = [this](size_t server) { return connections_.StepTimeOf(server).value_or(absl::ZeroDuration()); };
-  if (order.size() > 1) {
-    std::stable_sort(order.begin(), order.end(), [&](size_t a, size_t b) { return time_of(a) < time_of(b); });
+  std::vector<std::pair<absl::Duration, size_t>> order;
+  for (const auto& [server, rows] : rows_on) {
+    order.emplace_back(connections_.StepTimeOf(server).value_or(absl::ZeroDuration()), server);
   }
-  for (const size_t server : order) {
+  std::sort(order.begin(), order.end());
+  for (const auto& [step_time, server] : order) {
     Rows& rows = rows_on.at(server);
     if (!rows.status.ok()) continue;
     const absl::Time begun = SteadyNow();

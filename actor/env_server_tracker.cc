@@ -23,7 +23,7 @@ std::vector<v1::Peer> EnvServerTracker::All() const {
         all.lanes += server.lanes;
         if (server.connected) all.summary = server.summary;
         if (!server.error.empty()) all.error = server.error;
-        all.slow = server.slow;  // all loops ask the same ServerHealth, as of `step_time`
+        all.slow = server.slow;  // as `step_time`: all loops have it from the same ServerHealth
         all.step_time = server.step_time;
       }
     }

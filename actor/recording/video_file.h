@@ -18,8 +18,8 @@ class VideoFile {
  public:
   static constexpr int kPicturesPerSecond = 15;
 
-  // Begins an mp4 file in the folder of `path`, under a name that no file had, in H.264 if OpenCV can write it, else
-  // in MPEG-4. Width and height are even, pixels.
+  // Begins an mp4 file in the folder of `path`, under a new name, in H.264 if OpenCV can write it, else in MPEG-4.
+  // Width and height are even, pixels.
   //   Codes of common/io/files.h; FailedPrecondition: OpenCV can write neither, or the build has no video support.
   static absl::StatusOr<std::unique_ptr<VideoFile>> Create(const std::string& path, int width, int height);
   ~VideoFile();
