@@ -58,15 +58,15 @@ size_t MaxBytes(const Descriptor& type) {
 }  // namespace
 
 grpc::Status CheckBounds(const grpc::ByteBuffer& buffer, const google::protobuf::MessageLite& message) {
+  const size_t bytes = buffer.Length();
+  if (bytes <= kSmallMessage) return grpc::Status::OK;  // of any type
   const auto* const full = dynamic_cast<const google::protobuf::Message*>(&message);
   if (full == nullptr) return grpc::Status::OK;  // none of ours
   const Descriptor& type = *full->GetDescriptor();
-  const size_t bytes = buffer.Length();
   if (bytes > MaxBytes(type)) {
     return {grpc::StatusCode::RESOURCE_EXHAUSTED,
             type.name() + " of " + std::to_string(bytes) + " bytes, want at most " + std::to_string(MaxBytes(type))};
   }
-  if (bytes <= kSmallMessage) return grpc::Status::OK;
   grpc::ByteBuffer copy(buffer);  // shares the bytes; reading consumes it
   grpc::ProtoBufferReader reader(&copy);
   CodedInputStream in(&reader);
