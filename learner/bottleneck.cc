@@ -60,10 +60,10 @@ std::string LostServers(const FleetView& view) {
 std::optional<Bottleneck> SlowServer(const FleetView& view) {
   if (view.slow_env_servers.empty()) return std::nullopt;
   const size_t more = view.slow_env_servers.size() - 1;
+  const std::string others = more == 0 ? "" : absl::StrFormat(", as %s %d more", more == 1 ? "is" : "are", more);
   return Bottleneck{"environment", absl::StrFormat("Environment server %s is slow%s: look for load, swapping or a full "
                                                    "disk on its machine, or stop it.",
-                                                   view.slow_env_servers[0],
-                                                   more == 0 ? "" : absl::StrFormat(", as are %d more", more))};
+                                                   view.slow_env_servers[0], others)};
 }
 
 // The share of the time in which the actors' threads play, rather than wait.

@@ -17,6 +17,7 @@ bool IsSame(const Episode& a, const Episode& b) {
 }
 
 }  // namespace
+
 void EvaluationScheduler::Add(Evaluation evaluation) {
   Entry& entry = entries_.emplace_back();
   entry.evaluation = std::move(evaluation);

@@ -44,8 +44,8 @@ struct FinishedEvaluation {
 //
 // An evaluation consists of two tasks, one for each kind of episode. A task is leased like a permit: if none of its
 // players has reported it for its lease, the next actor that requests work gets it. An overdue one (Overdue) is given
-// to one more actor, whatever its players report: of another client than these, or after `kPatience` to any. The first
-// result of an actor that got the task counts.
+// to one more actor, whatever its players report: at first only to one of another client, after `kPatience` to any. The
+// first result of an actor that got the task counts.
 //
 // Not thread-safe.
 class EvaluationScheduler {

@@ -115,7 +115,7 @@ std::vector<Permit> LaneScheduler::GrantOverdue(Actor* actor, const Shares& shar
     if (static_cast<int>(actor->permits.size()) >= most) break;
     const absl::Duration age = now - lane.since;
     if (!lane.permit.has_value() || age <= overdue_.Limit()) continue;
-    const bool is_its_turn = IsPreferred(lane, *actor) || age > overdue_.Limit() + options_.patience;
+    const bool is_its_turn = age > overdue_.Limit() + options_.patience || IsPreferred(lane, *actor);
     if (!is_its_turn || IsPlayer(lane, actor) || IsAvoided(lane, *actor, now)) continue;
     const Player& last = lane.players.back();
     LogInfo("actor %s has had fragment %d of lane %d for %s: actor %s plays it too", last.actor->worker->name,

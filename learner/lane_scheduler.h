@@ -56,9 +56,10 @@ struct LaneRecord {
 // requests; the actor is then removed. A fragment is accepted at most once.
 //
 // A fragment that is overdue (Overdue) since it was last granted is also granted to an actor without work, whatever its
-// players report: of another client than its players, or after one more `patience` to any. All players produce the same
-// bytes, and the first result counts; the others are told that they have lost the permit. A player that was overdue
-// then gets no permits for 1 s, doubling up to 5 min, and after that one at a time until a fragment of its is accepted.
+// players report: at first only to one of another client, after one more `patience` to any. All players produce the
+// same bytes, and the first result counts; the others are told that they have lost the permit. A player that was
+// overdue then gets no permits for 1 s, doubling up to 5 min, and after that one at a time until a fragment of its is
+// accepted.
 //
 // A lane whose snapshot can't be restored is reset. If it has advanced in this iteration, it is reset to the beginning
 // of the iteration, so that the result does not change; otherwise to its previous snapshot, or to a new game if it has

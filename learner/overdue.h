@@ -1,4 +1,4 @@
-// The one rule in time: how long an actor may have something that the learner waits for.
+// How long an actor may have something that the learner waits for.
 
 #ifndef CRAFTFLEET_LEARNER_OVERDUE_H_
 #define CRAFTFLEET_LEARNER_OVERDUE_H_

@@ -33,6 +33,7 @@ namespace craftfleet {
 namespace {
 
 constexpr int kMaxRanks = 256;  // as gradient_shards
+constexpr std::initializer_list<const char*> kWorldSizeVariables = {"WORLD_SIZE", "SLURM_STEP_NUM_TASKS"};
 
 // A number from a flag, or else from the first of `variables` that is set.
 absl::StatusOr<int> Number(absl::string_view flag, const std::optional<int32_t>& given,
@@ -54,22 +55,20 @@ absl::StatusOr<int> Number(absl::string_view flag, const std::optional<int32_t>&
 
 // What says how many ranks there are: "--world_size=2", or "WORLD_SIZE=2 of the environment".
 std::string GivenWorldSize(int world_size) {
-  const char* from = "--world_size";
-  const char* where = "";
-  for (const char* const variable : {"SLURM_STEP_NUM_TASKS", "WORLD_SIZE"}) {
-    if (absl::GetFlag(FLAGS_world_size).has_value() || std::getenv(variable) == nullptr) continue;
-    from = variable;
-    where = " of the environment";
+  if (!absl::GetFlag(FLAGS_world_size).has_value()) {
+    for (const char* const variable : kWorldSizeVariables) {
+      if (std::getenv(variable) != nullptr) return absl::StrCat(variable, "=", world_size, " of the environment");
+    }
   }
-  return absl::StrCat(from, "=", world_size, where);
+  return absl::StrCat("--world_size=", world_size);
 }
 
 }  // namespace
 
 absl::StatusOr<RankOptions> RankOptionsFromFlags() {
   RankOptions options;
-  CRAFTFLEET_ASSIGN_OR_RETURN(options.world_size, Number("world_size", absl::GetFlag(FLAGS_world_size),
-                                                         {"WORLD_SIZE", "SLURM_STEP_NUM_TASKS"}, 1, 1, kMaxRanks));
+  CRAFTFLEET_ASSIGN_OR_RETURN(
+      options.world_size, Number("world_size", absl::GetFlag(FLAGS_world_size), kWorldSizeVariables, 1, 1, kMaxRanks));
   options.given = GivenWorldSize(options.world_size);
   if (options.world_size == 1 && !absl::GetFlag(FLAGS_rank).has_value()) return options;
   CRAFTFLEET_ASSIGN_OR_RETURN(

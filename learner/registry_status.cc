@@ -40,8 +40,9 @@ WorkerRegistry::Glance WorkerRegistry::GlanceAt(const Worker& worker, const Work
     glance.drained = plays ? lanes_.PermitsOf(worker.name) == 0 : worker.empty;
   }
   if (info.health == Health::kOk && !info.summary_is_old) glance.summary = worker.summary;
-  if (info.health == Health::kSlow)
+  if (info.health == Health::kSlow) {
     glance.name = absl::StrFormat("%s (%.0f ms a step)", worker.address, worker.step_ms);
+  }
   return glance;
 }
 
@@ -89,7 +90,7 @@ std::vector<WorkerRegistry::WorkerInfo> WorkerRegistry::Workers(size_t most, std
     }
     if (worker->role == WorkerRole::kActor && worker->active) {
       info.play = lanes_.InfoOf(worker->name);
-      info.group = lists_.SizeOf(worker->name);
+      info.listed = lists_.SizeOf(worker->name);
       info.servers = lists_.servers();
     }
     infos.push_back(std::move(info));

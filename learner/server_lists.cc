@@ -1,6 +1,7 @@
 #include "learner/server_lists.h"
 
 #include <algorithm>
+#include <cstddef>
 #include <tuple>
 #include <utility>
 #include <vector>
@@ -75,11 +76,11 @@ std::set<std::string> ServerLists::Choose(const std::string& name, const Actor& 
   }
   const auto neighbours = static_cast<size_t>(std::count_if(
       actors_.begin(), actors_.end(), [&](const auto& other) { return other.second.host == actor.host; }));
-  std::sort(ranked.begin(), ranked.end());
   const bool near_suffice = near > 0 && 2 * near * actors_.size() >= servers_.size() * neighbours;
-  if (near_suffice) ranked.resize(near);
   const size_t share = (servers_.size() + actors_.size() - 1) / actors_.size();
-  ranked.resize(std::min(ranked.size(), std::clamp(2 * share, kFewest, kMost)));
+  const size_t size = std::min(near_suffice ? near : ranked.size(), std::clamp(2 * share, kFewest, kMost));
+  std::nth_element(ranked.begin(), ranked.begin() + static_cast<std::ptrdiff_t>(size), ranked.end());
+  ranked.resize(size);
   std::set<std::string> addresses;
   for (const auto& [is_far, hash, address] : ranked) addresses.insert(*address);
   return addresses;

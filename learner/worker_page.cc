@@ -29,8 +29,8 @@ std::string StateOf(const WorkerRegistry::WorkerInfo& info, bool allow_mixed) {
   const Worker& worker = info.worker;
   if (info.play.has_value()) {
     state = absl::StrFormat("%d permits, %d fragments accepted%s%s%s", info.play->permits, info.play->fragments,
-                            info.group < info.servers && info.group > 0
-                                ? absl::StrFormat(", %d of %d servers", info.group, info.servers)
+                            info.listed < info.servers && info.listed > 0
+                                ? absl::StrFormat(", %d of %d servers", info.listed, info.servers)
                                 : "",
                             info.play->late ? ", late: others finish its fragments" : "",
                             !worker.draining          ? ""

@@ -135,8 +135,8 @@ class WorkerRegistry {
     bool summary_is_old = false;                   // its figures are outdated
     bool refused = false;                          // refused because of its canary
     std::optional<LaneScheduler::ActorInfo> play;  // of an active actor
-    size_t group = 0;                              // an actor's environment servers from here; 0: it uses others
-    size_t servers = 0;                            // that there are for groups
+    size_t listed = 0;                             // an actor's environment servers from here; 0: it uses others
+    size_t servers = 0;                            // that there are for lists
   };
 
   // `lanes` has `options.lanes.lanes` records. `clock` outlives the registry.
@@ -309,7 +309,7 @@ class WorkerRegistry {
   absl::Duration ActorLease() const ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
   // Makes `server` inactive.
   void RemoveServer(Worker* server) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
-  // Lets groups have `server` if it is listed, or no longer.
+  // Lets lists have `server`, or no longer, by its state.
   void ListServer(const Worker& server) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
   // An actor has reported that `server` is slow.
   void NoteSlow(double step_ms, Worker* server) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);

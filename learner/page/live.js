@@ -8,7 +8,8 @@ const stateWords = { TRAINING: "Training", PAUSED: "Paused", EVALUATING: "Evalua
 
 const live = { token: "", tag: "", frame: 0, goal: 0, steer: false, state: "", stopping: false };
 
-// Requests `path`, seen from the page's own, with the token: behind a proxy the page may have a path before it. Throws {code, text} unless the server answers 200 or 304.
+// Requests `path` with the token. It is relative to the page, before whose path a proxy may put its own. Throws {code, text} unless the
+// server answers 200 or 304.
 async function ask(path, options = {}) {
   const headers = { ...options.headers };
   if (live.token) headers.Authorization = `Bearer ${live.token}`;

@@ -59,7 +59,9 @@ TEST(FindBottleneck, ASlowServerIsNamedWhateverElseTakesLong) {
     EXPECT_EQ(FindBottleneck(view).part, "environment");
     EXPECT_THAT(FindBottleneck(view).advice, HasSubstr("Environment server 10.0.0.7:50061 (430 ms a step) is slow: "));
     view.slow_env_servers.emplace_back("another");
-    EXPECT_THAT(FindBottleneck(view).advice, HasSubstr(" is slow, as are 1 more: "));
+    EXPECT_THAT(FindBottleneck(view).advice, HasSubstr(" is slow, as is 1 more: "));
+    view.slow_env_servers.emplace_back("a third");
+    EXPECT_THAT(FindBottleneck(view).advice, HasSubstr(" is slow, as are 2 more: "));
   }
 }
 
