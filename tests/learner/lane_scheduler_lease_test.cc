@@ -52,6 +52,23 @@ TEST(LaneLeases, ASlowActorKeepsItsLanes) {
   EXPECT_EQ(fleet.Ask("a", of_a).lost, of_a);
 }
 
+// The system date is set forward and back by an hour.
+TEST(LaneLeases, SettingTheDateChangesNoLease) {
+  LaneFleet fleet(2);
+  const std::vector<Permit> of_a = fleet.Enter("a");
+  fleet.registry.Join("b", "");
+  for (const absl::Duration ahead : {absl::Hours(1), -absl::Hours(1), absl::ZeroDuration()}) {
+    fleet.clock.SetWallAhead(ahead);
+    EXPECT_THAT(fleet.Ask("a", of_a).lost, IsEmpty());
+    EXPECT_THAT(fleet.Ask("b").granted, IsEmpty());
+  }
+  EXPECT_EQ(fleet.registry.lapsed(), 0);
+  fleet.clock.SetWallAhead(-absl::Hours(1));
+  fleet.clock.Advance(absl::Milliseconds(5001));
+  fleet.Ask("b");
+  EXPECT_EQ(fleet.registry.lapsed(), 2) << "nor does it prolong a lease";
+}
+
 TEST(LaneLeases, ALeaseLastsTwiceAsLongIfNoOtherActorAsks) {
   LaneFleet fleet(2);
   const std::vector<Permit> of_a = fleet.Enter("a");
