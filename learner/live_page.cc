@@ -131,7 +131,7 @@ nlohmann::json JsonOfCheckpoints(const std::string& logdir, int64_t steps_per_it
 
 absl::Status LivePage::Options::Validate() const {
   CRAFTFLEET_RETURN_IF_ERROR(wire::CheckAddress("http_listen", address));
-  if (absl::StartsWith(address, "unix:")) {
+  if (absl::StartsWith(address, wire::kUnix)) {
     return absl::InvalidArgumentError(absl::StrFormat("--http_listen=%s, want HOST:PORT", address));
   }
   CRAFTFLEET_RETURN_IF_ERROR(files.Validate());

@@ -34,7 +34,6 @@ namespace craftfleet::wire {
 
 namespace {
 
-constexpr absl::string_view kUnix = "unix:";
 constexpr int kGrpcThreads = 12;  // that a server of gRPC 1.51 starts at once; it aborts or hangs without them
 
 // The user agent, which peers log: "craftfleet-actor@host/1234".

@@ -23,6 +23,7 @@
 namespace craftfleet::wire {
 
 inline constexpr char kInProcess[] = "in-process";
+inline constexpr absl::string_view kUnix = "unix:";  // before the path of a Unix socket
 
 // From this limit of open files on, a process can reserve descriptors for its calls.
 inline constexpr rlim_t kPlentyOfFiles = 16384;
@@ -60,8 +61,7 @@ Endpoint Connect(absl::string_view address, const ChannelSecurity& security = {}
 // messages, which doubled the time of a step of games.
 Endpoint ConnectApart(const Endpoint& peer);
 
-// `address` as clients of gRPC want it: they take the path of a Unix socket for part of a URI. Servers take it as it
-// is.
+// `address` as clients of gRPC want it: they read the path of a Unix socket as part of a URI, servers as it is.
 std::string GrpcAddress(absl::string_view address);
 
 // InvalidArgument, naming the flag, unless `address` looks like HOST:PORT (port 0..65535) or unix:PATH. Says what to

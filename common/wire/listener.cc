@@ -124,9 +124,8 @@ absl::Status Listener::Bind() {
   if (sockets_.empty() && host == "::") return BindAllOfIpv4(service);
   if (!sockets_.empty() && only_here && !IsLoopback(address)) {
     LogWarning(
-        "%s: on this host the name is an address of loopback (see /etc/hosts): other hosts cannot connect; listen on "
-        "an "
-        "address of the network, or on [::]",
+        "%s: on this host the name is an address of loopback (see /etc/hosts): other hosts cannot connect; listen "
+        "on an address of the network, or on [::]",
         address);
   }
   address_ = absl::StrCat(address.substr(0, colon), ":", port_);
@@ -134,7 +133,6 @@ absl::Status Listener::Bind() {
   return sockets_.empty() ? status : absl::OkStatus();
 }
 
-// For hosts without IPv6.
 absl::Status Listener::BindAllOfIpv4(const std::string& service) {
   sockaddr_in any = {};
   any.sin_family = AF_INET;

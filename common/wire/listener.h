@@ -57,6 +57,7 @@ class Listener {
 
   absl::Status Bind();
   absl::Status BindTo(const addrinfo& address);
+  // For [::] on hosts without IPv6.
   absl::Status BindAllOfIpv4(const std::string& service);
   void Run();
   void Accept(int socket);

@@ -23,7 +23,7 @@ constexpr char kContentType[] = "text/plain; version=0.0.4; charset=utf-8";
 absl::Status MetricsServer::Options::Validate() const {
   if (address.empty()) return absl::OkStatus();
   CRAFTFLEET_RETURN_IF_ERROR(CheckAddress("metrics_listen", address));
-  if (absl::StartsWith(address, "unix:")) {
+  if (absl::StartsWith(address, kUnix)) {
     return absl::InvalidArgumentError(absl::StrFormat("--metrics_listen=%s, want HOST:PORT", address));
   }
   if (!insecure && !IsLoopback(address)) {

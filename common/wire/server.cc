@@ -25,6 +25,7 @@
 #include "common/telemetry/log.h"
 #include "common/wire/access.h"
 #include "common/wire/builtin_streams.h"
+#include "common/wire/channel.h"
 #include "common/wire/handshake_log.h"
 #include "common/wire/protocol.h"
 
@@ -50,8 +51,6 @@ constexpr int kHealthGraceMs = 2000;
 constexpr int kHealthMessageBytes = 4096;
 constexpr int64_t kHealthHeaderBytes = 1 << 20;
 constexpr size_t kHealthBufferedBytes = 4u << 20;
-
-constexpr absl::string_view kUnix = "unix:";
 
 bool IsUnixSocket(absl::string_view address) { return absl::StartsWith(address, kUnix); }
 
