@@ -37,7 +37,7 @@ int64_t CachedBytes(const std::string& folder) {
   return std::max(own, total);
 }
 
-std::optional<MemoryLimit> FolderLimit(const std::string& folder) {
+std::optional<MemoryLimit> MemoryLimitOf(const std::string& folder) {
   const bool v2 = PathExists(folder + "/memory.max");
   const std::optional<int64_t> limit = ReadNumber(folder + (v2 ? "/memory.max" : "/memory.limit_in_bytes"));
   if (!limit.has_value() || *limit <= 0 || *limit >= kNoLimit) return std::nullopt;
@@ -71,7 +71,7 @@ std::vector<std::string> CgroupFolders(absl::string_view own_cgroups, absl::stri
 std::optional<MemoryLimit> CgroupMemoryLimit(absl::string_view own_cgroups, const std::string& root) {
   std::optional<MemoryLimit> tightest;
   for (const std::string& folder : CgroupFolders(own_cgroups, "memory", root)) {
-    const std::optional<MemoryLimit> found = FolderLimit(folder);
+    const std::optional<MemoryLimit> found = MemoryLimitOf(folder);
     if (!found.has_value()) continue;
     const MemoryLimit other = tightest.value_or(*found);
     tightest = {std::min(found->limit, other.limit), std::min(found->left, other.left)};

@@ -19,7 +19,7 @@ namespace {
 std::string ReadText(const std::string& path) { return ReadFile(path).value_or(""); }
 
 // The limit of one cgroup folder: v2's file, else v1's two.
-std::optional<double> FolderLimit(const std::string& folder) {
+std::optional<double> CpuLimitOf(const std::string& folder) {
   if (const std::string v2 = ReadText(folder + "/cpu.max"); !v2.empty()) return ParseCpuMax(v2);
   return ParseCpuMax(
       absl::StrCat(ReadText(folder + "/cpu.cfs_quota_us"), " ", ReadText(folder + "/cpu.cfs_period_us")));
@@ -41,7 +41,7 @@ std::optional<double> ParseCpuMax(absl::string_view text) {
 std::optional<double> OwnCpuLimit(absl::string_view own_cgroups, const std::string& root) {
   std::optional<double> tightest;
   for (const std::string& folder : CgroupFolders(own_cgroups, "cpu", root)) {
-    const std::optional<double> limit = FolderLimit(folder);
+    const std::optional<double> limit = CpuLimitOf(folder);
     if (limit.has_value()) tightest = std::min(*limit, tightest.value_or(*limit));
   }
   return tightest;

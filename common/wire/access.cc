@@ -61,14 +61,14 @@ std::optional<std::string> TokenDigest(const Caller& caller) {
   return caller.token.has_value() ? std::make_optional(Sha256Hex(*caller.token)) : std::nullopt;
 }
 
-std::string Printable(absl::string_view text) { return absl::CHexEscape(text.substr(0, kMaxLogged)); }
+std::string Escaped(absl::string_view text) { return absl::CHexEscape(text.substr(0, kMaxLogged)); }
 
 // "craftfleet-actor/host/12 (certificate actor-1, no token)".
 std::string Describe(const Caller& caller) {
-  return absl::StrCat(Printable(caller.program), " (",
+  return absl::StrCat(Escaped(caller.program), " (",
                       caller.certificate_names.empty()
                           ? "no certificate"
-                          : absl::StrCat("certificate ", Printable(absl::StrJoin(caller.certificate_names, ", "))),
+                          : absl::StrCat("certificate ", Escaped(absl::StrJoin(caller.certificate_names, ", "))),
                       caller.token.has_value() ? ", a token)" : ", no token)");
 }
 
@@ -235,7 +235,7 @@ absl::Status AccessControl::Check(const Caller& caller, absl::string_view path) 
   // By right and certificate, which callers do not choose as freely as program, token and path.
   log_.Warn(absl::StrCat(absl::StatusCodeToString(status.code()), " ", v1::Right_Name(RightFor(path)),
                          caller.token.has_value() ? " token " : " ", absl::StrJoin(caller.certificate_names, ", ")),
-            absl::StrFormat("refused %s: %s", Printable(path), status.message()));
+            absl::StrFormat("refused %s: %s", Escaped(path), status.message()));
   return absl::Status(status.code(), "not allowed; the log of the process that was called says why");
 }
 
