@@ -16,6 +16,7 @@
 #include <absl/strings/str_format.h>
 #include <absl/strings/str_join.h>
 #include <absl/strings/str_split.h>
+#include <absl/time/clock.h>
 #include <torch/csrc/distributed/c10d/PrefixStore.hpp>
 #include <torch/csrc/distributed/c10d/ProcessGroupGloo.hpp>
 #include <torch/csrc/distributed/c10d/TCPStore.hpp>
@@ -32,8 +33,8 @@ constexpr absl::Duration kSilence = absl::Seconds(7);
 constexpr absl::Duration kConnect = absl::Seconds(30);
 // How long rank 0 waits for the others to hear why they can't be a group.
 constexpr absl::Duration kFarewell = absl::Seconds(3);
-// How often a rank that waits for others looks whether it should stop.
-constexpr absl::Duration kPatience = absl::Milliseconds(500);
+// How often rank 0 looks whether the others have come, or it should stop.
+constexpr absl::Duration kLookAgain = absl::Milliseconds(50);
 constexpr absl::Duration kForever = absl::Hours(24 * 365);
 constexpr int kTag = 0;
 
@@ -212,13 +213,13 @@ absl::Status RankMeeting::CheckOthers(const RankBuild& build) {
   c10d::TCPStore& store = *store_->tcp;
   std::vector<int> missing;
   for (int rank = 1; rank < options_.world_size; ++rank) {
-    const std::string key = KeyOf("build", rank);
+    // Not wait(): what it is answered just after its time is up, the store takes for the answer to the next question.
     bool has_come = false;
-    do {
+    while (!(Try([&] { has_come = store.check({KeyOf("build", rank)}); }).ok() && has_come)) {
       if (options_.should_stop()) return absl::CancelledError("rank 0 was stopped before all ranks had come");
-      const absl::Duration left = std::min(deadline_ - SteadyNow(), kPatience);
-      has_come = Try([&] { store.wait({key}, Milliseconds(left)); }).ok();
-    } while (!has_come && SteadyNow() < deadline_);
+      if (SteadyNow() >= deadline_) break;
+      absl::SleepFor(std::min(deadline_ - SteadyNow(), kLookAgain));
+    }
     if (!has_come) missing.push_back(rank);
   }
   if (!missing.empty()) {
