@@ -65,11 +65,12 @@ TEST_F(HandOverTest, AConnectionThatCannotBeHandedOverEnds) {
   const int of_listener = fcntl(pair[0], F_DUPFD_CLOEXEC, 0);
   rlimit limit = {};
   ASSERT_EQ(getrlimit(RLIMIT_NOFILE, &limit), 0);
+  HandOver& hand_over = *hand_over_;  // before the limit: UBSan needs a descriptor to look at the fixture
   const rlimit few = {static_cast<rlim_t>(of_listener) + 1, limit.rlim_max};
   ASSERT_EQ(setrlimit(RLIMIT_NOFILE, &few), 0);
   std::vector<int> others;
   for (int other = dup(of_listener); other >= 0; other = dup(of_listener)) others.push_back(other);
-  hand_over_->Add(pair[0]);
+  hand_over.Add(pair[0]);
   pollfd end = {pair[1], POLLIN, 0};
   EXPECT_EQ(poll(&end, 1, 20'000), 1) << "the client waits";
   ASSERT_EQ(setrlimit(RLIMIT_NOFILE, &limit), 0);

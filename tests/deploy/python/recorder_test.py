@@ -5,6 +5,7 @@ import importlib.util
 import json
 import pathlib
 import shutil
+import subprocess
 import tempfile
 import threading
 import unittest
@@ -18,7 +19,6 @@ import craftfleet  # pylint: disable=wrong-import-position
 import gymnasium  # pylint: disable=wrong-import-position
 import numpy as np  # pylint: disable=wrong-import-position
 
-RUN = SOURCE / "tests/data/v0.1/ppo_cnn"
 ARGUMENTS = {"seed": 12, "length": 15, "reward": False}
 
 
@@ -170,6 +170,17 @@ class Recorder(FolderCase):
 
 class Runs(FolderCase):
 
+  @classmethod
+  def setUpClass(cls):
+    super().setUpClass()
+    temp = tempfile.TemporaryDirectory(prefix="craftfleet-")
+    cls.addClassCleanup(temp.cleanup)
+    cls.trained = pathlib.Path(temp.name) / "run"
+    config = pathlib.Path(temp.name) / "config.txt"
+    config.write_text(python_case.SMALL_RUN.replace("keep: 20", "keep: 1"))
+    subprocess.run([python_case.BIN / "craftfleet-train", f"--config={config}", f"--logdir={cls.trained}"],
+                   check=True, capture_output=True, timeout=120)
+
   def test_score_is_that_of_the_programs(self):
     golden = json.loads((SOURCE / "tests/data/agents/score.json").read_text())
     lines = []
@@ -187,8 +198,8 @@ class Runs(FolderCase):
     self.assertAlmostEqual(score.score, after["score"], places=9)
 
   def test_weights_are_those_of_the_newest_checkpoint(self):
-    weights = craftfleet.load_weights(RUN / "run")
-    (checkpoint,) = (RUN / "run/checkpoints").iterdir()
+    weights = craftfleet.load_weights(self.trained)
+    (checkpoint,) = (self.trained / "checkpoints").iterdir()
     for path in (checkpoint, checkpoint / "weights.safetensors"):
       again = craftfleet.load_weights(path)
       self.assertEqual({name: value.tobytes() for name, value in again.items()},
@@ -199,10 +210,10 @@ class Runs(FolderCase):
 
   def test_other_names_beside_checkpoints_are_ignored(self):
     run = self.folder / "run"
-    shutil.copytree(RUN / "run", run)
+    shutil.copytree(self.trained, run)
     for name in ("iter-00000010.bak", "iter-", "iter-99999999-old", "iter-٣", "best"):
       (run / "checkpoints" / name).mkdir()
-    self.assertEqual(set(craftfleet.load_weights(run)), set(craftfleet.load_weights(RUN / "run")))
+    self.assertEqual(set(craftfleet.load_weights(run)), set(craftfleet.load_weights(self.trained)))
 
   def test_what_is_missing_or_damaged_is_named(self):
     self.assert_refused(FileNotFoundError, "stats.jsonl", craftfleet.score, self.folder)
@@ -215,7 +226,7 @@ class Runs(FolderCase):
     self.assert_refused(FileNotFoundError, "no checkpoint, want folders like iter-", craftfleet.load_weights, self.folder)
     (self.folder / "checkpoints/iter-00000010.bak").mkdir()
     self.assert_refused(FileNotFoundError, "no checkpoint, want folders like iter-", craftfleet.load_weights, self.folder)
-    whole = next((RUN / "run/checkpoints").glob("*/weights.safetensors")).read_bytes()
+    whole = next((self.trained / "checkpoints").glob("*/weights.safetensors")).read_bytes()
     for content in (b"", b"garbage!" * 9, whole[:200], whole[:-4]):
       (self.folder / "bad.safetensors").write_bytes(content)
       self.assert_refused(ValueError, "not the weights of a checkpoint", craftfleet.load_weights, self.folder / "bad.safetensors")
