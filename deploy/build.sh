@@ -5,7 +5,7 @@
 # Usage: deploy/build.sh [PRESET] [-DNAME=VALUE]...
 #   PRESET  release (default), ci, debug, asan-ubsan, asan-ubsan-unit, tsan or libtorch-cuda-unit: see CMakePresets.json
 #   -DCRAFTFLEET_LIBTORCH=DIR  build against the LibTorch in DIR; later builds in the same folder remember it
-#   -DCRAFTFLEET_BUILD_TESTS=ON  also in release; later builds in the same folder remember it
+#   -DCRAFTFLEET_BUILD_TESTS=ON  build the tests too; later builds in the same folder remember it
 #   -DCRAFTFLEET_WERROR=ON     treat warnings as errors, as the developers' presets do; other compilers may give some
 #   JOBS    environment variable: parallel compilers; default: one per core, fewer if memory is short
 

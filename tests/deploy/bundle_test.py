@@ -175,8 +175,8 @@ class Launcher(python_case.FolderCase):
     (package / "lib/libtorch_cpu.so").touch()
     return package / "lib"
 
-  def launch(self, *arguments, program=None, **environment):
-    return subprocess.run([program or self.root / "bin/craftfleet-train", *arguments], capture_output=True, text=True, check=False,
+  def launch(self, *arguments, program=None, cwd=None, **environment):
+    return subprocess.run([program or self.root / "bin/craftfleet-train", *arguments], capture_output=True, text=True, check=False, cwd=cwd,
                           env={"PATH": os.environ["PATH"], "PYTHONDONTWRITEBYTECODE": "1", **environment})
 
   def assert_found(self, library_folder, ended, arguments=()):
@@ -194,6 +194,13 @@ class Launcher(python_case.FolderCase):
     self.assert_found(in_python, self.launch(PYTHONPATH=str(self.folder / "python")))
     self.assert_found(named, self.launch(PYTHONPATH=str(self.folder / "python"), CRAFTFLEET_LIBTORCH=str(self.folder / "named")))
     self.assert_found(in_python, self.launch(PYTHONPATH=str(self.folder / "python"), CRAFTFLEET_LIBTORCH=""))
+
+  def test_a_torch_in_the_current_folder_is_not_meant(self):
+    here, in_python = self.libtorch("here"), self.libtorch("python")
+    alone = self.launch(cwd=self.folder / "here")  # with the torch of this python3, if it has one
+    self.assertNotIn(str(here), alone.stdout + alone.stderr)
+    self.assert_found(in_python, self.launch(cwd=self.folder / "here", PYTHONPATH=str(self.folder / "python")))
+    self.assert_found(here, self.launch(cwd=self.folder / "here", PYTHONPATH=str(self.folder / "here")))
 
   def test_the_variable_names_any_folder_around_the_libraries(self):
     site = "venv/lib/python3.12/site-packages"

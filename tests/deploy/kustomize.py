@@ -1,6 +1,6 @@
 """The part of Kustomize that deploy/k8s uses: resources, components, namespace, labels, images, replicas, config maps from files
-and literals, JSON 6902 patches and strategic merge patches whose lists of objects are merged by name. Anything else in a
-kustomization is an error. Names get no hash.
+and literals, JSON 6902 patches that replace or remove, and strategic merge patches whose lists of objects are merged by name.
+Anything else in a kustomization is an error. Names get no hash.
 """
 
 import copy
@@ -90,9 +90,6 @@ def _apply(operation, document):
   *way, last = operation["path"].lstrip("/").split("/")
   for step in way:
     document = document[int(step)] if isinstance(document, list) else document[step]
-  if operation["op"] == "add" and last == "-":
-    document.append(operation["value"])
-    return
   if operation["op"] not in ("replace", "remove") or last not in document:
     raise KeyError(f"{operation['op']} {operation['path']}")
   if operation["op"] == "remove":

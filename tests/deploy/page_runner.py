@@ -21,7 +21,7 @@ SMALLER = {
     "craftfleet-train": 'case " $* " in *" --resume "*) exec "$REAL" "$@" ;; *" --config="*) ;; *) set -- --config="$SMALL" "$@" ;; esac\n'
                         'exec "$REAL" "$@" --steps=192 --lanes=4',
     "craftfleet-learner": 'exec "$REAL" --config="$SMALL" "$@" --lanes=4',
-    "craftfleet-eval": 'case " $* " in *--protocol=*) exec "$REAL" "$@" ;; esac\nexec "$REAL" "$@" --episodes=1',
+    "craftfleet-eval": 'exec "$REAL" "$@" --episodes=1',
     "craftfleet-sweep": 'case " $* " in *" --list "*) exec "$REAL" "$@" ;; esac\nexec "$REAL" "$@" --seeds=1 --steps=1',
     "craftfleet-top": 'exec "$REAL" "$@" --once',
     "craftfleet-doctor": 'exec "$REAL" "$@" --listen=127.0.0.1:0',
@@ -43,8 +43,7 @@ class PageRunner:
   def __init__(self, case, folder):
     self.case, self.checkout = case, pathlib.Path(folder) / "checkout"
     self.serving, self.ports = [], {}
-    for name in ("deploy", "tests"):
-      self.link_below(SOURCE / name, self.checkout / name)
+    self.link_below(SOURCE / "deploy", self.checkout / "deploy")
     bin_folder = self.checkout / "build/bin"
     bin_folder.mkdir(parents=True)
     (self.checkout / "build/share").symlink_to(BIN.parent / "share")

@@ -56,6 +56,19 @@ class Case(python_case.ProcessCase):
       self.skipTest(f"no mounts of its own: {tried.stderr.strip()}; want root")
     return ["unshare", "--mount", "sh", "-euc", f'{script}\nexec "$@"', "sh"]
 
+  def start_stub_fleet(self, variables, *flags, script=SOURCE / "deploy/local-fleet.sh"):
+    """Runs local-fleet.sh with programs that only write their arguments; returns these by program."""
+    stubs = self.folder / "stubs"
+    stubs.mkdir(exist_ok=True)
+    for name in ("learner", "actor", "envserver"):
+      stub = stubs / f"craftfleet-{name}"
+      stub.write_text(f'#!/bin/sh\nprintf "%s\\n" "$@" >"{self.folder}/{name}.args"\n' +
+                      ("sleep 1\n" if name == "learner" else "sleep 60\n"))
+      stub.chmod(0o755)
+    ended = self.run_in([script, f"--bin={stubs}", f"--logdir={self.run_folder}", *flags], env=environment(**variables))
+    self.assertEqual(ended.returncode, 0, ended.stderr)
+    return {name: (self.folder / f"{name}.args").read_text().splitlines() for name in ("learner", "actor", "envserver")}
+
 
 class Variables(Case):
 
@@ -99,7 +112,7 @@ class Variables(Case):
       for line in script.read_text().splitlines():
         if re.search(r"\bnproc\b", line) and not line.lstrip().startswith("#"):
           self.assertRegex(line, r"env -u OMP_NUM_THREADS -u OMP_THREAD_LIMIT nproc", script)
-    args = Scripts.start_stub_fleet(self, {"OMP_NUM_THREADS": "1", "OMP_THREAD_LIMIT": "1"})
+    args = self.start_stub_fleet({"OMP_NUM_THREADS": "1", "OMP_THREAD_LIMIT": "1"})
     self.assertIn(f"--threads={CPUS}", args["actor"])
 
 
@@ -119,7 +132,6 @@ class Limits(Case):
         "craftfleet-envserver": ["--listen=127.0.0.1:0"],
         "craftfleet-eval": [f"--checkpoint={run}", "--episodes=1"],
         "craftfleet-learner": [f"--config={config}", f"--logdir={self.folder}/learner", "--listen=127.0.0.1:0"],
-        "craftfleet-plan": ["--agent=ppo_cnn", "--seconds=1"],
         "craftfleet-play": [],
         "craftfleet-report": [run, f"--out={self.folder}/report"],
         "craftfleet-status": ["--address=127.0.0.1:1"],
@@ -248,19 +260,6 @@ class Names(Case):
 
 
 class Scripts(Case):
-
-  def start_stub_fleet(self, variables, *flags, script=SOURCE / "deploy/local-fleet.sh"):
-    """Runs local-fleet.sh with programs that only write their arguments; returns these by program."""
-    stubs = self.folder / "stubs"
-    stubs.mkdir(exist_ok=True)
-    for name in ("learner", "actor", "envserver"):
-      stub = stubs / f"craftfleet-{name}"
-      stub.write_text(f'#!/bin/sh\nprintf "%s\\n" "$@" >"{self.folder}/{name}.args"\n' +
-                      ("sleep 1\n" if name == "learner" else "sleep 60\n"))
-      stub.chmod(0o755)
-    ended = self.run_in([script, f"--bin={stubs}", f"--logdir={self.run_folder}", *flags], env=environment(**variables))
-    self.assertEqual(ended.returncode, 0, ended.stderr)
-    return {name: (self.folder / f"{name}.args").read_text().splitlines() for name in ("learner", "actor", "envserver")}
 
   def local_fleet(self, *flags, **variables):
     return self.run_in([SOURCE / "deploy/local-fleet.sh", f"--bin={BIN}", f"--config={self.config}", "--threads=1", *flags],

@@ -26,7 +26,7 @@ PROTOCOL_VERSION = 3
 MAX_MESSAGE_BYTES = 96 << 20
 MAX_PORT = 2**16 - 1
 TERMINATED, TRUNCATED = 1, 2
-# What a step can give, by tenths from LEAST_REWARD: a change of health, and 1 for achievements. Replies have these in float32.
+# Rewards that a step can give, in tenths: a change of health, and 1 for an achievement. Replies have them as float32.
 LEAST_REWARD, MOST_REWARD = -9, 19
 REWARDS = np.array([tenths / 10.0 if tenths < 2 else (tenths - 10) / 10.0 + 1.0 for tenths in range(LEAST_REWARD, MOST_REWARD + 1)])
 

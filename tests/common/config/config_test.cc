@@ -119,7 +119,7 @@ TEST(RunConfig, AnUnknownFieldsErrorHasItsPositionAndTheKnownFields) {
                      HasSubstr("known fields of PpoConfig: rollout_steps, minibatch_size, epochs, learning_rate, "))));
 }
 
-TEST(RunConfig, AnUnknownValueOfAnEnumerationsErrorListsTheKnownOnes) {
+TEST(RunConfig, ARemovedFieldsErrorSaysToLeaveItOut) {
   for (const char* field : {"decoupled_objective: true", "vtrace_rho_bar: 1", "vtrace_c_bar: 1",
                             "recompute_values: true", "correction_pass: true"}) {
     EXPECT_THAT(ParseRunConfig(absl::StrCat("overlap: 1\nppo { ", field, " }"), "a.txt"),
@@ -127,6 +127,9 @@ TEST(RunConfig, AnUnknownValueOfAnEnumerationsErrorListsTheKnownOnes) {
                          AllOf(StartsWith("a.txt:2:"), HasSubstr(std::string(field, std::strcspn(field, ":"))),
                                HasSubstr("removed in version 0.2: leave it out; "))));
   }
+}
+
+TEST(RunConfig, AnUnknownValueOfAnEnumerationsErrorListsTheKnownOnes) {
   EXPECT_THAT(ParseRunConfig("precision: FP16", "a.txt"),
               StatusIs(absl::StatusCode::kInvalidArgument,
                        AllOf(HasSubstr("\"FP16\""), HasSubstr("known values: FP32, TF32, BF16)"))));

@@ -132,12 +132,12 @@ class Environment(package.PackageCase):
         """)
     self.assertEqual(script.stdout, "(2, 64, 64, 3)\n", script.stderr)
 
-  def script(self, code, **options):
+  def script(self, code):
     with tempfile.TemporaryDirectory(prefix="craftfleet-") as folder:
       path = pathlib.Path(folder) / "script.py"
       path.write_text(textwrap.dedent(code))
-      options = {"cwd": folder, "env": {**os.environ, "PYTHONPATH": str(package.SITE)}, **options}
-      return subprocess.run([sys.executable, path], capture_output=True, text=True, timeout=120, check=False, **options)
+      return subprocess.run([sys.executable, path], capture_output=True, text=True, timeout=120, check=False, cwd=folder,
+                            env={**os.environ, "PYTHONPATH": str(package.SITE)})
 
   def test_in_the_folder_of_its_source_the_import_says_what_to_do(self):
     ended = subprocess.run(
