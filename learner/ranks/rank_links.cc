@@ -33,7 +33,7 @@ constexpr absl::Duration kSilence = absl::Seconds(7);
 constexpr absl::Duration kConnect = absl::Seconds(30);
 // How long rank 0 waits for the others to hear why they can't be a group.
 constexpr absl::Duration kFarewell = absl::Seconds(3);
-// How often rank 0 looks whether the others have come, or it should stop.
+// Between two looks of rank 0 at what the others have stored.
 constexpr absl::Duration kLookAgain = absl::Milliseconds(50);
 constexpr absl::Duration kForever = absl::Hours(24 * 365);
 constexpr int kTag = 0;
@@ -66,6 +66,13 @@ absl::Status Try(const std::function<void()>& f) {
   } catch (const std::exception& error) {
     return absl::UnavailableError(MessageOf(error));
   }
+}
+
+// Whether the store has `key`. Asked again and again where a wait may end early: LibTorch 1.13 takes what the store
+// answers just after the end of a wait for the answer to the next question, and then waits for ever.
+bool Has(const std::string& key, c10d::TCPStore* store) {
+  bool has = false;
+  return Try([&] { has = store->check({key}); }).ok() && has;
 }
 
 std::vector<uint8_t> Bytes(absl::string_view text) { return {text.begin(), text.end()}; }
@@ -213,14 +220,11 @@ absl::Status RankMeeting::CheckOthers(const RankBuild& build) {
   c10d::TCPStore& store = *store_->tcp;
   std::vector<int> missing;
   for (int rank = 1; rank < options_.world_size; ++rank) {
-    // Not wait(): what it is answered just after its time is up, the store takes for the answer to the next question.
-    bool has_come = false;
-    while (!(Try([&] { has_come = store.check({KeyOf("build", rank)}); }).ok() && has_come)) {
+    while (!Has(KeyOf("build", rank), &store) && SteadyNow() < deadline_) {
       if (options_.should_stop()) return absl::CancelledError("rank 0 was stopped before all ranks had come");
-      if (SteadyNow() >= deadline_) break;
-      absl::SleepFor(std::min(deadline_ - SteadyNow(), kLookAgain));
+      absl::SleepFor(kLookAgain);
     }
-    if (!has_come) missing.push_back(rank);
+    if (!Has(KeyOf("build", rank), &store)) missing.push_back(rank);
   }
   if (!missing.empty()) {
     return absl::UnavailableError(absl::StrFormat("%s %s of %d %s not come to %s within %s (--rank_timeout)",
@@ -284,10 +288,8 @@ absl::StatusOr<std::unique_ptr<RankLinks>> RankMeeting::Connect(const RankBuild&
       // The store ends with this process.
       const absl::Time deadline = SteadyNow() + kFarewell;
       for (int rank = 1; rank < options_.world_size; ++rank) {
-        bool has_come = false;
-        (void)Try([&] { has_come = store.check({KeyOf("build", rank)}); });
-        if (!has_come) continue;
-        (void)Try([&] { store.wait({KeyOf("heard", rank)}, Milliseconds(deadline - SteadyNow())); });
+        if (!Has(KeyOf("build", rank), &store)) continue;
+        while (!Has(KeyOf("heard", rank), &store) && SteadyNow() < deadline) absl::SleepFor(kLookAgain);
       }
       return found;
     }

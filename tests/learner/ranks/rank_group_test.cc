@@ -9,8 +9,6 @@
 #include <vector>
 
 #include <absl/strings/str_cat.h>
-#include <absl/time/clock.h>
-#include <absl/time/time.h>
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
@@ -246,23 +244,6 @@ TEST(RankMeeting, RanksThatDoNotComeAreNamedToAllThatCame) {
     EXPECT_EQ(status.code(), absl::StatusCode::kUnavailable) << status;
     EXPECT_THAT(std::string(status.message()), HasSubstr("ranks 2, 3 of 4 have not come to 127.0.0.1:"));
     EXPECT_THAT(std::string(status.message()), HasSubstr("within 3s (--rank_timeout)"));
-  });
-}
-
-// Rank 0 waited half a second at a time, and did not hear a rank that came as one of these ended.
-TEST(RankMeeting, ARankIsHeardWheneverItComes) {
-  constexpr int kMeetings = 40;
-  OnRanks(kMeetings, [](int number) {
-    const int port = FreePort();
-    OnRanks(2, [&](int rank) {
-      RankOptions options = LocalRank(rank, 2, port);
-      options.timeout = absl::Seconds(10);
-      const auto meeting = RankMeeting::Open(options, "");
-      ASSERT_TRUE(meeting.ok()) << meeting.status();
-      if (rank == 1) absl::SleepFor(absl::Milliseconds(480 + number));
-      const auto links = (*meeting)->Connect({"canary", "build"});
-      EXPECT_TRUE(links.ok()) << links.status();
-    });
   });
 }
 
