@@ -134,7 +134,7 @@ absl::Status EnvClient::OpenSome(absl::Span<const Lane> lanes, std::string* fram
   CRAFTFLEET_RETURN_IF_ERROR(Receive());
   CRAFTFLEET_RETURN_IF_ERROR(EndIfInvalid(frames_.ReadOpened(request_.open(), &reply_, &records_)));
   CRAFTFLEET_RETURN_IF_ERROR(EndIfInvalid(check_.Open(request_.open(), reply_)));
-  lengths_.Open(request_.open());
+  CRAFTFLEET_RETURN_IF_ERROR(EndIfInvalid(lengths_.Open(request_.open(), reply_)));
   if (frames->empty()) {
     frames->swap(*reply_.mutable_frames());
   } else {

@@ -74,6 +74,7 @@ absl::Status CheckNoStep(const v1::PlayReply& reply) {
 absl::Status CheckNoGames(const v1::PlayReply& reply) {
   CRAFTFLEET_RETURN_IF_ERROR(CheckNoStep(reply));
   CRAFTFLEET_RETURN_IF_ERROR(WantSize("frames", SizeOf(reply.frames()), 0, "bytes"));
+  CRAFTFLEET_RETURN_IF_ERROR(WantSize("episode_steps", reply.episode_steps_size(), 0, "numbers"));
   CRAFTFLEET_RETURN_IF_ERROR(WantSize("moments", reply.moments_size(), 0, "moments"));
   return WantSize("refused", reply.refused_size(), 0, "lanes");
 }
@@ -119,6 +120,7 @@ absl::Status PlayReplyCheck::Open(const v1::OpenLanes& request, const v1::PlayRe
   CRAFTFLEET_RETURN_IF_ERROR(CheckRefused(request, reply));
   const int64_t open = request.lanes_size() - reply.refused_size();
   CRAFTFLEET_RETURN_IF_ERROR(WantSize("frames", SizeOf(reply.frames()), open * frame_bytes_, "bytes"));
+  CRAFTFLEET_RETURN_IF_ERROR(EpisodeSteps(reply, open));
   return Moments(reply);
 }
 
@@ -142,6 +144,7 @@ absl::Status PlayReplyCheck::Games(const v1::StepLanes& request, const v1::PlayR
   CRAFTFLEET_RETURN_IF_ERROR(WantSize("rewards", reply.rewards_size(), lanes, "numbers"));
   // The range of a step's reward: common/base/crafter.h.
   CRAFTFLEET_RETURN_IF_ERROR(AsInvalid(wire::CheckRewards(reply.rewards())));
+  CRAFTFLEET_RETURN_IF_ERROR(EpisodeSteps(reply, lanes));
   CRAFTFLEET_RETURN_IF_ERROR(WantSize("ends", SizeOf(reply.ends()), lanes, "bytes"));
   int64_t ended = 0;
   int64_t truncated = 0;
@@ -167,6 +170,15 @@ absl::Status PlayReplyCheck::Games(const v1::StepLanes& request, const v1::PlayR
   return absl::OkStatus();
 }
 
+absl::Status PlayReplyCheck::EpisodeSteps(const v1::PlayReply& reply, int64_t lanes) const {
+  if (reply.episode_steps_size() == 0) return absl::OkStatus();
+  CRAFTFLEET_RETURN_IF_ERROR(WantSize("episode_steps", reply.episode_steps_size(), lanes, "numbers"));
+  for (const int64_t steps : reply.episode_steps()) {
+    CRAFTFLEET_RETURN_IF_ERROR(Within("episode_steps", steps, 0, max_length_ - 1));
+  }
+  return absl::OkStatus();
+}
+
 absl::Status PlayReplyCheck::Moments(const v1::PlayReply& reply) const {
   if (!records_) return WantSize("moments", reply.moments_size(), 0, "moments");
   // The other fields of a moment are checked when it is converted (common/wire/convert.h).
@@ -179,8 +191,29 @@ absl::Status PlayReplyCheck::Moments(const v1::PlayReply& reply) const {
   return absl::OkStatus();
 }
 
-void EpisodeLengths::Open(const v1::OpenLanes& request) {
-  for (const v1::OpenLanes::Lane& lane : request.lanes()) games_[lane.lane()] = {0, lane.snapshot().empty()};
+absl::Status EpisodeLengths::Open(const v1::OpenLanes& request, const v1::PlayReply& reply) {
+  int row = 0;
+  int refused = 0;
+  for (const v1::OpenLanes::Lane& lane : request.lanes()) {
+    if (refused < reply.refused_size() && reply.refused(refused).lane() == lane.lane()) {
+      ++refused;
+      continue;
+    }
+    const bool is_new = lane.snapshot().empty();
+    const int64_t steps = reply.episode_steps_size() > 0 ? reply.episode_steps(row++) : 0;
+    if (is_new && steps != 0) {
+      return Invalid(absl::StrFormat("episode_steps: %d of lane %d, want 0 of a new game", steps, lane.lane()));
+    }
+    games_[lane.lane()] = {steps, is_new || reply.episode_steps_size() > 0};
+  }
+  return absl::OkStatus();
+}
+
+absl::Status EpisodeLengths::CheckSteps(int lane, int row, const Game& game, const v1::PlayReply& reply) {
+  if (reply.episode_steps_size() == 0 || !game.is_whole || reply.episode_steps(row) == game.steps) {
+    return absl::OkStatus();
+  }
+  return Invalid(absl::StrFormat("episode_steps: %d of lane %d, want %d", reply.episode_steps(row), lane, game.steps));
 }
 
 absl::Status EpisodeLengths::Step(const v1::StepLanes& request, const v1::PlayReply& reply) {
@@ -189,9 +222,12 @@ absl::Status EpisodeLengths::Step(const v1::StepLanes& request, const v1::PlayRe
     Game& game = games_[request.lanes(row)];
     ++game.steps;
     if (reply.ends()[row] == static_cast<char>(StepEnd::kNone)) {
-      if (game.steps < most_) continue;
-      return Invalid(absl::StrFormat("ends: the episode of lane %d goes on after %d steps, want at most %d",
-                                     request.lanes(row), game.steps, most_));
+      if (game.steps >= most_) {
+        return Invalid(absl::StrFormat("ends: the episode of lane %d goes on after %d steps, want at most %d",
+                                       request.lanes(row), game.steps, most_));
+      }
+      CRAFTFLEET_RETURN_IF_ERROR(CheckSteps(request.lanes(row), row, game, reply));
+      continue;
     }
     const int64_t length = reply.episodes(ended++).length();
     if (length < game.steps || (game.is_whole && length != game.steps)) {
@@ -199,6 +235,7 @@ absl::Status EpisodeLengths::Step(const v1::StepLanes& request, const v1::PlayRe
                                      game.is_whole ? "" : "at least ", game.steps));
     }
     game = {0, true};
+    CRAFTFLEET_RETURN_IF_ERROR(CheckSteps(request.lanes(row), row, game, reply));
   }
   return absl::OkStatus();
 }

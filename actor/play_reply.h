@@ -35,6 +35,7 @@ class PlayReplyCheck {
   // Checks the results of a step.
   absl::Status Games(const v1::StepLanes& request, const v1::PlayReply& reply) const;
   absl::Status Moments(const v1::PlayReply& reply) const;
+  absl::Status EpisodeSteps(const v1::PlayReply& reply, int64_t lanes) const;
 
   const bool records_;
   const int64_t frame_bytes_;
@@ -51,18 +52,22 @@ class EpisodeLengths {
 
   // A new session begins.
   void Clear() { games_.clear(); }
-  // The games of `request` begin, or go on from snapshots.
-  void Open(const v1::OpenLanes& request);
-  // `reply` has passed PlayReplyCheck.   DataLoss: an episode that began in this session has another length than its
-  // steps; or one from a snapshot a smaller length than its steps since then (the learner would refuse its fragment);
-  // or one does not end when it has the most steps.
+  // The games of `request` begin, or go on from snapshots. `reply` has passed PlayReplyCheck.   DataLoss: a new game
+  // has steps.
+  absl::Status Open(const v1::OpenLanes& request, const v1::PlayReply& reply);
+  // `reply` has passed PlayReplyCheck.   DataLoss: a game has other steps than were counted here; an episode has
+  // another length than its steps (the learner would refuse its fragment); or one does not end when it has the most
+  // steps.
   absl::Status Step(const v1::StepLanes& request, const v1::PlayReply& reply);
 
  private:
   struct Game {
-    int64_t steps = 0;      // of the current episode, in this session
-    bool is_whole = false;  // it began here
+    int64_t steps = 0;      // of the current episode, or, unless that is whole, of its part in this session
+    bool is_whole = false;  // it began here, or the server has told its steps
   };
+  // `row` is that of `lane`, whose game is `game` after the step.
+  static absl::Status CheckSteps(int lane, int row, const Game& game, const v1::PlayReply& reply);
+
   const int64_t most_;
   std::unordered_map<int, Game> games_;  // by lane
 };

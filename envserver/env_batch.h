@@ -82,6 +82,10 @@ class EnvBatch {
   // Goes on with at least one of them. Errors as those of Open and Step.
   absl::Status Resume();
 
+  // Steps of the current episode of an open lane's game.
+  int64_t EpisodeSteps(int lane) const { return games_.at(lane).world().step(); }
+  bool IsOpen(int lane) const { return games_.count(lane) > 0; }
+
   // Drops games. Lanes that are not open are ignored.
   void Close(absl::Span<const int> lanes);
 

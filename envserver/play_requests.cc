@@ -140,12 +140,17 @@ absl::Status EnvServiceImpl::Complete(const v1::PlayRequest& request, Games* gam
     episodes_ += static_cast<int64_t>(games->step.episodes.size());
     reply->clear_refused();
     wire::ToProto(&games->step, reply);
+    reply->clear_episode_steps();
+    for (const int lane : request.step().lanes()) reply->add_episode_steps(batch.EpisodeSteps(lane));
     wire::ToProto(std::move(batch.moments()), reply);
     return games->Reserve(0, 0);  // objects appear in play
   }
   if (request.has_open()) {
     games->to_open = {};
     AddRefused(batch.refused(), &log_, reply);
+    for (const v1::OpenLanes::Lane& lane : request.open().lanes()) {
+      if (batch.IsOpen(lane.lane())) reply->add_episode_steps(batch.EpisodeSteps(lane.lane()));
+    }
     wire::ToProto(std::move(batch.moments()), reply);
   } else {
     reply->Clear();

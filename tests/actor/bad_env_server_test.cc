@@ -171,13 +171,18 @@ TEST_F(BadEnvServer, ASlowServerLosesItsGamesInTheMiddleOfAFragment) {
   }
 }
 
+// Leaves no end of an episode in the reply to a step.
+void DropEnds(v1::PlayReply* reply) {
+  reply->mutable_ends()->assign(reply->ends().size(), static_cast<char>(StepEnd::kNone));
+  reply->clear_episodes();
+  reply->clear_last_frames();
+}
+
 // Evaluations waited for such a game for ever.
 TEST_F(BadEnvServer, AGameThatNeverEndsIsAFaultOfItsServer) {
   Start([](const v1::PlayRequest& request, v1::PlayReply* reply) {
-    if (!request.has_step()) return true;
-    reply->mutable_ends()->assign(reply->ends().size(), static_cast<char>(StepEnd::kNone));
-    reply->clear_episodes();
-    reply->clear_last_frames();
+    if (request.has_step()) DropEnds(reply);
+    reply->clear_episode_steps();
     return true;
   });
   ASSERT_THAT(OpenFour(), IsOk());
@@ -188,6 +193,22 @@ TEST_F(BadEnvServer, AGameThatNeverEndsIsAFaultOfItsServer) {
   EXPECT_THAT(Error(),
               StatusIs(absl::StatusCode::kDataLoss,
                        AllOf(HasSubstr(server_->address()), HasSubstr("goes on after 50 steps, want at most 50"))));
+}
+
+// What such a server made up was learned from: nobody counted the steps of a game from a snapshot.
+TEST_F(BadEnvServer, AGameFromASnapshotThatDoesNotEndIsAFaultOfItsServer) {
+  Start([](const v1::PlayRequest& request, v1::PlayReply* reply) {
+    if (request.has_step()) DropEnds(reply);
+    return true;
+  });
+  const std::string snapshot = Snapshot();  // after one step
+  ASSERT_THAT(Open({{0, 100, 1, snapshot}, {1, 100, 1, snapshot}, {2, 100, 1, snapshot}, {3, 100, 1, snapshot}}),
+              IsOk());
+  for (int step = 2; step < 50; ++step) ASSERT_THAT(StepFour(), IsOk());
+  EXPECT_EQ(lost_, 0u);
+  ASSERT_THAT(StepFour(), IsOk());
+  EXPECT_EQ(lost_, 2u);
+  EXPECT_THAT(Error(), StatusIs(absl::StatusCode::kDataLoss, HasSubstr("goes on after 50 steps, want at most 50")));
 }
 
 TEST_F(BadEnvServer, AServerThatIsSilentFromTheStartDelaysNothing) {
@@ -234,35 +255,39 @@ TEST_P(InvalidReplyTest, IsReportedAndTheGamesContinueElsewhere) {
 
 INSTANTIATE_TEST_SUITE_P(
     Fields, InvalidReplyTest,
-    testing::Values(InvalidReply{"Frames", [](v1::PlayReply* r) { r->mutable_frames()->pop_back(); }, "frames"},
-                    InvalidReply{"Rows", [](v1::PlayReply* r) { r->add_rewards(0); }, "rewards"},
-                    InvalidReply{"Reward", [](v1::PlayReply* r) { r->set_rewards(1, 1e6F); }, "rewards"},
-                    InvalidReply{"Ends", [](v1::PlayReply* r) { r->mutable_ends()->at(0) = 3; }, "ends"},
-                    InvalidReply{"Ended", [](v1::PlayReply* r) { r->mutable_ends()->at(0) = 1; }, "episodes"},
-                    InvalidReply{"Episode",
-                                 [](v1::PlayReply* r) {
-                                   r->mutable_ends()->at(0) = 1;
-                                   v1::EpisodeMessage* episode = r->add_episodes();
-                                   episode->set_length(int64_t{1} << 62);
-                                   for (int i = 0; i < kNumAchievements; ++i) episode->add_achievements(0);
-                                 },
-                                 "length"},
-                    // After one step; the learner would refuse the fragment, and its lane never leave this server.
-                    InvalidReply{"EpisodeLength",
-                                 [](v1::PlayReply* r) {
-                                   r->mutable_ends()->at(0) = 1;
-                                   v1::EpisodeMessage* episode = r->add_episodes();
-                                   episode->set_length(7);
-                                   for (int i = 0; i < kNumAchievements; ++i) episode->add_achievements(0);
-                                 },
-                                 "episodes.length: 7 of lane"},
-                    InvalidReply{"Snapshots", [](v1::PlayReply* r) { r->add_snapshots("x"); }, "snapshots"},
-                    InvalidReply{"Refused", [](v1::PlayReply* r) { r->add_refused(); }, "refused"},
-                    InvalidReply{"Moments", [](v1::PlayReply* r) { r->add_moments(); }, "moments"},
-                    InvalidReply{"Hello", [](v1::PlayReply* r) { r->set_cpu("a"); }, "cpu"},
-                    InvalidReply{"Busy", [](v1::PlayReply* r) { r->set_busy_ns(-1); }, "busy_ns"},
-                    InvalidReply{"Server", [](v1::PlayReply* r) { r->mutable_server()->set_lanes(-1); },
-                                 "summary.lanes"}),
+    testing::Values(
+        InvalidReply{"Frames", [](v1::PlayReply* r) { r->mutable_frames()->pop_back(); }, "frames"},
+        InvalidReply{"Rows", [](v1::PlayReply* r) { r->add_rewards(0); }, "rewards"},
+        InvalidReply{"Reward", [](v1::PlayReply* r) { r->set_rewards(1, 1e6F); }, "rewards"},
+        InvalidReply{"Ends", [](v1::PlayReply* r) { r->mutable_ends()->at(0) = 3; }, "ends"},
+        InvalidReply{"Ended", [](v1::PlayReply* r) { r->mutable_ends()->at(0) = 1; }, "episodes"},
+        InvalidReply{"Episode",
+                     [](v1::PlayReply* r) {
+                       r->mutable_ends()->at(0) = 1;
+                       v1::EpisodeMessage* episode = r->add_episodes();
+                       episode->set_length(int64_t{1} << 62);
+                       for (int i = 0; i < kNumAchievements; ++i) episode->add_achievements(0);
+                     },
+                     "length"},
+        // After one step; the learner would refuse the fragment, and its lane never leave this server.
+        InvalidReply{"EpisodeLength",
+                     [](v1::PlayReply* r) {
+                       r->mutable_ends()->at(0) = 1;
+                       v1::EpisodeMessage* episode = r->add_episodes();
+                       episode->set_length(7);
+                       for (int i = 0; i < kNumAchievements; ++i) episode->add_achievements(0);
+                     },
+                     "episodes.length: 7 of lane"},
+        // An end is hidden, or a game begins anew.
+        InvalidReply{"EpisodeSteps", [](v1::PlayReply* r) { r->set_episode_steps(0, 0); }, "episode_steps: 0 of lane"},
+        InvalidReply{"EpisodeStepsRows", [](v1::PlayReply* r) { r->add_episode_steps(1); },
+                     "episode_steps: 3 numbers, want 2"},
+        InvalidReply{"Snapshots", [](v1::PlayReply* r) { r->add_snapshots("x"); }, "snapshots"},
+        InvalidReply{"Refused", [](v1::PlayReply* r) { r->add_refused(); }, "refused"},
+        InvalidReply{"Moments", [](v1::PlayReply* r) { r->add_moments(); }, "moments"},
+        InvalidReply{"Hello", [](v1::PlayReply* r) { r->set_cpu("a"); }, "cpu"},
+        InvalidReply{"Busy", [](v1::PlayReply* r) { r->set_busy_ns(-1); }, "busy_ns"},
+        InvalidReply{"Server", [](v1::PlayReply* r) { r->mutable_server()->set_lanes(-1); }, "summary.lanes"}),
     [](const auto& info) { return info.param.name; });
 
 TEST_F(BadEnvServer, ASnapshotRefusedByOneServerIsTriedOnAnother) {

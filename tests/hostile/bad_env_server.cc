@@ -13,8 +13,6 @@ namespace {
 constexpr absl::Duration kSlowAnswer = absl::Seconds(30);
 constexpr absl::Duration kSluggishAnswer = absl::Milliseconds(300);
 constexpr size_t kLargeBytes = 32 << 20;
-constexpr char kNone = '\0';
-constexpr char kTruncated = '\2';
 constexpr int kLongestTruth = 40;  // replies of a session before the first lie
 
 // Waits until the client has disconnected.
@@ -23,32 +21,6 @@ void WaitForTheEnd(const grpc::ServerContext& context) {
 }
 
 }  // namespace
-
-void EndlessGames::Spoil(const v1::PlayRequest& request, v1::PlayReply* reply) {
-  for (const auto& lane : request.open().lanes()) {
-    if (lane.snapshot().empty()) {
-      resumed_.erase(lane.lane());
-    } else {
-      resumed_.insert(lane.lane());
-    }
-  }
-  bool truncates_resumed = false;
-  for (int row = 0; row < request.step().lanes_size(); ++row) {
-    if (reply->ends()[row] == kNone) continue;
-    truncates_resumed |= resumed_.erase(request.step().lanes(row)) > 0 && reply->ends()[row] == kTruncated;
-  }
-  if (truncates_resumed) return;
-  google::protobuf::RepeatedPtrField<v1::EpisodeMessage> others;
-  int ended = 0;
-  for (char& end : *reply->mutable_ends()) {
-    if (end == kNone) continue;
-    if (end != kTruncated) *others.Add() = reply->episodes(ended);
-    ++ended;
-    if (end == kTruncated) end = kNone;
-  }
-  reply->mutable_episodes()->Swap(&others);
-  reply->clear_last_frames();
-}
 
 BadEnvService::BadEnvService(Misdeed misdeed, const wire::Endpoint& behind, uint64_t seed)
     : misdeed_(misdeed), behind_(v1::EnvironmentService::NewStub(behind.channel)), random_(seed) {}
@@ -85,7 +57,6 @@ grpc::Status BadEnvService::PassOn(grpc::ServerContext* context,
   v1::PlayRequest request;
   v1::PlayReply reply;
   int truths = Draw(kLongestTruth);
-  EndlessGames endless;
   while (stream->Read(&request) && behind->Write(request) && behind->Read(&reply)) {
     if (misdeed_ == Misdeed::kSlow) {
       const absl::Time end = absl::Now() + kSlowAnswer;
@@ -93,7 +64,9 @@ grpc::Status BadEnvService::PassOn(grpc::ServerContext* context,
     } else if (misdeed_ == Misdeed::kSluggish) {
       absl::SleepFor(kSluggishAnswer);
     } else if (misdeed_ == Misdeed::kEndless) {
-      endless.Spoil(request, &reply);
+      reply.mutable_ends()->assign(reply.ends().size(), '\0');
+      reply.clear_episodes();
+      reply.clear_last_frames();
     } else if (truths-- == 0) {
       Spoil(&reply);
     }

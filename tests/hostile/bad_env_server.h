@@ -7,7 +7,6 @@
 #include <memory>
 #include <mutex>
 #include <random>
-#include <set>
 
 #include "common/wire/channel.h"
 #include "craftfleet/v1/environment.grpc.pb.h"
@@ -18,19 +17,9 @@ enum class Misdeed {
   kSilent,    // accepts every request and answers none
   kSlow,      // forwards each reply of the server behind it after 30 s
   kSluggish,  // forwards each reply after 0.3 s
-  kEndless,   // forwards the replies of the server behind it, but episodes that begin here do not end at their longest
+  kEndless,   // forwards the replies of the server behind it, but no end of an episode
   kLying,     // forwards the replies of the server behind it until it corrupts one reply of a session
   kFlooding,  // answers a request with endless large replies
-};
-
-// Takes the ends at the longest episode out of replies, in a way that clients can detect: not of games that go on from
-// snapshots.
-class EndlessGames {
- public:
-  void Spoil(const v1::PlayRequest& request, v1::PlayReply* reply);
-
- private:
-  std::set<int> resumed_;  // lanes whose episode began elsewhere
 };
 
 // Forwards sessions to `behind`, a well-behaved server. Thread-safe.
