@@ -1,5 +1,4 @@
 // Resizes textures and draws one over another.
-// Source: RULES.md, section 12.
 
 #ifndef CRAFTFLEET_ENVSERVER_RENDER_IMAGE_H_
 #define CRAFTFLEET_ENVSERVER_RENDER_IMAGE_H_
@@ -21,13 +20,14 @@ struct Image {
   Pixel at(int x, int y) const { return pixels[x * height + y]; }
 };
 
-// For each of `to` pixels the pixel of `from` that it shows. The position is accumulated, as in the original: the exact
-// fraction would select other pixels at some sizes.
+// For each of `to` pixels the pixel of `from` that it shows: trunc(p), where p starts at (from / to) * 0.5 and from /
+// to is added for each further pixel. The sum, as in the original: the product would select other pixels at some sizes.
 std::vector<int> NearestIndices(int from, int to);
 
 Image Resize(const Texture& texture, int width, int height);
 
-// Draws each pixel of `over` by its alpha onto the pixel of `canvas` in the same place. Equal sizes.
+// Draws each pixel of `over` by its alpha onto the pixel of `canvas` in the same place. Equal sizes. A channel, in
+// float32, with alpha a, colour t and canvas c divided by 255: trunc(255 * (a * t + (1 - a) * c)).
 void Blend(absl::Span<const Pixel> over, absl::Span<Pixel> canvas);
 
 }  // namespace craftfleet

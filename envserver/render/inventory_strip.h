@@ -1,5 +1,8 @@
-// The lower part of the picture: an icon and a digit for each item that the player has.
-// Source: RULES.md, section 12.
+// The lower part of the picture: an icon and a digit for each item that the player has, on black.
+//
+// An item with amount >= 1 has the cell (index mod view_width, index div view_width) of the strip: its icon,
+// trunc(0.8 * cell) pixels a side, at offset trunc(cell number * cell + 0.1 * cell); over it the digit of the amount,
+// trunc(0.6 * cell) pixels, at offset trunc(cell number * cell + 0.4 * cell). Both are drawn with Blend().
 
 #ifndef CRAFTFLEET_ENVSERVER_RENDER_INVENTORY_STRIP_H_
 #define CRAFTFLEET_ENVSERVER_RENDER_INVENTORY_STRIP_H_

@@ -1,6 +1,14 @@
 // The light on the map's pixels: daylight, the night's noise, sleep. All three ignore the alpha of the pixels: it
 // becomes 0. Results are exactly those of the original's double and float operations in their order.
-// Source: RULES.md, section 13.
+//
+// Noise, if daylight < 0.5: one uniform draw U for each pixel of the map, x in the outer loop; all three channels use
+// it.
+//   With m = 2 * (0.5 - daylight) * cover (vignette.h), a channel c becomes v = trunc((1 - m) * c + m * (32 + 95 * U)).
+//   By day v = c.
+// Darkness: L = (19595 R + 38470 G + 7471 B + 32768) >> 16 of the pixel with its noise. D = trunc(L + 0.4 * (v - L)) in
+//   float32, each operation rounded. The result is trunc(daylight * c + (0.5 * (1 - daylight)) * (D + T)), where c is
+//   the channel without noise and T is 0, 16 and 64 for red, green and blue.
+// Sleep: H = L >> 1 of the result, and the pixel of a sleeping player becomes (H, H, H + 8).
 
 #ifndef CRAFTFLEET_ENVSERVER_RENDER_LIGHT_H_
 #define CRAFTFLEET_ENVSERVER_RENDER_LIGHT_H_

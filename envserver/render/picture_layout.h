@@ -1,5 +1,10 @@
 // Where the parts of a picture are: the local map above, the inventory below, a black border where the cells don't fill
-// the size. Source: RULES.md, section 12.
+// the size.
+//
+// A picture shows view_width x view_height cells of width div view_width by height div view_height pixels. The lowest
+// ceil(16 / view_width) rows of cells are the inventory, the rest is the map, whose middle cell is the player's: the
+// upper left cell of the view is the player's position minus (columns div 2, map rows div 2). Half of the remaining
+// pixels, rounded down, are at the left and the top.
 
 #ifndef CRAFTFLEET_ENVSERVER_RENDER_PICTURE_LAYOUT_H_
 #define CRAFTFLEET_ENVSERVER_RENDER_PICTURE_LAYOUT_H_

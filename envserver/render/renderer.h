@@ -1,5 +1,7 @@
-// Draws the picture of a world, bit for bit as Crafter does.
-// Source: RULES.md, sections 12 and 13.
+// Draws the picture of a world, bit for bit as Crafter does: the map, lit (light.h), and the inventory.
+//
+// Map cells outside the world are grey (127, 127, 127). A cell shows the colour of its material's texture; alpha is
+// ignored. Objects are drawn over it in order of creation, with Blend().
 
 #ifndef CRAFTFLEET_ENVSERVER_RENDER_RENDERER_H_
 #define CRAFTFLEET_ENVSERVER_RENDER_RENDERER_H_

@@ -1,6 +1,5 @@
 // Maps the things on the map to textures. A sprite is a material, creature, player, arrow or plant in one of its
 // variants; sprites are numbered without gaps, so that a renderer can keep them in an array.
-// Source: RULES.md, sections 12 and 14.
 
 #ifndef CRAFTFLEET_ENVSERVER_RENDER_SPRITES_H_
 #define CRAFTFLEET_ENVSERVER_RENDER_SPRITES_H_
@@ -29,7 +28,8 @@ Sprite SpriteOf(const Object& object, bool sleeping);
 // Whether it is a material's, not that of a creature, player, arrow or plant.
 bool IsMaterial(Sprite sprite);
 
-// The texture's name: "tree", "tree2", "player-left".
+// The texture's name: of the material; player-left, -right, -up, -down by facing, or player-sleep; cow, zombie,
+// skeleton; arrow-left, ...; plant or plant-ripe; with the variant's digit, if there is one: "tree2".
 std::string SpriteName(Sprite sprite);
 // Whether it is an appearance variant, "tree2", of a plain sprite.
 bool IsVariant(Sprite sprite);

@@ -1,6 +1,8 @@
 // How far the night's noise covers each pixel of the map: 0 in the middle, towards 1 at the corners. The values reach
 // pixels, so they use our own exponential function: the last bit of libm's depends on the CPU.
-// Source: RULES.md, section 13.
+//
+// cover(x, y) = 1 - exp(-(0.5 * (X*X + Y*Y) / 0.25)) with X = x * (2 / (map width - 1)) - 1, the last one exactly 1,
+// and Y in the same way.
 
 #ifndef CRAFTFLEET_ENVSERVER_RENDER_VIGNETTE_H_
 #define CRAFTFLEET_ENVSERVER_RENDER_VIGNETTE_H_

@@ -1,5 +1,5 @@
-// The random stream of one episode: MT19937 read as numpy's RandomState reads it. The order of draws is part of the
-// rules. Thread-compatible: one thread at a time. Source: RULES.md, section 10.
+// The random stream of one episode: MT19937, seeded by init_genrand and read as numpy's RandomState reads it with
+// uniform() and randint(0, n). The order of draws is part of the rules. Thread-compatible: one thread at a time.
 
 #ifndef CRAFTFLEET_ENVSERVER_WORLD_RANDOM_STREAM_H_
 #define CRAFTFLEET_ENVSERVER_WORLD_RANDOM_STREAM_H_
@@ -48,7 +48,8 @@ class RandomStream {
   void FillWords(absl::Span<uint32_t> high, absl::Span<uint32_t> low);
   // `high` is tempered already, `low` is not: so many callers do not need it.
   static double UniformOf(uint32_t high, uint32_t low) { return internal::ToDouble(high, internal::Temper(low)); }
-  // One integer in [0, n), n in 1..2^32-1: no word for n = 1, else one word a try.
+  // One integer in [0, n), n in 1..2^32-1: no word for n = 1, else words until one, masked to the bits of n - 1, is at
+  // most n - 1.
   uint32_t Below(uint32_t n);
 
   // For snapshots and traces: the words, and the number of used ones, 0..624 (624: the next draw twists first).

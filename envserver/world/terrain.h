@@ -1,6 +1,6 @@
 // The traits of each cell of a new world that follow from the noise alone, before any draw. All cells are compared with
 // the thresholds by their inexact noise (noise_field.h), those too near to a threshold again by their exact noise.
-// Source: RULES.md, section 3.
+// Source: generation.h.
 
 #ifndef CRAFTFLEET_ENVSERVER_WORLD_TERRAIN_H_
 #define CRAFTFLEET_ENVSERVER_WORLD_TERRAIN_H_

@@ -1,7 +1,45 @@
 #!/usr/bin/env python3
 """Makes the golden data with our own textures: python3 tests/model/make_goldens.py --out tests/data/own
 
-The format is described in tests/data/own/README.md. Takes about half a minute.
+Takes about half a minute.
+
+JSON Lines, compact, fixed key order. Doubles are printed with Python's repr: strtod gives the exact value back. Every
+hash is zlib's crc32 (polynomial 0xEDB88320) as 8 lower-case hex digits. Ids of materials, objects and items, and
+facing as (dx, dy), are those of the rules.
+
+worlds.jsonl: one row per generated world
+  seed, ep, eseed: base seed, episode (from 1), seed of the episode's stream
+  area: [width, height]
+  numbers: five letters of q h s d f for tree, coal, cow, zombie, skeleton; sssss is the default
+  letters, percentages: appearance: the letters whose things have variants (empty: no variants and no draws for them),
+    and the four percentages
+  size, view: of the picture, [w, h] each
+  nobj: objects, the player included
+  mat: crc of the material map, uint8 [x][y], y fastest
+  obj: crc of the objects in order of creation: u8 type, i16 x, i16 y, i16 health, little endian, packed (7 bytes)
+  mvar: crc of uint8 [x][y]: 0 for no variant, k + 1 for variant k (without letters all 0)
+  ovar: crc of one byte per object in order: 0 for no variant, k + 1 for variant k
+  rng: crc of the next 8 doubles (little-endian float64) that a copy of the stream would give after world generation
+  mtp: words used of the stream's 624, 0..624, at the same moment
+  img: crc of the first observation (step 0, so nothing is drawn from the stream), uint8, rows y, columns x, RGB
+Healths at the start: player 9, cow 3, zombie 5, skeleton 3. The player stands in the middle, facing (0, 1).
+
+frames.jsonl: one row per picture of a staged situation
+  name: what the picture is about; unique
+  world: row of worlds.jsonl (from 0) that the material map and its variants come from (its objects do not)
+  mat: [[x, y, id, variant], ...] written over that map; variant -1 is none
+  size, view: of the picture, [w, h] each
+  step, day: step counter and the daylight that follows from it
+  sleeping: 0 or 1
+  objs: [[type, x, y, dx, dy, variant, health, aux], ...] in order of creation; the first is the player and the
+    picture's centre. aux: a plant's grown (ripe above 300), otherwise 0. Facing matters for player and arrow
+  inv: 16 amounts, item order of the rules (health first)
+  inventory: 1; or 0: the "no inventory" mode
+  stream: [seed, words]: the stream before the picture is the one seeded with seed after words 32-bit words were drawn
+    (Below(2) draws exactly one)
+  rng, mtp: of the stream after the picture, as above
+  crc: of the picture, uint8, rows y, columns x, RGB
+  off: where its w * h * 3 bytes begin in the unpacked frames.bin.gz; null: only the crc is kept
 """
 import argparse
 import copy

@@ -29,7 +29,7 @@ def plant(x, y, grown, health=1):
 
 @dataclasses.dataclass
 class Situation:
-    """Fields as in tests/data/own/README.md; `keep`: whether to store the picture's bytes besides their crc."""
+    """Fields as in make_goldens.py; `keep`: whether to store the picture's bytes besides their crc."""
     name: str
     world: int = 0
     mat: list = dataclasses.field(default_factory=list)

@@ -12,7 +12,9 @@
 
 namespace craftfleet {
 
-// A map of 64 channels to the mean of the slots: 256 features. Source: Stanic et al. 2022; AGENTS.md, section 5.
+// A map of 64 channels to the mean of the slots, which attend to the tokens: 256 features. Each token gets 13 values
+// appended: with p its number mapped evenly to -1..1 and six scales s from 1 to 5 in even steps, sin(p * s * pi),
+// cos(p * s * pi) and p. to_q and to_kv have no biases. Source: Stanic et al. 2022; AGENTS.md, section 5.
 class CrossAttention : public AttentionPart {
  public:
   struct Options {

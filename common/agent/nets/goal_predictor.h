@@ -11,8 +11,11 @@
 
 namespace craftfleet {
 
-// The action scales and shifts the features (FiLM); two linear layers follow. Trained by distillation alone; acting
-// does not need it. Source: AGENTS.md, section 12.
+// The action scales and shifts the features (FiLM): film.linear0 (17 -> F, normalised input, no bias, ReLU) and
+// film.linear1 (F -> 2F, with bias) turn the action, as a one-hot vector, into a scale g and a shift b of each feature:
+// (1 + g) * features + b. predictor.linear0 (2F -> F, normalised input, no bias, ReLU; F -> F without a memory) sees
+// that and the memory, predictor.linear1 (F -> F, with bias) makes the prediction. Trained by distillation alone;
+// acting does not need it.
 class GoalPredictor {
  public:
   // For `features` features and a memory of `memory` floats; 0: none. Parameters: film.*, predictor.*.

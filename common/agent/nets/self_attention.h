@@ -13,8 +13,10 @@
 
 namespace craftfleet {
 
-// A map of 64 channels to the CLS row of the second layer: 256 features. No residual connection, norm, feed-forward
-// layer or output projection. Source: Stanic et al. 2022; AGENTS.md, section 4.
+// A map of 64 channels to the CLS row of the second layer: 256 features. A CLS token is put in front of the patches;
+// emb_proj, with bias, makes each token 256 wide. With `positions`, token number t (0 is CLS) gets sin(t * w_i) added
+// in its first 128 values and cos(t * w_i) in the last 128, w_i = 10000^(-2i / 256). Two layers of attention follow. No
+// residual connection, norm, feed-forward layer or output projection. Source: Stanic et al. 2022; AGENTS.md, section 4.
 class SelfAttention : public AttentionPart {
  public:
   struct Options {

@@ -45,7 +45,9 @@ class KeptRollouts {
   float return_of(int row) const;       // from GAE of its iteration
   const float* memory(int row) const;   // float[memory_size] before the step; null: zero
 
-  // Adds their tensors and metadata to `file`, whose tensors look into this object.
+  // Adds their tensors and metadata to `file`, whose tensors share this object's memory. For rollout I = 0, 1, ... with
+  // n rows, lane by lane: kept.I.frames uint8[n,bytes], kept.I.steps uint8[n,4] (StepByte), kept.I.returns float32[n]
+  // and kept.I.memories float32[k,F]. Metadata: kept.count, kept.iteration of the first one, kept.at_start.
   void Save(SafeTensors* file) const;
   // The inverse.   InvalidArgument: missing or of another shape; names the tensor. Nothing is changed.
   absl::Status Load(const SafeTensors& file);

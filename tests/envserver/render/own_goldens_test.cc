@@ -1,5 +1,5 @@
 // Pictures of generated worlds and of staged situations against those of the plain Python model, with our own textures.
-// Source: tests/data/own, README there.
+// Source: tests/data/own; format: tests/model/make_goldens.py.
 
 #include <sstream>
 #include <string>

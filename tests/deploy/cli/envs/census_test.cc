@@ -21,7 +21,7 @@ std::string ToOneDecimal(const ObjectCounts& counts) {
   return absl::StrJoin(counts, " ", [](std::string* out, double count) { absl::StrAppendFormat(out, "%.1f", count); });
 }
 
-// Source: RULES.md, section 14: measured with the published environment.
+// Source: measured with the published environment.
 TEST(CountObjects, GivesThePublishedEnvironmentsCountsOver300Worlds) {
   const std::pair<const char*, const char*> expected[] = {
       {"crafter:numbers=easy-x4", "761.7 208.0 103.0 3.1 2.1"},
