@@ -17,10 +17,10 @@
 #include "common/io/texture_digest.h"
 #include "common/process/version.h"
 #include "common/telemetry/log.h"
-#include "learner/fleet_summary.h"
-#include "learner/lane_loading.h"
 #include "learner/runnable_config.h"
-#include "learner/steps_to_train.h"
+#include "learner/service/fleet_summary.h"
+#include "learner/training/records/lane_loading.h"
+#include "learner/training/steps_to_train.h"
 
 namespace craftfleet {
 namespace {

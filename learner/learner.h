@@ -15,20 +15,21 @@
 #include "common/wire/server.h"
 #include "common/wire/status_service.h"
 #include "craftfleet/v1/config.pb.h"
-#include "learner/admin_service.h"
-#include "learner/checkpoint_requests.h"
-#include "learner/evaluation_planner.h"
-#include "learner/fragment_journal.h"
-#include "learner/learner_service.h"
-#include "learner/live_page.h"
+#include "learner/page/live_page.h"
 #include "learner/ppo/ppo_updater.h"
-#include "learner/rank_leader.h"
 #include "learner/ranks/rank_links.h"
 #include "learner/run/progress.h"
 #include "learner/run/run_folder.h"
-#include "learner/trainer.h"
-#include "learner/weight_store.h"
-#include "learner/worker_registry.h"
+#include "learner/scheduling/worker_registry.h"
+#include "learner/service/admin_service.h"
+#include "learner/service/learner_service.h"
+#include "learner/training/distributed/rank_leader.h"
+#include "learner/training/evaluation_planner.h"
+#include "learner/training/fragments/fragment_journal.h"
+#include "learner/training/fragments/fragment_queue.h"
+#include "learner/training/records/checkpoint_requests.h"
+#include "learner/training/trainer.h"
+#include "learner/training/weight_store.h"
 
 namespace craftfleet {
 
@@ -43,9 +44,9 @@ class Learner {
     std::string resume_from;   // name of the checkpoint to resume from; empty: the newest
     std::string init_from;     // for a new run: checkpoint or run folder with its initial weights; empty: none
     std::string texture_dir;   // folder of textures; empty: the built-in ones
-    bool allow_mixed = false;  // accept workers with another canary (learner/build_check.h)
+    bool allow_mixed = false;  // accept workers with another canary (learner/scheduling/build_check.h)
     wire::Server::Options server;
-    std::string http_address;             // of the live page (learner/live_page.h); empty: none
+    std::string http_address;             // of the live page (learner/page/live_page.h); empty: none
     std::vector<std::string> http_hosts;  // further names of it
     int threads = 1;                      // of the update, 1..256
     RankOptions ranks;                    // of rank 0; the others are RankWorkers

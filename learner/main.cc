@@ -11,10 +11,10 @@
 #include "common/wire/server.h"
 #include "common/wire/server_flags.h"
 #include "learner/learner.h"
-#include "learner/rank_flags.h"
-#include "learner/rank_worker.h"
+#include "learner/ranks/rank_flags.h"
 #include "learner/run_flags.h"
 #include "learner/run_messages.h"
+#include "learner/training/distributed/rank_worker.h"
 
 ABSL_FLAG(std::string, listen, "127.0.0.1:50051",
           "address to serve actors and status on, HOST:PORT; port 0: any free one");

@@ -6,7 +6,7 @@
 #include "common/base/status_macros.h"
 #include "common/process/program.h"
 #include "common/telemetry/log.h"
-#include "learner/steps_to_train.h"
+#include "learner/training/steps_to_train.h"
 
 namespace craftfleet {
 

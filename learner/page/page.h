@@ -1,5 +1,5 @@
 // The web page of runs: one HTML file with its style, scripts and charts (Chart.js) inside. The learner serves it for
-// its run (learner/live_page.h); `craftfleet report --html` writes it with finished runs.
+// its run (learner/page/live_page.h); `craftfleet report --html` writes it with finished runs.
 
 #ifndef CRAFTFLEET_LEARNER_PAGE_PAGE_H_
 #define CRAFTFLEET_LEARNER_PAGE_PAGE_H_

@@ -9,7 +9,7 @@
 #include <absl/types/span.h>
 
 #include "craftfleet/v1/config.pb.h"
-#include "learner/value_range.h"
+#include "learner/ppo/value_range.h"
 
 namespace craftfleet {
 

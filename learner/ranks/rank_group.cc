@@ -26,7 +26,8 @@ absl::Span<const char> BytesOf(absl::Span<const T> values) {
 }
 
 // Sets `sum` to `before`, if there is one, plus the terms from `offset` on, added in this order.
-void AddInOrder(const float* before, absl::Span<const std::vector<float>> terms, size_t offset, absl::Span<float> sum) {
+void AddTermsInOrder(const float* before, absl::Span<const std::vector<float>> terms, size_t offset,
+                     absl::Span<float> sum) {
   const float* const first = terms.empty() ? nullptr : terms[0].data() + offset;
   if (before != nullptr && first != nullptr) {
     for (size_t i = 0; i < sum.size(); ++i) sum[i] = before[i] + first[i];
@@ -208,7 +209,7 @@ absl::Status RankGroup::SumForward(const Transfers& from_before, Note* note, abs
   for (size_t offset = 0; offset < total.size(); offset += kPart) {
     const absl::Span<float> part = total.subspan(offset, kPart);
     if (!is_first()) CRAFTFLEET_RETURN_IF_ERROR(links_->Wait(from_before[1 + offset / kPart]));
-    AddInOrder(is_first() ? nullptr : before_.data() + offset, own_, offset, part);
+    AddTermsInOrder(is_first() ? nullptr : before_.data() + offset, own_, offset, part);
     sent->push_back(links_->StartSend(next, BytesOf(part)));
   }
   return absl::OkStatus();

@@ -9,7 +9,7 @@
 #include "common/base/seeds.h"
 #include "common/config/config.h"
 #include "common/io/snapshot_envelope.h"
-#include "learner/evaluation_scheduler.h"
+#include "learner/scheduling/evaluation_scheduler.h"
 #include "tests/fakes/status_matchers.h"
 
 namespace craftfleet {

@@ -18,7 +18,7 @@
 #include "common/wire/convert.h"
 #include "common/wire/server.h"
 #include "craftfleet/v1/config.pb.h"
-#include "learner/learner_service.h"
+#include "learner/service/learner_service.h"
 #include "tests/fakes/env_server.h"
 #include "tests/fakes/sample_policy.h"
 

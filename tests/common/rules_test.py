@@ -10,7 +10,7 @@ COMMON = SOURCE / "common"
 # Files that may read the date of the system, which can jump: for what people or certificates see, or as gRPC's deadlines.
 # All others measure and wait with SteadyNow (common/base/clock.h).
 DATES = {"common/base/clock.h", "common/telemetry/log.cc", "common/wire/channel.cc", "common/wire/security.cc",
-         "common/wire/server.cc", "learner/admin_service.cc"}
+         "common/wire/server.cc", "learner/service/admin_service.cc"}
 
 
 def included_folders(folder):

@@ -6,7 +6,7 @@
 #include "common/base/crc32c.h"
 #include "common/base/little_endian.h"
 #include "common/io/files.h"
-#include "learner/fragment_journal.h"
+#include "learner/training/fragments/fragment_journal.h"
 #include "tests/fakes/wire_samples.h"
 #include "tests/fuzz/fuzz_folder.h"
 #include "tests/fuzz/fuzz_target.h"

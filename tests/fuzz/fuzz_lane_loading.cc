@@ -5,7 +5,7 @@
 
 #include "common/base/check.h"
 #include "common/io/snapshot_envelope.h"
-#include "learner/lane_loading.h"
+#include "learner/training/records/lane_loading.h"
 #include "tests/fakes/wire_samples.h"
 #include "tests/fuzz/fuzz_target.h"
 

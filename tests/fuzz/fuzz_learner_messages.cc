@@ -6,11 +6,11 @@
 #include "common/io/snapshot_envelope.h"
 #include "common/wire/protocol.h"
 #include "common/wire/server.h"
-#include "learner/learner_service.h"
+#include "learner/service/learner_service.h"
 #include "tests/fakes/play_once.h"
 #include "tests/fakes/wire_samples.h"
 #include "tests/fuzz/fuzz_target.h"
-#include "tests/learner/learner_parts.h"
+#include "tests/learner/service/learner_parts.h"
 
 namespace craftfleet {
 namespace {

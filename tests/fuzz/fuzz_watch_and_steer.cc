@@ -6,11 +6,11 @@
 #include "common/wire/server.h"
 #include "common/wire/status_service.h"
 #include "craftfleet/v1/status.grpc.pb.h"
-#include "learner/admin_service.h"
-#include "learner/learner_service.h"
+#include "learner/service/admin_service.h"
+#include "learner/service/learner_service.h"
 #include "tests/fakes/wire_samples.h"
 #include "tests/fuzz/fuzz_target.h"
-#include "tests/learner/learner_parts.h"
+#include "tests/learner/service/learner_parts.h"
 
 namespace craftfleet {
 namespace {

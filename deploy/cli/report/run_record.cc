@@ -16,7 +16,7 @@
 #include "deploy/cli/sweep/run_identity.h"
 #include "deploy/cli/sweep/run_state.h"
 #include "learner/run/stats_log.h"
-#include "learner/steps_to_train.h"
+#include "learner/training/steps_to_train.h"
 
 namespace craftfleet {
 namespace {

@@ -9,7 +9,7 @@
 #include <benchmark/benchmark.h>
 
 #include "common/base/clock.h"
-#include "learner/worker_registry.h"
+#include "learner/scheduling/worker_registry.h"
 
 namespace craftfleet {
 namespace {

@@ -26,7 +26,7 @@
 #include "common/io/texture_digest.h"
 #include "common/process/program.h"
 #include "common/wire/server.h"
-#include "learner/learner_service.h"
+#include "learner/service/learner_service.h"
 
 ABSL_FLAG(std::string, agent, "ppo_spcnn", "agent");
 ABSL_FLAG(int32_t, rounds, 8, "updates to publish, after one that is not counted");

@@ -28,7 +28,7 @@
 #include "common/wire/protocol.h"
 #include "common/wire/server.h"
 #include "envserver/env_service.h"
-#include "learner/learner_service.h"
+#include "learner/service/learner_service.h"
 #include "tests/bench/wire/game_player.h"
 #include "tests/bench/wire/measure.h"
 

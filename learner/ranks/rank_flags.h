@@ -1,0 +1,21 @@
+// Flags of the learners that share out the updates of a run.
+
+#ifndef CRAFTFLEET_LEARNER_RANKS_RANK_FLAGS_H_
+#define CRAFTFLEET_LEARNER_RANKS_RANK_FLAGS_H_
+
+#include <absl/status/statusor.h>
+
+#include "learner/ranks/rank_links.h"
+
+namespace craftfleet {
+
+// From --rank, --world_size, --master_addr, --master_port and --rank_timeout or, for those not given, the environment
+// variables of torchrun (RANK, WORLD_SIZE, MASTER_ADDR, MASTER_PORT), of a Slurm step (SLURM_PROCID,
+// SLURM_STEP_NUM_TASKS) and of an indexed Kubernetes job (JOB_COMPLETION_INDEX), in this order. One learner without
+// any of them.
+//   InvalidArgument: out of range; names the flag or the variable.
+absl::StatusOr<RankOptions> RankOptionsFromFlags();
+
+}  // namespace craftfleet
+
+#endif  // CRAFTFLEET_LEARNER_RANKS_RANK_FLAGS_H_

@@ -1,0 +1,119 @@
+#include "learner/service/worker_page.h"
+
+#include <algorithm>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include <absl/strings/str_cat.h>
+#include <absl/strings/str_format.h>
+
+#include "common/telemetry/activity.h"
+#include "common/wire/status_service.h"
+
+namespace craftfleet {
+namespace {
+
+constexpr size_t kMaxNameBytes = 32;  // of an activity
+
+// Removes figures that only apply to active workers.
+void ClearPresentWork(v1::ProcessSummary* summary) {
+  summary->set_steps_per_second(0);
+  summary->set_lanes(0);
+  summary->clear_times();
+}
+
+// The worker's state as a text for people.
+std::string StateOf(const WorkerRegistry::WorkerInfo& info, bool allow_mixed) {
+  std::string state;
+  const Worker& worker = info.worker;
+  if (info.play.has_value()) {
+    state = absl::StrFormat("%d permits, %d fragments accepted%s%s%s", info.play->permits, info.play->fragments,
+                            info.listed < info.servers && info.listed > 0
+                                ? absl::StrFormat(", %d of %d servers", info.listed, info.servers)
+                                : "",
+                            info.play->late ? ", late: others finish its fragments" : "",
+                            !worker.draining          ? ""
+                            : info.play->permits == 0 ? ", drained"
+                                                      : ", draining");
+  } else if (worker.role == WorkerRole::kEnvServer && worker.active && worker.draining) {
+    state = worker.empty ? "drained" : "draining";
+  }
+  if (info.health == WorkerRegistry::Health::kSlow) {
+    absl::StrAppendFormat(&state, "%sslow: %.0f ms a step", state.empty() ? "" : ", ", worker.step_ms);
+  }
+  if (worker.mismatch.has_value()) {
+    absl::StrAppend(&state, state.empty() ? "" : "; ", allow_mixed ? "mixed" : "refused", ": another canary, build ",
+                    worker.mismatch->build);
+  }
+  return state;
+}
+
+v1::Peer::Drain DrainOf(const WorkerRegistry::WorkerInfo& info) {
+  if (!info.worker.draining) return v1::Peer::NO_DRAIN;
+  const bool has_work = info.play.has_value() ? info.play->permits > 0 : !info.worker.empty;
+  return has_work ? v1::Peer::DRAINING : v1::Peer::DRAINED;
+}
+
+}  // namespace
+
+std::string RoleName(WorkerRole role) { return role == WorkerRole::kActor ? "actor" : "envserver"; }
+
+v1::Peer::Health ToProto(WorkerRegistry::Health health) {
+  switch (health) {
+    case WorkerRegistry::Health::kOk:
+      return v1::Peer::OK;
+    case WorkerRegistry::Health::kLost:
+      return v1::Peer::LOST;
+    case WorkerRegistry::Health::kLeft:
+      return v1::Peer::LEFT;
+    case WorkerRegistry::Health::kNotAnswering:
+      return v1::Peer::NOT_ANSWERING;
+    case WorkerRegistry::Health::kSlow:
+      return v1::Peer::SLOW;
+  }
+  return v1::Peer::HEALTH_UNSPECIFIED;
+}
+
+std::shared_ptr<const v1::ProcessSummary> KeepSummary(const v1::ProcessSummary& summary) {
+  if (summary.ByteSizeLong() == 0) return nullptr;
+  auto kept = std::make_shared<v1::ProcessSummary>(summary);
+  const bool known = std::all_of(summary.times().begin(), summary.times().end(),
+                                 [](const v1::ActivityTime& time) { return time.activity().size() <= kMaxNameBytes; });
+  if (summary.times_size() > kNumActivities || !known) kept->clear_times();
+  if (summary.last_error().size() > wire::kMaxErrorBytes) kept->mutable_last_error()->resize(wire::kMaxErrorBytes);
+  return kept;
+}
+
+WorkerRegistry::ServerReport ToServerReport(const v1::Peer& server) {
+  const bool slow = server.health() == v1::Peer::SLOW;
+  return {server.address(),
+          server.health() == v1::Peer::OK || slow,
+          server.health() == v1::Peer::NOT_ANSWERING,
+          KeepSummary(server.summary()),
+          slow,
+          server.step_ms()};
+}
+
+std::vector<WorkerRegistry::Glance> AddWorkers(const WorkerRegistry& registry, v1::StatusReply* reply) {
+  std::vector<WorkerRegistry::Glance> all;
+  for (const WorkerRegistry::WorkerInfo& info : registry.Workers(kMaxPeers, &all)) {
+    v1::Peer* const peer = reply->add_peers();
+    peer->set_role(RoleName(info.worker.role));
+    peer->set_name(info.worker.name);
+    peer->set_address(info.worker.address);
+    peer->set_health(ToProto(info.health));
+    peer->set_last_seen_s(absl::ToDoubleSeconds(info.silent));
+    if (info.health == WorkerRegistry::Health::kSlow) peer->set_step_ms(info.worker.step_ms);
+    if (std::string state = StateOf(info, registry.allow_mixed()); !state.empty()) peer->set_state(std::move(state));
+    if (const v1::Peer::Drain drain = DrainOf(info); drain != v1::Peer::NO_DRAIN) peer->set_drain(drain);
+    if (info.refused) continue;
+    if (info.worker.summary != nullptr) *peer->mutable_summary() = *info.worker.summary;
+    const bool answers = info.health == WorkerRegistry::Health::kOk || info.health == WorkerRegistry::Health::kSlow;
+    if (!answers || info.summary_is_old) ClearPresentWork(peer->mutable_summary());
+  }
+  wire::AddMetric("workers_mixed", static_cast<double>(registry.mixed()), reply);
+  return all;
+}
+
+}  // namespace craftfleet

@@ -1,0 +1,140 @@
+#include "learner/training/fragments/fragment_collector.h"
+
+#include <algorithm>
+#include <iterator>
+#include <optional>
+#include <utility>
+
+#include "common/base/status_macros.h"
+#include "common/telemetry/log.h"
+#include "common/wire/fragment_digest.h"
+
+namespace craftfleet {
+namespace {
+
+constexpr absl::Duration kTick = absl::Milliseconds(200);
+constexpr absl::Duration kReportEvery = absl::Seconds(15);
+
+}  // namespace
+
+void FragmentCollector::Begin(int64_t iteration, int64_t last_fragment, int64_t policy_version) {
+  collected_.clear();
+  TakeKept(iteration, last_fragment, policy_version);
+  parts_.registry->OpenIteration(last_fragment, policy_version);
+}
+
+void FragmentCollector::BeginOpened() {
+  collected_.clear();
+  ClearJournal();
+}
+
+void FragmentCollector::BeginNext(int64_t policy_version) {
+  DropReset();  // after an update that was undone
+  parts_.registry->PublishVersion(policy_version);
+}
+
+void FragmentCollector::TakeKept(int64_t iteration, int64_t last_fragment, int64_t policy_version) {
+  for (Fragment& fragment : kept_) {
+    if (fragment.policy_version != policy_version || fragment.number >= last_fragment) continue;
+    const Permit permit = {fragment.lane, fragment.number, fragment.policy_version};
+    fragment.digest = wire::FragmentDigest(fragment);
+    fragment.sender = "an earlier start";
+    if (parts_.registry->Restore(permit, fragment.snapshot, fragment.digest)) {
+      collected_[{permit.lane, permit.fragment}] = std::move(fragment);
+    }
+  }
+  kept_.clear();
+  if (collected_.empty()) {
+    ClearJournal();
+  } else {
+    LogInfo("%d fragments of iteration %d were restored from the journal", collected_.size(), iteration);
+  }
+}
+
+absl::StatusOr<std::vector<Fragment>> FragmentCollector::Collect(size_t wanted, const OnTick& on_tick) {
+  const auto is_complete = [&] { return collected_.size() >= wanted; };
+  CRAFTFLEET_RETURN_IF_ERROR(CollectUntil(is_complete, wanted, on_tick));
+  std::vector<Fragment> fragments;
+  for (auto& [key, fragment] : collected_) fragments.push_back(std::move(fragment));
+  collected_.clear();
+  return fragments;
+}
+
+absl::StatusOr<std::vector<Fragment>> FragmentCollector::CollectRollout(size_t wanted, const OnTick& on_tick) {
+  std::optional<std::vector<Arrival>> taken;
+  const auto is_here = [this](const Arrival& arrival) {
+    const auto found = collected_.find({arrival.permit.lane, arrival.permit.fragment});
+    return found != collected_.end() && found->second.digest == arrival.digest;
+  };
+  // Fragments are accepted before they are queued, so the last ones may still be on their way.
+  const auto is_complete = [&] {
+    if (!taken.has_value()) taken = parts_.registry->TakeRollout();
+    return taken.has_value() && std::all_of(taken->begin(), taken->end(), is_here);
+  };
+  CRAFTFLEET_RETURN_IF_ERROR(CollectUntil(is_complete, wanted, on_tick));
+  std::map<Key, Fragment> rollout;
+  for (const Arrival& arrival : *taken) {
+    rollout.insert(collected_.extract({arrival.permit.lane, arrival.permit.fragment}));
+  }
+  std::vector<Fragment> fragments;
+  for (auto& [key, fragment] : rollout) fragments.push_back(std::move(fragment));
+  return fragments;
+}
+
+absl::Status FragmentCollector::CollectUntil(const std::function<bool()>& is_complete, size_t wanted,
+                                             const OnTick& on_tick) {
+  absl::Time last_news = parts_.clock->Now();
+  int64_t resets = parts_.registry->resets();
+  while (true) {
+    // Fragments of lanes that were reset in the meantime are played again.
+    if (resets != parts_.registry->resets()) {
+      resets = parts_.registry->resets();
+      DropReset();
+    }
+    if (is_complete()) return absl::OkStatus();
+    std::optional<Fragment> fragment = parts_.fragments->Pop(kTick);
+    const bool is_idle = !fragment.has_value();
+    if (!is_idle) {
+      Add(*std::move(fragment));
+      last_news = parts_.clock->Now();
+    } else if (parts_.clock->Now() - last_news > kReportEvery) {
+      last_news = parts_.clock->Now();
+      const std::string played = parts_.registry->WaitsFor();
+      LogInfo("waiting for actors: %d of %d fragments have arrived, %d actors have joined%s%s", collected_.size(),
+              wanted, parts_.registry->Actors().size(), played.empty() ? "" : "; being played: ", played);
+    }
+    CRAFTFLEET_RETURN_IF_ERROR(on_tick(collected_.size(), is_idle));
+  }
+}
+
+void FragmentCollector::Add(Fragment fragment) {
+  if (!parts_.registry->Counts(fragment.lane, fragment.number, fragment.digest)) return;
+  WriteJournal(fragment);
+  const Key key = {fragment.lane, fragment.number};
+  collected_[key] = std::move(fragment);
+}
+
+void FragmentCollector::DropReset() {
+  const size_t before = collected_.size();
+  for (auto entry = collected_.begin(); entry != collected_.end();) {
+    const Fragment& fragment = entry->second;
+    const bool counts = parts_.registry->Counts(fragment.lane, fragment.number, fragment.digest);
+    entry = counts ? std::next(entry) : collected_.erase(entry);
+  }
+  if (collected_.size() == before) return;
+  ClearJournal();
+  for (const auto& [key, fragment] : collected_) WriteJournal(fragment);
+}
+
+void FragmentCollector::WriteJournal(const Fragment& fragment) {
+  if (parts_.journal == nullptr) return;
+  const absl::Status status = parts_.journal->Append(fragment);
+  if (!status.ok()) LogError("%s; the rest of this iteration is not stored", status.message());
+}
+
+void FragmentCollector::ClearJournal() {
+  if (parts_.journal == nullptr) return;
+  if (const absl::Status status = parts_.journal->Clear(); !status.ok()) LogError("%s", status.message());
+}
+
+}  // namespace craftfleet

@@ -1,0 +1,67 @@
+// Writes a run's checkpoints when they are due, and retries failed ones.
+
+#ifndef CRAFTFLEET_LEARNER_TRAINING_RECORDS_CHECKPOINT_WRITER_H_
+#define CRAFTFLEET_LEARNER_TRAINING_RECORDS_CHECKPOINT_WRITER_H_
+
+#include <cstdint>
+#include <functional>
+
+#include <absl/status/status.h>
+#include <absl/time/time.h>
+
+#include "common/base/clock.h"
+#include "common/base/mutex.h"
+#include "learner/run/checkpoint.h"
+#include "learner/run/run_folder.h"
+#include "learner/training/records/checkpoint_requests.h"
+#include "learner/training/records/disk_wait.h"
+
+namespace craftfleet {
+
+// Writes periodic, requested and final checkpoints. Used by the training thread; age() is
+// thread-safe.
+class CheckpointWriter {
+ public:
+  struct Parts {
+    RunFolder* folder;  // all pointers outlive the writer
+    CheckpointRequests* requests;
+    DiskWait* disk;
+    Clock* clock;
+    std::function<Checkpoint()> make;  // returns the run's state after its last finished iteration
+  };
+
+  // `every_iterations`: the period of checkpoints, 1 or more.
+  CheckpointWriter(int every_iterations, Parts parts);
+
+  // Writes a checkpoint now. Errors as RunFolder::WriteCheckpoint.
+  absl::Status Write();
+  // The same, unless this start has already written one of `iteration`.
+  absl::Status WriteUnlessWritten(int64_t iteration);
+
+  // To be called after each `iteration` but the last: writes a checkpoint if one is due, or if the last one due could
+  // not be written. Write errors are logged, and training continues.
+  //   Aborted: another learner has taken over the run folder.
+  absl::Status OnIteration(int64_t iteration);
+
+  // Answers pending requests with a checkpoint of `iteration`, the last finished one.
+  void ServeRequests(int64_t iteration);
+
+  // To be called after the last `iteration`: as WriteUnlessWritten, but retries while the disk is full, until training
+  // is asked to stop.
+  absl::Status WriteLast(int64_t iteration);
+
+  // Time since the last checkpoint, or since construction.
+  absl::Duration age() const ABSL_LOCKS_EXCLUDED(mu_);
+
+ private:
+  const int every_iterations_;
+  const Parts parts_;
+  int64_t written_ = -1;  // iteration of the last checkpoint; -1: none since the start
+  bool missed_ = false;   // the last checkpoint due could not be written
+  mutable Mutex mu_;
+  absl::Time time_ ABSL_GUARDED_BY(mu_);  // of the last checkpoint
+};
+
+}  // namespace craftfleet
+
+#endif  // CRAFTFLEET_LEARNER_TRAINING_RECORDS_CHECKPOINT_WRITER_H_

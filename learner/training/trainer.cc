@@ -1,0 +1,264 @@
+#include "learner/training/trainer.h"
+
+#include <algorithm>
+#include <utility>
+
+#include <absl/strings/str_format.h>
+
+#include "common/base/check.h"
+#include "common/base/status_macros.h"
+#include "common/process/heap.h"
+#include "common/telemetry/log.h"
+#include "learner/training/records/lane_loading.h"
+#include "learner/training/records/training_pictures.h"
+#include "learner/training/update_failure.h"
+
+namespace craftfleet {
+namespace {
+
+constexpr int kMaxFailedUpdates = 2;  // in a row
+
+}  // namespace
+
+int KeptVersions(const v1::RunConfig& config) { return 1 + config.overlap() + config.max_staleness(); }
+
+Trainer::Trainer(const v1::RunConfig& config, const Checkpoint& checkpoint, std::vector<Fragment> kept,
+                 const Parts& parts)
+    : config_(config),
+      parts_(parts),
+      meter_(parts.clock, Activity::kOther),
+      status_(config_, &counters_, parts.clock),
+      disk_(&stop_, parts.clock),
+      log_(parts.folder, &disk_),
+      checkpoints_(config.checkpoint().every_iterations(),
+                   {parts.folder, parts.checkpoints, &disk_, parts.clock, [this] { return MakeCheckpoint(); }}),
+      collector_(std::move(kept), {parts.registry, parts.fragments, parts.journal, parts.clock}),
+      lanes_(parts.registry->Records()),
+      first_version_(checkpoint.state.policy_version()),
+      train_seconds_(checkpoint.state.train_seconds()) {
+  const v1::CheckpointState& state = checkpoint.state;
+  if (state.has_play()) {
+    const v1::PlayWeights& play = state.play();
+    weights_.push_back({play.policy_version(), checkpoint.play_weights, {play.value_mean(), play.value_deviation()}});
+  }
+  counters_.iteration = state.iteration();
+  counters_.env_steps = state.env_steps();
+  counters_.start_steps = state.env_steps();
+}
+
+absl::Status Trainer::Run() {
+  start_ = parts_.clock->Now();
+  status_.OnStart(parts_.folder->score());
+  view_.OnStart(*parts_.folder, counters_.env_steps);
+  for (const Weights& weights : weights_) parts_.weights->Publish(weights.version, weights.bytes, RangeOf(weights));
+  PublishWeights(first_version_);
+  absl::Status status = counters_.iteration == 0 ? checkpoints_.Write() : absl::OkStatus();
+  while (status.ok() && has_steps_left()) {
+    status = RunIteration();
+    ReleaseFreeMemory();  // up to two copies of an iteration's frames
+  }
+  parts_.checkpoints->Close();
+  parts_.progress->Finish(counters_.env_steps, parts_.folder->score());
+  End(/*trained=*/status.ok() && !has_steps_left());
+  // A complete run needs the other ranks no longer.
+  if (status.ok() && !finished()) status = CheckContinues();
+  if (status.ok() || absl::IsCancelled(status)) return checkpoints_.WriteLast(counters_.iteration);
+  // Keep what was learned before the error.
+  if (failed_updates_ > 0 || !parts_.ranks->lost().ok()) {
+    const absl::Status written = checkpoints_.WriteUnlessWritten(counters_.iteration);
+    if (!written.ok()) LogError("%s", written.message());
+  }
+  return status;
+}
+
+void Trainer::End(bool trained) {
+  if (trained) {
+    phase_ = Phase::kEvaluating;
+    parts_.evaluations->OnEnd(counters_.env_steps, weights_.back().bytes, [this] { return !CheckContinues().ok(); });
+  }
+  if (trained && parts_.evaluations->pending() == 0) {
+    phase_ = Phase::kComplete;
+    parts_.registry->Finish();
+    collector_.ClearJournal();
+  } else {
+    parts_.registry->Close();
+  }
+}
+
+absl::Status Trainer::CheckContinues() const {
+  return stop_.is_set() ? absl::CancelledError("stopping") : parts_.ranks->lost();
+}
+
+void Trainer::Stop() {
+  stop_.Set();
+  parts_.fragments->Close();
+}
+
+absl::Status Trainer::RunIteration() {
+  const absl::Time begin = parts_.clock->Now();
+  status_.OnIterationBegin();
+  meter_.BeginCycle();
+  meter_.Switch(Activity::kIntake);
+  Begin();
+  CRAFTFLEET_ASSIGN_OR_RETURN(const std::vector<Fragment> fragments, Collect());
+  // Those of an asynchronous run have already advanced, and some may be reset.
+  std::vector<LaneRecord> lanes = is_asynchronous() ? parts_.registry->StartRecords() : parts_.registry->Records();
+  if (config_.overlap() > 0 && has_steps_left(1)) {
+    parts_.registry->OpenIteration(LastFragment(counters_.iteration + 1), weights_.back().version);
+    next_is_open_ = true;
+  }
+  meter_.Switch(Activity::kUpdate);
+  const absl::StatusOr<UpdateStats> stats = Learn(fragments);
+  meter_.Switch(Activity::kOther);
+  if (absl::IsCancelled(stats.status())) return stats.status();
+  CRAFTFLEET_RETURN_IF_ERROR(CheckContinues());
+  if (!stats.ok()) return UndoIteration(fragments, stats.status());
+  failed_updates_ = 0;
+  CRAFTFLEET_RETURN_IF_ERROR(FinishIteration(fragments, *stats, std::move(lanes)));
+  status_.OnIterationEnd(parts_.folder->score());
+  const double seconds = absl::ToDoubleSeconds(parts_.clock->Now() - begin);
+  view_.OnIterationEnd(*parts_.folder, counters_.env_steps, config_.ppo().rollout_steps() / std::max(seconds, 1e-9),
+                       fragments.front(), parts_.updater->spec().frame_size);
+  return absl::OkStatus();
+}
+
+int64_t Trainer::LastFragment(int64_t iteration) const {
+  const int per_lane = config_.ppo().rollout_steps() / (config_.lanes() * config_.fragment_steps());
+  return (iteration + 1) * per_lane;
+}
+
+void Trainer::Begin() {
+  if (is_asynchronous()) {
+    collector_.BeginNext(weights_.back().version);
+  } else if (std::exchange(next_is_open_, false)) {
+    collector_.BeginOpened();
+  } else {
+    collector_.Begin(counters_.iteration + 1, LastFragment(counters_.iteration), weights_.front().version);
+  }
+}
+
+absl::StatusOr<std::vector<Fragment>> Trainer::Collect() {
+  const auto on_tick = [this](size_t collected, bool is_idle) -> absl::Status {
+    CRAFTFLEET_RETURN_IF_ERROR(CheckContinues());
+    // Notice a takeover of the folder even without actors.
+    if (is_idle) CRAFTFLEET_RETURN_IF_ERROR(parts_.folder->CheckOwned());
+    checkpoints_.ServeRequests(counters_.iteration);
+    parts_.progress->Update(counters_.env_steps + static_cast<int64_t>(collected) * config_.fragment_steps(),
+                            parts_.folder->score());
+    return absl::OkStatus();
+  };
+  const auto wanted = static_cast<size_t>(config_.ppo().rollout_steps() / config_.fragment_steps());
+  return is_asynchronous() ? collector_.CollectRollout(wanted, on_tick) : collector_.Collect(wanted, on_tick);
+}
+
+ValueRange Trainer::RangeOf(const Weights& weights) const {
+  return config_.ppo().value_norm_decay() > 0 ? weights.value_scale.Outputs() : ValueRange();
+}
+
+ValueScale Trainer::ScaleOf(int64_t policy_version) const {
+  const auto found = std::find_if(weights_.begin(), weights_.end(),
+                                  [&](const Weights& weights) { return weights.version == policy_version; });
+  CRAFTFLEET_CHECK(found != weights_.end());
+  return found->value_scale;
+}
+
+absl::StatusOr<UpdateStats> Trainer::Learn(const std::vector<Fragment>& fragments) {
+  Rollout rollout;
+  RolloutOptions options = parts_.updater->rollout_options();
+  std::vector<ValueScale> scales;
+  for (const Fragment& fragment : fragments) {
+    scales.push_back(ScaleOf(fragment.policy_version));
+    options.value_scale = scales.back();
+    CRAFTFLEET_RETURN_IF_ERROR(AppendFragment(fragment, options, &rollout));
+  }
+  CRAFTFLEET_RETURN_IF_ERROR(parts_.ranks->ShareUpdate(counters_.iteration, scales, fragments));
+  const auto should_stop = [this] {
+    parts_.progress->Update(counters_.env_steps + config_.ppo().rollout_steps(), parts_.folder->score());
+    return stop_.is_set();
+  };
+  return parts_.updater->Update(counters_.iteration, rollout, should_stop);
+}
+
+absl::Status Trainer::UndoIteration(const std::vector<Fragment>& fragments, const absl::Status& error) {
+  ++failed_updates_;
+  const bool again = failed_updates_ < kMaxFailedUpdates;
+  LogError("the update of iteration %d failed: %s; it is undone, and %s", counters_.iteration + 1, error.message(),
+           again ? "its fragments will be played again" : "training ends, since the update has failed twice in a row");
+  for (const std::string& line : DescribeSenders(fragments)) LogError("%s", line);
+  collector_.ClearJournal();
+  if (again) {
+    parts_.registry->RewindIterations(next_is_open_ || is_asynchronous() ? 2 : 1);
+    next_is_open_ = false;
+  }
+  status_.OnUpdateUndone();
+  return again ? absl::OkStatus() : error;
+}
+
+absl::Status Trainer::FinishIteration(const std::vector<Fragment>& fragments, const UpdateStats& stats,
+                                      std::vector<LaneRecord> lanes) {
+  const int64_t steps_before = counters_.env_steps;
+  ++counters_.iteration;
+  counters_.env_steps += config_.ppo().rollout_steps();
+  lanes_ = std::move(lanes);
+  const Staleness staleness = StalenessOf(fragments, weights_.back().version);
+  status_.OnUpdate(staleness);
+  PublishWeights(weights_.back().version + 1);
+  log_.AddIteration(counters_.env_steps, fragments, stats, StepsPerSecond());
+  if (config_.max_staleness() > 0) log_.AddStaleness(counters_.env_steps, staleness, parts_.registry->dropped());
+  LogPictures(fragments.front());
+  log_.Flush();
+  CRAFTFLEET_RETURN_IF_ERROR(parts_.folder->CheckOwned());
+  parts_.evaluations->OnIteration(steps_before, counters_.env_steps, weights_.back().bytes,
+                                  [this] { return !CheckContinues().ok(); });
+  checkpoints_.ServeRequests(counters_.iteration);
+  // The last checkpoint is written after the final evaluation.
+  return has_steps_left() ? checkpoints_.OnIteration(counters_.iteration) : absl::OkStatus();
+}
+
+void Trainer::LogPictures(const Fragment& first) {
+  if (counters_.iteration % kIterationsPerPicture != 1) return;
+  absl::StatusOr<std::vector<EventPicture>> pictures =
+      TrainingPictures(parts_.updater->spec(), *weights_.back().bytes, first);
+  if (!pictures.ok()) {
+    LogWarning("no pictures for TensorBoard: %s", pictures.status().message());
+    return;
+  }
+  log_.AddPictures(counters_.env_steps, *pictures);
+}
+
+double Trainer::StepsPerSecond() const {
+  const double seconds = absl::ToDoubleSeconds(parts_.clock->Now() - start_);
+  return seconds > 0 ? static_cast<double>(counters_.env_steps - counters_.start_steps) / seconds : 0;
+}
+
+void Trainer::PublishWeights(int64_t version) {
+  weights_.push_back({version, std::make_shared<const std::string>(parts_.updater->SaveWeights()),
+                      parts_.updater->rollout_options().value_scale});
+  if (weights_.size() > static_cast<size_t>(KeptVersions(config_))) weights_.pop_front();
+  parts_.weights->Publish(version, weights_.back().bytes, RangeOf(weights_.back()));
+  counters_.policy_version = version;
+}
+
+Checkpoint Trainer::MakeCheckpoint() const {
+  Checkpoint checkpoint;
+  v1::CheckpointState& state = checkpoint.state;
+  state.set_iteration(counters_.iteration);
+  state.set_env_steps(counters_.env_steps);
+  state.set_policy_version(weights_.back().version);
+  state.set_optimizer_steps(parts_.updater->optimizer_steps());
+  state.set_train_seconds(train_seconds_ + absl::ToDoubleSeconds(parts_.clock->Now() - start_));
+  for (const LaneRecord& lane : lanes_) *state.add_lanes() = ToProto(lane);
+  parts_.evaluations->FillCheckpoint(&checkpoint);
+  checkpoint.weights = *weights_.back().bytes;
+  if (config_.overlap() > 0 && weights_.size() > 1) {
+    const Weights& play = weights_.front();
+    state.mutable_play()->set_policy_version(play.version);
+    state.mutable_play()->set_value_mean(play.value_scale.mean);
+    state.mutable_play()->set_value_deviation(play.value_scale.deviation);
+    checkpoint.play_weights = play.bytes;
+  }
+  checkpoint.optimizer = parts_.updater->SaveOptimizer();
+  return checkpoint;
+}
+
+}  // namespace craftfleet

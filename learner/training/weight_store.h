@@ -1,0 +1,65 @@
+// Holds the newest weights as bytes, for the gRPC service.
+
+#ifndef CRAFTFLEET_LEARNER_TRAINING_WEIGHT_STORE_H_
+#define CRAFTFLEET_LEARNER_TRAINING_WEIGHT_STORE_H_
+
+#include <cstddef>
+#include <cstdint>
+#include <deque>
+#include <functional>
+#include <memory>
+#include <string>
+#include <utility>
+
+#include "common/base/mutex.h"
+#include "learner/ppo/value_range.h"
+
+namespace craftfleet {
+
+// Keeps the last `kept` versions. Thread-safe.
+class WeightStore {
+ public:
+  struct Weights {
+    int64_t version = -1;                      // -1: none published yet
+    std::shared_ptr<const std::string> bytes;  // safetensors
+    ValueRange values;                         // of fragments played with them
+  };
+
+  // `kept`: 1 or more.
+  explicit WeightStore(size_t kept = 1) : kept_(kept) {}
+
+  // Publishes `bytes` (safetensors). `version` must grow from call to call. `values`: what fragments played with them
+  // may have.
+  void Publish(int64_t version, std::shared_ptr<const std::string> bytes, const ValueRange& values = {})
+      ABSL_LOCKS_EXCLUDED(mu_) {
+    const MutexLock lock(&mu_);
+    if (newest_.size() == kept_) newest_.pop_front();
+    newest_.push_back({version, std::move(bytes), values});
+    if (observer_ != nullptr) observer_();
+  }
+
+  // The weights of `version` if they are kept, otherwise the latest, which may be older.
+  Weights Find(int64_t version) const ABSL_LOCKS_EXCLUDED(mu_) {
+    const MutexLock lock(&mu_);
+    for (const Weights& weights : newest_) {
+      if (weights.version == version) return weights;
+    }
+    return newest_.empty() ? Weights() : newest_.back();
+  }
+
+  // `observer` is called, with the lock held, at each Publish; null: none.
+  void SetObserver(std::function<void()> observer) ABSL_LOCKS_EXCLUDED(mu_) {
+    const MutexLock lock(&mu_);
+    observer_ = std::move(observer);
+  }
+
+ private:
+  const size_t kept_;
+  mutable Mutex mu_;
+  std::function<void()> observer_ ABSL_GUARDED_BY(mu_);
+  std::deque<Weights> newest_ ABSL_GUARDED_BY(mu_);  // the latest last
+};
+
+}  // namespace craftfleet
+
+#endif  // CRAFTFLEET_LEARNER_TRAINING_WEIGHT_STORE_H_

@@ -1,0 +1,421 @@
+// A learner with updates that fail, and with invalid snapshots. The learner runs in this process; the
+// tests act as its actors.
+#include "learner/training/trainer.h"
+
+#include <functional>
+#include <memory>
+#include <string>
+#include <thread>
+#include <utility>
+#include <vector>
+
+#include <absl/strings/str_cat.h>
+#include <absl/time/clock.h>
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include "common/agent/canary.h"
+#include "common/base/keyed_random.h"
+#include "common/config/config.h"
+#include "common/io/files.h"
+#include "common/io/paths.h"
+#include "common/io/snapshot_envelope.h"
+#include "common/process/version.h"
+#include "common/wire/convert.h"
+#include "common/wire/grpc_status.h"
+#include "common/wire/protocol.h"
+#include "craftfleet/v1/learner.grpc.pb.h"
+#include "learner/learner.h"
+#include "learner/run/checkpoint_store.h"
+#include "tests/fakes/no_tensor_memory.h"
+#include "tests/fakes/play_once.h"
+#include "tests/fakes/status_matchers.h"
+#include "tests/fakes/temp_folder.h"
+
+namespace craftfleet {
+namespace {
+
+using testing::AllOf;
+using testing::HasSubstr;
+
+constexpr int kLanes = 2;
+constexpr int kSteps = 8;      // of a fragment
+constexpr int kFragments = 2;  // of a lane, in an iteration
+constexpr int kFrameBytes = 64 * 64 * 3;
+constexpr int kPerIteration = kLanes * kFragments;
+
+struct Variant {
+  bool keep_fragments = false;
+  bool resume = false;
+  int overlap = 0;
+  int max_staleness = 0;
+  int epochs = 1;
+};
+
+v1::RunConfig Config(const Variant& variant) {
+  v1::RunConfig config = DefaultRunConfig();
+  config.set_steps(1000 * kPerIteration * kSteps);
+  config.set_lanes(kLanes);
+  config.set_tile(kLanes);
+  config.set_fragment_steps(kSteps);
+  config.set_gradient_shards(2);
+  config.mutable_ppo()->set_rollout_steps(kPerIteration * kSteps);
+  config.mutable_ppo()->set_minibatch_size(16);
+  config.mutable_ppo()->set_epochs(variant.epochs);
+  config.mutable_eval()->set_every_steps(0);
+  config.mutable_eval()->set_final_episodes(0);
+  config.mutable_checkpoint()->set_every_iterations(100);
+  config.mutable_checkpoint()->set_keep_fragments(variant.keep_fragments);
+  config.set_overlap(variant.overlap);
+  config.set_max_staleness(variant.max_staleness);
+  return config;
+}
+
+// A valid fragment, the same from every sender.
+Fragment PlayedFragment(int lane, int64_t number, int64_t version, int64_t epoch) {
+  Fragment fragment;
+  fragment.epoch = epoch;
+  fragment.lane = lane;
+  fragment.number = number;
+  fragment.policy_version = version;
+  auto draw = [&, n = uint64_t{0}]() mutable {
+    return KeyedBits(RandomUse::kInitialWeights, 7, static_cast<uint64_t>(number * kLanes + lane), n++);
+  };
+  for (int i = 0; i < kSteps * kFrameBytes; ++i) fragment.frames.push_back(static_cast<char>(draw()));
+  for (int t = 0; t < kSteps; ++t) {
+    fragment.actions.push_back(static_cast<char>(draw() % kNumActions));
+    fragment.log_probs.push_back(-2.8F);
+    fragment.values.push_back(static_cast<float>(draw() % 100) / 100);
+    fragment.rewards.push_back(draw() % 4 == 0 ? 1.0F : 0.0F);
+    fragment.ends.push_back(StepEnd::kNone);
+  }
+  fragment.snapshot.game = SealSnapshot(EnvDigest("crafter", kEpisodeLength), absl::StrCat("after ", number));
+  return fragment;
+}
+
+// Every value is within its range, but an update that learned from it would be another.
+void Poison(Fragment* fragment) {
+  for (float& log_prob : fragment->log_probs) log_prob = wire::kMinLogProb;
+}
+
+// A learner that trains in its own thread.
+class Training {
+ public:
+  Training(const std::string& logdir, const Variant& variant) {
+    Learner::Options options;
+    options.config = Config(variant);
+    options.logdir = logdir;
+    options.resume = variant.resume;
+    options.texture_dir = DefaultTextureDir().value();
+    learner_ = Learner::Create(options).value();
+    stub_ = v1::LearnerService::NewStub(learner_->InProcess().channel);
+    thread_ = std::thread([this] { status_ = learner_->Run(); });
+  }
+  ~Training() {
+    if (thread_.joinable()) Stop().IgnoreError();
+  }
+  // Waits for the end; returns the status of Run.
+  absl::Status Wait() {
+    thread_.join();
+    return status_;
+  }
+  absl::Status Stop() {
+    learner_->Stop();
+    return Wait();
+  }
+
+  void Join(const std::string& actor) {
+    v1::JoinRequest request;
+    request.set_protocol_version(wire::kProtocolVersion);
+    request.set_actor(actor);
+    request.set_build(BuildId());
+    request.set_canary(*PolicyCanary());
+    v1::JoinReply reply;
+    grpc::ClientContext context;
+    ASSERT_TRUE(stub_->Join(&context, request, &reply).ok());
+    epoch_ = reply.epoch();
+  }
+  // Requests permits for `actor`, which has none.
+  std::vector<v1::Permit> Ask(const std::string& actor, const std::vector<v1::LaneFailure>& failures = {},
+                              int capacity = kLanes) {
+    v1::PermitRequest request;
+    request.set_actor(actor);
+    request.set_epoch(epoch_);
+    request.set_capacity(capacity);
+    request.set_wait_ms(2000);
+    for (const v1::LaneFailure& failure : failures) *request.add_failures() = failure;
+    const auto reply = AskOnce(stub_.get(), request);
+    if (!reply.ok()) return {};
+    return {reply->granted().begin(), reply->granted().end()};
+  }
+  v1::FragmentVerdict::Verdict Push(const std::string& actor, const Fragment& fragment) {
+    v1::FragmentMessage message = wire::ToProto(fragment);
+    message.set_actor(actor);
+    return PushOnce(stub_.get(), std::move(message)).value_or(v1::FragmentVerdict()).verdict();
+  }
+  void Leave(const std::string& actor) {
+    v1::LeaveRequest request;
+    request.set_actor(actor);
+    v1::LeaveReply reply;
+    grpc::ClientContext context;
+    ASSERT_TRUE(stub_->Leave(&context, request, &reply).ok());
+  }
+  // Joins, sends `fragments` accepted fragments, each modified by `change`, and leaves.
+  void Play(
+      const std::string& actor, int fragments, const std::function<void(Fragment*)>& change = [](Fragment*) {}) {
+    Join(actor);
+    for (int tries = 0; fragments > 0 && tries < 300; ++tries) {
+      for (const v1::Permit& permit : Ask(actor)) {
+        Fragment fragment = PlayedFragment(permit.lane(), permit.fragment(), permit.policy_version(), epoch_);
+        change(&fragment);
+        ASSERT_EQ(Push(actor, fragment), v1::FragmentVerdict::ACCEPTED);
+        if (--fragments == 0) break;
+      }
+    }
+    ASSERT_EQ(fragments, 0) << "no permits for the rest";
+    Leave(actor);
+  }
+  // Plays an iteration of poisoned fragments, whose update fails.
+  void PlayInVain(const std::string& actor) {
+    const NoTensorMemory no_memory;
+    Play(actor, kPerIteration, Poison);
+    while (Metric("updates_undone") == 0) absl::SleepFor(absl::Milliseconds(5));
+  }
+  Fragment Played(const v1::Permit& permit) const {
+    return PlayedFragment(permit.lane(), permit.fragment(), permit.policy_version(), epoch_);
+  }
+  // The only actor can't restore any lane, and reports that twice.
+  void RefuseAll(const std::string& actor) {
+    Join(actor);
+    std::vector<v1::LaneFailure> failures;
+    for (int i = 0; i < 3; ++i) {
+      std::vector<v1::Permit> permits = Ask(actor, failures);
+      failures.clear();
+      if (i == 2) break;
+      ASSERT_EQ(permits.size(), kLanes);
+      for (const v1::Permit& permit : permits) {
+        failures.emplace_back().set_lane(permit.lane());
+        failures.back().set_fragment(permit.fragment());
+        failures.back().set_reason("snapshot: not a world's");
+      }
+    }
+    Leave(actor);
+  }
+  // Waits for the weights of `version`; empty after a minute.
+  std::string Weights(int64_t version) {
+    for (int tries = 0; tries < 60; ++tries) {
+      v1::WeightsRequest request;
+      request.set_at_least(version);
+      request.set_wait_ms(1000);
+      grpc::ClientContext context;
+      const auto stream = stub_->GetWeights(&context, request);
+      std::string weights;
+      v1::WeightsChunk chunk;
+      while (stream->Read(&chunk)) weights += chunk.data();
+      if (stream->Finish().ok()) return weights;
+    }
+    return "";
+  }
+  double Metric(const std::string& name) {
+    v1::StatusReply reply;
+    learner_->trainer().FillStatus(&reply);
+    for (const v1::Metric& metric : reply.metrics()) {
+      if (metric.name() == name) return metric.value();
+    }
+    return -1;
+  }
+
+ private:
+  std::unique_ptr<Learner> learner_;
+  std::unique_ptr<v1::LearnerService::Stub> stub_;
+  int64_t epoch_ = 0;
+  absl::Status status_;
+  std::thread thread_;
+};
+
+class TrainerTest : public testing::Test {
+ protected:
+  std::unique_ptr<Training> Begin(const std::string& run, const Variant& variant = {}) {
+    return std::make_unique<Training>(folder_ / run, variant);
+  }
+  // The weights after two iterations without faults.
+  std::string QuietWeights() {
+    const auto quiet = Begin("quiet");
+    quiet->Play("a", 2 * kPerIteration);
+    return quiet->Weights(2);
+  }
+
+  const TempFolder folder_;
+};
+
+TEST_F(TrainerTest, AnUpdateThatFailsIsUndoneAndItsIterationPlayedAgain) {
+  const std::string quiet = QuietWeights();
+  ASSERT_FALSE(quiet.empty());
+  const auto training = Begin("disturbed");
+  training->Play("a", kPerIteration);
+  ASSERT_FALSE(training->Weights(1).empty());
+  testing::internal::CaptureStderr();
+  training->PlayInVain("liar");
+  training->Play("a", kPerIteration);
+  EXPECT_TRUE(training->Weights(2) == quiet) << "to the bit";
+  EXPECT_THAT(testing::internal::GetCapturedStderr(),
+              AllOf(HasSubstr("the update of iteration 2 failed"), HasSubstr("its fragments will be played again"),
+                    HasSubstr("from liar (lane/fragment): 0/2 0/3 1/2 1/3; log_probs down to -104")));
+  EXPECT_EQ(training->Metric("updates_undone"), 1);
+}
+
+// The fragments are in the journal.
+TEST_F(TrainerTest, TheSecondFailureInARowEndsTheLearnerAndItResumes) {
+  const std::string quiet = QuietWeights();
+  {
+    const auto training = Begin("ended", {/*keep_fragments=*/true});
+    training->Play("a", kPerIteration);
+    ASSERT_FALSE(training->Weights(1).empty());
+    const NoTensorMemory no_memory;
+    for (int i = 0; i < 2; ++i) training->Play("liar", kPerIteration, Poison);
+    EXPECT_THAT(training->Wait(), StatusIs(absl::StatusCode::kInternal, HasSubstr("bad_alloc")));
+  }
+  const auto training = Begin("ended", {/*keep_fragments=*/true, /*resume=*/true});
+  EXPECT_EQ(training->Metric("iteration"), 1) << "although the next checkpoint was only due after 100";
+  training->Play("a", kPerIteration);
+  EXPECT_TRUE(training->Weights(2) == quiet);
+}
+
+TEST_F(TrainerTest, ALaneResetWithinAnIterationDoesNotChangeTheResult) {
+  const std::string quiet = QuietWeights();
+  const auto training = Begin("put-back", {/*keep_fragments=*/true});
+  training->Play("a", kPerIteration);
+  // The first fragment of each lane has a snapshot with a valid envelope but invalid content.
+  training->Play("liar", kLanes, [](Fragment* fragment) {
+    fragment->values[0] = 0.5F;
+    fragment->snapshot.game = SealSnapshot(EnvDigest("crafter", kEpisodeLength), "no game");
+  });
+  training->RefuseAll("a");
+  training->Play("a", kPerIteration);
+  EXPECT_TRUE(training->Weights(2) == quiet);
+}
+
+TEST_F(TrainerTest, OverlappedIterationsArePlayedWithTheWeightsFromBeforeTheUpdate) {
+  const auto training = Begin("overlapped", {/*keep_fragments=*/false, /*resume=*/false, /*overlap=*/1});
+  std::vector<int64_t> versions;
+  training->Play("a", 4 * kPerIteration, [&](Fragment* f) { versions.push_back(f->policy_version); });
+  std::vector<int64_t> wanted;
+  for (const int64_t version : {0, 0, 1, 2}) wanted.insert(wanted.end(), kPerIteration, version);
+  EXPECT_EQ(versions, wanted);
+}
+
+TEST_F(TrainerTest, AnOverlappedUpdateThatFailsIsUndoneWithTheFragmentsPlayedMeanwhile) {
+  const Variant overlapped = {/*keep_fragments=*/true, /*resume=*/false, /*overlap=*/1};
+  const auto quiet = Begin("quiet-overlapped", overlapped);
+  quiet->Play("a", 3 * kPerIteration);
+  const auto training = Begin("disturbed-overlapped", overlapped);
+  training->Play("a", kPerIteration);
+  ASSERT_FALSE(training->Weights(1).empty());
+  training->PlayInVain("liar");
+  std::vector<int64_t> versions;
+  training->Play("a", 2 * kPerIteration, [&](Fragment* f) { versions.push_back(f->policy_version); });
+  EXPECT_EQ(versions, (std::vector<int64_t>{0, 0, 0, 0, 1, 1, 1, 1}));
+  EXPECT_TRUE(training->Weights(3) == quiet->Weights(3));
+}
+
+TEST_F(TrainerTest, AnOverlappedRunResumesWithTheWeightsThatItPlayedWith) {
+  const Variant overlapped = {/*keep_fragments=*/false, /*resume=*/false, /*overlap=*/1};
+  const auto quiet = Begin("quiet-overlapped", overlapped);
+  quiet->Play("a", 3 * kPerIteration);
+  {
+    const auto training = Begin("stopped", overlapped);
+    training->Play("a", 2 * kPerIteration);
+    ASSERT_FALSE(training->Weights(2).empty());
+    ASSERT_THAT(training->Stop(), IsOk());
+  }
+  const auto training = Begin("stopped", {/*keep_fragments=*/false, /*resume=*/true, /*overlap=*/1});
+  std::vector<int64_t> versions;
+  training->Play("a", kPerIteration, [&](Fragment* f) { versions.push_back(f->policy_version); });
+  EXPECT_EQ(versions, (std::vector<int64_t>(kPerIteration, 1)));
+  EXPECT_TRUE(training->Weights(3) == quiet->Weights(3));
+}
+
+TEST_F(TrainerTest, ARunThatCorrectsLagResumesAsIfNeverStopped) {
+  Variant variant = {/*keep_fragments=*/false, /*resume=*/false, /*overlap=*/1};
+  variant.epochs = 2;
+  const auto quiet = Begin("quiet-corrected", variant);
+  quiet->Play("a", 3 * kPerIteration);
+  {
+    const auto training = Begin("stopped", variant);
+    training->Play("a", 2 * kPerIteration);
+    ASSERT_FALSE(training->Weights(2).empty());
+    ASSERT_THAT(training->Stop(), IsOk());
+  }
+  variant.resume = true;
+  const auto training = Begin("stopped", variant);
+  training->Play("a", kPerIteration);
+  EXPECT_TRUE(training->Weights(3) == quiet->Weights(3));
+  variant.overlap = 0;
+  variant.resume = false;
+  const auto uncorrected = Begin("synchronous", variant);
+  uncorrected->Play("a", 3 * kPerIteration);
+  EXPECT_FALSE(uncorrected->Weights(3) == quiet->Weights(3));
+}
+
+const Variant kAsynchronous = {/*keep_fragments=*/false, /*resume=*/false, /*overlap=*/0, /*max_staleness=*/1};
+
+class AsynchronousTrainerTest : public TrainerTest {
+ protected:
+  std::unique_ptr<Training> Resume(const std::string& run) {
+    Variant variant = kAsynchronous;
+    variant.resume = true;
+    return Begin(run, variant);
+  }
+};
+
+TEST_F(AsynchronousTrainerTest, AnUpdateLearnsFromWhatArrivesFirst) {
+  const auto training = Begin("async", kAsynchronous);
+  training->Join("slow");
+  const std::vector<v1::Permit> slow = training->Ask("slow", {}, /*capacity=*/1);
+  ASSERT_EQ(slow.size(), 1U);
+  training->Play("fast", kPerIteration);
+  ASSERT_FALSE(training->Weights(1).empty());
+  EXPECT_EQ(training->Push("slow", training->Played(slow[0])), v1::FragmentVerdict::ACCEPTED) << "one update old";
+  training->Play("fast", kPerIteration - 1);
+  ASSERT_FALSE(training->Weights(2).empty());
+  while (training->Metric("iteration") < 2) training->Join("slow");
+  EXPECT_EQ(training->Metric("staleness_max"), 1);
+  ASSERT_THAT(training->Stop(), IsOk());
+}
+
+TEST_F(AsynchronousTrainerTest, AFragmentThatIsTooOldIsRefused) {
+  const auto training = Begin("async", kAsynchronous);
+  training->Join("slow");
+  const std::vector<v1::Permit> slow = training->Ask("slow", {}, /*capacity=*/1);
+  ASSERT_EQ(slow.size(), 1U);
+  training->Play("fast", 2 * kPerIteration);
+  ASSERT_FALSE(training->Weights(2).empty());
+  EXPECT_EQ(training->Push("slow", training->Played(slow[0])), v1::FragmentVerdict::EXPIRED);
+  training->Play("fast", kPerIteration);
+  EXPECT_FALSE(training->Weights(3).empty());
+}
+
+TEST_F(AsynchronousTrainerTest, AStoppedRunGoesOnFromItsCheckpoint) {
+  {
+    const auto training = Begin("stopped", kAsynchronous);
+    training->Play("a", 2 * kPerIteration + 1);  // one is not learned from
+    ASSERT_FALSE(training->Weights(2).empty());
+    ASSERT_THAT(training->Stop(), IsOk());
+  }
+  const auto training = Resume("stopped");
+  std::vector<int64_t> versions;
+  training->Play("a", kPerIteration, [&](Fragment* f) { versions.push_back(f->policy_version); });
+  EXPECT_EQ(versions, (std::vector<int64_t>(kPerIteration, 2)));
+  EXPECT_FALSE(training->Weights(3).empty());
+}
+
+TEST_F(AsynchronousTrainerTest, AnUpdateThatFailsIsUndone) {
+  const auto training = Begin("disturbed", kAsynchronous);
+  training->PlayInVain("liar");
+  training->Play("a", 2 * kPerIteration);
+  EXPECT_FALSE(training->Weights(2).empty());
+  EXPECT_EQ(training->Metric("updates_undone"), 1);
+}
+
+}  // namespace
+}  // namespace craftfleet
