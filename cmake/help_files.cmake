@@ -7,7 +7,8 @@ if(NOT Python3_FOUND)
 endif()
 
 get_property(programs GLOBAL PROPERTY CRAFTFLEET_PROGRAMS)
-set(described ${programs})
+get_property(python_commands GLOBAL PROPERTY CRAFTFLEET_PYTHON_COMMANDS)
+set(described ${programs} ${python_commands})
 list(REMOVE_ITEM described craftfleet)  # it runs the others and has no flags of its own
 set(help_stamp ${CMAKE_BINARY_DIR}/help_files.stamp)
 add_custom_command(

@@ -60,7 +60,9 @@ needed_by() { readelf -d "$1" | sed -n 's/.*(NEEDED).*\[\(.*\)\]/\1/p'; }
 # The path of each library on this machine, and the libraries that programs need other than through LibTorch.
 declare -A path_of=() taken=()
 pending=()
+is_binary() { readelf -h "$1" >/dev/null 2>&1; }  # unlike the commands in Python
 for program in "$root"/bin/*; do
+  is_binary "$program" || continue
   listing=$(LD_LIBRARY_PATH=$libtorch_dir ldd "$build/bin/$(basename "$program")")
   while read -r library arrow path _; do
     [ "$arrow" != "=>" ] || path_of[$library]=$path
@@ -88,6 +90,7 @@ while [ ${#pending[@]} -gt 0 ]; do
 done
 
 for program in "$root"/bin/*; do
+  is_binary "$program" || continue
   needed=$(needed_by "$program")
   [[ $needed =~ libtorch|libc10 ]] || continue
   mv "$program" "$root/libexec/"

@@ -87,14 +87,16 @@ class Bundle(python_case.FolderCase):
     self.assertEqual(fleet.returncode, 0, fleet.stdout + fleet.stderr)
     self.assertEqual((self.folder / "fleet/stats.jsonl").read_bytes(), (self.folder / "run/stats.jsonl").read_bytes())
     self.assertTrue(os.access(root / "share/craftfleet/slurm/fleet.sbatch", os.X_OK))
-    self.assertIn("ppo_cnn", run("craftfleet", "sweep", str(root / "share/craftfleet/experiments/paper.txt"), "--list"))
+    self.assertIn("ppo_cnn", run("craftfleet", "sweep", str(root / "share/craftfleet/experiments/paper.toml"), "--list"))
 
     # A distribution's LibTorch uses libraries of the system; no other library may come from there.
     brought = {os.path.realpath(path) for path in libraries(f"{libtorch}/libtorch.so").values()}
     own = {path.name for path in (root / "lib/craftfleet").iterdir()}
     programs = [path for path in (root / "bin").iterdir() if path.read_bytes()[:4] == b"\x7fELF"] + list((root / "libexec").iterdir())
     self.assertGreater(len(own), 20)
-    self.assertEqual(len(programs), len(list((root / "bin").iterdir())))
+    commands = [path for path in (root / "bin").iterdir() if path.read_bytes().startswith(b"#!/usr/bin/env python3")]
+    self.assertEqual({path.name for path in commands}, {"craftfleet-curve", "craftfleet-report", "craftfleet-sweep"})
+    self.assertEqual(len(programs) + len(commands), len(list((root / "bin").iterdir())))
     for program in programs:
       launched = {"LD_LIBRARY_PATH": f"{root}/lib/craftfleet:{libtorch}"} if program.parent.name == "libexec" else {}
       for name, path in libraries(program, **launched).items():

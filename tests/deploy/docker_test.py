@@ -74,7 +74,7 @@ class Dockerfiles(unittest.TestCase):
             self.assertFalse(any(pathlib.PurePath(source).match(pattern) for pattern in ignored), source)
         for script in re.findall(r"/src/(\S+\.sh)", arguments):
           self.assertTrue(os.access(SOURCE / script, os.X_OK), script)
-    for needed in ("deploy/k8s", "envserver/textures", "deploy/experiments/paper.txt", "CMakeLists.txt"):
+    for needed in ("deploy/k8s", "envserver/textures", "deploy/experiments/paper.toml", "CMakeLists.txt"):
       self.assertFalse(any(pathlib.PurePath(needed).match(pattern) for pattern in ignored), needed)
 
   def test_packages_are_those_that_the_project_is_built_with(self):

@@ -9,14 +9,7 @@ from tests.fakes import python_case
 from tests.fakes.python_case import BIN, wait_until
 
 ENDLESS = python_case.SMALL_RUN.replace("steps: 192 ", "steps: 1000000000 ")
-EXPERIMENT = """
-experiments {
-  name: "small"
-  base { steps: 1000000000  lanes: 4  fragment_steps: 16  env { length: 20 }
-         ppo { rollout_steps: 64  minibatch_size: 32  epochs: 1 }  checkpoint { every_iterations: 1 }
-         eval { every_steps: 0  final_episodes: 0 } }
-}
-"""
+EXPERIMENT = python_case.SMALL_EXPERIMENT.replace("steps = 192", "steps = 1000000000")
 
 
 class Endings(python_case.FolderCase):
@@ -98,8 +91,8 @@ class Endings(python_case.FolderCase):
     self.assertEqual(server.wait(20), 0)
 
   def test_hangup_stops_a_sweep_and_its_runs(self):
-    (self.folder / "experiments.txt").write_text(EXPERIMENT)
-    sweep = self.start("craftfleet-sweep", self.folder / "experiments.txt", "--seeds=1", f"--logdir={self.folder}/runs")
+    (self.folder / "experiments.toml").write_text(EXPERIMENT)
+    sweep = self.start("craftfleet-sweep", self.folder / "experiments.toml", "--seeds=1", f"--logdir={self.folder}/runs")
     wait_until(lambda: list(self.folder.glob("runs/**/iter-00000002")), "a checkpoint")
     sweep.send_signal(signal.SIGHUP)
     self.assertEqual(sweep.wait(30), 75, self.errors.read_text())  # as for any stopped sweep
@@ -156,8 +149,8 @@ class Endings(python_case.FolderCase):
     self.assertEqual(json.loads((self.folder / "result.json").read_text())["episodes"], 300)
 
   def test_a_sweep_without_a_reader_continues(self):
-    (self.folder / "experiments.txt").write_text(EXPERIMENT.replace("1000000000", "640"))
-    sweep = self.start("craftfleet-sweep", self.folder / "experiments.txt", "--seeds=2", f"--logdir={self.folder}/runs",
+    (self.folder / "experiments.toml").write_text(EXPERIMENT.replace("1000000000", "640"))
+    sweep = self.start("craftfleet-sweep", self.folder / "experiments.toml", "--seeds=2", f"--logdir={self.folder}/runs",
                        stdout=subprocess.PIPE)
     self.close_output(sweep)
     self.assertEqual(sweep.wait(90), 0, self.errors.read_text())
@@ -190,9 +183,9 @@ class Endings(python_case.FolderCase):
         ["craftfleet-train", f"--config={self.folder}/config.txt", f"--logdir={self.folder}/other"],
         ["craftfleet-learner", f"--config={self.folder}/config.txt", f"--logdir={self.folder}/other",
          "--listen=127.0.0.1:0"],
-        ["craftfleet-sweep", self.folder / "experiments.txt", "--list"],
+        ["craftfleet-sweep", self.folder / "experiments.toml", "--list"],
     ]
-    (self.folder / "experiments.txt").write_text(EXPERIMENT)
+    (self.folder / "experiments.toml").write_text(EXPERIMENT)
     for program, *arguments in commands:
       with self.subTest(program, arguments=arguments), open("/dev/full", "w", encoding="utf-8") as full:
         ended = subprocess.run([BIN / program, *arguments], stdout=full, stderr=subprocess.PIPE, text=True, timeout=60)

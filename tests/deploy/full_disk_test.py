@@ -10,14 +10,6 @@ import zlib
 from tests.fakes import full_disk, python_case
 from tests.fakes.python_case import BIN, SOURCE
 
-EXPERIMENT = """
-experiments {
-  name: "small"
-  base { steps: 192  lanes: 4  fragment_steps: 16  env { length: 20 }
-         ppo { rollout_steps: 64  minibatch_size: 32  epochs: 1 }  eval { every_steps: 0  final_episodes: 0 } }
-}
-"""
-
 
 def is_whole_png(content):
   if content[:8] != b"\x89PNG\r\n\x1a\n":
@@ -73,7 +65,7 @@ class FullDisk(python_case.FolderCase):
   def setUp(self):
     super().setUp()
     (self.folder / "config.txt").write_text(python_case.SMALL_RUN)
-    (self.folder / "experiments.txt").write_text(EXPERIMENT)
+    (self.folder / "experiments.toml").write_text(python_case.SMALL_EXPERIMENT)
     self.run_program("craftfleet-train", f"--config={self.folder}/config.txt", f"--logdir={self.folder}/run", "--threads=1")
 
   def outputs(self, out):
@@ -87,8 +79,8 @@ class FullDisk(python_case.FolderCase):
         ["craftfleet-eval", f"--checkpoint={run}", "--episodes=2", f"--episodes_npz={out}/episodes"],
         ["craftfleet-watch", f"--video={out}/watch.mp4", run],
         ["craftfleet-report", run, f"--out={out}/report", "--html"],
-        ["craftfleet-sweep", self.folder / "experiments.txt", f"--write_configs={out}/configs"],
-        ["craftfleet-sweep", self.folder / "experiments.txt", "--executor=slurm", f"--logdir={out}/sweep"],
+        ["craftfleet-sweep", self.folder / "experiments.toml", f"--write_configs={out}/configs"],
+        ["craftfleet-sweep", self.folder / "experiments.toml", "--executor=slurm", f"--logdir={out}/sweep"],
         ["craftfleet-train", f"--config={self.folder}/config.txt", f"--logdir={out}/train"],
     ]
 
@@ -160,19 +152,14 @@ class FullDisk(python_case.FolderCase):
         self.assertEqual({path.name for path in disk.iterdir()}, {target.name, f"{target.name}.tmp"})
 
   def test_results_are_collected_whole_or_not_at_all(self):
-    root = self.folder / "root"
-    (root / "deploy/experiments").mkdir(parents=True)
-    (root / "deploy/experiments/collect.sh").write_text((SOURCE / "deploy/experiments/collect.sh").read_text())
-    (root / "build").mkdir()
-    (root / "build/bin").symlink_to(BIN)
-    for left in (0, 4096, 12288):
+    for left in (0, 4096):
       with self.subTest(left=left), full_disk.small_disk(self) as disk:
-        (disk / "result").mkdir()
         full_disk.fill(disk, left)
-        ended = subprocess.run(["bash", root / "deploy/experiments/collect.sh", "--weights", self.folder / "run", disk / "result"],
+        ended = subprocess.run([SOURCE / "deploy/experiments/collect.py", "--weights", self.folder / "run", disk / "result"],
                                capture_output=True, text=True, timeout=120, check=False)
-        self.assertNotEqual(ended.returncode, 0)
-        self.assertEqual(list((disk / "result").iterdir()), [], ended.stderr)
+        self.assertEqual(ended.returncode, 1, ended.stderr)
+        self.assertIn("No space left on device", ended.stderr)
+        self.assertEqual([path.name for path in disk.iterdir() if path.name != "filler"], [], ended.stderr)
 
 
 python_case.main()

@@ -220,7 +220,7 @@ class LivePage(python_case.ProcessCase):
     self.assertNotRegex(page.read_text(), r'(src|href)="(https?:)?//')
     driver.get(page.as_uri())
     wait_until(lambda: driver.find_elements("css selector", ".leaderboard tbody tr"), "the leaderboard")
-    runs = len(list(pathlib.Path(SOURCE / "deploy/experiments/results").rglob("config.txt")))
+    runs = len(list(pathlib.Path(SOURCE / "deploy/experiments/results").rglob("*.npz")))
     self.assertEqual(len(driver.find_elements("css selector", ".leaderboard tbody tr")), runs)
     self.check_looks(driver, "report")
     self.check_keyboard(driver)

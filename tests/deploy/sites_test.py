@@ -131,11 +131,12 @@ class Limits(Case):
         "craftfleet-envs": ["--worlds=1"],
         "craftfleet-envserver": ["--listen=127.0.0.1:0"],
         "craftfleet-eval": [f"--checkpoint={run}", "--episodes=1"],
+        "craftfleet-inspect": [],
         "craftfleet-learner": [f"--config={config}", f"--logdir={self.folder}/learner", "--listen=127.0.0.1:0"],
         "craftfleet-play": [],
         "craftfleet-report": [run, f"--out={self.folder}/report"],
         "craftfleet-status": ["--address=127.0.0.1:1"],
-        "craftfleet-sweep": [SOURCE / "deploy/experiments/paper.txt", "--list"],
+        "craftfleet-sweep": [SOURCE / "deploy/experiments/paper.toml", "--list"],
         "craftfleet-top": ["--address=127.0.0.1:1", "--once"],
         "craftfleet-train": [f"--config={config}", f"--logdir={self.folder}/train-%", "--threads=2"],
         "craftfleet-watch": [f"--video={self.folder}/watch.mp4", run],
@@ -203,7 +204,7 @@ class Names(Case):
         ["craftfleet-curve", f"{self.run_folder}", "--out=~/curve.png"],
         ["craftfleet-eval", f"--checkpoint={self.run_folder}", "--episodes=1", "--json=~/eval.json", "--pictures=~/pictures"],
         ["craftfleet-report", f"{self.run_folder}", "--out=~/report"],
-        ["craftfleet-sweep", SOURCE / "deploy/experiments/paper.txt", "--write_configs=~/configs", "--experiment=table1"]):
+        ["craftfleet-sweep", SOURCE / "deploy/experiments/paper.toml", "--write_configs=~/configs", "--experiment=table1"]):
       ended = self.run_in([BIN / program, *arguments], cwd=here, env=environment(HOME=str(home)))
       self.assertEqual(ended.returncode, 0, ended.stderr)
     self.assertEqual(list(here.iterdir()), [], "no folder named ~")
@@ -222,7 +223,8 @@ class Names(Case):
           ("unix:", "HOST:PORT"), ("unix:/" + 120 * "a", "at most 107 bytes")):
         with self.subTest(program, flag=flag, address=address):
           more = {"craftfleet-admin": ["pause"], "craftfleet-train": [f"--logdir={self.run_folder}"],
-                  "craftfleet-learner": [f"--logdir={self.run_folder}"],
+                  "craftfleet-inspect": [],
+        "craftfleet-learner": [f"--logdir={self.run_folder}"],
                   "craftfleet-actor": [] if flag == "learner" else ["--learner=127.0.0.1:1"]}.get(program, [])
           refused = self.run_program(program, f"--{flag}={address}", *more, code=1)
           self.assertIn(f'--{flag}: "{address}" is not an address, want ', refused.stderr)
@@ -350,16 +352,11 @@ class Scripts(Case):
     self.train()
     (self.run_folder / "checkpoints/iter-99999999.bak").mkdir()
     result = self.folder / "result"
-    # The script takes the programs of the checkout.
-    root = self.folder / "root"
-    (root / "deploy").mkdir(parents=True)
-    shutil.copytree(SOURCE / "deploy/experiments", root / "deploy/experiments", ignore=shutil.ignore_patterns("res*", "report"))
-    (root / "build").mkdir()
-    (root / "build/bin").symlink_to(BIN)
-    ended = self.run_in([root / "deploy/experiments/collect.sh", "--weights", self.run_folder, result])
+    ended = self.run_in([SOURCE / "deploy/experiments/collect.py", "--weights", self.run_folder, result])
     self.assertEqual(ended.returncode, 0, ended.stderr)
-    self.assertEqual({path.name for path in result.iterdir()},
-                     {"config.txt", "run.json", "stats.jsonl.gz", "weights.safetensors", "curve.png"})
+    self.assertEqual({path.name for path in result.iterdir()}, {"config.txt", "run.json", "weights.safetensors"})
+    drawn = self.run_in([BIN / "craftfleet-curve", f"{result}.npz", self.run_folder])
+    self.assertEqual(*(line.split()[1:] for line in drawn.stdout.splitlines()[1:]))
 
 
 class Networks(Case):

@@ -11,17 +11,10 @@ SCRIPT = SOURCE / "deploy/slurm/fleet.sbatch"
 PARTS = ["--cpus-per-task=1", "--mem-per-cpu=500", ":", "--ntasks=2", "--mem-per-cpu=500", ":", "--ntasks=2", "--mem-per-cpu=500"]
 TWO_LEARNERS = ["--ntasks=2", "--cpus-per-task=1", "--mem-per-cpu=500", ":", "--ntasks=1", "--mem-per-cpu=500", ":", "--ntasks=1", "--mem-per-cpu=500"]
 ENDS = ("COMPLETED", "FAILED", "CANCELLED", "TIMEOUT", "NODE_FAIL", "OUT_OF_MEMORY")
-EXPERIMENTS = """
-axes {
-  name: "gamma"
-  choices { name: "gamma=0.9" config { ppo { gamma: 0.9 } } }
-  choices { name: "gamma=0.5" config { ppo { gamma: 0.5 } } }
-}
-experiments {
-  name: "small"
-  base { %s }
-  axes { axis: "gamma" }
-}
+EXPERIMENTS = python_case.SMALL_EXPERIMENT.replace('name = "small"', 'name = "small"\naxes = [{ axis = "gamma" }]') + """
+[[axes]]
+name = "gamma"
+choices = [{ name = "gamma=0.9", config = { ppo.gamma = 0.9 } }, { name = "gamma=0.5", config = { ppo.gamma = 0.5 } }]
 """
 
 
@@ -140,14 +133,14 @@ class Slurm(python_case.FolderCase):
     self.assertIn("submit this script with sbatch", self.cluster.run("bash", SCRIPT, "--logdir=x", check=False).stderr)
 
   def sweep(self, *flags, runs="runs", check=True):
-    return self.cluster.run(BIN / "craftfleet-sweep", self.folder / "experiments.txt", "--seeds=2", "--executor=slurm",
+    return self.cluster.run(BIN / "craftfleet-sweep", self.folder / "experiments.toml", "--seeds=2", "--executor=slurm",
                             f"--logdir={self.folder}/{runs}", "--jobs=10", "--slurm_flags=--mem-per-cpu=400 --parsable", *flags,
                             check=check)
 
   def test_folders_may_have_odd_names(self):
     """The log folders of a sweep and of a fleet, which are in directives and options of Slurm."""
     odd = 'größe 50% b, 9%j "q"'
-    (self.folder / "experiments.txt").write_text(EXPERIMENTS % python_case.SMALL_RUN)
+    (self.folder / "experiments.toml").write_text(EXPERIMENTS)
     job = self.sweep("--run=small/gamma=0.9/seed1", runs=odd).stdout.split()[-1]
     wait_until(lambda: self.cluster.run("squeue", "-h").stdout == "", "an empty queue", seconds=200)
     log = self.folder / odd / f"slurm/{job}_0.log"
@@ -162,7 +155,7 @@ class Slurm(python_case.FolderCase):
     self.assertFalse((self.folder / "9%A").exists())
 
   def test_a_sweep_runs_as_an_array_and_a_stopped_task_is_requeued(self):
-    (self.folder / "experiments.txt").write_text(EXPERIMENTS % python_case.SMALL_RUN.replace("steps: 192", "steps: 1280", 1))
+    (self.folder / "experiments.toml").write_text(EXPERIMENTS.replace("steps = 192", "steps = 1280"))
     submitted = self.sweep()
     self.assertIn("unfinished runs: 4", submitted.stdout)
     job = submitted.stdout.split()[-1]
@@ -172,7 +165,7 @@ class Slurm(python_case.FolderCase):
     wait_until(lambda: "requeueing the task" in log.read_text(), "a task that is requeued")
     wait_until(lambda: self.cluster.run("squeue", "-h").stdout == "", "an empty queue", seconds=200)
     self.assertIn("resumes: small/gamma=0.9/seed1", log.read_text())
-    listed = subprocess.run([BIN / "craftfleet-sweep", self.folder / "experiments.txt", "--list", "--seeds=2",
+    listed = subprocess.run([BIN / "craftfleet-sweep", self.folder / "experiments.toml", "--list", "--seeds=2",
                              f"--logdir={self.folder}/runs"], capture_output=True, text=True, check=True).stdout
     self.assertEqual(listed.count("2 of 2 done"), 2, listed + "".join(
         f"== {file}\n{file.read_text(errors='replace')}" for file in (self.folder / "runs").rglob("*.log")))

@@ -26,6 +26,20 @@ checkpoint { every_iterations: 1  keep: 20 }
 eval { every_steps: 0  final_episodes: 0 }
 """
 
+# The same as an experiment with a single cell.
+SMALL_EXPERIMENT = """
+[[experiments]]
+name = "small"
+[experiments.base]
+steps = 192
+lanes = 4
+fragment_steps = 16
+env = { length = 20 }
+ppo = { rollout_steps = 64, minibatch_size = 32, epochs = 1 }
+checkpoint = { every_iterations = 1, keep = 20 }
+eval = { every_steps = 0, final_episodes = 0 }
+"""
+
 
 def cmake_setting(name):
   """The value of a variable in this build's CMake cache."""

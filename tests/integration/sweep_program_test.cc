@@ -20,26 +20,28 @@ class SweepProgramTest : public SmallRunTest {
  protected:
   SweepProgramTest() {
     EXPECT_THAT(WriteFileSynced(experiments(), R"(
-      axes {
-        name: "gamma"
-        choices { name: "gamma=0.9" config { ppo { gamma: 0.9 } } }
-        choices { name: "gamma=0.5" config { ppo { gamma: 0.5 } } }
-      }
-      experiments {
-        name: "small"
-        base {
-          steps: 192  lanes: 4  fragment_steps: 16
-          env { length: 20 }
-          ppo { rollout_steps: 64  minibatch_size: 32  epochs: 1 }
-          eval { every_steps: 64  episodes: 1  final_episodes: 2 }
-          checkpoint { every_iterations: 1 }
-        }
-        axes { axis: "gamma" }
-      })"),
+      [[axes]]
+      name = "gamma"
+      choices = [
+        { name = "gamma=0.9", config = { ppo.gamma = 0.9 } },
+        { name = "gamma=0.5", config = { ppo.gamma = 0.5 } },
+      ]
+      [[experiments]]
+      name = "small"
+      axes = [{ axis = "gamma" }]
+      [experiments.base]
+      steps = 192
+      lanes = 4
+      fragment_steps = 16
+      env = { length = 20 }
+      ppo = { rollout_steps = 64, minibatch_size = 32, epochs = 1 }
+      eval = { every_steps = 64, episodes = 1, final_episodes = 2 }
+      checkpoint = { every_iterations = 1 }
+    )"),
                 IsOk());
   }
 
-  std::string experiments() const { return folder_ / "experiments.txt"; }
+  std::string experiments() const { return folder_ / "experiments.toml"; }
   std::string RunFolder(const std::string& run) const { return folder_ / ("runs/small/" + run); }
   std::vector<std::string> SweepArguments(const std::vector<std::string>& more = {}) const {
     std::vector<std::string> arguments = {experiments(), "--seeds=2", "--jobs=2", "--logdir=" + (folder_ / "runs")};
@@ -74,7 +76,8 @@ TEST_F(SweepProgramTest, RunsResumesReportsAndNeverRunsAFinishedCellAgain) {
       Run("craftfleet-report", {folder_ / "runs", "--experiments=" + experiments(), "--out=" + (folder_ / "report")});
   ASSERT_EQ(report.exit_code, 0) << report.err;
   EXPECT_THAT(report.out, HasSubstr("4 runs, 4 complete"));
-  EXPECT_THAT(ReadFile(folder_ / "report/report.md").value(), HasSubstr("2 of 2 cells have a complete run"));
+  EXPECT_THAT(ReadFile(folder_ / "report/report.md").value(),
+              HasSubstr("2 of 2 configurations have a complete run (2 cells"));
   const Ended page = Run("craftfleet-report", {folder_ / "runs", "--experiments=" + experiments(), "--out=-"});
   ASSERT_EQ(page.exit_code, 0) << page.err;
   EXPECT_EQ(page.out, ReadFile(folder_ / "report/report.md").value());
@@ -104,7 +107,7 @@ TEST_F(SweepProgramTest, SigtermStopsItsRunsAndTheSameCommandResumes) {
 
 TEST_F(SweepProgramTest, BadArgumentsAreNamed) {
   EXPECT_THAT(Run("craftfleet-sweep", {}).err, HasSubstr("name one file with experiments"));
-  EXPECT_THAT(Run("craftfleet-sweep", {"/nowhere.txt"}).err, HasSubstr("/nowhere.txt"));
+  EXPECT_THAT(Run("craftfleet-sweep", {"/nowhere.toml"}).err, HasSubstr("/nowhere.toml"));
   EXPECT_THAT(Run("craftfleet-sweep", {experiments()}).err, HasSubstr("--logdir is missing"));
   EXPECT_THAT(Sweep({"--jobs=0"}).err, HasSubstr("--jobs=0, want 1..1000"));
   EXPECT_THAT(Sweep({"--experiment=x"}).err, HasSubstr("--experiment=x, want one of small"));

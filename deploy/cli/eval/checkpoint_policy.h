@@ -22,7 +22,7 @@ struct CheckpointPolicy {
 };
 
 // Loads the checkpoint `path`, the newest one of the run folder `path`, or the weights in a folder of results
-// (deploy/experiments/collect.sh --weights). The first call sets up LibTorch, with the run's instruction set if this
+// (deploy/experiments/collect.py --weights). The first call sets up LibTorch, with the run's instruction set if this
 // CPU supports it, so that episodes are the same as in the run's own evaluations. For that the process may execute
 // itself again (PinCpu): call it before work that would be lost.
 //   Errors as FindCheckpoint, LoadCheckpoint, ResolveRunConfig and Policy::Create.

@@ -133,10 +133,9 @@ const FieldExpectations& Expectations() {
 }
 
 // Formats that only one program reads; their tests walk or fuzz all fields:
-//   access.proto      access_test, fuzz_access
-//   config.proto      config_test, fuzz_config
-//   experiment.proto  experiments_test
-//   event.proto       never read
+//   access.proto  access_test, fuzz_access
+//   config.proto  config_test, fuzz_config
+//   event.proto   never read
 
 void FillSummary(v1::ProcessSummary* summary) {
   summary->set_last_error("an error");

@@ -1,0 +1,108 @@
+#include "deploy/cli/inspect/answer.h"
+
+#include <cstdint>
+#include <utility>
+
+#include <absl/status/statusor.h>
+#include <absl/strings/str_cat.h>
+#include <google/protobuf/util/json_util.h>
+#include <nlohmann/json.hpp>
+
+#include "common/base/status_macros.h"
+#include "common/config/config.h"
+#include "common/config/known_canary.h"
+#include "common/io/paths.h"
+#include "common/io/texture_digest.h"
+#include "common/process/cpu_quota.h"
+#include "deploy/cli/inspect/run_identity.h"
+#include "deploy/cli/inspect/run_state.h"
+#include "learner/page/page.h"
+#include "learner/training/steps_to_train.h"
+
+namespace craftfleet {
+namespace {
+
+using Json = nlohmann::json;
+
+absl::StatusOr<Json> JsonOf(const v1::RunConfig& config) {
+  std::string text;
+  google::protobuf::util::JsonPrintOptions options;
+  options.preserve_proto_field_names = true;
+  const auto status = google::protobuf::util::MessageToJsonString(config, &text, options);
+  if (!status.ok()) return absl::InternalError(std::string(status.message()));
+  return Json::parse(text);
+}
+
+// The settings that may distinguish runs, without the agent. Network settings only if they were given; the others
+// follow from the agent.
+absl::StatusOr<Json> SettingsOf(const v1::RunConfig& config) {
+  v1::RunConfig settings = ShapingConfig(config);
+  *settings.mutable_network() = config.network();
+  settings.clear_agent();
+  // Trained and evaluated on the same environment: env.name is enough.
+  if (settings.eval().env() == settings.env().name()) settings.clear_eval();
+  return JsonOf(settings);
+}
+
+// The agent's defaults in a run with the lanes and rollout of `config`, from which that of fragment_steps follows.
+absl::StatusOr<Json> DefaultsOf(const v1::RunConfig& config) {
+  v1::RunConfig given;
+  given.set_agent(config.agent());
+  CRAFTFLEET_ASSIGN_OR_RETURN(v1::RunConfig defaults, ResolveRunConfig(given));
+  given.set_lanes(config.lanes());
+  given.mutable_ppo()->set_rollout_steps(config.ppo().rollout_steps());
+  defaults.set_fragment_steps(ResolveRunConfig(given).value_or(config).fragment_steps());
+  return SettingsOf(defaults);
+}
+
+absl::StatusOr<Json> AnswerConfig(const Json& question) {
+  const std::string path = question.value("path", "configuration");
+  CRAFTFLEET_ASSIGN_OR_RETURN(v1::RunConfig config, ParseRunConfig(question["config"].get<std::string>(), path));
+  absl::StatusOr<v1::RunConfig> resolved = ResolveRunConfig(std::move(config));
+  absl::Status status = resolved.status();
+  if (status.ok() && question.value("check_envs", false)) status = CheckEnvs(*resolved);
+  if (!status.ok()) return absl::InvalidArgumentError(absl::StrCat(path, ": ", status.message()));
+  CRAFTFLEET_ASSIGN_OR_RETURN(Json complete, JsonOf(*resolved));
+  CRAFTFLEET_ASSIGN_OR_RETURN(Json settings, SettingsOf(*resolved));
+  CRAFTFLEET_ASSIGN_OR_RETURN(Json defaults, DefaultsOf(*resolved));
+  const std::string textures = question.value("textures", "");
+  return Json{{"config", std::move(complete)},
+              {"identity", RunIdentity(*resolved, textures)},
+              {"settings", std::move(settings)},
+              {"defaults", std::move(defaults)},
+              {"built_in_textures", textures.empty() || textures == kBuiltInTextures},
+              {"steps_to_train", StepsToTrain(*resolved)}};
+}
+
+absl::StatusOr<Json> AnswerFolder(const Json& question) {
+  CRAFTFLEET_ASSIGN_OR_RETURN(const RunState state,
+                              ReadRunState(question["folder"].get<std::string>(), question.value("steps", int64_t{0})));
+  return Json{{"begun", state.begun}, {"steps", state.steps}, {"finished", state.finished}};
+}
+
+absl::StatusOr<Json> AnswerTextures(const Json& question) {
+  CRAFTFLEET_ASSIGN_OR_RETURN(const std::string folder, TextureDir(question["textures_in"].get<std::string>()));
+  CRAFTFLEET_ASSIGN_OR_RETURN(std::string digest, TextureDigest(folder));
+  return Json{{"digest", std::move(digest)}};
+}
+
+absl::StatusOr<Json> AnswerParsed(const Json& question) {
+  if (question.contains("config")) return AnswerConfig(question);
+  if (question.contains("folder")) return AnswerFolder(question);
+  if (question.contains("textures_in")) return AnswerTextures(question);
+  if (question.contains("machine")) return Json{{"threads", DefaultThreads()}};
+  if (question.contains("page")) return Json{{"page", std::string(PageTemplate())}};
+  return absl::InvalidArgumentError("not a question, want config, folder, textures_in, machine or page");
+}
+
+}  // namespace
+
+std::string Answer(absl::string_view question) {
+  absl::StatusOr<Json> answer = absl::InvalidArgumentError("not a JSON object");
+  const Json parsed = Json::parse(question.begin(), question.end(), nullptr, /*allow_exceptions=*/false);
+  if (parsed.is_object()) answer = AnswerParsed(parsed);
+  if (!answer.ok()) answer = Json{{"error", std::string(answer.status().message())}};
+  return answer->dump(-1, ' ', /*ensure_ascii=*/true, Json::error_handler_t::replace);
+}
+
+}  // namespace craftfleet

@@ -1,0 +1,302 @@
+"""The command line of the commands: flags, help, errors and targets of output, as in the programs."""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import difflib
+import errno
+import json
+import os
+import re
+import select
+import stat
+import subprocess
+import sys
+import tempfile
+from typing import Callable
+
+from . import programs
+
+
+class Refusal(Exception):
+  """Something that the user asked for cannot be done; the message says what and why."""
+
+
+def reason(error: Exception) -> str:
+  """What a user reads about an error of the system: "/a/b: Permission denied"."""
+  if isinstance(error, OSError) and error.strerror:
+    return f"{os.fsdecode(error.filename)}: {error.strerror}" if error.filename else error.strerror
+  return str(error)
+
+
+@dataclasses.dataclass(frozen=True)
+class Flag:
+  name: str
+  type: str  # bool, integer, list or string, as in --help_json
+  default: object
+  help: str
+  main: bool = True
+
+  def parse(self, program: str, text: str) -> object:
+    if self.type == "bool":
+      if text not in ("true", "false"):
+        raise Refusal(f"--{self.name}={text}, want true or false; see {program} --help")
+      return text == "true"
+    if self.type == "integer":
+      return self._integer(program, text)
+    if self.type == "list":
+      return [word for word in text.split(",") if word]
+    # A shell expands "~/" at the start of a word only, so not in --out=~/report.
+    home = text == "~" or text.startswith("~/")
+    return os.path.expanduser(text) if home else text
+
+  def _integer(self, program: str, text: str) -> int:
+    """A whole number; 1e6, 300k and 1M are some."""
+    match = re.fullmatch(r"(-?\d+)([kM]?)|(\d+)[eE](\d{1,2})", text)
+    if not match:
+      raise Refusal(f"--{self.name}={text}, want a whole number; see {program} --help")
+    if match[3]:
+      return int(match[3]) * 10**int(match[4])
+    return int(match[1]) * {"": 1, "k": 10**3, "M": 10**6}[match[2]]
+
+
+def default_text(flag: Flag) -> str:
+  if flag.type == "bool":
+    return "true" if flag.default else "false"
+  if flag.type == "list":
+    return ",".join(flag.default)
+  return str(flag.default) if flag.default != "" else ""
+
+
+class Values:
+  """The values of the flags, as attributes."""
+
+  def __init__(self, flags: list[Flag]):
+    self.__dict__.update({flag.name: flag.default for flag in flags})
+
+
+def parse(program: str, flags: list[Flag], arguments: list[str]) -> tuple[Values, list[str]]:
+  """The values of the flags and the other arguments."""
+  by_name = {flag.name: flag for flag in flags}
+  values = Values(flags)
+  rest = []
+  words = iter(arguments)
+  for word in words:
+    if word == "--":
+      rest += words
+      break
+    if not word.startswith("-") or word == "-":
+      rest.append(word)
+      continue
+    name, equals, text = word.lstrip("-").partition("=")
+    flag = by_name.get(name)
+    if flag is None and name.startswith("no") and not equals and getattr(by_name.get(name[2:]), "type", "") == "bool":
+      flag, equals, text = by_name[name[2:]], "=", "false"
+    if flag is None:
+      close = difflib.get_close_matches(name, by_name, 1)
+      suggestion = f" (did you mean --{close[0]}?)" if close else ""
+      raise Refusal(f"unknown flag '{name}'{suggestion}; see {program} --help")
+    if not equals:
+      text = "true" if flag.type == "bool" else next(words, None)
+      if text is None:
+        raise Refusal(f"--{name} needs a value: --{name}=VALUE; see {program} --help")
+    setattr(values, flag.name, flag.parse(program, text))
+  return values, rest
+
+
+def in_range(name: str, value: int, low: int, high: int) -> None:
+  if not low <= value <= high:
+    raise Refusal(f"--{name}={value}, want {low}..{high}")
+
+
+# Help.
+
+
+def _one_line(text: str) -> str:
+  first, *more = text.split("\n")
+  bracketed = re.search(r"\[[^\[]*\]$", text)
+  return first.rstrip(";,") + (f" {bracketed[0]}" if more and bracketed else "")
+
+
+def _with_default(flag: Flag) -> str:
+  default = default_text(flag)
+  return f"--{flag.name} (default {default})" if default else f"--{flag.name}"
+
+
+def short_help(program: str, usage: str, flags: list[Flag]) -> str:
+  main = [flag for flag in flags if flag.main]
+  width = max(len(_with_default(flag)) for flag in main)
+  lines = "".join(f"  {_with_default(flag):{width}}  {_one_line(flag.help)}\n" for flag in main)
+  return (f"{usage}\n\nFlags:\n{lines}\n{program} --helpfull explains all {len(flags)} flags in full; --version shows the "
+          "version.\n")
+
+
+def full_help(program: str, usage: str, flags: list[Flag]) -> str:
+  def details(some):
+    return "".join(f"  {_with_default(flag)}\n      " + flag.help.replace("\n", "\n      ") + "\n" for flag in some)
+  text = f"{usage}\n\nFlags of {program}:\n" + details([flag for flag in flags if flag.main])
+  others = [flag for flag in flags if not flag.main]
+  return text + ("\nMore flags:\n" + details(others) if others else "") + "\n  --help, --helpfull, --version\n"
+
+
+def help_json(program: str, usage: str, flags: list[Flag]) -> str:
+  """What the man pages and completions are made from; the same as in the programs."""
+  sentence = re.match(r".*?(?<!\.\.)[.:](?=\s)", " ".join(usage.split()) + " ")[0][:-1].removeprefix(program).split()
+  arguments = []
+  while re.fullmatch(r"[A-Z._]+", sentence[0]):
+    arguments.append(sentence.pop(0))
+  described = [{"name": flag.name, "type": flag.type, "default": default_text(flag), "help": flag.help,
+                "group": "main" if flag.main else "other"} for flag in sorted(flags, key=lambda flag: not flag.main)]
+  return json.dumps({"program": program, "arguments": " ".join(arguments), "summary": " ".join(sentence), "usage": usage,
+                     "flags": described}, indent=2, ensure_ascii=False) + "\n"
+
+
+def version(program: str) -> str:
+  text = subprocess.run([programs.find("craftfleet-inspect"), "--version"], capture_output=True, text=True, check=True).stdout
+  return text.replace("craftfleet inspect", program)
+
+
+# Running.
+
+
+def _reader_is_gone() -> bool:
+  poll = select.poll()
+  poll.register(1, select.POLLOUT)
+  return any(event & (select.POLLERR | select.POLLHUP) for _, event in poll.poll(0))
+
+
+def _finish_output() -> str:
+  """Writes what is left of standard output; returns what went wrong."""
+  try:
+    sys.stdout.flush()
+    return ""
+  except BrokenPipeError:
+    problem = ""
+  except (OSError, ValueError) as error:
+    problem = "" if _reader_is_gone() else f"cannot write all of standard output: {reason(error)}"
+  # Python writes what is left again at its end.
+  os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
+  return problem
+
+
+def run(program: str, usage: str, flags: list[Flag], arguments: list[str], body: Callable[[Values, list[str]], int | None]) -> int:
+  """Runs `body` and returns the exit code: 0, its own, or 1 after an error on standard error."""
+  code, error = 0, ""
+  try:
+    asked = next((word for word in arguments if word in ("-h", "-help", "--help", "--helpfull", "--help_json", "--version")), "")
+    if asked == "--version":
+      sys.stdout.write(version(program))
+    elif asked:
+      text = {"--helpfull": full_help, "--help_json": help_json}.get(asked, short_help)
+      sys.stdout.write(text(program, usage, flags))
+    else:
+      code = body(*parse(program, flags, arguments)) or 0
+  except Refusal as refusal:
+    code, error = 1, str(refusal)
+  except BrokenPipeError:
+    pass
+  except KeyboardInterrupt:
+    code, error = 130, "stopped"
+  except OSError as problem:
+    code, error = 1, reason(problem)
+    if problem.errno == errno.ENOSPC and not problem.filename:
+      error = f"cannot write all of standard output: {error}"
+  problem = _finish_output()
+  if problem and not error:
+    code, error = 1, problem
+  if error:
+    with contextlib.suppress(OSError):
+      print(f"{program}: {error}", file=sys.stderr)
+  return code
+
+
+def warn(message: str) -> None:
+  print(f"warning: {message}", file=sys.stderr)
+
+
+# Targets of output.
+
+
+def is_stream(path: str) -> bool:
+  """Whether bytes that are written to `path` go on to someone, instead of being kept in a file."""
+  if path == "-" or path in ("/dev/stdout", "/dev/stderr") or re.match(r"/dev/fd/|/proc/self/fd/", path):
+    return True
+  try:
+    mode = os.stat(path).st_mode
+  except OSError:
+    return False
+  return not stat.S_ISREG(mode) and not stat.S_ISDIR(mode)
+
+
+class OutputFile:
+  """The file or stream that a flag names. Opened before the work, so that a target that cannot be written is refused then.
+
+  A file is replaced at once: it has its old content or the new one, and a link to it stays one.
+  """
+
+  def __init__(self, flag: str, path: str):
+    self.flag, self.path = flag, path
+    self.is_standard_output = path in ("-", "/dev/stdout", "/dev/fd/1", "/proc/self/fd/1")
+    self.is_stream = is_stream(path)
+    self._stream = None
+    if self.is_standard_output:
+      return
+    if os.path.isdir(path):
+      raise Refusal(f"{flag}: {path} is a folder, want a file")
+    if self.is_stream:
+      mode = os.stat(path).st_mode
+      if stat.S_ISBLK(mode) or stat.S_ISSOCK(mode):
+        raise Refusal(f"{flag}: {path} is no file, want a file or a stream")
+      self._stream = self._try("open", lambda: open(path, "wb", buffering=0))
+      return
+    self.path = os.path.realpath(path)
+    if os.path.exists(self.path) and not os.access(self.path, os.W_OK):
+      raise Refusal(f"{flag}: cannot open {self.path}: Permission denied")
+    handle, name = self._try("create", self._temporary)
+    os.close(handle)
+    os.unlink(name)
+
+  def _temporary(self):
+    return tempfile.mkstemp(prefix=".craftfleet-", dir=os.path.dirname(self.path))
+
+  def _try(self, what, action):
+    try:
+      return action()
+    except OSError as error:
+      raise Refusal(f"{self.flag}: cannot {what} {self.path}: {error.strerror}") from None
+
+  def write(self, content: bytes) -> None:
+    if self.is_standard_output:
+      sys.stdout.flush()
+      sys.stdout.buffer.write(content)
+      sys.stdout.buffer.flush()
+    elif self._stream is not None:
+      with self._stream as stream:
+        self._try("write", lambda: write_all(stream, content))
+    else:
+      self._try("write", lambda: replace_file(self.path, content))
+
+
+def write_all(stream, content: bytes) -> None:
+  view = memoryview(content)
+  while view:
+    view = view[stream.write(view):]
+
+
+def replace_file(path: str, content: bytes) -> None:
+  """Replaces the file at once. OSError: it is unchanged, and nothing else is left."""
+  handle, name = tempfile.mkstemp(prefix=".craftfleet-", dir=os.path.dirname(os.path.abspath(path)))
+  try:
+    with open(handle, "wb", buffering=0) as file:
+      write_all(file, content)
+      os.fsync(file.fileno())
+      umask = os.umask(0)
+      os.umask(umask)
+      mode = stat.S_IMODE(os.stat(path).st_mode) if os.path.exists(path) else 0o666 & ~umask
+      os.fchmod(file.fileno(), mode)
+    os.replace(name, path)
+  except OSError:
+    with contextlib.suppress(OSError):
+      os.unlink(name)
+    raise

@@ -1,0 +1,222 @@
+"""The experiments of a file: the configurations behind each table and figure. The file's format: deploy/experiments/paper.toml."""
+
+from __future__ import annotations
+
+import copy
+import dataclasses
+import itertools
+import math
+import re
+import tomllib
+
+from . import programs
+from ._cli import Refusal, reason
+
+MAX_CELLS = 10_000  # of one experiment
+_COMBINE = ("product", "each", "pairs")
+
+
+@dataclasses.dataclass(frozen=True)
+class Choice:
+  name: str
+  label: str
+  config: dict
+  texture_digest: str = ""
+
+
+@dataclasses.dataclass(frozen=True)
+class Axis:
+  name: str
+  choices: list[Choice]
+
+
+@dataclasses.dataclass
+class Cell:
+  """One configuration of an experiment."""
+
+  experiment: str
+  name: str  # its choices joined by slashes: "94-2-2-2/ppo_cnn"
+  axes: tuple[int, ...]  # that it varies, ascending
+  choices: tuple[int, ...]  # index within each of those
+  config_text: str  # what differs from the defaults, in the text format of config.txt
+  texture_digest: str = ""  # of the textures of its runs; "": those that come with the programs
+  config: dict = dataclasses.field(default_factory=dict)  # complete
+  identity: str = ""
+  # Of its runs, below that of the sweep: the first cell's of the same configuration, so that tables share runs.
+  folder: str = ""
+
+  @property
+  def steps(self) -> int:
+    return int(self.config["steps"])
+
+
+@dataclasses.dataclass
+class Experiment:
+  name: str
+  title: str
+  combine: str
+  axes: list[Axis]
+  milestones: list[int]  # environment steps, ascending
+  cells: list[Cell]  # the last axis varies fastest
+
+
+def config_text(config: dict, indent: str = "") -> str:
+  """A configuration in the text format of config.txt. Capitals are names of the format's own, such as BF16."""
+  lines = []
+  for key, value in config.items():
+    if isinstance(value, dict):
+      lines.append(f"{indent}{key} {{\n{config_text(value, indent + '  ')}{indent}}}\n")
+    elif isinstance(value, bool):
+      lines.append(f"{indent}{key}: {str(value).lower()}\n")
+    elif isinstance(value, str) and not re.fullmatch(r"[A-Z][A-Z0-9_]*", value):
+      escaped = value.replace("\\", "\\\\").replace('"', '\\"')
+      lines.append(f'{indent}{key}: "{escaped}"\n')
+    else:
+      lines.append(f"{indent}{key}: {value}\n")
+  return "".join(lines)
+
+
+def merged(base: dict, over: dict) -> dict:
+  """`base` with what `over` has laid over it, table by table."""
+  result = copy.deepcopy(base)
+  for key, value in over.items():
+    both = isinstance(value, dict) and isinstance(result.get(key), dict)
+    result[key] = merged(result[key], value) if both else copy.deepcopy(value)
+  return result
+
+
+def _fields(what: str, table: object, known: dict[str, type]) -> dict:
+  if not isinstance(table, dict):
+    raise Refusal(f"{what}: want a table with {', '.join(known)}")
+  for key, value in table.items():
+    if key not in known:
+      raise Refusal(f'{what}: unknown field "{key}", want one of {", ".join(known)}')
+    if not isinstance(value, known[key]):
+      raise Refusal(f"{what}: {key} is {value!r}, want a {known[key].__name__}")
+  return table
+
+
+def _check_names(what: str, names: list[str]) -> None:
+  """Names are also names of folders."""
+  for number, name in enumerate(names):
+    if not re.fullmatch(r"[A-Za-z0-9_=][A-Za-z0-9_=.-]*", name):
+      raise Refusal(f'{what} "{name}": want letters, digits and any of _-=. , not beginning with . or -')
+    if name in names[:number]:
+      raise Refusal(f'{what} "{name}" occurs twice')
+
+
+def _choice(what: str, table: object) -> Choice:
+  fields = _fields(what, table, {"name": str, "label": str, "config": dict, "texture_digest": str})
+  name = fields.get("name", "")
+  return Choice(name, fields.get("label") or name, fields.get("config", {}), fields.get("texture_digest", ""))
+
+
+def _axis(table: object) -> Axis:
+  fields = _fields("axis", table, {"name": str, "choices": list})
+  what = f'axis "{fields.get("name", "")}"'
+  axis = Axis(fields.get("name", ""), [_choice(f"{what}: choice", choice) for choice in fields.get("choices", [])])
+  _check_names(f"{what}: choice", [choice.name for choice in axis.choices])
+  return axis
+
+
+def _used_axis(axes: dict[str, Axis], use: object) -> Axis:
+  fields = _fields("axes", use, {"axis": str, "only": list})
+  name = fields.get("axis", "")
+  if name not in axes:
+    raise Refusal(f'axis "{name}" is not in the file')
+  if not fields.get("only"):
+    return axes[name]
+  choices = {choice.name: choice for choice in axes[name].choices}
+  for wanted in fields["only"]:
+    if wanted not in choices:
+      raise Refusal(f'axis "{name}" has no choice "{wanted}"')
+  return Axis(name, [choices[wanted] for wanted in fields["only"]])
+
+
+def _varied_together(combine: str, axes: int) -> list[tuple[int, ...]]:
+  if combine == "each":
+    return [(axis,) for axis in range(axes)]
+  return list(itertools.combinations(range(axes), 2)) if combine == "pairs" else [tuple(range(axes))]
+
+
+def _cells(experiment: Experiment, base: dict) -> list[Cell]:
+  cells = []
+  sets = _varied_together(experiment.combine, len(experiment.axes))
+  if sum(math.prod(len(experiment.axes[axis].choices) for axis in axes) for axes in sets) > MAX_CELLS:
+    raise Refusal(f"more than {MAX_CELLS} cells")
+  for axes in sets:
+    for numbers in itertools.product(*(range(len(experiment.axes[axis].choices)) for axis in axes)):
+      choices = [experiment.axes[axis].choices[number] for axis, number in zip(axes, numbers)]
+      config = base
+      for choice in choices:
+        config = merged(config, choice.config)
+      digests = [choice.texture_digest for choice in choices if choice.texture_digest]
+      name = "/".join(choice.name for choice in choices) or experiment.name
+      cells.append(Cell(experiment.name, name, axes, numbers, config_text(config), digests[-1] if digests else ""))
+  return cells
+
+
+_EXPERIMENT = {"name": str, "title": str, "base": dict, "axes": list, "combine": str, "milestones": list}
+
+
+def _experiment(axes: dict[str, Axis], fields: dict) -> Experiment:
+  name, combine = fields.get("name", ""), fields.get("combine", "product")
+  if combine not in _COMBINE:
+    raise Refusal(f'combine is "{combine}", want one of {", ".join(_COMBINE)}')
+  milestones = fields.get("milestones", [])
+  if milestones != sorted(milestones):
+    raise Refusal("milestones do not ascend")
+  used = [_used_axis(axes, use) for use in fields.get("axes", [])]
+  experiment = Experiment(name, fields.get("title") or name, combine, used, milestones, [])
+  experiment.cells = _cells(experiment, fields.get("base", {}))
+  return experiment
+
+
+def _complete(experiments: list[Experiment]) -> None:
+  """Fills in the complete configurations of the cells, and their folders."""
+  cells = [cell for experiment in experiments for cell in experiment.cells]
+  answers = programs.ask([{"config": cell.config_text, "path": "configuration", "check_envs": True,
+                           "textures": cell.texture_digest} for cell in cells])
+  folders: dict[str, str] = {}
+  for cell, answer in zip(cells, answers):
+    if "error" in answer:
+      raise Refusal(f'experiment "{cell.experiment}": cell "{cell.name}": {answer["error"]}')
+    cell.config, cell.identity = answer["config"], answer["identity"]
+    cell.folder = folders.setdefault(cell.identity, f"{cell.experiment}/{cell.name}")
+
+
+def parse(text: str, filename: str) -> list[Experiment]:
+  """The experiments of a file's text.   Refusal: names the file, and the line or the experiment and cell."""
+  try:
+    try:
+      file = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+      old = "; experiments of version 0.1 are in another format" if re.search(r"^\s*(axes|experiments) \{", text, re.M) else ""
+      raise Refusal(f"{error}{old}") from None
+    fields = _fields("the file", file, {"axes": list, "experiments": list})
+    axes = [_axis(table) for table in fields.get("axes", [])]
+    _check_names("axis", [axis.name for axis in axes])
+    tables = fields.get("experiments", [])
+    if not tables:
+      raise Refusal("no experiment in it")
+    names = [_fields("experiment", table, _EXPERIMENT).get("name", "") for table in tables]
+    _check_names("experiment", names)
+    experiments = []
+    for name, table in zip(names, tables):
+      try:
+        experiments.append(_experiment({axis.name: axis for axis in axes}, table))
+      except Refusal as error:
+        raise Refusal(f'experiment "{name}": {error}') from None
+    _complete(experiments)
+  except Refusal as error:
+    raise Refusal(f"{filename}: {error}") from None
+  return experiments
+
+
+def load(path: str) -> list[Experiment]:
+  """The experiments of a file.   Refusal: as parse, or it cannot be read."""
+  try:
+    with open(path, encoding="utf-8") as file:
+      return parse(file.read(), path)
+  except (OSError, UnicodeDecodeError) as error:
+    raise Refusal(reason(error) if isinstance(error, OSError) else f"{path}: not a text file: {error}") from None

@@ -1,0 +1,303 @@
+"""Runs: their configuration, episodes and progress, from run folders or from result files.
+
+A result file holds a run without its weights: NAME.npz, a NumPy archive compressed with LZMA, with the format's version, the
+texts of config.txt and run.json, and each log as lengths, rewards in tenths and counts of achievements. It loses nothing: the
+logs come back byte for byte.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import io
+import json
+import os
+import zipfile
+
+import numpy as np
+
+from . import programs
+from ._cli import Refusal, reason, replace_file
+from .episodes import ACHIEVEMENTS, NO_EPISODES, Curve, Episodes, find_log, read_log
+
+LOGS = ("stats", "eval_argmax", "eval_sampled", "final_argmax", "final_sampled")
+SUFFIX = ".npz"
+_VERSION = 1
+
+
+@dataclasses.dataclass
+class Run:
+  """A run; `folder` is that of its files, or the path of its result file without .npz."""
+
+  folder: str
+  config: dict  # complete, as config.proto names the fields
+  identity: str  # equal for runs that differ in nothing but their seed
+  settings: dict  # that may distinguish it from others, without the agent
+  defaults: dict  # the agent's, of these
+  texture_digest: str
+  built_in_textures: bool
+  steps_to_train: int  # in whole iterations
+  logs: dict[str, Episodes]
+  steps: int = 0  # done so far
+  complete: bool = False
+
+  @property
+  def training(self) -> Episodes:
+    return self.logs["stats"]
+
+  @property
+  def seed(self) -> int:
+    return int(self.config.get("seed", 0))
+
+  @property
+  def agent(self) -> str:
+    return self.config["agent"]
+
+  @property
+  def env(self) -> str:
+    return self.config["env"]["name"]
+
+  @property
+  def eval_env(self) -> str:
+    return self.config["eval"].get("env", "")
+
+  @functools.cached_property
+  def curve(self) -> Curve:
+    return self.training.curve()
+
+  def evaluation_at(self, log: str, steps: int) -> Episodes:
+    """The episodes of eval_sampled or eval_argmax up to `steps` of training."""
+    settings = self.config["eval"]
+    every = int(settings.get("every_steps", 0))
+    return self.logs[log].first(steps // every * int(settings.get("episodes", 0)) if every else 0)
+
+  def steps_text(self) -> str:
+    return f"{self.steps:,} of {self.steps_to_train:,}"
+
+
+@dataclasses.dataclass
+class _Files:
+  """What is read of a run before its configuration is understood."""
+
+  folder: str
+  config: str
+  run_json: str | None
+  logs: dict[str, Episodes]
+  is_folder: bool
+
+  @property
+  def config_path(self) -> str:
+    return os.path.join(self.folder, "config.txt") if self.is_folder else self.folder + SUFFIX
+
+  def texture_digest(self) -> str:
+    if self.run_json is None:
+      return ""
+    try:
+      return str(json.loads(self.run_json)["texture_digest"])
+    except (ValueError, KeyError, TypeError):
+      path = os.path.join(self.folder, "run.json") if self.is_folder else self.folder + SUFFIX
+      raise Refusal(f'{path}: no "texture_digest", want the digest of the textures') from None
+
+
+def _read_text(path: str) -> str:
+  try:
+    with open(path, encoding="utf-8", errors="replace") as file:
+      return file.read()
+  except OSError as error:
+    raise Refusal(reason(error)) from None
+
+
+def _read_folder(folder: str) -> _Files:
+  config = _read_text(os.path.join(folder, "config.txt"))
+  run_json = os.path.join(folder, "run.json")
+  run_text = _read_text(run_json) if os.path.exists(run_json) else None
+  if not find_log(folder, "stats.jsonl"):
+    raise Refusal(f"{folder}: not a run folder: it has no stats.jsonl")
+  paths = {log: find_log(folder, f"{log}.jsonl") for log in LOGS}
+  return _Files(folder, config, run_text, {log: read_log(path) if path else NO_EPISODES for log, path in paths.items()}, True)
+
+
+def _read_result(path: str) -> _Files:
+  try:
+    with np.load(path) as arrays:
+      if "craftfleet_run" not in arrays or int(arrays["craftfleet_run"]) != _VERSION:
+        raise Refusal(f"{path}: not a result file of version {_VERSION}")
+      logs = {log: NO_EPISODES for log in LOGS}
+      for log in LOGS:
+        if f"{log}_length" in arrays:
+          logs[log] = Episodes(arrays[f"{log}_length"].astype(np.int64), arrays[f"{log}_reward"].astype(np.int64),
+                               arrays[f"{log}_achievements"].T.astype(np.int64))
+      texts = {name: arrays[name].tobytes().decode() if name in arrays else None for name in ("config", "run")}
+  except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
+    raise Refusal(reason(error) if isinstance(error, OSError) and error.filename else f"{path}: {error}") from None
+  return _Files(path.removesuffix(SUFFIX), texts["config"], texts["run"], logs, False)
+
+
+def _read_files(path: str) -> _Files:
+  return _read_result(path) if path.endswith(SUFFIX) else _read_folder(path)
+
+
+def _smallest(values: np.ndarray) -> np.ndarray:
+  low, high = (int(values.min()), int(values.max())) if values.size else (0, 0)
+  kinds = (np.uint8, np.int16, np.int32, np.int64)
+  return values.astype(next(kind for kind in kinds if np.iinfo(kind).min <= low and high <= np.iinfo(kind).max))
+
+
+def save_result(folder: str, path: str) -> None:
+  """Writes the result file `path` of the run in `folder`.   Refusal: as read_runs; OSError: it cannot be written."""
+  files = _read_folder(folder)
+  arrays = {"craftfleet_run": np.array(_VERSION), "config": np.frombuffer(files.config.encode(), np.uint8)}
+  if files.run_json is not None:
+    arrays["run"] = np.frombuffer(files.run_json.encode(), np.uint8)
+  for log, episodes in files.logs.items():
+    if len(episodes):
+      arrays |= {f"{log}_length": _smallest(episodes.length), f"{log}_reward": _smallest(episodes.tenths),
+                 f"{log}_achievements": _smallest(np.ascontiguousarray(episodes.counts.T))}
+  content = io.BytesIO()
+  with zipfile.ZipFile(content, "w", zipfile.ZIP_LZMA) as archive:
+    for name, array in arrays.items():
+      entry = io.BytesIO()
+      np.lib.format.write_array(entry, array, allow_pickle=False)
+      archive.writestr(zipfile.ZipInfo(f"{name}.npy"), entry.getvalue(), zipfile.ZIP_LZMA)  # the same bytes at any time
+  replace_file(path, content.getvalue())
+
+
+# Finding and understanding runs.
+
+
+def _is_run_folder(folder: str) -> bool:
+  return os.path.exists(os.path.join(folder, "config.txt")) and bool(find_log(folder, "stats.jsonl"))
+
+
+def _is_result(path: str) -> bool:
+  try:
+    return path.endswith(SUFFIX) and "craftfleet_run.npy" in zipfile.ZipFile(path).namelist()
+  except (OSError, zipfile.BadZipFile):
+    return False
+
+
+def _find_in(folder: str, found: set[str], unreadable: list[str]) -> None:
+  """Adds the runs in and below `folder`. Links to folders are not entered."""
+  if _is_run_folder(folder):
+    found.add(folder)
+  try:
+    names = sorted(os.listdir(folder))
+  except OSError as error:
+    unreadable.append(reason(error))
+    return
+  for name in names:
+    path = os.path.join(folder, name)
+    if os.path.isdir(path) and not os.path.islink(path):
+      _find_in(path, found, unreadable)
+    elif _is_result(path) or (os.path.isdir(path) and _is_run_folder(path)):
+      found.add(path)
+
+
+def _set_progress(run: Run, state: dict | None) -> None:
+  if state is not None and state["begun"]:
+    run.steps, run.complete = state["steps"], state["finished"]
+    return
+  rollout = int(run.config["ppo"]["rollout_steps"])
+  run.steps = -(-int(run.training.length.sum()) // rollout) * rollout  # its episodes end in that iteration
+  wanted = int(run.config["eval"].get("final_episodes", 0))
+  evaluated = wanted > 0 and all(len(run.logs[log]) >= wanted for log in ("final_argmax", "final_sampled"))
+  run.complete = evaluated or run.steps >= int(run.config["steps"])
+  if evaluated:
+    run.steps = max(run.steps, run.steps_to_train)
+
+
+def _understand(files: list[_Files], unreadable: list[str]) -> list[Run]:
+  known = []
+  for one in files:
+    try:
+      known.append((one, one.texture_digest()))
+    except Refusal as error:
+      unreadable.append(str(error))
+  answers = programs.ask([{"config": one.config, "path": one.config_path, "textures": digest} for one, digest in known])
+  runs = []
+  for (one, digest), answer in zip(known, answers):
+    if "error" in answer:
+      unreadable.append(answer["error"])
+      continue
+    runs.append(Run(one.folder, answer["config"], answer["identity"], answer["settings"], answer["defaults"], digest,
+                    answer["built_in_textures"], answer["steps_to_train"], one.logs))
+  folders = [run.folder for run in runs if os.path.isdir(os.path.join(run.folder, "checkpoints"))]
+  steps = {run.folder: int(run.config["steps"]) for run in runs}
+  states = dict(zip(folders, programs.ask([{"folder": folder, "steps": steps[folder]} for folder in folders])))
+  good = []
+  for run in runs:
+    state = states.get(run.folder)
+    if state is not None and "error" in state:
+      unreadable.append(state["error"])
+      continue
+    _set_progress(run, state)
+    good.append(run)
+  return good
+
+
+def read_runs(folders: list[str]) -> tuple[list[Run], list[str]]:
+  """The runs in and below `folders`, each once, sorted by folder; and what could not be read, as sentences.
+
+  Refusal: a folder does not exist.
+  """
+  found: set[str] = set()
+  unreadable: list[str] = []
+  for folder in folders:
+    folder = folder if folder.strip("/") == "" else folder.rstrip("/")
+    if _is_result(folder):
+      found.add(folder)
+    elif os.path.isdir(folder):
+      _find_in(folder, found, unreadable)
+    else:
+      raise Refusal(f"{folder}: no such folder")
+  files = []
+  for path in sorted(found):
+    try:
+      files.append(_read_files(path))
+    except Refusal as error:
+      unreadable.append(str(error))
+  return _understand(files, unreadable), unreadable
+
+
+def read_curve(path: str) -> Curve:
+  """The learning curve of a run folder, a result file, or a stats.jsonl.   Refusal: there is none."""
+  if not os.path.exists(path):
+    raise Refusal(f"{path}: no such run folder or file")
+  if os.path.isdir(path):
+    try:
+      os.listdir(path)
+    except OSError as error:
+      raise Refusal(reason(error)) from None
+    log = find_log(path, "stats.jsonl")
+    if not log:
+      raise Refusal(f"{path}: not a run folder: it has no stats.jsonl")
+  else:
+    log = path
+  episodes = _read_result(log).logs["stats"] if log.endswith(SUFFIX) else read_log(log)
+  if not len(episodes):
+    raise Refusal(f"{log}: no episode has finished yet")
+  return episodes.curve()
+
+
+# For notebooks.
+
+
+def load(*folders: str):
+  """A pandas.DataFrame with a row for each run in and below `folders`: its settings and scores."""
+  import pandas as pd  # pylint: disable=import-outside-toplevel
+  runs, _ = read_runs(list(folders))
+  return pd.DataFrame([{
+      "folder": run.folder, "agent": run.agent, "env": run.env, "eval_env": run.eval_env or run.env, "seed": run.seed,
+      "steps": run.steps, "complete": run.complete, "train": run.training.score, "eval": run.logs["eval_sampled"].score,
+      "eval_argmax": run.logs["eval_argmax"].score, "reward": run.training.recent_reward, "unlocked": run.training.unlocked,
+      "run": run} for run in runs])
+
+
+def episodes(run: Run, log: str = "stats"):
+  """A pandas.DataFrame with a row for each episode of a log of the run."""
+  import pandas as pd  # pylint: disable=import-outside-toplevel
+  of_run = run.logs[log]
+  table = pd.DataFrame(of_run.counts, columns=list(ACHIEVEMENTS))
+  table.insert(0, "reward", of_run.tenths / 10)
+  table.insert(0, "length", of_run.length)
+  return table

@@ -1,0 +1,464 @@
+"""Reading runs: run folders, result files, groups and their names, experiments, curves, statistics."""
+
+import gzip
+import json
+import math
+import types
+import unittest
+
+from tests.deploy.analysis import package
+from tests.deploy.analysis.package import same_episodes, write_run
+from tests.fakes import python_case
+from tests.fakes.python_case import SOURCE
+
+from analysis import curve, experiments, programs, results, runs, statistics
+from analysis.episodes import read_log
+from analysis.results import Group, group_runs, name_groups, short_names, spread_of_curves
+from analysis.statistics import Spread, spread_of
+
+
+class Runs(package.Case):
+
+  def run_of(self, *arguments, **named):
+    write_run(self.folder / "run", *arguments, **named)
+    return self.read()
+
+  def read(self):
+    (run,), unreadable = runs.read_runs([str(self.folder / "run")])
+    self.assertEqual(unreadable, [])
+    return run
+
+  def test_has_configuration_and_figures_of_its_episodes(self):
+    run = self.run_of(3, {"agent": "lstm_cnn"}, episodes=38)
+    self.assertEqual((run.agent, run.seed, len(run.training), run.training.unlocked, run.training.reward), ("lstm_cnn", 3, 38, 11, 11))
+    self.assertAlmostEqual(run.training.score, math.sqrt(101) - 1, 12)
+    self.assertEqual((run.training.success[10], run.training.success[11]), (100, 0))
+    self.assertEqual(len(run.curve), 38)
+    self.assertEqual(len(run.logs["eval_sampled"]), 0)
+
+  # 30 episodes of 100 steps end within the third iteration of 1,000 steps, 31 within the fourth.
+  def test_without_checkpoints_its_episodes_show_its_progress(self):
+    for episodes, steps, complete in ((30, 3000, False), (31, 4000, True), (0, 0, False)):
+      run = self.run_of(1, episodes=episodes)
+      self.assertEqual((run.steps, run.complete), (steps, complete))
+
+  def test_final_episodes_show_that_it_is_complete(self):
+    self.run_of(1, {"eval": {"final_episodes": 4}}, episodes=20)
+    (self.folder / "run/final_argmax.jsonl").write_text(same_episodes(4, 3))
+    (self.folder / "run/final_sampled.jsonl").write_text(same_episodes(3, 4))
+    self.assertFalse(self.read().complete)
+    (self.folder / "run/final_sampled.jsonl").write_text(same_episodes(4, 4))
+    self.assertEqual((self.read().complete, self.read().steps), (True, 4000))
+
+  def test_the_newest_checkpoint_decides_where_there_is_one(self):
+    (self.folder / "config.txt").write_text(python_case.SMALL_RUN)
+    self.run_program("craftfleet-train", f"--config={self.folder}/config.txt", f"--logdir={self.folder}/run", "--threads=1")
+    self.assertEqual((self.read().steps, self.read().complete), (192, True))
+    with (self.folder / "run/config.txt").open("a") as file:
+      file.write("# more is wanted now\n")
+    text = (self.folder / "run/config.txt").read_text()
+    (self.folder / "run/config.txt").write_text(text.replace("steps: 192", "steps: 1920"))
+    self.assertEqual((self.read().steps, self.read().complete), (192, False))
+    newest = max((self.folder / "run/checkpoints").glob("iter-*"))
+    (newest / "state.pb").write_text("garbage")
+    write_run(self.folder / "other", 1)
+    found, unreadable = runs.read_runs([str(self.folder)])
+    self.assertEqual([run.folder for run in found], [f"{self.folder}/other"])
+    self.assertIn(str(newest), unreadable[0])
+
+  def test_an_invalid_file_and_line_is_named(self):
+    def problem():
+      found, unreadable = runs.read_runs([str(self.folder / "run")])
+      self.assertEqual(found, [])
+      return unreadable[0]
+    for name, text, message in (
+        ("stats.jsonl", same_episodes(2, 1) + '{"length": 3}\n', '/stats.jsonl:3: no number "reward"'),
+        ("stats.jsonl", same_episodes(2, 1) + '{"length": 3', "/stats.jsonl:3: the line is incomplete"),
+        ("stats.jsonl", same_episodes(1, 1).replace('"length": 100', '"length": 0'), '/stats.jsonl:1: "length" is 0, want at least 1'),
+        ("stats.jsonl", same_episodes(1, 1).replace("}", ', "more": 1}'), "/stats.jsonl:1: has 25 keys, want 24"),
+        ("eval_argmax.jsonl", "nonsense\n", "/eval_argmax.jsonl:1: not a JSON object"),
+        ("config.txt", "seed: 1\nagnet: 'x'\n", "/config.txt:2:"),
+        ("config.txt", "ppo { gamma: 2 }", "/config.txt: ppo.gamma"),
+        ("run.json", "{}", '/run.json: no "texture_digest"')):
+      write_run(self.folder / "run", 1)
+      for other in ("eval_argmax.jsonl", "run.json"):
+        (self.folder / "run" / other).unlink(missing_ok=True)
+      (self.folder / "run" / name).write_text(text)
+      self.assertIn(message, problem())
+
+  def test_finds_each_run_in_or_below_the_folders_once_in_order(self):
+    for name, seed in (("b/c/seed2", 2), ("b/c/seed1", 1), ("a", 1)):
+      write_run(self.folder / name, seed)
+    (self.folder / "b/config.txt").write_text("no run, it has no stats.jsonl")
+    (self.folder / "b/other.npz").write_text("no result")
+    (self.folder / "d").symlink_to("b")
+    found, unreadable = runs.read_runs([f"{self.folder}{name}" for name in ("", "/a/", "/b")])
+    self.assertEqual([run.folder for run in found], [f"{self.folder}/{name}" for name in ("a", "b/c/seed1", "b/c/seed2")])
+    self.assertEqual(unreadable, [])
+    self.assertEqual(self.refusal(runs.read_runs, ["/nowhere/runs"]), "/nowhere/runs: no such folder")
+
+
+class Results(package.Case):
+
+  def test_a_result_file_loses_nothing(self):
+    write_run(self.folder / "run", 5, {"agent": "lstm_cnn"}, episodes=300)
+    for number, log in enumerate(("eval_argmax", "eval_sampled", "final_argmax", "final_sampled"), 1):
+      (self.folder / f"run/{log}.jsonl").write_text(same_episodes(number, number) + same_episodes(1, 3, length=70000).replace("3.0", "-0.9"))
+    (self.folder / "run/run.json").write_text('{"texture_digest": "8140aa54698876d7", "git_revision": "abc"}\n')
+    runs.save_result(str(self.folder / "run"), str(self.folder / "kept.npz"))
+    (kept, run), unreadable = runs.read_runs([str(self.folder)])
+    self.assertEqual(unreadable, [])
+    self.assertEqual(kept.folder, f"{self.folder}/kept")
+    for field in ("config", "identity", "settings", "defaults", "texture_digest", "steps", "complete", "steps_to_train"):
+      self.assertEqual(getattr(kept, field), getattr(run, field), field)
+    for log in runs.LOGS:
+      self.assertEqual(kept.logs[log].jsonl(), (self.folder / f"run/{log}.jsonl").read_text())
+    files = runs._read_result(str(self.folder / "kept.npz"))  # pylint: disable=protected-access
+    self.assertEqual(files.config, (self.folder / "run/config.txt").read_text())
+    self.assertEqual(files.run_json, (self.folder / "run/run.json").read_text())
+    before = (self.folder / "kept.npz").read_bytes()
+    runs.save_result(str(self.folder / "run"), str(self.folder / "kept.npz"))
+    self.assertEqual((self.folder / "kept.npz").read_bytes(), before, "the same bytes again")
+
+  def test_a_damaged_result_is_named_beside_the_others(self):
+    for name in ("a", "b", "c"):
+      write_run(self.folder / name, 1)
+      (self.folder / "kept").mkdir(exist_ok=True)
+      runs.save_result(str(self.folder / name), str(self.folder / f"kept/{name}.npz"))
+    content = bytearray((self.folder / "kept/b.npz").read_bytes())
+    content[len(content) // 3] ^= 255
+    (self.folder / "kept/b.npz").write_bytes(content)
+    found, unreadable = runs.read_runs([str(self.folder / "kept")])
+    self.assertEqual([run.folder[-1] for run in found], ["a", "c"])
+    self.assertEqual(len(unreadable), 1)
+    self.assertIn("kept/b.npz", unreadable[0])
+
+  def test_notebooks_get_tables(self):
+    write_run(self.folder / "a", 1)
+    table = runs.load(str(self.folder))
+    self.assertEqual((table["agent"][0], table["seed"][0], bool(table["complete"][0])), ("ppo_cnn", 1, True))
+    self.assertAlmostEqual(table["train"][0], math.sqrt(101) - 1)
+    episodes = runs.episodes(table["run"][0])
+    self.assertEqual((len(episodes), episodes["length"][0], episodes["reward"][0], episodes["collect_coal"][0]), (40, 100, 11, 2))
+
+
+def sample_run(folder, identity, seed, complete, score=0.0, curve_points=()):
+  """Stands in for a run; `curve_points`: (episodes, steps, reward, score)."""
+  steps = [point[1] for point in curve_points]
+  points = types.SimpleNamespace(score=[point[3] for point in curve_points], reward=[point[2] for point in curve_points],
+                                 index_at=lambda at: sum(step <= at for step in steps) - 1)
+  class Log(types.SimpleNamespace):
+    def __len__(self):
+      return self.n
+  logs = {log: Log(n=0, score=0) for log in runs.LOGS} | {"stats": Log(n=1, score=score)}
+  return types.SimpleNamespace(folder=folder, identity=identity, seed=seed, complete=complete, steps=1000 if complete else 500,
+                               training=logs["stats"], logs=logs, curve=points)
+
+
+class Groups(unittest.TestCase):
+
+  def test_spread_is_mean_and_sample_deviation(self):
+    spread = spread_of([1, 2, 6])
+    self.assertEqual((spread.n, spread.mean), (3, 3))
+    self.assertAlmostEqual(spread.deviation, math.sqrt(7))  # ((1-3)^2 + (2-3)^2 + (6-3)^2) / 2
+    self.assertEqual([spread.text(), spread_of([4]).text(), spread_of([]).text()], ["3.0 ± 2.6", "4.0", "-"])
+    self.assertIsNone(spread_of([4]).deviation)
+
+  def test_configurations_and_unfinished_runs_are_separate(self):
+    four = [sample_run("r1", "a", 2, True), sample_run("r2", "b", 1, True), sample_run("r3", "a", 1, True), sample_run("r4", "a", 3, False)]
+    groups = group_runs(four)
+    self.assertEqual(list(groups), ["a", "b"])
+    self.assertEqual(groups["a"].complete, [four[2], four[0]])
+    self.assertEqual(groups["a"].incomplete, [four[3]])
+
+  def test_a_seed_counts_once_the_complete_run_before_others(self):
+    three = [sample_run("r1", "a", 1, False), sample_run("r2", "a", 1, True), sample_run("r3", "a", 1, True)]
+    group = group_runs(three)["a"]
+    self.assertEqual((group.complete, group.incomplete, group.repeated), ([three[1]], [], [three[2], three[0]]))
+
+  def test_averages_complete_runs_that_have_the_measure(self):
+    three = [sample_run("r1", "a", 1, True, 2), sample_run("r2", "a", 2, True, 4), sample_run("r3", "a", 3, False, 90)]
+    three[1].logs["eval_sampled"].n, three[1].logs["eval_sampled"].score = 5, 7
+    group = group_runs(three)["a"]
+    self.assertEqual((group.over("train").n, group.over("train").mean), (2, 3))
+    self.assertEqual((group.over("eval").n, group.over("eval").mean), (1, 7))
+    self.assertEqual(group.over("final").n, 0)
+
+  def test_scores_at_a_milestone_are_of_runs_that_got_there(self):
+    two = [sample_run("r1", "a", 1, True, curve_points=[(1, 300, 0, 5), (2, 450, 0, 6), (3, 900, 0, 8)]),
+           sample_run("r2", "a", 2, False, curve_points=[(1, 400, 0, 2)])]
+    group = group_runs(two)["a"]
+    at = {steps: group.scores_at("train", steps) for steps in (100, 500, 900, 1001)}
+    self.assertEqual((at[500].mean, at[500].n), (4, 2))
+    self.assertEqual((at[900].mean, at[900].n), (8, 1))
+    self.assertEqual((at[100].n, at[1001].n), (0, 0))
+
+  def test_curves_have_the_last_point_of_every_run_at_each_place(self):
+    nine, ten = [(9, 100, 1, 1), (10, 200, 2, 3), (11, 800, 4, 5)], [(10, 300, 8, 7)]
+    def run(points):
+      padded = [(0, 0, 0, 0)] * (points[0][0] - 1) + points  # a curve has a point for each episode
+      return sample_run("r", "a", 1, True, curve_points=padded)
+    spread = spread_of_curves([run(nine), run(ten)], 1000)
+    self.assertEqual(len(spread.steps), 141)  # 300, 305, ..., 1000: from where both have ten episodes
+    self.assertEqual((spread.steps[0], spread.score[0].mean, spread.reward[0].mean), (300, 5, 5))
+    self.assertEqual((spread.steps[140], spread.score[140].mean), (1000, 6))
+    self.assertAlmostEqual(spread.score[140].deviation, math.sqrt(2))
+
+
+class Names(package.Case):
+
+  def names(self, *groups):
+    """Each of `groups`: folders and a configuration."""
+    answers = programs.ask([{"config": config} for _, config in groups])
+    made = []
+    for (folders, _), answer in zip(groups, answers):
+      group = Group()
+      group.complete = [types.SimpleNamespace(folder=folder, agent=answer["config"]["agent"], settings=answer["settings"],
+                                              defaults=answer["defaults"], built_in_textures=True) for folder in folders]
+      made.append(group)
+    return name_groups(made)
+
+  def test_runs_side_by_side_have_the_names_of_their_folders(self):
+    self.assertEqual(self.names((["runs/first"], "steps: 5000"), (["runs/second"], "steps: 9000")),
+                     [("runs/first", "first (ppo_cnn, steps=5000)"), ("runs/second", "second (ppo_cnn, steps=9000)")])
+
+  def test_seeds_have_the_name_of_their_common_folder(self):
+    self.assertEqual(self.names((["runs/wide/seed1", "runs/wide/seed2"], "lanes: 32"), (["runs/narrow/seed1"], "lanes: 8")),
+                     [("runs/wide", "wide (ppo_cnn, lanes=32)"), ("runs/narrow", "narrow (ppo_cnn, lanes=8)")])
+
+  def test_seeds_beside_other_runs_are_a_pattern(self):
+    self.assertEqual(self.names((["runs/wide-1", "runs/wide-2"], "lanes: 32"), (["runs/base-1", "runs/base-2"], "")),
+                     [("runs/wide-*", "wide-* (ppo_cnn, lanes=32)"), ("runs/base-*", "base-* (ppo_cnn)")])
+
+  def test_names_match_no_other_run(self):
+    named = self.names((["runs/a1", "runs/a3"], "lanes: 32"), (["runs/a2"], ""))
+    self.assertEqual([folder for folder, _ in named], ["runs/a1 and 1 more", "runs/a2"])
+    named = self.names((["runs"], "lanes: 32"), (["runs/seed1"], ""))
+    self.assertEqual([folder for folder, _ in named], ["runs", "runs/seed1"], "an enclosing run keeps its own folder")
+
+  def test_details_are_what_is_neither_the_agents_default_nor_usual(self):
+    named = self.names((["r/a"], "steps: 5000"),
+                       (["r/b"], "steps: 5000 agent: 'oc_sa' env { name: 'crafter:numbers=easy-x2' }"),
+                       (["r/c"], "steps: 5000 env { name: 'crafter:numbers=easy-x2' } eval { env: 'crafter' } seed: 7"),
+                       (["r/d"], "steps: 5000 ppo { gamma: 0.9 learning_rate: 0.001 epochs: 2 clip: 0.3 gae_lambda: 0.9 }"))
+    self.assertEqual([label for _, label in named],
+                     ["a (ppo_cnn)", "b (oc_sa, env=crafter:numbers=easy-x2)",
+                      "c (ppo_cnn, env=crafter:numbers=easy-x2, eval.env=crafter)",
+                      "d (ppo_cnn, clip=0.3, epochs=2, gae_lambda=0.9, 2 more)"])
+    self.assertEqual(self.names((["mine/seed1"], "ppo { gamma: 0.123 }"))[0][1], "mine (ppo_cnn)")
+    self.assertEqual(name_groups([]), [])
+
+  def test_short_names_distinguish_runs_without_their_common_folders(self):
+    for paths, names in ((["runs/a/seed1", "runs/a/seed2/"], ["seed1", "seed2"]),
+                         (["/runs/a/seed1", "/runs/b/seed1/stats.jsonl.gz"], ["a/seed1", "b/seed1"]),
+                         (["runs/first/stats.jsonl"], ["first"]), (["stats.jsonl"], ["stats.jsonl"]),
+                         (["runs/a", "runs/a"], ["a", "a"]), (["runs", "runs/a"], ["runs", "runs/a"]),
+                         (["r/a.npz", "r/b.npz"], ["a", "b"]), ([], [])):
+      self.assertEqual(short_names(paths), names)
+
+
+class Curves(package.Case):
+
+  def test_the_reward_is_the_mean_of_the_last_hundred(self):
+    (self.folder / "stats.jsonl").write_text(same_episodes(100, 1, 10) + same_episodes(50, 3, 10))
+    points = read_log(str(self.folder / "stats.jsonl")).curve()
+    self.assertEqual((points.reward[49], points.reward[149], points.steps[149], points.episodes[149]), (1, 2, 1500, 150))
+    rates = [100] + [100 / 3] * 2 + [0] * 19
+    self.assertAlmostEqual(points.score[149], math.expm1(sum(map(math.log1p, rates)) / 22))
+
+  def test_reads_a_folder_its_file_plain_or_gzipped_or_a_result(self):
+    write_run(self.folder / "plain", 1)
+    runs.save_result(str(self.folder / "plain"), str(self.folder / "plain.npz"))
+    (self.folder / "small").mkdir()
+    with gzip.open(self.folder / "small/stats.jsonl.gz", "wt") as file:
+      file.write(same_episodes(40, 11))
+    for path in ("plain", "plain/", "plain/stats.jsonl", "small", "small/stats.jsonl.gz", "plain.npz"):
+      self.assertEqual(runs.read_curve(str(self.folder / path)).score[-1], runs.read_curve(str(self.folder / "plain")).score[-1])
+
+  def test_names_the_error_of_a_run(self):
+    self.assertIn("it has no stats.jsonl", self.refusal(runs.read_curve, str(self.folder)))
+    self.assertIn("/none: no such run folder or file", self.refusal(runs.read_curve, str(self.folder / "none")))
+    (self.folder / "stats.jsonl").write_text("")
+    self.assertIn("no episode has finished yet", self.refusal(runs.read_curve, str(self.folder)))
+    (self.folder / "stats.jsonl").write_text("{}\n")
+    self.assertIn("stats.jsonl:1: ", self.refusal(runs.read_curve, str(self.folder)))
+
+  def reference(self, text):
+    (self.folder / "table.csv").write_text(text)
+    return curve.read_reference(str(self.folder / "table.csv"))
+
+  def test_a_reference_finds_its_columns_among_others(self):
+    points = self.reference("iter,steps,episodes,crafter_score_cum,ep_rew_mean100,losses\r\n1,4096,26,1.0045,1.25,\r\n"
+                            "2,8192,50,1.2387,1.34,0.5\r\n")
+    self.assertEqual((len(points), points.steps[1], points.episodes[1], points.reward[1], points.score[1]), (2, 8192, 50, 1.34, 1.2387))
+
+  def test_a_reference_names_the_line_and_column_that_are_wrong(self):
+    names = "episodes,steps,ep_rew_mean100,crafter_score_cum\n"
+    for text, message in (("", 'table.csv:1: no column "episodes"'), ("episodes,steps,reward\n", 'no column "ep_rew_mean100"'),
+                          (names, "no line after"), (names + "1,2,3,4\n1,2,x,4\n", ':3: ep_rew_mean100 is "x", want a number'),
+                          (names + "1,2,3\n", ':2: crafter_score_cum is ""')):
+      self.assertIn(message, self.refusal(self.reference, text))
+
+  @staticmethod
+  def named(name, steps):
+    import numpy as np  # pylint: disable=import-outside-toplevel
+    from analysis.episodes import Curve  # pylint: disable=import-outside-toplevel
+    array = np.array(steps)
+    return curve.NamedCurve(name, Curve(array // 100, array, 0.001 * array, 0.002 * array))
+
+  def test_the_table_has_the_last_values_of_runs_and_those_of_references_at_that_step(self):
+    self.assertEqual(curve.table([self.named("seed1", [1000, 2500]), self.named("seed2", [1000, 2000])],
+                                 [self.named("table.csv", [2000, 9000])]),
+                     "run        episodes      steps  reward, last 100  score\n"
+                     "seed1            25       2500              2.50   5.00\n"
+                     "seed2            20       2000              2.00   4.00\n"
+                     "table.csv        20       2000              2.00   4.00\n")
+
+  def test_curves_begin_at_ten_episodes_if_there_are_so_many_and_references_end_with_the_runs(self):
+    for steps, until, drawn in (([900, 999, 1000, 1100], None, [1000, 1100]), ([100, 300], None, [300]),
+                                ([1000, 2000, 3000], 2500, [1000, 2000]), ([4000, 5000], 2500, [4000])):
+      one = self.named("a", steps).curve
+      self.assertEqual(one.steps[curve.drawn_points(one, until)].tolist(), drawn)
+
+  def test_the_picture_is_the_same_again(self):
+    made = [curve.draw([self.named("a", [1000, 2000])], [self.named("b", [1000])]) for _ in range(2)]
+    self.assertEqual(made[0][:8], b"\x89PNG\r\n\x1a\n")
+    self.assertEqual(*made)
+
+
+class Experiments(package.Case):
+  AXES = """
+axes = [
+  { name = "agent", choices = [ { name = "a", label = "Agent A", config = { agent = "ppo_cnn" } },
+                                { name = "b", config = { agent = "ppo_spcnn" } } ] },
+  { name = "gamma", choices = [ { name = "gamma=0.5", config = { ppo.gamma = 0.5 } }, { name = "gamma=0.95", config = { ppo.gamma = 0.95 } },
+                                { name = "own" } ] },
+  { name = "clip", choices = [ { name = "clip=0.1", config = { ppo.clip = 0.1 } } ] },
+]
+"""
+
+  def parse(self, text):
+    return experiments.parse(self.AXES + text, "file.toml")
+
+  def test_a_product_has_every_combination_the_last_axis_fastest(self):
+    experiment, = self.parse('experiments = [{ name = "t", axes = [{ axis = "agent" }, { axis = "gamma" }] }]')
+    self.assertEqual([cell.name for cell in experiment.cells],
+                     ["a/gamma=0.5", "a/gamma=0.95", "a/own", "b/gamma=0.5", "b/gamma=0.95", "b/own"])
+    cell = experiment.cells[3]
+    self.assertEqual((cell.experiment, cell.folder, cell.choices), ("t", "t/b/gamma=0.5", (1, 0)))
+    self.assertEqual((cell.config["agent"], cell.config["ppo"]["gamma"], cell.config["ppo"]["clip"]), ("ppo_spcnn", 0.5, 0.2))
+    self.assertEqual((experiment.title, [choice.label for choice in experiment.axes[0].choices]), ("t", ["Agent A", "b"]))
+
+  def test_each_varies_one_axis_at_a_time(self):
+    experiment, = self.parse('experiments = [{ name = "t", combine = "each", axes = [{ axis = "clip" }, { axis = "gamma", only = ["gamma=0.5"] }] }]')
+    self.assertEqual([cell.name for cell in experiment.cells], ["clip=0.1", "gamma=0.5"])
+    self.assertEqual((experiment.cells[1].config["ppo"]["clip"], experiment.cells[1].axes), (0.2, (1,)))
+
+  def test_pairs_vary_every_two_axes(self):
+    experiment, = self.parse('experiments = [{ name = "t", combine = "pairs", axes = [{ axis = "agent", only = ["b"] }, '
+                             '{ axis = "clip" }, { axis = "gamma", only = ["own"] }] }]')
+    self.assertEqual([cell.name for cell in experiment.cells], ["b/clip=0.1", "b/own", "clip=0.1/own"])
+    self.assertEqual(experiment.cells[2].config["agent"], "ppo_cnn")
+
+  def test_choices_override_the_base(self):
+    cells = self.parse('experiments = [{ name = "t", base = { steps = 5000, ppo.gamma = 0.7, ppo.clip = 0.3 }, axes = [{ axis = "gamma" }] }]')[0].cells
+    self.assertEqual((cells[0].config["ppo"]["gamma"], cells[2].config["ppo"]["gamma"], cells[0].config["ppo"]["clip"]), (0.5, 0.7, 0.3))
+    self.assertEqual(cells[0].steps, 5000)
+
+  def test_cells_of_one_configuration_share_the_first_ones_folder(self):
+    _, second = self.parse('experiments = [{ name = "t", axes = [{ axis = "agent" }] }, '
+                           '{ name = "u", base = { agent = "ppo_spcnn" }, axes = [{ axis = "gamma" }] }]')
+    self.assertEqual([cell.folder for cell in second.cells], ["u/gamma=0.5", "t/b", "t/b"])
+
+  def test_bad_files_are_refused_with_the_place(self):
+    for text, message in (
+        ('experiments = [{ nam = "t" }]', 'unknown field "nam", want one of name, title'),
+        ('experiments = [{ name = "t", combine = "all" }]', "want one of product, each, pairs"),
+        ('experiments = [{ name = "t", axes = [{ axis = "x" }] }]', 'experiment "t": axis "x" is not in the file'),
+        ('experiments = [{ name = "t", axes = [{ axis = "agent", only = ["x"] }] }]', 'axis "agent" has no choice "x"'),
+        ('experiments = [{ name = "t" }, { name = "t" }]', 'experiment "t" occurs twice'),
+        ('experiments = [{ name = "../t" }]', 'experiment "../t": want letters'), ("", "no experiment in it"),
+        ("experiments = [{}]", 'experiment "": want letters'),
+        ('experiments = [{ name = "t", base = { ppo.gamma = 2 } }]', 'experiment "t": cell "t": configuration: ppo.gamma is 2'),
+        ('experiments = [{ name = "t", base = { ppo.gamma = 2 }, axes = [{ axis = "clip" }] }]', 'cell "clip=0.1": configuration: ppo.gamma is 2, want 0..1'),
+        ('experiments = [{ name = "t", base = { agnet = "x" } }]', "agnet"),
+        ('experiments = [{ name = "t", base = { env.name = "tetris" } }]', 'env.name: environment "tetris"'),
+        ('experiments = [{ name = "t", base = { eval.env = "tetris" } }]', 'eval.env: environment "tetris"'),
+        ('experiments = [{ name = "t", milestones = [2, 1] }]', "milestones do not ascend"),
+        ('experiments = [{ name = "t" ', "at end of document"), ('experiments {\n name: "t" }', "version 0.1 are in another format")):
+      refused = self.refusal(self.parse, text)
+      self.assertTrue(refused.startswith("file.toml: "), refused)
+      self.assertIn(message, refused)
+    twice = 'axes = [{ name = "x", choices = [{ name = "c" }, { name = "c" }] }]'
+    self.assertIn('axis "x": choice "c" occurs twice', self.refusal(experiments.parse, twice, "f"))
+
+  def test_the_papers_have_a_cell_for_every_number(self):
+    file = experiments.load(package.PAPER)
+    self.assertEqual({experiment.name: len(experiment.cells) for experiment in file}, {
+        "table1": 6, "no_inventory": 2, "asymptotic": 2, "ood_app": 48, "ood_num": 48, "ablation": 21, "sweeps": 35,
+        "heatmaps_atari": 210, "heatmaps_best": 210, "beyond": 3, "critic": 2, "reproduction": 3, "small": 11, "lanes": 3,
+        "no_inventory_300k": 2, "one_iteration": 7, "overlap_300k": 2, "precision_300k": 2})
+    cells = {f"{experiment.name}/{cell.name}": cell for experiment in file for cell in experiment.cells}
+    for name, cell in cells.items():
+      if name.startswith("ood_app/") and cell.config["env"]["name"] != "crafter":
+        self.assertEqual(cell.config["eval"]["env"], "crafter:appearance=0/33/33/34", "appearances that were rare or missing in training")
+    square = cells["heatmaps_atari/gamma=0.8/lambda=0.5"].config["ppo"]
+    self.assertEqual([square[key] for key in ("gamma", "gae_lambda", "epochs", "minibatch_size", "rollout_steps")], [0.8, 0.5, 10, 64, 1024])
+    # One lane plays the whole rollout, in one fragment if it fits a message: shorter ones would change the advantages.
+    one_lane = [cell.config for name, cell in cells.items() if name.startswith("heatmaps_atari/") or name.endswith("1x4096")]
+    self.assertEqual(len(one_lane), 210 + 2)
+    for config in one_lane:
+      self.assertEqual((config["lanes"], config["fragment_steps"]), (1, min(config["ppo"]["rollout_steps"], 4096)))
+    original = cells["reproduction/original_16x256"]
+    self.assertEqual((original.folder, original.texture_digest), ("reproduction/original_16x256", "8140aa54698876d7"))
+    self.assertEqual((cells["reproduction/ours_16x256"].folder, cells["critic/linear"].folder), ("table1/ppo_cnn", "table1/lstm_cnn"))
+    self.assertTrue(cells["reproduction/original_1x4096"].config["ppo"]["truncation_is_terminal"])
+
+
+class Statistics(unittest.TestCase):
+
+  # With df = 2 the probability beyond t is 1 - t / sqrt(t^2 + 2). Two samples of two with equal deviations have df = 2.
+  def test_welch(self):
+    t = 3.0
+    p = statistics.welch(Spread(2, t, 1.0), Spread(2, 0.0, 1.0))
+    self.assertAlmostEqual(p, 1 - t / math.sqrt(t * t + 2), 6)
+    self.assertAlmostEqual(statistics.welch(Spread(5, 11.1, 0.2), Spread(10, 10.3, 0.6)), 0.0028, 3)
+    self.assertIsNone(statistics.welch(Spread(1, 1.0, None), Spread(10, 10.3, 0.6)))
+    self.assertAlmostEqual(statistics.welch(Spread(2, 1.0, 0.5), Spread(2, 1.0, 0.5)), 1.0)
+
+  def test_rows_to_expect_within_two_deviations(self):
+    low, high = statistics.expected_within_two_deviations(10)
+    self.assertEqual((round(30 * low, 1), round(30 * high, 1)), (27.3, 28.6))
+
+  def test_intervals_contain_the_mean_and_narrow_with_the_spread(self):
+    low, high = statistics.interval_over_seeds([10, 11, 12, 13, 14])
+    self.assertTrue(10 <= low < 12 < high <= 14)
+    self.assertEqual(statistics.interval_over_seeds([5, 5, 5]), (5, 5))
+    self.assertEqual((low, high), statistics.interval_over_seeds([10, 11, 12, 13, 14]), "the same again")
+    import numpy as np  # pylint: disable=import-outside-toplevel
+    from analysis.episodes import Episodes  # pylint: disable=import-outside-toplevel
+    half = np.zeros((400, 22), int)
+    half[:200, :11] = 1
+    episodes = Episodes(np.full(400, 9), np.zeros(400, int), half)
+    low, high = statistics.interval_over_episodes([episodes])
+    self.assertTrue(low < episodes.score < high)
+    self.assertLess(high - low, 1.2)
+    few = statistics.interval_over_episodes([Episodes(episodes.length[::10], episodes.tenths[::10], half[::10])])
+    self.assertGreater(few[1] - few[0], 2 * (high - low))
+
+  def test_correlation(self):
+    self.assertAlmostEqual(statistics.correlation([1, 2, 3], [2, 4, 6]), 1)
+    self.assertIsNone(statistics.correlation([1, 2], [2, 4]))
+    self.assertIsNone(statistics.correlation([1, 1, 1], [2, 4, 5]))
+
+
+class Imports(unittest.TestCase):
+
+  def test_achievements_are_those_of_the_programs(self):
+    from analysis.episodes import ACHIEVEMENTS  # pylint: disable=import-outside-toplevel
+    names = json.loads("[" + (SOURCE / "common/base/crafter.h").read_text().partition("kAchievementNames")[2].partition("{")[2].lstrip("{ \n")
+                       .partition("}")[0].rstrip(", \n") + "]")
+    self.assertEqual(list(ACHIEVEMENTS), names)
+
+
+python_case.main()

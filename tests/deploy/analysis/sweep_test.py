@@ -1,0 +1,290 @@
+"""Plans of craftfleet sweep, its child processes, and its array job."""
+
+import fcntl
+import os
+import pathlib
+import subprocess
+import sys
+import threading
+import unittest
+
+from tests.fakes import python_case
+from tests.fakes.python_case import BIN, SOURCE, wait_until
+
+os.environ["CRAFTFLEET_BIN"] = str(BIN)
+sys.path.insert(0, str(SOURCE / "deploy/python/craftfleet"))
+
+from analysis import experiments, slurm, sweep  # noqa: E402  pylint: disable=wrong-import-position
+from analysis._cli import Refusal  # noqa: E402  pylint: disable=wrong-import-position
+
+# Two cells of 128 steps.
+FILE = python_case.SMALL_EXPERIMENT.replace("steps = 192", "steps = 128").replace(
+    'name = "small"', 'name = "t"\naxes = [{ axis = "gamma" }]') + """
+[[axes]]
+name = "gamma"
+choices = [{ name = "a" }, { name = "b", config = { ppo.gamma = %s } }]
+"""
+# Stands in for craftfleet-train: appends its arguments to LOGDIR/starts, then trains. FAKE_TRAIN: "half": for half of the steps;
+# "wait": the same, then waits for SIGTERM; "fail2": seed 2 fails.
+FAKE_TRAIN = f"""#!/usr/bin/env python3
+import os, signal, subprocess, sys
+mode = os.environ.get("FAKE_TRAIN", "")
+flags = dict(word.lstrip("-").partition("=")[::2] for word in sys.argv[1:])
+with open(flags["logdir"] + "/starts", "a") as file:
+  file.write(" ".join(sys.argv[1:]) + "\\n")
+if mode == "fail2" and flags.get("seed") == "2":
+  print("the last line says why\\n")
+  sys.exit(3)
+half = mode in ("half", "wait")
+words = [f"--steps={{int(flags['steps']) // 2}}" if half and word.startswith("--steps=") else word for word in sys.argv[1:]]
+signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))
+code = subprocess.run(["{BIN}/craftfleet-train", *words, "--threads=1"]).returncode
+if mode == "wait":
+  signal.pause()
+sys.exit(code)
+"""
+
+
+class Lines:
+  """Collects what a sweep prints."""
+
+  def __init__(self):
+    self.text = ""
+
+  def write(self, text):
+    self.text += text
+
+  def flush(self):
+    pass
+
+
+class Sweep(python_case.FolderCase):
+
+  def setUp(self):
+    super().setUp()
+    self.program = self.folder / "fake_train"
+    self.program.write_text(FAKE_TRAIN)
+    self.program.chmod(0o755)
+    self.out = Lines()
+    self.set_mode("")
+
+  def set_mode(self, mode):
+    os.environ["FAKE_TRAIN"] = mode
+
+  def jobs(self, seeds, gamma=0.5):
+    cells = sweep.select_cells(experiments.parse(FILE % gamma, "file.toml"), [], [])
+    return sweep.plan(cells, str(self.folder / "runs"), seeds)
+
+  def make(self, seeds=1, gamma=0.5, program=None):
+    return sweep.Sweep(self.jobs(seeds, gamma), str(program or self.program), 2, self.out, look_again=0.05)
+
+  def fails(self, made):
+    with self.assertRaises(Refusal) as caught:
+      made.run()
+    return str(caught.exception)
+
+  def starts(self, run):
+    path = self.folder / "runs/t" / run / "starts"
+    return path.read_text().splitlines() if path.exists() else []
+
+  def state(self, run):
+    return sweep.states([job for job in self.jobs(3) if job.name == f"t/{run}"])[0]
+
+  def test_runs_every_cell_with_every_seed_and_none_again(self):
+    self.make(2).run()
+    for run in ("a/seed1", "a/seed2", "b/seed1", "b/seed2"):
+      self.assertEqual(len(self.starts(run)), 1, run)
+      self.assertNotIn("--resume", self.starts(run)[0])
+      self.assertTrue((self.folder / "runs/t" / run / "log.txt").exists())
+      self.assertTrue(self.state(run).finished)
+    self.assertIn("4 done, 0 running, 0 left, 0 failed | 512/512 steps", self.out.text)
+    self.make(3).run()
+    self.assertEqual((len(self.starts("a/seed1")), len(self.starts("a/seed3"))), (1, 1))
+    self.assertIn("6 runs, of which 4 are done already; 2 at a time", self.out.text)
+
+  def test_resumes_unfinished_runs(self):
+    self.set_mode("half")
+    self.assertEqual(self.fails(self.make()), "2 of 2 runs failed")
+    self.assertIn("FAILED: t/a/seed1: it ended at 64 of 128 steps; see ", self.out.text)
+    self.set_mode("")
+    self.make().run()
+    self.assertEqual(len(self.starts("b/seed1")), 2)
+    self.assertIn("--resume --steps=128", self.starts("b/seed1")[1])
+
+  def test_a_failed_run_is_reported_with_its_last_line_and_stops_no_other(self):
+    self.set_mode("fail2")
+    self.assertEqual(self.fails(self.make(3)), "2 of 6 runs failed")
+    self.assertIn("FAILED: t/a/seed2: exit code 3: the last line says why (", self.out.text)
+    self.assertEqual(len(self.starts("b/seed3")), 1)
+    self.assertIn("4 done, 0 running, 0 left, 2 failed", self.out.text)
+
+  def test_stop_ends_its_runs_and_waits(self):
+    self.set_mode("wait")
+    made, ended = self.make(2), []
+    def run():
+      try:
+        made.run()
+      except sweep.Stopped as stopped:
+        ended.append(str(stopped))
+    thread = threading.Thread(target=run)
+    thread.start()
+    wait_until(lambda: self.state("a/seed1").begun and self.state("b/seed1").begun, "two runs")
+    made.stop()
+    thread.join()
+    self.assertEqual(ended, ["stopped with 0 of 4 runs done; the same command resumes the sweep"])
+    self.assertEqual(self.starts("a/seed2"), [])
+    self.assertEqual(sweep.folder_user(str(self.folder / "runs/t/a/seed1")), "")
+
+  def test_waits_for_a_folder_that_another_process_uses(self):
+    folder = self.folder / "runs/t/a/seed1"
+    folder.mkdir(parents=True)
+    with open(folder / "lock", "w", encoding="utf-8") as lock:
+      lock.write("process 1 on here\n")
+      lock.flush()
+      fcntl.flock(lock, fcntl.LOCK_EX)
+      thread = threading.Thread(target=self.make().run)
+      thread.start()
+      wait_until(lambda: self.state("b/seed1").finished, "the other run")
+      self.assertEqual(self.starts("a/seed1"), [])
+      self.assertIn(f"waits: run folder {folder} is in use by process 1 on here", self.out.text)
+    thread.join()
+    self.assertEqual(len(self.starts("a/seed1")), 1)
+
+  def test_refuses_a_folder_with_another_configuration(self):
+    self.set_mode("half")
+    self.fails(self.make())
+    self.set_mode("")
+    self.fails(self.make(gamma=0.6))
+    self.assertIn("FAILED: t/b/seed1: ", self.out.text)
+    self.assertIn("is not this cell's configuration", self.out.text)
+    self.assertEqual(len(self.starts("b/seed1")), 1)
+
+  def test_a_missing_program_fails_every_run(self):
+    self.fails(self.make(program="/nowhere/craftfleet-train"))
+    self.assertIn("cannot start /nowhere/craftfleet-train: No such file or directory", self.out.text)
+
+
+class Plan(python_case.FolderCase):
+  TWO = """
+axes = [{ name = "x", choices = [{ name = "a" }, { name = "ab", config = { ppo.gamma = 0.5 } }] },
+        { name = "y", choices = [{ name = "c" }, { name = "d", config = { ppo.clip = 0.1 } }] }]
+experiments = [{ name = "t", axes = [{ axis = "x" }, { axis = "y" }] }, { name = "u", axes = [{ axis = "x" }] }]
+"""
+
+  def setUp(self):
+    super().setUp()
+    self.file = experiments.parse(self.TWO, "f")
+
+  def select(self, names, cells):
+    return [f"{cell.experiment}/{cell.name}" for cell in sweep.select_cells(self.file, names, cells)]
+
+  def test_selects_cells_by_experiment_name_and_first_parts(self):
+    self.assertEqual(self.select([], []), ["t/a/c", "t/a/d", "t/ab/c", "t/ab/d", "u/a", "u/ab"])
+    self.assertEqual(self.select(["u"], []), ["u/a", "u/ab"])
+    self.assertEqual(self.select([], ["a"]), ["t/a/c", "t/a/d", "u/a"])
+    self.assertEqual(self.select(["t"], ["ab/d", "a/c"]), ["t/a/c", "t/ab/d"])
+    for names, cells, message in ((["v"], [], "--experiment=v, want one of t, u"), (["u"], ["a/c"], "--cell=a/c, want a cell that --list names")):
+      with self.assertRaises(Refusal) as caught:
+        self.select(names, cells)
+      self.assertEqual(str(caught.exception), message)
+
+  def test_every_cell_is_run_once_with_each_seed(self):
+    jobs = sweep.plan(sweep.select_cells(self.file, [], []), "/runs", 2, 5000, ["--threads=3"])
+    self.assertEqual([job.name for job in jobs], [f"t/{cell}/seed{seed}" for seed in (1, 2) for cell in ("a/c", "a/d", "ab/c", "ab/d")])
+    job = jobs[6]
+    self.assertEqual((job.folder, job.config_path, job.steps), ("/runs/t/ab/c/seed2", "/runs/t/ab/c/cell.txt", 5000))
+    shared = ["--steps=5000", "--logdir=/runs/t/ab/c/seed2", "--threads=3"]
+    self.assertEqual(job.start, ["--config=/runs/t/ab/c/cell.txt", "--seed=2", *shared])
+    self.assertEqual(job.resume, ["--resume", *shared])
+    self.assertEqual(job.config_text, "# t, ab/c; values that are not given have their defaults.\nppo {\n  gamma: 0.5\n}\n")
+    self.assertEqual(sweep.plan(sweep.select_cells(self.file, [], []), "/runs", 1)[0].steps, 1000000)
+
+  def test_the_folder_has_the_cells_file(self):
+    job = sweep.plan(sweep.select_cells(self.file, [], []), str(self.folder), 1)[0]
+    for text in (None, "other"):
+      if text:
+        pathlib.Path(job.config_path).write_text(text)
+      sweep.prepare_folder(job)
+      self.assertEqual(pathlib.Path(job.config_path).read_text(), job.config_text)
+
+  def test_cells_want_their_textures(self):
+    file = experiments.parse('axes = [{ name = "x", choices = [{ name = "a" }, { name = "b", texture_digest = "8140aa54698876d7" }] }]\n'
+                             'experiments = [{ name = "t", axes = [{ axis = "x" }] }]', "f")
+    cells = sweep.select_cells(file, [], [])
+    self.assertEqual([cell.name for cell in sweep.cells_with_textures(cells, "8140aa54698876d7")], ["a", "b"])
+    self.assertEqual([cell.name for cell in sweep.cells_with_textures(cells, "0")], ["a"])
+    with self.assertRaises(Refusal) as caught:
+      sweep.cells_with_textures(cells[1:], "0")
+    self.assertIn("cell t/b wants textures 8140aa54698876d7, not 0: give their folder with --textures", str(caught.exception))
+
+  def test_written_configurations_are_complete_ones_again(self):
+    self.run_program("craftfleet-sweep", str(SOURCE / "deploy/experiments/paper.toml"), f"--write_configs={self.folder}", "--experiment=ablation")
+    cells = next(experiment for experiment in experiments.load(str(SOURCE / "deploy/experiments/paper.toml")) if experiment.name == "ablation").cells
+    self.assertEqual(len(list(self.folder.rglob("*.txt"))), len(cells))
+    for cell in cells:
+      path = self.folder / f"ablation/{cell.name}.txt"
+      answer, = sweep.programs.ask([{"config": path.read_text()}])
+      self.assertEqual(answer["config"], cell.config)
+
+  def test_times_left(self):
+    self.assertEqual([sweep.time_left_text(seconds) for seconds in (59.4, 61, 7322, 90061)], ["59s", "1m1s", "2h2m", "1d1h"])
+
+
+class SlurmArray(python_case.FolderCase):
+
+  def array(self, logs="/runs/slurm"):
+    return slurm.Array(logs, 5, 2, ["/bin/craftfleet-sweep", "/it's here/paper.toml", "--logdir=/runs"], ["t/a/seed1", "t/b c/seed1"])
+
+  def run_task(self, task, srun_exit=0, state="RUNNING"):
+    """Task of the script with stand-ins for Slurm's commands: srun and scontrol print their arguments, squeue prints `state`."""
+    programs = (f"srun() {{ printf '[%s]' \"$@\"; return {srun_exit}; }}\nsqueue() {{ echo {state}; }}\n"
+                "scontrol() { echo scontrol \"$@\"; }\nexec() { \"$@\"; exit; }\n")
+    (self.folder / "script").write_text(programs + slurm.script(self.array()))
+    ended = subprocess.run(["bash", self.folder / "script"], capture_output=True, text=True, check=False, env=os.environ | {
+        "SLURM_ARRAY_JOB_ID": "7", "SLURM_CPUS_PER_TASK": "2", "SLURM_ARRAY_TASK_ID": str(task)})
+    return ended.stdout, ended.returncode
+
+  def test_asks_for_one_task_for_each_run(self):
+    script = slurm.script(self.array())
+    self.assertTrue(script.startswith("#!/usr/bin/env bash\n"))
+    for line in ("#SBATCH --array=0-1%5\n", '#SBATCH --output="/runs/slurm/%A_%a.log"\n', "#SBATCH --requeue\n",
+                 "#SBATCH --cpus-per-task=2\n", "#SBATCH --signal=TERM@60\n"):
+      self.assertIn(line, script)
+
+  def test_the_folder_of_the_logs_may_have_any_name(self):
+    script = slurm.script(self.array('/my runs/100%A, größe "1"/slurm'))
+    self.assertIn('#SBATCH --output="/my runs/100%%A, größe \\"1\\"/slurm/%A_%a.log"\n', script)
+
+  def test_each_task_runs_its_own_run(self):
+    self.assertEqual(self.run_task(0), ("[--cpu-bind=none][/bin/craftfleet-sweep][/it's here/paper.toml][--logdir=/runs]"
+                                        "[--run=t/a/seed1][--threads=2]", 0))
+    self.assertIn("[--run=t/b c/seed1]", self.run_task(1)[0])
+
+  def test_only_a_task_that_slurm_stops_is_requeued(self):
+    self.assertTrue(self.run_task(1, slurm.STOPPED)[0].endswith("scontrol requeue 7_1\n"))
+    self.assertEqual(self.run_task(1, 1)[1], 1)
+    self.assertEqual(self.run_task(1, slurm.STOPPED, "COMPLETING")[1], 75)
+
+  def test_a_shell_word_is_read_back_as_one_word(self):
+    for word, quoted in (("--logdir=/runs/a,b", "--logdir=/runs/a,b"), ("", "''"), ("$x `y`", "'$x `y`'"), ("it's", "'it'\\''s'")):
+      self.assertEqual(slurm.shell_word(word), quoted)
+
+
+class Commands(unittest.TestCase):
+
+  def test_help_errors_and_start_up(self):
+    for name in ("curve", "report", "sweep"):
+      program = BIN / f"craftfleet-{name}"
+      shown = subprocess.run([program, "--help"], capture_output=True, text=True, check=True).stdout
+      self.assertTrue(shown.startswith(f"craftfleet {name} "), shown)
+      self.assertLessEqual(shown.count("\n"), 40, "it fits a screen")
+      refused = subprocess.run([program, "--ou=x"], capture_output=True, text=True, check=False)
+      self.assertEqual(refused.returncode, 1)
+      self.assertIn(f"craftfleet {name}: unknown flag 'ou'", refused.stderr)
+    for words, message in ((["report", "--html=x"], "--html=x, want true or false"), (["sweep", "--seeds=x"], "--seeds=x, want a whole number"),
+                           (["report", "--out"], "--out needs a value"), (["report", "--outt=a"], "(did you mean --out?)")):
+      refused = subprocess.run([BIN / f"craftfleet-{words[0]}", *words[1:]], capture_output=True, text=True, check=False)
+      self.assertIn(message, refused.stderr)
+
+
+python_case.main()
