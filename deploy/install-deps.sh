@@ -45,7 +45,7 @@ packages=(
   libopenblas0-pthread  # with the reference BLAS, training is several times slower
   libopencv-core-dev libopencv-imgproc-dev  # not libopencv-dev, which needs every module
   libopencv-videoio-dev libopencv-highgui-dev
-  python3
+  python3 python3-matplotlib  # craftfleet report and curve
 )
 torch=2.11.0
 torch_gb=4.6
@@ -122,7 +122,7 @@ if [ -n "$core" ] && [ -z "$tests" ]; then
 fi
 if [ -n "$tests" ]; then
   packages+=(libgtest-dev libgmock-dev libbenchmark-dev libopencv-imgcodecs-dev)
-  packages+=(less xz-utils python3-venv python3-dev python3-yaml iproute2 prometheus munge slurmctld slurmd slurm-client tmux xvfb xdotool zsh
+  packages+=(less xz-utils python3-pandas python3-venv python3-dev python3-yaml iproute2 prometheus munge slurmctld slurmd slurm-client tmux xvfb xdotool zsh
     chromium chromium-driver python3-selenium qemu-user)
 fi
 if [ -n "$developer" ]; then
