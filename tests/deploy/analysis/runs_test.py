@@ -11,7 +11,7 @@ from tests.deploy.analysis.package import same_episodes, write_run
 from tests.fakes import python_case
 from tests.fakes.python_case import SOURCE
 
-from analysis import curve, experiments, programs, results, runs, statistics
+from analysis import curve, experiments, programs, runs, statistics
 from analysis.episodes import read_log
 from analysis.results import Group, group_runs, name_groups, short_names, spread_of_curves
 from analysis.statistics import Spread, spread_of

@@ -14,7 +14,7 @@ from tests.fakes.python_case import BIN, SOURCE, wait_until
 os.environ["CRAFTFLEET_BIN"] = str(BIN)
 sys.path.insert(0, str(SOURCE / "deploy/python/craftfleet"))
 
-from analysis import experiments, slurm, sweep  # noqa: E402  pylint: disable=wrong-import-position
+from analysis import experiments, programs, slurm, sweep_jobs, sweep_plan  # noqa: E402  pylint: disable=wrong-import-position
 from analysis._cli import Refusal  # noqa: E402  pylint: disable=wrong-import-position
 
 # Two cells of 128 steps.
@@ -72,11 +72,11 @@ class Sweep(python_case.FolderCase):
     os.environ["FAKE_TRAIN"] = mode
 
   def jobs(self, seeds, gamma=0.5):
-    cells = sweep.select_cells(experiments.parse(FILE % gamma, "file.toml"), [], [])
-    return sweep.plan(cells, str(self.folder / "runs"), seeds)
+    cells = sweep_plan.select_cells(experiments.parse(FILE % gamma, "file.toml"), [], [])
+    return sweep_plan.plan(cells, str(self.folder / "runs"), seeds)
 
   def make(self, seeds=1, gamma=0.5, program=None):
-    return sweep.Sweep(self.jobs(seeds, gamma), str(program or self.program), 2, self.out, look_again=0.05)
+    return sweep_jobs.Sweep(self.jobs(seeds, gamma), str(program or self.program), 2, self.out, look_again=0.05)
 
   def fails(self, made):
     with self.assertRaises(Refusal) as caught:
@@ -88,7 +88,7 @@ class Sweep(python_case.FolderCase):
     return path.read_text().splitlines() if path.exists() else []
 
   def state(self, run):
-    return sweep.states([job for job in self.jobs(3) if job.name == f"t/{run}"])[0]
+    return sweep_plan.states([job for job in self.jobs(3) if job.name == f"t/{run}"])[0]
 
   def test_runs_every_cell_with_every_seed_and_none_again(self):
     self.make(2).run()
@@ -124,7 +124,7 @@ class Sweep(python_case.FolderCase):
     def run():
       try:
         made.run()
-      except sweep.Stopped as stopped:
+      except sweep_jobs.Stopped as stopped:
         ended.append(str(stopped))
     thread = threading.Thread(target=run)
     thread.start()
@@ -133,7 +133,7 @@ class Sweep(python_case.FolderCase):
     thread.join()
     self.assertEqual(ended, ["stopped with 0 of 4 runs done; the same command resumes the sweep"])
     self.assertEqual(self.starts("a/seed2"), [])
-    self.assertEqual(sweep.folder_user(str(self.folder / "runs/t/a/seed1")), "")
+    self.assertEqual(sweep_jobs.folder_user(str(self.folder / "runs/t/a/seed1")), "")
 
   def test_waits_for_a_folder_that_another_process_uses(self):
     folder = self.folder / "runs/t/a/seed1"
@@ -176,7 +176,7 @@ experiments = [{ name = "t", axes = [{ axis = "x" }, { axis = "y" }] }, { name =
     self.file = experiments.parse(self.TWO, "f")
 
   def select(self, names, cells):
-    return [f"{cell.experiment}/{cell.name}" for cell in sweep.select_cells(self.file, names, cells)]
+    return [f"{cell.experiment}/{cell.name}" for cell in sweep_plan.select_cells(self.file, names, cells)]
 
   def test_selects_cells_by_experiment_name_and_first_parts(self):
     self.assertEqual(self.select([], []), ["t/a/c", "t/a/d", "t/ab/c", "t/ab/d", "u/a", "u/ab"])
@@ -189,7 +189,7 @@ experiments = [{ name = "t", axes = [{ axis = "x" }, { axis = "y" }] }, { name =
       self.assertEqual(str(caught.exception), message)
 
   def test_every_cell_is_run_once_with_each_seed(self):
-    jobs = sweep.plan(sweep.select_cells(self.file, [], []), "/runs", 2, 5000, ["--threads=3"])
+    jobs = sweep_plan.plan(sweep_plan.select_cells(self.file, [], []), "/runs", 2, 5000, ["--threads=3"])
     self.assertEqual([job.name for job in jobs], [f"t/{cell}/seed{seed}" for seed in (1, 2) for cell in ("a/c", "a/d", "ab/c", "ab/d")])
     job = jobs[6]
     self.assertEqual((job.folder, job.config_path, job.steps), ("/runs/t/ab/c/seed2", "/runs/t/ab/c/cell.txt", 5000))
@@ -197,24 +197,24 @@ experiments = [{ name = "t", axes = [{ axis = "x" }, { axis = "y" }] }, { name =
     self.assertEqual(job.start, ["--config=/runs/t/ab/c/cell.txt", "--seed=2", *shared])
     self.assertEqual(job.resume, ["--resume", *shared])
     self.assertEqual(job.config_text, "# t, ab/c; values that are not given have their defaults.\nppo {\n  gamma: 0.5\n}\n")
-    self.assertEqual(sweep.plan(sweep.select_cells(self.file, [], []), "/runs", 1)[0].steps, 1000000)
+    self.assertEqual(sweep_plan.plan(sweep_plan.select_cells(self.file, [], []), "/runs", 1)[0].steps, 1000000)
 
   def test_the_folder_has_the_cells_file(self):
-    job = sweep.plan(sweep.select_cells(self.file, [], []), str(self.folder), 1)[0]
+    job = sweep_plan.plan(sweep_plan.select_cells(self.file, [], []), str(self.folder), 1)[0]
     for text in (None, "other"):
       if text:
         pathlib.Path(job.config_path).write_text(text)
-      sweep.prepare_folder(job)
+      sweep_plan.prepare_folder(job)
       self.assertEqual(pathlib.Path(job.config_path).read_text(), job.config_text)
 
   def test_cells_want_their_textures(self):
     file = experiments.parse('axes = [{ name = "x", choices = [{ name = "a" }, { name = "b", texture_digest = "8140aa54698876d7" }] }]\n'
                              'experiments = [{ name = "t", axes = [{ axis = "x" }] }]', "f")
-    cells = sweep.select_cells(file, [], [])
-    self.assertEqual([cell.name for cell in sweep.cells_with_textures(cells, "8140aa54698876d7")], ["a", "b"])
-    self.assertEqual([cell.name for cell in sweep.cells_with_textures(cells, "0")], ["a"])
+    cells = sweep_plan.select_cells(file, [], [])
+    self.assertEqual([cell.name for cell in sweep_plan.cells_with_textures(cells, "8140aa54698876d7")], ["a", "b"])
+    self.assertEqual([cell.name for cell in sweep_plan.cells_with_textures(cells, "0")], ["a"])
     with self.assertRaises(Refusal) as caught:
-      sweep.cells_with_textures(cells[1:], "0")
+      sweep_plan.cells_with_textures(cells[1:], "0")
     self.assertIn("cell t/b wants textures 8140aa54698876d7, not 0: give their folder with --textures", str(caught.exception))
 
   def test_written_configurations_are_complete_ones_again(self):
@@ -223,11 +223,11 @@ experiments = [{ name = "t", axes = [{ axis = "x" }, { axis = "y" }] }, { name =
     self.assertEqual(len(list(self.folder.rglob("*.txt"))), len(cells))
     for cell in cells:
       path = self.folder / f"ablation/{cell.name}.txt"
-      answer, = sweep.programs.ask([{"config": path.read_text()}])
+      answer, = programs.ask([{"config": path.read_text()}])
       self.assertEqual(answer["config"], cell.config)
 
   def test_times_left(self):
-    self.assertEqual([sweep.time_left_text(seconds) for seconds in (59.4, 61, 7322, 90061)], ["59s", "1m1s", "2h2m", "1d1h"])
+    self.assertEqual([sweep_jobs.time_left_text(seconds) for seconds in (59.4, 61, 7322, 90061)], ["59s", "1m1s", "2h2m", "1d1h"])
 
 
 class SlurmArray(python_case.FolderCase):

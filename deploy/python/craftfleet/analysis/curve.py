@@ -12,8 +12,8 @@ from . import _cli
 from ._cli import Flag, OutputFile, Refusal, reason
 
 PROGRAM = "craftfleet curve"
-USAGE = """craftfleet curve RUN... draws the learning curves of runs and prints their last values. RUN is a run folder, its stats.jsonl,
-gzipped or plain, or a result file (.npz). The picture shows the mean reward of the last 100 episodes on the left, and the
+USAGE = """craftfleet curve RUN... draws the learning curves of runs and prints their last values. RUN is a run folder, its
+stats.jsonl, gzipped or plain, or a result file (.npz). The picture shows the mean reward of the last 100 episodes on the left, and the
 Crafter score over all training episodes so far on the right, against the environment steps of finished episodes.
 
   craftfleet curve --out=curve.png runs/first runs/second

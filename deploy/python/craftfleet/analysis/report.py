@@ -9,8 +9,8 @@ from . import _cli, experiments, figures, programs
 from ._cli import Flag, OutputFile, Refusal
 
 PROGRAM = "craftfleet report"
-USAGE = """craftfleet report DIR... makes the paper's tables from the runs in or below the given folders: mean and standard deviation
-over seeds with 95% intervals, compared with the paper's; success rates, learning curves with their spread, and heatmaps; as
+USAGE = """craftfleet report DIR... makes the paper's tables from the runs in or below the given folders: mean and standard
+deviation over seeds with 95% intervals, compared with the paper's; success rates, learning curves with their spread, and heatmaps; as
 Markdown, CSV and PNG. A run is a folder with config.txt and stats.jsonl, or a result file that deploy/experiments/collect.py
 made of one. Its configuration determines the cell of the table. The report marks cells without a run, and lists unfinished
 runs without averaging them. A run that cannot be read is named in a warning and left out; if there is no other, the program
@@ -20,7 +20,8 @@ ends with its error.
   craftfleet report runs/paper --out=report --html
   craftfleet report deploy/experiments/results --out=deploy/experiments/report --csv=false"""
 FLAGS = [
-    Flag("out", "string", "", "folder for the report: report.md, CSV files, pictures; -: report.md alone, on standard output (required)"),
+    Flag("out", "string", "",
+         "folder for the report: report.md, CSV files, pictures; -: report.md alone, on standard output (required)"),
     Flag("html", "bool", False,
          "also make report.html: a leaderboard of the runs with curves, in one file for browsers that needs no other"),
     Flag("csv", "bool", True, "make the CSV files, which have all digits"),

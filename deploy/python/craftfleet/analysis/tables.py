@@ -266,7 +266,8 @@ def compared_rows(experiment: ExperimentResult, paper: Figures, measure: str, co
 
   Without what is evaluated where it was trained: that is no case of generalisation.
   """
-  cells = [line[column] for line in experiment.matrix(0, 1) if line[column].is_complete and "eval" in line[column].group.first.settings]
+  column_cells = [line[column] for line in experiment.matrix(0, 1) if line[column].is_complete]
+  cells = [cell for cell in column_cells if "eval" in cell.group.first.settings]
   rows = [(cell.over(measure), _figure(paper, experiment.name, cell.name, measure)) for cell in cells]
   return [(ours, figure) for ours, figure in rows if ours.n and figure]
 

@@ -1,6 +1,7 @@
 #include "deploy/cli/inspect/run_identity.h"
 
 #include <set>
+#include <utility>
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
