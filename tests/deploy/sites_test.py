@@ -208,7 +208,8 @@ class Names(Case):
       ended = self.run_in([BIN / program, *arguments], cwd=here, env=environment(HOME=str(home)))
       self.assertEqual(ended.returncode, 0, ended.stderr)
     self.assertEqual(list(here.iterdir()), [], "no folder named ~")
-    self.assertEqual({path.name for path in home.iterdir()}, {"run", "curve.png", "eval.json", "pictures", "report", "configs"})
+    made = {path.name for path in home.iterdir()} - {".cache", ".config"}  # where matplotlib keeps its list of fonts
+    self.assertEqual(made, {"run", "curve.png", "eval.json", "pictures", "report", "configs"})
 
   def test_every_form_of_an_address_is_used_or_refused_with_what_to_write(self):
     flags = (["craftfleet-status", "address"], ["craftfleet-actor", "learner"], ["craftfleet-actor", "envservers"],
