@@ -13,8 +13,9 @@ from ._cli import Flag, OutputFile, Refusal, reason
 
 PROGRAM = "craftfleet curve"
 USAGE = """craftfleet curve RUN... draws the learning curves of runs and prints their last values. RUN is a run folder, its
-stats.jsonl, gzipped or plain, or a result file (.npz). The picture shows the mean reward of the last 100 episodes on the left, and the
-Crafter score over all training episodes so far on the right, against the environment steps of finished episodes.
+stats.jsonl, gzipped or plain, or a result file (.npz). The picture shows the mean reward of the last 100 episodes on the
+left, and the Crafter score over all training episodes so far on the right, against the environment steps of finished
+episodes.
 
   craftfleet curve --out=curve.png runs/first runs/second
   craftfleet curve --out=curve.png --reference=paper.csv deploy/experiments/results/ppo_cnn_300k/seed*.npz"""

@@ -10,11 +10,11 @@ from ._cli import Flag, OutputFile, Refusal
 
 PROGRAM = "craftfleet report"
 USAGE = """craftfleet report DIR... makes the paper's tables from the runs in or below the given folders: mean and standard
-deviation over seeds with 95% intervals, compared with the paper's; success rates, learning curves with their spread, and heatmaps; as
-Markdown, CSV and PNG. A run is a folder with config.txt and stats.jsonl, or a result file that deploy/experiments/collect.py
-made of one. Its configuration determines the cell of the table. The report marks cells without a run, and lists unfinished
-runs without averaging them. A run that cannot be read is named in a warning and left out; if there is no other, the program
-ends with its error.
+deviation over seeds with 95% intervals, compared with the paper's; success rates, learning curves with their spread, and
+heatmaps; as Markdown, CSV and PNG. A run is a folder with config.txt and stats.jsonl, or a result file that
+deploy/experiments/collect.py made of one. Its configuration determines the cell of the table. The report marks cells
+without a run, and lists unfinished runs without averaging them. A run that cannot be read is named in a warning and left
+out; if there is no other, the program ends with its error.
 
   craftfleet report runs/paper --out=report
   craftfleet report runs/paper --out=report --html
