@@ -7,7 +7,6 @@ import dataclasses
 import itertools
 import math
 import re
-import tomllib
 
 from . import programs
 from ._cli import Refusal, reason
@@ -187,6 +186,7 @@ def _complete(experiments: list[Experiment]) -> None:
 
 def parse(text: str, filename: str) -> list[Experiment]:
   """The experiments of a file's text.   Refusal: names the file, and the line or the experiment and cell."""
+  import tomllib  # of Python 3.11; older ones show help at least  # pylint: disable=import-outside-toplevel
   try:
     try:
       file = tomllib.loads(text)
