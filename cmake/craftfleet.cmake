@@ -42,9 +42,8 @@ function(craftfleet_library)
   endif()
 endfunction()
 
-# craftfleet_program(NAME craftfleet-actor SRCS ... DEPS ...): an executable in build/bin that is installed. An installed program
-# prefers the libraries in lib/craftfleet, where a bundle has its own (deploy/bundle.sh). It has an old-style RPATH, because a
-# RUNPATH does not apply to indirect dependencies.
+# craftfleet_program(NAME craftfleet-actor SRCS ... DEPS ...): an executable in build/bin that is installed. It finds
+# LibTorch through a link (cmake/libtorch.cmake), by an old-style RPATH, because a RUNPATH does not apply to indirect dependencies.
 function(craftfleet_program)
   cmake_parse_arguments(ARG "" "NAME" "SRCS;DEPS" ${ARGN})
   add_executable(${ARG_NAME} ${ARG_SRCS})
@@ -53,7 +52,7 @@ function(craftfleet_program)
   # The build tree uses the same RPATH. If CMake rewrote it when installing, it would reserve space with an empty entry, which
   # the loader takes for the working folder.
   set_target_properties(${ARG_NAME} PROPERTIES BUILD_WITH_INSTALL_RPATH ON
-    INSTALL_RPATH "$ORIGIN/../lib/craftfleet:$ORIGIN/../lib/craftfleet/libtorch")
+    INSTALL_RPATH "$ORIGIN/../lib/craftfleet/libtorch")
   install(TARGETS ${ARG_NAME} RUNTIME DESTINATION ${CMAKE_INSTALL_BINDIR})
   set_property(GLOBAL APPEND PROPERTY CRAFTFLEET_PROGRAMS ${ARG_NAME})
 endfunction()

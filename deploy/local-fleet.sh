@@ -7,7 +7,7 @@
 #   --learners=L     default 1; more share the updates out, at most gradient_shards of the run
 #   --actors=N       default 1
 #   --envservers=M   default 1
-#   --bin=DIR        folder of the programs; default: those of this checkout, installation or bundle, or else the folder in PATH
+#   --bin=DIR        folder of the programs; default: those of this checkout, installation or wheel, or else the folder in PATH
 #   --logdir=DIR     folder of the run; the workers' logs are appended to DIR/fleet/NAME.log
 #   LEARNER FLAG     any flag of craftfleet-learner (see its --help); --textures goes to the environment servers too
 # The exit code is the learner's, or 1 if no actor or no environment server is left.
@@ -20,7 +20,7 @@ say() { echo "local-fleet.sh: $*" >&2; }
 
 here=$(dirname "$(readlink -f "$0")")
 bin=$here/../build/bin
-[ -x "$bin/craftfleet-learner" ] || bin=$here/../../bin  # installed, or in a bundle
+[ -x "$bin/craftfleet-learner" ] || bin=$here/../../bin  # installed, also as a wheel
 [ -x "$bin/craftfleet-learner" ] || bin=$(dirname "$(command -v craftfleet-learner || echo "$bin/craftfleet-learner")")
 learners=1
 actors=1

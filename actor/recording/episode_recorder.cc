@@ -15,25 +15,25 @@
 namespace craftfleet {
 namespace {
 
-absl::StatusOr<AttentionLight> LightOf(const Policy& policy, const EpisodeRecorder::Options& options,
-                                       absl::string_view frame) {
-  CRAFTFLEET_ASSIGN_OR_RETURN(const AttentionMap map, policy.Attention(frame));
+absl::StatusOr<AttentionLight> LightOf(const EpisodeRecorder::AttentionSource& source,
+                                       const EpisodeRecorder::Options& options, absl::string_view frame) {
+  CRAFTFLEET_ASSIGN_OR_RETURN(const AttentionMap map, source(frame));
   CRAFTFLEET_ASSIGN_OR_RETURN(const std::vector<float> weights, Choose(map, *options.attention));
   return options.fixed_scale ? LightOnFixedScale(map.patches, weights) : LightToHighest(map.patches, weights);
 }
 
 }  // namespace
 
-absl::StatusOr<std::unique_ptr<EpisodeRecorder>> EpisodeRecorder::Create(const Options& options, const Policy* policy,
-                                                                         absl::Time start) {
+absl::StatusOr<std::unique_ptr<EpisodeRecorder>> EpisodeRecorder::Create(const Options& options,
+                                                                         AttentionSource attention, absl::Time start) {
   if (options.attention.has_value()) {
     const std::string black(size_t{3} * options.frame_size * options.frame_size, '\0');
-    CRAFTFLEET_RETURN_IF_ERROR(LightOf(*policy, options, black).status());
+    CRAFTFLEET_RETURN_IF_ERROR(LightOf(attention, options, black).status());
   }
   for (const std::string& folder : {options.video_folder, options.npz_folder, options.picture_folder}) {
     if (!folder.empty()) CRAFTFLEET_RETURN_IF_ERROR(CreateFolders(folder));
   }
-  return std::unique_ptr<EpisodeRecorder>(new EpisodeRecorder(options, policy, start));
+  return std::unique_ptr<EpisodeRecorder>(new EpisodeRecorder(options, std::move(attention), start));
 }
 
 absl::Status EpisodeRecorder::OnStart(int64_t number, const Moment& moment) {
@@ -68,7 +68,7 @@ absl::Status EpisodeRecorder::FinishAll() {
 
 absl::StatusOr<std::string> EpisodeRecorder::Show(const Moment& moment) const {
   if (!options_.attention.has_value()) return moment.picture;
-  CRAFTFLEET_ASSIGN_OR_RETURN(const AttentionLight light, LightOf(*policy_, options_, moment.frame));
+  CRAFTFLEET_ASSIGN_OR_RETURN(const AttentionLight light, LightOf(attention_, options_, moment.frame));
   const int size = options_.picture_size;
   const std::string overlay = OverlayAttention(moment.picture, size, light.brightness, options_.frame_size);
   return WithScale(SideBySide(moment.picture, overlay, size), size, light);

@@ -4,13 +4,16 @@
 #define CRAFTFLEET_ACTOR_RECORDING_EPISODE_RECORDER_H_
 
 #include <cstdint>
+#include <functional>
 #include <map>
 #include <memory>
 #include <optional>
 #include <string>
+#include <utility>
 
 #include <absl/status/status.h>
 #include <absl/status/statusor.h>
+#include <absl/strings/string_view.h>
 #include <absl/time/time.h>
 
 #include "actor/episode_observer.h"
@@ -18,7 +21,6 @@
 #include "actor/recording/picture.h"
 #include "actor/recording/video_file.h"
 #include "common/agent/attention_map.h"
-#include "common/agent/policy.h"
 #include "common/base/types.h"
 
 namespace craftfleet {
@@ -29,6 +31,9 @@ namespace craftfleet {
 // video is written while its episode is played; a table is kept in memory until then (17 KB a step).
 class EpisodeRecorder : public EpisodeObserver {
  public:
+  // As Policy::Attention; not the policy itself, which needs LibTorch.
+  using AttentionSource = std::function<absl::StatusOr<AttentionMap>(absl::string_view frame)>;
+
   struct Options {
     std::string video_folder;    // empty: no videos
     std::string npz_folder;      // empty: no tables
@@ -41,9 +46,9 @@ class EpisodeRecorder : public EpisodeObserver {
     int64_t first_episode = 1;                 // lowest episode number to record
   };
 
-  // Creates the folders. `policy`, the source of attention, outlives the recorder.
+  // Creates the folders. `attention` is called only if the options choose one.
   //   InvalidArgument: the policy does not have the chosen attention.   Others: codes of common/io/files.h.
-  static absl::StatusOr<std::unique_ptr<EpisodeRecorder>> Create(const Options& options, const Policy* policy,
+  static absl::StatusOr<std::unique_ptr<EpisodeRecorder>> Create(const Options& options, AttentionSource attention,
                                                                  absl::Time start);
 
   absl::Status OnStart(int64_t number, const Moment& moment) override;
@@ -60,8 +65,8 @@ class EpisodeRecorder : public EpisodeObserver {
     std::optional<EpisodeTable> table;  // nullopt: none
   };
 
-  EpisodeRecorder(const Options& options, const Policy* policy, absl::Time start)
-      : options_(options), policy_(policy), start_(start) {}
+  EpisodeRecorder(const Options& options, AttentionSource attention, absl::Time start)
+      : options_(options), attention_(std::move(attention)), start_(start) {}
 
   int picture_width() const { return options_.picture_size * (options_.attention.has_value() ? 2 : 1); }
   int picture_height() const {
@@ -76,7 +81,7 @@ class EpisodeRecorder : public EpisodeObserver {
   std::string Stem(int64_t number, const Recording& recording) const;
 
   const Options options_;
-  const Policy* const policy_;
+  const AttentionSource attention_;
   const absl::Time start_;
   std::map<int64_t, Recording> recordings_;  // of unfinished episodes, by number
 };

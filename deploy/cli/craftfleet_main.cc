@@ -27,6 +27,7 @@ constexpr Command kCommands[] = {
     {"eval", "score a checkpoint"},
     {"watch", "watch an agent play, live or as a video"},
     {"play", "play the game yourself, in a window or a terminal"},
+    {"policy", "choose actions for observations, for Python"},
     {"sweep", "run experiments: every cell of a table, with several seeds"},
     {"report", "make the paper's tables and figures from runs"},
     {"curve", "draw the learning curves of runs"},

@@ -179,7 +179,9 @@ absl::StatusOr<ScoreBoard> Play(const EvalPart& part, EpisodeRecorder::Options o
   std::unique_ptr<EpisodeRecorder> recorder;
   if (Records(options)) {
     options.first_episode = part.options.first_episode;
-    CRAFTFLEET_ASSIGN_OR_RETURN(recorder, EpisodeRecorder::Create(options, &policy, absl::Now()));
+    CRAFTFLEET_ASSIGN_OR_RETURN(
+        recorder, EpisodeRecorder::Create(
+                      options, [&policy](absl::string_view frame) { return policy.Attention(frame); }, absl::Now()));
   }
   RealClock clock;
   EvalProgress progress({part.name, part.options.episodes, isatty(STDERR_FILENO) == 1}, &std::cerr, &clock);

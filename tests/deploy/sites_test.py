@@ -134,6 +134,7 @@ class Limits(Case):
         "craftfleet-inspect": [],
         "craftfleet-learner": [f"--config={config}", f"--logdir={self.folder}/learner", "--listen=127.0.0.1:0"],
         "craftfleet-play": [],
+        "craftfleet-policy": [f"--checkpoint={run}"],
         "craftfleet-report": [run, f"--out={self.folder}/report"],
         "craftfleet-status": ["--address=127.0.0.1:1"],
         "craftfleet-sweep": [SOURCE / "deploy/experiments/paper.toml", "--list"],

@@ -85,9 +85,9 @@ class Slurm(python_case.FolderCase):
     self.assertIn("2 ranks share the updates out", self.job_log())
     self.expect_bytes_of_one_process(steps=192)
 
-  def use_a_bundle(self):
-    """Replaces the checkout by the layout of an unpacked bundle."""
-    root = self.folder / "bundle"
+  def use_a_wheel(self):
+    """Replaces the checkout by the layout of a Python environment with the wheel."""
+    root = self.folder / "venv"
     share = root / "share/craftfleet"
     share.mkdir(parents=True)
     (root / "bin").symlink_to(BIN)
@@ -96,7 +96,7 @@ class Slurm(python_case.FolderCase):
     self.cluster.env["CRAFTFLEET_ROOT"] = str(root)
 
   def test_a_preempted_fleet_is_requeued_and_resumes_as_if_never_stopped(self):
-    self.use_a_bundle()
+    self.use_a_wheel()
     job = self.submit_fleet(steps=10240)  # long enough to be going on still when the urgent job comes
     self.wait_for_checkpoint(2)
     urgent = self.sbatch("--partition=high", "--nodes=3", "--exclusive", "--wrap=sleep 1")

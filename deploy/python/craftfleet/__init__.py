@@ -4,6 +4,7 @@
     env = craftfleet.Env(seed=1)                                # in place of crafter.Env
     env = gymnasium.make("CraftFleet/Crafter-v1")               # Gymnasium
     envs = craftfleet.VectorEnv(64, threads=4)                  # many games in one array
+    run = craftfleet.train(steps=100_000, logdir="runs/first")  # the programs of CraftFleet
 """
 
 try:
@@ -15,14 +16,16 @@ except ImportError as error:
 from craftfleet import _registration
 from craftfleet.env import Env
 from craftfleet.gymnasium_env import GymnasiumEnv
+from craftfleet.policy import Policy
 from craftfleet.recorder import Recorder
 from craftfleet.remote import RemoteVectorEnv, Tls
-from craftfleet.runs import Score, load_weights, score
+from craftfleet.runs import Score, load_curves, load_weights, score
+from craftfleet.training import Run, evaluate, train
 from craftfleet.vector_env import VectorEnv
 
 __all__ = [
-    "ACHIEVEMENTS", "ACTIONS", "ITEMS", "Env", "GymnasiumEnv", "Recorder", "RemoteVectorEnv", "Score", "Tls", "VectorEnv",
-    "load_weights", "score"
+    "ACHIEVEMENTS", "ACTIONS", "ITEMS", "Env", "GymnasiumEnv", "Policy", "Recorder", "RemoteVectorEnv", "Run", "Score", "Tls",
+    "VectorEnv", "evaluate", "load_curves", "load_weights", "score", "train"
 ]
 __version__ = "0.2.0"
 

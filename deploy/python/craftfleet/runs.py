@@ -9,10 +9,16 @@ import math
 import os
 import pathlib
 import re
+import struct
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from craftfleet import _engine
+
+if TYPE_CHECKING:
+  import pandas
 
 
 @dataclasses.dataclass(frozen=True)
@@ -71,6 +77,59 @@ def load_weights(run: str | os.PathLike[str]) -> dict[str, np.ndarray]:
     return {name: _tensor(tensor, data) for name, tensor in header.items() if name != "__metadata__"}
   except (AttributeError, KeyError, TypeError, ValueError) as error:
     raise ValueError(f"{path}: not the weights of a checkpoint ({error}), want a safetensors file of float32") from None
+
+
+def load_curves(run: str | os.PathLike[str]) -> pandas.DataFrame:
+  """The curves of a run: a row for each number of environment steps, a column for each tag of TensorBoard. Needs pandas.
+
+  The tags are those of learner/run/FORMATS.md, section 6, such as "rollout/crafter_score". FileNotFoundError: there are none.
+  """
+  import pandas  # pylint: disable=import-outside-toplevel  # takes half a second, and only this needs it
+  rows: dict[int, dict[str, float]] = {}
+  for event in _records((pathlib.Path(run).expanduser() / "events.out.tfevents.craftfleet").read_bytes()):
+    fields = list(_fields(event))
+    step = next((value for number, value in fields if number == 2), 0)
+    values = [dict(_fields(value)) for number, summary in fields if number == 5 for _, value in _fields(summary)]
+    # A value's field 1 is its tag, field 2 a number; histograms and pictures have others.
+    rows.setdefault(step, {}).update((value[1].decode(), struct.unpack("<f", value[2])[0]) for value in values if 2 in value)
+  steps = sorted(step for step, row in rows.items() if row)
+  return pandas.DataFrame([rows[step] for step in steps], index=pandas.Index(steps, name="env_steps"))
+
+
+def _records(content: bytes) -> Iterator[bytes]:
+  """The records of a TFRecord file, without one that is being written."""
+  position = 0
+  while position + 12 <= len(content):
+    size = int.from_bytes(content[position:position + 8], "little")
+    if position + 16 + size > len(content):
+      return
+    yield content[position + 12:position + 12 + size]
+    position += 16 + size
+
+
+def _fields(message: bytes) -> Iterator[tuple[int, Any]]:
+  """Number and value of each field of a Protobuf message: an integer, or bytes."""
+  position = 0
+
+  def varint() -> int:
+    nonlocal position
+    value = shift = 0
+    while True:
+      byte = message[position]
+      position += 1
+      value |= (byte & 127) << shift
+      shift += 7
+      if byte < 128:
+        return value
+
+  while position < len(message):
+    key = varint()
+    if key & 7 == 0:
+      yield key >> 3, varint()
+      continue
+    size = {1: 8, 5: 4}.get(key & 7) or varint()
+    yield key >> 3, message[position:position + size]
+    position += size
 
 
 def _episode(file: pathlib.Path, number: int, line: str) -> dict[str, float]:

@@ -11,6 +11,7 @@
 #include <opencv2/imgcodecs.hpp>
 #include <opencv2/videoio.hpp>
 
+#include "common/agent/policy.h"
 #include "common/io/files.h"
 #include "tests/fakes/command_output.h"
 #include "tests/fakes/sample_policy.h"
@@ -40,6 +41,10 @@ Moment MomentAt(int step) {
   moment.inventory.fill(9);
   for (int i = 0; i < step / 2; ++i) moment.achievements[i] = step;
   return moment;
+}
+
+EpisodeRecorder::AttentionSource AttentionOf(const Policy& policy) {
+  return [&policy](absl::string_view frame) { return policy.Attention(frame); };
 }
 
 class EpisodeRecorderTest : public testing::Test {
@@ -158,7 +163,7 @@ TEST_F(EpisodeRecorderTest, ShowsAttentionOnTheRight) {
   options_.frame_size = 72;
   options_.attention = AttentionChoice();
   options_.picture_folder = folder_ / "pictures";
-  auto recorder = EpisodeRecorder::Create(options_, policy.get(), absl::Now());
+  auto recorder = EpisodeRecorder::Create(options_, AttentionOf(*policy), absl::Now());
   ASSERT_THAT(recorder, IsOk());
   Moment moment = MomentAt(5);
   moment.frame.assign(size_t{3} * 72 * 72, '\1');
@@ -179,7 +184,7 @@ TEST_F(EpisodeRecorderTest, AttentionHasAScaleInVideosToo) {
   options_.attention = AttentionChoice();
   options_.fixed_scale = true;
   options_.video_folder = folder_ / "video";
-  auto recorder = EpisodeRecorder::Create(options_, policy.get(), absl::Now());
+  auto recorder = EpisodeRecorder::Create(options_, AttentionOf(*policy), absl::Now());
   ASSERT_THAT(recorder, IsOk());
   Moment moment = MomentAt(0);
   moment.frame.assign(size_t{3} * 72 * 72, '\1');
@@ -198,7 +203,7 @@ TEST_F(EpisodeRecorderTest, RefusesAttentionThatTheAgentDoesNotHave) {
   options_.attention = AttentionChoice();
   options_.video_folder = folder_ / "video";
   const auto policy = SamplePolicy(1);
-  EXPECT_THAT(EpisodeRecorder::Create(options_, policy.get(), absl::Now()),
+  EXPECT_THAT(EpisodeRecorder::Create(options_, AttentionOf(*policy), absl::Now()),
               StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("ppo_cnn")));
   EXPECT_FALSE(PathExists(folder_ / "video"));
 }

@@ -3,7 +3,7 @@
 
 Trains each agent for some iterations in each precision. Prints environment steps per second (of the median iteration, the
 first one not counted) and, on an NVIDIA GPU, the most memory and the mean utilisation of the whole GPU. With --repeat each
-run is made twice. A line of JSON is added to --out after each run. Needs Python alone, so that it can run beside a bundle.
+run is made twice. A line of JSON is added to --out after each run. Needs Python alone, so that it can run beside a wheel.
 
   tests/bench/train/device_bench.py --bin=build/bin --device=cuda --precisions=FP32,TF32,BF16 --out=gpu.jsonl
   tests/bench/train/device_bench.py --bin=build/bin --agents=ppo_cnn --iterations=4 --repeat          on the CPU

@@ -1,0 +1,154 @@
+"""Runs CraftFleet's programs: where they are, their progress, their errors."""
+
+from __future__ import annotations
+
+import contextlib
+import importlib.util
+import os
+import pathlib
+import queue
+import re
+import shutil
+import signal
+import subprocess
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from typing import IO, Any
+
+STOPPED = 130  # the exit code of a program that a signal stopped
+
+# What a line says of the progress: the part done, the whole, and its unit.
+PROGRESS = re.compile(r"(?:\w+: )?([\d,]+)(?:/| of )([\d,]+) (steps|episodes)\b")
+
+
+def find(name: str) -> tuple[list[str], dict[str, str]]:
+  """The command of `craftfleet NAME`, and its environment.
+
+  FileNotFoundError: there are no programs; ModuleNotFoundError: the program needs torch, and Python doesn't find it.
+  """
+  if importlib.util.find_spec("craftfleet_programs") is not None:
+    import craftfleet_programs  # pylint: disable=import-outside-toplevel  # only wheels have it
+    return craftfleet_programs.command(f"craftfleet-{name}")
+  path = shutil.which(f"craftfleet-{name}")
+  if path is None:
+    raise FileNotFoundError(
+        f"craftfleet-{name} is not in PATH: this package was installed without the programs; install a wheel that has them "
+        "(deploy/wheel.sh), or put the folder of a build, such as build/bin, into PATH")
+  return [path], dict(os.environ)
+
+
+def flags(**values: Any) -> list[str]:
+  """`--name=value` of each value that is not None."""
+  texts = {True: "true", False: "false"}
+  return [f"--{name}={texts[value] if isinstance(value, bool) else value}" for name, value in values.items() if value is not None]
+
+
+def start(name: str, arguments: list[str], **options: Any) -> subprocess.Popen:
+  """Starts `craftfleet NAME` in a session of its own, so that Ctrl-C in a terminal reaches this process alone."""
+  command, environment = find(name)
+  return subprocess.Popen([*command, *arguments], env=environment, start_new_session=True, **options)
+
+
+def run(name: str, arguments: list[str], progress: bool) -> str:
+  """Runs `craftfleet NAME` to its end, shows its progress and returns its output.
+
+  ValueError: the program refused what it was given; RuntimeError: it failed later. Both have its words. KeyboardInterrupt stops the
+  program as Ctrl-C does, a second one at once, and is raised when it has ended.
+  """
+  process = start(
+      name, arguments, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, errors="replace")
+  output: list[str] = []
+  errors: list[str] = []
+  with _stopping(process), _Display(progress) as display:
+    for is_error, line in _lines(process):
+      (errors if is_error else output).append(line)
+      display.show(line, is_error)
+  if process.wait() != 0:
+    raise (RuntimeError if output else ValueError)(failure(name, process.returncode, errors))
+  return "".join(f"{line}\n" for line in output)
+
+
+def failure(name: str, code: int, errors: list[str]) -> str:
+  """What a program that ended with `code` said on standard error, without its name and without its log."""
+  said = [line for line in errors if line.strip() and not re.match(r"\d\d:\d\d:\d\d\.\d+ \w+: ", line) and not PROGRESS.match(line)]
+  text = "\n".join(said).removeprefix(f"craftfleet {name}: ").removeprefix("ERROR: ")
+  return text or f"craftfleet {name} ended with exit code {code}"
+
+
+@contextlib.contextmanager
+def _stopping(process: subprocess.Popen) -> Iterator[None]:
+  """Stops the process when the block is left by an exception; the program saves what it has."""
+  try:
+    yield
+  except BaseException:
+    while process.poll() is None:
+      with contextlib.suppress(KeyboardInterrupt):  # the next one ends the program at once
+        process.send_signal(signal.SIGINT)
+        process.wait()
+    raise
+
+
+def _lines(process: subprocess.Popen) -> Iterator[tuple[bool, str]]:
+  """The lines of standard output and standard error (True), in the order in which they come."""
+  lines: queue.Queue[tuple[bool, str | None]] = queue.Queue()
+
+  def read(stream: IO[str], is_error: bool) -> None:
+    with stream:
+      for line in stream:
+        lines.put((is_error, line.rstrip("\n")))
+    lines.put((is_error, None))
+
+  for stream, is_error in ((process.stdout, False), (process.stderr, True)):
+    threading.Thread(target=read, args=(stream, is_error), daemon=True).start()
+  open_streams = 2
+  while open_streams:
+    is_error, line = lines.get()
+    if line is None:
+      open_streams -= 1
+    else:
+      yield is_error, line
+
+
+class _Display:
+  """Shows progress with tqdm if it is installed, also in notebooks; else the programs' lines."""
+
+  def __init__(self, enabled: bool) -> None:
+    self._bar: Any = None
+    self._make_bar: Callable[..., Any] | None = None
+    self._enabled = enabled
+    if enabled and importlib.util.find_spec("tqdm") is not None:
+      from tqdm.auto import tqdm  # pylint: disable=import-outside-toplevel  # an optional package
+      self._make_bar = tqdm
+
+  def __enter__(self) -> _Display:
+    return self
+
+  def __exit__(self, *_: object) -> None:
+    if self._bar is not None:
+      self._bar.close()
+
+  def show(self, line: str, is_error: bool) -> None:
+    """Shows a line of progress or of the program's log."""
+    if not self._enabled:
+      return
+    found = PROGRESS.match(line)
+    if found is None:
+      if re.match(r"\d\d:\d\d:\d\d\.\d+ ", line):
+        print(line, file=sys.stderr)
+      return
+    if self._make_bar is None:
+      print(line, file=sys.stderr if is_error else sys.stdout, flush=True)
+      return
+    done, total = (int(number.replace(",", "")) for number in found.group(1, 2))
+    if self._bar is None or self._bar.total != total:
+      self.__exit__()
+      self._bar = self._make_bar(total=total, unit=f" {found[3]}")
+    self._bar.n = done
+    self._bar.set_postfix_str(line.rpartition(" left")[2].strip(" |"), refresh=False)
+    self._bar.refresh()
+
+
+def folder(path: str | os.PathLike[str]) -> pathlib.Path:
+  """The path without ~, absolute."""
+  return pathlib.Path(path).expanduser().absolute()

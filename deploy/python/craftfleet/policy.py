@@ -1,0 +1,107 @@
+"""craftfleet.Policy: the actions of a trained agent, computed by `craftfleet policy`, the programs' own network."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import tempfile
+from typing import Any
+
+import numpy as np
+
+from craftfleet import _programs
+
+
+class Policy:
+  """The policy of a run's newest checkpoint, or of a checkpoint: `action = craftfleet.Policy("runs/first")(observation)`.
+
+  It follows the games from call to call, because agents may have a state: pass every observation of each game in turn. It runs a
+  process of its own until close(). Use an object from one thread at a time. ValueError and RuntimeError have the program's words.
+
+  Attributes:
+    agent: its name. env_steps: steps of training. frame_size: pixels of observations. has_memory: whether it needs rewards.
+  """
+
+  def __init__(self, checkpoint: str | os.PathLike[str], *, deterministic: bool = False, seed: int = 0) -> None:
+    self._games = 0
+    self._errors = tempfile.TemporaryFile()  # pylint: disable=consider-using-with  # close() closes it
+    self._process = _programs.start(
+        "policy", _programs.flags(checkpoint=_programs.folder(checkpoint), deterministic=deterministic, seed=seed),
+        stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=self._errors)
+    line = self._process.stdout.readline()
+    if not line:
+      raise ValueError(self._failure())
+    about = json.loads(line)
+    self.agent: str = about["agent"]
+    self.env_steps: int = about["env_steps"]
+    self.frame_size: int = about["frame_size"]
+    self.has_memory: bool = about["has_memory"]
+
+  def __call__(self, observations: Any, rewards: Any = None, starts: Any = None) -> Any:
+    """The action for an observation, uint8[H,W,3], or int64[n] for those of n games, uint8[n,H,W,3].
+
+    Args:
+      observations: of the same games in each call.
+      rewards: those that came with them; only agents with a memory need them.
+      starts: whether an episode begins with the observation; in the first call it does. For VectorEnv with SAME_STEP it is
+        `terminated | truncated` of the step.
+    """
+    frames = np.ascontiguousarray(observations)
+    size = self.frame_size
+    if frames.dtype != np.uint8 or frames.ndim not in (3, 4) or frames.shape[-3:] != (size, size, 3):
+      raise ValueError(f"observations are {frames.dtype}{list(frames.shape)}, want uint8[{size}, {size}, 3] or uint8[n, {size}, {size}, 3]")
+    games = frames.shape[0] if frames.ndim == 4 else 1
+    first = self._games == 0
+    if games < 1 or (not first and games != self._games):
+      raise ValueError(f"observations of {games} games, want {self._games or 'one or more'}")
+    if rewards is None and self.has_memory and not first:
+      raise ValueError(f"{self.agent} remembers achievements: pass the rewards that came with the observations")
+    rewards = self._each("rewards", 0 if rewards is None else rewards, games, "<f4")
+    starts = self._each("starts", first if starts is None else starts, games, np.bool_)
+    request = games.to_bytes(4, "little") + starts.tobytes() + rewards.tobytes() + frames.tobytes()
+    actions = self._ask(request, games)
+    self._games = games
+    return actions if frames.ndim == 4 else int(actions[0])
+
+  def close(self) -> None:
+    """Ends the process."""
+    self._process.kill()
+    self._process.wait()
+    for stream in (self._process.stdin, self._process.stdout, self._errors):
+      stream.close()
+
+  def __enter__(self) -> Policy:
+    return self
+
+  def __exit__(self, *_: object) -> None:
+    self.close()
+
+  def __del__(self) -> None:
+    if hasattr(self, "_process"):
+      self.close()
+
+  @staticmethod
+  def _each(name: str, values: Any, games: int, kind: Any) -> np.ndarray:
+    array = np.asarray(values)
+    if array.ndim != 0 and array.shape != (games,):
+      raise ValueError(f"{name} has shape {array.shape}, want ({games},)")
+    return np.ascontiguousarray(np.broadcast_to(array, (games,)), dtype=kind)
+
+  def _ask(self, request: bytes, games: int) -> np.ndarray:
+    if self._process.stdin.closed:
+      raise RuntimeError("the policy is closed")
+    try:
+      self._process.stdin.write(request)
+      self._process.stdin.flush()
+      answer = self._process.stdout.read(games)
+    except BrokenPipeError:
+      answer = b""
+    if len(answer) != games:
+      raise RuntimeError(self._failure())
+    return np.frombuffer(answer, np.uint8).astype(np.int64)
+
+  def _failure(self) -> str:
+    code = self._process.wait()
+    self._errors.seek(0)
+    return _programs.failure("policy", code, self._errors.read().decode(errors="replace").splitlines())

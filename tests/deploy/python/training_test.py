@@ -1,0 +1,257 @@
+"""craftfleet.train, evaluate, Run and Policy: Python starts the real programs and gets what they make."""
+
+import contextlib
+import importlib
+import io
+import json
+import os
+import signal
+import subprocess
+import sys
+import unittest.mock
+
+from tests.deploy.python import package
+from tests.fakes import python_case
+from tests.fakes.python_case import BIN, SMALL_RUN, wait_until
+
+package.need("craftfleet", "numpy", "pandas", "tqdm", "tensorboard")
+import craftfleet  # pylint: disable=wrong-import-position
+import numpy as np  # pylint: disable=wrong-import-position
+
+ENDLESS = SMALL_RUN.replace("steps: 192", "steps: 1000000000")
+
+
+class Case(python_case.FolderCase):
+
+  def setUp(self):
+    super().setUp()
+    path = unittest.mock.patch.dict(os.environ, PATH=f"{BIN}:{os.environ['PATH']}")
+    path.start()
+    self.addCleanup(path.stop)
+    self.config = self.folder / "config.txt"
+    self.config.write_text(SMALL_RUN)
+
+  def train(self, name="run", **flags):
+    return craftfleet.train(config=self.config, logdir=self.folder / name, progress=False, **flags)
+
+
+class Training(Case):
+
+  def test_a_run_is_that_of_the_program(self):
+    run = self.train(seed=5)
+    self.run_program("craftfleet-train", f"--config={self.config}", "--seed=5", f"--logdir={self.folder}/program")
+    for file in ("stats.jsonl", "checkpoints/iter-00000003/weights.safetensors"):
+      self.assertEqual((run.folder / file).read_bytes(), (self.folder / "program" / file).read_bytes(), file)
+    self.assertEqual(run.score, craftfleet.score(self.folder / "program").score)
+    self.assertEqual(set(run.weights), set(craftfleet.load_weights(self.folder / "program")))
+    self.assertEqual(craftfleet.Run(run.folder).score, run.score)
+
+  def test_the_curves_are_those_of_tensorboard(self):
+    from tensorboard.backend.event_processing import event_accumulator  # pylint: disable=import-outside-toplevel
+    curves = self.train().curves
+    board = event_accumulator.EventAccumulator(str(self.folder / "run"))
+    board.Reload()
+    self.assertEqual(set(curves.columns), set(board.Tags()["scalars"]))
+    self.assertEqual((list(curves.index), curves.index.name), ([64, 128, 192], "env_steps"))
+    for tag in curves.columns:
+      theirs = {event.step: event.value for event in board.Scalars(tag)}
+      self.assertEqual(curves[tag].dropna().to_dict(), theirs, tag)
+    events = self.folder / "run/events.out.tfevents.craftfleet"
+    events.write_bytes(events.read_bytes()[:-1])  # as while the program writes
+    self.assertGreater(len(craftfleet.load_curves(self.folder / "run")), 0)
+
+  def test_a_refused_argument_is_a_value_error_with_the_programs_words(self):
+    for flags, words in (({"steps": "many"}, r"^--steps=many, want a whole number"), ({"agent": "nobody"}, r'^agent "nobody" is unknown'),
+                         ({"colour": "red"}, r"^unknown flag 'colour'")):
+      with self.assertRaisesRegex(ValueError, words):
+        self.train(**flags)
+    self.train()
+    with self.assertRaisesRegex(ValueError, "--resume"):
+      self.train()
+    with self.assertRaisesRegex(FileNotFoundError, "no run, want a folder with config.txt"):
+      craftfleet.evaluate(self.folder / "nothing")
+    with self.assertRaisesRegex(ValueError, r"^--episodes=0, want 1\.\.10000"):
+      craftfleet.evaluate(self.folder / "run", episodes=0, progress=False)
+
+  def test_a_failure_on_the_way_is_a_runtime_error(self):
+    self.config.write_text(ENDLESS)
+    killer = subprocess.Popen(["sh", "-c", f"until [ -e {self.folder}/run/checkpoints/iter-00000001 ]; do sleep 0.1; done;"
+                               f"kill -KILL $(sed 's/process \\([0-9]*\\).*/\\1/' {self.folder}/run/lock)"])
+    self.addCleanup(killer.wait)
+    with self.assertRaisesRegex(RuntimeError, "craftfleet train ended with exit code -9"):
+      self.train()
+
+  def test_without_programs_it_says_how_to_get_them(self):
+    with unittest.mock.patch.dict(os.environ, PATH="/nowhere"), self.assertRaisesRegex(FileNotFoundError, r"craftfleet-train is not in PATH"):
+      self.train()
+
+  def test_ctrl_c_saves_the_run_and_it_can_be_resumed(self):
+    self.config.write_text(ENDLESS)
+    script = f"import craftfleet\ncraftfleet.train(config={str(self.config)!r}, logdir={str(self.folder / 'run')!r})"
+    python = subprocess.Popen([sys.executable, "-c", script], stderr=subprocess.PIPE, text=True, cwd=self.folder,
+                              env={**os.environ, "PYTHONPATH": str(package.SITE)})
+    self.addCleanup(python.kill)
+    wait_until((self.folder / "run/checkpoints/iter-00000002").exists, "two iterations")
+    python.send_signal(signal.SIGINT)
+    _, errors = python.communicate(timeout=60)
+    self.assertEqual(python.returncode, -signal.SIGINT, errors)
+    self.assertTrue(errors.rstrip().endswith("KeyboardInterrupt"), errors)
+    self.assertEqual(python_case.processes_with(str(self.folder)), [])
+    iterations = [int(path.name[5:]) for path in (self.folder / "run/checkpoints").iterdir()]
+    last = 64 * max(iterations)
+    run = self.train(resume=True, steps=last + 64)
+    self.assertEqual(run.curves.index[-1], last + 64)
+
+
+class Progress(Case):
+
+  def shown(self, name="run", **flags):
+    output, errors = io.StringIO(), io.StringIO()
+    with contextlib.redirect_stdout(output), contextlib.redirect_stderr(errors):
+      run = craftfleet.train(config=self.config, logdir=self.folder / name, **flags)
+      craftfleet.evaluate(run, episodes=2)
+    return output.getvalue(), errors.getvalue()
+
+  def test_progress_is_a_bar_where_tqdm_is_installed(self):
+    output, errors = self.shown()
+    self.assertEqual(output, "")
+    self.assertRegex(errors, r"100%\|.*\| 192/192 .*steps")
+
+  def test_progress_is_a_line_elsewhere(self):
+    with unittest.mock.patch.dict(sys.modules, tqdm=None), unittest.mock.patch.object(
+        importlib.util, "find_spec", side_effect=lambda name, find=importlib.util.find_spec: None if name == "tqdm" else find(name)):
+      output, _ = self.shown()
+    self.assertRegex(output, r"(?m)^192/192 steps 100\.0% \|")
+
+  def test_the_log_of_the_program_is_shown_as_far_as_asked_for(self):
+    for level, shown in (("info", self.assertIn), ("warning", self.assertNotIn)):
+      _, errors = self.shown(f"run-{level}", steps=100, log_level=level)
+      shown("training for 128 steps instead of 100", errors)
+
+
+class Evaluation(Case):
+
+  def test_an_evaluation_is_that_of_the_program(self):
+    run = self.train()
+    evaluated = craftfleet.evaluate(run, episodes=3, seed=4, progress=False)
+    self.run_program("craftfleet-eval", f"--checkpoint={run.folder}", "--episodes=3", "--seed=4", f"--json={self.folder}/program.json")
+    program = json.loads((self.folder / "program.json").read_text())
+    self.assertEqual((evaluated.score, evaluated.evaluation.reward, evaluated.evaluation.episodes),
+                     (program["score"], program["reward"], 3))
+    self.assertEqual(evaluated.evaluation.success_rates, program["success_percentages"])
+    self.assertIsNone(run.evaluation)
+
+
+class Policy(Case):
+
+  def recorded(self, run, *flags):
+    """The episodes of an evaluation with seed 7, as craftfleet eval records them."""
+    tables = self.folder / "tables"
+    self.run_program("craftfleet-eval", f"--checkpoint={run.folder}", "--episodes=3", "--seed=7", f"--episodes_npz={tables}", *flags)
+    episodes = []
+    for file in sorted(tables.glob("*.npz")):
+      with np.load(file) as table:
+        episodes.append({name: table[name] for name in ("image", "action", "reward")})
+    self.assertEqual(len(episodes), 3)
+    return episodes
+
+  def assert_plays_them_again(self, policy, episodes):
+    """One after the other: row t of a table has the action that led to its image."""
+    for number, episode in enumerate(episodes):
+      actions = [policy(image, reward, starts=step == 0)
+                 for step, (image, reward) in enumerate(zip(episode["image"][:-1], episode["reward"]))]
+      self.assertEqual(actions, list(episode["action"][1:]), f"episode {number + 1}")
+
+  def test_a_policy_plays_the_episodes_of_an_evaluation_again(self):
+    run = self.train()
+    with run.policy(seed=7) as policy:
+      self.assertEqual((policy.agent, policy.env_steps, policy.frame_size, policy.has_memory), ("ppo_cnn", 192, 64, False))
+      self.assert_plays_them_again(policy, self.recorded(run))
+
+  def test_the_most_probable_actions_are_those_of_the_program(self):
+    run = self.train()
+    episodes = self.recorded(run, "--deterministic")
+    with run.policy(deterministic=True) as policy:
+      self.assert_plays_them_again(policy, episodes)
+
+  def test_agents_with_a_state_follow_their_games(self):
+    for agent in ("lstm_cnn", "achievement_distillation"):
+      with self.subTest(agent):
+        run = self.train(agent, agent=agent)
+        episodes = self.recorded(run)
+        with run.policy(seed=7) as policy:
+          self.assertEqual(policy.has_memory, agent == "achievement_distillation")
+          self.assert_plays_them_again(policy, episodes)
+        for file in (self.folder / "tables").iterdir():
+          file.unlink()
+
+  def test_many_games_are_played_side_by_side(self):
+    run = self.train()
+    episodes = self.recorded(run)
+    steps = min(len(episode["action"]) for episode in episodes) - 1
+    with run.policy(seed=7) as policy:
+      for step in range(steps):
+        actions = policy(np.stack([episode["image"][step] for episode in episodes]))
+        self.assertEqual((actions.dtype, list(actions)), (np.int64, [episode["action"][step + 1] for episode in episodes]))
+
+  def test_a_policy_plays_games(self):
+    envs = craftfleet.VectorEnv(3, length=15, autoreset_mode="SameStep")
+    observations, _ = envs.reset(seed=0)
+    with self.train().policy() as policy:
+      actions = policy(observations)
+      for _ in range(40):
+        observations, rewards, terminated, truncated, _ = envs.step(actions)
+        actions = policy(observations, rewards, terminated | truncated)
+        self.assertTrue(((actions >= 0) & (actions < 17)).all())
+
+  def test_what_does_not_fit_is_refused(self):
+    run = self.train(agent="achievement_distillation")
+    frame = np.zeros((64, 64, 3), np.uint8)
+    with run.policy() as policy:
+      for arguments, words in (((frame.astype(np.float32),), "observations are float32[64, 64, 3], want uint8[64, 64, 3]"),
+                               ((frame[:32],), "observations are uint8[32, 64, 3]"),
+                               ((np.zeros((0, 64, 64, 3), np.uint8),), "observations of 0 games, want one or more")):
+        with self.assertRaises(ValueError) as caught:
+          policy(*arguments)
+        self.assertIn(words, str(caught.exception))
+      policy(frame)
+      for arguments, words in (((frame,), "achievement_distillation remembers achievements: pass the rewards"),
+                               ((np.stack([frame, frame]), 0), "observations of 2 games, want 1"),
+                               ((frame, [0, 1]), "rewards has shape (2,), want (1,)")):
+        with self.assertRaises(ValueError) as caught:
+          policy(*arguments)
+        self.assertIn(words, str(caught.exception))
+    with self.assertRaisesRegex(RuntimeError, "the policy is closed"):
+      policy(frame, 0)
+    (run.folder / "config.txt").unlink()
+    for file in (run.folder / "checkpoints").glob("*/weights.safetensors"):
+      file.write_bytes(b"")
+    with self.assertRaisesRegex(ValueError, "weights.safetensors"):
+      craftfleet.Policy(run.folder)
+
+  def test_a_policy_ends_with_its_program(self):
+    policy = self.train().policy()
+    pid = policy._process.pid  # pylint: disable=protected-access
+    os.kill(pid, signal.SIGKILL)
+    with self.assertRaisesRegex(RuntimeError, "craftfleet policy ended with exit code -9"):
+      policy(np.zeros((64, 64, 3), np.uint8))
+    policy.close()
+
+
+class PolicyProgram(Case):
+
+  def test_bad_requests_are_refused(self):
+    run = self.train()
+    frame = bytes(1 + 4 + 64 * 64 * 3)
+    one, two = (games.to_bytes(4, "little") for games in (1, 2))
+    for request, words in ((b"", ""), (one + frame, ""), (b"\1", "the input ends within a request"),
+                           (one + frame[:-1], "the input ends within a request"), (bytes(4), "0 games in a request, want 1..4096"),
+                           (one + frame + two + 2 * frame, "2 games in a request after 1")):
+      ended = subprocess.run([BIN / "craftfleet-policy", f"--checkpoint={run.folder}"], input=request, capture_output=True, check=False)
+      self.assertEqual((ended.returncode, ended.stderr.decode()), (1, f"craftfleet policy: {words}\n") if words else (0, ""))
+    ended = self.run_program("craftfleet-policy", code=1)
+    self.assertIn("--checkpoint is missing", ended.stderr)
+
+
+if __name__ == "__main__":
+  python_case.main()

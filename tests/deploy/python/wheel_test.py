@@ -1,0 +1,158 @@
+"""deploy/wheel.sh: a wheel of this build brings the programs and their libraries, and they find LibTorch in Python's torch."""
+
+import os
+import pathlib
+import re
+import shutil
+import subprocess
+import sys
+import zipfile
+
+from tests.deploy.python import package
+from tests.fakes import python_case
+from tests.fakes.python_case import BIN, SMALL_RUN, SOURCE, cmake_setting
+
+package.need("scikit_build_core", "nanobind", "numpy", "gymnasium", "auditwheel")
+import numpy  # pylint: disable=wrong-import-position
+
+MADE = BIN.parent / "wheel"
+ENVIRONMENT = MADE / "venv"
+MAX_WHEEL_BYTES = 25 << 20
+OF_LIBTORCH = re.compile(r"/lib(torch|c10|caffe2)")
+# What every system with Python has; windows and videos also need others that manylinux expects.
+OF_THE_SYSTEM = re.compile(r"/(ld-linux.*|lib(c|m|mvec|dl|pthread|rt|util|resolv|anl|gcc_s|stdc\+\+|z))\.so\.\d+$")
+WITH_WINDOWS = re.compile(r"/lib(atomic|expat|X11|Xext|Xrender|ICE|SM|GL|gobject-2\.0|gthread-2\.0|glib-2\.0)\.so\.\d+$")
+IS_SMALL = cmake_setting("CRAFTFLEET_WITH_VIDEO") == cmake_setting("CRAFTFLEET_WITH_WINDOW") == "OFF"
+
+
+def packages():
+  """The site-packages of the environment with the wheel."""
+  (site,) = ENVIRONMENT.glob("lib/python3*/site-packages")
+  return site
+
+
+def libraries(program, **environment):
+  """Paths of the libraries that the loader finds for the program; None where it finds none."""
+  text = subprocess.run(["ldd", program], capture_output=True, text=True, check=True, env={"PATH": "/usr/bin:/bin", **environment}).stdout
+  found = re.findall(r"^\s*(\S+) => (not found|/.*?)(?: \(0x\w+\))?$", text, re.MULTILINE)
+  return {name: None if path == "not found" else path for name, path in found}
+
+
+class Wheel(python_case.FolderCase):
+
+  def setUp(self):
+    super().setUp()
+    if b"__asan_init" in (BIN / "craftfleet").read_bytes():
+      self.skipTest("programs under AddressSanitizer are not packed")
+
+  def run_in_environment(self, *words, code=0, **variables):
+    ended = subprocess.run(
+        [ENVIRONMENT / "bin" / words[0], *words[1:]], capture_output=True, text=True, timeout=300, check=False, cwd=self.folder,
+        env={"PATH": "/usr/bin:/bin", "OMP_NUM_THREADS": "1", "PYTHONDONTWRITEBYTECODE": "1", **variables})
+    self.assertEqual(ended.returncode, code, ended.stderr)
+    return ended.stderr if code else ended.stdout
+
+  def with_torch(self, version=None):
+    """A folder of Python packages with this build's LibTorch, laid out as in torch's wheel, or with one of another version."""
+    lib = pathlib.Path(cmake_setting("CRAFTFLEET_LIBTORCH_LIB_DIR"))
+    if version is None and lib.match("site-packages/torch/lib"):
+      return str(lib.parents[1])
+    torch = self.folder / "packages/torch"
+    (torch / "lib").mkdir(parents=True)
+    (torch / "__init__.py").write_text("raise ImportError('not to be imported')\n")
+    version = version or cmake_setting("CRAFTFLEET_LIBTORCH_VERSION")
+    (torch / "version.py").write_text(f"from typing import Optional\n__version__ = '{version}.0+cpu'\n")
+    for path in lib.glob("lib*.so*"):
+      if OF_LIBTORCH.search(str(path)):
+        (torch / "lib" / path.name).symlink_to(path)
+    return str(torch.parent)
+
+  def test_a_wheel_of_this_build_is_made_and_installed(self):
+    """The other cases use it."""
+    shutil.rmtree(MADE, ignore_errors=True)
+    MADE.mkdir()
+    made = subprocess.run(
+        [SOURCE / "deploy/wheel.sh", f"--build={BIN.parent}", f"--out={MADE}", f"--python={sys.executable}"], capture_output=True,
+        text=True, timeout=1500, check=False)
+    self.assertEqual(made.returncode, 0, made.stderr)
+    (wheel,) = MADE.glob("*.whl")
+    self.assertRegex(wheel.name, r"^craftfleet-[\d.]+-cp3\d+-cp3\d+-manylinux_2_36_x86_64\.whl$")
+    self.assertIn(str(wheel), made.stdout)
+    if IS_SMALL:
+      self.assertLess(wheel.stat().st_size, MAX_WHEEL_BYTES)
+    names = zipfile.ZipFile(wheel).namelist()
+    self.assertEqual([name for name in names if OF_LIBTORCH.search(name)], [])
+    programs = {path.name for path in BIN.glob("craftfleet*") if "_" not in path.name}
+    self.assertEqual({name.rpartition("/")[2] for name in names if re.search(r"\.data/scripts/.", name)}, programs)
+    subprocess.run([sys.executable, "-m", "venv", ENVIRONMENT], check=True)
+    subprocess.run([ENVIRONMENT / "bin/pip", "install", "--quiet", "--no-deps", "--no-index", wheel], check=True)
+    site = pathlib.Path(numpy.__file__).parents[1]
+    for name in ("numpy", "numpy.libs", "gymnasium", "cloudpickle", "farama_notifications", "typing_extensions.py"):
+      (packages() / name).symlink_to(site / name)
+
+  def test_programs_take_libraries_from_the_wheel_the_system_and_torch_alone(self):
+    torch = pathlib.Path(self.with_torch()) / "torch/lib"
+    brought = {os.path.realpath(path) for path in libraries(torch / "libtorch.so").values() if path}
+    own = packages() / "craftfleet.libs"
+    self.assertGreater(len(list(own.iterdir())), 20)
+    for program in (packages() / "craftfleet_programs/bin").iterdir():
+      found = libraries(program, LD_LIBRARY_PATH=str(torch))
+      for name, path in found.items():
+        if not IS_SMALL and WITH_WINDOWS.search(path or f"/{name}"):
+          continue
+        self.assertIsNotNone(path, f"{program.name} finds no {name}")
+        inside = pathlib.Path(os.path.abspath(path)).is_relative_to(own)
+        self.assertTrue(inside or OF_THE_SYSTEM.search(path) or OF_LIBTORCH.search(path) or os.path.realpath(path) in brought,
+                        f"{program.name} takes {path}")
+
+  def test_without_torch_the_games_and_the_environment_server_work(self):
+    for program in ("envs", "envserver", "play", "status", "top"):
+      self.assertIn(f"craftfleet {program}" if program != "envserver" else "craftfleet-envserver",
+                    self.run_in_environment(f"craftfleet-{program}", "--version"))
+    self.assertIn("crafter", self.run_in_environment("craftfleet", "envs", "--worlds=1"))
+    self.assertEqual(self.run_in_environment("python", "-c", "import craftfleet; print(craftfleet.Env(seed=1).reset().shape)"), "(64, 64, 3)\n")
+
+  def test_without_torch_training_names_the_command_that_is_missing(self):
+    want = cmake_setting("CRAFTFLEET_LIBTORCH_VERSION")
+    for words in (["craftfleet-train"], ["craftfleet", "train", "--logdir=run"], ["craftfleet", "help", "train"]):
+      self.assertEqual(self.run_in_environment(*words, code=1),
+                       f"craftfleet-train: needs torch {want}, and this Python has none: pip install 'craftfleet[train]'\n")
+    said = self.run_in_environment("python", "-c", "import craftfleet; craftfleet.train(logdir='run')", code=1)
+    self.assertIn(f"ModuleNotFoundError: needs torch {want}, and this Python has none: pip install 'craftfleet[train]'\n", said)
+    other = self.with_torch("2.110")
+    self.assertEqual(self.run_in_environment("craftfleet", "train", code=1, PYTHONPATH=other),
+                     f"craftfleet-train: needs torch {want}, and {other}/torch is 2.110: pip install 'craftfleet[train]'\n")
+    self.assertFalse((self.folder / "run").exists())
+
+  def test_with_torch_it_trains_as_the_build_does(self):
+    (self.folder / "config.txt").write_text(SMALL_RUN)
+    self.run_program("craftfleet-train", f"--config={self.folder}/config.txt", f"--logdir={self.folder}/build", "--device=cpu")
+    torch = self.with_torch()
+    self.run_in_environment("craftfleet", "train", "--config=config.txt", "--logdir=wheel", "--device=cpu", PYTHONPATH=torch)
+    self.run_in_environment(
+        "python", "-c", "import craftfleet as c; print(c.evaluate(c.train(config='config.txt', logdir='python', device='cpu')).score)",
+        PYTHONPATH=torch)
+    fleet = ENVIRONMENT / "share/craftfleet/local-fleet.sh"
+    self.run_in_environment(
+        os.path.relpath(fleet, ENVIRONMENT / "bin"), "--actors=1", "--envservers=1", "--config=config.txt", "--logdir=fleet",
+        "--device=cpu", PYTHONPATH=torch)
+    for run in ("wheel", "python", "fleet"):
+      self.assertEqual((self.folder / run / "stats.jsonl").read_bytes(), (self.folder / "build/stats.jsonl").read_bytes(), run)
+
+  def test_scripts_experiments_and_man_pages_are_in_share(self):
+    for file in ("craftfleet/slurm/fleet.sbatch", "craftfleet/make-certs.sh"):
+      self.assertTrue(os.access(ENVIRONMENT / "share" / file, os.X_OK), file)
+    self.assertTrue((ENVIRONMENT / "share/man/man1/craftfleet-train.1").exists())
+    listed = self.run_in_environment("craftfleet", "sweep", str(ENVIRONMENT / "share/craftfleet/experiments/paper.toml"), "--list")
+    self.assertIn("ppo_cnn", listed)
+
+  def test_a_folder_without_a_build_is_refused(self):
+    for flags, reason in ((["--build=/nowhere"], "--build=/nowhere: no build there"), (["--level=12"], "unknown argument '--level=12'")):
+      ended = subprocess.run([SOURCE / "deploy/wheel.sh", f"--out={self.folder}", *flags], capture_output=True, text=True, check=False)
+      self.assertEqual(ended.returncode, 2)
+      self.assertIn(reason, ended.stderr)
+    self.assertEqual(list(self.folder.iterdir()), [])
+
+
+if __name__ == "__main__":
+  python_case.main()
