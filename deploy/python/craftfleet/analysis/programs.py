@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import json
 import os
 import pathlib
@@ -9,17 +10,25 @@ import shutil
 import subprocess
 
 
-def find(name: str) -> str:
-  """The path of a program: in the folder CRAFTFLEET_BIN, beside the command that runs, or in PATH.
+def _folder() -> str:
+  """The folder of the programs: CRAFTFLEET_BIN, that of the wheel, or that of the craftfleet in PATH; "": there is none."""
+  given = os.environ.get("CRAFTFLEET_BIN")
+  if given:
+    return given
+  wheel = importlib.util.find_spec("craftfleet_programs")
+  if wheel is not None and wheel.origin:
+    return os.path.join(os.path.dirname(wheel.origin), "bin")
+  found = shutil.which("craftfleet")
+  return os.path.dirname(os.path.realpath(found)) if found else ""
 
-  FileNotFoundError: it is in neither.
-  """
-  folder = os.environ.get("CRAFTFLEET_BIN")
-  path = os.path.join(folder, name) if folder else shutil.which(name)
-  if path and os.path.exists(path):
+
+def find(name: str) -> str:
+  """The path of a program: beside the command that runs, in the wheel, or in PATH.   FileNotFoundError: it is in neither."""
+  path = os.path.join(_folder(), name)
+  if os.path.exists(path):
     return path
-  raise FileNotFoundError(f"{path or name} is missing: it must be in the same folder as this program, in PATH, or in the folder "
-                          "that the environment variable CRAFTFLEET_BIN names")
+  raise FileNotFoundError(f"{path} is missing: it must be in the same folder as this program, in PATH, or in the folder that the "
+                          "environment variable CRAFTFLEET_BIN names")
 
 
 def ask(questions: list[dict]) -> list[dict]:
@@ -36,8 +45,7 @@ def ask(questions: list[dict]) -> list[dict]:
 
 def installed(name: str) -> str:
   """The path of a file of share/craftfleet, such as "experiments/paper.toml"; of the checkout where nothing is installed."""
-  folder = os.environ.get("CRAFTFLEET_BIN") or os.path.dirname(os.path.realpath(shutil.which("craftfleet") or ""))
-  path = pathlib.Path(folder).parent / "share/craftfleet" / name
+  path = pathlib.Path(_folder()).parent / "share/craftfleet" / name
   if path.exists():
     return str(path)
   checkout = pathlib.Path(__file__).resolve().parents[3] / name  # deploy/
