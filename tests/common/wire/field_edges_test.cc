@@ -326,6 +326,7 @@ CheckedMessage PlayReplyCase() {
   reply.set_program_version("0.2.0");
   reply.set_cpu("a CPU");
   reply.set_canary("0123456789abcdef");
+  reply.add_episode_steps(0);
   reply.add_refused()->set_reason("damaged");
   FillSummary(reply.mutable_server());
   return Case<v1::PlayReply>(reply, CheckReplies);
