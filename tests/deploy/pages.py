@@ -6,7 +6,7 @@ from tests.fakes.python_case import SOURCE
 
 # The beginning of a code block line that is a command, in contrast to configuration or output.
 COMMAND = re.compile(r"((build/|venv/)?bin/|deploy/|tests/|\.ci/run|craftfleet [a-z]+ -|(sudo|cmake|ninja|ctest|cd|cp|cmp|printf|git|tar|pip|"
-                     r"python3|docker|kubectl|sbatch|prometheus|promtool|craftfleet-[\d.]+-linux\S*/bin/craftfleet|source)\b)")
+                     r"python3|docker|kubectl|sbatch|prometheus|promtool|source)\b)")
 
 
 def pages():

@@ -40,26 +40,21 @@ class Install(python_case.FolderCase):
     self.assertLessEqual({"py.typed", "_engine.pyi", "env.py"}, files)
     self.assertTrue(list(package.SITE.glob("craftfleet-*.dist-info/licenses/LICENSE")))
 
-  def install_as(self, page):
-    """Runs the page's commands in a fresh environment that has its dependencies from the tests': nothing is downloaded."""
+  def test_the_commands_of_the_readme_install_it_and_its_first_lines_play_a_game(self):
+    """In a fresh environment that has its dependencies from the tests': nothing is downloaded."""
+    page = (SOURCES / "README.md").read_text()
     environment = self.folder / "venv"
     make, install = (
         re.sub(r"(?<!-m )\bvenv\b", str(environment), command)
-        for command in re.findall(r"^    ((?:python3 -m venv|venv/bin/pip) .*)$", (SOURCES / page).read_text(), re.MULTILINE)[:2])
+        for command in re.findall(r"^    ((?:python3 -m venv|venv/bin/pip) .*)$", page, re.MULTILINE)[:2])
     self.run_command(make)
     (site,) = environment.glob("lib/python*/site-packages")
     (site / "tests.pth").write_text(f"{next(path for path in sys.path if path.endswith('site-packages'))}\n")
     self.run_command(
         install, PIP_NO_INDEX="1", PIP_NO_BUILD_ISOLATION="0", PIP_CONFIG_SETTINGS=f"build-dir={package.BUILD / 'build'}")
     self.assertTrue((site / "craftfleet/py.typed").exists())
-    return environment
-
-  def test_the_commands_of_the_tutorial_install_it(self):
-    self.install_as("TUTORIAL.md")
-
-  def test_the_commands_of_the_readme_install_it_and_its_first_lines_play_a_game(self):
-    python = self.install_as("README.md") / "bin/python"
-    game = re.search(r"^```python\n(.*?)^```", (SOURCES / "README.md").read_text(), re.MULTILINE | re.DOTALL)[1]
+    python = environment / "bin/python"
+    game = re.search(r"^```python\n(.*?)^```", page, re.MULTILINE | re.DOTALL)[1]
     played = subprocess.run(
         [python, "-c", f"{game}print(info['discount'])"], capture_output=True, text=True, timeout=300, check=False, cwd=self.folder)
     self.assertEqual((played.returncode, played.stdout, played.stderr), (0, "0.0\n", ""))

@@ -3,6 +3,7 @@
 import os
 import pathlib
 import re
+import shlex
 import shutil
 import subprocess
 import sys
@@ -67,7 +68,14 @@ class Wheel(python_case.FolderCase):
         (torch / "lib" / path.name).symlink_to(path)
     return str(torch.parent)
 
-  def test_a_wheel_of_this_build_is_made_and_installed(self):
+  @staticmethod
+  def tutorial_commands():
+    """The commands with which the tutorial installs the wheel, in this test's folders."""
+    page = (SOURCE / "deploy/python/TUTORIAL.md").read_text()
+    found = re.findall(r"^    ((?:python3 -m venv|venv/bin/pip) .*)$", page, re.MULTILINE)
+    return [shlex.split(re.sub(r"(?<!-m )\bvenv\b", str(ENVIRONMENT), command.replace("build-wheel", str(MADE)))) for command in found]
+
+  def test_a_wheel_of_this_build_is_made_and_installed_as_the_tutorial_says(self):
     """The other cases use it."""
     shutil.rmtree(MADE, ignore_errors=True)
     MADE.mkdir()
@@ -84,8 +92,8 @@ class Wheel(python_case.FolderCase):
     self.assertEqual([name for name in names if OF_LIBTORCH.search(name)], [])
     programs = {path.name for path in BIN.glob("craftfleet*") if "_" not in path.name}
     self.assertEqual({name.rpartition("/")[2] for name in names if re.search(r"\.data/scripts/.", name)}, programs)
-    subprocess.run([sys.executable, "-m", "venv", ENVIRONMENT], check=True)
-    subprocess.run([ENVIRONMENT / "bin/pip", "install", "--quiet", "--no-deps", "--no-index", wheel], check=True)
+    for command in self.tutorial_commands():
+      subprocess.run(command, check=True, env={**os.environ, "PIP_NO_INDEX": "1", "PIP_NO_DEPS": "1"})
     site = pathlib.Path(numpy.__file__).parents[1]
     for name in ("numpy", "numpy.libs", "gymnasium", "cloudpickle", "farama_notifications", "typing_extensions.py"):
       (packages() / name).symlink_to(site / name)
