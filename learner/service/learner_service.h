@@ -65,7 +65,7 @@ class LearnerServiceImpl final : public v1::LearnerService::CallbackService {
                                   v1::LeaveReply* reply) override;
 
   // Adds fragment counts, and the workers as peers. Returns all workers, for sums.
-  std::vector<WorkerRegistry::Glance> FillStatus(v1::StatusReply* reply) const;
+  std::vector<WorkerRegistry::WorkerInfo> FillStatus(v1::StatusReply* reply) const;
 
  private:
   class ActorStream;
@@ -93,7 +93,7 @@ class LearnerServiceImpl final : public v1::LearnerService::CallbackService {
   // Converts the request for the registry.
   WorkerRegistry::PermitRequest ToRequest(WorkerClient client, const v1::PermitRequest& request) const;
   void FillPermits(const WorkerRegistry::PermitReply& given, v1::PermitReply* reply) const;
-  v1::EvaluationTask ToProto(const EvaluationScheduler::Task& task) const;
+  v1::EvaluationTask ToProto(const EvaluationTable::Task& task) const;
   // weight_stream.cc.   Aborted: the evaluation is over.   DeadlineExceeded: the version is not available yet.
   absl::StatusOr<WeightStore::Weights> FindWeights(const v1::WeightsRequest& request) const;
   // actor_stream.cc: whether the client of a stream may go on.   Errors as wire::AccessControl::Check.

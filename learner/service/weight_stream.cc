@@ -82,7 +82,7 @@ grpc::ServerWriteReactor<v1::WeightsChunk>* LearnerServiceImpl::GetWeights(grpc:
 
 absl::StatusOr<WeightStore::Weights> LearnerServiceImpl::FindWeights(const v1::WeightsRequest& request) const {
   if (request.evaluation() != 0) {
-    std::shared_ptr<const std::string> bytes = registry_->EvaluationWeights(request.evaluation());
+    std::shared_ptr<const std::string> bytes = registry_->evaluations()->Weights(request.evaluation());
     if (bytes == nullptr) {
       return absl::AbortedError(absl::StrFormat("evaluation task %d is over", request.evaluation()));
     }
