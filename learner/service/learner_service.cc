@@ -15,11 +15,14 @@
 #include "common/wire/protocol.h"
 #include "common/wire/request_check.h"
 #include "common/wire/status_service.h"
+#include "learner/service/actor_stream.h"
+#include "learner/service/weight_stream.h"
 #include "learner/service/worker_page.h"
 
 namespace craftfleet {
 namespace {
 
+constexpr char kPlay[] = "/craftfleet.v1.LearnerService/Play";
 constexpr int kLinesPerClient = 16;  // about workers, in the period of LimitedLog, whatever their names
 constexpr absl::Duration kLongestWait = absl::Seconds(5);
 constexpr int kMaxServersReported = 64;  // environment servers in one request of an actor
@@ -49,7 +52,7 @@ LearnerServiceImpl::LearnerServiceImpl(const Options& options, WorkerRegistry* r
       frames_(options.config, options.texture_digest),
       registry_(registry),
       weights_(weights),
-      fragments_(fragments),
+      intake_(options.epoch, options.shape, {&frames_, registry, weights, fragments}),
       refusals_(&clock_),
       worker_refusals_(&clock_, kLinesPerClient),
       streams_(options.max_streams_per_client) {
@@ -158,6 +161,28 @@ absl::Status LearnerServiceImpl::Answer(const grpc::ServerContextBase& context, 
   return absl::OkStatus();
 }
 
+grpc::ServerBidiReactor<v1::ActorMessage, v1::LearnerMessage>* LearnerServiceImpl::Play(
+    grpc::CallbackServerContext* context) {
+  const auto stream = std::make_shared<ActorStream>(this, context);
+  stream->Start(stream);
+  return stream.get();
+}
+
+absl::Status LearnerServiceImpl::CheckAllowed(const grpc::ServerContextBase& context) const {
+  return options_.access != nullptr ? options_.access->Check(context, kPlay) : absl::OkStatus();
+}
+
+absl::StatusOr<v1::FragmentVerdict> LearnerServiceImpl::Receive(const grpc::ServerContextBase& context,
+                                                                v1::FragmentMessage* message) {
+  const WorkerClient client = ClientOf(context);
+  absl::StatusOr<v1::FragmentVerdict> verdict = intake_.Receive(client, message);
+  if (!verdict.ok()) return LogRefusal(client, verdict.status());
+  if (verdict->verdict() == v1::FragmentVerdict::REFUSED) {
+    WarnRefused(context, absl::StrFormat("fragment refused: %s", verdict->reason()));
+  }
+  return verdict;
+}
+
 absl::Status LearnerServiceImpl::CheckPermits(const grpc::ServerContextBase& context,
                                               const v1::PermitRequest& request) {
   CRAFTFLEET_RETURN_IF_ERROR(CheckEpoch(request.epoch()));
@@ -199,6 +224,29 @@ WorkerRegistry::PermitRequest LearnerServiceImpl::ToRequest(WorkerClient client,
     if (wire::CheckServerReport(server).ok()) asked.servers.push_back(ToServerReport(server));
   }
   return asked;
+}
+
+grpc::ServerWriteReactor<v1::WeightsChunk>* LearnerServiceImpl::GetWeights(grpc::CallbackServerContext* context,
+                                                                           const v1::WeightsRequest* request) {
+  auto* const stream = new WeightStream(this, context);
+  stream->Start(*request);
+  return stream;
+}
+
+absl::StatusOr<WeightStore::Weights> LearnerServiceImpl::FindWeights(const v1::WeightsRequest& request) const {
+  if (request.evaluation() != 0) {
+    std::shared_ptr<const std::string> bytes = registry_->evaluations()->Weights(request.evaluation());
+    if (bytes == nullptr) {
+      return absl::AbortedError(absl::StrFormat("evaluation task %d is over", request.evaluation()));
+    }
+    return WeightStore::Weights{0, std::move(bytes), {}};
+  }
+  WeightStore::Weights weights = weights_->Find(request.at_least());
+  if (weights.bytes == nullptr || weights.version < request.at_least()) {
+    return absl::DeadlineExceededError(absl::StrFormat("policy version %d is not available yet, the latest is %d",
+                                                       request.at_least(), weights.version));
+  }
+  return weights;
 }
 
 v1::EvaluationTask LearnerServiceImpl::ToProto(const EvaluationTable::Task& task) const {
@@ -271,11 +319,7 @@ absl::Status LearnerServiceImpl::Answer(const grpc::ServerContextBase& context, 
 std::vector<WorkerRegistry::WorkerInfo> LearnerServiceImpl::FillStatus(v1::StatusReply* reply) const {
   reply->set_run_id(options_.run_id);
   wire::AddMetric("epoch", static_cast<double>(options_.epoch), reply);
-  wire::AddMetric("fragments_accepted", static_cast<double>(accepted_.load()), reply);
-  wire::AddMetric("fragments_duplicate", static_cast<double>(duplicates_.load()), reply);
-  wire::AddMetric("fragments_expired", static_cast<double>(expired_.load()), reply);
-  wire::AddMetric("fragments_rejected", static_cast<double>(rejected_.load()), reply);
-  wire::AddMetric("fragments_queued", static_cast<double>(fragments_->size()), reply);
+  intake_.AddMetrics(reply);
   const LaneCounters counters = registry_->lanes()->table().counters;
   wire::AddMetric("fragments_differing", static_cast<double>(counters.differing), reply);
   wire::AddMetric("fragments_dropped", static_cast<double>(counters.dropped), reply);
