@@ -281,12 +281,12 @@ LearnerServiceImpl::Options Learner::ServiceOptions(const Options& options, Load
 }
 
 void Learner::FillStatus(v1::StatusReply* reply) const {
-  const std::vector<WorkerRegistry::Glance> workers = service_.FillStatus(reply);
+  const std::vector<WorkerRegistry::WorkerInfo> workers = service_.FillStatus(reply);
   trainer_.FillStatus(reply);
   FleetView view = ViewFleet(trainer_.meter().Recent(), workers);
   view.finished = trainer_.finished();
   view.evaluating = trainer_.phase() == Trainer::Phase::kEvaluating;
-  view.paused = registry_.paused();
+  view.paused = registry_.lanes()->assignment().paused();
   view.plays_on = config_.overlap() > 0 || config_.max_staleness() > 0;
   *reply->mutable_fleet() = SummarizeFleet(view);
   CountWorkers(workers, reply->mutable_fleet());

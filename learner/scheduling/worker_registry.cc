@@ -1,7 +1,7 @@
 #include "learner/scheduling/worker_registry.h"
 
 #include <algorithm>
-#include <iterator>
+#include <utility>
 
 #include <absl/strings/str_cat.h>
 #include <absl/strings/str_format.h>
@@ -12,15 +12,11 @@
 namespace craftfleet {
 namespace {
 
-constexpr absl::Time kNever = absl::InfinitePast();
+constexpr absl::Duration kCurrent = absl::Seconds(10);  // age of a summary
+constexpr size_t kMaxNamed = 4;                         // fragments and tasks in a log line
 
-absl::string_view NameOf(WorkerRole role) { return role == WorkerRole::kActor ? "actor" : "environment server"; }
-
-absl::Status NotTheOwner(absl::string_view what, absl::string_view name, absl::Duration lapse) {
-  return absl::PermissionDeniedError(
-      absl::StrFormat("%s \"%s\" belongs to another certificate or token: the name is free %s after its owner's last "
-                      "call",
-                      what, name, absl::FormatDuration(lapse)));
+absl::Status NotKnown(absl::string_view actor) {
+  return absl::AbortedError(absl::StrFormat("actor %s is unknown: join again", actor));
 }
 
 }  // namespace
@@ -28,187 +24,24 @@ absl::Status NotTheOwner(absl::string_view what, absl::string_view name, absl::D
 WorkerRegistry::WorkerRegistry(const Options& options, std::vector<LaneRecord> lanes, Clock* clock)
     : options_(options),
       clock_(clock),
-      start_(clock->Now()),
       first_generation_(absl::ToUnixMicros(clock->WallNow())),
-      lists_(first_generation_),
+      workers_({options.lanes.lease, options.name_lapse, options.max_names_per_client}, first_generation_, clock),
+      reports_(first_generation_, options.server_lease, &workers_, clock),
       lanes_(options.lanes, std::move(lanes), clock),
       evaluations_(clock),
       builds_(options.build) {}
 
-Worker* WorkerRegistry::Find(WorkerRole role, absl::string_view name) {
-  const auto entry = workers_.find(Key(role, name));
-  return entry == workers_.end() ? nullptr : &entry->second;
-}
-
-Worker* WorkerRegistry::FindActor(absl::string_view name) {
-  Worker* const worker = Find(WorkerRole::kActor, name);
-  return worker != nullptr && worker->active ? worker : nullptr;
-}
-
-absl::StatusOr<Worker*> WorkerRegistry::FindActive(absl::string_view name_or_address) {
-  std::vector<std::string> names;
-  std::vector<Worker*> there;  // workers say themselves at which address they are
-  for (auto& [key, worker] : workers_) {
-    if (!worker.active) continue;
-    if (worker.name == name_or_address) return &worker;
-    if (worker.address == name_or_address) there.push_back(&worker);
-    names.push_back(worker.name);
-  }
-  if (there.size() == 1) return there[0];
-  if (there.size() > 1) {
-    return absl::NotFoundError(absl::StrFormat(
-        "%d workers say that they are at %s: name one of %s", there.size(), name_or_address,
-        absl::StrJoin(there, ", ",
-                      [](std::string* out, const Worker* worker) { absl::StrAppend(out, worker->name); })));
-  }
-  return absl::NotFoundError(absl::StrFormat(
-      "no worker \"%s\" has joined or registered; there are: %s", name_or_address,
-      names.empty() ? "none (environment servers register with --learner)" : absl::StrJoin(names, ", ")));
-}
-
-Worker* WorkerRegistry::Record(WorkerRole role, absl::string_view name) {
-  const auto [entry, is_new] = workers_.try_emplace(Key(role, name));
-  if (is_new) {
-    entry->second.role = role;
-    entry->second.name = std::string(name);
-  }
-  return &entry->second;
-}
+// -- Membership.
 
 absl::StatusOr<Worker*> WorkerRegistry::Own(WorkerRole role, absl::string_view name, const WorkerClient& client) {
-  Worker* worker = Find(role, name);
-  bool has_owner = worker != nullptr && worker->name_used != kNever;
-  if (worker != nullptr && worker->client.identity != client.identity) {
-    if (IsOwned(*worker)) return NotTheOwner(NameOf(role), name, options_.name_lapse);
-    if (role == WorkerRole::kActor) RemoveActor(worker);
-    Erase(worker);  // the record of another worker
-    has_owner = false;
-  }
-  if (!has_owner) {
-    PruneSometimes();
-    absl::Status counted = CountName(role, name, client);
-    if (!counted.ok()) {
-      Prune();
-      counted = CountName(role, name, client);
-    }
-    CRAFTFLEET_RETURN_IF_ERROR(counted);
-    worker = Record(role, name);
-    worker->client = client;
-  }
-  worker->name_used = clock_->Now();
-  return worker;
-}
-
-absl::Status WorkerRegistry::CountName(WorkerRole role, absl::string_view name, const WorkerClient& client) {
-  size_t& names = names_of_[client.identity];
-  if (names >= kMaxNames) {
-    return absl::ResourceExhaustedError(
-        absl::StrFormat("%s \"%s\": the same certificate or token already has %d names, which is the most it may have",
-                        NameOf(role), name, names));
-  }
-  int& names_here = names_from_[{client.identity, client.host}];
-  if (names_here >= options_.max_names_per_client) {
-    return absl::ResourceExhaustedError(
-        absl::StrFormat("%s \"%s\": %s already has %d workers, the most that --max_connections_per_client lets it have",
-                        NameOf(role), name, client.Name(), names_here));
-  }
-  ++names;
-  ++names_here;
-  return absl::OkStatus();
-}
-
-absl::Status WorkerRegistry::CheckAddress(absl::string_view name, absl::string_view address,
-                                          const WorkerClient& client) {
-  const auto entry = servers_.find(address);
-  if (entry == servers_.end() || entry->second->name == name) return absl::OkStatus();
-  const Worker& other = *entry->second;
-  if (!IsOwned(other) || other.client.identity == client.identity) return absl::OkStatus();
-  return NotTheOwner("environment server at", address, options_.name_lapse);
-}
-
-bool WorkerRegistry::IsOwned(const Worker& worker) const {
-  return clock_->Now() - worker.name_used < options_.name_lapse;
-}
-
-void WorkerRegistry::ReleaseName(Worker* worker) {
-  if (worker->name_used == kNever) return;
-  const auto names = names_of_.find(worker->client.identity);
-  if (--names->second == 0) names_of_.erase(names);
-  const auto names_here = names_from_.find({worker->client.identity, worker->client.host});
-  if (--names_here->second == 0) names_from_.erase(names_here);
-  worker->name_used = kNever;
-}
-
-void WorkerRegistry::Erase(Worker* worker) {
-  if (worker->role == WorkerRole::kEnvServer) {
-    RemoveServer(worker);
-    const auto placed = servers_.find(worker->address);
-    if (placed != servers_.end() && placed->second == worker) servers_.erase(placed);
-  }
-  ReleaseName(worker);
-  if (worker->reported) --reported_;
-  workers_.erase(Key(worker->role, worker->name));
-}
-
-void WorkerRegistry::PruneSometimes() {
-  if (++added_ >= workers_.size() / kPruneParts || clock_->Now() - pruned_ >= kPruneEvery) Prune();
-}
-
-void WorkerRegistry::Prune() {
-  const absl::Time now = clock_->Now();
-  added_ = 0;
-  pruned_ = now;
-  std::vector<Worker*> gone;
-  std::vector<Worker*> unowned;
-  for (auto& [key, worker] : workers_) {
-    if (now - worker.name_used >= options_.name_lapse) ReleaseName(&worker);
-    if (!worker.active && worker.name_used == kNever) unowned.push_back(&worker);
-    if (worker.last_seen != kNever && HealthOf(worker) != Health::kOk) gone.push_back(&worker);
-    if (worker.mismatch.has_value() && now - worker.mismatch->time > kRememberLost) worker.mismatch.reset();
-  }
-  std::sort(gone.begin(), gone.end(), [](const Worker* a, const Worker* b) { return a->last_seen < b->last_seen; });
-  for (size_t i = 0; i < gone.size(); ++i) {
-    if (now - gone[i]->last_seen <= kRememberLost && gone.size() - i <= kMaxGone) break;
-    gone[i]->last_seen = kNever;
-    gone[i]->summary.reset();
-  }
-  for (Worker* const worker : unowned) {
-    if (worker->last_seen == kNever && !worker->mismatch.has_value()) Erase(worker);
-  }
+  if (role == WorkerRole::kActor && workers_.IsForfeit(role, name, client)) RemoveActor(workers_.Find(role, name));
+  return workers_.Own(role, name, client);
 }
 
 absl::Status WorkerRegistry::CheckBuild(const WorkerBuild& build, Worker* worker) {
   absl::Status status = builds_.Check(build, clock_->Now(), worker);
-  if (!worker->mismatch.has_value()) return status;
-  std::vector<Worker*> differing;
-  for (auto& [key, other] : workers_) {
-    if (other.mismatch.has_value()) differing.push_back(&other);
-  }
-  if (differing.size() > kMaxRefused) {
-    (*std::min_element(differing.begin(), differing.end(), [](const Worker* a, const Worker* b) {
-      return a->mismatch->time < b->mismatch->time;
-    }))->mismatch.reset();
-  }
+  if (worker->mismatch.has_value()) workers_.ForgetRefused();
   return status;
-}
-
-WorkerRegistry::Health WorkerRegistry::HealthOf(const Worker& worker, absl::Time now) const {
-  if (worker.left) return Health::kLeft;
-  if (now - worker.not_answering < kRelayed) return Health::kNotAnswering;
-  if (now - worker.slow < kRelayed) return Health::kSlow;
-  // A server that is silent is shown as lost before it is no longer listed.
-  const absl::Duration lease = worker.role == WorkerRole::kActor ? worker.lease : worker.lease * 5 / 8;
-  const absl::Duration silence = worker.own_report == kNever ? kRelayed : std::max(options_.lanes.lease, lease);
-  return now - worker.last_seen < silence ? Health::kOk : Health::kLost;
-}
-
-void WorkerRegistry::NoteReport(Worker* worker, std::shared_ptr<const v1::ProcessSummary> summary) {
-  worker->last_seen = clock_->Now();
-  worker->own_report = worker->last_seen;
-  worker->left = false;
-  if (summary == nullptr) return;
-  worker->summary = std::move(summary);
-  worker->summary_time = worker->last_seen;
 }
 
 absl::Status WorkerRegistry::UseName(WorkerRole role, absl::string_view name, const WorkerClient& client) {
@@ -216,75 +49,320 @@ absl::Status WorkerRegistry::UseName(WorkerRole role, absl::string_view name, co
   return Own(role, name, client).status();
 }
 
+absl::Status WorkerRegistry::Join(const WorkerClient& client, absl::string_view name, absl::string_view address,
+                                  const WorkerBuild& build) {
+  const MutexLock lock(&mu_);
+  CRAFTFLEET_ASSIGN_OR_RETURN(Worker* const actor, Own(WorkerRole::kActor, name, client));
+  if (!address.empty()) actor->address = std::string(address);
+  CRAFTFLEET_RETURN_IF_ERROR(CheckBuild(build, actor));
+  ExpireActors();
+  actor->active = true;
+  actor->leased_from = clock_->Now();
+  actor->lease = options_.lanes.lease;
+  workers_.NoteReport(actor, nullptr);
+  lanes_.table().Add(actor);
+  return absl::OkStatus();
+}
+
+absl::Status WorkerRegistry::Announce(const WorkerClient& client, absl::string_view name, absl::string_view address,
+                                      int lanes, const WorkerBuild& build,
+                                      std::shared_ptr<const v1::ProcessSummary> summary) {
+  const MutexLock lock(&mu_);
+  workers_.ExpireServers();  // here too, since there may be no actor that requests servers
+  CRAFTFLEET_ASSIGN_OR_RETURN(Worker* const server, Own(WorkerRole::kEnvServer, name, client));
+  CRAFTFLEET_RETURN_IF_ERROR(workers_.CheckAddress(name, address, client));
+  if (server->own_report == absl::InfinitePast()) server->address = std::string(address);
+  CRAFTFLEET_RETURN_IF_ERROR(CheckBuild(build, server));
+  workers_.PlaceServer(server, address);
+  server->empty = server->draining && lanes == 0;
+  server->leased_from = clock_->Now();
+  server->lease = options_.server_lease;
+  workers_.NoteReport(server, std::move(summary));
+  return absl::OkStatus();
+}
+
 absl::Status WorkerRegistry::Leave(const WorkerClient& client, WorkerRole role, absl::string_view name,
                                    absl::string_view address) {
   const MutexLock lock(&mu_);
-  if (Find(role, name) == nullptr) return absl::OkStatus();
+  if (workers_.Find(role, name) == nullptr) return absl::OkStatus();
   CRAFTFLEET_ASSIGN_OR_RETURN(Worker* const worker, Own(role, name, client));
-  if (role == WorkerRole::kEnvServer) CRAFTFLEET_RETURN_IF_ERROR(CheckAddress(name, address, client));
   if (role == WorkerRole::kActor) {
     RemoveActor(worker);
   } else {
-    RemoveServer(worker);
+    CRAFTFLEET_RETURN_IF_ERROR(workers_.CheckAddress(name, address, client));
+    workers_.RemoveServer(worker);
   }
   // Keep its mismatch: a refused worker leaves at once, and status must still show it.
   worker->draining = false;
-  if (worker->last_seen != kNever) {
+  if (worker->last_seen != absl::InfinitePast()) {
     worker->left = true;
     worker->last_seen = clock_->Now();
   }
-  ReleaseName(worker);
+  worker->name_used = absl::InfinitePast();  // free
   Wake();
   return absl::OkStatus();
 }
 
+void WorkerRegistry::RemoveActor(Worker* actor) {
+  lanes_.Remove(actor->name);
+  evaluations_.Renew(actor->name, 0, absl::ZeroDuration());
+  workers_.lists().RemoveActor(actor->name);
+  actor->active = false;
+  WakeIfChanged();
+}
+
+void WorkerRegistry::ExpireActors() {
+  for (const std::string& name : lanes_.RemoveExpired()) {
+    workers_.lists().RemoveActor(name);
+    workers_.Find(WorkerRole::kActor, name)->active = false;
+  }
+  WakeIfChanged();
+}
+
+void WorkerRegistry::OnConnectionLost(absl::string_view name, int64_t stream) {
+  const MutexLock lock(&mu_);
+  Worker* const actor = workers_.FindActiveActor(name);
+  if (actor == nullptr || actor->stream != stream) return;
+  const absl::Duration rest = actor->lease - options_.lanes.comeback;
+  actor->leased_from = std::min(actor->leased_from, clock_->Now() - rest);
+}
+
 absl::StatusOr<WorkerRegistry::WorkerId> WorkerRegistry::Drain(absl::string_view name_or_address) {
   const MutexLock lock(&mu_);
-  ExpireServers();
-  CRAFTFLEET_ASSIGN_OR_RETURN(Worker* const worker, FindActive(name_or_address));
-  if (worker->role == WorkerRole::kActor) {
-    worker->draining = true;
-    lanes_.NoteDrain(worker->name);
-    WakeIfChanged();
-  } else {
-    worker->draining = true;
-    ListServer(*worker);
-  }
-  return WorkerId{worker->role, worker->name};
+  workers_.ExpireServers();
+  CRAFTFLEET_ASSIGN_OR_RETURN(Worker* const worker, workers_.FindActive(name_or_address));
+  worker->draining = true;
+  return NoteDrain(*worker);
 }
 
 absl::StatusOr<WorkerRegistry::WorkerId> WorkerRegistry::Undrain(absl::string_view name_or_address) {
   const MutexLock lock(&mu_);
-  ExpireServers();
-  CRAFTFLEET_ASSIGN_OR_RETURN(Worker* const worker, FindActive(name_or_address));
+  workers_.ExpireServers();
+  CRAFTFLEET_ASSIGN_OR_RETURN(Worker* const worker, workers_.FindActive(name_or_address));
   worker->draining = false;
   worker->empty = false;
-  if (worker->role == WorkerRole::kActor) {
-    lanes_.NoteDrain(worker->name);
+  return NoteDrain(*worker);
+}
+
+WorkerRegistry::WorkerId WorkerRegistry::NoteDrain(const Worker& worker) {
+  if (worker.role == WorkerRole::kActor) {
+    lanes_.NoteDrain(worker.name);
   } else {
-    ListServer(*worker);
+    workers_.ListServer(worker);
   }
   Wake();
-  return WorkerId{worker->role, worker->name};
+  return {worker.role, worker.name};
 }
 
 bool WorkerRegistry::IsDrained(const WorkerId& id) {
   const MutexLock lock(&mu_);
-  ExpireServers();
-  const Worker* const worker = Find(id.role, id.name);
+  workers_.ExpireServers();
+  const Worker* const worker = workers_.Find(id.role, id.name);
   if (id.role == WorkerRole::kEnvServer) return worker == nullptr || !worker->active || worker->empty;
-  const bool has_permits = worker != nullptr && worker->active && (!worker->draining || lanes_.PermitsOf(id.name) > 0);
+  const bool has_permits =
+      worker != nullptr && worker->active && (!worker->draining || lanes_.table().PermitsOf(id.name) > 0);
   return !has_permits && !evaluations_.IsPlaying(id.name);
 }
 
-std::string WorkerRegistry::GameCanary() const {
+void WorkerRegistry::Finish() {
   const MutexLock lock(&mu_);
-  return builds_.GameCanary();
+  finished_ = true;
+  Wake();
 }
 
-int64_t WorkerRegistry::mixed() const {
+void WorkerRegistry::Close() {
   const MutexLock lock(&mu_);
-  return builds_.differing();
+  closed_ = true;
+  Wake();
+}
+
+void WorkerRegistry::WaitUntilEmpty(absl::Duration timeout) {
+  const MutexLock lock(&mu_);
+  left_.WaitFor(&mu_, timeout, [this]() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_) { return lanes_.table().actors().empty(); });
+}
+
+// -- What status pages and logs show.
+
+std::vector<WorkerRegistry::Server> WorkerRegistry::Servers() {
+  const MutexLock lock(&mu_);
+  workers_.ExpireServers();
+  std::vector<Server> servers;
+  for (const auto& [address, server] : workers_.servers()) {
+    if (!server->active) continue;
+    servers.push_back({server->name, address, clock_->Now() - server->leased_from, server->draining});
+  }
+  return servers;
+}
+
+std::vector<WorkerRegistry::WorkerInfo> WorkerRegistry::Workers() const {
+  const MutexLock lock(&mu_);
+  std::vector<WorkerInfo> infos;
+  for (const auto& [key, worker] : workers_.workers()) {
+    if (std::optional<WorkerInfo> info = InfoOf(worker); info.has_value()) infos.push_back(*std::move(info));
+  }
+  return infos;
+}
+
+std::optional<WorkerRegistry::WorkerInfo> WorkerRegistry::InfoOf(const Worker& worker) const {
+  const absl::Time now = clock_->Now();
+  WorkerInfo info;
+  info.health = workers_.HealthOf(worker);
+  info.silent = now - worker.last_seen;
+  const bool is_left = info.health == Health::kLeft;
+  const bool is_known = info.silent <= (is_left ? WorkerTable::kRememberLeft : WorkerTable::kRememberLost);
+  const bool differs = worker.mismatch.has_value() && now - worker.mismatch->time <= WorkerTable::kRememberLost;
+  info.refused = !is_known && differs && !builds_.allow_mixed();
+  if (!is_known && !info.refused) return std::nullopt;
+  if (info.refused) {
+    info.health = Health::kLost;
+    info.silent = now - worker.mismatch->time;
+  }
+  info.summary_is_old = now - worker.summary_time > kCurrent;
+  info.worker = worker;
+  if (!differs) info.worker.mismatch.reset();
+  if (worker.role == WorkerRole::kActor && worker.active) {
+    info.play = lanes_.table().InfoOf(worker.name);
+    info.listed = workers_.lists().SizeOf(worker.name);
+    info.servers = workers_.lists().servers();
+  }
+  return info;
+}
+
+std::string WorkerRegistry::WaitsFor() const {
+  const MutexLock lock(&mu_);
+  std::vector<std::string> waits;
+  for (const LaneTable::Playing& playing : lanes_.table().BeingPlayed()) {
+    waits.push_back(absl::StrFormat("fragment %d of lane %d (%s)", playing.permit.fragment, playing.permit.lane,
+                                    absl::StrJoin(playing.actors, ", ", [](std::string* out, const auto& actor) {
+                                      absl::StrAppendFormat(
+                                          out, "actor %s for %s", actor.first,
+                                          absl::FormatDuration(absl::Trunc(actor.second, absl::Seconds(1))));
+                                    })));
+  }
+  for (std::string& task : evaluations_.BeingPlayed()) waits.push_back(std::move(task));
+  const size_t more = waits.size() - std::min(waits.size(), kMaxNamed);
+  waits.resize(waits.size() - more);
+  return absl::StrCat(absl::StrJoin(waits, ", "), more == 0 ? "" : absl::StrFormat(" and %d more", more));
+}
+
+// -- Permits, fragments and evaluations.
+
+std::optional<absl::StatusOr<WorkerRegistry::PermitReply>> WorkerRegistry::StartPermits(const PermitRequest& request) {
+  const MutexLock lock(&mu_);
+  PermitReply reply;
+  if (absl::Status status = ReportAndRenew(request, &reply); !status.ok()) return status;
+  if (!TryGrant(request, &reply)) return std::nullopt;
+  return Complete(request, std::move(reply));
+}
+
+std::optional<absl::StatusOr<WorkerRegistry::PermitReply>> WorkerRegistry::RetryPermits(const PermitRequest& request,
+                                                                                        bool last) {
+  const MutexLock lock(&mu_);
+  PermitReply reply;
+  if (!TryGrant(request, &reply) && !last) return std::nullopt;
+  return Complete(request, std::move(reply));
+}
+
+absl::Status WorkerRegistry::ReportAndRenew(const PermitRequest& request, PermitReply* reply) {
+  CRAFTFLEET_RETURN_IF_ERROR(Own(WorkerRole::kActor, request.actor, request.client).status());
+  for (const LaneFailure& failure : request.failures) {
+    lanes_.reports().Add(request.actor, failure.lane, failure.fragment, failure.reason);
+  }
+  evaluations_.Renew(request.actor, request.evaluation, options_.lanes.lease);
+  Worker* actor = workers_.FindActiveActor(request.actor);
+  // A late renewal is accepted if no other actor has requested its lanes in the meantime.
+  if (actor != nullptr && clock_->Now() - actor->leased_from <= 2 * actor->lease) actor->leased_from = clock_->Now();
+  ExpireActors();
+  actor = workers_.FindActiveActor(request.actor);
+  if (actor == nullptr) return NotKnown(request.actor);
+  reply->lost = lanes_.Renew(request.actor, request.active, request.capacity);
+  actor->stream = std::max(actor->stream, request.stream);
+  WakeIfChanged();
+  return absl::OkStatus();
+}
+
+bool WorkerRegistry::TryGrant(const PermitRequest& request, PermitReply* reply) {
+  if (workers_.FindActiveActor(request.actor) == nullptr || closed_) return true;
+  reply->granted = lanes_.Grant(request.actor);
+  return !reply->granted.empty() || !reply->lost.empty() || finished_;
+}
+
+absl::StatusOr<WorkerRegistry::PermitReply> WorkerRegistry::Complete(const PermitRequest& request, PermitReply reply) {
+  if (closed_) return absl::UnavailableError("the learner is stopping");
+  Worker* const actor = workers_.FindActiveActor(request.actor);
+  if (actor == nullptr) return NotKnown(request.actor);
+  if (request.is_cancelled != nullptr && request.is_cancelled()) return absl::CancelledError("the client disconnected");
+  actor->leased_from = clock_->Now();
+  workers_.NoteReport(actor, request.summary);
+  for (const ServerReport& server : request.servers) {
+    if (!server.answers) reports_.AddUnusable(server.address, actor);
+    // A server of the registry that an actor can't reach has left, or reports itself.
+    if (!request.wants_servers || server.answers || server.hangs || server.slow) reports_.Add(server);
+  }
+  reply.finished = finished_;
+  reply.resting = lanes_.assignment().paused() || actor->draining;
+  if (request.evaluates && request.evaluation == 0 && !reply.resting) {
+    reply.evaluation = evaluations_.Take(request.actor, actor->lease, actor->client.Name());
+  }
+  if (!request.wants_servers) return reply;
+  workers_.ExpireServers();
+  reply.servers_generation = request.servers_generation;
+  if (const auto list = reports_.NewList(request.servers_generation, actor); list.has_value()) {
+    reply.servers_generation = list->generation;
+    reply.servers.assign(list->addresses.begin(), list->addresses.end());
+  }
+  return reply;
+}
+
+void WorkerRegistry::SetObserver(Observer observer) {
+  const MutexLock lock(&mu_);
+  observer_ = std::move(observer);
+}
+
+void WorkerRegistry::Wake(absl::string_view actor) {
+  left_.NotifyAll();
+  if (observer_ != nullptr) observer_(actor);
+}
+
+void WorkerRegistry::WakeIfChanged() {
+  const LaneTable::Change change = lanes_.table().TakeChange();
+  if (change.all) return Wake();
+  for (const std::string& actor : change.actors) Wake(actor);
+}
+
+absl::StatusOr<LaneScheduler::Verdict> WorkerRegistry::Judge(const WorkerClient& client, absl::string_view name,
+                                                             const Permit& fragment) {
+  const MutexLock lock(&mu_);
+  if (workers_.FindActiveActor(name) == nullptr) return LaneScheduler::Verdict::kExpired;
+  CRAFTFLEET_RETURN_IF_ERROR(Own(WorkerRole::kActor, name, client).status());
+  return lanes_.Judge(name, fragment);
+}
+
+absl::StatusOr<LaneScheduler::Verdict> WorkerRegistry::Accept(absl::string_view name, const Permit& fragment,
+                                                              const LaneSnapshot& snapshot, uint64_t digest) {
+  const MutexLock lock(&mu_);
+  const absl::StatusOr<LaneScheduler::Verdict> verdict = lanes_.Accept(name, fragment, snapshot, digest);
+  const bool was_due =
+      verdict.ok() && (*verdict == LaneScheduler::Verdict::kAccepted || *verdict == LaneScheduler::Verdict::kStale);
+  if (was_due) workers_.FindActiveActor(name)->leased_from = clock_->Now();
+  WakeIfChanged();
+  return verdict;
+}
+
+absl::Status WorkerRegistry::FinishEvaluation(absl::string_view actor, int64_t task,
+                                              absl::Span<const Episode> episodes) {
+  const MutexLock lock(&mu_);
+  if (workers_.FindActiveActor(actor) == nullptr) return NotKnown(actor);
+  absl::Status status = evaluations_.Finish(actor, task, episodes);
+  evaluated_.NotifyAll();
+  return status;
+}
+
+std::optional<FinishedEvaluation> WorkerRegistry::FrontEvaluation(absl::Duration timeout) {
+  const MutexLock lock(&mu_);
+  evaluated_.WaitFor(&mu_, timeout,
+                     [this]() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_) { return evaluations_.FrontFinished(); });
+  return evaluations_.Front();
 }
 
 }  // namespace craftfleet

@@ -3,27 +3,32 @@
 #include <map>
 #include <utility>
 
+#include <absl/strings/str_format.h>
+
 #include "common/wire/status_service.h"
 #include "learner/service/worker_page.h"
 
 namespace craftfleet {
 
-FleetView ViewFleet(const Work& trainer, const std::vector<WorkerRegistry::Glance>& workers) {
+FleetView ViewFleet(const Work& trainer, const std::vector<WorkerRegistry::WorkerInfo>& workers) {
   using Health = WorkerRegistry::Health;
   FleetView view;
   view.learner = trainer.times;
   view.early = trainer.times[Activity::kUpdate] == 0;  // times cover at least one whole iteration
-  for (const WorkerRegistry::Glance& worker : workers) {
-    const bool ok = worker.health == Health::kOk || worker.health == Health::kSlow;
-    if (worker.health == Health::kSlow) view.slow_env_servers.push_back(worker.name);
+  for (const WorkerRegistry::WorkerInfo& info : workers) {
+    const Worker& worker = info.worker;
+    const bool ok = info.health == Health::kOk || info.health == Health::kSlow;
+    if (info.health == Health::kSlow) {
+      view.slow_env_servers.push_back(absl::StrFormat("%s (%.0f ms a step)", worker.address, worker.step_ms));
+    }
     if (worker.role == WorkerRole::kEnvServer) {
       view.env_servers += ok ? 1 : 0;
-      view.drained_env_servers += ok && worker.drained ? 1 : 0;
-      view.lost_env_servers += worker.health == Health::kLost || worker.health == Health::kNotAnswering ? 1 : 0;
+      view.drained_env_servers += ok && info.IsDrained() ? 1 : 0;
+      view.lost_env_servers += info.health == Health::kLost || info.health == Health::kNotAnswering ? 1 : 0;
     } else if (ok) {
       ++view.actors;
-      view.drained_actors += worker.drained ? 1 : 0;
-      if (worker.summary == nullptr) continue;
+      view.drained_actors += info.IsDrained() ? 1 : 0;
+      if (info.health != Health::kOk || info.summary_is_old || worker.summary == nullptr) continue;
       view.steps_per_second += worker.summary->steps_per_second();
       view.actors_times.Add(wire::TimesOf(*worker.summary));
     }
@@ -31,9 +36,9 @@ FleetView ViewFleet(const Work& trainer, const std::vector<WorkerRegistry::Glanc
   return view;
 }
 
-void CountWorkers(const std::vector<WorkerRegistry::Glance>& workers, v1::FleetSummary* summary) {
+void CountWorkers(const std::vector<WorkerRegistry::WorkerInfo>& workers, v1::FleetSummary* summary) {
   std::map<std::pair<WorkerRole, WorkerRegistry::Health>, int> counts;
-  for (const WorkerRegistry::Glance& worker : workers) ++counts[{worker.role, worker.health}];
+  for (const WorkerRegistry::WorkerInfo& info : workers) ++counts[{info.worker.role, info.health}];
   for (const auto& [kind, number] : counts) {
     v1::WorkerCount* const count = summary->add_workers();
     count->set_role(RoleName(kind.first));

@@ -13,10 +13,10 @@
 namespace craftfleet {
 
 // Makes the input of FindBottleneck from the workers and the training thread's recent work, `trainer`.
-FleetView ViewFleet(const Work& trainer, const std::vector<WorkerRegistry::Glance>& workers);
+FleetView ViewFleet(const Work& trainer, const std::vector<WorkerRegistry::WorkerInfo>& workers);
 
 // Adds the numbers of workers by role and health.
-void CountWorkers(const std::vector<WorkerRegistry::Glance>& workers, v1::FleetSummary* summary);
+void CountWorkers(const std::vector<WorkerRegistry::WorkerInfo>& workers, v1::FleetSummary* summary);
 
 // FleetTimes and FindBottleneck of `view`, with the run's state.
 v1::FleetSummary SummarizeFleet(const FleetView& view);

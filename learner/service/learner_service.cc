@@ -15,15 +15,19 @@
 #include "common/wire/protocol.h"
 #include "common/wire/request_check.h"
 #include "common/wire/status_service.h"
+#include "learner/service/actor_stream.h"
+#include "learner/service/weight_stream.h"
 #include "learner/service/worker_page.h"
 
 namespace craftfleet {
 namespace {
 
-constexpr int kLinesPerClient = 16;      // about workers, in the period of LimitedLog, whatever their names
+constexpr char kPlay[] = "/craftfleet.v1.LearnerService/Play";
+constexpr int kLinesPerClient = 16;  // about workers, in the period of LimitedLog, whatever their names
+constexpr absl::Duration kLongestWait = absl::Seconds(5);
 constexpr int kMaxServersReported = 64;  // environment servers in one request of an actor
 
-Permit FromProto(const v1::Permit& message) { return {message.lane(), message.fragment(), message.policy_version()}; }
+Permit ToPermit(const v1::Permit& message) { return {message.lane(), message.fragment(), message.policy_version()}; }
 
 void AddPermits(const std::vector<Permit>& permits, google::protobuf::RepeatedPtrField<v1::Permit>* out) {
   for (const Permit& permit : permits) {
@@ -48,7 +52,7 @@ LearnerServiceImpl::LearnerServiceImpl(const Options& options, WorkerRegistry* r
       frames_(options.config, options.texture_digest),
       registry_(registry),
       weights_(weights),
-      fragments_(fragments),
+      intake_(options.epoch, options.shape, {&frames_, registry, weights, fragments}),
       refusals_(&clock_),
       worker_refusals_(&clock_, kLinesPerClient),
       streams_(options.max_streams_per_client) {
@@ -68,7 +72,7 @@ LearnerServiceImpl::~LearnerServiceImpl() {
 }
 
 absl::Duration LearnerServiceImpl::WaitTime(int wait_ms) {
-  return std::clamp(absl::Milliseconds(wait_ms), absl::ZeroDuration(), WorkerRegistry::kLongestPoll);
+  return std::clamp(absl::Milliseconds(wait_ms), absl::ZeroDuration(), kLongestWait);
 }
 
 WorkerClient LearnerServiceImpl::ClientOf(const grpc::ServerContextBase& context) const {
@@ -152,9 +156,31 @@ absl::Status LearnerServiceImpl::Answer(const grpc::ServerContextBase& context, 
   reply->set_texture_digest(options_.texture_digest);
   reply->set_lease_ms(static_cast<int>(absl::ToInt64Milliseconds(options_.lease)));
   reply->set_program_version(std::string(ProgramVersion()));
-  reply->set_game_canary(registry_->GameCanary());
+  reply->set_game_canary(registry_->builds()->GameCanary());
   frames_.AddFormats(reply);
   return absl::OkStatus();
+}
+
+grpc::ServerBidiReactor<v1::ActorMessage, v1::LearnerMessage>* LearnerServiceImpl::Play(
+    grpc::CallbackServerContext* context) {
+  const auto stream = std::make_shared<ActorStream>(this, context);
+  stream->Start(stream);
+  return stream.get();
+}
+
+absl::Status LearnerServiceImpl::CheckAllowed(const grpc::ServerContextBase& context) const {
+  return options_.access != nullptr ? options_.access->Check(context, kPlay) : absl::OkStatus();
+}
+
+absl::StatusOr<v1::FragmentVerdict> LearnerServiceImpl::Receive(const grpc::ServerContextBase& context,
+                                                                v1::FragmentMessage* message) {
+  const WorkerClient client = ClientOf(context);
+  absl::StatusOr<v1::FragmentVerdict> verdict = intake_.Receive(client, message);
+  if (!verdict.ok()) return LogRefusal(client, verdict.status());
+  if (verdict->verdict() == v1::FragmentVerdict::REFUSED) {
+    WarnRefused(context, absl::StrFormat("fragment refused: %s", verdict->reason()));
+  }
+  return verdict;
 }
 
 absl::Status LearnerServiceImpl::CheckPermits(const grpc::ServerContextBase& context,
@@ -172,7 +198,6 @@ void LearnerServiceImpl::FillPermits(const WorkerRegistry::PermitReply& given, v
   AddPermits(given.granted, reply->mutable_granted());
   AddPermits(given.lost, reply->mutable_lost());
   reply->set_finished(given.finished);
-  reply->set_wait_ms(static_cast<int>(absl::ToInt64Milliseconds(given.wait)));
   if (given.evaluation.has_value()) *reply->mutable_evaluation() = ToProto(*given.evaluation);
   reply->set_env_servers_generation(given.servers_generation);
   for (const std::string& address : given.servers) reply->add_env_servers(address);
@@ -183,7 +208,7 @@ WorkerRegistry::PermitRequest LearnerServiceImpl::ToRequest(WorkerClient client,
   WorkerRegistry::PermitRequest asked;
   asked.client = std::move(client);
   asked.actor = request.actor();
-  for (const v1::Permit& permit : request.active()) asked.active.push_back(FromProto(permit));
+  for (const v1::Permit& permit : request.active()) asked.active.push_back(ToPermit(permit));
   for (const v1::LaneFailure& failure : request.failures()) {
     asked.failures.push_back({failure.lane(), failure.fragment(), failure.reason()});
   }
@@ -201,7 +226,30 @@ WorkerRegistry::PermitRequest LearnerServiceImpl::ToRequest(WorkerClient client,
   return asked;
 }
 
-v1::EvaluationTask LearnerServiceImpl::ToProto(const EvaluationScheduler::Task& task) const {
+grpc::ServerWriteReactor<v1::WeightsChunk>* LearnerServiceImpl::GetWeights(grpc::CallbackServerContext* context,
+                                                                           const v1::WeightsRequest* request) {
+  auto* const stream = new WeightStream(this, context);
+  stream->Start(*request);
+  return stream;
+}
+
+absl::StatusOr<WeightStore::Weights> LearnerServiceImpl::FindWeights(const v1::WeightsRequest& request) const {
+  if (request.evaluation() != 0) {
+    std::shared_ptr<const std::string> bytes = registry_->evaluations()->Weights(request.evaluation());
+    if (bytes == nullptr) {
+      return absl::AbortedError(absl::StrFormat("evaluation task %d is over", request.evaluation()));
+    }
+    return WeightStore::Weights{0, std::move(bytes), {}};
+  }
+  WeightStore::Weights weights = weights_->Find(request.at_least());
+  if (weights.bytes == nullptr || weights.version < request.at_least()) {
+    return absl::DeadlineExceededError(absl::StrFormat("policy version %d is not available yet, the latest is %d",
+                                                       request.at_least(), weights.version));
+  }
+  return weights;
+}
+
+v1::EvaluationTask LearnerServiceImpl::ToProto(const EvaluationTable::Task& task) const {
   v1::EvaluationTask message;
   message.set_id(task.id);
   *message.mutable_env() = options_.config.env();
@@ -216,7 +264,7 @@ v1::EvaluationTask LearnerServiceImpl::ToProto(const EvaluationScheduler::Task& 
 absl::Status LearnerServiceImpl::Answer(const grpc::ServerContextBase& /*context*/, const v1::SnapshotRequest& request,
                                         v1::SnapshotReply* reply) {
   if (absl::Status status = CheckEpoch(request.epoch()); !status.ok()) return status;
-  absl::StatusOr<LaneSnapshot> snapshot = registry_->Snapshot(request.lane(), request.fragment());
+  absl::StatusOr<LaneSnapshot> snapshot = registry_->lanes()->table().Snapshot(request.lane(), request.fragment());
   if (!snapshot.ok()) return snapshot.status();
   *reply = wire::ToProto(*std::move(snapshot));
   return absl::OkStatus();
@@ -254,7 +302,7 @@ absl::Status LearnerServiceImpl::Answer(const grpc::ServerContextBase& context, 
   }
   if (!status.ok()) return status;
   reply->set_run_id(options_.run_id);
-  reply->set_lease_ms(static_cast<int>(absl::ToInt64Milliseconds(registry_->LeaseForServers())));
+  reply->set_lease_ms(static_cast<int>(absl::ToInt64Milliseconds(registry_->server_lease())));
   return absl::OkStatus();
 }
 
@@ -268,18 +316,15 @@ absl::Status LearnerServiceImpl::Answer(const grpc::ServerContextBase& context, 
   return status;
 }
 
-std::vector<WorkerRegistry::Glance> LearnerServiceImpl::FillStatus(v1::StatusReply* reply) const {
+std::vector<WorkerRegistry::WorkerInfo> LearnerServiceImpl::FillStatus(v1::StatusReply* reply) const {
   reply->set_run_id(options_.run_id);
   wire::AddMetric("epoch", static_cast<double>(options_.epoch), reply);
-  wire::AddMetric("fragments_accepted", static_cast<double>(accepted_.load()), reply);
-  wire::AddMetric("fragments_duplicate", static_cast<double>(duplicates_.load()), reply);
-  wire::AddMetric("fragments_expired", static_cast<double>(expired_.load()), reply);
-  wire::AddMetric("fragments_rejected", static_cast<double>(rejected_.load()), reply);
-  wire::AddMetric("fragments_queued", static_cast<double>(fragments_->size()), reply);
-  wire::AddMetric("fragments_differing", static_cast<double>(registry_->differing()), reply);
-  wire::AddMetric("fragments_dropped", static_cast<double>(registry_->dropped()), reply);
-  wire::AddMetric("lanes_reset", static_cast<double>(registry_->resets()), reply);
-  wire::AddMetric("permits_lapsed", static_cast<double>(registry_->lapsed()), reply);
+  intake_.AddMetrics(reply);
+  const LaneCounters counters = registry_->lanes()->table().counters;
+  wire::AddMetric("fragments_differing", static_cast<double>(counters.differing), reply);
+  wire::AddMetric("fragments_dropped", static_cast<double>(counters.dropped), reply);
+  wire::AddMetric("lanes_reset", static_cast<double>(counters.resets), reply);
+  wire::AddMetric("permits_lapsed", static_cast<double>(counters.lapsed), reply);
   return AddWorkers(*registry_, reply);
 }
 

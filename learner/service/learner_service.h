@@ -20,6 +20,7 @@
 #include "craftfleet/v1/learner.grpc.pb.h"
 #include "craftfleet/v1/status.pb.h"
 #include "learner/scheduling/worker_registry.h"
+#include "learner/service/fragment_intake.h"
 #include "learner/training/fragments/fragment_frames.h"
 #include "learner/training/fragments/fragment_queue.h"
 #include "learner/training/weight_store.h"
@@ -65,11 +66,11 @@ class LearnerServiceImpl final : public v1::LearnerService::CallbackService {
                                   v1::LeaveReply* reply) override;
 
   // Adds fragment counts, and the workers as peers. Returns all workers, for sums.
-  std::vector<WorkerRegistry::Glance> FillStatus(v1::StatusReply* reply) const;
+  std::vector<WorkerRegistry::WorkerInfo> FillStatus(v1::StatusReply* reply) const;
 
  private:
-  class ActorStream;
-  class WeightStream;
+  friend class ActorStream;
+  friend class WeightStream;
 
   // How long a call that asks for `wait_ms` may wait.
   static absl::Duration WaitTime(int wait_ms);
@@ -93,18 +94,13 @@ class LearnerServiceImpl final : public v1::LearnerService::CallbackService {
   // Converts the request for the registry.
   WorkerRegistry::PermitRequest ToRequest(WorkerClient client, const v1::PermitRequest& request) const;
   void FillPermits(const WorkerRegistry::PermitReply& given, v1::PermitReply* reply) const;
-  v1::EvaluationTask ToProto(const EvaluationScheduler::Task& task) const;
-  // weight_stream.cc.   Aborted: the evaluation is over.   DeadlineExceeded: the version is not available yet.
+  v1::EvaluationTask ToProto(const EvaluationTable::Task& task) const;
+  // Aborted: the evaluation is over.   DeadlineExceeded: the version is not available yet.
   absl::StatusOr<WeightStore::Weights> FindWeights(const v1::WeightsRequest& request) const;
-  // actor_stream.cc: whether the client of a stream may go on.   Errors as wire::AccessControl::Check.
+  // Whether the client of a stream may go on.   Errors as wire::AccessControl::Check.
   absl::Status CheckAllowed(const grpc::ServerContextBase& context) const;
-  // Checks the fragment and passes it on. An invalid one is logged and counted.   Errors as UseName.   Cancelled: the
-  // learner is stopping.
+  // FragmentIntake::Receive; logs what was refused.
   absl::StatusOr<v1::FragmentVerdict> Receive(const grpc::ServerContextBase& context, v1::FragmentMessage* message);
-  // Whether it is wanted.   Errors as WorkerRegistry::Judge.   InvalidArgument: also, no such lane.
-  absl::StatusOr<LaneScheduler::Verdict> Judge(const WorkerClient& client, const v1::FragmentMessage& message);
-  // As Receive, for a valid name.   InvalidArgument: a field is out of its range.
-  absl::StatusOr<v1::FragmentVerdict::Verdict> Intake(const WorkerClient& client, v1::FragmentMessage* message);
   WorkerClient ClientOf(const grpc::ServerContextBase& context) const;
   // Checks that the client may call as actor `name`.   InvalidArgument: `name` is not a valid name.   Others as
   // WorkerRegistry::UseName, logged.
@@ -118,12 +114,8 @@ class LearnerServiceImpl final : public v1::LearnerService::CallbackService {
   const FragmentFrames frames_;
   WorkerRegistry* const registry_;
   WeightStore* const weights_;
-  FragmentQueue* const fragments_;
+  FragmentIntake intake_;
 
-  std::atomic<int64_t> accepted_{0};
-  std::atomic<int64_t> duplicates_{0};
-  std::atomic<int64_t> expired_{0};
-  std::atomic<int64_t> rejected_{0};
   std::atomic<int64_t> last_stream_{0};  // of Play; they are numbered from 1
 
   RealClock clock_;

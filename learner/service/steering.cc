@@ -26,12 +26,12 @@ absl::StatusOr<int64_t> Steering::Checkpoint(absl::string_view caller, absl::Dur
 
 void Steering::Pause(absl::string_view caller) {
   LogInfo("%s: pause", caller);
-  parts_.registry->SetPaused(true);
+  parts_.registry->lanes()->assignment().SetPaused(true);
 }
 
 bool Steering::Resume(absl::string_view caller) {
   LogInfo("%s: resume", caller);
-  return parts_.registry->SetPaused(false);
+  return parts_.registry->lanes()->assignment().SetPaused(false);
 }
 
 absl::StatusOr<WorkerRegistry::WorkerId> Steering::Drain(absl::string_view caller, absl::string_view worker) {

@@ -40,7 +40,7 @@ class Steering {
   void Stop(absl::string_view caller);
 
   // Whether no fragment is being played.
-  bool IsStill() const { return parts_.registry->permits() == 0; }
+  bool IsStill() const { return parts_.registry->lanes()->table().permits() == 0; }
   bool IsDrained(const WorkerRegistry::WorkerId& worker) const { return parts_.registry->IsDrained(worker); }
 
  private:

@@ -51,8 +51,21 @@ std::string StateOf(const WorkerRegistry::WorkerInfo& info, bool allow_mixed) {
 
 v1::Peer::Drain DrainOf(const WorkerRegistry::WorkerInfo& info) {
   if (!info.worker.draining) return v1::Peer::NO_DRAIN;
-  const bool has_work = info.play.has_value() ? info.play->permits > 0 : !info.worker.empty;
-  return has_work ? v1::Peer::DRAINING : v1::Peer::DRAINED;
+  return info.IsDrained() ? v1::Peer::DRAINED : v1::Peer::DRAINING;
+}
+
+// At most kMaxPeers of `workers`, in their order: first those that are lost, do not answer or are being drained.
+std::vector<const WorkerRegistry::WorkerInfo*> Shown(const std::vector<WorkerRegistry::WorkerInfo>& workers) {
+  std::vector<const WorkerRegistry::WorkerInfo*> shown;
+  shown.reserve(workers.size());
+  for (const WorkerRegistry::WorkerInfo& info : workers) shown.push_back(&info);
+  if (shown.size() <= kMaxPeers) return shown;
+  std::stable_partition(shown.begin(), shown.end(), [](const WorkerRegistry::WorkerInfo* info) {
+    return info->health != WorkerRegistry::Health::kOk || info->worker.draining || info->worker.mismatch.has_value();
+  });
+  shown.resize(kMaxPeers);
+  std::sort(shown.begin(), shown.end());  // of one array
+  return shown;
 }
 
 }  // namespace
@@ -85,7 +98,7 @@ std::shared_ptr<const v1::ProcessSummary> KeepSummary(const v1::ProcessSummary& 
   return kept;
 }
 
-WorkerRegistry::ServerReport ToServerReport(const v1::Peer& server) {
+ServerReport ToServerReport(const v1::Peer& server) {
   const bool slow = server.health() == v1::Peer::SLOW;
   return {server.address(),
           server.health() == v1::Peer::OK || slow,
@@ -95,9 +108,11 @@ WorkerRegistry::ServerReport ToServerReport(const v1::Peer& server) {
           server.step_ms()};
 }
 
-std::vector<WorkerRegistry::Glance> AddWorkers(const WorkerRegistry& registry, v1::StatusReply* reply) {
-  std::vector<WorkerRegistry::Glance> all;
-  for (const WorkerRegistry::WorkerInfo& info : registry.Workers(kMaxPeers, &all)) {
+std::vector<WorkerRegistry::WorkerInfo> AddWorkers(const WorkerRegistry& registry, v1::StatusReply* reply) {
+  std::vector<WorkerRegistry::WorkerInfo> all = registry.Workers();
+  const bool allow_mixed = registry.builds()->allow_mixed();
+  for (const WorkerRegistry::WorkerInfo* const shown : Shown(all)) {
+    const WorkerRegistry::WorkerInfo& info = *shown;
     v1::Peer* const peer = reply->add_peers();
     peer->set_role(RoleName(info.worker.role));
     peer->set_name(info.worker.name);
@@ -105,14 +120,14 @@ std::vector<WorkerRegistry::Glance> AddWorkers(const WorkerRegistry& registry, v
     peer->set_health(ToProto(info.health));
     peer->set_last_seen_s(absl::ToDoubleSeconds(info.silent));
     if (info.health == WorkerRegistry::Health::kSlow) peer->set_step_ms(info.worker.step_ms);
-    if (std::string state = StateOf(info, registry.allow_mixed()); !state.empty()) peer->set_state(std::move(state));
+    if (std::string state = StateOf(info, allow_mixed); !state.empty()) peer->set_state(std::move(state));
     if (const v1::Peer::Drain drain = DrainOf(info); drain != v1::Peer::NO_DRAIN) peer->set_drain(drain);
     if (info.refused) continue;
     if (info.worker.summary != nullptr) *peer->mutable_summary() = *info.worker.summary;
     const bool answers = info.health == WorkerRegistry::Health::kOk || info.health == WorkerRegistry::Health::kSlow;
     if (!answers || info.summary_is_old) ClearPresentWork(peer->mutable_summary());
   }
-  wire::AddMetric("workers_mixed", static_cast<double>(registry.mixed()), reply);
+  wire::AddMetric("workers_mixed", static_cast<double>(registry.builds()->differing()), reply);
   return all;
 }
 

@@ -17,7 +17,7 @@ namespace craftfleet {
 std::shared_ptr<const v1::ProcessSummary> KeepSummary(const v1::ProcessSummary& summary);
 
 // Converts an actor's report on an environment server.
-WorkerRegistry::ServerReport ToServerReport(const v1::Peer& server);
+ServerReport ToServerReport(const v1::Peer& server);
 
 // Names as in status.proto.
 std::string RoleName(WorkerRole role);
@@ -26,7 +26,7 @@ v1::Peer::Health ToProto(WorkerRegistry::Health health);
 inline constexpr size_t kMaxPeers = 1000;  // on a status page: more would take long, and nobody reads them
 
 // Adds workers as peers, at most kMaxPeers, and the metric workers_mixed. Returns all workers, for sums.
-std::vector<WorkerRegistry::Glance> AddWorkers(const WorkerRegistry& registry, v1::StatusReply* reply);
+std::vector<WorkerRegistry::WorkerInfo> AddWorkers(const WorkerRegistry& registry, v1::StatusReply* reply);
 
 }  // namespace craftfleet
 

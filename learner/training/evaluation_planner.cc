@@ -32,8 +32,8 @@ EvaluationPlanner::EvaluationPlanner(const v1::EvalConfig& config, int64_t steps
       final_evaluation_steps_ = 0;
       continue;
     }
-    registry_->AddEvaluation({pending.number(), pending.env_steps(), pending.first_episode(), pending.episodes(),
-                              pending.final(), checkpoint.evaluation_weights[i]});
+    registry_->evaluations()->Add({pending.number(), pending.env_steps(), pending.first_episode(), pending.episodes(),
+                                   pending.final(), checkpoint.evaluation_weights[i]});
   }
 }
 
@@ -52,7 +52,7 @@ void EvaluationPlanner::OnEnd(int64_t env_steps, const std::shared_ptr<const std
     Begin(env_steps, config_.final_episodes(), /*final=*/true, weights);
     final_evaluation_steps_ = env_steps;
   }
-  if (registry_->pending_evaluations() == 0) return;
+  if (registry_->evaluations()->pending() == 0) return;
   LogInfo(
       "training is over; waiting for the remaining evaluations; the final one has %d argmax and %d sampled episodes",
       config_.final_episodes(), config_.final_episodes());
@@ -64,7 +64,7 @@ void EvaluationPlanner::Begin(int64_t env_steps, int episodes, bool final,
   const int64_t count = int64_t{2} * episodes;
   // After the last episode that an actor can play, they begin again.
   const int64_t first = next_episode_ > kLastEvaluationEpisode - count ? 1 : next_episode_;
-  registry_->AddEvaluation({++begun_, env_steps, first, episodes, final, weights});
+  registry_->evaluations()->Add({++begun_, env_steps, first, episodes, final, weights});
   if (!final) next_episode_ = first + count;
 }
 
@@ -72,13 +72,13 @@ void EvaluationPlanner::LogFinished(size_t below, const std::function<bool()>& s
   while (LogOldest(absl::ZeroDuration())) {
   }
   absl::Time last_news = SteadyNow();
-  while (registry_->pending_evaluations() >= below && !should_stop()) {
+  while (registry_->evaluations()->pending() >= below && !should_stop()) {
     if (LogOldest(kTick)) {
       last_news = SteadyNow();
     } else if (SteadyNow() - last_news > kReportEvery) {
       last_news = SteadyNow();
       const std::string played = registry_->WaitsFor();
-      LogInfo("waiting for actors to play %d evaluations%s%s", registry_->pending_evaluations(),
+      LogInfo("waiting for actors to play %d evaluations%s%s", registry_->evaluations()->pending(),
               played.empty() ? "" : "; being played: ", played);
     }
   }
@@ -89,7 +89,7 @@ bool EvaluationPlanner::LogOldest(absl::Duration timeout) {
   if (!finished.has_value()) return false;
   const Evaluation& evaluation = finished->evaluation;
   folder_->AddEvaluation(evaluation.final, finished->argmax, finished->sampled);
-  registry_->PopEvaluation();
+  registry_->evaluations()->Pop();
   const ScoreBoard& argmax = folder_->score(evaluation.final ? EpisodeKind::kFinalArgmax : EpisodeKind::kArgmax);
   const ScoreBoard& sampled = folder_->score(evaluation.final ? EpisodeKind::kFinalSampled : EpisodeKind::kSampled);
   const std::string group = evaluation.final ? "final/" : "eval/";
@@ -110,7 +110,7 @@ void EvaluationPlanner::FillCheckpoint(Checkpoint* checkpoint) const {
   state.set_evaluations(begun_);
   state.set_next_eval_episode(next_episode_);
   state.set_final_evaluation_steps(final_evaluation_steps_);
-  for (Evaluation& evaluation : registry_->PendingEvaluations()) {
+  for (Evaluation& evaluation : registry_->evaluations()->Pending()) {
     v1::PendingEvaluation* pending = state.add_pending();
     pending->set_number(evaluation.number);
     pending->set_env_steps(evaluation.env_steps);

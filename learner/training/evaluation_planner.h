@@ -46,7 +46,7 @@ class EvaluationPlanner {
              const std::function<bool()>& should_stop);
 
   // The number of evaluations that have begun and are not logged.
-  size_t pending() const { return registry_->pending_evaluations(); }
+  size_t pending() const { return registry_->evaluations()->pending(); }
 
   // Adds the state that a later start needs to continue.
   void FillCheckpoint(Checkpoint* checkpoint) const;

@@ -33,7 +33,7 @@ Trainer::Trainer(const v1::RunConfig& config, const Checkpoint& checkpoint, std:
       checkpoints_(config.checkpoint().every_iterations(),
                    {parts.folder, parts.checkpoints, &disk_, parts.clock, [this] { return MakeCheckpoint(); }}),
       collector_(std::move(kept), {parts.registry, parts.fragments, parts.journal, parts.clock}),
-      lanes_(parts.registry->Records()),
+      lanes_(parts.registry->lanes()->table().Records()),
       first_version_(checkpoint.state.policy_version()),
       train_seconds_(checkpoint.state.train_seconds()) {
   const v1::CheckpointState& state = checkpoint.state;
@@ -102,9 +102,10 @@ absl::Status Trainer::RunIteration() {
   Begin();
   CRAFTFLEET_ASSIGN_OR_RETURN(const std::vector<Fragment> fragments, Collect());
   // Those of an asynchronous run have already advanced, and some may be reset.
-  std::vector<LaneRecord> lanes = is_asynchronous() ? parts_.registry->StartRecords() : parts_.registry->Records();
+  std::vector<LaneRecord> lanes = is_asynchronous() ? parts_.registry->lanes()->table().StartRecords()
+                                                    : parts_.registry->lanes()->table().Records();
   if (config_.overlap() > 0 && has_steps_left(1)) {
-    parts_.registry->OpenIteration(LastFragment(counters_.iteration + 1), weights_.back().version);
+    parts_.registry->lanes()->rollouts().OpenIteration(LastFragment(counters_.iteration + 1), weights_.back().version);
     next_is_open_ = true;
   }
   meter_.Switch(Activity::kUpdate);
@@ -187,7 +188,7 @@ absl::Status Trainer::UndoIteration(const std::vector<Fragment>& fragments, cons
   for (const std::string& line : DescribeSenders(fragments)) LogError("%s", line);
   collector_.ClearJournal();
   if (again) {
-    parts_.registry->RewindIterations(next_is_open_ || is_asynchronous() ? 2 : 1);
+    parts_.registry->lanes()->rollouts().RewindIterations(next_is_open_ || is_asynchronous() ? 2 : 1);
     next_is_open_ = false;
   }
   status_.OnUpdateUndone();
@@ -204,7 +205,8 @@ absl::Status Trainer::FinishIteration(const std::vector<Fragment>& fragments, co
   status_.OnUpdate(staleness);
   PublishWeights(weights_.back().version + 1);
   log_.AddIteration(counters_.env_steps, fragments, stats, StepsPerSecond());
-  if (config_.max_staleness() > 0) log_.AddStaleness(counters_.env_steps, staleness, parts_.registry->dropped());
+  if (config_.max_staleness() > 0)
+    log_.AddStaleness(counters_.env_steps, staleness, parts_.registry->lanes()->table().counters.dropped);
   LogPictures(fragments.front());
   log_.Flush();
   CRAFTFLEET_RETURN_IF_ERROR(parts_.folder->CheckOwned());

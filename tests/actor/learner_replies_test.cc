@@ -9,7 +9,7 @@
 #include "common/base/seeds.h"
 #include "common/config/config.h"
 #include "common/io/snapshot_envelope.h"
-#include "learner/scheduling/evaluation_scheduler.h"
+#include "learner/scheduling/evaluation_table.h"
 #include "tests/fakes/status_matchers.h"
 
 namespace craftfleet {
@@ -105,7 +105,7 @@ TEST(LearnerReplies, PermitsAreChecked) {
 TEST(LearnerReplies, TasksOfLateEvaluationsAreAccepted) {
   RealClock clock;
   for (const int64_t first : {int64_t{1}, int64_t{9'998}, kLastEvaluationEpisode - 2 * kMaxEvaluationEpisodes + 1}) {
-    EvaluationScheduler scheduler(&clock);
+    EvaluationTable scheduler(&clock);
     Evaluation evaluation;
     evaluation.number = 1;
     evaluation.first_episode = first;

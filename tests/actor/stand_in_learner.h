@@ -21,6 +21,7 @@
 #include "learner/service/learner_service.h"
 #include "tests/fakes/env_server.h"
 #include "tests/fakes/sample_policy.h"
+#include "tests/learner/scheduling/test_registry.h"
 
 namespace craftfleet {
 
@@ -93,10 +94,10 @@ class StandInLearner {
     while (fragments_.Pop(absl::ZeroDuration()).has_value()) {
     }
     std::vector<int> permits;
-    for (const LaneScheduler::ActorInfo& actor : registry_.Actors()) permits.push_back(actor.permits);
+    for (const LaneTable::ActorInfo& actor : registry_.Actors()) permits.push_back(actor.permits);
     return permits;
   }
-  WorkerRegistry& registry() { return registry_; }
+  TestRegistry& registry() { return registry_; }
   FragmentQueue& fragments() { return fragments_; }
   wire::Endpoint Connect() const { return wire::Connect(server_->address()); }
 
@@ -110,7 +111,7 @@ class StandInLearner {
 
   const std::string agent_;
   RealClock clock_;
-  WorkerRegistry registry_;
+  TestRegistry registry_;
   WeightStore weights_;
   FragmentQueue fragments_{100};
   LearnerServiceImpl service_;

@@ -20,7 +20,7 @@ constexpr absl::Duration kReportEvery = absl::Seconds(15);
 void FragmentCollector::Begin(int64_t iteration, int64_t last_fragment, int64_t policy_version) {
   collected_.clear();
   TakeKept(iteration, last_fragment, policy_version);
-  parts_.registry->OpenIteration(last_fragment, policy_version);
+  parts_.registry->lanes()->rollouts().OpenIteration(last_fragment, policy_version);
 }
 
 void FragmentCollector::BeginOpened() {
@@ -30,7 +30,7 @@ void FragmentCollector::BeginOpened() {
 
 void FragmentCollector::BeginNext(int64_t policy_version) {
   DropReset();  // after an update that was undone
-  parts_.registry->PublishVersion(policy_version);
+  parts_.registry->lanes()->rollouts().PublishVersion(policy_version);
 }
 
 void FragmentCollector::TakeKept(int64_t iteration, int64_t last_fragment, int64_t policy_version) {
@@ -39,7 +39,7 @@ void FragmentCollector::TakeKept(int64_t iteration, int64_t last_fragment, int64
     const Permit permit = {fragment.lane, fragment.number, fragment.policy_version};
     fragment.digest = wire::FragmentDigest(fragment);
     fragment.sender = "an earlier start";
-    if (parts_.registry->Restore(permit, fragment.snapshot, fragment.digest)) {
+    if (parts_.registry->lanes()->table().Restore(permit, fragment.snapshot, fragment.digest)) {
       collected_[{permit.lane, permit.fragment}] = std::move(fragment);
     }
   }
@@ -68,7 +68,7 @@ absl::StatusOr<std::vector<Fragment>> FragmentCollector::CollectRollout(size_t w
   };
   // Fragments are accepted before they are queued, so the last ones may still be on their way.
   const auto is_complete = [&] {
-    if (!taken.has_value()) taken = parts_.registry->TakeRollout();
+    if (!taken.has_value()) taken = parts_.registry->lanes()->rollouts().TakeRollout();
     return taken.has_value() && std::all_of(taken->begin(), taken->end(), is_here);
   };
   CRAFTFLEET_RETURN_IF_ERROR(CollectUntil(is_complete, wanted, on_tick));
@@ -84,11 +84,11 @@ absl::StatusOr<std::vector<Fragment>> FragmentCollector::CollectRollout(size_t w
 absl::Status FragmentCollector::CollectUntil(const std::function<bool()>& is_complete, size_t wanted,
                                              const OnTick& on_tick) {
   absl::Time last_news = parts_.clock->Now();
-  int64_t resets = parts_.registry->resets();
+  int64_t resets = parts_.registry->lanes()->table().counters.resets;
   while (true) {
     // Fragments of lanes that were reset in the meantime are played again.
-    if (resets != parts_.registry->resets()) {
-      resets = parts_.registry->resets();
+    if (resets != parts_.registry->lanes()->table().counters.resets) {
+      resets = parts_.registry->lanes()->table().counters.resets;
       DropReset();
     }
     if (is_complete()) return absl::OkStatus();
@@ -101,14 +101,15 @@ absl::Status FragmentCollector::CollectUntil(const std::function<bool()>& is_com
       last_news = parts_.clock->Now();
       const std::string played = parts_.registry->WaitsFor();
       LogInfo("waiting for actors: %d of %d fragments have arrived, %d actors have joined%s%s", collected_.size(),
-              wanted, parts_.registry->Actors().size(), played.empty() ? "" : "; being played: ", played);
+              wanted, parts_.registry->lanes()->table().actors().size(),
+              played.empty() ? "" : "; being played: ", played);
     }
     CRAFTFLEET_RETURN_IF_ERROR(on_tick(collected_.size(), is_idle));
   }
 }
 
 void FragmentCollector::Add(Fragment fragment) {
-  if (!parts_.registry->Counts(fragment.lane, fragment.number, fragment.digest)) return;
+  if (!parts_.registry->lanes()->table().Counts(fragment.lane, fragment.number, fragment.digest)) return;
   WriteJournal(fragment);
   const Key key = {fragment.lane, fragment.number};
   collected_[key] = std::move(fragment);
@@ -118,7 +119,7 @@ void FragmentCollector::DropReset() {
   const size_t before = collected_.size();
   for (auto entry = collected_.begin(); entry != collected_.end();) {
     const Fragment& fragment = entry->second;
-    const bool counts = parts_.registry->Counts(fragment.lane, fragment.number, fragment.digest);
+    const bool counts = parts_.registry->lanes()->table().Counts(fragment.lane, fragment.number, fragment.digest);
     entry = counts ? std::next(entry) : collected_.erase(entry);
   }
   if (collected_.size() == before) return;

@@ -47,7 +47,7 @@ class BusyFleet {
   }
   void Open() {
     ++last_fragment_;
-    registry->OpenIteration(last_fragment_, /*policy_version=*/last_fragment_);
+    registry->lanes()->rollouts().OpenIteration(last_fragment_, /*policy_version=*/last_fragment_);
   }
   // The actor's request, which reports `active`.
   WorkerRegistry::PermitReply Ask(int actor, std::vector<Permit> active) {
@@ -162,8 +162,7 @@ void ServerReturns(benchmark::State& state) {
 void Status(benchmark::State& state) {
   BusyFleet fleet(static_cast<int>(state.range(0)));
   for (auto _ : state) {
-    std::vector<WorkerRegistry::Glance> all;
-    benchmark::DoNotOptimize(fleet.registry->Workers(1000, &all));
+    benchmark::DoNotOptimize(fleet.registry->Workers());
   }
 }
 

@@ -60,7 +60,7 @@ class Intake {
   Intake(int steps, int lanes, const std::string& address)
       : registry_(RegistryOptions(lanes), std::vector<LaneRecord>(lanes), &clock_),
         service_(ServiceOptions(steps, lanes), &registry_, &weights_, &fragments_) {
-    registry_.OpenIteration(int64_t{1} << 60, 0);
+    registry_.lanes()->rollouts().OpenIteration(int64_t{1} << 60, 0);
     weights_.Publish(0, std::make_shared<const std::string>(kWeightBytes, 'w'));
     wire::Server::Options options;
     options.address = address;

@@ -62,7 +62,7 @@ const FieldExpectations& Expectations() {
           {"EvaluationResult.episodes[]", "compared with the task's number of episodes (learner_service_test)"},
           {"EvaluationResult.actor", "checked by name before the result is read (learner_service_test)"},
           {"EvaluationResult.epoch", "compared with the learner's own: ABORTED (learner_service_test)"},
-          {"EvaluationResult.id", "compared with the tasks that exist (evaluation_scheduler_test)"},
+          {"EvaluationResult.id", "compared with the tasks that exist (evaluation_table_test)"},
           {"JoinReply.frame_formats[]", "the actor looks for one that it knows"},
           {"PermitReply.env_servers_generation", "only sent back"},
           {"SessionHello.frame_formats[]", "the server looks for one that it knows (env_service_test)"},

@@ -28,7 +28,7 @@ class Check {
   absl::Status CheckServer(const std::string& name, const std::string& canary) {
     return registry_.Announce({}, name, name + ":1", 0, {"0.2", canary});
   }
-  std::string GameCanary() const { return registry_.GameCanary(); }
+  std::string GameCanary() const { return registry_.builds()->GameCanary(); }
   v1::StatusReply Status() const {
     v1::StatusReply reply;
     AddWorkers(registry_, &reply);
@@ -80,7 +80,7 @@ TEST(BuildCheck, AWorkerThatDiffersIsRefusedAndLogged) {
 
   EXPECT_THAT(check.CheckActor("b", "cafe"), IsOk()) << "it was upgraded";
   EXPECT_EQ(check.StateOf("b"), "0 permits, 0 fragments accepted");
-  clock.Advance(WorkerRegistry::kRememberLost + absl::Seconds(1));
+  clock.Advance(WorkerTable::kRememberLost + absl::Seconds(1));
   EXPECT_EQ(check.Status().peers_size(), 0);
 }
 
@@ -117,7 +117,7 @@ TEST(BuildCheck, RemembersTheNewestAndShowsPrintableText) {
     EXPECT_EQ(status.message().find_first_of("\n\x1b"), absl::string_view::npos);
     EXPECT_LT(status.message().size(), 1024);
   }
-  EXPECT_EQ(check.Status().peers_size(), static_cast<int>(WorkerRegistry::kMaxRefused));
+  EXPECT_EQ(check.Status().peers_size(), static_cast<int>(WorkerTable::kMaxRefused));
 }
 
 }  // namespace

@@ -93,7 +93,7 @@ TEST_F(AsyncLanes, AFragmentThatWouldBeTooOldIsDroppedAndPlayedAgain) {
       testing::internal::GetCapturedStderr(),
       HasSubstr("fragment 0 of lane 1 from actor slow is dropped and played again: its weights are 2 updates old, "
                 "max_staleness is 1 (dropped so far, of all actors: 1)"));
-  EXPECT_EQ(registry_.dropped(), 1);
+  EXPECT_EQ(registry_.counters().dropped, 1);
   EXPECT_FALSE(registry_.Counts(1, 0, Digest({1, 0, 0})));
   EXPECT_THAT(Ask("slow"), ElementsAre(Permit{1, 0, 2})) << "the same fragment, with the newest weights";
   EXPECT_EQ(Push("slow", {1, 0, 0}), Verdict::kExpired) << "the old one, sent again";
@@ -209,7 +209,7 @@ class History {
       request.active.pop_back();
       held.pop_back();
     }
-    const auto reply = registry_.WorkerRegistry::GetPermits(request);
+    const auto reply = registry_.GetPermits(request);
     if (!reply.ok()) return held.clear();
     for (const Permit& permit : reply->granted) {
       ASSERT_LE(permit.policy_version, version_);
@@ -283,15 +283,15 @@ class History {
                                 }),
                  queue_.end());
     if (queue_.size() != before) {
-      ASSERT_GT(registry_.resets(), resets_) << "only a reset takes fragments away";
+      ASSERT_GT(registry_.counters().resets, resets_) << "only a reset takes fragments away";
     }
-    resets_ = registry_.resets();
+    resets_ = registry_.counters().resets;
     std::vector<int64_t> next = learned_;
     for (const Arrival& arrival : queue_) ASSERT_EQ(arrival.permit.fragment, next[arrival.permit.lane]++);
     for (int lane = 0; lane < lanes_; ++lane) {
       ASSERT_EQ(records[lane].next_fragment, next[lane]) << "accepted, but neither learned from nor waiting";
     }
-    ASSERT_EQ(registry_.dropped(), dropped_) << "all drops are counted";
+    ASSERT_EQ(registry_.counters().dropped, dropped_) << "all drops are counted";
     ASSERT_LE(queue_.size(), static_cast<size_t>((max_staleness_ + 1) * rollout_)) << "the learner's memory is bounded";
   }
 
@@ -305,7 +305,7 @@ class History {
     for (int i = 0; total_learned_ < wanted && !testing::Test::HasFailure(); ++i) {
       ASSERT_LT(i, 3000) << "training is stuck";
       std::vector<Permit>& held = held_["good"];
-      const auto reply = registry_.WorkerRegistry::GetPermits(TestRegistry::RequestOf("good", held, lanes_));
+      const auto reply = registry_.GetPermits(TestRegistry::RequestOf("good", held, lanes_));
       ASSERT_THAT(reply, IsOk());
       held.insert(held.end(), reply->granted.begin(), reply->granted.end());
       if (!held.empty()) {

@@ -40,12 +40,12 @@ TEST(LaneLeases, ASlowActorKeepsItsLanes) {
   fleet.clock.Advance(absl::Seconds(4));
   EXPECT_THAT(fleet.Ask("b").granted, IsEmpty());
   EXPECT_THAT(fleet.Ask("a", of_a).lost, IsEmpty());
-  EXPECT_EQ(fleet.registry.lapsed(), 0);
+  EXPECT_EQ(fleet.registry.counters().lapsed, 0);
   for (int i = 0; i < 15; ++i) {
     fleet.clock.Advance(absl::Seconds(1));
     fleet.Ask("b", {});
   }
-  EXPECT_EQ(fleet.registry.lapsed(), 2);
+  EXPECT_EQ(fleet.registry.counters().lapsed, 2);
   EXPECT_THAT(fleet.registry.GetPermits("a", of_a, kAll, absl::ZeroDuration()),
               StatusIs(absl::StatusCode::kAborted, HasSubstr("join again")));
   fleet.registry.Join("a", "");
@@ -62,11 +62,11 @@ TEST(LaneLeases, SettingTheDateChangesNoLease) {
     EXPECT_THAT(fleet.Ask("a", of_a).lost, IsEmpty());
     EXPECT_THAT(fleet.Ask("b").granted, IsEmpty());
   }
-  EXPECT_EQ(fleet.registry.lapsed(), 0);
+  EXPECT_EQ(fleet.registry.counters().lapsed, 0);
   fleet.clock.SetWallAhead(-absl::Hours(1));
   fleet.clock.Advance(absl::Milliseconds(5001));
   fleet.Ask("b");
-  EXPECT_EQ(fleet.registry.lapsed(), 2) << "nor does it prolong a lease";
+  EXPECT_EQ(fleet.registry.counters().lapsed, 2) << "nor does it prolong a lease";
 }
 
 TEST(LaneLeases, ALeaseLastsTwiceAsLongIfNoOtherActorAsks) {
@@ -77,7 +77,7 @@ TEST(LaneLeases, ALeaseLastsTwiceAsLongIfNoOtherActorAsks) {
   fleet.clock.Advance(absl::Milliseconds(10001));
   EXPECT_THAT(fleet.registry.GetPermits("a", of_a, kAll, absl::ZeroDuration()),
               StatusIs(absl::StatusCode::kAborted, HasSubstr("join again")));
-  EXPECT_EQ(fleet.registry.lapsed(), 2);
+  EXPECT_EQ(fleet.registry.counters().lapsed, 2);
 }
 
 TEST(LaneLeases, ABrokenConnectionEndsTheLeaseSooner) {
@@ -89,7 +89,7 @@ TEST(LaneLeases, ABrokenConnectionEndsTheLeaseSooner) {
   EXPECT_THAT(fleet.Ask("b").granted, IsEmpty()) << "it may reconnect";
   fleet.clock.Advance(absl::Milliseconds(1));
   EXPECT_THAT(fleet.Ask("b").granted, SizeIs(2));
-  EXPECT_EQ(fleet.registry.lapsed(), 2);
+  EXPECT_EQ(fleet.registry.counters().lapsed, 2);
   fleet.registry.OnConnectionLost("a");  // no longer known
 }
 
@@ -99,7 +99,7 @@ TEST(LaneLeases, TheEndOfAnEarlierStreamDoesNotShortenALease) {
   fleet.registry.Join("b", "");
   for (const int64_t stream : {1, 2}) {
     renewal.stream = stream;
-    EXPECT_THAT(fleet.registry.WorkerRegistry::GetPermits(renewal), IsOk());
+    EXPECT_THAT(fleet.registry.GetPermits(renewal), IsOk());
   }
   fleet.registry.OnConnectionLost("a", 1);
   fleet.clock.Advance(absl::Milliseconds(2001));

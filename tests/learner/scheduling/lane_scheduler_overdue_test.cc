@@ -39,7 +39,7 @@ class OverdueLanes : public testing::Test {
   TestRegistry::Grant Ask(const std::string& actor, const std::vector<Permit>& active = {}, int capacity = 100) {
     WorkerRegistry::PermitRequest request = TestRegistry::RequestOf(actor, active, capacity);
     request.client.identity = clients_[actor];
-    const auto grant = registry_.WorkerRegistry::GetPermits(request);
+    const auto grant = registry_.GetPermits(request);
     EXPECT_THAT(grant, IsOk());
     return grant.value_or(TestRegistry::Grant());
   }
@@ -69,7 +69,7 @@ class OverdueLanes : public testing::Test {
     }
   }
   bool IsLate(const std::string& name) const {
-    for (const LaneScheduler::ActorInfo& actor : registry_.Actors()) {
+    for (const LaneTable::ActorInfo& actor : registry_.Actors()) {
       if (actor.name == name) return actor.late;
     }
     return false;
@@ -206,7 +206,7 @@ TEST_F(OverdueLanes, ALoneActorKeepsItsPermits) {
     clock_.Advance(absl::Seconds(4));
     ASSERT_THAT(Ask("a", permits).lost, IsEmpty());
   }
-  EXPECT_EQ(registry_.lapsed(), 0);
+  EXPECT_EQ(registry_.counters().lapsed, 0);
 }
 
 // Otherwise each iteration would wait for it again.

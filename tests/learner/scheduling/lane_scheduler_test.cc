@@ -301,7 +301,7 @@ TEST(LaneScheduler, ReportsActors) {
   fleet.Push("a", of_a[0]);
   fleet.clock.Advance(absl::Seconds(2));
   fleet.registry.Join("b", "10.0.0.2:7");
-  const std::vector<LaneScheduler::ActorInfo> actors = fleet.registry.Actors();
+  const std::vector<LaneTable::ActorInfo> actors = fleet.registry.Actors();
   ASSERT_THAT(actors, SizeIs(2));
   EXPECT_EQ(actors[0].name, "a");
   EXPECT_EQ(actors[0].address, "address of a");

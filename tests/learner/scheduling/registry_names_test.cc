@@ -92,7 +92,7 @@ TEST_F(RegistryNamesTest, WithoutCertificatesAllWorkersShareAnIdentity) {
 }
 
 TEST_F(RegistryNamesTest, TheNamesOfAnIdentityAreBounded) {
-  for (size_t i = 0; i < WorkerRegistry::kMaxNames; ++i) {
+  for (size_t i = 0; i < WorkerTable::kMaxNames; ++i) {
     ASSERT_THAT(Use("actor", absl::StrCat(i), "one", absl::StrCat("host", i % 64)), IsOk());
   }
   EXPECT_THAT(Use("actor", "more", "one", "another host"),

@@ -13,8 +13,8 @@
 #include <absl/strings/str_cat.h>
 #include <gtest/gtest.h>
 
-#include "learner/scheduling/worker_registry.h"
 #include "tests/fakes/fake_clock.h"
+#include "tests/learner/scheduling/test_registry.h"
 
 namespace craftfleet {
 namespace {
@@ -51,9 +51,9 @@ class History {
     int64_t evaluation = 0;
   };
 
-  WorkerRegistry::Options Options() const {
-    WorkerRegistry::Options options;
-    options.lanes.lanes = lanes_;
+  LaneScheduler::Options Options() const {
+    LaneScheduler::Options options;
+    options.lanes = lanes_;
     return options;
   }
   std::vector<LaneRecord> Records() const { return std::vector<LaneRecord>(lanes_, {0, {"new", {}}, {"older", {}}}); }
@@ -76,7 +76,7 @@ class History {
       case 2:
         return registry_.OnConnectionLost(name);
       case 3:
-        player.drained = registry_.Drain(name).ok() || player.drained;
+        player.drained = registry_.WorkerRegistry::Drain(name).ok() || player.drained;
         return;
       case 4:
         if (registry_.Undrain(name).ok()) player.drained = false;
@@ -194,7 +194,7 @@ class History {
 
   void FinishTask(const std::string& name, Player* player) {
     if (player->evaluation == 0) return;
-    const std::vector<LaneScheduler::ActorInfo> actors = registry_.Actors();
+    const std::vector<LaneTable::ActorInfo> actors = registry_.Actors();
     const bool is_known =
         std::any_of(actors.begin(), actors.end(), [&](const auto& actor) { return actor.name == name; });
     const absl::Status status = registry_.FinishEvaluation(name, player->evaluation, std::vector<Episode>(1));
@@ -222,7 +222,7 @@ class History {
   void CheckAll() {
     std::set<std::string> names;
     int permits = 0;
-    for (const LaneScheduler::ActorInfo& actor : registry_.Actors()) {
+    for (const LaneTable::ActorInfo& actor : registry_.Actors()) {
       ASSERT_TRUE(names.insert(actor.name).second);
       ASSERT_GE(actor.permits, 0);
       ASSERT_LE(actor.permits, lanes_);
@@ -280,7 +280,7 @@ class History {
   std::mt19937 random_;
   mutable FakeClock clock_;
   const int lanes_;
-  WorkerRegistry registry_;
+  TestRegistry registry_;
   std::map<std::string, Player> players_;
   int64_t last_fragment_ = 0;
   int64_t version_ = 0;

@@ -35,7 +35,7 @@ class RegistryServersTest : public testing::Test {
   // The reply to an actor with the list of `generation` (0: none).
   static TestRegistry::PermitReply Ask(TestRegistry* registry, int64_t generation) {
     registry->Join("asks", "");
-    const auto reply = static_cast<WorkerRegistry*>(registry)->GetPermits(Question(generation));
+    const auto reply = registry->GetPermits(Question(generation));
     EXPECT_THAT(reply, IsOk());
     return reply.value_or(TestRegistry::PermitReply());
   }
@@ -173,24 +173,24 @@ TEST_F(RegistryServersTest, AServerThatMovesIsListedOnlyAtItsNewAddress) {
 // A client could fill the registry with them.
 TEST_F(RegistryServersTest, ServersThatActorsReportAreBounded) {
   registry_.Join("asks", "");
-  for (int i = 0; i < 2 * TestRegistry::kMaxReported; ++i) {
+  for (int i = 0; i < 2 * ServerReports::kMaxReported; ++i) {
     TestRegistry::PermitRequest request = TestRegistry::RequestOf("asks", {}, 0);
     request.servers = {{"made-up:" + std::to_string(i), /*answers=*/true, /*hangs=*/false, nullptr}};
-    ASSERT_THAT(static_cast<WorkerRegistry&>(registry_).GetPermits(request), IsOk());
+    ASSERT_THAT(registry_.GetPermits(request), IsOk());
   }
-  EXPECT_EQ(registry_.Workers().size(), 1 + TestRegistry::kMaxReported);
+  EXPECT_EQ(registry_.Workers().size(), 1 + ServerReports::kMaxReported);
   clock_.Advance(absl::Minutes(11));
   registry_.Join("asks", "");
   TestRegistry::PermitRequest request = TestRegistry::RequestOf("asks", {}, 0);
   request.servers = {{"real:1", /*answers=*/true, /*hangs=*/false, nullptr}};
-  ASSERT_THAT(static_cast<WorkerRegistry&>(registry_).GetPermits(request), IsOk());
+  ASSERT_THAT(registry_.GetPermits(request), IsOk());
   EXPECT_EQ(registry_.Workers().size(), 2) << "there is room again";
 }
 
 // A server that registers, but does not answer its neighbours, would stop them for good.
 TEST_F(RegistryServersTest, AnActorThatCanUseNoneOfItsServersGetsOthers) {
-  WorkerRegistry& registry = registry_;
-  EXPECT_THAT(registry.Join({"", "host 1"}, "asks", "", {}), IsOk());
+  TestRegistry& registry = registry_;
+  EXPECT_THAT(registry.WorkerRegistry::Join({"", "host 1"}, "asks", "", {}), IsOk());
   TestRegistry::PermitRequest request = Question(0);
   request.client.host = "host 1";
   request.servers = {{"a:1", /*answers=*/false, /*hangs=*/true, nullptr}};
@@ -208,8 +208,8 @@ TEST_F(RegistryServersTest, AnActorThatCanUseNoneOfItsServersGetsOthers) {
 }
 
 TEST_F(RegistryServersTest, SoDoesOneWithTheLongestList) {
-  WorkerRegistry& registry = registry_;
-  EXPECT_THAT(registry.Join({"", "host 1"}, "asks", "", {}), IsOk());
+  TestRegistry& registry = registry_;
+  EXPECT_THAT(registry.WorkerRegistry::Join({"", "host 1"}, "asks", "", {}), IsOk());
   TestRegistry::PermitRequest request = Question(0);
   request.client.host = "host 1";
   std::vector<std::string> servers;
@@ -227,23 +227,6 @@ TEST_F(RegistryServersTest, SoDoesOneWithTheLongestList) {
     clock_.Advance(absl::Seconds(2));
   }
   EXPECT_THAT(servers, ElementsAre("b:1"));
-}
-
-TEST_F(RegistryServersTest, ManyServersReportLessOften) {
-  TestRegistry::Options options = Options();
-  options.max_names_per_client = 10000;
-  TestRegistry registry(options, &clock_);
-  EXPECT_EQ(registry.LeaseForServers(), kLease);
-  for (int i = 0; i < 3000; ++i) {
-    const std::string number = std::to_string(i);
-    ASSERT_THAT(registry.Announce({}, "s" + number, "a:" + number, 0, {}), IsOk());
-  }
-  EXPECT_EQ(registry.LeaseForServers(), 3 * kLease);
-  ASSERT_THAT(registry.Announce({}, "s1", "a:1", 0, {}), IsOk());
-  clock_.Advance(2 * kLease);
-  const std::vector<WorkerRegistry::Server> left = registry.Servers();
-  EXPECT_LT(left.size(), 3000) << "the first ones had a short lease";
-  EXPECT_TRUE(std::any_of(left.begin(), left.end(), [](const auto& server) { return server.name == "s1"; }));
 }
 
 }  // namespace

@@ -3,7 +3,9 @@
 #ifndef CRAFTFLEET_TESTS_LEARNER_SCHEDULING_TEST_REGISTRY_H_
 #define CRAFTFLEET_TESTS_LEARNER_SCHEDULING_TEST_REGISTRY_H_
 
+#include <cstddef>
 #include <cstdint>
+#include <optional>
 #include <string>
 #include <utility>
 #include <vector>
@@ -11,8 +13,10 @@
 #include <absl/status/status.h>
 #include <absl/status/statusor.h>
 #include <absl/strings/string_view.h>
+#include <absl/time/clock.h>
 #include <absl/time/time.h>
 
+#include "common/base/clock.h"
 #include "learner/scheduling/worker_registry.h"
 
 namespace craftfleet {
@@ -27,18 +31,58 @@ class TestRegistry : public WorkerRegistry {
   TestRegistry(const Options& options, Clock* clock)
       : WorkerRegistry(options, std::vector<LaneRecord>(options.lanes.lanes), clock) {}
 
+  using WorkerRegistry::Join;
+  using WorkerRegistry::Leave;
   void Join(absl::string_view actor, absl::string_view address) {
     WorkerRegistry::Join({}, actor, address, {}).IgnoreError();
   }
   void Leave(absl::string_view actor) { WorkerRegistry::Leave({}, WorkerRole::kActor, actor).IgnoreError(); }
+  // Waits up to `request.wait` while there is nothing to grant.
+  absl::StatusOr<Grant> GetPermits(const PermitRequest& request) {
+    std::optional<absl::StatusOr<Grant>> grant = StartPermits(request);
+    const absl::Time deadline = SteadyNow() + request.wait;
+    while (!grant.has_value()) {
+      const bool is_last = SteadyNow() >= deadline;
+      grant = RetryPermits(request, is_last);
+      if (!grant.has_value()) absl::SleepFor(absl::Milliseconds(1));
+    }
+    return *std::move(grant);
+  }
   absl::StatusOr<Grant> GetPermits(absl::string_view actor, std::vector<Permit> active, int capacity,
                                    absl::Duration wait) {
     PermitRequest request = RequestOf(actor, std::move(active), capacity);
     request.wait = wait;
-    return WorkerRegistry::GetPermits(request);
+    return GetPermits(request);
   }
   void Drain(absl::string_view worker) { WorkerRegistry::Drain(worker).status().IgnoreError(); }
   bool IsDrained(const std::string& actor) { return WorkerRegistry::IsDrained({WorkerRole::kActor, actor}); }
+
+  // Those of the parts.
+  std::vector<LaneRecord> Records() const { return lanes()->table().Records(); }
+  std::vector<LaneRecord> StartRecords() const { return lanes()->table().StartRecords(); }
+  std::vector<LaneTable::ActorInfo> Actors() const { return lanes()->table().Actors(); }
+  absl::StatusOr<LaneSnapshot> Snapshot(int lane, int64_t fragment) const {
+    return lanes()->table().Snapshot(lane, fragment);
+  }
+  bool Restore(const Permit& fragment, const LaneSnapshot& snapshot, uint64_t digest = 0) {
+    return lanes()->table().Restore(fragment, snapshot, digest);
+  }
+  bool Counts(int lane, int64_t fragment, uint64_t digest) const {
+    return lanes()->table().Counts(lane, fragment, digest);
+  }
+  int permits() const { return lanes()->table().permits(); }
+  LaneCounters counters() const { return lanes()->table().counters; }
+  void OpenIteration(int64_t last_fragment, int64_t policy_version) {
+    lanes()->rollouts().OpenIteration(last_fragment, policy_version);
+  }
+  void PublishVersion(int64_t policy_version) { lanes()->rollouts().PublishVersion(policy_version); }
+  std::optional<std::vector<Arrival>> TakeRollout() { return lanes()->rollouts().TakeRollout(); }
+  void RewindIterations(int iterations) { lanes()->rollouts().RewindIterations(iterations); }
+  bool SetPaused(bool paused) { return lanes()->assignment().SetPaused(paused); }
+  bool paused() const { return lanes()->assignment().paused(); }
+  void AddEvaluation(Evaluation evaluation) { evaluations()->Add(std::move(evaluation)); }
+  void PopEvaluation() { evaluations()->Pop(); }
+  size_t pending_evaluations() { return evaluations()->pending(); }
 
   static PermitRequest RequestOf(absl::string_view actor, std::vector<Permit> active, int capacity) {
     PermitRequest request;

@@ -153,7 +153,7 @@ TEST_F(AdminServiceTest, DrainingAnActorWaitsForItsFragmentsAndItsEvaluation) {
   registry_.AddEvaluation({1, 1000, 1, 1, false, std::make_shared<std::string>("weights")});
   TestRegistry::PermitRequest request = TestRegistry::RequestOf("a", permits, /*capacity=*/2);
   request.evaluates = true;
-  const auto task = static_cast<WorkerRegistry&>(registry_).GetPermits(request)->evaluation;
+  const auto task = registry_.GetPermits(request)->evaluation;
   std::atomic<bool> done{false};
   std::thread client([&] {
     EXPECT_EQ(Drain("a")->role(), "actor");

@@ -12,24 +12,29 @@ namespace {
 
 using Health = WorkerRegistry::Health;
 
-WorkerRegistry::Glance Worker(WorkerRole role, Health health, double rate, int threads, double inference) {
+WorkerRegistry::WorkerInfo WorkerOf(WorkerRole role, Health health, double rate, int threads, double inference) {
   auto summary = std::make_shared<v1::ProcessSummary>();
   summary->set_steps_per_second(rate);
   summary->set_threads(threads);
   v1::ActivityTime* time = summary->add_times();
   time->set_activity("inference");
   time->set_share(inference);
-  return {role, health, /*drained=*/false, std::move(summary)};
+  WorkerRegistry::WorkerInfo info;
+  info.worker.role = role;
+  info.worker.summary = std::move(summary);
+  info.health = health;
+  return info;
 }
 
 TEST(ViewFleet, CountsAnsweringWorkersAndWeighsActorsByThreads) {
-  const std::vector<WorkerRegistry::Glance> workers = {Worker(WorkerRole::kActor, Health::kOk, 100, 1, 0.5),
-                                                       Worker(WorkerRole::kActor, Health::kOk, 300, 4, 0.25),
-                                                       Worker(WorkerRole::kActor, Health::kLost, 300, 4, 1),
-                                                       Worker(WorkerRole::kEnvServer, Health::kOk, 400, 5, 0),
-                                                       Worker(WorkerRole::kEnvServer, Health::kLost, 400, 5, 0),
-                                                       Worker(WorkerRole::kEnvServer, Health::kNotAnswering, 400, 5, 0),
-                                                       Worker(WorkerRole::kEnvServer, Health::kLeft, 400, 5, 0)};
+  const std::vector<WorkerRegistry::WorkerInfo> workers = {
+      WorkerOf(WorkerRole::kActor, Health::kOk, 100, 1, 0.5),
+      WorkerOf(WorkerRole::kActor, Health::kOk, 300, 4, 0.25),
+      WorkerOf(WorkerRole::kActor, Health::kLost, 300, 4, 1),
+      WorkerOf(WorkerRole::kEnvServer, Health::kOk, 400, 5, 0),
+      WorkerOf(WorkerRole::kEnvServer, Health::kLost, 400, 5, 0),
+      WorkerOf(WorkerRole::kEnvServer, Health::kNotAnswering, 400, 5, 0),
+      WorkerOf(WorkerRole::kEnvServer, Health::kLeft, 400, 5, 0)};
   Work trainer;
   trainer.times[Activity::kUpdate] = 9;
   const FleetView view = ViewFleet(trainer, workers);
@@ -44,9 +49,10 @@ TEST(ViewFleet, CountsAnsweringWorkersAndWeighsActorsByThreads) {
 }
 
 TEST(ViewFleet, ASlowServerAnswersAndIsNamed) {
-  WorkerRegistry::Glance slow = Worker(WorkerRole::kEnvServer, Health::kSlow, 1, 1, 0);
-  slow.name = "a:1 (430 ms a step)";
-  const FleetView view = ViewFleet(Work(), {slow, Worker(WorkerRole::kEnvServer, Health::kOk, 1, 1, 0)});
+  WorkerRegistry::WorkerInfo slow = WorkerOf(WorkerRole::kEnvServer, Health::kSlow, 1, 1, 0);
+  slow.worker.address = "a:1";
+  slow.worker.step_ms = 430;
+  const FleetView view = ViewFleet(Work(), {slow, WorkerOf(WorkerRole::kEnvServer, Health::kOk, 1, 1, 0)});
   EXPECT_EQ(view.env_servers, 2);
   EXPECT_EQ(view.lost_env_servers, 0);
   EXPECT_EQ(view.slow_env_servers, std::vector<std::string>{"a:1 (430 ms a step)"});
@@ -54,9 +60,10 @@ TEST(ViewFleet, ASlowServerAnswersAndIsNamed) {
 
 TEST(CountWorkers, CountsByRoleAndHealth) {
   v1::FleetSummary summary;
-  CountWorkers({Worker(WorkerRole::kActor, Health::kOk, 1, 1, 0), Worker(WorkerRole::kActor, Health::kLost, 1, 1, 0),
-                Worker(WorkerRole::kActor, Health::kOk, 1, 1, 0), Worker(WorkerRole::kEnvServer, Health::kOk, 1, 1, 0)},
-               &summary);
+  CountWorkers(
+      {WorkerOf(WorkerRole::kActor, Health::kOk, 1, 1, 0), WorkerOf(WorkerRole::kActor, Health::kLost, 1, 1, 0),
+       WorkerOf(WorkerRole::kActor, Health::kOk, 1, 1, 0), WorkerOf(WorkerRole::kEnvServer, Health::kOk, 1, 1, 0)},
+      &summary);
   ASSERT_EQ(summary.workers_size(), 3);
   EXPECT_EQ(summary.workers(0).role(), "actor");
   EXPECT_EQ(summary.workers(0).health(), v1::Peer::OK);

@@ -225,7 +225,7 @@ TEST_F(LearnerServiceTest, TheEndOfAnEarlierStreamDoesNotShortenTheLease) {
   absl::SleepFor(absl::Milliseconds(200));
   clock_.Advance(absl::Milliseconds(4900));  // less than the lease, more than `comeback`
   ASSERT_THAT(GetPermits("b"), IsOk());
-  EXPECT_EQ(registry_.lapsed(), 0);
+  EXPECT_EQ(registry_.counters().lapsed, 0);
 }
 
 // The same service with short limits for its streams.

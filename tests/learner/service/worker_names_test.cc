@@ -96,7 +96,7 @@ class WorkerNamesTest : public testing::Test {
   static LearnerServiceImpl::Options ServiceOptions() { return SampleServiceOptions(kEpoch, absl::Minutes(5)); }
 
   int Permits(const std::string& actor) {
-    for (const LaneScheduler::ActorInfo& info : registry_.Actors()) {
+    for (const LaneTable::ActorInfo& info : registry_.Actors()) {
       if (info.name == actor) return info.permits;
     }
     return -1;

@@ -45,14 +45,14 @@ class WorkerPageTest : public testing::Test {
     registry_.Join(name, address);
     TestRegistry::PermitRequest request = TestRegistry::RequestOf(name, {}, 0);
     request.summary = KeepSummary(summary);
-    EXPECT_THAT(static_cast<WorkerRegistry&>(registry_).GetPermits(request), IsOk());
+    EXPECT_THAT(registry_.GetPermits(request), IsOk());
   }
   // The actor "asks" reports a server. Workers() omits that actor.
   void Relay(const v1::Peer& server) {
     registry_.Join("asks", "");
     TestRegistry::PermitRequest request = TestRegistry::RequestOf("asks", {}, 0);
     request.servers = {ToServerReport(server)};
-    EXPECT_THAT(static_cast<WorkerRegistry&>(registry_).GetPermits(request), IsOk());
+    EXPECT_THAT(registry_.GetPermits(request), IsOk());
   }
   void Leave(const std::string& role, const std::string& name) {
     const WorkerRole id = role == "actor" ? WorkerRole::kActor : WorkerRole::kEnvServer;
@@ -98,7 +98,7 @@ TEST_F(WorkerPageTest, SilentWorkersAreLostAndLaterForgotten) {
   Report("actor", "a", "host:1", Summary(1));
   clock_.Advance(absl::Seconds(5));
   EXPECT_THAT(Lines(), ElementsAre("actor a LOST"));
-  clock_.Advance(WorkerRegistry::kRememberLost);
+  clock_.Advance(WorkerTable::kRememberLost);
   EXPECT_THAT(Lines(), ElementsAre());
 }
 
@@ -107,7 +107,7 @@ TEST_F(WorkerPageTest, AWorkerThatLeavesIsShownAsLeft) {
   Leave("envserver", "s");
   Leave("envserver", "never heard of");
   EXPECT_THAT(Lines(), ElementsAre("envserver s LEFT"));
-  clock_.Advance(WorkerRegistry::kRememberLeft + absl::Seconds(1));
+  clock_.Advance(WorkerTable::kRememberLeft + absl::Seconds(1));
   EXPECT_THAT(Lines(), ElementsAre());
 }
 
@@ -167,7 +167,7 @@ TEST_F(WorkerPageTest, OnlyTheNewestLostWorkersAreKept) {
   clock_.Advance(absl::Seconds(10));
   Report("actor", "b", "", {});
   const std::vector<std::string> lines = Lines();
-  EXPECT_EQ(lines.size(), WorkerRegistry::kMaxGone + 1);
+  EXPECT_EQ(lines.size(), WorkerTable::kMaxGone + 1);
   EXPECT_EQ(lines.back(), "actor b OK");
   EXPECT_THAT(lines, testing::Contains("actor a999 LOST"));
 }
@@ -204,7 +204,7 @@ TEST_F(WorkerPageTest, ShowsTheSizeOfAListThatHasNotAllServers) {
   for (const char* actor : {"a", "b", "c", "d", "a"}) {
     TestRegistry::PermitRequest request = TestRegistry::RequestOf(actor, {}, 0);
     request.wants_servers = true;
-    ASSERT_THAT(static_cast<WorkerRegistry&>(registry_).GetPermits(request), IsOk());
+    ASSERT_THAT(registry_.GetPermits(request), IsOk());
   }
   EXPECT_THAT(Workers()[0].state(), testing::HasSubstr("10 of 20 servers"));
 }

@@ -26,7 +26,7 @@ using testing::ElementsAre;
 using testing::IsEmpty;
 using testing::SizeIs;
 
-using Task = EvaluationScheduler::Task;
+using Task = EvaluationTable::Task;
 
 constexpr int64_t kEvery = 1000;       // steps
 constexpr int kEpisodes = 2;           // of each kind, during training
@@ -55,7 +55,7 @@ struct Start {
     registry.Join(actor, "");
     TestRegistry::PermitRequest request = TestRegistry::RequestOf(actor, {}, 0);
     request.evaluates = true;
-    const auto reply = static_cast<WorkerRegistry&>(registry).GetPermits(request);
+    const auto reply = registry.GetPermits(request);
     if (!reply.ok() || !reply->evaluation.has_value()) return std::nullopt;
     holders_[reply->evaluation->id] = actor;
     return reply->evaluation;
@@ -94,7 +94,7 @@ struct Start {
     planner.FillCheckpoint(&checkpoint);
     return checkpoint;
   }
-  std::vector<Evaluation> Pending() const { return registry.PendingEvaluations(); }
+  std::vector<Evaluation> Pending() { return registry.evaluations()->Pending(); }
 
   TestRegistry registry;
   EvaluationPlanner planner;

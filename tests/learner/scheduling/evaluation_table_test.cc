@@ -1,4 +1,4 @@
-#include "learner/scheduling/evaluation_scheduler.h"
+#include "learner/scheduling/evaluation_table.h"
 
 #include <thread>
 
@@ -25,13 +25,13 @@ std::vector<Episode> Episodes(int count, int64_t length) {
   return episodes;
 }
 
-class EvaluationSchedulerTest : public testing::Test {
+class EvaluationTableTest : public testing::Test {
  protected:
   FakeClock clock_;
-  EvaluationScheduler scheduler_{&clock_};
+  EvaluationTable scheduler_{&clock_};
 };
 
-TEST_F(EvaluationSchedulerTest, AnEvaluationIsAnArgmaxTaskAndASampledTask) {
+TEST_F(EvaluationTableTest, AnEvaluationIsAnArgmaxTaskAndASampledTask) {
   EXPECT_FALSE(scheduler_.Take("a", kLease).has_value());
   scheduler_.Add(SampleEvaluation(3, 21, 5));
   const auto argmax = scheduler_.Take("a", kLease);
@@ -48,10 +48,10 @@ TEST_F(EvaluationSchedulerTest, AnEvaluationIsAnArgmaxTaskAndASampledTask) {
   EXPECT_EQ(*scheduler_.Weights(argmax->id), "weights");
 }
 
-TEST_F(EvaluationSchedulerTest, ResultsAreReturnedInOrderAndStayUntilPop) {
+TEST_F(EvaluationTableTest, ResultsAreReturnedInOrderAndStayUntilPop) {
   scheduler_.Add(SampleEvaluation(1, 1, 2));
   scheduler_.Add(SampleEvaluation(2, 5, 2));
-  std::vector<EvaluationScheduler::Task> tasks;
+  std::vector<EvaluationTable::Task> tasks;
   while (const auto task = scheduler_.Take("a", kLease)) tasks.push_back(*task);
   ASSERT_EQ(tasks.size(), 4u);
   EXPECT_THAT(scheduler_.Finish("a", tasks[2].id, Episodes(2, 30)), IsOk());
@@ -74,7 +74,7 @@ TEST_F(EvaluationSchedulerTest, ResultsAreReturnedInOrderAndStayUntilPop) {
 }
 
 // An actor that reports a task but never finishes it must not hold up the end of a run.
-TEST_F(EvaluationSchedulerTest, AnOverdueTaskIsAlsoAssignedToAnotherActor) {
+TEST_F(EvaluationTableTest, AnOverdueTaskIsAlsoAssignedToAnotherActor) {
   scheduler_.Add(SampleEvaluation(1, 1, 2));
   const auto stuck = scheduler_.Take("stuck", kLease);
   const auto other = scheduler_.Take("good", kLease);
@@ -103,7 +103,7 @@ TEST_F(EvaluationSchedulerTest, AnOverdueTaskIsAlsoAssignedToAnotherActor) {
 }
 
 // Before, the limit doubled each time: 2, 4, 8 ... minutes.
-TEST_F(EvaluationSchedulerTest, ActorsThatOnlyReportHoldATaskUpForTheSameTimeEach) {
+TEST_F(EvaluationTableTest, ActorsThatOnlyReportHoldATaskUpForTheSameTimeEach) {
   scheduler_.Add(SampleEvaluation(1, 1, 1));
   const auto task = scheduler_.Take("stuck 0", kLease);
   const auto other = scheduler_.Take("good", kLease);
@@ -118,7 +118,7 @@ TEST_F(EvaluationSchedulerTest, ActorsThatOnlyReportHoldATaskUpForTheSameTimeEac
   }
 }
 
-TEST_F(EvaluationSchedulerTest, ActorsOfOtherClientsGetAnOverdueTaskFirst) {
+TEST_F(EvaluationTableTest, ActorsOfOtherClientsGetAnOverdueTaskFirst) {
   scheduler_.Add(SampleEvaluation(1, 1, 1));
   const auto task = scheduler_.Take("stuck", kLease, "client");
   const auto other = scheduler_.Take("good", kLease, "other");
@@ -131,7 +131,7 @@ TEST_F(EvaluationSchedulerTest, ActorsOfOtherClientsGetAnOverdueTaskFirst) {
   EXPECT_TRUE(scheduler_.Take("good", kLease, "other").has_value());
 }
 
-TEST_F(EvaluationSchedulerTest, TheLimitFollowsTasksThatTakeLonger) {
+TEST_F(EvaluationTableTest, TheLimitFollowsTasksThatTakeLonger) {
   for (int number = 1; number <= 2; ++number) {
     scheduler_.Add(SampleEvaluation(number, 1, 1));
     const auto argmax = scheduler_.Take("a", kLease);
@@ -149,7 +149,7 @@ TEST_F(EvaluationSchedulerTest, TheLimitFollowsTasksThatTakeLonger) {
   }
 }
 
-TEST_F(EvaluationSchedulerTest, ATaskLapsesUnlessItsActorReportsIt) {
+TEST_F(EvaluationTableTest, ATaskLapsesUnlessItsActorReportsIt) {
   scheduler_.Add(SampleEvaluation(1, 1, 1));
   const auto task = scheduler_.Take("a", kLease);
   ASSERT_TRUE(scheduler_.Take("b", kLease).has_value());
@@ -162,7 +162,7 @@ TEST_F(EvaluationSchedulerTest, ATaskLapsesUnlessItsActorReportsIt) {
   EXPECT_EQ(scheduler_.Take("c", kLease)->id, task->id);
 }
 
-TEST_F(EvaluationSchedulerTest, ATaskThatIsNoLongerReportedIsFreeAtOnce) {
+TEST_F(EvaluationTableTest, ATaskThatIsNoLongerReportedIsFreeAtOnce) {
   scheduler_.Add(SampleEvaluation(1, 1, 1));
   const auto task = scheduler_.Take("a", kLease);
   ASSERT_TRUE(scheduler_.Take("b", kLease).has_value());
@@ -170,7 +170,7 @@ TEST_F(EvaluationSchedulerTest, ATaskThatIsNoLongerReportedIsFreeAtOnce) {
   EXPECT_EQ(scheduler_.Take("c", kLease)->id, task->id);
 }
 
-TEST_F(EvaluationSchedulerTest, TheFirstResultCountsAndAnotherOneIsAnError) {
+TEST_F(EvaluationTableTest, TheFirstResultCountsAndAnotherOneIsAnError) {
   scheduler_.Add(SampleEvaluation(1, 1, 1));
   const int64_t argmax = scheduler_.Take("a", kLease)->id;
   const int64_t sampled = scheduler_.Take("a", kLease)->id;
@@ -188,7 +188,7 @@ TEST_F(EvaluationSchedulerTest, TheFirstResultCountsAndAnotherOneIsAnError) {
   EXPECT_THAT(scheduler_.Finish("a", argmax, Episodes(1, 10)), IsOk()) << "a late result is ignored";
 }
 
-TEST_F(EvaluationSchedulerTest, OnlyAnActorThatHasTheTaskMaySendItsResult) {
+TEST_F(EvaluationTableTest, OnlyAnActorThatHasTheTaskMaySendItsResult) {
   scheduler_.Add(SampleEvaluation(1, 1, 1));
   const int64_t argmax = scheduler_.Take("a", kLease)->id;
   EXPECT_THAT(scheduler_.Finish("stranger", argmax, Episodes(1, 10)),
@@ -198,7 +198,7 @@ TEST_F(EvaluationSchedulerTest, OnlyAnActorThatHasTheTaskMaySendItsResult) {
               StatusIs(absl::StatusCode::kFailedPrecondition, testing::_));
 }
 
-TEST_F(EvaluationSchedulerTest, AWrongNumberOfEpisodesIsRefused) {
+TEST_F(EvaluationTableTest, AWrongNumberOfEpisodesIsRefused) {
   scheduler_.Add(SampleEvaluation(1, 1, 5));
   const int64_t id = scheduler_.Take("a", kLease)->id;
   EXPECT_THAT(scheduler_.Finish("a", id, Episodes(4, 10)),
@@ -216,7 +216,7 @@ TEST(WorkerRegistryEvaluations, FrontWaitsForTheResult) {
   for (int i = 0; i < 2; ++i) {
     WorkerRegistry::PermitRequest request = TestRegistry::RequestOf(i == 0 ? "a" : "b", {}, 0);
     request.evaluates = true;
-    ASSERT_TRUE(registry.WorkerRegistry::GetPermits(request)->evaluation.has_value());
+    ASSERT_TRUE(registry.GetPermits(request)->evaluation.has_value());
   }
   std::thread actor([&] {
     EXPECT_THAT(registry.FinishEvaluation("a", 2, Episodes(1, 10)), IsOk());

@@ -1,7 +1,7 @@
 // Assigns the tasks of pending evaluations to actors, and collects their results.
 
-#ifndef CRAFTFLEET_LEARNER_SCHEDULING_EVALUATION_SCHEDULER_H_
-#define CRAFTFLEET_LEARNER_SCHEDULING_EVALUATION_SCHEDULER_H_
+#ifndef CRAFTFLEET_LEARNER_SCHEDULING_EVALUATION_TABLE_H_
+#define CRAFTFLEET_LEARNER_SCHEDULING_EVALUATION_TABLE_H_
 
 #include <array>
 #include <cstddef>
@@ -48,7 +48,7 @@ struct FinishedEvaluation {
 // first result of an actor that got the task counts.
 //
 // Not thread-safe.
-class EvaluationScheduler {
+class EvaluationTable {
  public:
   static constexpr absl::Duration kLeast = absl::Seconds(30);    // no task is overdue earlier,
   static constexpr absl::Duration kAtFirst = absl::Minutes(2);   // or this early if there are no results yet
@@ -62,7 +62,7 @@ class EvaluationScheduler {
   };
 
   // `clock` outlives the scheduler.
-  explicit EvaluationScheduler(Clock* clock) : clock_(clock) {}
+  explicit EvaluationTable(Clock* clock) : clock_(clock) {}
 
   // Adds an evaluation. Its number is higher than those added before.
   void Add(Evaluation evaluation);
@@ -126,4 +126,4 @@ class EvaluationScheduler {
 
 }  // namespace craftfleet
 
-#endif  // CRAFTFLEET_LEARNER_SCHEDULING_EVALUATION_SCHEDULER_H_
+#endif  // CRAFTFLEET_LEARNER_SCHEDULING_EVALUATION_TABLE_H_

@@ -1,4 +1,4 @@
-#include "learner/scheduling/evaluation_scheduler.h"
+#include "learner/scheduling/evaluation_table.h"
 
 #include <algorithm>
 #include <utility>
@@ -18,18 +18,18 @@ bool IsSame(const Episode& a, const Episode& b) {
 
 }  // namespace
 
-void EvaluationScheduler::Add(Evaluation evaluation) {
+void EvaluationTable::Add(Evaluation evaluation) {
   Entry& entry = entries_.emplace_back();
   entry.evaluation = std::move(evaluation);
 }
 
-EvaluationScheduler::Player* EvaluationScheduler::FindPlayer(absl::string_view actor, Part* part) {
+EvaluationTable::Player* EvaluationTable::FindPlayer(absl::string_view actor, Part* part) {
   const auto found = std::find_if(part->players.begin(), part->players.end(),
                                   [&](const Player& player) { return player.actor == actor; });
   return found == part->players.end() ? nullptr : &*found;
 }
 
-void EvaluationScheduler::Renew(absl::string_view actor, int64_t id, absl::Duration lease) {
+void EvaluationTable::Renew(absl::string_view actor, int64_t id, absl::Duration lease) {
   for (Entry& entry : entries_) {
     for (size_t i = 0; i < entry.parts.size(); ++i) {
       std::vector<Player>& players = entry.parts[i].players;
@@ -44,8 +44,8 @@ void EvaluationScheduler::Renew(absl::string_view actor, int64_t id, absl::Durat
   }
 }
 
-std::optional<EvaluationScheduler::Task> EvaluationScheduler::Take(absl::string_view actor, absl::Duration lease,
-                                                                   absl::string_view client) {
+std::optional<EvaluationTable::Task> EvaluationTable::Take(absl::string_view actor, absl::Duration lease,
+                                                           absl::string_view client) {
   const absl::Time now = clock_->Now();
   for (Entry& entry : entries_) {
     for (size_t i = 0; i < entry.parts.size(); ++i) {
@@ -71,8 +71,8 @@ std::optional<EvaluationScheduler::Task> EvaluationScheduler::Take(absl::string_
   return std::nullopt;
 }
 
-bool EvaluationScheduler::IsFree(const Part& part, absl::string_view actor, absl::string_view client,
-                                 absl::Time now) const {
+bool EvaluationTable::IsFree(const Part& part, absl::string_view actor, absl::string_view client,
+                             absl::Time now) const {
   if (!part.episodes.empty()) return false;
   const std::vector<Player>& players = part.players;
   const auto any = [&](const auto& is) { return std::any_of(players.begin(), players.end(), is); };
@@ -83,7 +83,7 @@ bool EvaluationScheduler::IsFree(const Part& part, absl::string_view actor, absl
   return age > overdue_.Limit() + (is_of_client ? kPatience : absl::ZeroDuration());
 }
 
-std::vector<std::string> EvaluationScheduler::BeingPlayed() const {
+std::vector<std::string> EvaluationTable::BeingPlayed() const {
   std::vector<std::string> tasks;
   for (const Entry& entry : entries_) {
     for (size_t i = 0; i < entry.parts.size(); ++i) {
@@ -100,13 +100,13 @@ std::vector<std::string> EvaluationScheduler::BeingPlayed() const {
   return tasks;
 }
 
-std::shared_ptr<const std::string> EvaluationScheduler::Weights(int64_t id) const {
+std::shared_ptr<const std::string> EvaluationTable::Weights(int64_t id) const {
   const size_t index = IndexOf(id);
   if (index == entries_.size() || !entries_[index].parts[id % 2].episodes.empty()) return nullptr;
   return entries_[index].evaluation.weights;
 }
 
-absl::Status EvaluationScheduler::Finish(absl::string_view actor, int64_t id, absl::Span<const Episode> episodes) {
+absl::Status EvaluationTable::Finish(absl::string_view actor, int64_t id, absl::Span<const Episode> episodes) {
   const size_t index = IndexOf(id);
   if (index == entries_.size()) return absl::OkStatus();
   const int wanted = entries_[index].evaluation.episodes;
@@ -132,7 +132,7 @@ absl::Status EvaluationScheduler::Finish(absl::string_view actor, int64_t id, ab
   return absl::OkStatus();
 }
 
-bool EvaluationScheduler::IsPlaying(absl::string_view actor) const {
+bool EvaluationTable::IsPlaying(absl::string_view actor) const {
   const absl::Time now = clock_->Now();
   for (const Entry& entry : entries_) {
     for (const Part& part : entry.parts) {
@@ -144,19 +144,19 @@ bool EvaluationScheduler::IsPlaying(absl::string_view actor) const {
   return false;
 }
 
-std::optional<FinishedEvaluation> EvaluationScheduler::Front() const {
+std::optional<FinishedEvaluation> EvaluationTable::Front() const {
   if (!FrontFinished()) return std::nullopt;
   const Entry& entry = entries_.front();
   return FinishedEvaluation{entry.evaluation, entry.parts[0].episodes, entry.parts[1].episodes};
 }
 
-std::vector<Evaluation> EvaluationScheduler::Pending() const {
+std::vector<Evaluation> EvaluationTable::Pending() const {
   std::vector<Evaluation> pending;
   for (const Entry& entry : entries_) pending.push_back(entry.evaluation);
   return pending;
 }
 
-size_t EvaluationScheduler::IndexOf(int64_t id) const {
+size_t EvaluationTable::IndexOf(int64_t id) const {
   const auto entry = std::find_if(entries_.begin(), entries_.end(),
                                   [&](const Entry& candidate) { return candidate.evaluation.number == id / 2; });
   return static_cast<size_t>(entry - entries_.begin());
