@@ -102,10 +102,10 @@ class StandInLearner {
   wire::Endpoint Connect() const { return wire::Connect(server_->address()); }
 
  private:
-  static WorkerRegistry::Options Lanes() {
-    WorkerRegistry::Options options;
-    options.lanes.lanes = kLanes;
-    options.lanes.lease = kLease;
+  static LaneScheduler::Options Lanes() {
+    LaneScheduler::Options options;
+    options.lanes = kLanes;
+    options.lease = kLease;
     return options;
   }
 
