@@ -28,10 +28,10 @@ namespace {
 constexpr absl::Duration kFirstRetry = absl::Milliseconds(250);
 constexpr absl::Duration kLastRetry = absl::Seconds(2);
 constexpr absl::Duration kLogAgain = absl::Seconds(10);  // between two lines about the same error
-constexpr int kPollMs = 500;  // long poll for permits, unless the learner says otherwise; a tenth of the lease
-constexpr int kGroups = 2;    // of lanes that play in turn on a GPU
-constexpr size_t kServersReported = 8;    // environment servers reported to the learner per poll,
-constexpr size_t kUnusableReported = 64;  // or, of those from the learner, all unusable ones of a list
+constexpr int kPollMs = 500;                             // long poll for permits; a tenth of the lease
+constexpr int kGroups = 2;                               // of lanes that play in turn on a GPU
+constexpr size_t kServersReported = 8;                   // environment servers reported to the learner per poll,
+constexpr size_t kUnusableReported = 64;                 // or, of those from the learner, all unusable ones of a list
 
 bool IsAboutRights(const absl::Status& error) {
   return absl::IsPermissionDenied(error) || absl::IsUnauthenticated(error);
@@ -251,7 +251,7 @@ v1::PermitRequest Actor::NextRequest(std::vector<HeldPermit>* failures) {
   request.set_actor(name_);
   request.set_epoch(joined_.epoch());
   request.set_capacity(options_.capacity);
-  request.set_wait_ms(std::max(kPollMs, wait_ms_));
+  request.set_wait_ms(kPollMs);
   request.set_evaluates(evaluations_->ready());
   const bool uses_registry = options_.env_servers->uses_registry();
   if (uses_registry) {
@@ -283,7 +283,6 @@ v1::PermitRequest Actor::NextRequest(std::vector<HeldPermit>* failures) {
 }
 
 void Actor::HandleReply(const v1::PermitReply& reply) {
-  wait_ms_ = reply.wait_ms();
   if (reply.env_servers_generation() != env_servers_generation_) {
     env_servers_generation_ = reply.env_servers_generation();
     options_.env_servers->SetRegistered({reply.env_servers().begin(), reply.env_servers().end()});

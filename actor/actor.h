@@ -101,7 +101,6 @@ class Actor {
   RealClock clock_;
   LimitedLog log_{&clock_};  // of what the learner causes
   absl::Time retry_logged_ = absl::InfinitePast();
-  int wait_ms_ = 0;                                              // PermitReply.wait_ms, as last received
   int64_t env_servers_generation_ = 0;                           // of the learner's registry, as last received
   std::atomic<FrameFormat> fragment_format_{FrameFormat::kRaw};  // options_.frames if the learner takes that
   std::unique_ptr<PolicySource> policies_;

@@ -24,7 +24,6 @@ constexpr int64_t kMaxSeed = std::numeric_limits<int32_t>::max();  // also of ep
 // A shorter lease would lapse between two requests; a longer one makes no sense.
 constexpr int kMinLeaseMs = 100;
 constexpr int kMaxLeaseMs = 24 * 3600 * 1000;
-constexpr int kMaxWaitMs = 60 * 1000;
 
 absl::Status Within(absl::string_view field, int64_t value, int64_t low, int64_t high) {
   if (value >= low && value <= high) return absl::OkStatus();
@@ -81,7 +80,6 @@ absl::Status CheckPermitReply(const v1::PermitRequest& request, int lanes, int f
     }
   }
   CRAFTFLEET_RETURN_IF_ERROR(Within("granted permits", reply.granted_size(), 0, request.capacity()));
-  CRAFTFLEET_RETURN_IF_ERROR(Within("wait_ms", reply.wait_ms(), 0, kMaxWaitMs));
   CRAFTFLEET_RETURN_IF_ERROR(Within("env_servers", reply.env_servers_size(), 0, kMaxServers));
   for (const std::string& address : reply.env_servers()) {
     CRAFTFLEET_RETURN_IF_ERROR(AsDataLoss(wire::CheckText("env_servers", address)));

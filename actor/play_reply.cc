@@ -209,33 +209,27 @@ absl::Status EpisodeLengths::Open(const v1::OpenLanes& request, const v1::PlayRe
   return absl::OkStatus();
 }
 
-absl::Status EpisodeLengths::CheckSteps(int lane, int row, const Game& game, const v1::PlayReply& reply) {
-  if (reply.episode_steps_size() == 0 || !game.is_whole || reply.episode_steps(row) == game.steps) {
-    return absl::OkStatus();
-  }
-  return Invalid(absl::StrFormat("episode_steps: %d of lane %d, want %d", reply.episode_steps(row), lane, game.steps));
-}
-
 absl::Status EpisodeLengths::Step(const v1::StepLanes& request, const v1::PlayReply& reply) {
   int ended = 0;
   for (int row = 0; row < request.lanes_size(); ++row) {
-    Game& game = games_[request.lanes(row)];
+    const int lane = request.lanes(row);
+    Game& game = games_[lane];
     ++game.steps;
-    if (reply.ends()[row] == static_cast<char>(StepEnd::kNone)) {
-      if (game.steps >= most_) {
-        return Invalid(absl::StrFormat("ends: the episode of lane %d goes on after %d steps, want at most %d",
-                                       request.lanes(row), game.steps, most_));
+    if (reply.ends()[row] != static_cast<char>(StepEnd::kNone)) {
+      const int64_t length = reply.episodes(ended++).length();
+      if (length < game.steps || (game.is_whole && length != game.steps)) {
+        return Invalid(absl::StrFormat("episodes.length: %d of lane %d, want %s%d", length, lane,
+                                       game.is_whole ? "" : "at least ", game.steps));
       }
-      CRAFTFLEET_RETURN_IF_ERROR(CheckSteps(request.lanes(row), row, game, reply));
-      continue;
+      game = {0, true};
+    } else if (game.steps >= most_) {
+      return Invalid(absl::StrFormat("ends: the episode of lane %d goes on after %d steps, want at most %d", lane,
+                                     game.steps, most_));
     }
-    const int64_t length = reply.episodes(ended++).length();
-    if (length < game.steps || (game.is_whole && length != game.steps)) {
-      return Invalid(absl::StrFormat("episodes.length: %d of lane %d, want %s%d", length, request.lanes(row),
-                                     game.is_whole ? "" : "at least ", game.steps));
+    if (reply.episode_steps_size() > 0 && game.is_whole && reply.episode_steps(row) != game.steps) {
+      return Invalid(
+          absl::StrFormat("episode_steps: %d of lane %d, want %d", reply.episode_steps(row), lane, game.steps));
     }
-    game = {0, true};
-    CRAFTFLEET_RETURN_IF_ERROR(CheckSteps(request.lanes(row), row, game, reply));
   }
   return absl::OkStatus();
 }

@@ -65,9 +65,6 @@ class EpisodeLengths {
     int64_t steps = 0;      // of the current episode, or, unless that is whole, of its part in this session
     bool is_whole = false;  // it began here, or the server has told its steps
   };
-  // `row` is that of `lane`, whose game is `game` after the step.
-  static absl::Status CheckSteps(int lane, int row, const Game& game, const v1::PlayReply& reply);
-
   const int64_t most_;
   std::unordered_map<int, Game> games_;  // by lane
 };

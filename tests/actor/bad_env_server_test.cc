@@ -211,6 +211,17 @@ TEST_F(BadEnvServer, AGameFromASnapshotThatDoesNotEndIsAFaultOfItsServer) {
   EXPECT_THAT(Error(), StatusIs(absl::StatusCode::kDataLoss, HasSubstr("goes on after 50 steps, want at most 50")));
 }
 
+TEST_F(BadEnvServer, ANewGameThatHasStepsIsAFaultOfItsServer) {
+  Start([](const v1::PlayRequest& request, v1::PlayReply* reply) {
+    if (request.has_open()) reply->set_episode_steps(0, 3);
+    return true;
+  });
+  ASSERT_THAT(OpenFour(), IsOk()) << "on the other server";
+  EXPECT_THAT(Error(), StatusIs(absl::StatusCode::kDataLoss,
+                                AllOf(HasSubstr(server_->address()), HasSubstr("episode_steps: 3 of lane"),
+                                      HasSubstr("want 0 of a new game"))));
+}
+
 TEST_F(BadEnvServer, AServerThatIsSilentFromTheStartDelaysNothing) {
   Start([](const v1::PlayRequest&, v1::PlayReply*) { return false; });
   service_->spares_probe = false;

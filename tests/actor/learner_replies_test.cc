@@ -74,11 +74,6 @@ TEST(LearnerReplies, PermitsAreChecked) {
   v1::PermitReply reply;
   reply.add_env_servers("nowhere");
   EXPECT_THAT(CheckPermitReply({}, 4, 64, reply), IsInvalid("env_servers"));
-  for (const int wait_ms : {-1, 60'001}) {
-    reply = {};
-    reply.set_wait_ms(wait_ms);
-    EXPECT_THAT(CheckPermitReply({}, 4, 64, reply), IsInvalid("wait_ms"));
-  }
   reply.Clear();
   reply.add_lost();
   EXPECT_THAT(CheckPermitReply({}, 4, 64, reply), IsInvalid("lost"));

@@ -159,7 +159,7 @@ class EmptyActor final : public grpc::ClientBidiReactor<v1::ActorMessage, v1::Le
     request.set_actor(name_);
     request.set_epoch(epoch_);
     request.set_capacity(4096);
-    request.set_wait_ms(poll_ms_);
+    request.set_wait_ms(kPollMs);
     request.set_wants_env_servers(true);
     *request.mutable_summary() = Summary("environment");
     request.set_env_servers_generation(generation_);
@@ -177,7 +177,6 @@ class EmptyActor final : public grpc::ClientBidiReactor<v1::ActorMessage, v1::Le
     {
       const MutexLock lock(&mu_);
       generation_ = reply.env_servers_generation();
-      poll_ms_ = std::max(kPollMs, reply.wait_ms());
       for (const v1::Permit& lost : reply.lost()) held_.erase(lost.lane());
       for (const v1::Permit& granted : reply.granted()) {
         held_[granted.lane()] = {{granted.lane(), granted.fragment(), granted.policy_version()}, SteadyNow()};
@@ -292,8 +291,7 @@ class EmptyActor final : public grpc::ClientBidiReactor<v1::ActorMessage, v1::Le
   bool writing_ ABSL_GUARDED_BY(mu_) = false;
   std::map<int, Held> held_ ABSL_GUARDED_BY(mu_);  // permits, by lane
   std::deque<int> ready_ ABSL_GUARDED_BY(mu_);     // lanes whose fragment is to be sent
-  int poll_ms_ ABSL_GUARDED_BY(mu_) = kPollMs;
-  int64_t generation_ ABSL_GUARDED_BY(mu_) = 0;  // of its list of servers
+  int64_t generation_ ABSL_GUARDED_BY(mu_) = 0;    // of its list of servers
   bool ended_ ABSL_GUARDED_BY(mu_) = false;
 };
 
