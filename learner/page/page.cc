@@ -4,16 +4,11 @@
 
 #include <cmath>
 
-#include <absl/strings/str_cat.h>
-#include <absl/strings/str_replace.h>
-
 #include "common/base/check.h"
 #include "common/base/crafter.h"
 
 namespace craftfleet {
 namespace {
-
-constexpr absl::string_view kDataMarker = R"(<script type="application/json" id="report">null</script>)";
 
 // Three decimals are more than a chart shows.
 double Rounded(double value) { return std::round(value * 1000) / 1000; }
@@ -36,17 +31,6 @@ nlohmann::json JsonOfRates(const AchievementPercentages& rates) {
   nlohmann::json json;
   for (int i = 0; i < kNumAchievements; ++i) json[std::string(kAchievementNames[i])] = Rounded(rates[i]);
   return json;
-}
-
-std::string PageOfReport(const nlohmann::json& report) {
-  const absl::string_view page = PageTemplate();
-  const size_t at = page.find(kDataMarker);
-  CRAFTFLEET_CHECK(at != absl::string_view::npos);
-  // Names of folders may contain anything: "<" would end the script.
-  const std::string text = absl::StrReplaceAll(
-      report.dump(-1, ' ', /*ensure_ascii=*/true, nlohmann::json::error_handler_t::replace), {{"<", "\\u003c"}});
-  return absl::StrCat(page.substr(0, at), R"(<script type="application/json" id="report">)", text, "</script>",
-                      page.substr(at + kDataMarker.size()));
 }
 
 std::vector<absl::string_view> ScriptsOf(absl::string_view page) {

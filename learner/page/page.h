@@ -15,17 +15,14 @@
 
 namespace craftfleet {
 
-// The page without data. With kDataMarker replaced by a report (PageOfReport) it shows that; otherwise it polls the
-// server that it came from.
+// The page without data: it polls the server that it came from. Where the `null` in its script element "report" is
+// replaced by a report, as report.js reads it, it shows that (craftfleet/analysis/web_page.py).
 absl::string_view PageTemplate();
 
 // {"steps": [...], "reward": [...], "score": [...]}, as report.js reads it.
 nlohmann::json JsonOfCurve(const std::vector<CurvePoint>& curve);
 // {"collect_coal": 1.5, ...}, in percent.
 nlohmann::json JsonOfRates(const AchievementPercentages& rates);
-
-// The page of a report that can be opened as a file. `report` as report.js reads it.
-std::string PageOfReport(const nlohmann::json& report);
 
 // The texts of the page's scripts that run, for a content security policy.
 std::vector<absl::string_view> ScriptsOf(absl::string_view page);

@@ -34,13 +34,12 @@ Worker* ServerReports::RecordOf(const std::string& address) {
   if (server == nullptr) {
     const auto is_full = [this] {
       const auto& workers = workers_->workers();
-      return std::count_if(workers.begin(), workers.end(), [](const auto& entry) { return entry.second.reported; }) >=
-             kMaxReported;
+      return std::count_if(workers.begin(), workers.end(),
+                           [](const auto& entry) { return entry.second.IsOnlyReported(); }) >= kMaxReported;
     };
     if (is_full()) workers_->Prune();
     if (is_full()) return nullptr;
     server = workers_->Record(WorkerRole::kEnvServer, address);
-    server->reported = true;
   }
   if (server->last_seen == absl::InfinitePast()) {
     server->address = address;

@@ -74,12 +74,16 @@ struct Worker {
       absl::InfinitePast();                // environment server: last time an actor reported that it does not answer
   absl::Time slow = absl::InfinitePast();  // environment server: last time an actor reported that it is slow
   double step_ms = 0;                      // then: typical time of a step there
-  bool reported = false;                   // environment server: recorded because an actor reported it
   bool left = false;                       // has reported that it leaves
   std::shared_ptr<const v1::ProcessSummary> summary;  // the last one; null: none
   absl::Time summary_time = absl::InfinitePast();
 
   std::optional<Mismatch> mismatch;  // its canary differs
+
+  // Whether this is an environment server that only actors have told of.
+  bool IsOnlyReported() const {
+    return role == WorkerRole::kEnvServer && own_report == absl::InfinitePast() && name_used == absl::InfinitePast();
+  }
 };
 
 }  // namespace craftfleet

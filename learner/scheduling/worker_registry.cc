@@ -159,9 +159,9 @@ bool WorkerRegistry::IsDrained(const WorkerId& id) {
   workers_.ExpireServers();
   const Worker* const worker = workers_.Find(id.role, id.name);
   if (id.role == WorkerRole::kEnvServer) return worker == nullptr || !worker->active || worker->empty;
-  const bool has_permits =
+  const bool may_play =
       worker != nullptr && worker->active && (!worker->draining || lanes_.table().PermitsOf(id.name) > 0);
-  return !has_permits && !evaluations_.IsPlaying(id.name);
+  return !may_play && !evaluations_.IsPlaying(id.name);
 }
 
 void WorkerRegistry::Finish() {

@@ -153,10 +153,7 @@ void WorkerTable::PlaceServer(Worker* server, absl::string_view address) {
   }
   // The record made from actors' reports on this address.
   Worker* const reported = Find(WorkerRole::kEnvServer, address);
-  if (reported != nullptr && reported != server && reported->own_report == absl::InfinitePast() &&
-      reported->name_used == absl::InfinitePast()) {
-    Erase(reported);
-  }
+  if (reported != nullptr && reported != server && reported->IsOnlyReported()) Erase(reported);
   server->address = std::string(address);
   server->active = true;
   servers_[server->address] = server;

@@ -52,6 +52,16 @@ class AsyncLanes : public testing::Test {
   Verdict Push(const std::string& actor, const Permit& permit) {
     return registry_.Accept(actor, permit, {absl::StrCat("after ", permit.fragment), {}}, Digest(permit)).value();
   }
+  // "a" plays three fragments of the first lane, of which the rollout takes two.
+  void TakeARolloutAndOneFragmentMore() {
+    registry_.PublishVersion(0);
+    registry_.Join("a", "");
+    for (int i = 0; i < 3; ++i) {
+      ASSERT_FALSE(Ask("a").empty());
+      ASSERT_EQ(Push("a", {0, i, 0}), Verdict::kAccepted);
+    }
+    ASSERT_TRUE(registry_.TakeRollout().has_value());
+  }
   static Arrival Of(const Permit& permit) { return {permit, Digest(permit)}; }
 
   FakeClock clock_;
@@ -120,13 +130,7 @@ TEST_F(AsyncLanes, PlayRunsAheadNoFurtherThanDropsAreImpossible) {
 }
 
 TEST_F(AsyncLanes, ACheckpointHasTheLanesAfterTheFragmentsThatWereTaken) {
-  registry_.PublishVersion(0);
-  registry_.Join("a", "");
-  for (int i = 0; i < 3; ++i) {
-    ASSERT_FALSE(Ask("a").empty());
-    ASSERT_EQ(Push("a", {0, i, 0}), Verdict::kAccepted);
-  }
-  ASSERT_TRUE(registry_.TakeRollout().has_value());
+  ASSERT_NO_FATAL_FAILURE(TakeARolloutAndOneFragmentMore());
   const LaneRecord lane = registry_.StartRecords()[0];
   EXPECT_EQ(lane.next_fragment, 2);
   EXPECT_EQ(lane.snapshot->game, "after 1");
@@ -135,13 +139,7 @@ TEST_F(AsyncLanes, ACheckpointHasTheLanesAfterTheFragmentsThatWereTaken) {
 }
 
 TEST_F(AsyncLanes, AnUndoneUpdateAndAllThatWasPlayedSinceArePlayedAgain) {
-  registry_.PublishVersion(0);
-  registry_.Join("a", "");
-  for (int i = 0; i < 3; ++i) {
-    ASSERT_FALSE(Ask("a").empty());
-    ASSERT_EQ(Push("a", {0, i, 0}), Verdict::kAccepted);
-  }
-  ASSERT_TRUE(registry_.TakeRollout().has_value());
+  ASSERT_NO_FATAL_FAILURE(TakeARolloutAndOneFragmentMore());
   registry_.RewindIterations(2);
   EXPECT_THAT(Ask("a"), IsEmpty());
   registry_.PublishVersion(0);
