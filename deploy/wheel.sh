@@ -1,8 +1,7 @@
 #!/usr/bin/env bash
-# Makes the Python wheel with the programs, which `pip install` needs nothing else for: programs, textures, experiments and every
-# shared library except glibc, libstdc++, zlib and LibTorch, which the programs take from Python's torch. auditwheel adds the
-# libraries and checks that the wheel runs on any x86-64 Linux from glibc 2.36. Run it on Debian 12: the wheel runs where glibc is
-# as new as here, with the Python version that made it.
+# Makes the Python wheel with the programs: it brings textures, experiments and every shared library except glibc, libstdc++, zlib
+# and LibTorch, which the programs take from Python's torch. auditwheel adds the libraries and checks that the wheel runs on any
+# x86-64 Linux from glibc 2.36 on. Run it on Debian 12, which has that version. The wheel is for the Python version that makes it.
 #
 # Usage: deploy/wheel.sh [--build=DIR] [--out=DIR] [--python=PYTHON]
 #   --build=DIR      a finished build of the programs; default: build-wheel, which is brought up to date first
@@ -62,7 +61,7 @@ for program in "$programs"/bin/*; do
   # pip replaces the first line.
   printf '#!python\nimport craftfleet_programs\n\ncraftfleet_programs.main()\n' >"$stage/programs/scripts/$name"
   chmod +x "$stage/programs/scripts/$name"
-  ! readelf -d "$program" 2>/dev/null | grep -q 'NEEDED.*libtorch' || needs_libtorch+=${needs_libtorch:+, }\"$name\"
+  if readelf -d "$program" 2>/dev/null | grep -q 'NEEDED.*libtorch'; then needs_libtorch+=${needs_libtorch:+, }\"$name\"; fi
 done
 libtorch=$(sed -n 's/^CRAFTFLEET_LIBTORCH_VERSION:[A-Z]*=//p' "$build/CMakeCache.txt")
 printf '{"libtorch": "%s", "needs_libtorch": [%s]}\n' "$libtorch" "$needs_libtorch" >"$programs/build.json"

@@ -16,10 +16,9 @@ import threading
 from collections.abc import Callable, Iterator
 from typing import IO, Any
 
-STOPPED = 130  # the exit code of a program that a signal stopped
-
-# What a line says of the progress: the part done, the whole, and its unit.
+# A line of progress: how much is done, of how much, and the unit.
 PROGRESS = re.compile(r"(?:\w+: )?([\d,]+)(?:/| of )([\d,]+) (steps|episodes)\b")
+LOG = re.compile(r"\d\d:\d\d:\d\d\.\d+ \w+: ")  # how a line of the log begins
 
 
 def find(name: str) -> tuple[list[str], dict[str, str]]:
@@ -40,8 +39,7 @@ def find(name: str) -> tuple[list[str], dict[str, str]]:
 
 def flags(**values: Any) -> list[str]:
   """`--name=value` of each value that is not None."""
-  texts = {True: "true", False: "false"}
-  return [f"--{name}={texts[value] if isinstance(value, bool) else value}" for name, value in values.items() if value is not None]
+  return [f"--{name}={str(value).lower() if isinstance(value, bool) else value}" for name, value in values.items() if value is not None]
 
 
 def start(name: str, arguments: list[str], **options: Any) -> subprocess.Popen:
@@ -50,28 +48,32 @@ def start(name: str, arguments: list[str], **options: Any) -> subprocess.Popen:
   return subprocess.Popen([*command, *arguments], env=environment, start_new_session=True, **options)
 
 
-def run(name: str, arguments: list[str], progress: bool) -> str:
-  """Runs `craftfleet NAME` to its end, shows its progress and returns its output.
+def run(name: str, progress: bool, /, **values: Any) -> None:
+  """Runs `craftfleet NAME` with flags() of the values to its end; shows its warnings and errors, and its progress if wanted.
 
   ValueError: the program refused what it was given; RuntimeError: it failed later. Both have its words. KeyboardInterrupt stops the
   program as Ctrl-C does, a second one at once, and is raised when it has ended.
   """
   process = start(
-      name, arguments, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, errors="replace")
-  output: list[str] = []
+      name, flags(**{"log_level": "warning", **values}), stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+      text=True, errors="replace")
+  began = False  # its work: it has printed a result, or progress
   errors: list[str] = []
-  with _stopping(process), _Display(progress) as display:
+  with _stopping(process), contextlib.closing(_Display(progress)) as display:
     for is_error, line in _lines(process):
-      (errors if is_error else output).append(line)
+      began = began or not is_error or PROGRESS.match(line) is not None
+      if is_error:
+        errors.append(line)
       display.show(line, is_error)
-  if process.wait() != 0:
-    raise (RuntimeError if output else ValueError)(failure(name, process.returncode, errors))
-  return "".join(f"{line}\n" for line in output)
+  code = process.wait()
+  if code != 0:
+    refused = not began and code > 0  # negative: a signal ended it
+    raise (ValueError if refused else RuntimeError)(failure(name, code, errors))
 
 
 def failure(name: str, code: int, errors: list[str]) -> str:
   """What a program that ended with `code` said on standard error, without its name and without its log."""
-  said = [line for line in errors if line.strip() and not re.match(r"\d\d:\d\d:\d\d\.\d+ \w+: ", line) and not PROGRESS.match(line)]
+  said = [line for line in errors if line.strip() and not LOG.match(line) and not PROGRESS.match(line)]
   text = "\n".join(said).removeprefix(f"craftfleet {name}: ").removeprefix("ERROR: ")
   return text or f"craftfleet {name} ended with exit code {code}"
 
@@ -121,10 +123,8 @@ class _Display:
       from tqdm.auto import tqdm  # pylint: disable=import-outside-toplevel  # an optional package
       self._make_bar = tqdm
 
-  def __enter__(self) -> _Display:
-    return self
-
-  def __exit__(self, *_: object) -> None:
+  def close(self) -> None:
+    """Leaves the bar as it is."""
     if self._bar is not None:
       self._bar.close()
 
@@ -134,7 +134,7 @@ class _Display:
       return
     found = PROGRESS.match(line)
     if found is None:
-      if re.match(r"\d\d:\d\d:\d\d\.\d+ ", line):
+      if LOG.match(line):
         print(line, file=sys.stderr)
       return
     if self._make_bar is None:
@@ -142,10 +142,10 @@ class _Display:
       return
     done, total = (int(number.replace(",", "")) for number in found.group(1, 2))
     if self._bar is None or self._bar.total != total:
-      self.__exit__()
-      self._bar = self._make_bar(total=total, unit=f" {found[3]}")
+      self.close()
+      self._bar = self._make_bar(total=total, initial=done, unit=f" {found[3]}")  # a resumed run does not begin at 0
     self._bar.n = done
-    self._bar.set_postfix_str(line.rpartition(" left")[2].strip(" |"), refresh=False)
+    self._bar.set_postfix_str(line.partition(" left")[2].strip(" |"), refresh=False)
     self._bar.refresh()
 
 

@@ -60,10 +60,7 @@ def train(
   programs or torch are missing.
   """
   logdir = _programs.folder(logdir)
-  flags = {"log_level": "warning", **flags}
-  _programs.run(
-      "train",
-      _programs.flags(agent=agent, env=env, steps=steps, seed=seed, lanes=lanes, resume=resume or None, logdir=logdir, **flags), progress)
+  _programs.run("train", progress, agent=agent, env=env, steps=steps, seed=seed, lanes=lanes, resume=resume, logdir=logdir, **flags)
   return Run(logdir)
 
 
@@ -74,14 +71,13 @@ def evaluate(
 
   Other flags of `craftfleet eval --help` are taken too, such as `video="videos"`. Stops and fails as train().
   """
+  if "protocol" in flags:
+    raise ValueError("protocol: it may have several results, and evaluate() returns one; run `craftfleet eval --protocol=final`")
   run = run if isinstance(run, Run) else Run(run)
   with tempfile.TemporaryDirectory(prefix="craftfleet-") as temporary:
     file = pathlib.Path(temporary) / "result.json"
     _programs.run(
-        "eval",
-        _programs.flags(
-            checkpoint=run.folder, episodes=episodes, env=env, seed=seed, deterministic=deterministic or None, json=file,
-            **{"log_level": "warning", **flags}), progress)
+        "eval", progress, checkpoint=run.folder, episodes=episodes, env=env, seed=seed, deterministic=deterministic, json=file, **flags)
     result = json.loads(file.read_text(encoding="utf-8"))
   return Run(
       run.folder,

@@ -8,6 +8,7 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import unittest.mock
 
 from tests.deploy.python import package
@@ -72,6 +73,8 @@ class Training(Case):
       craftfleet.evaluate(self.folder / "nothing")
     with self.assertRaisesRegex(ValueError, r"^--episodes=0, want 1\.\.10000"):
       craftfleet.evaluate(self.folder / "run", episodes=0, progress=False)
+    with self.assertRaisesRegex(ValueError, r"^protocol: .* run `craftfleet eval --protocol=final`"):
+      craftfleet.evaluate(self.folder / "run", protocol="final", progress=False)
 
   def test_a_failure_on_the_way_is_a_runtime_error(self):
     self.config.write_text(ENDLESS)
@@ -80,6 +83,20 @@ class Training(Case):
     self.addCleanup(killer.wait)
     with self.assertRaisesRegex(RuntimeError, "craftfleet train ended with exit code -9"):
       self.train()
+
+  def test_an_evaluation_that_is_killed_is_a_runtime_error(self):
+    run = self.train()
+    flag = f"--episodes_npz={self.folder}/tables"
+
+    def kill():
+      (pid,) = wait_until(lambda: python_case.processes_with(flag), "the evaluation")
+      os.kill(pid, signal.SIGKILL)
+
+    killer = threading.Thread(target=kill)
+    killer.start()
+    self.addCleanup(killer.join)
+    with self.assertRaisesRegex(RuntimeError, "craftfleet eval ended with exit code -9"):
+      craftfleet.evaluate(run, episodes=10000, episodes_npz=self.folder / "tables", progress=False)
 
   def test_without_programs_it_says_how_to_get_them(self):
     with unittest.mock.patch.dict(os.environ, PATH="/nowhere"), self.assertRaisesRegex(FileNotFoundError, r"craftfleet-train is not in PATH"):

@@ -1,4 +1,8 @@
-"""deploy/wheel.sh: a wheel of this build brings the programs and their libraries, and they find LibTorch in Python's torch."""
+"""deploy/wheel.sh: a wheel of this build brings the programs and their libraries, and they find LibTorch in Python's torch.
+
+Builds with windows and videos, which need more than a hundred libraries, and those under AddressSanitizer are not packed. The test
+then puts the programs, the scripts and share/ where pip would, beside the package that install_test.py has installed.
+"""
 
 import os
 import pathlib
@@ -7,13 +11,14 @@ import shlex
 import shutil
 import subprocess
 import sys
+import unittest
 import zipfile
 
 from tests.deploy.python import package
 from tests.fakes import python_case
 from tests.fakes.python_case import BIN, SMALL_RUN, SOURCE, cmake_setting
 
-package.need("scikit_build_core", "nanobind", "numpy", "gymnasium", "auditwheel")
+package.need("craftfleet", "scikit_build_core", "nanobind", "numpy", "gymnasium", "auditwheel")
 import numpy  # pylint: disable=wrong-import-position
 
 MADE = BIN.parent / "wheel"
@@ -23,6 +28,16 @@ OF_LIBTORCH = re.compile(r"/lib(torch|c10|caffe2)")
 # What every system with Python has.
 OF_THE_SYSTEM = re.compile(r"/(ld-linux.*|lib(c|m|mvec|dl|pthread|rt|util|resolv|anl|gcc_s|stdc\+\+|z))\.so\.\d+$")
 IS_SMALL = cmake_setting("CRAFTFLEET_WITH_VIDEO") == cmake_setting("CRAFTFLEET_WITH_WINDOW") == "OFF"
+IS_PACKED = IS_SMALL and b"__asan_init" not in (BIN / "craftfleet").read_bytes()
+needs_packing = unittest.skipUnless(IS_PACKED, "want a build without windows, videos and AddressSanitizer, as of the preset wheel")
+PROGRAMS = {path.name for path in BIN.glob("craftfleet*") if "_" not in path.name}
+# In place of the Python that makes the wheel: keeps what deploy/wheel.sh has gathered for it.
+KEEPING_PYTHON = """#!/bin/sh
+for word; do
+  case $word in *=cmake.define.CRAFTFLEET_PROGRAMS=*) cp -r "${word##*=}" "$(dirname "$0")/gathered" ;; esac
+done
+exit 3
+"""
 
 
 def packages():
@@ -39,13 +54,6 @@ def libraries(program, **environment):
 
 
 class Wheel(python_case.FolderCase):
-
-  def setUp(self):
-    super().setUp()
-    if not IS_SMALL:
-      self.skipTest("programs with windows and videos are not packed, want a build without, as of the preset wheel")
-    if b"__asan_init" in (BIN / "craftfleet").read_bytes():
-      self.skipTest("programs under AddressSanitizer are not packed")
 
   def run_in_environment(self, *words, code=0, **variables):
     ended = subprocess.run(
@@ -70,19 +78,32 @@ class Wheel(python_case.FolderCase):
     return str(torch.parent)
 
   @staticmethod
+  def make(python):
+    """Runs deploy/wheel.sh for this build, with an empty folder for the wheel."""
+    shutil.rmtree(MADE, ignore_errors=True)
+    MADE.mkdir()
+    return subprocess.run(
+        [SOURCE / "deploy/wheel.sh", f"--build={BIN.parent}", f"--out={MADE}", f"--python={python}"], capture_output=True, text=True,
+        timeout=1500, check=False)
+
+  @staticmethod
+  def link_dependencies():
+    """What pip would download."""
+    site = pathlib.Path(numpy.__file__).parents[1]
+    for name in ("numpy", "numpy.libs", "gymnasium", "cloudpickle", "farama_notifications", "typing_extensions.py"):
+      (packages() / name).symlink_to(site / name)
+
+  @staticmethod
   def tutorial_commands():
     """The commands with which the tutorial installs the wheel, in this test's folders."""
     page = (SOURCE / "deploy/python/TUTORIAL.md").read_text()
     found = re.findall(r"^    ((?:python3 -m venv|venv/bin/pip) .*)$", page, re.MULTILINE)
     return [shlex.split(re.sub(r"(?<!-m )\bvenv\b", str(ENVIRONMENT), command.replace("build-wheel", str(MADE)))) for command in found]
 
+  @needs_packing
   def test_a_wheel_of_this_build_is_made_and_installed_as_the_tutorial_says(self):
     """The other cases use it."""
-    shutil.rmtree(MADE, ignore_errors=True)
-    MADE.mkdir()
-    made = subprocess.run(
-        [SOURCE / "deploy/wheel.sh", f"--build={BIN.parent}", f"--out={MADE}", f"--python={sys.executable}"], capture_output=True,
-        text=True, timeout=1500, check=False)
+    made = self.make(sys.executable)
     self.assertEqual(made.returncode, 0, made.stderr)
     (wheel,) = MADE.glob("*.whl")
     self.assertRegex(wheel.name, r"^craftfleet-[\d.]+-cp3\d+-cp3\d+-manylinux_2_36_x86_64\.whl$")
@@ -90,14 +111,30 @@ class Wheel(python_case.FolderCase):
     self.assertLess(wheel.stat().st_size, MAX_WHEEL_BYTES)
     names = zipfile.ZipFile(wheel).namelist()
     self.assertEqual([name for name in names if OF_LIBTORCH.search(name)], [])
-    programs = {path.name for path in BIN.glob("craftfleet*") if "_" not in path.name}
-    self.assertEqual({name.rpartition("/")[2] for name in names if re.search(r"\.data/scripts/.", name)}, programs)
+    self.assertEqual({name.rpartition("/")[2] for name in names if re.search(r"\.data/scripts/.", name)}, PROGRAMS)
     for command in self.tutorial_commands():
       subprocess.run(command, check=True, env={**os.environ, "PIP_NO_INDEX": "1", "PIP_NO_DEPS": "1"})
-    site = pathlib.Path(numpy.__file__).parents[1]
-    for name in ("numpy", "numpy.libs", "gymnasium", "cloudpickle", "farama_notifications", "typing_extensions.py"):
-      (packages() / name).symlink_to(site / name)
+    self.link_dependencies()
 
+  @unittest.skipIf(IS_PACKED, "a wheel of this build is made")
+  def test_a_build_that_is_not_packed_is_gathered_for_the_other_cases(self):
+    python = self.folder / "python3"
+    python.write_text(KEEPING_PYTHON)
+    python.chmod(0o755)
+    made = self.make(python)
+    self.assertEqual((made.returncode, made.stderr), (3, ""))
+    gathered = self.folder / "gathered"
+    self.assertEqual({script.name for script in (gathered / "scripts").iterdir()}, PROGRAMS)
+    subprocess.run([sys.executable, "-m", "venv", "--without-pip", ENVIRONMENT], check=True)
+    for script in (gathered / "scripts").iterdir():
+      script.write_text(re.sub(r"^#!python$", f"#!{ENVIRONMENT}/bin/python", script.read_text(), count=1, flags=re.MULTILINE))
+      script.rename(ENVIRONMENT / "bin" / script.name)
+    shutil.move(gathered / "craftfleet_programs", packages())
+    shutil.move(gathered / "share", ENVIRONMENT)
+    (packages() / "craftfleet").symlink_to(package.SITE / "craftfleet")
+    self.link_dependencies()
+
+  @needs_packing
   def test_programs_take_libraries_from_the_wheel_the_system_and_torch_alone(self):
     torch = pathlib.Path(self.with_torch()) / "torch/lib"
     brought = {os.path.realpath(path) for path in libraries(torch / "libtorch.so").values() if path}
