@@ -74,10 +74,10 @@ void EvaluationWorker::Run() {
 }
 
 absl::Status EvaluationWorker::Play(const Job& job) {
-  CRAFTFLEET_ASSIGN_OR_RETURN(const std::string weights,
+  CRAFTFLEET_ASSIGN_OR_RETURN(std::string weights,
                               learner_->GetEvaluationWeights(job.task.id(), MaxWeightsBytes(options_.spec)));
   CRAFTFLEET_ASSIGN_OR_RETURN(const std::unique_ptr<const Policy> policy,
-                              Policy::Create(options_.spec, weights, options_.tile, options_.device));
+                              Policy::Create(options_.spec, std::move(weights), options_.tile, options_.device));
   CRAFTFLEET_ASSIGN_OR_RETURN(EnvClient * env, Connect(job.task.env()));
   EvaluationOptions evaluation;
   evaluation.seed = job.task.seed();

@@ -152,7 +152,9 @@ absl::StatusOr<std::pair<int64_t, std::string>> LearnerClient::ReceiveWeights(co
         CheckWeightsChunk(chunk, max_bytes, weights.first, total_bytes, static_cast<int64_t>(weights.second.size()));
     weights.first = chunk.policy_version();
     total_bytes = chunk.total_bytes();
-    if (checked.ok()) weights.second.append(chunk.data());
+    if (!checked.ok()) continue;
+    weights.second.reserve(total_bytes);  // growing would need twice as much
+    weights.second.append(chunk.data());
   }
   if (!checked.ok()) call.context()->TryCancel();
   const grpc::Status status = stream->Finish();

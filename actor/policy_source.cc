@@ -28,7 +28,7 @@ absl::StatusOr<VersionedWeights> PolicySource::GetWeights(int64_t version) const
 absl::StatusOr<std::pair<int64_t, std::shared_ptr<const Policy>>> PolicySource::Fetch(int64_t version) const {
   CRAFTFLEET_ASSIGN_OR_RETURN(const VersionedWeights weights, GetWeights(version));
   CRAFTFLEET_ASSIGN_OR_RETURN(std::shared_ptr<const Policy> policy,
-                              Policy::Create(spec_, *weights.second, tile_, device_));
+                              Policy::Create(spec_, weights.second, tile_, device_));
   return std::make_pair(weights.first, std::move(policy));
 }
 

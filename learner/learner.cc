@@ -72,7 +72,7 @@ absl::StatusOr<std::string> InitFrom(const std::string& path, const v1::RunConfi
   const auto load = [&]() -> absl::StatusOr<std::string> {
     std::string folder;
     CRAFTFLEET_ASSIGN_OR_RETURN(const Checkpoint checkpoint, LoadFound(path, config.agent(), &folder));
-    CRAFTFLEET_RETURN_IF_ERROR(updater->StartFrom(checkpoint.weights, checkpoint.optimizer));
+    CRAFTFLEET_RETURN_IF_ERROR(updater->StartFrom(*checkpoint.weights, checkpoint.optimizer));
     const v1::CheckpointState& state = checkpoint.state;
     return absl::StrFormat("run %s after iteration %d, %d steps", state.run_id(), state.iteration(), state.env_steps());
   };
@@ -222,7 +222,7 @@ absl::StatusOr<Learner::Loaded> Learner::Load(const Options& options, const v1::
                                                                 program, loaded.clock.get()));
   CRAFTFLEET_RETURN_IF_ERROR(CheckConfigFile(options.logdir, run.checkpoint.state, config));
   CRAFTFLEET_RETURN_IF_ERROR(CheckStepsLeft(config, run.checkpoint.state));
-  if (absl::Status load = loaded.updater->Load(run.checkpoint.weights, run.checkpoint.optimizer); !load.ok()) {
+  if (absl::Status load = loaded.updater->Load(*run.checkpoint.weights, run.checkpoint.optimizer); !load.ok()) {
     const std::string name = CheckpointName(run.checkpoint.state.iteration());
     return absl::DataLossError(absl::StrCat("checkpoint ", name, " of ", options.logdir, ": ", load.message()));
   }
@@ -230,7 +230,7 @@ absl::StatusOr<Learner::Loaded> Learner::Load(const Options& options, const v1::
   run.folder->TakeChanges(config);
   loaded.folder = std::move(run.folder);
   loaded.checkpoint = std::move(run.checkpoint);
-  loaded.checkpoint.weights.clear();
+  loaded.checkpoint.weights.reset();
   loaded.checkpoint.optimizer.clear();
   LogInfo("run %s resumes after iteration %d, %d steps", loaded.folder->run_id(), loaded.checkpoint.state.iteration(),
           loaded.checkpoint.state.env_steps());

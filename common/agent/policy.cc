@@ -65,7 +65,7 @@ bool AllFinite(absl::Span<const float> values) {
 
 }  // namespace
 
-Policy::Policy(const AgentSpec& spec, std::vector<float> weights, int tile, const std::string& device)
+Policy::Policy(const AgentSpec& spec, std::shared_ptr<const float> weights, int tile, const std::string& device)
     : agent_(spec.name),
       frame_bytes_(spec.frame_bytes()),
       frame_size_(spec.frame_size),
@@ -75,7 +75,9 @@ Policy::Policy(const AgentSpec& spec, std::vector<float> weights, int tile, cons
       tile_(tile),
       device_(device),
       weights_(std::move(weights)),
-      net_(std::make_unique<PolicyNet>(spec, PolicyNet::Use::kActing, absl::MakeSpan(weights_), at::Device(device))) {
+      net_(std::make_unique<PolicyNet>(spec, PolicyNet::Use::kActing,
+                                       absl::MakeSpan(const_cast<float*>(weights_.get()), spec.param_count),
+                                       at::Device(device))) {
   if (device_ == kCpuDevice || state_size_ == 0) return;
   Packing packing = Pack(std::vector<int>(tile, 1));
   for (at::Tensor* tensor : {&packing.rows, &packing.inverse_rows, &packing.segments, &packing.inverse_segments}) {
@@ -86,12 +88,13 @@ Policy::Policy(const AgentSpec& spec, std::vector<float> weights, int tile, cons
 
 Policy::~Policy() = default;
 
-absl::StatusOr<std::unique_ptr<const Policy>> Policy::Create(const AgentSpec& spec, absl::string_view weights, int tile,
+absl::StatusOr<std::unique_ptr<const Policy>> Policy::Create(const AgentSpec& spec,
+                                                             std::shared_ptr<const std::string> weights, int tile,
                                                              const std::string& device) {
   if (tile < 1 || tile > kMaxTile) {
     return absl::InvalidArgumentError(absl::StrCat("tile is ", tile, ", want 1..", kMaxTile));
   }
-  CRAFTFLEET_ASSIGN_OR_RETURN(std::vector<float> values, LoadWeights(spec, weights));
+  CRAFTFLEET_ASSIGN_OR_RETURN(std::shared_ptr<const float> values, ShareWeights(spec, std::move(weights)));
   CRAFTFLEET_RETURN_IF_ERROR(CheckPrecision(device, spec.precision));
   try {
     return std::unique_ptr<const Policy>(new Policy(spec, std::move(values), tile, device));

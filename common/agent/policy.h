@@ -7,6 +7,7 @@
 #include <memory>
 #include <optional>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include <absl/functional/function_ref.h>
@@ -40,12 +41,17 @@ class Policy {
  public:
   static constexpr int kMaxTile = 1024;
 
-  // `weights` are safetensors of the agent; tile in 1..kMaxTile. `device`, as FindDevice returns it, computes tiles; it
-  // gets a tile's frames and states in one copy each and returns all results in one.
+  // `weights` are safetensors of the agent, which the policy looks into; tile in 1..kMaxTile. `device`, as FindDevice
+  // returns it, computes tiles; it gets a tile's frames and states in one copy each and returns all results in one.
   //   InvalidArgument: the weights are not this agent's or not finite, the tile is out of range, or the device does not
   //   compute in the agent's precision.   Others as DeviceError (common/agent/device.h).
-  static absl::StatusOr<std::unique_ptr<const Policy>> Create(const AgentSpec& spec, absl::string_view weights,
-                                                              int tile, const std::string& device = "cpu");
+  static absl::StatusOr<std::unique_ptr<const Policy>> Create(const AgentSpec& spec,
+                                                              std::shared_ptr<const std::string> weights, int tile,
+                                                              const std::string& device = "cpu");
+  static absl::StatusOr<std::unique_ptr<const Policy>> Create(const AgentSpec& spec, std::string weights, int tile,
+                                                              const std::string& device = "cpu") {
+    return Create(spec, std::make_shared<const std::string>(std::move(weights)), tile, device);
+  }
   ~Policy();
   Policy(const Policy&) = delete;
   Policy& operator=(const Policy&) = delete;
@@ -91,7 +97,7 @@ class Policy {
     std::vector<float> states;  // [n,state_size] after the step
   };
 
-  Policy(const AgentSpec& spec, std::vector<float> weights, int tile, const std::string& device);
+  Policy(const AgentSpec& spec, std::shared_ptr<const float> weights, int tile, const std::string& device);
 
   // `choose(row, distribution)` is the action of each row.
   static ActResult Choose(Outputs outputs, absl::FunctionRef<Action(size_t, const Categorical&)> choose);
@@ -113,7 +119,7 @@ class Policy {
   const std::optional<PatchGrid> patches_;  // of agents with attention
   const int tile_;
   const std::string device_;
-  std::vector<float> weights_;  // float[param_count]; on the CPU used by the net in place
+  const std::shared_ptr<const float> weights_;  // float[param_count]; on the CPU used by the net in place
   std::unique_ptr<const PolicyNet> net_;
   std::unique_ptr<const Packing> packing_;  // on the device, of a tile's rows; recurrent agents on another device only
 };

@@ -65,6 +65,10 @@ std::vector<absl::Span<float>> PolicyNet::gradients() {
   std::vector<absl::Span<float>> gradients;
   for (at::Tensor& param : params_.tensors) {
     at::Tensor& gradient = param.mutable_grad();
+    if (params_.FindWideFactors(static_cast<ParamIndex>(gradients.size())) != nullptr) {
+      gradients.emplace_back();
+      continue;
+    }
     if (!gradient.defined()) break;
     // Convolutions in bfloat16 hand over channels last.
     if (!gradient.is_contiguous()) gradient = gradient.contiguous();
@@ -79,6 +83,16 @@ std::vector<absl::Span<float>> PolicyNet::gradients() {
 // Undefined, not zero: a backward pass then hands over its tensors instead of adding to ours.
 void PolicyNet::ClearGradients() {
   for (at::Tensor& param : params_.tensors) param.mutable_grad().reset();
+  for (const auto& [weight, factors] : params_.wide_factors) *factors = WideFactors();
+}
+
+void PolicyNet::LeaveWideGradients(bool leaves) {
+  params_.wide_factors.clear();
+  if (!leaves || params_.multiplied_as != at::kFloat) return;
+  for (size_t i = 0; i < params_.tensors.size(); ++i) {
+    if (!WideLinearFits(params_.tensors[i])) continue;
+    params_.wide_factors[static_cast<ParamIndex>(i)] = c10::make_intrusive<WideFactors>();
+  }
 }
 
 CRAFTFLEET_MULTIVERSION

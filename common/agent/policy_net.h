@@ -5,6 +5,7 @@
 #define CRAFTFLEET_COMMON_AGENT_POLICY_NET_H_
 
 #include <cstdint>
+#include <map>
 #include <memory>
 #include <optional>
 #include <utility>
@@ -67,6 +68,11 @@ class PolicyNet {
   // or ClearGradients.
   std::vector<absl::Span<float>> gradients();
   void ClearGradients();
+
+  // Training: whether backward passes leave the gradients of the weights that WideLinear multiplies as factors;
+  // gradients() then has empty spans for them. Factors are kept until ClearGradients.
+  void LeaveWideGradients(bool leaves);
+  const std::map<ParamIndex, c10::intrusive_ptr<WideFactors>>& wide_factors() const { return params_.wide_factors; }
 
  private:
   ParamTensors params_;

@@ -2,7 +2,9 @@
 
 #include <algorithm>
 #include <cmath>
+#include <cstdint>
 #include <cstring>
+#include <utility>
 
 #include <absl/strings/match.h>
 #include <absl/strings/str_cat.h>
@@ -73,14 +75,54 @@ int64_t MaxWeightsBytes(const AgentSpec& spec) {
   return bytes + spec.param_count * static_cast<int64_t>(sizeof(float));
 }
 
+namespace {
+
+absl::Status CheckFinite(const AgentSpec& spec, absl::Span<const float> weights) {
+  const auto* const bad =
+      std::find_if_not(weights.begin(), weights.end(), [](float weight) { return std::isfinite(weight); });
+  if (bad == weights.end()) return absl::OkStatus();
+  return absl::InvalidArgumentError(
+      absl::StrCat(spec.name, ": weight ", bad - weights.begin(), " is ", *bad, ", want finite numbers"));
+}
+
+// Where the weights lie in `file`, if they do so one after the other and aligned; null otherwise.
+const float* FindInOrder(const AgentSpec& spec, const SafeTensors& file) {
+  if (file.tensors.size() != spec.params.size()) return nullptr;
+  const char* const begin = file.tensors.front().data.data();
+  for (size_t i = 0; i < spec.params.size(); ++i) {
+    const SafeTensor& tensor = file.tensors[i];
+    const ParamSpec& param = spec.params[i];
+    const bool is_in_place = tensor.data.data() == begin + param.offset * sizeof(float);
+    if (tensor.name != param.name || tensor.shape != param.shape || tensor.type != SafeTensor::Type::kFloat32 ||
+        !is_in_place) {
+      return nullptr;
+    }
+  }
+  const bool is_aligned = reinterpret_cast<uintptr_t>(begin) % alignof(float) == 0;
+  return is_aligned ? reinterpret_cast<const float*>(begin) : nullptr;
+}
+
+}  // namespace
+
 absl::StatusOr<std::vector<float>> LoadWeights(const AgentSpec& spec, absl::string_view bytes) {
   CRAFTFLEET_ASSIGN_OR_RETURN(const SafeTensors file, ReadSafetensors(bytes));
   std::vector<float> weights(spec.param_count);
   CRAFTFLEET_RETURN_IF_ERROR(CopyTensors(spec, "", file.tensors, absl::MakeSpan(weights)));
-  const auto bad = std::find_if_not(weights.begin(), weights.end(), [](float weight) { return std::isfinite(weight); });
-  if (bad == weights.end()) return weights;
-  return absl::InvalidArgumentError(
-      absl::StrCat(spec.name, ": weight ", bad - weights.begin(), " is ", *bad, ", want finite numbers"));
+  CRAFTFLEET_RETURN_IF_ERROR(CheckFinite(spec, weights));
+  return weights;
+}
+
+absl::StatusOr<std::shared_ptr<const float>> ShareWeights(const AgentSpec& spec,
+                                                          std::shared_ptr<const std::string> bytes) {
+  CRAFTFLEET_ASSIGN_OR_RETURN(const SafeTensors file, ReadSafetensors(*bytes));
+  const float* const weights = FindInOrder(spec, file);
+  if (weights == nullptr) {
+    CRAFTFLEET_ASSIGN_OR_RETURN(std::vector<float> copy, LoadWeights(spec, *bytes));
+    const auto owner = std::make_shared<const std::vector<float>>(std::move(copy));
+    return std::shared_ptr<const float>(owner, owner->data());
+  }
+  CRAFTFLEET_RETURN_IF_ERROR(CheckFinite(spec, {weights, static_cast<size_t>(spec.param_count)}));
+  return std::shared_ptr<const float>(std::move(bytes), weights);
 }
 
 }  // namespace craftfleet

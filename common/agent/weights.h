@@ -5,6 +5,7 @@
 
 #include <cstdint>
 #include <map>
+#include <memory>
 #include <string>
 #include <vector>
 
@@ -36,6 +37,10 @@ int64_t MaxWeightsBytes(const AgentSpec& spec);
 // The inverse. `bytes` may be untrusted.
 //   InvalidArgument: not safetensors, or not this agent's parameters; names the parameter.
 absl::StatusOr<std::vector<float>> LoadWeights(const AgentSpec& spec, absl::string_view bytes);
+
+// The same without a copy where `bytes` are as SaveWeights writes them: float[spec.param_count], owned by the result.
+absl::StatusOr<std::shared_ptr<const float>> ShareWeights(const AgentSpec& spec,
+                                                          std::shared_ptr<const std::string> bytes);
 
 }  // namespace craftfleet
 

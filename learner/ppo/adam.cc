@@ -96,7 +96,9 @@ double AdamStep(const AdamOptions& options, absl::Span<const ShardGradient> shar
   std::vector<double> squares(count);
   workers->Run(count, [&](int i) {
     const absl::Span<float> sum = part_of(shards[0], i);
-    for (const ShardGradient& other : shards.subspan(1)) AddTo(sum.data(), part_of(other, i).data(), sum.size());
+    for (const ShardGradient& other : shards.subspan(1)) {
+      if (!other[blocks[i].piece].empty()) AddTo(sum.data(), part_of(other, i).data(), sum.size());
+    }
     squares[i] = SumOfSquares(sum.data(), sum.size());
   });
   double total = 0;

@@ -30,7 +30,8 @@ struct AdamState {
 // Those of a run's configuration.
 AdamOptions AdamOptionsOf(const v1::PpoConfig& config);
 
-// One shard's gradient: consecutive pieces (parameters) that together are as long as the weights.
+// One shard's gradient: consecutive pieces (parameters) that together are as long as the weights. In shards after the
+// first, a piece may be empty: it is in the first one's already.
 using ShardGradient = std::vector<absl::Span<float>>;
 
 // Adds the gradients of the shards in their order into the first, then takes one step on `weights`, in place. At least

@@ -8,6 +8,7 @@
 #include <torch/csrc/autograd/autograd.h>
 
 #include "common/agent/categorical.h"
+#include "common/agent/nets/wide_product.h"
 #include "common/agent/policy_net.h"
 #include "common/base/status_macros.h"
 #include "learner/ppo/divergence.h"
@@ -49,10 +50,19 @@ struct GradientShards::Shard {
 GradientShards::GradientShards(const AgentSpec& spec, const v1::PpoConfig& config, int count, absl::Span<float> weights,
                                WorkerPool* workers)
     : spec_(spec), config_(config), no_frame_(spec.frame_bytes()), workers_(workers), shards_(count) {
-  for (auto& shard : shards_) shard = std::make_unique<Shard>(spec_, weights);
+  for (auto& shard : shards_) {
+    shard = std::make_unique<Shard>(spec_, weights);
+    shard->net.LeaveWideGradients(true);
+  }
 }
 
 GradientShards::~GradientShards() = default;
+
+// Ranks add the gradients of single shards.
+void GradientShards::ShareOut(RankSums* ranks) {
+  ranks_ = ranks;
+  for (const auto& shard : shards_) shard->net.LeaveWideGradients(false);
+}
 
 absl::StatusOr<PpoLossSums> GradientShards::ComputeGradients(const Rollout& rollout, const ShardedMinibatch& minibatch,
                                                              std::vector<ShardGradient>* gradients) {
@@ -72,8 +82,37 @@ absl::StatusOr<PpoLossSums> GradientShards::ComputeGradients(const Rollout& roll
     losses.push_back(shards_[i]->sums);
     sums.Add(losses.back());
   }
-  if (ranks_ != nullptr) CRAFTFLEET_RETURN_IF_ERROR(ranks_->Add(own, gradients, losses, &sums));
+  if (ranks_ != nullptr) {
+    CRAFTFLEET_RETURN_IF_ERROR(ranks_->Add(own, gradients, losses, &sums));
+  } else {
+    CRAFTFLEET_RETURN_IF_ERROR(SumWideGradients(range, gradients));
+  }
   return sums;
+}
+
+absl::Status GradientShards::SumWideGradients(ShardRange range, std::vector<ShardGradient>* gradients) {
+  constexpr int64_t kColumnsAtOnce = 64 * WideProduct::kColumns;
+  const auto& layers = shards_.front()->net.wide_factors();
+  wide_gradients_.resize(layers.size());
+  auto sum = wide_gradients_.begin();
+  for (const auto& [weight, factors] : layers) {
+    const int64_t inputs = factors->input.size(1);
+    const WideProduct product(inputs, factors->output_gradient.size(1));
+    if (!sum->defined()) *sum = at::empty(spec_.params[weight].shape);
+    std::vector<WideProduct::Rows> rows;
+    for (int i = range.begin; i < range.end; ++i) {
+      const WideFactors& own = *shards_[i]->net.wide_factors().at(weight);
+      rows.push_back({own.input.size(0), own.output_gradient.data_ptr<float>(), own.input.data_ptr<float>()});
+    }
+    const auto parts = static_cast<int>((inputs + kColumnsAtOnce - 1) / kColumnsAtOnce);
+    CRAFTFLEET_RETURN_IF_ERROR(RunParts(workers_, "gradient", parts, [&](int part) {
+      const int64_t begin = part * kColumnsAtOnce;
+      product.WeightGradient(rows, begin, std::min(begin + kColumnsAtOnce, inputs), sum->data_ptr<float>());
+    }));
+    (*gradients)[0][weight] = FloatSpan(*sum);
+    ++sum;
+  }
+  return absl::OkStatus();
 }
 
 void GradientShards::WriteStart(const Rollout& rollout, const Minibatch& part, const NetOutput& output,

@@ -9,6 +9,7 @@
 #include <optional>
 #include <vector>
 
+#include <ATen/core/ATen_fwd.h>
 #include <absl/status/status.h>
 #include <absl/status/statusor.h>
 #include <absl/types/span.h>
@@ -51,7 +52,7 @@ class GradientShards {
   ~GradientShards();
 
   // From now on the ranks share out the shards; `ranks` outlives this.
-  void ShareOut(RankSums* ranks) { ranks_ = ranks; }
+  void ShareOut(RankSums* ranks);
 
   // The sums of the losses over the minibatch's rows. `gradients` gets the gradients that AdamStep adds, valid until
   // the next call.
@@ -76,6 +77,9 @@ class GradientShards {
   // Writes `output` of `part` to `start`.
   static void WriteStart(const Rollout& rollout, const Minibatch& part, const NetOutput& output,
                          const ValueScale& scale, StartOutputs* start);
+  // Multiplies what the shards of `range` have left of wide layers' gradients: each sum goes into the first of
+  // `gradients`.
+  absl::Status SumWideGradients(ShardRange range, std::vector<ShardGradient>* gradients);
   // Forward and backward of the part with this number.
   void ComputeGradient(const Rollout& rollout, const ShardedMinibatch& minibatch, size_t number);
 
@@ -84,7 +88,8 @@ class GradientShards {
   const std::vector<uint8_t> no_frame_;  // [frame_bytes] zeros, for padding
   WorkerPool* const workers_;
   std::vector<std::unique_ptr<Shard>> shards_;
-  RankSums* ranks_ = nullptr;  // null: no other ranks
+  std::vector<at::Tensor> wide_gradients_;  // of the last minibatch
+  RankSums* ranks_ = nullptr;               // null: no other ranks
 };
 
 }  // namespace craftfleet

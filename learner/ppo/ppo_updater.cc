@@ -111,9 +111,11 @@ void PpoUpdater::ShareOut(RankGroup* group) {
 }
 
 PpoUpdater::State PpoUpdater::FreshState(std::vector<float> weights) const {
-  const AdamState fresh = {0, std::vector<float>(spec_.param_count), std::vector<float>(spec_.param_count)};
-  State state{std::move(weights), fresh, {}, {}};
-  if (distills_) state.distillation = {fresh, fresh};
+  const auto fresh = [&] {
+    return AdamState{0, std::vector<float>(spec_.param_count), std::vector<float>(spec_.param_count)};
+  };
+  State state{std::move(weights), fresh(), {}, {}};
+  if (distills_) state.distillation = {fresh(), fresh()};
   return state;
 }
 
@@ -140,7 +142,8 @@ absl::StatusOr<UpdateStats> PpoUpdater::Update(int64_t iteration, const Rollout&
   if (ranks_.has_value()) ranks_->Begin(should_stop);
   if (device_ != nullptr) return UpdateOnDevice(iteration, rollout, should_stop);
   const auto stops = [&] { return ranks_.has_value() ? ranks_->Stops() : should_stop(); };
-  State before = state_;
+  ShareWeights();
+  State before{{}, state_.adam, state_.value_norm, state_.distillation};
   absl::StatusOr<UpdateStats> stats = absl::InternalError("the update did not run");
   try {
     stats = RunIteration(iteration, rollout, stops);
@@ -151,7 +154,11 @@ absl::StatusOr<UpdateStats> PpoUpdater::Update(int64_t iteration, const Rollout&
     const absl::Status agreed = ranks_->group()->Agree(stats.status(), WeightsDigest(state_.weights));
     if (!agreed.ok()) stats = agreed;
   }
-  if (!stats.ok()) Restore(std::move(before));
+  if (!stats.ok()) {
+    Undo(std::move(before));
+  } else {
+    shared_weights_.reset();
+  }
   EndDistillation(iteration, stats.ok());
   return stats;
 }
@@ -195,6 +202,7 @@ absl::StatusOr<UpdateStats> PpoUpdater::UpdateOnDevice(int64_t iteration, const 
     if (is_due) device_->SendValueNorm(norm);
     return absl::OkStatus();
   };
+  shared_weights_.reset();
   absl::StatusOr<UpdateStats> stats =
       device_->Run(rollout, epochs, should_stop, distills_ ? DeviceUpdate::AfterEpochs(distil) : nullptr, &state_);
   EndDistillation(iteration, stats.ok());
@@ -319,9 +327,20 @@ void PpoUpdater::Restore(State state) {
   state_.value_norm = state.value_norm;
   state_.distillation = std::move(state.distillation);
   if (device_ != nullptr) device_->Forget();
+  shared_weights_.reset();
+}
+
+void PpoUpdater::Undo(State before) {
+  before.weights = *LoadWeights(spec_, *shared_weights_);
+  Restore(std::move(before));
 }
 
 std::string PpoUpdater::SaveWeights() const { return craftfleet::SaveWeights(spec_, state_.weights); }
+
+std::shared_ptr<const std::string> PpoUpdater::ShareWeights() {
+  if (shared_weights_ == nullptr) shared_weights_ = std::make_shared<const std::string>(SaveWeights());
+  return shared_weights_;
+}
 
 std::string PpoUpdater::SaveOptimizer() {
   if (device_ != nullptr) device_->CopyMoments(&state_);

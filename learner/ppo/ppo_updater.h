@@ -81,6 +81,9 @@ class PpoUpdater {
   std::string SaveWeights() const;
   std::string SaveOptimizer();
 
+  // SaveWeights() for several users: made once as long as the weights stay, and kept to undo the next update with.
+  std::shared_ptr<const std::string> ShareWeights();
+
   // Continues from the results of SaveWeights and SaveOptimizer, bit for bit.
   //   InvalidArgument: not this agent's; names the tensor. Nothing is changed.
   absl::Status Load(absl::string_view weights, absl::string_view optimizer);
@@ -127,6 +130,8 @@ class PpoUpdater {
                                            UpdateStats* stats);
   ShardedMinibatch CutForShards(const Rollout& rollout, const Minibatch& minibatch, StartOutputs* start);
   void Restore(State state);
+  // Restore(before), whose weights are in `shared_weights_`.
+  void Undo(State before);
   // DataLoss: weights or value normaliser are not finite, or as GradientShards::TryWeights.
   absl::Status CheckWeights(const Rollout& rollout);
 
@@ -137,12 +142,13 @@ class PpoUpdater {
   const bool corrects_lag_;
   const bool distills_;
   WorkerPool workers_;
-  State state_;                                 // the shards' nets look into the weights
-  std::unique_ptr<GradientShards> shards_;      // null: on a device
-  std::unique_ptr<Distiller> distiller_;        // null: no distillation
-  std::optional<RankSums> ranks_;               // unset: no other ranks
-  std::vector<float> normalised_advantages_;    // of the running update, with advantages_over_rollout
-  const std::unique_ptr<DeviceUpdate> device_;  // null: on the CPU
+  State state_;                                        // the shards' nets look into the weights
+  std::shared_ptr<const std::string> shared_weights_;  // those of state_; null: they have changed since
+  std::unique_ptr<GradientShards> shards_;             // null: on a device
+  std::unique_ptr<Distiller> distiller_;               // null: no distillation
+  std::optional<RankSums> ranks_;                      // unset: no other ranks
+  std::vector<float> normalised_advantages_;           // of the running update, with advantages_over_rollout
+  const std::unique_ptr<DeviceUpdate> device_;         // null: on the CPU
 };
 
 }  // namespace craftfleet

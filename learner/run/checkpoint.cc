@@ -165,7 +165,7 @@ absl::Status WriteCheckpointFiles(const std::string& folder, const Checkpoint& c
   CRAFTFLEET_CHECK(static_cast<int>(checkpoint.evaluation_weights.size()) == state.pending_size());
   std::vector<std::pair<std::string, const std::string*>> files = {
       {std::string(kStateFile), &state_bytes},
-      {std::string(kWeightsFile), &checkpoint.weights},
+      {std::string(kWeightsFile), checkpoint.weights.get()},
       {std::string(kOptimizerFile), &checkpoint.optimizer}};
   if (state.has_play()) files.emplace_back(kPlayWeightsFile, checkpoint.play_weights.get());
   for (int i = 0; i < state.pending_size(); ++i) {
@@ -190,7 +190,8 @@ absl::StatusOr<Checkpoint> LoadCheckpoint(const std::string& folder, absl::strin
   CRAFTFLEET_ASSIGN_OR_RETURN(const std::vector<std::string> manifest, ReadManifest(folder));
   Checkpoint checkpoint;
   CRAFTFLEET_ASSIGN_OR_RETURN(checkpoint.state, ReadState(folder, manifest));
-  CRAFTFLEET_ASSIGN_OR_RETURN(checkpoint.weights, ReadListedFile(folder, kWeightsFile, manifest));
+  CRAFTFLEET_ASSIGN_OR_RETURN(std::string weights, ReadListedFile(folder, kWeightsFile, manifest));
+  checkpoint.weights = std::make_shared<const std::string>(std::move(weights));
   CRAFTFLEET_ASSIGN_OR_RETURN(checkpoint.optimizer, ReadListedFile(folder, kOptimizerFile, manifest));
   if (checkpoint.state.has_play()) {
     CRAFTFLEET_ASSIGN_OR_RETURN(std::string weights, ReadListedFile(folder, kPlayWeightsFile, manifest));

@@ -20,7 +20,7 @@ inline constexpr int kCheckpointFormat = 2;
 
 struct Checkpoint {
   v1::CheckpointState state;
-  std::string weights;                                                 // safetensors
+  std::shared_ptr<const std::string> weights;                          // safetensors
   std::string optimizer;                                               // safetensors
   std::shared_ptr<const std::string> play_weights;                     // of state.play(), if it has one; safetensors
   std::vector<std::shared_ptr<const std::string>> evaluation_weights;  // of each of state.pending(); safetensors

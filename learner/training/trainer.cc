@@ -143,7 +143,8 @@ absl::StatusOr<std::vector<Fragment>> Trainer::Collect() {
     CRAFTFLEET_RETURN_IF_ERROR(CheckContinues());
     // Notice a takeover of the folder even without actors.
     if (is_idle) CRAFTFLEET_RETURN_IF_ERROR(parts_.folder->CheckOwned());
-    checkpoints_.ServeRequests(counters_.iteration);
+    ReleaseFreeMemory();  // of what the update could have been undone with: the checkpoint needs as much
+  checkpoints_.ServeRequests(counters_.iteration);
     parts_.progress->Update(counters_.env_steps + static_cast<int64_t>(collected) * config_.fragment_steps(),
                             parts_.folder->score());
     return absl::OkStatus();
@@ -220,7 +221,7 @@ absl::Status Trainer::FinishIteration(const std::vector<Fragment>& fragments, co
 void Trainer::LogPictures(const Fragment& first) {
   if (counters_.iteration % kIterationsPerPicture != 1) return;
   absl::StatusOr<std::vector<EventPicture>> pictures =
-      TrainingPictures(parts_.updater->spec(), *weights_.back().bytes, first);
+      TrainingPictures(parts_.updater->spec(), weights_.back().bytes, first);
   if (!pictures.ok()) {
     LogWarning("no pictures for TensorBoard: %s", pictures.status().message());
     return;
@@ -234,8 +235,7 @@ double Trainer::StepsPerSecond() const {
 }
 
 void Trainer::PublishWeights(int64_t version) {
-  weights_.push_back({version, std::make_shared<const std::string>(parts_.updater->SaveWeights()),
-                      parts_.updater->rollout_options().value_scale});
+  weights_.push_back({version, parts_.updater->ShareWeights(), parts_.updater->rollout_options().value_scale});
   if (weights_.size() > static_cast<size_t>(KeptVersions(config_))) weights_.pop_front();
   parts_.weights->Publish(version, weights_.back().bytes, RangeOf(weights_.back()));
   counters_.policy_version = version;
@@ -251,7 +251,7 @@ Checkpoint Trainer::MakeCheckpoint() const {
   state.set_train_seconds(train_seconds_ + absl::ToDoubleSeconds(parts_.clock->Now() - start_));
   for (const LaneRecord& lane : lanes_) *state.add_lanes() = ToProto(lane);
   parts_.evaluations->FillCheckpoint(&checkpoint);
-  checkpoint.weights = *weights_.back().bytes;
+  checkpoint.weights = weights_.back().bytes;
   if (config_.overlap() > 0 && weights_.size() > 1) {
     const Weights& play = weights_.front();
     state.mutable_play()->set_policy_version(play.version);

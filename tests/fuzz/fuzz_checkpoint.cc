@@ -16,7 +16,7 @@ Checkpoint SoundCheckpoint() {
   config.set_agent("ppo_cnn");
   config.set_lanes(2);
   Checkpoint checkpoint;
-  checkpoint.weights = "weights";
+  checkpoint.weights = std::make_shared<const std::string>("weights");
   checkpoint.optimizer = "optimizer";
   v1::CheckpointState& state = checkpoint.state;
   *state.mutable_config() = *ResolveRunConfig(config);

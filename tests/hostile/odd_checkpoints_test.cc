@@ -85,8 +85,9 @@ TEST_F(OddCheckpointsTest, WeightsThatAreNotFiniteAreRefusedWithTheirCheckpoint)
   Train("run");
   auto checkpoint = LoadCheckpoint(Checkpoint("run", 3), "");
   ASSERT_THAT(checkpoint, IsOk());
-  std::string& weights = checkpoint->weights;
+  std::string weights = *checkpoint->weights;
   weights.replace(weights.size() - 4, 4, std::string("\0\0\xc0\x7f", 4));  // NaN
+  checkpoint->weights = std::make_shared<const std::string>(std::move(weights));
   std::filesystem::remove_all(Checkpoint("run", 3));
   ASSERT_THAT(WriteCheckpointFiles(Checkpoint("run", 3), *checkpoint), IsOk());
   const Ended ended = Run("craftfleet-learner", Flags("run", {"--listen=127.0.0.1:0", "--resume", "--steps=640"}));

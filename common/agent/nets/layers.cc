@@ -12,6 +12,7 @@
 #include "common/agent/nets/fft_convolution/fft_convolution.h"
 #include "common/agent/nets/param_tensors.h"
 #include "common/agent/nets/prepared_weights.h"
+#include "common/agent/nets/wide_linear.h"
 
 namespace craftfleet {
 namespace {
@@ -45,6 +46,9 @@ LinearLayer::LinearLayer(const std::string& name, int64_t inputs, int64_t output
 at::Tensor LinearLayer::Forward(const ParamTensors& params, const at::Tensor& input) const {
   const at::Tensor& weight = params[weight_];
   const at::Tensor bias = BiasOf(params, bias_);
+  if (params.multiplied_as == at::kFloat && input.dim() == 2 && bias.defined() && WideLinearFits(weight)) {
+    return WideLinear(input, weight, bias, params.FindWideFactors(weight_));
+  }
   if (input.dim() == 2) return LinearAs(params.multiplied_as, input, weight, bias);
   std::vector<int64_t> shape = input.sizes().vec();
   shape.back() = weight.size(0);

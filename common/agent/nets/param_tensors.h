@@ -3,6 +3,7 @@
 #ifndef CRAFTFLEET_COMMON_AGENT_NETS_PARAM_TENSORS_H_
 #define CRAFTFLEET_COMMON_AGENT_NETS_PARAM_TENSORS_H_
 
+#include <map>
 #include <memory>
 #include <vector>
 
@@ -10,6 +11,7 @@
 
 #include "common/agent/nets/params.h"
 #include "common/agent/nets/prepared_weights.h"
+#include "common/agent/nets/wide_linear.h"
 
 namespace craftfleet {
 
@@ -17,6 +19,8 @@ struct ParamTensors {
   std::vector<at::Tensor> tensors;                            // in ParamList's order
   at::ScalarType multiplied_as = at::kFloat;                  // by convolutions and linear layers: float or bfloat16
   std::shared_ptr<const PreparedWeights> prepared = nullptr;  // of these weights; null: layers prepare what they need
+  // Weights whose gradients backward passes leave as factors.
+  std::map<ParamIndex, c10::intrusive_ptr<WideFactors>> wide_factors;
 
   const at::Tensor& operator[](ParamIndex index) const { return tensors[index]; }
 
@@ -25,6 +29,12 @@ struct ParamTensors {
     if (prepared == nullptr) return nullptr;
     const auto found = prepared->by_weight.find(weight);
     return found == prepared->by_weight.end() ? nullptr : &found->second;
+  }
+
+  // Null: the weight gets its gradient.
+  c10::intrusive_ptr<WideFactors> FindWideFactors(ParamIndex weight) const {
+    const auto found = wide_factors.find(weight);
+    return found == wide_factors.end() ? c10::intrusive_ptr<WideFactors>() : found->second;
   }
 };
 

@@ -43,7 +43,8 @@ absl::StatusOr<Checkpoint> LoadResult(const std::string& folder) {
     return absl::DataLossError(absl::StrCat(folder, "/run.json has no run_id"));
   }
   checkpoint.state.set_run_id(id->get<std::string>());
-  CRAFTFLEET_ASSIGN_OR_RETURN(checkpoint.weights, ReadFile(JoinPath(folder, "weights.safetensors")));
+  CRAFTFLEET_ASSIGN_OR_RETURN(std::string weights, ReadFile(JoinPath(folder, "weights.safetensors")));
+  checkpoint.weights = std::make_shared<const std::string>(std::move(weights));
   return checkpoint;
 }
 

@@ -45,7 +45,8 @@ std::string LightByAttention(absl::string_view frame, const PatchGrid& patches, 
 
 }  // namespace
 
-absl::StatusOr<std::vector<EventPicture>> TrainingPictures(const AgentSpec& spec, absl::string_view weights,
+absl::StatusOr<std::vector<EventPicture>> TrainingPictures(const AgentSpec& spec,
+                                                           std::shared_ptr<const std::string> weights,
                                                            const Fragment& fragment) {
   const auto frame_bytes = static_cast<size_t>(spec.frame_bytes());
   CRAFTFLEET_CHECK(fragment.frames.size() >= frame_bytes);
@@ -54,7 +55,8 @@ absl::StatusOr<std::vector<EventPicture>> TrainingPictures(const AgentSpec& spec
   CRAFTFLEET_ASSIGN_OR_RETURN(EventPicture plain, Enlarge("rollout/frame", frame, spec.frame_size));
   pictures.push_back(std::move(plain));
   if (spec.network.objects() == v1::NetworkConfig::NO_OBJECTS) return pictures;
-  CRAFTFLEET_ASSIGN_OR_RETURN(const std::unique_ptr<const Policy> policy, Policy::Create(spec, weights, /*tile=*/1));
+  CRAFTFLEET_ASSIGN_OR_RETURN(const std::unique_ptr<const Policy> policy,
+                              Policy::Create(spec, std::move(weights), /*tile=*/1));
   CRAFTFLEET_ASSIGN_OR_RETURN(const AttentionMap map, policy->Attention(frame));
   CRAFTFLEET_ASSIGN_OR_RETURN(const std::vector<float> mean, Choose(map, AttentionChoice()));
   CRAFTFLEET_ASSIGN_OR_RETURN(

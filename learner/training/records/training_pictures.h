@@ -3,10 +3,11 @@
 #ifndef CRAFTFLEET_LEARNER_TRAINING_RECORDS_TRAINING_PICTURES_H_
 #define CRAFTFLEET_LEARNER_TRAINING_RECORDS_TRAINING_PICTURES_H_
 
+#include <memory>
+#include <string>
 #include <vector>
 
 #include <absl/status/statusor.h>
-#include <absl/strings/string_view.h>
 
 #include "common/agent/agent_spec.h"
 #include "common/base/types.h"
@@ -19,7 +20,8 @@ inline constexpr int kIterationsPerPicture = 10;
 // Of the last observation in `fragment`, enlarged four times: "rollout/frame" and, for agents with attention,
 // "rollout/attention", the frame as bright as the agent's mean attention with `weights` (safetensors).
 //   Errors as Policy::Create and Policy::Attention.
-absl::StatusOr<std::vector<EventPicture>> TrainingPictures(const AgentSpec& spec, absl::string_view weights,
+absl::StatusOr<std::vector<EventPicture>> TrainingPictures(const AgentSpec& spec,
+                                                           std::shared_ptr<const std::string> weights,
                                                            const Fragment& fragment);
 
 }  // namespace craftfleet

@@ -67,7 +67,7 @@ TEST_F(CheckpointStoreTest, LoadsWhatWasWritten) {
   ASSERT_THAT(store_.Write(written), IsOk());
   const auto loaded = store_.Load("iter-00000010", "ppo_cnn");
   ASSERT_THAT(loaded, IsOk());
-  EXPECT_EQ(loaded->weights, written.weights);
+  EXPECT_EQ(*loaded->weights, *written.weights);
   EXPECT_EQ(loaded->optimizer, written.optimizer);
   v1::CheckpointState state = written.state;
   state.set_format(kCheckpointFormat);

@@ -127,7 +127,7 @@ TEST_F(FailedSyncTest, ACheckpointExistsOnlyOnceFullySynced) {
     EXPECT_TRUE(DroppingDisk::Get().failed());
     EXPECT_THAT(ListFolder(temp_ / "store").value(), IsEmpty());
     ASSERT_THAT(store.Write(SampleCheckpoint(1)), IsOk());
-    EXPECT_EQ(store.LoadLatest("")->weights, SampleCheckpoint(1).weights);
+    EXPECT_EQ(*store.LoadLatest("")->weights, *SampleCheckpoint(1).weights);
   }
 }
 

@@ -23,7 +23,8 @@ inline Episode SampleEpisode(int64_t length, double reward) {
 
 inline Checkpoint SampleCheckpoint(int64_t iteration, double best_score = 0) {
   Checkpoint checkpoint;
-  checkpoint.weights = "weights " + std::to_string(iteration) + std::string(3000, 'w');
+  checkpoint.weights =
+      std::make_shared<const std::string>("weights " + std::to_string(iteration) + std::string(3000, 'w'));
   checkpoint.optimizer = "optimizer " + std::to_string(iteration) + std::string("\0\n", 2);
   v1::CheckpointState& state = checkpoint.state;
   *state.mutable_config() = ResolveRunConfig(DefaultRunConfig()).value();

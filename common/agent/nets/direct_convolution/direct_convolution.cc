@@ -161,7 +161,8 @@ void DirectConvolution::AddBiasGradient(int64_t count, const float* output_gradi
   for (int64_t first = 0; first < count; first += kPixelsAtOnce) {
     for (int64_t column = 0; column < shape_.outputs; column += kColumns) {
       kernels_.correlate(std::min(kPixelsAtOnce, count - first), ones.data(), /*depth=*/1,
-                         output_gradient + first * shape_.outputs + column, shape_.outputs, /*adds=*/false, part);
+                         output_gradient + first * shape_.outputs + column, shape_.outputs, /*adds=*/false, part,
+                         kColumns);
       for (int o = 0; o < kColumns; ++o) (*sums)[column + o] += part[o];
     }
   }
@@ -177,7 +178,8 @@ void DirectConvolution::AddWeightGradient(int64_t maps, const float* output_grad
       float* const to = sums + (column / kColumns * window() + y * stretch()) * kColumns;
       for (int64_t first = 0; first < count; first += kPixelsAtOnce) {
         kernels_.correlate(std::min(kPixelsAtOnce, count - first), rows.data() + first, stretch(),
-                           output_gradient + first * shape_.outputs + column, shape_.outputs, adds || first > 0, to);
+                           output_gradient + first * shape_.outputs + column, shape_.outputs, adds || first > 0, to,
+                           kColumns);
       }
     }
   }

@@ -47,7 +47,7 @@ inline void MultiplyRows(int64_t count, const float* const* rows, Stretches stre
 
 template <int Depth>
 __attribute__((noinline)) void CorrelateBlock(int64_t count, const float* const* rows, int64_t first, const float* b,
-                                              int64_t b_step, bool adds, float* sums) {
+                                              int64_t b_step, bool adds, float* sums, int64_t sums_step) {
   for (int column = 0; column < kColumns; column += kStrip) {
     Block<Depth> block;
     const float* from = b + column;
@@ -56,14 +56,14 @@ __attribute__((noinline)) void CorrelateBlock(int64_t count, const float* const*
       block.Add([&](int m) { return row[m]; }, from);
       from += b_step;
     }
-    Write(block, adds, [&](int m) { return sums + (first + m) * kColumns + column; });
+    Write(block, adds, [&](int m) { return sums + (first + m) * sums_step + column; });
   }
 }
 
 inline void CorrelateRows(int64_t count, const float* const* rows, int64_t depth, const float* b, int64_t b_step,
-                          bool adds, float* sums) {
+                          bool adds, float* sums, int64_t sums_step) {
   ForBlocks(depth, [&](auto block, int64_t k) {
-    CorrelateBlock<decltype(block)::kRows>(count, rows, k, b, b_step, adds, sums);
+    CorrelateBlock<decltype(block)::kRows>(count, rows, k, b, b_step, adds, sums, sums_step);
   });
 }
 

@@ -26,7 +26,7 @@ cv::Mat Decode(const EventPicture& picture) {
 
 TEST(TrainingPictures, ShowTheLastObservationEnlarged) {
   const AgentSpec spec = *FindAgent("ppo_cnn");
-  const auto pictures = TrainingPictures(spec, SampleWeights(1), TwoFrames(spec));
+  const auto pictures = TrainingPictures(spec, std::make_shared<const std::string>(SampleWeights(1)), TwoFrames(spec));
   ASSERT_THAT(pictures, IsOk());
   ASSERT_THAT(*pictures, SizeIs(1));
   EXPECT_EQ((*pictures)[0].tag, "rollout/frame");
@@ -39,7 +39,8 @@ TEST(TrainingPictures, ShowTheLastObservationEnlarged) {
 
 TEST(TrainingPictures, ShowWhereAnAgentWithAttentionLooks) {
   const AgentSpec spec = *FindAgent("oc_ca");
-  const auto pictures = TrainingPictures(spec, SampleWeights(1, "oc_ca"), TwoFrames(spec));
+  const auto pictures =
+      TrainingPictures(spec, std::make_shared<const std::string>(SampleWeights(1, "oc_ca")), TwoFrames(spec));
   ASSERT_THAT(pictures, IsOk());
   ASSERT_THAT(*pictures, SizeIs(2));
   EXPECT_EQ((*pictures)[1].tag, "rollout/attention");
@@ -52,7 +53,7 @@ TEST(TrainingPictures, ShowWhereAnAgentWithAttentionLooks) {
 
 TEST(TrainingPictures, RefuseOtherWeights) {
   const AgentSpec spec = *FindAgent("oc_ca");
-  EXPECT_FALSE(TrainingPictures(spec, SampleWeights(1), TwoFrames(spec)).ok());
+  EXPECT_FALSE(TrainingPictures(spec, std::make_shared<const std::string>(SampleWeights(1)), TwoFrames(spec)).ok());
 }
 
 }  // namespace
