@@ -1,6 +1,8 @@
 #include "learner/learner.h"
 
 #include <algorithm>
+#include <memory>
+#include <string>
 #include <utility>
 #include <vector>
 
@@ -17,6 +19,8 @@
 #include "common/io/texture_digest.h"
 #include "common/process/version.h"
 #include "common/telemetry/log.h"
+#include "envserver/canary.h"
+#include "envserver/render/textures.h"
 #include "learner/runnable_config.h"
 #include "learner/service/fleet_summary.h"
 #include "learner/training/records/lane_loading.h"
@@ -98,8 +102,16 @@ std::string PrecisionName(const v1::RunConfig& config) {
   return config.has_precision() ? v1::RunConfig::Precision_Name(config.precision()) : "FP32";
 }
 
-// The build that workers of a run with `cpu` and these textures must match.
-absl::StatusOr<BuildCheck::Options> ExpectedBuild(v1::RunConfig::Cpu cpu, absl::string_view texture_digest,
+// Of the game with these textures.
+absl::StatusOr<std::string> ExpectedGame(const std::string& texture_dir, absl::string_view texture_digest) {
+  const absl::string_view known = KnownGameCanary(texture_digest);
+  if (!known.empty()) return std::string(known);
+  CRAFTFLEET_ASSIGN_OR_RETURN(const std::shared_ptr<const Textures> textures, Textures::Load(texture_dir));
+  return GameCanary(*textures);
+}
+
+// The build that workers of a run with `cpu` must match, with this canary of their game.
+absl::StatusOr<BuildCheck::Options> ExpectedBuild(v1::RunConfig::Cpu cpu, const std::string& game_canary,
                                                   bool allow_mixed) {
   CRAFTFLEET_ASSIGN_OR_RETURN(const std::string canary, PolicyCanary());
   const absl::string_view known = KnownPolicyCanary(cpu);
@@ -107,7 +119,7 @@ absl::StatusOr<BuildCheck::Options> ExpectedBuild(v1::RunConfig::Cpu cpu, absl::
     LogWarning("with cpu: %s the canary of this machine is %s, want %s: other machines may compute different results",
                v1::RunConfig::Cpu_Name(cpu), canary, known);
   }
-  return BuildCheck::Options{BuildId(), canary, std::string(KnownGameCanary(texture_digest)), allow_mixed};
+  return BuildCheck::Options{BuildId(), canary, game_canary, allow_mixed};
 }
 
 // Whether so many ranks can share out the updates of such a run.
@@ -207,7 +219,8 @@ absl::StatusOr<Learner::Loaded> Learner::Load(const Options& options, const v1::
                                                                  loads_weights ? PpoUpdater::Start::kZeros
                                                                                : PpoUpdater::Start::kInitialWeights));
   if (options.device != "cpu") LogInfo("updates on %s, precision %s", options.device, PrecisionName(config));
-  CRAFTFLEET_ASSIGN_OR_RETURN(loaded.build, ExpectedBuild(config.cpu(), loaded.texture_digest, options.allow_mixed));
+  CRAFTFLEET_ASSIGN_OR_RETURN(const std::string game, ExpectedGame(options.texture_dir, loaded.texture_digest));
+  CRAFTFLEET_ASSIGN_OR_RETURN(loaded.build, ExpectedBuild(config.cpu(), game, options.allow_mixed));
   if (!options.resume) {
     std::string origin;
     if (!options.init_from.empty()) {

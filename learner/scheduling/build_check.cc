@@ -24,20 +24,15 @@ std::string Shown(absl::string_view text, absl::string_view nothing) {
 absl::Status BuildCheck::Check(const WorkerBuild& build, absl::Time now, Worker* worker) {
   worker->mismatch.reset();
   const bool is_actor = worker->role == WorkerRole::kActor;
-  if (!is_actor && game_canary_.empty()) {
-    game_canary_ = build.canary;
-    first_server_ = worker->name;
-  }
-  const std::string& want = is_actor ? options_.policy_canary : game_canary_;
-  if ((is_actor && want.empty()) || build.canary == want) return absl::OkStatus();
+  const std::string& want = is_actor ? options_.policy_canary : options_.game_canary;
+  if (want.empty() || build.canary == want) return absl::OkStatus();
 
   ++differing_;
   const std::string shown_build = Shown(build.build, "older than this one");
   worker->mismatch = {shown_build, now};
   const std::string does =
-      is_actor
-          ? absl::StrCat("computes different results from this learner, on \"", Shown(build.cpu, "?"), "\"")
-          : absl::StrCat("plays another game", first_server_.empty() ? "" : " than the first one, " + first_server_);
+      is_actor ? absl::StrCat("computes different results from this learner, on \"", Shown(build.cpu, "?"), "\"")
+               : "plays another game";
   const std::string text =
       absl::StrFormat("%s %s (build %s) %s (build %s): its canary is %s", is_actor ? "actor" : "environment server",
                       worker->name, shown_build, does, options_.build, Shown(build.canary, "none"));

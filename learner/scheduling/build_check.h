@@ -21,11 +21,11 @@ class BuildCheck {
   struct Options {
     std::string build;          // this learner's, for messages
     std::string policy_canary;  // required of actors; empty: any
-    std::string game_canary;    // required of environment servers; empty: that of the first server
+    std::string game_canary;    // required of environment servers; empty: any
     bool allow_mixed = false;   // accept workers that differ
   };
 
-  explicit BuildCheck(const Options& options) : options_(options), game_canary_(options.game_canary) {}
+  explicit BuildCheck(const Options& options) : options_(options) {}
 
   // Compares `build`, reported by `worker`, and stores in `worker` whether it differs.
   //   FailedPrecondition: it differs; the message has the remedy. The caller logs it. With `allow_mixed` a warning is
@@ -33,7 +33,7 @@ class BuildCheck {
   absl::Status Check(const WorkerBuild& build, absl::Time now, Worker* worker);
 
   // The canary that actors require of environment servers; empty: any.
-  std::string GameCanary() const { return options_.allow_mixed ? "" : game_canary_; }
+  std::string GameCanary() const { return options_.allow_mixed ? "" : options_.game_canary; }
 
   bool allow_mixed() const { return options_.allow_mixed; }
   // How often a worker that differs was refused or, with `allow_mixed`, accepted.
@@ -41,9 +41,7 @@ class BuildCheck {
 
  private:
   const Options options_;
-  std::string game_canary_;
-  std::string first_server_;  // whose canary is required of the others; empty: none's
-  std::string warned_;        // build that was last accepted with a warning
+  std::string warned_;  // build that was last accepted with a warning
   int64_t differing_ = 0;
 };
 

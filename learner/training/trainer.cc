@@ -143,8 +143,7 @@ absl::StatusOr<std::vector<Fragment>> Trainer::Collect() {
     CRAFTFLEET_RETURN_IF_ERROR(CheckContinues());
     // Notice a takeover of the folder even without actors.
     if (is_idle) CRAFTFLEET_RETURN_IF_ERROR(parts_.folder->CheckOwned());
-    ReleaseFreeMemory();  // of what the update could have been undone with: the checkpoint needs as much
-  checkpoints_.ServeRequests(counters_.iteration);
+    checkpoints_.ServeRequests(counters_.iteration);
     parts_.progress->Update(counters_.env_steps + static_cast<int64_t>(collected) * config_.fragment_steps(),
                             parts_.folder->score());
     return absl::OkStatus();
@@ -213,6 +212,7 @@ absl::Status Trainer::FinishIteration(const std::vector<Fragment>& fragments, co
   CRAFTFLEET_RETURN_IF_ERROR(parts_.folder->CheckOwned());
   parts_.evaluations->OnIteration(steps_before, counters_.env_steps, weights_.back().bytes,
                                   [this] { return !CheckContinues().ok(); });
+  ReleaseFreeMemory();  // of what the update could have been undone with: a checkpoint needs as much
   checkpoints_.ServeRequests(counters_.iteration);
   // The last checkpoint is written after the final evaluation.
   return has_steps_left() ? checkpoints_.OnIteration(counters_.iteration) : absl::OkStatus();

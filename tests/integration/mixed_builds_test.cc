@@ -1,14 +1,19 @@
 // Workers with numerics other than the rest of their run: refused, accepted with --allow_mixed, or pinned.
 
+#include <filesystem>
 #include <memory>
 #include <string>
 #include <vector>
 
 #include <absl/strings/str_cat.h>
 #include <gmock/gmock.h>
+#include <grpcpp/grpcpp.h>
 #include <gtest/gtest.h>
 
+#include "common/io/texture_digest.h"
 #include "common/process/cpu_pin.h"
+#include "common/wire/protocol.h"
+#include "craftfleet/v1/learner.grpc.pb.h"
 #include "tests/fakes/test_paths.h"
 #include "tests/integration/ask_status.h"
 #include "tests/integration/small_run.h"
@@ -114,6 +119,32 @@ TEST_F(MixedBuildsTest, APinnedRunIsTheSameOnEveryMachine) {
   const Ended refused = Run("craftfleet-train", {"--logdir=" + Logdir("alone"), "--resume", "--cpu=native"});
   EXPECT_EQ(refused.exit_code, 1);
   EXPECT_THAT(refused.err, HasSubstr("cpu"));
+}
+
+// Before, with other textures than the built-in ones, the first server's game became the run's.
+TEST_F(MixedBuildsTest, WithOtherTexturesTheLearnerKnowsTheGameItself) {
+  const std::string textures = folder_ / "textures";
+  std::filesystem::copy(BuiltProgram("../share/craftfleet/textures"), textures);
+  std::filesystem::copy_file(textures + "/sand.png", textures + "/stone.png",
+                             std::filesystem::copy_options::overwrite_existing);
+  StartLearner("own", {"--textures=" + textures});
+  const auto learner = v1::LearnerService::NewStub(grpc::CreateChannel(address_, grpc::InsecureChannelCredentials()));
+  v1::Announcement first;
+  first.set_protocol_version(wire::kProtocolVersion);
+  first.set_name("first");
+  first.set_address("127.0.0.1:1");
+  first.set_texture_digest(TextureDigest(textures).value());
+  first.set_canary("0123456789abcdef");
+  grpc::ClientContext context;
+  v1::AnnounceReply reply;
+  const grpc::Status refused = learner->Announce(&context, first, &reply);
+  EXPECT_EQ(refused.error_code(), grpc::StatusCode::FAILED_PRECONDITION);
+  EXPECT_THAT(refused.error_message(), HasSubstr("environment server first (build older than this one) plays another"));
+
+  server_ = Start("craftfleet-envserver", {"--listen=127.0.0.1:0", "--learner=" + address_, "--textures=" + textures});
+  const auto actor = Start("craftfleet-actor", ActorFlags());
+  EXPECT_EQ(learner_->Wait(kPatience), 0) << learner_->Err();
+  EXPECT_EQ(actor->Wait(kPatience), 0) << actor->Err();
 }
 
 // With port 0 the actor listens on another port after its restart. The learner has only the new address, and nothing

@@ -97,17 +97,6 @@ TEST(BuildCheck, WithAllowMixedItIsAcceptedAndLogged) {
   EXPECT_EQ(check.GameCanary(), "") << "actors accept any server";
 }
 
-TEST(BuildCheck, ServersWithCustomTexturesAreComparedWithTheFirst) {
-  FakeClock clock;
-  Check check({"0.2", "cafe", "", false}, &clock);
-  EXPECT_EQ(check.GameCanary(), "");
-  EXPECT_THAT(check.CheckServer("a", "game"), IsOk());
-  EXPECT_EQ(check.GameCanary(), "game");
-  EXPECT_THAT(check.CheckServer("b", "game"), IsOk());
-  EXPECT_THAT(check.CheckServer("c", "other"),
-              StatusIs(absl::StatusCode::kFailedPrecondition, HasSubstr("another game than the first one, a (build")));
-}
-
 TEST(BuildCheck, RemembersTheNewestAndShowsPrintableText) {
   FakeClock clock;
   Check check({"0.2", "cafe", "game", false}, &clock);
