@@ -70,6 +70,17 @@ TEST(Heap, ReleaseFreeMemoryReducesResidentMemoryAtMostOnceInHalfAMinute) {
   EXPECT_LT(ResidentMemoryBytes(), before + kFreed);
 }
 
+TEST(Heap, ReleasesMuchFreeMemoryAtOnce) {
+  constexpr size_t kMuch = size_t{600} << 20;
+  const absl::Time start = SteadyNow() + absl::Hours(1);
+  ReleaseFreeMemory(start);
+  const int64_t before = ResidentMemoryBytes();
+  { const std::string freed(kMuch, 'x'); }
+  EXPECT_GT(ResidentMemoryBytes(), before + static_cast<int64_t>(kMuch / 2));
+  ReleaseFreeMemory(start + absl::Seconds(1));
+  EXPECT_LT(ResidentMemoryBytes(), before + static_cast<int64_t>(kMuch / 2));
+}
+
 class HeapOf : public testing::TestWithParam<const char*> {};
 
 TEST_P(HeapOf, IsTcmalloc) {
