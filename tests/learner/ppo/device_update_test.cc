@@ -26,6 +26,7 @@
 #include "learner/ppo/device_adam.h"
 #include "learner/ppo/device_loss.h"
 #include "learner/ppo/device_rollout.h"
+#include "learner/ppo/device_weights.h"
 #include "learner/ppo/ppo_updater.h"
 #include "tests/agent/golden_agent.h"
 #include "tests/agent/stand_in_device.h"
@@ -381,6 +382,47 @@ TEST(DeviceAdam, StepsAsTheCpus) {
                         return way;
                       }()))
         << device;
+  }
+}
+
+// A GPU would write and read a copy in double of all numbers.
+TEST(DeviceAdam, TakesTheNormWithoutACopyInDouble) {
+  SetUpTorchThread();
+  constexpr int64_t kWeights = 200000;
+  const std::vector<float> zeros(kWeights);
+  const at::Device device(kStandInDevice);
+  DeviceAdam adam{AdamOptions()};
+  adam.Load({0, zeros, zeros}, device);
+  int64_t norms = 0;
+  testing::ObserveComputations(
+      [&](absl::string_view name, const std::vector<c10::IValue>& arguments, const std::vector<at::Tensor>& results) {
+        if (name == "aten::linalg_vector_norm") {
+          ++norms;
+          EXPECT_EQ(arguments[0].toTensor().scalar_type(), results[0].scalar_type());
+        }
+        for (const at::Tensor& result : results)
+          EXPECT_LT(result.scalar_type() == at::kDouble ? result.numel() : 0, 10);
+      });
+  adam.Step(SendFloats(zeros, device), SendFloats(zeros, device));
+  testing::ObserveComputations(nullptr);
+  EXPECT_GT(norms, 0);
+}
+
+TEST(DeviceWeights, EachParameterIsAtAMultipleOf16Bytes) {
+  for (const char* agent : {"ppo_cnn", "lstm_cnn", "achievement_distillation"}) {
+    SCOPED_TRACE(agent);
+    const AgentSpec spec = *FindAgent(agent);
+    const std::vector<float> values = testing::GoldenUniforms("weights", spec.param_count, -1, 1);
+    DeviceWeights weights;
+    weights.Load(spec, values, at::kCPU);
+    for (size_t i = 0; i < spec.params.size(); ++i) {
+      const at::Tensor& param = weights.params.tensors[i];
+      EXPECT_EQ(reinterpret_cast<uintptr_t>(param.data_ptr()) % 16, 0) << spec.params[i].name;
+      EXPECT_EQ(param.flatten()[0].item<float>(), values[spec.params[i].offset]) << spec.params[i].name;
+    }
+    std::vector<float> back(values.size());
+    Unalign(spec, Align(spec, values).data(), &back);
+    EXPECT_EQ(back, values);
   }
 }
 
