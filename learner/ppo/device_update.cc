@@ -216,7 +216,7 @@ at::Tensor DeviceUpdate::TryWeights(const DeviceRollout& rollout, const DeviceMi
 
 NetOutput DeviceUpdate::Forward(const DeviceRollout& rollout, const DeviceMinibatch& minibatch,
                                 const std::optional<Dropout>& dropout) const {
-  const at::Tensor frames = ScaleFrames(rollout.frames.index_select(0, minibatch.rows));
+  const at::Tensor frames = ScaleFrames(rollout.frames.index_select(0, minibatch.frame_rows));
   Segments segments = minibatch.segments;
   if (spec_.state_size > 0) segments.states = rollout.states.index_select(0, minibatch.first_states);
   return network_.Forward(weights_.params, frames, segments, dropout);

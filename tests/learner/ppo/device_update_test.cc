@@ -11,6 +11,7 @@
 #include <vector>
 
 #include <ATen/ATen.h>
+#include <absl/strings/match.h>
 #include <absl/strings/str_cat.h>
 #include <gmock/gmock.h>
 #include <google/protobuf/text_format.h>
@@ -31,6 +32,7 @@
 #include "tests/agent/golden_agent.h"
 #include "tests/agent/stand_in_device.h"
 #include "tests/fakes/status_matchers.h"
+#include "tests/learner/ppo/random_fragments.h"
 #include "tests/learner/ppo/saved_tensors.h"
 #include "tests/learner/ppo/update_samples.h"
 
@@ -39,7 +41,6 @@ namespace {
 
 using ::testing::AllOf;
 using testing::DeviceTraffic;
-using testing::GoldenFrames;
 using ::testing::HasSubstr;
 using testing::kStandInDevice;
 using testing::SavedTensors;
@@ -60,27 +61,8 @@ v1::RunConfig ConfigOf(const std::string& text) {
   return config;
 }
 
-// Random fragments for the agent, lane after lane; episodes end at random.
 std::vector<Fragment> RandomFragments(const PpoUpdater& updater) {
-  const AgentSpec& spec = updater.spec();
-  const bool every_state = updater.rollout_options().every_state;
-  std::vector<Fragment> fragments;
-  for (int i = 0; i < kLanes * kFragments; ++i) {
-    Fragment& fragment = fragments.emplace_back();
-    fragment.lane = i / kFragments;
-    fragment.frames = GoldenFrames(100 + i, kSteps, spec.frame_size);
-    fragment.states =
-        testing::GoldenUniforms(absl::StrCat("states", i), (every_state ? kSteps : 1) * spec.state_size, -0.5, 0.5);
-    for (int step = 0; step < kSteps; ++step) {
-      const auto uniform = [&](int k) { return static_cast<float>(ActionNoise(5, i * kSteps + step, k)); };
-      fragment.actions.push_back(static_cast<char>(uniform(0) * kNumActions));
-      fragment.log_probs.push_back(-2.8F + 0.3F * (uniform(1) - 0.5F));
-      fragment.values.push_back(uniform(2));
-      fragment.rewards.push_back(uniform(3));
-      fragment.ends.push_back(uniform(4) < 0.2 ? StepEnd::kTerminated : StepEnd::kNone);
-    }
-  }
-  return fragments;
+  return testing::RandomFragments(updater, kLanes, kFragments, kSteps);
 }
 
 // An updater that has run `iterations` updates.
@@ -317,6 +299,26 @@ TEST_P(Agents, CopyAndWaitNeverPerMinibatch) {
   EXPECT_EQ(three.fetched, one.fetched);
   EXPECT_EQ(one.read, 0);
   EXPECT_EQ(three.read, 0);
+}
+
+// A GPU plans the convolutions of each number of rows anew, and sorts to add gradients row by row.
+TEST(DeviceUpdate, RecurrentMinibatchesHaveFewSizesAndArePermuted) {
+  for (const char* batches : {"SEGMENTS", "PUBLISHED"}) {
+    SCOPED_TRACE(batches);
+    int64_t convolutions = 0;
+    testing::ObserveComputations([&](absl::string_view name, const std::vector<c10::IValue>& arguments, const auto&) {
+      EXPECT_FALSE(absl::StrContains(name, "index_add")) << name;
+      if (name != "aten::convolution") return;
+      ++convolutions;
+      EXPECT_EQ(arguments[0].toTensor().size(0) % 32, 0);
+    });
+    const Trained trained(
+        ConfigOf(
+            absl::StrCat(R"(agent: "lstm_cnn" network { frame_size: 40 } ppo { recurrent_batches: )", batches, "}")),
+        kStandInDevice, 1);
+    testing::ObserveComputations(nullptr);
+    EXPECT_GT(convolutions, 0);
+  }
 }
 
 TEST(DeviceUpdate, TakesEveryAgentsDefaults) {
