@@ -42,7 +42,7 @@ std::optional<std::string> ValueAfter(absl::string_view prefix, std::istream* li
 }
 
 #if TORCH_VERSION_MAJOR >= 2
-using Warnings = c10::WarningUtils;
+namespace Warnings = c10::WarningUtils;
 #else
 namespace Warnings = c10::Warning;
 #endif
