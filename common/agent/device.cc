@@ -21,14 +21,17 @@ namespace {
 constexpr absl::string_view kCpu = "cpu";
 constexpr int kLeastNarrowCapability = 80;  // of TF32 and BF16
 
-// CUDA shall number GPUs as NVIDIA's driver and nvidia-smi do, unless the environment says otherwise; by default it
-// begins with the fastest. Before LibTorch first looks for them.
-void NumberGpusAsTheDriver() { ::setenv("CUDA_DEVICE_ORDER", "PCI_BUS_ID", /*overwrite=*/0); }
+// Before main, because the environment must not change once there are threads. CUDA then numbers GPUs as NVIDIA's
+// driver and nvidia-smi do, not from the fastest on, and cuBLAS adds in a fixed order.
+[[maybe_unused]] const bool is_environment_set = [] {
+  ::setenv("CUDA_DEVICE_ORDER", "PCI_BUS_ID", /*overwrite=*/0);
+  ::setenv("CUBLAS_WORKSPACE_CONFIG", ":4096:8", /*overwrite=*/0);
+  return true;
+}();
 
 }  // namespace
 
 absl::StatusOr<std::string> FindDevice(absl::string_view name) {
-  NumberGpusAsTheDriver();
   const absl::StatusOr<std::string> device = ChooseDevice(name, static_cast<int>(at::getNumGPUs()));
   if (at::hasCUDA() || !absl::IsFailedPrecondition(device.status())) return device;
   return absl::FailedPreconditionError(
@@ -72,7 +75,6 @@ absl::Status SetRunDevice(absl::string_view device, bool resumed, v1::RunConfig:
 }
 
 absl::StatusOr<std::string> FindActingDevice(absl::string_view name, v1::RunConfig::Device run) {
-  if (run == v1::RunConfig::CUDA) NumberGpusAsTheDriver();
   return ChooseActingDevice(name, run, static_cast<int>(at::getNumGPUs()));
 }
 
@@ -92,8 +94,6 @@ void SetUpDevice(absl::string_view device, v1::RunConfig::Precision precision) {
   if (device == kCpu) return;
   int number = 0;
   if (absl::ConsumePrefix(&device, "cuda:") && absl::SimpleAtoi(device, &number)) SetProcessGpu(number);
-  // Without it cuBLAS adds in any order.
-  ::setenv("CUBLAS_WORKSPACE_CONFIG", ":4096:8", /*overwrite=*/0);
   at::Context& context = at::globalContext();
   // A warning, not an error: the only such computation, the gradient of max pooling, adds in a fixed order for the
   // layout in which nets/resnet.cc calls it.
@@ -107,6 +107,9 @@ void SetUpDevice(absl::string_view device, v1::RunConfig::Precision precision) {
   const bool tf32 = precision == v1::RunConfig::TF32;
   context.setAllowTF32CuBLAS(tf32);
   context.setAllowTF32CuDNN(tf32);
+#if TORCH_VERSION_MAJOR >= 2
+  context.setAllowBF16ReductionCuBLAS(false);  // products of bfloat16 are added in float32
+#endif
 }
 
 absl::Status CheckPrecision(absl::string_view device, v1::RunConfig::Precision precision) {
@@ -148,7 +151,8 @@ absl::Status DeviceError(absl::string_view task, absl::string_view what) {
   // Behind the first line are pages of advice and a stack trace.
   const absl::string_view line = what.substr(0, what.find('\n'));
   const auto says = [what](absl::string_view text) { return absl::StrContains(what, text); };
-  if (says("out of memory")) {
+  // cuBLAS and cuDNN have no words for it; for want of memory cuDNN finds no algorithm at all.
+  if (says("out of memory") || says("ALLOC_FAILED") || says("unable to find an engine")) {
     return absl::ResourceExhaustedError(
         absl::StrFormat("%s: the GPU's memory does not suffice: lower ppo.minibatch_size first, then ppo.rollout_steps "
                         "and lanes, or end other programs on this GPU (%s)",

@@ -14,8 +14,8 @@
 namespace craftfleet {
 
 // Resolves --device=`name` on this machine to LibTorch's notation: "cpu", or "cuda:N" for its GPU number N, as
-// nvidia-smi counts. Before threads start, since it sets a variable of the environment. `name` is one of these, "cuda"
-// for the first GPU, or "auto" for the first GPU if there is one and the CPU if not.
+// nvidia-smi counts. `name` is one of these, "cuda" for the first GPU, or "auto" for the first GPU if there is one and
+// the CPU if not.
 //   InvalidArgument: it is none of these.   FailedPrecondition: there is no such GPU, or this LibTorch was built
 //   without GPU support.
 absl::StatusOr<std::string> FindDevice(absl::string_view name);
@@ -37,7 +37,7 @@ absl::StatusOr<std::string> FindActingDevice(absl::string_view name, v1::RunConf
 absl::StatusOr<std::string> ChooseActingDevice(absl::string_view name, v1::RunConfig::Device run, int gpus);
 
 // Prepares LibTorch to compute on `device`, as FindDevice returns it, with `precision`: on a GPU, algorithms that
-// repeat bit for bit. For the whole process; before threads start, since it sets a variable of the environment.
+// repeat bit for bit. For the whole process.
 void SetUpDevice(absl::string_view device, v1::RunConfig::Precision precision);
 
 // InvalidArgument unless `device` can multiply in `precision`.

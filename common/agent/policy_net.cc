@@ -43,6 +43,9 @@ PolicyNet::PolicyNet(const AgentSpec& spec, Use use, absl::Span<float> weights, 
   }
   if (use == Use::kTraining) return;
   const c10::InferenceMode inference;
+  if (params_.multiplied_as != at::kFloat) {
+    for (const at::Tensor& weight : params_.tensors) params_.converted.push_back(weight.to(params_.multiplied_as));
+  }
   params_.prepared = network_.Prepare(params_, /*for_gradients=*/false, [](const auto& tasks) {
     for (const auto& task : tasks) task();
   });

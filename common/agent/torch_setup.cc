@@ -4,20 +4,27 @@
 #include <istream>
 #include <mutex>
 #include <optional>
+#include <set>
 #include <sstream>
+#include <string>
 #include <thread>
 
 #include <ATen/Context.h>
 #include <ATen/Parallel.h>
 #include <ATen/Version.h>
+#include <absl/base/const_init.h>
 #include <absl/strings/match.h>
 #include <absl/strings/str_cat.h>
 #include <absl/strings/string_view.h>
+#include <absl/synchronization/mutex.h>
+#include <c10/util/Exception.h>
+#include <torch/version.h>
 
 #include "common/agent/linear.h"
 #include "common/base/find_symbol.h"
 #include "common/base/need_threads.h"
 #include "common/base/printable.h"
+#include "common/telemetry/log.h"
 
 namespace craftfleet {
 namespace {
@@ -34,6 +41,31 @@ std::optional<std::string> ValueAfter(absl::string_view prefix, std::istream* li
   return std::nullopt;
 }
 
+#if TORCH_VERSION_MAJOR >= 2
+namespace Warnings = c10::WarningUtils;
+#else
+namespace Warnings = c10::Warning;
+#endif
+
+class LogOfWarnings final : public c10::WarningHandler {
+ public:
+#if TORCH_VERSION_MAJOR >= 2
+  void process(const c10::Warning& warning) override { LogOnce(warning.msg()); }
+#else
+  void process(const c10::SourceLocation& /*place*/, const std::string& text, bool /*verbatim*/) override {
+    LogOnce(text);
+  }
+#endif
+
+ private:
+  static void LogOnce(const std::string& text) {
+    static absl::Mutex mutex(absl::kConstInit);
+    static auto* const known = new std::set<std::string>;
+    const absl::MutexLock lock(&mutex);
+    if (known->insert(text).second) LogWarning("LibTorch: %s", text);
+  }
+};
+
 }  // namespace
 
 void SetUpTorchThread() {
@@ -46,6 +78,8 @@ void SetUpTorchThread() {
   // Ignores at::set_num_threads.
   if (SetThreads* const set_threads = OpenBlasSetThreads(); set_threads != nullptr) set_threads(1);
   at::globalContext().setFlushDenormal(true);
+  static LogOfWarnings warnings;
+  Warnings::set_warning_handler(&warnings);  // of this thread; autograd hands over those of its own threads
   is_set_up = true;
 }
 

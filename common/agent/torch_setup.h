@@ -8,7 +8,8 @@
 namespace craftfleet {
 
 // One OpenMP and one BLAS thread, denormals flushed to zero, for the calling thread: each thread has its own settings.
-// Policy and PpoUpdater call it themselves; cheap when repeated.
+// LibTorch's warnings go to the log, each text once in a process. Policy and PpoUpdater call it themselves; cheap when
+// repeated.
 void SetUpTorchThread();
 
 // A warning for the user if the networks would run much slower than possible; empty if there is none.

@@ -14,6 +14,17 @@ namespace {
 // LibTorch has Adam's whole step as one computation: on the CPU, where tests compare it, from 2.4 on.
 constexpr bool kIsFused = TORCH_VERSION_MAJOR > 2 || (TORCH_VERSION_MAJOR == 2 && TORCH_VERSION_MINOR >= 4);
 
+// double[]: the norm in float32 of each 65,536 numbers, then of these in double. In one step LibTorch would copy all of
+// them to double.
+at::Tensor NormOf(const at::Tensor& values) {
+  constexpr int64_t kRow = 65536;
+  const int64_t rows = values.numel() / kRow;
+  const at::Tensor whole = values.narrow(0, 0, rows * kRow).view({rows, kRow});
+  const at::Tensor rest = values.narrow(0, rows * kRow, values.numel() - rows * kRow).unsqueeze(0);
+  const auto norms = [](const at::Tensor& table) { return at::linalg_vector_norm(table, 2, at::IntArrayRef({1})); };
+  return at::linalg_vector_norm(at::cat({norms(whole), norms(rest)}).to(at::kDouble), 2);
+}
+
 }  // namespace
 
 void DeviceAdam::Load(const AdamState& state, at::Device device) {
@@ -25,7 +36,7 @@ void DeviceAdam::Load(const AdamState& state, at::Device device) {
 
 at::Tensor DeviceAdam::Step(const at::Tensor& gradient, const at::Tensor& weights) {
   const c10::NoGradGuard no_grad;
-  at::Tensor norm = at::linalg_vector_norm(gradient, 2, at::OptionalIntArrayRef(), /*keepdim=*/false, at::kDouble);
+  at::Tensor norm = NormOf(gradient);
   const int64_t count = gradient.numel();
   const Parts parts = {gradient, weights.narrow(0, 0, count), exp_avg_.narrow(0, 0, count),
                        exp_avg_sq_.narrow(0, 0, count)};

@@ -87,6 +87,8 @@ std::vector<int64_t> RowsOf(const Minibatch& minibatch, const Rollout& rollout) 
   return rows;
 }
 
+constexpr size_t kRowsAtOnce = 32;  // recurrent agents' frames are a multiple of it
+
 std::vector<int64_t> FirstStatesOf(const Minibatch& minibatch, const std::vector<int64_t>& places) {
   std::vector<int64_t> first_states;
   size_t first = 0;
@@ -136,7 +138,11 @@ std::vector<DeviceMinibatch> SendMinibatches(const std::vector<Minibatch>& minib
   std::vector<DeviceMinibatch> there;
   for (const Minibatch& minibatch : minibatches) {
     Parts parts;
-    parts.rows = indices.Add(RowsOf(minibatch, rollout));
+    std::vector<int64_t> rows = RowsOf(minibatch, rollout);
+    if (!minibatch.lengths.empty()) {
+      rows.resize((rows.size() + kRowsAtOnce - 1) / kRowsAtOnce * kRowsAtOnce, static_cast<int64_t>(rollout.size()));
+    }
+    parts.rows = indices.Add(rows);
     DeviceMinibatch& sent = there.emplace_back();
     if (minibatch.lengths.empty() && !rollout.states.empty()) {  // a memory before each row
       parts.first_states =
@@ -154,7 +160,8 @@ std::vector<DeviceMinibatch> SendMinibatches(const std::vector<Minibatch>& minib
   }
   indices.SendTo(device);
   for (size_t i = 0; i < there.size(); ++i) {
-    there[i].rows = indices.Get(all[i].rows);
+    there[i].frame_rows = indices.Get(all[i].rows);
+    there[i].rows = there[i].frame_rows.narrow(0, 0, static_cast<int64_t>(minibatches[i].rows.size()));
     there[i].first_states = indices.Get(all[i].first_states);
     if (!there[i].segments.packing.has_value()) continue;
     Packing& packing = *there[i].segments.packing;

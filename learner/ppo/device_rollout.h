@@ -35,8 +35,9 @@ struct DeviceRollout {
 
 // The steps of one optimiser step.
 struct DeviceMinibatch {
-  at::Tensor rows;          // int64[m] of the DeviceRollout
-  Segments segments;        // without states; recurrent agents only
+  at::Tensor rows;        // int64[m] of the DeviceRollout
+  at::Tensor frame_rows;  // int64[m'] the same, then padding: recurrent agents' m varies, and a GPU plans anew for each
+  Segments segments;      // without states; recurrent agents only
   at::Tensor first_states;  // int64[segments] of DeviceRollout::states, before each segment; likewise
 };
 

@@ -139,7 +139,10 @@ void DeviceUpdate::Load(UpdateState* state) {
   CopyMoments(state);
   weights_.Load(spec_, state->weights, device_);
   const std::vector<AdamState*> adams = AdamsOf(state, adams_.size());
-  for (size_t i = 0; i < adams.size(); ++i) adams_[i].Load(*adams[i], device_);
+  for (size_t i = 0; i < adams.size(); ++i) {
+    const auto& [steps, exp_avg, exp_avg_sq] = *adams[i];
+    adams_[i].Load({steps, Align(spec_, exp_avg), Align(spec_, exp_avg_sq)}, device_);
+  }
   SendValueNorm(state->value_norm);
 }
 
@@ -213,7 +216,7 @@ at::Tensor DeviceUpdate::TryWeights(const DeviceRollout& rollout, const DeviceMi
 
 NetOutput DeviceUpdate::Forward(const DeviceRollout& rollout, const DeviceMinibatch& minibatch,
                                 const std::optional<Dropout>& dropout) const {
-  const at::Tensor frames = ScaleFrames(rollout.frames.index_select(0, minibatch.rows));
+  const at::Tensor frames = ScaleFrames(rollout.frames.index_select(0, minibatch.frame_rows));
   Segments segments = minibatch.segments;
   if (spec_.state_size > 0) segments.states = rollout.states.index_select(0, minibatch.first_states);
   return network_.Forward(weights_.params, frames, segments, dropout);
@@ -268,7 +271,7 @@ void DeviceUpdate::Fetch(UpdateState* state) {
     fetched_.select(0, static_cast<int64_t>(2 + 2 * i)).copy_(adams_[i].exp_avg_sq(), /*non_blocking=*/true);
   }
   const ValueNorm value_norm = FetchValueNorm();  // waits for all of them
-  std::copy_n(fetched_.data_ptr<float>(), count, state->weights.data());
+  Unalign(spec_, fetched_.data_ptr<float>(), &state->weights);
   has_moments_ = true;
   const std::vector<AdamState*> adams = AdamsOf(state, adams_.size());
   for (size_t i = 0; i < adams.size(); ++i) adams[i]->steps = adams_[i].steps();
@@ -277,12 +280,10 @@ void DeviceUpdate::Fetch(UpdateState* state) {
 
 void DeviceUpdate::CopyMoments(UpdateState* state) {
   if (!std::exchange(has_moments_, false)) return;
-  const auto count = static_cast<int64_t>(state->weights.size());
-  const float* moments = fetched_.data_ptr<float>() + count;
+  const float* moments = fetched_.data_ptr<float>();
   for (AdamState* const adam : AdamsOf(state, adams_.size())) {
     for (std::vector<float>* const moment : {&adam->exp_avg, &adam->exp_avg_sq}) {
-      std::copy_n(moments, count, moment->data());
-      moments += count;
+      Unalign(spec_, moments += fetched_.size(1), moment);
     }
   }
 }

@@ -124,7 +124,7 @@ class DeviceUpdate {
   at::Tensor value_norm_;          // double[2] the normaliser's mean and mean square, not corrected
   double value_weight_ = 0;        // and its weight
 
-  at::Tensor fetched_;        // float[1+2k,param_count] on the host: weights, k Adams' moments; undefined before a Run
+  at::Tensor fetched_;        // float[1+2k,n] on the host, aligned: weights, k Adams' moments; undefined before a Run
   bool has_moments_ = false;  // whether they are newer than the state's
 };
 

@@ -15,16 +15,23 @@ namespace craftfleet {
 
 // Its functions throw c10::Error.
 struct DeviceWeights {
-  at::Tensor flat;      // float[param_count]
+  at::Tensor flat;      // float[n] as Align returns them
   ParamTensors params;  // views of it, which get gradients
 
   // Sends `weights`, float[spec.param_count].
   void Load(const AgentSpec& spec, const std::vector<float>& weights, at::Device device);
 
-  // The gradient of the parameters that backward passes have reached since the last call, float[k], which is then
-  // forgotten: all, or all but the last ones (a goal predictor's).
+  // The gradient of the parameters that backward passes have reached since the last call, aligned likewise, float[k],
+  // which is then forgotten: all, or all but the last ones (a goal predictor's).
   at::Tensor TakeGradient();
 };
+
+// `values` float[spec.param_count] with each parameter at a multiple of 16 bytes, as the quick kernels of a GPU want
+// it, and zeros between.
+std::vector<float> Align(const AgentSpec& spec, const std::vector<float>& values);
+
+// The reverse of Align.
+void Unalign(const AgentSpec& spec, const float* aligned, std::vector<float>* values);
 
 }  // namespace craftfleet
 

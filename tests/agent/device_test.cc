@@ -1,8 +1,12 @@
 #include "common/agent/device.h"
 
+#include <cstdlib>
+#include <string>
+
 #include <ATen/Context.h>
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
+#include <torch/version.h>
 
 #include "tests/fakes/status_matchers.h"
 
@@ -35,6 +39,12 @@ TEST(ChooseDevice, ErrorsNameTheFlagAndValue) {
 
 // The texts of LibTorch 2.11 and CUDA 13.
 TEST(DeviceError, IsOneSentenceThatSaysWhatToDo) {
+  for (const char* text :
+       {"CUDA error: CUBLAS_STATUS_ALLOC_FAILED when calling `cublasCreate(handle)`",
+        "cuDNN error: CUDNN_STATUS_ALLOC_FAILED", "GET was unable to find an engine to execute this computation"}) {
+    EXPECT_THAT(DeviceError("update", text), StatusIs(absl::StatusCode::kResourceExhausted,
+                                                      AllOf(HasSubstr("lower ppo.minibatch_size"), HasSubstr(text))));
+  }
   const absl::Status memory = DeviceError(
       "update",
       "CUDA out of memory. Tried to allocate 512.00 MiB. GPU 0 has a total capacity of 15.77 GiB of which 96.00 "
@@ -56,6 +66,20 @@ TEST(DeviceError, IsOneSentenceThatSaysWhatToDo) {
   EXPECT_THAT(DeviceError("update", "shapes differ\nframe #0"),
               StatusIs(absl::StatusCode::kInternal, testing::StrEq("update: shapes differ")));
 }
+
+// Once there are threads, the environment must not change.
+TEST(SetUpDevice, FindsTheEnvironmentSet) {
+  EXPECT_STREQ(std::getenv("CUDA_DEVICE_ORDER"), "PCI_BUS_ID");
+  EXPECT_STREQ(std::getenv("CUBLAS_WORKSPACE_CONFIG"), ":4096:8");
+}
+
+#if TORCH_VERSION_MAJOR > 2 || (TORCH_VERSION_MAJOR == 2 && TORCH_VERSION_MINOR >= 11)
+TEST(SetUpDevice, AddsProductsOfBf16InFloat32) {
+  SetUpDevice("privateuseone:0", v1::RunConfig::BF16);
+  EXPECT_NE(at::globalContext().allowBF16ReductionCuBLAS(), at::CuBLASReductionOption::AllowReducedPrecisionWithSplitK);
+  at::globalContext().setDeterministicAlgorithms(false, false);
+}
+#endif
 
 TEST(SetRunDevice, ARunStaysOnItsTypeOfDevice) {
   using v1::RunConfig;

@@ -1,13 +1,16 @@
 #include "common/agent/nets/lstm.h"
 
-#include <array>
 #include <numeric>
+#include <string>
+#include <utility>
+#include <vector>
 
 #include <ATen/ATen.h>
 #include <gtest/gtest.h>
 #include <torch/csrc/autograd/autograd.h>
 
 #include "tests/agent/golden_agent.h"
+#include "tests/agent/stand_in_device.h"
 
 namespace craftfleet {
 namespace {
@@ -20,15 +23,6 @@ at::Tensor Uniform(const std::string& tag, at::IntArrayRef shape) {
   return at::from_blob(values.data(), shape).clone();
 }
 
-LstmWeights Weights() {
-  LstmWeights weights = {Uniform("wi", {4 * kHidden, kInputs}), Uniform("wh", {4 * kHidden, kHidden}),
-                         Uniform("bi", {4 * kHidden}), Uniform("bh", {4 * kHidden})};
-  for (at::Tensor* weight : {&weights.input, &weights.hidden, &weights.input_bias, &weights.hidden_bias}) {
-    weight->set_requires_grad(true);
-  }
-  return weights;
-}
-
 void ExpectNear(const at::Tensor& actual, const at::Tensor& wanted, const char* what) {
   ASSERT_EQ(actual.sizes(), wanted.sizes()) << what;
   EXPECT_LT((actual - wanted).abs().max().item<float>(), 2e-5 * (1 + wanted.abs().max().item<float>())) << what;
@@ -36,33 +30,65 @@ void ExpectNear(const at::Tensor& actual, const at::Tensor& wanted, const char* 
 
 class LstmTest : public ::testing::TestWithParam<std::vector<int64_t>> {};
 
-TEST_P(LstmTest, OutputsStatesAndGradientsMatchLibTorch) {
-  const std::vector<int64_t>& batch_sizes = GetParam();
+// The same by LibTorch.
+LstmOutput LstmOfLibTorch(const at::Tensor& input, const std::vector<int64_t>& batch_sizes, const at::Tensor& states,
+                          const LstmWeights& weights) {
+  const at::Tensor layer_states = states.unsqueeze(0);
+  const auto [outputs, h, c] =
+      at::lstm(input, at::tensor(batch_sizes, at::kLong),
+               {layer_states.narrow(2, 0, kHidden).contiguous(), layer_states.narrow(2, kHidden, kHidden).contiguous()},
+               {weights.input, weights.hidden, weights.input_bias, weights.hidden_bias}, /*has_biases=*/true,
+               /*num_layers=*/1, /*dropout=*/0, /*train=*/true, /*bidirectional=*/false);
+  return {outputs, at::cat({h, c}, 2).squeeze(0).detach()};
+}
+
+// The two outputs and the gradients of the input and the weights.
+template <typename Function>
+std::vector<at::Tensor> ResultsOf(const Function& lstm, const std::vector<int64_t>& batch_sizes,
+                                  const at::Device& device) {
   const int64_t n = std::accumulate(batch_sizes.begin(), batch_sizes.end(), int64_t{0});
-  const int64_t k = batch_sizes.front();
-  const at::Tensor states = Uniform("states", {k, 2 * kHidden});
-  const at::Tensor by_outputs = Uniform("gradient", {n, kHidden});
-
-  const LstmWeights ours = Weights();
-  const at::Tensor our_input = Uniform("input", {n, kInputs}).set_requires_grad(true);
-  const LstmOutput output = Lstm(our_input, batch_sizes, states, ours);
+  const auto leaf = [&](const std::string& tag, at::IntArrayRef shape) {
+    return Uniform(tag, shape).to(device).set_requires_grad(true);
+  };
+  const at::Tensor input = leaf("input", {n, kInputs});
+  const LstmWeights weights = {leaf("wi", {4 * kHidden, kInputs}), leaf("wh", {4 * kHidden, kHidden}),
+                               leaf("bi", {4 * kHidden}), leaf("bh", {4 * kHidden})};
+  const at::Tensor states = Uniform("states", {batch_sizes.front(), 2 * kHidden}).to(device);
+  const LstmOutput output = lstm(input, batch_sizes, states, weights);
   EXPECT_FALSE(output.last_states.requires_grad());
-  torch::autograd::backward({output.outputs}, {by_outputs});
+  torch::autograd::backward({output.outputs}, {Uniform("gradient", {n, kHidden}).to(device)});
+  EXPECT_NE(weights.input_bias.grad().data_ptr(), weights.hidden_bias.grad().data_ptr()) << "each is clipped in place";
+  std::vector<at::Tensor> results = {output.outputs.detach(), output.last_states, input.grad()};
+  for (const auto* weight : {&weights.input, &weights.hidden, &weights.input_bias, &weights.hidden_bias}) {
+    results.push_back(weight->grad());
+  }
+  for (at::Tensor& result : results) result = result.cpu();
+  return results;
+}
 
-  const LstmWeights theirs = Weights();
-  const at::Tensor their_input = Uniform("input", {n, kInputs}).set_requires_grad(true);
-  const LstmOutput wanted = LstmOfLibTorch(their_input, batch_sizes, states, theirs);
-  EXPECT_FALSE(wanted.last_states.requires_grad());
-  torch::autograd::backward({wanted.outputs}, {by_outputs});
+TEST_P(LstmTest, OutputsStatesAndGradientsMatchLibTorch) {
+  constexpr const char* kNames[] = {"outputs",       "last states", "input",      "input weight",
+                                    "hidden weight", "input bias",  "hidden bias"};
+  const std::vector<at::Tensor> wanted = ResultsOf(LstmOfLibTorch, GetParam(), at::kCPU);
+  for (const char* device : {"cpu", testing::kStandInDevice}) {
+    SCOPED_TRACE(device);
+    const std::vector<at::Tensor> actual = ResultsOf(Lstm, GetParam(), at::Device(device));
+    for (size_t i = 0; i < wanted.size(); ++i) ExpectNear(actual[i], wanted[i], kNames[i]);
+  }
+}
 
-  ExpectNear(output.outputs, wanted.outputs, "outputs");
-  ExpectNear(output.last_states, wanted.last_states, "last states");
-  ExpectNear(our_input.grad(), their_input.grad(), "input");
-  ExpectNear(ours.input.grad(), theirs.input.grad(), "input weight");
-  ExpectNear(ours.hidden.grad(), theirs.hidden.grad(), "hidden weight");
-  ExpectNear(ours.input_bias.grad(), theirs.input_bias.grad(), "input bias");
-  ExpectNear(ours.hidden_bias.grad(), theirs.hidden_bias.grad(), "hidden bias");
-  EXPECT_NE(ours.input_bias.grad().data_ptr(), ours.hidden_bias.grad().data_ptr()) << "each is clipped in place";
+// at::lstm takes some ten computations of a GPU, and copies to it.
+TEST(Lstm, TakesTwoComputationsAStepOfADevice) {
+  const auto traffic_of = [](const std::vector<int64_t>& batch_sizes) {
+    const testing::DeviceTraffic before = testing::TrafficSoFar();
+    ResultsOf(Lstm, batch_sizes, at::Device(testing::kStandInDevice));
+    return std::make_pair(testing::TrafficSoFar().computed - before.computed,
+                          testing::TrafficSoFar().sent - before.sent);
+  };
+  const auto of_two = traffic_of({3, 3});
+  const auto of_ten = traffic_of(std::vector<int64_t>(10, 3));
+  EXPECT_EQ(of_ten.first - of_two.first, 8 * 4) << "two forward, two backward";
+  EXPECT_EQ(of_ten.second, of_two.second);
 }
 
 INSTANTIATE_TEST_SUITE_P(Lengths, LstmTest,

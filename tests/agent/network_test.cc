@@ -24,6 +24,7 @@
 #include "common/agent/policy_net.h"
 #include "common/agent/torch_setup.h"
 #include "tests/agent/golden_agent.h"
+#include "tests/agent/stand_in_device.h"
 
 namespace craftfleet {
 namespace {
@@ -90,10 +91,16 @@ TEST(CutPatches, AreInRowOrderAndFlattenedByChannel) {
       for (int x = 0; x < 5; ++x) map[0][c][y][x] = 100 * c + 10 * y + x;
     }
   }
-  const at::Tensor patches = CutPatches(map, 2, 2);  // the last row and column are left over
-  ASSERT_EQ(patches.sizes(), (std::vector<int64_t>{1, 4, 8}));
-  EXPECT_TRUE(patches[0][1].equal(at::tensor({2.F, 3.F, 12.F, 13.F, 102.F, 103.F, 112.F, 113.F})));
-  EXPECT_TRUE(patches[0][2].equal(at::tensor({20.F, 21.F, 30.F, 31.F, 120.F, 121.F, 130.F, 131.F})));
+  testing::ObserveComputations(
+      [](absl::string_view name, const auto&, const auto&) { EXPECT_NE(name, "aten::im2col"); });
+  for (const char* device : {"cpu", testing::kStandInDevice}) {
+    const at::Tensor patches =
+        CutPatches(map.to(at::Device(device)), 2, 2).cpu();  // the last row and column are left over
+    ASSERT_EQ(patches.sizes(), (std::vector<int64_t>{1, 4, 8}));
+    EXPECT_TRUE(patches[0][1].equal(at::tensor({2.F, 3.F, 12.F, 13.F, 102.F, 103.F, 112.F, 113.F})));
+    EXPECT_TRUE(patches[0][2].equal(at::tensor({20.F, 21.F, 30.F, 31.F, 120.F, 121.F, 130.F, 131.F})));
+  }
+  testing::ObserveComputations(nullptr);
   EXPECT_EQ(PatchesPerSide(72, 12, 8), 8);
   EXPECT_EQ(PatchesPerSide(72, 16, 16), 4);
 }

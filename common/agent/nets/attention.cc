@@ -66,6 +66,9 @@ at::Tensor DropoutMaskOnDevice(at::IntArrayRef shape, double probability, int64_
 }
 
 at::Tensor CutPatches(const at::Tensor& map, int64_t patch, int64_t stride) {
+  if (!map.is_cpu()) {  // there at::im2col is a computation for each row
+    return map.unfold(2, patch, stride).unfold(3, patch, stride).permute({0, 2, 3, 1, 4, 5}).flatten(3).flatten(1, 2);
+  }
   return at::im2col(map, {patch, patch}, /*dilation=*/{1, 1}, /*padding=*/{0, 0}, {stride, stride}).transpose(1, 2);
 }
 

@@ -29,10 +29,10 @@ at::Tensor BiasOf(const ParamTensors& params, ParamIndex bias) {
   return bias == kNoParam ? at::Tensor() : params[bias];
 }
 
-// Linear (common/agent/linear.h), multiplied as `type`: float[N,out].
-at::Tensor LinearAs(at::ScalarType type, const at::Tensor& input, const at::Tensor& weight, const at::Tensor& bias) {
-  if (type == at::kFloat) return Linear(input, weight, bias);
-  const at::Tensor output = at::linear(input.to(type), weight.to(type)).to(at::kFloat);
+// Linear (common/agent/linear.h), multiplied as `weight` is: float[N,out].
+at::Tensor LinearAs(const at::Tensor& input, const at::Tensor& weight, const at::Tensor& bias) {
+  if (weight.scalar_type() == at::kFloat) return Linear(input, weight, bias);
+  const at::Tensor output = at::linear(input.to(weight.scalar_type()), weight).to(at::kFloat);
   return bias.defined() ? output + bias : output;
 }
 
@@ -44,15 +44,15 @@ LinearLayer::LinearLayer(const std::string& name, int64_t inputs, int64_t output
       bias_(AddBias(name, outputs, bias, init, params)) {}
 
 at::Tensor LinearLayer::Forward(const ParamTensors& params, const at::Tensor& input) const {
-  const at::Tensor& weight = params[weight_];
+  const at::Tensor weight = params.Multiplied(weight_);
   const at::Tensor bias = BiasOf(params, bias_);
   if (params.multiplied_as == at::kFloat && input.dim() == 2 && bias.defined() && WideLinearFits(weight)) {
     return WideLinear(input, weight, bias, params.FindWideFactors(weight_));
   }
-  if (input.dim() == 2) return LinearAs(params.multiplied_as, input, weight, bias);
+  if (input.dim() == 2) return LinearAs(input, weight, bias);
   std::vector<int64_t> shape = input.sizes().vec();
   shape.back() = weight.size(0);
-  return LinearAs(params.multiplied_as, input.reshape({-1, weight.size(1)}), weight, bias).view(shape);
+  return LinearAs(input.reshape({-1, weight.size(1)}), weight, bias).view(shape);
 }
 
 namespace {
@@ -91,7 +91,8 @@ at::Tensor LinearLayer::ForwardPatches(const ParamTensors& params, const at::Ten
     if (!tail.defined()) return Forward(params, patches);
     return Forward(params, at::cat({patches, tail.expand({patches.size(0), tail.size(0), tail.size(1)})}, 2));
   }
-  const at::Tensor of_patch = PatchWeight(weight, map.size(1), patch);
+  const at::Tensor multiplied = params.Multiplied(weight_);
+  const at::Tensor of_patch = PatchWeight(multiplied, map.size(1), patch);
   at::Tensor output;
   if (is_direct) {
     const PreparedWeight panels = PreparedOr(params, weight_, [&] {
@@ -102,15 +103,13 @@ at::Tensor LinearLayer::ForwardPatches(const ParamTensors& params, const at::Ten
     output = DirectConv(shape, map, of_patch, bias.defined() ? bias : at::zeros({weight.size(0)}), Activation::kNone,
                         panels);
   } else {
-    const at::ScalarType type = params.multiplied_as;
-    output = at::conv2d(map.to(type), of_patch.to(type), {}, {stride, stride}).to(at::kFloat);
+    output = at::conv2d(map.to(params.multiplied_as), of_patch, {}, {stride, stride}).to(at::kFloat);
     if (bias.defined()) output = output + bias.view({1, -1, 1, 1});
   }
   const at::Tensor tokens = output.flatten(2).transpose(1, 2);
   if (!tail.defined()) return tokens;
   const int64_t width = tail.size(1);
-  return tokens +
-         LinearAs(params.multiplied_as, tail, weight.narrow(1, weight.size(1) - width, width).contiguous(), {});
+  return tokens + LinearAs(tail, multiplied.narrow(1, weight.size(1) - width, width).contiguous(), {});
 }
 
 void LinearLayer::PreparePatches(const ParamTensors& params, int64_t channels, int64_t size, int64_t patch,
@@ -134,9 +133,8 @@ at::Tensor ConvLayer::Forward(const ParamTensors& params, const at::Tensor& inpu
   const int64_t stride = shape_.stride;
   const int64_t padding = shape_.padding;
   const at::ScalarType type = params.multiplied_as;
-  const at::Tensor bias = BiasOf(params, bias_);
-  return at::convolution(input.to(type), params[weight_].to(type), bias.defined() ? bias.to(type) : bias,
-                         {stride, stride}, {padding, padding},
+  const at::Tensor bias = bias_ == kNoParam ? at::Tensor() : params.Multiplied(bias_);
+  return at::convolution(input.to(type), params.Multiplied(weight_), bias, {stride, stride}, {padding, padding},
                          /*dilation=*/{1, 1}, /*transposed=*/false, /*output_padding=*/{0, 0}, /*groups=*/1);
 }
 

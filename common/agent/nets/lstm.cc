@@ -1,5 +1,7 @@
 #include "common/agent/nets/lstm.h"
 
+#include <tuple>
+
 #include <ATen/ATen.h>
 #include <torch/csrc/autograd/custom_function.h>
 
@@ -152,26 +154,90 @@ struct LstmFunction : torch::autograd::Function<LstmFunction> {
   }
 };
 
+// On a device, with LibTorch's fused cell. cuDNN, which at::lstm takes, wants the weights in a memory of their own and
+// warns at each call where they are views of a larger one. One product before the steps and one after for each weight;
+// a step is two computations, forward and backward.
+struct DeviceLstmFunction : torch::autograd::Function<DeviceLstmFunction> {
+  // NOLINTNEXTLINE(readability-identifier-naming): the name that autograd calls
+  static variable_list forward(AutogradContext* context, const at::Tensor& input, const at::Tensor& states,
+                               const at::Tensor& input_weight, const at::Tensor& hidden_weight,
+                               const at::Tensor& input_bias, const at::Tensor& hidden_bias,
+                               const std::vector<int64_t>& batch_sizes) {
+    const int64_t hidden = hidden_weight.size(1);
+    const at::Tensor gates = at::addmm(input_bias + hidden_bias, input, input_weight.t());
+    at::Tensor h = states.narrow(1, 0, hidden);
+    at::Tensor c = states.narrow(1, hidden, hidden).contiguous();
+    std::vector<at::Tensor> outputs, hidden_before;
+    std::vector<at::Tensor> ended;  // states of segments, the shortest first
+    variable_list saved = {input, input_weight, hidden_weight, at::Tensor()};
+    int64_t first = 0;
+    const auto end_segments = [&](int64_t left) {
+      const int64_t count = h.size(0) - left;
+      if (count > 0) ended.insert(ended.begin(), at::cat({h.narrow(0, left, count), c.narrow(0, left, count)}, 1));
+      h = h.narrow(0, 0, left);
+      c = c.narrow(0, 0, left);
+    };
+    for (const int64_t count : batch_sizes) {
+      end_segments(count);
+      hidden_before.push_back(h);
+      const at::Tensor by_hidden = at::mm(h, hidden_weight.t());
+      const auto [next_h, next_c, workspace] = at::_thnn_fused_lstm_cell(gates.narrow(0, first, count), by_hidden, c);
+      saved.insert(saved.end(), {c, next_c, workspace});
+      outputs.push_back(next_h);
+      h = next_h;
+      c = next_c;
+      first += count;
+    }
+    end_segments(0);
+    saved[3] = at::cat(hidden_before);
+    context->save_for_backward(saved);
+    context->saved_data["batch_sizes"] = batch_sizes;
+    const at::Tensor last_states = at::cat(ended);
+    context->mark_non_differentiable({last_states});
+    return {at::cat(outputs), last_states};
+  }
+
+  // NOLINTNEXTLINE(readability-identifier-naming): the name that autograd calls
+  static variable_list backward(AutogradContext* context, variable_list output_gradients) {
+    const variable_list saved = context->get_saved_variables();
+    const at::Tensor& input_weight = saved[1];
+    const at::Tensor& hidden_weight = saved[2];
+    const std::vector<int64_t> batch_sizes = context->saved_data["batch_sizes"].toIntVector();
+    // Gets the gradients from the next steps.
+    const at::Tensor by_outputs = output_gradients[0].clone(at::MemoryFormat::Contiguous);
+    std::vector<at::Tensor> parts(batch_sizes.size());
+    at::Tensor by_cells;
+    int64_t first = by_outputs.size(0);
+    for (size_t step = batch_sizes.size(); step-- > 0;) {
+      const int64_t count = batch_sizes[step];
+      first -= count;
+      at::Tensor by_hidden = by_outputs.narrow(0, first, count);
+      if (by_cells.defined()) {
+        const int64_t next = by_cells.size(0);
+        by_hidden.narrow(0, 0, next).addmm_(parts[step + 1], hidden_weight);
+        if (next < count) by_cells = at::constant_pad_nd(by_cells, {0, 0, 0, count - next});
+      }
+      const variable_list of_step(saved.begin() + 4 + 3 * step, saved.begin() + 7 + 3 * step);
+      std::tie(parts[step], by_cells, std::ignore) = at::_thnn_fused_lstm_cell_backward_impl(
+          by_hidden, by_cells, of_step[0], of_step[1], of_step[2], /*has_bias=*/false);
+    }
+    const at::Tensor by_gates = at::cat(parts);
+    const at::Tensor by_bias = by_gates.sum(0);
+    return {by_gates.mm(input_weight), at::Tensor(), by_gates.t().mm(saved[0]), by_gates.t().mm(saved[3]), by_bias,
+            by_bias.clone(),           at::Tensor()};
+  }
+};
+
 }  // namespace
 
 LstmOutput Lstm(const at::Tensor& input, const std::vector<int64_t>& batch_sizes, const at::Tensor& states,
                 const LstmWeights& weights) {
-  if (!input.is_cpu()) return LstmOfLibTorch(input, batch_sizes, states, weights);
-  const variable_list result = LstmFunction::apply(input, states, weights.input, weights.hidden, weights.input_bias,
-                                                   weights.hidden_bias, batch_sizes);
+  const auto run = [&](auto function) {
+    return decltype(function)::apply(input, states, weights.input, weights.hidden, weights.input_bias,
+                                     weights.hidden_bias, batch_sizes);
+  };
+  const variable_list result = input.is_cpu() ? run(LstmFunction()) : run(DeviceLstmFunction());
   return {result[0], result[1]};
-}
-
-LstmOutput LstmOfLibTorch(const at::Tensor& input, const std::vector<int64_t>& batch_sizes, const at::Tensor& states,
-                          const LstmWeights& weights) {
-  const int64_t hidden = weights.hidden.size(1);
-  const at::Tensor layer_states = states.unsqueeze(0);
-  const auto [outputs, h, c] =
-      at::lstm(input, at::tensor(batch_sizes, at::kLong),
-               {layer_states.narrow(2, 0, hidden).contiguous(), layer_states.narrow(2, hidden, hidden).contiguous()},
-               {weights.input, weights.hidden, weights.input_bias, weights.hidden_bias}, /*has_biases=*/true,
-               /*num_layers=*/1, /*dropout=*/0, /*train=*/true, /*bidirectional=*/false);
-  return {outputs, at::cat({h, c}, 2).squeeze(0).detach()};
 }
 
 }  // namespace craftfleet

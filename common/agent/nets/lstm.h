@@ -26,14 +26,10 @@ struct LstmOutput {
 // then all second steps and so on; batch_sizes[t] segments have a step t. `states` float[k,2H], h then c, are
 // constants.
 //
-// On the CPU at::lstm multiplies by the BLAS and sums the weights' gradients step by step: in updates it takes 6 times
-// as long. It is used for tensors of a GPU.
+// Not at::lstm: on the CPU it multiplies by the BLAS and sums the weights' gradients step by step, so that updates take
+// 6 times as long; on a GPU it warns at each call, and asks cuDNN for the place of each weight again.
 LstmOutput Lstm(const at::Tensor& input, const std::vector<int64_t>& batch_sizes, const at::Tensor& states,
                 const LstmWeights& weights);
-
-// The same by at::lstm, on any device.
-LstmOutput LstmOfLibTorch(const at::Tensor& input, const std::vector<int64_t>& batch_sizes, const at::Tensor& states,
-                          const LstmWeights& weights);
 
 }  // namespace craftfleet
 

@@ -1,5 +1,6 @@
 #include "common/agent/nets/network.h"
 
+#include <numeric>
 #include <optional>
 #include <utility>
 
@@ -115,7 +116,9 @@ NetOutput Network::Forward(const ParamTensors& params, const at::Tensor& frames,
   at::Tensor critic_features = actor_features;
   NetOutput output;
   if (core_.has_value()) {
-    const at::Tensor features = actor_features;
+    const int64_t rows = std::accumulate(segments.lengths.begin(), segments.lengths.end(), int64_t{0});
+    const bool is_padded = rows < actor_features.size(0);
+    const at::Tensor features = is_padded ? actor_features.narrow(0, 0, rows) : actor_features;
     core_->Forward(params, features, segments, &actor_features, &critic_features, &output.states);
   }
   if (segments.wants_codes) output.codes = actor_features;

@@ -44,7 +44,8 @@ class Network {
   at::Tensor Features(const ParamTensors& params, const at::Tensor& frames,
                       const std::optional<Dropout>& dropout) const;
 
-  // frames as above. `segments` are used by networks with a state, and for distillation.
+  // frames as above. `segments` are used by networks with a state, and for distillation; behind their rows a recurrent
+  // network's frames may have more, which have no outputs.
   NetOutput Forward(const ParamTensors& params, const at::Tensor& frames, const Segments& segments,
                     const std::optional<Dropout>& dropout) const;
 

@@ -22,7 +22,14 @@ struct ParamTensors {
   // Weights whose gradients backward passes leave as factors.
   std::map<ParamIndex, c10::intrusive_ptr<WideFactors>> wide_factors;
 
+  std::vector<at::Tensor> converted = {};  // all of them as `multiplied_as`; empty: each pass converts what it needs
+
   const at::Tensor& operator[](ParamIndex index) const { return tensors[index]; }
+
+  // As convolutions and linear layers take it.
+  at::Tensor Multiplied(ParamIndex index) const {
+    return converted.empty() ? tensors[index].to(multiplied_as) : converted[index];
+  }
 
   // Null: it has not been prepared.
   const PreparedWeight* FindPrepared(ParamIndex weight) const {

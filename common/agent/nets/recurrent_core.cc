@@ -7,6 +7,7 @@
 #include <vector>
 
 #include <ATen/ATen.h>
+#include <torch/csrc/autograd/custom_function.h>
 
 #include "common/agent/nets/lstm.h"
 #include "common/agent/nets/param_tensors.h"
@@ -25,6 +26,22 @@ std::vector<int64_t> Inverse(const std::vector<int64_t>& order) {
   for (size_t i = 0; i < order.size(); ++i) inverse[order[i]] = static_cast<int64_t>(i);
   return inverse;
 }
+
+// Rows in another order. Autograd would add the gradients of index_select row by row, on a GPU after sorting them.
+struct PermuteFunction : torch::autograd::Function<PermuteFunction> {
+  // NOLINTNEXTLINE(readability-identifier-naming): the name that autograd calls
+  static at::Tensor forward(torch::autograd::AutogradContext* context, const at::Tensor& rows, const at::Tensor& order,
+                            const at::Tensor& inverse) {
+    context->saved_data["inverse"] = inverse;
+    return rows.index_select(0, order);
+  }
+
+  // NOLINTNEXTLINE(readability-identifier-naming): the name that autograd calls
+  static torch::autograd::variable_list backward(torch::autograd::AutogradContext* context,
+                                                 const torch::autograd::variable_list& output_gradients) {
+    return {output_gradients[0].index_select(0, context->saved_data["inverse"].toTensor()), {}, {}};
+  }
+};
 
 ParamInit LstmInit() { return {ParamInit::Kind::kUniform, 1 / std::sqrt(static_cast<double>(LstmLayer::kHidden))}; }
 
@@ -59,11 +76,11 @@ LstmLayer::LstmLayer(const std::string& name, int64_t inputs, ParamList* params)
 
 at::Tensor LstmLayer::Forward(const ParamTensors& params, const at::Tensor& features, const Packing& packing,
                               const at::Tensor& states, at::Tensor* last_states) const {
-  const LstmOutput result =
-      Lstm(features.index_select(0, packing.rows), packing.batch_sizes, states.index_select(0, packing.segments),
-           {params[weight_ih_], params[weight_hh_], params[bias_ih_], params[bias_hh_]});
+  const LstmOutput result = Lstm(PermuteFunction::apply(features, packing.rows, packing.inverse_rows),
+                                 packing.batch_sizes, states.index_select(0, packing.segments),
+                                 {params[weight_ih_], params[weight_hh_], params[bias_ih_], params[bias_hh_]});
   *last_states = result.last_states.index_select(0, packing.inverse_segments);
-  return result.outputs.index_select(0, packing.inverse_rows);
+  return PermuteFunction::apply(result.outputs, packing.inverse_rows, packing.rows);
 }
 
 RecurrentCore::RecurrentCore(int64_t inputs, Critic critic, ParamList* params)

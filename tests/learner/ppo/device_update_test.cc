@@ -11,6 +11,7 @@
 #include <vector>
 
 #include <ATen/ATen.h>
+#include <absl/strings/match.h>
 #include <absl/strings/str_cat.h>
 #include <gmock/gmock.h>
 #include <google/protobuf/text_format.h>
@@ -26,10 +27,12 @@
 #include "learner/ppo/device_adam.h"
 #include "learner/ppo/device_loss.h"
 #include "learner/ppo/device_rollout.h"
+#include "learner/ppo/device_weights.h"
 #include "learner/ppo/ppo_updater.h"
 #include "tests/agent/golden_agent.h"
 #include "tests/agent/stand_in_device.h"
 #include "tests/fakes/status_matchers.h"
+#include "tests/learner/ppo/random_fragments.h"
 #include "tests/learner/ppo/saved_tensors.h"
 #include "tests/learner/ppo/update_samples.h"
 
@@ -38,7 +41,6 @@ namespace {
 
 using ::testing::AllOf;
 using testing::DeviceTraffic;
-using testing::GoldenFrames;
 using ::testing::HasSubstr;
 using testing::kStandInDevice;
 using testing::SavedTensors;
@@ -59,27 +61,8 @@ v1::RunConfig ConfigOf(const std::string& text) {
   return config;
 }
 
-// Random fragments for the agent, lane after lane; episodes end at random.
 std::vector<Fragment> RandomFragments(const PpoUpdater& updater) {
-  const AgentSpec& spec = updater.spec();
-  const bool every_state = updater.rollout_options().every_state;
-  std::vector<Fragment> fragments;
-  for (int i = 0; i < kLanes * kFragments; ++i) {
-    Fragment& fragment = fragments.emplace_back();
-    fragment.lane = i / kFragments;
-    fragment.frames = GoldenFrames(100 + i, kSteps, spec.frame_size);
-    fragment.states =
-        testing::GoldenUniforms(absl::StrCat("states", i), (every_state ? kSteps : 1) * spec.state_size, -0.5, 0.5);
-    for (int step = 0; step < kSteps; ++step) {
-      const auto uniform = [&](int k) { return static_cast<float>(ActionNoise(5, i * kSteps + step, k)); };
-      fragment.actions.push_back(static_cast<char>(uniform(0) * kNumActions));
-      fragment.log_probs.push_back(-2.8F + 0.3F * (uniform(1) - 0.5F));
-      fragment.values.push_back(uniform(2));
-      fragment.rewards.push_back(uniform(3));
-      fragment.ends.push_back(uniform(4) < 0.2 ? StepEnd::kTerminated : StepEnd::kNone);
-    }
-  }
-  return fragments;
+  return testing::RandomFragments(updater, kLanes, kFragments, kSteps);
 }
 
 // An updater that has run `iterations` updates.
@@ -318,6 +301,26 @@ TEST_P(Agents, CopyAndWaitNeverPerMinibatch) {
   EXPECT_EQ(three.read, 0);
 }
 
+// A GPU plans the convolutions of each number of rows anew, and sorts to add gradients row by row.
+TEST(DeviceUpdate, RecurrentMinibatchesHaveFewSizesAndArePermuted) {
+  for (const char* batches : {"SEGMENTS", "PUBLISHED"}) {
+    SCOPED_TRACE(batches);
+    int64_t convolutions = 0;
+    testing::ObserveComputations([&](absl::string_view name, const std::vector<c10::IValue>& arguments, const auto&) {
+      EXPECT_FALSE(absl::StrContains(name, "index_add")) << name;
+      if (name != "aten::convolution") return;
+      ++convolutions;
+      EXPECT_EQ(arguments[0].toTensor().size(0) % 32, 0);
+    });
+    const Trained trained(
+        ConfigOf(
+            absl::StrCat(R"(agent: "lstm_cnn" network { frame_size: 40 } ppo { recurrent_batches: )", batches, "}")),
+        kStandInDevice, 1);
+    testing::ObserveComputations(nullptr);
+    EXPECT_GT(convolutions, 0);
+  }
+}
+
 TEST(DeviceUpdate, TakesEveryAgentsDefaults) {
   for (const absl::string_view agent : AgentNames()) {
     EXPECT_THAT(DeviceUpdate::CheckSupported(*DefaultRunConfig(agent)), IsOk()) << agent;
@@ -381,6 +384,47 @@ TEST(DeviceAdam, StepsAsTheCpus) {
                         return way;
                       }()))
         << device;
+  }
+}
+
+// A GPU would write and read a copy in double of all numbers.
+TEST(DeviceAdam, TakesTheNormWithoutACopyInDouble) {
+  SetUpTorchThread();
+  constexpr int64_t kWeights = 200000;
+  const std::vector<float> zeros(kWeights);
+  const at::Device device(kStandInDevice);
+  DeviceAdam adam{AdamOptions()};
+  adam.Load({0, zeros, zeros}, device);
+  int64_t norms = 0;
+  testing::ObserveComputations(
+      [&](absl::string_view name, const std::vector<c10::IValue>& arguments, const std::vector<at::Tensor>& results) {
+        if (name == "aten::linalg_vector_norm") {
+          ++norms;
+          EXPECT_EQ(arguments[0].toTensor().scalar_type(), results[0].scalar_type());
+        }
+        for (const at::Tensor& result : results)
+          EXPECT_LT(result.scalar_type() == at::kDouble ? result.numel() : 0, 10);
+      });
+  adam.Step(SendFloats(zeros, device), SendFloats(zeros, device));
+  testing::ObserveComputations(nullptr);
+  EXPECT_GT(norms, 0);
+}
+
+TEST(DeviceWeights, EachParameterIsAtAMultipleOf16Bytes) {
+  for (const char* agent : {"ppo_cnn", "lstm_cnn", "achievement_distillation"}) {
+    SCOPED_TRACE(agent);
+    const AgentSpec spec = *FindAgent(agent);
+    const std::vector<float> values = testing::GoldenUniforms("weights", spec.param_count, -1, 1);
+    DeviceWeights weights;
+    weights.Load(spec, values, at::kCPU);
+    for (size_t i = 0; i < spec.params.size(); ++i) {
+      const at::Tensor& param = weights.params.tensors[i];
+      EXPECT_EQ(reinterpret_cast<uintptr_t>(param.data_ptr()) % 16, 0) << spec.params[i].name;
+      EXPECT_EQ(param.flatten()[0].item<float>(), values[spec.params[i].offset]) << spec.params[i].name;
+    }
+    std::vector<float> back(values.size());
+    Unalign(spec, Align(spec, values).data(), &back);
+    EXPECT_EQ(back, values);
   }
 }
 

@@ -1,0 +1,32 @@
+#include "common/agent/torch_setup.h"
+
+#include <string>
+#include <thread>
+#include <vector>
+
+#include <absl/strings/str_split.h>
+#include <c10/util/Exception.h>
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+namespace craftfleet {
+namespace {
+
+using testing::ElementsAre;
+using testing::HasSubstr;
+
+TEST(SetUpTorchThread, LogsEachWarningOfLibTorchOnce) {
+  testing::internal::CaptureStderr();
+  for (int i = 0; i < 2; ++i) {
+    std::thread([] {
+      SetUpTorchThread();
+      for (const char* text : {"weights are scattered", "weights are scattered", "too old"}) TORCH_WARN(text);
+    }).join();
+  }
+  const std::string log = testing::internal::GetCapturedStderr();
+  EXPECT_THAT(std::vector<std::string>(absl::StrSplit(log, '\n', absl::SkipEmpty())),
+              ElementsAre(HasSubstr("warning: LibTorch: weights are scattered"), HasSubstr("LibTorch: too old")));
+}
+
+}  // namespace
+}  // namespace craftfleet
