@@ -53,6 +53,7 @@ void DeviceWeights::Load(const AgentSpec& spec, const std::vector<float>& weight
 at::Tensor DeviceWeights::TakeGradient() {
   std::vector<at::Tensor> parts;
   at::Tensor zeros;
+  size_t reached = 0;
   for (at::Tensor& param : params.tensors) {
     if (!param.grad().defined()) break;
     parts.push_back(param.grad().flatten());
@@ -61,8 +62,9 @@ at::Tensor DeviceWeights::TakeGradient() {
       parts.push_back(zeros.narrow(0, 0, gap));
     }
     param.mutable_grad().reset();
+    ++reached;
   }
-  for (size_t i = parts.size(); i < params.tensors.size(); ++i) CRAFTFLEET_CHECK(!params.tensors[i].grad().defined());
+  for (size_t i = reached; i < params.tensors.size(); ++i) CRAFTFLEET_CHECK(!params.tensors[i].grad().defined());
   return at::cat(parts);
 }
 

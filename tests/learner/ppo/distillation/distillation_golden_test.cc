@@ -302,8 +302,8 @@ class DistillationStepsGolden : public ::testing::TestWithParam<const char*> {  
       return std::make_unique<ShardedNet>(spec_, config_, absl::MakeSpan(weights_), &adams_, &workers_);
     }
     device_weights_.Load(spec_, weights_, at::Device(device));
-    device_matching_.Load(adams_.matching, at::Device(device));
-    device_prediction_.Load(adams_.prediction, at::Device(device));
+    const std::vector<float> zeros = Align(spec_, adams_.matching.exp_avg);  // as all moments begin
+    for (DeviceAdam* adam : {&device_matching_, &device_prediction_}) adam->Load({0, zeros, zeros}, at::Device(device));
     return std::make_unique<DeviceNet>(spec_, at::Device(device), &device_weights_, &device_matching_,
                                        &device_prediction_);
   }
@@ -314,8 +314,9 @@ class DistillationStepsGolden : public ::testing::TestWithParam<const char*> {  
     if (std::string(GetParam()) == "cpu") return matches ? adams_.matching : adams_.prediction;
     const DeviceAdam& adam = matches ? device_matching_ : device_prediction_;
     const at::Tensor moment = adam.exp_avg().cpu();
-    const auto* const values = moment.data_ptr<float>();
-    return {adam.steps(), std::vector<float>(values, values + moment.numel()), {}};
+    AdamState state{adam.steps(), std::vector<float>(spec_.param_count), {}};
+    Unalign(spec_, moment.data_ptr<float>(), &state.exp_avg);
+    return state;
   }
 
   Rollout MakeRollout() {
