@@ -6,7 +6,7 @@ import signal
 import subprocess
 
 from tests.fakes import python_case
-from tests.fakes.python_case import BIN, SOURCE, wait_until
+from tests.fakes.python_case import SOURCE, built, wait_until
 
 # Three evaluations with two episodes of each kind precede the final one.
 CONFIG = """
@@ -25,10 +25,10 @@ class Eval(python_case.FolderCase):
     (self.folder / "config.txt").write_text(CONFIG)
 
   def train(self, *flags):
-    self.run_program("craftfleet-train", f"--config={self.folder}/config.txt", f"--logdir={self.folder}/run", *flags)
+    self.run_program("craftfleet train", f"--config={self.folder}/config.txt", f"--logdir={self.folder}/run", *flags)
 
   def evaluate(self, *flags, code=0):
-    return self.run_program("craftfleet-eval", f"--checkpoint={self.folder}/run", *flags, code=code)
+    return self.run_program("craftfleet eval", f"--checkpoint={self.folder}/run", *flags, code=code)
 
   def check_episodes(self, folder, log, size=64):
     checked = subprocess.run(["python3", SOURCE / "tests/actor/recording/check_episodes.py", folder, log, str(size)],
@@ -57,7 +57,7 @@ class Eval(python_case.FolderCase):
 
   def test_the_trained_agent_of_the_repository_plays_well(self):
     result = SOURCE / "deploy/experiments/results/ppo_cnn_1m/seed2"
-    out = self.run_program("craftfleet-eval", f"--checkpoint={result}", "--episodes=5", f"--json={self.folder}/out.json")
+    out = self.run_program("craftfleet eval", f"--checkpoint={result}", "--episodes=5", f"--json={self.folder}/out.json")
     run = json.loads((result / "run.json").read_text())["run_id"]
     self.assertIn(f"run {run}, ppo_cnn after 1000000 steps", out.stdout)
     reward = json.loads((self.folder / "out.json").read_text())["reward"]
@@ -67,11 +67,11 @@ class Eval(python_case.FolderCase):
     result = self.folder / "result"
     shutil.copytree(SOURCE / "deploy/experiments/results/ppo_cnn_1m/seed2", result)
     (result / "run.json").write_text("[]")
-    out = self.run_program("craftfleet-eval", f"--checkpoint={result}", code=1)
+    out = self.run_program("craftfleet eval", f"--checkpoint={result}", code=1)
     self.assertIn("run.json has no run_id", out.stderr)
     (result / "weights.safetensors").write_bytes(b"nothing")
     (result / "run.json").write_text('{"run_id": "a"}')
-    self.run_program("craftfleet-eval", f"--checkpoint={result}", code=1)
+    self.run_program("craftfleet eval", f"--checkpoint={result}", code=1)
 
   def test_recording_changes_no_result(self):
     (self.folder / "config.txt").write_text(CONFIG.replace("every_steps: 64", "every_steps: 0"))
@@ -92,7 +92,7 @@ class Eval(python_case.FolderCase):
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
       with self.subTest(number):
         result = self.folder / f"{number}.json"
-        command = [BIN / "craftfleet-eval", f"--checkpoint={self.folder}/run", "--episodes=10000", f"--json={result}",
+        command = [*built("craftfleet eval"), f"--checkpoint={self.folder}/run", "--episodes=10000", f"--json={result}",
                    f"--video={self.folder}/video", "--video_size=64"]
         evaluation = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
         try:

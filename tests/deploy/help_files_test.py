@@ -7,14 +7,14 @@ import subprocess
 import unittest
 
 from tests.fakes import python_case
-from tests.fakes.python_case import BIN
+from tests.fakes.python_case import BIN, built
 
 SHARE = BIN.parent / "share"
 BASH = SHARE / "bash-completion/completions"
 
 
 def flags_of(program):
-  text = subprocess.run([BIN / program, "--help_json"], capture_output=True, text=True, check=True).stdout
+  text = subprocess.run([*built(program), "--help_json"], capture_output=True, text=True, check=True).stdout
   return json.loads(text).get("flags", [])
 
 
@@ -58,7 +58,7 @@ class HelpFiles(python_case.FolderCase):
     (self.folder / "runs").mkdir()
     self.assertEqual(self.complete("craftfleet", "train", "--logdir", "=", "ru"), ["runs"])
     self.assertEqual(self.complete("craftfleet", "train", "--logdir", "="), ["runs"])
-    self.assertEqual(self.complete("craftfleet-status", "--json", "=", "t"), ["true"])
+    self.assertEqual(self.complete("craftfleet status", "--json", "=", "t"), ["true"])
     self.assertEqual(self.complete("craftfleet", "report", "ru"), ["runs"])
 
   @unittest.skipIf(shutil.which("zsh") is None, "no zsh here")
@@ -94,8 +94,8 @@ class HelpFiles(python_case.FolderCase):
       text = subprocess.run(["groff", "-man", "-Tascii", "-P-c", page], capture_output=True, text=True, check=True).stdout
       return re.sub(r"\x1b\[[\d;]*m|.\x08", "", text)
     self.assertRegex(shown("craftfleet"), r"SYNOPSIS\n +craftfleet COMMAND \[ARGUMENT\.\.\.\]\n")
-    self.assertRegex(shown("craftfleet-report"), r"SYNOPSIS\n +craftfleet report \[FLAG\.\.\.\] DIR\.\.\.\n")
-    self.assertRegex(shown("craftfleet-train"), r"\n +only +--steps +and +the +checkpoint +settings +may +change\n")
+    self.assertRegex(shown("craftfleet report"), r"SYNOPSIS\n +craftfleet report \[FLAG\.\.\.\] DIR\.\.\.\n")
+    self.assertRegex(shown("craftfleet train"), r"\n +only +--steps +and +the +checkpoint +settings +may +change\n")
 
   def test_help_files_and_licence_are_installed(self):
     ended = subprocess.run(["cmake", "--install", BIN.parent, "--prefix", self.folder / "usr"], capture_output=True, text=True, check=False)
