@@ -153,7 +153,7 @@ class EnvserverImage(python_case.FolderCase):
   def setUp(self):
     super().setUp()
     self.root = self.folder / "root"
-    subprocess.run([DOCKER / "closure.sh", self.root, BIN.parent, "craftfleet-envserver", "craftfleet-status"], check=True)
+    subprocess.run([DOCKER / "closure.sh", self.root, BIN.parent, "craftfleet-envserver", "craftfleet"], check=True)
 
   def command(self, *words):
     """Runs a program as in a container: read-only root, with /proc, without root privileges and any way to gain them."""
@@ -170,7 +170,7 @@ class EnvserverImage(python_case.FolderCase):
     self.assertLess(size, ENVSERVER_MIB)
     self.assertEqual([path for path in self.root.rglob("*") if FOREIGN.search(path.name)], [])
     self.assertEqual(list(self.root.rglob("*.png")), [], "the textures are compiled in")
-    self.assertEqual([path.name for path in (self.root / "usr/local/bin").iterdir() if "craftfleet-" not in path.name], [])
+    self.assertEqual([path.name for path in (self.root / "usr/local/bin").iterdir() if not path.name.startswith("craftfleet")], [])
 
   def test_the_environment_server_runs_in_its_image(self):
     if os.geteuid() != 0:

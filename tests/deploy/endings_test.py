@@ -143,7 +143,7 @@ class Endings(python_case.FolderCase):
   def test_an_evaluation_without_a_reader_writes_its_result(self):
     self.train("--steps=192")
     evaluation = self.start("craftfleet eval", f"--checkpoint={self.folder}/run", "--episodes=300",
-                            f"--json={self.folder}/result.json", stdout=subprocess.PIPE)
+                            f"--out={self.folder}/result.json", stdout=subprocess.PIPE)
     self.close_output(evaluation)
     self.assertEqual(evaluation.wait(60), 0, self.errors.read_text())
     self.assertEqual(json.loads((self.folder / "result.json").read_text())["episodes"], 300)
@@ -179,7 +179,7 @@ class Endings(python_case.FolderCase):
         ["craftfleet envs", "--worlds=1"], ["craftfleet curve", run], ["craftfleet curve", "--help"],
         ["craftfleet curve", run, "--out=-"], ["craftfleet curve", run, "--out=/dev/full"],
         ["craftfleet eval", f"--checkpoint={run}", "--episodes=1"],
-        ["craftfleet eval", f"--checkpoint={run}", "--episodes=1", "--json=-"],
+        ["craftfleet eval", f"--checkpoint={run}", "--episodes=1", "--out=-"],
         ["craftfleet train", f"--config={self.folder}/config.txt", f"--logdir={self.folder}/other"],
         ["craftfleet-learner", f"--config={self.folder}/config.txt", f"--logdir={self.folder}/other",
          "--listen=127.0.0.1:0"],
@@ -221,7 +221,7 @@ class Endings(python_case.FolderCase):
       drawn = subprocess.run([*built("craftfleet curve"), run, f"--out={out}"], capture_output=True, timeout=60)
       self.assertEqual(drawn.stdout[:8], png, "the table is elsewhere")
       self.assertIn(b"run", drawn.stderr)
-    evaluated = self.run_program("craftfleet eval", f"--checkpoint={run}", "--episodes=2", "--json=-")
+    evaluated = self.run_program("craftfleet eval", f"--checkpoint={run}", "--episodes=2", "--out=-")
     self.assertEqual(json.loads(evaluated.stdout)["episodes"], 2)
     self.assertIn("Crafter score", evaluated.stderr)
     os.mkfifo(self.folder / "fifo")
@@ -238,8 +238,8 @@ class Endings(python_case.FolderCase):
       refused = self.run_program("craftfleet curve", run, f"--out={out}", code=1)
       self.assertIn(error, refused.stderr)
       self.assertEqual(refused.stdout, "", "nothing is drawn or printed")
-    refused = self.run_program("craftfleet eval", f"--checkpoint={run}", f"--json={self.folder}", code=1)
-    self.assertIn("--json: ", refused.stderr)
+    refused = self.run_program("craftfleet eval", f"--checkpoint={run}", f"--out={self.folder}", code=1)
+    self.assertIn("--out: ", refused.stderr)
     self.assertEqual(refused.stdout, "", "nothing is played")
 
 

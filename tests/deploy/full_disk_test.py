@@ -73,7 +73,7 @@ class FullDisk(python_case.FolderCase):
     run = self.folder / "run"
     return [
         ["craftfleet curve", run, f"--out={out}/curve.png"],
-        ["craftfleet eval", f"--checkpoint={run}", "--episodes=2", f"--json={out}/eval.json"],
+        ["craftfleet eval", f"--checkpoint={run}", "--episodes=2", f"--out={out}/eval.json"],
         ["craftfleet eval", f"--checkpoint={run}", "--episodes=2", f"--pictures={out}/pictures"],
         ["craftfleet eval", f"--checkpoint={run}", "--episodes=2", f"--video={out}/videos"],
         ["craftfleet eval", f"--checkpoint={run}", "--episodes=2", f"--episodes_npz={out}/episodes"],

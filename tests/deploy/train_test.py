@@ -107,7 +107,7 @@ class Train(python_case.FolderCase):
     self.assertRegex(train.stderr, rf"info: run {run_id} in {re.escape(str(self.folder))}/run")
     self.assertIn(f"run {run_id} resumes", self.train("run", "--resume", "--steps=256").stderr)
     evaluated = self.run_program("craftfleet eval", f"--checkpoint={self.folder}/run", "--episodes=1",
-                                 f"--json={self.folder}/eval.json")
+                                 f"--out={self.folder}/eval.json")
     self.assertIn(run_id, evaluated.stdout)
     self.assertEqual(json.loads((self.folder / "eval.json").read_text())["run_id"], run_id)
 

@@ -76,7 +76,7 @@ class WatchAgent(python_case.FolderCase):
 
   def test_the_strip_has_two_rows_and_the_chosen_columns(self):
     run = self.train("oc_ca")
-    for flags, columns in [(["--strip_steps=0,5,19"], 3), (["--strip_columns=4", "--strip_detail=patches", "--attention=sum"], 4)]:
+    for flags, columns in [(["--strip_steps=0,5,19"], 3), (["--strip_columns=4", "--attention=sum"], 4)]:
       strip = self.folder / "strip.png"
       ended = self.run_program("craftfleet watch", f"--strip={strip}", *flags, str(run))
       self.assertEqual(ended.stdout, f"{strip}: {columns} columns of episode 1\n")

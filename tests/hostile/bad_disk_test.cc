@@ -121,7 +121,7 @@ TEST_F(BadDiskTest, FoldersThatCannotBeSyncedAreNoError) {
     std::vector<std::string> flags = Flags("run");
     if (program == std::string("craftfleet curve")) flags = {Logdir("run"), "--out=" + folder_ / "curve.png"};
     if (program == std::string("craftfleet eval")) {
-      flags = {"--checkpoint=" + Logdir("run"), "--episodes=1", "--json=" + folder_ / "eval.json"};
+      flags = {"--checkpoint=" + Logdir("run"), "--episodes=1", "--out=" + folder_ / "eval.json"};
     }
     const Ended ended = Finish(StartOn("nofoldersync", program, flags).get());
     EXPECT_EQ(ended.exit_code, 0) << program << ": " << ended.err;

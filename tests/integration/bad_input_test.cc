@@ -151,6 +151,7 @@ const std::vector<BadCommand>& BadCommands() {
        "craftfleet eval",
        {"--checkpoint=@", "--env=pong"},
        {"craftfleet eval: --env: ", "unknown game \"pong\", want \"crafter\""}},
+      {"FlagOfAnotherCommand", "craftfleet envs", {"--address=127.0.0.1:1"}, {"unknown flag 'address'; see"}},
       {"NoWorldsToCount", "craftfleet envs", {"--worlds=0"}, {"--worlds=0, want 1..100000"}},
       {"PortOfNoAddress",
        "craftfleet doctor",
@@ -236,7 +237,7 @@ TEST_F(BadInputTest, ACommandWithoutItsProgramIsNotCalledUnknown) {
   std::filesystem::copy_file(BuiltProgram("craftfleet"), alone);
   const Ended ended = Run(alone, {"train"});
   EXPECT_EQ(ended.exit_code, 1);
-  EXPECT_THAT(ended.err, HasSubstr("cannot run " + alone + "-train: No such file"));
+  EXPECT_THAT(ended.err, HasSubstr("cannot run " + alone + "-torch: No such file"));
 }
 
 // Every installed program, and the developers' one.

@@ -76,7 +76,7 @@ class Sweep(python_case.FolderCase):
     return sweep_plan.plan(cells, str(self.folder / "runs"), seeds)
 
   def make(self, seeds=1, gamma=0.5, program=None):
-    return sweep_jobs.Sweep(self.jobs(seeds, gamma), str(program or self.program), 2, self.out, look_again=0.05)
+    return sweep_jobs.Sweep(self.jobs(seeds, gamma), [str(program or self.program)], 2, self.out, look_again=0.05)
 
   def fails(self, made):
     with self.assertRaises(Refusal) as caught:
@@ -160,8 +160,8 @@ class Sweep(python_case.FolderCase):
     self.assertEqual(len(self.starts("b/seed1")), 1)
 
   def test_a_missing_program_fails_every_run(self):
-    self.fails(self.make(program="/nowhere/craftfleet-train"))
-    self.assertIn("cannot start /nowhere/craftfleet-train: No such file or directory", self.out.text)
+    self.fails(self.make(program="/nowhere/craftfleet"))
+    self.assertIn("cannot start /nowhere/craftfleet: No such file or directory", self.out.text)
 
 
 class Plan(python_case.FolderCase):
@@ -233,7 +233,7 @@ experiments = [{ name = "t", axes = [{ axis = "x" }, { axis = "y" }] }, { name =
 class SlurmArray(python_case.FolderCase):
 
   def array(self, logs="/runs/slurm"):
-    return slurm.Array(logs, 5, 2, ["/bin/craftfleet-sweep", "/it's here/paper.toml", "--logdir=/runs"], ["t/a/seed1", "t/b c/seed1"])
+    return slurm.Array(logs, 5, 2, ["/bin/craftfleet", "sweep", "/it's here/paper.toml", "--logdir=/runs"], ["t/a/seed1", "t/b c/seed1"])
 
   def run_task(self, task, srun_exit=0, state="RUNNING"):
     """Task of the script with stand-ins for Slurm's commands: srun and scontrol print their arguments, squeue prints `state`."""
@@ -256,7 +256,7 @@ class SlurmArray(python_case.FolderCase):
     self.assertIn('#SBATCH --output="/my runs/100%%A, größe \\"1\\"/slurm/%A_%a.log"\n', script)
 
   def test_each_task_runs_its_own_run(self):
-    self.assertEqual(self.run_task(0), ("[--cpu-bind=none][/bin/craftfleet-sweep][/it's here/paper.toml][--logdir=/runs]"
+    self.assertEqual(self.run_task(0), ("[--cpu-bind=none][/bin/craftfleet][sweep][/it's here/paper.toml][--logdir=/runs]"
                                         "[--run=t/a/seed1][--threads=2]", 0))
     self.assertIn("[--run=t/b c/seed1]", self.run_task(1)[0])
 

@@ -99,7 +99,7 @@ class Training(Case):
       craftfleet.evaluate(run, episodes=10000, episodes_npz=self.folder / "tables", progress=False)
 
   def test_without_programs_it_says_how_to_get_them(self):
-    with unittest.mock.patch.dict(os.environ, PATH="/nowhere"), self.assertRaisesRegex(FileNotFoundError, r"craftfleet-train is not in PATH"):
+    with unittest.mock.patch.dict(os.environ, PATH="/nowhere"), self.assertRaisesRegex(FileNotFoundError, r"craftfleet is not in PATH"):
       self.train()
 
   def test_ctrl_c_saves_the_run_and_it_can_be_resumed(self):
@@ -151,7 +151,7 @@ class Evaluation(Case):
   def test_an_evaluation_is_that_of_the_program(self):
     run = self.train()
     evaluated = craftfleet.evaluate(run, episodes=3, seed=4, progress=False)
-    self.run_program("craftfleet eval", f"--checkpoint={run.folder}", "--episodes=3", "--seed=4", f"--json={self.folder}/program.json")
+    self.run_program("craftfleet eval", f"--checkpoint={run.folder}", "--episodes=3", "--seed=4", f"--out={self.folder}/program.json")
     program = json.loads((self.folder / "program.json").read_text())
     self.assertEqual((evaluated.score, evaluated.evaluation.reward, evaluated.evaluation.episodes),
                      (program["score"], program["reward"], 3))
