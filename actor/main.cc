@@ -13,6 +13,7 @@
 #include "common/process/flag_check.h"
 #include "common/process/flag_values.h"
 #include "common/process/program.h"
+#include "common/process/shared_flags.h"
 #include "common/telemetry/log.h"
 #include "common/wire/channel.h"
 #include "common/wire/channel_flags.h"
@@ -21,15 +22,10 @@
 #include "common/wire/server_flags.h"
 #include "common/wire/status_service.h"
 
-ABSL_FLAG(std::string, learner, "127.0.0.1:50051", "address of the learner, HOST:PORT");
 ABSL_FLAG(std::string, envservers, "127.0.0.1:50061",
           "environment servers, joined by commas: HOST:PORT, dns:HOST:PORT or learner\n"
           "dns: every address of a name, resolved again every 3 s; learner: the servers that registered with the\n"
           "learner (craftfleet-envserver --learner=...)");
-ABSL_FLAG(int32_t, threads, 0, "playing threads; 0: as many as the CPU quota allows");
-ABSL_FLAG(std::string, device, "auto",
-          "device to act on: auto (what the run acts on), cpu, cuda or cuda:N\n"
-          "a run acts on GPUs if its configuration has device: CUDA; two threads play then");
 ABSL_FLAG(std::string, frames, "scene",
           "how frames travel: raw or scene\n"
           "scene: as records of some hundred bytes, from which this program and the learner draw the same frames. "
@@ -37,11 +33,6 @@ ABSL_FLAG(std::string, frames, "scene",
           "them can't, raw");
 ABSL_FLAG(int32_t, max_lanes, 4096,
           "maximum number of games to play side by side, 1..4096; the learner assigns each actor its share");
-ABSL_FLAG(craftfleet::TimeSpan, env_timeout, {absl::Seconds(10)},
-          "how long an environment server may take for a request, 0.1s..1h; a step takes microseconds\n"
-          "A request that opens games has 1% more time for each game. A server that takes longer is not used\n"
-          "until it answers again");
-ABSL_FLAG(std::string, listen, "127.0.0.1:0", "address to serve status on, HOST:PORT; port 0: any free one");
 
 namespace craftfleet {
 namespace {
@@ -66,7 +57,7 @@ absl::Status Run() {
   CRAFTFLEET_ASSIGN_OR_RETURN(const wire::MetricsServer::Options metrics_options,
                               wire::MetricsOptionsFromFlags(wire::kAnyFreePort));
   Actor::Options options;
-  const std::string learner = absl::GetFlag(FLAGS_learner);
+  const std::string learner = absl::GetFlag(FLAGS_learner).address.value_or(kLearnerAddress);
   CRAFTFLEET_RETURN_IF_ERROR(wire::CheckAddress("learner", learner));
   CRAFTFLEET_ASSIGN_OR_RETURN(const wire::ChannelSecurity security, wire::ChannelSecurityFromFlags());
   options.learner = wire::Connect(learner, security);
@@ -88,7 +79,8 @@ absl::Status Run() {
   wire::StatusServiceImpl status("actor", [&actor](v1::StatusReply* reply) { actor->FillStatus(reply); });
   CRAFTFLEET_ASSIGN_OR_RETURN(
       const std::unique_ptr<wire::Server> server,
-      wire::Server::Create(wire::ServerOptionsFromFlags(absl::GetFlag(FLAGS_listen)), {&status}));
+      wire::Server::Create(
+          wire::ServerOptionsFromFlags(absl::GetFlag(FLAGS_listen).address.value_or(wire::kAnyFreePort)), {&status}));
   StopSignal signal([&actor] { actor->Stop(); });
   if (const std::string warning = SlowMathWarning(); !warning.empty()) LogWarning("%s", warning);
   LogInfo("status on %s", server->address());
@@ -102,7 +94,22 @@ absl::Status Run() {
 
 int main(int argc, char** argv) {
   craftfleet::OutliveReaders();
-  craftfleet::ParseFlags(craftfleet::kProgram, craftfleet::kUsage, argc, argv);
+  craftfleet::ParseFlags(
+      {craftfleet::kProgram,
+       craftfleet::kUsage,
+       {"learner", "envservers", "threads", "device", "frames", "max_lanes", "env_timeout", "listen"},
+       {"server_flags.cc", "channel_flags.cc", "metrics_flags.cc"},
+       {{"learner", "address of the learner, HOST:PORT [127.0.0.1:50051]"},
+        {"threads", "playing threads; 0: as many as the CPU quota allows"},
+        {"device",
+         "device to act on: auto (what the run acts on), cpu, cuda or cuda:N\n"
+         "a run acts on GPUs if its configuration has device: CUDA; two threads play then"},
+        {"env_timeout",
+         "how long an environment server may take for a request, 0.1s..1h; a step takes microseconds\n"
+         "A request that opens games has 1% more time for each game. A server that takes longer is not used\n"
+         "until it answers again"},
+        {"listen", "address to serve status on, HOST:PORT; port 0: any free one [127.0.0.1:0]"}}},
+      argc, argv);
   craftfleet::wire::PollFewConnections();
   return craftfleet::ExitCode(craftfleet::kProgram, craftfleet::Run());
 }

@@ -133,15 +133,3 @@ function(craftfleet_python_test)
       ENVIRONMENT "CRAFTFLEET_BIN_DIR=${CMAKE_BINARY_DIR}/bin;CRAFTFLEET_SOURCE_DIR=${PROJECT_SOURCE_DIR};PYTHONDONTWRITEBYTECODE=1;PYTHONPATH=${PROJECT_SOURCE_DIR}")
   endforeach()
 endfunction()
-
-# craftfleet_python_command(NAME craftfleet-report SRC python_command.py): a command of the Python package
-# deploy/python/craftfleet/analysis, under its name beside the programs. Its start runs the package in share/craftfleet/python,
-# which is a link to the sources in the build tree.
-function(craftfleet_python_command)
-  cmake_parse_arguments(ARG "" "NAME;SRC" "" ${ARGN})
-  set(target ${CMAKE_RUNTIME_OUTPUT_DIRECTORY}/${ARG_NAME})
-  configure_file(${ARG_SRC} ${target} COPYONLY FILE_PERMISSIONS
-    OWNER_READ OWNER_WRITE OWNER_EXECUTE GROUP_READ GROUP_EXECUTE WORLD_READ WORLD_EXECUTE)
-  install(PROGRAMS ${target} DESTINATION ${CMAKE_INSTALL_BINDIR})
-  set_property(GLOBAL APPEND PROPERTY CRAFTFLEET_PYTHON_COMMANDS ${ARG_NAME})
-endfunction()

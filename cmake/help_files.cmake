@@ -7,15 +7,12 @@ if(NOT Python3_FOUND OR CMAKE_CROSSCOMPILING)
 endif()
 
 get_property(programs GLOBAL PROPERTY CRAFTFLEET_PROGRAMS)
-get_property(python_commands GLOBAL PROPERTY CRAFTFLEET_PYTHON_COMMANDS)
-set(described ${programs} ${python_commands})
-list(REMOVE_ITEM described craftfleet)  # it runs the others and has no flags of its own
 file(GLOB python_sources CONFIGURE_DEPENDS ${PROJECT_SOURCE_DIR}/deploy/python/craftfleet/analysis/*.py)
 set(help_stamp ${CMAKE_BINARY_DIR}/help_files.stamp)
 add_custom_command(
   OUTPUT ${help_stamp}
   COMMAND ${Python3_EXECUTABLE} ${PROJECT_SOURCE_DIR}/deploy/help_files.py --bin=${CMAKE_BINARY_DIR}/bin --out=${CMAKE_BINARY_DIR}/share
-          --version=${PROJECT_VERSION} ${described}
+          --version=${PROJECT_VERSION}
   COMMAND ${CMAKE_COMMAND} -E touch ${help_stamp}
   DEPENDS ${PROJECT_SOURCE_DIR}/deploy/help_files.py ${programs} ${python_sources} VERBATIM)
 add_custom_target(craftfleet_help_files ALL DEPENDS ${help_stamp})

@@ -33,14 +33,14 @@ for argument in "$@"; do
   esac
 done
 [[ -n $part && -n $bin && -n $out ]] || refuse "want a, b or bundle, --bin and --out; see --help"
-[ -x "$bin/craftfleet-train" ] || refuse "--bin=$bin: no craftfleet-train there"
+[ -x "$bin/craftfleet" ] || refuse "--bin=$bin: no craftfleet there"
 bin=$(readlink -f "$bin")
 source=$(readlink -f "$(dirname "$(readlink -f "$0")")/..")
 mkdir -p "$out" "$work"
 
 if [ "$part" = bundle ]; then
   mkdir -p "$out/bin" "$out/lib"
-  for program in craftfleet craftfleet-train craftfleet-doctor device_check; do
+  for program in craftfleet craftfleet-torch device_check; do
     if [ -x "$bin/$program" ]; then install -s "$bin/$program" "$out/bin/"; fi
   done
   # glibc, C++ and whatever comes with LibTorch are there.
@@ -91,7 +91,7 @@ config() {
   fi
   echo "agent: '$agent' steps: $steps seed: 1 checkpoint { every_iterations: 1000 } eval { every_steps: 0 final_episodes: $episodes } $more"
 }
-train=("$bin/craftfleet-train" --device="$device")
+train=("$bin/craftfleet" train --device="$device")
 check=("$bin/device_check" --device="$device")
 precision=''
 if [ "$device" = cpu ]; then
@@ -110,7 +110,7 @@ fi
 if [ "$part" = a ]; then
   step machine 10 lscpu || true
   [ "$device" = cpu ] || step gpu 10 nvidia-smi -q || true
-  step doctor 20 "$bin/craftfleet-doctor" || true
+  step doctor 20 "$bin/craftfleet" doctor || true
   config ppo_cnn 12288 0 >"$out/smoke.txt"
   step smoke 60 "${train[@]}" --config="$out/smoke.txt" --logdir="$work/smoke" ||
     step smoke-blocking 60 env CUDA_LAUNCH_BLOCKING=1 "${train[@]}" --config="$out/smoke.txt" --logdir="$work/blocking" || true

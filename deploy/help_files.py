@@ -1,10 +1,13 @@
 #!/usr/bin/env python3
-"""Generates man pages and completions for bash and zsh from the --help_json of each program. Run by the build."""
+"""Generates man pages and completions for bash and zsh from the --help_json of each program and command. Run by the build."""
 
 import argparse
 import json
 import pathlib
+import shutil
 import subprocess
+
+FLEET = ("craftfleet-actor", "craftfleet-envserver", "craftfleet-learner")
 
 BASH = r"""# Completion of CraftFleet's programs for bash; made by the build from their flags.
 
@@ -48,10 +51,10 @@ _craftfleet() {
     mapfile -t COMPREPLY < <(compgen -f -- "$current")
   fi
 }
-complete -F _craftfleet @PROGRAMS@
+complete -F _craftfleet craftfleet @FLEET@
 """
 
-ZSH = r"""#compdef @PROGRAMS@
+ZSH = r"""#compdef craftfleet @FLEET@
 # Completion of CraftFleet's programs for zsh; made by the build from their flags.
 
 _craftfleet_flags() {
@@ -79,8 +82,8 @@ _craftfleet "$@"
 """
 
 
-def describe(bin_folder, program):
-  text = subprocess.run([bin_folder / program, "--help_json"], capture_output=True, text=True, check=True).stdout
+def describe(bin_folder, program, *command):
+  text = subprocess.run([bin_folder / program, *command, "--help_json"], capture_output=True, text=True, check=True).stdout
   return json.loads(text)
 
 
@@ -139,7 +142,7 @@ def bash_completion(programs, commands):
   bools = table(lambda help_of: [f"--{flag['name']}" for flag in help_of["flags"] if flag["type"] == "bool"])
   flags = table(lambda help_of: [f"--{flag['name']}" + ("" if flag["type"] == "bool" else "=") for flag in help_of["flags"]])
   return (BASH.replace("@FLAGS@", flags).replace("@BOOLS@", bools)
-          .replace("@COMMANDS@", " ".join(commands)).replace("@PROGRAMS@", " ".join(["craftfleet", *programs])))
+          .replace("@COMMANDS@", " ".join(commands)).replace("@FLEET@", " ".join(FLEET)))
 
 
 def zsh_text(text):
@@ -159,7 +162,7 @@ def zsh_completion(programs, commands):
       specs.append(f"        '--{flag['name']}{takes}[{zsh_text(flag['help'])}]{value}' \\\n")
     cases.append(f"    {name})\n      _arguments \\\n{''.join(specs)}        '*:file:_files'\n      ;;\n")
   described = "".join(f"        '{name}:{zsh_text(summary)}'\n" for name, summary in commands.items())
-  return (ZSH.replace("@PROGRAMS@", " ".join(["craftfleet", *programs])).replace("@CASES@", "".join(cases))
+  return (ZSH.replace("@FLEET@", " ".join(FLEET)).replace("@CASES@", "".join(cases))
           .replace("@COMMANDS@", described))
 
 
@@ -168,27 +171,30 @@ def main():
   parser.add_argument("--bin", type=pathlib.Path, required=True, help="folder of the programs")
   parser.add_argument("--out", type=pathlib.Path, required=True, help="share folder to write into")
   parser.add_argument("--version", required=True, help="of CraftFleet")
-  parser.add_argument("programs", nargs="+", help="names of the programs that have --help_json")
   flags = parser.parse_args()
 
   whole = describe(flags.bin, "craftfleet")
   whole["usage"] = subprocess.run([flags.bin / "craftfleet", "--help"], capture_output=True, text=True, check=True).stdout
   commands = {command["name"]: command["summary"] for command in whole["commands"]}
-  programs = {name: describe(flags.bin, name) for name in sorted(flags.programs)}
+  # A command is called like its man page: craftfleet-train.
+  programs = {f"craftfleet-{name}": describe(flags.bin, "craftfleet", name) for name in commands}
+  programs |= {name: describe(flags.bin, name) for name in FLEET if (flags.bin / name).exists()}
+  programs = dict(sorted(programs.items()))
 
+  for folder in ("man", "bash-completion", "zsh"):  # without those of commands that are gone
+    shutil.rmtree(flags.out / folder, ignore_errors=True)
   man = flags.out / "man/man1"
-  man.mkdir(parents=True, exist_ok=True)
+  man.mkdir(parents=True)
   for name, help_of in {"craftfleet": whole, **programs}.items():
     others = [other for other in ["craftfleet", *programs] if other != name]
     (man / f"{name}.1").write_text(man_page(name, help_of, flags.version, others), encoding="utf-8")
   bash = flags.out / "bash-completion/completions"
-  bash.mkdir(parents=True, exist_ok=True)
+  bash.mkdir(parents=True)
   (bash / "craftfleet").write_text(bash_completion(programs, commands), encoding="utf-8")
-  for name in programs:  # bash looks for a file of the program's own name
-    (bash / name).unlink(missing_ok=True)
+  for name in FLEET:  # bash looks for a file of the program's own name
     (bash / name).symlink_to("craftfleet")
   zsh = flags.out / "zsh/site-functions"
-  zsh.mkdir(parents=True, exist_ok=True)
+  zsh.mkdir(parents=True)
   (zsh / "_craftfleet").write_text(zsh_completion(programs, commands), encoding="utf-8")
 
 

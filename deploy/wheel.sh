@@ -34,7 +34,7 @@ if [ -z "$build" ]; then
   "$source/deploy/build.sh" wheel
 fi
 [ -r "$build/CMakeCache.txt" ] || refuse "--build=$build: no build there; see deploy/build.sh"
-[ -x "$build/bin/craftfleet-train" ] || refuse "--build=$build: bin/craftfleet-train is not built"
+[ -x "$build/bin/craftfleet-torch" ] || refuse "--build=$build: bin/craftfleet-torch is not built"
 build=$(readlink -f "$build")
 out=${out:-$build}
 if [ -z "$python" ]; then
@@ -64,6 +64,8 @@ for program in "$programs"/bin/*; do
   chmod +x "$stage/programs/scripts/$name"
   if readelf -d "$program" 2>/dev/null | grep -q 'NEEDED.*libtorch'; then needs_libtorch+=${needs_libtorch:+, }\"$name\"; fi
 done
+needs_libtorch+=$("$build/bin/craftfleet" --help_json |
+  sed -n '/"name"/h; /"program": "craftfleet-torch"/ {g; s/.*: "\(.*\)",/, "craftfleet \1"/p}' | tr -d '\n')
 libtorch=$(sed -n 's/^CRAFTFLEET_LIBTORCH_VERSION:[A-Z]*=//p' "$build/CMakeCache.txt")
 printf '{"libtorch": "%s", "needs_libtorch": [%s]}\n' "$libtorch" "$needs_libtorch" >"$programs/build.json"
 

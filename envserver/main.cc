@@ -7,6 +7,7 @@
 #include "common/base/status_macros.h"
 #include "common/process/flag_values.h"
 #include "common/process/program.h"
+#include "common/process/shared_flags.h"
 #include "common/telemetry/log.h"
 #include "common/wire/channel.h"
 #include "common/wire/channel_flags.h"
@@ -17,15 +18,8 @@
 #include "envserver/announcer.h"
 #include "envserver/env_service.h"
 
-ABSL_FLAG(std::string, listen, "127.0.0.1:50061",
-          "address to serve actors and status on, HOST:PORT; port 0: any free one");
-ABSL_FLAG(std::string, learner, "",
-          "learner to register with, HOST:PORT; actors with --envservers=learner then find this server");
 ABSL_FLAG(std::string, advertise, "",
           "with --learner: the address that actors are to connect to, HOST:PORT [--listen]");
-ABSL_FLAG(std::string, textures, "",
-          "folder with Crafter's textures as PNG; the same as the learner's\n"
-          "[the ones that come with this program]");
 
 ABSL_FLAG(int32_t, max_session_games, 4096, "most games of one session, which is a thread of an actor, 1..4096");
 ABSL_FLAG(int32_t, max_games, 16384, "most games of all sessions together, --max_session_games..1000000");
@@ -56,6 +50,7 @@ may join and leave at any time: their games continue on another server from the 
 
 Ctrl-C, SIGTERM or closing the terminal stops it.)";
 
+constexpr char kDefaultAddress[] = "127.0.0.1:50061";
 constexpr absl::Duration kMoveOut = absl::Seconds(3);  // for actors to move their games to another server
 
 absl::Status CheckAtMost(absl::string_view flag, int32_t value, int32_t most) {
@@ -92,9 +87,11 @@ absl::StatusOr<EnvServiceImpl::Options> OptionsFromFlags() {
   return options;
 }
 
+std::string LearnerFromFlag() { return absl::GetFlag(FLAGS_learner).address.value_or(""); }
+
 // Before anything listens.
 absl::Status CheckLearnerFlags() {
-  if (absl::GetFlag(FLAGS_learner).empty() && !absl::GetFlag(FLAGS_advertise).empty()) {
+  if (LearnerFromFlag().empty() && !absl::GetFlag(FLAGS_advertise).empty()) {
     return absl::InvalidArgumentError("--advertise requires --learner");
   }
   return absl::OkStatus();
@@ -102,7 +99,7 @@ absl::Status CheckLearnerFlags() {
 
 // Null without --learner.
 absl::StatusOr<std::unique_ptr<Announcer>> AnnounceIfAsked(EnvServiceImpl* service, const std::string& listens_on) {
-  const std::string learner = absl::GetFlag(FLAGS_learner);
+  const std::string learner = LearnerFromFlag();
   const std::string advertise = absl::GetFlag(FLAGS_advertise);
   if (learner.empty()) return nullptr;
   CRAFTFLEET_RETURN_IF_ERROR(wire::CheckAddress("learner", learner));
@@ -119,7 +116,8 @@ absl::Status Run() {
                               wire::MetricsOptionsFromFlags(wire::kAnyFreePort));
   CRAFTFLEET_ASSIGN_OR_RETURN(EnvServiceImpl::Options options, OptionsFromFlags());
   CRAFTFLEET_RETURN_IF_ERROR(CheckLearnerFlags());
-  wire::Server::Options listen = wire::ServerOptionsFromFlags(absl::GetFlag(FLAGS_listen));
+  wire::Server::Options listen =
+      wire::ServerOptionsFromFlags(absl::GetFlag(FLAGS_listen).address.value_or(kDefaultAddress));
   listen.max_message_bytes = EnvServiceImpl::kMaxRequestBytes;
   CRAFTFLEET_RETURN_IF_ERROR(listen.OpenAccess());
   options.access = listen.access;
@@ -150,7 +148,15 @@ absl::Status Run() {
 
 int main(int argc, char** argv) {
   craftfleet::OutliveReaders();
-  craftfleet::ParseFlags(craftfleet::kProgram, craftfleet::kUsage, argc, argv,
-                         {"listen", "learner", "advertise", "textures", "max_games", "max_games_mb"});
+  craftfleet::ParseFlags(
+      {craftfleet::kProgram,
+       craftfleet::kUsage,
+       {"listen", "learner", "advertise", "textures", "max_games", "max_games_mb"},
+       {"envserver/main.cc", "server_flags.cc", "channel_flags.cc", "metrics_flags.cc"},
+       {{"listen", "address to serve actors and status on, HOST:PORT; port 0: any free one [127.0.0.1:50061]"},
+        {"learner", "learner to register with, HOST:PORT; actors with --envservers=learner then find this server"},
+        {"textures",
+         "folder with Crafter's textures as PNG; the same as the learner's [the ones that come with this program]"}}},
+      argc, argv);
   return craftfleet::ExitCode(craftfleet::kProgram, craftfleet::Run());
 }

@@ -6,6 +6,7 @@
 #include "common/base/status_macros.h"
 #include "common/process/cpu_pin.h"
 #include "common/process/program.h"
+#include "common/process/shared_flags.h"
 #include "common/telemetry/log.h"
 #include "common/wire/metrics_flags.h"
 #include "common/wire/server.h"
@@ -16,8 +17,6 @@
 #include "learner/run_messages.h"
 #include "learner/training/distributed/rank_worker.h"
 
-ABSL_FLAG(std::string, listen, "127.0.0.1:50051",
-          "address to serve actors and status on, HOST:PORT; port 0: any free one");
 ABSL_FLAG(bool, allow_mixed, false,
           "accept workers whose numerics or game rules differ from this build's\n"
           "the result then depends on which worker plays what [such workers are refused and named in the log]");
@@ -80,7 +79,7 @@ absl::Status Run() {
                               LearnerOptionsFromFlags(v1::RunConfig::CUDA_UPDATES, wire::kAnyFreePort));
   CRAFTFLEET_RETURN_IF_ERROR(PinCpu(options.config.cpu()));
   SetUpTorchThread();
-  options.server.address = absl::GetFlag(FLAGS_listen);
+  options.server.address = absl::GetFlag(FLAGS_listen).address.value_or(kLearnerAddress);
   options.allow_mixed = absl::GetFlag(FLAGS_allow_mixed);
   options.ranks = ranks;
   CRAFTFLEET_ASSIGN_OR_RETURN(const std::unique_ptr<Learner> learner, Learner::Create(options));
@@ -101,7 +100,14 @@ absl::Status Run() {
 int main(int argc, char** argv) {
   craftfleet::OutliveReaders();
   craftfleet::ParseFlags(
-      craftfleet::kProgram, craftfleet::kUsage, argc, argv,
-      {"logdir", "agent", "env", "steps", "seed", "lanes", "resume", "config", "listen", "autoresume"});
+      {craftfleet::kProgram,
+       craftfleet::kUsage,
+       {"logdir", "agent", "env", "steps", "seed", "lanes", "resume", "config", "listen", "autoresume"},
+       {"learner/main.cc", "run_flags.cc", "rank_flags.cc", "server_flags.cc", "channel_flags.cc", "metrics_flags.cc",
+        "device", "textures", "threads"},
+       {{"env", craftfleet::kRunEnvHelp},
+        {"seed", craftfleet::kRunSeedHelp},
+        {"listen", "address to serve actors and status on, HOST:PORT; port 0: any free one [127.0.0.1:50051]"}}},
+      argc, argv);
   return craftfleet::ExitCode(craftfleet::kProgram, craftfleet::Run());
 }

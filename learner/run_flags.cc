@@ -21,23 +21,18 @@
 #include "common/process/cpu_quota.h"
 #include "common/process/flag_check.h"
 #include "common/process/flag_values.h"
+#include "common/process/shared_flags.h"
 #include "common/wire/server_flags.h"
 #include "learner/run/checkpoint_store.h"
 #include "learner/runnable_config.h"
 
-ABSL_FLAG(std::string, logdir, "", "folder of the run: configuration, logs, curves, checkpoints (required)");
 ABSL_FLAG(std::optional<std::string>, agent, std::nullopt, "agent to train; craftfleet agents lists them [ppo_cnn]");
-ABSL_FLAG(std::optional<std::string>, env, std::nullopt,
-          "environment to train on: crafter, or a variant of it (craftfleet envs lists them)\n"
-          "such as crafter:numbers=easy-x2,appearance=25/25/25/25,inventory=off\n"
-          "[crafter]");
 ABSL_FLAG(std::optional<std::string>, eval_env, std::nullopt,
           "environment of the evaluation episodes, such as crafter:appearance=0/33/33/34 [as --env]");
 ABSL_FLAG(std::optional<craftfleet::Count>, steps, std::nullopt,
           "environment steps to train for, all lanes together: 1000000, 1e6 or 1M\n"
           "rounded up to whole iterations of ppo.rollout_steps (4096 by default)\n"
           "[1000000]");
-ABSL_FLAG(std::optional<uint64_t>, seed, std::nullopt, "seed of everything random in the run [0]");
 ABSL_FLAG(std::optional<std::string>, cpu, std::nullopt,
           "instruction set for the numerics of every process of the run: native, avx2 or avx512\n"
           "native is the best of each CPU. CPUs of different kinds compute equal bytes only with the same setting\n"
@@ -68,9 +63,6 @@ ABSL_FLAG(std::optional<int32_t>, keep_checkpoints, std::nullopt,
 ABSL_FLAG(std::string, config, "",
           "file with the run's configuration in protobuf text format, such as another run's config.txt\n"
           "other flags override its values");
-ABSL_FLAG(std::string, textures, "",
-          "folder with Crafter's textures as PNG, such as crafter/assets of the Python package\n"
-          "[the built-in ones]");
 ABSL_FLAG(craftfleet::GivenAddress, http_listen, {},
           "address to serve the live page on, HOST:PORT, for browsers; empty: none\n"
           "beyond this host it requires --tls_cert, --tls_key and --access_file with the tokens of its readers\n"
@@ -78,11 +70,6 @@ ABSL_FLAG(craftfleet::GivenAddress, http_listen, {},
 ABSL_FLAG(std::vector<std::string>, http_hosts, {},
           "names under which browsers reach the live page besides localhost, joined by commas\n"
           "such as that of a proxy (jupyter.example.com); without --access_file other names are refused");
-ABSL_FLAG(int32_t, threads, 0, "threads that compute; 0: as many as the CPU quota allows");
-ABSL_FLAG(
-    std::string, device, "auto",
-    "device that computes: auto (a GPU if there is one), cpu, cuda or cuda:N\n"
-    "craftfleet train acts there too. A GPU requires a build with a CUDA LibTorch. A run stays on its type of device");
 
 namespace craftfleet {
 namespace {

@@ -1,4 +1,4 @@
-// Flags of a training run, shared by craftfleet-learner and craftfleet-train.
+// Flags of a training run, shared by craftfleet-learner and craftfleet train.
 
 #ifndef CRAFTFLEET_LEARNER_RUN_FLAGS_H_
 #define CRAFTFLEET_LEARNER_RUN_FLAGS_H_
@@ -11,6 +11,13 @@
 #include "learner/learner.h"
 
 namespace craftfleet {
+
+// The help of flags that other programs have, too.
+inline constexpr char kRunEnvHelp[] =
+    "environment to train on: crafter, or a variant of it (craftfleet envs lists them)\n"
+    "such as crafter:numbers=easy-x2,appearance=25/25/25/25,inventory=off\n"
+    "[crafter]";
+inline constexpr char kRunSeedHelp[] = "seed of everything random in the run [0]";
 
 // Makes the learner's options from the flags. The configuration starts from the defaults, or with --resume from the
 // stored one; --config overrides it, and other given flags override both. The caller sets the server's address.

@@ -1,4 +1,4 @@
-// Log messages of craftfleet-learner and craftfleet-train at the start and end of a run.
+// Log messages of craftfleet-learner and craftfleet train at the start and end of a run.
 
 #ifndef CRAFTFLEET_LEARNER_RUN_MESSAGES_H_
 #define CRAFTFLEET_LEARNER_RUN_MESSAGES_H_

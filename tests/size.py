@@ -21,7 +21,6 @@ def main():
   lists = b"".join(contents[name] for name in files if name.endswith("CMakeLists.txt"))
   scripts = [contents[name] for name in product if name.startswith("deploy/python/craftfleet/analysis/")]  # craftfleet report, ...
   programs = len(re.findall(rb"^ *craftfleet_program\(NAME", lists, re.M))
-  programs += sum(script.count(b"\nPROGRAM = ") for script in scripts)
   tests = len(re.findall(rb"^ *craftfleet_test\(NAME", lists, re.M))
   flags = sum(len(re.findall(rb"^ *ABSL_FLAG\(", contents[name], re.M)) for name in product)
   flags += sum(len(re.findall(rb"^    Flag\(", script, re.M)) for script in scripts)

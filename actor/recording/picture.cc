@@ -50,9 +50,8 @@ void DrawLabel(const std::string& text, int x, Align align, cv::Mat* strip) {
 
 }  // namespace
 
-AttentionLight LightToHighest(const PatchGrid& grid, absl::Span<const float> weights, AttentionDetail detail) {
-  const bool pixels = detail == AttentionDetail::kPixels;
-  AttentionLight light = {pixels ? SpreadOverPixels(grid, weights) : PatchesAsSquares(grid, weights), 0, 0};
+AttentionLight LightToHighest(const PatchGrid& grid, absl::Span<const float> weights) {
+  AttentionLight light = {SpreadOverPixels(grid, weights), 0, 0};
   light.highest = LightToHighest(&light.brightness);
   light.middle = light.highest / 4;
   return light;

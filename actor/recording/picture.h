@@ -22,13 +22,9 @@ struct AttentionLight {
   double highest = 0;             // the weight at brightness 1 and above
 };
 
-// Whether the weights of overlapping patches are shown as their mean at each pixel, or each in a square of its own.
-enum class AttentionDetail { kPixels, kPatches };
-
 // Brightness up to the frame's own highest weight: its square root, so that small weights are visible.
 // `weights` is float[grid.count()].
-AttentionLight LightToHighest(const PatchGrid& grid, absl::Span<const float> weights,
-                              AttentionDetail detail = AttentionDetail::kPixels);
+AttentionLight LightToHighest(const PatchGrid& grid, absl::Span<const float> weights);
 
 // Brightness on the same linear scale for every frame (BrightnessOfPixels).
 AttentionLight LightOnFixedScale(const PatchGrid& grid, absl::Span<const float> weights);

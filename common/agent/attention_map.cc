@@ -57,19 +57,6 @@ std::vector<float> SpreadOverPixels(const PatchGrid& grid, absl::Span<const floa
   return sums;
 }
 
-std::vector<float> PatchesAsSquares(const PatchGrid& grid, absl::Span<const float> weights) {
-  CRAFTFLEET_CHECK(static_cast<int>(weights.size()) == grid.count());
-  const int border = (grid.patch - std::min(grid.patch, grid.stride)) / 2;
-  const int side = std::min(grid.patch, grid.stride);  // of a square, pixels
-  std::vector<float> pixels(grid.frame_size * grid.frame_size);
-  for (int i = 0; i < grid.count(); ++i) {
-    const int top = i / grid.per_side() * grid.stride + border;
-    const int left = i % grid.per_side() * grid.stride + border;
-    for (int y = top; y < top + side; ++y) std::fill_n(pixels.begin() + y * grid.frame_size + left, side, weights[i]);
-  }
-  return pixels;
-}
-
 float LightToHighest(std::vector<float>* weights) {
   const float highest = *std::max_element(weights->begin(), weights->end());
   if (highest <= 0) return highest;

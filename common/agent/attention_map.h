@@ -47,10 +47,6 @@ absl::StatusOr<std::vector<float>> Choose(const AttentionMap& map, const Attenti
 // `weights` is float[grid.count()].
 std::vector<float> SpreadOverPixels(const PatchGrid& grid, absl::Span<const float> weights);
 
-// float[H,W] of the frame, in squares: each pixel gets the weight of the patch whose centre is nearest to it, 0 outside
-// all of these squares. `weights` is float[grid.count()].
-std::vector<float> PatchesAsSquares(const PatchGrid& grid, absl::Span<const float> weights);
-
 // Turns weights into brightness up to the highest of them: the square root of their share of it, so that small weights
 // are visible; 0 for negative ones, and unchanged if none is positive. Not empty. Returns the highest weight.
 float LightToHighest(std::vector<float>* weights);

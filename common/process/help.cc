@@ -24,36 +24,36 @@
 namespace craftfleet {
 namespace {
 
-using Flag = const absl::CommandLineFlag*;
+// A flag, and what its help says.
+struct Flag {
+  const absl::CommandLineFlag* flag;
+  std::string help;
+
+  const absl::CommandLineFlag* operator->() const { return flag; }
+};
 
 struct FlagGroups {
   std::vector<Flag> main;
   std::vector<Flag> other;
 };
 
-// Leaves out the flags that Abseil defines for itself.
 FlagGroups GroupFlags(const ProgramHelp& program) {
   std::map<absl::string_view, Flag> others;
   for (const auto& [name, flag] : absl::GetAllFlags()) {
-    if (!absl::StrContains(flag->Filename(), "absl/")) others[name] = flag;
+    if (HasFlag(program, *flag)) others[name] = {flag, flag->Help()};
   }
+  for (const auto& [name, text] : program.texts) others.at(name).help = std::string(text);
   FlagGroups groups;
-  const auto make_main = [&](absl::string_view name) {
+  for (const absl::string_view name : program.main_flags) {
     CRAFTFLEET_CHECK(others.count(name) == 1);
     groups.main.push_back(others[name]);
     others.erase(name);
-  };
-  std::vector<absl::string_view> main_flags = program.main_flags;
-  if (main_flags.empty()) {
-    for (const auto& [name, flag] : others) {
-      const std::string file = flag->Filename();
-      if (!absl::EndsWith(file, "_flags.cc") && !absl::EndsWith(file, "process/program.cc")) {
-        main_flags.push_back(name);
-      }
-    }
   }
-  for (const absl::string_view name : main_flags) make_main(name);
-  for (const auto& [name, flag] : others) groups.other.push_back(flag);
+  for (const auto& [name, flag] : others) {
+    const std::string file = flag->Filename();
+    const bool shared = absl::EndsWith(file, "_flags.cc") || absl::EndsWith(file, "process/program.cc");
+    (program.main_flags.empty() && !shared ? groups.main : groups.other).push_back(flag);
+  }
   return groups;
 }
 
@@ -76,8 +76,7 @@ absl::string_view BracketedEnd(absl::string_view help) {
 }
 
 // The first line of the help text, followed by the bracketed default.
-std::string OneLine(const absl::CommandLineFlag& flag) {
-  const std::string help = flag.Help();
+std::string OneLine(const std::string& help) {
   const size_t end = help.find('\n');
   if (end == std::string::npos) return help;
   const absl::string_view bracketed = BracketedEnd(help);
@@ -85,16 +84,16 @@ std::string OneLine(const absl::CommandLineFlag& flag) {
                       absl::StrReplaceAll(bracketed, {{"\n", " "}}));
 }
 
-std::string WithDefault(const absl::CommandLineFlag& flag) {
-  const std::string value = flag.DefaultValue();
-  return value.empty() ? absl::StrCat("--", flag.Name()) : absl::StrFormat("--%s (default %s)", flag.Name(), value);
+std::string WithDefault(const Flag& flag) {
+  const std::string value = flag->DefaultValue();
+  return value.empty() ? absl::StrCat("--", flag->Name()) : absl::StrFormat("--%s (default %s)", flag->Name(), value);
 }
 
 std::string Details(const std::vector<Flag>& flags) {
   std::string text;
-  for (const Flag flag : flags) {
-    absl::StrAppendFormat(&text, "  %s\n      %s\n", WithDefault(*flag),
-                          absl::StrReplaceAll(flag->Help(), {{"\n", "\n      "}}));
+  for (const Flag& flag : flags) {
+    absl::StrAppendFormat(&text, "  %s\n      %s\n", WithDefault(flag),
+                          absl::StrReplaceAll(flag.help, {{"\n", "\n      "}}));
   }
   return text;
 }
@@ -119,14 +118,23 @@ bool IsPlaceholder(absl::string_view word) {
 
 }  // namespace
 
+bool HasFlag(const ProgramHelp& program, const absl::CommandLineFlag& flag) {
+  const std::string file = flag.Filename();
+  if (absl::StrContains(file, "absl/")) return false;  // those that Abseil defines for itself
+  const auto names_it = [&](absl::string_view part) { return part == flag.Name() || absl::EndsWith(file, part); };
+  return absl::EndsWith(file, "process/program.cc") ||
+         std::any_of(program.main_flags.begin(), program.main_flags.end(), names_it) ||
+         std::any_of(program.more_flags.begin(), program.more_flags.end(), names_it);
+}
+
 std::string ShortHelp(const ProgramHelp& program) {
   const FlagGroups groups = GroupFlags(program);
   size_t width = 0;
-  for (const Flag flag : groups.main) width = std::max(width, WithDefault(*flag).size());
+  for (const Flag& flag : groups.main) width = std::max(width, WithDefault(flag).size());
   std::string text = absl::StrCat(program.usage, "\n");
   if (!groups.main.empty()) absl::StrAppend(&text, "\nFlags:\n");
-  for (const Flag flag : groups.main) {
-    absl::StrAppendFormat(&text, "  %-*s  %s\n", static_cast<int>(width), WithDefault(*flag), OneLine(*flag));
+  for (const Flag& flag : groups.main) {
+    absl::StrAppendFormat(&text, "  %-*s  %s\n", static_cast<int>(width), WithDefault(flag), OneLine(flag.help));
   }
   absl::StrAppendFormat(&text, "\n%s --helpfull explains all %d flags in full; --version shows the version.\n",
                         program.name, groups.main.size() + groups.other.size());
@@ -155,11 +163,11 @@ std::string HelpJson(const ProgramHelp& program) {
   nlohmann::ordered_json flags = nlohmann::ordered_json::array();
   const FlagGroups groups = GroupFlags(program);
   const auto add = [&flags](const std::vector<Flag>& group, const char* name) {
-    for (const Flag flag : group) {
+    for (const Flag& flag : group) {
       flags.push_back({{"name", std::string(flag->Name())},
-                       {"type", TypeOf(*flag)},
+                       {"type", TypeOf(*flag.flag)},
                        {"default", flag->DefaultValue()},
-                       {"help", flag->Help()},
+                       {"help", flag.help},
                        {"group", name}});
     }
   };

@@ -4,20 +4,30 @@
 #define CRAFTFLEET_COMMON_PROCESS_HELP_H_
 
 #include <string>
+#include <utility>
 #include <vector>
 
+#include <absl/flags/reflection.h>
 #include <absl/strings/string_view.h>
 
 namespace craftfleet {
 
-// The description of a program in its help. The strings behind the views must outlive it.
+// A program, or a command of one, in its help. The strings behind the views must outlive it.
 struct ProgramHelp {
   absl::string_view name;   // "craftfleet train"
   absl::string_view usage;  // begins with a sentence "<name> [ARGUMENTS] <does something>."; then details and examples
   // The most important flags, in the order in which --help shows them. Empty: the program's own flags, by name, without
   // those that programs share (files named *_flags.cc, and program.cc).
-  std::vector<absl::string_view> main_flags;
+  std::vector<absl::string_view> main_flags = {};
+  // Its other flags, by name or by the file that declares them ("channel_flags.cc"), apart from those of every program
+  // (program.cc). {""}: all flags of the process.
+  std::vector<absl::string_view> more_flags = {""};
+  // Names of flags that it explains in its own words, and these words.
+  std::vector<std::pair<absl::string_view, absl::string_view>> texts = {};
 };
+
+// Whether the program has this flag of its process.
+bool HasFlag(const ProgramHelp& program, const absl::CommandLineFlag& flag);
 
 // For --help: the usage, and one line for each main flag.
 std::string ShortHelp(const ProgramHelp& program);

@@ -94,22 +94,29 @@ void RaiseFileLimit() {
   setrlimit(RLIMIT_NOFILE, &limit);
 }
 
-// The flag that "--lanes=3", "-lanes" or "--noresume" sets; null if there is no such flag.
-absl::CommandLineFlag* FlagOf(absl::string_view argument) {
+bool IsOfAbseil(const absl::CommandLineFlag& flag) { return absl::StrContains(flag.Filename(), "absl/"); }
+
+absl::CommandLineFlag* FindFlag(const ProgramHelp& program, absl::string_view name) {
+  absl::CommandLineFlag* const flag = absl::FindCommandLineFlag(name);
+  return flag != nullptr && (IsOfAbseil(*flag) || HasFlag(program, *flag)) ? flag : nullptr;
+}
+
+// The flag of the program that "--lanes=3", "-lanes" or "--noresume" sets; null if there is no such flag.
+absl::CommandLineFlag* FlagOf(const ProgramHelp& program, absl::string_view argument) {
   absl::string_view name = argument.substr(0, argument.find('='));
   if (!absl::ConsumePrefix(&name, "--")) absl::ConsumePrefix(&name, "-");
-  absl::CommandLineFlag* flag = absl::FindCommandLineFlag(name);
+  absl::CommandLineFlag* flag = FindFlag(program, name);
   if (flag == nullptr && absl::ConsumePrefix(&name, "no")) {
-    flag = absl::FindCommandLineFlag(name);
+    flag = FindFlag(program, name);
     if (flag != nullptr && !flag->IsOfType<bool>()) flag = nullptr;
   }
   return flag;
 }
 
-std::string FlagLike(absl::string_view name) {
+std::string FlagLike(const ProgramHelp& program, absl::string_view name) {
   std::vector<std::string> names;
   for (const auto& [known, flag] : absl::GetAllFlags()) {
-    if (!absl::StrContains(flag->Filename(), "absl/")) names.emplace_back(known);
+    if (HasFlag(program, *flag)) names.emplace_back(known);
   }
   std::sort(names.begin(), names.end());
   const std::string closest = ClosestName(name, names);
@@ -117,9 +124,9 @@ std::string FlagLike(absl::string_view name) {
   return negated ? ClosestName(name, names) : closest;
 }
 
-[[noreturn]] void Refuse(absl::string_view program, absl::string_view what, absl::string_view suggestion) {
-  absl::FPrintF(stderr, "%s: %s%s; see %s --help\n", program, what,
-                suggestion.empty() ? "" : absl::StrCat(" (did you mean --", suggestion, "?)"), program);
+[[noreturn]] void Refuse(const ProgramHelp& program, absl::string_view what, absl::string_view suggestion) {
+  absl::FPrintF(stderr, "%s: %s%s; see %s --help\n", program.name, what,
+                suggestion.empty() ? "" : absl::StrCat(" (did you mean --", suggestion, "?)"), program.name);
   std::exit(1);
 }
 
@@ -137,8 +144,8 @@ absl::string_view Accepted(const absl::CommandLineFlag& flag) {
 }
 
 // Refuses a value that absl would refuse without naming the program and the accepted values.
-void CheckValue(absl::string_view program, absl::CommandLineFlag* flag, absl::string_view value) {
-  if (absl::StrContains(flag->Filename(), "absl/")) return;  // those act when they are set
+void CheckValue(const ProgramHelp& program, absl::CommandLineFlag* flag, absl::string_view value) {
+  if (IsOfAbseil(*flag)) return;  // those act when they are set
   std::string error;
   if (flag->ParseFrom(value, &error)) return;
   const size_t reason = error.find("; want ");
@@ -149,7 +156,7 @@ void CheckValue(absl::string_view program, absl::CommandLineFlag* flag, absl::st
 }
 
 // A shell expands "~/" at the start of a word only, so not in --logdir=~/runs.
-void ExpandHome(int argc, char** argv) {
+void ExpandHome(const ProgramHelp& program, int argc, char** argv) {
   static auto* const expanded = new std::deque<std::string>;  // argv points into it until the end
   const char* const home = std::getenv("HOME");
   for (int i = 1; i < argc && home != nullptr; ++i) {
@@ -158,7 +165,7 @@ void ExpandHome(int argc, char** argv) {
     const size_t equals = argument.find('=');
     if (!absl::StartsWith(argument, "-") || equals == absl::string_view::npos) continue;
     absl::string_view value = argument.substr(equals + 1);
-    const absl::CommandLineFlag* const flag = FlagOf(argument);
+    const absl::CommandLineFlag* const flag = FlagOf(program, argument);
     if (flag == nullptr || !IsOneOf<std::string, std::optional<std::string>>(*flag)) continue;
     if (!absl::ConsumePrefix(&value, "~") || (!value.empty() && value[0] != '/')) continue;
     argv[i] = expanded->emplace_back(absl::StrCat(argument.substr(0, equals + 1), home, value)).data();
@@ -166,17 +173,17 @@ void ExpandHome(int argc, char** argv) {
 }
 
 // Before absl parses the flags: its own errors neither suggest a flag nor name the accepted values.
-void RefuseBadFlags(absl::string_view program, int argc, char** argv) {
+void RefuseBadFlags(const ProgramHelp& program, int argc, char** argv) {
   for (int i = 1; i < argc; ++i) {
     const absl::string_view argument = argv[i];
     if (argument == "--") return;
     if (argument.size() < 2 || argument[0] != '-') continue;
-    absl::CommandLineFlag* flag = FlagOf(argument);
+    absl::CommandLineFlag* flag = FlagOf(program, argument);
     if (flag == nullptr) {
       absl::string_view name = argument.substr(0, argument.find('='));
       while (absl::ConsumePrefix(&name, "-")) {
       }
-      Refuse(program, absl::StrFormat("unknown flag '%s'", name), FlagLike(name));
+      Refuse(program, absl::StrFormat("unknown flag '%s'", name), FlagLike(program, name));
     }
     if (const size_t equals = argument.find('='); equals != absl::string_view::npos) {
       CheckValue(program, flag, argument.substr(equals + 1));
@@ -208,8 +215,7 @@ bool ReaderIsGone() {
 
 }  // namespace
 
-std::vector<std::string> ParseFlagsAndArguments(absl::string_view program, absl::string_view usage, int argc,
-                                                char** argv, const std::vector<absl::string_view>& main_flags) {
+std::vector<std::string> ParseFlagsAndArguments(const ProgramHelp& program, int argc, char** argv) {
   // gRPC's own log describes its internals; relevant errors are logged by this project's code.
   setenv("GRPC_VERBOSITY", "NONE", /*overwrite=*/0);
   // Exceeding the file size limit becomes a write error, like a full disk, instead of ending the process.
@@ -220,21 +226,20 @@ std::vector<std::string> ParseFlagsAndArguments(absl::string_view program, absl:
   // Packaged Abseil looks for lock cycles at each lock of gRPC, under one lock for the process. Tests keep that check.
   absl::SetMutexDeadlockDetectionMode(absl::OnDeadlockCycle::kIgnore);
   for (int i = 1; i < argc && absl::string_view(argv[i]) != "--"; ++i) {
-    AnswerHelp({program, usage, main_flags}, argv[i]);
+    AnswerHelp(program, argv[i]);
   }
-  ExpandHome(argc, argv);
+  ExpandHome(program, argc, argv);
   RefuseBadFlags(program, argc, argv);
   const std::vector<char*> rest = absl::ParseCommandLine(argc, argv);
-  SetUpLog({absl::GetFlag(FLAGS_log_level), absl::GetFlag(FLAGS_log_format), std::string(program)});
+  SetUpLog({absl::GetFlag(FLAGS_log_level), absl::GetFlag(FLAGS_log_format), std::string(program.name)});
   ExplainRefusedResources();
   return {rest.begin() + 1, rest.end()};
 }
 
-void ParseFlags(absl::string_view program, absl::string_view usage, int argc, char** argv,
-                const std::vector<absl::string_view>& main_flags) {
-  const std::vector<std::string> rest = ParseFlagsAndArguments(program, usage, argc, argv, main_flags);
+void ParseFlags(const ProgramHelp& program, int argc, char** argv) {
+  const std::vector<std::string> rest = ParseFlagsAndArguments(program, argc, argv);
   if (rest.empty()) return;
-  Refuse(program, absl::StrFormat("\"%s\" is not a flag", rest[0]), FlagOf(rest[0]) == nullptr ? "" : rest[0]);
+  Refuse(program, absl::StrFormat("\"%s\" is not a flag", rest[0]), FlagOf(program, rest[0]) == nullptr ? "" : rest[0]);
 }
 
 absl::Status FinishStandardOutput() {

@@ -11,18 +11,18 @@
 #include <absl/status/status.h>
 #include <absl/strings/string_view.h>
 
+#include "common/process/help.h"
+
 namespace craftfleet {
 
-// Parses the Abseil flags, sets up the log from --log_level and --log_format, which every program has, and raises the
-// soft limit of open files as far as possible. `usage` and `main_flags` as in ProgramHelp. Ends the process: with 0
-// after --help, --helpfull, --help_json and --version; with 1 after an unknown flag, a value that does not parse, an
-// argument that is not a flag, or help that can't be written, each with a message on standard error.
-void ParseFlags(absl::string_view program, absl::string_view usage, int argc, char** argv,
-                const std::vector<absl::string_view>& main_flags = {});
+// Parses the Abseil flags that the program has, sets up the log from --log_level and --log_format, which every program
+// has, and raises the soft limit of open files as far as possible. Ends the process: with 0 after --help, --helpfull,
+// --help_json and --version; with 1 after an unknown flag, a value that does not parse, an argument that is not a flag,
+// or help that can't be written, each with a message on standard error.
+void ParseFlags(const ProgramHelp& program, int argc, char** argv);
 
 // The same for a program with positional arguments: returns them in order.
-std::vector<std::string> ParseFlagsAndArguments(absl::string_view program, absl::string_view usage, int argc,
-                                                char** argv, const std::vector<absl::string_view>& main_flags = {});
+std::vector<std::string> ParseFlagsAndArguments(const ProgramHelp& program, int argc, char** argv);
 
 // Flushes standard output.
 //   DataLoss: not all output could be written, for example because the disk is full. OK if the reader of a pipe closed

@@ -1,43 +1,63 @@
-// craftfleet: runs craftfleet-COMMAND from its own folder. It links no large library, so that light commands start in
-// milliseconds.
+// craftfleet: the light commands, which start in milliseconds. It starts the programs beside it for those that need
+// LibTorch or windows, which have this file too, and Python for those in Python.
 
 #include <unistd.h>
 
 #include <algorithm>
 #include <cerrno>
 #include <cstdio>
-#include <cstring>
+#include <cstdlib>
+#include <iterator>
 #include <string>
+#include <system_error>
+#include <utility>
 #include <vector>
 
+#include <absl/status/status.h>
+#include <absl/strings/match.h>
+#include <absl/strings/str_cat.h>
+#include <absl/strings/str_format.h>
+#include <nlohmann/json.hpp>
+
 #include "common/process/closest_name.h"
+#include "common/process/program.h"
 #include "common/process/version.h"
+#include "deploy/cli/command.h"
 
+namespace craftfleet {
 namespace {
-
-struct Command {
-  const char* name;
-  const char* summary;
-};
 
 constexpr char kSummary[] = "trains agents for the game Crafter, in one process or over a fleet";
 
-constexpr Command kCommands[] = {
-    {"train", "train in one process"},
-    {"eval", "score a checkpoint"},
-    {"watch", "watch an agent play, live or as a video"},
-    {"play", "play the game yourself, in a window or a terminal"},
-    {"policy", "choose actions for observations, for Python"},
-    {"sweep", "run experiments: every cell of a table, with several seeds"},
-    {"report", "make the paper's tables and figures from runs"},
-    {"curve", "draw the learning curves of runs"},
-    {"agents", "list the agents and the parts of their networks"},
-    {"envs", "list the environments and count the objects in their worlds"},
-    {"status", "print the status of a process of the fleet"},
-    {"top", "watch a whole fleet live, and see what limits its speed"},
-    {"admin", "steer a run: checkpoint, pause, resume, drain or undrain a worker, stop"},
-    {"doctor", "check this machine and suggest what to change"},
+// What runs a command.
+constexpr char kLight[] = "craftfleet";
+constexpr char kTorch[] = "craftfleet-torch";
+constexpr char kPlay[] = "craftfleet-play";
+constexpr char kPython[] = "python3";
+
+struct Command {
+  const char* name;
+  const char* program;
+  const char* summary;
 };
+
+constexpr Command kCommands[] = {
+    {"train", kTorch, "train in one process"},
+    {"eval", kTorch, "score a checkpoint"},
+    {"watch", kTorch, "watch an agent play, live or as a video"},
+    {"play", kPlay, "play the game yourself, in a window or a terminal"},
+    {"policy", kTorch, "choose actions for observations, for Python"},
+    {"sweep", kPython, "run experiments: every cell of a table, with several seeds"},
+    {"report", kPython, "make the paper's tables and figures from runs"},
+    {"curve", kPython, "draw the learning curves of runs"},
+    {"agents", kTorch, "list the agents and the parts of their networks"},
+    {"envs", kLight, "list the environments and count the objects in their worlds"},
+    {"status", kLight, "print the status of a process of the fleet"},
+    {"top", kLight, "watch a whole fleet live, and see what limits its speed"},
+    {"admin", kLight, "steer a run: checkpoint, pause, resume, drain or undrain a worker, stop"},
+    {"doctor", kTorch, "check this machine and suggest what to change"},
+};
+constexpr const char* kFleet[] = {"learner", "actor", "envserver"};  // craftfleet-learner, ...
 
 constexpr char kMore[] = R"(
 craftfleet help COMMAND and craftfleet COMMAND --help explain a command.
@@ -50,32 +70,11 @@ First steps:
 )";
 
 std::string Usage() {
-  std::string text = std::string("craftfleet ") + kSummary + ".\n\n";
+  std::string text = absl::StrCat("craftfleet ", kSummary, ".\n\n");
   for (const Command& command : kCommands) {
-    std::string name = command.name;
-    name.resize(9, ' ');
-    text += "  craftfleet " + name + command.summary + "\n";
+    absl::StrAppendFormat(&text, "  craftfleet %-9s%s\n", command.name, command.summary);
   }
   return text + kMore;
-}
-
-// Like HelpJson of the other programs, with commands instead of flags. None of the texts needs escapes.
-std::string UsageJson() {
-  std::string commands;
-  for (const Command& command : kCommands) {
-    commands += commands.empty() ? "\n" : ",\n";
-    commands += std::string("    {\"name\": \"") + command.name + "\", \"summary\": \"" + command.summary + "\"}";
-  }
-  return std::string("{\n  \"program\": \"craftfleet\",\n  \"arguments\": \"COMMAND\",\n  \"summary\": \"") + kSummary +
-         "\",\n  \"commands\": [" + commands + "\n  ]\n}\n";
-}
-
-// Returns the exit code: 1 if standard output can't be written.
-int Print(const std::string& text) {
-  std::fputs(text.c_str(), stdout);
-  if (std::fflush(stdout) == 0) return 0;
-  std::fprintf(stderr, "craftfleet: cannot write standard output: %s\n", std::strerror(errno));
-  return 1;
 }
 
 std::string OwnFolder() {
@@ -85,50 +84,100 @@ std::string OwnFolder() {
   return file.substr(0, file.rfind('/') + 1);
 }
 
-// Replaces this process by craftfleet-COMMAND with `arguments`. Returns the exit code if that fails.
-int RunCommand(const std::string& command, std::vector<std::string> arguments) {
-  const bool is_path = command.find('/') != std::string::npos;
-  const std::string program = OwnFolder() + "craftfleet-" + command;
-  arguments.insert(arguments.begin(), program);  // what ps shows
-  std::vector<char*> pointers;
-  pointers.reserve(arguments.size() + 1);
-  for (std::string& argument : arguments) pointers.push_back(argument.data());
-  pointers.push_back(nullptr);
-  if (!is_path) execv(program.c_str(), pointers.data());
-  const int error = errno;
-  std::vector<std::string> names = {"help", "learner", "actor", "envserver"};
-  for (const Command& known : kCommands) names.emplace_back(known.name);
-  const std::string closest = craftfleet::ClosestName(command, names);
-  const std::string suggestion = closest.empty() ? "" : " (did you mean \"" + closest + "\"?)";
-  const bool is_known = std::find(names.begin(), names.end(), command) != names.end();
-  if ((error == ENOENT && !is_known) || is_path) {
-    std::fprintf(stderr, "craftfleet: there is no command \"%s\"%s; see craftfleet --help\n", command.c_str(),
-                 suggestion.c_str());
-  } else {
-    std::fprintf(stderr, "craftfleet: cannot run %s: %s\n", program.c_str(), std::strerror(error));
-  }
-  return 1;
+// The commands in Python; a link to the sources in the build tree.
+std::string PythonScript() { return OwnFolder() + "../share/craftfleet/python/craftfleet_analysis/__main__.py"; }
+
+// Whether this build has the command.
+bool IsThere(const Command& command) {
+  if (command.program == kLight) return FindCommand(command.name) != nullptr;
+  return access((command.program == kPython ? PythonScript() : OwnFolder() + command.program).c_str(), R_OK) == 0;
 }
 
-}  // namespace
+// Like HelpJson of the other programs, with the commands of this build instead of flags.
+std::string UsageJson() {
+  nlohmann::ordered_json json = {{"program", "craftfleet"}, {"arguments", "COMMAND"}, {"summary", kSummary}};
+  for (const Command& command : kCommands) {
+    if (!IsThere(command)) continue;
+    json["commands"].push_back({{"name", command.name}, {"program", command.program}, {"summary", command.summary}});
+  }
+  return json.dump(2) + "\n";
+}
 
-int main(int argc, char** argv) {
-  const std::vector<std::string> words(argv + 1, argv + argc);
-  const std::string command = words.empty() ? "" : words[0];
-  const bool help = command == "help" || command == "--help" || command == "-h" || command == "--helpfull";
-  const bool help_for_command = command == "help" && words.size() > 1;
-  if (help && !help_for_command) return Print(Usage());
-  if (command == "--help_json") return Print(UsageJson());
-  if (command == "--version") return Print(craftfleet::VersionText("craftfleet") + "\n");
-  const std::string& wanted = help_for_command ? words[1] : command;
-  if (wanted.empty()) {
+// Pointers to the words, with a null at the end, as for main.
+std::vector<char*> Pointers(std::vector<std::string>* words) {
+  std::vector<char*> pointers;
+  pointers.reserve(words->size() + 1);
+  for (std::string& word : *words) pointers.push_back(word.data());
+  pointers.push_back(nullptr);
+  return pointers;
+}
+
+// Replaces this process by `program` with the arguments `words`; returns only if that fails.
+absl::Status Become(const std::string& program, std::vector<std::string> words) {
+  words.insert(words.begin(), program);  // what ps shows
+  execvp(program.c_str(), Pointers(&words).data());
+  return absl::NotFoundError(absl::StrCat("cannot run ", program, ": ", std::generic_category().message(errno)));
+}
+
+absl::Status BecomePython(std::vector<std::string> words) {
+  setenv("CRAFTFLEET_BIN", OwnFolder().c_str(), /*overwrite=*/0);  // where the script finds this program
+  const char* const python = std::getenv("CRAFTFLEET_PYTHON");
+  words.insert(words.begin(), PythonScript());
+  return Become(python != nullptr ? python : kPython, std::move(words));
+}
+
+absl::Status UnknownCommand(const std::string& name) {
+  std::vector<std::string> names = {"help"};
+  names.insert(names.end(), std::begin(kFleet), std::end(kFleet));
+  for (const Command& known : kCommands) names.emplace_back(known.name);
+  const std::string closest = ClosestName(name, names);
+  return absl::InvalidArgumentError(absl::StrCat(
+      "there is no command \"", name, "\"", closest.empty() ? "" : absl::StrCat(" (did you mean \"", closest, "\"?)"),
+      "; see craftfleet --help"));
+}
+
+// Starts the program of a command; returns only if that fails. `words`: the command and its arguments.
+absl::Status StartProgram(std::vector<std::string> words) {
+  const std::string name = words[0];
+  if (std::find(std::begin(kFleet), std::end(kFleet), name) != std::end(kFleet)) {
+    words.erase(words.begin());
+    return Become(absl::StrCat(OwnFolder(), "craftfleet-", name), std::move(words));
+  }
+  const auto* const command = std::find_if(std::begin(kCommands), std::end(kCommands),
+                                           [&name](const Command& known) { return known.name == name; });
+  if (command == std::end(kCommands)) return UnknownCommand(name);
+  if (command->program == kPython) return BecomePython(std::move(words));
+  if (command->program != kLight) return Become(OwnFolder() + command->program, std::move(words));
+  return absl::UnimplementedError(absl::StrCat("this build has no command ", name));
+}
+
+int Print(const std::string& text) {
+  std::fputs(text.c_str(), stdout);
+  return ExitCode("craftfleet", absl::OkStatus());
+}
+
+int Run(std::vector<std::string> words) {
+  if (words.empty()) {
     std::fputs(Usage().c_str(), stderr);
     return 1;
   }
-  if (wanted[0] == '-') {
-    std::fprintf(stderr, "craftfleet: unknown flag \"%s\"; see craftfleet --help\n", wanted.c_str());
-    return 1;
+  const bool help_for_command = words[0] == "help" && words.size() > 1;
+  if (help_for_command) words = {words[1], "--help"};
+  const std::string& command = words[0];
+  if (command == "help" || command == "--help" || command == "-h" || command == "--helpfull") return Print(Usage());
+  if (command == "--help_json") return Print(UsageJson());
+  if (command == "--version") return Print(VersionText("craftfleet") + "\n");
+  if (absl::StartsWith(command, "-")) {
+    return ExitCode("craftfleet",
+                    absl::InvalidArgumentError(absl::StrCat("unknown flag \"", command, "\"; see craftfleet --help")));
   }
-  if (help_for_command) return RunCommand(wanted, {"--help"});
-  return RunCommand(wanted, {words.begin() + 1, words.end()});
+  if (const CommandFunction run = FindCommand(command)) {
+    return run(static_cast<int>(words.size()), Pointers(&words).data());
+  }
+  return ExitCode("craftfleet", StartProgram(std::move(words)));
 }
+
+}  // namespace
+}  // namespace craftfleet
+
+int main(int argc, char** argv) { return craftfleet::Run({argv + 1, argv + argc}); }

@@ -108,7 +108,7 @@ class Chaos:
 
 
 def train_quietly(options, config, logdir):
-    command = [pathlib.Path(options.bin) / "craftfleet-train", f"--config={config}", f"--logdir={logdir}"]
+    command = [pathlib.Path(options.bin) / "craftfleet", "train", f"--config={config}", f"--logdir={logdir}"]
     with open(pathlib.Path(options.out) / "quiet.log", "wb") as log:
         subprocess.run(command, stdin=subprocess.DEVNULL, stdout=log, stderr=log, check=True)
 

@@ -147,7 +147,7 @@ class Fleet:
 
     def iteration(self):
         """The iteration that the learner reports; -1 while it does not answer."""
-        command = [*self.learner_site.command_prefix, self.bin / "craftfleet-status",
+        command = [*self.learner_site.command_prefix, self.bin / "craftfleet", "status",
                    f"--address={self.learner_address}", "--json", *self.flags["status"]]
         result = subprocess.run(command, capture_output=True, text=True, timeout=30, check=False)
         if result.returncode != 0:

@@ -407,6 +407,6 @@ absl::Status Run() {
 }  // namespace craftfleet
 
 int main(int argc, char** argv) {
-  craftfleet::ParseFlags("simulated_fleet", "Many workers that play nothing; see tests/chaos/README.md.", argc, argv);
+  craftfleet::ParseFlags({"simulated_fleet", "Many workers that play nothing; see tests/chaos/README.md."}, argc, argv);
   return craftfleet::ExitCode("simulated_fleet", craftfleet::Run());
 }

@@ -56,7 +56,7 @@ absl::Status Run() {
 }  // namespace craftfleet
 
 int main(int argc, char** argv) {
-  craftfleet::ParseFlags("status_probe",
-                         "Measures how fast a process answers status requests; see tests/chaos/README.md.", argc, argv);
+  craftfleet::ParseFlags(
+      {"status_probe", "Measures how fast a process answers status requests; see tests/chaos/README.md."}, argc, argv);
   return craftfleet::ExitCode("status_probe", craftfleet::Run());
 }

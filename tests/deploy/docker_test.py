@@ -101,7 +101,7 @@ class Dockerfiles(unittest.TestCase):
     self.assertTrue(any(f"-DCRAFTFLEET_LIBTORCH={folder}" in arguments for _, arguments in gpu))
     self.assertIn(("COPY", f"--from=build {folder} {folder}"), gpu)
     command = re.search(r"craftfleet train( --\S+)+", comments)[0]
-    self.assertEqual(unknown_flags("craftfleet-train", command.split()[2:]), [])
+    self.assertEqual(unknown_flags("craftfleet train", command.split()[2:]), [])
 
   def test_every_library_of_the_programs_is_in_a_package_of_the_image(self):
     for tool in ("readelf", "dpkg-query"):
@@ -132,7 +132,7 @@ class Dockerfiles(unittest.TestCase):
       check = re.findall(r"--(?:address|tryfromenv)[=\w.,:]*", last["HEALTHCHECK"])
       self.assertGreater(len(check), 0)
       names = [f"--{flag}=x" for argument in check for flag in argument.partition("--tryfromenv=")[2].split(",") if flag]
-      self.assertEqual(unknown_flags("craftfleet-status", names), [])
+      self.assertEqual(unknown_flags("craftfleet status", names), [])
 
   def test_flags_in_the_usage_are_those_of_the_programs(self):
     seen = []
@@ -144,7 +144,7 @@ class Dockerfiles(unittest.TestCase):
       self.assertEqual(unknown_flags(program, arguments), [])
       seen += arguments
       environment = [f"--{words[i + 1].removeprefix('FLAGS_')}" for i, word in enumerate(words) if word == "-e"]
-      self.assertEqual(unknown_flags("craftfleet-status", environment), [])
+      self.assertEqual(unknown_flags("craftfleet status", environment), [])
     self.assertGreater(len(seen), 6)
 
 
@@ -153,7 +153,7 @@ class EnvserverImage(python_case.FolderCase):
   def setUp(self):
     super().setUp()
     self.root = self.folder / "root"
-    subprocess.run([DOCKER / "closure.sh", self.root, BIN.parent, "craftfleet-envserver", "craftfleet-status"], check=True)
+    subprocess.run([DOCKER / "closure.sh", self.root, BIN.parent, "craftfleet-envserver", "craftfleet"], check=True)
 
   def command(self, *words):
     """Runs a program as in a container: read-only root, with /proc, without root privileges and any way to gain them."""
@@ -170,7 +170,7 @@ class EnvserverImage(python_case.FolderCase):
     self.assertLess(size, ENVSERVER_MIB)
     self.assertEqual([path for path in self.root.rglob("*") if FOREIGN.search(path.name)], [])
     self.assertEqual(list(self.root.rglob("*.png")), [], "the textures are compiled in")
-    self.assertEqual([path.name for path in (self.root / "usr/local/bin").iterdir() if "craftfleet-" not in path.name], [])
+    self.assertEqual([path.name for path in (self.root / "usr/local/bin").iterdir() if not path.name.startswith("craftfleet")], [])
 
   def test_the_environment_server_runs_in_its_image(self):
     if os.geteuid() != 0:

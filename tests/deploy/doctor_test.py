@@ -7,13 +7,13 @@ import socket
 import subprocess
 
 from tests.fakes import python_case
-from tests.fakes.python_case import BIN
+from tests.fakes.python_case import built
 
 
 class Doctor(python_case.FolderCase):
 
   def test_a_machine_that_can_train_passes(self):
-    report = json.loads(self.run_program("craftfleet-doctor", "--json", "--listen=127.0.0.1:0", f"--logdir={self.folder}/runs").stdout)
+    report = json.loads(self.run_program("craftfleet doctor", "--json", "--listen=127.0.0.1:0", f"--logdir={self.folder}/runs").stdout)
     self.assertTrue(report["ok"])
     names = [check["check"] for check in report["checks"]]
     self.assertEqual(names, ["CPU", "BLAS", "memory", "open files", "disk space", "disk speed", "clock", "shared memory", "GPU",
@@ -34,14 +34,14 @@ class Doctor(python_case.FolderCase):
     self.assertIn(f"failed checks: port {address}", ended.stderr)
 
   def test_tls_files_are_checked_when_they_are_given(self):
-    ended = self.run_program("craftfleet-doctor", f"--tls_cert={self.folder}/a.pem", f"--tls_key={self.folder}/a.key", "--listen=", code=1)
+    ended = self.run_program("craftfleet doctor", f"--tls_cert={self.folder}/a.pem", f"--tls_key={self.folder}/a.key", "--listen=", code=1)
     self.assertIn("FAIL  TLS files", ended.stdout)
     self.assertIn(f"{self.folder}/a.pem", ended.stdout)
 
   def on_a_terminal(self, **variables):
     main, terminal = pty.openpty()
     environment = {**{name: value for name, value in os.environ.items() if name != "NO_COLOR"}, "TERM": "xterm", **variables}
-    ended = subprocess.run([BIN / "craftfleet-doctor", "--listen=", f"--logdir={self.folder}"], stdout=terminal, env=environment, check=False)
+    ended = subprocess.run([*built("craftfleet doctor"), "--listen=", f"--logdir={self.folder}"], stdout=terminal, env=environment, check=False)
     os.close(terminal)
     self.assertEqual(ended.returncode, 0)
     return os.read(main, 65536).decode()
@@ -49,7 +49,7 @@ class Doctor(python_case.FolderCase):
   def test_colour_is_for_terminals_that_want_it(self):
     self.assertIn("\x1b[32mok", self.on_a_terminal())
     self.assertNotIn("\x1b", self.on_a_terminal(NO_COLOR="1"))
-    self.assertNotIn("\x1b", self.run_program("craftfleet-doctor", "--listen=", f"--logdir={self.folder}").stdout)
+    self.assertNotIn("\x1b", self.run_program("craftfleet doctor", "--listen=", f"--logdir={self.folder}").stdout)
 
 
 python_case.main()

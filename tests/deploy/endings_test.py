@@ -6,7 +6,7 @@ import signal
 import subprocess
 
 from tests.fakes import python_case
-from tests.fakes.python_case import BIN, wait_until
+from tests.fakes.python_case import built, wait_until
 
 ENDLESS = python_case.SMALL_RUN.replace("steps: 192 ", "steps: 1000000000 ")
 EXPERIMENT = python_case.SMALL_EXPERIMENT.replace("steps = 192", "steps = 1000000000")
@@ -23,7 +23,7 @@ class Endings(python_case.FolderCase):
     self.errors = self.folder / f"{name}.err"
     with open(self.errors, "w", encoding="utf-8") as errors:
       options = {"stdout": subprocess.DEVNULL, "stderr": errors, **options}
-      process = subprocess.Popen([BIN / name, *flags], **options)
+      process = subprocess.Popen([*built(name), *flags], **options)
     self.addCleanup(process.wait)
     self.addCleanup(process.kill)
     return process
@@ -39,12 +39,12 @@ class Endings(python_case.FolderCase):
     wait_until(lambda: text in self.errors.read_text(), f"'{text}' in {self.errors}")
 
   def train(self, *flags):
-    self.run_program("craftfleet-train", *self.run_flags(), *flags)
+    self.run_program("craftfleet train", *self.run_flags(), *flags)
 
   # A closed terminal.
 
   def test_hangup_stops_a_run_with_a_checkpoint(self):
-    train = self.start("craftfleet-train", *self.run_flags(), "--checkpoint_every=1000000")
+    train = self.start("craftfleet train", *self.run_flags(), "--checkpoint_every=1000000")
     episodes = self.folder / "run/stats.jsonl"
     wait_until(lambda: episodes.exists() and episodes.read_text().count("\n") > 50, "50 episodes")
     train.send_signal(signal.SIGHUP)
@@ -92,7 +92,7 @@ class Endings(python_case.FolderCase):
 
   def test_hangup_stops_a_sweep_and_its_runs(self):
     (self.folder / "experiments.toml").write_text(EXPERIMENT)
-    sweep = self.start("craftfleet-sweep", self.folder / "experiments.toml", "--seeds=1", f"--logdir={self.folder}/runs")
+    sweep = self.start("craftfleet sweep", self.folder / "experiments.toml", "--seeds=1", f"--logdir={self.folder}/runs")
     wait_until(lambda: list(self.folder.glob("runs/**/iter-00000002")), "a checkpoint")
     sweep.send_signal(signal.SIGHUP)
     self.assertEqual(sweep.wait(30), 75, self.errors.read_text())  # as for any stopped sweep
@@ -110,7 +110,7 @@ class Endings(python_case.FolderCase):
   def test_a_run_without_a_reader_continues(self):
     for log in ("text", "json"):
       with self.subTest(log):
-        train = self.start("craftfleet-train", *self.run_flags(log), "--steps=1280", f"--log_format={log}",
+        train = self.start("craftfleet train", *self.run_flags(log), "--steps=1280", f"--log_format={log}",
                            stdout=subprocess.PIPE)
         self.wait_for_checkpoint(log, 2)
         train.stdout.close()
@@ -142,15 +142,15 @@ class Endings(python_case.FolderCase):
 
   def test_an_evaluation_without_a_reader_writes_its_result(self):
     self.train("--steps=192")
-    evaluation = self.start("craftfleet-eval", f"--checkpoint={self.folder}/run", "--episodes=300",
-                            f"--json={self.folder}/result.json", stdout=subprocess.PIPE)
+    evaluation = self.start("craftfleet eval", f"--checkpoint={self.folder}/run", "--episodes=300",
+                            f"--out={self.folder}/result.json", stdout=subprocess.PIPE)
     self.close_output(evaluation)
     self.assertEqual(evaluation.wait(60), 0, self.errors.read_text())
     self.assertEqual(json.loads((self.folder / "result.json").read_text())["episodes"], 300)
 
   def test_a_sweep_without_a_reader_continues(self):
     (self.folder / "experiments.toml").write_text(EXPERIMENT.replace("1000000000", "640"))
-    sweep = self.start("craftfleet-sweep", self.folder / "experiments.toml", "--seeds=2", f"--logdir={self.folder}/runs",
+    sweep = self.start("craftfleet sweep", self.folder / "experiments.toml", "--seeds=2", f"--logdir={self.folder}/runs",
                        stdout=subprocess.PIPE)
     self.close_output(sweep)
     self.assertEqual(sweep.wait(90), 0, self.errors.read_text())
@@ -160,10 +160,10 @@ class Endings(python_case.FolderCase):
       self.assertIn("the run is complete", log.read_text())
 
   def test_pages_end_with_their_reader(self):
-    self.start("craftfleet-train", *self.run_flags(), "--listen=127.0.0.1:0")
+    self.start("craftfleet train", *self.run_flags(), "--listen=127.0.0.1:0")
     self.wait_for_text("listening on ")
     address = self.errors.read_text().partition("listening on ")[2].split()[0]
-    for program, flags in (("craftfleet-top", []), ("craftfleet-status", ["--watch"])):
+    for program, flags in (("craftfleet top", []), ("craftfleet status", ["--watch"])):
       with self.subTest(program):
         pages = self.start(program, f"--address={address}", "--interval=0.1", *flags, stdout=subprocess.PIPE)
         self.assertTrue(self.close_output(pages))
@@ -175,33 +175,33 @@ class Endings(python_case.FolderCase):
     self.train("--steps=192")
     run = f"{self.folder}/run"
     commands = [
-        ["craftfleet", "--help"], ["craftfleet", "--version"], ["craftfleet-agents"], ["craftfleet-agents", "--json"],
-        ["craftfleet-envs", "--worlds=1"], ["craftfleet-curve", run], ["craftfleet-curve", "--help"],
-        ["craftfleet-curve", run, "--out=-"], ["craftfleet-curve", run, "--out=/dev/full"],
-        ["craftfleet-eval", f"--checkpoint={run}", "--episodes=1"],
-        ["craftfleet-eval", f"--checkpoint={run}", "--episodes=1", "--json=-"],
-        ["craftfleet-train", f"--config={self.folder}/config.txt", f"--logdir={self.folder}/other"],
+        ["craftfleet", "--help"], ["craftfleet", "--version"], ["craftfleet agents"], ["craftfleet agents", "--json"],
+        ["craftfleet envs", "--worlds=1"], ["craftfleet curve", run], ["craftfleet curve", "--help"],
+        ["craftfleet curve", run, "--out=-"], ["craftfleet curve", run, "--out=/dev/full"],
+        ["craftfleet eval", f"--checkpoint={run}", "--episodes=1"],
+        ["craftfleet eval", f"--checkpoint={run}", "--episodes=1", "--out=-"],
+        ["craftfleet train", f"--config={self.folder}/config.txt", f"--logdir={self.folder}/other"],
         ["craftfleet-learner", f"--config={self.folder}/config.txt", f"--logdir={self.folder}/other",
          "--listen=127.0.0.1:0"],
-        ["craftfleet-sweep", self.folder / "experiments.toml", "--list"],
+        ["craftfleet sweep", self.folder / "experiments.toml", "--list"],
     ]
     (self.folder / "experiments.toml").write_text(EXPERIMENT)
     for program, *arguments in commands:
       with self.subTest(program, arguments=arguments), open("/dev/full", "w", encoding="utf-8") as full:
-        ended = subprocess.run([BIN / program, *arguments], stdout=full, stderr=subprocess.PIPE, text=True, timeout=60)
+        ended = subprocess.run([*built(program), *arguments], stdout=full, stderr=subprocess.PIPE, text=True, timeout=60)
         self.assertEqual(ended.returncode, 1, ended.stderr)
         self.assertRegex(ended.stderr, "cannot write (all of )?(standard output|/dev/full)")
         self.assertEqual(ended.stderr.count("cannot write"), 1, ended.stderr)
     self.assertFalse((self.folder / "other/config.txt").exists(), "nothing is begun")
 
   def test_pages_on_a_full_standard_output_are_an_error(self):
-    self.start("craftfleet-train", *self.run_flags(), "--listen=127.0.0.1:0")
+    self.start("craftfleet train", *self.run_flags(), "--listen=127.0.0.1:0")
     self.wait_for_text("listening on ")
     address = self.errors.read_text().partition("listening on ")[2].split()[0]
-    for program, *flags in (["craftfleet-top"], ["craftfleet-top", "--once"], ["craftfleet-status"],
-                            ["craftfleet-status", "--json"], ["craftfleet-status", "--watch"]):
+    for program, *flags in (["craftfleet top"], ["craftfleet top", "--once"], ["craftfleet status"],
+                            ["craftfleet status", "--json"], ["craftfleet status", "--watch"]):
       with self.subTest(program, flags=flags), open("/dev/full", "w", encoding="utf-8") as full:
-        ended = subprocess.run([BIN / program, f"--address={address}", *flags], stdout=full, stderr=subprocess.PIPE,
+        ended = subprocess.run([*built(program), f"--address={address}", *flags], stdout=full, stderr=subprocess.PIPE,
                                text=True, timeout=60)
         self.assertEqual(ended.returncode, 1, ended.stderr)
         self.assertIn("cannot write all of standard output", ended.stderr)
@@ -214,19 +214,19 @@ class Endings(python_case.FolderCase):
     png = b"\x89PNG\r\n\x1a\n"
     (self.folder / "real.png").write_bytes(b"old")
     (self.folder / "link.png").symlink_to("real.png")
-    self.run_program("craftfleet-curve", run, f"--out={self.folder}/link.png")
+    self.run_program("craftfleet curve", run, f"--out={self.folder}/link.png")
     self.assertTrue((self.folder / "link.png").is_symlink())
     self.assertEqual((self.folder / "real.png").read_bytes()[:8], png)
     for out in ("-", "/dev/stdout"):
-      drawn = subprocess.run([BIN / "craftfleet-curve", run, f"--out={out}"], capture_output=True, timeout=60)
+      drawn = subprocess.run([*built("craftfleet curve"), run, f"--out={out}"], capture_output=True, timeout=60)
       self.assertEqual(drawn.stdout[:8], png, "the table is elsewhere")
       self.assertIn(b"run", drawn.stderr)
-    evaluated = self.run_program("craftfleet-eval", f"--checkpoint={run}", "--episodes=2", "--json=-")
+    evaluated = self.run_program("craftfleet eval", f"--checkpoint={run}", "--episodes=2", "--out=-")
     self.assertEqual(json.loads(evaluated.stdout)["episodes"], 2)
     self.assertIn("Crafter score", evaluated.stderr)
     os.mkfifo(self.folder / "fifo")
     with subprocess.Popen(["cat", self.folder / "fifo"], stdout=subprocess.PIPE) as cat:
-      self.run_program("craftfleet-curve", run, f"--out={self.folder}/fifo")
+      self.run_program("craftfleet curve", run, f"--out={self.folder}/fifo")
       self.assertEqual(cat.stdout.read()[:8], png)
     self.assertTrue((self.folder / "fifo").is_fifo())
 
@@ -235,11 +235,11 @@ class Endings(python_case.FolderCase):
     run = f"{self.folder}/run"
     for out, error in ((f"{self.folder}/none/a.png", "--out: cannot create"), (self.folder, "is a folder, want a file"),
                        ("a.jpg", "--out=a.jpg, want a file that ends in .png")):
-      refused = self.run_program("craftfleet-curve", run, f"--out={out}", code=1)
+      refused = self.run_program("craftfleet curve", run, f"--out={out}", code=1)
       self.assertIn(error, refused.stderr)
       self.assertEqual(refused.stdout, "", "nothing is drawn or printed")
-    refused = self.run_program("craftfleet-eval", f"--checkpoint={run}", f"--json={self.folder}", code=1)
-    self.assertIn("--json: ", refused.stderr)
+    refused = self.run_program("craftfleet eval", f"--checkpoint={run}", f"--out={self.folder}", code=1)
+    self.assertIn("--out: ", refused.stderr)
     self.assertEqual(refused.stdout, "", "nothing is played")
 
 

@@ -6,7 +6,7 @@ import signal
 import subprocess
 
 from tests.fakes import python_case
-from tests.fakes.python_case import BIN, SOURCE, wait_until
+from tests.fakes.python_case import SOURCE, built, wait_until
 
 # Three evaluations with two episodes of each kind precede the final one.
 CONFIG = """
@@ -25,10 +25,10 @@ class Eval(python_case.FolderCase):
     (self.folder / "config.txt").write_text(CONFIG)
 
   def train(self, *flags):
-    self.run_program("craftfleet-train", f"--config={self.folder}/config.txt", f"--logdir={self.folder}/run", *flags)
+    self.run_program("craftfleet train", f"--config={self.folder}/config.txt", f"--logdir={self.folder}/run", *flags)
 
   def evaluate(self, *flags, code=0):
-    return self.run_program("craftfleet-eval", f"--checkpoint={self.folder}/run", *flags, code=code)
+    return self.run_program("craftfleet eval", f"--checkpoint={self.folder}/run", *flags, code=code)
 
   def check_episodes(self, folder, log, size=64):
     checked = subprocess.run(["python3", SOURCE / "tests/actor/recording/check_episodes.py", folder, log, str(size)],
@@ -38,8 +38,8 @@ class Eval(python_case.FolderCase):
   def test_the_final_evaluation_is_replayed(self):
     self.train()
     out = self.folder / "out"
-    self.evaluate("--protocol=final", f"--video={out}/video", f"--episodes_npz={out}/npz", f"--json={out}.json",
-                  "--video_size=144")
+    self.evaluate("--protocol=final", f"--video={out}/video", f"--episodes_npz={out}/npz", f"--out={out}.json",
+                  "--size=144")
     result = json.loads((self.folder / "out.json").read_text())
     for kind in ("argmax", "sampled"):
       log = self.folder / f"run/final_{kind}.jsonl"
@@ -57,7 +57,7 @@ class Eval(python_case.FolderCase):
 
   def test_the_trained_agent_of_the_repository_plays_well(self):
     result = SOURCE / "deploy/experiments/results/ppo_cnn_1m/seed2"
-    out = self.run_program("craftfleet-eval", f"--checkpoint={result}", "--episodes=5", f"--json={self.folder}/out.json")
+    out = self.run_program("craftfleet eval", f"--checkpoint={result}", "--episodes=5", f"--out={self.folder}/out.json")
     run = json.loads((result / "run.json").read_text())["run_id"]
     self.assertIn(f"run {run}, ppo_cnn after 1000000 steps", out.stdout)
     reward = json.loads((self.folder / "out.json").read_text())["reward"]
@@ -67,19 +67,19 @@ class Eval(python_case.FolderCase):
     result = self.folder / "result"
     shutil.copytree(SOURCE / "deploy/experiments/results/ppo_cnn_1m/seed2", result)
     (result / "run.json").write_text("[]")
-    out = self.run_program("craftfleet-eval", f"--checkpoint={result}", code=1)
+    out = self.run_program("craftfleet eval", f"--checkpoint={result}", code=1)
     self.assertIn("run.json has no run_id", out.stderr)
     (result / "weights.safetensors").write_bytes(b"nothing")
     (result / "run.json").write_text('{"run_id": "a"}')
-    self.run_program("craftfleet-eval", f"--checkpoint={result}", code=1)
+    self.run_program("craftfleet eval", f"--checkpoint={result}", code=1)
 
   def test_recording_changes_no_result(self):
     (self.folder / "config.txt").write_text(CONFIG.replace("every_steps: 64", "every_steps: 0"))
     self.train("--steps=64")
     flags = ["--episodes=3", "--seed=4"]
-    self.evaluate(*flags, f"--json={self.folder}/plain.json")
-    self.evaluate(*flags, f"--json={self.folder}/recorded.json", f"--pictures={self.folder}/pictures",
-                  f"--video={self.folder}/video", "--picture_every=40", "--video_size=64")
+    self.evaluate(*flags, f"--out={self.folder}/plain.json")
+    self.evaluate(*flags, f"--out={self.folder}/recorded.json", f"--pictures={self.folder}/pictures",
+                  f"--video={self.folder}/video", "--picture_every=40", "--size=64")
     self.assertEqual((self.folder / "plain.json").read_text(), (self.folder / "recorded.json").read_text())
     pictures = sorted(file.name for file in (self.folder / "pictures").iterdir())
     self.assertIn("episode-0001-step-00000.png", pictures)
@@ -92,8 +92,8 @@ class Eval(python_case.FolderCase):
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
       with self.subTest(number):
         result = self.folder / f"{number}.json"
-        command = [BIN / "craftfleet-eval", f"--checkpoint={self.folder}/run", "--episodes=10000", f"--json={result}",
-                   f"--video={self.folder}/video", "--video_size=64"]
+        command = [*built("craftfleet eval"), f"--checkpoint={self.folder}/run", "--episodes=10000", f"--out={result}",
+                   f"--video={self.folder}/video", "--size=64"]
         evaluation = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
         try:
           wait_until(lambda: list(self.folder.glob("video/*-ach*.mp4")), "an episode's end")
@@ -123,7 +123,7 @@ class Eval(python_case.FolderCase):
         (["--attention=sum"], "--attention needs --video or --pictures"),
         (["--attention=most", f"--video={self.folder}/v"], '--attention: attention "most", want mean, sum or the number'),
         (["--attention=mean", f"--video={self.folder}/v"], "agent ppo_cnn has no attention to show; oc_sa and oc_ca have"),
-        (["--video_size=65"], "--video_size=65, want an even number 64..1024"),
+        (["--size=65"], "--size=65, want an even number 64..1024"),
         (["--picture_every=0"], "--picture_every=0, want 1..10000"),
         ([f"--video={config}/v"], str(config)),
     ]:
@@ -138,7 +138,7 @@ class Eval(python_case.FolderCase):
     """)
     self.train()
     pictures = self.folder / "pictures"
-    self.evaluate("--episodes=1", f"--pictures={pictures}", "--attention=1", "--video_size=144", "--picture_every=10")
+    self.evaluate("--episodes=1", f"--pictures={pictures}", "--attention=1", "--size=144", "--picture_every=10")
     for step in (0, 10):
       png = (pictures / f"episode-0001-step-000{step:02}.png").read_bytes()
       self.assertEqual(png[:8], b"\x89PNG\r\n\x1a\n")

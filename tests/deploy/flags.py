@@ -3,12 +3,12 @@
 import re
 import subprocess
 
-from tests.fakes.python_case import BIN
+from tests.fakes.python_case import built
 
 
 def flags_of(program):
   """The names of its flags, and of those that need no value."""
-  text = subprocess.run([BIN / program, "--helpfull"], capture_output=True, text=True, check=True).stdout
+  text = subprocess.run([*built(program), "--helpfull"], capture_output=True, text=True, check=True).stdout
   flags = re.findall(r"^  --([a-z_]+)( \(default (?:true|false)\))?", text, re.MULTILINE)
   return {name for name, _ in flags}, {name for name, default in flags if default}
 

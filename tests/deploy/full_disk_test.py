@@ -8,7 +8,7 @@ import zipfile
 import zlib
 
 from tests.fakes import full_disk, python_case
-from tests.fakes.python_case import BIN, SOURCE
+from tests.fakes.python_case import SOURCE, built
 
 
 def is_whole_png(content):
@@ -66,22 +66,22 @@ class FullDisk(python_case.FolderCase):
     super().setUp()
     (self.folder / "config.txt").write_text(python_case.SMALL_RUN)
     (self.folder / "experiments.toml").write_text(python_case.SMALL_EXPERIMENT)
-    self.run_program("craftfleet-train", f"--config={self.folder}/config.txt", f"--logdir={self.folder}/run", "--threads=1")
+    self.run_program("craftfleet train", f"--config={self.folder}/config.txt", f"--logdir={self.folder}/run", "--threads=1")
 
   def outputs(self, out):
     """Commands that write below the folder `out`."""
     run = self.folder / "run"
     return [
-        ["craftfleet-curve", run, f"--out={out}/curve.png"],
-        ["craftfleet-eval", f"--checkpoint={run}", "--episodes=2", f"--json={out}/eval.json"],
-        ["craftfleet-eval", f"--checkpoint={run}", "--episodes=2", f"--pictures={out}/pictures"],
-        ["craftfleet-eval", f"--checkpoint={run}", "--episodes=2", f"--video={out}/videos"],
-        ["craftfleet-eval", f"--checkpoint={run}", "--episodes=2", f"--episodes_npz={out}/episodes"],
-        ["craftfleet-watch", f"--video={out}/watch.mp4", run],
-        ["craftfleet-report", run, f"--out={out}/report", "--html"],
-        ["craftfleet-sweep", self.folder / "experiments.toml", f"--write_configs={out}/configs"],
-        ["craftfleet-sweep", self.folder / "experiments.toml", "--executor=slurm", f"--logdir={out}/sweep"],
-        ["craftfleet-train", f"--config={self.folder}/config.txt", f"--logdir={out}/train"],
+        ["craftfleet curve", run, f"--out={out}/curve.png"],
+        ["craftfleet eval", f"--checkpoint={run}", "--episodes=2", f"--out={out}/eval.json"],
+        ["craftfleet eval", f"--checkpoint={run}", "--episodes=2", f"--pictures={out}/pictures"],
+        ["craftfleet eval", f"--checkpoint={run}", "--episodes=2", f"--video={out}/videos"],
+        ["craftfleet eval", f"--checkpoint={run}", "--episodes=2", f"--episodes_npz={out}/episodes"],
+        ["craftfleet watch", f"--video={out}/watch.mp4", run],
+        ["craftfleet report", run, f"--out={out}/report", "--html"],
+        ["craftfleet sweep", self.folder / "experiments.toml", f"--write_configs={out}/configs"],
+        ["craftfleet sweep", self.folder / "experiments.toml", "--executor=slurm", f"--logdir={out}/sweep"],
+        ["craftfleet train", f"--config={self.folder}/config.txt", f"--logdir={out}/train"],
     ]
 
   def test_no_output_is_half_written_under_its_final_name(self):
@@ -97,7 +97,7 @@ class FullDisk(python_case.FolderCase):
             ended = self.run_for_a_while(command)
             made = [path for path in out.rglob("*") if path.is_file() and path.name not in ("lock", "epoch")]
             (disk / "filler").unlink()
-            if command[0] == "craftfleet-train":
+            if command[0] == "craftfleet train":
               self.check_waiting(ended, made)
               continue
             self.assertIn(ended.returncode, (0, 1), ended.stderr)
@@ -114,11 +114,11 @@ class FullDisk(python_case.FolderCase):
 
   def run_for_a_while(self, command):
     """A learner waits until there is space; it is stopped after some seconds."""
-    process = subprocess.Popen([BIN / command[0], *command[1:]], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+    process = subprocess.Popen([*built(command[0]), *command[1:]], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
                                stdin=subprocess.DEVNULL)
     self.addCleanup(process.kill)
     try:
-      out, errors = process.communicate(timeout=8 if command[0] == "craftfleet-train" else 120)
+      out, errors = process.communicate(timeout=8 if command[0] == "craftfleet train" else 120)
     except subprocess.TimeoutExpired:
       process.terminate()
       out, errors = process.communicate(timeout=60)
@@ -132,19 +132,19 @@ class FullDisk(python_case.FolderCase):
 
   def test_a_file_that_is_replaced_keeps_its_old_content(self):
     run = self.folder / "run"
-    for flag, command in (("--out", ["craftfleet-curve", run]), ("--video", ["craftfleet-watch", run]),
-                          ("--json", ["craftfleet-eval", f"--checkpoint={run}", "--episodes=1"])):
+    for flag, command in (("--out", ["craftfleet curve", run]), ("--video", ["craftfleet watch", run]),
+                          ("--json", ["craftfleet eval", f"--checkpoint={run}", "--episodes=1"])):
       with self.subTest(flag), full_disk.small_disk(self) as disk:
         target = disk / f"old{'.mp4' if flag == '--video' else '.png' if flag == '--out' else '.json'}"
         target.write_bytes(b"old")
         (disk / f"{target.name}.tmp").write_bytes(b"mine")
         full_disk.fill(disk)
-        ended = subprocess.run([BIN / command[0], *command[1:], f"{flag}={target}"], capture_output=True, text=True, timeout=120,
+        ended = subprocess.run([*built(command[0]), *command[1:], f"{flag}={target}"], capture_output=True, text=True, timeout=120,
                                check=False)
         self.assertEqual(ended.returncode, 1, ended.stderr)
         self.assertEqual(target.read_bytes(), b"old")
         (disk / "filler").unlink()
-        ended = subprocess.run([BIN / command[0], *command[1:], f"{flag}={target}"], capture_output=True, text=True, timeout=120,
+        ended = subprocess.run([*built(command[0]), *command[1:], f"{flag}={target}"], capture_output=True, text=True, timeout=120,
                                check=False)
         self.assertEqual(ended.returncode, 0, ended.stderr)
         self.assertTrue(is_whole(target))

@@ -14,7 +14,7 @@ import urllib.request
 
 from tests.deploy.flags import split, unknown_flags
 from tests.fakes import python_case
-from tests.fakes.python_case import BIN, SOURCE, wait_until
+from tests.fakes.python_case import BIN, SOURCE, built, wait_until
 
 try:
   import yaml
@@ -385,7 +385,7 @@ class Fleet(python_case.FolderCase):
     learner, address = self.start(objects, "learner", {}, ["--threads=1"])
     for name, code in (("ops", 0), ("envserver", 1)):
       tls = self.folder / name / "tls"
-      ended = subprocess.run([BIN / "craftfleet-status", f"--address={address}", f"--tls_ca={tls}/ca.crt", f"--tls_cert={tls}/tls.crt",
+      ended = subprocess.run([*built("craftfleet status"), f"--address={address}", f"--tls_ca={tls}/ca.crt", f"--tls_cert={tls}/tls.crt",
                               f"--tls_key={tls}/tls.key"], capture_output=True, text=True, check=False)
       self.assertEqual(ended.returncode, code, ended.stdout + ended.stderr)
     learner.terminate()

@@ -19,7 +19,7 @@ TEXT = "return document.getElementById(arguments[0]).textContent"
 
 class LivePage(python_case.ProcessCase):
 
-  def start_run(self, program="craftfleet-train", *flags):
+  def start_run(self, program="craftfleet train", *flags):
     """Starts an endless run with a page; returns the page's URL and the log."""
     (self.folder / "config.txt").write_text(ENDLESS)
     _, log = self.start(program, f"--config={self.folder}/config.txt", f"--logdir={self.folder}/run", "--threads=1",
@@ -216,7 +216,7 @@ class LivePage(python_case.ProcessCase):
   def test_a_report_compares_runs_in_one_file(self):
     driver = browser.open_browser(self)
     page = self.folder / "report/report.html"
-    self.run_program("craftfleet-report", str(SOURCE / "deploy/experiments/results"), "--html", f"--out={page.parent}")
+    self.run_program("craftfleet report", str(SOURCE / "deploy/experiments/results"), "--html", f"--out={page.parent}")
     self.assertNotRegex(page.read_text(), r'(src|href)="(https?:)?//')
     driver.get(page.as_uri())
     wait_until(lambda: driver.find_elements("css selector", ".leaderboard tbody tr"), "the leaderboard")

@@ -18,14 +18,19 @@ from tests.fakes.screens import Display, Tmux
 
 # name of a program -> a shell command that runs the real one, $REAL, with the arguments of the page, "$@".
 SMALLER = {
-    "craftfleet-train": 'case " $* " in *" --resume "*) exec "$REAL" "$@" ;; *" --config="*) ;; *) set -- --config="$SMALL" "$@" ;; esac\n'
-                        'exec "$REAL" "$@" --steps=192 --lanes=4',
     "craftfleet-learner": 'exec "$REAL" --config="$SMALL" "$@" --lanes=4',
-    "craftfleet-eval": 'exec "$REAL" "$@" --episodes=1',
-    "craftfleet-sweep": 'case " $* " in *" --list "*) exec "$REAL" "$@" ;; esac\nexec "$REAL" "$@" --seeds=1 --steps=1',
-    "craftfleet-top": 'exec "$REAL" "$@" --once',
-    "craftfleet-doctor": 'exec "$REAL" "$@" --listen=127.0.0.1:0',
-    "craftfleet": 'command=$1; shift; exec "$(dirname "$0")/craftfleet-$command" "$@"',
+    "craftfleet": """case "$* " in
+"train"*" --resume "*) ;;
+"train"*" --config="*) set -- "$@" --steps=192 --lanes=4 ;;
+"train "*) set -- "$@" --config="$SMALL" --steps=192 --lanes=4 ;;
+"eval "*) set -- "$@" --episodes=1 ;;
+"sweep"*" --list "*) ;;
+"sweep "*) set -- "$@" --seeds=1 --steps=1 ;;
+"top "*) set -- "$@" --once ;;
+"doctor "*) set -- "$@" --listen=127.0.0.1:0 ;;
+esac
+exec "$REAL" "$@"
+""",
 }
 SERVES = re.compile(r"(build/bin/craftfleet-(learner|actor|envserver)|deploy/local-fleet\.sh) ")
 SHOWS = re.compile(r"build/bin/craftfleet (watch|play)(?!.*--(video|strip)=)")

@@ -11,10 +11,10 @@ import subprocess
 import termios
 
 from tests.fakes import python_case
-from tests.fakes.python_case import BIN, wait_until
+from tests.fakes.python_case import BIN, built, wait_until
 from tests.fakes.screens import Display, Tmux
 
-PLAY = BIN / "craftfleet-play"
+PLAY = built("craftfleet play")
 
 
 class Play(python_case.FolderCase):
@@ -26,7 +26,7 @@ class Play(python_case.FolderCase):
     return video.name
 
   def test_in_a_terminal(self):
-    command = shlex.join([str(PLAY), "--terminal", "--wait", "--seed=3", f"--record={self.folder}/recordings"])
+    command = shlex.join([*map(str, PLAY), "--terminal", "--wait", "--seed=3", f"--record={self.folder}/recordings"])
     with Tmux(self.folder, command) as terminal:
       terminal.wait_for("seed 3, episode 1")
       terminal.press("h")
@@ -48,7 +48,7 @@ class Play(python_case.FolderCase):
         environment = {name: value for name, value in os.environ.items() if name != "COLORTERM"} | variables
         master, terminal = pty.openpty()
         fcntl.ioctl(terminal, termios.TIOCSWINSZ, struct.pack("HHHH", 40, 120, 0, 0))
-        process = subprocess.Popen([PLAY, "--terminal", "--wait", "--seed=3"], stdin=terminal, stdout=terminal, env=environment)
+        process = subprocess.Popen([*PLAY, "--terminal", "--wait", "--seed=3"], stdin=terminal, stdout=terminal, env=environment)
         self.addCleanup(process.kill)
         os.close(terminal)
         os.write(master, b"q")
@@ -62,12 +62,12 @@ class Play(python_case.FolderCase):
         self.assertNotIn(unwanted, shown)
 
   def test_a_signal_restores_the_terminal_and_keeps_the_recording(self):
-    command = shlex.join([str(PLAY), "--terminal", "--fps=20", "--seed=3", f"--record={self.folder}/recordings"])
+    command = shlex.join([*map(str, PLAY), "--terminal", "--fps=20", "--seed=3", f"--record={self.folder}/recordings"])
     with Tmux(self.folder, f"{command}; stty -a | tr ' ;' '\\n\\n' | grep -x -e -echo -e echo") as terminal:
       terminal.resize(120, 40)
       wait_until(lambda: re.search(r"step \d\d", terminal.page()), "ten steps on the terminal")  # each stands for 50 ms
       pid, = (pid for pid in python_case.processes_with(f"--record={self.folder}")
-              if python_case.command_line(pid).startswith(str(PLAY)))
+              if python_case.command_line(pid).startswith(str(BIN / "craftfleet-play")))
       os.kill(pid, 15)
       terminal.wait_for_exit(0)
       self.assertIn("crafter, seed 3, episode 1: ", terminal.page())
@@ -75,12 +75,12 @@ class Play(python_case.FolderCase):
     self.recorded()
 
   def test_a_small_terminal_is_refused(self):
-    with Tmux(self.folder, f"{shlex.quote(str(PLAY))} --terminal", columns=40, rows=10) as terminal:
+    with Tmux(self.folder, shlex.join([*map(str, PLAY), "--terminal"]), columns=40, rows=10) as terminal:
       wait_until(lambda: "want at least" in terminal.page().replace("\n", ""), "the error")
 
   def test_in_a_window(self):
     with Display(self.folder) as display:
-      process = subprocess.Popen([PLAY, "--wait", "--seed=3", "--size=288", f"--record={self.folder}/recordings"],
+      process = subprocess.Popen([*PLAY, "--wait", "--seed=3", "--size=288", f"--record={self.folder}/recordings"],
                                  stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=display.environment)
       self.addCleanup(process.kill)
       window = display.window("craftfleet play", process)
@@ -95,7 +95,7 @@ class Play(python_case.FolderCase):
   def test_without_a_display_it_says_what_to_do(self):
     nowhere = {name: value for name, value in os.environ.items() if name not in ("DISPLAY", "WAYLAND_DISPLAY")}
     for display, expected in [({}, "there is no display"), ({"DISPLAY": ":987"}, "cannot open a window on the display :987")]:
-      ended = subprocess.run([PLAY], capture_output=True, text=True, timeout=60, env={**nowhere, **display}, check=False)
+      ended = subprocess.run(PLAY, capture_output=True, text=True, timeout=60, env={**nowhere, **display}, check=False)
       self.assertEqual((ended.returncode, ended.stdout), (1, ""))
       self.assertIn(expected, ended.stderr)
       self.assertIn("--terminal", ended.stderr)
@@ -103,7 +103,7 @@ class Play(python_case.FolderCase):
   def test_the_display_is_tried_before_anything_is_recorded(self):
     # The encoder of a video starts threads, and the child that tries the display must not inherit a lock of one of them.
     folder = self.folder / "recordings"
-    ended = subprocess.run([PLAY, f"--record={folder}"], capture_output=True, text=True, timeout=60,
+    ended = subprocess.run([*PLAY, f"--record={folder}"], capture_output=True, text=True, timeout=60,
                            env={**os.environ, "DISPLAY": ":987"}, check=False)
     self.assertIn("cannot open a window", ended.stderr)
     self.assertFalse(folder.exists())
@@ -112,7 +112,7 @@ class Play(python_case.FolderCase):
     for flag, expected in [("--fps=0", "--fps=0, want 0.1..60"), ("--size=5000", "--size=5000, want 64..1024"),
                            ("--env=cr", "--env: "), ("--episode=0", "--episode=0, want 1..1000000000"),
                            ("--textures=/nowhere", "--textures=/nowhere: "), ("--terminal", "--terminal: standard input")]:
-      ended = self.run_program("craftfleet-play", flag, code=1)
+      ended = self.run_program("craftfleet play", flag, code=1)
       self.assertIn(expected, ended.stderr)
 
 

@@ -1,5 +1,6 @@
 """What programs and scripts meet at sites: variables of the environment, limits, odd names, names of hosts, PID 1."""
 
+import json
 import os
 import pathlib
 import re
@@ -12,7 +13,7 @@ import unittest
 import unittest.mock
 
 from tests.fakes import python_case
-from tests.fakes.python_case import BIN, SOURCE, wait_until
+from tests.fakes.python_case import BIN, SOURCE, built, wait_until
 
 CPUS = len(os.sched_getaffinity(0))
 PROXY = {name: "http://127.0.0.1:9" for name in ("http_proxy", "https_proxy", "grpc_proxy", "all_proxy")}
@@ -34,7 +35,7 @@ class Case(python_case.ProcessCase):
     self.run_folder = self.folder / "run"
 
   def train(self):
-    self.run_program("craftfleet-train", f"--config={self.config}", f"--logdir={self.run_folder}", "--threads=1")
+    self.run_program("craftfleet train", f"--config={self.config}", f"--logdir={self.run_folder}", "--threads=1")
 
   def run_in(self, command, seconds=120, **options):
     return subprocess.run(command, capture_output=True, text=True, timeout=seconds, check=False, **options)
@@ -77,7 +78,7 @@ class Variables(Case):
       _, log = self.start("craftfleet-learner", f"--config={self.config}", f"--logdir={self.run_folder}", "--threads=1",
                           "--listen=127.0.0.1:0")
       learner = self.word_after(log, "listening on ")
-      self.assertIn("learner", self.run_program("craftfleet-status", f"--address={learner}").stdout)
+      self.assertIn("learner", self.run_program("craftfleet status", f"--address={learner}").stdout)
       self.start("craftfleet-envserver", "--listen=127.0.0.1:0", f"--learner={learner}")
       actor, log = self.start("craftfleet-actor", f"--learner={learner}", "--envservers=learner", "--threads=1")
       self.assertEqual(actor.wait(60), 0, log.read_text())
@@ -90,14 +91,14 @@ class Variables(Case):
          ({"GOMP_CPU_AFFINITY": "0-1"}, 2))):
       with self.subTest(variables):
         logdir = self.folder / f"run-{number}"
-        command = [BIN / "craftfleet-train", f"--config={self.config}", f"--logdir={logdir}", "--threads=2"]
+        command = [*built("craftfleet train"), f"--config={self.config}", f"--logdir={logdir}", "--threads=2"]
         process, log = self.start_in(command, env=environment(**variables))
         wait_until((logdir / "checkpoints/iter-00000002").exists, f"checkpoints in {log}")
         masks = {task.name: len(os.sched_getaffinity(int(task.name)))
                  for task in pathlib.Path(f"/proc/{process.pid}/task").iterdir()}
         process.kill()
         self.assertEqual(set(masks.values()), {cpus}, masks)
-        doctor = self.run_in([BIN / "craftfleet-doctor", f"--logdir={self.folder}"], env=environment(**variables))
+        doctor = self.run_in([*built("craftfleet doctor"), f"--logdir={self.folder}"], env=environment(**variables))
         self.assertIn(f"; {cpus} threads;", doctor.stdout)
 
   def test_the_variable_that_sets_the_number_of_ranks_is_named(self):
@@ -124,37 +125,37 @@ class Limits(Case):
     return {
         "craftfleet": ["--version"],
         "craftfleet-actor": ["--learner=127.0.0.1:1", "--threads=2"],
-        "craftfleet-admin": ["pause", "--address=127.0.0.1:1"],
-        "craftfleet-agents": [],
-        "craftfleet-curve": [run],
-        "craftfleet-doctor": [f"--logdir={self.folder}"],
-        "craftfleet-envs": ["--worlds=1"],
+        "craftfleet admin": ["pause", "--address=127.0.0.1:1"],
+        "craftfleet agents": [],
+        "craftfleet curve": [run],
+        "craftfleet doctor": [f"--logdir={self.folder}"],
+        "craftfleet envs": ["--worlds=1"],
         "craftfleet-envserver": ["--listen=127.0.0.1:0"],
-        "craftfleet-eval": [f"--checkpoint={run}", "--episodes=1"],
-        "craftfleet-inspect": [],
+        "craftfleet eval": [f"--checkpoint={run}", "--episodes=1"],
+        "craftfleet inspect": [],
         "craftfleet-learner": [f"--config={config}", f"--logdir={self.folder}/learner", "--listen=127.0.0.1:0"],
-        "craftfleet-play": [],
-        "craftfleet-policy": [f"--checkpoint={run}"],
-        "craftfleet-report": [run, f"--out={self.folder}/report"],
-        "craftfleet-status": ["--address=127.0.0.1:1"],
-        "craftfleet-sweep": [SOURCE / "deploy/experiments/paper.toml", "--list"],
-        "craftfleet-top": ["--address=127.0.0.1:1", "--once"],
-        "craftfleet-train": [f"--config={config}", f"--logdir={self.folder}/train-%", "--threads=2"],
-        "craftfleet-watch": [f"--video={self.folder}/watch.mp4", run],
+        "craftfleet play": [],
+        "craftfleet policy": [f"--checkpoint={run}"],
+        "craftfleet report": [run, f"--out={self.folder}/report"],
+        "craftfleet status": ["--address=127.0.0.1:1"],
+        "craftfleet sweep": [SOURCE / "deploy/experiments/paper.toml", "--list"],
+        "craftfleet top": ["--address=127.0.0.1:1", "--once"],
+        "craftfleet train": [f"--config={config}", f"--logdir={self.folder}/train-%", "--threads=2"],
+        "craftfleet watch": [f"--video={self.folder}/watch.mp4", run],
     }
 
   def test_a_limit_of_threads_is_a_sentence_and_an_exit_code_of_one(self):
     self.train()
     library = BIN / "libcraftfleet_few_threads.so"
     commands = self.commands()
-    programs = {path.name for path in BIN.glob("craftfleet*") if os.access(path, os.X_OK)}
-    self.assertLessEqual(programs, set(commands), "each program has a row")
+    listed = json.loads(self.run_program("craftfleet", "--help_json").stdout)["commands"]
+    self.assertLessEqual({f"craftfleet {command['name']}" for command in listed}, set(commands), "each command has a row")
     refused = 0
-    for program in sorted(programs):
+    for program in sorted(commands):
       for limit in (1, 2, 4, 8, 12, 16):
         with self.subTest(program, limit=limit):
           arguments = [str(argument).replace("%", str(limit)) for argument in commands[program]]
-          process, log = self.start_in([BIN / program, *arguments], stdin=subprocess.DEVNULL, env=environment(
+          process, log = self.start_in([*built(program), *arguments], stdin=subprocess.DEVNULL, env=environment(
               LD_PRELOAD=str(library), FEW_THREADS=str(limit), OPENBLAS_NUM_THREADS="1"))
           wait_until(lambda: process.poll() is not None or re.search("listening on|status on|trying again", log.read_text()),
                      f"the end of {program} with {limit} threads")
@@ -184,10 +185,10 @@ class Limits(Case):
     for version in (1, 2):
       with self.subTest(version):
         limited = self.memory_of(version, 1 << 30)
-        doctor = self.run_in([*limited, BIN / "craftfleet-doctor", f"--logdir={self.folder}"])
+        doctor = self.run_in([*limited, *built("craftfleet doctor"), f"--logdir={self.folder}"])
         self.assertRegex(doctor.stdout, r"memory +10\d\d MiB available")
         limited = self.memory_of(version, 1 << 29)
-        refused = self.run_in([*limited, BIN / "craftfleet-train", "--agent=ppo_spcnn", f"--logdir={self.run_folder}"])
+        refused = self.run_in([*limited, *built("craftfleet train"), "--agent=ppo_spcnn", f"--logdir={self.run_folder}"])
         self.assertEqual(refused.returncode, 1, refused.stderr)
         self.assertRegex(refused.stderr, r"the learner needs at least [\d.]+ GiB of memory, .*; it has 0\.5 GiB")
         self.assertFalse(self.run_folder.exists())
@@ -201,22 +202,22 @@ class Names(Case):
     here.mkdir()
     home.mkdir()
     for program, *arguments in (
-        ["craftfleet-train", f"--config={self.config}", "--logdir=~/run", "--threads=1"],
-        ["craftfleet-curve", f"{self.run_folder}", "--out=~/curve.png"],
-        ["craftfleet-eval", f"--checkpoint={self.run_folder}", "--episodes=1", "--json=~/eval.json", "--pictures=~/pictures"],
-        ["craftfleet-report", f"{self.run_folder}", "--out=~/report"],
-        ["craftfleet-sweep", SOURCE / "deploy/experiments/paper.toml", "--write_configs=~/configs", "--experiment=table1"]):
-      ended = self.run_in([BIN / program, *arguments], cwd=here, env=environment(HOME=str(home)))
+        ["craftfleet train", f"--config={self.config}", "--logdir=~/run", "--threads=1"],
+        ["craftfleet curve", f"{self.run_folder}", "--out=~/curve.png"],
+        ["craftfleet eval", f"--checkpoint={self.run_folder}", "--episodes=1", "--out=~/eval.json", "--pictures=~/pictures"],
+        ["craftfleet report", f"{self.run_folder}", "--out=~/report"],
+        ["craftfleet sweep", SOURCE / "deploy/experiments/paper.toml", "--write_configs=~/configs", "--experiment=table1"]):
+      ended = self.run_in([*built(program), *arguments], cwd=here, env=environment(HOME=str(home)))
       self.assertEqual(ended.returncode, 0, ended.stderr)
     self.assertEqual(list(here.iterdir()), [], "no folder named ~")
     made = {path.name for path in home.iterdir()} - {".cache", ".config"}  # where matplotlib keeps its list of fonts
     self.assertEqual(made, {"run", "curve.png", "eval.json", "pictures", "report", "configs"})
 
   def test_every_form_of_an_address_is_used_or_refused_with_what_to_write(self):
-    flags = (["craftfleet-status", "address"], ["craftfleet-actor", "learner"], ["craftfleet-actor", "envservers"],
+    flags = (["craftfleet status", "address"], ["craftfleet-actor", "learner"], ["craftfleet-actor", "envservers"],
              ["craftfleet-envserver", "listen"], ["craftfleet-envserver", "health_listen"], ["craftfleet-envserver", "learner"],
-             ["craftfleet-envserver", "metrics_listen"], ["craftfleet-top", "address"], ["craftfleet-admin", "address"],
-             ["craftfleet-train", "listen"], ["craftfleet-train", "http_listen"], ["craftfleet-learner", "listen"])
+             ["craftfleet-envserver", "metrics_listen"], ["craftfleet top", "address"], ["craftfleet admin", "address"],
+             ["craftfleet train", "listen"], ["craftfleet train", "http_listen"], ["craftfleet-learner", "listen"])
     for program, flag in flags:
       for address, want in (
           ("http://127.0.0.1:50051", "HOST:PORT or unix:PATH, without http://"), ("grpc://a:1", "without grpc://"),
@@ -224,8 +225,8 @@ class Names(Case):
           ("127.0.0.1:+1", "HOST:PORT"), ("a b:1", "HOST:PORT"), ("127.0.0.1:99999", "HOST:PORT"),
           ("unix:", "HOST:PORT"), ("unix:/" + 120 * "a", "at most 107 bytes")):
         with self.subTest(program, flag=flag, address=address):
-          more = {"craftfleet-admin": ["pause"], "craftfleet-train": [f"--logdir={self.run_folder}"],
-                  "craftfleet-inspect": [],
+          more = {"craftfleet admin": ["pause"], "craftfleet train": [f"--logdir={self.run_folder}"],
+                  "craftfleet inspect": [],
         "craftfleet-learner": [f"--logdir={self.run_folder}"],
                   "craftfleet-actor": [] if flag == "learner" else ["--learner=127.0.0.1:1"]}.get(program, [])
           refused = self.run_program(program, f"--{flag}={address}", *more, code=1)
@@ -238,7 +239,7 @@ class Names(Case):
     folder.mkdir()
     server, log = self.start("craftfleet-envserver", f"--listen=unix:{folder}/socket", f"--health_listen=unix:{folder}/health")
     wait_until(lambda: "listening on" in log.read_text(), log)
-    self.assertIn("envserver", self.run_program("craftfleet-status", f"--address=unix:{folder}/socket").stdout)
+    self.assertIn("envserver", self.run_program("craftfleet status", f"--address=unix:{folder}/socket").stdout)
     server.terminate()
     self.assertEqual(server.wait(20), 0)
     # A file that is left by a killed process is no obstacle.
@@ -255,11 +256,11 @@ class Names(Case):
       address = self.word_after(log, "listening on ")
       for program, more in (("craftfleet-envserver", []), ("craftfleet-actor", ["--learner=127.0.0.1:1"]),
                             ("craftfleet-learner", [f"--config={self.config}", f"--logdir={self.run_folder}"]),
-                            ("craftfleet-train", [f"--config={self.config}", f"--logdir={self.run_folder}"])):
+                            ("craftfleet train", [f"--config={self.config}", f"--logdir={self.run_folder}"])):
         with self.subTest(program, address=address):
           refused = self.run_program(program, f"--listen={address}", *more, code=1)
           self.assertIn(f"cannot listen on {address}", refused.stderr)
-          self.assertIn("envserver", self.run_program("craftfleet-status", f"--address={address}").stdout)
+          self.assertIn("envserver", self.run_program("craftfleet status", f"--address={address}").stdout)
     self.assertFalse((self.run_folder / "config.txt").exists())
 
 
@@ -335,18 +336,18 @@ class Scripts(Case):
     out = self.folder / "out"
     out.mkdir()
     out.chmod(0o777)
-    report = self.run_in([*as_nobody, BIN / "craftfleet-report", runs, f"--out={out}/report", "--html"])
+    report = self.run_in([*as_nobody, *built("craftfleet report"), runs, f"--out={out}/report", "--html"])
     self.assertEqual(report.returncode, 0, report.stderr)
     for name in ("closed/stats.jsonl", "unlisted"):
       self.assertIn(f"{runs}/{name}: Permission denied", report.stderr)
     self.assertIn("1 complete", report.stdout)
-    curve = self.run_in([*as_nobody, BIN / "craftfleet-curve", *(runs / name for name in ("good", "empty", "closed", "unlisted")),
+    curve = self.run_in([*as_nobody, *built("craftfleet curve"), *(runs / name for name in ("good", "empty", "closed", "unlisted")),
                          f"--out={out}/curve.png"])
     self.assertEqual(curve.returncode, 0, curve.stderr)
     for text in (f"{runs}/empty/stats.jsonl: no episode has finished yet", "closed/stats.jsonl", "unlisted"):
       self.assertRegex(curve.stderr, f"warning: left out: .*{re.escape(text)}")
     self.assertTrue((out / "curve.png").exists())
-    alone = self.run_in([*as_nobody, BIN / "craftfleet-curve", runs / "closed"])
+    alone = self.run_in([*as_nobody, *built("craftfleet curve"), runs / "closed"])
     self.assertEqual(alone.returncode, 1)
     (runs / "unlisted").chmod(0o755)
 
@@ -357,7 +358,7 @@ class Scripts(Case):
     ended = self.run_in([SOURCE / "deploy/experiments/collect.py", "--weights", self.run_folder, result])
     self.assertEqual(ended.returncode, 0, ended.stderr)
     self.assertEqual({path.name for path in result.iterdir()}, {"config.txt", "run.json", "weights.safetensors"})
-    drawn = self.run_in([BIN / "craftfleet-curve", f"{result}.npz", self.run_folder])
+    drawn = self.run_in([*built("craftfleet curve"), f"{result}.npz", self.run_folder])
     self.assertEqual(*(line.split()[1:] for line in drawn.stdout.splitlines()[1:]))
 
 
@@ -392,7 +393,7 @@ class Networks(Case):
       port = self.word_after(log, "listening on ").rpartition(":")[2]
       hosts = ["127.0.0.1"] + (["[::1]"] if listen.startswith("[") and socket.has_dualstack_ipv6() else [])
       for host in hosts:
-        self.assertIn("envserver", self.run_program("craftfleet-status", f"--address={host}:{port}").stdout)
+        self.assertIn("envserver", self.run_program("craftfleet status", f"--address={host}:{port}").stdout)
 
   def test_process_1_ends_at_the_first_signal(self):
     tried = self.run_in(["unshare", "--pid", "--fork", "true"])
@@ -400,10 +401,10 @@ class Networks(Case):
       self.skipTest(f"no process ids of its own: {tried.stderr.strip()}; want root")
     for program, *flags in (
         ["craftfleet-learner", f"--config={self.config}", f"--logdir={self.run_folder}", "--listen=127.0.0.1:0"],
-        ["craftfleet-train", f"--config={self.config}", f"--logdir={self.run_folder}"],
+        ["craftfleet train", f"--config={self.config}", f"--logdir={self.run_folder}"],
         ["craftfleet-envserver", "--listen=127.0.0.1:0"], ["craftfleet-actor", "--learner=127.0.0.1:1"]):
       with self.subTest(program):
-        process, log = self.start_in(["unshare", "--pid", "--fork", "--kill-child", BIN / program, *flags])
+        process, log = self.start_in(["unshare", "--pid", "--fork", "--kill-child", *built(program), *flags])
         child = pathlib.Path(f"/proc/{process.pid}/task/{process.pid}/children")
         first = int(wait_until(lambda: child.read_text().split(), "process 1")[0])
         wait_until(lambda: self.handles_term(first), "a handler of SIGTERM")

@@ -4,7 +4,7 @@ import subprocess
 
 from tests.deploy.slurm_cluster import SlurmCluster, why_not
 from tests.fakes import python_case
-from tests.fakes.python_case import BIN, SOURCE, wait_until
+from tests.fakes.python_case import BIN, SOURCE, built, wait_until
 
 SCRIPT = SOURCE / "deploy/slurm/fleet.sbatch"
 # 2 actors and 2 environment servers, small enough for three nodes on one machine.
@@ -66,7 +66,7 @@ class Slurm(python_case.FolderCase):
 
   def expect_bytes_of_one_process(self, steps):
     alone = self.folder / "alone"
-    subprocess.run([BIN / "craftfleet-train", f"--config={self.folder}/config.txt", f"--logdir={alone}", f"--steps={steps}",
+    subprocess.run([*built("craftfleet train"), f"--config={self.folder}/config.txt", f"--logdir={alone}", f"--steps={steps}",
                     "--threads=1"], check=True, capture_output=True, timeout=200)
     self.assertEqual((self.logdir / "stats.jsonl").read_bytes(), (alone / "stats.jsonl").read_bytes())
 
@@ -133,7 +133,7 @@ class Slurm(python_case.FolderCase):
     self.assertIn("submit this script with sbatch", self.cluster.run("bash", SCRIPT, "--logdir=x", check=False).stderr)
 
   def sweep(self, *flags, runs="runs", check=True):
-    return self.cluster.run(BIN / "craftfleet-sweep", self.folder / "experiments.toml", "--seeds=2", "--executor=slurm",
+    return self.cluster.run(*built("craftfleet sweep"), self.folder / "experiments.toml", "--seeds=2", "--executor=slurm",
                             f"--logdir={self.folder}/{runs}", "--jobs=10", "--slurm_flags=--mem-per-cpu=400 --parsable", *flags,
                             check=check)
 
@@ -165,7 +165,7 @@ class Slurm(python_case.FolderCase):
     wait_until(lambda: "requeueing the task" in log.read_text(), "a task that is requeued")
     wait_until(lambda: self.cluster.run("squeue", "-h").stdout == "", "an empty queue", seconds=200)
     self.assertIn("resumes: small/gamma=0.9/seed1", log.read_text())
-    listed = subprocess.run([BIN / "craftfleet-sweep", self.folder / "experiments.toml", "--list", "--seeds=2",
+    listed = subprocess.run([*built("craftfleet sweep"), self.folder / "experiments.toml", "--list", "--seeds=2",
                              f"--logdir={self.folder}/runs"], capture_output=True, text=True, check=True).stdout
     self.assertEqual(listed.count("2 of 2 done"), 2, listed + "".join(
         f"== {file}\n{file.read_text(errors='replace')}" for file in (self.folder / "runs").rglob("*.log")))

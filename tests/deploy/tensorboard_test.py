@@ -42,7 +42,7 @@ class TensorBoard(python_case.FolderCase):
     """Returns the run folder."""
     (self.folder / "config.txt").write_text(python_case.SMALL_RUN + f'agent: "{agent}"')
     run = self.folder / "run"
-    self.run_program("craftfleet-train", f"--config={self.folder}/config.txt", f"--logdir={run}", "--threads=1")
+    self.run_program("craftfleet train", f"--config={self.folder}/config.txt", f"--logdir={run}", "--threads=1")
     return run
 
   def read(self, program, run):

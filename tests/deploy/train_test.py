@@ -16,7 +16,7 @@ class Train(python_case.FolderCase):
     (self.folder / "config.txt").write_text(python_case.SMALL_RUN)
 
   def train(self, run, *flags, code=0):
-    return self.run_program("craftfleet-train", f"--config={self.folder}/config.txt", f"--logdir={self.folder}/{run}",
+    return self.run_program("craftfleet train", f"--config={self.folder}/config.txt", f"--logdir={self.folder}/{run}",
                             *flags, code=code)
 
   def checkpoints(self, run):
@@ -82,7 +82,7 @@ class Train(python_case.FolderCase):
   def test_a_stopped_run_waits_for_nothing(self):
     log = self.folder / "train.err"
     with log.open("wb") as err:
-      train = subprocess.Popen([python_case.BIN / "craftfleet-train", f"--config={self.folder}/config.txt",
+      train = subprocess.Popen([*python_case.built("craftfleet train"), f"--config={self.folder}/config.txt",
                                 f"--logdir={self.folder}/run", "--steps=1e6"], stdout=subprocess.DEVNULL, stderr=err)
     self.addCleanup(train.kill)
     python_case.wait_until(lambda: (self.folder / "run/checkpoints/iter-00000002").exists(), "it trains")
@@ -106,8 +106,8 @@ class Train(python_case.FolderCase):
     self.assertTrue(train.stdout.startswith(f"run {run_id}\n"), train.stdout)
     self.assertRegex(train.stderr, rf"info: run {run_id} in {re.escape(str(self.folder))}/run")
     self.assertIn(f"run {run_id} resumes", self.train("run", "--resume", "--steps=256").stderr)
-    evaluated = self.run_program("craftfleet-eval", f"--checkpoint={self.folder}/run", "--episodes=1",
-                                 f"--json={self.folder}/eval.json")
+    evaluated = self.run_program("craftfleet eval", f"--checkpoint={self.folder}/run", "--episodes=1",
+                                 f"--out={self.folder}/eval.json")
     self.assertIn(run_id, evaluated.stdout)
     self.assertEqual(json.loads((self.folder / "eval.json").read_text())["run_id"], run_id)
 

@@ -7,10 +7,10 @@ import struct
 import subprocess
 
 from tests.fakes import python_case
-from tests.fakes.python_case import BIN
+from tests.fakes.python_case import built
 from tests.fakes.screens import Display, Tmux
 
-WATCH = BIN / "craftfleet-watch"
+WATCH = built("craftfleet watch")
 RUN = python_case.SMALL_RUN.replace("steps: 192", "steps: 64")
 
 
@@ -27,12 +27,12 @@ class WatchAgent(python_case.FolderCase):
     """Trains for an iteration; returns the run folder."""
     (self.folder / "config.txt").write_text(RUN + f'agent: "{agent}"')
     run = self.folder / agent
-    self.run_program("craftfleet-train", f"--config={self.folder}/config.txt", f"--logdir={run}", "--threads=1")
+    self.run_program("craftfleet train", f"--config={self.folder}/config.txt", f"--logdir={run}", "--threads=1")
     return run
 
   def test_in_a_terminal_it_pauses_steps_and_follows_the_run(self):
     run = self.train()
-    with Tmux(self.folder, shlex.join([str(WATCH), "--terminal", "--follow", "--speed=1", str(run)])) as terminal:
+    with Tmux(self.folder, shlex.join([*map(str, WATCH), "--terminal", "--follow", "--speed=1", str(run)])) as terminal:
       terminal.wait_for("seed 0, episode 1, step 1")
       terminal.press("Space")
       terminal.wait_for("PAUSED ppo_cnn, 64 steps")
@@ -44,7 +44,7 @@ class WatchAgent(python_case.FolderCase):
       self.assertIn("make_stone_pickaxe", terminal.page())
       self.assertIn("value", terminal.page())
       self.assertGreater(len(terminal.colors()), 10)
-      self.run_program("craftfleet-train", "--resume", "--steps=128", f"--logdir={run}", "--threads=1")
+      self.run_program("craftfleet train", "--resume", "--steps=128", f"--logdir={run}", "--threads=1")
       terminal.press("n")
       terminal.wait_for("ppo_cnn, 128 steps")
       terminal.press("q")
@@ -53,7 +53,7 @@ class WatchAgent(python_case.FolderCase):
   def test_in_a_window(self):
     run = self.train()
     with Display(self.folder) as display:
-      process = subprocess.Popen([WATCH, "--size=288", str(run)], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+      process = subprocess.Popen([*WATCH, "--size=288", str(run)], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
                                  env=display.environment)
       self.addCleanup(process.kill)
       window = display.window("craftfleet watch", process)
@@ -64,7 +64,7 @@ class WatchAgent(python_case.FolderCase):
 
   def test_the_video_has_a_picture_for_each_moment(self):
     video = self.folder / "episode.mp4"
-    ended = self.run_program("craftfleet-watch", f"--video={video}", "--episode=3", "--size=128", str(self.train()))
+    ended = self.run_program("craftfleet watch", f"--video={video}", "--episode=3", "--size=128", str(self.train()))
     self.assertIn(f"{video}: ppo_cnn, 64 steps, episode 3, 20 steps, reward", ended.stdout)
     self.assertEqual(len(list(self.folder.glob("episode*"))), 1, "no unfinished file")
     if shutil.which("ffprobe") is None:
@@ -76,9 +76,9 @@ class WatchAgent(python_case.FolderCase):
 
   def test_the_strip_has_two_rows_and_the_chosen_columns(self):
     run = self.train("oc_ca")
-    for flags, columns in [(["--strip_steps=0,5,19"], 3), (["--strip_columns=4", "--strip_detail=patches", "--attention=sum"], 4)]:
+    for flags, columns in [(["--strip_steps=0,5,19"], 3), (["--strip_columns=4", "--attention=sum"], 4)]:
       strip = self.folder / "strip.png"
-      ended = self.run_program("craftfleet-watch", f"--strip={strip}", *flags, str(run))
+      ended = self.run_program("craftfleet watch", f"--strip={strip}", *flags, str(run))
       self.assertEqual(ended.stdout, f"{strip}: {columns} columns of episode 1\n")
       self.assertEqual(png_size(strip), (columns * 186 + 6, 400))
 
@@ -96,16 +96,16 @@ class WatchAgent(python_case.FolderCase):
         (["--env=minecraft", str(run)], "--env: "),
         (["--terminal", str(run)], "--terminal: standard input"),
     ]:
-      ended = self.run_program("craftfleet-watch", *flags, code=1)
+      ended = self.run_program("craftfleet watch", *flags, code=1)
       self.assertIn(expected, ended.stderr)
 
   def test_an_unwritable_video_leaves_nothing(self):
-    ended = self.run_program("craftfleet-watch", f"--video={self.folder}/no/folder.mp4", str(self.train()), code=1)
+    ended = self.run_program("craftfleet watch", f"--video={self.folder}/no/folder.mp4", str(self.train()), code=1)
     self.assertIn("no/folder.mp4", ended.stderr)
 
   def test_an_unwritable_strip_is_reported_before_the_episode(self):
     # The agent has no attention, which the episode's first frame shows.
-    ended = self.run_program("craftfleet-watch", f"--strip={self.folder}/no/strip.png", str(self.train()), code=1)
+    ended = self.run_program("craftfleet watch", f"--strip={self.folder}/no/strip.png", str(self.train()), code=1)
     self.assertIn("--strip", ended.stderr)
     self.assertNotIn("attention", ended.stderr)
 

@@ -10,7 +10,7 @@ import urllib.error
 import urllib.request
 
 from tests.fakes import python_case
-from tests.fakes.python_case import BIN, SOURCE, wait_until
+from tests.fakes.python_case import SOURCE, built, wait_until
 
 MONITORING = SOURCE / "deploy/monitoring"
 ENDLESS = python_case.SMALL_RUN.replace("steps: 192 ", "steps: 1000000000 ")
@@ -71,7 +71,7 @@ class Watch(python_case.ProcessCase):
       yield line
 
   def status(self, address=""):
-    return json.loads(self.run_program("craftfleet-status", f"--address={address or self.learner}", "--json").stdout)
+    return json.loads(self.run_program("craftfleet status", f"--address={address or self.learner}", "--json").stdout)
 
   def metric(self, name):
     return {metric["name"]: metric["value"] for metric in self.status()["metrics"]}[name]
@@ -170,13 +170,13 @@ class Watch(python_case.ProcessCase):
     wait_until(lambda: re.search(r"(?m)^server +\S+ +LOST ", self.top()), "a lost server")
 
   def top(self):
-    page = self.run_program("craftfleet-top", f"--address={self.learner}", "--once", "--width=80").stdout
+    page = self.run_program("craftfleet top", f"--address={self.learner}", "--once", "--width=80").stdout
     self.assertLessEqual(max(map(len, page.splitlines())), 80)
     return page
 
   def test_top_prints_pages_without_a_terminal(self):
     _, _, self.learner = self.start_learner()
-    process = subprocess.Popen([BIN / "craftfleet-top", f"--address={self.learner}", "--interval=100ms"],
+    process = subprocess.Popen([*built("craftfleet top"), f"--address={self.learner}", "--interval=100ms"],
                                stdout=subprocess.PIPE, text=True)
     lines = self.lines_of(process)
     titles = 0
@@ -190,14 +190,14 @@ class Watch(python_case.ProcessCase):
   def test_top_refuses_a_process_that_is_not_a_learner(self):
     _, log = self.start("craftfleet-envserver", "--listen=127.0.0.1:0")
     address = self.word_after(log, "listening on ")
-    ended = subprocess.run([BIN / "craftfleet-top", f"--address={address}", "--once"], capture_output=True, text=True,
+    ended = subprocess.run([*built("craftfleet top"), f"--address={address}", "--once"], capture_output=True, text=True,
                            timeout=60)
     self.assertEqual(ended.returncode, 1)
     self.assertIn("want the learner", ended.stderr)
 
   def test_status_streams(self):
     _, _, self.learner = self.start_learner()
-    process = subprocess.Popen([BIN / "craftfleet-status", f"--address={self.learner}", "--watch", "--interval=100ms"],
+    process = subprocess.Popen([*built("craftfleet status"), f"--address={self.learner}", "--watch", "--interval=100ms"],
                                stdout=subprocess.PIPE, text=True)
     lines = self.lines_of(process)
     roles = 0

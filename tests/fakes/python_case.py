@@ -41,6 +41,12 @@ eval = { every_steps = 0, final_episodes = 0 }
 """
 
 
+def built(name):
+  """The words that start a program of this build, such as "craftfleet-actor" or "craftfleet train"."""
+  program, *command = name.split()
+  return [BIN / program, *command]
+
+
 def cmake_setting(name):
   """The value of a variable in this build's CMake cache."""
   text = (BIN.parent / "CMakeCache.txt").read_text(encoding="utf-8")
@@ -57,7 +63,7 @@ class FolderCase(unittest.TestCase):
 
   def run_program(self, name, *flags, code=0):
     """Runs the program to its end and returns the completed process; fails unless its exit code is `code`."""
-    ended = subprocess.run([BIN / name, *flags], capture_output=True, text=True, timeout=120)
+    ended = subprocess.run([*built(name), *flags], capture_output=True, text=True, timeout=120)
     self.assertEqual(ended.returncode, code, ended.stderr)
     return ended
 
@@ -72,9 +78,9 @@ class ProcessCase(FolderCase):
   def start(self, name, *flags):
     """Starts a program; returns it and its log file."""
     self.programs += 1
-    log = self.folder / f"{self.programs}-{name}.log"
+    log = self.folder / f"{self.programs}-{name.replace(' ', '-')}.log"
     with open(log, "w", encoding="utf-8") as errors:
-      process = subprocess.Popen([BIN / name, *flags], stdout=subprocess.DEVNULL, stderr=errors)
+      process = subprocess.Popen([*built(name), *flags], stdout=subprocess.DEVNULL, stderr=errors)
     self.addCleanup(process.wait)
     self.addCleanup(process.kill)
     return process, log

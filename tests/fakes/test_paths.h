@@ -5,6 +5,7 @@
 #define CRAFTFLEET_TESTS_FAKES_TEST_PATHS_H_
 
 #include <string>
+#include <vector>
 
 #include <absl/strings/string_view.h>
 
@@ -15,6 +16,9 @@ std::string SourcePath(absl::string_view path);
 
 // `name` is relative to bin/ of the build.
 std::string BuiltProgram(absl::string_view name);
+
+// The words that start a program in bin/ or a command, such as "craftfleet-actor" or "craftfleet train".
+std::vector<std::string> BuiltCommand(absl::string_view name);
 
 }  // namespace craftfleet
 

@@ -61,5 +61,5 @@ int Run(const std::vector<std::string>& files) {
 }  // namespace craftfleet
 
 int main(int argc, char** argv) {
-  return craftfleet::Run(craftfleet::ParseFlagsAndArguments(craftfleet::kProgram, craftfleet::kUsage, argc, argv));
+  return craftfleet::Run(craftfleet::ParseFlagsAndArguments({craftfleet::kProgram, craftfleet::kUsage}, argc, argv));
 }

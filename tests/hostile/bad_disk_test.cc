@@ -33,7 +33,9 @@ class BadDiskTest : public SmallRunTest {
     std::vector<std::string> words = {
         absl::StrCat("LD_PRELOAD=", BuiltProgram("libcraftfleet_bad_disk.so")), "BAD_DISK=" + disk,
         // AddressSanitizer wants to be the first library itself.
-        absl::StrCat("ASAN_OPTIONS=verify_asan_link_order=0:", asan != nullptr ? asan : ""), BuiltProgram(program)};
+        absl::StrCat("ASAN_OPTIONS=verify_asan_link_order=0:", asan != nullptr ? asan : "")};
+    const std::vector<std::string> command = BuiltCommand(program);
+    words.insert(words.end(), command.begin(), command.end());
     words.insert(words.end(), flags.begin(), flags.end());
     return Start("/usr/bin/env", words);
   }
@@ -98,7 +100,7 @@ TEST_F(BadDiskTest, AnOlderLearnerWithoutActorsEndsToo) {
 
 TEST_F(BadDiskTest, AFailedSyncOfALogCostsNoLine) {
   // The first sync of each log belongs to the initial checkpoint, the second to that of the first iteration.
-  const auto train = StartOn("/stats.jsonl:2", "craftfleet-train", Flags("run"));
+  const auto train = StartOn("/stats.jsonl:2", "craftfleet train", Flags("run"));
   const Ended ended = Finish(train.get());
   EXPECT_EQ(ended.exit_code, 0) << ended.err;
   EXPECT_THAT(ended.err, HasSubstr("checkpoint of iteration 1: cannot sync " + Logdir("run") + "/stats.jsonl"));
@@ -106,7 +108,7 @@ TEST_F(BadDiskTest, AFailedSyncOfALogCostsNoLine) {
 }
 
 TEST_F(BadDiskTest, ACheckpointThatCouldNotBeSyncedIsWrittenAgain) {
-  const auto train = StartOn("/weights.safetensors:2", "craftfleet-train", Flags("run"));
+  const auto train = StartOn("/weights.safetensors:2", "craftfleet train", Flags("run"));
   const Ended ended = Finish(train.get());
   EXPECT_EQ(ended.exit_code, 0) << ended.err;
   EXPECT_THAT(ended.err, HasSubstr("checkpoint of iteration 1: cannot sync "));
@@ -115,11 +117,11 @@ TEST_F(BadDiskTest, ACheckpointThatCouldNotBeSyncedIsWrittenAgain) {
 }
 
 TEST_F(BadDiskTest, FoldersThatCannotBeSyncedAreNoError) {
-  for (const char* program : {"craftfleet-train", "craftfleet-curve", "craftfleet-eval"}) {
+  for (const char* program : {"craftfleet train", "craftfleet curve", "craftfleet eval"}) {
     std::vector<std::string> flags = Flags("run");
-    if (program == std::string("craftfleet-curve")) flags = {Logdir("run"), "--out=" + folder_ / "curve.png"};
-    if (program == std::string("craftfleet-eval")) {
-      flags = {"--checkpoint=" + Logdir("run"), "--episodes=1", "--json=" + folder_ / "eval.json"};
+    if (program == std::string("craftfleet curve")) flags = {Logdir("run"), "--out=" + folder_ / "curve.png"};
+    if (program == std::string("craftfleet eval")) {
+      flags = {"--checkpoint=" + Logdir("run"), "--episodes=1", "--out=" + folder_ / "eval.json"};
     }
     const Ended ended = Finish(StartOn("nofoldersync", program, flags).get());
     EXPECT_EQ(ended.exit_code, 0) << program << ": " << ended.err;
@@ -132,7 +134,7 @@ TEST_F(BadDiskTest, FoldersThatCannotBeSyncedAreNoError) {
 TEST_F(BadDiskTest, ADiskWithoutLocksIsWarnedOfAndUsed) {
   for (const int error : {ENOSYS, ENOLCK, EOPNOTSUPP}) {
     const std::string run = absl::StrCat("run-", error);
-    const Ended ended = Finish(StartOn(absl::StrCat("flock=", error), "craftfleet-train", Flags(run)).get());
+    const Ended ended = Finish(StartOn(absl::StrCat("flock=", error), "craftfleet train", Flags(run)).get());
     EXPECT_EQ(ended.exit_code, 0) << ended.err;
     EXPECT_THAT(ended.err, HasSubstr(Logdir(run) + ": the file system has no locks ("));
     EXPECT_THAT(ended.err, HasSubstr("do not start a second process with this --logdir"));
@@ -140,7 +142,7 @@ TEST_F(BadDiskTest, ADiskWithoutLocksIsWarnedOfAndUsed) {
 }
 
 TEST_F(BadDiskTest, ACheckpointThatCannotBeDeletedDoesNotEndTheRun) {
-  const auto train = StartOn("busy=iter-00000001", "craftfleet-train", Flags("run", {"--keep_checkpoints=1"}));
+  const auto train = StartOn("busy=iter-00000001", "craftfleet train", Flags("run", {"--keep_checkpoints=1"}));
   const Ended ended = Finish(train.get());
   EXPECT_EQ(ended.exit_code, 0) << ended.err;
   EXPECT_THAT(ended.err, HasSubstr("cannot remove "));
@@ -148,7 +150,7 @@ TEST_F(BadDiskTest, ACheckpointThatCannotBeDeletedDoesNotEndTheRun) {
   ExpectLikeQuiet(3);
   // The next start deletes it, or says again that it cannot.
   for (const char* disk : {"busy=iter-00000001", ""}) {
-    const Ended again = Finish(StartOn(disk, "craftfleet-train", {"--resume", "--logdir=" + Logdir("run")}).get());
+    const Ended again = Finish(StartOn(disk, "craftfleet train", {"--resume", "--logdir=" + Logdir("run")}).get());
     EXPECT_EQ(again.exit_code, 0) << again.err;
   }
   EXPECT_THAT(ListFolder(Logdir("run") + "/checkpoints").value(), testing::Each(testing::StartsWith("iter-")));

@@ -146,6 +146,6 @@ absl::Status Run() {
 }  // namespace craftfleet
 
 int main(int argc, char** argv) {
-  craftfleet::ParseFlags("bad_peer", "One misbehaving peer of a fleet; see tests/hostile/README.md.", argc, argv);
+  craftfleet::ParseFlags({"bad_peer", "One misbehaving peer of a fleet; see tests/hostile/README.md."}, argc, argv);
   return craftfleet::ExitCode("bad_peer", craftfleet::Run());
 }

@@ -33,7 +33,7 @@ class HostileEnvServersTest : public FleetRunTest {
   }
   // The learner's status of the server at `address`; empty if there is none.
   static std::string HealthOf(const std::string& learner, const std::string& address) {
-    const auto status = Start("craftfleet-status", "status", {"--address=" + learner});
+    const auto status = Start("craftfleet status", "status", {"--address=" + learner});
     if (status->Wait(kPatience) != 0) return "";
     const std::string text = status->Out();
     const size_t line = text.find(address);

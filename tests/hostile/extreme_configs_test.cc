@@ -80,7 +80,7 @@ TEST_F(ExtremeRunsTest, TrainingThatDivergesEndsWithItsReasonAndACheckpointThatR
   )"),
               IsOk());
   for (const std::vector<std::string>& more : {std::vector<std::string>{}, {"--resume"}}) {
-    const Ended ended = Run("craftfleet-train", Flags("run", more));
+    const Ended ended = Run("craftfleet train", Flags("run", more));
     EXPECT_EQ(ended.exit_code, 1) << ended.err;
     EXPECT_THAT(ended.err, HasSubstr("training diverges"));
     EXPECT_THAT(ended.err, HasSubstr("a smaller ppo.learning_rate"));

@@ -77,8 +77,8 @@ TEST_F(FailingStartsTest, NoFailingStartRemovesAnything) {
   const std::string free = "--listen=127.0.0.1:0";
   ExpectHarmless(learner, {"--listen=" + busy_.name()}, busy_.name());
   ExpectHarmless(learner, {free, "--metrics_listen=" + busy_.name()}, busy_.name());
-  ExpectHarmless("craftfleet-train", {"--listen=" + busy_.name()}, busy_.name());
-  ExpectHarmless("craftfleet-train", {"--metrics_listen=" + busy_.name()}, busy_.name());
+  ExpectHarmless("craftfleet train", {"--listen=" + busy_.name()}, busy_.name());
+  ExpectHarmless("craftfleet train", {"--metrics_listen=" + busy_.name()}, busy_.name());
 
   ASSERT_THAT(WriteFileSynced(folder_ / "access.txt", "rule { who: }"), IsOk());
   ExpectHarmless(learner, {free, "--access_file=" + folder_ / "access.txt"}, "access_file");
@@ -100,7 +100,7 @@ TEST_F(FailingStartsTest, NoFailingStartRemovesAnything) {
 
   // The run can still be resumed.
   const auto before = Contents();
-  const Ended ended = Run("craftfleet-train", {"--resume", "--resume_from=iter-00000001", "--logdir=" + Logdir("run")});
+  const Ended ended = Run("craftfleet train", {"--resume", "--resume_from=iter-00000001", "--logdir=" + Logdir("run")});
   EXPECT_EQ(ended.exit_code, 0) << ended.err;
   for (const char* file : {"/stats.jsonl", "/checkpoints/iter-00000003/weights.safetensors"}) {
     EXPECT_TRUE(Contents().at(Logdir("run") + file) == before.at(Logdir("run") + file)) << file;

@@ -139,7 +139,7 @@ TEST_F(OddCheckpointsTest, EvaluationsBeyondEpisodeTenThousandEnd) {
   Train("run");
   // The first part plays episodes 9,998 to 10,000, the second 10,001 to 10,003.
   Edit(Checkpoint("run", 1), [](v1::CheckpointState* state) { state->set_next_eval_episode(9998); });
-  const Ended ended = Run("craftfleet-train", Flags("run", {"--resume", "--resume_from=iter-00000001"}));
+  const Ended ended = Run("craftfleet train", Flags("run", {"--resume", "--resume_from=iter-00000001"}));
   ASSERT_EQ(ended.exit_code, 0) << ended.err;
   for (const char* mode : {"argmax", "sampled"}) {
     const std::vector<std::string> lines = Lines("run", absl::StrCat("final_", mode, ".jsonl"));

@@ -5,7 +5,7 @@ import subprocess
 import hpack
 import raw_http2
 from tests.fakes import python_case
-from tests.fakes.python_case import BIN
+from tests.fakes.python_case import BIN, built
 
 
 class Echo(raw_http2.SilentServer):
@@ -58,7 +58,7 @@ class RawHttp2(python_case.FolderCase):
 
     def test_a_silent_server_keeps_the_connection_and_answers_nothing(self):
         with raw_http2.SilentServer() as server:
-            ended = subprocess.run([BIN / "craftfleet-status", f"--address={server.address}"], capture_output=True,
+            ended = subprocess.run([*built("craftfleet status"), f"--address={server.address}"], capture_output=True,
                                    text=True, timeout=60, check=False)
             self.assertEqual(ended.returncode, 1)
             self.assertIn("craftfleet.v1.StatusService", server.paths[0])

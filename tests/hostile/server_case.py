@@ -10,7 +10,7 @@ import time
 import messages
 import raw_http2
 from tests.fakes import python_case
-from tests.fakes.python_case import BIN, SMALL_RUN, SOURCE
+from tests.fakes.python_case import SMALL_RUN, SOURCE, built
 
 PATIENCE_S = 60  # for what takes a moment on a quiet machine
 
@@ -21,7 +21,7 @@ class Program:
     def __init__(self, case, name, *flags, listens="listening on"):
         self.log = case.folder / f"{name}-{len(list(case.folder.glob(name + '-*')))}.err"
         with self.log.open("wb") as log:
-            self.process = subprocess.Popen([BIN / name, *flags], stderr=log, stdout=subprocess.DEVNULL)
+            self.process = subprocess.Popen([*built(name), *flags], stderr=log, stdout=subprocess.DEVNULL)
         case.addCleanup(self.process.wait)
         case.addCleanup(self.process.kill)
         self.pid = self.process.pid

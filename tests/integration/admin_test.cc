@@ -39,7 +39,7 @@ class AdminTest : public FleetRunTest {
   };
   Ended Admin(std::vector<std::string> arguments) {
     arguments.push_back("--address=" + address_);
-    const auto process = Start("craftfleet-admin", absl::StrCat("admin-", ++calls_), arguments);
+    const auto process = Start("craftfleet admin", absl::StrCat("admin-", ++calls_), arguments);
     const int exit_code = process->Wait(kPatience).value_or(-1);
     return {exit_code, process->Out(), process->Err()};
   }

@@ -36,14 +36,14 @@ const std::map<std::string, int64_t> kParameters = {
 };
 
 TEST_F(AgentsProgram, ListsEachAgent) {
-  const Ended ended = Run("craftfleet-agents", {});
+  const Ended ended = Run("craftfleet agents", {});
   ASSERT_EQ(ended.exit_code, 0) << ended.err;
   for (const auto& [agent, parameters] : kParameters) EXPECT_THAT(ended.out, HasSubstr(agent));
   EXPECT_THAT(ended.out, HasSubstr("609,970"));
 }
 
 TEST_F(AgentsProgram, JsonHasTheSameContent) {
-  const Ended ended = Run("craftfleet-agents", {"--json"});
+  const Ended ended = Run("craftfleet agents", {"--json"});
   ASSERT_EQ(ended.exit_code, 0) << ended.err;
   std::map<std::string, int64_t> parameters;
   for (const nlohmann::json& agent : nlohmann::json::parse(ended.out)) {

@@ -130,7 +130,7 @@ TEST_F(BadPeersTest, AServerThatPlaysForAnotherRunReportsItAndIsWaitedFor) {
   const auto second = StartLearner("second", Address("second-learner"));
   // Suspend it within its run, so that its session stays open.
   ASSERT_TRUE(first_actor->WaitForText("joined run", kPatience));
-  while (Run("craftfleet-status", {"--address=" + Address("server")}).out.find("actor") == std::string::npos) {
+  while (Run("craftfleet status", {"--address=" + Address("server")}).out.find("actor") == std::string::npos) {
     ASSERT_EQ(first->Wait(absl::ZeroDuration()), std::nullopt) << "the run ended too early";
   }
   first->Signal(SIGSTOP);
@@ -147,7 +147,7 @@ TEST_F(BadPeersTest, StatusShowsTheProcess) {
   const auto learner = StartLearner("run", Address("learner"));
   ASSERT_THAT(learner->WaitForAddress("listening on ", kPatience), IsOk());
   for (const std::string role : {"learner", "server"}) {
-    const Ended ended = Run("craftfleet-status", {"--address=" + Address(role), "--json"});
+    const Ended ended = Run("craftfleet status", {"--address=" + Address(role), "--json"});
     EXPECT_EQ(ended.exit_code, 0) << ended.err;
     const auto json = nlohmann::json::parse(ended.out, nullptr, /*allow_exceptions=*/false);
     ASSERT_TRUE(json.is_object()) << ended.out;
@@ -160,7 +160,7 @@ TEST_F(BadPeersTest, StatusOfAProcessThatDoesNotAnswerEndsWithinSeconds) {
   const auto server = StartServer(Address("server"));
   server->Signal(SIGSTOP);
   const absl::Time start = absl::Now();
-  const Ended ended = Run("craftfleet-status", {"--address=" + Address("server")});
+  const Ended ended = Run("craftfleet status", {"--address=" + Address("server")});
   EXPECT_EQ(ended.exit_code, 1);
   EXPECT_THAT(ended.err, HasSubstr(Address("server") + ": cannot connect: "));
   EXPECT_LT(absl::Now() - start, absl::Seconds(8));

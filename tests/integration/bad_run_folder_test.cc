@@ -38,7 +38,7 @@ class BadRunFolderTest : public SmallRunTest {
 TEST_F(BadRunFolderTest, ARunIsNotOverwritten) {
   Train("run");
   const std::string stats = ReadLog("run", "stats.jsonl");
-  const Ended ended = Run("craftfleet-train", Flags("run"));
+  const Ended ended = Run("craftfleet train", Flags("run"));
   EXPECT_EQ(ended.exit_code, 1);
   EXPECT_THAT(ended.err, HasSubstr(Logdir("run") + " already has a run: resume it with --resume"));
   EXPECT_EQ(ReadLog("run", "stats.jsonl"), stats);
@@ -48,7 +48,7 @@ TEST_F(BadRunFolderTest, ARunInProgressIsNamedWithItsProcess) {
   const auto learner = Start("craftfleet-learner", Flags("run", {"--listen=127.0.0.1:0"}));
   ASSERT_THAT(learner->WaitForAddress(), IsOk());
   for (const std::vector<std::string>& more : {std::vector<std::string>{}, {"--resume"}}) {
-    const Ended ended = Run("craftfleet-train", Flags("run", more));
+    const Ended ended = Run("craftfleet train", Flags("run", more));
     EXPECT_EQ(ended.exit_code, 1);
     EXPECT_THAT(ended.err, HasSubstr("is in use by process " + std::to_string(learner->pid())));
   }
@@ -57,7 +57,7 @@ TEST_F(BadRunFolderTest, ARunInProgressIsNamedWithItsProcess) {
 TEST_F(BadRunFolderTest, ResumeRefusesAnotherConfiguration) {
   Train("run");
   const auto refused = [this](const std::string& flag, const std::string& error) {
-    const Ended ended = Run("craftfleet-train", {"--resume", "--logdir=" + Logdir("run"), flag});
+    const Ended ended = Run("craftfleet train", {"--resume", "--logdir=" + Logdir("run"), flag});
     EXPECT_EQ(ended.exit_code, 1);
     EXPECT_THAT(ended.err, HasSubstr(error));
     EXPECT_THAT(ended.err, HasSubstr("may change"));
@@ -74,7 +74,7 @@ TEST_F(BadRunFolderTest, ADamagedConfigurationIsRefusedAndNothingIsWritten) {
   const std::string sound = ReadFile(path).value();
   const auto refused = [&](const std::string& error) {
     const std::string stats = ReadLog("run", "stats.jsonl");
-    const Ended ended = Run("craftfleet-train", {"--resume", "--logdir=" + Logdir("run"), "--steps=256"});
+    const Ended ended = Run("craftfleet train", {"--resume", "--logdir=" + Logdir("run"), "--steps=256"});
     EXPECT_EQ(ended.exit_code, 1);
     EXPECT_THAT(ended.err, HasSubstr(path));
     EXPECT_THAT(ended.err, HasSubstr(error));
@@ -87,7 +87,7 @@ TEST_F(BadRunFolderTest, ADamagedConfigurationIsRefusedAndNothingIsWritten) {
   ASSERT_THAT(RemoveAll(path), IsOk());
   refused("put back the configuration that it was started with");
   ASSERT_THAT(WriteFileSynced(path, sound), IsOk());
-  EXPECT_EQ(Run("craftfleet-train", {"--resume", "--logdir=" + Logdir("run")}).exit_code, 0);
+  EXPECT_EQ(Run("craftfleet train", {"--resume", "--logdir=" + Logdir("run")}).exit_code, 0);
 }
 
 TEST_F(BadRunFolderTest, ResumeRefusesOtherTextures) {
@@ -96,7 +96,7 @@ TEST_F(BadRunFolderTest, ResumeRefusesOtherTextures) {
   std::filesystem::copy(BuiltProgram("../share/craftfleet/textures"), textures);
   std::filesystem::copy_file(textures + "/sand.png", textures + "/stone.png",
                              std::filesystem::copy_options::overwrite_existing);
-  const Ended ended = Run("craftfleet-train", {"--resume", "--logdir=" + Logdir("run"), "--textures=" + textures});
+  const Ended ended = Run("craftfleet train", {"--resume", "--logdir=" + Logdir("run"), "--textures=" + textures});
   EXPECT_EQ(ended.exit_code, 1);
   EXPECT_THAT(ended.err, HasSubstr("was played with textures"));
 }
@@ -107,14 +107,14 @@ TEST_F(BadRunFolderTest, ATornCheckpointIsRefusedAndAValidOneIsOffered) {
   const std::string bytes = ReadFile(weights).value();
   ASSERT_THAT(WriteFileSynced(weights, absl::string_view(bytes).substr(0, bytes.size() / 2)), IsOk());
   const std::vector<std::string> resume = {"--resume", "--logdir=" + Logdir("run"), "--steps=256"};
-  Ended ended = Run("craftfleet-train", resume);
+  Ended ended = Run("craftfleet train", resume);
   EXPECT_EQ(ended.exit_code, 1);
   EXPECT_THAT(ended.err, HasSubstr(Checkpoint("run", 3) + " is torn: weights.safetensors has "));
   EXPECT_THAT(ended.err, HasSubstr("resume from it with --resume_from=iter-00000002"));
 
   std::vector<std::string> from = resume;
   from.push_back("--resume_from=iter-00000002");
-  ended = Run("craftfleet-train", from);
+  ended = Run("craftfleet train", from);
   EXPECT_EQ(ended.exit_code, 0) << ended.err;
   EXPECT_TRUE(PathExists(Checkpoint("run", 4)));
   EXPECT_EQ(ReadFile(weights).value(), bytes) << "iteration 3 was played again, with the same result";
@@ -126,7 +126,7 @@ TEST_F(BadRunFolderTest, AFlippedBitIsDetected) {
   std::string bytes = ReadFile(optimizer).value();
   bytes[bytes.size() / 2] = static_cast<char>(bytes[bytes.size() / 2] ^ 1);
   ASSERT_THAT(WriteFileSynced(optimizer, bytes), IsOk());
-  const Ended ended = Run("craftfleet-train", {"--resume", "--logdir=" + Logdir("run"), "--steps=256"});
+  const Ended ended = Run("craftfleet train", {"--resume", "--logdir=" + Logdir("run"), "--steps=256"});
   EXPECT_EQ(ended.exit_code, 1);
   EXPECT_THAT(ended.err, HasSubstr("optimizer.safetensors"));
   EXPECT_THAT(ended.err, HasSubstr("iter-00000002"));
@@ -136,9 +136,9 @@ TEST_F(BadRunFolderTest, ACheckpointOfANewerFormatIsRefused) {
   Train("run");
   Damage(Checkpoint("run", 3) + "/MANIFEST", "format 2", "format 3");
   for (const auto& [program, flag] :
-       {std::pair<std::string, std::string>{"craftfleet-train", "--logdir="}, {"craftfleet-eval", "--checkpoint="}}) {
+       {std::pair<std::string, std::string>{"craftfleet train", "--logdir="}, {"craftfleet eval", "--checkpoint="}}) {
     std::vector<std::string> arguments = {flag + Logdir("run")};
-    if (program == "craftfleet-train") arguments.emplace_back("--resume");
+    if (program == "craftfleet train") arguments.emplace_back("--resume");
     const Ended ended = Run(program, arguments);
     EXPECT_EQ(ended.exit_code, 1);
     EXPECT_THAT(ended.err, HasSubstr("has format 3, written by craftfleet"));
@@ -149,7 +149,7 @@ TEST_F(BadRunFolderTest, ACheckpointOfANewerFormatIsRefused) {
 TEST_F(BadRunFolderTest, AMissingCheckpointListsTheExistingOnes) {
   Train("run");
   Ended ended =
-      Run("craftfleet-train", {"--resume", "--resume_from=iter-00000009", "--logdir=" + Logdir("run"), "--steps=256"});
+      Run("craftfleet train", {"--resume", "--resume_from=iter-00000009", "--logdir=" + Logdir("run"), "--steps=256"});
   EXPECT_EQ(ended.exit_code, 1);
   EXPECT_THAT(ended.err, HasSubstr("no checkpoint iter-00000009"));
   EXPECT_THAT(ended.err, HasSubstr("which has iter-00000003, iter-00000002"));
@@ -158,7 +158,7 @@ TEST_F(BadRunFolderTest, AMissingCheckpointListsTheExistingOnes) {
 TEST_F(BadRunFolderTest, ARunKilledBeforeItsFirstCheckpointMustBeStartedAgain) {
   Train("run");
   ASSERT_THAT(RemoveAll(Logdir("run") + "/checkpoints"), IsOk());
-  const Ended ended = Run("craftfleet-train", Flags("run", {"--resume"}));
+  const Ended ended = Run("craftfleet train", Flags("run", {"--resume"}));
   EXPECT_EQ(ended.exit_code, 1);
   EXPECT_THAT(ended.err, HasSubstr("ended before its first one; start it again without --resume"));
   Train("run");
@@ -167,12 +167,12 @@ TEST_F(BadRunFolderTest, ARunKilledBeforeItsFirstCheckpointMustBeStartedAgain) {
 TEST_F(BadRunFolderTest, ALogThatLostLinesIsRefused) {
   Train("run");
   ASSERT_THAT(WriteFileSynced(Logdir("run") + "/stats.jsonl", "{}\n"), IsOk());
-  const Ended ended = Run("craftfleet-train", {"--resume", "--logdir=" + Logdir("run"), "--steps=256"});
+  const Ended ended = Run("craftfleet train", {"--resume", "--logdir=" + Logdir("run"), "--steps=256"});
   EXPECT_EQ(ended.exit_code, 1);
   EXPECT_THAT(ended.err, AllOf(HasSubstr("stats.jsonl has 3 bytes, but the checkpoint expects "),
                                HasSubstr("go back to an older checkpoint with --resume_from")));
   const Ended older =
-      Run("craftfleet-train", {"--resume", "--resume_from=iter-00000000", "--logdir=" + Logdir("run"), "--steps=256"});
+      Run("craftfleet train", {"--resume", "--resume_from=iter-00000000", "--logdir=" + Logdir("run"), "--steps=256"});
   EXPECT_EQ(older.exit_code, 0) << older.err;
 }
 
@@ -240,14 +240,14 @@ TEST_F(FullDiskTest, TheEndOfTheRunWaitsForSpaceAndAStopReportsTheUnwrittenFile)
   EXPECT_THAT(ended.err, HasSubstr("weights.safetensors: File too large"));
   EXPECT_THAT(ReadLog("run", "stats.jsonl"), HasSubstr("\"length\": 20"));
   // Earlier checkpoints are intact, and the run can resume from them.
-  const Ended resumed = Run("craftfleet-train", {"--resume", "--logdir=" + Logdir("run")});
+  const Ended resumed = Run("craftfleet train", {"--resume", "--logdir=" + Logdir("run")});
   EXPECT_EQ(resumed.exit_code, 0) << resumed.err;
   EXPECT_TRUE(PathExists(Checkpoint("run", 3)));
 }
 
 TEST_F(FullDiskTest, ARunThatCannotBeginReportsWhy) {
   const Ended ended =
-      Run("/bin/bash", {"-c", "trap '' XFSZ; ulimit -f 100; exec \"$0\" \"$@\"", BuiltProgram("craftfleet-train"),
+      Run("/bin/bash", {"-c", "trap '' XFSZ; ulimit -f 100; exec \"$0\" \"$@\"", BuiltProgram("craftfleet"), "train",
                         "--config=" + config(), "--logdir=" + Logdir("run")});
   EXPECT_EQ(ended.exit_code, 1);
   EXPECT_THAT(ended.err, HasSubstr(Logdir("run")));

@@ -40,7 +40,7 @@ class FaultsTest : public FleetRunTest {
 
   // The status of a process as JSON; null if it does not answer.
   static nlohmann::json StatusOf(const std::string& address) {
-    const auto status = Start("craftfleet-status", "status", {"--address=" + address, "--json"});
+    const auto status = Start("craftfleet status", "status", {"--address=" + address, "--json"});
     if (status->Wait(kPatience) != 0) return nullptr;
     return nlohmann::json::parse(status->Out(), nullptr, /*allow_exceptions=*/false);
   }

@@ -49,7 +49,7 @@ class FinalEvaluationTest : public SmallRunTest {
   Ended Resume(const std::string& run, const std::vector<std::string>& more = {}) {
     std::vector<std::string> flags = {"--resume", "--logdir=" + Logdir(run)};
     flags.insert(flags.end(), more.begin(), more.end());
-    const Ended ended = Run("craftfleet-train", flags);
+    const Ended ended = Run("craftfleet train", flags);
     EXPECT_EQ(ended.exit_code, 0) << ended.err;
     EXPECT_THAT(ended.err, HasSubstr("the run is complete"));
     return ended;
@@ -59,7 +59,7 @@ class FinalEvaluationTest : public SmallRunTest {
 TEST_F(FinalEvaluationTest, StoppedByASignalItIsNotCompleteAndResumes) {
   ASSERT_NO_FATAL_FAILURE(EvaluateAtTheEnd(300));
   Train("quiet");
-  const auto train = Start("craftfleet-train", Flags("run"));
+  const auto train = Start("craftfleet train", Flags("run"));
   ASSERT_TRUE(train->WaitForText(kEvaluating, kPatience)) << train->Err();
   train->Signal(SIGTERM);
   ExpectStopped(Finish(train.get()), "run");
@@ -79,13 +79,13 @@ TEST_F(FinalEvaluationTest, StoppedByAdminItIsNotCompleteAndTheStatusShowsIt) {
             {"--learner=" + address, "--envservers=" + server->WaitForAddress("listening on ", kPatience).value()});
   const auto state = [&] {
     const auto status =
-        nlohmann::json::parse(Run("craftfleet-status", {"--address=" + address, "--json"}).out, nullptr, false);
+        nlohmann::json::parse(Run("craftfleet status", {"--address=" + address, "--json"}).out, nullptr, false);
     return status.is_object() ? status["fleet"].value("run_state", "none") : "no status";
   };
   ASSERT_TRUE(learner->WaitForText(kEvaluating, kPatience)) << learner->Err();
   actor->Signal(SIGSTOP);
   EXPECT_EQ(state(), "EVALUATING");
-  const Ended stop = Run("craftfleet-admin", {"stop", "--address=" + address});
+  const Ended stop = Run("craftfleet admin", {"stop", "--address=" + address});
   EXPECT_EQ(stop.exit_code, 0) << stop.err;
   ExpectStopped(Finish(learner.get()), "run");
 
@@ -102,7 +102,7 @@ TEST_F(FinalEvaluationTest, AnExtendedRunHasTheFinalEvaluationOfItsNewestWeights
   ASSERT_NO_FATAL_FAILURE(EvaluateAtTheEnd(3));
   Train("run");
   Train("short");
-  EXPECT_EQ(Run("craftfleet-train", Flags("long", {"--steps=320"})).exit_code, 0);
+  EXPECT_EQ(Run("craftfleet train", Flags("long", {"--steps=320"})).exit_code, 0);
   Resume("run", {"--steps=320"});
   ExpectSameFinalLogs("run", "long");
   for (const std::string kind : {"argmax", "sampled"}) {
@@ -116,8 +116,8 @@ TEST_F(FinalEvaluationTest, AnExtendedRunHasTheFinalEvaluationOfItsNewestWeights
 // The run is stopped during the final evaluation, then extended: the pending evaluation is dropped.
 TEST_F(FinalEvaluationTest, ARunExtendedDuringItsFinalEvaluationIsEvaluatedOnlyAtItsNewEnd) {
   ASSERT_NO_FATAL_FAILURE(EvaluateAtTheEnd(100));
-  EXPECT_EQ(Run("craftfleet-train", Flags("long", {"--steps=320"})).exit_code, 0);
-  const auto train = Start("craftfleet-train", Flags("run"));
+  EXPECT_EQ(Run("craftfleet train", Flags("long", {"--steps=320"})).exit_code, 0);
+  const auto train = Start("craftfleet train", Flags("run"));
   ASSERT_TRUE(train->WaitForText(kEvaluating, kPatience)) << train->Err();
   train->Signal(SIGTERM);
   ExpectStopped(Finish(train.get()), "run");

@@ -88,7 +88,7 @@ class FleetRunTest : public testing::Test {
   }
 
   static std::unique_ptr<Process> Train(const std::string& run, const std::vector<std::string>& more) {
-    return StartRun("craftfleet-train", run, more);
+    return StartRun("craftfleet train", run, more);
   }
   static std::unique_ptr<Process> StartLearner(const std::string& run, const std::string& listen,
                                                const std::vector<std::string>& more = {}) {

@@ -43,7 +43,8 @@ class MixedBuildsTest : public SmallRunTest {
   // Starts `program` with additional environment `variables`.
   std::unique_ptr<Process> StartWith(std::vector<std::string> variables, const std::string& program,
                                      const std::vector<std::string>& flags) {
-    variables.push_back(BuiltProgram(program));
+    const std::vector<std::string> command = BuiltCommand(program);
+    variables.insert(variables.end(), command.begin(), command.end());
     variables.insert(variables.end(), flags.begin(), flags.end());
     return Start("/usr/bin/env", variables);
   }
@@ -61,7 +62,7 @@ class MixedBuildsTest : public SmallRunTest {
   std::vector<std::string> ActorFlags() const {
     return {"--learner=" + address_, "--envservers=learner", "--threads=1"};
   }
-  std::string Status() { return Run("craftfleet-status", {"--address=" + address_}).out; }
+  std::string Status() { return Run("craftfleet status", {"--address=" + address_}).out; }
   std::string Weights(const std::string& run) const {
     return ReadFile(JoinPath(Checkpoint(run, 3), "weights.safetensors")).value_or("none of " + run);
   }
@@ -97,7 +98,7 @@ TEST_F(MixedBuildsTest, WithAllowMixedItPlays) {
 }
 
 TEST_F(MixedBuildsTest, APinnedRunIsTheSameOnEveryMachine) {
-  const Ended alone = Run("craftfleet-train", Flags("alone", {"--cpu=avx2"}));
+  const Ended alone = Run("craftfleet train", Flags("alone", {"--cpu=avx2"}));
   ASSERT_EQ(alone.exit_code, 0) << alone.err;
   EXPECT_THAT(ReadFile(JoinPath(Logdir("alone"), "config.txt")).value_or(""), HasSubstr("cpu: AVX2"));
   EXPECT_THAT(alone.err, Not(HasSubstr("the canary is")));
@@ -114,9 +115,9 @@ TEST_F(MixedBuildsTest, APinnedRunIsTheSameOnEveryMachine) {
   EXPECT_EQ(plain->Wait(kPatience), 0) << plain->Err();
   EXPECT_TRUE(Weights("pinned") == Weights("alone"));
   // So is a run resumed without the flag.
-  const Ended resumed = Run("craftfleet-train", {"--logdir=" + Logdir("alone"), "--resume", "--steps=256"});
+  const Ended resumed = Run("craftfleet train", {"--logdir=" + Logdir("alone"), "--resume", "--steps=256"});
   EXPECT_EQ(resumed.exit_code, 0) << resumed.err;
-  const Ended refused = Run("craftfleet-train", {"--logdir=" + Logdir("alone"), "--resume", "--cpu=native"});
+  const Ended refused = Run("craftfleet train", {"--logdir=" + Logdir("alone"), "--resume", "--cpu=native"});
   EXPECT_EQ(refused.exit_code, 1);
   EXPECT_THAT(refused.err, HasSubstr("cpu"));
 }

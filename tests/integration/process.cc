@@ -47,8 +47,9 @@ absl::StatusOr<int> OpenLog(const std::string& path) {
 absl::StatusOr<std::unique_ptr<Process>> Process::Start(const std::string& program,
                                                         const std::vector<std::string>& arguments,
                                                         const std::string& log_prefix) {
-  std::vector<std::string> words = arguments;
-  words.insert(words.begin(), absl::StrContains(program, '/') ? program : BuiltProgram(program));
+  std::vector<std::string> words =
+      absl::StrContains(program, '/') ? std::vector<std::string>{program} : BuiltCommand(program);
+  words.insert(words.end(), arguments.begin(), arguments.end());
   if (access(words[0].c_str(), X_OK) != 0) return FileError(errno, "cannot run", words[0]);
   std::vector<char*> pointers;
   pointers.reserve(words.size() + 1);

@@ -21,7 +21,7 @@ namespace craftfleet {
 // sanitizer has ended it. Thread-compatible.
 class Process {
  public:
-  // Starts `program`, a name in build/bin or a path with a slash, with standard output and error in the files
+  // Starts `program`, in build/bin or a path with a slash, with standard output and error in the files
   // LOG_PREFIX.out and LOG_PREFIX.err, which are replaced.
   //   NotFound: no such program.   Others: a log that can't be written.
   static absl::StatusOr<std::unique_ptr<Process>> Start(const std::string& program,

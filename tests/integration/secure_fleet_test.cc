@@ -90,7 +90,7 @@ class SecureFleetTest : public FleetRunTest {
   }
   std::string FailToAsk(std::vector<std::string> flags) {
     flags.push_back("--address=" + learner_address_);
-    return Fail("craftfleet-status", std::move(flags));
+    return Fail("craftfleet status", std::move(flags));
   }
 
   const TempFolder folder_;
@@ -123,13 +123,13 @@ TEST_F(SecureFleetTest, StrangersAreRefusedAndTheRunIsTheSame) {
   EXPECT_THAT(Fail("craftfleet-actor", Tls("monitor", {"--learner=" + learner_address_, "--envservers=learner"})),
               AllOf(HasSubstr("learner " + learner_address_ + ": not allowed"), HasSubstr("no right to this")));
   for (const char* verb : {"pause", "stop"}) {
-    EXPECT_THAT(Fail("craftfleet-admin", Tls("monitor", {"--address=" + learner_address_, verb})),
+    EXPECT_THAT(Fail("craftfleet admin", Tls("monitor", {"--address=" + learner_address_, verb})),
                 AllOf(HasSubstr("not allowed"), HasSubstr("no right to this")));
   }
   for (const auto& flags : {Tls("monitor"), Tls("guest", {"--token_file=" + (folder_ / "right")})}) {
     std::vector<std::string> ask = flags;
     ask.push_back("--address=" + learner_address_);
-    EXPECT_EQ(Start("craftfleet-status", "watcher", ask)->Wait(kPatience), 0);
+    EXPECT_EQ(Start("craftfleet status", "watcher", ask)->Wait(kPatience), 0);
   }
 
   EXPECT_THAT(learner_->Err(),

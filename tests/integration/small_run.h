@@ -66,7 +66,7 @@ class SmallRunTest : public testing::Test {
   }
   // Trains the small run in one process.
   void Train(const std::string& run) {
-    const Ended ended = Run("craftfleet-train", Flags(run));
+    const Ended ended = Run("craftfleet train", Flags(run));
     ASSERT_EQ(ended.exit_code, 0) << ended.err;
   }
 

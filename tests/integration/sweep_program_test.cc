@@ -48,12 +48,12 @@ class SweepProgramTest : public SmallRunTest {
     arguments.insert(arguments.end(), more.begin(), more.end());
     return arguments;
   }
-  Ended Sweep(const std::vector<std::string>& more = {}) { return Run("craftfleet-sweep", SweepArguments(more)); }
+  Ended Sweep(const std::vector<std::string>& more = {}) { return Run("craftfleet sweep", SweepArguments(more)); }
 };
 
 TEST_F(SweepProgramTest, RunsResumesReportsAndNeverRunsAFinishedCellAgain) {
   // Killed at a random point: its children continue or are resumed.
-  const std::unique_ptr<Process> killed = Start("craftfleet-sweep", SweepArguments());
+  const std::unique_ptr<Process> killed = Start("craftfleet sweep", SweepArguments());
   ASSERT_TRUE(killed->WaitForText("starts: ", kPatience));
   killed->Kill();
 
@@ -73,28 +73,28 @@ TEST_F(SweepProgramTest, RunsResumesReportsAndNeverRunsAFinishedCellAgain) {
   EXPECT_EQ(ReadFile(RunFolder("gamma=0.5/seed2") + "/log.txt").value(), log);
 
   const Ended report =
-      Run("craftfleet-report", {folder_ / "runs", "--experiments=" + experiments(), "--out=" + (folder_ / "report")});
+      Run("craftfleet report", {folder_ / "runs", "--experiments=" + experiments(), "--out=" + (folder_ / "report")});
   ASSERT_EQ(report.exit_code, 0) << report.err;
   EXPECT_THAT(report.out, HasSubstr("4 runs, 4 complete"));
   EXPECT_THAT(ReadFile(folder_ / "report/report.md").value(),
               HasSubstr("2 of 2 configurations have a complete run (2 cells"));
-  const Ended page = Run("craftfleet-report", {folder_ / "runs", "--experiments=" + experiments(), "--out=-"});
+  const Ended page = Run("craftfleet report", {folder_ / "runs", "--experiments=" + experiments(), "--out=-"});
   ASSERT_EQ(page.exit_code, 0) << page.err;
   EXPECT_EQ(page.out, ReadFile(folder_ / "report/report.md").value());
   EXPECT_THAT(page.err, HasSubstr("4 runs, 4 complete; report.md written to standard output"));
 
   const std::string damaged = RunFolder("gamma=0.9/seed1") + "/config.txt";
   ASSERT_THAT(WriteFileSynced(damaged, "no configuration"), IsOk());
-  const Ended rest = Run("craftfleet-report", {folder_ / "runs", "--out=-"});
+  const Ended rest = Run("craftfleet report", {folder_ / "runs", "--out=-"});
   EXPECT_EQ(rest.exit_code, 0) << rest.err;
   EXPECT_THAT(rest.err, AllOf(HasSubstr("warning: left out: " + damaged), HasSubstr("3 runs, 3 complete; 1 more")));
-  const Ended none = Run("craftfleet-report", {RunFolder("gamma=0.9/seed1"), "--out=-"});
+  const Ended none = Run("craftfleet report", {RunFolder("gamma=0.9/seed1"), "--out=-"});
   EXPECT_EQ(none.exit_code, 1);
   EXPECT_THAT(none.err, HasSubstr(damaged));
 }
 
 TEST_F(SweepProgramTest, SigtermStopsItsRunsAndTheSameCommandResumes) {
-  const std::unique_ptr<Process> sweep = Start("craftfleet-sweep", SweepArguments({"--steps=100000"}));
+  const std::unique_ptr<Process> sweep = Start("craftfleet sweep", SweepArguments({"--steps=100000"}));
   ASSERT_TRUE(sweep->WaitForText("starts: ", kPatience));
   sweep->Signal(SIGTERM);
   EXPECT_EQ(sweep->Wait(kPatience), 75);
@@ -106,17 +106,17 @@ TEST_F(SweepProgramTest, SigtermStopsItsRunsAndTheSameCommandResumes) {
 }
 
 TEST_F(SweepProgramTest, BadArgumentsAreNamed) {
-  EXPECT_THAT(Run("craftfleet-sweep", {}).err, HasSubstr("name one file with experiments"));
-  EXPECT_THAT(Run("craftfleet-sweep", {"/nowhere.toml"}).err, HasSubstr("/nowhere.toml"));
-  EXPECT_THAT(Run("craftfleet-sweep", {experiments()}).err, HasSubstr("--logdir is missing"));
+  EXPECT_THAT(Run("craftfleet sweep", {}).err, HasSubstr("name one file with experiments"));
+  EXPECT_THAT(Run("craftfleet sweep", {"/nowhere.toml"}).err, HasSubstr("/nowhere.toml"));
+  EXPECT_THAT(Run("craftfleet sweep", {experiments()}).err, HasSubstr("--logdir is missing"));
   EXPECT_THAT(Sweep({"--jobs=0"}).err, HasSubstr("--jobs=0, want 1..1000"));
   EXPECT_THAT(Sweep({"--experiment=x"}).err, HasSubstr("--experiment=x, want one of small"));
-  EXPECT_THAT(Run("craftfleet-report", {"--out=r"}).err, HasSubstr("name at least one folder with runs"));
-  EXPECT_THAT(Run("craftfleet-report", {"/nowhere", "--out=r"}).err, HasSubstr("/nowhere: no such folder"));
-  EXPECT_THAT(Run("craftfleet-report", {folder_.path()}).err, HasSubstr("--out is missing"));
-  EXPECT_THAT(Run("craftfleet-report", {"/nowhere", "--out=" + experiments()}).err,
+  EXPECT_THAT(Run("craftfleet report", {"--out=r"}).err, HasSubstr("name at least one folder with runs"));
+  EXPECT_THAT(Run("craftfleet report", {"/nowhere", "--out=r"}).err, HasSubstr("/nowhere: no such folder"));
+  EXPECT_THAT(Run("craftfleet report", {folder_.path()}).err, HasSubstr("--out is missing"));
+  EXPECT_THAT(Run("craftfleet report", {"/nowhere", "--out=" + experiments()}).err,
               AllOf(HasSubstr("is not a folder; want a folder"), Not(HasSubstr("no such folder"))));
-  EXPECT_THAT(Run("craftfleet-envs", {"--worlds=0"}).err, HasSubstr("--worlds=0, want 1..100000"));
+  EXPECT_THAT(Run("craftfleet envs", {"--worlds=0"}).err, HasSubstr("--worlds=0, want 1..100000"));
 }
 
 TEST_F(SweepProgramTest, ADryRunOnlyPrintsTheCommands) {

@@ -1,8 +1,10 @@
 #include "deploy/cli/screen/game_flags.h"
 
+#include <absl/flags/flag.h>
 #include <absl/strings/str_cat.h>
 
 #include "common/process/flag_check.h"
+#include "common/process/shared_flags.h"
 #include "deploy/cli/screen/terminal_screen.h"
 #include "deploy/cli/screen/window_screen.h"
 
@@ -19,6 +21,14 @@ absl::StatusOr<std::shared_ptr<const Textures>> TexturesFromFlag(const std::stri
   absl::StatusOr<std::shared_ptr<const Textures>> textures = Textures::Load(folder);
   if (textures.ok()) return textures;
   return absl::Status(textures.status().code(), absl::StrCat("--textures=", folder, ": ", textures.status().message()));
+}
+
+absl::StatusOr<std::optional<AttentionChoice>> AttentionFromFlag() {
+  const std::string text = absl::GetFlag(FLAGS_attention);
+  if (text == "off") return std::optional<AttentionChoice>();
+  absl::StatusOr<AttentionChoice> choice = AttentionChoice::Parse(text);
+  if (!choice.ok()) return absl::InvalidArgumentError(absl::StrCat("--attention: ", choice.status().message()));
+  return std::optional<AttentionChoice>(*choice);
 }
 
 absl::Status CheckEpisodeFlag(int64_t episode) { return CheckFlagRange<int64_t>("episode", episode, 1, 1'000'000'000); }

@@ -5,11 +5,13 @@
 
 #include <cstdint>
 #include <memory>
+#include <optional>
 #include <string>
 
 #include <absl/status/status.h>
 #include <absl/status/statusor.h>
 
+#include "common/agent/attention_map.h"
 #include "common/config/env_name.h"
 #include "deploy/cli/screen/screen.h"
 #include "envserver/render/textures.h"
@@ -23,6 +25,9 @@ absl::StatusOr<EnvName> EnvFromFlag(const std::string& name);
 
 // --textures: a folder; empty: the textures that are built in.
 absl::StatusOr<std::shared_ptr<const Textures>> TexturesFromFlag(const std::string& folder);
+
+// --attention: off is nothing.
+absl::StatusOr<std::optional<AttentionChoice>> AttentionFromFlag();
 
 // --episode: 1..1,000,000,000.
 absl::Status CheckEpisodeFlag(int64_t episode);

@@ -22,14 +22,14 @@ void Paste(const std::string& picture, int x, int y, cv::Mat* canvas) {
 
 }  // namespace
 
-StripPicture DrawStrip(const std::vector<StripColumn>& columns, AttentionDetail detail) {
+StripPicture DrawStrip(const std::vector<StripColumn>& columns) {
   CRAFTFLEET_CHECK(!columns.empty());
   const int count = static_cast<int>(columns.size());
   cv::Mat canvas(2 * kStripPicture + 3 * kStripGap + kStripLabel, count * (kStripPicture + kStripGap) + kStripGap,
                  CV_8UC3, cv::Scalar::all(255));
   int x = kStripGap;
   for (const StripColumn& column : columns) {
-    const AttentionLight light = LightToHighest(column.patches, column.weights, detail);
+    const AttentionLight light = LightToHighest(column.patches, column.weights);
     Paste(column.picture, x, kStripGap, &canvas);
     Paste(OverlayAttention(column.picture, kStripPicture, light.brightness, column.patches.frame_size), x,
           2 * kStripGap + kStripPicture, &canvas);

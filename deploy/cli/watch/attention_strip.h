@@ -35,7 +35,7 @@ struct StripPicture {
 
 // Two rows of pictures with the steps below them; each attention is as bright as its own highest weight allows.
 // `columns` is not empty; the frames of all have the same size.
-StripPicture DrawStrip(const std::vector<StripColumn>& columns, AttentionDetail detail);
+StripPicture DrawStrip(const std::vector<StripColumn>& columns);
 
 // The most interesting steps of an episode of `length` steps, ascending, `count` of them or all if there are fewer:
 // those before an achievement (`unlocks`, ascending), the first ones if there are too many; the rest is spread evenly.

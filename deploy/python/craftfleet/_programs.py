@@ -28,13 +28,13 @@ def find(name: str) -> tuple[list[str], dict[str, str]]:
   """
   if importlib.util.find_spec("craftfleet_programs") is not None:
     import craftfleet_programs  # pylint: disable=import-outside-toplevel  # only wheels have it
-    return craftfleet_programs.command(f"craftfleet-{name}")
-  path = shutil.which(f"craftfleet-{name}")
+    return craftfleet_programs.command("craftfleet", [name])
+  path = shutil.which("craftfleet")
   if path is None:
     raise FileNotFoundError(
-        f"craftfleet-{name} is not in PATH: this package was installed without the programs; install a wheel that has them "
+        "craftfleet is not in PATH: this package was installed without the programs; install a wheel that has them "
         "(deploy/wheel.sh), or put the folder of a build, such as build/bin, into PATH")
-  return [path], dict(os.environ)
+  return [path, name], dict(os.environ)
 
 
 def flags(**values: Any) -> list[str]:

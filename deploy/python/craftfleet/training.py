@@ -77,7 +77,7 @@ def evaluate(
   with tempfile.TemporaryDirectory(prefix="craftfleet-") as temporary:
     file = pathlib.Path(temporary) / "result.json"
     _programs.run(
-        "eval", progress, checkpoint=run.folder, episodes=episodes, env=env, seed=seed, deterministic=deterministic, json=file, **flags)
+        "eval", progress, checkpoint=run.folder, episodes=episodes, env=env, seed=seed, deterministic=deterministic, out=file, **flags)
     result = json.loads(file.read_text(encoding="utf-8"))
   return Run(
       run.folder,

@@ -13,11 +13,12 @@ import re
 import sys
 
 BIN = pathlib.Path(__file__).resolve().parent / "bin"
-# "libtorch": the version that the programs were linked with, "2.11"; "needs_libtorch": the programs that were.
+# "libtorch": the version that the programs were linked with, "2.11"; "needs_libtorch": the programs and commands, such as
+# "craftfleet train", that were.
 BUILD = json.loads((BIN.parent / "build.json").read_text(encoding="utf-8"))
 
 
-def command(program: str, arguments: list[str] | None = None) -> tuple[list[str], dict[str, str]]:
+def command(program: str, arguments: list[str]) -> tuple[list[str], dict[str, str]]:
   """The command of a program with arguments, and its environment.
 
   ModuleNotFoundError: it needs torch, and this Python has none, or another version.
@@ -27,26 +28,22 @@ def command(program: str, arguments: list[str] | None = None) -> tuple[list[str]
   if torch is not None and _version(torch) == BUILD["libtorch"]:
     # Also for programs without LibTorch: they may start others.
     environment["LD_LIBRARY_PATH"] = ":".join(filter(None, (str(torch / "lib"), os.environ.get("LD_LIBRARY_PATH"))))
-  elif program in BUILD["needs_libtorch"]:
+  elif not {program, " ".join([program, *arguments[:1]])}.isdisjoint(BUILD["needs_libtorch"]):
     found = "this Python has none" if torch is None else f"{torch} is {_version(torch)}"
     raise ModuleNotFoundError(f"needs torch {BUILD['libtorch']}, and {found}: pip install 'craftfleet[train]'", name="torch")
-  file = BIN / program
-  with file.open("rb") as stream:
-    python = [sys.executable] if stream.read(2) == b"#!" else []  # a command in Python, for this one
-  return [*python, str(file), *(arguments or [])], environment
+  environment["CRAFTFLEET_PYTHON"] = sys.executable  # for the commands in Python
+  return [str(BIN / program), *arguments], environment
 
 
 def main() -> None:
-  """Becomes the program whose name this script has; `craftfleet COMMAND` becomes craftfleet-COMMAND."""
+  """Becomes the program whose name this script has."""
   program, arguments = pathlib.Path(sys.argv[0]).name, sys.argv[1:]
   if arguments[:1] == ["help"] and len(arguments) > 1:
     arguments = [arguments[1], "--help"]
-  if program == "craftfleet" and arguments and (BIN / f"craftfleet-{arguments[0]}").exists():
-    program, arguments = f"craftfleet-{arguments[0]}", arguments[1:]
   try:
     words, environment = command(program, arguments)
   except ModuleNotFoundError as error:
-    sys.exit(f"{program}: {error}")
+    sys.exit(f"{' '.join([program, *arguments[:1]]) if program == 'craftfleet' else program}: {error}")
   os.execve(words[0], words, environment)
 
 

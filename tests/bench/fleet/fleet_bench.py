@@ -67,7 +67,7 @@ def train(options, way, folder):
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
     if way == WAYS[0]:
         with open(folder / "train.log", "wb") as log:
-            subprocess.run([pathlib.Path(options.bin) / "craftfleet-train", f"--config={config}", f"--logdir={logdir}",
+            subprocess.run([pathlib.Path(options.bin) / "craftfleet", "train", f"--config={config}", f"--logdir={logdir}",
                             f"--threads={options.threads}"], stdin=subprocess.DEVNULL, stdout=log, stderr=log, check=True)
     else:
         site = Site() if way == "TCP" else SocketSite(folder)

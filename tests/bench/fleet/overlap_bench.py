@@ -27,7 +27,7 @@ CONFIG = """steps: {steps} seed: 1 agent: "{agent}" overlap: {overlap} ppo {{ ep
 
 def activity_seconds(options, fleet):
     """Seconds that the learner's training thread has spent, by activity; empty while the learner does not answer."""
-    answer = subprocess.run([pathlib.Path(options.bin) / "craftfleet-status", f"--address={fleet.learner_address}", "--json"],
+    answer = subprocess.run([pathlib.Path(options.bin) / "craftfleet", "status", f"--address={fleet.learner_address}", "--json"],
                             capture_output=True, text=True, timeout=30, check=False)
     if answer.returncode != 0:
         return {}

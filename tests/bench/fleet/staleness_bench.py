@@ -52,7 +52,7 @@ class Disturbance:
 
 def metrics(options, fleet):
     """The learner's metrics; empty while it does not answer."""
-    answer = subprocess.run([pathlib.Path(options.bin) / "craftfleet-status", f"--address={fleet.learner_address}", "--json"],
+    answer = subprocess.run([pathlib.Path(options.bin) / "craftfleet", "status", f"--address={fleet.learner_address}", "--json"],
                             capture_output=True, text=True, timeout=30, check=False)
     if answer.returncode != 0:
         return {}

@@ -80,7 +80,7 @@ def cpu_seconds(pid, threads=None):
 
 def start(arguments, folder):
   """Starts a run; returns it and its page's port."""
-  command = [arguments.bin / "craftfleet-train", f"--logdir={folder}/run", "--steps=100000000", "--http_listen=127.0.0.1:0"]
+  command = [arguments.bin / "craftfleet", "train", f"--logdir={folder}/run", "--steps=100000000", "--http_listen=127.0.0.1:0"]
   if arguments.tls:
     subprocess.run([SOURCE / "deploy/make-certs.sh", f"{folder}/certs", "learner"], check=True, capture_output=True)
     digest = hashlib.sha256(TOKEN.encode()).hexdigest()

@@ -67,7 +67,7 @@ def train(options, agent, precision, folder, limit):
     config.write_text(CONFIG.format(agent=agent, steps=STEPS_OF_AN_ITERATION * options.iterations, more=options.config,
                                     precision=f"precision: {precision}" if precision else ""), encoding="utf-8")
     watch = GpuWatch(options.device)
-    command = ([pathlib.Path(options.bin) / "craftfleet-train", f"--device={options.device}",
+    command = ([pathlib.Path(options.bin) / "craftfleet", "train", f"--device={options.device}",
                           f"--threads={options.threads}", f"--config={config}", f"--logdir={logdir}"])
     with (options.logs or folder).joinpath(f"{agent}-{precision or 'default'}.log").open("w+", encoding="utf-8") as log:
         try:

@@ -358,6 +358,6 @@ absl::Status Run() {
 }  // namespace craftfleet
 
 int main(int argc, char** argv) {
-  craftfleet::ParseFlags(craftfleet::kProgram, craftfleet::kUsage, argc, argv);
+  craftfleet::ParseFlags({craftfleet::kProgram, craftfleet::kUsage}, argc, argv);
   return craftfleet::ExitCode(craftfleet::kProgram, craftfleet::Run());
 }

@@ -245,7 +245,7 @@ absl::Status Run() {
 }  // namespace craftfleet
 
 int main(int argc, char** argv) {
-  craftfleet::ParseFlags(craftfleet::kProgram, craftfleet::kUsage, argc, argv,
-                         {"agents", "tflops", "terabytes_per_second", "names"});
+  craftfleet::ParseFlags(
+      {craftfleet::kProgram, craftfleet::kUsage, {"agents", "tflops", "terabytes_per_second", "names"}}, argc, argv);
   return craftfleet::ExitCode(craftfleet::kProgram, craftfleet::Run());
 }

@@ -164,7 +164,7 @@ void Bench() {
 }  // namespace craftfleet
 
 int main(int argc, char** argv) {
-  craftfleet::ParseFlags(craftfleet::kProgram, craftfleet::kUsage, argc, argv);
+  craftfleet::ParseFlags({craftfleet::kProgram, craftfleet::kUsage}, argc, argv);
   craftfleet::Bench();
   return 0;
 }

@@ -364,7 +364,7 @@ int RunPart(const Part& part) {
 }  // namespace craftfleet
 
 int main(int argc, char** argv) {
-  craftfleet::ParseFlags(craftfleet::kProgram, craftfleet::kUsage, argc, argv);
+  craftfleet::ParseFlags({craftfleet::kProgram, craftfleet::kUsage}, argc, argv);
   for (const craftfleet::Part& part : craftfleet::kParts) {
     const pid_t child = fork();
     if (child == 0) return craftfleet::RunPart(part);

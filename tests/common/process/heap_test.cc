@@ -89,7 +89,7 @@ TEST_P(HeapOf, IsTcmalloc) {
 
 INSTANTIATE_TEST_SUITE_P(Programs, HeapOf,
                          testing::Values("craftfleet-learner", "craftfleet-actor", "craftfleet-envserver",
-                                         "craftfleet-train", "craftfleet-eval"));
+                                         "craftfleet-torch"));
 
 }  // namespace
 }  // namespace craftfleet

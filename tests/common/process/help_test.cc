@@ -39,7 +39,7 @@ class Help : public testing::Test {
   static void SetUpTestSuite() {
     char name[] = "make";
     char* arguments[] = {name, nullptr};
-    ParseFlags("craftfleet make", kUsage, 1, arguments);
+    ParseFlags({"craftfleet make", kUsage}, 1, arguments);
   }
 };
 
@@ -73,6 +73,17 @@ TEST_F(Help, MainFlagsDefaultToTheProgramsOwn) {
   EXPECT_THAT(help, HasSubstr("\n  --colour                   which colour"));
   EXPECT_THAT(help, HasSubstr("\n  --fragile (default false)  handle"));
   EXPECT_THAT(help, Not(HasSubstr("--log_level")));
+}
+
+TEST_F(Help, ACommandHasOnlyTheFlagsThatItNamesAndExplainsThemItself) {
+  const std::string help =
+      FullHelp({"craftfleet make", kUsage, {"weight"}, {"copies"}, {{"weight", "of the spoon\n[light]"}}});
+  EXPECT_THAT(help,
+              HasSubstr("\nFlags of craftfleet make:\n  --weight (default 7)\n      of the spoon\n      [light]\n"));
+  EXPECT_THAT(help, HasSubstr("\nMore flags:\n  --copies (default 3)\n"));
+  EXPECT_THAT(help, HasSubstr("  --log_level (default info)\n")) << "every program has those of the log";
+  EXPECT_THAT(help, Not(HasSubstr("--colour")));
+  EXPECT_THAT(FullHelp({"craftfleet make", kUsage, {"weight"}, {"process/help_test.cc"}}), HasSubstr("--colour"));
 }
 
 TEST_F(Help, JsonHasUsageAndFlags) {

@@ -15,7 +15,7 @@ TEST(Program, RaisesTheFileLimitToTheHardLimit) {
   ASSERT_EQ(setrlimit(RLIMIT_NOFILE, &low), 0);
   char name[] = "program";
   char* arguments[] = {name, nullptr};
-  ParseFlags("program", "what it is for", 1, arguments);
+  ParseFlags({"program", "what it is for"}, 1, arguments);
   rlimit after = {};
   ASSERT_EQ(getrlimit(RLIMIT_NOFILE, &after), 0);
   EXPECT_EQ(after.rlim_cur, before.rlim_max);

@@ -52,7 +52,7 @@ class Runs(package.Case):
 
   def test_the_newest_checkpoint_decides_where_there_is_one(self):
     (self.folder / "config.txt").write_text(python_case.SMALL_RUN)
-    self.run_program("craftfleet-train", f"--config={self.folder}/config.txt", f"--logdir={self.folder}/run", "--threads=1")
+    self.run_program("craftfleet train", f"--config={self.folder}/config.txt", f"--logdir={self.folder}/run", "--threads=1")
     self.assertEqual((self.read().steps, self.read().complete), (192, True))
     with (self.folder / "run/config.txt").open("a") as file:
       file.write("# more is wanted now\n")

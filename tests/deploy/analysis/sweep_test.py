@@ -9,7 +9,7 @@ import threading
 import unittest
 
 from tests.fakes import python_case
-from tests.fakes.python_case import BIN, SOURCE, wait_until
+from tests.fakes.python_case import BIN, SOURCE, built, wait_until
 
 os.environ["CRAFTFLEET_BIN"] = str(BIN)
 sys.path.insert(0, str(SOURCE / "deploy/python/craftfleet"))
@@ -24,7 +24,7 @@ FILE = python_case.SMALL_EXPERIMENT.replace("steps = 192", "steps = 128").replac
 name = "gamma"
 choices = [{ name = "a" }, { name = "b", config = { ppo.gamma = %s } }]
 """
-# Stands in for craftfleet-train: appends its arguments to LOGDIR/starts, then trains. FAKE_TRAIN: "half": for half of the steps;
+# Stands in for craftfleet train: appends its arguments to LOGDIR/starts, then trains. FAKE_TRAIN: "half": for half of the steps;
 # "wait": the same, then waits for SIGTERM; "fail2": seed 2 fails.
 FAKE_TRAIN = f"""#!/usr/bin/env python3
 import os, signal, subprocess, sys
@@ -38,7 +38,7 @@ if mode == "fail2" and flags.get("seed") == "2":
 half = mode in ("half", "wait")
 words = [f"--steps={{int(flags['steps']) // 2}}" if half and word.startswith("--steps=") else word for word in sys.argv[1:]]
 signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))
-code = subprocess.run(["{BIN}/craftfleet-train", *words, "--threads=1"]).returncode
+code = subprocess.run(["{BIN}/craftfleet", "train", *words, "--threads=1"]).returncode
 if mode == "wait":
   signal.pause()
 sys.exit(code)
@@ -76,7 +76,7 @@ class Sweep(python_case.FolderCase):
     return sweep_plan.plan(cells, str(self.folder / "runs"), seeds)
 
   def make(self, seeds=1, gamma=0.5, program=None):
-    return sweep_jobs.Sweep(self.jobs(seeds, gamma), str(program or self.program), 2, self.out, look_again=0.05)
+    return sweep_jobs.Sweep(self.jobs(seeds, gamma), [str(program or self.program)], 2, self.out, look_again=0.05)
 
   def fails(self, made):
     with self.assertRaises(Refusal) as caught:
@@ -160,8 +160,8 @@ class Sweep(python_case.FolderCase):
     self.assertEqual(len(self.starts("b/seed1")), 1)
 
   def test_a_missing_program_fails_every_run(self):
-    self.fails(self.make(program="/nowhere/craftfleet-train"))
-    self.assertIn("cannot start /nowhere/craftfleet-train: No such file or directory", self.out.text)
+    self.fails(self.make(program="/nowhere/craftfleet"))
+    self.assertIn("cannot start /nowhere/craftfleet: No such file or directory", self.out.text)
 
 
 class Plan(python_case.FolderCase):
@@ -218,7 +218,7 @@ experiments = [{ name = "t", axes = [{ axis = "x" }, { axis = "y" }] }, { name =
     self.assertIn("cell t/b wants textures 8140aa54698876d7, not 0: give their folder with --textures", str(caught.exception))
 
   def test_written_configurations_are_complete_ones_again(self):
-    self.run_program("craftfleet-sweep", str(SOURCE / "deploy/experiments/paper.toml"), f"--write_configs={self.folder}", "--experiment=ablation")
+    self.run_program("craftfleet sweep", str(SOURCE / "deploy/experiments/paper.toml"), f"--write_configs={self.folder}", "--experiment=ablation")
     cells = next(experiment for experiment in experiments.load(str(SOURCE / "deploy/experiments/paper.toml")) if experiment.name == "ablation").cells
     self.assertEqual(len(list(self.folder.rglob("*.txt"))), len(cells))
     for cell in cells:
@@ -233,7 +233,7 @@ experiments = [{ name = "t", axes = [{ axis = "x" }, { axis = "y" }] }, { name =
 class SlurmArray(python_case.FolderCase):
 
   def array(self, logs="/runs/slurm"):
-    return slurm.Array(logs, 5, 2, ["/bin/craftfleet-sweep", "/it's here/paper.toml", "--logdir=/runs"], ["t/a/seed1", "t/b c/seed1"])
+    return slurm.Array(logs, 5, 2, ["/bin/craftfleet", "sweep", "/it's here/paper.toml", "--logdir=/runs"], ["t/a/seed1", "t/b c/seed1"])
 
   def run_task(self, task, srun_exit=0, state="RUNNING"):
     """Task of the script with stand-ins for Slurm's commands: srun and scontrol print their arguments, squeue prints `state`."""
@@ -256,7 +256,7 @@ class SlurmArray(python_case.FolderCase):
     self.assertIn('#SBATCH --output="/my runs/100%%A, größe \\"1\\"/slurm/%A_%a.log"\n', script)
 
   def test_each_task_runs_its_own_run(self):
-    self.assertEqual(self.run_task(0), ("[--cpu-bind=none][/bin/craftfleet-sweep][/it's here/paper.toml][--logdir=/runs]"
+    self.assertEqual(self.run_task(0), ("[--cpu-bind=none][/bin/craftfleet][sweep][/it's here/paper.toml][--logdir=/runs]"
                                         "[--run=t/a/seed1][--threads=2]", 0))
     self.assertIn("[--run=t/b c/seed1]", self.run_task(1)[0])
 
@@ -274,16 +274,16 @@ class Commands(unittest.TestCase):
 
   def test_help_errors_and_start_up(self):
     for name in ("curve", "report", "sweep"):
-      program = BIN / f"craftfleet-{name}"
-      shown = subprocess.run([program, "--help"], capture_output=True, text=True, check=True).stdout
+      program = built(f"craftfleet {name}")
+      shown = subprocess.run([*program, "--help"], capture_output=True, text=True, check=True).stdout
       self.assertTrue(shown.startswith(f"craftfleet {name} "), shown)
       self.assertLessEqual(shown.count("\n"), 40, "it fits a screen")
-      refused = subprocess.run([program, "--ou=x"], capture_output=True, text=True, check=False)
+      refused = subprocess.run([*program, "--ou=x"], capture_output=True, text=True, check=False)
       self.assertEqual(refused.returncode, 1)
       self.assertIn(f"craftfleet {name}: unknown flag 'ou'", refused.stderr)
     for words, message in ((["report", "--html=x"], "--html=x, want true or false"), (["sweep", "--seeds=x"], "--seeds=x, want a whole number"),
                            (["report", "--out"], "--out needs a value"), (["report", "--outt=a"], "(did you mean --out?)")):
-      refused = subprocess.run([BIN / f"craftfleet-{words[0]}", *words[1:]], capture_output=True, text=True, check=False)
+      refused = subprocess.run([BIN / "craftfleet", *words], capture_output=True, text=True, check=False)
       self.assertIn(message, refused.stderr)
 
 

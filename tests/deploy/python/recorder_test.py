@@ -12,7 +12,7 @@ import unittest
 
 from tests.deploy.python import package
 from tests.fakes import full_disk, python_case
-from tests.fakes.python_case import SOURCE
+from tests.fakes.python_case import SOURCE, built
 
 package.need("craftfleet", "numpy")
 import craftfleet  # pylint: disable=wrong-import-position
@@ -178,7 +178,7 @@ class Runs(FolderCase):
     cls.trained = pathlib.Path(temp.name) / "run"
     config = pathlib.Path(temp.name) / "config.txt"
     config.write_text(python_case.SMALL_RUN)
-    subprocess.run([python_case.BIN / "craftfleet-train", f"--config={config}", f"--logdir={cls.trained}"],
+    subprocess.run([*built("craftfleet train"), f"--config={config}", f"--logdir={cls.trained}"],
                    check=True, capture_output=True, timeout=120)
 
   def test_score_is_that_of_the_programs(self):

@@ -13,7 +13,7 @@ import unittest.mock
 
 from tests.deploy.python import package
 from tests.fakes import python_case
-from tests.fakes.python_case import BIN, SMALL_RUN, wait_until
+from tests.fakes.python_case import BIN, SMALL_RUN, built, wait_until
 
 package.need("craftfleet", "numpy", "pandas", "tqdm", "tensorboard")
 import craftfleet  # pylint: disable=wrong-import-position
@@ -40,7 +40,7 @@ class Training(Case):
 
   def test_a_run_is_that_of_the_program(self):
     run = self.train(seed=5)
-    self.run_program("craftfleet-train", f"--config={self.config}", "--seed=5", f"--logdir={self.folder}/program")
+    self.run_program("craftfleet train", f"--config={self.config}", "--seed=5", f"--logdir={self.folder}/program")
     for file in ("stats.jsonl", "checkpoints/iter-00000003/weights.safetensors"):
       self.assertEqual((run.folder / file).read_bytes(), (self.folder / "program" / file).read_bytes(), file)
     self.assertEqual(run.score, craftfleet.score(self.folder / "program").score)
@@ -99,7 +99,7 @@ class Training(Case):
       craftfleet.evaluate(run, episodes=10000, episodes_npz=self.folder / "tables", progress=False)
 
   def test_without_programs_it_says_how_to_get_them(self):
-    with unittest.mock.patch.dict(os.environ, PATH="/nowhere"), self.assertRaisesRegex(FileNotFoundError, r"craftfleet-train is not in PATH"):
+    with unittest.mock.patch.dict(os.environ, PATH="/nowhere"), self.assertRaisesRegex(FileNotFoundError, r"craftfleet is not in PATH"):
       self.train()
 
   def test_ctrl_c_saves_the_run_and_it_can_be_resumed(self):
@@ -151,7 +151,7 @@ class Evaluation(Case):
   def test_an_evaluation_is_that_of_the_program(self):
     run = self.train()
     evaluated = craftfleet.evaluate(run, episodes=3, seed=4, progress=False)
-    self.run_program("craftfleet-eval", f"--checkpoint={run.folder}", "--episodes=3", "--seed=4", f"--json={self.folder}/program.json")
+    self.run_program("craftfleet eval", f"--checkpoint={run.folder}", "--episodes=3", "--seed=4", f"--out={self.folder}/program.json")
     program = json.loads((self.folder / "program.json").read_text())
     self.assertEqual((evaluated.score, evaluated.evaluation.reward, evaluated.evaluation.episodes),
                      (program["score"], program["reward"], 3))
@@ -164,7 +164,7 @@ class Policy(Case):
   def recorded(self, run, *flags):
     """The episodes of an evaluation with seed 7, as craftfleet eval records them."""
     tables = self.folder / "tables"
-    self.run_program("craftfleet-eval", f"--checkpoint={run.folder}", "--episodes=3", "--seed=7", f"--episodes_npz={tables}", *flags)
+    self.run_program("craftfleet eval", f"--checkpoint={run.folder}", "--episodes=3", "--seed=7", f"--episodes_npz={tables}", *flags)
     episodes = []
     for file in sorted(tables.glob("*.npz")):
       with np.load(file) as table:
@@ -264,9 +264,9 @@ class PolicyProgram(Case):
     for request, words in ((b"", ""), (one + frame, ""), (b"\1", "the input ends within a request"),
                            (one + frame[:-1], "the input ends within a request"), (bytes(4), "0 games in a request, want 1..4096"),
                            (one + frame + two + 2 * frame, "2 games in a request after 1")):
-      ended = subprocess.run([BIN / "craftfleet-policy", f"--checkpoint={run.folder}"], input=request, capture_output=True, check=False)
+      ended = subprocess.run([*built("craftfleet policy"), f"--checkpoint={run.folder}"], input=request, capture_output=True, check=False)
       self.assertEqual((ended.returncode, ended.stderr.decode()), (1, f"craftfleet policy: {words}\n") if words else (0, ""))
-    ended = self.run_program("craftfleet-policy", code=1)
+    ended = self.run_program("craftfleet policy", code=1)
     self.assertIn("--checkpoint is missing", ended.stderr)
 
 

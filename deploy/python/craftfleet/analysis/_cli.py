@@ -153,7 +153,7 @@ def help_json(program: str, usage: str, flags: list[Flag]) -> str:
 
 
 def version(program: str) -> str:
-  text = subprocess.run([programs.find("craftfleet-inspect"), "--version"], capture_output=True, text=True, check=True).stdout
+  text = subprocess.run([*programs.command("inspect"), "--version"], capture_output=True, text=True, check=True).stdout
   return text.replace("craftfleet inspect", program)
 
 

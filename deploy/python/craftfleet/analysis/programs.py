@@ -1,4 +1,4 @@
-"""Finds CraftFleet's programs, and asks craftfleet-inspect what only they know: configurations, checkpoints, textures."""
+"""Finds the program craftfleet, and asks it what only it knows: configurations, checkpoints, textures."""
 
 from __future__ import annotations
 
@@ -22,24 +22,23 @@ def _folder() -> str:
   return os.path.dirname(os.path.realpath(found)) if found else ""
 
 
-def find(name: str) -> str:
-  """The path of a program: beside the command that runs, in the wheel, or in PATH.   FileNotFoundError: it is in neither."""
-  path = os.path.join(_folder(), name)
+def command(name: str) -> list[str]:
+  """The words that start `craftfleet NAME`.   FileNotFoundError: craftfleet neither runs this, nor is it in a wheel or in PATH."""
+  path = os.path.join(_folder(), "craftfleet")
   if os.path.exists(path):
-    return path
-  raise FileNotFoundError(f"{path} is missing: it must be in the same folder as this program, in PATH, or in the folder that the "
-                          "environment variable CRAFTFLEET_BIN names")
+    return [path, name]
+  raise FileNotFoundError(f"{path} is missing: it must be in PATH, or in the folder that the environment variable CRAFTFLEET_BIN names")
 
 
 def ask(questions: list[dict]) -> list[dict]:
-  """The answers of craftfleet-inspect (deploy/cli/inspect/answer.h): each has an "error", or what was asked for."""
+  """The answers of craftfleet inspect (deploy/cli/inspect/answer.h): each has an "error", or what was asked for."""
   if not questions:
     return []
   text = "".join(json.dumps(question, ensure_ascii=True) + "\n" for question in questions)
-  ended = subprocess.run([find("craftfleet-inspect")], input=text, capture_output=True, text=True, check=False)
+  ended = subprocess.run(command("inspect"), input=text, capture_output=True, text=True, check=False)
   answers = [json.loads(line) for line in ended.stdout.splitlines()]
   if len(answers) != len(questions):
-    raise ChildProcessError(f"craftfleet-inspect ended early: {ended.stderr.strip()}")
+    raise ChildProcessError(f"craftfleet inspect ended early: {ended.stderr.strip()}")
   return answers
 
 

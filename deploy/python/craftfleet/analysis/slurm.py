@@ -42,7 +42,7 @@ class Array:
   logs: str  # folder for the output of the tasks
   at_a_time: int  # tasks that may run at the same time
   threads: int  # CPUs per task
-  command: list[str]  # craftfleet-sweep and its arguments, without --run and --threads
+  command: list[str]  # craftfleet sweep and its arguments, without --run and --threads
   runs: list[str]  # names
 
 

@@ -100,7 +100,7 @@ def _run_on_slurm(file: str, flags, jobs: list[Job]) -> None:
   # Slurm 22.05 replaces these in names of an array's logs, however they are written.
   if "%A" in flags.logdir or "%a" in flags.logdir:
     raise Refusal(f"--logdir={flags.logdir}, want a folder without %A and %a, which Slurm replaces by numbers of the job")
-  command = [programs.find("craftfleet-sweep"), os.path.abspath(file), f"--logdir={flags.logdir}", f"--seeds={flags.seeds}",
+  command = [*programs.command("sweep"), os.path.abspath(file), f"--logdir={flags.logdir}", f"--seeds={flags.seeds}",
              f"--steps={flags.steps}"] + ([f"--textures={os.path.abspath(flags.textures)}"] if flags.textures else [])
   unfinished = [job for job, state in zip(jobs, states_or_none(jobs)) if not state.finished]
   if not unfinished:
@@ -169,7 +169,7 @@ def _run(flags, arguments: list[str]) -> int:
       if not state.finished:
         print("craftfleet train " + " ".join(job.resume if state.begun else job.start))
   else:
-    sweep = Sweep(jobs, programs.find("craftfleet-train"), flags.jobs)
+    sweep = Sweep(jobs, programs.command("train"), flags.jobs)
     _handle_signals(sweep)
     try:
       sweep.run()

@@ -105,9 +105,9 @@ class Sweep:
   folder.
   """
 
-  def __init__(self, jobs: Sequence[Job], program: str, at_a_time: int, out=sys.stdout, look_again: float = _LOOK_AGAIN):
+  def __init__(self, jobs: Sequence[Job], train: Sequence[str], at_a_time: int, out=sys.stdout, look_again: float = _LOOK_AGAIN):
     self._entries = [_Entry(job) for job in jobs]
-    self._program, self._at_a_time, self._out, self._look_again = program, at_a_time, out, look_again
+    self._train, self._at_a_time, self._out, self._look_again = train, at_a_time, out, look_again
     self._stopping = False
     self._begun = 0.0
     self._output_error = ""
@@ -214,10 +214,10 @@ class Sweep:
     try:
       with open(os.path.join(job.folder, "log.txt"), "ab") as log:
         # In its own group, so that Ctrl-C on the terminal reaches it only through stop().
-        entry.child = subprocess.Popen([self._program, *arguments], stdin=subprocess.DEVNULL, stdout=log, stderr=log,
+        entry.child = subprocess.Popen([*self._train, *arguments], stdin=subprocess.DEVNULL, stdout=log, stderr=log,
                                        process_group=0)
     except OSError as error:
-      raise Refusal(f"cannot start {self._program}: {error.strerror}") from None
+      raise Refusal(f"cannot start {self._train[0]}: {error.strerror}") from None
     self._print(f"{'resumes' if entry.state.begun else 'starts'}: {job.name}")
     if self._stopping:  # a signal came while it was started
       entry.child.terminate()

@@ -36,30 +36,23 @@ bool Lit(const StripPicture& strip, int frame_x, int frame_y) {
 
 TEST(DrawStrip, ShowsTheFrameAboveAndPlantedAttentionBelow) {
   const PatchGrid patches = {kFrame, 8, 8};  // 9 x 9, without overlap
-  for (const AttentionDetail detail : {AttentionDetail::kPixels, AttentionDetail::kPatches}) {
-    const StripPicture strip = DrawStrip({Planted(patches, 9 * 2 + 4), Planted(patches, 0)}, detail);
-    EXPECT_EQ(strip.width, 2 * (kStripPicture + kStripGap) + kStripGap);
-    EXPECT_EQ(strip.height, 2 * kStripPicture + 3 * kStripGap + kStripLabel);
-    ASSERT_EQ(strip.pixels.size(), size_t{3} * strip.width * strip.height);
-    EXPECT_EQ(strip.pixels.substr(size_t{3} * (kStripGap * strip.width + kStripGap), 3), "\x60\x60\x60") << "unchanged";
-    for (int x = 0; x < 9; ++x) {
-      for (int y = 0; y < 9; ++y) EXPECT_EQ(Lit(strip, 8 * x + 4, 8 * y + 4), x == 4 && y == 2) << x << " " << y;
-    }
+  const StripPicture strip = DrawStrip({Planted(patches, 9 * 2 + 4), Planted(patches, 0)});
+  EXPECT_EQ(strip.width, 2 * (kStripPicture + kStripGap) + kStripGap);
+  EXPECT_EQ(strip.height, 2 * kStripPicture + 3 * kStripGap + kStripLabel);
+  ASSERT_EQ(strip.pixels.size(), size_t{3} * strip.width * strip.height);
+  EXPECT_EQ(strip.pixels.substr(size_t{3} * (kStripGap * strip.width + kStripGap), 3), "\x60\x60\x60") << "unchanged";
+  for (int x = 0; x < 9; ++x) {
+    for (int y = 0; y < 9; ++y) EXPECT_EQ(Lit(strip, 8 * x + 4, 8 * y + 4), x == 4 && y == 2) << x << " " << y;
   }
 }
 
-TEST(DrawStrip, OverlappingPatchesAreSpreadOrSquares) {
+TEST(DrawStrip, OverlappingPatchesAreSpread) {
   const PatchGrid patches = {kFrame, 16, 8};  // 8 x 8, each covers 2 x 2 squares
-  const StripPicture spread = DrawStrip({Planted(patches, 8 * 3 + 3)}, AttentionDetail::kPixels);
+  const StripPicture spread = DrawStrip({Planted(patches, 8 * 3 + 3)});
   EXPECT_TRUE(Lit(spread, 24, 24));
   EXPECT_TRUE(Lit(spread, 39, 39));
   EXPECT_FALSE(Lit(spread, 23, 24));
   EXPECT_FALSE(Lit(spread, 40, 40));
-  const StripPicture squares = DrawStrip({Planted(patches, 8 * 3 + 3)}, AttentionDetail::kPatches);
-  EXPECT_TRUE(Lit(squares, 28, 28));
-  EXPECT_TRUE(Lit(squares, 35, 35));
-  EXPECT_FALSE(Lit(squares, 27, 30));
-  EXPECT_FALSE(Lit(squares, 36, 30));
 }
 
 TEST(ChooseSteps, PrefersAchievementsAndFillsUpEvenly) {

@@ -10,20 +10,18 @@
 #include <absl/flags/flag.h>
 #include <absl/strings/match.h>
 #include <absl/strings/str_cat.h>
+#include <absl/strings/str_split.h>
 #include <absl/time/clock.h>
 
 #include "common/base/status_macros.h"
 #include "common/process/program.h"
+#include "common/process/shared_flags.h"
 #include "common/wire/channel.h"
 #include "common/wire/channel_flags.h"
+#include "deploy/cli/command.h"
 #include "deploy/cli/doctor/checks.h"
 #include "deploy/cli/doctor/doctor_text.h"
 #include "deploy/cli/doctor/machine.h"
-
-ABSL_FLAG(std::string, logdir, "runs", "folder of runs, whose disk is checked for free space and speed");
-ABSL_FLAG(std::vector<std::string>, listen, {"127.0.0.1:50051"},
-          "addresses to check for a free port, HOST:PORT, joined by commas");
-ABSL_FLAG(bool, json, false, "print JSON");
 
 namespace craftfleet {
 namespace {
@@ -41,8 +39,9 @@ It checks the CPU, the BLAS, memory, open files, the disk, the clock, shared mem
 versions. The exit code is 1 if a check fails, and 0 if there are only warnings. On a terminal the output has colours, unless
 NO_COLOR is set.)";
 
-std::vector<Finding> CheckMachine() {
-  const DiskFacts disk = MeasureDisk(absl::GetFlag(FLAGS_logdir));
+std::vector<Finding> CheckMachine(const std::vector<std::string>& addresses) {
+  const std::string logdir = absl::GetFlag(FLAGS_logdir);
+  const DiskFacts disk = MeasureDisk(logdir.empty() ? "runs" : logdir);
   std::vector<Finding> findings = {CheckCpuFeatures(ReadCpu()),
                                    CheckBlas(ReadBlas()),
                                    CheckMemory(ReadAvailableMemory()),
@@ -52,7 +51,7 @@ std::vector<Finding> CheckMachine() {
                                    CheckClock(ReadClock()),
                                    CheckSharedMemory(ReadSharedMemory()),
                                    CheckGpu(ReadGpu())};
-  for (const std::string& address : absl::GetFlag(FLAGS_listen)) {
+  for (const std::string& address : addresses) {
     if (absl::StartsWith(address, "unix:")) continue;  // a program replaces the socket when it starts to listen
     findings.push_back(CheckPort(address, TryPort(address)));
   }
@@ -65,10 +64,12 @@ std::vector<Finding> CheckMachine() {
 }
 
 absl::Status Run() {
-  for (const std::string& address : absl::GetFlag(FLAGS_listen)) {
+  const std::vector<std::string> addresses =
+      absl::StrSplit(absl::GetFlag(FLAGS_listen).address.value_or(kLearnerAddress), ',', absl::SkipEmpty());
+  for (const std::string& address : addresses) {
     CRAFTFLEET_RETURN_IF_ERROR(wire::CheckAddress("listen", address));
   }
-  const std::vector<Finding> findings = CheckMachine();
+  const std::vector<Finding> findings = CheckMachine(addresses);
   if (absl::GetFlag(FLAGS_json)) {
     std::fputs(DoctorJson(findings).c_str(), stdout);
   } else {
@@ -80,10 +81,18 @@ absl::Status Run() {
   return absl::FailedPreconditionError(absl::StrCat("failed checks: ", failed));
 }
 
+int RunDoctor(int argc, char** argv) {
+  ParseFlags({kProgram,
+              kUsage,
+              {"logdir", "listen", "json"},
+              {"channel_flags.cc"},
+              {{"logdir", "folder of runs, whose disk is checked for free space and speed [runs]"},
+               {"listen", "addresses to check for a free port, HOST:PORT, joined by commas [127.0.0.1:50051]"}}},
+             argc, argv);
+  return ExitCode(kProgram, Run());
+}
+
+const RegisterCommand kRegistered("doctor", &RunDoctor);
+
 }  // namespace
 }  // namespace craftfleet
-
-int main(int argc, char** argv) {
-  craftfleet::ParseFlags(craftfleet::kProgram, craftfleet::kUsage, argc, argv, {"logdir", "listen", "json"});
-  return craftfleet::ExitCode(craftfleet::kProgram, craftfleet::Run());
-}

@@ -9,6 +9,7 @@
 #include "common/base/status_macros.h"
 #include "common/process/flag_check.h"
 #include "common/process/program.h"
+#include "deploy/cli/command.h"
 #include "deploy/cli/envs/census.h"
 
 ABSL_FLAG(int32_t, worlds, 300, "number of new worlds to count objects in, with the seeds 0, 1, 2, ...; 1..100000");
@@ -52,10 +53,12 @@ absl::Status Run() {
   return absl::OkStatus();
 }
 
+int RunEnvs(int argc, char** argv) {
+  ParseFlags({kProgram, kUsage, {"worlds"}, {}}, argc, argv);
+  return ExitCode(kProgram, Run());
+}
+
+const RegisterCommand kRegistered("envs", &RunEnvs);
+
 }  // namespace
 }  // namespace craftfleet
-
-int main(int argc, char** argv) {
-  craftfleet::ParseFlags(craftfleet::kProgram, craftfleet::kUsage, argc, argv);
-  return craftfleet::ExitCode(craftfleet::kProgram, craftfleet::Run());
-}

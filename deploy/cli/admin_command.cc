@@ -15,11 +15,12 @@
 #include "common/process/flag_check.h"
 #include "common/process/flag_values.h"
 #include "common/process/program.h"
+#include "common/process/shared_flags.h"
 #include "common/wire/channel.h"
 #include "craftfleet/v1/admin.grpc.pb.h"
+#include "deploy/cli/command.h"
 #include "deploy/cli/status_client.h"
 
-ABSL_FLAG(std::string, address, "127.0.0.1:50051", "address of the learner, HOST:PORT");
 ABSL_FLAG(craftfleet::TimeSpan, timeout, {absl::Minutes(1)},
           "how long to wait for the command to finish, at most 24h; a plain number is in seconds\n"
           "A checkpoint is written after the current update. Pause and drain wait for the fragments being played");
@@ -130,11 +131,13 @@ absl::Status Run(const std::vector<std::string>& command) {
   return absl::OkStatus();
 }
 
+int RunAdmin(int argc, char** argv) {
+  const std::vector<std::string> command =
+      ParseFlagsAndArguments({kProgram, kUsage, {"address", "timeout"}, {"channel_flags.cc"}}, argc, argv);
+  return ExitCode(kProgram, Run(command));
+}
+
+const RegisterCommand kRegistered("admin", &RunAdmin);
+
 }  // namespace
 }  // namespace craftfleet
-
-int main(int argc, char** argv) {
-  const std::vector<std::string> command =
-      craftfleet::ParseFlagsAndArguments(craftfleet::kProgram, craftfleet::kUsage, argc, argv);
-  return craftfleet::ExitCode(craftfleet::kProgram, craftfleet::Run(command));
-}

@@ -15,8 +15,8 @@
 #include "common/base/status_macros.h"
 #include "common/config/agent_presets.h"
 #include "common/process/program.h"
-
-ABSL_FLAG(bool, json, false, "print JSON");
+#include "common/process/shared_flags.h"
+#include "deploy/cli/command.h"
 
 namespace craftfleet {
 namespace {
@@ -92,10 +92,12 @@ absl::Status Run() {
   return absl::OkStatus();
 }
 
+int RunAgents(int argc, char** argv) {
+  ParseFlags({kProgram, kUsage, {"json"}, {}}, argc, argv);
+  return ExitCode(kProgram, Run());
+}
+
+const RegisterCommand kRegistered("agents", &RunAgents);
+
 }  // namespace
 }  // namespace craftfleet
-
-int main(int argc, char** argv) {
-  craftfleet::ParseFlags(craftfleet::kProgram, craftfleet::kUsage, argc, argv);
-  return craftfleet::ExitCode(craftfleet::kProgram, craftfleet::Run());
-}

@@ -14,21 +14,15 @@
 #include "common/base/status_macros.h"
 #include "common/process/flag_check.h"
 #include "common/process/program.h"
+#include "common/process/shared_flags.h"
+#include "deploy/cli/command.h"
 #include "deploy/cli/play/play_loop.h"
 #include "deploy/cli/play/play_session.h"
 #include "deploy/cli/screen/game_flags.h"
 
-ABSL_FLAG(std::string, env, "crafter",
-          "environment to play, such as crafter:numbers=hard-x2; craftfleet envs lists them");
-ABSL_FLAG(std::optional<int64_t>, seed, std::nullopt, "seed of the environment [a new one each time]");
-ABSL_FLAG(int64_t, episode, 1, "episode of the environment to begin with, 1..1000000000");
-ABSL_FLAG(bool, terminal, false,
-          "play in the terminal, also over ssh, instead of a window, in the colours that it has");
 ABSL_FLAG(double, fps, 5, "steps a second, 0.1..60");
 ABSL_FLAG(bool, wait, false, "wait for a key before each step, instead of --fps");
-ABSL_FLAG(int32_t, size, 576, "width and height of the picture in a window, in pixels, 64..1024");
 ABSL_FLAG(std::string, record, "", "folder for a video and a NumPy file of each episode");
-ABSL_FLAG(std::string, textures, "", "folder with Crafter's textures as PNG [the ones that come with this program]");
 
 namespace craftfleet {
 namespace {
@@ -46,8 +40,8 @@ int64_t NewSeed() { return static_cast<int64_t>(std::random_device()() >> 1); }
 
 absl::StatusOr<PlaySession::Options> SessionOptions() {
   PlaySession::Options options;
-  CRAFTFLEET_ASSIGN_OR_RETURN(options.env, EnvFromFlag(absl::GetFlag(FLAGS_env)));
-  options.seed = absl::GetFlag(FLAGS_seed).value_or(NewSeed());
+  CRAFTFLEET_ASSIGN_OR_RETURN(options.env, EnvFromFlag(absl::GetFlag(FLAGS_env).value_or("crafter")));
+  CRAFTFLEET_ASSIGN_OR_RETURN(options.seed, EnvSeedFromFlag(/*otherwise=*/NewSeed()));
   options.episode = absl::GetFlag(FLAGS_episode);
   CRAFTFLEET_RETURN_IF_ERROR(CheckEpisodeFlag(options.episode));
   options.record_folder = absl::GetFlag(FLAGS_record);
@@ -65,7 +59,7 @@ absl::StatusOr<absl::Duration> StepTime() {
 absl::Status Run() {
   CRAFTFLEET_ASSIGN_OR_RETURN(const PlaySession::Options options, SessionOptions());
   CRAFTFLEET_ASSIGN_OR_RETURN(const absl::Duration step_time, StepTime());
-  const int size = absl::GetFlag(FLAGS_size);
+  const int size = absl::GetFlag(FLAGS_size).value_or(576);
   CRAFTFLEET_RETURN_IF_ERROR(CheckSizeFlag(size));
   CRAFTFLEET_RETURN_IF_ERROR(CheckScreen(absl::GetFlag(FLAGS_terminal)));  // forks: before anything starts threads
   CRAFTFLEET_ASSIGN_OR_RETURN(const std::unique_ptr<PlaySession> session, PlaySession::Create(options));
@@ -81,11 +75,19 @@ absl::Status Run() {
   return played.ok() ? finished : played;
 }
 
+int RunPlay(int argc, char** argv) {
+  ParseFlags({kProgram,
+              kUsage,
+              {"env", "seed", "episode", "terminal", "fps", "wait", "size", "record", "textures"},
+              {},
+              {{"env", "environment to play, such as crafter:numbers=hard-x2; craftfleet envs lists them [crafter]"},
+               {"seed", "seed of the environment [a new one each time]"},
+               {"size", "width and height of the picture in a window, in pixels, 64..1024 [576]"}}},
+             argc, argv);
+  return ExitCode(kProgram, Run());
+}
+
+const RegisterCommand kRegistered("play", &RunPlay);
+
 }  // namespace
 }  // namespace craftfleet
-
-int main(int argc, char** argv) {
-  craftfleet::ParseFlags(craftfleet::kProgram, craftfleet::kUsage, argc, argv,
-                         {"env", "seed", "episode", "terminal", "fps", "wait", "size", "record", "textures"});
-  return craftfleet::ExitCode(craftfleet::kProgram, craftfleet::Run());
-}

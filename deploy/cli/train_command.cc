@@ -7,17 +7,13 @@
 #include "common/process/cpu_pin.h"
 #include "common/process/flag_values.h"
 #include "common/process/program.h"
+#include "common/process/shared_flags.h"
 #include "common/telemetry/log.h"
 #include "common/wire/metrics_flags.h"
+#include "deploy/cli/command.h"
 #include "deploy/cli/local_fleet.h"
 #include "learner/run_flags.h"
 #include "learner/run_messages.h"
-
-ABSL_FLAG(std::string, listen, "",
-          "address to accept further actors, craftfleet status and craftfleet top on, HOST:PORT [none]");
-ABSL_FLAG(craftfleet::TimeSpan, env_timeout, {absl::Seconds(10)},
-          "time limit of a request for game steps, 0.1s..1h; a step takes microseconds\n"
-          "after that the request is abandoned, and the games continue from their snapshots");
 
 namespace craftfleet {
 namespace {
@@ -40,7 +36,7 @@ absl::Status Run() {
                               LearnerOptionsFromFlags(v1::RunConfig::CUDA, /*page_by_default=*/""));
   CRAFTFLEET_RETURN_IF_ERROR(PinCpu(options.config.cpu()));
   SetUpTorchThread();
-  options.server.address = absl::GetFlag(FLAGS_listen);
+  options.server.address = absl::GetFlag(FLAGS_listen).address.value_or("");
   CRAFTFLEET_ASSIGN_OR_RETURN(const std::unique_ptr<LocalFleet> fleet,
                               LocalFleet::Create(options, absl::GetFlag(FLAGS_env_timeout).value));
   StopSignal signal([&fleet] { fleet->Stop(); });
@@ -54,13 +50,22 @@ absl::Status Run() {
   return absl::OkStatus();
 }
 
+int RunTrain(int argc, char** argv) {
+  OutliveReaders();
+  ParseFlags(
+      {kProgram,
+       kUsage,
+       {"logdir", "agent", "env", "steps", "seed", "lanes", "resume", "config", "init_from", "listen"},
+       {"run_flags.cc", "server_flags.cc", "channel_flags.cc", "metrics_flags.cc", "device", "env_timeout", "textures",
+        "threads"},
+       {{"env", kRunEnvHelp},
+        {"seed", kRunSeedHelp},
+        {"listen", "address to accept further actors, craftfleet status and craftfleet top on, HOST:PORT [none]"}}},
+      argc, argv);
+  return ExitCode(kProgram, Run());
+}
+
+const RegisterCommand kRegistered("train", &RunTrain);
+
 }  // namespace
 }  // namespace craftfleet
-
-int main(int argc, char** argv) {
-  craftfleet::OutliveReaders();
-  craftfleet::ParseFlags(
-      craftfleet::kProgram, craftfleet::kUsage, argc, argv,
-      {"logdir", "agent", "env", "steps", "seed", "lanes", "resume", "config", "init_from", "listen"});
-  return craftfleet::ExitCode(craftfleet::kProgram, craftfleet::Run());
-}

@@ -4,6 +4,7 @@
 #include <string>
 
 #include "common/process/program.h"
+#include "deploy/cli/command.h"
 #include "deploy/cli/inspect/answer.h"
 
 namespace craftfleet {
@@ -16,12 +17,14 @@ ask: each line of standard input is a JSON object, and so is each line of its ou
 
   echo '{"config": "agent: \"lstm_cnn\""}' | craftfleet inspect)";
 
+int RunInspect(int argc, char** argv) {
+  ParseFlags({kProgram, kUsage, {}, {}}, argc, argv);
+  for (std::string line; std::getline(std::cin, line);) std::cout << Answer(line) << "\n";
+  std::cout.flush();
+  return ExitCode(kProgram, absl::OkStatus());
+}
+
+const RegisterCommand kRegistered("inspect", &RunInspect);
+
 }  // namespace
 }  // namespace craftfleet
-
-int main(int argc, char** argv) {
-  craftfleet::ParseFlags(craftfleet::kProgram, craftfleet::kUsage, argc, argv);
-  for (std::string line; std::getline(std::cin, line);) std::cout << craftfleet::Answer(line) << "\n";
-  std::cout.flush();
-  return craftfleet::ExitCode(craftfleet::kProgram, absl::OkStatus());
-}

@@ -18,35 +18,29 @@
 #include "common/agent/agent_spec.h"
 #include "common/base/clock.h"
 #include "common/base/status_macros.h"
-#include "common/config/env_name.h"
 #include "common/io/files.h"
 #include "common/io/output_file.h"
 #include "common/io/paths.h"
 #include "common/process/flag_check.h"
 #include "common/process/flag_values.h"
 #include "common/process/program.h"
+#include "common/process/shared_flags.h"
 #include "common/wire/protocol.h"
 #include "common/wire/server.h"
+#include "deploy/cli/command.h"
 #include "deploy/cli/eval/checkpoint_policy.h"
 #include "deploy/cli/eval/eval_plan.h"
 #include "deploy/cli/eval/eval_progress.h"
 #include "deploy/cli/eval/eval_result.h"
+#include "deploy/cli/screen/game_flags.h"
 #include "envserver/env_service.h"
 #include "learner/run/score.h"
 
-ABSL_FLAG(std::string, checkpoint, "",
-          "folder of a run, for its newest checkpoint, of one checkpoint, or of results with weights (required)");
 ABSL_FLAG(std::optional<craftfleet::Count>, episodes, std::nullopt, "episodes to play, 1..10000 [20]");
-ABSL_FLAG(std::optional<std::string>, env, std::nullopt,
-          "environment to play, such as crafter:inventory=off [the one of the training]");
-ABSL_FLAG(std::optional<int64_t>, seed, std::nullopt,
-          "seed of the environment; the evaluation plays its episodes 1, 2, ... [0]");
-ABSL_FLAG(bool, deterministic, false, "always take the most likely action instead of sampling one");
 ABSL_FLAG(std::string, protocol, "",
           "final: replay the run's final evaluation\n"
           "argmax episodes, then sampled ones, as in the run's configuration");
-ABSL_FLAG(std::string, json, "", "file to which the result is also written as JSON; -: standard output");
-ABSL_FLAG(std::string, video, "", "folder for a video of each episode, MP4");
+ABSL_FLAG(std::string, out, "", "file to which the result is also written as JSON; -: standard output");
 ABSL_FLAG(std::string, episodes_npz, "",
           "folder for a NumPy file of each episode, in the format of Crafter's own recorder");
 ABSL_FLAG(std::string, pictures, "", "folder for a picture of every --picture_every steps, PNG");
@@ -54,12 +48,6 @@ ABSL_FLAG(int32_t, picture_every, 50, "steps from one picture to the next, 1..10
 ABSL_FLAG(
     std::string, attention_scale, "auto",
     "with --attention: auto (up to the highest weight of each picture) or fixed (the same scale for all pictures)");
-ABSL_FLAG(int32_t, video_size, 576, "width and height of videos and pictures in pixels, an even number 64..1024");
-ABSL_FLAG(std::string, attention, "off",
-          "show the attention of agents such as oc_sa and oc_ca in videos and pictures: mean, sum, a number, or off\n"
-          "mean or sum over the heads (oc_sa) or slots (oc_ca), or the number of one of them, from 0");
-ABSL_FLAG(std::string, textures, "", "folder with Crafter's textures as PNG [the ones that come with this program]");
-ABSL_FLAG(craftfleet::TimeSpan, env_timeout, {absl::Seconds(10)}, "how long a step of the games may take, 0.1s..1h");
 
 namespace craftfleet {
 namespace {
@@ -70,7 +58,7 @@ constexpr char kUsage[] =
 mean reward and episode length, and the Crafter score. The result depends only on the weights, the environment and the seed.
 
   craftfleet eval --checkpoint=runs/first --episodes=100
-  craftfleet eval --checkpoint=runs/first/checkpoints/iter-00000010 --env=crafter:numbers=easy-x2 --deterministic --json=eval.json
+  craftfleet eval --checkpoint=runs/first/checkpoints/iter-00000010 --env=crafter:numbers=easy-x2 --deterministic --out=eval.json
   craftfleet eval --checkpoint=runs/first --protocol=final --video=videos --episodes_npz=episodes
   craftfleet eval --checkpoint=runs/oc_ca --episodes=3 --video=videos --attention=sum
 
@@ -84,15 +72,13 @@ absl::StatusOr<EpisodeRecorder::Options> RecorderOptions() {
   options.picture_folder = absl::GetFlag(FLAGS_pictures);
   options.picture_every = absl::GetFlag(FLAGS_picture_every);
   CRAFTFLEET_RETURN_IF_ERROR(CheckFlagRange("picture_every", options.picture_every, 1, 10000));
-  const int size = absl::GetFlag(FLAGS_video_size);
-  if (size < 64 || size > 1024 || size % 2 != 0) return InvalidFlag("video_size", size, "an even number 64..1024");
+  const int size = absl::GetFlag(FLAGS_size).value_or(576);
+  if (size < 64 || size > 1024 || size % 2 != 0) return InvalidFlag("size", size, "an even number 64..1024");
   const bool pictures = !options.video_folder.empty() || !options.picture_folder.empty();
   if (pictures) options.picture_size = size;
-  if (absl::GetFlag(FLAGS_attention) == "off") return options;
+  CRAFTFLEET_ASSIGN_OR_RETURN(options.attention, AttentionFromFlag());
+  if (!options.attention.has_value()) return options;
   if (!pictures) return absl::InvalidArgumentError("--attention needs --video or --pictures");
-  absl::StatusOr<AttentionChoice> choice = AttentionChoice::Parse(absl::GetFlag(FLAGS_attention));
-  if (!choice.ok()) return absl::InvalidArgumentError(absl::StrFormat("--attention: %s", choice.status().message()));
-  options.attention = *choice;
   const std::string scale = absl::GetFlag(FLAGS_attention_scale);
   if (scale != "auto" && scale != "fixed") return InvalidFlag("attention_scale", scale, "auto or fixed");
   options.fixed_scale = scale == "fixed";
@@ -112,12 +98,9 @@ absl::StatusOr<int> EpisodesFromFlag() {
 // The parts that the flags describe, without the environment; empty for --protocol=final.
 absl::StatusOr<std::vector<EvalPart>> PartsFromFlags() {
   const std::string protocol = absl::GetFlag(FLAGS_protocol);
-  if (const auto env = absl::GetFlag(FLAGS_env)) {
-    const absl::Status known = EnvName::Parse(*env).status();
-    if (!known.ok()) return absl::InvalidArgumentError(absl::StrFormat("--env: %s", known.message()));
-  }
+  if (const auto env = absl::GetFlag(FLAGS_env)) CRAFTFLEET_RETURN_IF_ERROR(EnvFromFlag(*env).status());
   EvaluationOptions options;
-  options.seed = absl::GetFlag(FLAGS_seed).value_or(0);
+  CRAFTFLEET_ASSIGN_OR_RETURN(options.seed, EnvSeedFromFlag());
   CRAFTFLEET_ASSIGN_OR_RETURN(options.episodes, EpisodesFromFlag());
   options.greedy = absl::GetFlag(FLAGS_deterministic);
   CRAFTFLEET_RETURN_IF_ERROR(options.Validate());
@@ -235,8 +218,8 @@ absl::Status Run() {
   CRAFTFLEET_ASSIGN_OR_RETURN(EpisodeRecorder::Options recorder, RecorderOptions());
   CRAFTFLEET_ASSIGN_OR_RETURN(const CheckpointPolicy agent, LoadPolicy(absl::GetFlag(FLAGS_checkpoint)));
   std::optional<OutputFile> json_file;
-  if (const std::string path = absl::GetFlag(FLAGS_json); !path.empty()) {
-    CRAFTFLEET_ASSIGN_OR_RETURN(OutputFile file, OutputFile::Open("--json", path));
+  if (const std::string path = absl::GetFlag(FLAGS_out); !path.empty()) {
+    CRAFTFLEET_ASSIGN_OR_RETURN(OutputFile file, OutputFile::Open("--out", path));
     json_file.emplace(std::move(file));
   }
   CRAFTFLEET_ASSIGN_OR_RETURN(const EvalPlan plan, MakePlan(std::move(parts), agent.state));
@@ -256,15 +239,24 @@ absl::Status Run() {
   return played;
 }
 
+int RunEval(int argc, char** argv) {
+  OutliveReaders();
+  ParseFlags({kProgram,
+              kUsage,
+              {"checkpoint", "episodes", "env", "seed", "deterministic", "protocol", "out", "video", "episodes_npz",
+               "attention"},
+              {"eval_command.cc", "env_timeout", "size", "textures"},
+              {{"seed", "seed of the environment; the evaluation plays its episodes 1, 2, ... [0]"},
+               {"video", "folder for a video of each episode, MP4"},
+               {"env_timeout", "how long a step of the games may take, 0.1s..1h"},
+               {"size", "width and height of videos and pictures in pixels, an even number 64..1024 [576]"}}},
+             argc, argv);
+  const absl::Status status = Run();
+  const int exit_code = ExitCode(kProgram, status);
+  return absl::IsCancelled(status) ? kStoppedExitCode : exit_code;
+}
+
+const RegisterCommand kRegistered("eval", &RunEval);
+
 }  // namespace
 }  // namespace craftfleet
-
-int main(int argc, char** argv) {
-  craftfleet::OutliveReaders();
-  craftfleet::ParseFlags(craftfleet::kProgram, craftfleet::kUsage, argc, argv,
-                         {"checkpoint", "episodes", "env", "seed", "deterministic", "protocol", "json", "video",
-                          "episodes_npz", "attention"});
-  const absl::Status status = craftfleet::Run();
-  const int exit_code = craftfleet::ExitCode(craftfleet::kProgram, status);
-  return absl::IsCancelled(status) ? craftfleet::kStoppedExitCode : exit_code;
-}

@@ -24,6 +24,8 @@
 #include "common/io/png_encoder.h"
 #include "common/process/flag_check.h"
 #include "common/process/program.h"
+#include "common/process/shared_flags.h"
+#include "deploy/cli/command.h"
 #include "deploy/cli/eval/checkpoint_policy.h"
 #include "deploy/cli/screen/game_flags.h"
 #include "deploy/cli/watch/attention_strip.h"
@@ -31,27 +33,12 @@
 #include "deploy/cli/watch/watch_video.h"
 #include "learner/run/checkpoint_store.h"
 
-ABSL_FLAG(std::optional<std::string>, env, std::nullopt,
-          "environment to play, such as crafter:inventory=off [the one of the training]");
-ABSL_FLAG(int64_t, seed, 0, "seed of the environment; the same episodes as craftfleet eval --seed");
-ABSL_FLAG(int64_t, episode, 1, "episode of the environment to begin with, 1..1000000000");
-ABSL_FLAG(bool, deterministic, false, "always take the most likely action instead of sampling one");
-ABSL_FLAG(bool, terminal, false,
-          "show it in the terminal, also over ssh, instead of a window, in the colours that it has");
 ABSL_FLAG(double, speed, 5, "steps a second, 0.25..256; the keys + and - change it");
-ABSL_FLAG(int32_t, size, 512, "width and height of the picture in windows and videos, in pixels, 64..1024");
-ABSL_FLAG(std::string, attention, "off",
-          "show the attention of agents such as oc_sa and oc_ca: mean, sum, a number, or off\n"
-          "mean or sum over the heads (oc_sa) or slots (oc_ca), or the number of one of them, from 0");
 ABSL_FLAG(bool, follow, false, "before each episode, load the run's newest checkpoint");
-ABSL_FLAG(std::string, video, "", "write one episode to this MP4 file instead of showing it");
 ABSL_FLAG(std::string, strip, "",
           "write a strip of pictures with attention to this PNG file instead of showing the game");
 ABSL_FLAG(std::string, strip_steps, "auto", "steps of the strip's columns, such as 0,40,80; auto: around achievements");
 ABSL_FLAG(int32_t, strip_columns, 6, "number of columns with --strip_steps=auto, 1..32");
-ABSL_FLAG(std::string, strip_detail, "pixels",
-          "with --strip: pixels (the mean of the patches at each pixel) or patches (each patch as a square)");
-ABSL_FLAG(std::string, textures, "", "folder with Crafter's textures as PNG [the ones that come with this program]");
 
 namespace craftfleet {
 namespace {
@@ -66,13 +53,13 @@ the probability of each action. It plays in a window, in a terminal, or into a f
   craftfleet watch --video=episode.mp4 runs/first/checkpoints/iter-00000010
   craftfleet watch --strip=attention.png --attention=mean runs/oc_sa)";
 
+int PictureSize() { return absl::GetFlag(FLAGS_size).value_or(512); }
+
 absl::Status CheckFlags() {
   CRAFTFLEET_RETURN_IF_ERROR(CheckEpisodeFlag(absl::GetFlag(FLAGS_episode)));
   CRAFTFLEET_RETURN_IF_ERROR(CheckFlagRange("speed", absl::GetFlag(FLAGS_speed), 0.25, 256.0));
-  CRAFTFLEET_RETURN_IF_ERROR(CheckSizeFlag(absl::GetFlag(FLAGS_size)));
+  CRAFTFLEET_RETURN_IF_ERROR(CheckSizeFlag(PictureSize()));
   CRAFTFLEET_RETURN_IF_ERROR(CheckFlagRange("strip_columns", absl::GetFlag(FLAGS_strip_columns), 1, 32));
-  const std::string detail = absl::GetFlag(FLAGS_strip_detail);
-  if (detail != "pixels" && detail != "patches") return InvalidFlag("strip_detail", detail, "pixels or patches");
   const std::string video = absl::GetFlag(FLAGS_video);
   if (!video.empty() && !absl::EndsWith(video, ".mp4"))
     return InvalidFlag("video", video, "a file name that ends in .mp4");
@@ -88,14 +75,6 @@ absl::Status CheckFlags() {
     }
   }
   return absl::OkStatus();
-}
-
-absl::StatusOr<std::optional<AttentionChoice>> AttentionFromFlag() {
-  const std::string text = absl::GetFlag(FLAGS_attention);
-  if (text == "off") return std::optional<AttentionChoice>();
-  absl::StatusOr<AttentionChoice> choice = AttentionChoice::Parse(text);
-  if (!choice.ok()) return absl::InvalidArgumentError(absl::StrCat("--attention: ", choice.status().message()));
-  return std::optional<AttentionChoice>(*choice);
 }
 
 // The steps of --strip_steps, ascending; empty for auto.
@@ -119,7 +98,7 @@ absl::StatusOr<AgentGame::Options> GameOptions(const CheckpointPolicy& agent) {
   CRAFTFLEET_ASSIGN_OR_RETURN(options.env, EnvFromFlag(absl::GetFlag(FLAGS_env).value_or(env.name())));
   options.length = env.length();
   options.frame_size = agent.spec.frame_size;
-  options.seed = absl::GetFlag(FLAGS_seed);
+  CRAFTFLEET_ASSIGN_OR_RETURN(options.seed, EnvSeedFromFlag());
   options.greedy = absl::GetFlag(FLAGS_deterministic);
   CRAFTFLEET_ASSIGN_OR_RETURN(options.textures, TexturesFromFlag(absl::GetFlag(FLAGS_textures)));
   return options;
@@ -150,7 +129,7 @@ absl::Status WriteVideo(const CheckpointPolicy& agent, const AgentGame::Options&
                               AgentGame::Create(game_options, agent.policy, absl::GetFlag(FLAGS_episode)));
   WatchVideoOptions options;
   options.path = absl::GetFlag(FLAGS_video);
-  options.size = absl::GetFlag(FLAGS_size);
+  options.size = PictureSize();
   options.title = TitleOf(agent);
   options.attention = attention;
   const bool terminal = isatty(STDERR_FILENO) == 1;
@@ -182,8 +161,7 @@ absl::Status WriteStrip(const CheckpointPolicy& agent, const AgentGame::Options&
     return absl::InvalidArgumentError(absl::StrCat("--strip_steps=", absl::GetFlag(FLAGS_strip_steps),
                                                    ": the episode has ", game->world().step(), " steps"));
   }
-  const bool patches = absl::GetFlag(FLAGS_strip_detail) == "patches";
-  const StripPicture strip = DrawStrip(columns, patches ? AttentionDetail::kPatches : AttentionDetail::kPixels);
+  const StripPicture strip = DrawStrip(columns);
   CRAFTFLEET_ASSIGN_OR_RETURN(const std::string png, EncodePng(strip.pixels, strip.width, strip.height));
   CRAFTFLEET_RETURN_IF_ERROR(file.Write(png));
   absl::PrintF("%s: %d columns of episode %d\n", path, columns.size(), episode);
@@ -207,7 +185,7 @@ absl::Status Run(const std::vector<std::string>& paths) {
     return WriteStrip(agent, game_options, attention.value_or(AttentionChoice()), steps, stop);
   }
   CRAFTFLEET_ASSIGN_OR_RETURN(const std::unique_ptr<Screen> screen,
-                              OpenScreen(absl::GetFlag(FLAGS_terminal), kProgram, absl::GetFlag(FLAGS_size)));
+                              OpenScreen(absl::GetFlag(FLAGS_terminal), kProgram, PictureSize()));
   WatchOptions options;
   options.speed = absl::GetFlag(FLAGS_speed);
   options.episode = absl::GetFlag(FLAGS_episode);
@@ -217,12 +195,20 @@ absl::Status Run(const std::vector<std::string>& paths) {
   return WatchOnScreen(options, game_options, stop, &clock, screen.get());
 }
 
+int RunWatch(int argc, char** argv) {
+  const std::vector<std::string> paths = ParseFlagsAndArguments(
+      {kProgram,
+       kUsage,
+       {"env", "seed", "episode", "deterministic", "terminal", "speed", "attention", "follow", "video", "strip"},
+       {"watch_command.cc", "size", "textures"},
+       {{"seed", "seed of the environment; the same episodes as craftfleet eval --seed [0]"},
+        {"size", "width and height of the picture in windows and videos, in pixels, 64..1024 [512]"},
+        {"video", "write one episode to this MP4 file instead of showing it"}}},
+      argc, argv);
+  return ExitCode(kProgram, Run(paths));
+}
+
+const RegisterCommand kRegistered("watch", &RunWatch);
+
 }  // namespace
 }  // namespace craftfleet
-
-int main(int argc, char** argv) {
-  const std::vector<std::string> paths = craftfleet::ParseFlagsAndArguments(
-      craftfleet::kProgram, craftfleet::kUsage, argc, argv,
-      {"env", "seed", "episode", "deterministic", "terminal", "speed", "attention", "follow", "video", "strip"});
-  return craftfleet::ExitCode(craftfleet::kProgram, craftfleet::Run(paths));
-}

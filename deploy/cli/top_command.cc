@@ -17,14 +17,13 @@
 #include "common/process/flag_check.h"
 #include "common/process/flag_values.h"
 #include "common/process/program.h"
+#include "common/process/shared_flags.h"
+#include "deploy/cli/command.h"
 #include "deploy/cli/screen/terminal.h"
 #include "deploy/cli/status_client.h"
 #include "deploy/cli/top/status_watcher.h"
 #include "deploy/cli/top/top_view.h"
 
-ABSL_FLAG(std::string, address, "127.0.0.1:50051", "address of the learner, HOST:PORT");
-ABSL_FLAG(craftfleet::TimeSpan, interval, {absl::Seconds(1)},
-          "time between updates, 100ms..1m; a plain number is in seconds");
 ABSL_FLAG(std::string, sort, "role", "column to sort workers by: role, name, state, steps, lanes, lag, mem, err, seen");
 ABSL_FLAG(bool, once, false, "print one page as plain text and exit");
 ABSL_FLAG(int32_t, width, 100, "columns of plain-text pages, 40..400");
@@ -114,11 +113,12 @@ absl::Status Run() {
   return PrintPages(watcher, state, page, stopping);
 }
 
+int RunTop(int argc, char** argv) {
+  ParseFlags({kProgram, kUsage, {"address", "once", "interval", "sort", "width"}, {"channel_flags.cc"}}, argc, argv);
+  return ExitCode(kProgram, Run());
+}
+
+const RegisterCommand kRegistered("top", &RunTop);
+
 }  // namespace
 }  // namespace craftfleet
-
-int main(int argc, char** argv) {
-  craftfleet::ParseFlags(craftfleet::kProgram, craftfleet::kUsage, argc, argv,
-                         {"address", "once", "interval", "sort", "width"});
-  return craftfleet::ExitCode(craftfleet::kProgram, craftfleet::Run());
-}

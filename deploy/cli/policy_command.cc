@@ -16,11 +16,9 @@
 #include "common/base/keyed_random.h"
 #include "common/base/status_macros.h"
 #include "common/process/program.h"
+#include "common/process/shared_flags.h"
+#include "deploy/cli/command.h"
 #include "deploy/cli/eval/checkpoint_policy.h"
-
-ABSL_FLAG(std::string, checkpoint, "", "folder of a run, for its newest checkpoint, or of one checkpoint (required)");
-ABSL_FLAG(int64_t, seed, 0, "seed of sampled actions");
-ABSL_FLAG(bool, deterministic, false, "always take the most likely action instead of sampling one");
 
 namespace craftfleet {
 namespace {
@@ -132,6 +130,7 @@ absl::Status Run() {
   if (absl::GetFlag(FLAGS_checkpoint).empty()) {
     return absl::InvalidArgumentError("--checkpoint is missing: the folder of a run or of a checkpoint");
   }
+  CRAFTFLEET_ASSIGN_OR_RETURN(const int64_t seed, EnvSeedFromFlag());
   CRAFTFLEET_ASSIGN_OR_RETURN(CheckpointPolicy agent, LoadPolicy(absl::GetFlag(FLAGS_checkpoint)));
   const int64_t frame_bytes = agent.spec.frame_bytes();
   const nlohmann::ordered_json description = {{"agent", agent.spec.name},
@@ -140,7 +139,7 @@ absl::Status Run() {
                                               {"has_memory", agent.policy->has_memory()}};
   absl::PrintF("%s\n", description.dump());
   CRAFTFLEET_RETURN_IF_ERROR(FinishStandardOutput());
-  Players players(std::move(agent), absl::GetFlag(FLAGS_seed), absl::GetFlag(FLAGS_deterministic));
+  Players players(std::move(agent), seed, absl::GetFlag(FLAGS_deterministic));
   Request request;
   while (true) {
     CRAFTFLEET_ASSIGN_OR_RETURN(const bool more, ReadRequest(frame_bytes, &request));
@@ -151,10 +150,13 @@ absl::Status Run() {
   }
 }
 
+int RunPolicy(int argc, char** argv) {
+  ParseFlags({kProgram, kUsage, {"checkpoint", "seed", "deterministic"}, {}, {{"seed", "seed of sampled actions [0]"}}},
+             argc, argv);
+  return ExitCode(kProgram, Run());
+}
+
+const RegisterCommand kRegistered("policy", &RunPolicy);
+
 }  // namespace
 }  // namespace craftfleet
-
-int main(int argc, char** argv) {
-  craftfleet::ParseFlags(craftfleet::kProgram, craftfleet::kUsage, argc, argv, {"checkpoint", "seed", "deterministic"});
-  return craftfleet::ExitCode(craftfleet::kProgram, craftfleet::Run());
-}

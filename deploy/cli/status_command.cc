@@ -8,16 +8,14 @@
 #include "common/base/status_macros.h"
 #include "common/process/flag_values.h"
 #include "common/process/program.h"
+#include "common/process/shared_flags.h"
 #include "common/wire/status_service.h"
 #include "craftfleet/v1/status.grpc.pb.h"
+#include "deploy/cli/command.h"
 #include "deploy/cli/status_client.h"
 #include "deploy/cli/status_text.h"
 
-ABSL_FLAG(std::string, address, "127.0.0.1:50051", "address of a learner, actor or environment server, HOST:PORT");
-ABSL_FLAG(bool, json, false, "print JSON");
 ABSL_FLAG(bool, watch, false, "print the status repeatedly, until stopped");
-ABSL_FLAG(craftfleet::TimeSpan, interval, {absl::Seconds(1)},
-          "with --watch: time between updates, 100ms..1m; a plain number is in seconds");
 
 namespace craftfleet {
 namespace {
@@ -76,11 +74,18 @@ absl::Status Run() {
   return Print(reply);
 }
 
+int RunStatus(int argc, char** argv) {
+  ParseFlags({kProgram,
+              kUsage,
+              {"address", "json", "watch", "interval"},
+              {"channel_flags.cc"},
+              {{"address", "address of a learner, actor or environment server, HOST:PORT"},
+               {"interval", "with --watch: time between updates, 100ms..1m; a plain number is in seconds"}}},
+             argc, argv);
+  return ExitCode(kProgram, Run());
+}
+
+const RegisterCommand kRegistered("status", &RunStatus);
+
 }  // namespace
 }  // namespace craftfleet
-
-int main(int argc, char** argv) {
-  craftfleet::ParseFlags(craftfleet::kProgram, craftfleet::kUsage, argc, argv,
-                         {"address", "json", "watch", "interval"});
-  return craftfleet::ExitCode(craftfleet::kProgram, craftfleet::Run());
-}

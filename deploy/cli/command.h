@@ -1,0 +1,23 @@
+// The commands of craftfleet that are part of this program. Each is a file NAME_command.cc, which registers it.
+
+#ifndef CRAFTFLEET_DEPLOY_CLI_COMMAND_H_
+#define CRAFTFLEET_DEPLOY_CLI_COMMAND_H_
+
+#include <absl/strings/string_view.h>
+
+namespace craftfleet {
+
+// Runs a command with its own arguments from argv[1] on. Returns the exit code.
+using CommandFunction = int (*)(int argc, char** argv);
+
+// Adds a command to the program; for objects outside functions. `name` must outlive it.
+struct RegisterCommand {
+  RegisterCommand(absl::string_view name, CommandFunction run);
+};
+
+// The command `name` of this program; null if it has none of that name.
+CommandFunction FindCommand(absl::string_view name);
+
+}  // namespace craftfleet
+
+#endif  // CRAFTFLEET_DEPLOY_CLI_COMMAND_H_
