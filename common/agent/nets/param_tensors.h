@@ -21,8 +21,8 @@ struct ParamTensors {
   std::shared_ptr<const PreparedWeights> prepared = nullptr;  // of these weights; null: layers prepare what they need
   // Weights whose gradients backward passes leave as factors.
   std::map<ParamIndex, c10::intrusive_ptr<WideFactors>> wide_factors;
-
-  std::vector<at::Tensor> converted = {};  // all of them as `multiplied_as`; empty: each pass converts what it needs
+  // All of them as `multiplied_as`; empty: each pass converts what it needs.
+  std::vector<at::Tensor> converted = {};
 
   const at::Tensor& operator[](ParamIndex index) const { return tensors[index]; }
 
