@@ -136,7 +136,7 @@ TEST_F(SecureFleetTest, StrangersAreRefusedAndTheRunIsTheSame) {
               AllOf(HasSubstr("refused a client: it does not speak TLS"),
                     HasSubstr("refused a client: it shows no certificate"),
                     HasSubstr("refused a client: its certificate has expired or is not from an authority"),
-                    HasSubstr("refused /craftfleet.v1.StatusService/GetStatus: craftfleet-stat"),
+                    HasSubstr("refused /craftfleet.v1.StatusService/GetStatus: craftfleet@"),
                     HasSubstr("the access file has no client with this certificate and no token"),
                     HasSubstr("its token is not in the access file"),
                     HasSubstr("it is \"monitor\" in the access file, without the right to play"),
