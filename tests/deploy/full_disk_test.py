@@ -132,10 +132,10 @@ class FullDisk(python_case.FolderCase):
 
   def test_a_file_that_is_replaced_keeps_its_old_content(self):
     run = self.folder / "run"
-    for flag, command in (("--out", ["craftfleet curve", run]), ("--video", ["craftfleet watch", run]),
-                          ("--json", ["craftfleet eval", f"--checkpoint={run}", "--episodes=1"])):
-      with self.subTest(flag), full_disk.small_disk(self) as disk:
-        target = disk / f"old{'.mp4' if flag == '--video' else '.png' if flag == '--out' else '.json'}"
+    for flag, file, command in (("--out", "old.png", ["craftfleet curve", run]), ("--video", "old.mp4", ["craftfleet watch", run]),
+                                ("--out", "old.json", ["craftfleet eval", f"--checkpoint={run}", "--episodes=1"])):
+      with self.subTest(file), full_disk.small_disk(self) as disk:
+        target = disk / file
         target.write_bytes(b"old")
         (disk / f"{target.name}.tmp").write_bytes(b"mine")
         full_disk.fill(disk)
