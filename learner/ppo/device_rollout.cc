@@ -87,7 +87,7 @@ std::vector<int64_t> RowsOf(const Minibatch& minibatch, const Rollout& rollout) 
   return rows;
 }
 
-constexpr size_t kRowsAtOnce = 32;  // recurrent agents' frames are a multiple of it
+constexpr size_t kRecurrentRows = 32;  // recurrent agents' frames are a multiple of it
 
 std::vector<int64_t> FirstStatesOf(const Minibatch& minibatch, const std::vector<int64_t>& places) {
   std::vector<int64_t> first_states;
@@ -140,7 +140,8 @@ std::vector<DeviceMinibatch> SendMinibatches(const std::vector<Minibatch>& minib
     Parts parts;
     std::vector<int64_t> rows = RowsOf(minibatch, rollout);
     if (!minibatch.lengths.empty()) {
-      rows.resize((rows.size() + kRowsAtOnce - 1) / kRowsAtOnce * kRowsAtOnce, static_cast<int64_t>(rollout.size()));
+      rows.resize((rows.size() + kRecurrentRows - 1) / kRecurrentRows * kRecurrentRows,
+                  static_cast<int64_t>(rollout.size()));
     }
     parts.rows = indices.Add(rows);
     DeviceMinibatch& sent = there.emplace_back();

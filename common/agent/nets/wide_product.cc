@@ -9,8 +9,7 @@
 namespace craftfleet {
 namespace {
 
-constexpr int64_t kColumns = WideProduct::kColumns;
-constexpr int64_t kDepth = 512;           // inputs that Forward takes at once: 128 KB for 64 rows
+constexpr int64_t kInputsAtOnce = 512;    // inputs that Forward takes at once: 128 KB for 64 rows
 constexpr int64_t kMinWeights = 1 << 24;  // below, the weight stays in a cache
 
 // Pointers to `count` rows that are `step` floats apart.
@@ -23,7 +22,8 @@ std::vector<Float*> Pointers(int64_t count, Float* first, int64_t step) {
 
 // packed[i][64] = from[i step ..]. Rows a power of two apart would take each other's place in the cache.
 void Pack(int64_t count, const float* from, int64_t step, float* packed) {
-  for (int64_t i = 0; i < count; ++i) std::memcpy(packed + i * kColumns, from + i * step, kColumns * sizeof(float));
+  for (int64_t i = 0; i < count; ++i)
+    std::memcpy(packed + i * WideProduct::kColumns, from + i * step, WideProduct::kColumns * sizeof(float));
 }
 
 // to[k][i], rows `to_step` apart, = from[i][k], rows `from_step` apart, for i < count and k < depth.
@@ -42,15 +42,16 @@ bool WideProduct::Fits(int64_t inputs, int64_t outputs) {
 void WideProduct::Forward(int64_t rows, const float* input, const float* weight, float* output) const {
   const int64_t panels = (rows + kColumns - 1) / kColumns;
   const int64_t width = panels * kColumns;
-  const PooledBuffer transposed(kDepth * width);  // [panels][kDepth][64]; what lies behind the last row is padding
-  const PooledBuffer sums(outputs_ * width);      // [outputs][width]
-  std::memset(transposed.get(), 0, kDepth * width * sizeof(float));
-  for (int64_t k = 0; k < inputs_; k += kDepth) {
-    const int64_t depth = std::min(kDepth, inputs_ - k);
+  const PooledBuffer transposed(kInputsAtOnce *
+                                width);       // [panels][kInputsAtOnce][64]; what lies behind the last row is padding
+  const PooledBuffer sums(outputs_ * width);  // [outputs][width]
+  std::memset(transposed.get(), 0, kInputsAtOnce * width * sizeof(float));
+  for (int64_t k = 0; k < inputs_; k += kInputsAtOnce) {
+    const int64_t depth = std::min(kInputsAtOnce, inputs_ - k);
     const auto weights = Pointers(outputs_, weight + k, inputs_);
     for (int64_t panel = 0; panel < panels; ++panel) {
       const int64_t first = panel * kColumns;
-      float* const columns = transposed.get() + first * kDepth;
+      float* const columns = transposed.get() + first * kInputsAtOnce;
       Transpose(std::min(kColumns, rows - first), depth, input + first * inputs_ + k, inputs_, columns, kColumns);
       kernels_.multiply(outputs_, weights.data(), {1, depth, 0}, columns, /*adds=*/k > 0,
                         Pointers(outputs_, sums.get() + first, width).data());
