@@ -34,6 +34,13 @@ void MultiplyInto(Form form_a, const at::Tensor& a, Form form_b, const at::Tenso
   at::addmm_out(*c, *c, op(form_a, a), op(form_b, b), beta, 1.0F);
 }
 
+at::Tensor LinearOutput(const at::Tensor& rows, const at::Tensor& weight, const at::Tensor& bias) {
+  const int64_t shape[] = {rows.size(0), weight.size(0)};
+  at::Tensor output = bias.defined() ? bias.expand(shape).clone(at::MemoryFormat::Contiguous) : at::empty(shape);
+  MultiplyInto(Form::kPlain, rows, Form::kTransposed, weight, bias.defined() ? 1.0F : 0.0F, &output);
+  return output;
+}
+
 namespace {
 
 struct LinearFunction : torch::autograd::Function<LinearFunction> {
@@ -42,11 +49,8 @@ struct LinearFunction : torch::autograd::Function<LinearFunction> {
                             const at::Tensor& weight, const c10::optional<at::Tensor>& bias) {
     const at::Tensor rows = input.contiguous();
     context->save_for_backward({rows, weight});
-    const int64_t shape[] = {rows.size(0), weight.size(0)};
-    at::Tensor output = bias ? bias->expand(shape).clone(at::MemoryFormat::Contiguous) : at::empty(shape);
     context->saved_data["has_bias"] = bias.has_value();
-    MultiplyInto(Form::kPlain, rows, Form::kTransposed, weight, bias ? 1.0F : 0.0F, &output);
-    return output;
+    return LinearOutput(rows, weight, bias.value_or(at::Tensor()));
   }
 
   // NOLINTNEXTLINE(readability-identifier-naming): the name that autograd calls

@@ -20,6 +20,9 @@ enum class Form { kPlain, kTransposed };
 // multiplies.
 void MultiplyInto(Form form_a, const at::Tensor& a, Form form_b, const at::Tensor& b, float beta, at::Tensor* c);
 
+// Linear's output of rows on the CPU, contiguous, without autograd. An undefined bias is none.
+at::Tensor LinearOutput(const at::Tensor& rows, const at::Tensor& weight, const at::Tensor& bias);
+
 // Whether Linear runs on oneDNN, so that the BLAS does not matter.
 bool LinearUsesOneDnn();
 

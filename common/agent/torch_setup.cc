@@ -12,16 +12,15 @@
 #include <ATen/Context.h>
 #include <ATen/Parallel.h>
 #include <ATen/Version.h>
-#include <absl/base/const_init.h>
 #include <absl/strings/match.h>
 #include <absl/strings/str_cat.h>
 #include <absl/strings/string_view.h>
-#include <absl/synchronization/mutex.h>
 #include <c10/util/Exception.h>
 #include <torch/version.h>
 
 #include "common/agent/linear.h"
 #include "common/base/find_symbol.h"
+#include "common/base/mutex.h"
 #include "common/base/need_threads.h"
 #include "common/base/printable.h"
 #include "common/telemetry/log.h"
@@ -59,9 +58,9 @@ class LogOfWarnings final : public c10::WarningHandler {
 
  private:
   static void LogOnce(const std::string& text) {
-    static absl::Mutex mutex(absl::kConstInit);
+    static auto* const mutex = new Mutex;
     static auto* const known = new std::set<std::string>;
-    const absl::MutexLock lock(&mutex);
+    const MutexLock lock(mutex);
     if (known->insert(text).second) LogWarning("LibTorch: %s", text);
   }
 };

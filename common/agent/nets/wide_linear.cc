@@ -22,16 +22,10 @@ struct WideLinearFunction : torch::autograd::Function<WideLinearFunction> {
     const at::Tensor rows = input.contiguous();
     context->save_for_backward({rows, weight});
     if (factors != nullptr) context->saved_data["factors"] = c10::IValue::make_capsule(factors);
-    at::Tensor output;
-    if (rows.size(0) >= WideProduct::kMinRows) {
-      output = at::empty({rows.size(0), weight.size(0)});
-      ProductOf(weight).Forward(rows.size(0), DataOf(rows), DataOf(weight), DataOf(output));
-      output += bias;
-    } else {
-      output = bias.expand({rows.size(0), weight.size(0)}).clone(at::MemoryFormat::Contiguous);
-      MultiplyInto(Form::kPlain, rows, Form::kTransposed, weight, 1.0F, &output);
-    }
-    return output;
+    if (rows.size(0) < WideProduct::kMinRows) return LinearOutput(rows, weight, bias);
+    at::Tensor output = at::empty({rows.size(0), weight.size(0)});
+    ProductOf(weight).Forward(rows.size(0), DataOf(rows), DataOf(weight), DataOf(output));
+    return output.add_(bias);
   }
 
   // NOLINTNEXTLINE(readability-identifier-naming): the name that autograd calls
