@@ -176,8 +176,10 @@ absl::Status Actor::StartLoops() {
   v1::SessionHello probe = hello;
   probe.set_client(name_ + " (probe)");
   const auto health = std::make_shared<ServerHealth>(ServerHealth::Options{probe, frame_bytes, options_.env_timeout});
-  evaluations_ = std::make_unique<EvaluationWorker>(
-      EvaluationWorker::Options{name_, options_.env_servers, health, hello, spec, config.tile(), device}, &learner_);
+  evaluations_ =
+      std::make_unique<EvaluationWorker>(EvaluationWorker::Options{name_, options_.env_servers, health, hello, spec,
+                                                                   config.tile(), device, options_.weights},
+                                         &learner_);
 
   MutexLock lock(&mu_);
   for (int i = 0; i < loops; ++i) {

@@ -44,7 +44,7 @@ class Actor {
     int capacity = 4096;                              // lanes to play at once, 1..4096
     FrameFormat frames = FrameFormat::kScene;         // in which frames travel where both ends can
     absl::Duration env_timeout = kDefaultEnvTimeout;  // of each request to an environment server, 0.1..3600 s
-    LocalWeights weights = nullptr;                   // of a learner in the same process; null: call it for them
+    std::optional<LocalWeights> weights = {};         // of a learner in the same process; none: call it for them
     // The device to act on, in LibTorch's notation, in a run that computes on this type of device. Null: as
     // --device=auto.
     std::function<absl::StatusOr<std::string>(v1::RunConfig::Device)> find_device = nullptr;

@@ -74,8 +74,7 @@ void EvaluationWorker::Run() {
 }
 
 absl::Status EvaluationWorker::Play(const Job& job) {
-  CRAFTFLEET_ASSIGN_OR_RETURN(std::string weights,
-                              learner_->GetEvaluationWeights(job.task.id(), MaxWeightsBytes(options_.spec)));
+  CRAFTFLEET_ASSIGN_OR_RETURN(std::shared_ptr<const std::string> weights, GetWeights(job.task.id()));
   CRAFTFLEET_ASSIGN_OR_RETURN(const std::unique_ptr<const Policy> policy,
                               Policy::Create(options_.spec, std::move(weights), options_.tile, options_.device));
   CRAFTFLEET_ASSIGN_OR_RETURN(EnvClient * env, Connect(job.task.env()));
@@ -94,6 +93,16 @@ absl::Status EvaluationWorker::Play(const Job& job) {
   result.set_epoch(job.epoch);
   result.set_id(job.task.id());
   return learner_->FinishEvaluation(result);
+}
+
+absl::StatusOr<std::shared_ptr<const std::string>> EvaluationWorker::GetWeights(int64_t id) const {
+  if (options_.weights.has_value()) {
+    std::shared_ptr<const std::string> weights = options_.weights->find_of_evaluation(id);
+    if (weights == nullptr) return absl::AbortedError("it is over");
+    return weights;
+  }
+  CRAFTFLEET_ASSIGN_OR_RETURN(std::string weights, learner_->GetEvaluationWeights(id, MaxWeightsBytes(options_.spec)));
+  return std::make_shared<const std::string>(std::move(weights));
 }
 
 absl::StatusOr<EnvClient*> EvaluationWorker::Connect(const v1::EnvConfig& env) {

@@ -16,6 +16,7 @@
 #include "actor/env_client.h"
 #include "actor/env_directory.h"
 #include "actor/learner_client.h"
+#include "actor/policy_source.h"
 #include "actor/server_health.h"
 #include "common/agent/agent_spec.h"
 #include "common/base/backoff.h"
@@ -35,7 +36,8 @@ class EvaluationWorker {
     v1::SessionHello hello;                // of sessions; the task's environment replaces its own
     AgentSpec spec;
     int tile = 1;
-    std::string device = "cpu";  // of the policy
+    std::string device = "cpu";                // of the policy
+    std::optional<LocalWeights> weights = {};  // none: call the learner for them
   };
 
   // Starts the thread. `learner` outlives this.
@@ -59,6 +61,8 @@ class EvaluationWorker {
 
   void Run() ABSL_LOCKS_EXCLUDED(mu_);
   absl::Status Play(const Job& job) ABSL_LOCKS_EXCLUDED(mu_);
+  // Of task `id`.   Aborted: it is over.   Others as LearnerClient::GetEvaluationWeights.
+  absl::StatusOr<std::shared_ptr<const std::string>> GetWeights(int64_t id) const;
   // Begins a session with the first environment server that answers, starting from another one each time.
   //   Cancelled: Stop was called.   Unavailable: none answers.
   absl::StatusOr<EnvClient*> Connect(const v1::EnvConfig& env) ABSL_LOCKS_EXCLUDED(mu_);

@@ -12,12 +12,12 @@
 namespace craftfleet {
 
 PolicySource::PolicySource(const LearnerClient* learner, AgentSpec spec, int tile, std::string device,
-                           LocalWeights local)
+                           std::optional<LocalWeights> local)
     : learner_(learner), spec_(std::move(spec)), tile_(tile), device_(std::move(device)), local_(std::move(local)) {}
 
 absl::StatusOr<VersionedWeights> PolicySource::GetWeights(int64_t version) const {
-  if (local_ != nullptr) {
-    VersionedWeights weights = local_(version);
+  if (local_.has_value()) {
+    VersionedWeights weights = local_->find(version);
     if (weights.second == nullptr) return absl::AbortedError("the learner has published no weights yet");
     return weights;
   }

@@ -6,6 +6,7 @@
 #include <cstdint>
 #include <functional>
 #include <memory>
+#include <optional>
 #include <string>
 #include <utility>
 
@@ -21,17 +22,20 @@ namespace craftfleet {
 // A version of the weights, safetensors.
 using VersionedWeights = std::pair<int64_t, std::shared_ptr<const std::string>>;
 
-// The weights of a learner in the same process: those of `version` if it keeps them, otherwise the latest, which may be
-// older; (-1, null): it has published none. Thread-safe.
-using LocalWeights = std::function<VersionedWeights(int64_t version)>;
+// The weights of a learner in the same process, shared instead of received by calls. Thread-safe.
+struct LocalWeights {
+  // Those of `version` if it keeps them, otherwise the latest, which may be older; (-1, null): it has published none.
+  std::function<VersionedWeights(int64_t version)> find;
+  // Those that evaluation task `id` plays with; null: the task is over.
+  std::function<std::shared_ptr<const std::string>(int64_t id)> find_of_evaluation;
+};
 
 // Keeps the last policy. Thread-safe: one thread fetches while the others wait for it.
 class PolicySource {
  public:
-  // Policies compute tiles of `tile` rows on `device` (Policy::Create). `local`: where to get weights instead of
-  // calling the learner, which takes three quarters of the time with half a gigabyte of them; null: call it.
+  // Policies compute tiles of `tile` rows on `device` (Policy::Create). Without `local` weights it calls the learner.
   PolicySource(const LearnerClient* learner, AgentSpec spec, int tile, std::string device = "cpu",
-               LocalWeights local = nullptr);
+               std::optional<LocalWeights> local = std::nullopt);
 
   // The policy of exactly `version` in learner epoch `epoch`, since a restarted learner may compute other weights.
   //   Aborted: the learner has another version.   Others as LearnerClient::GetWeights and Policy::Create.
@@ -46,7 +50,7 @@ class PolicySource {
   const AgentSpec spec_;
   const int tile_;
   const std::string device_;
-  const LocalWeights local_;  // may be null
+  const std::optional<LocalWeights> local_;
 
   Mutex mu_;
   CondVar fetched_;

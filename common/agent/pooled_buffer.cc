@@ -49,6 +49,16 @@ class Pool {
     free_.emplace_hint(free_.lower_bound(bytes), bytes, data);  // the newest first: it may still be in a cache
   }
 
+  size_t FreeUnused(size_t least_bytes) ABSL_LOCKS_EXCLUDED(mu_) {
+    const MutexLock lock(&mu_);
+    size_t bytes = 0;
+    for (const auto& [size, data] : free_) bytes += size;
+    if (bytes < least_bytes) return 0;
+    for (const auto& [size, data] : free_) std::free(data);
+    free_.clear();
+    return bytes;
+  }
+
  private:
   Mutex mu_;
   std::multimap<size_t, float*> free_ ABSL_GUARDED_BY(mu_);  // by size in bytes
@@ -64,6 +74,8 @@ Pool& ThePool() {
 PooledBuffer::PooledBuffer(int64_t floats) : bytes_((floats * sizeof(float) / kHugePage + 1) * kHugePage) {
   data_ = ThePool().Take(&bytes_);
 }
+
+size_t PooledBuffer::FreeUnused(size_t least_bytes) { return ThePool().FreeUnused(least_bytes); }
 
 PooledBuffer::~PooledBuffer() {
   if (data_ != nullptr) ThePool().Return(data_, bytes_);

@@ -10,7 +10,7 @@
 namespace craftfleet {
 
 // Uninitialised memory for `floats` floats in huge pages, aligned to one; back to a pool of the process at the end.
-// The pool holds as many arrays as have been in use at once. Movable; the pool is thread-safe.
+// The pool holds as many arrays as have been in use at once, until FreeUnused. Movable; the pool is thread-safe.
 class PooledBuffer {
  public:
   // >= 0. Throws std::bad_alloc, as LibTorch's tensors do.
@@ -22,6 +22,9 @@ class PooledBuffer {
   PooledBuffer& operator=(const PooledBuffer&) = delete;
 
   float* get() const { return data_; }
+
+  // Frees the pool's arrays that are not in use if they are `least_bytes` or more together. Returns the bytes freed.
+  static size_t FreeUnused(size_t least_bytes);
 
  private:
   float* data_;

@@ -19,16 +19,17 @@ namespace {
 constexpr absl::string_view kGame = "crafter";
 constexpr absl::string_view kOptions =
     "appearance=A/B/C/D (percentages of the four variants, sum 100), numbers=SETTING, inventory=on|off";
-constexpr absl::string_view kNumbers =
-    "easy-x2, easy-x4, default, mix, hard-x2, hard-x4, or five letters of q h s d f for tree, coal, cow, zombie, "
-    "skeleton";
-
 struct NumberSetting {
   absl::string_view name;
   absl::string_view letters;
 };
 constexpr NumberSetting kNumberSettings[] = {{"default", "sssss"}, {"easy-x2", "dddhh"}, {"easy-x4", "fffqq"},
                                              {"mix", "fffff"},     {"hard-x2", "hhhdd"}, {"hard-x4", "qqqff"}};
+
+std::string NumberSettings() {
+  return absl::StrJoin(kNumberSettings, ", ",
+                       [](std::string* out, const NumberSetting& setting) { absl::StrAppend(out, setting.name); });
+}
 
 absl::Status ParseAppearance(absl::string_view value, EnvName* name) {
   const std::vector<absl::string_view> parts = absl::StrSplit(value, '/');
@@ -55,7 +56,9 @@ absl::Status ParseNumbers(absl::string_view value, EnvName* name) {
     }
   }
   if (value.size() != name->numbers.size() || value.find_first_not_of("qhsdf") != absl::string_view::npos) {
-    return absl::InvalidArgumentError(absl::StrCat("numbers \"", value, "\", want one of ", kNumbers));
+    return absl::InvalidArgumentError(absl::StrCat("numbers \"", value, "\", want one of ", NumberSettings(),
+                                                   ", or five letters of q h s d f for tree, coal, cow, zombie, "
+                                                   "skeleton"));
   }
   name->numbers = absl::StrCat(value);
   return absl::OkStatus();

@@ -17,10 +17,11 @@ absl::StatusOr<std::unique_ptr<LocalFleet>> LocalFleet::Create(const Learner::Op
   Actor::Options actor;
   actor.frames = FrameFormat::kRaw;  // nothing travels: drawn once is enough
   actor.learner = fleet->learner_->InProcess();
-  actor.weights = [learner = fleet->learner_.get()](int64_t version) {
-    WeightStore::Weights weights = learner->FindWeights(version);
-    return VersionedWeights(weights.version, std::move(weights.bytes));
-  };
+  actor.weights = {[learner = fleet->learner_.get()](int64_t version) {
+                     WeightStore::Weights weights = learner->FindWeights(version);
+                     return VersionedWeights(weights.version, std::move(weights.bytes));
+                   },
+                   [learner = fleet->learner_.get()](int64_t id) { return learner->FindEvaluationWeights(id); }};
   actor.env_servers = std::make_shared<EnvDirectory>(std::vector<wire::Endpoint>{fleet->env_server_->InProcess()});
   actor.threads = options.threads;
   const bool acts_on_gpu = fleet->learner_->config().device() == v1::RunConfig::CUDA;

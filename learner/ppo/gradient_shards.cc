@@ -8,6 +8,7 @@
 #include <torch/csrc/autograd/autograd.h>
 
 #include "common/agent/categorical.h"
+#include "common/agent/nets/map_tensors.h"
 #include "common/agent/nets/wide_product.h"
 #include "common/agent/policy_net.h"
 #include "common/base/status_macros.h"
@@ -16,6 +17,10 @@
 
 namespace craftfleet {
 namespace {
+
+// A wide layer's gradient is in as many pieces, which then fit into what the backward passes have given back to the
+// pool.
+constexpr int64_t kWidePieces = 8;
 
 absl::Span<float> FloatSpan(const at::Tensor& tensor) {
   return absl::MakeSpan(tensor.data_ptr<float>(), tensor.numel());
@@ -67,6 +72,7 @@ void GradientShards::ShareOut(RankSums* ranks) {
 absl::StatusOr<PpoLossSums> GradientShards::ComputeGradients(const Rollout& rollout, const ShardedMinibatch& minibatch,
                                                              std::vector<ShardGradient>* gradients) {
   const size_t parts = minibatch.parts.size();
+  wide_gradients_.clear();
   absl::Status own = PrepareWeights();
   const ShardRange range = OwnShards(parts);
   if (own.ok()) {
@@ -93,12 +99,20 @@ absl::StatusOr<PpoLossSums> GradientShards::ComputeGradients(const Rollout& roll
 absl::Status GradientShards::SumWideGradients(ShardRange range, std::vector<ShardGradient>* gradients) {
   constexpr int64_t kColumnsAtOnce = 64 * WideProduct::kColumns;
   const auto& layers = shards_.front()->net.wide_factors();
-  wide_gradients_.resize(layers.size());
-  auto sum = wide_gradients_.begin();
-  for (const auto& [weight, factors] : layers) {
+  for (auto layer = layers.rbegin(); layer != layers.rend(); ++layer) {  // the last first: a piece becomes several
+    const auto& [weight, factors] = *layer;
     const int64_t inputs = factors->input.size(1);
-    const WideProduct product(inputs, factors->output_gradient.size(1));
-    if (!sum->defined()) *sum = at::empty(spec_.params[weight].shape);
+    const int64_t outputs = factors->output_gradient.size(1);
+    const WideProduct product(inputs, outputs);
+    std::vector<float*> pieces;
+    for (ShardGradient& gradient : *gradients) gradient.erase(gradient.begin() + weight);
+    const int64_t count = outputs % kWidePieces == 0 ? kWidePieces : 1;
+    for (int64_t i = 0; i < count; ++i) {
+      wide_gradients_.push_back(PooledTensor({outputs / count, inputs}));
+      pieces.push_back(wide_gradients_.back().data_ptr<float>());
+      for (ShardGradient& gradient : *gradients) gradient.emplace(gradient.begin() + weight + i);
+      gradients->front()[weight + i] = FloatSpan(wide_gradients_.back());
+    }
     std::vector<WideProduct::Rows> rows;
     for (int i = range.begin; i < range.end; ++i) {
       const WideFactors& own = *shards_[i]->net.wide_factors().at(weight);
@@ -107,10 +121,8 @@ absl::Status GradientShards::SumWideGradients(ShardRange range, std::vector<Shar
     const auto parts = static_cast<int>((inputs + kColumnsAtOnce - 1) / kColumnsAtOnce);
     CRAFTFLEET_RETURN_IF_ERROR(RunParts(workers_, "gradient", parts, [&](int part) {
       const int64_t begin = part * kColumnsAtOnce;
-      product.WeightGradient(rows, begin, std::min(begin + kColumnsAtOnce, inputs), sum->data_ptr<float>());
+      product.WeightGradient(rows, begin, std::min(begin + kColumnsAtOnce, inputs), pieces);
     }));
-    (*gradients)[0][weight] = FloatSpan(*sum);
-    ++sum;
   }
   return absl::OkStatus();
 }
@@ -129,6 +141,7 @@ void GradientShards::WriteStart(const Rollout& rollout, const Minibatch& part, c
 }
 
 absl::Status GradientShards::TryWeights(const Rollout& rollout) {
+  wide_gradients_.clear();
   CRAFTFLEET_RETURN_IF_ERROR(PrepareWeights());
   const c10::NoGradGuard no_grad;
   const Minibatch steps = TrialSteps(rollout, spec_.network.recurrent());
@@ -165,6 +178,7 @@ void GradientShards::ComputeGradient(const Rollout& rollout, const ShardedMiniba
   Shard* const shard = shards_[number].get();
   const Minibatch& part = minibatch.parts[number];
   const size_t first = minibatch.firsts[number];
+  shard->net.ClearGradients();  // and what was left of wide ones
   const Dropout dropout{minibatch.dropout_key, static_cast<int64_t>(first)};
   const NetOutput output = Forward(rollout, part, dropout, shard);
   if (minibatch.start != nullptr) WriteStart(rollout, part, output, minibatch.scale, minibatch.start);
@@ -178,7 +192,6 @@ void GradientShards::ComputeGradient(const Rollout& rollout, const ShardedMiniba
   shard->sums = PpoLoss(FloatSpan(output.logits), FloatSpan(output.values), {actions, log_probs, advantages, returns},
                         {config_.clip(), config_.value_coefficient(), config_.entropy_coefficient()},
                         static_cast<int>(minibatch.advantages.size()), FloatSpan(by_logits), FloatSpan(by_values));
-  shard->net.ClearGradients();
   torch::autograd::backward({output.logits, output.values}, {by_logits, by_values});
 }
 

@@ -78,7 +78,7 @@ class GradientShards {
   static void WriteStart(const Rollout& rollout, const Minibatch& part, const NetOutput& output,
                          const ValueScale& scale, StartOutputs* start);
   // Multiplies what the shards of `range` have left of wide layers' gradients: each sum goes into the first of
-  // `gradients`.
+  // `gradients`, in several pieces.
   absl::Status SumWideGradients(ShardRange range, std::vector<ShardGradient>* gradients);
   // Forward and backward of the part with this number.
   void ComputeGradient(const Rollout& rollout, const ShardedMinibatch& minibatch, size_t number);
@@ -88,7 +88,7 @@ class GradientShards {
   const std::vector<uint8_t> no_frame_;  // [frame_bytes] zeros, for padding
   WorkerPool* const workers_;
   std::vector<std::unique_ptr<Shard>> shards_;
-  std::vector<at::Tensor> wide_gradients_;  // of the last minibatch
+  std::vector<at::Tensor> wide_gradients_;  // of the last minibatch, in pieces
   RankSums* ranks_ = nullptr;               // null: no other ranks
 };
 

@@ -1,13 +1,16 @@
 #include "actor/evaluation_worker.h"
 
 #include <memory>
+#include <optional>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
 #include "common/wire/channel.h"
+#include "tests/fakes/sample_policy.h"
 #include "tests/fakes/wait_until.h"
 
 namespace craftfleet {
@@ -20,9 +23,11 @@ constexpr char kNobody[] = "127.0.0.1:1";  // where no learner listens
 constexpr int64_t kEpoch = 3;
 constexpr int64_t kTask = 43;
 
-// What a worker logs about a task whose weights it requests from `learner`.
-std::string LogOfATask(const LearnerClient& learner) {
+// What a worker logs about a task whose weights it gets from `weights` or requests from `learner`.
+std::string LogOfATask(const LearnerClient& learner, std::optional<LocalWeights> weights = std::nullopt) {
   EvaluationWorker::Options options;
+  options.spec = *FindAgent("ppo_cnn");
+  options.weights = std::move(weights);
   options.env_servers = std::make_shared<EnvDirectory>(std::vector<wire::Endpoint>());
   options.health = std::make_shared<ServerHealth>(ServerHealth::Options());
   EvaluationWorker worker(options, &learner);
@@ -38,6 +43,20 @@ std::string LogOfATask(const LearnerClient& learner) {
 TEST(EvaluationWorker, ATaskThatCannotBePlayedIsReported) {
   const LearnerClient learner(wire::Connect(kNobody));
   EXPECT_THAT(LogOfATask(learner), HasSubstr("evaluation task 43 returned: learner 127.0.0.1:1"));
+}
+
+TEST(EvaluationWorker, TakesLocalWeightsInsteadOfCallingTheLearner) {
+  const LearnerClient learner(wire::Connect(kNobody));
+  int64_t asked = 0;
+  auto weights = std::make_shared<const std::string>(SampleWeights(1));
+  const auto find = [&](int64_t id) {
+    asked = id;
+    return weights;
+  };
+  EXPECT_THAT(LogOfATask(learner, LocalWeights{nullptr, find}), HasSubstr("no environment server is known yet"));
+  EXPECT_EQ(asked, kTask);
+  weights = nullptr;
+  EXPECT_THAT(LogOfATask(learner, LocalWeights{nullptr, find}), HasSubstr("evaluation task 43 returned: it is over"));
 }
 
 // Complete runs used to end with this warning if the reply to their last result came too late.

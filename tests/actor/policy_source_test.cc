@@ -89,10 +89,11 @@ TEST_F(PolicySourceTest, MoreBytesThanTheAgentNeedsAreRefusedAtTheFirstChunk) {
 TEST_F(PolicySourceTest, TakesLocalWeightsInsteadOfCallingTheLearner) {
   VersionedWeights local = {-1, nullptr};
   int64_t asked = 0;
-  PolicySource source(&client_, *FindAgent("ppo_cnn"), 8, "cpu", [&](int64_t version) {
+  const auto find = [&](int64_t version) {
     asked = version;
     return local;
-  });
+  };
+  PolicySource source(&client_, *FindAgent("ppo_cnn"), 8, "cpu", LocalWeights{find, nullptr});
   service_.SetWeights(Chunks(3, SampleWeights(1)));
   EXPECT_THAT(source.Get(1, 3), StatusIs(absl::StatusCode::kAborted, testing::HasSubstr("no weights yet")));
   EXPECT_EQ(asked, 3);

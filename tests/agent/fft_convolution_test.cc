@@ -160,33 +160,31 @@ TEST(FftProducts, AreComplexMatrixProductsAtEachFrequency) {
   }
 }
 
-TEST(FftProducts, CorrelateAllTilesOfAllChunks) {
+TEST(FftProducts, CorrelateAllTilesOfAllCalls) {
   constexpr int kFrequencies = 3;
-  constexpr int kChunk = 70;
   for (const CpuPath path : KernelPaths()) {
     const FftKernels& kernels = *FindFftKernels(path, 32);
-    for (const int tiles : {1, 9, 70, 150}) {
+    const Floats sums(kFrequencies * FftKernels::kSumsStep);
+    const Floats filter(kFrequencies * kFilterStep);
+    std::vector<double> want(filter.size());
+    for (const int tiles : {9, 70, 150}) {
       const Floats x(int64_t{kFrequencies} * tiles * 2 * kChannels, 4);
       const Floats d(x.size(), 5);
-      const Floats filter(kFrequencies * kFilterStep);
-      kernels.correlate(kFrequencies, tiles, kChunk, x.data(), d.data(), filter.data());
-      std::vector<double> want(filter.size());
-      for (int first = 0; first < tiles; first += kChunk) {
-        const int in_chunk = std::min(kChunk, tiles - first);
-        for (int f = 0; f < kFrequencies; ++f) {
-          for (int tile = 0; tile < in_chunk; ++tile) {
-            const int64_t at = (int64_t{first} * kFrequencies + int64_t{f} * in_chunk + tile) * 2 * kChannels;
-            for (int i = 0; i < kChannels; ++i) {
-              for (int j = 0; j < kChannels; ++j) {
-                const std::complex<double> product =
-                    Complex(x, at + i, kChannels) * std::conj(Complex(d, at + j, kChannels));
-                const int64_t to = f * kFilterStep + i * kChannels + j;
-                want[to] += product.real(), want[to + kChannels * kChannels] += product.imag();
-              }
+      kernels.correlate(kFrequencies, tiles, x.data(), d.data(), /*adds=*/tiles > 9, sums.data());
+      for (int f = 0; f < kFrequencies; ++f) {
+        for (int tile = 0; tile < tiles; ++tile) {
+          const int64_t at = (int64_t{f} * tiles + tile) * 2 * kChannels;
+          for (int i = 0; i < kChannels; ++i) {
+            for (int j = 0; j < kChannels; ++j) {
+              const std::complex<double> product =
+                  Complex(x, at + i, kChannels) * std::conj(Complex(d, at + j, kChannels));
+              const int64_t to = f * kFilterStep + i * kChannels + j;
+              want[to] += product.real(), want[to + kChannels * kChannels] += product.imag();
             }
           }
         }
       }
+      kernels.combine_sums(kFrequencies, sums.data(), filter.data());
       EXPECT_LT(RelativeError(want, filter), kMaxError) << CpuPathName(path) << ", " << tiles << " tiles";
     }
   }

@@ -1,7 +1,9 @@
 #include "common/agent/pooled_buffer.h"
 
+#include <cstddef>
 #include <cstdint>
 #include <cstring>
+#include <limits>
 #include <utility>
 
 #include <gtest/gtest.h>
@@ -38,6 +40,15 @@ TEST(PooledBuffer, ALargerOneMayServe) {
   }
   const PooledBuffer smaller(5 * kFloats);
   EXPECT_EQ(smaller.get(), first);
+}
+
+TEST(PooledBuffer, UnusedMemoryIsFreedIfThereIsEnoughOfIt) {
+  const PooledBuffer used(kFloats);
+  { const PooledBuffer unused(kFloats); }
+  EXPECT_EQ(PooledBuffer::FreeUnused(std::numeric_limits<size_t>::max()), 0U);
+  EXPECT_GE(PooledBuffer::FreeUnused(kFloats * sizeof(float)), kFloats * sizeof(float));
+  EXPECT_EQ(PooledBuffer::FreeUnused(1), 0U);
+  std::memset(used.get(), 1, kFloats * sizeof(float));
 }
 
 TEST(PooledBuffer, AMoveKeepsTheMemory) {

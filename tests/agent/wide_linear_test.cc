@@ -81,13 +81,14 @@ TEST_F(WideLinearTest, LeftFactorsGiveTheSumOfTheShardsGradients) {
   const Layer first(40);
   const Layer second(70);
   const at::Tensor sum = at::empty({kOutputs, kInputs});
+  auto* const numbers = sum.data_ptr<float>();
   const std::vector<WideProduct::Rows> rows = {
       {40, factors->output_gradient.data_ptr<float>(), factors->input.data_ptr<float>()},
       {70, second.by_output.data_ptr<float>(), second.input.data_ptr<float>()}};
   const WideProduct product(kInputs, kOutputs);
   constexpr int64_t kHalf = kInputs / 2 / WideProduct::kColumns * WideProduct::kColumns;
-  product.WeightGradient(rows, kHalf, kInputs, sum.data_ptr<float>());
-  product.WeightGradient(rows, 0, kHalf, sum.data_ptr<float>());
+  product.WeightGradient(rows, kHalf, kInputs, {numbers});
+  product.WeightGradient(rows, 0, kHalf, {numbers, numbers + kOutputs / 2 * kInputs});
   EXPECT_TRUE(at::equal(sum, first.weight.grad() + second.weight.grad()));
 }
 

@@ -46,7 +46,7 @@ struct WideLinearFunction : torch::autograd::Function<WideLinearFunction> {
       factors->input = input;
     } else {
       weight_gradient = at::empty_like(weight);
-      product.WeightGradient({{rows, DataOf(gradient), DataOf(input)}}, 0, weight.size(1), DataOf(weight_gradient));
+      product.WeightGradient({{rows, DataOf(gradient), DataOf(input)}}, 0, weight.size(1), {DataOf(weight_gradient)});
     }
     return {input_gradient, weight_gradient, gradient.sum(0), at::Tensor()};
   }

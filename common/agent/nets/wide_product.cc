@@ -74,19 +74,20 @@ void WideProduct::InputGradient(int64_t rows, const float* output_gradient, cons
 }
 
 void WideProduct::WeightGradient(absl::Span<const Rows> shards, int64_t begin, int64_t end,
-                                 float* weight_gradient) const {
-  std::vector<std::vector<const float*>> factors;
-  int64_t most = 0;
-  for (const Rows& shard : shards) {
-    factors.push_back(Pointers(shard.count, shard.output_gradient, outputs_));
-    most = std::max(most, shard.count);
-  }
-  const PooledBuffer packed(most * kColumns);
+                                 absl::Span<float* const> parts) const {
+  const int64_t part_outputs = outputs_ / static_cast<int64_t>(parts.size());
+  const auto most =
+      std::max_element(shards.begin(), shards.end(), [](const Rows& a, const Rows& b) { return a.count < b.count; });
+  const PooledBuffer packed(most->count * kColumns);
   for (int64_t k = begin; k < end; k += kColumns) {
     for (size_t i = 0; i < shards.size(); ++i) {
-      Pack(shards[i].count, shards[i].input + k, inputs_, packed.get());
-      kernels_.correlate(shards[i].count, factors[i].data(), outputs_, packed.get(), kColumns, /*adds=*/i > 0,
-                         weight_gradient + k, inputs_);
+      const Rows& shard = shards[i];
+      Pack(shard.count, shard.input + k, inputs_, packed.get());
+      for (size_t part = 0; part < parts.size(); ++part) {
+        const auto factors = Pointers(shard.count, shard.output_gradient + part * part_outputs, outputs_);
+        kernels_.correlate(shard.count, factors.data(), part_outputs, packed.get(), kColumns, /*adds=*/i > 0,
+                           parts[part] + k, inputs_);
+      }
     }
   }
 }

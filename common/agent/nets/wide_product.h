@@ -43,8 +43,8 @@ class WideProduct {
     const float* input;            // [count][inputs]
   };
   // The columns begin..end-1, multiples of kColumns, of the weight's gradient [outputs][inputs]: each shard's sum,
-  // added in their order.
-  void WeightGradient(absl::Span<const Rows> shards, int64_t begin, int64_t end, float* weight_gradient) const;
+  // added in their order. `parts`: where the gradient is, cut into as many stretches of as many outputs each.
+  void WeightGradient(absl::Span<const Rows> shards, int64_t begin, int64_t end, absl::Span<float* const> parts) const;
 
  private:
   int64_t inputs_;
