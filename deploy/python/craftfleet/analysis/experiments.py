@@ -9,7 +9,7 @@ import math
 import re
 
 from . import programs
-from ._cli import Refusal, reason
+from ._cli import Refusal, read_text
 
 MAX_CELLS = 10_000  # of one experiment
 _COMBINE = ("product", "each", "pairs")
@@ -215,8 +215,4 @@ def parse(text: str, filename: str) -> list[Experiment]:
 
 def load(path: str) -> list[Experiment]:
   """The experiments of a file.   Refusal: as parse, or it cannot be read."""
-  try:
-    with open(path, encoding="utf-8") as file:
-      return parse(file.read(), path)
-  except (OSError, UnicodeDecodeError) as error:
-    raise Refusal(reason(error) if isinstance(error, OSError) else f"{path}: not a text file: {error}") from None
+  return parse(read_text(path), path)

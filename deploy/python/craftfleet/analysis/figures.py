@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 
-from ._cli import Refusal, reason
+from ._cli import Refusal, read_text
 
 HEADER = "table,cell,measure,at,mean,std,source"
 
@@ -75,8 +75,4 @@ def _number(name: str, text: str, kind: type, needed: bool = False):
 
 def load(path: str) -> Figures:
   """Refusal: the file cannot be read, or as Figures."""
-  try:
-    with open(path, encoding="utf-8") as file:
-      return Figures(file.read(), path)
-  except (OSError, UnicodeDecodeError) as error:
-    raise Refusal(reason(error) if isinstance(error, OSError) else f"{path}: not a text file: {error}") from None
+  return Figures(read_text(path), path)

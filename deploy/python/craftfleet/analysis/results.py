@@ -251,32 +251,13 @@ def short_names(paths: Sequence[str]) -> list[str]:
   return ["/".join(own[shared:]) for own in parts]
 
 
-def _is_in(folder: str, above: str) -> bool:
-  return folder == above or folder.startswith(above + "/")
-
-
-def _common_folder(folders: list[str]) -> str:
-  """The deepest folder that contains all. For a single run, its own, or the one above "seed7". "": there is none."""
-  is_seed = re.fullmatch(r"seed\d+", os.path.basename(folders[0]))
-  common = folders[0].rpartition("/")[0] if len(folders) > 1 or is_seed else folders[0]
-  while common and not all(_is_in(folder, common) for folder in folders):
-    common = common.rpartition("/")[0]
-  return common
-
-
 def _name_folders(folders: list[str], others: list[str]) -> str:
-  """A name for `folders` that fits none of `others`."""
-  common = _common_folder(folders)
-  if common and not any(_is_in(other, common) for other in others):
-    return common
-  if len(folders) == 1:
-    return folders[0]
-  begin = os.path.commonprefix(folders)
-  rest = [folder[len(begin):][::-1] for folder in folders]
-  end = os.path.commonprefix(rest)[::-1]
-  def fits(other):
-    return len(other) >= len(begin) + len(end) and other.startswith(begin) and other.endswith(end)
-  return f"{folders[0]} and {len(folders) - 1} more" if any(fits(other) for other in others) else f"{begin}*{end}"
+  """A name for `folders` alone: their run's folder, the one that has them and none of `others`, or the first and how many more."""
+  above = os.path.dirname(folders[0])
+  is_one = len(folders) == 1 and not re.fullmatch(r"seed\d+", os.path.basename(folders[0]))
+  if is_one or not above or any(f"{folder}/".startswith(f"{above}/") != (folder in folders) for folder in folders + others):
+    return folders[0] + (f" and {len(folders) - 1} more" if len(folders) > 1 else "")
+  return above
 
 
 def _flat(settings: dict, prefix: str = "") -> dict[str, str]:
@@ -300,8 +281,7 @@ _SHOWN_SETTINGS = 3
 def name_groups(groups: Sequence[Group]) -> list[tuple[str, str]]:
   """A folder and a label for each group: "runs/wide", "wide (ppo_cnn, lanes=32)".
 
-  The folder is that of the group's run, or the deepest that contains its runs and no others, or a pattern. The label has the
-  settings that are neither the agent's defaults nor usual among the groups.
+  The label has the settings that are neither the agent's defaults nor usual among the groups.
   """
   folders = [_name_folders(group.folders, [folder for other in groups if other is not group for folder in other.folders])
              for group in groups]
