@@ -11,8 +11,9 @@ from tests.deploy.analysis.package import same_episodes, write_run
 from tests.fakes import python_case
 from tests.fakes.python_case import SOURCE
 
+import analysis
 from analysis import curve, experiments, programs, runs, statistics
-from analysis.episodes import read_log
+from analysis.logs import read_log
 from analysis.results import Group, group_runs, name_groups, short_names, spread_of_curves
 from analysis.statistics import Spread, spread_of
 
@@ -135,10 +136,10 @@ class Results(package.Case):
 
   def test_notebooks_get_tables(self):
     write_run(self.folder / "a", 1)
-    table = runs.load(str(self.folder))
+    table = analysis.load(str(self.folder))
     self.assertEqual((table["agent"][0], table["seed"][0], bool(table["complete"][0])), ("ppo_cnn", 1, True))
     self.assertAlmostEqual(table["train"][0], math.sqrt(101) - 1)
-    episodes = runs.episodes(table["run"][0])
+    episodes = analysis.episodes(table["run"][0])
     self.assertEqual((len(episodes), episodes["length"][0], episodes["reward"][0], episodes["collect_coal"][0]), (40, 100, 11, 2))
 
 
@@ -298,7 +299,7 @@ class Curves(package.Case):
   @staticmethod
   def named(name, steps):
     import numpy as np  # pylint: disable=import-outside-toplevel
-    from analysis.episodes import Curve  # pylint: disable=import-outside-toplevel
+    from analysis.logs import Curve  # pylint: disable=import-outside-toplevel
     array = np.array(steps)
     return curve.NamedCurve(name, Curve(array // 100, array, 0.001 * array, 0.002 * array))
 
@@ -432,7 +433,7 @@ class Statistics(unittest.TestCase):
     self.assertEqual(statistics.interval_over_seeds([5, 5, 5]), (5, 5))
     self.assertEqual((low, high), statistics.interval_over_seeds([10, 11, 12, 13, 14]), "the same again")
     import numpy as np  # pylint: disable=import-outside-toplevel
-    from analysis.episodes import Episodes  # pylint: disable=import-outside-toplevel
+    from analysis.logs import Episodes  # pylint: disable=import-outside-toplevel
     half = np.zeros((400, 22), int)
     half[:200, :11] = 1
     episodes = Episodes(np.full(400, 9), np.zeros(400, int), half)
@@ -451,7 +452,7 @@ class Statistics(unittest.TestCase):
 class Imports(unittest.TestCase):
 
   def test_achievements_are_those_of_the_programs(self):
-    from analysis.episodes import ACHIEVEMENTS  # pylint: disable=import-outside-toplevel
+    from analysis.logs import ACHIEVEMENTS  # pylint: disable=import-outside-toplevel
     names = json.loads("[" + (SOURCE / "common/base/crafter.h").read_text().partition("kAchievementNames")[2].partition("{")[2].lstrip("{ \n")
                        .partition("}")[0].rstrip(", \n") + "]")
     self.assertEqual(list(ACHIEVEMENTS), names)

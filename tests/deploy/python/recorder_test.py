@@ -220,7 +220,7 @@ class Runs(FolderCase):
     (self.folder / "stats.jsonl").write_text("")
     self.assert_refused(ValueError, "stats.jsonl: no finished episode", craftfleet.score, self.folder)
     (self.folder / "stats.jsonl").write_text('{"length": 1}\n')
-    self.assert_refused(ValueError, "stats.jsonl, line 1: 'reward'", craftfleet.score, self.folder)
+    self.assert_refused(ValueError, 'stats.jsonl:1: no number "reward"', craftfleet.score, self.folder)
     self.assert_refused(FileNotFoundError, "weights.safetensors", craftfleet.load_weights, self.folder)
     (self.folder / "checkpoints").mkdir()
     self.assert_refused(FileNotFoundError, "no checkpoint, want folders like iter-", craftfleet.load_weights, self.folder)

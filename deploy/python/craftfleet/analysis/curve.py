@@ -31,13 +31,13 @@ _FEWEST_EPISODES = 10  # means over fewer are too noisy to draw
 @dataclasses.dataclass
 class NamedCurve:
   name: str
-  curve: object  # episodes.Curve, not empty
+  curve: object  # logs.Curve, not empty
 
 
 def read_reference(path: str):
   """The curve in a CSV file.   Refusal: a column is missing, or a value is no number; names line and column."""
   import numpy as np  # pylint: disable=import-outside-toplevel
-  from .episodes import Curve  # pylint: disable=import-outside-toplevel
+  from .logs import Curve  # pylint: disable=import-outside-toplevel
   lines = csv.DictReader(read_text(path).splitlines(), skipinitialspace=True)
   for column in REFERENCE_COLUMNS:
     if column not in (lines.fieldnames or ()):

@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from . import statistics
-from .episodes import Episodes
+from .logs import Episodes
 from .experiments import Axis, Choice, Experiment
 from .runs import SUFFIX, Run
 from .statistics import Spread, spread_of

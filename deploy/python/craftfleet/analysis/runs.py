@@ -18,7 +18,7 @@ import numpy as np
 
 from . import programs
 from ._cli import Refusal, read_text, reason, replace_file
-from .episodes import ACHIEVEMENTS, NO_EPISODES, Curve, Episodes, find_log, read_log
+from .logs import ACHIEVEMENTS, NO_EPISODES, Curve, Episodes, find_log, read_log
 
 LOGS = ("stats", "eval_argmax", "eval_sampled", "final_argmax", "final_sampled")
 SUFFIX = ".npz"

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from . import statistics
-from .episodes import ACHIEVEMENTS
+from .logs import ACHIEVEMENTS
 from .figures import Figure, Figures
 from .results import MEASURES, SCORES, CellResult, ExperimentResult, Group, curve_end, spread_of_curves
 from .runs import Run

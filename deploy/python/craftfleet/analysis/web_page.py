@@ -7,7 +7,7 @@ import os
 from collections.abc import Sequence
 
 from . import programs
-from .episodes import ACHIEVEMENTS, Curve
+from .logs import ACHIEVEMENTS, Curve
 from .runs import Run
 
 _MARKER = '<script type="application/json" id="report">null</script>'
