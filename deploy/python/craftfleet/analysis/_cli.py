@@ -212,11 +212,13 @@ def warn(message: str) -> None:
 
 # Targets of output.
 
+STANDARD_OUTPUT = ("-", "/dev/stdout")
+
 
 def is_stream(path: str) -> bool:
   """Whether bytes that are written to `path` go on to someone, instead of being kept in a file."""
   try:
-    return path in ("-", "/dev/stdout") or not stat.S_IFMT(os.stat(path).st_mode) in (stat.S_IFREG, stat.S_IFDIR)
+    return path in STANDARD_OUTPUT or not stat.S_IFMT(os.stat(path).st_mode) in (stat.S_IFREG, stat.S_IFDIR)
   except OSError:
     return False
 
@@ -229,7 +231,7 @@ class OutputFile:
 
   def __init__(self, flag: str, path: str):
     self.flag, self.path = flag, path
-    self.is_standard_output = path in ("-", "/dev/stdout")
+    self.is_standard_output = path in STANDARD_OUTPUT
     self._stream = None
     if self.is_standard_output:
       return

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import os
 import re
 from collections import Counter
@@ -61,7 +62,6 @@ class Group:
     self.complete: list[Run] = []  # by seed, each once
     self.incomplete: list[Run] = []  # not averaged
     self.repeated: list[Run] = []  # further runs of the same seed; not counted
-    self._intervals: dict[str, tuple[float, float] | None] = {}
 
   @property
   def first(self) -> Run:
@@ -75,13 +75,10 @@ class Group:
     values = [MEASURES[measure].of(run) for run in self.complete]
     return spread_of([value for value in values if value is not None])
 
-  def interval(self, measure: str) -> tuple[float, float] | None:
-    """95% interval of a mean over the complete runs; None: no such episodes, or of a reward with fewer than three seeds."""
-    if measure not in self._intervals:
-      self._intervals[measure] = self._find_interval(MEASURES[measure])
-    return self._intervals[measure]
-
-  def _find_interval(self, measure: Measure) -> tuple[float, float] | None:
+  @functools.cache  # pylint: disable=method-cache-max-size-none  # a few for each group of a report
+  def interval(self, name: str) -> tuple[float, float] | None:
+    """95% interval of a measure's mean over the complete runs; None: no such episodes, or of a reward with fewer than three seeds."""
+    measure = MEASURES[name]
     runs = [run for run in self.complete if len(run.logs[measure.log])]
     if len(runs) >= statistics.FEWEST_SEEDS:
       return statistics.interval_over_seeds([measure.of(run) for run in runs])
