@@ -348,27 +348,6 @@ class PaperFigures(unittest.TestCase):
     # Table 1 with its unlocked achievements, no inventory, asymptotic, the reproduction, two of OOD, ablation, beyond.
     self.assertEqual(len(shown), 12 + 1 + 2 + 12 + 2 + 96 + 96 + 21 + 4)
 
-  # Stanic et al. 2022, Table 1 and the OOD tables: a number from each corner.
-  def test_are_those_of_the_paper(self):
-    paper = figures.load(package.FIGURES)
-    for table, cell, measure, mean, deviation in (
-        ("table1", "ppo_cnn", "train", 10.4, 0.6), ("table1", "ppo_cnn", "eval", 10.3, 0.6),
-        ("table1", "lstm_spcnn", "train", 12.3, 0.4), ("table1", "lstm_spcnn", "eval", 12.1, 0.8),
-        ("no_inventory", "lstm_cnn", "eval", 7.7, 0.5), ("ood_app", "ordinary/ppo_cnn", "train", 10.4, 0.6),
-        ("ood_app", "100-0-0-0/oc_ca", "eval", 7.6, 0.5), ("ood_num", "easy-x2_default/ppo_cnn", "train", 12.4, 2),
-        ("ood_num", "easy-x4_hard-x4/oc_ca", "eval", 4.2, 0.3), ("ood_num", "average/oc_sa", "train", 14.5, 1.3),
-        ("ablation", "patch=16-8", "eval", 6.2, 0.5), ("beyond", "achievement_distillation", "train", 21.79, 1.37),
-        ("reproduction", "original_1x4096", "eval", 10.3, 0.6), ("scale", "human", "train", 50.5, None)):
-      figure = paper.find(table, cell, measure)
-      self.assertIsNotNone(figure, (table, cell, measure))
-      self.assertEqual((figure.mean, figure.deviation), (mean, deviation), (table, cell))
-    self.assertEqual(paper.find("asymptotic", "ppo_spcnn", "eval", 20_000_000).mean, 30.5)
-
-  def test_tables_of_evaluation_have_no_figure_of_training(self):
-    for figure in figures.load(package.FIGURES).all:
-      if figure.table in ("no_inventory", "asymptotic", "ablation"):
-        self.assertEqual(figure.measure, "eval", figure)
-
   # The paper's Table 1 is the evaluation row of O1 100%; the training row of that table has the figures of training episodes.
   def test_table_1_is_the_row_of_the_original_appearance(self):
     paper = figures.load(package.FIGURES)

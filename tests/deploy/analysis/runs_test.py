@@ -1,7 +1,6 @@
 """Reading runs: run folders, result files, groups and their names, experiments, curves, statistics."""
 
 import gzip
-import json
 import math
 import types
 import unittest
@@ -9,7 +8,6 @@ import unittest
 from tests.deploy.analysis import package
 from tests.deploy.analysis.package import same_episodes, write_run
 from tests.fakes import python_case
-from tests.fakes.python_case import SOURCE
 
 import analysis
 from analysis import curve, experiments, programs, runs, statistics
@@ -389,28 +387,6 @@ axes = [
     twice = 'axes = [{ name = "x", choices = [{ name = "c" }, { name = "c" }] }]'
     self.assertIn('axis "x": choice "c" occurs twice', self.refusal(experiments.parse, twice, "f"))
 
-  def test_the_papers_have_a_cell_for_every_number(self):
-    file = experiments.load(package.PAPER)
-    self.assertEqual({experiment.name: len(experiment.cells) for experiment in file}, {
-        "table1": 6, "no_inventory": 2, "asymptotic": 2, "ood_app": 48, "ood_num": 48, "ablation": 21, "sweeps": 35,
-        "heatmaps_atari": 210, "heatmaps_best": 210, "beyond": 3, "critic": 2, "reproduction": 3, "small": 11, "lanes": 3,
-        "no_inventory_300k": 2, "one_iteration": 7, "overlap_300k": 2, "precision_300k": 2})
-    cells = {f"{experiment.name}/{cell.name}": cell for experiment in file for cell in experiment.cells}
-    for name, cell in cells.items():
-      if name.startswith("ood_app/") and cell.config["env"]["name"] != "crafter":
-        self.assertEqual(cell.config["eval"]["env"], "crafter:appearance=0/33/33/34", "appearances that were rare or missing in training")
-    square = cells["heatmaps_atari/gamma=0.8/lambda=0.5"].config["ppo"]
-    self.assertEqual([square[key] for key in ("gamma", "gae_lambda", "epochs", "minibatch_size", "rollout_steps")], [0.8, 0.5, 10, 64, 1024])
-    # One lane plays the whole rollout, in one fragment if it fits a message: shorter ones would change the advantages.
-    one_lane = [cell.config for name, cell in cells.items() if name.startswith("heatmaps_atari/") or name.endswith("1x4096")]
-    self.assertEqual(len(one_lane), 210 + 2)
-    for config in one_lane:
-      self.assertEqual((config["lanes"], config["fragment_steps"]), (1, min(config["ppo"]["rollout_steps"], 4096)))
-    original = cells["reproduction/original_16x256"]
-    self.assertEqual((original.folder, original.texture_digest), ("reproduction/original_16x256", "8140aa54698876d7"))
-    self.assertEqual((cells["reproduction/ours_16x256"].folder, cells["critic/linear"].folder), ("table1/ppo_cnn", "table1/lstm_cnn"))
-    self.assertTrue(cells["reproduction/original_1x4096"].config["ppo"]["truncation_is_terminal"])
-
 
 class Statistics(unittest.TestCase):
 
@@ -447,15 +423,6 @@ class Statistics(unittest.TestCase):
     self.assertAlmostEqual(statistics.correlation([1, 2, 3], [2, 4, 6]), 1)
     self.assertIsNone(statistics.correlation([1, 2], [2, 4]))
     self.assertIsNone(statistics.correlation([1, 1, 1], [2, 4, 5]))
-
-
-class Imports(unittest.TestCase):
-
-  def test_achievements_are_those_of_the_programs(self):
-    from analysis.logs import ACHIEVEMENTS  # pylint: disable=import-outside-toplevel
-    names = json.loads("[" + (SOURCE / "common/base/crafter.h").read_text().partition("kAchievementNames")[2].partition("{")[2].lstrip("{ \n")
-                       .partition("}")[0].rstrip(", \n") + "]")
-    self.assertEqual(list(ACHIEVEMENTS), names)
 
 
 python_case.main()
