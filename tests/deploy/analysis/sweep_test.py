@@ -230,29 +230,15 @@ experiments = [{ name = "t", axes = [{ axis = "x" }, { axis = "y" }] }, { name =
 
 class SlurmArray(python_case.FolderCase):
 
-  @staticmethod
-  def script(logs="/runs/slurm"):
-    return slurm.script(logs, 5, 2, ["/bin/craftfleet", "sweep", "/it's here/paper.toml", "--logdir=/runs"], ["t/a/seed1", "t/b c/seed1"])
-
   def run_task(self, task, srun_exit=0, state="RUNNING"):
     """Task of the script with stand-ins for Slurm's commands: srun and scontrol print their arguments, squeue prints `state`."""
     programs = (f"srun() {{ printf '[%s]' \"$@\"; return {srun_exit}; }}\nsqueue() {{ echo {state}; }}\n"
                 "scontrol() { echo scontrol \"$@\"; }\nexec() { \"$@\"; exit; }\n")
-    (self.folder / "script").write_text(programs + self.script())
+    command = ["/bin/craftfleet", "sweep", "/it's here/paper.toml", "--logdir=/runs"]
+    (self.folder / "script").write_text(programs + slurm.script("/runs/slurm", 5, 2, command, ["t/a/seed1", "t/b c/seed1"]))
     ended = subprocess.run(["bash", self.folder / "script"], capture_output=True, text=True, check=False, env=os.environ | {
         "SLURM_ARRAY_JOB_ID": "7", "SLURM_CPUS_PER_TASK": "2", "SLURM_ARRAY_TASK_ID": str(task)})
     return ended.stdout, ended.returncode
-
-  def test_asks_for_one_task_for_each_run(self):
-    script = self.script()
-    self.assertTrue(script.startswith("#!/usr/bin/env bash\n"))
-    for line in ("#SBATCH --array=0-1%5\n", '#SBATCH --output="/runs/slurm/%A_%a.log"\n', "#SBATCH --requeue\n",
-                 "#SBATCH --cpus-per-task=2\n", "#SBATCH --signal=TERM@60\n"):
-      self.assertIn(line, script)
-
-  def test_the_folder_of_the_logs_may_have_any_name(self):
-    script = self.script('/my runs/100%A, größe "1"/slurm')
-    self.assertIn('#SBATCH --output="/my runs/100%%A, größe \\"1\\"/slurm/%A_%a.log"\n', script)
 
   def test_each_task_runs_its_own_run(self):
     self.assertEqual(self.run_task(0), ("[--cpu-bind=none][/bin/craftfleet][sweep][/it's here/paper.toml][--logdir=/runs]"

@@ -203,12 +203,12 @@ class Remote(ServerCase):
     frame = bytes(64 * 64 * 3)
     changes = {
         "frames": lambda reply: setattr(reply, "frames", frame),
-        "rewards": lambda reply: reply.rewards.append(0),
+        "cannot reshape": lambda reply: reply.rewards.append(0),
         "rewards [inf, 0.0]": lambda reply: reply.rewards.__setitem__(0, float("inf")),
         "rewards [nan, 0.0]": lambda reply: reply.rewards.__setitem__(0, float("nan")),
         "bytes of ends": lambda reply: setattr(reply, "ends", b""),
         "an end of 7": lambda reply: setattr(reply, "ends", b"\0\7"),
-        "episodes": lambda reply: setattr(reply, "ends", b"\0\1"),
+        "is shorter than": lambda reply: setattr(reply, "ends", b"\0\1"),
         "bytes of frames, want 0": lambda reply: setattr(reply, "last_frames", frame),
         "moments": lambda reply: reply.moments.add(),
     }
