@@ -1,9 +1,8 @@
-"""The live page and the page of a report in a browser, and its port over TLS."""
+"""The live page in a browser, and its port over TLS."""
 
 import hashlib
 import http.client
 import json
-import pathlib
 import re
 import ssl
 import subprocess
@@ -212,24 +211,6 @@ class LivePage(python_case.ProcessCase):
     refused = self.run_program("craftfleet-learner", f"--logdir={self.folder}/run", "--http_listen=0.0.0.0:0", code=1)
     for flag in ["--http_listen=0.0.0.0:0", "--tls_cert", "--access_file"]:
       self.assertIn(flag, refused.stderr)
-
-  def test_a_report_compares_runs_in_one_file(self):
-    driver = browser.open_browser(self)
-    page = self.folder / "report/report.html"
-    self.run_program("craftfleet report", str(SOURCE / "deploy/experiments/results"), "--html", f"--out={page.parent}")
-    self.assertNotRegex(page.read_text(), r'(src|href)="(https?:)?//')
-    driver.get(page.as_uri())
-    wait_until(lambda: driver.find_elements("css selector", ".leaderboard tbody tr"), "the leaderboard")
-    runs = len(list(pathlib.Path(SOURCE / "deploy/experiments/results").rglob("*.npz")))
-    self.assertEqual(len(driver.find_elements("css selector", ".leaderboard tbody tr")), runs)
-    self.check_looks(driver, "report")
-    self.check_keyboard(driver)
-    scores = [float(cell.text) for cell in driver.find_elements("css selector", ".leaderboard tbody td:nth-child(3)")]
-    self.assertEqual(scores, sorted(scores, reverse=True))
-    driver.find_elements("css selector", "button.sort")[1].click()
-    reverse = [float(cell.text) for cell in driver.find_elements("css selector", ".leaderboard tbody td:nth-child(3)")]
-    self.assertEqual(reverse, sorted(scores))
-    self.assertEqual(browser.errors(driver), [])
 
 
 python_case.main()

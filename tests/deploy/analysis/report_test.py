@@ -2,7 +2,6 @@
 
 import csv
 import io
-import json
 import math
 import os
 import re
@@ -289,33 +288,33 @@ class Target(package.Case):
 
 class WebPage(package.Case):
 
-  def data(self):
-    page = web_page.web_page(runs.read_runs([str(self.folder)])[0])
-    return json.loads(re.search(r'id="report">(.*?)</script>', page, re.DOTALL)[1]), page
+  def page(self):
+    return web_page.web_page(runs.read_runs([str(self.folder)])[0])
 
-  def test_has_what_the_files_of_each_run_say(self):
+  def test_has_what_the_files_of_each_run_say_the_best_first(self):
     write_run(self.folder / "sweep/a/seed1", 1, unlocked=3)
     write_run(self.folder / "sweep/b/seed2", 2, {"agent": "lstm_cnn"}, episodes=20, unlocked=22)
-    first, second = self.data()[0]["runs"]
-    wanted = {"name": "a/seed1", "agent": "ppo_cnn", "complete": True, "steps": 4000, "unlocked": 3, "evaluation": None}
-    self.assertEqual({key: first[key] for key in wanted}, wanted)
-    self.assertEqual((first["rates"]["collect_drink"], first["rates"]["wake_up"]), (100, 0))
-    self.assertEqual(len(first["curve"]["steps"]), 40)
-    self.assertEqual((second["name"], second["complete"]), ("b/seed2", False))
-    self.assertAlmostEqual(second["score"], 100)
+    page = self.page()
+    rows = [re.findall("<td>(.*?)</td>", row) for row in re.findall("<tr>(<td>.*?)</tr>", page)]
+    self.assertEqual(rows[0], ["b/seed2", "100.00", "22.00", "-", "22/22", "2,000, unfinished", "lstm_cnn", "crafter", "2"])
+    self.assertEqual(rows[1], ["a/seed1", "0.88", "3.00", "-", "3/22", "4,000", "ppo_cnn", "crafter", "1"])
+    self.assertEqual((rows[4], rows[-1]), (["collect drink", "100.0", "100.0"], ["wake up", "100.0", "0.0"]))
+    self.assertIn("<h1>2 runs, 1 complete</h1>", page)
+    self.assertEqual(page.count('<img alt="Reward and score over steps" src="data:image/png;base64,'), 1)
 
-  def test_curves_of_long_runs_are_thinned(self):
-    write_run(self.folder / "long", 1, {"steps": 200000}, episodes=2000, unlocked=1)
-    curve = self.data()[0]["runs"][0]["curve"]
-    self.assertLessEqual(len(curve["steps"]), 512)
-    self.assertGreater(len(curve["steps"]), 255)
-    self.assertEqual(curve["steps"][-1], 200000)
+  def test_needs_no_other_file_and_no_script(self):
+    write_run(self.folder / "run", 1)
+    self.assertNotRegex(self.page(), r"(src|href)=.(https?:)?//|<script")
 
-  def test_names_of_folders_cannot_end_the_script(self):
-    write_run(self.folder / "</script><script>alert(1)<" / "script>/run", 1)
-    data, page = self.data()
-    self.assertNotIn("<script>alert(1)", page)
-    self.assertIn("</script><script>alert(1)", data["runs"][0]["name"])
+  def test_names_of_folders_stay_text(self):
+    write_run(self.folder / "a<script>alert(1)<" / "script>&/run", 1)
+    page = self.page()
+    self.assertNotIn("<script>", page)
+    self.assertIn("a&lt;script&gt;alert(1)&lt;/script&gt;&amp;/run", page)
+
+  def test_a_run_without_episodes_has_a_line(self):
+    write_run(self.folder / "run", 1, episodes=0)
+    self.assertIn("<td>0.00</td>", self.page())
 
 
 class PaperFigures(unittest.TestCase):
