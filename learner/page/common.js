@@ -1,5 +1,5 @@
 "use strict";
-// What the live page and reports have in common: numbers as text, charts, the bars of the achievements.
+// Numbers as text, charts, the bars of the achievements.
 
 const $ = (id) => document.getElementById(id);
 const jsonOf = (id) => JSON.parse($(id).textContent);
@@ -10,9 +10,6 @@ const compact = new Intl.NumberFormat("en-US", { notation: "compact", maximumFra
 const decimals = (value, digits) => Number(value).toFixed(digits);
 const percent = (value) => (value > 0 && value < 0.1 ? "< 0.1" : decimals(value, 1)) + " %";
 const words = (name) => name.replaceAll("_", " ");
-
-// A name that may be broken after "/" and "_".
-const breakable = (name) => name.replace(/[/_]/g, "$&\u200b");
 
 // 3661 -> "1 h 1 min".
 function span(seconds) {
@@ -39,7 +36,6 @@ function make(tag, className, ...children) {
 
 // The value of a custom property, which follows the light or dark theme.
 const colour = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
-const seriesColour = (index) => colour(`--s${(index % 8) + 1}`);
 
 // Charts of values over environment steps. `series`: {label, points: [{x, y}], colour: property, dashed}.
 const charts = [];

@@ -290,3 +290,5 @@ function startLive() {
   document.addEventListener("visibilitychange", poll.now);
   poll.now();
 }
+
+startLive();

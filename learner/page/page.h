@@ -1,5 +1,5 @@
-// The web page of runs: one HTML file with its style, scripts and charts (Chart.js) inside. The learner serves it for
-// its run (learner/page/live_page.h); `craftfleet report --html` writes it with finished runs.
+// The web page of a run: one HTML file with its style, scripts and charts (Chart.js) inside. The learner serves it
+// (learner/page/live_page.h).
 
 #ifndef CRAFTFLEET_LEARNER_PAGE_PAGE_H_
 #define CRAFTFLEET_LEARNER_PAGE_PAGE_H_
@@ -15,11 +15,10 @@
 
 namespace craftfleet {
 
-// The page without data: it polls the server that it came from. Where the `null` in its script element "report" is
-// replaced by a report, as report.js reads it, it shows that (craftfleet/analysis/web_page.py).
+// The page without data: it polls the server that it came from.
 absl::string_view PageTemplate();
 
-// {"steps": [...], "reward": [...], "score": [...]}, as report.js reads it.
+// {"steps": [...], "reward": [...], "score": [...]}, as live.js reads it.
 nlohmann::json JsonOfCurve(const std::vector<CurvePoint>& curve);
 // {"collect_coal": 1.5, ...}, in percent.
 nlohmann::json JsonOfRates(const AchievementPercentages& rates);

@@ -34,9 +34,13 @@ class Doctor(python_case.FolderCase):
     self.assertIn(f"failed checks: port {address}", ended.stderr)
 
   def test_tls_files_are_checked_when_they_are_given(self):
-    ended = self.run_program("craftfleet doctor", f"--tls_cert={self.folder}/a.pem", f"--tls_key={self.folder}/a.key", "--listen=", code=1)
-    self.assertIn("FAIL  TLS files", ended.stdout)
-    self.assertIn(f"{self.folder}/a.pem", ended.stdout)
+    ended = self.run_program("craftfleet doctor", "--json", f"--tls_cert={self.folder}/a.pem", f"--tls_key={self.folder}/a.key",
+                             "--listen=", code=1)
+    report = json.loads(ended.stdout)
+    self.assertFalse(report["ok"])
+    check, = [check for check in report["checks"] if check["check"] == "TLS files"]
+    self.assertEqual(check["verdict"], "fail")
+    self.assertIn(f"{self.folder}/a.pem", check["found"])
 
   def on_a_terminal(self, **variables):
     main, terminal = pty.openpty()
@@ -48,7 +52,8 @@ class Doctor(python_case.FolderCase):
 
   def test_colour_is_for_terminals_that_want_it(self):
     self.assertIn("\x1b[32mok", self.on_a_terminal())
-    self.assertNotIn("\x1b", self.on_a_terminal(NO_COLOR="1"))
+    for variables in ({"NO_COLOR": "1"}, {"TERM": "dumb"}):
+      self.assertNotIn("\x1b", self.on_a_terminal(**variables))
     self.assertNotIn("\x1b", self.run_program("craftfleet doctor", "--listen=", f"--logdir={self.folder}").stdout)
 
 

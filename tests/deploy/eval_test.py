@@ -35,6 +35,13 @@ class Eval(python_case.FolderCase):
                              capture_output=True, text=True)
     self.assertEqual((checked.stdout, checked.stderr, checked.returncode), ("3 episodes agree\n", "", 0))
 
+  def test_a_final_evaluation_that_is_the_first_is_replayed(self):
+    (self.folder / "config.txt").write_text(CONFIG.replace("every_steps: 64", "every_steps: 0"))
+    self.train()
+    self.evaluate("--protocol=final", f"--episodes_npz={self.folder}/npz")
+    for kind in ("argmax", "sampled"):
+      self.check_episodes(self.folder / "npz" / kind, self.folder / f"run/final_{kind}.jsonl")
+
   def test_the_final_evaluation_is_replayed(self):
     self.train()
     out = self.folder / "out"

@@ -1,63 +1,30 @@
 """Every output of every program on a disk that fills up: an error, and no half file under a final name."""
 
-import gzip
 import json
 import struct
 import subprocess
 import zipfile
-import zlib
 
 from tests.fakes import full_disk, python_case
 from tests.fakes.python_case import SOURCE, built
 
 
-def is_whole_png(content):
-  if content[:8] != b"\x89PNG\r\n\x1a\n":
-    return False
-  at, kind = 8, b""
-  while at < len(content):
-    size, kind = struct.unpack(">I4s", content[at:at + 8])
-    chunk = content[at + 4:at + 8 + size]
-    if struct.pack(">I", zlib.crc32(chunk)) != content[at + 8 + size:at + 12 + size]:
-      return False
-    at += 12 + size
-  return kind == b"IEND" and at == len(content)
-
-
-def is_whole_mp4(content):
-  at, boxes = 0, []
-  while at + 8 <= len(content):
-    size, kind = struct.unpack(">I4s", content[at:at + 8])
-    boxes.append(kind)
-    if size < 8:
-      return False
-    at += size
-  return at == len(content) and b"moov" in boxes and b"mdat" in boxes
-
-
 def is_whole(path):
-  """Whether a file is one that a reader of its kind accepts to its end."""
+  """Whether a file has the end of one of its kind."""
   content = path.read_bytes()
-  if path.suffix == ".png":
-    return is_whole_png(content)
-  if path.suffix == ".mp4":
-    return is_whole_mp4(content)
-  if path.suffix == ".npz":
-    try:
+  try:
+    if path.suffix == ".mp4":
+      at = 0
+      while at < len(content):  # each box begins with its length
+        at += struct.unpack(">I", content[at:at + 4])[0] or len(content) + 1
+      return at == len(content) and b"moov" in content
+    if path.suffix == ".npz":
       return zipfile.ZipFile(path).testzip() is None
-    except zipfile.BadZipFile:
-      return False
-  if path.suffix == ".json":
-    try:
+    if path.suffix == ".json":
       return bool(json.loads(content))
-    except ValueError:
-      return False
-  if path.suffix == ".gz":
-    try:
-      return bool(gzip.decompress(content))
-    except (EOFError, OSError):
-      return False
-  return content.endswith(b"\n")
+  except (struct.error, ValueError, zipfile.BadZipFile):
+    return False
+  return content.endswith(b"IEND\xaeB`\x82" if path.suffix == ".png" else b"\n")
 
 
 class FullDisk(python_case.FolderCase):

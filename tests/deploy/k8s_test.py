@@ -1,6 +1,6 @@
 """deploy/k8s: every manifest parses, and every reference resolves: names, selectors, ports, probes, flags, keys.
 
-The checks run over what a light Kustomize of our own builds from each overlay, and over what `kubectl kustomize` does.
+The checks run over what a light Kustomize of our own builds from each overlay.
 """
 
 import json
@@ -29,13 +29,6 @@ KINDS = {"Namespace": "v1", "Service": "v1", "ConfigMap": "v1", "Deployment": "a
          "HorizontalPodAutoscaler": "autoscaling/v2", "PodDisruptionBudget": "policy/v1",
          "NetworkPolicy": "networking.k8s.io/v1"}
 WORKLOADS = ("Deployment", "StatefulSet")
-
-
-def mebibytes(quantity):
-  return int(quantity[:-2]) * {"Mi": 1, "Gi": 1024}[quantity[-2:]]
-
-
-STOP_SECONDS = 10  # time in which a process must end after SIGTERM
 
 
 def fits(selector, labels):
@@ -73,22 +66,6 @@ class Manifests(unittest.TestCase):
 
   # The files.
 
-  def test_every_file_is_used(self):
-    used = set()
-    for path in K8S.rglob("kustomization.yaml"):
-      settings, = kustomize.load_all(path)
-      names = settings.get("resources", []) + settings.get("components", [])
-      names += [patch["path"] for patch in settings.get("patches", []) if "path" in patch]
-      names += [entry.rpartition("=")[2] for maps in settings.get("configMapGenerator", []) for entry in maps.get("files", [])]
-      for name in names:
-        self.assertTrue((path.parent / name).exists(), f"{path} names {name}")
-        used.add((path.parent / name).resolve())
-    for path in K8S.rglob("*.*"):
-      if path.name not in ("kustomization.yaml", "prometheus-adapter-values.yaml", "README.md", "tls-secrets.sh"):
-        self.assertTrue(path.parent in used if path.is_dir() else path in used, f"{path} is used by nothing")
-    for overlay in OVERLAYS:
-      self.assertTrue((K8S / "overlays" / overlay).is_dir())
-
   def test_kinds_are_known_and_current_and_names_are_unique(self):
     def check(objects):
       for document in objects.all:
@@ -98,25 +75,9 @@ class Manifests(unittest.TestCase):
           self.assertEqual(document["metadata"]["namespace"], "craftfleet")
       names = [(document["kind"], document["metadata"]["name"]) for document in objects.all]
       self.assertEqual(len(names), len(set(names)), names)
-      self.assertIn(("Namespace", "craftfleet"), names)
+      namespace, = objects.of("Namespace")  # Kubernetes refuses pods in it with more privileges than they need
+      self.assertEqual(namespace["metadata"]["labels"]["pod-security.kubernetes.io/enforce"], "restricted")
     self.over_all(check)
-
-  def test_kubectl_builds_the_same_objects(self):
-    if shutil.which("kubectl") is None:
-      self.skipTest("no kubectl here")
-    version = json.loads(subprocess.run(["kubectl", "version", "--client", "-o", "json"], capture_output=True, text=True,
-                                        check=True).stdout)
-    if int(re.match(r"v(\d+)", version.get("kustomizeVersion", "v0"))[1]) < 5:
-      self.skipTest(f"kubectl has Kustomize {version.get('kustomizeVersion', 'before v5')}, want v5")
-    for overlay in OVERLAYS:
-      out = subprocess.run(["kubectl", "kustomize", K8S / "overlays" / overlay], capture_output=True, text=True, check=True).stdout
-      out = re.sub(r"\b(craftfleet-run)-[a-z0-9]{10}\b", r"\1", out)  # the hash that changes with the content
-      theirs = {(document["kind"], document["metadata"]["name"]): document for document in yaml.safe_load_all(out)}
-      ours = {(document["kind"], document["metadata"]["name"]): document
-              for document in kustomize.build(K8S / "overlays" / overlay)}
-      self.assertEqual(theirs.keys(), ours.keys())
-      for key, document in ours.items():
-        self.assertEqual(document, theirs[key], f"{overlay}: {key}")
 
   # References.
 
@@ -157,20 +118,7 @@ class Manifests(unittest.TestCase):
                 self.assertTrue(objects.workloads(labels), f"{document['metadata']['name']}: {peer}")
                 for port in rule.get("ports", []):
                   self.assertIn(port["port"], objects.ports(labels if side is None else side))
-      default, = [document for document in objects.of("NetworkPolicy") if not document["spec"]["podSelector"] and
-                  "Egress" in document["spec"]["policyTypes"]]
-      self.assertNotIn("ingress", default["spec"])
-      self.check_dns(default["spec"]["egress"])
     self.over_all(check)
-
-  def check_dns(self, egress):
-    """Every pod reaches the DNS of a usual cluster, of one with NodeLocal DNS and of OpenShift."""
-    (rule,) = egress
-    spaces, = [peer["namespaceSelector"]["matchExpressions"] for peer in rule["to"] if "namespaceSelector" in peer]
-    self.assertEqual(set(spaces[0]["values"]), {"kube-system", "openshift-dns"})
-    self.assertIn({"ipBlock": {"cidr": "169.254.20.10/32"}}, rule["to"])
-    self.assertEqual({(port["protocol"], port["port"]) for port in rule["ports"]},
-                     {(protocol, port) for protocol in ("UDP", "TCP") for port in (53, 5353)})
 
   def test_addresses_in_flags_are_services_and_the_policies_let_them_through(self):
     def check(objects):
@@ -289,35 +237,25 @@ class Manifests(unittest.TestCase):
         self.assertTrue({"tls_cert", "tls_key", "tls_ca", "access_file"} <= listens.keys())
     self.over_all(check)
 
-  def test_pods_have_only_the_privileges_they_need_and_time_to_stop(self):
+  def test_pods_have_room_and_time_for_their_process(self):
     def check(objects):
-      namespace, = objects.of("Namespace")
-      self.assertEqual(namespace["metadata"]["labels"]["pod-security.kubernetes.io/enforce"], "restricted")
       for workload in objects.of(*WORKLOADS):
         pod = workload["spec"]["template"]["spec"]
         container, = pod["containers"]
-        self.assertTrue(pod["securityContext"]["runAsNonRoot"])
-        self.assertGreater(pod["securityContext"]["runAsUser"], 0)
-        self.assertEqual(pod["securityContext"]["seccompProfile"], {"type": "RuntimeDefault"})
-        self.assertFalse(pod["automountServiceAccountToken"])
         self.assertTrue(pod["shareProcessNamespace"], "or a SIGTERM is lost while it starts")
-        self.assertEqual(container["securityContext"], {
-            "allowPrivilegeEscalation": False, "readOnlyRootFilesystem": True, "capabilities": {"drop": ["ALL"]}})
-        self.assertTrue({"cpu", "memory"} <= container["resources"]["requests"].keys())
-        self.assertTrue({"cpu", "memory"} <= container["resources"]["limits"].keys())
+        self.assertGreaterEqual(pod["terminationGracePeriodSeconds"], 15, "a process has 10 s to stop")
+        flags = dict(split(argument) for argument in container["args"])
         if container["command"] == ["craftfleet-envserver"]:
-          flags = dict(split(argument) for argument in container["args"])
           budget = int(flags.get("max_games_mb", 2048)) + int(flags.get("max_buffered_mb", 512))
-          self.assertGreater(mebibytes(container["resources"]["limits"]["memory"]), budget)
-        self.assertGreaterEqual(pod["terminationGracePeriodSeconds"], STOP_SECONDS + 5)
+          gigabytes = re.fullmatch(r"(\d+)Gi", container["resources"]["limits"]["memory"])[1]
+          self.assertGreater(int(gigabytes) * 1024, budget)
       stateful, = objects.of("StatefulSet")
-      variables = {entry["name"]: entry.get("value") for entry in kustomize.containers(stateful)[0]["env"]}
-      self.assertEqual(stateful["spec"]["replicas"], int(variables.get("WORLD_SIZE", 1)), "one pod for each rank")
-      logdir = dict(split(argument) for argument in kustomize.containers(stateful)[0]["args"])["logdir"]
+      container, = kustomize.containers(stateful)
+      ranks = {entry["name"]: entry.get("value") for entry in container["env"]}.get("WORLD_SIZE", 1)
+      self.assertEqual(stateful["spec"]["replicas"], int(ranks), "one pod for each rank")
       claim, = stateful["spec"]["volumeClaimTemplates"]
-      mount, = [mount["mountPath"] for mount in kustomize.containers(stateful)[0]["volumeMounts"]
-                if mount["name"] == claim["metadata"]["name"]]
-      self.assertTrue(logdir.startswith(mount + "/"))
+      mount, = [mount["mountPath"] for mount in container["volumeMounts"] if mount["name"] == claim["metadata"]["name"]]
+      self.assertTrue(dict(split(argument) for argument in container["args"])["logdir"].startswith(mount + "/"))
     self.over_all(check)
 
 

@@ -1,6 +1,6 @@
-"""The part of Kustomize that deploy/k8s uses: resources, components, namespace, labels, images, replicas, config maps from files
-and literals, JSON 6902 patches that replace or remove, and strategic merge patches whose lists of objects are merged by name.
-Anything else in a kustomization is an error. Names get no hash.
+"""The part of Kustomize that deploy/k8s uses: resources, components, namespace, replicas, config maps from files and literals,
+JSON 6902 patches that replace or remove, and strategic merge patches whose lists of objects are merged by name. Labels and names
+of images stay as they are, names get no hash, and anything else in a kustomization is an error.
 """
 
 import copy
@@ -34,11 +34,6 @@ def build(folder, documents=None):
   for document in documents:
     if "namespace" in settings and document["kind"] != "Namespace":
       document["metadata"]["namespace"] = settings["namespace"]
-    for labels in settings.get("labels", []):
-      document["metadata"].setdefault("labels", {}).update(labels["pairs"])
-    for container in containers(document):
-      for image in settings.get("images", []):
-        _set_image(container, image)
     for replicas in settings.get("replicas", []):
       if document["kind"] in ("Deployment", "StatefulSet") and document["metadata"]["name"] == replicas["name"]:
         document["spec"]["replicas"] = replicas["count"]
@@ -49,12 +44,6 @@ def containers(document):
   if document["kind"] not in ("Deployment", "StatefulSet"):
     return []
   return document["spec"]["template"]["spec"]["containers"]
-
-
-def _set_image(container, image):
-  name, _, tag = container["image"].partition(":")
-  if name == image["name"]:
-    container["image"] = f"{image.get('newName', name)}:{image.get('newTag', tag)}"
 
 
 def _generate(folder, generators, documents):

@@ -108,13 +108,11 @@ class Variables(Case):
     self.assertIn("WORLD_SIZE=9 of the environment, but gradient_shards is ", ended.stderr)
     self.assertNotIn("--world_size=9", ended.stderr)
 
-  def test_scripts_count_the_cpus_not_the_threads_of_openmp(self):
-    for script in sorted(SOURCE.rglob("deploy/**/*.sh")):
-      for line in script.read_text().splitlines():
-        if re.search(r"\bnproc\b", line) and not line.lstrip().startswith("#"):
-          self.assertRegex(line, r"env -u OMP_NUM_THREADS -u OMP_THREAD_LIMIT nproc", script)
-    args = self.start_stub_fleet({"OMP_NUM_THREADS": "1", "OMP_THREAD_LIMIT": "1"})
+  def test_a_fleet_counts_the_cpus_not_the_threads_of_openmp_and_expands_a_home(self):
+    args = self.start_stub_fleet({"OMP_NUM_THREADS": "1", "OMP_THREAD_LIMIT": "1", "HOME": "/home/someone"}, "--textures=~/textures")
     self.assertIn(f"--threads={CPUS}", args["actor"])
+    for program in ("envserver", "learner"):
+      self.assertIn("--textures=/home/someone/textures", args[program])
 
 
 class Limits(Case):
@@ -226,8 +224,7 @@ class Names(Case):
           ("unix:", "HOST:PORT"), ("unix:/" + 120 * "a", "at most 107 bytes")):
         with self.subTest(program, flag=flag, address=address):
           more = {"craftfleet admin": ["pause"], "craftfleet train": [f"--logdir={self.run_folder}"],
-                  "craftfleet inspect": [],
-        "craftfleet-learner": [f"--logdir={self.run_folder}"],
+                  "craftfleet-learner": [f"--logdir={self.run_folder}"],
                   "craftfleet-actor": [] if flag == "learner" else ["--learner=127.0.0.1:1"]}.get(program, [])
           refused = self.run_program(program, f"--{flag}={address}", *more, code=1)
           self.assertIn(f'--{flag}: "{address}" is not an address, want ', refused.stderr)
@@ -292,28 +289,10 @@ class Scripts(Case):
     self.assertFalse(self.run_folder.exists())
     self.assertEqual([*long.iterdir(), *commas.iterdir()], [])
 
-  def test_a_home_that_the_shell_did_not_expand_in_flags_of_a_script(self):
-    home, here = self.folder / "home", self.folder / "here"
-    home.mkdir()
-    here.mkdir()
-    args = self.start_stub_fleet({"HOME": str(home)}, "--textures=~/textures")
-    self.assertIn(f"--textures={home}/textures", args["envserver"])
-    self.assertIn(f"--textures={home}/textures", args["learner"])
-
   def test_scripts_may_be_started_through_a_link(self):
-    links = self.folder / "links"
-    links.mkdir()
-    for script in sorted(SOURCE.rglob("deploy/**/*.sh")):
-      text = script.read_text()
-      for line in text.splitlines():
-        if re.search(r'dirname "\$0"|\$\{0%|\$\{BASH_SOURCE', line) and not line.lstrip().startswith("#"):
-          self.assertIn("readlink -f", line, f"{script}: a link would be taken for the script")
-    link = links / "fleet"
+    link = self.folder / "fleet"
     link.symlink_to(SOURCE / "deploy/local-fleet.sh")
-    refused = self.run_in([link, f"--logdir={self.run_folder}", "--actors=0"], env=environment(PATH="/usr/bin:/bin"))
-    self.assertIn("--actors=0, want 1..999", refused.stderr)
-    again = self.run_in([link, "--help"])
-    self.assertIn("--envservers=M", again.stdout)
+    self.assertIn("--envservers=M", self.run_in([link, "--help"]).stdout)
     stubs = self.start_stub_fleet({}, script=link)
     self.assertIn("--rank=0", stubs["learner"])
 

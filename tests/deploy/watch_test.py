@@ -6,7 +6,6 @@ import shutil
 import signal
 import subprocess
 import unittest
-import urllib.error
 import urllib.request
 
 from tests.fakes import python_case
@@ -142,14 +141,6 @@ class Watch(python_case.ProcessCase):
     self.assertAlmostEqual(sum(shares), 1, places=5)
     self.assertIn("metrics_address", self.status())
 
-  def test_garbage_on_the_metrics_port_does_no_harm(self):
-    url = self.word_after(self.start("craftfleet-envserver", "--listen=127.0.0.1:0")[1], "metrics on ")
-    with self.assertRaisesRegex(urllib.error.HTTPError, "404"):
-      urllib.request.urlopen(url.replace("/metrics", "/"), timeout=10)
-    with self.assertRaisesRegex(urllib.error.HTTPError, "405"):
-      urllib.request.urlopen(urllib.request.Request(url, method="DELETE"), timeout=10)
-    self.assertIn("craftfleet_info", urllib.request.urlopen(url, timeout=10).read().decode())
-
   def test_metrics_on_other_hosts_networks_need_a_flag(self):
     _, log = self.start("craftfleet-envserver", "--listen=127.0.0.1:0", "--metrics_listen=0.0.0.0:0")
     wait_until(lambda: "--metrics_insecure" in log.read_text(), "a refusal that says how")
@@ -174,18 +165,18 @@ class Watch(python_case.ProcessCase):
     self.assertLessEqual(max(map(len, page.splitlines())), 80)
     return page
 
-  def test_top_prints_pages_without_a_terminal(self):
+  def test_pages_are_printed_without_a_terminal(self):
     _, _, self.learner = self.start_learner()
-    process = subprocess.Popen([*built("craftfleet top"), f"--address={self.learner}", "--interval=100ms"],
-                               stdout=subprocess.PIPE, text=True)
-    lines = self.lines_of(process)
-    titles = 0
-    while titles < 3:
-      line = next(lines)
-      self.assertNotIn("\x1b", line)
-      titles += line.startswith("craftfleet top")
-    process.terminate()
-    self.assertEqual(process.wait(timeout=10), 0)
+    for begin, *command in (["craftfleet top", *built("craftfleet top")], ["role ", *built("craftfleet status"), "--watch"]):
+      process = subprocess.Popen([*command, f"--address={self.learner}", "--interval=100ms"], stdout=subprocess.PIPE, text=True)
+      lines = self.lines_of(process)
+      pages = 0
+      while pages < 3:
+        line = next(lines)
+        self.assertNotIn("\x1b", line)
+        pages += line.startswith(begin)
+      process.terminate()
+      self.assertEqual(process.wait(timeout=10), 0 if begin == "craftfleet top" else -signal.SIGTERM)
 
   def test_top_refuses_a_process_that_is_not_a_learner(self):
     _, log = self.start("craftfleet-envserver", "--listen=127.0.0.1:0")
@@ -194,15 +185,6 @@ class Watch(python_case.ProcessCase):
                            timeout=60)
     self.assertEqual(ended.returncode, 1)
     self.assertIn("want the learner", ended.stderr)
-
-  def test_status_streams(self):
-    _, _, self.learner = self.start_learner()
-    process = subprocess.Popen([*built("craftfleet status"), f"--address={self.learner}", "--watch", "--interval=100ms"],
-                               stdout=subprocess.PIPE, text=True)
-    lines = self.lines_of(process)
-    roles = 0
-    while roles < 3:
-      roles += bool(re.match(r"role +learner", next(lines)))
 
   def test_logs_as_json_are_one_object_a_line(self):
     process, log, self.learner = self.start_learner("--log_format=json")

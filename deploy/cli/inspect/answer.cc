@@ -16,7 +16,6 @@
 #include "common/process/cpu_quota.h"
 #include "deploy/cli/inspect/run_identity.h"
 #include "deploy/cli/inspect/run_state.h"
-#include "learner/page/page.h"
 #include "learner/training/steps_to_train.h"
 
 namespace craftfleet {
@@ -91,8 +90,7 @@ absl::StatusOr<Json> AnswerParsed(const Json& question) {
   if (question.contains("folder")) return AnswerFolder(question);
   if (question.contains("textures_in")) return AnswerTextures(question);
   if (question.contains("machine")) return Json{{"threads", DefaultThreads()}};
-  if (question.contains("page")) return Json{{"page", std::string(PageTemplate())}};
-  return absl::InvalidArgumentError("not a question, want config, folder, textures_in, machine or page");
+  return absl::InvalidArgumentError("not a question, want config, folder, textures_in or machine");
 }
 
 }  // namespace

@@ -17,7 +17,6 @@ namespace craftfleet {
 //   {"folder": DIR, "steps": N} -> "begun", "steps" and "finished" of the run in the folder (run_state.h).
 //   {"textures_in": DIR} -> "digest" of the textures; "": those that come with the programs.
 //   {"machine": true} -> "threads" that a run has by default.
-//   {"page": true} -> "page", the template of a report's web page.
 // {"error": MESSAGE}: the question or what it asks about is invalid.
 std::string Answer(absl::string_view question);
 

@@ -13,7 +13,8 @@ except ImportError as error:
   raise ImportError(
       f"{error}. In the folder with the package's source, Python finds the source instead of the installed package: start it "
       f"in another folder. If craftfleet is not installed: pip install ./deploy/python") from None
-from craftfleet import _registration
+import gymnasium
+
 from craftfleet.env import Env
 from craftfleet.gymnasium_env import GymnasiumEnv
 from craftfleet.policy import Policy
@@ -33,4 +34,9 @@ ACTIONS: tuple[str, ...] = _engine.ACTIONS  # by number
 ITEMS: tuple[str, ...] = _engine.ITEMS  # of the inventory
 ACHIEVEMENTS: tuple[str, ...] = _engine.ACHIEVEMENTS
 
-_registration.register()
+# Episodes are truncated by the environment itself (`length`).
+for _name, _reward in {"CraftFleet/Crafter-v1": True, "CraftFleet/CrafterNoReward-v1": False}.items():
+  if _name not in gymnasium.registry:
+    gymnasium.register(
+        _name, entry_point="craftfleet.gymnasium_env:GymnasiumEnv", vector_entry_point="craftfleet.vector_env:VectorEnv",
+        kwargs={"reward": _reward})

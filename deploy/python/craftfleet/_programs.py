@@ -1,4 +1,4 @@
-"""Runs CraftFleet's programs: where they are, their progress, their errors."""
+"""Runs CraftFleet's programs: their progress, their errors."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ import os
 import pathlib
 import queue
 import re
-import shutil
 import signal
 import subprocess
 import sys
@@ -16,25 +15,11 @@ import threading
 from collections.abc import Callable, Iterator
 from typing import IO, Any
 
+from craftfleet.analysis import programs
+
 # A line of progress: how much is done, of how much, and the unit.
 PROGRESS = re.compile(r"(?:\w+: )?([\d,]+)(?:/| of )([\d,]+) (steps|episodes)\b")
 LOG = re.compile(r"\d\d:\d\d:\d\d\.\d+ \w+: ")  # how a line of the log begins
-
-
-def find(name: str) -> tuple[list[str], dict[str, str]]:
-  """The command of `craftfleet NAME`, and its environment.
-
-  FileNotFoundError: there are no programs; ModuleNotFoundError: the program needs torch, and Python doesn't find it.
-  """
-  if importlib.util.find_spec("craftfleet_programs") is not None:
-    import craftfleet_programs  # pylint: disable=import-outside-toplevel  # only wheels have it
-    return craftfleet_programs.command("craftfleet", [name])
-  path = shutil.which("craftfleet")
-  if path is None:
-    raise FileNotFoundError(
-        "craftfleet is not in PATH: this package was installed without the programs; install a wheel that has them "
-        "(deploy/wheel.sh), or put the folder of a build, such as build/bin, into PATH")
-  return [path, name], dict(os.environ)
 
 
 def flags(**values: Any) -> list[str]:
@@ -44,7 +29,7 @@ def flags(**values: Any) -> list[str]:
 
 def start(name: str, arguments: list[str], **options: Any) -> subprocess.Popen:
   """Starts `craftfleet NAME` in a session of its own, so that Ctrl-C in a terminal reaches this process alone."""
-  command, environment = find(name)
+  command, environment = programs.find(name)
   return subprocess.Popen([*command, *arguments], env=environment, start_new_session=True, **options)
 
 

@@ -9,7 +9,7 @@ import json
 import os
 import pathlib
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from typing import Any
 
 import gymnasium
@@ -102,52 +102,59 @@ class _Files:
       self, env: Any, directory: str | os.PathLike[str] | None, save_stats: bool, save_video: bool, save_episode: bool,
       video_size: Any) -> None:
     self._folder = pathlib.Path(directory or ".").expanduser()
-    self._writers: list[_Writer] = []
-    self._playing = False
-    if not directory:
-      return
-    self._folder.mkdir(parents=True, exist_ok=True)
-    if save_stats:
-      self._writers.append(_Stats())
-    if save_video:
-      self._writers.append(_Video(env, _arguments.pair("video_size", video_size)))
-    if save_episode:
-      self._writers.append(_Table())
+    self._save_stats, self._save_table = bool(directory and save_stats), bool(directory and save_episode)
+    self._video = _Video(env, _arguments.pair("video_size", video_size)) if directory and save_video else None
+    self._first: np.ndarray | None = None  # the observation of the reset; None: no episode that is recorded
+    if directory:
+      self._folder.mkdir(parents=True, exist_ok=True)
 
   def begin(self, observation: np.ndarray) -> None:
     self.drop()
-    for writer in self._writers:
-      writer.begin(self._folder, observation)
-    self._playing = True
+    if self._video is not None:
+      self._video.begin(self._folder)
+    if self._save_stats or self._save_table or self._video is not None:
+      self._first, self._length, self._reward = observation, 0, 0.0
+      self._rows: list[dict[str, Any]] = []
 
   def add(self, action: Any, observation: np.ndarray, done: bool, info: dict[str, Any]) -> None:
-    if not self._playing or not self._writers:
+    if self._first is None:
       return
+    self._length += 1
+    self._reward += info["reward"]
     try:
-      for writer in self._writers:
-        writer.add(action, observation, done, info)
+      if self._video is not None:
+        self._video.add()
+      if self._save_table:
+        self._rows.append(_row(action, observation, done, info))
       if done:
-        with self._name(info) as stem:
-          for writer in self._writers:
-            writer.save(self._folder, stem)
-        self.drop()
+        self._save(info["achievements"])
     except BaseException:
       self.drop()
       raise
 
   def drop(self) -> None:
-    self._playing = False
-    for writer in self._writers:
-      writer.drop()
+    self._first, self._rows = None, []
+    if self._video is not None:
+      self._video.drop()
+
+  def _save(self, achievements: dict[str, int]) -> None:
+    with self._name(achievements) as stem:
+      if self._save_stats:
+        stats = {"length": self._length, "reward": round(self._reward, 1)}
+        _append_line(self._folder / "stats.jsonl", stats | {f"achievement_{name}": count for name, count in achievements.items()})
+      if self._video is not None:
+        self._video.save(self._folder / f"{stem}.mp4", self._length + 1)
+      if self._save_table:
+        _write_table(self._folder / f"{stem}.npz", self._first, self._rows)
+    self.drop()
 
   @contextlib.contextmanager
-  def _name(self, info: dict[str, Any]) -> Iterator[str]:
+  def _name(self, achievements: dict[str, int]) -> Iterator[str]:
     """A name that no file has, nor any other recorder takes meanwhile: a second later if it is taken."""
-    unlocked = sum(count > 0 for count in info["achievements"].values())
-    length = self._writers[0].length
+    unlocked = sum(count > 0 for count in achievements.values())
     time = datetime.datetime.now()
     while True:
-      stem = f"{time:%Y%m%dT%H%M%S}-ach{unlocked}-len{length}"
+      stem = f"{time:%Y%m%dT%H%M%S}-ach{unlocked}-len{self._length}"
       claim = self._folder / f".{stem}.claim"
       time += datetime.timedelta(seconds=1)
       try:
@@ -162,49 +169,16 @@ class _Files:
         claim.unlink()
 
 
-class _Writer:
-  """Counts the steps of an episode; what to record of it is added below."""
-
-  length = 0
-
-  def begin(self, folder: pathlib.Path, observation: np.ndarray) -> None:
-    self.length = 0
-
-  def add(self, action: Any, observation: np.ndarray, done: bool, info: dict[str, Any]) -> None:
-    self.length += 1
-
-  def save(self, folder: pathlib.Path, stem: str) -> None:
-    raise NotImplementedError
-
-  def drop(self) -> None:
-    pass
+def _append_line(path: pathlib.Path, stats: dict[str, Any]) -> None:
+  line = (json.dumps(stats) + "\n").encode()
+  with open(path, "ab", buffering=0) as file:
+    begin = file.seek(0, os.SEEK_END)
+    if file.write(line) < len(line):
+      file.truncate(begin)
+      raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(path))
 
 
-class _Stats(_Writer):
-  """A line of stats.jsonl for each episode."""
-
-  def begin(self, folder, observation):
-    super().begin(folder, observation)
-    self._reward = 0.0
-
-  def add(self, action, observation, done, info):
-    super().add(action, observation, done, info)
-    self._reward += info["reward"]
-    self._achievements = info["achievements"]
-
-  def save(self, folder, stem):
-    stats = {"length": self.length, "reward": round(self._reward, 1)}
-    stats.update((f"achievement_{name}", count) for name, count in self._achievements.items())
-    line = (json.dumps(stats) + "\n").encode()
-    with open(folder / "stats.jsonl", "ab", buffering=0) as file:
-      begin = file.seek(0, os.SEEK_END)
-      written = file.write(line)
-      if written < len(line):
-        file.truncate(begin)
-        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), file.name)
-
-
-class _Video(_Writer):
+class _Video:
   """A video, written while the episode is played: ten steps a second."""
 
   def __init__(self, env: Any, size: _arguments.Pair) -> None:
@@ -217,25 +191,25 @@ class _Video(_Writer):
     self._env, self._size = env, size
     self._file = self._path = None
 
-  def begin(self, folder, observation):
-    super().begin(folder, observation)
+  def begin(self, folder: pathlib.Path) -> None:
     self._path = _unfinished(folder, ".mp4")
     self._file = self._open(self._path)
+    self.add()
+
+  def add(self) -> None:
     self._file.append_data(self._env.picture(self._size))
 
-  def add(self, action, observation, done, info):
-    super().add(action, observation, done, info)
-    self._file.append_data(self._env.picture(self._size))
-
-  def save(self, folder, stem):
+  def save(self, path: pathlib.Path, pictures: int) -> None:
     self._file.close()
     self._file = None
-    if _frames(self._count, self._path) != self.length + 1:  # ffmpeg does not report that it could not write
-      raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), f"{folder / stem}.mp4")
-    self._path.rename(folder / f"{stem}.mp4")
-    self._path = None
+    with contextlib.suppress(RuntimeError):  # the video is damaged
+      if self._count(str(self._path))[0] == pictures:
+        self._path.rename(path)
+        self._path = None
+        return
+    raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(path))  # which ffmpeg does not report
 
-  def drop(self):
+  def drop(self) -> None:
     if self._file is not None:
       with contextlib.suppress(OSError):
         self._file.close()
@@ -244,31 +218,26 @@ class _Video(_Writer):
     self._file = self._path = None
 
 
-class _Table(_Writer):
+def _row(action: Any, observation: np.ndarray, done: bool, info: dict[str, Any]) -> dict[str, Any]:
+  """What the table has of a step."""
+  row = {"image": np.array(observation), "action": action, "reward": info["reward"], "done": done}
+  row.update((name, info[name]) for name in ("discount", "semantic", "player_pos"))
+  row.update((f"achievement_{name}", count) for name, count in info["achievements"].items())
+  row.update((f"ainventory_{name}", count) for name, count in info["inventory"].items())
+  return row
+
+
+def _write_table(path: pathlib.Path, first: np.ndarray, rows: list[dict[str, Any]]) -> None:
   """An .npz file: for each name an array with a row for the reset and for each step."""
-
-  def begin(self, folder, observation):
-    super().begin(folder, observation)
-    self._first, self._rows = observation, []
-
-  def add(self, action, observation, done, info):
-    super().add(action, observation, done, info)
-    row = {"image": np.array(observation), "action": action, "reward": info["reward"], "done": done}
-    row.update((name, info[name]) for name in ("discount", "semantic", "player_pos"))
-    row.update((f"achievement_{name}", count) for name, count in info["achievements"].items())
-    row.update((f"ainventory_{name}", count) for name, count in info["inventory"].items())
-    self._rows.append(row)
-
-  def save(self, folder, stem):
-    # The reset has an image; everything else of its row is zero.
-    first = {name: np.zeros_like(value) for name, value in self._rows[0].items()} | {"image": self._first}
-    columns = {name: np.array([row[name] for row in (first, *self._rows)]) for name in first}
-    path = _unfinished(folder, ".npz")
-    try:
-      np.savez_compressed(path, **columns)
-      path.rename(folder / f"{stem}.npz")
-    finally:
-      path.unlink(missing_ok=True)
+  # The reset has an image; everything else of its row is zero.
+  reset = {name: np.zeros_like(value) for name, value in rows[0].items()} | {"image": first}
+  columns = {name: np.array([row[name] for row in (reset, *rows)]) for name in reset}
+  unfinished = _unfinished(path.parent, ".npz")
+  try:
+    np.savez_compressed(unfinished, **columns)
+    unfinished.rename(path)
+  finally:
+    unfinished.unlink(missing_ok=True)
 
 
 def _unfinished(folder: pathlib.Path, suffix: str) -> pathlib.Path:
@@ -277,11 +246,3 @@ def _unfinished(folder: pathlib.Path, suffix: str) -> pathlib.Path:
   os.fchmod(descriptor, 0o644)
   os.close(descriptor)
   return pathlib.Path(path)
-
-
-def _frames(count: Callable[[str], tuple[int, float]], path: pathlib.Path) -> int:
-  """The pictures of a video; 0 if it is damaged."""
-  try:
-    return count(str(path))[0]
-  except RuntimeError:
-    return 0

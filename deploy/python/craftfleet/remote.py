@@ -199,21 +199,21 @@ class RemoteVectorEnv(gymnasium.vector.VectorEnv[np.ndarray, np.ndarray, np.ndar
 
   def _moments(self, reply: Any, count: int) -> Sequence[Any]:
     """Those of each lane with `details`; otherwise none."""
-    _expect("moments", len(reply.moments), count if self._details else 0)
+    if len(reply.moments) != (count if self._details else 0):
+      raise ValueError(f"{len(reply.moments)} moments")
     return reply.moments
 
   def _add_infos(self, infos: dict[str, Any], lanes: range, ends: np.ndarray, reply: Any) -> None:
     """The details of each lane, and what Gymnasium's infos have of those that ended: their details belong to the end."""
     ended = ends[lanes.start:lanes.stop]
-    _expect("episodes", len(reply.episodes), np.count_nonzero(ended))
-    episodes = iter(reply.episodes)
+    episodes = dict(zip(np.flatnonzero(ended), reply.episodes, strict=True))
     last_frames = iter(self._frames(reply.last_frames, np.count_nonzero(ended == TRUNCATED)))
     moments = self._moments(reply, len(lanes))
     for row, lane in enumerate(lanes):
       moment = moments[row] if moments else None
       info = {} if moment is None else _details(moment)
       if ends[lane]:
-        episode = next(episodes)
+        episode = episodes[row]
         info["episode"] = {"r": episode.reward, "l": episode.length}
         info["achievements"] = _by_name(_engine.ACHIEVEMENTS, episode.achievements)
         info = {"final_info": info}
@@ -330,26 +330,20 @@ def _details(moment: Any) -> dict[str, Any]:
   }
 
 
-def _expect(what: str, found: int, wanted: int) -> None:
-  if found != wanted:
-    raise ValueError(f"{found} {what}, want {wanted}")
-
-
 def _array(data: bytes, what: str, count: int, shape: tuple[int, ...]) -> np.ndarray:
   """uint8[count, *shape]."""
-  _expect(f"bytes of {what}", len(data), count * int(np.prod(shape)))
+  if len(data) != count * int(np.prod(shape)):
+    raise ValueError(f"{len(data)} bytes of {what}, want {count * int(np.prod(shape))}")
   return np.frombuffer(data, np.uint8).reshape(count, *shape)
 
 
 def _by_name(names: Sequence[str], counts: Sequence[int]) -> dict[str, int]:
-  _expect("counts", len(counts), len(names))
-  return dict(zip(names, counts))
+  return dict(zip(names, counts, strict=True))
 
 
 def _exact_rewards(rewards: Sequence[float], count: int) -> np.ndarray:
   """float64[count]: what the games gave, which the wire rounds to float32."""
-  _expect("rewards", len(rewards), count)
-  tenths = 10 * np.asarray(rewards, np.float64)
+  tenths = 10 * np.asarray(rewards, np.float64).reshape(count)
   if not np.all((tenths > LEAST_REWARD - 0.5) & (tenths < MOST_REWARD + 0.5)):
     raise ValueError(f"rewards {list(rewards)}, want each within {LEAST_REWARD / 10}..{MOST_REWARD / 10}")
   return REWARDS[np.rint(tenths).astype(int) - LEAST_REWARD]

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-import gzip
 import json
-import math
 import os
 import pathlib
 import re
@@ -16,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from craftfleet import _engine
+from craftfleet.analysis import logs
 
 if TYPE_CHECKING:
   import pandas
@@ -40,20 +39,15 @@ def score(path: str | os.PathLike[str]) -> Score:
   file = pathlib.Path(path).expanduser()
   if file.is_dir():
     file = next((file / name for name in ("stats.jsonl", "stats.jsonl.gz") if (file / name).exists()), file / "stats.jsonl")
-  with (gzip.open if file.suffix == ".gz" else open)(file, "rt", encoding="utf-8") as lines:
-    episodes = [_episode(file, number, line) for number, line in enumerate(lines, 1) if line.endswith("\n")]
-  if not episodes:
+  file.stat()
+  try:
+    episodes = logs.read_log(str(file), may_grow=True)
+  except logs.Refusal as error:
+    raise ValueError(str(error)) from None
+  if not len(episodes):
     raise ValueError(f"{file}: no finished episode, want a line of JSON for each")
-  rates = {
-      name: 100 * sum(episode[f"achievement_{name}"] > 0 for episode in episodes) / len(episodes)
-      for name in _engine.ACHIEVEMENTS
-  }
-  return Score(
-      score=math.expm1(sum(math.log1p(rate) for rate in rates.values()) / len(rates)),
-      success_rates=rates,
-      reward=sum(episode["reward"] for episode in episodes) / len(episodes),
-      length=sum(episode["length"] for episode in episodes) / len(episodes),
-      episodes=len(episodes))
+  rates = dict(zip(_engine.ACHIEVEMENTS, episodes.success.tolist()))
+  return Score(episodes.score, rates, episodes.reward, float(episodes.length.mean()), len(episodes))
 
 
 def load_weights(run: str | os.PathLike[str]) -> dict[str, np.ndarray]:
@@ -130,15 +124,6 @@ def _fields(message: bytes) -> Iterator[tuple[int, Any]]:
     size = {1: 8, 5: 4}.get(key & 7) or varint()
     yield key >> 3, message[position:position + size]
     position += size
-
-
-def _episode(file: pathlib.Path, number: int, line: str) -> dict[str, float]:
-  wanted = ("length", "reward", *(f"achievement_{name}" for name in _engine.ACHIEVEMENTS))
-  try:
-    episode = json.loads(line)
-    return {key: float(episode[key]) for key in wanted}
-  except (KeyError, TypeError, ValueError) as error:
-    raise ValueError(f"{file}, line {number}: {error}, want an episode as a recorder writes it") from None
 
 
 def _tensor(tensor: dict, data: memoryview) -> np.ndarray:

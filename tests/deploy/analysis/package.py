@@ -26,7 +26,7 @@ except ImportError as error:
   os.execv(SYSTEM_PYTHON, [SYSTEM_PYTHON, *sys.argv])
 
 from analysis._cli import Refusal  # noqa: E402  pylint: disable=wrong-import-position
-from analysis.episodes import ACHIEVEMENTS  # noqa: E402  pylint: disable=wrong-import-position
+from analysis.logs import ACHIEVEMENTS  # noqa: E402  pylint: disable=wrong-import-position
 from analysis.experiments import config_text, merged  # noqa: E402  pylint: disable=wrong-import-position
 
 

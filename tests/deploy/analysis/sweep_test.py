@@ -76,7 +76,8 @@ class Sweep(python_case.FolderCase):
     return sweep_plan.plan(cells, str(self.folder / "runs"), seeds)
 
   def make(self, seeds=1, gamma=0.5, program=None):
-    return sweep_jobs.Sweep(self.jobs(seeds, gamma), [str(program or self.program)], 2, self.out, look_again=0.05)
+    return sweep_jobs.Sweep(self.jobs(seeds, gamma), [str(program or self.program)], dict(os.environ), 2, self.out,
+                            look_again=0.05)
 
   def fails(self, made):
     with self.assertRaises(Refusal) as caught:
@@ -226,34 +227,18 @@ experiments = [{ name = "t", axes = [{ axis = "x" }, { axis = "y" }] }, { name =
       answer, = programs.ask([{"config": path.read_text()}])
       self.assertEqual(answer["config"], cell.config)
 
-  def test_times_left(self):
-    self.assertEqual([sweep_jobs.time_left_text(seconds) for seconds in (59.4, 61, 7322, 90061)], ["59s", "1m1s", "2h2m", "1d1h"])
-
 
 class SlurmArray(python_case.FolderCase):
-
-  def array(self, logs="/runs/slurm"):
-    return slurm.Array(logs, 5, 2, ["/bin/craftfleet", "sweep", "/it's here/paper.toml", "--logdir=/runs"], ["t/a/seed1", "t/b c/seed1"])
 
   def run_task(self, task, srun_exit=0, state="RUNNING"):
     """Task of the script with stand-ins for Slurm's commands: srun and scontrol print their arguments, squeue prints `state`."""
     programs = (f"srun() {{ printf '[%s]' \"$@\"; return {srun_exit}; }}\nsqueue() {{ echo {state}; }}\n"
                 "scontrol() { echo scontrol \"$@\"; }\nexec() { \"$@\"; exit; }\n")
-    (self.folder / "script").write_text(programs + slurm.script(self.array()))
+    command = ["/bin/craftfleet", "sweep", "/it's here/paper.toml", "--logdir=/runs"]
+    (self.folder / "script").write_text(programs + slurm.script("/runs/slurm", 5, 2, command, ["t/a/seed1", "t/b c/seed1"]))
     ended = subprocess.run(["bash", self.folder / "script"], capture_output=True, text=True, check=False, env=os.environ | {
         "SLURM_ARRAY_JOB_ID": "7", "SLURM_CPUS_PER_TASK": "2", "SLURM_ARRAY_TASK_ID": str(task)})
     return ended.stdout, ended.returncode
-
-  def test_asks_for_one_task_for_each_run(self):
-    script = slurm.script(self.array())
-    self.assertTrue(script.startswith("#!/usr/bin/env bash\n"))
-    for line in ("#SBATCH --array=0-1%5\n", '#SBATCH --output="/runs/slurm/%A_%a.log"\n', "#SBATCH --requeue\n",
-                 "#SBATCH --cpus-per-task=2\n", "#SBATCH --signal=TERM@60\n"):
-      self.assertIn(line, script)
-
-  def test_the_folder_of_the_logs_may_have_any_name(self):
-    script = slurm.script(self.array('/my runs/100%A, größe "1"/slurm'))
-    self.assertIn('#SBATCH --output="/my runs/100%%A, größe \\"1\\"/slurm/%A_%a.log"\n', script)
 
   def test_each_task_runs_its_own_run(self):
     self.assertEqual(self.run_task(0), ("[--cpu-bind=none][/bin/craftfleet][sweep][/it's here/paper.toml][--logdir=/runs]"
@@ -264,10 +249,6 @@ class SlurmArray(python_case.FolderCase):
     self.assertTrue(self.run_task(1, slurm.STOPPED)[0].endswith("scontrol requeue 7_1\n"))
     self.assertEqual(self.run_task(1, 1)[1], 1)
     self.assertEqual(self.run_task(1, slurm.STOPPED, "COMPLETING")[1], 75)
-
-  def test_a_shell_word_is_read_back_as_one_word(self):
-    for word, quoted in (("--logdir=/runs/a,b", "--logdir=/runs/a,b"), ("", "''"), ("$x `y`", "'$x `y`'"), ("it's", "'it'\\''s'")):
-      self.assertEqual(slurm.shell_word(word), quoted)
 
 
 class Commands(unittest.TestCase):

@@ -1,6 +1,5 @@
 """craftfleet.Env beside the original, its errors, copies and snapshots, and what processes and threads do around it."""
 
-import asyncio
 import concurrent.futures
 import copy
 import multiprocessing
@@ -218,7 +217,7 @@ class Clones(package.PackageCase):
 
 
 class Around(package.PackageCase):
-  """Processes, threads and asyncio."""
+  """Processes and threads."""
 
   def test_forked_and_spawned_processes_play_the_same_game(self):
     env = started()
@@ -242,11 +241,6 @@ class Around(package.PackageCase):
     for thread in threads:
       thread.join()
     self.assertEqual(started(length=None).restore(env.snapshot()).tobytes(), env.picture().tobytes())
-
-  def test_asyncio_tasks_play_side_by_side(self):
-    async def both():
-      return await asyncio.gather(*(asyncio.to_thread(play, started(seed=seed), 50) for seed in range(2)))
-    self.assertEqual(asyncio.run(both()), [play(started(seed=seed), 50) for seed in range(2)])
 
 
 if __name__ == "__main__":

@@ -147,14 +147,6 @@ class Environment(package.PackageCase):
     self.assertIn("start it in another folder", ended.stderr)
     self.assertIn("pip install ./deploy/python", ended.stderr)
 
-  def test_gymnasiums_own_vectors_take_it(self):
-    for mode in ("sync", "async"):
-      envs = gymnasium.make_vec(NAMES[0], num_envs=2, vectorization_mode=mode)
-      observations, _ = envs.reset(seed=4)
-      self.assertEqual(observations.shape, (2, 64, 64, 3))
-      self.assertEqual(envs.step(np.array([1, 2]))[0].shape, (2, 64, 64, 3))
-      envs.close()
-
 
 if __name__ == "__main__":
   python_case.main()

@@ -1,6 +1,5 @@
 """The Python package is built and installed as a user does it. The other tests of the package use what this one installs."""
 
-import os
 import re
 import shutil
 import subprocess
@@ -39,30 +38,6 @@ class Install(python_case.FolderCase):
     files = {path.name for path in (package.SITE / "craftfleet").iterdir()}
     self.assertLessEqual({"py.typed", "_engine.pyi", "env.py"}, files)
     self.assertTrue(list(package.SITE.glob("craftfleet-*.dist-info/licenses/LICENSE")))
-
-  def test_the_commands_of_the_readme_install_it_and_its_first_lines_play_a_game(self):
-    """In a fresh environment that has its dependencies from the tests': nothing is downloaded."""
-    page = (SOURCES / "README.md").read_text()
-    environment = self.folder / "venv"
-    make, install = (
-        re.sub(r"(?<!-m )\bvenv\b", str(environment), command)
-        for command in re.findall(r"^    ((?:python3 -m venv|venv/bin/pip) .*)$", page, re.MULTILINE)[:2])
-    self.run_command(make)
-    (site,) = environment.glob("lib/python*/site-packages")
-    (site / "tests.pth").write_text(f"{next(path for path in sys.path if path.endswith('site-packages'))}\n")
-    self.run_command(
-        install, PIP_NO_INDEX="1", PIP_NO_BUILD_ISOLATION="0", PIP_CONFIG_SETTINGS=f"build-dir={package.BUILD / 'build'}")
-    self.assertTrue((site / "craftfleet/py.typed").exists())
-    python = environment / "bin/python"
-    game = re.search(r"^```python\n(.*?)^```", page, re.MULTILINE | re.DOTALL)[1]
-    played = subprocess.run(
-        [python, "-c", f"{game}print(info['discount'])"], capture_output=True, text=True, timeout=300, check=False, cwd=self.folder)
-    self.assertEqual((played.returncode, played.stdout, played.stderr), (0, "0.0\n", ""))
-
-  def run_command(self, command, **variables):
-    ended = subprocess.run(
-        command.split(), capture_output=True, text=True, timeout=900, check=False, cwd=SOURCE, env={**os.environ, **variables})
-    self.assertEqual(ended.returncode, 0, f"{command}: {ended.stdout}{ended.stderr}")
 
   def test_a_source_distribution_has_all_of_the_game(self):
     made = subprocess.run(

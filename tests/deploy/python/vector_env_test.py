@@ -1,6 +1,5 @@
 """craftfleet.VectorEnv: the games of Gymnasium's own vector, on threads, in arrays that are allocated once."""
 
-import asyncio
 import copy
 import ctypes.util
 import multiprocessing
@@ -314,17 +313,6 @@ class Around(package.PackageCase):
       stop.set()
       other.join()
     self.assertEqual(set(refused), {"another thread is in a call of this VectorEnv, want one at a time"})
-
-  def test_asyncio_steps_it_in_a_thread(self):
-    async def steps():
-      envs = started()
-      for _ in range(20):
-        await asyncio.to_thread(envs.step, np.ones(5, int))
-      return envs.snapshot()
-    plain = started()
-    for _ in range(20):
-      plain.step(np.ones(5, int))
-    self.assertEqual(asyncio.run(steps()), plain.snapshot())
 
 
 if __name__ == "__main__":

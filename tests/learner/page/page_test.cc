@@ -38,10 +38,6 @@ TEST(Page, IsOneFileWithTwoScripts) {
   EXPECT_TRUE(absl::StrContains(ScriptsOf(PageTemplate())[0], "Chart.js v3"));
 }
 
-TEST(Page, AReportTakesThePlaceOfNothing) {
-  EXPECT_THAT(std::string(PageTemplate()), HasSubstr(R"(id="report">null</script>)"));
-}
-
 TEST(Page, GzipKeepsEveryByte) {
   const std::string packed = Gzip(PageTemplate());
   std::string text(PageTemplate().size() + 1, '\0');

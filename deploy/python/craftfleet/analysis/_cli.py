@@ -9,11 +9,13 @@ import errno
 import json
 import os
 import re
-import select
+import secrets
+import shutil
 import stat
 import subprocess
 import sys
 import tempfile
+import types
 from typing import Callable
 
 from . import programs
@@ -28,6 +30,15 @@ def reason(error: Exception) -> str:
   if isinstance(error, OSError) and error.strerror:
     return f"{os.fsdecode(error.filename)}: {error.strerror}" if error.filename else error.strerror
   return str(error)
+
+
+def read_text(path: str) -> str:
+  """Refusal: the file cannot be read, or is no text."""
+  try:
+    with open(path, encoding="utf-8", newline="") as file:
+      return file.read()
+  except (OSError, UnicodeDecodeError) as error:
+    raise Refusal(reason(error) if isinstance(error, OSError) else f"{path}: not a text file: {error}") from None
 
 
 @dataclasses.dataclass(frozen=True)
@@ -69,17 +80,10 @@ def default_text(flag: Flag) -> str:
   return str(flag.default) if flag.default != "" else ""
 
 
-class Values:
-  """The values of the flags, as attributes."""
-
-  def __init__(self, flags: list[Flag]):
-    self.__dict__.update({flag.name: flag.default for flag in flags})
-
-
-def parse(program: str, flags: list[Flag], arguments: list[str]) -> tuple[Values, list[str]]:
-  """The values of the flags and the other arguments."""
+def parse(program: str, flags: list[Flag], arguments: list[str]) -> tuple[types.SimpleNamespace, list[str]]:
+  """The values of the flags, as attributes, and the other arguments."""
   by_name = {flag.name: flag for flag in flags}
-  values = Values(flags)
+  values = types.SimpleNamespace(**{flag.name: flag.default for flag in flags})
   rest = []
   words = iter(arguments)
   for word in words:
@@ -153,34 +157,29 @@ def help_json(program: str, usage: str, flags: list[Flag]) -> str:
 
 
 def version(program: str) -> str:
-  text = subprocess.run([*programs.command("inspect"), "--version"], capture_output=True, text=True, check=True).stdout
+  words, environment = programs.find("inspect")
+  text = subprocess.run([*words, "--version"], capture_output=True, text=True, check=True, env=environment).stdout
   return text.replace("craftfleet inspect", program)
 
 
 # Running.
 
 
-def _reader_is_gone() -> bool:
-  poll = select.poll()
-  poll.register(1, select.POLLOUT)
-  return any(event & (select.POLLERR | select.POLLHUP) for _, event in poll.poll(0))
-
-
 def _finish_output() -> str:
-  """Writes what is left of standard output; returns what went wrong."""
+  """Writes what is left of standard output; returns what went wrong. A reader that is gone is no error."""
   try:
     sys.stdout.flush()
     return ""
   except BrokenPipeError:
     problem = ""
   except (OSError, ValueError) as error:
-    problem = "" if _reader_is_gone() else f"cannot write all of standard output: {reason(error)}"
-  # Python writes what is left again at its end.
-  os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
+    problem = f"cannot write all of standard output: {reason(error)}"
+  os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # Python writes what is left again at its end
   return problem
 
 
-def run(program: str, usage: str, flags: list[Flag], arguments: list[str], body: Callable[[Values, list[str]], int | None]) -> int:
+def run(program: str, usage: str, flags: list[Flag], arguments: list[str],
+        body: Callable[[types.SimpleNamespace, list[str]], int | None]) -> int:
   """Runs `body` and returns the exit code: 0, its own, or 1 after an error on standard error."""
   code, error = 0, ""
   try:
@@ -192,18 +191,14 @@ def run(program: str, usage: str, flags: list[Flag], arguments: list[str], body:
       sys.stdout.write(text(program, usage, flags))
     else:
       code = body(*parse(program, flags, arguments)) or 0
-  except Refusal as refusal:
-    code, error = 1, str(refusal)
-  except BrokenPipeError:
-    pass
-  except KeyboardInterrupt:
-    code, error = 130, "stopped"
-  except OSError as problem:
+  except (BrokenPipeError, KeyboardInterrupt) as stopped:
+    code, error = (0, "") if isinstance(stopped, BrokenPipeError) else (130, "stopped")
+  except (Refusal, OSError) as problem:
     code, error = 1, reason(problem)
-    if problem.errno == errno.ENOSPC and not problem.filename:
+    if isinstance(problem, OSError) and problem.errno == errno.ENOSPC and not problem.filename:
       error = f"cannot write all of standard output: {error}"
   problem = _finish_output()
-  if problem and not error:
+  if code == 0 and problem:
     code, error = 1, problem
   if error:
     with contextlib.suppress(OSError):
@@ -217,16 +212,15 @@ def warn(message: str) -> None:
 
 # Targets of output.
 
+STANDARD_OUTPUT = ("-", "/dev/stdout")
+
 
 def is_stream(path: str) -> bool:
   """Whether bytes that are written to `path` go on to someone, instead of being kept in a file."""
-  if path == "-" or path in ("/dev/stdout", "/dev/stderr") or re.match(r"/dev/fd/|/proc/self/fd/", path):
-    return True
   try:
-    mode = os.stat(path).st_mode
+    return path in STANDARD_OUTPUT or not stat.S_IFMT(os.stat(path).st_mode) in (stat.S_IFREG, stat.S_IFDIR)
   except OSError:
     return False
-  return not stat.S_ISREG(mode) and not stat.S_ISDIR(mode)
 
 
 class OutputFile:
@@ -237,28 +231,21 @@ class OutputFile:
 
   def __init__(self, flag: str, path: str):
     self.flag, self.path = flag, path
-    self.is_standard_output = path in ("-", "/dev/stdout", "/dev/fd/1", "/proc/self/fd/1")
-    self.is_stream = is_stream(path)
+    self.is_standard_output = path in STANDARD_OUTPUT
     self._stream = None
     if self.is_standard_output:
       return
     if os.path.isdir(path):
       raise Refusal(f"{flag}: {path} is a folder, want a file")
-    if self.is_stream:
-      mode = os.stat(path).st_mode
-      if stat.S_ISBLK(mode) or stat.S_ISSOCK(mode):
+    if is_stream(path):
+      if stat.S_IFMT(os.stat(path).st_mode) not in (stat.S_IFIFO, stat.S_IFCHR):
         raise Refusal(f"{flag}: {path} is no file, want a file or a stream")
-      self._stream = self._try("open", lambda: open(path, "wb", buffering=0))
+      self._stream = self._try("open", lambda: open(path, "wb"))
       return
     self.path = os.path.realpath(path)
     if os.path.exists(self.path) and not os.access(self.path, os.W_OK):
       raise Refusal(f"{flag}: cannot open {self.path}: Permission denied")
-    handle, name = self._try("create", self._temporary)
-    os.close(handle)
-    os.unlink(name)
-
-  def _temporary(self):
-    return tempfile.mkstemp(prefix=".craftfleet-", dir=os.path.dirname(self.path))
+    self._try("create", lambda: tempfile.TemporaryFile(dir=os.path.dirname(self.path)).close())
 
   def _try(self, what, action):
     try:
@@ -266,37 +253,32 @@ class OutputFile:
     except OSError as error:
       raise Refusal(f"{self.flag}: cannot {what} {self.path}: {error.strerror}") from None
 
+  def _write_stream(self, content: bytes) -> None:
+    with self._stream as stream:
+      stream.write(content)
+
   def write(self, content: bytes) -> None:
     if self.is_standard_output:
       sys.stdout.flush()
       sys.stdout.buffer.write(content)
-      sys.stdout.buffer.flush()
     elif self._stream is not None:
-      with self._stream as stream:
-        self._try("write", lambda: write_all(stream, content))
+      self._try("write", lambda: self._write_stream(content))
     else:
       self._try("write", lambda: replace_file(self.path, content))
 
 
-def write_all(stream, content: bytes) -> None:
-  view = memoryview(content)
-  while view:
-    view = view[stream.write(view):]
-
-
 def replace_file(path: str, content: bytes) -> None:
   """Replaces the file at once. OSError: it is unchanged, and nothing else is left."""
-  handle, name = tempfile.mkstemp(prefix=".craftfleet-", dir=os.path.dirname(os.path.abspath(path)))
+  new = os.path.join(os.path.dirname(os.path.abspath(path)), f".craftfleet-{secrets.token_hex(8)}")
   try:
-    with open(handle, "wb", buffering=0) as file:
-      write_all(file, content)
+    with open(new, "xb") as file:
+      file.write(content)
+      file.flush()
       os.fsync(file.fileno())
-      umask = os.umask(0)
-      os.umask(umask)
-      mode = stat.S_IMODE(os.stat(path).st_mode) if os.path.exists(path) else 0o666 & ~umask
-      os.fchmod(file.fileno(), mode)
-    os.replace(name, path)
+    if os.path.exists(path):
+      shutil.copymode(path, new)
+    os.replace(new, path)
   except OSError:
     with contextlib.suppress(OSError):
-      os.unlink(name)
+      os.unlink(new)
     raise

@@ -9,7 +9,7 @@ import sys
 from collections.abc import Callable
 
 from . import _cli
-from ._cli import Flag, OutputFile, Refusal, reason
+from ._cli import Flag, OutputFile, Refusal, read_text
 
 PROGRAM = "craftfleet curve"
 USAGE = """craftfleet curve RUN... draws the learning curves of runs and prints their last values. RUN is a run folder, its
@@ -31,38 +31,28 @@ _FEWEST_EPISODES = 10  # means over fewer are too noisy to draw
 @dataclasses.dataclass
 class NamedCurve:
   name: str
-  curve: object  # episodes.Curve, not empty
+  curve: object  # logs.Curve, not empty
 
 
 def read_reference(path: str):
   """The curve in a CSV file.   Refusal: a column is missing, or a value is no number; names line and column."""
   import numpy as np  # pylint: disable=import-outside-toplevel
-  from .episodes import Curve  # pylint: disable=import-outside-toplevel
-  try:
-    with open(path, encoding="utf-8", newline="") as file:
-      lines = [[cell.strip() for cell in line] for line in csv.reader(file)]
-  except (OSError, UnicodeDecodeError) as error:
-    raise Refusal(reason(error) if isinstance(error, OSError) else f"{path}: not a text file") from None
-  while lines and not any(lines[-1]):
-    lines.pop()
+  from .logs import Curve  # pylint: disable=import-outside-toplevel
+  lines = csv.DictReader(read_text(path).splitlines(), skipinitialspace=True)
   for column in REFERENCE_COLUMNS:
-    if not lines or column not in lines[0]:
+    if column not in (lines.fieldnames or ()):
       raise Refusal(f'{path}:1: no column "{column}"')
-  indices = [lines[0].index(column) for column in REFERENCE_COLUMNS]
   rows = []
-  for number, line in enumerate(lines[1:], 2):
-    row = []
-    for column, index in zip(REFERENCE_COLUMNS, indices):
-      cell = line[index] if index < len(line) else ""
+  for line in lines:
+    for column in REFERENCE_COLUMNS:
       try:
-        row.append(float(cell))
+        rows.append(float(line[column] or ""))
       except ValueError:
-        raise Refusal(f'{path}:{number}: {column} is "{cell}", want a number') from None
-    rows.append(row)
+        raise Refusal(f'{path}:{lines.line_num}: {column} is "{line[column] or ""}", want a number') from None
   if not rows:
     raise Refusal(f"{path}: no line after the column names")
-  table = np.array(rows)
-  return Curve(table[:, 0].astype(np.int64), table[:, 1].astype(np.int64), table[:, 2], table[:, 3])
+  episodes, steps, reward, score = np.array(rows).reshape(-1, len(REFERENCE_COLUMNS)).T
+  return Curve(episodes.astype(np.int64), steps.astype(np.int64), reward, score)
 
 
 def _read_all(paths: list[str], read: Callable) -> list[NamedCurve]:
@@ -125,20 +115,13 @@ def draw(runs: list[NamedCurve], references: list[NamedCurve]) -> bytes:
   return charts.png(figure)
 
 
-def _open_out(path: str) -> OutputFile | None:
-  if not path:
-    return None
-  extension = os.path.splitext(path)[1].lower()
-  if extension not in ("", ".png"):
-    raise Refusal(f"--out={path}, want a file that ends in .png")
-  return OutputFile("--out", path)
-
-
 def _run(flags, paths: list[str]) -> int:
   from .runs import read_curve  # pylint: disable=import-outside-toplevel
   if not paths:
     raise Refusal("name at least one run folder; see --help")
-  out = _open_out(flags.out)
+  if os.path.splitext(flags.out)[1].lower() not in ("", ".png"):
+    raise Refusal(f"--out={flags.out}, want a file that ends in .png")
+  out = OutputFile("--out", flags.out) if flags.out else None
   runs = _read_all(paths, read_curve)
   references = _read_all(flags.reference, read_reference)
   print(table(runs, references), end="", file=sys.stderr if out and out.is_standard_output else sys.stdout)

@@ -5,13 +5,11 @@ from __future__ import annotations
 import copy
 import dataclasses
 import itertools
-import math
 import re
 
 from . import programs
-from ._cli import Refusal, reason
+from ._cli import Refusal, read_text
 
-MAX_CELLS = 10_000  # of one experiment
 _COMBINE = ("product", "each", "pairs")
 
 
@@ -140,10 +138,7 @@ def _varied_together(combine: str, axes: int) -> list[tuple[int, ...]]:
 
 def _cells(experiment: Experiment, base: dict) -> list[Cell]:
   cells = []
-  sets = _varied_together(experiment.combine, len(experiment.axes))
-  if sum(math.prod(len(experiment.axes[axis].choices) for axis in axes) for axes in sets) > MAX_CELLS:
-    raise Refusal(f"more than {MAX_CELLS} cells")
-  for axes in sets:
+  for axes in _varied_together(experiment.combine, len(experiment.axes)):
     for numbers in itertools.product(*(range(len(experiment.axes[axis].choices)) for axis in axes)):
       choices = [experiment.axes[axis].choices[number] for axis, number in zip(axes, numbers)]
       config = base
@@ -215,8 +210,4 @@ def parse(text: str, filename: str) -> list[Experiment]:
 
 def load(path: str) -> list[Experiment]:
   """The experiments of a file.   Refusal: as parse, or it cannot be read."""
-  try:
-    with open(path, encoding="utf-8") as file:
-      return parse(file.read(), path)
-  except (OSError, UnicodeDecodeError) as error:
-    raise Refusal(reason(error) if isinstance(error, OSError) else f"{path}: not a text file: {error}") from None
+  return parse(read_text(path), path)

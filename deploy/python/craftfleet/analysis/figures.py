@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 
-from ._cli import Refusal, reason
+from ._cli import Refusal, read_text
 
 HEADER = "table,cell,measure,at,mean,std,source"
 
@@ -28,55 +28,29 @@ class Figures:
 
   def __init__(self, text: str, filename: str):
     """Refusal: the line that is invalid."""
-    self.all: list[Figure] = []
     self._found: dict[tuple, Figure] = {}
-    header = False
-    for number, line in enumerate(text.split("\n"), 1):
-      line = line.strip()
-      if not line or line.startswith("#"):
-        continue
+    lines = [(number, line.strip()) for number, line in enumerate(text.splitlines(), 1) if line.strip() and line.strip()[0] != "#"]
+    if not lines or lines[0][1] != HEADER:
+      raise Refusal(f"{filename}:{lines[0][0] if lines else 1}: want the columns' names, {HEADER}")
+    for number, line in lines[1:]:
       try:
-        if header:
-          self._add(line)
-        elif line != HEADER:
-          raise Refusal(f"want the columns' names, {HEADER}")
-      except Refusal as error:
-        raise Refusal(f"{filename}:{number}: {error}") from None
-      header = True
-    if not header:
-      raise Refusal(f"{filename}: empty, want {HEADER}")
+        table, cell, measure, at, mean, deviation, source = line.split(",")
+        figure = Figure(table, cell, measure, int(at or 0), float(mean), float(deviation) if deviation else None, source)
+      except ValueError as error:
+        raise Refusal(f"{filename}:{number}: {error}, want {HEADER}") from None
+      key = (table, cell, measure, figure.at)
+      if key in self._found:
+        raise Refusal(f"{filename}:{number}: {table} {cell} {measure} occurs twice")
+      self._found[key] = figure
 
-  def _add(self, line: str) -> None:
-    cells = line.split(",")
-    if len(cells) != len(HEADER.split(",")):
-      raise Refusal(f"{len(cells)} columns, want {len(HEADER.split(','))}: {HEADER}")
-    table, cell, measure, at, mean, deviation, source = cells
-    figure = Figure(table, cell, measure, int(_number("at", at, int) or 0), _number("mean", mean, float, needed=True),
-                    _number("std", deviation, float), source)
-    key = (table, cell, measure, figure.at)
-    if key in self._found:
-      raise Refusal(f"{table} {cell} {measure} occurs twice")
-    self._found[key] = figure
-    self.all.append(figure)
+  @property
+  def all(self) -> list[Figure]:
+    return list(self._found.values())
 
   def find(self, table: str, cell: str, measure: str, at: int = 0) -> Figure | None:
     return self._found.get((table, cell, measure, at))
 
 
-def _number(name: str, text: str, kind: type, needed: bool = False):
-  if not text and not needed:
-    return None
-  try:
-    return kind(text)
-  except ValueError:
-    want = "a number" if needed else "a number or nothing" if kind is float else "a whole number or nothing"
-    raise Refusal(f'{name} is "{text}", want {want}') from None
-
-
 def load(path: str) -> Figures:
   """Refusal: the file cannot be read, or as Figures."""
-  try:
-    with open(path, encoding="utf-8") as file:
-      return Figures(file.read(), path)
-  except (OSError, UnicodeDecodeError) as error:
-    raise Refusal(reason(error) if isinstance(error, OSError) else f"{path}: not a text file: {error}") from None
+  return Figures(read_text(path), path)

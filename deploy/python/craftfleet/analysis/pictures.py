@@ -9,7 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from . import charts
-from .episodes import ACHIEVEMENTS
+from .logs import ACHIEVEMENTS
 from .figures import Figures
 from .results import MEASURES, SCORES, CellResult, ExperimentResult, SpreadCurve, curve_end, spread_of_curves
 

@@ -10,24 +10,21 @@ import shutil
 import subprocess
 
 
-def _folder() -> str:
-  """The folder of the programs: CRAFTFLEET_BIN, that of the wheel, or that of the craftfleet in PATH; "": there is none."""
+def find(name: str) -> tuple[list[str], dict[str, str]]:
+  """The words that start `craftfleet NAME`, and its environment: of CRAFTFLEET_BIN, of the wheel, or of PATH.
+
+  FileNotFoundError: there are no programs; ModuleNotFoundError: the program needs torch, and Python doesn't find it.
+  """
   given = os.environ.get("CRAFTFLEET_BIN")
-  if given:
-    return given
-  wheel = importlib.util.find_spec("craftfleet_programs")
-  if wheel is not None and wheel.origin:
-    return os.path.join(os.path.dirname(wheel.origin), "bin")
-  found = shutil.which("craftfleet")
-  return os.path.dirname(os.path.realpath(found)) if found else ""
-
-
-def command(name: str) -> list[str]:
-  """The words that start `craftfleet NAME`.   FileNotFoundError: craftfleet neither runs this, nor is it in a wheel or in PATH."""
-  path = os.path.join(_folder(), "craftfleet")
-  if os.path.exists(path):
-    return [path, name]
-  raise FileNotFoundError(f"{path} is missing: it must be in PATH, or in the folder that the environment variable CRAFTFLEET_BIN names")
+  if not given and importlib.util.find_spec("craftfleet_programs") is not None:
+    import craftfleet_programs  # pylint: disable=import-outside-toplevel  # only wheels have it
+    return craftfleet_programs.command("craftfleet", [name])
+  path = shutil.which("craftfleet", path=given)
+  if path is None:
+    raise FileNotFoundError(
+        f"craftfleet is not in {given or 'PATH'}: install a wheel that has the programs (deploy/wheel.sh), or put the folder of a "
+        "build, such as build/bin, into PATH or CRAFTFLEET_BIN")
+  return [os.path.realpath(path), name], dict(os.environ)
 
 
 def ask(questions: list[dict]) -> list[dict]:
@@ -35,7 +32,8 @@ def ask(questions: list[dict]) -> list[dict]:
   if not questions:
     return []
   text = "".join(json.dumps(question, ensure_ascii=True) + "\n" for question in questions)
-  ended = subprocess.run(command("inspect"), input=text, capture_output=True, text=True, check=False)
+  words, environment = find("inspect")
+  ended = subprocess.run(words, input=text, capture_output=True, text=True, check=False, env=environment)
   answers = [json.loads(line) for line in ended.stdout.splitlines()]
   if len(answers) != len(questions):
     raise ChildProcessError(f"craftfleet inspect ended early: {ended.stderr.strip()}")
@@ -44,7 +42,7 @@ def ask(questions: list[dict]) -> list[dict]:
 
 def installed(name: str) -> str:
   """The path of a file of share/craftfleet, such as "experiments/paper.toml"; of the checkout where nothing is installed."""
-  path = pathlib.Path(_folder()).parent / "share/craftfleet" / name
+  path = pathlib.Path(find("inspect")[0][0]).parents[1] / "share/craftfleet" / name
   if path.exists():
     return str(path)
   checkout = pathlib.Path(__file__).resolve().parents[3] / name  # deploy/

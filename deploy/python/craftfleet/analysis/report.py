@@ -109,48 +109,37 @@ def make_report(all_experiments, paper, runs, with_csv: bool = True) -> dict[str
   return files
 
 
-class Target:
-  """Where the report goes: a folder, or a stream, which takes report.md alone.
+def check_target(out: str) -> None:
+  """Refusal: the report cannot be written there. Creates nothing."""
+  if _cli.is_stream(out):
+    return
+  above = os.path.abspath(out)
+  while not os.path.lexists(above):
+    above = os.path.dirname(above)
+  if os.path.isdir(out):
+    OutputFile("--out", os.path.join(out, PAGE))
+  elif not os.path.isdir(above):
+    raise Refusal(f"--out: {above} is not a folder; want a folder, or - for standard output")
+  elif not os.access(above, os.W_OK | os.X_OK):
+    raise Refusal(f"--out: cannot create a folder in {above}: Permission denied")
 
-  Opened before the runs are read, so that a target that cannot be written is refused then.
+
+def write(out: str, files: dict[str, bytes]) -> int:
+  """Replaces files of the report's names in a folder; none if one of them cannot be written. A stream takes report.md alone.
+
+  Returns how many were written.
   """
-
-  def __init__(self, out: str):
-    self._out = out
-    self.is_folder = not _cli.is_stream(out)
-    self._page = None  # in a folder that does not exist yet
-    if self.is_folder and not os.path.isdir(out):
-      self._check_new_folder()
-    else:
-      self._page = OutputFile("--out", os.path.join(out, PAGE) if self.is_folder else out)
-
-  @property
-  def is_standard_output(self) -> bool:
-    return self._page is not None and self._page.is_standard_output
-
-  def _check_new_folder(self) -> None:
-    """Whether the folder can be created; creates nothing."""
-    above = os.path.abspath(self._out)
-    while not os.path.lexists(above):
-      above = os.path.dirname(above)
-    if not os.path.isdir(above):
-      raise Refusal(f"--out: {above} is not a folder; want a folder, or - for standard output")
-    if not os.access(above, os.W_OK | os.X_OK):
-      raise Refusal(f"--out: cannot create a folder in {above}: Permission denied")
-
-  def write(self, files: dict[str, bytes]) -> int:
-    """Replaces files of the report's names; none if one of them cannot be written. Returns how many were written."""
-    if not self.is_folder:
-      self._page.write(files[PAGE])
-      return 1
-    try:
-      os.makedirs(self._out, exist_ok=True)
-    except OSError as error:
-      raise Refusal(f"--out: cannot create {self._out}: {error.strerror}") from None
-    opened = [(OutputFile("--out", os.path.join(self._out, name)), content) for name, content in sorted(files.items())]
-    for file, content in opened:
-      file.write(content)
-    return len(opened)
+  if _cli.is_stream(out):
+    OutputFile("--out", out).write(files[PAGE])
+    return 1
+  try:
+    os.makedirs(out, exist_ok=True)
+  except OSError as error:
+    raise Refusal(f"--out: cannot create {out}: {error.strerror}") from None
+  opened = [(OutputFile("--out", os.path.join(out, name)), content) for name, content in sorted(files.items())]
+  for file, content in opened:
+    file.write(content)
+  return len(opened)
 
 
 def _run(flags, folders: list[str]) -> int:
@@ -159,7 +148,7 @@ def _run(flags, folders: list[str]) -> int:
     raise Refusal("name at least one folder with runs; see --help")
   if not flags.out:
     raise Refusal("--out is missing: the folder for the report")
-  target = Target(flags.out)
+  check_target(flags.out)
   all_experiments = experiments.load(flags.experiments or programs.installed("experiments/paper.toml"))
   paper = figures.load(flags.figures or programs.installed("experiments/paper_figures.csv"))
   runs, unreadable = run_files.read_runs(folders)
@@ -172,10 +161,11 @@ def _run(flags, folders: list[str]) -> int:
   if flags.html:
     from . import web_page  # pylint: disable=import-outside-toplevel
     files["report.html"] = web_page.web_page(runs).encode()
-  written = target.write(files)
-  people = sys.stderr if target.is_standard_output else sys.stdout
+  written = write(flags.out, files)
+  is_standard_output = flags.out in _cli.STANDARD_OUTPUT
+  people = sys.stderr if is_standard_output else sys.stdout
   more = f"{len(unreadable)} more cannot be read; " if unreadable else ""
-  place = "standard output" if target.is_standard_output else flags.out
+  place = "standard output" if is_standard_output else flags.out
   where = f"report.md written to {place}" if written == 1 else f"{written} files in {flags.out}, begin with report.md"
   print(f"{len(runs)} runs, {sum(run.complete for run in runs)} complete; {more}{where}", file=people)
   return 0

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import os
 import re
 from collections import Counter
@@ -11,7 +12,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from . import statistics
-from .episodes import Episodes
+from .logs import Episodes
 from .experiments import Axis, Choice, Experiment
 from .runs import SUFFIX, Run
 from .statistics import Spread, spread_of
@@ -61,7 +62,6 @@ class Group:
     self.complete: list[Run] = []  # by seed, each once
     self.incomplete: list[Run] = []  # not averaged
     self.repeated: list[Run] = []  # further runs of the same seed; not counted
-    self._intervals: dict[str, tuple[float, float] | None] = {}
 
   @property
   def first(self) -> Run:
@@ -75,13 +75,10 @@ class Group:
     values = [MEASURES[measure].of(run) for run in self.complete]
     return spread_of([value for value in values if value is not None])
 
-  def interval(self, measure: str) -> tuple[float, float] | None:
-    """95% interval of a mean over the complete runs; None: no such episodes, or of a reward with fewer than three seeds."""
-    if measure not in self._intervals:
-      self._intervals[measure] = self._find_interval(MEASURES[measure])
-    return self._intervals[measure]
-
-  def _find_interval(self, measure: Measure) -> tuple[float, float] | None:
+  @functools.cache  # pylint: disable=method-cache-max-size-none  # a few for each group of a report
+  def interval(self, name: str) -> tuple[float, float] | None:
+    """95% interval of a measure's mean over the complete runs; None: no such episodes, or of a reward with fewer than three seeds."""
+    measure = MEASURES[name]
     runs = [run for run in self.complete if len(run.logs[measure.log])]
     if len(runs) >= statistics.FEWEST_SEEDS:
       return statistics.interval_over_seeds([measure.of(run) for run in runs])
@@ -251,32 +248,13 @@ def short_names(paths: Sequence[str]) -> list[str]:
   return ["/".join(own[shared:]) for own in parts]
 
 
-def _is_in(folder: str, above: str) -> bool:
-  return folder == above or folder.startswith(above + "/")
-
-
-def _common_folder(folders: list[str]) -> str:
-  """The deepest folder that contains all. For a single run, its own, or the one above "seed7". "": there is none."""
-  is_seed = re.fullmatch(r"seed\d+", os.path.basename(folders[0]))
-  common = folders[0].rpartition("/")[0] if len(folders) > 1 or is_seed else folders[0]
-  while common and not all(_is_in(folder, common) for folder in folders):
-    common = common.rpartition("/")[0]
-  return common
-
-
 def _name_folders(folders: list[str], others: list[str]) -> str:
-  """A name for `folders` that fits none of `others`."""
-  common = _common_folder(folders)
-  if common and not any(_is_in(other, common) for other in others):
-    return common
-  if len(folders) == 1:
-    return folders[0]
-  begin = os.path.commonprefix(folders)
-  rest = [folder[len(begin):][::-1] for folder in folders]
-  end = os.path.commonprefix(rest)[::-1]
-  def fits(other):
-    return len(other) >= len(begin) + len(end) and other.startswith(begin) and other.endswith(end)
-  return f"{folders[0]} and {len(folders) - 1} more" if any(fits(other) for other in others) else f"{begin}*{end}"
+  """A name for `folders` alone: their run's folder, the one that has them and none of `others`, or the first and how many more."""
+  above = os.path.dirname(folders[0])
+  is_one = len(folders) == 1 and not re.fullmatch(r"seed\d+", os.path.basename(folders[0]))
+  if is_one or not above or any(f"{folder}/".startswith(f"{above}/") != (folder in folders) for folder in folders + others):
+    return folders[0] + (f" and {len(folders) - 1} more" if len(folders) > 1 else "")
+  return above
 
 
 def _flat(settings: dict, prefix: str = "") -> dict[str, str]:
@@ -300,8 +278,7 @@ _SHOWN_SETTINGS = 3
 def name_groups(groups: Sequence[Group]) -> list[tuple[str, str]]:
   """A folder and a label for each group: "runs/wide", "wide (ppo_cnn, lanes=32)".
 
-  The folder is that of the group's run, or the deepest that contains its runs and no others, or a pattern. The label has the
-  settings that are neither the agent's defaults nor usual among the groups.
+  The label has the settings that are neither the agent's defaults nor usual among the groups.
   """
   folders = [_name_folders(group.folders, [folder for other in groups if other is not group for folder in other.folders])
              for group in groups]

@@ -17,8 +17,8 @@ import zipfile
 import numpy as np
 
 from . import programs
-from ._cli import Refusal, reason, replace_file
-from .episodes import ACHIEVEMENTS, NO_EPISODES, Curve, Episodes, find_log, read_log
+from ._cli import Refusal, read_text, reason, replace_file
+from .logs import ACHIEVEMENTS, NO_EPISODES, Curve, Episodes, find_log, read_log
 
 LOGS = ("stats", "eval_argmax", "eval_sampled", "final_argmax", "final_sampled")
 SUFFIX = ".npz"
@@ -99,18 +99,10 @@ class _Files:
       raise Refusal(f'{path}: no "texture_digest", want the digest of the textures') from None
 
 
-def _read_text(path: str) -> str:
-  try:
-    with open(path, encoding="utf-8", errors="replace") as file:
-      return file.read()
-  except OSError as error:
-    raise Refusal(reason(error)) from None
-
-
 def _read_folder(folder: str) -> _Files:
-  config = _read_text(os.path.join(folder, "config.txt"))
+  config = read_text(os.path.join(folder, "config.txt"))
   run_json = os.path.join(folder, "run.json")
-  run_text = _read_text(run_json) if os.path.exists(run_json) else None
+  run_text = read_text(run_json) if os.path.exists(run_json) else None
   if not find_log(folder, "stats.jsonl"):
     raise Refusal(f"{folder}: not a run folder: it has no stats.jsonl")
   paths = {log: find_log(folder, f"{log}.jsonl") for log in LOGS}

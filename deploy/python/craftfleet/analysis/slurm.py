@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import dataclasses
-import re
+import shlex
 
 STOPPED = 75  # EX_TEMPFAIL: the exit code of a sweep that a signal stopped before its runs were done; its task is requeued
 
@@ -11,7 +10,7 @@ _SCRIPT = """#!/usr/bin/env bash
 # Written by craftfleet sweep --executor=slurm: one task for each run.
 #SBATCH --job-name=craftfleet-sweep
 #SBATCH --array=0-{last}%{at_a_time}
-#SBATCH --output={logs}
+#SBATCH --output="{logs}/%A_%a.log"
 #SBATCH --open-mode=append
 #SBATCH --requeue
 #SBATCH --signal=TERM@60
@@ -37,24 +36,16 @@ exit "$status"
 """
 
 
-@dataclasses.dataclass
-class Array:
-  logs: str  # folder for the output of the tasks
-  at_a_time: int  # tasks that may run at the same time
-  threads: int  # CPUs per task
-  command: list[str]  # craftfleet sweep and its arguments, without --run and --threads
-  runs: list[str]  # names
+def script(logs: str, at_a_time: int, threads: int, command: list[str], runs: list[str]) -> str:
+  """The script for sbatch, self-contained because sbatch copies it. Task k runs `command` with --run=RUN_K.
 
-
-def shell_word(word: str) -> str:
-  """Quotes `word` as one word of a shell command."""
-  return word if re.fullmatch(r"[A-Za-z0-9_\-+=:,./@%]+", word) else "'" + word.replace("'", "'\\''") + "'"
-
-
-def script(array: Array) -> str:
-  """The script for sbatch, self-contained because sbatch copies it. Task k runs `command` with --run=RUN_K."""
+  Args:
+    logs: folder for the output of the tasks.
+    at_a_time: tasks that may run at the same time, with `threads` CPUs each.
+    command: craftfleet sweep and its arguments, without --run and --threads.
+    runs: their names.
+  """
   # In a directive of sbatch %% is a %, and quotes keep spaces.
-  logs = array.logs.replace("%", "%%").replace("\\", "\\\\").replace('"', '\\"')
-  return _SCRIPT.format(last=len(array.runs) - 1, at_a_time=array.at_a_time, logs=f'"{logs}/%A_%a.log"', threads=array.threads,
-                        runs="\n  ".join(map(shell_word, array.runs)), command=" ".join(map(shell_word, array.command)),
-                        stopped=STOPPED)
+  logs = logs.replace("%", "%%").replace("\\", "\\\\").replace('"', '\\"')
+  return _SCRIPT.format(last=len(runs) - 1, at_a_time=at_a_time, logs=logs, threads=threads, runs="\n  ".join(map(shlex.quote, runs)),
+                        command=shlex.join(command), stopped=STOPPED)

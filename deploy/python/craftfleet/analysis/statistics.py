@@ -12,7 +12,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from .episodes import Episodes, crafter_score
+from .logs import Episodes, crafter_score
 
 FEWEST_SEEDS = 3  # for a bootstrap over seeds
 _DRAWS = 1000

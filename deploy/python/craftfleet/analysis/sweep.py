@@ -10,8 +10,7 @@ from . import _cli, experiments, programs, slurm
 from ._cli import Flag, Refusal, in_range
 from .experiments import Cell
 from .sweep_jobs import Stopped, Sweep
-from .sweep_plan import (Job, cell_file, cells_with_textures, make_folders, plan, prepare_folder, select_cells,
-                         states_or_none)
+from .sweep_plan import Job, cell_file, cells_with_textures, plan, prepare_folder, select_cells, states_or_none, write_file
 
 PROGRAM = "craftfleet sweep"
 USAGE = """craftfleet sweep FILE runs the experiments of a file: every cell with several seeds, each with `craftfleet train`. After
@@ -60,7 +59,6 @@ def _handle_signals(sweep: Sweep) -> None:
   signal.signal(signal.SIGINT, on_signal)
   if signal.getsignal(signal.SIGHUP) != signal.SIG_IGN:  # as under nohup
     signal.signal(signal.SIGHUP, on_signal)
-  signal.signal(signal.SIGCHLD, lambda _number, _frame: sweep.wake())
 
 
 def _list(cells: list[Cell], flags) -> None:
@@ -75,12 +73,7 @@ def _list(cells: list[Cell], flags) -> None:
 
 def _write_configs(cells: list[Cell], folder: str) -> None:
   for cell in cells:
-    path = os.path.join(folder, cell.experiment, f"{cell.name}.txt")
-    make_folders("--write_configs", os.path.dirname(path))
-    try:
-      _cli.replace_file(path, cell_file(cell).encode())
-    except OSError as error:
-      raise Refusal(f"--write_configs: cannot write {path}: {error.strerror}") from None
+    write_file("--write_configs", os.path.join(folder, cell.experiment, f"{cell.name}.txt"), cell_file(cell))
 
 
 def _named_runs(jobs: list[Job], names: list[str]) -> list[Job]:
@@ -100,26 +93,22 @@ def _run_on_slurm(file: str, flags, jobs: list[Job]) -> None:
   # Slurm 22.05 replaces these in names of an array's logs, however they are written.
   if "%A" in flags.logdir or "%a" in flags.logdir:
     raise Refusal(f"--logdir={flags.logdir}, want a folder without %A and %a, which Slurm replaces by numbers of the job")
-  command = [*programs.command("sweep"), os.path.abspath(file), f"--logdir={flags.logdir}", f"--seeds={flags.seeds}",
+  command = [*programs.find("sweep")[0], os.path.abspath(file), f"--logdir={flags.logdir}", f"--seeds={flags.seeds}",
              f"--steps={flags.steps}"] + ([f"--textures={os.path.abspath(flags.textures)}"] if flags.textures else [])
   unfinished = [job for job, state in zip(jobs, states_or_none(jobs)) if not state.finished]
   if not unfinished:
     print(f"all runs are done: {len(jobs)}")
     return
-  array = slurm.Array(os.path.join(flags.logdir, "slurm"), flags.jobs, max(1, flags.threads), command,
-                      [job.name for job in unfinished])
+  logs = os.path.join(flags.logdir, "slurm")
+  script = slurm.script(logs, flags.jobs, max(1, flags.threads), command, [job.name for job in unfinished])
   if flags.dry_run:
-    print(slurm.script(array), end="")
+    print(script, end="")
     return
   for job in jobs:
     prepare_folder(job)
-  make_folders("--logdir", array.logs)
-  path = os.path.join(array.logs, "sweep.sbatch")
-  try:
-    _cli.replace_file(path, slurm.script(array).encode())
-  except OSError as error:
-    raise Refusal(f"cannot write {path}: {error.strerror}") from None
-  print(f"unfinished runs: {len(unfinished)}; logs will be in {array.logs}", flush=True)
+  path = os.path.join(logs, "sweep.sbatch")
+  write_file("--logdir", path, script)
+  print(f"unfinished runs: {len(unfinished)}; logs will be in {logs}", flush=True)
   try:
     os.execvp("sbatch", ["sbatch", *flags.slurm_flags.split(), path])
   except OSError as error:
@@ -169,7 +158,7 @@ def _run(flags, arguments: list[str]) -> int:
       if not state.finished:
         print("craftfleet train " + " ".join(job.resume if state.begun else job.start))
   else:
-    sweep = Sweep(jobs, programs.command("train"), flags.jobs)
+    sweep = Sweep(jobs, *programs.find("train"), flags.jobs)
     _handle_signals(sweep)
     try:
       sweep.run()

@@ -76,26 +76,28 @@ def plan(cells: Sequence[Cell], logdir: str, seeds: int, steps: int = 0, train_f
   return jobs
 
 
-def make_folders(flag: str, folder: str) -> None:
+def write_file(flag: str, path: str, text: str) -> None:
+  """Writes a file at once, and its folder if there is none."""
   try:
-    os.makedirs(folder, exist_ok=True)
+    os.makedirs(os.path.dirname(path), exist_ok=True)
+    _cli.replace_file(path, text.encode())
   except OSError as error:
-    raise Refusal(f"{flag}: cannot create {reason(error)}") from None
+    raise Refusal(f"{flag}: cannot write {path}: {reason(error)}") from None
 
 
 def prepare_folder(job: Job) -> None:
   """Creates the run's folder and its cell's file, which the jobs of the cell share."""
-  make_folders("--logdir", job.folder)
+  try:
+    os.makedirs(job.folder, exist_ok=True)
+  except OSError as error:
+    raise Refusal(f"--logdir: cannot create {reason(error)}") from None
   try:
     with open(job.config_path, encoding="utf-8") as file:
       if file.read() == job.config_text:
         return
   except (OSError, UnicodeDecodeError):
     pass
-  try:
-    _cli.replace_file(job.config_path, job.config_text.encode())
-  except OSError as error:
-    raise Refusal(f"cannot write {job.config_path}: {error.strerror}") from None
+  write_file("--logdir", job.config_path, job.config_text)
 
 
 def states(jobs: Sequence[Job]) -> list[State | Refusal]:

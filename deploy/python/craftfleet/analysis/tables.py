@@ -10,7 +10,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from . import statistics
-from .episodes import ACHIEVEMENTS
+from .logs import ACHIEVEMENTS
 from .figures import Figure, Figures
 from .results import MEASURES, SCORES, CellResult, ExperimentResult, Group, curve_end, spread_of_curves
 from .runs import Run
@@ -76,29 +76,24 @@ def _notes(cells: Sequence[CellResult]) -> str:
 
 
 def _row_table(experiment: ExperimentResult, first_column: str, cells: list[CellResult], paper: Figures) -> str:
-  """One row per cell."""
-  def has(measure):
-    return any(paper.find(experiment.name, cell.name, measure) for cell in cells)
-  columns = []  # the paper's before ours
+  """One row per cell: scores, the paper's before ours, then rewards and achievements above the paper's."""
+  published = [measure for measure in ("eval", "train") if any(paper.find(experiment.name, cell.name, measure) for cell in cells)]
+  header, rows = [first_column, "seeds"], [[cell.label, str(cell.over("train").n) if cell.is_complete else ""] for cell in cells]
   for measure in ("eval", "eval_argmax", "train"):
-    if measure != "eval_argmax" and has(measure):
-      columns.append(("paper, evaluation" if measure == "eval" else "paper, training", "paper", measure))
-    columns.append((MEASURES[measure].label, "ours", measure))
-  columns += [(MEASURES[measure].label, "over", measure) for measure in ("reward", "reward_last100", "unlocked")]
-  rows = []
-  for cell in cells:
-    row = [cell.label, str(cell.over("train").n) if cell.is_complete else ""]
-    for number, (_, kind, measure) in enumerate(columns):
-      figure = paper.find(experiment.name, cell.name, measure)
-      if kind == "paper":
+    if measure in published:
+      header.append("paper, evaluation" if measure == "eval" else "paper, training")
+      for cell, row in zip(cells, rows):
+        figure = paper.find(experiment.name, cell.name, measure)
         row.append(figure.text() if figure else "")
-      elif kind == "ours":
-        first = not any(kind == "ours" for _, kind, _ in columns[:number])
-        row.append(_ours(cell, measure, with_seeds=False) if first or cell.is_complete else "")
-      else:
-        row.append(_over_paper(cell.over(measure).text() if cell.is_complete else "", figure))
-    rows.append(row)
-  return markdown([first_column, "seeds", *(column[0] for column in columns)], rows) + _notes(cells)
+    header.append(MEASURES[measure].label)
+    for cell, row in zip(cells, rows):
+      row.append(_ours(cell, measure, with_seeds=False) if measure == "eval" or cell.is_complete else "")
+  for measure in ("reward", "reward_last100", "unlocked"):
+    header.append(MEASURES[measure].label)
+    for cell, row in zip(cells, rows):
+      ours = cell.over(measure).text() if cell.is_complete else ""
+      row.append(_over_paper(ours, paper.find(experiment.name, cell.name, measure)))
+  return markdown(header, rows) + _notes(cells)
 
 
 def _milestone_table(experiment: ExperimentResult, cells: list[CellResult], paper: Figures) -> str:

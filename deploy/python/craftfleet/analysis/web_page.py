@@ -1,45 +1,55 @@
-"""The page of --html: a leaderboard of runs with curves, in one file."""
+"""The page of --html: a leaderboard of runs with curves and success rates, in one file without scripts."""
 
 from __future__ import annotations
 
-import json
+import base64
+import html
 import os
 from collections.abc import Sequence
 
-from . import programs
-from .episodes import ACHIEVEMENTS, Curve
+from . import curve
+from .charts import COLORS
+from .logs import ACHIEVEMENTS
 from .runs import Run
 
-_MARKER = '<script type="application/json" id="report">null</script>'
-_MOST_POINTS = 512  # of a curve
+_STYLE = """:root { color-scheme: light dark; }
+body { font: 15px/1.5 system-ui, sans-serif; max-width: 75rem; margin: auto; padding: 1rem; }
+div { overflow-x: auto; }
+table { border-collapse: collapse; font-variant-numeric: tabular-nums; }
+td { white-space: nowrap; }
+th, td { padding: 0.2rem 0.7rem; border-bottom: 1px solid #8886; text-align: right; }
+:is(th, td):first-child { text-align: left; }
+img { max-width: 100%; }"""
 
 
-def _thinned(curve: Curve) -> list[int]:
-  """Indices of every n-th point, where n is a power of two, and of the last."""
-  stride = 1
-  while len(curve) // stride >= _MOST_POINTS:
-    stride *= 2
-  kept = list(range(stride - 1, len(curve), stride))
-  return kept if not len(curve) or len(curve) % stride == 0 else kept + [len(curve) - 1]
+def _table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+  lines = [f"<tr>{''.join(f'<{tag}>{html.escape(cell)}</{tag}>' for cell in cells)}</tr>\n"
+           for tag, cells in [("th", header), *(("td", row) for row in rows)]]
+  return f'<div tabindex="0">\n<table>\n{"".join(lines)}</table>\n</div>\n'
 
 
-def _json_of(run: Run, name: str) -> dict:
-  kept = _thinned(run.curve)
-  return {
-      "name": name, "agent": run.agent, "env": run.env, "seed": run.seed, "steps": run.steps, "complete": run.complete,
-      "score": run.training.score, "evaluation": run.logs["eval_sampled"].score if len(run.logs["eval_sampled"]) else None,
-      "reward": run.training.recent_reward, "unlocked": run.training.unlocked,
-      "rates": {name: round(rate, 3) for name, rate in zip(ACHIEVEMENTS, run.training.success.tolist())},
-      "curve": {"steps": run.curve.steps[kept].tolist(), "reward": [round(value, 3) for value in run.curve.reward[kept].tolist()],
-                "score": [round(value, 3) for value in run.curve.score[kept].tolist()]},
-  }
+def _row(name: str, run: Run) -> list[str]:
+  evaluation = f"{run.logs['eval_sampled'].score:.2f}" if len(run.logs["eval_sampled"]) else "-"
+  return [name, f"{run.training.score:.2f}", f"{run.training.recent_reward:.2f}", evaluation, f"{run.training.unlocked}/22",
+          f"{run.steps:,}" + ("" if run.complete else ", unfinished"), run.agent, run.env, str(run.seed)]
 
 
 def web_page(runs: Sequence[Run]) -> str:
-  folders = [run.folder for run in runs]
-  common = os.path.commonprefix(folders).rpartition("/")[0] if len(runs) > 1 else ""
-  begin = len(common) + 1 if common else 0
-  report = json.dumps({"runs": [_json_of(run, run.folder[begin:]) for run in runs]})
-  report = report.replace("<", "\\u003c")  # names of folders may contain anything, also the end of the script
-  page = programs.ask([{"page": True}])[0]["page"]
-  return page.replace(_MARKER, f'<script type="application/json" id="report">{report}</script>')
+  """Runs by score; curves and success rates of as many of the best as there are colours."""
+  common = os.path.commonprefix([run.folder for run in runs]).rpartition("/")[0] if len(runs) > 1 else ""
+  named = sorted(((run.folder.removeprefix(common).lstrip("/") if common else run.folder, run) for run in runs),
+                 key=lambda pair: -pair[1].training.score)
+  shown = [(name, run) for name, run in named if len(run.training)][:len(COLORS)]
+  page = (f'<!doctype html>\n<html lang="en">\n<meta charset="utf-8">\n<meta name="viewport" content="width=device-width">\n'
+          f"<title>CraftFleet: report</title>\n<style>\n{_STYLE}\n</style>\n<h1>{len(runs)} runs, {sum(run.complete for run in runs)} "
+          "complete</h1>\n<p>Scores are Crafter scores of all training episodes, rewards means of the last 100; evaluations are sampled."
+          "</p>\n")
+  board = _table(["run", "score", "reward", "evaluation", "unlocked", "steps", "agent", "environment", "seed"],
+                 [_row(name, run) for name, run in named])
+  if not shown:
+    return page + board
+  picture = base64.b64encode(curve.draw([curve.NamedCurve(name, run.curve) for name, run in shown], [])).decode()
+  page += f'<img alt="Reward and score over steps" src="data:image/png;base64,{picture}">\n<h2>Leaderboard</h2>\n{board}'
+  rates = zip(ACHIEVEMENTS, *(run.training.success.tolist() for _, run in shown))
+  return page + "<h2>Success rates, %</h2>\n" + _table(
+      ["", *(name for name, _ in shown)], [[name.replace("_", " "), *(f"{rate:.1f}" for rate in of_runs)] for name, *of_runs in rates])

@@ -112,8 +112,8 @@ def _problem(episode: object) -> str:
   return "" if len(episode) == len(_KEYS) else f"has {len(episode)} keys, want {len(_KEYS)}"
 
 
-def read_log(path: str) -> Episodes:
-  """The episodes of a stats.jsonl, plain or gzipped.
+def read_log(path: str, may_grow: bool = False) -> Episodes:
+  """The episodes of a stats.jsonl, plain or gzipped; if it may grow, without a last line that is being written.
 
   Refusal: it cannot be read, or has a line that is incomplete or no episode; names the line.
   """
@@ -135,7 +135,7 @@ def read_log(path: str) -> Episodes:
     if problem:
       raise Refusal(f"{path}:{number}: {problem}")
     rows.append([episode["length"], round(10 * episode["reward"]), *(episode[key] for key in _KEYS[2:])])
-  if lines[-1]:
+  if lines[-1] and not may_grow:
     raise Refusal(f"{path}:{len(lines)}: the line is incomplete")
   if not rows:
     return NO_EPISODES
