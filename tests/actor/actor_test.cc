@@ -15,10 +15,10 @@
 #include "common/base/keyed_random.h"
 #include "common/base/seeds.h"
 #include "common/telemetry/log.h"
-#include "envserver/game.h"
 #include "tests/actor/stand_in_learner.h"
 #include "tests/fakes/env_server.h"
 #include "tests/fakes/failing_once_service.h"
+#include "tests/fakes/played_game.h"
 #include "tests/fakes/sample_policy.h"
 #include "tests/fakes/status_matchers.h"
 #include "tests/fakes/temp_folder.h"
@@ -75,12 +75,9 @@ class RunningActor {
 class Reference {
  public:
   explicit Reference(const std::string& agent) : agent_(agent) {
-    WorldOptions world;
-    world.length = kLength;
-    const auto renderer = *Renderer::Create(**Textures::Load(*DefaultTextureDir()), world, RenderOptions());
+    const auto renderer = MakeRenderer(kLength);
     for (int lane = 0; lane < kLanes; ++lane) {
-      frames_.emplace_back(kFrameBytes, '\0');
-      games_.push_back(*Game::Create(renderer, LaneSeed(Config(agent).seed(), lane), Bytes(lane)));
+      games_.push_back(std::make_unique<PlayedGame>(renderer, LaneSeed(Config(agent).seed(), lane)));
       states_.emplace_back(FindAgent(agent)->state_size);
     }
   }
@@ -97,46 +94,42 @@ class Reference {
   }
 
  private:
-  absl::Span<uint8_t> Bytes(int lane) {
-    return absl::MakeSpan(reinterpret_cast<uint8_t*>(frames_[lane].data()), frames_[lane].size());
-  }
-
   Fragment PlayOne(const Policy& policy, int lane, int64_t number, int64_t version) {
     Fragment fragment;
     fragment.epoch = 1;
     fragment.lane = lane;
     fragment.number = number;
     fragment.policy_version = version;
+    PlayedGame& game = *games_[lane];
     for (int t = 0; t < kSteps; ++t) {
       const double noise = ActionNoise(Config(agent_).seed(), lane, number * kSteps + t);
       std::vector<float>& state = states_[lane];
       fragment.states.insert(fragment.states.end(), state.begin(), state.end());
-      const ActResult act = *policy.Act(frames_[lane], {lane}, {noise}, absl::MakeSpan(state));
-      fragment.frames += frames_[lane];
+      const ActResult act = *policy.Act(game.frame, {lane}, {noise}, absl::MakeSpan(state));
+      fragment.frames += game.frame;
       fragment.actions.push_back(static_cast<char>(act.actions[0]));
       fragment.log_probs.push_back(act.log_probs[0]);
       fragment.values.push_back(act.values[0]);
-      std::string last_frame;
-      const Game::PlayedStep played = games_[lane].StepAndAutoReset(act.actions[0], Bytes(lane), &last_frame);
+      game.last_frames.clear();
+      const Game::PlayedStep played = game.Step(act.actions[0]);
       fragment.rewards.push_back(static_cast<float>(played.outcome.reward));
       fragment.ends.push_back(played.outcome.end);
       if (played.outcome.end == StepEnd::kTruncated) {
-        fragment.truncation_values.push_back(policy.Values(last_frame, {lane}, state)->front());
+        fragment.truncation_values.push_back(policy.Values(game.last_frames, {lane}, state)->front());
       }
       if (played.outcome.end != StepEnd::kNone) state.assign(state.size(), 0);
       if (!played.episode.has_value()) continue;
       fragment.episodes.push_back(*played.episode);
       fragment.episodes.back().step = t;
     }
-    fragment.bootstrap_value = policy.Values(frames_[lane], {lane}, states_[lane])->front();
-    fragment.snapshot = {games_[lane].Save(), states_[lane]};
+    fragment.bootstrap_value = policy.Values(game.frame, {lane}, states_[lane])->front();
+    fragment.snapshot = {game.game.Save(), states_[lane]};
     return fragment;
   }
 
   const std::string agent_;
-  std::vector<std::string> frames_;
   std::vector<std::vector<float>> states_;
-  std::vector<Game> games_;
+  std::vector<std::unique_ptr<PlayedGame>> games_;
 };
 
 class ActorTest : public testing::TestWithParam<std::string> {

@@ -14,8 +14,10 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include "actor/env_client.h"
 #include "actor/env_pool.h"
 #include "actor/error_policy.h"
+#include "common/config/known_canary.h"
 #include "tests/fakes/env_server.h"
 #include "tests/fakes/status_matchers.h"
 #include "tests/fakes/wait_until.h"
@@ -74,6 +76,8 @@ class TwistingService : public v1::EnvironmentService::Service {
 class BadEnvServer : public testing::Test {
  protected:
   void Start(TwistingService::Twist twist, bool alone = false) {
+    pool_.reset();
+    server_.reset();
     service_ = std::make_unique<TwistingService>(env_.service.get(), std::move(twist));
     server_ = *wire::Server::Create({"127.0.0.1:0"}, {service_.get()});
     std::vector<wire::Endpoint> endpoints = {wire::Connect(server_->address())};
@@ -178,37 +182,28 @@ void DropEnds(v1::PlayReply* reply) {
   reply->clear_last_frames();
 }
 
-// Evaluations waited for such a game for ever.
+// Evaluations waited for such a game for ever, and what such a server made up was learned from. A new game, whose steps
+// the reply need not count, and one from a snapshot.
 TEST_F(BadEnvServer, AGameThatNeverEndsIsAFaultOfItsServer) {
-  Start([](const v1::PlayRequest& request, v1::PlayReply* reply) {
-    if (request.has_step()) DropEnds(reply);
-    reply->clear_episode_steps();
-    return true;
-  });
-  ASSERT_THAT(OpenFour(), IsOk());
-  for (int step = 1; step < 50; ++step) ASSERT_THAT(StepFour(), IsOk());
-  EXPECT_EQ(lost_, 0u);
-  ASSERT_THAT(StepFour(), IsOk());
-  EXPECT_EQ(lost_, 2u);
-  EXPECT_THAT(Error(),
-              StatusIs(absl::StatusCode::kDataLoss,
-                       AllOf(HasSubstr(server_->address()), HasSubstr("goes on after 50 steps, want at most 50"))));
-}
-
-// What such a server made up was learned from: nobody counted the steps of a game from a snapshot.
-TEST_F(BadEnvServer, AGameFromASnapshotThatDoesNotEndIsAFaultOfItsServer) {
-  Start([](const v1::PlayRequest& request, v1::PlayReply* reply) {
-    if (request.has_step()) DropEnds(reply);
-    return true;
-  });
-  const std::string snapshot = Snapshot();  // after one step
-  ASSERT_THAT(Open({{0, 100, 1, snapshot}, {1, 100, 1, snapshot}, {2, 100, 1, snapshot}, {3, 100, 1, snapshot}}),
-              IsOk());
-  for (int step = 2; step < 50; ++step) ASSERT_THAT(StepFour(), IsOk());
-  EXPECT_EQ(lost_, 0u);
-  ASSERT_THAT(StepFour(), IsOk());
-  EXPECT_EQ(lost_, 2u);
-  EXPECT_THAT(Error(), StatusIs(absl::StatusCode::kDataLoss, HasSubstr("goes on after 50 steps, want at most 50")));
+  for (const bool is_restored : {false, true}) {
+    SCOPED_TRACE(is_restored);
+    lost_ = 0;
+    Start([is_restored](const v1::PlayRequest& request, v1::PlayReply* reply) {
+      if (request.has_step()) DropEnds(reply);
+      if (!is_restored) reply->clear_episode_steps();
+      return true;
+    });
+    const std::string snapshot = is_restored ? Snapshot() : "";  // after one step
+    ASSERT_THAT(Open({{0, 100, 1, snapshot}, {1, 101, 1, snapshot}, {2, 102, 1, snapshot}, {3, 103, 1, snapshot}}),
+                IsOk());
+    for (int step = is_restored ? 2 : 1; step < 50; ++step) ASSERT_THAT(StepFour(), IsOk());
+    EXPECT_EQ(lost_, 0u);
+    ASSERT_THAT(StepFour(), IsOk());
+    EXPECT_EQ(lost_, 2u);
+    EXPECT_THAT(Error(),
+                StatusIs(absl::StatusCode::kDataLoss,
+                         AllOf(HasSubstr(server_->address()), HasSubstr("goes on after 50 steps, want at most 50"))));
+  }
 }
 
 TEST_F(BadEnvServer, ANewGameThatHasStepsIsAFaultOfItsServer) {
@@ -264,41 +259,28 @@ TEST_P(InvalidReplyTest, IsReportedAndTheGamesContinueElsewhere) {
               StatusIs(absl::StatusCode::kDataLoss, AllOf(HasSubstr(server_->address()), HasSubstr(GetParam().field))));
 }
 
+// What a field by itself may be, field_edges_test checks.
 INSTANTIATE_TEST_SUITE_P(
     Fields, InvalidReplyTest,
-    testing::Values(
-        InvalidReply{"Frames", [](v1::PlayReply* r) { r->mutable_frames()->pop_back(); }, "frames"},
-        InvalidReply{"Rows", [](v1::PlayReply* r) { r->add_rewards(0); }, "rewards"},
-        InvalidReply{"Reward", [](v1::PlayReply* r) { r->set_rewards(1, 1e6F); }, "rewards"},
-        InvalidReply{"Ends", [](v1::PlayReply* r) { r->mutable_ends()->at(0) = 3; }, "ends"},
-        InvalidReply{"Ended", [](v1::PlayReply* r) { r->mutable_ends()->at(0) = 1; }, "episodes"},
-        InvalidReply{"Episode",
-                     [](v1::PlayReply* r) {
-                       r->mutable_ends()->at(0) = 1;
-                       v1::EpisodeMessage* episode = r->add_episodes();
-                       episode->set_length(int64_t{1} << 62);
-                       for (int i = 0; i < kNumAchievements; ++i) episode->add_achievements(0);
-                     },
-                     "length"},
-        // After one step; the learner would refuse the fragment, and its lane never leave this server.
-        InvalidReply{"EpisodeLength",
-                     [](v1::PlayReply* r) {
-                       r->mutable_ends()->at(0) = 1;
-                       v1::EpisodeMessage* episode = r->add_episodes();
-                       episode->set_length(7);
-                       for (int i = 0; i < kNumAchievements; ++i) episode->add_achievements(0);
-                     },
-                     "episodes.length: 7 of lane"},
-        // An end is hidden, or a game begins anew.
-        InvalidReply{"EpisodeSteps", [](v1::PlayReply* r) { r->set_episode_steps(0, 0); }, "episode_steps: 0 of lane"},
-        InvalidReply{"EpisodeStepsRows", [](v1::PlayReply* r) { r->add_episode_steps(1); },
-                     "episode_steps: 3 numbers, want 2"},
-        InvalidReply{"Snapshots", [](v1::PlayReply* r) { r->add_snapshots("x"); }, "snapshots"},
-        InvalidReply{"Refused", [](v1::PlayReply* r) { r->add_refused(); }, "refused"},
-        InvalidReply{"Moments", [](v1::PlayReply* r) { r->add_moments(); }, "moments"},
-        InvalidReply{"Hello", [](v1::PlayReply* r) { r->set_cpu("a"); }, "cpu"},
-        InvalidReply{"Busy", [](v1::PlayReply* r) { r->set_busy_ns(-1); }, "busy_ns"},
-        InvalidReply{"Server", [](v1::PlayReply* r) { r->mutable_server()->set_lanes(-1); }, "summary.lanes"}),
+    testing::Values(InvalidReply{"Frames", [](v1::PlayReply* r) { r->mutable_frames()->pop_back(); }, "frames"},
+                    InvalidReply{"Rows", [](v1::PlayReply* r) { r->add_rewards(0); }, "rewards"},
+                    InvalidReply{"Ended", [](v1::PlayReply* r) { r->mutable_ends()->at(0) = 1; }, "episodes"},
+                    // After one step; the learner would refuse the fragment, and its lane never leave this server.
+                    InvalidReply{"EpisodeLength",
+                                 [](v1::PlayReply* r) {
+                                   r->mutable_ends()->at(0) = 1;
+                                   v1::EpisodeMessage* episode = r->add_episodes();
+                                   episode->set_length(7);
+                                   for (int i = 0; i < kNumAchievements; ++i) episode->add_achievements(0);
+                                 },
+                                 "episodes.length: 7 of lane"},
+                    // An end is hidden, or a game begins anew.
+                    InvalidReply{"EpisodeSteps", [](v1::PlayReply* r) { r->set_episode_steps(0, 0); },
+                                 "episode_steps: 0 of lane"},
+                    InvalidReply{"EpisodeStepsRows", [](v1::PlayReply* r) { r->add_episode_steps(1); },
+                                 "episode_steps: 3 numbers, want 2"},
+                    InvalidReply{"Snapshots", [](v1::PlayReply* r) { r->add_snapshots("x"); }, "snapshots"},
+                    InvalidReply{"Refused", [](v1::PlayReply* r) { r->add_refused(); }, "refused"}),
     [](const auto& info) { return info.param.name; });
 
 TEST_F(BadEnvServer, ASnapshotRefusedByOneServerIsTriedOnAnother) {
@@ -362,6 +344,30 @@ TEST(ThrowingEnvServer, IsATransientError) {
   const absl::Status status = pool.Open({{0, 100, 1, ""}}).status();
   EXPECT_THAT(status, StatusIs(absl::StatusCode::kUnavailable, HasSubstr(server->address())));
   EXPECT_TRUE(IsTransient(CallKind::kSession, status));
+}
+
+// Answers every hello without a canary.
+class CanarylessService : public v1::EnvironmentService::Service {
+ public:
+  grpc::Status Play(grpc::ServerContext* /*context*/,
+                    grpc::ServerReaderWriter<v1::PlayReply, v1::PlayRequest>* stream) override {
+    v1::PlayRequest request;
+    while (stream->Read(&request)) stream->Write({});
+    return grpc::Status::OK;
+  }
+};
+
+TEST(CanarylessEnvServer, IsRefusedIfACanaryIsRequired) {
+  CanarylessService service;
+  const auto server = *wire::Server::Create({"127.0.0.1:0"}, {&service});
+  v1::SessionHello hello = SampleHello(50);
+  EnvClient any(wire::Connect(server->address()), hello, kFrameBytes);
+  EXPECT_THAT(any.Connect(absl::Seconds(20)), IsOk());
+  hello.set_game_canary(std::string(kBuiltInGameCanary));
+  EnvClient client(wire::Connect(server->address()), hello, kFrameBytes);
+  EXPECT_THAT(client.Connect(absl::Seconds(20)),
+              StatusIs(absl::StatusCode::kFailedPrecondition, HasSubstr(server->address())));
+  EXPECT_FALSE(client.connected());
 }
 
 }  // namespace

@@ -107,6 +107,15 @@ EnvPool PoolOf(const std::vector<const EnvServer*>& servers) {
   return {Listing(endpoints), SampleHello(kLength), kFrameBytes};
 }
 
+// A pool of another run with a game on the server.
+std::unique_ptr<EnvPool> OtherRunOn(const wire::Endpoint& server) {
+  v1::SessionHello other_run = SampleHello(kLength);
+  other_run.set_run_id("run-b");
+  auto pool = std::make_unique<EnvPool>(Listing({server}), other_run, kFrameBytes);
+  EXPECT_THAT(pool->Open(NewLanes({0})), IsOk());
+  return pool;
+}
+
 TEST(EnvPool, GamesDoNotDependOnHowTheyAreSpread) {
   const EnvServer servers[3];
   EnvPool one = PoolOf({&servers[0]});
@@ -126,21 +135,6 @@ TEST(EnvPool, GamesDoNotDependOnHowTheyAreSpread) {
   EXPECT_EQ(by_one.episodes, 5);
   EXPECT_EQ(by_three.episodes, 5);
   EXPECT_EQ(by_three.rewards, by_one.rewards);
-}
-
-TEST(EnvPool, SpreadsGamesEvenly) {
-  const EnvServer servers[2];
-  EnvPool pool = PoolOf({&servers[0], &servers[1]});
-  Seen seen;
-  ASSERT_THAT(seen.Open(&pool, NewLanes({0, 1, 2, 3})), IsOk());
-  EXPECT_THAT(pool.Arrange({3, 2, 1, 0}), ElementsAre(2, 0, 3, 1));
-  ASSERT_THAT(seen.Open(&pool, NewLanes({2})), IsOk()) << "again";
-  for (const EnvServer& server : servers) {
-    v1::StatusReply status;
-    server.service->FillStatus(&status);
-    ASSERT_EQ(status.peers_size(), 1);
-    EXPECT_EQ(status.peers(0).state(), "2 lanes");
-  }
 }
 
 // The games continue elsewhere from their snapshots as if nothing had happened.
@@ -319,12 +313,7 @@ TEST(EnvPool, AnIncompatibleServerIsAnError) {
 TEST(EnvPool, AnIncompatibleServerIsNoErrorIfAnotherIsCompatible) {
   const EnvServer fits;
   const EnvServer busy;
-  v1::SessionHello other_run = SampleHello(kLength);
-  other_run.set_run_id("run-b");
-  EnvPool other_pool(Listing({busy.Connect()}), other_run, kFrameBytes);
-  Seen other;
-  ASSERT_THAT(other.Open(&other_pool, NewLanes({0})), IsOk());
-
+  const auto other = OtherRunOn(busy.Connect());
   EnvPool pool = PoolOf({&fits, &busy});
   Seen seen;
   testing::internal::CaptureStderr();
@@ -334,18 +323,34 @@ TEST(EnvPool, AnIncompatibleServerIsNoErrorIfAnotherIsCompatible) {
   EXPECT_THAT(seen.Step(&pool), IsOk());
 }
 
-// It was a fatal error for actors that start: any client could end them.
+// Before its first session with the pool, or after the server restarted and the other run was first to connect.
 TEST(EnvPool, AServerThatAnotherRunOccupiesIsWaitedFor) {
-  const EnvServer server;
-  v1::SessionHello other_run = SampleHello(kLength);
-  other_run.set_run_id("run-b");
-  auto other = std::make_unique<EnvPool>(Listing({server.Connect()}), other_run, kFrameBytes);
-  ASSERT_THAT(other->Open(NewLanes({0})), IsOk());
-
-  EnvPool pool = PoolOf({&server});
-  EXPECT_THAT(pool.Open(NewLanes({0})), StatusIs(absl::StatusCode::kUnavailable, HasSubstr("serves run run-b")));
-  other.reset();
-  EXPECT_TRUE(WaitUntil([&] { return pool.Open(NewLanes({0})).ok(); }));
+  for (const bool is_known : {false, true}) {
+    SCOPED_TRACE(is_known);
+    const TempFolder folder;
+    const std::string address = "unix:" + (folder / "server");
+    const EnvServer before;
+    const EnvServer after;
+    auto server = *wire::Server::Create({address}, {before.service.get()});
+    EnvPool pool(Listing({wire::Connect(address)}), SampleHello(kLength), kFrameBytes);
+    Seen seen;
+    if (is_known) {
+      ASSERT_THAT(seen.Open(&pool, NewLanes({0})), IsOk());
+    }
+    server.reset();
+    server = *wire::Server::Create({address}, {after.service.get()});
+    auto other = OtherRunOn(wire::Connect(address));
+    if (is_known) {
+      EXPECT_THAT(seen.Step(&pool), testing::Not(IsOk()));
+    }
+    EXPECT_TRUE(WaitUntil([&] {
+      const absl::Status status = pool.Open(NewLanes({0})).status();
+      EXPECT_EQ(status.code(), absl::StatusCode::kUnavailable) << status;
+      return absl::StrContains(status.message(), "serves run run-b");
+    })) << "it is told whose server it is";
+    other.reset();
+    EXPECT_TRUE(WaitUntil([&] { return pool.Open(NewLanes({0})).ok(); }));
+  }
 }
 
 TEST(EnvPool, AServerThatBelongsToAnotherRunIsAnError) {
@@ -353,33 +358,6 @@ TEST(EnvPool, AServerThatBelongsToAnotherRunIsAnError) {
   server.service->SetRun("run-b");
   EnvPool pool = PoolOf({&server});
   EXPECT_THAT(pool.Open(NewLanes({0})), StatusIs(absl::StatusCode::kFailedPrecondition, HasSubstr("serves run run-b")));
-}
-
-// The server restarts, and an actor of another run is the first to connect.
-TEST(EnvPool, AServerThatAcceptedTheActorIsWaitedFor) {
-  const TempFolder folder;
-  const std::string address = "unix:" + (folder / "server");
-  const EnvServer before;
-  const EnvServer after;
-  auto server = *wire::Server::Create({address}, {before.service.get()});
-  EnvPool pool(Listing({wire::Connect(address)}), SampleHello(kLength), kFrameBytes);
-  Seen seen;
-  ASSERT_THAT(seen.Open(&pool, NewLanes({0})), IsOk());
-  server.reset();
-  EXPECT_THAT(seen.Step(&pool), testing::Not(IsOk()));
-
-  server = *wire::Server::Create({address}, {after.service.get()});
-  v1::SessionHello other_run = SampleHello(kLength);
-  other_run.set_run_id("run-b");
-  auto other = std::make_unique<EnvPool>(Listing({wire::Connect(address)}), other_run, kFrameBytes);
-  ASSERT_THAT(other->Open(NewLanes({0})), IsOk());
-  EXPECT_TRUE(WaitUntil([&] {
-    const absl::Status status = pool.Open(NewLanes({0})).status();
-    EXPECT_EQ(status.code(), absl::StatusCode::kUnavailable) << status;
-    return absl::StrContains(status.message(), "run-b");
-  })) << "it is told whose server it is";
-  other.reset();
-  EXPECT_TRUE(WaitUntil([&] { return pool.Open(NewLanes({0})).ok(); }));
 }
 
 TEST(EnvPool, ClosesGames) {

@@ -12,8 +12,8 @@
 #include <gtest/gtest.h>
 
 #include "common/base/keyed_random.h"
-#include "envserver/game.h"
 #include "tests/fakes/env_server.h"
+#include "tests/fakes/played_game.h"
 #include "tests/fakes/sample_policy.h"
 #include "tests/fakes/status_matchers.h"
 #include "tests/fakes/wire_samples.h"
@@ -53,83 +53,58 @@ bool Same(const std::vector<Episode>& a, const std::vector<Episode>& b) {
   });
 }
 
-TEST_F(EvaluatorTest, TheResultDoesNotDependOnHowManyEpisodesRunAtOnce) {
-  const auto one = Run(Options(6, 1));
+struct Evaluated {
+  std::string agent;
+  bool greedy;
+  int64_t first_episode;
+};
+
+class EvaluatedTest : public EvaluatorTest, public testing::WithParamInterface<Evaluated> {};
+
+TEST_P(EvaluatedTest, AnEpisodeDependsNeitherOnOthersNorOnHowManyRunAtOnce) {
+  const auto options = [](int episodes, int lanes, int64_t later = 0) {
+    EvaluationOptions chosen = Options(episodes, lanes);
+    chosen.greedy = GetParam().greedy;
+    chosen.first_episode = GetParam().first_episode + later;
+    return chosen;
+  };
+  const std::string agent = GetParam().agent;
+  const auto one = Run(options(3, 1), 1, agent);
   ASSERT_THAT(one, IsOk());
-  EXPECT_EQ(finished_.back(), 6);
-  for (const int lanes : {1, 4, 16}) {
-    const auto many = Run(Options(6, lanes));
+  for (const int lanes : {2, 16}) {
+    const auto many = Run(options(3, lanes), 1, agent);
     ASSERT_THAT(many, IsOk());
     ExpectSameEpisodes(*many, *one);
-    EXPECT_EQ(finished_.back(), 6);
+    EXPECT_EQ(finished_.back(), 3);
   }
+  ExpectSameEpisodes(*Run(options(2, 2, /*later=*/1), 1, agent), {one->begin() + 1, one->end()});
 }
 
-// Each episode begins with a recurrent state of zero.
-TEST_F(EvaluatorTest, EpisodesOfARecurrentAgentDoNotDependOnEachOther) {
-  const auto all = Run(Options(6, 4), 1, "lstm_cnn");
-  ASSERT_THAT(all, IsOk());
-  ExpectSameEpisodes(*Run(Options(6, 1), 1, "lstm_cnn"), *all);
-  EvaluationOptions last = Options(2, 2);
-  last.first_episode = 5;
-  ExpectSameEpisodes(*Run(last, 1, "lstm_cnn"), {all->begin() + 4, all->end()});
-}
+// Recurrent states begin with each episode at zero. Training used to hang when evaluations reached episode 10,000.
+INSTANTIATE_TEST_SUITE_P(Evaluations, EvaluatedTest,
+                         testing::Values(Evaluated{"ppo_cnn", false, 1}, Evaluated{"ppo_cnn", true, 1},
+                                         Evaluated{"lstm_cnn", false, 1}, Evaluated{"ppo_cnn", false, 2147483645}));
 
-// Training used to hang when evaluations reached episode 10,000.
-TEST_F(EvaluatorTest, EpisodesBeyondTenThousandArePlayedLikeOthers) {
-  EvaluationOptions one = Options(3, 1);
-  EvaluationOptions many = Options(3, 3);
-  one.first_episode = many.first_episode = 2147483645;
-  const auto played = Run(one);
-  ASSERT_THAT(played, IsOk());
-  ExpectSameEpisodes(*Run(many), *played);
-}
-
-TEST_F(EvaluatorTest, GreedyEpisodesDoNotDependOnItEither) {
-  EvaluationOptions options = Options(3, 1);
-  options.greedy = true;
-  const auto one = Run(options);
-  options.lanes = 2;
-  const auto two = Run(options);
-  ASSERT_THAT(one, IsOk());
-  ASSERT_THAT(two, IsOk());
-  ExpectSameEpisodes(*two, *one);
-  EXPECT_FALSE(Same(*one, *Run(Options(3, 1)))) << "sampled actions differ";
-}
-
-TEST_F(EvaluatorTest, SeedAndWeightsChangeTheResult) {
+TEST_F(EvaluatorTest, SeedWeightsAndSamplingChangeTheResult) {
   const auto first = Run(Options(4, 16));
   ASSERT_THAT(first, IsOk());
   EXPECT_FALSE(Same(*first, *Run(Options(4, 16), /*weights=*/2)));
   EvaluationOptions other_seed = Options(4, 16);
   other_seed.seed = 6;
   EXPECT_FALSE(Same(*first, *Run(other_seed)));
-}
-
-TEST_F(EvaluatorTest, AnEpisodeDoesNotDependOnTheEpisodesBeforeIt) {
-  const auto all = Run(Options(5, 16));
-  ASSERT_THAT(all, IsOk());
-  EvaluationOptions options = Options(2, 16);
-  options.first_episode = 4;
-  const auto last = Run(options);
-  ASSERT_THAT(last, IsOk());
-  ExpectSameEpisodes(*last, {(*all)[3], (*all)[4]});
+  EvaluationOptions greedy = Options(4, 16);
+  greedy.greedy = true;
+  EXPECT_FALSE(Same(*first, *Run(greedy))) << "sampled actions differ";
 }
 
 // Plays the same without a server, with the policy on one frame at a time.
 TEST_F(EvaluatorTest, PlaysTheGameOfItsSeed) {
-  WorldOptions world;
-  world.length = kLength;
-  const auto renderer = *Renderer::Create(**Textures::Load(*DefaultTextureDir()), world, RenderOptions());
-  std::string frame(renderer->frame_bytes(), '\0');
-  const auto bytes = absl::MakeSpan(reinterpret_cast<uint8_t*>(frame.data()), frame.size());
-  Game game = *Game::Create(renderer, 5, bytes);
+  PlayedGame played(MakeRenderer(kLength), 5);
   const auto policy = SamplePolicy(1);
   std::optional<Episode> episode;
   for (int64_t step = 0; !episode.has_value(); ++step) {
-    std::string last_frames;
-    const ActResult act = *policy->Act(frame, {1}, {ActionNoise(5, 1, step)}, {});
-    episode = game.StepAndAutoReset(act.actions[0], bytes, &last_frames).episode;
+    const ActResult act = *policy->Act(played.frame, {1}, {ActionNoise(5, 1, step)}, {});
+    episode = played.Step(act.actions[0]).episode;
   }
   const auto evaluated = Run(Options(1, 1));
   ASSERT_THAT(evaluated, IsOk());

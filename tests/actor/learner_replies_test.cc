@@ -1,5 +1,6 @@
 #include "actor/learner_replies.h"
 
+#include <functional>
 #include <limits>
 
 #include <gmock/gmock.h>
@@ -20,34 +21,24 @@ using testing::HasSubstr;
 // `field` is named in the error.
 auto IsInvalid(const char* field) { return StatusIs(absl::StatusCode::kDataLoss, HasSubstr(field)); }
 
-v1::JoinReply GoodJoin() {
-  v1::JoinReply reply;
-  reply.set_run_id("run-a");
-  reply.set_epoch(1);
-  reply.set_lease_ms(5000);
-  *reply.mutable_config() = DefaultRunConfig();
-  return reply;
-}
-
+// Beyond the ends of the fields' types, which field_edges_test tries.
 TEST(LearnerReplies, JoinIsChecked) {
-  v1::JoinReply reply = GoodJoin();
-  EXPECT_THAT(CheckJoinReply(&reply), IsOk());
-  EXPECT_GT(reply.config().fragment_steps(), 0) << "resolved";
-  reply = GoodJoin();
-  reply.clear_run_id();
-  EXPECT_THAT(CheckJoinReply(&reply), IsInvalid("run_id"));
-  reply = GoodJoin();
-  reply.set_epoch(-1);
-  EXPECT_THAT(CheckJoinReply(&reply), IsInvalid("epoch"));
-  reply = GoodJoin();
-  reply.set_lease_ms(0);
-  EXPECT_THAT(CheckJoinReply(&reply), IsInvalid("lease_ms"));
-  reply = GoodJoin();
-  reply.mutable_config()->set_lanes(-4);
-  EXPECT_THAT(CheckJoinReply(&reply), IsInvalid("lanes"));
-  reply = GoodJoin();
-  reply.mutable_config()->set_agent("none");
-  EXPECT_THAT(CheckJoinReply(&reply), IsInvalid("config: "));
+  const auto check = [](const std::function<void(v1::JoinReply*)>& change) {
+    v1::JoinReply reply;
+    reply.set_run_id("run-a");
+    reply.set_epoch(1);
+    reply.set_lease_ms(5000);
+    *reply.mutable_config() = DefaultRunConfig();
+    change(&reply);
+    const absl::Status status = CheckJoinReply(&reply);
+    EXPECT_TRUE(!status.ok() || reply.config().fragment_steps() > 0) << "resolved";
+    return status;
+  };
+  EXPECT_THAT(check([](auto*) {}), IsOk());
+  EXPECT_THAT(check([](auto* reply) { reply->clear_run_id(); }), IsInvalid("run_id"));
+  EXPECT_THAT(check([](auto* reply) { reply->set_lease_ms(0); }), IsInvalid("lease_ms"));
+  EXPECT_THAT(check([](auto* reply) { reply->mutable_config()->set_lanes(-4); }), IsInvalid("lanes"));
+  EXPECT_THAT(check([](auto* reply) { reply->mutable_config()->set_agent("none"); }), IsInvalid("config: "));
 }
 
 absl::Status CheckGrant(int lane, int64_t fragment, int64_t version, int times, int capacity) {
@@ -66,9 +57,6 @@ absl::Status CheckGrant(int lane, int64_t fragment, int64_t version, int times, 
 TEST(LearnerReplies, PermitsAreChecked) {
   EXPECT_THAT(CheckGrant(3, 0, 0, 1, 4), IsOk());
   EXPECT_THAT(CheckGrant(4, 0, 0, 1, 4), IsInvalid("lane"));
-  EXPECT_THAT(CheckGrant(-1, 0, 0, 1, 4), IsInvalid("lane"));
-  EXPECT_THAT(CheckGrant(0, -1, 0, 1, 4), IsInvalid("fragment"));
-  EXPECT_THAT(CheckGrant(0, 0, -1, 1, 4), IsInvalid("policy_version"));
   EXPECT_THAT(CheckGrant(1, 0, 0, 2, 4), IsInvalid("granted"));
   EXPECT_THAT(CheckGrant(1, 0, 0, 1, 0), IsInvalid("granted"));
   v1::PermitReply reply;
@@ -88,11 +76,6 @@ TEST(LearnerReplies, PermitsAreChecked) {
   EXPECT_THAT(CheckPermitReply({}, 4, 64, reply), IsOk());
   reply.mutable_evaluation()->set_seed(int64_t{1} << 31);
   EXPECT_THAT(CheckPermitReply({}, 4, 64, reply), IsInvalid("evaluation.seed"));
-  reply.mutable_evaluation()->set_seed(-1);
-  EXPECT_THAT(CheckPermitReply({}, 4, 64, reply), IsInvalid("evaluation.seed"));
-  reply.mutable_evaluation()->set_seed(0);
-  reply.mutable_evaluation()->set_episodes(-2);
-  EXPECT_THAT(CheckPermitReply({}, 4, 64, reply), IsInvalid("episodes"));
 }
 
 // The largest evaluations, wherever they begin, consist of tasks that an actor accepts. It used to refuse episodes

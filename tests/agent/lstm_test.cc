@@ -2,7 +2,6 @@
 
 #include <numeric>
 #include <string>
-#include <utility>
 #include <vector>
 
 #include <ATen/ATen.h>
@@ -75,20 +74,6 @@ TEST_P(LstmTest, OutputsStatesAndGradientsMatchLibTorch) {
     const std::vector<at::Tensor> actual = ResultsOf(Lstm, GetParam(), at::Device(device));
     for (size_t i = 0; i < wanted.size(); ++i) ExpectNear(actual[i], wanted[i], kNames[i]);
   }
-}
-
-// at::lstm takes some ten computations of a GPU, and copies to it.
-TEST(Lstm, TakesTwoComputationsAStepOfADevice) {
-  const auto traffic_of = [](const std::vector<int64_t>& batch_sizes) {
-    const testing::DeviceTraffic before = testing::TrafficSoFar();
-    ResultsOf(Lstm, batch_sizes, at::Device(testing::kStandInDevice));
-    return std::make_pair(testing::TrafficSoFar().computed - before.computed,
-                          testing::TrafficSoFar().sent - before.sent);
-  };
-  const auto of_two = traffic_of({3, 3});
-  const auto of_ten = traffic_of(std::vector<int64_t>(10, 3));
-  EXPECT_EQ(of_ten.first - of_two.first, 8 * 4) << "two forward, two backward";
-  EXPECT_EQ(of_ten.second, of_two.second);
 }
 
 INSTANTIATE_TEST_SUITE_P(Lengths, LstmTest,

@@ -7,18 +7,14 @@
 #include <vector>
 
 #include <ATen/ATen.h>
-#include <absl/strings/match.h>
-#include <c10/core/InferenceMode.h>
 #include <gtest/gtest.h>
 #include <torch/csrc/autograd/autograd.h>
 
 #include "common/agent/categorical.h"
-#include "common/agent/device.h"
 #include "common/agent/initial_weights.h"
 #include "common/agent/linear.h"
 #include "common/agent/torch_setup.h"
 #include "tests/agent/golden_agent.h"
-#include "tests/agent/stand_in_device.h"
 
 namespace craftfleet {
 namespace {
@@ -35,40 +31,6 @@ TEST(PolicyNet, InitialPolicyIsNearlyUniform) {
   for (int row = 0; row < 32; ++row) {
     const Categorical odds(output.logits.data_ptr<float>() + row * kNumActions);
     EXPECT_GT(odds.Entropy(), 2.833);  // ln 17 = 2.83321
-  }
-}
-
-TEST(PolicyNet, ActingConvertsNoWeightTwice) {
-  SetUpTorchThread();
-  if (!CheckPrecision("cpu", v1::RunConfig::BF16).ok()) GTEST_SKIP() << "this CPU does not multiply in bfloat16";
-  constexpr int kRows = 3;
-  for (const char* agent : {"lstm_cnn", "oc_sa", "oc_ca"}) {
-    SCOPED_TRACE(agent);
-    AgentSpec spec = *FindAgent(agent);
-    spec.precision = v1::RunConfig::BF16;
-    std::vector<float> weights = InitialWeights(spec, 1);
-    const at::Device device(testing::kStandInDevice);
-    const PolicyNet net(spec, PolicyNet::Use::kActing, absl::MakeSpan(weights), device);
-    const at::Tensor frames = AsInput(GoldenFrames(5, kRows, spec.frame_size), spec).to(device);
-    Segments segments{std::vector<int>(kRows, 1), at::zeros({kRows, spec.state_size}).to(device)};
-    Packing& packing = segments.packing.emplace(Pack(segments.lengths));
-    for (auto* tensor : {&packing.rows, &packing.inverse_rows, &packing.segments, &packing.inverse_segments}) {
-      *tensor = tensor->to(device);
-    }
-    int64_t computed = 0;
-    testing::ObserveComputations([&](absl::string_view name, const auto& /*arguments*/, const auto& results) {
-      ++computed;
-      if (results.empty() || results[0].scalar_type() != at::kBFloat16 || name != "aten::copy_") return;
-      for (const ParamSpec& param : spec.params) {
-        EXPECT_FALSE(absl::EndsWith(param.name, "weight") && results[0].sizes() == param.shape) << param.name;
-      }
-    });
-    {
-      const c10::InferenceMode inference;
-      net.Forward(frames, segments);
-    }
-    testing::ObserveComputations(nullptr);
-    EXPECT_GT(computed, 10);
   }
 }
 

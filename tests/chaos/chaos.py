@@ -5,9 +5,8 @@ undisturbed run.
 First a single process trains undisturbed. Then a learner, actors and environment servers train the same run, while workers
 and the learner are killed (SIGKILL) and restarted, and one worker at a time is paused (SIGSTOP). At the end logs,
 evaluations and weights of both runs must be identical; no iteration may have taken more than a minute; no process may have
-ended on its own, or grown by more than a MiB per minute after its second minute. Hardly any process lives that long. With
---spare some are not killed; the others are compared with similar ones and fail if their growth is significant. Long forms
-append their figures to tests/chaos/results/runs.jsonl.
+ended on its own, or grown by more than a MiB per minute after its second minute, which with --spare some live to see. Long
+forms append their figures to tests/chaos/results/runs.jsonl.
 
   tests/chaos/chaos.py --bin=build/bin --out=/tmp/chaos                        49 iterations, ten minutes
   tests/chaos/chaos.py --bin=build/bin --out=/tmp/chaos --spare                three times as many; the learner, an actor and
@@ -43,15 +42,12 @@ COMPARED = ["stats.jsonl", "eval_argmax.jsonl", "eval_sampled.jsonl", "final_arg
 COMPARED_OF_CHECKPOINT = ["weights.safetensors", "optimizer.safetensors"]
 SLOWEST_ITERATION_S = 60
 GROWTH_LIMIT_KIB_PER_MINUTE = 1024
-LONG_ENOUGH_S = 900  # to detect growth although every process is killed
 MISSED_SHARE = 0.1  # most of the scheduled events that may be missing
 
 
 class Chaos:
     """Kills and pauses processes. The seed and the seconds since the start determine which process and when. Subclasses add
     kinds of events: methods with the names in `pace`."""
-
-    judges_growth = True  # whether growing memory fails the test; subclasses may set a bound instead
 
     def __init__(self, fleet, seed, pace, pause_s, spare=False):
         self.fleet, self.pace, self.pause_s, self.spare = fleet, pace, pause_s, spare
@@ -116,7 +112,7 @@ def train_quietly(options, config, logdir):
 def train_in_chaos(fleet, chaos, patience):
     """Trains to the end. Returns figures and failures."""
     start = printed = time.monotonic()
-    memory, watch = Memory(start), Watch(fleet)
+    memory, watch = Memory(), Watch(fleet)
     try:
         while fleet.learner.process.poll() is None:
             now = time.monotonic()
@@ -140,19 +136,13 @@ def train_in_chaos(fleet, chaos, patience):
     return figures, failures
 
 
-def limits_passed(figures, judges_growth):
+def limits_passed(figures):
     """Iterations that took too long and processes that grew. Not checked in the short form, which runs beside other tests."""
     failures = []
     if figures.get("slowest_iteration_s", 0) > SLOWEST_ITERATION_S:
         failures.append(f"an iteration took {figures['slowest_iteration_s']} s, want at most {SLOWEST_ITERATION_S}")
-    growth = figures.get("growth_kib_per_minute", {}) if judges_growth else {}
-    if judges_growth and not growth and figures.get("seconds", 0) > LONG_ENOUGH_S:
-        failures.append("nothing is known of memory")
-    for name, growth_of_one in growth.items():
-        if growth_of_one.above(GROWTH_LIMIT_KIB_PER_MINUTE):
-            failures.append(f"{name} grows by {growth_of_one.slope} +- {growth_of_one.error} KiB a minute, want at most "
-                            f"{GROWTH_LIMIT_KIB_PER_MINUTE}")
-    return failures
+    return failures + [f"{name} grows by {slope} KiB a minute, want at most {GROWTH_LIMIT_KIB_PER_MINUTE}"
+                       for name, slope in figures.get("growth_kib_per_minute", {}).items() if slope > GROWTH_LIMIT_KIB_PER_MINUTE]
 
 
 def newest_checkpoint(logdir):
@@ -196,7 +186,7 @@ def compare(options, config_text, make_fleet, make_chaos):
         fleet.stop()
     failures += differences(out / "quiet", out / "chaos")
     if not options.short:
-        failures += limits_passed(figures, chaos.judges_growth)
+        failures += limits_passed(figures)
     print(json.dumps(figures))
     print("FAILED: " + "; ".join(failures) if failures else "the same bytes as the undisturbed run")
     if not options.short:

@@ -1,7 +1,6 @@
 """A fleet of real processes that a test can kill, pause and watch: on this machine, or spread over several hosts."""
 
 import json
-import math
 import os
 import pathlib
 import signal
@@ -10,12 +9,9 @@ import statistics
 import subprocess
 import threading
 import time
-import typing
 
 WARM_UP_S = 120
-YOUNG_S = 4  # younger processes are still loading
-OBSERVATION_S = 10  # time between observations of an old process
-FEWEST_OBSERVATIONS = 15
+WATCHED_S = 180
 
 
 class Site:
@@ -111,12 +107,12 @@ class Worker:
 class Fleet:
     """A learner on `learner_site`, with environment servers and actors distributed over `sites`. Logs are in the folder `out`.
 
-    `actor_sites`: those of the actors, if not `sites`. `flags`: additional flags by role: learner, server, actor, and status,
+    `flags`: additional flags by role: learner, server, actor, and status,
     for the queries to the learner. `own_servers`: each actor plays on the environment server of its number alone, not on all
     of them."""
 
     def __init__(self, bin_folder, out, config, logdir, learner_site, sites, actors=0, servers=0,
-                 threads=1, flags=None, own_servers=False, actor_sites=None):
+                 threads=1, flags=None, own_servers=False):
         self.bin, out = pathlib.Path(bin_folder), pathlib.Path(out)
         self.flags = {"learner": [], "server": [], "actor": [], "status": [], **(flags or {})}
         self.learner_site, self.learner_address = learner_site, learner_site.listen()
@@ -134,9 +130,8 @@ class Fleet:
                            f"--advertise={site.reached_at(listen)}", f"--learner={reached}", *site.flags,
                            *self.flags["server"]]
                 self.workers.append(Worker(f"server{i}", command, out / f"server{i}.log", listen))
-            actor_sites = actor_sites or sites
             for i in range(actors):
-                site = actor_sites[i % len(actor_sites)]
+                site = sites[i % len(sites)]
                 games = site.reached_at(self.workers[i].address) if own_servers else "learner"
                 command = [*site.command_prefix, self.bin / "craftfleet-actor", f"--learner={reached}",
                            f"--envservers={games}", f"--threads={threads}", *self.flags["actor"]]
@@ -189,64 +184,17 @@ class Watch:
 
 
 class Memory:
-    """Measures the growth of each process's resident memory after the second minute of the test, also of processes that are
-    repeatedly killed and restarted."""
+    """The growth of the resident memory of processes that live long, after their second minute."""
 
-    def __init__(self, start):
-        self.start, self.samples = start, {}  # by name, by class of age: time, KiB, observation
+    def __init__(self):
+        self.samples = {}  # by name and start: seconds and KiB
 
     def note(self, worker, now):
-        kib, age, since = worker.resident_kib(), now - worker.started, now - self.start
-        if kib is None or age < YOUNG_S or since < WARM_UP_S:
-            return
-        # A short-lived process counts as one observation, an old one as another every ten seconds.
-        observed = (worker.started, 0 if age < WARM_UP_S else int(age / OBSERVATION_S))
-        self.samples.setdefault(worker.name, {}).setdefault(age_class(age), []).append((since, kib, observed))
+        kib = worker.resident_kib()
+        if kib is not None and now - worker.started > WARM_UP_S:
+            self.samples.setdefault((worker.name, worker.started), []).append((now, kib))
 
     def growth(self):
-        """Growth by name, for names with enough observations; of processes older than two minutes if there are any."""
-        growths = {}
-        for name, classes in self.samples.items():
-            old = [classes.get(age_class(WARM_UP_S), [])]
-            if observations(old) >= FEWEST_OBSERVATIONS:
-                growths[name] = Growth(*common_slope(old), old=True)
-            elif observations(classes.values()) >= FEWEST_OBSERVATIONS:
-                growths[name] = Growth(*common_slope(classes.values()), old=False)
-        return growths
-
-
-class Growth(typing.NamedTuple):
-    """KiB per minute. `error` is three times the standard error; `old`: the processes were older than two minutes."""
-    slope: int
-    error: int
-    old: bool
-
-    def above(self, limit):
-        """A slope that is smaller than its error says nothing. For processes that are killed the error is also subtracted,
-        because each one has different games."""
-        return self.slope > self.error and self.slope - (0 if self.old else self.error) > limit
-
-
-def age_class(age):
-    """The power of two of the age in seconds; a single class from two minutes on."""
-    return int(min(age, WARM_UP_S)).bit_length()
-
-
-def observations(classes):
-    return len({observed for samples in classes for _, _, observed in samples})
-
-
-def common_slope(classes):
-    """The slope in KiB per minute and three times its standard error. Samples are only compared with others of their class:
-    memory may depend on the age of a process, but not on the time since the start of the run."""
-    points = []  # time and KiB minus the means of their class; observation
-    for samples in classes:
-        mean_t, mean_kib = (statistics.fmean(sample[k] for sample in samples) for k in range(2))
-        points += [(t - mean_t, kib - mean_kib, observed) for t, kib, observed in samples]
-    square = sum(t ** 2 for t, _, _ in points)
-    slope = sum(t * kib for t, kib, _ in points) / square
-    pulls = {}  # influence of each observation on the slope: observations are independent, their samples are not
-    for t, kib, observed in points:
-        pulls[observed] = pulls.get(observed, 0) + t * (kib - slope * t)
-    error = math.sqrt(sum(pull ** 2 for pull in pulls.values())) / square
-    return round(60 * slope), round(180 * error)
+        """KiB a minute by name, of processes that were watched for long enough."""
+        long = {name: samples for (name, _), samples in self.samples.items() if samples[-1][0] - samples[0][0] > WATCHED_S}
+        return {name: round(60 * statistics.linear_regression(*zip(*samples)).slope) for name, samples in long.items()}

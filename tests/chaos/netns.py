@@ -214,18 +214,13 @@ def why_not():
 
 
 def main():
-    parser = arguments(__doc__)
-    parser.add_argument("--pace", default="", help="seconds between events of a kind, such as kill=2,cut=40,reset=0; 0: none")
-    options = parser.parse_args()
+    options = arguments(__doc__).parse_args()
     reason = why_not()
     if reason is not None:
         print(f"skipped: {reason}")
         return SKIPPED
     end_cleanly_when_stopped()
-    pace = dict(SHORT_PACE if options.short else LONG_PACE)
-    for event, every in (entry.split("=") for entry in options.pace.split(",") if entry):
-        pace[event] = float(every)
-    pace = {event: every for event, every in pace.items() if every > 0}
+    pace = SHORT_PACE if options.short else LONG_PACE
     network = Network(options)
     try:
         network.build()

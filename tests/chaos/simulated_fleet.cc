@@ -9,6 +9,7 @@
 #include <cstdio>
 #include <cstdlib>
 #include <deque>
+#include <functional>
 #include <map>
 #include <memory>
 #include <random>
@@ -20,6 +21,7 @@
 #include <absl/strings/str_cat.h>
 #include <absl/strings/str_format.h>
 #include <absl/time/clock.h>
+#include <grpcpp/alarm.h>
 
 #include "common/agent/agent_spec.h"
 #include "common/agent/canary.h"
@@ -33,7 +35,7 @@
 #include "common/wire/convert.h"
 #include "common/wire/protocol.h"
 #include "craftfleet/v1/learner.grpc.pb.h"
-#include "tests/chaos/timer.h"
+#include "craftfleet/v1/status.grpc.pb.h"
 
 ABSL_FLAG(std::string, learner, "127.0.0.1:50051", "address of the learner");
 ABSL_FLAG(int32_t, actors, 200, "actors");
@@ -41,6 +43,7 @@ ABSL_FLAG(int32_t, servers, 0, "environment servers");
 ABSL_FLAG(int32_t, share, 1, "workers on one connection, 1..60: the learner takes 128 calls on each");
 ABSL_FLAG(int32_t, play_ms, 0, "mean time to play a fragment; 0: none");
 ABSL_FLAG(int32_t, seconds, 600, "how long");
+ABSL_FLAG(bool, probe, false, "only measure how long the learner's status takes to come, once a second");
 
 namespace craftfleet {
 namespace {
@@ -50,11 +53,19 @@ constexpr int kPollMs = 500;  // as actors do
 constexpr absl::Duration kBetweenStarts = absl::Microseconds(500);
 constexpr int kServersPerHost = 4;
 
+// Calls `function` later, on a thread of gRPC.
+void After(absl::Duration delay, std::function<void()> function) {
+  auto* const alarm = new grpc::Alarm;
+  alarm->Set(absl::ToChronoTime(absl::Now() + delay), [alarm, function = std::move(function)](bool /*ok*/) {
+    function();
+    delete alarm;
+  });
+}
+
 // What all workers share.
 struct Fleet {
   std::string canary;
   absl::Duration play;
-  Timer timer;
   std::atomic<bool> stopping{false};
   std::atomic<int> absent{0};  // actors that have not joined yet
   std::atomic<int> failed{0};
@@ -141,7 +152,7 @@ class EmptyActor final : public grpc::ClientBidiReactor<v1::ActorMessage, v1::Le
   // leases of thousands of actors would lapse meanwhile.
   void AwaitOthers() {
     if (fleet_->play == absl::ZeroDuration() && fleet_->absent > 0 && !fleet_->stopping) {
-      return fleet_->timer.After(absl::Milliseconds(100), [this] { AwaitOthers(); });
+      return After(absl::Milliseconds(100), [this] { AwaitOthers(); });
     }
     stub_->async()->Play(&stream_context_, this);
     ++fleet_->calls;
@@ -190,7 +201,7 @@ class EmptyActor final : public grpc::ClientBidiReactor<v1::ActorMessage, v1::Le
   void Play(int lane) {
     if (fleet_->play == absl::ZeroDuration()) return Send(lane);
     const double factor = std::uniform_real_distribution<double>(0.5, 1.5)(random_);
-    fleet_->timer.After(factor * fleet_->play, [this, lane] { Send(lane); });
+    After(factor * fleet_->play, [this, lane] { Send(lane); });
   }
 
   void Send(int lane) {
@@ -321,7 +332,7 @@ class EmptyServer {
                                if (!status.ok() && !fleet_->stopping) fleet_->Fail("Announce", status);
                                fleet_->Note(&fleet_->answer_ms, SteadyNow() - start);
                                const int lease_ms = status.ok() ? call->reply.lease_ms() : 8000;
-                               fleet_->timer.After(absl::Milliseconds(lease_ms) / 8, [this] { Announce(); });
+                               After(absl::Milliseconds(lease_ms) / 8, [this] { Announce(); });
                                --fleet_->calls;
                              });
   }
@@ -353,8 +364,28 @@ absl::StatusOr<v1::JoinReply> AskLearner(const std::string& address) {
   return reply;
 }
 
+absl::Status Probe(const std::string& address) {
+  const wire::Endpoint learner = wire::Connect(address);
+  const auto stub = v1::StatusService::NewStub(learner.channel);
+  std::vector<float> answers_ms;
+  const absl::Time end = absl::Now() + absl::Seconds(absl::GetFlag(FLAGS_seconds));
+  // The first query includes the connection and does not count.
+  for (bool connected = false; absl::Now() < end || answers_ms.empty(); absl::SleepFor(absl::Seconds(1))) {
+    grpc::ClientContext context;
+    wire::SetDeadline(&context, absl::Seconds(10));
+    v1::StatusReply reply;
+    const absl::Time start = absl::Now();
+    CRAFTFLEET_RETURN_IF_ERROR(wire::FromCall(stub->GetStatus(&context, {}, &reply), "status", learner));
+    if (connected) answers_ms.push_back(static_cast<float>(absl::ToDoubleMilliseconds(absl::Now() - start)));
+    connected = true;
+  }
+  std::printf("%s\n", Figures(answers_ms).c_str());
+  return absl::OkStatus();
+}
+
 absl::Status Run() {
   const std::string address = absl::GetFlag(FLAGS_learner);
+  if (absl::GetFlag(FLAGS_probe)) return Probe(address);
   const int share = absl::GetFlag(FLAGS_share);
   Fleet fleet;
   fleet.play = absl::Milliseconds(absl::GetFlag(FLAGS_play_ms));
@@ -398,7 +429,7 @@ absl::Status Run() {
                           actors.size(), servers.size(), fleet.failed.load(), joining_s, *fewest, *most,
                           Figures(fleet.verdict_ms), Figures(fleet.answer_ms))
                           .c_str());
-  // Timers may still hold pointers to workers; the process ends here.
+  // Alarms may still hold pointers to workers; the process ends here.
   std::fflush(stdout);
   std::_Exit(0);
 }

@@ -1,21 +1,18 @@
 #include "envserver/env_batch.h"
 
-#include <map>
 #include <memory>
 #include <optional>
 #include <string>
-#include <utility>
 #include <vector>
 
 #include <absl/time/clock.h>
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
-#include "common/io/paths.h"
 #include "common/io/snapshot_envelope.h"
 #include "envserver/game_budget.h"
-#include "envserver/render/scene_record.h"
 #include "tests/envserver/full_game.h"
+#include "tests/fakes/played_game.h"
 #include "tests/fakes/status_matchers.h"
 
 namespace craftfleet {
@@ -26,29 +23,11 @@ using testing::HasSubstr;
 using testing::IsEmpty;
 using testing::SizeIs;
 
-std::shared_ptr<const Renderer> MakeRenderer(int length = 10000) {
-  WorldOptions world;
-  world.length = length;
-  return *Renderer::Create(**Textures::Load(*DefaultTextureDir()), world, RenderOptions());
-}
-
-// A game played without a batch.
-struct Played {
-  Played(const std::shared_ptr<const Renderer>& renderer, int64_t seed)
-      : frame(renderer->frame_bytes(), '\0'), game(*Game::Create(renderer, seed, Bytes())) {}
-  absl::Span<uint8_t> Bytes() { return absl::MakeSpan(reinterpret_cast<uint8_t*>(frame.data()), frame.size()); }
-  Game::PlayedStep Step(Action action) { return game.StepAndAutoReset(action, Bytes(), &last_frames); }
-
-  std::string frame;
-  std::string last_frames;
-  Game game;
-};
-
 TEST(EnvBatch, RowsAreInTheOrderOfTheRequest) {
   const auto renderer = MakeRenderer();
   EnvBatch batch(renderer);
-  Played three(renderer, 33);
-  Played one(renderer, 11);
+  PlayedGame three(renderer, 33);
+  PlayedGame one(renderer, 11);
   std::string frames;
   ASSERT_THAT(batch.Open({{3, 33, 1, ""}, {1, 11, 1, ""}}, &frames), IsOk());
   EXPECT_EQ(frames, three.frame + one.frame);
@@ -68,7 +47,7 @@ TEST(EnvBatch, RowsAreInTheOrderOfTheRequest) {
 TEST(EnvBatch, OnlyNamedLanesAreStepped) {
   const auto renderer = MakeRenderer();
   EnvBatch batch(renderer);
-  Played two(renderer, 2);
+  PlayedGame two(renderer, 2);
   std::string frames;
   ASSERT_THAT(batch.Open({{1, 1, 1, ""}, {2, 2, 1, ""}}, &frames), IsOk());
   StepBatch step;
@@ -127,71 +106,6 @@ TEST(EnvBatch, CountsObjectsBeyondTheUsualOnesWhileTheirGamesAreOpen) {
   EXPECT_EQ(batch.more_objects(), 0);
 }
 
-// The frames of a batch's records.
-class Receiver {
- public:
-  explicit Receiver(std::shared_ptr<const Renderer> renderer) : renderer_(std::move(renderer)) {}
-  // Draws the record at the beginning of `bytes`.
-  std::string Draw(int lane, absl::string_view* bytes) {
-    std::string frame(renderer_->frame_bytes(), '\0');
-    EXPECT_THAT(readers_[lane].Draw(*renderer_, bytes, FrameBytes(&frame)), IsOk());
-    return frame;
-  }
-  void Restart() { readers_.clear(); }
-
- private:
-  const std::shared_ptr<const Renderer> renderer_;
-  std::map<int, SceneReader> readers_;
-};
-
-// Episodes end in the night; a receiver that forgets everything at each snapshot draws every frame.
-TEST(EnvBatch, RecordsDrawTheFramesOfASessionWithoutThem) {
-  const auto renderer = MakeRenderer(180);
-  EnvBatch raw(renderer);
-  EnvBatch records(renderer, std::nullopt, FrameFormat::kScene);
-  Receiver receiver(renderer);
-  const std::vector<EnvBatch::OpenLane> lanes = {{4, 4, 1, ""}, {2, 2, 1, ""}};
-  std::string raw_frames;
-  std::string record_frames;
-  ASSERT_THAT(raw.Open(lanes, &raw_frames), IsOk());
-  ASSERT_THAT(records.Open(lanes, &record_frames), IsOk());
-  absl::string_view rest = record_frames;
-  std::string opened = receiver.Draw(4, &rest);
-  opened += receiver.Draw(2, &rest);
-  EXPECT_TRUE(opened == raw_frames && rest.empty());
-  StepBatch of_raw;
-  StepBatch of_records;
-  RandomStream random(3);
-  int truncated = 0;
-  size_t bytes = 0;
-  for (int i = 0; i < 1000; ++i) {
-    const std::vector<Action> actions = {static_cast<Action>(random.Below(kNumActions)),
-                                         static_cast<Action>(random.Below(kNumActions))};
-    const bool snapshot = i % 16 == 0;
-    ASSERT_THAT(raw.Step({4, 2}, actions, snapshot, &of_raw), IsOk());
-    ASSERT_THAT(records.Step({4, 2}, actions, snapshot, &of_records), IsOk());
-    ASSERT_TRUE(of_records.rewards == of_raw.rewards && of_records.ends == of_raw.ends);
-    ASSERT_TRUE(of_records.snapshots == of_raw.snapshots);
-    if (snapshot) receiver.Restart();
-    std::string frames;
-    std::string last_frames;
-    rest = of_records.frames;
-    absl::string_view last_rest = of_records.last_frames;
-    for (size_t row = 0; row < 2; ++row) {
-      const int lane = row == 0 ? 4 : 2;
-      if (of_raw.ends[row] == StepEnd::kTruncated) last_frames += receiver.Draw(lane, &last_rest);
-      frames += receiver.Draw(lane, &rest);
-    }
-    ASSERT_TRUE(rest.empty() && last_rest.empty());
-    ASSERT_TRUE(frames == of_raw.frames) << i;
-    ASSERT_TRUE(last_frames == of_raw.last_frames) << i;
-    truncated += last_frames.empty() ? 0 : 1;
-    bytes += of_records.frames.size();
-  }
-  EXPECT_GT(truncated, 2);
-  EXPECT_LT(bytes / 2000, 400);
-}
-
 TEST(EnvBatch, ARestoredGameSendsARecordOfItsOwn) {
   const auto renderer = MakeRenderer();
   EnvBatch first(renderer, std::nullopt, FrameFormat::kScene);
@@ -208,7 +122,7 @@ TEST(EnvBatch, ARestoredGameSendsARecordOfItsOwn) {
 TEST(EnvBatch, AnEndedGameStartsItsNextEpisode) {
   const auto renderer = MakeRenderer(5);
   EnvBatch batch(renderer);
-  Played played(renderer, 7);
+  PlayedGame played(renderer, 7);
   std::string frames;
   ASSERT_THAT(batch.Open({{0, 7, 1, ""}, {1, 7, 2, ""}}, &frames), IsOk());
   const std::string second_episode = frames.substr(played.frame.size());
@@ -282,31 +196,12 @@ TEST(EnvBatch, StopsBetweenGamesOnRequest) {
               StatusIs(absl::StatusCode::kCancelled, HasSubstr("the client left")));
 }
 
-TEST(EnvBatch, ASnapshotContinuesInAnotherBatch) {
-  const auto renderer = MakeRenderer();
-  EnvBatch first(renderer);
-  std::string frames;
-  StepBatch step;
-  ASSERT_THAT(first.Open({{5, 55, 1, ""}}, &frames), IsOk());
-  for (int i = 0; i < 30; ++i) ASSERT_THAT(first.Step({5}, {Action::kMoveUp}, i == 29, &step), IsOk());
-  EnvBatch second(renderer);
-  ASSERT_THAT(second.Open({{9, 0, 1, step.snapshots[0]}}, &frames), IsOk());
-  EXPECT_EQ(frames, step.frames);
-  StepBatch other;
-  for (int i = 0; i < 30; ++i) {
-    ASSERT_THAT(first.Step({5}, {Action::kMoveRight}, true, &step), IsOk());
-    ASSERT_THAT(second.Step({9}, {Action::kMoveRight}, true, &other), IsOk());
-    ASSERT_EQ(other.frames, step.frames);
-    ASSERT_EQ(other.snapshots, step.snapshots);
-  }
-}
-
 // An invalid snapshot affects its own lane only.
 TEST(EnvBatch, LanesWithInvalidSnapshotsAreRefusedAndOthersOpen) {
   const auto renderer = MakeRenderer();
   EnvBatch batch(renderer);
-  Played one(renderer, 11);
-  Played three(renderer, 33);
+  PlayedGame one(renderer, 11);
+  PlayedGame three(renderer, 33);
   const std::string in_envelope =
       SealSnapshot(EnvDigest(renderer->world_options().name, renderer->world_options().length), "no game");
   std::string large(kMaxSnapshotBytes + 1, 's');
@@ -360,7 +255,7 @@ TEST(EnvBatch, RefusesInvalidLanesAndEpisodes) {
 TEST(EnvBatch, AStepOfAWrongLaneStepsNothing) {
   const auto renderer = MakeRenderer();
   EnvBatch batch(renderer);
-  Played played(renderer, 1);
+  PlayedGame played(renderer, 1);
   std::string frames;
   StepBatch step;
   ASSERT_THAT(batch.Open({{0, 1, 1, ""}, {1, 1, 1, ""}}, &frames), IsOk());

@@ -8,9 +8,8 @@
 #include <gtest/gtest.h>
 
 #include "common/config/known_canary.h"
-#include "common/io/paths.h"
-#include "envserver/game.h"
 #include "tests/envserver/test_session.h"
+#include "tests/fakes/played_game.h"
 #include "tests/fakes/status_matchers.h"
 
 namespace craftfleet {
@@ -66,34 +65,13 @@ TEST_F(EnvServiceTest, ASessionWithAnotherGameCanaryIsRefused) {
                        AllOf(HasSubstr("plays another game"), HasSubstr("its canary is not 0123456789abcdef"))));
 }
 
-TEST_F(EnvServiceTest, ASnapshotContinuesInAnotherSession) {
-  Session first(server());
-  ASSERT_THAT(first.Send(Hello("run-a")), IsOk());
-  ASSERT_THAT(first.Send(Open(0, 5)), IsOk());
-  for (int i = 0; i < 20; ++i) ASSERT_THAT(first.Send(Step({0}, "\x02")), IsOk());
-  const auto last = first.Send(Step({0}, "\x02", true));
-  ASSERT_THAT(last, IsOk());
-  Session second(server());
-  ASSERT_THAT(second.Send(Hello("run-a")), IsOk());
-  EXPECT_EQ(second.Send(Open(3, 0, last->snapshots(0)))->frames(), last->frames());
-  EXPECT_EQ(second.Send(Step({3}, "\x05"))->frames(), first.Send(Step({0}, "\x05"))->frames());
-}
-
-std::string SnapshotOfAnotherLength() {
-  WorldOptions world;
-  world.length = kLength + 1;
-  const auto renderer = *Renderer::Create(**Textures::Load(*DefaultTextureDir()), world, RenderOptions());
-  std::vector<uint8_t> frame(renderer->frame_bytes());
-  return Game::Create(renderer, 1, absl::MakeSpan(frame))->Save();
-}
-
 // The session and its other games continue.
 TEST_F(EnvServiceTest, OnlyTheLaneWithAnInvalidSnapshotIsRefused) {
   Session session(server());
   ASSERT_THAT(session.Send(Hello("run-a")), IsOk());
   const auto witness = session.Send(Open(0, 5));
   ASSERT_THAT(witness, IsOk());
-  for (const std::string& snapshot : {std::string(9000, 'x'), SnapshotOfAnotherLength()}) {
+  for (const std::string& snapshot : {std::string(9000, 'x'), PlayedGame(MakeRenderer(kLength + 1), 1).game.Save()}) {
     v1::PlayRequest open = Open(1, 5);
     open.mutable_open()->MergeFrom(Open(2, 5, snapshot).open());
     const auto reply = session.Send(open);

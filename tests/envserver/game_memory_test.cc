@@ -1,4 +1,5 @@
-// Games take no more memory than is counted for them. A program of its own: it replaces operator new.
+// Games take no more memory than is counted for them, and steps allocate none. A program of its own: it replaces
+// operator new.
 
 #include <malloc.h>
 
@@ -12,19 +13,21 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
-#include "common/io/paths.h"
 #include "envserver/env_batch.h"
 #include "envserver/game_budget.h"
 #include "tests/envserver/full_game.h"
+#include "tests/fakes/played_game.h"
 #include "tests/fakes/status_matchers.h"
 
 namespace {
 std::atomic<int64_t> bytes_in_use = 0;
+std::atomic<int64_t> allocations = 0;
 }  // namespace
 
 void* operator new(size_t size) {
   void* memory = std::malloc(size);
   if (memory == nullptr) std::abort();
+  ++allocations;
   bytes_in_use += static_cast<int64_t>(malloc_usable_size(memory));
   return memory;
 }
@@ -42,10 +45,8 @@ constexpr int kMessages = 1;  // that gRPC makes of a reply, beside the reply
 
 // Plays games from `snapshot` (empty: new ones), and checks after each step what they take.
 void ExpectToFit(const std::string& snapshot) {
-  const std::shared_ptr<const Renderer> renderer =
-      *Renderer::Create(**Textures::Load(*DefaultTextureDir()), WorldOptions(), RenderOptions());
-  std::vector<uint8_t> frame(renderer->frame_bytes());
-  ASSERT_THAT(Game::Create(renderer, 1, absl::MakeSpan(frame)), IsOk());  // makes the tables that all worlds share
+  const std::shared_ptr<const Renderer> renderer = MakeRenderer();
+  const PlayedGame first(renderer, 1);  // makes the tables that all worlds share
   const int64_t before = bytes_in_use;
   EnvBatch batch(renderer);
   std::vector<EnvBatch::OpenLane> lanes;
@@ -74,10 +75,33 @@ void ExpectToFit(const std::string& snapshot) {
 TEST(GameMemory, OfNewGamesIsCounted) { ExpectToFit(""); }
 
 // Its objects alone took 160 KiB of the 64 that were counted.
-TEST(GameMemory, OfGamesWithAnObjectOnEveryCellIsCounted) {
-  const std::string snapshot =
-      FullSnapshot(*Renderer::Create(**Textures::Load(*DefaultTextureDir()), WorldOptions(), RenderOptions()));
-  ExpectToFit(snapshot);
+TEST(GameMemory, OfGamesWithAnObjectOnEveryCellIsCounted) { ExpectToFit(FullSnapshot(MakeRenderer())); }
+
+// Whatever it draws, balances or resets.
+TEST(GameMemory, StepsAndResetsAllocateNothing) {
+  PlayedGame played(MakeRenderer(), 3);
+  RandomStream actions(1);
+  std::string records;
+  records.reserve(1 << 16);
+  played.last_frames.reserve(1 << 16);
+  int ended = 0;
+  int nights = 0;
+  const int64_t before = allocations;
+  EXPECT_GT(before, 0);
+  for (int i = 0; i < 6000; ++i) {
+    records.clear();
+    played.last_frames.clear();
+    const auto action = static_cast<Action>(actions.Below(kNumActions));
+    if (i < 4000) {
+      ended += played.Step(action).episode.has_value() ? 1 : 0;
+    } else {
+      played.game.StepAndRecord(action, /*anew=*/i % 32 == 0, &records, &played.last_frames);
+    }
+    nights += played.game.world().daylight() < kNoiseBelow ? 1 : 0;
+  }
+  EXPECT_EQ(allocations - before, 0);
+  EXPECT_GT(ended, 3);
+  EXPECT_GT(nights, 100);
 }
 
 }  // namespace

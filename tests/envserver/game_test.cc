@@ -2,12 +2,11 @@
 
 #include <memory>
 #include <string>
-#include <vector>
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
-#include "common/io/paths.h"
+#include "tests/fakes/played_game.h"
 #include "tests/fakes/status_matchers.h"
 #include "tests/golden/world_editor.h"
 
@@ -16,25 +15,9 @@ namespace {
 
 using testing::_;
 
-std::shared_ptr<const Renderer> MakeRenderer(int length = 10000) {
-  WorldOptions world;
-  world.length = length;
-  const auto renderer = Renderer::Create(**Textures::Load(*DefaultTextureDir()), world, RenderOptions());
-  EXPECT_THAT(renderer, IsOk());
-  return *renderer;
-}
-
-// A game and the buffer for its picture.
-struct Played {
-  Played(std::shared_ptr<const Renderer> renderer, int64_t seed)
-      : frame(renderer->frame_bytes()), game(*Game::Create(std::move(renderer), seed, absl::MakeSpan(frame))) {}
-
-  Game::PlayedStep Step(Action action) { return game.StepAndAutoReset(action, absl::MakeSpan(frame), &last_frames); }
+struct Played : PlayedGame {
+  using PlayedGame::PlayedGame;
   WorldState& state() { return WorldEditor::State(const_cast<World*>(&game.world())); }
-
-  std::vector<uint8_t> frame;
-  std::string last_frames;
-  Game game;
 };
 
 Action RandomAction(RandomStream* random) { return static_cast<Action>(random->Below(kNumActions)); }
@@ -43,7 +26,7 @@ Action RandomAction(RandomStream* random) { return static_cast<Action>(random->B
 void ExpectToGoOnTheSame(Played* played, const std::shared_ptr<const Renderer>& renderer) {
   Played other(renderer, 999);
   for (int i = 0; i < 30; ++i) other.Step(Action::kMoveUp);
-  ASSERT_THAT(other.game.Restore(played->game.Save(), absl::MakeSpan(other.frame)), IsOk());
+  ASSERT_THAT(other.game.Restore(played->game.Save(), other.Bytes()), IsOk());
   EXPECT_EQ(other.frame, played->frame);
   EXPECT_EQ(other.game.Save(), played->game.Save());
   RandomStream actions(5);
@@ -106,7 +89,7 @@ TEST(Game, SnapshotOfAGameThatHasEndedIsRefusedAndChangesNothing) {
     } else {
       ended.state().step = 500;
     }
-    EXPECT_THAT(played.game.Restore(ended.game.Save(), absl::MakeSpan(played.frame)),
+    EXPECT_THAT(played.game.Restore(ended.game.Save(), played.Bytes()),
                 StatusIs(absl::StatusCode::kDataLoss, testing::HasSubstr("of a game that has ended")));
   }
   EXPECT_EQ(played.game.Save(), before);
@@ -116,9 +99,9 @@ TEST(Game, SnapshotOfAnotherGameIsRefusedAndChangesNothing) {
   Played longer(MakeRenderer(10000), 1);
   Played shorter(MakeRenderer(500), 1);
   shorter.Step(Action::kMoveLeft);
-  const std::vector<uint8_t> frame = shorter.frame;
+  const std::string frame = shorter.frame;
   const std::string before = shorter.game.Save();
-  EXPECT_THAT(shorter.game.Restore(longer.game.Save(), absl::MakeSpan(shorter.frame)),
+  EXPECT_THAT(shorter.game.Restore(longer.game.Save(), shorter.Bytes()),
               StatusIs(absl::StatusCode::kInvalidArgument, _));
   EXPECT_EQ(shorter.frame, frame);
   EXPECT_EQ(shorter.game.Save(), before);
@@ -136,18 +119,18 @@ TEST(Game, AutoResetMatchesStepAndReset) {
     const Action action = RandomAction(&actions);
     automatic.last_frames.clear();
     const Game::PlayedStep played = automatic.Step(action);
-    const StepOutcome outcome = manual.game.Step(action, absl::MakeSpan(manual.frame));
+    const StepOutcome outcome = manual.game.Step(action, manual.Bytes());
     ASSERT_EQ(played.outcome.reward, outcome.reward);
     ASSERT_EQ(played.outcome.end, outcome.end);
     ASSERT_EQ(played.outcome.unlocked, outcome.unlocked);
     if (outcome.end == StepEnd::kTruncated) {
       ++truncated;
-      ASSERT_EQ(automatic.last_frames, std::string(manual.frame.begin(), manual.frame.end()));
+      ASSERT_EQ(automatic.last_frames, manual.frame);
     } else {
       ASSERT_EQ(automatic.last_frames, "");
     }
     died += outcome.end == StepEnd::kTerminated;
-    if (outcome.end != StepEnd::kNone) manual.game.Reset(absl::MakeSpan(manual.frame));
+    if (outcome.end != StepEnd::kNone) manual.game.Reset(manual.Bytes());
     ASSERT_EQ(automatic.frame, manual.frame) << i;
   }
   EXPECT_GT(truncated, 0);

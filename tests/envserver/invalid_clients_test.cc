@@ -18,7 +18,8 @@ namespace {
 
 using testing::HasSubstr;
 
-// Sends `requests` in order; the last one is answered by an error.
+// Sends `requests` in order; the last one is answered by an error. env_batch_test has those of lanes, field_edges_test
+// those of single fields.
 struct InvalidClient {
   std::string what;
   std::function<std::vector<v1::PlayRequest>()> requests;
@@ -79,14 +80,6 @@ const std::vector<InvalidClient>& AllInvalidClients() {
        [] { return Requests{Hello("run-b")}; },
        absl::StatusCode::kResourceExhausted,  // the server is free again when that run ends
        {"serves run run-a", "belongs to run run-b"}},
-      {"ClientOfManyWords",
-       [] { return Requests{HelloBut([](auto* h) { h->set_client(std::string(513, 'a')); })}; },
-       kInvalid,
-       {"client has 513 bytes, want at most 512"}},
-      {"RunThatCannotBePrinted",
-       [] { return Requests{HelloBut([](auto* h) { h->set_run_id("run-a\n"); })}; },
-       kInvalid,
-       {"run_id is \"run-a\\n\", want printable ASCII"}},
       {"UnknownGame",
        [] { return Requests{HelloBut([](auto* h) { h->mutable_env()->set_name("pong"); })}; },
        kInvalid,
@@ -103,24 +96,12 @@ const std::vector<InvalidClient>& AllInvalidClients() {
        [] { return Requests{HelloBut([](auto* h) { h->mutable_env()->set_length(-5); })}; },
        kInvalid,
        {"length -5, want "}},
-      {"UnknownLane",
-       [] {
-         return Requests{Hello("run-a"), Open(0, 1), Step({0, 3}, "\x01\x01")};
-       },
-       kInvalid,
-       {"lane 3 is not open"}},
       {"AnotherSessionsLane",
        [] {
          return Requests{Hello("run-a"), Step({7}, "\x01")};
        },
        kInvalid,
        {"lane 7 is not open in this session"}},
-      {"LaneTwice",
-       [] {
-         return Requests{Hello("run-a"), Open(0, 1), Step({0, 0}, "\x01\x01")};
-       },
-       kInvalid,
-       {"lane 0 is named twice"}},
       {"Action17",
        [] {
          return Requests{Hello("run-a"), Open(0, 1), Step({0}, "\x11")};
@@ -133,12 +114,6 @@ const std::vector<InvalidClient>& AllInvalidClients() {
        },
        kInvalid,
        {"actions: 0 bytes, want 1"}},
-      {"NegativeLane",
-       [] {
-         return Requests{Hello("run-a"), Open(-2, 1)};
-       },
-       kInvalid,
-       {"lane -2, want at least 0"}},
   };
   return *misdeeds;
 }

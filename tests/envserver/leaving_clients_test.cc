@@ -17,12 +17,6 @@
 namespace craftfleet {
 namespace {
 
-v1::PlayRequest OpenMany(int lanes) {
-  v1::PlayRequest request;
-  for (int lane = 0; lane < lanes; ++lane) request.mutable_open()->add_lanes()->set_lane(lane);
-  return request;
-}
-
 v1::PlayRequest StepMany(int lanes) {
   v1::PlayRequest request;
   for (int lane = 0; lane < lanes; ++lane) request.mutable_step()->add_lanes(lane);

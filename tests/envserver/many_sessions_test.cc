@@ -16,6 +16,7 @@
 #include "envserver/env_service.h"
 #include "tests/envserver/full_game.h"
 #include "tests/envserver/test_session.h"
+#include "tests/fakes/played_game.h"
 #include "tests/fakes/sanitizers.h"
 #include "tests/fakes/status_matchers.h"
 #include "tests/fakes/threads.h"
@@ -36,13 +37,11 @@ TEST_F(EnvServiceTest, AnExceptionEndsOnlyItsSession) {
   v1::PlayRequest hello = Hello("run-a");
   hello.mutable_hello()->mutable_env()->set_frame_size(1024);
   ASSERT_THAT(session.Send(hello), IsOk());
-  v1::PlayRequest open;
-  for (int lane = 0; lane < EnvBatch::kMaxLanes; ++lane) open.mutable_open()->add_lanes()->set_lane(lane);
   rlimit before{};
   ASSERT_EQ(getrlimit(RLIMIT_AS, &before), 0);
   const rlimit limit = {4UL << 30, before.rlim_max};
   ASSERT_EQ(setrlimit(RLIMIT_AS, &limit), 0);
-  const absl::Status status = session.Send(open).status();
+  const absl::Status status = session.Send(OpenMany(EnvBatch::kMaxLanes)).status();
   ASSERT_EQ(setrlimit(RLIMIT_AS, &before), 0);
   EXPECT_THAT(status,
               StatusIs(absl::StatusCode::kAborted, AllOf(HasSubstr("the environment failed"), HasSubstr("bad_alloc"))));
@@ -68,10 +67,7 @@ TEST(EnvService, AnIdleSessionGivesWayToOneThatNeedsItsRoom) {
 
 // 64 KiB were counted for each game, whatever its snapshot held.
 TEST(EnvService, GamesWithManyObjectsTakeMoreOfTheBudget) {
-  WorldOptions world;
-  world.length = kLength;
-  const std::string full =
-      FullSnapshot(*Renderer::Create(**Textures::Load(*DefaultTextureDir()), world, RenderOptions()));
+  const std::string full = FullSnapshot(MakeRenderer(kLength));
   EnvServiceImpl::Options options;
   options.budget.session_bytes = 4 << 20;
   const auto service = *EnvServiceImpl::Create(*DefaultTextureDir(), options);
@@ -139,10 +135,8 @@ class OneGameThreadTest : public testing::Test {
 // Opening as many games takes a second and more. They used to share the cores by having a thread each.
 TEST_F(OneGameThreadTest, ALongRequestLetsOtherSessionsPlay) {
   ASSERT_THAT(session_.Send(Hello("run-a")), IsOk());
-  v1::PlayRequest open;
-  for (int lane = 0; lane < EnvBatch::kMaxLanes; ++lane) open.mutable_open()->add_lanes()->set_lane(lane);
   const double memory = Metric(*service_, "games_memory");
-  session_.Write(open);
+  session_.Write(OpenMany(EnvBatch::kMaxLanes));
   ASSERT_TRUE(WaitUntil([&] { return Metric(*service_, "games_memory") > memory; })) << "it has begun";
   witness_.PlayOn(10);
   v1::StatusReply status;

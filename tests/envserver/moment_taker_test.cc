@@ -8,8 +8,8 @@
 #include <gtest/gtest.h>
 
 #include "common/base/keyed_random.h"
-#include "common/io/paths.h"
 #include "envserver/env_batch.h"
+#include "tests/fakes/played_game.h"
 #include "tests/fakes/status_matchers.h"
 
 namespace craftfleet {
@@ -21,36 +21,15 @@ using testing::SizeIs;
 
 constexpr int kPictureSize = 144;
 
-std::shared_ptr<const Renderer> MakeRenderer(int size, int length) {
-  WorldOptions world;
-  world.length = length;
-  RenderOptions picture;
-  picture.width = size;
-  picture.height = size;
-  return *Renderer::Create(**Textures::Load(*DefaultTextureDir()), world, picture);
-}
-
 Action ActionAt(int step) {
   return static_cast<Action>(KeyedBits(RandomUse::kActionNoise, 5, 0, static_cast<uint64_t>(step)) % kNumActions);
 }
 
-// A game played without auto reset, with Crafter's loop of step and reset.
-struct ByHand {
-  explicit ByHand(int length)
-      : renderer(MakeRenderer(64, length)),
-        frame(renderer->frame_bytes(), '\0'),
-        game(*Game::Create(renderer, 7, FrameBytes(&frame))) {}
-
-  std::shared_ptr<const Renderer> renderer;
-  std::string frame;
-  Game game;
-};
-
 // Over a night and several ends: taking moments must not change the game's random stream.
 TEST(Recording, DoesNotChangeTheGame) {
-  const auto renderer = MakeRenderer(64, 260);
+  const auto renderer = MakeRenderer(260);
   EnvBatch plain(renderer);
-  EnvBatch recorded(renderer, MomentTaker(MakeRenderer(kPictureSize, 260)));
+  EnvBatch recorded(renderer, MomentTaker(MakeRenderer(260, kPictureSize)));
   std::string frames;
   std::string recorded_frames;
   ASSERT_THAT(plain.Open({{0, 7, 1, ""}}, &frames), IsOk());
@@ -80,17 +59,18 @@ TEST(Recording, DoesNotChangeTheGame) {
 
 TEST(Recording, HasEachMomentOfAnEpisodeUpToItsLast) {
   constexpr int kLength = 40;
-  ByHand played(kLength);
-  EnvBatch batch(played.renderer, MomentTaker(MakeRenderer(kPictureSize, kLength)));
+  const auto renderer = MakeRenderer(kLength);
+  PlayedGame played(renderer, 7);  // with Crafter's own step
+  EnvBatch batch(renderer, MomentTaker(MakeRenderer(kLength, kPictureSize)));
   std::string frames;
   StepBatch step;
   ASSERT_THAT(batch.Open({{3, 7, 1, ""}}, &frames), IsOk());
-  const auto larger = MakeRenderer(kPictureSize, kLength);
+  const auto larger = MakeRenderer(kLength, kPictureSize);
   for (int i = 0; i <= kLength; ++i) {
     SCOPED_TRACE(i);
     if (i > 0) {
       ASSERT_THAT(batch.Step({3}, {ActionAt(i)}, false, &step), IsOk());
-      played.game.Step(ActionAt(i), FrameBytes(&played.frame));
+      played.game.Step(ActionAt(i), played.Bytes());
     }
     ASSERT_THAT(batch.moments(), SizeIs(1));
     const Moment& moment = batch.moments()[0];
@@ -112,15 +92,16 @@ TEST(Recording, HasEachMomentOfAnEpisodeUpToItsLast) {
 
 // The frame of a death, which is drawn only when recording.
 TEST(Recording, HasTheFrameOfADeath) {
-  ByHand played(10000);
-  EnvBatch batch(played.renderer, MomentTaker(nullptr));
+  const auto renderer = MakeRenderer();
+  PlayedGame played(renderer, 7);
+  EnvBatch batch(renderer, MomentTaker(nullptr));
   std::string frames;
   StepBatch step;
   ASSERT_THAT(batch.Open({{0, 7, 1, ""}}, &frames), IsOk());
   int length = 0;
   do {
     ASSERT_THAT(batch.Step({0}, {Action::kNoop}, false, &step), IsOk());
-    played.game.Step(Action::kNoop, FrameBytes(&played.frame));
+    played.game.Step(Action::kNoop, played.Bytes());
   } while (++length < 5000 && step.ends[0] == StepEnd::kNone);
   ASSERT_EQ(step.ends[0], StepEnd::kTerminated);
   EXPECT_EQ(batch.moments()[0].frame, played.frame);
@@ -129,8 +110,8 @@ TEST(Recording, HasTheFrameOfADeath) {
 }
 
 TEST(Recording, TooManyLargePicturesAreRefused) {
-  const auto renderer = MakeRenderer(64, 100);
-  EnvBatch batch(renderer, MomentTaker(MakeRenderer(1024, 100)));
+  const auto renderer = MakeRenderer(100);
+  EnvBatch batch(renderer, MomentTaker(MakeRenderer(100, 1024)));
   std::string frames;
   const std::vector<EnvBatch::OpenLane> many(22);
   EXPECT_THAT(

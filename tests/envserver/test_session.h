@@ -16,7 +16,7 @@
 #include "common/wire/protocol.h"
 #include "common/wire/server.h"
 #include "envserver/env_service.h"
-#include "envserver/game.h"
+#include "tests/fakes/played_game.h"
 #include "tests/fakes/status_matchers.h"
 
 namespace craftfleet {
@@ -43,6 +43,12 @@ inline v1::PlayRequest Open(int lane, int64_t seed, const std::string& snapshot 
   message->set_lane(lane);
   message->set_seed(seed);
   message->set_snapshot(snapshot);
+  return request;
+}
+
+inline v1::PlayRequest OpenMany(int lanes) {
+  v1::PlayRequest request;
+  for (int lane = 0; lane < lanes; ++lane) request.mutable_open()->add_lanes()->set_lane(lane);
   return request;
 }
 
@@ -89,12 +95,11 @@ class Session {
 // A well-behaved session on lane 7, compared with the same game played without a server.
 class Witness {
  public:
-  explicit Witness(const wire::Endpoint& server)
-      : session_(server), frame_(64 * 64 * 3, '\0'), game_(*Game::Create(MakeRenderer(), 77, Bytes())) {
+  explicit Witness(const wire::Endpoint& server) : session_(server) {
     EXPECT_THAT(session_.Send(Hello("run-a")), IsOk());
     const auto opened = session_.Send(Open(7, 77));
     EXPECT_THAT(opened, IsOk());
-    EXPECT_EQ(opened->frames(), frame_);
+    EXPECT_EQ(opened->frames(), played_.frame);
   }
 
   void PlayOn(int steps) {
@@ -102,31 +107,23 @@ class Witness {
       const int action = (++steps_ * 5) % kNumActions;
       const auto reply = session_.Send(Step({7}, std::string(1, static_cast<char>(action)), true));
       ASSERT_THAT(reply, IsOk());
-      std::string last_frames;
-      const Game::PlayedStep played = game_.StepAndAutoReset(static_cast<Action>(action), Bytes(), &last_frames);
-      ASSERT_EQ(reply->frames(), frame_) << "step " << steps_;
-      ASSERT_EQ(reply->last_frames(), last_frames);
+      played_.last_frames.clear();
+      const Game::PlayedStep played = played_.Step(static_cast<Action>(action));
+      ASSERT_EQ(reply->frames(), played_.frame) << "step " << steps_;
+      ASSERT_EQ(reply->last_frames(), played_.last_frames);
       ASSERT_EQ(reply->rewards(0), static_cast<float>(played.outcome.reward));
       ASSERT_EQ(reply->ends()[0], static_cast<char>(played.outcome.end));
       ASSERT_EQ(reply->episodes_size(), played.episode.has_value() ? 1 : 0);
       if (played.episode.has_value()) {
         ASSERT_EQ(reply->episodes(0).length(), played.episode->length);
       }
-      ASSERT_EQ(reply->snapshots(0), game_.Save());
+      ASSERT_EQ(reply->snapshots(0), played_.game.Save());
     }
   }
 
  private:
-  static std::shared_ptr<const Renderer> MakeRenderer() {
-    WorldOptions world;
-    world.length = kLength;
-    return *Renderer::Create(**Textures::Load(*DefaultTextureDir()), world, RenderOptions());
-  }
-  absl::Span<uint8_t> Bytes() { return absl::MakeSpan(reinterpret_cast<uint8_t*>(frame_.data()), frame_.size()); }
-
   Session session_;
-  std::string frame_;
-  Game game_;
+  PlayedGame played_{MakeRenderer(kLength), 77};
   int steps_ = 0;
 };
 

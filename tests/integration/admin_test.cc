@@ -1,6 +1,5 @@
 // Admin commands do not change a run's result.
 
-#include <memory>
 #include <string>
 #include <utility>
 #include <vector>
@@ -9,7 +8,6 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
-#include "tests/fakes/wait_until.h"
 #include "tests/integration/fleet_fixture.h"
 
 namespace craftfleet {
@@ -21,24 +19,13 @@ using testing::Not;
 
 class AdminTest : public FleetRunTest {
  protected:
-  // Starts a learner and `servers` environment servers that register with it. Actors of StartActor play on these.
-  void StartFleet(const std::string& run, int servers = 1) {
-    learner_ = StartLearner(run, "127.0.0.1:0");
-    address_ = learner_->WaitForAddress("listening on ", kPatience).value();
-    for (int i = 0; i < servers; ++i) {
-      servers_.push_back(Start("craftfleet-envserver", absl::StrCat(run, "-server", i),
-                               {"--listen=127.0.0.1:0", "--learner=" + address_}));
-    }
-  }
-  std::unique_ptr<Process> Play(const std::string& log) { return StartActor(log, address_, "learner"); }
-
   struct Ended {
     int exit_code = -1;
     std::string out;
     std::string err;
   };
   Ended Admin(std::vector<std::string> arguments) {
-    arguments.push_back("--address=" + address_);
+    arguments.push_back("--address=" + fleet_.address);
     const auto process = Start("craftfleet admin", absl::StrCat("admin-", ++calls_), arguments);
     const int exit_code = process->Wait(kPatience).value_or(-1);
     return {exit_code, process->Out(), process->Err()};
@@ -52,102 +39,93 @@ class AdminTest : public FleetRunTest {
   static std::string StatusAddress(const Process& actor) {
     return actor.WaitForAddress("status on ", kPatience).value();
   }
-  void ExpectTheRunToEndLikeQuiet(const std::string& run) {
-    EXPECT_EQ(learner_->Wait(kPatience), 0) << learner_->Err();
-    ExpectLikeQuiet(run);
+  // A fleet within a run.
+  void StartRun(const std::string& run) {
+    fleet_ = StartFleet(run, /*registers=*/true);
+    WaitForCheckpoint(run, 2);
   }
+  void ExpectGoingOn() const { EXPECT_FALSE(fleet_.learner->Wait(absl::ZeroDuration()).has_value()) << "too early"; }
+  void ExpectTheRunToEndLikeQuiet(const std::string& run) { ExpectCompleteLikeQuiet(run, fleet_.learner.get()); }
 
-  std::unique_ptr<Process> learner_;
-  std::vector<std::unique_ptr<Process>> servers_;
-  std::string address_;
+  Fleet fleet_;
   int calls_ = 0;
 };
 
 TEST_F(AdminTest, APausedAndCheckpointedRunHasTheSameResult) {
-  StartFleet("paused");
-  const auto actor = Play("paused-actor");
-  WaitForCheckpoint("paused", 2);
+  StartRun("paused");
   Order({"pause"}, "paused");
   Order({"checkpoint"}, "checkpoint of iteration ");
   const std::string stats = ReadFile(Logdir("paused") + "/stats.jsonl").value_or("");
   absl::SleepFor(absl::Seconds(2));  // enough for five iterations
   EXPECT_EQ(ReadFile(Logdir("paused") + "/stats.jsonl").value_or("none"), stats);
-  EXPECT_FALSE(learner_->Wait(absl::ZeroDuration()).has_value());
+  ExpectGoingOn();
   Order({"resume"}, "resumed");
   Order({"resume"}, "the run was not paused");
   Order({"checkpoint"}, "checkpoint of iteration ");
   ExpectTheRunToEndLikeQuiet("paused");
-  EXPECT_THAT(learner_->Err(), AllOf(HasSubstr("admin ipv4:127.0.0.1:"), HasSubstr(": pause"), HasSubstr(": resume")));
+  EXPECT_THAT(fleet_.learner->Err(),
+              AllOf(HasSubstr("admin ipv4:127.0.0.1:"), HasSubstr(": pause"), HasSubstr(": resume")));
 }
 
 TEST_F(AdminTest, ARequestedCheckpointCanBeResumedFrom) {
-  StartFleet("asked");
-  const auto actor = Play("asked-actor");
-  WaitForCheckpoint("asked", 2);
+  StartRun("asked");
   Order({"pause"}, "paused");
   Order({"checkpoint"}, "checkpoint of iteration ");
-  learner_->Kill();
-  learner_ = StartLearner("asked", address_, {"--resume"});
+  fleet_.RestartLearner("asked");
   ExpectTheRunToEndLikeQuiet("asked");
 }
 
 TEST_F(AdminTest, ADrainedActorNoLongerPlays) {
-  StartFleet("drained");
-  const auto first = Play("drained-actor1");
-  const auto second = Play("drained-actor2");
-  WaitForCheckpoint("drained", 2);
-  Order({"drain", StatusAddress(*first)}, "actor " + StatusAddress(*first) + " is drained");
-  first->Kill();  // it has no work left
-  EXPECT_FALSE(learner_->Wait(absl::ZeroDuration()).has_value()) << "the run ended before the drain";
+  StartRun("drained");
+  const auto second = StartActor("drained-actor2", fleet_.address, "learner");
+  const std::string first = StatusAddress(*fleet_.actor);
+  Order({"drain", first}, "actor " + first + " is drained");
+  fleet_.actor->Kill();  // it has no work left
+  ExpectGoingOn();
   ExpectTheRunToEndLikeQuiet("drained");
   EXPECT_EQ(second->Wait(absl::Seconds(10)), 0) << second->Err();
   EXPECT_THAT(second->Err(), Not(HasSubstr("lapsed")));
 }
 
 TEST_F(AdminTest, AnUndrainedActorFinishesTheRun) {
-  StartFleet("undrained");
-  const auto actor = Play("undrained-actor");
-  WaitForCheckpoint("undrained", 2);
-  const std::string address = StatusAddress(*actor);
+  StartRun("undrained");
+  const std::string address = StatusAddress(*fleet_.actor);
   Order({"drain", address}, "actor " + address + " is drained");
-  EXPECT_FALSE(learner_->Wait(absl::ZeroDuration()).has_value()) << "the run ended before the drain";
+  ExpectGoingOn();
   Order({"undrain", address}, "actor " + address + " gets work again");
   ExpectTheRunToEndLikeQuiet("undrained");
 }
 
 TEST_F(AdminTest, ADrainedServerHasNoGames) {
-  StartFleet("emptied", /*servers=*/2);
-  const auto actor = Play("emptied-actor");
-  const std::string server = servers_[0]->WaitForAddress("listening on ", kPatience).value();
-  WaitForCheckpoint("emptied", 2);
-  Order({"drain", server}, "envserver " + server + " is drained");
-  servers_[0]->Kill();
-  EXPECT_FALSE(learner_->Wait(absl::ZeroDuration()).has_value()) << "the run ended before the drain";
+  StartRun("emptied");
+  const auto second = StartRegisteredServer("emptied-server2", fleet_.address);
+  ASSERT_TRUE(second->WaitForText("registered with learner", kPatience));
+  Order({"drain", fleet_.server_address}, "envserver " + fleet_.server_address + " is drained");
+  fleet_.server->Kill();
+  ExpectGoingOn();
   ExpectTheRunToEndLikeQuiet("emptied");
-  EXPECT_THAT(actor->Err(), Not(HasSubstr("ended the session")));
+  EXPECT_THAT(fleet_.actor->Err(), Not(HasSubstr("ended the session")));
 }
 
 TEST_F(AdminTest, AStoppedLearnerContinuesWithResume) {
-  StartFleet("stopped");
-  const auto actor = Play("stopped-actor");
-  WaitForCheckpoint("stopped", 2);
+  StartRun("stopped");
   Order({"stop"}, "the learner is stopping");
-  EXPECT_EQ(learner_->Wait(absl::Seconds(10)), 0) << learner_->Err();
-  EXPECT_THAT(learner_->Err(), HasSubstr("continue with --resume"));
-  learner_ = StartLearner("stopped", address_, {"--resume"});
+  EXPECT_EQ(fleet_.learner->Wait(absl::Seconds(10)), 0) << fleet_.learner->Err();
+  EXPECT_THAT(fleet_.learner->Err(), HasSubstr("continue with --resume"));
+  fleet_.RestartLearner("stopped");
   ExpectTheRunToEndLikeQuiet("stopped");
 }
 
 TEST_F(AdminTest, ErrorsNameTheProblem) {
-  StartFleet("wrong");
+  fleet_ = StartFleet("wrong");
   EXPECT_THAT(Admin({"dance"}).err, HasSubstr("\"dance\" is not a command, want checkpoint, pause"));
   EXPECT_THAT(Admin({"drain"}).err, HasSubstr("drain needs the name of one worker"));
   EXPECT_THAT(Admin({"undrain"}).err, HasSubstr("undrain needs the name of one worker"));
   EXPECT_THAT(Admin({"undrain", "nobody"}).err, HasSubstr("no worker \"nobody\" has joined or registered"));
   EXPECT_THAT(Admin({"drain", "nobody"}).err, HasSubstr("no worker \"nobody\" has joined or registered"));
   EXPECT_THAT(Admin({"pause", "--timeout=0"}).err, HasSubstr("--timeout=0, want more than 0"));
-  learner_->Kill();
-  EXPECT_THAT(Admin({"pause"}).err, HasSubstr("learner " + address_ + ": cannot connect"));
+  fleet_.learner->Kill();
+  EXPECT_THAT(Admin({"pause"}).err, HasSubstr("learner " + fleet_.address + ": cannot connect"));
 }
 
 }  // namespace

@@ -1,22 +1,14 @@
-// Peers that are unreachable, late, of the wrong kind, or send garbage.
-
-#include <sys/socket.h>
-#include <sys/un.h>
-#include <unistd.h>
+// Peers that are unreachable, late or of the wrong kind.
 
 #include <csignal>
-#include <filesystem>
 #include <memory>
-#include <random>
 #include <string>
-#include <vector>
 
 #include <absl/time/clock.h>
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 #include <nlohmann/json.hpp>
 
-#include "tests/fakes/test_paths.h"
 #include "tests/integration/small_run.h"
 
 namespace craftfleet {
@@ -34,10 +26,8 @@ class BadPeersTest : public SmallRunTest {
   std::unique_ptr<Process> StartLearner(const std::string& run, const std::string& address) {
     return Start("craftfleet-learner", Flags(run, {"--listen=" + address}));
   }
-  std::unique_ptr<Process> StartServer(const std::string& address, const std::vector<std::string>& more = {}) {
-    std::vector<std::string> arguments = {"--listen=" + address};
-    arguments.insert(arguments.end(), more.begin(), more.end());
-    auto server = Start("craftfleet-envserver", arguments);
+  std::unique_ptr<Process> StartServer(const std::string& address) {
+    auto server = Start("craftfleet-envserver", {"--listen=" + address});
     EXPECT_THAT(server->WaitForAddress("listening on ", kPatience), IsOk());
     return server;
   }
@@ -87,14 +77,6 @@ TEST_F(BadPeersTest, AnActorWaitsForItsEnvironmentServer) {
   ExpectToFinish(actor.get());
 }
 
-TEST_F(BadPeersTest, AnActorPlaysOnTheAvailableServers) {
-  const auto server = StartServer(Address("server"));
-  const auto learner = StartLearner("run", Address("learner"));
-  const auto actor = StartActor(Address("learner"), Address("away") + "," + Address("server"));
-  ExpectToComplete(learner.get());
-  EXPECT_THAT(actor->Err(), HasSubstr("environment server " + Address("away")));
-}
-
 TEST_F(BadPeersTest, AnEnvironmentServerIsNotALearner) {
   const auto server = StartServer(Address("server"));
   const Ended ended = Finish(StartActor(Address("server"), Address("server")).get());
@@ -107,39 +89,6 @@ TEST_F(BadPeersTest, ALearnerIsNotAnEnvironmentServer) {
   const Ended ended = Finish(StartActor(Address("learner"), Address("learner")).get());
   EXPECT_EQ(ended.exit_code, 1);
   EXPECT_THAT(ended.err, HasSubstr("environment server " + Address("learner") + ": does not know this call"));
-}
-
-TEST_F(BadPeersTest, DifferentTexturesAreDetected) {
-  const std::string textures = folder_ / "textures";
-  std::filesystem::copy(BuiltProgram("../share/craftfleet/textures"), textures);
-  std::filesystem::copy_file(textures + "/sand.png", textures + "/stone.png",
-                             std::filesystem::copy_options::overwrite_existing);
-  const auto server = StartServer(Address("server"), {"--textures=" + textures});
-  const auto learner = StartLearner("run", Address("learner"));
-  const Ended ended = Finish(StartActor(Address("learner"), Address("server")).get());
-  EXPECT_EQ(ended.exit_code, 1);
-  EXPECT_THAT(ended.err, HasSubstr("environment server " + Address("server")));
-  EXPECT_THAT(ended.err, HasSubstr("give both the same --textures"));
-}
-
-// The actor used to end: any client could keep a run without actors by claiming its environment servers.
-TEST_F(BadPeersTest, AServerThatPlaysForAnotherRunReportsItAndIsWaitedFor) {
-  const auto server = StartServer(Address("server"));
-  const auto first = StartLearner("first", Address("first-learner"));
-  const auto first_actor = StartActor(Address("first-learner"), Address("server"));
-  const auto second = StartLearner("second", Address("second-learner"));
-  // Suspend it within its run, so that its session stays open.
-  ASSERT_TRUE(first_actor->WaitForText("joined run", kPatience));
-  while (Run("craftfleet status", {"--address=" + Address("server")}).out.find("actor") == std::string::npos) {
-    ASSERT_EQ(first->Wait(absl::ZeroDuration()), std::nullopt) << "the run ended too early";
-  }
-  first->Signal(SIGSTOP);
-  const auto second_actor = StartActor(Address("second-learner"), Address("server"));
-  EXPECT_TRUE(second_actor->WaitForText("this environment server serves run ", kPatience));
-  EXPECT_TRUE(second_actor->WaitForText("wait until the other run ends", kPatience));
-  first->Signal(SIGCONT);
-  ExpectToComplete(first.get());
-  ExpectToComplete(second.get());
 }
 
 TEST_F(BadPeersTest, StatusShowsTheProcess) {
@@ -164,33 +113,6 @@ TEST_F(BadPeersTest, StatusOfAProcessThatDoesNotAnswerEndsWithinSeconds) {
   EXPECT_EQ(ended.exit_code, 1);
   EXPECT_THAT(ended.err, HasSubstr(Address("server") + ": cannot connect: "));
   EXPECT_LT(absl::Now() - start, absl::Seconds(8));
-}
-
-// Connects and writes `bytes`, and ignores any answer.
-void SendBytes(const std::string& path, const std::string& bytes) {
-  const int connection = socket(AF_UNIX, SOCK_STREAM, 0);
-  sockaddr_un name = {};
-  name.sun_family = AF_UNIX;
-  path.copy(name.sun_path, sizeof(name.sun_path) - 1);
-  ASSERT_EQ(connect(connection, reinterpret_cast<const sockaddr*>(&name), sizeof(name)), 0);
-  EXPECT_GT(send(connection, bytes.data(), bytes.size(), MSG_NOSIGNAL), 0);
-  close(connection);
-}
-
-TEST_F(BadPeersTest, GarbageOnThePortIsHarmless) {
-  const auto server = StartServer(Address("server"));
-  const auto learner = StartLearner("run", Address("learner"));
-  ASSERT_THAT(learner->WaitForAddress("listening on ", kPatience), IsOk());
-  std::mt19937 random(7);
-  for (int i = 0; i < 50; ++i) {
-    std::string bytes = i % 2 == 0 ? "PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n" : "GET / HTTP/1.1\r\n\r\n";
-    for (int j = 0; j < 1000; ++j) bytes.push_back(static_cast<char>(random() % 256));
-    SendBytes(folder_ / "learner", bytes);
-    SendBytes(folder_ / "server", bytes);
-  }
-  const auto actor = StartActor(Address("learner"), Address("server"));
-  ExpectToComplete(learner.get());
-  EXPECT_EQ(server->Wait(absl::ZeroDuration()), std::nullopt);
 }
 
 }  // namespace

@@ -3,7 +3,6 @@
 #include <sys/resource.h>
 
 #include <csignal>
-#include <filesystem>
 #include <memory>
 #include <string>
 #include <utility>
@@ -27,6 +26,17 @@ class BadRunFolderTest : public SmallRunTest {
  protected:
   std::string ReadLog(const std::string& run, const std::string& file) const {
     return ReadFile(JoinPath(Logdir(run), file)).value_or("none");
+  }
+  // Resumes the run for one iteration more; expects that it is refused and returns the error.
+  std::string RefusedToResume(const std::vector<std::string>& more = {"--steps=256"}) {
+    const Ended ended = Resume(more);
+    EXPECT_EQ(ended.exit_code, 1);
+    return ended.err;
+  }
+  Ended Resume(const std::vector<std::string>& more = {"--steps=256"}) {
+    std::vector<std::string> arguments = {"--resume", "--logdir=" + Logdir("run")};
+    arguments.insert(arguments.end(), more.begin(), more.end());
+    return Run("craftfleet train", arguments);
   }
   void Damage(const std::string& path, const std::string& from, const std::string& to) {
     const std::string text = ReadFile(path).value_or("");
@@ -57,10 +67,7 @@ TEST_F(BadRunFolderTest, ARunInProgressIsNamedWithItsProcess) {
 TEST_F(BadRunFolderTest, ResumeRefusesAnotherConfiguration) {
   Train("run");
   const auto refused = [this](const std::string& flag, const std::string& error) {
-    const Ended ended = Run("craftfleet train", {"--resume", "--logdir=" + Logdir("run"), flag});
-    EXPECT_EQ(ended.exit_code, 1);
-    EXPECT_THAT(ended.err, HasSubstr(error));
-    EXPECT_THAT(ended.err, HasSubstr("may change"));
+    EXPECT_THAT(RefusedToResume({flag}), AllOf(HasSubstr(error), HasSubstr("may change")));
   };
   refused("--lanes=2", "lanes: 4 -> 2");
   refused("--lanes=8", "lanes * fragment_steps (128)");
@@ -74,10 +81,7 @@ TEST_F(BadRunFolderTest, ADamagedConfigurationIsRefusedAndNothingIsWritten) {
   const std::string sound = ReadFile(path).value();
   const auto refused = [&](const std::string& error) {
     const std::string stats = ReadLog("run", "stats.jsonl");
-    const Ended ended = Run("craftfleet train", {"--resume", "--logdir=" + Logdir("run"), "--steps=256"});
-    EXPECT_EQ(ended.exit_code, 1);
-    EXPECT_THAT(ended.err, HasSubstr(path));
-    EXPECT_THAT(ended.err, HasSubstr(error));
+    EXPECT_THAT(RefusedToResume(), AllOf(HasSubstr(path), HasSubstr(error)));
     EXPECT_EQ(ReadLog("run", "stats.jsonl"), stats);
   };
   for (const std::string& damaged : {std::string(), absl::StrReplaceAll(sound, {{"seed: 3", "seed: 4"}})}) {
@@ -87,18 +91,12 @@ TEST_F(BadRunFolderTest, ADamagedConfigurationIsRefusedAndNothingIsWritten) {
   ASSERT_THAT(RemoveAll(path), IsOk());
   refused("put back the configuration that it was started with");
   ASSERT_THAT(WriteFileSynced(path, sound), IsOk());
-  EXPECT_EQ(Run("craftfleet train", {"--resume", "--logdir=" + Logdir("run")}).exit_code, 0);
+  EXPECT_EQ(Resume({}).exit_code, 0);
 }
 
 TEST_F(BadRunFolderTest, ResumeRefusesOtherTextures) {
   Train("run");
-  const std::string textures = folder_ / "textures";
-  std::filesystem::copy(BuiltProgram("../share/craftfleet/textures"), textures);
-  std::filesystem::copy_file(textures + "/sand.png", textures + "/stone.png",
-                             std::filesystem::copy_options::overwrite_existing);
-  const Ended ended = Run("craftfleet train", {"--resume", "--logdir=" + Logdir("run"), "--textures=" + textures});
-  EXPECT_EQ(ended.exit_code, 1);
-  EXPECT_THAT(ended.err, HasSubstr("was played with textures"));
+  EXPECT_THAT(RefusedToResume({"--textures=" + OtherTextures()}), HasSubstr("was played with textures"));
 }
 
 TEST_F(BadRunFolderTest, ATornCheckpointIsRefusedAndAValidOneIsOffered) {
@@ -106,15 +104,9 @@ TEST_F(BadRunFolderTest, ATornCheckpointIsRefusedAndAValidOneIsOffered) {
   const std::string weights = Checkpoint("run", 3) + "/weights.safetensors";
   const std::string bytes = ReadFile(weights).value();
   ASSERT_THAT(WriteFileSynced(weights, absl::string_view(bytes).substr(0, bytes.size() / 2)), IsOk());
-  const std::vector<std::string> resume = {"--resume", "--logdir=" + Logdir("run"), "--steps=256"};
-  Ended ended = Run("craftfleet train", resume);
-  EXPECT_EQ(ended.exit_code, 1);
-  EXPECT_THAT(ended.err, HasSubstr(Checkpoint("run", 3) + " is torn: weights.safetensors has "));
-  EXPECT_THAT(ended.err, HasSubstr("resume from it with --resume_from=iter-00000002"));
-
-  std::vector<std::string> from = resume;
-  from.push_back("--resume_from=iter-00000002");
-  ended = Run("craftfleet train", from);
+  EXPECT_THAT(RefusedToResume(), AllOf(HasSubstr(Checkpoint("run", 3) + " is torn: weights.safetensors has "),
+                                       HasSubstr("resume from it with --resume_from=iter-00000002")));
+  const Ended ended = Resume({"--steps=256", "--resume_from=iter-00000002"});
   EXPECT_EQ(ended.exit_code, 0) << ended.err;
   EXPECT_TRUE(PathExists(Checkpoint("run", 4)));
   EXPECT_EQ(ReadFile(weights).value(), bytes) << "iteration 3 was played again, with the same result";
@@ -126,10 +118,7 @@ TEST_F(BadRunFolderTest, AFlippedBitIsDetected) {
   std::string bytes = ReadFile(optimizer).value();
   bytes[bytes.size() / 2] = static_cast<char>(bytes[bytes.size() / 2] ^ 1);
   ASSERT_THAT(WriteFileSynced(optimizer, bytes), IsOk());
-  const Ended ended = Run("craftfleet train", {"--resume", "--logdir=" + Logdir("run"), "--steps=256"});
-  EXPECT_EQ(ended.exit_code, 1);
-  EXPECT_THAT(ended.err, HasSubstr("optimizer.safetensors"));
-  EXPECT_THAT(ended.err, HasSubstr("iter-00000002"));
+  EXPECT_THAT(RefusedToResume(), AllOf(HasSubstr("optimizer.safetensors"), HasSubstr("iter-00000002")));
 }
 
 TEST_F(BadRunFolderTest, ACheckpointOfANewerFormatIsRefused) {
@@ -148,11 +137,8 @@ TEST_F(BadRunFolderTest, ACheckpointOfANewerFormatIsRefused) {
 
 TEST_F(BadRunFolderTest, AMissingCheckpointListsTheExistingOnes) {
   Train("run");
-  Ended ended =
-      Run("craftfleet train", {"--resume", "--resume_from=iter-00000009", "--logdir=" + Logdir("run"), "--steps=256"});
-  EXPECT_EQ(ended.exit_code, 1);
-  EXPECT_THAT(ended.err, HasSubstr("no checkpoint iter-00000009"));
-  EXPECT_THAT(ended.err, HasSubstr("which has iter-00000003, iter-00000002"));
+  EXPECT_THAT(RefusedToResume({"--resume_from=iter-00000009", "--steps=256"}),
+              AllOf(HasSubstr("no checkpoint iter-00000009"), HasSubstr("which has iter-00000003, iter-00000002")));
 }
 
 TEST_F(BadRunFolderTest, ARunKilledBeforeItsFirstCheckpointMustBeStartedAgain) {
@@ -167,12 +153,9 @@ TEST_F(BadRunFolderTest, ARunKilledBeforeItsFirstCheckpointMustBeStartedAgain) {
 TEST_F(BadRunFolderTest, ALogThatLostLinesIsRefused) {
   Train("run");
   ASSERT_THAT(WriteFileSynced(Logdir("run") + "/stats.jsonl", "{}\n"), IsOk());
-  const Ended ended = Run("craftfleet train", {"--resume", "--logdir=" + Logdir("run"), "--steps=256"});
-  EXPECT_EQ(ended.exit_code, 1);
-  EXPECT_THAT(ended.err, AllOf(HasSubstr("stats.jsonl has 3 bytes, but the checkpoint expects "),
-                               HasSubstr("go back to an older checkpoint with --resume_from")));
-  const Ended older =
-      Run("craftfleet train", {"--resume", "--resume_from=iter-00000000", "--logdir=" + Logdir("run"), "--steps=256"});
+  EXPECT_THAT(RefusedToResume(), AllOf(HasSubstr("stats.jsonl has 3 bytes, but the checkpoint expects "),
+                                       HasSubstr("go back to an older checkpoint with --resume_from")));
+  const Ended older = Resume({"--resume_from=iter-00000000", "--steps=256"});
   EXPECT_EQ(older.exit_code, 0) << older.err;
 }
 
@@ -240,7 +223,7 @@ TEST_F(FullDiskTest, TheEndOfTheRunWaitsForSpaceAndAStopReportsTheUnwrittenFile)
   EXPECT_THAT(ended.err, HasSubstr("weights.safetensors: File too large"));
   EXPECT_THAT(ReadLog("run", "stats.jsonl"), HasSubstr("\"length\": 20"));
   // Earlier checkpoints are intact, and the run can resume from them.
-  const Ended resumed = Run("craftfleet train", {"--resume", "--logdir=" + Logdir("run")});
+  const Ended resumed = Resume({});
   EXPECT_EQ(resumed.exit_code, 0) << resumed.err;
   EXPECT_TRUE(PathExists(Checkpoint("run", 3)));
 }

@@ -114,6 +114,42 @@ class FleetRunTest : public testing::Test {
     return Start("craftfleet-actor", log, arguments);
   }
 
+  // A learner, an environment server and an actor that plays on it.
+  struct Fleet {
+    std::unique_ptr<Process> learner, server, actor;
+    std::string address;         // the learner's
+    std::string server_address;  // the server's
+
+    // Kills the learner; another resumes its run.
+    void RestartLearner(const std::string& run) {
+      learner->Kill();
+      learner = StartLearner(run, address, {"--resume"});
+    }
+  };
+  // With `registers` the server registers with the learner, which the actor asks for servers.
+  static Fleet StartFleet(const std::string& run, bool registers = false, const std::vector<std::string>& actor = {},
+                          int threads = 2) {
+    Fleet fleet;
+    fleet.learner = StartLearner(run, "127.0.0.1:0");
+    fleet.address = fleet.learner->WaitForAddress().value();
+    fleet.server = registers ? StartRegisteredServer(run + "-server", fleet.address) : StartServer(run + "-server");
+    fleet.server_address = fleet.server->WaitForAddress().value();
+    fleet.actor =
+        StartActor(run + "-actor", fleet.address, registers ? "learner" : fleet.server_address, threads, actor);
+    return fleet;
+  }
+  static std::unique_ptr<Process> StartRegisteredServer(const std::string& log, const std::string& learner) {
+    return Start("craftfleet-envserver", log, {"--listen=127.0.0.1:0", "--learner=" + learner});
+  }
+  static void ExpectCompleteLikeQuiet(const std::string& run, Process* learner) {
+    EXPECT_EQ(learner->Wait(kPatience), 0) << learner->Err();
+    ExpectLikeQuiet(run);
+  }
+  static void ExpectComplete(const std::string& run, const Fleet& fleet) {
+    ExpectCompleteLikeQuiet(run, fleet.learner.get());
+    EXPECT_EQ(fleet.actor->Wait(absl::Seconds(10)), 0) << fleet.actor->Err();
+  }
+
   // Waits until `run` has written the checkpoint of `iteration`.
   static void WaitForCheckpoint(const std::string& run, int iteration) {
     const std::string path = absl::StrCat(Logdir(run), "/checkpoints/iter-0000000", iteration);

@@ -66,16 +66,10 @@ class FleetTest : public FleetRunTest {
     ExpectLikeQuiet("kills");
   }
   static void OutliveTheLearner() {
-    auto learner = StartLearner("learner-killed", "127.0.0.1:0");
-    const auto server = StartServer("learner-killed-server");
-    const std::string learner_address = learner->WaitForAddress().value();
-    const auto actor = StartActor("learner-killed-actor", learner_address, server->WaitForAddress().value());
+    Fleet fleet = StartFleet("learner-killed");
     WaitForCheckpoint("learner-killed", 4);
-    learner->Kill();
-    learner = StartLearner("learner-killed", learner_address, {"--resume"});
-    EXPECT_EQ(learner->Wait(kPatience), 0) << learner->Err();
-    EXPECT_EQ(actor->Wait(absl::Seconds(10)), 0) << actor->Err();
-    ExpectLikeQuiet("learner-killed");
+    fleet.RestartLearner("learner-killed");
+    ExpectComplete("learner-killed", fleet);
   }
   static void Extend() {
     auto train = Train("longer", {"--steps=4096"});
@@ -87,39 +81,26 @@ class FleetTest : public FleetRunTest {
 };
 
 TEST_F(FleetTest, OneActorAndOneServerEqualOneProcess) {
-  const auto learner = StartLearner("one", "127.0.0.1:0", {"--threads=1"});
-  const auto server = StartServer("one-server");
-  const std::string learner_address = learner->WaitForAddress().value();
-  const auto actor = StartActor("one-actor", learner_address, server->WaitForAddress().value(), /*threads=*/1);
-  EXPECT_EQ(learner->Wait(kPatience), 0) << learner->Err();
-  EXPECT_EQ(actor->Wait(absl::Seconds(10)), 0) << actor->Err();
-  ExpectLikeQuiet("one");
-  server->Signal(SIGTERM);
-  EXPECT_EQ(server->Wait(absl::Seconds(10)), 0) << server->Err();
+  const Fleet fleet = StartFleet("one", /*registers=*/false, {}, /*threads=*/1);
+  ExpectComplete("one", fleet);
+  fleet.server->Signal(SIGTERM);
+  EXPECT_EQ(fleet.server->Wait(absl::Seconds(10)), 0) << fleet.server->Err();
 }
 
 TEST_F(FleetTest, ThreeActorsAndTwoServersWithKillsEqualOneProcess) { PlayWithKills(); }
 
-TEST_F(FleetTest, ARunStoppedByASignalContinuesAsIfNeverStopped) {
+TEST_F(FleetTest, ARunStoppedOrKilledContinuesAsIfNeitherHadHappened) {
   auto train = Train("stopped", {});
   WaitForCheckpoint("stopped", 2);
   train->Signal(SIGTERM);
   ASSERT_EQ(train->Wait(absl::Seconds(10)), 0) << train->Err();
   EXPECT_THAT(train->Err(), HasSubstr("continue with --resume"));
+  train = Train("stopped", {"--resume"});
+  WaitForCheckpoint("stopped", 6);
+  train->Kill();
   ASSERT_FALSE(PathExists(Logdir("stopped") + "/" + kLastCheckpoint));
   train = Train("stopped", {"--resume"});
-  EXPECT_EQ(train->Wait(kPatience), 0) << train->Err();
-  ExpectLikeQuiet("stopped");
-}
-
-TEST_F(FleetTest, AKilledRunContinuesAsIfNeverStopped) {
-  auto train = Train("killed", {});
-  WaitForCheckpoint("killed", 4);
-  train->Kill();
-  ASSERT_FALSE(PathExists(Logdir("killed") + "/" + kLastCheckpoint));
-  train = Train("killed", {"--resume"});
-  EXPECT_EQ(train->Wait(kPatience), 0) << train->Err();
-  ExpectLikeQuiet("killed");
+  ExpectCompleteLikeQuiet("stopped", train.get());
 }
 
 TEST_F(FleetTest, TheSameCommandStartsAndResumesARun) {
@@ -127,34 +108,43 @@ TEST_F(FleetTest, TheSameCommandStartsAndResumesARun) {
   WaitForCheckpoint("again", 4);
   train->Kill();
   train = Train("again", {"--autoresume"});
-  EXPECT_EQ(train->Wait(kPatience), 0) << train->Err();
+  ExpectCompleteLikeQuiet("again", train.get());
   EXPECT_THAT(train->Err(), HasSubstr("resumes after iteration"));
-  ExpectLikeQuiet("again");
 }
 
 TEST_F(FleetTest, AFleetOutlivesItsLearner) { OutliveTheLearner(); }
 
 TEST_F(FleetTest, AFinishedRunCanBeExtended) { Extend(); }
 
-// Recurrent states travel with fragments, snapshots and checkpoints.
-class RecurrentFleetTest : public FleetTest {
+// Runs with the hazards of their own: recurrent states and memories travel with fragments, snapshots and checkpoints;
+// overlapped actors play during updates, with the weights from before them; values are normalised by statistics that
+// change with each update; checkpoints between two phases of distillation hold the rollouts so far.
+class EachKindOfFleetTest : public FleetTest, public testing::WithParamInterface<const char*> {
  protected:
-  void SetUp() override { TrainQuietly(kRecurrentConfig); }
+  void SetUp() override {
+    const std::string kind = GetParam();
+    if (kind == "recurrent") TrainQuietly(kRecurrentConfig);
+    if (kind == "overlapped") TrainQuietly(absl::StrCat(kConfig, "overlap: 1"));
+    if (kind == "overlapped_norm") {
+      TrainQuietly(absl::StrReplaceAll(kRecurrentConfig, {{"ppo {", "overlap: 1  ppo { value_norm_decay: 0.9 "}}));
+    }
+    if (kind == "distillation") TrainQuietly(kDistillationConfig);
+  }
+  void TearDown() override { TearDownTestSuite(); }  // each kind has a quiet run of its own
 };
 
-TEST_F(RecurrentFleetTest, ThreeActorsAndTwoServersWithKillsEqualOneProcess) { PlayWithKills(); }
+TEST_P(EachKindOfFleetTest, ThreeActorsAndTwoServersWithKillsEqualOneProcess) { PlayWithKills(); }
 
-TEST_F(RecurrentFleetTest, AFleetOutlivesItsLearner) { OutliveTheLearner(); }
+TEST_P(EachKindOfFleetTest, AFleetOutlivesItsLearner) { OutliveTheLearner(); }
 
-// Actors play during updates, with the weights from before them.
+INSTANTIATE_TEST_SUITE_P(Kinds, EachKindOfFleetTest,
+                         testing::Values("recurrent", "overlapped", "overlapped_norm", "distillation"),
+                         [](const auto& info) { return std::string(info.param); });
+
 class OverlappedFleetTest : public FleetTest {
  protected:
   void SetUp() override { TrainQuietly(absl::StrCat(kConfig, "overlap: 1")); }
 };
-
-TEST_F(OverlappedFleetTest, ThreeActorsAndTwoServersWithKillsEqualOneProcess) { PlayWithKills(); }
-
-TEST_F(OverlappedFleetTest, AFleetOutlivesItsLearner) { OutliveTheLearner(); }
 
 TEST_F(OverlappedFleetTest, AFinishedRunCanBeExtended) { Extend(); }
 
@@ -166,38 +156,25 @@ class FrameFormatsFleetTest : public FleetTest {
 
 TEST_F(FrameFormatsFleetTest, EveryFormatEqualsOneProcess) {
   for (const std::string format : {"raw", "scene"}) {
-    const auto learner = StartLearner(format, "127.0.0.1:0");
-    const auto server = StartServer(format + "-server");
-    const std::string learner_address = learner->WaitForAddress().value();
-    const auto actor = StartActor(format + "-actor", learner_address, server->WaitForAddress().value(), /*threads=*/2,
-                                  {"--frames=" + format});
-    EXPECT_EQ(learner->Wait(kPatience), 0) << learner->Err();
-    EXPECT_EQ(actor->Wait(absl::Seconds(10)), 0) << actor->Err();
-    ExpectLikeQuiet(format);
+    ExpectComplete(format, StartFleet(format, /*registers=*/false, {"--frames=" + format}));
   }
 }
 
 TEST_F(FrameFormatsFleetTest, ActorsWithDifferentFormatsAndKillsEqualOneProcess) {
-  const auto learner = StartLearner("formats", "127.0.0.1:0");
-  const auto first_server = StartServer("formats-server1");
+  Fleet fleet = StartFleet("formats", /*registers=*/false, {"--frames=scene"}, /*threads=*/1);
   const auto second_server = StartServer("formats-server2");
-  const std::string learner_address = learner->WaitForAddress().value();
-  const std::string servers = first_server->WaitForAddress().value() + "," + second_server->WaitForAddress().value();
+  const std::string servers = fleet.server_address + "," + second_server->WaitForAddress().value();
   const auto start = [&](const std::string& log, const std::string& format) {
-    return StartActor(log, learner_address, servers, /*threads=*/1, {"--frames=" + format});
+    return StartActor(log, fleet.address, servers, /*threads=*/1, {"--frames=" + format});
   };
-  auto first_actor = start("formats-actor1", "scene");
   auto second_actor = start("formats-actor2", "raw");
   const auto third_actor = start("formats-actor3", "scene");
   WaitForCheckpoint("formats", 2);
-  first_actor->Kill();
-  first_actor = start("formats-actor1-again", "raw");
+  fleet.actor = start("formats-actor1-again", "raw");  // in place of the first, which is killed
   WaitForCheckpoint("formats", 4);
-  second_actor->Kill();
   second_actor = start("formats-actor2-again", "scene");
-  EXPECT_EQ(learner->Wait(kPatience), 0) << learner->Err();
-  EXPECT_THAT(learner->Err(), testing::Not(HasSubstr("differ")));
-  ExpectLikeQuiet("formats");
+  ExpectCompleteLikeQuiet("formats", fleet.learner.get());
+  EXPECT_THAT(fleet.learner->Err(), testing::Not(HasSubstr("differ")));
 }
 
 TEST_F(FleetTest, WithoutStalenessARunIsSynchronous) {
@@ -219,27 +196,22 @@ class AsynchronousFleetTest : public FleetTest {
 
   // Trains with three actors, of which one is stopped for a while and one is killed, and a learner that is killed.
   static void OutliveFaults() {
-    auto learner = StartLearner("async", "127.0.0.1:0");
-    const auto server = StartServer("async-server");
-    const std::string learner_address = learner->WaitForAddress().value();
-    const std::string server_address = server->WaitForAddress().value();
-    const auto stopped = StartActor("async-stopped", learner_address, server_address, /*threads=*/1);
-    auto killed = StartActor("async-killed", learner_address, server_address, /*threads=*/1);
-    const auto steady = StartActor("async-steady", learner_address, server_address, /*threads=*/1);
+    Fleet fleet = StartFleet("async", /*registers=*/false, {}, /*threads=*/1);
+    const auto stopped = StartActor("async-stopped", fleet.address, fleet.server_address, /*threads=*/1);
+    auto killed = StartActor("async-killed", fleet.address, fleet.server_address, /*threads=*/1);
     WaitForCheckpoint("async", 2);
     stopped->Signal(SIGSTOP);
     WaitForCheckpoint("async", 4);
     stopped->Signal(SIGCONT);
     killed->Kill();
     WaitForCheckpoint("async", 6);
-    learner->Kill();
-    learner = StartLearner("async", learner_address, {"--resume"});
-    EXPECT_EQ(learner->Wait(kPatience), 0) << learner->Err();
-    EXPECT_THAT(learner->Err(), HasSubstr("resumes after iteration"));
-    EXPECT_EQ(steady->Wait(absl::Seconds(10)), 0) << steady->Err();
-    ExpectComplete();
+    fleet.RestartLearner("async");
+    EXPECT_EQ(fleet.learner->Wait(kPatience), 0) << fleet.learner->Err();
+    EXPECT_THAT(fleet.learner->Err(), HasSubstr("resumes after iteration"));
+    EXPECT_EQ(fleet.actor->Wait(absl::Seconds(10)), 0) << fleet.actor->Err();
+    ExpectAWholeRun();
   }
-  static void ExpectComplete() {
+  static void ExpectAWholeRun() {
     EXPECT_GT(Lines(Read("async").stats), 0);
     EXPECT_FALSE(Read("async").weights.empty());
   }
@@ -253,7 +225,7 @@ TEST_F(AsynchronousFleetTest, ARunInOneProcessCanBeKilledAndResumed) {
   train->Kill();
   train = Train("async", {"--resume"});
   ASSERT_EQ(train->Wait(kPatience), 0) << train->Err();
-  ExpectComplete();
+  ExpectAWholeRun();
 }
 
 // Values are normalised by statistics that change with each update; each fragment's are those of its weights.
@@ -265,28 +237,6 @@ class AsynchronousNormFleetTest : public AsynchronousFleetTest {
 };
 
 TEST_F(AsynchronousNormFleetTest, AFleetOutlivesFaults) { OutliveFaults(); }
-
-// With values that are normalised, by statistics that change with each update, and a recurrent state.
-class OverlappedNormFleetTest : public FleetTest {
- protected:
-  void SetUp() override {
-    TrainQuietly(absl::StrReplaceAll(kRecurrentConfig, {{"ppo {", "overlap: 1  ppo { value_norm_decay: 0.9 "}}));
-  }
-};
-
-TEST_F(OverlappedNormFleetTest, ThreeActorsAndTwoServersWithKillsEqualOneProcess) { PlayWithKills(); }
-
-TEST_F(OverlappedNormFleetTest, AFleetOutlivesItsLearner) { OutliveTheLearner(); }
-
-// Memories travel as recurrent states do, and checkpoints between two phases of distillation hold the rollouts so far.
-class DistillationFleetTest : public FleetTest {
- protected:
-  void SetUp() override { TrainQuietly(kDistillationConfig); }
-};
-
-TEST_F(DistillationFleetTest, ThreeActorsAndTwoServersWithKillsEqualOneProcess) { PlayWithKills(); }
-
-TEST_F(DistillationFleetTest, AFleetOutlivesItsLearner) { OutliveTheLearner(); }
 
 // The learner stores the fragments of the current iteration on disk.
 class JournalFleetTest : public FleetTest {
@@ -318,25 +268,18 @@ class JournalFleetTest : public FleetTest {
     FAIL() << "no iteration was caught halfway";
   }
   // Kills the learner within an iteration.
-  static void KillWithin();
+  static void KillWithin() {
+    Fleet fleet = StartFleet("kept");
+    WaitForCheckpoint("kept", 3);
+    StopWithin("kept", fleet.actor.get());
+    fleet.RestartLearner("kept");
+    fleet.actor->Signal(SIGCONT);
+    ExpectCompleteLikeQuiet("kept", fleet.learner.get());
+    EXPECT_THAT(fleet.learner->Err(),
+                testing::ContainsRegex("[0-9]+ fragments of iteration [0-9]+ were restored from the journal"));
+    EXPECT_EQ(KeptBytes("kept"), 0) << "they are not needed after the run";
+  }
 };
-
-void JournalFleetTest::KillWithin() {
-  auto learner = StartLearner("kept", "127.0.0.1:0");
-  const auto server = StartServer("kept-server");
-  const std::string learner_address = learner->WaitForAddress().value();
-  const auto actor = StartActor("kept-actor", learner_address, server->WaitForAddress().value());
-  WaitForCheckpoint("kept", 3);
-  StopWithin("kept", actor.get());
-  learner->Kill();
-  learner = StartLearner("kept", learner_address, {"--resume"});
-  actor->Signal(SIGCONT);
-  EXPECT_EQ(learner->Wait(kPatience), 0) << learner->Err();
-  EXPECT_THAT(learner->Err(),
-              testing::ContainsRegex("[0-9]+ fragments of iteration [0-9]+ were restored from the journal"));
-  ExpectLikeQuiet("kept");
-  EXPECT_EQ(KeptBytes("kept"), 0) << "they are not needed after the run";
-}
 
 TEST_F(JournalFleetTest, FragmentsAcceptedByAKilledLearnerAreNotPlayedAgain) { KillWithin(); }
 

@@ -1,6 +1,5 @@
 // Workers with numerics other than the rest of their run: refused, accepted with --allow_mixed, or pinned.
 
-#include <filesystem>
 #include <memory>
 #include <string>
 #include <vector>
@@ -14,7 +13,6 @@
 #include "common/process/cpu_pin.h"
 #include "common/wire/protocol.h"
 #include "craftfleet/v1/learner.grpc.pb.h"
-#include "tests/fakes/test_paths.h"
 #include "tests/integration/ask_status.h"
 #include "tests/integration/small_run.h"
 
@@ -124,10 +122,7 @@ TEST_F(MixedBuildsTest, APinnedRunIsTheSameOnEveryMachine) {
 
 // Before, with other textures than the built-in ones, the first server's game became the run's.
 TEST_F(MixedBuildsTest, WithOtherTexturesTheLearnerKnowsTheGameItself) {
-  const std::string textures = folder_ / "textures";
-  std::filesystem::copy(BuiltProgram("../share/craftfleet/textures"), textures);
-  std::filesystem::copy_file(textures + "/sand.png", textures + "/stone.png",
-                             std::filesystem::copy_options::overwrite_existing);
+  const std::string textures = OtherTextures();
   StartLearner("own", {"--textures=" + textures});
   const auto learner = v1::LearnerService::NewStub(grpc::CreateChannel(address_, grpc::InsecureChannelCredentials()));
   v1::Announcement first;

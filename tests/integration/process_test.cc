@@ -2,7 +2,6 @@
 
 #include <signal.h>
 
-#include <gmock/gmock.h>
 #include <gtest/gtest-spi.h>
 #include <gtest/gtest.h>
 
@@ -11,27 +10,6 @@
 
 namespace craftfleet {
 namespace {
-
-using testing::HasSubstr;
-
-TEST(Process, ReturnsExitCodeAndOutput) {
-  const TempFolder folder;
-  auto process = Process::Start("/bin/sh", {"-c", "echo to out; echo to err >&2; exit 3"}, folder / "p");
-  ASSERT_THAT(process, IsOk());
-  EXPECT_EQ((*process)->Wait(absl::Seconds(10)), 3);
-  EXPECT_EQ((*process)->Out(), "to out\n");
-  EXPECT_EQ((*process)->Err(), "to err\n");
-  EXPECT_EQ((*process)->Wait(absl::ZeroDuration()), 3);
-}
-
-TEST(Process, SendsAndReportsSignals) {
-  const TempFolder folder;
-  auto process = Process::Start("/bin/sh", {"-c", "exec sleep 60"}, folder / "p");
-  ASSERT_THAT(process, IsOk());
-  EXPECT_EQ((*process)->Wait(absl::Milliseconds(20)), std::nullopt);
-  (*process)->Signal(SIGTERM);
-  EXPECT_EQ((*process)->Wait(absl::Seconds(10)), 128 + SIGTERM);
-}
 
 TEST(Process, IsKilledWithItsObject) {
   const TempFolder folder;
@@ -68,21 +46,6 @@ TEST(Process, FindsAnAddressOnceItsLineIsComplete) {
   ASSERT_THAT(address, IsOk());
   EXPECT_EQ(*address, "127.0.0.1:41234");
   EXPECT_TRUE((*process)->WaitForText("now", absl::Seconds(10)));
-}
-
-TEST(Process, StopsWaitingWhenTheProcessEnded) {
-  const TempFolder folder;
-  auto process = Process::Start("/bin/sh", {"-c", "echo broken >&2"}, folder / "p");
-  ASSERT_THAT(process, IsOk());
-  EXPECT_FALSE((*process)->WaitForText("listening", absl::InfiniteDuration()));
-  EXPECT_THAT((*process)->WaitForAddress("status on ", absl::InfiniteDuration()),
-              StatusIs(absl::StatusCode::kDeadlineExceeded, HasSubstr("broken")));
-}
-
-TEST(Process, NamesAMissingProgram) {
-  const TempFolder folder;
-  EXPECT_THAT(Process::Start("no-such-program", {}, folder / "p"),
-              StatusIs(absl::StatusCode::kNotFound, HasSubstr("bin/no-such-program")));
 }
 
 }  // namespace

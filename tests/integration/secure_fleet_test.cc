@@ -8,6 +8,7 @@
 #include <memory>
 #include <random>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include <absl/strings/numbers.h>
@@ -202,59 +203,34 @@ TEST_F(SecureFleetTest, NoWorkerCanActUnderAnothersName) {
   EXPECT_THAT(actor_->Err(), Not(HasSubstr("lapsed")));
 }
 
-TEST_F(SecureFleetTest, ATokenReplacedWithoutOverlapIsUsed) {
+// In the middle of the run, with permits and fragments to send.
+TEST_F(SecureFleetTest, TokensReplacedWithoutOverlapAreUsed) {
   const auto allow = [&](const std::string& token) {
     ASSERT_THAT(ReplaceFile(folder_ / "access.txt", absl::StrFormat(R"(
-                  client { name: "workers" certificate: "actor" right: PLAY }
-                  client { name: "servers" token_sha256: "%s" right: SERVE })",
+                  client { name: "workers" certificate: "actor" token_sha256: "%1$s" right: PLAY }
+                  client { name: "servers" certificate: "envserver" token_sha256: "%1$s" right: SERVE })",
                                                                     wire::Sha256Hex(token))),
                 IsOk());
   };
   allow("old");
   ASSERT_THAT(WriteFileSynced(folder_ / "token", "old\n"), IsOk());
+  const std::string token_flag = "--token_file=" + (folder_ / "token");
   learner_ = StartLearner("token", "127.0.0.1:0", Tls("learner", {AccessFlag()}));
   learner_address_ = learner_->WaitForAddress("listening on ", kPatience).value();
+  const std::string learner_flag = "--learner=" + learner_address_;
   server_ = Start("craftfleet-envserver", "token-server",
-                  Tls("envserver", {"--listen=127.0.0.1:0", "--learner=" + learner_address_,
-                                    "--token_file=" + (folder_ / "token")}));
-  ASSERT_TRUE(server_->WaitForText("registered with learner", kPatience)) << server_->Err();
-  allow("new");
-  ASSERT_TRUE(server_->WaitForText("trying again until it answers", kPatience)) << server_->Err();
-  ASSERT_THAT(ReplaceFile(folder_ / "token", "new\n"), IsOk());
-  EXPECT_TRUE(WaitUntil([&] {
-    const std::string log = server_->Err();
-    return log.find("registered with learner") != log.rfind("registered with learner");
-  })) << server_->Err();
+                  Tls("envserver", {"--listen=127.0.0.1:0", learner_flag, token_flag}));
   actor_ = Start("craftfleet-actor", "token-actor",
-                 Tls("actor", {"--learner=" + learner_address_, "--envservers=learner", "--threads=2"}));
-  ExpectTheRunToEndLikeQuiet("token");
-}
-
-// The actor is in the middle of the run, with permits and fragments to send.
-TEST_F(SecureFleetTest, ARunningActorUsesATokenReplacedWithoutOverlap) {
-  const auto allow = [&](const std::string& token) {
-    ASSERT_THAT(ReplaceFile(folder_ / "access.txt", absl::StrFormat(R"(
-                  client { name: "workers" token_sha256: "%s" right: PLAY }
-                  client { name: "servers" certificate: "envserver" right: SERVE })",
-                                                                    wire::Sha256Hex(token))),
-                IsOk());
-  };
-  allow("old");
-  ASSERT_THAT(WriteFileSynced(folder_ / "token", "old\n"), IsOk());
-  learner_ = StartLearner("actor-token", "127.0.0.1:0", Tls("learner", {AccessFlag()}));
-  learner_address_ = learner_->WaitForAddress("listening on ", kPatience).value();
-  server_ = Start("craftfleet-envserver", "actor-token-server",
-                  Tls("envserver", {"--listen=127.0.0.1:0", "--learner=" + learner_address_}));
-  actor_ = Start("craftfleet-actor", "actor-token-actor",
-                 Tls("actor", {"--learner=" + learner_address_, "--envservers=learner", "--threads=2",
-                               "--token_file=" + (folder_ / "token")}));
-  WaitForCheckpoint("actor-token", 2);
+                 Tls("actor", {learner_flag, "--envservers=learner", "--threads=2", token_flag}));
+  WaitForCheckpoint("token", 2);
   allow("new");
-  ASSERT_TRUE(actor_->WaitForText("trying again until it answers", kPatience)) << actor_->Err();
-  EXPECT_EQ(learner_->Wait(absl::ZeroDuration()), std::nullopt) << "the run ended before its actor was refused";
+  for (const Process* worker : {actor_.get(), server_.get()}) {
+    ASSERT_TRUE(worker->WaitForText("trying again until it answers", kPatience)) << worker->Err();
+  }
+  EXPECT_EQ(learner_->Wait(absl::ZeroDuration()), std::nullopt) << "the run ended before its workers were refused";
   ASSERT_THAT(ReplaceFile(folder_ / "token", "new\n"), IsOk());
-  ExpectTheRunToEndLikeQuiet("actor-token");
-  EXPECT_THAT(actor_->Err(), HasSubstr("was read again"));
+  ExpectTheRunToEndLikeQuiet("token");
+  for (const Process* worker : {actor_.get(), server_.get()}) EXPECT_THAT(worker->Err(), HasSubstr("was read again"));
 }
 
 // Returns the serial number of a process's certificate, in hexadecimal.
@@ -384,15 +360,14 @@ TEST_F(SecureFleetTest, GarbageOnEveryPortIsHarmless) {
 }
 
 TEST_F(SecureFleetTest, GarbageIsAlsoHarmlessWithoutTls) {
-  learner_ = StartLearner("plain", "127.0.0.1:0");
-  server_ = StartServer("plain-server");
-  learner_address_ = learner_->WaitForAddress("listening on ", kPatience).value();
-  const std::string server_address = server_->WaitForAddress("listening on ", kPatience).value();
-  actor_ = StartActor("plain-actor", learner_address_, server_address);
+  Fleet fleet = FleetRunTest::StartFleet("plain");
+  learner_ = std::move(fleet.learner);
+  server_ = std::move(fleet.server);
+  actor_ = std::move(fleet.actor);
   const std::string actor_address = actor_->WaitForAddress("status on ", kPatience).value();
   WaitForCheckpoint("plain", 2);
   Scanner scanner;
-  for (const std::string& address : {learner_address_, server_address, actor_address}) scanner.Scan(address);
+  for (const std::string& address : {fleet.address, fleet.server_address, actor_address}) scanner.Scan(address);
   for (const Process* process : {learner_.get(), server_.get(), actor_.get()}) {
     const std::string url = process->WaitForAddress("metrics on http://", kPatience).value();
     scanner.Scan(url.substr(0, url.find('/')));
@@ -408,8 +383,7 @@ TEST_F(SecureFleetTest, AGigabyteMessageIsRefusedWithoutUsingAGigabyte) {
   WaitForCheckpoint("gigabyte", 2);
   const int64_t learner_memory = PeakMemory(*learner_);
   const int64_t server_memory = PeakMemory(*server_);
-  const auto security =
-      wire::ChannelSecurity::Create({{folder_ / "actor.pem", folder_ / "actor.key", folder_ / "ca.pem"}, "", ""});
+  const auto security = wire::ChannelSecurity::Create({FilesOf("actor"), "", ""});
   ASSERT_THAT(security, IsOk());
   // UNAVAILABLE: the connection was reset because it sent so much without a message. That may come first.
   const auto refused = testing::AnyOf(grpc::StatusCode::RESOURCE_EXHAUSTED, grpc::StatusCode::UNAVAILABLE);

@@ -3,6 +3,7 @@
 #ifndef CRAFTFLEET_TESTS_INTEGRATION_SMALL_RUN_H_
 #define CRAFTFLEET_TESTS_INTEGRATION_SMALL_RUN_H_
 
+#include <filesystem>
 #include <memory>
 #include <string>
 #include <utility>
@@ -14,6 +15,7 @@
 #include "common/io/files.h"
 #include "tests/fakes/status_matchers.h"
 #include "tests/fakes/temp_folder.h"
+#include "tests/fakes/test_paths.h"
 #include "tests/integration/process.h"
 
 namespace craftfleet {
@@ -68,6 +70,15 @@ class SmallRunTest : public testing::Test {
   void Train(const std::string& run) {
     const Ended ended = Run("craftfleet train", Flags(run));
     ASSERT_EQ(ended.exit_code, 0) << ended.err;
+  }
+
+  // A folder with textures of which one differs from the installed ones.
+  std::string OtherTextures() const {
+    const std::string textures = folder_ / "textures";
+    std::filesystem::copy(BuiltProgram("../share/craftfleet/textures"), textures);
+    std::filesystem::copy_file(textures + "/sand.png", textures + "/stone.png",
+                               std::filesystem::copy_options::overwrite_existing);
+    return textures;
   }
 
   const TempFolder folder_;

@@ -51,7 +51,7 @@ import zlib
 
 import crafter_model as model
 import crafter_picture as picture
-from situations import SITUATIONS
+from situations import RANDOM_AREAS, SITUATIONS
 
 TEXTURES = pathlib.Path(__file__).resolve().parents[2] / 'envserver' / 'textures'
 
@@ -98,6 +98,7 @@ def world_settings():
     rows += [row(173, size=(96, 80))]
     rows += [row(180, area=(32, 32)), row(181, area=(48, 40))]
     rows += [row(182, area=(20, 90), size=(84, 84)), row(183, area=(5, 4))]
+    rows += [row(200 + i, area=area, look=(PLAIN, even)[i % 2]) for i, area in enumerate(RANDOM_AREAS)]
     return rows
 
 

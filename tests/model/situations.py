@@ -1,5 +1,6 @@
 """The situations in the golden pictures: tests/data/own/frames.jsonl has one row for each."""
 import dataclasses
+import random
 
 PLAYER, COW, ZOMBIE, SKELETON, ARROW, PLANT = range(1, 7)
 WATER, GRASS, STONE, PATH, SAND, TREE, LAVA, COAL, IRON, DIAMOND, TABLE, FURNACE = range(1, 13)
@@ -9,6 +10,7 @@ FULL = [9, 8, 7, 6, 5, 4, 3, 2, 1, 9, 8, 7, 6, 5, 4, 3]
 NOON, DUSK, MIDNIGHT = 60, 165, 210  # steps: daylight 1, 0.31 and 0
 EVEN_WORLD = 40  # the first row of worlds.jsonl with variants
 TALL_WORLD, TINY_WORLD = 68, 69  # 20x90 and 5x4 cells
+RANDOM_WORLD, RANDOM_AREAS = 70, [(4, 40), (7, 5), (13, 9), (40, 4), (29, 31), (40, 40), (18, 23), (9, 36)]
 
 
 def player(x=32, y=32, facing=DOWN):
@@ -69,6 +71,26 @@ def crowd(x, y):
     return [player(x, y, LEFT), *creatures, arrow(x - 2, y + 1, RIGHT), plant(x, y + 1, 301), plant(x + 1, y - 2, 12)]
 
 
+def random_situation(number):
+    """Of any view and size, in a world of any area."""
+    draw = random.Random(number)
+    place = number % len(RANDOM_AREAS)
+    width, height = RANDOM_AREAS[place]
+    cells = [(x, y) for x in range(width) for y in range(height)]
+    taken = draw.sample(cells, min(len(cells), 13))
+    things = [lambda x, y: creature(draw.choice((COW, ZOMBIE, SKELETON)), x, y, draw.randint(-1, 3)),
+              lambda x, y: arrow(x, y, draw.choice((LEFT, RIGHT, UP, DOWN))), lambda x, y: plant(x, y, draw.randint(298, 303))]
+    columns = draw.randint(1, 17)
+    rows = -(-16 // columns) + draw.randint(1, 9)
+    return Situation(
+        f'random {number}', RANDOM_WORLD + place,
+        [(*cell, draw.randint(WATER, FURNACE), -1) for cell in draw.sample(cells, min(len(cells), 30))],
+        (columns * draw.randint(2, 34) + draw.randint(0, 3), rows * draw.randint(2, 20) + draw.randint(0, 3)),
+        (columns, rows), draw.choice((NOON, DUSK, MIDNIGHT, draw.randrange(10000))), draw.randrange(3) == 0,
+        [player(*taken[0], draw.choice((LEFT, RIGHT, UP, DOWN)))] + [draw.choice(things)(x, y) for x, y in taken[1:]],
+        [draw.randint(0, 9) for _ in range(16)], draw.randrange(4) != 0, (number, draw.randrange(700)), keep=False)
+
+
 ONE_OF_EACH = [1] * 16
 NOTHING = [0] * 16
 
@@ -124,4 +146,5 @@ SITUATIONS = [
     Situation('512x512', 3, all_materials(), (512, 512), step=NOON, objs=all_objects(), inv=FULL),
     Situation('512x512 at night', 3, all_materials(), (512, 512), step=200, objs=all_objects(), inv=FULL,
               stream=(45, 0), keep=False),
+    *(random_situation(number) for number in range(40)),
 ]

@@ -1,30 +1,37 @@
 #!/usr/bin/env python3
-"""Measures the cost of training with separate processes on one host (learner, actor, environment server) instead of one.
+"""Experiments with fleets on one host, in environment steps per second from the first iteration to the last.
 
-Trains the same run repeatedly: in one process, with processes over TCP, and with processes over Unix sockets, in turn.
-Prints environment steps per second (wall time, from the first iteration to the last), CPU time per step, and the ratios to
-one process: medians over the rounds, of adjacent runs. Then the same for the fastest quarter of each way's iterations,
-which other load on the machine has slowed down least.
+  fleet_bench.py processes --bin=build/bin    one process, and processes over TCP and over Unix sockets: what these cost
+  fleet_bench.py overlap --bin=build/bin      the learner on one core, an actor and a server on the other, with and without
+                                              --overlap=1: what that gains
+  fleet_bench.py staleness --bin=build/bin    four actors, each on its own server: undisturbed, one stopped for 5 s of every
+                                              10 s, a server ten times slower; synchronous and with max_staleness 2
+  fleet_bench.py ranks --bin=build/bin        the update rate of two learners, each on its own core, against one
 
-  tests/bench/fleet/fleet_bench.py --bin=build/bin                       three rounds of ten iterations, some minutes
+Runs are in pairs, or rounds, whose order rotates, since other load on the machine may drift; ratios are within a round.
 """
 
 import argparse
+import os
 import pathlib
-import resource
+import re
 import statistics
 import struct
 import subprocess
 import sys
 import tempfile
+import threading
 import time
+import urllib.request
 
 sys.path.insert(0, str(pathlib.Path(__file__).resolve().parents[2] / "chaos"))
-from fleet import Fleet, Site  # noqa: E402
+from fleet import Fleet, Site, Worker  # noqa: E402
 
-CONFIG = "steps: {steps} seed: 1 agent: \"{agent}\" eval {{ every_steps: 0 final_episodes: 0 }}"
 STEPS_OF_AN_ITERATION = 4096
-WAYS = ["one process", "TCP", "Unix sockets"]
+CONFIG = """steps: {steps} seed: 1 agent: "{agent}" {more} ppo {{ epochs: {epochs} minibatch_size: {minibatch} }}
+  eval {{ every_steps: 0 final_episodes: 0 }}"""
+# What is stopped, for how many seconds at a time, and how many seconds it runs in between.
+DISTURBANCES = {"undisturbed": None, "a stopped actor": ("actor0", 5, 5), "a slow server": ("server0", 0.018, 0.002)}
 
 
 class SocketSite(Site):
@@ -60,67 +67,154 @@ def wall_time_of_iterations(logdir):
     return {step: wall_time for step, wall_time in sorted(times.items()) if step > 0}
 
 
-def train(options, way, folder):
-    """Returns the seconds of each iteration but the first, and CPU seconds a step."""
-    config, logdir = folder / "config.txt", folder / "run"
-    config.write_text(CONFIG.format(steps=STEPS_OF_AN_ITERATION * options.iterations, agent=options.agent), encoding="utf-8")
-    before = resource.getrusage(resource.RUSAGE_CHILDREN)
-    if way == WAYS[0]:
-        with open(folder / "train.log", "wb") as log:
-            subprocess.run([pathlib.Path(options.bin) / "craftfleet", "train", f"--config={config}", f"--logdir={logdir}",
-                            f"--threads={options.threads}"], stdin=subprocess.DEVNULL, stdout=log, stderr=log, check=True)
-    else:
-        site = Site() if way == "TCP" else SocketSite(folder)
-        fleet = Fleet(options.bin, folder, config, logdir, site, [site], actors=1, servers=1, threads=options.threads)
+def pin(worker, core):
+    """All threads of a process, those that it has started already too."""
+    for thread in pathlib.Path(f"/proc/{worker.process.pid}/task").iterdir():
+        os.sched_setaffinity(int(thread.name), {core})
+
+
+def metrics(address):
+    """The learner's iteration and the seconds that it has spent on updates; nothing while it does not answer."""
+    try:
+        with urllib.request.urlopen(f"http://{address}/metrics", timeout=30) as answer:
+            text = answer.read().decode()
+    except OSError:
+        return None
+    updates = re.search(r'craftfleet_activity_seconds_total{activity="update",[^}]*} (\S+)', text)
+    return int(re.search(r"craftfleet_iteration{[^}]*} (\d+)", text)[1]), float(updates[1]) if updates else 0.0
+
+
+def train(options, start, more="", epochs=4, watch=lambda fleet: None):
+    """Trains once, with what `start(config, logdir, folder)` starts: a Fleet, or None if it has trained by itself. Calls `watch`
+    again and again. Returns the rate."""
+    with tempfile.TemporaryDirectory(prefix="fleet_bench-") as name:
+        folder = pathlib.Path(name)
+        config, logdir = folder / "config.txt", folder / "run"
+        config.write_text(CONFIG.format(steps=STEPS_OF_AN_ITERATION * options.iterations, agent=options.agent, more=more, epochs=epochs,
+                                        minibatch=options.minibatch), encoding="utf-8")
+        fleet = start(config, logdir, folder)
         try:
-            while fleet.learner.process.poll() is None:
-                time.sleep(0.1)
+            while fleet and fleet.learner.process.poll() is None:
+                watch(fleet)
+                time.sleep(0.2)
         finally:
-            fleet.stop()
-        if fleet.learner.process.returncode != 0:
+            if fleet:
+                fleet.stop()
+        if fleet and fleet.learner.process.returncode != 0:
             sys.exit(f"the learner failed:\n{pathlib.Path(fleet.learner.log).read_text(encoding='utf-8')}")
-    after = resource.getrusage(resource.RUSAGE_CHILDREN)
-    times = wall_time_of_iterations(logdir)
-    cpu_s = after.ru_utime - before.ru_utime + after.ru_stime - before.ru_stime
-    ends = list(times.values())
-    return [end - begin for begin, end in zip(ends, ends[1:])], cpu_s / max(times)
+        ends = list(wall_time_of_iterations(logdir).values())
+        return STEPS_OF_AN_ITERATION * (len(ends) - 1) / (ends[-1] - ends[0])
 
 
-def rate_of(seconds):
-    """Steps a second of iterations that took so long."""
-    return STEPS_OF_AN_ITERATION * len(seconds) / sum(seconds)
+def fleet(options, site, actors=1, servers=1, **more):
+    def start(config, logdir, folder):
+        place = site or SocketSite(folder)
+        return Fleet(options.bin, folder, config, logdir, place, [place], actors, servers, **more)
+    return start
 
 
-def fastest_quarter(seconds):
-    return sorted(seconds)[:max(1, len(seconds) // 4)]
+def rounds(options, what, runs, unit="steps/s"):
+    """Makes each of `runs`, name -> function that returns a rate, in each round; prints rates and ratios to the first."""
+    rates, names = {name: [] for name in runs}, list(runs)
+    for number in range(options.rounds):
+        for name in names[number % len(names):] + names[:number % len(names)]:
+            rates[name].append(runs[name]())
+            print(f"{what}round {number + 1}, {name}: {rates[name][-1]:.4g} {unit}", flush=True)
+    for name in names[1:]:
+        ratios = [rate / base for rate, base in zip(rates[name], rates[names[0]])]
+        print(f"{what}{name}: {statistics.median(ratios):.2f} ({min(ratios):.2f} to {max(ratios):.2f}) of {names[0]}", flush=True)
+
+
+def processes(options):
+    def one_process(config, logdir, folder):
+        with open(folder / "train.log", "wb") as log:
+            subprocess.run([pathlib.Path(options.bin) / "craftfleet", "train", f"--config={config}", f"--logdir={logdir}"],
+                           stdin=subprocess.DEVNULL, stdout=log, stderr=log, check=True)
+
+    rounds(options, "", {"one process": lambda: train(options, one_process),
+                         "TCP": lambda: train(options, fleet(options, Site(), threads=0)),
+                         "Unix sockets": lambda: train(options, fleet(options, None, threads=0))})
+
+
+def overlap(options):
+    def start(*arguments):
+        started = fleet(options, Site())(*arguments)
+        for worker in started.all():
+            pin(worker, options.cores[0 if worker is started.learner else 1])
+        return started
+
+    for epochs in [1, 4]:
+        rounds(options, f"{epochs} epochs, ", {name: lambda of=of: train(options, start, f"overlap: {of}", epochs)
+                                               for of, name in enumerate(["synchronous", "overlapped"])})
+
+
+def staleness(options):
+    def disturbed(max_staleness, disturbance):
+        ending, begun = threading.Event(), []
+
+        def disturb(worker, stopped_s, running_s):
+            while not ending.wait(running_s):
+                worker.pause()
+                ending.wait(stopped_s)
+                worker.wake()
+
+        def watch(running):
+            if disturbance and not begun and running.iteration() >= 1:
+                worker = next(worker for worker in running.workers if worker.name == disturbance[0])
+                begun.append(threading.Thread(target=disturb, args=(worker, *disturbance[1:])))
+                begun[0].start()
+
+        try:
+            return train(options, fleet(options, Site(), 4, 4, own_servers=True), f"fragment_steps: 64 max_staleness: {max_staleness}",
+                         watch=watch)
+        finally:
+            ending.set()
+
+    for max_staleness in [0, 2]:
+        rounds(options, f"max_staleness {max_staleness}, ",
+               {name: lambda how=how: disturbed(max_staleness, how) for name, how in DISTURBANCES.items()})
+
+
+def ranks(options):
+    def update_rate(learners):
+        seconds = {}  # that were spent on updates when each iteration had ended
+        listen, port = Site().listen(), Site().listen().rsplit(":", 1)[1]
+        flags = [f"--world_size={learners}", f"--master_port={port}"]
+
+        def start(config, logdir, folder):
+            started = fleet(options, Site(), flags={"learner": [*flags, "--rank=0", f"--metrics_listen={listen}"]})(config, logdir, folder)
+            for rank in range(1, learners):
+                started.workers.append(Worker(f"rank{rank}", [pathlib.Path(options.bin) / "craftfleet-learner", *flags, f"--rank={rank}",
+                                                              "--threads=1"], folder / f"rank{rank}.log"))
+            return started
+
+        def watch(running):
+            seen = metrics(listen)
+            if seen and seen[0] not in seconds:
+                seconds[seen[0]] = seen[1]
+                if seen[0] == 1:  # loading and the canary are over
+                    for worker, core in zip([running.learner, *running.workers[2:]], options.cores):
+                        pin(worker, core)
+
+        train(options, start, "gradient_shards: 2", watch=watch)
+        last = max(seconds)
+        return (last - 1) / (seconds[last] - seconds[1])
+
+    rounds(options, "", {"one learner": lambda: update_rate(1), "two learners": lambda: update_rate(2)}, "updates/s")
 
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    experiments = {"processes": processes, "overlap": overlap, "staleness": staleness, "ranks": ranks}
+    parser.add_argument("experiment", choices=experiments)
     parser.add_argument("--bin", required=True, help="folder of the programs")
     parser.add_argument("--agent", default="ppo_cnn")
+    parser.add_argument("--minibatch", type=int, default=128)
     parser.add_argument("--iterations", type=int, default=10, help="of 4,096 steps, a run")
     parser.add_argument("--rounds", type=int, default=3)
-    parser.add_argument("--threads", type=int, default=0, help="of each process [as many as its CPU quota allows]")
+    parser.add_argument("--cores", type=int, nargs=2, default=[0, 1], help="of the learner and the others, or of two learners")
     options = parser.parse_args()
-    iterations, rates, cpu = ({way: [] for way in WAYS} for _ in range(3))
-    for number in range(options.rounds):
-        # The order rotates, since other load on the machine may drift.
-        for way in WAYS[number % 3:] + WAYS[:number % 3]:
-            with tempfile.TemporaryDirectory(prefix="fleet_bench-") as folder:
-                seconds, cpu_s = train(options, way, pathlib.Path(folder))
-            iterations[way] += seconds
-            rates[way].append(rate_of(seconds))
-            cpu[way].append(cpu_s)
-            print(f"round {number + 1}, {way}: {rates[way][-1]:.0f} steps/s, {1e6 * cpu_s:.0f} us of CPU a step", flush=True)
-    for way in WAYS:
-        ratios = [rate / one for rate, one in zip(rates[way], rates[WAYS[0]])]
-        costs = [cpu_s / one for cpu_s, one in zip(cpu[way], cpu[WAYS[0]])]
-        print(f"{way:14} {statistics.median(rates[way]):6.0f} steps/s, {statistics.median(ratios):.2f} of one process "
-              f"({min(ratios):.2f} to {max(ratios):.2f}); CPU {statistics.median(costs):.2f} ({min(costs):.2f} to {max(costs):.2f})")
-    best = {way: rate_of(fastest_quarter(iterations[way])) for way in WAYS}
-    for way in WAYS:
-        print(f"{way:14} {best[way]:6.0f} steps/s in the fastest quarter, {best[way] / best[WAYS[0]]:.2f} of one process")
+    experiments[options.experiment](options)
 
 
 if __name__ == "__main__":

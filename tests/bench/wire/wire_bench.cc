@@ -1,11 +1,17 @@
-// The cost of the fleet's messages: bytes, and CPU time of both ends. Servers are in one process, their clients in
-// another; there is no training and no policy.
+// The cost of the fleet's messages: bytes, and CPU time of both ends. Servers are in processes of their own, their
+// clients in this one; there is no training and no policy.
 
+#include <signal.h>
+#include <sys/prctl.h>
 #include <sys/wait.h>
+#include <time.h>
 #include <unistd.h>
 
 #include <algorithm>
+#include <atomic>
+#include <cstdint>
 #include <cstdio>
+#include <functional>
 #include <memory>
 #include <string>
 #include <thread>
@@ -14,69 +20,134 @@
 
 #include <absl/flags/flag.h>
 #include <absl/strings/str_cat.h>
+#include <absl/time/clock.h>
 #include <absl/time/time.h>
 
+#include "actor/env_client.h"
+#include "actor/fragment_builder.h"
 #include "common/base/check.h"
 #include "common/base/clock.h"
 #include "common/base/frame_format.h"
-#include "common/base/status_macros.h"
 #include "common/config/config.h"
 #include "common/io/paths.h"
+#include "common/io/snapshot_envelope.h"
 #include "common/io/texture_digest.h"
 #include "common/process/program.h"
 #include "common/wire/channel.h"
+#include "common/wire/convert.h"
 #include "common/wire/protocol.h"
 #include "common/wire/server.h"
 #include "envserver/env_service.h"
 #include "learner/service/learner_service.h"
-#include "tests/bench/wire/game_player.h"
-#include "tests/bench/wire/measure.h"
 
 ABSL_FLAG(double, seconds, 3, "duration of each measurement, seconds");
 ABSL_FLAG(int32_t, clients, 4, "number of concurrent clients");
-ABSL_FLAG(bool, unix_sockets, false, "Unix sockets instead of TCP over loopback");
 
 namespace craftfleet {
 namespace {
 
 constexpr char kProgram[] = "wire_bench";
 constexpr char kUsage[] = "wire_bench prints the cost of the fleet's messages; see tests/bench/README.md.";
-constexpr int kFragmentSteps[] = {256, 32, 4};
-constexpr int kServices = std::size(kFragmentSteps);
+constexpr int kFragmentSteps[] = {256, 32};
 constexpr int kLanesOfClient = 16;
-constexpr int kMany = 10000;
+constexpr int kFrameBytes = 64 * 64 * 3;
+constexpr size_t kSnapshotBytes = 8000;
 constexpr size_t kWeightBytes = 2'441'040;  // of ppo_cnn
 constexpr absl::Duration kLease = absl::Seconds(60);
 
-struct Addresses {
-  char learners[kServices][128] = {};  // by fragment length
-  char crowded[128] = {};              // one with kMany lanes and servers
-  char env_server[128] = {};
+double CpuSeconds(clockid_t clock) {
+  timespec time = {};
+  CRAFTFLEET_CHECK(clock_gettime(clock, &time) == 0);
+  return static_cast<double>(time.tv_sec) + 1e-9 * static_cast<double>(time.tv_nsec);
+}
+
+// A server in a child process. Must be started in a process without other threads.
+class ServerProcess {
+ public:
+  // `serve` passes the address on which it listens to its argument, which does not return.
+  explicit ServerProcess(const std::function<void(const std::function<void(const std::string&)>&)>& serve) {
+    int ends[2];
+    CRAFTFLEET_CHECK(pipe(ends) == 0);
+    pid_ = fork();
+    if (pid_ == 0) {
+      prctl(PR_SET_PDEATHSIG, SIGKILL);
+      serve([&](const std::string& address) {
+        CRAFTFLEET_CHECK(write(ends[1], address.data(), address.size()) > 0);
+        while (true) pause();
+      });
+    }
+    char address[128];
+    const ssize_t size = read(ends[0], address, sizeof(address));
+    CRAFTFLEET_CHECK(size > 0 && clock_getcpuclockid(pid_, &clock_) == 0);
+    address_.assign(address, size);
+    for (const int end : ends) close(end);
+  }
+  ~ServerProcess() {
+    kill(pid_, SIGKILL);
+    waitpid(pid_, nullptr, 0);
+  }
+  ServerProcess(const ServerProcess&) = delete;
+  ServerProcess& operator=(const ServerProcess&) = delete;
+
+  const std::string& address() const { return address_; }
+  double cpu_seconds() const { return CpuSeconds(clock_); }
+
+ private:
+  pid_t pid_ = 0;
+  clockid_t clock_ = {};
+  std::string address_;
 };
+
+// The work of a client in one turn.
+struct Turn {
+  int64_t calls = 0;
+  int64_t bytes = 0;  // of the messages, both ways
+};
+
+// Prints a row: threads, one for each client, make turns concurrently until the time is over.
+void Measure(const std::string& what, const ServerProcess& server, const std::function<Turn(int client)>& turn) {
+  const int clients = absl::GetFlag(FLAGS_clients);
+  for (int client = 0; client < clients; ++client) turn(client);  // warm-up: connects and touches memory
+  std::atomic<int64_t> calls{0};
+  std::atomic<int64_t> bytes{0};
+  const double server_s = server.cpu_seconds();
+  const double client_s = CpuSeconds(CLOCK_PROCESS_CPUTIME_ID);
+  const absl::Time start = absl::Now();
+  const absl::Time end = start + absl::Seconds(absl::GetFlag(FLAGS_seconds));
+  std::vector<std::thread> threads;
+  threads.reserve(clients);
+  for (int client = 0; client < clients; ++client) {
+    threads.emplace_back([&, client] {
+      while (absl::Now() < end) {
+        const Turn done = turn(client);
+        calls += done.calls;
+        bytes += done.bytes;
+      }
+    });
+  }
+  for (std::thread& thread : threads) thread.join();
+  const double seconds = absl::ToDoubleSeconds(absl::Now() - start);
+  const auto count = static_cast<double>(std::max<int64_t>(1, calls));
+  std::printf("%-60s %10.0f %9.1f %11.0f %14.1f %14.1f\n", what.c_str(), count / seconds,
+              1e-6 * static_cast<double>(bytes) / seconds, static_cast<double>(bytes) / count,
+              1e6 * (server.cpu_seconds() - server_s) / count,
+              1e6 * (CpuSeconds(CLOCK_PROCESS_CPUTIME_ID) - client_s) / count);
+  std::fflush(stdout);
+}
 
 // A learner's service that accepts fragments of `steps` steps and drops them.
 class Intake {
  public:
-  Intake(int steps, int lanes, const std::string& address)
+  Intake(int steps, int lanes)
       : registry_(RegistryOptions(lanes), std::vector<LaneRecord>(lanes), &clock_),
         service_(ServiceOptions(steps, lanes), &registry_, &weights_, &fragments_) {
     registry_.lanes()->rollouts().OpenIteration(int64_t{1} << 60, 0);
     weights_.Publish(0, std::make_shared<const std::string>(kWeightBytes, 'w'));
-    wire::Server::Options options;
-    options.address = address;
-    absl::StatusOr<std::unique_ptr<wire::Server>> server = wire::Server::Create(options, {&service_});
-    CRAFTFLEET_CHECK(server.ok());
-    server_ = *std::move(server);
+    server_ = *wire::Server::Create({"127.0.0.1:0"}, {&service_});
     drain_ = std::thread([this] {
       while (fragments_.Pop(absl::InfiniteDuration()).has_value()) {
       }
     });
-  }
-  ~Intake() {
-    registry_.Close();
-    fragments_.Close();
-    drain_.join();
-    server_->Stop(absl::Milliseconds(200));
   }
   const std::string& address() const { return server_->address(); }
 
@@ -85,7 +156,6 @@ class Intake {
     WorkerRegistry::Options options;
     options.lanes.lanes = lanes;
     options.lanes.lease = kLease;
-    options.max_names_per_client = 2 * kMany;
     return options;
   }
   static LearnerServiceImpl::Options ServiceOptions(int steps, int lanes) {
@@ -121,7 +191,8 @@ class Actor {
     request.set_protocol_version(wire::kProtocolVersion);
     request.set_actor(name_);
     v1::JoinReply reply;
-    Call(&v1::LearnerService::Stub::Join, request, &reply);
+    grpc::ClientContext context;
+    CRAFTFLEET_CHECK(stub_->Join(&context, request, &reply).ok());
   }
   ~Actor() {
     stream_->WritesDone();
@@ -157,21 +228,6 @@ class Actor {
     return {1, bytes};
   }
 
-  // Requests the snapshots of the held lanes.
-  Turn GetSnapshots() {
-    Turn turn;
-    for (const v1::Permit& permit : active_) {
-      v1::SnapshotRequest request;
-      request.set_lane(permit.lane());
-      request.set_fragment(permit.fragment());
-      v1::SnapshotReply reply;
-      Call(&v1::LearnerService::Stub::GetSnapshot, request, &reply);
-      ++turn.calls;
-      turn.bytes += static_cast<int64_t>(request.ByteSizeLong() + reply.ByteSizeLong());
-    }
-    return turn;
-  }
-
   Turn GetWeights() {
     grpc::ClientContext context;
     v1::WeightsRequest request;
@@ -183,37 +239,15 @@ class Actor {
     return turn;
   }
 
-  Turn Announce(int number) {
-    v1::Announcement request;
-    request.set_protocol_version(wire::kProtocolVersion);
-    request.set_name(absl::StrCat("host-5678-bench-", number));
-    request.set_address(absl::StrCat("10.0.0.1:", number));
-    v1::AnnounceReply reply;
-    Call(&v1::LearnerService::Stub::Announce, request, &reply);
-    return {1, static_cast<int64_t>(request.ByteSizeLong() + reply.ByteSizeLong())};
-  }
-
  private:
-  template <typename Request, typename Reply>
-  void Call(grpc::Status (v1::LearnerService::Stub::*method)(grpc::ClientContext*, const Request&, Reply*),
-            const Request& request, Reply* reply) {
-    grpc::ClientContext context;
-    const grpc::Status status = (stub_.get()->*method)(&context, request, reply);
-    if (!status.ok()) std::fprintf(stderr, "%s\n", status.error_message().c_str());
-    CRAFTFLEET_CHECK(status.ok());
-  }
-
   v1::PermitReply GetPermits(const std::vector<v1::Permit>& active, int64_t* bytes = nullptr) {
     v1::ActorMessage message;
     v1::PermitRequest& request = *message.mutable_permits();
     request.set_actor(name_);
     request.set_capacity(kLanesOfClient);
-    request.set_wants_env_servers(true);
-    request.set_env_servers_generation(env_servers_generation_);
     for (const v1::Permit& permit : active) *request.add_active() = permit;
     v1::LearnerMessage answer;
     CRAFTFLEET_CHECK(stream_->Write(message) && stream_->Read(&answer) && answer.has_permits());
-    env_servers_generation_ = answer.permits().env_servers_generation();
     if (bytes != nullptr) *bytes = static_cast<int64_t>(message.ByteSizeLong() + answer.ByteSizeLong());
     return std::move(*answer.mutable_permits());
   }
@@ -224,140 +258,115 @@ class Actor {
   const std::unique_ptr<grpc::ClientReaderWriter<v1::ActorMessage, v1::LearnerMessage>> stream_;
   v1::ActorMessage fragment_;
   std::vector<v1::Permit> active_;
-  int64_t env_servers_generation_ = 0;
 };
 
-std::vector<std::unique_ptr<Actor>> ConnectActors(const std::string& learner, int count, int steps,
-                                                  FrameFormat frames) {
-  const v1::FragmentMessage fragment = PlayFragment(steps, frames);
+// A client that plays games on an environment server, with a fixed sequence of actions.
+class GamePlayer {
+ public:
+  GamePlayer(const std::string& server, int number, int lanes, FrameFormat frames)
+      : client_(wire::Connect(server), Hello(frames), kFrameBytes) {
+    CRAFTFLEET_CHECK(client_.Connect(absl::Seconds(10)).ok());
+    std::vector<EnvClient::Lane> open;
+    for (int i = 0; i < lanes; ++i) {
+      lanes_.push_back(i);
+      open.push_back({i, int64_t{1000} * number + i, 1, ""});
+    }
+    CRAFTFLEET_CHECK(client_.Open(open, &frames_).ok());
+  }
+
+  // One step of each game. Counts the bytes of frames or scene records.
+  Turn Step() {
+    std::vector<Action> actions;
+    for (const int lane : lanes_) actions.push_back(static_cast<Action>((7 * steps_ + 3 * lane) % kNumActions));
+    ++steps_;
+    CRAFTFLEET_CHECK(client_.SendStep(lanes_, actions, /*snapshot=*/false).ok() && client_.ReceiveStep(&batch_).ok());
+    frames_.swap(batch_.frames);
+    Turn turn = {static_cast<int64_t>(lanes_.size()), 0};
+    for (const std::string& record : client_.records()) turn.bytes += static_cast<int64_t>(record.size());
+    if (client_.records().empty()) turn.bytes = static_cast<int64_t>(frames_.size());
+    return turn;
+  }
+  // Of the first game, before the next step: its pixels, or its scene record.
+  const std::string& observation() { return client_.records().empty() ? frames_ : client_.records()[0]; }
+
+ private:
+  static v1::SessionHello Hello(FrameFormat frames) {
+    v1::SessionHello hello;
+    hello.set_protocol_version(wire::kProtocolVersion);
+    hello.set_run_id("bench");
+    hello.set_texture_digest(*TextureDigest(*DefaultTextureDir()));
+    hello.mutable_env()->set_name("crafter");
+    hello.mutable_env()->set_frame_size(64);
+    hello.mutable_env()->set_length(10000);
+    hello.set_client("bench");
+    if (frames != FrameFormat::kRaw) hello.add_frame_formats(static_cast<v1::FrameFormat>(frames));
+    return hello;
+  }
+
+  EnvClient client_;
+  std::vector<int> lanes_;
+  StepBatch batch_;
+  std::string frames_;
+  int64_t steps_ = 0;
+};
+
+// A fragment of `steps` steps of a game. No actor is named.
+v1::FragmentMessage PlayFragment(const std::string& server, int steps, FrameFormat frames) {
+  FragmentBuilder builder;
+  GamePlayer player(server, /*number=*/1, /*lanes=*/1, frames);
+  builder.Start(/*epoch=*/0, /*lane=*/0, /*number=*/0, /*policy_version=*/0, steps, kFrameBytes, frames);
+  for (int step = 0; step < steps; ++step) {
+    builder.Append(player.observation(), Action{1}, -2.5F, 0.5F, 0.1F, StepEnd::kNone);
+    player.Step();
+  }
+  LaneSnapshot snapshot;
+  snapshot.game = SealSnapshot(/*env_digest=*/0, std::string(kSnapshotBytes, 's'));
+  return wire::ToProto(builder.Finish(/*bootstrap_value=*/0, std::move(snapshot)));
+}
+
+void MeasureLearner(const ServerProcess& learner, int steps, const ServerProcess& games) {
   std::vector<std::unique_ptr<Actor>> actors;
-  actors.reserve(count);
-  for (int k = 0; k < count; ++k) actors.push_back(std::make_unique<Actor>(learner, k, fragment));
-  return actors;
-}
-
-void MeasureFragments(const Addresses& addresses, int clients, Meter* meter) {
-  for (int i = 0; i < kServices; ++i) {
-    for (const FrameFormat frames : {FrameFormat::kRaw, FrameFormat::kScene}) {
-      const auto actors = ConnectActors(addresses.learners[i], clients, kFragmentSteps[i], frames);
-      meter->Measure(absl::StrCat("fragment of ", kFragmentSteps[i], " steps, ", FrameFormatName(frames),
-                                  ", 1/16 request for permits"),
-                     clients, [&](int client) { return actors[client]->Play(); });
-    }
-  }
-  const auto actors = ConnectActors(addresses.learners[kServices - 1], clients, 4, FrameFormat::kRaw);
-  for (const auto& actor : actors) actor->TakePermits();
-  meter->Measure("snapshot of a lane", clients, [&](int client) { return actors[client]->GetSnapshots(); });
-  meter->Measure("request that renews 16 permits", clients, [&](int client) { return actors[client]->RenewPermits(); });
-  meter->Measure("announcement of an environment server", clients,
-                 [&](int client) { return actors[client]->Announce(client); });
-  meter->Measure("weights of ppo_cnn", clients, [&](int client) { return actors[client]->GetWeights(); });
-}
-
-// Calls whose cost depends on the number of lanes and workers.
-void MeasureCrowd(const Addresses& addresses, int clients, Meter* meter) {
-  constexpr int kCrowd = kMany / kLanesOfClient;
-  const auto actors = ConnectActors(addresses.crowded, kCrowd, 4, FrameFormat::kRaw);
-  for (int k = 0; k < clients; ++k) actors[k]->TakePermits();
-  for (int server = 0; server < kMany; ++server) actors[0]->Announce(server);
-  meter->Measure(absl::StrCat("request for permits; ", kMany, " lanes, ", kMany, " servers, ", kCrowd, " actors"),
-                 clients, [&](int client) { return actors[client]->RenewPermits(); });
-  std::vector<int> servers(clients);
-  meter->Measure(absl::StrCat("announcement of one of ", kMany, " environment servers"), clients, [&](int client) {
-    return actors[client]->Announce(client + clients * (servers[client]++ % (kMany / clients)));
-  });
-}
-
-void MeasureLearners(const Addresses& addresses, int clients, Meter* meter) {
-  MeasureFragments(addresses, clients, meter);
-  MeasureCrowd(addresses, clients, meter);
-}
-
-void MeasureEnvServer(const Addresses& addresses, int clients, Meter* meter) {
   for (const FrameFormat frames : {FrameFormat::kRaw, FrameFormat::kScene}) {
-    for (const int lanes : {1, 16, 64}) {
-      std::vector<std::unique_ptr<GamePlayer>> players;
-      players.reserve(clients);
-      for (int k = 0; k < clients; ++k) {
-        players.push_back(std::make_unique<GamePlayer>(addresses.env_server, k, lanes, frames));
-      }
-      meter->Measure(
-          absl::StrCat("step of a game, ", FrameFormatName(frames), ", ", lanes, " in a message (with the game)"),
-          clients, [&](int client) { return players[client]->Step(); });
-      if (lanes != 16) continue;
-      meter->Measure(absl::StrCat("step with snapshot, ", FrameFormatName(frames), ", 16 in a message (its bytes)"),
-                     clients, [&](int client) { return players[client]->StepAndSave(); });
+    const v1::FragmentMessage fragment = PlayFragment(games.address(), steps, frames);
+    actors.clear();
+    for (int k = 0; k < absl::GetFlag(FLAGS_clients); ++k) {
+      actors.push_back(std::make_unique<Actor>(learner.address(), k, fragment));
     }
+    Measure(absl::StrCat("fragment of ", steps, " steps, ", FrameFormatName(frames), ", 1/16 request for permits"),
+            learner, [&](int client) { return actors[client]->Play(); });
   }
+  if (steps != kFragmentSteps[0]) return;
+  for (const auto& actor : actors) actor->TakePermits();
+  Measure("request that renews 16 permits", learner, [&](int client) { return actors[client]->RenewPermits(); });
+  Measure("weights of ppo_cnn", learner, [&](int client) { return actors[client]->GetWeights(); });
 }
 
-std::string ListenAddress(const std::string& name) {
-  if (!absl::GetFlag(FLAGS_unix_sockets)) return "127.0.0.1:0";
-  return absl::StrCat("unix:/tmp/wire_bench-", getpid(), "-", name);
-}
-
-void SendAndPrint(const Addresses& addresses, int from_child, int to_child) {
-  CRAFTFLEET_CHECK(write(to_child, &addresses, sizeof(addresses)) == sizeof(addresses));
-  PrintMeasurements(from_child, to_child);
-}
-
-void ServeLearners(int from_child, int to_child) {
-  Addresses addresses;
-  std::vector<std::unique_ptr<Intake>> learners;
-  for (int i = 0; i < kServices; ++i) {
-    learners.push_back(std::make_unique<Intake>(kFragmentSteps[i], kLanesOfClient * absl::GetFlag(FLAGS_clients),
-                                                ListenAddress(absl::StrCat(i))));
-    learners.back()->address().copy(addresses.learners[i], sizeof(addresses.learners[i]) - 1);
+void Run() {
+  const auto serve_games = [](const auto& listening) {
+    const auto envs = *EnvServiceImpl::Create(*DefaultTextureDir());
+    const auto server = *wire::Server::Create({"127.0.0.1:0"}, {envs.get()});
+    listening(server->address());
+  };
+  const ServerProcess games(serve_games);
+  std::vector<std::unique_ptr<ServerProcess>> learners;
+  for (const int steps : kFragmentSteps) {
+    learners.push_back(std::make_unique<ServerProcess>([steps](const auto& listening) {
+      const Intake intake(steps, kLanesOfClient * absl::GetFlag(FLAGS_clients));
+      listening(intake.address());
+    }));
   }
-  Intake crowded(4, kMany, ListenAddress("crowded"));
-  crowded.address().copy(addresses.crowded, sizeof(addresses.crowded) - 1);
-  SendAndPrint(addresses, from_child, to_child);
-}
-
-void ServeEnvironments(int from_child, int to_child) {
-  Addresses addresses;
-  const std::unique_ptr<EnvServiceImpl> envs = *EnvServiceImpl::Create(*DefaultTextureDir());
-  wire::Server::Options options;
-  options.address = ListenAddress("env");
-  const std::unique_ptr<wire::Server> server = *wire::Server::Create(options, {envs.get()});
-  server->address().copy(addresses.env_server, sizeof(addresses.env_server) - 1);
-  SendAndPrint(addresses, from_child, to_child);
-}
-
-// A kind of server, and what its clients measure.
-struct Part {
-  void (*serve)(int from_child, int to_child);
-  void (*measure)(const Addresses& addresses, int clients, Meter* meter);
-};
-
-constexpr Part kParts[] = {{ServeLearners, MeasureLearners}, {ServeEnvironments, MeasureEnvServer}};
-
-void RunClients(const Part& part, int to_parent, int from_parent) {
   wire::PollFewConnections();  // as craftfleet-actor
-  Addresses addresses;
-  CRAFTFLEET_CHECK(read(from_parent, &addresses, sizeof(addresses)) == sizeof(addresses));
-  Meter meter(to_parent, from_parent, absl::GetFlag(FLAGS_seconds));
-  part.measure(addresses, absl::GetFlag(FLAGS_clients), &meter);
-}
-
-// Forks the clients and serves them. Must be called in a process without other threads.
-int RunPart(const Part& part) {
-  int to_parent[2];
-  int to_child[2];
-  if (pipe(to_parent) != 0 || pipe(to_child) != 0) return 1;
-  const pid_t child = fork();
-  if (child == 0) {
-    close(to_parent[0]);
-    close(to_child[1]);
-    RunClients(part, to_parent[1], to_child[0]);
-    return 0;
+  std::printf("%-60s %10s %9s %11s %14s %14s\n", "", "calls/s", "MB/s", "bytes/call", "server us/call",
+              "client us/call");
+  for (size_t i = 0; i < learners.size(); ++i) MeasureLearner(*learners[i], kFragmentSteps[i], games);
+  for (const FrameFormat frames : {FrameFormat::kRaw, FrameFormat::kScene}) {
+    std::vector<std::unique_ptr<GamePlayer>> players;
+    for (int k = 0; k < absl::GetFlag(FLAGS_clients); ++k) {
+      players.push_back(std::make_unique<GamePlayer>(games.address(), k, kLanesOfClient, frames));
+    }
+    Measure(absl::StrCat("step of a game, ", FrameFormatName(frames), ", 16 in a message (with the game)"), games,
+            [&](int client) { return players[client]->Step(); });
   }
-  close(to_parent[1]);
-  close(to_child[0]);
-  part.serve(to_parent[0], to_child[1]);
-  int status = 0;
-  waitpid(child, &status, 0);
-  return status == 0 ? 0 : 1;
 }
 
 }  // namespace
@@ -365,12 +374,6 @@ int RunPart(const Part& part) {
 
 int main(int argc, char** argv) {
   craftfleet::ParseFlags({craftfleet::kProgram, craftfleet::kUsage}, argc, argv);
-  for (const craftfleet::Part& part : craftfleet::kParts) {
-    const pid_t child = fork();
-    if (child == 0) return craftfleet::RunPart(part);
-    int status = 0;
-    waitpid(child, &status, 0);
-    if (status != 0) return 1;
-  }
+  craftfleet::Run();
   return 0;
 }
