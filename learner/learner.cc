@@ -204,7 +204,7 @@ absl::Status Learner::ServePage(const Options& options, std::shared_ptr<wire::Ac
   const LivePage::Options page = {options.http_address, options.server.files, std::move(access), options.http_hosts};
   CRAFTFLEET_ASSIGN_OR_RETURN(page_, LivePage::Create(page, {folder_->run_id(), folder_->logdir(), config_,
                                                              [this] { return status_service_.Snapshot(); },
-                                                             &trainer_.view(), &steering_, clock_.get()}));
+                                                             &trainer_.status(), &steering_, clock_.get()}));
   return absl::OkStatus();
 }
 

@@ -10,7 +10,6 @@
 #include "common/process/heap.h"
 #include "common/telemetry/log.h"
 #include "learner/training/records/lane_loading.h"
-#include "learner/training/records/training_pictures.h"
 #include "learner/training/update_failure.h"
 
 namespace craftfleet {
@@ -48,8 +47,7 @@ Trainer::Trainer(const v1::RunConfig& config, const Checkpoint& checkpoint, std:
 
 absl::Status Trainer::Run() {
   start_ = parts_.clock->Now();
-  status_.OnStart(parts_.folder->score());
-  view_.OnStart(*parts_.folder, counters_.env_steps);
+  status_.OnStart(*parts_.folder);
   for (const Weights& weights : weights_) parts_.weights->Publish(weights.version, weights.bytes, RangeOf(weights));
   PublishWeights(first_version_);
   absl::Status status = counters_.iteration == 0 ? checkpoints_.Write() : absl::OkStatus();
@@ -95,7 +93,6 @@ void Trainer::Stop() {
 }
 
 absl::Status Trainer::RunIteration() {
-  const absl::Time begin = parts_.clock->Now();
   status_.OnIterationBegin();
   meter_.BeginCycle();
   meter_.Switch(Activity::kIntake);
@@ -116,10 +113,7 @@ absl::Status Trainer::RunIteration() {
   if (!stats.ok()) return UndoIteration(fragments, stats.status());
   failed_updates_ = 0;
   CRAFTFLEET_RETURN_IF_ERROR(FinishIteration(fragments, *stats, std::move(lanes)));
-  status_.OnIterationEnd(parts_.folder->score());
-  const double seconds = absl::ToDoubleSeconds(parts_.clock->Now() - begin);
-  view_.OnIterationEnd(*parts_.folder, counters_.env_steps, config_.ppo().rollout_steps() / std::max(seconds, 1e-9),
-                       fragments.front(), parts_.updater->spec().frame_size);
+  status_.OnIterationEnd(*parts_.folder, fragments.front(), parts_.updater->spec().frame_size);
   return absl::OkStatus();
 }
 
@@ -170,7 +164,7 @@ absl::StatusOr<UpdateStats> Trainer::Learn(const std::vector<Fragment>& fragment
   for (const Fragment& fragment : fragments) {
     scales.push_back(ScaleOf(fragment.policy_version));
     options.value_scale = scales.back();
-    CRAFTFLEET_RETURN_IF_ERROR(AppendFragment(fragment, options, &rollout));
+    AppendFragment(fragment, options, &rollout);
   }
   CRAFTFLEET_RETURN_IF_ERROR(parts_.ranks->ShareUpdate(counters_.iteration, scales, fragments));
   const auto should_stop = [this] {
@@ -207,7 +201,6 @@ absl::Status Trainer::FinishIteration(const std::vector<Fragment>& fragments, co
   log_.AddIteration(counters_.env_steps, fragments, stats, StepsPerSecond());
   if (config_.max_staleness() > 0)
     log_.AddStaleness(counters_.env_steps, staleness, parts_.registry->lanes()->table().counters.dropped);
-  LogPictures(fragments.front());
   log_.Flush();
   CRAFTFLEET_RETURN_IF_ERROR(parts_.folder->CheckOwned());
   parts_.evaluations->OnIteration(steps_before, counters_.env_steps, weights_.back().bytes,
@@ -216,17 +209,6 @@ absl::Status Trainer::FinishIteration(const std::vector<Fragment>& fragments, co
   checkpoints_.ServeRequests(counters_.iteration);
   // The last checkpoint is written after the final evaluation.
   return has_steps_left() ? checkpoints_.OnIteration(counters_.iteration) : absl::OkStatus();
-}
-
-void Trainer::LogPictures(const Fragment& first) {
-  if (counters_.iteration % kIterationsPerPicture != 1) return;
-  absl::StatusOr<std::vector<EventPicture>> pictures =
-      TrainingPictures(parts_.updater->spec(), weights_.back().bytes, first);
-  if (!pictures.ok()) {
-    LogWarning("no pictures for TensorBoard: %s", pictures.status().message());
-    return;
-  }
-  log_.AddPictures(counters_.env_steps, *pictures);
 }
 
 double Trainer::StepsPerSecond() const {

@@ -36,7 +36,6 @@
 #include "learner/training/records/disk_wait.h"
 #include "learner/training/records/training_log.h"
 #include "learner/training/records/training_status.h"
-#include "learner/training/records/training_view.h"
 #include "learner/training/stop_flag.h"
 #include "learner/training/weight_store.h"
 
@@ -95,7 +94,7 @@ class Trainer {
   const TrainerCounters& counters() const { return counters_; }
   // How the training thread's time is spent.
   const ActivityMeter& meter() const { return meter_; }
-  const TrainingView& view() const { return view_; }
+  const TrainingStatus& status() const { return status_; }
   void FillStatus(v1::StatusReply* reply) const { status_.Fill(meter_, checkpoints_.age(), reply); }
 
  private:
@@ -135,8 +134,6 @@ class Trainer {
                                std::vector<LaneRecord> lanes);
   // If `trained`, evaluates the final weights. Tells actors whether the run is complete.
   void End(bool trained);
-  // Logs a picture every kIterationsPerPicture iterations. `first`: the fragment to show.
-  void LogPictures(const Fragment& first);
   // Publishes the updater's weights for play and evaluation, as version `version`.
   void PublishWeights(int64_t version);
   // The run's state after its last finished iteration.
@@ -150,7 +147,6 @@ class Trainer {
   std::atomic<Phase> phase_{Phase::kTraining};
   ActivityMeter meter_;
   TrainingStatus status_;
-  TrainingView view_;
   DiskWait disk_;
   TrainingLog log_;
   CheckpointWriter checkpoints_;

@@ -12,7 +12,7 @@
 #include <utility>
 
 #include "common/base/mutex.h"
-#include "learner/ppo/value_range.h"
+#include "learner/ppo/value_norm.h"
 
 namespace craftfleet {
 

@@ -14,7 +14,7 @@
 
 #include "common/base/status_macros.h"
 #include "common/config/env_name.h"
-#include "common/io/gzip_file.h"
+#include "tests/fakes/gzip_file.h"
 #include "envserver/render/renderer.h"
 #include "envserver/render/scene_record.h"
 #include "envserver/render/textures.h"

@@ -9,7 +9,7 @@
 #include <nlohmann/json.hpp>
 
 #include "common/io/files.h"
-#include "common/io/gzip_file.h"
+#include "tests/fakes/gzip_file.h"
 #include "common/io/paths.h"
 #include "envserver/render/renderer.h"
 #include "envserver/world/daylight.h"

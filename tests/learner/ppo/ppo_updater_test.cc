@@ -152,16 +152,6 @@ TEST(PpoUpdater, TrainingThatDivergesIsDataLossAndChangesNothing) {
   EXPECT_TRUE(updater->SaveWeights() + updater->SaveOptimizer() == before);
 }
 
-TEST(PpoUpdater, RefusesSizesThatDoNotDivide) {
-  const auto updater = *PpoUpdater::Create(SmallConfig(32), 1);
-  const auto stats = updater->Update(0, RandomRollout(1, 40).rollout, NeverStop);
-  EXPECT_EQ(stats.status().code(), absl::StatusCode::kInvalidArgument);
-  EXPECT_THAT(std::string(stats.status().message()), HasSubstr("40"));
-  v1::RunConfig config = SmallConfig(32);
-  config.set_gradient_shards(3);
-  EXPECT_THAT(std::string(PpoUpdater::Create(config, 1).status().message()), HasSubstr("gradient_shards"));
-}
-
 TEST(PpoUpdater, StartsFromOldWeightsWithAFreshOptimiser) {
   v1::RunConfig config = SmallConfig(32);
   const auto old = *PpoUpdater::Create(config, 2);

@@ -84,24 +84,6 @@ TEST(EventLog, HistogramsCountEveryValueOnce) {
   EXPECT_EQ(equal.bucket_limit(0), 3);
 }
 
-TEST(EventLog, KeepsPicturesAsTheyAre) {
-  const TempFolder folder;
-  FakeClock clock;
-  auto log = EventLog::Open(folder / "events", &clock);
-  ASSERT_THAT(log, IsOk());
-  log->AddPictures(9, {{"rollout/frame", 4, 2, "png"}});
-  log->AddPictures(10, {});
-  ASSERT_THAT(log->file().Flush(), IsOk());
-  const std::vector<v1::Event> events = ReadEvents(folder / "events");
-  ASSERT_EQ(events.size(), 2U);
-  const auto& value = events[1].summary().value(0);
-  EXPECT_EQ(value.tag(), "rollout/frame");
-  EXPECT_EQ(value.image().width(), 4);
-  EXPECT_EQ(value.image().height(), 2);
-  EXPECT_EQ(value.image().colorspace(), 3);
-  EXPECT_EQ(value.image().encoded_image_string(), "png");
-}
-
 TEST(EventLog, CanBeTruncatedAndContinued) {
   const TempFolder folder;
   FakeClock clock;

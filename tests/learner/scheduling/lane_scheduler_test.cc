@@ -301,15 +301,14 @@ TEST(LaneScheduler, ReportsActors) {
   fleet.Push("a", of_a[0]);
   fleet.clock.Advance(absl::Seconds(2));
   fleet.registry.Join("b", "10.0.0.2:7");
-  const std::vector<LaneTable::ActorInfo> actors = fleet.registry.Actors();
+  const std::vector<LaneActor> actors = fleet.registry.Actors();
   ASSERT_THAT(actors, SizeIs(2));
-  EXPECT_EQ(actors[0].name, "a");
-  EXPECT_EQ(actors[0].address, "address of a");
-  EXPECT_EQ(actors[0].permits, 1);
+  EXPECT_EQ(actors[0].worker->name, "a");
+  EXPECT_EQ(actors[0].worker->address, "address of a");
+  EXPECT_THAT(actors[0].permits, SizeIs(1));
   EXPECT_EQ(actors[0].fragments, 1);
-  EXPECT_EQ(actors[0].idle, absl::Seconds(2));
-  EXPECT_EQ(actors[1].address, "10.0.0.2:7");
-  EXPECT_EQ(actors[1].permits, 0);
+  EXPECT_EQ(actors[1].worker->address, "10.0.0.2:7");
+  EXPECT_THAT(actors[1].permits, IsEmpty());
 }
 
 }  // namespace
