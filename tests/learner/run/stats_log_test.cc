@@ -2,6 +2,7 @@
 
 #include <cmath>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include <absl/strings/str_replace.h>
@@ -11,7 +12,6 @@
 #include "common/base/crafter.h"
 #include "common/io/files.h"
 #include "learner/run/append_file.h"
-#include "tests/fakes/file_size_limit.h"
 #include "tests/fakes/status_matchers.h"
 #include "tests/fakes/temp_folder.h"
 #include "tests/learner/run/run_samples.h"
@@ -44,29 +44,11 @@ TEST(StatsLine, MatchesPythonsJsonDumps) {
             "\"achievement_place_table\": 20, \"achievement_wake_up\": 21}\n");
 }
 
-// Right-hand sides printed by CPython 3.11: json.dumps(round(x, 1)).
+// Texts printed by CPython 3.11: json.dumps(round(x, 1)).
 TEST(StatsLine, RoundsRewardsLikePython) {
-  EXPECT_EQ(RewardText(0.05), "0.1");
-  EXPECT_EQ(RewardText(0.15), "0.1");
-  EXPECT_EQ(RewardText(0.25), "0.2");
-  EXPECT_EQ(RewardText(0.35), "0.3");
-  EXPECT_EQ(RewardText(0.45), "0.5");
-  EXPECT_EQ(RewardText(0.75), "0.8");
-  EXPECT_EQ(RewardText(0.85), "0.8");
-  EXPECT_EQ(RewardText(0.95), "0.9");
-  EXPECT_EQ(RewardText(1.05), "1.1");
-  EXPECT_EQ(RewardText(1.25), "1.2");
-  EXPECT_EQ(RewardText(2.675), "2.7");
-  EXPECT_EQ(RewardText(9.95), "9.9");
-  EXPECT_EQ(RewardText(10), "10.0");
-  EXPECT_EQ(RewardText(123456.75), "123456.8");
-  EXPECT_EQ(RewardText(21.049999999999997), "21.0");
-  EXPECT_EQ(RewardText(-0.8999999999999999), "-0.9");
-  EXPECT_EQ(RewardText(-0.25), "-0.2");
-  EXPECT_EQ(RewardText(-0.05), "-0.1");
-  EXPECT_EQ(RewardText(-0.04), "-0.0");
-  EXPECT_EQ(RewardText(-0.0), "-0.0");
-  EXPECT_EQ(RewardText(0), "0.0");
+  const std::vector<std::pair<double, std::string>> cases = {
+      {0.05, "0.1"}, {0.15, "0.1"}, {0.25, "0.2"}, {0.35, "0.3"}, {0.45, "0.5"}, {0.75, "0.8"}, {0.85, "0.8"}, {0.95, "0.9"}, {1.05, "1.1"}, {1.25, "1.2"}, {2.675, "2.7"}, {9.95, "9.9"}, {10, "10.0"}, {123456.75, "123456.8"}, {21.049999999999997, "21.0"}, {-0.8999999999999999, "-0.9"}, {-0.25, "-0.2"}, {-0.05, "-0.1"}, {-0.04, "-0.0"}, {-0.0, "-0.0"}, {0, "0.0"}};
+  for (const auto& [reward, text] : cases) EXPECT_EQ(RewardText(reward), text);
 }
 
 TEST(StatsLine, RoundedRewardIsTheNumberThatIsPrinted) {
@@ -92,26 +74,6 @@ TEST(StatsLog, ReadsBackWhatWasAppended) {
   EXPECT_EQ(episodes[2].length, 7);
 }
 
-TEST(StatsLog, CanBeTruncatedAndContinued) {
-  const TempFolder folder;
-  const std::string path = folder / "stats.jsonl";
-  {
-    AppendFile log = AppendFile::Open(path).value();
-    log.Append(FormatStatsLine(SampleEpisode(1, 0)) + FormatStatsLine(SampleEpisode(2, 0)));
-    ASSERT_THAT(log.Flush(), IsOk());
-  }
-  const int64_t first_line = FormatStatsLine(SampleEpisode(1, 0)).size();
-  AppendFile log = AppendFile::Open(path).value();
-  EXPECT_EQ(log.length(), 2 * first_line);
-  ASSERT_THAT(log.TruncateTo(first_line), IsOk());
-  log.Append(FormatStatsLine(SampleEpisode(3, 0)));
-  ASSERT_THAT(log.Flush(), IsOk());
-  EXPECT_EQ(log.length(), 2 * first_line);
-  EXPECT_EQ(ReadFile(path).value(), FormatStatsLine(SampleEpisode(1, 0)) + FormatStatsLine(SampleEpisode(3, 0)));
-  EXPECT_THAT(log.TruncateTo(100'000),
-              StatusIs(absl::StatusCode::kDataLoss, HasSubstr("the checkpoint expects 100000")));
-}
-
 // Such as one from a learner that was in the middle of a write when this one took over its run.
 TEST(StatsLog, ALineOfAnotherLearnerIsCutOff) {
   const TempFolder folder;
@@ -125,26 +87,6 @@ TEST(StatsLog, ALineOfAnotherLearnerIsCutOff) {
     ASSERT_THAT(log.Flush(), IsOk());
   }
   EXPECT_EQ(ReadFile(path).value(), FormatStatsLine(SampleEpisode(1, 0)) + FormatStatsLine(SampleEpisode(2, 0)));
-}
-
-TEST(StatsLog, AFullDiskLosesNothingAndLeavesNoPartialLine) {
-  const TempFolder folder;
-  const std::string path = folder / "stats.jsonl";
-  AppendFile log = AppendFile::Open(path).value();
-  log.Append(FormatStatsLine(SampleEpisode(1, 0)));
-  ASSERT_THAT(log.Flush(), IsOk());
-  const std::string before = ReadFile(path).value();
-  {
-    const FileSizeLimit limit(before.size() + 100);
-    log.Append(FormatStatsLine(SampleEpisode(2, 0)));
-    EXPECT_THAT(log.Flush(), StatusIs(absl::StatusCode::kResourceExhausted, HasSubstr(path)));
-    EXPECT_EQ(ReadFile(path).value(), before);
-    EXPECT_EQ(log.length(), static_cast<int64_t>(before.size()));
-  }
-  log.Append(FormatStatsLine(SampleEpisode(3, 0)));
-  ASSERT_THAT(log.Flush(), IsOk());
-  EXPECT_EQ(ReadFile(path).value(),
-            before + FormatStatsLine(SampleEpisode(2, 0)) + FormatStatsLine(SampleEpisode(3, 0)));
 }
 
 absl::Status ReadStatsText(const std::string& text) {

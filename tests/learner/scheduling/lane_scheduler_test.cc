@@ -272,29 +272,6 @@ TEST(LaneScheduler, ReportsTheEndOfTheRun) {
   EXPECT_THAT(fleet.registry.Actors(), IsEmpty());
 }
 
-TEST(LaneScheduler, CloseWakesWaitingRequestsAndGrantsNothing) {
-  LaneFleet fleet(1, 0);
-  fleet.registry.Join("a", "");
-  absl::Status status;
-  std::thread waiting([&] { status = fleet.registry.GetPermits("a", {}, kAll, absl::InfiniteDuration()).status(); });
-  fleet.registry.Close();
-  waiting.join();
-  EXPECT_THAT(status, StatusIs(absl::StatusCode::kUnavailable, HasSubstr("is stopping")));
-  fleet.registry.OpenIteration(1, kVersion);
-  EXPECT_THAT(fleet.registry.GetPermits("a", {}, kAll, absl::ZeroDuration()),
-              StatusIs(absl::StatusCode::kUnavailable, HasSubstr("is stopping")));
-}
-
-TEST(LaneScheduler, ANewIterationWakesWaitingRequests) {
-  LaneFleet fleet(1, 0);
-  fleet.registry.Join("a", "");
-  std::vector<Permit> granted;
-  std::thread waiting([&] { granted = fleet.registry.GetPermits("a", {}, kAll, absl::InfiniteDuration())->granted; });
-  fleet.registry.OpenIteration(1, kVersion);
-  waiting.join();
-  EXPECT_THAT(granted, ElementsAre(Permit{0, 0, kVersion}));
-}
-
 TEST(LaneScheduler, ReportsActors) {
   LaneFleet fleet(3, 2);
   const std::vector<Permit> of_a = fleet.Enter("a", 2);

@@ -147,19 +147,15 @@ TEST_F(EvaluationPlannerTest, EvaluatesWheneverTrainingPassesAMultipleOfEverySte
   EXPECT_FALSE(pending[0].final || pending[1].final);
 }
 
-TEST_F(EvaluationPlannerTest, WithoutEveryStepsNothingIsEvaluatedInTraining) {
-  config_.set_every_steps(0);
-  const auto start = Begin();
-  start->Train(5000);
-  EXPECT_THAT(start->Pending(), IsEmpty());
-}
-
 // Actors would end at a task of no episodes.
-TEST_F(EvaluationPlannerTest, WithoutEpisodesNothingIsEvaluatedInTraining) {
-  config_.set_episodes(0);
-  const auto start = Begin();
-  start->Train(5000);
-  EXPECT_THAT(start->Pending(), IsEmpty());
+TEST_F(EvaluationPlannerTest, WithoutEveryStepsOrEpisodesNothingIsEvaluatedInTraining) {
+  for (const bool no_steps : {true, false}) {
+    config_.set_every_steps(no_steps ? 0 : kEvery);
+    config_.set_episodes(no_steps ? kEpisodes : 0);
+    const auto start = Begin();
+    start->Train(5000);
+    EXPECT_THAT(start->Pending(), IsEmpty());
+  }
 }
 
 TEST_F(EvaluationPlannerTest, EpisodesContinueFromEvaluationToEvaluation) {
