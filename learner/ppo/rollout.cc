@@ -5,7 +5,6 @@
 
 #include <absl/types/span.h>
 
-
 namespace craftfleet {
 namespace {
 

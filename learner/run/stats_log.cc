@@ -74,7 +74,8 @@ absl::Status VisitStats(const std::string& path, int64_t bytes, absl::FunctionRe
   while (read < bytes && std::getline(file, line)) {
     ++lines;
     read += static_cast<int64_t>(line.size()) + 1;
-    const absl::StatusOr<Episode> episode = read <= bytes ? ParseStatsLine(line) : absl::DataLossError("the line is incomplete");
+    const absl::StatusOr<Episode> episode =
+        read <= bytes ? ParseStatsLine(line) : absl::DataLossError("the line is incomplete");
     if (!episode.ok()) return absl::DataLossError(absl::StrCat(path, ":", lines, ": ", episode.status().message()));
     visit(*episode);
   }

@@ -95,7 +95,8 @@ absl::Status Trainer::Run() {
 void Trainer::End(bool trained) {
   if (trained) {
     phase_ = Phase::kEvaluating;
-    parts_.evaluations->OnEnd(counters_.env_steps, parts_.updater->ShareWeights(), [this] { return !CheckContinues().ok(); });
+    parts_.evaluations->OnEnd(counters_.env_steps, parts_.updater->ShareWeights(),
+                              [this] { return !CheckContinues().ok(); });
   }
   if (trained && parts_.evaluations->pending() == 0) {
     phase_ = Phase::kComplete;

@@ -14,11 +14,11 @@
 
 #include "common/base/status_macros.h"
 #include "common/config/env_name.h"
-#include "tests/fakes/gzip_file.h"
 #include "envserver/render/renderer.h"
 #include "envserver/render/scene_record.h"
 #include "envserver/render/textures.h"
 #include "envserver/world/world.h"
+#include "tests/fakes/gzip_file.h"
 #include "tests/golden/trace_fields.h"
 #include "tests/golden/world_editor.h"
 

@@ -46,7 +46,7 @@ class TrainingStatus {
     std::vector<CurvePoint> curve;
     std::vector<SpeedPoint> speed;  // since this start
     int frame_size = 0;             // pixels
-    std::string frame;  // what an agent saw at the end, uint8[frame_size,frame_size,3]; empty: none yet
+    std::string frame;              // what an agent saw at the end, uint8[frame_size,frame_size,3]; empty: none yet
   };
 
   // `config`, `counters` and `clock` outlive this.

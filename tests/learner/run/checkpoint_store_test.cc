@@ -168,8 +168,7 @@ TEST_F(CheckpointStoreTest, AnotherFormatIsRefusedWithTheVersionThatWroteItAndWh
                 StatusIs(absl::StatusCode::kFailedPrecondition, AllOf(HasSubstr(text), HasSubstr(advice))));
   };
   Edit(10, "MANIFEST", "format 2\nprogram 0.2.0", "format 3\nprogram 3.1.4");
-  refused("has format 3, written by craftfleet 3.1.4",
-          "this program reads format 2: use that version or a newer one");
+  refused("has format 3, written by craftfleet 3.1.4", "this program reads format 2: use that version or a newer one");
   Edit(10, "MANIFEST", "format 3\nprogram 3.1.4", "format 1\nprogram 0.1.0");
   refused("has format 1, written by craftfleet 0.1.0", "finish the run with that version, or start a new one");
 }
