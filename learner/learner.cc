@@ -88,16 +88,6 @@ absl::StatusOr<std::string> InitFrom(const std::string& path, const v1::RunConfi
   return origin;
 }
 
-// DataLoss unless each lane of the checkpoint has a recurrent state of the agent's size.
-absl::Status CheckLaneStates(const v1::CheckpointState& state, int state_size) {
-  for (int i = 0; i < state.lanes_size(); ++i) {
-    if (state.lanes(i).state_size() == state_size) continue;
-    return absl::DataLossError(absl::StrFormat("the checkpoint's lane %d has a recurrent state of %d numbers, want %d",
-                                               i, state.lanes(i).state_size(), state_size));
-  }
-  return absl::OkStatus();
-}
-
 std::string PrecisionName(const v1::RunConfig& config) {
   return config.has_precision() ? v1::RunConfig::Precision_Name(config.precision()) : "FP32";
 }
@@ -204,7 +194,7 @@ absl::Status Learner::ServePage(const Options& options, std::shared_ptr<wire::Ac
   const LivePage::Options page = {options.http_address, options.server.files, std::move(access), options.http_hosts};
   CRAFTFLEET_ASSIGN_OR_RETURN(page_, LivePage::Create(page, {folder_->run_id(), folder_->logdir(), config_,
                                                              [this] { return status_service_.Snapshot(); },
-                                                             &trainer_.view(), &steering_, clock_.get()}));
+                                                             &trainer_.status(), &steering_, clock_.get()}));
   return absl::OkStatus();
 }
 
@@ -239,7 +229,6 @@ absl::StatusOr<Learner::Loaded> Learner::Load(const Options& options, const v1::
     const std::string name = CheckpointName(run.checkpoint.state.iteration());
     return absl::DataLossError(absl::StrCat("checkpoint ", name, " of ", options.logdir, ": ", load.message()));
   }
-  CRAFTFLEET_RETURN_IF_ERROR(CheckLaneStates(run.checkpoint.state, loaded.updater->spec().state_size));
   run.folder->TakeChanges(config);
   loaded.folder = std::move(run.folder);
   loaded.checkpoint = std::move(run.checkpoint);

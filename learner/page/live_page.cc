@@ -3,6 +3,7 @@
 #include <openssl/sha.h>
 
 #include <algorithm>
+#include <cmath>
 #include <vector>
 
 #include <absl/strings/escaping.h>
@@ -13,6 +14,7 @@
 #include <absl/strings/strip.h>
 #include <nlohmann/json.hpp>
 
+#include "common/base/crafter.h"
 #include "common/base/printable.h"
 #include "common/base/status_macros.h"
 #include "common/io/files.h"
@@ -26,9 +28,8 @@
 namespace craftfleet {
 namespace {
 
-constexpr char kHtml[] = "text/html; charset=utf-8";
 constexpr char kJson[] = "application/json";
-// The page has 90 KiB: a phone far away may need seconds for it.
+// The page has 250 KiB: a phone far away may need seconds for it.
 constexpr absl::Duration kTimeout = absl::Seconds(10);
 constexpr absl::Duration kStatusAge = absl::Seconds(1);
 constexpr size_t kMaxShownHost = 100;  // bytes
@@ -36,10 +37,13 @@ constexpr size_t kMaxShownHost = 100;  // bytes
 constexpr absl::string_view kWatchCall = "/craftfleet.v1.StatusService/GetStatus";
 constexpr absl::string_view kSteerCall = "/craftfleet.v1.AdminService/Pause";
 
-// "'sha256-...' 'sha256-...'": allows exactly these scripts.
-std::string Hashes(const std::vector<absl::string_view>& scripts) {
+// " 'sha256-...' 'sha256-...'", for a policy that allows exactly the scripts of `page`.
+std::string HashesOfScripts(absl::string_view page) {
+  constexpr absl::string_view kBegin = "<script>";
   std::string hashes;
-  for (const absl::string_view script : scripts) {
+  for (size_t at = page.find(kBegin); at != absl::string_view::npos; at = page.find(kBegin, at)) {
+    at += kBegin.size();
+    const absl::string_view script = page.substr(at, page.find("</script>", at) - at);
     unsigned char digest[SHA256_DIGEST_LENGTH];
     SHA256(reinterpret_cast<const unsigned char*>(script.data()), script.size(), digest);
     absl::StrAppend(&hashes, " 'sha256-",
@@ -103,14 +107,34 @@ nlohmann::json DescribeRun(const std::string& run_id, const v1::RunConfig& confi
           {"seed", config.seed()}, {"steps", config.steps()}, {"lanes", config.lanes()}};
 }
 
-nlohmann::json JsonOfSpeed(const std::vector<TrainingView::SpeedPoint>& speed) {
-  nlohmann::json steps = nlohmann::json::array();
-  nlohmann::json rate = nlohmann::json::array();
-  for (const TrainingView::SpeedPoint& point : speed) {
-    steps.push_back(point.env_steps);
-    rate.push_back(static_cast<int64_t>(point.steps_per_second));
-  }
-  return {{"steps", std::move(steps)}, {"rate", std::move(rate)}};
+// Three decimals are more than a chart shows.
+double Rounded(double value) { return std::round(value * 1000) / 1000; }
+
+// [...]: `value` of each point.
+template <typename Point, typename Value>
+nlohmann::json Column(const std::vector<Point>& points, const Value& value) {
+  nlohmann::json column = nlohmann::json::array();
+  for (const Point& point : points) column.push_back(value(point));
+  return column;
+}
+
+nlohmann::json JsonOfCurve(const std::vector<CurvePoint>& curve) {
+  return {{"steps", Column(curve, [](const CurvePoint& point) { return point.steps; })},
+          {"reward", Column(curve, [](const CurvePoint& point) { return Rounded(point.reward); })},
+          {"score", Column(curve, [](const CurvePoint& point) { return Rounded(point.score); })}};
+}
+
+nlohmann::json JsonOfSpeed(const std::vector<TrainingStatus::SpeedPoint>& speed) {
+  using Point = TrainingStatus::SpeedPoint;
+  return {{"steps", Column(speed, [](const Point& point) { return point.env_steps; })},
+          {"rate", Column(speed, [](const Point& point) { return static_cast<int64_t>(point.steps_per_second); })}};
+}
+
+// {"collect_coal": 1.5, ...}, in percent.
+nlohmann::json JsonOfRates(const AchievementPercentages& rates) {
+  nlohmann::json json;
+  for (int i = 0; i < kNumAchievements; ++i) json[std::string(kAchievementNames[i])] = Rounded(rates[i]);
+  return json;
 }
 
 // The newest first, with the environment steps that each has. Empty if they cannot be listed now.
@@ -170,8 +194,7 @@ LivePage::LivePage(const Options& options, Parts parts)
       hosts_(options.hosts),
       parts_(std::move(parts)),
       page_(PageTemplate()),
-      packed_page_(Gzip(page_)),
-      policy_(absl::StrCat("default-src 'none'; script-src", Hashes(ScriptsOf(page_)),
+      policy_(absl::StrCat("default-src 'none'; script-src", HashesOfScripts(page_),
                            "; style-src 'unsafe-inline'; img-src blob: data:; connect-src 'self'; base-uri 'none'; "
                            "form-action 'none'; frame-ancestors 'none'")) {}
 
@@ -181,7 +204,7 @@ LivePage::Response LivePage::Respond(const Request& request) {
   if (request.is_post()) {
     response = Steer(request);
   } else if (path == "/") {
-    response = Page(request);
+    response = Page();
   } else if (const absl::Status status = Check(request, kWatchCall); !status.ok()) {
     response = Failure(status);
   } else if (path == "/status.json") {
@@ -210,14 +233,8 @@ absl::Status LivePage::Check(const Request& request, absl::string_view path) con
       shown, shown));
 }
 
-LivePage::Response LivePage::Page(const Request& request) const {
-  Response response = {200, kHtml};
-  response.headers.emplace_back("Content-Security-Policy", policy_);
-  response.headers.emplace_back("Vary", "Accept-Encoding");
-  const bool packed = absl::StrContains(request.Header("Accept-Encoding").value_or(""), "gzip");
-  if (packed) response.headers.emplace_back("Content-Encoding", "gzip");
-  response.body = packed ? packed_page_ : page_;
-  return response;
+LivePage::Response LivePage::Page() const {
+  return {200, "text/html; charset=utf-8", page_, {{"Content-Security-Policy", policy_}}};
 }
 
 LivePage::Response LivePage::Status(const Request& request) {
@@ -233,34 +250,34 @@ LivePage::Response LivePage::Status(const Request& request) {
 }
 
 LivePage::Response LivePage::Curves(const Request& request) {
-  const std::shared_ptr<const TrainingView::Moment> moment = parts_.view->Now();
-  const std::string tag = absl::StrCat("\"", parts_.run_id, "-", moment->number, "\"");
+  const auto view = parts_.training->view();
+  const std::string tag = absl::StrCat("\"", parts_.run_id, "-", view->number, "\"");
   if (request.Header("If-None-Match") == tag) return {304, kJson, "", {{"ETag", tag}}};
-  if (curves_number_ != moment->number) {
+  if (curves_number_ != view->number) {
     const nlohmann::json json = {
         {"run", DescribeRun(parts_.run_id, parts_.config)},
-        {"env_steps", moment->env_steps},
-        {"episodes", moment->episodes},
-        {"curve", JsonOfCurve(moment->curve)},
-        {"speed", JsonOfSpeed(moment->speed)},
-        {"rates", JsonOfRates(moment->rates)},
+        {"env_steps", view->env_steps},
+        {"episodes", view->score.episodes()},
+        {"curve", JsonOfCurve(view->curve)},
+        {"speed", JsonOfSpeed(view->speed)},
+        {"rates", JsonOfRates(view->score.SuccessPercentages())},
         {"checkpoints", JsonOfCheckpoints(parts_.logdir, parts_.config.ppo().rollout_steps())},
-        {"frame", moment->frame.empty() ? 0 : moment->number},
+        {"frame", view->frame.empty() ? 0 : view->number},
     };
     curves_ = json.dump(-1, ' ', /*ensure_ascii=*/true, nlohmann::json::error_handler_t::replace);
-    curves_number_ = moment->number;
+    curves_number_ = view->number;
   }
   return {200, kJson, curves_, {{"ETag", tag}}};
 }
 
 LivePage::Response LivePage::Frame() {
-  const std::shared_ptr<const TrainingView::Moment> moment = parts_.view->Now();
-  if (moment->frame.empty()) return Failure(absl::NotFoundError("no iteration has ended yet"));
-  if (frame_number_ != moment->number) {
-    absl::StatusOr<std::string> png = EncodePng(moment->frame, moment->frame_size, moment->frame_size);
+  const auto view = parts_.training->view();
+  if (view->frame.empty()) return Failure(absl::NotFoundError("no iteration has ended yet"));
+  if (frame_number_ != view->number) {
+    absl::StatusOr<std::string> png = EncodePng(view->frame, view->frame_size, view->frame_size);
     if (!png.ok()) return Failure(png.status());
     frame_ = *std::move(png);
-    frame_number_ = moment->number;
+    frame_number_ = view->number;
   }
   return {200, "image/png", frame_};
 }

@@ -21,7 +21,7 @@
 #include "craftfleet/v1/config.pb.h"
 #include "craftfleet/v1/status.pb.h"
 #include "learner/service/steering.h"
-#include "learner/training/records/training_view.h"
+#include "learner/training/records/training_status.h"
 
 namespace craftfleet {
 
@@ -52,7 +52,7 @@ class LivePage {
     std::string logdir;
     v1::RunConfig config;
     std::function<v1::StatusReply()> status;  // called from other threads, as the rest
-    const TrainingView* view;
+    const TrainingStatus* training;
     Steering* steering;
     Clock* clock;
   };
@@ -71,7 +71,7 @@ class LivePage {
 
   LivePage(const Options& options, Parts parts);
   Response Respond(const Request& request);
-  Response Page(const Request& request) const;
+  Response Page() const;
   Response Status(const Request& request);
   Response Curves(const Request& request);
   Response Frame();
@@ -83,7 +83,6 @@ class LivePage {
   const std::vector<std::string> hosts_;
   const Parts parts_;
   std::string page_;
-  std::string packed_page_;
   std::string policy_;  // its content security policy
 
   // Of the server's thread: what was sent last, for the clients that follow.

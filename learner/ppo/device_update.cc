@@ -2,19 +2,11 @@
 
 #include <algorithm>
 #include <exception>
-#include <set>
 #include <string>
 #include <utility>
 
 #include <ATen/ATen.h>
-#include <absl/strings/str_cat.h>
-#include <absl/strings/str_join.h>
-#include <absl/strings/str_split.h>
-#include <absl/strings/string_view.h>
-#include <absl/types/span.h>
 #include <c10/core/GradMode.h>
-#include <google/protobuf/descriptor.h>
-#include <google/protobuf/message.h>
 #include <torch/csrc/autograd/autograd.h>
 
 #include "common/agent/device.h"
@@ -28,39 +20,6 @@
 namespace craftfleet {
 namespace {
 
-// The fields that this update takes into account, or that do not concern updates.
-constexpr absl::string_view kKnownFields[] = {
-    "agent env steps seed lanes fragment_steps tile gradient_shards ppo checkpoint network eval cpu precision device",
-    "overlap max_staleness distillation",
-    "ppo.rollout_steps ppo.minibatch_size ppo.epochs ppo.learning_rate ppo.gamma ppo.gae_lambda ppo.clip",
-    "ppo.value_coefficient ppo.entropy_coefficient ppo.max_gradient_norm ppo.adam_epsilon ppo.truncation_is_terminal",
-    "ppo.recurrent_batches ppo.value_norm_decay ppo.value_norm_start ppo.advantages_over_rollout",
-    "network.extractor network.frame_size network.objects network.patch network.stride network.heads network.slots",
-    "network.cls_learned network.positions network.dropout network.residual_mlp network.layer_norm",
-    "network.slot_competition network.recurrent network.critic network.width network.memory network.goal_predictor"};
-
-bool IsKnown(absl::string_view field) {
-  const std::set<std::string> known = absl::StrSplit(absl::StrJoin(kKnownFields, " "), ' ');
-  return known.count(std::string(field)) > 0;
-}
-
-// Whether a field that is set may yet be ignored: it is false or 0.
-bool IsOff(const google::protobuf::Message& message, const google::protobuf::FieldDescriptor* field) {
-  using google::protobuf::FieldDescriptor;
-  const google::protobuf::Reflection* reflection = message.GetReflection();
-  if (field->is_repeated()) return false;
-  switch (field->cpp_type()) {
-    case FieldDescriptor::CPPTYPE_BOOL:
-      return !reflection->GetBool(message, field);
-    case FieldDescriptor::CPPTYPE_INT32:
-      return reflection->GetInt32(message, field) == 0;
-    case FieldDescriptor::CPPTYPE_DOUBLE:
-      return reflection->GetDouble(message, field) == 0;
-    default:
-      return false;
-  }
-}
-
 // The states of the first `count` Adams: PPO's and, if there are three, those of distillation.
 std::vector<AdamState*> AdamsOf(UpdateState* state, size_t count) {
   std::vector<AdamState*> adams = {&state->adam, &state->distillation.matching, &state->distillation.prediction};
@@ -69,24 +28,6 @@ std::vector<AdamState*> AdamsOf(UpdateState* state, size_t count) {
 }
 
 }  // namespace
-
-absl::Status DeviceUpdate::CheckFields(const google::protobuf::Message& message, const std::string& prefix) {
-  std::vector<const google::protobuf::FieldDescriptor*> fields;
-  message.GetReflection()->ListFields(message, &fields);
-  for (const auto* field : fields) {
-    const std::string name = absl::StrCat(prefix, field->name());
-    if (IsKnown(name) || IsOff(message, field)) continue;
-    return absl::InvalidArgumentError(
-        absl::StrCat(name, " is not computed on a device yet: leave it out, or train with --device=cpu"));
-  }
-  return absl::OkStatus();
-}
-
-absl::Status DeviceUpdate::CheckSupported(const v1::RunConfig& config) {
-  CRAFTFLEET_RETURN_IF_ERROR(CheckFields(config, ""));
-  CRAFTFLEET_RETURN_IF_ERROR(CheckFields(config.network(), "network."));
-  return CheckFields(config.ppo(), "ppo.");
-}
 
 DeviceUpdate::DeviceUpdate(AgentSpec spec, const v1::RunConfig& config, at::Device device)
     : spec_(std::move(spec)),

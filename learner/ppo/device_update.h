@@ -41,12 +41,6 @@ class DeviceUpdate {
   // `config` as PpoUpdater::Create has it. Allocates nothing on the device yet.
   DeviceUpdate(AgentSpec spec, const v1::RunConfig& config, at::Device device);
 
-  // InvalidArgument: a field of `config` asks for something that is not computed on devices; names the field.
-  static absl::Status CheckSupported(const v1::RunConfig& config);
-  // The same for the fields of `message`, a part of the configuration whose fields' names begin with `prefix` ("ppo.").
-  // Fields that are false or 0 ask for nothing.
-  static absl::Status CheckFields(const google::protobuf::Message& message, const std::string& prefix);
-
   // What follows PPO's epochs in an iteration: takes the rollout that they learned from, maybe corrected, and adds to
   // the statistics.
   using AfterEpochs = std::function<absl::Status(const Rollout&, UpdateStats*)>;

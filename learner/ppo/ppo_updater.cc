@@ -13,6 +13,7 @@
 #include "common/agent/pooled_buffer.h"
 #include "common/agent/torch_setup.h"
 #include "common/agent/weights.h"
+#include "common/base/check.h"
 #include "common/base/crc32c.h"
 #include "common/base/keyed_random.h"
 #include "common/base/status_macros.h"
@@ -72,15 +73,7 @@ PpoLossSums Means(PpoLossSums sums, size_t rows) {
 absl::StatusOr<std::unique_ptr<PpoUpdater>> PpoUpdater::Create(const v1::RunConfig& config, int threads,
                                                                const std::string& device, Start start) {
   CRAFTFLEET_ASSIGN_OR_RETURN(AgentSpec spec, MakeAgentSpec(config));
-  if (config.gradient_shards() < 1 || config.ppo().minibatch_size() % config.gradient_shards() != 0) {
-    return absl::InvalidArgumentError(absl::StrCat("ppo.minibatch_size is ", config.ppo().minibatch_size(),
-                                                   ", want a multiple of gradient_shards, ", config.gradient_shards()));
-  }
   CRAFTFLEET_RETURN_IF_ERROR(CheckPrecision(device, spec.precision));
-  if (device != kCpuDevice) {
-    CRAFTFLEET_RETURN_IF_ERROR(DeviceUpdate::CheckSupported(config));
-    CRAFTFLEET_RETURN_IF_ERROR(DeviceUpdate::CheckFields(spec.network, "network."));
-  }
   return std::unique_ptr<PpoUpdater>(new PpoUpdater(std::move(spec), config, threads, device, start));
 }
 
@@ -136,11 +129,8 @@ RolloutOptions PpoUpdater::rollout_options() const {
 
 absl::StatusOr<UpdateStats> PpoUpdater::Update(int64_t iteration, const Rollout& rollout,
                                                const std::function<bool()>& should_stop) {
-  const bool cuts_evenly = spec_.network.recurrent() || rollout.size() % config_.minibatch_size() == 0;
-  if (rollout.size() == 0 || !cuts_evenly) {
-    return absl::InvalidArgumentError(absl::StrCat(
-        "a rollout of ", rollout.size(), " steps, want a multiple of ppo.minibatch_size, ", config_.minibatch_size()));
-  }
+  CRAFTFLEET_CHECK(rollout.size() > 0);
+  CRAFTFLEET_CHECK(spec_.network.recurrent() || rollout.size() % config_.minibatch_size() == 0);
   SetUpTorchThread();
   if (ranks_.has_value()) ranks_->Begin(should_stop);
   if (device_ != nullptr) return UpdateOnDevice(iteration, rollout, should_stop);

@@ -48,8 +48,7 @@ class PpoUpdater {
   // The fields of `config` that count: agent, network, seed, gradient_shards and ppo, all valid (ValidateRunConfig).
   // `threads` >= 1; more than gradient_shards help little. `device`, as
   // FindDevice returns it, computes; "cpu:0" is the CPU as if it were a GPU, for tests.
-  //   InvalidArgument: unknown agent; minibatch_size is not a multiple of gradient_shards; a field or a precision that
-  //   this device does not compute.
+  //   InvalidArgument: unknown agent, or a precision that this device does not compute.
   static absl::StatusOr<std::unique_ptr<PpoUpdater>> Create(const v1::RunConfig& config, int threads,
                                                             const std::string& device = "cpu",
                                                             Start start = Start::kInitialWeights);
@@ -67,8 +66,8 @@ class PpoUpdater {
   RolloutOptions rollout_options() const;
 
   // Runs the epochs of `iteration`, which orders the minibatches, and distillation after them. `should_stop` is asked
-  // after each minibatch. Unless OK, weights, optimiser and value normaliser are as before.
-  //   InvalidArgument: the rollout is empty, or the agent feed-forward and its size not a multiple of minibatch_size.
+  // after each minibatch. Unless OK, weights, optimiser and value normaliser are as before. The rollout is not empty,
+  // and of feed-forward agents a multiple of minibatch_size.
   //   Cancelled: should_stop() said so.   DataLoss: gradient or weights are not finite, training diverges
   //   (divergence.h), or a rank has other weights than rank 0.   Internal: LibTorch failed.   Others, on a GPU, as
   //   DeviceUpdate::Run; with ranks, as RankGroup.

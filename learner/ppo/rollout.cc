@@ -3,43 +3,10 @@
 #include <algorithm>
 #include <utility>
 
-#include <absl/strings/str_cat.h>
 #include <absl/types/span.h>
-
-#include "common/base/status_macros.h"
 
 namespace craftfleet {
 namespace {
-
-absl::Status CheckFragment(const Fragment& fragment, const RolloutOptions& options) {
-  const size_t steps = fragment.actions.size();
-  if (steps == 0) {
-    return absl::InvalidArgumentError(
-        absl::StrCat("fragment ", fragment.number, " of lane ", fragment.lane, " has no steps"));
-  }
-  const auto has = [&](absl::string_view field, size_t size, size_t want) {
-    if (size == want) return absl::OkStatus();
-    return absl::InvalidArgumentError(absl::StrCat("fragment ", fragment.number, " of lane ", fragment.lane, ": ", size,
-                                                   " ", field, " for ", steps, " steps, want ", want));
-  };
-  CRAFTFLEET_RETURN_IF_ERROR(has("bytes of frames", fragment.frames.size(), steps * options.frame_bytes));
-  CRAFTFLEET_RETURN_IF_ERROR(has("log_probs", fragment.log_probs.size(), steps));
-  CRAFTFLEET_RETURN_IF_ERROR(has("values", fragment.values.size(), steps));
-  CRAFTFLEET_RETURN_IF_ERROR(has("rewards", fragment.rewards.size(), steps));
-  CRAFTFLEET_RETURN_IF_ERROR(has("ends", fragment.ends.size(), steps));
-  const size_t truncations = std::count(fragment.ends.begin(), fragment.ends.end(), StepEnd::kTruncated);
-  CRAFTFLEET_RETURN_IF_ERROR(has("truncation_values", fragment.truncation_values.size(), truncations));
-  const size_t states = options.every_state ? steps : 1;
-  CRAFTFLEET_RETURN_IF_ERROR(has("numbers of states", fragment.states.size(), states * options.state_size));
-  for (const char action : fragment.actions) {
-    const int number = static_cast<unsigned char>(action);
-    if (number >= kNumActions) {
-      return absl::InvalidArgumentError(absl::StrCat("fragment ", fragment.number, " of lane ", fragment.lane,
-                                                     ": action ", number, ", want 0..", kNumActions - 1));
-    }
-  }
-  return absl::OkStatus();
-}
 
 // How the fragment's step `t` relates to the row before it.
 RowStart StartOf(const Fragment& fragment, size_t t, const Rollout& rollout) {
@@ -85,8 +52,7 @@ void AppendAdvantages(const Fragment& fragment, const RolloutOptions& options, R
 
 }  // namespace
 
-absl::Status AppendFragment(const Fragment& fragment, const RolloutOptions& options, Rollout* rollout) {
-  CRAFTFLEET_RETURN_IF_ERROR(CheckFragment(fragment, options));
+void AppendFragment(const Fragment& fragment, const RolloutOptions& options, Rollout* rollout) {
   for (size_t t = 0; t < fragment.actions.size(); ++t) {
     rollout->frames.push_back(reinterpret_cast<const uint8_t*>(fragment.frames.data()) + t * options.frame_bytes);
     rollout->actions.push_back(static_cast<Action>(fragment.actions[t]));
@@ -96,7 +62,6 @@ absl::Status AppendFragment(const Fragment& fragment, const RolloutOptions& opti
   rollout->ends.insert(rollout->ends.end(), fragment.ends.begin(), fragment.ends.end());
   AppendStates(fragment, options, rollout);
   AppendAdvantages(fragment, options, rollout);
-  return absl::OkStatus();
 }
 
 void ReplaceValues(std::vector<float> values, Rollout* rollout) {

@@ -7,8 +7,6 @@
 #include <cstdint>
 #include <vector>
 
-#include <absl/status/status.h>
-
 #include "common/base/crafter.h"
 #include "common/base/types.h"
 #include "learner/ppo/gae.h"
@@ -62,10 +60,8 @@ struct RolloutOptions {
 };
 
 // Adds the fragment's T steps, with advantages from GAE over the fragment alone. Fragments come lane after lane, each
-// lane's in order.
-//   InvalidArgument: the fragment's fields don't have T steps (frames: T * frame_bytes bytes), or an action is not
-//   0..16; the rollout is untouched.
-absl::Status AppendFragment(const Fragment& fragment, const RolloutOptions& options, Rollout* rollout);
+// lane's in order; wire::FromProto has checked them.
+void AppendFragment(const Fragment& fragment, const RolloutOptions& options, Rollout* rollout);
 
 // Puts `values` [n] in the place of those that were played. Where the rollout has the observation after a fragment, the
 // value of that replaces the fragment's bootstrap value too.

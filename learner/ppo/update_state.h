@@ -8,10 +8,15 @@
 #include <absl/status/status.h>
 
 #include "learner/ppo/adam.h"
-#include "learner/ppo/distillation/distillation_adams.h"
 #include "learner/ppo/value_norm.h"
 
 namespace craftfleet {
+
+// The optimisers of distillation's two losses, beside PPO's, over the same weights.
+struct DistillationAdams {
+  AdamState matching;
+  AdamState prediction;
+};
 
 struct UpdateState {
   std::vector<float> weights;  // [param_count]

@@ -9,7 +9,6 @@
 #include <absl/types/span.h>
 
 #include "craftfleet/v1/config.pb.h"
-#include "learner/ppo/value_range.h"
 
 namespace craftfleet {
 
@@ -18,6 +17,13 @@ namespace craftfleet {
 inline constexpr double kMaxValue = 1000;
 // Of a return from such values: at most the rewards of a whole episode more.
 inline constexpr double kMaxReturn = kMaxValue + 25;
+
+// The outputs of a value head that fragments may have. By default those whose squares and sums stay finite
+// (wire::kMaxValue).
+struct ValueRange {
+  double low = -1e6;
+  double high = 1e6;
+};
 
 // value = mean + deviation * output of the value head.
 struct ValueScale {

@@ -25,20 +25,6 @@ absl::Span<const char> BytesOf(absl::Span<const T> values) {
   return absl::MakeConstSpan(reinterpret_cast<const char*>(values.data()), values.size() * sizeof(T));
 }
 
-// Sets `sum` to `before`, if there is one, plus the terms from `offset` on, added in this order.
-void AddTermsInOrder(const float* before, absl::Span<const std::vector<float>> terms, size_t offset,
-                     absl::Span<float> sum) {
-  const float* const first = terms.empty() ? nullptr : terms[0].data() + offset;
-  if (before != nullptr && first != nullptr) {
-    for (size_t i = 0; i < sum.size(); ++i) sum[i] = before[i] + first[i];
-  } else {
-    std::copy_n(before != nullptr ? before : first, sum.size(), sum.begin());
-  }
-  for (size_t k = 1; k < terms.size(); ++k) {
-    for (size_t i = 0; i < sum.size(); ++i) sum[i] += terms[k][offset + i];
-  }
-}
-
 }  // namespace
 
 struct RankGroup::Note {
@@ -209,7 +195,10 @@ absl::Status RankGroup::SumForward(const Transfers& from_before, Note* note, abs
   for (size_t offset = 0; offset < total.size(); offset += kPart) {
     const absl::Span<float> part = total.subspan(offset, kPart);
     if (!is_first()) CRAFTFLEET_RETURN_IF_ERROR(links_->Wait(from_before[1 + offset / kPart]));
-    AddTermsInOrder(is_first() ? nullptr : before_.data() + offset, own_, offset, part);
+    std::vector<const float*> terms;
+    if (!is_first()) terms.push_back(before_.data() + offset);
+    for (const std::vector<float>& own : own_) terms.push_back(own.data() + offset);
+    AddInOrder(terms, part);
     sent->push_back(links_->StartSend(next, BytesOf(part)));
   }
   return absl::OkStatus();

@@ -135,8 +135,6 @@ c10::intrusive_ptr<c10d::ProcessGroupGloo> MakeGroup(const char* name, const Ran
 
 }  // namespace
 
-bool HasRanks() { return true; }
-
 struct RankLinks::Operation {
   int neighbour;
   c10::intrusive_ptr<c10d::Work> work = {};  // null: it could not begin

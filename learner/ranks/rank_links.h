@@ -130,9 +130,6 @@ class RankMeeting {
   std::string offer_;
 };
 
-// Whether this build has ranks.
-bool HasRanks();
-
 }  // namespace craftfleet
 
 #endif  // CRAFTFLEET_LEARNER_RANKS_RANK_LINKS_H_

@@ -39,7 +39,8 @@ std::string NewName() {
 
 size_t Aligned(size_t bytes) { return (bytes + kLine - 1) / kLine * kLine; }
 
-// Sets `total` to the terms, at least one, added in this order. It may be in place of the first.
+}  // namespace
+
 void AddInOrder(absl::Span<const float* const> terms, absl::Span<float> total) {
   for (size_t begin = 0; begin < total.size(); begin += kBlock) {
     const absl::Span<float> block = total.subspan(begin, kBlock);
@@ -50,8 +51,6 @@ void AddInOrder(absl::Span<const float* const> terms, absl::Span<float> total) {
     }
   }
 }
-
-}  // namespace
 
 void CopyPieces(const SumTerm& term, float* to) {
   for (const absl::Span<const float> piece : term) to = std::copy(piece.begin(), piece.end(), to);

@@ -23,6 +23,8 @@ using Few = std::array<double, kFew>;
 // A term of a large sum, in pieces that follow each other.
 using SumTerm = std::vector<absl::Span<const float>>;
 
+// Sets `total` to the terms, at least one, added in this order. It may be in place of the first.
+void AddInOrder(absl::Span<const float* const> terms, absl::Span<float> total);
 void CopyPieces(const SumTerm& term, float* to);
 
 // A sum takes one exchange: each rank puts its terms into the memory, waits for those of the others and adds all of

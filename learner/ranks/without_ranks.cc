@@ -8,8 +8,6 @@ struct RankLinks::Groups {};
 struct RankLinks::Operation {};
 struct RankMeeting::Store {};
 
-bool HasRanks() { return false; }
-
 absl::StatusOr<std::unique_ptr<RankMeeting>> RankMeeting::Open(const RankOptions&, const std::string&) {
   return absl::UnimplementedError(
       "this build has one learner only: it was built without the headers of Gloo (Debian's package libgloo-dev)");

@@ -88,20 +88,6 @@ void EventLog::AddHistograms(int64_t step, absl::Span<const Histogram> histogram
   if (event.summary().value_size() > 0) Append(std::move(event));
 }
 
-void EventLog::AddPictures(int64_t step, absl::Span<const EventPicture> pictures) {
-  v1::Event event;
-  event.set_step(step);
-  for (const EventPicture& picture : pictures) {
-    v1::EventSummary::Value* value = event.mutable_summary()->add_value();
-    value->set_tag(picture.tag);
-    value->mutable_image()->set_width(picture.width);
-    value->mutable_image()->set_height(picture.height);
-    value->mutable_image()->set_colorspace(3);
-    value->mutable_image()->set_encoded_image_string(picture.png);
-  }
-  if (!pictures.empty()) Append(std::move(event));
-}
-
 void EventLog::Append(v1::Event event) {
   event.set_wall_time(absl::ToDoubleSeconds(clock_->WallNow() - absl::UnixEpoch()));
   file_.Append(Frame(event.SerializeAsString()));

@@ -1,4 +1,4 @@
-// TensorBoard's event file: scalars, histograms and pictures over environment steps.
+// TensorBoard's event file: scalars and histograms over environment steps.
 // Source: the TFRecord framing (length, masked CRC-32C of the length, data, masked CRC-32C of the data; little-endian)
 // and event.proto, as TensorFlow documents them. Tags: FORMATS.md, section 6.
 
@@ -32,13 +32,6 @@ struct Histogram {
   std::vector<double> values;  // finite; without values nothing is written
 };
 
-struct EventPicture {
-  std::string tag;
-  int width = 0;    // pixels
-  int height = 0;   // pixels
-  std::string png;  // a PNG file, RGB
-};
-
 // Thread-compatible: one thread at a time.
 class EventLog {
  public:
@@ -48,9 +41,8 @@ class EventLog {
 
   // Appends one event with all `scalars` at environment step `step`; file().Flush() writes it.
   void AddScalars(int64_t step, absl::Span<const Scalar> scalars);
-  // Likewise: histograms of 30 buckets of equal width from the smallest value to the largest, and pictures.
+  // Likewise: histograms of 30 buckets of equal width from the smallest value to the largest.
   void AddHistograms(int64_t step, absl::Span<const Histogram> histograms);
-  void AddPictures(int64_t step, absl::Span<const EventPicture> pictures);
 
   AppendFile& file() { return file_; }
   const AppendFile& file() const { return file_; }

@@ -27,27 +27,6 @@ std::string FormatTimeLeft(double seconds) {
   return absl::StrCat(s, "s");
 }
 
-std::string FormatProgress(const ProgressState& state) {
-  // The last iteration may exceed the total.
-  const double done = std::min(1.0, static_cast<double>(state.steps) / static_cast<double>(state.total_steps));
-  const double steps_left = static_cast<double>(std::max<int64_t>(0, state.total_steps - state.steps));
-  std::string line =
-      absl::StrFormat("%s/%s steps %.1f%% | ", WithCommas(state.steps), WithCommas(state.total_steps), 100 * done);
-  if (state.steps_per_second > 0) {
-    absl::StrAppendFormat(&line, "%.0f/s, %s left | ", state.steps_per_second,
-                          FormatTimeLeft(steps_left / state.steps_per_second));
-  } else {
-    line += "-/s, - left | ";
-  }
-  if (state.episodes > 0) {
-    absl::StrAppendFormat(&line, "reward %.1f len %.0f | score %.2f, ", state.reward, state.length, state.score);
-  } else {
-    line += "reward - len - | score -, ";
-  }
-  absl::StrAppendFormat(&line, "%d/%d unlocked", state.unlocked, kNumAchievements);
-  return line;
-}
-
 bool ProgressPrinter::IsLogged() { return CurrentLogFormat() == LogFormat::kJson; }
 
 ProgressPrinter::ProgressPrinter(const Options& options, std::ostream* out, Clock* clock)
@@ -68,24 +47,30 @@ void ProgressPrinter::Finish(int64_t steps, const ScoreBoard& score) {
   out_->flush();
 }
 
-void ProgressPrinter::Print(int64_t steps, const ScoreBoard& score) {
+std::string ProgressPrinter::Line(int64_t steps, const ScoreBoard& score) const {
+  const int64_t total = options_.total_steps;
+  // The last iteration may exceed the total.
+  const double done = std::min(1.0, static_cast<double>(steps) / static_cast<double>(total));
   const double seconds = absl::ToDoubleSeconds(clock_->Now() - start_);
-  ProgressState state;
-  state.steps = steps;
-  state.total_steps = options_.total_steps;
-  state.steps_per_second = seconds > 0 ? static_cast<double>(steps - options_.start_steps) / seconds : 0;
-  state.episodes = score.episodes();
-  state.reward = score.RecentReward();
-  state.length = score.RecentLength();
-  state.score = score.Score();
-  state.unlocked = score.Unlocked();
+  const double speed = seconds > 0 ? static_cast<double>(steps - options_.start_steps) / seconds : 0;
+  const double left = static_cast<double>(std::max<int64_t>(0, total - steps));
+  return absl::StrCat(
+      absl::StrFormat("%s/%s steps %.1f%% | ", WithCommas(steps), WithCommas(total), 100 * done),
+      speed > 0 ? absl::StrFormat("%.0f/s, %s left | ", speed, FormatTimeLeft(left / speed)) : "-/s, - left | ",
+      score.episodes() > 0 ? absl::StrFormat("reward %.1f len %.0f | score %.2f", score.RecentReward(),
+                                             score.RecentLength(), score.Score())
+                           : "reward - len - | score -",
+      ", ", score.Unlocked(), "/", kNumAchievements, " unlocked");
+}
+
+void ProgressPrinter::Print(int64_t steps, const ScoreBoard& score) {
   if (IsLogged()) {
-    LogInfo("%s", FormatProgress(state));
+    LogInfo("%s", Line(steps, score));
     return;
   }
   out_->clear();  // of errors: a full disk may have space by now
   // \033[K clears the rest of a longer line.
-  *out_ << (options_.terminal ? "\r" : "") << FormatProgress(state) << (options_.terminal ? "\033[K" : "\n");
+  *out_ << (options_.terminal ? "\r" : "") << Line(steps, score) << (options_.terminal ? "\033[K" : "\n");
   out_->flush();
 }
 

@@ -17,23 +17,9 @@ namespace craftfleet {
 // Formats a duration in seconds: "3d4h", "2h5m", "13m20s", "8s".
 std::string FormatTimeLeft(double seconds);
 
-struct ProgressState {
-  int64_t steps = 0;            // environment steps accepted so far
-  int64_t total_steps = 0;      // 1 or more
-  double steps_per_second = 0;  // 0: not known yet
-  int64_t episodes = 0;         // finished so far; 0: the fields below are shown as "-"
-  double reward = 0;            // mean of the last 100 episodes
-  double length = 0;            // the same, steps
-  double score = 0;             // Crafter's score over all episodes
-  int unlocked = 0;             // achievements unlocked so far, 0..22
-};
-
-// "12,288/1,000,000 steps 1.2% | 1234/s, 13m20s left | reward 2.3 length 187 | score 3.12 | unlocked 9/22"; no
-// newline, at most 100 columns for runs of up to 100 million steps.
-std::string FormatProgress(const ProgressState& state);
-
-// Prints progress: on a terminal, one line in place; otherwise a line every 10 s, the first after 2 s. With
-// --log_format=json, progress is logged instead. Thread-compatible: one thread at a time.
+// Prints "12,288/1,000,000 steps 1.2% | 1234/s, 13m20s left | reward 2.3 len 187 | score 3.12, 9/22 unlocked", at most
+// 100 columns for runs of up to 100 million steps: on a terminal, one line in place; otherwise a line every 10 s, the
+// first after 2 s. With --log_format=json, progress is logged instead. Thread-compatible: one thread at a time.
 class ProgressPrinter {
  public:
   struct Options {
@@ -53,6 +39,7 @@ class ProgressPrinter {
 
  private:
   static bool IsLogged();
+  std::string Line(int64_t steps, const ScoreBoard& score) const;
   void Print(int64_t steps, const ScoreBoard& score);
 
   const Options options_;

@@ -16,6 +16,7 @@
 #include "common/config/config.h"
 #include "common/io/files.h"
 #include "learner/run/final_logs.h"
+#include "learner/run/stats_log.h"
 
 namespace craftfleet {
 namespace {
@@ -45,12 +46,17 @@ std::string DescribeRun(const std::string& run_id, uint64_t seed, const ProgramI
 
 constexpr char kCheckpointFolder[] = "checkpoints";
 
+absl::StatusOr<bool> HasCheckpoint(const std::string& logdir) {
+  const std::string folder = JoinPath(logdir, kCheckpointFolder);
+  if (!PathExists(folder)) return false;
+  CRAFTFLEET_ASSIGN_OR_RETURN(const std::vector<std::string> names, CheckpointStore::At(folder).ListNewestFirst());
+  return !names.empty();
+}
+
 // AlreadyExists if `logdir` has a run, unless the run ended before its first checkpoint: nothing is lost then.
 absl::Status CheckNoRun(const std::string& logdir) {
-  const std::string folder = JoinPath(logdir, kCheckpointFolder);
-  if (!PathExists(folder)) return absl::OkStatus();
-  CRAFTFLEET_ASSIGN_OR_RETURN(const std::vector<std::string> names, CheckpointStore::At(folder).ListNewestFirst());
-  if (names.empty()) return absl::OkStatus();
+  CRAFTFLEET_ASSIGN_OR_RETURN(const bool has_run, HasCheckpoint(logdir));
+  if (!has_run) return absl::OkStatus();
   if (!PathExists(JoinPath(logdir, kConfigFile))) {
     return absl::AlreadyExistsError(
         absl::StrCat(logdir, " already has a run, which lost its ", kConfigFile,
@@ -58,17 +64,6 @@ absl::Status CheckNoRun(const std::string& logdir) {
   }
   return absl::AlreadyExistsError(
       absl::StrCat(logdir, " already has a run: resume it with --resume, or use another --logdir"));
-}
-
-// NotFound if the run in `logdir` ended before its first checkpoint.
-absl::Status CheckHasCheckpoint(const std::string& logdir) {
-  const std::string folder = JoinPath(logdir, kCheckpointFolder);
-  if (PathExists(folder)) {
-    CRAFTFLEET_ASSIGN_OR_RETURN(const std::vector<std::string> names, CheckpointStore::At(folder).ListNewestFirst());
-    if (!names.empty()) return absl::OkStatus();
-  }
-  return absl::NotFoundError(absl::StrCat("no checkpoint in ", folder, ": the run in ", logdir,
-                                          " ended before its first one; start it again without --resume"));
 }
 
 std::string BaseName(const std::string& path) { return path.substr(path.find_last_of('/') + 1); }
@@ -114,7 +109,11 @@ absl::StatusOr<ResumedRun> RunFolder::Resume(const std::string& logdir, const Re
   ResumedRun run;
   run.folder.reset(new RunFolder(logdir, std::move(lock), program, clock));
   RunFolder& folder = *run.folder;
-  CRAFTFLEET_RETURN_IF_ERROR(CheckHasCheckpoint(logdir));
+  CRAFTFLEET_ASSIGN_OR_RETURN(const bool has_checkpoint, HasCheckpoint(logdir));
+  if (!has_checkpoint) {
+    return absl::NotFoundError(absl::StrCat("no checkpoint in ", JoinPath(logdir, kCheckpointFolder), ": the run in ",
+                                            logdir, " ended before its first one; start it again without --resume"));
+  }
   CRAFTFLEET_ASSIGN_OR_RETURN(run.checkpoint, options.from.empty()
                                                   ? folder.checkpoints_.LoadLatest(options.agent)
                                                   : folder.checkpoints_.Load(options.from, options.agent));
@@ -126,11 +125,8 @@ absl::StatusOr<ResumedRun> RunFolder::Resume(const std::string& logdir, const Re
   folder.epoch_ = last_epoch + 1;
   folder.run_id_ = state.run_id();
   folder.best_score_ = state.best_score();
-  folder.resumed_.emplace();
-  folder.resumed_->set_iteration(state.iteration());
-  folder.resumed_->set_env_steps(state.env_steps());
-  folder.resumed_->set_final_evaluation_steps(state.final_evaluation_steps());
-  *folder.resumed_->mutable_logs() = state.logs();
+  folder.resumed_ = state;
+  folder.resumed_->clear_lanes();
   return run;
 }
 
@@ -149,7 +145,10 @@ absl::Status RunFolder::Begin() {
     CRAFTFLEET_RETURN_IF_ERROR(PrepareFinalLogs());
   }
   CRAFTFLEET_RETURN_IF_ERROR(OpenLogs());
-  if (!resumed_.has_value()) CRAFTFLEET_RETURN_IF_ERROR(DescribeNewRun());
+  if (!resumed_.has_value()) {
+    const std::string description = DescribeRun(run_id_, config_.seed(), program_, origin_);
+    CRAFTFLEET_RETURN_IF_ERROR(ReplaceFile(JoinPath(logdir_, "run.json"), description));
+  }
   // This file marks the folder as one with a run.
   CRAFTFLEET_RETURN_IF_ERROR(ReplaceFile(JoinPath(logdir_, kConfigFile), FormatRunConfig(config_)));
   return resumed_.has_value() ? CutLogs() : absl::OkStatus();
@@ -176,16 +175,12 @@ absl::Status RunFolder::OpenLogs() {
   options.fence = &fence_;
   for (const char* name : kEpisodeFiles) {
     CRAFTFLEET_ASSIGN_OR_RETURN(AppendFile file, AppendFile::Open(JoinPath(logdir_, name), options));
-    stats_.emplace_back(std::move(file));
+    stats_.push_back(std::move(file));
   }
   CRAFTFLEET_ASSIGN_OR_RETURN(EventLog events, EventLog::Open(JoinPath(logdir_, kEventsFile), clock_, options));
   events_.emplace(std::move(events));
   SyncFolder(JoinPath(logdir_, "..")).IgnoreError();  // which has a new folder's entry; it may not be readable
   return SyncFolder(logdir_);
-}
-
-absl::Status RunFolder::DescribeNewRun() const {
-  return ReplaceFile(JoinPath(logdir_, "run.json"), DescribeRun(run_id_, config_.seed(), program_, origin_));
 }
 
 absl::Status RunFolder::CheckOwned() const {
@@ -194,8 +189,10 @@ absl::Status RunFolder::CheckOwned() const {
 }
 
 void RunFolder::Add(EpisodeKind kind, absl::Span<const Episode> episodes) {
-  stats_[static_cast<size_t>(kind)].Append(episodes);
-  for (const Episode& episode : episodes) Count(kind, episode);
+  for (const Episode& episode : episodes) {
+    stats_[static_cast<size_t>(kind)].Append(FormatStatsLine(episode));
+    Count(kind, episode);
+  }
 }
 
 void RunFolder::Count(EpisodeKind kind, const Episode& episode) {
@@ -203,8 +200,6 @@ void RunFolder::Count(EpisodeKind kind, const Episode& episode) {
   score.Add(episode);
   if (kind == EpisodeKind::kTraining) curve_.Add(episode.length, score);
 }
-
-void RunFolder::AddEpisodes(absl::Span<const Episode> episodes) { Add(EpisodeKind::kTraining, episodes); }
 
 void RunFolder::AddEvaluation(bool final, absl::Span<const Episode> argmax, absl::Span<const Episode> sampled) {
   Add(final ? EpisodeKind::kFinalArgmax : EpisodeKind::kArgmax, argmax);
@@ -219,7 +214,7 @@ absl::Status RunFolder::FlushLogs() {
 
 int64_t RunFolder::waiting_bytes() const {
   int64_t bytes = events_->file().waiting_bytes();
-  for (const StatsLog& log : stats_) bytes += log.file().waiting_bytes();
+  for (const AppendFile& log : stats_) bytes += log.waiting_bytes();
   return bytes;
 }
 
@@ -243,15 +238,9 @@ absl::Status RunFolder::WriteCheckpoint(Checkpoint checkpoint) {
   return checkpoints_.Write(checkpoint);
 }
 
-std::vector<std::string> RunFolder::LogNames() const {
-  std::vector<std::string> names = {kEventsFile};
-  names.insert(names.end(), kEpisodeFiles.begin(), kEpisodeFiles.end());
-  return names;
-}
-
 std::vector<AppendFile*> RunFolder::Logs() {
   std::vector<AppendFile*> logs = {&events_->file()};
-  for (StatsLog& log : stats_) logs.push_back(&log.file());
+  for (AppendFile& log : stats_) logs.push_back(&log);
   return logs;
 }
 
@@ -263,7 +252,9 @@ absl::Status RunFolder::CheckFits(const v1::CheckpointState& state) const {
 }
 
 absl::Status RunFolder::CountLogs(const v1::CheckpointState& state) {
-  for (const std::string& name : LogNames()) {
+  std::vector<std::string> names = {kEventsFile};
+  names.insert(names.end(), kEpisodeFiles.begin(), kEpisodeFiles.end());
+  for (const std::string& name : names) {
     const std::string path = FindFinalLog(logdir_, name, state);
     const absl::StatusOr<int64_t> size = PathExists(path) ? FileSize(path) : 0;
     CRAFTFLEET_RETURN_IF_ERROR(size.status());

@@ -21,13 +21,13 @@
 #include "common/base/types.h"
 #include "craftfleet/v1/checkpoint.pb.h"
 #include "craftfleet/v1/config.pb.h"
+#include "learner/run/append_file.h"
 #include "learner/run/checkpoint_store.h"
 #include "learner/run/epoch.h"
 #include "learner/run/event_log.h"
 #include "learner/run/folder_lock.h"
 #include "learner/run/score.h"
 #include "learner/run/score_curve.h"
-#include "learner/run/stats_log.h"
 
 namespace craftfleet {
 
@@ -90,14 +90,13 @@ class RunFolder {
   const EpochFence* fence() const { return &fence_; }
 
   // Appends training episodes to stats.jsonl and counts them towards the score.
-  void AddEpisodes(absl::Span<const Episode> episodes);
+  void AddEpisodes(absl::Span<const Episode> episodes) { Add(EpisodeKind::kTraining, episodes); }
   // The same for an evaluation, during training or after it.
   void AddEvaluation(bool final, absl::Span<const Episode> argmax, absl::Span<const Episode> sampled);
   // Appends a point to each curve.
   void AddScalars(int64_t step, absl::Span<const Scalar> scalars) { events_->AddScalars(step, scalars); }
-  // Appends histograms and pictures for TensorBoard.
+  // Appends histograms for TensorBoard.
   void AddHistograms(int64_t step, absl::Span<const Histogram> histograms) { events_->AddHistograms(step, histograms); }
-  void AddPictures(int64_t step, absl::Span<const EventPicture> pictures) { events_->AddPictures(step, pictures); }
 
   // Writes all lines added so far. Lines that can't be written are kept for the next call.
   //   ResourceExhausted: disk, quota or file size limit reached.
@@ -122,15 +121,12 @@ class RunFolder {
   absl::Status CountLogs(const v1::CheckpointState& state);
   absl::Status RemoveUnbegunLogs() const;
   absl::Status OpenLogs();
-  absl::Status DescribeNewRun() const;
   // Restores the checkpoint's logs of the final evaluation, or sets them aside if training continues.
   absl::Status PrepareFinalLogs();
   // Truncates the logs to their lengths in the checkpoint.
   absl::Status CutLogs();
   void Add(EpisodeKind kind, absl::Span<const Episode> episodes);
   void Count(EpisodeKind kind, const Episode& episode);
-  // The names of all logs of a run with this configuration.
-  std::vector<std::string> LogNames() const;
   std::vector<AppendFile*> Logs();
 
   const std::string logdir_;
@@ -141,12 +137,11 @@ class RunFolder {
   std::string run_id_;
   v1::RunConfig config_;
   int64_t epoch_ = 0;
-  std::optional<v1::CheckpointState>
-      resumed_;  // the checkpoint's iteration, steps, final evaluation, log lengths; unset: a new run
+  std::optional<v1::CheckpointState> resumed_;  // without lanes; unset: a new run
   EpochFence fence_;
   std::array<ScoreBoard, kNumEpisodeKinds> scores_;
   ScoreCurve curve_;
-  std::vector<StatsLog> stats_;     // by kind; empty before Begin
+  std::vector<AppendFile> stats_;   // by kind; empty before Begin
   std::optional<EventLog> events_;  // unset before Begin
   CheckpointStore checkpoints_;
   double best_score_ = -std::numeric_limits<double>::infinity();

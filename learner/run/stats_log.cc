@@ -1,7 +1,6 @@
 #include "learner/run/stats_log.h"
 
-#include <algorithm>
-#include <cstdint>
+#include <fstream>
 #include <limits>
 
 #include <absl/strings/numbers.h>
@@ -13,7 +12,6 @@
 #include "common/base/check.h"
 #include "common/base/crafter.h"
 #include "common/base/status_macros.h"
-#include "common/io/gzip_file.h"
 
 namespace craftfleet {
 namespace {
@@ -30,6 +28,23 @@ absl::StatusOr<int64_t> ReadInteger(const nlohmann::json& object, const std::str
         "\"", key, "\" is ", found->is_structured() ? found->type_name() : found->dump(), ", want ", low, "..", high));
   }
   return found->get<int64_t>();
+}
+
+}  // namespace
+
+double RoundReward(double reward) {
+  double rounded = 0;
+  CRAFTFLEET_CHECK(absl::SimpleAtod(FormatReward(reward), &rounded));
+  return rounded;
+}
+
+std::string FormatStatsLine(const Episode& episode) {
+  std::string line = absl::StrCat("{\"length\": ", episode.length, ", \"reward\": ", FormatReward(episode.reward));
+  for (int i = 0; i < kNumAchievements; ++i) {
+    absl::StrAppend(&line, ", \"achievement_", kAchievementNames[i], "\": ", episode.achievements[i]);
+  }
+  line += "}\n";
+  return line;
 }
 
 absl::StatusOr<Episode> ParseStatsLine(absl::string_view line) {
@@ -51,93 +66,21 @@ absl::StatusOr<Episode> ParseStatsLine(absl::string_view line) {
   return episode;
 }
 
-// Parses a stats.jsonl that arrives in pieces.
-class StatsReader {
- public:
-  explicit StatsReader(absl::string_view path) : path_(path) {}
-
-  absl::Status Read(absl::string_view piece, absl::FunctionRef<void(const Episode&)> visit) {
-    absl::StrAppend(&rest_, piece);
-    size_t start = 0;
-    for (size_t end = 0; (end = rest_.find('\n', start)) != std::string::npos; start = end + 1) {
-      const auto episode = ParseStatsLine(absl::string_view(rest_).substr(start, end - start));
-      ++lines_;
-      if (!episode.ok()) return Error(episode.status().message());
-      visit(*episode);
-    }
-    rest_.erase(0, start);
-    return absl::OkStatus();
-  }
-  absl::Status End() {
-    if (rest_.empty()) return absl::OkStatus();
-    ++lines_;
-    return Error("the line is incomplete");
-  }
-
- private:
-  absl::Status Error(absl::string_view what) const {
-    return absl::DataLossError(absl::StrCat(path_, ":", lines_, ": ", what));
-  }
-
-  const absl::string_view path_;
-  std::string rest_;  // the incomplete line at the end of the last piece
-  int64_t lines_ = 0;
-};
-
-}  // namespace
-
-double RoundReward(double reward) {
-  double rounded = 0;
-  CRAFTFLEET_CHECK(absl::SimpleAtod(FormatReward(reward), &rounded));
-  return rounded;
-}
-
-std::string FormatStatsLine(const Episode& episode) {
-  std::string line = absl::StrCat("{\"length\": ", episode.length, ", \"reward\": ", FormatReward(episode.reward));
-  for (int i = 0; i < kNumAchievements; ++i) {
-    absl::StrAppend(&line, ", \"achievement_", kAchievementNames[i], "\": ", episode.achievements[i]);
-  }
-  line += "}\n";
-  return line;
-}
-
-absl::StatusOr<std::vector<Episode>> ReadStats(const std::string& path) {
-  std::vector<Episode> episodes;
-  CRAFTFLEET_RETURN_IF_ERROR(VisitStats(path, [&](const Episode& episode) { episodes.push_back(episode); }));
-  return episodes;
-}
-
-absl::Status VisitStats(const std::string& path, absl::FunctionRef<void(const Episode&)> visit) {
-  StatsReader reader(path);
-  CRAFTFLEET_RETURN_IF_ERROR(ReadGzipPieces(path, [&](absl::string_view piece) { return reader.Read(piece, visit); }));
-  return reader.End();
-}
-
 absl::Status VisitStats(const std::string& path, int64_t bytes, absl::FunctionRef<void(const Episode&)> visit) {
-  StatsReader reader(path);
-  int64_t left = bytes;
-  const absl::Status read = ReadGzipPieces(path, [&](absl::string_view piece) {
-    piece = piece.substr(0, std::min<uint64_t>(piece.size(), left));
-    left -= static_cast<int64_t>(piece.size());
-    return reader.Read(piece, visit);
-  });
-  CRAFTFLEET_RETURN_IF_ERROR(read);
-  if (left > 0) {
-    return absl::DataLossError(absl::StrCat(path, " has ", bytes - left, " bytes, but the checkpoint expects ", bytes));
+  std::ifstream file(path);
+  int64_t read = 0;
+  int64_t lines = 0;
+  std::string line;
+  while (read < bytes && std::getline(file, line)) {
+    ++lines;
+    read += static_cast<int64_t>(line.size()) + 1;
+    const absl::StatusOr<Episode> episode =
+        read <= bytes ? ParseStatsLine(line) : absl::DataLossError("the line is incomplete");
+    if (!episode.ok()) return absl::DataLossError(absl::StrCat(path, ":", lines, ": ", episode.status().message()));
+    visit(*episode);
   }
-  return reader.End();
-}
-
-absl::StatusOr<std::vector<Episode>> ParseStats(absl::string_view text, absl::string_view path) {
-  std::vector<Episode> episodes;
-  StatsReader reader(path);
-  CRAFTFLEET_RETURN_IF_ERROR(reader.Read(text, [&](const Episode& episode) { episodes.push_back(episode); }));
-  CRAFTFLEET_RETURN_IF_ERROR(reader.End());
-  return episodes;
-}
-
-void StatsLog::Append(absl::Span<const Episode> episodes) {
-  for (const Episode& episode : episodes) file_.Append(FormatStatsLine(episode));
+  if (read == bytes) return absl::OkStatus();
+  return absl::DataLossError(absl::StrCat(path, " has ", read, " bytes, but the checkpoint expects ", bytes));
 }
 
 }  // namespace craftfleet

@@ -177,20 +177,9 @@ std::vector<LaneRecord> LaneTable::StartRecords() const {
   return records;
 }
 
-std::vector<LaneTable::ActorInfo> LaneTable::Actors() const {
-  std::vector<ActorInfo> infos;
-  for (const auto& [name, actor] : actors_) infos.push_back(InfoOf(actor));
-  return infos;
-}
-
-LaneTable::ActorInfo LaneTable::InfoOf(const LaneActor& actor) const {
-  return {actor.worker->name,
-          actor.worker->address,
-          static_cast<int>(actor.permits.size()),
-          actor.fragments,
-          clock_->Now() - actor.worker->leased_from,
-          actor.worker->draining,
-          actor.pause > absl::ZeroDuration()};
+LaneTable::ActorInfo LaneTable::InfoOf(absl::string_view actor) const {
+  const LaneActor& found = *Find(actor);
+  return {static_cast<int>(found.permits.size()), found.fragments, found.pause > absl::ZeroDuration()};
 }
 
 int LaneTable::permits() const {

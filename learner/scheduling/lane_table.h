@@ -98,13 +98,9 @@ class LaneTable {
  public:
   // An actor's permits and progress.
   struct ActorInfo {
-    std::string name;
-    std::string address;
     int permits = 0;
     int64_t fragments = 0;  // number of accepted fragments
-    absl::Duration idle;    // since its last request
-    bool draining = false;
-    bool late = false;  // others finished its fragments, and it has finished none since
+    bool late = false;      // others finished its fragments, and it has finished none since
   };
   // A fragment that is being played, and by whom.
   struct Playing {
@@ -168,9 +164,8 @@ class LaneTable {
   std::vector<LaneRecord> Records() const;
   // The lanes at the beginning of the iteration.
   std::vector<LaneRecord> StartRecords() const;
-  std::vector<ActorInfo> Actors() const;
   // Information about an actor of the table.
-  ActorInfo InfoOf(absl::string_view actor) const { return InfoOf(*Find(actor)); }
+  ActorInfo InfoOf(absl::string_view actor) const;
   // The number of outstanding permits: of all actors, of one; and the number of lanes that are being played.
   int permits() const;
   int PermitsOf(absl::string_view actor) const;
@@ -186,8 +181,6 @@ class LaneTable {
   Change TakeChange() { return std::exchange(change_, {}); }
 
  private:
-  ActorInfo InfoOf(const LaneActor& actor) const;
-
   Clock* const clock_;
   std::vector<LaneState> lanes_;
   ActorMap actors_;

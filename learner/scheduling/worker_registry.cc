@@ -183,17 +183,6 @@ void WorkerRegistry::WaitUntilEmpty(absl::Duration timeout) {
 
 // -- What status pages and logs show.
 
-std::vector<WorkerRegistry::Server> WorkerRegistry::Servers() {
-  const MutexLock lock(&mu_);
-  workers_.ExpireServers();
-  std::vector<Server> servers;
-  for (const auto& [address, server] : workers_.servers()) {
-    if (!server->active) continue;
-    servers.push_back({server->name, address, clock_->Now() - server->leased_from, server->draining});
-  }
-  return servers;
-}
-
 std::vector<WorkerRegistry::WorkerInfo> WorkerRegistry::Workers() const {
   const MutexLock lock(&mu_);
   std::vector<WorkerInfo> infos;

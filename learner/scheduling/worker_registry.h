@@ -82,12 +82,6 @@ class WorkerRegistry {
     int64_t servers_generation = 0;
     std::vector<std::string> servers;  // addresses of its list, if the actor's generation is outdated
   };
-  struct Server {
-    std::string name;
-    std::string address;
-    absl::Duration idle;  // since its last report
-    bool draining = false;
-  };
   // A worker as status pages show it.
   struct WorkerInfo {
     Worker worker;
@@ -177,8 +171,6 @@ class WorkerRegistry {
 
   // Records for the status page: actors first, then environment servers, each ordered by name.
   std::vector<WorkerInfo> Workers() const ABSL_LOCKS_EXCLUDED(mu_);
-  // Active servers ordered by address, including those being drained.
-  std::vector<Server> Servers() ABSL_LOCKS_EXCLUDED(mu_);
   // What the run waits for: the fragments and evaluation tasks that are being played, the oldest first, and by whom.
   // For log lines.
   std::string WaitsFor() const ABSL_LOCKS_EXCLUDED(mu_);

@@ -11,6 +11,7 @@
 #include "common/base/clock.h"
 #include "common/telemetry/log.h"
 #include "common/wire/grpc_status.h"
+#include "learner/service/worker_page.h"
 
 namespace craftfleet {
 namespace {
@@ -27,10 +28,6 @@ absl::Duration TimeLeft(const grpc::ServerContext& context) {
 
 // As the log names the client.
 std::string CallerOf(const grpc::ServerContext& context) { return absl::StrCat("admin ", context.peer()); }
-
-const char* RoleOf(const WorkerRegistry::WorkerId& worker) {
-  return worker.role == WorkerRole::kActor ? "actor" : "envserver";
-}
 
 }  // namespace
 
@@ -73,7 +70,7 @@ grpc::Status AdminServiceImpl::Drain(grpc::ServerContext* context, const v1::Dra
   const absl::StatusOr<WorkerRegistry::WorkerId> worker = steering_->Drain(CallerOf(*context), request->worker());
   if (!worker.ok()) return wire::ToGrpc(worker.status());
   const bool is_actor = worker->role == WorkerRole::kActor;
-  reply->set_role(RoleOf(*worker));
+  reply->set_role(RoleName(worker->role));
   const absl::Status status = WaitFor(
       context, [&] { return steering_->IsDrained(*worker); },
       is_actor
@@ -87,7 +84,7 @@ grpc::Status AdminServiceImpl::Drain(grpc::ServerContext* context, const v1::Dra
 grpc::Status AdminServiceImpl::Undrain(grpc::ServerContext* context, const v1::UndrainRequest* request,
                                        v1::UndrainReply* reply) {
   const absl::StatusOr<WorkerRegistry::WorkerId> worker = steering_->Undrain(CallerOf(*context), request->worker());
-  if (worker.ok()) reply->set_role(RoleOf(*worker));
+  if (worker.ok()) reply->set_role(RoleName(worker->role));
   return wire::ToGrpc(worker.status());
 }
 

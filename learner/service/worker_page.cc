@@ -8,13 +8,10 @@
 #include <absl/strings/str_cat.h>
 #include <absl/strings/str_format.h>
 
-#include "common/telemetry/activity.h"
 #include "common/wire/status_service.h"
 
 namespace craftfleet {
 namespace {
-
-constexpr size_t kMaxNameBytes = 32;  // of an activity
 
 // Removes figures that only apply to active workers.
 void ClearPresentWork(v1::ProcessSummary* summary) {
@@ -89,13 +86,7 @@ v1::Peer::Health ToProto(WorkerRegistry::Health health) {
 }
 
 std::shared_ptr<const v1::ProcessSummary> KeepSummary(const v1::ProcessSummary& summary) {
-  if (summary.ByteSizeLong() == 0) return nullptr;
-  auto kept = std::make_shared<v1::ProcessSummary>(summary);
-  const bool known = std::all_of(summary.times().begin(), summary.times().end(),
-                                 [](const v1::ActivityTime& time) { return time.activity().size() <= kMaxNameBytes; });
-  if (summary.times_size() > kNumActivities || !known) kept->clear_times();
-  if (summary.last_error().size() > wire::kMaxErrorBytes) kept->mutable_last_error()->resize(wire::kMaxErrorBytes);
-  return kept;
+  return summary.ByteSizeLong() == 0 ? nullptr : std::make_shared<v1::ProcessSummary>(summary);
 }
 
 ServerReport ToServerReport(const v1::Peer& server) {

@@ -1,4 +1,4 @@
-// Converts workers' reports from messages, with bounded size, and workers to peers of status replies.
+// Converts workers' reports from messages, and workers to peers of status replies.
 
 #ifndef CRAFTFLEET_LEARNER_SERVICE_WORKER_PAGE_H_
 #define CRAFTFLEET_LEARNER_SERVICE_WORKER_PAGE_H_
@@ -13,7 +13,7 @@
 
 namespace craftfleet {
 
-// Copies a worker's summary, shortened to what status pages show. Null: `summary` is empty.
+// Copies a worker's summary. Null: it is empty.
 std::shared_ptr<const v1::ProcessSummary> KeepSummary(const v1::ProcessSummary& summary);
 
 // Converts an actor's report on an environment server.

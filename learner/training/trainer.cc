@@ -1,6 +1,8 @@
 #include "learner/training/trainer.h"
 
 #include <algorithm>
+#include <cmath>
+#include <map>
 #include <utility>
 
 #include <absl/strings/str_format.h>
@@ -10,13 +12,34 @@
 #include "common/process/heap.h"
 #include "common/telemetry/log.h"
 #include "learner/training/records/lane_loading.h"
-#include "learner/training/records/training_pictures.h"
-#include "learner/training/update_failure.h"
 
 namespace craftfleet {
 namespace {
 
 constexpr int kMaxFailedUpdates = 2;  // in a row
+constexpr size_t kMaxSenders = 16;    // in the log
+
+// Logs who sent `fragments`, with the extremes of their values.
+void LogSenders(const std::vector<Fragment>& fragments) {
+  struct Sent {
+    int fragments = 0;
+    float log_prob = 0;  // lowest
+    float value = 0;     // largest magnitude
+  };
+  std::map<std::string, Sent> senders;
+  for (const Fragment& fragment : fragments) {
+    Sent& sent = senders[fragment.sender];
+    ++sent.fragments;
+    for (const float log_prob : fragment.log_probs) sent.log_prob = std::min(sent.log_prob, log_prob);
+    for (const float value : fragment.values) sent.value = std::max(sent.value, std::abs(value));
+  }
+  size_t logged = 0;
+  for (const auto& [sender, sent] : senders) {
+    if (++logged > kMaxSenders) return LogError("and from %d more", senders.size() - kMaxSenders);
+    LogError("from %s: %d fragments; log_probs down to %g, values up to %g", sender, sent.fragments, sent.log_prob,
+             sent.value);
+  }
+}
 
 }  // namespace
 
@@ -39,7 +62,7 @@ Trainer::Trainer(const v1::RunConfig& config, const Checkpoint& checkpoint, std:
   const v1::CheckpointState& state = checkpoint.state;
   if (state.has_play()) {
     const v1::PlayWeights& play = state.play();
-    weights_.push_back({play.policy_version(), checkpoint.play_weights, {play.value_mean(), play.value_deviation()}});
+    Publish(play.policy_version(), checkpoint.play_weights, {play.value_mean(), play.value_deviation()});
   }
   counters_.iteration = state.iteration();
   counters_.env_steps = state.env_steps();
@@ -48,9 +71,7 @@ Trainer::Trainer(const v1::RunConfig& config, const Checkpoint& checkpoint, std:
 
 absl::Status Trainer::Run() {
   start_ = parts_.clock->Now();
-  status_.OnStart(parts_.folder->score());
-  view_.OnStart(*parts_.folder, counters_.env_steps);
-  for (const Weights& weights : weights_) parts_.weights->Publish(weights.version, weights.bytes, RangeOf(weights));
+  status_.OnStart(*parts_.folder);
   PublishWeights(first_version_);
   absl::Status status = counters_.iteration == 0 ? checkpoints_.Write() : absl::OkStatus();
   while (status.ok() && has_steps_left()) {
@@ -74,7 +95,8 @@ absl::Status Trainer::Run() {
 void Trainer::End(bool trained) {
   if (trained) {
     phase_ = Phase::kEvaluating;
-    parts_.evaluations->OnEnd(counters_.env_steps, weights_.back().bytes, [this] { return !CheckContinues().ok(); });
+    parts_.evaluations->OnEnd(counters_.env_steps, parts_.updater->ShareWeights(),
+                              [this] { return !CheckContinues().ok(); });
   }
   if (trained && parts_.evaluations->pending() == 0) {
     phase_ = Phase::kComplete;
@@ -95,7 +117,6 @@ void Trainer::Stop() {
 }
 
 absl::Status Trainer::RunIteration() {
-  const absl::Time begin = parts_.clock->Now();
   status_.OnIterationBegin();
   meter_.BeginCycle();
   meter_.Switch(Activity::kIntake);
@@ -105,7 +126,7 @@ absl::Status Trainer::RunIteration() {
   std::vector<LaneRecord> lanes = is_asynchronous() ? parts_.registry->lanes()->table().StartRecords()
                                                     : parts_.registry->lanes()->table().Records();
   if (config_.overlap() > 0 && has_steps_left(1)) {
-    parts_.registry->lanes()->rollouts().OpenIteration(LastFragment(counters_.iteration + 1), weights_.back().version);
+    parts_.registry->lanes()->rollouts().OpenIteration(LastFragment(counters_.iteration + 1), counters_.policy_version);
     next_is_open_ = true;
   }
   meter_.Switch(Activity::kUpdate);
@@ -116,10 +137,7 @@ absl::Status Trainer::RunIteration() {
   if (!stats.ok()) return UndoIteration(fragments, stats.status());
   failed_updates_ = 0;
   CRAFTFLEET_RETURN_IF_ERROR(FinishIteration(fragments, *stats, std::move(lanes)));
-  status_.OnIterationEnd(parts_.folder->score());
-  const double seconds = absl::ToDoubleSeconds(parts_.clock->Now() - begin);
-  view_.OnIterationEnd(*parts_.folder, counters_.env_steps, config_.ppo().rollout_steps() / std::max(seconds, 1e-9),
-                       fragments.front(), parts_.updater->spec().frame_size);
+  status_.OnIterationEnd(*parts_.folder, fragments.front(), parts_.updater->spec().frame_size);
   return absl::OkStatus();
 }
 
@@ -130,11 +148,11 @@ int64_t Trainer::LastFragment(int64_t iteration) const {
 
 void Trainer::Begin() {
   if (is_asynchronous()) {
-    collector_.BeginNext(weights_.back().version);
+    collector_.BeginNext(counters_.policy_version);
   } else if (std::exchange(next_is_open_, false)) {
     collector_.BeginOpened();
   } else {
-    collector_.Begin(counters_.iteration + 1, LastFragment(counters_.iteration), weights_.front().version);
+    collector_.Begin(counters_.iteration + 1, LastFragment(counters_.iteration), parts_.weights->Oldest().version);
   }
 }
 
@@ -152,25 +170,16 @@ absl::StatusOr<std::vector<Fragment>> Trainer::Collect() {
   return is_asynchronous() ? collector_.CollectRollout(wanted, on_tick) : collector_.Collect(wanted, on_tick);
 }
 
-ValueRange Trainer::RangeOf(const Weights& weights) const {
-  return config_.ppo().value_norm_decay() > 0 ? weights.value_scale.Outputs() : ValueRange();
-}
-
-ValueScale Trainer::ScaleOf(int64_t policy_version) const {
-  const auto found = std::find_if(weights_.begin(), weights_.end(),
-                                  [&](const Weights& weights) { return weights.version == policy_version; });
-  CRAFTFLEET_CHECK(found != weights_.end());
-  return found->value_scale;
-}
-
 absl::StatusOr<UpdateStats> Trainer::Learn(const std::vector<Fragment>& fragments) {
   Rollout rollout;
   RolloutOptions options = parts_.updater->rollout_options();
   std::vector<ValueScale> scales;
   for (const Fragment& fragment : fragments) {
-    scales.push_back(ScaleOf(fragment.policy_version));
+    const WeightStore::Weights weights = parts_.weights->Find(fragment.policy_version);
+    CRAFTFLEET_CHECK(weights.version == fragment.policy_version);
+    scales.push_back(weights.value_scale);
     options.value_scale = scales.back();
-    CRAFTFLEET_RETURN_IF_ERROR(AppendFragment(fragment, options, &rollout));
+    AppendFragment(fragment, options, &rollout);
   }
   CRAFTFLEET_RETURN_IF_ERROR(parts_.ranks->ShareUpdate(counters_.iteration, scales, fragments));
   const auto should_stop = [this] {
@@ -185,7 +194,7 @@ absl::Status Trainer::UndoIteration(const std::vector<Fragment>& fragments, cons
   const bool again = failed_updates_ < kMaxFailedUpdates;
   LogError("the update of iteration %d failed: %s; it is undone, and %s", counters_.iteration + 1, error.message(),
            again ? "its fragments will be played again" : "training ends, since the update has failed twice in a row");
-  for (const std::string& line : DescribeSenders(fragments)) LogError("%s", line);
+  LogSenders(fragments);
   collector_.ClearJournal();
   if (again) {
     parts_.registry->lanes()->rollouts().RewindIterations(next_is_open_ || is_asynchronous() ? 2 : 1);
@@ -201,16 +210,15 @@ absl::Status Trainer::FinishIteration(const std::vector<Fragment>& fragments, co
   ++counters_.iteration;
   counters_.env_steps += config_.ppo().rollout_steps();
   lanes_ = std::move(lanes);
-  const Staleness staleness = StalenessOf(fragments, weights_.back().version);
+  const Staleness staleness = StalenessOf(fragments, counters_.policy_version);
   status_.OnUpdate(staleness);
-  PublishWeights(weights_.back().version + 1);
+  PublishWeights(counters_.policy_version + 1);
   log_.AddIteration(counters_.env_steps, fragments, stats, StepsPerSecond());
   if (config_.max_staleness() > 0)
     log_.AddStaleness(counters_.env_steps, staleness, parts_.registry->lanes()->table().counters.dropped);
-  LogPictures(fragments.front());
   log_.Flush();
   CRAFTFLEET_RETURN_IF_ERROR(parts_.folder->CheckOwned());
-  parts_.evaluations->OnIteration(steps_before, counters_.env_steps, weights_.back().bytes,
+  parts_.evaluations->OnIteration(steps_before, counters_.env_steps, parts_.updater->ShareWeights(),
                                   [this] { return !CheckContinues().ok(); });
   ReleaseFreeMemory();  // of what the update could have been undone with: a checkpoint needs as much
   checkpoints_.ServeRequests(counters_.iteration);
@@ -218,26 +226,18 @@ absl::Status Trainer::FinishIteration(const std::vector<Fragment>& fragments, co
   return has_steps_left() ? checkpoints_.OnIteration(counters_.iteration) : absl::OkStatus();
 }
 
-void Trainer::LogPictures(const Fragment& first) {
-  if (counters_.iteration % kIterationsPerPicture != 1) return;
-  absl::StatusOr<std::vector<EventPicture>> pictures =
-      TrainingPictures(parts_.updater->spec(), weights_.back().bytes, first);
-  if (!pictures.ok()) {
-    LogWarning("no pictures for TensorBoard: %s", pictures.status().message());
-    return;
-  }
-  log_.AddPictures(counters_.env_steps, *pictures);
-}
-
 double Trainer::StepsPerSecond() const {
   const double seconds = absl::ToDoubleSeconds(parts_.clock->Now() - start_);
   return seconds > 0 ? static_cast<double>(counters_.env_steps - counters_.start_steps) / seconds : 0;
 }
 
+void Trainer::Publish(int64_t version, std::shared_ptr<const std::string> bytes, const ValueScale& value_scale) {
+  const ValueRange range = config_.ppo().value_norm_decay() > 0 ? value_scale.Outputs() : ValueRange();
+  parts_.weights->Publish(version, std::move(bytes), range, value_scale);
+}
+
 void Trainer::PublishWeights(int64_t version) {
-  weights_.push_back({version, parts_.updater->ShareWeights(), parts_.updater->rollout_options().value_scale});
-  if (weights_.size() > static_cast<size_t>(KeptVersions(config_))) weights_.pop_front();
-  parts_.weights->Publish(version, weights_.back().bytes, RangeOf(weights_.back()));
+  Publish(version, parts_.updater->ShareWeights(), parts_.updater->rollout_options().value_scale);
   counters_.policy_version = version;
 }
 
@@ -246,14 +246,14 @@ Checkpoint Trainer::MakeCheckpoint() const {
   v1::CheckpointState& state = checkpoint.state;
   state.set_iteration(counters_.iteration);
   state.set_env_steps(counters_.env_steps);
-  state.set_policy_version(weights_.back().version);
+  state.set_policy_version(counters_.policy_version);
   state.set_optimizer_steps(parts_.updater->optimizer_steps());
   state.set_train_seconds(train_seconds_ + absl::ToDoubleSeconds(parts_.clock->Now() - start_));
   for (const LaneRecord& lane : lanes_) *state.add_lanes() = ToProto(lane);
   parts_.evaluations->FillCheckpoint(&checkpoint);
-  checkpoint.weights = weights_.back().bytes;
-  if (config_.overlap() > 0 && weights_.size() > 1) {
-    const Weights& play = weights_.front();
+  checkpoint.weights = parts_.updater->ShareWeights();
+  const WeightStore::Weights play = parts_.weights->Oldest();
+  if (config_.overlap() > 0 && play.version < counters_.policy_version) {
     state.mutable_play()->set_policy_version(play.version);
     state.mutable_play()->set_value_mean(play.value_scale.mean);
     state.mutable_play()->set_value_deviation(play.value_scale.deviation);

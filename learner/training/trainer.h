@@ -5,7 +5,6 @@
 
 #include <atomic>
 #include <cstdint>
-#include <deque>
 #include <memory>
 #include <optional>
 #include <string>
@@ -36,7 +35,6 @@
 #include "learner/training/records/disk_wait.h"
 #include "learner/training/records/training_log.h"
 #include "learner/training/records/training_status.h"
-#include "learner/training/records/training_view.h"
 #include "learner/training/stop_flag.h"
 #include "learner/training/weight_store.h"
 
@@ -50,9 +48,8 @@ int KeptVersions(const v1::RunConfig& config);
 // update, with the weights of that moment, so that actors play during the update; these weights depend only on the
 // iteration's number. The result does not depend on which actors play or in which order their fragments arrive.
 //
-// With config.max_staleness, permits never close, and an update takes the fragments that arrived first. Which these
-// were is recorded in the run folder, and a trainer that is given such a record opens permits for exactly these
-// fragments, so that its weights are the same. Run is called from one thread; everything else is thread-safe.
+// With config.max_staleness, permits never close, and an update takes the fragments that arrived first. Run is called
+// from one thread; everything else is thread-safe.
 class Trainer {
  public:
   struct Parts {
@@ -95,17 +92,10 @@ class Trainer {
   const TrainerCounters& counters() const { return counters_; }
   // How the training thread's time is spent.
   const ActivityMeter& meter() const { return meter_; }
-  const TrainingView& view() const { return view_; }
+  const TrainingStatus& status() const { return status_; }
   void FillStatus(v1::StatusReply* reply) const { status_.Fill(meter_, checkpoints_.age(), reply); }
 
  private:
-  // A version of the weights.
-  struct Weights {
-    int64_t version = 0;
-    std::shared_ptr<const std::string> bytes;  // safetensors
-    ValueScale value_scale;                    // of the values that they predict
-  };
-
   bool is_asynchronous() const { return config_.max_staleness() > 0; }
   // Whether the run goes on after `iterations` more.
   bool has_steps_left(int iterations = 0) const {
@@ -121,10 +111,6 @@ class Trainer {
   void Begin();
   // Waits for the iteration's fragments.
   absl::StatusOr<std::vector<Fragment>> Collect();
-  // The scale of the values that the weights `policy_version`, which may still play, predict.
-  ValueScale ScaleOf(int64_t policy_version) const;
-  // What fragments that were played with these weights may have as values.
-  ValueRange RangeOf(const Weights& weights) const;
   // Updates the weights with the iteration's fragments, which are in order. On an error nothing changes.
   absl::StatusOr<UpdateStats> Learn(const std::vector<Fragment>& fragments);
   // Drops `fragments`, whose update failed, so that they are played again. Returns `error` at the second failure in a
@@ -135,9 +121,9 @@ class Trainer {
                                std::vector<LaneRecord> lanes);
   // If `trained`, evaluates the final weights. Tells actors whether the run is complete.
   void End(bool trained);
-  // Logs a picture every kIterationsPerPicture iterations. `first`: the fragment to show.
-  void LogPictures(const Fragment& first);
-  // Publishes the updater's weights for play and evaluation, as version `version`.
+  // Publishes weights for play and evaluation; `value_scale`: of the values that they predict.
+  void Publish(int64_t version, std::shared_ptr<const std::string> bytes, const ValueScale& value_scale);
+  // Publishes the updater's weights as version `version`.
   void PublishWeights(int64_t version);
   // The run's state after its last finished iteration.
   Checkpoint MakeCheckpoint() const;
@@ -150,7 +136,6 @@ class Trainer {
   std::atomic<Phase> phase_{Phase::kTraining};
   ActivityMeter meter_;
   TrainingStatus status_;
-  TrainingView view_;
   DiskWait disk_;
   TrainingLog log_;
   CheckpointWriter checkpoints_;
@@ -160,9 +145,7 @@ class Trainer {
 
   bool next_is_open_ = false;  // the permits of the iteration after the last finished one
 
-  // As of the end of the last finished iteration.
-  std::deque<Weights> weights_;  // those that the next fragments may be played with; the newest last
-  std::vector<LaneRecord> lanes_;
+  std::vector<LaneRecord> lanes_;  // as of the end of the last finished iteration
 
   const int64_t first_version_;  // of the weights at this start
   const double train_seconds_;   // before this start

@@ -12,7 +12,7 @@
 #include <utility>
 
 #include "common/base/mutex.h"
-#include "learner/ppo/value_range.h"
+#include "learner/ppo/value_norm.h"
 
 namespace craftfleet {
 
@@ -23,18 +23,18 @@ class WeightStore {
     int64_t version = -1;                      // -1: none published yet
     std::shared_ptr<const std::string> bytes;  // safetensors
     ValueRange values;                         // of fragments played with them
+    ValueScale value_scale;                    // of the values that they predict
   };
 
   // `kept`: 1 or more.
   explicit WeightStore(size_t kept = 1) : kept_(kept) {}
 
-  // Publishes `bytes` (safetensors). `version` must grow from call to call. `values`: what fragments played with them
-  // may have.
-  void Publish(int64_t version, std::shared_ptr<const std::string> bytes, const ValueRange& values = {})
-      ABSL_LOCKS_EXCLUDED(mu_) {
+  // `version` must grow from call to call.
+  void Publish(int64_t version, std::shared_ptr<const std::string> bytes, const ValueRange& values = {},
+               const ValueScale& value_scale = {}) ABSL_LOCKS_EXCLUDED(mu_) {
     const MutexLock lock(&mu_);
     if (newest_.size() == kept_) newest_.pop_front();
-    newest_.push_back({version, std::move(bytes), values});
+    newest_.push_back({version, std::move(bytes), values, value_scale});
     if (observer_ != nullptr) observer_();
   }
 
@@ -45,6 +45,12 @@ class WeightStore {
       if (weights.version == version) return weights;
     }
     return newest_.empty() ? Weights() : newest_.back();
+  }
+
+  // At least one version was published.
+  Weights Oldest() const ABSL_LOCKS_EXCLUDED(mu_) {
+    const MutexLock lock(&mu_);
+    return newest_.front();
   }
 
   // `observer` is called, with the lock held, at each Publish; null: none.

@@ -94,7 +94,7 @@ class StandInLearner {
     while (fragments_.Pop(absl::ZeroDuration()).has_value()) {
     }
     std::vector<int> permits;
-    for (const LaneTable::ActorInfo& actor : registry_.Actors()) permits.push_back(actor.permits);
+    for (const LaneActor& actor : registry_.Actors()) permits.push_back(static_cast<int>(actor.permits.size()));
     return permits;
   }
   TestRegistry& registry() { return registry_; }

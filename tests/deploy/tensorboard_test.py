@@ -9,15 +9,11 @@ from tests.fakes import python_case
 READ = """
 import sys
 from tensorboard.backend.event_processing import event_accumulator
-events = event_accumulator.EventAccumulator(sys.argv[1], size_guidance={"images": 0, "histograms": 0, "scalars": 0})
+events = event_accumulator.EventAccumulator(sys.argv[1], size_guidance={"histograms": 0, "scalars": 0})
 events.Reload()
 tags = events.Tags()
-print(sorted(tags["images"]))
 print(sorted(tags["histograms"]))
 print(len(tags["scalars"]))
-for tag in tags["images"]:
-  image = events.Images(tag)[0]
-  print(tag, image.step, image.width, image.height, image.encoded_image_string[1:4].decode())
 for tag in sorted(tags["histograms"]):
   last = events.Histograms(tag)[-1]
   print(tag, last.step, last.histogram_value.num, sum(last.histogram_value.bucket))
@@ -52,12 +48,10 @@ class TensorBoard(python_case.FolderCase):
     self.assertEqual(ended.returncode, 0, ended.stderr)
     return ended.stdout.splitlines()
 
-  def test_it_reads_curves_pictures_and_histograms(self):
-    lines = self.read(READ, self.train("oc_ca"))
-    self.assertEqual(lines[0], "['rollout/attention', 'rollout/frame']")
-    self.assertEqual(lines[1], "['rollout/actions', 'rollout/log_probs', 'rollout/rewards', 'rollout/values']")
-    self.assertGreaterEqual(int(lines[2]), 35)
-    self.assertIn("rollout/frame 64 288 288 PNG", lines)
+  def test_it_reads_curves_and_histograms(self):
+    lines = self.read(READ, self.train("ppo_cnn"))
+    self.assertEqual(lines[0], "['rollout/actions', 'rollout/log_probs', 'rollout/rewards', 'rollout/values']")
+    self.assertGreaterEqual(int(lines[1]), 35)
     self.assertIn("rollout/actions 192 64.0 64.0", lines)
 
 

@@ -6,7 +6,7 @@
 #include <ATen/ATen.h>
 
 #include "learner/ppo/device_rollout.h"
-#include "learner/ppo/distillation/goals.h"
+#include "learner/ppo/distillation/kept_rollouts.h"
 
 namespace craftfleet {
 namespace {

@@ -7,7 +7,7 @@
 #include <c10/core/Device.h>
 
 #include "common/agent/nets/segments.h"
-#include "learner/ppo/distillation/distillation_step.h"
+#include "learner/ppo/distillation/distillation_loss.h"
 
 namespace craftfleet {
 

@@ -5,7 +5,7 @@
 #include <vector>
 
 #include "common/agent/categorical.h"
-#include "learner/ppo/distillation/goals.h"
+#include "learner/ppo/distillation/kept_rollouts.h"
 
 namespace craftfleet {
 namespace {

@@ -1,4 +1,5 @@
-// The losses of distillation with their gradients by hand: no LibTorch, exact in double.
+// An optimiser step of distillation, with its random choices already made, and its losses with their gradients by hand:
+// no LibTorch, exact in double.
 
 #ifndef CRAFTFLEET_LEARNER_PPO_DISTILLATION_DISTILLATION_LOSS_H_
 #define CRAFTFLEET_LEARNER_PPO_DISTILLATION_DISTILLATION_LOSS_H_
@@ -9,9 +10,41 @@
 #include <absl/types/span.h>
 
 #include "common/base/crafter.h"
-#include "learner/ppo/distillation/distillation_step.h"
 
 namespace craftfleet {
+
+// The two losses, each with its own optimiser.
+enum class DistillationLoss { kMatching, kPrediction };
+
+// An anchor, which a positive should be like and a negative should not. The anchor is how features change from one
+// frame to another.
+struct Contrast {
+  int before = 0;  // of the step's rows
+  int after = 0;   // likewise; kNoFrame (kept_rollouts.h): to zeros
+  // In matching: of the changes that DistillationNet::Changes computed last. In prediction: of the step's rows, whose
+  // predictions these are; a row is the positive of one contrast at most, and the negative of one.
+  int positive = 0;
+  int negative = 0;
+};
+
+// Features and anchors have gradients in matching, predictions in prediction.
+struct DistillationStep {
+  DistillationLoss loss = DistillationLoss::kMatching;
+  double temperature = 0.1;
+  std::vector<int> rows;  // of the rollouts, distinct
+  std::vector<Contrast> contrasts;
+  // In keeping policy and value, by row:
+  std::vector<double> weights;  // their sum is 1
+  std::vector<float> targets;   // returns, normalised
+};
+
+// Means over the rows of a step, or their sums over steps.
+struct DistillationLosses {
+  double contrastive = 0;
+  double divergence = 0;     // KL(new policy || old one), nats
+  double value = 0;          // squared error of normalised values
+  double gradient_norm = 0;  // L2, before clipping
+};
 
 // Three vectors float[F], of any length, and where their gradients are added to; null: the vector is a constant.
 struct ContrastiveRow {

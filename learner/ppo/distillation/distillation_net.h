@@ -11,7 +11,6 @@
 
 #include "common/agent/agent_spec.h"
 #include "learner/ppo/distillation/distillation_loss.h"
-#include "learner/ppo/distillation/goals.h"
 #include "learner/ppo/distillation/kept_rollouts.h"
 
 namespace craftfleet {

@@ -7,8 +7,6 @@
 
 #include "common/base/crafter.h"
 #include "common/base/status_macros.h"
-#include "learner/ppo/distillation/distillation_step.h"
-#include "learner/ppo/distillation/goals.h"
 
 namespace craftfleet {
 namespace {

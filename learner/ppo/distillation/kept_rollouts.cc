@@ -10,7 +10,6 @@
 
 #include "common/base/check.h"
 #include "common/base/status_macros.h"
-#include "learner/ppo/distillation/goals.h"
 
 namespace craftfleet {
 namespace {
@@ -49,6 +48,30 @@ absl::Status ReadCount(const SafeTensors& file, const char* key, int64_t* count)
 }
 
 }  // namespace
+
+std::vector<StepRange> WholeEpisodes(absl::Span<const uint8_t> is_start) {
+  std::vector<StepRange> episodes;
+  int first = -1;  // of the episode being read; -1: none has begun yet
+  for (int t = 0; t < static_cast<int>(is_start.size()); ++t) {
+    if (!is_start[t]) continue;
+    if (first >= 0) episodes.push_back({first, t});
+    first = t;
+  }
+  return episodes;
+}
+
+std::vector<int> GoalSteps(absl::Span<const uint8_t> unlocked) {
+  std::vector<int> goals;
+  for (int t = 0; t + 1 < static_cast<int>(unlocked.size()); ++t) {
+    if (unlocked[t]) goals.push_back(t);
+  }
+  return goals;
+}
+
+FramePair NextGoal(absl::Span<const int> goals, int length, int t) {
+  const auto* const next = std::lower_bound(goals.begin(), goals.end(), t);
+  return next == goals.end() ? FramePair{length - 1, kNoFrame} : FramePair{*next, *next + 1};
+}
 
 KeptRollouts::KeptRollouts(int lanes, int64_t frame_bytes, int memory_size)
     : lanes_(lanes), frame_bytes_(frame_bytes), memory_size_(memory_size), at_start_(lanes, '0') {}

@@ -15,8 +15,8 @@
 #include "common/base/worker_pool.h"
 #include "craftfleet/v1/config.pb.h"
 #include "learner/ppo/adam.h"
-#include "learner/ppo/distillation/distillation_adams.h"
 #include "learner/ppo/distillation/distillation_net.h"
+#include "learner/ppo/update_state.h"
 
 namespace craftfleet {
 

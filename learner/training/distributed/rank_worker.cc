@@ -76,7 +76,7 @@ absl::Status RankWorker::Update(const RankCommand& command) {
   RolloutOptions options = updater_->rollout_options();
   for (size_t i = 0; i < command.fragments.size(); ++i) {
     options.value_scale = command.scales[i];
-    CRAFTFLEET_RETURN_IF_ERROR(AppendFragment(command.fragments[i], options, &rollout));
+    AppendFragment(command.fragments[i], options, &rollout);
   }
   const absl::Status status = updater_->Update(command.iteration, rollout, [] { return false; }).status();
   // Other errors are those of all ranks, and undone on all; rank 0 knows what to do next.

@@ -32,11 +32,6 @@ class TrainingLog {
   // Adds a point at `env_steps` to the curves of asynchronous play. `dropped`: fragments that were too old, so far.
   void AddStaleness(int64_t env_steps, const Staleness& staleness, int64_t dropped);
 
-  // Adds pictures of training (training_pictures.h).
-  void AddPictures(int64_t env_steps, const std::vector<EventPicture>& pictures) {
-    folder_->AddPictures(env_steps, pictures);
-  }
-
   // Writes what was added. If the disk is full, the rest is kept for a later call; with more than `max_waiting_bytes`
   // of it, waits for space until training is asked to stop or another learner has taken over the folder.
   void Flush();

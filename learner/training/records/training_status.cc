@@ -7,12 +7,9 @@
 
 namespace craftfleet {
 
-TrainingStatus::TrainingStatus(const v1::RunConfig& config, const TrainerCounters* counters, Clock* clock)
-    : config_(config), counters_(counters), clock_(clock) {}
-
-void TrainingStatus::OnStart(const ScoreBoard& score) {
+void TrainingStatus::OnStart(const RunFolder& folder) {
   const MutexLock lock(&mu_);
-  shown_ = ShownOf(score);
+  Publish(folder, {});
 }
 
 void TrainingStatus::OnIterationBegin() {
@@ -20,10 +17,17 @@ void TrainingStatus::OnIterationBegin() {
   iteration_begin_ = clock_->Now();
 }
 
-void TrainingStatus::OnIterationEnd(const ScoreBoard& score) {
+void TrainingStatus::OnIterationEnd(const RunFolder& folder, const Fragment& shown, int frame_size) {
+  const size_t bytes = shown.frames.size();
+  const size_t frame_bytes = size_t{3} * frame_size * frame_size;
+  View view;
+  view.frame_size = frame_size;
+  if (bytes >= frame_bytes) view.frame = shown.frames.substr(bytes - frame_bytes);
   const MutexLock lock(&mu_);
   iteration_time_ = clock_->Now() - iteration_begin_;
-  shown_ = ShownOf(score);
+  const double seconds = std::max(absl::ToDoubleSeconds(iteration_time_), 1e-9);
+  speed_.Add({counters_->env_steps, config_.ppo().rollout_steps() / seconds});
+  Publish(folder, std::move(view));
 }
 
 void TrainingStatus::OnUpdate(const Staleness& staleness) {
@@ -31,8 +35,18 @@ void TrainingStatus::OnUpdate(const Staleness& staleness) {
   staleness_ = staleness;
 }
 
-TrainingStatus::Shown TrainingStatus::ShownOf(const ScoreBoard& score) {
-  return {score.episodes(), score.RecentReward(), score.RecentLength(), score.Score(), score.Unlocked()};
+void TrainingStatus::Publish(const RunFolder& folder, View view) {
+  view.number = view_->number + 1;
+  view.env_steps = counters_->env_steps;
+  view.score = folder.score();
+  view.curve = folder.curve().Points();
+  view.speed = speed_.Points();
+  view_ = std::make_shared<const View>(std::move(view));
+}
+
+std::shared_ptr<const TrainingStatus::View> TrainingStatus::view() const {
+  const MutexLock lock(&mu_);
+  return view_;
 }
 
 void TrainingStatus::Fill(const ActivityMeter& meter, absl::Duration checkpoint_age, v1::StatusReply* reply) const {
@@ -52,11 +66,12 @@ void TrainingStatus::Fill(const ActivityMeter& meter, absl::Duration checkpoint_
   const int64_t goal =
       std::max(StepsToTrain(config_), counters_->start_steps.load());  // resumed with fewer steps than it had
   wire::AddMetric("env_steps_goal", static_cast<double>(goal), reply);
-  wire::AddMetric("episodes", static_cast<double>(shown_.episodes), reply);
-  wire::AddMetric("reward", shown_.reward, reply);
-  wire::AddMetric("episode_length", shown_.length, reply);
-  wire::AddMetric("crafter_score", shown_.score, reply);
-  wire::AddMetric("achievements_unlocked", shown_.unlocked, reply);
+  const ScoreBoard& score = view_->score;
+  wire::AddMetric("episodes", static_cast<double>(score.episodes()), reply);
+  wire::AddMetric("reward", score.RecentReward(), reply);
+  wire::AddMetric("episode_length", score.RecentLength(), reply);
+  wire::AddMetric("crafter_score", score.Score(), reply);
+  wire::AddMetric("achievements_unlocked", score.Unlocked(), reply);
   wire::AddMetric("staleness_min", static_cast<double>(staleness_.min), reply);
   wire::AddMetric("staleness_mean", staleness_.mean, reply);
   wire::AddMetric("staleness_max", static_cast<double>(staleness_.max), reply);

@@ -1,19 +1,24 @@
-// Training's part of status replies.
+// What status replies and the live page show of training.
 
 #ifndef CRAFTFLEET_LEARNER_TRAINING_RECORDS_TRAINING_STATUS_H_
 #define CRAFTFLEET_LEARNER_TRAINING_RECORDS_TRAINING_STATUS_H_
 
 #include <atomic>
 #include <cstdint>
+#include <memory>
+#include <string>
+#include <vector>
 
 #include <absl/time/time.h>
 
 #include "common/base/clock.h"
 #include "common/base/mutex.h"
+#include "common/base/types.h"
 #include "common/telemetry/activity_meter.h"
 #include "craftfleet/v1/config.pb.h"
 #include "craftfleet/v1/status.pb.h"
-#include "learner/run/score.h"
+#include "learner/run/run_folder.h"
+#include "learner/run/score_curve.h"
 #include "learner/training/staleness.h"
 
 namespace craftfleet {
@@ -26,17 +31,34 @@ struct TrainerCounters {
   std::atomic<int64_t> policy_version{-1};  // of the weights last published
 };
 
-// Fed by the training thread at each iteration; Fill is thread-safe.
+// Fed by the training thread at each iteration; Fill and view are thread-safe.
 class TrainingStatus {
  public:
-  // `config`, `counters` and `clock` outlive this.
-  TrainingStatus(const v1::RunConfig& config, const TrainerCounters* counters, Clock* clock);
+  struct SpeedPoint {
+    int64_t env_steps = 0;        // accepted, over all starts of the run
+    double steps_per_second = 0;  // of the iteration that ended there
+  };
+  // As of the end of an iteration.
+  struct View {
+    int64_t number = 0;  // differs from that of every other view of this process
+    int64_t env_steps = 0;
+    ScoreBoard score;
+    std::vector<CurvePoint> curve;
+    std::vector<SpeedPoint> speed;  // since this start
+    int frame_size = 0;             // pixels
+    std::string frame;              // what an agent saw at the end, uint8[frame_size,frame_size,3]; empty: none yet
+  };
 
-  // Shows `score`, that of earlier starts, until the first iteration ends.
-  void OnStart(const ScoreBoard& score) ABSL_LOCKS_EXCLUDED(mu_);
+  // `config`, `counters` and `clock` outlive this.
+  TrainingStatus(const v1::RunConfig& config, const TrainerCounters* counters, Clock* clock)
+      : config_(config), counters_(counters), clock_(clock) {}
+
+  // Shows `folder`'s score and curve of earlier starts until the first iteration ends.
+  void OnStart(const RunFolder& folder) ABSL_LOCKS_EXCLUDED(mu_);
   void OnIterationBegin() ABSL_LOCKS_EXCLUDED(mu_);
-  // The current iteration is finished; `score` includes its episodes.
-  void OnIterationEnd(const ScoreBoard& score) ABSL_LOCKS_EXCLUDED(mu_);
+  // The current iteration is finished; `folder` includes its episodes. `shown`: a fragment whose last frame is shown;
+  // `frame_size` in pixels.
+  void OnIterationEnd(const RunFolder& folder, const Fragment& shown, int frame_size) ABSL_LOCKS_EXCLUDED(mu_);
   // An update with fragments this old is finished.
   void OnUpdate(const Staleness& staleness) ABSL_LOCKS_EXCLUDED(mu_);
   // The current iteration's update failed and was undone.
@@ -45,25 +67,20 @@ class TrainingStatus {
   // Adds summary and metrics. `meter` is the training thread's; `checkpoint_age` is CheckpointWriter::age().
   void Fill(const ActivityMeter& meter, absl::Duration checkpoint_age, v1::StatusReply* reply) const
       ABSL_LOCKS_EXCLUDED(mu_);
+  // Of the last finished iteration; never null.
+  std::shared_ptr<const View> view() const ABSL_LOCKS_EXCLUDED(mu_);
 
  private:
-  // As of the last finished iteration.
-  struct Shown {
-    int64_t episodes = 0;
-    double reward = 0;  // means of the last 100 episodes
-    double length = 0;
-    double score = 0;
-    int unlocked = 0;
-  };
-  static Shown ShownOf(const ScoreBoard& score);
+  void Publish(const RunFolder& folder, View view) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
 
   const v1::RunConfig& config_;
   const TrainerCounters* const counters_;
   Clock* const clock_;
-  std::atomic<int64_t> undone_{0};  // updates undone since the start
+  std::atomic<int64_t> undone_{0};   // updates undone since the start
+  ThinnedSeries<SpeedPoint> speed_;  // of the training thread
 
   mutable Mutex mu_;
-  Shown shown_ ABSL_GUARDED_BY(mu_);
+  std::shared_ptr<const View> view_ ABSL_GUARDED_BY(mu_) = std::make_shared<const View>();
   Staleness staleness_ ABSL_GUARDED_BY(mu_);            // of the last update
   absl::Duration iteration_time_ ABSL_GUARDED_BY(mu_);  // of the last iteration; 0: none has ended since the start
   absl::Time iteration_begin_ ABSL_GUARDED_BY(mu_) = absl::InfiniteFuture();  // start of the current iteration

@@ -49,46 +49,24 @@ class BoundedTraits {
 namespace grpc {
 
 // gRPC reads requests and replies of calls with one of each as MessageLite, messages of streams by their type.
-template <>
-class SerializationTraits<google::protobuf::MessageLite, void>
-    : public craftfleet::v1::BoundedTraits<google::protobuf::MessageLite> {};
-template <>
-class SerializationTraits<craftfleet::v1::WatchRequest, void>
-    : public craftfleet::v1::BoundedTraits<craftfleet::v1::WatchRequest> {};
-template <>
-class SerializationTraits<craftfleet::v1::StatusReply, void>
-    : public craftfleet::v1::BoundedTraits<craftfleet::v1::StatusReply> {};
-template <>
-class SerializationTraits<craftfleet::v1::PlayRequest, void>
-    : public craftfleet::v1::BoundedTraits<craftfleet::v1::PlayRequest> {};
-template <>
-class SerializationTraits<craftfleet::v1::PlayReply, void>
-    : public craftfleet::v1::BoundedTraits<craftfleet::v1::PlayReply> {};
-template <>
-class SerializationTraits<craftfleet::v1::ActorMessage, void>
-    : public craftfleet::v1::BoundedTraits<craftfleet::v1::ActorMessage> {};
-template <>
-class SerializationTraits<craftfleet::v1::LearnerMessage, void>
-    : public craftfleet::v1::BoundedTraits<craftfleet::v1::LearnerMessage> {};
-template <>
-class SerializationTraits<craftfleet::v1::WeightsRequest, void>
-    : public craftfleet::v1::BoundedTraits<craftfleet::v1::WeightsRequest> {};
+#define CRAFTFLEET_BOUND(Message) \
+  template <>                     \
+  class SerializationTraits<Message, void> : public craftfleet::v1::BoundedTraits<Message> {}
+CRAFTFLEET_BOUND(google::protobuf::MessageLite);
+CRAFTFLEET_BOUND(craftfleet::v1::WatchRequest);
+CRAFTFLEET_BOUND(craftfleet::v1::StatusReply);
+CRAFTFLEET_BOUND(craftfleet::v1::PlayRequest);
+CRAFTFLEET_BOUND(craftfleet::v1::PlayReply);
+CRAFTFLEET_BOUND(craftfleet::v1::ActorMessage);
+CRAFTFLEET_BOUND(craftfleet::v1::LearnerMessage);
+CRAFTFLEET_BOUND(craftfleet::v1::WeightsRequest);
 // The learner's short calls have callbacks, which read requests by their type.
-template <>
-class SerializationTraits<craftfleet::v1::JoinRequest, void>
-    : public craftfleet::v1::BoundedTraits<craftfleet::v1::JoinRequest> {};
-template <>
-class SerializationTraits<craftfleet::v1::SnapshotRequest, void>
-    : public craftfleet::v1::BoundedTraits<craftfleet::v1::SnapshotRequest> {};
-template <>
-class SerializationTraits<craftfleet::v1::EvaluationResult, void>
-    : public craftfleet::v1::BoundedTraits<craftfleet::v1::EvaluationResult> {};
-template <>
-class SerializationTraits<craftfleet::v1::Announcement, void>
-    : public craftfleet::v1::BoundedTraits<craftfleet::v1::Announcement> {};
-template <>
-class SerializationTraits<craftfleet::v1::LeaveRequest, void>
-    : public craftfleet::v1::BoundedTraits<craftfleet::v1::LeaveRequest> {};
+CRAFTFLEET_BOUND(craftfleet::v1::JoinRequest);
+CRAFTFLEET_BOUND(craftfleet::v1::SnapshotRequest);
+CRAFTFLEET_BOUND(craftfleet::v1::EvaluationResult);
+CRAFTFLEET_BOUND(craftfleet::v1::Announcement);
+CRAFTFLEET_BOUND(craftfleet::v1::LeaveRequest);
+#undef CRAFTFLEET_BOUND
 
 }  // namespace grpc
 

@@ -150,7 +150,7 @@ class DeviceCheck {
     const std::vector<Fragment> played = testing::RandomFragments(*updater, rows / kSteps, 1, kSteps);
     Rollout rollout;
     for (const Fragment& fragment : played) {
-      CRAFTFLEET_RETURN_IF_ERROR(AppendFragment(fragment, updater->rollout_options(), &rollout));
+      AppendFragment(fragment, updater->rollout_options(), &rollout);
     }
     return updater->Update(iteration, rollout, should_stop);
   }

@@ -9,11 +9,11 @@
 #include <nlohmann/json.hpp>
 
 #include "common/io/files.h"
-#include "common/io/gzip_file.h"
 #include "common/io/paths.h"
 #include "envserver/render/renderer.h"
 #include "envserver/world/daylight.h"
 #include "tests/fakes/cpu_paths.h"
+#include "tests/fakes/gzip_file.h"
 #include "tests/fakes/status_matchers.h"
 #include "tests/fakes/test_paths.h"
 #include "tests/golden/trace_fields.h"

@@ -1,7 +1,6 @@
 #include "learner/ppo/adam.h"
 
 #include <cmath>
-#include <limits>
 
 #include <gtest/gtest.h>
 
@@ -76,34 +75,6 @@ TEST(Adam, ClipsByTheGlobalNorm) {
       EXPECT_NEAR(state.exp_avg[i], 0.1 * gradient.values[i] * clip, 1e-4 * std::abs(state.exp_avg[i]) + 1e-12);
     }
   }
-}
-
-TEST(Adam, ThreadsDoNotChangeABit) {
-  std::vector<std::vector<float>> results;
-  for (const int threads : {1, 2, 5}) {
-    WorkerPool workers(threads, [] {});
-    Gradient first(1, 1);
-    Gradient second(2, 1);
-    std::vector<float> weights(first.values.size(), 1.0F);
-    AdamState state = FreshState(weights.size());
-    const std::vector<ShardGradient> shards = {first.pieces, second.pieces};
-    for (int step = 0; step < 3; ++step) AdamStep({}, shards, absl::MakeSpan(weights), &state, &workers);
-    results.push_back(weights);
-  }
-  EXPECT_EQ(results[1], results[0]);
-  EXPECT_EQ(results[2], results[0]);
-}
-
-TEST(Adam, GradientThatIsNotFiniteChangesNothing) {
-  WorkerPool workers(2, [] {});
-  Gradient gradient(1, 1);
-  gradient.values[20000] = std::numeric_limits<float>::quiet_NaN();
-  std::vector<float> weights(gradient.values.size(), 1.0F);
-  AdamState state = FreshState(weights.size());
-  const std::vector<ShardGradient> shards = {gradient.pieces};
-  EXPECT_FALSE(std::isfinite(AdamStep({}, shards, absl::MakeSpan(weights), &state, &workers)));
-  EXPECT_EQ(weights, std::vector<float>(weights.size(), 1.0F));
-  EXPECT_EQ(state.steps, 0);
 }
 
 }  // namespace

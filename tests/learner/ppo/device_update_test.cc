@@ -321,22 +321,6 @@ TEST(DeviceUpdate, RecurrentMinibatchesHaveFewSizesAndArePermuted) {
   }
 }
 
-TEST(DeviceUpdate, TakesEveryAgentsDefaults) {
-  for (const absl::string_view agent : AgentNames()) {
-    EXPECT_THAT(DeviceUpdate::CheckSupported(*DefaultRunConfig(agent)), IsOk()) << agent;
-  }
-}
-
-TEST(DeviceUpdate, RefusesFieldsThatItDoesNotKnow) {
-  v1::EvalConfig unknown;
-  unknown.set_episodes(0);
-  EXPECT_THAT(DeviceUpdate::CheckFields(unknown, "ppo."), IsOk()) << "0 and false are off";
-  unknown.set_episodes(5);
-  EXPECT_THAT(DeviceUpdate::CheckFields(unknown, "ppo."),
-              StatusIs(absl::StatusCode::kInvalidArgument,
-                       AllOf(HasSubstr("ppo.episodes is not computed on a device"), HasSubstr("--device=cpu"))));
-}
-
 TEST(DeviceUpdate, DropoutMasksAreTheCpus) {
   SetUpTorchThread();
   for (const double probability : {0.0, 0.1, 0.5, 0.999}) {

@@ -109,18 +109,6 @@ TEST(LagCorrection, TheValueAfterAFragmentIsTheStarts) {
   ExpectNear(corrected.rollout.returns, {11 + 1 + 0.25F * (2 + 16.5F - 22), 2 + 16.5F, 33, 44 - 34}, 1e-5);
 }
 
-TEST(LagCorrection, OnPolicyNothingChangesAndWeightsAreOne) {
-  const Rollout rollout = FourSteps();
-  const CorrectedRollout corrected = CorrectLag(rollout, Start({1, 1, 1, 1}), Config());
-  EXPECT_EQ(corrected.rollout.log_probs, rollout.log_probs);
-  EXPECT_EQ(corrected.rollout.weights, Floats(4, 1));
-  EXPECT_EQ(corrected.rollout.advantages, rollout.advantages);
-  EXPECT_EQ(corrected.rollout.returns, rollout.returns);
-  EXPECT_EQ(corrected.importance.mean, 1);
-  EXPECT_EQ(corrected.importance.min, 1);
-  EXPECT_EQ(corrected.importance.max, 1);
-}
-
 // Hilton et al. 2021, equation 3, row by row: w * min(A q, A clamp(q)) with q to the policy that the update starts
 // from.
 TEST(LagCorrection, TheLossIsTheDecoupledOneAsByHand) {

@@ -43,9 +43,8 @@ v1::RunConfig ConfigOf(const std::string& text, const std::string& more = "") {
 }
 
 // With weights that are not close to zero; those of different `name`s differ by up to `distance`.
-std::unique_ptr<PpoUpdater> MakeUpdater(const v1::RunConfig& config, const std::string& name, double distance,
-                                        int threads = 2, const std::string& device = "cpu") {
-  auto updater = *PpoUpdater::Create(config, threads, device);
+std::unique_ptr<PpoUpdater> MakeUpdater(const v1::RunConfig& config, const std::string& name, double distance) {
+  auto updater = *PpoUpdater::Create(config, 2);
   const AgentSpec& spec = updater->spec();
   std::vector<float> weights = GoldenUniforms("weights", spec.param_count, -0.06, 0.06);
   const std::vector<float> change = GoldenUniforms(name, spec.param_count, -distance, distance);
@@ -95,9 +94,8 @@ std::vector<Fragment> Play(const PpoUpdater& updater, const PpoUpdater& judge, s
 
 // An update from the weights `start` with a rollout that `player` played.
 struct Updated {
-  Updated(const v1::RunConfig& config, const PpoUpdater& player, const std::string& start, double distance,
-          int threads = 2)
-      : updater(MakeUpdater(config, start, distance, threads)),
+  Updated(const v1::RunConfig& config, const PpoUpdater& player, const std::string& start, double distance)
+      : updater(MakeUpdater(config, start, distance)),
         fragments(Play(player, *updater, &judged)),
         rollout(RolloutOf(*updater, fragments)) {
     const absl::StatusOr<UpdateStats> result = updater->Update(0, rollout, NeverStop);
@@ -161,15 +159,6 @@ TEST_P(LagUpdate, ImportanceWeightsAreThoseOfActing) {
   EXPECT_NEAR(updated.stats.importance->mean, sum / kRows, 1e-5);
   EXPECT_NEAR(updated.stats.importance->min, min, 1e-5);
   EXPECT_NEAR(updated.stats.importance->max, max, 1e-5);
-}
-
-TEST_P(LagUpdate, ThreadsChangeNoBit) {
-  const v1::RunConfig config = ConfigOf(GetParam(), kCorrected);
-  const auto player = MakeUpdater(config, "a", 0.01);
-  const Updated one(config, *player, "b", 0.01, /*threads=*/1);
-  const Updated three(config, *player, "b", 0.01, /*threads=*/3);
-  EXPECT_TRUE(one.updater->SaveWeights() + one.updater->SaveOptimizer() ==
-              three.updater->SaveWeights() + three.updater->SaveOptimizer());
 }
 
 INSTANTIATE_TEST_SUITE_P(

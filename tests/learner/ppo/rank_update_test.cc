@@ -7,11 +7,11 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
-#include "common/base/keyed_random.h"
 #include "common/config/config.h"
 #include "learner/ppo/ppo_updater.h"
 #include "learner/ppo/rollout.h"
 #include "tests/fakes/status_matchers.h"
+#include "tests/learner/ppo/random_fragments.h"
 #include "tests/learner/ppo/update_samples.h"
 #include "tests/learner/ranks/local_ranks.h"
 
@@ -39,25 +39,10 @@ v1::RunConfig ConfigOf(const std::string& text) {
   return ResolveRunConfig(config).value();
 }
 
-// Fragments of an iteration, with random contents.
-std::vector<Fragment> FragmentsOf(int iteration, const PpoUpdater& updater, const v1::RunConfig& config) {
-  const AgentSpec& spec = updater.spec();
-  std::vector<Fragment> fragments(6);
-  for (int i = 0; i < 6; ++i) {
-    auto uniform = [&, n = int64_t{0}]() mutable { return ActionNoise(iteration, i, n++); };
-    Fragment& fragment = fragments[i];
-    fragment.lane = i / 3;
-    fragment.number = iteration * 3 + i % 3;
-    const int states = updater.rollout_options().every_state ? config.fragment_steps() : 1;
-    for (int k = 0; k < states * spec.state_size; ++k) fragment.states.push_back(static_cast<float>(uniform()) / 8);
-    for (int t = 0; t < config.fragment_steps(); ++t) {
-      for (int k = 0; k < spec.frame_bytes(); ++k) fragment.frames.push_back(static_cast<char>(256 * uniform() - 128));
-      fragment.actions.push_back(static_cast<char>(kNumActions * uniform()));
-      fragment.log_probs.push_back(static_cast<float>(-2.8 + 0.2 * uniform()));
-      fragment.values.push_back(static_cast<float>(uniform()));
-      fragment.rewards.push_back(uniform() < 0.3 ? 1 : 0);
-      fragment.ends.push_back(t % 5 == 4 ? StepEnd::kTerminated : StepEnd::kNone);
-    }
+std::vector<Fragment> FragmentsOf(const PpoUpdater& updater) {
+  std::vector<Fragment> fragments = testing::RandomFragments(updater, /*lanes=*/2, /*fragments=*/3, /*steps=*/8);
+  for (Fragment& fragment : fragments) {
+    for (float& reward : fragment.rewards) reward = reward < 0.3F ? 1 : 0;
   }
   return fragments;
 }
@@ -66,7 +51,7 @@ std::vector<Fragment> FragmentsOf(int iteration, const PpoUpdater& updater, cons
 std::string Train(const v1::RunConfig& config, PpoUpdater* updater) {
   std::string losses;
   for (int iteration = 0; iteration < kIterations; ++iteration) {
-    const std::vector<Fragment> fragments = FragmentsOf(iteration, *updater, config);
+    const std::vector<Fragment> fragments = FragmentsOf(*updater);
     const auto stats = updater->Update(iteration, RolloutOf(*updater, fragments), NeverStop);
     EXPECT_THAT(stats, IsOk());
     if (!stats.ok()) return "";
@@ -106,7 +91,7 @@ TEST(RankUpdate, AllStopWhenRank0IsAsked) {
     const auto updater = PpoUpdater::Create(config, 1).value();
     updater->ShareOut(group);
     const std::string before = updater->SaveWeights();
-    const std::vector<Fragment> fragments = FragmentsOf(0, *updater, config);
+    const std::vector<Fragment> fragments = FragmentsOf(*updater);
     int asked = 0;
     const auto stop = [&] { return group->rank() == 0 ? ++asked == 2 : true; };
     EXPECT_EQ(updater->Update(0, RolloutOf(*updater, fragments), stop).status().code(), absl::StatusCode::kCancelled);
@@ -122,7 +107,7 @@ TEST(RankUpdate, LostRankUndoesTheUpdate) {
     const auto updater = PpoUpdater::Create(config, 1).value();
     updater->ShareOut(group);
     const std::string before = updater->SaveWeights() + updater->SaveOptimizer();
-    const std::vector<Fragment> fragments = FragmentsOf(0, *updater, config);
+    const std::vector<Fragment> fragments = FragmentsOf(*updater);
     const absl::Status lost = absl::UnavailableError("rank 1 is lost");
     group->Leave(lost);
     EXPECT_EQ(updater->Update(0, RolloutOf(*updater, fragments), NeverStop).status(), lost);
@@ -138,7 +123,7 @@ TEST(RankUpdate, RankWithOtherWeightsIsNamedAndTheUpdateUndone) {
     const auto updater = PpoUpdater::Create(own, 1).value();
     updater->ShareOut(group);
     const std::string before = updater->SaveWeights();
-    const std::vector<Fragment> fragments = FragmentsOf(0, *updater, config);
+    const std::vector<Fragment> fragments = FragmentsOf(*updater);
     const auto stats = updater->Update(0, RolloutOf(*updater, fragments), NeverStop);
     EXPECT_EQ(stats.status().code(), absl::StatusCode::kDataLoss) << stats.status();
     EXPECT_THAT(std::string(stats.status().message()), ::testing::HasSubstr("rank 1 has other weights"));

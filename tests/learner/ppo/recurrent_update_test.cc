@@ -98,18 +98,6 @@ TEST_P(RecurrentUpdateTest, SegmentsGiveWhatActingGave) {
   EXPECT_GT(forgotten.approx_kl, 1e-6) << "states count";
 }
 
-TEST_P(RecurrentUpdateTest, ThreadsDoNotChangeABit) {
-  const v1::RunConfig config = SmallConfig(24, "lstm_cnn");
-  const std::vector<Fragment> fragments = Play(*MakeUpdater(config));
-  std::vector<std::string> results;
-  for (const int threads : {1, 2, 3, 1}) {
-    const auto updater = MakeUpdater(config, threads);
-    ASSERT_TRUE(updater->Update(0, RolloutOf(*updater, fragments), NeverStop).ok());
-    results.push_back(updater->SaveWeights() + updater->SaveOptimizer());
-    EXPECT_TRUE(results.back() == results.front()) << threads << " threads";
-  }
-}
-
 // Segments that stand beside others, longer or shorter, give the gradients that they give alone.
 TEST_P(RecurrentUpdateTest, ShardsAddUpToTheMinibatch) {
   v1::RunConfig config = SmallConfig(kLanes * kFragments * kSteps, "lstm_cnn");
@@ -123,19 +111,6 @@ TEST_P(RecurrentUpdateTest, ShardsAddUpToTheMinibatch) {
     EXPECT_NEAR(all.back().policy_loss, all[0].policy_loss, 1e-6);
     EXPECT_NEAR(all.back().value_loss, all[0].value_loss, 1e-6);
   }
-}
-
-TEST_P(RecurrentUpdateTest, ResumedRunEqualsTheUninterruptedOne) {
-  const v1::RunConfig config = SmallConfig(24, "lstm_cnn");
-  const auto first = MakeUpdater(config);
-  const std::vector<Fragment> fragments = Play(*first);
-  const Rollout rollout = RolloutOf(*first, fragments);
-  ASSERT_TRUE(first->Update(0, rollout, NeverStop).ok());
-  const auto second = MakeUpdater(config);
-  ASSERT_TRUE(second->Load(first->SaveWeights(), first->SaveOptimizer()).ok());
-  ASSERT_TRUE(first->Update(1, rollout, NeverStop).ok());
-  ASSERT_TRUE(second->Update(1, rollout, NeverStop).ok());
-  EXPECT_TRUE(second->SaveWeights() + second->SaveOptimizer() == first->SaveWeights() + first->SaveOptimizer());
 }
 
 TEST_P(RecurrentUpdateTest, PublishedMinibatchesCountTheirPadding) {

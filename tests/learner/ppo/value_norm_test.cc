@@ -10,12 +10,6 @@
 namespace craftfleet {
 namespace {
 
-TEST(ValueNorm, BeforeTheFirstTargetsValuesStayAsTheyAre) {
-  const ValueScale scale = ValueNorm().Scale();
-  EXPECT_EQ(scale.Denormalise(0.3F), 0.3F);
-  EXPECT_EQ(scale.Normalise(-2.5F), -2.5F);
-}
-
 // Values of 1e6 deviations made a fragment's returns a million times larger than the last ones, again and again: after
 // some updates the deviation was 1e32.
 TEST(ValueNorm, OutputsAreBoundedByTheValuesThatTheyStandFor) {
@@ -45,25 +39,6 @@ TEST(ValueNorm, ValuesMayStartWithAnotherDeviation) {
   ValueNorm norm;
   norm.Update({1, 2, 6}, 0.99);
   EXPECT_EQ(norm.Scale(0.1).deviation, norm.Scale().deviation);
-}
-
-TEST(ValueNorm, TheFirstMinibatchCountsWholly) {
-  ValueNorm norm;
-  norm.Update({1, 2, 6}, 0.99);
-  const ValueScale scale = norm.Scale();
-  EXPECT_NEAR(scale.mean, 3, 1e-12);
-  EXPECT_NEAR(scale.deviation, std::sqrt(14.0 / 3), 1e-12);
-}
-
-TEST(ValueNorm, OldMinibatchesFade) {
-  ValueNorm norm;
-  norm.Update({4, 4}, 0.9);
-  norm.Update({0, 2}, 0.9);
-  // Shares 0.1 * 0.9 and 0.1 of 0.19: mean 4 and 1, mean square 16 and 2.
-  const double mean = (0.09 * 4 + 0.1 * 1) / 0.19;
-  const double mean_square = (0.09 * 16 + 0.1 * 2) / 0.19;
-  EXPECT_NEAR(norm.Scale().mean, mean, 1e-12);
-  EXPECT_NEAR(norm.Scale().deviation, std::sqrt(mean_square - mean * mean), 1e-12);
 }
 
 TEST(ValueNorm, TheVarianceIsAtLeastAHundredth) {

@@ -84,46 +84,6 @@ TEST(EventLog, HistogramsCountEveryValueOnce) {
   EXPECT_EQ(equal.bucket_limit(0), 3);
 }
 
-TEST(EventLog, KeepsPicturesAsTheyAre) {
-  const TempFolder folder;
-  FakeClock clock;
-  auto log = EventLog::Open(folder / "events", &clock);
-  ASSERT_THAT(log, IsOk());
-  log->AddPictures(9, {{"rollout/frame", 4, 2, "png"}});
-  log->AddPictures(10, {});
-  ASSERT_THAT(log->file().Flush(), IsOk());
-  const std::vector<v1::Event> events = ReadEvents(folder / "events");
-  ASSERT_EQ(events.size(), 2U);
-  const auto& value = events[1].summary().value(0);
-  EXPECT_EQ(value.tag(), "rollout/frame");
-  EXPECT_EQ(value.image().width(), 4);
-  EXPECT_EQ(value.image().height(), 2);
-  EXPECT_EQ(value.image().colorspace(), 3);
-  EXPECT_EQ(value.image().encoded_image_string(), "png");
-}
-
-TEST(EventLog, CanBeTruncatedAndContinued) {
-  const TempFolder folder;
-  FakeClock clock;
-  int64_t length = 0;
-  {
-    auto log = EventLog::Open(folder / "events", &clock);
-    log->AddScalars(1, {{"a", 1}});
-    ASSERT_THAT(log->file().Flush(), IsOk());
-    length = log->file().length();
-    log->AddScalars(2, {{"a", 2}});
-    ASSERT_THAT(log->file().Flush(), IsOk());
-  }
-  auto log = EventLog::Open(folder / "events", &clock);
-  ASSERT_THAT(log->file().TruncateTo(length), IsOk());
-  log->AddScalars(3, {{"a", 3}});
-  ASSERT_THAT(log->file().Flush(), IsOk());
-  const std::vector<v1::Event> events = ReadEvents(folder / "events");
-  ASSERT_EQ(events.size(), 3U);
-  EXPECT_EQ(events[1].step(), 1);
-  EXPECT_EQ(events[2].step(), 3);
-}
-
 TEST(EventLog, AfterAFullDiskEventsKeepTheirOriginalTime) {
   const TempFolder folder;
   FakeClock clock;

@@ -16,63 +16,11 @@ namespace {
 using testing::HasSubstr;
 using testing::StartsWith;
 
-ProgressState Sample() {
-  ProgressState state;
-  state.steps = 12288;
-  state.total_steps = 1'000'000;
-  state.steps_per_second = 1234.4;
-  state.episodes = 75;
-  state.reward = 2.31;
-  state.length = 186.6;
-  state.score = 3.119;
-  state.unlocked = 9;
-  return state;
-}
-
-TEST(FormatProgress, ShowsStepsSpeedAndScore) {
-  EXPECT_EQ(FormatProgress(Sample()),
-            "12,288/1,000,000 steps 1.2% | 1234/s, 13m20s left | reward 2.3 len 187 | score 3.12, 9/22 unlocked");
-}
-
-TEST(FormatProgress, ShowsADashForUnknownValues) {
-  ProgressState state;
-  state.total_steps = 500;
-  EXPECT_EQ(FormatProgress(state), "0/500 steps 0.0% | -/s, - left | reward - len - | score -, 0/22 unlocked");
-}
-
-TEST(FormatProgress, ShowsTimeLeftInUnitsThatFit) {
-  const auto left = [](double steps_per_second) {
-    ProgressState state = Sample();
-    state.steps = 0;
-    state.steps_per_second = steps_per_second;
-    const std::string line = FormatProgress(state);
-    const size_t start = line.find("/s, ") + 4;
-    return line.substr(start, line.find(" left") - start);
-  };
-  EXPECT_EQ(left(1e6), "1s");
-  EXPECT_EQ(left(16667), "1m0s");
-  EXPECT_EQ(left(100), "2h46m");
-  EXPECT_EQ(left(4), "2d21h");
-}
-
-TEST(FormatProgress, BeyondTheTotalNoTimeIsLeft) {
-  ProgressState state = Sample();
-  state.steps = 1'003'520;
-  EXPECT_THAT(FormatProgress(state), StartsWith("1,003,520/1,000,000 steps 100.0% | 1234/s, 0s left"));
-}
-
-TEST(FormatProgress, FitsATerminal) {
-  ProgressState state = Sample();
-  state.steps = 888'888;
-  state.steps_per_second = 888;
-  state.reward = 10.5;
-  state.length = 999;
-  state.score = 22.22;
-  state.unlocked = 22;
-  EXPECT_LE(FormatProgress(state).size(), 100U) << FormatProgress(state);
-  state.steps = 88'888'888;
-  state.total_steps = 100'000'000;
-  EXPECT_LE(FormatProgress(state).size(), 113U) << FormatProgress(state);
+TEST(FormatTimeLeft, UsesTheUnitsThatFit) {
+  EXPECT_EQ(FormatTimeLeft(1), "1s");
+  EXPECT_EQ(FormatTimeLeft(800), "13m20s");
+  EXPECT_EQ(FormatTimeLeft(10'000), "2h46m");
+  EXPECT_EQ(FormatTimeLeft(250'000), "2d21h");
 }
 
 class ProgressPrinterTest : public testing::Test {
@@ -146,11 +94,19 @@ TEST_F(ProgressPrinterTest, IsLoggedIfTheLogIsJson) {
 
 TEST_F(ProgressPrinterTest, FinishAlwaysPrints) {
   ProgressPrinter printer = Make(false);
-  score_.Add(SampleEpisode(100, 3.0));
   printer.Finish(4000, score_);
-  const std::string line = Printed();
-  EXPECT_THAT(line, HasSubstr("| -/s, - left | reward 3.0 len 100 | score "));
-  EXPECT_THAT(line, testing::EndsWith("11/22 unlocked\n"));
+  EXPECT_EQ(Printed(), "4,000/10,000 steps 40.0% | -/s, - left | reward - len - | score -, 0/22 unlocked\n");
+}
+
+TEST_F(ProgressPrinterTest, ShowsSpeedAndScoreWithinTheWidthOfATerminal) {
+  ProgressPrinter printer({false, 0, 1'000'000, ""}, &out_, &clock_);
+  clock_.Advance(absl::Seconds(10));
+  score_.Add(SampleEpisode(100, 3.0));
+  printer.Finish(12'288, score_);
+  EXPECT_EQ(Printed(),
+            "12,288/1,000,000 steps 1.2% | 1229/s, 13m24s left | reward 3.0 len 100 | score 9.05, 11/22 unlocked\n");
+  printer.Finish(1'003'520, score_);
+  EXPECT_THAT(Printed(), StartsWith("1,003,520/1,000,000 steps 100.0% | 100352/s, 0s left")) << "beyond the total";
 }
 
 }  // namespace

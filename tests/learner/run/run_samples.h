@@ -5,10 +5,15 @@
 
 #include <cstdint>
 #include <string>
+#include <vector>
+
+#include <gtest/gtest.h>
 
 #include "common/base/types.h"
 #include "common/config/config.h"
+#include "common/io/files.h"
 #include "learner/run/checkpoint.h"
+#include "learner/run/stats_log.h"
 
 namespace craftfleet {
 
@@ -19,6 +24,13 @@ inline Episode SampleEpisode(int64_t length, double reward) {
   episode.reward = reward;
   for (int i = 0; i < kNumAchievements; i += 2) episode.achievements[i] = static_cast<int32_t>(length % 3);
   return episode;
+}
+
+// The episodes of a whole log.
+inline std::vector<Episode> ReadStats(const std::string& path) {
+  std::vector<Episode> episodes;
+  EXPECT_TRUE(VisitStats(path, FileSize(path).value(), [&](const Episode& e) { episodes.push_back(e); }).ok());
+  return episodes;
 }
 
 inline Checkpoint SampleCheckpoint(int64_t iteration, double best_score = 0) {

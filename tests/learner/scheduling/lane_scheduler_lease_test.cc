@@ -93,22 +93,6 @@ TEST(LaneLeases, ABrokenConnectionEndsTheLeaseSooner) {
   fleet.registry.OnConnectionLost("a");  // no longer known
 }
 
-TEST(LaneLeases, TheEndOfAnEarlierStreamDoesNotShortenALease) {
-  LaneFleet fleet(2);
-  WorkerRegistry::PermitRequest renewal = TestRegistry::RequestOf("a", fleet.Enter("a"), kAll);
-  fleet.registry.Join("b", "");
-  for (const int64_t stream : {1, 2}) {
-    renewal.stream = stream;
-    EXPECT_THAT(fleet.registry.GetPermits(renewal), IsOk());
-  }
-  fleet.registry.OnConnectionLost("a", 1);
-  fleet.clock.Advance(absl::Milliseconds(2001));
-  EXPECT_THAT(fleet.Ask("b").granted, IsEmpty());
-  fleet.registry.OnConnectionLost("a", 2);
-  fleet.clock.Advance(absl::Milliseconds(2001));
-  EXPECT_THAT(fleet.Ask("b").granted, SizeIs(2));
-}
-
 TEST(LaneLeases, AReconnectedActorKeepsItsLease) {
   LaneFleet fleet(2);
   const std::vector<Permit> of_a = fleet.Enter("a");
@@ -128,16 +112,6 @@ TEST(LaneLeases, ABrokenConnectionDoesNotLengthenALease) {
   fleet.registry.OnConnectionLost("a");
   fleet.clock.Advance(absl::Milliseconds(501));
   EXPECT_THAT(fleet.Ask("b").granted, SizeIs(2));
-}
-
-TEST(LaneLeases, LeavingEndsAWaitingRequest) {
-  LaneFleet fleet(1, 0);
-  fleet.registry.Join("a", "");
-  absl::Status status;
-  std::thread waiting([&] { status = fleet.registry.GetPermits("a", {}, kAll, absl::InfiniteDuration()).status(); });
-  fleet.registry.Leave("a");
-  waiting.join();
-  EXPECT_THAT(status, StatusIs(absl::StatusCode::kAborted, HasSubstr("join again")));
 }
 
 TEST(LaneLeases, ARestartedActorIsANewActor) {

@@ -69,8 +69,8 @@ class OverdueLanes : public testing::Test {
     }
   }
   bool IsLate(const std::string& name) const {
-    for (const LaneTable::ActorInfo& actor : registry_.Actors()) {
-      if (actor.name == name) return actor.late;
+    for (const LaneActor& actor : registry_.Actors()) {
+      if (actor.worker->name == name) return actor.pause > absl::ZeroDuration();
     }
     return false;
   }

@@ -272,44 +272,20 @@ TEST(LaneScheduler, ReportsTheEndOfTheRun) {
   EXPECT_THAT(fleet.registry.Actors(), IsEmpty());
 }
 
-TEST(LaneScheduler, CloseWakesWaitingRequestsAndGrantsNothing) {
-  LaneFleet fleet(1, 0);
-  fleet.registry.Join("a", "");
-  absl::Status status;
-  std::thread waiting([&] { status = fleet.registry.GetPermits("a", {}, kAll, absl::InfiniteDuration()).status(); });
-  fleet.registry.Close();
-  waiting.join();
-  EXPECT_THAT(status, StatusIs(absl::StatusCode::kUnavailable, HasSubstr("is stopping")));
-  fleet.registry.OpenIteration(1, kVersion);
-  EXPECT_THAT(fleet.registry.GetPermits("a", {}, kAll, absl::ZeroDuration()),
-              StatusIs(absl::StatusCode::kUnavailable, HasSubstr("is stopping")));
-}
-
-TEST(LaneScheduler, ANewIterationWakesWaitingRequests) {
-  LaneFleet fleet(1, 0);
-  fleet.registry.Join("a", "");
-  std::vector<Permit> granted;
-  std::thread waiting([&] { granted = fleet.registry.GetPermits("a", {}, kAll, absl::InfiniteDuration())->granted; });
-  fleet.registry.OpenIteration(1, kVersion);
-  waiting.join();
-  EXPECT_THAT(granted, ElementsAre(Permit{0, 0, kVersion}));
-}
-
 TEST(LaneScheduler, ReportsActors) {
   LaneFleet fleet(3, 2);
   const std::vector<Permit> of_a = fleet.Enter("a", 2);
   fleet.Push("a", of_a[0]);
   fleet.clock.Advance(absl::Seconds(2));
   fleet.registry.Join("b", "10.0.0.2:7");
-  const std::vector<LaneTable::ActorInfo> actors = fleet.registry.Actors();
+  const std::vector<LaneActor> actors = fleet.registry.Actors();
   ASSERT_THAT(actors, SizeIs(2));
-  EXPECT_EQ(actors[0].name, "a");
-  EXPECT_EQ(actors[0].address, "address of a");
-  EXPECT_EQ(actors[0].permits, 1);
+  EXPECT_EQ(actors[0].worker->name, "a");
+  EXPECT_EQ(actors[0].worker->address, "address of a");
+  EXPECT_THAT(actors[0].permits, SizeIs(1));
   EXPECT_EQ(actors[0].fragments, 1);
-  EXPECT_EQ(actors[0].idle, absl::Seconds(2));
-  EXPECT_EQ(actors[1].address, "10.0.0.2:7");
-  EXPECT_EQ(actors[1].permits, 0);
+  EXPECT_EQ(actors[1].worker->address, "10.0.0.2:7");
+  EXPECT_THAT(actors[1].permits, IsEmpty());
 }
 
 }  // namespace

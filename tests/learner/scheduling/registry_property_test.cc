@@ -194,9 +194,9 @@ class History {
 
   void FinishTask(const std::string& name, Player* player) {
     if (player->evaluation == 0) return;
-    const std::vector<LaneTable::ActorInfo> actors = registry_.Actors();
+    const std::vector<LaneActor> actors = registry_.Actors();
     const bool is_known =
-        std::any_of(actors.begin(), actors.end(), [&](const auto& actor) { return actor.name == name; });
+        std::any_of(actors.begin(), actors.end(), [&](const auto& actor) { return actor.worker->name == name; });
     const absl::Status status = registry_.FinishEvaluation(name, player->evaluation, std::vector<Episode>(1));
     ASSERT_EQ(status.code(), is_known ? absl::StatusCode::kOk : absl::StatusCode::kAborted) << status;
     player->evaluation = 0;
@@ -222,12 +222,11 @@ class History {
   void CheckAll() {
     std::set<std::string> names;
     int permits = 0;
-    for (const LaneTable::ActorInfo& actor : registry_.Actors()) {
-      ASSERT_TRUE(names.insert(actor.name).second);
-      ASSERT_GE(actor.permits, 0);
-      ASSERT_LE(actor.permits, lanes_);
-      ASSERT_EQ(actor.draining, players_[actor.name].drained) << actor.name;
-      permits += actor.permits;
+    for (const LaneActor& actor : registry_.Actors()) {
+      const std::string& name = actor.worker->name;
+      ASSERT_TRUE(names.insert(name).second);
+      ASSERT_EQ(actor.worker->draining, players_[name].drained) << name;
+      permits += static_cast<int>(actor.permits.size());
     }
     ASSERT_EQ(permits, registry_.permits());
     for (const LaneRecord& lane : registry_.Records()) {

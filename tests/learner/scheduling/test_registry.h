@@ -60,7 +60,20 @@ class TestRegistry : public WorkerRegistry {
   // Those of the parts.
   std::vector<LaneRecord> Records() const { return lanes()->table().Records(); }
   std::vector<LaneRecord> StartRecords() const { return lanes()->table().StartRecords(); }
-  std::vector<LaneTable::ActorInfo> Actors() const { return lanes()->table().Actors(); }
+  std::vector<LaneActor> Actors() const {
+    const LaneTable::ActorMap all = lanes()->table().actors();
+    std::vector<LaneActor> actors;
+    for (const auto& [name, actor] : all) actors.push_back(actor);
+    return actors;
+  }
+  // Those that are there, by name.
+  std::vector<Worker> Servers() const {
+    std::vector<Worker> servers;
+    for (const WorkerInfo& info : Workers()) {
+      if (info.worker.role == WorkerRole::kEnvServer && info.worker.active) servers.push_back(info.worker);
+    }
+    return servers;
+  }
   absl::StatusOr<LaneSnapshot> Snapshot(int lane, int64_t fragment) const {
     return lanes()->table().Snapshot(lane, fragment);
   }

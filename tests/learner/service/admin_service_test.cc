@@ -170,14 +170,6 @@ TEST_F(AdminServiceTest, DrainingAnActorWaitsForItsFragmentsAndItsEvaluation) {
   EXPECT_EQ(Play("b").size(), 2u) << "other actors continue";
 }
 
-TEST_F(AdminServiceTest, AnActorCanBeNamedByItsAddress) {
-  registry_.Join("a", "10.0.0.1:7");
-  registry_.Join("b", "10.0.0.2:7");
-  EXPECT_EQ(Drain("10.0.0.2:7")->role(), "actor");
-  EXPECT_TRUE(registry_.IsDrained("b"));
-  EXPECT_FALSE(registry_.IsDrained("a"));
-}
-
 TEST_F(AdminServiceTest, AnActorWithWorkLeftStaysDraining) {
   const std::vector<Permit> permits = Play("a");
   EXPECT_THAT(Drain("a", kShort),

@@ -172,18 +172,6 @@ TEST_F(WorkerPageTest, OnlyTheNewestLostWorkersAreKept) {
   EXPECT_THAT(lines, testing::Contains("actor a999 LOST"));
 }
 
-TEST_F(WorkerPageTest, LongReportsAreShortened) {
-  v1::ProcessSummary summary = Summary(1);
-  summary.set_last_error(std::string(100000, 'x'));
-  for (int i = 0; i < 1000; ++i) summary.add_times();
-  Report("actor", "a", "", summary);
-  EXPECT_LT(Workers()[0].ByteSizeLong(), 1000);
-  summary.clear_times();
-  summary.add_times()->set_activity(std::string(100000, 'x'));
-  Report("actor", "a", "", summary);
-  EXPECT_LT(Workers()[0].ByteSizeLong(), 1000);
-}
-
 TEST_F(WorkerPageTest, OfALargeFleetItListsTheLostFirst) {
   registry_.Join("zzz", "");
   clock_.Advance(absl::Seconds(6));

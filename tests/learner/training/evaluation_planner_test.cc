@@ -16,6 +16,7 @@
 #include "common/base/seeds.h"
 #include "tests/fakes/wait_until.h"
 #include "tests/learner/run/read_events.h"
+#include "tests/learner/run/run_samples.h"
 #include "tests/learner/scheduling/test_registry.h"
 #include "tests/learner/training/records/open_run.h"
 
@@ -119,8 +120,7 @@ class EvaluationPlannerTest : public OpenRun {
   std::vector<int64_t> Lengths(const std::string& log) {
     EXPECT_THAT(run_->FlushLogs(), IsOk());
     std::vector<int64_t> lengths;
-    const auto episodes = ReadStats(JoinPath(logdir_, log)).value();
-    for (const Episode& episode : episodes) lengths.push_back(episode.length);
+    for (const Episode& episode : ReadStats(JoinPath(logdir_, log))) lengths.push_back(episode.length);
     return lengths;
   }
 
@@ -147,19 +147,15 @@ TEST_F(EvaluationPlannerTest, EvaluatesWheneverTrainingPassesAMultipleOfEverySte
   EXPECT_FALSE(pending[0].final || pending[1].final);
 }
 
-TEST_F(EvaluationPlannerTest, WithoutEveryStepsNothingIsEvaluatedInTraining) {
-  config_.set_every_steps(0);
-  const auto start = Begin();
-  start->Train(5000);
-  EXPECT_THAT(start->Pending(), IsEmpty());
-}
-
 // Actors would end at a task of no episodes.
-TEST_F(EvaluationPlannerTest, WithoutEpisodesNothingIsEvaluatedInTraining) {
-  config_.set_episodes(0);
-  const auto start = Begin();
-  start->Train(5000);
-  EXPECT_THAT(start->Pending(), IsEmpty());
+TEST_F(EvaluationPlannerTest, WithoutEveryStepsOrEpisodesNothingIsEvaluatedInTraining) {
+  for (const bool no_steps : {true, false}) {
+    config_.set_every_steps(no_steps ? 0 : kEvery);
+    config_.set_episodes(no_steps ? kEpisodes : 0);
+    const auto start = Begin();
+    start->Train(5000);
+    EXPECT_THAT(start->Pending(), IsEmpty());
+  }
 }
 
 TEST_F(EvaluationPlannerTest, EpisodesContinueFromEvaluationToEvaluation) {

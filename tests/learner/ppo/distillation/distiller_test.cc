@@ -166,16 +166,6 @@ TEST(Distiller, OfRewardsOnlyTheUnlocksCount) {
   EXPECT_TRUE(pair.equal[1]);
 }
 
-TEST(Distiller, ThreadsDoNotChangeABit) {
-  const auto one = *PpoUpdater::Create(Config(), 1);
-  const auto three = *PpoUpdater::Create(Config(), 3);
-  for (int i = 0; i < 2; ++i) {
-    ASSERT_TRUE(Update(i, one.get()).ok());
-    ASSERT_TRUE(Update(i, three.get()).ok());
-  }
-  EXPECT_TRUE(StateOf(*one) == StateOf(*three));
-}
-
 // The figures agree but for rounding, which Adam makes visible where a gradient is small: the learning rate is low, so
 // that it does not grow from step to step. A wrong term would show as 10% and more.
 TEST(Distiller, LearnsOnADeviceAsOnTheCpu) {

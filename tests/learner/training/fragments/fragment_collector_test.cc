@@ -31,9 +31,9 @@ absl::Status Continue(size_t /*collected*/, bool /*is_idle*/) { return absl::OkS
 
 class FragmentCollectorTest : public testing::Test {
  protected:
-  FragmentCollector Make(std::vector<Fragment> kept = {}, bool with_journal = true) {
+  FragmentCollector Make(std::vector<Fragment> kept = {}) {
     registry_.Join("a", "");
-    return {std::move(kept), {&registry_, &queue_, with_journal ? &journal_ : nullptr, &clock_}};
+    return {std::move(kept), {&registry_, &queue_, &journal_, &clock_}};
   }
   static Fragment Played(int lane, int64_t number, uint64_t digest = 1) {
     Fragment fragment = SampleFragment(lane, number, kVersion);
@@ -141,14 +141,6 @@ TEST_F(FragmentCollectorTest, AFullDiskAffectsOnlyTheJournal) {
   }
   EXPECT_THAT(testing::internal::GetCapturedStderr(), HasSubstr("the rest of this iteration is not stored"));
   EXPECT_THAT(Journal(), IsEmpty());
-}
-
-TEST_F(FragmentCollectorTest, WorksWithoutAJournal) {
-  FragmentCollector collector = Make({}, /*with_journal=*/false);
-  collector.Begin(1, kPerLane, kVersion);
-  Send(Played(0, 0));
-  EXPECT_THAT(collector.Collect(1, Continue), IsOk());
-  collector.ClearJournal();
 }
 
 // With asynchronous play.

@@ -93,17 +93,6 @@ TEST_F(CheckpointWriterTest, AFailedCheckpointIsRetriedAfterTheNextIteration) {
   EXPECT_THAT(Written(), ElementsAre("iter-00000006", "iter-00000005")) << "then at the usual iterations";
 }
 
-TEST_F(CheckpointWriterTest, AFailedSyncIsRetriedToo) {
-  CheckpointWriter writer = Every(1);
-  DroppingDisk::Get().FailSync("weights.safetensors", 1);
-  FinishIteration(&writer);
-  ASSERT_TRUE(DroppingDisk::Get().failed());
-  EXPECT_THAT(Written(), IsEmpty());
-  FinishIteration(&writer);
-  EXPECT_THAT(Written(), ElementsAre("iter-00000002"));
-  EXPECT_THAT(run_->checkpoints().LoadLatest(""), IsOk());
-}
-
 TEST_F(CheckpointWriterTest, EndsTrainingAfterATakeover) {
   CheckpointWriter writer = Every(1);
   TakeOver();

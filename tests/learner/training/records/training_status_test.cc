@@ -6,12 +6,12 @@
 #include <gtest/gtest.h>
 
 #include "common/config/config.h"
-#include "tests/fakes/fake_clock.h"
+#include "tests/learner/training/records/open_run.h"
 
 namespace craftfleet {
 namespace {
 
-class TrainingStatusTest : public testing::Test {
+class TrainingStatusTest : public OpenRun {
  protected:
   TrainingStatusTest() {
     config_.set_lanes(8);
@@ -35,13 +35,12 @@ class TrainingStatusTest : public testing::Test {
   void RunIteration(absl::Duration time) {
     status_.OnIterationBegin();
     clock_.Advance(time);
-    status_.OnIterationEnd(score_);
+    EndIteration();
   }
+  void EndIteration() { status_.OnIterationEnd(*run_, Fragment(), /*frame_size=*/64); }
 
   v1::RunConfig config_ = DefaultRunConfig();
-  FakeClock clock_;
   TrainerCounters counters_;
-  ScoreBoard score_;
   ActivityMeter meter_{&clock_, Activity::kOther};
   TrainingStatus status_{config_, &counters_, &clock_};
 };
@@ -66,17 +65,17 @@ TEST_F(TrainingStatusTest, ShowsTheScoreOfFinishedIterations) {
   episode.length = 120;
   episode.reward = 2.5;
   episode.achievements[3] = 1;
-  score_.Add(episode);
+  run_->AddEpisodes({episode});
   EXPECT_EQ(Metric("episodes"), 0);
-  status_.OnStart(score_);
+  status_.OnStart(*run_);
   EXPECT_EQ(Metric("episodes"), 1) << "from an earlier start";
-  score_.Add(episode);
+  run_->AddEpisodes({episode});
   EXPECT_EQ(Metric("episodes"), 1) << "its iteration is not finished";
   RunIteration(absl::Seconds(1));
   EXPECT_EQ(Metric("episodes"), 2);
   EXPECT_EQ(Metric("reward"), 2.5);
   EXPECT_EQ(Metric("episode_length"), 120);
-  EXPECT_EQ(Metric("crafter_score"), score_.Score());
+  EXPECT_EQ(Metric("crafter_score"), run_->score().Score());
   EXPECT_EQ(Metric("achievements_unlocked"), 1);
 }
 
@@ -85,7 +84,7 @@ TEST_F(TrainingStatusTest, TheRateIsOfTheLastIterationUnlessThisOneTakesLonger) 
   status_.OnIterationBegin();
   clock_.Advance(absl::Seconds(1));
   EXPECT_EQ(Rate(), 0) << "none has ended";
-  status_.OnIterationEnd(score_);
+  EndIteration();
   EXPECT_EQ(Rate(), 1000);
   RunIteration(absl::Seconds(2));
   EXPECT_EQ(Rate(), 500);
