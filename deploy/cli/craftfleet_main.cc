@@ -53,7 +53,7 @@ constexpr Command kCommands[] = {
     {"agents", kTorch, "list the agents and the parts of their networks"},
     {"envs", kLight, "list the environments and count the objects in their worlds"},
     {"status", kLight, "print the status of a process of the fleet"},
-    {"top", kLight, "watch a whole fleet live, and see what limits its speed"},
+    {"top", kPython, "watch a whole fleet live, and see what limits its speed"},
     {"admin", kLight, "steer a run: checkpoint, pause, resume, drain or undrain a worker, stop"},
     {"doctor", kTorch, "check this machine and suggest what to change"},
 };
