@@ -18,7 +18,6 @@
 
 #include "common/base/check.h"
 #include "common/base/clock.h"
-#include "common/base/frame_format.h"
 #include "common/base/status_macros.h"
 #include "common/config/config.h"
 #include "common/io/paths.h"
@@ -240,9 +239,9 @@ void MeasureFragments(const Addresses& addresses, int clients, Meter* meter) {
   for (int i = 0; i < kServices; ++i) {
     for (const FrameFormat frames : {FrameFormat::kRaw, FrameFormat::kScene}) {
       const auto actors = ConnectActors(addresses.learners[i], clients, kFragmentSteps[i], frames);
-      meter->Measure(absl::StrCat("fragment of ", kFragmentSteps[i], " steps, ", FrameFormatName(frames),
-                                  ", 1/16 request for permits"),
-                     clients, [&](int client) { return actors[client]->Play(); });
+      meter->Measure(
+          absl::StrCat("fragment of ", kFragmentSteps[i], " steps, ", NameOf(frames), ", 1/16 request for permits"),
+          clients, [&](int client) { return actors[client]->Play(); });
     }
   }
   const auto actors = ConnectActors(addresses.learners[kServices - 1], clients, 4, FrameFormat::kRaw);
@@ -281,12 +280,11 @@ void MeasureEnvServer(const Addresses& addresses, int clients, Meter* meter) {
       for (int k = 0; k < clients; ++k) {
         players.push_back(std::make_unique<GamePlayer>(addresses.env_server, k, lanes, frames));
       }
-      meter->Measure(
-          absl::StrCat("step of a game, ", FrameFormatName(frames), ", ", lanes, " in a message (with the game)"),
-          clients, [&](int client) { return players[client]->Step(); });
+      meter->Measure(absl::StrCat("step of a game, ", NameOf(frames), ", ", lanes, " in a message (with the game)"),
+                     clients, [&](int client) { return players[client]->Step(); });
       if (lanes != 16) continue;
-      meter->Measure(absl::StrCat("step with snapshot, ", FrameFormatName(frames), ", 16 in a message (its bytes)"),
-                     clients, [&](int client) { return players[client]->StepAndSave(); });
+      meter->Measure(absl::StrCat("step with snapshot, ", NameOf(frames), ", 16 in a message (its bytes)"), clients,
+                     [&](int client) { return players[client]->StepAndSave(); });
     }
   }
 }
