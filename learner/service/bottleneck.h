@@ -6,7 +6,7 @@
 #include <string>
 #include <vector>
 
-#include "common/telemetry/activity.h"
+#include "common/telemetry/activity_meter.h"
 
 namespace craftfleet {
 

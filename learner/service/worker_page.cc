@@ -8,7 +8,7 @@
 #include <absl/strings/str_cat.h>
 #include <absl/strings/str_format.h>
 
-#include "common/telemetry/activity.h"
+#include "common/telemetry/activity_meter.h"
 #include "common/wire/status_service.h"
 
 namespace craftfleet {
