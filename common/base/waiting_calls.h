@@ -65,7 +65,7 @@ class WaitingCalls {
   std::vector<Call> calls_ ABSL_GUARDED_BY(mu_);  // that wait
   int64_t rounds_ ABSL_GUARDED_BY(mu_) = 0;       // calls of Retry for all
   std::vector<int64_t> retries_ ABSL_GUARDED_BY(mu_) = std::vector<int64_t>(kBuckets);
-  bool is_awake_ ABSL_GUARDED_BY(mu_) = false;  // something has changed since the thread looked
+  bool is_awake_ ABSL_GUARDED_BY(mu_) = false;                          // something has changed since the thread looked
   absl::Time next_look_ ABSL_GUARDED_BY(mu_) = absl::InfiniteFuture();  // the earliest deadline
   bool stopping_ ABSL_GUARDED_BY(mu_) = false;
   std::thread thread_;

@@ -49,7 +49,8 @@ extern "C" int LLVMFuzzerInitialize(int* argc, char*** argv) {
   craftfleet::LogOnlyErrors();
   for (int i = 1; i < *argc; ++i) {
     absl::string_view name = (*argv)[i];
-    if (absl::ConsumePrefix(&name, "--target=")) craftfleet::g_target = craftfleet::FuzzTarget::All().at(std::string(name));
+    if (absl::ConsumePrefix(&name, "--target="))
+      craftfleet::g_target = craftfleet::FuzzTarget::All().at(std::string(name));
   }
   CRAFTFLEET_CHECK(craftfleet::g_target != nullptr);
   return 0;

@@ -1,5 +1,7 @@
 // Messages between processes.
 
+#include <cmath>
+
 #include "common/base/check.h"
 #include "common/io/paths.h"
 #include "common/io/snapshot_envelope.h"
@@ -16,7 +18,6 @@
 #include "tests/fakes/wire_samples.h"
 #include "tests/fuzz/fuzz_target.h"
 #include "tests/learner/service/learner_parts.h"
-#include <cmath>
 
 namespace craftfleet {
 namespace {

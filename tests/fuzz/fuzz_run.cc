@@ -1,5 +1,10 @@
 // What only a learner reads, and a process's status as people see it.
 
+#include <algorithm>
+#include <cmath>
+
+#include <absl/strings/ascii.h>
+
 #include "common/agent/agent_spec.h"
 #include "common/agent/safetensors.h"
 #include "common/base/check.h"
@@ -13,9 +18,6 @@
 #include "learner/training/records/lane_loading.h"
 #include "tests/fakes/wire_samples.h"
 #include "tests/fuzz/fuzz_target.h"
-#include <absl/strings/ascii.h>
-#include <algorithm>
-#include <cmath>
 
 namespace craftfleet {
 namespace {
