@@ -12,7 +12,6 @@
 #include "common/base/printable.h"
 #include "common/base/status_macros.h"
 #include "common/process/closest_name.h"
-#include "common/process/flag_check.h"
 #include "common/process/flag_values.h"
 #include "common/process/program.h"
 #include "common/process/shared_flags.h"

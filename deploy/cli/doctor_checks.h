@@ -1,5 +1,5 @@
-// The checks of craftfleet doctor. They evaluate facts that machine.h has read and do not read anything themselves, so
-// that tests can simulate any machine.
+// The checks of craftfleet doctor. They evaluate facts that doctor_command.cc has read and do not read anything
+// themselves, so that tests can simulate any machine.
 
 #ifndef CRAFTFLEET_DEPLOY_CLI_DOCTOR_CHECKS_H_
 #define CRAFTFLEET_DEPLOY_CLI_DOCTOR_CHECKS_H_
@@ -15,9 +15,22 @@
 #include <absl/time/time.h>
 
 #include "common/telemetry/gpu_usage.h"
-#include "deploy/cli/doctor/finding.h"
 
 namespace craftfleet {
+
+enum class Verdict {
+  kOk,
+  kWarn,  // works, but slower or less safely than possible
+  kFail,  // something will not work
+};
+
+// The result of a check.
+struct Finding {
+  std::string check;  // its name, "open files"
+  Verdict verdict = Verdict::kOk;
+  std::string found;   // one line
+  std::string remedy;  // what to do; empty with kOk
+};
 
 struct CpuFacts {
   std::string description;  // model and the instruction set that LibTorch uses
@@ -60,17 +73,13 @@ struct ClockFacts {
 // kFail if the clock is more than a day behind the program's file; kWarn if it is not synchronised.
 Finding CheckClock(const ClockFacts& clock);
 
-// `size`: bytes of the file system at /dev/shm; nullopt without one. kWarn without one, or below 64 MiB.
-Finding CheckSharedMemory(std::optional<int64_t> size);
-
 struct GpuFacts {
   std::vector<std::string> devices;  // "/dev/nvidia0", or that with what the driver says of it (DescribeGpu)
   bool libtorch_has_cuda = false;    // the library libtorch_cuda is loaded
   int usable = 0;                    // GPUs that LibTorch sees
 };
 // "/dev/nvidia0: NVIDIA H100 80GB HBM3, 79.6 GiB, compute capability 9.0"; without what the driver does not say.
-// `capability` as Nvml::ComputeCapability.
-std::string DescribeGpu(const std::string& device, const std::optional<GpuUsage>& usage, std::optional<int> capability);
+std::string DescribeGpu(const std::string& device, const std::optional<GpuUsage>& usage);
 
 // kWarn for a GPU that this LibTorch can't use because it has no CUDA; kFail if it has CUDA but finds no GPU.
 Finding CheckGpu(const GpuFacts& gpu);

@@ -1,4 +1,4 @@
-#include "deploy/cli/doctor/checks.h"
+#include "deploy/cli/doctor_checks.h"
 
 #include <absl/strings/str_cat.h>
 #include <absl/strings/str_format.h>
@@ -97,21 +97,10 @@ Finding CheckClock(const ClockFacts& clock) {
   return Ok("clock", absl::StrCat(now, "; synchronised"));
 }
 
-Finding CheckSharedMemory(std::optional<int64_t> size) {
-  const char* remedy =
-      "CraftFleet does without it, but Python programs that load its checkpoints with PyTorch may not: mount a tmpfs "
-      "at "
-      "/dev/shm (--shm-size of Docker)";
-  if (!size.has_value()) return {"shared memory", Verdict::kWarn, "no /dev/shm", remedy};
-  return Judged("shared memory", *size < 64 * kMiB ? Verdict::kWarn : Verdict::kOk,
-                absl::StrCat(Size(*size), " at /dev/shm"), remedy);
-}
-
-std::string DescribeGpu(const std::string& device, const std::optional<GpuUsage>& usage,
-                        std::optional<int> capability) {
+std::string DescribeGpu(const std::string& device, const std::optional<GpuUsage>& usage) {
   if (!usage.has_value()) return device;
   std::string text = absl::StrCat(device, ": ", usage->name, ", ", Size(usage->memory_total_bytes));
-  if (capability.has_value()) absl::StrAppend(&text, ", compute capability ", CapabilityText(*capability));
+  if (usage->capability > 0) absl::StrAppend(&text, ", compute capability ", CapabilityText(usage->capability));
   return text;
 }
 

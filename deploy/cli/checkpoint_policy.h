@@ -1,7 +1,7 @@
 // The policy of a checkpoint, for programs that play with it.
 
-#ifndef CRAFTFLEET_DEPLOY_CLI_EVAL_CHECKPOINT_POLICY_H_
-#define CRAFTFLEET_DEPLOY_CLI_EVAL_CHECKPOINT_POLICY_H_
+#ifndef CRAFTFLEET_DEPLOY_CLI_CHECKPOINT_POLICY_H_
+#define CRAFTFLEET_DEPLOY_CLI_CHECKPOINT_POLICY_H_
 
 #include <memory>
 #include <string>
@@ -30,4 +30,4 @@ absl::StatusOr<CheckpointPolicy> LoadPolicy(const std::string& path);
 
 }  // namespace craftfleet
 
-#endif  // CRAFTFLEET_DEPLOY_CLI_EVAL_CHECKPOINT_POLICY_H_
+#endif  // CRAFTFLEET_DEPLOY_CLI_CHECKPOINT_POLICY_H_

@@ -1,4 +1,4 @@
-#include "deploy/cli/eval/checkpoint_policy.h"
+#include "deploy/cli/checkpoint_policy.h"
 
 #include <utility>
 

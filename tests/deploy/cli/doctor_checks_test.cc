@@ -1,4 +1,4 @@
-#include "deploy/cli/doctor/checks.h"
+#include "deploy/cli/doctor_checks.h"
 
 #include <absl/time/clock.h>
 #include <gmock/gmock.h>
@@ -89,12 +89,6 @@ TEST(DoctorChecks, AClockBeforeTheProgramFails) {
   EXPECT_THAT(CheckClock({kNow, kNow + absl::Hours(25), true}), Fails("before this program", "set the clock"));
 }
 
-TEST(DoctorChecks, SharedMemoryOnlyWarns) {
-  EXPECT_THAT(CheckSharedMemory(64 * kMiB), IsOk("64 MiB at /dev/shm"));
-  EXPECT_THAT(CheckSharedMemory(63 * kMiB), Warns("63 MiB", "--shm-size"));
-  EXPECT_THAT(CheckSharedMemory(std::nullopt), Warns("no /dev/shm", "tmpfs"));
-}
-
 TEST(DoctorChecks, AGpuNeedsALibtorchWithCuda) {
   EXPECT_THAT(CheckGpu({{}, false, 0}), IsOk("none; LibTorch has no CUDA"));
   EXPECT_THAT(CheckGpu({{}, true, 0}), IsOk("none; LibTorch has CUDA"));
@@ -105,10 +99,11 @@ TEST(DoctorChecks, AGpuNeedsALibtorchWithCuda) {
 }
 
 TEST(DoctorChecks, AGpuIsDescribedAsFarAsTheDriverKnowsIt) {
-  const GpuUsage usage = {"NVIDIA H100", 0, int64_t{80} << 30, 0};
-  EXPECT_EQ(DescribeGpu("/dev/nvidia0", usage, 90), "/dev/nvidia0: NVIDIA H100, 80.0 GiB, compute capability 9.0");
-  EXPECT_EQ(DescribeGpu("/dev/nvidia0", usage, std::nullopt), "/dev/nvidia0: NVIDIA H100, 80.0 GiB");
-  EXPECT_EQ(DescribeGpu("/dev/nvidia0", std::nullopt, 90), "/dev/nvidia0");
+  GpuUsage usage = {"NVIDIA H100", 0, int64_t{80} << 30, 0, 90};
+  EXPECT_EQ(DescribeGpu("/dev/nvidia0", usage), "/dev/nvidia0: NVIDIA H100, 80.0 GiB, compute capability 9.0");
+  usage.capability = 0;
+  EXPECT_EQ(DescribeGpu("/dev/nvidia0", usage), "/dev/nvidia0: NVIDIA H100, 80.0 GiB");
+  EXPECT_EQ(DescribeGpu("/dev/nvidia0", std::nullopt), "/dev/nvidia0");
 }
 
 TEST(DoctorChecks, APortInUseFails) {

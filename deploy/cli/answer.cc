@@ -1,4 +1,4 @@
-#include "deploy/cli/inspect/answer.h"
+#include "deploy/cli/answer.h"
 
 #include <cstdint>
 #include <utility>
@@ -9,20 +9,71 @@
 #include <nlohmann/json.hpp>
 
 #include "common/base/status_macros.h"
+#include "common/config/agent_presets.h"
 #include "common/config/config.h"
+#include "common/config/env_name.h"
 #include "common/config/known_canary.h"
 #include "common/io/paths.h"
 #include "common/io/texture_digest.h"
-#include "common/process/cpu_quota.h"
-#include "deploy/cli/inspect/run_identity.h"
-#include "deploy/cli/inspect/run_state.h"
+#include "common/process/cgroup.h"
 #include "learner/page/page.h"
+#include "learner/run/checkpoint.h"
+#include "learner/run/checkpoint_store.h"
 #include "learner/training/steps_to_train.h"
 
 namespace craftfleet {
 namespace {
 
 using Json = nlohmann::json;
+
+// A name that can't be parsed is kept: the run reports its error.
+std::string CanonicalEnv(const std::string& name) {
+  const absl::StatusOr<EnvName> parsed = EnvName::Parse(name);
+  return parsed.ok() ? parsed->ToString() : name;
+}
+
+absl::Status CheckEnv(const char* field, const std::string& name) {
+  const absl::Status status = EnvName::Parse(name).status();
+  return status.ok() ? status : absl::InvalidArgumentError(absl::StrCat(field, ": ", status.message()));
+}
+
+const std::string& EvalEnv(const v1::RunConfig& config) {
+  return config.eval().env().empty() ? config.env().name() : config.eval().env();
+}
+
+absl::Status CheckEnvs(const v1::RunConfig& config) {
+  absl::Status status = CheckEnv("env.name", config.env().name());
+  status.Update(CheckEnv("eval.env", EvalEnv(config)));
+  return status;
+}
+
+// The part of a complete configuration that affects learning or the measures: without the seed, checkpoints, the
+// frequency of evaluations, and technical settings (tile, gradient shards, cpu). Environments have their canonical
+// names.
+v1::RunConfig ShapingConfig(const v1::RunConfig& config) {
+  v1::RunConfig shaping = config;
+  shaping.clear_seed();
+  shaping.clear_checkpoint();
+  shaping.clear_tile();
+  shaping.clear_gradient_shards();
+  shaping.clear_cpu();     // changes only the last bits of numbers
+  shaping.clear_device();  // likewise
+  // Resolved, so that values given explicitly and values of the agent compare equal.
+  *shaping.mutable_network() = ResolveNetwork(config).value_or(config.network());
+  shaping.clear_eval();
+  shaping.mutable_eval()->set_env(CanonicalEnv(EvalEnv(config)));
+  shaping.mutable_env()->set_name(CanonicalEnv(config.env().name()));
+  shaping.mutable_env()->clear_frame_size();  // the agent determines it when the run starts
+  return shaping;
+}
+
+// ShapingConfig as text, and the textures of the run if they are not those that come with the programs. Runs may be
+// averaged if their identities are equal.
+std::string RunIdentity(const v1::RunConfig& config, absl::string_view texture_digest) {
+  const bool built_in = texture_digest.empty() || texture_digest == kBuiltInTextures;
+  return absl::StrCat(FormatRunConfig(ShapingConfig(config)),
+                      built_in ? "" : absl::StrCat("# textures ", texture_digest, "\n"));
+}
 
 absl::StatusOr<Json> JsonOf(const v1::RunConfig& config) {
   std::string text;
@@ -74,10 +125,16 @@ absl::StatusOr<Json> AnswerConfig(const Json& question) {
               {"steps_to_train", StepsToTrain(*resolved)}};
 }
 
+// `steps`: those that the run is to reach. A folder without a checkpoint has no run that has begun.
 absl::StatusOr<Json> AnswerFolder(const Json& question) {
-  CRAFTFLEET_ASSIGN_OR_RETURN(const RunState state,
-                              ReadRunState(question["folder"].get<std::string>(), question.value("steps", int64_t{0})));
-  return Json{{"begun", state.begun}, {"steps", state.steps}, {"finished", state.finished}};
+  const absl::StatusOr<std::string> checkpoint = FindCheckpoint(question["folder"].get<std::string>());
+  if (!checkpoint.ok()) return Json{{"begun", false}, {"steps", 0}, {"finished", false}};
+  CRAFTFLEET_ASSIGN_OR_RETURN(const v1::CheckpointState state, LoadCheckpointState(*checkpoint));
+  const bool evaluated =
+      state.config().eval().final_episodes() == 0 || state.final_evaluation_steps() == state.env_steps();
+  const bool finished =
+      state.env_steps() >= question.value("steps", int64_t{0}) && evaluated && state.pending_size() == 0;
+  return Json{{"begun", true}, {"steps", state.env_steps()}, {"finished", finished}};
 }
 
 absl::StatusOr<Json> AnswerTextures(const Json& question) {
