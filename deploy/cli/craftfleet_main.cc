@@ -130,10 +130,8 @@ absl::Status UnknownCommand(const std::string& name) {
   std::vector<std::string> names = {"help"};
   names.insert(names.end(), std::begin(kFleet), std::end(kFleet));
   for (const Command& known : kCommands) names.emplace_back(known.name);
-  const std::string closest = ClosestName(name, names);
-  return absl::InvalidArgumentError(absl::StrCat(
-      "there is no command \"", name, "\"", closest.empty() ? "" : absl::StrCat(" (did you mean \"", closest, "\"?)"),
-      "; see craftfleet --help"));
+  return absl::InvalidArgumentError(
+      absl::StrCat("there is no command \"", name, "\"", DidYouMean(name, names), "; see craftfleet --help"));
 }
 
 // Starts the program of a command; returns only if that fails. `words`: the command and its arguments.

@@ -14,25 +14,6 @@ namespace {
 
 using testing::HasSubstr;
 
-TEST(Process, ReturnsExitCodeAndOutput) {
-  const TempFolder folder;
-  auto process = Process::Start("/bin/sh", {"-c", "echo to out; echo to err >&2; exit 3"}, folder / "p");
-  ASSERT_THAT(process, IsOk());
-  EXPECT_EQ((*process)->Wait(absl::Seconds(10)), 3);
-  EXPECT_EQ((*process)->Out(), "to out\n");
-  EXPECT_EQ((*process)->Err(), "to err\n");
-  EXPECT_EQ((*process)->Wait(absl::ZeroDuration()), 3);
-}
-
-TEST(Process, SendsAndReportsSignals) {
-  const TempFolder folder;
-  auto process = Process::Start("/bin/sh", {"-c", "exec sleep 60"}, folder / "p");
-  ASSERT_THAT(process, IsOk());
-  EXPECT_EQ((*process)->Wait(absl::Milliseconds(20)), std::nullopt);
-  (*process)->Signal(SIGTERM);
-  EXPECT_EQ((*process)->Wait(absl::Seconds(10)), 128 + SIGTERM);
-}
-
 TEST(Process, IsKilledWithItsObject) {
   const TempFolder folder;
   pid_t pid = 0;
@@ -77,12 +58,6 @@ TEST(Process, StopsWaitingWhenTheProcessEnded) {
   EXPECT_FALSE((*process)->WaitForText("listening", absl::InfiniteDuration()));
   EXPECT_THAT((*process)->WaitForAddress("status on ", absl::InfiniteDuration()),
               StatusIs(absl::StatusCode::kDeadlineExceeded, HasSubstr("broken")));
-}
-
-TEST(Process, NamesAMissingProgram) {
-  const TempFolder folder;
-  EXPECT_THAT(Process::Start("no-such-program", {}, folder / "p"),
-              StatusIs(absl::StatusCode::kNotFound, HasSubstr("bin/no-such-program")));
 }
 
 }  // namespace
