@@ -6,11 +6,9 @@
 #include "actor/actor.h"
 #include "common/agent/device.h"
 #include "common/agent/torch_setup.h"
-#include "common/base/frame_format.h"
 #include "common/base/status_macros.h"
+#include "common/process/cgroup.h"
 #include "common/process/cpu_pin.h"
-#include "common/process/cpu_quota.h"
-#include "common/process/flag_check.h"
 #include "common/process/flag_values.h"
 #include "common/process/program.h"
 #include "common/process/shared_flags.h"
@@ -38,7 +36,8 @@ namespace craftfleet {
 namespace {
 
 absl::StatusOr<FrameFormat> ParseFrames(const std::string& frames) {
-  if (const auto format = FindFrameFormat(frames)) return *format;
+  if (frames == "raw") return FrameFormat::kRaw;
+  if (frames == "scene") return FrameFormat::kScene;
   return InvalidFlag("frames", frames, "raw or scene");
 }
 

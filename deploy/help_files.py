@@ -4,6 +4,7 @@
 import argparse
 import json
 import pathlib
+import re
 import shutil
 import subprocess
 
@@ -84,7 +85,12 @@ _craftfleet "$@"
 
 def describe(bin_folder, program, *command):
   text = subprocess.run([bin_folder / program, *command, "--help_json"], capture_output=True, text=True, check=True).stdout
-  return json.loads(text)
+  described = json.loads(text)
+  if "usage" in described:  # begins like "craftfleet make THING... makes things. They go ..."
+    sentence = re.match(r".*?(?<!\.\.)[.:](?=\s)", " ".join(described["usage"].split()) + " ")[0][:-1]
+    arguments, described["summary"] = re.fullmatch(r" ?((?:[A-Z._]+ )*)(.*)", sentence.removeprefix(described["program"])).groups()
+    described["arguments"] = arguments.strip()
+  return described
 
 
 def roff(text):

@@ -18,7 +18,7 @@
 #include "common/base/clock.h"
 #include "common/base/mutex.h"
 #include "common/base/types.h"
-#include "common/process/cpu_quota.h"
+#include "common/process/cgroup.h"
 #include "common/telemetry/activity_meter.h"
 #include "common/telemetry/limited_log.h"
 #include "common/wire/access.h"

@@ -71,7 +71,7 @@ absl::StatusOr<std::string> EpisodeRecorder::Show(const Moment& moment) const {
   CRAFTFLEET_ASSIGN_OR_RETURN(const AttentionLight light, LightOf(attention_, options_, moment.frame));
   const int size = options_.picture_size;
   const std::string overlay = OverlayAttention(moment.picture, size, light.brightness, options_.frame_size);
-  return WithScale(SideBySide(moment.picture, overlay, size), size, light);
+  return BesideOverlay(moment.picture, overlay, size, light);
 }
 
 absl::Status EpisodeRecorder::AddPicture(int64_t number, const Moment& moment, Recording* recording) {

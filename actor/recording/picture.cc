@@ -10,6 +10,8 @@
 #include <opencv2/imgproc.hpp>
 
 #include "common/base/check.h"
+#include "common/base/status_macros.h"
+#include "common/base/status_prefix.h"
 #include "common/io/files.h"
 #include "common/io/png_encoder.h"
 
@@ -48,6 +50,25 @@ void DrawLabel(const std::string& text, int x, Align align, cv::Mat* strip) {
               cv::Scalar::all(230), 1, cv::LINE_AA);
 }
 
+// A strip uint8[ScaleHeight(S),2*S,3] that shows the scale of `light` as a colour bar below the overlay, in percent.
+cv::Mat DrawScale(int picture_size, const AttentionLight& light) {
+  const int height = ScaleHeight(picture_size);
+  const int margin = height / 4;
+  cv::Mat strip = cv::Mat::zeros(height, 2 * picture_size, CV_8UC3);
+  const int left = picture_size + margin;
+  const int right = 2 * picture_size - margin;
+  for (int x = left; x < right; ++x) {
+    cv::Vec3b color(kBarGrey, kBarGrey, kBarGrey);
+    Light(static_cast<float>(x - left) / static_cast<float>(right - 1 - left), color.val);
+    strip(cv::Rect(x, height / 8, 1, height * 3 / 8)) = cv::Scalar(color);
+  }
+  DrawLabel("attention", picture_size - margin, Align::kRight, &strip);
+  DrawLabel("0%", left, Align::kLeft, &strip);
+  if (picture_size >= 160) DrawLabel(Percent(light.middle), (left + right) / 2, Align::kCenter, &strip);
+  DrawLabel(Percent(light.highest), right, Align::kRight, &strip);
+  return strip;
+}
+
 }  // namespace
 
 AttentionLight LightToHighest(const PatchGrid& grid, absl::Span<const float> weights) {
@@ -76,36 +97,19 @@ std::string OverlayAttention(absl::string_view picture, int picture_size, absl::
   return overlay;
 }
 
-std::string SideBySide(absl::string_view left, absl::string_view right, int picture_size) {
-  const size_t row = size_t{3} * picture_size;
-  CRAFTFLEET_CHECK(left.size() == row * picture_size && right.size() == left.size());
-  std::string both;
-  for (size_t at = 0; at < left.size(); at += row) {
-    absl::StrAppend(&both, left.substr(at, row), right.substr(at, row));
-  }
-  return both;
-}
-
 int ScaleHeight(int picture_size) { return 2 * std::max(12, picture_size / 36); }
 
-std::string WithScale(absl::string_view pictures, int picture_size, const AttentionLight& light) {
-  CRAFTFLEET_CHECK(pictures.size() == size_t{6} * picture_size * picture_size);
-  const int height = ScaleHeight(picture_size);
-  const int margin = height / 4;
-  cv::Mat strip = cv::Mat::zeros(height, 2 * picture_size, CV_8UC3);
-  const int left = picture_size + margin;
-  const int right = 2 * picture_size - margin;
-  for (int x = left; x < right; ++x) {
-    cv::Vec3b color(kBarGrey, kBarGrey, kBarGrey);
-    Light(static_cast<float>(x - left) / static_cast<float>(right - 1 - left), color.val);
-    strip(cv::Rect(x, height / 8, 1, height * 3 / 8)) = cv::Scalar(color);
-  }
-  DrawLabel("attention", picture_size - margin, Align::kRight, &strip);
-  DrawLabel("0%", left, Align::kLeft, &strip);
-  if (picture_size >= 160) DrawLabel(Percent(light.middle), (left + right) / 2, Align::kCenter, &strip);
-  DrawLabel(Percent(light.highest), right, Align::kRight, &strip);
-  return absl::StrCat(
-      pictures, absl::string_view(reinterpret_cast<const char*>(strip.data), size_t{3} * strip.rows * strip.cols));
+std::string BesideOverlay(const std::string& picture, const std::string& overlay, int picture_size,
+                          const AttentionLight& light) {
+  const size_t bytes = size_t{3} * picture_size * picture_size;
+  CRAFTFLEET_CHECK(picture.size() == bytes && overlay.size() == bytes);
+  const auto as_mat = [&](const std::string& pixels) {
+    return cv::Mat(picture_size, picture_size, CV_8UC3, const_cast<char*>(pixels.data()));
+  };
+  cv::Mat whole;
+  cv::hconcat(as_mat(picture), as_mat(overlay), whole);
+  whole.push_back(DrawScale(picture_size, light));
+  return {reinterpret_cast<const char*>(whole.data), whole.total() * whole.elemSize()};
 }
 
 cv::Mat ToBgr(absl::string_view picture, int width, int height) {
@@ -117,9 +121,8 @@ cv::Mat ToBgr(absl::string_view picture, int width, int height) {
 }
 
 absl::Status WritePng(const std::string& path, absl::string_view picture, int width, int height) {
-  const absl::StatusOr<std::string> png = EncodePng(picture, width, height);
-  if (!png.ok()) return absl::Status(png.status().code(), absl::StrCat(path, ": ", png.status().message()));
-  return ReplaceFile(path, *png);
+  CRAFTFLEET_ASSIGN_OR_RETURN(const std::string png, WithPrefix(path, EncodePng(picture, width, height)));
+  return ReplaceFile(path, png);
 }
 
 }  // namespace craftfleet

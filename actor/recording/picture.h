@@ -34,15 +34,13 @@ AttentionLight LightOnFixedScale(const PatchGrid& grid, absl::Span<const float> 
 std::string OverlayAttention(absl::string_view picture, int picture_size, absl::Span<const float> brightness,
                              int frame_size);
 
-// Two pictures of the same size, uint8[S,S,3], side by side: uint8[S,2*S,3].
-std::string SideBySide(absl::string_view left, absl::string_view right, int picture_size);
-
-// Height of the strip that WithScale adds to pictures of size S, pixels; even.
+// Height of the strip below the pictures of BesideOverlay, pixels; even.
 int ScaleHeight(int picture_size);
 
-// Adds a strip below `pictures`, uint8[S,2*S,3] as from SideBySide, that shows the scale of `light` as a colour bar, in
-// percent: uint8[S+ScaleHeight(S),2*S,3].
-std::string WithScale(absl::string_view pictures, int picture_size, const AttentionLight& light);
+// A picture uint8[S,S,3] with its overlay on the right and a strip below that shows the scale of `light` as a colour
+// bar, in percent: uint8[S+ScaleHeight(S),2*S,3].
+std::string BesideOverlay(const std::string& picture, const std::string& overlay, int picture_size,
+                          const AttentionLight& light);
 
 // uint8[height,width,3] with the channels in OpenCV's order.
 //   throws cv::Exception: no memory.

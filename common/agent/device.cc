@@ -116,7 +116,7 @@ absl::Status CheckPrecision(absl::string_view device, v1::RunConfig::Precision p
   absl::string_view digits = device;
   int number = 0;
   if (absl::ConsumePrefix(&digits, "cuda:") && absl::SimpleAtoi(digits, &number)) {
-    return CheckGpuPrecision(device, ReadComputeCapability(number).value_or(0), precision);
+    return CheckGpuPrecision(device, ReadGpuUsage(number).value_or(GpuUsage()).capability, precision);
   }
   if (!absl::StartsWith(device, kCpu)) return absl::OkStatus();  // the stand-in of tests
   std::ifstream info("/proc/cpuinfo");

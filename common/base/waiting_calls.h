@@ -6,12 +6,7 @@
 #include <cstddef>
 #include <cstdint>
 #include <functional>
-#include <map>
-#include <set>
-#include <string>
 #include <thread>
-#include <unordered_map>
-#include <utility>
 #include <vector>
 
 #include <absl/strings/string_view.h>
@@ -47,44 +42,31 @@ class WaitingCalls {
   size_t size() const ABSL_LOCKS_EXCLUDED(mu_);
 
  private:
-  // What had changed when an attempt began.
-  struct Moment {
-    int64_t round = 0;    // calls of Retry for all
-    int64_t retries = 0;  // calls of Retry for callers in the same bucket
-    friend bool operator!=(const Moment& a, const Moment& b) { return a.round != b.round || a.retries != b.retries; }
-  };
   struct Call {
     Attempt attempt;
     absl::Time deadline;
-    std::string caller;
-    Moment tried;  // the last attempt
+    size_t bucket = 0;  // of the caller
+    int64_t tried = 0;  // changes before the last attempt
   };
   static constexpr size_t kBuckets = 4096;
-  static constexpr size_t kAtOnce = 64;  // calls taken with the lock held once, for which Retry may have to wait
 
   static size_t BucketOf(absl::string_view caller) { return Fnv1a(kFnv1aBasis, caller) % kBuckets; }
-  Moment Now(absl::string_view caller) const ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
-  Moment LockedNow(absl::string_view caller) const ABSL_LOCKS_EXCLUDED(mu_);
+  // Calls of Retry so far that concern the callers of a bucket.
+  int64_t Changes(size_t bucket) const ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_) { return rounds_ + retries_[bucket]; }
+  void Wake() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
   void Keep(Call call) ABSL_LOCKS_EXCLUDED(mu_);
   void Run() ABSL_LOCKS_EXCLUDED(mu_);
-  // Waits for calls that are due: their deadline has passed, or a Retry came after their last attempt. Returns some;
-  // none: the object is being destroyed.
+  // Takes out the calls that are due: their deadline has passed, or a Retry came after their last attempt. Waits until
+  // there are some; none: the object is being destroyed.
   std::vector<Call> AwaitDue() ABSL_LOCKS_EXCLUDED(mu_);
-  // The number of a call that is due; 0: none.
-  int64_t NextDue(absl::Time now) const ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
-  Call Take(int64_t number) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
 
   mutable Mutex mu_;
   CondVar changed_;
-  // Those that wait, by number, and ordered in all the ways in which they come due.
-  std::unordered_map<int64_t, Call> calls_ ABSL_GUARDED_BY(mu_);
-  std::set<std::pair<absl::Time, int64_t>> by_deadline_ ABSL_GUARDED_BY(mu_);
-  std::set<std::pair<int64_t, int64_t>> by_round_ ABSL_GUARDED_BY(mu_);  // of their last attempt
-  std::multimap<std::string, int64_t, std::less<>> by_caller_ ABSL_GUARDED_BY(mu_);
-  std::set<int64_t> retried_ ABSL_GUARDED_BY(mu_);  // because of a Retry of their caller
-  int64_t last_number_ ABSL_GUARDED_BY(mu_) = 0;
-  int64_t round_ ABSL_GUARDED_BY(mu_) = 0;
+  std::vector<Call> calls_ ABSL_GUARDED_BY(mu_);  // that wait
+  int64_t rounds_ ABSL_GUARDED_BY(mu_) = 0;       // calls of Retry for all
   std::vector<int64_t> retries_ ABSL_GUARDED_BY(mu_) = std::vector<int64_t>(kBuckets);
+  bool is_awake_ ABSL_GUARDED_BY(mu_) = false;                          // something has changed since the thread looked
+  absl::Time next_look_ ABSL_GUARDED_BY(mu_) = absl::InfiniteFuture();  // the earliest deadline
   bool stopping_ ABSL_GUARDED_BY(mu_) = false;
   std::thread thread_;
 };

@@ -12,6 +12,7 @@
 #include <google/protobuf/text_format.h>
 #include <google/protobuf/util/message_differencer.h>
 
+#include "common/base/check.h"
 #include "common/base/range_check.h"
 #include "common/base/status_macros.h"
 #include "common/config/agent_presets.h"
@@ -114,59 +115,35 @@ absl::Status CheckRelations(const v1::RunConfig& config) {
 }
 
 // The defaults of all agents; a preset may override them (common/config/agent_presets.cc).
-v1::RunConfig PaperConfig() {
-  v1::RunConfig config;
-  config.mutable_env()->set_name("crafter");
-  config.mutable_env()->set_frame_size(0);
-  config.mutable_env()->set_length(0);
-  config.set_steps(1'000'000);
-  config.set_seed(0);
-  config.set_lanes(16);
-  config.set_tile(8);
-  config.set_gradient_shards(2);
-  config.set_cpu(v1::RunConfig::NATIVE);
-  v1::PpoConfig& ppo = *config.mutable_ppo();
-  ppo.set_rollout_steps(4096);
-  ppo.set_minibatch_size(128);
-  ppo.set_epochs(4);
-  ppo.set_learning_rate(3e-4);
-  ppo.set_gamma(0.95);
-  ppo.set_gae_lambda(0.65);
-  ppo.set_clip(0.2);
-  ppo.set_value_coefficient(0.5);
-  ppo.set_entropy_coefficient(0);
-  ppo.set_max_gradient_norm(0.5);
-  ppo.set_adam_epsilon(1e-5);
-  ppo.set_truncation_is_terminal(false);
-  ppo.set_recurrent_batches(v1::PpoConfig::SEGMENTS);
-  ppo.set_value_norm_decay(0);
-  ppo.set_value_norm_start(1);
-  ppo.set_advantages_over_rollout(false);
-  v1::DistillationConfig& distillation = *config.mutable_distillation();
-  distillation.set_every_iterations(0);
-  distillation.set_epochs(6);
-  distillation.set_minibatch_size(512);
-  distillation.set_targets(16);
-  distillation.set_temperature(0.1);
-  distillation.set_transport_regularization(0.05);
-  distillation.set_transport_rounds(100);
-  distillation.set_match_threshold(0.5);
-  config.mutable_checkpoint()->set_every_iterations(10);
-  config.mutable_checkpoint()->set_keep(3);
-  v1::EvalConfig& eval = *config.mutable_eval();
-  eval.set_every_steps(50'000);
-  eval.set_episodes(5);
-  eval.set_final_episodes(20);
-  eval.set_seed(0);
-  return config;
-}
+constexpr char kPaperConfig[] = R"(
+  env { name: "crafter" frame_size: 0 length: 0 }
+  steps: 1000000
+  seed: 0
+  lanes: 16
+  tile: 8
+  gradient_shards: 2
+  cpu: NATIVE
+  ppo {
+    rollout_steps: 4096 minibatch_size: 128 epochs: 4 learning_rate: 3e-4 gamma: 0.95 gae_lambda: 0.65 clip: 0.2
+    value_coefficient: 0.5 entropy_coefficient: 0 max_gradient_norm: 0.5 adam_epsilon: 1e-5
+    truncation_is_terminal: false recurrent_batches: SEGMENTS value_norm_decay: 0 value_norm_start: 1
+    advantages_over_rollout: false
+  }
+  distillation {
+    every_iterations: 0 epochs: 6 minibatch_size: 512 targets: 16 temperature: 0.1 transport_regularization: 0.05
+    transport_rounds: 100 match_threshold: 0.5
+  }
+  checkpoint { every_iterations: 10 keep: 3 }
+  eval { every_steps: 50000 episodes: 5 final_episodes: 20 seed: 0 }
+)";
 
 }  // namespace
 
 absl::StatusOr<v1::RunConfig> DefaultRunConfig(absl::string_view agent) {
   CRAFTFLEET_ASSIGN_OR_RETURN(v1::RunConfig preset, AgentPreset(agent));
   preset.clear_network();
-  v1::RunConfig config = PaperConfig();
+  v1::RunConfig config;
+  CRAFTFLEET_CHECK(google::protobuf::TextFormat::ParseFromString(kPaperConfig, &config));
   config.MergeFrom(preset);
   config.set_agent(std::string(agent));
   return config;

@@ -13,8 +13,6 @@
 #include <google/protobuf/io/tokenizer.h>
 #include <google/protobuf/text_format.h>
 
-#include "common/config/removed_fields.h"
-
 namespace craftfleet {
 namespace {
 
@@ -23,16 +21,12 @@ using google::protobuf::DescriptorPool;
 using google::protobuf::EnumDescriptor;
 using google::protobuf::FieldDescriptor;
 
-// " (known fields of RunConfig: agent, env, ...)" for an error about an unknown field, or what replaces a removed one;
-// else "".
+// " (known fields of RunConfig: agent, env, ...)" for an error about an unknown field, else "".
 std::string FieldAdvice(absl::string_view message) {
   const std::vector<std::string> parts = absl::StrSplit(message, '"');
   if (parts.size() < 2 || !absl::StrContains(message, "no field named")) return "";
   const Descriptor* descriptor = DescriptorPool::generated_pool()->FindMessageTypeByName(parts[1]);
   if (descriptor == nullptr) return "";
-  if (std::string removed = parts.size() > 3 ? RemovedFieldAdvice(parts[1], parts[3]) : ""; !removed.empty()) {
-    return removed;
-  }
   std::vector<std::string> names;
   names.reserve(descriptor->field_count());
   for (int i = 0; i < descriptor->field_count(); ++i) names.push_back(descriptor->field(i)->name());

@@ -7,13 +7,12 @@
 #include <cerrno>
 #include <cstdio>
 #include <filesystem>
-#include <optional>
 #include <system_error>
 #include <utility>
 
-#include <absl/strings/numbers.h>
+#include <absl/strings/match.h>
 #include <absl/strings/str_cat.h>
-#include <absl/strings/strip.h>
+#include <absl/strings/string_view.h>
 
 #include "common/base/status_macros.h"
 #include "common/base/status_prefix.h"
@@ -24,27 +23,15 @@ namespace {
 
 namespace fs = std::filesystem;
 
-// The open descriptor of this process that `path` names; nullopt for other paths. Opening such a path again would yield
-// a descriptor at offset 0, which overwrites what was printed.
-std::optional<int> DescriptorOf(absl::string_view path) {
-  if (path == "-" || path == "/dev/stdout") return STDOUT_FILENO;
-  if (path == "/dev/stderr") return STDERR_FILENO;
-  int number = 0;
-  const bool names_one = absl::ConsumePrefix(&path, "/dev/fd/") || absl::ConsumePrefix(&path, "/proc/self/fd/");
-  return names_one && absl::SimpleAtoi(path, &number) ? std::optional<int>(number) : std::nullopt;
+// Whether `path` names an open descriptor of this process. If that is a file, it must not be replaced.
+bool NamesDescriptor(absl::string_view path) {
+  return path == "/dev/stdout" || path == "/dev/stderr" || absl::StartsWith(path, "/dev/fd/") ||
+         absl::StartsWith(path, "/proc/self/fd/");
 }
 
-bool IsOpenAt(const struct stat& file, int descriptor) {
-  struct stat open = {};
-  return fstat(descriptor, &open) == 0 && open.st_dev == file.st_dev && open.st_ino == file.st_ino;
-}
-
-// The status of `path`, without following links; nullopt if it does not exist.
-absl::StatusOr<std::optional<struct stat>> Look(const std::string& path) {
-  struct stat file = {};
-  if (stat(path.c_str(), &file) == 0) return file;
-  if (errno == ENOENT) return std::nullopt;
-  return FileError(errno, "cannot access", path);
+bool IsStandardOutput(const struct stat& file) {
+  struct stat output = {};
+  return fstat(STDOUT_FILENO, &output) == 0 && output.st_dev == file.st_dev && output.st_ino == file.st_ino;
 }
 
 // `path` with links in its last component followed, including a link to a file that does not exist yet.
@@ -63,7 +50,7 @@ absl::StatusOr<std::string> FollowLinks(const std::string& path) {
 }  // namespace
 
 absl::StatusOr<OutputFile> OutputFile::Open(absl::string_view flag, const std::string& path) {
-  OutputFile file(flag, path);
+  OutputFile file(flag, path == "-" ? "/dev/stdout" : path);
   CRAFTFLEET_RETURN_IF_ERROR(file.Named(file.OpenTarget()));
   return file;
 }
@@ -79,40 +66,23 @@ OutputFile::~OutputFile() {
 }
 
 absl::Status OutputFile::OpenTarget() {
-  if (DescriptorOf(path_).has_value()) return OpenStream();
-  CRAFTFLEET_ASSIGN_OR_RETURN(const std::optional<struct stat> file, Look(path_));
-  if (!file.has_value()) return TryFile();
-  switch (file->st_mode & S_IFMT) {
-    case S_IFREG:
-      // As in `--out=a.png > a.png`: a renamed file would not be the one that standard output writes to.
-      if (IsOpenAt(*file, STDOUT_FILENO)) return OpenStream();
-      // A rename would succeed, but a read-only file is meant to be kept.
-      if (::access(path_.c_str(), W_OK) != 0) return FileError(errno, "cannot write", path_);
-      return TryFile();
-    case S_IFIFO:
-    case S_IFCHR:
-      return OpenStream();
-    case S_IFDIR:
-      return absl::InvalidArgumentError(absl::StrCat(path_, " is a folder, want a file"));
-    default:
-      return absl::InvalidArgumentError(absl::StrCat(path_, " is a block device or a socket, want a file or a stream"));
-  }
-}
-
-absl::Status OutputFile::OpenStream() {
-  std::optional<int> descriptor = DescriptorOf(path_);
   struct stat file = {};
-  if (!descriptor.has_value() && stat(path_.c_str(), &file) == 0 && IsOpenAt(file, STDOUT_FILENO) &&
-      !S_ISCHR(file.st_mode)) {
-    descriptor = STDOUT_FILENO;
+  if (stat(path_.c_str(), &file) != 0) return errno == ENOENT ? TryFile() : FileError(errno, "cannot access", path_);
+  if (S_ISDIR(file.st_mode)) return absl::InvalidArgumentError(absl::StrCat(path_, " is a folder, want a file"));
+  if (S_ISBLK(file.st_mode) || S_ISSOCK(file.st_mode)) {
+    return absl::InvalidArgumentError(absl::StrCat(path_, " is a block device or a socket, want a file or a stream"));
   }
-  standard_output_ = descriptor == STDOUT_FILENO;
-  stream_ = descriptor.has_value() ? ::fcntl(*descriptor, F_DUPFD_CLOEXEC, 0)
-                                   : ::open(path_.c_str(), O_WRONLY | O_NOCTTY | O_CLOEXEC);
+  // Also as in `--out=a.png > a.png`: a renamed file would not be the one that standard output writes to.
+  const bool named = NamesDescriptor(path_);
+  standard_output_ = (named || !S_ISCHR(file.st_mode)) && IsStandardOutput(file);
+  if (S_ISREG(file.st_mode) && !named && !standard_output_) {
+    // A rename would succeed, but a read-only file is meant to be kept.
+    return ::access(path_.c_str(), W_OK) == 0 ? TryFile() : FileError(errno, "cannot write", path_);
+  }
+  stream_ = standard_output_ ? ::fcntl(STDOUT_FILENO, F_DUPFD_CLOEXEC, 0)
+                             : ::open(path_.c_str(), O_WRONLY | O_APPEND | O_NOCTTY | O_CLOEXEC);
   if (standard_output_) path_ = "standard output";
-  if (stream_ < 0) return FileError(errno, "cannot open", path_);
-  const int flags = ::fcntl(stream_, F_GETFL);
-  return flags >= 0 && (flags & O_ACCMODE) == O_RDONLY ? FileError(EBADF, "cannot write", path_) : absl::OkStatus();
+  return stream_ < 0 ? FileError(errno, "cannot open", path_) : absl::OkStatus();
 }
 
 // A regular file is written under a temporary name and renamed. Checks now that this is possible.

@@ -34,7 +34,6 @@ class OutputFile {
  private:
   OutputFile(absl::string_view flag, const std::string& path) : flag_(flag), path_(path) {}
   absl::Status OpenTarget();
-  absl::Status OpenStream();
   absl::Status TryFile();
   absl::Status Named(const absl::Status& status) const;
 

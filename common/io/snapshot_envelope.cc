@@ -5,6 +5,7 @@
 #include <absl/strings/str_format.h>
 
 #include "common/base/crc32c.h"
+#include "common/base/fnv1a.h"
 #include "common/base/little_endian.h"
 
 namespace craftfleet {
@@ -30,11 +31,7 @@ absl::Status Wrong(const absl::FormatSpec<Args...>& format, const Args&... args)
 }  // namespace
 
 uint64_t EnvDigest(absl::string_view world_name, int64_t length) {
-  uint64_t digest = 14695981039346656037U;  // FNV-1a
-  for (const char c : absl::StrCat(world_name, " length=", length)) {
-    digest = (digest ^ static_cast<uint8_t>(c)) * 1099511628211U;
-  }
-  return digest;
+  return Fnv1a(kFnv1aBasis, absl::StrCat(world_name, " length=", length));
 }
 
 std::string SealSnapshot(uint64_t env_digest, absl::string_view game) {

@@ -4,6 +4,8 @@
 #include <cstddef>
 #include <utility>
 
+#include <absl/strings/str_cat.h>
+
 namespace craftfleet {
 namespace {
 
@@ -40,6 +42,11 @@ std::string ClosestName(absl::string_view name, const std::vector<std::string>& 
     closest = candidate;
   }
   return closest;
+}
+
+std::string DidYouMean(absl::string_view name, const std::vector<std::string>& names) {
+  const std::string closest = ClosestName(name, names);
+  return closest.empty() ? "" : absl::StrCat(" (did you mean \"", closest, "\"?)");
 }
 
 }  // namespace craftfleet

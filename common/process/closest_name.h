@@ -14,6 +14,9 @@ namespace craftfleet {
 // most a third of its length; the first of several. Empty: none is close.
 std::string ClosestName(absl::string_view name, const std::vector<std::string>& names);
 
+// " (did you mean "lanes"?)" with that name; "": none is close.
+std::string DidYouMean(absl::string_view name, const std::vector<std::string>& names);
+
 }  // namespace craftfleet
 
 #endif  // CRAFTFLEET_COMMON_PROCESS_CLOSEST_NAME_H_

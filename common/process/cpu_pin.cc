@@ -42,28 +42,6 @@ bool ArePinned(const Variables& pins) {
   });
 }
 
-// The environment with the variables in `pins` replaced, as "NAME=VALUE". A copy, because other threads may be reading
-// the process's own.
-std::vector<std::string> EnvironmentWith(const Variables& pins) {
-  std::vector<std::string> entries;
-  for (char** entry = environ; *entry != nullptr; ++entry) {
-    const bool pinned = std::any_of(pins.begin(), pins.end(), [&](const auto& pin) {
-      return absl::StartsWith(*entry, absl::StrCat(pin.first, "="));
-    });
-    if (!pinned) entries.emplace_back(*entry);
-  }
-  for (const auto& [name, value] : pins) entries.push_back(absl::StrCat(name, "=", value));
-  return entries;
-}
-
-// The null-terminated array that execve expects; valid as long as `texts` is unchanged.
-std::vector<char*> Pointers(std::vector<std::string>* texts) {
-  std::vector<char*> pointers;
-  for (std::string& text : *texts) pointers.push_back(text.data());
-  pointers.push_back(nullptr);
-  return pointers;
-}
-
 }  // namespace
 
 absl::StatusOr<v1::RunConfig::Cpu> ParseCpu(absl::string_view name) {
@@ -101,9 +79,12 @@ absl::Status PinCpu(v1::RunConfig::Cpu cpu) {
   CRAFTFLEET_ASSIGN_OR_RETURN(const std::string command_line, ReadFile("/proc/self/cmdline"));
   std::vector<std::string> arguments = absl::StrSplit(command_line, '\0');
   arguments.pop_back();  // each ends with a zero
-  std::vector<std::string> environment = EnvironmentWith(pins);
+  std::vector<char*> pointers;
+  for (std::string& argument : arguments) pointers.push_back(argument.data());
+  pointers.push_back(nullptr);
+  for (const auto& [name, value] : pins) setenv(name.c_str(), value.c_str(), /*overwrite=*/1);
   LogInfo("cpu: %s: restarting with it", v1::RunConfig::Cpu_Name(cpu));
-  execve("/proc/self/exe", Pointers(&arguments).data(), Pointers(&environment).data());
+  execv("/proc/self/exe", pointers.data());
   return FileError(errno, absl::StrCat("cpu: ", v1::RunConfig::Cpu_Name(cpu), ": cannot execute"), "/proc/self/exe");
 }
 

@@ -28,7 +28,8 @@ std::vector<std::pair<std::string, std::string>> CpuPins(v1::RunConfig::Cpu cpu)
 
 // Makes this process compute with `cpu`. The libraries read CpuPins when they are loaded, so a process that started
 // without them executes itself again, with the same arguments and process id: then this does not return, and unsaved
-// work is lost. OK: it has used `cpu` since its start.   Errors as CheckCpu, or it cannot execute itself.
+// work is lost. Call it before other threads use the environment. OK: it has used `cpu` since its start.   Errors as
+// CheckCpu, or it cannot execute itself.
 absl::Status PinCpu(v1::RunConfig::Cpu cpu);
 
 }  // namespace craftfleet

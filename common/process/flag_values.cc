@@ -61,7 +61,7 @@ bool AbslParseFlag(absl::string_view text, Count* count, std::string* error) {
   std::optional<int64_t> value;
   if (exponent.has_value()) value = Scaled(rest, suffix + *exponent);
   if (!value.has_value()) {
-    *error = "want a whole number, such as 1000000, 1e6, 100k or 1M";
+    *error = Count::kWanted;
     return false;
   }
   count->value = *value;
@@ -77,7 +77,7 @@ bool AbslParseFlag(absl::string_view text, TimeSpan* span, std::string* error) {
     return true;
   }
   if (absl::ParseDuration(text, &span->value)) return true;
-  *error = "want a length of time, such as 500ms, 5s, 1m30s or 2h; a number without a unit is in seconds";
+  *error = TimeSpan::kWanted;
   return false;
 }
 

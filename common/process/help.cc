@@ -1,7 +1,6 @@
 #include "common/process/help.h"
 
 #include <algorithm>
-#include <cctype>
 #include <cstdint>
 #include <map>
 #include <optional>
@@ -11,9 +10,7 @@
 #include <absl/strings/match.h>
 #include <absl/strings/str_cat.h>
 #include <absl/strings/str_format.h>
-#include <absl/strings/str_join.h>
 #include <absl/strings/str_replace.h>
-#include <absl/strings/str_split.h>
 #include <absl/strings/strip.h>
 #include <absl/time/time.h>
 #include <nlohmann/json.hpp>
@@ -98,24 +95,6 @@ std::string Details(const std::vector<Flag>& flags) {
   return text;
 }
 
-// The first sentence of the usage, on one line.
-std::string FirstSentence(absl::string_view usage) {
-  const std::vector<absl::string_view> words = absl::StrSplit(usage, absl::ByAnyChar(" \n"), absl::SkipEmpty());
-  std::vector<absl::string_view> sentence;
-  for (absl::string_view word : words) {
-    const bool last = absl::EndsWith(word, ":") || (absl::EndsWith(word, ".") && !absl::EndsWith(word, "..."));
-    if (last) word.remove_suffix(1);
-    sentence.push_back(word);
-    if (last) break;
-  }
-  return absl::StrJoin(sentence, " ");
-}
-
-bool IsPlaceholder(absl::string_view word) {
-  return !word.empty() &&
-         std::all_of(word.begin(), word.end(), [](unsigned char c) { return std::isupper(c) || c == '.' || c == '_'; });
-}
-
 }  // namespace
 
 bool HasFlag(const ProgramHelp& program, const absl::CommandLineFlag& flag) {
@@ -151,15 +130,7 @@ std::string FullHelp(const ProgramHelp& program) {
 }
 
 std::string HelpJson(const ProgramHelp& program) {
-  const std::string sentence = FirstSentence(program.usage);
-  std::vector<absl::string_view> words =
-      absl::StrSplit(absl::StripPrefix(sentence, program.name), ' ', absl::SkipEmpty());
-  const auto summary =
-      std::find_if(words.begin(), words.end(), [](absl::string_view word) { return !IsPlaceholder(word); });
-  nlohmann::ordered_json json = {{"program", std::string(program.name)},
-                                 {"arguments", absl::StrJoin(words.begin(), summary, " ")},
-                                 {"summary", absl::StrJoin(summary, words.end(), " ")},
-                                 {"usage", std::string(program.usage)}};
+  nlohmann::ordered_json json = {{"program", std::string(program.name)}, {"usage", std::string(program.usage)}};
   nlohmann::ordered_json flags = nlohmann::ordered_json::array();
   const FlagGroups groups = GroupFlags(program);
   const auto add = [&flags](const std::vector<Flag>& group, const char* name) {

@@ -36,8 +36,7 @@ std::string ShortHelp(const ProgramHelp& program);
 std::string FullHelp(const ProgramHelp& program);
 
 // For --help_json, from which man pages and shell completions are made; a JSON object:
-//   program, summary, usage: texts. The summary is the first sentence of the usage, from its verb on.
-//   arguments: placeholders of positional arguments, such as "FILE"; often empty.
+//   program, usage: texts.
 //   flags: main flags first, each with name (without dashes), type (bool, integer, number, duration, list or string),
 //   default (empty if there is none or the help text names it), help, and group (main or other).
 std::string HelpJson(const ProgramHelp& program);

@@ -10,9 +10,11 @@
 #include <cerrno>
 #include <cstdio>
 #include <cstdlib>
-#include <cstring>
 #include <deque>
+#include <exception>
+#include <new>
 #include <optional>
+#include <stdexcept>
 #include <system_error>
 #include <utility>
 #include <vector>
@@ -29,13 +31,15 @@
 #include "common/base/check.h"
 #include "common/base/openmp_places.h"
 #include "common/process/closest_name.h"
-#include "common/process/first_process.h"
+#include "common/process/flag_values.h"
 #include "common/process/help.h"
-#include "common/process/refused_resources.h"
 #include "common/process/version.h"
 #include "common/telemetry/log.h"
 
 namespace craftfleet {
+
+constexpr char kLogLevels[] = "info, warning or error";
+constexpr char kLogFormats[] = "text or json";
 
 // How absl reads and writes the flags below; found by argument-dependent lookup.
 bool AbslParseFlag(absl::string_view text, LogLevel* level, std::string* error) {
@@ -43,7 +47,7 @@ bool AbslParseFlag(absl::string_view text, LogLevel* level, std::string* error) 
   if (text == "warning") *level = LogLevel::kWarning;
   if (text == "error") *level = LogLevel::kError;
   const bool known = text == "info" || text == "warning" || text == "error";
-  if (!known) *error = "want info, warning or error";
+  if (!known) *error = kLogLevels;
   return known;
 }
 
@@ -55,7 +59,7 @@ std::string AbslUnparseFlag(LogLevel level) {
 bool AbslParseFlag(absl::string_view text, LogFormat* format, std::string* error) {
   *format = text == "json" ? LogFormat::kJson : LogFormat::kText;
   const bool known = text == "json" || text == "text";
-  if (!known) *error = "want text or json";
+  if (!known) *error = kLogFormats;
   return known;
 }
 
@@ -78,6 +82,8 @@ constexpr char kEndByte = 'e';
 int g_signal_pipe[2] = {-1, -1};
 std::atomic<int> g_signals{0};  // SIGHUP is not counted
 
+std::terminate_handler g_terminate = nullptr;
+
 void OnSignal(int signal) {
   // Exits here, because the thread of StopSignal may be busy with the first signal.
   if (signal != SIGHUP && ++g_signals > 1) _exit(kStoppedExitCode);
@@ -92,6 +98,42 @@ void RaiseFileLimit() {
   if (getrlimit(RLIMIT_NOFILE, &limit) != 0) return;
   limit.rlim_cur = limit.rlim_max;
   setrlimit(RLIMIT_NOFILE, &limit);
+}
+
+// What the program says, instead of a crash, when the system refuses it a thread or memory and nobody catches that.
+[[noreturn]] void OnUncaught() {
+  try {
+    if (const std::exception_ptr error = std::current_exception()) std::rethrow_exception(error);
+  } catch (const std::system_error& error) {
+    if (error.code() == std::errc::resource_unavailable_try_again) {
+      LogError(
+          "cannot start another thread: raise the limit of threads (ulimit -u, pids.max of the container, TasksMax of "
+          "systemd), or start fewer (--threads)");
+      _exit(1);
+    }
+    LogError("%s", error.what());
+    _exit(1);
+  } catch (const std::runtime_error& error) {
+    // What libraries throw instead.
+    LogError("%s: it may be a limit of this system (ulimit -a, the container's)", error.what());
+    _exit(1);
+  } catch (const std::bad_alloc&) {
+    LogError("out of memory: raise the limit (ulimit -v, the container's), or lower what needs it");
+    _exit(1);
+  } catch (...) {  // NOLINT(bugprone-empty-catch): ends as before
+  }
+  g_terminate();
+  _exit(1);
+}
+
+void EndAt(int signal) { _exit(128 + signal); }
+
+// In process 1, as in a container, lets SIGTERM and SIGINT end the process as they would end another one, until
+// StopSignal handles them: the kernel drops signals to process 1 that nothing handles.
+void LetSignalsEndProcess1() {
+  if (getpid() != 1) return;
+  signal(SIGTERM, EndAt);
+  signal(SIGINT, EndAt);
 }
 
 bool IsOfAbseil(const absl::CommandLineFlag& flag) { return absl::StrContains(flag.Filename(), "absl/"); }
@@ -119,6 +161,9 @@ std::string FlagLike(const ProgramHelp& program, absl::string_view name) {
     if (HasFlag(program, *flag)) names.emplace_back(known);
   }
   std::sort(names.begin(), names.end());
+  for (const auto& [before, now] : {std::pair("json", "out"), std::pair("video_size", "size")}) {  // until version 0.1
+    if (name == before && std::count(names.begin(), names.end(), now) > 0) return now;
+  }
   const std::string closest = ClosestName(name, names);
   const bool negated = closest.empty() && absl::ConsumePrefix(&name, "no");
   return negated ? ClosestName(name, names) : closest;
@@ -135,11 +180,15 @@ bool IsOneOf(const absl::CommandLineFlag& flag) {
   return (flag.IsOfType<Types>() || ...);
 }
 
-// The values that `flag` accepts, if absl parses them: its errors do not name them.
+// The values that `flag` accepts.
 absl::string_view Accepted(const absl::CommandLineFlag& flag) {
   if (flag.IsOfType<bool>()) return "true or false";
   if (IsOneOf<int32_t, int64_t, std::optional<int32_t>, std::optional<int64_t>>(flag)) return "a whole number";
   if (IsOneOf<uint64_t, std::optional<uint64_t>>(flag)) return "a whole number, at least 0";
+  if (IsOneOf<Count, std::optional<Count>>(flag)) return Count::kWanted;
+  if (flag.IsOfType<TimeSpan>()) return TimeSpan::kWanted;
+  if (flag.IsOfType<LogLevel>()) return kLogLevels;
+  if (flag.IsOfType<LogFormat>()) return kLogFormats;
   return flag.IsOfType<double>() ? "a number" : "another value";
 }
 
@@ -148,11 +197,7 @@ void CheckValue(const ProgramHelp& program, absl::CommandLineFlag* flag, absl::s
   if (IsOfAbseil(*flag)) return;  // those act when they are set
   std::string error;
   if (flag->ParseFrom(value, &error)) return;
-  const size_t reason = error.find("; want ");
-  Refuse(program,
-         absl::StrCat("--", flag->Name(), "=", value, ", want ",
-                      reason == std::string::npos ? Accepted(*flag) : error.substr(reason + std::strlen("; want "))),
-         "");
+  Refuse(program, absl::StrCat("--", flag->Name(), "=", value, ", want ", Accepted(*flag)), "");
 }
 
 // A shell expands "~/" at the start of a word only, so not in --logdir=~/runs.
@@ -232,7 +277,7 @@ std::vector<std::string> ParseFlagsAndArguments(const ProgramHelp& program, int 
   RefuseBadFlags(program, argc, argv);
   const std::vector<char*> rest = absl::ParseCommandLine(argc, argv);
   SetUpLog({absl::GetFlag(FLAGS_log_level), absl::GetFlag(FLAGS_log_format), std::string(program.name)});
-  ExplainRefusedResources();
+  g_terminate = std::set_terminate(OnUncaught);
   return {rest.begin() + 1, rest.end()};
 }
 
@@ -299,3 +344,10 @@ StopSignal::~StopSignal() {
 }
 
 }  // namespace craftfleet
+
+// Before the libraries are initialised, which takes LibTorch half a second. Sanitizers are not ready at this point.
+#if !defined(__SANITIZE_THREAD__) && !defined(__SANITIZE_ADDRESS__) && !defined(__clang__)
+namespace {
+__attribute__((section(".preinit_array"), used)) void (*g_before_libraries)() = craftfleet::LetSignalsEndProcess1;
+}  // namespace
+#endif

@@ -6,7 +6,7 @@
 #include <absl/time/time.h>
 
 #include "common/base/status_macros.h"
-#include "common/process/flag_check.h"
+#include "common/process/flag_values.h"
 
 ABSL_FLAG(std::string, address, craftfleet::kLearnerAddress, "address of the learner, HOST:PORT");
 ABSL_FLAG(std::string, device, "auto",

@@ -28,18 +28,6 @@ struct Utilization {
 
 std::atomic<int> process_gpu{-1};
 
-// Null without NVML.
-const Nvml* DriversNvml() {
-  static const auto& nvml = *new std::unique_ptr<Nvml>(Nvml::Open());
-  return nvml.get();
-}
-
-// NVML's name for GPU number `number` of this process.
-std::string NameHere(int number) {
-  const char* const visible = std::getenv("CUDA_VISIBLE_DEVICES");
-  return NvmlName(number, visible == nullptr ? "" : visible);
-}
-
 }  // namespace
 
 struct Nvml::Functions {
@@ -103,16 +91,11 @@ std::optional<GpuUsage> Nvml::Read(const std::string& gpu) const {
   // A slice of a GPU (MIG) has none.
   Utilization utilization = {};
   if (functions_->utilization(device, &utilization) != 0) utilization = {};
-  return GpuUsage{name.data(), static_cast<int64_t>(memory.used), static_cast<int64_t>(memory.total),
-                  utilization.gpu / 100.0};
-}
-
-std::optional<int> Nvml::ComputeCapability(const std::string& gpu) const {
-  Device const device = functions_->Find(gpu);
   int major = 0;
   int minor = 0;
-  if (device == nullptr || functions_->capability(device, &major, &minor) != 0) return std::nullopt;
-  return 10 * major + minor;
+  if (functions_->capability(device, &major, &minor) != 0) major = minor = 0;
+  return GpuUsage{name.data(), static_cast<int64_t>(memory.used), static_cast<int64_t>(memory.total),
+                  utilization.gpu / 100.0, 10 * major + minor};
 }
 
 std::string CapabilityText(int capability) { return absl::StrCat(capability / 10, ".", capability % 10); }
@@ -127,13 +110,13 @@ void SetProcessGpu(int number) { process_gpu = number; }
 
 std::optional<GpuUsage> ReadGpuUsage() {
   const int number = process_gpu;
-  if (number < 0 || DriversNvml() == nullptr) return std::nullopt;
-  return DriversNvml()->Read(NameHere(number));
+  return number < 0 ? std::nullopt : ReadGpuUsage(number);
 }
 
-std::optional<int> ReadComputeCapability(int number) {
-  if (DriversNvml() == nullptr) return std::nullopt;
-  return DriversNvml()->ComputeCapability(NameHere(number));
+std::optional<GpuUsage> ReadGpuUsage(int number) {
+  static const auto& nvml = *new std::unique_ptr<Nvml>(Nvml::Open());
+  const char* const visible = std::getenv("CUDA_VISIBLE_DEVICES");
+  return nvml == nullptr ? std::nullopt : nvml->Read(NvmlName(number, visible == nullptr ? "" : visible));
 }
 
 }  // namespace craftfleet

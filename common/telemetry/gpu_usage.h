@@ -16,6 +16,7 @@ struct GpuUsage {
   int64_t memory_bytes = 0;        // in use
   int64_t memory_total_bytes = 0;  // installed
   double utilization = 0;          // share of the last second or so in which it computed, 0..1
+  int capability = 0;              // compute capability times ten, 75 is 7.5; 0: the driver does not say
 };
 
 // NVML, thread-safe.
@@ -29,9 +30,6 @@ class Nvml {
 
   // `gpu` is a number as NVML counts, "0", or an identifier, "GPU-8932f937-...". Nothing if there is no such GPU.
   std::optional<GpuUsage> Read(const std::string& gpu) const;
-
-  // Its compute capability times ten: 75 is 7.5. Nothing if there is no such GPU, or the driver does not say.
-  std::optional<int> ComputeCapability(const std::string& gpu) const;
 
  private:
   struct Functions;
@@ -55,8 +53,8 @@ void SetProcessGpu(int number);
 // That GPU; nothing without one, or without NVML. Thread-safe.
 std::optional<GpuUsage> ReadGpuUsage();
 
-// Nvml::ComputeCapability of GPU number `number`, as CUDA counts; nothing without NVML. Thread-safe.
-std::optional<int> ReadComputeCapability(int number);
+// GPU number `number`, as CUDA counts; nothing without NVML. Thread-safe.
+std::optional<GpuUsage> ReadGpuUsage(int number);
 
 }  // namespace craftfleet
 

@@ -7,7 +7,7 @@
 #include <absl/strings/string_view.h>
 
 #include "common/base/check.h"
-#include "common/telemetry/activity.h"
+#include "common/telemetry/activity_meter.h"
 #include "common/telemetry/metric_table.h"
 #include "common/wire/status_service.h"
 

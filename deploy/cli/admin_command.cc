@@ -12,7 +12,6 @@
 #include "common/base/printable.h"
 #include "common/base/status_macros.h"
 #include "common/process/closest_name.h"
-#include "common/process/flag_check.h"
 #include "common/process/flag_values.h"
 #include "common/process/program.h"
 #include "common/process/shared_flags.h"
@@ -42,60 +41,54 @@ constexpr char kUsage[] =
 
 If the learner has an --access_file, the client needs the right STEER.)";
 
-// Makes calls with the program's deadline.
-class Admin {
- public:
-  Admin(const wire::Endpoint& learner, absl::Duration timeout)
-      : learner_(learner), timeout_(timeout), stub_(v1::AdminService::NewStub(learner.channel)) {}
+template <typename Request, typename Reply>
+absl::StatusOr<Reply> Call(const wire::Endpoint& learner,
+                           grpc::Status (v1::AdminService::Stub::*method)(grpc::ClientContext*, const Request&, Reply*),
+                           const Request& request) {
+  grpc::ClientContext context;
+  wire::SetDeadline(&context, absl::GetFlag(FLAGS_timeout).value);
+  Reply reply;
+  const grpc::Status status = (v1::AdminService::NewStub(learner.channel).get()->*method)(&context, request, &reply);
+  if (!status.ok()) return wire::FromCall(status, absl::StrCat("learner ", learner.address), learner);
+  return reply;
+}
 
-  template <typename Request, typename Reply>
-  absl::StatusOr<Reply> Call(grpc::Status (v1::AdminService::Stub::*method)(grpc::ClientContext*, const Request&,
-                                                                            Reply*),
-                             const Request& request) {
-    grpc::ClientContext context;
-    wire::SetDeadline(&context, timeout_);
-    Reply reply;
-    const grpc::Status status = (stub_.get()->*method)(&context, request, &reply);
-    if (!status.ok()) return wire::FromCall(status, absl::StrCat("learner ", learner_.address), learner_);
-    return reply;
-  }
-
- private:
-  const wire::Endpoint learner_;
-  const absl::Duration timeout_;
-  const std::unique_ptr<v1::AdminService::Stub> stub_;
-};
+// A call about one worker. Returns its role and name, with a blank.
+template <typename Request, typename Reply>
+absl::StatusOr<std::string> CallAbout(const std::string& worker, const wire::Endpoint& learner,
+                                      grpc::Status (v1::AdminService::Stub::*method)(grpc::ClientContext*,
+                                                                                     const Request&, Reply*)) {
+  Request request;
+  request.set_worker(worker);
+  CRAFTFLEET_ASSIGN_OR_RETURN(const Reply reply, Call(learner, method, request));
+  return absl::StrCat(Printable(reply.role().substr(0, 80)), " ", worker, " ");
+}
 
 // Carries out the command; returns the text to print.
-absl::StatusOr<std::string> Do(const std::vector<std::string>& command, Admin* admin) {
+absl::StatusOr<std::string> Do(const std::vector<std::string>& command, const wire::Endpoint& learner) {
   using Stub = v1::AdminService::Stub;
   const std::string& verb = command[0];
   if (verb == "checkpoint") {
-    CRAFTFLEET_ASSIGN_OR_RETURN(const v1::CheckpointReply reply,
-                                admin->Call(&Stub::Checkpoint, v1::CheckpointRequest()));
+    CRAFTFLEET_ASSIGN_OR_RETURN(const auto reply, Call(learner, &Stub::Checkpoint, v1::CheckpointRequest()));
     return absl::StrCat("checkpoint of iteration ", reply.iteration());
   }
   if (verb == "pause") {
-    CRAFTFLEET_RETURN_IF_ERROR(admin->Call(&Stub::Pause, v1::PauseRequest()).status());
+    CRAFTFLEET_RETURN_IF_ERROR(Call(learner, &Stub::Pause, v1::PauseRequest()).status());
     return "paused";
   }
   if (verb == "resume") {
-    CRAFTFLEET_ASSIGN_OR_RETURN(const v1::ResumeReply reply, admin->Call(&Stub::Resume, v1::ResumeRequest()));
+    CRAFTFLEET_ASSIGN_OR_RETURN(const auto reply, Call(learner, &Stub::Resume, v1::ResumeRequest()));
     return reply.was_paused() ? "resumed" : "the run was not paused";
   }
   if (verb == "drain") {
-    v1::DrainRequest request;
-    request.set_worker(command[1]);
-    CRAFTFLEET_ASSIGN_OR_RETURN(const v1::DrainReply reply, admin->Call(&Stub::Drain, request));
-    return absl::StrCat(Printable(reply.role().substr(0, 80)), " ", command[1], " is drained; you can stop it now");
+    CRAFTFLEET_ASSIGN_OR_RETURN(const std::string worker, CallAbout(command[1], learner, &Stub::Drain));
+    return worker + "is drained; you can stop it now";
   }
   if (verb == "undrain") {
-    v1::UndrainRequest request;
-    request.set_worker(command[1]);
-    CRAFTFLEET_ASSIGN_OR_RETURN(const v1::UndrainReply reply, admin->Call(&Stub::Undrain, request));
-    return absl::StrCat(Printable(reply.role().substr(0, 80)), " ", command[1], " gets work again");
+    CRAFTFLEET_ASSIGN_OR_RETURN(const std::string worker, CallAbout(command[1], learner, &Stub::Undrain));
+    return worker + "gets work again";
   }
-  CRAFTFLEET_RETURN_IF_ERROR(admin->Call(&Stub::Stop, v1::StopRequest()).status());
+  CRAFTFLEET_RETURN_IF_ERROR(Call(learner, &Stub::Stop, v1::StopRequest()).status());
   return "the learner is stopping";
 }
 
@@ -105,10 +98,8 @@ absl::Status CheckCommand(const std::vector<std::string>& command) {
   const std::string& verb = command[0];
   const std::vector<std::string> verbs = {"checkpoint", "pause", "resume", "drain", "undrain", "stop"};
   if (std::find(verbs.begin(), verbs.end(), verb) == verbs.end()) {
-    const std::string closest = ClosestName(verb, verbs);
     return absl::InvalidArgumentError(
-        absl::StrCat("\"", verb, "\" is not a command",
-                     closest.empty() ? "" : absl::StrCat(" (did you mean \"", closest, "\"?)"), ", want ", kAll));
+        absl::StrCat("\"", verb, "\" is not a command", DidYouMean(verb, verbs), ", want ", kAll));
   }
   const bool of_worker = verb == "drain" || verb == "undrain";
   if (command.size() != (of_worker ? 2 : 1)) {
@@ -125,8 +116,7 @@ absl::Status Run(const std::vector<std::string>& command) {
     return InvalidFlag("timeout", absl::FormatDuration(timeout), "more than 0, at most 24h");
   }
   CRAFTFLEET_ASSIGN_OR_RETURN(const wire::Endpoint learner, ConnectToProcess("learner", absl::GetFlag(FLAGS_address)));
-  Admin admin(learner, timeout);
-  CRAFTFLEET_ASSIGN_OR_RETURN(const std::string done, Do(command, &admin));
+  CRAFTFLEET_ASSIGN_OR_RETURN(const std::string done, Do(command, learner));
   std::puts(done.c_str());
   return absl::OkStatus();
 }

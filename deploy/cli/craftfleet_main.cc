@@ -53,7 +53,7 @@ constexpr Command kCommands[] = {
     {"agents", kTorch, "list the agents and the parts of their networks"},
     {"envs", kLight, "list the environments and count the objects in their worlds"},
     {"status", kLight, "print the status of a process of the fleet"},
-    {"top", kLight, "watch a whole fleet live, and see what limits its speed"},
+    {"top", kPython, "watch a whole fleet live, and see what limits its speed"},
     {"admin", kLight, "steer a run: checkpoint, pause, resume, drain or undrain a worker, stop"},
     {"doctor", kTorch, "check this machine and suggest what to change"},
 };
@@ -130,10 +130,8 @@ absl::Status UnknownCommand(const std::string& name) {
   std::vector<std::string> names = {"help"};
   names.insert(names.end(), std::begin(kFleet), std::end(kFleet));
   for (const Command& known : kCommands) names.emplace_back(known.name);
-  const std::string closest = ClosestName(name, names);
-  return absl::InvalidArgumentError(absl::StrCat(
-      "there is no command \"", name, "\"", closest.empty() ? "" : absl::StrCat(" (did you mean \"", closest, "\"?)"),
-      "; see craftfleet --help"));
+  return absl::InvalidArgumentError(
+      absl::StrCat("there is no command \"", name, "\"", DidYouMean(name, names), "; see craftfleet --help"));
 }
 
 // Starts the program of a command; returns only if that fails. `words`: the command and its arguments.

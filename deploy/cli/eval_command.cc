@@ -2,6 +2,7 @@
 
 #include <unistd.h>
 
+#include <algorithm>
 #include <atomic>
 #include <cstdio>
 #include <iostream>
@@ -17,23 +18,21 @@
 #include "actor/recording/episode_recorder.h"
 #include "common/agent/agent_spec.h"
 #include "common/base/clock.h"
+#include "common/base/crafter.h"
 #include "common/base/status_macros.h"
 #include "common/io/files.h"
 #include "common/io/output_file.h"
 #include "common/io/paths.h"
-#include "common/process/flag_check.h"
 #include "common/process/flag_values.h"
 #include "common/process/program.h"
 #include "common/process/shared_flags.h"
 #include "common/wire/protocol.h"
 #include "common/wire/server.h"
+#include "deploy/cli/checkpoint_policy.h"
 #include "deploy/cli/command.h"
-#include "deploy/cli/eval/checkpoint_policy.h"
-#include "deploy/cli/eval/eval_plan.h"
-#include "deploy/cli/eval/eval_progress.h"
-#include "deploy/cli/eval/eval_result.h"
 #include "deploy/cli/screen/game_flags.h"
 #include "envserver/env_service.h"
+#include "learner/run/progress.h"
 #include "learner/run/score.h"
 
 ABSL_FLAG(std::optional<craftfleet::Count>, episodes, std::nullopt, "episodes to play, 1..10000 [20]");
@@ -63,6 +62,41 @@ mean reward and episode length, and the Crafter score. The result depends only o
   craftfleet eval --checkpoint=runs/oc_ca --episodes=3 --video=videos --attention=sum
 
 Ctrl-C, SIGTERM or closing the terminal ends it. It then prints the result of the finished episodes and exits with 130.)";
+
+// A set of episodes with a common result.
+struct EvalPart {
+  std::string name;  // "argmax", "sampled"
+  EvaluationOptions options;
+};
+
+struct EvalPlan {
+  v1::EnvConfig env;
+  std::vector<EvalPart> parts;
+};
+
+// The final evaluation of the run that ends with the checkpoint `state`: the same episodes with the same results as in
+// its final_argmax.jsonl and final_sampled.jsonl.
+//   InvalidArgument: its configuration has no final evaluation.
+absl::StatusOr<EvalPlan> FinalEvaluation(const v1::CheckpointState& state) {
+  const v1::EvalConfig& eval = state.config().eval();
+  if (eval.final_episodes() == 0) {
+    return absl::InvalidArgumentError(
+        "the run has no final evaluation (eval.final_episodes is 0 in its configuration): give --episodes instead");
+  }
+  EvalPlan plan;
+  plan.env = state.config().env();
+  plan.env.set_name(eval.env());
+  EvaluationOptions options;
+  options.seed = eval.seed();
+  options.episodes = eval.final_episodes();
+  options.first_episode = std::max<int64_t>(state.next_eval_episode(), 1);
+  options.greedy = true;
+  plan.parts.push_back({"argmax", options});
+  options.first_episode += options.episodes;
+  options.greedy = false;
+  plan.parts.push_back({"sampled", options});
+  return plan;
+}
 
 // The recordings that the flags request.
 absl::StatusOr<EpisodeRecorder::Options> RecorderOptions() {
@@ -156,6 +190,39 @@ EpisodeRecorder::Options InFolderOf(const EvalPart& part, EpisodeRecorder::Optio
   return options;
 }
 
+// On a terminal a line that is redrawn, otherwise one every 10 s: "sampled: 12 of 100 episodes, 40s left".
+class EvalProgress {
+ public:
+  EvalProgress(std::string part, int episodes) : part_(std::move(part)), episodes_(episodes) {}
+  ~EvalProgress() {
+    if (terminal_) std::cerr << kClearLine << std::flush;
+  }
+  EvalProgress(const EvalProgress&) = delete;
+  EvalProgress& operator=(const EvalProgress&) = delete;
+
+  // To be called often; prints only when due.
+  void Update(int finished) {
+    const absl::Time now = SteadyNow();
+    if (now < printed_ + (terminal_ ? absl::Milliseconds(200) : absl::Seconds(10))) return;
+    printed_ = now;
+    std::string line = absl::StrFormat("%s: %d of %d episodes", part_, finished, episodes_);
+    if (finished > 0) {
+      const double seconds_each = absl::ToDoubleSeconds(now - start_) / finished;
+      absl::StrAppendFormat(&line, ", %s left", FormatTimeLeft(seconds_each * (episodes_ - finished)));
+    }
+    std::cerr << (terminal_ ? kClearLine : "") << line << (terminal_ ? "" : "\n") << std::flush;
+  }
+
+ private:
+  static constexpr char kClearLine[] = "\r\033[K";
+
+  const std::string part_;
+  const int episodes_;
+  const bool terminal_ = isatty(STDERR_FILENO) == 1;
+  const absl::Time start_ = SteadyNow();
+  absl::Time printed_ = start_;
+};
+
 // Plays `part` until all episodes have finished or `stop` becomes true. Returns the finished episodes.
 absl::StatusOr<ScoreBoard> Play(const EvalPart& part, EpisodeRecorder::Options options, const Policy& policy,
                                 EnvClient* env, const std::atomic<bool>& stop) {
@@ -166,15 +233,39 @@ absl::StatusOr<ScoreBoard> Play(const EvalPart& part, EpisodeRecorder::Options o
         recorder, EpisodeRecorder::Create(
                       options, [&policy](absl::string_view frame) { return policy.Attention(frame); }, absl::Now()));
   }
-  RealClock clock;
-  EvalProgress progress({part.name, part.options.episodes, isatty(STDERR_FILENO) == 1}, &std::cerr, &clock);
-  const auto episodes = Evaluate(
-      part.options, policy, env, [&progress](int finished) { progress.Update(finished); }, recorder.get(), &stop);
-  progress.Finish();
-  if (!episodes.ok()) return episodes.status();
+  EvalProgress progress(part.name, part.options.episodes);
+  CRAFTFLEET_ASSIGN_OR_RETURN(
+      const std::vector<Episode> episodes,
+      Evaluate(
+          part.options, policy, env, [&progress](int finished) { progress.Update(finished); }, recorder.get(), &stop));
   ScoreBoard board;
-  for (const Episode& episode : *episodes) board.Add(episode);
+  for (const Episode& episode : episodes) board.Add(episode);
   return board;
+}
+
+// A line for each achievement, then reward, length and score.
+std::string DescribeResult(const ScoreBoard& board) {
+  std::string text;
+  const AchievementPercentages percentages = board.SuccessPercentages();
+  for (int i = 0; i < kNumAchievements; ++i) {
+    absl::StrAppendFormat(&text, "%-20s %5.1f%%\n", kAchievementNames[i], percentages[i]);
+  }
+  absl::StrAppendFormat(
+      &text, "\nepisodes %d   reward %.2f   length %.1f   achievements unlocked %d/22   Crafter score %.2f\n",
+      board.episodes(), board.MeanReward(), board.MeanLength(), board.Unlocked(), board.Score());
+  return text;
+}
+
+void AddResult(const ScoreBoard& board, nlohmann::ordered_json* json) {
+  (*json)["episodes"] = board.episodes();
+  (*json)["reward"] = board.MeanReward();
+  (*json)["length"] = board.MeanLength();
+  (*json)["score"] = board.Score();
+  const AchievementPercentages percentages = board.SuccessPercentages();
+  for (int i = 0; i < kNumAchievements; ++i) {
+    const std::string name(kAchievementNames[i]);
+    (*json)["success_percentages"][name] = percentages[i];
+  }
 }
 
 nlohmann::ordered_json DescribeCheckpoint(const v1::CheckpointState& state, const EvalPlan& plan) {

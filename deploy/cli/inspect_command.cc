@@ -4,8 +4,8 @@
 #include <string>
 
 #include "common/process/program.h"
+#include "deploy/cli/answer.h"
 #include "deploy/cli/command.h"
-#include "deploy/cli/inspect/answer.h"
 
 namespace craftfleet {
 namespace {

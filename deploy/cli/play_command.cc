@@ -12,7 +12,7 @@
 
 #include "common/base/clock.h"
 #include "common/base/status_macros.h"
-#include "common/process/flag_check.h"
+#include "common/process/flag_values.h"
 #include "common/process/program.h"
 #include "common/process/shared_flags.h"
 #include "deploy/cli/command.h"

@@ -17,8 +17,8 @@
 #include "common/base/status_macros.h"
 #include "common/process/program.h"
 #include "common/process/shared_flags.h"
+#include "deploy/cli/checkpoint_policy.h"
 #include "deploy/cli/command.h"
-#include "deploy/cli/eval/checkpoint_policy.h"
 
 namespace craftfleet {
 namespace {

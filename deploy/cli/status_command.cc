@@ -3,12 +3,15 @@
 #include <cstdio>
 
 #include <absl/flags/flag.h>
+#include <absl/status/status.h>
+#include <absl/status/statusor.h>
 #include <absl/time/time.h>
 
 #include "common/base/status_macros.h"
 #include "common/process/flag_values.h"
 #include "common/process/program.h"
 #include "common/process/shared_flags.h"
+#include "common/wire/channel.h"
 #include "common/wire/status_service.h"
 #include "craftfleet/v1/status.grpc.pb.h"
 #include "deploy/cli/command.h"
@@ -29,6 +32,16 @@ constexpr char kUsage[] =
   craftfleet status --address=127.0.0.1:50051 --watch --interval=5s
 
 The status of a learner covers the whole fleet; craftfleet top shows it as a live page.)";
+
+// Errors name the address.
+absl::StatusOr<v1::StatusReply> AskStatus(const wire::Endpoint& process) {
+  grpc::ClientContext context;
+  wire::SetDeadline(&context, absl::Seconds(2));
+  v1::StatusReply reply;
+  const grpc::Status status = v1::StatusService::NewStub(process.channel)->GetStatus(&context, {}, &reply);
+  if (!status.ok()) return wire::FromCall(status, process.address, process);
+  return reply;
+}
 
 absl::Status PrintJson(const v1::StatusReply& reply) {
   CRAFTFLEET_ASSIGN_OR_RETURN(const std::string json, wire::StatusJson(reply, /*whitespace=*/true));
@@ -67,7 +80,9 @@ absl::Status Watch(const wire::Endpoint& process, absl::Duration interval) {
 
 absl::Status Run() {
   const absl::Duration interval = absl::GetFlag(FLAGS_interval).value;
-  CRAFTFLEET_RETURN_IF_ERROR(CheckInterval(interval));
+  if (interval < absl::Milliseconds(100) || interval > absl::Minutes(1)) {
+    return InvalidFlag("interval", absl::FormatDuration(interval), "100ms..1m");
+  }
   CRAFTFLEET_ASSIGN_OR_RETURN(const wire::Endpoint process, ConnectToProcess("process", absl::GetFlag(FLAGS_address)));
   if (absl::GetFlag(FLAGS_watch)) return Watch(process, interval);
   CRAFTFLEET_ASSIGN_OR_RETURN(const v1::StatusReply reply, AskStatus(process));

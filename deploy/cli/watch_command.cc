@@ -16,21 +16,24 @@
 #include <absl/strings/str_cat.h>
 #include <absl/strings/str_format.h>
 #include <absl/strings/str_split.h>
+#include <opencv2/imgproc.hpp>
 
+#include "actor/recording/video_file.h"
 #include "common/base/clock.h"
 #include "common/base/numbers.h"
 #include "common/base/status_macros.h"
 #include "common/io/output_file.h"
 #include "common/io/png_encoder.h"
-#include "common/process/flag_check.h"
+#include "common/process/flag_values.h"
 #include "common/process/program.h"
 #include "common/process/shared_flags.h"
+#include "deploy/cli/checkpoint_policy.h"
 #include "deploy/cli/command.h"
-#include "deploy/cli/eval/checkpoint_policy.h"
 #include "deploy/cli/screen/game_flags.h"
+#include "deploy/cli/screen/view_picture.h"
 #include "deploy/cli/watch/attention_strip.h"
 #include "deploy/cli/watch/watch_loop.h"
-#include "deploy/cli/watch/watch_video.h"
+#include "deploy/cli/watch/watch_view.h"
 #include "learner/run/checkpoint_store.h"
 
 ABSL_FLAG(double, speed, 5, "steps a second, 0.25..256; the keys + and - change it");
@@ -123,23 +126,39 @@ std::function<absl::StatusOr<WatchedAgent>()> AgentSource(const std::string& pat
   };
 }
 
+// What is shown live, uint8[height,width,3].
+absl::StatusOr<cv::Mat> DrawPicture(const std::string& title, const std::optional<AttentionChoice>& attention,
+                                    AgentGame* game) {
+  const PictureRoom room = {PictureSize(), PictureSize()};
+  CRAFTFLEET_ASSIGN_OR_RETURN(const View view, DrawMoment(title, room, attention, game));
+  cv::Mat rgb;
+  cv::cvtColor(DrawView(view, room), rgb, cv::COLOR_BGR2RGB);
+  return rgb;
+}
+
+// Plays an episode to its end, or until `stop`.
 absl::Status WriteVideo(const CheckpointPolicy& agent, const AgentGame::Options& game_options,
                         const std::optional<AttentionChoice>& attention, const std::atomic<bool>& stop) {
   CRAFTFLEET_ASSIGN_OR_RETURN(const auto game,
                               AgentGame::Create(game_options, agent.policy, absl::GetFlag(FLAGS_episode)));
-  WatchVideoOptions options;
-  options.path = absl::GetFlag(FLAGS_video);
-  options.size = PictureSize();
-  options.title = TitleOf(agent);
-  options.attention = attention;
-  const bool terminal = isatty(STDERR_FILENO) == 1;
-  if (terminal) {
-    options.on_step = [](int64_t steps) { std::cerr << "\r\033[K" << steps << " steps" << std::flush; };
+  const std::string path = absl::GetFlag(FLAGS_video);
+  const std::string title = TitleOf(agent);
+  const char* const clear_line = isatty(STDERR_FILENO) == 1 ? "\r\033[K" : nullptr;
+  std::unique_ptr<VideoFile> video;
+  while (true) {
+    CRAFTFLEET_ASSIGN_OR_RETURN(const cv::Mat picture, DrawPicture(title, attention, game.get()));
+    if (video == nullptr) {
+      CRAFTFLEET_ASSIGN_OR_RETURN(video, VideoFile::Create(path, picture.cols, picture.rows));
+    }
+    CRAFTFLEET_RETURN_IF_ERROR(
+        video->Append({reinterpret_cast<const char*>(picture.data), picture.total() * picture.elemSize()}));
+    if (stop || game->ended()) break;
+    CRAFTFLEET_RETURN_IF_ERROR(game->Step());
+    if (clear_line != nullptr) std::cerr << clear_line << game->world().step() << " steps" << std::flush;
   }
-  const absl::Status written = WriteWatchVideo(options, stop, game.get());
-  if (terminal) std::cerr << "\r\033[K";
-  CRAFTFLEET_RETURN_IF_ERROR(written);
-  absl::PrintF("%s: %s, episode %d, %d steps, reward %.1f\n", options.path, options.title, game->world().episode(),
+  if (clear_line != nullptr) std::cerr << clear_line;
+  CRAFTFLEET_RETURN_IF_ERROR(video->Finish(path));
+  absl::PrintF("%s: %s, episode %d, %d steps, reward %.1f\n", path, title, game->world().episode(),
                game->world().step(), game->world().episode_reward());
   return absl::OkStatus();
 }

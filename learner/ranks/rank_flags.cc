@@ -12,7 +12,6 @@
 #include <absl/strings/str_format.h>
 
 #include "common/base/status_macros.h"
-#include "common/process/flag_check.h"
 #include "common/process/flag_values.h"
 
 ABSL_FLAG(std::optional<int32_t>, world_size, std::nullopt,

@@ -16,11 +16,23 @@ class Doctor(python_case.FolderCase):
     report = json.loads(self.run_program("craftfleet doctor", "--json", "--listen=127.0.0.1:0", f"--logdir={self.folder}/runs").stdout)
     self.assertTrue(report["ok"])
     names = [check["check"] for check in report["checks"]]
-    self.assertEqual(names, ["CPU", "BLAS", "memory", "open files", "disk space", "disk speed", "clock", "shared memory", "GPU",
+    self.assertEqual(names, ["CPU", "BLAS", "memory", "open files", "disk space", "disk speed", "clock", "GPU",
                              "port 127.0.0.1:0", "versions"])
     for check in report["checks"]:
       self.assertEqual(check["remedy"] == "", check["verdict"] == "ok", check)
     self.assertEqual(list(self.folder.iterdir()), [])
+
+  def test_what_it_finds_is_this_machine(self):
+    ended = self.run_program("craftfleet doctor", "--json", "--listen=", "--logdir=/proc", code=1)
+    checks = {check["check"]: check for check in json.loads(ended.stdout)["checks"]}
+    self.assertRegex(checks["BLAS"]["found"], "^/.*(blas|mkl)|^built into LibTorch$")
+    self.assertRegex(checks["memory"]["found"], r"^\d.* available$")
+    self.assertRegex(checks["open files"]["found"], r"^at most \d+$")
+    self.assertIn("/proc/.craftfleet-doctor-", checks["disk speed"]["found"])
+    self.assertEqual(checks["disk speed"]["verdict"], "fail")
+    self.assertRegex(checks["versions"]["found"], r"^CraftFleet \S+ \(.*\), LibTorch \S+, gRPC \S+, Protobuf \S+, OpenSSL \S+, Linux \S+$")
+    below = self.run_program("craftfleet doctor", "--listen=", f"--logdir={self.folder}/runs/first")
+    self.assertIn(f"free in {self.folder}\n", below.stdout, "the nearest folder that exists")
 
   def test_a_port_in_use_fails_with_a_remedy(self):
     with socket.socket() as taken:

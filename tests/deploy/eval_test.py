@@ -1,6 +1,8 @@
 """craftfleet eval: replays the final evaluation of a run, with videos and files of its episodes."""
 
 import json
+import os
+import pty
 import shutil
 import signal
 import subprocess
@@ -89,8 +91,8 @@ class Eval(python_case.FolderCase):
                   f"--video={self.folder}/video", "--picture_every=40", "--size=64")
     self.assertEqual((self.folder / "plain.json").read_text(), (self.folder / "recorded.json").read_text())
     pictures = sorted(file.name for file in (self.folder / "pictures").iterdir())
-    self.assertIn("episode-0001-step-00000.png", pictures)
     self.assertIn("episode-0003-step-00040.png", pictures)
+    self.assertEqual([name for name in pictures if "episode-0001" in name][:2], ["episode-0001-step-00000.png", "episode-0001-step-00040.png"])
     self.assertEqual(len(list((self.folder / "video").iterdir())), 3)
 
   def test_a_stop_keeps_the_episodes_that_have_finished(self):
@@ -118,6 +120,15 @@ class Eval(python_case.FolderCase):
         self.assertTrue(finished["stopped"])
         self.assertEqual(len(list((self.folder / "video").iterdir())), finished["episodes"], "no half videos")
         shutil.rmtree(self.folder / "video")
+
+  def test_a_terminal_shows_the_progress_in_place(self):
+    (self.folder / "config.txt").write_text(CONFIG.replace("every_steps: 64", "every_steps: 0"))
+    self.train("--steps=64")
+    main, terminal = pty.openpty()
+    subprocess.run([*built("craftfleet eval"), f"--checkpoint={self.folder}/run", "--episodes=100"], stdout=subprocess.DEVNULL,
+                   stderr=terminal, check=True)
+    os.close(terminal)
+    self.assertRegex(os.read(main, 65536).decode(), r"^(\r\x1b\[Ksampled: \d+ of 100 episodes(, \d+s left)?)+\r\x1b\[K$")
 
   def test_wrong_flags_are_refused(self):
     config = self.folder / "config.txt"

@@ -2,6 +2,7 @@
 
 import json
 import re
+import shlex
 import shutil
 import signal
 import subprocess
@@ -10,6 +11,7 @@ import urllib.request
 
 from tests.fakes import python_case
 from tests.fakes.python_case import SOURCE, built, wait_until
+from tests.fakes.screens import Tmux
 
 MONITORING = SOURCE / "deploy/monitoring"
 ENDLESS = python_case.SMALL_RUN.replace("steps: 192 ", "steps: 1000000000 ")
@@ -177,6 +179,22 @@ class Watch(python_case.ProcessCase):
         pages += line.startswith(begin)
       process.terminate()
       self.assertEqual(process.wait(timeout=10), 0 if begin == "craftfleet top" else -signal.SIGTERM)
+
+  def test_top_is_live_in_a_terminal_and_survives_its_learner(self):
+    process, _, self.learner = self.start_learner()
+    command = shlex.join([*map(str, built("craftfleet top")), f"--address={self.learner}", "--interval=100ms"])
+    with Tmux(self.folder, command) as terminal:
+      terminal.wait_for(f"craftfleet top  learner {self.learner}")
+      terminal.wait_for("q quit  p pause  s sort (role)")
+      for key, text in (("h", "page down: scroll"), ("h", "sort (role)"), ("s", "sort (name)"), ("r", "sort (name, reversed)"),
+                        ("p", "craftfleet top PAUSED"), ("Space", "craftfleet top  learner")):
+        terminal.press(key)
+        terminal.wait_for(text)
+      terminal.resize(60, 12)
+      process.kill()
+      terminal.wait_for("no status from the learner: ")
+      terminal.press("q")
+      terminal.wait_for_exit(0)
 
   def test_top_refuses_a_process_that_is_not_a_learner(self):
     _, log = self.start("craftfleet-envserver", "--listen=127.0.0.1:0")

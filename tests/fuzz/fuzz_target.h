@@ -1,11 +1,9 @@
-// The interface of a fuzz target. Each fuzz_NAME.cc defines both functions; it is linked with libFuzzer's main to
-// search, and with replay_main.cc to replay the inputs in corpus/NAME.tar.gz.
+// The interface of a fuzz target.
 
 #ifndef CRAFTFLEET_TESTS_FUZZ_FUZZ_TARGET_H_
 #define CRAFTFLEET_TESTS_FUZZ_FUZZ_TARGET_H_
 
-#include <cstddef>
-#include <cstdint>
+#include <map>
 #include <string>
 #include <vector>
 
@@ -13,15 +11,33 @@
 
 namespace craftfleet {
 
-// Passes the untrusted `input` to the code under test, and aborts (CRAFTFLEET_CHECK) if an invariant is broken.
-void TryInput(absl::string_view input);
+// Makes a target known to the program. For objects outside functions.
+struct FuzzTarget {
+  // Passes the untrusted `input` to the code under test, and aborts (CRAFTFLEET_CHECK) if an invariant is broken.
+  using Try = void (*)(absl::string_view input);
+  // Valid inputs, and some that are nearly valid, to start from.
+  using Inputs = std::vector<std::string> (*)();
 
-// Valid inputs, and some that are nearly valid, to start from.
-std::vector<std::string> SoundInputs();
+  FuzzTarget(const std::string& name, Try try_input, Inputs sound_inputs)
+      : try_input(try_input), sound_inputs(sound_inputs) {
+    All().emplace(name, this);
+  }
+  FuzzTarget(const FuzzTarget&) = delete;
+  FuzzTarget& operator=(const FuzzTarget&) = delete;
+
+  // By name.
+  static std::map<std::string, const FuzzTarget*>& All() {
+    static auto* const all = new std::map<std::string, const FuzzTarget*>;  // used before main
+    return *all;
+  }
+
+  const Try try_input;
+  const Inputs sound_inputs;
+};
+
+// A folder of this process for the files of targets, in memory if possible; removed when it exits.
+const std::string& FuzzFolder();
 
 }  // namespace craftfleet
-
-extern "C" int LLVMFuzzerInitialize(int* argc, char*** argv);
-extern "C" int LLVMFuzzerTestOneInput(const uint8_t* data, size_t size);
 
 #endif  // CRAFTFLEET_TESTS_FUZZ_FUZZ_TARGET_H_

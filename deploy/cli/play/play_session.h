@@ -17,7 +17,7 @@
 #include "common/config/env_name.h"
 #include "deploy/cli/screen/game_pictures.h"
 #include "deploy/cli/screen/game_text.h"
-#include "deploy/cli/screen/text_line.h"
+#include "deploy/cli/screen/screen.h"
 #include "envserver/game.h"
 #include "envserver/render/textures.h"
 

@@ -3,43 +3,48 @@
 #include <absl/flags/flag.h>
 #include <absl/strings/str_cat.h>
 
-#include "common/process/flag_check.h"
+#include "common/base/status_prefix.h"
+#include "common/process/flag_values.h"
 #include "common/process/shared_flags.h"
 #include "deploy/cli/screen/terminal_screen.h"
 #include "deploy/cli/screen/window_screen.h"
 
 namespace craftfleet {
 
-absl::StatusOr<EnvName> EnvFromFlag(const std::string& name) {
-  absl::StatusOr<EnvName> env = EnvName::Parse(name);
-  if (env.ok()) return env;
-  return absl::InvalidArgumentError(absl::StrCat("--env: ", env.status().message()));
-}
+absl::StatusOr<EnvName> EnvFromFlag(const std::string& name) { return WithPrefix("--env", EnvName::Parse(name)); }
 
 absl::StatusOr<std::shared_ptr<const Textures>> TexturesFromFlag(const std::string& folder) {
   if (folder.empty()) return Textures::BuiltIn();
-  absl::StatusOr<std::shared_ptr<const Textures>> textures = Textures::Load(folder);
-  if (textures.ok()) return textures;
-  return absl::Status(textures.status().code(), absl::StrCat("--textures=", folder, ": ", textures.status().message()));
+  return WithPrefix(absl::StrCat("--textures=", folder), Textures::Load(folder));
 }
 
 absl::StatusOr<std::optional<AttentionChoice>> AttentionFromFlag() {
   const std::string text = absl::GetFlag(FLAGS_attention);
   if (text == "off") return std::optional<AttentionChoice>();
-  absl::StatusOr<AttentionChoice> choice = AttentionChoice::Parse(text);
-  if (!choice.ok()) return absl::InvalidArgumentError(absl::StrCat("--attention: ", choice.status().message()));
-  return std::optional<AttentionChoice>(*choice);
+  return WithPrefix("--attention", AttentionChoice::Parse(text));
 }
 
 absl::Status CheckEpisodeFlag(int64_t episode) { return CheckFlagRange<int64_t>("episode", episode, 1, 1'000'000'000); }
 
 absl::Status CheckSizeFlag(int size) { return CheckFlagRange("size", size, 64, 1024); }
 
-absl::Status CheckScreen(bool terminal) { return terminal ? absl::OkStatus() : TryDisplay(); }
+absl::Status CheckScreen(bool terminal) {
+  if (terminal) return absl::OkStatus();
+#ifdef CRAFTFLEET_WITH_WINDOW
+  return TryDisplay();
+#else
+  return absl::FailedPreconditionError("this build cannot open windows (CRAFTFLEET_WITH_WINDOW=OFF); use --terminal");
+#endif
+}
 
-absl::StatusOr<std::unique_ptr<Screen>> OpenScreen(bool terminal, const std::string& title, int size) {
+absl::StatusOr<std::unique_ptr<Screen>> OpenScreen(bool terminal, [[maybe_unused]] const std::string& title,
+                                                   [[maybe_unused]] int size) {
   if (terminal) return TerminalScreen::Open();
+#ifdef CRAFTFLEET_WITH_WINDOW
   return OpenWindow(title, {size, size});
+#else
+  return CheckScreen(terminal);
+#endif
 }
 
 }  // namespace craftfleet

@@ -9,7 +9,7 @@
 
 #include <absl/strings/string_view.h>
 
-#include "deploy/cli/screen/text_line.h"
+#include "deploy/cli/screen/screen.h"
 #include "envserver/world/world.h"
 
 namespace craftfleet {

@@ -1,5 +1,7 @@
 #include "deploy/cli/screen/keys.h"
 
+#include <utility>
+
 #include <absl/strings/ascii.h>
 
 namespace craftfleet {
@@ -8,20 +10,7 @@ namespace {
 constexpr char kEscape = '\x1b';
 
 // The key of a complete escape sequence that ends with `last`, such as "\x1b[A".
-Key ArrowKey(char last) {
-  switch (last) {
-    case 'A':
-      return kUpKey;
-    case 'B':
-      return kDownKey;
-    case 'C':
-      return kRightKey;
-    case 'D':
-      return kLeftKey;
-    default:
-      return kNoKey;
-  }
-}
+Key ArrowKey(char last) { return last >= 'A' && last <= 'D' ? kUpKey + (last - 'A') : kNoKey; }
 
 // The end of the escape sequence at the beginning of `bytes`, which are "\x1b[" or "\x1bO" and more: parameters and one
 // final letter.
@@ -52,24 +41,14 @@ std::vector<Key> KeysFromTerminal(absl::string_view bytes) {
 }
 
 Key KeyFromWindow(int code) {
+  constexpr std::pair<int, Key> kSymbols[] = {{0xff51, kLeftKey}, {0xff52, kUpKey},  {0xff53, kRightKey},
+                                              {0xff54, kDownKey}, {0xff09, kTabKey}, {0xff1b, kEscapeKey}};
   if (code < 0) return kNoKey;
   const int symbol = code & 0xffff;  // modifiers are above
-  switch (symbol) {
-    case 0xff51:
-      return kLeftKey;
-    case 0xff52:
-      return kUpKey;
-    case 0xff53:
-      return kRightKey;
-    case 0xff54:
-      return kDownKey;
-    case 0xff09:
-      return kTabKey;
-    case 0xff1b:
-      return kEscapeKey;
-    default:
-      return symbol < 128 ? KeyOfCharacter(static_cast<char>(symbol)) : kNoKey;
+  for (const auto& [known, key] : kSymbols) {
+    if (symbol == known) return key;
   }
+  return symbol < 128 ? KeyOfCharacter(static_cast<char>(symbol)) : kNoKey;
 }
 
 }  // namespace craftfleet

@@ -14,10 +14,10 @@ using Key = int;
 inline constexpr Key kNoKey = 0;
 inline constexpr Key kTabKey = '\t';
 inline constexpr Key kEscapeKey = 27;
-inline constexpr Key kUpKey = 256;
+inline constexpr Key kUpKey = 256;  // the arrows in the order of terminals' escape sequences
 inline constexpr Key kDownKey = 257;
-inline constexpr Key kLeftKey = 258;
-inline constexpr Key kRightKey = 259;
+inline constexpr Key kRightKey = 258;
+inline constexpr Key kLeftKey = 259;
 inline constexpr Key kCloseKey = 260;  // Ctrl-C in a terminal, or the window was closed
 
 // The keys in the bytes of a terminal. Unknown escape sequences are skipped.

@@ -10,9 +10,18 @@
 #include <absl/time/time.h>
 
 #include "deploy/cli/screen/keys.h"
-#include "deploy/cli/screen/text_line.h"
 
 namespace craftfleet {
+
+// A styled line of text.
+struct TextLine {
+  enum class Style { kPlain, kTitle, kGood, kBad };
+  std::string text;  // printable ASCII
+  Style style = Style::kPlain;
+  double bar = kNoBar;  // a part, 0..1, drawn as a bar with its percentage at the right
+
+  static constexpr double kNoBar = -1;
+};
 
 // A picture with a column of text to its right.
 struct View {

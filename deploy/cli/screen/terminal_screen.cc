@@ -1,5 +1,7 @@
 #include "deploy/cli/screen/terminal_screen.h"
 
+#include <poll.h>
+#include <sys/ioctl.h>
 #include <unistd.h>
 
 #include <algorithm>
@@ -9,6 +11,7 @@
 #include <absl/memory/memory.h>
 #include <absl/strings/str_cat.h>
 #include <absl/strings/str_format.h>
+#include <absl/strings/string_view.h>
 
 namespace craftfleet {
 namespace {
@@ -18,6 +21,27 @@ constexpr int kLeastRows = 12;
 constexpr int kLeastColumns = 18 + kGapColumns + kTextColumns;
 
 constexpr int kBarColumns = 8;
+
+void Write(absl::string_view text) {
+  while (!text.empty()) {
+    const ssize_t count = write(STDOUT_FILENO, text.data(), text.size());
+    if (count <= 0) return;
+    text.remove_prefix(static_cast<size_t>(count));
+  }
+}
+
+// Columns and lines; 80 and 24 if the terminal does not report its size.
+std::pair<int, int> TerminalSize() {
+  winsize size = {};
+  if (ioctl(STDOUT_FILENO, TIOCGWINSZ, &size) != 0 || size.ws_col == 0 || size.ws_row == 0) return {80, 24};
+  return {size.ws_col, size.ws_row};
+}
+
+std::string WithStyle(const std::string& text, TextLine::Style style) {
+  if (style == TextLine::Style::kPlain) return text;
+  const int code = style == TextLine::Style::kTitle ? 1 : style == TextLine::Style::kGood ? 32 : 31;
+  return absl::StrFormat("\x1b[%dm%s\x1b[0m", code, text);
+}
 
 // Text, bar and percentage.
 std::string TextOf(const TextLine& line) {
@@ -48,7 +72,7 @@ std::vector<std::string> PageRows(const View& view, int columns, int rows, Colou
   for (size_t i = 0; i < std::min(page.size(), view.lines.size()); ++i) {
     const std::string text = TextOf(view.lines[i]).substr(0, text_columns);
     absl::StrAppend(&page[i], std::string(std::min(kGapColumns, columns - cut.width), ' '),
-                    WithAnsiStyle(text, view.lines[i].style));
+                    WithStyle(text, view.lines[i].style));
   }
   return page;
 }
@@ -57,7 +81,7 @@ absl::StatusOr<std::unique_ptr<Screen>> TerminalScreen::Open() {
   if (isatty(STDIN_FILENO) != 1 || isatty(STDOUT_FILENO) != 1) {
     return absl::FailedPreconditionError("--terminal: standard input and output are not a terminal");
   }
-  const auto [columns, rows] = Terminal::Size();
+  const auto [columns, rows] = TerminalSize();
   if (columns < kLeastColumns || rows < kLeastRows) {
     return absl::FailedPreconditionError(
         absl::StrFormat("--terminal: the terminal has %dx%d characters, want at least %dx%d", columns, rows,
@@ -66,15 +90,28 @@ absl::StatusOr<std::unique_ptr<Screen>> TerminalScreen::Open() {
   return absl::WrapUnique<Screen>(new TerminalScreen());
 }
 
-TerminalScreen::TerminalScreen() : colours_(ColoursOf(std::getenv("COLORTERM"), std::getenv("TERM"))) {}
+TerminalScreen::TerminalScreen() : colours_(ColoursOf(std::getenv("COLORTERM"), std::getenv("TERM"))) {
+  tcgetattr(STDIN_FILENO, &before_);
+  termios raw = before_;
+  raw.c_lflag &= ~static_cast<tcflag_t>(ICANON | ECHO | ISIG);
+  raw.c_cc[VMIN] = 0;
+  raw.c_cc[VTIME] = 0;
+  tcsetattr(STDIN_FILENO, TCSANOW, &raw);
+  Write("\x1b[?1049h\x1b[?25l");  // the other screen, no cursor
+}
+
+TerminalScreen::~TerminalScreen() {
+  Write("\x1b[?25h\x1b[?1049l");
+  tcsetattr(STDIN_FILENO, TCSANOW, &before_);
+}
 
 PictureRoom TerminalScreen::Room() const {
-  const auto [columns, rows] = Terminal::Size();
+  const auto [columns, rows] = TerminalSize();
   return {std::max(1, columns - kGapColumns - kTextColumns), std::max(1, 2 * rows)};
 }
 
 absl::Status TerminalScreen::Show(const View& view) {
-  const auto [columns, rows] = Terminal::Size();
+  const auto [columns, rows] = TerminalSize();
   std::vector<std::string> page = PageRows(view, columns, rows, colours_);
   std::string text;
   if (size_ != std::make_pair(columns, rows)) {
@@ -86,15 +123,19 @@ absl::Status TerminalScreen::Show(const View& view) {
     if (page[i] == shown_[i]) continue;
     absl::StrAppend(&text, absl::StrFormat("\x1b[%d;1H", i + 1), page[i], "\x1b[K");
   }
-  terminal_.Write(text);
+  Write(text);
   size_ = {columns, rows};
   shown_ = std::move(page);
   return absl::OkStatus();
 }
 
 Key TerminalScreen::ReadKey(absl::Duration timeout) {
-  if (keys_.empty()) {
-    for (const Key key : KeysFromTerminal(terminal_.ReadKeys(timeout))) keys_.push_back(key);
+  pollfd input = {STDIN_FILENO, POLLIN, 0};
+  if (keys_.empty() && poll(&input, 1, static_cast<int>(absl::ToInt64Milliseconds(timeout))) > 0) {
+    char bytes[64];
+    const ssize_t count = read(STDIN_FILENO, bytes, sizeof(bytes));
+    for (const Key key : KeysFromTerminal({bytes, static_cast<size_t>(std::max<ssize_t>(count, 0))}))
+      keys_.push_back(key);
   }
   if (keys_.empty()) return kNoKey;
   const Key key = keys_.front();

@@ -3,6 +3,8 @@
 #ifndef CRAFTFLEET_DEPLOY_CLI_SCREEN_TERMINAL_SCREEN_H_
 #define CRAFTFLEET_DEPLOY_CLI_SCREEN_TERMINAL_SCREEN_H_
 
+#include <termios.h>
+
 #include <deque>
 #include <memory>
 #include <string>
@@ -13,18 +15,21 @@
 
 #include "deploy/cli/screen/half_blocks.h"
 #include "deploy/cli/screen/screen.h"
-#include "deploy/cli/screen/terminal.h"
 
 namespace craftfleet {
 
 // The rows of a page: the picture as half blocks, the text beside it, cut to `columns` and `rows`.
 std::vector<std::string> PageRows(const View& view, int columns, int rows, Colours colours = Colours::kTrue);
 
+// Keys arrive one by one without echo. The destructor restores the terminal and its content.
 class TerminalScreen : public Screen {
  public:
   // Takes over the terminal at standard input and output until the object is destroyed.
   //   FailedPrecondition: they are not a terminal, or it is too small.
   static absl::StatusOr<std::unique_ptr<Screen>> Open();
+  ~TerminalScreen() override;
+  TerminalScreen(const TerminalScreen&) = delete;
+  TerminalScreen& operator=(const TerminalScreen&) = delete;
 
   PictureRoom Room() const override;
   absl::Status Show(const View& view) override;
@@ -34,7 +39,7 @@ class TerminalScreen : public Screen {
   TerminalScreen();
 
   const Colours colours_;
-  Terminal terminal_;
+  termios before_ = {};
   std::deque<Key> keys_;            // pressed and not read yet
   std::pair<int, int> size_;        // columns and rows when shown_ was drawn
   std::vector<std::string> shown_;  // rows on the terminal: only those that change are written

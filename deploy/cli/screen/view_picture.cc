@@ -23,7 +23,6 @@ cv::Scalar ColorOf(TextLine::Style style) {  // blue, green, red
     case TextLine::Style::kPlain:
       return {210, 210, 210};
     case TextLine::Style::kTitle:
-    case TextLine::Style::kHeader:
       return {255, 255, 255};
     case TextLine::Style::kGood:
       return {120, 220, 120};

@@ -16,7 +16,7 @@ namespace craftfleet {
 // Whether windows can be opened. A child process tries it, because the window system ends a process whose display does
 // not answer. To be called before other threads start: a child of several threads may wait forever for a lock of one of
 // them.
-//   FailedPrecondition: there is no display, or the build has no windows (CRAFTFLEET_WITH_WINDOW=OFF).
+//   FailedPrecondition: there is no display.
 absl::Status TryDisplay();
 
 // Opens a window with room for pictures of `room` and a column of text, after TryDisplay.

@@ -4,7 +4,6 @@
 #include <string>
 #include <vector>
 
-#include <absl/strings/str_cat.h>
 #include <absl/time/clock.h>
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
@@ -13,17 +12,14 @@
 
 #include "common/agent/policy.h"
 #include "common/io/files.h"
-#include "tests/fakes/command_output.h"
 #include "tests/fakes/sample_policy.h"
 #include "tests/fakes/status_matchers.h"
 #include "tests/fakes/temp_folder.h"
-#include "tests/fakes/test_paths.h"
 
 namespace craftfleet {
 namespace {
 
 using testing::ElementsAre;
-using testing::HasSubstr;
 using testing::IsEmpty;
 
 constexpr int kFrameSize = 8;
@@ -133,31 +129,6 @@ TEST_F(EpisodeRecorderTest, KeepsUnfinishedEpisodesIfAsked) {
   EXPECT_THAT(Files("episodes"), ElementsAre("20240229T235958-episode0005-ach2-len4.npz"));
 }
 
-TEST_F(EpisodeRecorderTest, WritesAPictureAtTheGivenInterval) {
-  options_.picture_folder = folder_ / "pictures";
-  options_.picture_every = 2;
-  Play(5, 5, Make().get());
-  EXPECT_THAT(Files("pictures"),
-              ElementsAre("episode-0005-step-00000.png", "episode-0005-step-00002.png", "episode-0005-step-00004.png"));
-  const cv::Mat picture = cv::imread(folder_ / "pictures/episode-0005-step-00004.png");
-  EXPECT_EQ(picture.cols, kPictureSize);
-  EXPECT_EQ(picture.at<cv::Vec3b>(9, 9), (cv::Vec3b{80, 80, 80}));
-}
-
-// An independent reader checks keys, shapes, types, zeros at the reset, and the episode's line in the log.
-TEST_F(EpisodeRecorderTest, WritesTablesThatPythonCanRead) {
-  options_.npz_folder = folder_ / "npz";
-  Play(5, 4, Make().get(), StepEnd::kTruncated);
-  std::string line = R"({"length": 4, "reward": 0.6)";
-  for (int i = 0; i < kNumAchievements; ++i) {
-    absl::StrAppend(&line, ", \"achievement_", kAchievementNames[i], "\": ", i < 2 ? 4 : 0);
-  }
-  ASSERT_THAT(WriteFileSynced(folder_ / "stats.jsonl", line + "}\n"), IsOk());
-  const std::string command = absl::StrCat("python3 ", SourcePath("tests/actor/recording/check_episodes.py"), " ",
-                                           folder_ / "npz", " ", folder_ / "stats.jsonl", " ", kFrameSize);
-  EXPECT_EQ(OutputOf(command), "1 episodes agree\n");
-}
-
 TEST_F(EpisodeRecorderTest, ShowsAttentionOnTheRight) {
   const auto policy = SamplePolicy(1, 1, "oc_ca");
   options_.frame_size = 72;
@@ -196,16 +167,6 @@ TEST_F(EpisodeRecorderTest, AttentionHasAScaleInVideosToo) {
   ASSERT_TRUE(video.read(picture));
   EXPECT_EQ(picture.cols, 2 * kPictureSize);
   EXPECT_EQ(picture.rows, kPictureSize + ScaleHeight(kPictureSize));
-}
-
-TEST_F(EpisodeRecorderTest, RefusesAttentionThatTheAgentDoesNotHave) {
-  options_.frame_size = 64;
-  options_.attention = AttentionChoice();
-  options_.video_folder = folder_ / "video";
-  const auto policy = SamplePolicy(1);
-  EXPECT_THAT(EpisodeRecorder::Create(options_, AttentionOf(*policy), absl::Now()),
-              StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("ppo_cnn")));
-  EXPECT_FALSE(PathExists(folder_ / "video"));
 }
 
 }  // namespace

@@ -15,9 +15,9 @@
 #include "common/base/status_macros.h"
 #include "common/config/config.h"
 #include "common/io/paths.h"
-#include "common/process/cpu_quota.h"
+#include "common/process/cgroup.h"
 #include "common/process/program.h"
-#include "common/telemetry/activity.h"
+#include "common/telemetry/activity_meter.h"
 #include "deploy/cli/local_fleet.h"
 
 ABSL_FLAG(int32_t, iterations, 20, "PPO iterations to time, after one that is not counted");

@@ -27,7 +27,6 @@
 #include "actor/fragment_builder.h"
 #include "common/base/check.h"
 #include "common/base/clock.h"
-#include "common/base/frame_format.h"
 #include "common/config/config.h"
 #include "common/io/paths.h"
 #include "common/io/snapshot_envelope.h"
@@ -260,6 +259,8 @@ class Actor {
   std::vector<v1::Permit> active_;
 };
 
+std::string NameOf(FrameFormat format) { return format == FrameFormat::kScene ? "scene" : "raw"; }
+
 // A client that plays games on an environment server, with a fixed sequence of actions.
 class GamePlayer {
  public:
@@ -332,7 +333,7 @@ void MeasureLearner(const ServerProcess& learner, int steps, const ServerProcess
     for (int k = 0; k < absl::GetFlag(FLAGS_clients); ++k) {
       actors.push_back(std::make_unique<Actor>(learner.address(), k, fragment));
     }
-    Measure(absl::StrCat("fragment of ", steps, " steps, ", FrameFormatName(frames), ", 1/16 request for permits"),
+    Measure(absl::StrCat("fragment of ", steps, " steps, ", NameOf(frames), ", 1/16 request for permits"),
             learner, [&](int client) { return actors[client]->Play(); });
   }
   if (steps != kFragmentSteps[0]) return;
@@ -364,7 +365,7 @@ void Run() {
     for (int k = 0; k < absl::GetFlag(FLAGS_clients); ++k) {
       players.push_back(std::make_unique<GamePlayer>(games.address(), k, kLanesOfClient, frames));
     }
-    Measure(absl::StrCat("step of a game, ", FrameFormatName(frames), ", 16 in a message (with the game)"), games,
+    Measure(absl::StrCat("step of a game, ", NameOf(frames), ", 16 in a message (with the game)"), games,
             [&](int client) { return players[client]->Step(); });
   }
 }

@@ -11,7 +11,6 @@
 namespace craftfleet {
 namespace {
 
-using ::testing::ElementsAre;
 using ::testing::HasSubstr;
 using Network = v1::NetworkConfig;
 
@@ -21,35 +20,6 @@ absl::StatusOr<Network> NetworkOf(const std::string& agent, const std::string& t
   config.set_agent(agent);
   EXPECT_TRUE(google::protobuf::TextFormat::ParseFromString(text, config.mutable_network())) << text;
   return ResolveNetwork(config);
-}
-
-TEST(AgentPresets, NamesAreInTheOrderOfThePage) {
-  EXPECT_THAT(AgentNames(),
-              ElementsAre("ppo_cnn", "lstm_cnn", "lstm_cnn_published", "ppo_spcnn", "lstm_spcnn",
-                          "lstm_spcnn_published", "oc_sa", "oc_sa_published", "oc_ca", "oc_ca_published", "ppo_resnet",
-                          "ppo_resnet_published", "achievement_distillation", "cnn_distillation", "grid_distillation"));
-}
-
-// Source: AGENTS.md, section 8.
-TEST(AgentPresets, ObjectAgentsFollowThePapersTextAndPublishedOnesTheCode) {
-  const Network sa = *NetworkOf("oc_sa", "");
-  EXPECT_EQ(sa.frame_size(), 72);
-  EXPECT_EQ(sa.patch(), 12);
-  EXPECT_EQ(sa.stride(), 8);
-  EXPECT_EQ(sa.heads(), 8);
-  EXPECT_EQ(sa.dropout(), 0.1);
-  EXPECT_TRUE(sa.cls_learned());
-  EXPECT_TRUE(sa.positions());
-  const Network sa_published = *NetworkOf("oc_sa_published", "");
-  EXPECT_FALSE(sa_published.cls_learned());
-  EXPECT_FALSE(sa_published.positions());
-  EXPECT_EQ(sa_published.heads(), 8);
-  const Network ca = *NetworkOf("oc_ca", "");
-  EXPECT_EQ(ca.patch(), 16);
-  EXPECT_EQ(ca.stride(), 16);
-  EXPECT_EQ(ca.slots(), 8);
-  EXPECT_EQ(ca.heads(), 8);
-  EXPECT_EQ(NetworkOf("oc_ca_published", "")->heads(), 4);
 }
 
 TEST(AgentPresets, GivenFieldsOverrideTheAgents) {

@@ -2,18 +2,15 @@
 
 #include <filesystem>
 #include <fstream>
+#include <optional>
 #include <string>
 
-#include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
 #include "tests/fakes/temp_folder.h"
 
 namespace craftfleet {
 namespace {
-
-using testing::ElementsAre;
-using testing::IsEmpty;
 
 constexpr int64_t kMiB = 1 << 20;
 
@@ -35,13 +32,6 @@ class CgroupTest : public testing::Test {
   const TempFolder folder_;
   const std::string root_ = folder_ / "cgroup";
 };
-
-TEST_F(CgroupTest, FoldersAreThoseOfTheControllerUpToTheTop) {
-  EXPECT_THAT(CgroupFolders("4:cpu,memory:/a/b\n3:cpuset:/c\n0::/d\n", "memory", "/r"),
-              ElementsAre("/r/memory/a/b", "/r/memory/a", "/r/memory", "/r/d", "/r"));
-  EXPECT_THAT(CgroupFolders("0::/\n", "cpu", "/r"), ElementsAre("/r"));
-  EXPECT_THAT(CgroupFolders("no such text\n", "cpu", "/r"), IsEmpty());
-}
 
 TEST_F(CgroupTest, Version2sTightestGroupLimitsMemory) {
   Write("job/memory.max", 100 * kMiB);
@@ -75,6 +65,34 @@ TEST_F(CgroupTest, WithoutALimitThereIsNone) {
   EXPECT_FALSE(CgroupMemoryLimit("", root_).has_value());
   Write("memory.max", "max");
   EXPECT_FALSE(CgroupMemoryLimit("0::/\n", root_).has_value());
+}
+
+TEST_F(CgroupTest, TheTightestQuotaOfAllGroupsAppliesInBothVersions) {
+  Write("cpu.max", "800000 100000");
+  Write("pod/cpu.max", "150000 100000");
+  Write("pod/container/cpu.max", "max 100000");
+  EXPECT_EQ(OwnCpuLimit("0::/pod/container\n", root_), 1.5);
+  EXPECT_EQ(OwnCpuLimit("0::/elsewhere\n", root_), 8.0);
+  EXPECT_EQ(OwnCpuLimit("0::/../../host/path\n", root_), 8.0) << "as in a container";
+  EXPECT_EQ(OwnCpuLimit("0::/\n", root_ + "/pod/container"), std::nullopt);
+  Write("cpu/docker/abc/cpu.cfs_quota_us", 300000);
+  Write("cpu/docker/abc/cpu.cfs_period_us", 100000);
+  Write("cpu/cpu.cfs_quota_us", -1);
+  Write("cpu/cpu.cfs_period_us", 100000);
+  EXPECT_EQ(OwnCpuLimit("12:memory:/pod\n5:cpu,cpuacct:/docker/abc\n2:cpuset:/pod\n0::/\n", root_), 3.0);
+  EXPECT_EQ(OwnCpuLimit("5:cpu,cpuacct:/docker/abc\n0::/pod\n", root_), 1.5);
+  EXPECT_EQ(OwnCpuLimit("5:cpu,cpuacct:/docker/none\n", root_), std::nullopt);
+  EXPECT_EQ(OwnCpuLimit("12:memory:/docker/abc\n", root_), std::nullopt);
+}
+
+TEST_F(CgroupTest, WhatCannotBeReadIsNoQuota) {
+  EXPECT_EQ(OwnCpuLimit("", root_), std::nullopt);
+  EXPECT_EQ(OwnCpuLimit("no such text\n::\n", root_), std::nullopt);
+  for (const char* text : {"-1 100000", "100000 0", "", "1 2 3", "many 100000"}) {
+    Write("cpu.max", text);
+    EXPECT_EQ(OwnCpuLimit("0::/\n", root_), std::nullopt) << text;
+  }
+  EXPECT_GE(DefaultThreads(), 1);
 }
 
 }  // namespace

@@ -89,8 +89,6 @@ TEST_F(Help, ACommandHasOnlyTheFlagsThatItNamesAndExplainsThemItself) {
 TEST_F(Help, JsonHasUsageAndFlags) {
   const nlohmann::json json = nlohmann::json::parse(HelpJson(Maker()));
   EXPECT_EQ(json["program"], "craftfleet make");
-  EXPECT_EQ(json["arguments"], "THING...");
-  EXPECT_EQ(json["summary"], "makes things, one after the other");
   EXPECT_EQ(json["usage"], kUsage);
   std::vector<std::string> names;
   std::map<std::string, nlohmann::json> flags;
@@ -112,15 +110,6 @@ TEST_F(Help, JsonHasUsageAndFlags) {
   EXPECT_EQ(flags["fragile"]["type"], "bool");
   EXPECT_EQ(flags["pause"]["type"], "duration");
   EXPECT_EQ(flags["pause"]["default"], "2s");
-}
-
-TEST_F(Help, TheSummaryIsTheFirstSentence) {
-  const auto summary = [](const char* usage) {
-    return nlohmann::json::parse(HelpJson({"p", usage, {}}))["summary"].get<std::string>();
-  };
-  EXPECT_EQ(summary("p counts to 1.5 and\nstops: so it ends. More."), "counts to 1.5 and stops");
-  EXPECT_EQ(summary("p ends without a stop"), "ends without a stop");
-  EXPECT_EQ(summary("p FILE... DIR reads. More."), "reads");
 }
 
 }  // namespace

@@ -14,20 +14,14 @@ TEST(Nvml, ReportsAGpuByNumberAndIdentifier) {
   EXPECT_EQ(first->memory_bytes, int64_t{3} << 30);
   EXPECT_EQ(first->memory_total_bytes, int64_t{80} << 30);
   EXPECT_EQ(first->utilization, 0.87);
+  EXPECT_EQ(first->capability, 75);
   const std::optional<GpuUsage> second = nvml->Read("GPU-1234");
   ASSERT_TRUE(second.has_value());
   EXPECT_EQ(second->name, "NVIDIA Second");
+  EXPECT_EQ(second->capability, 90);
   EXPECT_EQ(second->utilization, 0) << "not reported";
   EXPECT_FALSE(nvml->Read("2").has_value());
   EXPECT_FALSE(nvml->Read("GPU-unknown").has_value());
-}
-
-TEST(Nvml, ReportsComputeCapabilities) {
-  const auto nvml = Nvml::Open(CRAFTFLEET_STAND_IN_NVML);
-  ASSERT_NE(nvml, nullptr);
-  EXPECT_EQ(nvml->ComputeCapability("0"), 75);
-  EXPECT_EQ(nvml->ComputeCapability("GPU-1234"), 90);
-  EXPECT_EQ(nvml->ComputeCapability("2"), std::nullopt);
 }
 
 TEST(Nvml, IsNullWithoutALibraryOrItsFunctions) {

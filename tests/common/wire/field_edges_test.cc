@@ -112,7 +112,7 @@ const FieldExpectations& Expectations() {
           {"LeaveReply", "empty"},
           {"PlayRequest", "its requests are walked one by one"},
           {"StatusRequest", "empty"},
-          {"StatusReply", "for people: clients accept any value (fuzz_status_reply)"},
+          {"StatusReply", "for people: clients accept any value (fuzz target status_reply)"},
           {"Metric", "the same"},
           {"FleetSummary", "the same"},
           {"WorkerCount", "the same"},
@@ -133,8 +133,8 @@ const FieldExpectations& Expectations() {
 }
 
 // Formats that only one program reads; their tests walk or fuzz all fields:
-//   access.proto  access_test, fuzz_access
-//   config.proto  config_test, fuzz_config
+//   access.proto  access_test, fuzz target access
+//   config.proto  config_test, fuzz target config
 //   event.proto   never read
 
 void FillSummary(v1::ProcessSummary* summary) {

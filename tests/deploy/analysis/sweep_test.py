@@ -268,4 +268,80 @@ class Commands(unittest.TestCase):
       self.assertIn(message, refused.stderr)
 
 
+class Program(python_case.FolderCase):
+  """craftfleet sweep and what craftfleet report makes of its runs."""
+
+  def setUp(self):
+    super().setUp()
+    self.file = self.folder / "t.toml"
+    self.file.write_text(FILE % 0.5)
+
+  def arguments(self, *more):
+    return [self.file, "--seeds=2", "--jobs=2", f"--logdir={self.folder}/runs", *more]
+
+  def sweep(self, *more, code=0):
+    return self.run_program("craftfleet sweep", *self.arguments(*more), code=code)
+
+  def start(self, *more):
+    process = subprocess.Popen([*built("craftfleet sweep"), *self.arguments(*more)], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    self.addCleanup(process.communicate)
+    self.addCleanup(process.kill)
+    wait_until(lambda: list(self.folder.glob("runs/**/log.txt")), "the first run")
+    return process
+
+  def test_a_killed_sweep_is_finished_once_and_reported(self):
+    self.start().kill()  # its children continue, or are resumed
+    self.assertIn("4 done, 0 running, 0 left, 0 failed | 512/512 steps", self.sweep().stdout)
+    folders = [self.folder / "runs/t" / cell / seed for cell in "ab" for seed in ("seed1", "seed2")]
+    logs = [(folder / "log.txt").read_text() for folder in folders]
+    again = self.sweep()
+    self.assertIn("4 runs, of which 4 are done already", again.stdout)
+    self.assertNotIn("begins", again.stdout)
+    self.assertEqual([(folder / "log.txt").read_text() for folder in folders], logs)
+
+    runs, experiments = f"{self.folder}/runs", f"--experiments={self.file}"
+    report = self.run_program("craftfleet report", runs, experiments, f"--out={self.folder}/report")
+    self.assertIn("4 runs, 4 complete", report.stdout)
+    text = (self.folder / "report/report.md").read_text()
+    self.assertIn("2 of 2 configurations have a complete run (2 cells", text)
+    page = self.run_program("craftfleet report", runs, experiments, "--out=-")
+    self.assertEqual(page.stdout, text)
+    self.assertIn("4 runs, 4 complete; report.md written to standard output", page.stderr)
+    damaged = folders[0] / "config.txt"
+    damaged.write_text("no configuration")
+    rest = self.run_program("craftfleet report", runs, "--out=-").stderr
+    self.assertIn(f"warning: left out: {damaged}", rest)
+    self.assertIn("3 runs, 3 complete; 1 more", rest)
+    self.assertIn(str(damaged), self.run_program("craftfleet report", folders[0], "--out=-", code=1).stderr)
+
+  def test_sigterm_stops_its_runs_and_the_same_command_resumes(self):
+    sweep = self.start("--steps=100000")
+    sweep.terminate()
+    self.assertEqual(sweep.wait(60), 75)
+    self.assertIn("stopped with 0 of 4 runs done; the same command resumes the sweep", sweep.stderr.read())
+    self.assertIn("0 of 2 done", self.sweep("--list").stdout)
+    self.sweep()
+
+  def test_a_dry_run_only_prints_the_commands(self):
+    textures = SOURCE / "envserver/textures"
+    out = self.sweep("--dry_run", "--cell=b", "--threads=1", f"--textures={textures}").stdout
+    self.assertIn(f"craftfleet train --config={self.folder}/runs/t/b/cell.txt --seed=2 --steps=128 "
+                  f"--logdir={self.folder}/runs/t/b/seed2 --threads=1 --textures={textures}\n", out)
+    self.assertNotIn("/t/a/", out)
+    self.assertFalse((self.folder / "runs").exists())
+
+  def test_bad_arguments_are_named(self):
+    for program, arguments, error in (
+        ("sweep", [], "name one file with experiments"), ("sweep", ["/nowhere.toml"], "/nowhere.toml"),
+        ("sweep", [self.file], "--logdir is missing"), ("sweep", self.arguments("--jobs=0"), "--jobs=0, want 1..1000"),
+        ("sweep", self.arguments("--experiment=x"), "--experiment=x, want one of t"),
+        ("report", ["--out=r"], "name at least one folder with runs"), ("report", ["/nowhere", "--out=r"], "/nowhere: no such folder"),
+        ("report", [self.folder], "--out is missing"),
+        ("report", ["/nowhere", f"--out={self.file}"], "is not a folder; want a folder")):
+      refused = self.run_program(f"craftfleet {program}", *arguments, code=1)
+      self.assertIn(error, refused.stderr)
+      if "is not a folder" in error:
+        self.assertNotIn("no such folder", refused.stderr)
+
+
 python_case.main()

@@ -1,4 +1,4 @@
-"""python -m craftfleet.analysis report|curve|sweep ...: the commands where only the Python package is installed.
+"""python -m craftfleet.analysis report|curve|sweep|top ...: the commands where only the Python package is installed.
 
 The program craftfleet runs this file by its path, in a folder craftfleet_analysis.
 """
@@ -7,7 +7,7 @@ import importlib
 import os
 import sys
 
-COMMANDS = ("curve", "report", "sweep")
+COMMANDS = ("curve", "report", "sweep", "top")
 SYSTEM_PYTHON = "/usr/bin/python3"
 
 

@@ -146,14 +146,9 @@ def full_help(program: str, usage: str, flags: list[Flag]) -> str:
 
 def help_json(program: str, usage: str, flags: list[Flag]) -> str:
   """What the man pages and completions are made from; the same as in the programs."""
-  sentence = re.match(r".*?(?<!\.\.)[.:](?=\s)", " ".join(usage.split()) + " ")[0][:-1].removeprefix(program).split()
-  arguments = []
-  while re.fullmatch(r"[A-Z._]+", sentence[0]):
-    arguments.append(sentence.pop(0))
   described = [{"name": flag.name, "type": flag.type, "default": default_text(flag), "help": flag.help,
                 "group": "main" if flag.main else "other"} for flag in sorted(flags, key=lambda flag: not flag.main)]
-  return json.dumps({"program": program, "arguments": " ".join(arguments), "summary": " ".join(sentence), "usage": usage,
-                     "flags": described}, indent=2, ensure_ascii=False) + "\n"
+  return json.dumps({"program": program, "usage": usage, "flags": described}, indent=2, ensure_ascii=False) + "\n"
 
 
 def version(program: str) -> str:

@@ -28,7 +28,7 @@ def find(name: str) -> tuple[list[str], dict[str, str]]:
 
 
 def ask(questions: list[dict]) -> list[dict]:
-  """The answers of craftfleet inspect (deploy/cli/inspect/answer.h): each has an "error", or what was asked for."""
+  """The answers of craftfleet inspect (deploy/cli/answer.h): each has an "error", or what was asked for."""
   if not questions:
     return []
   text = "".join(json.dumps(question, ensure_ascii=True) + "\n" for question in questions)

@@ -6,7 +6,6 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
-#include "deploy/cli/play/play_keys.h"
 #include "tests/deploy/cli/screen/fake_screen.h"
 #include "tests/fakes/status_matchers.h"
 

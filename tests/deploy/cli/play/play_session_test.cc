@@ -3,15 +3,12 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
-#include "common/io/files.h"
 #include "tests/fakes/status_matchers.h"
-#include "tests/fakes/temp_folder.h"
 
 namespace craftfleet {
 namespace {
 
 using testing::Contains;
-using testing::ElementsAre;
 using testing::EndsWith;
 using testing::Field;
 using testing::HasSubstr;
@@ -81,21 +78,6 @@ TEST(PlaySession, ADeadPlayerDoesNotActUntilTheNextEpisode) {
   EXPECT_FALSE((*session)->ended());
   EXPECT_EQ((*session)->world().episode(), 2);
   EXPECT_THAT((*session)->Panel(), Not(HasLine("died")));
-}
-
-TEST(PlaySession, RecordsEpisodesThatThePlayerLeaves) {
-  const TempFolder folder;
-  PlaySession::Options options = SmallOptions();
-  options.record_folder = folder / "recordings";
-  const auto session = PlaySession::Create(options);
-  ASSERT_THAT(session, IsOk());
-  for (int i = 0; i < 3; ++i) ASSERT_THAT((*session)->Step(Action::kMoveRight), IsOk());
-  ASSERT_THAT((*session)->StartNextEpisode(), IsOk());
-  ASSERT_THAT((*session)->Step(Action::kMoveRight), IsOk());
-  ASSERT_THAT((*session)->Finish(), IsOk());
-  EXPECT_THAT(*ListFolder(options.record_folder),
-              ElementsAre("20240229T120000-episode0001-ach0-len3.mp4", "20240229T120000-episode0001-ach0-len3.npz",
-                          "20240229T120001-episode0002-ach0-len1.mp4", "20240229T120001-episode0002-ach0-len1.npz"));
 }
 
 TEST(PlaySession, PlaysVariantsAndRefusesTinyPictures) {

@@ -1,11 +1,7 @@
 #include "deploy/cli/screen/terminal_screen.h"
 
-#include <unistd.h>
-
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
-
-#include "tests/fakes/status_matchers.h"
 
 namespace craftfleet {
 namespace {
@@ -13,7 +9,6 @@ namespace {
 using testing::EndsWith;
 using testing::HasSubstr;
 using testing::SizeIs;
-using testing::StartsWith;
 
 View Grey(int width, int height, std::vector<TextLine> lines) {
   return {width, height, std::string(size_t{3} * width * height, '\x40'), std::move(lines)};
@@ -40,13 +35,6 @@ TEST(PageRows, CutWhatDoesNotFit) {
 TEST(PageRows, ABarIsOfCharacters) {
   const View view = Grey(2, 2, {{"do", TextLine::Style::kPlain, 0.5}});
   EXPECT_THAT(PageRows(view, 80, 1)[0], EndsWith("  do                   ####      50%"));
-}
-
-TEST(TerminalScreen, NeedsATerminal) {
-  // CTest runs tests without a terminal at standard input.
-  if (isatty(0) == 1 && isatty(1) == 1) GTEST_SKIP() << "standard input and output are a terminal";
-  EXPECT_THAT(TerminalScreen::Open(),
-              StatusIs(absl::StatusCode::kFailedPrecondition, StartsWith("--terminal: standard input and output")));
 }
 
 }  // namespace

@@ -63,31 +63,6 @@ TEST(ChooseSteps, PrefersAchievementsAndFillsUpEvenly) {
   EXPECT_THAT(ChooseSteps({}, 2, 6), ElementsAre(0, 1)) << "there are no more";
 }
 
-TEST(TakeColumns, TakesTheChosenStepsOfTheEpisode) {
-  AgentGame::Options options = WatchedOptions(6);
-  options.frame_size = kFrame;
-  const std::shared_ptr<const Policy> policy = SamplePolicy(1, 1, "oc_ca");
-  const auto game = AgentGame::Create(options, policy, 1);
-  ASSERT_THAT(game, IsOk());
-  const std::atomic<bool> stop{false};
-  const auto columns = TakeColumns({0, 4, 50}, AttentionChoice(), stop, game->get());
-  ASSERT_THAT(columns, IsOk());
-  ASSERT_EQ(columns->size(), 2U) << "the episode ends before step 50";
-  EXPECT_EQ((*columns)[1].step, 4);
-  EXPECT_EQ((*columns)[0].weights.size(), static_cast<size_t>((*columns)[0].patches.count()));
-  ASSERT_THAT((*game)->Start(policy, 1), IsOk());
-  const auto outline = PlayOutline(stop, game->get());
-  ASSERT_THAT(outline, IsOk());
-  EXPECT_EQ(outline->length, 6);
-}
-
-TEST(TakeColumns, RefusesAgentsWithoutAttention) {
-  const auto game = AgentGame::Create(WatchedOptions(), SamplePolicy(1), 1);
-  ASSERT_THAT(game, IsOk());
-  EXPECT_THAT(TakeColumns({0}, AttentionChoice(), std::atomic<bool>{false}, game->get()),
-              StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("no attention")));
-}
-
 TEST(PlayOutline, CanBeStopped) {
   const auto game = AgentGame::Create(WatchedOptions(), SamplePolicy(1), 1);
   ASSERT_THAT(game, IsOk());
