@@ -37,7 +37,7 @@
 #include "common/process/cpu_quota.h"
 #include "common/process/version.h"
 #include "common/telemetry/gpu_usage.h"
-#include "common/wire/listener.h"
+#include "common/wire/listen_socket.h"
 
 namespace craftfleet {
 namespace {
@@ -158,11 +158,7 @@ GpuFacts ReadGpu() {
   return facts;
 }
 
-absl::Status TryPort(const std::string& address) {
-  wire::Listener::Options options;
-  options.address = address;
-  return wire::Listener::Create(options).status();
-}
+absl::Status TryPort(const std::string& address) { return wire::ListenSocket::Create(address).status(); }
 
 std::vector<std::pair<std::string, std::string>> ReadVersions() {
   utsname kernel = {};

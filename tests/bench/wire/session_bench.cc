@@ -125,10 +125,9 @@ void Bench() {
   const int count = absl::GetFlag(FLAGS_sessions);
   const int groups = std::min(absl::GetFlag(FLAGS_threads), count);
   const TempFolder logs;
-  const auto server = *Process::Start(
-      absl::GetFlag(FLAGS_server),
-      {"--listen=127.0.0.1:0", "--max_connections_per_client=65536", "--max_games=1000000", "--max_games_mb=1000000"},
-      logs / "server");
+  const auto server =
+      *Process::Start(absl::GetFlag(FLAGS_server),
+                      {"--listen=127.0.0.1:0", "--max_games=1000000", "--max_games_mb=1000000"}, logs / "server");
   wire::PollFewConnections();  // as craftfleet-actor; the server has a copy of the environment before this
   const std::string address = *server->WaitForAddress();
   PrintServer(server->pid(), "no session");

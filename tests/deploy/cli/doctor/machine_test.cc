@@ -4,7 +4,7 @@
 #include <gtest/gtest.h>
 
 #include "common/io/files.h"
-#include "common/wire/listener.h"
+#include "common/wire/listen_socket.h"
 #include "tests/fakes/status_matchers.h"
 #include "tests/fakes/temp_folder.h"
 
@@ -48,11 +48,9 @@ TEST(DoctorMachine, AFolderThatCantBeWrittenIsAnError) {
 }
 
 TEST(DoctorMachine, APortInUseIsNotFree) {
-  wire::Listener::Options options;
-  options.address = "127.0.0.1:0";
-  const auto listener = wire::Listener::Create(options);
-  ASSERT_THAT(listener.status(), IsOk());
-  const std::string address = (*listener)->address();
+  const auto socket = wire::ListenSocket::Create("127.0.0.1:0");
+  ASSERT_THAT(socket.status(), IsOk());
+  const std::string address = (*socket)->address();
   EXPECT_THAT(TryPort(address), StatusIs(absl::StatusCode::kUnavailable, HasSubstr(address)));
   EXPECT_THAT(TryPort("127.0.0.1:0"), IsOk());
 }
