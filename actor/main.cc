@@ -84,7 +84,7 @@ absl::Status Run() {
   if (const std::string warning = SlowMathWarning(); !warning.empty()) LogWarning("%s", warning);
   LogInfo("status on %s", server->address());
   CRAFTFLEET_ASSIGN_OR_RETURN(const std::unique_ptr<wire::MetricsServer> metrics,
-                              wire::ServeMetrics(metrics_options, &status));
+                              wire::ServeMetrics(metrics_options, &status, [&server] { return server->serving(); }));
   return actor->Run(server->address());
 }
 

@@ -128,7 +128,7 @@ setpriv --pdeathsig TERM "$bin/craftfleet-learner" "${learner_flags[@]}" --rank=
 learner=$!
 trap on_signal INT TERM HUP
 for ((i = 1; i < learners; i++)); do
-  start_worker "learner-$i" "$bin/craftfleet-learner" "${learner_flags[@]}" --rank="$i" --listen="unix:$sockets/learner-$i"
+  start_worker "learner-$i" "$bin/craftfleet-learner" "${learner_flags[@]}" --rank="$i" --metrics_listen=
 done
 
 servers=

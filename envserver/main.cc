@@ -127,7 +127,7 @@ absl::Status Run() {
   CRAFTFLEET_ASSIGN_OR_RETURN(const std::unique_ptr<wire::Server> server,
                               wire::Server::Create(listen, {service.get(), &status}));
   CRAFTFLEET_ASSIGN_OR_RETURN(const std::unique_ptr<wire::MetricsServer> metrics,
-                              wire::ServeMetrics(metrics_options, &status));
+                              wire::ServeMetrics(metrics_options, &status, [&server] { return server->serving(); }));
   CRAFTFLEET_ASSIGN_OR_RETURN(const std::unique_ptr<Announcer> announcer,
                               AnnounceIfAsked(service.get(), server->address()));
   StopSignal signal([&] {

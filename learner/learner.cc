@@ -131,8 +131,7 @@ size_t FragmentsPerIteration(const v1::RunConfig& config) {
   return static_cast<size_t>(config.ppo().rollout_steps() / config.fragment_steps());
 }
 
-WorkerRegistry::Options RegistryOptions(const v1::RunConfig& config, int resets, int connections_per_client,
-                                        BuildCheck::Options build) {
+WorkerRegistry::Options RegistryOptions(const v1::RunConfig& config, int resets, BuildCheck::Options build) {
   WorkerRegistry::Options options;
   options.lanes.resets = resets;
   options.lanes.lanes = config.lanes();
@@ -140,7 +139,6 @@ WorkerRegistry::Options RegistryOptions(const v1::RunConfig& config, int resets,
   options.lanes.max_staleness = config.max_staleness();
   options.lanes.rollout_fragments = static_cast<int64_t>(FragmentsPerIteration(config));
   options.server_lease = kServerLease;
-  options.max_names_per_client = connections_per_client;
   options.build = std::move(build);
   return options;
 }
@@ -252,9 +250,8 @@ Learner::Learner(const Options& options, Loaded loaded)
       updater_(std::move(loaded.updater)),
       ranks_(options.ranks, {config_, loaded.texture_digest}, loaded.build.policy_canary),
       journal_(std::move(loaded.journal)),
-      registry_(RegistryOptions(config_, loaded.lanes.resets, options.server.max_connections_per_client,
-                                std::move(loaded.build)),
-                std::move(loaded.lanes.records), clock_.get()),
+      registry_(RegistryOptions(config_, loaded.lanes.resets, std::move(loaded.build)), std::move(loaded.lanes.records),
+                clock_.get()),
       weights_(KeptVersions(config_)),
       fragments_(FragmentsPerIteration(config_) * (1 + config_.max_staleness())),
       evaluations_(config_.eval(), config_.steps(), loaded.checkpoint, &registry_, folder_.get()),
@@ -264,12 +261,12 @@ Learner::Learner(const Options& options, Loaded loaded)
       trainer_(config_, loaded.checkpoint, std::move(loaded.kept),
                {folder_.get(), updater_.get(), &ranks_, &registry_, &weights_, &fragments_, &evaluations_, &progress_,
                 &checkpoint_requests_, journal_.has_value() ? &*journal_ : nullptr, clock_.get()}),
-      service_(ServiceOptions(options, &loaded), &registry_, &weights_, &fragments_),
+      service_(ServiceOptions(&loaded), &registry_, &weights_, &fragments_),
       steering_({&checkpoint_requests_, &registry_, [this] { Stop(); }}),
       admin_service_(&steering_),
       status_service_("learner", [this](v1::StatusReply* reply) { FillStatus(reply); }) {}
 
-LearnerServiceImpl::Options Learner::ServiceOptions(const Options& options, Loaded* loaded) const {
+LearnerServiceImpl::Options Learner::ServiceOptions(Loaded* loaded) const {
   LearnerServiceImpl::Options service;
   service.run_id = folder_->run_id();
   service.epoch = folder_->epoch();
@@ -278,7 +275,6 @@ LearnerServiceImpl::Options Learner::ServiceOptions(const Options& options, Load
   service.shape = loaded->shape;
   service.lease = kLease;
   service.access = std::move(loaded->access);
-  service.max_streams_per_client = 2 * options.server.max_connections_per_client;
   return service;
 }
 

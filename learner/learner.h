@@ -75,6 +75,7 @@ class Learner {
   WeightStore::Weights FindWeights(int64_t version) const { return weights_.Find(version); }
   std::shared_ptr<const std::string> FindEvaluationWeights(int64_t id) { return registry_.evaluations()->Weights(id); }
   const std::string& address() const { return server_->address(); }
+  bool serving() const { return server_->serving(); }
   const std::string& run_id() const { return folder_->run_id(); }
   const Trainer& trainer() const { return trainer_; }
   wire::StatusServiceImpl& status() { return status_service_; }
@@ -87,7 +88,7 @@ class Learner {
 
   Learner(const Options& options, Loaded loaded);
   void FillStatus(v1::StatusReply* reply) const;
-  LearnerServiceImpl::Options ServiceOptions(const Options& options, Loaded* loaded) const;
+  LearnerServiceImpl::Options ServiceOptions(Loaded* loaded) const;
   absl::Status ServePage(const Options& options, std::shared_ptr<wire::AccessControl> access);
   static absl::StatusOr<Loaded> Load(const Options& options, const v1::RunConfig& config);
   static void OpenJournal(Loaded* loaded);

@@ -61,9 +61,10 @@ absl::Status ComputeForRank0(const RankOptions& ranks) {
     SetUpTorchThread();
     return absl::OkStatus();
   };
-  wire::Server::Options health;
-  health.health_address = wire::ServerOptionsFromFlags(/*address=*/"").health_address;
-  CRAFTFLEET_ASSIGN_OR_RETURN(const std::unique_ptr<wire::Server> server, wire::Server::Create(health, {}));
+  CRAFTFLEET_ASSIGN_OR_RETURN(const wire::MetricsServer::Options metrics_options, wire::MetricsOptionsFromFlags(""));
+  wire::StatusServiceImpl status("rank", [](v1::StatusReply* reply) { wire::FillUsage(reply->mutable_summary()); });
+  CRAFTFLEET_ASSIGN_OR_RETURN(const std::unique_ptr<wire::MetricsServer> metrics,
+                              wire::ServeMetrics(metrics_options, &status, [] { return true; }));
   CRAFTFLEET_ASSIGN_OR_RETURN(const std::unique_ptr<RankWorker> worker, RankWorker::Connect(options));
   const StopSignal signal([&worker] { worker->Stop(); });
   return worker->Run();
@@ -86,8 +87,9 @@ absl::Status Run() {
   StopSignal signal([&learner] { learner->Stop(); });
   if (const std::string warning = SlowMathWarning(); !warning.empty()) LogWarning("%s", warning);
   CRAFTFLEET_RETURN_IF_ERROR(LogRunStart(*learner, options.logdir));
-  CRAFTFLEET_ASSIGN_OR_RETURN(const std::unique_ptr<wire::MetricsServer> metrics,
-                              wire::ServeMetrics(metrics_options, &learner->status()));
+  CRAFTFLEET_ASSIGN_OR_RETURN(
+      const std::unique_ptr<wire::MetricsServer> metrics,
+      wire::ServeMetrics(metrics_options, &learner->status(), [&learner] { return learner->serving(); }));
   const absl::Status status = learner->Run();
   if (!status.ok()) return OkIfStopped(status);
   LogRunEnd(*learner);

@@ -92,7 +92,8 @@ void OnSignal(int signal) {
   errno = saved_errno;
 }
 
-// Each connection needs a file descriptor, and shells set a soft limit of 1,024.
+// Each connection needs a file descriptor, and shells set a soft limit of 1,024. A server of gRPC 1.51 that runs out of
+// them accepts no connection ever again.
 void RaiseFileLimit() {
   rlimit limit = {};
   if (getrlimit(RLIMIT_NOFILE, &limit) != 0) return;

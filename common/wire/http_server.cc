@@ -1,9 +1,11 @@
 #include "common/wire/http_server.h"
 
+#include <fcntl.h>
 #include <microhttpd.h>
 #include <netdb.h>
 #include <netinet/in.h>
 #include <sys/socket.h>
+#include <unistd.h>
 
 #include <array>
 #include <cstddef>
@@ -13,6 +15,7 @@
 #include "common/base/watchdog.h"
 #include "common/io/files.h"
 #include "common/telemetry/log.h"
+#include "common/wire/listen_socket.h"
 
 namespace craftfleet::wire {
 namespace {
@@ -42,8 +45,6 @@ void OnConnection(void* timeout, MHD_Connection* connection, void** context, MHD
   }
   delete static_cast<Deadline*>(*context);
   *context = nullptr;
-  // The listener counts the connection until its socket is shut down.
-  shutdown(descriptor, SHUT_RDWR);
 }
 
 // Called by libmicrohttpd when a request has been answered; the connection may go on.
@@ -94,34 +95,40 @@ std::string HttpServer::Request::Client() const {
   return host;
 }
 
-// The libmicrohttpd daemons behind one listener. A daemon keeps the certificate that it was started with, so a new
+// The libmicrohttpd daemons of one listening socket. A daemon keeps the certificate that it was started with, so a new
 // certificate needs a new daemon; the one before goes on serving its connections until the next change.
 class HttpServer::Daemons {
  public:
-  Daemons(Options options, Respond respond) : options_(std::move(options)), respond_(std::move(respond)) {}
+  Daemons(Options options, Respond respond, std::unique_ptr<ListenSocket> socket)
+      : options_(std::move(options)), respond_(std::move(respond)), socket_(std::move(socket)) {}
 
   // Serves new connections with this certificate and key, both empty without TLS.
   absl::Status Start(const std::string& certificate, const std::string& key) ABSL_LOCKS_EXCLUDED(mu_);
   // A file's new contents. Its certificate and key may fit only after the second of two calls.
   void Replace(bool is_key, std::string text) ABSL_LOCKS_EXCLUDED(mu_);
-  // Takes over a connection's descriptor.
-  void Serve(int descriptor) ABSL_LOCKS_EXCLUDED(mu_);
-  // Ends all connections.
+  // Closes the socket and ends all connections.
   void Stop() ABSL_LOCKS_EXCLUDED(mu_);
 
  private:
+  // A daemon that accepts no more, and its copy of the socket, which it no longer closes.
+  struct Former {
+    MHD_Daemon* daemon = nullptr;  // null: none
+    int socket = -1;
+  };
+
   static MHD_Result OnRequest(void* daemons, MHD_Connection* connection, const char* path, const char* method,
                               const char* version, const char* upload, size_t* upload_bytes, void** request);
-  MHD_Daemon* StartDaemon(const std::string& certificate, const std::string& key);
+  MHD_Daemon* StartDaemon(const std::string& certificate, const std::string& key) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
+  static void Stop(const Former& former);
 
   const Options options_;
   const Respond respond_;
   Mutex answering_;  // one answer at a time
   Mutex mu_;
-  std::array<std::string, 2> files_ ABSL_GUARDED_BY(mu_);  // certificate, key
+  std::array<std::string, 2> files_ ABSL_GUARDED_BY(mu_);      // certificate, key
+  std::unique_ptr<ListenSocket> socket_ ABSL_GUARDED_BY(mu_);  // null: stopped
   MHD_Daemon* current_ ABSL_GUARDED_BY(mu_) = nullptr;
-  MHD_Daemon* former_ ABSL_GUARDED_BY(mu_) = nullptr;
-  bool stopped_ ABSL_GUARDED_BY(mu_) = false;
+  Former former_ ABSL_GUARDED_BY(mu_);
 };
 
 // Called by libmicrohttpd for each request once its headers have arrived; MHD_NO ends the connection.
@@ -155,15 +162,15 @@ MHD_Daemon* HttpServer::Daemons::StartDaemon(const std::string& certificate, con
   };
   const MHD_OptionItem without_tls[] = {{MHD_OPTION_END, 0, nullptr}};
   const bool tls = !certificate.empty();
-  // libmicrohttpd's own listening socket could not be bound to both addresses of a name like localhost.
-  return MHD_start_daemon(MHD_USE_EPOLL | MHD_USE_INTERNAL_POLLING_THREAD | MHD_USE_ITC | MHD_USE_NO_LISTEN_SOCKET |
+  const int copy = fcntl(socket_->descriptor(), F_DUPFD_CLOEXEC, 0);  // which the daemon closes, also if it can't start
+  return MHD_start_daemon(MHD_USE_EPOLL | MHD_USE_INTERNAL_POLLING_THREAD | MHD_USE_ITC |
                               MHD_USE_SUPPRESS_DATE_NO_CLOCK | (tls ? MHD_USE_TLS : MHD_NO_FLAG),
-                          0, nullptr, nullptr, &OnRequest, this, MHD_OPTION_CONNECTION_LIMIT,
-                          static_cast<unsigned>(kMaxConnections), MHD_OPTION_PER_IP_CONNECTION_LIMIT,
-                          static_cast<unsigned>(kMaxConnectionsPerClient), MHD_OPTION_CONNECTION_MEMORY_LIMIT,
-                          kMaxRequestBytes, MHD_OPTION_NOTIFY_CONNECTION, &OnConnection,
-                          const_cast<absl::Duration*>(&options_.timeout), MHD_OPTION_NOTIFY_COMPLETED, &OnAnswered,
-                          nullptr, MHD_OPTION_ARRAY, tls ? with_tls : without_tls, MHD_OPTION_END);
+                          0, nullptr, nullptr, &OnRequest, this, MHD_OPTION_LISTEN_SOCKET, copy,
+                          MHD_OPTION_CONNECTION_LIMIT, static_cast<unsigned>(kMaxConnections),
+                          MHD_OPTION_PER_IP_CONNECTION_LIMIT, static_cast<unsigned>(kMaxConnectionsPerClient),
+                          MHD_OPTION_CONNECTION_MEMORY_LIMIT, kMaxRequestBytes, MHD_OPTION_NOTIFY_CONNECTION,
+                          &OnConnection, const_cast<absl::Duration*>(&options_.timeout), MHD_OPTION_NOTIFY_COMPLETED,
+                          &OnAnswered, nullptr, MHD_OPTION_ARRAY, tls ? with_tls : without_tls, MHD_OPTION_END);
 }
 
 absl::Status HttpServer::Daemons::Start(const std::string& certificate, const std::string& key) {
@@ -178,53 +185,44 @@ absl::Status HttpServer::Daemons::Start(const std::string& certificate, const st
 }
 
 void HttpServer::Daemons::Replace(bool is_key, std::string text) {
-  MHD_Daemon* unused = nullptr;
+  Former unused;
   {
     const MutexLock lock(&mu_);
-    if (stopped_) return;
+    if (socket_ == nullptr) return;
     files_[is_key ? 1 : 0] = std::move(text);
     MHD_Daemon* const fresh = StartDaemon(files_[0], files_[1]);
     if (fresh == nullptr) return;
-    unused = former_;
-    former_ = current_;
+    unused = std::exchange(former_, {current_, MHD_quiesce_daemon(current_)});
     current_ = fresh;
   }
   LogInfo("the HTTP server uses the new certificate");
-  if (unused != nullptr) MHD_stop_daemon(unused);
+  Stop(unused);
 }
 
-void HttpServer::Daemons::Serve(int descriptor) {
-  sockaddr_storage client = {};
-  socklen_t size = sizeof(client);
-  getpeername(descriptor, reinterpret_cast<sockaddr*>(&client), &size);
-  const MutexLock lock(&mu_);
-  // Takes over the descriptor, and closes it if it cannot serve it.
-  MHD_add_connection(current_, descriptor, reinterpret_cast<sockaddr*>(&client), size);
+void HttpServer::Daemons::Stop(const Former& former) {
+  if (former.daemon == nullptr) return;
+  MHD_stop_daemon(former.daemon);
+  close(former.socket);
 }
 
 void HttpServer::Daemons::Stop() {
   const MutexLock lock(&mu_);
-  stopped_ = true;
-  for (MHD_Daemon* daemon : {current_, former_}) {
-    if (daemon != nullptr) MHD_stop_daemon(daemon);
-  }
+  socket_.reset();
+  if (current_ != nullptr) MHD_stop_daemon(current_);
+  Stop(former_);
 }
 
 absl::StatusOr<std::unique_ptr<HttpServer>> HttpServer::Create(const Options& options, Respond respond) {
   std::unique_ptr<HttpServer> server(new HttpServer);
-  Listener::Options listener;
-  listener.address = options.address;
-  listener.max_connections = kMaxConnections;
-  listener.max_connections_per_client = kMaxConnectionsPerClient;
-  listener.limit = "a port for HTTP";
-  CRAFTFLEET_ASSIGN_OR_RETURN(server->listener_, Listener::Create(listener));
+  CRAFTFLEET_ASSIGN_OR_RETURN(std::unique_ptr<ListenSocket> socket, ListenSocket::Create(options.address));
+  server->address_ = socket->address();
   std::string certificate;
   std::string key;
   if (!options.files.certificate.empty()) {
     CRAFTFLEET_ASSIGN_OR_RETURN(certificate, ReadFile(options.files.certificate));
     CRAFTFLEET_ASSIGN_OR_RETURN(key, ReadFile(options.files.key));
   }
-  server->daemons_ = std::make_shared<Daemons>(options, std::move(respond));
+  server->daemons_ = std::make_shared<Daemons>(options, std::move(respond), std::move(socket));
   CRAFTFLEET_RETURN_IF_ERROR(server->daemons_->Start(certificate, key));
   if (!certificate.empty()) {
     const auto watch = [&server](const std::string& path, const std::string& text, bool is_key) {
@@ -235,14 +233,11 @@ absl::StatusOr<std::unique_ptr<HttpServer>> HttpServer::Create(const Options& op
     watch(options.files.certificate, certificate, /*is_key=*/false);
     watch(options.files.key, key, /*is_key=*/true);
   }
-  server->listener_->Start({[daemons = server->daemons_](int descriptor) { daemons->Serve(descriptor); }});
   return server;
 }
 
 HttpServer::~HttpServer() {
-  if (daemons_ == nullptr) return;
-  listener_->Stop();
-  daemons_->Stop();
+  if (daemons_ != nullptr) daemons_->Stop();
 }
 
 }  // namespace craftfleet::wire

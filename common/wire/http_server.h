@@ -16,17 +16,15 @@
 #include <absl/time/time.h>
 
 #include "common/io/watched_file.h"
-#include "common/wire/listener.h"
 #include "common/wire/security.h"
 
 struct MHD_Connection;
 
 namespace craftfleet::wire {
 
-// HTTP/1.1, plain or over TLS. Two threads for any number of clients:
-// the listener's accepts connections, libmicrohttpd's serves them. Thread-safe. The limits, and what enforces each:
-//   connections in all and of one address       Listener, which logs refusals; MHD_OPTION_*_LIMIT for half-closed
-//                                               ones, which the listener no longer counts
+// HTTP/1.1, plain or over TLS, on one thread for any number of clients. Thread-safe. The limits, and what enforces
+// each:
+//   connections in all and of one address       MHD_OPTION_*CONNECTION_LIMIT: further ones wait or are closed
 //   bytes of a request, and memory for it       MHD_OPTION_CONNECTION_MEMORY_LIMIT; 414 or 431 beyond
 //   time, from the connection to the last byte  Watchdog; libmicrohttpd's own timeout restarts with each byte
 class HttpServer {
@@ -79,7 +77,7 @@ class HttpServer {
   ~HttpServer();
 
   // HOST:PORT with the actual port.
-  const std::string& address() const { return listener_->address(); }
+  const std::string& address() const { return address_; }
 
  private:
   class Daemons;
@@ -88,7 +86,7 @@ class HttpServer {
 
   std::shared_ptr<Daemons> daemons_;  // shared with the watches' threads
   std::vector<std::unique_ptr<FileWatch>> watches_;
-  std::unique_ptr<Listener> listener_;
+  std::string address_;
 };
 
 }  // namespace craftfleet::wire

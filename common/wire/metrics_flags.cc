@@ -1,6 +1,8 @@
 #include "common/wire/metrics_flags.h"
 
+#include <functional>
 #include <string>
+#include <utility>
 
 #include <absl/flags/flag.h>
 
@@ -9,7 +11,7 @@
 #include "common/telemetry/log.h"
 
 ABSL_FLAG(craftfleet::GivenAddress, metrics_listen, {},
-          "address to serve Prometheus metrics on, at http://HOST:PORT/metrics; empty: none\n"
+          "address to serve Prometheus metrics on, at http://HOST:PORT/metrics, and health at /healthz; empty: none\n"
           "[any free port of this host, see the log; craftfleet train: none]");
 ABSL_FLAG(bool, metrics_insecure, false,
           "allow --metrics_listen beyond this host; metrics are plain HTTP, readable by every client");
@@ -26,10 +28,11 @@ absl::StatusOr<MetricsServer::Options> MetricsOptionsFromFlags(absl::string_view
 }
 
 absl::StatusOr<std::unique_ptr<MetricsServer>> ServeMetrics(const MetricsServer::Options& options,
-                                                            StatusServiceImpl* status) {
+                                                            StatusServiceImpl* status, std::function<bool()> serving) {
   if (options.address.empty()) return nullptr;
   CRAFTFLEET_ASSIGN_OR_RETURN(std::unique_ptr<MetricsServer> server,
-                              MetricsServer::Create(options, [status] { return status->Snapshot(); }));
+                              MetricsServer::Create(
+                                  options, [status] { return status->Snapshot(); }, std::move(serving)));
   status->SetMetricsAddress(server->url());
   LogInfo("metrics on %s", server->url());
   return server;

@@ -16,6 +16,7 @@ namespace craftfleet::wire {
 namespace {
 
 constexpr char kPath[] = "/metrics";
+constexpr char kHealthPath[] = "/healthz";
 constexpr char kContentType[] = "text/plain; version=0.0.4; charset=utf-8";
 
 }  // namespace
@@ -37,14 +38,19 @@ absl::Status MetricsServer::Options::Validate() const {
 }
 
 absl::StatusOr<std::unique_ptr<MetricsServer>> MetricsServer::Create(const Options& options,
-                                                                     std::function<v1::StatusReply()> snapshot) {
+                                                                     std::function<v1::StatusReply()> snapshot,
+                                                                     std::function<bool()> serving) {
   CRAFTFLEET_RETURN_IF_ERROR(options.Validate());
-  absl::StatusOr<std::unique_ptr<HttpServer>> server =
-      HttpServer::Create({options.address}, [snapshot = std::move(snapshot)](const HttpServer::Request& request) {
-        if (request.path() != kPath) return HttpServer::Response{404, kContentType, "metrics are at /metrics\n"};
-        return HttpServer::Response{200, kContentType,
-                                    prometheus::TextSerializer().Serialize(ToMetricFamilies(snapshot()))};
-      });
+  const auto respond = [snapshot = std::move(snapshot),
+                        serving = std::move(serving)](const HttpServer::Request& request) -> HttpServer::Response {
+    if (request.path() == kPath) {
+      return {200, kContentType, prometheus::TextSerializer().Serialize(ToMetricFamilies(snapshot()))};
+    }
+    if (request.path() == kHealthPath && serving()) return {200, kContentType, "serving\n"};
+    if (request.path() == kHealthPath) return {503, kContentType, "not serving\n"};
+    return {404, kContentType, "metrics are at /metrics, health at /healthz\n"};
+  };
+  absl::StatusOr<std::unique_ptr<HttpServer>> server = HttpServer::Create({options.address}, respond);
   if (!server.ok()) {
     return absl::Status(server.status().code(), absl::StrCat("--metrics_listen: ", server.status().message()));
   }

@@ -15,8 +15,8 @@
 
 namespace craftfleet::wire {
 
-// Serves http://ADDRESS/metrics: the current `snapshot` as Prometheus metrics (prometheus_metrics.h). Plain HTTP.
-// Thread-safe.
+// Serves http://ADDRESS/metrics, the current `snapshot` as Prometheus metrics (prometheus_metrics.h), and /healthz for
+// probes: 200 while `serving` is true, 503 otherwise. Plain HTTP. Thread-safe.
 class MetricsServer {
  public:
   struct Options {
@@ -25,11 +25,13 @@ class MetricsServer {
     absl::Status Validate() const;
   };
 
-  // `options.address` is not empty. `snapshot` is called from other threads until the server is destroyed.
+  // `options.address` is not empty. `snapshot` and `serving` are called from other threads until the server is
+  // destroyed.
   //   InvalidArgument: a bad address, or one beyond loopback without `insecure`.   Unavailable: cannot listen on the
   //   address.
   static absl::StatusOr<std::unique_ptr<MetricsServer>> Create(const Options& options,
-                                                               std::function<v1::StatusReply()> snapshot);
+                                                               std::function<v1::StatusReply()> snapshot,
+                                                               std::function<bool()> serving);
 
   // "http://127.0.0.1:9464/metrics", with the port in use.
   const std::string& url() const { return url_; }

@@ -1,61 +1,47 @@
 #include "common/wire/server.h"
 
+#include <grpc/support/log.h>
+#include <stdlib.h>
 #include <sys/socket.h>
 #include <sys/un.h>
 #include <unistd.h>
 
 #include <cerrno>
 #include <chrono>
-#include <map>
 #include <mutex>
 #include <utility>
 
 #include <absl/strings/match.h>
+#include <absl/strings/str_cat.h>
 #include <absl/strings/str_format.h>
 #include <absl/strings/strip.h>
 #include <grpcpp/ext/proto_server_reflection_plugin.h>
 #include <grpcpp/health_check_service_interface.h>
-#include <grpcpp/impl/server_builder_option.h>
 #include <grpcpp/resource_quota.h>
 #include <grpcpp/security/server_credentials.h>
 #include <grpcpp/server_builder.h>
 
+#include "common/base/clock.h"
 #include "common/base/status_macros.h"
 #include "common/io/files.h"
-#include "common/telemetry/log.h"
+#include "common/telemetry/limited_log.h"
 #include "common/wire/access.h"
-#include "common/wire/builtin_streams.h"
 #include "common/wire/channel.h"
-#include "common/wire/handshake_log.h"
+#include "common/wire/listen_socket.h"
 #include "common/wire/protocol.h"
 
 namespace craftfleet::wire {
 namespace {
 
 constexpr int kMaxStreamsPerConnection = 128;  // calls at once; an actor has less than ten
-constexpr int kStreamsPerConnection = 4;       // in the mean, of all connections that an address may have
 constexpr int kHandshakeTimeoutMs = 10'000;    // for TLS and HTTP/2's preface
 constexpr int kMaxIdleMs = 300'000;            // of a connection without a call
-constexpr int64_t kMaxWindowBytes = 16 << 20;  // of messages that gRPC may hold for a slow handler, and of headers
-constexpr int kAcceptors = 4;                  // connections that may be handed over at once
 constexpr int kMaxThreads = 4096;              // of calls without callbacks, one each; beyond: RESOURCE_EXHAUSTED
-
-// Limits of the health port, which any client may reach: a probe sends one request and disconnects.
-constexpr int kHealthConnections = 64;
-constexpr int kHealthConnectionsPerClient = 16;
-constexpr int kHealthStreamsPerConnection = 4;
-constexpr int kHealthHandshakeMs = 5000;
-constexpr int kHealthIdleMs = 10'000;
-constexpr int kHealthAgeMs = 60'000;  // of a connection, even an active one; watchers reconnect
-constexpr int kHealthGraceMs = 2000;
-constexpr int kHealthMessageBytes = 4096;
-constexpr int64_t kHealthHeaderBytes = 1 << 20;
-constexpr size_t kHealthBufferedBytes = 4u << 20;
 
 bool IsUnixSocket(absl::string_view address) { return absl::StartsWith(address, kUnix); }
 
 // Unavailable if another process listens there: gRPC would take the name from it.
-absl::Status CheckUnixSocketFree(absl::string_view flag, absl::string_view address) {
+absl::Status CheckUnixSocketFree(absl::string_view address) {
   const absl::string_view path = absl::StripPrefix(address, kUnix);
   sockaddr_un name = {};
   name.sun_family = AF_UNIX;
@@ -66,13 +52,7 @@ absl::Status CheckUnixSocketFree(absl::string_view flag, absl::string_view addre
   close(socket);
   if (!taken) return absl::OkStatus();
   return absl::UnavailableError(
-      absl::StrFormat("cannot listen on %s: another process listens there; choose another --%s", address, flag));
-}
-
-// Refuses compressed calls by their headers; data that is compressed all the same is not inflated.
-void RefuseCompression(grpc::ServerBuilder* builder) {
-  builder->AddChannelArgument(GRPC_COMPRESSION_CHANNEL_ENABLED_ALGORITHMS_BITSET, kNoCompression);
-  builder->AddChannelArgument(GRPC_ARG_ENABLE_PER_MESSAGE_DECOMPRESSION, 0);
+      absl::StrFormat("cannot listen on %s: another process listens there; choose another --listen", address));
 }
 
 // Limits and keepalive.
@@ -84,7 +64,10 @@ void SetLimits(const Server::Options& options, grpc::ServerBuilder* builder) {
   builder->AddChannelArgument(GRPC_ARG_MAX_CONCURRENT_STREAMS, kMaxStreamsPerConnection);
   builder->AddChannelArgument(GRPC_ARG_SERVER_HANDSHAKE_TIMEOUT_MS, kHandshakeTimeoutMs);
   builder->AddChannelArgument(GRPC_ARG_MAX_CONNECTION_IDLE_MS, kMaxIdleMs);
-  RefuseCompression(builder);
+  builder->AddChannelArgument(GRPC_ARG_ALLOW_REUSEPORT, 0);  // otherwise two servers would share a port unnoticed
+  // Compressed calls are refused by their headers; data that is compressed all the same is not inflated.
+  builder->AddChannelArgument(GRPC_COMPRESSION_CHANNEL_ENABLED_ALGORITHMS_BITSET, kNoCompression);
+  builder->AddChannelArgument(GRPC_ARG_ENABLE_PER_MESSAGE_DECOMPRESSION, 0);
   builder->SetMaxReceiveMessageSize(options.max_message_bytes);
   builder->SetMaxSendMessageSize(kMaxMessageBytes);
   grpc::ResourceQuota quota("craftfleet");
@@ -94,34 +77,20 @@ void SetLimits(const Server::Options& options, grpc::ServerBuilder* builder) {
   builder->SetResourceQuota(quota);
 }
 
-void SetHealthLimits(grpc::ServerBuilder* builder) {
-  builder->AddChannelArgument(GRPC_ARG_KEEPALIVE_TIME_MS, 5000);
-  builder->AddChannelArgument(GRPC_ARG_KEEPALIVE_TIMEOUT_MS, 4000);
-  builder->AddChannelArgument(GRPC_ARG_MAX_CONCURRENT_STREAMS, kHealthStreamsPerConnection);
-  builder->AddChannelArgument(GRPC_ARG_SERVER_HANDSHAKE_TIMEOUT_MS, kHealthHandshakeMs);
-  builder->AddChannelArgument(GRPC_ARG_MAX_CONNECTION_IDLE_MS, kHealthIdleMs);
-  builder->AddChannelArgument(GRPC_ARG_MAX_CONNECTION_AGE_MS, kHealthAgeMs);
-  builder->AddChannelArgument(GRPC_ARG_MAX_CONNECTION_AGE_GRACE_MS, kHealthGraceMs);
-  RefuseCompression(builder);
-  builder->SetMaxReceiveMessageSize(kHealthMessageBytes);
-  grpc::ResourceQuota quota("craftfleet-health");
-  quota.Resize(kHealthBufferedBytes);
-  builder->SetResourceQuota(quota);
+// Called by gRPC for each line of its log, by default for errors alone, such as failed handshakes of TLS.
+void OnGrpcLog(gpr_log_func_args* line) {
+  static RealClock& clock = *new RealClock;  // never destroyed: gRPC's threads may outlive main
+  static LimitedLog& log = *new LimitedLog(&clock);
+  log.Warn(line->message, absl::StrCat("gRPC: ", line->message));
 }
 
-// Removes plugins from a builder: reflection would hold a thread for each of its streams.
-class WithoutPlugins : public grpc::ServerBuilderOption {
- public:
-  void UpdateArguments(grpc::ChannelArguments* /*arguments*/) override {}
-  void UpdatePlugins(std::vector<std::unique_ptr<grpc::ServerBuilderPlugin>>* plugins) override { plugins->clear(); }
-};
-
-// Adds health and reflection to every builder created after this.
-void InstallPlugins() {
+// Adds health and reflection to every builder created after this, and gRPC's errors to the log.
+void SetUpGrpc() {
   static std::once_flag once;
   std::call_once(once, [] {
     grpc::EnableDefaultHealthCheckService(true);
     grpc::reflection::InitProtoReflectionServerBuilderPlugin();
+    if (getenv("GRPC_VERBOSITY") == nullptr) gpr_set_log_function(OnGrpcLog);
   });
 }
 
@@ -134,14 +103,9 @@ absl::Status Server::Options::Validate() const {
     return absl::InvalidArgumentError(
         "--access_file requires --tls_cert and --tls_key: without TLS no client can be authenticated");
   }
-  if (max_connections_per_client < 1 || max_connections_per_client > 65536) {
-    return absl::InvalidArgumentError(
-        absl::StrFormat("--max_connections_per_client=%d, want 1..65536", max_connections_per_client));
-  }
   if (max_buffered_mb < 128 || max_buffered_mb > 1'000'000) {
     return absl::InvalidArgumentError(absl::StrFormat("--max_buffered_mb=%d, want 128..1000000", max_buffered_mb));
   }
-  if (!health_address.empty()) CRAFTFLEET_RETURN_IF_ERROR(CheckAddress("health_listen", health_address));
   if (address.empty()) return absl::OkStatus();
   CRAFTFLEET_RETURN_IF_ERROR(CheckAddress("listen", address));
   const bool knows_clients = (ask_clients && !files.authorities.empty()) || !access_file.empty();
@@ -174,10 +138,9 @@ absl::StatusOr<std::unique_ptr<Server>> Server::Create(const Options& options,
                                                        const std::vector<grpc::Service*>& services) {
   CRAFTFLEET_RETURN_IF_ERROR(options.Validate());
   KeepGrpcUp();
-  InstallPlugins();
+  SetUpGrpc();
   std::shared_ptr<grpc::ServerCredentials> credentials = grpc::InsecureServerCredentials();
   if (!options.files.certificate.empty()) {
-    LogFailedHandshakes();
     credentials = TlsListenerCredentials(options.files, options.ask_clients && !options.files.authorities.empty());
   }
   if (!options.access_file.empty()) {
@@ -186,115 +149,45 @@ absl::StatusOr<std::unique_ptr<Server>> Server::Create(const Options& options,
     credentials->SetAuthMetadataProcessor(MakeAccessProcessor(std::move(opened.access)));
   }
   std::unique_ptr<Server> server(new Server);
-  CRAFTFLEET_ASSIGN_OR_RETURN(server->main_, Open(options, options.address, std::move(credentials), services));
-  if (!options.health_address.empty()) {
-    CRAFTFLEET_ASSIGN_OR_RETURN(server->health_, OpenHealth(options.health_address, &server->nothing_else_));
-    LogInfo("health on %s", server->health_.address);
-  }
+  CRAFTFLEET_RETURN_IF_ERROR(server->Listen(options, std::move(credentials), services));
   return server;
 }
 
-absl::StatusOr<Server::Port> Server::Open(const Options& options, const std::string& address,
-                                          std::shared_ptr<grpc::ServerCredentials> credentials,
-                                          const std::vector<grpc::Service*>& services) {
-  Port opened;
-  opened.address = address;
+absl::Status Server::Listen(const Options& options, std::shared_ptr<grpc::ServerCredentials> credentials,
+                            const std::vector<grpc::Service*>& services) {
+  address_ = options.address;
+  if (IsUnixSocket(address_)) {
+    CRAFTFLEET_RETURN_IF_ERROR(CheckUnixSocketFree(address_));
+  } else if (!address_.empty()) {
+    // gRPC doesn't say why it cannot listen.
+    const absl::StatusOr<std::unique_ptr<ListenSocket>> tried = ListenSocket::Create(address_);
+    if (!tried.ok()) return absl::Status(tried.status().code(), absl::StrCat("--listen: ", tried.status().message()));
+    address_ = (*tried)->address();
+  }
   grpc::ServerBuilder builder;
   int port = 1;
-  if (IsUnixSocket(address)) {
-    CRAFTFLEET_RETURN_IF_ERROR(CheckUnixSocketFree("listen", address));
-    builder.AddListeningPort(address, std::move(credentials), &port);
-  } else if (!address.empty()) {
-    CRAFTFLEET_ASSIGN_OR_RETURN(opened.listener, Listener::Create({address, options.max_connections_per_client}));
-    opened.address = opened.listener->address();
-    opened.AddAcceptors(&builder, credentials);
-  }
+  if (!options.address.empty()) builder.AddListeningPort(options.address, std::move(credentials), &port);
   SetLimits(options, &builder);
-  std::vector<std::unique_ptr<grpc::experimental::ServerInterceptorFactoryInterface>> interceptors;
-  interceptors.push_back(LimitBuiltInStreams());
-  builder.experimental().SetInterceptorCreators(std::move(interceptors));
   for (grpc::Service* service : services) builder.RegisterService(service);
-  opened.server = builder.BuildAndStart();
-  if (opened.server == nullptr || port == 0) {
-    return absl::UnavailableError(absl::StrFormat("cannot listen on %s: choose another --listen", address));
+  server_ = builder.BuildAndStart();
+  if (server_ == nullptr || port == 0) {
+    return absl::UnavailableError(absl::StrFormat("cannot listen on %s: choose another --listen", options.address));
   }
-  ConnectionLimits limits;
-  limits.client_streams = int64_t{kStreamsPerConnection} * options.max_connections_per_client;
-  limits.unfinished_bytes = options.max_message_bytes + kMaxWindowBytes;
-  limits.client_unfinished_bytes = int64_t{options.max_buffered_mb} << 20;
-  if (opened.listener != nullptr) opened.Listen(limits);
-  return opened;
-}
-
-absl::StatusOr<Server::Port> Server::OpenHealth(const std::string& address,
-                                                grpc::CallbackGenericService* nothing_else) {
-  Port opened;
-  opened.address = address;
-  grpc::ServerBuilder builder;
-  SetHealthLimits(&builder);
-  builder.SetOption(std::make_unique<WithoutPlugins>());
-  // A builder needs at least one service. This one refuses all calls, on gRPC's own few threads for callback services.
-  builder.RegisterCallbackGenericService(nothing_else);
-  int port = 1;
-  if (IsUnixSocket(address)) {
-    CRAFTFLEET_RETURN_IF_ERROR(CheckUnixSocketFree("health_listen", address));
-    builder.AddListeningPort(address, grpc::InsecureServerCredentials(), &port);
-  } else {
-    Listener::Options listen;
-    listen.address = address;
-    listen.max_connections_per_client = kHealthConnectionsPerClient;
-    listen.max_connections = kHealthConnections;
-    listen.limit = "a health port";
-    CRAFTFLEET_ASSIGN_OR_RETURN(opened.listener, Listener::Create(listen));
-    opened.address = opened.listener->address();
-    opened.AddAcceptors(&builder, grpc::InsecureServerCredentials());
+  if (!IsUnixSocket(address_) && !address_.empty()) {
+    address_ = absl::StrCat(address_.substr(0, address_.rfind(':')), ":", port);
   }
-  opened.server = builder.BuildAndStart();
-  if (opened.server == nullptr || port == 0) {
-    return absl::UnavailableError(absl::StrFormat("cannot listen on %s: choose another --health_listen", address));
-  }
-  ConnectionLimits limits;
-  limits.streams = 2 * kHealthStreamsPerConnection;
-  limits.unfinished_bytes = kHealthMessageBytes + kHealthHeaderBytes;
-  limits.client_unfinished_bytes = kHealthBufferedBytes;
-  if (opened.listener != nullptr) opened.Listen(limits);
-  return opened;
-}
-
-void Server::Port::AddAcceptors(grpc::ServerBuilder* builder,
-                                const std::shared_ptr<grpc::ServerCredentials>& credentials) {
-  // Each of them takes one connection at a time.
-  for (int i = 0; i < kAcceptors; ++i) {
-    acceptors.push_back(builder->experimental().AddExternalConnectionAcceptor(
-        grpc::ServerBuilder::experimental_type::ExternalConnectionType::FROM_FD, credentials));
-  }
-}
-
-void Server::Port::Listen(const ConnectionLimits& limits) {
-  std::vector<HandOver::Handle> handles;
-  for (const auto& acceptor : acceptors) {
-    handles.emplace_back([acceptor = acceptor.get()](int descriptor) {
-      grpc::experimental::ExternalConnectionAcceptor::NewConnectionParameters connection;
-      connection.fd = descriptor;
-      acceptor->HandleNewConnection(&connection);
-    });
-  }
-  const auto watch = std::make_shared<ConnectionWatch>(limits);
-  listener->Start(std::move(handles),
-                  [watch](const std::map<int, std::string>& connections) { return watch->Look(connections); });
+  return absl::OkStatus();
 }
 
 Server::~Server() { Stop(absl::Milliseconds(200)); }
 
-Endpoint Server::InProcess() { return {kInProcess, main_.server->InProcessChannel(ClientArguments())}; }
+Endpoint Server::InProcess() { return {kInProcess, server_->InProcessChannel(ClientArguments())}; }
 
 void Server::Stop(absl::Duration timeout) {
-  for (Port* port : {&health_, &main_}) {
-    if (port->server == nullptr) continue;
-    if (port->listener != nullptr) port->listener->Stop();
-    port->server->Shutdown(std::chrono::system_clock::now() + absl::ToChronoMilliseconds(timeout));
-    port->server->Wait();
-  }
+  serving_ = false;
+  if (server_ == nullptr) return;  // Create failed
+  server_->Shutdown(std::chrono::system_clock::now() + absl::ToChronoMilliseconds(timeout));
+  server_->Wait();
 }
 
 }  // namespace craftfleet::wire

@@ -3,6 +3,7 @@
 #ifndef CRAFTFLEET_COMMON_WIRE_SERVER_H_
 #define CRAFTFLEET_COMMON_WIRE_SERVER_H_
 
+#include <atomic>
 #include <memory>
 #include <string>
 #include <vector>
@@ -10,19 +11,12 @@
 #include <absl/status/status.h>
 #include <absl/status/statusor.h>
 #include <absl/time/time.h>
-#include <grpcpp/generic/async_generic_service.h>
 #include <grpcpp/impl/service_type.h>
 #include <grpcpp/server.h>
 
 #include "common/wire/channel.h"
-#include "common/wire/connection_watch.h"
-#include "common/wire/listener.h"
 #include "common/wire/protocol.h"
 #include "common/wire/security.h"
-
-namespace grpc::experimental {
-class ExternalConnectionAcceptor;
-}  // namespace grpc::experimental
 
 namespace craftfleet::wire {
 
@@ -38,9 +32,6 @@ class Server {
     bool ask_clients = true;       // with TLS and authorities: clients must present a certificate from one of them
     std::string access_file = {};  // rights of clients; empty: every authenticated client has all rights
     std::shared_ptr<AccessControl> access = nullptr;  // `access_file` as OpenAccess gave it; null: Create opens it
-    // HOST:PORT of a second port without TLS that serves only health, for a few short connections; empty: none.
-    std::string health_address = {};
-    int max_connections_per_client = 1024;  // from one address, 1..65536
     // Largest accepted message, 1..kMaxMessageBytes; RESOURCE_EXHAUSTED beyond.
     int max_message_bytes = kMaxMessageBytes;
     // Memory for incoming and outgoing messages, MiB, 128..1000000. Beyond it calls end with RESOURCE_EXHAUSTED.
@@ -57,39 +48,25 @@ class Server {
   ~Server();
 
   // The address for clients, with the actual port.
-  const std::string& address() const { return main_.address; }
-  // The same for the health port; empty: no health port.
-  const std::string& health_address() const { return health_.address; }
+  const std::string& address() const { return address_; }
+  // Whether new calls are accepted: until Stop.
+  bool serving() const { return serving_; }
   // A channel without a socket.
   Endpoint InProcess();
 
   // Blocks until Stop was called.
-  void Wait() { main_.server->Wait(); }
+  void Wait() { server_->Wait(); }
   // Refuses new calls, lets running ones continue for at most `timeout`, then cancels them. Idempotent.
   void Stop(absl::Duration timeout);
 
  private:
-  // A gRPC server and the listener that feeds it; none for unix: and in-process.
-  struct Port {
-    std::vector<std::unique_ptr<grpc::experimental::ExternalConnectionAcceptor>> acceptors;
-    std::unique_ptr<grpc::Server> server;
-    std::unique_ptr<Listener> listener;
-    std::string address;
-    // Before the server is built.
-    void AddAcceptors(grpc::ServerBuilder* builder, const std::shared_ptr<grpc::ServerCredentials>& credentials);
-    // Starts accepting connections; ends those beyond the limits.
-    void Listen(const ConnectionLimits& limits);
-  };
-
   Server() = default;
-  static absl::StatusOr<Port> Open(const Options& options, const std::string& address,
-                                   std::shared_ptr<grpc::ServerCredentials> credentials,
-                                   const std::vector<grpc::Service*>& services);
-  static absl::StatusOr<Port> OpenHealth(const std::string& address, grpc::CallbackGenericService* nothing_else);
+  absl::Status Listen(const Options& options, std::shared_ptr<grpc::ServerCredentials> credentials,
+                      const std::vector<grpc::Service*>& services);
 
-  grpc::CallbackGenericService nothing_else_;  // of the health port
-  Port main_;
-  Port health_;
+  std::string address_;
+  std::unique_ptr<grpc::Server> server_;
+  std::atomic<bool> serving_{true};
 };
 
 }  // namespace craftfleet::wire

@@ -12,12 +12,6 @@ ABSL_FLAG(bool, tls_client_certs, true, "with --tls_cert and --tls_ca: require a
 ABSL_FLAG(std::string, access_file, "",
           "file with the rights of clients (watch, play, serve, steer), in protobuf text format (access.proto);\n"
           "requires --tls_cert; read again when it changes [an authenticated client has all rights]");
-ABSL_FLAG(std::string, health_listen, "",
-          "address of a second port, HOST:PORT, without TLS and with grpc.health.v1 only, for probes that cannot use\n"
-          "TLS [none]");
-ABSL_FLAG(
-    int32_t, max_connections_per_client, 1024,
-    "connections from one address at once, 1..65536; at a learner also the workers of one certificate or token there");
 ABSL_FLAG(int32_t, max_buffered_mb, 512,
           "memory for incoming and outgoing messages, MiB, 128..1000000; calls beyond it are refused for the moment");
 
@@ -30,8 +24,6 @@ Server::Options ServerOptionsFromFlags(absl::string_view address) {
   options.files = TlsFilesFromFlags();
   options.ask_clients = absl::GetFlag(FLAGS_tls_client_certs);
   options.access_file = absl::GetFlag(FLAGS_access_file);
-  options.health_address = absl::GetFlag(FLAGS_health_listen);
-  options.max_connections_per_client = absl::GetFlag(FLAGS_max_connections_per_client);
   options.max_buffered_mb = absl::GetFlag(FLAGS_max_buffered_mb);
   return options;
 }

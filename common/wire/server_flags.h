@@ -1,5 +1,5 @@
-// The flags of every program that listens: --insecure, --tls_client_certs, --access_file, --health_listen,
-// --max_connections_per_client, --max_buffered_mb, and those of channel_flags.h.
+// The flags of every program that listens: --insecure, --tls_client_certs, --access_file, --max_buffered_mb, and those
+// of channel_flags.h.
 
 #ifndef CRAFTFLEET_COMMON_WIRE_SERVER_FLAGS_H_
 #define CRAFTFLEET_COMMON_WIRE_SERVER_FLAGS_H_

@@ -51,7 +51,7 @@
 #include "common/telemetry/gpu_usage.h"
 #include "common/wire/channel.h"
 #include "common/wire/channel_flags.h"
-#include "common/wire/listener.h"
+#include "common/wire/listen_socket.h"
 #include "deploy/cli/command.h"
 #include "deploy/cli/doctor_checks.h"
 
@@ -184,11 +184,7 @@ GpuFacts ReadGpu() {
 }
 
 // Listens on `address` for a moment.
-absl::Status TryPort(const std::string& address) {
-  wire::Listener::Options options;
-  options.address = address;
-  return wire::Listener::Create(options).status();
-}
+absl::Status TryPort(const std::string& address) { return wire::ListenSocket::Create(address).status(); }
 
 std::vector<std::pair<std::string, std::string>> ReadVersions() {
   utsname kernel = {};

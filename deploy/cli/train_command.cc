@@ -43,8 +43,9 @@ absl::Status Run() {
   if (const std::string warning = SlowMathWarning(); !warning.empty()) LogWarning("%s", warning);
   Learner& learner = fleet->learner();
   CRAFTFLEET_RETURN_IF_ERROR(LogRunStart(learner, options.logdir));
-  CRAFTFLEET_ASSIGN_OR_RETURN(const std::unique_ptr<wire::MetricsServer> metrics,
-                              wire::ServeMetrics(metrics_options, &learner.status()));
+  CRAFTFLEET_ASSIGN_OR_RETURN(
+      const std::unique_ptr<wire::MetricsServer> metrics,
+      wire::ServeMetrics(metrics_options, &learner.status(), [&learner] { return learner.serving(); }));
   CRAFTFLEET_RETURN_IF_ERROR(fleet->Run());
   LogRunEnd(learner);
   return absl::OkStatus();

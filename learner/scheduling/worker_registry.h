@@ -44,8 +44,7 @@ class WorkerRegistry {
     LaneScheduler::Options lanes;  // its lease also applies to evaluations
     absl::Duration server_lease = absl::Seconds(8);
     absl::Duration name_lapse = absl::Seconds(20);  // at least twice the longest lease of an actor
-    // Names owned by one identity from one host at a time: as many as connections, of which each worker has one.
-    int max_names_per_client = 1024;
+    int max_names_per_client = 2048;                // owned by one identity from one host at a time
     BuildCheck::Options build = {};
   };
   struct WorkerId {

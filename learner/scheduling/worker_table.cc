@@ -113,8 +113,8 @@ absl::Status WorkerTable::CheckRoomForName(WorkerRole role, absl::string_view na
   }
   if (names_here >= options_.max_names_per_client) {
     return absl::ResourceExhaustedError(
-        absl::StrFormat("%s \"%s\": %s already has %d workers, the most that --max_connections_per_client lets it have",
-                        NameOf(role), name, client.Name(), names_here));
+        absl::StrFormat("%s \"%s\": %s already has %d workers, the most that one client may have", NameOf(role), name,
+                        client.Name(), names_here));
   }
   return absl::OkStatus();
 }

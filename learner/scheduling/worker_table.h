@@ -48,8 +48,7 @@ class WorkerTable {
   struct Options {
     absl::Duration actor_lease = absl::Seconds(5);
     absl::Duration name_lapse = absl::Seconds(20);  // at least twice the longest lease of an actor
-    // Names owned by one identity from one host at a time: as many as connections, of which each worker has one.
-    int max_names_per_client = 1024;
+    int max_names_per_client = 2048;                // owned by one identity from one host at a time
   };
   using Key = std::pair<WorkerRole, std::string>;
 

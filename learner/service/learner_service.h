@@ -45,7 +45,7 @@ class LearnerServiceImpl final : public v1::LearnerService::CallbackService {
     absl::Duration reply_timeout = wire::StreamWatch::kTakesReply;
     // Streams at once from one address, of which each actor has one, and one more while it downloads weights; further
     // ones: RESOURCE_EXHAUSTED.
-    int max_streams_per_client = wire::StreamWatch::kMaxPerClient;
+    int max_streams_per_client = 2 * WorkerRegistry::Options().max_names_per_client;
   };
 
   LearnerServiceImpl(const Options& options, WorkerRegistry* registry, WeightStore* weights, FragmentQueue* fragments);

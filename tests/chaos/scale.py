@@ -117,10 +117,7 @@ def main():
     config = empty_folder(options.out) / "config.txt"
     config.write_text(CONFIG.format(lanes=options.lanes, rollout=4 * options.lanes), encoding="utf-8")
     here = Site()
-    # All workers come from one address; a learner lets 1,024 of these in unless told otherwise.
-    workers = max(1024, options.actors + options.servers + 16)
-    fleet = Fleet(options.bin, options.out, config, pathlib.Path(options.out) / "run", here, [],
-                  flags={"learner": [f"--max_connections_per_client={workers}"]})
+    fleet = Fleet(options.bin, options.out, config, pathlib.Path(options.out) / "run", here, [])
     try:
         figures, failures = run(options, fleet)
     finally:

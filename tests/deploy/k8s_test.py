@@ -226,13 +226,12 @@ class Manifests(unittest.TestCase):
         listens = dict(split(argument) for argument in container["args"])
         ports = {port["name"]: port["containerPort"] for port in container["ports"]}
         self.assertEqual(listens["listen"], f"[::]:{ports['grpc']}")
-        self.assertEqual(listens["health_listen"], f"[::]:{ports['health']}")
         self.assertEqual(listens["metrics_listen"], f"[::]:{ports['metrics']}")
-        self.assertEqual(len(set(ports.values())), 3)
+        self.assertEqual(len(set(ports.values())), 2)
         self.assertEqual(workload["spec"]["template"]["metadata"]["annotations"]["prometheus.io/port"], str(ports["metrics"]))
-        # Kubernetes' probes do not support TLS, so they use the health port.
+        # Kubernetes' gRPC probes do not support TLS.
         for probe in ("startupProbe", "readinessProbe", "livenessProbe"):
-          self.assertEqual(container[probe]["grpc"], {"port": ports["health"]})
+          self.assertEqual(container[probe]["httpGet"], {"path": "/healthz", "port": "metrics"})
         self.assertNotIn("insecure", listens)
         self.assertTrue({"tls_cert", "tls_key", "tls_ca", "access_file"} <= listens.keys())
     self.over_all(check)

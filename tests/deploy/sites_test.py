@@ -213,7 +213,7 @@ class Names(Case):
 
   def test_every_form_of_an_address_is_used_or_refused_with_what_to_write(self):
     flags = (["craftfleet status", "address"], ["craftfleet-actor", "learner"], ["craftfleet-actor", "envservers"],
-             ["craftfleet-envserver", "listen"], ["craftfleet-envserver", "health_listen"], ["craftfleet-envserver", "learner"],
+             ["craftfleet-envserver", "listen"], ["craftfleet-envserver", "learner"],
              ["craftfleet-envserver", "metrics_listen"], ["craftfleet top", "address"], ["craftfleet admin", "address"],
              ["craftfleet train", "listen"], ["craftfleet train", "http_listen"], ["craftfleet-learner", "listen"])
     for program, flag in flags:
@@ -234,7 +234,7 @@ class Names(Case):
   def test_a_unix_socket_in_a_folder_with_an_odd_name(self):
     folder = self.folder / ODD
     folder.mkdir()
-    server, log = self.start("craftfleet-envserver", f"--listen=unix:{folder}/socket", f"--health_listen=unix:{folder}/health")
+    server, log = self.start("craftfleet-envserver", f"--listen=unix:{folder}/socket")
     wait_until(lambda: "listening on" in log.read_text(), log)
     self.assertIn("envserver", self.run_program("craftfleet status", f"--address=unix:{folder}/socket").stdout)
     server.terminate()

@@ -1,5 +1,8 @@
 // Files that a user or a run folder has.
 
+#include <absl/strings/str_split.h>
+#include <absl/strings/strip.h>
+
 #include "common/base/check.h"
 #include "common/config/config.h"
 #include "common/config/env_name.h"

@@ -5,10 +5,12 @@ import itertools
 import subprocess
 import time
 
-import messages
-import raw_http2
 import server_case
+from server_case import error_of
 from tests.fakes import python_case
+
+import grpc
+import messages
 
 LONGEST = 1024
 LINES_OF_A_CLIENT = 100  # 16 in ten seconds
@@ -24,12 +26,9 @@ class LongLines(server_case.ServerCase):
         return lines
 
     def hello_with(self, server, **hello):
-        with raw_http2.Client(server.address) as client:
-            reply = client.call(messages.PLAY, messages.hello(**hello), timeout=server_case.PATIENCE_S)
-        self.assertTrue(reply.ended)
-        self.assertNotEqual(reply.status, messages.OK)
-        self.assertLess(len(reply.error), 4 * LONGEST)  # escaped as headers are
-        self.assertGreater(len(reply.error), 10)
+        error = error_of(lambda: self.session(server.address, **hello))
+        self.assertLess(len(error.details()), 4 * LONGEST)  # escaped as headers are
+        self.assertGreater(len(error.details()), 10)
 
     def test_of_an_environment_server(self):
         for log_format, name in itertools.product(["text", "json"], [LONG, CONTROLS]):
@@ -43,10 +42,9 @@ class LongLines(server_case.ServerCase):
 
     def test_of_a_learner(self):
         learner = self.learner()
-        with raw_http2.Client(learner.address) as client:
-            name = "n" * 20000  # both fit into a request (message_bounds.h)
-            client.call(messages.JOIN, messages.field(1, 99) + messages.field(2, name) + messages.field(3, name),
-                        timeout=server_case.PATIENCE_S)
+        name = "n" * 20000  # both fit into a request (message_bounds.h)
+        request = messages.field(1, 99) + messages.field(2, name) + messages.field(3, name)
+        self.assertIsNotNone(error_of(lambda: self.unary(learner.address, messages.JOIN, request)))
         python_case.wait_until(lambda: b"nnnnn" in learner.log.read_bytes(), "the log has it")
         self.expect_short_lines(learner)
 
@@ -55,11 +53,9 @@ class LongLines(server_case.ServerCase):
         for path, metadata in [("/" + "m" * 6000, []), ("/x/Y", [("user-agent", "u" * 6000)]),
                                ("/" + LONG, []), ("/x/Y", [("authorization", "Bearer " + "t" * 6000)]),
                                ("/x/Y", [("z" * 6000, "v")]), ("/x/Y", [("x", LONG)])]:
-            try:
-                with raw_http2.Client(server.address, tls=self.tls_client()) as client:
-                    client.call(path, b"", metadata=metadata)
-            except (OSError, raw_http2.Closed):
-                pass  # it may end the connection
+            agent = [("grpc.primary_user_agent", value) for name, value in metadata if name == "user-agent"]
+            call = self.channel(server.address, tls=True, options=agent).unary_unary(path)
+            self.assertIsNotNone(error_of(lambda: call(b"", metadata=[] if agent else metadata, timeout=10)))
         time.sleep(0.5)
         lines = self.expect_short_lines(server)
         self.assertTrue(any(b"refused" in line for line in lines), lines)
@@ -75,21 +71,18 @@ class FewLines(server_case.ServerCase):
     def test_of_sessions_of_ever_new_runs(self):
         server = self.envserver()
         for i in range(100):
-            client, stream = self.session(server.address, run_id=f"run-{i}")
-            client.send_message(stream, b"", end=True)
-            client.read_reply(stream, server_case.PATIENCE_S)
-            client.close()
+            self.session(server.address, run_id=f"run-{i}").end()
         self.assertIn("serves run run-", server.text())
         lines = server.text().count("serves run")
         self.assertLess(lines, 10, "at most one in ten seconds")
 
     def test_of_workers_that_ask_for_another_run(self):
         learner = self.learner()
-        with raw_http2.Client(learner.address) as client:
-            for i in range(1000):
-                reply = client.call(messages.JOIN, messages.field(1, messages.protocol_version()) +
-                                    messages.field(2, f"run-{i}") + messages.field(3, f"host-{i}"))
-                self.assertEqual(reply.status, messages.FAILED_PRECONDITION, reply.error)
+        join = self.channel(learner.address).unary_unary(messages.JOIN)
+        for i in range(1000):
+            request = messages.field(1, messages.protocol_version()) + messages.field(2, f"run-{i}") + \
+                messages.field(3, f"host-{i}")
+            self.assertEqual(error_of(lambda: join(request)).code(), grpc.StatusCode.FAILED_PRECONDITION)
         python_case.wait_until(lambda: "this learner serves run" in learner.text(), "the log has it")
         self.assertLess(learner.text().count("this learner serves run"), LINES_OF_A_CLIENT)
 

@@ -85,7 +85,7 @@ TEST_F(ManyNamesTest, ReportsUnderManyNamesOfOneClientResetNoLane) {
 TEST_F(ManyNamesTest, MadeUpServersAreBoundedAndTheRealOneIsUsed) {
   StartLearnerOf("servers");
   const auto bad = StartBadPeer("servers", "envserver", "announcing");
-  ASSERT_TRUE(learner_->WaitForText("already has 1024 workers, the most that --max_connections_per_client", kPatience))
+  ASSERT_TRUE(learner_->WaitForText("already has 2048 workers, the most that one client may have", kPatience))
       << learner_->Err();
   StartWorkers("servers");
   ExpectTheRunToEndLikeQuiet("servers");

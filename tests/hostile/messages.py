@@ -2,7 +2,6 @@
 allow."""
 
 import re
-import zlib
 
 from tests.fakes.python_case import SOURCE
 
@@ -10,15 +9,9 @@ PLAY = "/craftfleet.v1.EnvironmentService/Play"
 GET_STATUS = "/craftfleet.v1.StatusService/GetStatus"
 WATCH_STATUS = "/craftfleet.v1.StatusService/WatchStatus"
 HEALTH = "/grpc.health.v1.Health/Check"
-WATCH_HEALTH = "/grpc.health.v1.Health/Watch"
 LEARNER_PLAY = "/craftfleet.v1.LearnerService/Play"
 JOIN = "/craftfleet.v1.LearnerService/Join"
 GET_WEIGHTS = "/craftfleet.v1.LearnerService/GetWeights"
-REFLECTION = "/grpc.reflection.v1alpha.ServerReflection/ServerReflectionInfo"
-
-# gRPC's codes.
-OK, CANCELLED, INVALID_ARGUMENT, DEADLINE_EXCEEDED, RESOURCE_EXHAUSTED, FAILED_PRECONDITION = 0, 1, 3, 4, 8, 9
-UNIMPLEMENTED, INTERNAL = 12, 13
 
 
 def varint(value):
@@ -66,9 +59,3 @@ def fragment(epoch, lane=0, frame_bytes=0):
     """A message of an actor to a learner, which is no valid fragment."""
     message = field(1, "host-1-a") + field(2, epoch) + field(3, lane) + field(6, bytes(frame_bytes))
     return field(2, message)
-
-
-def bomb(encoding, megabytes):
-    """Zeros, compressed to a thousandth of their size with gRPC's `encoding`."""
-    compressor = zlib.compressobj(9, zlib.DEFLATED, {"gzip": 31, "deflate": 15}[encoding])
-    return b"".join(compressor.compress(bytes(1 << 20)) for _ in range(megabytes)) + compressor.flush()

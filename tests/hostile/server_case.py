@@ -2,17 +2,25 @@
 
 import functools
 import os
+import queue
 import re
-import ssl
 import subprocess
 import time
 
+# pylint: disable=wrong-import-position
+from tests.deploy.python import package
+
+package.enter()
+package.need("grpc")
+
+import grpc
 import messages
-import raw_http2
 from tests.fakes import python_case
 from tests.fakes.python_case import SMALL_RUN, SOURCE, built
 
 PATIENCE_S = 60  # for what takes a moment on a quiet machine
+# Each channel has a connection of its own; the peer may send as much as a message that nobody reads may have.
+CHANNEL = [("grpc.use_local_subchannel_pool", 1), ("grpc.http2.bdp_probe", 0), ("grpc.max_receive_message_length", -1)]
 
 
 class Program:
@@ -46,9 +54,6 @@ class Program:
         """The peak resident memory."""
         return self._status("VmHWM") / 1024
 
-    def threads(self):
-        return self._status("Threads")
-
     def cpu_s(self):
         fields = open(f"/proc/{self.pid}/stat", encoding="utf-8").read().rsplit(")", 1)[1].split()
         return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
@@ -63,6 +68,35 @@ class Program:
             raise AssertionError(f"not ended {seconds} s after SIGTERM") from error
         assert code == 0, (code, self.text())
         return time.monotonic() - start
+
+
+class Call:
+    """A stream of a client, which reads a reply only when it is asked to."""
+
+    def __init__(self, channel, path, *requests):
+        self.requests = queue.SimpleQueue()
+        for request in requests:
+            self.requests.put(request)
+        self.replies = channel.stream_stream(path)(iter(self.requests.get, None), timeout=5 * PATIENCE_S)
+
+    def ask(self, request):
+        """The reply to one more request; RpcError: the server has ended the stream."""
+        self.requests.put(request)
+        return next(self.replies)
+
+    def end(self):
+        """Sends no more; returns the error of the stream, whose status may be OK."""
+        self.requests.put(None)
+        return error_of(lambda: list(self.replies)) or self.replies
+
+
+def error_of(action):
+    """The RpcError that `action` raises; None: none."""
+    try:
+        action()
+    except grpc.RpcError as error:
+        return error
+    return None
 
 
 class ServerCase(python_case.FolderCase):
@@ -91,29 +125,33 @@ class ServerCase(python_case.FolderCase):
         return [f"--tls_cert={self.certificates / 'server.pem'}", f"--tls_key={self.certificates / 'server.key'}",
                 f"--tls_ca={self.certificates / 'ca.pem'}"]
 
-    def tls_client(self):
-        context = ssl.create_default_context(cafile=self.certificates / "ca.pem")
-        context.load_cert_chain(self.certificates / "client.pem", self.certificates / "client.key")
-        return context
+    def channel(self, address, tls=False, options=()):
+        """A client's connection, closed with the test."""
+        options = [*CHANNEL, *options]
+        if tls:
+            ca, key, certificate = ((self.certificates / name).read_bytes() for name in ("ca.pem", "client.key", "client.pem"))
+            channel = grpc.secure_channel(address, grpc.ssl_channel_credentials(ca, key, certificate), options)
+        else:
+            channel = grpc.insecure_channel(address, options)
+        self.addCleanup(channel.close)
+        return channel
 
-    def client(self, address, **options):
-        client = raw_http2.Client(address, **options)
-        self.addCleanup(client.close)
-        return client
+    def start(self, channel, path, *requests):
+        """A stream, cancelled with the test."""
+        call = Call(channel, path, *requests)
+        self.addCleanup(call.replies.cancel)  # grpcio cancels one that nobody refers to
+        return call
 
-    def session(self, address, source=None, **hello):
-        """A client, which connects from the host `source`, and its stream, after the server's hello."""
-        client = self.client(address, source=source)
-        stream = client.start(messages.PLAY)
-        client.send_message(stream, messages.hello(**hello))
-        reply = client.read_reply(stream, PATIENCE_S, messages=1)
-        self.assertEqual(len(reply.messages), 1, (reply.status, reply.error))
-        return client, stream
+    def session(self, address, **hello):
+        """A session with an environment server on a connection of its own, after the server's hello."""
+        call = self.start(self.channel(address), messages.PLAY)
+        call.ask(messages.hello(**hello))
+        return call
+
+    def unary(self, address, path, request=b"", **options):
+        """The reply of a unary call."""
+        return self.channel(address, **options).unary_unary(path)(request, timeout=PATIENCE_S)
 
     def healthy(self, address):
         """Whether the server answers an ordinary health probe."""
-        try:
-            with raw_http2.Client(address, timeout=5) as client:
-                return client.call(messages.HEALTH, b"", timeout=5).messages == [b"\x08\x01"]
-        except (OSError, raw_http2.Closed):
-            return False
+        return error_of(lambda: self.unary(address, messages.HEALTH)) is None

@@ -4,13 +4,18 @@
 #include <sys/un.h>
 #include <unistd.h>
 
+#include <memory>
 #include <string>
 
+#include <absl/strings/str_cat.h>
 #include <absl/time/clock.h>
 #include <gmock/gmock.h>
+#include <grpcpp/security/server_credentials.h>
+#include <grpcpp/server_builder.h>
 #include <gtest/gtest.h>
 
 #include "common/wire/server.h"
+#include "craftfleet/v1/status.grpc.pb.h"
 #include "tests/fakes/status_matchers.h"
 #include "tests/fakes/temp_folder.h"
 
@@ -91,6 +96,30 @@ TEST(WaitUntilConnected, FailsAfterItsTimeout) {
               StatusIs(absl::StatusCode::kUnavailable, HasSubstr("unix:" + path + ": no answer within 300ms")));
   EXPECT_LT(absl::Now() - start, absl::Seconds(2));
   close(listener);
+}
+
+// Answers with a message that is compressed to a thousandth of its size.
+class CompressingService : public v1::StatusService::Service {
+ public:
+  grpc::Status GetStatus(grpc::ServerContext* context, const v1::StatusRequest* /*request*/,
+                         v1::StatusReply* reply) override {
+    context->set_compression_algorithm(GRPC_COMPRESS_GZIP);
+    reply->set_version(std::string(64 << 20, 'x'));
+    return grpc::Status::OK;
+  }
+};
+
+TEST(Channel, RefusesCompressedMessages) {
+  CompressingService service;
+  int port = 0;
+  grpc::ServerBuilder builder;
+  builder.RegisterService(&service).AddListeningPort("127.0.0.1:0", grpc::InsecureServerCredentials(), &port);
+  const std::unique_ptr<grpc::Server> server = builder.BuildAndStart();
+  const Endpoint endpoint = Connect(absl::StrCat("127.0.0.1:", port));
+  grpc::ClientContext context;
+  v1::StatusReply reply;
+  EXPECT_THAT(FromCall(v1::StatusService::NewStub(endpoint.channel)->GetStatus(&context, {}, &reply), "x", endpoint),
+              StatusIs(absl::StatusCode::kUnimplemented, HasSubstr("gzip")));
 }
 
 }  // namespace

@@ -2,6 +2,7 @@
 
 #include <microhttpd.h>
 
+#include <atomic>
 #include <ctime>
 #include <random>
 #include <thread>
@@ -43,7 +44,9 @@ class MetricsServerTest : public testing::Test {
     return HttpClient(server_->url(), from).Ask(absl::StrCat("GET ", path, " HTTP/1.1\r\nHost: a\r\n\r\n"));
   }
 
-  std::unique_ptr<MetricsServer> server_ = *MetricsServer::Create({"127.0.0.1:0", false}, Status);
+  std::atomic<bool> serving_{true};
+  std::unique_ptr<MetricsServer> server_ =
+      *MetricsServer::Create({"127.0.0.1:0", false}, Status, [this] { return serving_.load(); });
 };
 
 TEST_F(MetricsServerTest, ServesTheStatusAsText) {
@@ -52,6 +55,14 @@ TEST_F(MetricsServerTest, ServesTheStatusAsText) {
               AllOf(StartsWith("HTTP/1.1 200 OK\r\n"), HasSubstr("\r\nContent-Type: text/plain; version=0.0.4"),
                     HasSubstr("\r\nConnection: close\r\n"), HasSubstr("craftfleet_threads{role=\"actor\"} 0\n")));
   EXPECT_THAT(Get("/metrics?x=1"), StartsWith("HTTP/1.1 200 "));
+}
+
+// The request of Kubernetes' probes.
+TEST_F(MetricsServerTest, TellsWhetherTheProcessServes) {
+  EXPECT_THAT(Get("/healthz"), StartsWith("HTTP/1.1 200 "));
+  serving_ = false;
+  EXPECT_THAT(Get("/healthz"), StartsWith("HTTP/1.1 503 "));
+  EXPECT_THAT(Get(), StartsWith("HTTP/1.1 200 "));
 }
 
 TEST_F(MetricsServerTest, AnswersOtherRequestsWithErrors) {
@@ -162,20 +173,22 @@ TEST_F(MetricsServerTest, DestructorDoesNotWaitForClients) {
   EXPECT_THAT(half.Receive(), IsEmpty());
 }
 
+absl::StatusOr<std::unique_ptr<MetricsServer>> ServeAt(const std::string& address, bool insecure = false) {
+  return MetricsServer::Create({address, insecure}, Status, [] { return true; });
+}
+
 TEST(MetricsServer, CreateRefusesInvalidAddresses) {
-  EXPECT_THAT(MetricsServer::Create({"0.0.0.0:0", false}, Status),
+  EXPECT_THAT(ServeAt("0.0.0.0:0"),
               StatusIs(absl::StatusCode::kInvalidArgument,
                        AllOf(HasSubstr("--metrics_listen=0.0.0.0:0"), HasSubstr("--metrics_insecure"))));
-  EXPECT_THAT(MetricsServer::Create({"0.0.0.0:0", true}, Status), IsOk());
-  EXPECT_THAT(MetricsServer::Create({"nonsense", false}, Status),
-              StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("--metrics_listen")));
-  EXPECT_THAT(MetricsServer::Create({"unix:/tmp/x", false}, Status),
-              StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("want HOST:PORT")));
-  const auto first = MetricsServer::Create({"127.0.0.1:0", false}, Status);
+  EXPECT_THAT(ServeAt("0.0.0.0:0", /*insecure=*/true), IsOk());
+  EXPECT_THAT(ServeAt("nonsense"), StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("--metrics_listen")));
+  EXPECT_THAT(ServeAt("unix:/tmp/x"), StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("want HOST:PORT")));
+  const auto first = ServeAt("127.0.0.1:0");
   ASSERT_THAT(first, IsOk());
   const std::string url = (*first)->url();
   const std::string address = url.substr(7, url.rfind('/') - 7);
-  EXPECT_THAT(MetricsServer::Create({address, false}, Status),
+  EXPECT_THAT(ServeAt(address),
               StatusIs(absl::StatusCode::kUnavailable, AllOf(HasSubstr("--metrics_listen"), HasSubstr(address))));
 }
 

@@ -72,6 +72,12 @@ TEST(Server, ListensOnAFreePortAndReportsIt) {
   EXPECT_THAT(server->address(), testing::MatchesRegex("127\\.0\\.0\\.1:[1-9][0-9]*"));
 }
 
+TEST(Server, ListensOnAHostName) {
+  const auto server = Listen("localhost:0");
+  EXPECT_THAT(server->address(), testing::MatchesRegex("localhost:[1-9][0-9]*"));
+  EXPECT_THAT(WaitUntilConnected("server", Connect(server->address()), absl::Seconds(10)), IsOk());
+}
+
 TEST(Server, ListensOnAUnixSocket) {
   const TempFolder folder;
   const auto server = Listen("unix:" + (folder / "s"));
@@ -83,7 +89,7 @@ TEST(Server, NamesAPortThatIsInUse) {
   const auto first = Listen("127.0.0.1:0");
   EXPECT_THAT(Server::Create({first->address()}, {}),
               StatusIs(absl::StatusCode::kUnavailable,
-                       AllOf(HasSubstr("cannot listen on " + first->address()), HasSubstr("in use"))));
+                       AllOf(HasSubstr("--listen: cannot listen on " + first->address()), HasSubstr("in use"))));
 }
 
 TEST(Server, ReleasesItsPortOnDestruction) {
@@ -112,7 +118,7 @@ TEST(Server, RefusesAnInvalidAddress) {
               StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("--listen: \"127.0.0.1\"")));
 }
 
-// The call of Kubernetes probes and `grpc_health_probe`: grpc.health.v1.
+// The call of `grpc_health_probe`: grpc.health.v1.
 TEST(Server, ReportsThatItIsHealthy) {
   const auto server = Listen("127.0.0.1:0");
   const auto reply = Call(Connect(server->address()), "/grpc.health.v1.Health/Check", /*of the whole server*/ "");
@@ -155,7 +161,9 @@ TEST(Server, StopDoesNotWaitForStreamsBeyondItsTimeout) {
 
   std::thread waiting([&server] { server->Wait(); });
   const absl::Time start = absl::Now();
+  EXPECT_TRUE(server->serving());
   server->Stop(absl::Milliseconds(100));
+  EXPECT_FALSE(server->serving());
   waiting.join();
   EXPECT_LT(absl::Now() - start, absl::Seconds(3));
   EXPECT_FALSE(stream->Read(&reply));
