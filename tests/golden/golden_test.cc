@@ -23,8 +23,8 @@
 #include "envserver/render/scene_record.h"
 #include "envserver/world/world.h"
 #include "tests/fakes/cpu_paths.h"
-#include "tests/fakes/status_matchers.h"
 #include "tests/fakes/gzip_file.h"
+#include "tests/fakes/status_matchers.h"
 #include "tests/golden/trace_fields.h"
 #include "tests/golden/world_editor.h"
 

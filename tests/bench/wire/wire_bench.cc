@@ -333,8 +333,8 @@ void MeasureLearner(const ServerProcess& learner, int steps, const ServerProcess
     for (int k = 0; k < absl::GetFlag(FLAGS_clients); ++k) {
       actors.push_back(std::make_unique<Actor>(learner.address(), k, fragment));
     }
-    Measure(absl::StrCat("fragment of ", steps, " steps, ", NameOf(frames), ", 1/16 request for permits"),
-            learner, [&](int client) { return actors[client]->Play(); });
+    Measure(absl::StrCat("fragment of ", steps, " steps, ", NameOf(frames), ", 1/16 request for permits"), learner,
+            [&](int client) { return actors[client]->Play(); });
   }
   if (steps != kFragmentSteps[0]) return;
   for (const auto& actor : actors) actor->TakePermits();
