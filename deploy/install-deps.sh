@@ -3,7 +3,7 @@
 # Does nothing if all are installed. Uses sudo when not run as root.
 #
 # Usage: deploy/install-deps.sh [--core] [--tests[=torch]] [--developer] [--libtorch=DIR|cuda]
-#   --core          without the packages for windows and videos, which are half of all on Debian 13
+#   --core          without the packages for windows, videos and plots, which are half of all on Debian 13
 #   --tests         also the packages of the tests: GoogleTest, and those without which some tests are skipped, such as Slurm, a
 #                   YAML parser, network namespaces, displays, terminals and a browser; and, from PyPI into .cache/python
 #                   (300 MB), what the tests of the Python package need
@@ -117,8 +117,7 @@ leave_out() {
 }
 if [ -n "$libtorch" ]; then leave_out libtorch-dev; fi
 if [ -n "$core" ] && [ -z "$tests" ]; then
-  leave_out libopencv-videoio-dev
-  leave_out libopencv-highgui-dev
+  for package in libopencv-videoio-dev libopencv-highgui-dev python3-matplotlib; do leave_out "$package"; done
 fi
 if [ -n "$tests" ]; then
   packages+=(libgtest-dev libgmock-dev libbenchmark-dev libopencv-imgcodecs-dev)

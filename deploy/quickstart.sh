@@ -33,7 +33,7 @@ say() {
   printf '\n[%d/4, %d:%02d so far] %s\n' "$step" $(((SECONDS - started) / 60)) $(((SECONDS - started) % 60)) "$*"
 }
 
-say "Installing the packages that are missing: up to 360 MB, one to three minutes."
+say "Installing the packages that are missing: up to 350 MB, one to three minutes."
 deploy/install-deps.sh --core
 say "Building the programs: the longest step, about five minutes on two cores; a line counts the files. Tests are left out."
 deploy/build.sh release -DCRAFTFLEET_BUILD_TESTS=OFF
@@ -60,6 +60,6 @@ if ! grep -qs '^OPENCV_highgui_LIBRARY:[A-Z]*=/' build/CMakeCache.txt; then
   cat <<'MORE'
 
 The programs are in build/bin. They show games in the terminal: build/bin/craftfleet watch --terminal RUN
-For windows and videos as well: deploy/install-deps.sh && deploy/build.sh
+For windows, videos and plots as well: deploy/install-deps.sh && deploy/build.sh
 MORE
 fi

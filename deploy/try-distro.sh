@@ -4,7 +4,7 @@
 # root, and needs access to a mirror of the distribution. Takes about an hour on two cores without a ccache.
 #
 # Usage: deploy/try-distro.sh SUITE [--quick] [--mirror=URL] [--ccache=DIR] [--dir=DIR] [--keep]
-#   SUITE         bookworm (Debian 12), trixie (Debian 13), noble (Ubuntu 24.04; needs the keys of Ubuntu's archive)
+#   SUITE         bookworm (Debian 12) or trixie (Debian 13)
 #   --quick       only deploy/quickstart.sh --steps=8192
 #   --mirror=URL  mirror of the packages; default: mmdebstrap's for the suite
 #   --ccache=DIR  folder of a ccache, kept for the next time
@@ -30,11 +30,9 @@ for argument in "$@"; do
     *) [ -z "$suite" ] || refuse "'$argument' after '$suite': want one suite"; suite=$argument ;;
   esac
 done
-components=main
 case "$suite" in
   bookworm | trixie) ;;
-  noble) components=main,universe ;;
-  *) refuse "SUITE='$suite', want bookworm, trixie or noble" ;;
+  *) refuse "SUITE='$suite', want bookworm or trixie" ;;
 esac
 [ "$(id -u)" -eq 0 ] || refuse "needs root"
 for tool in mmdebstrap git unshare; do
@@ -70,7 +68,7 @@ bind() {
 # apt in the root checks an https mirror against ca-certificates.
 include=()
 [[ $mirror != https:* ]] || include=(--include=ca-certificates)
-mmdebstrap --quiet --variant=minbase --components="$components" "${include[@]}" "$suite" "$root" ${mirror:+"$mirror"}
+mmdebstrap --quiet --variant=minbase "${include[@]}" "$suite" "$root" ${mirror:+"$mirror"}
 git clone --quiet --no-hardlinks "$source" "$root/src"
 git -C "$root/src" remote remove origin
 cp /etc/resolv.conf "$root/etc/resolv.conf"

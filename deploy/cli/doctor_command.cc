@@ -124,7 +124,9 @@ CpuFacts ReadCpu() {
 }
 
 BlasFacts ReadBlas() {
-  return {MappedFile({"libopenblas", "libblas", "libmkl", "libblis", "libatlas"}), SlowMathWarning()};
+  // A LibTorch with MKL calls no other BLAS: the one that is mapped in the wheel is OpenCV's.
+  if (at::hasMKL()) return {MappedFile({"libmkl"}), SlowMathWarning()};
+  return {MappedFile({"libopenblas", "libblas", "libblis", "libatlas"}), SlowMathWarning()};
 }
 
 // Bytes; 0: unknown.

@@ -102,11 +102,11 @@ class InstallDeps(python_case.FolderCase):
     for folder in (self.folder / "venv", library.parent.parent, library.parent.parent.parent):
       self.assertEqual(self.install(f"--libtorch={folder}").stderr, packages.replace(" libtorch-dev ", " "))
 
-  def test_windows_and_videos_can_be_left_out(self):
-    windows = {"libopencv-highgui-dev", "libopencv-videoio-dev"}
+  def test_windows_videos_and_plots_can_be_left_out(self):
+    extras = {"libopencv-highgui-dev", "libopencv-videoio-dev", "python3-matplotlib"}
     packages = set(self.install().stderr.split())
-    self.assertLess(windows, packages)
-    self.assertEqual(set(self.install("--core").stderr.split()), packages - windows)
+    self.assertLess(extras, packages)
+    self.assertEqual(set(self.install("--core").stderr.split()), packages - extras)
 
   def test_only_the_tests_need_googletest_and_image_codecs(self):
     wanted = {"libgtest-dev", "libgmock-dev", "libbenchmark-dev", "libopencv-imgcodecs-dev"}

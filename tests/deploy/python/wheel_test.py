@@ -139,6 +139,12 @@ class Wheel(python_case.FolderCase):
         self.assertTrue(inside or OF_THE_SYSTEM.search(path) or OF_LIBTORCH.search(path) or os.path.realpath(path) in brought,
                         f"{program.name} takes {path}")
 
+  @needs_packing
+  def test_doctor_does_not_take_the_blas_of_opencv_for_that_of_libtorch(self):
+    said = self.run_in_environment("craftfleet", "doctor", "--listen=", PYTHONPATH=self.with_torch())
+    self.assertRegex(said, r"(?m)^ok +BLAS +")
+    self.assertNotIn("craftfleet.libs", said)
+
   def test_without_torch_the_games_and_the_environment_server_work(self):
     for words in (["craftfleet", "envs"], ["craftfleet-envserver"], ["craftfleet", "play"], ["craftfleet", "status"], ["craftfleet", "top"]):
       self.assertIn(" ".join(words), self.run_in_environment(*words, "--version"))
