@@ -56,6 +56,15 @@ class Experiment:
   milestones: list[int]  # environment steps, ascending
   cells: list[Cell]  # the last axis varies fastest
 
+  @property
+  def varies_one_of_several(self) -> bool:
+    """Whether each cell varies one of several axes."""
+    return self.combine == "each" and len(self.axes) > 1
+
+  @property
+  def has_two_axes(self) -> bool:
+    return self.combine == "pairs" or (self.combine == "product" and len(self.axes) == 2)
+
 
 def config_text(config: dict, indent: str = "") -> str:
   """A configuration in the text format of config.txt. Capitals are names of the format's own, such as BF16."""

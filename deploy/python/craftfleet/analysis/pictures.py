@@ -29,7 +29,7 @@ def chart_parts(experiment: ExperimentResult) -> list[list[CellResult]]:
   Experiments that vary one axis at a time have a chart for each axis (none for an axis with only one such cell, which is in the
   charts of other axes, too); those that vary two have one for each choice of the first.
   """
-  each = experiment.combine == "each" and len(experiment.axes) > 1
+  each = experiment.varies_one_of_several
   parts: list[list[CellResult]] = []
   last = None
   for cell in experiment.cells:
@@ -47,8 +47,7 @@ def _series_label(experiment: ExperimentResult, cell: CellResult) -> str:
   """Without the choice that the title of the chart names."""
   if experiment.has_two_axes:
     return experiment.axes[1].choices[cell.choices[1]].label
-  one_of_several = experiment.combine == "each" and len(experiment.axes) > 1
-  return experiment.axes[cell.axes[0]].choices[cell.choices[0]].label if one_of_several else cell.label
+  return experiment.axes[cell.axes[0]].choices[cell.choices[0]].label if experiment.varies_one_of_several else cell.label
 
 
 def _with_seeds(experiment: ExperimentResult, cell: CellResult) -> str:
@@ -68,7 +67,7 @@ def _draw_curve(axes: Sequence, label: str, color: str, curve: SpreadCurve, dash
 def _part_title(experiment: ExperimentResult, part: list[CellResult]) -> str:
   if experiment.has_two_axes:
     return f"{experiment.axes[0].choices[part[0].choices[0]].label}: "
-  return f"{experiment.axes[part[0].axes[0]].name}: " if experiment.combine == "each" and len(experiment.axes) > 1 else ""
+  return f"{experiment.axes[part[0].axes[0]].name}: " if experiment.varies_one_of_several else ""
 
 
 def _curves_of(experiment: ExperimentResult, cell: CellResult) -> list[tuple[str, SpreadCurve, bool]]:

@@ -169,14 +169,8 @@ class CellResult:
     return self.group.over(measure) if self.group else Spread()
 
 
-@dataclasses.dataclass
-class ExperimentResult:
-  name: str
-  title: str
-  combine: str
-  axes: list[Axis]
-  milestones: list[int]
-  cells: list[CellResult]
+class ExperimentResult(Experiment):
+  """An experiment whose cells are CellResults."""
 
   @property
   def has_runs(self) -> bool:
@@ -185,10 +179,6 @@ class ExperimentResult:
   @property
   def is_own(self) -> bool:
     return self.name == OWN_RUNS
-
-  @property
-  def has_two_axes(self) -> bool:
-    return self.combine == "pairs" or (self.combine == "product" and len(self.axes) == 2)
 
   def matrix(self, row_axis: int, column_axis: int) -> list[list[CellResult]]:
     """The cells that vary exactly these two axes, row by row."""
@@ -201,8 +191,7 @@ def _label(experiment: Experiment, cell) -> str:
   labels = [experiment.axes[axis].choices[choice].label for axis, choice in zip(cell.axes, cell.choices)]
   if not labels:
     return experiment.title
-  one_of_several = experiment.combine == "each" and len(experiment.axes) > 1
-  return (f"{experiment.axes[cell.axes[0]].name} " if one_of_several else "") + ", ".join(labels)
+  return (f"{experiment.axes[cell.axes[0]].name} " if experiment.varies_one_of_several else "") + ", ".join(labels)
 
 
 def match(experiments: Sequence[Experiment], groups: dict[str, Group]) -> list[ExperimentResult]:

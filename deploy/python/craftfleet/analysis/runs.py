@@ -170,19 +170,10 @@ def _is_result(path: str) -> bool:
 
 def _find_in(folder: str, found: set[str], unreadable: list[str]) -> None:
   """Adds the runs in and below `folder`. Links to folders are not entered."""
-  if _is_run_folder(folder):
-    found.add(folder)
-  try:
-    names = sorted(os.listdir(folder))
-  except OSError as error:
-    unreadable.append(reason(error))
-    return
-  for name in names:
-    path = os.path.join(folder, name)
-    if os.path.isdir(path) and not os.path.islink(path):
-      _find_in(path, found, unreadable)
-    elif _is_result(path) or (os.path.isdir(path) and _is_run_folder(path)):
-      found.add(path)
+  for here, folders, files in os.walk(folder, onerror=lambda error: unreadable.append(reason(error))):
+    folders.sort()
+    paths = [here, *(os.path.join(here, name) for name in folders + files)]
+    found.update(path for path in paths if _is_run_folder(path) or _is_result(path))
 
 
 def _set_progress(run: Run, state: dict | None) -> None:

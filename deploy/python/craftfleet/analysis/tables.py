@@ -292,8 +292,8 @@ def test_tables(experiment: ExperimentResult, paper: Figures) -> str:
     return ""
   if experiment.has_two_axes:
     return _agreement_table(experiment, paper)
-  return _paper_tests(experiment, paper) + ("" if experiment.milestones or experiment.combine == "each" and len(
-      experiment.axes) > 1 else _cell_tests(experiment))
+  return _paper_tests(experiment, paper) + (
+      "" if experiment.milestones or experiment.varies_one_of_several else _cell_tests(experiment))
 
 
 # CSV, with all digits.
