@@ -77,6 +77,12 @@ double PlayingShare(const FleetView& view) {
   return actors.Sum() - actors[Activity::kPermits] - actors[Activity::kIdle];
 }
 
+v1::FleetSummary::RunState RunStateOf(const FleetView& view) {
+  if (view.finished) return v1::FleetSummary::COMPLETE;
+  if (view.evaluating) return v1::FleetSummary::EVALUATING;
+  return view.paused ? v1::FleetSummary::PAUSED : v1::FleetSummary::TRAINING;
+}
+
 }  // namespace
 
 FleetView ViewFleet(const Work& trainer, const std::vector<WorkerRegistry::WorkerInfo>& workers) {
@@ -115,8 +121,6 @@ void CountWorkers(const std::vector<WorkerRegistry::WorkerInfo>& workers, v1::Fl
     count->set_number(number);
   }
 }
-
-namespace {
 
 ByActivity FleetTimes(const FleetView& view) {
   ByActivity times = view.learner.Normalized();
@@ -174,14 +178,6 @@ Bottleneck FindBottleneck(const FleetView& view) {
                                      "actors, or train with more lanes (--lanes).",
                                      Percent(permits))};
 }
-
-v1::FleetSummary::RunState RunStateOf(const FleetView& view) {
-  if (view.finished) return v1::FleetSummary::COMPLETE;
-  if (view.evaluating) return v1::FleetSummary::EVALUATING;
-  return view.paused ? v1::FleetSummary::PAUSED : v1::FleetSummary::TRAINING;
-}
-
-}  // namespace
 
 v1::FleetSummary SummarizeFleet(const FleetView& view) {
   v1::FleetSummary summary;

@@ -6,7 +6,6 @@
 #include <string>
 #include <vector>
 
-#include "common/telemetry/activity.h"
 #include "common/telemetry/activity_meter.h"
 #include "craftfleet/v1/status.pb.h"
 #include "learner/scheduling/worker_registry.h"

@@ -239,7 +239,7 @@ absl::StatusOr<WeightStore::Weights> LearnerServiceImpl::FindWeights(const v1::W
     if (bytes == nullptr) {
       return absl::AbortedError(absl::StrFormat("evaluation task %d is over", request.evaluation()));
     }
-    return WeightStore::Weights{0, std::move(bytes), {}};
+    return WeightStore::Weights{0, std::move(bytes), {}, {}};
   }
   WeightStore::Weights weights = weights_->Find(request.at_least());
   if (weights.bytes == nullptr || weights.version < request.at_least()) {

@@ -121,7 +121,7 @@ TEST_F(LivePageTest, ServesCurvesOfTheLastIteration) {
   EXPECT_EQ(curves["env_steps"], 4096);
   EXPECT_EQ(curves["curve"]["steps"], nlohmann::json({100}));
   EXPECT_EQ(curves["curve"]["reward"], nlohmann::json({2.5}));
-  EXPECT_EQ(curves["speed"]["rate"], nlohmann::json({2048}) << "rollout_steps in 2 s");
+  EXPECT_EQ(curves["speed"]["rate"], nlohmann::json({2048})) << "rollout_steps in 2 s";
   EXPECT_EQ(curves["rates"]["collect_coal"], 100);
   EXPECT_EQ(curves["rates"]["wake_up"], 0);
   EXPECT_EQ(curves["frame"], 2);
