@@ -73,9 +73,11 @@ absl::Status VisitStats(const std::string& path, int64_t bytes, absl::FunctionRe
   std::string line;
   while (read < bytes && std::getline(file, line)) {
     ++lines;
-    read += static_cast<int64_t>(line.size()) + 1;
+    const bool has_end = !file.eof();
+    read += static_cast<int64_t>(line.size()) + (has_end ? 1 : 0);
+    if (!has_end && read < bytes) break;
     const absl::StatusOr<Episode> episode =
-        read <= bytes ? ParseStatsLine(line) : absl::DataLossError("the line is incomplete");
+        has_end && read <= bytes ? ParseStatsLine(line) : absl::DataLossError("the line is incomplete");
     if (!episode.ok()) return absl::DataLossError(absl::StrCat(path, ":", lines, ": ", episode.status().message()));
     visit(*episode);
   }

@@ -48,7 +48,7 @@ std::vector<Fragment> FragmentsOf(const PpoUpdater& updater) {
 }
 
 // Weights and optimiser after some iterations, with the statistics of the last.
-std::string Train(const v1::RunConfig& config, PpoUpdater* updater) {
+std::string Train(PpoUpdater* updater) {
   std::string losses;
   for (int iteration = 0; iteration < kIterations; ++iteration) {
     const std::vector<Fragment> fragments = FragmentsOf(*updater);
@@ -64,11 +64,11 @@ class RankUpdateTest : public ::testing::TestWithParam<Kind> {};
 
 TEST_P(RankUpdateTest, GivesTheBytesOfOneProcess) {
   const v1::RunConfig config = ConfigOf(GetParam().config);
-  const std::string alone = Train(config, PpoUpdater::Create(config, 2).value().get());
+  const std::string alone = Train(PpoUpdater::Create(config, 2).value().get());
   InGroup(GetParam().ranks, [&](RankGroup* group) {
     const auto updater = PpoUpdater::Create(config, 1).value();
     updater->ShareOut(group);
-    EXPECT_TRUE(Train(config, updater.get()) == alone) << "rank " << group->rank();
+    EXPECT_TRUE(Train(updater.get()) == alone) << "rank " << group->rank();
   });
 }
 

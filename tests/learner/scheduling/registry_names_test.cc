@@ -116,7 +116,7 @@ TEST_F(RegistryNamesTest, MadeUpServersOfOneClientAreBoundedAndTakeNothingFromOt
   EXPECT_THAT(Announce("honest", one), IsOk());
   EXPECT_THAT(Announce("more", two), IsOk());
   EXPECT_THAT(Announce("secured", token), IsOk()) << "another identity on the same host";
-  EXPECT_EQ(registry_.Servers().size(), most + 2);
+  EXPECT_EQ(registry_.Workers().size(), most + 2);
   EXPECT_THAT(registry_.Leave(one, WorkerRole::kEnvServer, "s1"), IsOk());
   EXPECT_THAT(Announce("another", one), IsOk()) << "one left";
   EXPECT_THAT(Use("actor", "a", "", "10.0.0.1"), StatusIs(absl::StatusCode::kResourceExhausted, HasSubstr("actor")));
