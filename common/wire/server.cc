@@ -77,7 +77,7 @@ void SetLimits(const Server::Options& options, grpc::ServerBuilder* builder) {
   builder->SetResourceQuota(quota);
 }
 
-// Called by gRPC for each line of its log, by default for errors alone, such as failed handshakes of TLS.
+// Called by gRPC for each of its errors, such as a failed handshake of TLS.
 void OnGrpcLog(gpr_log_func_args* line) {
   static RealClock& clock = *new RealClock;  // never destroyed: gRPC's threads may outlive main
   static LimitedLog& log = *new LimitedLog(&clock);
@@ -90,7 +90,10 @@ void SetUpGrpc() {
   std::call_once(once, [] {
     grpc::EnableDefaultHealthCheckService(true);
     grpc::reflection::InitProtoReflectionServerBuilderPlugin();
-    if (getenv("GRPC_VERBOSITY") == nullptr) gpr_set_log_function(OnGrpcLog);
+    const char* const verbosity = getenv("GRPC_VERBOSITY");
+    if (verbosity != nullptr && absl::string_view(verbosity) != "NONE") return;  // NONE: the programs' default
+    gpr_set_log_verbosity(GPR_LOG_SEVERITY_ERROR);
+    gpr_set_log_function(OnGrpcLog);
   });
 }
 

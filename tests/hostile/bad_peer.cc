@@ -41,7 +41,7 @@ ABSL_FLAG(uint64_t, seed, 1, "of what it does when");
 namespace craftfleet {
 namespace {
 
-constexpr int kMadeUpServers = 2000;
+constexpr int kMadeUpServers = 3000;
 
 absl::Status NoSuch(const std::string& flag, const std::string& value) {
   return absl::InvalidArgumentError(absl::StrCat("--", flag, " is '", value, "': see --help"));

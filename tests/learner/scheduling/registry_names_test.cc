@@ -112,7 +112,7 @@ TEST_F(RegistryNamesTest, MadeUpServersOfOneClientAreBoundedAndTakeNothingFromOt
   ASSERT_GE(most, 512) << "a host may run hundreds of servers, and restart them at once";
   for (int i = 1; i < most; ++i) ASSERT_THAT(Announce(absl::StrCat("s", i), one), IsOk());
   EXPECT_THAT(Announce("more", one), StatusIs(absl::StatusCode::kResourceExhausted,
-                                              AllOf(HasSubstr("\"more\""), HasSubstr("10.0.0.1 already has 2048")))));
+                                              AllOf(HasSubstr("\"more\""), HasSubstr("10.0.0.1 already has 2048"))));
   EXPECT_THAT(Announce("honest", one), IsOk());
   EXPECT_THAT(Announce("more", two), IsOk());
   EXPECT_THAT(Announce("secured", token), IsOk()) << "another identity on the same host";
