@@ -271,7 +271,7 @@ TEST(Resnets, HaveTheirInitialRowNorms) {
     ExpectRowNorm(sample, "features_extractor.linear1.layer.weight", 1);
     ExpectRowNorm(sample, "action_net.weight", 0.01);
     ExpectRowNorm(sample, "value_net.weight", 0.1);
-    const PolicyNet::Output output = sample.net.Forward(sample.input, {{2}, at::zeros({1, sample.spec.state_size})});
+    const PolicyNet::Output output = sample.net.Forward(sample.input, {{1, 1}, at::zeros({2, sample.spec.state_size})});
     EXPECT_LT(output.logits.abs().max().item<float>(), 0.5);
     EXPECT_NE(output.values[0].item<float>(), output.values[1].item<float>());
   }

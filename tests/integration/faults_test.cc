@@ -40,8 +40,8 @@ class FaultsTest : public FleetRunTest {
   // The number of permits that the learner's actors hold.
   static int OutstandingPermits(const std::string& learner) {
     int permits = 0;
-    const absl::StatusOr<v1::StatusReply> status = AskStatus(learner);
-    for (const v1::Peer& peer : status.value_or(v1::StatusReply()).peers()) {  // "4 permits, 12 fragments accepted"
+    const v1::StatusReply status = AskStatus(learner).value_or(v1::StatusReply());
+    for (const v1::Peer& peer : status.peers()) {  // "4 permits, 12 fragments accepted"
       int of_one = 0;
       const std::vector<std::string> words = absl::StrSplit(peer.state(), ' ');
       if (peer.role() == "actor" && absl::SimpleAtoi(words[0], &of_one)) permits += of_one;

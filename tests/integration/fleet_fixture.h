@@ -131,9 +131,9 @@ class FleetRunTest : public testing::Test {
                           int threads = 2) {
     Fleet fleet;
     fleet.learner = StartLearner(run, "127.0.0.1:0");
-    fleet.address = fleet.learner->WaitForAddress().value();
+    fleet.address = fleet.learner->WaitForAddress("listening on ", kPatience).value();
     fleet.server = registers ? StartRegisteredServer(run + "-server", fleet.address) : StartServer(run + "-server");
-    fleet.server_address = fleet.server->WaitForAddress().value();
+    fleet.server_address = fleet.server->WaitForAddress("listening on ", kPatience).value();
     fleet.actor =
         StartActor(run + "-actor", fleet.address, registers ? "learner" : fleet.server_address, threads, actor);
     return fleet;

@@ -317,7 +317,7 @@ v1::FragmentMessage PlayFragment(const std::string& server, int steps, FrameForm
   GamePlayer player(server, /*number=*/1, /*lanes=*/1, frames);
   builder.Start(/*epoch=*/0, /*lane=*/0, /*number=*/0, /*policy_version=*/0, steps, kFrameBytes, frames);
   for (int step = 0; step < steps; ++step) {
-    builder.Append(player.observation(), Action{1}, -2.5F, 0.5F, 0.1F, StepEnd::kNone);
+    builder.Append(player.observation(), Action{1}, -2.5F, 0.5F, 0, StepEnd::kNone);
     player.Step();
   }
   LaneSnapshot snapshot;
