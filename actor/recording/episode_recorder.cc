@@ -19,7 +19,7 @@ absl::StatusOr<AttentionLight> LightOf(const EpisodeRecorder::AttentionSource& s
                                        const EpisodeRecorder::Options& options, absl::string_view frame) {
   CRAFTFLEET_ASSIGN_OR_RETURN(const AttentionMap map, source(frame));
   CRAFTFLEET_ASSIGN_OR_RETURN(const std::vector<float> weights, Choose(map, *options.attention));
-  return options.fixed_scale ? LightOnFixedScale(map.patches, weights) : LightToHighest(map.patches, weights);
+  return LightToHighest(map.patches, weights);
 }
 
 }  // namespace

@@ -42,7 +42,6 @@ class EpisodeRecorder : public EpisodeObserver {
     int frame_size = 64;         // pixels, width and height of the moments' frames
     int picture_size = 0;        // of the moments' pictures, even; needed for videos and pictures
     std::optional<AttentionChoice> attention;  // set: videos and pictures also show the agent's attention, on the right
-    bool fixed_scale = false;                  // use one attention scale for all pictures instead of one for each
     int64_t first_episode = 1;                 // lowest episode number to record
   };
 

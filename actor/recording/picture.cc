@@ -78,11 +78,6 @@ AttentionLight LightToHighest(const PatchGrid& grid, absl::Span<const float> wei
   return light;
 }
 
-AttentionLight LightOnFixedScale(const PatchGrid& grid, absl::Span<const float> weights) {
-  const double highest = 1 / std::sqrt(static_cast<double>(grid.count()));
-  return {BrightnessOfPixels(grid, weights), highest / 2, highest};
-}
-
 std::string OverlayAttention(absl::string_view picture, int picture_size, absl::Span<const float> brightness,
                              int frame_size) {
   CRAFTFLEET_CHECK(picture.size() == size_t{3} * picture_size * picture_size);

@@ -26,9 +26,6 @@ struct AttentionLight {
 // `weights` is float[grid.count()].
 AttentionLight LightToHighest(const PatchGrid& grid, absl::Span<const float> weights);
 
-// Brightness on the same linear scale for every frame (BrightnessOfPixels).
-AttentionLight LightOnFixedScale(const PatchGrid& grid, absl::Span<const float> weights);
-
 // A picture uint8[S,S,3] with an agent's attention drawn over it: `brightness`, float[F*F] in 0..1, belongs to the
 // frame that the picture shows enlarged. Parts without attention are grey; parts with attention are highlighted.
 std::string OverlayAttention(absl::string_view picture, int picture_size, absl::Span<const float> brightness,

@@ -64,11 +64,4 @@ float LightToHighest(std::vector<float>* weights) {
   return highest;
 }
 
-std::vector<float> BrightnessOfPixels(const PatchGrid& grid, absl::Span<const float> weights) {
-  std::vector<float> pixels = SpreadOverPixels(grid, weights);
-  const float scale = std::sqrt(static_cast<float>(grid.count()));
-  for (float& pixel : pixels) pixel = std::min(pixel * scale, 1.0F);
-  return pixels;
-}
-
 }  // namespace craftfleet

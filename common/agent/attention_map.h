@@ -51,9 +51,6 @@ std::vector<float> SpreadOverPixels(const PatchGrid& grid, absl::Span<const floa
 // are visible; 0 for negative ones, and unchanged if none is positive. Not empty. Returns the highest weight.
 float LightToHighest(std::vector<float>* weights);
 
-// The same as SpreadOverPixels for display, 0..1: times the square root of the number of patches, at most 1.
-std::vector<float> BrightnessOfPixels(const PatchGrid& grid, absl::Span<const float> weights);
-
 }  // namespace craftfleet
 
 #endif  // CRAFTFLEET_COMMON_AGENT_ATTENTION_MAP_H_

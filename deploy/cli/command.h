@@ -3,6 +3,8 @@
 #ifndef CRAFTFLEET_DEPLOY_CLI_COMMAND_H_
 #define CRAFTFLEET_DEPLOY_CLI_COMMAND_H_
 
+#include <map>
+
 #include <absl/strings/string_view.h>
 
 namespace craftfleet {
@@ -10,13 +12,16 @@ namespace craftfleet {
 // Runs a command with its own arguments from argv[1] on. Returns the exit code.
 using CommandFunction = int (*)(int argc, char** argv);
 
+// By name.
+inline std::map<absl::string_view, CommandFunction>& Commands() {
+  static auto* const commands = new std::map<absl::string_view, CommandFunction>;  // used before main
+  return *commands;
+}
+
 // Adds a command to the program; for objects outside functions. `name` must outlive it.
 struct RegisterCommand {
-  RegisterCommand(absl::string_view name, CommandFunction run);
+  RegisterCommand(absl::string_view name, CommandFunction run) { Commands()[name] = run; }
 };
-
-// The command `name` of this program; null if it has none of that name.
-CommandFunction FindCommand(absl::string_view name);
 
 }  // namespace craftfleet
 

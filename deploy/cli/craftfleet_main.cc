@@ -89,7 +89,7 @@ std::string PythonScript() { return OwnFolder() + "../share/craftfleet/python/cr
 
 // Whether this build has the command.
 bool IsThere(const Command& command) {
-  if (command.program == kLight) return FindCommand(command.name) != nullptr;
+  if (command.program == kLight) return Commands().count(command.name) > 0;
   return access((command.program == kPython ? PythonScript() : OwnFolder() + command.program).c_str(), R_OK) == 0;
 }
 
@@ -169,8 +169,8 @@ int Run(std::vector<std::string> words) {
     return ExitCode("craftfleet",
                     absl::InvalidArgumentError(absl::StrCat("unknown flag \"", command, "\"; see craftfleet --help")));
   }
-  if (const CommandFunction run = FindCommand(command)) {
-    return run(static_cast<int>(words.size()), Pointers(&words).data());
+  if (const auto found = Commands().find(command); found != Commands().end()) {
+    return found->second(static_cast<int>(words.size()), Pointers(&words).data());
   }
   return ExitCode("craftfleet", StartProgram(std::move(words)));
 }

@@ -152,8 +152,4 @@ Finding CheckTls(const TlsFacts& tls) {
   return Ok("TLS files", absl::StrCat(tls.certificate, ": fits its key, valid for 30 days and more"));
 }
 
-Finding ListVersions(const std::vector<std::pair<std::string, std::string>>& versions) {
-  return Ok("versions", absl::StrJoin(versions, ", ", absl::PairFormatter(" ")));
-}
-
 }  // namespace craftfleet

@@ -7,7 +7,6 @@
 #include <cstdint>
 #include <optional>
 #include <string>
-#include <utility>
 #include <vector>
 
 #include <absl/status/status.h>
@@ -94,9 +93,6 @@ struct TlsFacts {
 // Reads the files, of which at least one is given. kFail: one can't be read, does not match the others, or the
 // certificate is not valid now. kWarn: it expires within 30 days.
 Finding CheckTls(const TlsFacts& tls);
-
-// Always kOk: names and versions, {"LibTorch", "2.6"}.
-Finding ListVersions(const std::vector<std::pair<std::string, std::string>>& versions);
 
 }  // namespace craftfleet
 

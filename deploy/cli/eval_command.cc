@@ -44,9 +44,6 @@ ABSL_FLAG(std::string, episodes_npz, "",
           "folder for a NumPy file of each episode, in the format of Crafter's own recorder");
 ABSL_FLAG(std::string, pictures, "", "folder for a picture of every --picture_every steps, PNG");
 ABSL_FLAG(int32_t, picture_every, 50, "steps from one picture to the next, 1..10000");
-ABSL_FLAG(
-    std::string, attention_scale, "auto",
-    "with --attention: auto (up to the highest weight of each picture) or fixed (the same scale for all pictures)");
 
 namespace craftfleet {
 namespace {
@@ -113,9 +110,6 @@ absl::StatusOr<EpisodeRecorder::Options> RecorderOptions() {
   CRAFTFLEET_ASSIGN_OR_RETURN(options.attention, AttentionFromFlag());
   if (!options.attention.has_value()) return options;
   if (!pictures) return absl::InvalidArgumentError("--attention needs --video or --pictures");
-  const std::string scale = absl::GetFlag(FLAGS_attention_scale);
-  if (scale != "auto" && scale != "fixed") return InvalidFlag("attention_scale", scale, "auto or fixed");
-  options.fixed_scale = scale == "fixed";
   return options;
 }
 

@@ -43,7 +43,6 @@ absl::StatusOr<PlaySession::Options> SessionOptions() {
   CRAFTFLEET_ASSIGN_OR_RETURN(options.env, EnvFromFlag(absl::GetFlag(FLAGS_env).value_or("crafter")));
   CRAFTFLEET_ASSIGN_OR_RETURN(options.seed, EnvSeedFromFlag(/*otherwise=*/NewSeed()));
   options.episode = absl::GetFlag(FLAGS_episode);
-  CRAFTFLEET_RETURN_IF_ERROR(CheckEpisodeFlag(options.episode));
   options.record_folder = absl::GetFlag(FLAGS_record);
   options.start = absl::Now();
   CRAFTFLEET_ASSIGN_OR_RETURN(options.textures, TexturesFromFlag(absl::GetFlag(FLAGS_textures)));
@@ -60,7 +59,7 @@ absl::Status Run() {
   CRAFTFLEET_ASSIGN_OR_RETURN(const PlaySession::Options options, SessionOptions());
   CRAFTFLEET_ASSIGN_OR_RETURN(const absl::Duration step_time, StepTime());
   const int size = absl::GetFlag(FLAGS_size).value_or(576);
-  CRAFTFLEET_RETURN_IF_ERROR(CheckSizeFlag(size));
+  CRAFTFLEET_RETURN_IF_ERROR(CheckEpisodeAndSize(options.episode, size));
   CRAFTFLEET_RETURN_IF_ERROR(CheckScreen(absl::GetFlag(FLAGS_terminal)));  // forks: before anything starts threads
   CRAFTFLEET_ASSIGN_OR_RETURN(const std::unique_ptr<PlaySession> session, PlaySession::Create(options));
   std::atomic<bool> stop{false};

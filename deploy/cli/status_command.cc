@@ -1,6 +1,7 @@
 // craftfleet status: prints the status of a process of the fleet.
 
 #include <cstdio>
+#include <string>
 
 #include <absl/flags/flag.h>
 #include <absl/status/status.h>
@@ -43,21 +44,16 @@ absl::StatusOr<v1::StatusReply> AskStatus(const wire::Endpoint& process) {
   return reply;
 }
 
-absl::Status PrintJson(const v1::StatusReply& reply) {
-  CRAFTFLEET_ASSIGN_OR_RETURN(const std::string json, wire::StatusJson(reply, /*whitespace=*/true));
-  std::fputs(json.c_str(), stdout);
-  return absl::OkStatus();
-}
-
 absl::Status Print(const v1::StatusReply& reply) {
-  absl::Status status;
+  std::string text;
   if (absl::GetFlag(FLAGS_json)) {
-    status = PrintJson(reply);
+    CRAFTFLEET_ASSIGN_OR_RETURN(text, wire::StatusJson(reply, /*whitespace=*/true));
   } else {
-    std::fputs(StatusText(reply).c_str(), stdout);
+    text = StatusText(reply);
   }
+  std::fputs(text.c_str(), stdout);
   std::fflush(stdout);
-  return status;
+  return absl::OkStatus();
 }
 
 // Prints each status that the process sends, until the process ends or standard output is closed.

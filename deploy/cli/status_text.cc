@@ -2,6 +2,7 @@
 
 #include <algorithm>
 
+#include <absl/strings/ascii.h>
 #include <absl/strings/str_cat.h>
 #include <absl/strings/str_format.h>
 #include <absl/strings/string_view.h>
@@ -34,21 +35,6 @@ const char* StateOf(const v1::Peer& peer) {
   return peer.drain() == v1::Peer::DRAINED ? "drained" : "";
 }
 
-const char* RunStateOf(const v1::FleetSummary& fleet) {
-  switch (fleet.run_state()) {
-    case v1::FleetSummary::TRAINING:
-      return "training";
-    case v1::FleetSummary::PAUSED:
-      return "paused";
-    case v1::FleetSummary::EVALUATING:
-      return "evaluating";
-    case v1::FleetSummary::COMPLETE:
-      return "complete";
-    default:
-      return "";
-  }
-}
-
 void AddPeers(const v1::StatusReply& reply, std::string* text) {
   if (reply.peers_size() > 0) AddLine("peers", text);
   for (const v1::Peer& peer : reply.peers()) {
@@ -79,7 +65,9 @@ std::string StatusText(const v1::StatusReply& reply) {
   AddField("name", reply.name(), &text);
   AddField("version", reply.version(), &text);
   AddField("run", reply.run_id().empty() ? "-" : reply.run_id(), &text);
-  if (*RunStateOf(reply.fleet()) != '\0') AddField("state", RunStateOf(reply.fleet()), &text);
+  if (const auto state = reply.fleet().run_state(); state > 0 && v1::FleetSummary::RunState_IsValid(state)) {
+    AddField("state", absl::AsciiStrToLower(v1::FleetSummary::RunState_Name(state)), &text);
+  }
   if (!reply.metrics_address().empty()) AddField("metrics", reply.metrics_address(), &text);
   for (const v1::Metric& metric : reply.metrics()) {
     AddField(metric.name(), absl::StrFormat("%.10g %s", metric.value(), metric.unit()), &text);

@@ -59,9 +59,8 @@ the probability of each action. It plays in a window, in a terminal, or into a f
 int PictureSize() { return absl::GetFlag(FLAGS_size).value_or(512); }
 
 absl::Status CheckFlags() {
-  CRAFTFLEET_RETURN_IF_ERROR(CheckEpisodeFlag(absl::GetFlag(FLAGS_episode)));
+  CRAFTFLEET_RETURN_IF_ERROR(CheckEpisodeAndSize(absl::GetFlag(FLAGS_episode), PictureSize()));
   CRAFTFLEET_RETURN_IF_ERROR(CheckFlagRange("speed", absl::GetFlag(FLAGS_speed), 0.25, 256.0));
-  CRAFTFLEET_RETURN_IF_ERROR(CheckSizeFlag(PictureSize()));
   CRAFTFLEET_RETURN_IF_ERROR(CheckFlagRange("strip_columns", absl::GetFlag(FLAGS_strip_columns), 1, 32));
   const std::string video = absl::GetFlag(FLAGS_video);
   if (!video.empty() && !absl::EndsWith(video, ".mp4"))

@@ -68,13 +68,6 @@ TEST(SpreadOverPixels, KeepsUniformAttentionUniform) {
   }
 }
 
-TEST(BrightnessOfPixels, ScalesByTheRootOfTheNumberOfPatchesUpToOne) {
-  EXPECT_THAT(BrightnessOfPixels({4, 2, 2}, {0.25F, 0.5F, 0.75F, 0}), ElementsAreArray<float>({0.5, 0.5, 1, 1,  //
-                                                                                               0.5, 0.5, 1, 1,  //
-                                                                                               1, 1, 0, 0,      //
-                                                                                               1, 1, 0, 0}));
-}
-
 TEST(AttentionChoice, ParsesMeanSumAndIndices) {
   EXPECT_EQ(AttentionChoice::Parse("mean")->kind, AttentionChoice::Kind::kMean);
   EXPECT_EQ(AttentionChoice::Parse("sum")->kind, AttentionChoice::Kind::kSum);

@@ -3,6 +3,7 @@
 #include <absl/flags/flag.h>
 #include <absl/strings/str_cat.h>
 
+#include "common/base/status_macros.h"
 #include "common/base/status_prefix.h"
 #include "common/process/flag_values.h"
 #include "common/process/shared_flags.h"
@@ -24,9 +25,10 @@ absl::StatusOr<std::optional<AttentionChoice>> AttentionFromFlag() {
   return WithPrefix("--attention", AttentionChoice::Parse(text));
 }
 
-absl::Status CheckEpisodeFlag(int64_t episode) { return CheckFlagRange<int64_t>("episode", episode, 1, 1'000'000'000); }
-
-absl::Status CheckSizeFlag(int size) { return CheckFlagRange("size", size, 64, 1024); }
+absl::Status CheckEpisodeAndSize(int64_t episode, int size) {
+  CRAFTFLEET_RETURN_IF_ERROR(CheckFlagRange<int64_t>("episode", episode, 1, 1'000'000'000));
+  return CheckFlagRange("size", size, 64, 1024);
+}
 
 absl::Status CheckScreen(bool terminal) {
   if (terminal) return absl::OkStatus();

@@ -29,11 +29,8 @@ absl::StatusOr<std::shared_ptr<const Textures>> TexturesFromFlag(const std::stri
 // --attention: off is nothing.
 absl::StatusOr<std::optional<AttentionChoice>> AttentionFromFlag();
 
-// --episode: 1..1,000,000,000.
-absl::Status CheckEpisodeFlag(int64_t episode);
-
-// --size: 64..1024 pixels.
-absl::Status CheckSizeFlag(int size);
+// --episode: 1..1,000,000,000, and --size: 64..1024 pixels.
+absl::Status CheckEpisodeAndSize(int64_t episode, int size);
 
 // Whether there is the screen that --terminal asks for. To be called before other threads start.
 //   FailedPrecondition: there is no display; a terminal is only checked when it is opened.

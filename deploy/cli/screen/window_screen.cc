@@ -16,11 +16,6 @@
 namespace craftfleet {
 namespace {
 
-std::string Variable(const char* name) {
-  const char* const value = std::getenv(name);
-  return value == nullptr ? "" : value;
-}
-
 void MakeWindow(const std::string& title) { cv::namedWindow(title, cv::WINDOW_AUTOSIZE | cv::WINDOW_GUI_NORMAL); }
 
 // Whether a child process can open a window. Its messages are dropped.
@@ -82,15 +77,17 @@ class WindowScreen : public Screen {
 }  // namespace
 
 absl::Status TryDisplay() {
-  const std::string display = Variable("DISPLAY");
-  const std::string wayland = Variable("WAYLAND_DISPLAY");
-  if (display.empty() && wayland.empty()) {
+  const char* display = nullptr;
+  for (const char* name : {"WAYLAND_DISPLAY", "DISPLAY"}) {
+    if (const char* const value = std::getenv(name); value != nullptr && *value != '\0') display = value;
+  }
+  if (display == nullptr) {
     return absl::FailedPreconditionError(
         "there is no display: neither DISPLAY nor WAYLAND_DISPLAY is set; use --terminal");
   }
   if (!ChildOpensWindow()) {
     return absl::FailedPreconditionError(
-        absl::StrCat("cannot open a window on the display ", display.empty() ? wayland : display, "; use --terminal"));
+        absl::StrCat("cannot open a window on the display ", display, "; use --terminal"));
   }
   return absl::OkStatus();
 }

@@ -153,7 +153,6 @@ TEST_F(EpisodeRecorderTest, AttentionHasAScaleInVideosToo) {
   const auto policy = SamplePolicy(1, 1, "oc_ca");
   options_.frame_size = 72;
   options_.attention = AttentionChoice();
-  options_.fixed_scale = true;
   options_.video_folder = folder_ / "video";
   auto recorder = EpisodeRecorder::Create(options_, AttentionOf(*policy), absl::Now());
   ASSERT_THAT(recorder, IsOk());

@@ -76,16 +76,6 @@ TEST(LightToHighest, GivesTheHighestWeightFullBrightness) {
   EXPECT_EQ(LightToHighest(kGrid, {0, 0, 0, 0}).brightness, std::vector<float>(16));
 }
 
-TEST(LightOnFixedScale, IsTheSameForEveryFrame) {
-  for (const float most : {0.1F, 0.3F}) {
-    const AttentionLight light = LightOnFixedScale(kGrid, {most, 0.05F, 0, 0});
-    EXPECT_EQ(light.highest, 0.5);
-    EXPECT_EQ(light.middle, 0.25);
-    EXPECT_FLOAT_EQ(light.brightness[0], 2 * most);
-    EXPECT_FLOAT_EQ(light.brightness[2], 0.1);
-  }
-}
-
 TEST(BesideOverlay, HasAColourBarBelowThatGetsBrighterToTheRight) {
   for (const int size : {64, 288}) {
     const std::string whole = BesideOverlay(Plain(size, {1, 2, 3}), Plain(size, {7, 8, 9}), size, {{}, 0.01, 0.04});

@@ -148,9 +148,5 @@ TEST_F(DoctorTlsTest, FilesMustMatch) {
   EXPECT_THAT(CheckTls({"", "", folder_ / "a.key", absl::Now()}), Fails("no certificate in it", "make-certs.sh"));
 }
 
-TEST(DoctorChecks, VersionsAreListed) {
-  EXPECT_THAT(ListVersions({{"LibTorch", "2.6"}, {"gRPC", "1.51.1"}}), IsOk("LibTorch 2.6, gRPC 1.51.1"));
-}
-
 }  // namespace
 }  // namespace craftfleet

@@ -41,10 +41,7 @@ HELP = """
  arrows, j, k, page up, page down: scroll                  h back to the fleet"""
 ACTIVITIES = {"environment": "env", "wire": "wire", "inference": "inf", "permits": "perm", "intake": "intk", "update": "upd",
               "other": "oth", "idle": "idle"}
-# By what a column sorts; the largest numbers come first, and states in capitals.
-COLUMNS = {"role": lambda row: row["role"], "name": lambda row: row["name"], "state": lambda row: row["state"],
-           "steps": lambda row: -row["steps"], "lanes": lambda row: -row["lanes"], "lag": lambda row: -row["lag"],
-           "mem": lambda row: -row["mem"], "err": lambda row: -row["err"], "seen": lambda row: -row["seen"]}
+COLUMNS = ("role", "name", "state", "steps", "lanes", "lag", "mem", "err", "seen")
 
 
 @dataclasses.dataclass
@@ -58,9 +55,8 @@ class View:
 
   def press(self, key: str, page: int) -> None:
     """A key, or its name in curses; `page`: the workers on a page."""
-    columns = list(COLUMNS)
     if key in ("s", "S"):
-      self.sort = columns[(columns.index(self.sort) + (1 if key == "s" else -1)) % len(columns)]
+      self.sort = COLUMNS[(COLUMNS.index(self.sort) + (1 if key == "s" else -1)) % len(COLUMNS)]
       self.scroll = 0
     elif key in ("p", " "):
       self.paused = not self.paused
@@ -122,10 +118,6 @@ def _worker(peer: dict, newest: int) -> dict:
   lag = max(0, newest - version) if peer["role"] == "actor" and peer["health"] == "OK" and version >= 0 else -1
   role = "server" if peer["role"] == "envserver" else peer["role"]
   return _row(role, peer["name"], _state(peer), summary, lag, float(peer["last_seen_s"]))
-
-
-def _bad(row: dict) -> bool:
-  return row["state"] in ("LOST", "HANGS", "SLOW")
 
 
 class Table:
@@ -223,15 +215,15 @@ def draw(status: dict, view: View, width: int, height: int, address: str, proble
   lines += _head(status, address, width) + [("", "")]
   newest = int(status.get("summary", {}).get("policy_version", 0))
   rows = sorted((_worker(peer, newest) for peer in status["peers"]), key=lambda row: row["name"])
-  rows.sort(key=COLUMNS[view.sort])
-  if view.reverse:
-    rows.reverse()
+  # The largest numbers come first, and states in capitals.
+  rows.sort(key=lambda row: row[view.sort] if isinstance(row[view.sort], str) else -row[view.sort])
+  rows = rows[::-1] if view.reverse else rows
   table = Table(width, rows)
   learner = _row("learner", status["name"], "ended" if ended else "LOST" if lost else "ok", status.get("summary", {}))
   lines += [(table.head(), "header"), (table.line(learner), "bad" if lost else "")]
   fit = max(1, height - 2 - len(lines)) if height else len(rows)
   first = min(view.scroll, max(0, len(rows) - fit))
-  lines += [(table.line(row), "bad" if _bad(row) else "") for row in rows[first:first + fit]]
+  lines += [(table.line(row), "bad" if row["state"] in ("LOST", "HANGS", "SLOW") else "") for row in rows[first:first + fit]]
   if height:
     below = max(0, len(rows) - first - fit)
     order = view.sort + (", reversed" if view.reverse else "")

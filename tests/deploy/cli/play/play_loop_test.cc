@@ -57,12 +57,6 @@ TEST_F(PlayLoopTest, HelpPausesTheGame) {
   EXPECT_EQ(session_->world().step(), 1) << "the first key leaves the help";
 }
 
-TEST_F(PlayLoopTest, NStartsTheNextEpisode) {
-  Play({'.', 'n', '.', '.'});
-  EXPECT_EQ(session_->world().episode(), 2);
-  EXPECT_EQ(session_->world().step(), 2);
-}
-
 TEST_F(PlayLoopTest, EscapeQuitsAndSoDoesASignal) {
   Play({'.', kEscapeKey, '.'});
   EXPECT_EQ(session_->world().step(), 1);
