@@ -76,11 +76,7 @@ class PolicyOfLanes : public ::testing::TestWithParam<const char*> {
   const AgentSpec spec_ = *FindAgent(GetParam());
   const int64_t size_ = spec_.state_size;
   const std::unique_ptr<const Policy> policy_ = InitialPolicy(spec_, 4);
-<<<<<<< ours
-  const std::vector<float> states_ = testing::GoldenUniforms("h0", size_* kLanes, -1, 1);
-=======
   const std::vector<float> states_ = testing::GoldenUniforms("h0", int64_t{kLanes} * size_, -1, 1);
->>>>>>> theirs
   const std::string frames_ = GoldenFrames(12345, kLanes, spec_.frame_size);
 };
 
