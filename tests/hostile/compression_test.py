@@ -9,7 +9,7 @@ import grpc
 import messages
 
 ENCODINGS = {"gzip": grpc.Compression.Gzip, "deflate": grpc.Compression.Deflate}
-INFLATED = bytes(400 << 20)
+INFLATED = bytes(200 << 20)
 GROWTH_MB = 100  # far less than one inflated message
 
 
