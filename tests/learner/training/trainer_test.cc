@@ -338,6 +338,7 @@ TEST_F(TrainerTest, AnOverlappedRunResumesWithTheWeightsThatItPlayedWith) {
     training->Play("a", kPerIteration, [&](Fragment* f) { versions.push_back(f->policy_version); });
     EXPECT_EQ(versions, (std::vector<int64_t>(kPerIteration, 1)));
     EXPECT_TRUE(training->Weights(3) == quiet->Weights(3));
+    if (epochs == 1) continue;  // there is nothing to correct
     const auto synchronous = begin("synchronous", false, /*overlap=*/0);
     synchronous->Play("a", 3 * kPerIteration);
     EXPECT_FALSE(synchronous->Weights(3) == quiet->Weights(3));
