@@ -236,7 +236,8 @@ class Watcher:
   """Keeps the latest status of the learner up to date, with craftfleet status; starts it again when it ends."""
 
   def __init__(self, arguments: list[str]):
-    self._command = [*programs.command("status"), "--watch", "--json", *arguments]
+    words, self._environment = programs.find("status")
+    self._command = [*words, "--watch", "--json", *arguments]
     self._changed = threading.Condition()
     self._seen = (0, {}, "")  # replies so far, the last one, and why there is no newer one
     threading.Thread(target=self._run, daemon=True).start()
@@ -260,7 +261,8 @@ class Watcher:
 
   def _run(self) -> None:
     while True:
-      with subprocess.Popen(self._command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as child:
+      with subprocess.Popen(self._command, env=self._environment, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE,
+                            stderr=subprocess.PIPE, text=True) as child:
         lines = []
         for line in child.stdout:  # an empty line ends each reply
           lines.append(line)
@@ -344,8 +346,9 @@ def _run(flags, arguments: list[str]) -> None:
 
 def _flags() -> list[Flag]:
   """With those of craftfleet status that say how to connect."""
-  described = json.loads(subprocess.run([*programs.command("status"), "--help_json"], capture_output=True, check=True).stdout)["flags"]
-  described = {flag["name"]: flag for flag in described if flag["name"] not in ("json", "watch", "log_level", "log_format")}
+  words, environment = programs.find("status")
+  text = subprocess.run([*words, "--help_json"], capture_output=True, check=True, env=environment).stdout
+  described = {flag["name"]: flag for flag in json.loads(text)["flags"] if flag["name"] not in ("json", "watch", "log_level", "log_format")}
   address, interval = described.pop("address"), described.pop("interval")
   return [
       Flag("address", "string", address["default"], "address of the learner, HOST:PORT"),
@@ -360,7 +363,7 @@ def _flags() -> list[Flag]:
 def main(arguments: list[str]) -> int:
   try:
     flags = _flags()
-  except (OSError, subprocess.CalledProcessError, ValueError) as error:
+  except (OSError, ImportError, subprocess.CalledProcessError, ValueError) as error:
     print(f"{PROGRAM}: {_cli.reason(error)}", file=sys.stderr)
     return 1
   return _cli.run(PROGRAM, USAGE, flags, arguments, _run)
