@@ -28,7 +28,7 @@ class LocalFleet(python_case.FolderCase):
     wait_until((self.folder / f"run/checkpoints/iter-{iteration:08}").exists, f"checkpoint {iteration}")
 
   def processes(self, program=""):
-    return [pid for pid in processes_with(f"{self.folder}/craftfleet.") if program in command_line(pid)]
+    return [pid for pid in processes_with(f"{self.folder}/") if f"{BIN}/craftfleet-{program}" in command_line(pid)]
 
   def expect_nothing_left(self):
     self.assertEqual(self.processes(), [])
@@ -50,7 +50,7 @@ class LocalFleet(python_case.FolderCase):
   def test_several_learners_end_with_the_run_and_at_sigterm(self):
     process = self.start("--learners=2", steps=1000000)
     self.wait_for_checkpoint(2)
-    self.assertEqual(len(self.processes("craftfleet-learner")), 2)
+    self.assertEqual(len(self.processes("learner")), 2)
     process.terminate()
     code, errors = self.finish(process)
     self.assertEqual(code, 0, errors)
@@ -91,13 +91,13 @@ class LocalFleet(python_case.FolderCase):
   def test_a_lost_worker_is_named_and_the_others_continue(self):
     process = self.start(steps=1000000)
     self.wait_for_checkpoint(1)
-    subprocess.run(["kill", "-KILL", str(self.processes("craftfleet-actor")[0])], check=True)
+    subprocess.run(["kill", "-KILL", str(self.processes("actor")[0])], check=True)
     line = wait_until(process.stderr.readline, "a line")
     while "ended with exit code 137" not in line:
       line = wait_until(process.stderr.readline, "the worker's end")
     self.assertRegex(line, r"actor-[12] ended with exit code 137")
     self.assertIsNone(process.poll())
-    subprocess.run(["kill", "-KILL", str(self.processes("craftfleet-actor")[0])], check=True)
+    subprocess.run(["kill", "-KILL", str(self.processes("actor")[0])], check=True)
     code, errors = self.finish(process)
     self.assertEqual(code, 1, errors)
     self.assertIn("no actor or no environment server is left", errors)
