@@ -132,8 +132,8 @@ TEST_F(RanksTest, StoppingRank0StopsAllAndOneLearnerContinues) {
 
 TEST_F(RanksTest, ARankThatDoesNotComeIsNamedAfterTheTimeout) {
   Ranks ranks;
-  for (const int rank : {0, 1}) ranks.push_back(StartRank("missing", rank, 3, {"--rank_timeout=2s"}));
-  ExpectEnd(ranks, 1, kPatience, absl::StrCat("rank 2 of 3 has not come to 127.0.0.1:", port_, " within 2s"));
+  for (const int rank : {0, 1}) ranks.push_back(StartRank("missing", rank, 3, {"--rank_timeout=5s"}));
+  ExpectEnd(ranks, 1, kPatience, absl::StrCat("rank 2 of 3 has not come to 127.0.0.1:", port_, " within 5s"));
   EXPECT_FALSE(PathExists(Logdir("missing") + "/config.txt")) << "the run has not begun";
 }
 
