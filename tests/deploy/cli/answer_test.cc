@@ -52,10 +52,9 @@ TEST(Answer, AnInvalidQuestionIsAnError) {
   EXPECT_THAT(Answer("no JSON"), HasSubstr("not a JSON object"));
 }
 
-TEST(Answer, KnowsTexturesMachineAndPage) {
+TEST(Answer, KnowsTexturesAndMachine) {
   EXPECT_EQ(AnswerTo({{"textures_in", SourcePath("envserver/textures")}})["digest"], "3024e54bf17f9958");
   EXPECT_GE(AnswerTo({{"machine", true}})["threads"], 1);
-  EXPECT_THAT(AnswerTo({{"page", true}})["page"].get<std::string>(), HasSubstr("id=\"report\">null</script>"));
 }
 
 // The identity of a run with these settings on top of the defaults.

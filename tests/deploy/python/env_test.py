@@ -149,7 +149,7 @@ class Env(package.PackageCase):
         (ValueError, "length -1, want 0..1000000000", lambda: craftfleet.Env(length=-1)),
         (ValueError, f"seed {2**63}, want ", lambda: craftfleet.Env(seed=2**63)),
         (TypeError, "seed 'x', want an integer", lambda: craftfleet.Env(seed="x")),
-        (ValueError, 'numbers "many", want one of easy-x2', lambda: craftfleet.Env(env="crafter:numbers=many")),
+        (ValueError, 'numbers "many", want one of default, easy-x2', lambda: craftfleet.Env(env="crafter:numbers=many")),
         (TypeError, "env 3, want the name of an environment", lambda: craftfleet.Env(env=3)),
         (FileNotFoundError, "/nowhere", lambda: craftfleet.Env(textures="/nowhere")),
         (NotADirectoryError, f"textures '{__file__}', want a folder", lambda: craftfleet.Env(textures=__file__)),
