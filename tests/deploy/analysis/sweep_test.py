@@ -319,7 +319,7 @@ class Program(python_case.FolderCase):
     sweep.terminate()
     self.assertEqual(sweep.wait(60), 75)
     self.assertIn("stopped with 0 of 4 runs done; the same command resumes the sweep", sweep.stderr.read())
-    self.assertIn("0 of 2 done", self.sweep("--list").stdout)
+    self.assertIn("0 of 2 done", self.sweep("--list", "--steps=100000").stdout)
     self.sweep()
 
   def test_a_dry_run_only_prints_the_commands(self):
