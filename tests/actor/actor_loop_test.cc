@@ -71,7 +71,7 @@ class ActorLoopTest : public testing::Test {
   }
 
   const TempFolder folder_;
-  const EnvServer env_;
+  EnvServer env_;
   std::unique_ptr<StandInLearner> learner_;
   std::unique_ptr<LearnerClient> client_;
   PermitTracker permits_{1};
