@@ -45,36 +45,34 @@ void FftConvolution::Forward(int64_t n, const float* input, const float* filter,
   }
 }
 
-void FftConvolution::Backward(int64_t n, const float* output_gradient, const uint8_t* mask, float* spectra,
+void FftConvolution::Backward(int64_t n, const float* output_gradient, const uint8_t* mask, const float* spectra,
                               const float* filter, const Gradients& gradients) const {
-  const PooledBuffer gradient_spectra(spectra_floats(std::min(n, kChunk)));
-  const PooledBuffer sums(kernels_.frequencies * FftKernels::kSumsStep);
+  const PooledBuffer gradient_spectra(spectra_floats(n));
+  const PooledBuffer products(gradients.input == nullptr ? 0 : spectra_floats(std::min(n, kChunk)));
   const PooledBuffer scratch(kernels_.scratch_floats(size_));
   std::vector<double> bias_sums(kChannels);
   for (int64_t first = 0; first < n; first += kChunk) {
     const int64_t maps = std::min(n - first, kChunk);
     const int64_t tiles = maps * tiles_per_map();
+    float* const chunk = gradient_spectra.get() + spectra_floats(first);
     for (int64_t i = 0; i < maps; ++i) {
       kernels_.transform_gradient(size_, output_gradient + (first + i) * map_floats(), mask + mask_bytes(first + i),
-                                  gradient_spectra.get() + i * tiles_per_map() * 2 * kChannels, tiles, scratch.get());
+                                  chunk + i * tiles_per_map() * 2 * kChannels, tiles, scratch.get());
     }
     // Frequency 0 of a tile is its sum.
     for (int64_t tile = 0; tile < tiles; ++tile) {
-      for (int c = 0; c < kChannels; ++c) bias_sums[c] += gradient_spectra.get()[tile * 2 * kChannels + c];
+      for (int c = 0; c < kChannels; ++c) bias_sums[c] += chunk[tile * 2 * kChannels + c];
     }
-    float* const chunk = spectra + spectra_floats(first);
-    kernels_.correlate(kernels_.frequencies, static_cast<int>(tiles), chunk, gradient_spectra.get(), /*adds=*/first > 0,
-                       sums.get());
     if (gradients.input == nullptr) continue;
-    // The spectra of the inputs have served: the products take their place.
-    kernels_.multiply(kernels_.frequencies, static_cast<int>(tiles), gradient_spectra.get(), filter, chunk);
+    kernels_.multiply(kernels_.frequencies, static_cast<int>(tiles), chunk, filter, products.get());
     for (int64_t i = 0; i < maps; ++i) {
-      kernels_.inverse_gradient(size_, chunk + spectra_floats(i), gradients.input + (first + i) * map_floats(),
+      kernels_.inverse_gradient(size_, products.get() + spectra_floats(i), gradients.input + (first + i) * map_floats(),
                                 scratch.get());
     }
   }
   const PooledBuffer weight_filter(filter_floats());
-  kernels_.combine_sums(kernels_.frequencies, sums.get(), weight_filter.get());
+  kernels_.correlate(kernels_.frequencies, static_cast<int>(n * tiles_per_map()),
+                     static_cast<int>(kChunk * tiles_per_map()), spectra, gradient_spectra.get(), weight_filter.get());
   const PooledBuffer taps(kWeights);
   kernels_.inverse_filter(weight_filter.get(), gradients.weight, taps.get(), scratch.get());
   std::copy(bias_sums.begin(), bias_sums.end(), gradients.bias);

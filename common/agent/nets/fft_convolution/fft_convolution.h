@@ -55,8 +55,8 @@ class FftConvolution {
     float* weight;  // [out][in][5][5]
     float* bias;    // [64]
   };
-  // Gradients with respect to input, weight and bias, from that with respect to the output. Overwrites `spectra`.
-  void Backward(int64_t n, const float* output_gradient, const uint8_t* mask, float* spectra, const float* filter,
+  // Gradients with respect to input, weight and bias, from that with respect to the output.
+  void Backward(int64_t n, const float* output_gradient, const uint8_t* mask, const float* spectra, const float* filter,
                 const Gradients& gradients) const;
 
  private:

@@ -12,9 +12,8 @@ namespace craftfleet {
 // For tiles of one size. Arrays of floats are aligned to 64 bytes, but for weight and bias. Both variants compute the
 // same bits.
 struct FftKernels {
-  // Floats between two frequencies of a filter, and of the sums for its gradient; off powers of two.
-  static constexpr int64_t kFilterStep = 2 * 64 * 64 + 80;
-  static constexpr int64_t kSumsStep = 3 * 64 * 64 + 80;
+  static constexpr int64_t kFilterStep =
+      2 * 64 * 64 + 80;  // floats between two frequencies of a filter; off powers of two
 
   int outputs;      // of a tile, a side
   int frequencies;  // of its spectrum
@@ -23,8 +22,8 @@ struct FftKernels {
   void (*transform_gradient)(int size, const float* gradient, const uint8_t* mask, float* spectra, int64_t chunk_tiles,
                              float* scratch);
   void (*multiply)(int frequencies, int tiles, const float* spectra, const float* filter, float* products);
-  void (*correlate)(int frequencies, int tiles, const float* inputs, const float* gradients, bool adds, float* sums);
-  void (*combine_sums)(int frequencies, const float* sums, float* filter);
+  void (*correlate)(int frequencies, int tiles, int chunk_tiles, const float* inputs, const float* gradients,
+                    float* filter);
   void (*inverse_output)(int size, const float* spectra, const float* bias, float threshold, float* output,
                          uint8_t* mask, float* scratch);
   void (*inverse_gradient)(int size, const float* spectra, float* gradient, float* scratch);

@@ -17,7 +17,6 @@ constexpr int kChannels = 64;                   // of every matrix
 constexpr int kPanel = kChannels * kChannels;   // floats of a square matrix
 constexpr int kSpectrumFloats = 2 * kChannels;  // of one tile at one frequency: [re, im][64]
 constexpr int64_t kFilterStep = FftKernels::kFilterStep;
-constexpr int64_t kSumsStep = FftKernels::kSumsStep;
 
 enum class Target { kCached, kStreamed };
 
@@ -152,52 +151,62 @@ inline void MultiplySpectra(int frequencies, int tiles, const float* a, const fl
   _mm_sfence();
 }
 
-// For the gradient of a filter, out = X^T conj(D) at every frequency, summed over all tiles: with X = a + i b and
-// D = g + i h the sums P = a^T g, R = b^T h, S = (a + b)^T (g - h) over these tiles; `adds`: added to those there are.
-//   x, d: [frequencies][tiles][re, im][64]
-//   sums: frequency f at f * kSumsStep, [P, R, S][64][64]
-inline void CorrelateSpectra(int frequencies, int tiles, const float* x, const float* d, bool adds, float* sums) {
+// out = X^T conj(D) at every frequency, summed over all tiles: the gradient of a filter.
+//   x, d: chunks of at most `chunk_tiles` tiles, one after the other, each [frequencies][its tiles][re, im][64]
+//   out: frequency f at f * kFilterStep, [re, im][64][64]
+// With X = a + i b and D = g + i h: P = a^T g, R = b^T h, S = (a + b)^T (g - h) give re = P + R, im = S - P + R.
+inline void CorrelateSpectra(int frequencies, int tiles, int chunk_tiles, const float* x, const float* d, float* out) {
   constexpr int kBlock = 64;  // tiles
   alignas(64) float x_sums[kBlock * kChannels], d_differences[kBlock * kChannels];
+  alignas(64) float p[kPanel], r[kPanel], s[kPanel];
+  struct Block {
+    int64_t at;  // floats before it
+    int tiles;
+  };
+  // Block `number` of chunk `chunk` at frequency f; no tiles: there is none.
+  const auto find = [&](int f, int chunk, int number) {
+    const int first = chunk * chunk_tiles;
+    const int in_chunk = tiles - first < chunk_tiles ? tiles - first : chunk_tiles;
+    const int left = in_chunk - number * kBlock;
+    return Block{(int64_t{first} * frequencies + int64_t{f} * in_chunk + number * kBlock) * kSpectrumFloats,
+                 left < kBlock ? left : kBlock};
+  };
+  const int chunks = (tiles + chunk_tiles - 1) / chunk_tiles;
   for (int f = 0; f < frequencies; ++f) {
-    float* const p = sums + f * kSumsStep;
-    for (int first = 0; first < tiles; first += kBlock) {
-      const int rows = tiles - first < kBlock ? tiles - first : kBlock;
-      const float* const x_re = x + (int64_t{f} * tiles + first) * kSpectrumFloats;
-      const float* const d_re = d + (int64_t{f} * tiles + first) * kSpectrumFloats;
-      // The tiles of the next block follow, and behind the last ones those of the next frequency.
-      const bool is_last = f + 1 == frequencies && first + rows == tiles;
-      const int lines = is_last ? 0 : rows * kSpectrumFloats / 16;
-      Ahead ahead(x_re + rows * kSpectrumFloats, lines, d_re + rows * kSpectrumFloats, lines);
-      for (int i = 0; i < rows; ++i) {
-        for (int k = 0; k < kChannels; k += kWidth) {
-          const int64_t at = int64_t{i} * kSpectrumFloats + k;
-          Store(x_sums + i * kChannels + k, Load(x_re + at) + Load(x_re + at + kChannels));
-          Store(d_differences + i * kChannels + k, Load(d_re + at) - Load(d_re + at + kChannels));
+    bool is_first = true;
+    for (int chunk = 0; chunk < chunks; ++chunk) {
+      Block next = find(f, chunk, 0);
+      for (int number = 0; next.tiles > 0; ++number) {
+        const Block block = next;
+        next = find(f, chunk, number + 1);
+        Block read_next = next;  // in this chunk, in the next one, or at the next frequency
+        if (read_next.tiles <= 0) read_next = chunk + 1 < chunks ? find(f, chunk + 1, 0) : find(f + 1, 0, 0);
+        const int lines =
+            f + 1 == frequencies && chunk + 1 == chunks && next.tiles <= 0 ? 0 : read_next.tiles * kSpectrumFloats / 16;
+        Ahead ahead(x + read_next.at, lines, d + read_next.at, lines);
+        const float* const x_re = x + block.at;
+        const float* const d_re = d + block.at;
+        for (int i = 0; i < block.tiles; ++i) {
+          for (int k = 0; k < kChannels; k += kWidth) {
+            const int64_t at = int64_t{i} * kSpectrumFloats + k;
+            Store(x_sums + i * kChannels + k, Load(x_re + at) + Load(x_re + at + kChannels));
+            Store(d_differences + i * kChannels + k, Load(d_re + at) - Load(d_re + at + kChannels));
+          }
         }
+        const auto add = [&](const float* left, int64_t left_step, const float* right, int64_t right_step, float* sum) {
+          MultiplyPanel<Sign::kPlus, Target::kCached>(kChannels, block.tiles, {left, 1, left_step}, right, right_step,
+                                                      is_first ? nullptr : sum, kChannels, sum, kChannels, &ahead);
+        };
+        add(x_re, kSpectrumFloats, d_re, kSpectrumFloats, p);
+        add(x_re + kChannels, kSpectrumFloats, d_re + kChannels, kSpectrumFloats, r);
+        add(x_sums, kChannels, d_differences, kChannels, s);
+        is_first = false;
       }
-      const auto add = [&](const float* left, int64_t left_step, const float* right, int64_t right_step, float* sum) {
-        MultiplyPanel<Sign::kPlus, Target::kCached>(kChannels, rows, {left, 1, left_step}, right, right_step,
-                                                    adds || first > 0 ? sum : nullptr, kChannels, sum, kChannels,
-                                                    &ahead);
-      };
-      add(x_re, kSpectrumFloats, d_re, kSpectrumFloats, p);
-      add(x_re + kChannels, kSpectrumFloats, d_re + kChannels, kSpectrumFloats, p + kPanel);
-      add(x_sums, kChannels, d_differences, kChannels, p + 2 * kPanel);
     }
-  }
-}
-
-// The gradient from the sums: re = P + R, im = S - P + R.
-//   filter: frequency f at f * kFilterStep, [re, im][64][64]
-inline void CombineSums(int frequencies, const float* sums, float* filter) {
-  for (int f = 0; f < frequencies; ++f) {
-    const float* const p = sums + f * kSumsStep;
-    float* const re = filter + f * kFilterStep;
+    float* const re = out + f * kFilterStep;
     for (int i = 0; i < kPanel; i += kWidth) {
-      const Vector r = Load(p + kPanel + i);
-      Store(re + i, Load(p + i) + r);
-      Store(re + kPanel + i, (Load(p + 2 * kPanel + i) - Load(p + i)) + r);
+      Store(re + i, Load(p + i) + Load(r + i));
+      Store(re + kPanel + i, (Load(s + i) - Load(p + i)) + Load(r + i));
     }
   }
 }

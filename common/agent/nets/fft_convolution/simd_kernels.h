@@ -11,9 +11,9 @@ namespace craftfleet::CRAFTFLEET_SIMD {
 
 template <int Q>
 constexpr FftKernels kFftKernels = {
-    Tiles<Q>::kOutputs,          TileFft<Q>::kFrequencies,  Tiles<Q>::ScratchFloats,   Tiles<Q>::TransformInput,
-    Tiles<Q>::TransformGradient, MultiplySpectra,           CorrelateSpectra,          CombineSums,
-    Tiles<Q>::InverseOutput,     Tiles<Q>::InverseGradient, Tiles<Q>::TransformFilter, Tiles<Q>::InverseFilter,
+    Tiles<Q>::kOutputs,          TileFft<Q>::kFrequencies,  Tiles<Q>::ScratchFloats, Tiles<Q>::TransformInput,
+    Tiles<Q>::TransformGradient, MultiplySpectra,           CorrelateSpectra,        Tiles<Q>::InverseOutput,
+    Tiles<Q>::InverseGradient,   Tiles<Q>::TransformFilter, Tiles<Q>::InverseFilter,
 };
 
 const FftKernels* FindFftKernels(int64_t size) {

@@ -162,7 +162,7 @@ struct Tiles {
     }
   }
 
-  // The result of CombineSums -> the gradient of the weight, [64 out][64 in][5][5].
+  // The result of CorrelateSpectra -> the gradient of the weight, [64 out][64 in][5][5].
   static void InverseFilter(const float* filter, float* gradient, float* taps, float* scratch) {
     for (int in = 0; in < kChannels; ++in) {
       for (int out = 0; out < kChannels; out += kWidth) {
