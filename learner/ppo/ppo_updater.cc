@@ -10,7 +10,6 @@
 
 #include "common/agent/device.h"
 #include "common/agent/initial_weights.h"
-#include "common/agent/pooled_buffer.h"
 #include "common/agent/torch_setup.h"
 #include "common/agent/weights.h"
 #include "common/base/check.h"
@@ -26,8 +25,6 @@ namespace craftfleet {
 namespace {
 
 constexpr char kCpuDevice[] = "cpu";
-// Of the pool's memory: a checkpoint needs it. Less is kept, since new pages take time.
-constexpr size_t kMuch = size_t{1} << 29;
 // Before the names of distillation's optimisers.
 constexpr char kMatching[] = "matching.";
 constexpr char kPrediction[] = "prediction.";
@@ -153,7 +150,6 @@ absl::StatusOr<UpdateStats> PpoUpdater::Update(int64_t iteration, const Rollout&
     shared_weights_.reset();
   }
   EndDistillation(iteration, stats.ok());
-  PooledBuffer::FreeUnused(kMuch);
   return stats;
 }
 

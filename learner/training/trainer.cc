@@ -2,11 +2,13 @@
 
 #include <algorithm>
 #include <cmath>
+#include <cstddef>
 #include <map>
 #include <utility>
 
 #include <absl/strings/str_format.h>
 
+#include "common/agent/pooled_buffer.h"
 #include "common/base/check.h"
 #include "common/base/status_macros.h"
 #include "common/process/heap.h"
@@ -16,8 +18,9 @@
 namespace craftfleet {
 namespace {
 
-constexpr int kMaxFailedUpdates = 2;  // in a row
-constexpr size_t kMaxSenders = 16;    // in the log
+constexpr int kMaxFailedUpdates = 2;       // in a row
+constexpr size_t kMuch = size_t{1} << 29;  // bytes of the pool; less is kept, since new pages take time
+constexpr size_t kMaxSenders = 16;         // in the log
 
 // Logs who sent `fragments`, with the extremes of their values.
 void LogSenders(const std::vector<Fragment>& fragments) {
@@ -220,7 +223,9 @@ absl::Status Trainer::FinishIteration(const std::vector<Fragment>& fragments, co
   CRAFTFLEET_RETURN_IF_ERROR(parts_.folder->CheckOwned());
   parts_.evaluations->OnIteration(steps_before, counters_.env_steps, parts_.updater->ShareWeights(),
                                   [this] { return !CheckContinues().ok(); });
-  ReleaseFreeMemory();  // of what the update could have been undone with: a checkpoint needs as much
+  // A checkpoint needs as much as the update's activations and what it could have been undone with.
+  PooledBuffer::FreeUnused(kMuch);
+  ReleaseFreeMemory();
   checkpoints_.ServeRequests(counters_.iteration);
   // The last checkpoint is written after the final evaluation.
   return has_steps_left() ? checkpoints_.OnIteration(counters_.iteration) : absl::OkStatus();
