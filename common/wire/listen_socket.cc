@@ -44,6 +44,9 @@ absl::StatusOr<std::unique_ptr<ListenSocket>> ListenSocket::Create(const std::st
   sockaddr_in6 actual = {};  // a sockaddr_in has its port at the same place
   socklen_t size = sizeof(actual);
   getsockname(socket->descriptor_, reinterpret_cast<sockaddr*>(&actual), &size);
+  char numeric[NI_MAXHOST] = "";
+  getnameinfo(reinterpret_cast<sockaddr*>(&actual), size, numeric, sizeof(numeric), nullptr, 0, NI_NUMERICHOST);
+  socket->numeric_host_ = actual.sin6_family == AF_INET6 ? absl::StrCat("[", numeric, "]") : numeric;
   socket->address_ = absl::StrCat(host, ":", ntohs(actual.sin6_port));
   return socket;
 }

@@ -26,6 +26,8 @@ class ListenSocket {
   int descriptor() const { return descriptor_; }
   // HOST:PORT with the requested host and the actual port; 0.0.0.0 for [::] without IPv6.
   const std::string& address() const { return address_; }
+  // The address of that host as a number, IPv6 in brackets.
+  const std::string& numeric_host() const { return numeric_host_; }
 
  private:
   ListenSocket() = default;
@@ -34,6 +36,7 @@ class ListenSocket {
   int BindTo(const addrinfo& entry);
 
   std::string address_;
+  std::string numeric_host_;
   int descriptor_ = -1;
 };
 

@@ -159,6 +159,7 @@ absl::StatusOr<std::unique_ptr<Server>> Server::Create(const Options& options,
 absl::Status Server::Listen(const Options& options, std::shared_ptr<grpc::ServerCredentials> credentials,
                             const std::vector<grpc::Service*>& services) {
   address_ = options.address;
+  std::string listen_on = options.address;
   if (IsUnixSocket(address_)) {
     CRAFTFLEET_RETURN_IF_ERROR(CheckUnixSocketFree(address_));
   } else if (!address_.empty()) {
@@ -166,10 +167,12 @@ absl::Status Server::Listen(const Options& options, std::shared_ptr<grpc::Server
     const absl::StatusOr<std::unique_ptr<ListenSocket>> tried = ListenSocket::Create(address_);
     if (!tried.ok()) return absl::Status(tried.status().code(), absl::StrCat("--listen: ", tried.status().message()));
     address_ = (*tried)->address();
+    // Not the name, of which gRPC would take every address.
+    listen_on = absl::StrCat((*tried)->numeric_host(), options.address.substr(options.address.rfind(':')));
   }
   grpc::ServerBuilder builder;
   int port = 1;
-  if (!options.address.empty()) builder.AddListeningPort(options.address, std::move(credentials), &port);
+  if (!listen_on.empty()) builder.AddListeningPort(listen_on, std::move(credentials), &port);
   SetLimits(options, &builder);
   for (grpc::Service* service : services) builder.RegisterService(service);
   server_ = builder.BuildAndStart();

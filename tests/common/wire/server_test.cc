@@ -75,7 +75,9 @@ TEST(Server, ListensOnAFreePortAndReportsIt) {
 TEST(Server, ListensOnAHostName) {
   const auto server = Listen("localhost:0");
   EXPECT_THAT(server->address(), testing::MatchesRegex("localhost:[1-9][0-9]*"));
-  EXPECT_THAT(WaitUntilConnected("server", Connect(server->address()), absl::Seconds(10)), IsOk());
+  // By number: c-ares, with which a client resolves names, leaks some bytes.
+  const std::string port = server->address().substr(server->address().rfind(':'));
+  EXPECT_THAT(WaitUntilConnected("server", Connect("127.0.0.1" + port), absl::Seconds(10)), IsOk());
 }
 
 TEST(Server, ListensOnAUnixSocket) {
