@@ -13,6 +13,7 @@
 #include <absl/strings/strip.h>
 #include <absl/time/time.h>
 
+#include "common/base/numeric_host.h"
 #include "common/base/status_macros.h"
 #include "common/telemetry/log.h"
 
@@ -35,10 +36,8 @@ absl::StatusOr<std::vector<std::string>> LookUp(const std::string& host, const s
   }
   std::set<std::string> addresses;
   for (const addrinfo* entry = found; entry != nullptr; entry = entry->ai_next) {
-    char numeric[NI_MAXHOST];
-    if (getnameinfo(entry->ai_addr, entry->ai_addrlen, numeric, sizeof(numeric), nullptr, 0, NI_NUMERICHOST) != 0) {
-      continue;
-    }
+    const std::string numeric = NumericHost(entry->ai_addr);
+    if (numeric.empty()) continue;
     addresses.insert(entry->ai_family == AF_INET6 ? absl::StrCat("[", numeric, "]:", port)
                                                   : absl::StrCat(numeric, ":", port));
   }

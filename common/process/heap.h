@@ -15,20 +15,22 @@
 
 namespace craftfleet {
 
+// Free memory that a process should give back at once, bytes; the pages of less would soon be faulted in again.
+inline constexpr size_t kMuchFreeMemory = size_t{1} << 29;
+
 // Returns free memory to the system, so that resident memory follows recent use instead of the peak. With less than
-// half a gigabyte of it at most once in half a minute; other calls do nothing, since the next iteration would fault the
+// kMuchFreeMemory at most once in half a minute; other calls do nothing, since the next iteration would fault the
 // same pages in again, which costs a run of short iterations 3% of its speed. `now`: as SteadyNow(). Thread-safe.
 inline void ReleaseFreeMemory(absl::Time now = SteadyNow()) {
   constexpr int64_t kEveryNs = 30'000'000'000;
-  constexpr size_t kMuch = size_t{1} << 29;
   static std::atomic<int64_t> next_ns{std::numeric_limits<int64_t>::min()};
   const int64_t now_ns = absl::ToUnixNanos(now);
   // Of tcmalloc; null in tests and under sanitizers.
   static auto* const release = FindSymbol<void()>("MallocExtension_ReleaseFreeMemory");
   static auto* const property = FindSymbol<int(const char*, size_t*)>("MallocExtension_GetNumericProperty");
   size_t free_bytes = 0;
-  const bool is_much =
-      property != nullptr && property("tcmalloc.pageheap_free_bytes", &free_bytes) != 0 && free_bytes >= kMuch;
+  const bool is_much = property != nullptr && property("tcmalloc.pageheap_free_bytes", &free_bytes) != 0 &&
+                       free_bytes >= kMuchFreeMemory;
   int64_t next = next_ns;
   if (!is_much && now_ns < next) return;
   if (!next_ns.compare_exchange_strong(next, now_ns + kEveryNs)) return;

@@ -11,6 +11,7 @@
 #include <cstddef>
 
 #include "common/base/mutex.h"
+#include "common/base/numeric_host.h"
 #include "common/base/status_macros.h"
 #include "common/base/watchdog.h"
 #include "common/io/files.h"
@@ -88,11 +89,7 @@ std::optional<absl::string_view> HttpServer::Request::Argument(const char* name)
 }
 
 std::string HttpServer::Request::Client() const {
-  const sockaddr* const client = MHD_get_connection_info(connection_, MHD_CONNECTION_INFO_CLIENT_ADDRESS)->client_addr;
-  const socklen_t size = client->sa_family == AF_INET6 ? sizeof(sockaddr_in6) : sizeof(sockaddr_in);
-  char host[NI_MAXHOST] = "";
-  getnameinfo(client, size, host, sizeof(host), nullptr, 0, NI_NUMERICHOST);
-  return host;
+  return NumericHost(MHD_get_connection_info(connection_, MHD_CONNECTION_INFO_CLIENT_ADDRESS)->client_addr);
 }
 
 // The libmicrohttpd daemons of one listening socket. A daemon keeps the certificate that it was started with, so a new

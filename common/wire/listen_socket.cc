@@ -15,6 +15,7 @@
 #include <absl/strings/str_format.h>
 #include <absl/strings/strip.h>
 
+#include "common/base/numeric_host.h"
 #include "common/base/status_macros.h"
 #include "common/telemetry/log.h"
 #include "common/wire/channel.h"
@@ -44,8 +45,7 @@ absl::StatusOr<std::unique_ptr<ListenSocket>> ListenSocket::Create(const std::st
   sockaddr_in6 actual = {};  // a sockaddr_in has its port at the same place
   socklen_t size = sizeof(actual);
   getsockname(socket->descriptor_, reinterpret_cast<sockaddr*>(&actual), &size);
-  char numeric[NI_MAXHOST] = "";
-  getnameinfo(reinterpret_cast<sockaddr*>(&actual), size, numeric, sizeof(numeric), nullptr, 0, NI_NUMERICHOST);
+  const std::string numeric = NumericHost(reinterpret_cast<sockaddr*>(&actual));
   socket->numeric_host_ = actual.sin6_family == AF_INET6 ? absl::StrCat("[", numeric, "]") : numeric;
   socket->address_ = absl::StrCat(host, ":", ntohs(actual.sin6_port));
   return socket;

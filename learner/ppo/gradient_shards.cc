@@ -104,14 +104,13 @@ absl::Status GradientShards::SumWideGradients(ShardRange range, std::vector<Shar
     const int64_t inputs = factors->input.size(1);
     const int64_t outputs = factors->output_gradient.size(1);
     const WideProduct product(inputs, outputs);
-    std::vector<float*> pieces;
-    for (ShardGradient& gradient : *gradients) gradient.erase(gradient.begin() + weight);
     const int64_t count = outputs % kWidePieces == 0 ? kWidePieces : 1;
+    for (ShardGradient& gradient : *gradients) gradient.insert(gradient.begin() + weight, count - 1, {});
+    std::vector<float*> pieces;
     for (int64_t i = 0; i < count; ++i) {
       wide_gradients_.push_back(PooledTensor({outputs / count, inputs}));
-      pieces.push_back(wide_gradients_.back().data_ptr<float>());
-      for (ShardGradient& gradient : *gradients) gradient.emplace(gradient.begin() + weight + i);
       gradients->front()[weight + i] = FloatSpan(wide_gradients_.back());
+      pieces.push_back(gradients->front()[weight + i].data());
     }
     std::vector<WideProduct::Rows> rows;
     for (int i = range.begin; i < range.end; ++i) {

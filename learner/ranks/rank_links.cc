@@ -22,6 +22,7 @@
 #include <torch/csrc/distributed/c10d/TCPStore.hpp>
 
 #include "common/base/clock.h"
+#include "common/base/numeric_host.h"
 #include "common/base/status_macros.h"
 
 namespace craftfleet {
@@ -92,13 +93,12 @@ std::string OwnAddress(const RankOptions& options) {
     sockaddr_storage local = {};
     socklen_t size = sizeof(local);
     auto* const address = reinterpret_cast<sockaddr*>(&local);
-    char text[NI_MAXHOST];
-    const bool is_known = udp >= 0 && connect(udp, each->ai_addr, each->ai_addrlen) == 0 &&
-                          getsockname(udp, address, &size) == 0 &&
-                          getnameinfo(address, size, text, sizeof(text), nullptr, 0, NI_NUMERICHOST) == 0;
+    const bool is_known =
+        udp >= 0 && connect(udp, each->ai_addr, each->ai_addrlen) == 0 && getsockname(udp, address, &size) == 0;
     if (udp >= 0) close(udp);
-    if (!is_known) continue;
-    own = text;
+    const std::string numeric = is_known ? NumericHost(address) : "";
+    if (numeric.empty()) continue;
+    own = numeric;
     break;
   }
   freeaddrinfo(found);

@@ -2,7 +2,6 @@
 
 #include <algorithm>
 #include <cmath>
-#include <cstddef>
 #include <map>
 #include <utility>
 
@@ -18,9 +17,8 @@
 namespace craftfleet {
 namespace {
 
-constexpr int kMaxFailedUpdates = 2;       // in a row
-constexpr size_t kMuch = size_t{1} << 29;  // bytes of the pool; less is kept, since new pages take time
-constexpr size_t kMaxSenders = 16;         // in the log
+constexpr int kMaxFailedUpdates = 2;  // in a row
+constexpr size_t kMaxSenders = 16;    // in the log
 
 // Logs who sent `fragments`, with the extremes of their values.
 void LogSenders(const std::vector<Fragment>& fragments) {
@@ -224,7 +222,7 @@ absl::Status Trainer::FinishIteration(const std::vector<Fragment>& fragments, co
   parts_.evaluations->OnIteration(steps_before, counters_.env_steps, parts_.updater->ShareWeights(),
                                   [this] { return !CheckContinues().ok(); });
   // A checkpoint needs as much as the update's activations and what it could have been undone with.
-  PooledBuffer::FreeUnused(kMuch);
+  PooledBuffer::FreeUnused(kMuchFreeMemory);
   ReleaseFreeMemory();
   checkpoints_.ServeRequests(counters_.iteration);
   // The last checkpoint is written after the final evaluation.

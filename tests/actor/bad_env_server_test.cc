@@ -18,6 +18,7 @@
 #include "actor/env_pool.h"
 #include "actor/error_policy.h"
 #include "common/config/known_canary.h"
+#include "tests/fakes/empty_replies_service.h"
 #include "tests/fakes/env_server.h"
 #include "tests/fakes/status_matchers.h"
 #include "tests/fakes/wait_until.h"
@@ -346,19 +347,8 @@ TEST(ThrowingEnvServer, IsATransientError) {
   EXPECT_TRUE(IsTransient(CallKind::kSession, status));
 }
 
-// Answers every hello without a canary.
-class CanarylessService : public v1::EnvironmentService::Service {
- public:
-  grpc::Status Play(grpc::ServerContext* /*context*/,
-                    grpc::ServerReaderWriter<v1::PlayReply, v1::PlayRequest>* stream) override {
-    v1::PlayRequest request;
-    while (stream->Read(&request)) stream->Write({});
-    return grpc::Status::OK;
-  }
-};
-
 TEST(CanarylessEnvServer, IsRefusedIfACanaryIsRequired) {
-  CanarylessService service;
+  EmptyRepliesService service;  // its hello has no canary
   const auto server = *wire::Server::Create({"127.0.0.1:0"}, {&service});
   v1::SessionHello hello = SampleHello(50);
   EnvClient any(wire::Connect(server->address()), hello, kFrameBytes);

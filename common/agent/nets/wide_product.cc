@@ -76,17 +76,22 @@ void WideProduct::InputGradient(int64_t rows, const float* output_gradient, cons
 void WideProduct::WeightGradient(absl::Span<const Rows> shards, int64_t begin, int64_t end,
                                  absl::Span<float* const> parts) const {
   const int64_t part_outputs = outputs_ / static_cast<int64_t>(parts.size());
-  const auto most =
-      std::max_element(shards.begin(), shards.end(), [](const Rows& a, const Rows& b) { return a.count < b.count; });
-  const PooledBuffer packed(most->count * kColumns);
+  std::vector<std::vector<const float*>> factors;  // of each shard, for each part
+  int64_t most = 0;
+  for (const Rows& shard : shards) {
+    for (size_t part = 0; part < parts.size(); ++part) {
+      factors.push_back(Pointers(shard.count, shard.output_gradient + part * part_outputs, outputs_));
+    }
+    most = std::max(most, shard.count);
+  }
+  const PooledBuffer packed(most * kColumns);
   for (int64_t k = begin; k < end; k += kColumns) {
     for (size_t i = 0; i < shards.size(); ++i) {
       const Rows& shard = shards[i];
       Pack(shard.count, shard.input + k, inputs_, packed.get());
       for (size_t part = 0; part < parts.size(); ++part) {
-        const auto factors = Pointers(shard.count, shard.output_gradient + part * part_outputs, outputs_);
-        kernels_.correlate(shard.count, factors.data(), part_outputs, packed.get(), kColumns, /*adds=*/i > 0,
-                           parts[part] + k, inputs_);
+        kernels_.correlate(shard.count, factors[i * parts.size() + part].data(), part_outputs, packed.get(), kColumns,
+                           /*adds=*/i > 0, parts[part] + k, inputs_);
       }
     }
   }

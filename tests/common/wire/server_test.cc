@@ -16,6 +16,7 @@
 #include "common/wire/grpc_status.h"
 #include "common/wire/status_service.h"
 #include "craftfleet/v1/environment.grpc.pb.h"
+#include "tests/fakes/empty_replies_service.h"
 #include "tests/fakes/status_matchers.h"
 #include "tests/fakes/temp_folder.h"
 
@@ -139,19 +140,8 @@ TEST(Server, ListsItsServices) {
   EXPECT_THAT(*reply, AllOf(HasSubstr("craftfleet.v1.EnvironmentService"), HasSubstr("grpc.health.v1.Health")));
 }
 
-// A stream that never ends on its own.
-class EndlessService : public v1::EnvironmentService::Service {
- public:
-  grpc::Status Play(grpc::ServerContext* /*context*/,
-                    grpc::ServerReaderWriter<v1::PlayReply, v1::PlayRequest>* stream) override {
-    v1::PlayRequest request;
-    while (stream->Read(&request)) stream->Write({});
-    return grpc::Status::OK;
-  }
-};
-
 TEST(Server, StopDoesNotWaitForStreamsBeyondItsTimeout) {
-  EndlessService service;
+  EmptyRepliesService service;
   const auto server = Listen("127.0.0.1:0", {&service});
   grpc::ClientContext context;
   const Endpoint endpoint = Connect(server->address());

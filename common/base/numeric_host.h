@@ -1,0 +1,23 @@
+// Addresses of hosts as numbers.
+
+#ifndef CRAFTFLEET_COMMON_BASE_NUMERIC_HOST_H_
+#define CRAFTFLEET_COMMON_BASE_NUMERIC_HOST_H_
+
+#include <netdb.h>
+#include <netinet/in.h>
+#include <sys/socket.h>
+
+#include <string>
+
+namespace craftfleet {
+
+// "10.0.0.7" or "fe80::1%eth0", of an IPv4 or IPv6 address; "": another kind. Thread-safe.
+inline std::string NumericHost(const sockaddr* address) {
+  const socklen_t size = address->sa_family == AF_INET6 ? sizeof(sockaddr_in6) : sizeof(sockaddr_in);
+  char host[NI_MAXHOST];
+  return getnameinfo(address, size, host, sizeof(host), nullptr, 0, NI_NUMERICHOST) == 0 ? host : "";
+}
+
+}  // namespace craftfleet
+
+#endif  // CRAFTFLEET_COMMON_BASE_NUMERIC_HOST_H_
