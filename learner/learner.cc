@@ -88,6 +88,16 @@ absl::StatusOr<std::string> InitFrom(const std::string& path, const v1::RunConfi
   return origin;
 }
 
+// DataLoss unless each lane of the checkpoint has a recurrent state of the agent's size.
+absl::Status CheckLaneStates(const v1::CheckpointState& state, int state_size) {
+  for (int i = 0; i < state.lanes_size(); ++i) {
+    if (state.lanes(i).state_size() == state_size) continue;
+    return absl::DataLossError(absl::StrFormat("the checkpoint's lane %d has a recurrent state of %d numbers, want %d",
+                                               i, state.lanes(i).state_size(), state_size));
+  }
+  return absl::OkStatus();
+}
+
 std::string PrecisionName(const v1::RunConfig& config) {
   return config.has_precision() ? v1::RunConfig::Precision_Name(config.precision()) : "FP32";
 }
@@ -227,6 +237,7 @@ absl::StatusOr<Learner::Loaded> Learner::Load(const Options& options, const v1::
     const std::string name = CheckpointName(run.checkpoint.state.iteration());
     return absl::DataLossError(absl::StrCat("checkpoint ", name, " of ", options.logdir, ": ", load.message()));
   }
+  CRAFTFLEET_RETURN_IF_ERROR(CheckLaneStates(run.checkpoint.state, loaded.updater->spec().state_size));
   run.folder->TakeChanges(config);
   loaded.folder = std::move(run.folder);
   loaded.checkpoint = std::move(run.checkpoint);

@@ -96,6 +96,14 @@ TEST_F(OddCheckpointsTest, WeightsThatAreNotFiniteAreRefusedWithTheirCheckpoint)
   EXPECT_THAT(ended.err, HasSubstr("is nan, want finite numbers"));
 }
 
+TEST_F(OddCheckpointsTest, ALaneStateOfAnotherSizeIsRefused) {
+  Train("run");
+  Edit(Checkpoint("run", 3), [](v1::CheckpointState* state) { state->mutable_lanes(1)->add_state(0.5); });
+  const Ended ended = Run("craftfleet-learner", Flags("run", {"--listen=127.0.0.1:0", "--resume", "--steps=640"}));
+  EXPECT_EQ(ended.exit_code, 1) << ended.err;
+  EXPECT_THAT(ended.err, HasSubstr("the checkpoint's lane 1 has a recurrent state of 1 numbers, want 0"));
+}
+
 // A made-up fragment is accepted, since it looks like others. The next one cannot be played from its snapshot, so the
 // lane is reset to the beginning of the iteration, and nothing of the first remains.
 TEST_F(OddCheckpointsTest, AMadeUpFragmentIsPlayedAgainByOthers) {
