@@ -11,10 +11,10 @@
 
 namespace craftfleet {
 
-void ServerLists::PutServer(const std::string& address, const std::string& host) {
-  const auto [known, is_new] = servers_.try_emplace(address, host);
-  if (!is_new && known->second == host) return;
-  known->second = host;
+void ServerLists::PutServer(const std::string& address, const WorkerClient& client) {
+  const auto [known, is_new] = servers_.try_emplace(address, client);
+  if (!is_new && known->second.identity == client.identity && known->second.host == client.host) return;
+  known->second = client;
   ++changes_;
 }
 
@@ -37,7 +37,9 @@ void ServerLists::Avoid(absl::string_view name) {
   const auto known = actors_.find(name);
   if (known == actors_.end()) return;
   Actor& actor = known->second;
-  actor.avoided.insert(actor.list.addresses.begin(), actor.list.addresses.end());
+  for (const std::string& address : actor.list.addresses) {
+    if (servers_.count(address) > 0) actor.avoided.insert(address);
+  }
   const bool has_others = std::any_of(servers_.begin(), servers_.end(),
                                       [&](const auto& server) { return actor.avoided.count(server.first) == 0; });
   if (!has_others) actor.avoided.clear();
@@ -66,13 +68,15 @@ size_t ServerLists::SizeOf(absl::string_view name) const {
 
 std::set<std::string> ServerLists::Choose(const std::string& name, const Actor& actor) const {
   const uint64_t seed = Fnv1a(kFnv1aBasis, name);
-  std::vector<std::tuple<bool, uint64_t, const std::string*>> ranked;
+  std::map<std::string, int> avoided_of;  // by client
+  for (const std::string& address : actor.avoided) ++avoided_of[servers_.at(address).Name()];
+  std::vector<std::tuple<int, bool, uint64_t, const std::string*>> ranked;
   size_t near = 0;
-  for (const auto& [address, host] : servers_) {
+  for (const auto& [address, client] : servers_) {
     if (actor.avoided.count(address) > 0) continue;
-    const bool is_far = host.empty() || host != actor.host;
+    const bool is_far = client.host.empty() || client.host != actor.host;
     near += is_far ? 0 : 1;
-    ranked.emplace_back(is_far, MixBits(Fnv1a(seed, address)), &address);
+    ranked.emplace_back(avoided_of[client.Name()], is_far, MixBits(Fnv1a(seed, address)), &address);
   }
   const auto neighbours = static_cast<size_t>(std::count_if(
       actors_.begin(), actors_.end(), [&](const auto& other) { return other.second.host == actor.host; }));
@@ -82,7 +86,7 @@ std::set<std::string> ServerLists::Choose(const std::string& name, const Actor& 
   std::nth_element(ranked.begin(), ranked.begin() + static_cast<std::ptrdiff_t>(size), ranked.end());
   ranked.resize(size);
   std::set<std::string> addresses;
-  for (const auto& [is_far, hash, address] : ranked) addresses.insert(*address);
+  for (const auto& [avoided, is_far, hash, address] : ranked) addresses.insert(*address);
   return addresses;
 }
 

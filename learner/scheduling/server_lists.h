@@ -12,6 +12,8 @@
 
 #include <absl/strings/string_view.h>
 
+#include "learner/scheduling/worker.h"
+
 namespace craftfleet {
 
 // Gives each actor a handful of the registered environment servers: sessions on all of hundreds would be slow to start,
@@ -22,7 +24,8 @@ namespace craftfleet {
 //
 // Which servers: those with the smallest hash of actor and address, so that a server that comes or goes changes few
 // lists. Those on the actor's host come first, and there are no others if the host has at least half of the servers
-// that the fleet has for so many actors. Not thread-safe.
+// that the fleet has for so many actors. After Avoid, servers of the clients with the fewest avoided servers come
+// before all others: one client with thousands of bad servers does not keep actors from the good ones. Not thread-safe.
 class ServerLists {
  public:
   static constexpr size_t kFewest = 8;
@@ -36,8 +39,8 @@ class ServerLists {
   // Generations are greater than `generation`.
   explicit ServerLists(int64_t generation) : generation_(generation) {}
 
-  // Adds a server, or moves it to another host. Empty: the host is not known.
-  void PutServer(const std::string& address, const std::string& host);
+  // Adds a server, or moves it to another client.
+  void PutServer(const std::string& address, const WorkerClient& client);
   // Removes a server; ignored if there is no such server.
   void RemoveServer(absl::string_view address);
   // Forgets an actor; ignored if it never asked.
@@ -64,9 +67,9 @@ class ServerLists {
 
   std::set<std::string> Choose(const std::string& name, const Actor& actor) const;
 
-  int64_t generation_;                                       // of the last list that changed
-  int64_t changes_ = 0;                                      // of servers and actors
-  std::map<std::string, std::string, std::less<>> servers_;  // hosts, by address
+  int64_t generation_;                                        // of the last list that changed
+  int64_t changes_ = 0;                                       // of servers and actors
+  std::map<std::string, WorkerClient, std::less<>> servers_;  // by address
   std::map<std::string, Actor, std::less<>> actors_;
 };
 

@@ -168,7 +168,7 @@ void WorkerTable::RemoveServer(Worker* server) {
 
 void WorkerTable::ListServer(const Worker& server) {
   if (server.active && !server.draining) {
-    lists_.PutServer(server.address, server.client.host);
+    lists_.PutServer(server.address, server.client);
   } else {
     lists_.RemoveServer(server.address);
   }

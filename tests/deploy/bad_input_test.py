@@ -113,7 +113,7 @@ REFUSED = {
     ],
 }
 PROGRAMS = ["craftfleet", "craftfleet train", "craftfleet eval", "craftfleet status", "craftfleet-learner", "craftfleet-actor",
-            "craftfleet-envserver", "craftfleet curve", "craftfleet top", "replay_trace"]
+            "craftfleet-envserver", "craftfleet curve", "craftfleet top"]
 
 
 class BadInput(python_case.FolderCase):

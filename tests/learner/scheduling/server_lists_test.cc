@@ -22,7 +22,7 @@ std::set<std::string> Of(ServerLists* lists, const std::string& actor, const std
 
 // `count` servers on `host`, which may be empty.
 void PutServers(ServerLists* lists, const std::string& host, int count) {
-  for (int i = 0; i < count; ++i) lists->PutServer(absl::StrCat(host.empty() ? "any" : host, ":", i), host);
+  for (int i = 0; i < count; ++i) lists->PutServer(absl::StrCat(host.empty() ? "any" : host, ":", i), {"", host});
 }
 
 TEST(ServerLists, AreEmptyWithoutServers) {
@@ -67,7 +67,7 @@ TEST(ServerLists, AServerThatComesOrGoesChangesFewLists) {
   std::map<std::string, int64_t> generations;
   for (int i = 0; i < 100; ++i) Of(&lists, absl::StrCat(i));
   for (int i = 0; i < 100; ++i) generations[absl::StrCat(i)] = lists.ListOf(absl::StrCat(i), "").generation;
-  lists.PutServer("new:1", "");
+  lists.PutServer("new:1", {});
   int changed = 0;
   for (const auto& [actor, generation] : generations) {
     const ServerLists::List& list = lists.ListOf(actor, "");
@@ -120,7 +120,14 @@ TEST(ServerLists, AvoidedServersComeBackIfTheOthersDoNotAnswerEither) {
   EXPECT_THAT(Of(&lists, "a", "east"), ElementsAre("east:0"));
 }
 
-// As when a client announces a thousand servers that do not exist.
+TEST(ServerLists, AfterOneClientsServersOthersComeFirst) {
+  ServerLists lists(0);
+  for (int i = 0; i < 2048; ++i) lists.PutServer(absl::StrCat("made-up:", i), {"bad", "east"});
+  lists.PutServer("real:1", {"good", "east"});
+  if (Of(&lists, "a", "east").count("real:1") == 0) lists.Avoid("a");
+  EXPECT_EQ(Of(&lists, "a", "east").count("real:1"), 1);
+}
+
 TEST(ServerLists, AllServersAreTriedBeforeOneComesBack) {
   ServerLists lists(0);
   constexpr size_t kServers = 5 * ServerLists::kMost;
@@ -142,7 +149,7 @@ TEST(ServerLists, AnAvoidedServerComesBackAfterItWasRemoved) {
   lists.Avoid("a");
   EXPECT_THAT(Of(&lists, "a", "east"), ElementsAre("west:0"));
   lists.RemoveServer("east:0");
-  lists.PutServer("east:0", "east");
+  lists.PutServer("east:0", {"", "east"});
   EXPECT_THAT(Of(&lists, "a", "east"), ElementsAre("east:0"));
 }
 
