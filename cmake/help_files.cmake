@@ -1,8 +1,8 @@
 # Generates man pages and completions for bash and zsh from the flags of the programs, in share/ of the build folder, and
-# installs them. Skipped without Python, and where the programs are for another CPU.
+# installs them. Skipped without Python, without most of the programs, and where they are for another CPU.
 find_package(Python3 COMPONENTS Interpreter)
-if(NOT Python3_FOUND OR CMAKE_CROSSCOMPILING)
-  message(STATUS "No Python 3, or cross-compiling: no man pages and no shell completion")
+if(NOT Python3_FOUND OR NOT CRAFTFLEET_WITH_FLEET OR CMAKE_CROSSCOMPILING)
+  message(STATUS "No Python 3, no fleet, or cross-compiling: no man pages and no shell completion")
   return()
 endif()
 
