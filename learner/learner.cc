@@ -160,9 +160,7 @@ struct Learner::Loaded {
   std::unique_ptr<Clock> clock;
   std::unique_ptr<RunFolder> folder;
   std::unique_ptr<PpoUpdater> updater;
-  std::optional<FragmentJournal> journal;  // with checkpoint.keep_fragments
-  std::vector<Fragment> kept;              // from the journal of an earlier start
-  Checkpoint checkpoint;                   // empty for a new run; without weights and optimiser, which the updater has
+  Checkpoint checkpoint;  // empty for a new run; without weights and optimiser, which the updater has
   wire::FragmentShape shape;
   LoadedLanes lanes;
   std::string texture_digest;
@@ -185,7 +183,6 @@ absl::StatusOr<std::unique_ptr<Learner>> Learner::Create(const Options& options)
   CRAFTFLEET_ASSIGN_OR_RETURN(Loaded loaded, Load(options, *config));
   loaded.shape = FragmentShapeOf(*config, spec);
   loaded.lanes = LoadLanes(loaded.checkpoint.state, loaded.shape);
-  if (config->checkpoint().keep_fragments()) OpenJournal(&loaded);
   wire::Server::Options server = options.server;
   server.max_message_bytes = LargestMessageBytes(loaded.shape);
   CRAFTFLEET_RETURN_IF_ERROR(server.OpenAccess());
@@ -248,19 +245,12 @@ absl::StatusOr<Learner::Loaded> Learner::Load(const Options& options, const v1::
   return loaded;
 }
 
-void Learner::OpenJournal(Loaded* loaded) {
-  const RunFolder& folder = *loaded->folder;
-  loaded->journal.emplace(JoinPath(folder.logdir(), "fragments.journal"), folder.run_id(), folder.fence());
-  loaded->kept = loaded->journal->Read(loaded->shape);
-}
-
 Learner::Learner(const Options& options, Loaded loaded)
     : config_(std::move(loaded.config)),
       clock_(std::move(loaded.clock)),
       folder_(std::move(loaded.folder)),
       updater_(std::move(loaded.updater)),
       ranks_(options.ranks, {config_, loaded.texture_digest}, loaded.build.policy_canary),
-      journal_(std::move(loaded.journal)),
       registry_(RegistryOptions(config_, loaded.lanes.resets, std::move(loaded.build)), std::move(loaded.lanes.records),
                 clock_.get()),
       weights_(KeptVersions(config_)),
@@ -269,9 +259,9 @@ Learner::Learner(const Options& options, Loaded loaded)
       progress_({options.progress_in_place, loaded.checkpoint.state.env_steps(),
                  std::max(StepsToTrain(config_), loaded.checkpoint.state.env_steps()), folder_->run_id()},
                 options.progress != nullptr ? options.progress : &null_stream_, clock_.get()),
-      trainer_(config_, loaded.checkpoint, std::move(loaded.kept),
+      trainer_(config_, loaded.checkpoint,
                {folder_.get(), updater_.get(), &ranks_, &registry_, &weights_, &fragments_, &evaluations_, &progress_,
-                &checkpoint_requests_, journal_.has_value() ? &*journal_ : nullptr, clock_.get()}),
+                &checkpoint_requests_, clock_.get()}),
       service_(ServiceOptions(&loaded), &registry_, &weights_, &fragments_),
       steering_({&checkpoint_requests_, &registry_, [this] { Stop(); }}),
       admin_service_(&steering_),

@@ -4,7 +4,6 @@
 #define CRAFTFLEET_LEARNER_LEARNER_H_
 
 #include <memory>
-#include <optional>
 #include <ostream>
 #include <string>
 
@@ -25,7 +24,6 @@
 #include "learner/service/learner_service.h"
 #include "learner/training/distributed/rank_leader.h"
 #include "learner/training/evaluation_planner.h"
-#include "learner/training/fragments/fragment_journal.h"
 #include "learner/training/fragments/fragment_queue.h"
 #include "learner/training/records/checkpoint_requests.h"
 #include "learner/training/trainer.h"
@@ -91,14 +89,12 @@ class Learner {
   LearnerServiceImpl::Options ServiceOptions(Loaded* loaded) const;
   absl::Status ServePage(const Options& options, std::shared_ptr<wire::AccessControl> access);
   static absl::StatusOr<Loaded> Load(const Options& options, const v1::RunConfig& config);
-  static void OpenJournal(Loaded* loaded);
 
   const v1::RunConfig config_;
   const std::unique_ptr<Clock> clock_;
   const std::unique_ptr<RunFolder> folder_;
   const std::unique_ptr<PpoUpdater> updater_;
   RankLeader ranks_;
-  std::optional<FragmentJournal> journal_;
   WorkerRegistry registry_;
   WeightStore weights_;
   FragmentQueue fragments_;

@@ -100,9 +100,6 @@ absl::Status CheckRelations(const v1::RunConfig& config) {
   if (config.max_staleness() > 0) {
     check.That(config.overlap() == 0,
                "overlap and max_staleness are both given, but each says which weights play: want one of them");
-    check.That(!config.checkpoint().keep_fragments(),
-               "checkpoint.keep_fragments and max_staleness are both given: a journal restores the fragments of an "
-               "iteration, and asynchronous play does not know which these are before they arrive: want one of them");
     check.That(
         config.distillation().every_iterations() == 0,
         "distillation.every_iterations and max_staleness are both given: distillation needs as many steps of each "

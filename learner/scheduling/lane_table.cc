@@ -121,16 +121,6 @@ void LaneTable::Advance(const SharedSnapshot& snapshot, uint64_t digest, const s
   lane->accepted.push_back({fragment, digest, sender});
 }
 
-bool LaneTable::Restore(const Permit& fragment, const LaneSnapshot& snapshot, uint64_t digest) {
-  CRAFTFLEET_CHECK(fragment.lane >= 0 && fragment.lane < size());
-  LaneState& lane = lanes_[fragment.lane];
-  if (lane.record.next_fragment != fragment.fragment || lane.permit.has_value()) return false;
-  Advance(snapshot, digest, "an earlier start", &lane);
-  lane.record.sender.clear();
-  lane.restored = true;
-  return true;
-}
-
 void LaneTable::Rewind(LaneState* lane) {
   lane->record = lane->start;
   while (!lane->accepted.empty() && lane->accepted.back().fragment >= lane->start.next_fragment) {

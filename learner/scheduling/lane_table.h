@@ -77,7 +77,6 @@ struct LaneState {
   std::optional<Report> report;           // the first one on its current snapshot
   int64_t reset_at = -1;                  // fragment before which it was reset; games that actors hold there are void
   std::deque<AcceptedFragment> accepted;  // of the current iteration and the previous one
-  bool restored = false;                  // advanced by Restore since `start`
   int64_t last_fragment = 0;              // permits are for fragments before this one
 
   bool IsOpen() const { return !permit.has_value() && record.next_fragment < last_fragment; }
@@ -149,9 +148,6 @@ class LaneTable {
   void Compare(absl::string_view actor, const Permit& fragment, uint64_t digest);
   // The fragment that the lane was at is over; `snapshot` is after it.
   void Advance(const SharedSnapshot& snapshot, uint64_t digest, const std::string& sender, LaneState* lane);
-  // Advances the lane by one fragment that an earlier start of the learner accepted. Returns false if the lane is at
-  // another fragment. To be called before the first iteration.
-  bool Restore(const Permit& fragment, const LaneSnapshot& snapshot, uint64_t digest = 0);
   // Rolls the lane back to the beginning of the iteration.
   void Rewind(LaneState* lane);
 

@@ -23,7 +23,6 @@ void RolloutCutter::OpenIteration(int64_t last_fragment, int64_t policy_version)
   BeginPermits();
   for (LaneState& lane : table_->lanes()) {
     lane.last_fragment = last_fragment;
-    if (std::exchange(lane.restored, false)) continue;
     ForgetAccepted(&lane);
     lane.earlier_start = std::move(lane.start);
     lane.start = lane.record;

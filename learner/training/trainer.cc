@@ -46,8 +46,7 @@ void LogSenders(const std::vector<Fragment>& fragments) {
 
 int KeptVersions(const v1::RunConfig& config) { return 1 + config.overlap() + config.max_staleness(); }
 
-Trainer::Trainer(const v1::RunConfig& config, const Checkpoint& checkpoint, std::vector<Fragment> kept,
-                 const Parts& parts)
+Trainer::Trainer(const v1::RunConfig& config, const Checkpoint& checkpoint, const Parts& parts)
     : config_(config),
       parts_(parts),
       meter_(parts.clock, Activity::kOther),
@@ -56,7 +55,7 @@ Trainer::Trainer(const v1::RunConfig& config, const Checkpoint& checkpoint, std:
       log_(parts.folder, &disk_),
       checkpoints_(config.checkpoint().every_iterations(),
                    {parts.folder, parts.checkpoints, &disk_, parts.clock, [this] { return MakeCheckpoint(); }}),
-      collector_(std::move(kept), {parts.registry, parts.fragments, parts.journal, parts.clock}),
+      collector_({parts.registry, parts.fragments, parts.clock}),
       lanes_(parts.registry->lanes()->table().Records()),
       first_version_(checkpoint.state.policy_version()),
       train_seconds_(checkpoint.state.train_seconds()) {
@@ -102,7 +101,6 @@ void Trainer::End(bool trained) {
   if (trained && parts_.evaluations->pending() == 0) {
     phase_ = Phase::kComplete;
     parts_.registry->Finish();
-    collector_.ClearJournal();
   } else {
     parts_.registry->Close();
   }
@@ -153,7 +151,7 @@ void Trainer::Begin() {
   } else if (std::exchange(next_is_open_, false)) {
     collector_.BeginOpened();
   } else {
-    collector_.Begin(counters_.iteration + 1, LastFragment(counters_.iteration), parts_.weights->Oldest().version);
+    collector_.Begin(LastFragment(counters_.iteration), parts_.weights->Oldest().version);
   }
 }
 
@@ -196,7 +194,6 @@ absl::Status Trainer::UndoIteration(const std::vector<Fragment>& fragments, cons
   LogError("the update of iteration %d failed: %s; it is undone, and %s", counters_.iteration + 1, error.message(),
            again ? "its fragments will be played again" : "training ends, since the update has failed twice in a row");
   LogSenders(fragments);
-  collector_.ClearJournal();
   if (again) {
     parts_.registry->lanes()->rollouts().RewindIterations(next_is_open_ || is_asynchronous() ? 2 : 1);
     next_is_open_ = false;

@@ -28,7 +28,6 @@
 #include "learner/training/distributed/rank_leader.h"
 #include "learner/training/evaluation_planner.h"
 #include "learner/training/fragments/fragment_collector.h"
-#include "learner/training/fragments/fragment_journal.h"
 #include "learner/training/fragments/fragment_queue.h"
 #include "learner/training/records/checkpoint_requests.h"
 #include "learner/training/records/checkpoint_writer.h"
@@ -62,7 +61,6 @@ class Trainer {
     EvaluationPlanner* evaluations;
     ProgressPrinter* progress;
     CheckpointRequests* checkpoints;
-    FragmentJournal* journal;  // null: no journal
     Clock* clock;
   };
   enum class Phase {
@@ -71,9 +69,8 @@ class Trainer {
     kComplete,    // both are over
   };
 
-  // Continues after `checkpoint`, whose weights and optimiser are already in the updater. `kept`: the journal's
-  // fragments.
-  Trainer(const v1::RunConfig& config, const Checkpoint& checkpoint, std::vector<Fragment> kept, const Parts& parts);
+  // Continues after `checkpoint`, whose weights and optimiser are already in the updater.
+  Trainer(const v1::RunConfig& config, const Checkpoint& checkpoint, const Parts& parts);
 
   // Trains until the configured steps are done and then evaluates, unless Stop is called first. In all cases a
   // checkpoint of the last finished iteration is written, and phase() shows how far the run got.

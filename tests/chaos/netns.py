@@ -31,10 +31,10 @@ HOSTS = 5
 SLOW_LINK = ["rate", "100mbit", "burst", "64kb", "latency", "400ms"]
 FAULTS = ["--delay_ms=50", "--stall_share=0.01", "--stall_ms=1000"]
 # Many lanes, so that a lane has few steps in an iteration: every step takes a round trip.
-LONG_CONFIG = """steps: 200704 seed: 5 lanes: 512 fragment_steps: 8 checkpoint { every_iterations: 1 keep_fragments: true }
+LONG_CONFIG = """steps: 200704 seed: 5 lanes: 512 fragment_steps: 8 checkpoint { every_iterations: 1 }
   eval { every_steps: 0 final_episodes: 0 }"""
 SHORT_CONFIG = """steps: 1024 seed: 5 lanes: 32 fragment_steps: 16 env { length: 30 }
-  ppo { rollout_steps: 512 minibatch_size: 128 epochs: 2 } checkpoint { every_iterations: 1 keep_fragments: true }
+  ppo { rollout_steps: 512 minibatch_size: 128 epochs: 2 } checkpoint { every_iterations: 1 }
   eval { every_steps: 0 final_episodes: 0 }"""
 LONG_PACE = {"kill": 2, "learner": 60, "pause": 30, "reset": 10, "cut": 90}  # seconds between events of a kind
 SHORT_PACE = {"kill": 15, "reset": 2, "cut": 18}  # the run may end after 15 s

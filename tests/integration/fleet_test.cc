@@ -2,7 +2,6 @@
 // change the result.
 
 #include <csignal>
-#include <filesystem>
 #include <memory>
 #include <string>
 #include <vector>
@@ -237,58 +236,6 @@ class AsynchronousNormFleetTest : public AsynchronousFleetTest {
 };
 
 TEST_F(AsynchronousNormFleetTest, AFleetOutlivesFaults) { OutliveFaults(); }
-
-// The learner stores the fragments of the current iteration on disk.
-class JournalFleetTest : public FleetTest {
- protected:
-  void SetUp() override { TrainQuietly(JournalConfig()); }
-  static std::string JournalConfig() {
-    return absl::StrReplaceAll(kRecurrentConfig,
-                               {{"every_iterations: 2", "every_iterations: 1  keep_fragments: true"}});
-  }
-  static uintmax_t KeptBytes(const std::string& run) {
-    return std::filesystem::file_size(Logdir(run) + "/fragments.journal");
-  }
-  // Stops `actor` within an iteration.
-  static void StopWithin(const std::string& run, Process* actor) {
-    const absl::Time deadline = absl::Now() + kPatience;
-    while (absl::Now() < deadline) {
-      absl::SleepFor(absl::Milliseconds(1));
-      if (KeptBytes(run) == 0) continue;
-      actor->Signal(SIGSTOP);
-      // An update that has begun ends, and its fragments leave the journal.
-      uintmax_t kept = 0;
-      do {
-        kept = KeptBytes(run);
-        absl::SleepFor(absl::Milliseconds(500));
-      } while (KeptBytes(run) != kept);
-      if (kept > 0) return;
-      actor->Signal(SIGCONT);
-    }
-    FAIL() << "no iteration was caught halfway";
-  }
-  // Kills the learner within an iteration.
-  static void KillWithin() {
-    Fleet fleet = StartFleet("kept");
-    WaitForCheckpoint("kept", 3);
-    StopWithin("kept", fleet.actor.get());
-    fleet.RestartLearner("kept");
-    fleet.actor->Signal(SIGCONT);
-    ExpectCompleteLikeQuiet("kept", fleet.learner.get());
-    EXPECT_THAT(fleet.learner->Err(),
-                testing::ContainsRegex("[0-9]+ fragments of iteration [0-9]+ were restored from the journal"));
-    EXPECT_EQ(KeptBytes("kept"), 0) << "they are not needed after the run";
-  }
-};
-
-TEST_F(JournalFleetTest, FragmentsAcceptedByAKilledLearnerAreNotPlayedAgain) { KillWithin(); }
-
-class OverlappedJournalFleetTest : public JournalFleetTest {
- protected:
-  void SetUp() override { TrainQuietly(absl::StrCat(JournalConfig(), "overlap: 1")); }
-};
-
-TEST_F(OverlappedJournalFleetTest, FragmentsAcceptedByAKilledLearnerAreNotPlayedAgain) { KillWithin(); }
 
 }  // namespace
 }  // namespace craftfleet

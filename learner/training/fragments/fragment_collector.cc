@@ -7,7 +7,6 @@
 
 #include "common/base/status_macros.h"
 #include "common/telemetry/log.h"
-#include "common/wire/fragment_digest.h"
 
 namespace craftfleet {
 namespace {
@@ -17,38 +16,16 @@ constexpr absl::Duration kReportEvery = absl::Seconds(15);
 
 }  // namespace
 
-void FragmentCollector::Begin(int64_t iteration, int64_t last_fragment, int64_t policy_version) {
+void FragmentCollector::Begin(int64_t last_fragment, int64_t policy_version) {
   collected_.clear();
-  TakeKept(iteration, last_fragment, policy_version);
   parts_.registry->lanes()->rollouts().OpenIteration(last_fragment, policy_version);
 }
 
-void FragmentCollector::BeginOpened() {
-  collected_.clear();
-  ClearJournal();
-}
+void FragmentCollector::BeginOpened() { collected_.clear(); }
 
 void FragmentCollector::BeginNext(int64_t policy_version) {
   DropReset();  // after an update that was undone
   parts_.registry->lanes()->rollouts().PublishVersion(policy_version);
-}
-
-void FragmentCollector::TakeKept(int64_t iteration, int64_t last_fragment, int64_t policy_version) {
-  for (Fragment& fragment : kept_) {
-    if (fragment.policy_version != policy_version || fragment.number >= last_fragment) continue;
-    const Permit permit = {fragment.lane, fragment.number, fragment.policy_version};
-    fragment.digest = wire::FragmentDigest(fragment);
-    fragment.sender = "an earlier start";
-    if (parts_.registry->lanes()->table().Restore(permit, fragment.snapshot, fragment.digest)) {
-      collected_[{permit.lane, permit.fragment}] = std::move(fragment);
-    }
-  }
-  kept_.clear();
-  if (collected_.empty()) {
-    ClearJournal();
-  } else {
-    LogInfo("%d fragments of iteration %d were restored from the journal", collected_.size(), iteration);
-  }
 }
 
 absl::StatusOr<std::vector<Fragment>> FragmentCollector::Collect(size_t wanted, const OnTick& on_tick) {
@@ -110,32 +87,16 @@ absl::Status FragmentCollector::CollectUntil(const std::function<bool()>& is_com
 
 void FragmentCollector::Add(Fragment fragment) {
   if (!parts_.registry->lanes()->table().Counts(fragment.lane, fragment.number, fragment.digest)) return;
-  WriteJournal(fragment);
   const Key key = {fragment.lane, fragment.number};
   collected_[key] = std::move(fragment);
 }
 
 void FragmentCollector::DropReset() {
-  const size_t before = collected_.size();
   for (auto entry = collected_.begin(); entry != collected_.end();) {
     const Fragment& fragment = entry->second;
     const bool counts = parts_.registry->lanes()->table().Counts(fragment.lane, fragment.number, fragment.digest);
     entry = counts ? std::next(entry) : collected_.erase(entry);
   }
-  if (collected_.size() == before) return;
-  ClearJournal();
-  for (const auto& [key, fragment] : collected_) WriteJournal(fragment);
-}
-
-void FragmentCollector::WriteJournal(const Fragment& fragment) {
-  if (parts_.journal == nullptr) return;
-  const absl::Status status = parts_.journal->Append(fragment);
-  if (!status.ok()) LogError("%s; the rest of this iteration is not stored", status.message());
-}
-
-void FragmentCollector::ClearJournal() {
-  if (parts_.journal == nullptr) return;
-  if (const absl::Status status = parts_.journal->Clear(); !status.ok()) LogError("%s", status.message());
 }
 
 }  // namespace craftfleet

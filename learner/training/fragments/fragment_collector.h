@@ -16,31 +16,28 @@
 #include "common/base/clock.h"
 #include "common/base/types.h"
 #include "learner/scheduling/worker_registry.h"
-#include "learner/training/fragments/fragment_journal.h"
 #include "learner/training/fragments/fragment_queue.h"
 
 namespace craftfleet {
 
-// Waits for an iteration's fragments, drops those of lanes that were reset in the meantime, and records the others in
-// the journal. Owned by the training thread.
+// Waits for an iteration's fragments and drops those of lanes that were reset in the meantime. Owned by the training
+// thread.
 class FragmentCollector {
  public:
   struct Parts {
     WorkerRegistry* registry;  // all pointers outlive the collector
     FragmentQueue* fragments;
-    FragmentJournal* journal;  // null: no journal
     Clock* clock;
   };
   // Called after each fragment and at least every 0.2 s. `collected`: fragments collected so far; `is_idle`: nothing
   // arrived since the last call. An error ends the wait.
   using OnTick = std::function<absl::Status(size_t collected, bool is_idle)>;
 
-  // `kept`: fragments that an earlier start left in the journal.
-  FragmentCollector(std::vector<Fragment> kept, const Parts& parts) : parts_(parts), kept_(std::move(kept)) {}
+  explicit FragmentCollector(const Parts& parts) : parts_(parts) {}
 
-  // Begins `iteration`: opens permits for fragments up to `last_fragment` (excluded) of each lane with the weights
-  // `policy_version`. Kept fragments of this iteration count as collected.
-  void Begin(int64_t iteration, int64_t last_fragment, int64_t policy_version);
+  // Begins an iteration: opens permits for fragments up to `last_fragment` (excluded) of each lane with the weights
+  // `policy_version`.
+  void Begin(int64_t last_fragment, int64_t policy_version);
   // The same for an iteration whose permits are open already, which is not the first.
   void BeginOpened();
   // Waits until `wanted` fragments are collected; returns them ordered by lane and number. Errors are those of
@@ -52,23 +49,18 @@ class FragmentCollector {
   // Waits for the `wanted` fragments of that update (LaneScheduler::TakeRollout); returns them ordered by lane and
   // number. Fragments for later updates are kept. Errors as Collect.
   absl::StatusOr<std::vector<Fragment>> CollectRollout(size_t wanted, const OnTick& on_tick);
-  // Empties the journal.
-  void ClearJournal();
 
  private:
   using Key = std::pair<int, int64_t>;  // lane, number
 
   // Waits until `is_complete` says so; it is asked after each fragment.
   absl::Status CollectUntil(const std::function<bool()>& is_complete, size_t wanted, const OnTick& on_tick);
-  void TakeKept(int64_t iteration, int64_t last_fragment, int64_t policy_version);
   // Adds a fragment unless its lane was reset since; it replaces one of the same lane and number.
   void Add(Fragment fragment);
-  // Drops the fragments of lanes that were reset, here and in the journal.
+  // Drops the fragments of lanes that were reset.
   void DropReset();
-  void WriteJournal(const Fragment& fragment);
 
   const Parts parts_;
-  std::vector<Fragment> kept_;  // empty once the first iteration has begun
   std::map<Key, Fragment> collected_;
 };
 

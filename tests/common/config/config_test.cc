@@ -169,8 +169,6 @@ INSTANTIATE_TEST_SUITE_P(
         BadValue{"max_staleness: -1", "max_staleness is -1, want 0..64"},
         BadValue{"max_staleness: 65", "max_staleness is 65, want 0..64"},
         BadValue{"overlap: 1 max_staleness: 2", "overlap and max_staleness are both given"},
-        BadValue{"checkpoint { keep_fragments: true } max_staleness: 1",
-                 "checkpoint.keep_fragments and max_staleness are both given"},
         BadValue{"distillation { every_iterations: 4 } max_staleness: 1",
                  "distillation.every_iterations and max_staleness are both given"},
         BadValue{"precision: PRECISION_UNSPECIFIED",

@@ -236,15 +236,6 @@ TEST_F(ResetTest, AnIterationCanBeRolledBack) {
   for (int64_t fragment = 6; fragment < 9; ++fragment) Play("a", fragment);
 }
 
-TEST_F(ResetTest, RestoredFragmentsAreRolledBackToo) {
-  Lanes scheduler({1}, {{6, Before(6), Before(5)}}, &clock_);
-  ASSERT_TRUE(scheduler.table().Restore({0, 6, kVersion}, Before(7), 66));
-  scheduler.rollouts().OpenIteration(9, kVersion);
-  EXPECT_TRUE(scheduler.table().Counts(0, 6, 66));
-  scheduler.rollouts().RewindIterations(1);
-  EXPECT_EQ(scheduler.table().Snapshot(0, 6).value(), Before(6));
-}
-
 TEST_F(ResetTest, ADifferingDuplicateIsLoggedWithBothSenders) {
   scheduler_.Join("a", "");
   scheduler_.Join("b", "");

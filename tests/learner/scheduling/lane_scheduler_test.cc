@@ -130,17 +130,6 @@ TEST(LaneScheduler, ContinuesFromGivenRecords) {
   EXPECT_EQ(fleet.registry.Snapshot(0, 7).value(), (LaneSnapshot{"seven", {7}}));
 }
 
-TEST(LaneScheduler, RestoresFragmentsAcceptedByAnEarlierStart) {
-  LaneFleet fleet({{5, {"before 5", {}}}, {6, {"before 6", {}}}}, 7);
-  EXPECT_TRUE(fleet.registry.Restore({0, 5, kVersion}, {"after 5", {}}));
-  EXPECT_FALSE(fleet.registry.Restore({0, 5, kVersion}, {"again", {}}));
-  EXPECT_FALSE(fleet.registry.Restore({1, 7, kVersion}, {"too far", {}}));
-  EXPECT_EQ(fleet.registry.Snapshot(0, 6).value().game, "after 5");
-  EXPECT_THAT(fleet.Enter("a"), ElementsAre(Permit{0, 6, kVersion}, Permit{1, 6, kVersion}));
-  EXPECT_FALSE(fleet.registry.Restore({1, 6, kVersion}, {"late", {}})) << "it is being played";
-  EXPECT_EQ(fleet.Push("a", {1, 6, kVersion}), Verdict::kAccepted);
-}
-
 TEST(LaneScheduler, AnUnknownActorMustJoin) {
   LaneFleet fleet(1);
   EXPECT_THAT(fleet.registry.GetPermits("stranger", {}, kAll, absl::InfiniteDuration()),

@@ -77,9 +77,6 @@ class TestRegistry : public WorkerRegistry {
   absl::StatusOr<LaneSnapshot> Snapshot(int lane, int64_t fragment) const {
     return lanes()->table().Snapshot(lane, fragment);
   }
-  bool Restore(const Permit& fragment, const LaneSnapshot& snapshot, uint64_t digest = 0) {
-    return lanes()->table().Restore(fragment, snapshot, digest);
-  }
   bool Counts(int lane, int64_t fragment, uint64_t digest) const {
     return lanes()->table().Counts(lane, fragment, digest);
   }

@@ -45,7 +45,6 @@ constexpr int kFrameBytes = 64 * 64 * 3;
 constexpr int kPerIteration = kLanes * kFragments;
 
 struct Variant {
-  bool keep_fragments = false;
   bool resume = false;
   int overlap = 0;
   int max_staleness = 0;
@@ -65,7 +64,6 @@ v1::RunConfig Config(const Variant& variant) {
   config.mutable_eval()->set_every_steps(0);
   config.mutable_eval()->set_final_episodes(0);
   config.mutable_checkpoint()->set_every_iterations(100);
-  config.mutable_checkpoint()->set_keep_fragments(variant.keep_fragments);
   config.set_overlap(variant.overlap);
   config.set_max_staleness(variant.max_staleness);
   return config;
@@ -264,18 +262,17 @@ TEST_F(TrainerTest, AnUpdateThatFailsIsUndoneAndItsIterationPlayedAgain) {
   EXPECT_EQ(training->Metric("updates_undone"), 1);
 }
 
-// The fragments are in the journal.
 TEST_F(TrainerTest, TheSecondFailureInARowEndsTheLearnerAndItResumes) {
   const std::string quiet = QuietWeights();
   {
-    const auto training = Begin("ended", {/*keep_fragments=*/true});
+    const auto training = Begin("ended");
     training->Play("a", kPerIteration);
     ASSERT_FALSE(training->Weights(1).empty());
     const NoTensorMemory no_memory;
     for (int i = 0; i < 2; ++i) training->Play("liar", kPerIteration, Poison);
     EXPECT_THAT(training->Wait(), StatusIs(absl::StatusCode::kInternal, HasSubstr("bad_alloc")));
   }
-  const auto training = Begin("ended", {/*keep_fragments=*/true, /*resume=*/true});
+  const auto training = Begin("ended", {/*resume=*/true});
   EXPECT_EQ(training->Metric("iteration"), 1) << "although the next checkpoint was only due after 100";
   training->Play("a", kPerIteration);
   EXPECT_TRUE(training->Weights(2) == quiet);
@@ -283,7 +280,7 @@ TEST_F(TrainerTest, TheSecondFailureInARowEndsTheLearnerAndItResumes) {
 
 TEST_F(TrainerTest, ALaneResetWithinAnIterationDoesNotChangeTheResult) {
   const std::string quiet = QuietWeights();
-  const auto training = Begin("put-back", {/*keep_fragments=*/true});
+  const auto training = Begin("put-back");
   training->Play("a", kPerIteration);
   // The first fragment of each lane has a snapshot with a valid envelope but invalid content.
   training->Play("liar", kLanes, [](Fragment* fragment) {
@@ -296,7 +293,7 @@ TEST_F(TrainerTest, ALaneResetWithinAnIterationDoesNotChangeTheResult) {
 }
 
 TEST_F(TrainerTest, OverlappedIterationsArePlayedWithTheWeightsFromBeforeTheUpdate) {
-  const auto training = Begin("overlapped", {/*keep_fragments=*/false, /*resume=*/false, /*overlap=*/1});
+  const auto training = Begin("overlapped", {/*resume=*/false, /*overlap=*/1});
   std::vector<int64_t> versions;
   training->Play("a", 4 * kPerIteration, [&](Fragment* f) { versions.push_back(f->policy_version); });
   std::vector<int64_t> wanted;
@@ -305,7 +302,7 @@ TEST_F(TrainerTest, OverlappedIterationsArePlayedWithTheWeightsFromBeforeTheUpda
 }
 
 TEST_F(TrainerTest, AnOverlappedUpdateThatFailsIsUndoneWithTheFragmentsPlayedMeanwhile) {
-  const Variant overlapped = {/*keep_fragments=*/true, /*resume=*/false, /*overlap=*/1};
+  const Variant overlapped = {/*resume=*/false, /*overlap=*/1};
   const auto quiet = Begin("quiet-overlapped", overlapped);
   quiet->Play("a", 3 * kPerIteration);
   const auto training = Begin("disturbed-overlapped", overlapped);
@@ -323,7 +320,7 @@ TEST_F(TrainerTest, AnOverlappedRunResumesWithTheWeightsThatItPlayedWith) {
   for (const int epochs : {1, 2}) {
     SCOPED_TRACE(epochs);
     const auto begin = [&](const std::string& run, bool resume, int overlap = 1) {
-      return Begin(absl::StrCat(run, epochs), {/*keep_fragments=*/false, resume, overlap, /*max_staleness=*/0, epochs});
+      return Begin(absl::StrCat(run, epochs), {resume, overlap, /*max_staleness=*/0, epochs});
     };
     const auto quiet = begin("quiet", false);
     quiet->Play("a", 3 * kPerIteration);
@@ -345,7 +342,7 @@ TEST_F(TrainerTest, AnOverlappedRunResumesWithTheWeightsThatItPlayedWith) {
   }
 }
 
-const Variant kAsynchronous = {/*keep_fragments=*/false, /*resume=*/false, /*overlap=*/0, /*max_staleness=*/1};
+const Variant kAsynchronous = {/*resume=*/false, /*overlap=*/0, /*max_staleness=*/1};
 
 class AsynchronousTrainerTest : public TrainerTest {
  protected:

@@ -9,9 +9,7 @@
 #include <gtest/gtest.h>
 
 #include "tests/fakes/fake_clock.h"
-#include "tests/fakes/file_size_limit.h"
 #include "tests/fakes/status_matchers.h"
-#include "tests/fakes/temp_folder.h"
 #include "tests/fakes/wire_samples.h"
 #include "tests/learner/scheduling/test_registry.h"
 
@@ -19,8 +17,6 @@ namespace craftfleet {
 namespace {
 
 using testing::ElementsAre;
-using testing::HasSubstr;
-using testing::IsEmpty;
 using testing::Pair;
 
 constexpr int kLanes = 2;
@@ -31,9 +27,9 @@ absl::Status Continue(size_t /*collected*/, bool /*is_idle*/) { return absl::OkS
 
 class FragmentCollectorTest : public testing::Test {
  protected:
-  FragmentCollector Make(std::vector<Fragment> kept = {}) {
+  FragmentCollector Make() {
     registry_.Join("a", "");
-    return {std::move(kept), {&registry_, &queue_, &journal_, &clock_}};
+    return FragmentCollector({&registry_, &queue_, &clock_});
   }
   static Fragment Played(int lane, int64_t number, uint64_t digest = 1) {
     Fragment fragment = SampleFragment(lane, number, kVersion);
@@ -52,32 +48,26 @@ class FragmentCollectorTest : public testing::Test {
     for (const Fragment& fragment : fragments) names.emplace_back(fragment.lane, fragment.number);
     return names;
   }
-  std::vector<std::pair<int, int64_t>> Journal() {
-    return Names(FragmentJournal(folder_ / "journal", "run-a").Read(kSampleShape));
-  }
 
-  const TempFolder folder_;
   FakeClock clock_;
   TestRegistry registry_{{kLanes}, std::vector<LaneRecord>(kLanes), &clock_};
   FragmentQueue queue_{16};
-  FragmentJournal journal_{folder_ / "journal", "run-a"};
 };
 
 TEST_F(FragmentCollectorTest, ReturnsTheIterationsFragmentsByLaneAndNumber) {
   FragmentCollector collector = Make();
-  collector.Begin(1, kPerLane, kVersion);
+  collector.Begin(kPerLane, kVersion);
   for (const auto& [lane, number] : std::vector<std::pair<int, int>>{{1, 0}, {0, 0}, {1, 1}, {0, 1}}) {
     Send(Played(lane, number));
   }
   const auto fragments = collector.Collect(kLanes * kPerLane, Continue);
   ASSERT_THAT(fragments, IsOk());
   EXPECT_THAT(Names(*fragments), ElementsAre(Pair(0, 0), Pair(0, 1), Pair(1, 0), Pair(1, 1)));
-  EXPECT_THAT(Journal(), ElementsAre(Pair(1, 0), Pair(0, 0), Pair(1, 1), Pair(0, 1))) << "as they arrived";
 }
 
 TEST_F(FragmentCollectorTest, ReportsProgressAndIdleTime) {
   FragmentCollector collector = Make();
-  collector.Begin(1, kPerLane, kVersion);
+  collector.Begin(kPerLane, kVersion);
   Send(Played(0, 0));
   std::vector<std::pair<size_t, bool>> ticks;
   EXPECT_THAT(collector.Collect(kLanes * kPerLane,
@@ -91,7 +81,7 @@ TEST_F(FragmentCollectorTest, ReportsProgressAndIdleTime) {
 
 TEST_F(FragmentCollectorTest, DropsFragmentsThatNoLongerCount) {
   FragmentCollector collector = Make();
-  collector.Begin(1, kPerLane, kVersion);
+  collector.Begin(kPerLane, kVersion);
   Send(Played(0, 0));
   ASSERT_THAT(queue_.Push(Played(0, 0, /*digest=*/2)), IsOk());  // its content differs from the accepted one
   Send(Played(0, 1));
@@ -103,51 +93,11 @@ TEST_F(FragmentCollectorTest, DropsFragmentsThatNoLongerCount) {
   EXPECT_EQ(fragments->front().digest, 1u);
 }
 
-TEST_F(FragmentCollectorTest, FragmentsFromTheJournalAreNotPlayedAgain) {
-  Fragment old = Played(1, 0);
-  old.policy_version = kVersion - 1;
-  FragmentCollector collector = Make({Played(0, 0), Played(0, kPerLane), old});
-  testing::internal::CaptureStderr();
-  collector.Begin(8, kPerLane, kVersion);
-  EXPECT_THAT(testing::internal::GetCapturedStderr(), HasSubstr("1 fragments of iteration 8 were restored"));
-  for (const auto& [lane, number] : std::vector<std::pair<int, int>>{{0, 1}, {1, 0}, {1, 1}}) {
-    Send(Played(lane, number));
-  }
-  const auto fragments = collector.Collect(kLanes * kPerLane, Continue);
-  ASSERT_THAT(fragments, IsOk());
-  EXPECT_THAT(Names(*fragments), ElementsAre(Pair(0, 0), Pair(0, 1), Pair(1, 0), Pair(1, 1)));
-  EXPECT_EQ(fragments->front().sender, "an earlier start");
-}
-
-TEST_F(FragmentCollectorTest, EachIterationBeginsWithAnEmptyJournal) {
-  FragmentCollector collector = Make();
-  collector.Begin(1, kPerLane, kVersion);
-  Send(Played(0, 0));
-  EXPECT_THAT(collector.Collect(1, Continue), IsOk());
-  EXPECT_THAT(Journal(), ElementsAre(Pair(0, 0)));
-  collector.Begin(2, 2 * kPerLane, kVersion);
-  EXPECT_THAT(Journal(), IsEmpty());
-}
-
-TEST_F(FragmentCollectorTest, AFullDiskAffectsOnlyTheJournal) {
-  FragmentCollector collector = Make();
-  collector.Begin(1, kPerLane, kVersion);
-  Send(Played(0, 0));
-  Send(Played(1, 0));
-  testing::internal::CaptureStderr();
-  {
-    const FileSizeLimit limit(300);
-    EXPECT_THAT(collector.Collect(2, Continue), IsOk());
-  }
-  EXPECT_THAT(testing::internal::GetCapturedStderr(), HasSubstr("the rest of this iteration is not stored"));
-  EXPECT_THAT(Journal(), IsEmpty());
-}
-
 // With asynchronous play.
 class AsyncCollectorTest : public FragmentCollectorTest {
  protected:
   AsyncCollectorTest() { async_.Join("a", ""); }
-  FragmentCollector MakeAsync() { return {{}, {&async_, &queue_, nullptr, &clock_}}; }
+  FragmentCollector MakeAsync() { return FragmentCollector({&async_, &queue_, &clock_}); }
   // The learner accepts it, but it is not in the queue yet.
   Fragment Accepted(int lane, int64_t number) {
     async_.GetPermits("a", {}, 1, absl::ZeroDuration()).IgnoreError();
