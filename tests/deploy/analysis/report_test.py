@@ -161,6 +161,16 @@ class Report(package.Case):
                      "| average | training score | 9.0 (n=1 each)<br>*paper 12.0 ± 1.4* | 0 of 2 rows have runs |")
     self.assertIn("matrix-heatmap.png", files)
     self.assertIn("matrix-curves.png", files)
+    self.assertNotIn("</summary>\n\n</details>", text, "an empty fold")
+    self.assertNotIn("matrix-evaluation.png", files, "the paper has no figure of PPO-CNN to show beside")
+
+  def test_evaluation_has_a_chart_where_the_paper_has_figures(self):
+    run = self.folder / "a/seed1"
+    write_run(run, 1, {"agent": "lstm_cnn", "env": {"name": "crafter:numbers=easy-x2"}, "eval": {"env": "crafter"}})
+    (run / "eval_sampled.jsonl").write_text(same_episodes(10, 22))
+    files = self.make()
+    self.assertIn("matrix-evaluation.png", files)
+    self.assertIn("(matrix-evaluation.png)", files["report.md"])
 
   def test_runs_of_no_cell_have_a_table_of_their_own_first(self):
     write_run(self.folder / "runs/wide", 1, {"lanes": 20})
@@ -191,6 +201,16 @@ class Report(package.Case):
     self.assertNotIn("matrix-heatmap.png", files)
     self.assertNotIn("matrix-curves.png", files, "a chart without a line")
     self.assertNotIn("pairs-heatmap.png", files, "one number needs no map")
+
+  def test_the_base_of_several_axes_alone_is_not_drawn(self):
+    each = EXPERIMENTS.replace('combine = "pairs"\nbase = { ', 'combine = "each"\nbase = { ppo.gamma = 0.5, ppo.clip = 0.1, ')
+    def pictures():
+      found, _ = runs.read_runs([str(self.folder)])
+      return report.make_report(experiments.parse(each, "e"), figures.Figures(FIGURES, "f"), found)
+    write_run(self.folder / "a/seed1", 1, {"ppo": {"gamma": 0.5, "clip": 0.1}})
+    self.assertNotIn("pairs-scores.png", pictures(), "one number needs no chart")
+    write_run(self.folder / "b/seed1", 1, {"ppo": {"gamma": 0.6, "clip": 0.1}}, unlocked=12)
+    self.assertIn("pairs-scores.png", pictures())
 
   def test_shows_every_picture_that_it_has_and_no_other(self):
     write_run(self.folder / "a/seed1", 1)
@@ -382,6 +402,15 @@ class Committed(unittest.TestCase):
       self.assertEqual(made[key][0], row["n"], key)
       for ours, before in zip(made[key][1:], (row["mean"], row["std"])):
         self.assertAlmostEqual(float(ours or 0), float(before or 0), 9, key)
+
+  def test_the_page_is_the_one_in_the_repository(self):
+    found, _ = runs.read_runs([str(package.RESULTS)])
+    for run in found:
+      run.folder = os.path.relpath(run.folder, python_case.SOURCE)
+    made = report.make_report(experiments.load(package.PAPER), figures.load(package.FIGURES), found, with_csv=False)
+    folder = python_case.SOURCE / "deploy/experiments/report"
+    self.assertEqual({path.name for path in folder.iterdir()}, set(made), "make it again, see deploy/experiments/results/README.md")
+    self.assertEqual((folder / "report.md").read_text(encoding="utf-8"), made["report.md"].decode())
 
 
 python_case.main()

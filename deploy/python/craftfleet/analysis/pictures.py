@@ -12,6 +12,8 @@ from . import charts
 from .logs import ACHIEVEMENTS
 from .figures import Figures
 from .results import MEASURES, SCORES, CellResult, ExperimentResult, SpreadCurve, curve_end, spread_of_curves
+from .statistics import Spread
+from .tables import PAPER, PAPER_SEEDS
 
 _CELLS_OF_CHART = len(charts.COLORS)
 
@@ -133,6 +135,7 @@ def scores_picture(experiment: ExperimentResult, paper: Figures) -> Picture:
   for label, measure, color in series:
     figures = [paper.find(experiment.name, cell.name, measure) for cell in cells]
     if any(figures):
+      label += f" (n={PAPER_SEEDS})" if all(figure.source == PAPER for figure in figures if figure) else ""
       bars.append((label, color, [figure.mean if figure else np.nan for figure in figures],
                    [figure.deviation or 0 if figure else 0 for figure in figures]))
   for measure, color in zip(SCORES, charts.COLORS):
@@ -229,12 +232,52 @@ def heatmap_picture(experiment: ExperimentResult, paper: Figures) -> Picture | N
   return Picture(f"{experiment.name}-heatmap.png", f"Heatmap: {experiment.title}", charts.png(figure))
 
 
+def evaluation_picture(experiment: ExperimentResult, paper: Figures) -> Picture | None:
+  """Evaluation scores beside the paper's, where evaluation is in another environment than training.   None: there are none."""
+  series, names = [], {}  # cells of a choice of the second axis with the paper's figures; the labels of their rows
+  for number, choice in enumerate(experiment.axes[1].choices):
+    cells = [line[number] for line in experiment.matrix(0, 1)]
+    compared = [(cell, paper.find(experiment.name, cell.name, "eval")) for cell in cells
+                if cell.over("eval").n and "eval" in cell.group.first.settings]
+    compared = [(cell, figure) for cell, figure in compared if figure]
+    names |= {cell.choices[0]: experiment.axes[0].choices[cell.choices[0]].label for cell, _ in compared}
+    if compared:
+      series.append((choice.label.split(",")[0], compared))
+  if not series:
+    return None
+  rows = sorted(names)
+  figure, axes = charts.new_figure(4.6, 3)
+  for number, (label, compared) in enumerate(series):
+    place = np.array([rows.index(cell.choices[0]) for cell, _ in compared]) + 0.4 * ((number + 0.5) / len(series) - 0.5)
+    seeds = sorted({cell.over("eval").n for cell, _ in compared})
+    n = f"n={seeds[0]}" if len(seeds) == 1 else f"n={seeds[0]} to {seeds[-1]}"
+    color = charts.COLORS[number % len(charts.COLORS)]
+    published = [figure for _, figure in compared]
+    points = [(f"ours, sampled ({n})", "o", color, [cell.over("eval") for cell, _ in compared]),
+              (f"ours, argmax ({n})", "o", "white", [cell.over("eval_argmax") for cell, _ in compared]),
+              (f"paper (n={PAPER_SEEDS})", "_", color, [Spread(PAPER_SEEDS, one.mean, one.deviation) for one in published])]
+    for name, marker, fill, spreads in points:
+      axes[0, 0].errorbar(place, [spread.mean for spread in spreads], [spread.deviation or 0 for spread in spreads], fmt=marker,
+                          color=color, markerfacecolor=fill, markersize=4 if marker == "o" else 7, elinewidth=0.8,
+                          label=f"{label}, {name}")
+  axes[0, 0].set_xticks(range(len(rows)), [names[row] for row in rows], rotation=30, ha="right")
+  axes[0, 0].set(title=f"{experiment.title.split(':')[0]}, evaluation", ylabel="Crafter score")
+  axes[0, 0].margins(y=0.08)
+  axes[0, 0].set_ylim(bottom=0)
+  axes[0, 0].legend(loc="lower left", fontsize=6)
+  return Picture(f"{experiment.name}-evaluation.png", f"Evaluation: {experiment.title}", charts.png(figure))
+
+
 def experiment_pictures(experiment: ExperimentResult, paper: Figures) -> list[Picture]:
   """All pictures of an experiment with runs."""
   pictures: list[Picture | None] = []
+  complete = {cell.identity for cell in experiment.cells if cell.is_complete}
+  least = 2 if experiment.varies_one_of_several else 1  # the base of all axes alone needs no chart
   if experiment.has_two_axes:
     pictures.append(heatmap_picture(experiment, paper))
-  elif any(cell.is_complete for cell in experiment.cells) and not experiment.milestones:
+    if experiment.combine != "pairs":
+      pictures.append(evaluation_picture(experiment, paper))
+  elif len(complete) >= least and not experiment.milestones:
     pictures.append(scores_picture(experiment, paper))
   if experiment.combine != "pairs":
     pictures += [curves_picture(experiment), achievements_picture(experiment)]

@@ -196,10 +196,9 @@ def _cells_without_runs(experiment: ExperimentResult) -> str:
 
 def experiment_tables(experiment: ExperimentResult, paper: Figures) -> str:
   """Our values and the paper's. Rows without a run are folded."""
-  text = _tables(experiment, paper, with_runs=True)
-  if not all(cell.group for cell in experiment.cells):
-    text += folded(_cells_without_runs(experiment), _tables(experiment, paper, with_runs=False))
-  return text
+  without_runs = _tables(experiment, paper, with_runs=False)
+  return _tables(experiment, paper, with_runs=True) + (
+      folded(_cells_without_runs(experiment), without_runs) if without_runs else "")
 
 
 def achievement_table(cells: Sequence[CellResult]) -> str:
