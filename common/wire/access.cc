@@ -38,10 +38,9 @@ struct ServiceRight {
   v1::Right right;
 };
 constexpr ServiceRight kRights[] = {
-    {"/grpc.health.v1.Health/", v1::RIGHT_UNSPECIFIED}, {"/grpc.reflection.", v1::WATCH},
-    {"/craftfleet.v1.StatusService/", v1::WATCH},       {"/craftfleet.v1.LearnerService/Announce", v1::SERVE},
-    {"/craftfleet.v1.LearnerService/", v1::PLAY},       {"/craftfleet.v1.EnvironmentService/", v1::PLAY},
-    {"/craftfleet.v1.AdminService/", v1::STEER},
+    {"/grpc.health.v1.Health/", v1::RIGHT_UNSPECIFIED},    {"/craftfleet.v1.StatusService/", v1::WATCH},
+    {"/craftfleet.v1.LearnerService/Announce", v1::SERVE}, {"/craftfleet.v1.LearnerService/", v1::PLAY},
+    {"/craftfleet.v1.EnvironmentService/", v1::PLAY},      {"/craftfleet.v1.AdminService/", v1::STEER},
 };
 constexpr absl::string_view kWantedRights = "want WATCH, PLAY, SERVE or STEER";
 

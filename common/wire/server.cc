@@ -15,7 +15,6 @@
 #include <absl/strings/str_cat.h>
 #include <absl/strings/str_format.h>
 #include <absl/strings/strip.h>
-#include <grpcpp/ext/proto_server_reflection_plugin.h>
 #include <grpcpp/health_check_service_interface.h>
 #include <grpcpp/resource_quota.h>
 #include <grpcpp/security/server_credentials.h>
@@ -84,12 +83,11 @@ void OnGrpcLog(gpr_log_func_args* line) {
   log.Warn(line->message, absl::StrCat("gRPC: ", line->message));
 }
 
-// Adds health and reflection to every builder created after this, and gRPC's errors to the log.
+// Adds health to every builder created after this, and gRPC's errors to the log.
 void SetUpGrpc() {
   static std::once_flag once;
   std::call_once(once, [] {
     grpc::EnableDefaultHealthCheckService(true);
-    grpc::reflection::InitProtoReflectionServerBuilderPlugin();
     const char* const verbosity = getenv("GRPC_VERBOSITY");
     if (verbosity != nullptr && absl::string_view(verbosity) != "NONE") return;  // NONE: the programs' default
     gpr_set_log_verbosity(GPR_LOG_SEVERITY_ERROR);

@@ -1,4 +1,4 @@
-// A gRPC server with health, reflection and limits; every program of the fleet runs one.
+// A gRPC server with health and limits; every program of the fleet runs one.
 
 #ifndef CRAFTFLEET_COMMON_WIRE_SERVER_H_
 #define CRAFTFLEET_COMMON_WIRE_SERVER_H_

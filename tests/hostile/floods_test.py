@@ -85,6 +85,15 @@ class Floods(server_case.ServerCase):
             call.ask(messages.field(2, messages.field(1, lane)))
         self.assertLess(server.memory_mb() - before, 200)
 
+    def test_no_method_decodes_millions_of_fields(self):
+        server = self.envserver()
+        fields = messages.field(2, b"") * (3 << 20)
+        for path in (messages.GET_STATUS, messages.WATCH_STATUS, messages.PLAY, messages.HEALTH, messages.REFLECTION):
+            before = server.memory_mb()
+            for call in [self.start(self.channel(server.address), path, fields) for _ in range(4)]:
+                call.end()
+            self.assertLess(server.memory_mb() - before, 100, path)
+
     def test_late_episodes_open_at_once(self):
         server = self.envserver()
         session = self.session(server.address)

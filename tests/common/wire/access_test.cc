@@ -53,7 +53,6 @@ absl::Status Check(const Caller& caller, const char* path) {
 
 TEST(Access, EveryServiceNeedsItsRight) {
   EXPECT_EQ(RightFor(kHealth), v1::RIGHT_UNSPECIFIED);
-  EXPECT_EQ(RightFor("/grpc.reflection.v1alpha.ServerReflection/ServerReflectionInfo"), v1::WATCH);
   EXPECT_EQ(RightFor(kStatus), v1::WATCH);
   EXPECT_EQ(RightFor(kJoin), v1::PLAY);
   EXPECT_EQ(RightFor("/craftfleet.v1.LearnerService/SomethingNew"), v1::PLAY);

@@ -129,17 +129,6 @@ TEST(Server, ReportsThatItIsHealthy) {
   EXPECT_EQ(*reply, "\x08\x01");  // status: SERVING
 }
 
-// The call of grpcurl and grpc_cli: grpc.reflection.v1alpha.
-TEST(Server, ListsItsServices) {
-  v1::EnvironmentService::Service environment;
-  const auto server = Listen("127.0.0.1:0", {&environment});
-  const std::string list_services("\x3a\x00", 2);
-  const auto reply =
-      Call(Connect(server->address()), "/grpc.reflection.v1alpha.ServerReflection/ServerReflectionInfo", list_services);
-  ASSERT_THAT(reply, IsOk());
-  EXPECT_THAT(*reply, AllOf(HasSubstr("craftfleet.v1.EnvironmentService"), HasSubstr("grpc.health.v1.Health")));
-}
-
 TEST(Server, StopDoesNotWaitForStreamsBeyondItsTimeout) {
   EmptyRepliesService service;
   const auto server = Listen("127.0.0.1:0", {&service});
