@@ -1,5 +1,6 @@
 #include "actor/evaluation_worker.h"
 
+#include <algorithm>
 #include <utility>
 #include <vector>
 
@@ -109,19 +110,22 @@ absl::StatusOr<EnvClient*> EvaluationWorker::Connect(const v1::EnvConfig& env) {
   v1::SessionHello hello = options_.hello;
   *hello.mutable_env() = env;
   absl::Status status = absl::UnavailableError("no environment server is known yet");
-  const std::vector<wire::Endpoint> servers = options_.env_servers->Servers();
-  ++tries_;
-  for (size_t i = 0; i < servers.size(); ++i) {
-    const wire::Endpoint& server = servers[(tries_ + i) % servers.size()];
-    if (!options_.health->MayUse(server)) {
-      status = absl::UnavailableError("environment server " + server.address + ": has not answered a probe");
+  std::vector<wire::Endpoint> servers = options_.env_servers->Servers();
+  if (servers.empty()) return status;
+  std::rotate(servers.begin(), servers.begin() + static_cast<std::ptrdiff_t>(++tries_ % servers.size()), servers.end());
+  // Slow servers come last: without another one they also play evaluations.
+  const auto others = std::stable_partition(
+      servers.begin(), servers.end(), [this](const wire::Endpoint& server) { return options_.health->MayUse(server); });
+  for (auto server = servers.begin(); server != servers.end(); ++server) {
+    if (server >= others && !options_.health->IsSlow(server->address)) {
+      status = absl::UnavailableError("environment server " + server->address + ": has not answered a probe");
       continue;
     }
     EnvClient* client = nullptr;
     {
       const MutexLock lock(&mu_);
       if (stopping_) return absl::CancelledError("stopping");
-      env_ = std::make_unique<EnvClient>(server, hello, static_cast<int>(options_.spec.frame_bytes()),
+      env_ = std::make_unique<EnvClient>(*server, hello, static_cast<int>(options_.spec.frame_bytes()),
                                          options_.health->timeout());
       client = env_.get();
     }

@@ -63,7 +63,8 @@ class EvaluationWorker {
   absl::Status Play(const Job& job) ABSL_LOCKS_EXCLUDED(mu_);
   // Of task `id`.   Aborted: it is over.   Others as LearnerClient::GetEvaluationWeights.
   absl::StatusOr<std::shared_ptr<const std::string>> GetWeights(int64_t id) const;
-  // Begins a session with the first environment server that answers, starting from another one each time.
+  // Begins a session with the first environment server that answers, starting from another one each time; a slow one
+  // only if there is no other.
   //   Cancelled: Stop was called.   Unavailable: none answers.
   absl::StatusOr<EnvClient*> Connect(const v1::EnvConfig& env) ABSL_LOCKS_EXCLUDED(mu_);
   // Marks the server as suspect if it did not answer or sent an invalid answer.

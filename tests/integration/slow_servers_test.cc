@@ -51,6 +51,14 @@ constexpr char kLongRun[] = R"(
   checkpoint { every_iterations: 1000 }
 )";
 
+// Two iterations of 32 steps in each lane.
+constexpr char kShortRun[] = R"(
+  steps: 1024  lanes: 16  seed: 3  fragment_steps: 32
+  env { length: 30 }
+  ppo { rollout_steps: 512  minibatch_size: 256  epochs: 1 }
+  eval { every_steps: 0  final_episodes: 1 }
+)";
+
 class SlowServersTest : public FleetRunTest {
  protected:
   void SetUp() override {
@@ -137,6 +145,16 @@ TEST_F(SlowServersTest, TheOnlyServerIsNamedAndKeepsItsGames) {
     EXPECT_GT(RateOver(absl::Seconds(10)), 0);
   }
   EXPECT_TRUE(WaitUntil([&] { return HealthOf(slow) == v1::Peer::OK; }, kPatience));
+}
+
+TEST_F(SlowServersTest, TheOnlyServerAlsoPlaysTheLastEvaluation) {
+  ASSERT_THAT(WriteFileSynced(*shared_ / "config.txt", kShortRun), IsOk());
+  learner_ = StartLearner("short", "127.0.0.1:0");
+  learner_address_ = learner_->WaitForAddress().value();
+  StartActorOn(first_->WaitForAddress().value());
+  const Stutter stutter(first_.get(), absl::Seconds(3), absl::Milliseconds(50));
+  EXPECT_TRUE(actor_->WaitForText("is slow", kPatience)) << actor_->Err();
+  EXPECT_EQ(learner_->Wait(kPatience), 0) << learner_->Err() << actor_->Err();
 }
 
 }  // namespace
