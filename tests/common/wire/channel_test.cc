@@ -64,7 +64,8 @@ TEST(Address, ClientsOfGrpcGetTheUriOfAUnixSocket) {
 }
 
 TEST(WaitUntilConnected, ReachesAServerOnLoopback) {
-  const auto server = Server::Create({"127.0.0.1:0"}, {});
+  v1::StatusService::Service service;
+  const auto server = Server::Create({"127.0.0.1:0"}, {&service});
   ASSERT_THAT(server, IsOk());
   EXPECT_THAT(WaitUntilConnected("learner", Connect((*server)->address()), absl::Seconds(10)), IsOk());
 }
@@ -72,7 +73,8 @@ TEST(WaitUntilConnected, ReachesAServerOnLoopback) {
 TEST(WaitUntilConnected, NamesAPeerThatCannotBeReached) {
   std::string address;
   {
-    const auto server = Server::Create({"127.0.0.1:0"}, {});
+    v1::StatusService::Service service;
+    const auto server = Server::Create({"127.0.0.1:0"}, {&service});
     ASSERT_THAT(server, IsOk());
     address = (*server)->address();
   }

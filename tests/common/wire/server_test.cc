@@ -26,7 +26,10 @@ namespace {
 using testing::AllOf;
 using testing::HasSubstr;
 
-std::unique_ptr<Server> Listen(const std::string& address, const std::vector<grpc::Service*>& services = {}) {
+// Without `services`, with any: gRPC starts no server without one.
+std::unique_ptr<Server> Listen(const std::string& address, std::vector<grpc::Service*> services = {}) {
+  static auto* const any = new v1::EnvironmentService::Service;
+  if (services.empty()) services.push_back(any);
   auto server = Server::Create({address}, services);
   EXPECT_THAT(server, IsOk());
   return server.ok() ? *std::move(server) : nullptr;

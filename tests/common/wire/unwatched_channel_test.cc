@@ -9,6 +9,7 @@
 
 #include "common/wire/channel.h"
 #include "common/wire/server.h"
+#include "craftfleet/v1/status.grpc.pb.h"
 #include "tests/fakes/status_matchers.h"
 #include "tests/fakes/temp_folder.h"
 #include "tests/fakes/test_certificates.h"
@@ -44,7 +45,8 @@ TEST(UnwatchedChannel, ATlsHandshakeFinishesWithinAnAttemptToConnect) {
   Server::Options options;
   options.address = "127.0.0.1:0";
   options.files = tls;
-  const auto server = Server::Create(options, {});
+  v1::StatusService::Service service;
+  const auto server = Server::Create(options, {&service});
   ASSERT_THAT(server, IsOk());
   const auto security = ChannelSecurity::Create({tls, "", ""});
   ASSERT_THAT(security, IsOk());
