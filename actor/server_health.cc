@@ -26,6 +26,8 @@ constexpr absl::Duration kBetweenProbes = absl::Milliseconds(500);    // of one 
 constexpr absl::Duration kForgetAfter = absl::Minutes(10);
 constexpr int64_t kKeptFiles = 128;
 constexpr absl::Duration kBetweenSteps = absl::Milliseconds(20);  // of a probe
+constexpr absl::Duration kBeat = absl::Milliseconds(50);          // between two runs of thread_,
+constexpr absl::Duration kLate = absl::Milliseconds(250);         // or more: the process was stopped
 // A slow server that plays games for want of another is measured by these.
 constexpr absl::Duration kInUse = absl::Seconds(10);
 
@@ -89,7 +91,7 @@ void ServerHealth::NoteStep(const wire::Endpoint& endpoint, absl::Duration time)
   Server& server = servers_[endpoint.address];
   server.last_step = now;
   if (server.state == State::kNew) BecomeGood(endpoint.address, &server);  // it plays games, and was forgotten
-  const bool is_new = step_times_.Add(endpoint.address, time, now);
+  const bool is_new = step_times_.Add(endpoint.address, RunningSince(now - time), now);
   if (!is_new || (server.state != State::kGood && server.state != State::kSlow)) return;
   const absl::Duration typical = *step_times_.TypicalOf(endpoint.address);
   if (step_times_.IsSlow(endpoint.address, typical)) {
@@ -176,8 +178,22 @@ void ServerHealth::Run() {
   const MutexLock lock(&mu_);
   while (!stopping_) {
     changed_state_ = false;
-    changed_.WaitFor(&mu_, Look(), [this]() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_) { return stopping_ || changed_state_; });
+    changed_.WaitFor(&mu_, std::min(Look(), kBeat),
+                     [this]() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_) { return stopping_ || changed_state_; });
+    const absl::Time now = SteadyNow();
+    if (now - beat_ > kLate) {
+      pause_begin_ = beat_;
+      pause_end_ = now;
+    }
+    beat_ = now;
   }
+}
+
+absl::Duration ServerHealth::RunningSince(absl::Time begun) const {
+  const absl::Time now = SteadyNow();
+  const bool is_late = now - beat_ > kLate;  // thread_ has yet to note it
+  const absl::Time begin = std::max(begun, is_late ? beat_ : pause_begin_);
+  return now - begun - std::max((is_late ? now : pause_end_) - begin, absl::ZeroDuration());
 }
 
 absl::Duration ServerHealth::Look() {
@@ -239,7 +255,8 @@ absl::StatusOr<absl::Duration> ServerHealth::PlayProbe(EnvClient* client, absl::
     const absl::Time begun = SteadyNow();
     CRAFTFLEET_RETURN_IF_ERROR(client->SendStep({0}, {Action::kNoop}, /*snapshot=*/true));
     CRAFTFLEET_RETURN_IF_ERROR(client->ReceiveStep(&batch));
-    total += SteadyNow() - begun;
+    const MutexLock lock(&mu_);
+    total += RunningSince(begun);
     ++steps;
   } while (SteadyNow() < end && !IsStopping());
   client->Leave();

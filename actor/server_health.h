@@ -17,6 +17,7 @@
 
 #include "actor/env_client.h"
 #include "actor/step_times.h"
+#include "common/base/clock.h"
 #include "common/base/mutex.h"
 #include "common/wire/channel.h"
 #include "craftfleet/v1/environment.pb.h"
@@ -28,7 +29,8 @@ namespace craftfleet {
 // doubles each time, or as soon as there is a new connection.
 //
 // A slow server (StepTimes) gets games only if there is no other. It is probed for some seconds, so that trying it
-// again holds up no game, and must be as fast in them as the others. Thread-safe.
+// again holds up no game, and must be as fast in them as the others. Time in which this process was itself stopped, as
+// on a host that swaps, counts for no server. Thread-safe.
 class ServerHealth {
  public:
   static constexpr absl::Duration kFirstPause = absl::Seconds(2);
@@ -103,6 +105,8 @@ class ServerHealth {
   // Sets the time of the next probe; the pauses double, beginning with `first`.
   void Postpone(absl::Duration first, Server* server) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
   bool IsStopping() const ABSL_LOCKS_EXCLUDED(mu_);
+  // The time since `begun` without that in which this process was stopped.
+  absl::Duration RunningSince(absl::Time begun) const ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
   void BecomeSuspect(Server* server, const absl::Status& why) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
   // Creates the client for probes, if enough file descriptors are available.
   void Prepare(const wire::Endpoint& endpoint, Server* server) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
@@ -115,6 +119,10 @@ class ServerHealth {
   size_t probes_ ABSL_GUARDED_BY(mu_) = 0;                      // under way
   bool changed_state_ ABSL_GUARDED_BY(mu_) = false;
   bool stopping_ ABSL_GUARDED_BY(mu_) = false;
+  // The last time in which this process was stopped, since thread_ ran late; and when thread_ ran last.
+  absl::Time pause_begin_ ABSL_GUARDED_BY(mu_) = absl::InfinitePast();
+  absl::Time pause_end_ ABSL_GUARDED_BY(mu_) = absl::InfinitePast();
+  absl::Time beat_ ABSL_GUARDED_BY(mu_) = SteadyNow();
   std::thread thread_;
 };
 

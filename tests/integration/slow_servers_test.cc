@@ -147,6 +147,14 @@ TEST_F(SlowServersTest, TheOnlyServerIsNamedAndKeepsItsGames) {
   EXPECT_TRUE(WaitUntil([&] { return HealthOf(slow) == v1::Peer::OK; }, kPatience));
 }
 
+TEST_F(SlowServersTest, AnActorThatIsStoppedBlamesNoServer) {
+  StartActorOn(first_->WaitForAddress().value() + "," + second_->WaitForAddress().value());
+  absl::SleepFor(absl::Seconds(4));
+  const Stutter stutter(actor_.get(), absl::Milliseconds(950), absl::Milliseconds(50));
+  absl::SleepFor(absl::Seconds(15));
+  EXPECT_THAT(actor_->Err(), Not(HasSubstr("is slow")));
+}
+
 TEST_F(SlowServersTest, TheOnlyServerAlsoPlaysTheLastEvaluation) {
   ASSERT_THAT(WriteFileSynced(*shared_ / "config.txt", kShortRun), IsOk());
   learner_ = StartLearner("short", "127.0.0.1:0");
