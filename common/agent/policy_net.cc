@@ -91,9 +91,9 @@ void PolicyNet::ClearGradients() {
 
 void PolicyNet::LeaveWideGradients(bool leaves) {
   params_.wide_factors.clear();
-  if (!leaves || params_.multiplied_as != at::kFloat) return;
+  if (!leaves) return;
   for (size_t i = 0; i < params_.tensors.size(); ++i) {
-    if (!WideLinearFits(params_.tensors[i])) continue;
+    if (!WideLinearFits(params_.tensors[i], params_.multiplied_as)) continue;
     params_.wide_factors[static_cast<ParamIndex>(i)] = c10::make_intrusive<WideFactors>();
   }
 }

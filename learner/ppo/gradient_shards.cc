@@ -97,13 +97,12 @@ absl::StatusOr<PpoLossSums> GradientShards::ComputeGradients(const Rollout& roll
 }
 
 absl::Status GradientShards::SumWideGradients(ShardRange range, std::vector<ShardGradient>* gradients) {
-  constexpr int64_t kColumnsAtOnce = 64 * WideProduct::kColumns;
+  constexpr int64_t kColumnsAtOnce = 64 * WideProduct<float>::kColumns;
   const auto& layers = shards_.front()->net.wide_factors();
   for (auto layer = layers.rbegin(); layer != layers.rend(); ++layer) {  // the last first: a piece becomes several
     const auto& [weight, factors] = *layer;
     const int64_t inputs = factors->input.size(1);
     const int64_t outputs = factors->output_gradient.size(1);
-    const WideProduct product(inputs, outputs);
     const int64_t count = outputs % kWidePieces == 0 ? kWidePieces : 1;
     for (ShardGradient& gradient : *gradients) gradient.insert(gradient.begin() + weight, count - 1, {});
     std::vector<float*> pieces;
@@ -112,15 +111,12 @@ absl::Status GradientShards::SumWideGradients(ShardRange range, std::vector<Shar
       gradients->front()[weight + i] = FloatSpan(wide_gradients_.back());
       pieces.push_back(gradients->front()[weight + i].data());
     }
-    std::vector<WideProduct::Rows> rows;
-    for (int i = range.begin; i < range.end; ++i) {
-      const WideFactors& own = *shards_[i]->net.wide_factors().at(weight);
-      rows.push_back({own.input.size(0), own.output_gradient.data_ptr<float>(), own.input.data_ptr<float>()});
-    }
+    std::vector<const WideFactors*> own;
+    for (int i = range.begin; i < range.end; ++i) own.push_back(shards_[i]->net.wide_factors().at(weight).get());
     const auto parts = static_cast<int>((inputs + kColumnsAtOnce - 1) / kColumnsAtOnce);
     CRAFTFLEET_RETURN_IF_ERROR(RunParts(workers_, "gradient", parts, [&](int part) {
       const int64_t begin = part * kColumnsAtOnce;
-      product.WeightGradient(rows, begin, std::min(begin + kColumnsAtOnce, inputs), pieces);
+      WideWeightGradient(own, begin, std::min(begin + kColumnsAtOnce, inputs), pieces);
     }));
   }
   return absl::OkStatus();

@@ -15,6 +15,7 @@
 #include "common/agent/nets/direct_convolution/direct_convolution.h"
 #include "common/agent/nets/fft_conv.h"
 #include "common/agent/nets/fft_convolution/fft_convolution.h"
+#include "common/agent/nets/product_kernels.h"
 #include "common/agent/nets/wide_linear.h"
 #include "common/agent/nets/wide_product.h"
 #include "common/agent/torch_setup.h"
@@ -60,7 +61,8 @@ struct Case {
   bool has_relu;
   bool wants_input_gradient;
   Compute compute;
-  Compute exact;  // by LibTorch, without the ReLU
+  Compute exact;                        // by LibTorch, without the ReLU
+  at::ScalarType factors = at::kFloat;  // what the numbers of input, weight and output's gradient are rounded to
   friend void PrintTo(const Case& c, std::ostream* out) { *out << c.name; }
 };
 
@@ -95,39 +97,51 @@ Case DirectCase(const DirectShape& shape, int64_t n, Activation activation, bool
           exact};
 }
 
-constexpr int64_t kWideInputs = 262144 + WideProduct::kColumns;  // not a multiple of what Forward takes at once
-constexpr int64_t kWideOutputs = 66;                             // nor of a block
+constexpr int64_t kWideInputs = 262144 + ProductKernels::kColumns;  // not a multiple of what Forward takes at once
+constexpr int64_t kWideOutputs = 66;                                // nor of a block
 
-Case WideCase(int64_t rows) {
-  const Compute compute = [](const at::Tensor& input, const at::Tensor& weight, const at::Tensor& bias) {
-    return WideLinear(input, weight, bias, {});
+// `leaving`: gets the factors of the weight's gradient.
+Case WideCase(int64_t rows, at::ScalarType type = at::kFloat, const c10::intrusive_ptr<WideFactors>& leaving = {}) {
+  const Compute compute = [=](const at::Tensor& input, const at::Tensor& weight, const at::Tensor& bias) {
+    return WideLinear(input, weight, weight.detach().to(type), bias, leaving);
   };
   const Compute exact = [](const at::Tensor& input, const at::Tensor& weight, const at::Tensor& bias) {
     return at::linear(input, weight, bias);
   };
-  return {"Wide" + std::to_string(rows),
+  return {(type == at::kFloat ? "Wide" : "WideBf16on") + std::to_string(rows),
           {rows, kWideInputs},
           {kWideOutputs, kWideInputs},
           0.002,
           false,
           true,
           compute,
-          exact};
+          exact,
+          type};
+}
+
+// The instruction sets that have kernels for a case, and this CPU.
+std::vector<CpuPath> KernelPaths(const Case& c) {
+  if (c.factors == at::kFloat) return KernelPaths();
+  return FindBf16Kernels() != nullptr ? std::vector<CpuPath>{CpuPath::kAvx512} : std::vector<CpuPath>();
 }
 
 // A layer with what it computes for the first `rows` of its rows.
 struct Layer {
   Layer(const Case& c, int64_t rows)
-      : input(Numbers(c.input, 1, 1).narrow(0, 0, rows).clone()),
-        weight(Numbers(c.weight, 2, c.scale)),
+      : input(Factor(c, c.input, 1, 1).narrow(0, 0, rows).clone()),
+        weight(Factor(c, c.weight, 2, c.scale)),
         bias(Numbers({c.weight[0]}, 3, 0.2)) {
     input.set_requires_grad(c.wants_input_gradient);
     for (at::Tensor* leaf : {&weight, &bias}) leaf->set_requires_grad(true);
     output = c.compute(input, weight, bias);
-    by_output = Numbers(output.sizes(), 4, 1);
+    by_output = Factor(c, output.sizes(), 4, 1);
     torch::autograd::backward({output}, {by_output});
   }
   explicit Layer(const Case& c) : Layer(c, c.input[0]) {}
+
+  static at::Tensor Factor(const Case& c, at::IntArrayRef shape, uint64_t stream, double scale) {
+    return Numbers(shape, stream, scale).to(c.factors).to(at::kFloat);
+  }
 
   at::Tensor input, weight, bias, output, by_output;
 };
@@ -140,10 +154,16 @@ class OwnKernels : public ::testing::Test {
   }
 };
 
-class OwnLayers : public OwnKernels, public ::testing::WithParamInterface<Case> {};
+class OwnLayers : public OwnKernels, public ::testing::WithParamInterface<Case> {
+ protected:
+  void SetUp() override {
+    OwnKernels::SetUp();
+    if (KernelPaths(GetParam()).empty()) GTEST_SKIP() << "a CPU without AVX512-BF16, or with AMX";
+  }
+};
 
 TEST_P(OwnLayers, AreTheirDefinitionForAutograd) {
-  for (const CpuPath path : KernelPaths()) {
+  for (const CpuPath path : KernelPaths(GetParam())) {
     const ScopedCpuPath scoped(path);
     SCOPED_TRACE(CpuPathName(path));
     const Layer layer(GetParam());
@@ -165,7 +185,7 @@ TEST_P(OwnLayers, AreTheirDefinitionForAutograd) {
 
 TEST_P(OwnLayers, ComputeTheSameBitsWithEachInstructionSetAndWithoutAutograd) {
   const Layer wanted(GetParam());
-  for (const CpuPath path : KernelPaths()) {
+  for (const CpuPath path : KernelPaths(GetParam())) {
     const ScopedCpuPath scoped(path);
     SCOPED_TRACE(CpuPathName(path));
     const Layer layer(GetParam());
@@ -182,7 +202,7 @@ TEST_P(OwnLayers, ComputeTheSameBitsWithEachInstructionSetAndWithoutAutograd) {
 
 TEST_P(OwnLayers, ARowDoesNotDependOnTheOthers) {
   const int64_t rows = GetParam().input[0];
-  const int64_t some = rows > WideProduct::kMinRows ? WideProduct::kMinRows + 1 : (rows + 1) / 2;
+  const int64_t some = rows > WideProduct<float>::kMinRows ? WideProduct<float>::kMinRows + 1 : (rows + 1) / 2;
   const Layer all(GetParam());
   const Layer first(GetParam(), some);
   EXPECT_TRUE(at::equal(first.output, all.output.narrow(0, 0, some)));
@@ -203,7 +223,8 @@ INSTANTIATE_TEST_SUITE_P(Kernels, OwnLayers,
                                            DirectCase({32, 64, 4, 2, 0, 11}, 2, Activation::kRelu, true),
                                            DirectCase({5, 192, 3, 2, 1, 9}, 4, Activation::kNone, false),
                                            DirectCase({64, 64, 4, 1, 0, 4}, 1, Activation::kNone, true), WideCase(40),
-                                           WideCase(64), WideCase(70)),
+                                           WideCase(64), WideCase(70), WideCase(33, at::kBFloat16),
+                                           WideCase(64, at::kBFloat16), WideCase(71, at::kBFloat16)),
                          [](const auto& info) { return info.param.name; });
 
 TEST_F(OwnKernels, TakeAnyLayout) {
@@ -244,31 +265,58 @@ TEST_F(OwnKernels, SayWhatFits) {
   EXPECT_TRUE(DirectConvolution::Fits({3, 64, 5, 1, 2, 64}, false));
   for (const int size : {24, 32, 64, 72, 96, 120}) EXPECT_TRUE(FftConvolution::Fits(size)) << size;
   for (const int size : {0, 16, 36, 65}) EXPECT_FALSE(FftConvolution::Fits(size)) << size;
-  EXPECT_TRUE(WideLinearFits(at::empty({kWideOutputs, kWideInputs})));
+  EXPECT_TRUE(WideLinearFits(at::empty({kWideOutputs, kWideInputs}), at::kFloat));
+  EXPECT_EQ(WideLinearFits(at::empty({kWideOutputs, kWideInputs}), at::kBFloat16), FindBf16Kernels() != nullptr);
+  EXPECT_FALSE(WideLinearFits(at::empty({kWideOutputs + 1, kWideInputs}), at::kBFloat16)) << "an odd number of outputs";
   const ScopedCpuPath base(CpuPath::kBase);
   EXPECT_FALSE(DirectConvolution::Fits({3, 64, 5, 1, 2, 64}, false));
   EXPECT_FALSE(FftConvolution::Fits(64));
+  EXPECT_FALSE(WideLinearFits(at::empty({kWideOutputs, kWideInputs}), at::kBFloat16));
 }
 
 TEST_F(OwnKernels, LeftFactorsGiveTheSumOfTheShardsGradients) {
-  const auto factors = c10::make_intrusive<WideFactors>();
-  Case leaving = WideCase(40);
-  leaving.compute = [&](const at::Tensor& input, const at::Tensor& weight, const at::Tensor& bias) {
-    return WideLinear(input, weight, bias, factors);
-  };
-  EXPECT_FALSE(Layer(leaving).weight.grad().defined());
-  const Layer first(WideCase(40));
-  const Layer second(WideCase(70));
-  const at::Tensor sum = at::empty({kWideOutputs, kWideInputs});
-  auto* const numbers = sum.data_ptr<float>();
-  const std::vector<WideProduct::Rows> rows = {
-      {40, factors->output_gradient.data_ptr<float>(), factors->input.data_ptr<float>()},
-      {70, second.by_output.data_ptr<float>(), second.input.data_ptr<float>()}};
-  const WideProduct product(kWideInputs, kWideOutputs);
-  constexpr int64_t kHalf = kWideInputs / 2 / WideProduct::kColumns * WideProduct::kColumns;
-  product.WeightGradient(rows, kHalf, kWideInputs, {numbers});
-  product.WeightGradient(rows, 0, kHalf, {numbers, numbers + kWideOutputs / 2 * kWideInputs});
-  EXPECT_TRUE(at::equal(sum, first.weight.grad() + second.weight.grad()));
+  for (const at::ScalarType type : {at::kFloat, at::kBFloat16}) {
+    if (KernelPaths(WideCase(40, type)).empty()) continue;
+    SCOPED_TRACE(c10::toString(type));
+    const auto first = c10::make_intrusive<WideFactors>();
+    const auto second = c10::make_intrusive<WideFactors>();
+    EXPECT_FALSE(Layer(WideCase(41, type, first)).weight.grad().defined());
+    EXPECT_FALSE(Layer(WideCase(70, type, second)).weight.grad().defined());
+    const at::Tensor sum = at::empty({kWideOutputs, kWideInputs});
+    auto* const numbers = sum.data_ptr<float>();
+    constexpr int64_t kColumns = ProductKernels::kColumns;
+    constexpr int64_t kHalf = kWideInputs / 2 / kColumns * kColumns;
+    const std::vector<const WideFactors*> shards = {first.get(), second.get()};
+    WideWeightGradient(shards, kHalf, kWideInputs, {numbers});
+    WideWeightGradient(shards, 0, kHalf, {numbers, numbers + kWideOutputs / 2 * kWideInputs});
+    EXPECT_TRUE(at::equal(sum, Layer(WideCase(41, type)).weight.grad() + Layer(WideCase(70, type)).weight.grad()));
+  }
+}
+
+TEST_F(OwnKernels, Bfloat16RoundsEachFactor) {
+  if (FindBf16Kernels() == nullptr) GTEST_SKIP() << "a CPU without AVX512-BF16, or with AMX";
+  const Layer of_rounded(WideCase(40, at::kBFloat16));
+  Case c = WideCase(40, at::kBFloat16);
+  c.factors = at::kFloat;
+  const Layer layer(c);
+  EXPECT_FALSE(at::equal(layer.weight, of_rounded.weight));
+  EXPECT_TRUE(at::equal(layer.output, of_rounded.output));
+  EXPECT_TRUE(at::equal(layer.input.grad(), of_rounded.input.grad()));
+  EXPECT_TRUE(at::equal(layer.weight.grad(), of_rounded.weight.grad()));
+}
+
+// LibTorch computes the output of so few; in bfloat16 it rounds that once more.
+TEST_F(OwnKernels, FewRowsAreTheSameLayer) {
+  for (const at::ScalarType type : {at::kFloat, at::kBFloat16}) {
+    const Case few = WideCase(5, type);
+    if (KernelPaths(few).empty()) continue;
+    SCOPED_TRACE(c10::toString(type));
+    const Layer layer(few);
+    const Layer of_many(WideCase(40, type), 40);
+    EXPECT_LT(RelativeError(of_many.output.detach().narrow(0, 0, 5).to(at::kDouble), layer.output.detach()),
+              type == at::kFloat ? 5e-6 : 4e-3);
+    EXPECT_TRUE(at::equal(layer.input.grad(), of_many.input.grad().narrow(0, 0, 5)));
+  }
 }
 
 }  // namespace

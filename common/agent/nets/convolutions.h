@@ -45,6 +45,9 @@ class FlattenLinear : public Part {
 
   at::Tensor Forward(const ParamTensors& params, const at::Tensor& input,
                      const std::optional<Dropout>& dropout) const override;
+  void Prepare(const ParamTensors& params, Preparation* preparation) const override {
+    linear_.Prepare(params, preparation);
+  }
 
  private:
   LinearLayer linear_;

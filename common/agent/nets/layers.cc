@@ -1,5 +1,6 @@
 #include "common/agent/nets/layers.h"
 
+#include <algorithm>
 #include <vector>
 
 #include <ATen/ATen.h>
@@ -10,6 +11,7 @@
 #include "common/agent/nets/direct_conv.h"
 #include "common/agent/nets/fft_conv.h"
 #include "common/agent/nets/fft_convolution/fft_convolution.h"
+#include "common/agent/nets/map_tensors.h"
 #include "common/agent/nets/param_tensors.h"
 #include "common/agent/nets/prepared_weights.h"
 #include "common/agent/nets/wide_linear.h"
@@ -44,15 +46,33 @@ LinearLayer::LinearLayer(const std::string& name, int64_t inputs, int64_t output
       bias_(AddBias(name, outputs, bias, init, params)) {}
 
 at::Tensor LinearLayer::Forward(const ParamTensors& params, const at::Tensor& input) const {
-  const at::Tensor weight = params.Multiplied(weight_);
   const at::Tensor bias = BiasOf(params, bias_);
-  if (params.multiplied_as == at::kFloat && input.dim() == 2 && bias.defined() && WideLinearFits(weight)) {
-    return WideLinear(input, weight, bias, params.FindWideFactors(weight_));
+  if (input.dim() == 2 && bias.defined() && WideLinearFits(params[weight_], params.multiplied_as)) {
+    const PreparedWeight* const prepared = params.FindPrepared(weight_);
+    return WideLinear(input, params[weight_], prepared != nullptr ? prepared->for_output : params.Multiplied(weight_),
+                      bias, params.FindWideFactors(weight_));
   }
+  const at::Tensor weight = params.Multiplied(weight_);
   if (input.dim() == 2) return LinearAs(input, weight, bias);
   std::vector<int64_t> shape = input.sizes().vec();
   shape.back() = weight.size(0);
   return LinearAs(input.reshape({-1, weight.size(1)}), weight, bias).view(shape);
+}
+
+void LinearLayer::Prepare(const ParamTensors& params, Preparation* preparation) const {
+  constexpr int64_t kRowsAtOnce = 32;
+  const at::Tensor& weight = params[weight_];
+  const bool is_ready = params.multiplied_as == at::kFloat || !params.converted.empty();
+  if (is_ready || !WideLinearFits(weight, params.multiplied_as)) return;
+  const at::Tensor rounded = RoundedTensor(weight.sizes());
+  preparation->weights.by_weight[weight_] = {rounded, at::Tensor()};
+  for (int64_t row = 0; row < weight.size(0); row += kRowsAtOnce) {
+    preparation->tasks.emplace_back([rounded, weight, row] {
+      const c10::NoGradGuard no_grad;
+      const int64_t end = std::min(row + kRowsAtOnce, weight.size(0));
+      rounded.slice(0, row, end).copy_(weight.slice(0, row, end));
+    });
+  }
 }
 
 namespace {

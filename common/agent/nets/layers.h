@@ -31,6 +31,9 @@ class LinearLayer {
   // input float[...,in] -> float[...,out], multiplied as `params` say.
   at::Tensor Forward(const ParamTensors& params, const at::Tensor& input) const;
 
+  // As Part::Prepare, for Forward.
+  void Prepare(const ParamTensors& params, Preparation* preparation) const;
+
   // The patches of a map (CutPatches), each followed by its row of `tail`, float[patches,in - C patch^2], unless that
   // is undefined: map float[N,C,S,S] -> float[N,patches,out]. A convolution wherever that is quicker.
   at::Tensor ForwardPatches(const ParamTensors& params, const at::Tensor& map, int64_t patch, int64_t stride,

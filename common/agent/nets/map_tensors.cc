@@ -15,6 +15,8 @@ at::Tensor PooledTensor(at::IntArrayRef shape) {
   return at::from_blob(buffer->get(), shape, [buffer](void*) {});
 }
 
+at::Tensor RoundedTensor(at::IntArrayRef shape) { return PooledTensor({shape[0], shape[1] / 2}).view(at::kBFloat16); }
+
 at::Tensor PixelsOf(const at::Tensor& map) {
   const at::Tensor pixels = map.permute({0, 2, 3, 1}).contiguous();
   return reinterpret_cast<uintptr_t>(pixels.data_ptr()) % 64 == 0 ? pixels : pixels.clone();

@@ -10,6 +10,9 @@ namespace craftfleet {
 // Uninitialised, float[shape], in memory of a PooledBuffer.
 at::Tensor PooledTensor(at::IntArrayRef shape);
 
+// The same, bfloat16[rows,numbers]; an even number of them.
+at::Tensor RoundedTensor(at::IntArrayRef shape);
+
 // A map [N,C,H,W] -> its pixels [N,H,W,C], contiguous and aligned to 64 bytes.
 at::Tensor PixelsOf(const at::Tensor& map);
 

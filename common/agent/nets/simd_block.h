@@ -12,7 +12,13 @@ namespace craftfleet::CRAFTFLEET_SIMD {
 constexpr int kStripVectors = kWidth == 16 ? 4 : 2;  // of a row: six rows fill the registers
 constexpr int kStrip = kStripVectors * kWidth;       // floats of a row
 
-enum class Sign { kPlus, kMinus };
+// What Block::Add does to a sum: sum + a b and sum - a b, rounded once.
+struct Plus {
+  static CRAFTFLEET_SIMD_INLINE Vector Apply(Vector a, Vector b, Vector sum) { return MulAdd(a, b, sum); }
+};
+struct Minus {
+  static CRAFTFLEET_SIMD_INLINE Vector Apply(Vector a, Vector b, Vector sum) { return NegMulAdd(a, b, sum); }
+};
 
 // Rows x kStrip sums, which begin at 0.
 template <int Rows>
@@ -29,8 +35,8 @@ struct Block {
     }
   }
 
-  // at[m] += or -= factor_of(m) * b[kStrip].
-  template <Sign S = Sign::kPlus, typename FactorOf>
+  // at[m] = Op::Apply(factor_of(m), b[kStrip], at[m]).
+  template <typename Op, typename FactorOf>
   CRAFTFLEET_SIMD_INLINE void Add(const FactorOf& factor_of, const float* b) {
     Vector row[kStripVectors];
     CRAFTFLEET_UNROLL
@@ -39,9 +45,7 @@ struct Block {
     for (int m = 0; m < Rows; ++m) {
       const Vector factor = Broadcast(factor_of(m));
       CRAFTFLEET_UNROLL
-      for (int n = 0; n < kStripVectors; ++n) {
-        at[m][n] = S == Sign::kPlus ? MulAdd(factor, row[n], at[m][n]) : NegMulAdd(factor, row[n], at[m][n]);
-      }
+      for (int n = 0; n < kStripVectors; ++n) at[m][n] = Op::Apply(factor, row[n], at[m][n]);
     }
   }
 

@@ -1,6 +1,6 @@
 // Times of acting and learning: one inference tile, one minibatch and a whole PPO update, beside the speed at which
 // the CPU multiplies matrices.
-// Usage: update_bench [seconds a figure, default 2 [AGENT...]]
+// Usage: update_bench [seconds a figure, default 2 [AGENT[:PRECISION]...]], as in ppo_spcnn:BF16
 // As on a CPU without AVX-512: ATEN_CPU_CAPABILITY=avx2 ONEDNN_MAX_CPU_ISA=AVX2 update_bench ...
 
 #include <algorithm>
@@ -11,9 +11,11 @@
 #include <numeric>
 #include <optional>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include <ATen/ATen.h>
+#include <absl/strings/str_split.h>
 #include <absl/time/clock.h>
 #include <absl/time/time.h>
 
@@ -102,9 +104,18 @@ Rollout SampleRollout(const std::string& frames, const float* state) {
   return rollout;
 }
 
-void BenchUpdate(absl::Duration limit, const std::string& agent) {
+// `name`: AGENT[:PRECISION].
+void BenchUpdate(absl::Duration limit, const std::string& name) {
+  const std::pair<std::string, std::string> parts = absl::StrSplit(name, absl::MaxSplits(':', 1));
+  const std::string& agent = parts.first;
+  v1::RunConfig::Precision precision = v1::RunConfig::FP32;
+  if (!parts.second.empty() && !v1::RunConfig::Precision_Parse(parts.second, &precision)) {
+    std::printf("%s: want FP32 or BF16 behind the colon\n", name.c_str());
+    return;
+  }
   v1::RunConfig config;
   config.set_agent(agent);
+  config.set_precision(precision);
   config.set_gradient_shards(2);
   v1::PpoConfig* ppo = config.mutable_ppo();
   ppo->set_minibatch_size(kMinibatch);
@@ -123,14 +134,19 @@ void BenchUpdate(absl::Duration limit, const std::string& agent) {
   const std::vector<float> state(spec->state_size, 0.1F);
   const Rollout rollout = SampleRollout(frames, state.data());
   for (const int threads : {1, 2}) {
-    const auto updater = *PpoUpdater::Create(config, threads);
+    const auto created = PpoUpdater::Create(config, threads);
+    if (!created.ok()) {
+      std::printf("%s: %s\n", name.c_str(), std::string(created.status().message()).c_str());
+      return;
+    }
+    PpoUpdater* const updater = created->get();
     int64_t iteration = 0;
     const Times times = Measure(limit, [&] { (void)updater->Update(iteration++, rollout, [] { return false; }); });
     constexpr int kMinibatches = kSteps / kMinibatch;
     std::printf(
         "%s update, minibatch of %d, %d thread(s): %.2f ms (CPU %.2f), %.1f samples/s of CPU; 4096 steps x 4 epochs: "
         "%.2f s\n",
-        agent.c_str(), kMinibatch, threads, times.wall_ms / kMinibatches, times.cpu_ms / kMinibatches,
+        name.c_str(), kMinibatch, threads, times.wall_ms / kMinibatches, times.cpu_ms / kMinibatches,
         kSteps / times.cpu_ms * 1e3, times.wall_ms / kMinibatches * 4096 * 4 / kMinibatch / 1e3);
   }
 }

@@ -9,6 +9,7 @@
 #include <gtest/gtest.h>
 
 #include "common/agent/weights.h"
+#include "common/base/crc32c.h"
 #include "common/base/keyed_random.h"
 #include "tests/agent/golden_agent.h"
 #include "tests/learner/ppo/update_samples.h"
@@ -27,16 +28,16 @@ struct OwnedRollout {
   Rollout rollout;
 };
 
-OwnedRollout WithFrames(uint32_t seed, int n) {
-  OwnedRollout owned{GoldenFrames(seed, n, 64), {}};
+OwnedRollout WithFrames(uint32_t seed, int n, int frame_size = 64) {
+  OwnedRollout owned{GoldenFrames(seed, n, frame_size), {}};
   for (int i = 0; i < n; ++i) {
-    owned.rollout.frames.push_back(reinterpret_cast<const uint8_t*>(&owned.frames[i * 64 * 64 * 3]));
+    owned.rollout.frames.push_back(reinterpret_cast<const uint8_t*>(&owned.frames[i * frame_size * frame_size * 3]));
   }
   return owned;
 }
 
-OwnedRollout RandomRollout(uint32_t seed, int n) {
-  OwnedRollout owned = WithFrames(seed, n);
+OwnedRollout RandomRollout(uint32_t seed, int n, int frame_size = 64) {
+  OwnedRollout owned = WithFrames(seed, n, frame_size);
   Rollout& rollout = owned.rollout;
   for (int i = 0; i < n; ++i) {
     const auto uniform = [&](int k) { return static_cast<float>(ActionNoise(seed, i, k)); };
@@ -103,6 +104,27 @@ TEST(PpoUpdater, ThreadsDoNotChangeABit) {
   EXPECT_EQ(TrainedState(config, 1, 2) == one, true);
   EXPECT_EQ(TrainedState(config, 2, 2) == one, true);
   EXPECT_EQ(TrainedState(config, 3, 2) == one, true);
+}
+
+// An odd number of rows in each shard, and a layer that WideLinear computes.
+TEST(PpoUpdater, ThreadsDoNotChangeABitOfAWideLayer) {
+  constexpr int kFrameSize = 24;
+  const OwnedRollout owned = RandomRollout(11, 66, kFrameSize);
+  for (const v1::RunConfig::Precision precision : {v1::RunConfig::FP32, v1::RunConfig::BF16}) {
+    SCOPED_TRACE(v1::RunConfig::Precision_Name(precision));
+    v1::RunConfig config = SmallConfig(66, "ppo_spcnn");
+    config.mutable_network()->set_frame_size(kFrameSize);
+    config.set_precision(precision);
+    if (!PpoUpdater::Create(config, 1, "cpu", PpoUpdater::Start::kZeros).ok()) continue;  // a CPU without BF16
+    const auto digest = [&](int threads) {
+      const auto updater = *PpoUpdater::Create(config, threads);
+      EXPECT_TRUE(updater->Update(0, owned.rollout, NeverStop).ok());
+      return Crc32c(updater->SaveWeights() + updater->SaveOptimizer());
+    };
+    const uint32_t one = digest(1);
+    EXPECT_EQ(digest(1), one);
+    EXPECT_EQ(digest(2), one);
+  }
 }
 
 TEST(PpoUpdater, StoppedUpdateChangesNothing) {

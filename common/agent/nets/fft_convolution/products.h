@@ -61,13 +61,13 @@ struct Factor {
 
 // c[Rows][kStrip] = init +- a[Rows][depth] b[depth][kStrip], added in the order of depth; no init: zeros. `ahead`:
 // prefetched meanwhile, if it is not null. Loops are of 8 steps, since the end of a loop of 64 is not predicted.
-template <int Rows, Sign S, Target T>
+template <int Rows, typename Op, Target T>
 CRAFTFLEET_SIMD_INLINE void MultiplyBlock(int depth, Factor a, const float* b, int64_t b_step, const float* init,
                                           int64_t init_step, float* c, int64_t c_step, const float* ahead) {
   Block<Rows> sums;
   if (init != nullptr) sums.Begin([&](int m) { return init + m * init_step; });
   const auto step = [&] {
-    sums.template Add<S>([&](int m) { return a.data[m * a.row_step]; }, b);
+    sums.template Add<Op>([&](int m) { return a.data[m * a.row_step]; }, b);
     a.data += a.column_step;
     b += b_step;
   };
@@ -93,16 +93,16 @@ CRAFTFLEET_SIMD_INLINE void MultiplyBlock(int depth, Factor a, const float* b, i
 }
 
 // The same for any number of rows and 64 columns. Out of line, so that each variant is compiled once.
-template <Sign S, Target T>
+template <typename Op, Target T>
 __attribute__((noinline)) void MultiplyPanel(int rows, int depth, Factor a, const float* b, int64_t b_step,
                                              const float* init, int64_t init_step, float* c, int64_t c_step,
                                              Ahead* ahead) {
   for (int column = 0; column < kChannels; column += kStrip) {
     ForBlocks(rows, [&](auto count, int64_t row) {
-      MultiplyBlock<decltype(count)::kRows, S, T>(depth, {a.data + row * a.row_step, a.row_step, a.column_step},
-                                                  b + column, b_step,
-                                                  init != nullptr ? init + row * init_step + column : nullptr,
-                                                  init_step, c + row * c_step + column, c_step, ahead->Next());
+      MultiplyBlock<decltype(count)::kRows, Op, T>(depth, {a.data + row * a.row_step, a.row_step, a.column_step},
+                                                   b + column, b_step,
+                                                   init != nullptr ? init + row * init_step + column : nullptr,
+                                                   init_step, c + row * c_step + column, c_step, ahead->Next());
     });
   }
 }
@@ -140,12 +140,12 @@ inline void MultiplySpectra(int frequencies, int tiles, const float* a, const fl
           Store(sums + i * kChannels + k, Load(at) + Load(at + kChannels));
         }
       }
-      MultiplyPanel<Sign::kPlus, Target::kCached>(rows, kChannels, {sums, kChannels, 1}, re, kChannels, nullptr, 0,
-                                                  products, kChannels, &ahead);
-      MultiplyPanel<Sign::kPlus, Target::kStreamed>(rows, kChannels, {a_re, kSpectrumFloats, 1}, difference, kChannels,
-                                                    products, kChannels, c_re + kChannels, c_step, &ahead);
-      MultiplyPanel<Sign::kMinus, Target::kStreamed>(rows, kChannels, {a_im, kSpectrumFloats, 1}, total, kChannels,
-                                                     products, kChannels, c_re, c_step, &ahead);
+      MultiplyPanel<Plus, Target::kCached>(rows, kChannels, {sums, kChannels, 1}, re, kChannels, nullptr, 0, products,
+                                           kChannels, &ahead);
+      MultiplyPanel<Plus, Target::kStreamed>(rows, kChannels, {a_re, kSpectrumFloats, 1}, difference, kChannels,
+                                             products, kChannels, c_re + kChannels, c_step, &ahead);
+      MultiplyPanel<Minus, Target::kStreamed>(rows, kChannels, {a_im, kSpectrumFloats, 1}, total, kChannels, products,
+                                              kChannels, c_re, c_step, &ahead);
     }
   }
   _mm_sfence();
@@ -194,8 +194,8 @@ inline void CorrelateSpectra(int frequencies, int tiles, int chunk_tiles, const 
           }
         }
         const auto add = [&](const float* left, int64_t left_step, const float* right, int64_t right_step, float* sum) {
-          MultiplyPanel<Sign::kPlus, Target::kCached>(kChannels, block.tiles, {left, 1, left_step}, right, right_step,
-                                                      is_first ? nullptr : sum, kChannels, sum, kChannels, &ahead);
+          MultiplyPanel<Plus, Target::kCached>(kChannels, block.tiles, {left, 1, left_step}, right, right_step,
+                                               is_first ? nullptr : sum, kChannels, sum, kChannels, &ahead);
         };
         add(x_re, kSpectrumFloats, d_re, kSpectrumFloats, p);
         add(x_re + kChannels, kSpectrumFloats, d_re + kChannels, kSpectrumFloats, r);
