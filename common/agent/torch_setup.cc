@@ -1,5 +1,8 @@
 #include "common/agent/torch_setup.h"
 
+#include <unistd.h>
+
+#include <csignal>
 #include <fstream>
 #include <istream>
 #include <mutex>
@@ -23,6 +26,7 @@
 #include "common/base/mutex.h"
 #include "common/base/need_threads.h"
 #include "common/base/printable.h"
+#include "common/base/stop_signals.h"
 #include "common/telemetry/log.h"
 
 namespace craftfleet {
@@ -70,6 +74,8 @@ class LogOfWarnings final : public c10::WarningHandler {
 void SetUpTorchThread() {
   thread_local bool is_set_up = false;
   if (is_set_up) return;
+  // Without a StopSignal the main thread must end at a signal, which then has no handler.
+  if (gettid() != getpid()) MaskStopSignals(SIG_BLOCK);
   // LibTorch then starts a thread for each CPU, and hangs if it gets none.
   static std::once_flag once;
   std::call_once(once, NeedThreads, std::thread::hardware_concurrency());

@@ -30,6 +30,7 @@
 
 #include "common/base/check.h"
 #include "common/base/openmp_places.h"
+#include "common/base/stop_signals.h"
 #include "common/process/closest_name.h"
 #include "common/process/flag_values.h"
 #include "common/process/help.h"
@@ -314,7 +315,9 @@ void OutliveReaders() { signal(SIGPIPE, SIG_IGN); }
 StopSignal::StopSignal(std::function<void()> stop) {
   CRAFTFLEET_CHECK(pipe(g_signal_pipe) == 0);
   g_signals = 0;
+  before_ = MaskStopSignals(SIG_BLOCK);
   thread_ = std::thread([stop = std::move(stop)] {
+    MaskStopSignals(SIG_UNBLOCK);
     bool stopped = false;
     char byte = 0;
     while (read(g_signal_pipe[0], &byte, 1) == 1 && byte == kSignalByte) {
@@ -340,6 +343,7 @@ StopSignal::~StopSignal() {
   if (handles_hangup_) signal(SIGHUP, SIG_IGN);
   [[maybe_unused]] const ssize_t written = write(g_signal_pipe[1], &kEndByte, 1);
   thread_.join();
+  pthread_sigmask(SIG_SETMASK, &before_, nullptr);
   close(g_signal_pipe[0]);
   close(g_signal_pipe[1]);
 }

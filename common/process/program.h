@@ -3,6 +3,7 @@
 #ifndef CRAFTFLEET_COMMON_PROCESS_PROGRAM_H_
 #define CRAFTFLEET_COMMON_PROCESS_PROGRAM_H_
 
+#include <csignal>
 #include <functional>
 #include <string>
 #include <thread>
@@ -43,8 +44,8 @@ inline constexpr int kStoppedExitCode = 130;
 
 // Calls `stop` once, on a thread of its own, at the first SIGTERM, SIGINT or SIGHUP (the terminal was closed). A second
 // SIGTERM or SIGINT ends the process at once, even while `stop` runs; SIGHUP never does, because a shell and the kernel
-// may both send it. A program started with nohup keeps ignoring SIGHUP. At most one object at a time in a process;
-// create it before other threads start.
+// may both send it. A program started with nohup keeps ignoring SIGHUP. None of them interrupts the thread that has the
+// object (stop_signals.h). At most one object at a time in a process; create it before other threads start.
 class StopSignal {
  public:
   explicit StopSignal(std::function<void()> stop);
@@ -53,6 +54,7 @@ class StopSignal {
   StopSignal& operator=(const StopSignal&) = delete;
 
  private:
+  sigset_t before_;  // the signals that were blocked
   std::thread thread_;
   bool handles_hangup_ = false;
 };

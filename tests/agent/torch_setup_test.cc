@@ -1,5 +1,6 @@
 #include "common/agent/torch_setup.h"
 
+#include <csignal>
 #include <string>
 #include <thread>
 #include <vector>
@@ -26,6 +27,17 @@ TEST(SetUpTorchThread, LogsEachWarningOfLibTorchOnce) {
   const std::string log = testing::internal::GetCapturedStderr();
   EXPECT_THAT(std::vector<std::string>(absl::StrSplit(log, '\n', absl::SkipEmpty())),
               ElementsAre(HasSubstr("warning: LibTorch: weights are scattered"), HasSubstr("LibTorch: too old")));
+}
+
+TEST(SetUpTorchThread, SignalsThatStopAProgramDoNotInterruptTheThread) {
+  bool is_blocked = false;
+  std::thread([&is_blocked] {
+    SetUpTorchThread();
+    sigset_t blocked;
+    pthread_sigmask(SIG_BLOCK, nullptr, &blocked);
+    is_blocked = sigismember(&blocked, SIGTERM) == 1;
+  }).join();
+  EXPECT_TRUE(is_blocked);
 }
 
 }  // namespace

@@ -12,6 +12,9 @@
 namespace craftfleet {
 namespace {
 
+// As a shell or a supervisor does: to the process, not to a thread.
+void Send(int signal) { kill(getpid(), signal); }
+
 TEST(StopSignal, CallsStopOnAThreadOfItsOwn) {
   for (const int number : {SIGTERM, SIGINT, SIGHUP}) {
     signal(SIGHUP, SIG_DFL);  // the one before leaves it ignored
@@ -20,23 +23,41 @@ TEST(StopSignal, CallsStopOnAThreadOfItsOwn) {
       EXPECT_NE(std::this_thread::get_id(), here);
       ++stops;
     });
-    raise(number);
+    Send(number);
     EXPECT_TRUE(WaitUntil([&] { return stops == 1; }));
   }
+}
+
+// A handler would write its frame where oneDNN's code has put the stack pointer.
+TEST(StopSignal, TheThreadThatHasItIsNotInterrupted) {
+  const auto is_blocked = [](int signal) {
+    sigset_t blocked;
+    pthread_sigmask(SIG_BLOCK, nullptr, &blocked);
+    return sigismember(&blocked, signal) == 1;
+  };
+  {
+    const StopSignal stop([&] { EXPECT_FALSE(is_blocked(SIGTERM)); });
+    for (const int signal : {SIGTERM, SIGINT, SIGHUP}) EXPECT_TRUE(is_blocked(signal));
+    bool blocked_there = false;
+    std::thread([&] { blocked_there = is_blocked(SIGTERM); }).join();
+    EXPECT_TRUE(blocked_there) << "nor are threads that it starts";
+    Send(SIGTERM);
+  }
+  EXPECT_FALSE(is_blocked(SIGTERM));
 }
 
 TEST(StopSignal, HangupsCallStopOnceAndNeverForceAnExit) {
   std::atomic<int> stops{0};
   {
     StopSignal signal([&stops] { ++stops; });
-    raise(SIGHUP);
-    raise(SIGHUP);
-    raise(SIGTERM);
-    raise(SIGHUP);
+    Send(SIGHUP);
+    Send(SIGHUP);
+    Send(SIGTERM);
+    Send(SIGHUP);
     EXPECT_TRUE(WaitUntil([&] { return stops == 1; }));
   }
   EXPECT_EQ(stops, 1);
-  raise(SIGHUP);  // a second hangup, while the process ends
+  Send(SIGHUP);  // a second hangup, while the process ends
   signal(SIGHUP, SIG_DFL);
 }
 
@@ -45,7 +66,7 @@ TEST(StopSignal, LeavesAnIgnoredHangupIgnored) {
   std::atomic<int> stops{0};
   {
     StopSignal signal([&stops] { ++stops; });
-    raise(SIGHUP);
+    Send(SIGHUP);
   }
   EXPECT_EQ(stops, 0);
   signal(SIGHUP, SIG_DFL);
@@ -58,9 +79,9 @@ TEST(StopSignal, LeavesAnIgnoredHangupIgnored) {
     stopping = true;
     while (true) pause();
   });
-  raise(SIGTERM);
+  Send(SIGTERM);
   WaitUntil([&] { return stopping.load(); });
-  raise(SIGTERM);
+  Send(SIGTERM);
   _exit(1);
 }
 
