@@ -82,6 +82,7 @@ TEST(StopSignal, LeavesAnIgnoredHangupIgnored) {
   Send(SIGTERM);
   WaitUntil([&] { return stopping.load(); });
   Send(SIGTERM);
+  sleep(10);  // it reaches another thread
   _exit(1);
 }
 
