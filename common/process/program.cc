@@ -337,12 +337,16 @@ StopSignal::StopSignal(std::function<void()> stop) {
 }
 
 StopSignal::~StopSignal() {
+  [[maybe_unused]] const ssize_t written = write(g_signal_pipe[1], &kEndByte, 1);
+  thread_.join();
+  // Those that no thread has taken yet must not end the process either.
+  const sigset_t signals = StopSignals();
+  const timespec no_wait = {};
+  while (sigtimedwait(&signals, nullptr, &no_wait) > 0) continue;
   signal(SIGTERM, SIG_DFL);
   signal(SIGINT, SIG_DFL);
   // SIGHUP stays ignored: the process is about to end, and a second hangup must not change its exit code.
   if (handles_hangup_) signal(SIGHUP, SIG_IGN);
-  [[maybe_unused]] const ssize_t written = write(g_signal_pipe[1], &kEndByte, 1);
-  thread_.join();
   pthread_sigmask(SIG_SETMASK, &before_, nullptr);
   close(g_signal_pipe[0]);
   close(g_signal_pipe[1]);
