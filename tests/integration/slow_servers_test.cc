@@ -51,14 +51,6 @@ constexpr char kLongRun[] = R"(
   checkpoint { every_iterations: 1000 }
 )";
 
-// Two iterations of 32 steps in each lane.
-constexpr char kShortRun[] = R"(
-  steps: 1024  lanes: 16  seed: 3  fragment_steps: 32
-  env { length: 30 }
-  ppo { rollout_steps: 512  minibatch_size: 256  epochs: 1 }
-  eval { every_steps: 0  final_episodes: 1 }
-)";
-
 class SlowServersTest : public FleetRunTest {
  protected:
   void SetUp() override {
@@ -153,16 +145,6 @@ TEST_F(SlowServersTest, AnActorThatIsStoppedBlamesNoServer) {
   const Stutter stutter(actor_.get(), absl::Milliseconds(950), absl::Milliseconds(50));
   absl::SleepFor(absl::Seconds(15));
   EXPECT_THAT(actor_->Err(), Not(HasSubstr("is slow")));
-}
-
-TEST_F(SlowServersTest, TheOnlyServerAlsoPlaysTheLastEvaluation) {
-  ASSERT_THAT(WriteFileSynced(*shared_ / "config.txt", kShortRun), IsOk());
-  learner_ = StartLearner("short", "127.0.0.1:0");
-  learner_address_ = learner_->WaitForAddress().value();
-  StartActorOn(first_->WaitForAddress().value());
-  const Stutter stutter(first_.get(), absl::Seconds(3), absl::Milliseconds(50));
-  EXPECT_TRUE(actor_->WaitForText("is slow", kPatience)) << actor_->Err();
-  EXPECT_EQ(learner_->Wait(kPatience), 0) << learner_->Err() << actor_->Err();
 }
 
 }  // namespace
