@@ -348,8 +348,7 @@ StopSignal::~StopSignal() {
   // SIGHUP stays ignored: the process is about to end, and a second hangup must not change its exit code.
   if (handles_hangup_) signal(SIGHUP, SIG_IGN);
   pthread_sigmask(SIG_SETMASK, &before_, nullptr);
-  close(g_signal_pipe[0]);
-  close(g_signal_pipe[1]);
+  // The pipe stays open: a thread of a library may still be in the handler.
 }
 
 }  // namespace craftfleet
