@@ -17,8 +17,8 @@ constexpr size_t kMaxUnsyncedBytes = 1 << 20;
 
 }  // namespace
 
-absl::StatusOr<AppendFile> AppendFile::Open(const std::string& path, const Options& options) {
-  AppendFile file(path, options);
+absl::StatusOr<AppendFile> AppendFile::Open(const std::string& path, const EpochFence* fence) {
+  AppendFile file(path, fence);
   CRAFTFLEET_RETURN_IF_ERROR(file.OpenDescriptor());
   CRAFTFLEET_ASSIGN_OR_RETURN(file.length_, file.FindEnd());
   return file;
@@ -26,7 +26,7 @@ absl::StatusOr<AppendFile> AppendFile::Open(const std::string& path, const Optio
 
 AppendFile::AppendFile(AppendFile&& other) noexcept
     : path_(std::move(other.path_)),
-      options_(other.options_),
+      fence_(other.fence_),
       descriptor_(std::exchange(other.descriptor_, -1)),
       length_(other.length_),
       unsynced_(std::move(other.unsynced_)),
@@ -48,9 +48,7 @@ absl::StatusOr<int64_t> AppendFile::FindEnd() const {
   return end;
 }
 
-absl::Status AppendFile::CheckFence() const {
-  return options_.fence != nullptr ? options_.fence->Check() : absl::OkStatus();
-}
+absl::Status AppendFile::CheckFence() const { return fence_ != nullptr ? fence_->Check() : absl::OkStatus(); }
 
 absl::Status AppendFile::Prepare() {
   if (descriptor_ < 0) {
@@ -74,7 +72,7 @@ absl::Status AppendFile::Flush() {
     return status;
   }
   length_ += waiting_bytes();
-  if (options_.durable) unsynced_ += waiting_;
+  unsynced_ += waiting_;
   std::string().swap(waiting_);
   return unsynced_.size() > kMaxUnsyncedBytes ? Sync() : absl::OkStatus();
 }

@@ -18,16 +18,9 @@ namespace craftfleet {
 
 class AppendFile {
  public:
-  struct Options {
-    // Checked before each change of the file; outlives this. Null: no check.
-    const EpochFence* fence = nullptr;
-    // Whether Sync will be used: keeps data written since the last Sync in memory, 1 MiB at most.
-    bool durable = true;
-  };
-
-  // Creates `path` if it does not exist. Errors as FileError (common/io/files.h).
-  static absl::StatusOr<AppendFile> Open(const std::string& path, const Options& options);
-  static absl::StatusOr<AppendFile> Open(const std::string& path) { return Open(path, Options()); }
+  // Creates `path` if it does not exist. `fence` is checked before each change of the file and outlives this; null: no
+  // check. Errors as FileError (common/io/files.h).
+  static absl::StatusOr<AppendFile> Open(const std::string& path, const EpochFence* fence = nullptr);
   AppendFile(AppendFile&& other) noexcept;
   AppendFile& operator=(AppendFile&& other) = delete;
   ~AppendFile();
@@ -38,8 +31,6 @@ class AppendFile {
   // much was written since the last one; then errors as Sync.
   //   ResourceExhausted: disk, quota or file size limit reached.   Others as EpochFence::Check.
   absl::Status Flush();
-  // Discards the buffer.
-  void DropWaiting() { waiting_.clear(); }
 
   // Makes all flushed data durable. On an error, data flushed since the last success returns to the buffer: the system
   // may have dropped it, and a second sync would not report that. The next Flush writes it to a new descriptor.
@@ -54,7 +45,7 @@ class AppendFile {
   const std::string& path() const { return path_; }
 
  private:
-  AppendFile(std::string path, const Options& options) : path_(std::move(path)), options_(options) {}
+  AppendFile(std::string path, const EpochFence* fence) : path_(std::move(path)), fence_(fence) {}
   absl::Status OpenDescriptor();
   absl::StatusOr<int64_t> FindEnd() const;  // the file's length, in bytes
   absl::Status CheckFence() const;
@@ -63,10 +54,10 @@ class AppendFile {
   absl::Status Prepare();
 
   std::string path_;
-  Options options_;
+  const EpochFence* fence_;
   int descriptor_ = -1;  // -1: moved from, or closed by a failed sync
   int64_t length_ = 0;
-  std::string unsynced_;  // data written since the last sync, if `durable`
+  std::string unsynced_;  // data written since the last sync, 1 MiB at most
   std::string waiting_;
   bool torn_ = false;  // the file may be longer than `length_`
 };

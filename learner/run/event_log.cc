@@ -53,8 +53,8 @@ void FillHistogram(const std::vector<double>& values, v1::EventSummary::Histogra
 
 }  // namespace
 
-absl::StatusOr<EventLog> EventLog::Open(const std::string& path, Clock* clock, const AppendFile::Options& options) {
-  CRAFTFLEET_ASSIGN_OR_RETURN(AppendFile file, AppendFile::Open(path, options));
+absl::StatusOr<EventLog> EventLog::Open(const std::string& path, Clock* clock, const EpochFence* fence) {
+  CRAFTFLEET_ASSIGN_OR_RETURN(AppendFile file, AppendFile::Open(path, fence));
   EventLog log(std::move(file), clock);
   if (log.file_.length() == 0) {
     v1::Event event;

@@ -18,6 +18,7 @@
 #include "common/base/clock.h"
 #include "craftfleet/v1/event.pb.h"
 #include "learner/run/append_file.h"
+#include "learner/run/epoch.h"
 
 namespace craftfleet {
 
@@ -36,8 +37,7 @@ struct Histogram {
 class EventLog {
  public:
   // `clock`, the source of the events' wall time, outlives the log. If the file is empty, appends the version record.
-  static absl::StatusOr<EventLog> Open(const std::string& path, Clock* clock,
-                                       const AppendFile::Options& options = AppendFile::Options());
+  static absl::StatusOr<EventLog> Open(const std::string& path, Clock* clock, const EpochFence* fence = nullptr);
 
   // Appends one event with all `scalars` at environment step `step`; file().Flush() writes it.
   void AddScalars(int64_t step, absl::Span<const Scalar> scalars);

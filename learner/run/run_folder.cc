@@ -171,13 +171,11 @@ absl::Status RunFolder::RemoveUnbegunLogs() const {
 }
 
 absl::Status RunFolder::OpenLogs() {
-  AppendFile::Options options;
-  options.fence = &fence_;
   for (const char* name : kEpisodeFiles) {
-    CRAFTFLEET_ASSIGN_OR_RETURN(AppendFile file, AppendFile::Open(JoinPath(logdir_, name), options));
+    CRAFTFLEET_ASSIGN_OR_RETURN(AppendFile file, AppendFile::Open(JoinPath(logdir_, name), &fence_));
     stats_.push_back(std::move(file));
   }
-  CRAFTFLEET_ASSIGN_OR_RETURN(EventLog events, EventLog::Open(JoinPath(logdir_, kEventsFile), clock_, options));
+  CRAFTFLEET_ASSIGN_OR_RETURN(EventLog events, EventLog::Open(JoinPath(logdir_, kEventsFile), clock_, &fence_));
   events_.emplace(std::move(events));
   SyncFolder(JoinPath(logdir_, "..")).IgnoreError();  // which has a new folder's entry; it may not be readable
   return SyncFolder(logdir_);

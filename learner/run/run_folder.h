@@ -86,8 +86,6 @@ class RunFolder {
   // can't be read.
   //   Aborted: a later start has taken over; names it.
   absl::Status CheckOwned() const;
-  // For other writers in the folder; refuses all writes before Begin. Valid for the lifetime of this.
-  const EpochFence* fence() const { return &fence_; }
 
   // Appends training episodes to stats.jsonl and counts them towards the score.
   void AddEpisodes(absl::Span<const Episode> episodes) { Add(EpisodeKind::kTraining, episodes); }
