@@ -176,9 +176,13 @@ void ServerHealth::Prepare(const wire::Endpoint& endpoint, Server* server) {
 
 void ServerHealth::Run() {
   const MutexLock lock(&mu_);
+  absl::Time next_look = absl::InfinitePast();
   while (!stopping_) {
-    changed_state_ = false;
-    changed_.WaitFor(&mu_, std::min(Look(), kBeat),
+    if (changed_state_ || SteadyNow() >= next_look) {
+      changed_state_ = false;
+      next_look = SteadyNow() + Look();
+    }
+    changed_.WaitFor(&mu_, std::min(next_look - SteadyNow(), kBeat),
                      [this]() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_) { return stopping_ || changed_state_; });
     const absl::Time now = SteadyNow();
     if (now - beat_ > kLate) {

@@ -4,6 +4,9 @@
 #include <string>
 #include <vector>
 
+#include <absl/strings/str_cat.h>
+#include <absl/strings/str_format.h>
+
 #include "common/telemetry/log.h"
 
 namespace craftfleet {
@@ -43,6 +46,7 @@ std::vector<Permit> Assignment::GrantOverdue(LaneActor* actor) {
   const int capacity = CapacityOf(*actor);
   const int most = options_.is_asynchronous ? capacity : std::min(capacity, FairShares().Most());
   const absl::Time now = clock_->Now();
+  std::string first;  // of those granted
   for (LaneState& lane : table_->lanes()) {
     if (static_cast<int>(actor->permits.size()) >= most) break;
     const absl::Duration age = now - lane.since;
@@ -50,10 +54,16 @@ std::vector<Permit> Assignment::GrantOverdue(LaneActor* actor) {
     const bool is_its_turn = age > overdue_.Limit() + options_.patience || IsPreferred(lane, *actor);
     if (!is_its_turn || lane.IsPlayedBy(*actor) || IsAvoided(lane, *actor, now)) continue;
     const LaneState::Player& last = lane.players.back();
-    LogInfo("actor %s has had fragment %d of lane %d for %s: actor %s plays it too", last.actor->worker->name,
-            lane.permit->fragment, lane.number, Rounded(now - last.since), actor->worker->name);
+    if (granted.empty()) {
+      first = absl::StrFormat("fragment %d of lane %d, which actor %s has had for %s", lane.permit->fragment,
+                              lane.number, last.actor->worker->name, Rounded(now - last.since));
+    }
     table_->AddPlayer(actor, &lane);
     granted.push_back(*lane.permit);
+  }
+  if (!granted.empty()) {
+    const std::string more = granted.size() == 1 ? "" : absl::StrCat(", and ", granted.size() - 1, " more");
+    LogInfo("actor %s also plays %s%s", actor->worker->name, first, more);
   }
   return granted;
 }

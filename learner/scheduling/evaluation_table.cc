@@ -21,6 +21,7 @@ bool IsSame(const Episode& a, const Episode& b) {
 void EvaluationTable::Add(Evaluation evaluation) {
   Entry& entry = entries_.emplace_back();
   entry.evaluation = std::move(evaluation);
+  for (Part& part : entry.parts) part.since = clock_->Now();
 }
 
 EvaluationTable::Player* EvaluationTable::FindPlayer(absl::string_view actor, Part* part) {
@@ -45,18 +46,19 @@ void EvaluationTable::Renew(absl::string_view actor, int64_t id, absl::Duration 
 }
 
 std::optional<EvaluationTable::Task> EvaluationTable::Take(absl::string_view actor, absl::Duration lease,
-                                                           absl::string_view client) {
+                                                           absl::string_view client, bool is_late) {
   const absl::Time now = clock_->Now();
   for (Entry& entry : entries_) {
     for (size_t i = 0; i < entry.parts.size(); ++i) {
       Part& part = entry.parts[i];
-      if (!IsFree(part, actor, client, now)) continue;
+      if (!IsFree(part, actor, client, is_late, now)) continue;
       if (!part.players.empty()) {
         const Player& last = part.players.back();
         LogInfo("actor %s has had evaluation task %d for %s: actor %s plays it too", last.actor,
                 TaskId(entry.evaluation, i), absl::FormatDuration(absl::Trunc(now - last.since, absl::Seconds(1))),
                 actor);
       }
+      part.since = now;
       if (Player* const player = FindPlayer(actor, &part); player != nullptr) {
         player->since = now;
         player->lease_end = now + lease;
@@ -71,16 +73,17 @@ std::optional<EvaluationTable::Task> EvaluationTable::Take(absl::string_view act
   return std::nullopt;
 }
 
-bool EvaluationTable::IsFree(const Part& part, absl::string_view actor, absl::string_view client,
+bool EvaluationTable::IsFree(const Part& part, absl::string_view actor, absl::string_view client, bool is_late,
                              absl::Time now) const {
   if (!part.episodes.empty()) return false;
+  const absl::Duration age = now - part.since;
+  const absl::Duration patience = is_late ? kPatienceWithLate : absl::ZeroDuration();
   const std::vector<Player>& players = part.players;
   const auto any = [&](const auto& is) { return std::any_of(players.begin(), players.end(), is); };
-  if (!any([&](const Player& player) { return now < player.lease_end; })) return true;
+  if (!any([&](const Player& player) { return now < player.lease_end; })) return age >= patience;
   if (any([&](const Player& player) { return player.actor == actor; })) return false;
   const bool is_of_client = any([&](const Player& player) { return player.client == client; });
-  const absl::Duration age = now - players.back().since;
-  return age > overdue_.Limit() + (is_of_client ? kPatience : absl::ZeroDuration());
+  return age > overdue_.Limit() + std::max(patience, is_of_client ? kPatience : absl::ZeroDuration());
 }
 
 std::vector<std::string> EvaluationTable::BeingPlayed() const {

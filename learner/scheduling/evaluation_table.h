@@ -44,8 +44,9 @@ struct FinishedEvaluation {
 //
 // An evaluation consists of two tasks, one for each kind of episode. A task is leased like a permit: if none of its
 // players has reported it for its lease, the next actor that requests work gets it. An overdue one (Overdue) is given
-// to one more actor, whatever its players report: at first only to one of another client, after `kPatience` to any. The
-// first result of an actor that got the task counts.
+// to one more actor, whatever its players report: at first only to one of another client, after `kPatience` to any. An
+// actor that is late with its fragments comes last, after `kPatienceWithLate`. The first result of an actor that got
+// the task counts.
 //
 // Not thread-safe.
 class EvaluationTable {
@@ -53,6 +54,7 @@ class EvaluationTable {
   static constexpr absl::Duration kLeast = absl::Seconds(30);    // no task is overdue earlier,
   static constexpr absl::Duration kAtFirst = absl::Minutes(2);   // or this early if there are no results yet
   static constexpr absl::Duration kPatience = absl::Seconds(2);  // longer than the time between two requests
+  static constexpr absl::Duration kPatienceWithLate = absl::Seconds(10);
 
   struct Task {
     int64_t id = 0;  // from 1
@@ -70,8 +72,9 @@ class EvaluationTable {
   // Task `id`, which `actor` reports to be playing (0: none), has a `lease` from now on; frees the actor's other tasks.
   void Renew(absl::string_view actor, int64_t id, absl::Duration lease);
   // Assigns the oldest task that is free or overdue to `actor` of `client` (WorkerClient::Name), which has none, for a
-  // `lease`. Nothing: there is none.
-  std::optional<Task> Take(absl::string_view actor, absl::Duration lease, absl::string_view client = "");
+  // `lease`. `is_late`: with its fragments. Nothing: there is none.
+  std::optional<Task> Take(absl::string_view actor, absl::Duration lease, absl::string_view client = "",
+                           bool is_late = false);
   // Whether `actor` has a task.
   bool IsPlaying(absl::string_view actor) const;
   // The weights (safetensors) to play task `id` with; nullptr: the task is over.
@@ -100,6 +103,7 @@ class EvaluationTable {
     absl::Time lease_end;  // it may send its result even later
   };
   struct Part {
+    absl::Time since;               // when it was added, or last assigned
     std::vector<Player> players;    // in the order in which they got it
     std::vector<Episode> episodes;  // the result; empty until it is over
     std::string sender;             // of the result
@@ -116,8 +120,8 @@ class EvaluationTable {
   // The index in entries_ of the evaluation with task `id`; entries_.size() if not found.
   size_t IndexOf(int64_t id) const;
   static Player* FindPlayer(absl::string_view actor, Part* part);
-  // Whether `part` may be assigned to `actor` at `now`.
-  bool IsFree(const Part& part, absl::string_view actor, absl::string_view client, absl::Time now) const;
+  // Whether `part` may be assigned at `now`; the others as for Take.
+  bool IsFree(const Part& part, absl::string_view actor, absl::string_view client, bool is_late, absl::Time now) const;
 
   Clock* const clock_;
   std::deque<Entry> entries_;

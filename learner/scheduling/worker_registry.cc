@@ -291,7 +291,8 @@ absl::StatusOr<WorkerRegistry::PermitReply> WorkerRegistry::Complete(const Permi
   reply.finished = finished_;
   reply.resting = lanes_.assignment().paused() || actor->draining;
   if (request.evaluates && request.evaluation == 0 && !reply.resting) {
-    reply.evaluation = evaluations_.Take(request.actor, actor->lease, actor->client.Name());
+    const bool is_late = lanes_.table().InfoOf(request.actor).late;
+    reply.evaluation = evaluations_.Take(request.actor, actor->lease, actor->client.Name(), is_late);
   }
   if (!request.wants_servers) return reply;
   workers_.ExpireServers();

@@ -131,6 +131,27 @@ TEST_F(EvaluationTableTest, ActorsOfOtherClientsGetAnOverdueTaskFirst) {
   EXPECT_TRUE(scheduler_.Take("good", kLease, "other").has_value());
 }
 
+// Before, tasks went from one hanging actor to the next while another had time for them.
+TEST_F(EvaluationTableTest, ActorsThatAreLateWithFragmentsComeLast) {
+  scheduler_.Add(SampleEvaluation(1, 1, 1));
+  const auto take_late = [&] { return scheduler_.Take("late", kLease, "client", /*is_late=*/true); };
+  EXPECT_FALSE(take_late().has_value());
+  const auto task = scheduler_.Take("stuck", kLease, "other");
+  ASSERT_TRUE(task.has_value());
+  clock_.Advance(EvaluationTable::kPatienceWithLate);
+  scheduler_.Renew("stuck", task->id, kLease);
+  const auto sampled = take_late();
+  ASSERT_TRUE(sampled.has_value()) << "nobody else has asked for it";
+  EXPECT_NE(sampled->id, task->id);
+  ASSERT_THAT(scheduler_.Finish("late", sampled->id, Episodes(1, 30)), IsOk());
+  for (int second = 0; second < 25; ++second) {
+    scheduler_.Renew("stuck", task->id, kLease);
+    clock_.Advance(absl::Seconds(1));
+  }
+  EXPECT_FALSE(take_late().has_value()) << "it is overdue, but only just";
+  EXPECT_TRUE(scheduler_.Take("good", kLease, "third").has_value());
+}
+
 TEST_F(EvaluationTableTest, TheLimitFollowsTasksThatTakeLonger) {
   for (int number = 1; number <= 2; ++number) {
     scheduler_.Add(SampleEvaluation(number, 1, 1));

@@ -94,6 +94,18 @@ TEST_F(OverdueLanes, AnIdleActorPlaysThemTooAndTheFirstResultCounts) {
   EXPECT_EQ(registry_.permits(), 0);
 }
 
+// One line for all of them: a learner of 512 lanes would log hundreds at once.
+TEST_F(OverdueLanes, TheirNewPlayerIsLoggedInOneLine) {
+  FinishGood();
+  clock_.Advance(kTick);
+  testing::internal::CaptureStderr();
+  ASSERT_THAT(Ask("good").granted, SizeIs(2));
+  const std::string log = testing::internal::GetCapturedStderr();
+  EXPECT_THAT(log, HasSubstr(absl::StrCat("actor good also plays fragment 0 of lane ", of_slow_[0].lane,
+                                          ", which actor slow has had for 3s, and 1 more\n")));
+  EXPECT_EQ(std::count(log.begin(), log.end(), '\n'), 1) << log;
+}
+
 TEST_F(OverdueLanes, TheOthersAreToldWhetherTheySendOrNot) {
   FinishGood();
   clock_.Advance(kTick);
@@ -245,6 +257,26 @@ TEST_F(OverdueLanes, ALatePlayerPausesLongerEachTimeThenTriesOneLane) {
   EXPECT_LE(tries, 10) << "of 200 iterations";
   EXPECT_TRUE(IsLate("slow"));
   EXPECT_FALSE(IsLate("good"));
+}
+
+TEST_F(OverdueLanes, ALatePlayerGetsEvaluationTasksAfterOthers) {
+  FinishGood();
+  clock_.Advance(kTick);
+  ASSERT_THAT(Ask("good").granted, SizeIs(2));
+  ASSERT_EQ(Push("good", of_slow_[0]), Verdict::kAccepted);
+  ASSERT_TRUE(IsLate("slow"));
+  Evaluation evaluation;
+  evaluation.number = 1;
+  evaluation.episodes = 1;
+  registry_.AddEvaluation(evaluation);
+  const auto gets_task = [&](const std::string& actor) {
+    WorkerRegistry::PermitRequest request = TestRegistry::RequestOf(actor, {}, 0);
+    request.evaluates = true;
+    const auto reply = registry_.GetPermits(request);
+    return reply.ok() && reply->evaluation.has_value();
+  };
+  EXPECT_FALSE(gets_task("slow"));
+  EXPECT_TRUE(gets_task("good"));
 }
 
 TEST_F(OverdueLanes, ALatePlayerThatFinishesAFragmentIsAsGoodAsOthers) {
