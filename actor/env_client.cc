@@ -89,11 +89,12 @@ absl::Status EnvClient::Connect(absl::Duration patience) {
 
 absl::Status EnvClient::CheckCanary() {
   if (hello_.game_canary().empty() || reply_.canary() == hello_.game_canary()) return absl::OkStatus();
-  Disconnect();
-  return absl::FailedPreconditionError(absl::StrFormat(
+  absl::Status error = absl::FailedPreconditionError(absl::StrFormat(
       "environment server %s plays another game: its canary is %s, want %s; run the same build everywhere",
       server_.address, reply_.canary().empty() ? "none" : absl::CHexEscape(reply_.canary().substr(0, 64)),
       hello_.game_canary()));
+  Disconnect();
+  return error;
 }
 
 bool EnvClient::Reachable() const {
@@ -242,7 +243,7 @@ void EnvClient::Leave() {
   stream_->WritesDone();
   stream_->Finish();
   timer_.Disarm();
-  stream_ = nullptr;
+  EndSession();
 }
 
 void EnvClient::Disconnect() {
@@ -252,7 +253,12 @@ void EnvClient::Disconnect() {
     context_->TryCancel();
   }
   stream_->Finish();
+  EndSession();
+}
+
+void EnvClient::EndSession() {
   stream_ = nullptr;
+  reply_ = v1::PlayReply();
 }
 
 absl::Status EnvClient::Send(absl::Duration limit) {
@@ -283,7 +289,7 @@ absl::Status EnvClient::Broken() {
   }
   stream_->WritesDone();
   const absl::Status status = wire::FromCall(stream_->Finish(), context, server_);
-  stream_ = nullptr;
+  EndSession();
   MutexLock lock(&mu_);
   if (cancelled_) return absl::CancelledError("stopping");
   if (overdue_) {

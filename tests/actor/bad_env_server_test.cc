@@ -1,5 +1,7 @@
 // Games on environment servers that misbehave.
 
+#include <malloc.h>
+
 #include <atomic>
 #include <functional>
 #include <memory>
@@ -130,6 +132,28 @@ class BadEnvServer : public testing::Test {
   std::vector<EnvPool::OpenedLane> refused_;  // by the last Open
   size_t lost_ = 0;
 };
+
+// Each bad server that an actor met cost it tens of megabytes for the time that it remembered the server.
+TEST_F(BadEnvServer, ARefusedReplyOf32MegabytesIsNotKept) {
+  constexpr size_t kReplyBytes = 32 << 20;
+  const auto in_use = [] {
+    const struct mallinfo2 heap = mallinfo2();
+    return heap.uordblks + heap.hblkhd;
+  };
+  Start([](const v1::PlayRequest&, v1::PlayReply* reply) {
+    reply->set_frames(std::string(kReplyBytes, 'x'));
+    return true;
+  });
+  service_->spares_probe = false;
+  const size_t before = in_use();
+  std::vector<std::unique_ptr<EnvClient>> clients;
+  for (int i = 0; i < 6; ++i) {
+    clients.push_back(
+        std::make_unique<EnvClient>(wire::Connect(server_->address()), SampleHello(50), kFrameBytes, kTimeout));
+    EXPECT_THAT(clients.back()->Connect(absl::Seconds(5)), StatusIs(absl::StatusCode::kDataLoss, testing::_));
+  }
+  EXPECT_TRUE(WaitUntil([&] { return in_use() < before + 2 * kReplyBytes; })) << in_use() - before << " bytes";
+}
 
 TEST_F(BadEnvServer, ASilentServerCostsOneDeadlineAndIsUsedAgainOnceItAnswers) {
   Start([](const v1::PlayRequest& request, v1::PlayReply*) { return !request.has_step(); });
