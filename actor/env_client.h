@@ -118,7 +118,7 @@ class EnvClient {
   absl::Status EndIfInvalid(const absl::Status& checked) ABSL_LOCKS_EXCLUDED(mu_);
   // Adds the reply's moments to `moments_` if the session records.
   absl::Status TakeMoments(size_t lanes);
-  // The session is over. Its last reply may have tens of megabytes, which a client of a bad server would keep.
+  // Notes that the session is over and frees its last reply: those of a bad server may take tens of megabytes.
   void EndSession();
   // Ends the session after a failed read or write, and returns its error.
   absl::Status Broken() ABSL_LOCKS_EXCLUDED(mu_);

@@ -54,9 +54,9 @@ std::optional<EvaluationTable::Task> EvaluationTable::Take(absl::string_view act
       if (!IsFree(part, actor, client, is_late, now)) continue;
       if (!part.players.empty()) {
         const Player& last = part.players.back();
-        LogInfo("actor %s has had evaluation task %d for %s: actor %s plays it too", last.actor,
-                TaskId(entry.evaluation, i), absl::FormatDuration(absl::Trunc(now - last.since, absl::Seconds(1))),
-                actor);
+        LogInfo("actor %s also plays evaluation task %d, which actor %s has had for %s", actor,
+                TaskId(entry.evaluation, i), last.actor,
+                absl::FormatDuration(absl::Trunc(now - last.since, absl::Seconds(1))));
       }
       part.since = now;
       if (Player* const player = FindPlayer(actor, &part); player != nullptr) {
@@ -76,13 +76,15 @@ std::optional<EvaluationTable::Task> EvaluationTable::Take(absl::string_view act
 bool EvaluationTable::IsFree(const Part& part, absl::string_view actor, absl::string_view client, bool is_late,
                              absl::Time now) const {
   if (!part.episodes.empty()) return false;
-  const absl::Duration age = now - part.since;
   const absl::Duration patience = is_late ? kPatienceWithLate : absl::ZeroDuration();
   const std::vector<Player>& players = part.players;
   const auto any = [&](const auto& is) { return std::any_of(players.begin(), players.end(), is); };
-  if (!any([&](const Player& player) { return now < player.lease_end; })) return age >= patience;
+  if (!any([&](const Player& player) { return now < player.lease_end; })) {
+    return now - part.since >= patience;
+  }
   if (any([&](const Player& player) { return player.actor == actor; })) return false;
   const bool is_of_client = any([&](const Player& player) { return player.client == client; });
+  const absl::Duration age = now - players.back().since;
   return age > overdue_.Limit() + std::max(patience, is_of_client ? kPatience : absl::ZeroDuration());
 }
 

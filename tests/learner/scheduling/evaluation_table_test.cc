@@ -131,6 +131,20 @@ TEST_F(EvaluationTableTest, ActorsOfOtherClientsGetAnOverdueTaskFirst) {
   EXPECT_TRUE(scheduler_.Take("good", kLease, "other").has_value());
 }
 
+TEST_F(EvaluationTableTest, AnOverdueTaskThatItsNewPlayerReturnsIsFreeForOthersAtOnce) {
+  scheduler_.Add(SampleEvaluation(1, 1, 1));
+  const auto task = scheduler_.Take("stuck", kLease, "client");
+  const auto other = scheduler_.Take("good", kLease, "other");
+  ASSERT_THAT(scheduler_.Finish("good", other->id, Episodes(1, 30)), IsOk());
+  for (int second = 0; second <= 30; ++second) {
+    scheduler_.Renew("stuck", task->id, kLease);
+    clock_.Advance(absl::Seconds(1));
+  }
+  ASSERT_TRUE(scheduler_.Take("good", kLease, "other").has_value());
+  scheduler_.Renew("good", 0, kLease);
+  EXPECT_TRUE(scheduler_.Take("third", kLease, "third").has_value());
+}
+
 // Before, tasks went from one hanging actor to the next while another had time for them.
 TEST_F(EvaluationTableTest, ActorsThatAreLateWithFragmentsComeLast) {
   scheduler_.Add(SampleEvaluation(1, 1, 1));
