@@ -31,6 +31,7 @@ function(craftfleet_library)
   add_library(craftfleet::${ARG_NAME} ALIAS craftfleet_${ARG_NAME})
   target_include_directories(craftfleet_${ARG_NAME} PUBLIC ${PROJECT_SOURCE_DIR})
   target_link_libraries(craftfleet_${ARG_NAME} PUBLIC ${ARG_DEPS} PRIVATE craftfleet_flags)
+  set_property(GLOBAL APPEND PROPERTY CRAFTFLEET_LIBRARIES craftfleet_${ARG_NAME})
   # With gcc 12 most of the time goes into headers, which a unit of many files parses once. (Precompiled headers save nothing
   # there: loading them takes as long.) Sources with compiler options of their own stay apart.
   if(CRAFTFLEET_UNITY)

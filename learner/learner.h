@@ -16,7 +16,7 @@
 #include "craftfleet/v1/config.pb.h"
 #include "learner/page/live_page.h"
 #include "learner/ppo/ppo_updater.h"
-#include "learner/ranks/rank_links.h"
+#include "learner/ranks/rank_options.h"
 #include "learner/run/progress.h"
 #include "learner/run/run_folder.h"
 #include "learner/scheduling/worker_registry.h"

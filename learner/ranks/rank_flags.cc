@@ -22,7 +22,8 @@ ABSL_FLAG(std::optional<int32_t>, rank, std::nullopt,
           "number of this learner; 0 has the run, others only compute\n"
           "[RANK, SLURM_PROCID or JOB_COMPLETION_INDEX of the environment, or 0]");
 ABSL_FLAG(std::optional<std::string>, master_addr, std::nullopt,
-          "host of rank 0, for the other ranks [MASTER_ADDR of the environment, or 127.0.0.1]");
+          "host on which rank 0 listens for the other ranks, at that address only\n"
+          "[MASTER_ADDR of the environment, or 127.0.0.1]");
 ABSL_FLAG(std::optional<int32_t>, master_port, std::nullopt,
           "port of rank 0 for the other ranks; neither encrypted nor authenticated [MASTER_PORT of the environment, or "
           "29500]");

@@ -5,7 +5,7 @@
 
 #include <absl/status/statusor.h>
 
-#include "learner/ranks/rank_links.h"
+#include "learner/ranks/rank_options.h"
 
 namespace craftfleet {
 

@@ -8,18 +8,15 @@
 #include <chrono>
 #include <exception>
 #include <functional>
+#include <stdexcept>
 #include <utility>
 
 #include <ATen/ATen.h>
-#include <absl/strings/numbers.h>
 #include <absl/strings/str_cat.h>
 #include <absl/strings/str_format.h>
-#include <absl/strings/str_join.h>
-#include <absl/strings/str_split.h>
-#include <absl/time/clock.h>
 #include <torch/csrc/distributed/c10d/PrefixStore.hpp>
 #include <torch/csrc/distributed/c10d/ProcessGroupGloo.hpp>
-#include <torch/csrc/distributed/c10d/TCPStore.hpp>
+#include <torch/csrc/distributed/c10d/Store.hpp>
 
 #include "common/base/clock.h"
 #include "common/base/numeric_host.h"
@@ -32,18 +29,8 @@ constexpr absl::Duration kBeat = absl::Seconds(1);
 constexpr absl::Duration kSilence = absl::Seconds(7);
 // For the connections between ranks that are all there.
 constexpr absl::Duration kConnect = absl::Seconds(30);
-// How long rank 0 waits for the others to hear why they can't be a group.
-constexpr absl::Duration kFarewell = absl::Seconds(3);
-// Between two looks of rank 0 at what the others have stored.
-constexpr absl::Duration kLookAgain = absl::Milliseconds(50);
 constexpr absl::Duration kForever = absl::Hours(24 * 365);
 constexpr int kTag = 0;
-
-// Keys of the store.
-constexpr char kOffer[] = "offer";
-constexpr char kWorldSize[] = "world_size";
-constexpr char kVerdict[] = "verdict";
-std::string KeyOf(absl::string_view what, int rank) { return absl::StrCat(what, "/", rank); }
 
 std::chrono::milliseconds Milliseconds(absl::Duration duration) {
   return absl::ToChronoMilliseconds(std::max(duration, absl::Milliseconds(1)));
@@ -68,15 +55,6 @@ absl::Status Try(const std::function<void()>& f) {
     return absl::UnavailableError(MessageOf(error));
   }
 }
-
-// Whether the store has `key`. Asked again and again where a wait may end early: LibTorch 1.13 takes what the store
-// answers just after the end of a wait for the answer to the next question, and then waits for ever.
-bool Has(const std::string& key, c10d::TCPStore* store) {
-  bool has = false;
-  return Try([&] { has = store->check({key}); }).ok() && has;
-}
-
-std::vector<uint8_t> Bytes(absl::string_view text) { return {text.begin(), text.end()}; }
 
 // The address of this host that others reach it by: the one from which it reaches rank 0. The name of a host often
 // means its loopback address.
@@ -105,32 +83,54 @@ std::string OwnAddress(const RankOptions& options) {
   return own;
 }
 
-// Debian's LibTorch 2.6 asks for libuv by default, but is built without it. Older ones don't have the field.
-template <typename Options>
-auto LeaveOutLibuv(Options* tcp, int /*preferred*/) -> decltype(tcp->useLibUV = false, void()) {
-  tcp->useLibUV = false;
-}
-template <typename Options>
-void LeaveOutLibuv(Options* /*tcp*/, char /*otherwise*/) {}
-
-// Verdicts as text: a code, then the message.
-std::string ToText(const absl::Status& status) {
-  return status.ok() ? "" : absl::StrCat(status.raw_code(), " ", status.message());
+// Throws if `status` is an error, as Gloo expects of a store.
+void OrThrow(const absl::Status& status) {
+  if (!status.ok()) throw std::runtime_error(std::string(status.message()));
 }
 
-absl::Status FromText(const std::string& text) {
-  const std::pair<std::string, std::string> parts = absl::StrSplit(text, absl::MaxSplits(' ', 1));
-  int code = 0;
-  if (!absl::SimpleAtoi(parts.first, &code)) return absl::OkStatus();
-  return absl::Status(static_cast<absl::StatusCode>(code), parts.second);
-}
+// The ranks' store for Gloo, which writes each key once.
+class GlooStore : public c10d::Store {
+ public:
+  explicit GlooStore(std::shared_ptr<RankStore> store)
+      : c10d::Store(Milliseconds(kConnect)), store_(std::move(store)) {}
+
+  void set(const std::string& key, const std::vector<uint8_t>& value) override {
+    OrThrow(store_->Put(key, std::string(value.begin(), value.end())));
+  }
+  std::vector<uint8_t> get(const std::string& key) override {
+    const absl::StatusOr<std::string> value = store_->Await(key, absl::FromChrono(timeout_));
+    OrThrow(value.status());
+    return {value->begin(), value->end()};
+  }
+  bool check(const std::vector<std::string>& keys) override {
+    return std::all_of(keys.begin(), keys.end(), [this](const std::string& key) { return store_->Get(key).ok(); });
+  }
+  void wait(const std::vector<std::string>& keys) override { wait(keys, timeout_); }
+  void wait(const std::vector<std::string>& keys, const std::chrono::milliseconds& timeout) override {
+    for (const std::string& key : keys) OrThrow(store_->Await(key, absl::FromChrono(timeout)).status());
+  }
+
+  // Gloo needs none of these.
+  int64_t add(const std::string& /*key*/, int64_t /*value*/) override { return Unused(); }
+  bool deleteKey(const std::string& /*key*/) override { return Unused() != 0; }
+  int64_t getNumKeys() override { return Unused(); }
+  c10::intrusive_ptr<c10d::Store> clone() { return c10::make_intrusive<GlooStore>(store_); }  // from LibTorch 2.8 on
+
+ private:
+  static int64_t Unused() {
+    OrThrow(absl::UnimplementedError("not a function of the ranks' store"));
+    return 0;
+  }
+
+  const std::shared_ptr<RankStore> store_;
+};
 
 c10::intrusive_ptr<c10d::ProcessGroupGloo> MakeGroup(const char* name, const RankOptions& options,
-                                                     const c10::intrusive_ptr<c10d::Store>& store) {
+                                                     const std::shared_ptr<RankStore>& store) {
   auto gloo = c10d::ProcessGroupGloo::Options::create(Milliseconds(kConnect));
   gloo->devices.push_back(c10d::ProcessGroupGloo::createDeviceForHostname(OwnAddress(options)));
-  return c10::make_intrusive<c10d::ProcessGroupGloo>(c10::make_intrusive<c10d::PrefixStore>(name, store), options.rank,
-                                                     options.world_size, gloo);
+  const auto prefixed = c10::make_intrusive<c10d::PrefixStore>(name, c10::make_intrusive<GlooStore>(store));
+  return c10::make_intrusive<c10d::ProcessGroupGloo>(prefixed, options.rank, options.world_size, gloo);
 }
 
 }  // namespace
@@ -161,147 +161,20 @@ struct RankLinks::Groups {
   c10::intrusive_ptr<c10d::ProcessGroupGloo> beats;  // apart, so that beats don't wait behind data
 };
 
-struct RankMeeting::Store {
-  c10::intrusive_ptr<c10d::TCPStore> tcp;
-};
+absl::Status RankLinks::Available() { return absl::OkStatus(); }
 
-RankMeeting::RankMeeting(const RankOptions& options, std::unique_ptr<Store> store)
-    : options_(options), deadline_(SteadyNow() + options.timeout), store_(std::move(store)) {}
-
-RankMeeting::~RankMeeting() = default;
-
-std::string RankMeeting::address() const { return absl::StrCat(options_.master_addr, ":", options_.master_port); }
-
-absl::StatusOr<std::unique_ptr<RankMeeting>> RankMeeting::Open(const RankOptions& options, const std::string& offer) {
-  std::unique_ptr<RankMeeting> meeting(new RankMeeting(options, std::make_unique<Store>()));
-  const bool is_first = options.rank == 0;
-  int world_size = options.world_size;
-  const absl::Status opened = Try([&] {
-    c10d::TCPStoreOptions tcp;
-    tcp.port = static_cast<uint16_t>(options.master_port);
-    tcp.isServer = is_first;
-    tcp.waitWorkers = false;
-    LeaveOutLibuv(&tcp, 0);
-    tcp.timeout = Milliseconds(options.timeout);
-    auto& store = meeting->store_->tcp;
-    store = c10::make_intrusive<c10d::TCPStore>(is_first ? "127.0.0.1" : options.master_addr, tcp);
-    if (is_first) {
-      store->set(kWorldSize, Bytes(absl::StrCat(options.world_size)));
-      store->set(kOffer, Bytes(offer));
-      meeting->offer_ = offer;
-      return;
-    }
-    const std::vector<uint8_t> size = store->get(kWorldSize);
-    (void)absl::SimpleAtoi(std::string(size.begin(), size.end()), &world_size);
-    const std::vector<uint8_t> offered = store->get(kOffer);
-    meeting->offer_.assign(offered.begin(), offered.end());
-  });
-  if (!opened.ok() && is_first) {
-    return absl::UnavailableError(absl::StrFormat("--master_port=%d: can't listen for the other ranks: %s",
-                                                  options.master_port, opened.message()));
-  }
-  if (!opened.ok()) {
-    return absl::UnavailableError(absl::StrFormat("rank 0 has not come to %s within %s (--rank_timeout): %s",
-                                                  meeting->address(), absl::FormatDuration(options.timeout),
-                                                  opened.message()));
-  }
-  if (world_size != options.world_size) {
-    return absl::FailedPreconditionError(
-        absl::StrFormat("--world_size=%d, but rank 0 at %s has %d: start all ranks with "
-                        "the same",
-                        options.world_size, meeting->address(), world_size));
-  }
-  return meeting;
-}
-
-absl::Status RankMeeting::CheckOthers(const RankBuild& build) {
-  c10d::TCPStore& store = *store_->tcp;
-  std::vector<int> missing;
-  for (int rank = 1; rank < options_.world_size; ++rank) {
-    while (!Has(KeyOf("build", rank), &store) && SteadyNow() < deadline_) {
-      if (options_.should_stop()) return absl::CancelledError("rank 0 was stopped before all ranks had come");
-      absl::SleepFor(kLookAgain);
-    }
-    if (!Has(KeyOf("build", rank), &store)) missing.push_back(rank);
-  }
-  if (!missing.empty()) {
-    return absl::UnavailableError(absl::StrFormat("%s %s of %d %s not come to %s within %s (--rank_timeout)",
-                                                  missing.size() == 1 ? "rank" : "ranks", absl::StrJoin(missing, ", "),
-                                                  options_.world_size, missing.size() == 1 ? "has" : "have", address(),
-                                                  absl::FormatDuration(options_.timeout)));
-  }
-  absl::Status found;
-  for (int rank = 1; rank < options_.world_size && found.ok(); ++rank) {
-    std::vector<uint8_t> bytes;
-    CRAFTFLEET_RETURN_IF_ERROR(Try([&] { bytes = store.get(KeyOf("build", rank)); }));
-    const std::vector<std::string> other =
-        absl::StrSplit(std::string(bytes.begin(), bytes.end()), absl::MaxSplits('\n', 2));
-    if (other.size() != 3) {
-      found = absl::DataLossError(absl::StrFormat("rank %d: its report has %d lines, want 3", rank, other.size()));
-    } else if (!other[2].empty()) {
-      found = absl::FailedPreconditionError(absl::StrFormat("rank %d: %s", rank, other[2]));
-    } else if (other[0] != build.canary) {
-      found = absl::FailedPreconditionError(absl::StrFormat(
-          "rank %d computes other numbers than rank 0 (canary %s of build %s, want %s of build %s): use "
-          "the same build for all ranks and, if their CPUs are of different kinds, --cpu=avx2",
-          rank, other[0], other[1], build.canary, build.build));
-    }
-  }
-  return found;
-}
-
-absl::Status RankMeeting::Report(const RankBuild& build) {
-  c10d::TCPStore& store = *store_->tcp;
-  int64_t processes = 0;
-  std::vector<uint8_t> verdict;
-  const absl::Status reported = Try([&] {
-    processes = store.add(KeyOf("process", options_.rank), 1);
-    if (processes > 1) return;
-    store.set(KeyOf("build", options_.rank),
-              Bytes(absl::StrCat(build.canary, "\n", build.build, "\n", build.objection.message())));
-    store.wait({kVerdict}, Milliseconds(options_.timeout + kFarewell));
-    verdict = store.get(kVerdict);
-    store.set(KeyOf("heard", options_.rank), Bytes("1"));
-  });
-  if (!reported.ok()) {
-    return absl::UnavailableError(
-        absl::StrFormat("rank 0 at %s has left before all ranks had come: %s", address(), reported.message()));
-  }
-  if (processes > 1) {
-    return absl::AlreadyExistsError(
-        absl::StrFormat("rank %d is already in the group at %s: another process has it, or the group has yet to end",
-                        options_.rank, address()));
-  }
-  return FromText(std::string(verdict.begin(), verdict.end()));
-}
-
-absl::StatusOr<std::unique_ptr<RankLinks>> RankMeeting::Connect(const RankBuild& build) {
-  c10d::TCPStore& store = *store_->tcp;
-  if (options_.rank > 0) {
-    CRAFTFLEET_RETURN_IF_ERROR(Report(build));
-  } else {
-    const absl::Status found = CheckOthers(build);
-    CRAFTFLEET_RETURN_IF_ERROR(Try([&] { store.set(kVerdict, Bytes(ToText(found))); }));
-    if (!found.ok()) {
-      // The store ends with this process.
-      const absl::Time deadline = SteadyNow() + kFarewell;
-      for (int rank = 1; rank < options_.world_size; ++rank) {
-        if (!Has(KeyOf("build", rank), &store)) continue;
-        while (!Has(KeyOf("heard", rank), &store) && SteadyNow() < deadline) absl::SleepFor(kLookAgain);
-      }
-      return found;
-    }
-  }
-  auto groups = std::make_unique<RankLinks::Groups>();
+absl::StatusOr<std::unique_ptr<RankLinks>> RankLinks::Connect(const RankOptions& options,
+                                                              const std::shared_ptr<RankStore>& store) {
+  auto groups = std::make_unique<Groups>();
   const absl::Status connected = Try([&] {
-    groups->to_higher = MakeGroup("to_higher", options_, store_->tcp);
-    groups->to_lower = MakeGroup("to_lower", options_, store_->tcp);
-    groups->beats = MakeGroup("beats", options_, store_->tcp);
+    groups->to_higher = MakeGroup("to_higher", options, store);
+    groups->to_lower = MakeGroup("to_lower", options, store);
+    groups->beats = MakeGroup("beats", options, store);
   });
   if (!connected.ok()) {
     return absl::UnavailableError(absl::StrCat("the ranks have come, but can't connect: ", connected.message()));
   }
-  return std::unique_ptr<RankLinks>(new RankLinks(options_.rank, options_.world_size, std::move(groups)));
+  return std::unique_ptr<RankLinks>(new RankLinks(options.rank, options.world_size, std::move(groups)));
 }
 
 RankLinks::RankLinks(int rank, int size, std::unique_ptr<Groups> groups)

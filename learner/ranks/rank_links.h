@@ -1,10 +1,8 @@
-// How the learners of one run ("ranks") find each other, and the connections between them: c10d's TCPStore and Gloo.
-// Nothing of them is encrypted or authenticated.
+// Connections between the learners of one run ("ranks"), by Gloo. They are neither encrypted nor authenticated.
 
 #ifndef CRAFTFLEET_LEARNER_RANKS_RANK_LINKS_H_
 #define CRAFTFLEET_LEARNER_RANKS_RANK_LINKS_H_
 
-#include <functional>
 #include <memory>
 #include <string>
 #include <thread>
@@ -16,31 +14,22 @@
 #include <absl/types/span.h>
 
 #include "common/base/mutex.h"
+#include "learner/ranks/rank_options.h"
+#include "learner/ranks/rank_store.h"
 
 namespace craftfleet {
-
-struct RankOptions {
-  int rank = 0;                                              // of this process, 0..world_size-1
-  int world_size = 1;                                        // ranks of the run
-  std::string given = "--world_size=1";                      // what said so, for messages: a flag or a variable
-  std::string master_addr = "127.0.0.1";                     // where rank 0 is, for all
-  int master_port = 29500;                                   // where rank 0 listens, on every address of its host
-  absl::Duration timeout = absl::Minutes(5);                 // for all ranks to come
-  std::function<bool()> should_stop = [] { return false; };  // asked by rank 0 while it waits for the others
-};
-
-// What all ranks must have in common.
-struct RankBuild {
-  std::string canary;  // PolicyCanary
-  std::string build;   // for messages
-  // Why this rank can't be part of what rank 0 offers. OK: it can.
-  absl::Status objection = absl::OkStatus();
-};
 
 // Connections of a rank to those before and after it. A rank that says nothing for 7 s is lost; that ends the links.
 // Transfers are for one thread, the rest is thread-safe.
 class RankLinks {
  public:
+  // Whether this build can connect ranks.
+  //   Unimplemented: it was built without Gloo's headers.
+  static absl::Status Available();
+  // Connects all ranks, which call it together. The store stays as long as the links.
+  //   Unavailable: they can't; the message says why.
+  static absl::StatusOr<std::unique_ptr<RankLinks>> Connect(const RankOptions& options,
+                                                            const std::shared_ptr<RankStore>& store);
   ~RankLinks();
   RankLinks(const RankLinks&) = delete;
   RankLinks& operator=(const RankLinks&) = delete;
@@ -71,7 +60,6 @@ class RankLinks {
   absl::Status ended() const ABSL_LOCKS_EXCLUDED(mutex_);
 
  private:
-  friend class RankMeeting;
   struct Groups;  // of c10d
 
   RankLinks(int rank, int size, std::unique_ptr<Groups> groups);
@@ -91,43 +79,6 @@ class RankLinks {
   absl::Status ended_ ABSL_GUARDED_BY(mutex_);
   std::vector<Operation*> running_ ABSL_GUARDED_BY(mutex_);
   std::thread beats_;
-};
-
-// Where the ranks meet before they are a group.
-class RankMeeting {
- public:
-  // Rank 0 listens and offers `offer` to the others, which connect and get it. Returns when this rank is there.
-  //   Unavailable: rank 0 can't listen, or has not come in time; the message has address and port.
-  //   FailedPrecondition: this rank and rank 0 have different world sizes.   Unimplemented: this build has no ranks.
-  static absl::StatusOr<std::unique_ptr<RankMeeting>> Open(const RankOptions& options, const std::string& offer);
-  ~RankMeeting();
-  RankMeeting(const RankMeeting&) = delete;
-  RankMeeting& operator=(const RankMeeting&) = delete;
-
-  // Rank 0's.
-  const std::string& offer() const { return offer_; }
-
-  // Waits for all ranks, compares their builds and connects them. To be called once.
-  //   Unavailable: some have not come in time; names them.   FailedPrecondition: a rank computes other numbers than
-  //   rank 0, or objects; names it.   AlreadyExists: another process has this rank. All ranks that came get the first
-  //   two.
-  //   Cancelled: rank 0's should_stop said so.
-  absl::StatusOr<std::unique_ptr<RankLinks>> Connect(const RankBuild& build);
-
- private:
-  struct Store;
-
-  RankMeeting(const RankOptions& options, std::unique_ptr<Store> store);
-  // Rank 0: waits for the others. What is wrong with them; OK: nothing.
-  absl::Status CheckOthers(const RankBuild& build);
-  // The others: tell rank 0 that they are here and what they are, and learn what it found.
-  absl::Status Report(const RankBuild& build);
-  std::string address() const;
-
-  const RankOptions options_;
-  const absl::Time deadline_;
-  const std::unique_ptr<Store> store_;
-  std::string offer_;
 };
 
 }  // namespace craftfleet

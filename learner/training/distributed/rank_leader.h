@@ -16,7 +16,7 @@
 #include "learner/ppo/ppo_updater.h"
 #include "learner/ppo/value_norm.h"
 #include "learner/ranks/rank_group.h"
-#include "learner/ranks/rank_links.h"
+#include "learner/ranks/rank_meeting.h"
 #include "learner/training/distributed/rank_messages.h"
 
 namespace craftfleet {

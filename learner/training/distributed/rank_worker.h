@@ -13,7 +13,7 @@
 #include "craftfleet/v1/config.pb.h"
 #include "learner/ppo/ppo_updater.h"
 #include "learner/ranks/rank_group.h"
-#include "learner/ranks/rank_links.h"
+#include "learner/ranks/rank_meeting.h"
 #include "learner/training/distributed/rank_messages.h"
 #include "learner/training/fragments/fragment_frames.h"
 #include "learner/training/stop_flag.h"

@@ -17,7 +17,7 @@
 #include <gtest/gtest.h>
 
 #include "learner/ranks/rank_group.h"
-#include "learner/ranks/rank_links.h"
+#include "learner/ranks/rank_meeting.h"
 
 namespace craftfleet::testing {
 

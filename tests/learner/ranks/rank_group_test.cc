@@ -1,6 +1,7 @@
 #include "learner/ranks/rank_group.h"
 
 #include <sys/wait.h>
+#include <unistd.h>
 
 #include <csignal>
 #include <memory>
@@ -12,6 +13,7 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include "tests/fakes/test_paths.h"
 #include "tests/learner/ranks/local_ranks.h"
 
 namespace craftfleet {
@@ -191,12 +193,9 @@ class OtherProcess {
  public:
   explicit OtherProcess(int port) : pid_(fork()) {
     if (pid_ != 0) return;
-    const auto meeting = RankMeeting::Open(LocalRank(1, 2, port), "");
-    auto links = (*meeting)->Connect({"canary", "build"});
-    RankGroup group(*std::move(links));
-    std::string bytes;
-    (void)group.Broadcast(&bytes);
-    _exit(0);
+    const std::string program = BuiltProgram("other_rank");
+    execl(program.c_str(), program.c_str(), absl::StrCat(port).c_str(), nullptr);
+    _exit(127);
   }
   ~OtherProcess() {
     Signal(SIGKILL);
@@ -288,6 +287,38 @@ TEST(RankMeeting, MissingRank0IsAnErrorAfterTheTimeout) {
   const auto meeting = RankMeeting::Open(options, "");
   EXPECT_EQ(meeting.status().code(), absl::StatusCode::kUnavailable);
   EXPECT_THAT(std::string(meeting.status().message()), HasSubstr("rank 0 has not come to 127.0.0.1:"));
+}
+
+TEST(RankMeeting, Rank0ListensOnTheGivenAddressOnly) {
+  RankOptions options = LocalRank(0, 2, FreePort());
+  options.master_addr = "127.0.0.2";
+  const auto first = RankMeeting::Open(options, "");
+  ASSERT_TRUE(first.ok()) << first.status();
+  options.rank = 1;
+  EXPECT_TRUE(RankMeeting::Open(options, "").ok());
+  options.master_addr = "127.0.0.1";
+  options.timeout = absl::Seconds(1);
+  EXPECT_EQ(RankMeeting::Open(options, "").status().code(), absl::StatusCode::kUnavailable);
+}
+
+TEST(RankMeeting, AnAddressOfAnotherHostIsAnErrorOfRank0) {
+  RankOptions options = LocalRank(0, 2, FreePort());
+  options.master_addr = "192.0.2.1";  // for documentation: nobody's
+  const absl::Status status = RankMeeting::Open(options, "").status();
+  EXPECT_EQ(status.code(), absl::StatusCode::kUnavailable);
+  EXPECT_THAT(std::string(status.message()), HasSubstr("--master_addr=192.0.2.1 --master_port="));
+  EXPECT_THAT(std::string(status.message()), HasSubstr("the host is not this machine"));
+}
+
+TEST(RankMeeting, AnAddressOfIPv6NeedsNoBrackets) {
+  RankOptions options = LocalRank(0, 2, FreePort());
+  options.master_addr = "::1";
+  const auto first = RankMeeting::Open(options, "offer");
+  ASSERT_TRUE(first.ok()) << first.status();
+  options.rank = 1;
+  const auto second = RankMeeting::Open(options, "");
+  ASSERT_TRUE(second.ok()) << second.status();
+  EXPECT_EQ((*second)->offer(), "offer");
 }
 
 TEST(RankMeeting, SecondProcessOfARankIsRefused) {
