@@ -136,6 +136,7 @@ const FieldExpectations& Expectations() {
 //   access.proto  access_test, fuzz target access
 //   config.proto  config_test, fuzz target config
 //   event.proto   never read
+//   ranks.proto   rank_store_test
 
 void FillSummary(v1::ProcessSummary* summary) {
   summary->set_last_error("an error");
