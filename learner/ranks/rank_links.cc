@@ -20,7 +20,6 @@
 
 #include "common/base/clock.h"
 #include "common/base/numeric_host.h"
-#include "common/base/status_macros.h"
 
 namespace craftfleet {
 namespace {

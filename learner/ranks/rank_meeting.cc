@@ -3,7 +3,6 @@
 #include <utility>
 #include <vector>
 
-#include <absl/strings/match.h>
 #include <absl/strings/numbers.h>
 #include <absl/strings/str_cat.h>
 #include <absl/strings/str_format.h>
@@ -30,12 +29,6 @@ constexpr char kVerdict[] = "verdict";
 std::string BuildOf(int rank) { return absl::StrCat("build/", rank); }
 std::string HeardOf(int rank) { return absl::StrCat("heard/", rank); }
 
-// HOST:PORT of rank 0.
-std::string AddressOf(const RankOptions& options) {
-  const bool is_ipv6 = absl::StrContains(options.master_addr, ':') && !absl::StartsWith(options.master_addr, "[");
-  return absl::StrCat(is_ipv6 ? "[" : "", options.master_addr, is_ipv6 ? "]:" : ":", options.master_port);
-}
-
 // Verdicts as text: a code, then the message.
 std::string ToText(const absl::Status& status) {
   return status.ok() ? "" : absl::StrCat(status.raw_code(), " ", status.message());
@@ -52,7 +45,7 @@ absl::Status NotCome(const std::vector<int>& missing, const RankOptions& options
   const bool is_one = missing.size() == 1;
   return absl::UnavailableError(absl::StrFormat("%s %s of %d %s not come to %s within %s (--rank_timeout)",
                                                 is_one ? "rank" : "ranks", absl::StrJoin(missing, ", "),
-                                                options.world_size, is_one ? "has" : "have", AddressOf(options),
+                                                options.world_size, is_one ? "has" : "have", options.address(),
                                                 absl::FormatDuration(options.timeout)));
 }
 
@@ -71,7 +64,7 @@ absl::Status CheckReport(int rank, const std::string& report, const RankBuild& b
 }
 
 absl::StatusOr<std::shared_ptr<RankStore>> Offer(const RankOptions& options, const std::string& offer) {
-  absl::StatusOr<std::shared_ptr<RankStore>> store = RankStore::Serve(AddressOf(options));
+  absl::StatusOr<std::shared_ptr<RankStore>> store = RankStore::Serve(options.address());
   if (!store.ok()) {
     return absl::Status(store.status().code(),
                         absl::StrFormat("--master_addr=%s --master_port=%d: can't listen for the other ranks: %s",
@@ -93,18 +86,18 @@ absl::StatusOr<std::unique_ptr<RankMeeting>> RankMeeting::Open(const RankOptions
     CRAFTFLEET_ASSIGN_OR_RETURN(std::shared_ptr<RankStore> store, Offer(options, offer));
     return std::unique_ptr<RankMeeting>(new RankMeeting(options, std::move(store), offer));
   }
-  const absl::StatusOr<std::shared_ptr<RankStore>> store = RankStore::Join(AddressOf(options), options.timeout);
+  const absl::StatusOr<std::shared_ptr<RankStore>> store = RankStore::Join(options.address(), options.timeout);
   if (!store.ok()) {
     return absl::Status(store.status().code(),
-                        absl::StrFormat("rank 0 has not come to %s within %s (--rank_timeout): %s", AddressOf(options),
+                        absl::StrFormat("rank 0 has not come to %s within %s (--rank_timeout): %s", options.address(),
                                         absl::FormatDuration(options.timeout), store.status().message()));
   }
-  CRAFTFLEET_ASSIGN_OR_RETURN(const std::string world_size, (*store)->Await(kWorldSize, kFarewell));
-  CRAFTFLEET_ASSIGN_OR_RETURN(std::string offered, (*store)->Await(kOffer, kFarewell));
+  CRAFTFLEET_ASSIGN_OR_RETURN(const std::string world_size, (*store)->Await(kWorldSize, options.timeout));
+  CRAFTFLEET_ASSIGN_OR_RETURN(std::string offered, (*store)->Await(kOffer, options.timeout));
   if (world_size != absl::StrCat(options.world_size)) {
     return absl::FailedPreconditionError(
         absl::StrFormat("--world_size=%d, but rank 0 at %s has %s: start all ranks with the same", options.world_size,
-                        AddressOf(options), world_size));
+                        options.address(), world_size));
   }
   return std::unique_ptr<RankMeeting>(new RankMeeting(options, *store, std::move(offered)));
 }
@@ -141,13 +134,13 @@ absl::Status RankMeeting::Report(const RankBuild& build) {
   if (absl::IsAlreadyExists(stored)) {
     return absl::AlreadyExistsError(
         absl::StrFormat("rank %d is already in the group at %s: another process has it, or the group has yet to end",
-                        options_.rank, AddressOf(options_)));
+                        options_.rank, options_.address()));
   }
   const absl::StatusOr<std::string> verdict =
       stored.ok() ? store_->Await(kVerdict, options_.timeout + kFarewell) : absl::StatusOr<std::string>(stored);
   if (!verdict.ok()) {
     return absl::UnavailableError(absl::StrFormat("rank 0 at %s has left before all ranks had come: %s",
-                                                  AddressOf(options_), verdict.status().message()));
+                                                  options_.address(), verdict.status().message()));
   }
   (void)store_->Put(HeardOf(options_.rank), "");  // rank 0 waits for that only if it is about to leave
   return FromText(*verdict);

@@ -6,6 +6,8 @@
 #include <functional>
 #include <string>
 
+#include <absl/strings/match.h>
+#include <absl/strings/str_cat.h>
 #include <absl/time/time.h>
 
 namespace craftfleet {
@@ -18,6 +20,12 @@ struct RankOptions {
   int master_port = 29500;                                   // at this port
   absl::Duration timeout = absl::Minutes(5);                 // for all ranks to come
   std::function<bool()> should_stop = [] { return false; };  // asked by rank 0 while it waits for the others
+
+  // HOST:PORT of rank 0.
+  std::string address() const {
+    const bool is_ipv6 = absl::StrContains(master_addr, ':') && !absl::StartsWith(master_addr, "[");
+    return absl::StrCat(is_ipv6 ? "[" : "", master_addr, is_ipv6 ? "]:" : ":", master_port);
+  }
 };
 
 }  // namespace craftfleet

@@ -20,10 +20,10 @@ namespace craftfleet {
 //   Unavailable: rank 0 has left.   DeadlineExceeded: it is silent.
 class RankStore {
  public:
-  // Rank 0's, which listens on `address`, HOST:PORT, and nowhere else.
+  // Creates rank 0's store, which listens on `address`, HOST:PORT, and nowhere else.
   //   Unavailable: it can't; the message says why.   InvalidArgument: not an address.
   static absl::StatusOr<std::shared_ptr<RankStore>> Serve(const std::string& address);
-  // Rank 0's for the others. Waits until it is there.
+  // Connects another rank to rank 0's store, as soon as that listens.
   //   Unavailable: it has not come in time.   InvalidArgument: not an address.
   static absl::StatusOr<std::shared_ptr<RankStore>> Join(const std::string& address, absl::Duration timeout);
   ~RankStore();

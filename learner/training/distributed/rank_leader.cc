@@ -12,8 +12,8 @@ namespace craftfleet {
 absl::Status RankLeader::Connect(std::function<bool()> should_stop, PpoUpdater* updater) {
   if (ranks_.world_size == 1) return absl::OkStatus();
   ranks_.should_stop = std::move(should_stop);
-  LogInfo("waiting for %d other ranks (%s), at most %s, on %s:%d", ranks_.world_size - 1, ranks_.given,
-          absl::FormatDuration(ranks_.timeout), ranks_.master_addr, ranks_.master_port);
+  LogInfo("waiting for %d other ranks (%s), at most %s, on %s", ranks_.world_size - 1, ranks_.given,
+          absl::FormatDuration(ranks_.timeout), ranks_.address());
   CRAFTFLEET_ASSIGN_OR_RETURN(const std::unique_ptr<RankMeeting> meeting,
                               RankMeeting::Open(ranks_, FormatRankOffer(offer_)));
   CRAFTFLEET_ASSIGN_OR_RETURN(std::unique_ptr<RankLinks> links, meeting->Connect({canary_, BuildId()}));

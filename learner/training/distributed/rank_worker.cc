@@ -25,8 +25,7 @@ constexpr absl::Duration kGrace = absl::Seconds(3);
 
 absl::StatusOr<std::unique_ptr<RankWorker>> RankWorker::Connect(const Options& options) {
   const RankOptions& ranks = options.ranks;
-  LogInfo("rank %d of %d; waiting for rank 0 at %s:%d", ranks.rank, ranks.world_size, ranks.master_addr,
-          ranks.master_port);
+  LogInfo("rank %d of %d; waiting for rank 0 at %s", ranks.rank, ranks.world_size, ranks.address());
   CRAFTFLEET_ASSIGN_OR_RETURN(const std::unique_ptr<RankMeeting> meeting, RankMeeting::Open(ranks, ""));
   RankOffer offer;
   std::unique_ptr<PpoUpdater> updater;

@@ -289,12 +289,20 @@ TEST(RankMeeting, MissingRank0IsAnErrorAfterTheTimeout) {
   EXPECT_THAT(std::string(meeting.status().message()), HasSubstr("rank 0 has not come to 127.0.0.1:"));
 }
 
+// Rank 0's meeting at `master_addr`; `other` gets the options of rank 1.
+std::unique_ptr<RankMeeting> OpenAt(const std::string& master_addr, RankOptions* other) {
+  *other = LocalRank(0, 2, FreePort());
+  other->master_addr = master_addr;
+  auto meeting = RankMeeting::Open(*other, "offer");
+  EXPECT_TRUE(meeting.ok()) << meeting.status();
+  other->rank = 1;
+  return meeting.ok() ? *std::move(meeting) : nullptr;
+}
+
 TEST(RankMeeting, Rank0ListensOnTheGivenAddressOnly) {
-  RankOptions options = LocalRank(0, 2, FreePort());
-  options.master_addr = "127.0.0.2";
-  const auto first = RankMeeting::Open(options, "");
-  ASSERT_TRUE(first.ok()) << first.status();
-  options.rank = 1;
+  RankOptions options;
+  const auto first = OpenAt("127.0.0.2", &options);
+  ASSERT_NE(first, nullptr);
   EXPECT_TRUE(RankMeeting::Open(options, "").ok());
   options.master_addr = "127.0.0.1";
   options.timeout = absl::Seconds(1);
@@ -311,11 +319,9 @@ TEST(RankMeeting, AnAddressOfAnotherHostIsAnErrorOfRank0) {
 }
 
 TEST(RankMeeting, AnAddressOfIPv6NeedsNoBrackets) {
-  RankOptions options = LocalRank(0, 2, FreePort());
-  options.master_addr = "::1";
-  const auto first = RankMeeting::Open(options, "offer");
-  ASSERT_TRUE(first.ok()) << first.status();
-  options.rank = 1;
+  RankOptions options;
+  const auto first = OpenAt("::1", &options);
+  ASSERT_NE(first, nullptr);
   const auto second = RankMeeting::Open(options, "");
   ASSERT_TRUE(second.ok()) << second.status();
   EXPECT_EQ((*second)->offer(), "offer");

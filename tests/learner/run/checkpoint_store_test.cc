@@ -271,9 +271,10 @@ TEST_F(CheckpointStoreTest, DiscardsCheckpointsOfLaterIterations) {
 }
 
 TEST_F(CheckpointStoreTest, TheNewestCheckpointIsCompleteAfterAKill) {
+  constexpr int kRounds = 20;
   Write(1);
   int64_t newest = 1;
-  for (int round = 0; round < 20; ++round) {
+  for (int round = 0; round < kRounds; ++round) {
     const pid_t writer = ::fork();
     ASSERT_GE(writer, 0);
     if (writer == 0) {
@@ -282,7 +283,8 @@ TEST_F(CheckpointStoreTest, TheNewestCheckpointIsCompleteAfterAKill) {
       }
     }
     ::usleep(500 + 1700 * round);  // so that kills hit at many places
-    while (round == 19 && newest == 1 && !PathExists(temp_ / "iter-00000002")) ::usleep(1000);  // on a slow disk
+    const bool is_last = round + 1 == kRounds;
+    while (is_last && newest == 1 && !PathExists(temp_ / "iter-00000002")) ::usleep(1000);  // on a slow disk
     ASSERT_EQ(::kill(writer, SIGKILL), 0);
     int status = 0;
     ASSERT_EQ(::waitpid(writer, &status, 0), writer);

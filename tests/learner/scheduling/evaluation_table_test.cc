@@ -27,6 +27,18 @@ std::vector<Episode> Episodes(int count, int64_t length) {
 
 class EvaluationTableTest : public testing::Test {
  protected:
+  // Adds an evaluation, of which "good" plays one task, and "stuck" of another client has the other for too long.
+  void LetATaskBeOverdue() {
+    scheduler_.Add(SampleEvaluation(1, 1, 1));
+    const auto task = scheduler_.Take("stuck", kLease, "client");
+    const auto other = scheduler_.Take("good", kLease, "other");
+    ASSERT_THAT(scheduler_.Finish("good", other->id, Episodes(1, 30)), IsOk());
+    for (int second = 0; second <= 30; ++second) {
+      scheduler_.Renew("stuck", task->id, kLease);
+      clock_.Advance(absl::Seconds(1));
+    }
+  }
+
   FakeClock clock_;
   EvaluationTable scheduler_{&clock_};
 };
@@ -119,27 +131,13 @@ TEST_F(EvaluationTableTest, ActorsThatOnlyReportHoldATaskUpForTheSameTimeEach) {
 }
 
 TEST_F(EvaluationTableTest, ActorsOfOtherClientsGetAnOverdueTaskFirst) {
-  scheduler_.Add(SampleEvaluation(1, 1, 1));
-  const auto task = scheduler_.Take("stuck", kLease, "client");
-  const auto other = scheduler_.Take("good", kLease, "other");
-  ASSERT_THAT(scheduler_.Finish("good", other->id, Episodes(1, 30)), IsOk());
-  for (int second = 0; second <= 30; ++second) {
-    scheduler_.Renew("stuck", task->id, kLease);
-    clock_.Advance(absl::Seconds(1));
-  }
+  LetATaskBeOverdue();
   EXPECT_FALSE(scheduler_.Take("second name", kLease, "client").has_value());
   EXPECT_TRUE(scheduler_.Take("good", kLease, "other").has_value());
 }
 
 TEST_F(EvaluationTableTest, AnOverdueTaskThatItsNewPlayerReturnsIsFreeForOthersAtOnce) {
-  scheduler_.Add(SampleEvaluation(1, 1, 1));
-  const auto task = scheduler_.Take("stuck", kLease, "client");
-  const auto other = scheduler_.Take("good", kLease, "other");
-  ASSERT_THAT(scheduler_.Finish("good", other->id, Episodes(1, 30)), IsOk());
-  for (int second = 0; second <= 30; ++second) {
-    scheduler_.Renew("stuck", task->id, kLease);
-    clock_.Advance(absl::Seconds(1));
-  }
+  LetATaskBeOverdue();
   ASSERT_TRUE(scheduler_.Take("good", kLease, "other").has_value());
   scheduler_.Renew("good", 0, kLease);
   EXPECT_TRUE(scheduler_.Take("third", kLease, "third").has_value());
