@@ -4,6 +4,7 @@
 Usage: deploy/experiments/collect.py [--weights] RUN_FOLDER RESULT
   --weights  also copies the newest checkpoint's weights to the folder RESULT, with config.txt and run.json, so that
              craftfleet watch and eval play them
+The programs are those of build/bin, or of the folder in CRAFTFLEET_BIN.
 """
 
 import os
@@ -14,6 +15,7 @@ import sys
 SYSTEM_PYTHON = "/usr/bin/python3"
 ROOT = pathlib.Path(__file__).resolve().parents[2]
 
+os.environ.setdefault("CRAFTFLEET_BIN", str(ROOT / "build/bin"))
 sys.path.insert(0, str(ROOT / "deploy/python/craftfleet"))
 try:
   from analysis import runs  # noqa: E402

@@ -119,6 +119,23 @@ class Results(package.Case):
     runs.save_result(str(self.folder / "run"), str(self.folder / "kept.npz"))
     self.assertEqual((self.folder / "kept.npz").read_bytes(), before, "the same bytes again")
 
+  # Its only episode ends long before its last step, and there is no final evaluation.
+  def test_a_result_file_has_the_progress_of_the_runs_checkpoint(self):
+    (self.folder / "config.txt").write_text(python_case.SMALL_RUN)
+    self.run_program("craftfleet train", f"--config={self.folder}/config.txt", f"--logdir={self.folder}/run", "--threads=1")
+    (self.folder / "run/stats.jsonl").write_text(same_episodes(1, 1, length=3))
+    for log in runs.LOGS[1:]:
+      (self.folder / f"run/{log}.jsonl").unlink(missing_ok=True)
+    runs.save_result(str(self.folder / "run"), str(self.folder / "kept.npz"))
+    (kept, _), unreadable = runs.read_runs([str(self.folder)])
+    self.assertEqual((kept.folder, kept.steps, kept.complete, unreadable), (f"{self.folder}/kept", 192, True, []))
+
+  def test_a_run_that_cannot_be_read_has_no_result_file(self):
+    write_run(self.folder / "run", 1)
+    (self.folder / "run/config.txt").write_text("ppo { gamma: 2 }")
+    self.assertIn("/config.txt: ppo.gamma", self.refusal(runs.save_result, str(self.folder / "run"), str(self.folder / "kept.npz")))
+    self.assertFalse((self.folder / "kept.npz").exists())
+
   def test_a_damaged_result_is_named_beside_the_others(self):
     for name in ("a", "b", "c"):
       write_run(self.folder / name, 1)

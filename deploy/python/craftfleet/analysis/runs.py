@@ -1,8 +1,8 @@
 """Runs: their configuration, episodes and progress, from run folders or from result files.
 
 A result file holds a run without its weights: NAME.npz, a NumPy archive compressed with LZMA, with the format's version, the
-texts of config.txt and run.json, and each log as lengths, rewards in tenths and counts of achievements. It loses nothing: the
-logs come back byte for byte.
+texts of config.txt and run.json, the run's progress (steps, and whether it is complete), and each log as lengths, rewards in
+tenths and counts of achievements. It loses nothing: the logs come back byte for byte.
 """
 
 from __future__ import annotations
@@ -84,6 +84,7 @@ class _Files:
   run_json: str | None
   logs: dict[str, Episodes]
   is_folder: bool
+  progress: tuple[int, bool] | None = None  # steps, complete: of a result file that has them
 
   @property
   def config_path(self) -> str:
@@ -120,9 +121,10 @@ def _read_result(path: str) -> _Files:
           logs[log] = Episodes(arrays[f"{log}_length"].astype(np.int64), arrays[f"{log}_reward"].astype(np.int64),
                                arrays[f"{log}_achievements"].T.astype(np.int64))
       texts = {name: arrays[name].tobytes().decode() if name in arrays else None for name in ("config", "run")}
+      progress = (int(arrays["steps"]), bool(arrays["complete"])) if "steps" in arrays else None
   except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
     raise Refusal(reason(error) if isinstance(error, OSError) and error.filename else f"{path}: {error}") from None
-  return _Files(path.removesuffix(SUFFIX), texts["config"], texts["run"], logs, False)
+  return _Files(path.removesuffix(SUFFIX), texts["config"], texts["run"], logs, False, progress)
 
 
 def _read_files(path: str) -> _Files:
@@ -136,9 +138,15 @@ def _smallest(values: np.ndarray) -> np.ndarray:
 
 
 def save_result(folder: str, path: str) -> None:
-  """Writes the result file `path` of the run in `folder`.   Refusal: as read_runs; OSError: it cannot be written."""
+  """Writes the result file `path` of the run in `folder`.   Refusal: the run cannot be read; OSError: `path` cannot be written."""
   files = _read_folder(folder)
-  arrays = {"craftfleet_run": np.array(_VERSION), "config": np.frombuffer(files.config.encode(), np.uint8)}
+  problems: list[str] = []
+  understood = _understand([files], problems)
+  if problems:
+    raise Refusal(problems[0])
+  run = understood[0]
+  arrays = {"craftfleet_run": np.array(_VERSION), "config": np.frombuffer(files.config.encode(), np.uint8),
+            "steps": np.array(run.steps), "complete": np.array(run.complete)}
   if files.run_json is not None:
     arrays["run"] = np.frombuffer(files.run_json.encode(), np.uint8)
   for log, episodes in files.logs.items():
@@ -176,9 +184,11 @@ def _find_in(folder: str, found: set[str], unreadable: list[str]) -> None:
     found.update(path for path in paths if _is_run_folder(path) or _is_result(path))
 
 
-def _set_progress(run: Run, state: dict | None) -> None:
+def _set_progress(run: Run, state: dict | None, recorded: tuple[int, bool] | None) -> None:
   if state is not None and state["begun"]:
-    run.steps, run.complete = state["steps"], state["finished"]
+    recorded = state["steps"], state["finished"]
+  if recorded is not None:
+    run.steps, run.complete = recorded
     return
   rollout = int(run.config["ppo"]["rollout_steps"])
   run.steps = -(-int(run.training.length.sum()) // rollout) * rollout  # its episodes end in that iteration
@@ -198,6 +208,7 @@ def _understand(files: list[_Files], unreadable: list[str]) -> list[Run]:
       unreadable.append(str(error))
   answers = programs.ask([{"config": one.config, "path": one.config_path, "textures": digest} for one, digest in known])
   runs = []
+  recorded = {one.folder: one.progress for one in files}
   for (one, digest), answer in zip(known, answers):
     if "error" in answer:
       unreadable.append(answer["error"])
@@ -213,7 +224,7 @@ def _understand(files: list[_Files], unreadable: list[str]) -> list[Run]:
     if state is not None and "error" in state:
       unreadable.append(state["error"])
       continue
-    _set_progress(run, state)
+    _set_progress(run, state, recorded[run.folder])
     good.append(run)
   return good
 
