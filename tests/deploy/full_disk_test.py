@@ -1,12 +1,13 @@
 """Every output of every program on a disk that fills up: an error, and no half file under a final name."""
 
 import json
+import os
 import struct
 import subprocess
 import zipfile
 
 from tests.fakes import full_disk, python_case
-from tests.fakes.python_case import SOURCE, built
+from tests.fakes.python_case import BIN, SOURCE, built
 
 
 def is_whole(path):
@@ -122,8 +123,9 @@ class FullDisk(python_case.FolderCase):
     for left in (0, 4096):
       with self.subTest(left=left), full_disk.small_disk(self) as disk:
         full_disk.fill(disk, left)
-        ended = subprocess.run([SOURCE / "deploy/experiments/collect.py", "--weights", self.folder / "run", disk / "result"],
-                               capture_output=True, text=True, timeout=120, check=False)
+        command = [SOURCE / "deploy/experiments/collect.py", "--weights", self.folder / "run", disk / "result"]
+        ended = subprocess.run(command, env=os.environ | {"CRAFTFLEET_BIN": str(BIN)}, capture_output=True, text=True, timeout=120,
+                               check=False)
         self.assertEqual(ended.returncode, 1, ended.stderr)
         self.assertIn("No space left on device", ended.stderr)
         self.assertEqual([path.name for path in disk.iterdir() if path.name != "filler"], [], ended.stderr)

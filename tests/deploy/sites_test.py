@@ -334,7 +334,7 @@ class Scripts(Case):
     self.train()
     (self.run_folder / "checkpoints/iter-99999999.bak").mkdir()
     result = self.folder / "result"
-    ended = self.run_in([SOURCE / "deploy/experiments/collect.py", "--weights", self.run_folder, result])
+    ended = self.run_in(["env", f"CRAFTFLEET_BIN={BIN}", SOURCE / "deploy/experiments/collect.py", "--weights", self.run_folder, result])
     self.assertEqual(ended.returncode, 0, ended.stderr)
     self.assertEqual({path.name for path in result.iterdir()}, {"config.txt", "run.json", "weights.safetensors"})
     drawn = self.run_in([*built("craftfleet curve"), f"{result}.npz", self.run_folder])
