@@ -1,5 +1,5 @@
-# Precompiles the headers that most files include, for the sanitizer builds of .ci/run: once for libraries and once for tests,
-# whose options differ. All other builds do without, so that they find a missing #include.
+# Precompiles the headers that most files include, for the presets asan-ubsan-unit and tsan: once for libraries and once for
+# tests, whose options differ. All other builds do without, so that they find a missing #include.
 #
 # clang refuses a precompiled header in a file whose options differ from its own. Single files with other options have
 # SKIP_PRECOMPILE_HEADERS; -pthread, which only users of gRPC have otherwise, is given to all.

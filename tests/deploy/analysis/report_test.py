@@ -1,6 +1,7 @@
 """The tables, pictures, CSV files and web page of craftfleet report."""
 
 import csv
+import dataclasses
 import io
 import math
 import os
@@ -382,15 +383,18 @@ class Committed(unittest.TestCase):
   # Further seeds of cells that had figures before.
   LATER = ("no_inventory_ppo_cnn_1m/seed2", "no_inventory_ppo_cnn_1m/seed3", "no_inventory_lstm_cnn_1m/seed2")
 
+  @classmethod
+  def setUpClass(cls):
+    cls.found, cls.unreadable = runs.read_runs([str(package.RESULTS)])
+
   def test_all_results_belong_to_a_cell(self):
-    found, unreadable = runs.read_runs([str(package.RESULTS)])
-    self.assertEqual((len(found), unreadable), (88, []))
-    matched = results.match(experiments.load(package.PAPER), results.group_runs(found))
+    self.assertEqual((len(self.found), self.unreadable), (88, []))
+    matched = results.match(experiments.load(package.PAPER), results.group_runs(self.found))
     self.assertEqual([result.name for result in matched if result.is_own], [])
 
   # Made by the report in C++ of 0.1, from the logs themselves.
   def test_has_every_figure_that_it_had_before(self):
-    found = [run for run in runs.read_runs([str(package.RESULTS)])[0] if not run.folder.endswith(self.LATER)]
+    found = [run for run in self.found if not run.folder.endswith(self.LATER)]
     self.assertEqual(len(found), 85)
     matched = results.match(experiments.load(package.PAPER), results.group_runs(found))
     made = {}
@@ -412,9 +416,7 @@ class Committed(unittest.TestCase):
         self.assertAlmostEqual(float(ours or 0), float(before or 0), 9, key)
 
   def test_the_page_is_the_one_in_the_repository(self):
-    found, _ = runs.read_runs([str(package.RESULTS)])
-    for run in found:
-      run.folder = os.path.relpath(run.folder, python_case.SOURCE)
+    found = [dataclasses.replace(run, folder=os.path.relpath(run.folder, python_case.SOURCE)) for run in self.found]
     made = report.make_report(experiments.load(package.PAPER), figures.load(package.FIGURES), found, with_csv=False)
     folder = python_case.SOURCE / "deploy/experiments/report"
     self.assertEqual({path.name for path in folder.iterdir()}, set(made), "make it again, see deploy/experiments/results/README.md")
