@@ -24,6 +24,16 @@ if(CRAFTFLEET_WITH_TCMALLOC)
   target_link_libraries(craftfleet_heap INTERFACE PkgConfig::tcmalloc)
 endif()
 
+# Compiles up to 16 sources of a target together. With gcc 12 most of the time goes into headers, which a unit of many files
+# parses once. (Precompiled headers save nothing there: loading them takes as long.) Sources with compiler options of their own
+# stay apart.
+function(craftfleet_compile_together target)
+  if(CRAFTFLEET_UNITY)
+    set_target_properties(${target} PROPERTIES UNITY_BUILD ON UNITY_BUILD_BATCH_SIZE 16)
+    target_compile_options(${target} PRIVATE $<$<CXX_COMPILER_ID:GNU>:-Wno-subobject-linkage>)
+  endif()
+endfunction()
+
 # craftfleet_library(NAME world SRCS ... DEPS ...): static library craftfleet_world with the alias craftfleet::world.
 function(craftfleet_library)
   cmake_parse_arguments(ARG "" "NAME" "SRCS;DEPS" ${ARGN})
@@ -32,12 +42,7 @@ function(craftfleet_library)
   target_include_directories(craftfleet_${ARG_NAME} PUBLIC ${PROJECT_SOURCE_DIR})
   target_link_libraries(craftfleet_${ARG_NAME} PUBLIC ${ARG_DEPS} PRIVATE craftfleet_flags)
   set_property(GLOBAL APPEND PROPERTY CRAFTFLEET_LIBRARIES craftfleet_${ARG_NAME})
-  # With gcc 12 most of the time goes into headers, which a unit of many files parses once. (Precompiled headers save nothing
-  # there: loading them takes as long.) Sources with compiler options of their own stay apart.
-  if(CRAFTFLEET_UNITY)
-    set_target_properties(craftfleet_${ARG_NAME} PROPERTIES UNITY_BUILD ON UNITY_BUILD_BATCH_SIZE 16)
-    target_compile_options(craftfleet_${ARG_NAME} PRIVATE $<$<CXX_COMPILER_ID:GNU>:-Wno-subobject-linkage>)
-  endif()
+  craftfleet_compile_together(craftfleet_${ARG_NAME})
   if(TARGET craftfleet_library_headers)
     target_precompile_headers(craftfleet_${ARG_NAME} REUSE_FROM craftfleet_library_headers)
   endif()
@@ -61,8 +66,8 @@ endfunction()
 # craftfleet_test(NAME learner_test LABELS unit tsan SRCS a_test.cc b_test.cc DEPS ...): GoogleTest sources of the executable
 # NAME. One executable holds the tests of a folder, since linking LibTorch and gRPC takes longer than compiling a test: further
 # calls with its NAME add sources, also with other labels. There is one ctest entry per TEST, so that `ctest` finds them by name;
-# with CRAFTFLEET_TEST_PROGRAMS, one per source of unit and property tests, because a program with LibTorch takes half a second to
-# start. Tests find files and programs with test_paths.h.
+# with CRAFTFLEET_TEST_PROGRAMS, one per source, because a program with LibTorch takes half a second to start. Tests find files
+# and programs with test_paths.h.
 function(craftfleet_test)
   cmake_parse_arguments(ARG "" "NAME;TIMEOUT" "SRCS;DEPS;LABELS" ${ARGN})
   if(NOT TARGET ${ARG_NAME})
@@ -70,6 +75,7 @@ function(craftfleet_test)
     target_link_libraries(${ARG_NAME} PRIVATE craftfleet::test_paths GTest::gmock GTest::gtest_main craftfleet_flags)
     # Compiling tests takes longer than running them, so they are not optimised; the code under test is.
     target_compile_options(${ARG_NAME} PRIVATE -O0)
+    craftfleet_compile_together(${ARG_NAME})
     if(TARGET craftfleet_test_headers)
       target_precompile_headers(${ARG_NAME} REUSE_FROM craftfleet_test_headers)
     endif()
@@ -83,10 +89,10 @@ function(craftfleet_test)
     target_sources(${ARG_NAME} PRIVATE ${CMAKE_CURRENT_SOURCE_DIR}/${source})
     craftfleet_new_suites(${ARG_NAME} ${CMAKE_CURRENT_SOURCE_DIR}/${source} filter)
     string(APPEND all_filter "${filter}")
-    if(CRAFTFLEET_TEST_PROGRAMS AND filter AND ("unit" IN_LIST ARG_LABELS OR "property" IN_LIST ARG_LABELS))
+    if(CRAFTFLEET_TEST_PROGRAMS AND filter)
       get_filename_component(stem ${source} NAME_WE)
       add_test(NAME ${ARG_NAME}/${stem} COMMAND ${ARG_NAME} --gtest_filter=${filter})
-      set_tests_properties(${ARG_NAME}/${stem} PROPERTIES LABELS "${ARG_LABELS}" TIMEOUT 1800)
+      set_tests_properties(${ARG_NAME}/${stem} PROPERTIES LABELS "${ARG_LABELS}" COST ${ARG_TIMEOUT} TIMEOUT 1800)
       set(is_added TRUE)
     endif()
   endforeach()
@@ -118,19 +124,28 @@ endfunction()
 include(GoogleTest)
 
 # craftfleet_python_test(NAME LocalFleet SCRIPT local_fleet_test.py LABELS integration): one ctest entry per `def test_...` of
-# the script, which calls main() of tests/fakes/python_case.py.
+# the script, which calls main() of tests/fakes/python_case.py; with CRAFTFLEET_TEST_PROGRAMS and without EACH_CASE, one for all of
+# them. The longest TIMEOUT starts first.
 function(craftfleet_python_test)
-  cmake_parse_arguments(ARG "" "NAME;SCRIPT;TIMEOUT" "LABELS" ${ARGN})
+  cmake_parse_arguments(ARG "EACH_CASE" "NAME;SCRIPT;TIMEOUT" "LABELS" ${ARGN})
   set(script ${CMAKE_CURRENT_SOURCE_DIR}/${ARG_SCRIPT})
   set_property(DIRECTORY APPEND PROPERTY CMAKE_CONFIGURE_DEPENDS ${script})
   if(NOT ARG_TIMEOUT)
     set(ARG_TIMEOUT 300)
   endif()
-  file(STRINGS ${script} lines REGEX "^ +def test_")
-  foreach(line IN LISTS lines)
-    string(REGEX REPLACE "^ +def test_([A-Za-z0-9_]+).*" "\\1" case "${line}")
-    add_test(NAME ${ARG_NAME}.${case} COMMAND python3 ${script} test_${case})
-    set_tests_properties(${ARG_NAME}.${case} PROPERTIES LABELS "${ARG_LABELS}" TIMEOUT ${ARG_TIMEOUT} SKIP_RETURN_CODE 77
-      ENVIRONMENT "CRAFTFLEET_BIN_DIR=${CMAKE_BINARY_DIR}/bin;CRAFTFLEET_SOURCE_DIR=${PROJECT_SOURCE_DIR};PYTHONDONTWRITEBYTECODE=1;PYTHONPATH=${PROJECT_SOURCE_DIR}")
-  endforeach()
+  if(CRAFTFLEET_TEST_PROGRAMS AND NOT ARG_EACH_CASE)
+    add_test(NAME ${ARG_NAME} COMMAND python3 ${script})
+    set(tests ${ARG_NAME})
+    set_tests_properties(${ARG_NAME} PROPERTIES COST ${ARG_TIMEOUT})
+    set(ARG_TIMEOUT 1800)
+  else()
+    file(STRINGS ${script} tests REGEX "^ +def test_")
+    list(TRANSFORM tests REPLACE "^ +def test_([A-Za-z0-9_]+).*" "\\1")
+    foreach(case IN LISTS tests)
+      add_test(NAME ${ARG_NAME}.${case} COMMAND python3 ${script} test_${case})
+    endforeach()
+    list(TRANSFORM tests PREPEND "${ARG_NAME}.")
+  endif()
+  set_tests_properties(${tests} PROPERTIES LABELS "${ARG_LABELS}" TIMEOUT ${ARG_TIMEOUT} SKIP_RETURN_CODE 77
+    ENVIRONMENT "CRAFTFLEET_BIN_DIR=${CMAKE_BINARY_DIR}/bin;CRAFTFLEET_SOURCE_DIR=${PROJECT_SOURCE_DIR};PYTHONDONTWRITEBYTECODE=1;PYTHONPATH=${PROJECT_SOURCE_DIR}")
 endfunction()

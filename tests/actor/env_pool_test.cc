@@ -22,7 +22,7 @@
 #include "tests/fakes/wait_until.h"
 
 namespace craftfleet {
-namespace {
+namespace env_pool_test {
 
 using testing::AllOf;
 using testing::ElementsAre;
@@ -384,5 +384,5 @@ TEST(EnvPool, LeavesSomeFileDescriptorsFree) {
       << "retried once descriptors are available";
 }
 
-}  // namespace
+}  // namespace env_pool_test
 }  // namespace craftfleet

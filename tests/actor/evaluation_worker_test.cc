@@ -16,8 +16,8 @@
 namespace craftfleet {
 namespace {
 
-using ::testing::HasSubstr;
-using ::testing::Not;
+using testing::HasSubstr;
+using testing::Not;
 
 constexpr char kNobody[] = "127.0.0.1:1";  // where no learner listens
 constexpr int64_t kEpoch = 3;

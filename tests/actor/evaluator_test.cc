@@ -19,7 +19,7 @@
 #include "tests/fakes/wire_samples.h"
 
 namespace craftfleet {
-namespace {
+namespace evaluator_test {
 
 using testing::HasSubstr;
 
@@ -218,5 +218,5 @@ TEST_F(EvaluatorTest, ReportsTheLossOfTheServer) {
   EXPECT_THAT(result, StatusIs(absl::StatusCode::kUnavailable, HasSubstr(env_.server->address())));
 }
 
-}  // namespace
+}  // namespace evaluator_test
 }  // namespace craftfleet

@@ -14,7 +14,7 @@
 #include "tests/fakes/status_matchers.h"
 
 namespace craftfleet {
-namespace {
+namespace frame_reader_test {
 
 using testing::HasSubstr;
 using testing::IsEmpty;
@@ -150,5 +150,5 @@ TEST_F(FrameReplies, AFormatThatWasNotAskedForIsRefused) {
   EXPECT_THAT(scenes.Begin(hello), StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("frame_format 77")));
 }
 
-}  // namespace
+}  // namespace frame_reader_test
 }  // namespace craftfleet

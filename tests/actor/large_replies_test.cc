@@ -14,7 +14,7 @@
 #include "tests/fakes/status_matchers.h"
 
 namespace craftfleet {
-namespace {
+namespace large_replies_test {
 
 using testing::IsEmpty;
 using testing::SizeIs;
@@ -112,5 +112,5 @@ TEST(LargeReplies, ManyLargeSnapshotsAreOpenedInSeveralRequests) {
   EXPECT_TRUE(client.connected());
 }
 
-}  // namespace
+}  // namespace large_replies_test
 }  // namespace craftfleet

@@ -18,12 +18,6 @@
 namespace craftfleet {
 namespace {
 
-using testing::AsInput;
-using testing::ByteSum;
-using testing::GoldenAgent;
-using testing::GoldenFrames;
-using testing::GoldenUniforms;
-
 constexpr double kOutput = 1e-5;  // the goldens were computed with another convolution implementation
 
 void ExpectNear(const at::Tensor& actual, const nlohmann::json& expected, double tolerance, const std::string& what) {
@@ -53,7 +47,7 @@ void ExpectDistributions(const at::Tensor& logits, const nlohmann::json& golden)
   }
 }
 
-class AgentGolden : public ::testing::TestWithParam<const char*> {
+class AgentGolden : public testing::TestWithParam<const char*> {
  protected:
   void SetUp() override { SetUpTorchThread(); }
 
@@ -165,9 +159,9 @@ TEST_P(RecurrentAgentGolden, SequenceWithResetsMatches) {
 }
 
 INSTANTIATE_TEST_SUITE_P(All, AgentGolden,
-                         ::testing::Values("ppo_cnn", "lstm_cnn", "ppo_spcnn", "lstm_spcnn", "oc_sa", "oc_ca"),
+                         testing::Values("ppo_cnn", "lstm_cnn", "ppo_spcnn", "lstm_spcnn", "oc_sa", "oc_ca"),
                          [](const auto& info) { return std::string(info.param); });
-INSTANTIATE_TEST_SUITE_P(All, RecurrentAgentGolden, ::testing::Values("lstm_cnn", "lstm_spcnn"),
+INSTANTIATE_TEST_SUITE_P(All, RecurrentAgentGolden, testing::Values("lstm_cnn", "lstm_spcnn"),
                          [](const auto& info) { return std::string(info.param); });
 
 }  // namespace

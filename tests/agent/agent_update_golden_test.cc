@@ -19,11 +19,6 @@
 namespace craftfleet {
 namespace {
 
-using testing::AsInput;
-using testing::ByteSum;
-using testing::GoldenAgent;
-using testing::GoldenFrames;
-
 // Runs consecutive optimiser steps on the goldens' minibatch.
 class Trainee {
  public:
@@ -111,7 +106,7 @@ void ExpectRowsAndGradients(Trainee* trainee, const AgentSpec& spec, const nlohm
   }
 }
 
-class AgentUpdateGolden : public ::testing::TestWithParam<const char*> {};
+class AgentUpdateGolden : public testing::TestWithParam<const char*> {};
 
 TEST_P(AgentUpdateGolden, OptimiserStepsOnOneMinibatchMatch) {
   SetUpTorchThread();
@@ -144,7 +139,7 @@ TEST_P(AgentUpdateGolden, OptimiserStepsOnOneMinibatchMatch) {
   }
 }
 
-INSTANTIATE_TEST_SUITE_P(FeedForward, AgentUpdateGolden, ::testing::Values("ppo_cnn", "ppo_spcnn", "oc_sa", "oc_ca"),
+INSTANTIATE_TEST_SUITE_P(FeedForward, AgentUpdateGolden, testing::Values("ppo_cnn", "ppo_spcnn", "oc_sa", "oc_ca"),
                          [](const auto& info) { return std::string(info.param); });
 
 }  // namespace

@@ -24,10 +24,9 @@
 namespace craftfleet {
 namespace {
 
-using ::testing::Each;
-using ::testing::FloatNear;
-using testing::GoldenFrames;
-using ::testing::HasSubstr;
+using testing::Each;
+using testing::FloatNear;
+using testing::HasSubstr;
 
 // An agent with initial weights, which a test may change, and frames for it.
 struct SampleAgent {
@@ -144,7 +143,7 @@ TEST(Attention, MatchesTheForwardPass) {
   for (const ParamSpec& param : sample.spec.params) {
     tensors.tensors.push_back(at::from_blob(sample.weights.data() + param.offset, param.shape));
   }
-  const at::Tensor input = testing::AsInput(GoldenFrames(3, 1, 72), sample.spec);
+  const at::Tensor input = AsInput(GoldenFrames(3, 1, 72), sample.spec);
   const at::Tensor features = network.Features(tensors, input, std::nullopt);
   EXPECT_NEAR(features[0][0].item<float>(), wanted, 1e-5);
   EXPECT_GT(std::abs(wanted), 1e-3);

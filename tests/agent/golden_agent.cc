@@ -13,7 +13,7 @@
 #include "common/base/seeds.h"
 #include "tests/fakes/test_paths.h"
 
-namespace craftfleet::testing {
+namespace craftfleet {
 
 nlohmann::json ReadGolden(const std::string& file) {
   std::ifstream stream(SourcePath(absl::StrCat("tests/data/agents/", file)));
@@ -109,4 +109,4 @@ int64_t ByteSum(const std::string& frames) {
   return sum;
 }
 
-}  // namespace craftfleet::testing
+}  // namespace craftfleet

@@ -12,7 +12,7 @@
 
 #include "common/agent/agent_spec.h"
 
-namespace craftfleet::testing {
+namespace craftfleet {
 
 // tests/data/agents/`file`.
 nlohmann::json ReadGolden(const std::string& file);
@@ -41,6 +41,6 @@ struct GoldenAgent {
 // Sum of the bytes, the goldens' checksum of frames.
 int64_t ByteSum(const std::string& frames);
 
-}  // namespace craftfleet::testing
+}  // namespace craftfleet
 
 #endif  // CRAFTFLEET_TESTS_AGENT_GOLDEN_AGENT_H_

@@ -18,7 +18,7 @@ constexpr int64_t kInputs = 24;
 constexpr int64_t kHidden = 20;  // not a multiple of a vector's length
 
 at::Tensor Uniform(const std::string& tag, at::IntArrayRef shape) {
-  std::vector<float> values = testing::GoldenUniforms(tag, c10::multiply_integers(shape), -0.5, 0.5);
+  std::vector<float> values = GoldenUniforms(tag, c10::multiply_integers(shape), -0.5, 0.5);
   return at::from_blob(values.data(), shape).clone();
 }
 
@@ -27,7 +27,7 @@ void ExpectNear(const at::Tensor& actual, const at::Tensor& wanted, const char* 
   EXPECT_LT((actual - wanted).abs().max().item<float>(), 2e-5 * (1 + wanted.abs().max().item<float>())) << what;
 }
 
-class LstmTest : public ::testing::TestWithParam<std::vector<int64_t>> {};
+class LstmTest : public testing::TestWithParam<std::vector<int64_t>> {};
 
 // The same by LibTorch.
 LstmOutput LstmOfLibTorch(const at::Tensor& input, const std::vector<int64_t>& batch_sizes, const at::Tensor& states,
@@ -69,7 +69,7 @@ TEST_P(LstmTest, OutputsStatesAndGradientsMatchLibTorch) {
   constexpr const char* kNames[] = {"outputs",       "last states", "input",      "input weight",
                                     "hidden weight", "input bias",  "hidden bias"};
   const std::vector<at::Tensor> wanted = ResultsOf(LstmOfLibTorch, GetParam(), at::kCPU);
-  for (const char* device : {"cpu", testing::kStandInDevice}) {
+  for (const char* device : {"cpu", kStandInDevice}) {
     SCOPED_TRACE(device);
     const std::vector<at::Tensor> actual = ResultsOf(Lstm, GetParam(), at::Device(device));
     for (size_t i = 0; i < wanted.size(); ++i) ExpectNear(actual[i], wanted[i], kNames[i]);
@@ -77,9 +77,9 @@ TEST_P(LstmTest, OutputsStatesAndGradientsMatchLibTorch) {
 }
 
 INSTANTIATE_TEST_SUITE_P(Lengths, LstmTest,
-                         ::testing::Values(std::vector<int64_t>{1}, std::vector<int64_t>{5},
-                                           std::vector<int64_t>{1, 1, 1}, std::vector<int64_t>{4, 4, 4},
-                                           std::vector<int64_t>{5, 3, 3, 2, 1, 1}));
+                         testing::Values(std::vector<int64_t>{1}, std::vector<int64_t>{5},
+                                         std::vector<int64_t>{1, 1, 1}, std::vector<int64_t>{4, 4, 4},
+                                         std::vector<int64_t>{5, 3, 3, 2, 1, 1}));
 
 }  // namespace
 }  // namespace craftfleet

@@ -30,9 +30,6 @@
 namespace craftfleet {
 namespace {
 
-using testing::AsInput;
-using testing::GoldenFrames;
-
 // The spec of `agent` with the changes that `network` makes.
 AgentSpec SpecOf(const std::string& agent, const std::string& network) {
   v1::RunConfig config;
@@ -66,7 +63,7 @@ TEST(AgentSpec, ParametersAreContiguous) {
   EXPECT_EQ(offset, spec.param_count);
 }
 
-class Ablation : public ::testing::TestWithParam<const char*> {};
+class Ablation : public testing::TestWithParam<const char*> {};
 
 TEST_P(Ablation, LearnsEveryParameterAndStartsNearlyUniform) {
   SetUpTorchThread();
@@ -85,15 +82,15 @@ TEST_P(Ablation, LearnsEveryParameterAndStartsNearlyUniform) {
 }
 
 INSTANTIATE_TEST_SUITE_P(OcCa, Ablation,
-                         ::testing::Values("frame_size: 40 slots: 1", "frame_size: 40 slots: 16",
-                                           "frame_size: 40 heads: 1", "frame_size: 40 heads: 16",
-                                           "frame_size: 24 patch: 1 stride: 1", "frame_size: 24 patch: 8 stride: 8",
-                                           "frame_size: 24 patch: 12 stride: 8", "frame_size: 24 patch: 12 stride: 12",
-                                           "frame_size: 24 patch: 16 stride: 8", "frame_size: 40 residual_mlp: true",
-                                           "frame_size: 40 layer_norm: true",
-                                           "frame_size: 40 residual_mlp: true layer_norm: true",
-                                           "frame_size: 40 slot_competition: true", "frame_size: 64",
-                                           "frame_size: 40 recurrent: true critic: LINEAR"));
+                         testing::Values("frame_size: 40 slots: 1", "frame_size: 40 slots: 16",
+                                         "frame_size: 40 heads: 1", "frame_size: 40 heads: 16",
+                                         "frame_size: 24 patch: 1 stride: 1", "frame_size: 24 patch: 8 stride: 8",
+                                         "frame_size: 24 patch: 12 stride: 8", "frame_size: 24 patch: 12 stride: 12",
+                                         "frame_size: 24 patch: 16 stride: 8", "frame_size: 40 residual_mlp: true",
+                                         "frame_size: 40 layer_norm: true",
+                                         "frame_size: 40 residual_mlp: true layer_norm: true",
+                                         "frame_size: 40 slot_competition: true", "frame_size: 64",
+                                         "frame_size: 40 recurrent: true critic: LINEAR"));
 
 TEST(CutPatches, AreInRowOrderAndFlattenedByChannel) {
   // Value 100 c + 10 y + x of a 2-channel 5x5 map.
@@ -103,7 +100,7 @@ TEST(CutPatches, AreInRowOrderAndFlattenedByChannel) {
       for (int x = 0; x < 5; ++x) map[0][c][y][x] = 100 * c + 10 * y + x;
     }
   }
-  for (const char* device : {"cpu", testing::kStandInDevice}) {
+  for (const char* device : {"cpu", kStandInDevice}) {
     const at::Tensor patches =
         CutPatches(map.to(at::Device(device)), 2, 2).cpu();  // the last row and column are left over
     ASSERT_EQ(patches.sizes(), (std::vector<int64_t>{1, 4, 8}));

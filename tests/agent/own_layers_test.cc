@@ -146,7 +146,7 @@ struct Layer {
   at::Tensor input, weight, bias, output, by_output;
 };
 
-class OwnKernels : public ::testing::Test {
+class OwnKernels : public testing::Test {
  protected:
   void SetUp() override {
     SetUpTorchThread();
@@ -154,7 +154,7 @@ class OwnKernels : public ::testing::Test {
   }
 };
 
-class OwnLayers : public OwnKernels, public ::testing::WithParamInterface<Case> {
+class OwnLayers : public OwnKernels, public testing::WithParamInterface<Case> {
  protected:
   void SetUp() override {
     OwnKernels::SetUp();
@@ -214,17 +214,17 @@ TEST_P(OwnLayers, ARowDoesNotDependOnTheOthers) {
 // By FFT one, two and three tiles a side, both transforms, more maps than are transformed at once. As one product the
 // first layer of an SPCNN; the patches of OC-SA and OC-CA, small; odd sizes, a row of pixels left over, one output.
 INSTANTIATE_TEST_SUITE_P(Kernels, OwnLayers,
-                         ::testing::Values(FftCase(24, 37), FftCase(32, 3), FftCase(48, 2), FftCase(64, 3),
-                                           FftCase(72, 1), FftCase(96, 1),
-                                           DirectCase({3, 64, 5, 1, 2, 64}, 3, Activation::kRelu, false),
-                                           DirectCase({64, 256, 12, 8, 0, 28}, 5, Activation::kNone, true),
-                                           DirectCase({64, 128, 16, 16, 0, 36}, 3, Activation::kNone, true),
-                                           DirectCase({64, 64, 3, 1, 0, 7}, 9, Activation::kRelu, true),
-                                           DirectCase({32, 64, 4, 2, 0, 11}, 2, Activation::kRelu, true),
-                                           DirectCase({5, 192, 3, 2, 1, 9}, 4, Activation::kNone, false),
-                                           DirectCase({64, 64, 4, 1, 0, 4}, 1, Activation::kNone, true), WideCase(40),
-                                           WideCase(64), WideCase(70), WideCase(33, at::kBFloat16),
-                                           WideCase(64, at::kBFloat16), WideCase(71, at::kBFloat16)),
+                         testing::Values(FftCase(24, 37), FftCase(32, 3), FftCase(48, 2), FftCase(64, 3),
+                                         FftCase(72, 1), FftCase(96, 1),
+                                         DirectCase({3, 64, 5, 1, 2, 64}, 3, Activation::kRelu, false),
+                                         DirectCase({64, 256, 12, 8, 0, 28}, 5, Activation::kNone, true),
+                                         DirectCase({64, 128, 16, 16, 0, 36}, 3, Activation::kNone, true),
+                                         DirectCase({64, 64, 3, 1, 0, 7}, 9, Activation::kRelu, true),
+                                         DirectCase({32, 64, 4, 2, 0, 11}, 2, Activation::kRelu, true),
+                                         DirectCase({5, 192, 3, 2, 1, 9}, 4, Activation::kNone, false),
+                                         DirectCase({64, 64, 4, 1, 0, 4}, 1, Activation::kNone, true), WideCase(40),
+                                         WideCase(64), WideCase(70), WideCase(33, at::kBFloat16),
+                                         WideCase(64, at::kBFloat16), WideCase(71, at::kBFloat16)),
                          [](const auto& info) { return info.param.name; });
 
 TEST_F(OwnKernels, TakeAnyLayout) {

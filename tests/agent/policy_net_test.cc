@@ -19,9 +19,6 @@
 namespace craftfleet {
 namespace {
 
-using testing::AsInput;
-using testing::GoldenFrames;
-
 TEST(PolicyNet, InitialPolicyIsNearlyUniform) {
   SetUpTorchThread();
   const AgentSpec spec = *FindAgent("ppo_cnn");

@@ -19,10 +19,6 @@
 namespace craftfleet {
 namespace {
 
-using testing::GoldenFrames;
-using testing::GoldenWeights;
-using testing::ReadGolden;
-
 constexpr int kFrameBytes = 64 * 64 * 3;
 
 std::unique_ptr<const Policy> GoldenPolicy(int tile) {
@@ -46,7 +42,7 @@ TEST(Policy, GreedyActionsAndValuesMatchTheGolden) {
 }
 
 // Some lanes of an agent's policy, in tiles of 4, each with a frame, a state and noise of its own.
-class PolicyOfLanes : public ::testing::TestWithParam<const char*> {
+class PolicyOfLanes : public testing::TestWithParam<const char*> {
  protected:
   static constexpr int kLanes = 6;
 
@@ -76,7 +72,7 @@ class PolicyOfLanes : public ::testing::TestWithParam<const char*> {
   const AgentSpec spec_ = *FindAgent(GetParam());
   const int64_t size_ = spec_.state_size;
   const std::unique_ptr<const Policy> policy_ = InitialPolicy(spec_, 4);
-  const std::vector<float> states_ = testing::GoldenUniforms("h0", int64_t{kLanes} * size_, -1, 1);
+  const std::vector<float> states_ = GoldenUniforms("h0", int64_t{kLanes} * size_, -1, 1);
   const std::string frames_ = GoldenFrames(12345, kLanes, spec_.frame_size);
 };
 
@@ -94,7 +90,7 @@ TEST_P(PolicyOfLanes, DoesNotDependOnOtherLanesNorOnTheirFrames) {
 }
 
 INSTANTIATE_TEST_SUITE_P(Agents, PolicyOfLanes,
-                         ::testing::Values("ppo_cnn", "lstm_cnn", "oc_sa", "oc_ca", "ppo_resnet", "grid_distillation"),
+                         testing::Values("ppo_cnn", "lstm_cnn", "oc_sa", "oc_ca", "ppo_resnet", "grid_distillation"),
                          [](const auto& info) { return std::string(info.param); });
 
 TEST(Policy, ActionsAreSampledByTheirProbability) {
@@ -132,7 +128,7 @@ TEST(Policy, NoLanesGiveNoActions) {
 }
 
 std::unique_ptr<const Policy> RecurrentPolicy(int tile) {
-  const testing::GoldenAgent agent("lstm_cnn");
+  const GoldenAgent agent("lstm_cnn");
   return *Policy::Create(agent.spec, SaveWeights(agent.spec, agent.weights), tile);
 }
 
@@ -174,10 +170,10 @@ TEST(Policy, ActsOnADeviceAsOnTheCpu) {
     const std::string frames = GoldenFrames(12345, 5, spec.frame_size);
     const std::vector<int> lanes = {0, 1, 2, 3, 5};  // two tiles
     const std::vector<double> noise(5, 0.3);
-    const std::vector<float> before = testing::GoldenUniforms("h0", 5 * spec.state_size, -1, 1);
+    const std::vector<float> before = GoldenUniforms("h0", 5 * spec.state_size, -1, 1);
     std::vector<float> states = before;
     const ActResult expected = *here->Act(frames, lanes, noise, absl::MakeSpan(states));
-    for (const std::string device : {"cpu:0", testing::kStandInDevice}) {
+    for (const std::string device : {"cpu:0", kStandInDevice}) {
       SCOPED_TRACE(text + device);
       const auto there = InitialPolicy(spec, 4, device);
       std::vector<float> states_there = before;
@@ -205,7 +201,7 @@ TEST(Policy, RemembersOnADeviceAsOnTheCpu) {
   const std::string after = GoldenFrames(2, 5, 40);
   std::vector<float> expected(5 * here->state_size());
   ASSERT_THAT(here->Remember(before, after, lanes, absl::MakeSpan(expected)), IsOk());
-  for (const std::string device : {"cpu:0", testing::kStandInDevice}) {
+  for (const std::string device : {"cpu:0", kStandInDevice}) {
     std::vector<float> actual(expected.size());
     ASSERT_THAT(InitialPolicy(spec, 4, device)->Remember(before, after, lanes, absl::MakeSpan(actual)), IsOk());
     for (size_t i = 0; i < actual.size(); ++i) ASSERT_NEAR(actual[i], expected[i], 1e-4) << device;
@@ -215,7 +211,7 @@ TEST(Policy, RemembersOnADeviceAsOnTheCpu) {
 TEST(Policy, RefusesStatesOfAnotherSize) {
   std::vector<float> states(512);
   EXPECT_THAT(std::string(RecurrentPolicy(4)->Act(GoldenFrames(1, 1, 64), {0}, {0.5}, {}).status().message()),
-              ::testing::HasSubstr("0 floats of recurrent state for 1 lanes, want 512 a lane"));
+              testing::HasSubstr("0 floats of recurrent state for 1 lanes, want 512 a lane"));
   EXPECT_EQ(GoldenPolicy(4)->Act(GoldenFrames(1, 1, 64), {0}, {0.5}, absl::MakeSpan(states)).status().code(),
             absl::StatusCode::kInvalidArgument);
 }
@@ -224,10 +220,10 @@ TEST(Policy, RefusesInconsistentInputs) {
   const auto policy = GoldenPolicy(8);
   EXPECT_EQ(policy->Act(std::string(kFrameBytes, 0), {0}, {}, {}).status().code(), absl::StatusCode::kInvalidArgument);
   EXPECT_THAT(std::string(policy->Values(std::string(100, 0), {0}, {}).status().message()),
-              ::testing::HasSubstr("12288"));
+              testing::HasSubstr("12288"));
   const AgentSpec spec = *FindAgent("ppo_cnn");
   EXPECT_THAT(std::string(Policy::Create(spec, SaveWeights(spec, InitialWeights(spec, 1)), 0).status().message()),
-              ::testing::HasSubstr("tile is 0"));
+              testing::HasSubstr("tile is 0"));
   EXPECT_EQ(Policy::Create(spec, "rubbish", 8).status().code(), absl::StatusCode::kInvalidArgument);
 }
 

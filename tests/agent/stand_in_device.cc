@@ -28,7 +28,7 @@
 #define CRAFTFLEET_HAS_ACCELERATORS_
 #endif
 
-namespace craftfleet::testing {
+namespace craftfleet {
 namespace {
 
 std::atomic<int64_t> sent{0};
@@ -303,4 +303,4 @@ void ObserveComputations(ComputationObserver observer) {
 
 DeviceTraffic TrafficSoFar() { return {sent, fetched, read, computed}; }
 
-}  // namespace craftfleet::testing
+}  // namespace craftfleet

@@ -12,7 +12,7 @@
 #include <ATen/core/ivalue.h>
 #include <absl/strings/string_view.h>
 
-namespace craftfleet::testing {
+namespace craftfleet {
 
 inline constexpr char kStandInDevice[] = "privateuseone:0";
 
@@ -40,6 +40,6 @@ using ComputationObserver = std::function<void(absl::string_view name, const std
 // Thread-safe.
 void ObserveComputations(ComputationObserver observer);
 
-}  // namespace craftfleet::testing
+}  // namespace craftfleet
 
 #endif  // CRAFTFLEET_TESTS_AGENT_STAND_IN_DEVICE_H_

@@ -118,16 +118,24 @@ def processes_with(text):
 
 
 def main():
-  """Runs the cases named on the command line, or all; exits with SKIPPED if every one of them was skipped."""
+  """Runs the cases named on the command line; exits with SKIPPED if every one was skipped. Runs all without a name; then the last
+  lines are like those of GoogleTest's programs, which deploy/test.sh counts."""
   module = sys.modules["__main__"]
+  named = sys.argv[1:]
   classes = [item for item in vars(module).values() if isinstance(item, type) and issubclass(item, unittest.TestCase)]
   suite = unittest.TestSuite(
       case for kind in classes for case in unittest.defaultTestLoader.loadTestsFromTestCase(kind)
-      if len(sys.argv) == 1 or case.id().rsplit(".", 1)[-1] in sys.argv[1:])
+      if not named or case.id().rsplit(".", 1)[-1] in named)
   count = suite.countTestCases()
   result = unittest.TextTestRunner(verbosity=2).run(suite)
   if not result.wasSuccessful() or count == 0:
     sys.exit(1)
   for _, reason in result.skipped:
     print("skipped:", reason)
-  sys.exit(SKIPPED if len(result.skipped) == count else 0)
+  if named:
+    sys.exit(SKIPPED if len(result.skipped) == count else 0)
+  print(f"[  PASSED  ] {count - len(result.skipped)} tests.")
+  if result.skipped:
+    print(f"[  SKIPPED ] {len(result.skipped)} tests, listed below:")
+    for case, _ in result.skipped:
+      print(f"[  SKIPPED ] {case.id()}")

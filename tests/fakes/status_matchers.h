@@ -28,7 +28,7 @@ MATCHER(IsOk, "is ok") {
 MATCHER_P2(StatusIs, code, message, "has that code and a matching message") {
   *result_listener << ToStatus(arg).ToString();
   const std::string text(ToStatus(arg).message());
-  return ToStatus(arg).code() == code && ::testing::ExplainMatchResult(message, text, result_listener);
+  return ToStatus(arg).code() == code && testing::ExplainMatchResult(message, text, result_listener);
 }
 
 }  // namespace craftfleet

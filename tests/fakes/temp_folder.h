@@ -19,7 +19,7 @@ namespace craftfleet {
 // Created empty; removed with its contents on destruction.
 class TempFolder {
  public:
-  TempFolder() : path_(JoinPath(::testing::TempDir(), "craftfleet-XXXXXX")) {
+  TempFolder() : path_(JoinPath(testing::TempDir(), "craftfleet-XXXXXX")) {
     CRAFTFLEET_CHECK(::mkdtemp(&path_[0]) != nullptr);
   }
   ~TempFolder() {

@@ -33,7 +33,6 @@ inline constexpr char kConfig[] = R"(
   eval { every_steps: 3000  episodes: 2  final_episodes: 3 }
 )";
 inline constexpr char kLastCheckpoint[] = "checkpoints/iter-00000010";
-inline constexpr absl::Duration kPatience = absl::Seconds(240);  // sanitizer builds are slow
 
 // Ten short iterations.
 inline constexpr char kTenIterations[] = R"(

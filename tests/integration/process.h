@@ -16,6 +16,9 @@
 
 namespace craftfleet {
 
+// How long tests wait for programs. Sanitizer builds are slow.
+inline constexpr absl::Duration kPatience = absl::Seconds(240);
+
 // The process is killed by the destructor, and by the kernel when the thread that started it ends, so that no process
 // outlives a test that crashes or is killed. The test fails if a process that it did not wait for has crashed, or a
 // sanitizer has ended it. Thread-compatible.

@@ -14,10 +14,9 @@
 #include "tests/learner/ranks/local_ranks.h"
 
 namespace craftfleet {
-namespace {
+namespace ranks_test {
 
-using testing::FreePort;
-using ::testing::HasSubstr;
+using testing::HasSubstr;
 
 // Ten short iterations.
 constexpr char kFeedForwardConfig[] = R"(
@@ -172,5 +171,5 @@ TEST_F(RecurrentRanksTest, TwoLearnersEqualOneProcessAlsoWhenTheyResume) {
   ExpectLikeQuiet("recurrent");
 }
 
-}  // namespace
+}  // namespace ranks_test
 }  // namespace craftfleet

@@ -20,8 +20,6 @@
 
 namespace craftfleet {
 
-inline constexpr absl::Duration kPatience = absl::Seconds(240);  // sanitizer builds are slow
-
 // The result of a program.
 struct Ended {
   int exit_code = -1;  // -1: killed after a timeout

@@ -147,7 +147,7 @@ class DeviceCheck {
 
   static absl::StatusOr<UpdateStats> Update(
       int iteration, int rows, PpoUpdater* updater, const std::function<bool()>& should_stop = [] { return false; }) {
-    const std::vector<Fragment> played = testing::RandomFragments(*updater, rows / kSteps, 1, kSteps);
+    const std::vector<Fragment> played = RandomFragments(*updater, rows / kSteps, 1, kSteps);
     Rollout rollout;
     for (const Fragment& fragment : played) {
       AppendFragment(fragment, updater->rollout_options(), &rollout);
@@ -166,10 +166,9 @@ class DeviceCheck {
     const std::string expected_state = expected->SaveOptimizer();
     const std::string actual_state = actual->SaveOptimizer();
     for (const char* name : {"exp_avg.", "exp_avg_sq."}) {
-      const at::Tensor moments = testing::SavedTensors(expected_state, name);
+      const at::Tensor moments = SavedTensors(expected_state, name);
       Print(absl::StrCat("update: error of ", name),
-            testing::ShareOfWay(testing::SavedTensors(actual_state, name), moments, at::zeros_like(moments)),
-            limits_.moments);
+            ShareOfWay(SavedTensors(actual_state, name), moments, at::zeros_like(moments)), limits_.moments);
     }
     Print("update: error of the gradient's norm",
           std::abs(actual_stats.gradient_norm / expected_stats.gradient_norm - 1), limits_.moments);
@@ -189,7 +188,7 @@ class DeviceCheck {
   // Acts `times` times on the same frames, with the states that follow.
   absl::StatusOr<ActResult> Act(const Policy& policy, int lanes, int times) const {
     CRAFTFLEET_ASSIGN_OR_RETURN(const AgentSpec spec, MakeAgentSpec(Config(limits_.precision)));
-    const std::string frames = testing::GoldenFrames(7, lanes, spec.frame_size);
+    const std::string frames = GoldenFrames(7, lanes, spec.frame_size);
     std::vector<int> all(lanes);
     for (int lane = 0; lane < lanes; ++lane) all[lane] = lane;
     std::vector<float> states(static_cast<size_t>(lanes) * spec.state_size);

@@ -124,7 +124,7 @@ double BytesOf(absl::string_view name, const std::vector<c10::IValue>& arguments
 // What the device computes during `call`.
 absl::StatusOr<Costs> CostsOf(const Speeds& speeds, const std::function<absl::Status()>& call) {
   Costs costs;
-  testing::ObserveComputations(
+  ObserveComputations(
       [&](absl::string_view name, const std::vector<c10::IValue>& arguments, const std::vector<at::Tensor>& results) {
         const double flop = FlopOf(name, arguments, results);
         const double bytes = BytesOf(name, arguments, results);
@@ -135,7 +135,7 @@ absl::StatusOr<Costs> CostsOf(const Speeds& speeds, const std::function<absl::St
         costs[std::string(name)].Add(one);
       });
   const absl::Status status = call();
-  testing::ObserveComputations(nullptr);
+  ObserveComputations(nullptr);
   CRAFTFLEET_RETURN_IF_ERROR(status);
   return costs;
 }
@@ -144,7 +144,7 @@ absl::StatusOr<Costs> CostsOf(const Speeds& speeds, const std::function<absl::St
 absl::StatusOr<Costs> CostsOfUpdate(const Speeds& speeds, v1::RunConfig config, int minibatches) {
   config.mutable_ppo()->set_epochs(1);
   CRAFTFLEET_ASSIGN_OR_RETURN(const std::unique_ptr<PpoUpdater> updater,
-                              PpoUpdater::Create(config, /*threads=*/1, testing::kStandInDevice));
+                              PpoUpdater::Create(config, /*threads=*/1, kStandInDevice));
   const AgentSpec& spec = updater->spec();
   const int steps = std::min(config.fragment_steps(), config.ppo().minibatch_size());
   const int states = updater->rollout_options().every_state ? steps : 1;
@@ -153,12 +153,12 @@ absl::StatusOr<Costs> CostsOfUpdate(const Speeds& speeds, v1::RunConfig config, 
   for (size_t i = 0; i < fragments.size(); ++i) {
     Fragment& fragment = fragments[i];
     fragment.lane = static_cast<int>(i);
-    fragment.frames = testing::GoldenFrames(1 + i, steps, spec.frame_size);
+    fragment.frames = GoldenFrames(1 + i, steps, spec.frame_size);
     fragment.states.assign(size_t{1} * states * spec.state_size, 0);
     fragment.actions.assign(steps, 0);
     fragment.log_probs.assign(steps, -2.8F);
     fragment.values.assign(steps, 0);
-    fragment.rewards = testing::GoldenUniforms(absl::StrCat("rewards", i), steps, -1, 1);
+    fragment.rewards = GoldenUniforms(absl::StrCat("rewards", i), steps, -1, 1);
     fragment.ends.assign(steps, StepEnd::kNone);
     AppendFragment(fragment, updater->rollout_options(), &rollout);
   }
@@ -168,10 +168,9 @@ absl::StatusOr<Costs> CostsOfUpdate(const Speeds& speeds, v1::RunConfig config, 
 // Acting with half of the run's lanes, as an actor on a GPU does.
 absl::StatusOr<Costs> CostsOfPlay(const Speeds& speeds, const v1::RunConfig& config, int rows) {
   CRAFTFLEET_ASSIGN_OR_RETURN(const AgentSpec spec, MakeAgentSpec(config));
-  CRAFTFLEET_ASSIGN_OR_RETURN(
-      const std::unique_ptr<const Policy> policy,
-      Policy::Create(spec, SaveWeights(spec, InitialWeights(spec, 1)), rows, testing::kStandInDevice));
-  const std::string frames = testing::GoldenFrames(1, rows, spec.frame_size);
+  CRAFTFLEET_ASSIGN_OR_RETURN(const std::unique_ptr<const Policy> policy,
+                              Policy::Create(spec, SaveWeights(spec, InitialWeights(spec, 1)), rows, kStandInDevice));
+  const std::string frames = GoldenFrames(1, rows, spec.frame_size);
   std::vector<int> lanes(rows);
   std::iota(lanes.begin(), lanes.end(), 0);
   std::vector<float> states(size_t{1} * rows * spec.state_size);

@@ -77,7 +77,7 @@ void BenchTiles(absl::Duration limit) {
   const std::string weights = SaveWeights(spec, InitialWeights(spec, 1));
   for (const int tile : {1, 8, 16, 64}) {
     const auto policy = *Policy::Create(spec, weights, tile);
-    const std::string frames = testing::GoldenFrames(1, tile, spec.frame_size);
+    const std::string frames = GoldenFrames(1, tile, spec.frame_size);
     std::vector<int> lanes(tile);
     std::iota(lanes.begin(), lanes.end(), 0);
     const std::vector<double> noise(tile, 0.5);
@@ -130,7 +130,7 @@ void BenchUpdate(absl::Duration limit, const std::string& name) {
     std::printf("%s\n", std::string(spec.status().message()).c_str());
     return;
   }
-  const std::string frames = testing::GoldenFrames(1, kSteps, spec->frame_size);
+  const std::string frames = GoldenFrames(1, kSteps, spec->frame_size);
   const std::vector<float> state(spec->state_size, 0.1F);
   const Rollout rollout = SampleRollout(frames, state.data());
   for (const int threads : {1, 2}) {

@@ -11,7 +11,7 @@
 namespace craftfleet {
 namespace {
 
-using ::testing::HasSubstr;
+using testing::HasSubstr;
 using Network = v1::NetworkConfig;
 
 // The network of `agent` with the changes that `text` makes.
@@ -46,7 +46,7 @@ struct BadNetwork {
   const char* want;  // in the message
 };
 
-class AgentPresetsRefuse : public ::testing::TestWithParam<BadNetwork> {};
+class AgentPresetsRefuse : public testing::TestWithParam<BadNetwork> {};
 
 TEST_P(AgentPresetsRefuse, InvalidNetworkWithTheFieldsName) {
   const BadNetwork& bad = GetParam();
@@ -55,7 +55,7 @@ TEST_P(AgentPresetsRefuse, InvalidNetworkWithTheFieldsName) {
 
 INSTANTIATE_TEST_SUITE_P(
     EachField, AgentPresetsRefuse,
-    ::testing::Values(
+    testing::Values(
         BadNetwork{"ppo_gnn", "", "agent \"ppo_gnn\" is unknown; known agents: ppo_cnn, lstm_cnn"},
         BadNetwork{"ppo_cnn", "frame_size: 35", "network.frame_size is 35, want 36..256"},
         BadNetwork{"ppo_spcnn", "frame_size: 300", "network.frame_size is 300, want 9..256"},

@@ -19,7 +19,7 @@
 #include "tests/fakes/wire_samples.h"
 
 namespace craftfleet {
-namespace {
+namespace fragment_check_test {
 
 using testing::AllOf;
 using testing::HasSubstr;
@@ -250,5 +250,5 @@ TEST(FragmentDigest, CoversTheContentButNotEpochAndSender) {
   }
 }
 
-}  // namespace
+}  // namespace fragment_check_test
 }  // namespace craftfleet

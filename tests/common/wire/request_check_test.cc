@@ -14,7 +14,7 @@
 #include "tests/fakes/status_matchers.h"
 
 namespace craftfleet {
-namespace {
+namespace request_check_test {
 
 using testing::HasSubstr;
 
@@ -171,5 +171,5 @@ TEST(RequestCheck, ChecksAnnouncementsAndJoins) {
                    wire::CheckJoin);
 }
 
-}  // namespace
+}  // namespace request_check_test
 }  // namespace craftfleet

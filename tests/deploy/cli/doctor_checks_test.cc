@@ -8,7 +8,7 @@
 #include "tests/fakes/test_certificates.h"
 
 namespace craftfleet {
-namespace {
+namespace doctor_checks_test {
 
 using testing::AllOf;
 using testing::Field;
@@ -148,5 +148,5 @@ TEST_F(DoctorTlsTest, FilesMustMatch) {
   EXPECT_THAT(CheckTls({"", "", folder_ / "a.key", absl::Now()}), Fails("no certificate in it", "make-certs.sh"));
 }
 
-}  // namespace
+}  // namespace doctor_checks_test
 }  // namespace craftfleet

@@ -23,7 +23,7 @@
 namespace craftfleet {
 namespace {
 
-using ::testing::HasSubstr;
+using testing::HasSubstr;
 
 // Six short iterations with ends of episodes and evaluations; `more` is added to the configuration.
 struct RunCase {
@@ -39,7 +39,7 @@ struct Result {
   std::string optimizer;
 };
 
-class DeviceRun : public ::testing::TestWithParam<RunCase> {
+class DeviceRun : public testing::TestWithParam<RunCase> {
  protected:
   std::string Logdir(const std::string& run) const { return folder_ / run; }
   std::string Checkpoint(const std::string& run, int iteration) const {
@@ -55,7 +55,7 @@ class DeviceRun : public ::testing::TestWithParam<RunCase> {
       eval { every_steps: 300  episodes: 1  final_episodes: 1 } )") +
                                          GetParam().more,
                                      "config.txt");
-    options.device = testing::kStandInDevice;
+    options.device = kStandInDevice;
     EXPECT_THAT(SetRunDevice(options.device, /*resumed=*/false, v1::RunConfig::CUDA, &options.config), IsOk());
     options.texture_dir = *TextureDir("");
     options.logdir = Logdir(run);
@@ -79,11 +79,11 @@ class DeviceRun : public ::testing::TestWithParam<RunCase> {
 };
 
 TEST_P(DeviceRun, PlaysAndLearnsThereAndGoesOnAfterAStopAsIfNeverStopped) {
-  const testing::DeviceTraffic before = testing::TrafficSoFar();
+  const DeviceTraffic before = TrafficSoFar();
   const auto whole = Start("whole", /*resume=*/false);
   ASSERT_NE(whole, nullptr);
   EXPECT_THAT(whole->Run(), IsOk());
-  EXPECT_GT(testing::TrafficSoFar().computed - before.computed, 1000);
+  EXPECT_GT(TrafficSoFar().computed - before.computed, 1000);
   const Result expected = Read("whole");
   EXPECT_THAT(expected.episodes, HasSubstr("\"length\": 40,"));
   EXPECT_THAT(expected.evaluations, HasSubstr("\"length\": 40,"));
@@ -111,12 +111,12 @@ TEST_P(DeviceRun, PlaysAndLearnsThereAndGoesOnAfterAStopAsIfNeverStopped) {
 }
 
 INSTANTIATE_TEST_SUITE_P(All, DeviceRun,
-                         ::testing::Values(RunCase{"ppo_cnn", R"(agent: "ppo_cnn")"},
-                                           RunCase{"overlapped", R"(agent: "ppo_cnn" overlap: 1)"},
-                                           RunCase{"lstm_cnn", R"(agent: "lstm_cnn")"},
-                                           RunCase{"grid_distillation", R"(agent: "grid_distillation"
+                         testing::Values(RunCase{"ppo_cnn", R"(agent: "ppo_cnn")"},
+                                         RunCase{"overlapped", R"(agent: "ppo_cnn" overlap: 1)"},
+                                         RunCase{"lstm_cnn", R"(agent: "lstm_cnn")"},
+                                         RunCase{"grid_distillation", R"(agent: "grid_distillation"
                                                       distillation { every_iterations: 2 epochs: 1 })"}),
-                         [](const ::testing::TestParamInfo<RunCase>& info) { return info.param.name; });
+                         [](const testing::TestParamInfo<RunCase>& info) { return info.param.name; });
 
 }  // namespace
 }  // namespace craftfleet

@@ -13,7 +13,7 @@
 #include "tests/golden/world_editor.h"
 
 namespace craftfleet {
-namespace {
+namespace renderer_test {
 
 using testing::AllOf;
 using testing::Each;
@@ -116,5 +116,5 @@ TEST(RendererDeathTest, AFrameOfAnotherSizeAborts) {
   EXPECT_DEATH((*renderer)->Render(world, &world.random(), absl::MakeSpan(frame)), "broken invariant");
 }
 
-}  // namespace
+}  // namespace renderer_test
 }  // namespace craftfleet

@@ -19,7 +19,7 @@
 namespace craftfleet {
 namespace {
 
-using ::testing::HasSubstr;
+using testing::HasSubstr;
 
 // Of a record for the view of 9x7 cells.
 constexpr int kLightAt = 1;

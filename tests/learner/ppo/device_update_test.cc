@@ -39,13 +39,8 @@
 namespace craftfleet {
 namespace {
 
-using ::testing::AllOf;
-using testing::DeviceTraffic;
-using ::testing::HasSubstr;
-using testing::kStandInDevice;
-using testing::SavedTensors;
-using testing::ShareOfWay;
-using testing::TrafficSoFar;
+using testing::AllOf;
+using testing::HasSubstr;
 
 constexpr int kSteps = 8;      // of a fragment
 constexpr int kFragments = 2;  // of a lane
@@ -62,7 +57,7 @@ v1::RunConfig ConfigOf(const std::string& text) {
 }
 
 std::vector<Fragment> RandomFragments(const PpoUpdater& updater) {
-  return testing::RandomFragments(updater, kLanes, kFragments, kSteps);
+  return RandomFragments(updater, kLanes, kFragments, kSteps);
 }
 
 // An updater that has run `iterations` updates.
@@ -116,7 +111,7 @@ void ExpectClose(const Trained& actual, const Trained& expected, double moments,
   near(scale.deviation, expected_scale.deviation, "deviation of returns");
 }
 
-using Agents = ::testing::TestWithParam<const char*>;
+using Agents = testing::TestWithParam<const char*>;
 
 void ExpectLearnsAsOnTheCpu(const v1::RunConfig& config, int iterations = 2, double moments = 1e-3) {
   const Trained expected(config, "cpu", iterations);
@@ -150,7 +145,7 @@ TEST(DeviceUpdate, CorrectsLagAsOnTheCpu) {
 
 INSTANTIATE_TEST_SUITE_P(
     All, Agents,
-    ::testing::Values(
+    testing::Values(
         R"(agent: "ppo_cnn" network { frame_size: 40 } ppo { epochs: 2 })",
         R"(agent: "ppo_cnn" network { frame_size: 40 } ppo { value_norm_decay: 0.9 })",
         R"(agent: "lstm_cnn" network { frame_size: 40 } ppo { epochs: 2 recurrent_batches: SEGMENTS })",
@@ -159,8 +154,8 @@ INSTANTIATE_TEST_SUITE_P(
         R"(agent: "ppo_spcnn" network { frame_size: 12 })",
         R"(agent: "lstm_spcnn" network { frame_size: 12 } ppo { recurrent_batches: SEGMENTS })",
         R"(agent: "oc_sa" network { frame_size: 20 })", R"(agent: "oc_sa_published" network { frame_size: 20 })",
-        R"(agent: "oc_ca" network { frame_size: 32 })",
-        R"(agent: "oc_ca" network { frame_size: 32 residual_mlp: true layer_norm: true slot_competition: true })",
+        R"(agent: "oc_ca" network { frame_size: 16 patch: 8 stride: 8 })",
+        R"(agent: "oc_ca" network { frame_size: 16 patch: 8 stride: 8 residual_mlp: true layer_norm: true slot_competition: true })",
         R"(agent: "achievement_distillation" network { extractor: CNN frame_size: 40 })",
         R"(agent: "grid_distillation" network { frame_size: 20 })",
         R"(agent: "ppo_resnet" network { frame_size: 12 } ppo { value_norm_decay: 0.99 })"));
@@ -267,7 +262,7 @@ TEST(DeviceUpdate, WithoutMemoryItSaysWhatToLowerAndLosesNothing) {
   const std::vector<Fragment> fragments = RandomFragments(updater);
   const Rollout rollout = RolloutOf(updater, fragments);
   for (const int count : {1, 50, 200}) {  // where the rollout is sent, in the first minibatch, in a later one
-    testing::RunOutOfMemoryAfter(count);
+    RunOutOfMemoryAfter(count);
     EXPECT_THAT(updater.Update(1, rollout, NeverStop),
                 StatusIs(absl::StatusCode::kResourceExhausted,
                          AllOf(HasSubstr("lower ppo.minibatch_size"), HasSubstr("Tried to allocate 2.00 GiB"))))
@@ -306,7 +301,7 @@ TEST(DeviceUpdate, RecurrentMinibatchesHaveFewSizesAndArePermuted) {
   for (const char* batches : {"SEGMENTS", "PUBLISHED"}) {
     SCOPED_TRACE(batches);
     int64_t convolutions = 0;
-    testing::ObserveComputations([&](absl::string_view name, const std::vector<c10::IValue>& arguments, const auto&) {
+    ObserveComputations([&](absl::string_view name, const std::vector<c10::IValue>& arguments, const auto&) {
       EXPECT_FALSE(absl::StrContains(name, "index_add")) << name;
       if (name != "aten::convolution") return;
       ++convolutions;
@@ -316,7 +311,7 @@ TEST(DeviceUpdate, RecurrentMinibatchesHaveFewSizesAndArePermuted) {
         ConfigOf(
             absl::StrCat(R"(agent: "lstm_cnn" network { frame_size: 40 } ppo { recurrent_batches: )", batches, "}")),
         kStandInDevice, 1);
-    testing::ObserveComputations(nullptr);
+    ObserveComputations(nullptr);
     EXPECT_GT(convolutions, 0);
   }
 }
@@ -346,7 +341,7 @@ TEST(DeviceAdam, StepsAsTheCpus) {
     adam.Load(state, at::Device(device));
     const at::Tensor weights = at::ones({kWeights}).to(at::Device(device));
     for (int step = 0; step < 6; ++step) {
-      std::vector<float> gradient = testing::GoldenUniforms(absl::StrCat("gradient", step), kWeights, -0.2, 0.6);
+      std::vector<float> gradient = GoldenUniforms(absl::StrCat("gradient", step), kWeights, -0.2, 0.6);
       if (step % 2 == 1)
         std::transform(gradient.begin(), gradient.end(), gradient.begin(), [](float g) { return 9 * g; });
       const at::Tensor norm = adam.Step(SendFloats(gradient, at::Device(device)), weights);
@@ -380,7 +375,7 @@ TEST(DeviceAdam, TakesTheNormWithoutACopyInDouble) {
   DeviceAdam adam{AdamOptions()};
   adam.Load({0, zeros, zeros}, device);
   int64_t norms = 0;
-  testing::ObserveComputations(
+  ObserveComputations(
       [&](absl::string_view name, const std::vector<c10::IValue>& arguments, const std::vector<at::Tensor>& results) {
         if (name == "aten::linalg_vector_norm") {
           ++norms;
@@ -390,7 +385,7 @@ TEST(DeviceAdam, TakesTheNormWithoutACopyInDouble) {
           EXPECT_LT(result.scalar_type() == at::kDouble ? result.numel() : 0, 10);
       });
   adam.Step(SendFloats(zeros, device), SendFloats(zeros, device));
-  testing::ObserveComputations(nullptr);
+  ObserveComputations(nullptr);
   EXPECT_GT(norms, 0);
 }
 
@@ -398,7 +393,7 @@ TEST(DeviceWeights, EachParameterIsAtAMultipleOf16Bytes) {
   for (const char* agent : {"ppo_cnn", "lstm_cnn", "achievement_distillation"}) {
     SCOPED_TRACE(agent);
     const AgentSpec spec = *FindAgent(agent);
-    const std::vector<float> values = testing::GoldenUniforms("weights", spec.param_count, -1, 1);
+    const std::vector<float> values = GoldenUniforms("weights", spec.param_count, -1, 1);
     DeviceWeights weights;
     weights.Load(spec, values, at::kCPU);
     for (size_t i = 0; i < spec.params.size(); ++i) {

@@ -23,7 +23,7 @@ Result Compute(const LaneSteps& steps, const GaeOptions& options) {
 }
 
 TEST(Gae, MatchesTheGoldenBitForBit) {
-  const nlohmann::json golden = testing::ReadGolden("gae.json");
+  const nlohmann::json golden = ReadGolden("gae.json");
   ASSERT_EQ(golden["cases"].size(), 5);
   for (const nlohmann::json& example : golden["cases"]) {
     const auto rewards = example["rewards"].get<Floats>();

@@ -19,10 +19,7 @@
 #include "tests/learner/ppo/update_samples.h"
 
 namespace craftfleet {
-namespace {
-
-using testing::GoldenFrames;
-using testing::GoldenUniforms;
+namespace lag_update_test {
 
 constexpr int kLanes = 2;
 constexpr int kSteps = 8;      // of a fragment
@@ -110,7 +107,7 @@ struct Updated {
   UpdateStats stats;
 };
 
-class LagUpdate : public ::testing::TestWithParam<const char*> {};
+class LagUpdate : public testing::TestWithParam<const char*> {};
 
 TEST_P(LagUpdate, WithoutLagTheLossIsTheUsualOne) {
   const v1::RunConfig config = ConfigOf(GetParam(), kTwoEpochs);
@@ -163,13 +160,13 @@ TEST_P(LagUpdate, ImportanceWeightsAreThoseOfActing) {
 
 INSTANTIATE_TEST_SUITE_P(
     Agents, LagUpdate,
-    ::testing::Values(R"(agent: "ppo_cnn" network { frame_size: 40 })",
-                      R"(agent: "ppo_cnn" network { frame_size: 40 } ppo { value_norm_decay: 0.9 })",
-                      R"(agent: "ppo_cnn" network { frame_size: 40 } ppo { advantages_over_rollout: true })",
-                      R"(agent: "ppo_cnn" network { frame_size: 40 memory: true })",
-                      R"(agent: "lstm_cnn" network { frame_size: 40 } ppo { recurrent_batches: SEGMENTS })",
-                      R"(agent: "lstm_cnn" network { frame_size: 40 } ppo { recurrent_batches: PUBLISHED })",
-                      R"(agent: "oc_sa" network { frame_size: 20 dropout: 0 })"));
+    testing::Values(R"(agent: "ppo_cnn" network { frame_size: 40 })",
+                    R"(agent: "ppo_cnn" network { frame_size: 40 } ppo { value_norm_decay: 0.9 })",
+                    R"(agent: "ppo_cnn" network { frame_size: 40 } ppo { advantages_over_rollout: true })",
+                    R"(agent: "ppo_cnn" network { frame_size: 40 memory: true })",
+                    R"(agent: "lstm_cnn" network { frame_size: 40 } ppo { recurrent_batches: SEGMENTS })",
+                    R"(agent: "lstm_cnn" network { frame_size: 40 } ppo { recurrent_batches: PUBLISHED })",
+                    R"(agent: "oc_sa" network { frame_size: 20 dropout: 0 })"));
 
 constexpr char kCnn[] = R"(agent: "ppo_cnn" network { frame_size: 40 })";
 
@@ -198,10 +195,10 @@ TEST(DecoupledUpdate, StoppedInTheFirstEpochChangesNothing) {
   const std::string before = updated.updater->SaveWeights() + updated.updater->SaveOptimizer();
   int asked = 0;
   EXPECT_THAT(updated.updater->Update(1, updated.rollout, [&] { return ++asked > 0; }),
-              StatusIs(absl::StatusCode::kCancelled, ::testing::HasSubstr("stopped")));
+              StatusIs(absl::StatusCode::kCancelled, testing::HasSubstr("stopped")));
   EXPECT_EQ(asked, 1);
   EXPECT_TRUE(updated.updater->SaveWeights() + updated.updater->SaveOptimizer() == before);
 }
 
-}  // namespace
+}  // namespace lag_update_test
 }  // namespace craftfleet

@@ -8,7 +8,7 @@
 #include "common/base/keyed_random.h"
 
 namespace craftfleet {
-namespace {
+namespace ppo_loss_test {
 
 constexpr int kRows = 24;
 
@@ -142,5 +142,5 @@ TEST(Normalise, GivesMeanZeroAndSampleDeviationOne) {
   EXPECT_EQ(equal, (std::vector<float>{0, 0, 0}));
 }
 
-}  // namespace
+}  // namespace ppo_loss_test
 }  // namespace craftfleet

@@ -17,10 +17,7 @@
 namespace craftfleet {
 namespace {
 
-using testing::GoldenFrames;
-using testing::GoldenWeights;
-using ::testing::HasSubstr;
-using testing::ReadGolden;
+using testing::HasSubstr;
 
 // A rollout together with the frames it points to.
 struct OwnedRollout {

@@ -12,7 +12,7 @@
 #include "learner/ppo/ppo_updater.h"
 #include "tests/agent/golden_agent.h"
 
-namespace craftfleet::testing {
+namespace craftfleet {
 
 // `lanes` times `fragments` fragments of `steps` steps for the updater's agent, lane after lane; episodes end at
 // random.
@@ -37,6 +37,6 @@ inline std::vector<Fragment> RandomFragments(const PpoUpdater& updater, int lane
   return result;
 }
 
-}  // namespace craftfleet::testing
+}  // namespace craftfleet
 
 #endif  // CRAFTFLEET_TESTS_LEARNER_PPO_RANDOM_FRAGMENTS_H_

@@ -16,9 +16,7 @@
 #include "tests/learner/ranks/local_ranks.h"
 
 namespace craftfleet {
-namespace {
-
-using testing::InGroup;
+namespace rank_update_test {
 
 constexpr int kIterations = 2;
 
@@ -40,7 +38,7 @@ v1::RunConfig ConfigOf(const std::string& text) {
 }
 
 std::vector<Fragment> FragmentsOf(const PpoUpdater& updater) {
-  std::vector<Fragment> fragments = testing::RandomFragments(updater, /*lanes=*/2, /*fragments=*/3, /*steps=*/8);
+  std::vector<Fragment> fragments = RandomFragments(updater, /*lanes=*/2, /*fragments=*/3, /*steps=*/8);
   for (Fragment& fragment : fragments) {
     for (float& reward : fragment.rewards) reward = reward < 0.3F ? 1 : 0;
   }
@@ -60,7 +58,7 @@ std::string Train(PpoUpdater* updater) {
   return updater->SaveWeights() + updater->SaveOptimizer() + losses;
 }
 
-class RankUpdateTest : public ::testing::TestWithParam<Kind> {};
+class RankUpdateTest : public testing::TestWithParam<Kind> {};
 
 TEST_P(RankUpdateTest, GivesTheBytesOfOneProcess) {
   const v1::RunConfig config = ConfigOf(GetParam().config);
@@ -74,15 +72,15 @@ TEST_P(RankUpdateTest, GivesTheBytesOfOneProcess) {
 
 INSTANTIATE_TEST_SUITE_P(
     Kinds, RankUpdateTest,
-    ::testing::Values(Kind{"FeedForward", "agent: 'ppo_cnn'", 3},
-                      // Some minibatches have fewer segments than shards.
-                      Kind{"Recurrent", "agent: 'lstm_cnn' ppo { minibatch_size: 6 }", 3},
-                      Kind{"ValueNorm", "agent: 'ppo_resnet' network { extractor: CNN }"},
-                      Kind{"Lag", "agent: 'ppo_cnn' overlap: 1 ppo { epochs: 2 }"},
-                      Kind{"RecurrentLag", "agent: 'lstm_cnn' overlap: 1 ppo { epochs: 2 minibatch_size: 6 }"},
-                      Kind{"Distillation",
-                           "agent: 'achievement_distillation' network { extractor: CNN frame_size: 36 } distillation { "
-                           "every_iterations: 2 epochs: 1 minibatch_size: 6 targets: 2 }"}),
+    testing::Values(Kind{"FeedForward", "agent: 'ppo_cnn'", 3},
+                    // Some minibatches have fewer segments than shards.
+                    Kind{"Recurrent", "agent: 'lstm_cnn' ppo { minibatch_size: 6 }", 3},
+                    Kind{"ValueNorm", "agent: 'ppo_resnet' network { extractor: CNN }"},
+                    Kind{"Lag", "agent: 'ppo_cnn' overlap: 1 ppo { epochs: 2 }"},
+                    Kind{"RecurrentLag", "agent: 'lstm_cnn' overlap: 1 ppo { epochs: 2 minibatch_size: 6 }"},
+                    Kind{"Distillation",
+                         "agent: 'achievement_distillation' network { extractor: CNN frame_size: 36 } distillation { "
+                         "every_iterations: 2 epochs: 1 minibatch_size: 6 targets: 2 }"}),
     [](const auto& info) { return info.param.name; });
 
 TEST(RankUpdate, AllStopWhenRank0IsAsked) {
@@ -126,10 +124,10 @@ TEST(RankUpdate, RankWithOtherWeightsIsNamedAndTheUpdateUndone) {
     const std::vector<Fragment> fragments = FragmentsOf(*updater);
     const auto stats = updater->Update(0, RolloutOf(*updater, fragments), NeverStop);
     EXPECT_EQ(stats.status().code(), absl::StatusCode::kDataLoss) << stats.status();
-    EXPECT_THAT(std::string(stats.status().message()), ::testing::HasSubstr("rank 1 has other weights"));
+    EXPECT_THAT(std::string(stats.status().message()), testing::HasSubstr("rank 1 has other weights"));
     EXPECT_TRUE(updater->SaveWeights() == before);
   });
 }
 
-}  // namespace
+}  // namespace rank_update_test
 }  // namespace craftfleet

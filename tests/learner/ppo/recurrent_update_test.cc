@@ -17,12 +17,7 @@
 #include "tests/learner/ppo/update_samples.h"
 
 namespace craftfleet {
-namespace {
-
-using testing::GoldenFrames;
-using testing::GoldenUniforms;
-using testing::GoldenWeights;
-using testing::ReadGolden;
+namespace recurrent_update_test {
 
 constexpr int kLanes = 3;
 constexpr int kSteps = 16;     // of a fragment
@@ -65,7 +60,7 @@ double ValueLoss(const Rollout& rollout) {
   return sum / static_cast<double>(rollout.size());
 }
 
-class RecurrentUpdateTest : public ::testing::TestWithParam<v1::NetworkConfig::Critic> {
+class RecurrentUpdateTest : public testing::TestWithParam<v1::NetworkConfig::Critic> {
  protected:
   // Whose weights are not close to zero, so that states count.
   static std::unique_ptr<PpoUpdater> MakeUpdater(v1::RunConfig config, int threads = 2) {
@@ -126,7 +121,7 @@ TEST_P(RecurrentUpdateTest, PublishedMinibatchesCountTheirPadding) {
 }
 
 INSTANTIATE_TEST_SUITE_P(RecurrentUpdate, RecurrentUpdateTest,
-                         ::testing::Values(v1::NetworkConfig::LINEAR, v1::NetworkConfig::LSTM),
+                         testing::Values(v1::NetworkConfig::LINEAR, v1::NetworkConfig::LSTM),
                          [](const auto& info) { return v1::NetworkConfig::Critic_Name(info.param) + "Critic"; });
 
 // The golden's rollout; `rows` of it in this order.
@@ -179,7 +174,7 @@ void ExpectBatch(const UpdateStats& stats, const nlohmann::json& batch, double t
   EXPECT_NEAR(stats.gradient_norm, norm, norm * 1e-2);
 }
 
-class RecurrentGolden : public ::testing::TestWithParam<std::string> {};
+class RecurrentGolden : public testing::TestWithParam<std::string> {};
 
 TEST_P(RecurrentGolden, PublishedMinibatchesMatch) {
   const nlohmann::json golden = ReadGolden(GetParam() + ".json");
@@ -214,8 +209,8 @@ TEST_P(RecurrentGolden, PublishedMinibatchesMatch) {
   ExpectBatch(*stats, batches[1], 1e-2);
 }
 
-INSTANTIATE_TEST_SUITE_P(RecurrentUpdate, RecurrentGolden, ::testing::Values("lstm_cnn", "lstm_spcnn"),
+INSTANTIATE_TEST_SUITE_P(RecurrentUpdate, RecurrentGolden, testing::Values("lstm_cnn", "lstm_spcnn"),
                          [](const auto& info) { return info.param; });
 
-}  // namespace
+}  // namespace recurrent_update_test
 }  // namespace craftfleet

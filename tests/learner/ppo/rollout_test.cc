@@ -4,7 +4,7 @@
 #include <gtest/gtest.h>
 
 namespace craftfleet {
-namespace {
+namespace rollout_test {
 
 constexpr int kFrameBytes = 12;
 constexpr int kStateSize = 2;
@@ -99,5 +99,5 @@ TEST(Rollout, EveryStepHasItsStateWhereFragmentsHoldIt) {
   EXPECT_EQ(rollout.states[1], &fragment.states[2]);
 }
 
-}  // namespace
+}  // namespace rollout_test
 }  // namespace craftfleet

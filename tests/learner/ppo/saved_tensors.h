@@ -15,7 +15,7 @@
 
 #include "common/agent/safetensors.h"
 
-namespace craftfleet::testing {
+namespace craftfleet {
 
 // All float tensors of a safetensors file whose names start with `prefix`, one after the other as float[n].
 inline at::Tensor SavedTensors(const std::string& bytes, absl::string_view prefix = "") {
@@ -35,6 +35,6 @@ inline double ShareOfWay(const at::Tensor& actual, const at::Tensor& expected, c
   return length(actual - expected) / length(expected - start);
 }
 
-}  // namespace craftfleet::testing
+}  // namespace craftfleet
 
 #endif  // CRAFTFLEET_TESTS_LEARNER_PPO_SAVED_TENSORS_H_

@@ -19,7 +19,7 @@
 #include "learner/ranks/rank_group.h"
 #include "learner/ranks/rank_meeting.h"
 
-namespace craftfleet::testing {
+namespace craftfleet {
 
 // A port of loopback that nobody listens on at the moment.
 inline int FreePort() {
@@ -65,6 +65,6 @@ inline void InGroup(int world_size, const std::function<void(RankGroup*)>& run) 
   });
 }
 
-}  // namespace craftfleet::testing
+}  // namespace craftfleet
 
 #endif  // CRAFTFLEET_TESTS_LEARNER_RANKS_LOCAL_RANKS_H_

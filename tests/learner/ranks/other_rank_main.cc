@@ -13,7 +13,7 @@ namespace craftfleet {
 namespace {
 
 absl::Status WaitForBytes(int port) {
-  CRAFTFLEET_ASSIGN_OR_RETURN(const auto meeting, RankMeeting::Open(testing::LocalRank(1, 2, port), ""));
+  CRAFTFLEET_ASSIGN_OR_RETURN(const auto meeting, RankMeeting::Open(LocalRank(1, 2, port), ""));
   CRAFTFLEET_ASSIGN_OR_RETURN(auto links, meeting->Connect({"canary", "build"}));
   RankGroup group(std::move(links));
   std::string bytes;

@@ -11,9 +11,9 @@
 namespace craftfleet {
 namespace {
 
-using ::testing::HasSubstr;
+using testing::HasSubstr;
 
-class RankFlagsTest : public ::testing::Test {
+class RankFlagsTest : public testing::Test {
  protected:
   RankFlagsTest() { Clear(); }
   ~RankFlagsTest() override { Clear(); }

@@ -19,11 +19,7 @@
 namespace craftfleet {
 namespace {
 
-using testing::FreePort;
-using ::testing::HasSubstr;
-using testing::InGroup;
-using testing::LocalRank;
-using testing::OnRanks;
+using testing::HasSubstr;
 
 constexpr size_t kSize = (size_t{3} << 18) + 17;  // of a sum: some parts, the last of them short
 
@@ -40,7 +36,7 @@ struct SumCase {
   int ranks;
   bool shares_memory;
 };
-class SumTest : public ::testing::TestWithParam<SumCase> {};
+class SumTest : public testing::TestWithParam<SumCase> {};
 
 TEST_P(SumTest, AddsInTheOrderOfShardsAndGivesAllTheSameBits) {
   constexpr int kShards = 6;
@@ -72,7 +68,7 @@ TEST_P(SumTest, AddsInTheOrderOfShardsAndGivesAllTheSameBits) {
 }
 
 INSTANTIATE_TEST_SUITE_P(Ranks, SumTest,
-                         ::testing::Values(SumCase{2, false}, SumCase{2, true}, SumCase{3, false}, SumCase{3, true}));
+                         testing::Values(SumCase{2, false}, SumCase{2, true}, SumCase{3, false}, SumCase{3, true}));
 
 // More numbers, or more memory, than there is room for: along the chain.
 TEST(RankGroup, SumsThatDoNotFitIntoSharedMemoryAreRightToo) {
@@ -89,10 +85,10 @@ TEST(RankGroup, SumsThatDoNotFitIntoSharedMemoryAreRightToo) {
 }
 
 // Tests of what is the same along the chain and through memory.
-class SharedOrNotTest : public ::testing::TestWithParam<bool> {
+class SharedOrNotTest : public testing::TestWithParam<bool> {
  protected:
   static void InGroup(int world_size, const std::function<void(RankGroup*)>& run) {
-    testing::InGroup(world_size, [&](RankGroup* group) {
+    craftfleet::InGroup(world_size, [&](RankGroup* group) {
       if (GetParam()) {
         ASSERT_TRUE(group->ShareMemory(2, kSize).ok());
       }
@@ -100,7 +96,7 @@ class SharedOrNotTest : public ::testing::TestWithParam<bool> {
     });
   }
 };
-INSTANTIATE_TEST_SUITE_P(Memory, SharedOrNotTest, ::testing::Bool());
+INSTANTIATE_TEST_SUITE_P(Memory, SharedOrNotTest, testing::Bool());
 
 TEST_P(SharedOrNotTest, RankWithoutATermPassesTheSumOn) {
   InGroup(3, [](RankGroup* group) {
@@ -207,7 +203,7 @@ class OtherProcess {
   const pid_t pid_;
 };
 
-class LostRankTest : public ::testing::TestWithParam<int> {
+class LostRankTest : public testing::TestWithParam<int> {
  protected:
   // As programs do: Gloo may write to a rank that has just been killed.
   static void SetUpTestSuite() { std::signal(SIGPIPE, SIG_IGN); }
@@ -230,7 +226,7 @@ TEST_P(LostRankTest, EndsTheCallsThatWaitForIt) {
   EXPECT_EQ(group.ended(), status);
 }
 
-INSTANTIATE_TEST_SUITE_P(Signals, LostRankTest, ::testing::Values(SIGKILL, SIGSTOP));
+INSTANTIATE_TEST_SUITE_P(Signals, LostRankTest, testing::Values(SIGKILL, SIGSTOP));
 
 TEST(RankMeeting, RanksThatDoNotComeAreNamedToAllThatCame) {
   const int port = FreePort();

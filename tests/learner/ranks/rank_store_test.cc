@@ -14,10 +14,9 @@
 namespace craftfleet {
 namespace {
 
-using testing::FreePort;
-using ::testing::HasSubstr;
+using testing::HasSubstr;
 
-class RankStoreTest : public ::testing::Test {
+class RankStoreTest : public testing::Test {
  protected:
   void SetUp() override {
     auto rank0 = RankStore::Serve(address_);

@@ -12,7 +12,7 @@
 #include "tests/learner/scheduling/test_registry.h"
 
 namespace craftfleet {
-namespace {
+namespace build_check_test {
 
 using testing::AllOf;
 using testing::HasSubstr;
@@ -109,5 +109,5 @@ TEST(BuildCheck, RemembersTheNewestAndShowsPrintableText) {
   EXPECT_EQ(check.Status().peers_size(), static_cast<int>(WorkerTable::kMaxRefused));
 }
 
-}  // namespace
+}  // namespace build_check_test
 }  // namespace craftfleet

@@ -13,7 +13,7 @@
 #include "tests/learner/scheduling/test_registry.h"
 
 namespace craftfleet {
-namespace {
+namespace lane_scheduler_overdue_test {
 
 using testing::AllOf;
 using testing::ElementsAreArray;
@@ -347,5 +347,5 @@ TEST(OverdueLanesOfAsynchronousPlay, TheyGoToAnActorWithRoomForMore) {
   EXPECT_THAT(grant->granted, ElementsAreArray(of_stuck));
 }
 
-}  // namespace
+}  // namespace lane_scheduler_overdue_test
 }  // namespace craftfleet

@@ -12,7 +12,7 @@
 #include "tests/fakes/status_matchers.h"
 
 namespace craftfleet {
-namespace {
+namespace lane_scheduler_reset_test {
 
 using testing::AllOf;
 using testing::HasSubstr;
@@ -260,5 +260,5 @@ TEST_F(ResetTest, ADifferingDuplicateIsLoggedWithBothSenders) {
   EXPECT_EQ(scheduler_.table().counters.differing, 3);
 }
 
-}  // namespace
+}  // namespace lane_scheduler_reset_test
 }  // namespace craftfleet

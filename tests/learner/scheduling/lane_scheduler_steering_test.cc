@@ -8,7 +8,7 @@
 #include "tests/learner/scheduling/lane_fleet.h"
 
 namespace craftfleet {
-namespace {
+namespace lane_scheduler_steering_test {
 
 using testing::IsEmpty;
 using testing::SizeIs;
@@ -80,5 +80,5 @@ TEST(Steering, AMissingActorCountsAsDrained) {
   EXPECT_THAT(fleet.registry.Actors(), IsEmpty());
 }
 
-}  // namespace
+}  // namespace lane_scheduler_steering_test
 }  // namespace craftfleet

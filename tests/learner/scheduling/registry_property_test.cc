@@ -17,7 +17,7 @@
 #include "tests/learner/scheduling/test_registry.h"
 
 namespace craftfleet {
-namespace {
+namespace registry_property_test {
 
 constexpr int kHistories = 2000;
 constexpr int kSteps = 120;
@@ -294,5 +294,5 @@ TEST(RegistryProperty, WhateverActorsDoNothingIsGrantedTwiceOrLost) {
   }
 }
 
-}  // namespace
+}  // namespace registry_property_test
 }  // namespace craftfleet

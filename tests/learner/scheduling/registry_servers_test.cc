@@ -11,7 +11,7 @@
 #include "tests/learner/scheduling/test_registry.h"
 
 namespace craftfleet {
-namespace {
+namespace registry_servers_test {
 
 using testing::ElementsAre;
 using testing::IsEmpty;
@@ -214,5 +214,5 @@ TEST_F(RegistryServersTest, AnActorThatCanUseNoneOfItsServersGetsOthers) {
   }
 }
 
-}  // namespace
+}  // namespace registry_servers_test
 }  // namespace craftfleet

@@ -23,7 +23,7 @@
 namespace craftfleet {
 
 inline constexpr int64_t kEpoch = 4;
-inline constexpr int64_t kVersion = 11;
+inline constexpr int64_t kPublishedVersion = 11;
 
 inline LearnerServiceImpl::Options ServiceOptions() {
   LearnerServiceImpl::Options options = SampleServiceOptions(kEpoch, absl::Seconds(5));
@@ -38,7 +38,7 @@ inline LearnerServiceImpl::Options ServiceOptions() {
 class LearnerServiceTest : public testing::Test {
  protected:
   LearnerServiceTest() {
-    registry_.OpenIteration(2, kVersion);
+    registry_.OpenIteration(2, kPublishedVersion);
     server_ = *wire::Server::Create({}, {&service_});
     stub_ = v1::LearnerService::NewStub(server_->InProcess().channel);
   }
@@ -87,7 +87,7 @@ class LearnerServiceTest : public testing::Test {
     ASSERT_EQ(permits->granted_size(), kSampleShape.lanes);
     EXPECT_EQ(permits->granted(1).lane(), 1);
     EXPECT_EQ(permits->granted(1).fragment(), 0);
-    EXPECT_EQ(permits->granted(1).policy_version(), kVersion);
+    EXPECT_EQ(permits->granted(1).policy_version(), kPublishedVersion);
   }
   // Sends `messages` on one stream. Returns the verdicts, or the error that ended the stream.
   absl::StatusOr<std::vector<v1::FragmentVerdict>> Push(const std::vector<v1::FragmentMessage>& messages) {
@@ -126,8 +126,8 @@ class LearnerServiceTest : public testing::Test {
   std::unique_ptr<v1::LearnerService::Stub> stub_;
 };
 
-inline v1::FragmentMessage Message(const std::string& actor, int lane, int64_t number, int64_t version = kVersion,
-                                   int64_t epoch = kEpoch) {
+inline v1::FragmentMessage Message(const std::string& actor, int lane, int64_t number,
+                                   int64_t version = kPublishedVersion, int64_t epoch = kEpoch) {
   v1::FragmentMessage message = wire::ToProto(SampleFragment(lane, number, version, epoch));
   message.set_actor(actor);
   return message;

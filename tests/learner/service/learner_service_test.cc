@@ -91,7 +91,7 @@ TEST_F(LearnerServiceTest, ABrokenStreamShortensTheLease) {
   for (int lane = 0; lane < kSampleShape.lanes; ++lane) {
     v1::Permit* permit = request.add_active();
     permit->set_lane(lane);
-    permit->set_policy_version(kVersion);
+    permit->set_policy_version(kPublishedVersion);
   }
   const auto stream = stub_->Play(&context);
   v1::ActorMessage message;
@@ -118,11 +118,12 @@ TEST_F(LearnerServiceTest, AFragmentReachesTheTrainerUnchanged) {
   EXPECT_EQ((*verdicts)[0].number(), 0);
   EXPECT_EQ((*verdicts)[0].verdict(), v1::FragmentVerdict::ACCEPTED);
   EXPECT_EQ((*verdicts)[1].lane(), 0);
-  ExpectSameFragments(*fragments_.Pop(absl::ZeroDuration()), SampleFragment(1, 0, kVersion, kEpoch));
-  ExpectSameFragments(*fragments_.Pop(absl::ZeroDuration()), SampleFragment(0, 0, kVersion, kEpoch));
+  ExpectSameFragments(*fragments_.Pop(absl::ZeroDuration()), SampleFragment(1, 0, kPublishedVersion, kEpoch));
+  ExpectSameFragments(*fragments_.Pop(absl::ZeroDuration()), SampleFragment(0, 0, kPublishedVersion, kEpoch));
   auto snapshot = GetSnapshot(1, 1);
   ASSERT_THAT(snapshot, IsOk());
-  EXPECT_EQ(wire::FromProto(&*snapshot, kSampleShape.state_size).value(), SampleFragment(1, 0, kVersion).snapshot);
+  EXPECT_EQ(wire::FromProto(&*snapshot, kSampleShape.state_size).value(),
+            SampleFragment(1, 0, kPublishedVersion).snapshot);
 }
 
 TEST_F(LearnerServiceTest, AFragmentSentTwiceIsAcceptedOnce) {
@@ -137,7 +138,8 @@ TEST_F(LearnerServiceTest, AFragmentSentTwiceIsAcceptedOnce) {
 
 TEST_F(LearnerServiceTest, FragmentsWithoutPermitAreExpired) {
   Enter("a");
-  const auto verdicts = Push({Message("b", 0, 0), Message("a", 0, 1), Message("a", 0, 0, kVersion, kEpoch - 1)});
+  const auto verdicts =
+      Push({Message("b", 0, 0), Message("a", 0, 1), Message("a", 0, 0, kPublishedVersion, kEpoch - 1)});
   ASSERT_THAT(verdicts, IsOk());
   ASSERT_EQ(verdicts->size(), 3);
   for (const v1::FragmentVerdict& verdict : *verdicts) EXPECT_EQ(verdict.verdict(), v1::FragmentVerdict::EXPIRED);
@@ -169,7 +171,7 @@ TEST_F(LearnerServiceTest, AnInvalidFragmentIsRefusedAndTheStreamGoesOn) {
   wild.set_snapshot(std::string(9000, 's'));
   refused(wild, "fragment 0 of lane 0 of actor a: snapshot: 9000 bytes without");
   refused(Message("a", 3, 0), "lane 3, want 0..2");
-  refused(Message("a", 0, 0, kVersion - 1), "policy_version 10 for fragment 0 of lane 0, want 11");
+  refused(Message("a", 0, 0, kPublishedVersion - 1), "policy_version 10 for fragment 0 of lane 0, want 11");
   EXPECT_EQ(Metric("fragments_rejected"), 6);
   EXPECT_EQ(GetSnapshot(0, 0)->snapshot(), "") << "the lane has not advanced";
 
@@ -179,7 +181,7 @@ TEST_F(LearnerServiceTest, AnInvalidFragmentIsRefusedAndTheStreamGoesOn) {
 }
 
 TEST_F(LearnerServiceTest, ValuesBeyondWhatTheCriticOfTheirWeightsCanSayAreRefused) {
-  weights_.Publish(kVersion, std::make_shared<const std::string>("weights"), {-50, 100});
+  weights_.Publish(kPublishedVersion, std::make_shared<const std::string>("weights"), {-50, 100});
   Enter("a");
   for (const float value : {101.0F, -51.0F}) {
     for (const auto& set : std::vector<std::function<void(v1::FragmentMessage*)>>{
@@ -204,7 +206,7 @@ TEST_F(LearnerServiceTest, TheContentOfFragmentsThatNobodyWantsIsNotLookedAt) {
     return message;
   };
   const auto verdicts = Push({garbage(Message("stranger", 0, 0)), garbage(Message("a", 0, 5)),
-                              garbage(Message("a", 0, 0, kVersion, kEpoch - 1)), garbage(Message("a", 0, 0))});
+                              garbage(Message("a", 0, 0, kPublishedVersion, kEpoch - 1)), garbage(Message("a", 0, 0))});
   ASSERT_THAT(verdicts, IsOk());
   ASSERT_EQ(verdicts->size(), 4);
   for (int i = 0; i < 3; ++i) EXPECT_EQ((*verdicts)[i].verdict(), v1::FragmentVerdict::EXPIRED) << i;

@@ -22,16 +22,16 @@ using testing::HasSubstr;
 TEST_F(LearnerServiceTest, WeightsAreSentInChunks) {
   std::string bytes((256 << 10) + 5, '\0');
   for (size_t i = 0; i < bytes.size(); ++i) bytes[i] = static_cast<char>(i * 31 + (i >> 16));
-  weights_.Publish(kVersion, std::make_shared<std::string>(bytes));
+  weights_.Publish(kPublishedVersion, std::make_shared<std::string>(bytes));
   grpc::ClientContext context;
   v1::WeightsRequest request;
-  request.set_at_least(kVersion - 1);
+  request.set_at_least(kPublishedVersion - 1);
   const auto stream = stub_->GetWeights(&context, request);
   v1::WeightsChunk chunk;
   std::string received;
   std::vector<size_t> sizes;
   while (stream->Read(&chunk)) {
-    EXPECT_EQ(chunk.policy_version(), kVersion);
+    EXPECT_EQ(chunk.policy_version(), kPublishedVersion);
     EXPECT_EQ(chunk.total_bytes(), static_cast<int64_t>(bytes.size()));
     sizes.push_back(chunk.data().size());
     received += chunk.data();
@@ -42,10 +42,10 @@ TEST_F(LearnerServiceTest, WeightsAreSentInChunks) {
 }
 
 TEST_F(LearnerServiceTest, AMissingVersionOfTheWeightsIsAnError) {
-  weights_.Publish(kVersion, std::make_shared<std::string>("w"));
+  weights_.Publish(kPublishedVersion, std::make_shared<std::string>("w"));
   grpc::ClientContext context;
   v1::WeightsRequest request;
-  request.set_at_least(kVersion + 1);
+  request.set_at_least(kPublishedVersion + 1);
   request.set_wait_ms(10);
   v1::WeightsChunk chunk;
   const auto stream = stub_->GetWeights(&context, request);
@@ -67,7 +67,7 @@ v1::ActorMessage RequestOf(const std::string& actor, int wait_ms = 0) {
 // A valid fragment of an earlier epoch, which changes nothing.
 v1::ActorMessage OldFragment(const std::string& actor) {
   v1::ActorMessage message;
-  *message.mutable_fragment() = Message(actor, 0, 0, kVersion, kEpoch - 1);
+  *message.mutable_fragment() = Message(actor, 0, 0, kPublishedVersion, kEpoch - 1);
   return message;
 }
 
@@ -307,7 +307,7 @@ TEST_F(LearnerStreamsTest, StreamsAreLimited) {
 }
 
 TEST_F(LearnerStreamsTest, WeightsThatNobodyReadsAreDropped) {
-  weights_.Publish(kVersion, std::make_shared<std::string>(64 << 20, 'w'));
+  weights_.Publish(kPublishedVersion, std::make_shared<std::string>(64 << 20, 'w'));
   const auto stream = stub_->GetWeights(&context_, v1::WeightsRequest());
   absl::SleepFor(3 * kLimit);
   v1::WeightsChunk chunk;

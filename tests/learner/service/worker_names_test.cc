@@ -14,7 +14,7 @@
 #include "tests/learner/service/learner_service_fixture.h"
 
 namespace craftfleet {
-namespace {
+namespace worker_names_test {
 
 using testing::HasSubstr;
 using Stub = v1::LearnerService::Stub;
@@ -128,5 +128,5 @@ TEST_F(WorkerNamesTest, AStreamEndsOnceItsClientIsNoLongerAllowed) {
   server_.reset();  // before its service
 }
 
-}  // namespace
+}  // namespace worker_names_test
 }  // namespace craftfleet

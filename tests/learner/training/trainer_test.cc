@@ -33,7 +33,7 @@
 #include "tests/fakes/temp_folder.h"
 
 namespace craftfleet {
-namespace {
+namespace trainer_test {
 
 using testing::AllOf;
 using testing::HasSubstr;
@@ -402,5 +402,5 @@ TEST_F(AsynchronousTrainerTest, AnUpdateThatFailsIsUndone) {
   EXPECT_EQ(training->Metric("updates_undone"), 1);
 }
 
-}  // namespace
+}  // namespace trainer_test
 }  // namespace craftfleet

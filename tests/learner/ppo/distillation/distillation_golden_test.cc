@@ -34,14 +34,11 @@ namespace craftfleet {
 namespace {
 
 using nlohmann::json;
-using testing::GoldenFrames;
-using testing::GoldenUniforms;
-using testing::GoldenWeights;
 
 constexpr int kFrameBytes = 64 * 64 * 3;
 constexpr int kCode = 1024;
 
-json Golden() { return testing::ReadGolden("achievement_distillation.json")["network"]; }
+json Golden() { return ReadGolden("achievement_distillation.json")["network"]; }
 
 // float[n,1024]: U(`tag`, n * 1024, -1, 1), each row scaled to length 1, those of `zero` zero.
 std::vector<float> Memories(const std::string& tag, int n, const std::vector<int>& zero) {
@@ -82,7 +79,7 @@ TEST(DistillationGolden, OutputsOfTheAgentMatch) {
   inputs.actions = at::zeros({4, kNumActions});
   for (int i = 0; i < 4; ++i) inputs.actions[i][forward["actions"][i].get<int>()] = 1;
   const std::string frames = GoldenFrames(golden["frames"]["seed"], 4, 64);
-  const NetOutput output = net.Forward(testing::AsInput(frames, spec), inputs);
+  const NetOutput output = net.Forward(AsInput(frames, spec), inputs);
   // Sums of float32 in another order than those of the golden.
   ExpectFirst(output.codes, forward["code_first8"], 2e-5, "code");
   ExpectFirst(at::log_softmax(output.logits, 1), forward["log_softmax"], 2e-5, "log_softmax");
@@ -100,7 +97,7 @@ TEST(DistillationGolden, OutputsOfTheBaselineMatch) {
   EXPECT_EQ(spec.param_count, golden["param_count_baseline"].get<int64_t>());
   std::vector<float> weights = GoldenWeights(spec, golden);
   const PolicyNet net(spec, PolicyNet::Use::kTraining, absl::MakeSpan(weights));
-  const NetOutput output = net.Forward(testing::AsInput(GoldenFrames(golden["frames"]["seed"], 4, 64), spec));
+  const NetOutput output = net.Forward(AsInput(GoldenFrames(golden["frames"]["seed"], 4, 64), spec));
   ExpectFirst(at::log_softmax(output.logits, 1), golden["forward"]["baseline_log_softmax"], 1e-5, "log_softmax");
   for (int i = 0; i < 4; ++i) {
     EXPECT_NEAR(output.values[i].item<float>(), golden["forward"]["baseline_value_normalised"][i].get<double>(), 1e-5);
@@ -192,7 +189,7 @@ void ExpectPpoSteps(const std::string& agent, const json& part, const json& of_a
   std::vector<float> weights = GoldenWeights(spec, Golden());
   PolicyNet net(spec, PolicyNet::Use::kTraining, absl::MakeSpan(weights));
   const int n = part["n"];
-  const at::Tensor frames = testing::AsInput(GoldenFrames(part["frames_seed"], n, 64), spec);
+  const at::Tensor frames = AsInput(GoldenFrames(part["frames_seed"], n, 64), spec);
   Segments inputs;
   if (!memories.empty()) inputs.states = Rows(&memories, n);
   std::vector<Action> actions;
@@ -244,7 +241,7 @@ TEST(DistillationGolden, PpoStepsOfTheBaselineMatch) {
 
 // Two lanes of five steps, fragments of five: values as they are, a death each.
 TEST(DistillationGolden, AdvantagesAreNormalisedOverAllLanes) {
-  const json golden = testing::ReadGolden("achievement_distillation.json")["rollout"];
+  const json golden = ReadGolden("achievement_distillation.json")["rollout"];
   std::vector<float> all;
   std::vector<float> expected;
   for (size_t lane = 0; lane < 2; ++lane) {
@@ -270,7 +267,7 @@ TEST(DistillationGolden, AdvantagesAreNormalisedOverAllLanes) {
 }
 
 // Two lanes of seven steps: the source episode has steps 0..5 of the first, the target steps 0..4 of the second.
-class DistillationStepsGolden : public ::testing::TestWithParam<const char*> {  // the device
+class DistillationStepsGolden : public testing::TestWithParam<const char*> {  // the device
  protected:
   static constexpr int kLaneSteps = 7;
 
@@ -379,7 +376,7 @@ class DistillationStepsGolden : public ::testing::TestWithParam<const char*> {  
   KeptEpisode source_, target_;
 };
 
-INSTANTIATE_TEST_SUITE_P(Devices, DistillationStepsGolden, ::testing::Values("cpu", "cpu:0", testing::kStandInDevice));
+INSTANTIATE_TEST_SUITE_P(Devices, DistillationStepsGolden, testing::Values("cpu", "cpu:0", kStandInDevice));
 
 TEST_P(DistillationStepsGolden, PredictionStepsMatch) {
   PredictionBatch batch{&source_, {0, 1, 2, 3, 4, 5}, prediction_["negatives"].get<std::vector<int>>()};
@@ -405,7 +402,7 @@ TEST_P(DistillationStepsGolden, ChangesAtGoalsGiveTheGoldensCost) {
   const GoalChanges changes = *steps_.ChangesAtGoals({&source_, &target_});
   const json& cost = golden_["matching_step"]["cost"];
   const auto source_goals = static_cast<int>(cost.size());
-  EXPECT_THAT(changes.first, ::testing::ElementsAre(0, source_goals, source_goals + static_cast<int>(cost[0].size())));
+  EXPECT_THAT(changes.first, testing::ElementsAre(0, source_goals, source_goals + static_cast<int>(cost[0].size())));
   for (size_t i = 0; i < cost.size(); ++i) {
     for (size_t j = 0; j < cost[i].size(); ++j) {
       const float* const source = &changes.values[i * kCode];

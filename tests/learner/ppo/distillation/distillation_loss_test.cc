@@ -12,11 +12,11 @@
 #include "tests/agent/golden_agent.h"
 
 namespace craftfleet {
-namespace {
+namespace distillation_loss_test {
 
 using Rows = std::vector<std::vector<float>>;
 
-nlohmann::json Golden(const char* part) { return testing::ReadGolden("achievement_distillation.json")[part]; }
+nlohmann::json Golden(const char* part) { return ReadGolden("achievement_distillation.json")[part]; }
 
 void ExpectRows(const Rows& actual, const nlohmann::json& expected) {
   ASSERT_EQ(actual.size(), expected.size());
@@ -105,8 +105,8 @@ TEST(PolicyDivergence, MatchesTheGolden) {
 }
 
 TEST(PolicyDivergence, GradientIsThatOfFiniteDifferences) {
-  const std::vector<float> logits = testing::GoldenUniforms("new", kNumActions, -1, 1);
-  const std::vector<float> old = testing::GoldenUniforms("old", kNumActions, -1, 1);
+  const std::vector<float> logits = GoldenUniforms("new", kNumActions, -1, 1);
+  const std::vector<float> old = GoldenUniforms("old", kNumActions, -1, 1);
   std::vector<float> gradient(kNumActions);
   std::vector<float> unused(kNumActions);
   PolicyDivergence(logits.data(), old.data(), 3, gradient.data());
@@ -151,5 +151,5 @@ TEST(CodeChange, MemoriesMatchTheGolden) {
   }
 }
 
-}  // namespace
+}  // namespace distillation_loss_test
 }  // namespace craftfleet

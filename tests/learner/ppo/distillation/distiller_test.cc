@@ -26,10 +26,7 @@
 #include "tests/learner/ppo/update_samples.h"
 
 namespace craftfleet {
-namespace {
-
-using testing::SavedTensors;
-using testing::ShareOfWay;
+namespace distiller_test {
 
 constexpr int kLanes = 2;
 constexpr int kLaneSteps = 24;
@@ -37,7 +34,7 @@ constexpr int kRows = kLanes * kLaneSteps;
 constexpr int kEpisode = 10;  // steps
 constexpr int kFrameSize = 36;
 constexpr int kFrameBytes = 3 * kFrameSize * kFrameSize;
-constexpr const char* kDevices[] = {"cpu:0", testing::kStandInDevice};
+constexpr const char* kDevices[] = {"cpu:0", kStandInDevice};
 
 v1::RunConfig Config() {
   return ResolveRunConfig(ParseRunConfig(R"(
@@ -204,8 +201,8 @@ TEST(Distiller, LearnsOnADeviceAsOnTheCpu) {
   }
 }
 
-class DistillerOn : public ::testing::TestWithParam<const char*> {};
-INSTANTIATE_TEST_SUITE_P(Devices, DistillerOn, ::testing::Values("cpu", kDevices[0], kDevices[1]));
+class DistillerOn : public testing::TestWithParam<const char*> {};
+INSTANTIATE_TEST_SUITE_P(Devices, DistillerOn, testing::Values("cpu", kDevices[0], kDevices[1]));
 
 TEST_P(DistillerOn, ARunResumedAfterAnyIterationEqualsTheUninterruptedOne) {
   const auto whole = *PpoUpdater::Create(Config(), 2, GetParam());
@@ -288,5 +285,5 @@ TEST(Distiller, WorksWithoutMemoryAndWithoutMatching) {
   EXPECT_GT(stats->distillation->prediction_steps, 0);
 }
 
-}  // namespace
+}  // namespace distiller_test
 }  // namespace craftfleet

@@ -6,10 +6,10 @@
 #include "tests/agent/golden_agent.h"
 
 namespace craftfleet {
-namespace {
+namespace kept_rollouts_test {
 
-using ::testing::ElementsAre;
-using ::testing::HasSubstr;
+using testing::ElementsAre;
+using testing::HasSubstr;
 
 constexpr int kLanes = 2;
 constexpr int kFrameBytes = 3;
@@ -50,7 +50,7 @@ std::vector<std::vector<int>> RowsOf(const KeptRollouts& kept) {
 const char kGolden[] = "achievement_distillation.json";
 
 TEST(Goals, AnEpisodesGoalsMatchTheGolden) {
-  const nlohmann::json golden = testing::ReadGolden(kGolden)["goals"];
+  const nlohmann::json golden = ReadGolden(kGolden)["goals"];
   ASSERT_GE(golden.size(), 3U);
   for (const nlohmann::json& episode : golden) {
     const auto unlocked = episode["unlocked"].get<std::vector<uint8_t>>();
@@ -65,7 +65,7 @@ TEST(Goals, AnEpisodesGoalsMatchTheGolden) {
 }
 
 TEST(Goals, WholeEpisodesMatchTheGolden) {
-  const nlohmann::json golden = testing::ReadGolden(kGolden)["episodes"]["lanes"];
+  const nlohmann::json golden = ReadGolden(kGolden)["episodes"]["lanes"];
   ASSERT_GE(golden.size(), 3U);
   for (const nlohmann::json& lane : golden) {
     std::vector<StepRange> expected;
@@ -164,5 +164,5 @@ TEST(KeptRollouts, LoadRefusesWhatIsNotTheRunsAndKeepsWhatItHas) {
   EXPECT_EQ(kept.rows(), 8);
 }
 
-}  // namespace
+}  // namespace kept_rollouts_test
 }  // namespace craftfleet

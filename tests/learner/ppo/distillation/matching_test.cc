@@ -21,7 +21,7 @@
 #include "tests/learner/ppo/update_samples.h"
 
 namespace craftfleet {
-namespace {
+namespace matching_test {
 
 constexpr int kLanes = 2;
 constexpr int kEpisodesEach = 3;  // of a lane in a rollout; whether the last is whole only the next rollout tells
@@ -236,5 +236,5 @@ TEST(Matching, GoalsThatChangeNothingTakeNoStep) {
   }
 }
 
-}  // namespace
+}  // namespace matching_test
 }  // namespace craftfleet

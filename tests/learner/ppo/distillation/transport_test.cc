@@ -16,7 +16,7 @@ void ExpectPlan(const std::vector<double>& plan, const nlohmann::json& expected,
 }
 
 TEST(Transport, PlansAndMatchesMatchTheGolden) {
-  const nlohmann::json golden = testing::ReadGolden("achievement_distillation.json")["transport"];
+  const nlohmann::json golden = ReadGolden("achievement_distillation.json")["transport"];
   ASSERT_GE(golden["cases"].size(), 7U);
   for (const nlohmann::json& example : golden["cases"]) {
     SCOPED_TRACE(example["name"].get<std::string>());

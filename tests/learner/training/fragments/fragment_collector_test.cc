@@ -14,7 +14,7 @@
 #include "tests/learner/scheduling/test_registry.h"
 
 namespace craftfleet {
-namespace {
+namespace fragment_collector_test {
 
 using testing::ElementsAre;
 using testing::Pair;
@@ -147,5 +147,5 @@ TEST_F(AsyncCollectorTest, AfterAnUndoneUpdateNothingThatWasCollectedCounts) {
               StatusIs(absl::StatusCode::kCancelled, "stopping"));
 }
 
-}  // namespace
+}  // namespace fragment_collector_test
 }  // namespace craftfleet
