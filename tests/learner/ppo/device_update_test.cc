@@ -155,7 +155,7 @@ INSTANTIATE_TEST_SUITE_P(
         R"(agent: "lstm_spcnn" network { frame_size: 12 } ppo { recurrent_batches: SEGMENTS })",
         R"(agent: "oc_sa" network { frame_size: 20 })", R"(agent: "oc_sa_published" network { frame_size: 20 })",
         R"(agent: "oc_ca" network { frame_size: 16 patch: 8 stride: 8 })",
-        R"(agent: "oc_ca" network { frame_size: 16 patch: 8 stride: 8 residual_mlp: true layer_norm: true slot_competition: true })",
+        R"(agent: "oc_ca" network { frame_size: 32 residual_mlp: true layer_norm: true slot_competition: true })",
         R"(agent: "achievement_distillation" network { extractor: CNN frame_size: 40 })",
         R"(agent: "grid_distillation" network { frame_size: 20 })",
         R"(agent: "ppo_resnet" network { frame_size: 12 } ppo { value_norm_decay: 0.99 })"));
