@@ -66,8 +66,8 @@ endfunction()
 # craftfleet_test(NAME learner_test LABELS unit tsan SRCS a_test.cc b_test.cc DEPS ...): GoogleTest sources of the executable
 # NAME. One executable holds the tests of a folder, since linking LibTorch and gRPC takes longer than compiling a test: further
 # calls with its NAME add sources, also with other labels. There is one ctest entry per TEST, so that `ctest` finds them by name;
-# with CRAFTFLEET_TEST_PROGRAMS, one per source, because a program with LibTorch takes half a second to start. Tests find files
-# and programs with test_paths.h.
+# with CRAFTFLEET_TEST_PROGRAMS, one per source, because a program with LibTorch takes half a second to start. Sources with the
+# longest TIMEOUT then start first. Tests find files and programs with test_paths.h.
 function(craftfleet_test)
   cmake_parse_arguments(ARG "" "NAME;TIMEOUT" "SRCS;DEPS;LABELS" ${ARGN})
   if(NOT TARGET ${ARG_NAME})
@@ -93,10 +93,9 @@ function(craftfleet_test)
       get_filename_component(stem ${source} NAME_WE)
       add_test(NAME ${ARG_NAME}/${stem} COMMAND ${ARG_NAME} --gtest_filter=${filter})
       set_tests_properties(${ARG_NAME}/${stem} PROPERTIES LABELS "${ARG_LABELS}" COST ${ARG_TIMEOUT} TIMEOUT 1800)
-      set(is_added TRUE)
     endif()
   endforeach()
-  if(is_added OR NOT all_filter)
+  if(CRAFTFLEET_TEST_PROGRAMS OR NOT all_filter)
     return()
   endif()
   # CMake 3.25 expands the list of labels four times before ctest reads it; without the backslashes only its first entry
@@ -124,8 +123,8 @@ endfunction()
 include(GoogleTest)
 
 # craftfleet_python_test(NAME LocalFleet SCRIPT local_fleet_test.py LABELS integration): one ctest entry per `def test_...` of
-# the script, which calls main() of tests/fakes/python_case.py; with CRAFTFLEET_TEST_PROGRAMS and without EACH_CASE, one for all of
-# them. The longest TIMEOUT starts first.
+# the script, which calls main() of tests/fakes/python_case.py; with CRAFTFLEET_TEST_PROGRAMS, one for all of them, unless
+# EACH_CASE is given, which cases need that use what another one has made.
 function(craftfleet_python_test)
   cmake_parse_arguments(ARG "EACH_CASE" "NAME;SCRIPT;TIMEOUT" "LABELS" ${ARGN})
   set(script ${CMAKE_CURRENT_SOURCE_DIR}/${ARG_SCRIPT})

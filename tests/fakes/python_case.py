@@ -118,8 +118,8 @@ def processes_with(text):
 
 
 def main():
-  """Runs the cases named on the command line; exits with SKIPPED if every one was skipped. Runs all without a name; then the last
-  lines are like those of GoogleTest's programs, which deploy/test.sh counts."""
+  """Runs the cases named on the command line; exits with SKIPPED if every one was skipped. Without names it runs all cases and
+  ends with a summary like GoogleTest's, which deploy/test.sh counts."""
   module = sys.modules["__main__"]
   named = sys.argv[1:]
   classes = [item for item in vars(module).values() if isinstance(item, type) and issubclass(item, unittest.TestCase)]
