@@ -24,8 +24,9 @@
 
 namespace craftfleet {
 
-// Ten short iterations with deaths and truncations.
+// Ten short iterations with deaths and truncations, of a network that takes a third of the time.
 inline constexpr char kConfig[] = R"(
+  network { frame_size: 36 }
   steps: 10240  lanes: 16  seed: 3  fragment_steps: 64
   env { length: 90 }
   ppo { rollout_steps: 1024  minibatch_size: 128  epochs: 2 }

@@ -147,10 +147,14 @@ class OverlappedFleetTest : public FleetTest {
 
 TEST_F(OverlappedFleetTest, AFinishedRunCanBeExtended) { Extend(); }
 
-// Episodes that end in the night, whose pictures have noise.
+// Frames of the usual size and episodes that end in the night, whose pictures have noise.
 class FrameFormatsFleetTest : public FleetTest {
  protected:
-  void SetUp() override { TrainQuietly(absl::StrReplaceAll(kConfig, {{"length: 90", "length: 230"}}), 230); }
+  void SetUp() override {
+    const std::string config = absl::StrReplaceAll(
+        kConfig, {{"frame_size: 36", "frame_size: 64"}, {"length: 90", "length: 230"}, {"epochs: 2", "epochs: 1"}});
+    TrainQuietly(config, 230);
+  }
 };
 
 TEST_F(FrameFormatsFleetTest, EveryFormatEqualsOneProcess) {
