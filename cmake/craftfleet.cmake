@@ -60,7 +60,6 @@ function(craftfleet_program)
   set_target_properties(${ARG_NAME} PROPERTIES BUILD_WITH_INSTALL_RPATH ON
     INSTALL_RPATH "$ORIGIN/../lib/craftfleet/libtorch")
   install(TARGETS ${ARG_NAME} RUNTIME DESTINATION ${CMAKE_INSTALL_BINDIR})
-  set_property(GLOBAL APPEND PROPERTY CRAFTFLEET_PROGRAMS ${ARG_NAME})
 endfunction()
 
 # craftfleet_test(NAME learner_test LABELS unit tsan SRCS a_test.cc b_test.cc DEPS ...): GoogleTest sources of the executable

@@ -121,7 +121,7 @@ if [ -n "$core" ] && [ -z "$tests" ]; then
 fi
 if [ -n "$tests" ]; then
   packages+=(libgtest-dev libgmock-dev libbenchmark-dev libopencv-imgcodecs-dev)
-  packages+=(less xz-utils python3-pandas python3-venv python3-dev python3-yaml iproute2 prometheus munge slurmctld slurmd slurm-client tmux xvfb xdotool zsh
+  packages+=(less xz-utils python3-pandas python3-venv python3-dev python3-yaml iproute2 prometheus munge slurmctld slurmd slurm-client tmux xvfb xdotool
     chromium chromium-driver python3-selenium qemu-user)
 fi
 if [ -n "$developer" ]; then

@@ -296,6 +296,12 @@ class Scripts(Case):
     stubs = self.start_stub_fleet({}, script=link)
     self.assertIn("--rank=0", stubs["learner"])
 
+  def test_an_installation_has_programs_textures_and_the_licence(self):
+    ended = self.run_in(["cmake", "--install", BIN.parent, "--prefix", self.folder / "usr"])
+    self.assertEqual(ended.returncode, 0, ended.stderr)
+    for path in ("bin/craftfleet-learner", "share/craftfleet/textures/stone.png", "share/doc/craftfleet/LICENSE"):
+      self.assertTrue((self.folder / "usr" / path).is_file(), path)
+
   def test_what_reads_many_runs_names_and_skips_what_it_cannot_read(self):
     """As another user: root may read everything."""
     self.train()

@@ -178,10 +178,10 @@ class Wheel(python_case.FolderCase):
     for run in ("wheel", "python", "fleet"):
       self.assertEqual((self.folder / run / "stats.jsonl").read_bytes(), (self.folder / "build/stats.jsonl").read_bytes(), run)
 
-  def test_scripts_experiments_and_man_pages_are_in_share(self):
+  def test_scripts_experiments_and_the_licence_are_in_share(self):
     for file in ("craftfleet/slurm/fleet.sbatch", "craftfleet/make-certs.sh"):
       self.assertTrue(os.access(ENVIRONMENT / "share" / file, os.X_OK), file)
-    self.assertTrue((ENVIRONMENT / "share/man/man1/craftfleet-train.1").exists())
+    self.assertTrue((ENVIRONMENT / "share/doc/craftfleet/LICENSE").exists())
     listed = self.run_in_environment("craftfleet", "sweep", str(ENVIRONMENT / "share/craftfleet/experiments/paper.toml"), "--list")
     self.assertIn("ppo_cnn", listed)
 

@@ -6,7 +6,6 @@ import contextlib
 import dataclasses
 import difflib
 import errno
-import json
 import os
 import re
 import secrets
@@ -44,7 +43,7 @@ def read_text(path: str) -> str:
 @dataclasses.dataclass(frozen=True)
 class Flag:
   name: str
-  type: str  # bool, integer, list or string, as in --help_json
+  type: str  # bool, integer, list or string, as in --help_json of the other commands
   default: object
   help: str
   main: bool = True
@@ -144,13 +143,6 @@ def full_help(program: str, usage: str, flags: list[Flag]) -> str:
   return text + ("\nMore flags:\n" + details(others) if others else "") + "\n  --help, --helpfull, --version\n"
 
 
-def help_json(program: str, usage: str, flags: list[Flag]) -> str:
-  """What the man pages and completions are made from; the same as in the programs."""
-  described = [{"name": flag.name, "type": flag.type, "default": default_text(flag), "help": flag.help,
-                "group": "main" if flag.main else "other"} for flag in sorted(flags, key=lambda flag: not flag.main)]
-  return json.dumps({"program": program, "usage": usage, "flags": described}, indent=2, ensure_ascii=False) + "\n"
-
-
 def version(program: str) -> str:
   words, environment = programs.find("inspect")
   text = subprocess.run([*words, "--version"], capture_output=True, text=True, check=True, env=environment).stdout
@@ -178,12 +170,11 @@ def run(program: str, usage: str, flags: list[Flag], arguments: list[str],
   """Runs `body` and returns the exit code: 0, its own, or 1 after an error on standard error."""
   code, error = 0, ""
   try:
-    asked = next((word for word in arguments if word in ("-h", "-help", "--help", "--helpfull", "--help_json", "--version")), "")
+    asked = next((word for word in arguments if word in ("-h", "-help", "--help", "--helpfull", "--version")), "")
     if asked == "--version":
       sys.stdout.write(version(program))
     elif asked:
-      text = {"--helpfull": full_help, "--help_json": help_json}.get(asked, short_help)
-      sys.stdout.write(text(program, usage, flags))
+      sys.stdout.write((full_help if asked == "--helpfull" else short_help)(program, usage, flags))
     else:
       code = body(*parse(program, flags, arguments)) or 0
   except (BrokenPipeError, KeyboardInterrupt) as stopped:
