@@ -34,10 +34,6 @@ std::vector<int> LanePlacement::SetServers(const std::vector<std::string>& addre
   return removed;
 }
 
-bool LanePlacement::AnyAvailable() const {
-  return std::any_of(servers_.begin(), servers_.end(), [](const Server& server) { return server.available; });
-}
-
 std::optional<size_t> LanePlacement::Place(int lane, std::optional<size_t> except) {
   CRAFTFLEET_CHECK(server_of_.count(lane) == 0);
   std::optional<size_t> best;

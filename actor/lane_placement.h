@@ -27,7 +27,6 @@ class LanePlacement {
 
   // Sets whether lanes may be placed on `server`. Lanes placed there stay.
   void SetAvailable(size_t server, bool available) { servers_[server].available = available; }
-  bool AnyAvailable() const;
 
   // Places an unplaced lane on the available server with the fewest lanes, other than `except`. Returns nothing, and
   // leaves the lane unplaced, if there is no such server.

@@ -24,8 +24,4 @@ std::string WithCommas(int64_t value) {
   return text;
 }
 
-std::string Counted(int64_t number, absl::string_view thing) {
-  return absl::StrCat(WithCommas(number), " ", thing, number == 1 ? "" : "s");
-}
-
 }  // namespace craftfleet

@@ -6,8 +6,6 @@
 #include <cstdint>
 #include <string>
 
-#include <absl/strings/string_view.h>
-
 namespace craftfleet {
 
 // The shortest text from which the same finite number is read: "10.3", "0.3333333333333333".
@@ -15,9 +13,6 @@ std::string ExactNumber(double value);
 
 // 1234567 -> "1,234,567"
 std::string WithCommas(int64_t value);
-
-// "1 run", "2 runs", "1,000 runs"
-std::string Counted(int64_t number, absl::string_view thing);
 
 }  // namespace craftfleet
 

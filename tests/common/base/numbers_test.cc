@@ -18,12 +18,6 @@ TEST(ExactNumber, ReadsBackTheSame) {
   }
 }
 
-TEST(Counted, HasAPluralExceptForOne) {
-  EXPECT_EQ(Counted(0, "run"), "0 runs");
-  EXPECT_EQ(Counted(1, "run"), "1 run");
-  EXPECT_EQ(Counted(1'000, "run"), "1,000 runs");
-}
-
 TEST(WithCommas, GroupsThousands) {
   EXPECT_EQ(WithCommas(0), "0");
   EXPECT_EQ(WithCommas(999), "999");
