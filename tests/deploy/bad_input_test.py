@@ -169,7 +169,9 @@ class BadInput(python_case.FolderCase):
   def test_every_program_explains_itself(self):
     for program in PROGRAMS:
       with self.subTest(program):
-        for flag in ("--help", "--helpfull", "--version", *([] if program in IN_PYTHON else ["--help_json"])):
+        for flag in ("--help", "--helpfull", "--help_json", "--version"):
+          if flag == "--help_json" and program in IN_PYTHON:
+            continue  # no other program asks those
           ended = self.run_program(program, flag)
           self.assertEqual(ended.stderr, "")
           if flag == "--help":

@@ -24,7 +24,7 @@
 
 namespace craftfleet {
 
-// Ten short iterations with deaths and truncations, of a network that takes a third of the time.
+// Ten short iterations with deaths and truncations. Frames of 36 pixels take a third of the time of the usual 64.
 inline constexpr char kConfig[] = R"(
   network { frame_size: 36 }
   steps: 10240  lanes: 16  seed: 3  fragment_steps: 64

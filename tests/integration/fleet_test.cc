@@ -147,7 +147,7 @@ class OverlappedFleetTest : public FleetTest {
 
 TEST_F(OverlappedFleetTest, AFinishedRunCanBeExtended) { Extend(); }
 
-// Frames of the usual size and episodes that end in the night, whose pictures have noise.
+// Frames of the usual size, and episodes that end in the night, whose pictures have noise. One epoch, to save time.
 class FrameFormatsFleetTest : public FleetTest {
  protected:
   void SetUp() override {
