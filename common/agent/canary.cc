@@ -23,7 +23,7 @@
 namespace craftfleet {
 namespace {
 
-// Small networks that together use every kind of layer of the agents, convolutions by FFT with both sizes of tiles.
+// Small networks that together use the layers which canary.h lists, with convolutions by FFT with both sizes of tiles.
 // Changing them changes every canary.
 constexpr const char* kNetworks[] = {
     R"(agent: "lstm_cnn")",

@@ -10,7 +10,7 @@ void CodeChange(absl::Span<const float> before, absl::Span<const float> after, a
   constexpr double kLeastLength = 1e-12;
   double squares = 0;
   for (size_t i = 0; i < change.size(); ++i) {
-    change[i] = (after.empty() ? 0.0F : after[i]) - before[i];
+    change[i] = after[i] - before[i];
     squares += double{change[i]} * change[i];
   }
   const double length = std::max(std::sqrt(squares), kLeastLength);

@@ -2,6 +2,7 @@
 
 #include <cstdlib>
 #include <fstream>
+#include <limits>
 #include <string>
 
 #include <ATen/Context.h>
@@ -29,28 +30,64 @@ constexpr int kLeastNarrowCapability = 80;  // of TF32 and BF16
   return true;
 }();
 
+// What one can do about a GPU that fails.
+struct Advice {
+  absl::string_view memory;   // when its memory does not suffice
+  absl::string_view kernels;  // when LibTorch has none for it, besides building against another one
+  absl::string_view restart;  // when it failed
+};
+constexpr Advice kUpdating = {
+    "lower ppo.minibatch_size first, then ppo.rollout_steps and lanes, or end other programs on this GPU",
+    ", or use --device=cpu", "start again with --resume"};
+constexpr Advice kActing = {"end other programs on this GPU, or run fewer actors on it", "", "start the actor again"};
+
+absl::Status ErrorWith(const Advice& advice, absl::string_view task, absl::string_view what) {
+  // Behind the first line are pages of advice and a stack trace.
+  const absl::string_view line = what.substr(0, what.find('\n'));
+  const auto says = [what](absl::string_view text) { return absl::StrContains(what, text); };
+  // cuBLAS and cuDNN have no words for it; for want of memory cuDNN finds no algorithm at all.
+  if (says("out of memory") || says("ALLOC_FAILED") || says("unable to find an engine")) {
+    return absl::ResourceExhaustedError(
+        absl::StrFormat("%s: the GPU's memory does not suffice: %s (%s)", task, advice.memory, line));
+  }
+  if (says("no kernel image is available")) {
+    return absl::FailedPreconditionError(
+        absl::StrFormat("%s: this LibTorch has no kernels for this GPU: build against one that names its compute "
+                        "capability (-DCRAFTFLEET_LIBTORCH=DIR)%s (%s)",
+                        task, advice.kernels, line));
+  }
+  if (says("CUDA error") || says("CUDNN_STATUS") || says("CUBLAS_STATUS")) {
+    return absl::UnavailableError(absl::StrFormat(
+        "%s: the GPU or its driver failed, see nvidia-smi and the kernel's log; %s (%s)", task, advice.restart, line));
+  }
+  return absl::InternalError(absl::StrFormat("%s: %s", task, line));
+}
+
+// `device` for --device=`name`; if LibTorch lacks CUDA, the error says so.
+absl::StatusOr<std::string> OrWithoutCuda(absl::string_view name, absl::StatusOr<std::string> device) {
+  if (at::hasCUDA() || !absl::IsFailedPrecondition(device.status()) || !absl::StartsWith(name, "cuda")) return device;
+  return absl::FailedPreconditionError(
+      absl::StrFormat("%s; LibTorch was built without CUDA or finds no driver: build against one that has it "
+                      "(-DCRAFTFLEET_LIBTORCH=DIR)",
+                      device.status().message()));
+}
+
 }  // namespace
 
 absl::StatusOr<std::string> FindDevice(absl::string_view name) {
-  const absl::StatusOr<std::string> device = ChooseDevice(name, static_cast<int>(at::getNumGPUs()));
-  if (at::hasCUDA() || !absl::IsFailedPrecondition(device.status())) return device;
-  return absl::FailedPreconditionError(
-      absl::StrFormat("--device=%s: LibTorch was built without CUDA or finds no driver: build against one that has it "
-                      "(-DCRAFTFLEET_LIBTORCH=DIR), or use --device=cpu",
-                      name));
+  return OrWithoutCuda(name, ChooseDevice(name, static_cast<int>(at::getNumGPUs())));
 }
 
 absl::StatusOr<std::string> ChooseDevice(absl::string_view name, int gpus) {
   if (name == kCpu || (name == "auto" && gpus == 0)) return std::string(kCpu);
-  if (name == "auto" || name == "cuda") name = "cuda:0";
-  absl::string_view digits = name;
+  absl::string_view digits = name == "auto" || name == "cuda" ? "cuda:0" : name;
   int number = 0;
   if (!absl::ConsumePrefix(&digits, "cuda:") || !absl::SimpleAtoi(digits, &number) || number < 0) {
     return absl::InvalidArgumentError(absl::StrFormat("--device=%s, want auto, cpu, cuda or cuda:N", name));
   }
   if (number >= gpus) {
     return absl::FailedPreconditionError(
-        absl::StrFormat("--device=%s: there are %d GPUs, numbered from 0", name, gpus));
+        absl::StrFormat("--device=%s: there are %d GPUs, numbered from 0; want one of them or cpu", name, gpus));
   }
   return absl::StrCat("cuda:", number);
 }
@@ -75,19 +112,23 @@ absl::Status SetRunDevice(absl::string_view device, bool resumed, v1::RunConfig:
 }
 
 absl::StatusOr<std::string> FindActingDevice(absl::string_view name, v1::RunConfig::Device run) {
-  return ChooseActingDevice(name, run, static_cast<int>(at::getNumGPUs()));
+  return OrWithoutCuda(name, ChooseActingDevice(name, run, static_cast<int>(at::getNumGPUs())));
 }
 
 absl::StatusOr<std::string> ChooseActingDevice(absl::string_view name, v1::RunConfig::Device run, int gpus) {
-  const bool on_gpus = run == v1::RunConfig::CUDA;
-  if (name == "auto" && !on_gpus) return std::string(kCpu);
+  if (run != v1::RunConfig::CUDA) {
+    if (name == "auto") return std::string(kCpu);
+    CRAFTFLEET_ASSIGN_OR_RETURN(std::string device, ChooseDevice(name, std::numeric_limits<int>::max()));
+    if (device == kCpu) return device;
+    return absl::FailedPreconditionError(
+        absl::StrCat("--device=", name, ": the run acts on CPUs, want --device=auto or cpu"));
+  }
   CRAFTFLEET_ASSIGN_OR_RETURN(std::string device, ChooseDevice(name, gpus));
-  if ((device != kCpu) == on_gpus) return device;
-  return absl::FailedPreconditionError(absl::StrCat(
-      "--device=", name,
-      on_gpus ? ": the run acts on GPUs (device: CUDA), and this is the CPU: run the actor where LibTorch finds a GPU "
-                "(craftfleet doctor)"
-              : ": the run acts on CPUs, want --device=auto or cpu"));
+  if (device != kCpu) return device;
+  return absl::FailedPreconditionError(
+      absl::StrCat("--device=", name,
+                   ": the run acts on GPUs (device: CUDA), and this is the CPU: run the actor where LibTorch finds a "
+                   "GPU (craftfleet doctor)"));
 }
 
 void SetUpDevice(absl::string_view device, v1::RunConfig::Precision precision) {
@@ -147,29 +188,10 @@ absl::Status CheckGpuPrecision(absl::string_view device, int capability, v1::Run
       CapabilityText(capability)));
 }
 
-absl::Status DeviceError(absl::string_view task, absl::string_view what) {
-  // Behind the first line are pages of advice and a stack trace.
-  const absl::string_view line = what.substr(0, what.find('\n'));
-  const auto says = [what](absl::string_view text) { return absl::StrContains(what, text); };
-  // cuBLAS and cuDNN have no words for it; for want of memory cuDNN finds no algorithm at all.
-  if (says("out of memory") || says("ALLOC_FAILED") || says("unable to find an engine")) {
-    return absl::ResourceExhaustedError(
-        absl::StrFormat("%s: the GPU's memory does not suffice: lower ppo.minibatch_size first, then ppo.rollout_steps "
-                        "and lanes, or end other programs on this GPU (%s)",
-                        task, line));
-  }
-  if (says("no kernel image is available")) {
-    return absl::FailedPreconditionError(absl::StrFormat(
-        "%s: this LibTorch has no kernels for this GPU: build against one that names its compute capability "
-        "(-DCRAFTFLEET_LIBTORCH=DIR), or use --device=cpu (%s)",
-        task, line));
-  }
-  if (says("CUDA error") || says("CUDNN_STATUS") || says("CUBLAS_STATUS")) {
-    return absl::UnavailableError(absl::StrFormat(
-        "%s: the GPU or its driver failed, see nvidia-smi and the kernel's log; start again with --resume (%s)", task,
-        line));
-  }
-  return absl::InternalError(absl::StrFormat("%s: %s", task, line));
+absl::Status DeviceError(absl::string_view task, absl::string_view what) { return ErrorWith(kUpdating, task, what); }
+
+absl::Status ActingDeviceError(absl::string_view task, absl::string_view what) {
+  return ErrorWith(kActing, task, what);
 }
 
 }  // namespace craftfleet

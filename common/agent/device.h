@@ -16,8 +16,7 @@ namespace craftfleet {
 // Resolves --device=`name` on this machine to LibTorch's notation: "cpu", or "cuda:N" for its GPU number N, as
 // nvidia-smi counts. `name` is one of these, "cuda" for the first GPU, or "auto" for the first GPU if there is one and
 // the CPU if not.
-//   InvalidArgument: it is none of these.   FailedPrecondition: there is no such GPU, or this LibTorch was built
-//   without GPU support.
+//   InvalidArgument: it is none of these.   FailedPrecondition: there is no such GPU, or this LibTorch has no CUDA.
 absl::StatusOr<std::string> FindDevice(absl::string_view name);
 
 // The same where there are `gpus` GPUs.
@@ -49,10 +48,14 @@ absl::Status CheckCpuPrecision(absl::string_view flags, v1::RunConfig::Precision
 // The same for a GPU, --device=`device`, of this compute capability times ten; 0: it is not known.
 absl::Status CheckGpuPrecision(absl::string_view device, int capability, v1::RunConfig::Precision precision);
 
-// A failure of LibTorch while it computed `task` ("update"), as one sentence: `what` is the text of its exception.
+// A failure of LibTorch while it computed `task` ("update") for a learner, as one sentence: `what` is the text of its
+// exception.
 //   ResourceExhausted: out of a GPU's memory; says what to lower.   FailedPrecondition: this LibTorch has no kernels
 //   for the GPU.   Unavailable: the GPU or its driver failed.   Internal: anything else.
 absl::Status DeviceError(absl::string_view task, absl::string_view what);
+
+// The same for an actor, which can do other things about it.
+absl::Status ActingDeviceError(absl::string_view task, absl::string_view what);
 
 }  // namespace craftfleet
 

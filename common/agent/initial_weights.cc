@@ -9,17 +9,12 @@
 #include <absl/strings/string_view.h>
 #include <absl/types/span.h>
 
+#include "common/base/fnv1a.h"
 #include "common/base/keyed_random.h"
 #include "common/base/multiversion.h"
 
 namespace craftfleet {
 namespace {
-
-uint64_t Fnv1a64(absl::string_view text) {
-  uint64_t hash = 0xCBF29CE484222325ULL;
-  for (const char c : text) hash = (hash ^ static_cast<unsigned char>(c)) * 0x100000001B3ULL;
-  return hash;
-}
 
 // Calls part(i) for each i of 0..count-1, on the workers if there are any. No result depends on their number.
 void RunParts(WorkerPool* workers, int64_t count, const std::function<void(int)>& part) {
@@ -149,7 +144,7 @@ void FillOrthogonal(const ParamSpec& param, uint64_t seed, WorkerPool* workers, 
   const int64_t outputs = param.shape[0];
   const int64_t inputs = param.size / outputs;
   const bool wide = outputs <= inputs;
-  std::vector<double> matrix = Normals(seed, Fnv1a64(param.name), param.size, workers);
+  std::vector<double> matrix = Normals(seed, Fnv1a(kFnv1aBasis, param.name), param.size, workers);
   const int64_t count = wide ? outputs : inputs;
   const int64_t length = wide ? inputs : outputs;
   OrthonormaliseRows(count, length, &matrix, workers);
@@ -165,7 +160,7 @@ void FillOrthogonal(const ParamSpec& param, uint64_t seed, WorkerPool* workers, 
 
 // U(-1, 1).
 double SignedUniform(const ParamSpec& param, uint64_t seed, int64_t i) {
-  const uint64_t stream = Fnv1a64(param.name);
+  const uint64_t stream = Fnv1a(kFnv1aBasis, param.name);
   return 2 * UnitInterval(KeyedBits(RandomUse::kInitialWeights, seed, stream, static_cast<uint64_t>(i))) - 1;
 }
 
@@ -186,7 +181,7 @@ void Fill(const ParamSpec& param, uint64_t seed, WorkerPool* workers, float* wei
       std::fill_n(weight, param.size, static_cast<float>(scale));
       return;
     case ParamInit::Kind::kNormal: {
-      const std::vector<double> normals = Normals(seed, Fnv1a64(param.name), param.size, workers);
+      const std::vector<double> normals = Normals(seed, Fnv1a(kFnv1aBasis, param.name), param.size, workers);
       for (int64_t i = 0; i < param.size; ++i) weight[i] = static_cast<float>(scale * normals[i]);
       return;
     }

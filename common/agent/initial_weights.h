@@ -17,7 +17,7 @@ namespace craftfleet {
 //   linear layers and convolutions of extractors and object modules: orthogonal, gain sqrt(2); a convolution as
 //     [outputs, inputs * k * k]. action_net: gain 0.01, so that the first policy is nearly uniform. value_net: gain 1,
 //     0.1 in residual networks. Their biases: zero.
-//   all tensors of an LSTM: uniform in +-1/16. `critic`: uniform in +-1/sqrt(512).
+//   all tensors of an LSTM: uniform in +-1/16. `critic`: uniform in +-1/sqrt(features).
 //   CLS token, slots: normal, variance 1. Weight and bias of norms: 1 and 0.
 //   residual networks but for their heads: uniform numbers, each output's row scaled to an L2 norm: 1 for `embed`, the
 //     first convolution of a stack and `linear1`, 1.4 for `linear0`, sqrt(1 / (sqrt(stacks) * sqrt(2))) for the

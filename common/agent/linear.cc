@@ -1,6 +1,7 @@
 #include "common/agent/linear.h"
 
 #include <cstdint>
+#include <new>
 
 #include <ATen/ATen.h>
 #include <torch/csrc/autograd/custom_function.h>
@@ -26,8 +27,9 @@ void MultiplyInto(Form form_a, const at::Tensor& a, Form form_b, const at::Tenso
   const auto letter = [](Form form) { return form == Form::kTransposed ? 'T' : 'N'; };
   const int64_t inner = form_a == Form::kTransposed ? a.size(0) : a.size(1);
   if (Sgemm* const sgemm = OneDnnSgemm(); sgemm != nullptr) {
-    sgemm(letter(form_a), letter(form_b), c->size(0), c->size(1), inner, 1.0F, a.data_ptr<float>(), a.size(1),
-          b.data_ptr<float>(), b.size(1), beta, c->data_ptr<float>(), c->size(1));
+    const int status = sgemm(letter(form_a), letter(form_b), c->size(0), c->size(1), inner, 1.0F, a.data_ptr<float>(),
+                             a.size(1), b.data_ptr<float>(), b.size(1), beta, c->data_ptr<float>(), c->size(1));
+    if (status != 0) throw std::bad_alloc();  // the only failure of valid arguments
     return;
   }
   const auto op = [](Form form, const at::Tensor& x) { return form == Form::kTransposed ? x.t() : x; };

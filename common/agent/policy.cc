@@ -99,7 +99,7 @@ absl::StatusOr<std::unique_ptr<const Policy>> Policy::Create(const AgentSpec& sp
   try {
     return std::unique_ptr<const Policy>(new Policy(spec, std::move(values), tile, device));
   } catch (const std::exception& error) {  // of LibTorch, out of a GPU's memory
-    return DeviceError("policy", error.what());
+    return ActingDeviceError("policy", error.what());
   }
 }
 
@@ -129,7 +129,7 @@ absl::StatusOr<std::vector<float>> Policy::Values(absl::string_view frames, absl
 absl::StatusOr<AttentionMap> Policy::Attention(absl::string_view frame) const {
   if (!patches_.has_value()) {
     return absl::InvalidArgumentError(
-        absl::StrCat("agent ", agent_, " has no attention to show; oc_sa and oc_ca have"));
+        absl::StrCat("agent ", agent_, " has no attention to show; only oc_sa and oc_ca do"));
   }
   if (static_cast<int64_t>(frame.size()) != frame_bytes_) {
     return absl::InvalidArgumentError(absl::StrCat(frame.size(), " bytes of a frame, want ", frame_bytes_));
@@ -143,7 +143,7 @@ absl::StatusOr<AttentionMap> Policy::Attention(absl::string_view frame) const {
     const float* values = weights.data_ptr<float>();
     return AttentionMap{*patches_, static_cast<int>(weights.size(1)), {values, values + weights.numel()}};
   } catch (const std::exception& error) {
-    return DeviceError("attention", error.what());
+    return ActingDeviceError("attention", error.what());
   }
 }
 
@@ -183,7 +183,7 @@ absl::Status Policy::Remember(absl::string_view before, absl::string_view after,
       }
     }
   } catch (const std::exception& error) {
-    return DeviceError("memory", error.what());
+    return ActingDeviceError("memory", error.what());
   }
   if (!AllFinite(changes)) return absl::InternalError("memory: the change of features is not finite");
   std::copy(changes.begin(), changes.end(), states.begin());
@@ -219,7 +219,7 @@ absl::StatusOr<Policy::Outputs> Policy::Evaluate(absl::string_view frames, absl:
       }
     }
   } catch (const std::exception& error) {
-    return DeviceError("policy", error.what());
+    return ActingDeviceError("policy", error.what());
   }
   if (!AllFinite(outputs.logits) || !AllFinite(outputs.values) || !AllFinite(outputs.states)) {
     return absl::InternalError("policy: logits, values or recurrent state are not finite");

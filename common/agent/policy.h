@@ -44,7 +44,7 @@ class Policy {
   // `weights` are safetensors of the agent, which the policy looks into; tile in 1..kMaxTile. `device`, as FindDevice
   // returns it, computes tiles; it gets a tile's frames and states in one copy each and returns all results in one.
   //   InvalidArgument: the weights are not this agent's or not finite, the tile is out of range, or the device does not
-  //   compute in the agent's precision.   Others as DeviceError (common/agent/device.h).
+  //   compute in the agent's precision.   Others as ActingDeviceError (common/agent/device.h).
   static absl::StatusOr<std::unique_ptr<const Policy>> Create(const AgentSpec& spec,
                                                               std::shared_ptr<const std::string> weights, int tile,
                                                               const std::string& device = "cpu");
@@ -61,7 +61,7 @@ class Policy {
   // `states`, float[n,state_size()], is the recurrent state or memory of each row, zero where an episode begins; it
   // becomes the state after the step, unless the call fails. A memory stays as it is: see Remember.
   //   InvalidArgument: they don't have the same n.   Internal: LibTorch failed, or the output is not finite.   Others,
-  //   on a GPU, as DeviceError.
+  //   on a GPU, as ActingDeviceError.
   absl::StatusOr<ActResult> Act(absl::string_view frames, absl::Span<const int> lanes, absl::Span<const double> noise,
                                 absl::Span<float> states) const;
 

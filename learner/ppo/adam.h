@@ -30,8 +30,8 @@ struct AdamState {
 // Those of a run's configuration.
 AdamOptions AdamOptionsOf(const v1::PpoConfig& config);
 
-// One shard's gradient: consecutive pieces (parameters) that together are as long as the weights. In shards after the
-// first, a piece may be empty: it is in the first one's already.
+// One shard's gradient: consecutive pieces (parameters) of the first weights: of all, or of all but a goal predictor's,
+// which then stay as they are. In shards after the first, a piece may be empty: it is in the first one's already.
 using ShardGradient = std::vector<absl::Span<float>>;
 
 // Adds the gradients of the shards in their order into the first, then takes one step on `weights`, in place. At least

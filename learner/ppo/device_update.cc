@@ -122,9 +122,10 @@ absl::StatusOr<UpdateStats> DeviceUpdate::RunEpochs(const Rollout& rollout,
   const auto count = static_cast<int64_t>(records.size());
   const at::Tensor are_finite = at::isfinite(weights_.flat).all().logical_and(at::isfinite(value_norm_).all());
   CopyMoments(state);  // the device still computes
-  // The only wait, but for FetchStart: double[6 * count + 3].
-  const at::Tensor fetched =
-      at::cat({at::stack(records).flatten(), are_finite.to(at::kDouble).view({1}), TryWeights(there, trial)}).cpu();
+  // The only wait, but for FetchStart: double[6 * count + 5].
+  const at::Tensor fetched = at::cat({at::stack(records).flatten(), are_finite.to(at::kDouble).view({1}),
+                                      TryWeights(there, trial), value_norm_})
+                                 .cpu();
   const auto* const record = fetched.data_ptr<double>();
   const auto last_epoch = static_cast<int64_t>(epochs.back().size());
   for (int64_t i = 0; i < count; ++i) {
@@ -140,7 +141,9 @@ absl::StatusOr<UpdateStats> DeviceUpdate::RunEpochs(const Rollout& rollout,
   }
   const double* const last = record + 6 * count;
   if (last[0] == 0) return absl::DataLossError("the update's weights or value statistics are not finite");
-  CRAFTFLEET_RETURN_IF_ERROR(CheckOutputs(static_cast<float>(last[1]), static_cast<float>(last[2])));
+  const ValueScale scale = ValueNorm{last[3], last[4], value_weight_}.Scale(config_.value_norm_start());
+  CRAFTFLEET_RETURN_IF_ERROR(
+      CheckOutputs(static_cast<float>(last[1]), static_cast<float>(last[2]), AcceptedOutputs(config_, scale)));
   return stats;
 }
 

@@ -21,8 +21,8 @@ struct DeviceWeights {
   // Sends `weights`, float[spec.param_count].
   void Load(const AgentSpec& spec, const std::vector<float>& weights, at::Device device);
 
-  // The gradient of the parameters that backward passes have reached since the last call, aligned likewise, float[k],
-  // which is then forgotten: all, or all but the last ones (a goal predictor's).
+  // Returns and clears the gradient, float[k], aligned likewise, of the parameters that backward passes have reached
+  // since the last call: of all, or of all but a goal predictor's, which are last.
   at::Tensor TakeGradient();
 };
 

@@ -1,5 +1,6 @@
 #include "learner/ppo/divergence.h"
 
+#include <algorithm>
 #include <cmath>
 #include <cstddef>
 
@@ -35,12 +36,13 @@ at::Tensor LargestOutputs(const NetOutput& output) {
   return at::stack({output.values.abs().max(), output.logits.abs().max()});
 }
 
-absl::Status CheckOutputs(float largest_value, float largest_logit) {
-  if (largest_value <= kMaxSoundValue && std::isfinite(largest_logit)) return absl::OkStatus();
+absl::Status CheckOutputs(float largest_value, float largest_logit, const ValueRange& accepts) {
+  const double most = std::min(-accepts.low, accepts.high) / 10;
+  if (largest_value <= most && std::isfinite(largest_logit)) return absl::OkStatus();
   return absl::DataLossError(absl::StrFormat(
       "training diverges: the new weights' values reach %g and their logits %g, want values up to %g and "
       "finite logits; %s",
-      largest_value, largest_logit, kMaxSoundValue, kRemedy));
+      largest_value, largest_logit, most, kRemedy));
 }
 
 }  // namespace craftfleet

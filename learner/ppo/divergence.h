@@ -12,12 +12,9 @@
 #include "common/agent/nets/segments.h"
 #include "learner/ppo/minibatches.h"
 #include "learner/ppo/rollout.h"
+#include "learner/ppo/value_norm.h"
 
 namespace craftfleet {
-
-// Largest absolute value of a critic on a rollout's steps. A tenth of what the learner accepts from actors
-// (wire::kMaxValue), so that other steps stay below that; returns stay within about +-22.
-inline constexpr float kMaxSoundValue = 1e5F;
 
 // The steps on which new weights are tried out: the first of each segment, at most 64. Each stands alone.
 Minibatch TrialSteps(const Rollout& rollout, bool has_segments);
@@ -28,8 +25,9 @@ absl::Status CheckGradient(double norm, int64_t step);
 // float[2]: the largest absolute value and logit. NaN if one is NaN.
 at::Tensor LargestOutputs(const NetOutput& output);
 
-// DataLoss: the largest value is more than kMaxSoundValue, or one of the two is not finite.
-absl::Status CheckOutputs(float largest_value, float largest_logit);
+// DataLoss: the largest value is beyond a tenth of what the learner `accepts` from actors, so that other steps stay
+// within that, or one of the two is not finite.
+absl::Status CheckOutputs(float largest_value, float largest_logit, const ValueRange& accepts);
 
 }  // namespace craftfleet
 

@@ -1,9 +1,11 @@
 #include "learner/ppo/gradient_shards.h"
 
 #include <algorithm>
+#include <exception>
 #include <functional>
 
 #include <ATen/ATen.h>
+#include <absl/strings/str_cat.h>
 #include <c10/core/GradMode.h>
 #include <torch/csrc/autograd/autograd.h>
 
@@ -83,7 +85,7 @@ absl::StatusOr<PpoLossSums> GradientShards::ComputeGradients(const Rollout& roll
   PpoLossSums sums;
   std::vector<PpoLossSums> losses;
   gradients->clear();
-  for (int i = range.begin; i < range.end; ++i) {
+  for (int i = range.begin; own.ok() && i < range.end; ++i) {
     gradients->push_back(shards_[i]->net.gradients());
     losses.push_back(shards_[i]->sums);
     sums.Add(losses.back());
@@ -135,13 +137,13 @@ void GradientShards::WriteStart(const Rollout& rollout, const Minibatch& part, c
   }
 }
 
-absl::Status GradientShards::TryWeights(const Rollout& rollout) {
+absl::Status GradientShards::TryWeights(const Rollout& rollout, const ValueRange& accepts) {
   wide_gradients_.clear();
   CRAFTFLEET_RETURN_IF_ERROR(PrepareWeights());
   const c10::NoGradGuard no_grad;
   const Minibatch steps = TrialSteps(rollout, spec_.network.recurrent());
   const at::Tensor largest = LargestOutputs(Forward(rollout, steps, std::nullopt, shards_.front().get()));
-  return CheckOutputs(largest[0].item<float>(), largest[1].item<float>());
+  return CheckOutputs(largest[0].item<float>(), largest[1].item<float>(), accepts);
 }
 
 ShardRange GradientShards::OwnShards(size_t parts) const {
@@ -154,10 +156,14 @@ ShardRange GradientShards::OwnShards(size_t parts) const {
 absl::Status GradientShards::PrepareWeights() {
   for (const auto& shard : shards_) shard->net.UsePrepared(nullptr);  // its memory serves again
   absl::Status status;
-  const auto prepared = shards_.front()->net.Prepare([&](const std::vector<std::function<void()>>& tasks) {
-    status = RunParts(workers_, "weights", static_cast<int>(tasks.size()), [&](int i) { tasks[i](); });
-  });
-  for (const auto& shard : shards_) shard->net.UsePrepared(prepared);
+  try {
+    const auto prepared = shards_.front()->net.Prepare([&](const std::vector<std::function<void()>>& tasks) {
+      status = RunParts(workers_, "weights", static_cast<int>(tasks.size()), [&](int i) { tasks[i](); });
+    });
+    for (const auto& shard : shards_) shard->net.UsePrepared(prepared);
+  } catch (const std::exception& error) {  // of LibTorch, or out of memory
+    status = absl::InternalError(absl::StrCat("weights: ", error.what()));
+  }
   return status;
 }
 

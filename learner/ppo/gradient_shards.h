@@ -60,9 +60,10 @@ class GradientShards {
   absl::StatusOr<PpoLossSums> ComputeGradients(const Rollout& rollout, const ShardedMinibatch& minibatch,
                                                std::vector<ShardGradient>* gradients);
 
-  // Whether the weights can be played with, tried on some of the rollout's steps. The same on each rank.
+  // Whether the weights can be played with, tried on some of the rollout's steps: the learner `accepts` these outputs
+  // of the value head. The same on each rank.
   //   DataLoss: as CheckOutputs (divergence.h). LibTorch's exceptions pass.
-  absl::Status TryWeights(const Rollout& rollout);
+  absl::Status TryWeights(const Rollout& rollout, const ValueRange& accepts);
 
  private:
   struct Shard;  // one replica: net, gradients, input

@@ -206,7 +206,7 @@ absl::Status PpoUpdater::CheckWeights(const Rollout& rollout) {
       std::isfinite(norm.mean) && std::isfinite(norm.mean_square) &&
       std::all_of(state_.weights.begin(), state_.weights.end(), [](float weight) { return std::isfinite(weight); });
   if (!are_finite) return absl::DataLossError("the update's weights or value statistics are not finite");
-  return shards_->TryWeights(rollout);
+  return shards_->TryWeights(rollout, AcceptedOutputs(config_, value_scale()));
 }
 
 std::vector<Minibatch> PpoUpdater::MakeMinibatches(const EpochKey& key, const Rollout& rollout) const {

@@ -19,31 +19,30 @@ Few ToFew(const PpoLossSums& sums) {
 
 }  // namespace
 
+RankSums::RankSums(const AgentSpec& spec, int shards, RankGroup* group)
+    : params_(spec.param_count), shards_(shards), group_(group) {
+  for (const ParamSpec& param : spec.params) sizes_.push_back(param.size);
+}
+
 ShardRange RankSums::OwnShards(int shards) const {
   return {shards * group_->rank() / group_->size(), shards * (group_->rank() + 1) / group_->size()};
 }
 
-std::vector<size_t> RankSums::PieceSizes(absl::Span<const ShardGradient> gradients) const {
-  std::vector<size_t> sizes;
-  if (gradients.empty()) {  // a minibatch with fewer segments than shards
-    for (const ParamSpec& param : spec_.params) sizes.push_back(param.size);
-  } else {
-    for (const absl::Span<float> piece : gradients[0]) sizes.push_back(piece.size());
-  }
-  return sizes;
-}
-
 absl::Status RankSums::Add(const absl::Status& own, std::vector<ShardGradient>* gradients,
                            absl::Span<const PpoLossSums> losses, PpoLossSums* sums) {
-  const std::vector<size_t> sizes = PieceSizes(*gradients);
-  const size_t length = std::accumulate(sizes.begin(), sizes.end(), size_t{0});
+  if (!gradients->empty()) {  // empty: a minibatch with fewer segments than shards, or no success
+    sizes_.clear();
+    for (const absl::Span<float> piece : gradients->front()) sizes_.push_back(piece.size());
+  }
+  const size_t length = std::accumulate(sizes_.begin(), sizes_.end(), size_t{0});
   if (!std::exchange(has_shared_memory_, true)) {
     const int terms = (shards_ + group_->size() - 1) / group_->size();
-    CRAFTFLEET_RETURN_IF_ERROR(group_->ShareMemory(terms, length));
+    CRAFTFLEET_RETURN_IF_ERROR(group_->ShareMemory(terms, params_));
   }
+  total_.resize(length);
   std::vector<SumTerm> terms;
   for (const ShardGradient& gradient : *gradients) terms.emplace_back(gradient.begin(), gradient.end());
-  total_.resize(length);
+  if (!own.ok()) terms = {{absl::MakeConstSpan(total_)}};  // the sum, whatever it is, will not be used
   const absl::Span<float> total = absl::MakeSpan(total_);
   std::vector<Few> loss_terms;
   for (const PpoLossSums& loss : losses) loss_terms.push_back(ToFew(loss));
@@ -52,7 +51,7 @@ absl::Status RankSums::Add(const absl::Status& own, std::vector<ShardGradient>* 
   *sums = {all[0], all[1], all[2], all[3], all[4]};
   ShardGradient sum;
   absl::Span<float> rest = total;
-  for (const size_t size : sizes) {
+  for (const size_t size : sizes_) {
     sum.push_back(rest.subspan(0, size));
     rest.remove_prefix(size);
   }

@@ -3,6 +3,7 @@
 #ifndef CRAFTFLEET_LEARNER_PPO_RANK_SUMS_H_
 #define CRAFTFLEET_LEARNER_PPO_RANK_SUMS_H_
 
+#include <cstddef>
 #include <functional>
 #include <utility>
 #include <vector>
@@ -27,8 +28,8 @@ struct ShardRange {
 // process. All ranks call the same functions in the same order; errors as those of RankGroup. Thread-compatible.
 class RankSums {
  public:
-  // Spec and group outlive this. `shards`: of a minibatch, at most.
-  RankSums(const AgentSpec& spec, int shards, RankGroup* group) : spec_(spec), shards_(shards), group_(group) {}
+  // `group` outlives this. `shards`: of a minibatch, at most.
+  RankSums(const AgentSpec& spec, int shards, RankGroup* group);
 
   RankGroup* group() const { return group_; }
 
@@ -39,7 +40,8 @@ class RankSums {
   ShardRange OwnShards(int shards) const;
 
   // Replaces the gradients of this rank's shards, of which rank 0 has at least one, by the sum of all ranks', which is
-  // valid until the next call; and `sums` by that of their losses. `own`: whether this rank has computed them.
+  // valid until the next call; and `sums` by that of their losses. `own`: whether this rank has computed them; if not,
+  // there are none.
   //   Cancelled: rank 0's should_stop said so.   Others: the error of the first rank that has one.
   absl::Status Add(const absl::Status& own, std::vector<ShardGradient>* gradients, absl::Span<const PpoLossSums> losses,
                    PpoLossSums* sums);
@@ -52,15 +54,13 @@ class RankSums {
 
  private:
   bool is_to_stop() const { return group_->rank() == 0 && should_stop_(); }
-  // The sizes of a gradient's pieces.
-  std::vector<size_t> PieceSizes(absl::Span<const ShardGradient> gradients) const;
-
-  const AgentSpec& spec_;
+  const size_t params_;  // values of all parameters: a gradient has as many or fewer
   const int shards_;
   RankGroup* const group_;
   bool has_shared_memory_ = false;  // RankGroup::ShareMemory was called
   std::function<bool()> should_stop_;
-  std::vector<float> total_;  // of the last gradients
+  std::vector<size_t> sizes_;  // of the pieces of the last gradient that this rank had; of all parameters before it
+  std::vector<float> total_;   // of the last gradients
 };
 
 }  // namespace craftfleet

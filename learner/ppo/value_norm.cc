@@ -9,6 +9,10 @@ namespace craftfleet {
 
 ValueRange ValueScale::Outputs() const { return {(-kMaxValue - mean) / deviation, (kMaxValue - mean) / deviation}; }
 
+ValueRange AcceptedOutputs(const v1::PpoConfig& config, const ValueScale& scale) {
+  return config.value_norm_decay() > 0 ? scale.Outputs() : ValueRange();
+}
+
 absl::Status ValueNorm::Check() const {
   constexpr double kSlack = 1e-6;
   const double most = weight * kMaxReturn;

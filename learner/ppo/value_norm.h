@@ -36,6 +36,9 @@ struct ValueScale {
   ValueRange Outputs() const;
 };
 
+// The outputs that fragments may have which weights with this `scale` played.
+ValueRange AcceptedOutputs(const v1::PpoConfig& config, const ValueScale& scale);
+
 // Running mean and mean square of the targets, exponentially weighted: a step's share in them decays by `decay` with
 // each minibatch that comes after it. `weight` is what all shares add up to; dividing by it corrects the bias towards
 // the zeros that they start from.

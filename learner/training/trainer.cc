@@ -146,26 +146,27 @@ int64_t Trainer::LastFragment(int64_t iteration) const {
 }
 
 void Trainer::Begin() {
+  if (std::exchange(next_is_open_, false)) return;
+  const int64_t oldest = parts_.weights->Oldest().version;
   if (is_asynchronous()) {
-    collector_.BeginNext(counters_.policy_version);
-  } else if (std::exchange(next_is_open_, false)) {
-    collector_.BeginOpened();
+    parts_.registry->lanes()->rollouts().PublishVersion(counters_.policy_version);
   } else {
-    collector_.Begin(LastFragment(counters_.iteration), parts_.weights->Oldest().version);
+    parts_.registry->lanes()->rollouts().OpenIteration(LastFragment(counters_.iteration), oldest);
   }
 }
 
 absl::StatusOr<std::vector<Fragment>> Trainer::Collect() {
-  const auto on_tick = [this](size_t collected, bool is_idle) -> absl::Status {
+  const auto wanted = static_cast<size_t>(config_.ppo().rollout_steps() / config_.fragment_steps());
+  const auto on_tick = [this, wanted](size_t collected, bool is_idle) -> absl::Status {
     CRAFTFLEET_RETURN_IF_ERROR(CheckContinues());
     // Notice a takeover of the folder even without actors.
     if (is_idle) CRAFTFLEET_RETURN_IF_ERROR(parts_.folder->CheckOwned());
     checkpoints_.ServeRequests(counters_.iteration);
-    parts_.progress->Update(counters_.env_steps + static_cast<int64_t>(collected) * config_.fragment_steps(),
-                            parts_.folder->score());
+    // Of an asynchronous run, some are for later updates.
+    const auto played = static_cast<int64_t>(std::min(collected, wanted));
+    parts_.progress->Update(counters_.env_steps + played * config_.fragment_steps(), parts_.folder->score());
     return absl::OkStatus();
   };
-  const auto wanted = static_cast<size_t>(config_.ppo().rollout_steps() / config_.fragment_steps());
   return is_asynchronous() ? collector_.CollectRollout(wanted, on_tick) : collector_.Collect(wanted, on_tick);
 }
 
@@ -216,8 +217,10 @@ absl::Status Trainer::FinishIteration(const std::vector<Fragment>& fragments, co
     log_.AddStaleness(counters_.env_steps, staleness, parts_.registry->lanes()->table().counters.dropped);
   log_.Flush();
   CRAFTFLEET_RETURN_IF_ERROR(parts_.folder->CheckOwned());
+  meter_.Switch(Activity::kIdle);
   parts_.evaluations->OnIteration(steps_before, counters_.env_steps, parts_.updater->ShareWeights(),
                                   [this] { return !CheckContinues().ok(); });
+  meter_.Switch(Activity::kOther);
   // A checkpoint needs as much as the update's activations and what it could have been undone with.
   PooledBuffer::FreeUnused(kMuchFreeMemory);
   ReleaseFreeMemory();
@@ -232,8 +235,7 @@ double Trainer::StepsPerSecond() const {
 }
 
 void Trainer::Publish(int64_t version, std::shared_ptr<const std::string> bytes, const ValueScale& value_scale) {
-  const ValueRange range = config_.ppo().value_norm_decay() > 0 ? value_scale.Outputs() : ValueRange();
-  parts_.weights->Publish(version, std::move(bytes), range, value_scale);
+  parts_.weights->Publish(version, std::move(bytes), AcceptedOutputs(config_.ppo(), value_scale), value_scale);
 }
 
 void Trainer::PublishWeights(int64_t version) {

@@ -29,8 +29,8 @@ TEST(ChooseDevice, PrefersAGpu) {
 TEST(ChooseDevice, ErrorsNameTheFlagAndValue) {
   for (const char* name : {"", "gpu", "cuda:", "cuda:x", "cuda:-1", "cuda1", "CUDA", "cpu:0"}) {
     EXPECT_THAT(ChooseDevice(name, 2),
-                StatusIs(absl::StatusCode::kInvalidArgument,
-                         AllOf(HasSubstr(std::string("--device=") + name), HasSubstr("want auto"))))
+                StatusIs(absl::StatusCode::kInvalidArgument, AllOf(HasSubstr(std::string("--device=") + name),
+                                                                   HasSubstr("want auto, cpu, cuda or cuda:N"))))
         << name;
   }
   EXPECT_THAT(ChooseDevice("cuda:2", 2),
@@ -55,6 +55,17 @@ TEST(DeviceError, IsOneSentenceThatSaysWhatToDo) {
               StatusIs(absl::StatusCode::kUnavailable, HasSubstr("nvidia-smi")));
   EXPECT_THAT(error("shapes differ\nframe #0"),
               StatusIs(absl::StatusCode::kInternal, testing::StrEq("update: shapes differ")));
+}
+
+TEST(ActingDeviceError, SaysWhatAnActorCanDo) {
+  const auto error = [](const std::string& text) { return ActingDeviceError("policy", text); };
+  EXPECT_THAT(error("CUDA out of memory. Tried to allocate 512.00 MiB"),
+              StatusIs(absl::StatusCode::kResourceExhausted,
+                       AllOf(HasSubstr("fewer actors"), Not(HasSubstr("ppo.minibatch_size")))));
+  EXPECT_THAT(error("CUDA error: no kernel image is available for execution on the device"),
+              StatusIs(absl::StatusCode::kFailedPrecondition, Not(HasSubstr("--device=cpu"))));
+  EXPECT_THAT(error("CUDA error: unspecified launch failure"),
+              StatusIs(absl::StatusCode::kUnavailable, AllOf(HasSubstr("nvidia-smi"), Not(HasSubstr("--resume")))));
 }
 
 // Once there are threads, the environment must not change.
@@ -97,11 +108,17 @@ TEST(ChooseActingDevice, IsWhatTheRunActsOn) {
   for (const RunConfig::Device on_cpus : {RunConfig::DEVICE_UNSPECIFIED, RunConfig::CPU, RunConfig::CUDA_UPDATES}) {
     EXPECT_EQ(*ChooseActingDevice("auto", on_cpus, 2), "cpu");
     EXPECT_EQ(*ChooseActingDevice("cpu", on_cpus, 2), "cpu");
-    EXPECT_THAT(ChooseActingDevice("cuda", on_cpus, 2),
-                StatusIs(absl::StatusCode::kFailedPrecondition, HasSubstr("--device=cuda: the run acts on CPUs")));
+    for (const int gpus : {0, 2}) {
+      EXPECT_THAT(ChooseActingDevice("cuda", on_cpus, gpus),
+                  StatusIs(absl::StatusCode::kFailedPrecondition, HasSubstr("--device=cuda: the run acts on CPUs")));
+    }
+    EXPECT_THAT(ChooseActingDevice("gpu", on_cpus, 2),
+                StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("want auto")));
   }
   EXPECT_EQ(*ChooseActingDevice("auto", RunConfig::CUDA, 2), "cuda:0");
   EXPECT_EQ(*ChooseActingDevice("cuda:1", RunConfig::CUDA, 2), "cuda:1");
+  EXPECT_THAT(ChooseActingDevice("cuda", RunConfig::CUDA, 0),
+              StatusIs(absl::StatusCode::kFailedPrecondition, HasSubstr("--device=cuda: there are 0 GPUs")));
   for (const char* name : {"auto", "cpu"}) {
     EXPECT_THAT(ChooseActingDevice(name, RunConfig::CUDA, 0),
                 StatusIs(absl::StatusCode::kFailedPrecondition, HasSubstr("the run acts on GPUs (device: CUDA)")));

@@ -5,28 +5,46 @@
 
 #include <cstddef>
 #include <new>
+#include <thread>
 
 #include <c10/core/CPUAllocator.h>
 #include <torch/version.h>
 
 namespace craftfleet {
 
-// Until destruction no thread of this process can allocate a tensor on the CPU: LibTorch throws std::bad_alloc.
+// Until destruction no thread of this process, or only this one, can allocate a tensor on the CPU: LibTorch throws
+// std::bad_alloc.
 class NoTensorMemory {
  public:
   NoTensorMemory() { c10::SetCPUAllocator(&none_); }
+  // The other threads can, and this one `allocations` times more.
+  explicit NoTensorMemory(int allocations) {
+    none_.usual = usual_;
+    none_.thread = std::this_thread::get_id();
+    none_.left = allocations;
+    c10::SetCPUAllocator(&none_);
+  }
   ~NoTensorMemory() { c10::SetCPUAllocator(usual_); }
   NoTensorMemory(const NoTensorMemory&) = delete;
   NoTensorMemory& operator=(const NoTensorMemory&) = delete;
 
  private:
-  class None : public c10::Allocator {
-   public:
+  struct None : c10::Allocator {
+    c10::Allocator* usual = nullptr;  // of other threads; null: they have none either
+    std::thread::id thread;
+    mutable int left = 0;
+
+    c10::DeleterFnPtr raw_deleter() const override { return usual == nullptr ? nullptr : usual->raw_deleter(); }
+
+    c10::DataPtr Give(size_t bytes) const {
+      const bool gives = usual != nullptr && (std::this_thread::get_id() != thread || left-- > 0);
+      return gives ? usual->allocate(bytes) : throw std::bad_alloc();
+    }
 #if TORCH_VERSION_MAJOR > 2 || (TORCH_VERSION_MAJOR == 2 && TORCH_VERSION_MINOR >= 3)
-    c10::DataPtr allocate(size_t) override { throw std::bad_alloc(); }
+    c10::DataPtr allocate(size_t bytes) override { return Give(bytes); }
     void copy_data(void* to, const void* from, size_t bytes) const override { default_copy_data(to, from, bytes); }
 #else
-    c10::DataPtr allocate(size_t) const override { throw std::bad_alloc(); }
+    c10::DataPtr allocate(size_t bytes) const override { return Give(bytes); }
 #endif
   };
 

@@ -32,17 +32,17 @@ at::Tensor Normed(const std::optional<NormLayer>& norm, const ParamTensors& para
 
 }  // namespace
 
-CrossAttention::CrossAttention(const std::string& name, const Options& options, ParamList* params)
-    : options_(options),
-      slots_(params->Add(name + ".slots", {options.slots, kAttentionWidth}, {ParamInit::Kind::kNormal, 1})),
+CrossAttention::CrossAttention(const std::string& name, const v1::NetworkConfig& config, ParamList* params)
+    : config_(config),
+      slots_(params->Add(name + ".slots", {config.slots(), kAttentionWidth}, {ParamInit::Kind::kNormal, 1})),
       to_q_(name + ".layer.to_q", kAttentionWidth, kAttentionWidth, kHiddenInit, Bias::kNone, params),
-      to_kv_(name + ".layer.to_kv", TokenWidth(options.patch), 2 * kAttentionWidth, kHiddenInit, Bias::kNone, params) {
-  if (options.layer_norm) {
+      to_kv_(name + ".layer.to_kv", TokenWidth(config.patch()), 2 * kAttentionWidth, kHiddenInit, Bias::kNone, params) {
+  if (config.layer_norm()) {
     norm_slots_.emplace(name + ".layer.norm_slots", kAttentionWidth, NormLayer::Over::kFeatures, params);
-    norm_tokens_.emplace(name + ".layer.norm_tokens", TokenWidth(options.patch), NormLayer::Over::kFeatures, params);
+    norm_tokens_.emplace(name + ".layer.norm_tokens", TokenWidth(config.patch()), NormLayer::Over::kFeatures, params);
   }
-  if (!options.residual_mlp) return;
-  if (options.layer_norm) {
+  if (!config.residual_mlp()) return;
+  if (config.layer_norm()) {
     norm_mlp_.emplace(name + ".layer.norm_mlp", kAttentionWidth, NormLayer::Over::kFeatures, params);
   }
   mlp_in_.emplace(name + ".layer.mlp.0", kAttentionWidth, kAttentionWidth, kHiddenInit, Bias::kZero, params);
@@ -54,26 +54,27 @@ at::Tensor CrossAttention::Queries(const ParamTensors& params) const {
 }
 
 std::vector<at::Tensor> CrossAttention::KeysValues(const ParamTensors& params, const at::Tensor& input) const {
-  const int64_t side = PatchesPerSide(input.size(2), options_.patch, options_.stride);
+  const int64_t side = PatchesPerSide(input.size(2), config_.patch(), config_.stride());
   const at::Tensor positions = Positions(side * side, input.device());
   if (!norm_tokens_.has_value()) {
-    return to_kv_.ForwardPatches(params, input, options_.patch, options_.stride, positions).chunk(2, -1);
+    return to_kv_.ForwardPatches(params, input, config_.patch(), config_.stride(), positions).chunk(2, -1);
   }
-  const at::Tensor patches = CutPatches(input, options_.patch, options_.stride);
+  const at::Tensor patches = CutPatches(input, config_.patch(), config_.stride());
   const at::Tensor tokens = at::cat({patches, positions.expand({patches.size(0), patches.size(1), kPositionWidth})}, 2);
   return to_kv_.Forward(params, norm_tokens_->Forward(params, tokens)).chunk(2, -1);
 }
 
 void CrossAttention::Prepare(const ParamTensors& params, Preparation* preparation) const {
   if (norm_tokens_.has_value()) return;
-  to_kv_.PreparePatches(params, Convolutions::kChannels, options_.size, options_.patch, options_.stride, preparation);
+  to_kv_.PreparePatches(params, Convolutions::kChannels, config_.frame_size(), config_.patch(), config_.stride(),
+                        preparation);
 }
 
 at::Tensor CrossAttention::Forward(const ParamTensors& params, const at::Tensor& input,
                                    const std::optional<Dropout>& dropout) const {
   const std::vector<at::Tensor> keys_values = KeysValues(params, input);
   at::Tensor x = Attend(Queries(params), keys_values[0], keys_values[1],
-                        {options_.heads, options_.slot_competition, options_.dropout, 0}, dropout);
+                        {config_.heads(), config_.slot_competition(), config_.dropout(), 0}, dropout);
   if (mlp_in_.has_value()) {
     x = x + mlp_out_->Forward(params, mlp_in_->Forward(params, Normed(norm_mlp_, params, x)).relu_());
   }
@@ -81,7 +82,7 @@ at::Tensor CrossAttention::Forward(const ParamTensors& params, const at::Tensor&
 }
 
 at::Tensor CrossAttention::Attention(const ParamTensors& params, const at::Tensor& input) const {
-  return AttentionWeights(Queries(params), KeysValues(params, input)[0], {options_.heads, options_.slot_competition})
+  return AttentionWeights(Queries(params), KeysValues(params, input)[0], {config_.heads(), config_.slot_competition()})
       .mean(1);
 }
 

@@ -3,32 +3,23 @@
 #ifndef CRAFTFLEET_COMMON_AGENT_NETS_CROSS_ATTENTION_H_
 #define CRAFTFLEET_COMMON_AGENT_NETS_CROSS_ATTENTION_H_
 
-#include <cstdint>
 #include <optional>
 #include <string>
 
 #include "common/agent/nets/layers.h"
 #include "common/agent/nets/part.h"
+#include "craftfleet/v1/config.pb.h"
 
 namespace craftfleet {
 
 // A map of 64 channels to the mean of the slots, which attend to the tokens: 256 features. Each token gets 13 values
 // appended: with p its number mapped evenly to -1..1 and six scales s from 1 to 5 in even steps, sin(p * s * pi),
-// cos(p * s * pi) and p. to_q and to_kv have no biases. Source: Stanic et al. 2022; AGENTS.md, section 5.
+// cos(p * s * pi) and p. to_q and to_kv have no biases. With `residual_mlp` each slot x becomes x + W2 relu(W1 x), 256
+// wide; with `layer_norm` slots, tokens and the input of that MLP are normalised first; with `slot_competition` the
+// softmax is over slots (Locatello et al. 2020). Source: Stanic et al. 2022; AGENTS.md, section 5.
 class CrossAttention : public AttentionPart {
  public:
-  struct Options {
-    int64_t size = 72;    // pixels of the map, a side
-    int64_t patch = 16;   // pixels
-    int64_t stride = 16;  // pixels
-    int64_t heads = 8;
-    int64_t slots = 8;
-    double dropout = 0;             // of attention weights
-    bool residual_mlp = false;      // each slot x becomes x + W2 relu(W1 x), 256 wide
-    bool layer_norm = false;        // of slots and tokens before they are multiplied, and of the MLP's input
-    bool slot_competition = false;  // softmax over slots (Locatello et al. 2020)
-  };
-  CrossAttention(const std::string& name, const Options& options, ParamList* params);
+  CrossAttention(const std::string& name, const v1::NetworkConfig& config, ParamList* params);
 
   at::Tensor Forward(const ParamTensors& params, const at::Tensor& input,
                      const std::optional<Dropout>& dropout) const override;
@@ -42,7 +33,7 @@ class CrossAttention : public AttentionPart {
   // Of the tokens, float[N,patches,256] each.
   std::vector<at::Tensor> KeysValues(const ParamTensors& params, const at::Tensor& input) const;
 
-  const Options options_;
+  const v1::NetworkConfig config_;
   ParamIndex slots_;                      // `name`.slots [slots,256]
   LinearLayer to_q_;                      // `name`.layer.to_q
   LinearLayer to_kv_;                     // `name`.layer.to_kv: keys, then values

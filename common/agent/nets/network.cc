@@ -76,21 +76,9 @@ int64_t Network::AddExtractor(const v1::NetworkConfig& config, ParamList* params
 std::unique_ptr<AttentionPart> Network::MakeObjectModule(const v1::NetworkConfig& config, const std::string& name,
                                                          ParamList* params) {
   if (config.objects() == v1::NetworkConfig::SELF_ATTENTION) {
-    const SelfAttention::Options options = {config.frame_size(),  config.patch(),     config.stride(), config.heads(),
-                                            config.cls_learned(), config.positions(), config.dropout()};
-    return std::make_unique<SelfAttention>(name, options, params);
+    return std::make_unique<SelfAttention>(name, config, params);
   }
-  CrossAttention::Options options;
-  options.size = config.frame_size();
-  options.patch = config.patch();
-  options.stride = config.stride();
-  options.heads = config.heads();
-  options.slots = config.slots();
-  options.dropout = config.dropout();
-  options.residual_mlp = config.residual_mlp();
-  options.layer_norm = config.layer_norm();
-  options.slot_competition = config.slot_competition();
-  return std::make_unique<CrossAttention>(name, options, params);
+  return std::make_unique<CrossAttention>(name, config, params);
 }
 
 std::shared_ptr<const PreparedWeights> Network::Prepare(const ParamTensors& params, bool for_gradients,
@@ -121,7 +109,7 @@ NetOutput Network::Forward(const ParamTensors& params, const at::Tensor& frames,
     const at::Tensor features = is_padded ? actor_features.narrow(0, 0, rows) : actor_features;
     core_->Forward(params, features, segments, &actor_features, &critic_features, &output.states);
   }
-  if (segments.wants_codes) output.codes = actor_features;
+  output.codes = actor_features;
   if (segments.actions.defined()) {
     CRAFTFLEET_CHECK(goal_predictor_.has_value());
     output.predictions = goal_predictor_->Forward(params, actor_features, segments.actions, segments.states);

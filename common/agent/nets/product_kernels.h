@@ -4,6 +4,7 @@
 #define CRAFTFLEET_COMMON_AGENT_NETS_PRODUCT_KERNELS_H_
 
 #include <cstdint>
+#include <vector>
 
 namespace craftfleet {
 
@@ -13,6 +14,14 @@ struct Stretches {
   int64_t floats;
   int64_t step;
 };
+
+// Pointers to `count` rows that are `step` numbers apart.
+template <typename Number>
+std::vector<Number*> RowPointers(int64_t count, Number* first, int64_t step) {
+  std::vector<Number*> rows(count);
+  for (int64_t i = 0; i < count; ++i) rows[i] = first + i * step;
+  return rows;
+}
 
 // Each sum begins at zero and is in order; what it is added to comes last. Arrays are aligned to 64 bytes, but for
 // rows whose numbers are taken one by one: those of `multiply`, `correlate`. With AVX512-BF16, a number of a factor

@@ -29,9 +29,8 @@ Packing Pack(const std::vector<int>& lengths);
 struct Segments {
   std::vector<int> lengths;  // [k] rows of each, at least 1; their sum is the number of rows; not needed with a memory
   at::Tensor states;         // float[k,state_size] before each; no gradient flows into it
-  // For distillation (feed-forward agents).
-  bool wants_codes = false;  // NetOutput has codes
-  at::Tensor actions = {};   // float[N,17], 1 at each row's action, else 0; if defined, NetOutput has predictions
+  // For distillation: float[N,17], 1 at each row's action, else 0; if defined, NetOutput has predictions.
+  at::Tensor actions = {};
   // Pack(lengths) on the device of the rows; absent, on the CPU only: made in each pass.
   std::optional<Packing> packing = std::nullopt;
 };
@@ -39,10 +38,10 @@ struct Segments {
 struct NetOutput {
   at::Tensor logits;  // float[N,17]
   at::Tensor values;  // float[N]
-  at::Tensor states =
-      {};  // float[k,state_size] after each segment, a memory as it was; undefined for agents without state
-  at::Tensor codes = {};        // float[N,F] features, only on request
-  at::Tensor predictions = {};  // float[N,F] of the goal predictor, likewise
+  // float[k,state_size] after each segment, a memory as it was; undefined for agents without state.
+  at::Tensor states = {};
+  at::Tensor codes = {};        // float[N,F] features of feed-forward agents
+  at::Tensor predictions = {};  // float[N,F] of the goal predictor, only on request
 };
 
 }  // namespace craftfleet

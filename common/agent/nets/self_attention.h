@@ -3,13 +3,13 @@
 #ifndef CRAFTFLEET_COMMON_AGENT_NETS_SELF_ATTENTION_H_
 #define CRAFTFLEET_COMMON_AGENT_NETS_SELF_ATTENTION_H_
 
-#include <cstdint>
 #include <optional>
 #include <string>
 #include <vector>
 
 #include "common/agent/nets/layers.h"
 #include "common/agent/nets/part.h"
+#include "craftfleet/v1/config.pb.h"
 
 namespace craftfleet {
 
@@ -19,16 +19,7 @@ namespace craftfleet {
 // residual connection, norm, feed-forward layer or output projection. Source: Stanic et al. 2022; AGENTS.md, section 4.
 class SelfAttention : public AttentionPart {
  public:
-  struct Options {
-    int64_t size = 72;   // pixels of the map, a side
-    int64_t patch = 12;  // pixels
-    int64_t stride = 8;  // pixels
-    int64_t heads = 8;
-    bool cls_learned = true;  // false: zeros, as the published code
-    bool positions = true;    // false: none, as the published code
-    double dropout = 0.1;     // of attention weights
-  };
-  SelfAttention(const std::string& name, const Options& options, ParamList* params);
+  SelfAttention(const std::string& name, const v1::NetworkConfig& config, ParamList* params);
 
   at::Tensor Forward(const ParamTensors& params, const at::Tensor& input,
                      const std::optional<Dropout>& dropout) const override;
@@ -44,7 +35,7 @@ class SelfAttention : public AttentionPart {
   at::Tensor Layer(const ParamTensors& params, int layer, const at::Tensor& tokens,
                    const std::optional<Dropout>& dropout) const;
 
-  const Options options_;
+  const v1::NetworkConfig config_;
   ParamIndex cls_ = kNoParam;        // `name`.trafo.cls [token width]
   LinearLayer embedding_;            // `name`.trafo.emb_proj
   std::vector<LinearLayer> layers_;  // `name`.trafo.layers.<i>.qkv_net: queries, keys, values

@@ -20,14 +20,6 @@ const float* Words(const Number* numbers) {
   return reinterpret_cast<const float*>(numbers);
 }
 
-// Pointers to `count` rows that are `step` words apart.
-template <typename Word>
-std::vector<Word*> Pointers(int64_t count, Word* first, int64_t step) {
-  std::vector<Word*> rows(count);
-  for (int64_t i = 0; i < count; ++i) rows[i] = first + i * step;
-  return rows;
-}
-
 // words[i][k], rows `width` apart, = from[i][k], rows `step` apart, for i < count. Rows a power of two apart would take
 // each other's place in the cache.
 void Pack(int64_t count, int64_t width, const float* from, int64_t step, float* words) {
@@ -77,13 +69,13 @@ void WideProduct<Number>::Forward(int64_t rows, const Number* input, const Numbe
   std::memset(transposed.get(), 0, kWordsAtOnce * width * sizeof(float));
   for (int64_t k = 0; k < words; k += kWordsAtOnce) {
     const int64_t depth = std::min(kWordsAtOnce, words - k);
-    const auto weights = Pointers(outputs_, Words(weight) + k, words);
+    const auto weights = RowPointers(outputs_, Words(weight) + k, words);
     for (int64_t panel = 0; panel < panels; ++panel) {
       const int64_t first = panel * kColumns;
       float* const columns = transposed.get() + first * kWordsAtOnce;
       Transpose(std::min(kColumns, rows - first), depth, Words(input) + first * words + k, words, columns, kColumns);
       kernels_.multiply(outputs_, weights.data(), {1, depth, 0}, columns, /*adds=*/k > 0,
-                        Pointers(outputs_, sums.get() + first, width).data());
+                        RowPointers(outputs_, sums.get() + first, width).data());
     }
   }
   Transpose(outputs_, rows, sums.get(), width, output, outputs_);
@@ -96,7 +88,7 @@ void WideProduct<Number>::InputGradient(int64_t rows, const Number* output_gradi
   const PooledBuffer packed(depth * kColumns);
   const PooledBuffer transposed(depth * rows);
   Transpose(rows, depth, Words(output_gradient), depth, transposed.get(), rows);
-  const auto factors = Pointers<const float>(depth, transposed.get(), rows);
+  const auto factors = RowPointers<const float>(depth, transposed.get(), rows);
   for (int64_t k = 0; k < inputs_; k += kColumns) {
     Pack(outputs_, kColumns, weight + k, inputs_, packed.get());
     kernels_.correlate(depth, factors.data(), rows, packed.get(), kColumns, /*adds=*/false, input_gradient + k,
@@ -117,7 +109,7 @@ void WideProduct<Number>::WeightGradient(absl::Span<const Rows> shards, int64_t 
     const float* const packed = output_gradients.emplace_back(words * outputs_).get();
     Pack(shard.count, outputs_, shard.output_gradient, outputs_, output_gradients.back().get());
     for (size_t part = 0; part < parts.size(); ++part) {
-      factors.push_back(Pointers(words, packed + part * part_outputs, outputs_));
+      factors.push_back(RowPointers(words, packed + part * part_outputs, outputs_));
     }
     most = std::max(most, words);
   }

@@ -142,7 +142,6 @@ absl::StatusOr<std::vector<float>> DeviceNet::Changes(absl::Span<const FramePair
 
 NetOutput DeviceNet::Forward(const at::Tensor& rows, bool predicts) const {
   Segments inputs{{}, memories_.index_select(0, rows)};
-  inputs.wants_codes = true;
   if (predicts) inputs.actions = actions_.index_select(0, rows);
   return network_.Forward(weights_->params, Frames(rows), inputs, std::nullopt);
 }

@@ -17,7 +17,7 @@
 
 namespace craftfleet {
 
-// Some steps of an episode, each with another step of it that serves as its negative.
+// Some steps of an episode, each with a step of it, drawn by a permutation, that serves as its negative.
 struct PredictionBatch {
   const KeptEpisode* episode = nullptr;
   std::vector<int> steps;      // of the episode

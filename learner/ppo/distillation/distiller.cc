@@ -9,6 +9,7 @@
 #include "common/base/keyed_random.h"
 #include "common/base/status_macros.h"
 #include "learner/ppo/distillation/transport.h"
+#include "learner/ppo/update_state.h"
 
 namespace craftfleet {
 namespace {
@@ -141,10 +142,7 @@ class Distiller::Phase {
     return absl::OkStatus();
   }
 
-  absl::Status CheckStop() const {
-    if (should_stop_()) return absl::CancelledError("distillation was stopped; nothing is changed");
-    return absl::OkStatus();
-  }
+  absl::Status CheckStop() const { return should_stop_() ? UpdateStopped() : absl::OkStatus(); }
 
   const v1::DistillationConfig& config_;
   Draws draws_;

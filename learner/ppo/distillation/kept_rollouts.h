@@ -23,8 +23,8 @@ struct StepRange {
   friend bool operator==(const StepRange& a, const StepRange& b) { return a.first == b.first && a.end == b.end; }
 };
 
-// The episodes that begin and end within a lane's kept steps. `is_start[t]`: step t is the first of an episode. What
-// comes before the first start and after the last one belongs to episodes that are not whole.
+// The episodes that begin within a lane's kept steps and end before the last of them. `is_start[t]`: step t is the
+// first of an episode. What comes before the first start and after the last one belongs to episodes that are not whole.
 std::vector<StepRange> WholeEpisodes(absl::Span<const uint8_t> is_start);
 
 // The steps of an episode that unlocked an achievement, ascending. An unlock by the last step is none: no frame of the

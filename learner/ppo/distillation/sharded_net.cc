@@ -126,7 +126,6 @@ absl::StatusOr<NetNumbers> ShardedNet::Forward(absl::Span<const int> rows, bool 
     LoadFrames(part, shard);
     const auto n = static_cast<int64_t>(count);
     Segments inputs{std::vector<int>(count, 1), at::zeros({n, spec_.state_size})};
-    inputs.wants_codes = true;
     if (predicts) inputs.actions = at::zeros({n, kNumActions});
     for (size_t i = 0; i < count; ++i) {
       const float* const memory = rollouts_->memory(part[i]);

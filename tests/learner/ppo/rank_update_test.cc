@@ -1,5 +1,6 @@
 // Updates that several learners share out: the bytes of one process, for each kind of agent.
 
+#include <optional>
 #include <ostream>
 #include <string>
 #include <vector>
@@ -10,6 +11,7 @@
 #include "common/config/config.h"
 #include "learner/ppo/ppo_updater.h"
 #include "learner/ppo/rollout.h"
+#include "tests/fakes/no_tensor_memory.h"
 #include "tests/fakes/status_matchers.h"
 #include "tests/learner/ppo/random_fragments.h"
 #include "tests/learner/ppo/update_samples.h"
@@ -29,7 +31,7 @@ struct Kind {
 
 v1::RunConfig ConfigOf(const std::string& text) {
   v1::RunConfig config = ParseRunConfig(R"(
-    seed: 7 lanes: 2 fragment_steps: 8 gradient_shards: 3
+    seed: 7 lanes: 2 fragment_steps: 8 gradient_shards: 3 network { frame_size: 36 }
     ppo { rollout_steps: 48 minibatch_size: 12 epochs: 1 learning_rate: 1e-3 })",
                                         "common")
                              .value();
@@ -79,7 +81,7 @@ INSTANTIATE_TEST_SUITE_P(
                     Kind{"Lag", "agent: 'ppo_cnn' overlap: 1 ppo { epochs: 2 }"},
                     Kind{"RecurrentLag", "agent: 'lstm_cnn' overlap: 1 ppo { epochs: 2 minibatch_size: 6 }"},
                     Kind{"Distillation",
-                         "agent: 'achievement_distillation' network { extractor: CNN frame_size: 36 } distillation { "
+                         "agent: 'achievement_distillation' network { extractor: CNN } distillation { "
                          "every_iterations: 2 epochs: 1 minibatch_size: 6 targets: 2 }"}),
     [](const auto& info) { return info.param.name; });
 
@@ -111,6 +113,31 @@ TEST(RankUpdate, LostRankUndoesTheUpdate) {
     EXPECT_EQ(updater->Update(0, RolloutOf(*updater, fragments), NeverStop).status(), lost);
     EXPECT_TRUE(updater->SaveWeights() + updater->SaveOptimizer() == before);
   });
+}
+
+TEST(RankUpdate, WithoutMemoryOnOneRankTheUpdateIsUndoneOnAll) {
+  // One, another layer, the backward pass.
+  for (const int allocations : {0, 8, 25}) {
+    for (const int failing : {0, 1}) {
+      InGroup(2, [&](RankGroup* group) {
+        const auto updater = PpoUpdater::Create(ConfigOf("agent: 'ppo_cnn' gradient_shards: 4"), 1).value();
+        updater->ShareOut(group);
+        const std::vector<Fragment> fragments = FragmentsOf(*updater);
+        const Rollout rollout = RolloutOf(*updater, fragments);
+        EXPECT_THAT(updater->Update(0, rollout, NeverStop), IsOk());
+        const std::string before = updater->SaveWeights() + updater->SaveOptimizer();
+        {
+          std::optional<NoTensorMemory> no_memory;
+          if (group->rank() == failing) no_memory.emplace(allocations);
+          EXPECT_THAT(updater->Update(1, rollout, NeverStop), StatusIs(absl::StatusCode::kInternal, testing::_))
+              << allocations;
+          EXPECT_THAT(group->Share(false), IsOk());  // waits for the other
+        }
+        EXPECT_TRUE(updater->SaveWeights() + updater->SaveOptimizer() == before) << allocations;
+        EXPECT_THAT(updater->Update(1, rollout, NeverStop), IsOk()) << allocations;
+      });
+    }
+  }
 }
 
 TEST(RankUpdate, RankWithOtherWeightsIsNamedAndTheUpdateUndone) {

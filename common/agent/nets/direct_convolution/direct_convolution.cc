@@ -15,14 +15,6 @@ constexpr int kColumns = DirectKernels::kColumns;
 constexpr int64_t kDepthAtOnce = 512;   // numbers of a window: 128 KB of weights
 constexpr int64_t kPixelsAtOnce = 512;  // 128 KB of gradients
 
-// Pointers to `count` rows that are `step` floats apart.
-template <typename Float>
-std::vector<Float*> Rows(int64_t count, Float* first, int64_t step) {
-  std::vector<Float*> rows(count);
-  for (int64_t i = 0; i < count; ++i) rows[i] = first + i * step;
-  return rows;
-}
-
 // All pointers, moved by `offset`.
 template <typename Float>
 std::vector<Float*> Moved(const std::vector<Float*>& rows, int64_t offset) {
@@ -113,7 +105,7 @@ void DirectConvolution::Forward(int64_t n, const float* input, const float* pane
     const auto count = static_cast<int64_t>(windows.size());
     float* const chunk = output + first * pixels() * shape_.outputs;
     for (int64_t column = 0; column < shape_.outputs; column += kColumns) {
-      const auto outputs = Rows(count, chunk + column, shape_.outputs);
+      const auto outputs = RowPointers(count, chunk + column, shape_.outputs);
       for (int64_t y = 0; y < shape_.kernel; y += rows_at_once) {
         for (int64_t k = 0; k < stretch(); k += piece) {
           const float* const panel = panels + (column / kColumns * window() + y * stretch() + k) * kColumns;
@@ -190,7 +182,7 @@ void DirectConvolution::AddInputGradient(int64_t maps, const float* output_gradi
   std::memset(gradient, 0, sizeof(float) * maps * map_floats());
   const auto windows = Windows(maps, gradient);
   const auto count = static_cast<int64_t>(windows.size());
-  const auto rows = Rows(count, output_gradient, shape_.outputs);
+  const auto rows = RowPointers(count, output_gradient, shape_.outputs);
   for (int64_t y = 0; y < shape_.kernel; ++y) {
     for (int64_t k = 0; k < stretch(); k += kColumns) {
       const float* const panel = panels + (y * stretch() + k) * shape_.outputs;
