@@ -67,7 +67,7 @@ absl::Status CheckConfigFile(const std::string& logdir, const v1::CheckpointStat
   CRAFTFLEET_ASSIGN_OR_RETURN(const std::string differences, FixedDifferences(state.config(), config));
   if (differences.empty()) return absl::OkStatus();
   return absl::DataLossError(absl::StrCat(ConfigPath(logdir),
-                                          " is not the configuration of the run's checkpoint after ", "iteration ",
+                                          " is not the configuration of the run's checkpoint after iteration ",
                                           state.iteration(), ": undo these changes in it: ", differences));
 }
 

@@ -25,7 +25,7 @@ enum class Activity {
   kIntake,       // waiting for fragments, in the learner
   kUpdate,       // PPO update
   kOther,        // advantages, logs, checkpoints, ...
-  kIdle,         // waiting for actors, in an environment server
+  kIdle,         // waiting for actors, in an environment server; for evaluations, in the learner
 };
 inline constexpr int kNumActivities = 8;
 

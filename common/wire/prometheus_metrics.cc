@@ -51,7 +51,6 @@ void AddFleet(const v1::StatusReply& status, Families* families) {
   std::map<std::string, double> shares;
   for (const v1::ActivityTime& time : status.fleet().times()) shares[time.activity()] = time.share();
   for (const Activity activity : kActivities) {
-    if (activity == Activity::kIdle) continue;  // of environment servers only
     const std::string name(ActivityName(activity));
     families->Add("fleet_time_share", shares[name], {{"activity", name}});
   }

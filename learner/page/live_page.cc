@@ -300,12 +300,11 @@ LivePage::Response LivePage::Steer(const Request& request) {
     const absl::StatusOr<int64_t> asked = parts_.steering->Checkpoint(caller, absl::ZeroDuration());
     if (!asked.ok() && !absl::IsDeadlineExceeded(asked.status())) return Failure(asked.status());
     done.body = "A checkpoint will be written after the update in progress.\n";
-  } else if (command == "/drain") {
-    if (const auto found = parts_.steering->Drain(caller, worker); !found.ok()) return Failure(found.status());
-    done.body = "The worker gets no new work; it is drained once it has none left.\n";
-  } else if (command == "/undrain") {
-    if (const auto found = parts_.steering->Undrain(caller, worker); !found.ok()) return Failure(found.status());
-    done.body = "The worker gets work again.\n";
+  } else if (const bool draining = command == "/drain"; draining || command == "/undrain") {
+    const auto found = parts_.steering->SetDraining(caller, worker, draining);
+    if (!found.ok()) return Failure(found.status());
+    done.body = draining ? "The worker gets no new work; it is drained once it has none left.\n"
+                         : "The worker gets work again.\n";
   } else if (command == "/stop") {
     parts_.steering->Stop(caller);
     done.body = "The learner stops, with a checkpoint. --resume continues the run.\n";

@@ -41,7 +41,7 @@ namespace craftfleet {
 class LivePage {
  public:
   struct Options {
-    std::string address;                               // HOST:PORT; port 0: any free one; empty: no page
+    std::string address;                               // HOST:PORT; port 0: any free one
     wire::TlsFiles files = {};                         // with a certificate: TLS
     std::shared_ptr<wire::AccessControl> access = {};  // null: no access file
     std::vector<std::string> hosts = {};               // without one, further names that browsers may ask for

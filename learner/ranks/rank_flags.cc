@@ -79,9 +79,7 @@ absl::StatusOr<RankOptions> RankOptionsFromFlags() {
   CRAFTFLEET_ASSIGN_OR_RETURN(options.master_port, Number("master_port", absl::GetFlag(FLAGS_master_port),
                                                           {"MASTER_PORT"}, options.master_port, 1, 65535));
   options.timeout = absl::GetFlag(FLAGS_rank_timeout).value;
-  if (options.timeout < absl::Seconds(1) || options.timeout > absl::Hours(24)) {
-    return InvalidFlag("rank_timeout", absl::FormatDuration(options.timeout), "1s..24h");
-  }
+  CRAFTFLEET_RETURN_IF_ERROR(CheckFlagRange("rank_timeout", options.timeout, absl::Seconds(1), absl::Hours(24)));
   return options;
 }
 

@@ -27,7 +27,8 @@ struct Checkpoint {
 };
 
 // InvalidArgument with the field, its value and its range (checkpoint.proto) if a value is one that no run can have.
-// Snapshots and states of lanes are not checked: LoadLanes resets a lane whose own are invalid.
+// Snapshots and states of lanes are not checked: the learner refuses states of another size than the agent's, and
+// LoadLanes resets a lane whose snapshot or state is invalid.
 absl::Status CheckCheckpointState(const v1::CheckpointState& state);
 
 // Creates `folder`, writes `checkpoint` into it and syncs it, except for the folder's entry in its parent.

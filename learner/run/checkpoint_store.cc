@@ -122,7 +122,6 @@ absl::Status CheckpointStore::Write(const Checkpoint& checkpoint) {
   if (PathExists(PathOf(name))) {
     const absl::StatusOr<Checkpoint> there = LoadCheckpoint(PathOf(name), "");
     if (there.ok() && SameEvaluations(there->state, checkpoint.state)) return absl::OkStatus();
-    if (!there.ok()) CRAFTFLEET_RETURN_IF_ERROR(Remove(name));
   }
   const std::string temporary = TemporaryPath(name);
   absl::Status status = WriteCheckpointFiles(temporary, checkpoint);

@@ -41,7 +41,7 @@ class CheckpointStore {
 
   // Writes `checkpoint` under a temporary name, syncs and renames it. Then removes all but the newest
   // `config.checkpoint.keep` and the best, which is the first with the newest one's `best_score`. An existing
-  // checkpoint of the same iteration is replaced if it is torn or the run was evaluated since, else left unchanged.
+  // checkpoint of the same iteration is replaced if it can't be loaded or the run was evaluated since, else unchanged.
   //   ResourceExhausted: disk, quota or file size limit reached.   Others as EpochFence::Check. After any error,
   //   including a failed sync, the earlier checkpoints are unchanged and no part of this one is left.
   absl::Status Write(const Checkpoint& checkpoint);

@@ -1,5 +1,5 @@
 // The learner's epoch: how often a learner has started on a run folder. Permits carry it, so that fragments of an
-// earlier start can be recognised, and only the latest start may write. File: FORMATS.md, section 10.
+// earlier start can be recognised, and only the latest start may write. File: FORMATS.md, section 9.
 
 #ifndef CRAFTFLEET_LEARNER_RUN_EPOCH_H_
 #define CRAFTFLEET_LEARNER_RUN_EPOCH_H_

@@ -1,4 +1,4 @@
-// Prevents two processes from writing the same run folder. File: FORMATS.md, section 9.
+// Prevents two processes from writing the same run folder. File: FORMATS.md, section 8.
 
 #ifndef CRAFTFLEET_LEARNER_RUN_FOLDER_LOCK_H_
 #define CRAFTFLEET_LEARNER_RUN_FOLDER_LOCK_H_

@@ -54,7 +54,7 @@ struct ResumedRun;
 // time.
 class RunFolder {
  public:
-  // Prepares a new run in `logdir`, which is created if necessary. `config` is complete (ResolveRunConfig); `clock`
+  // Prepares a new run in `logdir`, which is created if necessary. `config` is complete (CompleteConfig); `clock`
   // outlives this. `origin`: the origin of its initial weights, for run.json; empty: none. Begin replaces an existing
   // run that ended before its first checkpoint.
   //   AlreadyExists: the folder has a run.   FailedPrecondition: another process uses it.

@@ -63,7 +63,7 @@ class EvaluationTable {
     bool greedy = false;
   };
 
-  // `clock` outlives the scheduler.
+  // `clock` outlives the table.
   explicit EvaluationTable(Clock* clock) : clock_(clock) {}
 
   // Adds an evaluation. Its number is higher than those added before.

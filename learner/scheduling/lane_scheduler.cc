@@ -33,12 +33,11 @@ std::vector<std::string> LaneScheduler::RemoveExpired() {
   const absl::Time now = clock_->Now();
   std::vector<std::string> expired;
   for (const auto& [name, actor] : table_.actors()) {
-    if (now - actor.worker->leased_from > actor.worker->lease) expired.push_back(name);
+    if (now - actor.worker->leased_from <= actor.worker->lease) continue;
+    table_.counters.lapsed += static_cast<int64_t>(actor.permits.size());
+    expired.push_back(name);
   }
-  for (const std::string& name : expired) {
-    table_.counters.lapsed += table_.PermitsOf(name);
-    Remove(name);
-  }
+  for (const std::string& name : expired) Remove(name);
   return expired;
 }
 

@@ -172,17 +172,6 @@ LaneTable::ActorInfo LaneTable::InfoOf(absl::string_view actor) const {
   return {static_cast<int>(found.permits.size()), found.fragments, found.pause > absl::ZeroDuration()};
 }
 
-int LaneTable::permits() const {
-  size_t permits = 0;
-  for (const auto& [name, actor] : actors_) permits += actor.permits.size();
-  return static_cast<int>(permits);
-}
-
-int LaneTable::PermitsOf(absl::string_view actor) const {
-  const LaneActor* const found = Find(actor);
-  return found == nullptr ? 0 : static_cast<int>(found->permits.size());
-}
-
 int LaneTable::playing() const {
   return static_cast<int>(
       std::count_if(lanes_.begin(), lanes_.end(), [](const LaneState& lane) { return lane.permit.has_value(); }));

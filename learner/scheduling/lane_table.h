@@ -151,7 +151,7 @@ class LaneTable {
   // Rolls the lane back to the beginning of the iteration.
   void Rewind(LaneState* lane);
 
-  // Whether that fragment of the current iteration was accepted and has not been rolled back since.
+  // Whether that fragment, of this or the previous iteration, was accepted and has not been rolled back since.
   bool Counts(int lane, int64_t fragment, uint64_t digest) const;
   // Whether the fragment, of this or the previous iteration, was accepted from `actor`.
   bool IsAcceptedFrom(absl::string_view actor, const Permit& fragment) const;
@@ -162,9 +162,7 @@ class LaneTable {
   std::vector<LaneRecord> StartRecords() const;
   // Information about an actor of the table.
   ActorInfo InfoOf(absl::string_view actor) const;
-  // The number of outstanding permits: of all actors, of one; and the number of lanes that are being played.
-  int permits() const;
-  int PermitsOf(absl::string_view actor) const;
+  // The number of lanes that are being played: that have a permit.
   int playing() const;
   // The fragments that are being played, the oldest first.
   std::vector<Playing> BeingPlayed() const;

@@ -127,31 +127,19 @@ void WorkerRegistry::OnConnectionLost(absl::string_view name, int64_t stream) {
   actor->leased_from = std::min(actor->leased_from, clock_->Now() - rest);
 }
 
-absl::StatusOr<WorkerRegistry::WorkerId> WorkerRegistry::Drain(absl::string_view name_or_address) {
+absl::StatusOr<WorkerRegistry::WorkerId> WorkerRegistry::SetDraining(absl::string_view worker, bool draining) {
   const MutexLock lock(&mu_);
   workers_.ExpireServers();
-  CRAFTFLEET_ASSIGN_OR_RETURN(Worker* const worker, workers_.FindActive(name_or_address));
-  worker->draining = true;
-  return NoteDrain(*worker);
-}
-
-absl::StatusOr<WorkerRegistry::WorkerId> WorkerRegistry::Undrain(absl::string_view name_or_address) {
-  const MutexLock lock(&mu_);
-  workers_.ExpireServers();
-  CRAFTFLEET_ASSIGN_OR_RETURN(Worker* const worker, workers_.FindActive(name_or_address));
-  worker->draining = false;
-  worker->empty = false;
-  return NoteDrain(*worker);
-}
-
-WorkerRegistry::WorkerId WorkerRegistry::NoteDrain(const Worker& worker) {
-  if (worker.role == WorkerRole::kActor) {
-    lanes_.NoteDrain(worker.name);
+  CRAFTFLEET_ASSIGN_OR_RETURN(Worker* const found, workers_.FindActive(worker));
+  found->draining = draining;
+  if (!draining) found->empty = false;
+  if (found->role == WorkerRole::kActor) {
+    lanes_.NoteDrain(found->name);
   } else {
-    workers_.ListServer(worker);
+    workers_.ListServer(*found);
   }
   Wake();
-  return {worker.role, worker.name};
+  return WorkerId{found->role, found->name};
 }
 
 bool WorkerRegistry::IsDrained(const WorkerId& id) {
@@ -159,9 +147,11 @@ bool WorkerRegistry::IsDrained(const WorkerId& id) {
   workers_.ExpireServers();
   const Worker* const worker = workers_.Find(id.role, id.name);
   if (id.role == WorkerRole::kEnvServer) return worker == nullptr || !worker->active || worker->empty;
-  const bool may_play =
-      worker != nullptr && worker->active && (!worker->draining || lanes_.table().PermitsOf(id.name) > 0);
-  return !may_play && !evaluations_.IsPlaying(id.name);
+  if (evaluations_.IsPlaying(id.name)) return false;
+  if (worker == nullptr || !worker->active) return true;
+  // The only actor stays active after its lease: actors expire when one calls. By now it could not renew it.
+  if (clock_->Now() - worker->leased_from > 2 * worker->lease) return true;
+  return worker->draining && lanes_.table().InfoOf(id.name).permits == 0;
 }
 
 void WorkerRegistry::Finish() {

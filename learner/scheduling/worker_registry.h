@@ -159,12 +159,11 @@ class WorkerRegistry {
   absl::Status Leave(const WorkerClient& client, WorkerRole role, absl::string_view name,
                      absl::string_view address = "") ABSL_LOCKS_EXCLUDED(mu_);
 
-  // Stops new work for the worker: an actor's lanes go to others as soon as it has played its permits, and actors move
-  // their games away from a server. `worker`: name or address of an active worker.
+  // With `draining`, stops new work for the worker: an actor's lanes go to others as soon as it has played its permits,
+  // and actors move their games away from a server. Else it gets work again. `worker`: name or address of an active
+  // one.
   //   NotFound: no such worker; lists the active ones.
-  absl::StatusOr<WorkerId> Drain(absl::string_view worker) ABSL_LOCKS_EXCLUDED(mu_);
-  // Ends Drain.   Errors as Drain.
-  absl::StatusOr<WorkerId> Undrain(absl::string_view worker) ABSL_LOCKS_EXCLUDED(mu_);
+  absl::StatusOr<WorkerId> SetDraining(absl::string_view worker, bool draining) ABSL_LOCKS_EXCLUDED(mu_);
   // Whether the worker is gone, or is being drained and has no permits, evaluation or (by its last report) games left.
   bool IsDrained(const WorkerId& worker) ABSL_LOCKS_EXCLUDED(mu_);
 
@@ -206,8 +205,6 @@ class WorkerRegistry {
   // Makes `actor` inactive and frees its permits and evaluations.
   void RemoveActor(Worker* actor) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
   void ExpireActors() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
-  // The worker's drain has begun or ended.
-  WorkerId NoteDrain(const Worker& worker) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
   // Nothing: status pages do not show the worker.
   std::optional<WorkerInfo> InfoOf(const Worker& worker) const ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
 

@@ -55,7 +55,7 @@ grpc::Status AdminServiceImpl::Pause(grpc::ServerContext* context, const v1::Pau
   steering_->Pause(CallerOf(*context));
   const absl::Status status = WaitFor(
       context, [this] { return steering_->IsStill(); }, "paused, but some fragments are still being played");
-  if (status.ok()) LogInfo("paused: nothing is played until craftfleet admin resume");
+  if (status.ok()) LogInfo("paused: no fragments are played until craftfleet admin resume");
   return wire::ToGrpc(status);
 }
 
@@ -67,7 +67,8 @@ grpc::Status AdminServiceImpl::Resume(grpc::ServerContext* context, const v1::Re
 
 grpc::Status AdminServiceImpl::Drain(grpc::ServerContext* context, const v1::DrainRequest* request,
                                      v1::DrainReply* reply) {
-  const absl::StatusOr<WorkerRegistry::WorkerId> worker = steering_->Drain(CallerOf(*context), request->worker());
+  const absl::StatusOr<WorkerRegistry::WorkerId> worker =
+      steering_->SetDraining(CallerOf(*context), request->worker(), /*draining=*/true);
   if (!worker.ok()) return wire::ToGrpc(worker.status());
   const bool is_actor = worker->role == WorkerRole::kActor;
   reply->set_role(RoleName(worker->role));
@@ -83,7 +84,8 @@ grpc::Status AdminServiceImpl::Drain(grpc::ServerContext* context, const v1::Dra
 
 grpc::Status AdminServiceImpl::Undrain(grpc::ServerContext* context, const v1::UndrainRequest* request,
                                        v1::UndrainReply* reply) {
-  const absl::StatusOr<WorkerRegistry::WorkerId> worker = steering_->Undrain(CallerOf(*context), request->worker());
+  const absl::StatusOr<WorkerRegistry::WorkerId> worker =
+      steering_->SetDraining(CallerOf(*context), request->worker(), /*draining=*/false);
   if (worker.ok()) reply->set_role(RoleName(worker->role));
   return wire::ToGrpc(worker.status());
 }

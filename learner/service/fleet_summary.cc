@@ -103,7 +103,7 @@ FleetView ViewFleet(const Work& trainer, const std::vector<WorkerRegistry::Worke
     } else if (ok) {
       ++view.actors;
       view.drained_actors += info.IsDrained() ? 1 : 0;
-      if (info.health != Health::kOk || info.summary_is_old || worker.summary == nullptr) continue;
+      if (info.summary_is_old || worker.summary == nullptr) continue;
       view.steps_per_second += worker.summary->steps_per_second();
       view.actors_times.Add(wire::TimesOf(*worker.summary));
     }
@@ -149,6 +149,12 @@ Bottleneck FindBottleneck(const FleetView& view) {
   const double wire = times[Activity::kWire];
   const double inference = times[Activity::kInference];
   const double permits = times[Activity::kPermits] + times[Activity::kIntake];
+  const double evaluations = times[Activity::kIdle];
+  if (evaluations >= 0.5) {
+    return {"actors", absl::StrFormat("Training waits for evaluations %s of the time: add actors, or evaluate less "
+                                      "(eval.every_steps, eval.episodes).",
+                                      Percent(evaluations))};
+  }
   if (learner >= std::max(0.5, view.plays_on ? PlayingShare(view) : 0)) {
     return {"learner", absl::StrFormat("The learner works %s of the time: give it more or faster CPUs (--threads) or a "
                                        "GPU; more actors would only wait for it.",

@@ -40,9 +40,9 @@ struct Bottleneck {
 // part in which actors wait although the learner is not working; `intake` remains if no actor plays.
 ByActivity FleetTimes(const FleetView& view);
 
-// Reports what is missing or slow, if anything. Otherwise, once an iteration has ended, reports what to add: a faster
-// learner if it works at least half the time and, where play goes on during updates, no less of it than the actors
-// play; else whatever shortens the largest part of its waiting.
+// Reports what is missing or slow, if anything. Otherwise, once an iteration has ended, reports what to add: actors if
+// training waits for evaluations at least half the time; a faster learner if it works that much and, where play goes on
+// during updates, no less of it than the actors play; else whatever shortens the largest part of its waiting.
 Bottleneck FindBottleneck(const FleetView& view);
 
 // Makes the input of FindBottleneck from the workers and the training thread's recent work, `trainer`.

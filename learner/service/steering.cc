@@ -3,19 +3,12 @@
 #include <absl/status/status.h>
 
 #include "common/base/printable.h"
-#include "common/base/status_macros.h"
 #include "common/telemetry/log.h"
 
 namespace craftfleet {
 namespace {
 
 constexpr size_t kMaxLogged = 200;  // bytes of a client's text
-
-// Logs the command. An empty name would match workers without an address.
-absl::Status Begin(absl::string_view caller, absl::string_view command, absl::string_view worker) {
-  LogInfo("%s: %s %s", caller, command, Printable(worker.substr(0, kMaxLogged)));
-  return worker.empty() ? absl::InvalidArgumentError("worker is empty, want a name or an address") : absl::OkStatus();
-}
 
 }  // namespace
 
@@ -34,14 +27,12 @@ bool Steering::Resume(absl::string_view caller) {
   return parts_.registry->lanes()->assignment().SetPaused(false);
 }
 
-absl::StatusOr<WorkerRegistry::WorkerId> Steering::Drain(absl::string_view caller, absl::string_view worker) {
-  CRAFTFLEET_RETURN_IF_ERROR(Begin(caller, "drain", worker));
-  return parts_.registry->Drain(worker);
-}
-
-absl::StatusOr<WorkerRegistry::WorkerId> Steering::Undrain(absl::string_view caller, absl::string_view worker) {
-  CRAFTFLEET_RETURN_IF_ERROR(Begin(caller, "undrain", worker));
-  return parts_.registry->Undrain(worker);
+absl::StatusOr<WorkerRegistry::WorkerId> Steering::SetDraining(absl::string_view caller, absl::string_view worker,
+                                                               bool draining) {
+  LogInfo("%s: %s %s", caller, draining ? "drain" : "undrain", Printable(worker.substr(0, kMaxLogged)));
+  // It would match workers without an address.
+  if (worker.empty()) return absl::InvalidArgumentError("worker is empty, want a name or an address");
+  return parts_.registry->SetDraining(worker, draining);
 }
 
 void Steering::Stop(absl::string_view caller) {

@@ -35,12 +35,12 @@ class Steering {
   bool Resume(absl::string_view caller);
   // `worker` is a name or an address.   InvalidArgument: it is empty.   NotFound: no such worker; lists those there
   // are.
-  absl::StatusOr<WorkerRegistry::WorkerId> Drain(absl::string_view caller, absl::string_view worker);
-  absl::StatusOr<WorkerRegistry::WorkerId> Undrain(absl::string_view caller, absl::string_view worker);
+  absl::StatusOr<WorkerRegistry::WorkerId> SetDraining(absl::string_view caller, absl::string_view worker,
+                                                       bool draining);
   void Stop(absl::string_view caller);
 
   // Whether no fragment is being played.
-  bool IsStill() const { return parts_.registry->lanes()->table().permits() == 0; }
+  bool IsStill() const { return parts_.registry->lanes()->table().playing() == 0; }
   bool IsDrained(const WorkerRegistry::WorkerId& worker) const { return parts_.registry->IsDrained(worker); }
 
  private:

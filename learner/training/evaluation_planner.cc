@@ -52,10 +52,8 @@ void EvaluationPlanner::OnEnd(int64_t env_steps, const std::shared_ptr<const std
     Begin(env_steps, config_.final_episodes(), /*final=*/true, weights);
     final_evaluation_steps_ = env_steps;
   }
-  if (registry_->evaluations()->pending() == 0) return;
-  LogInfo(
-      "training is over; waiting for the remaining evaluations; the final one has %d argmax and %d sampled episodes",
-      config_.final_episodes(), config_.final_episodes());
+  if (pending() == 0) return;
+  LogInfo("training is over; waiting for the remaining evaluations (%d)", pending());
   LogFinished(1, should_stop);
 }
 
@@ -78,7 +76,7 @@ void EvaluationPlanner::LogFinished(size_t below, const std::function<bool()>& s
     } else if (SteadyNow() - last_news > kReportEvery) {
       last_news = SteadyNow();
       const std::string played = registry_->WaitsFor();
-      LogInfo("waiting for actors to play %d evaluations%s%s", registry_->evaluations()->pending(),
+      LogInfo("waiting for actors to play the pending evaluations (%d)%s%s", pending(),
               played.empty() ? "" : "; being played: ", played);
     }
   }

@@ -168,6 +168,14 @@ class LivePage(python_case.ProcessCase):
       self.assertEqual(self.status_code(port, token), code)
     self.assertIn("new certificate", log.read_text())
 
+  def test_a_page_under_an_unknown_name_says_what_to_do(self):
+    driver = browser.open_browser(self)
+    url, _ = self.start_run()
+    driver.get(url.replace("127.0.0.1", "other.localhost"))
+    self.wait_for_text(driver, "message", "--http_hosts=other.localhost")
+    self.wait_for_text(driver, "state-text", "Refused")
+    self.assertFalse(driver.find_element("id", "sign-in").is_displayed())
+
   def test_the_page_asks_for_the_token(self):
     driver = browser.open_browser(self)
     port, _ = self.start_secured()

@@ -102,6 +102,16 @@ TEST(RunnableConfig, AnOversizedRunIsRefusedWithTheLargestField) {
   refuses("agent: \"achievement_distillation\" distillation { every_iterations: 1000 }",
           "distillation.every_iterations is 1000: ");
   refuses("agent: \"oc_sa\" network { patch: 1 stride: 1 }", "network.stride is 1: ");
+  refuses("agent: \"lstm_cnn_published\" fragment_steps: 8192 lanes: 1 ppo { rollout_steps: 8192 }",
+          "fragment_steps is 8192: ");
+}
+
+TEST(RunnableConfig, NumbersThatAreTooSmallAreRefused) {
+  EXPECT_THAT(Check("agent: \"ppo_spcnn\" network { frame_size: 17 }"),
+              StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("network.frame_size is 17, want ")));
+  EXPECT_THAT(
+      Check("ppo { adam_epsilon: 5e-324 }"),
+      StatusIs(absl::StatusCode::kInvalidArgument, AllOf(HasSubstr("ppo.adam_epsilon is "), HasSubstr("want "))));
 }
 
 TEST(RunnableConfig, TheMemoryLimitIsTheMachines) {

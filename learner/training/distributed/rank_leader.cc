@@ -12,7 +12,7 @@ namespace craftfleet {
 absl::Status RankLeader::Connect(std::function<bool()> should_stop, PpoUpdater* updater) {
   if (ranks_.world_size == 1) return absl::OkStatus();
   ranks_.should_stop = std::move(should_stop);
-  LogInfo("waiting for %d other ranks (%s), at most %s, on %s", ranks_.world_size - 1, ranks_.given,
+  LogInfo("waiting for the other ranks, %d (%s), at most %s, on %s", ranks_.world_size - 1, ranks_.given,
           absl::FormatDuration(ranks_.timeout), ranks_.address());
   CRAFTFLEET_ASSIGN_OR_RETURN(const std::unique_ptr<RankMeeting> meeting,
                               RankMeeting::Open(ranks_, FormatRankOffer(offer_)));

@@ -16,18 +16,6 @@ constexpr absl::Duration kReportEvery = absl::Seconds(15);
 
 }  // namespace
 
-void FragmentCollector::Begin(int64_t last_fragment, int64_t policy_version) {
-  collected_.clear();
-  parts_.registry->lanes()->rollouts().OpenIteration(last_fragment, policy_version);
-}
-
-void FragmentCollector::BeginOpened() { collected_.clear(); }
-
-void FragmentCollector::BeginNext(int64_t policy_version) {
-  DropReset();  // after an update that was undone
-  parts_.registry->lanes()->rollouts().PublishVersion(policy_version);
-}
-
 absl::StatusOr<std::vector<Fragment>> FragmentCollector::Collect(size_t wanted, const OnTick& on_tick) {
   const auto is_complete = [&] { return collected_.size() >= wanted; };
   CRAFTFLEET_RETURN_IF_ERROR(CollectUntil(is_complete, wanted, on_tick));
@@ -61,7 +49,7 @@ absl::StatusOr<std::vector<Fragment>> FragmentCollector::CollectRollout(size_t w
 absl::Status FragmentCollector::CollectUntil(const std::function<bool()>& is_complete, size_t wanted,
                                              const OnTick& on_tick) {
   absl::Time last_news = parts_.clock->Now();
-  int64_t resets = parts_.registry->lanes()->table().counters.resets;
+  int64_t resets = -1;  // the first pass drops what an update that was undone has left
   while (true) {
     // Fragments of lanes that were reset in the meantime are played again.
     if (resets != parts_.registry->lanes()->table().counters.resets) {
@@ -77,9 +65,8 @@ absl::Status FragmentCollector::CollectUntil(const std::function<bool()>& is_com
     } else if (parts_.clock->Now() - last_news > kReportEvery) {
       last_news = parts_.clock->Now();
       const std::string played = parts_.registry->WaitsFor();
-      LogInfo("waiting for actors: %d of %d fragments have arrived, %d actors have joined%s%s", collected_.size(),
-              wanted, parts_.registry->lanes()->table().actors().size(),
-              played.empty() ? "" : "; being played: ", played);
+      LogInfo("waiting for actors: %d of %d fragments have arrived, actors joined: %d%s%s", collected_.size(), wanted,
+              parts_.registry->lanes()->table().actors().size(), played.empty() ? "" : "; being played: ", played);
     }
     CRAFTFLEET_RETURN_IF_ERROR(on_tick(collected_.size(), is_idle));
   }

@@ -20,8 +20,8 @@
 
 namespace craftfleet {
 
-// Waits for an iteration's fragments and drops those of lanes that were reset in the meantime. Owned by the training
-// thread.
+// Waits for the fragments of an iteration, whose permits are open, and drops those of lanes that were reset in the
+// meantime. Owned by the training thread.
 class FragmentCollector {
  public:
   struct Parts {
@@ -35,19 +35,11 @@ class FragmentCollector {
 
   explicit FragmentCollector(const Parts& parts) : parts_(parts) {}
 
-  // Begins an iteration: opens permits for fragments up to `last_fragment` (excluded) of each lane with the weights
-  // `policy_version`.
-  void Begin(int64_t last_fragment, int64_t policy_version);
-  // The same for an iteration whose permits are open already, which is not the first.
-  void BeginOpened();
   // Waits until `wanted` fragments are collected; returns them ordered by lane and number. Errors are those of
   // `on_tick`.
   absl::StatusOr<std::vector<Fragment>> Collect(size_t wanted, const OnTick& on_tick);
-
-  // With max_staleness: begins an iteration that ends with the update from `policy_version`, the newest weights.
-  void BeginNext(int64_t policy_version);
-  // Waits for the `wanted` fragments of that update (LaneScheduler::TakeRollout); returns them ordered by lane and
-  // number. Fragments for later updates are kept. Errors as Collect.
+  // With max_staleness: waits for the `wanted` fragments of the next update (RolloutCutter::TakeRollout); returns them
+  // ordered by lane and number. Fragments for later updates are kept. Errors as Collect.
   absl::StatusOr<std::vector<Fragment>> CollectRollout(size_t wanted, const OnTick& on_tick);
 
  private:

@@ -10,7 +10,8 @@ absl::StatusOr<int64_t> CheckpointRequests::Ask(absl::Duration timeout) {
   const int64_t before = answers_;
   changed_.WaitFor(&mu_, timeout, [&]() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_) { return answers_ > before || closed_; });
   if (answers_ > before) return answer_;
-  if (closed_) return absl::UnavailableError("the learner is stopping, which writes a checkpoint too");
+  if (closed_)
+    return absl::UnavailableError("training has ended: the last checkpoint is written before the learner exits");
   return absl::DeadlineExceededError(absl::StrFormat(
       "no checkpoint within %s: it will be written after the current update", absl::FormatDuration(timeout)));
 }

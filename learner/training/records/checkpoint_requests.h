@@ -16,14 +16,14 @@ namespace craftfleet {
 class CheckpointRequests {
  public:
   // Requests a checkpoint and waits for it; returns its iteration.
-  //   DeadlineExceeded: not written within `timeout`.   Unavailable: Close was called.   Others: it can't be written.
+  //   DeadlineExceeded: not written within `timeout`.   Unavailable: training has ended.   Others: it can't be written.
   absl::StatusOr<int64_t> Ask(absl::Duration timeout) ABSL_LOCKS_EXCLUDED(mu_);
 
   // For the trainer: whether a request is pending.
   bool pending() const ABSL_LOCKS_EXCLUDED(mu_);
   // For the trainer: answers all pending requests with the iteration written, or the error.
   void Answer(const absl::StatusOr<int64_t>& iteration) ABSL_LOCKS_EXCLUDED(mu_);
-  // Ends pending and later requests with Unavailable. Idempotent.
+  // For the trainer: training has ended. Ends pending and later requests with Unavailable. Idempotent.
   void Close() ABSL_LOCKS_EXCLUDED(mu_);
 
  private:

@@ -1,4 +1,4 @@
-// Loads lanes from checkpoints, including those of old versions and those with invalid snapshots.
+// Loads lanes from checkpoints, also those with invalid snapshots.
 
 #ifndef CRAFTFLEET_LEARNER_TRAINING_RECORDS_LANE_LOADING_H_
 #define CRAFTFLEET_LEARNER_TRAINING_RECORDS_LANE_LOADING_H_
@@ -17,7 +17,8 @@ struct LoadedLanes {
 };
 
 // Returns the checkpoint's lanes, or new ones if `state` has none. If the snapshot or recurrent state of a lane is
-// invalid, the lane is reset to its previous snapshot or to a new game, and an error is logged.
+// invalid, the lane is reset to its previous snapshot or to a new game, and an error is logged. The learner has refused
+// states of another size before.
 LoadedLanes LoadLanes(const v1::CheckpointState& state, const wire::FragmentShape& shape);
 
 // Converts a record to its form in checkpoints.

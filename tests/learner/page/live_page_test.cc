@@ -148,7 +148,7 @@ TEST_F(LivePageTest, PostsSteerTheRun) {
   EXPECT_THAT(Post("/checkpoint"), StartsWith("HTTP/1.1 200 "));
   EXPECT_TRUE(checkpoints_.pending());
   checkpoints_.Close();
-  EXPECT_THAT(Post("/checkpoint"), AllOf(StartsWith("HTTP/1.1 503 "), HasSubstr("stopping")));
+  EXPECT_THAT(Post("/checkpoint"), AllOf(StartsWith("HTTP/1.1 503 "), HasSubstr("training has ended")));
   EXPECT_THAT(Post("/drain?worker=anna"), StartsWith("HTTP/1.1 200 "));
   EXPECT_TRUE(registry_.IsDrained("anna"));
   EXPECT_THAT(Post("/undrain?worker=anna"), StartsWith("HTTP/1.1 200 "));

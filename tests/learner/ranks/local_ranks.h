@@ -3,13 +3,8 @@
 #ifndef CRAFTFLEET_TESTS_LEARNER_RANKS_LOCAL_RANKS_H_
 #define CRAFTFLEET_TESTS_LEARNER_RANKS_LOCAL_RANKS_H_
 
-#include <netinet/in.h>
-#include <sys/socket.h>
-#include <unistd.h>
-
 #include <functional>
 #include <memory>
-#include <string>
 #include <thread>
 #include <utility>
 #include <vector>
@@ -18,21 +13,9 @@
 
 #include "learner/ranks/rank_group.h"
 #include "learner/ranks/rank_meeting.h"
+#include "tests/fakes/loopback.h"
 
 namespace craftfleet {
-
-// A port of loopback that nobody listens on at the moment.
-inline int FreePort() {
-  const int probe = socket(AF_INET, SOCK_STREAM, 0);
-  sockaddr_in address = {};
-  address.sin_family = AF_INET;
-  address.sin_addr.s_addr = htonl(INADDR_LOOPBACK);
-  socklen_t size = sizeof(address);
-  EXPECT_EQ(bind(probe, reinterpret_cast<sockaddr*>(&address), size), 0);
-  EXPECT_EQ(getsockname(probe, reinterpret_cast<sockaddr*>(&address), &size), 0);
-  close(probe);
-  return ntohs(address.sin_port);
-}
 
 inline RankOptions LocalRank(int rank, int world_size, int port) {
   RankOptions options;

@@ -196,9 +196,10 @@ TEST_F(CheckpointStoreTest, AnInvalidStateIsRefused) {
 TEST_F(CheckpointStoreTest, AnEmptyStoreOrAnUnknownNameIsNotFound) {
   EXPECT_THAT(store_.LoadLatest(""), StatusIs(absl::StatusCode::kNotFound, HasSubstr(temp_.path())));
   Write(10);
-  EXPECT_THAT(
-      store_.Load("iter-00000011", ""),
-      StatusIs(absl::StatusCode::kNotFound, AllOf(HasSubstr("iter-00000011"), EndsWith("which has iter-00000010"))));
+  Write(20);
+  EXPECT_THAT(store_.Load("iter-00000011", ""),
+              StatusIs(absl::StatusCode::kNotFound, AllOf(HasSubstr("no checkpoint iter-00000011"),
+                                                          EndsWith("which has iter-00000020, iter-00000010"))));
   EXPECT_THAT(store_.Load("../x", ""), StatusIs(absl::StatusCode::kNotFound, HasSubstr("../x")));
 }
 
@@ -222,6 +223,16 @@ TEST_F(CheckpointStoreTest, OnlyATornCheckpointOfTheSameIterationIsReplaced) {
   ASSERT_THAT(RemoveAll(PathOf(10, "state.pb")), IsOk());
   Write(10, 2.0);
   EXPECT_EQ(store_.LoadLatest("").value().state.best_score(), 2.0);
+}
+
+// It may be a good one that could not be read just now, as with too many open files.
+TEST_F(CheckpointStoreTest, ACheckpointThatCannotBeLoadedStaysUntilAnotherReplacesIt) {
+  Write(10);
+  ASSERT_THAT(RemoveAll(PathOf(10, "state.pb")), IsOk());
+  const FileSizeLimit limit(2000);  // the state fits, the weights do not
+  EXPECT_THAT(store_.Write(SampleCheckpoint(10)),
+              StatusIs(absl::StatusCode::kResourceExhausted, HasSubstr("weights.safetensors")));
+  EXPECT_THAT(ListFolder(temp_.path()).value(), ElementsAre("iter-00000010"));
 }
 
 TEST_F(CheckpointStoreTest, ACheckpointIsReplacedIfTheRunWasEvaluatedSince) {

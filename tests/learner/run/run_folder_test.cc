@@ -235,8 +235,9 @@ TEST_F(RunFolderTest, ARunThatLostItsConfigurationIsNotOverwritten) {
 
 TEST_F(RunFolderTest, ResumingARunWithoutACheckpointSuggestsANewStart) {
   EXPECT_THAT(Look(), StatusIs(absl::StatusCode::kNotFound, HasSubstr("no run to resume in " + logdir_)));
-  const auto is_told = StatusIs(absl::StatusCode::kNotFound, AllOf(HasSubstr("no checkpoint in " + logdir_),
-                                                                   HasSubstr("start it again without --resume")));
+  const auto is_told = StatusIs(absl::StatusCode::kNotFound,
+                                AllOf(HasSubstr("no checkpoint in " + logdir_),
+                                      HasSubstr("ended before its first one; start it again without --resume")));
   Create();
   EXPECT_THAT(Look(), is_told);
   EXPECT_THAT(Look({"iter-00000010", ""}), is_told);

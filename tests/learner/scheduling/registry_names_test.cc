@@ -63,13 +63,13 @@ TEST_F(RegistryNamesTest, AnUnknownWorkerLeavesWithoutARecord) {
 // A worker may say that it is at another's address, to be drained in its place, or to have it drained.
 TEST_F(RegistryNamesTest, AnAddressThatSeveralWorkersClaimDrainsNone) {
   ASSERT_THAT(registry_.Join({"one"}, "a", "10.0.0.1:50052", {}), IsOk());
-  EXPECT_EQ(registry_.Drain("10.0.0.1:50052")->name, "a");
-  EXPECT_THAT(registry_.Undrain("a"), IsOk());
+  EXPECT_EQ(registry_.SetDraining("10.0.0.1:50052", true)->name, "a");
+  EXPECT_THAT(registry_.SetDraining("a", false), IsOk());
   ASSERT_THAT(registry_.Join({"two"}, "liar", "10.0.0.1:50052", {}), IsOk());
-  EXPECT_THAT(registry_.Drain("10.0.0.1:50052"),
+  EXPECT_THAT(registry_.SetDraining("10.0.0.1:50052", true),
               StatusIs(absl::StatusCode::kNotFound, AllOf(HasSubstr("2 workers"), HasSubstr("a, liar"))));
   ASSERT_THAT(registry_.Join({"two"}, "second", "a", {}), IsOk()) << "a name as an address";
-  EXPECT_EQ(registry_.Drain("a")->name, "a");
+  EXPECT_EQ(registry_.SetDraining("a", true)->name, "a");
 }
 
 TEST_F(RegistryNamesTest, ANameIsFreeAfterItsOwnerLeftOrWasSilent) {

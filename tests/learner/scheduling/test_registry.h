@@ -54,7 +54,8 @@ class TestRegistry : public WorkerRegistry {
     request.wait = wait;
     return GetPermits(request);
   }
-  void Drain(absl::string_view worker) { WorkerRegistry::Drain(worker).status().IgnoreError(); }
+  void Drain(absl::string_view worker) { SetDraining(worker, true).status().IgnoreError(); }
+  absl::StatusOr<WorkerId> Undrain(absl::string_view worker) { return SetDraining(worker, false); }
   bool IsDrained(const std::string& actor) { return WorkerRegistry::IsDrained({WorkerRole::kActor, actor}); }
 
   // Those of the parts.
@@ -80,7 +81,12 @@ class TestRegistry : public WorkerRegistry {
   bool Counts(int lane, int64_t fragment, uint64_t digest) const {
     return lanes()->table().Counts(lane, fragment, digest);
   }
-  int permits() const { return lanes()->table().permits(); }
+  // Outstanding ones, of all actors.
+  int permits() const {
+    size_t permits = 0;
+    for (const LaneActor& actor : Actors()) permits += actor.permits.size();
+    return static_cast<int>(permits);
+  }
   LaneCounters counters() const { return lanes()->table().counters; }
   void OpenIteration(int64_t last_fragment, int64_t policy_version) {
     lanes()->rollouts().OpenIteration(last_fragment, policy_version);

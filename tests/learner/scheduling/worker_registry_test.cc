@@ -85,6 +85,21 @@ TEST_F(WorkerRegistryTest, AnActorIsDrainedOnceItPlaysNeitherFragmentsNorAnEvalu
   EXPECT_TRUE(registry_.IsDrained("a"));
 }
 
+// Actors expire when one calls, and here there is no other.
+TEST_F(WorkerRegistryTest, AnActorThatIsKilledWhileItIsDrainedIsGoneOnceItCannotRenewItsLease) {
+  registry_.Join("a", "");
+  registry_.OpenIteration(2, 1);
+  registry_.AddEvaluation(SampleEvaluation(1));
+  const WorkerRegistry::PermitReply reply = Ask(Question("a"));
+  ASSERT_THAT(reply.granted, SizeIs(4));
+  ASSERT_TRUE(reply.evaluation.has_value());
+  registry_.Drain("a");
+  clock_.Advance(absl::Seconds(10));
+  EXPECT_FALSE(registry_.IsDrained("a")) << "it may still renew its lease";
+  clock_.Advance(absl::Milliseconds(1));
+  EXPECT_TRUE(registry_.IsDrained("a"));
+}
+
 TEST_F(WorkerRegistryTest, AnUndrainedActorPlaysAgain) {
   registry_.Join("a", "host:1");
   registry_.OpenIteration(2, 1);

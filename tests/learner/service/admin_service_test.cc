@@ -115,7 +115,7 @@ TEST_F(AdminServiceTest, AFailedCheckpointReturnsItsError) {
 TEST_F(AdminServiceTest, CheckpointAnswersBeforeTheClientGivesUp) {
   EXPECT_THAT(Checkpoint(kShort), StatusIs(absl::StatusCode::kDeadlineExceeded, HasSubstr("no checkpoint within")));
   checkpoints_.Close();
-  EXPECT_THAT(Checkpoint(), StatusIs(absl::StatusCode::kUnavailable, HasSubstr("stopping")));
+  EXPECT_THAT(Checkpoint(), StatusIs(absl::StatusCode::kUnavailable, HasSubstr("training has ended")));
 }
 
 TEST_F(AdminServiceTest, PauseGrantsNothingAndWaitsForFragmentsInProgress) {

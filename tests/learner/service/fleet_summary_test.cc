@@ -189,6 +189,16 @@ TEST(FindBottleneck, ALearnerThatWaitsMoreThanItWorksIsNotTheBottleneck) {
   EXPECT_EQ(FindBottleneck(Fleet(4.5, 2, 2, 3, 4.5)).part, "learner");
 }
 
+// The wait counted as the learner's work.
+TEST(FindBottleneck, ALearnerThatWaitsForEvaluationsNeedsActors) {
+  FleetView view = Fleet(1, 1, 0, 1, 8);
+  view.learner[Activity::kIdle] = 30;
+  EXPECT_EQ(FindBottleneck(view).part, "actors");
+  EXPECT_THAT(FindBottleneck(view).advice, HasSubstr("Training waits for evaluations 75% of the time: add actors"));
+  view.learner[Activity::kIdle] = 5;
+  EXPECT_EQ(FindBottleneck(view).part, "learner");
+}
+
 // With overlap the learner may work most of the time and still wait for actors that never wait.
 TEST(FindBottleneck, WherePlayGoesOnDuringUpdatesTheBusierSideIsTheBottleneck) {
   FleetView view = Fleet(4, 1, 0, 8.5, 0.5);

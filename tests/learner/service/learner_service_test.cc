@@ -35,6 +35,8 @@ TEST_F(LearnerServiceTest, JoinDescribesTheRun) {
 TEST_F(LearnerServiceTest, JoinRefusesIncompatibleActors) {
   EXPECT_THAT(Join("a", "", wire::kProtocolVersion + 1),
               StatusIs(absl::StatusCode::kFailedPrecondition, HasSubstr("upgrade the learner")));
+  EXPECT_THAT(Join("a", "", wire::kProtocolVersion - 1),
+              StatusIs(absl::StatusCode::kFailedPrecondition, HasSubstr("upgrade the actor")));
   EXPECT_THAT(Join("a", "run-b"), StatusIs(absl::StatusCode::kFailedPrecondition, HasSubstr("belongs to run run-b")));
   EXPECT_THAT(Join(""), StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("actor is empty")));
   EXPECT_THAT(GetPermits("a"), StatusIs(absl::StatusCode::kAborted, HasSubstr("join again")));

@@ -24,6 +24,7 @@ namespace craftfleet {
 namespace {
 
 using testing::ElementsAre;
+using testing::HasSubstr;
 using testing::IsEmpty;
 using testing::SizeIs;
 
@@ -236,7 +237,9 @@ TEST_F(EvaluationPlannerTest, TheEndAlsoWaitsForEarlierEvaluations) {
   const auto start = Begin();
   start->Train(kEvery);
   EXPECT_EQ(start->planner.pending(), 1u);
+  testing::internal::CaptureStderr();
   start->End(kEvery);
+  EXPECT_THAT(testing::internal::GetCapturedStderr(), HasSubstr("waiting for the remaining evaluations (1)"));
   EXPECT_EQ(start->planner.pending(), 0u);
   EXPECT_THAT(Lengths("eval_argmax.jsonl"), SizeIs(kEpisodes));
 }

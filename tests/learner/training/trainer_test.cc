@@ -41,7 +41,8 @@ using testing::HasSubstr;
 constexpr int kLanes = 2;
 constexpr int kSteps = 8;      // of a fragment
 constexpr int kFragments = 2;  // of a lane, in an iteration
-constexpr int kFrameBytes = 64 * 64 * 3;
+constexpr int kFrameSize = 36;
+constexpr int kFrameBytes = kFrameSize * kFrameSize * 3;
 constexpr int kPerIteration = kLanes * kFragments;
 
 struct Variant {
@@ -53,6 +54,7 @@ struct Variant {
 
 v1::RunConfig Config(const Variant& variant) {
   v1::RunConfig config = DefaultRunConfig();
+  config.mutable_network()->set_frame_size(kFrameSize);
   config.set_steps(1000 * kPerIteration * kSteps);
   config.set_lanes(kLanes);
   config.set_tile(kLanes);

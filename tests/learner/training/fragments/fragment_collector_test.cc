@@ -56,7 +56,7 @@ class FragmentCollectorTest : public testing::Test {
 
 TEST_F(FragmentCollectorTest, ReturnsTheIterationsFragmentsByLaneAndNumber) {
   FragmentCollector collector = Make();
-  collector.Begin(kPerLane, kVersion);
+  registry_.OpenIteration(kPerLane, kVersion);
   for (const auto& [lane, number] : std::vector<std::pair<int, int>>{{1, 0}, {0, 0}, {1, 1}, {0, 1}}) {
     Send(Played(lane, number));
   }
@@ -67,7 +67,7 @@ TEST_F(FragmentCollectorTest, ReturnsTheIterationsFragmentsByLaneAndNumber) {
 
 TEST_F(FragmentCollectorTest, ReportsProgressAndIdleTime) {
   FragmentCollector collector = Make();
-  collector.Begin(kPerLane, kVersion);
+  registry_.OpenIteration(kPerLane, kVersion);
   Send(Played(0, 0));
   std::vector<std::pair<size_t, bool>> ticks;
   EXPECT_THAT(collector.Collect(kLanes * kPerLane,
@@ -81,7 +81,7 @@ TEST_F(FragmentCollectorTest, ReportsProgressAndIdleTime) {
 
 TEST_F(FragmentCollectorTest, DropsFragmentsThatNoLongerCount) {
   FragmentCollector collector = Make();
-  collector.Begin(kPerLane, kVersion);
+  registry_.OpenIteration(kPerLane, kVersion);
   Send(Played(0, 0));
   ASSERT_THAT(queue_.Push(Played(0, 0, /*digest=*/2)), IsOk());  // its content differs from the accepted one
   Send(Played(0, 1));
@@ -119,14 +119,14 @@ class AsyncCollectorTest : public FragmentCollectorTest {
 
 TEST_F(AsyncCollectorTest, ReturnsTheFragmentsAcceptedFirstInWhateverOrderTheyAreQueued) {
   FragmentCollector collector = MakeAsync();
-  collector.BeginNext(kVersion);
+  async_.PublishVersion(kVersion);
   std::vector<Fragment> accepted;
   for (int number = 0; number < 4; ++number) accepted.push_back(Accepted(0, number));
   for (const int number : {2, 3, 1, 0}) ASSERT_THAT(queue_.Push(accepted[number]), IsOk());
   auto fragments = collector.CollectRollout(2, Continue);
   ASSERT_THAT(fragments, IsOk());
   EXPECT_THAT(Names(*fragments), ElementsAre(Pair(0, 0), Pair(0, 1)));
-  collector.BeginNext(kVersion + 1);
+  async_.PublishVersion(kVersion + 1);
   fragments = collector.CollectRollout(2, Continue);
   ASSERT_THAT(fragments, IsOk());
   EXPECT_THAT(Names(*fragments), ElementsAre(Pair(0, 2), Pair(0, 3))) << "collected before their update";
@@ -134,11 +134,11 @@ TEST_F(AsyncCollectorTest, ReturnsTheFragmentsAcceptedFirstInWhateverOrderTheyAr
 
 TEST_F(AsyncCollectorTest, AfterAnUndoneUpdateNothingThatWasCollectedCounts) {
   FragmentCollector collector = MakeAsync();
-  collector.BeginNext(kVersion);
+  async_.PublishVersion(kVersion);
   for (int number = 0; number < 3; ++number) ASSERT_THAT(queue_.Push(Accepted(0, number)), IsOk());
   ASSERT_THAT(collector.CollectRollout(2, Continue), IsOk());
   async_.RewindIterations(2);
-  collector.BeginNext(kVersion);
+  async_.PublishVersion(kVersion);
   EXPECT_THAT(collector.CollectRollout(2,
                                        [](size_t collected, bool is_idle) -> absl::Status {
                                          EXPECT_EQ(collected, 0U);
