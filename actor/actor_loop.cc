@@ -41,7 +41,8 @@ absl::Status ActorLoop::Run() {
   while (true) {
     ReportServers();
     meter_.Switch(Activity::kPermits);
-    const std::vector<HeldPermit> permits = permits_->Take(options_.index);
+    const std::vector<HeldPermit> permits = permits_->Take(options_.index, kReportEvery);
+    if (permits.empty() && !permits_->closed()) continue;  // while the learner trains or is paused
     meter_.Switch(Activity::kWire);
     if (permits.empty()) return absl::OkStatus();
     absl::Status status = RunFragment(permits);

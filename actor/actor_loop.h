@@ -57,7 +57,7 @@ class ActorLoop {
 
   // How the time is spent, and the number of steps played. This and the next two may be called from any thread.
   const ActivityMeter& meter() const { return meter_; }
-  // The number of fragments begun but not finished.
+  // The number of fragments whose permits were returned unplayed or unfinished.
   int64_t abandoned() const { return abandoned_.load(); }
   // The version of the policy last used; -1: none yet.
   int64_t policy_version() const { return policy_version_.load(); }

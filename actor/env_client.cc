@@ -23,6 +23,7 @@ namespace {
 constexpr double kForAGame = 0.01;
 // At least the bytes that a reply has for one game besides pictures and snapshot: an episode, a map of 64 x 64 cells.
 constexpr size_t kRestOfGame = 8 << 10;
+constexpr absl::Duration kSummaryLasts = absl::Seconds(5);  // a server that plays sends one each second
 // The minimum time for a reply after other servers' replies were read first, as a fraction of the timeout.
 constexpr double kForReading = 0.1;
 
@@ -105,6 +106,10 @@ bool EnvClient::Reachable() const {
 bool EnvClient::Failing() const {
   return server_.address != wire::kInProcess &&
          server_.channel->GetState(/*try_to_connect=*/false) == GRPC_CHANNEL_TRANSIENT_FAILURE;
+}
+
+v1::ProcessSummary EnvClient::summary() const {
+  return SteadyNow() - summarized_ < kSummaryLasts ? summary_ : v1::ProcessSummary();
 }
 
 absl::Status EnvClient::Open(absl::Span<const Lane> lanes, std::string* frames, std::vector<Refused>* refused) {
@@ -221,11 +226,14 @@ absl::Status EnvClient::TakeMoments(size_t lanes) {
 
 absl::Status EnvClient::EndIfInvalid(const absl::Status& checked) {
   if (checked.ok()) {
-    if (reply_.has_server()) summary_ = reply_.server();
+    if (reply_.has_server()) {
+      summary_ = reply_.server();
+      summarized_ = SteadyNow();
+    }
     return checked;
   }
   Disconnect();
-  // A wrong shape (convert.h) is an invalid reply too.
+  // Of the reply, not of the request.
   const bool is_invalid = checked.code() == absl::StatusCode::kInvalidArgument;
   return {is_invalid ? absl::StatusCode::kDataLoss : checked.code(),
           absl::StrCat("environment server ", server_.address, ": ", checked.message())};

@@ -85,8 +85,8 @@ class EnvClient {
 
   // How long the server worked on the last Connect, Open, Close or step.
   absl::Duration busy() const { return busy_; }
-  // The last summary received; empty: none yet.
-  const v1::ProcessSummary& summary() const { return summary_; }
+  // The last summary received; empty: none for some seconds.
+  v1::ProcessSummary summary() const;
 
   // Ends the current session and every later one at once. May be called from any thread.
   void Cancel() ABSL_LOCKS_EXCLUDED(mu_);
@@ -136,6 +136,7 @@ class EnvClient {
   v1::PlayReply reply_;
   std::unique_ptr<grpc::ClientReaderWriter<v1::PlayRequest, v1::PlayReply>> stream_;
   v1::ProcessSummary summary_;
+  absl::Time summarized_ = absl::InfinitePast();  // SteadyNow when it was received
   std::vector<Moment> moments_;
   std::vector<std::string> records_;
   absl::Duration busy_;

@@ -173,8 +173,8 @@ absl::Status EnvConnections::WhyNone() const {
   const bool none_fits = std::all_of(servers_.begin(), servers_.end(), [](const auto& server) {
     return !server->error.ok() && ReactionTo(CallKind::kSession, server->error) == Reaction::kUnfit;
   });
-  // Where one accepted this actor before, others do no harm: a token is being replaced, or a stranger occupies the
-  // server.
+  // If any server has accepted this actor before, the refusals are likely temporary: a token is being replaced, or
+  // another run occupies the server.
   if (none_fits && directory_->fixed() && !ever_connected_) return servers_.front()->error;
   return absl::UnavailableError(absl::StrJoin(
       servers_, "; ", [](std::string* out, const auto& server) { absl::StrAppend(out, server->error.message()); }));

@@ -5,10 +5,13 @@
 #include <sys/socket.h>
 
 #include <algorithm>
+#include <map>
 #include <set>
 #include <utility>
 
+#include <absl/strings/match.h>
 #include <absl/strings/str_cat.h>
+#include <absl/strings/str_format.h>
 #include <absl/strings/str_split.h>
 #include <absl/strings/strip.h>
 #include <absl/time/time.h>
@@ -68,7 +71,11 @@ absl::StatusOr<std::shared_ptr<EnvDirectory>> EnvDirectory::Parse(absl::string_v
     if (entry == kRegistry) {
       directory->uses_registry_ = true;
     } else if (absl::ConsumePrefix(&address, kDnsPrefix)) {
-      CRAFTFLEET_RETURN_IF_ERROR(wire::CheckAddress(flag, address));
+      // The address of a Unix socket has no name.
+      if (absl::StartsWith(address, wire::kUnix) || !wire::CheckAddress(flag, address).ok()) {
+        return absl::InvalidArgumentError(
+            absl::StrFormat("--%s: \"%s\" is not an address, want dns:HOST:PORT", flag, entry));
+      }
       const size_t colon = address.rfind(':');
       directory->names_.push_back({std::string(address.substr(0, colon)), std::string(address.substr(colon + 1))});
     } else {
@@ -106,13 +113,15 @@ void EnvDirectory::KeepLookingUp() {
   res_init();
   _res.retrans = 1;
   _res.retry = 2;
-  std::string last_error;
+  std::map<std::string, std::string> last_errors;  // by source
   while (true) {
     for (const Name& name : names_) {
+      const std::string source = absl::StrCat(kDnsPrefix, name.host, ":", name.port);
+      std::string& last_error = last_errors[source];
       absl::StatusOr<std::vector<std::string>> addresses = LookUp(name.host, name.port);
       // If a name can't be looked up, its last addresses remain valid.
       if (addresses.ok()) {
-        Replace(absl::StrCat(kDnsPrefix, name.host, ":", name.port), *std::move(addresses));
+        Replace(source, *std::move(addresses));
         last_error.clear();
       } else if (last_error != addresses.status().message()) {
         last_error = std::string(addresses.status().message());

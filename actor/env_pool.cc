@@ -283,8 +283,8 @@ std::vector<EnvServerTracker::Server> EnvPool::Report() const {
   std::vector<EnvServerTracker::Server> report;
   for (size_t i = 0; i < connections_.size(); ++i) {
     const EnvClient& client = connections_.client(i);
-    report.push_back({client.address(), client.connected(), placement_.LanesOn(i), client.summary(),
-                      std::string(connections_.HealthOf(i).message()), connections_.IsSlow(i),
+    report.push_back({client.address(), client.connected() && client.Reachable(), placement_.LanesOn(i),
+                      client.summary(), std::string(connections_.HealthOf(i).message()), connections_.IsSlow(i),
                       connections_.StepTimeOf(i).value_or(absl::ZeroDuration())});
   }
   return report;

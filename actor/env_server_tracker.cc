@@ -21,7 +21,7 @@ std::vector<v1::Peer> EnvServerTracker::All() const {
         Server& all = servers[server.address];
         all.connected |= server.connected;
         all.lanes += server.lanes;
-        if (server.connected) all.summary = server.summary;
+        if (server.connected && server.summary.memory_bytes() > 0) all.summary = server.summary;
         if (!server.error.empty()) all.error = server.error;
         all.slow = server.slow;  // as `step_time`: all loops have it from the same ServerHealth
         all.step_time = server.step_time;

@@ -22,7 +22,7 @@ class EnvServerTracker {
     std::string address;
     bool connected = false;
     int lanes = 0;               // the loop's games there
-    v1::ProcessSummary summary;  // as the server last reported it
+    v1::ProcessSummary summary;  // as the server last reported it; empty: not for some seconds
     std::string error;           // why it gets no games, or why only for want of others; empty: it answers
     bool slow = false;           // that is why
     absl::Duration step_time = absl::ZeroDuration();  // typical time of a step; zero: not known

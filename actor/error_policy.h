@@ -1,13 +1,9 @@
-// The actor's reaction to each error of its calls, as one table, which README.md repeats.
+// The actor's reaction to each error of its calls, as one table.
 
 #ifndef CRAFTFLEET_ACTOR_ERROR_POLICY_H_
 #define CRAFTFLEET_ACTOR_ERROR_POLICY_H_
 
-#include <string>
-
 #include <absl/status/status.h>
-#include <absl/strings/string_view.h>
-#include <absl/types/span.h>
 
 namespace craftfleet {
 
@@ -29,16 +25,6 @@ enum class Reaction {
   kUnfit,        // as kOtherServer; if every server of a fixed list is unfit, the program ends
   kEnd,          // the program ends with the error, exit code 1
 };
-
-// A row of the table.
-struct ErrorRule {
-  absl::StatusCode code;
-  Reaction reactions[kNumCallKinds];  // by CallKind
-  absl::string_view why;
-};
-
-// A rule for every code but OK, in numerical order.
-absl::Span<const ErrorRule> ErrorPolicy();
 
 // The reaction to `error`, which is not ok, of a call.
 Reaction ReactionTo(CallKind call, const absl::Status& error);

@@ -10,8 +10,8 @@ namespace {
 
 constexpr int kRecordBytes = 128;  // of a usual scene record
 
-// Only an agent whose training diverges leaves these ranges. Its fragments must not be refused: the learner ends such
-// a run when it learns from them.
+// Keeps what diverging training predicts within the range that every learner accepts; with normalised values the
+// learner's range is narrower (PPO.md, section 9).
 float InRange(float value) { return std::clamp(value, -wire::kMaxValue, wire::kMaxValue); }
 
 }  // namespace

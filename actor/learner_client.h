@@ -33,7 +33,7 @@ class LearnerClient {
   absl::StatusOr<v1::JoinReply> Join(const v1::JoinRequest& request) const;
   // Fetches the snapshots before the fragments of `permits`, which are of one epoch; returns them in the same order.
   // The requests run in parallel, since the learner may be far away. `state_size` is that of the agent (AgentSpec). An
-  // invalid snapshot is returned as DataLoss.
+  // invalid snapshot is returned as InvalidArgument.
   absl::StatusOr<std::vector<absl::StatusOr<LaneSnapshot>>> GetSnapshots(absl::Span<const HeldPermit> permits,
                                                                          int state_size) const;
   // Tells the learner that the actor leaves. Errors are ignored: without this call, the lease expires.

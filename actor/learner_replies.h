@@ -13,7 +13,7 @@
 
 namespace craftfleet {
 
-// All checks return DataLoss with field, value and what was expected.
+// All checks return InvalidArgument with field, value and what was expected.
 
 // Also resolves and checks the configuration.
 absl::Status CheckJoinReply(v1::JoinReply* reply);

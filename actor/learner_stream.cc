@@ -181,7 +181,7 @@ absl::Status LearnerStream::TakeVerdict(const v1::FragmentVerdict& verdict) {
       ++accepted_;
       break;
     case v1::FragmentVerdict::REFUSED:
-      LogError("%s: %s; the fragment is dropped: run programs of the same version", learner_->name(),
+      LogError("%s: %s; the fragment is dropped: the programs' versions differ, or training diverges", learner_->name(),
                CutReason(verdict.reason()));
       ++refused_;
       break;

@@ -23,10 +23,11 @@ void PermitTracker::Add(const HeldPermit& permit) {
   changed_.NotifyAll();
 }
 
-std::vector<HeldPermit> PermitTracker::Take(int loop) {
+std::vector<HeldPermit> PermitTracker::Take(int loop, absl::Duration timeout) {
   MutexLock lock(&mu_);
-  changed_.Wait(&mu_, [&]() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_) { return closed_ || !waiting_[loop].empty(); });
-  if (closed_) return {};
+  changed_.WaitFor(&mu_, timeout,
+                   [&]() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_) { return closed_ || !waiting_[loop].empty(); });
+  if (closed_ || waiting_[loop].empty()) return {};
   const auto age = [](const HeldPermit& permit) { return std::make_pair(permit.epoch, permit.policy_version); };
   std::vector<HeldPermit>& waiting = waiting_[loop];
   const auto oldest = age(*std::min_element(waiting.begin(), waiting.end(),
@@ -101,6 +102,11 @@ void PermitTracker::Close() {
   MutexLock lock(&mu_);
   closed_ = true;
   changed_.NotifyAll();
+}
+
+bool PermitTracker::closed() const {
+  MutexLock lock(&mu_);
+  return closed_;
 }
 
 }  // namespace craftfleet

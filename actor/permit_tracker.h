@@ -44,8 +44,8 @@ class PermitTracker {
   // Adds a permit; ignored if it is already held.
   void Add(const HeldPermit& permit) ABSL_LOCKS_EXCLUDED(mu_);
   // Returns permits waiting for `loop`: all those of the oldest learner epoch and version of the weights. Blocks while
-  // there are none. Empty: Close was called.
-  std::vector<HeldPermit> Take(int loop) ABSL_LOCKS_EXCLUDED(mu_);
+  // there are none, for at most `timeout`. Empty: there are still none, or Close was called.
+  std::vector<HeldPermit> Take(int loop, absl::Duration timeout = absl::InfiniteDuration()) ABSL_LOCKS_EXCLUDED(mu_);
   // Releases a permit that is settled or will not be played. If no loop has taken it yet, none will.
   void Release(const HeldPermit& permit) ABSL_LOCKS_EXCLUDED(mu_);
   // All held permits, taken or not.
@@ -63,6 +63,7 @@ class PermitTracker {
   void WaitForClose(absl::Duration timeout) ABSL_LOCKS_EXCLUDED(mu_);
   // Wakes every loop for good. Idempotent.
   void Close() ABSL_LOCKS_EXCLUDED(mu_);
+  bool closed() const ABSL_LOCKS_EXCLUDED(mu_);
 
  private:
   size_t LoopOf(int lane) const ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);

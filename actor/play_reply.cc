@@ -23,21 +23,6 @@ namespace {
 // Requests time out long before; the time that a server reports is only shown on status pages.
 constexpr int64_t kMaxBusyNs = int64_t{3600} * 1'000'000'000;
 
-absl::Status Invalid(absl::string_view what) { return absl::DataLossError(what); }
-
-// Converts the error of another check to DataLoss.
-absl::Status AsInvalid(const absl::Status& status) { return status.ok() ? status : Invalid(status.message()); }
-
-absl::Status WantSize(absl::string_view field, int64_t size, int64_t wanted, absl::string_view unit) {
-  if (size == wanted) return absl::OkStatus();
-  return Invalid(absl::StrFormat("%s: %d %s, want %d", field, size, unit, wanted));
-}
-
-absl::Status Within(absl::string_view field, int64_t value, int64_t low, int64_t high) {
-  if (value >= low && value <= high) return absl::OkStatus();
-  return Invalid(absl::StrFormat("%s: %d, want %d..%d", field, value, low, high));
-}
-
 int64_t SizeOf(const std::string& bytes) { return static_cast<int64_t>(bytes.size()); }
 
 int64_t MaxLength(const v1::EnvConfig& env) { return env.length() > 0 ? env.length() : kEpisodeLength; }
@@ -49,34 +34,34 @@ uint64_t DigestOf(const v1::EnvConfig& env) {
 
 // Checks the fields that any reply may have.
 absl::Status CheckCommon(const v1::PlayReply& reply) {
-  CRAFTFLEET_RETURN_IF_ERROR(Within("busy_ns", reply.busy_ns(), 0, kMaxBusyNs));
+  CRAFTFLEET_RETURN_IF_ERROR(wire::CheckCount("busy_ns", reply.busy_ns(), 0, kMaxBusyNs));
   // The summary is shown in logs and on status pages, including the learner's.
-  return reply.has_server() ? AsInvalid(wire::CheckSummary(reply.server())) : absl::OkStatus();
+  return reply.has_server() ? wire::CheckSummary(reply.server()) : absl::OkStatus();
 }
 
 // Checks that fields of the reply to hello are empty.
 absl::Status CheckNoHello(const v1::PlayReply& reply) {
-  CRAFTFLEET_RETURN_IF_ERROR(Within("frame_format", reply.frame_format(), 0, 0));
+  CRAFTFLEET_RETURN_IF_ERROR(wire::CheckCount("frame_format", reply.frame_format(), 0, 0));
   const int64_t bytes = SizeOf(reply.program_version()) + SizeOf(reply.cpu()) + SizeOf(reply.canary());
-  return WantSize("program_version, cpu and canary", bytes, 0, "bytes after hello");
+  return wire::CheckSize("program_version, cpu and canary", bytes, 0, "bytes after hello");
 }
 
 // Checks that fields of the reply to a step are empty.
 absl::Status CheckNoStep(const v1::PlayReply& reply) {
-  CRAFTFLEET_RETURN_IF_ERROR(WantSize("rewards", reply.rewards_size(), 0, "numbers"));
-  CRAFTFLEET_RETURN_IF_ERROR(WantSize("ends", SizeOf(reply.ends()), 0, "bytes"));
-  CRAFTFLEET_RETURN_IF_ERROR(WantSize("last_frames", SizeOf(reply.last_frames()), 0, "bytes"));
-  CRAFTFLEET_RETURN_IF_ERROR(WantSize("episodes", reply.episodes_size(), 0, "episodes"));
-  return WantSize("snapshots", reply.snapshots_size(), 0, "snapshots");
+  CRAFTFLEET_RETURN_IF_ERROR(wire::CheckSize("rewards", reply.rewards_size(), 0, "numbers"));
+  CRAFTFLEET_RETURN_IF_ERROR(wire::CheckSize("ends", SizeOf(reply.ends()), 0, "bytes"));
+  CRAFTFLEET_RETURN_IF_ERROR(wire::CheckSize("last_frames", SizeOf(reply.last_frames()), 0, "bytes"));
+  CRAFTFLEET_RETURN_IF_ERROR(wire::CheckSize("episodes", reply.episodes_size(), 0, "episodes"));
+  return wire::CheckSize("snapshots", reply.snapshots_size(), 0, "snapshots");
 }
 
 // Checks that there are neither frames nor lanes.
 absl::Status CheckNoGames(const v1::PlayReply& reply) {
   CRAFTFLEET_RETURN_IF_ERROR(CheckNoStep(reply));
-  CRAFTFLEET_RETURN_IF_ERROR(WantSize("frames", SizeOf(reply.frames()), 0, "bytes"));
-  CRAFTFLEET_RETURN_IF_ERROR(WantSize("episode_steps", reply.episode_steps_size(), 0, "numbers"));
-  CRAFTFLEET_RETURN_IF_ERROR(WantSize("moments", reply.moments_size(), 0, "moments"));
-  return WantSize("refused", reply.refused_size(), 0, "lanes");
+  CRAFTFLEET_RETURN_IF_ERROR(wire::CheckSize("frames", SizeOf(reply.frames()), 0, "bytes"));
+  CRAFTFLEET_RETURN_IF_ERROR(wire::CheckSize("episode_steps", reply.episode_steps_size(), 0, "numbers"));
+  CRAFTFLEET_RETURN_IF_ERROR(wire::CheckSize("moments", reply.moments_size(), 0, "moments"));
+  return wire::CheckSize("refused", reply.refused_size(), 0, "lanes");
 }
 
 // Only a lane with a snapshot can be refused.
@@ -88,7 +73,7 @@ absl::Status CheckRefused(const v1::OpenLanes& request, const v1::PlayReply& rep
       ++row;
     }
     if (row++ == request.lanes_size()) {
-      return Invalid(
+      return absl::InvalidArgumentError(
           absl::StrFormat("refused: lane %d, want lanes with a snapshot, in the order of the request", refused.lane()));
     }
   }
@@ -107,9 +92,9 @@ PlayReplyCheck::PlayReplyCheck(const v1::SessionHello& hello, int frame_bytes)
 
 absl::Status PlayReplyCheck::Hello(const v1::PlayReply& reply) const {
   CRAFTFLEET_RETURN_IF_ERROR(CheckCommon(reply));
-  CRAFTFLEET_RETURN_IF_ERROR(AsInvalid(wire::CheckText("program_version", reply.program_version())));
-  CRAFTFLEET_RETURN_IF_ERROR(AsInvalid(wire::CheckText("cpu", reply.cpu())));
-  CRAFTFLEET_RETURN_IF_ERROR(AsInvalid(wire::CheckText("canary", reply.canary())));
+  CRAFTFLEET_RETURN_IF_ERROR(wire::CheckText("program_version", reply.program_version()));
+  CRAFTFLEET_RETURN_IF_ERROR(wire::CheckText("cpu", reply.cpu()));
+  CRAFTFLEET_RETURN_IF_ERROR(wire::CheckText("canary", reply.canary()));
   return CheckNoGames(reply);
 }
 
@@ -119,7 +104,7 @@ absl::Status PlayReplyCheck::Open(const v1::OpenLanes& request, const v1::PlayRe
   CRAFTFLEET_RETURN_IF_ERROR(CheckNoStep(reply));
   CRAFTFLEET_RETURN_IF_ERROR(CheckRefused(request, reply));
   const int64_t open = request.lanes_size() - reply.refused_size();
-  CRAFTFLEET_RETURN_IF_ERROR(WantSize("frames", SizeOf(reply.frames()), open * frame_bytes_, "bytes"));
+  CRAFTFLEET_RETURN_IF_ERROR(wire::CheckSize("frames", SizeOf(reply.frames()), open * frame_bytes_, "bytes"));
   CRAFTFLEET_RETURN_IF_ERROR(EpisodeSteps(reply, open));
   return Moments(reply);
 }
@@ -127,8 +112,9 @@ absl::Status PlayReplyCheck::Open(const v1::OpenLanes& request, const v1::PlayRe
 absl::Status PlayReplyCheck::Step(const v1::StepLanes& request, const v1::PlayReply& reply) const {
   CRAFTFLEET_RETURN_IF_ERROR(CheckCommon(reply));
   CRAFTFLEET_RETURN_IF_ERROR(CheckNoHello(reply));
-  CRAFTFLEET_RETURN_IF_ERROR(WantSize("refused", reply.refused_size(), 0, "lanes"));
-  CRAFTFLEET_RETURN_IF_ERROR(WantSize("frames", SizeOf(reply.frames()), request.lanes_size() * frame_bytes_, "bytes"));
+  CRAFTFLEET_RETURN_IF_ERROR(wire::CheckSize("refused", reply.refused_size(), 0, "lanes"));
+  CRAFTFLEET_RETURN_IF_ERROR(
+      wire::CheckSize("frames", SizeOf(reply.frames()), request.lanes_size() * frame_bytes_, "bytes"));
   CRAFTFLEET_RETURN_IF_ERROR(Games(request, reply));
   return Moments(reply);
 }
@@ -141,51 +127,54 @@ absl::Status PlayReplyCheck::Close(const v1::PlayReply& reply) const {
 
 absl::Status PlayReplyCheck::Games(const v1::StepLanes& request, const v1::PlayReply& reply) const {
   const int lanes = request.lanes_size();
-  CRAFTFLEET_RETURN_IF_ERROR(WantSize("rewards", reply.rewards_size(), lanes, "numbers"));
+  CRAFTFLEET_RETURN_IF_ERROR(wire::CheckSize("rewards", reply.rewards_size(), lanes, "numbers"));
   // The range of a step's reward: common/base/crafter.h.
-  CRAFTFLEET_RETURN_IF_ERROR(AsInvalid(wire::CheckRewards(reply.rewards())));
+  CRAFTFLEET_RETURN_IF_ERROR(wire::CheckRewards(reply.rewards()));
   CRAFTFLEET_RETURN_IF_ERROR(EpisodeSteps(reply, lanes));
-  CRAFTFLEET_RETURN_IF_ERROR(WantSize("ends", SizeOf(reply.ends()), lanes, "bytes"));
+  CRAFTFLEET_RETURN_IF_ERROR(wire::CheckSize("ends", SizeOf(reply.ends()), lanes, "bytes"));
   int64_t ended = 0;
   int64_t truncated = 0;
   for (const char end : reply.ends()) {
-    CRAFTFLEET_RETURN_IF_ERROR(Within("ends", static_cast<unsigned char>(end), 0, 2));
+    CRAFTFLEET_RETURN_IF_ERROR(wire::CheckCount("ends", static_cast<unsigned char>(end), 0, 2));
     ended += end != static_cast<char>(StepEnd::kNone) ? 1 : 0;
     truncated += end == static_cast<char>(StepEnd::kTruncated) ? 1 : 0;
   }
-  CRAFTFLEET_RETURN_IF_ERROR(WantSize("last_frames", SizeOf(reply.last_frames()), truncated * frame_bytes_, "bytes"));
-  CRAFTFLEET_RETURN_IF_ERROR(WantSize("episodes", reply.episodes_size(), ended, "episodes"));
+  CRAFTFLEET_RETURN_IF_ERROR(
+      wire::CheckSize("last_frames", SizeOf(reply.last_frames()), truncated * frame_bytes_, "bytes"));
+  CRAFTFLEET_RETURN_IF_ERROR(wire::CheckSize("episodes", reply.episodes_size(), ended, "episodes"));
   for (const v1::EpisodeMessage& episode : reply.episodes()) {
-    CRAFTFLEET_RETURN_IF_ERROR(Within("episodes.step", episode.step(), 0, 0));  // a reply has only one step
-    CRAFTFLEET_RETURN_IF_ERROR(WantSize("achievements", episode.achievements_size(), kNumAchievements, "counts"));
-    CRAFTFLEET_RETURN_IF_ERROR(AsInvalid(wire::CheckEpisode(episode, 1, max_length_)));
+    CRAFTFLEET_RETURN_IF_ERROR(wire::CheckCount("episodes.step", episode.step(), 0, 0));  // a reply has only one step
+    CRAFTFLEET_RETURN_IF_ERROR(
+        wire::CheckSize("achievements", episode.achievements_size(), kNumAchievements, "counts"));
+    CRAFTFLEET_RETURN_IF_ERROR(wire::CheckEpisode(episode, 1, max_length_));
   }
   // The learner would refuse a fragment with an invalid snapshot.
   CRAFTFLEET_RETURN_IF_ERROR(
-      WantSize("snapshots", reply.snapshots_size(), request.snapshot() ? lanes : 0, "snapshots"));
+      wire::CheckSize("snapshots", reply.snapshots_size(), request.snapshot() ? lanes : 0, "snapshots"));
   for (const std::string& snapshot : reply.snapshots()) {
-    if (snapshot.empty()) return Invalid("snapshots: one is empty, want the game after the step");
-    CRAFTFLEET_RETURN_IF_ERROR(AsInvalid(CheckSnapshot(env_digest_, snapshot)));
+    if (snapshot.empty()) return absl::InvalidArgumentError("snapshots: one is empty, want the game after the step");
+    CRAFTFLEET_RETURN_IF_ERROR(CheckSnapshot(env_digest_, snapshot));
   }
   return absl::OkStatus();
 }
 
 absl::Status PlayReplyCheck::EpisodeSteps(const v1::PlayReply& reply, int64_t lanes) const {
   if (reply.episode_steps_size() == 0) return absl::OkStatus();
-  CRAFTFLEET_RETURN_IF_ERROR(WantSize("episode_steps", reply.episode_steps_size(), lanes, "numbers"));
+  CRAFTFLEET_RETURN_IF_ERROR(wire::CheckSize("episode_steps", reply.episode_steps_size(), lanes, "numbers"));
   for (const int64_t steps : reply.episode_steps()) {
-    CRAFTFLEET_RETURN_IF_ERROR(Within("episode_steps", steps, 0, max_length_ - 1));
+    CRAFTFLEET_RETURN_IF_ERROR(wire::CheckCount("episode_steps", steps, 0, max_length_ - 1));
   }
   return absl::OkStatus();
 }
 
 absl::Status PlayReplyCheck::Moments(const v1::PlayReply& reply) const {
-  if (!records_) return WantSize("moments", reply.moments_size(), 0, "moments");
+  if (!records_) return wire::CheckSize("moments", reply.moments_size(), 0, "moments");
   // The other fields of a moment are checked when it is converted (common/wire/convert.h).
   const auto known = [](char id) { return id >= 1 && id <= 18; };
   for (const v1::Moment& moment : reply.moments()) {
     if (!std::all_of(moment.semantic().begin(), moment.semantic().end(), known)) {
-      return Invalid("moments.semantic: a cell that is neither a material nor an object, want 1..18");
+      return absl::InvalidArgumentError(
+          "moments.semantic: a cell that is neither a material nor an object, want 1..18");
     }
   }
   return absl::OkStatus();
@@ -202,7 +191,8 @@ absl::Status EpisodeLengths::Open(const v1::OpenLanes& request, const v1::PlayRe
     const bool is_new = lane.snapshot().empty();
     const int64_t steps = reply.episode_steps_size() > 0 ? reply.episode_steps(row++) : 0;
     if (is_new && steps != 0) {
-      return Invalid(absl::StrFormat("episode_steps: %d of lane %d, want 0 of a new game", steps, lane.lane()));
+      return absl::InvalidArgumentError(
+          absl::StrFormat("episode_steps: %d of lane %d, want 0 of a new game", steps, lane.lane()));
     }
     games_[lane.lane()] = {steps, is_new || reply.episode_steps_size() > 0};
   }
@@ -218,16 +208,16 @@ absl::Status EpisodeLengths::Step(const v1::StepLanes& request, const v1::PlayRe
     if (reply.ends()[row] != static_cast<char>(StepEnd::kNone)) {
       const int64_t length = reply.episodes(ended++).length();
       if (length < game.steps || (game.is_whole && length != game.steps)) {
-        return Invalid(absl::StrFormat("episodes.length: %d of lane %d, want %s%d", length, lane,
-                                       game.is_whole ? "" : "at least ", game.steps));
+        return absl::InvalidArgumentError(absl::StrFormat("episodes.length: %d of lane %d, want %s%d", length, lane,
+                                                          game.is_whole ? "" : "at least ", game.steps));
       }
       game = {0, true};
     } else if (game.steps >= most_) {
-      return Invalid(absl::StrFormat("ends: the episode of lane %d goes on after %d steps, want at most %d", lane,
-                                     game.steps, most_));
+      return absl::InvalidArgumentError(absl::StrFormat(
+          "ends: the episode of lane %d goes on after %d steps, want at most %d", lane, game.steps, most_));
     }
     if (reply.episode_steps_size() > 0 && game.is_whole && reply.episode_steps(row) != game.steps) {
-      return Invalid(
+      return absl::InvalidArgumentError(
           absl::StrFormat("episode_steps: %d of lane %d, want %d", reply.episode_steps(row), lane, game.steps));
     }
   }

@@ -17,8 +17,8 @@ namespace craftfleet {
 // Makes `text` from another process safe to log and forward: printable, at most wire::kMaxReasonBytes.
 std::string CutReason(absl::string_view text);
 
-// Checks the replies of one session, whose frames are raw: FrameReader comes first. Errors are DataLoss with field,
-// value and what was expected. Immutable.
+// Checks the replies of one session, whose frames are raw: FrameReader comes first. Errors are InvalidArgument with
+// field, value and what was expected. Immutable.
 class PlayReplyCheck {
  public:
   // For a session that begins with `hello` and has frames of `frame_bytes` bytes.
@@ -52,10 +52,10 @@ class EpisodeLengths {
 
   // A new session begins.
   void Clear() { games_.clear(); }
-  // The games of `request` begin, or go on from snapshots. `reply` has passed PlayReplyCheck.   DataLoss: a new game
-  // has steps.
+  // The games of `request` begin, or go on from snapshots. `reply` has passed PlayReplyCheck.   InvalidArgument: a new
+  // game has steps.
   absl::Status Open(const v1::OpenLanes& request, const v1::PlayReply& reply);
-  // `reply` has passed PlayReplyCheck.   DataLoss: a game has other steps than were counted here; an episode has
+  // `reply` has passed PlayReplyCheck.   InvalidArgument: a game has other steps than were counted here; an episode has
   // another length than its steps (the learner would refuse its fragment); or one does not end when it has the most
   // steps.
   absl::Status Step(const v1::StepLanes& request, const v1::PlayReply& reply);

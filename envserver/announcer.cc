@@ -8,7 +8,6 @@
 #include "common/base/backoff.h"
 #include "common/base/status_macros.h"
 #include "common/process/version.h"
-#include "common/process/worker_name.h"
 #include "common/telemetry/log.h"
 #include "common/wire/protocol.h"
 
@@ -25,15 +24,16 @@ absl::Duration AnnouncementInterval(const v1::AnnounceReply& reply) {
   return std::clamp(absl::Milliseconds(reply.lease_ms()) / 8, kShortestInterval, kLongestInterval);
 }
 
-Announcer::Announcer(wire::Endpoint learner, const std::string& address, const std::string& texture_digest,
-                     const std::string& canary, std::function<v1::ProcessSummary()> summarize,
+Announcer::Announcer(wire::Endpoint learner, const std::string& name, const std::string& address,
+                     const std::string& texture_digest, const std::string& canary,
+                     std::function<v1::ProcessSummary()> summarize,
                      std::function<void(const std::string& run_id)> registered)
     : learner_(std::move(learner)),
       stub_(v1::LearnerService::NewStub(learner_.channel)),
       summarize_(std::move(summarize)),
       registered_(std::move(registered)) {
   announcement_.set_protocol_version(wire::kProtocolVersion);
-  announcement_.set_name(UniqueWorkerName());
+  announcement_.set_name(name);
   announcement_.set_address(address);
   announcement_.set_texture_digest(texture_digest);
   announcement_.set_build(BuildId());

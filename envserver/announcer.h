@@ -24,10 +24,11 @@ absl::Duration AnnouncementInterval(const v1::AnnounceReply& reply);
 // unreachable. Thread-safe.
 class Announcer {
  public:
-  // `address` is where actors find the server, `canary` its GameCanary; `summarize` returns what the learner shows in
-  // its status. `registered` is called on the announcer's thread after each registration, with the learner's run.
-  Announcer(wire::Endpoint learner, const std::string& address, const std::string& texture_digest,
-            const std::string& canary, std::function<v1::ProcessSummary()> summarize,
+  // `name` is the one in the server's own status, `address` where actors find it, `canary` its GameCanary; `summarize`
+  // returns what the learner shows in its status. `registered` is called on the announcer's thread after each
+  // registration, with the learner's run.
+  Announcer(wire::Endpoint learner, const std::string& name, const std::string& address,
+            const std::string& texture_digest, const std::string& canary, std::function<v1::ProcessSummary()> summarize,
             std::function<void(const std::string& run_id)> registered = nullptr);
   ~Announcer();
 

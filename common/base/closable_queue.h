@@ -49,11 +49,6 @@ class ClosableQueue {
     changed_.NotifyAll();
   }
 
-  bool closed() const ABSL_LOCKS_EXCLUDED(mu_) {
-    MutexLock lock(&mu_);
-    return closed_;
-  }
-
   size_t size() const ABSL_LOCKS_EXCLUDED(mu_) {
     MutexLock lock(&mu_);
     return items_.size();

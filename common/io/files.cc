@@ -1,6 +1,7 @@
 #include "common/io/files.h"
 
 #include <fcntl.h>
+#include <sys/stat.h>
 #include <unistd.h>
 
 #include <algorithm>
@@ -20,7 +21,7 @@ namespace {
 
 namespace fs = std::filesystem;
 
-// More than a folder of ours has files. Each removal ends those that were added during the one before.
+// Tries. Each removes the files that were added during the one before.
 constexpr int kRemovals = 100;
 
 std::string ParentOf(const std::string& path) {
@@ -117,6 +118,8 @@ absl::StatusOr<std::string> CreateBeside(const std::string& path, absl::string_v
 absl::Status ReplaceFile(const std::string& path, absl::string_view bytes) {
   CRAFTFLEET_ASSIGN_OR_RETURN(const std::string temporary, CreateBeside(path));
   const int descriptor = ::open(temporary.c_str(), O_WRONLY | O_CLOEXEC);
+  struct stat old = {};
+  if (descriptor >= 0 && ::stat(path.c_str(), &old) == 0) ::fchmod(descriptor, old.st_mode & 07777);
   absl::Status status =
       descriptor < 0 ? FileError(errno, "cannot open", temporary) : WriteAndClose(descriptor, bytes, path);
   if (status.ok()) status = RenameSynced(temporary, path);

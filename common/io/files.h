@@ -41,8 +41,8 @@ absl::Status WriteFileSynced(const std::string& path, absl::string_view bytes);
 // Creates an empty file in the folder of `path`, under a name with this `ending` that no file had. Returns its path.
 absl::StatusOr<std::string> CreateBeside(const std::string& path, absl::string_view ending = ".tmp");
 
-// Replaces `path` atomically: after a crash it holds the old bytes or the new ones. On failure the old ones stay,
-// unless the sync of the folder failed: then the new ones are in place but may not survive a crash.
+// Replaces `path` atomically: after a crash it holds the old bytes or the new ones. Keeps the file's mode. On failure
+// the old bytes stay, unless the sync of the folder failed: then the new ones are in place but may not survive a crash.
 absl::Status ReplaceFile(const std::string& path, absl::string_view bytes);
 
 // Makes the names in `folder` durable.

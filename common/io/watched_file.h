@@ -25,8 +25,6 @@ class WatchedFile {
   // cannot be read, which is logged once.
   std::optional<std::string> ReadIfChanged();
 
-  const std::string& path() const { return path_; }
-
  private:
   struct Stamp {
     ino_t inode = 0;

@@ -90,4 +90,10 @@ bool AbslParseFlag(absl::string_view text, GivenAddress* given, std::string* /*e
 
 std::string AbslUnparseFlag(const GivenAddress& given) { return given.address.value_or(""); }
 
+absl::Status CheckFlagRange(absl::string_view flag, absl::Duration value, absl::Duration low, absl::Duration high) {
+  if (value >= low && value <= high) return absl::OkStatus();
+  return InvalidFlag(flag, absl::FormatDuration(value),
+                     absl::StrCat(absl::FormatDuration(low), "..", absl::FormatDuration(high)));
+}
+
 }  // namespace craftfleet

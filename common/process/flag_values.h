@@ -46,12 +46,13 @@ absl::Status InvalidFlag(absl::string_view flag, const Value& value, absl::strin
   return absl::InvalidArgumentError(absl::StrCat("--", flag, "=", value, ", want ", wanted));
 }
 
-// Whether a number is within low..high; NaN is not.   InvalidArgument: it is not, as InvalidFlag.
+// Whether a number or duration is within low..high; NaN is not.   InvalidArgument: it is not, as InvalidFlag.
 template <typename Value>
 absl::Status CheckFlagRange(absl::string_view flag, Value value, Value low, Value high) {
   if (value >= low && value <= high) return absl::OkStatus();
   return InvalidFlag(flag, value, absl::StrCat(low, "..", high));
 }
+absl::Status CheckFlagRange(absl::string_view flag, absl::Duration value, absl::Duration low, absl::Duration high);
 
 }  // namespace craftfleet
 

@@ -35,7 +35,8 @@ std::string ShortHelp(const ProgramHelp& program);
 // For --helpfull: the usage, and every flag with its whole help text, main flags first.
 std::string FullHelp(const ProgramHelp& program);
 
-// For --help_json, which other programs read: `craftfleet top` has flags of `craftfleet status`. A JSON object:
+// For --help_json. craftfleet top, a Python program, takes from it the flags that it shares with craftfleet status. A
+// JSON object:
 //   program, usage: texts.
 //   flags: main flags first, each with name (without dashes), type (bool, integer, number, duration, list or string),
 //   default (empty if there is none or the help text names it), help, and group (main or other).

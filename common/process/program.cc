@@ -307,7 +307,7 @@ int ExitCode(absl::string_view program, const absl::Status& status) {
   } else {
     absl::FPrintF(stderr, "%s: %s\n", program, error.message());
   }
-  return status.ok() && printed.ok() ? 0 : 1;
+  return 1;
 }
 
 void OutliveReaders() { signal(SIGPIPE, SIG_IGN); }

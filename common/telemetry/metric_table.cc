@@ -75,12 +75,12 @@ constexpr MetricInfo kTable[] = {
     // Actors.
     {"fragments_refused", kCounter, "fragments", "Fragments that reached the learner too late, or that it rejected."},
     {"fragments_resent", kCounter, "fragments", "Fragments sent again after the connection broke."},
-    {"fragments_abandoned", kCounter, "fragments", "Fragments begun and not finished."},
+    {"fragments_abandoned", kCounter, "fragments", "Fragments whose permits were returned unplayed or unfinished."},
 
     // Environment servers.
     {"sessions", kGauge, "", "Playing threads of actors that are connected."},
     {"games_memory", kGauge, "bytes", "Memory budgeted for the games of all sessions, out of --max_games_mb."},
-    {"sessions_rejected", kCounter, "", "Sessions ended by a bad request or handshake."},
+    {"sessions_rejected", kCounter, "", "Sessions refused, or ended by a bad request, a limit, a timeout or an error."},
 };
 
 }  // namespace

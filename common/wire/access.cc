@@ -21,6 +21,7 @@
 #include <grpcpp/server_context.h>
 
 #include "common/base/status_macros.h"
+#include "common/base/status_prefix.h"
 #include "common/config/text_format.h"
 #include "common/io/files.h"
 #include "common/telemetry/log.h"
@@ -72,7 +73,7 @@ std::string Describe(const Caller& caller) {
 }
 
 absl::Status CheckClient(const v1::AccessClient& client) {
-  if (client.name().empty()) return absl::InvalidArgumentError("a client has no name, which the log would give");
+  if (client.name().empty()) return absl::InvalidArgumentError("a client has no name; the log needs one");
   if (client.certificate().empty() && client.token_sha256().empty()) {
     return absl::InvalidArgumentError(absl::StrFormat(
         "client \"%s\" has neither certificate nor token_sha256; certificate: \"*\" stands for all certificates",
@@ -150,12 +151,10 @@ v1::Right RightFor(absl::string_view path) {
 absl::StatusOr<v1::Access> ParseAccess(absl::string_view text, absl::string_view filename) {
   v1::Access access;
   CRAFTFLEET_RETURN_IF_ERROR(ParseTextFormat(text, filename, &access));
-  // Rather an emptied or half-written file than the wish to lock everybody out.
-  if (access.client().empty()) return absl::InvalidArgumentError(absl::StrCat(filename, ": it has no client"));
+  // More likely an emptied or half-written file than the wish to lock everybody out.
+  if (access.client().empty()) return absl::InvalidArgumentError(absl::StrCat(filename, ": it lists no client"));
   for (v1::AccessClient& client : *access.mutable_client()) {
-    if (absl::Status status = CheckClient(client); !status.ok()) {
-      return absl::InvalidArgumentError(absl::StrCat(filename, ": ", status.message()));
-    }
+    CRAFTFLEET_RETURN_IF_ERROR(WithPrefix(filename, CheckClient(client)));
     absl::AsciiStrToLower(client.mutable_token_sha256());
   }
   return access;
@@ -212,11 +211,10 @@ std::string Identity(const v1::Access& access, const Caller& caller) {
 
 absl::StatusOr<std::shared_ptr<AccessControl>> AccessControl::Create(const std::string& path) {
   std::shared_ptr<AccessControl> control(new AccessControl);
-  absl::StatusOr<std::string> text = ReadFile(path);
-  if (!text.ok()) return absl::NotFoundError(absl::StrFormat("--access_file=%s cannot be read", path));
-  CRAFTFLEET_ASSIGN_OR_RETURN(v1::Access access, ParseAccess(*text, path));
+  CRAFTFLEET_ASSIGN_OR_RETURN(const std::string text, WithPrefix("--access_file", ReadFile(path)));
+  CRAFTFLEET_ASSIGN_OR_RETURN(v1::Access access, ParseAccess(text, path));
   control->snapshot_ = std::make_shared<Snapshot>(std::move(access));
-  control->watch_ = std::make_unique<FileWatch>(path, *text, [snapshot = control->snapshot_, path](std::string now) {
+  control->watch_ = std::make_unique<FileWatch>(path, text, [snapshot = control->snapshot_, path](std::string now) {
     absl::StatusOr<v1::Access> access = ParseAccess(now, path);
     if (!access.ok()) {
       LogError("%s; the former access file remains in effect", access.status().message());

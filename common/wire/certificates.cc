@@ -15,9 +15,11 @@
 
 #include <absl/status/statusor.h>
 #include <absl/strings/escaping.h>
+#include <absl/strings/str_cat.h>
 #include <absl/strings/str_format.h>
 
 #include "common/base/status_macros.h"
+#include "common/base/status_prefix.h"
 #include "common/io/files.h"
 
 namespace craftfleet::wire {
@@ -53,7 +55,7 @@ absl::StatusOr<std::vector<CertificatePtr>> ParseCertificates(absl::string_view 
 }
 
 absl::StatusOr<std::vector<CertificatePtr>> ReadCertificates(absl::string_view flag, const std::string& path) {
-  CRAFTFLEET_ASSIGN_OR_RETURN(const std::string pem, ReadFile(path));
+  CRAFTFLEET_ASSIGN_OR_RETURN(const std::string pem, WithPrefix(absl::StrCat("--", flag), ReadFile(path)));
   return ParseCertificates(flag, path, pem);
 }
 
@@ -71,8 +73,8 @@ void KeepOpenSslUp() {
 }
 
 absl::Status CheckKeyPair(const std::string& certificate, const std::string& key) {
-  CRAFTFLEET_ASSIGN_OR_RETURN(const std::string certificate_pem, ReadFile(certificate));
-  CRAFTFLEET_ASSIGN_OR_RETURN(const std::string key_pem, ReadFile(key));
+  CRAFTFLEET_ASSIGN_OR_RETURN(const std::string certificate_pem, WithPrefix("--tls_cert", ReadFile(certificate)));
+  CRAFTFLEET_ASSIGN_OR_RETURN(const std::string key_pem, WithPrefix("--tls_key", ReadFile(key)));
   return CheckKeyPair(certificate, certificate_pem, key, key_pem);
 }
 

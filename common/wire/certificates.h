@@ -17,7 +17,7 @@ namespace craftfleet::wire {
 void KeepOpenSslUp();
 
 // OK if `certificate` is a PEM file with a certificate and `key` one with its private key. Dates are not checked.
-//   InvalidArgument names the flag and the file.   Others: a file can't be read.
+//   InvalidArgument: it is not.   Others: a file can't be read.   All name flag and file.
 absl::Status CheckKeyPair(const std::string& certificate, const std::string& key);
 
 // OK if `authorities` is a PEM file with at least one certificate. Errors as above.

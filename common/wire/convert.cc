@@ -12,20 +12,13 @@
 
 #include "common/base/status_macros.h"
 #include "common/io/snapshot_envelope.h"
+#include "common/wire/request_check.h"
 
 namespace craftfleet::wire {
 namespace {
 
 constexpr int kMaxItemCount = 9;
 constexpr int kMaxUnlocks = std::numeric_limits<int32_t>::max();
-
-absl::Status WrongSize(absl::string_view field, int64_t size, int64_t wanted, absl::string_view unit) {
-  return absl::InvalidArgumentError(absl::StrFormat("%s: %d %s, want %d", field, size, unit, wanted));
-}
-
-absl::Status CheckSize(absl::string_view field, int64_t size, int64_t wanted, absl::string_view unit) {
-  return size == wanted ? absl::OkStatus() : WrongSize(field, size, wanted, unit);
-}
 
 // Checks that `values` has `wanted` finite numbers, and copies them.
 absl::Status ReadFloats(absl::string_view field, const google::protobuf::RepeatedField<float>& values, int wanted,

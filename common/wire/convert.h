@@ -1,5 +1,6 @@
-// Protobuf messages <-> the plain structs of common/base/types.h. Received messages are checked here and nowhere else.
-// Frames and snapshots are moved, not copied: the messages are left without them.
+// Protobuf messages <-> the plain structs of common/base/types.h. Sizes are checked here; ranges in fragment_check.h,
+// request_check.h and, for replies, actor/play_reply.h and learner_replies.h. Frames and snapshots are moved, not
+// copied: the messages are left without them.
 
 #ifndef CRAFTFLEET_COMMON_WIRE_CONVERT_H_
 #define CRAFTFLEET_COMMON_WIRE_CONVERT_H_

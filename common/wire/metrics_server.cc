@@ -9,6 +9,7 @@
 #include <absl/strings/str_format.h>
 
 #include "common/base/status_macros.h"
+#include "common/base/status_prefix.h"
 #include "common/wire/channel.h"
 #include "common/wire/prometheus_metrics.h"
 
@@ -30,8 +31,7 @@ absl::Status MetricsServer::Options::Validate() const {
   if (!insecure && !IsLoopback(address)) {
     return absl::InvalidArgumentError(
         absl::StrFormat("--metrics_listen=%s reaches beyond this host, where anyone could read the metrics, which are "
-                        "plain HTTP: listen "
-                        "on 127.0.0.1, or add --metrics_insecure if the network is trusted",
+                        "plain HTTP: listen on 127.0.0.1, or add --metrics_insecure if the network is trusted",
                         address));
   }
   return absl::OkStatus();
@@ -50,11 +50,9 @@ absl::StatusOr<std::unique_ptr<MetricsServer>> MetricsServer::Create(const Optio
     if (request.path() == kHealthPath) return {503, kContentType, "not serving\n"};
     return {404, kContentType, "metrics are at /metrics, health at /healthz\n"};
   };
-  absl::StatusOr<std::unique_ptr<HttpServer>> server = HttpServer::Create({options.address}, respond);
-  if (!server.ok()) {
-    return absl::Status(server.status().code(), absl::StrCat("--metrics_listen: ", server.status().message()));
-  }
-  return std::unique_ptr<MetricsServer>(new MetricsServer(*std::move(server)));
+  CRAFTFLEET_ASSIGN_OR_RETURN(std::unique_ptr<HttpServer> server,
+                              WithPrefix("--metrics_listen", HttpServer::Create({options.address}, respond)));
+  return std::unique_ptr<MetricsServer>(new MetricsServer(std::move(server)));
 }
 
 MetricsServer::MetricsServer(std::unique_ptr<HttpServer> server)

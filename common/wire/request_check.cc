@@ -15,14 +15,8 @@ constexpr int kMaxGames = 1 << 20;
 constexpr int kMaxThreads = 1 << 16;
 constexpr int kMaxActivities = 16;
 constexpr size_t kMaxActivityBytes = 32;
-constexpr size_t kMaxGpuNameBytes = 96;
 constexpr double kMaxStepMs = 3.6e6;  // an hour: the longest --env_timeout
 constexpr double kMaxShare = 1.001;   // 1, with room for rounding
-
-absl::Status CheckCount(absl::string_view field, int64_t count, int64_t low, int64_t high) {
-  if (count >= low && count <= high) return absl::OkStatus();
-  return absl::InvalidArgumentError(absl::StrFormat("%s: %d, want %d..%d", field, count, low, high));
-}
 
 absl::Status CheckNumber(absl::string_view field, double number, double high) {
   if (number >= 0 && number <= high) return absl::OkStatus();
@@ -51,6 +45,16 @@ absl::Status CheckActive(const v1::PermitRequest& request, int lanes) {
 }
 
 }  // namespace
+
+absl::Status CheckCount(absl::string_view field, int64_t count, int64_t low, int64_t high) {
+  if (count >= low && count <= high) return absl::OkStatus();
+  return absl::InvalidArgumentError(absl::StrFormat("%s: %d, want %d..%d", field, count, low, high));
+}
+
+absl::Status CheckSize(absl::string_view field, int64_t size, int64_t wanted, absl::string_view unit) {
+  if (size == wanted) return absl::OkStatus();
+  return absl::InvalidArgumentError(absl::StrFormat("%s: %d %s, want %d", field, size, unit, wanted));
+}
 
 absl::Status CheckName(absl::string_view field, absl::string_view name) {
   if (name.empty()) return absl::InvalidArgumentError(absl::StrFormat("%s is empty, want a unique name", field));

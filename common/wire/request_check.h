@@ -16,8 +16,14 @@ namespace craftfleet::wire {
 
 // Largest error or reason text, bytes.
 inline constexpr size_t kMaxReasonBytes = 300;
+inline constexpr size_t kMaxGpuNameBytes = 96;
 
 // All of these return InvalidArgument with the field, its value and what was expected.
+
+absl::Status CheckCount(absl::string_view field, int64_t count, int64_t low, int64_t high);
+
+// Checks that there are `wanted` of `unit`, such as bytes.
+absl::Status CheckSize(absl::string_view field, int64_t size, int64_t wanted, absl::string_view unit);
 
 // Checks the unique name of a worker: printable, not empty, at most kMaxTextBytes.
 absl::Status CheckName(absl::string_view field, absl::string_view name);

@@ -4,6 +4,7 @@
 #include <cstddef>
 #include <map>
 #include <memory>
+#include <set>
 #include <utility>
 
 #include <absl/strings/ascii.h>
@@ -18,6 +19,7 @@
 
 #include "common/base/mutex.h"
 #include "common/base/status_macros.h"
+#include "common/base/status_prefix.h"
 #include "common/io/files.h"
 #include "common/io/watched_file.h"
 #include "common/telemetry/log.h"
@@ -68,15 +70,14 @@ class Token {
 // Adds the newest token of a file to each call; no call waits for the file.
 class TokenPlugin : public grpc::MetadataCredentialsPlugin {
  public:
-  //   InvalidArgument: there is no token in the file.
+  //   InvalidArgument: there is no token in the file.   Others: it can't be read.
   static absl::StatusOr<std::unique_ptr<TokenPlugin>> Create(const std::string& path) {
     auto token = std::make_shared<Token>();
-    absl::StatusOr<std::string> contents = ReadFile(path);
-    if (!contents.ok() || !token->Set(*contents)) {
-      return absl::InvalidArgumentError(
-          absl::StrCat("--token_file=", path, " cannot be read or is not a token, ", kWanted));
+    CRAFTFLEET_ASSIGN_OR_RETURN(std::string contents, WithPrefix("--token_file", ReadFile(path)));
+    if (!token->Set(contents)) {
+      return absl::InvalidArgumentError(absl::StrCat("--token_file=", path, " is not a token, ", kWanted));
     }
-    return std::unique_ptr<TokenPlugin>(new TokenPlugin(path, *contents, std::move(token)));
+    return std::unique_ptr<TokenPlugin>(new TokenPlugin(path, std::move(contents), std::move(token)));
   }
 
   bool IsBlocking() const override { return false; }
@@ -102,6 +103,14 @@ class TokenPlugin : public grpc::MetadataCredentialsPlugin {
   const FileWatch watch_;
 };
 
+// Whether this is the first call with `certificate`: a server and each of its channels validate the same files.
+bool IsFirstWarning(const std::string& certificate) {
+  static Mutex mu;
+  static std::set<std::string>& warned = *new std::set<std::string>;
+  const MutexLock lock(&mu);
+  return warned.insert(certificate).second;
+}
+
 }  // namespace
 
 absl::Status TlsFiles::Validate() const {
@@ -113,7 +122,9 @@ absl::Status TlsFiles::Validate() const {
   if (certificate.empty()) return absl::OkStatus();
   CRAFTFLEET_RETURN_IF_ERROR(CheckKeyPair(certificate, key));
   const std::string problem = CertificateProblem(certificate, "", absl::Now());
-  if (!problem.empty()) LogWarning("%s: peers will refuse it until the file is replaced", problem);
+  if (!problem.empty() && IsFirstWarning(certificate)) {
+    LogWarning("%s: peers will refuse it until the file is replaced", problem);
+  }
   return absl::OkStatus();
 }
 

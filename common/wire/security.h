@@ -25,7 +25,8 @@ struct TlsFiles {
   std::string authorities;  // --tls_ca: authorities whose certificates are accepted
 
   bool empty() const { return certificate.empty() && key.empty() && authorities.empty(); }
-  // Checks the files.   InvalidArgument: one is missing or invalid; names flag and file.   Logs a warning about dates.
+  // Checks the files; warns once about the dates of each.   InvalidArgument: one is invalid, or a flag is missing.
+  // Others: one can't be read.   All name flag and file.
   absl::Status Validate() const;
 };
 

@@ -22,6 +22,7 @@
 
 #include "common/base/clock.h"
 #include "common/base/status_macros.h"
+#include "common/base/status_prefix.h"
 #include "common/io/files.h"
 #include "common/telemetry/limited_log.h"
 #include "common/wire/access.h"
@@ -32,10 +33,11 @@
 namespace craftfleet::wire {
 namespace {
 
-constexpr int kMaxStreamsPerConnection = 128;  // calls at once; an actor has less than ten
-constexpr int kHandshakeTimeoutMs = 10'000;    // for TLS and HTTP/2's preface
-constexpr int kMaxIdleMs = 300'000;            // of a connection without a call
-constexpr int kMaxThreads = 4096;              // of calls without callbacks, one each; beyond: RESOURCE_EXHAUSTED
+// Calls at once; an actor has up to 32 for each playing thread, further ones wait.
+constexpr int kMaxStreamsPerConnection = 128;
+constexpr int kHandshakeTimeoutMs = 10'000;  // for TLS and HTTP/2's preface
+constexpr int kMaxIdleMs = 300'000;          // of a connection without a call
+constexpr int kMaxThreads = 4096;            // of calls without callbacks, one each; beyond: RESOURCE_EXHAUSTED
 
 bool IsUnixSocket(absl::string_view address) { return absl::StartsWith(address, kUnix); }
 
@@ -162,11 +164,11 @@ absl::Status Server::Listen(const Options& options, std::shared_ptr<grpc::Server
     CRAFTFLEET_RETURN_IF_ERROR(CheckUnixSocketFree(address_));
   } else if (!address_.empty()) {
     // gRPC doesn't say why it cannot listen.
-    const absl::StatusOr<std::unique_ptr<ListenSocket>> tried = ListenSocket::Create(address_);
-    if (!tried.ok()) return absl::Status(tried.status().code(), absl::StrCat("--listen: ", tried.status().message()));
-    address_ = (*tried)->address();
+    CRAFTFLEET_ASSIGN_OR_RETURN(const std::unique_ptr<ListenSocket> tried,
+                                WithPrefix("--listen", ListenSocket::Create(address_)));
+    address_ = tried->address();
     // Not the name, of which gRPC would take every address.
-    listen_on = absl::StrCat((*tried)->numeric_host(), options.address.substr(options.address.rfind(':')));
+    listen_on = absl::StrCat(tried->numeric_host(), options.address.substr(options.address.rfind(':')));
   }
   grpc::ServerBuilder builder;
   int port = 1;

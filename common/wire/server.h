@@ -43,7 +43,7 @@ class Server {
 
   // `services`: at least one.
   //   InvalidArgument: a bad address, one beyond loopback with neither TLS nor `insecure`, or a bad file.
-  //   Unavailable: the port is in use, or the host is not this machine.
+  //   Unavailable: the port is in use, or the host is not this machine.   Others: a file can't be read.
   static absl::StatusOr<std::unique_ptr<Server>> Create(const Options& options,
                                                         const std::vector<grpc::Service*>& services);
   ~Server();

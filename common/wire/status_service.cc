@@ -18,13 +18,13 @@
 #include "common/telemetry/metric_table.h"
 #include "common/telemetry/process_usage.h"
 #include "common/wire/grpc_status.h"
+#include "common/wire/request_check.h"
 
 namespace craftfleet::wire {
 namespace {
 
 constexpr absl::Duration kCheckCancelEvery = absl::Milliseconds(100);
 constexpr absl::Duration kTakesStatus = absl::Seconds(10);  // for a watcher, since few are admitted
-constexpr size_t kMaxGpuNameBytes = 96;
 constexpr int kDefaultIntervalMs = 1000;
 constexpr int kMinIntervalMs = 100;
 constexpr int kMaxIntervalMs = 60000;
@@ -38,13 +38,15 @@ v1::StatusReply StatusServiceImpl::Snapshot() const {
   v1::StatusReply reply;
   reply.set_role(role_);
   reply.set_name(name_);
-  reply.set_version(absl::StrCat(ProgramVersion(), " (", GitRevision(), ")"));
+  reply.set_version(BuildId());
   reply.set_uptime_s(absl::ToDoubleSeconds(SteadyNow() - start_));
   fill_(&reply);
   const v1::ProcessSummary& summary = reply.summary();
   AddMetric("steps_per_second", summary.steps_per_second(), &reply);
   AddMetric("lanes", summary.lanes(), &reply);
-  if (role_ != "envserver") AddMetric("policy_version", static_cast<double>(summary.policy_version()), &reply);
+  if (role_ == "learner" || role_ == "actor") {
+    AddMetric("policy_version", static_cast<double>(summary.policy_version()), &reply);
+  }
   AddMetric("uptime", reply.uptime_s(), &reply);
   const ProcessUsage usage = ReadProcessUsage();
   AddMetric("cpu_time", usage.cpu_seconds, &reply);
@@ -139,7 +141,7 @@ void FillUsage(v1::ProcessSummary* summary) {
   const LogCounts logged = CountLogged();
   summary->set_errors(logged.errors);
   // Any other text, such as half a letter, makes the message invalid for its receiver.
-  summary->set_last_error(Printable(logged.last_error.substr(0, kMaxErrorBytes)));
+  summary->set_last_error(Printable(logged.last_error.substr(0, kMaxReasonBytes)));
   if (const std::optional<GpuUsage> gpu = ReadGpuUsage(); gpu.has_value()) {
     summary->set_gpu(Printable(gpu->name).substr(0, kMaxGpuNameBytes));
     summary->set_gpu_memory_bytes(gpu->memory_bytes);

@@ -28,6 +28,8 @@ class StatusServiceImpl final : public v1::StatusService::Service {
 
   StatusServiceImpl(absl::string_view role, Fill fill);
 
+  // Of this process, as workers register with a learner: unique.
+  const std::string& name() const { return name_; }
   // The current status, for this service and the metrics endpoint.
   v1::StatusReply Snapshot() const ABSL_LOCKS_EXCLUDED(mu_);
   // Includes the URL of the process's metrics in the status from now on.
@@ -52,8 +54,6 @@ class StatusServiceImpl final : public v1::StatusService::Service {
   std::string metrics_address_ ABSL_GUARDED_BY(mu_);
   StreamWatch streams_;
 };
-
-inline constexpr size_t kMaxErrorBytes = 300;  // of the text of a process's last error
 
 // `reply` as JSON with every field, named as in status.proto; with `whitespace` on many lines.
 absl::StatusOr<std::string> StatusJson(const v1::StatusReply& reply, bool whitespace);

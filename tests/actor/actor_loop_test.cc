@@ -14,6 +14,7 @@
 #include "tests/fakes/failing_once_service.h"
 #include "tests/fakes/status_matchers.h"
 #include "tests/fakes/temp_folder.h"
+#include "tests/fakes/wait_until.h"
 
 namespace craftfleet {
 namespace {
@@ -125,6 +126,20 @@ TEST_F(ActorLoopTest, AResetLaneIsLoadedFromItsSnapshot) {
   std::map<int, std::string> after = FirstFrames();
   EXPECT_TRUE(after[0] == before[0]) << "the game before the last fragment";
   for (int lane = 1; lane < kLanes; ++lane) EXPECT_FALSE(after[lane] == before[lane]) << lane;
+}
+
+// While the learner was paused, it was shown as usable.
+TEST_F(ActorLoopTest, AServerThatEndsWhileNothingIsPlayedIsNotShownAsUsable) {
+  ASSERT_NO_FATAL_FAILURE(Start("ppo_cnn", {env_.Connect()}));
+  const auto is_ok = [this] {
+    const std::vector<v1::Peer> servers = tracker_.All();
+    return servers.size() == 1 && servers[0].health() == v1::Peer::OK;
+  };
+  Play(Ask());
+  FirstFrames();
+  EXPECT_TRUE(WaitUntil(is_ok));
+  env_.server->Stop(absl::ZeroDuration());
+  EXPECT_TRUE(WaitUntil([&] { return !is_ok(); }));
 }
 
 }  // namespace

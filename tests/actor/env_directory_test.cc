@@ -1,5 +1,10 @@
 #include "actor/env_directory.h"
 
+#include <string>
+#include <vector>
+
+#include <absl/strings/str_cat.h>
+#include <absl/strings/str_split.h>
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
@@ -28,8 +33,11 @@ TEST(EnvDirectory, ListsTheGivenServers) {
 TEST(EnvDirectory, AnInvalidEntryIsNamed) {
   EXPECT_THAT(EnvDirectory::Parse("envservers", "a:1,b"),
               StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("--envservers: \"b\"")));
-  EXPECT_THAT(EnvDirectory::Parse("envservers", "dns:a"),
-              StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("--envservers: \"a\"")));
+  for (const char* entry : {"dns:a", "dns:unix:/a"}) {
+    EXPECT_THAT(EnvDirectory::Parse("envservers", entry),
+                StatusIs(absl::StatusCode::kInvalidArgument,
+                         absl::StrCat("--envservers: \"", entry, "\" is not an address, want dns:HOST:PORT")));
+  }
   for (const char* list : {"", " ", ","}) {
     EXPECT_THAT(EnvDirectory::Parse("envservers", list),
                 StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("--envservers is empty")));
@@ -56,6 +64,18 @@ TEST(EnvDirectory, ResolvesEveryAddressOfAName) {
   for (const std::string& address : AddressesOf(*directory)) {
     EXPECT_TRUE(address == "127.0.0.1:50061" || address == "[::1]:50061") << address;
   }
+}
+
+// The success of another name made it a new error in each round.
+TEST(EnvDirectory, ANameThatCannotBeLookedUpIsNamedOnce) {
+  const std::string bad = absl::StrCat("dns:", std::string(64, 'a'), ":1");  // longer than a label may be
+  testing::internal::CaptureStderr();
+  const auto directory =
+      EnvDirectory::Parse("envservers", absl::StrCat(bad, ",dns:127.0.0.1:1,", bad, ",dns:127.0.0.1:2")).value();
+  EXPECT_TRUE(WaitUntil([&] { return directory->Servers().size() == 2; }));
+  const std::string log = testing::internal::GetCapturedStderr();
+  const std::vector<std::string> parts = absl::StrSplit(log, "no address for");
+  EXPECT_EQ(parts.size(), 2U) << log;
 }
 
 }  // namespace

@@ -39,6 +39,8 @@ TEST(EnvServerTracker, ASummaryOfAServerWithoutGamesIsOutdated) {
   tracker.Update(0, {{"a:1", true, 0, summary, ""}, {"b:1", true, 1, summary, ""}});
   EXPECT_FALSE(tracker.All()[0].has_summary());
   EXPECT_TRUE(tracker.All()[1].has_summary());
+  tracker.Update(1, {{"b:1", true, 1, {}, ""}});
+  EXPECT_TRUE(tracker.All()[1].has_summary()) << "another loop's";
 }
 
 TEST(EnvServerTracker, AServerThatDoesNotAnswerIsShownAsNotAnswering) {

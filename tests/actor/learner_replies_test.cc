@@ -19,7 +19,7 @@ namespace {
 using testing::HasSubstr;
 
 // `field` is named in the error.
-auto IsInvalid(const char* field) { return StatusIs(absl::StatusCode::kDataLoss, HasSubstr(field)); }
+auto IsInvalid(const char* field) { return StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr(field)); }
 
 // Beyond the ends of the fields' types, which field_edges_test tries.
 TEST(LearnerReplies, JoinIsChecked) {

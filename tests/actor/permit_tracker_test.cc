@@ -118,6 +118,14 @@ TEST(PermitTracker, DropWaitingKeepsPermitsBeingPlayed) {
   EXPECT_THAT(tracker.Take(0), ElementsAre(Held(2)));
 }
 
+TEST(PermitTracker, TakeWaitsNoLongerThanItsTimeout) {
+  PermitTracker tracker(1);
+  EXPECT_THAT(tracker.Take(0, absl::Milliseconds(1)), IsEmpty());
+  EXPECT_FALSE(tracker.closed());
+  tracker.Close();
+  EXPECT_TRUE(tracker.closed());
+}
+
 TEST(PermitTracker, CloseWakesEveryLoop) {
   PermitTracker tracker(3);
   std::vector<std::thread> loops;

@@ -15,6 +15,7 @@
 #include "common/io/texture_digest.h"
 #include "common/process/program.h"
 #include "common/process/version.h"
+#include "common/process/worker_name.h"
 #include "common/telemetry/log.h"
 #include "common/wire/channel.h"
 #include "common/wire/channel_flags.h"
@@ -108,7 +109,8 @@ absl::Status RunEnvServer(const std::string& misdeed, const wire::Endpoint& lear
   CRAFTFLEET_ASSIGN_OR_RETURN(
       const std::unique_ptr<wire::Server> server,
       wire::Server::Create(wire::ServerOptionsFromFlags(absl::GetFlag(FLAGS_listen)), {&service}));
-  Announcer announcer(learner, server->address(), digest, canary, [] { return v1::ProcessSummary(); });
+  Announcer announcer(learner, UniqueWorkerName(), server->address(), digest, canary,
+                      [] { return v1::ProcessSummary(); });
   server->Wait();
   return absl::OkStatus();
 }

@@ -66,7 +66,9 @@ TEST(EnvName, ErrorsNameTheBadPartAndWhatIsAllowed) {
       {"atari", "unknown game \"atari\", want \"crafter\""},
       {"", "unknown game \"\""},
       {"crafter:", "unknown option \"\""},
-      {"crafter:color=red", "unknown option \"color=red\", want one of appearance="},
+      {"crafter:color=red",
+       "unknown option \"color=red\", want one of appearance=A/B/C/D (percentages of the four variants, sum 100), "
+       "numbers=SETTING, inventory=on|off"},
       {"crafter:numbers=easy-x3", "numbers \"easy-x3\", want one of default, easy-x2"},
       {"crafter:numbers=ssssx", "numbers \"ssssx\""},
       {"crafter:numbers=ssss", "numbers \"ssss\""},

@@ -1,5 +1,6 @@
 #include "common/io/files.h"
 
+#include <sys/stat.h>
 #include <unistd.h>
 
 #include <fstream>
@@ -55,12 +56,24 @@ TEST(Files, ReplaceKeepsTheOldBytesWhenItFails) {
   EXPECT_EQ(ReadFile(folder / "a").value(), "new");
 }
 
+TEST(Files, ReplaceKeepsTheMode) {
+  const TempFolder folder;
+  const std::string path = folder / "a";
+  ASSERT_THAT(WriteFileSynced(path, "old"), IsOk());
+  ASSERT_EQ(::chmod(path.c_str(), 0600), 0);
+  ASSERT_THAT(ReplaceFile(path, "new"), IsOk());
+  struct stat replaced = {};
+  ASSERT_EQ(::stat(path.c_str(), &replaced), 0);
+  EXPECT_EQ(replaced.st_mode & 07777, 0600U);
+}
+
 TEST(Files, RenameWorksForRelativeNames) {
   const TempFolder folder;
   ASSERT_EQ(::chdir(folder.path().c_str()), 0);
   ASSERT_THAT(WriteFileSynced("a", "1"), IsOk());
   EXPECT_THAT(RenameSynced("a", "b"), IsOk());
   EXPECT_THAT(ListFolder(folder.path()).value(), ElementsAre("b"));
+  ASSERT_EQ(::chdir("/"), 0);  // the next test's folder must exist
 }
 
 TEST(Files, FoldersAreCreatedListedAndRemoved) {

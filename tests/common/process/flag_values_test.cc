@@ -3,9 +3,16 @@
 #include <limits>
 #include <optional>
 #include <string>
+#include <utility>
 
+#include <absl/status/status.h>
 #include <absl/strings/match.h>
+#include <absl/strings/str_cat.h>
+#include <absl/time/time.h>
+#include <gmock/gmock.h>
 #include <gtest/gtest.h>
+
+#include "tests/fakes/status_matchers.h"
 
 namespace craftfleet {
 namespace {
@@ -67,6 +74,13 @@ TEST(Count, RefusesOtherText) {
   }
 }
 
+TEST(Count, ErrorsNameTheNotations) {
+  Count count;
+  std::string error;
+  EXPECT_FALSE(AbslParseFlag("abc", &count, &error));
+  EXPECT_EQ(error, "a whole number, such as 1000000, 1e6, 100k or 1M");
+}
+
 TEST(Count, UnparsesWithoutSuffix) { EXPECT_EQ(AbslUnparseFlag(Count{1'000'000}), "1000000"); }
 
 TEST(TimeSpan, NumbersWithoutUnitAreSeconds) {
@@ -84,6 +98,18 @@ TEST(TimeSpan, NumbersWithoutUnitAreSeconds) {
   EXPECT_EQ(parsed("1m30s"), absl::Seconds(90));
   EXPECT_EQ(parsed("24h"), absl::Hours(24));
   EXPECT_EQ(AbslUnparseFlag(span), "24h");
+}
+
+TEST(TimeSpan, ARangeIsWrittenWithUnits) {
+  const auto checked = [](absl::Duration value) {
+    return CheckFlagRange("wait", value, absl::Milliseconds(100), absl::Hours(1));
+  };
+  EXPECT_THAT(checked(absl::Milliseconds(100)), IsOk());
+  EXPECT_THAT(checked(absl::Hours(1)), IsOk());
+  for (const auto& [value, text] : {std::pair(absl::Milliseconds(99), "99ms"), std::pair(absl::Minutes(61), "1h1m")}) {
+    EXPECT_THAT(checked(value),
+                StatusIs(absl::StatusCode::kInvalidArgument, absl::StrCat("--wait=", text, ", want 100ms..1h")));
+  }
 }
 
 TEST(TimeSpan, ErrorsNameTheUnits) {

@@ -104,7 +104,7 @@ TEST(Access, TextFromUnknownCallersIsShortenedAndEscaped) {
 
 TEST(Access, ErrorsInTheFileNameTheProblem) {
   EXPECT_THAT(ParseAccess("\n", "a.txt"),
-              StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("a.txt: it has no client")));
+              StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("a.txt: it lists no client")));
   EXPECT_THAT(ParseAccess("client { nam: 3 }", "a.txt"),
               StatusIs(absl::StatusCode::kInvalidArgument, AllOf(HasSubstr("a.txt:1"), HasSubstr("nam"))));
   EXPECT_THAT(ParseAccess("client { certificate: \"x\" right: PLAY }", "a.txt"),
@@ -208,7 +208,7 @@ TEST(AccessControl, NoCallWaitsForTheFile) {
 
 TEST(AccessControl, CreateFailsWithoutAReadableFile) {
   EXPECT_THAT(AccessControl::Create("/nowhere"),
-              StatusIs(absl::StatusCode::kNotFound, HasSubstr("--access_file=/nowhere")));
+              StatusIs(absl::StatusCode::kNotFound, HasSubstr("--access_file: cannot open /nowhere: No such file")));
 }
 
 }  // namespace

@@ -42,13 +42,18 @@ TEST_F(CertificatesTest, KeyAndCertificateMustMatch) {
               StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("--tls_cert=" + Key("a") + ": no certificate")));
   EXPECT_THAT(CheckKeyPair(Pem("a"), Pem("a")),
               StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("--tls_key=" + Pem("a") + ": no private key")));
-  EXPECT_THAT(CheckKeyPair(Pem("away"), Key("a")), StatusIs(absl::StatusCode::kNotFound, HasSubstr(Pem("away"))));
+  EXPECT_THAT(CheckKeyPair(Pem("away"), Key("a")),
+              StatusIs(absl::StatusCode::kNotFound, HasSubstr("--tls_cert: cannot open " + Pem("away"))));
+  EXPECT_THAT(CheckKeyPair(Pem("a"), Key("away")),
+              StatusIs(absl::StatusCode::kNotFound, HasSubstr("--tls_key: cannot open " + Key("away"))));
 }
 
 TEST_F(CertificatesTest, AuthoritiesMustBeCertificates) {
   EXPECT_THAT(CheckAuthorities(Pem("ca")), IsOk());
   ca_.Issue("a", {"a"});
   EXPECT_THAT(CheckAuthorities(Key("a")), StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("--tls_ca=")));
+  EXPECT_THAT(CheckAuthorities(Pem("away")),
+              StatusIs(absl::StatusCode::kNotFound, HasSubstr("--tls_ca: cannot open " + Pem("away"))));
 }
 
 TEST_F(CertificatesTest, ExplainsWhyPeersMayRefuseACertificate) {

@@ -52,6 +52,9 @@ TEST(Address, SaysWhatToWriteInstead) {
   refused("dns:///learner:1", "without dns://");
   refused("::1:50051", "in brackets, such as [::1]:50051");
   refused("learner:1/", "HOST:PORT");
+  refused("127.0.0.1:50051/", "HOST:PORT");
+  refused("a b:1", "HOST:PORT");
+  refused("127.0.0.1:99999", "HOST:PORT");
   refused("learner:+1", "HOST:PORT");
   refused("unix:/a,b", "without commas");
   refused("unix:" + std::string(108, 'a'), "at most 107 bytes");

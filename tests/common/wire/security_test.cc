@@ -10,9 +10,11 @@
 #include <functional>
 #include <memory>
 #include <string>
+#include <vector>
 
 #include <absl/strings/match.h>
 #include <absl/strings/str_format.h>
+#include <absl/strings/str_split.h>
 #include <absl/time/clock.h>
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
@@ -159,6 +161,15 @@ TEST_F(SecurityTest, AnExpiredCertificateIsRefused) {
                 StatusIs(absl::StatusCode::kUnavailable,
                          AllOf(HasSubstr("--tls_cert=" + Pem("old")), HasSubstr("expired on 20"))));
   });
+}
+
+TEST_F(SecurityTest, AnExpiredCertificateIsWarnedOfOnce) {
+  ca_.Issue("old", {"client", 1, true, -7200, -3600});
+  testing::internal::CaptureStderr();
+  for (int i = 0; i < 2; ++i) EXPECT_THAT(Files("old").Validate(), IsOk());
+  const std::string log = testing::internal::GetCapturedStderr();
+  const std::vector<std::string> parts = absl::StrSplit(log, "expired on");
+  EXPECT_EQ(parts.size(), 2U) << log;
 }
 
 TEST_F(SecurityTest, AServerOfAnotherAuthorityIsNotTrusted) {
@@ -358,7 +369,9 @@ TEST_F(SecurityTest, ConflictingOptionsAreNamed) {
   EXPECT_THAT(ChannelSecurity::Create({{Pem("client"), "", ""}, "", ""}),
               StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("--tls_cert requires --tls_key")));
   EXPECT_THAT(ChannelSecurity::Create({Files("", "ca"), "", folder_ / "no token"}),
-              StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("--token_file=")));
+              StatusIs(absl::StatusCode::kNotFound, HasSubstr("--token_file: cannot open " + folder_ / "no token")));
+  EXPECT_THAT(ChannelSecurity::Create({Files("", "ca"), "", Pem("ca")}),
+              StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("--token_file=" + Pem("ca") + " is not a token")));
   Server::Options options;
   options.access_file = "access.txt";
   EXPECT_THAT(options.Validate(), StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("--access_file requires")));

@@ -1,6 +1,8 @@
 #include "common/wire/status_service.h"
 
+#include <algorithm>
 #include <memory>
+#include <string>
 #include <vector>
 
 #include <gmock/gmock.h>
@@ -8,6 +10,7 @@
 
 #include "common/process/version.h"
 #include "common/telemetry/log.h"
+#include "common/wire/request_check.h"
 #include "common/wire/server.h"
 #include "tests/fakes/status_matchers.h"
 #include "tests/fakes/wait_until.h"
@@ -52,11 +55,11 @@ class StatusServiceTest : public testing::Test {
 // Half a letter made the message invalid for its receiver.
 TEST(FillUsage, ALongErrorIsCutToText) {
   testing::internal::CaptureStderr();
-  LogError("%s", std::string(kMaxErrorBytes - 1, 'x') + "\u00e4");
+  LogError("%s", std::string(kMaxReasonBytes - 1, 'x') + "\u00e4");
   testing::internal::GetCapturedStderr();
   v1::ProcessSummary summary;
   FillUsage(&summary);
-  EXPECT_EQ(summary.last_error(), std::string(kMaxErrorBytes - 1, 'x') + "?");
+  EXPECT_EQ(summary.last_error(), std::string(kMaxReasonBytes - 1, 'x') + "?");
 }
 
 TEST_F(StatusServiceTest, ReportsRoleRunAndMetrics) {
@@ -74,6 +77,15 @@ TEST_F(StatusServiceTest, ReportsRoleRunAndMetrics) {
   EXPECT_EQ(reply.metrics(0).value(), 1);
   EXPECT_EQ(reply.metrics(0).unit(), "steps");
   EXPECT_TRUE(reply.metrics(0).counter());
+}
+
+TEST(StatusService, OnlyThoseThatHaveAPolicyReportItsVersion) {
+  for (const char* role : {"learner", "actor", "envserver", "rank"}) {
+    const v1::StatusReply reply = StatusServiceImpl(role, [](v1::StatusReply* /*reply*/) {}).Snapshot();
+    const bool reports_it = std::any_of(reply.metrics().begin(), reply.metrics().end(),
+                                        [](const v1::Metric& metric) { return metric.name() == "policy_version"; });
+    EXPECT_EQ(reports_it, role == std::string("learner") || role == std::string("actor")) << role;
+  }
 }
 
 TEST_F(StatusServiceTest, WatchersGetAStatusAtOnceAndThenMore) {
