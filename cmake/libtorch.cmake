@@ -1,7 +1,7 @@
 # craftfleet::torch: LibTorch, from the system or from CRAFTFLEET_LIBTORCH (also as an environment variable when a build
 # folder is first configured). Its headers are SYSTEM headers, without warnings.
 #
-# deploy/wheel.sh and tests read these cache entries: CRAFTFLEET_LIBTORCH_VERSION ("2.11"), CRAFTFLEET_LIBTORCH_LIB_DIR (the
+# deploy/build.sh, deploy/wheel.sh and tests read these cache entries: CRAFTFLEET_LIBTORCH_VERSION ("2.11"), CRAFTFLEET_LIBTORCH_LIB_DIR (the
 # folder of libtorch.so), CRAFTFLEET_LIBTORCH_CUDA (ON or OFF).
 
 set(CRAFTFLEET_LIBTORCH "$ENV{CRAFTFLEET_LIBTORCH}" CACHE PATH

@@ -96,7 +96,7 @@ finish() {
 }
 
 if [ "$libtorch" = cuda ]; then
-  packages+=(python3-venv)
+  packages+=(python3-venv python3-dev)  # deploy/wheel.sh compiles the game for Python
 elif [ -n "$libtorch" ]; then
   found=
   for dir in "$libtorch"{,/libtorch,/torch,/lib{,64}/python3*/{site,dist}-packages/torch}; do
@@ -125,7 +125,7 @@ if [ -n "$tests" ]; then
     chromium chromium-driver python3-selenium qemu-user)
 fi
 if [ -n "$developer" ]; then
-  packages+=(ccache lld clang libclang-rt-14-dev llvm clang-format clang-tidy shellcheck)
+  packages+=(ccache lld clang libclang-rt-dev llvm clang-format clang-tidy shellcheck)
 fi
 
 if ! command -v apt-get >/dev/null || ! command -v dpkg-query >/dev/null; then

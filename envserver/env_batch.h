@@ -45,8 +45,7 @@ class EnvBatch {
     std::string reason;
   };
 
-  // Observations are raw, or scene records if `format` says so and nothing is recorded. A session's frames in another
-  // format are converted from raw ones.
+  // Observations are raw, or scene records if `format` says so and nothing is recorded.
   explicit EnvBatch(std::shared_ptr<const Renderer> renderer, std::optional<MomentTaker> recording = std::nullopt,
                     FrameFormat format = FrameFormat::kRaw)
       : renderer_(std::move(renderer)), recording_(std::move(recording)), format_(format) {}

@@ -16,25 +16,13 @@
 
 namespace craftfleet {
 
-absl::Status EnvServiceImpl::Options::Validate() const {
-  CRAFTFLEET_RETURN_IF_ERROR(budget.Validate());
-  const std::pair<const char*, absl::Duration> timeouts[] = {
-      {"hello_timeout", hello_timeout}, {"idle_timeout", idle_timeout}, {"reply_timeout", reply_timeout}};
-  for (const auto& [flag, timeout] : timeouts) {
-    if (timeout >= absl::Seconds(1)) continue;
-    return absl::InvalidArgumentError(
-        absl::StrFormat("--%s=%s, want at least 1s", flag, absl::FormatDuration(timeout)));
-  }
-  return absl::OkStatus();
-}
-
 absl::StatusOr<std::unique_ptr<EnvServiceImpl>> EnvServiceImpl::Create(const std::string& texture_dir) {
   return Create(texture_dir, {});
 }
 
 absl::StatusOr<std::unique_ptr<EnvServiceImpl>> EnvServiceImpl::Create(const std::string& texture_dir,
                                                                        const Options& options) {
-  CRAFTFLEET_RETURN_IF_ERROR(options.Validate());
+  CRAFTFLEET_RETURN_IF_ERROR(options.budget.Validate());
   std::shared_ptr<const Textures> textures;
   std::string digest;
   if (texture_dir.empty()) {
@@ -96,11 +84,6 @@ void EnvServiceImpl::WaitUntilEmpty(absl::Duration timeout) {
     }
     return true;
   });
-}
-
-Work EnvServiceImpl::TotalWork() const {
-  const MutexLock lock(&mu_);
-  return TotalWorkLocked();
 }
 
 Work EnvServiceImpl::TotalWorkLocked() const {

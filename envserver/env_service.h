@@ -43,19 +43,18 @@ class EnvServiceImpl final : public v1::EnvironmentService::CallbackService {
   // Without limits by default, which suits a single client in the same process.
   struct Options {
     GameBudget::Options budget = {};
-    absl::Duration hello_timeout = absl::InfiniteDuration();  // for a session's first request, at least 1 s
-    absl::Duration idle_timeout = absl::InfiniteDuration();   // for each later one, at least 1 s
-    absl::Duration reply_timeout = absl::InfiniteDuration();  // for the client to take a reply, at least 1 s
+    absl::Duration hello_timeout = absl::InfiniteDuration();  // for a session's first request
+    absl::Duration idle_timeout = absl::InfiniteDuration();   // for each later one
+    absl::Duration reply_timeout = absl::InfiniteDuration();  // for the client to take a reply
     // A session that has sent no request for this long ends if others need the room of its games.
     absl::Duration gives_way = absl::Seconds(10);
     int game_threads = DefaultThreads();  // that play the games of all sessions, at least 1, and as many for slow ones
     // Identifies clients by the access file; null: by certificate.
     std::shared_ptr<const wire::AccessControl> access = nullptr;
-    absl::Status Validate() const;
   };
 
-  // Reads the textures in `texture_dir` once; empty: those compiled into the program. InvalidArgument: options that
-  // Validate() refuses; or the status of Textures::Load() if textures are missing or damaged.
+  // Reads the textures in `texture_dir` once; empty: those compiled into the program. InvalidArgument: a budget that
+  // GameBudget::Options::Validate refuses; or the status of Textures::Load() if textures are missing or damaged.
   static absl::StatusOr<std::unique_ptr<EnvServiceImpl>> Create(const std::string& texture_dir, const Options& options);
   static absl::StatusOr<std::unique_ptr<EnvServiceImpl>> Create(const std::string& texture_dir);
 
@@ -76,8 +75,6 @@ class EnvServiceImpl final : public v1::EnvironmentService::CallbackService {
   v1::ProcessSummary Summary() const ABSL_LOCKS_EXCLUDED(mu_);
   // Waits until no session has a game, at most `timeout`.
   void WaitUntilEmpty(absl::Duration timeout) ABSL_LOCKS_EXCLUDED(mu_);
-  // The work of all sessions since the start.
-  Work TotalWork() const ABSL_LOCKS_EXCLUDED(mu_);
 
  private:
   struct Session {
@@ -140,7 +137,7 @@ class EnvServiceImpl final : public v1::EnvironmentService::CallbackService {
   RealClock clock_;
   LimitedLog log_{&clock_};  // of what clients cause
   std::atomic<int64_t> episodes_{0};
-  std::atomic<int64_t> rejected_{0};  // sessions ended by a bad request
+  std::atomic<int64_t> rejected_{0};  // sessions refused, or ended by a bad request, a limit, a timeout or an error
 
   mutable Mutex mu_;
   CondVar changed_;                              // games of a session

@@ -122,11 +122,6 @@ void GameBudget::Replace(const std::string& client, const Amount& had, const Amo
   if (entry->second.games == 0 && entry->second.bytes == 0) clients_.erase(entry);
 }
 
-int64_t GameBudget::games() const {
-  const MutexLock lock(&mu_);
-  return all_.games;
-}
-
 int64_t GameBudget::bytes() const {
   const MutexLock lock(&mu_);
   return all_.bytes;

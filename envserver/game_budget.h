@@ -63,7 +63,7 @@ class GameBudget {
     Amount amount_;
   };
 
-  int64_t games() const ABSL_LOCKS_EXCLUDED(mu_);
+  // Bytes of all shares.
   int64_t bytes() const ABSL_LOCKS_EXCLUDED(mu_);
 
  private:

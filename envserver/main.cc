@@ -2,6 +2,7 @@
 
 #include <absl/flags/flag.h>
 #include <absl/strings/str_format.h>
+#include <absl/strings/string_view.h>
 #include <absl/time/time.h>
 
 #include "common/base/status_macros.h"
@@ -53,18 +54,7 @@ Ctrl-C, SIGTERM or closing the terminal stops it.)";
 constexpr char kDefaultAddress[] = "127.0.0.1:50061";
 constexpr absl::Duration kMoveOut = absl::Seconds(3);  // for actors to move their games to another server
 
-absl::Status CheckAtMost(absl::string_view flag, int32_t value, int32_t most) {
-  if (value <= most) return absl::OkStatus();
-  return absl::InvalidArgumentError(absl::StrFormat("--%s=%d, want at most %d", flag, value, most));
-}
-
-absl::Status CheckAtMost(absl::string_view flag, absl::Duration value, absl::Duration most) {
-  if (value <= most) return absl::OkStatus();
-  return absl::InvalidArgumentError(
-      absl::StrFormat("--%s=%s, want at most %s", flag, absl::FormatDuration(value), absl::FormatDuration(most)));
-}
-
-// The limits from the flags. Checks upper bounds; EnvServiceImpl::Create checks lower bounds.
+// The limits from the flags. EnvServiceImpl::Create checks whether they fit together.
 absl::StatusOr<EnvServiceImpl::Options> OptionsFromFlags() {
   constexpr int32_t kMost = 1'000'000;
   EnvServiceImpl::Options options;
@@ -77,13 +67,13 @@ absl::StatusOr<EnvServiceImpl::Options> OptionsFromFlags() {
   options.idle_timeout = absl::GetFlag(FLAGS_idle_timeout).value;
   options.reply_timeout = absl::GetFlag(FLAGS_reply_timeout).value;
   CRAFTFLEET_RETURN_IF_ERROR(
-      CheckAtMost("max_session_games", absl::GetFlag(FLAGS_max_session_games), EnvBatch::kMaxLanes));
-  CRAFTFLEET_RETURN_IF_ERROR(CheckAtMost("max_games", absl::GetFlag(FLAGS_max_games), kMost));
-  CRAFTFLEET_RETURN_IF_ERROR(CheckAtMost("max_session_mb", absl::GetFlag(FLAGS_max_session_mb), kMost));
-  CRAFTFLEET_RETURN_IF_ERROR(CheckAtMost("max_games_mb", absl::GetFlag(FLAGS_max_games_mb), kMost));
-  CRAFTFLEET_RETURN_IF_ERROR(CheckAtMost("hello_timeout", options.hello_timeout, absl::Hours(1)));
-  CRAFTFLEET_RETURN_IF_ERROR(CheckAtMost("idle_timeout", options.idle_timeout, absl::Hours(24)));
-  CRAFTFLEET_RETURN_IF_ERROR(CheckAtMost("reply_timeout", options.reply_timeout, absl::Hours(1)));
+      CheckFlagRange("max_session_games", absl::GetFlag(FLAGS_max_session_games), 1, EnvBatch::kMaxLanes));
+  CRAFTFLEET_RETURN_IF_ERROR(CheckFlagRange("max_games", absl::GetFlag(FLAGS_max_games), 1, kMost));
+  CRAFTFLEET_RETURN_IF_ERROR(CheckFlagRange("max_session_mb", absl::GetFlag(FLAGS_max_session_mb), 1, kMost));
+  CRAFTFLEET_RETURN_IF_ERROR(CheckFlagRange("max_games_mb", absl::GetFlag(FLAGS_max_games_mb), 1, kMost));
+  CRAFTFLEET_RETURN_IF_ERROR(CheckFlagRange("hello_timeout", options.hello_timeout, absl::Seconds(1), absl::Hours(1)));
+  CRAFTFLEET_RETURN_IF_ERROR(CheckFlagRange("idle_timeout", options.idle_timeout, absl::Seconds(1), absl::Hours(24)));
+  CRAFTFLEET_RETURN_IF_ERROR(CheckFlagRange("reply_timeout", options.reply_timeout, absl::Seconds(1), absl::Hours(1)));
   return options;
 }
 
@@ -91,14 +81,33 @@ std::string LearnerFromFlag() { return absl::GetFlag(FLAGS_learner).address.valu
 
 // Before anything listens.
 absl::Status CheckLearnerFlags() {
-  if (LearnerFromFlag().empty() && !absl::GetFlag(FLAGS_advertise).empty()) {
-    return absl::InvalidArgumentError("--advertise requires --learner");
+  const std::string learner = LearnerFromFlag();
+  const std::string advertise = absl::GetFlag(FLAGS_advertise);
+  if (learner.empty()) {
+    return advertise.empty() ? absl::OkStatus() : absl::InvalidArgumentError("--advertise requires --learner");
+  }
+  const absl::string_view flag = advertise.empty() ? "listen" : "advertise";
+  const std::string address =
+      advertise.empty() ? absl::GetFlag(FLAGS_listen).address.value_or(kDefaultAddress) : advertise;
+  const absl::string_view host = absl::string_view(address).substr(0, address.rfind(':'));
+  if (host == "0.0.0.0" || host == "[::]") {
+    return absl::InvalidArgumentError(
+        absl::StrFormat("--%s=%s is every address of this host: give the one that actors are to connect to with "
+                        "--advertise=HOST:PORT",
+                        flag, address));
+  }
+  if (wire::IsLoopback(address) && !wire::IsLoopback(learner)) {
+    LogWarning(
+        "--%s=%s is reached from this host only: for actors on others, --listen on an address that they reach, "
+        "or give it with --advertise=HOST:PORT",
+        flag, address);
   }
   return absl::OkStatus();
 }
 
 // Null without --learner.
-absl::StatusOr<std::unique_ptr<Announcer>> AnnounceIfAsked(EnvServiceImpl* service, const std::string& listens_on) {
+absl::StatusOr<std::unique_ptr<Announcer>> AnnounceIfAsked(EnvServiceImpl* service, const std::string& name,
+                                                           const std::string& listens_on) {
   const std::string learner = LearnerFromFlag();
   const std::string advertise = absl::GetFlag(FLAGS_advertise);
   if (learner.empty()) return nullptr;
@@ -107,7 +116,7 @@ absl::StatusOr<std::unique_ptr<Announcer>> AnnounceIfAsked(EnvServiceImpl* servi
   CRAFTFLEET_RETURN_IF_ERROR(wire::CheckAddress("advertise", address));
   CRAFTFLEET_ASSIGN_OR_RETURN(const wire::ChannelSecurity security, wire::ChannelSecurityFromFlags());
   return std::make_unique<Announcer>(
-      wire::Connect(learner, security), address, service->texture_digest(), service->canary(),
+      wire::Connect(learner, security), name, address, service->texture_digest(), service->canary(),
       [service] { return service->Summary(); }, [service](const std::string& run_id) { service->SetRun(run_id); });
 }
 
@@ -129,7 +138,7 @@ absl::Status Run() {
   CRAFTFLEET_ASSIGN_OR_RETURN(const std::unique_ptr<wire::MetricsServer> metrics,
                               wire::ServeMetrics(metrics_options, &status, [&server] { return server->serving(); }));
   CRAFTFLEET_ASSIGN_OR_RETURN(const std::unique_ptr<Announcer> announcer,
-                              AnnounceIfAsked(service.get(), server->address()));
+                              AnnounceIfAsked(service.get(), status.name(), server->address()));
   StopSignal signal([&] {
     if (announcer != nullptr) {
       announcer->Leave();

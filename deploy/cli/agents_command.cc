@@ -33,7 +33,7 @@ parameters of each agent.
   craftfleet train --agent=lstm_cnn --logdir=runs/lstm)";
 
 constexpr char kNotes[] = R"(
-grid_distillation is recommended: of the agents that were trained for 1M steps here it scores most. It is
+grid_distillation is recommended: of the agents that were trained for 1M steps here it scores highest. It is
 achievement_distillation with a small residual network on the 9x9 cells of the picture; cnn_distillation has the network of
 ppo_cnn.
 ppo_resnet and achievement_distillation are from Moon et al. 2023, those before them from Stanic et al. 2022. Where that

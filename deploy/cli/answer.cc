@@ -47,8 +47,8 @@ absl::Status CheckEnvs(const v1::RunConfig& config) {
 }
 
 // The part of a complete configuration that affects learning or the measures: without the seed, checkpoints, the
-// frequency of evaluations, and technical settings (tile, gradient shards, cpu). Environments have their canonical
-// names.
+// frequency of evaluations, and technical settings (tile, gradient shards, cpu, device). Environments have their
+// canonical names.
 v1::RunConfig ShapingConfig(const v1::RunConfig& config) {
   v1::RunConfig shaping = config;
   shaping.clear_seed();
@@ -155,7 +155,11 @@ absl::StatusOr<Json> AnswerParsed(const Json& question) {
 std::string Answer(absl::string_view question) {
   absl::StatusOr<Json> answer = absl::InvalidArgumentError("not a JSON object");
   const Json parsed = Json::parse(question.begin(), question.end(), nullptr, /*allow_exceptions=*/false);
-  if (parsed.is_object()) answer = AnswerParsed(parsed);
+  try {
+    if (parsed.is_object()) answer = AnswerParsed(parsed);
+  } catch (const Json::exception& error) {  // a value of another type
+    answer = absl::InvalidArgumentError(error.what());
+  }
   if (!answer.ok()) answer = Json{{"error", std::string(answer.status().message())}};
   return answer->dump(-1, ' ', /*ensure_ascii=*/true, Json::error_handler_t::replace);
 }

@@ -43,6 +43,10 @@ absl::StatusOr<Checkpoint> LoadResult(const std::string& folder) {
     return absl::DataLossError(absl::StrCat(folder, "/run.json has no run_id"));
   }
   checkpoint.state.set_run_id(id->get<std::string>());
+  const auto textures = json.find("texture_digest");
+  if (textures != json.end() && textures->is_string()) {
+    checkpoint.state.set_texture_digest(textures->get<std::string>());
+  }
   CRAFTFLEET_ASSIGN_OR_RETURN(std::string weights, ReadFile(JoinPath(folder, "weights.safetensors")));
   checkpoint.weights = std::make_shared<const std::string>(std::move(weights));
   return checkpoint;
@@ -67,6 +71,13 @@ absl::StatusOr<CheckpointPolicy> LoadPolicy(const std::string& path) {
   CRAFTFLEET_ASSIGN_OR_RETURN(loaded.policy, Policy::Create(loaded.spec, checkpoint.weights, config.tile()));
   loaded.state = std::move(checkpoint.state);
   return loaded;
+}
+
+absl::Status CheckTextures(const v1::CheckpointState& state, absl::string_view digest) {
+  if (state.texture_digest().empty() || state.texture_digest() == digest) return absl::OkStatus();
+  return absl::FailedPreconditionError(absl::StrCat("the run was played with textures ", state.texture_digest(),
+                                                    ", but this program has ", digest,
+                                                    ": give the run's textures with --textures"));
 }
 
 }  // namespace craftfleet

@@ -6,7 +6,9 @@
 #include <memory>
 #include <string>
 
+#include <absl/status/status.h>
 #include <absl/status/statusor.h>
+#include <absl/strings/string_view.h>
 
 #include "common/agent/agent_spec.h"
 #include "common/agent/policy.h"
@@ -27,6 +29,10 @@ struct CheckpointPolicy {
 // itself again (PinCpu): call it before work that would be lost.
 //   Errors as FindCheckpoint, LoadCheckpoint, ResolveRunConfig and Policy::Create.
 absl::StatusOr<CheckpointPolicy> LoadPolicy(const std::string& path);
+
+// Whether textures with this digest (common/io/texture_digest.h) are those of the checkpoint's run.
+//   FailedPrecondition: they differ, so that the agent sees other pictures.
+absl::Status CheckTextures(const v1::CheckpointState& state, absl::string_view digest);
 
 }  // namespace craftfleet
 

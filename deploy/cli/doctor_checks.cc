@@ -97,29 +97,28 @@ Finding CheckClock(const ClockFacts& clock) {
   return Ok("clock", absl::StrCat(now, "; synchronised"));
 }
 
-std::string DescribeGpu(const std::string& device, const std::optional<GpuUsage>& usage) {
-  if (!usage.has_value()) return device;
-  std::string text = absl::StrCat(device, ": ", usage->name, ", ", Size(usage->memory_total_bytes));
-  if (usage->capability > 0) absl::StrAppend(&text, ", compute capability ", CapabilityText(usage->capability));
+std::string DescribeGpu(int number, const GpuUsage& usage) {
+  std::string text = absl::StrCat("GPU ", number, ": ", usage.name, ", ", Size(usage.memory_total_bytes));
+  if (usage.capability > 0) absl::StrAppend(&text, ", compute capability ", CapabilityText(usage.capability));
   return text;
 }
 
 Finding CheckGpu(const GpuFacts& gpu) {
-  if (gpu.devices.empty()) {
+  const std::string devices = absl::StrJoin(gpu.devices, "; ");
+  if (gpu.usable > 0) {
+    const std::string listed = devices.empty() ? "" : absl::StrCat(" (", devices, ")");
+    return Ok("GPU", absl::StrCat(gpu.usable, " usable by LibTorch", listed));
+  }
+  if (devices.empty()) {
     return Ok("GPU", gpu.libtorch_has_cuda ? "none; LibTorch has CUDA" : "none; LibTorch has no CUDA");
   }
-  const std::string devices = absl::StrJoin(gpu.devices, "; ");
   if (!gpu.libtorch_has_cuda) {
     return {"GPU", Verdict::kWarn, absl::StrCat(devices, ", but this LibTorch has no CUDA"),
             "updates run on the CPU: build with -DCRAFTFLEET_LIBTORCH=DIR, a LibTorch that has CUDA"};
   }
-  if (gpu.usable == 0) {
-    return {
-        "GPU", Verdict::kFail, absl::StrCat(devices, ", but LibTorch sees no GPU"),
-        "look at nvidia-smi: the driver must be as new as LibTorch's CUDA, and this user must be allowed to use the "
-        "device"};
-  }
-  return Ok("GPU", absl::StrFormat("%d usable by LibTorch (%s)", gpu.usable, devices));
+  return {"GPU", Verdict::kFail, absl::StrCat(devices, ", but LibTorch sees no GPU"),
+          "look at nvidia-smi: the driver must be as new as LibTorch's CUDA, and this user must be allowed to use the "
+          "device"};
 }
 
 Finding CheckPort(const std::string& address, const absl::Status& bound) {

@@ -73,12 +73,12 @@ struct ClockFacts {
 Finding CheckClock(const ClockFacts& clock);
 
 struct GpuFacts {
-  std::vector<std::string> devices;  // "/dev/nvidia0", or that with what the driver says of it (DescribeGpu)
+  std::vector<std::string> devices;  // what the driver says of each (DescribeGpu); without a driver "/dev/nvidia0"
   bool libtorch_has_cuda = false;    // the library libtorch_cuda is loaded
   int usable = 0;                    // GPUs that LibTorch sees
 };
-// "/dev/nvidia0: NVIDIA H100 80GB HBM3, 79.6 GiB, compute capability 9.0"; without what the driver does not say.
-std::string DescribeGpu(const std::string& device, const std::optional<GpuUsage>& usage);
+// "GPU 0: NVIDIA H100 80GB HBM3, 79.6 GiB, compute capability 9.0"; without what the driver does not say.
+std::string DescribeGpu(int number, const GpuUsage& usage);
 
 // kWarn for a GPU that this LibTorch can't use because it has no CUDA; kFail if it has CUDA but finds no GPU.
 Finding CheckGpu(const GpuFacts& gpu);

@@ -172,14 +172,31 @@ ClockFacts ReadClock() {
   return facts;
 }
 
+// As the driver counts them, because a container may have /dev/nvidia1 alone, and WSL has no such files.
+std::vector<std::string> ReadGpusOfDriver() {
+  std::vector<std::string> gpus;
+  const std::unique_ptr<Nvml> driver = Nvml::Open();
+  while (driver != nullptr) {
+    const std::optional<GpuUsage> gpu = driver->Read(absl::StrCat(gpus.size()));
+    if (!gpu.has_value()) break;
+    gpus.push_back(DescribeGpu(static_cast<int>(gpus.size()), *gpu));
+  }
+  return gpus;
+}
+
+std::vector<std::string> FindGpuFiles() {
+  std::vector<std::string> files;
+  for (int i = 0; i < 64; ++i) {
+    std::string file = absl::StrCat("/dev/nvidia", i);
+    if (PathExists(file)) files.push_back(std::move(file));
+  }
+  return files;
+}
+
 GpuFacts ReadGpu() {
   GpuFacts facts;
-  const std::unique_ptr<Nvml> driver = Nvml::Open();
-  for (int i = 0; PathExists(absl::StrCat("/dev/nvidia", i)); ++i) {
-    const std::string number = absl::StrCat(i);
-    facts.devices.push_back(
-        DescribeGpu("/dev/nvidia" + number, driver == nullptr ? std::nullopt : driver->Read(number)));
-  }
+  facts.devices = ReadGpusOfDriver();
+  if (facts.devices.empty()) facts.devices = FindGpuFiles();
   facts.libtorch_has_cuda = !MappedFile({"libtorch_cuda"}).empty();
   facts.usable = static_cast<int>(at::getNumGPUs());
   return facts;
@@ -201,20 +218,20 @@ absl::string_view Name(Verdict verdict) {
   return verdict == Verdict::kWarn ? "warn" : "FAIL";
 }
 
-absl::string_view Colour(Verdict verdict) {
+absl::string_view Color(Verdict verdict) {
   if (verdict == Verdict::kOk) return "\033[32m";
   return verdict == Verdict::kWarn ? "\033[33m" : "\033[1;31m";
 }
 
-// A line for each finding, followed by one with the remedy unless it is ok. With `colour` the verdicts have colours.
-std::string DoctorText(const std::vector<Finding>& findings, bool colour) {
+// A line for each finding, followed by one with the remedy unless it is ok. With `color` the verdicts have colours.
+std::string DoctorText(const std::vector<Finding>& findings, bool color) {
   size_t width = 0;
   for (const Finding& finding : findings) width = std::max(width, finding.check.size());
   std::string text;
   for (const Finding& finding : findings) {
     const std::string verdict = absl::StrFormat("%-4s", Name(finding.verdict));
     absl::StrAppendFormat(&text, "%s  %-*s  %s\n",
-                          colour ? absl::StrCat(Colour(finding.verdict), verdict, "\033[0m") : verdict,
+                          color ? absl::StrCat(Color(finding.verdict), verdict, "\033[0m") : verdict,
                           static_cast<int>(width), finding.check, finding.found);
     if (!finding.remedy.empty()) absl::StrAppendFormat(&text, "      %*s  -> %s\n", width, "", finding.remedy);
   }
@@ -244,7 +261,7 @@ std::string DoctorJson(const std::vector<Finding>& findings) {
 }
 
 // Terminals have colours, unless NO_COLOR has a value (https://no-color.org).
-bool WantsColour() {
+bool WantsColor() {
   const char* const no_color = std::getenv("NO_COLOR");
   const char* const term = std::getenv("TERM");
   const bool refused = no_color != nullptr && *no_color != '\0';
@@ -284,7 +301,7 @@ absl::Status Run() {
   if (absl::GetFlag(FLAGS_json)) {
     std::fputs(DoctorJson(findings).c_str(), stdout);
   } else {
-    std::fputs(DoctorText(findings, WantsColour()).c_str(), stdout);
+    std::fputs(DoctorText(findings, WantsColor()).c_str(), stdout);
   }
   const std::string failed = FailedChecks(findings);
   if (failed.empty()) return absl::OkStatus();
@@ -295,7 +312,7 @@ int RunDoctor(int argc, char** argv) {
   ParseFlags({kProgram,
               kUsage,
               {"logdir", "listen", "json"},
-              {"channel_flags.cc"},
+              {"tls_ca", "tls_cert", "tls_key"},
               {{"logdir", "folder of runs, whose disk is checked for free space and speed [runs]"},
                {"listen", "addresses to check for a free port, HOST:PORT, joined by commas [127.0.0.1:50051]"}}},
              argc, argv);

@@ -2,7 +2,6 @@
 
 #include <unistd.h>
 
-#include <algorithm>
 #include <atomic>
 #include <cstdio>
 #include <iostream>
@@ -26,6 +25,7 @@
 #include "common/process/flag_values.h"
 #include "common/process/program.h"
 #include "common/process/shared_flags.h"
+#include "common/telemetry/log.h"
 #include "common/wire/protocol.h"
 #include "common/wire/server.h"
 #include "deploy/cli/checkpoint_policy.h"
@@ -51,7 +51,8 @@ namespace {
 constexpr char kProgram[] = "craftfleet eval";
 constexpr char kUsage[] =
     R"(craftfleet eval plays whole episodes with the policy of a checkpoint. It prints the success rate of each achievement, the
-mean reward and episode length, and the Crafter score. The result depends only on the weights, the environment and the seed.
+mean reward and episode length, and the Crafter score. The result depends only on the weights, the environment, the textures
+and the seed.
 
   craftfleet eval --checkpoint=runs/first --episodes=100
   craftfleet eval --checkpoint=runs/first/checkpoints/iter-00000010 --env=crafter:numbers=easy-x2 --deterministic --out=eval.json
@@ -73,12 +74,18 @@ struct EvalPlan {
 
 // The final evaluation of the run that ends with the checkpoint `state`: the same episodes with the same results as in
 // its final_argmax.jsonl and final_sampled.jsonl.
-//   InvalidArgument: its configuration has no final evaluation.
+//   InvalidArgument: its configuration has no final evaluation.   FailedPrecondition: `state` is of results, which do
+//   not say how many episodes the evaluations before had.
 absl::StatusOr<EvalPlan> FinalEvaluation(const v1::CheckpointState& state) {
   const v1::EvalConfig& eval = state.config().eval();
   if (eval.final_episodes() == 0) {
     return absl::InvalidArgumentError(
         "the run has no final evaluation (eval.final_episodes is 0 in its configuration): give --episodes instead");
+  }
+  if (state.next_eval_episode() == 0) {
+    return absl::FailedPreconditionError(
+        "a folder of results does not say which episodes the final evaluation had: give a run or a checkpoint, or "
+        "--episodes");
   }
   EvalPlan plan;
   plan.env = state.config().env();
@@ -86,7 +93,7 @@ absl::StatusOr<EvalPlan> FinalEvaluation(const v1::CheckpointState& state) {
   EvaluationOptions options;
   options.seed = eval.seed();
   options.episodes = eval.final_episodes();
-  options.first_episode = std::max<int64_t>(state.next_eval_episode(), 1);
+  options.first_episode = state.next_eval_episode();
   options.greedy = true;
   plan.parts.push_back({"argmax", options});
   options.first_episode += options.episodes;
@@ -159,9 +166,7 @@ struct Games {
 absl::StatusOr<Games> OpenGames(const v1::EnvConfig& env, const AgentSpec& spec,
                                 const EpisodeRecorder::Options& recorder) {
   const absl::Duration timeout = absl::GetFlag(FLAGS_env_timeout).value;
-  if (timeout < absl::Milliseconds(100) || timeout > absl::Hours(1)) {
-    return InvalidFlag("env_timeout", absl::FormatDuration(timeout), "0.1s..1h");
-  }
+  CRAFTFLEET_RETURN_IF_ERROR(CheckFlagRange("env_timeout", timeout, absl::Milliseconds(100), absl::Hours(1)));
   CRAFTFLEET_ASSIGN_OR_RETURN(const std::string textures, TextureDir(absl::GetFlag(FLAGS_textures)));
   Games games;
   CRAFTFLEET_ASSIGN_OR_RETURN(games.service, EnvServiceImpl::Create(textures));
@@ -174,6 +179,14 @@ absl::StatusOr<Games> OpenGames(const v1::EnvConfig& env, const AgentSpec& spec,
       std::make_unique<EnvClient>(games.server->InProcess(), hello, static_cast<int>(spec.frame_bytes()), timeout);
   CRAFTFLEET_RETURN_IF_ERROR(games.client->Connect(absl::Seconds(5)));
   return games;
+}
+
+// Other textures than the run's are refused for --protocol=final, and otherwise only reported.
+absl::Status CompareTextures(const v1::CheckpointState& state, const std::string& digest) {
+  const absl::Status same = CheckTextures(state, digest);
+  if (same.ok() || !absl::GetFlag(FLAGS_protocol).empty()) return same;
+  LogWarning("%s", same.message());
+  return absl::OkStatus();
 }
 
 // If there are several parts, each records into its own subfolder.
@@ -312,6 +325,7 @@ absl::Status Run() {
   std::atomic<bool> stop{false};
   StopSignal signal([&stop] { stop = true; });
   CRAFTFLEET_ASSIGN_OR_RETURN(const Games games, OpenGames(plan.env, agent.spec, recorder));
+  CRAFTFLEET_RETURN_IF_ERROR(CompareTextures(agent.state, games.service->texture_digest()));
 
   std::FILE* const text = json_file.has_value() && json_file->is_standard_output() ? stderr : stdout;
   absl::FPrintF(text, "%s of run %s, %s after %d steps, on %s\n", agent.folder, agent.state.run_id(),
@@ -333,7 +347,7 @@ int RunEval(int argc, char** argv) {
               {"eval_command.cc", "env_timeout", "size", "textures"},
               {{"seed", "seed of the environment; the evaluation plays its episodes 1, 2, ... [0]"},
                {"video", "folder for a video of each episode, MP4"},
-               {"env_timeout", "how long a step of the games may take, 0.1s..1h"},
+               {"env_timeout", "how long a step of the games may take, 100ms..1h"},
                {"size", "width and height of videos and pictures in pixels, an even number 64..1024 [576]"}}},
              argc, argv);
   const absl::Status status = Run();

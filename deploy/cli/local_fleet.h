@@ -33,7 +33,6 @@ class LocalFleet {
 
   Learner& learner() const { return *learner_; }
   const Actor& actor() const { return *actor_; }
-  const EnvServiceImpl& env_service() const { return *env_service_; }
 
  private:
   LocalFleet() = default;

@@ -76,9 +76,7 @@ absl::Status Watch(const wire::Endpoint& process, absl::Duration interval) {
 
 absl::Status Run() {
   const absl::Duration interval = absl::GetFlag(FLAGS_interval).value;
-  if (interval < absl::Milliseconds(100) || interval > absl::Minutes(1)) {
-    return InvalidFlag("interval", absl::FormatDuration(interval), "100ms..1m");
-  }
+  CRAFTFLEET_RETURN_IF_ERROR(CheckFlagRange("interval", interval, absl::Milliseconds(100), absl::Minutes(1)));
   CRAFTFLEET_ASSIGN_OR_RETURN(const wire::Endpoint process, ConnectToProcess("process", absl::GetFlag(FLAGS_address)));
   if (absl::GetFlag(FLAGS_watch)) return Watch(process, interval);
   CRAFTFLEET_ASSIGN_OR_RETURN(const v1::StatusReply reply, AskStatus(process));

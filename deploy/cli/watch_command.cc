@@ -22,11 +22,14 @@
 #include "common/base/clock.h"
 #include "common/base/numbers.h"
 #include "common/base/status_macros.h"
+#include "common/config/known_canary.h"
 #include "common/io/output_file.h"
 #include "common/io/png_encoder.h"
+#include "common/io/texture_digest.h"
 #include "common/process/flag_values.h"
 #include "common/process/program.h"
 #include "common/process/shared_flags.h"
+#include "common/telemetry/log.h"
 #include "deploy/cli/checkpoint_policy.h"
 #include "deploy/cli/command.h"
 #include "deploy/cli/screen/game_flags.h"
@@ -102,7 +105,13 @@ absl::StatusOr<AgentGame::Options> GameOptions(const CheckpointPolicy& agent) {
   options.frame_size = agent.spec.frame_size;
   CRAFTFLEET_ASSIGN_OR_RETURN(options.seed, EnvSeedFromFlag());
   options.greedy = absl::GetFlag(FLAGS_deterministic);
-  CRAFTFLEET_ASSIGN_OR_RETURN(options.textures, TexturesFromFlag(absl::GetFlag(FLAGS_textures)));
+  const std::string textures = absl::GetFlag(FLAGS_textures);
+  CRAFTFLEET_ASSIGN_OR_RETURN(options.textures, TexturesFromFlag(textures));
+  std::string digest(kBuiltInTextures);
+  if (!textures.empty()) {
+    CRAFTFLEET_ASSIGN_OR_RETURN(digest, TextureDigest(textures));
+  }
+  if (const absl::Status same = CheckTextures(agent.state, digest); !same.ok()) LogWarning("%s", same.message());
   return options;
 }
 
@@ -192,10 +201,10 @@ absl::Status Run(const std::vector<std::string>& paths) {
   CRAFTFLEET_RETURN_IF_ERROR(CheckFlags());
   CRAFTFLEET_ASSIGN_OR_RETURN(const std::optional<AttentionChoice> attention, AttentionFromFlag());
   CRAFTFLEET_ASSIGN_OR_RETURN(const std::vector<int64_t> steps, StripSteps());
+  const bool on_screen = absl::GetFlag(FLAGS_video).empty() && absl::GetFlag(FLAGS_strip).empty();
+  if (on_screen) CRAFTFLEET_RETURN_IF_ERROR(CheckScreen(absl::GetFlag(FLAGS_terminal)));  // before LibTorch's threads
   CRAFTFLEET_ASSIGN_OR_RETURN(CheckpointPolicy agent, LoadPolicy(paths[0]));
   CRAFTFLEET_ASSIGN_OR_RETURN(const AgentGame::Options game_options, GameOptions(agent));
-  const bool on_screen = absl::GetFlag(FLAGS_video).empty() && absl::GetFlag(FLAGS_strip).empty();
-  if (on_screen) CRAFTFLEET_RETURN_IF_ERROR(CheckScreen(absl::GetFlag(FLAGS_terminal)));
   std::atomic<bool> stop{false};
   StopSignal signal([&stop] { stop = true; });  // before the window system starts threads
   if (!absl::GetFlag(FLAGS_video).empty()) return WriteVideo(agent, game_options, attention, stop);

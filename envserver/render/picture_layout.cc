@@ -31,7 +31,6 @@ PictureLayout::PictureLayout(const WorldOptions& world, const RenderOptions& opt
       cell_height(options.height / world.view_height),
       columns(world.view_width),
       map_rows(world.view_height - world.inventory_rows()),
-      item_rows(world.inventory_rows()),
       border_left((options.width - cell_width * world.view_width) / 2),
       border_top((options.height - cell_height * world.view_height) / 2) {}
 

@@ -35,7 +35,6 @@ struct PictureLayout {
   int cell_height;  // of one cell
   int columns;      // cells across
   int map_rows;     // cells down the map
-  int item_rows;    // cells down the inventory
   int border_left;
   int border_top;
 

@@ -26,7 +26,6 @@ struct Scene {
   struct Thing {
     uint16_t cell = 0;
     uint8_t sprite = 0;  // of a creature, the player, an arrow or a plant
-    friend bool operator==(Thing a, Thing b) { return a.cell == b.cell && a.sprite == b.sprite; }
   };
 
   absl::InlinedVector<uint8_t, kSmallView> ground;  // by cell: a material's sprite, or kOutside
@@ -37,11 +36,6 @@ struct Scene {
 
   // Whether the picture has noise.
   bool is_dark() const { return daylight < kNoiseBelow; }
-
-  friend bool operator==(const Scene& a, const Scene& b) {
-    return a.ground == b.ground && a.things == b.things && a.inventory == b.inventory && a.daylight == b.daylight &&
-           a.sleeping == b.sleeping;
-  }
 };
 
 }  // namespace craftfleet

@@ -8,9 +8,8 @@
 //   inventory  uint8[8]: two items each, the first in the low half; 0..9
 //   ground     uint8[n]: a sprite that is a material's, or 130 for the outside
 //   things     count uint16, 0..n; of each, by ascending cell: cell uint16, sprite uint8, which is no material's
-//   noise      only if daylight < 0.5. With bit 1: position uint16, 0..624; words uint32[624]. Without: uint16, the
-//   words
-//              drawn since the record before, 0..kMaxWordsBetween
+//   noise      only if daylight < 0.5. With bit 1: position uint16, 0..624; words uint32[624]. Without: words
+//              drawn since the record before: uint16, 0..kMaxWordsBetween
 
 #ifndef CRAFTFLEET_ENVSERVER_RENDER_SCENE_RECORD_H_
 #define CRAFTFLEET_ENVSERVER_RENDER_SCENE_RECORD_H_
@@ -43,8 +42,8 @@ class SceneWriter {
  private:
   static constexpr int64_t kUnknown = -1;
 
-  int64_t drawn_ =
-      kUnknown;  // RandomStream::drawn() after the last noise; unknown: the reader does not have the stream
+  // RandomStream::drawn() after the last noise; kUnknown: the reader does not have the stream.
+  int64_t drawn_ = kUnknown;
 };
 
 // Draws pictures from records of one game, in the order in which they were written. Thread-compatible.

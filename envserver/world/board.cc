@@ -7,7 +7,7 @@
 namespace craftfleet {
 namespace {
 
-constexpr int kUsualObjects = 128;  // a step allocates no memory until there are more
+constexpr int kReservedObjects = 128;  // a step allocates no memory until there are more
 
 }  // namespace
 
@@ -24,7 +24,7 @@ Board::Board(int width, int height)
       chunks_.push_back(chunk);
     }
   }
-  objects_.reserve(kUsualObjects);
+  objects_.reserve(kReservedObjects);
   known_chunks_.reserve(chunks_.size());
   Clear();
 }

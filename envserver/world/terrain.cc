@@ -17,7 +17,7 @@ constexpr int kSmallField = 64 * 64;  // cells; memory for larger fields comes f
 // Of a cell that is too near to a threshold of the step at hand; no cell has it in the end.
 constexpr int32_t kUnsure = 1 << 16;
 
-// The noise s(x * x_times / x_divided, y * y_times / y_divided, z, {size: 1}) of a cell (x, y).
+// The noise n(x * x_times / x_divided, y * y_times / y_divided, z, size) of a cell (x, y), as generation.h writes it.
 struct Shape {
   double z;
   double size;

@@ -95,8 +95,6 @@ StepOutcome World::Step(Action action) {
   return outcome;
 }
 
-int64_t World::episode_seed() const { return EpisodeSeed(state_.seed, state_.episode); }
-
 void World::SemanticView(absl::Span<uint8_t> out) const {
   const Board& board = state_.board;
   CRAFTFLEET_CHECK(out.size() == static_cast<size_t>(board.width()) * board.height());

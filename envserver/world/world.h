@@ -46,15 +46,12 @@ class World {
   const WorldOptions& options() const { return state_.options; }
   int64_t seed() const { return state_.seed; }
   int64_t episode() const { return state_.episode; }  // from 1
-  int64_t episode_seed() const;                       // seed of this episode's random stream, 0..2^31-2
   int64_t step() const { return state_.step; }        // of this episode
   double daylight() const { return state_.daylight; }
   double episode_reward() const { return state_.episode_reward; }  // sum over this episode
 
   // kNone outside the world.
   Material material(Position p) const { return state_.board.material(p); }
-  // kNoVariant outside the world.
-  Variant variant(Position p) const { return state_.board.Inside(p) ? state_.board.cell(p).variant : kNoVariant; }
   // The cells (x, y) with x inside the world, by y.
   absl::Span<const BoardCell> column(int x) const {
     return state_.board.cells().subspan(static_cast<size_t>(x) * state_.board.height(), state_.board.height());

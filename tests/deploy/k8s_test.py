@@ -97,9 +97,9 @@ class Manifests(unittest.TestCase):
         self.assertEqual(len(found), 1, target)
         self.assertNotIn("replicas", found[0]["spec"], "the autoscaler's to say")
         self.assertEqual(target["apiVersion"], found[0]["apiVersion"])
-      for workload in objects.of(*WORKLOADS):
-        for constraint in workload["spec"]["template"]["spec"].get("topologySpreadConstraints", []):
-          self.assertEqual(objects.workloads(constraint["labelSelector"]["matchLabels"]), [workload])
+      for workload in objects.of("Deployment"):
+        constraint, = workload["spec"]["template"]["spec"]["topologySpreadConstraints"]
+        self.assertEqual(objects.workloads(constraint["labelSelector"]["matchLabels"]), [workload])
     self.over_all(check)
 
   def test_services_and_policies_name_ports_that_their_pods_have(self):
@@ -188,6 +188,7 @@ class Manifests(unittest.TestCase):
     issuers = {document["metadata"]["name"] for document in kustomize.build(K8S / "cert-manager") if document["kind"] == "Issuer"}
     for spec in certificates.values():
       self.assertIn(spec["issuerRef"]["name"], issuers)
+    self.assertIn("127.0.0.1", certificates["craftfleet-learner"]["ipAddresses"], "of kubectl port-forward")
     def check(objects):
       for service in objects.of("Service"):
         name = service["metadata"]["name"]

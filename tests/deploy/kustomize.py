@@ -1,6 +1,6 @@
 """The part of Kustomize that deploy/k8s uses: resources, components, namespace, replicas, config maps from files and literals,
-JSON 6902 patches that replace or remove, and strategic merge patches whose lists of objects are merged by name. Labels and names
-of images stay as they are, names get no hash, and anything else in a kustomization is an error.
+and JSON 6902 patches that replace or remove. Labels and names of images stay as they are, names get no hash, and anything else in a
+kustomization is an error.
 """
 
 import copy
@@ -61,18 +61,14 @@ def _generate(folder, generators, documents):
 
 
 def _patch(folder, patch, documents):
-  content = yaml.safe_load(patch["patch"]) if "patch" in patch else load_all(folder / patch["path"])[0]
-  target = patch.get("target") or {"kind": content["kind"], "name": content["metadata"]["name"]}
+  target = patch["target"]
   hit = [document for document in documents if document["kind"] == target["kind"] and
          re.fullmatch(target.get("name", ".*"), document["metadata"]["name"])]
   if not hit:
     raise ValueError(f"{folder}: a patch meets no {target}")
   for document in hit:
-    if isinstance(content, list):
-      for operation in content:
-        _apply(operation, document)
-    else:
-      _merge(document, content)
+    for operation in yaml.safe_load(patch["patch"]):
+      _apply(operation, document)
 
 
 def _apply(operation, document):
@@ -85,15 +81,3 @@ def _apply(operation, document):
     del document[last]
   else:
     document[last] = copy.deepcopy(operation["value"])
-
-
-def _merge(document, patch):
-  for key, value in patch.items():
-    there = document.get(key)
-    if isinstance(value, dict) and isinstance(there, dict):
-      _merge(there, value)
-    elif isinstance(there, list) and there and isinstance(there[0], dict) and "name" in there[0]:
-      for item in value:
-        _merge(next(other for other in there if other["name"] == item["name"]), item)
-    else:
-      document[key] = copy.deepcopy(value)

@@ -150,7 +150,7 @@ class InstallDeps(python_case.FolderCase):
     self.assertEqual(ended.stdout.splitlines()[-2:], [f"torch 2.11.0 is in {place}.", advice])
 
   def test_cuda_takes_the_packages_for_it_and_not_debians_libtorch(self):
-    packages = self.install().stderr.replace(" libtorch-dev ", " ").replace("\n", " python3-venv\n")
+    packages = self.install().stderr.replace(" libtorch-dev ", " ").replace("\n", " python3-venv python3-dev\n")
     self.assertEqual(self.install("--libtorch=cuda").stderr, packages)
 
   def test_cuda_on_a_full_disk_is_said_before_the_download(self):

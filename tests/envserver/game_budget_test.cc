@@ -34,10 +34,11 @@ TEST(GameBudget, CountsGamesOfASessionAndOfAll) {
   EXPECT_THAT(first->Set(11, 0), Refused("games of one session: 11 requested", "at most 10 (--max_session_games)"));
   EXPECT_THAT(second.Set(6, 0), Refused("games of all sessions: 16 requested", "at most 15 (--max_games)"));
   EXPECT_THAT(second.Set(5, 0), IsOk());
-  EXPECT_EQ(budget.games(), 15);
+  GameBudget::Share third(&budget, "a");
+  EXPECT_THAT(third.Set(1, 0), Refused("games of all sessions: 16 requested", "at most 15"));
   first.reset();
-  EXPECT_EQ(budget.games(), 5);
-  EXPECT_THAT(second.Set(10, 0), IsOk());
+  EXPECT_THAT(third.Set(10, 0), IsOk());
+  EXPECT_THAT(second.Set(6, 0), Refused("games of all sessions: 16 requested", "at most 15"));
 }
 
 TEST(GameBudget, CountsMemoryOfASessionAndOfAll) {
@@ -92,7 +93,9 @@ TEST(GameBudget, ReleasingIsNeverRefused) {
   ASSERT_THAT(second.Set(5, kMiB), IsOk());
   EXPECT_THAT(first.Set(9, kMiB), IsOk());
   EXPECT_THAT(first.Set(9, kMiB), IsOk());
-  EXPECT_EQ(budget.games(), 14);
+  GameBudget::Share third(&budget, "a");
+  EXPECT_THAT(third.Set(2, 0), Refused("16 requested", "at most 15"));
+  EXPECT_THAT(third.Set(1, 0), IsOk());
 }
 
 TEST(GameBudget, ConcurrentRequestsStayWithinTheLimit) {
@@ -105,8 +108,11 @@ TEST(GameBudget, ConcurrentRequestsStayWithinTheLimit) {
   for (std::thread& thread : threads) thread.join();
   EXPECT_EQ(admitted, 8);
   shares.clear();
-  EXPECT_EQ(budget.games(), 0);
   EXPECT_EQ(budget.bytes(), 0);
+  for (int i = 0; i < 8; ++i) {
+    shares.push_back(std::make_unique<GameBudget::Share>(&budget, "a"));
+    EXPECT_THAT(shares.back()->Set(1, 0), IsOk());
+  }
 }
 
 TEST(GameBudget, EstimatesMoreForLargerPicturesAndForRecordings) {

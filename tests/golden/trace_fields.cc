@@ -9,6 +9,7 @@
 
 #include <absl/strings/str_format.h>
 
+#include "envserver/world/episode_seed.h"
 #include "tests/golden/world_editor.h"
 
 namespace craftfleet {
@@ -109,7 +110,7 @@ ordered_json TraceFields(const World& world) {
   const Player& player = world.player();
   ordered_json fields;
   fields["ep"] = world.episode();
-  fields["eseed"] = world.episode_seed();
+  fields["eseed"] = EpisodeSeed(world.seed(), world.episode());
   fields["n"] = world.step();
   fields["p"] = Pair(world.player_position());
   fields["f"] = Pair(world.player_facing());

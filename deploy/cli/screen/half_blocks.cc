@@ -69,24 +69,24 @@ int NearestOf16(const Pixel& pixel) {
 }
 
 // `code`: 38 for the upper half, 48 for the lower one.
-std::string ColorEscape(int code, absl::string_view bytes, Colours colours) {
+std::string ColorEscape(int code, absl::string_view bytes, Colors colors) {
   const Pixel pixel = PixelOf(bytes);
-  if (colours == Colours::kTrue) return absl::StrFormat("\x1b[%d;2;%d;%d;%dm", code, pixel[0], pixel[1], pixel[2]);
-  if (colours == Colours::k256) return absl::StrFormat("\x1b[%d;5;%dm", code, NearestOf256(pixel));
+  if (colors == Colors::kTrue) return absl::StrFormat("\x1b[%d;2;%d;%d;%dm", code, pixel[0], pixel[1], pixel[2]);
+  if (colors == Colors::k256) return absl::StrFormat("\x1b[%d;5;%dm", code, NearestOf256(pixel));
   const int shade = NearestOf16(pixel);
   return absl::StrFormat("\x1b[%dm", code - 8 + (shade < 8 ? shade : 60 + shade - 8));
 }
 
 }  // namespace
 
-Colours ColoursOf(const char* colorterm, const char* term) {
+Colors ColorsOf(const char* colorterm, const char* term) {
   const absl::string_view named = colorterm != nullptr ? colorterm : "";
   const absl::string_view name = term != nullptr ? term : "";
-  if (named == "truecolor" || named == "24bit" || absl::EndsWith(name, "-direct")) return Colours::kTrue;
-  return absl::StrContains(name, "256color") ? Colours::k256 : Colours::k16;
+  if (named == "truecolor" || named == "24bit" || absl::EndsWith(name, "-direct")) return Colors::kTrue;
+  return absl::StrContains(name, "256color") ? Colors::k256 : Colors::k16;
 }
 
-std::vector<std::string> HalfBlocks(absl::string_view picture, int width, int height, Colours colours) {
+std::vector<std::string> HalfBlocks(absl::string_view picture, int width, int height, Colors colors) {
   CRAFTFLEET_CHECK(picture.size() == size_t{3} * width * height);
   constexpr absl::string_view kBlack("\0\0\0", 3);
   const auto pixel = [&](int x, int y) { return y < height ? picture.substr(size_t{3} * (y * width + x), 3) : kBlack; };
@@ -96,8 +96,8 @@ std::vector<std::string> HalfBlocks(absl::string_view picture, int width, int he
     absl::string_view above;
     absl::string_view below;
     for (int x = 0; x < width; ++x) {
-      if (pixel(x, y) != above) absl::StrAppend(&line, ColorEscape(38, pixel(x, y), colours));
-      if (pixel(x, y + 1) != below) absl::StrAppend(&line, ColorEscape(48, pixel(x, y + 1), colours));
+      if (pixel(x, y) != above) absl::StrAppend(&line, ColorEscape(38, pixel(x, y), colors));
+      if (pixel(x, y + 1) != below) absl::StrAppend(&line, ColorEscape(48, pixel(x, y + 1), colors));
       above = pixel(x, y);
       below = pixel(x, y + 1);
       absl::StrAppend(&line, kUpperHalf);

@@ -64,9 +64,9 @@ View Cut(const View& view, int width, int height) {
 
 }  // namespace
 
-std::vector<std::string> PageRows(const View& view, int columns, int rows, Colours colours) {
+std::vector<std::string> PageRows(const View& view, int columns, int rows, Colors colors) {
   const View cut = Cut(view, columns, 2 * rows);
-  std::vector<std::string> page = HalfBlocks(cut.picture, cut.width, cut.height, colours);
+  std::vector<std::string> page = HalfBlocks(cut.picture, cut.width, cut.height, colors);
   page.resize(rows, std::string(cut.width, ' '));
   const int text_columns = std::max(0, columns - cut.width - kGapColumns);
   for (size_t i = 0; i < std::min(page.size(), view.lines.size()); ++i) {
@@ -90,7 +90,7 @@ absl::StatusOr<std::unique_ptr<Screen>> TerminalScreen::Open() {
   return absl::WrapUnique<Screen>(new TerminalScreen());
 }
 
-TerminalScreen::TerminalScreen() : colours_(ColoursOf(std::getenv("COLORTERM"), std::getenv("TERM"))) {
+TerminalScreen::TerminalScreen() : colors_(ColorsOf(std::getenv("COLORTERM"), std::getenv("TERM"))) {
   tcgetattr(STDIN_FILENO, &before_);
   termios raw = before_;
   raw.c_lflag &= ~static_cast<tcflag_t>(ICANON | ECHO | ISIG);
@@ -112,7 +112,7 @@ PictureRoom TerminalScreen::Room() const {
 
 absl::Status TerminalScreen::Show(const View& view) {
   const auto [columns, rows] = TerminalSize();
-  std::vector<std::string> page = PageRows(view, columns, rows, colours_);
+  std::vector<std::string> page = PageRows(view, columns, rows, colors_);
   std::string text;
   if (size_ != std::make_pair(columns, rows)) {
     absl::StrAppend(&text, "\x1b[2J");

@@ -19,7 +19,7 @@
 namespace craftfleet {
 
 // The rows of a page: the picture as half blocks, the text beside it, cut to `columns` and `rows`.
-std::vector<std::string> PageRows(const View& view, int columns, int rows, Colours colours = Colours::kTrue);
+std::vector<std::string> PageRows(const View& view, int columns, int rows, Colors colors = Colors::kTrue);
 
 // Keys arrive one by one without echo. The destructor restores the terminal and its content.
 class TerminalScreen : public Screen {
@@ -38,7 +38,7 @@ class TerminalScreen : public Screen {
  private:
   TerminalScreen();
 
-  const Colours colours_;
+  const Colors colors_;
   termios before_ = {};
   std::deque<Key> keys_;            // pressed and not read yet
   std::pair<int, int> size_;        // columns and rows when shown_ was drawn

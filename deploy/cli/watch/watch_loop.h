@@ -23,7 +23,7 @@ namespace craftfleet {
 
 // The agent of an episode.
 struct WatchedAgent {
-  std::string title;  // such as "ppo_cnn after 100,352 steps"
+  std::string title;  // such as "ppo_cnn, 100,352 steps"
   std::shared_ptr<const Policy> policy;
 };
 

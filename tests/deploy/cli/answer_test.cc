@@ -49,6 +49,7 @@ TEST(Answer, AnInvalidQuestionIsAnError) {
   EXPECT_THAT(error({{"config", "eval { env: 'tetris' }"}, {"check_envs", true}}), HasSubstr("eval.env: "));
   EXPECT_THAT(error({{"textures_in", "/nowhere"}}), HasSubstr("/nowhere"));
   EXPECT_THAT(error({{"what", 1}}), HasSubstr("not a question"));
+  EXPECT_THAT(error({{"config", 1}}), HasSubstr("must be string, but is number"));
   EXPECT_THAT(Answer("no JSON"), HasSubstr("not a JSON object"));
 }
 

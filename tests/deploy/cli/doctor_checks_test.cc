@@ -94,16 +94,16 @@ TEST(DoctorChecks, AGpuNeedsALibtorchWithCuda) {
   EXPECT_THAT(CheckGpu({{}, true, 0}), IsOk("none; LibTorch has CUDA"));
   EXPECT_THAT(CheckGpu({{"/dev/nvidia0", "/dev/nvidia1"}, true, 2}),
               IsOk("2 usable by LibTorch (/dev/nvidia0; /dev/nvidia1)"));
+  EXPECT_THAT(CheckGpu({{}, true, 1}), IsOk("1 usable by LibTorch"));
   EXPECT_THAT(CheckGpu({{"/dev/nvidia0"}, false, 0}), Warns("has no CUDA", "-DCRAFTFLEET_LIBTORCH=DIR"));
   EXPECT_THAT(CheckGpu({{"/dev/nvidia0"}, true, 0}), Fails("sees no GPU", "nvidia-smi"));
 }
 
 TEST(DoctorChecks, AGpuIsDescribedAsFarAsTheDriverKnowsIt) {
   GpuUsage usage = {"NVIDIA H100", 0, int64_t{80} << 30, 0, 90};
-  EXPECT_EQ(DescribeGpu("/dev/nvidia0", usage), "/dev/nvidia0: NVIDIA H100, 80.0 GiB, compute capability 9.0");
+  EXPECT_EQ(DescribeGpu(0, usage), "GPU 0: NVIDIA H100, 80.0 GiB, compute capability 9.0");
   usage.capability = 0;
-  EXPECT_EQ(DescribeGpu("/dev/nvidia0", usage), "/dev/nvidia0: NVIDIA H100, 80.0 GiB");
-  EXPECT_EQ(DescribeGpu("/dev/nvidia0", std::nullopt), "/dev/nvidia0");
+  EXPECT_EQ(DescribeGpu(1, usage), "GPU 1: NVIDIA H100, 80.0 GiB");
 }
 
 TEST(DoctorChecks, APortInUseFails) {

@@ -41,21 +41,21 @@ TEST(HalfBlocks, ColorsAreUnsigned) {
 
 TEST(HalfBlocks, TerminalsWithFewerColorsGetTheNearest) {
   const std::string picture("\xff\x80\x00\x41\x40\x42", 6);
-  EXPECT_THAT(HalfBlocks(picture, 1, 2, Colours::k256), ElementsAre("\x1b[38;5;208m\x1b[48;5;238m\u2580\x1b[0m"));
-  EXPECT_THAT(HalfBlocks(picture, 1, 2, Colours::k16), ElementsAre("\x1b[33m\x1b[100m\u2580\x1b[0m"));
-  EXPECT_THAT(HalfBlocks(std::string("\xff\xff\xff\x5c\x5c\xff", 6), 1, 2, Colours::k16),
+  EXPECT_THAT(HalfBlocks(picture, 1, 2, Colors::k256), ElementsAre("\x1b[38;5;208m\x1b[48;5;238m\u2580\x1b[0m"));
+  EXPECT_THAT(HalfBlocks(picture, 1, 2, Colors::k16), ElementsAre("\x1b[33m\x1b[100m\u2580\x1b[0m"));
+  EXPECT_THAT(HalfBlocks(std::string("\xff\xff\xff\x5c\x5c\xff", 6), 1, 2, Colors::k16),
               ElementsAre("\x1b[97m\x1b[104m\u2580\x1b[0m"));
-  EXPECT_THAT(HalfBlocks(std::string(6, '\0'), 1, 2, Colours::k256),
+  EXPECT_THAT(HalfBlocks(std::string(6, '\0'), 1, 2, Colors::k256),
               ElementsAre("\x1b[38;5;16m\x1b[48;5;16m\u2580\x1b[0m"));
 }
 
-TEST(Colours, AreThoseThatTheTerminalNames) {
-  EXPECT_EQ(ColoursOf("truecolor", "xterm"), Colours::kTrue);
-  EXPECT_EQ(ColoursOf("24bit", nullptr), Colours::kTrue);
-  EXPECT_EQ(ColoursOf(nullptr, "xterm-direct"), Colours::kTrue);
-  EXPECT_EQ(ColoursOf("", "screen-256color"), Colours::k256);
-  EXPECT_EQ(ColoursOf(nullptr, "linux"), Colours::k16);
-  EXPECT_EQ(ColoursOf("yes", nullptr), Colours::k16);
+TEST(Colors, AreThoseThatTheTerminalNames) {
+  EXPECT_EQ(ColorsOf("truecolor", "xterm"), Colors::kTrue);
+  EXPECT_EQ(ColorsOf("24bit", nullptr), Colors::kTrue);
+  EXPECT_EQ(ColorsOf(nullptr, "xterm-direct"), Colors::kTrue);
+  EXPECT_EQ(ColorsOf("", "screen-256color"), Colors::k256);
+  EXPECT_EQ(ColorsOf(nullptr, "linux"), Colors::k16);
+  EXPECT_EQ(ColorsOf("yes", nullptr), Colors::k16);
 }
 
 }  // namespace
