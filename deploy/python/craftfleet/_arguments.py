@@ -56,7 +56,7 @@ def texture_folder(textures: str | os.PathLike[str] | None) -> str:
       raise FileNotFoundError('textures "crafter": the package is not installed, want: pip install crafter')
     return str(pathlib.Path(found.submodule_search_locations[0]) / "assets")
   try:
-    folder = pathlib.Path(textures).expanduser()
+    folder = pathlib.Path(textures).expanduser().absolute()
   except TypeError:
     raise TypeError(f"textures {textures!r}, want None, 'crafter' or a folder") from None
   if folder.exists() and not folder.is_dir():

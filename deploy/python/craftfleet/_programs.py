@@ -36,8 +36,8 @@ def start(name: str, arguments: list[str], **options: Any) -> subprocess.Popen:
 def run(name: str, progress: bool, /, **values: Any) -> None:
   """Runs `craftfleet NAME` with flags() of the values to its end; shows its warnings and errors, and its progress if wanted.
 
-  ValueError: the program refused what it was given; RuntimeError: it failed later. Both have its words. KeyboardInterrupt stops the
-  program as Ctrl-C does, a second one at once, and is raised when it has ended.
+  ValueError: the program refused what it was given; RuntimeError: it failed later. Both carry its message. KeyboardInterrupt stops
+  the program as Ctrl-C does, a second one at once, and is raised when it has ended.
   """
   process = start(
       name, flags(**{"log_level": "warning", **values}), stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
@@ -134,6 +134,6 @@ class _Display:
     self._bar.refresh()
 
 
-def folder(path: str | os.PathLike[str]) -> pathlib.Path:
-  """The path without ~, absolute."""
+def absolute(path: str | os.PathLike[str]) -> pathlib.Path:
+  """The absolute path, with ~ expanded."""
   return pathlib.Path(path).expanduser().absolute()

@@ -16,7 +16,8 @@ class Env(Playable):
 
   Args:
     area: width and height of the world in cells, 4..250 each.
-    view: width and height of the picture in cells, with the inventory's rows: 1..63 each. One integer stands for both.
+    view: width and height of the picture in cells, up to 63: the height has the inventory's rows (2 with a width of 9) and at
+      least one more. One integer stands for both.
     size: width and height of observations in pixels, from 2 for each cell of the view to 2048.
     reward: whether step() returns rewards; info["reward"] always has them.
     length: steps after which an episode ends, up to 10^9; 0 or None: no limit.

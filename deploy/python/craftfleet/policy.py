@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import subprocess
@@ -17,7 +18,8 @@ class Policy:
   """The policy of a run's newest checkpoint, or of a checkpoint: `action = craftfleet.Policy("runs/first")(observation)`.
 
   It follows the games from call to call, because agents may have a state: pass every observation of each game in turn. It runs a
-  process of its own until close(). Use an object from one thread at a time. ValueError and RuntimeError have the program's words.
+  process of its own until close(), which an interrupted call does. Use an object from one thread at a time. ValueError and
+  RuntimeError carry the program's message.
 
   Attributes:
     agent: its name. env_steps: steps of training. frame_size: pixels of observations. has_memory: whether it needs rewards.
@@ -27,7 +29,7 @@ class Policy:
     self._games = 0
     self._errors = tempfile.TemporaryFile()  # pylint: disable=consider-using-with  # close() closes it
     self._process = _programs.start(
-        "policy", _programs.flags(checkpoint=_programs.folder(checkpoint), deterministic=deterministic, seed=seed),
+        "policy", _programs.flags(checkpoint=_programs.absolute(checkpoint), deterministic=deterministic, seed=seed),
         stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=self._errors)
     line = self._process.stdout.readline()
     if not line:
@@ -39,7 +41,7 @@ class Policy:
     self.has_memory: bool = about["has_memory"]
 
   def __call__(self, observations: Any, rewards: Any = None, starts: Any = None) -> Any:
-    """The action for an observation, uint8[H,W,3], or int64[n] for those of n games, uint8[n,H,W,3].
+    """The action for an observation, uint8[H,W,3], or int64[n] for those of n games, uint8[n,H,W,3]; n is 1..4096.
 
     Args:
       observations: of the same games in each call.
@@ -69,7 +71,8 @@ class Policy:
     self._process.kill()
     self._process.wait()
     for stream in (self._process.stdin, self._process.stdout, self._errors):
-      stream.close()
+      with contextlib.suppress(BrokenPipeError):  # of a request that is not sent
+        stream.close()
 
   def __enter__(self) -> Policy:
     return self
@@ -97,6 +100,9 @@ class Policy:
       answer = self._process.stdout.read(games)
     except BrokenPipeError:
       answer = b""
+    except BaseException:
+      self.close()  # an answer that comes later would be taken for that to the next request
+      raise
     if len(answer) != games:
       raise RuntimeError(self._failure())
     return np.frombuffer(answer, np.uint8).astype(np.int64)

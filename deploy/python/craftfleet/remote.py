@@ -51,18 +51,19 @@ class RemoteVectorEnv(gymnasium.vector.VectorEnv[np.ndarray, np.ndarray, np.ndar
   The interface is that of VectorEnv with autoreset_mode SAME_STEP, and lane i plays the same game. Observations are one array that
   each call overwrites. Servers don't send the picture of a death: final_obs has one only of truncated lanes, and of others with
   `details`. Use an object from one thread at a time: a call while another thread is in one raises RuntimeError. So does a call in a
-  forked process, which has no connections of its own.
+  forked process, which has no connections of its own. Ctrl-C during a call closes the object.
 
   Args:
     addresses: "host:port" of a server, or several, which share the lanes.
     num_envs: number of games.
     env, size, length, reward: as of craftfleet.Env; a server's worlds have 64x64 cells, and pictures are square.
-    details: whether infos have inventory, achievements, semantic and player_pos, at 17 KB a lane and step.
+    details: whether infos have inventory, achievements, semantic and player_pos, at 17 KB per lane and step.
     tls: files for TLS; None: none, for loopback and trusted networks.
     timeout: seconds that a server may take to answer, from 0.1.
 
   ConnectionError: a server cannot be reached or has ended; TimeoutError: it does not answer; PermissionError: it refuses this client;
-  ValueError: it refuses a request. After any of these, close() and make a new one.
+  ValueError: it refuses a request; RuntimeError: it is full, or has another version of the protocol. After any of these, close() and
+  make a new one.
   """
 
   def __init__(
@@ -140,6 +141,9 @@ class RemoteVectorEnv(gymnasium.vector.VectorEnv[np.ndarray, np.ndarray, np.ndar
       raise RuntimeError("another thread is in a call of this RemoteVectorEnv, want one at a time")
     try:
       yield
+    except KeyboardInterrupt:
+      self.close()  # a reply that comes later would be taken for that of the next request
+      raise
     finally:
       self._busy.release()
 

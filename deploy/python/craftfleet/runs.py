@@ -6,7 +6,6 @@ import dataclasses
 import json
 import os
 import pathlib
-import re
 import struct
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
@@ -14,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from craftfleet import _engine
-from craftfleet.analysis import logs
+from craftfleet.analysis import logs, runs as run_files
 
 if TYPE_CHECKING:
   import pandas
@@ -41,7 +40,7 @@ def score(path: str | os.PathLike[str]) -> Score:
     file = next((file / name for name in ("stats.jsonl", "stats.jsonl.gz") if (file / name).exists()), file / "stats.jsonl")
   file.stat()
   try:
-    episodes = logs.read_log(str(file), may_grow=True)
+    episodes = logs.read_log(str(file))
   except logs.Refusal as error:
     raise ValueError(str(error)) from None
   if not len(episodes):
@@ -57,11 +56,7 @@ def load_weights(run: str | os.PathLike[str]) -> dict[str, np.ndarray]:
   """
   path = pathlib.Path(run).expanduser()
   if (path / "checkpoints").is_dir():
-    # Beside checkpoints there may be what people put there, such as iter-00000010.bak.
-    found = [folder for folder in (path / "checkpoints").iterdir() if re.fullmatch(r"iter-[0-9]+", folder.name)]
-    if not found:
-      raise FileNotFoundError(f"{path / 'checkpoints'}: no checkpoint, want folders like iter-00000010")
-    path = max(found, key=lambda folder: int(folder.name[5:]))
+    path = run_files.newest_checkpoint(path)
   if path.is_dir():
     path = path / "weights.safetensors"
   content = path.read_bytes()

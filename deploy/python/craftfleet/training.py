@@ -22,7 +22,7 @@ class Run:
   """The folder of a run: `craftfleet.Run("runs/first")`. Each attribute reads it anew, also while the run is going on."""
 
   def __init__(self, folder: str | os.PathLike[str], evaluation: Score | None = None) -> None:
-    self.folder: pathlib.Path = _programs.folder(folder)
+    self.folder: pathlib.Path = _programs.absolute(folder)
     self.evaluation: Score | None = evaluation  # what evaluate() found
     if not (self.folder / "config.txt").exists():
       raise FileNotFoundError(f"{self.folder}: no run, want a folder with config.txt")
@@ -56,17 +56,17 @@ def train(
   """Trains an agent into the folder `logdir` and returns the run. Other flags of `craftfleet train --help` are taken too.
 
   Ctrl-C stops it with a checkpoint within seconds and raises KeyboardInterrupt; the same call with resume=True continues. ValueError:
-  the program refused an argument, with its words; RuntimeError: it failed later; FileNotFoundError and ModuleNotFoundError: the
-  programs or torch are missing.
+  the program refused an argument; RuntimeError: it failed later; both carry its message. FileNotFoundError and ModuleNotFoundError:
+  the programs or torch are missing.
   """
-  logdir = _programs.folder(logdir)
+  logdir = _programs.absolute(logdir)
   _programs.run("train", progress, agent=agent, env=env, steps=steps, seed=seed, lanes=lanes, resume=resume, logdir=logdir, **flags)
   return Run(logdir)
 
 
 def evaluate(
     run: Run | str | os.PathLike[str], *, episodes: int | None = None, env: str | None = None, seed: int | None = None,
-    deterministic: bool = False, progress: bool = True, **flags: Any) -> Run:
+    deterministic: bool = False, out: str | os.PathLike[str] | None = None, progress: bool = True, **flags: Any) -> Run:
   """Plays whole episodes with the newest checkpoint of a run. Returns the run with the result as its `evaluation`.
 
   Other flags of `craftfleet eval --help` are taken too, such as `video="videos"`. Stops and fails as train().
@@ -75,7 +75,7 @@ def evaluate(
     raise ValueError("protocol: it may have several results, and evaluate() returns one; run `craftfleet eval --protocol=final`")
   run = run if isinstance(run, Run) else Run(run)
   with tempfile.TemporaryDirectory(prefix="craftfleet-") as temporary:
-    file = pathlib.Path(temporary) / "result.json"
+    file = pathlib.Path(temporary) / "result.json" if out is None else _programs.absolute(out)
     _programs.run(
         "eval", progress, checkpoint=run.folder, episodes=episodes, env=env, seed=seed, deterministic=deterministic, out=file, **flags)
     result = json.loads(file.read_text(encoding="utf-8"))

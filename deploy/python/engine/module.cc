@@ -75,11 +75,6 @@ const World& WorldOf(const Lane& lane, const char* call) {
   return lane.world();
 }
 
-Action CheckedAction(int64_t action) {
-  if (action >= 0 && action < kNumActions) return static_cast<Action>(action);
-  throw nb::value_error(absl::StrCat("action ", action, ", want 0..", kNumActions - 1).c_str());
-}
-
 void DefineSetup(nb::module_& m) {
   nb::class_<Setup>(m, "Setup", "What the games of an environment have in common. Immutable; any thread may use it.")
       .def_static(
@@ -120,10 +115,10 @@ void DefineGame(nb::module_& m) {
           "frame"_a, "Starts the next episode and writes its first picture to `frame`, uint8[H, W, 3].")
       .def(
           "step",
-          [](Lane& lane, int64_t action, const Frame& frame) {
+          [](Lane& lane, int action, const Frame& frame) {
             WorldOf(lane, "step()");
             const StepOutcome outcome =
-                lane.Step(CheckedAction(action), SpanOf(frame, lane.setup()->renderer().frame_bytes()));
+                lane.Step(static_cast<Action>(action), SpanOf(frame, lane.setup()->renderer().frame_bytes()));
             return nb::make_tuple(outcome.reward, outcome.end == StepEnd::kTerminated,
                                   outcome.end == StepEnd::kTruncated);
           },
@@ -167,9 +162,6 @@ void DefineGame(nb::module_& m) {
       .def_prop_ro("setup", [](const Lane& lane) { return std::const_pointer_cast<Setup>(lane.setup()); })
       .def_prop_ro("seed", &Lane::seed)
       .def_prop_ro("started", &Lane::started)
-      .def_prop_ro("episode", [](const Lane& lane) { return lane.started() ? lane.world().episode() : 0; })
-      .def_prop_ro("steps", [](const Lane& lane) { return WorldOf(lane, "steps").step(); })
-      .def_prop_ro("daylight", [](const Lane& lane) { return WorldOf(lane, "daylight").daylight(); })
       .def_prop_ro("inventory", [](const Lane& lane) { return ListOf(WorldOf(lane, "inventory").player().inventory); })
       .def_prop_ro("achievements",
                    [](const Lane& lane) { return ListOf(WorldOf(lane, "achievements").player().achievements); })
@@ -211,9 +203,8 @@ void DefineBatch(nb::module_& m) {
       .value("SAME_STEP", Autoreset::kSameStep)
       .value("DISABLED", Autoreset::kDisabled);
 
-  const auto lanes_of = [](Batch& batch) { return static_cast<size_t>(batch.options().lanes); };
-  nb::class_<Batch>(m, "Batch", "Many games, stepped together on several threads without the GIL.")
-      .def(
+  nb::class_<Batch> type(m, "Batch", "Many games, stepped together on several threads without the GIL.");
+  type.def(
           "__init__",
           [](Batch* self, std::shared_ptr<Setup> setup, int lanes, int threads, Autoreset autoreset, bool reward,
              bool semantic) {
@@ -236,11 +227,6 @@ void DefineBatch(nb::module_& m) {
       .def(
           "step",
           [](Batch& batch, const Actions& actions) {
-            if (actions.shape(0) != static_cast<size_t>(batch.options().lanes)) {
-              throw nb::value_error(
-                  absl::StrCat(actions.shape(0), " actions, want one for each of ", batch.options().lanes, " lanes")
-                      .c_str());
-            }
             const absl::Span<const int64_t> row(actions.data(), actions.shape(0));
             absl::Status status;
             {
@@ -271,31 +257,21 @@ void DefineBatch(nb::module_& m) {
             });
           },
           "lane"_a, "size"_a, "frame"_a, "Draws a lane's moment again; the game does not change.")
-      .def("started", &Batch::started, "lane"_a)
-      .def_prop_ro("rows",
-                   [=](nb::handle_t<Batch> self) {
-                     auto& batch = nb::cast<Batch&>(self);
-                     return RowViews(batch.rows(), lanes_of(batch), batch.setup(), self);
-                   })
-      .def_prop_ro("final_rows",
-                   [=](nb::handle_t<Batch> self) {
-                     auto& batch = nb::cast<Batch&>(self);
-                     return RowViews(batch.final_rows(), lanes_of(batch), batch.setup(), self);
-                   })
-      .def_prop_ro("rewards",
-                   [=](nb::handle_t<Batch> self) {
-                     auto& batch = nb::cast<Batch&>(self);
-                     return View(batch.step_rewards(), {lanes_of(batch)}, self);
-                   })
-      .def_prop_ro("terminated",
-                   [=](nb::handle_t<Batch> self) {
-                     auto& batch = nb::cast<Batch&>(self);
-                     return View(batch.terminated(), {lanes_of(batch)}, self);
-                   })
-      .def_prop_ro("truncated", [=](nb::handle_t<Batch> self) {
-        auto& batch = nb::cast<Batch&>(self);
-        return View(batch.truncated(), {lanes_of(batch)}, self);
-      });
+      .def("started", &Batch::started, "lane"_a);
+
+  // A property whose value is what `view` makes of the batch, its lanes and the object that owns the arrays.
+  const auto add_view = [&type](const char* name, const auto& view) {
+    type.def_prop_ro(name, [view](nb::handle_t<Batch> self) {
+      auto& batch = nb::cast<Batch&>(self);
+      return view(batch, static_cast<size_t>(batch.options().lanes), self);
+    });
+  };
+  add_view("rows", [](Batch& b, size_t n, nb::handle self) { return RowViews(b.rows(), n, b.setup(), self); });
+  add_view("final_rows",
+           [](Batch& b, size_t n, nb::handle self) { return RowViews(b.final_rows(), n, b.setup(), self); });
+  add_view("rewards", [](Batch& b, size_t n, nb::handle self) { return View(b.step_rewards(), {n}, self); });
+  add_view("terminated", [](Batch& b, size_t n, nb::handle self) { return View(b.terminated(), {n}, self); });
+  add_view("truncated", [](Batch& b, size_t n, nb::handle self) { return View(b.truncated(), {n}, self); });
 }
 
 }  // namespace

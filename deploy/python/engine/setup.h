@@ -39,7 +39,7 @@ class Setup {
   // Of observations.
   const Renderer& renderer() const { return *renderer_; }
 
-  // For pictures of `size` pixels; the last ones are kept.
+  // For pictures of `size` pixels; up to eight are kept.
   //   InvalidArgument: a size out of its range.
   absl::StatusOr<std::shared_ptr<const Renderer>> RendererOf(Pair size) const ABSL_LOCKS_EXCLUDED(mu_);
 

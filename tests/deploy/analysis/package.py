@@ -15,11 +15,12 @@ RESULTS = SOURCE / "deploy/experiments/results"
 CONFIG = {"steps": 4000, "lanes": 10, "ppo": {"rollout_steps": 1000, "minibatch_size": 100}}
 
 os.environ["CRAFTFLEET_BIN"] = str(BIN)
+is_second = os.environ.pop("CRAFTFLEET_SECOND_PYTHON", None)
 sys.path.insert(0, str(SOURCE / "deploy/python/craftfleet"))
 try:
   from analysis import charts, runs  # noqa: F401  pylint: disable=unused-import
 except ImportError as error:
-  if os.environ.get("CRAFTFLEET_SECOND_PYTHON") or not os.path.exists(SYSTEM_PYTHON):
+  if is_second or not os.path.exists(SYSTEM_PYTHON):
     print(f"skipped: {error}")
     sys.exit(python_case.SKIPPED)
   os.environ["CRAFTFLEET_SECOND_PYTHON"] = "1"

@@ -8,12 +8,13 @@ import os
 import re
 import threading
 import unittest
+import unittest.mock
 
 from tests.deploy.analysis import package
 from tests.deploy.analysis.package import same_episodes, write_run
 from tests.fakes import python_case
 
-from analysis import experiments, figures, report, results, runs, tables, web_page
+from analysis import charts, experiments, figures, report, results, runs, tables, web_page
 from analysis._cli import Refusal
 
 # A table of two agents, a matrix of settings and agents, pairs: of 4,000 steps, like the sample runs.
@@ -62,6 +63,12 @@ def line(text, begin):
 
 class Report(package.Case):
 
+  def setUp(self):
+    super().setUp()
+    self.drawing = unittest.mock.patch.object(charts, "png", lambda figure: b"\x89PNG\r\n\x1a\n")  # drawing takes most of the time
+    self.drawing.start()
+    self.addCleanup(self.drawing.stop)
+
   def make(self):
     found, unreadable = runs.read_runs([str(self.folder)])
     self.assertEqual(unreadable, [])
@@ -90,6 +97,12 @@ class Report(package.Case):
     self.assertIn("| PPO-CNN | 2 | 9.3 ± 0.5 | 10.2 ± 1.7 [10.2, 10.2] | 6.4 ± 1.1 [6.4, 6.4] | 10.3 ± 0.6 | 9.0 ± 0.0", text)
     for measure, ours in (("training score", "9.0 ± 0.0"), ("evaluation score, sampled", "10.2 ± 1.7"), ("evaluation score, argmax", "6.4 ± 1.1")):
       self.assertRegex(text, rf"\| PPO-CNN \| {measure} \| {ours} \(n=2\) \| [\d.]+ ± [\d.]+ \(n=10\) \| [+-][\d.]+ \| ")
+
+  def test_a_measure_of_other_seeds_than_the_row_says_so(self):
+    for seed in (1, 2):
+      write_run(self.folder / f"a/seed{seed}", seed)
+    (self.folder / "a/seed1/eval_sampled.jsonl").write_text(same_episodes(10, 11))
+    self.assertIn("| PPO-CNN | 2 | 9.3 ± 0.5 | 9.0 [9.0, 9.0] (n=1) | - | 10.3 ± 0.6 | 9.0 ± 0.0 [9.0, 9.0] |", self.make()["report.md"])
 
   def test_steps_are_those_of_whole_iterations(self):
     write_run(self.folder / "a", 1, {"steps": 3500})
@@ -214,6 +227,7 @@ class Report(package.Case):
     self.assertIn("pairs-scores.png", pictures())
 
   def test_shows_every_picture_that_it_has_and_no_other(self):
+    self.drawing.stop()
     write_run(self.folder / "a/seed1", 1)
     write_run(self.folder / "b/seed1", 1, {"ppo": {"gamma": 0.5, "clip": 0.1}})
     write_run(self.folder / "c/seed1", 1, {"ppo": {"gamma": 0.6, "clip": 0.1}}, unlocked=12)

@@ -2,15 +2,20 @@
 
 import gzip
 import math
+import os
+import subprocess
+import sys
 import types
 import unittest
+import unittest.mock
 
 from tests.deploy.analysis import package
 from tests.deploy.analysis.package import same_episodes, write_run
 from tests.fakes import python_case
+from tests.fakes.python_case import BIN, SOURCE
 
 import analysis
-from analysis import curve, experiments, programs, runs, statistics
+from analysis import _cli, curve, experiments, programs, runs, statistics
 from analysis.logs import read_log
 from analysis.results import Group, group_runs, name_groups, short_names, spread_of_curves
 from analysis.statistics import Spread, spread_of
@@ -50,8 +55,7 @@ class Runs(package.Case):
     self.assertEqual((self.read().complete, self.read().steps), (True, 4000))
 
   def test_the_newest_checkpoint_decides_where_there_is_one(self):
-    (self.folder / "config.txt").write_text(python_case.SMALL_RUN)
-    self.run_program("craftfleet train", f"--config={self.folder}/config.txt", f"--logdir={self.folder}/run", "--threads=1")
+    python_case.trained_run(self.folder / "run", python_case.SMALL_RUN)
     self.assertEqual((self.read().steps, self.read().complete), (192, True))
     with (self.folder / "run/config.txt").open("a") as file:
       file.write("# more is wanted now\n")
@@ -72,7 +76,6 @@ class Runs(package.Case):
       return unreadable[0]
     for name, text, message in (
         ("stats.jsonl", same_episodes(2, 1) + '{"length": 3}\n', '/stats.jsonl:3: no number "reward"'),
-        ("stats.jsonl", same_episodes(2, 1) + '{"length": 3', "/stats.jsonl:3: the line is incomplete"),
         ("stats.jsonl", same_episodes(1, 1).replace('"length": 100', '"length": 0'), '/stats.jsonl:1: "length" is 0, want at least 1'),
         ("stats.jsonl", same_episodes(1, 1).replace("}", ', "more": 1}'), "/stats.jsonl:1: has 25 keys, want 24"),
         ("eval_argmax.jsonl", "nonsense\n", "/eval_argmax.jsonl:1: not a JSON object"),
@@ -84,6 +87,15 @@ class Runs(package.Case):
         (self.folder / "run" / other).unlink(missing_ok=True)
       (self.folder / "run" / name).write_text(text)
       self.assertIn(message, problem())
+
+  def test_a_line_that_is_being_written_is_left_out(self):
+    write_run(self.folder / "run", 1)
+    with (self.folder / "run/stats.jsonl").open("a") as file:
+      file.write('{"length": 3')
+    self.assertEqual(len(self.read().training), 40)
+    self.assertEqual(len(runs.read_curve(str(self.folder / "run"))), 40)
+    self.assertIn("/stats.jsonl:41: the line is incomplete",
+                  self.refusal(runs.save_result, str(self.folder / "run"), str(self.folder / "kept.npz")))
 
   def test_finds_each_run_in_or_below_the_folders_once_in_order(self):
     for name, seed in (("b/c/seed2", 2), ("b/c/seed1", 1), ("a", 1)):
@@ -111,7 +123,9 @@ class Results(package.Case):
     for field in ("config", "identity", "settings", "defaults", "texture_digest", "steps", "complete", "steps_to_train"):
       self.assertEqual(getattr(kept, field), getattr(run, field), field)
     for log in runs.LOGS:
-      self.assertEqual(kept.logs[log].jsonl(), (self.folder / f"run/{log}.jsonl").read_text())
+      episodes = read_log(str(self.folder / f"run/{log}.jsonl"))
+      for field in ("length", "tenths", "counts"):
+        self.assertEqual(getattr(kept.logs[log], field).tolist(), getattr(episodes, field).tolist(), (log, field))
     files = runs._read_result(str(self.folder / "kept.npz"))  # pylint: disable=protected-access
     self.assertEqual(files.config, (self.folder / "run/config.txt").read_text())
     self.assertEqual(files.run_json, (self.folder / "run/run.json").read_text())
@@ -121,8 +135,7 @@ class Results(package.Case):
 
   # Its only episode ends long before its last step, and there is no final evaluation.
   def test_a_result_file_has_the_progress_of_the_runs_checkpoint(self):
-    (self.folder / "config.txt").write_text(python_case.SMALL_RUN)
-    self.run_program("craftfleet train", f"--config={self.folder}/config.txt", f"--logdir={self.folder}/run", "--threads=1")
+    python_case.trained_run(self.folder / "run", python_case.SMALL_RUN)
     (self.folder / "run/stats.jsonl").write_text(same_episodes(1, 1, length=3))
     for log in runs.LOGS[1:]:
       (self.folder / f"run/{log}.jsonl").unlink(missing_ok=True)
@@ -141,21 +154,31 @@ class Results(package.Case):
       write_run(self.folder / name, 1)
       (self.folder / "kept").mkdir(exist_ok=True)
       runs.save_result(str(self.folder / name), str(self.folder / f"kept/{name}.npz"))
-    content = bytearray((self.folder / "kept/b.npz").read_bytes())
-    content[len(content) // 3] ^= 255
-    (self.folder / "kept/b.npz").write_bytes(content)
-    found, unreadable = runs.read_runs([str(self.folder / "kept")])
-    self.assertEqual([run.folder[-1] for run in found], ["a", "c"])
-    self.assertEqual(len(unreadable), 1)
-    self.assertIn("kept/b.npz", unreadable[0])
+    content = (self.folder / "kept/b.npz").read_bytes()
+    for at in (100, len(content) // 3, content.index(b"PK\1\2") + 10):  # compressed data; the method of the first entry
+      (self.folder / "kept/b.npz").write_bytes(content[:at] + bytes([content[at] ^ 255]) + content[at + 1:])
+      found, unreadable = runs.read_runs([str(self.folder / "kept")])
+      self.assertEqual([run.folder[-1] for run in found], ["a", "c"], at)
+      self.assertEqual(len(unreadable), 1)
+      self.assertIn("kept/b.npz", unreadable[0])
 
   def test_notebooks_get_tables(self):
     write_run(self.folder / "a", 1)
     table = analysis.load(str(self.folder))
     self.assertEqual((table["agent"][0], table["seed"][0], bool(table["complete"][0])), ("ppo_cnn", 1, True))
     self.assertAlmostEqual(table["train"][0], math.sqrt(101) - 1)
+    self.assertTrue(math.isnan(table["eval"][0]) and math.isnan(table["eval_argmax"][0]), "it has no evaluations")
     episodes = analysis.episodes(table["run"][0])
     self.assertEqual((len(episodes), episodes["length"][0], episodes["reward"][0], episodes["collect_coal"][0]), (40, 100, 11, 2))
+
+  def test_notebooks_are_told_what_cannot_be_read(self):
+    write_run(self.folder / "a", 1)
+    write_run(self.folder / "b", 1)
+    (self.folder / "b/config.txt").write_text("ppo { gamma: 2 }")
+    with self.assertWarnsRegex(UserWarning, "left out: .*/b/config.txt: ppo.gamma"):
+      self.assertEqual(len(analysis.load(str(self.folder))), 1)
+    with self.assertRaisesRegex(FileNotFoundError, "/nowhere: no such folder"):
+      analysis.load("/nowhere")
 
 
 def sample_run(folder, identity, seed, complete, score=0.0, curve_points=()):
@@ -397,12 +420,31 @@ axes = [
         ('experiments = [{ name = "t", base = { env.name = "tetris" } }]', 'env.name: environment "tetris"'),
         ('experiments = [{ name = "t", base = { eval.env = "tetris" } }]', 'eval.env: environment "tetris"'),
         ('experiments = [{ name = "t", milestones = [2, 1] }]', "milestones do not ascend"),
+        ('experiments = [{ name = "t", milestones = [1, "2"] }]', "milestones are [1, '2'], want numbers of environment steps"),
         ('experiments = [{ name = "t" ', "at end of document"), ('experiments {\n name: "t" }', "version 0.1 are in another format")):
       refused = self.refusal(self.parse, text)
       self.assertTrue(refused.startswith("file.toml: "), refused)
       self.assertIn(message, refused)
     twice = 'axes = [{ name = "x", choices = [{ name = "c" }, { name = "c" }] }]'
     self.assertIn('axis "x": choice "c" occurs twice', self.refusal(experiments.parse, twice, "f"))
+
+
+class CommandLine(package.Case):
+
+  def test_a_home_folder_is_found_in_every_word_of_a_list(self):
+    words = _cli.Flag("reference", "list", [], "").parse("craftfleet curve", "~/a.csv,b,~/c.csv")
+    self.assertEqual(words, [os.path.expanduser("~/a.csv"), "b", os.path.expanduser("~/c.csv")])
+
+  def test_an_empty_folder_of_programs_means_those_of_path(self):
+    with unittest.mock.patch.dict(os.environ, CRAFTFLEET_BIN="", PATH=f"{BIN}:{os.environ['PATH']}"):
+      self.assertEqual(programs.find("inspect")[0], [str(BIN / "craftfleet"), "inspect"])
+
+  def test_programs_that_need_torch_say_only_that(self):
+    (self.folder / "craftfleet_programs.py").write_text("def command(*_):\n  raise ModuleNotFoundError('needs torch 2.11', name='torch')\n")
+    environment = {name: value for name, value in os.environ.items() if name != "CRAFTFLEET_BIN"}
+    ended = subprocess.run([sys.executable, "-m", "analysis", "sweep", package.PAPER, "--list"], capture_output=True, text=True, check=False,
+                           env=environment | {"PYTHONPATH": f"{self.folder}:{SOURCE}/deploy/python/craftfleet"})
+    self.assertEqual((ended.returncode, ended.stderr), (1, "craftfleet sweep: needs torch 2.11\n"))
 
 
 class Statistics(unittest.TestCase):

@@ -1,12 +1,18 @@
 """Plans of craftfleet sweep, its child processes, and its array job."""
 
+import contextlib
+import errno
 import fcntl
+import io
 import os
 import pathlib
 import subprocess
 import sys
+import tempfile
 import threading
+import types
 import unittest
+import unittest.mock
 
 from tests.fakes import python_case
 from tests.fakes.python_case import BIN, SOURCE, built, wait_until
@@ -15,6 +21,7 @@ os.environ["CRAFTFLEET_BIN"] = str(BIN)
 sys.path.insert(0, str(SOURCE / "deploy/python/craftfleet"))
 
 from analysis import experiments, programs, slurm, sweep_jobs, sweep_plan  # noqa: E402  pylint: disable=wrong-import-position
+from analysis import sweep as sweep_command  # noqa: E402  pylint: disable=wrong-import-position
 from analysis._cli import Refusal  # noqa: E402  pylint: disable=wrong-import-position
 
 # Two cells of 128 steps.
@@ -24,24 +31,29 @@ FILE = python_case.SMALL_EXPERIMENT.replace("steps = 192", "steps = 128").replac
 name = "gamma"
 choices = [{ name = "a" }, { name = "b", config = { ppo.gamma = %s } }]
 """
-# Stands in for craftfleet train: appends its arguments to LOGDIR/starts, then trains. FAKE_TRAIN: "half": for half of the steps;
-# "wait": the same, then waits for SIGTERM; "fail2": seed 2 fails.
-FAKE_TRAIN = f"""#!/usr/bin/env python3
-import os, signal, subprocess, sys
+# Stands in for craftfleet train: appends its arguments to LOGDIR/starts, then makes the files that a sweep reads, with the checkpoints
+# of TRAINED. FAKE_TRAIN: "half": those of half of the steps; "wait": the same, then waits for SIGTERM; "fail2": seed 2 fails.
+FAKE_TRAIN = """#!/usr/bin/env python3
+import os, pathlib, shutil, signal, sys
 mode = os.environ.get("FAKE_TRAIN", "")
 flags = dict(word.lstrip("-").partition("=")[::2] for word in sys.argv[1:])
-with open(flags["logdir"] + "/starts", "a") as file:
+run = pathlib.Path(flags["logdir"])
+with open(run / "starts", "a") as file:
   file.write(" ".join(sys.argv[1:]) + "\\n")
 if mode == "fail2" and flags.get("seed") == "2":
   print("the last line says why\\n")
   sys.exit(3)
-half = mode in ("half", "wait")
-words = [f"--steps={{int(flags['steps']) // 2}}" if half and word.startswith("--steps=") else word for word in sys.argv[1:]]
 signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))
-code = subprocess.run(["{BIN}/craftfleet", "train", *words, "--threads=1"]).returncode
+if "resume" not in flags:
+  (run / "config.txt").write_text(pathlib.Path(flags["config"]).read_text() + f"seed: {flags['seed']}\\n")
+steps = int(flags["steps"]) // (2 if mode in ("half", "wait") else 1)
+(run / "checkpoints").mkdir(exist_ok=True)
+for checkpoint in [f"iter-{number:08}" for number in range(1, steps // 64 + 1)]:
+  if not (run / "checkpoints" / checkpoint).exists():  # at once, as the sweep may look any time
+    shutil.copytree(pathlib.Path(os.environ["TRAINED"]) / "checkpoints" / checkpoint, run / "copy")
+    (run / "copy").rename(run / "checkpoints" / checkpoint)
 if mode == "wait":
   signal.pause()
-sys.exit(code)
 """
 
 
@@ -59,6 +71,14 @@ class Lines:
 
 
 class Sweep(python_case.FolderCase):
+
+  @classmethod
+  def setUpClass(cls):
+    super().setUpClass()
+    temp = tempfile.TemporaryDirectory(prefix="craftfleet-")
+    cls.addClassCleanup(temp.cleanup)
+    os.environ["TRAINED"] = f"{temp.name}/run"
+    python_case.trained_run(os.environ["TRAINED"], python_case.SMALL_RUN, "--steps=128")
 
   def setUp(self):
     super().setUp()
@@ -118,6 +138,18 @@ class Sweep(python_case.FolderCase):
     self.assertIn("FAILED: t/a/seed2: exit code 3: the last line says why (", self.out.text)
     self.assertEqual(len(self.starts("b/seed3")), 1)
     self.assertIn("4 done, 0 running, 0 left, 2 failed", self.out.text)
+
+  def test_an_error_of_the_system_fails_one_run(self):
+    def check(job):
+      if job.name == "t/a/seed1":
+        raise OSError(errno.ENOMEM, "Cannot allocate memory")
+    made = self.make()
+    with unittest.mock.patch.object(sweep_jobs, "check_configuration", check):
+      self.assertEqual(self.fails(made), "1 of 2 runs failed")
+    self.assertIn("FAILED: t/a/seed1: Cannot allocate memory\n", self.out.text)
+    made._stages["t/a/seed1"] = "running"  # pylint: disable=protected-access
+    with unittest.mock.patch.object(programs, "ask", side_effect=OSError(errno.ENOMEM, "Cannot allocate memory")):
+      self.assertIn("1 done, 1 running", made._progress(0))  # pylint: disable=protected-access
 
   def test_stop_ends_its_runs_and_waits(self):
     self.set_mode("wait")
@@ -188,6 +220,12 @@ experiments = [{ name = "t", axes = [{ axis = "x" }, { axis = "y" }] }, { name =
       with self.assertRaises(Refusal) as caught:
         self.select(names, cells)
       self.assertEqual(str(caught.exception), message)
+
+  def test_a_list_looks_at_all_runs_at_once(self):
+    with unittest.mock.patch.object(programs, "ask", wraps=programs.ask) as ask, contextlib.redirect_stdout(io.StringIO()):
+      sweep_command._list(sweep_plan.select_cells(self.file, [], []),  # pylint: disable=protected-access
+                          types.SimpleNamespace(logdir=str(self.folder), seeds=2, steps=0))
+    self.assertEqual(ask.call_count, 1)
 
   def test_every_cell_is_run_once_with_each_seed(self):
     jobs = sweep_plan.plan(sweep_plan.select_cells(self.file, [], []), "/runs", 2, 5000, ["--threads=3"])
@@ -294,6 +332,7 @@ class Program(python_case.FolderCase):
     self.assertIn("4 done, 0 running, 0 left, 0 failed | 512/512 steps", self.sweep().stdout)
     folders = [self.folder / "runs/t" / cell / seed for cell in "ab" for seed in ("seed1", "seed2")]
     logs = [(folder / "log.txt").read_text() for folder in folders]
+    self.assertEqual(self.sweep("--list").stdout.count("2 of 2 done"), 2)
     again = self.sweep()
     self.assertIn("4 runs, of which 4 are done already", again.stdout)
     self.assertNotIn("begins", again.stdout)
@@ -323,17 +362,29 @@ class Program(python_case.FolderCase):
     self.sweep()
 
   def test_a_dry_run_only_prints_the_commands(self):
-    textures = SOURCE / "envserver/textures"
+    textures = self.folder / "two words"
+    textures.symlink_to(SOURCE / "envserver/textures")
     out = self.sweep("--dry_run", "--cell=b", "--threads=1", f"--textures={textures}").stdout
     self.assertIn(f"craftfleet train --config={self.folder}/runs/t/b/cell.txt --seed=2 --steps=128 "
-                  f"--logdir={self.folder}/runs/t/b/seed2 --threads=1 --textures={textures}\n", out)
+                  f"--logdir={self.folder}/runs/t/b/seed2 --threads=1 '--textures={textures}'\n", out)
     self.assertNotIn("/t/a/", out)
     self.assertFalse((self.folder / "runs").exists())
+
+  def test_sbatch_gets_its_flags_and_nothing_of_this_python(self):
+    (self.folder / "sbatch").write_text("#!/bin/sh\nprintf '[%s]' \"$@\"\nenv\n")
+    (self.folder / "sbatch").chmod(0o755)
+    ended = subprocess.run(
+        [*built("craftfleet sweep"), *self.arguments("--executor=slurm", "--slurm_flags=--comment='two words' --mem=8G")], capture_output=True,
+        text=True, check=False, env=os.environ | {"PATH": f"{self.folder}:{os.environ['PATH']}", "CRAFTFLEET_SECOND_PYTHON": "1"})
+    self.assertEqual(ended.returncode, 0, ended.stderr)
+    self.assertIn("[--comment=two words][--mem=8G][", ended.stdout)
+    self.assertNotIn("CRAFTFLEET_SECOND_PYTHON", ended.stdout)
 
   def test_bad_arguments_are_named(self):
     for program, arguments, error in (
         ("sweep", [], "name one file with experiments"), ("sweep", ["/nowhere.toml"], "/nowhere.toml"),
         ("sweep", [self.file], "--logdir is missing"), ("sweep", self.arguments("--jobs=0"), "--jobs=0, want 1..1000"),
+        ("sweep", self.arguments("--slurm_flags='"), "--slurm_flags=': No closing quotation"),
         ("sweep", self.arguments("--experiment=x"), "--experiment=x, want one of t"),
         ("report", ["--out=r"], "name at least one folder with runs"), ("report", ["/nowhere", "--out=r"], "/nowhere: no such folder"),
         ("report", [self.folder], "--out is missing"),

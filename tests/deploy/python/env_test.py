@@ -3,12 +3,14 @@
 import concurrent.futures
 import copy
 import multiprocessing
+import os
 import pickle
 import threading
 import warnings
 
 from tests.deploy.python import package
 from tests.fakes import python_case
+from tests.fakes.python_case import SOURCE
 
 package.need("craftfleet", "numpy")
 import craftfleet  # pylint: disable=wrong-import-position
@@ -101,6 +103,14 @@ class Env(package.PackageCase):
     rewards = [(env.step(6)[1], env.step(6)[3]["reward"]) for env in [started(reward=False)] for _ in range(100)]
     self.assertEqual({reward for reward, _ in rewards}, {0.0})
     self.assertNotEqual({reward for _, reward in rewards}, {0.0})
+
+  def test_textures_are_those_of_the_folder_where_it_was_made(self):
+    self.addCleanup(os.chdir, os.getcwd())
+    os.chdir(SOURCE / "envserver")
+    pickled = pickle.dumps(started(textures="textures"))
+    os.chdir("/")
+    self.assertEqual(pickle.loads(pickled).picture().tobytes(), started().picture().tobytes())
+    self.assert_refused(FileNotFoundError, "/textures", craftfleet.Env, textures="textures")
 
   def test_length_ends_an_episode_and_none_means_no_limit(self):
     ends = [started(length=length).step(0)[2] for length in (1, 2, None, 0)]

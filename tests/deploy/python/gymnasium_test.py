@@ -118,15 +118,26 @@ class Environment(package.PackageCase):
     self.assert_refused(ValueError, "seed -1, want 0..", env.reset, seed=-1)
     self.assert_refused(TypeError, "seed 'a', want an integer", env.reset, seed="a")
     self.assert_refused(ValueError, "render_mode 'human', want None or 'rgb_array'", craftfleet.GymnasiumEnv, render_mode="human")
-    self.assert_refused(ValueError, "render_size (0, 5)"[:11], craftfleet.GymnasiumEnv, render_size=(0, 5))
+    self.assert_refused(ValueError, "render_size[0] 0, want 1..", craftfleet.GymnasiumEnv, render_size=(0, 5))
     self.assert_refused(ValueError, 'unknown game "minecraft", want "crafter"', craftfleet.GymnasiumEnv, env="minecraft")
 
   def test_spawned_workers_find_the_environment_by_the_id_with_the_package(self):
     """As a user's script would do it; a worker that is spawned has imported nothing."""
     script = self.script("""
-        import gymnasium
+        import functools, gymnasium
         if __name__ == "__main__":
-          envs = gymnasium.make_vec("craftfleet:CraftFleet/Crafter-v1", 2, vectorization_mode="async", vector_kwargs={"context": "spawn"})
+          make = functools.partial(gymnasium.make, "craftfleet:CraftFleet/Crafter-v1")
+          envs = gymnasium.vector.AsyncVectorEnv([make] * 2, context="spawn")
+          print(envs.reset(seed=4)[0].shape)
+          envs.close()
+        """)
+    self.assertEqual(script.stdout, "(2, 64, 64, 3)\n", script.stderr)
+
+  def test_spawned_workers_of_make_vec_need_no_package(self):
+    script = self.script("""
+        import craftfleet, gymnasium
+        if __name__ == "__main__":
+          envs = gymnasium.make_vec("CraftFleet/Crafter-v1", 2, vectorization_mode="async", vector_kwargs={"context": "spawn"})
           print(envs.reset(seed=4)[0].shape)
           envs.close()
         """)

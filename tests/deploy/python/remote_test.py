@@ -241,6 +241,15 @@ class Remote(ServerCase):
         self.assert_refused(ConnectionError, text, envs.step, [0, 0])
         envs.close()
 
+  def test_an_interrupted_call_closes_it(self):
+    """Its reply is not taken for that of the next step."""
+    from craftfleet import remote  # pylint: disable=import-outside-toplevel
+    envs = self.connect(self.server()[1], 2)
+    envs.reset(seed=0)
+    with mock.patch.object(remote._Session, "receive", side_effect=KeyboardInterrupt):  # pylint: disable=protected-access
+      self.assert_refused(KeyboardInterrupt, "", envs.step, [0, 0])
+    self.assert_refused(RuntimeError, "is closed, want a new one", envs.step, [0, 0])
+
   def test_after_close_it_says_so(self):
     envs = self.connect(self.server()[1], 2)
     envs.reset(seed=0)

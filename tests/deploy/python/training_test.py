@@ -35,6 +35,9 @@ class Case(python_case.FolderCase):
   def train(self, name="run", **flags):
     return craftfleet.train(config=self.config, logdir=self.folder / name, progress=False, **flags)
 
+  def finished_run(self, *flags):
+    return craftfleet.Run(python_case.trained_run(self.folder / "run", SMALL_RUN, *flags))
+
 
 class Training(Case):
 
@@ -49,7 +52,7 @@ class Training(Case):
 
   def test_the_curves_are_those_of_tensorboard(self):
     from tensorboard.backend.event_processing import event_accumulator  # pylint: disable=import-outside-toplevel
-    curves = self.train().curves
+    curves = self.finished_run().curves
     board = event_accumulator.EventAccumulator(str(self.folder / "run"))
     board.Reload()
     self.assertEqual(set(curves.columns), set(board.Tags()["scalars"]))
@@ -66,7 +69,7 @@ class Training(Case):
                          ({"colour": "red"}, r"^unknown flag 'colour'")):
       with self.assertRaisesRegex(ValueError, words):
         self.train(**flags)
-    self.train()
+    self.finished_run()
     with self.assertRaisesRegex(ValueError, "--resume"):
       self.train()
     with self.assertRaisesRegex(FileNotFoundError, "no run, want a folder with config.txt"):
@@ -85,7 +88,7 @@ class Training(Case):
       self.train()
 
   def test_an_evaluation_that_is_killed_is_a_runtime_error(self):
-    run = self.train()
+    run = self.finished_run()
     flag = f"--episodes_npz={self.folder}/tables"
 
     def kill():
@@ -149,10 +152,12 @@ class Progress(Case):
 class Evaluation(Case):
 
   def test_an_evaluation_is_that_of_the_program(self):
-    run = self.train()
+    run = self.finished_run()
     evaluated = craftfleet.evaluate(run, episodes=3, seed=4, progress=False)
     self.run_program("craftfleet eval", f"--checkpoint={run.folder}", "--episodes=3", "--seed=4", f"--out={self.folder}/program.json")
     program = json.loads((self.folder / "program.json").read_text())
+    craftfleet.evaluate(run, episodes=3, seed=4, out=self.folder / "python.json", progress=False)
+    self.assertEqual(json.loads((self.folder / "python.json").read_text())["score"], program["score"])
     self.assertEqual((evaluated.score, evaluated.evaluation.reward, evaluated.evaluation.episodes),
                      (program["score"], program["reward"], 3))
     self.assertEqual(evaluated.evaluation.success_rates, program["success_percentages"])
@@ -180,30 +185,30 @@ class Policy(Case):
       self.assertEqual(actions, list(episode["action"][1:]), f"episode {number + 1}")
 
   def test_a_policy_plays_the_episodes_of_an_evaluation_again(self):
-    run = self.train()
+    run = self.finished_run()
     with run.policy(seed=7) as policy:
       self.assertEqual((policy.agent, policy.env_steps, policy.frame_size, policy.has_memory), ("ppo_cnn", 192, 64, False))
       self.assert_plays_them_again(policy, self.recorded(run))
 
   def test_the_most_probable_actions_are_those_of_the_program(self):
-    run = self.train()
+    run = self.finished_run()
     episodes = self.recorded(run, "--deterministic")
     with run.policy(deterministic=True) as policy:
       self.assert_plays_them_again(policy, episodes)
 
   def test_agents_with_a_state_follow_their_games(self):
-    for agent in ("lstm_cnn", "achievement_distillation"):
+    for agent in ("lstm_cnn", "cnn_distillation"):
       with self.subTest(agent):
         run = self.train(agent, agent=agent)
         episodes = self.recorded(run)
         with run.policy(seed=7) as policy:
-          self.assertEqual(policy.has_memory, agent == "achievement_distillation")
+          self.assertEqual(policy.has_memory, agent == "cnn_distillation")
           self.assert_plays_them_again(policy, episodes)
         for file in (self.folder / "tables").iterdir():
           file.unlink()
 
   def test_many_games_are_played_side_by_side(self):
-    run = self.train()
+    run = self.finished_run()
     episodes = self.recorded(run)
     steps = min(len(episode["action"]) for episode in episodes) - 1
     with run.policy(seed=7) as policy:
@@ -214,7 +219,7 @@ class Policy(Case):
   def test_a_policy_plays_games(self):
     envs = craftfleet.VectorEnv(3, length=15, autoreset_mode="SameStep")
     observations, _ = envs.reset(seed=0)
-    with self.train().policy() as policy:
+    with self.finished_run().policy() as policy:
       actions = policy(observations)
       for _ in range(40):
         observations, rewards, terminated, truncated, _ = envs.step(actions)
@@ -222,7 +227,7 @@ class Policy(Case):
         self.assertTrue(((actions >= 0) & (actions < 17)).all())
 
   def test_what_does_not_fit_is_refused(self):
-    run = self.train(agent="achievement_distillation")
+    run = self.finished_run("--agent=cnn_distillation")
     frame = np.zeros((64, 64, 3), np.uint8)
     with run.policy() as policy:
       for arguments, words in (((frame.astype(np.float32),), "observations are float32[64, 64, 3], want uint8[64, 64, 3]"),
@@ -232,7 +237,7 @@ class Policy(Case):
           policy(*arguments)
         self.assertIn(words, str(caught.exception))
       policy(frame)
-      for arguments, words in (((frame,), "achievement_distillation remembers achievements: pass the rewards"),
+      for arguments, words in (((frame,), "cnn_distillation remembers achievements: pass the rewards"),
                                ((np.stack([frame, frame]), 0), "observations of 2 games, want 1"),
                                ((frame, [0, 1]), "rewards has shape (2,), want (1,)")):
         with self.assertRaises(ValueError) as caught:
@@ -246,8 +251,19 @@ class Policy(Case):
     with self.assertRaisesRegex(ValueError, "weights.safetensors"):
       craftfleet.Policy(run.folder)
 
+  def test_an_interrupted_call_closes_the_policy(self):
+    """Its actions are not taken for those of the next call."""
+    policy, frame = self.finished_run().policy(), np.zeros((64, 64, 3), np.uint8)
+    process = policy._process  # pylint: disable=protected-access
+    process.stdout = unittest.mock.Mock(wraps=process.stdout)
+    process.stdout.read.side_effect = KeyboardInterrupt
+    with self.assertRaises(KeyboardInterrupt):
+      policy(frame)
+    with self.assertRaisesRegex(RuntimeError, "the policy is closed"):
+      policy(frame)
+
   def test_a_policy_ends_with_its_program(self):
-    policy = self.train().policy()
+    policy = self.finished_run().policy()
     pid = policy._process.pid  # pylint: disable=protected-access
     os.kill(pid, signal.SIGKILL)
     with self.assertRaisesRegex(RuntimeError, "craftfleet policy ended with exit code -9"):
@@ -258,7 +274,7 @@ class Policy(Case):
 class PolicyProgram(Case):
 
   def test_bad_requests_are_refused(self):
-    run = self.train()
+    run = self.finished_run()
     frame = bytes(1 + 4 + 64 * 64 * 3)
     one, two = (games.to_bytes(4, "little") for games in (1, 2))
     for request, words in ((b"", ""), (one + frame, ""), (b"\1", "the input ends within a request"),

@@ -1,4 +1,4 @@
-"""python -m craftfleet.analysis report|curve|sweep|top ...: the commands where only the Python package is installed.
+"""python -m craftfleet.analysis report|curve|sweep|top|collect ...: the commands where only the Python package is installed.
 
 The program craftfleet runs this file by its path, in a folder craftfleet_analysis.
 """
@@ -7,7 +7,7 @@ import importlib
 import os
 import sys
 
-COMMANDS = ("curve", "report", "sweep", "top")
+COMMANDS = ("collect", "curve", "report", "sweep", "top")
 SYSTEM_PYTHON = "/usr/bin/python3"
 
 
@@ -25,15 +25,17 @@ def main() -> int:
   if len(sys.argv) < 2 or sys.argv[1] not in COMMANDS:
     sys.exit(f"craftfleet.analysis: name a command: {', '.join(COMMANDS)}")
   name = sys.argv[1]
+  is_second = os.environ.pop("CRAFTFLEET_SECOND_PYTHON", None)  # not for the tasks of Slurm, whose first Python may be another
   try:
     return importlib.import_module(f"{package()}.{name}").main(sys.argv[2:])
   except ImportError as error:  # before the command has done anything
     # The packages of the distribution belong to its own Python, which need not be the first in PATH.
-    if not __package__ and os.path.exists(SYSTEM_PYTHON) and not os.environ.get("CRAFTFLEET_SECOND_PYTHON"):
+    if not __package__ and os.path.exists(SYSTEM_PYTHON) and not is_second:
       os.environ["CRAFTFLEET_SECOND_PYTHON"] = "1"
       os.execv(SYSTEM_PYTHON, [SYSTEM_PYTHON, *sys.argv])
-    print(f"craftfleet {name}: {error}; it needs Python 3.11 with NumPy and matplotlib: apt-get install python3-matplotlib, or "
-          "pip install matplotlib", file=sys.stderr)
+    needs = "" if error.name == "torch" else (
+        "; it needs Python 3.11 with NumPy and matplotlib: apt-get install python3-matplotlib, or pip install matplotlib")
+    print(f"craftfleet {name}: {error}{needs}", file=sys.stderr)
     return 1
 
 

@@ -40,6 +40,11 @@ def read_text(path: str) -> str:
     raise Refusal(reason(error) if isinstance(error, OSError) else f"{path}: not a text file: {error}") from None
 
 
+def _with_home(text: str) -> str:
+  """A shell expands "~/" at the start of a word only, so not in --out=~/report."""
+  return os.path.expanduser(text) if text == "~" or text.startswith("~/") else text
+
+
 @dataclasses.dataclass(frozen=True)
 class Flag:
   name: str
@@ -56,10 +61,8 @@ class Flag:
     if self.type == "integer":
       return self._integer(program, text)
     if self.type == "list":
-      return [word for word in text.split(",") if word]
-    # A shell expands "~/" at the start of a word only, so not in --out=~/report.
-    home = text == "~" or text.startswith("~/")
-    return os.path.expanduser(text) if home else text
+      return [_with_home(word) for word in text.split(",") if word]
+    return _with_home(text)
 
   def _integer(self, program: str, text: str) -> int:
     """A whole number; 1e6, 300k and 1M are some."""

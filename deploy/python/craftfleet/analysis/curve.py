@@ -25,7 +25,6 @@ FLAGS = [
          "columns: episodes, steps, ep_rew_mean100 and crafter_score_cum"),
 ]
 REFERENCE_COLUMNS = ("episodes", "steps", "ep_rew_mean100", "crafter_score_cum")
-_FEWEST_EPISODES = 10  # means over fewer are too noisy to draw
 
 
 @dataclasses.dataclass
@@ -93,8 +92,9 @@ def table(runs: list[NamedCurve], references: list[NamedCurve]) -> str:
 
 def drawn_points(curve, steps: int | None = None) -> slice:
   """The points that are drawn: from ten episodes on, if there are so many, up to `steps`."""
+  from .logs import FEWEST_EPISODES  # pylint: disable=import-outside-toplevel
   end = len(curve) if steps is None else _last_before(curve, steps) + 1
-  begin = int(curve.episodes.searchsorted(_FEWEST_EPISODES))
+  begin = int(curve.episodes.searchsorted(FEWEST_EPISODES))
   return slice(min(begin, end - 1), end)
 
 

@@ -167,6 +167,8 @@ def _experiment(axes: dict[str, Axis], fields: dict) -> Experiment:
   if combine not in _COMBINE:
     raise Refusal(f'combine is "{combine}", want one of {", ".join(_COMBINE)}')
   milestones = fields.get("milestones", [])
+  if not all(isinstance(steps, int) and steps > 0 for steps in milestones):
+    raise Refusal(f"milestones are {milestones!r}, want numbers of environment steps")
   if milestones != sorted(milestones):
     raise Refusal("milestones do not ascend")
   used = [_used_axis(axes, use) for use in fields.get("axes", [])]

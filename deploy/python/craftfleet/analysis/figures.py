@@ -9,6 +9,11 @@ from ._cli import Refusal, read_text
 HEADER = "table,cell,measure,at,mean,std,source"
 
 
+def mean_text(mean: float, deviation: float | None) -> str:
+  """"10.3 ± 0.6", "10.3"."""
+  return f"{mean:.1f}" if deviation is None else f"{mean:.1f} ± {deviation:.1f}"
+
+
 @dataclasses.dataclass(frozen=True)
 class Figure:
   table: str  # an experiment's name; "scale": other players and agents, for comparison
@@ -20,7 +25,7 @@ class Figure:
   source: str
 
   def text(self) -> str:
-    return f"{self.mean:.1f}" if self.deviation is None else f"{self.mean:.1f} ± {self.deviation:.1f}"
+    return mean_text(self.mean, self.deviation)
 
 
 class Figures:

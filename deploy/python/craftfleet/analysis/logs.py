@@ -18,6 +18,7 @@ ACHIEVEMENTS = (
     "make_stone_sword", "make_wood_pickaxe", "make_wood_sword", "place_furnace", "place_plant", "place_stone", "place_table",
     "wake_up")
 RECENT = 100  # episodes over which learning curves average the reward
+FEWEST_EPISODES = 10  # means over fewer are too noisy to draw
 _KEYS = ("length", "reward", *(f"achievement_{name}" for name in ACHIEVEMENTS))
 
 
@@ -86,13 +87,6 @@ class Episodes:
     begin = np.maximum(number - RECENT, 0)
     return Curve(number, np.cumsum(self.length), (sums[number] - sums[begin]) / (number - begin) / 10, crafter_score(rates))
 
-  def jsonl(self) -> str:
-    """The log that they were read from, byte for byte."""
-    lines = zip(self.length.tolist(), self.tenths.tolist(), self.counts.tolist())
-    return "".join(
-        f'{{"length": {length}, "reward": {tenths / 10:.1f}, ' +
-        ", ".join(f'"{key}": {count}' for key, count in zip(_KEYS[2:], counts)) + "}\n" for length, tenths, counts in lines)
-
 
 NO_EPISODES = Episodes(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros((0, len(ACHIEVEMENTS)), np.int64))
 
@@ -112,10 +106,10 @@ def _problem(episode: object) -> str:
   return "" if len(episode) == len(_KEYS) else f"has {len(episode)} keys, want {len(_KEYS)}"
 
 
-def read_log(path: str, may_grow: bool = False) -> Episodes:
-  """The episodes of a stats.jsonl, plain or gzipped; if it may grow, without a last line that is being written.
+def read_log(path: str, is_final: bool = False) -> Episodes:
+  """The episodes of a stats.jsonl, plain or gzipped, without a last line that is being written.
 
-  Refusal: it cannot be read, or has a line that is incomplete or no episode; names the line.
+  Refusal: it cannot be read, has a line that is no episode, or `is_final` and its last line is incomplete; names the line.
   """
   try:
     with open(path, "rb") as file:
@@ -135,7 +129,7 @@ def read_log(path: str, may_grow: bool = False) -> Episodes:
     if problem:
       raise Refusal(f"{path}:{number}: {problem}")
     rows.append([episode["length"], round(10 * episode["reward"]), *(episode[key] for key in _KEYS[2:])])
-  if lines[-1] and not may_grow:
+  if lines[-1] and is_final:
     raise Refusal(f"{path}:{len(lines)}: the line is incomplete")
   if not rows:
     return NO_EPISODES

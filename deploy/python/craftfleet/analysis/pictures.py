@@ -12,7 +12,7 @@ from . import charts
 from .logs import ACHIEVEMENTS
 from .figures import Figures
 from .results import MEASURES, SCORES, CellResult, ExperimentResult, SpreadCurve, curve_end, spread_of_curves
-from .statistics import Spread
+from .statistics import Spread, seeds_text
 from .tables import PAPER, PAPER_SEEDS
 
 _CELLS_OF_CHART = len(charts.COLORS)
@@ -249,8 +249,7 @@ def evaluation_picture(experiment: ExperimentResult, paper: Figures) -> Picture 
   figure, axes = charts.new_figure(4.6, 3)
   for number, (label, compared) in enumerate(series):
     place = np.array([rows.index(cell.choices[0]) for cell, _ in compared]) + 0.4 * ((number + 0.5) / len(series) - 0.5)
-    seeds = sorted({cell.over("eval").n for cell, _ in compared})
-    n = f"n={seeds[0]}" if len(seeds) == 1 else f"n={seeds[0]} to {seeds[-1]}"
+    n = seeds_text([cell.over("eval") for cell, _ in compared])
     color = charts.COLORS[number % len(charts.COLORS)]
     published = [figure for _, figure in compared]
     points = [(f"ours, sampled ({n})", "o", color, [cell.over("eval") for cell, _ in compared]),

@@ -19,7 +19,7 @@ def find(name: str) -> tuple[list[str], dict[str, str]]:
   if not given and importlib.util.find_spec("craftfleet_programs") is not None:
     import craftfleet_programs  # pylint: disable=import-outside-toplevel  # only wheels have it
     return craftfleet_programs.command("craftfleet", [name])
-  path = shutil.which("craftfleet", path=given)
+  path = shutil.which("craftfleet", path=given or None)
   if path is None:
     raise FileNotFoundError(
         f"craftfleet is not in {given or 'PATH'}: install a wheel that has the programs (deploy/wheel.sh), or put the folder of a "

@@ -12,14 +12,13 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from . import statistics
-from .logs import Episodes
+from .logs import FEWEST_EPISODES, Episodes
 from .experiments import Axis, Choice, Experiment
 from .runs import SUFFIX, Run
 from .statistics import Spread, spread_of
 
 OWN_RUNS = "other"  # the experiment of runs that fit no cell, and the name of its CSV file
 CURVE_POINTS = 200
-FEWEST_EPISODES = 10  # means over fewer are too noisy to draw
 
 
 @dataclasses.dataclass(frozen=True)

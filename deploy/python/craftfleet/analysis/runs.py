@@ -2,7 +2,7 @@
 
 A result file holds a run without its weights: NAME.npz, a NumPy archive compressed with LZMA, with the format's version, the
 texts of config.txt and run.json, the run's progress (steps, and whether it is complete), and each log as lengths, rewards in
-tenths and counts of achievements. It loses nothing: the logs come back byte for byte.
+tenths and counts of achievements. It loses nothing that the logs have.
 """
 
 from __future__ import annotations
@@ -11,7 +11,12 @@ import dataclasses
 import functools
 import io
 import json
+import lzma
+import math
 import os
+import pathlib
+import re
+import warnings
 import zipfile
 
 import numpy as np
@@ -23,6 +28,8 @@ from .logs import ACHIEVEMENTS, NO_EPISODES, Curve, Episodes, find_log, read_log
 LOGS = ("stats", "eval_argmax", "eval_sampled", "final_argmax", "final_sampled")
 SUFFIX = ".npz"
 _VERSION = 1
+# What NumPy and zipfile raise; RuntimeError: an entry that seems to be encrypted, or of a method that they don't have.
+_DAMAGED = (OSError, ValueError, KeyError, EOFError, RuntimeError, lzma.LZMAError, zipfile.BadZipFile)
 
 
 @dataclasses.dataclass
@@ -100,14 +107,14 @@ class _Files:
       raise Refusal(f'{path}: no "texture_digest", want the digest of the textures') from None
 
 
-def _read_folder(folder: str) -> _Files:
+def _read_folder(folder: str, is_final: bool = False) -> _Files:
   config = read_text(os.path.join(folder, "config.txt"))
   run_json = os.path.join(folder, "run.json")
   run_text = read_text(run_json) if os.path.exists(run_json) else None
   if not find_log(folder, "stats.jsonl"):
     raise Refusal(f"{folder}: not a run folder: it has no stats.jsonl")
   paths = {log: find_log(folder, f"{log}.jsonl") for log in LOGS}
-  return _Files(folder, config, run_text, {log: read_log(path) if path else NO_EPISODES for log, path in paths.items()}, True)
+  return _Files(folder, config, run_text, {log: read_log(path, is_final) if path else NO_EPISODES for log, path in paths.items()}, True)
 
 
 def _read_result(path: str) -> _Files:
@@ -122,7 +129,7 @@ def _read_result(path: str) -> _Files:
                                arrays[f"{log}_achievements"].T.astype(np.int64))
       texts = {name: arrays[name].tobytes().decode() if name in arrays else None for name in ("config", "run")}
       progress = (int(arrays["steps"]), bool(arrays["complete"])) if "steps" in arrays else None
-  except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
+  except _DAMAGED as error:
     raise Refusal(reason(error) if isinstance(error, OSError) and error.filename else f"{path}: {error}") from None
   return _Files(path.removesuffix(SUFFIX), texts["config"], texts["run"], logs, False, progress)
 
@@ -139,7 +146,7 @@ def _smallest(values: np.ndarray) -> np.ndarray:
 
 def save_result(folder: str, path: str) -> None:
   """Writes the result file `path` of the run in `folder`.   Refusal: the run cannot be read; OSError: `path` cannot be written."""
-  files = _read_folder(folder)
+  files = _read_folder(folder, is_final=True)
   problems: list[str] = []
   understood = _understand([files], problems)
   if problems:
@@ -165,14 +172,27 @@ def save_result(folder: str, path: str) -> None:
 # Finding and understanding runs.
 
 
+def newest_checkpoint(folder: str | os.PathLike[str]) -> pathlib.Path:
+  """FileNotFoundError: the run has none."""
+  checkpoints = pathlib.Path(folder) / "checkpoints"
+  # Beside checkpoints there may be what people put there, such as iter-00000010.bak.
+  found = [path for path in checkpoints.iterdir() if re.fullmatch(r"iter-[0-9]+", path.name)]
+  if not found:
+    raise FileNotFoundError(f"{checkpoints}: no checkpoint, want folders like iter-00000010")
+  return max(found, key=lambda path: int(path.name[5:]))
+
+
 def _is_run_folder(folder: str) -> bool:
   return os.path.exists(os.path.join(folder, "config.txt")) and bool(find_log(folder, "stats.jsonl"))
 
 
 def _is_result(path: str) -> bool:
   try:
-    return path.endswith(SUFFIX) and "craftfleet_run.npy" in zipfile.ZipFile(path).namelist()
-  except (OSError, zipfile.BadZipFile):
+    if not path.endswith(SUFFIX):
+      return False
+    with zipfile.ZipFile(path) as archive:
+      return "craftfleet_run.npy" in archive.namelist()
+  except _DAMAGED:
     return False
 
 
@@ -277,13 +297,27 @@ def read_curve(path: str) -> Curve:
 
 
 def load(*folders: str):
-  """A pandas.DataFrame with a row for each run in and below `folders`: its settings and scores."""
+  """A pandas.DataFrame with a row for each run in and below `folders`: its settings and scores; NaN: no such episodes.
+
+  A run that cannot be read is left out with a warning.   FileNotFoundError: a folder does not exist.
+  """
   import pandas as pd  # pylint: disable=import-outside-toplevel
-  runs, _ = read_runs(list(folders))
+  from .results import MEASURES  # pylint: disable=import-outside-toplevel
+  try:
+    runs, unreadable = read_runs(list(folders))
+  except Refusal as error:
+    raise FileNotFoundError(str(error)) from None
+  for problem in unreadable:
+    warnings.warn(f"left out: {problem}", stacklevel=2)
+
+  def value(run: Run, measure: str) -> float:
+    of_run = MEASURES[measure].of(run)
+    return math.nan if of_run is None else of_run
+
   return pd.DataFrame([{
       "folder": run.folder, "agent": run.agent, "env": run.env, "eval_env": run.eval_env or run.env, "seed": run.seed,
-      "steps": run.steps, "complete": run.complete, "train": run.training.score, "eval": run.logs["eval_sampled"].score,
-      "eval_argmax": run.logs["eval_argmax"].score, "reward": run.training.recent_reward, "unlocked": run.training.unlocked,
+      "steps": run.steps, "complete": run.complete, "train": value(run, "train"), "eval": value(run, "eval"),
+      "eval_argmax": value(run, "eval_argmax"), "reward": value(run, "reward_last100"), "unlocked": run.training.unlocked,
       "run": run} for run in runs])
 
 

@@ -12,6 +12,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from .figures import mean_text
 from .logs import Episodes, crafter_score
 
 FEWEST_SEEDS = 3  # for a bootstrap over seeds
@@ -30,9 +31,7 @@ class Spread:
 
   def text(self) -> str:
     """"10.3 ± 0.6"; "10.3" with one seed, "-" with none."""
-    if self.n == 0:
-      return "-"
-    return f"{self.mean:.1f}" if self.deviation is None else f"{self.mean:.1f} ± {self.deviation:.1f}"
+    return mean_text(self.mean, self.deviation) if self.n else "-"
 
 
 def spread_of(values: Sequence[float]) -> Spread:
@@ -40,6 +39,12 @@ def spread_of(values: Sequence[float]) -> Spread:
     return Spread()
   deviation = float(np.std(values, ddof=1)) if len(values) > 1 else None
   return Spread(len(values), float(np.mean(values)), deviation)
+
+
+def seeds_text(spreads: Sequence[Spread]) -> str:
+  """Their numbers of seeds: "n=3", "n=1 to 5"."""
+  seeds = sorted({spread.n for spread in spreads})
+  return f"n={seeds[0]}" if len(seeds) == 1 else f"n={seeds[0]} to {seeds[-1]}"
 
 
 def interval_over_seeds(values: Sequence[float]) -> tuple[float, float]:

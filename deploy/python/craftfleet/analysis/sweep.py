@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import os
+import shlex
 import signal
 import sys
+from collections import Counter
 
 from . import _cli, experiments, programs, slurm
 from ._cli import Flag, Refusal, in_range
@@ -33,7 +35,8 @@ FLAGS = [
     Flag("jobs", "integer", 1, "runs at a time, 1..1000"),
     Flag("steps", "integer", 0, "environment steps of each run, for a trial: 100000 or 100k; 0: those of the experiment"),
     Flag("list", "bool", False, "only list the cells; with --logdir also the number of their finished runs"),
-    Flag("dry_run", "bool", False, "only print the commands that would be run, or with --executor=slurm the script"),
+    Flag("dry_run", "bool", False, "only print the commands that would be run, or with --executor=slurm the script\n"
+         "the files of their --config are written by a sweep without this flag"),
     Flag("executor", "string", "local", "where to run: local (processes on this machine) or slurm (one array job)\n"
          "tasks that Slurm preempts are requeued and resume"),
     Flag("threads", "integer", 0, "threads of each run; 0: the CPU quota divided among --jobs\nwith --executor=slurm 0 means 1"),
@@ -62,11 +65,14 @@ def _handle_signals(sweep: Sweep) -> None:
 
 
 def _list(cells: list[Cell], flags) -> None:
+  done: Counter[str] = Counter()
+  if flags.logdir:
+    jobs = plan(cells, flags.logdir, flags.seeds, flags.steps)
+    done.update(os.path.dirname(job.folder) for job, state in zip(jobs, states_or_none(jobs)) if state.finished)
   for cell in cells:
     line = f"{f'{cell.experiment}/{cell.name}':48} {cell.steps:9d} steps"
     if flags.logdir:
-      done = sum(state.finished for state in states_or_none(plan([cell], flags.logdir, flags.seeds, flags.steps)))
-      line += f"   {done} of {flags.seeds} done"
+      line += f"   {done[os.path.join(flags.logdir, cell.folder)]} of {flags.seeds} done"
     print(line + (f"   as {cell.folder}" if cell.folder != f"{cell.experiment}/{cell.name}" else ""))
   print(f"{len(cells)} cells")
 
@@ -110,7 +116,7 @@ def _run_on_slurm(file: str, flags, jobs: list[Job]) -> None:
   write_file("--logdir", path, script)
   print(f"unfinished runs: {len(unfinished)}; logs will be in {logs}", flush=True)
   try:
-    os.execvp("sbatch", ["sbatch", *flags.slurm_flags.split(), path])
+    os.execvp("sbatch", ["sbatch", *flags.slurm_flags, path])
   except OSError as error:
     raise Refusal(f"cannot start sbatch: {error.strerror}; submit {path} on a machine with Slurm") from None
 
@@ -122,6 +128,10 @@ def _check_flags(flags) -> None:
   in_range("steps", flags.steps, 0, 10**12)
   if flags.executor not in ("local", "slurm"):
     raise Refusal(f"--executor={flags.executor}, want local or slurm")
+  try:
+    flags.slurm_flags = shlex.split(flags.slurm_flags)
+  except ValueError as error:
+    raise Refusal(f"--slurm_flags={flags.slurm_flags}: {error}") from None
 
 
 def _jobs(cells: list[Cell], flags) -> list[Job]:
@@ -156,7 +166,7 @@ def _run(flags, arguments: list[str]) -> int:
   elif flags.dry_run:
     for job, state in zip(jobs, states_or_none(jobs)):
       if not state.finished:
-        print("craftfleet train " + " ".join(job.resume if state.begun else job.start))
+        print(shlex.join(["craftfleet", "train", *(job.resume if state.begun else job.start)]))
   else:
     sweep = Sweep(jobs, *programs.find("train"), flags.jobs)
     _handle_signals(sweep)

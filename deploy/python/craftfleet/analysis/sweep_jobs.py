@@ -144,9 +144,9 @@ class Sweep:
     self._stages[job.name] = "running"
     try:
       is_done = self._train_to_the_end(job)
-    except Refusal as error:
+    except (Refusal, OSError) as error:
       self._stages[job.name] = "failed"
-      self._print(f"FAILED: {job.name}: {error}")
+      self._print(f"FAILED: {job.name}: {reason(error)}")
       return
     self._stages[job.name] = "done" if is_done else "left"
     if is_done:
@@ -209,7 +209,10 @@ class Sweep:
 
   def _progress(self, begun: float) -> str:
     running = [job for job in self._jobs if self._stages[job.name] == "running"]
-    now = {job.name: state.steps for job, state in zip(running, states(running)) if isinstance(state, State)}
+    try:
+      now = {job.name: state.steps for job, state in zip(running, states(running)) if isinstance(state, State)}
+    except OSError:
+      now = {}  # no reason to stop runs
     total = reached = gained = 0
     for job in self._jobs:
       steps = job.steps if self._stages[job.name] == "done" else min(now.get(job.name, self._first_steps[job.name]), job.steps)

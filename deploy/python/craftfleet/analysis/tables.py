@@ -11,7 +11,7 @@ import numpy as np
 
 from . import statistics
 from .logs import ACHIEVEMENTS
-from .figures import Figure, Figures
+from .figures import Figure, Figures, mean_text
 from .results import MEASURES, SCORES, CellResult, ExperimentResult, Group, curve_end, spread_of_curves
 from .runs import Run
 from .statistics import Spread
@@ -32,13 +32,9 @@ def folded(summary: str, text: str) -> str:
   return f"<details><summary>{summary}</summary>\n\n{text}</details>\n\n"
 
 
-def evaluated_measure(measure: str) -> str:
-  """The measure of published figures to compare with: the paper does not say how actions were chosen in evaluation."""
-  return "eval" if measure == "eval_argmax" else measure
-
-
 def _figure(paper: Figures, experiment: str, cell: str, measure: str, at: int = 0) -> Figure | None:
-  return paper.find(experiment, cell, evaluated_measure(measure), at)
+  """The published figure to compare with: the paper does not say how actions were chosen in evaluation."""
+  return paper.find(experiment, cell, "eval" if measure == "eval_argmax" else measure, at)
 
 
 def _over_paper(ours: str, figure: Figure | None) -> str:
@@ -87,7 +83,8 @@ def _row_table(experiment: ExperimentResult, first_column: str, cells: list[Cell
         row.append(figure.text() if figure else "")
     header.append(MEASURES[measure].label)
     for cell, row in zip(cells, rows):
-      row.append(_ours(cell, measure, with_seeds=False) if measure == "eval" or cell.is_complete else "")
+      with_seeds = cell.over(measure).n != cell.over("train").n  # unlike the column "seeds"
+      row.append(_ours(cell, measure, with_seeds) if measure == "eval" or cell.is_complete else "")
   for measure in ("reward", "reward_last100", "unlocked"):
     header.append(MEASURES[measure].label)
     for cell, row in zip(cells, rows):
@@ -119,9 +116,7 @@ def _average(column: list[CellResult], measure: str) -> str:
     return f"{len(spreads)} of {len(column)} rows have runs"
   deviations = [spread.deviation for spread in spreads if spread.deviation is not None]
   deviation = float(np.mean(deviations)) if len(deviations) == len(column) else None
-  seeds = sorted({spread.n for spread in spreads})
-  n = f"n={seeds[0]}" if len(seeds) == 1 else f"n={seeds[0]} to {seeds[-1]}"
-  return f"{Spread(1, float(np.mean([spread.mean for spread in spreads])), deviation).text()} ({n} each)"
+  return f"{mean_text(float(np.mean([spread.mean for spread in spreads])), deviation)} ({statistics.seeds_text(spreads)} each)"
 
 
 def _is_shown(cells: Sequence[CellResult], with_runs: bool) -> bool:
