@@ -73,7 +73,7 @@ if [ "$suites" = release ]; then
 else
   deploy/install-deps.sh --tests --developer
 fi
-# Tests that are selected by name have ctest entries of their own; otherwise there is one for each source.
+# Tests that are selected by name have ctest entries of their own; otherwise one runs many.
 by_program=ON
 [ $# -eq 0 ] || by_program=OFF
 for suite in ${suites//,/ }; do

@@ -2,12 +2,14 @@
 
 #include <algorithm>
 #include <cmath>
+#include <map>
 #include <numeric>
 #include <optional>
 #include <string>
 #include <vector>
 
 #include <ATen/ATen.h>
+#include <absl/strings/str_cat.h>
 #include <gmock/gmock.h>
 #include <google/protobuf/text_format.h>
 #include <gtest/gtest.h>
@@ -28,6 +30,14 @@ using testing::Each;
 using testing::FloatNear;
 using testing::HasSubstr;
 
+// InitialWeights, made once for each agent and network.
+const std::vector<float>& WeightsOf(const AgentSpec& spec, const std::string& agent, const std::string& network) {
+  static auto* const known = new std::map<std::string, std::vector<float>>;
+  std::vector<float>& weights = (*known)[absl::StrCat(agent, " ", network)];
+  if (weights.empty()) weights = InitialWeights(spec, 1);
+  return weights;
+}
+
 // An agent with initial weights, which a test may change, and frames for it.
 struct SampleAgent {
   explicit SampleAgent(const std::string& agent, const std::string& network = "") {
@@ -35,7 +45,7 @@ struct SampleAgent {
     config.set_agent(agent);
     EXPECT_TRUE(google::protobuf::TextFormat::ParseFromString(network, config.mutable_network()));
     spec = *MakeAgentSpec(config);
-    weights = InitialWeights(spec, 1);
+    weights = WeightsOf(spec, agent, network);
   }
 
   absl::Span<float> Param(const std::string& name) {
@@ -70,11 +80,11 @@ TEST(Attention, IsADistributionOverPatchesForAgentsThatHaveIt) {
     const v1::NetworkConfig network = *ResolveNetwork(config);
     if (network.objects() == v1::NetworkConfig::NO_OBJECTS) {
       if (network.extractor() == v1::NetworkConfig::SPCNN) continue;  // 540 MB of weights, and the same error
-      const SampleAgent sample(name);
-      const auto policy = *Policy::Create(sample.spec, SaveWeights(sample.spec, sample.weights), 1);
-      EXPECT_THAT(policy->Attention(GoldenFrames(3, 1, sample.spec.frame_size)),
+      const AgentSpec spec = *MakeAgentSpec(config);
+      const auto policy = *Policy::Create(spec, SaveWeights(spec, std::vector<float>(spec.param_count)), 1);
+      EXPECT_THAT(policy->Attention(GoldenFrames(3, 1, spec.frame_size)),
                   StatusIs(absl::StatusCode::kInvalidArgument,
-                           "agent " + name + " has no attention to show; oc_sa and oc_ca have"));
+                           "agent " + name + " has no attention to show; only oc_sa and oc_ca do"));
       continue;
     }
     const AttentionMap map = SampleAgent(name).Look();

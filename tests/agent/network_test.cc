@@ -63,7 +63,7 @@ TEST(AgentSpec, ParametersAreContiguous) {
   EXPECT_EQ(offset, spec.param_count);
 }
 
-class Ablation : public testing::TestWithParam<const char*> {};
+class Ablation : public testing::TestWithParam<std::string> {};
 
 TEST_P(Ablation, LearnsEveryParameterAndStartsNearlyUniform) {
   SetUpTorchThread();
@@ -81,16 +81,19 @@ TEST_P(Ablation, LearnsEveryParameterAndStartsNearlyUniform) {
   }
 }
 
+constexpr char kSmall[] = " frame_size: 24 patch: 8 stride: 8";
+
 INSTANTIATE_TEST_SUITE_P(OcCa, Ablation,
-                         testing::Values("frame_size: 40 slots: 1", "frame_size: 40 slots: 16",
-                                         "frame_size: 40 heads: 1", "frame_size: 40 heads: 16",
-                                         "frame_size: 24 patch: 1 stride: 1", "frame_size: 24 patch: 8 stride: 8",
+                         testing::Values(absl::StrCat("slots: 1", kSmall), absl::StrCat("slots: 16", kSmall),
+                                         absl::StrCat("heads: 1", kSmall), absl::StrCat("heads: 16", kSmall),
+                                         "frame_size: 24 patch: 1 stride: 1", kSmall,
                                          "frame_size: 24 patch: 12 stride: 8", "frame_size: 24 patch: 12 stride: 12",
-                                         "frame_size: 24 patch: 16 stride: 8", "frame_size: 40 residual_mlp: true",
-                                         "frame_size: 40 layer_norm: true",
-                                         "frame_size: 40 residual_mlp: true layer_norm: true",
-                                         "frame_size: 40 slot_competition: true", "frame_size: 64",
-                                         "frame_size: 40 recurrent: true critic: LINEAR"));
+                                         "frame_size: 24 patch: 16 stride: 8",
+                                         absl::StrCat("residual_mlp: true", kSmall),
+                                         absl::StrCat("layer_norm: true", kSmall),
+                                         absl::StrCat("residual_mlp: true layer_norm: true", kSmall),
+                                         absl::StrCat("slot_competition: true", kSmall), "frame_size: 64",
+                                         absl::StrCat("recurrent: true critic: LINEAR", kSmall)));
 
 TEST(CutPatches, AreInRowOrderAndFlattenedByChannel) {
   // Value 100 c + 10 y + x of a 2-channel 5x5 map.
@@ -172,8 +175,15 @@ TEST(Network, DropoutChangesOnlyUpdatesOfOcSa) {
 
 // The output of OC-SA for four patches, and for the same with the first two swapped.
 std::pair<at::Tensor, at::Tensor> BeforeAndAfterSwap(bool positions) {
+  v1::NetworkConfig config;
+  config.set_frame_size(4);
+  config.set_patch(2);
+  config.set_stride(2);
+  config.set_heads(8);
+  config.set_cls_learned(true);
+  config.set_positions(positions);
   ParamList params;
-  const SelfAttention part("sa", {4, 2, 2, 8, true, positions, 0}, &params);
+  const SelfAttention part("sa", config, &params);
   at::manual_seed(4);
   ParamTensors tensors;
   for (const ParamSpec& param : params.specs()) tensors.tensors.push_back(at::randn(param.shape) * 0.1);

@@ -26,8 +26,8 @@ std::unique_ptr<const Policy> GoldenPolicy(int tile) {
   return *Policy::Create(spec, SaveWeights(spec, GoldenWeights(spec, ReadGolden("ppo_cnn.json"))), tile);
 }
 
-std::unique_ptr<const Policy> InitialPolicy(const AgentSpec& spec, int tile, const std::string& device = "cpu") {
-  return *Policy::Create(spec, SaveWeights(spec, InitialWeights(spec, 1)), tile, device);
+std::unique_ptr<const Policy> InitialPolicy(const AgentSpec& spec, int tile) {
+  return *Policy::Create(spec, SaveWeights(spec, InitialWeights(spec, 1)), tile);
 }
 
 TEST(Policy, GreedyActionsAndValuesMatchTheGolden) {
@@ -166,7 +166,8 @@ TEST(Policy, ActsOnADeviceAsOnTheCpu) {
         R"(agent: "achievement_distillation" network { extractor: CNN frame_size: 40 })",
         R"(agent: "grid_distillation" network { frame_size: 20 })"}) {
     const AgentSpec spec = SpecOf(text);
-    const auto here = InitialPolicy(spec, 4);
+    const std::string weights = SaveWeights(spec, InitialWeights(spec, 1));
+    const auto here = *Policy::Create(spec, weights, 4);
     const std::string frames = GoldenFrames(12345, 5, spec.frame_size);
     const std::vector<int> lanes = {0, 1, 2, 3, 5};  // two tiles
     const std::vector<double> noise(5, 0.3);
@@ -175,7 +176,7 @@ TEST(Policy, ActsOnADeviceAsOnTheCpu) {
     const ActResult expected = *here->Act(frames, lanes, noise, absl::MakeSpan(states));
     for (const std::string device : {"cpu:0", kStandInDevice}) {
       SCOPED_TRACE(text + device);
-      const auto there = InitialPolicy(spec, 4, device);
+      const auto there = *Policy::Create(spec, weights, 4, device);
       std::vector<float> states_there = before;
       const ActResult actual = *there->Act(frames, lanes, noise, absl::MakeSpan(states_there));
       EXPECT_EQ(actual.actions, expected.actions);
@@ -195,7 +196,8 @@ TEST(Policy, ActsOnADeviceAsOnTheCpu) {
 
 TEST(Policy, RemembersOnADeviceAsOnTheCpu) {
   const AgentSpec spec = SpecOf(R"(agent: "achievement_distillation" network { extractor: CNN frame_size: 40 })");
-  const auto here = InitialPolicy(spec, 4);
+  const std::string weights = SaveWeights(spec, InitialWeights(spec, 1));
+  const auto here = *Policy::Create(spec, weights, 4);
   const std::vector<int> lanes = {0, 1, 2, 3, 5};  // two tiles
   const std::string before = GoldenFrames(1, 5, 40);
   const std::string after = GoldenFrames(2, 5, 40);
@@ -203,7 +205,8 @@ TEST(Policy, RemembersOnADeviceAsOnTheCpu) {
   ASSERT_THAT(here->Remember(before, after, lanes, absl::MakeSpan(expected)), IsOk());
   for (const std::string device : {"cpu:0", kStandInDevice}) {
     std::vector<float> actual(expected.size());
-    ASSERT_THAT(InitialPolicy(spec, 4, device)->Remember(before, after, lanes, absl::MakeSpan(actual)), IsOk());
+    const auto there = *Policy::Create(spec, weights, 4, device);
+    ASSERT_THAT(there->Remember(before, after, lanes, absl::MakeSpan(actual)), IsOk());
     for (size_t i = 0; i < actual.size(); ++i) ASSERT_NEAR(actual[i], expected[i], 1e-4) << device;
   }
 }
@@ -222,21 +225,22 @@ TEST(Policy, RefusesInconsistentInputs) {
   EXPECT_THAT(std::string(policy->Values(std::string(100, 0), {0}, {}).status().message()),
               testing::HasSubstr("12288"));
   const AgentSpec spec = *FindAgent("ppo_cnn");
-  EXPECT_THAT(std::string(Policy::Create(spec, SaveWeights(spec, InitialWeights(spec, 1)), 0).status().message()),
+  const std::vector<float> zeros(spec.param_count);
+  EXPECT_THAT(std::string(Policy::Create(spec, SaveWeights(spec, zeros), 0).status().message()),
               testing::HasSubstr("tile is 0"));
   EXPECT_EQ(Policy::Create(spec, "rubbish", 8).status().code(), absl::StatusCode::kInvalidArgument);
 }
 
 TEST(Policy, WeightsThatAreNotFiniteAreAnError) {
   const AgentSpec spec = *FindAgent("ppo_cnn");
-  std::vector<float> weights = InitialWeights(spec, 1);
+  std::vector<float> weights(spec.param_count);
   weights.back() = std::numeric_limits<float>::quiet_NaN();
   EXPECT_EQ(Policy::Create(spec, SaveWeights(spec, weights), 1).status().code(), absl::StatusCode::kInvalidArgument);
 }
 
 TEST(Policy, OutputsThatAreNotFiniteAreAnError) {
   const AgentSpec spec = *FindAgent("ppo_cnn");
-  const std::vector<float> weights(InitialWeights(spec, 1).size(), 1e30F);
+  const std::vector<float> weights(spec.param_count, 1e30F);
   const auto policy = *Policy::Create(spec, SaveWeights(spec, weights), 1);
   EXPECT_EQ(policy->Values(std::string(kFrameBytes, 0), {0}, {}).status().code(), absl::StatusCode::kInternal);
 }

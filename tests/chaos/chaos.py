@@ -101,8 +101,10 @@ class Chaos:
     def failures(self, since):
         """The processes that ended on their own, and the kinds of events that were too rare in `since` seconds."""
         since = min(since, self.lasts)
+        fewest = {event: max(since > (1 + MISSED_SHARE) * every, (1 - MISSED_SHARE) * since / every - 1)
+                  for event, every in self.pace.items()}
         return self.deaths + [f"only {self.counts[event]} times {event} in {since:.0f} s, want one every {every} s"
-                for event, every in self.pace.items() if self.counts[event] < (1 - MISSED_SHARE) * since / every - 1]
+                for event, every in self.pace.items() if self.counts[event] < fewest[event]]
 
 
 def train_quietly(options, config, logdir):

@@ -13,29 +13,19 @@ REFUSED = {
         ("--logdir=@/run --qqqqq", "unknown flag 'qqqqq'; see"),
         ("--logdir=@/run --noresum", "'noresum' (did you mean --resume?)"),
         ("--logdir=@/run lanes=3", '"lanes=3" is not a flag (did you mean --lanes=3?)', "--help"),
-        ("--logdir=@/run --lanes=0", "lanes is 0, want 1..4096"),
-        ("--logdir=@/run --lanes=-3", "lanes is -3, want 1..4096"),
         ("--logdir=@/run --lanes=abc", "craftfleet train: --lanes=abc, want a whole number; see"),
         ("--logdir=@/run --lanes abc", "craftfleet train: --lanes=abc, want a whole number; see"),
         ("--logdir=@/run --seed=-1", "--seed=-1, want a whole number, at least 0;"),
         ("--logdir=@/run --resume=maybe", "--resume=maybe, want true or false;"),
         ("--logdir", "craftfleet train: --logdir needs a value: --logdir=VALUE;"),
-        ("--logdir=@/run --steps=abc", "craftfleet train: --steps=abc, want a whole number, such as 1000000"),
-        ("--logdir=@/run --steps=1.5", "--steps=1.5, want a whole number, such as 1000000"),
-        ("--logdir=@/run --steps=0", "steps is 0, want 1.."),
         ("--logdir=@/run --lanes=7", "ppo.rollout_steps", "lanes (7)"),
-        ("--logdir=@/run --agent=nope", '"nope"', "known agents: ppo_cnn"),
-        ("--logdir=@/run --device=gpu", "--device=gpu, want auto, cpu, cuda or cuda:N"),
         ("--logdir=@/run --device=cuda:99", "--device=cuda:99: "),
         ("--logdir=@/run --env=pong", 'unknown game "pong", want "crafter"'),
-        ("--logdir=@/run --env=crafter:numbers=nope", 'numbers "nope"', "easy-x2"),
-        ("--logdir=@/run --env=crafter:colour=red", '"colour', "inventory=on|off"),
         ("", "--logdir is missing"),
         ("--logdir=/proc/no/such", "/proc/no"),
         ("--logdir=@/run --threads=999", "--threads=999, want 0..256"),
         ("--logdir=@/run --config=@/none.txt", "--config: ", "/none.txt", "No such file"),
         ("--logdir=@/run --resume", "--resume: no run in --logdir=", "/run", "start it without --resume"),
-        ("--logdir=@/run --max_staleness=65", "max_staleness is 65, want 0..64"),
         ("--logdir=@/run --max_staleness=1 --overlap=1", "overlap and max_staleness are both given"),
         ("--logdir=@/run --resume_from=x", "--resume_from requires --resume"),
         ("--logdir=@/run --textures=@/none", "/none", "No such file"),
@@ -48,8 +38,6 @@ REFUSED = {
         ("127.0.0.1:1", '"127.0.0.1:1" is not a flag', "--help"),
     ],
     "craftfleet-learner": [
-        ("--logdir=@/run --device=cuda:99", "--device=cuda:99: "),
-        ("--logdir=@/run --textures=@/none", "/none", "No such file"),
         ("--logdir=@/run --listen=0.0.0.0:0", "--listen=0.0.0.0:0 reaches beyond this host", "--insecure"),
         ("--logdir=@/run --world_size=2 --rank=2", "--rank=2, want 0..1"),
         ("--logdir=@/run --rank=1", "--rank=1, want 0..0"),
@@ -62,6 +50,8 @@ REFUSED = {
         ("--textures=@/none", "/none", "No such file"),
         ("--listen=0.0.0.0:0", "--listen=0.0.0.0:0", "--insecure"),
         ("--listen=127.0.0.1", '--listen: "127.0.0.1" is not an address, want HOST:PORT'),
+        ("--listen=0.0.0.0:0 --insecure --learner=127.0.0.1:1", "--listen=0.0.0.0:0 is every address", "--advertise=HOST:PORT"),
+        ("--advertise=[::]:1 --learner=127.0.0.1:1", "--advertise=[::]:1 is every address of this host"),
     ],
     "craftfleet-actor": [
         ("--learner=here", '--learner: "here" is not an address'),
@@ -93,6 +83,7 @@ REFUSED = {
     ],
     "craftfleet doctor": [
         ("--listen=here", '--listen: "here" is not an address, want HOST:PORT'),
+        ("--token_file=t", "unknown flag 'token_file'"),
     ],
     "craftfleet watch": [
         ("run --video=a.mp4 --follow", "--follow and --video: want one of them"),
@@ -182,7 +173,8 @@ class BadInput(python_case.FolderCase):
             self.assertEqual(json.loads(ended.stdout)["program"], program)
           elif flag == "--version":
             self.assertRegex(ended.stdout, r"^\S.* \d+\.\d+\.\d+ \(.*\)\n$")
-        self.assertIn("no_such_flag", self.run_program(program, "--no_such_flag=1", code=1).stderr)
+        if not any("unknown flag" in error for _, *errors in REFUSED.get(program, []) for error in errors):
+          self.assertIn("no_such_flag", self.run_program(program, "--no_such_flag=1", code=1).stderr)
 
   def test_help_for_a_command_is_that_of_its_program_and_fits_a_screen(self):
     text = self.run_program("craftfleet", "help", "train").stdout

@@ -38,8 +38,8 @@ class Endings(python_case.FolderCase):
   def wait_for_text(self, text):
     wait_until(lambda: text in self.errors.read_text(), f"'{text}' in {self.errors}")
 
-  def train(self, *flags):
-    self.run_program("craftfleet train", *self.run_flags(), *flags)
+  def finished_run(self):
+    return python_case.trained_run(self.folder / "run", python_case.SMALL_RUN)
 
   # A closed terminal.
 
@@ -141,12 +141,11 @@ class Endings(python_case.FolderCase):
     self.assertEqual(workers[0].wait(20), 0)
 
   def test_an_evaluation_without_a_reader_writes_its_result(self):
-    self.train("--steps=192")
-    evaluation = self.start("craftfleet eval", f"--checkpoint={self.folder}/run", "--episodes=300",
+    evaluation = self.start("craftfleet eval", f"--checkpoint={self.finished_run()}", "--episodes=50",
                             f"--out={self.folder}/result.json", stdout=subprocess.PIPE)
     self.close_output(evaluation)
     self.assertEqual(evaluation.wait(60), 0, self.errors.read_text())
-    self.assertEqual(json.loads((self.folder / "result.json").read_text())["episodes"], 300)
+    self.assertEqual(json.loads((self.folder / "result.json").read_text())["episodes"], 50)
 
   def test_a_sweep_without_a_reader_continues(self):
     (self.folder / "experiments.toml").write_text(EXPERIMENT.replace("1000000000", "640"))
@@ -172,8 +171,7 @@ class Endings(python_case.FolderCase):
   # A full standard output.
 
   def test_a_full_standard_output_is_an_error(self):
-    self.train("--steps=192")
-    run = f"{self.folder}/run"
+    run = self.finished_run()
     commands = [
         ["craftfleet", "--help"], ["craftfleet", "--version"], ["craftfleet agents"], ["craftfleet agents", "--json"],
         ["craftfleet envs", "--worlds=1"], ["craftfleet curve", run], ["craftfleet curve", "--help"],
@@ -209,8 +207,7 @@ class Endings(python_case.FolderCase):
   # Targets of results.
 
   def test_results_go_where_they_are_asked_to(self):
-    self.train("--steps=192")
-    run = f"{self.folder}/run"
+    run = self.finished_run()
     png = b"\x89PNG\r\n\x1a\n"
     (self.folder / "real.png").write_bytes(b"old")
     (self.folder / "link.png").symlink_to("real.png")
@@ -231,8 +228,7 @@ class Endings(python_case.FolderCase):
     self.assertTrue((self.folder / "fifo").is_fifo())
 
   def test_a_target_that_cannot_be_written_is_refused_before_the_work(self):
-    self.train("--steps=192")
-    run = f"{self.folder}/run"
+    run = self.finished_run()
     for out, error in ((f"{self.folder}/none/a.png", "--out: cannot create"), (self.folder, "is a folder, want a file"),
                        ("a.jpg", "--out=a.jpg, want a file that ends in .png")):
       refused = self.run_program("craftfleet curve", run, f"--out={out}", code=1)

@@ -18,16 +18,14 @@ ppo { rollout_steps: 64  minibatch_size: 32  epochs: 1 }
 checkpoint { every_iterations: 1  keep: 20 }
 eval { every_steps: 64  episodes: 2  final_episodes: 3  env: "crafter:numbers=easy-x2" seed: 5 }
 """
+FINAL_ONLY = CONFIG.replace("every_steps: 64", "every_steps: 0")
+NO_EVALUATION = FINAL_ONLY.replace("final_episodes: 3", "final_episodes: 0")
 
 
 class Eval(python_case.FolderCase):
 
-  def setUp(self):
-    super().setUp()
-    (self.folder / "config.txt").write_text(CONFIG)
-
-  def train(self, *flags):
-    self.run_program("craftfleet train", f"--config={self.folder}/config.txt", f"--logdir={self.folder}/run", *flags)
+  def train(self, config=NO_EVALUATION, *flags):
+    python_case.trained_run(self.folder / "run", config, *flags)
 
   def evaluate(self, *flags, code=0):
     return self.run_program("craftfleet eval", f"--checkpoint={self.folder}/run", *flags, code=code)
@@ -38,14 +36,13 @@ class Eval(python_case.FolderCase):
     self.assertEqual((checked.stdout, checked.stderr, checked.returncode), ("3 episodes agree\n", "", 0))
 
   def test_a_final_evaluation_that_is_the_first_is_replayed(self):
-    (self.folder / "config.txt").write_text(CONFIG.replace("every_steps: 64", "every_steps: 0"))
-    self.train()
+    self.train(FINAL_ONLY)
     self.evaluate("--protocol=final", f"--episodes_npz={self.folder}/npz")
     for kind in ("argmax", "sampled"):
       self.check_episodes(self.folder / "npz" / kind, self.folder / f"run/final_{kind}.jsonl")
 
   def test_the_final_evaluation_is_replayed(self):
-    self.train()
+    self.train(CONFIG)
     out = self.folder / "out"
     self.evaluate("--protocol=final", f"--video={out}/video", f"--episodes_npz={out}/npz", f"--out={out}.json",
                   "--size=144")
@@ -72,6 +69,32 @@ class Eval(python_case.FolderCase):
     reward = json.loads((self.folder / "out.json").read_text())["reward"]
     self.assertGreater(reward, 6, "random play gets 2")
 
+  def test_a_result_does_not_say_which_episodes_its_final_evaluation_had(self):
+    result = SOURCE / "deploy/experiments/results/ppo_cnn_1m/seed2"
+    out = self.run_program("craftfleet eval", f"--checkpoint={result}", "--protocol=final", code=1)
+    self.assertIn("a folder of results does not say which episodes the final evaluation had", out.stderr)
+
+  def test_other_textures_than_those_of_the_run_are_reported(self):
+    textures = self.folder / "textures"
+    shutil.copytree(SOURCE / "envserver/textures", textures)
+    shutil.copy(textures / "sand.png", textures / "stone.png")
+    self.train(FINAL_ONLY, f"--textures={textures}")
+    reported = "the run was played with textures "
+    self.assertIn(reported, self.evaluate("--protocol=final", code=1).stderr)
+    self.assertRegex(self.evaluate("--episodes=1").stderr,
+                     f"{reported}[0-9a-f]{{16}}, but this program has 3024e54bf17f9958: give .*--textures")
+    self.assertNotIn(reported, self.evaluate("--episodes=1", f"--textures={textures}").stderr)
+    video = [f"--video={self.folder}/video.mp4", "--size=64", f"{self.folder}/run"]
+    self.assertIn(reported, self.run_program("craftfleet watch", *video).stderr)
+    self.assertNotIn(reported, self.run_program("craftfleet watch", f"--textures={textures}", *video).stderr)
+
+  def test_the_textures_of_a_result_are_known(self):
+    result = self.folder / "result"
+    shutil.copytree(SOURCE / "deploy/experiments/results/ppo_cnn_1m/seed2", result)
+    (result / "run.json").write_text('{"run_id": "a", "texture_digest": "8140aa54698876d7"}')
+    out = self.run_program("craftfleet eval", f"--checkpoint={result}", "--episodes=1")
+    self.assertIn("the run was played with textures 8140aa54698876d7", out.stderr)
+
   def test_a_damaged_result_is_refused(self):
     result = self.folder / "result"
     shutil.copytree(SOURCE / "deploy/experiments/results/ppo_cnn_1m/seed2", result)
@@ -83,8 +106,7 @@ class Eval(python_case.FolderCase):
     self.run_program("craftfleet eval", f"--checkpoint={result}", code=1)
 
   def test_recording_changes_no_result(self):
-    (self.folder / "config.txt").write_text(CONFIG.replace("every_steps: 64", "every_steps: 0"))
-    self.train("--steps=64")
+    self.train()
     flags = ["--episodes=3", "--seed=4"]
     self.evaluate(*flags, f"--out={self.folder}/plain.json")
     self.evaluate(*flags, f"--out={self.folder}/recorded.json", f"--pictures={self.folder}/pictures",
@@ -96,8 +118,7 @@ class Eval(python_case.FolderCase):
     self.assertEqual(len(list((self.folder / "video").iterdir())), 3)
 
   def test_a_stop_keeps_the_episodes_that_have_finished(self):
-    (self.folder / "config.txt").write_text(CONFIG.replace("every_steps: 64", "every_steps: 0"))
-    self.train("--steps=64")
+    self.train()
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
       with self.subTest(number):
         result = self.folder / f"{number}.json"
@@ -122,39 +143,36 @@ class Eval(python_case.FolderCase):
         shutil.rmtree(self.folder / "video")
 
   def test_a_terminal_shows_the_progress_in_place(self):
-    (self.folder / "config.txt").write_text(CONFIG.replace("every_steps: 64", "every_steps: 0"))
-    self.train("--steps=64")
+    self.train()
     main, terminal = pty.openpty()
-    subprocess.run([*built("craftfleet eval"), f"--checkpoint={self.folder}/run", "--episodes=100"], stdout=subprocess.DEVNULL,
+    subprocess.run([*built("craftfleet eval"), f"--checkpoint={self.folder}/run", "--episodes=20"], stdout=subprocess.DEVNULL,
                    stderr=terminal, check=True)
     os.close(terminal)
-    self.assertRegex(os.read(main, 65536).decode(), r"^(\r\x1b\[Ksampled: \d+ of 100 episodes(, \d+s left)?)+\r\x1b\[K$")
+    self.assertRegex(os.read(main, 65536).decode(), r"^(\r\x1b\[Ksampled: \d+ of 20 episodes(, \d+s left)?)+\r\x1b\[K$")
 
   def test_wrong_flags_are_refused(self):
-    config = self.folder / "config.txt"
-    config.write_text(CONFIG.replace("every_steps: 64", "every_steps: 0").replace("final_episodes: 3", "final_episodes: 0"))
-    self.train("--steps=64")
+    self.train()
+    file = self.folder / "run/config.txt"
     for flags, error in [
         (["--protocol=last"], "--protocol=last, want final or nothing"),
         (["--protocol=final"], "the run has no final evaluation"),
         (["--protocol=final", "--episodes=3"], "omit --env, --seed, --episodes and --deterministic"),
         (["--attention=sum"], "--attention needs --video or --pictures"),
         (["--attention=most", f"--video={self.folder}/v"], '--attention: attention "most", want mean, sum or the number'),
-        (["--attention=mean", f"--video={self.folder}/v"], "agent ppo_cnn has no attention to show; oc_sa and oc_ca have"),
+        (["--attention=mean", f"--video={self.folder}/v"], "agent ppo_cnn has no attention to show; only oc_sa and oc_ca do"),
         (["--size=65"], "--size=65, want an even number 64..1024"),
         (["--picture_every=0"], "--picture_every=0, want 1..10000"),
-        ([f"--video={config}/v"], str(config)),
+        ([f"--video={file}/v"], str(file)),
     ]:
       with self.subTest(flags):
         self.assertIn(error, self.evaluate(*flags, code=1).stderr)
 
   def test_attention_is_shown_beside_the_game(self):
-    (self.folder / "config.txt").write_text("""
+    self.train("""
       agent: "oc_ca"  network { slots: 2  frame_size: 36  patch: 12  stride: 12 }
       steps: 16  lanes: 2  fragment_steps: 8  env { length: 12 }
       ppo { rollout_steps: 16  minibatch_size: 8  epochs: 1 }  eval { every_steps: 0  final_episodes: 0 }
     """)
-    self.train()
     pictures = self.folder / "pictures"
     self.evaluate("--episodes=1", f"--pictures={pictures}", "--attention=1", "--size=144", "--picture_every=10")
     for step in (0, 10):

@@ -1,11 +1,13 @@
 """The flags of a program of the build, from its --helpfull."""
 
+import functools
 import re
 import subprocess
 
 from tests.fakes.python_case import built
 
 
+@functools.cache
 def flags_of(program):
   """The names of its flags, and of those that need no value."""
   text = subprocess.run([*built(program), "--helpfull"], capture_output=True, text=True, check=True).stdout

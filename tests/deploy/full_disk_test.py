@@ -34,17 +34,17 @@ class FullDisk(python_case.FolderCase):
     super().setUp()
     (self.folder / "config.txt").write_text(python_case.SMALL_RUN)
     (self.folder / "experiments.toml").write_text(python_case.SMALL_EXPERIMENT)
-    self.run_program("craftfleet train", f"--config={self.folder}/config.txt", f"--logdir={self.folder}/run", "--threads=1")
+    python_case.trained_run(self.folder / "run", python_case.SMALL_RUN)
 
   def outputs(self, out):
     """Commands that write below the folder `out`."""
     run = self.folder / "run"
     return [
         ["craftfleet curve", run, f"--out={out}/curve.png"],
-        ["craftfleet eval", f"--checkpoint={run}", "--episodes=2", f"--out={out}/eval.json"],
-        ["craftfleet eval", f"--checkpoint={run}", "--episodes=2", f"--pictures={out}/pictures"],
-        ["craftfleet eval", f"--checkpoint={run}", "--episodes=2", f"--video={out}/videos"],
-        ["craftfleet eval", f"--checkpoint={run}", "--episodes=2", f"--episodes_npz={out}/episodes"],
+        ["craftfleet eval", f"--checkpoint={run}", "--episodes=1", f"--out={out}/eval.json"],
+        ["craftfleet eval", f"--checkpoint={run}", "--episodes=1", f"--pictures={out}/pictures"],
+        ["craftfleet eval", f"--checkpoint={run}", "--episodes=1", f"--video={out}/videos"],
+        ["craftfleet eval", f"--checkpoint={run}", "--episodes=1", f"--episodes_npz={out}/episodes"],
         ["craftfleet watch", f"--video={out}/watch.mp4", run],
         ["craftfleet report", run, f"--out={out}/report", "--html"],
         ["craftfleet sweep", self.folder / "experiments.toml", f"--write_configs={out}/configs"],

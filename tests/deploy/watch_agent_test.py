@@ -1,6 +1,7 @@
 """craftfleet watch: a small run's agent in a terminal, in a window, as a video and as a strip of pictures."""
 
 import json
+import os
 import shlex
 import shutil
 import struct
@@ -24,11 +25,8 @@ def png_size(path):
 class WatchAgent(python_case.FolderCase):
 
   def train(self, agent="ppo_cnn"):
-    """Trains for an iteration; returns the run folder."""
-    (self.folder / "config.txt").write_text(RUN + f'agent: "{agent}"')
-    run = self.folder / agent
-    self.run_program("craftfleet train", f"--config={self.folder}/config.txt", f"--logdir={run}", "--threads=1")
-    return run
+    """The folder of a run of one iteration."""
+    return python_case.trained_run(self.folder / agent, RUN + f'agent: "{agent}"')
 
   def test_in_a_terminal_it_pauses_steps_and_follows_the_run(self):
     run = self.train()
@@ -86,18 +84,25 @@ class WatchAgent(python_case.FolderCase):
     run = self.train()
     for flags, expected in [
         ([], "0 runs, want one run or checkpoint"),
-        ([str(self.folder / "nothing")], "nothing"),
+        (["--terminal", str(self.folder / "nothing")], "nothing"),
         (["--speed=1000", str(run)], "--speed=1000, want 0.25..256"),
         (["--video=a.avi", str(run)], "--video=a.avi, want a file name that ends in .mp4"),
         (["--strip=a.jpg", str(run)], "--strip=a.jpg, want a file name that ends in .png"),
         (["--strip_steps=5,3", str(run)], "--strip_steps=5,3, want auto or"),
         (["--attention=all", str(run)], "--attention: "),
         (["--strip=strip.png", str(run)], "no attention"),
-        (["--env=minecraft", str(run)], "--env: "),
+        (["--terminal", "--env=minecraft", str(run)], "--env: "),
         (["--terminal", str(run)], "--terminal: standard input"),
     ]:
       ended = self.run_program("craftfleet watch", *flags, code=1)
       self.assertIn(expected, ended.stderr)
+
+  def test_the_display_is_tried_before_the_agent_is_loaded(self):
+    # LibTorch starts threads, and the child that tries the display must not inherit a lock of one of them.
+    ended = subprocess.run([*WATCH, self.folder / "nothing"], capture_output=True, text=True, timeout=60,
+                           env={**os.environ, "DISPLAY": ":987"}, check=False)
+    self.assertEqual(ended.returncode, 1)
+    self.assertRegex(ended.stderr, "cannot open (a window|windows)")
 
   def test_an_unwritable_video_leaves_nothing(self):
     ended = self.run_program("craftfleet watch", f"--video={self.folder}/no/folder.mp4", str(self.train()), code=1)

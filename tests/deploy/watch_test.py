@@ -38,7 +38,7 @@ def families(text):
   return {name: (kind, helps[name]) for name, kind in re.findall(r"^# TYPE (\w+) (\w+)$", text, re.M)}
 
 
-class Watch(python_case.ProcessCase):
+class Fleet(python_case.ProcessCase):
 
   def setUp(self):
     super().setUp()
@@ -80,46 +80,27 @@ class Watch(python_case.ProcessCase):
   def scrape(self, log):
     return urllib.request.urlopen(self.word_after(log, "metrics on "), timeout=10).read().decode()
 
-  def scrape_all(self):
-    """The metrics of the three kinds of processes, by role."""
-    return {role: self.scrape(log) for role, log in self.start_fleet().items()}
+
+class Metrics(unittest.TestCase):
+  """The metrics of the three kinds of processes of one fleet."""
+
+  @classmethod
+  def setUpClass(cls):
+    super().setUpClass()
+    cls.fleet = Fleet()
+    cls.addClassCleanup(cls.fleet.doCleanups)
+    cls.fleet.setUp()
+    cls.logs = cls.fleet.start_fleet()
+    cls.scraped = {role: cls.fleet.scrape(log) for role, log in cls.logs.items()}
 
   def test_promtool_accepts_the_metrics_of_each_process(self):
     promtool("--version")
-    for role, text in self.scrape_all().items():
+    for role, text in self.scraped.items():
       checked = promtool("check", "metrics", text=text)
       self.assertEqual((checked.returncode, checked.stdout, checked.stderr), (0, "", ""), role)
 
-  def test_promtool_accepts_rules_and_configuration(self):
-    for kind, file in [("rules", "alerts.yml"), ("config", "prometheus.yml")]:
-      checked = promtool("check", kind, str(MONITORING / file))
-      self.assertEqual(checked.returncode, 0, checked.stdout + checked.stderr)
-    self.assertNotEqual(promtool("check", "rules", str(MONITORING / "README.md")).returncode, 0)
-
-  def test_workers_that_are_lost_or_do_not_answer_raise_an_alert(self):
-    for state, firing in [("lost", 1), ("not_answering", 1), ("slow", 1), ("ok", 0)]:
-      case = {
-          "rule_files": [str(MONITORING / "alerts.yml")],
-          "evaluation_interval": "1m",
-          "tests": [{
-              "interval": "1m",
-              "input_series": [{
-                  "series": f'craftfleet_workers{{role="learner",worker="envserver",state="{state}"}}',
-                  "values": "0 1x10",
-              }],
-              "promql_expr_test": [{
-                  "expr": 'count(ALERTS{alertname="CraftFleetWorkersLost",alertstate="firing"}) or vector(0)',
-                  "eval_time": "8m",
-                  "exp_samples": [{"labels": "{}", "value": firing}],
-              }],
-          }],
-      }
-      (self.folder / "rules_test.yml").write_text(json.dumps(case))  # JSON is YAML
-      checked = promtool("test", "rules", str(self.folder / "rules_test.yml"))
-      self.assertEqual(checked.returncode, 0, state + checked.stdout + checked.stderr)
-
   def test_dashboard_and_rules_name_metrics_that_are_served(self):
-    served = {name for text in self.scrape_all().values() for name in families(text)}
+    served = {name for text in self.scraped.values() for name in families(text)}
     table = (SOURCE / "common/telemetry/metric_table.cc").read_text()
     of_gpus = re.findall(r'^ *{"(gpu_\w+)", kGauge, "(\w*)"', table, re.M)  # served only where there is one
     served.update(f"craftfleet_{name}_{unit}".rstrip("_") for name, unit in of_gpus)
@@ -133,15 +114,53 @@ class Watch(python_case.ProcessCase):
       self.assertLessEqual(used, served, query)
 
   def test_metrics_have_the_values_of_the_status(self):
-    logs = self.start_fleet()
-    before = self.metric("env_steps")
-    served = {name: value for name, labels, value in samples(self.scrape(logs["learner"]))}
+    fleet, logs = self.fleet, self.logs
+    before = fleet.metric("env_steps")
+    served = {name: value for name, labels, value in samples(fleet.scrape(logs["learner"]))}
     self.assertLessEqual(before, served["craftfleet_env_steps_total"])
-    self.assertLessEqual(served["craftfleet_env_steps_total"], self.metric("env_steps"))
-    shares = [value for name, labels, value in samples(self.scrape(logs["actor"]))
+    self.assertLessEqual(served["craftfleet_env_steps_total"], fleet.metric("env_steps"))
+    shares = [value for name, labels, value in samples(fleet.scrape(logs["actor"]))
               if name == "craftfleet_time_share" and labels["role"] == "actor"]
     self.assertAlmostEqual(sum(shares), 1, places=5)
-    self.assertIn("metrics_address", self.status())
+    self.assertIn("metrics_address", fleet.status())
+
+
+class Watch(Fleet):
+
+  def test_promtool_accepts_rules_and_configuration(self):
+    for kind, file in [("rules", "alerts.yml"), ("config", "prometheus.yml")]:
+      checked = promtool("check", kind, str(MONITORING / file))
+      self.assertEqual(checked.returncode, 0, checked.stdout + checked.stderr)
+    self.assertNotEqual(promtool("check", "rules", str(MONITORING / "README.md")).returncode, 0)
+
+  def check_alert(self, alert, series, minutes, firing):
+    """Checks how many alerts of this name fire after so many minutes of the series: metric -> a value each minute."""
+    case = {
+        "rule_files": [str(MONITORING / "alerts.yml")],
+        "evaluation_interval": "1m",
+        "tests": [{
+            "interval": "1m",
+            "input_series": [{"series": metric, "values": values} for metric, values in series.items()],
+            "promql_expr_test": [{
+                "expr": f'count(ALERTS{{alertname="{alert}",alertstate="firing"}}) or vector(0)',
+                "eval_time": f"{minutes}m",
+                "exp_samples": [{"labels": "{}", "value": firing}],
+            }],
+        }],
+    }
+    (self.folder / "rules_test.yml").write_text(json.dumps(case))  # JSON is YAML
+    checked = promtool("test", "rules", str(self.folder / "rules_test.yml"))
+    self.assertEqual(checked.returncode, 0, f"{series} {checked.stdout}{checked.stderr}")
+
+  def test_workers_that_are_lost_or_do_not_answer_raise_an_alert(self):
+    for state, firing in [("lost", 1), ("not_answering", 1), ("slow", 1), ("ok", 0)]:
+      workers = f'craftfleet_workers{{role="learner",worker="envserver",state="{state}"}}'
+      self.check_alert("CraftFleetWorkersLost", {workers: "0 1x10"}, 8, firing)
+
+  def test_a_run_without_an_iteration_for_half_an_hour_raises_an_alert(self):
+    for steps, minutes, firing in [("0x60", 10, 0), ("0x60", 40, 1), ("0x20 64x40", 40, 0), ("0+64x60", 60, 0), ("9000x60", 60, 0)]:
+      series = {'craftfleet_env_steps_total{role="learner"}': steps, 'craftfleet_env_steps_goal{role="learner"}': "9000x60"}
+      self.check_alert("CraftFleetStandsStill", series, minutes, firing)
 
   def test_metrics_on_other_hosts_networks_need_a_flag(self):
     _, log = self.start("craftfleet-envserver", "--listen=127.0.0.1:0", "--metrics_listen=0.0.0.0:0")

@@ -4,9 +4,12 @@ A test file ends with `python_case.main()` and is run with the names of its case
 without any for all of them. Environment: CRAFTFLEET_BIN_DIR, CRAFTFLEET_SOURCE_DIR.
 """
 
+import atexit
+import functools
 import os
 import pathlib
 import re
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -51,6 +54,22 @@ def cmake_setting(name):
   """The value of a variable in this build's CMake cache."""
   text = (BIN.parent / "CMakeCache.txt").read_text(encoding="utf-8")
   return re.search(rf"^{name}:[A-Z]*=(.*)$", text, re.MULTILINE)[1]
+
+
+def trained_run(folder, config, *flags):
+  """Makes `folder` a finished run: a copy of one that this process trains only once with these arguments. Returns it."""
+  return shutil.copytree(_trained_once(config, flags), folder)
+
+
+@functools.cache
+def _trained_once(config, flags):
+  folder = pathlib.Path(tempfile.mkdtemp(prefix="craftfleet-"))
+  atexit.register(shutil.rmtree, folder)
+  (folder / "config.txt").write_text(config, encoding="utf-8")
+  ended = subprocess.run([*built("craftfleet train"), f"--config={folder}/config.txt", f"--logdir={folder}/run", "--threads=1", *flags],
+                         capture_output=True, text=True, timeout=120, check=False)
+  assert ended.returncode == 0, ended.stderr
+  return folder / "run"
 
 
 class FolderCase(unittest.TestCase):

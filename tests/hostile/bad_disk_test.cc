@@ -39,9 +39,6 @@ class BadDiskTest : public SmallRunTest {
     words.insert(words.end(), flags.begin(), flags.end());
     return Start("/usr/bin/env", words);
   }
-  std::string ReadLog(const std::string& run, const std::string& file) const {
-    return ReadFile(JoinPath(Logdir(run), file)).value_or("none");
-  }
   void StartWorker(const std::string& learner) {
     if (server_ == nullptr) server_ = Start("craftfleet-envserver", {"--listen=127.0.0.1:0"});
     actors_.push_back(
@@ -49,12 +46,12 @@ class BadDiskTest : public SmallRunTest {
   }
   // Expects the same bytes as those of an undisturbed run of `iterations`.
   void ExpectLikeQuiet(int iterations) {
-    Train("quiet");
-    EXPECT_EQ(ReadLog("run", "stats.jsonl"), ReadLog("quiet", "stats.jsonl"));
+    CopyTrained("quiet");
+    EXPECT_EQ(Text("run", "stats.jsonl"), Text("quiet", "stats.jsonl"));
     for (const char* name : {"weights", "optimizer"}) {
       const std::string file = absl::StrFormat("checkpoints/iter-%08d/%s.safetensors", iterations, name);
-      EXPECT_NE(ReadLog("quiet", file), "none");
-      EXPECT_TRUE(ReadLog("run", file) == ReadLog("quiet", file)) << file;
+      EXPECT_NE(Text("quiet", file), "none");
+      EXPECT_TRUE(Text("run", file) == Text("quiet", file)) << file;
     }
   }
 
@@ -81,7 +78,7 @@ TEST_F(BadDiskTest, OfTwoLearnersWithoutLocksOnlyTheNewerWrites) {
 
   ended = Finish(newer.get());
   EXPECT_EQ(ended.exit_code, 0) << ended.err;
-  const std::vector<std::string> lines = absl::StrSplit(ReadLog("run", "stats.jsonl"), '\n', absl::SkipEmpty());
+  const std::vector<std::string> lines = absl::StrSplit(Text("run", "stats.jsonl"), '\n', absl::SkipEmpty());
   EXPECT_GT(lines.size(), 0U);
   for (const std::string& line : lines) EXPECT_TRUE(nlohmann::json::accept(line)) << line;
   ExpectLikeQuiet(30);

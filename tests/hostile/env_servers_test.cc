@@ -1,21 +1,17 @@
 // Environment servers that stay connected but do not answer: the run gives the same bytes as an undisturbed run.
 
-#include <netinet/in.h>
-#include <sys/socket.h>
-#include <unistd.h>
-
 #include <csignal>
 #include <memory>
 #include <string>
 #include <vector>
 
-#include <absl/cleanup/cleanup.h>
 #include <absl/strings/match.h>
 #include <absl/strings/str_cat.h>
 #include <absl/time/clock.h>
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include "tests/fakes/loopback.h"
 #include "tests/fakes/wait_until.h"
 #include "tests/integration/fleet_fixture.h"
 
@@ -63,22 +59,11 @@ TEST_F(HostileEnvServersTest, ASuspendedServerCostsSecondsAndIsUsedAgain) {
 }
 
 TEST_F(HostileEnvServersTest, AServerThatNeverAnswersDelaysNoActor) {
-  const int listener = socket(AF_INET, SOCK_STREAM, 0);
-  ASSERT_GE(listener, 0);
-  const absl::Cleanup close_listener = [listener] { close(listener); };
-  sockaddr_in name = {};
-  name.sin_family = AF_INET;
-  name.sin_addr.s_addr = htonl(INADDR_LOOPBACK);
-  socklen_t size = sizeof(name);
-  ASSERT_EQ(bind(listener, reinterpret_cast<sockaddr*>(&name), size), 0);
-  ASSERT_EQ(listen(listener, 64), 0);
-  ASSERT_EQ(getsockname(listener, reinterpret_cast<sockaddr*>(&name), &size), 0);
-  const std::string mute = absl::StrCat("127.0.0.1:", ntohs(name.sin_port));
-
+  const LoopbackListener mute;
   const auto learner = StartLearner("mute", "127.0.0.1:0");
   const std::string address = learner->WaitForAddress().value();
   const auto good = StartServer("mute-good");
-  const std::string servers = absl::StrCat(mute, ",", good->WaitForAddress().value());
+  const std::string servers = absl::StrCat(mute.address(), ",", good->WaitForAddress().value());
   const auto first = StartActorWith("mute-first", address, servers);
   const auto second = StartActorWith("mute-second", address, servers);
   EXPECT_EQ(learner->Wait(kPatience), 0) << learner->Err();

@@ -1,49 +1,20 @@
 // Starts that fail leave a run folder as it was.
 
-#include <netinet/in.h>
-#include <sys/socket.h>
-#include <unistd.h>
-
 #include <filesystem>
 #include <map>
 #include <string>
-#include <utility>
 #include <vector>
 
-#include <absl/strings/str_cat.h>
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
-#include "tests/fakes/test_paths.h"
+#include "tests/fakes/loopback.h"
 #include "tests/integration/small_run.h"
 
 namespace craftfleet {
 namespace {
 
 using testing::HasSubstr;
-
-// A loopback port that is in use by a listener that never answers.
-class BusyPort {
- public:
-  BusyPort() : descriptor_(::socket(AF_INET, SOCK_STREAM | SOCK_CLOEXEC, 0)) {
-    sockaddr_in address{};
-    address.sin_family = AF_INET;
-    address.sin_addr.s_addr = htonl(INADDR_LOOPBACK);
-    socklen_t size = sizeof(address);
-    EXPECT_EQ(::bind(descriptor_, reinterpret_cast<sockaddr*>(&address), size), 0);
-    EXPECT_EQ(::listen(descriptor_, 1), 0);
-    EXPECT_EQ(::getsockname(descriptor_, reinterpret_cast<sockaddr*>(&address), &size), 0);
-    name_ = absl::StrCat("127.0.0.1:", ntohs(address.sin_port));
-  }
-  ~BusyPort() { ::close(descriptor_); }
-  BusyPort(const BusyPort&) = delete;
-  BusyPort& operator=(const BusyPort&) = delete;
-  const std::string& name() const { return name_; }
-
- private:
-  const int descriptor_;
-  std::string name_;
-};
 
 class FailingStartsTest : public SmallRunTest {
  protected:
@@ -68,17 +39,17 @@ class FailingStartsTest : public SmallRunTest {
     EXPECT_TRUE(Contents() == before) << error;
   }
 
-  const BusyPort busy_;
+  const LoopbackListener busy_;
 };
 
 TEST_F(FailingStartsTest, NoFailingStartRemovesAnything) {
-  Train("run");
+  CopyTrained("run");
   const std::string learner = "craftfleet-learner";
   const std::string free = "--listen=127.0.0.1:0";
-  ExpectHarmless(learner, {"--listen=" + busy_.name()}, busy_.name());
-  ExpectHarmless(learner, {free, "--metrics_listen=" + busy_.name()}, busy_.name());
-  ExpectHarmless("craftfleet train", {"--listen=" + busy_.name()}, busy_.name());
-  ExpectHarmless("craftfleet train", {"--metrics_listen=" + busy_.name()}, busy_.name());
+  ExpectHarmless(learner, {"--listen=" + busy_.address()}, busy_.address());
+  ExpectHarmless(learner, {free, "--metrics_listen=" + busy_.address()}, busy_.address());
+  ExpectHarmless("craftfleet train", {"--listen=" + busy_.address()}, busy_.address());
+  ExpectHarmless("craftfleet train", {"--metrics_listen=" + busy_.address()}, busy_.address());
 
   ASSERT_THAT(WriteFileSynced(folder_ / "access.txt", "rule { who: }"), IsOk());
   ExpectHarmless(learner, {free, "--access_file=" + folder_ / "access.txt"}, "access_file");
@@ -86,11 +57,7 @@ TEST_F(FailingStartsTest, NoFailingStartRemovesAnything) {
                  "none.pem");
   ExpectHarmless(learner, {free, "--lanes=8"}, "lanes");
 
-  const std::string textures = folder_ / "textures";
-  std::filesystem::copy(BuiltProgram("../share/craftfleet/textures"), textures);
-  std::filesystem::copy_file(textures + "/sand.png", textures + "/stone.png",
-                             std::filesystem::copy_options::overwrite_existing);
-  ExpectHarmless(learner, {free, "--textures=" + textures}, "was played with textures");
+  ExpectHarmless(learner, {free, "--textures=" + OtherTextures()}, "was played with textures");
 
   const std::string weights = Checkpoint("run", 1) + "/weights.safetensors";
   const std::string sound = ReadFile(weights).value();
@@ -108,9 +75,12 @@ TEST_F(FailingStartsTest, NoFailingStartRemovesAnything) {
 }
 
 TEST_F(FailingStartsTest, ANewRunThatCannotStartLeavesNoRun) {
-  const Ended ended = Run("craftfleet-learner", Flags("run", {"--listen=" + busy_.name()}));
-  EXPECT_EQ(ended.exit_code, 1);
-  EXPECT_THAT(ended.err, HasSubstr(busy_.name()));
+  const std::string listen = "--listen=" + busy_.address();
+  for (const Ended& ended :
+       {Run("craftfleet-learner", Flags("run", {listen})), Run("craftfleet-envserver", {listen})}) {
+    EXPECT_EQ(ended.exit_code, 1);
+    EXPECT_THAT(ended.err, HasSubstr("cannot listen on " + busy_.address() + ": the port is in use"));
+  }
   EXPECT_THAT(Contents(), testing::IsEmpty());
   Train("run");
 }

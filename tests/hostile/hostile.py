@@ -27,11 +27,11 @@ from chaos import LONG_CONFIG, LONG_STEPS, Chaos, arguments, compare, end_cleanl
 from fleet import Fleet, Site, Worker
 
 SHORT_CONFIG = """steps: 10240 seed: 5 lanes: 16 fragment_steps: 32 env { length: 90 }
-  ppo { rollout_steps: 1024 minibatch_size: 128 epochs: 2 } checkpoint { every_iterations: 2 }
+  network { frame_size: 36 } ppo { rollout_steps: 1024 minibatch_size: 128 epochs: 2 } checkpoint { every_iterations: 2 }
   eval { every_steps: 4096 episodes: 2 final_episodes: 2 }"""
 LONG_PACE = {"bad_peer": 5, "kill": 10, "learner": 60}  # seconds from one to the next
 SHORT_PACE = {"bad_peer": 2, "kill": 10}
-STAYS_S = {False: 20, True: 8}  # lifetime of a bad peer; the key is whether this is the short form
+STAYS_S = {False: 20, True: 5}  # lifetime of a bad peer; the key is whether this is the short form
 MEMORY_BOUND_MIB = {"learner": 1536, "actor": 1024, "server": 1024}
 DRIPS = 20  # connections that send a byte a second
 PEERS = [("actor", "silent"), ("actor", "lying"), ("actor", "flooding"), ("actor", "slow"),

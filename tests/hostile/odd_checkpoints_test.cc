@@ -41,14 +41,14 @@ class OddCheckpointsTest : public SmallRunTest {
     ASSERT_THAT(WriteCheckpointFiles(folder, *checkpoint), IsOk());
   }
   std::vector<std::string> Lines(const std::string& run, const std::string& file) const {
-    return absl::StrSplit(ReadFile(JoinPath(Logdir(run), file)).value_or(""), '\n', absl::SkipEmpty());
+    return absl::StrSplit(Text(run, file), '\n', absl::SkipEmpty());
   }
 };
 
 // The envelope of the snapshot is valid, so the learner accepts it, but no environment server can restore it.
 TEST_F(OddCheckpointsTest, ALaneWithAnInvalidSnapshotIsResetAndTheOthersAreUnaffected) {
-  Train("quiet");
-  std::filesystem::copy(Logdir("quiet"), Logdir("run"), std::filesystem::copy_options::recursive);
+  CopyTrained("quiet");
+  CopyTrained("run");
   Edit(Checkpoint("run", 2), [&](v1::CheckpointState* state) {
     v1::LaneState* lane = state->mutable_lanes(kSpoiled);
     ASSERT_FALSE(lane->previous_snapshot().empty());
@@ -82,7 +82,7 @@ TEST_F(OddCheckpointsTest, ALaneWithAnInvalidSnapshotIsResetAndTheOthersAreUnaff
 
 // Actors would end at such weights one by one, and the learner wait for others for ever.
 TEST_F(OddCheckpointsTest, WeightsThatAreNotFiniteAreRefusedWithTheirCheckpoint) {
-  Train("run");
+  CopyTrained("run");
   auto checkpoint = LoadCheckpoint(Checkpoint("run", 3), "");
   ASSERT_THAT(checkpoint, IsOk());
   std::string weights = *checkpoint->weights;
@@ -97,7 +97,7 @@ TEST_F(OddCheckpointsTest, WeightsThatAreNotFiniteAreRefusedWithTheirCheckpoint)
 }
 
 TEST_F(OddCheckpointsTest, ALaneStateOfAnotherSizeIsRefused) {
-  Train("run");
+  CopyTrained("run");
   Edit(Checkpoint("run", 3), [](v1::CheckpointState* state) { state->mutable_lanes(1)->add_state(0.5); });
   const Ended ended = Run("craftfleet-learner", Flags("run", {"--listen=127.0.0.1:0", "--resume", "--steps=640"}));
   EXPECT_EQ(ended.exit_code, 1) << ended.err;

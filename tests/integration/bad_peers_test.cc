@@ -1,14 +1,18 @@
-// Peers that are unreachable, late or of the wrong kind.
+// Peers that are unreachable, late, of the wrong kind or of another version.
 
 #include <csignal>
 #include <memory>
 #include <string>
+#include <utility>
 
 #include <absl/time/clock.h>
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 #include <nlohmann/json.hpp>
 
+#include "common/wire/protocol.h"
+#include "common/wire/server.h"
+#include "craftfleet/v1/learner.grpc.pb.h"
 #include "tests/integration/small_run.h"
 
 namespace craftfleet {
@@ -45,18 +49,6 @@ class BadPeersTest : public SmallRunTest {
   }
 };
 
-TEST_F(BadPeersTest, APortInUseIsNamedAndLeavesNoFiles) {
-  const auto server = Start("craftfleet-envserver", {"--listen=127.0.0.1:0"});
-  const std::string address = server->WaitForAddress().value();
-  Ended ended = Run("craftfleet-envserver", {"--listen=" + address});
-  EXPECT_EQ(ended.exit_code, 1);
-  EXPECT_THAT(ended.err, HasSubstr("cannot listen on " + address + ": the port is in use"));
-  ended = Run("craftfleet-learner", Flags("run", {"--listen=" + address}));
-  EXPECT_EQ(ended.exit_code, 1);
-  EXPECT_THAT(ended.err, HasSubstr("cannot listen on " + address));
-  Train("run");  // the same folder
-}
-
 TEST_F(BadPeersTest, AnActorWaitsForItsLearner) {
   const auto server = StartServer(Address("server"));
   const auto actor = StartActor(Address("learner"), Address("server"));
@@ -89,6 +81,32 @@ TEST_F(BadPeersTest, ALearnerIsNotAnEnvironmentServer) {
   const Ended ended = Finish(StartActor(Address("learner"), Address("learner")).get());
   EXPECT_EQ(ended.exit_code, 1);
   EXPECT_THAT(ended.err, HasSubstr("environment server " + Address("learner") + ": does not know this call"));
+}
+
+// A learner of another protocol version, which refuses the actor.
+class OtherLearner : public v1::LearnerService::Service {
+ public:
+  explicit OtherLearner(int version) : version_(version) {}
+  grpc::Status Join(grpc::ServerContext* /*context*/, const v1::JoinRequest* request, v1::JoinReply*) override {
+    const absl::Status status = wire::CheckHandshake("learner", {version_, "run-a", ""}, "actor",
+                                                     {request->protocol_version(), request->run_id(), ""});
+    return {grpc::StatusCode::FAILED_PRECONDITION, std::string(status.message())};
+  }
+
+ private:
+  const int version_;
+};
+
+TEST_F(BadPeersTest, AnActorThatALearnerOfAnotherVersionRefusesEndsWithWhatToUpgrade) {
+  for (const auto& [version, side] : {std::pair{wire::kProtocolVersion - 1, "upgrade the learner"},
+                                      {wire::kProtocolVersion + 1, "upgrade the actor"}}) {
+    OtherLearner service(version);
+    const auto server = wire::Server::Create({"127.0.0.1:0"}, {&service});
+    ASSERT_THAT(server, IsOk());
+    const Ended ended = Finish(StartActor((*server)->address(), "127.0.0.1:1").get());
+    EXPECT_EQ(ended.exit_code, 1);
+    EXPECT_THAT(ended.err, HasSubstr(side));
+  }
 }
 
 TEST_F(BadPeersTest, StatusShowsTheProcess) {

@@ -30,9 +30,6 @@ class FinalEvaluationTest : public SmallRunTest {
         absl::StrReplaceAll(kConfig, {{"final_episodes: 0", absl::StrCat("final_episodes: ", episodes)}});
     ASSERT_THAT(WriteFileSynced(config(), text), IsOk());
   }
-  std::string Text(const std::string& run, const std::string& file) const {
-    return ReadFile(JoinPath(Logdir(run), file)).value_or("none");
-  }
   void ExpectStopped(const Ended& ended, const std::string& run) {
     EXPECT_EQ(ended.exit_code, 0) << ended.err;
     EXPECT_THAT(ended.err, HasSubstr("stopped during the final evaluation; continue with --resume"));
@@ -57,7 +54,7 @@ class FinalEvaluationTest : public SmallRunTest {
 };
 
 TEST_F(FinalEvaluationTest, StoppedByASignalItIsNotCompleteAndResumes) {
-  ASSERT_NO_FATAL_FAILURE(EvaluateAtTheEnd(300));
+  ASSERT_NO_FATAL_FAILURE(EvaluateAtTheEnd(100));
   Train("quiet");
   const auto train = Start("craftfleet train", Flags("run"));
   ASSERT_TRUE(train->WaitForText(kEvaluating, kPatience)) << train->Err();
@@ -100,8 +97,8 @@ TEST_F(FinalEvaluationTest, StoppedByAdminItIsNotCompleteAndTheStatusShowsIt) {
 
 TEST_F(FinalEvaluationTest, AnExtendedRunHasTheFinalEvaluationOfItsNewestWeights) {
   ASSERT_NO_FATAL_FAILURE(EvaluateAtTheEnd(3));
-  Train("run");
-  Train("short");
+  CopyTrained("run");
+  CopyTrained("short");
   EXPECT_EQ(Run("craftfleet train", Flags("long", {"--steps=320"})).exit_code, 0);
   Resume("run", {"--steps=320"});
   ExpectSameFinalLogs("run", "long");

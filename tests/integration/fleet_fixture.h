@@ -6,6 +6,7 @@
 
 #include <algorithm>
 #include <cstdint>
+#include <map>
 #include <memory>
 #include <string>
 #include <utility>
@@ -35,11 +36,12 @@ inline constexpr char kConfig[] = R"(
 )";
 inline constexpr char kLastCheckpoint[] = "checkpoints/iter-00000010";
 
-// Ten short iterations.
+// Ten shorter iterations.
 inline constexpr char kTenIterations[] = R"(
+  network { frame_size: 36 }
   steps: 5120  lanes: 8  seed: 3  fragment_steps: 64
   env { length: 90 }
-  ppo { rollout_steps: 512  minibatch_size: 128  epochs: 1 }
+  ppo { rollout_steps: 512  minibatch_size: 128  epochs: 2 }
   checkpoint { every_iterations: 2  keep: 20 }
   eval { every_steps: 1500  episodes: 2  final_episodes: 2 }
 )";
@@ -50,31 +52,34 @@ struct Result {
   std::string final_evaluation;
   std::string weights;
   std::string optimizer;
+  size_t events_bytes = 0;  // of TensorBoard's log, which has times
 };
 
 class FleetRunTest : public testing::Test {
  protected:
-  // Before the first test, makes the undisturbed run in one process that every other run must equal. This is not in
-  // SetUpTestSuite, since tests count as skipped if that fails.
+  // Not in SetUpTestSuite, since tests count as skipped if that fails.
   void SetUp() override {
     ASSERT_NO_FATAL_FAILURE(TrainQuietly(kConfig));
     // Three evaluations of two episodes of each kind, then three of each kind at the end.
     ASSERT_EQ(Lines(quiet_->evaluations), 2 * 3 * 2 + 1);
     ASSERT_EQ(Lines(quiet_->final_evaluation), 2 * 3 + 1);
   }
-  static void TearDownTestSuite() {
-    quiet_.reset();
-    shared_.reset();
-  }
+  static void TearDownTestSuite() { shared_.reset(); }
 
-  // `length`: steps of a truncated episode.
-  static void TrainQuietly(const std::string& config, int length = 90) {
-    if (quiet_ != nullptr) return;
+  // Gives the test a folder of its own, for runs of `config`.
+  static void Configure(const std::string& config) {
     shared_ = std::make_unique<TempFolder>();
     ASSERT_THAT(WriteFileSynced(*shared_ / "config.txt", config), IsOk());
+  }
+  // Likewise, and makes the undisturbed run in one process that every other run of `config` must equal, unless an
+  // earlier test has made it. `length`: steps of a truncated episode.
+  static void TrainQuietly(const std::string& config, int length = 90) {
+    ASSERT_NO_FATAL_FAILURE(Configure(config));
+    quiet_ = &quiet_results_[config];
+    if (!quiet_->stats.empty()) return;
     const auto train = Train("quiet", {});
     ASSERT_EQ(train->Wait(kPatience), 0) << train->Err();
-    quiet_ = std::make_unique<Result>(Read("quiet"));
+    *quiet_ = Read("quiet");
     ASSERT_THAT(quiet_->stats, testing::HasSubstr(absl::StrCat("\"length\": ", length, ",")));
   }
 
@@ -162,10 +167,12 @@ class FleetRunTest : public testing::Test {
   static Result Read(const std::string& run) {
     const std::string checkpoint = Logdir(run) + "/" + kLastCheckpoint;
     const auto log = [&](const std::string& name) { return ReadFile(Logdir(run) + "/" + name).value_or("none"); };
-    return {log("stats.jsonl"), log("eval_argmax.jsonl") + "\n" + log("eval_sampled.jsonl"),
+    return {log("stats.jsonl"),
+            log("eval_argmax.jsonl") + "\n" + log("eval_sampled.jsonl"),
             log("final_argmax.jsonl") + "\n" + log("final_sampled.jsonl"),
             ReadFile(checkpoint + "/weights.safetensors").value_or("none"),
-            ReadFile(checkpoint + "/optimizer.safetensors").value_or("none")};
+            ReadFile(checkpoint + "/optimizer.safetensors").value_or("none"),
+            log("events.out.tfevents.craftfleet").size()};
   }
   static void ExpectLikeQuiet(const std::string& run) {
     ExpectTrainedLikeQuiet(run);
@@ -186,8 +193,9 @@ class FleetRunTest : public testing::Test {
                                          actual.begin();
   }
 
-  static inline std::unique_ptr<TempFolder> shared_;
-  static inline std::unique_ptr<Result> quiet_;
+  static inline std::unique_ptr<TempFolder> shared_;           // of the test's processes
+  static inline std::map<std::string, Result> quiet_results_;  // by configuration
+  static inline Result* quiet_ = nullptr;                      // that of the test's
 };
 
 }  // namespace craftfleet

@@ -2,7 +2,6 @@
 // change the result.
 
 #include <csignal>
-#include <memory>
 #include <string>
 #include <vector>
 
@@ -22,6 +21,7 @@ using testing::HasSubstr;
 // Like kConfig, with a recurrent agent.
 constexpr char kRecurrentConfig[] = R"(
   agent: "lstm_cnn"  steps: 2560  lanes: 4  seed: 3  fragment_steps: 16
+  network { frame_size: 36 }
   env { length: 90 }
   eval { every_steps: 0  final_episodes: 0 }
   ppo { rollout_steps: 256  minibatch_size: 64  epochs: 2 }
@@ -129,7 +129,6 @@ class EachKindOfFleetTest : public FleetTest, public testing::WithParamInterface
     }
     if (kind == "distillation") TrainQuietly(kDistillationConfig);
   }
-  void TearDown() override { TearDownTestSuite(); }  // each kind has a quiet run of its own
 };
 
 TEST_P(EachKindOfFleetTest, ThreeActorsAndTwoServersWithKillsEqualOneProcess) { PlayWithKills(); }
@@ -157,10 +156,8 @@ class FrameFormatsFleetTest : public FleetTest {
   }
 };
 
-TEST_F(FrameFormatsFleetTest, EveryFormatEqualsOneProcess) {
-  for (const std::string format : {"raw", "scene"}) {
-    ExpectComplete(format, StartFleet(format, /*registers=*/false, {"--frames=" + format}));
-  }
+TEST_F(FrameFormatsFleetTest, RawFramesEqualOneProcess) {
+  ExpectComplete("raw", StartFleet("raw", /*registers=*/false, {"--frames=raw"}));
 }
 
 TEST_F(FrameFormatsFleetTest, ActorsWithDifferentFormatsAndKillsEqualOneProcess) {
@@ -189,12 +186,7 @@ TEST_F(FleetTest, WithoutStalenessARunIsSynchronous) {
 // Lanes play on without waiting for each other. The result depends on the order of arrival.
 class AsynchronousFleetTest : public FleetTest {
  protected:
-  void SetUp() override {
-    shared_ = std::make_unique<TempFolder>();
-    ASSERT_THAT(
-        WriteFileSynced(*shared_ / "config.txt", absl::StrReplaceAll(Config(), {{"ppo {", "max_staleness: 2  ppo {"}})),
-        IsOk());
-  }
+  void SetUp() override { Configure(absl::StrReplaceAll(Config(), {{"ppo {", "max_staleness: 2  ppo {"}})); }
   virtual std::string Config() { return kConfig; }
 
   // Trains with three actors, of which one is stopped for a while and one is killed, and a learner that is killed.
@@ -216,7 +208,7 @@ class AsynchronousFleetTest : public FleetTest {
   }
   static void ExpectAWholeRun() {
     EXPECT_GT(Lines(Read("async").stats), 0);
-    EXPECT_FALSE(Read("async").weights.empty());
+    EXPECT_NE(Read("async").weights, "none");
   }
 };
 

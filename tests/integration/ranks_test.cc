@@ -10,8 +10,8 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include "tests/fakes/loopback.h"
 #include "tests/integration/fleet_fixture.h"
-#include "tests/learner/ranks/local_ranks.h"
 
 namespace craftfleet {
 namespace ranks_test {
@@ -21,6 +21,7 @@ using testing::HasSubstr;
 // Ten short iterations.
 constexpr char kFeedForwardConfig[] = R"(
   steps: 1280  lanes: 4  seed: 3  fragment_steps: 16  gradient_shards: 4
+  network { frame_size: 36 }
   env { length: 90 }
   eval { every_steps: 500  episodes: 1  final_episodes: 1 }
   ppo { rollout_steps: 128  minibatch_size: 32  epochs: 1 }
@@ -30,6 +31,7 @@ constexpr char kFeedForwardConfig[] = R"(
 // The same of a recurrent agent, whose actors play during updates.
 constexpr char kRecurrentConfig[] = R"(
   agent: "lstm_cnn"  steps: 1280  lanes: 4  seed: 3  fragment_steps: 16  gradient_shards: 4  overlap: 1
+  network { frame_size: 36 }
   env { length: 90 }
   eval { every_steps: 0  final_episodes: 0 }
   ppo { rollout_steps: 128  minibatch_size: 32  epochs: 2 }
@@ -45,6 +47,8 @@ class RanksTest : public FleetRunTest {
 
   void SetUp() override { TrainQuietly(kFeedForwardConfig); }
 
+  // The learner's, also after a restart.
+  static std::string Address() { return "unix:" + *shared_ / "learner"; }
   // Starts one of `world_size` learners, each with the same flags but its own rank. Rank 0 gets `more`.
   std::unique_ptr<Process> StartRank(const std::string& run, int rank, int world_size,
                                      const std::vector<std::string>& more = {}) const {
@@ -53,7 +57,7 @@ class RanksTest : public FleetRunTest {
         "--logdir=" + Logdir(run),
         "--autoresume",
         "--threads=1",
-        "--listen=" + learner_,
+        "--listen=" + Address(),
         absl::StrCat("--rank=", rank),
         absl::StrCat("--world_size=", world_size),
         absl::StrCat("--master_port=", port_),
@@ -67,10 +71,10 @@ class RanksTest : public FleetRunTest {
     for (int rank = world_size - 1; rank >= 0; --rank) ranks[rank] = StartRank(run, rank, world_size);
     return ranks;
   }
-  // An actor and an environment server for `learner_`, which outlive the learners.
+  // An actor and an environment server, which outlive the learners.
   void StartWorkers(const std::string& run, const std::vector<std::string>& more = {}) {
     server_ = StartServer(run + "-server");
-    actor_ = StartActor(run + "-actor", learner_, server_->WaitForAddress().value(), /*threads=*/2, more);
+    actor_ = StartActor(run + "-actor", Address(), server_->WaitForAddress().value(), /*threads=*/2, more);
   }
   static void ExpectEnd(const Ranks& ranks, int exit_code, absl::Duration timeout, absl::string_view text) {
     for (const auto& rank : ranks) {
@@ -80,7 +84,6 @@ class RanksTest : public FleetRunTest {
   }
   static void ExpectComplete(const Ranks& ranks) { ExpectEnd(ranks, 0, kPatience, "the run is complete"); }
 
-  const std::string learner_ = absl::StrCat("127.0.0.1:", FreePort());
   const int port_ = FreePort();
   std::unique_ptr<Process> server_;
   std::unique_ptr<Process> actor_;

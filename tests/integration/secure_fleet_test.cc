@@ -1,7 +1,5 @@
 // A fleet under attack: wrong credentials, garbage and new certificates do not change the run's result.
 
-#include <arpa/inet.h>
-#include <netinet/in.h>
 #include <sys/socket.h>
 #include <unistd.h>
 
@@ -27,10 +25,11 @@
 #include "common/wire/protocol.h"
 #include "craftfleet/v1/learner.grpc.pb.h"
 #include "craftfleet/v1/status.grpc.pb.h"
+#include "tests/fakes/loopback.h"
 #include "tests/fakes/sanitizers.h"
 #include "tests/fakes/test_certificates.h"
 #include "tests/fakes/wait_until.h"
-#include "tests/integration/fleet_fixture.h"
+#include "tests/integration/secure_fleet_fixture.h"
 
 namespace craftfleet {
 namespace {
@@ -39,48 +38,25 @@ using testing::AllOf;
 using testing::HasSubstr;
 using testing::Not;
 
-class SecureFleetTest : public FleetRunTest {
+class SecureFleetTest : public SecureFleetFixture {
  protected:
-  SecureFleetTest() {
-    for (const char* name : {"learner", "envserver", "actor", "actor-2", "monitor", "guest"}) ca_.Issue(name, {name});
-    EXPECT_THAT(WriteFileSynced(folder_ / "access.txt", absl::StrFormat(R"(
+  SecureFleetTest()
+      : SecureFleetFixture({"learner", "envserver", "actor", "actor-2", "monitor", "guest"},
+                           absl::StrFormat(R"(
                   client { name: "workers" certificate: "actor*" right: PLAY }
                   client { name: "servers" certificate: "envserver" right: SERVE }
                   client { name: "monitor" certificate: "monitor" right: WATCH }
                   client { name: "guest with token" certificate: "guest" token_sha256: "%s" right: WATCH })",
-                                                                        wire::Sha256Hex("sesame"))),
-                IsOk());
-  }
+                                           wire::Sha256Hex("sesame"))) {}
 
-  // Flags of a process that presents certificate `name`.
-  std::vector<std::string> Tls(const std::string& name, const std::vector<std::string>& more = {}) const {
-    std::vector<std::string> flags = {"--tls_cert=" + (folder_ / (name + ".pem")),
-                                      "--tls_key=" + (folder_ / (name + ".key")), "--tls_ca=" + (folder_ / "ca.pem")};
-    flags.insert(flags.end(), more.begin(), more.end());
-    return flags;
-  }
   wire::TlsFiles FilesOf(const std::string& name) const {
     return {folder_ / (name + ".pem"), folder_ / (name + ".key"), folder_ / "ca.pem"};
   }
-  std::string AccessFlag() const { return "--access_file=" + (folder_ / "access.txt"); }
 
-  // Starts a learner, an environment server that registers with it and an actor, all with TLS and `access`.
+  // `more`: flags of the learner and the environment server.
   void StartFleet(const std::string& run, const std::vector<std::string>& more = {}) {
-    std::vector<std::string> flags = more;
-    flags.push_back(AccessFlag());
-    learner_ = StartLearner(run, "127.0.0.1:0", Tls("learner", flags));
-    learner_address_ = learner_->WaitForAddress("listening on ", kPatience).value();
-    flags.insert(flags.end(), {"--listen=127.0.0.1:0", "--learner=" + learner_address_});
-    server_ = Start("craftfleet-envserver", run + "-server", Tls("envserver", flags));
-    actor_ =
-        Start("craftfleet-actor", run + "-actor",
-              Tls("actor", {AccessFlag(), "--learner=" + learner_address_, "--envservers=learner", "--threads=2"}));
-  }
-  void ExpectTheRunToEndLikeQuiet(const std::string& run) {
-    EXPECT_EQ(learner_->Wait(kPatience), 0) << learner_->Err();
-    EXPECT_EQ(actor_->Wait(absl::Seconds(10)), 0) << actor_->Err();
-    ExpectLikeQuiet(run);
-    EXPECT_EQ(server_->Wait(absl::ZeroDuration()), std::nullopt) << server_->Err();
+    StartSecureLearner(run, more);
+    StartWorkers(run, more);
   }
 
   // Runs `program`, expects it to fail, and returns its standard error.
@@ -94,12 +70,6 @@ class SecureFleetTest : public FleetRunTest {
     return Fail("craftfleet status", std::move(flags));
   }
 
-  const TempFolder folder_;
-  TestAuthority ca_{folder_, "ca"};
-  std::unique_ptr<Process> learner_;
-  std::unique_ptr<Process> server_;
-  std::unique_ptr<Process> actor_;
-  std::string learner_address_;
   int intruders_ = 0;
 };
 
@@ -212,8 +182,7 @@ TEST_F(SecureFleetTest, TokensReplacedWithoutOverlapAreUsed) {
   allow("old");
   ASSERT_THAT(WriteFileSynced(folder_ / "token", "old\n"), IsOk());
   const std::string token_flag = "--token_file=" + (folder_ / "token");
-  learner_ = StartLearner("token", "127.0.0.1:0", Tls("learner", {AccessFlag()}));
-  learner_address_ = learner_->WaitForAddress("listening on ", kPatience).value();
+  StartSecureLearner("token");
   const std::string learner_flag = "--learner=" + learner_address_;
   server_ = Start("craftfleet-envserver", "token-server",
                   Tls("envserver", {"--listen=127.0.0.1:0", learner_flag, token_flag}));
@@ -260,20 +229,6 @@ TEST_F(SecureFleetTest, NewCertificatesAreUsedAndNoConnectionIsLost) {
   for (const Process* process : {actor_.get(), late.get()}) {
     EXPECT_THAT(process->Err(), AllOf(Not(HasSubstr("trying again")), Not(HasSubstr("closed"))));
   }
-}
-
-// A connection to 127.0.0.1:PORT; -1: refused.
-int ConnectTo(const std::string& address) {
-  const int connection = socket(AF_INET, SOCK_STREAM | SOCK_CLOEXEC, 0);
-  sockaddr_in name = {};
-  name.sin_family = AF_INET;
-  int port = 0;
-  EXPECT_TRUE(absl::SimpleAtoi(address.substr(address.rfind(':') + 1), &port));
-  name.sin_port = htons(static_cast<uint16_t>(port));
-  name.sin_addr.s_addr = htonl(INADDR_LOOPBACK);
-  if (connect(connection, reinterpret_cast<const sockaddr*>(&name), sizeof(name)) == 0) return connection;
-  close(connection);
-  return -1;
 }
 
 // Acts like a port scanner: sends a plausible beginning, then noise. Connections stay open until the end.

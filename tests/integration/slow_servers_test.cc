@@ -54,8 +54,7 @@ constexpr char kLongRun[] = R"(
 class SlowServersTest : public FleetRunTest {
  protected:
   void SetUp() override {
-    shared_ = std::make_unique<TempFolder>();
-    ASSERT_THAT(WriteFileSynced(*shared_ / "config.txt", kLongRun), IsOk());
+    ASSERT_NO_FATAL_FAILURE(Configure(kLongRun));
     learner_ = StartLearner("slow", "127.0.0.1:0");
     learner_address_ = learner_->WaitForAddress().value();
     first_ = StartServer("first");
@@ -143,7 +142,9 @@ TEST_F(SlowServersTest, AnActorThatIsStoppedBlamesNoServer) {
   StartActorOn(first_->WaitForAddress().value() + "," + second_->WaitForAddress().value());
   absl::SleepFor(absl::Seconds(4));
   const Stutter stutter(actor_.get(), absl::Milliseconds(950), absl::Milliseconds(50));
+  const double before = Steps();
   absl::SleepFor(absl::Seconds(15));
+  EXPECT_TRUE(WaitUntil([&] { return Steps() > before; }, kPatience)) << "it still plays: " << actor_->Err();
   EXPECT_THAT(actor_->Err(), Not(HasSubstr("is slow")));
 }
 

@@ -4,6 +4,7 @@
 #define CRAFTFLEET_TESTS_INTEGRATION_SMALL_RUN_H_
 
 #include <filesystem>
+#include <map>
 #include <memory>
 #include <string>
 #include <utility>
@@ -45,6 +46,10 @@ class SmallRunTest : public testing::Test {
   std::string Checkpoint(const std::string& run, int iteration) const {
     return JoinPath(Logdir(run), "checkpoints/iter-0000000" + std::to_string(iteration));
   }
+  // A file of the run.
+  std::string Text(const std::string& run, const std::string& file) const {
+    return ReadFile(JoinPath(Logdir(run), file)).value_or("none");
+  }
   // The flags of the small run.
   std::vector<std::string> Flags(const std::string& run, const std::vector<std::string>& more = {}) const {
     std::vector<std::string> flags = {"--config=" + config(), "--logdir=" + Logdir(run)};
@@ -70,6 +75,18 @@ class SmallRunTest : public testing::Test {
     ASSERT_EQ(ended.exit_code, 0) << ended.err;
   }
 
+  // Likewise, or copies such a run that an earlier call has trained with the same configuration.
+  void CopyTrained(const std::string& run) {
+    std::unique_ptr<TempFolder>& trained = trained_[ReadFile(config()).value()];
+    if (trained == nullptr) {
+      ASSERT_NO_FATAL_FAILURE(Train(run));
+      trained = std::make_unique<TempFolder>();
+      std::filesystem::copy(Logdir(run), *trained / "run", std::filesystem::copy_options::recursive);
+    } else {
+      std::filesystem::copy(*trained / "run", Logdir(run), std::filesystem::copy_options::recursive);
+    }
+  }
+
   // A folder with textures of which one differs from the installed ones.
   std::string OtherTextures() const {
     const std::string textures = folder_ / "textures";
@@ -81,6 +98,7 @@ class SmallRunTest : public testing::Test {
 
   const TempFolder folder_;
   int processes_ = 0;
+  static inline std::map<std::string, std::unique_ptr<TempFolder>> trained_;  // by configuration
 };
 
 }  // namespace craftfleet

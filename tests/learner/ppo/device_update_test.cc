@@ -5,6 +5,7 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
+#include <map>
 #include <memory>
 #include <ostream>
 #include <string>
@@ -17,8 +18,11 @@
 #include <google/protobuf/text_format.h>
 #include <gtest/gtest.h>
 
+#include "common/agent/agent_spec.h"
+#include "common/agent/initial_weights.h"
 #include "common/agent/nets/attention.h"
 #include "common/agent/torch_setup.h"
+#include "common/agent/weights.h"
 #include "common/base/keyed_random.h"
 #include "common/base/worker_pool.h"
 #include "common/config/agent_presets.h"
@@ -60,10 +64,22 @@ std::vector<Fragment> RandomFragments(const PpoUpdater& updater) {
   return RandomFragments(updater, kLanes, kFragments, kSteps);
 }
 
+// The initial weights, made once for each network: most of them take longer than an update.
+const std::string& StartWeights(const v1::RunConfig& config) {
+  static auto* const known = new std::map<std::string, std::string>;
+  std::string& weights = (*known)[absl::StrCat(config.agent(), config.network().ShortDebugString())];
+  if (weights.empty()) {
+    const AgentSpec spec = *MakeAgentSpec(config);
+    weights = SaveWeights(spec, InitialWeights(spec, config.seed()));
+  }
+  return weights;
+}
+
 // An updater that has run `iterations` updates.
 struct Trained {
   Trained(const v1::RunConfig& config, const std::string& device, int iterations)
-      : updater(*PpoUpdater::Create(config, 1, device)) {
+      : updater(*PpoUpdater::Create(config, 1, device, PpoUpdater::Start::kZeros)) {
+    EXPECT_THAT(updater->Load(StartWeights(config), updater->SaveOptimizer()), IsOk());
     const std::vector<Fragment> fragments = RandomFragments(*updater);
     for (int i = 0; i < iterations; ++i) {
       const absl::StatusOr<UpdateStats> result = updater->Update(i, RolloutOf(*updater, fragments), NeverStop);
@@ -115,7 +131,7 @@ using Agents = testing::TestWithParam<const char*>;
 
 void ExpectLearnsAsOnTheCpu(const v1::RunConfig& config, int iterations = 2, double moments = 1e-3) {
   const Trained expected(config, "cpu", iterations);
-  const at::Tensor start = SavedTensors(Trained(config, "cpu", 0).updater->SaveWeights());
+  const at::Tensor start = SavedTensors(StartWeights(config));
   const at::Tensor weights = SavedTensors(expected.updater->SaveWeights());
   for (const char* device : {kOnTheCpu, kStandInDevice}) {
     const Trained actual(config, device, iterations);
@@ -163,10 +179,10 @@ INSTANTIATE_TEST_SUITE_P(
 // bfloat16 has 8 bits: losses and the gradient's norm differ by per mille to per cent, but not by nothing.
 TEST_P(Agents, LearnAlmostTheSameInBf16) {
   v1::RunConfig config = ConfigOf(GetParam());
-  const Trained expected(config, "cpu", 1);
   config.set_precision(v1::RunConfig::BF16);
-  const auto refused = PpoUpdater::Create(config, 1, "cpu");
+  const auto refused = PpoUpdater::Create(config, 1, "cpu", PpoUpdater::Start::kZeros);
   if (!refused.ok()) GTEST_SKIP() << refused.status();
+  const Trained expected(ConfigOf(GetParam()), "cpu", 1);
   for (const char* device : {"cpu", kOnTheCpu, kStandInDevice}) {
     const Trained actual(config, device, 1);
     const double norm = expected.stats.gradient_norm;
@@ -184,7 +200,7 @@ TEST(DeviceUpdate, RepeatsBitForBitAndResumesSo) {
   EXPECT_TRUE(once.updater->SaveWeights() + once.updater->SaveOptimizer() ==
               twice.updater->SaveWeights() + twice.updater->SaveOptimizer());
   const Trained first(config, kOnTheCpu, 2);
-  const auto second = *PpoUpdater::Create(config, 1, kOnTheCpu);
+  const auto second = *PpoUpdater::Create(config, 1, kOnTheCpu, PpoUpdater::Start::kZeros);
   ASSERT_THAT(second->Load(first.updater->SaveWeights(), first.updater->SaveOptimizer()), IsOk());
   const std::vector<Fragment> fragments = RandomFragments(*second);
   ASSERT_THAT(second->Update(2, RolloutOf(*second, fragments), NeverStop), IsOk());

@@ -12,7 +12,6 @@
 
 #include "common/agent/policy.h"
 #include "common/agent/weights.h"
-#include "common/base/keyed_random.h"
 #include "learner/ppo/ppo_updater.h"
 #include "tests/agent/golden_agent.h"
 #include "tests/fakes/status_matchers.h"
@@ -41,7 +40,7 @@ v1::RunConfig ConfigOf(const std::string& text, const std::string& more = "") {
 
 // With weights that are not close to zero; those of different `name`s differ by up to `distance`.
 std::unique_ptr<PpoUpdater> MakeUpdater(const v1::RunConfig& config, const std::string& name, double distance) {
-  auto updater = *PpoUpdater::Create(config, 2);
+  auto updater = *PpoUpdater::Create(config, 2, "cpu", PpoUpdater::Start::kZeros);
   const AgentSpec& spec = updater->spec();
   std::vector<float> weights = GoldenUniforms("weights", spec.param_count, -0.06, 0.06);
   const std::vector<float> change = GoldenUniforms(name, spec.param_count, -distance, distance);
@@ -50,50 +49,28 @@ std::unique_ptr<PpoUpdater> MakeUpdater(const v1::RunConfig& config, const std::
   return updater;
 }
 
-// Fragments that the updater's weights play, lane after lane, on random frames; episodes end at random. Also writes the
-// log-probability of each action under the weights of `judge`.
-std::vector<Fragment> Play(const PpoUpdater& updater, const PpoUpdater& judge, std::vector<double>* judged_log_probs) {
-  const AgentSpec& spec = updater.spec();
-  const auto policy = *Policy::Create(spec, updater.SaveWeights(), 1);
-  const auto judging = *Policy::Create(spec, judge.SaveWeights(), 1);
-  std::vector<Fragment> fragments;
-  std::vector<float> state;
-  for (int i = 0; i < kLanes * kFragments; ++i) {
-    Fragment& fragment = fragments.emplace_back();
-    fragment.lane = i / kFragments;
-    fragment.frames = GoldenFrames(100 + i, kSteps, spec.frame_size);
-    if (i % kFragments == 0) state.assign(spec.state_size, 0);
-    std::vector<float> judged_state = state;
+// The log-probability of each action of the fragments under the weights of `judge`.
+std::vector<double> LogProbsUnder(const PpoUpdater& judge, const std::vector<Fragment>& fragments) {
+  const AgentSpec& spec = judge.spec();
+  const auto policy = *Policy::Create(spec, judge.SaveWeights(), 1);
+  std::vector<double> log_probs;
+  for (const Fragment& fragment : fragments) {
+    std::vector<float> state(fragment.states.begin(), fragment.states.begin() + spec.state_size);
     for (int step = 0; step < kSteps; ++step) {
-      const auto uniform = [&](int k) { return ActionNoise(5, i * kSteps + step, k); };
-      if (step == 0 || updater.rollout_options().every_state) {
-        fragment.states.insert(fragment.states.end(), state.begin(), state.end());
-      }
       const std::string frame = fragment.frames.substr(step * spec.frame_bytes(), spec.frame_bytes());
-      const ActResult act = *policy->Act(frame, {0}, {uniform(0)}, absl::MakeSpan(state));
-      const ActResult judged = *judging->Act(frame, {0}, {uniform(0)}, absl::MakeSpan(judged_state));
-      judged_log_probs->push_back(judged.odds[0].log_probs[static_cast<int>(act.actions[0])]);
-      fragment.actions.push_back(static_cast<char>(act.actions[0]));
-      fragment.log_probs.push_back(act.log_probs[0]);
-      fragment.values.push_back(act.values[0]);
-      fragment.rewards.push_back(static_cast<float>(uniform(1)));
-      fragment.ends.push_back(uniform(2) < 0.1 ? StepEnd::kTerminated : StepEnd::kNone);
-      if (fragment.ends.back() == StepEnd::kNone) continue;
-      state.assign(state.size(), 0);
-      judged_state.assign(judged_state.size(), 0);
+      const ActResult act = *policy->Act(frame, {0}, {0.5}, absl::MakeSpan(state));
+      log_probs.push_back(act.odds[0].log_probs[static_cast<int>(fragment.actions[step])]);
+      if (fragment.ends[step] != StepEnd::kNone) state.assign(state.size(), 0);
     }
   }
-  for (size_t i = 0; i + 1 < fragments.size(); ++i) {
-    if (fragments[i].lane == fragments[i + 1].lane) fragments[i].bootstrap_value = fragments[i + 1].values[0];
-  }
-  return fragments;
+  return log_probs;
 }
 
 // An update from the weights `start` with a rollout that `player` played.
 struct Updated {
   Updated(const v1::RunConfig& config, const PpoUpdater& player, const std::string& start, double distance)
       : updater(MakeUpdater(config, start, distance)),
-        fragments(Play(player, *updater, &judged)),
+        fragments(PlayFragments(player, kLanes, kFragments, kSteps)),
         rollout(RolloutOf(*updater, fragments)) {
     const absl::StatusOr<UpdateStats> result = updater->Update(0, rollout, NeverStop);
     EXPECT_THAT(result, IsOk());
@@ -101,7 +78,6 @@ struct Updated {
   }
 
   std::unique_ptr<PpoUpdater> updater;
-  std::vector<double> judged;  // log-probabilities under `start`
   std::vector<Fragment> fragments;
   Rollout rollout;  // as it came
   UpdateStats stats;
@@ -143,11 +119,12 @@ TEST_P(LagUpdate, ImportanceWeightsAreThoseOfActing) {
   if (config.ppo().recurrent_batches() == v1::PpoConfig::PUBLISHED) return;
   const auto player = MakeUpdater(config, "a", 0.01);
   const Updated updated(config, *player, "b", 0.01);
+  const std::vector<double> judged = LogProbsUnder(*MakeUpdater(config, "b", 0.01), updated.fragments);
   double sum = 0;
   double min = 1e9;
   double max = 0;
-  for (size_t row = 0; row < updated.judged.size(); ++row) {
-    const double weight = std::exp(updated.judged[row] - updated.rollout.log_probs[row]);
+  for (size_t row = 0; row < judged.size(); ++row) {
+    const double weight = std::exp(judged[row] - updated.rollout.log_probs[row]);
     sum += weight;
     min = std::min(min, weight);
     max = std::max(max, weight);

@@ -68,7 +68,7 @@ TEST(PpoUpdater, ThreeStepsOnOneMinibatchMatchTheGolden) {
   owned.rollout.values = owned.rollout.returns;
 
   const v1::RunConfig config = SmallConfig(batch["n"]);
-  const auto updater = *PpoUpdater::Create(config, 2);
+  const auto updater = *PpoUpdater::Create(config, 2, "cpu", PpoUpdater::Start::kZeros);
   const AgentSpec& spec = updater->spec();
   ASSERT_TRUE(updater->Load(SaveWeights(spec, GoldenWeights(spec, golden)), FreshOptimizer(config)).ok());
   for (size_t i = 0; i < batch["steps"].size(); ++i) {
@@ -107,14 +107,16 @@ TEST(PpoUpdater, ThreadsDoNotChangeABit) {
 TEST(PpoUpdater, ThreadsDoNotChangeABitOfAWideLayer) {
   constexpr int kFrameSize = 24;
   const OwnedRollout owned = RandomRollout(11, 66, kFrameSize);
+  v1::RunConfig config = SmallConfig(66, "ppo_spcnn");
+  config.mutable_network()->set_frame_size(kFrameSize);
+  const std::string start = (*PpoUpdater::Create(config, 2))->SaveWeights();
   for (const v1::RunConfig::Precision precision : {v1::RunConfig::FP32, v1::RunConfig::BF16}) {
     SCOPED_TRACE(v1::RunConfig::Precision_Name(precision));
-    v1::RunConfig config = SmallConfig(66, "ppo_spcnn");
-    config.mutable_network()->set_frame_size(kFrameSize);
     config.set_precision(precision);
     if (!PpoUpdater::Create(config, 1, "cpu", PpoUpdater::Start::kZeros).ok()) continue;  // a CPU without BF16
     const auto digest = [&](int threads) {
-      const auto updater = *PpoUpdater::Create(config, threads);
+      const auto updater = *PpoUpdater::Create(config, threads, "cpu", PpoUpdater::Start::kZeros);
+      EXPECT_TRUE(updater->Load(start, updater->SaveOptimizer()).ok());
       EXPECT_TRUE(updater->Update(0, owned.rollout, NeverStop).ok());
       return Crc32c(updater->SaveWeights() + updater->SaveOptimizer());
     };
@@ -225,7 +227,7 @@ TEST(PpoUpdater, AResumedRunGoesOnAsIfNeverStopped) {
   const auto first = *PpoUpdater::Create(config, 2);
   EXPECT_EQ(first->rollout_options().value_scale.deviation, 0.1) << "no targets yet";
   for (int i = 0; i < 2; ++i) ASSERT_TRUE(first->Update(i, owned.rollout, NeverStop).ok());
-  const auto second = *PpoUpdater::Create(config, 2);
+  const auto second = *PpoUpdater::Create(config, 2, "cpu", PpoUpdater::Start::kZeros);
   ASSERT_TRUE(second->Load(first->SaveWeights(), first->SaveOptimizer()).ok());
   EXPECT_EQ(second->optimizer_steps(), 4);
   const ValueScale scale = second->rollout_options().value_scale;

@@ -9,9 +9,7 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
-#include "common/agent/policy.h"
 #include "common/agent/weights.h"
-#include "common/base/keyed_random.h"
 #include "learner/ppo/ppo_updater.h"
 #include "tests/agent/golden_agent.h"
 #include "tests/learner/ppo/update_samples.h"
@@ -23,36 +21,7 @@ constexpr int kLanes = 3;
 constexpr int kSteps = 16;     // of a fragment
 constexpr int kFragments = 4;  // of a lane
 
-// Plays fragments of one lane after the other with the updater's weights on random frames; episodes end at random.
-std::vector<Fragment> Play(const PpoUpdater& updater) {
-  const AgentSpec& spec = updater.spec();
-  const RolloutOptions options = updater.rollout_options();
-  const auto policy = *Policy::Create(spec, updater.SaveWeights(), 4);
-  std::vector<Fragment> fragments;
-  for (int lane = 0; lane < kLanes; ++lane) {
-    const std::string frames = GoldenFrames(100 + lane, kFragments * kSteps, spec.frame_size);
-    std::vector<float> state(spec.state_size);
-    for (int step = 0; step < kFragments * kSteps; ++step) {
-      const auto uniform = [&](int k) { return ActionNoise(5, lane * 1000 + step, k); };
-      if (step % kSteps == 0) fragments.emplace_back();
-      Fragment& fragment = fragments.back();
-      fragment.lane = lane;
-      if (step % kSteps == 0 || options.every_state) {
-        fragment.states.insert(fragment.states.end(), state.begin(), state.end());
-      }
-      const std::string frame = frames.substr(step * spec.frame_bytes(), spec.frame_bytes());
-      const ActResult act = *policy->Act(frame, {lane}, {uniform(0)}, absl::MakeSpan(state));
-      fragment.frames += frame;
-      fragment.actions.push_back(static_cast<char>(act.actions[0]));
-      fragment.log_probs.push_back(act.log_probs[0]);
-      fragment.values.push_back(act.values[0]);
-      fragment.rewards.push_back(static_cast<float>(uniform(1)));
-      fragment.ends.push_back(uniform(2) < 0.1 ? StepEnd::kTerminated : StepEnd::kNone);
-      if (fragment.ends.back() != StepEnd::kNone) state.assign(state.size(), 0);
-    }
-  }
-  return fragments;
-}
+std::vector<Fragment> Play(const PpoUpdater& updater) { return PlayFragments(updater, kLanes, kFragments, kSteps); }
 
 double ValueLoss(const Rollout& rollout) {
   double sum = 0;
@@ -65,7 +34,7 @@ class RecurrentUpdateTest : public testing::TestWithParam<v1::NetworkConfig::Cri
   // Whose weights are not close to zero, so that states count.
   static std::unique_ptr<PpoUpdater> MakeUpdater(v1::RunConfig config, int threads = 2) {
     config.mutable_network()->set_critic(GetParam());
-    auto updater = *PpoUpdater::Create(config, threads);
+    auto updater = *PpoUpdater::Create(config, threads, "cpu", PpoUpdater::Start::kZeros);
     const AgentSpec& spec = updater->spec();
     std::vector<float> weights = GoldenUniforms("weights", spec.param_count, -0.06, 0.06);
     EXPECT_TRUE(updater->Load(SaveWeights(spec, weights), updater->SaveOptimizer()).ok());
@@ -182,7 +151,7 @@ TEST_P(RecurrentGolden, PublishedMinibatchesMatch) {
   v1::RunConfig config = SmallConfig(sample["batch_size"], GetParam());
   config.set_gradient_shards(1);
   config.mutable_ppo()->set_recurrent_batches(v1::PpoConfig::PUBLISHED);
-  const auto updater = *PpoUpdater::Create(config, 2);
+  const auto updater = *PpoUpdater::Create(config, 2, "cpu", PpoUpdater::Start::kZeros);
   const AgentSpec& spec = updater->spec();
   ASSERT_TRUE(updater->Load(SaveWeights(spec, GoldenWeights(spec, golden)), updater->SaveOptimizer()).ok());
 

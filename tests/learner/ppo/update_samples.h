@@ -10,11 +10,15 @@
 #include <vector>
 
 #include <absl/strings/match.h>
+#include <absl/types/span.h>
 #include <gtest/gtest.h>
 
+#include "common/agent/policy.h"
 #include "common/agent/safetensors.h"
+#include "common/base/keyed_random.h"
 #include "craftfleet/v1/config.pb.h"
 #include "learner/ppo/ppo_updater.h"
+#include "tests/agent/golden_agent.h"
 
 namespace craftfleet {
 
@@ -37,6 +41,36 @@ inline v1::RunConfig SmallConfig(int minibatch_size, const std::string& agent = 
   return config;
 }
 
+// Fragments that the updater's weights play, lane after lane, on random frames; episodes end at random.
+inline std::vector<Fragment> PlayFragments(const PpoUpdater& updater, int lanes, int fragments, int steps) {
+  const AgentSpec& spec = updater.spec();
+  const bool every_state = updater.rollout_options().every_state;
+  const auto policy = *Policy::Create(spec, updater.SaveWeights(), 1);
+  std::vector<Fragment> played;
+  for (int lane = 0; lane < lanes; ++lane) {
+    const std::string frames = GoldenFrames(100 + lane, fragments * steps, spec.frame_size);
+    std::vector<float> state(spec.state_size);
+    for (int step = 0; step < fragments * steps; ++step) {
+      const auto uniform = [&](int k) { return ActionNoise(5, lane * 1000 + step, k); };
+      const bool begins = step % steps == 0;
+      if (begins) played.emplace_back().lane = lane;
+      Fragment& fragment = played.back();
+      if (begins || every_state) fragment.states.insert(fragment.states.end(), state.begin(), state.end());
+      const std::string frame = frames.substr(step * spec.frame_bytes(), spec.frame_bytes());
+      const ActResult act = *policy->Act(frame, {0}, {uniform(0)}, absl::MakeSpan(state));
+      if (begins && step > 0) played[played.size() - 2].bootstrap_value = act.values[0];
+      fragment.frames += frame;
+      fragment.actions.push_back(static_cast<char>(act.actions[0]));
+      fragment.log_probs.push_back(act.log_probs[0]);
+      fragment.values.push_back(act.values[0]);
+      fragment.rewards.push_back(static_cast<float>(uniform(1)));
+      fragment.ends.push_back(uniform(2) < 0.1 ? StepEnd::kTerminated : StepEnd::kNone);
+      if (fragment.ends.back() != StepEnd::kNone) state.assign(state.size(), 0);
+    }
+  }
+  return played;
+}
+
 // The fragments must outlive it.
 inline Rollout RolloutOf(const PpoUpdater& updater, const std::vector<Fragment>& fragments) {
   Rollout rollout;
@@ -46,7 +80,7 @@ inline Rollout RolloutOf(const PpoUpdater& updater, const std::vector<Fragment>&
 
 // An optimiser that has not stepped yet, for Load.
 inline std::string FreshOptimizer(const v1::RunConfig& config) {
-  return (*PpoUpdater::Create(config, 1))->SaveOptimizer();
+  return (*PpoUpdater::Create(config, 1, "cpu", PpoUpdater::Start::kZeros))->SaveOptimizer();
 }
 
 // The L2 norm of each parameter's gradient in the optimiser's first step, whose norm in all was `norm`, clipped at 0.5.

@@ -75,7 +75,6 @@ TEST(DistillationGolden, OutputsOfTheAgentMatch) {
   const PolicyNet net(spec, PolicyNet::Use::kTraining, absl::MakeSpan(weights));
   std::vector<float> memory = Memories("memory", 4, {0});
   Segments inputs{{1, 1, 1, 1}, Rows(&memory, 4)};
-  inputs.wants_codes = true;
   inputs.actions = at::zeros({4, kNumActions});
   for (int i = 0; i < 4; ++i) inputs.actions[i][forward["actions"][i].get<int>()] = 1;
   const std::string frames = GoldenFrames(golden["frames"]["seed"], 4, 64);

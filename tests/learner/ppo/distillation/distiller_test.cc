@@ -211,7 +211,7 @@ TEST_P(DistillerOn, ARunResumedAfterAnyIterationEqualsTheUninterruptedOne) {
     ASSERT_TRUE(Update(i, whole.get()).ok());
     ASSERT_TRUE(Update(i, resumed.get()).ok());
     EXPECT_TRUE(StateOf(*resumed) == StateOf(*whole)) << i;
-    auto next = *PpoUpdater::Create(Config(), 2, GetParam());
+    auto next = *PpoUpdater::Create(Config(), 2, GetParam(), PpoUpdater::Start::kZeros);
     ASSERT_TRUE(next->Load(resumed->SaveWeights(), resumed->SaveOptimizer()).ok());
     resumed = std::move(next);
   }
