@@ -116,8 +116,8 @@ TEST(RankUpdate, LostRankUndoesTheUpdate) {
 }
 
 TEST(RankUpdate, WithoutMemoryOnOneRankTheUpdateIsUndoneOnAll) {
-  // One, another layer, the backward pass.
-  for (const int allocations : {0, 8, 25}) {
+  // The forward pass of its first shard, the backward pass, the second shard.
+  for (const int allocations : {0, 50, 90}) {
     for (const int failing : {0, 1}) {
       InGroup(2, [&](RankGroup* group) {
         const auto updater = PpoUpdater::Create(ConfigOf("agent: 'ppo_cnn' gradient_shards: 4"), 1).value();
