@@ -4,6 +4,7 @@
 #include <fstream>
 #include <limits>
 #include <string>
+#include <utility>
 
 #include <ATen/Context.h>
 #include <absl/strings/match.h>
@@ -63,19 +64,20 @@ absl::Status ErrorWith(const Advice& advice, absl::string_view task, absl::strin
   return absl::InternalError(absl::StrFormat("%s: %s", task, line));
 }
 
-// `device` for --device=`name`; if LibTorch lacks CUDA, the error says so.
-absl::StatusOr<std::string> OrWithoutCuda(absl::string_view name, absl::StatusOr<std::string> device) {
+// `device` for --device=`name`, or why there is no such GPU if LibTorch lacks CUDA, and what to do `otherwise`.
+absl::StatusOr<std::string> OrWithoutCuda(absl::string_view name, absl::StatusOr<std::string> device,
+                                          absl::string_view otherwise) {
   if (at::hasCUDA() || !absl::IsFailedPrecondition(device.status()) || !absl::StartsWith(name, "cuda")) return device;
   return absl::FailedPreconditionError(
-      absl::StrFormat("%s; LibTorch was built without CUDA or finds no driver: build against one that has it "
-                      "(-DCRAFTFLEET_LIBTORCH=DIR)",
-                      device.status().message()));
+      absl::StrFormat("--device=%s: LibTorch was built without CUDA or finds no driver: build against one that has it "
+                      "(-DCRAFTFLEET_LIBTORCH=DIR)%s",
+                      name, otherwise));
 }
 
 }  // namespace
 
 absl::StatusOr<std::string> FindDevice(absl::string_view name) {
-  return OrWithoutCuda(name, ChooseDevice(name, static_cast<int>(at::getNumGPUs())));
+  return OrWithoutCuda(name, ChooseDevice(name, static_cast<int>(at::getNumGPUs())), ", or use --device=cpu");
 }
 
 absl::StatusOr<std::string> ChooseDevice(absl::string_view name, int gpus) {
@@ -87,7 +89,7 @@ absl::StatusOr<std::string> ChooseDevice(absl::string_view name, int gpus) {
   }
   if (number >= gpus) {
     return absl::FailedPreconditionError(
-        absl::StrFormat("--device=%s: there are %d GPUs, numbered from 0; want one of them or cpu", name, gpus));
+        absl::StrFormat("--device=%s: there are %d GPUs, numbered from 0", name, gpus));
   }
   return absl::StrCat("cuda:", number);
 }
@@ -112,7 +114,8 @@ absl::Status SetRunDevice(absl::string_view device, bool resumed, v1::RunConfig:
 }
 
 absl::StatusOr<std::string> FindActingDevice(absl::string_view name, v1::RunConfig::Device run) {
-  return OrWithoutCuda(name, ChooseActingDevice(name, run, static_cast<int>(at::getNumGPUs())));
+  absl::StatusOr<std::string> device = ChooseActingDevice(name, run, static_cast<int>(at::getNumGPUs()));
+  return run == v1::RunConfig::CUDA ? OrWithoutCuda(name, std::move(device), "") : device;
 }
 
 absl::StatusOr<std::string> ChooseActingDevice(absl::string_view name, v1::RunConfig::Device run, int gpus) {

@@ -125,6 +125,16 @@ TEST(ChooseActingDevice, IsWhatTheRunActsOn) {
   }
 }
 
+TEST(FindActingDevice, SaysThatLibTorchLacksCudaOnlyWhereTheRunActsOnGpus) {
+  EXPECT_THAT(FindActingDevice("cuda", v1::RunConfig::CPU),
+              StatusIs(absl::StatusCode::kFailedPrecondition, testing::EndsWith("want --device=auto or cpu")));
+  if (at::hasCUDA()) return;
+  EXPECT_THAT(FindActingDevice("cuda", v1::RunConfig::CUDA),
+              StatusIs(absl::StatusCode::kFailedPrecondition,
+                       AllOf(HasSubstr("--device=cuda: LibTorch was built without CUDA"), Not(HasSubstr("=cpu")))));
+  EXPECT_THAT(FindDevice("cuda"), StatusIs(absl::StatusCode::kFailedPrecondition, HasSubstr("or use --device=cpu")));
+}
+
 TEST(CheckPrecision, IsWhatTheCpuHas) {
   using v1::RunConfig;
   EXPECT_THAT(CheckCpuPrecision("", RunConfig::FP32), IsOk());
