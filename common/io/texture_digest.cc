@@ -39,4 +39,11 @@ absl::StatusOr<std::string> TextureDigest(const std::string& folder) {
   return TextureDigest(files);
 }
 
+absl::Status CheckTextureDigest(absl::string_view run, absl::string_view played, absl::string_view here) {
+  if (played == here) return absl::OkStatus();
+  return absl::FailedPreconditionError(absl::StrCat(run, " was played with textures ", played,
+                                                    ", but this program has ", here,
+                                                    ": give the run's textures with --textures"));
+}
+
 }  // namespace craftfleet

@@ -9,6 +9,7 @@
 #include "common/base/status_macros.h"
 #include "common/config/config.h"
 #include "common/io/files.h"
+#include "common/io/texture_digest.h"
 #include "common/process/cpu_pin.h"
 #include "common/telemetry/log.h"
 #include "learner/run/checkpoint.h"
@@ -74,10 +75,8 @@ absl::StatusOr<CheckpointPolicy> LoadPolicy(const std::string& path) {
 }
 
 absl::Status CheckTextures(const v1::CheckpointState& state, absl::string_view digest) {
-  if (state.texture_digest().empty() || state.texture_digest() == digest) return absl::OkStatus();
-  return absl::FailedPreconditionError(absl::StrCat("the run was played with textures ", state.texture_digest(),
-                                                    ", but this program has ", digest,
-                                                    ": give the run's textures with --textures"));
+  if (state.texture_digest().empty()) return absl::OkStatus();
+  return CheckTextureDigest("the run", state.texture_digest(), digest);
 }
 
 }  // namespace craftfleet

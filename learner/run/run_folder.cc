@@ -15,6 +15,7 @@
 #include "common/base/status_macros.h"
 #include "common/config/config.h"
 #include "common/io/files.h"
+#include "common/io/texture_digest.h"
 #include "learner/run/final_logs.h"
 #include "learner/run/stats_log.h"
 
@@ -243,10 +244,7 @@ std::vector<AppendFile*> RunFolder::Logs() {
 }
 
 absl::Status RunFolder::CheckFits(const v1::CheckpointState& state) const {
-  if (state.texture_digest() == program_.texture_digest) return absl::OkStatus();
-  return absl::FailedPreconditionError(
-      absl::StrCat("the run in ", logdir_, " was played with textures ", state.texture_digest(),
-                   ", but this program has ", program_.texture_digest, ": give the run's textures with --textures"));
+  return CheckTextureDigest(absl::StrCat("the run in ", logdir_), state.texture_digest(), program_.texture_digest);
 }
 
 absl::Status RunFolder::CountLogs(const v1::CheckpointState& state) {
