@@ -46,6 +46,11 @@ def check_env_name(env: Any) -> None:
     raise TypeError(f"env {env!r}, want the name of an environment like 'crafter:numbers=easy-x2'")
 
 
+def check_snapshot(name: str, value: Any) -> None:
+  if not isinstance(value, bytes):
+    raise TypeError(f"{name} of type {type(value).__name__}, want bytes of snapshot()")
+
+
 def texture_folder(textures: str | os.PathLike[str] | None) -> str:
   """The folder that `textures` means: None the built-in ones (""), "crafter" those of the installed package, else a path."""
   if textures is None:
@@ -71,9 +76,15 @@ def setup(env: str, area: Any, view: Any, size: Any, length: Any, textures: Any)
   return _shared_setup(env, pair("area", area), pair("view", view), pair("size", size), steps, texture_folder(textures))
 
 
-@functools.lru_cache(maxsize=32)
 def _shared_setup(env: str, area: Pair, view: Pair, size: Pair, length: int, textures: str) -> _engine.Setup:
-  """Environments with equal arguments share textures and pictures drawn beforehand."""
+  """Environments with equal arguments share textures and pictures drawn beforehand, until a texture is edited."""
+  files = sorted(file for file in pathlib.Path(textures).glob("*.png") if file.exists()) if textures else []
+  return _made_setup(env, area, view, size, length, textures, tuple((file.name, file.stat().st_mtime_ns) for file in files))
+
+
+@functools.lru_cache(maxsize=32)
+def _made_setup(
+    env: str, area: Pair, view: Pair, size: Pair, length: int, textures: str, _: tuple[tuple[str, int], ...]) -> _engine.Setup:
   try:
     return _engine.Setup.create(env, area, view, size, length, textures)
   except ValueError as error:
@@ -88,5 +99,6 @@ def _restored_game(shared: _engine.Setup, seed_: int, snapshot: bytes | None) ->
 
 
 # How copies and pickles of environments carry the engine's objects.
+_engine.Setup.__deepcopy__ = lambda shared, _: shared  # immutable
 copyreg.pickle(_engine.Setup, lambda shared: (_shared_setup, shared.arguments))
 copyreg.pickle(_engine.Game, lambda game: (_restored_game, (game.setup, game.seed, game.save() if game.started else None)))

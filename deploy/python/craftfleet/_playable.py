@@ -40,8 +40,7 @@ class Playable:
 
     ValueError: damaged, or of other arguments; the game is then unchanged.
     """
-    if not isinstance(snapshot, bytes):
-      raise TypeError(f"snapshot of type {type(snapshot).__name__}, want bytes of snapshot()")
+    _arguments.check_snapshot("snapshot", snapshot)
     self._game.restore(snapshot)
     return self.picture()
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from typing import Any
+from typing import Any, SupportsIndex
 
 import numpy as np
 
@@ -45,7 +45,7 @@ class Env(Playable):
     """Starts the next episode; returns the first observation, uint8[height, width, 3]."""
     return self._reset()
 
-  def step(self, action: int) -> tuple[np.ndarray, float, bool, dict[str, Any]]:
+  def step(self, action: SupportsIndex) -> tuple[np.ndarray, float, bool, dict[str, Any]]:
     """Takes an action, 0..16; returns observation, reward, done and info.
 
     info: inventory and achievements (counts by name), discount (0.0 at a death, otherwise 1.0), semantic (uint8[width, height]:

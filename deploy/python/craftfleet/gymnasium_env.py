@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from typing import Any
+from typing import Any, SupportsIndex
 
 import gymnasium
 import numpy as np
@@ -45,7 +45,7 @@ class GymnasiumEnv(Playable, gymnasium.Env[np.ndarray, int]):
       self._game = _engine.Game(self._setup, seed)
     return self._reset(), self._info()
 
-  def step(self, action: int) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
+  def step(self, action: SupportsIndex) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
     """Takes an action, 0..16; returns observation, reward, terminated, truncated and info (as of craftfleet.Env)."""
     observation, reward, terminated, truncated = self._step(action)
     return observation, reward if self._reward else 0.0, terminated, truncated, self._info(reward)

@@ -9,6 +9,7 @@ import json
 import os
 import pathlib
 import tempfile
+import weakref
 from collections.abc import Iterator
 from typing import Any
 
@@ -193,6 +194,7 @@ class _Video:
 
   def begin(self, folder: pathlib.Path) -> None:
     self._path = _unfinished(folder, ".mp4")
+    self._remove = weakref.finalize(self, _remove, self._path, os.getpid())  # programs for crafter close no recorder
     self._file = self._open(self._path)
     self.add()
 
@@ -205,6 +207,7 @@ class _Video:
     with contextlib.suppress(RuntimeError):  # the video is damaged
       if self._count(str(self._path))[0] == pictures:
         self._path.rename(path)
+        self._remove.detach()
         self._path = None
         return
     raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(path))  # which ffmpeg does not report
@@ -214,7 +217,7 @@ class _Video:
       with contextlib.suppress(OSError):
         self._file.close()
     if self._path is not None:
-      self._path.unlink(missing_ok=True)
+      self._remove()
     self._file = self._path = None
 
 
@@ -238,6 +241,11 @@ def _write_table(path: pathlib.Path, first: np.ndarray, rows: list[dict[str, Any
     unfinished.rename(path)
   finally:
     unfinished.unlink(missing_ok=True)
+
+
+def _remove(path: pathlib.Path, owner: int) -> None:
+  if os.getpid() == owner:  # not in a fork
+    path.unlink(missing_ok=True)
 
 
 def _unfinished(folder: pathlib.Path, suffix: str) -> pathlib.Path:

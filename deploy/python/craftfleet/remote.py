@@ -51,7 +51,7 @@ class RemoteVectorEnv(gymnasium.vector.VectorEnv[np.ndarray, np.ndarray, np.ndar
   The interface is that of VectorEnv with autoreset_mode SAME_STEP, and lane i plays the same game. Observations are one array that
   each call overwrites. Servers don't send the picture of a death: final_obs has one only of truncated lanes, and of others with
   `details`. Use an object from one thread at a time: a call while another thread is in one raises RuntimeError. So does a call in a
-  forked process, which has no connections of its own. Ctrl-C during a call closes the object.
+  forked process, which has no connections of its own. Ctrl-C during a call, or another signal's exception, closes the object.
 
   Args:
     addresses: "host:port" of a server, or several, which share the lanes.
@@ -70,7 +70,7 @@ class RemoteVectorEnv(gymnasium.vector.VectorEnv[np.ndarray, np.ndarray, np.ndar
       self, addresses: str | Sequence[str], num_envs: int, *, env: str = "crafter", size: int = 64, length: int = 10000,
       reward: bool = True, details: bool = False, tls: Tls | None = None, timeout: float = 30.0) -> None:
     self._sessions: list[_Session] = []
-    self._owner, self._busy = os.getpid(), threading.Lock()
+    self._owner, self._busy, self._asking = os.getpid(), threading.Lock(), False
     self.num_envs = _arguments.integer("num_envs", num_envs, 1, 1 << 20)
     pixels = _arguments.integer("size", size, 9, 1024)
     steps = _arguments.integer("length", length, 1, _arguments.MAX_INT)
@@ -141,16 +141,20 @@ class RemoteVectorEnv(gymnasium.vector.VectorEnv[np.ndarray, np.ndarray, np.ndar
       raise RuntimeError("another thread is in a call of this RemoteVectorEnv, want one at a time")
     try:
       yield
-    except KeyboardInterrupt:
-      self.close()  # a reply that comes later would be taken for that of the next request
+    except BaseException:
+      # Ctrl-C, or what another signal's handler raised: a reply that comes later would be taken for that of the next request.
+      if self._asking and not any(session.failed for session in self._sessions):
+        self.close()
       raise
     finally:
+      self._asking = False
       self._busy.release()
 
   def _reset(self, seed: Any, options: dict[str, Any] | None) -> tuple[np.ndarray, dict[str, Any]]:
     seeds, lanes = _lanes.seeds(seed, self.num_envs), _lanes.chosen(options, self.num_envs)
     if seed is not None and not hasattr(seed, "__len__"):
       super().reset(seed=int(seed))
+    self._asking = True
     for lane in lanes:
       if seeds[lane] is None and self._seeds[lane] is None:
         seeds[lane] = int(self.np_random.integers(2**31 - 1))
@@ -178,6 +182,7 @@ class RemoteVectorEnv(gymnasium.vector.VectorEnv[np.ndarray, np.ndarray, np.ndar
       raise ValueError(f"actions[{wrong[0]}] {chosen[wrong[0]]}, want 0..{len(_engine.ACTIONS) - 1}")
     if None in self._seeds:
       raise RuntimeError(f"lane {self._seeds.index(None)}: no game yet, want reset() first")
+    self._asking = True
     for session in self._sessions:
       session.request.step.lanes.extend(session.lanes)
       session.request.step.actions = chosen[session.rows].astype(np.uint8).tobytes()
@@ -265,6 +270,10 @@ class _Session:
         response_deserializer=self._messages.PlayReply.FromString)
     self._call = play(iter(self._requests.get, None), metadata=metadata)
     threading.Thread(target=self._read, name=f"replies of {address}", daemon=True).start()
+
+  @property
+  def failed(self) -> bool:
+    return self._error is not None
 
   @property
   def request(self) -> Any:

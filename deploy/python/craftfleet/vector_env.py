@@ -18,6 +18,8 @@ _AUTORESET = {
     AutoresetMode.SAME_STEP: _engine.Autoreset.SAME_STEP,
     AutoresetMode.DISABLED: _engine.Autoreset.DISABLED,
 }
+# What a copy makes anew: the engine's arrays, and a space that is larger than the games.
+_MADE_ANEW = ("_batch", "_observations", "_infos", "_ends", "observation_space")
 MAX_LANES = 1 << 20
 MAX_THREADS = 1 << 10
 
@@ -29,7 +31,8 @@ class VectorEnv(gymnasium.vector.VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
   They are NumPy arrays, so `torch.from_dlpack(observations)` shares their memory. With `copy=True` each call returns new ones.
 
   The games do not depend on `threads`: lane i plays what GymnasiumEnv plays after `reset(seed=seed + i)`. step() releases the
-  GIL. Use an object from one thread at a time: a call while another thread is in one raises RuntimeError, as does one after close().
+  GIL. Use an object from one thread at a time: a call while another thread is in one raises RuntimeError. So do reset() and
+  step() after close().
 
   Args:
     num_envs: number of games, the lanes.
@@ -125,6 +128,7 @@ class VectorEnv(gymnasium.vector.VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
     if len(snapshots) != self.num_envs:
       raise ValueError(f"{len(snapshots)} snapshots, want one for each of {self.num_envs} lanes")
     for lane, snapshot in enumerate(snapshots):
+      _arguments.check_snapshot(f"snapshots[{lane}]", snapshot)
       try:
         self._batch.restore(lane, snapshot)
       except ValueError as error:
@@ -132,16 +136,13 @@ class VectorEnv(gymnasium.vector.VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
     return self._current()
 
   def __getstate__(self) -> dict[str, Any]:
-    lanes = range(self.num_envs)
-    return {
-        "arguments": self._arguments,
-        "snapshots": {lane: self._batch.save(lane) for lane in lanes if self._batch.started(lane)},
-        "random": (self._np_random, self._np_random_seed),
-    }
+    snapshots = {lane: self._batch.save(lane) for lane in range(self.num_envs) if self._batch.started(lane)}
+    attributes = {name: value for name, value in self.__dict__.items() if name not in _MADE_ANEW}
+    return {"attributes": attributes, "snapshots": snapshots}
 
   def __setstate__(self, state: dict[str, Any]) -> None:
-    VectorEnv.__init__(self, **state["arguments"])
-    self._np_random, self._np_random_seed = state["random"]
+    VectorEnv.__init__(self, **state["attributes"]["_arguments"])
+    self.__dict__.update(state["attributes"])
     for lane, snapshot in state["snapshots"].items():
       self._batch.restore(lane, snapshot)
 

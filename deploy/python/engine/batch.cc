@@ -134,7 +134,7 @@ absl::Status Batch::CheckStep() const {
       return absl::InvalidArgumentError(absl::StrCat("actions[", lane, "] ", action, ", want 0..", kNumActions - 1));
     }
     CRAFTFLEET_RETURN_IF_ERROR(CheckStarted(lane));
-    if (options_.autoreset == Autoreset::kDisabled && (terminated_[lane] || truncated_[lane])) {
+    if (options_.autoreset == Autoreset::kDisabled && lanes_[lane].end() != StepEnd::kNone) {
       return absl::FailedPreconditionError(
           absl::StrCat("lane ", lane, ": its episode is over, want reset(options={\"reset_mask\": ...}) first"));
     }
@@ -150,8 +150,9 @@ void Batch::ResetLane(int lane) {
 }
 
 void Batch::StepLane(int lane, Action action) {
-  if (options_.autoreset == Autoreset::kNextStep && (terminated_[lane] || truncated_[lane])) return ResetLane(lane);
   Lane& game = lanes_[lane];
+  // Not terminated_ and truncated_: who got these arrays may write them.
+  if (options_.autoreset == Autoreset::kNextStep && game.end() != StepEnd::kNone) return ResetLane(lane);
   const StepOutcome outcome = game.Step(action, rows_.frame(lane));
   rows_.Fill(lane, game, outcome.reward);
   step_rewards_[lane] = options_.reward ? outcome.reward : 0;

@@ -1,11 +1,13 @@
 // craftfleet._engine: the game for the Python code beside it, which checks arguments and documents the interface.
 
+#include <cxxabi.h>
 #include <nanobind/nanobind.h>
 #include <nanobind/ndarray.h>
 #include <nanobind/stl/array.h>
 #include <nanobind/stl/shared_ptr.h>
 #include <nanobind/stl/string.h>
 #include <nanobind/stl/vector.h>
+#include <unistd.h>
 
 #include <cstdint>
 #include <memory>
@@ -47,6 +49,26 @@ T Value(absl::StatusOr<T> value) {
   Check(value.status());
   return *std::move(value);
 }
+
+// Without the GIL as long as it lives. Unlike nb::gil_scoped_release it may be in a daemon thread when the interpreter
+// ends: Python before 3.14 then unwinds the thread that asks for the GIL, and C++ aborts the program where that meets a
+// noexcept function, such as a destructor.
+class WithoutGil {
+ public:
+  WithoutGil() : thread_(PyEval_SaveThread()) {}
+  ~WithoutGil() {
+    try {
+      PyEval_RestoreThread(thread_);
+    } catch (const abi::__forced_unwind&) {
+      while (true) pause();  // until the process has ended, as from Python 3.14
+    }
+  }
+  WithoutGil(const WithoutGil&) = delete;
+  WithoutGil& operator=(const WithoutGil&) = delete;
+
+ private:
+  PyThreadState* const thread_;
+};
 
 template <typename Array>
 absl::Span<uint8_t> SpanOf(const Array& array, size_t want) {
@@ -217,7 +239,7 @@ void DefineBatch(nb::module_& m) {
              const std::vector<int64_t>& seeds) {
             absl::Status status;
             {
-              nb::gil_scoped_release release;
+              const WithoutGil without_gil;
               status = batch.Reset(lanes, seeded, seeds);
             }
             Check(status);
@@ -230,7 +252,7 @@ void DefineBatch(nb::module_& m) {
             const absl::Span<const int64_t> row(actions.data(), actions.shape(0));
             absl::Status status;
             {
-              nb::gil_scoped_release release;
+              const WithoutGil without_gil;
               status = batch.Step(row);
             }
             Check(status);

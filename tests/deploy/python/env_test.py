@@ -4,8 +4,12 @@ import concurrent.futures
 import copy
 import multiprocessing
 import os
+import pathlib
 import pickle
+import shutil
+import tempfile
 import threading
+import typing
 import warnings
 
 from tests.deploy.python import package
@@ -111,6 +115,21 @@ class Env(package.PackageCase):
     os.chdir("/")
     self.assertEqual(pickle.loads(pickled).picture().tobytes(), started().picture().tobytes())
     self.assert_refused(FileNotFoundError, "/textures", craftfleet.Env, textures="textures")
+
+  def test_textures_that_were_edited_are_read_anew(self):
+    temp = tempfile.TemporaryDirectory(prefix="craftfleet-")
+    self.addCleanup(temp.cleanup)
+    folder = pathlib.Path(temp.name) / "textures"
+    shutil.copytree(SOURCE / "envserver/textures", folder)
+    env = started(textures=folder)
+    before = env.picture().tobytes()
+    shutil.copy(folder / "lava.png", folder / "grass.png")
+    self.assertNotEqual(started(textures=folder).picture().tobytes(), before)
+    self.assertEqual(copy.deepcopy(env).picture().tobytes(), before)
+
+  def test_the_actions_that_a_space_samples_have_the_type_that_step_wants(self):
+    for env in (craftfleet.Env(), craftfleet.GymnasiumEnv()):
+      self.assertIsInstance(env.action_space.sample(), typing.get_type_hints(type(env).step)["action"])
 
   def test_length_ends_an_episode_and_none_means_no_limit(self):
     ends = [started(length=length).step(0)[2] for length in (1, 2, None, 0)]

@@ -3,9 +3,11 @@
 import gzip
 import importlib.util
 import json
+import os
 import pathlib
 import shutil
 import subprocess
+import sys
 import tempfile
 import threading
 import unittest
@@ -79,6 +81,12 @@ class Recorder(FolderCase):
       pictures = [np.asarray(frame) for frame in frames]
     self.assertEqual({picture.shape for picture in pictures}, {(144, 144, 3)})
     self.assertEqual(len(pictures), 16)
+
+  @unittest.skipUnless(importlib.util.find_spec("imageio_ffmpeg"), "no imageio[ffmpeg], want: deploy/install-deps.sh --tests")
+  def test_a_recorder_that_nobody_closes_leaves_no_unfinished_video(self):
+    code = f"import craftfleet; env = craftfleet.Recorder(craftfleet.Env(), {str(self.folder)!r}); env.reset(); env.step(0)"
+    subprocess.run([sys.executable, "-c", code], check=True, timeout=120, env={**os.environ, "PYTHONPATH": str(package.SITE)})
+    self.assertEqual(list(self.folder.iterdir()), [])
 
   def test_the_game_is_the_same_with_a_recorder(self):
     plain, recorded = craftfleet.Env(**ARGUMENTS), craftfleet.Env(**ARGUMENTS)

@@ -250,6 +250,21 @@ class Remote(ServerCase):
       self.assert_refused(KeyboardInterrupt, "", envs.step, [0, 0])
     self.assert_refused(RuntimeError, "is closed, want a new one", envs.step, [0, 0])
 
+  def test_the_exception_of_a_signal_handler_closes_it_too(self):
+    from craftfleet import remote  # pylint: disable=import-outside-toplevel
+    envs = self.connect(self.server()[1], 2)
+    envs.reset(seed=0)
+    with mock.patch.object(remote._Session, "receive", side_effect=TimeoutError("alarm")):  # pylint: disable=protected-access
+      self.assert_refused(TimeoutError, "alarm", envs.step, [0, 0])
+    self.assert_refused(RuntimeError, "is closed, want a new one", envs.step, [0, 0])
+
+  def test_what_is_refused_before_it_is_sent_does_not_close_it(self):
+    envs = self.connect(self.server()[1], 2)
+    for call in (lambda: envs.step([0, 0]), lambda: envs.step([0, 17]), lambda: envs.reset(seed="a")):
+      with self.assertRaises((RuntimeError, TypeError, ValueError)):
+        call()
+    self.assertEqual(envs.reset(seed=0)[0].shape, (2, 64, 64, 3))
+
   def test_after_close_it_says_so(self):
     envs = self.connect(self.server()[1], 2)
     envs.reset(seed=0)

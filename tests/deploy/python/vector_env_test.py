@@ -43,6 +43,14 @@ def play_given(envs):
   return play(envs, 20)
 
 
+class Named(craftfleet.VectorEnv):
+  """As a user derives a class, with an argument and an attribute of its own."""
+
+  def __init__(self, name):
+    super().__init__(2, **SHORT)
+    self.name = name
+
+
 def send_played(writer, envs):
   writer.send(play_given(envs))
 
@@ -133,6 +141,15 @@ class Lanes(package.PackageCase):
     del envs, found, later, infos
     self.assertEqual(observations.tobytes(), kept)
 
+  def test_who_writes_the_arrays_does_not_change_the_games(self):
+    for mode in ("NextStep", "SameStep", "Disabled"):
+      plain, written = started(autoreset_mode=mode), started(autoreset_mode=mode)
+      for step in range(1, 12):
+        for array in written.step(np.zeros(5, int))[:4]:
+          array[...] = step % 2
+        plain.step(np.zeros(5, int))
+      self.assertEqual(play(written, 1), play(plain, 1))
+
   def test_copies_are_kept_by_the_next_step(self):
     envs = started(copy=True)
     first = envs.step(np.full(5, 1))
@@ -177,6 +194,15 @@ class Lanes(package.PackageCase):
         self.assertEqual(play(clone, 40), expected)
     self.assertEqual(pickle.loads(pickle.dumps(craftfleet.VectorEnv(3))).num_envs, 3)
 
+  def test_copies_have_all_attributes(self):
+    envs, named = gymnasium.make_vec(NAME, num_envs=2), Named("mine")
+    envs.action_space.seed(4)
+    named.close()
+    for clone in (copy.deepcopy, lambda original: pickle.loads(pickle.dumps(original))):
+      self.assertEqual(clone(envs).spec, envs.spec)
+      self.assertEqual(clone(envs).action_space.sample().tolist(), copy.deepcopy(envs.action_space).sample().tolist())
+      self.assertEqual((clone(named).name, clone(named).closed), ("mine", True))
+
   def test_copies_have_the_games_of_the_lanes_that_have_begun(self):
     envs = craftfleet.VectorEnv(3)
     envs.reset(seed=5, options={"reset_mask": np.array([False, True, False])})
@@ -214,6 +240,7 @@ class Lanes(package.PackageCase):
         (TypeError, "options [1], want a dict", lambda: envs.reset(options=[1])),
         (ValueError, "1 snapshots, want one for each of 5 lanes", lambda: envs.restore([b""])),
         (ValueError, "lane 0: snapshot: cut, damaged", lambda: envs.restore([b""] * 5)),
+        (TypeError, "snapshots[0] of type bytearray, want bytes", lambda: envs.restore([bytearray(before[0])] * 5)),
     ):
       with self.subTest(text):
         self.assert_refused(kind, text, call)
@@ -249,6 +276,23 @@ print(few.reset(seed=1)[0].shape)
     self.assertEqual(ended.stdout.count("threads 64: the system starts no more ("), 2, ended.stdout)
     self.assertIn("want fewer, or a higher limit (ulimit -u", ended.stdout)
     self.assertIn("(256, 64, 64, 3)", ended.stdout)
+
+  def test_a_daemon_thread_that_plays_does_not_abort_the_end_of_the_program(self):
+    for threads in (1, 2):
+      ended = self.run_with(f"""
+import sys, threading
+envs = craftfleet.VectorEnv(32, threads={threads})
+envs.reset(seed=1)
+begun = threading.Event()
+def play():
+  while True:
+    envs.step(np.zeros(32, int))
+    begun.set()
+threading.Thread(target=play, daemon=True).start()
+begun.wait()
+sys.exit(3)
+""", OPENBLAS_NUM_THREADS="1")
+      self.assertEqual((ended.returncode, ended.stderr), (3, ""))
 
   @unittest.skipUnless(len(os.sched_getaffinity(0)) > 1, "one CPU, want two")
   def test_openmp_that_binds_threads_leaves_those_of_the_games_all_cpus(self):
