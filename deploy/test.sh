@@ -5,7 +5,7 @@
 # Usage: deploy/test.sh [--suites=PRESET,...] [CTEST ARGUMENT]...
 #   --suites=PRESET,...        presets to build and test in turn: release (default), ci (with warnings as errors), debug,
 #                              asan-ubsan, asan-ubsan-unit, tsan, libtorch-cuda-unit; see CMakePresets.json
-#   deploy/test.sh -L unit     only tests with a label: unit, golden, property, integration, bench, tsan, slow
+#   deploy/test.sh -L unit     only tests with a label: unit, golden, property, integration, tsan, slow
 #   deploy/test.sh -R World    only tests whose name has "World" in it
 #   CRAFTFLEET_GOLDEN_DIR      environment variable: folder with the golden files; without it their tests are skipped
 

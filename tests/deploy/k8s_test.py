@@ -251,6 +251,9 @@ class Manifests(unittest.TestCase):
           self.assertGreater(int(gigabytes) * 1024, budget)
       stateful, = objects.of("StatefulSet")
       container, = kustomize.containers(stateful)
+      run, = [document["data"]["config.txt"] for document in objects.of("ConfigMap") if "config.txt" in document["data"]]
+      shards = re.search(r"^gradient_shards: (\d+)", run, re.MULTILINE)
+      self.assertLessEqual(int(container["resources"]["limits"]["cpu"]), int(shards[1]) if shards else 2, "or cores are idle")
       ranks = {entry["name"]: entry.get("value") for entry in container["env"]}.get("WORLD_SIZE", 1)
       self.assertEqual(stateful["spec"]["replicas"], int(ranks), "one pod for each rank")
       claim, = stateful["spec"]["volumeClaimTemplates"]

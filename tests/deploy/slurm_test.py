@@ -41,9 +41,9 @@ class Slurm(python_case.FolderCase):
     out = self.cluster.run("sbatch", "--parsable", f"--output={self.folder}/job-%j.log", *arguments).stdout
     return out.strip().split(";")[0]
 
-  def submit_fleet(self, steps, parts=tuple(PARTS)):
+  def submit_fleet(self, steps, *flags, parts=tuple(PARTS)):
     return self.sbatch(*parts, SCRIPT, f"--config={self.folder}/config.txt", f"--logdir={self.logdir}", f"--steps={steps}",
-                       "--threads=1")
+                       "--threads=1", *flags)
 
   def job_log(self):
     return "\n".join(file.read_text(errors="replace") for file in
@@ -80,7 +80,7 @@ class Slurm(python_case.FolderCase):
     self.expect_bytes_of_one_process(steps=192)
 
   def test_a_fleet_with_two_learners_gives_the_bytes_of_one_process(self):
-    job = self.submit_fleet(steps=192, parts=TWO_LEARNERS)
+    job = self.submit_fleet(192, "--log_format=json", parts=TWO_LEARNERS)  # the script reads the learner's address in its log
     self.expect_state(job, "COMPLETED")
     self.assertIn("2 ranks share the updates out", self.job_log())
     self.expect_bytes_of_one_process(steps=192)
@@ -127,6 +127,8 @@ class Slurm(python_case.FolderCase):
   def test_a_job_names_what_is_missing(self):
     self.expect_state(self.sbatch(*PARTS, SCRIPT), "FAILED")
     self.assertIn("--logdir is missing", self.job_log())
+    self.expect_state(self.sbatch(*PARTS, SCRIPT, "--logdir=x", "--log_level=error"), "FAILED")
+    self.assertIn("--log_level=error: want --log_level=info", self.job_log())
     self.cluster.env["CRAFTFLEET_ROOT"] = str(self.folder)
     self.expect_state(self.sbatch(*PARTS, SCRIPT, "--logdir=x"), "FAILED")
     self.assertIn(f"{self.folder}/build/bin/craftfleet-learner does not exist", self.job_log())

@@ -49,6 +49,11 @@ class Systemd(unittest.TestCase):
       line = re.sub(r"\$\{?([A-Z]+)\}?", lambda found: values[found[1]], line)
       self.assertEqual(unknown_flags(program, line.split()), [], name)
 
+  def test_systemd_never_gives_up_a_unit_that_fails_at_once(self):
+    for name in NAMES:
+      seconds = re.search(r"^RestartSec=(\d+)$", (UNITS / name).read_text(encoding="utf-8"), re.MULTILINE)
+      self.assertGreaterEqual(5 * int(seconds[1]), 10, f"{name}: systemd refuses the sixth start within 10 s")
+
   def test_there_is_room_for_the_games_and_time_to_stop(self):
     gigabytes, = re.findall(r"^MemoryMax=(\d+)G$", (UNITS / NAMES[2]).read_text(encoding="utf-8"), re.MULTILINE)
     self.assertGreater(int(gigabytes) * 1024, 2048 + 512, "the defaults of --max_games_mb and --max_buffered_mb")
