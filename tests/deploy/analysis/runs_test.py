@@ -1,8 +1,12 @@
 """Reading runs: run folders, result files, groups and their names, experiments, curves, statistics."""
 
+import contextlib
 import gzip
+import importlib
+import io
 import math
 import os
+import pathlib
 import subprocess
 import sys
 import types
@@ -14,8 +18,10 @@ from tests.deploy.analysis.package import same_episodes, write_run
 from tests.fakes import python_case
 from tests.fakes.python_case import BIN, SOURCE
 
+import matplotlib
+
 import analysis
-from analysis import _cli, curve, experiments, programs, runs, statistics
+from analysis import _cli, charts, collect, curve, experiments, programs, runs, statistics
 from analysis.logs import read_log
 from analysis.results import Group, group_runs, name_groups, short_names, spread_of_curves
 from analysis.statistics import Spread, spread_of
@@ -78,6 +84,10 @@ class Runs(package.Case):
         ("stats.jsonl", same_episodes(2, 1) + '{"length": 3}\n', '/stats.jsonl:3: no number "reward"'),
         ("stats.jsonl", same_episodes(1, 1).replace('"length": 100', '"length": 0'), '/stats.jsonl:1: "length" is 0, want at least 1'),
         ("stats.jsonl", same_episodes(1, 1).replace("}", ', "more": 1}'), "/stats.jsonl:1: has 25 keys, want 24"),
+        ("stats.jsonl", same_episodes(1, 1).replace("1.0", "Infinity"), '/stats.jsonl:1: "reward" is Infinity, want a number'),
+        ("stats.jsonl", same_episodes(1, 1).replace("1.0", "1e30"), '/stats.jsonl:1: "reward" is 1e+30, want a number'),
+        ("stats.jsonl", same_episodes(1, 1, length=10**20), f'/stats.jsonl:1: "length" is {10**20}, want at least 1, at most '),
+        ("stats.jsonl", "[" * 100000 + "\n", "/stats.jsonl:1: not a JSON object"),
         ("eval_argmax.jsonl", "nonsense\n", "/eval_argmax.jsonl:1: not a JSON object"),
         ("config.txt", "seed: 1\nagnet: 'x'\n", "/config.txt:2:"),
         ("config.txt", "ppo { gamma: 2 }", "/config.txt: ppo.gamma"),
@@ -107,6 +117,22 @@ class Runs(package.Case):
     self.assertEqual([run.folder for run in found], [f"{self.folder}/{name}" for name in ("a", "b/c/seed1", "b/c/seed2")])
     self.assertEqual(unreadable, [])
     self.assertEqual(self.refusal(runs.read_runs, ["/nowhere/runs"]), "/nowhere/runs: no such folder")
+    self.assertIn("b/config.txt: not a folder, and no result file",
+                  self.refusal(runs.read_runs, [f"{self.folder}/b/config.txt"]))
+
+  def test_a_run_is_found_once_under_all_names_of_its_folder(self):
+    write_run(self.folder / "runs/a", 1)
+    (self.folder / "link").symlink_to("runs")
+    names = (f"{self.folder}/runs", f"{self.folder}/runs/.", f"{self.folder}/link", os.path.relpath(self.folder / "runs"))
+    found, unreadable = runs.read_runs(list(names))
+    self.assertEqual((len(found), unreadable), (1, []))
+
+  def test_a_folder_whose_name_is_not_utf_8_is_named_beside_the_others(self):
+    write_run(self.folder / "a", 1)
+    write_run(self.folder / os.fsdecode(b"caf\xe9"), 2)
+    found, unreadable = runs.read_runs([str(self.folder)])
+    self.assertEqual([run.folder for run in found], [f"{self.folder}/a"])
+    self.assertEqual(unreadable, [f"{self.folder}/caf\udce9/config.txt: the name is not UTF-8"])
 
 
 class Results(package.Case):
@@ -162,6 +188,31 @@ class Results(package.Case):
       self.assertEqual(len(unreadable), 1)
       self.assertIn("kept/b.npz", unreadable[0])
 
+  def test_a_result_whose_end_is_missing_is_named(self):
+    write_run(self.folder / "a", 1)
+    runs.save_result(str(self.folder / "a"), str(self.folder / "kept.npz"))
+    content = (self.folder / "kept.npz").read_bytes()
+    method = content.index(b"PK\1\2") + 10
+    for damaged in (content[:len(content) // 2], content[:100], content[:method] + b"\x08" + content[method + 1:]):
+      (self.folder / "kept.npz").write_bytes(damaged)
+      for where in (self.folder, self.folder / "kept.npz"):
+        _, unreadable = runs.read_runs([str(where)])
+        self.assertEqual(len(unreadable), 1)
+        self.assertIn("kept.npz: ", unreadable[0])
+
+  def test_weights_that_are_there_already_are_named(self):
+    write_run(self.folder / "run", 1)
+    (self.folder / "run/checkpoints/iter-00000001").mkdir(parents=True)
+    for file in ("run.json", "checkpoints/iter-00000001/weights.safetensors"):
+      (self.folder / "run" / file).write_text("")
+    (self.folder / "kept").mkdir()
+    (self.folder / "kept/weights.safetensors").write_text("other")
+    with contextlib.redirect_stderr(io.StringIO()) as errors:
+      self.assertEqual(collect.main(["--weights", f"{self.folder}/run", f"{self.folder}/kept"]), 1)
+    self.assertEqual(errors.getvalue(),
+                     f"collect.py: cannot collect {self.folder}/run: {self.folder}/kept: Directory not empty\n")
+    self.assertEqual(sorted(path.name for path in self.folder.iterdir()), ["kept", "run"])
+
   def test_notebooks_get_tables(self):
     write_run(self.folder / "a", 1)
     table = analysis.load(str(self.folder))
@@ -170,6 +221,23 @@ class Results(package.Case):
     self.assertTrue(math.isnan(table["eval"][0]) and math.isnan(table["eval_argmax"][0]), "it has no evaluations")
     episodes = analysis.episodes(table["run"][0])
     self.assertEqual((len(episodes), episodes["length"][0], episodes["reward"][0], episodes["collect_coal"][0]), (40, 100, 11, 2))
+
+  def test_notebooks_may_name_folders_by_paths_and_from_home(self):
+    write_run(self.folder / "a", 1)
+    with unittest.mock.patch.dict(os.environ, HOME=str(self.folder)):
+      for folder in (self.folder, pathlib.Path("~"), "~/a"):
+        self.assertEqual(list(analysis.load(folder)["folder"]), [f"{self.folder}/a"])
+
+  def test_notebooks_have_the_rewards_of_a_reports_csv(self):
+    write_run(self.folder / "a", 1)
+    (self.folder / "a/stats.jsonl").write_text(same_episodes(100, 1) + same_episodes(100, 3))
+    table = analysis.load(str(self.folder))
+    self.assertEqual((table["reward"][0], table["reward_last100"][0]), (2, 3))
+
+  def test_notebooks_find_all_columns_where_there_is_no_run(self):
+    empty = analysis.load(str(self.folder))
+    write_run(self.folder / "a", 1)
+    self.assertEqual((len(empty), list(empty)), (0, list(analysis.load(str(self.folder)))))
 
   def test_notebooks_are_told_what_cannot_be_read(self):
     write_run(self.folder / "a", 1)
@@ -326,6 +394,8 @@ class Curves(package.Case):
     points = self.reference("iter,steps,episodes,crafter_score_cum,ep_rew_mean100,losses\r\n1,4096,26,1.0045,1.25,\r\n"
                             "2,8192,50,1.2387,1.34,0.5\r\n")
     self.assertEqual((len(points), points.steps[1], points.episodes[1], points.reward[1], points.score[1]), (2, 8192, 50, 1.34, 1.2387))
+    of_excel = "\ufeffepisodes,steps,ep_rew_mean100,crafter_score_cum\n1,2,3,4\n"
+    self.assertEqual(len(self.reference(of_excel)), 1)
 
   def test_a_reference_names_the_line_and_column_that_are_wrong(self):
     names = "episodes,steps,ep_rew_mean100,crafter_score_cum\n"
@@ -359,6 +429,31 @@ class Curves(package.Case):
     made = [curve.draw([self.named("a", [1000, 2000])], [self.named("b", [1000])]) for _ in range(2)]
     self.assertEqual(made[0][:8], b"\x89PNG\r\n\x1a\n")
     self.assertEqual(*made)
+
+  @staticmethod
+  def drawn(*curves):
+    figures, png = [], charts.png
+    with unittest.mock.patch.object(charts, "png", lambda figure: figures.append(figure) or png(figure)):
+      curve.draw(*curves)
+    return figures[0].axes[1]
+
+  def test_a_run_of_few_episodes_can_be_seen(self):
+    axes = self.drawn([self.named("few", [300]), self.named("more", [1000, 2000])], [])
+    self.assertEqual([line.get_marker() for line in axes.get_lines()], [".", ""])
+
+  def test_every_name_is_in_the_legend_as_it_is(self):
+    axes = self.drawn([self.named(name, [1000, 2000]) for name in ("_a", "b_$\\foo{$", "$d$")], [self.named("_e", [1000])])
+    names = [text.get_text().strip() for text in axes.get_legend().get_texts()]
+    self.assertEqual(names, ["_e", "_a", "b_$\\foo{$", "$d$"])
+
+  def test_a_users_own_style_changes_no_picture(self):
+    with matplotlib.rc_context({"text.usetex": True, "font.size": 20}):
+      importlib.reload(charts)
+      self.assertEqual((matplotlib.rcParams["text.usetex"], matplotlib.rcParams["font.size"]), (False, 8))
+    importlib.reload(charts)
+
+  def test_a_picture_of_any_number_of_rows_can_be_drawn(self):
+    self.assertEqual(charts.png(charts.new_figure(1, 1000)[0])[:8], b"\x89PNG\r\n\x1a\n")
 
 
 class Experiments(package.Case):
@@ -421,12 +516,27 @@ axes = [
         ('experiments = [{ name = "t", base = { eval.env = "tetris" } }]', 'eval.env: environment "tetris"'),
         ('experiments = [{ name = "t", milestones = [2, 1] }]', "milestones do not ascend"),
         ('experiments = [{ name = "t", milestones = [1, "2"] }]', "milestones are [1, '2'], want numbers of environment steps"),
+        ('experiments = [{ name = "t", axes = [{ axis = "agent", only = [["a"]] }] }]', "has no choice \"['a']\""),
+        ('experiments = [{ name = "t", combine = "pairs", axes = [{ axis = "clip" }] }]', 'experiment "t": no cell: want an'),
+        ('experiments = [{ name = "t", combine = "each" }]', 'experiment "t": no cell: want an axis'),
+        ('experiments = [{ name = "runs" }]', 'experiment "runs": want another name: reports have a runs.csv of their own'),
         ('experiments = [{ name = "t" ', "at end of document"), ('experiments {\n name: "t" }', "version 0.1 are in another format")):
       refused = self.refusal(self.parse, text)
       self.assertTrue(refused.startswith("file.toml: "), refused)
       self.assertIn(message, refused)
     twice = 'axes = [{ name = "x", choices = [{ name = "c" }, { name = "c" }] }]'
     self.assertIn('axis "x": choice "c" occurs twice', self.refusal(experiments.parse, twice, "f"))
+
+  # Cells of one name would share a folder, and only the first would be run.
+  def test_choices_of_axes_that_are_varied_apart_have_different_names(self):
+    text = """
+axes = [{ name = "clip", choices = [{ name = "1", config = { ppo.clip = 0.1 } }] },
+        { name = "gamma", choices = [{ name = "1", config = { ppo.gamma = 0.5 } }] }]
+experiments = [{ name = "t", axes = [{ axis = "clip" }, { axis = "gamma" }]%s }]
+"""
+    self.assertEqual([cell.name for cell in experiments.parse(text % "", "f")[0].cells], ["1/1"])
+    self.assertIn('f: experiment "t": cell "1" occurs twice: want choices whose names differ',
+                  self.refusal(experiments.parse, text % ', combine = "each"', "f"))
 
 
 class CommandLine(package.Case):
@@ -438,6 +548,13 @@ class CommandLine(package.Case):
   def test_an_empty_folder_of_programs_means_those_of_path(self):
     with unittest.mock.patch.dict(os.environ, CRAFTFLEET_BIN="", PATH=f"{BIN}:{os.environ['PATH']}"):
       self.assertEqual(programs.find("inspect")[0], [str(BIN / "craftfleet"), "inspect"])
+
+  def test_names_in_another_encoding_are_printed_as_they_are(self):
+    write_run(self.folder / os.fsdecode(b"caf\xe9"), 1)
+    environment = {"PYTHONPATH": f"{SOURCE}/deploy/python/craftfleet", "PYTHONIOENCODING": "utf-8:strict"}
+    ended = subprocess.run([sys.executable, "-m", "analysis", "curve", self.folder / os.fsdecode(b"caf\xe9")],
+                           capture_output=True, check=True, env=os.environ | environment)
+    self.assertIn(b"\ncaf\xe9 ", ended.stdout)
 
   def test_programs_that_need_torch_say_only_that(self):
     (self.folder / "craftfleet_programs.py").write_text("def command(*_):\n  raise ModuleNotFoundError('needs torch 2.11', name='torch')\n")

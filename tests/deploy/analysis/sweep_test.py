@@ -192,6 +192,17 @@ class Sweep(python_case.FolderCase):
     self.assertIn("is not this cell's configuration", self.out.text)
     self.assertEqual(len(self.starts("b/seed1")), 1)
 
+  def test_a_finished_run_of_another_configuration_is_not_done(self):
+    self.make().run()
+    self.fails(self.make(gamma=0.6))
+    self.assertIn("2 runs, of which 1 are done already", self.out.text)
+    self.assertIn("FAILED: t/b/seed1: ", self.out.text)
+    self.assertIn("t/b/seed1/config.txt is not this cell's configuration", self.out.text)
+    with contextlib.redirect_stderr(io.StringIO()) as warnings:
+      self.assertEqual([state.finished for state in sweep_plan.states_or_none(self.jobs(1, 0.6))], [True, False])
+    self.assertIn("warning: t/b/seed1: ", warnings.getvalue())
+    self.assertEqual(len(self.starts("b/seed1")), 1)
+
   def test_a_missing_program_fails_every_run(self):
     self.fails(self.make(program="/nowhere/craftfleet"))
     self.assertIn("cannot start /nowhere/craftfleet: No such file or directory", self.out.text)
@@ -237,6 +248,11 @@ experiments = [{ name = "t", axes = [{ axis = "x" }, { axis = "y" }] }, { name =
     self.assertEqual(job.resume, ["--resume", *shared])
     self.assertEqual(job.config_text, "# t, ab/c; values that are not given have their defaults.\nppo {\n  gamma: 0.5\n}\n")
     self.assertEqual(sweep_plan.plan(sweep_plan.select_cells(self.file, [], []), "/runs", 1)[0].steps, 1000000)
+
+  def test_a_run_that_is_named_twice_is_run_once(self):
+    jobs = sweep_plan.plan(sweep_plan.select_cells(self.file, [], []), "/runs", 1)
+    named = sweep_command._named_runs(jobs, ["t/ab/c/seed1", "t/a/c/seed1", "t/ab/c/seed1"])  # pylint: disable=protected-access
+    self.assertEqual([job.name for job in named], ["t/ab/c/seed1", "t/a/c/seed1"])
 
   def test_the_folder_has_the_cells_file(self):
     job = sweep_plan.plan(sweep_plan.select_cells(self.file, [], []), str(self.folder), 1)[0]

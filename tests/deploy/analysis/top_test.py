@@ -1,8 +1,11 @@
 """The page of craftfleet top and its keys. tests/deploy/watch_test.py shows a real fleet."""
 
+import contextlib
 import math
 import os
+import pty
 import sys
+import types
 
 from tests.fakes import python_case
 from tests.fakes.python_case import BIN, SOURCE
@@ -10,7 +13,7 @@ from tests.fakes.python_case import BIN, SOURCE
 os.environ["CRAFTFLEET_BIN"] = str(BIN)
 sys.path.insert(0, str(SOURCE / "deploy/python/craftfleet"))
 
-from analysis.top import COLUMNS, View, draw  # noqa: E402  pylint: disable=wrong-import-position
+from analysis.top import COLUMNS, View, _show, draw  # noqa: E402  pylint: disable=wrong-import-position
 
 METRICS = {"env_steps": 172032, "env_steps_goal": 1e6, "iteration": 42, "episodes": 900, "reward": 4.25, "episode_length": 187,
            "crafter_score": 8.5, "achievements_unlocked": 15, "checkpoint_age": 70}
@@ -137,6 +140,30 @@ class Page(python_case.unittest.TestCase):
     status = fleet(*(worker("actor", f"worker-{i}", i) for i in range(10, 43)))
     for scroll, counts in ((0, "... 0 above, 20 below"), (5, "... 5 above, 15 below"), (1000, "... 20 above, 0 below")):
       self.assertIn(counts, page(status, View(scroll=scroll), 80, 24))
+
+
+class Terminal(python_case.unittest.TestCase):
+
+  def test_needs_no_colours_and_no_hidden_cursor(self):
+    watcher = types.SimpleNamespace(last=lambda: (1, fleet(), ""))
+    for terminal in ("vt100", "vt220"):
+      child, screen = pty.fork()
+      if child == 0:
+        os.environ["TERM"] = terminal
+        try:
+          _show(watcher, View(), "a:1")
+          os._exit(0)  # pylint: disable=protected-access
+        except BaseException as error:  # pylint: disable=broad-exception-caught
+          print(error, flush=True)
+          os._exit(1)  # pylint: disable=protected-access
+      os.write(screen, b"q")
+      text = b""
+      with contextlib.suppress(OSError):  # at the end of the child
+        while part := os.read(screen, 4096):
+          text += part
+      self.assertEqual(os.waitpid(child, 0)[1], 0, text)
+      self.assertIn(b"host-1-aa", text)
+      os.close(screen)
 
 
 class Keys(python_case.unittest.TestCase):

@@ -34,7 +34,7 @@ def reason(error: Exception) -> str:
 def read_text(path: str) -> str:
   """Refusal: the file cannot be read, or is no text."""
   try:
-    with open(path, encoding="utf-8", newline="") as file:
+    with open(path, encoding="utf-8-sig", newline="") as file:  # Excel and Notepad begin files with a mark
       return file.read()
   except (OSError, UnicodeDecodeError) as error:
     raise Refusal(reason(error) if isinstance(error, OSError) else f"{path}: not a text file: {error}") from None
@@ -172,6 +172,8 @@ def run(program: str, usage: str, flags: list[Flag], arguments: list[str],
         body: Callable[[types.SimpleNamespace, list[str]], int | None]) -> int:
   """Runs `body` and returns the exit code: 0, its own, or 1 after an error on standard error."""
   code, error = 0, ""
+  if getattr(sys.stdout, "errors", "") == "strict":
+    sys.stdout.reconfigure(errors="surrogateescape")  # names of files that are no text leave as they came
   try:
     asked = next((word for word in arguments if word in ("-h", "-help", "--help", "--helpfull", "--version")), "")
     if asked == "--version":

@@ -28,7 +28,10 @@ def _copy_weights(run: pathlib.Path, folder: pathlib.Path) -> None:
   try:
     for path in (run / "config.txt", run / "run.json", newest / "weights.safetensors"):
       shutil.copy(path, made / path.name)
-    os.replace(made, folder)
+    try:
+      os.replace(made, folder)
+    except OSError as error:
+      raise OSError(error.errno, error.strerror, folder) from None  # not the name of the copy
   finally:
     shutil.rmtree(made, ignore_errors=True)
 

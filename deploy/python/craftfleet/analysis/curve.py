@@ -107,8 +107,10 @@ def draw(runs: list[NamedCurve], references: list[NamedCurve]) -> bytes:
   styles += [(run, None, charts.COLORS[number % len(charts.COLORS)], "-", 1.3) for number, run in enumerate(runs)]
   for one, steps, color, line, width in styles:
     points = drawn_points(one.curve, steps)
+    marker = "." if points.stop - points.start == 1 else ""  # a line through one point cannot be seen
     for panel, values in zip(axes[0], (one.curve.reward, one.curve.score)):
-      panel.plot(one.curve.steps[points], values[points], linestyle=line, color=color, linewidth=width, label=one.name)
+      panel.plot(one.curve.steps[points], values[points], linestyle=line, color=color, linewidth=width, marker=marker,
+                 label=charts.legend_name(one.name))
   charts.finish_curve_axes(axes[0, 0], "Reward", "mean reward of the last 100 episodes")
   charts.finish_curve_axes(axes[0, 1], "Crafter score", "score over all episodes so far")
   axes[0, 1].legend(loc="lower right")

@@ -11,6 +11,7 @@ from . import programs
 from ._cli import Refusal, read_text
 
 _COMBINE = ("product", "each", "pairs")
+_FILES = ("other", "runs", "achievements", "curves")  # .csv of a report, beside those of experiments
 
 
 @dataclasses.dataclass(frozen=True)
@@ -134,7 +135,7 @@ def _used_axis(axes: dict[str, Axis], use: object) -> Axis:
     return axes[name]
   choices = {choice.name: choice for choice in axes[name].choices}
   for wanted in fields["only"]:
-    if wanted not in choices:
+    if wanted not in list(choices):  # it may be no text at all
       raise Refusal(f'axis "{name}" has no choice "{wanted}"')
   return Axis(name, [choices[wanted] for wanted in fields["only"]])
 
@@ -174,6 +175,12 @@ def _experiment(axes: dict[str, Axis], fields: dict) -> Experiment:
   used = [_used_axis(axes, use) for use in fields.get("axes", [])]
   experiment = Experiment(name, fields.get("title") or name, combine, used, milestones, [])
   experiment.cells = _cells(experiment, fields.get("base", {}))
+  names = [cell.name for cell in experiment.cells]
+  if not names:
+    raise Refusal("no cell: want an axis with choices, or two for pairs")
+  repeated = next((name for number, name in enumerate(names) if name in names[:number]), None)
+  if repeated:
+    raise Refusal(f'cell "{repeated}" occurs twice: want choices whose names differ from those of other axes')
   return experiment
 
 
@@ -207,6 +214,9 @@ def parse(text: str, filename: str) -> list[Experiment]:
       raise Refusal("no experiment in it")
     names = [_fields("experiment", table, _EXPERIMENT).get("name", "") for table in tables]
     _check_names("experiment", names)
+    for name in names:
+      if name in _FILES:
+        raise Refusal(f'experiment "{name}": want another name: reports have a {name}.csv of their own')
     experiments = []
     for name, table in zip(names, tables):
       try:

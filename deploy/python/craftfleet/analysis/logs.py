@@ -19,6 +19,7 @@ ACHIEVEMENTS = (
     "wake_up")
 RECENT = 100  # episodes over which learning curves average the reward
 FEWEST_EPISODES = 10  # means over fewer are too noisy to draw
+_MOST = 10**12  # of any number of an episode: sums of them fit 64 bits
 _KEYS = ("length", "reward", *(f"achievement_{name}" for name in ACHIEVEMENTS))
 
 
@@ -100,9 +101,9 @@ def _problem(episode: object) -> str:
     if key not in episode:
       return f'no number "{key}"' if key == "reward" else f'no "{key}"'
     kind = (int, float) if key == "reward" else int
-    low = {"length": 1, "reward": -float("inf")}.get(key, 0)
-    if isinstance(value, bool) or not isinstance(value, kind) or not value >= low:
-      return f'"{key}" is {json.dumps(value)}, want {"a number" if key == "reward" else f"at least {low}"}'
+    low = {"length": 1, "reward": -_MOST}.get(key, 0)
+    if isinstance(value, bool) or not isinstance(value, kind) or not low <= value <= _MOST:
+      return f'"{key}" is {json.dumps(value)}, want {"a number" if key == "reward" else f"at least {low}, at most {_MOST}"}'
   return "" if len(episode) == len(_KEYS) else f"has {len(episode)} keys, want {len(_KEYS)}"
 
 
@@ -123,7 +124,7 @@ def read_log(path: str, is_final: bool = False) -> Episodes:
   for number, line in enumerate(lines[:-1], 1):
     try:
       episode = json.loads(line)
-    except ValueError:
+    except (ValueError, RecursionError):
       episode = None
     problem = _problem(episode)
     if problem:

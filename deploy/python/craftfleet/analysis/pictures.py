@@ -48,8 +48,10 @@ def chart_parts(experiment: ExperimentResult) -> list[list[CellResult]]:
 def _series_label(experiment: ExperimentResult, cell: CellResult) -> str:
   """Without the choice that the title of the chart names."""
   if experiment.has_two_axes:
-    return experiment.axes[1].choices[cell.choices[1]].label
-  return experiment.axes[cell.axes[0]].choices[cell.choices[0]].label if experiment.varies_one_of_several else cell.label
+    label = experiment.axes[1].choices[cell.choices[1]].label
+  else:
+    label = experiment.axes[cell.axes[0]].choices[cell.choices[0]].label if experiment.varies_one_of_several else cell.label
+  return charts.legend_name(label)
 
 
 def _with_seeds(experiment: ExperimentResult, cell: CellResult) -> str:
@@ -101,8 +103,8 @@ def curves_picture(experiment: ExperimentResult) -> Picture | None:
 
 
 def achievements_picture(experiment: ExperimentResult) -> Picture | None:
-  """Success rates, a chart for each part.   None: no run is complete."""
-  parts = [[cell for cell in part if cell.is_complete] for part in chart_parts(experiment)]
+  """Success rates, a chart for each part.   None: no complete run has episodes."""
+  parts = [[cell for cell in part if cell.over("train").n] for part in chart_parts(experiment)]
   parts = [part for part in parts if part]
   if not parts:
     return None
@@ -126,8 +128,8 @@ def achievements_picture(experiment: ExperimentResult) -> Picture | None:
   return Picture(f"{experiment.name}-achievements.png", f"Success rates: {experiment.title}", charts.png(figure))
 
 
-def scores_picture(experiment: ExperimentResult, paper: Figures) -> Picture:
-  """Bars of our scores in training and evaluation, and the paper's; cells with neither are left out."""
+def scores_picture(experiment: ExperimentResult, paper: Figures) -> Picture | None:
+  """Bars of our scores in training and evaluation, and the paper's; cells with neither are left out.   None: all are."""
   series = [("paper, training", "train", charts.PAPER_COLOR), ("paper, evaluation", "eval", "#8a8a8a")]
   cells = [cell for cell in experiment.cells if cell.over("train").n or any(
       paper.find(experiment.name, cell.name, measure) for _, measure, _ in series)]
@@ -143,6 +145,8 @@ def scores_picture(experiment: ExperimentResult, paper: Figures) -> Picture:
     if any(spread.n for spread in spreads):
       bars.append((f"ours, {MEASURES[measure].label}", color, [spread.mean for spread in spreads],
                    [spread.deviation or 0 for spread in spreads]))
+  if not bars:
+    return None
   figure, axes = charts.new_figure(8, 1 + 0.14 * len(cells) * (len(bars) + 1))
   height = 0.8 / len(bars)
   for number, (label, color, values, deviations) in enumerate(bars):
@@ -258,7 +262,7 @@ def evaluation_picture(experiment: ExperimentResult, paper: Figures) -> Picture 
     for name, marker, fill, spreads in points:
       axes[0, 0].errorbar(place, [spread.mean for spread in spreads], [spread.deviation or 0 for spread in spreads], fmt=marker,
                           color=color, markerfacecolor=fill, markersize=4 if marker == "o" else 7, elinewidth=0.8,
-                          label=f"{label}, {name}")
+                          label=charts.legend_name(f"{label}, {name}"))
   axes[0, 0].set_xticks(range(len(rows)), [names[row] for row in rows], rotation=30, ha="right")
   axes[0, 0].set(title=f"{experiment.title.split(':')[0]}, evaluation", ylabel="Crafter score")
   axes[0, 0].margins(y=0.08)

@@ -6,6 +6,7 @@ import importlib.util
 import json
 import os
 import pathlib
+import re
 import shutil
 import subprocess
 
@@ -37,7 +38,9 @@ def ask(questions: list[dict]) -> list[dict]:
   answers = [json.loads(line) for line in ended.stdout.splitlines()]
   if len(answers) != len(questions):
     raise ChildProcessError(f"craftfleet inspect ended early: {ended.stderr.strip()}")
-  return answers
+  # It understands no names of files in other encodings, which Python reads as surrogates.
+  strange = [[text for text in question.values() if re.search("[\ud800-\udfff]", str(text))] for question in questions]
+  return [{"error": f"{texts[0]}: the name is not UTF-8"} if texts else answer for answer, texts in zip(answers, strange)]
 
 
 def installed(name: str) -> str:

@@ -18,6 +18,7 @@ import pathlib
 import re
 import warnings
 import zipfile
+import zlib
 
 import numpy as np
 
@@ -29,7 +30,8 @@ LOGS = ("stats", "eval_argmax", "eval_sampled", "final_argmax", "final_sampled")
 SUFFIX = ".npz"
 _VERSION = 1
 # What NumPy and zipfile raise; RuntimeError: an entry that seems to be encrypted, or of a method that they don't have.
-_DAMAGED = (OSError, ValueError, KeyError, EOFError, RuntimeError, lzma.LZMAError, zipfile.BadZipFile)
+_DAMAGED = (OSError, ValueError, KeyError, EOFError, RuntimeError, lzma.LZMAError, zlib.error, zipfile.BadZipFile)
+_FIRST_ENTRY = "craftfleet_run.npy"  # its name is in the first bytes, too
 
 
 @dataclasses.dataclass
@@ -187,11 +189,15 @@ def _is_run_folder(folder: str) -> bool:
 
 
 def _is_result(path: str) -> bool:
+  """Also of one whose end is missing."""
   try:
     if not path.endswith(SUFFIX):
       return False
+    with open(path, "rb") as file:
+      if _FIRST_ENTRY.encode() in file.read(64):
+        return True
     with zipfile.ZipFile(path) as archive:
-      return "craftfleet_run.npy" in archive.namelist()
+      return _FIRST_ENTRY in archive.namelist()
   except _DAMAGED:
     return False
 
@@ -263,9 +269,10 @@ def read_runs(folders: list[str]) -> tuple[list[Run], list[str]]:
     elif os.path.isdir(folder):
       _find_in(folder, found, unreadable)
     else:
-      raise Refusal(f"{folder}: no such folder")
+      raise Refusal(f"{folder}: {'not a folder, and no result file' if os.path.exists(folder) else 'no such folder'}")
   files = []
-  for path in sorted(found):
+  one_name = {os.path.realpath(path): path for path in sorted(found, reverse=True)}  # of those of the same run the first
+  for path in sorted(one_name.values()):
     try:
       files.append(_read_files(path))
     except Refusal as error:
@@ -295,8 +302,12 @@ def read_curve(path: str) -> Curve:
 
 # For notebooks.
 
+# Measures have the names of those in runs.csv of a report. Without a run there are these, too.
+_COLUMNS = ("folder", "agent", "env", "eval_env", "seed", "steps", "complete", "train", "eval", "eval_argmax", "reward",
+            "reward_last100", "unlocked", "run")
 
-def load(*folders: str):
+
+def load(*folders: str | os.PathLike[str]):
   """A pandas.DataFrame with a row for each run in and below `folders`: its settings and scores; NaN: no such episodes.
 
   A run that cannot be read is left out with a warning.   FileNotFoundError: a folder does not exist.
@@ -304,7 +315,7 @@ def load(*folders: str):
   import pandas as pd  # pylint: disable=import-outside-toplevel
   from .results import MEASURES  # pylint: disable=import-outside-toplevel
   try:
-    runs, unreadable = read_runs(list(folders))
+    runs, unreadable = read_runs([os.path.expanduser(folder) for folder in folders])
   except Refusal as error:
     raise FileNotFoundError(str(error)) from None
   for problem in unreadable:
@@ -314,11 +325,12 @@ def load(*folders: str):
     of_run = MEASURES[measure].of(run)
     return math.nan if of_run is None else of_run
 
-  return pd.DataFrame([{
+  table = [{
       "folder": run.folder, "agent": run.agent, "env": run.env, "eval_env": run.eval_env or run.env, "seed": run.seed,
       "steps": run.steps, "complete": run.complete, "train": value(run, "train"), "eval": value(run, "eval"),
-      "eval_argmax": value(run, "eval_argmax"), "reward": value(run, "reward_last100"), "unlocked": run.training.unlocked,
-      "run": run} for run in runs])
+      "eval_argmax": value(run, "eval_argmax"), "reward": value(run, "reward"), "reward_last100": value(run, "reward_last100"),
+      "unlocked": run.training.unlocked, "run": run} for run in runs]
+  return pd.DataFrame(table, columns=_COLUMNS)
 
 
 def episodes(run: Run, log: str = "stats"):

@@ -21,7 +21,7 @@ does not stop the others. The folder of each run has its output in log.txt.
 
   craftfleet sweep deploy/experiments/paper.toml --list
   craftfleet sweep deploy/experiments/paper.toml --experiment=table1 --cell=ppo_cnn --seeds=3 --jobs=2 --logdir=runs/paper
-  craftfleet sweep deploy/experiments/paper.toml --executor=slurm --jobs=100 --logdir=/shared/runs/paper
+  craftfleet sweep deploy/experiments/paper.toml --experiment=table1 --executor=slurm --jobs=20 --logdir=/shared/runs/paper
   craftfleet report runs/paper --out=report
 
 Ctrl-C, SIGTERM or closing the terminal stops it and its runs, each with a checkpoint. If its output is closed
@@ -87,7 +87,7 @@ def _named_runs(jobs: list[Job], names: list[str]) -> list[Job]:
   for name in names:
     if name not in found:
       raise Refusal(f'--run: no run "{name}", want one like {jobs[0].name}')
-  return [found[name] for name in names] if names else jobs
+  return [found[name] for name in dict.fromkeys(names)] if names else jobs
 
 
 def _train_flags(flags) -> list[str]:

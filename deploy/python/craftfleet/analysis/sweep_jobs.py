@@ -7,7 +7,6 @@ import datetime
 import errno
 import fcntl
 import os
-import re
 import subprocess
 import sys
 import threading
@@ -15,30 +14,18 @@ import time
 from collections.abc import Sequence
 
 from . import programs
-from ._cli import Refusal, read_text, reason
-from .sweep_plan import Job, State, prepare_folder, states
+from ._cli import Refusal, reason
+from .sweep_plan import Job, State, configuration_problems, prepare_folder, states
 
 _REPORT_EVERY = 30.0  # seconds between lines of progress
 _LOOK_AGAIN = 2.0  # seconds between looks at a folder that another process uses
 
 
-def _with_steps(config: str, steps: int) -> str:
-  return re.sub(r"(?m)^steps: .*\n", "", config) + f"\nsteps: {steps}\n"
-
-
 def check_configuration(job: Job) -> None:
   """Refusal: the folder has a run of another configuration."""
-  path = os.path.join(job.folder, "config.txt")
-  if not os.path.exists(path):
-    return
-  # The steps may change when the run is resumed.
-  answers = programs.ask([{"config": _with_steps(read_text(path), job.steps), "path": path},
-                          {"config": _with_steps(job.config_text, job.steps), "path": job.config_path}])
-  for answer in answers:
-    if "error" in answer:
-      raise Refusal(answer["error"])
-  if answers[0]["identity"] != answers[1]["identity"]:
-    raise Refusal(f"{path} is not this cell's configuration ({job.config_path}): use another --logdir")
+  problem, = configuration_problems([job])
+  if problem:
+    raise problem
 
 
 def folder_user(folder: str) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import os
+import re
 from collections.abc import Sequence
 
 from . import _cli, programs
@@ -100,10 +101,42 @@ def prepare_folder(job: Job) -> None:
   write_file("--logdir", job.config_path, job.config_text)
 
 
+def _with_steps(config: str, steps: int) -> str:
+  return re.sub(r"(?m)^steps: .*\n", "", config) + f"\nsteps: {steps}\n"
+
+
+def configuration_problems(jobs: Sequence[Job]) -> list[Refusal | None]:
+  """For each job why its folder's run is not its own: it has another configuration, or none that can be read."""
+  problems: list[Refusal | None] = [None] * len(jobs)
+  questions = {}  # by number of the job
+  for number, job in enumerate(jobs):
+    path = os.path.join(job.folder, "config.txt")
+    try:
+      if os.path.exists(path):
+        # The steps may change when the run is resumed.
+        questions[number] = [{"config": _with_steps(_cli.read_text(path), job.steps), "path": path},
+                             {"config": _with_steps(job.config_text, job.steps), "path": job.config_path}]
+    except Refusal as error:
+      problems[number] = error
+  answers = programs.ask([question for both in questions.values() for question in both])
+  for number, run, cell in zip(questions, answers[::2], answers[1::2]):
+    error = run.get("error") or cell.get("error")
+    if error is None and run["identity"] != cell["identity"]:
+      job = jobs[number]
+      error = f"{job.folder}/config.txt is not this cell's configuration ({job.config_path}): use another --logdir"
+    problems[number] = Refusal(error) if error else None
+  return problems
+
+
 def states(jobs: Sequence[Job]) -> list[State | Refusal]:
-  """What each run has; a Refusal if that cannot be read."""
+  """What each run has; a Refusal if that cannot be read, or is a finished run of another configuration."""
   answers = programs.ask([{"folder": job.folder, "steps": job.steps} for job in jobs])
-  return [Refusal(answer["error"]) if "error" in answer else State(**answer) for answer in answers]
+  known = [Refusal(answer["error"]) if "error" in answer else State(**answer) for answer in answers]
+  finished = [number for number, state in enumerate(known) if isinstance(state, State) and state.finished]
+  if finished:
+    for number, problem in zip(finished, configuration_problems([jobs[number] for number in finished])):
+      known[number] = problem or known[number]
+  return known
 
 
 def states_or_none(jobs: Sequence[Job]) -> list[State]:
@@ -111,7 +144,7 @@ def states_or_none(jobs: Sequence[Job]) -> list[State]:
   known = []
   for job, state in zip(jobs, states(jobs)):
     if isinstance(state, Refusal):
-      _cli.warn(f"{job.name} cannot be read: {state}")
+      _cli.warn(f"{job.name}: {state}")
       state = State()
     known.append(state)
   return known

@@ -101,7 +101,10 @@ def _milestone_table(experiment: ExperimentResult, cells: list[CellResult], pape
       row = [cell.label if measure == SCORES[0] else "", MEASURES[measure].label]
       for steps in experiment.milestones:
         spread = cell.group.scores_at(measure, steps) if cell.group else Spread()
-        ours = "no run" if not cell.group else f"{spread.text()} (n={spread.n})" if spread.n else "not reached"
+        ours = f"{spread.text()} (n={spread.n})" if spread.n else "no run"
+        if cell.group and not spread.n:
+          is_reached = any(run.steps >= steps for run in cell.group.complete + cell.group.incomplete)
+          ours = spread.text() if is_reached else "not reached"
         row.append(_over_paper(ours, _figure(paper, experiment.name, cell.name, measure, steps)))
       rows.append(row)
   header = [experiment.axes[0].name if experiment.axes else "", "", *(f"{steps:,} steps" for steps in experiment.milestones)]

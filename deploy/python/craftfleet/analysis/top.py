@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import json
 import re
@@ -293,12 +294,14 @@ def _show(watcher: Watcher, view: View, address: str) -> None:
   import curses  # pylint: disable=import-outside-toplevel
 
   def live(screen):
-    curses.curs_set(0)
-    curses.use_default_colors()
-    styles = {"": 0, "title": curses.A_BOLD, "header": curses.A_REVERSE}
-    for number, (style, colour) in enumerate({"good": curses.COLOR_GREEN, "bad": curses.COLOR_RED}.items(), start=1):
-      curses.init_pair(number, colour, -1)
-      styles[style] = curses.color_pair(number)
+    with contextlib.suppress(curses.error):  # some terminals cannot hide the cursor
+      curses.curs_set(0)
+    styles = {"": 0, "title": curses.A_BOLD, "header": curses.A_REVERSE, "good": 0, "bad": curses.A_BOLD}
+    if curses.has_colors():
+      curses.use_default_colors()
+      for number, (style, colour) in enumerate({"good": curses.COLOR_GREEN, "bad": curses.COLOR_RED}.items(), start=1):
+        curses.init_pair(number, colour, -1)
+        styles[style] = curses.color_pair(number)
     screen.timeout(200)
     shown, key = watcher.last(), ""
     while key != "q":
