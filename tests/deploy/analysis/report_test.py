@@ -197,6 +197,17 @@ class Report(package.Case):
     self.assertLess(text.index("## Your own configurations"), text.index("## The table"))
     self.assertIn(f"other,{self.folder}/runs/wide,train,,1,", files["other.csv"])
 
+  def test_runs_whose_names_begin_with_an_underscore_are_in_the_legends(self):
+    drawn = []
+    write_run(self.folder / "runs/_wide", 1, {"lanes": 20})
+    write_run(self.folder / "runs/low", 1, {"ppo": {"gamma": 0.7}})
+    with unittest.mock.patch.object(charts, "png", lambda figure: drawn.append(figure) or b""):
+      self.make()
+    _, curves, achievements = drawn
+    for axes in (curves.axes[1], achievements.axes[0]):
+      names = [text.get_text().split()[0] for text in axes.get_legend().get_texts()]
+      self.assertEqual(sorted(names), ["_wide", "low"])
+
   def test_rows_without_a_run_are_folded(self):
     write_run(self.folder / "a/seed1", 1)
     text = self.make()["report.md"]
@@ -239,6 +250,14 @@ class Report(package.Case):
       self.assertEqual(files[name][:8], b"\x89PNG\r\n\x1a\n")
     self.assertEqual(self.make(), files, "the same bytes again")
 
+  def test_a_complete_run_without_episodes_has_tables_alone(self):
+    write_run(self.folder / "a", 1, episodes=0)
+    found, _ = runs.read_runs([str(self.folder)])
+    found[0].complete = True  # too short for an episode
+    files = report.make_report(experiments.parse(EXPERIMENTS, "e"), figures.Figures(figures.HEADER, "f"), found)
+    self.assertEqual([name for name in files if name.endswith(".png")], [])
+    self.assertIn("| PPO-CNN | 0 | - | - | - | - | - | - |", files["report.md"].decode())
+
   def test_achievements_have_their_success_rates(self):
     write_run(self.folder / "a/seed1", 1, unlocked=1)
     write_run(self.folder / "a/seed2", 2, unlocked=2)
@@ -266,6 +285,14 @@ class Milestones(package.Case):
     self.assertAlmostEqual(group.scores_at("eval", 2000).mean, math.sqrt(101) - 1, msg="the first ten episodes")
     self.assertGreater(group.scores_at("eval", 4000).mean, 20)
     self.assertEqual(group.scores_at("eval_argmax", 2000).n, 0)
+
+  def test_a_milestone_without_evaluation_is_reached_all_the_same(self):
+    write_run(self.folder / "a", 1)
+    text = EXPERIMENTS.replace('title = "The table"\n', 'title = "The table"\nmilestones = [2000, 5000]\n')
+    result, *_ = results.match(experiments.parse(text, "e"), results.group_runs(runs.read_runs([str(self.folder)])[0]))
+    table = tables.experiment_tables(result, figures.Figures(figures.HEADER, "f"))
+    self.assertEqual(line(table, "| PPO-CNN |"), "| PPO-CNN | training score | 9.0 (n=1) | not reached |")
+    self.assertEqual(line(table, "|  | evaluation score, sampled |"), "|  | evaluation score, sampled | - | not reached |")
 
 
 class Target(package.Case):
@@ -379,8 +406,9 @@ class PaperFigures(unittest.TestCase):
     for figure in shown:
       self.assertIn(figure.measure, results.MEASURES)
       self.assertIn(f"{figure.table}/{figure.cell}", cells)
-    # Table 1 with its unlocked achievements, no inventory, asymptotic, the reproduction, two of OOD, ablation, beyond.
-    self.assertEqual(len(shown), 12 + 1 + 2 + 12 + 2 + 96 + 96 + 21 + 4)
+    # Table 1 with its unlocked achievements, no inventory, asymptotic, the reproduction, CrafterOODapp, some of it again for other
+    # textures, CrafterOODnum, ablation, beyond.
+    self.assertEqual(len(shown), 12 + 1 + 2 + 12 + 2 + 96 + 12 + 96 + 21 + 4)
 
   # The paper's Table 1 is the evaluation row of O1 100%; the training row of that table has the figures of training episodes.
   def test_table_1_is_the_row_of_the_original_appearance(self):
@@ -397,14 +425,15 @@ class Committed(unittest.TestCase):
   # Further seeds of cells that had figures before.
   LATER = ("no_inventory_ppo_cnn_1m/seed2", "no_inventory_ppo_cnn_1m/seed3", "no_inventory_ppo_cnn_1m/seed4",
            "no_inventory_ppo_cnn_1m/seed5", "no_inventory_lstm_cnn_1m/seed2", "no_inventory_lstm_cnn_1m/seed3",
-           "no_inventory_lstm_cnn_1m/seed4", "reproduction_original_1x4096/seed6", "reproduction_original_1x4096/seed7")
+           "no_inventory_lstm_cnn_1m/seed4", "reproduction_original_1x4096/seed6", "reproduction_original_1x4096/seed7",
+           "reproduction_original_1x4096/seed8", "reproduction_original_1x4096/seed9")
 
   @classmethod
   def setUpClass(cls):
     cls.found, cls.unreadable = runs.read_runs([str(package.RESULTS)])
 
   def test_all_results_belong_to_a_cell(self):
-    self.assertEqual((len(self.found), self.unreadable), (94, []))
+    self.assertEqual((len(self.found), self.unreadable), (96, []))
     matched = results.match(experiments.load(package.PAPER), results.group_runs(self.found))
     self.assertEqual([result.name for result in matched if result.is_own], [])
 
