@@ -236,6 +236,7 @@ absl::Status Actor::KeepPermits() {
         permits_.DropWaiting();
         stream_.DropWaiting();
         CRAFTFLEET_RETURN_IF_ERROR(Join());
+        evaluations_->KeepOnly(joined_.epoch());
         break;
       case Reaction::kRetry:
         LogRetry(reply.status());

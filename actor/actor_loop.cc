@@ -42,7 +42,10 @@ absl::Status ActorLoop::Run() {
     ReportServers();
     meter_.Switch(Activity::kPermits);
     const std::vector<HeldPermit> permits = permits_->Take(options_.index, kReportEvery);
-    if (permits.empty() && !permits_->closed()) continue;  // while the learner trains or is paused
+    if (permits.empty() && !permits_->closed()) {  // while the learner trains or is paused
+      Forget(envs_->Refresh());                    // a server that is being drained waits for its last game
+      continue;
+    }
     meter_.Switch(Activity::kWire);
     if (permits.empty()) return absl::OkStatus();
     absl::Status status = RunFragment(permits);
@@ -54,7 +57,8 @@ absl::Status ActorLoop::Run() {
     Abandon();
     if (status.code() == absl::StatusCode::kCancelled) return absl::OkStatus();
     if (!call_.has_value() || !IsTransient(*call_, status)) return status;
-    LogWarning("%d fragments returned: %s", released, status.message());
+    log_.Warn(absl::StatusCodeToString(status.code()),
+              absl::StrFormat("%d fragments returned: %s", released, status.message()));
     permits_->WaitForClose(backoff.Next());
   }
 }

@@ -27,6 +27,7 @@
 #include "common/agent/policy.h"
 #include "common/base/clock.h"
 #include "common/telemetry/activity_meter.h"
+#include "common/telemetry/limited_log.h"
 #include "craftfleet/v1/config.pb.h"
 
 namespace craftfleet {
@@ -134,6 +135,7 @@ class ActorLoop {
   std::vector<float> states_;  // [n,state_size] before it
 
   RealClock clock_;
+  LimitedLog log_{&clock_};  // of what is tried again as long as no server can be used
   ActivityMeter meter_{&clock_, Activity::kPermits};
   absl::Time reported_ = absl::InfinitePast();  // when servers_ was last updated
   std::atomic<int64_t> abandoned_{0};

@@ -306,7 +306,9 @@ absl::Status EnvClient::Broken() {
   }
   // A stopping server may end its sessions with OK or Cancelled, but Cancelled would mean that this actor is stopping.
   const bool stopped = status.ok() || status.code() == absl::StatusCode::kCancelled;
-  return stopped ? absl::UnavailableError(absl::StrCat(context, ": ended the session")) : status;
+  if (stopped) return absl::UnavailableError(absl::StrCat(context, ": ended the session"));
+  // It was this actor that let the server wait, as while the run is paused: it has missed no deadline.
+  return absl::IsDeadlineExceeded(status) ? absl::UnavailableError(status.message()) : status;
 }
 
 }  // namespace craftfleet

@@ -17,6 +17,8 @@ namespace craftfleet {
 namespace {
 
 constexpr absl::Duration kConnectTimeout = absl::Seconds(5);
+constexpr absl::Duration kFirstResend = absl::Milliseconds(250);  // pause before a result is sent again
+constexpr absl::Duration kLastResend = absl::Seconds(2);
 
 }  // namespace
 
@@ -27,7 +29,7 @@ EvaluationWorker::~EvaluationWorker() { Stop(); }
 
 bool EvaluationWorker::ready() const {
   const MutexLock lock(&mu_);
-  return SteadyNow() >= next_try_;
+  return !dropped_ && SteadyNow() >= next_try_;
 }
 
 void EvaluationWorker::Assign(int64_t epoch, const v1::EvaluationTask& task) {
@@ -40,6 +42,14 @@ void EvaluationWorker::Assign(int64_t epoch, const v1::EvaluationTask& task) {
 int64_t EvaluationWorker::current(int64_t epoch) const {
   const MutexLock lock(&mu_);
   return job_.has_value() && job_->epoch == epoch ? job_->task.id() : 0;
+}
+
+void EvaluationWorker::KeepOnly(int64_t epoch) {
+  const MutexLock lock(&mu_);
+  if (!job_.has_value() || job_->epoch == epoch) return;
+  dropped_ = true;
+  if (env_ != nullptr) env_->Cancel();
+  changed_.NotifyAll();
 }
 
 void EvaluationWorker::Stop() {
@@ -65,9 +75,10 @@ void EvaluationWorker::Run() {
     const MutexLock lock(&mu_);
     env_ = nullptr;
     job_.reset();
+    const bool was_dropped = std::exchange(dropped_, false);
     if (status.ok()) {
       backoff_.Reset();
-    } else if (!stopping_ && !absl::IsCancelled(status)) {  // Cancelled: the actor is stopping
+    } else if (!stopping_ && !was_dropped && !absl::IsCancelled(status)) {  // Cancelled: the actor is stopping
       next_try_ = SteadyNow() + backoff_.Next();
       LogWarning("evaluation task %d returned: %s", job.task.id(), status.message());
     }
@@ -93,7 +104,20 @@ absl::Status EvaluationWorker::Play(const Job& job) {
   result.set_actor(options_.actor);
   result.set_epoch(job.epoch);
   result.set_id(job.task.id());
-  return learner_->FinishEvaluation(result);
+  return Send(result);
+}
+
+absl::Status EvaluationWorker::Send(const v1::EvaluationResult& result) {
+  Backoff backoff(kFirstResend, kLastResend);
+  while (true) {
+    absl::Status status = learner_->FinishEvaluation(result);
+    if (status.ok() || absl::IsCancelled(status) || !IsTransient(CallKind::kPlay, status)) return status;
+    // A learner that no longer knows this actor takes the result once the actor has joined again.
+    const MutexLock lock(&mu_);
+    const bool is_over = changed_.WaitFor(
+        &mu_, backoff.Next(), [this]() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_) { return stopping_ || dropped_; });
+    if (is_over) return absl::CancelledError("stopping");
+  }
 }
 
 absl::StatusOr<std::shared_ptr<const std::string>> EvaluationWorker::GetWeights(int64_t id) const {
@@ -124,7 +148,7 @@ absl::StatusOr<EnvClient*> EvaluationWorker::Connect(const v1::EnvConfig& env) {
     EnvClient* client = nullptr;
     {
       const MutexLock lock(&mu_);
-      if (stopping_) return absl::CancelledError("stopping");
+      if (stopping_ || dropped_) return absl::CancelledError("stopping");
       env_ = std::make_unique<EnvClient>(*server, hello, static_cast<int>(options_.spec.frame_bytes()),
                                          options_.health->timeout());
       client = env_.get();

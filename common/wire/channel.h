@@ -61,7 +61,7 @@ Endpoint Connect(absl::string_view address, const ChannelSecurity& security = {}
 // messages, which doubled the time of a step of games.
 Endpoint ConnectApart(const Endpoint& peer);
 
-// `address` as clients of gRPC want it: they read the path of a Unix socket as part of a URI, servers as it is.
+// `address` as gRPC wants it: it reads the path of a Unix socket as part of a URI.
 std::string GrpcAddress(absl::string_view address);
 
 // InvalidArgument, naming the flag, unless `address` looks like HOST:PORT (port 0..65535) or unix:PATH. Says what to

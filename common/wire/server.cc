@@ -162,6 +162,7 @@ absl::Status Server::Listen(const Options& options, std::shared_ptr<grpc::Server
   std::string listen_on = options.address;
   if (IsUnixSocket(address_)) {
     CRAFTFLEET_RETURN_IF_ERROR(CheckUnixSocketFree(address_));
+    listen_on = GrpcAddress(address_);
   } else if (!address_.empty()) {
     // gRPC doesn't say why it cannot listen.
     CRAFTFLEET_ASSIGN_OR_RETURN(const std::unique_ptr<ListenSocket> tried,

@@ -109,7 +109,7 @@ absl::StatusOr<LaneScheduler::Verdict> LaneScheduler::Accept(absl::string_view a
     table_.NoteChange();
     return Verdict::kStale;
   }
-  table_.Advance(shared, digest, sender->worker->name, &lane);
+  table_.Advance(fragment.policy_version, shared, digest, sender->worker->name, &lane);
   ++sender->fragments;
   if (lane.IsOpen()) NoteOpened(lane, *sender);
   return Verdict::kAccepted;

@@ -106,6 +106,8 @@ void LaneTable::Compare(absl::string_view actor, const Permit& fragment, uint64_
   if (Find(actor) == nullptr) return;
   for (LaneState::AcceptedFragment& accepted : lanes_[fragment.lane].accepted) {
     if (accepted.fragment != fragment.fragment || accepted.digest == digest) continue;
+    // With max_staleness the permit may have lapsed, and another actor got one with newer weights.
+    if (accepted.policy_version != fragment.policy_version) continue;
     ++counters.differing;
     if (std::exchange(accepted.differs, true)) continue;
     LogError(
@@ -115,10 +117,11 @@ void LaneTable::Compare(absl::string_view actor, const Permit& fragment, uint64_
   }
 }
 
-void LaneTable::Advance(const SharedSnapshot& snapshot, uint64_t digest, const std::string& sender, LaneState* lane) {
+void LaneTable::Advance(int64_t policy_version, const SharedSnapshot& snapshot, uint64_t digest,
+                        const std::string& sender, LaneState* lane) {
   const int64_t fragment = lane->record.next_fragment;
   lane->record = {fragment + 1, snapshot, std::move(lane->record.snapshot), sender};
-  lane->accepted.push_back({fragment, digest, sender});
+  lane->accepted.push_back({fragment, policy_version, digest, sender});
 }
 
 void LaneTable::Rewind(LaneState* lane) {

@@ -53,6 +53,7 @@ struct LaneState {
   };
   struct AcceptedFragment {
     int64_t fragment = 0;
+    int64_t policy_version = 0;  // that it was played with
     uint64_t digest = 0;
     std::string sender;
     bool differs = false;  // a duplicate with other content was logged
@@ -144,10 +145,11 @@ class LaneTable {
   // `actor`: null: nobody.
   void SetHolder(LaneActor* actor, LaneState* lane);
 
-  // Counts and logs a duplicate that differs from the accepted fragment.
+  // Counts and logs a duplicate that differs from the accepted fragment, although it was played with the same weights.
   void Compare(absl::string_view actor, const Permit& fragment, uint64_t digest);
-  // The fragment that the lane was at is over; `snapshot` is after it.
-  void Advance(const SharedSnapshot& snapshot, uint64_t digest, const std::string& sender, LaneState* lane);
+  // The fragment that the lane was at was played with `policy_version` and is over; `snapshot` is after it.
+  void Advance(int64_t policy_version, const SharedSnapshot& snapshot, uint64_t digest, const std::string& sender,
+               LaneState* lane);
   // Rolls the lane back to the beginning of the iteration.
   void Rewind(LaneState* lane);
 

@@ -53,6 +53,7 @@ class ServerLists {
   // The list of `actor`, which is on `host`. The reference is valid until the next call.
   const List& ListOf(const std::string& actor, const std::string& host);
 
+  int64_t last_generation() const { return generation_; }
   size_t servers() const { return servers_.size(); }
   // The number of servers in the actor's list, as it last got it; 0: it never asked.
   size_t SizeOf(absl::string_view actor) const;

@@ -81,9 +81,11 @@ bool ServerReports::LacksServers(const Worker& actor, const std::set<std::string
 }
 
 std::optional<ServerLists::List> ServerReports::NewList(int64_t generation, Worker* actor) {
-  const bool keeps = generation != 0 && generation < first_generation_ && clock_->Now() - start_ < server_lease_;
-  if (keeps) return std::nullopt;
   ServerLists& lists = workers_->lists();
+  // Later than all of this start: the date was set back since.
+  const bool is_of_earlier_start = generation < first_generation_ || generation > lists.last_generation();
+  const bool keeps = generation != 0 && is_of_earlier_start && clock_->Now() - start_ < server_lease_;
+  if (keeps) return std::nullopt;
   const ServerLists::List* list = &lists.ListOf(actor->name, actor->client.host);
   if (LacksServers(*actor, list->addresses)) {
     lists.Avoid(actor->name);

@@ -34,8 +34,9 @@ class ServerReports {
  public:
   static constexpr int kMaxReported = 1024;  // servers known from actors' reports; further reports are ignored
 
-  // Lists of generations below `first_generation` are from an earlier start of the learner: an actor keeps such a list
-  // until every server has had `server_lease` to register again. The pointers outlive it.
+  // Lists of generations below `first_generation`, or above all of this start's, are from an earlier start of the
+  // learner: an actor keeps such a list until every server has had `server_lease` to register again. The pointers
+  // outlive it.
   ServerReports(int64_t first_generation, absl::Duration server_lease, WorkerTable* workers, Clock* clock)
       : first_generation_(first_generation),
         server_lease_(server_lease),

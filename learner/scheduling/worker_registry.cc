@@ -201,6 +201,7 @@ std::optional<WorkerRegistry::WorkerInfo> WorkerRegistry::InfoOf(const Worker& w
   if (!differs) info.worker.mismatch.reset();
   if (worker.role == WorkerRole::kActor && worker.active) {
     info.play = lanes_.table().InfoOf(worker.name);
+    info.evaluates = evaluations_.IsPlaying(worker.name);
     info.listed = workers_.lists().SizeOf(worker.name);
     info.servers = workers_.lists().servers();
   }

@@ -89,10 +89,13 @@ class WorkerRegistry {
     bool summary_is_old = false;               // its figures are outdated
     bool refused = false;                      // refused because of its canary
     std::optional<LaneTable::ActorInfo> play;  // of an active actor
+    bool evaluates = false;                    // it plays an evaluation
     size_t listed = 0;                         // an actor's environment servers from here; 0: it uses others
     size_t servers = 0;                        // that there are for lists
 
-    bool IsDrained() const { return worker.draining && (play.has_value() ? play->permits == 0 : worker.empty); }
+    bool IsDrained() const {
+      return worker.draining && (play.has_value() ? play->permits == 0 && !evaluates : worker.empty);
+    }
   };
 
   // `lanes` has `options.lanes.lanes` records. `clock` outlives the registry.

@@ -30,9 +30,9 @@ std::string StateOf(const WorkerRegistry::WorkerInfo& info, bool allow_mixed) {
                                 ? absl::StrFormat(", %d of %d servers", info.listed, info.servers)
                                 : "",
                             info.play->late ? ", late: others finish its fragments" : "",
-                            !worker.draining          ? ""
-                            : info.play->permits == 0 ? ", drained"
-                                                      : ", draining");
+                            !worker.draining   ? ""
+                            : info.IsDrained() ? ", drained"
+                                               : ", draining");
   } else if (worker.role == WorkerRole::kEnvServer && worker.active && worker.draining) {
     state = worker.empty ? "drained" : "draining";
   }

@@ -42,8 +42,9 @@ void EvaluationPlanner::OnIteration(int64_t steps_before, int64_t env_steps,
                                     const std::function<bool()>& should_stop) {
   const int64_t every = config_.every_steps();
   const bool due = every > 0 && config_.episodes() > 0 && env_steps / every > steps_before / every;
-  LogFinished(due ? kMaxPending : kAnyNumber, should_stop);
+  // Before the wait, so that a checkpoint written during it has this evaluation.
   if (due) Begin(env_steps, config_.episodes(), /*final=*/false, weights);
+  LogFinished(due ? kMaxPending + 1 : kAnyNumber, should_stop);
 }
 
 void EvaluationPlanner::OnEnd(int64_t env_steps, const std::shared_ptr<const std::string>& weights,
@@ -70,7 +71,7 @@ void EvaluationPlanner::LogFinished(size_t below, const std::function<bool()>& s
   while (LogOldest(absl::ZeroDuration())) {
   }
   absl::Time last_news = SteadyNow();
-  while (registry_->evaluations()->pending() >= below && !should_stop()) {
+  while (pending() >= below && !should_stop()) {  // which is called without the registry's lock
     if (LogOldest(kTick)) {
       last_news = SteadyNow();
     } else if (SteadyNow() - last_news > kReportEvery) {

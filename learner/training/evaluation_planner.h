@@ -23,8 +23,8 @@ namespace craftfleet {
 // one after training. Each plays `episodes` argmax episodes, then as many sampled ones; the evaluation environment's
 // episodes are numbered from 1 and continue from evaluation to evaluation. A final evaluation plays the next numbers
 // but does not advance them, so that an extended run continues as if it had not ended before. Results are logged in the
-// order in which evaluations began. Actors play while training continues; training waits only if kMaxPending
-// evaluations are pending. Owned by one thread.
+// order in which evaluations began. Actors play while training continues; training waits only if more than
+// kMaxPending evaluations are pending. Owned by one thread.
 class EvaluationPlanner {
  public:
   static constexpr size_t kMaxPending = 2;
@@ -36,7 +36,8 @@ class EvaluationPlanner {
                     RunFolder* folder);
 
   // To be called when training has advanced from `steps_before` to `env_steps` environment steps; `weights`
-  // (safetensors) are the new ones. Logs finished evaluations. `should_stop` ends the wait for actors.
+  // (safetensors) are the new ones. Logs finished evaluations. `should_stop` ends the wait for actors, in which it is
+  // called several times a second; FillCheckpoint may be called from it.
   void OnIteration(int64_t steps_before, int64_t env_steps, const std::shared_ptr<const std::string>& weights,
                    const std::function<bool()>& should_stop);
 

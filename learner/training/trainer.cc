@@ -97,6 +97,8 @@ void Trainer::End(bool trained) {
     phase_ = Phase::kEvaluating;
     parts_.evaluations->OnEnd(counters_.env_steps, parts_.updater->ShareWeights(),
                               [this] { return !CheckContinues().ok(); });
+    // A checkpoint that was requested during the last iteration has no final evaluation.
+    checkpoints_.NoteChange();
   }
   if (trained && parts_.evaluations->pending() == 0) {
     phase_ = Phase::kComplete;
@@ -217,13 +219,16 @@ absl::Status Trainer::FinishIteration(const std::vector<Fragment>& fragments, co
     log_.AddStaleness(counters_.env_steps, staleness, parts_.registry->lanes()->table().counters.dropped);
   log_.Flush();
   CRAFTFLEET_RETURN_IF_ERROR(parts_.folder->CheckOwned());
-  meter_.Switch(Activity::kIdle);
-  parts_.evaluations->OnIteration(steps_before, counters_.env_steps, parts_.updater->ShareWeights(),
-                                  [this] { return !CheckContinues().ok(); });
-  meter_.Switch(Activity::kOther);
   // A checkpoint needs as much as the update's activations and what it could have been undone with.
   PooledBuffer::FreeUnused(kMuchFreeMemory);
   ReleaseFreeMemory();
+  const auto on_tick = [this] {
+    checkpoints_.ServeRequests(counters_.iteration);
+    return !CheckContinues().ok();
+  };
+  meter_.Switch(Activity::kIdle);
+  parts_.evaluations->OnIteration(steps_before, counters_.env_steps, parts_.updater->ShareWeights(), on_tick);
+  meter_.Switch(Activity::kOther);
   checkpoints_.ServeRequests(counters_.iteration);
   // The last checkpoint is written after the final evaluation.
   return has_steps_left() ? checkpoints_.OnIteration(counters_.iteration) : absl::OkStatus();

@@ -4,8 +4,10 @@
 #include <memory>
 #include <string>
 #include <thread>
+#include <utility>
 #include <vector>
 
+#include <absl/strings/str_split.h>
 #include <gtest/gtest.h>
 
 #include "common/wire/protocol.h"
@@ -30,6 +32,9 @@ class ActorLoopTest : public testing::Test {
     loop_.reset();
   }
   void Start(const std::string& agent, const std::vector<wire::Endpoint>& servers) {
+    Start(agent, std::make_shared<EnvDirectory>(servers));
+  }
+  void Start(const std::string& agent, std::shared_ptr<EnvDirectory> directory) {
     learner_ = std::make_unique<StandInLearner>(agent, "unix:" + (folder_ / "learner"), 1, NewLanes(agent));
     client_ = std::make_unique<LearnerClient>(learner_->Connect());
     learner_->Open(0);
@@ -40,8 +45,7 @@ class ActorLoopTest : public testing::Test {
     loop_ = std::make_unique<ActorLoop>(
         ActorLoop::Options{0, Config(agent), kFrameBytes, spec.state_size, KeepsEveryState(spec, Config(agent).ppo())},
         client_.get(), &permits_, policies_.get(), stream_.get(),
-        std::make_unique<EnvPool>(std::make_shared<EnvDirectory>(servers), SampleHello(kLength), kFrameBytes),
-        &tracker_);
+        std::make_unique<EnvPool>(std::move(directory), SampleHello(kLength), kFrameBytes), &tracker_);
     thread_ = std::thread([this] { EXPECT_THAT(loop_->Run(), IsOk()); });
     v1::JoinRequest join;
     join.set_protocol_version(wire::kProtocolVersion);
@@ -140,6 +144,41 @@ TEST_F(ActorLoopTest, AServerThatEndsWhileNothingIsPlayedIsNotShownAsUsable) {
   EXPECT_TRUE(WaitUntil(is_ok));
   env_.server->Stop(absl::ZeroDuration());
   EXPECT_TRUE(WaitUntil([&] { return !is_ok(); }));
+}
+
+// A server that is drained is no longer listed. It kept the games of an actor that had no permits, such as one that was
+// drained before, until the actor got some.
+TEST_F(ActorLoopTest, GamesLeaveAServerThatIsNoLongerListedWhileNothingIsPlayed) {
+  const EnvServer other;
+  const auto directory = EnvDirectory::Parse("envservers", "learner").value();
+  directory->SetRegistered({env_.server->address()});
+  ASSERT_NO_FATAL_FAILURE(Start("ppo_cnn", directory));
+  const auto has_sessions = [this] {
+    v1::StatusReply status;
+    env_.service->FillStatus(&status);
+    return status.peers_size() > 0;
+  };
+  Play(Ask());
+  FirstFrames();
+  EXPECT_TRUE(has_sessions());
+  directory->SetRegistered({other.server->address()});
+  EXPECT_TRUE(WaitUntil([&] { return !has_sessions(); }, absl::Seconds(10)));
+  Play(Ask());
+  FirstFrames();
+  Stop();  // before the server
+}
+
+TEST_F(ActorLoopTest, ThatNoServerCanBeUsedIsNotLoggedAtEveryAttempt) {
+  testing::internal::CaptureStderr();
+  ASSERT_NO_FATAL_FAILURE(Start("ppo_cnn", {wire::Connect("127.0.0.1:1")}));
+  for (int64_t abandoned = 0; abandoned < 2 * kLanes; abandoned += kLanes) {
+    Play(Ask());
+    ASSERT_TRUE(WaitUntil([&] { return loop_->abandoned() > abandoned; }));
+  }
+  Stop();
+  const std::vector<std::string> parts =
+      absl::StrSplit(testing::internal::GetCapturedStderr(), "fragments returned: environment server 127.0.0.1:1");
+  EXPECT_EQ(parts.size(), 2U) << "one line";
 }
 
 }  // namespace

@@ -2,6 +2,7 @@
 
 #include "actor/actor.h"
 
+#include <algorithm>
 #include <memory>
 #include <string>
 #include <thread>
@@ -288,6 +289,27 @@ TEST_P(ActorTest, ContinuesAfterTheLearnerRestarts) {
   learner_ = std::make_unique<StandInLearner>(GetParam(), LearnerAddress(), 2, checkpoint);
   learner_->Open(1);
   ExpectIteration(learner_.get(), 1, 2);
+}
+
+TEST_P(ActorTest, ALearnerThatRestartsDoesNotWaitForAnEvaluationOfItsFormerStart) {
+  constexpr int kMany = 10'000;
+  const auto weights = std::make_shared<const std::string>(SampleWeights(0, GetParam()));
+  const auto evaluation = [&](int episodes) { return Evaluation{1, 0, 1, episodes, /*final=*/true, weights}; };
+  const auto episodes_played = [this] {
+    v1::StatusReply status;
+    env_.service->FillStatus(&status);
+    const auto metric = std::find_if(status.metrics().begin(), status.metrics().end(),
+                                     [](const v1::Metric& m) { return m.name() == "episodes"; });
+    return metric->value();
+  };
+  learner_->registry().AddEvaluation(evaluation(kMany));
+  RunningActor actor(learner_->Connect(), {env_.Connect()});
+  ASSERT_TRUE(WaitUntil([&] { return episodes_played() > 0; }));
+  learner_.reset();
+  learner_ = std::make_unique<StandInLearner>(GetParam(), LearnerAddress(), 2, NewLanes(GetParam()));
+  learner_->registry().AddEvaluation(evaluation(1));
+  EXPECT_TRUE(WaitUntil([this] { return learner_->registry().evaluations()->FrontFinished(); }));
+  EXPECT_LT(episodes_played(), kMany) << "the former one was dropped";
 }
 
 // Its lanes must not have to wait until it can play.

@@ -360,6 +360,20 @@ TEST(EnvPool, AServerThatBelongsToAnotherRunIsAnError) {
   EXPECT_THAT(pool.Open(NewLanes({0})), StatusIs(absl::StatusCode::kFailedPrecondition, HasSubstr("serves run run-b")));
 }
 
+// After a pause of the run, each server had to answer a probe first.
+TEST(EnvPool, AServerThatEndsAnIdleSessionIsNotBlamed) {
+  EnvServiceImpl::Options options;
+  options.idle_timeout = absl::Milliseconds(500);
+  EnvServer server = {*EnvServiceImpl::Create(*DefaultTextureDir(), options)};
+  EnvPool pool(Listing({server.Connect()}), SampleHello(kLength), kFrameBytes);
+  Seen seen;
+  ASSERT_THAT(seen.Open(&pool, NewLanes({0, 1})), IsOk());
+  ASSERT_TRUE(WaitUntil([&] { return LanesOn(server) == "no session"; }));
+  EXPECT_THAT(seen.Step(&pool), StatusIs(absl::StatusCode::kUnavailable, HasSubstr("--idle_timeout")));
+  EXPECT_EQ(pool.Report()[0].error, "") << "it answers";
+  EXPECT_THAT(seen.Open(&pool, NewLanes({0, 1})), IsOk());
+}
+
 TEST(EnvPool, ClosesGames) {
   const EnvServer server;
   EnvPool pool = PoolOf({&server});

@@ -38,6 +38,7 @@ inline v1::RunConfig Config(const std::string& agent) {
   config.set_agent(agent);
   config.mutable_ppo()->set_recurrent_batches(v1::PpoConfig::PUBLISHED);
   *config.mutable_env() = SampleHello(kLength).env();
+  config.mutable_eval()->set_env("crafter");
   config.set_seed(3);
   config.set_lanes(kLanes);
   config.set_fragment_steps(kSteps);

@@ -35,7 +35,7 @@ class CheckpointWriter {
 
   // Writes a checkpoint now. Errors as RunFolder::WriteCheckpoint.
   absl::Status Write();
-  // The same, unless this start has already written one of `iteration`.
+  // The same, unless this start has already written one of `iteration`, and nothing has changed since (NoteChange).
   absl::Status WriteUnlessWritten(int64_t iteration);
 
   // To be called after each `iteration` but the last: writes a checkpoint if one is due, or if the last one due could
@@ -45,6 +45,9 @@ class CheckpointWriter {
 
   // Answers pending requests with a checkpoint of `iteration`, the last finished one.
   void ServeRequests(int64_t iteration);
+
+  // The run's state has changed without a further iteration: WriteUnlessWritten and WriteLast write again.
+  void NoteChange() { written_ = -1; }
 
   // To be called after the last `iteration`: as WriteUnlessWritten, but retries while the disk is full, until training
   // is asked to stop.
@@ -56,7 +59,7 @@ class CheckpointWriter {
  private:
   const int every_iterations_;
   const Parts parts_;
-  int64_t written_ = -1;  // iteration of the last checkpoint; -1: none since the start
+  int64_t written_ = -1;  // iteration of the last checkpoint; -1: none since the start or NoteChange
   bool missed_ = false;   // the last checkpoint due could not be written
   mutable Mutex mu_;
   absl::Time time_ ABSL_GUARDED_BY(mu_);  // of the last checkpoint

@@ -194,6 +194,16 @@ TEST_F(SecurityTest, TheServersCertificateMustMatchItsAddress) {
   EXPECT_THAT(GetStatus(server->address(), Client("").ForServer("elsewhere")), IsOk());
 }
 
+// Each process that was killed left this advice in the logs of its peers.
+TEST_F(SecurityTest, ALostConnectionIsNotTakenForTls) {
+  const auto explain = [](absl::string_view error) {
+    return std::string(ChannelSecurity().Explain(absl::UnavailableError(error), "127.0.0.1:1").message());
+  };
+  EXPECT_EQ(explain("Socket closed"), "Socket closed");
+  EXPECT_THAT(explain("failed to connect to all addresses; last error: UNAVAILABLE: ipv4:127.0.0.1:1: Socket closed"),
+              HasSubstr("give --tls_ca"));
+}
+
 TEST_F(SecurityTest, MixingTlsAndPlaintextExplainsWhatToChange) {
   const auto tls = Listen(Files("server", ""));
   const auto plain = Listen({});

@@ -1,5 +1,7 @@
 #include "common/wire/server.h"
 
+#include <unistd.h>
+
 #include <memory>
 #include <string>
 #include <thread>
@@ -89,6 +91,16 @@ TEST(Server, ListensOnAUnixSocket) {
   const auto server = Listen("unix:" + (folder / "s"));
   EXPECT_EQ(server->address(), "unix:" + (folder / "s"));
   EXPECT_THAT(WaitUntilConnected("server", Connect(server->address()), absl::Seconds(10)), IsOk());
+}
+
+// Such as in a folder that Jenkins named after a branch. The server listened on "sA", or could not listen.
+TEST(Server, ListensOnAUnixSocketWhosePathHasPercentSigns) {
+  const TempFolder folder;
+  const auto server = Listen("unix:" + (folder / "s%41"));
+  ASSERT_THAT(server, testing::NotNull());
+  EXPECT_EQ(access((folder / "s%41").c_str(), F_OK), 0);
+  EXPECT_THAT(WaitUntilConnected("server", Connect(server->address()), absl::Seconds(10)), IsOk());
+  EXPECT_THAT(Server::Create({server->address()}, {}), StatusIs(absl::StatusCode::kUnavailable, HasSubstr("another")));
 }
 
 TEST(Server, NamesAPortThatIsInUse) {

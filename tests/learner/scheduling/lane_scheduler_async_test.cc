@@ -110,6 +110,30 @@ TEST_F(AsyncLanes, AFragmentThatWouldBeTooOldIsDroppedAndPlayedAgain) {
   EXPECT_EQ(Push("slow", {1, 0, 2}), Verdict::kAccepted);
 }
 
+// An actor that was stopped for a while sends what another one has played since. Its fragment was reported as an error.
+TEST_F(AsyncLanes, ALateFragmentWithOlderWeightsIsNotCompared) {
+  registry_.PublishVersion(0);
+  ASSERT_THAT(Enter("stopped"), ElementsAre(Permit{0, 0, 0}));
+  ASSERT_THAT(Enter("other"), ElementsAre(Permit{1, 0, 0}));
+  ASSERT_EQ(Push("other", {1, 0, 0}), Verdict::kAccepted);
+  ASSERT_THAT(Ask("other"), ElementsAre(Permit{1, 1, 0}));
+  ASSERT_EQ(Push("other", {1, 1, 0}), Verdict::kAccepted);
+  ASSERT_TRUE(registry_.TakeRollout().has_value());
+  registry_.PublishVersion(1);
+  clock_.Advance(absl::Seconds(6));
+  Ask("other", {}, 0);
+  EXPECT_THAT(Ask("other", {}, 2), testing::Contains(Permit{0, 0, 1})) << "the permit has lapsed";
+  EXPECT_EQ(Push("other", {0, 0, 1}), Verdict::kAccepted);
+  registry_.Join("stopped", "");
+  testing::internal::CaptureStderr();
+  EXPECT_EQ(Push("stopped", {0, 0, 0}), Verdict::kDuplicate);
+  EXPECT_EQ(testing::internal::GetCapturedStderr(), "");
+  EXPECT_EQ(registry_.counters().differing, 0);
+  const auto differing = registry_.Accept("stopped", {0, 0, 1}, {"after 0", {}}, Digest({0, 0, 1}) + 1);
+  EXPECT_EQ(*differing, Verdict::kDuplicate);
+  EXPECT_EQ(registry_.counters().differing, 1) << "with the same weights it is an error";
+}
+
 TEST_F(AsyncLanes, PlayRunsAheadNoFurtherThanDropsAreImpossible) {
   registry_.PublishVersion(0);
   registry_.Join("a", "");

@@ -110,6 +110,19 @@ TEST_F(RegistryServersTest, AfterARestartActorsKeepTheirListUntilServersCanHaveR
   EXPECT_FALSE(ShouldKeep(&restarted, before));
 }
 
+TEST_F(RegistryServersTest, TheyKeepItAlsoIfTheDateWasSetBack) {
+  Announce("s1", "a:1");
+  Addresses();
+  const int64_t before = generation_;
+  clock_.SetWallAhead(-absl::Hours(1));
+  TestRegistry restarted(Options(), &clock_);
+  EXPECT_TRUE(ShouldKeep(&restarted, before));
+  EXPECT_FALSE(ShouldKeep(&restarted, Ask(&restarted, 0).servers_generation));
+  EXPECT_TRUE(ShouldKeep(&restarted, before));
+  clock_.Advance(kLease);
+  EXPECT_FALSE(ShouldKeep(&restarted, before));
+}
+
 TEST_F(RegistryServersTest, ASilentServerIsNoLongerListed) {
   Announce("s1", "a:1");
   Announce("s2", "b:1");

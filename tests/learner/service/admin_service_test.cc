@@ -27,7 +27,8 @@ using testing::Not;
 using Stub = v1::AdminService::Stub;
 
 constexpr absl::Duration kLong = absl::Minutes(4);
-constexpr absl::Duration kShort = absl::Milliseconds(300);  // deadline of calls that are expected to time out
+constexpr absl::Duration kShort = absl::Milliseconds(300);
+constexpr absl::Duration kDeadline = absl::Seconds(2);  // of calls that are expected to time out
 
 // The service with its real parts, called by a client.
 class AdminServiceTest : public testing::Test {
@@ -113,7 +114,7 @@ TEST_F(AdminServiceTest, AFailedCheckpointReturnsItsError) {
 
 // The client gets the learner's message; if its own deadline passed first, it would not.
 TEST_F(AdminServiceTest, CheckpointAnswersBeforeTheClientGivesUp) {
-  EXPECT_THAT(Checkpoint(kShort), StatusIs(absl::StatusCode::kDeadlineExceeded, HasSubstr("no checkpoint within")));
+  EXPECT_THAT(Checkpoint(kDeadline), StatusIs(absl::StatusCode::kDeadlineExceeded, HasSubstr("no checkpoint within")));
   checkpoints_.Close();
   EXPECT_THAT(Checkpoint(), StatusIs(absl::StatusCode::kUnavailable, HasSubstr("training has ended")));
 }
@@ -135,7 +136,7 @@ TEST_F(AdminServiceTest, PauseGrantsNothingAndWaitsForFragmentsInProgress) {
 
 TEST_F(AdminServiceTest, APauseStaysInEffectAfterItsDeadline) {
   Play("a");
-  EXPECT_THAT(Pause(kShort), StatusIs(absl::StatusCode::kDeadlineExceeded, HasSubstr("paused, but some fragments")));
+  EXPECT_THAT(Pause(kDeadline), StatusIs(absl::StatusCode::kDeadlineExceeded, HasSubstr("paused, but some fragments")));
   EXPECT_TRUE(registry_.paused());
 }
 
@@ -172,7 +173,7 @@ TEST_F(AdminServiceTest, DrainingAnActorWaitsForItsFragmentsAndItsEvaluation) {
 
 TEST_F(AdminServiceTest, AnActorWithWorkLeftStaysDraining) {
   const std::vector<Permit> permits = Play("a");
-  EXPECT_THAT(Drain("a", kShort),
+  EXPECT_THAT(Drain("a", kDeadline),
               StatusIs(absl::StatusCode::kDeadlineExceeded, HasSubstr("it gets no more permits or evaluations")));
   Finish("a", permits);
   EXPECT_TRUE(registry_.IsDrained("a"));
@@ -194,7 +195,7 @@ TEST_F(AdminServiceTest, DrainingAServerWaitsUntilItReportsNoGames) {
 TEST_F(AdminServiceTest, TheErrorExplainsWhyAServerKeepsGames) {
   Announce("s", "10.0.0.3:9", /*lanes=*/4);
   Announce("t", "10.0.0.4:9", /*lanes=*/4);
-  EXPECT_THAT(Drain("s", kShort), StatusIs(absl::StatusCode::kDeadlineExceeded, HasSubstr("--envservers=learner")));
+  EXPECT_THAT(Drain("s", kDeadline), StatusIs(absl::StatusCode::kDeadlineExceeded, HasSubstr("--envservers=learner")));
   ASSERT_EQ(registry_.Servers().size(), 2u);
   EXPECT_TRUE(registry_.Servers()[0].draining) << "it gets no new games";
   EXPECT_FALSE(registry_.Servers()[1].draining);
@@ -212,7 +213,7 @@ TEST_F(AdminServiceTest, AnUndrainedWorkerGetsWorkAgain) {
   EXPECT_THAT(Ask("a", {}), testing::IsEmpty());
   EXPECT_EQ(undrain("10.0.0.1:7")->role(), "actor");
   EXPECT_EQ(Ask("a", {}).size(), 2u);
-  EXPECT_THAT(Drain("s", kShort), StatusIs(absl::StatusCode::kDeadlineExceeded, HasSubstr("games")));
+  EXPECT_THAT(Drain("s", kDeadline), StatusIs(absl::StatusCode::kDeadlineExceeded, HasSubstr("games")));
   EXPECT_EQ(undrain("s")->role(), "envserver");
   EXPECT_FALSE(registry_.Servers()[0].draining);
   EXPECT_THAT(undrain("x"), StatusIs(absl::StatusCode::kNotFound, HasSubstr("there are: a, s")));
@@ -259,7 +260,7 @@ TEST_F(AdminServiceTest, EveryCallIsLoggedWithItsClient) {
   ASSERT_THAT(Pause(), IsOk());
   Resume();
   ASSERT_THAT(Drain("a"), IsOk());
-  ASSERT_THAT(Checkpoint(kShort), Not(IsOk()));
+  ASSERT_THAT(Checkpoint(kDeadline), Not(IsOk()));
   ASSERT_THAT(Call(&Stub::Stop, v1::StopRequest(), kLong), IsOk());
   const std::string log = testing::internal::GetCapturedStderr();
   for (const char* call : {": pause", ": resume", ": drain a", ": checkpoint", ": stop"}) {

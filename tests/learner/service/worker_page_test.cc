@@ -183,6 +183,23 @@ TEST_F(WorkerPageTest, OfALargeFleetItListsTheLostFirst) {
   EXPECT_EQ(AddWorkers(registry_, &reply).size(), kMaxPeers + 11) << "sums include all";
 }
 
+// As craftfleet admin drain waits for it. It was shown as drained, and its evaluation was lost with it.
+TEST_F(WorkerPageTest, AnActorThatPlaysAnEvaluationIsNotDrained) {
+  registry_.AddEvaluation({1, 0, 1, 1, /*final=*/false, nullptr});
+  registry_.Join("a", "");
+  TestRegistry::PermitRequest request = TestRegistry::RequestOf("a", {}, 0);
+  request.evaluates = true;
+  const auto reply = registry_.GetPermits(request);
+  ASSERT_THAT(reply, IsOk());
+  ASSERT_TRUE(reply->evaluation.has_value());
+  registry_.Drain("a");
+  EXPECT_EQ(Workers()[0].drain(), v1::Peer::DRAINING);
+  EXPECT_THAT(Workers()[0].state(), testing::EndsWith(", draining"));
+  ASSERT_THAT(registry_.FinishEvaluation("a", reply->evaluation->id, std::vector<Episode>(1)), IsOk());
+  EXPECT_EQ(Workers()[0].drain(), v1::Peer::DRAINED);
+  EXPECT_THAT(Workers()[0].state(), testing::EndsWith(", drained"));
+}
+
 TEST_F(WorkerPageTest, ShowsTheSizeOfAListThatHasNotAllServers) {
   for (int i = 0; i < 20; ++i) {
     const std::string number = absl::StrCat(i);

@@ -312,6 +312,22 @@ TEST_F(EvaluationPlannerTest, TrainingWaitsForTheOldestOfTwoBeforeAThird) {
   EXPECT_EQ(start->Pending()[1].number, 3);
 }
 
+// A checkpoint that is requested then must not lose the evaluation.
+TEST_F(EvaluationPlannerTest, ACheckpointDuringTheWaitHasTheEvaluationThatIsDue) {
+  const auto start = Begin();
+  start->Train(kEvery);
+  start->Train(kEvery);
+  Checkpoint checkpoint;
+  const auto save = [&] {
+    checkpoint = start->Save();
+    return true;
+  };
+  start->planner.OnIteration(2 * kEvery, 3 * kEvery, Weights("third"), save);
+  ASSERT_EQ(checkpoint.state.pending_size(), 3);
+  EXPECT_EQ(checkpoint.state.evaluations(), 3);
+  EXPECT_EQ(*checkpoint.evaluation_weights[2], "third");
+}
+
 TEST_F(EvaluationPlannerTest, AStopEndsTheWaitAndTheNextStartContinues) {
   const auto start = Begin();
   start->Train(kEvery, "in training");

@@ -21,11 +21,14 @@
 #include "common/io/paths.h"
 #include "common/io/snapshot_envelope.h"
 #include "common/process/version.h"
+#include "common/wire/channel.h"
 #include "common/wire/convert.h"
 #include "common/wire/grpc_status.h"
 #include "common/wire/protocol.h"
+#include "craftfleet/v1/admin.grpc.pb.h"
 #include "craftfleet/v1/learner.grpc.pb.h"
 #include "learner/learner.h"
+#include "learner/run/checkpoint.h"
 #include "learner/run/checkpoint_store.h"
 #include "tests/fakes/no_tensor_memory.h"
 #include "tests/fakes/play_once.h"
@@ -50,12 +53,14 @@ struct Variant {
   int overlap = 0;
   int max_staleness = 0;
   int epochs = 1;
+  int iterations = 1000;
+  bool evaluates = false;  // after each iteration, and at the end
 };
 
 v1::RunConfig Config(const Variant& variant) {
   v1::RunConfig config = DefaultRunConfig();
   config.mutable_network()->set_frame_size(kFrameSize);
-  config.set_steps(1000 * kPerIteration * kSteps);
+  config.set_steps(variant.iterations * kPerIteration * kSteps);
   config.set_lanes(kLanes);
   config.set_tile(kLanes);
   config.set_fragment_steps(kSteps);
@@ -63,8 +68,9 @@ v1::RunConfig Config(const Variant& variant) {
   config.mutable_ppo()->set_rollout_steps(kPerIteration * kSteps);
   config.mutable_ppo()->set_minibatch_size(16);
   config.mutable_ppo()->set_epochs(variant.epochs);
-  config.mutable_eval()->set_every_steps(0);
-  config.mutable_eval()->set_final_episodes(0);
+  config.mutable_eval()->set_every_steps(variant.evaluates ? kPerIteration * kSteps : 0);
+  config.mutable_eval()->set_episodes(1);
+  config.mutable_eval()->set_final_episodes(variant.evaluates ? 1 : 0);
   config.mutable_checkpoint()->set_every_iterations(100);
   config.set_overlap(variant.overlap);
   config.set_max_staleness(variant.max_staleness);
@@ -200,6 +206,41 @@ class Training {
       }
     }
     Leave(actor);
+  }
+  // As craftfleet admin checkpoint.
+  absl::StatusOr<int64_t> RequestCheckpoint() {
+    const auto stub = v1::AdminService::NewStub(learner_->InProcess().channel);
+    grpc::ClientContext context;
+    wire::SetDeadline(&context, absl::Seconds(20));
+    v1::CheckpointReply reply;
+    const grpc::Status status = stub->Checkpoint(&context, v1::CheckpointRequest(), &reply);
+    if (!status.ok()) return wire::FromGrpc(status, "checkpoint");
+    return reply.iteration();
+  }
+  // Plays evaluations until the run is over.
+  void PlayEvaluations(const std::string& actor) {
+    Join(actor);
+    v1::PermitRequest request;
+    request.set_actor(actor);
+    request.set_epoch(epoch_);
+    request.set_wait_ms(10);
+    request.set_evaluates(true);
+    for (int tries = 0; tries < 1000; ++tries) {
+      const auto reply = AskOnce(stub_.get(), request);
+      ASSERT_THAT(reply, IsOk());
+      if (reply->finished()) return Leave(actor);
+      if (!reply->has_evaluation()) continue;
+      Episode episode;
+      episode.length = kSteps;
+      v1::EvaluationResult result = wire::ToProto(std::vector<Episode>(reply->evaluation().episodes(), episode));
+      result.set_actor(actor);
+      result.set_epoch(epoch_);
+      result.set_id(reply->evaluation().id());
+      v1::EvaluationReply finished;
+      grpc::ClientContext context;
+      ASSERT_TRUE(stub_->FinishEvaluation(&context, result, &finished).ok());
+    }
+    FAIL() << "the run goes on";
   }
   // Waits for the weights of `version`; empty after a minute.
   std::string Weights(int64_t version) {
@@ -342,6 +383,25 @@ TEST_F(TrainerTest, AnOverlappedRunResumesWithTheWeightsThatItPlayedWith) {
     synchronous->Play("a", 3 * kPerIteration);
     EXPECT_FALSE(synchronous->Weights(3) == quiet->Weights(3));
   }
+}
+
+// The request timed out. One served a moment later left the run without its final evaluation: the same command with
+// --autoresume removed the result.
+TEST_F(TrainerTest, ARequestedCheckpointIsWrittenWhileTrainingWaitsForEvaluationsAndAgainAtTheEnd) {
+  Variant evaluated;
+  evaluated.iterations = 3;
+  evaluated.evaluates = true;
+  const auto training = Begin("evaluated", evaluated);
+  training->Play("a", 3 * kPerIteration);
+  while (training->Metric("iteration") < 3) absl::SleepFor(absl::Milliseconds(5));
+  EXPECT_EQ(training->RequestCheckpoint().value(), 3);
+  const std::string path = folder_ / "evaluated/checkpoints/" + CheckpointName(3);
+  EXPECT_EQ(LoadCheckpointState(path).value().pending_size(), 3) << "two are too few to wait for";
+  training->PlayEvaluations("a");
+  ASSERT_THAT(training->Wait(), IsOk());
+  const v1::CheckpointState state = LoadCheckpointState(path).value();
+  EXPECT_EQ(state.pending_size(), 0);
+  EXPECT_EQ(state.final_evaluation_steps(), 3 * kPerIteration * kSteps);
 }
 
 const Variant kAsynchronous = {/*resume=*/false, /*overlap=*/0, /*max_staleness=*/1};

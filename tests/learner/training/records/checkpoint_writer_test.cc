@@ -133,6 +133,15 @@ TEST_F(CheckpointWriterTest, TheLastCheckpointIsWrittenOnce) {
   EXPECT_THAT(Written(), ElementsAre("iter-00000003", "iter-00000002"));
 }
 
+TEST_F(CheckpointWriterTest, AfterAChangeTheLastCheckpointIsWrittenAgain) {
+  CheckpointWriter writer = Every(100);
+  iteration_ = 7;
+  EXPECT_EQ(Request(&writer).value(), 7);
+  writer.NoteChange();
+  EXPECT_THAT(writer.WriteLast(7), IsOk());
+  EXPECT_EQ(made_, 2);
+}
+
 TEST_F(CheckpointWriterTest, TheLastCheckpointWaitsForSpace) {
   CheckpointWriter writer = Every(100);
   iteration_ = 5;
