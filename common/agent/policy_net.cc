@@ -68,7 +68,8 @@ std::vector<absl::Span<float>> PolicyNet::gradients() {
   std::vector<absl::Span<float>> gradients;
   for (at::Tensor& param : params_.tensors) {
     at::Tensor& gradient = param.mutable_grad();
-    if (params_.FindWideFactors(static_cast<ParamIndex>(gradients.size())) != nullptr) {
+    const auto factors = params_.FindWideFactors(static_cast<ParamIndex>(gradients.size()));
+    if (factors != nullptr && factors->input.defined()) {
       gradients.emplace_back();
       continue;
     }

@@ -72,6 +72,7 @@ class PolicyNet {
   // Training: whether backward passes leave the gradients of the weights that WideLinear multiplies as factors;
   // gradients() then has empty spans for them. Factors are kept until ClearGradients.
   void LeaveWideGradients(bool leaves);
+  // Undefined for a weight that is as large, but that WideLinear does not multiply.
   const std::map<ParamIndex, c10::intrusive_ptr<WideFactors>>& wide_factors() const { return params_.wide_factors; }
 
  private:

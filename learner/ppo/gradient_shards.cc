@@ -103,6 +103,7 @@ absl::Status GradientShards::SumWideGradients(ShardRange range, std::vector<Shar
   const auto& layers = shards_.front()->net.wide_factors();
   for (auto layer = layers.rbegin(); layer != layers.rend(); ++layer) {  // the last first: a piece becomes several
     const auto& [weight, factors] = *layer;
+    if (!factors->input.defined()) continue;  // it has its gradient already
     const int64_t inputs = factors->input.size(1);
     const int64_t outputs = factors->output_gradient.size(1);
     const int64_t count = outputs % kWidePieces == 0 ? kWidePieces : 1;

@@ -110,7 +110,7 @@ absl::Status CheckPending(const v1::PendingEvaluation& evaluation) {
 void CheckPlay(const v1::PlayWeights& play, RangeCheck* check) {
   check->Within<int64_t>("play.policy_version", play.policy_version(), 0, kMaxCount);
   check->Within("play.value_mean", play.value_mean(), -kMaxReturn, kMaxReturn);
-  check->Within("play.value_deviation", play.value_deviation(), double{std::numeric_limits<float>::min()}, kMaxReturn);
+  check->Positive("play.value_deviation", play.value_deviation(), kMaxReturn);  // in the beginning ppo.value_norm_start
 }
 
 absl::StatusOr<v1::CheckpointState> ReadState(const std::string& folder, const std::vector<std::string>& manifest) {

@@ -7,6 +7,10 @@
 namespace craftfleet {
 namespace {
 
+// Hardly more than the least number of double, with room for corrections. Of 0 there would be none.
+constexpr double kLeastMass = 1e-304;
+constexpr double kMostExponent = 700;  // exp of its negative is about as much
+
 double Sum(const std::vector<double>& values) {
   double sum = 0;
   for (const double x : values) sum += x;
@@ -40,7 +44,12 @@ std::vector<double> TransportPlan(absl::Span<const float> cost, int rows, int co
                                   const TransportOptions& options) {
   const double mass = std::min(rows, columns);
   std::vector<double> plan(cost.size());
-  for (size_t i = 0; i < cost.size(); ++i) plan[i] = std::exp(-double{cost[i]} / options.regularization);
+  // Only differences of costs count: the shift keeps all numbers from becoming 0.
+  const double least = *std::min_element(cost.begin(), cost.end());
+  const double shift = least / options.regularization > kMostExponent ? least : 0;
+  for (size_t i = 0; i < cost.size(); ++i) {
+    plan[i] = std::max(std::exp((shift - cost[i]) / options.regularization), kLeastMass);
+  }
   const double scale = mass / Sum(plan);
   for (double& x : plan) x *= scale;
 

@@ -1,13 +1,16 @@
 #include "learner/ppo/ppo_updater.h"
 
+#include <algorithm>
 #include <cmath>
 #include <cstring>
 #include <limits>
 #include <map>
 
+#include <ATen/ATen.h>
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include "common/agent/nets/wide_linear.h"
 #include "common/agent/weights.h"
 #include "common/base/crc32c.h"
 #include "common/base/keyed_random.h"
@@ -124,6 +127,29 @@ TEST(PpoUpdater, ThreadsDoNotChangeABitOfAWideLayer) {
     EXPECT_EQ(digest(1), one);
     EXPECT_EQ(digest(2), one);
   }
+}
+
+// A weight as large as those of WideLinear, which other products multiply: that of the patches' convolution.
+TEST(PpoUpdater, UpdatesALargeWeightOfPatches) {
+  constexpr int kFrameSize = 32;
+  const OwnedRollout owned = RandomRollout(11, 4, kFrameSize);
+  v1::RunConfig config = SmallConfig(4, "oc_sa");
+  config.mutable_network()->set_frame_size(kFrameSize);
+  config.mutable_network()->set_patch(kFrameSize);
+  const auto updater = *PpoUpdater::Create(config, 2, "cpu", PpoUpdater::Start::kZeros);
+  const AgentSpec& spec = updater->spec();
+  const auto embedding = std::find_if(spec.params.begin(), spec.params.end(), [](const ParamSpec& param) {
+    return param.name == "features_extractor.rsn.trafo.emb_proj.weight";
+  });
+  ASSERT_NE(embedding, spec.params.end());
+  if (!WideLinearFits(at::empty(embedding->shape), at::kFloat)) GTEST_SKIP() << "this CPU has no kernels for it";
+  std::vector<float> weights(spec.param_count);
+  for (size_t i = 0; i < weights.size(); ++i) weights[i] = static_cast<float>(i % 13) * 1e-4F;
+  ASSERT_TRUE(updater->Load(SaveWeights(spec, weights), updater->SaveOptimizer()).ok());
+  const absl::StatusOr<UpdateStats> stats = updater->Update(0, owned.rollout, NeverStop);
+  ASSERT_TRUE(stats.ok()) << stats.status();
+  const std::vector<float> updated = *LoadWeights(spec, updater->SaveWeights());
+  EXPECT_NE(updated[embedding->offset], weights[embedding->offset]);
 }
 
 TEST(PpoUpdater, StoppedUpdateChangesNothing) {

@@ -74,6 +74,19 @@ TEST_F(CheckpointStoreTest, LoadsWhatWasWritten) {
   EXPECT_TRUE(MessageDifferencer::Equals(loaded->state, state));
 }
 
+// Of a run with overlap and the least ppo.value_norm_start, before its first update.
+TEST_F(CheckpointStoreTest, LoadsPlayWeightsOfAnyValueNormStart) {
+  Checkpoint written = SampleCheckpoint(1);
+  written.play_weights = std::make_shared<const std::string>("play");
+  for (const double start : {std::numeric_limits<double>::denorm_min(), 1e-40, 100.0}) {
+    written.state.set_iteration(written.state.iteration() + 1);
+    written.state.mutable_config()->mutable_ppo()->set_value_norm_start(start);
+    written.state.mutable_play()->set_value_deviation(start);
+    ASSERT_THAT(store_.Write(written), IsOk());
+    EXPECT_THAT(store_.LoadLatest(""), IsOk()) << start;
+  }
+}
+
 TEST_F(CheckpointStoreTest, TheManifestIsText) {
   Write(10);
   const std::string manifest = ReadFile(PathOf(10, "MANIFEST")).value();

@@ -34,6 +34,19 @@ TEST(Transport, PlansAndMatchesMatchTheGolden) {
   }
 }
 
+// exp(-cost / regularization) is 0 for each of them.
+TEST(Transport, APlanOfHighCostsHasAllMass) {
+  EXPECT_EQ(TransportPlan({0.9F}, 1, 1, {1e-3, 100}), std::vector<double>{1});
+  const std::vector<double> plan = TransportPlan({0.9F, 0.91F, 0.91F, 0.9F}, 2, 2, {1e-3, 100});
+  EXPECT_EQ(MatchesOf(plan, 2, 0.5), (std::vector<Match>{{0, 0}, {1, 1}}));
+}
+
+// The first goal is so near that the other numbers begin as 0, while its own correction grows from round to round.
+TEST(Transport, APlanOfVeryDifferentCostsConverges) {
+  const std::vector<double> plan = TransportPlan({0.1F, 0.95F, 0.9F, 0.9F}, 2, 2, {1e-3, 10'000});
+  ExpectPlan(plan, {{1, 0}, {0, 1}}, 1e-3);
+}
+
 TEST(Transport, AMatchHasMoreThanTheThreshold) {
   EXPECT_EQ(MatchesOf({0.5, 0.6, 0.2, 0.5}, 2, 0.5), (std::vector<Match>{{0, 1}}));
 }
