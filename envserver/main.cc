@@ -127,6 +127,8 @@ absl::Status Run() {
   CRAFTFLEET_RETURN_IF_ERROR(CheckLearnerFlags());
   wire::Server::Options listen =
       wire::ServerOptionsFromFlags(absl::GetFlag(FLAGS_listen).address.value_or(kDefaultAddress));
+  // Without an address no client could reach it.
+  CRAFTFLEET_RETURN_IF_ERROR(wire::CheckAddress("listen", listen.address));
   listen.max_message_bytes = EnvServiceImpl::kMaxRequestBytes;
   CRAFTFLEET_RETURN_IF_ERROR(listen.OpenAccess());
   options.access = listen.access;

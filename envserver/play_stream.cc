@@ -2,6 +2,7 @@
 #include <exception>
 #include <memory>
 #include <optional>
+#include <string>
 #include <utility>
 
 #include <absl/strings/str_cat.h>
@@ -90,6 +91,7 @@ class EnvServiceImpl::PlayStream final : public grpc::ServerBidiReactor<v1::Play
   PlayStream(EnvServiceImpl* service, grpc::CallbackServerContext* context)
       : service_(service),
         context_(context),
+        peer_(context->peer()),
         watched_(std::in_place, &service->watch_, context),
         share_(std::in_place, &service->budget_, service->ClientOf(*context)) {
     absl::Status admitted = watched_->admitted();
@@ -105,6 +107,8 @@ class EnvServiceImpl::PlayStream final : public grpc::ServerBidiReactor<v1::Play
   void OnReadDone(bool ok) override {
     watched_->Work();
     if (!ok) return Threads()->Add([this] { End(WithoutRequest()); });
+    // At once: it may wait for a thread behind many other sessions, and this one has no memory for it yet.
+    if (games_ == nullptr && !request_.has_hello()) request_ = v1::PlayRequest();
     if (session_.has_value()) session_->BeginWork();
     Threads()->Add([this] { Answer(); });
   }
@@ -194,8 +198,8 @@ class EnvServiceImpl::PlayStream final : public grpc::ServerBidiReactor<v1::Play
     const bool stopped = absl::IsCancelled(status);  // by the client or by this server
     if (!status.ok() && !stopped) {
       ++service_->rejected_;
-      service_->log_.Warn(wire::ClientOfPeer(context_->peer()),
-                          absl::StrFormat("session of %s ended: %s", context_->peer(), status.message()));
+      service_->log_.Warn(wire::ClientOfPeer(peer_),
+                          absl::StrFormat("session of %s ended: %s", peer_, status.message()));
     }
     watched_.reset();
     Finish(wire::ToGrpc(status));
@@ -203,6 +207,7 @@ class EnvServiceImpl::PlayStream final : public grpc::ServerBidiReactor<v1::Play
 
   EnvServiceImpl* const service_;
   grpc::CallbackServerContext* const context_;
+  const std::string peer_;                            // gRPC may forget it before the end
   std::optional<wire::StreamWatch::Stream> watched_;  // until the call ends
   std::optional<GameBudget::Share> share_;            // likewise
   v1::PlayRequest request_;

@@ -19,14 +19,23 @@ using google::protobuf::FieldDescriptor;
 using google::protobuf::internal::WireFormatLite;
 using google::protobuf::io::CodedInputStream;
 
-// Counts the fields of a message up to the stream's limit. False: it is malformed, which the parser reports, or has
-// more than kMaxFields.
-bool CountFields(CodedInputStream* in, const Descriptor& type, size_t* fields) {
+// Counts the fields of a message up to the stream's limit, or with a null `type` those of a group up to its end. False:
+// it is malformed, which the parser reports, or has more than kMaxFields.
+bool CountFields(CodedInputStream* in, const Descriptor* type, size_t* fields) {
   while (const uint32_t tag = in->ReadTag()) {
+    const WireFormatLite::WireType wire_type = WireFormatLite::GetTagWireType(tag);
+    if (wire_type == WireFormatLite::WIRETYPE_END_GROUP) return true;
     if (++*fields > kMaxFields) return false;
-    const FieldDescriptor* const field = type.FindFieldByNumber(WireFormatLite::GetTagFieldNumber(tag));
-    const bool is_message = field != nullptr && field->message_type() != nullptr &&
-                            WireFormatLite::GetTagWireType(tag) == WireFormatLite::WIRETYPE_LENGTH_DELIMITED;
+    if (wire_type == WireFormatLite::WIRETYPE_START_GROUP) {
+      // No message has groups, but the parser keeps each field of an unknown one.
+      if (!in->IncrementRecursionDepth() || !CountFields(in, nullptr, fields)) return false;
+      in->DecrementRecursionDepth();
+      continue;
+    }
+    const FieldDescriptor* const field =
+        type == nullptr ? nullptr : type->FindFieldByNumber(WireFormatLite::GetTagFieldNumber(tag));
+    const bool is_message =
+        field != nullptr && field->message_type() != nullptr && wire_type == WireFormatLite::WIRETYPE_LENGTH_DELIMITED;
     if (!is_message) {
       if (!WireFormatLite::SkipField(in, tag)) return false;
       continue;
@@ -34,7 +43,7 @@ bool CountFields(CodedInputStream* in, const Descriptor& type, size_t* fields) {
     uint32_t size = 0;
     if (!in->ReadVarint32(&size)) return false;
     const CodedInputStream::Limit limit = in->PushLimit(static_cast<int>(size));
-    if (!CountFields(in, *field->message_type(), fields)) return false;
+    if (!CountFields(in, field->message_type(), fields)) return false;
     in->PopLimit(limit);
   }
   return true;
@@ -71,7 +80,7 @@ grpc::Status CheckBounds(const grpc::ByteBuffer& buffer, const google::protobuf:
   grpc::ProtoBufferReader reader(&copy);
   CodedInputStream in(&reader);
   size_t fields = 0;
-  if (CountFields(&in, type, &fields) || fields <= kMaxFields) return grpc::Status::OK;
+  if (CountFields(&in, &type, &fields) || fields <= kMaxFields) return grpc::Status::OK;
   return {grpc::StatusCode::RESOURCE_EXHAUSTED,
           type.name() + " with more than " + std::to_string(kMaxFields) + " fields"};
 }

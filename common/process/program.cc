@@ -1,5 +1,6 @@
 #include "common/process/program.h"
 
+#include <fcntl.h>
 #include <poll.h>
 #include <signal.h>
 #include <sys/resource.h>
@@ -22,19 +23,23 @@
 #include <absl/flags/flag.h>
 #include <absl/flags/parse.h>
 #include <absl/flags/reflection.h>
+#include <absl/strings/ascii.h>
 #include <absl/strings/match.h>
 #include <absl/strings/str_cat.h>
 #include <absl/strings/str_format.h>
 #include <absl/strings/strip.h>
 #include <absl/synchronization/mutex.h>
+#include <google/protobuf/stubs/logging.h>
 
 #include "common/base/check.h"
+#include "common/base/clock.h"
 #include "common/base/openmp_places.h"
 #include "common/base/stop_signals.h"
 #include "common/process/closest_name.h"
 #include "common/process/flag_values.h"
 #include "common/process/help.h"
 #include "common/process/version.h"
+#include "common/telemetry/limited_log.h"
 #include "common/telemetry/log.h"
 
 namespace craftfleet {
@@ -91,6 +96,23 @@ void OnSignal(int signal) {
   const int saved_errno = errno;
   [[maybe_unused]] const ssize_t written = write(g_signal_pipe[1], &kSignalByte, 1);
   errno = saved_errno;
+}
+
+// Opens standard streams that the program was started without (`2>&-`): otherwise a file or socket gets the number, and
+// what is meant for the stream. Reading and writing still fails.
+void OpenMissingStreams() {
+  for (const int stream : {STDIN_FILENO, STDOUT_FILENO, STDERR_FILENO}) {
+    if (fcntl(stream, F_GETFD) >= 0) continue;
+    [[maybe_unused]] const int lowest = open("/dev/null", stream == STDIN_FILENO ? O_WRONLY : O_RDONLY);
+  }
+}
+
+// Called for what protobuf has to say, such as that a peer's text is not UTF-8.
+void OnProtobufLog(google::protobuf::LogLevel level, const char* /*file*/, int /*line*/, const std::string& message) {
+  static RealClock& clock = *new RealClock;  // never destroyed: threads may outlive main
+  static LimitedLog& log = *new LimitedLog(&clock);
+  if (level == google::protobuf::LOGLEVEL_FATAL) return LogError("protobuf: %s", message);
+  log.Warn("protobuf", absl::StrCat("protobuf: ", message));
 }
 
 // Each connection needs a file descriptor, and shells set a soft limit of 1,024. A server of gRPC 1.51 that runs out of
@@ -182,8 +204,12 @@ bool IsOneOf(const absl::CommandLineFlag& flag) {
   return (flag.IsOfType<Types>() || ...);
 }
 
-// The values that `flag` accepts.
-absl::string_view Accepted(const absl::CommandLineFlag& flag) {
+// The values that `flag` accepts instead of `value`.
+absl::string_view Accepted(const absl::CommandLineFlag& flag, absl::string_view value) {
+  const bool is_integer = IsOneOf<int32_t, int64_t, uint64_t, Count, std::optional<int32_t>, std::optional<int64_t>,
+                                  std::optional<uint64_t>, std::optional<Count>>(flag);
+  const bool is_whole = !value.empty() && std::all_of(value.begin(), value.end(), absl::ascii_isdigit);
+  if (is_integer && is_whole) return "a smaller number";
   if (flag.IsOfType<bool>()) return "true or false";
   if (IsOneOf<int32_t, int64_t, std::optional<int32_t>, std::optional<int64_t>>(flag)) return "a whole number";
   if (IsOneOf<uint64_t, std::optional<uint64_t>>(flag)) return "a whole number, at least 0";
@@ -199,7 +225,7 @@ void CheckValue(const ProgramHelp& program, absl::CommandLineFlag* flag, absl::s
   if (IsOfAbseil(*flag)) return;  // those act when they are set
   std::string error;
   if (flag->ParseFrom(value, &error)) return;
-  Refuse(program, absl::StrCat("--", flag->Name(), "=", value, ", want ", Accepted(*flag)), "");
+  Refuse(program, absl::StrCat("--", flag->Name(), "=", value, ", want ", Accepted(*flag, value)), "");
 }
 
 // A shell expands "~/" at the start of a word only, so not in --logdir=~/runs.
@@ -263,6 +289,8 @@ bool ReaderIsGone() {
 }  // namespace
 
 std::vector<std::string> ParseFlagsAndArguments(const ProgramHelp& program, int argc, char** argv) {
+  OpenMissingStreams();
+  google::protobuf::SetLogHandler(OnProtobufLog);
   // gRPC's own log describes its internals; relevant errors are logged by this project's code.
   setenv("GRPC_VERBOSITY", "NONE", /*overwrite=*/0);
   // Exceeding the file size limit becomes a write error, like a full disk, instead of ending the process.

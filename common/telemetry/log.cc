@@ -43,9 +43,14 @@ const char* LevelName(LogLevel level) {
 
 std::string EscapeControls(absl::string_view text) {
   std::string line;
-  for (const char c : text) {
+  for (size_t i = 0; i < text.size(); ++i) {
+    const char c = text[i];
+    // In UTF-8, those from U+0080 to U+009F are two bytes, and terminals obey them too.
+    const bool is_high = c == '\xc2' && i + 1 < text.size() && (static_cast<unsigned char>(text[i + 1]) & 0xe0) == 0x80;
     if (c == '\n') {
       line += "\\n";
+    } else if (is_high) {
+      absl::StrAppendFormat(&line, "\\u%04x", static_cast<unsigned char>(text[++i]));
     } else if (static_cast<unsigned char>(c) < 0x20 || c == 0x7f) {
       absl::StrAppendFormat(&line, "\\x%02x", static_cast<unsigned char>(c));
     } else {

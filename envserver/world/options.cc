@@ -14,7 +14,8 @@ namespace {
 
 constexpr absl::string_view kPaperLetters = "tczsuk";
 
-absl::Status CheckRange(absl::string_view name, double value, double low, double high) {
+template <typename T>
+absl::Status CheckRange(absl::string_view name, T value, T low, T high) {
   if (value >= low && value <= high) return absl::OkStatus();
   return absl::InvalidArgumentError(absl::StrCat(name, " ", value, ", want ", low, "..", high));
 }
@@ -48,11 +49,11 @@ absl::Status WorldOptions::Validate() const {
   CRAFTFLEET_RETURN_IF_ERROR(CheckRange("view_width", view_width, 1, 63));
   CRAFTFLEET_RETURN_IF_ERROR(CheckRange("view_height", view_height, inventory_rows() + 1, 63));
   CRAFTFLEET_RETURN_IF_ERROR(CheckRange("length", length, 0, 1'000'000'000));
-  CRAFTFLEET_RETURN_IF_ERROR(CheckRange("tree threshold", numbers.tree, 0, 1));
-  CRAFTFLEET_RETURN_IF_ERROR(CheckRange("coal threshold", numbers.coal, 0, 1));
-  CRAFTFLEET_RETURN_IF_ERROR(CheckRange("cow threshold", numbers.cow, 0, 1));
-  CRAFTFLEET_RETURN_IF_ERROR(CheckRange("zombie threshold", numbers.zombie, 0, 1));
-  CRAFTFLEET_RETURN_IF_ERROR(CheckRange("skeleton threshold", numbers.skeleton, 0, 1));
+  CRAFTFLEET_RETURN_IF_ERROR(CheckRange("tree threshold", numbers.tree, 0.0, 1.0));
+  CRAFTFLEET_RETURN_IF_ERROR(CheckRange("coal threshold", numbers.coal, 0.0, 1.0));
+  CRAFTFLEET_RETURN_IF_ERROR(CheckRange("cow threshold", numbers.cow, 0.0, 1.0));
+  CRAFTFLEET_RETURN_IF_ERROR(CheckRange("zombie threshold", numbers.zombie, 0.0, 1.0));
+  CRAFTFLEET_RETURN_IF_ERROR(CheckRange("skeleton threshold", numbers.skeleton, 0.0, 1.0));
   for (const int percentage : percentages) CRAFTFLEET_RETURN_IF_ERROR(CheckRange("percentage", percentage, 0, 100));
   if (std::accumulate(percentages.begin(), percentages.end(), 0) != 100) {
     return absl::InvalidArgumentError(absl::StrCat("percentages ", absl::StrJoin(percentages, "/"), ", want sum 100"));

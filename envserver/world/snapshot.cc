@@ -5,6 +5,7 @@
 #include <cstdlib>
 #include <cstring>
 #include <limits>
+#include <set>
 #include <type_traits>
 #include <utility>
 
@@ -242,11 +243,16 @@ absl::string_view ObjectProblem(const WorldOptions& options, const Board& board,
 void GetObjects(const WorldOptions& options, Reader* reader, Board* board) {
   const int64_t entries = reader->Get<int64_t>("entries", 1, kMaxLongCount);
   const int count = reader->Get<uint16_t>("number of objects", 1, options.width * options.height);
+  std::set<int64_t> entered;
   for (int i = 0; i < count; ++i) {
     const Object object = GetObject(i == 0, entries, reader);
     if (!reader->status().ok()) return;
     const absl::string_view wrong = ObjectProblem(options, *board, object);
     if (!wrong.empty()) return reader->Fail(absl::StrCat("object ", i, " ", wrong));
+    // Balancing counts the creatures of a chunk by their entries.
+    if (!entered.insert(object.entered).second) {
+      return reader->Fail(absl::StrCat("object ", i, " has another object's entry, ", object.entered));
+    }
     const int index = board->Add(object);
     board->object(index).entered = object.entered;
   }

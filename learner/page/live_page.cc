@@ -6,6 +6,7 @@
 #include <cmath>
 #include <vector>
 
+#include <absl/strings/ascii.h>
 #include <absl/strings/escaping.h>
 #include <absl/strings/match.h>
 #include <absl/strings/numbers.h>
@@ -224,8 +225,10 @@ LivePage::Response LivePage::Respond(const Request& request) {
 
 absl::Status LivePage::Check(const Request& request, absl::string_view path) const {
   if (access_ != nullptr) return access_->Check(CallerOf(request), path);
-  const absl::string_view host = WithoutPort(request.Header("Host").value_or(""));
-  if (NamesThisHost(host) || std::find(hosts_.begin(), hosts_.end(), host) != hosts_.end()) return absl::OkStatus();
+  // Browsers write names in lower case, people as they like.
+  const std::string host = absl::AsciiStrToLower(WithoutPort(request.Header("Host").value_or("")));
+  const auto is_host = [&](const std::string& name) { return absl::EqualsIgnoreCase(name, host); };
+  if (NamesThisHost(host) || std::any_of(hosts_.begin(), hosts_.end(), is_host)) return absl::OkStatus();
   const std::string shown = Shortened(Printable(host), kMaxShownHost);
   return absl::PermissionDeniedError(absl::StrFormat(
       "The page answers to localhost and addresses of this host, not to \"%s\", which may be another site's. Open it "

@@ -50,6 +50,8 @@ REFUSED = {
         ("--textures=@/none", "/none", "No such file"),
         ("--listen=0.0.0.0:0", "--listen=0.0.0.0:0", "--insecure"),
         ("--listen=127.0.0.1", '--listen: "127.0.0.1" is not an address, want HOST:PORT'),
+        ("--listen=", '--listen: "" is not an address, want HOST:PORT'),
+        ("--max_games=99999999999", "--max_games=99999999999, want a smaller number;"),
         ("--listen=0.0.0.0:0 --insecure --learner=127.0.0.1:1", "--listen=0.0.0.0:0 is every address", "--advertise=HOST:PORT"),
         ("--advertise=[::]:1 --learner=127.0.0.1:1", "--advertise=[::]:1 is every address of this host"),
     ],

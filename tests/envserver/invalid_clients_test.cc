@@ -56,6 +56,10 @@ const std::vector<InvalidClient>& AllInvalidClients() {
   constexpr auto kPrecondition = absl::StatusCode::kFailedPrecondition;
   static const auto* const misdeeds = new std::vector<InvalidClient>{
       {"NoHello", [] { return Requests{Open(0, 1)}; }, kInvalid, {"a session begins with hello"}},
+      {"LargeOpenBeforeHello",
+       [] { return Requests{Open(0, 1, std::string(100'000, 'x'))}; },
+       kInvalid,
+       {"a session begins with hello"}},
       {"HelloTwice",
        [] {
          return Requests{Hello("run-a"), Hello("run-a")};

@@ -45,6 +45,14 @@ TEST_F(LogTest, ControlCharactersAreEscaped) {
   EXPECT_EQ(nlohmann::json::parse(json)["message"], text);
 }
 
+TEST_F(LogTest, ControlCharactersOfTwoBytesAreEscaped) {
+  EXPECT_THAT(FormatLogLine({}, LogLevel::kInfo,
+                            "a\xc2\x9b"
+                            "2Jb\xc2\xa0\xc3\xa4\xc2",
+                            kTime),
+              HasSubstr("info: a\\u009b2Jb\xc2\xa0\xc3\xa4\xc2\n"));
+}
+
 TEST_F(LogTest, NoLineIsLongerThanAKilobyte) {
   const std::string texts[] = {std::string(1000, 'a'), std::string(1'000'000, 'a'), std::string(1'000'000, '\x01'),
                                std::string(900, '"'), std::string(5000, '\xff')};

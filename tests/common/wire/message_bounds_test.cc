@@ -65,6 +65,22 @@ TEST(MessageBounds, FieldsCountAtEveryLevel) {
   EXPECT_EQ(Parse(within(1, within(10, times)), &message).error_code(), grpc::StatusCode::RESOURCE_EXHAUSTED);
 }
 
+// No message has any; the parser keeps what is in them.
+TEST(MessageBounds, FieldsOfGroupsCountToo) {
+  const auto group = [](const std::string& bytes) { return "\x7b" + bytes + "\x7c"; };  // of number 15
+  std::string groups;
+  for (size_t i = 0; i < v1::kMaxFields; ++i) groups += group("");
+  // Field 1 is a message in ours, and here is none that could be parsed.
+  const std::string unlike_ours = "\x0a\x01\xff" + EmptyMessages(15, v1::kMaxFields);
+  for (const std::string& bytes : {group(EmptyMessages(15, v1::kMaxFields)), group(groups), group(unlike_ours)}) {
+    v1::PlayRequest request;
+    EXPECT_EQ(Parse(bytes, &request).error_code(), grpc::StatusCode::RESOURCE_EXHAUSTED);
+  }
+  v1::PlayRequest request;
+  EXPECT_TRUE(Parse(group(EmptyMessages(15, v1::kMaxFields - 1)), &request).ok()) << "of a later version";
+  EXPECT_EQ(Parse(std::string(1 << 20, '\x7b'), &request).error_code(), grpc::StatusCode::INTERNAL) << "too deep";
+}
+
 TEST(MessageBounds, FramesMayBeLarge) {
   v1::ActorMessage message;
   message.mutable_fragment()->set_frames(std::string(50 << 20, 'f'));

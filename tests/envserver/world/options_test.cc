@@ -52,6 +52,7 @@ TEST(WorldOptions, ErrorsNameFieldValueAndRange) {
       {[](WorldOptions* o) { o->view_height = 2; }, "view_height 2, want 3..63"},
       {[](WorldOptions* o) { o->view_width = 1; }, "view_height 9, want 17..63"},
       {[](WorldOptions* o) { o->length = -1; }, "length -1, want 0.."},
+      {[](WorldOptions* o) { o->length = 1'000'000'001; }, "length 1000000001, want 0..1000000000"},
       {[](WorldOptions* o) { o->numbers.cow = 1.5; }, "cow threshold 1.5, want 0..1"},
       {[](WorldOptions* o) {
          o->percentages = {25, 25, 25, 26};

@@ -99,6 +99,16 @@ TEST(Snapshot, WithNumbersThatItsStepsCannotLeaveIsRefused) {
               StatusIs(absl::StatusCode::kDataLoss, HasSubstr("last health 1, want the player's")));
 }
 
+// Balancing would look for a creature that is not there.
+TEST(Snapshot, WithAnEntryOfTwoObjectsIsRefused) {
+  World played = PlayedWorld();
+  Board& board = WorldEditor::State(&played).board;
+  ASSERT_GT(board.objects().size(), 3u);
+  board.object(3).entered = board.object(2).entered;
+  EXPECT_THAT(NewWorld(played.options()).Restore(Save(played)),
+              StatusIs(absl::StatusCode::kDataLoss, HasSubstr("object 3 has another object's entry")));
+}
+
 TEST(Snapshot, OfAWorldWithOtherOptionsIsRefused) {
   const std::string snapshot = Save(NewWorld());
   WorldOptions larger;

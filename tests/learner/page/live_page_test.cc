@@ -178,7 +178,7 @@ TEST_F(LivePageTest, OtherSitesCanNeitherSteerNorRead) {
     EXPECT_THAT(Ask("POST /pause", absl::StrCat("Host: ", host, "\r\nX-Craftfleet: x\r\n")),
                 StartsWith("HTTP/1.1 403 "));
   }
-  for (const char* host : {"localhost:8080", "127.0.0.1", "127.0.0.1:80", "[::1]", "[::1]:80"}) {
+  for (const char* host : {"localhost:8080", "LocalHost", "127.0.0.1", "127.0.0.1:80", "[::1]", "[::1]:80"}) {
     EXPECT_THAT(Ask("GET /status.json", absl::StrCat("Host: ", host, "\r\n")), StartsWith("HTTP/1.1 200 ")) << host;
   }
 }
@@ -192,6 +192,9 @@ TEST_F(LivePageTest, ANameThatIsNotExpectedIsToldWhatToDo) {
   page_ = *LivePage::Create(options, Parts());
   EXPECT_THAT(Ask("GET /status.json", host), StartsWith("HTTP/1.1 200 "));
   EXPECT_THAT(Ask("GET /status.json", "Host: hub.example.com.evil\r\n"), StartsWith("HTTP/1.1 403 "));
+  options.hosts = {"Hub.Example.com"};
+  page_ = *LivePage::Create(options, Parts());
+  EXPECT_THAT(Ask("GET /status.json", host), StartsWith("HTTP/1.1 200 ")) << "browsers write it in lower case";
 }
 
 TEST_F(LivePageTest, AProxyMayPutAPathBeforeEverything) {
