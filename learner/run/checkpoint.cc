@@ -33,7 +33,7 @@ constexpr absl::string_view kWeightsFile = "weights.safetensors";
 constexpr absl::string_view kOptimizerFile = "optimizer.safetensors";
 constexpr absl::string_view kPlayWeightsFile = "play.safetensors";
 constexpr size_t kMaxRunIdBytes = 512;  // the most that an actor accepts
-constexpr int kMaxPending = 16;         // a learner begins no evaluation while two are pending
+constexpr int kMaxPending = 16;         // a learner begins no evaluation while three are pending
 
 std::string EvaluationFile(const v1::PendingEvaluation& evaluation) {
   return absl::StrFormat("evaluation-%d.safetensors", evaluation.number());
