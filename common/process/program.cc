@@ -99,7 +99,7 @@ void OnSignal(int signal) {
 }
 
 // Opens standard streams that the program was started without (`2>&-`): otherwise a file or socket gets the number, and
-// what is meant for the stream. Reading and writing still fails.
+// with it what is meant for the stream. Reading and writing still fail.
 void OpenMissingStreams() {
   for (const int stream : {STDIN_FILENO, STDOUT_FILENO, STDERR_FILENO}) {
     if (fcntl(stream, F_GETFD) >= 0) continue;
@@ -107,7 +107,7 @@ void OpenMissingStreams() {
   }
 }
 
-// Called for what protobuf has to say, such as that a peer's text is not UTF-8.
+// Logs the messages of Protobuf's own log, such as that a peer's text is not UTF-8.
 void OnProtobufLog(google::protobuf::LogLevel level, const char* /*file*/, int /*line*/, const std::string& message) {
   static RealClock& clock = *new RealClock;  // never destroyed: threads may outlive main
   static LimitedLog& log = *new LimitedLog(&clock);

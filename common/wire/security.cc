@@ -201,9 +201,11 @@ std::string ChannelSecurity::ExplainConnection(absl::string_view error, absl::st
   const bool closed = absl::StrContains(error, "Socket closed") || absl::StrContains(error, "onnection reset") ||
                       absl::StrContains(error, "Broken pipe");
   if (!closed) return std::string(error);
-  // A peer that speaks TLS closes it before the connection is made. Later it was lost, as when the peer is killed.
-  if (!tls() && !absl::StrContains(error, "failed to connect")) return std::string(error);
-  if (!tls()) return "it closed the connection at once: if it speaks TLS, give --tls_ca";
+  if (!tls()) {
+    // A peer that speaks TLS closes the connection before it is made; a later loss has another cause.
+    const bool at_once = absl::StrContains(error, "failed to connect");
+    return at_once ? "it closed the connection at once: if it speaks TLS, give --tls_ca" : std::string(error);
+  }
   if (files.certificate.empty()) {
     return "TLS: it closed the connection: it may want a certificate: give --tls_cert and --tls_key";
   }

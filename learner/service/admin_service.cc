@@ -21,7 +21,8 @@ constexpr absl::Duration kLongest = absl::Hours(24);
 constexpr absl::Duration kLeastMargin = absl::Milliseconds(50);
 constexpr absl::Duration kMostMargin = absl::Seconds(1);
 
-// The time until the client's deadline, less a tenth, so that the reply arrives before it also on a busy host.
+// The time until the client's deadline, less a margin of a tenth, so that the reply arrives in time even on a busy
+// host.
 absl::Duration TimeLeft(const grpc::ServerContext& context) {
   const absl::Duration left = absl::FromChrono(context.deadline()) - absl::Now();
   return std::clamp(left - std::clamp(left / 10, kLeastMargin, kMostMargin), absl::ZeroDuration(), kLongest);

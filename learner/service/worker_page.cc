@@ -34,7 +34,7 @@ std::string StateOf(const WorkerRegistry::WorkerInfo& info, bool allow_mixed) {
                             : info.IsDrained() ? ", drained"
                                                : ", draining");
   } else if (worker.role == WorkerRole::kEnvServer && worker.active && worker.draining) {
-    state = worker.empty ? "drained" : "draining";
+    state = info.IsDrained() ? "drained" : "draining";
   }
   if (info.health == WorkerRegistry::Health::kSlow) {
     absl::StrAppendFormat(&state, "%sslow: %.0f ms a step", state.empty() ? "" : ", ", worker.step_ms);

@@ -51,7 +51,8 @@ class RemoteVectorEnv(gymnasium.vector.VectorEnv[np.ndarray, np.ndarray, np.ndar
   The interface is that of VectorEnv with autoreset_mode SAME_STEP, and lane i plays the same game. Observations are one array that
   each call overwrites. Servers don't send the picture of a death: final_obs has one only of truncated lanes, and of others with
   `details`. Use an object from one thread at a time: a call while another thread is in one raises RuntimeError. So does a call in a
-  forked process, which has no connections of its own. Ctrl-C during a call, or another signal's exception, closes the object.
+  forked process, which has no connections of its own. An exception that a signal's handler raises during a call, such as Ctrl-C,
+  closes the object.
 
   Args:
     addresses: "host:port" of a server, or several, which share the lanes.

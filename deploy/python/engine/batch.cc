@@ -151,7 +151,7 @@ void Batch::ResetLane(int lane) {
 
 void Batch::StepLane(int lane, Action action) {
   Lane& game = lanes_[lane];
-  // Not terminated_ and truncated_: who got these arrays may write them.
+  // Not from terminated_ and truncated_: callers get these arrays, and may write to them.
   if (options_.autoreset == Autoreset::kNextStep && game.end() != StepEnd::kNone) return ResetLane(lane);
   const StepOutcome outcome = game.Step(action, rows_.frame(lane));
   rows_.Fill(lane, game, outcome.reward);

@@ -16,7 +16,7 @@ from matplotlib.figure import Figure  # noqa: E402  pylint: disable=wrong-import
 COLORS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00", "#000000")
 PAPER_COLOR = "#bebebe"
 _DOTS_PER_INCH = 90
-_HIGHEST = 700  # inches; matplotlib draws less than 65,536 dots
+_HIGHEST = 700  # inches; matplotlib draws at most 65,535 dots
 _PALETTE = 96  # colours of a picture: a quarter of the size of one with all
 
 matplotlib.rcdefaults()  # a matplotlibrc could ask for LaTeX
