@@ -86,9 +86,9 @@ void EvaluationWorker::Run() {
 }
 
 absl::Status EvaluationWorker::Play(const Job& job) {
-  CRAFTFLEET_ASSIGN_OR_RETURN(std::shared_ptr<const std::string> weights, GetWeights(job.task.id()));
+  CRAFTFLEET_ASSIGN_OR_RETURN(const std::shared_ptr<const PolicyWeights> weights, GetWeights(job.task.id()));
   CRAFTFLEET_ASSIGN_OR_RETURN(const std::unique_ptr<const Policy> policy,
-                              Policy::Create(options_.spec, std::move(weights), options_.tile, options_.device));
+                              Policy::Create(options_.spec, weights, options_.tile, options_.device));
   CRAFTFLEET_ASSIGN_OR_RETURN(EnvClient * env, Connect(job.task.env()));
   EvaluationOptions evaluation;
   evaluation.seed = job.task.seed();
@@ -120,14 +120,14 @@ absl::Status EvaluationWorker::Send(const v1::EvaluationResult& result) {
   }
 }
 
-absl::StatusOr<std::shared_ptr<const std::string>> EvaluationWorker::GetWeights(int64_t id) const {
+absl::StatusOr<std::shared_ptr<const PolicyWeights>> EvaluationWorker::GetWeights(int64_t id) const {
   if (options_.weights.has_value()) {
-    std::shared_ptr<const std::string> weights = options_.weights->find_of_evaluation(id);
+    std::shared_ptr<const PolicyWeights> weights = options_.weights->find_of_evaluation(id);
     if (weights == nullptr) return absl::AbortedError("it is over");
     return weights;
   }
   CRAFTFLEET_ASSIGN_OR_RETURN(std::string weights, learner_->GetEvaluationWeights(id, MaxWeightsBytes(options_.spec)));
-  return std::make_shared<const std::string>(std::move(weights));
+  return std::make_shared<const HostWeights>(std::move(weights));
 }
 
 absl::StatusOr<EnvClient*> EvaluationWorker::Connect(const v1::EnvConfig& env) {

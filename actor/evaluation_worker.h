@@ -65,7 +65,7 @@ class EvaluationWorker {
   void Run() ABSL_LOCKS_EXCLUDED(mu_);
   absl::Status Play(const Job& job) ABSL_LOCKS_EXCLUDED(mu_);
   // Of task `id`.   Aborted: it is over.   Others as LearnerClient::GetEvaluationWeights.
-  absl::StatusOr<std::shared_ptr<const std::string>> GetWeights(int64_t id) const;
+  absl::StatusOr<std::shared_ptr<const PolicyWeights>> GetWeights(int64_t id) const;
   // Begins a session with the first environment server that answers, starting from another one each time; a slow one
   // only if there is no other.
   //   Cancelled: Stop was called, or the task is dropped.   Unavailable: none answers.

@@ -22,7 +22,7 @@ absl::StatusOr<VersionedWeights> PolicySource::GetWeights(int64_t version) const
     return weights;
   }
   CRAFTFLEET_ASSIGN_OR_RETURN(auto weights, learner_->GetWeights(version, MaxWeightsBytes(spec_)));
-  return VersionedWeights(weights.first, std::make_shared<const std::string>(std::move(weights.second)));
+  return VersionedWeights(weights.first, std::make_shared<const HostWeights>(std::move(weights.second)));
 }
 
 absl::StatusOr<std::pair<int64_t, std::shared_ptr<const Policy>>> PolicySource::Fetch(int64_t version) const {

@@ -15,19 +15,20 @@
 #include "actor/learner_client.h"
 #include "common/agent/agent_spec.h"
 #include "common/agent/policy.h"
+#include "common/agent/policy_weights.h"
 #include "common/base/mutex.h"
 
 namespace craftfleet {
 
-// A version of the weights, safetensors.
-using VersionedWeights = std::pair<int64_t, std::shared_ptr<const std::string>>;
+// A version of the weights.
+using VersionedWeights = std::pair<int64_t, std::shared_ptr<const PolicyWeights>>;
 
 // The weights of a learner in the same process, shared instead of received by calls. Thread-safe.
 struct LocalWeights {
   // Those of `version` if it keeps them, otherwise the latest, which may be older; (-1, null): it has published none.
   std::function<VersionedWeights(int64_t version)> find;
   // Those that evaluation task `id` plays with; null: the task is over.
-  std::function<std::shared_ptr<const std::string>(int64_t id)> find_of_evaluation;
+  std::function<std::shared_ptr<const PolicyWeights>(int64_t id)> find_of_evaluation;
 };
 
 // Keeps the last policy. Thread-safe: one thread fetches while the others wait for it.

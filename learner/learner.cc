@@ -261,7 +261,7 @@ Learner::Learner(const Options& options, Loaded loaded)
                 options.progress != nullptr ? options.progress : &null_stream_, clock_.get()),
       trainer_(config_, loaded.checkpoint,
                {folder_.get(), updater_.get(), &ranks_, &registry_, &weights_, &fragments_, &evaluations_, &progress_,
-                &checkpoint_requests_, clock_.get()}),
+                &checkpoint_requests_, clock_.get(), /*sends_weights=*/!options.server.address.empty()}),
       service_(ServiceOptions(&loaded), &registry_, &weights_, &fragments_),
       steering_({&checkpoint_requests_, &registry_, [this] { Stop(); }}),
       admin_service_(&steering_),

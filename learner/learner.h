@@ -71,7 +71,9 @@ class Learner {
   wire::Endpoint InProcess() { return server_->InProcess(); }
   // As WeightStore::Find and EvaluationTable::Weights.
   WeightStore::Weights FindWeights(int64_t version) const { return weights_.Find(version); }
-  std::shared_ptr<const std::string> FindEvaluationWeights(int64_t id) { return registry_.evaluations()->Weights(id); }
+  std::shared_ptr<const PolicyWeights> FindEvaluationWeights(int64_t id) {
+    return registry_.evaluations()->Weights(id);
+  }
   const std::string& address() const { return server_->address(); }
   bool serving() const { return server_->serving(); }
   const std::string& run_id() const { return folder_->run_id(); }

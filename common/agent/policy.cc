@@ -13,6 +13,7 @@
 #include "common/agent/categorical.h"
 #include "common/agent/code_change.h"
 #include "common/agent/device.h"
+#include "common/agent/device_snapshot.h"
 #include "common/agent/policy_net.h"
 #include "common/agent/torch_setup.h"
 #include "common/agent/weights.h"
@@ -59,13 +60,26 @@ std::optional<PatchGrid> PatchesOf(const AgentSpec& spec) {
   return PatchGrid{spec.frame_size, spec.network.patch(), spec.network.stride()};
 }
 
+absl::Status CheckTile(int tile) {
+  if (tile >= 1 && tile <= Policy::kMaxTile) return absl::OkStatus();
+  return absl::InvalidArgumentError(absl::StrCat("tile is ", tile, ", want 1..", Policy::kMaxTile));
+}
+
+// Whether tiles that `device` computes can read `weights` where they are. The CPU reads them in another order.
+bool IsOn(const std::string& device, const at::Tensor& weights) {
+  if (device == kCpuDevice) return false;
+  const at::Device wanted(device);
+  return weights.device().type() == wanted.type() && (wanted.is_cpu() || weights.device() == wanted);
+}
+
 bool AllFinite(absl::Span<const float> values) {
   return std::all_of(values.begin(), values.end(), [](float value) { return std::isfinite(value); });
 }
 
 }  // namespace
 
-Policy::Policy(const AgentSpec& spec, std::shared_ptr<const float> weights, int tile, const std::string& device)
+Policy::Policy(const AgentSpec& spec, std::shared_ptr<const void> owner, std::unique_ptr<const PolicyNet> net, int tile,
+               const std::string& device)
     : agent_(spec.name),
       frame_bytes_(spec.frame_bytes()),
       frame_size_(spec.frame_size),
@@ -74,10 +88,8 @@ Policy::Policy(const AgentSpec& spec, std::shared_ptr<const float> weights, int 
       patches_(PatchesOf(spec)),
       tile_(tile),
       device_(device),
-      weights_(std::move(weights)),
-      net_(std::make_unique<PolicyNet>(spec, PolicyNet::Use::kActing,
-                                       absl::MakeSpan(const_cast<float*>(weights_.get()), spec.param_count),
-                                       at::Device(device))) {
+      owner_(std::move(owner)),
+      net_(std::move(net)) {
   if (device_ == kCpuDevice || state_size_ == 0) return;
   Packing packing = Pack(std::vector<int>(tile, 1));
   for (at::Tensor* tensor : {&packing.rows, &packing.inverse_rows, &packing.segments, &packing.inverse_segments}) {
@@ -89,15 +101,36 @@ Policy::Policy(const AgentSpec& spec, std::shared_ptr<const float> weights, int 
 Policy::~Policy() = default;
 
 absl::StatusOr<std::unique_ptr<const Policy>> Policy::Create(const AgentSpec& spec,
+                                                             const std::shared_ptr<const PolicyWeights>& weights,
+                                                             int tile, const std::string& device) {
+  auto snapshot = std::dynamic_pointer_cast<const DeviceSnapshot>(weights);
+  if (snapshot == nullptr || !IsOn(device, snapshot->flat())) {
+    CRAFTFLEET_ASSIGN_OR_RETURN(std::shared_ptr<const std::string> bytes, weights->Bytes());
+    return Create(spec, std::move(bytes), tile, device);
+  }
+  CRAFTFLEET_RETURN_IF_ERROR(CheckTile(tile));
+  return Make([&] {
+    auto net = std::make_unique<const PolicyNet>(spec, snapshot->params());
+    return new Policy(spec, std::move(snapshot), std::move(net), tile, device);
+  });
+}
+
+absl::StatusOr<std::unique_ptr<const Policy>> Policy::Create(const AgentSpec& spec,
                                                              std::shared_ptr<const std::string> weights, int tile,
                                                              const std::string& device) {
-  if (tile < 1 || tile > kMaxTile) {
-    return absl::InvalidArgumentError(absl::StrCat("tile is ", tile, ", want 1..", kMaxTile));
-  }
+  CRAFTFLEET_RETURN_IF_ERROR(CheckTile(tile));
   CRAFTFLEET_ASSIGN_OR_RETURN(std::shared_ptr<const float> values, ShareWeights(spec, std::move(weights)));
   CRAFTFLEET_RETURN_IF_ERROR(CheckPrecision(device, spec.precision));
+  return Make([&] {
+    const auto span = absl::MakeSpan(const_cast<float*>(values.get()), spec.param_count);
+    auto net = std::make_unique<const PolicyNet>(spec, PolicyNet::Use::kActing, span, at::Device(device));
+    return new Policy(spec, std::move(values), std::move(net), tile, device);
+  });
+}
+
+absl::StatusOr<std::unique_ptr<const Policy>> Policy::Make(absl::FunctionRef<const Policy*()> make) {
   try {
-    return std::unique_ptr<const Policy>(new Policy(spec, std::move(values), tile, device));
+    return std::unique_ptr<const Policy>(make());
   } catch (const std::exception& error) {  // of LibTorch, out of a GPU's memory
     return ActingDeviceError("policy", error.what());
   }

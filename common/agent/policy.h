@@ -19,6 +19,7 @@
 #include "common/agent/agent_spec.h"
 #include "common/agent/attention_map.h"
 #include "common/agent/categorical.h"
+#include "common/agent/policy_weights.h"
 #include "common/base/crafter.h"
 
 namespace craftfleet {
@@ -41,10 +42,15 @@ class Policy {
  public:
   static constexpr int kMaxTile = 1024;
 
-  // `weights` are safetensors of the agent, which the policy looks into; tile in 1..kMaxTile. `device`, as FindDevice
-  // returns it, computes tiles; it gets a tile's frames and states in one copy each and returns all results in one.
+  // `weights` are the agent's; the policy looks into their bytes, or, if they are in the memory of `device`, there.
+  // tile in 1..kMaxTile. `device`, as FindDevice returns it, computes tiles; it gets a tile's frames and states in one
+  // copy each and returns all results in one.
   //   InvalidArgument: the weights are not this agent's or not finite, the tile is out of range, or the device does not
   //   compute in the agent's precision.   Others as ActingDeviceError (common/agent/device.h).
+  static absl::StatusOr<std::unique_ptr<const Policy>> Create(const AgentSpec& spec,
+                                                              const std::shared_ptr<const PolicyWeights>& weights,
+                                                              int tile, const std::string& device = "cpu");
+  // Of safetensors.
   static absl::StatusOr<std::unique_ptr<const Policy>> Create(const AgentSpec& spec,
                                                               std::shared_ptr<const std::string> weights, int tile,
                                                               const std::string& device = "cpu");
@@ -97,7 +103,12 @@ class Policy {
     std::vector<float> states;  // [n,state_size] after the step
   };
 
-  Policy(const AgentSpec& spec, std::shared_ptr<const float> weights, int tile, const std::string& device);
+  // `owner` of the memory that `net` looks into.
+  Policy(const AgentSpec& spec, std::shared_ptr<const void> owner, std::unique_ptr<const PolicyNet> net, int tile,
+         const std::string& device);
+
+  // What `make` returns; ActingDeviceError if it throws.
+  static absl::StatusOr<std::unique_ptr<const Policy>> Make(absl::FunctionRef<const Policy*()> make);
 
   // `choose(row, distribution)` is the action of each row.
   static ActResult Choose(Outputs outputs, absl::FunctionRef<Action(size_t, const Categorical&)> choose);
@@ -119,7 +130,7 @@ class Policy {
   const std::optional<PatchGrid> patches_;  // of agents with attention
   const int tile_;
   const std::string device_;
-  const std::shared_ptr<const float> weights_;  // float[param_count]; on the CPU used by the net in place
+  const std::shared_ptr<const void> owner_;
   std::unique_ptr<const PolicyNet> net_;
   std::unique_ptr<const Packing> packing_;  // on the device, of a tile's rows; recurrent agents on another device only
 };

@@ -1,6 +1,7 @@
 #include "common/agent/policy_net.h"
 
 #include <optional>
+#include <utility>
 
 #include <ATen/ATen.h>
 #include <c10/core/InferenceMode.h>
@@ -33,15 +34,23 @@ PolicyNet::PolicyNet(const AgentSpec& spec, Use use, absl::Span<float> weights, 
     : params_(ParamsOf(spec, at::from_blob(weights.data(), {static_cast<int64_t>(weights.size())}).to(device))),
       network_(MakeNetwork(spec.network)) {
   CRAFTFLEET_CHECK(device.is_cpu() || use == Use::kActing);
-  for (at::Tensor& weight : params_.tensors) {
-    if (use == Use::kTraining) {
-      weight.set_requires_grad(true);
-    } else if (weight.dim() == 4) {
-      // oneDNN would otherwise make this layout at every call: 8% of a tile of 8.
-      weight = weight.contiguous(at::MemoryFormat::ChannelsLast);
-    }
+  if (use == Use::kActing) {
+    PrepareForActing();
+  } else {
+    for (at::Tensor& weight : params_.tensors) weight.set_requires_grad(true);
   }
-  if (use == Use::kTraining) return;
+}
+
+PolicyNet::PolicyNet(const AgentSpec& spec, ParamTensors params)
+    : params_(std::move(params)), network_(MakeNetwork(spec.network)) {
+  PrepareForActing();
+}
+
+void PolicyNet::PrepareForActing() {
+  for (at::Tensor& weight : params_.tensors) {
+    // oneDNN would otherwise make this layout at every call: 8% of a tile of 8.
+    if (weight.dim() == 4) weight = weight.contiguous(at::MemoryFormat::ChannelsLast);
+  }
   const c10::InferenceMode inference;
   if (params_.multiplied_as != at::kFloat) {
     for (const at::Tensor& weight : params_.tensors) params_.converted.push_back(weight.to(params_.multiplied_as));

@@ -44,6 +44,9 @@ class PolicyNet {
   // `device`.
   PolicyNet(const AgentSpec& spec, Use use, absl::Span<float> weights, at::Device device = at::kCPU);
 
+  // For acting on `params`, which never change, on their device.
+  PolicyNet(const AgentSpec& spec, ParamTensors params);
+
   // frames float[N,H,W,3], values 0..1. `segments` tell how the rows follow each other; feed-forward agents ignore
   // them. In training, `dropout` decides what attention drops: `key` from the run's seed and the minibatch's number,
   // `first_row` where these rows begin in the minibatch, so that shards drop the same weights as the whole. Acting
@@ -76,6 +79,9 @@ class PolicyNet {
   const std::map<ParamIndex, c10::intrusive_ptr<WideFactors>>& wide_factors() const { return params_.wide_factors; }
 
  private:
+  // Brings the weights into the layout that is quickest to read.
+  void PrepareForActing();
+
   ParamTensors params_;
   Network network_;
 };

@@ -19,7 +19,7 @@ absl::StatusOr<std::unique_ptr<LocalFleet>> LocalFleet::Create(const Learner::Op
   actor.learner = fleet->learner_->InProcess();
   actor.weights = {[learner = fleet->learner_.get()](int64_t version) {
                      WeightStore::Weights weights = learner->FindWeights(version);
-                     return VersionedWeights(weights.version, std::move(weights.bytes));
+                     return VersionedWeights(weights.version, std::move(weights.weights));
                    },
                    [learner = fleet->learner_.get()](int64_t id) { return learner->FindEvaluationWeights(id); }};
   actor.env_servers = std::make_shared<EnvDirectory>(std::vector<wire::Endpoint>{fleet->env_server_->InProcess()});

@@ -32,6 +32,22 @@ void DeviceAdam::Load(const AdamState& state, at::Device device) {
   exp_avg_sq_ = SendFloats(state.exp_avg_sq, device);
   steps_ = state.steps;
   if (kIsFused) device_steps_ = at::full({}, static_cast<double>(steps_), exp_avg_.options());
+  kept_avg_ = at::empty_like(exp_avg_);
+  kept_avg_sq_ = at::empty_like(exp_avg_sq_);
+  Keep();
+}
+
+void DeviceAdam::Keep() {
+  kept_avg_.copy_(exp_avg_);
+  kept_avg_sq_.copy_(exp_avg_sq_);
+  kept_steps_ = steps_;
+}
+
+void DeviceAdam::Undo() {
+  exp_avg_.copy_(kept_avg_);
+  exp_avg_sq_.copy_(kept_avg_sq_);
+  steps_ = kept_steps_;
+  if (kIsFused) device_steps_.fill_(static_cast<double>(steps_));
 }
 
 at::Tensor DeviceAdam::Step(const at::Tensor& gradient, const at::Tensor& weights) {

@@ -18,8 +18,13 @@ class DeviceAdam {
  public:
   explicit DeviceAdam(const AdamOptions& options) : options_(options) {}
 
-  // Goes on from `state`, whose moments go to `device`.
+  // Goes on from `state`, whose moments go to `device`, and keeps it.
   void Load(const AdamState& state, at::Device device);
+
+  // Keeps the present state, in as much memory again, for Undo. Allocates nothing.
+  void Keep();
+  // Returns to the state that was kept last.
+  void Undo();
 
   // Takes one step on `weights`, float[n], in place. `gradient` is that of the first k of them, float[k]; the others
   // stay as they are. It is clipped by its norm, and may be changed. Returns its norm before: double[]. Waits for
@@ -45,6 +50,9 @@ class DeviceAdam {
   at::Tensor exp_avg_sq_;
   int64_t steps_ = 0;
   at::Tensor device_steps_;  // float[] the same
+  at::Tensor kept_avg_;
+  at::Tensor kept_avg_sq_;
+  int64_t kept_steps_ = 0;
 };
 
 }  // namespace craftfleet

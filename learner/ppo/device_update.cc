@@ -9,6 +9,7 @@
 #include <c10/core/GradMode.h>
 #include <torch/csrc/autograd/autograd.h>
 
+#include "common/agent/aligned_weights.h"
 #include "common/agent/device.h"
 #include "common/agent/policy_net.h"
 #include "common/base/keyed_random.h"
@@ -21,8 +22,9 @@ namespace craftfleet {
 namespace {
 
 // The states of the first `count` Adams: PPO's and, if there are three, those of distillation.
-std::vector<AdamState*> AdamsOf(UpdateState* state, size_t count) {
-  std::vector<AdamState*> adams = {&state->adam, &state->distillation.matching, &state->distillation.prediction};
+template <typename State>
+auto AdamsOf(State* state, size_t count) {
+  std::vector adams = {&state->adam, &state->distillation.matching, &state->distillation.prediction};
   adams.resize(count);
   return adams;
 }
@@ -41,15 +43,35 @@ DeviceUpdate::DeviceUpdate(AgentSpec spec, const v1::RunConfig& config, at::Devi
 absl::StatusOr<UpdateStats> DeviceUpdate::Run(const Rollout& rollout, const std::vector<std::vector<Minibatch>>& epochs,
                                               const std::function<bool()>& should_stop, const AfterEpochs& after_epochs,
                                               UpdateState* state) {
+  CRAFTFLEET_RETURN_IF_ERROR(lost_);
+  absl::StatusOr<UpdateStats> stats = absl::InternalError("the update did not run");
+  ValueNorm norm;
   try {
-    if (!is_loaded_) Load(state);
-    is_loaded_ = false;
-    CRAFTFLEET_ASSIGN_OR_RETURN(const UpdateStats stats, RunEpochs(rollout, epochs, should_stop, after_epochs, state));
-    Fetch(state);
-    is_loaded_ = true;
-    return stats;
+    if (snapshot_ == nullptr) Load(*state);
+    for (DeviceAdam& adam : adams_) adam.Keep();
+    stats = RunEpochs(rollout, epochs, should_stop, after_epochs, &norm);
+    if (stats.ok()) snapshot_ = std::make_shared<const DeviceSnapshot>(spec_, weights_.flat);
   } catch (const std::exception& error) {
-    return DeviceError("update", error.what());
+    stats = DeviceError("update", error.what());
+  }
+  if (!stats.ok()) {
+    Undo(state->value_norm);
+    return stats;
+  }
+  state->value_norm = norm;
+  const std::vector<AdamState*> adams = AdamsOf(state, adams_.size());
+  for (size_t i = 0; i < adams.size(); ++i) adams[i]->steps = adams_[i].steps();
+  return stats;
+}
+
+void DeviceUpdate::Undo(const ValueNorm& norm) {
+  if (snapshot_ == nullptr) return;  // the host has it
+  try {
+    weights_.Restore(snapshot_->flat());
+    for (DeviceAdam& adam : adams_) adam.Undo();
+    SendValueNorm(norm);
+  } catch (const std::exception& error) {
+    lost_ = DeviceError("undoing an update", error.what());
   }
 }
 
@@ -76,21 +98,21 @@ StartOutputs DeviceUpdate::FetchStart(const at::Tensor& outputs) {
   return start;
 }
 
-void DeviceUpdate::Load(UpdateState* state) {
-  CopyMoments(state);
-  weights_.Load(spec_, state->weights, device_);
-  const std::vector<AdamState*> adams = AdamsOf(state, adams_.size());
+void DeviceUpdate::Load(const UpdateState& state) {
+  weights_.Load(spec_, state.weights, device_);
+  const std::vector<const AdamState*> adams = AdamsOf(&state, adams_.size());
   for (size_t i = 0; i < adams.size(); ++i) {
     const auto& [steps, exp_avg, exp_avg_sq] = *adams[i];
     adams_[i].Load({steps, Align(spec_, exp_avg), Align(spec_, exp_avg_sq)}, device_);
   }
-  SendValueNorm(state->value_norm);
+  SendValueNorm(state.value_norm);
+  snapshot_ = std::make_shared<const DeviceSnapshot>(spec_, weights_.flat);
 }
 
 absl::StatusOr<UpdateStats> DeviceUpdate::RunEpochs(const Rollout& rollout,
                                                     const std::vector<std::vector<Minibatch>>& epochs,
                                                     const std::function<bool()>& should_stop,
-                                                    const AfterEpochs& after_epochs, UpdateState* state) {
+                                                    const AfterEpochs& after_epochs, ValueNorm* norm) {
   const int64_t steps_before = adams_[0].steps();
   std::vector<Minibatch> minibatches;
   for (const std::vector<Minibatch>& epoch : epochs) minibatches.insert(minibatches.end(), epoch.begin(), epoch.end());
@@ -121,7 +143,6 @@ absl::StatusOr<UpdateStats> DeviceUpdate::RunEpochs(const Rollout& rollout,
   if (after_epochs != nullptr) CRAFTFLEET_RETURN_IF_ERROR(after_epochs(*learned, &stats));
   const auto count = static_cast<int64_t>(records.size());
   const at::Tensor are_finite = at::isfinite(weights_.flat).all().logical_and(at::isfinite(value_norm_).all());
-  CopyMoments(state);  // the device still computes
   // The only wait, but for FetchStart: double[6 * count + 5].
   const at::Tensor fetched = at::cat({at::stack(records).flatten(), are_finite.to(at::kDouble).view({1}),
                                       TryWeights(there, trial), value_norm_})
@@ -141,7 +162,8 @@ absl::StatusOr<UpdateStats> DeviceUpdate::RunEpochs(const Rollout& rollout,
   }
   const double* const last = record + 6 * count;
   if (last[0] == 0) return absl::DataLossError("the update's weights or value statistics are not finite");
-  const ValueScale scale = ValueNorm{last[3], last[4], value_weight_}.Scale(config_.value_norm_start());
+  *norm = {last[3], last[4], value_weight_};
+  const ValueScale scale = norm->Scale(config_.value_norm_start());
   CRAFTFLEET_RETURN_IF_ERROR(
       CheckOutputs(static_cast<float>(last[1]), static_cast<float>(last[2]), AcceptedOutputs(config_, scale)));
   return stats;
@@ -204,32 +226,19 @@ DeviceUpdate::DeviceScale DeviceUpdate::value_scale() const {
   return {mean, (corrected.select(0, 1) - mean.square()).clamp_min(ValueNorm::kMinVariance).sqrt()};
 }
 
-void DeviceUpdate::Fetch(UpdateState* state) {
-  const c10::NoGradGuard no_grad;
-  const int64_t count = weights_.flat.numel();
-  const auto rows = static_cast<int64_t>(1 + 2 * adams_.size());
-  if (!fetched_.defined()) fetched_ = HostTensor({rows, count}, at::kFloat, device_);
-  fetched_.select(0, 0).copy_(weights_.flat, /*non_blocking=*/true);
-  for (size_t i = 0; i < adams_.size(); ++i) {
-    fetched_.select(0, static_cast<int64_t>(1 + 2 * i)).copy_(adams_[i].exp_avg(), /*non_blocking=*/true);
-    fetched_.select(0, static_cast<int64_t>(2 + 2 * i)).copy_(adams_[i].exp_avg_sq(), /*non_blocking=*/true);
-  }
-  const ValueNorm value_norm = FetchValueNorm();  // waits for all of them
-  Unalign(spec_, fetched_.data_ptr<float>(), &state->weights);
-  has_moments_ = true;
-  const std::vector<AdamState*> adams = AdamsOf(state, adams_.size());
-  for (size_t i = 0; i < adams.size(); ++i) adams[i]->steps = adams_[i].steps();
-  state->value_norm = value_norm;
-}
-
-void DeviceUpdate::CopyMoments(UpdateState* state) {
-  if (!std::exchange(has_moments_, false)) return;
-  const float* moments = fetched_.data_ptr<float>();
-  for (AdamState* const adam : AdamsOf(state, adams_.size())) {
-    for (std::vector<float>* const moment : {&adam->exp_avg, &adam->exp_avg_sq}) {
-      Unalign(spec_, moments += fetched_.size(1), moment);
+absl::Status DeviceUpdate::FetchMoments(UpdateState* state) const {
+  CRAFTFLEET_RETURN_IF_ERROR(lost_);
+  if (snapshot_ == nullptr) return absl::OkStatus();
+  try {
+    const std::vector<AdamState*> adams = AdamsOf(state, adams_.size());
+    for (size_t i = 0; i < adams.size(); ++i) {
+      Unalign(spec_, adams_[i].exp_avg().cpu().data_ptr<float>(), &adams[i]->exp_avg);
+      Unalign(spec_, adams_[i].exp_avg_sq().cpu().data_ptr<float>(), &adams[i]->exp_avg_sq);
     }
+  } catch (const std::exception& error) {
+    return DeviceError("fetching the optimiser", error.what());
   }
+  return absl::OkStatus();
 }
 
 ValueNorm DeviceUpdate::FetchValueNorm() const {

@@ -17,6 +17,7 @@
 #include <c10/core/Device.h>
 
 #include "common/agent/agent_spec.h"
+#include "common/agent/device_snapshot.h"
 #include "common/agent/nets/network.h"
 #include "craftfleet/v1/config.pb.h"
 #include "learner/ppo/device_adam.h"
@@ -32,10 +33,10 @@
 
 namespace craftfleet {
 
-// Runs the minibatches of an iteration on a device. The rollout goes there once an iteration; weights, optimiser and
-// statistics come back once. In between the host only starts computations: it copies nothing and waits for nothing.
-// Computes what the CPU's updater computes (ppo_updater.h) but for rounding: a minibatch is one part, not
-// `gradient_shards` parts. Used by one thread.
+// Runs the minibatches of an iteration on a device, where weights and optimiser stay. The rollout goes there once an
+// iteration, and statistics come back once; the rest comes when somebody wants it. In between the host only starts
+// computations: it copies nothing and waits for nothing. Computes what the CPU's updater computes (ppo_updater.h) but
+// for rounding: a minibatch is one part, not `gradient_shards` parts. Used by one thread.
 class DeviceUpdate {
  public:
   // `config` as PpoUpdater::Create has it. Allocates nothing on the device yet.
@@ -45,9 +46,10 @@ class DeviceUpdate {
   // the statistics.
   using AfterEpochs = std::function<absl::Status(const Rollout&, UpdateStats*)>;
 
-  // Takes optimiser steps over `epochs`, each epoch's minibatches of `rollout` in order, from `state` on. If that is
-  // not what the last Run returned, Forget must be called before. `should_stop` is asked after each minibatch. Unless
-  // OK, `state` is as before. Adams' moments come to `state` with CopyMoments. `after_epochs`: null: nothing.
+  // Takes optimiser steps over `epochs`, each epoch's minibatches of `rollout` in order; the first Run after Forget, or
+  // of all, begins with `state`. Then `state` has the value normaliser and the optimisers' numbers of steps; weights()
+  // and FetchMoments have the rest. `should_stop` is asked after each minibatch. Unless OK, all is as before; if the
+  // device fails so that it can't be, every later call has that error. `after_epochs`: null: nothing.
   //   Cancelled: should_stop() said so.   DataLoss: gradient or weights are not finite, or training diverges
   //   (divergence.h).   ResourceExhausted: the device's memory does not suffice; says what to lower.   Others as
   //   DeviceError (common/agent/device.h), or of `after_epochs`.
@@ -55,9 +57,12 @@ class DeviceUpdate {
                                   const std::function<bool()>& should_stop, const AfterEpochs& after_epochs,
                                   UpdateState* state);
 
-  // Copies the moments after the last Run that was OK to its `state`, if they are not there yet. They are in host
-  // memory already, but only a checkpoint needs them.
-  void CopyMoments(UpdateState* state);
+  // The weights after the last Run that was OK; null: those of the next Run's `state`.
+  const std::shared_ptr<const DeviceSnapshot>& weights() const { return snapshot_; }
+
+  // Copies the optimisers' moments after the last Run that was OK to its `state`. Waits for the device.
+  //   As DeviceError.
+  absl::Status FetchMoments(UpdateState* state) const;
 
   // For `after_epochs`: the value normaliser, which is fetched and sent, and a network that trains the weights. Throw
   // c10::Error.
@@ -67,18 +72,17 @@ class DeviceUpdate {
   std::unique_ptr<DistillationNet> MakeDistillationNet();
 
   // The next Run sends its `state` to the device again.
-  void Forget() {
-    is_loaded_ = false;
-    has_moments_ = false;
-  }
+  void Forget() { snapshot_ = nullptr; }
 
  private:
-  // Sends `state` to the device, with the moments of the last Run that was OK.
-  void Load(UpdateState* state);
-  // `state` gets the moments of the last Run while the device computes.
+  // Sends `state` to the device.
+  void Load(const UpdateState& state);
+  // `norm`: the value normaliser after it.
   absl::StatusOr<UpdateStats> RunEpochs(const Rollout& rollout, const std::vector<std::vector<Minibatch>>& epochs,
                                         const std::function<bool()>& should_stop, const AfterEpochs& after_epochs,
-                                        UpdateState* state);
+                                        ValueNorm* norm);
+  // Returns to the state before this Run. If the device fails, sets `lost_`.
+  void Undo(const ValueNorm& norm);
   NetOutput Forward(const DeviceRollout& rollout, const DeviceMinibatch& minibatch,
                     const std::optional<Dropout>& dropout) const;
   // LargestOutputs of the present weights for the steps of `trial`: double[2].
@@ -101,10 +105,6 @@ class DeviceUpdate {
   at::Tensor RunMinibatch(const DeviceRollout& rollout, const DeviceMinibatch& minibatch, const at::Tensor& start);
   // Adds returns float[n] to the value normaliser, and returns them normalised.
   at::Tensor NormaliseReturns(const at::Tensor& returns);
-  // Copies everything that an update changes to the host: moments to `fetched_`, the rest to `state`, which does not
-  // change if that throws.
-  void Fetch(UpdateState* state);
-
   const AgentSpec spec_;
   const v1::PpoConfig config_;
   const uint64_t seed_;
@@ -112,14 +112,12 @@ class DeviceUpdate {
   const at::Device device_;
   const Network network_;
 
-  bool is_loaded_ = false;  // whether the following is the state after the last Run
+  std::shared_ptr<const DeviceSnapshot> snapshot_;  // null: the following is not loaded
+  absl::Status lost_;                               // OK, or why the following is not the state after the last Run
   DeviceWeights weights_;
   std::vector<DeviceAdam> adams_;  // PPO's; with distillation also those of matching and prediction
   at::Tensor value_norm_;          // double[2] the normaliser's mean and mean square, not corrected
   double value_weight_ = 0;        // and its weight
-
-  at::Tensor fetched_;        // float[1+2k,n] on the host, aligned: weights, k Adams' moments; undefined before a Run
-  bool has_moments_ = false;  // whether they are newer than the state's
 };
 
 }  // namespace craftfleet

@@ -15,23 +15,19 @@ namespace craftfleet {
 
 // Its functions throw c10::Error.
 struct DeviceWeights {
-  at::Tensor flat;      // float[n] as Align returns them
+  at::Tensor flat;      // float[n] in the order of AlignedSpec (common/agent/aligned_weights.h)
   ParamTensors params;  // views of it, which get gradients
 
   // Sends `weights`, float[spec.param_count].
   void Load(const AgentSpec& spec, const std::vector<float>& weights, at::Device device);
 
+  // Returns to `values`, float[n] on the device, without a gradient.
+  void Restore(const at::Tensor& values);
+
   // Returns and clears the gradient, float[k], aligned likewise, of the parameters that backward passes have reached
   // since the last call: of all, or of all but a goal predictor's, which are last.
   at::Tensor TakeGradient();
 };
-
-// `values` float[spec.param_count] with each parameter at a multiple of 16 bytes, as the quick kernels of a GPU want
-// it, and zeros between.
-std::vector<float> Align(const AgentSpec& spec, const std::vector<float>& values);
-
-// The reverse of Align.
-void Unalign(const AgentSpec& spec, const float* aligned, std::vector<float>* values);
 
 }  // namespace craftfleet
 

@@ -321,19 +321,26 @@ void PpoUpdater::Restore(State state) {
 }
 
 void PpoUpdater::Undo(State before) {
-  before.weights = *LoadWeights(spec_, *shared_weights_);
+  before.weights = *LoadWeights(spec_, **shared_weights_->Bytes());
   Restore(std::move(before));
 }
 
-std::string PpoUpdater::SaveWeights() const { return craftfleet::SaveWeights(spec_, state_.weights); }
-
-std::shared_ptr<const std::string> PpoUpdater::ShareWeights() {
-  if (shared_weights_ == nullptr) shared_weights_ = std::make_shared<const std::string>(SaveWeights());
+std::shared_ptr<const PolicyWeights> PpoUpdater::ShareWeights() {
+  if (device_ != nullptr && device_->weights() != nullptr) return device_->weights();
+  if (shared_weights_ == nullptr) {
+    shared_weights_ = std::make_shared<const HostWeights>(craftfleet::SaveWeights(spec_, state_.weights));
+  }
   return shared_weights_;
 }
 
-std::string PpoUpdater::SaveOptimizer() {
-  if (device_ != nullptr) device_->CopyMoments(&state_);
+absl::StatusOr<std::string> PpoUpdater::SaveWeights() const {
+  if (device_ == nullptr || device_->weights() == nullptr) return craftfleet::SaveWeights(spec_, state_.weights);
+  CRAFTFLEET_ASSIGN_OR_RETURN(const auto bytes, device_->weights()->Bytes());
+  return *bytes;
+}
+
+absl::StatusOr<std::string> PpoUpdater::SaveOptimizer() {
+  if (device_ != nullptr) CRAFTFLEET_RETURN_IF_ERROR(device_->FetchMoments(&state_));
   SafeTensors file;
   AddAdam(spec_, "", state_.adam, &file);
   if (config_.value_norm_decay() > 0) AddValueNorm(state_.value_norm, &file);

@@ -16,6 +16,7 @@
 #include <absl/types/span.h>
 
 #include "common/agent/agent_spec.h"
+#include "common/agent/policy_weights.h"
 #include "common/base/worker_pool.h"
 #include "craftfleet/v1/config.pb.h"
 #include "learner/ppo/adam.h"
@@ -74,14 +75,15 @@ class PpoUpdater {
   absl::StatusOr<UpdateStats> Update(int64_t iteration, const Rollout& rollout,
                                      const std::function<bool()>& should_stop);
 
+  // The weights, for several users: made once as long as they stay. On a device they stay in its memory.
+  std::shared_ptr<const PolicyWeights> ShareWeights();
+
   // Safetensors of the weights; of Adam's moments ("exp_avg.<name>", "exp_avg_sq.<name>"), its step count (metadata
   // "steps") and, where values are normalised, the normaliser ("value_norm.mean", ".mean_square" and ".weight"). With
   // distillation, also its Adams' ("matching.exp_avg.<name>", ...) and the kept rollouts (FORMATS.md, section 7).
-  std::string SaveWeights() const;
-  std::string SaveOptimizer();
-
-  // SaveWeights() for several users: made once as long as the weights stay, and kept to undo the next update with.
-  std::shared_ptr<const std::string> ShareWeights();
+  //   On a GPU as DeviceError (common/agent/device.h).
+  absl::StatusOr<std::string> SaveWeights() const;
+  absl::StatusOr<std::string> SaveOptimizer();
 
   // Continues from the results of SaveWeights and SaveOptimizer, bit for bit.
   //   InvalidArgument: not this agent's; names the tensor. Nothing is changed.
@@ -141,13 +143,13 @@ class PpoUpdater {
   const bool corrects_lag_;
   const bool distills_;
   WorkerPool workers_;
-  State state_;                                        // the shards' nets look into the weights
-  std::shared_ptr<const std::string> shared_weights_;  // those of state_; null: they have changed since
-  std::unique_ptr<GradientShards> shards_;             // null: on a device
-  std::unique_ptr<Distiller> distiller_;               // null: no distillation
-  std::optional<RankSums> ranks_;                      // unset: no other ranks
-  std::vector<float> normalised_advantages_;           // of the running update, with advantages_over_rollout
-  const std::unique_ptr<DeviceUpdate> device_;         // null: on the CPU
+  State state_;                                          // the shards' nets look into the weights
+  std::shared_ptr<const PolicyWeights> shared_weights_;  // those of state_; null: they have changed since
+  std::unique_ptr<GradientShards> shards_;               // null: on a device
+  std::unique_ptr<Distiller> distiller_;                 // null: no distillation
+  std::optional<RankSums> ranks_;                        // unset: no other ranks
+  std::vector<float> normalised_advantages_;             // of the running update, with advantages_over_rollout
+  const std::unique_ptr<DeviceUpdate> device_;           // null: on the CPU
 };
 
 }  // namespace craftfleet

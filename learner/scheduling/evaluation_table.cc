@@ -105,7 +105,7 @@ std::vector<std::string> EvaluationTable::BeingPlayed() const {
   return tasks;
 }
 
-std::shared_ptr<const std::string> EvaluationTable::Weights(int64_t id) const {
+std::shared_ptr<const PolicyWeights> EvaluationTable::Weights(int64_t id) const {
   const size_t index = IndexOf(id);
   if (index == entries_.size() || !entries_[index].parts[id % 2].episodes.empty()) return nullptr;
   return entries_[index].evaluation.weights;

@@ -17,6 +17,7 @@
 #include <absl/time/time.h>
 #include <absl/types/span.h>
 
+#include "common/agent/policy_weights.h"
 #include "common/base/clock.h"
 #include "common/base/types.h"
 #include "learner/scheduling/overdue.h"
@@ -26,12 +27,12 @@ namespace craftfleet {
 // Argmax episodes, then as many sampled ones, played with the same weights.
 // Source: FORMATS.md, section 4.
 struct Evaluation {
-  int64_t number = 0;                          // of the run, from 1
-  int64_t env_steps = 0;                       // environment steps trained when the weights were made
-  int64_t first_episode = 1;                   // its number in the evaluation environment
-  int episodes = 0;                            // of each kind, 1..kMaxEvaluationEpisodes
-  bool final = false;                          // the evaluation after training
-  std::shared_ptr<const std::string> weights;  // safetensors
+  int64_t number = 0;         // of the run, from 1
+  int64_t env_steps = 0;      // environment steps trained when the weights were made
+  int64_t first_episode = 1;  // its number in the evaluation environment
+  int episodes = 0;           // of each kind, 1..kMaxEvaluationEpisodes
+  bool final = false;         // the evaluation after training
+  std::shared_ptr<const PolicyWeights> weights;
 };
 
 struct FinishedEvaluation {
@@ -77,8 +78,8 @@ class EvaluationTable {
                            bool is_late = false);
   // Whether `actor` has a task.
   bool IsPlaying(absl::string_view actor) const;
-  // The weights (safetensors) to play task `id` with; nullptr: the task is over.
-  std::shared_ptr<const std::string> Weights(int64_t id) const;
+  // The weights to play task `id` with; nullptr: the task is over.
+  std::shared_ptr<const PolicyWeights> Weights(int64_t id) const;
   // Stores the result of task `id`; ignored if the evaluation is over.
   //   InvalidArgument: the number of episodes differs from the task's; or the task is over, with another result: names
   //   both actors.   FailedPrecondition: `actor` does not have the task.

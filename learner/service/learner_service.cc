@@ -235,14 +235,14 @@ grpc::ServerWriteReactor<v1::WeightsChunk>* LearnerServiceImpl::GetWeights(grpc:
 
 absl::StatusOr<WeightStore::Weights> LearnerServiceImpl::FindWeights(const v1::WeightsRequest& request) const {
   if (request.evaluation() != 0) {
-    std::shared_ptr<const std::string> bytes = registry_->evaluations()->Weights(request.evaluation());
-    if (bytes == nullptr) {
+    std::shared_ptr<const PolicyWeights> weights = registry_->evaluations()->Weights(request.evaluation());
+    if (weights == nullptr) {
       return absl::AbortedError(absl::StrFormat("evaluation task %d is over", request.evaluation()));
     }
-    return WeightStore::Weights{0, std::move(bytes), {}, {}};
+    return WeightStore::Weights{0, std::move(weights), {}, {}};
   }
   WeightStore::Weights weights = weights_->Find(request.at_least());
-  if (weights.bytes == nullptr || weights.version < request.at_least()) {
+  if (weights.weights == nullptr || weights.version < request.at_least()) {
     return absl::DeadlineExceededError(absl::StrFormat("policy version %d is not available yet, the latest is %d",
                                                        request.at_least(), weights.version));
   }

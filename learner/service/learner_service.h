@@ -95,7 +95,8 @@ class LearnerServiceImpl final : public v1::LearnerService::CallbackService {
   WorkerRegistry::PermitRequest ToRequest(WorkerClient client, const v1::PermitRequest& request) const;
   void FillPermits(const WorkerRegistry::PermitReply& given, v1::PermitReply* reply) const;
   v1::EvaluationTask ToProto(const EvaluationTable::Task& task) const;
-  // Aborted: the evaluation is over.   DeadlineExceeded: the version is not available yet.
+  // Their version is 0 if they are an evaluation's.
+  //   Aborted: the evaluation is over.   DeadlineExceeded: the version is not available yet.
   absl::StatusOr<WeightStore::Weights> FindWeights(const v1::WeightsRequest& request) const;
   // Whether the client of a stream may go on.   Errors as wire::AccessControl::Check.
   absl::Status CheckAllowed(const grpc::ServerContextBase& context) const;

@@ -1,5 +1,6 @@
 #include "learner/service/weight_stream.h"
 
+#include "common/base/status_macros.h"
 #include "common/wire/grpc_status.h"
 
 namespace craftfleet {
@@ -27,17 +28,18 @@ void WeightStream::End(absl::Status status) {
 }
 
 bool WeightStream::Find(const v1::WeightsRequest& request, bool last) {
-  const absl::StatusOr<WeightStore::Weights> weights = service_->FindWeights(request);
-  if (weights.status().code() == absl::StatusCode::kDeadlineExceeded && !last) return false;
-  if (weights.ok()) {
-    bytes_ = weights->bytes;
-    chunk_.set_policy_version(weights->version);
-    chunk_.set_total_bytes(static_cast<int64_t>(bytes_->size()));
-    WriteNext();
-  } else {
-    End(weights.status());
-  }
+  const absl::StatusOr<WeightStore::Weights> found = service_->FindWeights(request);
+  if (found.status().code() == absl::StatusCode::kDeadlineExceeded && !last) return false;
+  const absl::Status status = found.ok() ? Take(*found) : found.status();
+  status.ok() ? WriteNext() : End(status);
   return true;
+}
+
+absl::Status WeightStream::Take(const WeightStore::Weights& found) {
+  CRAFTFLEET_ASSIGN_OR_RETURN(bytes_, found.weights->Bytes());
+  chunk_.set_policy_version(found.version);
+  chunk_.set_total_bytes(static_cast<int64_t>(bytes_->size()));
+  return absl::OkStatus();
 }
 
 void WeightStream::WriteNext() {

@@ -15,6 +15,7 @@
 #include "common/wire/stream_watch.h"
 #include "craftfleet/v1/learner.pb.h"
 #include "learner/service/learner_service.h"
+#include "learner/training/weight_store.h"
 
 namespace craftfleet {
 
@@ -35,6 +36,8 @@ class WeightStream final : public grpc::ServerWriteReactor<v1::WeightsChunk> {
   void End(absl::Status status);
   // Returns false if the weights are not available yet and this is not the `last` attempt.
   bool Find(const v1::WeightsRequest& request, bool last);
+  // Prepares to write the weights. Errors as PolicyWeights::Bytes.
+  absl::Status Take(const WeightStore::Weights& found);
   void WriteNext();
 
   LearnerServiceImpl* const service_;

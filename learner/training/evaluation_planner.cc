@@ -7,6 +7,7 @@
 
 #include "common/base/clock.h"
 #include "common/base/seeds.h"
+#include "common/base/status_macros.h"
 #include "common/telemetry/log.h"
 
 namespace craftfleet {
@@ -33,12 +34,13 @@ EvaluationPlanner::EvaluationPlanner(const v1::EvalConfig& config, int64_t steps
       continue;
     }
     registry_->evaluations()->Add({pending.number(), pending.env_steps(), pending.first_episode(), pending.episodes(),
-                                   pending.final(), checkpoint.evaluation_weights[i]});
+                                   pending.final(),
+                                   std::make_shared<const HostWeights>(checkpoint.evaluation_weights[i])});
   }
 }
 
 void EvaluationPlanner::OnIteration(int64_t steps_before, int64_t env_steps,
-                                    const std::shared_ptr<const std::string>& weights,
+                                    const std::shared_ptr<const PolicyWeights>& weights,
                                     const std::function<bool()>& should_stop) {
   const int64_t every = config_.every_steps();
   const bool due = every > 0 && config_.episodes() > 0 && env_steps / every > steps_before / every;
@@ -47,7 +49,7 @@ void EvaluationPlanner::OnIteration(int64_t steps_before, int64_t env_steps,
   LogFinished(due ? kMaxPending + 1 : kAnyNumber, should_stop);
 }
 
-void EvaluationPlanner::OnEnd(int64_t env_steps, const std::shared_ptr<const std::string>& weights,
+void EvaluationPlanner::OnEnd(int64_t env_steps, const std::shared_ptr<const PolicyWeights>& weights,
                               const std::function<bool()>& should_stop) {
   if (config_.final_episodes() > 0 && final_evaluation_steps_ != env_steps) {
     Begin(env_steps, config_.final_episodes(), /*final=*/true, weights);
@@ -59,7 +61,7 @@ void EvaluationPlanner::OnEnd(int64_t env_steps, const std::shared_ptr<const std
 }
 
 void EvaluationPlanner::Begin(int64_t env_steps, int episodes, bool final,
-                              const std::shared_ptr<const std::string>& weights) {
+                              const std::shared_ptr<const PolicyWeights>& weights) {
   const int64_t count = int64_t{2} * episodes;
   // After the last episode that an actor can play, they begin again.
   const int64_t first = next_episode_ > kLastEvaluationEpisode - count ? 1 : next_episode_;
@@ -104,20 +106,21 @@ bool EvaluationPlanner::LogOldest(absl::Duration timeout) {
   return true;
 }
 
-void EvaluationPlanner::FillCheckpoint(Checkpoint* checkpoint) const {
+absl::Status EvaluationPlanner::FillCheckpoint(Checkpoint* checkpoint) const {
   v1::CheckpointState& state = checkpoint->state;
   state.set_evaluations(begun_);
   state.set_next_eval_episode(next_episode_);
   state.set_final_evaluation_steps(final_evaluation_steps_);
-  for (Evaluation& evaluation : registry_->evaluations()->Pending()) {
+  for (const Evaluation& evaluation : registry_->evaluations()->Pending()) {
     v1::PendingEvaluation* pending = state.add_pending();
     pending->set_number(evaluation.number);
     pending->set_env_steps(evaluation.env_steps);
     pending->set_first_episode(evaluation.first_episode);
     pending->set_episodes(evaluation.episodes);
     pending->set_final(evaluation.final);
-    checkpoint->evaluation_weights.push_back(std::move(evaluation.weights));
+    CRAFTFLEET_ASSIGN_OR_RETURN(checkpoint->evaluation_weights.emplace_back(), evaluation.weights->Bytes());
   }
+  return absl::OkStatus();
 }
 
 }  // namespace craftfleet

@@ -36,24 +36,24 @@ class EvaluationPlanner {
                     RunFolder* folder);
 
   // To be called when training has advanced from `steps_before` to `env_steps` environment steps; `weights`
-  // (safetensors) are the new ones. Logs finished evaluations. `should_stop` ends the wait for actors, in which it is
+  // are the new ones. Logs finished evaluations. `should_stop` ends the wait for actors, in which it is
   // called several times a second; FillCheckpoint may be called from it.
-  void OnIteration(int64_t steps_before, int64_t env_steps, const std::shared_ptr<const std::string>& weights,
+  void OnIteration(int64_t steps_before, int64_t env_steps, const std::shared_ptr<const PolicyWeights>& weights,
                    const std::function<bool()>& should_stop);
 
   // To be called when training is over: evaluates `weights`, unless an earlier start did so at `env_steps`, then waits
   // until every result is logged or should_stop() is true.
-  void OnEnd(int64_t env_steps, const std::shared_ptr<const std::string>& weights,
+  void OnEnd(int64_t env_steps, const std::shared_ptr<const PolicyWeights>& weights,
              const std::function<bool()>& should_stop);
 
   // The number of evaluations that have begun and are not logged.
   size_t pending() const { return registry_->evaluations()->pending(); }
 
-  // Adds the state that a later start needs to continue.
-  void FillCheckpoint(Checkpoint* checkpoint) const;
+  // Adds the state that a later start needs to continue. Errors as PolicyWeights::Bytes.
+  absl::Status FillCheckpoint(Checkpoint* checkpoint) const;
 
  private:
-  void Begin(int64_t env_steps, int episodes, bool final, const std::shared_ptr<const std::string>& weights);
+  void Begin(int64_t env_steps, int episodes, bool final, const std::shared_ptr<const PolicyWeights>& weights);
   // Logs finished evaluations until fewer than `below` are pending; waits for that unless should_stop().
   void LogFinished(size_t below, const std::function<bool()>& should_stop);
   // Logs the oldest evaluation if it is finished within `timeout`.

@@ -62,7 +62,8 @@ Trainer::Trainer(const v1::RunConfig& config, const Checkpoint& checkpoint, cons
   const v1::CheckpointState& state = checkpoint.state;
   if (state.has_play()) {
     const v1::PlayWeights& play = state.play();
-    Publish(play.policy_version(), checkpoint.play_weights, {play.value_mean(), play.value_deviation()});
+    Publish(play.policy_version(), std::make_shared<const HostWeights>(checkpoint.play_weights),
+            {play.value_mean(), play.value_deviation()});
   }
   counters_.iteration = state.iteration();
   counters_.env_steps = state.env_steps();
@@ -239,16 +240,18 @@ double Trainer::StepsPerSecond() const {
   return seconds > 0 ? static_cast<double>(counters_.env_steps - counters_.start_steps) / seconds : 0;
 }
 
-void Trainer::Publish(int64_t version, std::shared_ptr<const std::string> bytes, const ValueScale& value_scale) {
-  parts_.weights->Publish(version, std::move(bytes), AcceptedOutputs(config_.ppo(), value_scale), value_scale);
+void Trainer::Publish(int64_t version, std::shared_ptr<const PolicyWeights> weights, const ValueScale& value_scale) {
+  parts_.weights->Publish(version, std::move(weights), AcceptedOutputs(config_.ppo(), value_scale), value_scale);
 }
 
 void Trainer::PublishWeights(int64_t version) {
-  Publish(version, parts_.updater->ShareWeights(), parts_.updater->rollout_options().value_scale);
+  std::shared_ptr<const PolicyWeights> weights = parts_.updater->ShareWeights();
+  if (parts_.sends_weights) weights->Bytes().IgnoreError();  // who asks for them gets the error
+  Publish(version, std::move(weights), parts_.updater->rollout_options().value_scale);
   counters_.policy_version = version;
 }
 
-Checkpoint Trainer::MakeCheckpoint() const {
+absl::StatusOr<Checkpoint> Trainer::MakeCheckpoint() const {
   Checkpoint checkpoint;
   v1::CheckpointState& state = checkpoint.state;
   state.set_iteration(counters_.iteration);
@@ -257,16 +260,16 @@ Checkpoint Trainer::MakeCheckpoint() const {
   state.set_optimizer_steps(parts_.updater->optimizer_steps());
   state.set_train_seconds(train_seconds_ + absl::ToDoubleSeconds(parts_.clock->Now() - start_));
   for (const LaneRecord& lane : lanes_) *state.add_lanes() = ToProto(lane);
-  parts_.evaluations->FillCheckpoint(&checkpoint);
-  checkpoint.weights = parts_.updater->ShareWeights();
+  CRAFTFLEET_RETURN_IF_ERROR(parts_.evaluations->FillCheckpoint(&checkpoint));
+  CRAFTFLEET_ASSIGN_OR_RETURN(checkpoint.weights, parts_.updater->ShareWeights()->Bytes());
   const WeightStore::Weights play = parts_.weights->Oldest();
   if (config_.overlap() > 0 && play.version < counters_.policy_version) {
     state.mutable_play()->set_policy_version(play.version);
     state.mutable_play()->set_value_mean(play.value_scale.mean);
     state.mutable_play()->set_value_deviation(play.value_scale.deviation);
-    checkpoint.play_weights = play.bytes;
+    CRAFTFLEET_ASSIGN_OR_RETURN(checkpoint.play_weights, play.weights->Bytes());
   }
-  checkpoint.optimizer = parts_.updater->SaveOptimizer();
+  CRAFTFLEET_ASSIGN_OR_RETURN(checkpoint.optimizer, parts_.updater->SaveOptimizer());
   return checkpoint;
 }
 

@@ -62,6 +62,8 @@ class Trainer {
     ProgressPrinter* progress;
     CheckpointRequests* checkpoints;
     Clock* clock;
+    // Whether actors elsewhere ask for weights: their bytes are then made before a GPU begins the next update.
+    bool sends_weights = false;
   };
   enum class Phase {
     kTraining,
@@ -119,11 +121,11 @@ class Trainer {
   // If `trained`, evaluates the final weights. Tells actors whether the run is complete.
   void End(bool trained);
   // Publishes weights for play and evaluation; `value_scale`: of the values that they predict.
-  void Publish(int64_t version, std::shared_ptr<const std::string> bytes, const ValueScale& value_scale);
+  void Publish(int64_t version, std::shared_ptr<const PolicyWeights> weights, const ValueScale& value_scale);
   // Publishes the updater's weights as version `version`.
   void PublishWeights(int64_t version);
   // The run's state after its last finished iteration.
-  Checkpoint MakeCheckpoint() const;
+  absl::StatusOr<Checkpoint> MakeCheckpoint() const;
   double StepsPerSecond() const;
 
   const v1::RunConfig config_;

@@ -1,4 +1,4 @@
-// Holds the newest weights as bytes, for the gRPC service.
+// Holds the newest weights, for the gRPC service and for actors in this process.
 
 #ifndef CRAFTFLEET_LEARNER_TRAINING_WEIGHT_STORE_H_
 #define CRAFTFLEET_LEARNER_TRAINING_WEIGHT_STORE_H_
@@ -8,9 +8,9 @@
 #include <deque>
 #include <functional>
 #include <memory>
-#include <string>
 #include <utility>
 
+#include "common/agent/policy_weights.h"
 #include "common/base/mutex.h"
 #include "learner/ppo/value_norm.h"
 
@@ -20,21 +20,21 @@ namespace craftfleet {
 class WeightStore {
  public:
   struct Weights {
-    int64_t version = -1;                      // -1: none published yet
-    std::shared_ptr<const std::string> bytes;  // safetensors
-    ValueRange values;                         // of fragments played with them
-    ValueScale value_scale;                    // of the values that they predict
+    int64_t version = -1;                          // -1: none published yet
+    std::shared_ptr<const PolicyWeights> weights;  // null: none
+    ValueRange values;                             // of fragments played with them
+    ValueScale value_scale;                        // of the values that they predict
   };
 
   // `kept`: 1 or more.
   explicit WeightStore(size_t kept = 1) : kept_(kept) {}
 
   // `version` must grow from call to call.
-  void Publish(int64_t version, std::shared_ptr<const std::string> bytes, const ValueRange& values = {},
+  void Publish(int64_t version, std::shared_ptr<const PolicyWeights> weights, const ValueRange& values = {},
                const ValueScale& value_scale = {}) ABSL_LOCKS_EXCLUDED(mu_) {
     const MutexLock lock(&mu_);
     if (newest_.size() == kept_) newest_.pop_front();
-    newest_.push_back({version, std::move(bytes), values, value_scale});
+    newest_.push_back({version, std::move(weights), values, value_scale});
     if (observer_ != nullptr) observer_();
   }
 

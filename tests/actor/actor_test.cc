@@ -293,7 +293,7 @@ TEST_P(ActorTest, ContinuesAfterTheLearnerRestarts) {
 
 TEST_P(ActorTest, ALearnerThatRestartsDoesNotWaitForAnEvaluationOfItsFormerStart) {
   constexpr int kMany = 10'000;
-  const auto weights = std::make_shared<const std::string>(SampleWeights(0, GetParam()));
+  const auto weights = std::make_shared<const HostWeights>(SampleWeights(0, GetParam()));
   const auto evaluation = [&](int episodes) { return Evaluation{1, 0, 1, episodes, /*final=*/true, weights}; };
   const auto episodes_played = [this] {
     v1::StatusReply status;

@@ -54,7 +54,7 @@ TEST(EvaluationWorker, ATaskThatCannotBePlayedIsReported) {
 TEST(EvaluationWorker, TakesLocalWeightsInsteadOfCallingTheLearner) {
   const LearnerClient learner(wire::Connect(kNobody));
   int64_t asked = 0;
-  auto weights = std::make_shared<const std::string>(SampleWeights(1));
+  auto weights = std::make_shared<const HostWeights>(SampleWeights(1));
   const auto find = [&](int64_t id) {
     asked = id;
     return weights;
@@ -68,7 +68,7 @@ TEST(EvaluationWorker, TakesLocalWeightsInsteadOfCallingTheLearner) {
 // A run with only that server would not end otherwise.
 TEST(EvaluationWorker, UsesASlowServerIfThereIsNoOther) {
   const LearnerClient learner(wire::Connect(kNobody));
-  const auto find = [weights = std::make_shared<const std::string>(SampleWeights(1))](int64_t) { return weights; };
+  const auto find = [weights = std::make_shared<const HostWeights>(SampleWeights(1))](int64_t) { return weights; };
   EXPECT_THAT(LogOfATask(learner, LocalWeights{nullptr, find}, {{kNobody, nullptr}}),
               HasSubstr("evaluation task 43 returned: environment server 127.0.0.1:1: cannot connect"));
 }
@@ -116,7 +116,7 @@ class EvaluationWorkerTest : public testing::Test {
     options.actor = "a";
     options.spec = *FindAgent("ppo_cnn");
     options.hello = SampleHello(kLength);
-    const auto find = [weights = std::make_shared<const std::string>(SampleWeights(1))](int64_t) { return weights; };
+    const auto find = [weights = std::make_shared<const HostWeights>(SampleWeights(1))](int64_t) { return weights; };
     options.weights = LocalWeights{nullptr, find};
     const wire::Endpoint server = env_.Connect();
     options.env_servers = std::make_shared<EnvDirectory>(std::vector<wire::Endpoint>{server});

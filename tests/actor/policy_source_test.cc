@@ -97,7 +97,7 @@ TEST_F(PolicySourceTest, TakesLocalWeightsInsteadOfCallingTheLearner) {
   service_.SetWeights(Chunks(3, SampleWeights(1)));
   EXPECT_THAT(source.Get(1, 3), StatusIs(absl::StatusCode::kAborted, testing::HasSubstr("no weights yet")));
   EXPECT_EQ(asked, 3);
-  local = {2, std::make_shared<const std::string>(SampleWeights(2))};
+  local = {2, std::make_shared<const HostWeights>(SampleWeights(2))};
   EXPECT_THAT(source.Get(1, 3),
               StatusIs(absl::StatusCode::kAborted, testing::HasSubstr("version 2, the permit is for 3")));
   service_.SetWeights({});

@@ -88,7 +88,7 @@ class StandInLearner {
     return fragments;
   }
   void Publish(int64_t version) {
-    weights_.Publish(version, std::make_shared<std::string>(SampleWeights(version, agent_)));
+    weights_.Publish(version, std::make_shared<HostWeights>(SampleWeights(version, agent_)));
   }
   // The outstanding permits of each actor. Empties the fragment queue, so that actors can continue.
   std::vector<int> OutstandingPermits() {

@@ -3,12 +3,17 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
+#include <memory>
+#include <string>
 #include <thread>
 
+#include <ATen/ATen.h>
 #include <gmock/gmock.h>
 #include <google/protobuf/text_format.h>
 #include <gtest/gtest.h>
 
+#include "common/agent/aligned_weights.h"
+#include "common/agent/device_snapshot.h"
 #include "common/agent/initial_weights.h"
 #include "common/agent/weights.h"
 #include "common/base/keyed_random.h"
@@ -191,6 +196,37 @@ TEST(Policy, ActsOnADeviceAsOnTheCpu) {
       const auto state = absl::MakeSpan(alone).subspan(2 * spec.state_size, spec.state_size);
       EXPECT_EQ(there->Act(frame, {2}, {0.3}, state)->values[0], actual.values[2]);
     }
+  }
+}
+
+TEST(Policy, LooksIntoASnapshotOnItsDevice) {
+  for (const std::string text :
+       {R"(agent: "lstm_cnn" network { frame_size: 40 })", R"(agent: "oc_sa" network { frame_size: 20 })",
+        R"(agent: "ppo_cnn" network { frame_size: 40 } precision: BF16)"}) {
+    const AgentSpec spec = SpecOf(text);
+    const std::vector<float> values = InitialWeights(spec, 1);
+    const std::string bytes = SaveWeights(spec, values);
+    const std::string frames = GoldenFrames(12345, 2, spec.frame_size);
+    const std::vector<double> noise(2, 0.3);
+    SCOPED_TRACE(text);
+    const at::Tensor flat = at::from_blob(Align(spec, values).data(), {AlignedSpec(spec).param_count}).clone();
+    const auto snapshot = std::make_shared<const DeviceSnapshot>(spec, flat.to(at::Device(kStandInDevice)));
+    EXPECT_EQ(**snapshot->Bytes(), bytes);
+    const int64_t sent = TrafficSoFar().sent;
+    const auto looking = *Policy::Create(spec, snapshot, 4, kStandInDevice);
+    EXPECT_EQ(TrafficSoFar().sent - sent, spec.state_size > 0 ? 4 : 0) << "a recurrent agent's order of rows";
+    const auto copying = *Policy::Create(spec, bytes, 4, kStandInDevice);
+    std::vector<float> states(2 * spec.state_size);
+    std::vector<float> expected_states(2 * spec.state_size);
+    const ActResult expected = *copying->Act(frames, {0, 1}, noise, absl::MakeSpan(expected_states));
+    EXPECT_EQ(looking->Act(frames, {0, 1}, noise, absl::MakeSpan(states))->values, expected.values);
+    EXPECT_EQ(states, expected_states);
+    EXPECT_THAT(Policy::Create(spec, snapshot, 0, kStandInDevice),
+                StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("tile is 0")));
+    if (spec.precision == v1::RunConfig::BF16) continue;  // not every CPU has it
+    std::fill(states.begin(), states.end(), 0.0F);
+    const auto here = *Policy::Create(spec, snapshot, 4);
+    EXPECT_NEAR(here->Act(frames, {0, 1}, noise, absl::MakeSpan(states))->values[0], expected.values[0], 1e-4);
   }
 }
 

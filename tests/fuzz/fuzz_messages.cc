@@ -32,8 +32,8 @@ struct Service : LearnerParts {
   explicit Service(Clock* clock) : LearnerParts(clock) {
     registry.Join("a", "");
     registry.OpenIteration(2, kVersion);
-    weights.Publish(kVersion, std::make_shared<std::string>("weights"));
-    registry.AddEvaluation({1, 4096, 1, 2, false, std::make_shared<std::string>("old weights")});
+    weights.Publish(kVersion, std::make_shared<HostWeights>("weights"));
+    registry.AddEvaluation({1, 4096, 1, 2, false, std::make_shared<HostWeights>("old weights")});
   }
 
   LearnerServiceImpl service{SampleServiceOptions(kEpoch, absl::Seconds(5)), &registry, &weights, &fragments};
@@ -212,8 +212,8 @@ constexpr char kWeights[] = "weights";
 struct Learner : LearnerParts {
   explicit Learner(Clock* clock) : LearnerParts(clock) {
     registry.Join("a", "");
-    weights.Publish(kVersion, std::make_shared<std::string>(kWeights));
-    registry.AddEvaluation({1, 4096, 1, 2, false, std::make_shared<std::string>("old weights")});
+    weights.Publish(kVersion, std::make_shared<HostWeights>(kWeights));
+    registry.AddEvaluation({1, 4096, 1, 2, false, std::make_shared<HostWeights>("old weights")});
   }
 
   CheckpointRequests checkpoints;

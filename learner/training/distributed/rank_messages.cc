@@ -60,8 +60,12 @@ absl::StatusOr<RankOffer> ParseRankOffer(absl::string_view text) {
 
 absl::Status ShareState(PpoUpdater* updater, RankGroup* group) {
   const bool is_first = group->rank() == 0;
-  std::string weights = is_first ? updater->SaveWeights() : "";
-  std::string optimizer = is_first ? updater->SaveOptimizer() : "";
+  std::string weights;
+  std::string optimizer;
+  if (is_first) {
+    CRAFTFLEET_ASSIGN_OR_RETURN(weights, updater->SaveWeights());
+    CRAFTFLEET_ASSIGN_OR_RETURN(optimizer, updater->SaveOptimizer());
+  }
   CRAFTFLEET_RETURN_IF_ERROR(group->Broadcast(&weights));
   CRAFTFLEET_RETURN_IF_ERROR(group->Broadcast(&optimizer));
   return is_first ? absl::OkStatus() : updater->Load(weights, optimizer);

@@ -13,7 +13,7 @@ CheckpointWriter::CheckpointWriter(int every_iterations, Parts parts)
     : every_iterations_(every_iterations), parts_(std::move(parts)), time_(parts_.clock->Now()) {}
 
 absl::Status CheckpointWriter::Write() {
-  Checkpoint checkpoint = parts_.make();
+  CRAFTFLEET_ASSIGN_OR_RETURN(Checkpoint checkpoint, parts_.make());
   const int64_t iteration = checkpoint.state.iteration();
   CRAFTFLEET_RETURN_IF_ERROR(parts_.folder->WriteCheckpoint(std::move(checkpoint)));
   written_ = iteration;

@@ -7,6 +7,7 @@
 #include <functional>
 
 #include <absl/status/status.h>
+#include <absl/status/statusor.h>
 #include <absl/time/time.h>
 
 #include "common/base/clock.h"
@@ -27,13 +28,14 @@ class CheckpointWriter {
     CheckpointRequests* requests;
     DiskWait* disk;
     Clock* clock;
-    std::function<Checkpoint()> make;  // returns the run's state after its last finished iteration
+    // Returns the run's state after its last finished iteration, or why it can't be had.
+    std::function<absl::StatusOr<Checkpoint>()> make;
   };
 
   // `every_iterations`: the period of checkpoints, 1 or more.
   CheckpointWriter(int every_iterations, Parts parts);
 
-  // Writes a checkpoint now. Errors as RunFolder::WriteCheckpoint.
+  // Writes a checkpoint now. Errors as Parts::make and RunFolder::WriteCheckpoint.
   absl::Status Write();
   // The same, unless this start has already written one of `iteration`, and nothing has changed since (NoteChange).
   absl::Status WriteUnlessWritten(int64_t iteration);

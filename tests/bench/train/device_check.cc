@@ -155,7 +155,7 @@ class DeviceCheck {
     return updater->Update(iteration, rollout, should_stop);
   }
 
-  static std::string BytesOf(PpoUpdater* updater) { return updater->SaveWeights() + updater->SaveOptimizer(); }
+  static std::string BytesOf(PpoUpdater* updater) { return *updater->SaveWeights() + *updater->SaveOptimizer(); }
 
   absl::Status CompareUpdate() {
     CRAFTFLEET_ASSIGN_OR_RETURN(const auto expected, MakeUpdater("cpu", v1::RunConfig::FP32));
@@ -163,8 +163,8 @@ class DeviceCheck {
     // One minibatch: rounding in the first step changes the gradient of the second.
     CRAFTFLEET_ASSIGN_OR_RETURN(const UpdateStats expected_stats, Update(0, kFewRows, expected.get()));
     CRAFTFLEET_ASSIGN_OR_RETURN(const UpdateStats actual_stats, Update(0, kFewRows, actual.get()));
-    const std::string expected_state = expected->SaveOptimizer();
-    const std::string actual_state = actual->SaveOptimizer();
+    const std::string expected_state = *expected->SaveOptimizer();
+    const std::string actual_state = *actual->SaveOptimizer();
     for (const char* name : {"exp_avg.", "exp_avg_sq."}) {
       const at::Tensor moments = SavedTensors(expected_state, name);
       Print(absl::StrCat("update: error of ", name),

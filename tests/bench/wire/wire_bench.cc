@@ -141,7 +141,7 @@ class Intake {
       : registry_(RegistryOptions(lanes), std::vector<LaneRecord>(lanes), &clock_),
         service_(ServiceOptions(steps, lanes), &registry_, &weights_, &fragments_) {
     registry_.lanes()->rollouts().OpenIteration(int64_t{1} << 60, 0);
-    weights_.Publish(0, std::make_shared<const std::string>(kWeightBytes, 'w'));
+    weights_.Publish(0, std::make_shared<HostWeights>(std::string(kWeightBytes, 'w')));
     server_ = *wire::Server::Create({"127.0.0.1:0"}, {&service_});
     drain_ = std::thread([this] {
       while (fragments_.Pop(absl::InfiniteDuration()).has_value()) {

@@ -8,6 +8,7 @@
 #include <map>
 #include <memory>
 #include <ostream>
+#include <stdexcept>
 #include <string>
 #include <vector>
 
@@ -19,6 +20,7 @@
 #include <gtest/gtest.h>
 
 #include "common/agent/agent_spec.h"
+#include "common/agent/aligned_weights.h"
 #include "common/agent/initial_weights.h"
 #include "common/agent/nets/attention.h"
 #include "common/agent/torch_setup.h"
@@ -79,7 +81,7 @@ const std::string& StartWeights(const v1::RunConfig& config) {
 struct Trained {
   Trained(const v1::RunConfig& config, const std::string& device, int iterations)
       : updater(*PpoUpdater::Create(config, 1, device, PpoUpdater::Start::kZeros)) {
-    EXPECT_THAT(updater->Load(StartWeights(config), updater->SaveOptimizer()), IsOk());
+    EXPECT_THAT(updater->Load(StartWeights(config), *updater->SaveOptimizer()), IsOk());
     const std::vector<Fragment> fragments = RandomFragments(*updater);
     for (int i = 0; i < iterations; ++i) {
       const absl::StatusOr<UpdateStats> result = updater->Update(i, RolloutOf(*updater, fragments), NeverStop);
@@ -113,8 +115,8 @@ void ExpectClose(const Trained& actual, const Trained& expected, double moments,
     near(actual.stats.importance->max, expected.stats.importance->max, "greatest importance weight");
   }
   EXPECT_NEAR(actual.stats.clip_fraction, expected.stats.clip_fraction, 1.01 / kRows) << what << ": one row's rounding";
-  const std::string actual_moments = actual.updater->SaveOptimizer();
-  const std::string expected_moments = expected.updater->SaveOptimizer();
+  const std::string actual_moments = *actual.updater->SaveOptimizer();
+  const std::string expected_moments = *expected.updater->SaveOptimizer();
   for (const char* name : {"exp_avg.", "exp_avg_sq."}) {
     const at::Tensor moment = SavedTensors(expected_moments, name);
     EXPECT_LT(ShareOfWay(SavedTensors(actual_moments, name), moment, at::zeros_like(moment)), moments)
@@ -132,11 +134,11 @@ using Agents = testing::TestWithParam<const char*>;
 void ExpectLearnsAsOnTheCpu(const v1::RunConfig& config, int iterations = 2, double moments = 1e-3) {
   const Trained expected(config, "cpu", iterations);
   const at::Tensor start = SavedTensors(StartWeights(config));
-  const at::Tensor weights = SavedTensors(expected.updater->SaveWeights());
+  const at::Tensor weights = SavedTensors(*expected.updater->SaveWeights());
   for (const char* device : {kOnTheCpu, kStandInDevice}) {
     const Trained actual(config, device, iterations);
     ExpectClose(actual, expected, moments, device);
-    EXPECT_LT(ShareOfWay(SavedTensors(actual.updater->SaveWeights()), weights, start), 0.01) << device;
+    EXPECT_LT(ShareOfWay(SavedTensors(*actual.updater->SaveWeights()), weights, start), 0.01) << device;
   }
 }
 
@@ -197,38 +199,38 @@ TEST(DeviceUpdate, RepeatsBitForBitAndResumesSo) {
   const v1::RunConfig config = ConfigOf(R"(agent: "oc_sa" network { frame_size: 20 } ppo { value_norm_decay: 0.9 })");
   const Trained once(config, kOnTheCpu, 3);
   const Trained twice(config, kOnTheCpu, 3);
-  EXPECT_TRUE(once.updater->SaveWeights() + once.updater->SaveOptimizer() ==
-              twice.updater->SaveWeights() + twice.updater->SaveOptimizer());
+  EXPECT_TRUE(*once.updater->SaveWeights() + *once.updater->SaveOptimizer() ==
+              *twice.updater->SaveWeights() + *twice.updater->SaveOptimizer());
   const Trained first(config, kOnTheCpu, 2);
   const auto second = *PpoUpdater::Create(config, 1, kOnTheCpu, PpoUpdater::Start::kZeros);
-  ASSERT_THAT(second->Load(first.updater->SaveWeights(), first.updater->SaveOptimizer()), IsOk());
+  ASSERT_THAT(second->Load(*first.updater->SaveWeights(), *first.updater->SaveOptimizer()), IsOk());
   const std::vector<Fragment> fragments = RandomFragments(*second);
   ASSERT_THAT(second->Update(2, RolloutOf(*second, fragments), NeverStop), IsOk());
-  EXPECT_TRUE(second->SaveWeights() + second->SaveOptimizer() ==
-              once.updater->SaveWeights() + once.updater->SaveOptimizer());
+  EXPECT_TRUE(*second->SaveWeights() + *second->SaveOptimizer() ==
+              *once.updater->SaveWeights() + *once.updater->SaveOptimizer());
 }
 
 TEST(DeviceUpdate, AStoppedOrFailedUpdateChangesNothingAndTheNextOneGoesOn) {
   const v1::RunConfig config = ConfigOf(R"(network { frame_size: 40 } ppo { value_norm_decay: 0.9 })");
   const Trained trained(config, kOnTheCpu, 1);
   PpoUpdater& updater = *trained.updater;
-  const std::string before = updater.SaveWeights() + updater.SaveOptimizer();
+  const std::string before = *updater.SaveWeights() + *updater.SaveOptimizer();
   const std::vector<Fragment> fragments = RandomFragments(updater);
   const Rollout rollout = RolloutOf(updater, fragments);
   int asked = 0;
   EXPECT_THAT(updater.Update(1, rollout, [&] { return ++asked == 2; }),
               StatusIs(absl::StatusCode::kCancelled, HasSubstr("stopped")));
   EXPECT_EQ(asked, 2);
-  EXPECT_TRUE(updater.SaveWeights() + updater.SaveOptimizer() == before);
+  EXPECT_TRUE(*updater.SaveWeights() + *updater.SaveOptimizer() == before);
   Rollout spoilt = rollout;
   spoilt.returns[20] = std::numeric_limits<float>::infinity();
   EXPECT_THAT(updater.Update(1, spoilt, NeverStop),
               StatusIs(absl::StatusCode::kDataLoss, HasSubstr("optimiser step ")));
-  EXPECT_TRUE(updater.SaveWeights() + updater.SaveOptimizer() == before);
+  EXPECT_TRUE(*updater.SaveWeights() + *updater.SaveOptimizer() == before);
   ASSERT_THAT(updater.Update(1, rollout, NeverStop), IsOk());
   const Trained both(config, kOnTheCpu, 2);
-  EXPECT_TRUE(updater.SaveWeights() + updater.SaveOptimizer() ==
-              both.updater->SaveWeights() + both.updater->SaveOptimizer());
+  EXPECT_TRUE(*updater.SaveWeights() + *updater.SaveOptimizer() ==
+              *both.updater->SaveWeights() + *both.updater->SaveOptimizer());
 }
 
 // Adam's moments are then in the memory where the device left them.
@@ -247,8 +249,8 @@ TEST(DeviceUpdate, GoesOnAfterAStopThatNoCheckpointPreceded) {
       }
       ASSERT_THAT(updater.Update(iteration, rollout, NeverStop), IsOk());
     }
-    EXPECT_TRUE(updater.SaveWeights() + updater.SaveOptimizer() ==
-                thrice.updater->SaveWeights() + thrice.updater->SaveOptimizer());
+    EXPECT_TRUE(*updater.SaveWeights() + *updater.SaveOptimizer() ==
+                *thrice.updater->SaveWeights() + *thrice.updater->SaveOptimizer());
   }
 }
 
@@ -256,25 +258,25 @@ TEST(DeviceUpdate, LoadsOverAnUpdateThatNoCheckpointFollowed) {
   const v1::RunConfig config = ConfigOf("network { frame_size: 40 }");
   const Trained other(config, "cpu", 1);
   const Trained trained(config, kOnTheCpu, 1);
-  const std::string optimizer = other.updater->SaveOptimizer();
-  ASSERT_THAT(trained.updater->Load(other.updater->SaveWeights(), optimizer), IsOk());
-  EXPECT_TRUE(trained.updater->SaveOptimizer() == optimizer);
+  const std::string optimizer = *other.updater->SaveOptimizer();
+  ASSERT_THAT(trained.updater->Load(*other.updater->SaveWeights(), optimizer), IsOk());
+  EXPECT_TRUE(*trained.updater->SaveOptimizer() == optimizer);
 }
 
 TEST(DeviceUpdate, RecognisesThatTrainingDiverges) {
   const auto updater = *PpoUpdater::Create(ConfigOf("ppo { learning_rate: 1  minibatch_size: 32 }"), 1, kOnTheCpu);
-  const std::string before = updater->SaveWeights();
+  const std::string before = *updater->SaveWeights();
   const std::vector<Fragment> fragments = RandomFragments(*updater);
   EXPECT_THAT(updater->Update(0, RolloutOf(*updater, fragments), NeverStop),
               StatusIs(absl::StatusCode::kDataLoss, HasSubstr("training diverges")));
-  EXPECT_TRUE(updater->SaveWeights() == before);
+  EXPECT_TRUE(*updater->SaveWeights() == before);
 }
 
 TEST(DeviceUpdate, WithoutMemoryItSaysWhatToLowerAndLosesNothing) {
   const v1::RunConfig config = ConfigOf(R"(network { frame_size: 40 })");
   const Trained trained(config, kStandInDevice, 1);
   PpoUpdater& updater = *trained.updater;
-  const std::string before = updater.SaveWeights() + updater.SaveOptimizer();
+  const std::string before = *updater.SaveWeights() + *updater.SaveOptimizer();
   const std::vector<Fragment> fragments = RandomFragments(updater);
   const Rollout rollout = RolloutOf(updater, fragments);
   for (const int count : {1, 50, 200}) {  // where the rollout is sent, in the first minibatch, in a later one
@@ -283,23 +285,29 @@ TEST(DeviceUpdate, WithoutMemoryItSaysWhatToLowerAndLosesNothing) {
                 StatusIs(absl::StatusCode::kResourceExhausted,
                          AllOf(HasSubstr("lower ppo.minibatch_size"), HasSubstr("Tried to allocate 2.00 GiB"))))
         << count;
-    EXPECT_TRUE(updater.SaveWeights() + updater.SaveOptimizer() == before) << count;
+    EXPECT_TRUE(*updater.SaveWeights() + *updater.SaveOptimizer() == before) << count;
   }
   ASSERT_THAT(updater.Update(1, rollout, NeverStop), IsOk());
   const Trained both(config, kStandInDevice, 2);
-  EXPECT_TRUE(updater.SaveWeights() + updater.SaveOptimizer() ==
-              both.updater->SaveWeights() + both.updater->SaveOptimizer());
+  EXPECT_TRUE(*updater.SaveWeights() + *updater.SaveOptimizer() ==
+              *both.updater->SaveWeights() + *both.updater->SaveOptimizer());
+}
+
+// What `call` moves.
+template <typename Call>
+DeviceTraffic TrafficOf(const Call& call) {
+  const DeviceTraffic before = TrafficSoFar();
+  call();
+  const DeviceTraffic after = TrafficSoFar();
+  return {after.sent - before.sent, after.fetched - before.fetched, after.read - before.read,
+          after.computed - before.computed};
 }
 
 // What an update of two iterations with `epochs` epochs each moves.
 DeviceTraffic TrafficOf(const std::string& text, int epochs) {
   v1::RunConfig config = ConfigOf(text);
   config.mutable_ppo()->set_epochs(epochs);
-  const DeviceTraffic before = TrafficSoFar();
-  const Trained trained(config, kStandInDevice, 2);
-  const DeviceTraffic after = TrafficSoFar();
-  return {after.sent - before.sent, after.fetched - before.fetched, after.read - before.read,
-          after.computed - before.computed};
+  return TrafficOf([&] { const Trained trained(config, kStandInDevice, 2); });
 }
 
 // The host only starts computations during an iteration, whatever the number of minibatches.
@@ -310,6 +318,46 @@ TEST_P(Agents, CopyAndWaitNeverPerMinibatch) {
   EXPECT_EQ(three.fetched, one.fetched);
   EXPECT_EQ(one.read, 0);
   EXPECT_EQ(three.read, 0);
+}
+
+TEST(DeviceUpdate, WeightsAndOptimiserStayThereUntilSomebodyWantsThem) {
+  const v1::RunConfig config = ConfigOf("network { frame_size: 40 } ppo { value_norm_decay: 0.9 }");
+  const Trained trained(config, kStandInDevice, 1);
+  PpoUpdater& updater = *trained.updater;
+  const std::vector<Fragment> fragments = RandomFragments(updater);
+  const Rollout rollout = RolloutOf(updater, fragments);
+  EXPECT_EQ(TrafficOf([&] { ASSERT_THAT(updater.Update(1, rollout, NeverStop), IsOk()); }).fetched, 1) << "statistics";
+
+  const std::shared_ptr<const PolicyWeights> weights = updater.ShareWeights();
+  EXPECT_EQ(updater.ShareWeights(), weights);
+  const auto bytes = [&] { EXPECT_EQ(**weights->Bytes(), *updater.SaveWeights()); };
+  EXPECT_EQ(TrafficOf(bytes).fetched, 1);
+  EXPECT_EQ(TrafficOf(bytes).fetched, 0);
+  EXPECT_EQ(TrafficOf([&] { EXPECT_THAT(updater.SaveOptimizer(), IsOk()); }).fetched, 2) << "a moment each";
+
+  const std::string before = **weights->Bytes();
+  ASSERT_THAT(updater.Update(2, rollout, NeverStop), IsOk());
+  EXPECT_EQ(**weights->Bytes(), before);
+  EXPECT_NE(*updater.SaveWeights(), before);
+}
+
+TEST(DeviceUpdate, ADeviceThatFailsForGoodEndsEveryLaterCall) {
+  const v1::RunConfig config = ConfigOf("network { frame_size: 40 }");
+  const Trained trained(config, kStandInDevice, 1);
+  PpoUpdater& updater = *trained.updater;
+  const std::string before = *updater.SaveWeights();
+  const std::vector<Fragment> fragments = RandomFragments(updater);
+  const Rollout rollout = RolloutOf(updater, fragments);
+  ObserveComputations([](auto&&...) { throw std::runtime_error("CUDA error: an illegal memory access"); });
+  EXPECT_THAT(updater.Update(1, rollout, NeverStop),
+              StatusIs(absl::StatusCode::kUnavailable, HasSubstr("start again with --resume")));
+  ObserveComputations(nullptr);
+  const auto is_lost = StatusIs(absl::StatusCode::kUnavailable, HasSubstr("undoing an update: the GPU"));
+  EXPECT_THAT(updater.Update(1, rollout, NeverStop), is_lost);
+  EXPECT_THAT(updater.SaveOptimizer(), is_lost);
+  EXPECT_EQ(*updater.SaveWeights(), before) << "which were fetched before";
+  ASSERT_THAT(updater.Load(before, FreshOptimizer(config)), IsOk());
+  EXPECT_THAT(updater.Update(1, rollout, NeverStop), is_lost);
 }
 
 // A GPU plans the convolutions of each number of rows anew, and sorts to add gradients row by row.

@@ -45,14 +45,14 @@ std::unique_ptr<PpoUpdater> MakeUpdater(const v1::RunConfig& config, const std::
   std::vector<float> weights = GoldenUniforms("weights", spec.param_count, -0.06, 0.06);
   const std::vector<float> change = GoldenUniforms(name, spec.param_count, -distance, distance);
   for (size_t i = 0; i < weights.size(); ++i) weights[i] += change[i];
-  EXPECT_THAT(updater->Load(SaveWeights(spec, weights), updater->SaveOptimizer()), IsOk());
+  EXPECT_THAT(updater->Load(SaveWeights(spec, weights), *updater->SaveOptimizer()), IsOk());
   return updater;
 }
 
 // The log-probability of each action of the fragments under the weights of `judge`.
 std::vector<double> LogProbsUnder(const PpoUpdater& judge, const std::vector<Fragment>& fragments) {
   const AgentSpec& spec = judge.spec();
-  const auto policy = *Policy::Create(spec, judge.SaveWeights(), 1);
+  const auto policy = *Policy::Create(spec, *judge.SaveWeights(), 1);
   std::vector<double> log_probs;
   for (const Fragment& fragment : fragments) {
     std::vector<float> state(fragment.states.begin(), fragment.states.begin() + spec.state_size);
@@ -108,7 +108,7 @@ TEST_P(LagUpdate, TheSecondEpochIsCorrected) {
   const auto player = MakeUpdater(usual_config, "a", 0.01);
   const Updated corrected(ConfigOf(GetParam(), kCorrected), *player, "b", 0.01);
   const Updated usual(usual_config, *player, "b", 0.01);
-  EXPECT_FALSE(corrected.updater->SaveWeights() == usual.updater->SaveWeights());
+  EXPECT_FALSE(*corrected.updater->SaveWeights() == *usual.updater->SaveWeights());
 }
 
 // With a single minibatch the first epoch has the weights that the update starts from. What it takes for the
@@ -162,19 +162,19 @@ TEST(DecoupledUpdate, DropoutIsNotCorrected) {
   const Updated lagging(ConfigOf(text, kCorrected), *player, "b", 0.01);
   EXPECT_FALSE(lagging.stats.importance.has_value());
   const Updated usual(ConfigOf(text, kTwoEpochs), *player, "b", 0.01);
-  EXPECT_TRUE(lagging.updater->SaveWeights() == usual.updater->SaveWeights());
+  EXPECT_TRUE(*lagging.updater->SaveWeights() == *usual.updater->SaveWeights());
 }
 
 TEST(DecoupledUpdate, StoppedInTheFirstEpochChangesNothing) {
   const v1::RunConfig config = ConfigOf(kCnn, kCorrected);
   const auto player = MakeUpdater(config, "a", 0.01);
   const Updated updated(config, *player, "b", 0.01);
-  const std::string before = updated.updater->SaveWeights() + updated.updater->SaveOptimizer();
+  const std::string before = *updated.updater->SaveWeights() + *updated.updater->SaveOptimizer();
   int asked = 0;
   EXPECT_THAT(updated.updater->Update(1, updated.rollout, [&] { return ++asked > 0; }),
               StatusIs(absl::StatusCode::kCancelled, testing::HasSubstr("stopped")));
   EXPECT_EQ(asked, 1);
-  EXPECT_TRUE(updated.updater->SaveWeights() + updated.updater->SaveOptimizer() == before);
+  EXPECT_TRUE(*updated.updater->SaveWeights() + *updated.updater->SaveOptimizer() == before);
 }
 
 }  // namespace lag_update_test

@@ -57,7 +57,7 @@ std::string TrainedState(const v1::RunConfig& config, int threads, int iteration
   for (int i = 0; i < iterations; ++i) {
     EXPECT_TRUE(updater->Update(i, owned.rollout, NeverStop).ok());
   }
-  return updater->SaveWeights() + updater->SaveOptimizer();
+  return *updater->SaveWeights() + *updater->SaveOptimizer();
 }
 
 TEST(PpoUpdater, ThreeStepsOnOneMinibatchMatchTheGolden) {
@@ -112,16 +112,16 @@ TEST(PpoUpdater, ThreadsDoNotChangeABitOfAWideLayer) {
   const OwnedRollout owned = RandomRollout(11, 66, kFrameSize);
   v1::RunConfig config = SmallConfig(66, "ppo_spcnn");
   config.mutable_network()->set_frame_size(kFrameSize);
-  const std::string start = (*PpoUpdater::Create(config, 2))->SaveWeights();
+  const std::string start = *(*PpoUpdater::Create(config, 2))->SaveWeights();
   for (const v1::RunConfig::Precision precision : {v1::RunConfig::FP32, v1::RunConfig::BF16}) {
     SCOPED_TRACE(v1::RunConfig::Precision_Name(precision));
     config.set_precision(precision);
     if (!PpoUpdater::Create(config, 1, "cpu", PpoUpdater::Start::kZeros).ok()) continue;  // a CPU without BF16
     const auto digest = [&](int threads) {
       const auto updater = *PpoUpdater::Create(config, threads, "cpu", PpoUpdater::Start::kZeros);
-      EXPECT_TRUE(updater->Load(start, updater->SaveOptimizer()).ok());
+      EXPECT_TRUE(updater->Load(start, *updater->SaveOptimizer()).ok());
       EXPECT_TRUE(updater->Update(0, owned.rollout, NeverStop).ok());
-      return Crc32c(updater->SaveWeights() + updater->SaveOptimizer());
+      return Crc32c(*updater->SaveWeights() + *updater->SaveOptimizer());
     };
     const uint32_t one = digest(1);
     EXPECT_EQ(digest(1), one);
@@ -145,10 +145,10 @@ TEST(PpoUpdater, UpdatesALargeWeightOfPatches) {
   if (!WideLinearFits(at::empty(embedding->shape), at::kFloat)) GTEST_SKIP() << "this CPU has no kernels for it";
   std::vector<float> weights(spec.param_count);
   for (size_t i = 0; i < weights.size(); ++i) weights[i] = static_cast<float>(i % 13) * 1e-4F;
-  ASSERT_TRUE(updater->Load(SaveWeights(spec, weights), updater->SaveOptimizer()).ok());
+  ASSERT_TRUE(updater->Load(SaveWeights(spec, weights), *updater->SaveOptimizer()).ok());
   const absl::StatusOr<UpdateStats> stats = updater->Update(0, owned.rollout, NeverStop);
   ASSERT_TRUE(stats.ok()) << stats.status();
-  const std::vector<float> updated = *LoadWeights(spec, updater->SaveWeights());
+  const std::vector<float> updated = *LoadWeights(spec, *updater->SaveWeights());
   EXPECT_NE(updated[embedding->offset], weights[embedding->offset]);
 }
 
@@ -158,22 +158,22 @@ TEST(PpoUpdater, StoppedUpdateChangesNothing) {
   config.mutable_ppo()->set_value_norm_decay(0.9);
   const auto updater = *PpoUpdater::Create(config, 2);
   ASSERT_TRUE(updater->Update(0, owned.rollout, NeverStop).ok());
-  const std::string before = updater->SaveWeights() + updater->SaveOptimizer();
+  const std::string before = *updater->SaveWeights() + *updater->SaveOptimizer();
   int asked = 0;
   const auto stopped = updater->Update(1, owned.rollout, [&] { return ++asked == 2; });
   EXPECT_EQ(stopped.status().code(), absl::StatusCode::kCancelled);
   EXPECT_EQ(asked, 2);
-  EXPECT_TRUE(updater->SaveWeights() + updater->SaveOptimizer() == before);
+  EXPECT_TRUE(*updater->SaveWeights() + *updater->SaveOptimizer() == before);
 }
 
 TEST(PpoUpdater, GradientThatIsNotFiniteIsDataLossAndChangesNothing) {
   OwnedRollout owned = RandomRollout(11, 64);
   owned.rollout.returns[5] = std::numeric_limits<float>::infinity();
   const auto updater = *PpoUpdater::Create(SmallConfig(32), 1);
-  const std::string before = updater->SaveWeights() + updater->SaveOptimizer();
+  const std::string before = *updater->SaveWeights() + *updater->SaveOptimizer();
   const auto stats = updater->Update(0, owned.rollout, NeverStop);
   EXPECT_EQ(stats.status().code(), absl::StatusCode::kDataLoss) << stats.status();
-  EXPECT_TRUE(updater->SaveWeights() + updater->SaveOptimizer() == before);
+  EXPECT_TRUE(*updater->SaveWeights() + *updater->SaveOptimizer() == before);
 }
 
 // The weights are finite, but actors could not play with them.
@@ -182,11 +182,11 @@ TEST(PpoUpdater, TrainingThatDivergesIsDataLossAndChangesNothing) {
   v1::RunConfig config = SmallConfig(64);
   config.mutable_ppo()->set_learning_rate(1);
   const auto updater = *PpoUpdater::Create(config, 1);
-  const std::string before = updater->SaveWeights() + updater->SaveOptimizer();
+  const std::string before = *updater->SaveWeights() + *updater->SaveOptimizer();
   const auto stats = updater->Update(0, owned.rollout, NeverStop);
   EXPECT_EQ(stats.status().code(), absl::StatusCode::kDataLoss) << stats.status();
   EXPECT_THAT(std::string(stats.status().message()), HasSubstr("training diverges"));
-  EXPECT_TRUE(updater->SaveWeights() + updater->SaveOptimizer() == before);
+  EXPECT_TRUE(*updater->SaveWeights() + *updater->SaveOptimizer() == before);
 }
 
 TEST(PpoUpdater, StartsFromOldWeightsWithAFreshOptimiser) {
@@ -196,11 +196,11 @@ TEST(PpoUpdater, StartsFromOldWeightsWithAFreshOptimiser) {
   config.set_seed(config.seed() + 1);
   const auto updater = *PpoUpdater::Create(config, 2);
   ASSERT_TRUE(updater->Update(0, RandomRollout(12, 64).rollout, NeverStop).ok());
-  ASSERT_TRUE(updater->StartFrom(old->SaveWeights(), old->SaveOptimizer()).ok());
-  EXPECT_TRUE(updater->SaveWeights() == old->SaveWeights());
-  EXPECT_TRUE(updater->SaveOptimizer() == FreshOptimizer(config));
+  ASSERT_TRUE(updater->StartFrom(*old->SaveWeights(), *old->SaveOptimizer()).ok());
+  EXPECT_TRUE(*updater->SaveWeights() == *old->SaveWeights());
+  EXPECT_TRUE(*updater->SaveOptimizer() == FreshOptimizer(config));
   EXPECT_EQ(updater->optimizer_steps(), 0);
-  EXPECT_EQ(updater->StartFrom(old->SaveOptimizer(), "").code(), absl::StatusCode::kInvalidArgument);
+  EXPECT_EQ(updater->StartFrom(*old->SaveOptimizer(), "").code(), absl::StatusCode::kInvalidArgument);
 }
 
 TEST(PpoUpdater, TakesTheValueNormaliserOfOldWeightsIfTheyHaveOne) {
@@ -209,27 +209,27 @@ TEST(PpoUpdater, TakesTheValueNormaliserOfOldWeightsIfTheyHaveOne) {
   const auto old = *PpoUpdater::Create(config, 2);
   ASSERT_TRUE(old->Update(0, RandomRollout(11, 64).rollout, NeverStop).ok());
   const auto updater = *PpoUpdater::Create(config, 2);
-  ASSERT_TRUE(updater->StartFrom(old->SaveWeights(), old->SaveOptimizer()).ok());
+  ASSERT_TRUE(updater->StartFrom(*old->SaveWeights(), *old->SaveOptimizer()).ok());
   EXPECT_EQ(updater->rollout_options().value_scale.mean, old->rollout_options().value_scale.mean);
-  ASSERT_TRUE(updater->StartFrom(old->SaveWeights(), FreshOptimizer(SmallConfig(32))).ok());
+  ASSERT_TRUE(updater->StartFrom(*old->SaveWeights(), FreshOptimizer(SmallConfig(32))).ok());
   EXPECT_EQ(updater->rollout_options().value_scale.mean, 0);
 }
 
 TEST(PpoUpdater, LoadRefusesWhatIsNotTheAgentsAndKeepsItsState) {
   const auto updater = *PpoUpdater::Create(SmallConfig(32), 1);
-  const std::string weights = updater->SaveWeights();
-  const std::string optimizer = updater->SaveOptimizer();
+  const std::string weights = *updater->SaveWeights();
+  const std::string optimizer = *updater->SaveOptimizer();
   EXPECT_EQ(updater->Load(optimizer, optimizer).code(), absl::StatusCode::kInvalidArgument);
   EXPECT_EQ(updater->Load(weights, weights).code(), absl::StatusCode::kInvalidArgument);
   EXPECT_THAT(std::string(updater->Load(weights, weights).message()),
               HasSubstr("exp_avg.features_extractor.cnn.0.weight"));
-  EXPECT_TRUE(updater->SaveWeights() == weights);
+  EXPECT_TRUE(*updater->SaveWeights() == weights);
 }
 
 TEST(PpoUpdater, LoadRefusesNumbersThatNoUpdateLeaves) {
   const auto updater = *PpoUpdater::Create(SmallConfig(32), 1);
-  const std::string weights = updater->SaveWeights();
-  const std::string optimizer = updater->SaveOptimizer();
+  const std::string weights = *updater->SaveWeights();
+  const std::string optimizer = *updater->SaveOptimizer();
   // Both files end with the last number of their last tensor; that of the optimiser is a second moment.
   const auto with_last = [](std::string file, float number) {
     std::memcpy(&file[file.size() - sizeof(number)], &number, sizeof(number));
@@ -242,7 +242,7 @@ TEST(PpoUpdater, LoadRefusesNumbersThatNoUpdateLeaves) {
   for (const float moment : {kNan, -1.0F}) {
     EXPECT_THAT(std::string(updater->Load(weights, with_last(optimizer, moment)).message()), HasSubstr("moments"));
   }
-  EXPECT_TRUE(updater->SaveWeights() + updater->SaveOptimizer() == weights + optimizer);
+  EXPECT_TRUE(*updater->SaveWeights() + *updater->SaveOptimizer() == weights + optimizer);
 }
 
 TEST(PpoUpdater, AResumedRunGoesOnAsIfNeverStopped) {
@@ -254,16 +254,16 @@ TEST(PpoUpdater, AResumedRunGoesOnAsIfNeverStopped) {
   EXPECT_EQ(first->rollout_options().value_scale.deviation, 0.1) << "no targets yet";
   for (int i = 0; i < 2; ++i) ASSERT_TRUE(first->Update(i, owned.rollout, NeverStop).ok());
   const auto second = *PpoUpdater::Create(config, 2, "cpu", PpoUpdater::Start::kZeros);
-  ASSERT_TRUE(second->Load(first->SaveWeights(), first->SaveOptimizer()).ok());
+  ASSERT_TRUE(second->Load(*first->SaveWeights(), *first->SaveOptimizer()).ok());
   EXPECT_EQ(second->optimizer_steps(), 4);
   const ValueScale scale = second->rollout_options().value_scale;
   EXPECT_EQ(scale.mean, first->rollout_options().value_scale.mean);
   EXPECT_EQ(scale.deviation, first->rollout_options().value_scale.deviation);
   EXPECT_NEAR(scale.mean, 0.5, 0.2) << "of returns that are the sum of uniforms in 0..1 and -0.5..0.5";
   ASSERT_TRUE(second->Update(2, owned.rollout, NeverStop).ok());
-  EXPECT_TRUE(second->SaveWeights() + second->SaveOptimizer() == TrainedState(config, 2, 3));
+  EXPECT_TRUE(*second->SaveWeights() + *second->SaveOptimizer() == TrainedState(config, 2, 3));
 
-  const absl::Status status = second->Load(first->SaveWeights(), FreshOptimizer(SmallConfig(32)));
+  const absl::Status status = second->Load(*first->SaveWeights(), FreshOptimizer(SmallConfig(32)));
   EXPECT_THAT(std::string(status.message()), HasSubstr("value_norm.mean"));
 }
 

@@ -57,7 +57,7 @@ std::string Train(PpoUpdater* updater) {
     if (!stats.ok()) return "";
     losses.assign(reinterpret_cast<const char*>(&stats->policy_loss), sizeof(double) * 7);
   }
-  return updater->SaveWeights() + updater->SaveOptimizer() + losses;
+  return *updater->SaveWeights() + *updater->SaveOptimizer() + losses;
 }
 
 class RankUpdateTest : public testing::TestWithParam<Kind> {};
@@ -90,12 +90,12 @@ TEST(RankUpdate, AllStopWhenRank0IsAsked) {
   InGroup(2, [&](RankGroup* group) {
     const auto updater = PpoUpdater::Create(config, 1).value();
     updater->ShareOut(group);
-    const std::string before = updater->SaveWeights();
+    const std::string before = *updater->SaveWeights();
     const std::vector<Fragment> fragments = FragmentsOf(*updater);
     int asked = 0;
     const auto stop = [&] { return group->rank() == 0 ? ++asked == 2 : true; };
     EXPECT_EQ(updater->Update(0, RolloutOf(*updater, fragments), stop).status().code(), absl::StatusCode::kCancelled);
-    EXPECT_TRUE(updater->SaveWeights() == before);
+    EXPECT_TRUE(*updater->SaveWeights() == before);
     EXPECT_TRUE(group->ended().ok());
   });
 }
@@ -106,12 +106,12 @@ TEST(RankUpdate, LostRankUndoesTheUpdate) {
     if (group->rank() == 1) return;
     const auto updater = PpoUpdater::Create(config, 1).value();
     updater->ShareOut(group);
-    const std::string before = updater->SaveWeights() + updater->SaveOptimizer();
+    const std::string before = *updater->SaveWeights() + *updater->SaveOptimizer();
     const std::vector<Fragment> fragments = FragmentsOf(*updater);
     const absl::Status lost = absl::UnavailableError("rank 1 is lost");
     group->Leave(lost);
     EXPECT_EQ(updater->Update(0, RolloutOf(*updater, fragments), NeverStop).status(), lost);
-    EXPECT_TRUE(updater->SaveWeights() + updater->SaveOptimizer() == before);
+    EXPECT_TRUE(*updater->SaveWeights() + *updater->SaveOptimizer() == before);
   });
 }
 
@@ -125,7 +125,7 @@ TEST(RankUpdate, WithoutMemoryOnOneRankTheUpdateIsUndoneOnAll) {
         const std::vector<Fragment> fragments = FragmentsOf(*updater);
         const Rollout rollout = RolloutOf(*updater, fragments);
         EXPECT_THAT(updater->Update(0, rollout, NeverStop), IsOk());
-        const std::string before = updater->SaveWeights() + updater->SaveOptimizer();
+        const std::string before = *updater->SaveWeights() + *updater->SaveOptimizer();
         {
           std::optional<NoTensorMemory> no_memory;
           if (group->rank() == failing) no_memory.emplace(allocations);
@@ -133,7 +133,7 @@ TEST(RankUpdate, WithoutMemoryOnOneRankTheUpdateIsUndoneOnAll) {
               << allocations;
           EXPECT_THAT(group->Share(false), IsOk());  // waits for the other
         }
-        EXPECT_TRUE(updater->SaveWeights() + updater->SaveOptimizer() == before) << allocations;
+        EXPECT_TRUE(*updater->SaveWeights() + *updater->SaveOptimizer() == before) << allocations;
         EXPECT_THAT(updater->Update(1, rollout, NeverStop), IsOk()) << allocations;
       });
     }
@@ -147,12 +147,12 @@ TEST(RankUpdate, RankWithOtherWeightsIsNamedAndTheUpdateUndone) {
     own.set_seed(7 + group->rank());
     const auto updater = PpoUpdater::Create(own, 1).value();
     updater->ShareOut(group);
-    const std::string before = updater->SaveWeights();
+    const std::string before = *updater->SaveWeights();
     const std::vector<Fragment> fragments = FragmentsOf(*updater);
     const auto stats = updater->Update(0, RolloutOf(*updater, fragments), NeverStop);
     EXPECT_EQ(stats.status().code(), absl::StatusCode::kDataLoss) << stats.status();
     EXPECT_THAT(std::string(stats.status().message()), testing::HasSubstr("rank 1 has other weights"));
-    EXPECT_TRUE(updater->SaveWeights() == before);
+    EXPECT_TRUE(*updater->SaveWeights() == before);
   });
 }
 

@@ -37,7 +37,7 @@ class RecurrentUpdateTest : public testing::TestWithParam<v1::NetworkConfig::Cri
     auto updater = *PpoUpdater::Create(config, threads, "cpu", PpoUpdater::Start::kZeros);
     const AgentSpec& spec = updater->spec();
     std::vector<float> weights = GoldenUniforms("weights", spec.param_count, -0.06, 0.06);
-    EXPECT_TRUE(updater->Load(SaveWeights(spec, weights), updater->SaveOptimizer()).ok());
+    EXPECT_TRUE(updater->Load(SaveWeights(spec, weights), *updater->SaveOptimizer()).ok());
     return updater;
   }
 };
@@ -153,7 +153,7 @@ TEST_P(RecurrentGolden, PublishedMinibatchesMatch) {
   config.mutable_ppo()->set_recurrent_batches(v1::PpoConfig::PUBLISHED);
   const auto updater = *PpoUpdater::Create(config, 2, "cpu", PpoUpdater::Start::kZeros);
   const AgentSpec& spec = updater->spec();
-  ASSERT_TRUE(updater->Load(SaveWeights(spec, GoldenWeights(spec, golden)), updater->SaveOptimizer()).ok());
+  ASSERT_TRUE(updater->Load(SaveWeights(spec, GoldenWeights(spec, golden)), *updater->SaveOptimizer()).ok());
 
   // Each minibatch alone, so that its numbers are not averaged with the other's.
   const int n = sample["n_steps"];

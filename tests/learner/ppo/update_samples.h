@@ -45,7 +45,7 @@ inline v1::RunConfig SmallConfig(int minibatch_size, const std::string& agent = 
 inline std::vector<Fragment> PlayFragments(const PpoUpdater& updater, int lanes, int fragments, int steps) {
   const AgentSpec& spec = updater.spec();
   const bool every_state = updater.rollout_options().every_state;
-  const auto policy = *Policy::Create(spec, updater.SaveWeights(), 1);
+  const auto policy = *Policy::Create(spec, *updater.SaveWeights(), 1);
   std::vector<Fragment> played;
   for (int lane = 0; lane < lanes; ++lane) {
     const std::string frames = GoldenFrames(100 + lane, fragments * steps, spec.frame_size);
@@ -80,12 +80,12 @@ inline Rollout RolloutOf(const PpoUpdater& updater, const std::vector<Fragment>&
 
 // An optimiser that has not stepped yet, for Load.
 inline std::string FreshOptimizer(const v1::RunConfig& config) {
-  return (*PpoUpdater::Create(config, 1, "cpu", PpoUpdater::Start::kZeros))->SaveOptimizer();
+  return *(*PpoUpdater::Create(config, 1, "cpu", PpoUpdater::Start::kZeros))->SaveOptimizer();
 }
 
 // The L2 norm of each parameter's gradient in the optimiser's first step, whose norm in all was `norm`, clipped at 0.5.
 inline std::map<std::string, double> FirstGradientNorms(PpoUpdater& updater, double norm) {
-  const std::string bytes = updater.SaveOptimizer();
+  const std::string bytes = *updater.SaveOptimizer();
   const SafeTensors state = *ReadSafetensors(bytes);
   // Adam's first mean is (1 - beta1) * the clipped gradient.
   const double scale = 0.1 * 0.5 / norm;

@@ -16,7 +16,7 @@ namespace {
 constexpr absl::Duration kLease = absl::Seconds(5);
 
 Evaluation SampleEvaluation(int64_t number, int64_t first_episode, int episodes) {
-  return {number, number * 1000, first_episode, episodes, false, std::make_shared<std::string>("weights")};
+  return {number, number * 1000, first_episode, episodes, false, std::make_shared<HostWeights>("weights")};
 }
 
 std::vector<Episode> Episodes(int count, int64_t length) {
@@ -57,7 +57,7 @@ TEST_F(EvaluationTableTest, AnEvaluationIsAnArgmaxTaskAndASampledTask) {
   EXPECT_EQ(sampled->episodes, 5);
   EXPECT_NE(argmax->id, sampled->id);
   EXPECT_FALSE(scheduler_.Take("c", kLease).has_value());
-  EXPECT_EQ(*scheduler_.Weights(argmax->id), "weights");
+  EXPECT_EQ(**scheduler_.Weights(argmax->id)->Bytes(), "weights");
 }
 
 TEST_F(EvaluationTableTest, ResultsAreReturnedInOrderAndStayUntilPop) {

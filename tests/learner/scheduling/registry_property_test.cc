@@ -31,7 +31,7 @@ class History {
  public:
   explicit History(int seed) : random_(seed), lanes_(1 + Below(6)), registry_(Options(), Records(), &clock_) {
     Open();
-    registry_.AddEvaluation({1, 1000, 1, 1, false, std::make_shared<std::string>("weights")});
+    registry_.AddEvaluation({1, 1000, 1, 1, false, std::make_shared<HostWeights>("weights")});
   }
 
   void Run() {
@@ -203,7 +203,7 @@ class History {
     if (!status.ok()) return;
     if (!registry_.FrontEvaluation(absl::ZeroDuration()).has_value()) return;
     registry_.PopEvaluation();
-    registry_.AddEvaluation({++evaluations_, 1000, 1, 1, false, std::make_shared<std::string>("weights")});
+    registry_.AddEvaluation({++evaluations_, 1000, 1, 1, false, std::make_shared<HostWeights>("weights")});
   }
 
   void Rewind() {

@@ -22,7 +22,7 @@ using testing::IsEmpty;
 using testing::SizeIs;
 
 Evaluation SampleEvaluation(int64_t number) {
-  return {number, number * 1000, 1, 1, false, std::make_shared<std::string>("weights")};
+  return {number, number * 1000, 1, 1, false, std::make_shared<HostWeights>("weights")};
 }
 
 WorkerRegistry::PermitRequest Question(const std::string& actor, int64_t evaluation = 0) {

@@ -151,7 +151,7 @@ TEST_F(AdminServiceTest, ResumeEndsThePauseAndReportsWhetherThereWasOne) {
 
 TEST_F(AdminServiceTest, DrainingAnActorWaitsForItsFragmentsAndItsEvaluation) {
   const std::vector<Permit> permits = Play("a");
-  registry_.AddEvaluation({1, 1000, 1, 1, false, std::make_shared<std::string>("weights")});
+  registry_.AddEvaluation({1, 1000, 1, 1, false, std::make_shared<HostWeights>("weights")});
   TestRegistry::PermitRequest request = TestRegistry::RequestOf("a", permits, /*capacity=*/2);
   request.evaluates = true;
   const auto task = registry_.GetPermits(request)->evaluation;

@@ -183,7 +183,7 @@ TEST_F(LearnerServiceTest, AnInvalidFragmentIsRefusedAndTheStreamGoesOn) {
 }
 
 TEST_F(LearnerServiceTest, ValuesBeyondWhatTheCriticOfTheirWeightsCanSayAreRefused) {
-  weights_.Publish(kPublishedVersion, std::make_shared<const std::string>("weights"), {-50, 100});
+  weights_.Publish(kPublishedVersion, std::make_shared<HostWeights>("weights"), {-50, 100});
   Enter("a");
   for (const float value : {101.0F, -51.0F}) {
     for (const auto& set : std::vector<std::function<void(v1::FragmentMessage*)>>{
@@ -300,7 +300,7 @@ TEST_F(LearnerServiceTest, StatusListsTheActors) {
 
 TEST_F(LearnerServiceTest, AnActorThatEvaluatesGetsATaskAndReturnsItsResult) {
   ASSERT_THAT(Join("a"), IsOk());
-  registry_.AddEvaluation({1, 4096, 11, 2, false, std::make_shared<std::string>("old weights")});
+  registry_.AddEvaluation({1, 4096, 11, 2, false, std::make_shared<HostWeights>("old weights")});
   ASSERT_FALSE(GetPermits("a")->has_evaluation()) << "it does not play evaluations";
   const auto ask = [&](int64_t at_hand) {
     v1::PermitRequest request;

@@ -22,7 +22,7 @@ using testing::HasSubstr;
 TEST_F(LearnerServiceTest, WeightsAreSentInChunks) {
   std::string bytes((256 << 10) + 5, '\0');
   for (size_t i = 0; i < bytes.size(); ++i) bytes[i] = static_cast<char>(i * 31 + (i >> 16));
-  weights_.Publish(kPublishedVersion, std::make_shared<std::string>(bytes));
+  weights_.Publish(kPublishedVersion, std::make_shared<HostWeights>(bytes));
   grpc::ClientContext context;
   v1::WeightsRequest request;
   request.set_at_least(kPublishedVersion - 1);
@@ -42,7 +42,7 @@ TEST_F(LearnerServiceTest, WeightsAreSentInChunks) {
 }
 
 TEST_F(LearnerServiceTest, AMissingVersionOfTheWeightsIsAnError) {
-  weights_.Publish(kPublishedVersion, std::make_shared<std::string>("w"));
+  weights_.Publish(kPublishedVersion, std::make_shared<HostWeights>("w"));
   grpc::ClientContext context;
   v1::WeightsRequest request;
   request.set_at_least(kPublishedVersion + 1);
@@ -307,7 +307,7 @@ TEST_F(LearnerStreamsTest, StreamsAreLimited) {
 }
 
 TEST_F(LearnerStreamsTest, WeightsThatNobodyReadsAreDropped) {
-  weights_.Publish(kPublishedVersion, std::make_shared<std::string>(64 << 20, 'w'));
+  weights_.Publish(kPublishedVersion, std::make_shared<HostWeights>(std::string(64 << 20, 'w')));
   const auto stream = stub_->GetWeights(&context_, v1::WeightsRequest());
   absl::SleepFor(3 * kLimit);
   v1::WeightsChunk chunk;

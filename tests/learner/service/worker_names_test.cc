@@ -23,7 +23,7 @@ class WorkerNamesTest : public LearnerServiceTest {
  protected:
   WorkerNamesTest() {
     for (const char* name : {"learner", "one", "two"}) ca_.Issue(name, {name});
-    registry_.AddEvaluation({1, 4096, 1, 2, false, std::make_shared<std::string>("weights")});
+    registry_.AddEvaluation({1, 4096, 1, 2, false, std::make_shared<HostWeights>("weights")});
     Serve(&service_);
   }
 

@@ -35,8 +35,8 @@ constexpr int kEpisodes = 2;           // of each kind, during training
 constexpr int kFinalEpisodes = 3;      // of each kind, after it
 constexpr int64_t kRunSteps = 10'000;  // of the run
 
-std::shared_ptr<const std::string> Weights(const std::string& bytes) {
-  return std::make_shared<const std::string>(bytes);
+std::shared_ptr<const PolicyWeights> Weights(const std::string& bytes) {
+  return std::make_shared<const HostWeights>(bytes);
 }
 
 bool NeverStop() { return false; }
@@ -93,7 +93,7 @@ struct Start {
   Checkpoint Save(int64_t env_steps = 0) const {
     Checkpoint checkpoint;
     checkpoint.state.set_env_steps(env_steps);
-    planner.FillCheckpoint(&checkpoint);
+    EXPECT_THAT(planner.FillCheckpoint(&checkpoint), IsOk());
     return checkpoint;
   }
   std::vector<Evaluation> Pending() { return registry.evaluations()->Pending(); }
@@ -140,9 +140,9 @@ TEST_F(EvaluationPlannerTest, EvaluatesWheneverTrainingPassesAMultipleOfEverySte
   ASSERT_THAT(start->Pending(), SizeIs(2)) << "only one, even if several multiples are passed at once";
   const std::vector<Evaluation> pending = start->Pending();
   EXPECT_EQ(pending[0].env_steps, 1000);
-  EXPECT_EQ(*pending[0].weights, "first");
+  EXPECT_EQ(**pending[0].weights->Bytes(), "first");
   EXPECT_EQ(pending[1].env_steps, 4200);
-  EXPECT_EQ(*pending[1].weights, "second");
+  EXPECT_EQ(**pending[1].weights->Bytes(), "second");
   EXPECT_EQ(pending[0].number, 1);
   EXPECT_EQ(pending[1].number, 2);
   EXPECT_FALSE(pending[0].final || pending[1].final);
@@ -209,7 +209,7 @@ TEST_F(EvaluationPlannerTest, TheFinalEvaluationUsesTheFinalWeights) {
   EXPECT_TRUE(start->Pending()[0].final);
   EXPECT_EQ(start->Pending()[0].env_steps, kRunSteps);
   EXPECT_EQ(start->Pending()[0].episodes, kFinalEpisodes);
-  EXPECT_EQ(*start->Pending()[0].weights, "last");
+  EXPECT_EQ(**start->Pending()[0].weights->Bytes(), "last");
 }
 
 TEST_F(EvaluationPlannerTest, WithoutFinalEpisodesTheEndDoesNotWait) {
@@ -346,7 +346,7 @@ TEST_F(EvaluationPlannerTest, AStopEndsTheWaitAndTheNextStartContinues) {
     EXPECT_EQ(after[i].first_episode, before[i].first_episode);
     EXPECT_EQ(after[i].episodes, before[i].episodes);
     EXPECT_EQ(after[i].final, before[i].final);
-    EXPECT_EQ(*after[i].weights, *before[i].weights);
+    EXPECT_EQ(**after[i].weights->Bytes(), **before[i].weights->Bytes());
   }
   resumed->End(kEvery, "last");
   EXPECT_THAT(Lengths("eval_argmax.jsonl"), ElementsAre(1, 1));

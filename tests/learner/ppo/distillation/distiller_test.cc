@@ -86,11 +86,11 @@ absl::StatusOr<UpdateStats> Update(int iteration, PpoUpdater* updater) {
   return updater->Update(iteration, Sample(iteration, updater->spec().state_size).rollout, NeverStop);
 }
 
-std::string StateOf(PpoUpdater& updater) { return updater.SaveWeights() + updater.SaveOptimizer(); }
+std::string StateOf(PpoUpdater& updater) { return *updater.SaveWeights() + *updater.SaveOptimizer(); }
 
 // The weights of the goal predictor.
 std::string PredictorOf(const PpoUpdater& updater) {
-  const std::string bytes = updater.SaveWeights();
+  const std::string bytes = *updater.SaveWeights();
   const SafeTensors file = *ReadSafetensors(bytes);
   std::string predictor;
   for (const SafeTensor& tensor : file.tensors) {
@@ -132,7 +132,7 @@ struct Pair {
       EXPECT_THAT(one->Update(i, same.rollout, NeverStop), IsOk());
       EXPECT_THAT(two->Update(i, other.rollout, NeverStop), IsOk());
       equal[i] = StateOf(*one) == StateOf(*two);
-      equal_weights[i] = one->SaveWeights() == two->SaveWeights();
+      equal_weights[i] = *one->SaveWeights() == *two->SaveWeights();
     }
   }
   const std::unique_ptr<PpoUpdater> one = *PpoUpdater::Create(Config(), 1);
@@ -171,7 +171,7 @@ TEST(Distiller, LearnsOnADeviceAsOnTheCpu) {
     config.mutable_network()->set_memory(memory);
     config.mutable_ppo()->set_learning_rate(1e-5);
     const auto expected = *PpoUpdater::Create(config, 1);
-    const at::Tensor start = SavedTensors(expected->SaveWeights());
+    const at::Tensor start = SavedTensors(*expected->SaveWeights());
     UpdateStats wanted;
     for (int i = 0; i < 2; ++i) wanted = *Update(i, expected.get());
     for (const char* device : kDevices) {
@@ -189,11 +189,11 @@ TEST(Distiller, LearnsOnADeviceAsOnTheCpu) {
         EXPECT_NEAR(stats->distillation->divergence, wanted.distillation->divergence, 1e-4);
         EXPECT_NEAR(stats->distillation->value_loss, wanted.distillation->value_loss, 1e-3);
       }
-      const at::Tensor weights = SavedTensors(expected->SaveWeights());
-      EXPECT_LT(ShareOfWay(SavedTensors(actual->SaveWeights()), weights, start), 0.02);
+      const at::Tensor weights = SavedTensors(*expected->SaveWeights());
+      EXPECT_LT(ShareOfWay(SavedTensors(*actual->SaveWeights()), weights, start), 0.02);
       for (const char* adam : {"exp_avg", "matching.exp_avg", "prediction.exp_avg"}) {
-        const at::Tensor moments = SavedTensors(expected->SaveOptimizer(), adam);
-        EXPECT_LT(ShareOfWay(SavedTensors(actual->SaveOptimizer(), adam), moments, at::zeros_like(moments)), 0.02)
+        const at::Tensor moments = SavedTensors(*expected->SaveOptimizer(), adam);
+        EXPECT_LT(ShareOfWay(SavedTensors(*actual->SaveOptimizer(), adam), moments, at::zeros_like(moments)), 0.02)
             << adam;
       }
       EXPECT_NEAR(actual->rollout_options().value_scale.mean, expected->rollout_options().value_scale.mean, 1e-5);
@@ -212,7 +212,7 @@ TEST_P(DistillerOn, ARunResumedAfterAnyIterationEqualsTheUninterruptedOne) {
     ASSERT_TRUE(Update(i, resumed.get()).ok());
     EXPECT_TRUE(StateOf(*resumed) == StateOf(*whole)) << i;
     auto next = *PpoUpdater::Create(Config(), 2, GetParam(), PpoUpdater::Start::kZeros);
-    ASSERT_TRUE(next->Load(resumed->SaveWeights(), resumed->SaveOptimizer()).ok());
+    ASSERT_TRUE(next->Load(*resumed->SaveWeights(), *resumed->SaveOptimizer()).ok());
     resumed = std::move(next);
   }
 }
@@ -265,7 +265,7 @@ TEST(Distiller, LoadRefusesAnOptimiserWithoutIt) {
   v1::RunConfig plain = Config();
   plain.mutable_distillation()->set_every_iterations(0);
   const std::string before = StateOf(*updater);
-  const absl::Status status = updater->Load(updater->SaveWeights(), FreshOptimizer(plain));
+  const absl::Status status = updater->Load(*updater->SaveWeights(), FreshOptimizer(plain));
   EXPECT_EQ(status.code(), absl::StatusCode::kInvalidArgument);
   EXPECT_NE(status.message().find("matching.exp_avg."), absl::string_view::npos) << status;
   EXPECT_TRUE(StateOf(*updater) == before);

@@ -1,0 +1,27 @@
+// The order of an agent's weights in a device's memory.
+
+#ifndef CRAFTFLEET_COMMON_AGENT_ALIGNED_WEIGHTS_H_
+#define CRAFTFLEET_COMMON_AGENT_ALIGNED_WEIGHTS_H_
+
+#include <cstdint>
+#include <vector>
+
+#include "common/agent/agent_spec.h"
+
+namespace craftfleet {
+
+// `size` floats and the zeros behind them, to the next multiple of 16 bytes, as the quick kernels of a GPU want it.
+int64_t AlignedSize(int64_t size);
+
+// `spec` with each parameter at such a multiple: its offsets, and the count of all with the zeros between.
+AgentSpec AlignedSpec(AgentSpec spec);
+
+// `values` float[spec.param_count] in the order of AlignedSpec, with zeros between.
+std::vector<float> Align(const AgentSpec& spec, const std::vector<float>& values);
+
+// The reverse of Align.
+void Unalign(const AgentSpec& spec, const float* aligned, std::vector<float>* values);
+
+}  // namespace craftfleet
+
+#endif  // CRAFTFLEET_COMMON_AGENT_ALIGNED_WEIGHTS_H_

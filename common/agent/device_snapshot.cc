@@ -1,0 +1,35 @@
+#include "common/agent/device_snapshot.h"
+
+#include <exception>
+#include <utility>
+#include <vector>
+
+#include <ATen/ATen.h>
+
+#include "common/agent/aligned_weights.h"
+#include "common/agent/device.h"
+#include "common/agent/policy_net.h"
+#include "common/agent/weights.h"
+
+namespace craftfleet {
+
+DeviceSnapshot::DeviceSnapshot(AgentSpec spec, const at::Tensor& weights)
+    : spec_(std::move(spec)), flat_(weights.detach().clone()) {}
+
+absl::StatusOr<std::shared_ptr<const std::string>> DeviceSnapshot::Bytes() const {
+  const MutexLock lock(&mu_);
+  if (bytes_ != nullptr) return bytes_;
+  try {
+    const at::Tensor fetched = flat_.cpu();
+    std::vector<float> values(spec_.param_count);
+    Unalign(spec_, fetched.data_ptr<float>(), &values);
+    bytes_ = std::make_shared<const std::string>(SaveWeights(spec_, values));
+  } catch (const std::exception& error) {
+    return ActingDeviceError("weights", error.what());
+  }
+  return bytes_;
+}
+
+ParamTensors DeviceSnapshot::params() const { return ParamsOf(AlignedSpec(spec_), flat_); }
+
+}  // namespace craftfleet

@@ -1,0 +1,42 @@
+// A version of an agent's weights in a device's memory. Includes LibTorch's tensors.
+
+#ifndef CRAFTFLEET_COMMON_AGENT_DEVICE_SNAPSHOT_H_
+#define CRAFTFLEET_COMMON_AGENT_DEVICE_SNAPSHOT_H_
+
+#include <memory>
+#include <string>
+
+#include <ATen/core/Tensor.h>
+#include <absl/status/statusor.h>
+
+#include "common/agent/agent_spec.h"
+#include "common/agent/nets/param_tensors.h"
+#include "common/agent/policy_weights.h"
+#include "common/base/mutex.h"
+
+namespace craftfleet {
+
+// Policies on the same device look into it. Bytes are made when somebody first wants them, once for all. Thread-safe.
+class DeviceSnapshot final : public PolicyWeights {
+ public:
+  // A copy of `weights`, float[n] on a device in the order of AlignedSpec. Throws c10::Error.
+  DeviceSnapshot(AgentSpec spec, const at::Tensor& weights);
+
+  // The first call waits for the device.
+  absl::StatusOr<std::shared_ptr<const std::string>> Bytes() const override ABSL_LOCKS_EXCLUDED(mu_);
+
+  // float[n], never to be written.
+  const at::Tensor& flat() const { return flat_; }
+  // Views of it.
+  ParamTensors params() const;
+
+ private:
+  const AgentSpec spec_;
+  const at::Tensor flat_;
+  mutable Mutex mu_;
+  mutable std::shared_ptr<const std::string> bytes_ ABSL_GUARDED_BY(mu_);  // null: nobody wanted them yet
+};
+
+}  // namespace craftfleet
+
+#endif  // CRAFTFLEET_COMMON_AGENT_DEVICE_SNAPSHOT_H_
