@@ -101,7 +101,9 @@ else
 fi
 agents=()
 profiled=ppo_cnn,lstm_cnn,oc_sa
+small_config=''
 if [ -n "$small" ]; then
+  small_config="network { frame_size: 40 } ppo { epochs: 1 }"
   profiled=ppo_cnn
   check+=(--small)
   agents=(--agents=ppo_cnn)
@@ -118,10 +120,14 @@ if [ "$part" = a ]; then
   step memory 20 "${check[@]}" --agents=ppo_cnn --checks=memory || true
   mkdir -p "$out/profiles"
   step profile 40 "${check[@]}" --agents="$profiled" --checks=profile --profile="$out/profiles" || true
-  loops=("$source/tests/bench/train/device_bench.py" --bin="$bin" --device="$device" --iterations=3 --run_limit=40
+  bench=("$source/tests/bench/train/device_bench.py" --bin="$bin" --device="$device")
+  for wanted in false true; do  # the weights are to be the same
+    step "acting_stream_$wanted" 20 python3 "${bench[@]}" --agents=ppo_cnn --iterations=6 --out="$out/acting_stream.jsonl" \
+      --config="overlap: 1 acting_stream: $wanted $small_config" || true
+  done
+  loops=("${bench[@]}" --iterations=3 --run_limit=40 --config="$small_config"
     --limit=$((end - SECONDS - 5)) --logs="$out/loops" --out="$out/loops.jsonl" "${agents[@]}")
   [ "$device" = cpu ] || loops+=("--precisions=TF32,BF16")
-  [ -z "$small" ] || loops+=("--config=network { frame_size: 40 } ppo { epochs: 1 }")
   step loops "$((end - SECONDS))" python3 "${loops[@]}" || true
   # Last, since it takes a part of the GPU.
   config oc_sa 1000000 100 "$precision" >"$work/oc_sa.txt"

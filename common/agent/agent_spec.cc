@@ -12,6 +12,7 @@ absl::StatusOr<AgentSpec> MakeAgentSpec(const v1::RunConfig& config) {
   CRAFTFLEET_ASSIGN_OR_RETURN(spec.network, ResolveNetwork(config));
   spec.frame_size = spec.network.frame_size();
   if (config.has_precision()) spec.precision = config.precision();
+  spec.acting_stream = config.acting_stream();
   ParamList params;
   const Network network(spec.network, &params);
   spec.params = params.specs();

@@ -21,7 +21,7 @@ AgentSpec AlignedSpec(AgentSpec spec) {
   return spec;
 }
 
-std::vector<float> Align(const AgentSpec& spec, const std::vector<float>& values) {
+std::vector<float> Align(const AgentSpec& spec, absl::Span<const float> values) {
   const AgentSpec aligned = AlignedSpec(spec);
   std::vector<float> result(static_cast<size_t>(aligned.param_count), 0.0F);
   for (size_t i = 0; i < spec.params.size(); ++i) {

@@ -6,6 +6,8 @@
 #include <cstdint>
 #include <vector>
 
+#include <absl/types/span.h>
+
 #include "common/agent/agent_spec.h"
 
 namespace craftfleet {
@@ -17,7 +19,7 @@ int64_t AlignedSize(int64_t size);
 AgentSpec AlignedSpec(AgentSpec spec);
 
 // `values` float[spec.param_count] in the order of AlignedSpec, with zeros between.
-std::vector<float> Align(const AgentSpec& spec, const std::vector<float>& values);
+std::vector<float> Align(const AgentSpec& spec, absl::Span<const float> values);
 
 // The reverse of Align.
 void Unalign(const AgentSpec& spec, const float* aligned, std::vector<float>* values);

@@ -6,6 +6,7 @@
 
 #include <ATen/ATen.h>
 
+#include "common/agent/acting_stream.h"
 #include "common/agent/aligned_weights.h"
 #include "common/agent/device.h"
 #include "common/agent/policy_net.h"
@@ -14,7 +15,11 @@
 namespace craftfleet {
 
 DeviceSnapshot::DeviceSnapshot(AgentSpec spec, const at::Tensor& weights)
-    : spec_(std::move(spec)), flat_(weights.detach().clone()) {}
+    : spec_(std::move(spec)), flat_(weights.detach().clone()) {
+  if (flat_.is_cpu()) return;
+  copied_.emplace(flat_.device().type());
+  copied_->record(CurrentStream(flat_.device()));
+}
 
 absl::StatusOr<std::shared_ptr<const std::string>> DeviceSnapshot::Bytes() const {
   const MutexLock lock(&mu_);
@@ -25,9 +30,13 @@ absl::StatusOr<std::shared_ptr<const std::string>> DeviceSnapshot::Bytes() const
     Unalign(spec_, fetched.data_ptr<float>(), &values);
     bytes_ = std::make_shared<const std::string>(SaveWeights(spec_, values));
   } catch (const std::exception& error) {
-    return ActingDeviceError("weights", error.what());
+    return DeviceError("weights", error.what());
   }
   return bytes_;
+}
+
+void DeviceSnapshot::Await(const c10::Stream& stream) const {
+  if (copied_.has_value()) copied_->block(stream);
 }
 
 ParamTensors DeviceSnapshot::params() const { return ParamsOf(AlignedSpec(spec_), flat_); }

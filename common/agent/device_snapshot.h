@@ -4,10 +4,13 @@
 #define CRAFTFLEET_COMMON_AGENT_DEVICE_SNAPSHOT_H_
 
 #include <memory>
+#include <optional>
 #include <string>
 
 #include <ATen/core/Tensor.h>
 #include <absl/status/statusor.h>
+#include <c10/core/Event.h>
+#include <c10/core/Stream.h>
 
 #include "common/agent/agent_spec.h"
 #include "common/agent/nets/param_tensors.h"
@@ -30,9 +33,13 @@ class DeviceSnapshot final : public PolicyWeights {
   // Views of it.
   ParamTensors params() const;
 
+  // Lets `stream` begin only when the weights are there, which another stream has copied. Throws c10::Error.
+  void Await(const c10::Stream& stream) const;
+
  private:
   const AgentSpec spec_;
   const at::Tensor flat_;
+  std::optional<c10::Event> copied_;  // unset on the CPU
   mutable Mutex mu_;
   mutable std::shared_ptr<const std::string> bytes_ ABSL_GUARDED_BY(mu_);  // null: nobody wanted them yet
 };

@@ -9,7 +9,12 @@
 #include <ATen/ATen.h>
 #include <absl/status/status.h>
 #include <absl/strings/str_cat.h>
+#include <c10/core/InferenceMode.h>
+#include <c10/core/Stream.h>
+#include <c10/core/StreamGuard.h>
 
+#include "common/agent/acting_stream.h"
+#include "common/agent/aligned_weights.h"
 #include "common/agent/categorical.h"
 #include "common/agent/code_change.h"
 #include "common/agent/device.h"
@@ -60,6 +65,25 @@ std::optional<PatchGrid> PatchesOf(const AgentSpec& spec) {
   return PatchGrid{spec.frame_size, spec.network.patch(), spec.network.stride()};
 }
 
+// `weights` on `device` in the order in which snapshots are there: a GPU chooses its kernels by where numbers lie, and
+// the same weights are to act alike wherever they come from. Throws c10::Error.
+ParamTensors SendWeights(const AgentSpec& spec, absl::Span<const float> weights, at::Device device) {
+  std::vector<float> aligned = Align(spec, weights);
+  const at::Tensor host = at::from_blob(aligned.data(), {static_cast<int64_t>(aligned.size())});
+  return ParamsOf(AlignedSpec(spec), host.to(device, at::kFloat, /*non_blocking=*/false, /*copy=*/true));
+}
+
+// While it lives, the calling thread computes on `stream`; null: as before.
+class OnStream {
+ public:
+  explicit OnStream(const c10::Stream* stream) {
+    if (stream != nullptr) guard_.reset_stream(*stream);
+  }
+
+ private:
+  c10::OptionalStreamGuard guard_;
+};
+
 absl::Status CheckTile(int tile) {
   if (tile >= 1 && tile <= Policy::kMaxTile) return absl::OkStatus();
   return absl::InvalidArgumentError(absl::StrCat("tile is ", tile, ", want 1..", Policy::kMaxTile));
@@ -78,8 +102,8 @@ bool AllFinite(absl::Span<const float> values) {
 
 }  // namespace
 
-Policy::Policy(const AgentSpec& spec, std::shared_ptr<const void> owner, std::unique_ptr<const PolicyNet> net, int tile,
-               const std::string& device)
+Policy::Policy(const AgentSpec& spec, std::shared_ptr<const void> owner, std::unique_ptr<const PolicyNet> net,
+               std::unique_ptr<const c10::Stream> stream, int tile, const std::string& device)
     : agent_(spec.name),
       frame_bytes_(spec.frame_bytes()),
       frame_size_(spec.frame_size),
@@ -89,6 +113,7 @@ Policy::Policy(const AgentSpec& spec, std::shared_ptr<const void> owner, std::un
       tile_(tile),
       device_(device),
       owner_(std::move(owner)),
+      stream_(std::move(stream)),
       net_(std::move(net)) {
   if (device_ == kCpuDevice || state_size_ == 0) return;
   Packing packing = Pack(std::vector<int>(tile, 1));
@@ -109,9 +134,9 @@ absl::StatusOr<std::unique_ptr<const Policy>> Policy::Create(const AgentSpec& sp
     return Create(spec, std::move(bytes), tile, device);
   }
   CRAFTFLEET_RETURN_IF_ERROR(CheckTile(tile));
-  return Make([&] {
-    auto net = std::make_unique<const PolicyNet>(spec, snapshot->params());
-    return new Policy(spec, std::move(snapshot), std::move(net), tile, device);
+  return Make(spec, tile, device, snapshot, [&] {
+    snapshot->Await(CurrentStream(at::Device(device)));
+    return std::make_unique<const PolicyNet>(spec, snapshot->params());
   });
 }
 
@@ -119,18 +144,27 @@ absl::StatusOr<std::unique_ptr<const Policy>> Policy::Create(const AgentSpec& sp
                                                              std::shared_ptr<const std::string> weights, int tile,
                                                              const std::string& device) {
   CRAFTFLEET_RETURN_IF_ERROR(CheckTile(tile));
-  CRAFTFLEET_ASSIGN_OR_RETURN(std::shared_ptr<const float> values, ShareWeights(spec, std::move(weights)));
+  CRAFTFLEET_ASSIGN_OR_RETURN(const std::shared_ptr<const float> values, ShareWeights(spec, std::move(weights)));
   CRAFTFLEET_RETURN_IF_ERROR(CheckPrecision(device, spec.precision));
-  return Make([&] {
+  return Make(spec, tile, device, device == kCpuDevice ? values : nullptr, [&] {
     const auto span = absl::MakeSpan(const_cast<float*>(values.get()), spec.param_count);
-    auto net = std::make_unique<const PolicyNet>(spec, PolicyNet::Use::kActing, span, at::Device(device));
-    return new Policy(spec, std::move(values), std::move(net), tile, device);
+    if (device == kCpuDevice) return std::make_unique<const PolicyNet>(spec, PolicyNet::Use::kActing, span);
+    return std::make_unique<const PolicyNet>(spec, SendWeights(spec, span, at::Device(device)));
   });
 }
 
-absl::StatusOr<std::unique_ptr<const Policy>> Policy::Make(absl::FunctionRef<const Policy*()> make) {
+absl::StatusOr<std::unique_ptr<const Policy>> Policy::Make(const AgentSpec& spec, int tile, const std::string& device,
+                                                           std::shared_ptr<const void> owner,
+                                                           absl::FunctionRef<std::unique_ptr<const PolicyNet>()> make) {
   try {
-    return std::unique_ptr<const Policy>(make());
+    std::unique_ptr<const c10::Stream> stream;
+    if (spec.acting_stream && !at::Device(device).is_cpu()) {
+      stream = std::make_unique<const c10::Stream>(ActingStream(at::Device(device)));
+    }
+    const OnStream on_stream(stream.get());
+    std::unique_ptr<const PolicyNet> net = make();
+    return std::unique_ptr<const Policy>(
+        new Policy(spec, std::move(owner), std::move(net), std::move(stream), tile, device));
   } catch (const std::exception& error) {  // of LibTorch, out of a GPU's memory
     return ActingDeviceError("policy", error.what());
   }
@@ -169,6 +203,7 @@ absl::StatusOr<AttentionMap> Policy::Attention(absl::string_view frame) const {
   }
   SetUpTorchThread();
   try {
+    const OnStream on_stream(stream_.get());
     const c10::InferenceMode inference;
     at::Tensor input = at::empty({1, frame_size_, frame_size_, 3});
     ScaleFrames({reinterpret_cast<const uint8_t*>(frame.data())}, frame_bytes_, input.data_ptr<float>());
@@ -201,6 +236,7 @@ absl::Status Policy::Remember(absl::string_view before, absl::string_view after,
   SetUpTorchThread();
   std::vector<float> changes(states.size());
   try {
+    const OnStream on_stream(stream_.get());
     const c10::InferenceMode inference;
     for (const std::vector<int>& rows : DealRows(lanes, tile_)) {
       const at::Tensor before_codes =
@@ -243,6 +279,7 @@ absl::StatusOr<Policy::Outputs> Policy::Evaluate(absl::string_view frames, absl:
   Outputs outputs{std::vector<float>(lanes.size() * kNumActions), std::vector<float>(lanes.size()),
                   std::vector<float>(states.size())};
   try {
+    const OnStream on_stream(stream_.get());
     const c10::InferenceMode inference;
     for (const std::vector<int>& rows : DealRows(lanes, tile_)) {
       if (device_ == kCpuDevice) {

@@ -22,6 +22,10 @@
 #include "common/agent/policy_weights.h"
 #include "common/base/crafter.h"
 
+namespace c10 {
+class Stream;
+}
+
 namespace craftfleet {
 
 class PolicyNet;
@@ -103,12 +107,14 @@ class Policy {
     std::vector<float> states;  // [n,state_size] after the step
   };
 
-  // `owner` of the memory that `net` looks into.
-  Policy(const AgentSpec& spec, std::shared_ptr<const void> owner, std::unique_ptr<const PolicyNet> net, int tile,
-         const std::string& device);
+  // `owner` of the memory that `net` looks into; both in `stream`'s order. Null: in that of the default stream.
+  Policy(const AgentSpec& spec, std::shared_ptr<const void> owner, std::unique_ptr<const PolicyNet> net,
+         std::unique_ptr<const c10::Stream> stream, int tile, const std::string& device);
 
-  // What `make` returns; ActingDeviceError if it throws.
-  static absl::StatusOr<std::unique_ptr<const Policy>> Make(absl::FunctionRef<const Policy*()> make);
+  // Of the net that `make` returns, with the device's acting stream as the current one if `spec` wants it.
+  static absl::StatusOr<std::unique_ptr<const Policy>> Make(const AgentSpec& spec, int tile, const std::string& device,
+                                                            std::shared_ptr<const void> owner,
+                                                            absl::FunctionRef<std::unique_ptr<const PolicyNet>()> make);
 
   // `choose(row, distribution)` is the action of each row.
   static ActResult Choose(Outputs outputs, absl::FunctionRef<Action(size_t, const Categorical&)> choose);
@@ -131,6 +137,7 @@ class Policy {
   const int tile_;
   const std::string device_;
   const std::shared_ptr<const void> owner_;
+  const std::unique_ptr<const c10::Stream> stream_;
   std::unique_ptr<const PolicyNet> net_;
   std::unique_ptr<const Packing> packing_;  // on the device, of a tile's rows; recurrent agents on another device only
 };

@@ -30,10 +30,9 @@ ParamTensors ParamsOf(const AgentSpec& spec, const at::Tensor& weights) {
   return params;
 }
 
-PolicyNet::PolicyNet(const AgentSpec& spec, Use use, absl::Span<float> weights, at::Device device)
-    : params_(ParamsOf(spec, at::from_blob(weights.data(), {static_cast<int64_t>(weights.size())}).to(device))),
+PolicyNet::PolicyNet(const AgentSpec& spec, Use use, absl::Span<float> weights)
+    : params_(ParamsOf(spec, at::from_blob(weights.data(), {static_cast<int64_t>(weights.size())}))),
       network_(MakeNetwork(spec.network)) {
-  CRAFTFLEET_CHECK(device.is_cpu() || use == Use::kActing);
   if (use == Use::kActing) {
     PrepareForActing();
   } else {

@@ -13,7 +13,6 @@
 
 #include <ATen/core/Tensor.h>
 #include <absl/types/span.h>
-#include <c10/core/Device.h>
 
 #include "common/agent/agent_spec.h"
 #include "common/agent/nets/network.h"
@@ -34,17 +33,15 @@ ParamTensors ParamsOf(const AgentSpec& spec, const at::Tensor& weights);
 class PolicyNet {
  public:
   enum class Use {
-    kActing,    // the weights never change: they are copied to the device, into the layout that is quickest to read
-    kTraining,  // the weights may change between calls; Forward's output is valid for one backward pass. On the CPU
-                // alone
+    kActing,    // the weights never change: they are brought into the layout that is quickest to read
+    kTraining,  // the weights may change between calls; Forward's output is valid for one backward pass
   };
   using Output = NetOutput;
 
-  // `weights`, float[spec.param_count] on the CPU, outlive the net. Inputs and outputs of Forward and Attention are on
-  // `device`.
-  PolicyNet(const AgentSpec& spec, Use use, absl::Span<float> weights, at::Device device = at::kCPU);
+  // On the CPU: `weights`, float[spec.param_count], outlive the net.
+  PolicyNet(const AgentSpec& spec, Use use, absl::Span<float> weights);
 
-  // For acting on `params`, which never change, on their device.
+  // For acting on `params`, which never change, on their device, where inputs and outputs are, too.
   PolicyNet(const AgentSpec& spec, ParamTensors params);
 
   // frames float[N,H,W,3], values 0..1. `segments` tell how the rows follow each other; feed-forward agents ignore

@@ -19,7 +19,7 @@ class PolicyWeights {
   PolicyWeights& operator=(const PolicyWeights&) = delete;
 
   // Safetensors (common/agent/weights.h), for files and for other processes.
-  //   As ActingDeviceError (common/agent/device.h): the device failed on which they are.
+  //   As DeviceError (common/agent/device.h): the device failed on which they are.
   virtual absl::StatusOr<std::shared_ptr<const std::string>> Bytes() const = 0;
 
  protected:

@@ -12,8 +12,8 @@
 
 namespace craftfleet {
 
-// In the order of AGENTS.md, section 1. Names such as `oc_sa` follow the paper's text, names such as `oc_sa_published`
-// the code that its authors published.
+// In the order of AGENTS.md, section 1. Names such as `oc_sa` follow the paper's text but for section 8 there, names
+// such as `oc_sa_published` the code that its authors published.
 std::vector<absl::string_view> AgentNames();
 
 // The fields that `agent` sets: all of `network`, hyperparameters only where they differ from PPO-CNN's.

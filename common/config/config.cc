@@ -162,6 +162,7 @@ absl::StatusOr<v1::RunConfig> ResolveRunConfig(v1::RunConfig config) {
   config = std::move(defaults);
   // So that a run with them equals one without.
   if (config.precision() == v1::RunConfig::FP32) config.clear_precision();
+  if (!config.acting_stream()) config.clear_acting_stream();
   if (config.overlap() == 0) config.clear_overlap();
   if (config.max_staleness() == 0) config.clear_max_staleness();
   if (config.device() == v1::RunConfig::CPU) config.clear_device();

@@ -16,10 +16,10 @@ namespace craftfleet {
 // Smallest observation, pixels: two for each of the nine cells of the view (envserver/render/picture_layout.cc).
 inline constexpr int kMinFrameSize = 18;
 
-// `agent` on Crafter with the paper's values (Stanic et al. 2022; those of Moon et al. 2023 with their own). Every
-// field is set but `network`, which follows from the name, two that follow from others, `fragment_steps`
-// (ResolveRunConfig) and `eval.env` (what it trains on), and four that are absent by default: `precision`, `device`,
-// `overlap` and `max_staleness`.
+// `agent` on Crafter with the paper's values, but for PPO.md, section 8 (Stanic et al. 2022; those of Moon et al. 2023
+// with their own). Every field is set but `network`, which follows from the name, two that follow from others,
+// `fragment_steps` (ResolveRunConfig) and `eval.env` (what it trains on), and five that are absent by default:
+// `precision`, `device`, `overlap`, `max_staleness` and `acting_stream`.
 //   InvalidArgument: unknown agent; lists the known ones.
 absl::StatusOr<v1::RunConfig> DefaultRunConfig(absl::string_view agent);
 v1::RunConfig DefaultRunConfig();  // of ppo_cnn
@@ -29,10 +29,10 @@ v1::RunConfig DefaultRunConfig();  // of ppo_cnn
 absl::StatusOr<v1::RunConfig> ParseRunConfig(absl::string_view text, absl::string_view filename);
 
 // The complete configuration: `config` on top of the defaults of its agent (ppo_cnn if it names none); explicit zeros
-// are kept, except that `overlap: 0`, `max_staleness: 0`, `precision: FP32` and `device: CPU` are left out. The default
-// of `fragment_steps` is the agent's, if it has one that divides rollout_steps / lanes, else the largest divisor of
-// that which is at most 256, or 32 for recurrent agents, whose minibatches are made of whole fragments. Validates the
-// result.
+// are kept, except that `overlap: 0`, `max_staleness: 0`, `precision: FP32`, `device: CPU` and `acting_stream: false`
+// are left out. The default of `fragment_steps` is the agent's, if it has one that divides rollout_steps / lanes, else
+// the largest divisor of that which is at most 256, or 32 for recurrent agents, whose minibatches are made of whole
+// fragments. Validates the result.
 //   InvalidArgument: as ValidateRunConfig.
 absl::StatusOr<v1::RunConfig> ResolveRunConfig(v1::RunConfig config);
 

@@ -4,14 +4,17 @@
 #include <cmath>
 #include <limits>
 #include <memory>
+#include <set>
 #include <string>
 #include <thread>
 
 #include <ATen/ATen.h>
+#include <absl/strings/str_cat.h>
 #include <gmock/gmock.h>
 #include <google/protobuf/text_format.h>
 #include <gtest/gtest.h>
 
+#include "common/agent/acting_stream.h"
 #include "common/agent/aligned_weights.h"
 #include "common/agent/device_snapshot.h"
 #include "common/agent/initial_weights.h"
@@ -23,6 +26,8 @@
 
 namespace craftfleet {
 namespace {
+
+using testing::ElementsAre;
 
 constexpr int kFrameBytes = 64 * 64 * 3;
 
@@ -227,6 +232,32 @@ TEST(Policy, LooksIntoASnapshotOnItsDevice) {
     std::fill(states.begin(), states.end(), 0.0F);
     const auto here = *Policy::Create(spec, snapshot, 4);
     EXPECT_NEAR(here->Act(frames, {0, 1}, noise, absl::MakeSpan(states))->values[0], expected.values[0], 1e-4);
+  }
+}
+
+// As an actor's threads do beside an update.
+TEST(Policy, ActsOnAStreamOfItsOwnWhereTheRunWantsIt) {
+  for (const bool wanted : {false, true}) {
+    SCOPED_TRACE(wanted);
+    const AgentSpec spec = SpecOf(
+        absl::StrCat(R"(agent: "lstm_cnn" network { frame_size: 40 } acting_stream: )", wanted ? "true" : "false"));
+    const std::vector<float> values = InitialWeights(spec, 1);
+    const at::Tensor flat = at::from_blob(Align(spec, values).data(), {AlignedSpec(spec).param_count}).clone();
+    const auto snapshot = std::make_shared<const DeviceSnapshot>(spec, flat.to(at::Device(kStandInDevice)));
+    const auto current = [] { return CurrentStream(at::Device(kStandInDevice)).id(); };
+    std::set<int64_t> streams;
+    ObserveComputations([&](auto&&...) { streams.insert(current()); });
+    const int64_t awaited = TrafficSoFar().awaited;
+    const auto policy = *Policy::Create(spec, snapshot, 4, kStandInDevice);
+    EXPECT_EQ(TrafficSoFar().awaited - awaited, wanted ? 1 : 0) << "for the weights to be there";
+    std::vector<float> states(spec.state_size);
+    const std::string frame = GoldenFrames(12345, 1, spec.frame_size);
+    EXPECT_THAT(policy->Act(frame, {0}, {0.3}, absl::MakeSpan(states)), IsOk());
+    const auto other = *Policy::Create(spec, SaveWeights(spec, values), 4, kStandInDevice);
+    EXPECT_THAT(other->Act(frame, {0}, {0.3}, absl::MakeSpan(states)), IsOk());
+    ObserveComputations(nullptr);
+    EXPECT_THAT(streams, ElementsAre(wanted ? kOtherStream : 0));
+    EXPECT_EQ(current(), 0) << "for updates of the same thread";
   }
 }
 

@@ -35,6 +35,7 @@ std::atomic<int64_t> sent{0};
 std::atomic<int64_t> fetched{0};
 std::atomic<int64_t> read{0};
 std::atomic<int64_t> computed{0};
+std::atomic<int64_t> awaited{0};
 std::atomic<int64_t> called{0};
 std::atomic<int64_t> last_called{-1};  // the call that finds no memory
 
@@ -251,7 +252,9 @@ TORCH_LIBRARY_IMPL(aten, PrivateUse1, library) {
   }
 }
 
-// Gives autograd a thread for the device. It has one stream, whose work is done when a call returns.
+thread_local c10::StreamId current_stream = 0;
+
+// Gives autograd a thread for the device. Work of each stream is done when a call returns.
 class DeviceGuard final : public c10::impl::DeviceGuardImplInterface {
  public:
   c10::DeviceType type() const override { return c10::DeviceType::PrivateUse1; }
@@ -261,13 +264,28 @@ class DeviceGuard final : public c10::impl::DeviceGuardImplInterface {
   void setDevice(c10::Device /*device*/) const override {}
   void uncheckedSetDevice(c10::Device /*device*/) const noexcept override {}
   c10::Stream getStream(c10::Device device) const noexcept override {
-    return c10::Stream(c10::Stream::DEFAULT, device);
+    return c10::Stream(c10::Stream::UNSAFE, device, current_stream);
   }
-  c10::Stream getDefaultStream(c10::Device device) const override { return getStream(device); }
-  c10::Stream exchangeStream(c10::Stream stream) const noexcept override { return stream; }
-  void record(void** /*event*/, const c10::Stream& /*stream*/, c10::DeviceIndex /*device*/,
-              c10::EventFlag /*flag*/) const override {}
-  void block(void* /*event*/, const c10::Stream& /*stream*/) const override {}
+  c10::Stream getDefaultStream(c10::Device device) const override { return c10::Stream(c10::Stream::DEFAULT, device); }
+  c10::Stream getStreamFromGlobalPool(c10::Device device, bool /*is_high_priority*/) const override {
+    return c10::Stream(c10::Stream::UNSAFE, device, kOtherStream);
+  }
+  c10::Stream exchangeStream(c10::Stream stream) const noexcept override {
+    const c10::Stream before = getStream(stream.device());
+    current_stream = stream.id();
+    return before;
+  }
+  void record(void** event, const c10::Stream& stream, c10::DeviceIndex /*device*/,
+              c10::EventFlag /*flag*/) const override {
+    if (*event == nullptr) *event = new c10::StreamId;
+    *static_cast<c10::StreamId*>(*event) = stream.id();
+  }
+  void block(void* event, const c10::Stream& stream) const override {
+    if (*static_cast<c10::StreamId*>(event) != stream.id()) ++awaited;
+  }
+  void destroyEvent(void* event, c10::DeviceIndex /*device*/) const noexcept override {
+    delete static_cast<c10::StreamId*>(event);
+  }
   bool queryEvent(void* /*event*/) const override { return true; }
   bool queryStream(const c10::Stream& /*stream*/) const override { return true; }
   void synchronizeStream(const c10::Stream& /*stream*/) const override {}
@@ -301,6 +319,6 @@ void ObserveComputations(ComputationObserver observer) {
   Observer() = std::move(observer);
 }
 
-DeviceTraffic TrafficSoFar() { return {sent, fetched, read, computed}; }
+DeviceTraffic TrafficSoFar() { return {sent, fetched, read, computed, awaited}; }
 
 }  // namespace craftfleet

@@ -15,6 +15,7 @@
 namespace craftfleet {
 
 inline constexpr char kStandInDevice[] = "privateuseone:0";
+inline constexpr int64_t kOtherStream = 7;  // the only one beside the default stream, 0
 
 // What made the host and the device wait for each other.
 struct DeviceTraffic {
@@ -22,6 +23,7 @@ struct DeviceTraffic {
   int64_t fetched = 0;   // copies from the device
   int64_t read = 0;      // single numbers that the host asked for (at::Tensor::item)
   int64_t computed = 0;  // computations started on the device: what would be a GPU's kernels, one or several each
+  int64_t awaited = 0;   // times that a stream was made to wait for another one
 };
 
 // Since the start of the process. Thread-safe.

@@ -26,6 +26,9 @@ class GpuSession(python_case.FolderCase):
     loops = [json.loads(line) for line in (self.folder / "a/loops.jsonl").read_text().splitlines()]
     self.assertGreater(loops[0]["steps_per_second"], 0)
     self.assertTrue((self.folder / "a/loops/ppo_cnn-default.log").exists())
+    streams = [json.loads(line) for line in (self.folder / "a/acting_stream.jsonl").read_text().splitlines()]
+    self.assertIn("acting_stream: true", streams[1]["config"])
+    self.assertEqual(streams[0]["weights"], streams[1]["weights"])
     self.assertTrue((self.folder / "b/oc_sa/weights.safetensors").exists())
     self.assertTrue((self.folder / "b/oc_sa/stats.jsonl").exists())
 

@@ -29,8 +29,8 @@ TEST(RunConfig, PrecisionDeviceOverlapAndStalenessAreAbsentUnlessChosen) {
   EXPECT_FALSE(Resolved().has_device());
   EXPECT_FALSE(Resolved().has_overlap());
   EXPECT_FALSE(Resolved().has_max_staleness());
-  EXPECT_TRUE(
-      MessageDifferencer::Equals(FromText("precision: FP32 device: CPU overlap: 0 max_staleness: 0"), Resolved()));
+  EXPECT_TRUE(MessageDifferencer::Equals(
+      FromText("precision: FP32 device: CPU overlap: 0 max_staleness: 0 acting_stream: false"), Resolved()));
   EXPECT_EQ(FromText("precision: BF16 device: CUDA_UPDATES").precision(), v1::RunConfig::BF16);
   EXPECT_EQ(FromText("precision: BF16 device: CUDA_UPDATES").device(), v1::RunConfig::CUDA_UPDATES);
 }

@@ -300,7 +300,7 @@ DeviceTraffic TrafficOf(const Call& call) {
   call();
   const DeviceTraffic after = TrafficSoFar();
   return {after.sent - before.sent, after.fetched - before.fetched, after.read - before.read,
-          after.computed - before.computed};
+          after.computed - before.computed, after.awaited - before.awaited};
 }
 
 // What an update of two iterations with `epochs` epochs each moves.
