@@ -33,6 +33,11 @@ constexpr absl::Duration kLease = absl::Seconds(5);
 // Servers report once a second, actors twice. Like an actor, a server that was suspended for 4 s must stay listed.
 constexpr absl::Duration kServerLease = absl::Seconds(8);
 
+// Whether actors that act elsewhere, or on the CPU, want weights that a GPU has.
+bool SendsWeights(const Learner::Options& options, const v1::RunConfig& config) {
+  return !options.server.address.empty() || config.device() == v1::RunConfig::CUDA_UPDATES;
+}
+
 // How `asked` differs from `stored`, a configuration that may lack defaults, apart from what a resumed run may change.
 absl::StatusOr<std::string> FixedDifferences(v1::RunConfig stored, v1::RunConfig asked) {
   CRAFTFLEET_ASSIGN_OR_RETURN(stored, CompleteConfig(std::move(stored)));
@@ -131,10 +136,11 @@ absl::Status CheckRanks(const v1::RunConfig& config, const Learner::Options& opt
                         options.ranks.given, options.device));
   }
   if (ranks <= config.gradient_shards()) return absl::OkStatus();
-  return absl::InvalidArgumentError(absl::StrFormat(
-      "%s, but gradient_shards is %d: want at least one shard of a minibatch for each learner; a learner that is alone "
-      "wants --world_size=1",
-      options.ranks.given, config.gradient_shards()));
+  return absl::InvalidArgumentError(
+      absl::StrFormat("%s, but gradient_shards is %d: start at most that many learners, or raise gradient_shards in "
+                      "--config; a learner "
+                      "that is alone wants --world_size=1",
+                      options.ranks.given, config.gradient_shards()));
 }
 
 size_t FragmentsPerIteration(const v1::RunConfig& config) {
@@ -261,7 +267,7 @@ Learner::Learner(const Options& options, Loaded loaded)
                 options.progress != nullptr ? options.progress : &null_stream_, clock_.get()),
       trainer_(config_, loaded.checkpoint,
                {folder_.get(), updater_.get(), &ranks_, &registry_, &weights_, &fragments_, &evaluations_, &progress_,
-                &checkpoint_requests_, clock_.get(), /*sends_weights=*/!options.server.address.empty()}),
+                &checkpoint_requests_, clock_.get(), SendsWeights(options, config_)}),
       service_(ServiceOptions(&loaded), &registry_, &weights_, &fragments_),
       steering_({&checkpoint_requests_, &registry_, [this] { Stop(); }}),
       admin_service_(&steering_),
@@ -292,13 +298,19 @@ void Learner::FillStatus(v1::StatusReply* reply) const {
 }
 
 absl::Status Learner::Run() {
+  const absl::Status status = Train();
+  checkpoint_requests_.Close();  // also if training never began: the server waits for who waits for a checkpoint
+  // Actors learn from their next request that the run is over. If the learner exited first, they would wait for it.
+  if (trainer_.finished()) registry_.WaitUntilEmpty(absl::Seconds(2));
+  return status;
+}
+
+absl::Status Learner::Train() {
   CRAFTFLEET_RETURN_IF_ERROR(ranks_.Connect([this] { return trainer_.is_stopping(); }, updater_.get()));
   CRAFTFLEET_RETURN_IF_ERROR(folder_->Begin());
   absl::Status status = trainer_.Run();
   // After an error they end because rank 0 is lost.
   if (status.ok()) ranks_.End(trainer_.finished());
-  // Actors learn from their next request that the run is over. If the learner exited first, they would wait for it.
-  if (trainer_.finished()) registry_.WaitUntilEmpty(absl::Seconds(2));
   return status;
 }
 

@@ -87,6 +87,7 @@ class Learner {
   struct Loaded;  // run folder, updater and loaded state
 
   Learner(const Options& options, Loaded loaded);
+  absl::Status Train();  // the part of Run in which others may ask for a checkpoint
   void FillStatus(v1::StatusReply* reply) const;
   LearnerServiceImpl::Options ServiceOptions(Loaded* loaded) const;
   absl::Status ServePage(const Options& options, std::shared_ptr<wire::AccessControl> access);

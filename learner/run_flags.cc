@@ -41,9 +41,8 @@ ABSL_FLAG(
     std::optional<int32_t>, overlap, std::nullopt,
     "1: play the next iteration while the update is computed, with the weights from before it; 0: play waits [0]");
 ABSL_FLAG(std::optional<int32_t>, max_staleness, std::nullopt,
-          "from 1 on: lanes play on without waiting, and updates take what arrives first\n"
-          "from weights at most this many updates old, 0..64; 0: play and updates wait for each other\n"
-          "[0]");
+          "1..64: play and updates do not wait for each other; fragments are at most this many updates old\n"
+          "0: they wait [0]");
 ABSL_FLAG(bool, resume, false,
           "resume the run in --logdir from its newest checkpoint, as if it had never stopped\n"
           "only --steps and the checkpoint settings may change");

@@ -59,7 +59,7 @@ struct Permit {
   int lane = 0;
   int64_t fragment = 0;        // per lane, from 0
   int64_t policy_version = 0;  // weights to play it with
-  bool reload = false;         // the lane was reset: start from its snapshot, not an open game; not compared by ==
+  bool reload = false;         // start from the lane's snapshot, not from a game that is open; not compared by ==
   friend bool operator==(const Permit& a, const Permit& b) {
     return a.lane == b.lane && a.fragment == b.fragment && a.policy_version == b.policy_version;
   }

@@ -58,8 +58,7 @@ std::vector<Permit> Assignment::GrantOverdue(LaneActor* actor) {
       first = absl::StrFormat("fragment %d of lane %d, which actor %s has had for %s", lane.permit->fragment,
                               lane.number, last.actor->worker->name, Rounded(now - last.since));
     }
-    table_->AddPlayer(actor, &lane);
-    granted.push_back(*lane.permit);
+    granted.push_back(table_->AddPlayer(actor, &lane));
   }
   if (!granted.empty()) {
     const std::string more = granted.size() == 1 ? "" : absl::StrCat(", and ", granted.size() - 1, " more");

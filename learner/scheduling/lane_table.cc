@@ -56,19 +56,22 @@ void LaneTable::SetCapacity(LaneActor* actor, int capacity) {
   if (std::exchange(actor->capacity, capacity) != capacity) NoteShares();
 }
 
-const Permit& LaneTable::Grant(LaneActor* actor, int64_t policy_version, LaneState* lane) {
+Permit LaneTable::Grant(LaneActor* actor, int64_t policy_version, LaneState* lane) {
   SetHolder(actor, lane);
-  const int64_t fragment = lane->record.next_fragment;
-  lane->permit = Permit{lane->number, fragment, policy_version, lane->reset_at == fragment};
+  lane->permit = Permit{lane->number, lane->record.next_fragment, policy_version};
   lane->players.clear();
-  AddPlayer(actor, lane);
-  return *lane->permit;
+  return AddPlayer(actor, lane);
 }
 
-void LaneTable::AddPlayer(LaneActor* actor, LaneState* lane) {
+Permit LaneTable::AddPlayer(LaneActor* actor, LaneState* lane) {
   lane->since = clock_->Now();
   lane->players.push_back({actor, lane->since});
   actor->permits.insert(lane->number);
+  Permit permit = *lane->permit;
+  // Another actor may have played the last fragment as well, with older weights (max_staleness): its game is another.
+  const std::string& sender = lane->record.sender;
+  permit.reload = lane->reset_at == permit.fragment || (!sender.empty() && sender != actor->worker->name);
+  return permit;
 }
 
 void LaneTable::Revoke(LaneActor* actor, LaneState* lane) {

@@ -135,9 +135,9 @@ class LaneTable {
   int64_t shares() const { return shares_; }
 
   // Gives the lane, which is open, to `actor` with a permit.
-  const Permit& Grant(LaneActor* actor, int64_t policy_version, LaneState* lane);
+  Permit Grant(LaneActor* actor, int64_t policy_version, LaneState* lane);
   // Grants the lane's permit to one more actor.
-  void AddPlayer(LaneActor* actor, LaneState* lane);
+  Permit AddPlayer(LaneActor* actor, LaneState* lane);
   // Revokes the lane's permit from `actor`, if it has it; other players continue.
   void Revoke(LaneActor* actor, LaneState* lane);
   // Ends the lane's permit for all players.

@@ -58,8 +58,8 @@ absl::StatusOr<Worker*> WorkerTable::FindActive(absl::string_view name_or_addres
                       [](std::string* out, const Worker* worker) { absl::StrAppend(out, worker->name); })));
   }
   return absl::NotFoundError(absl::StrFormat(
-      "no worker \"%s\" has joined or registered; there are: %s", name_or_address,
-      names.empty() ? "none (environment servers register with --learner)" : absl::StrJoin(names, ", ")));
+      "no worker \"%s\" has joined or registered; there are: %s (environment servers register with --learner)",
+      name_or_address, names.empty() ? "none" : absl::StrJoin(names, ", ")));
 }
 
 Worker* WorkerTable::Record(WorkerRole role, absl::string_view name) {

@@ -39,6 +39,8 @@ EvaluationPlanner::EvaluationPlanner(const v1::EvalConfig& config, int64_t steps
   }
 }
 
+void EvaluationPlanner::OnStart(const std::function<bool()>& should_stop) { LogFinished(kMaxPending + 1, should_stop); }
+
 void EvaluationPlanner::OnIteration(int64_t steps_before, int64_t env_steps,
                                     const std::shared_ptr<const PolicyWeights>& weights,
                                     const std::function<bool()>& should_stop) {

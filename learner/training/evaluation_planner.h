@@ -35,6 +35,9 @@ class EvaluationPlanner {
   EvaluationPlanner(const v1::EvalConfig& config, int64_t steps, const Checkpoint& checkpoint, WorkerRegistry* registry,
                     RunFolder* folder);
 
+  // To be called before training goes on: waits, like OnIteration, if earlier starts have left too many pending.
+  void OnStart(const std::function<bool()>& should_stop);
+
   // To be called when training has advanced from `steps_before` to `env_steps` environment steps; `weights`
   // are the new ones. Logs finished evaluations. `should_stop` ends the wait for actors, in which it is
   // called several times a second; FillCheckpoint may be called from it.

@@ -75,6 +75,7 @@ absl::Status Trainer::Run() {
   status_.OnStart(*parts_.folder);
   PublishWeights(first_version_);
   absl::Status status = counters_.iteration == 0 ? checkpoints_.Write() : absl::OkStatus();
+  parts_.evaluations->OnStart(OnWait());
   while (status.ok() && has_steps_left()) {
     status = RunIteration();
     ReleaseFreeMemory();  // up to two copies of an iteration's frames
@@ -107,6 +108,13 @@ void Trainer::End(bool trained) {
   } else {
     parts_.registry->Close();
   }
+}
+
+std::function<bool()> Trainer::OnWait() {
+  return [this] {
+    checkpoints_.ServeRequests(counters_.iteration);
+    return !CheckContinues().ok();
+  };
 }
 
 absl::Status Trainer::CheckContinues() const {
@@ -194,6 +202,10 @@ absl::StatusOr<UpdateStats> Trainer::Learn(const std::vector<Fragment>& fragment
 
 absl::Status Trainer::UndoIteration(const std::vector<Fragment>& fragments, const absl::Status& error) {
   ++failed_updates_;
+  if (absl::IsUnavailable(error)) {
+    LogError("the update of iteration %d failed: %s; training ends", counters_.iteration + 1, error.message());
+    return error;
+  }
   const bool again = failed_updates_ < kMaxFailedUpdates;
   LogError("the update of iteration %d failed: %s; it is undone, and %s", counters_.iteration + 1, error.message(),
            again ? "its fragments will be played again" : "training ends, since the update has failed twice in a row");
@@ -223,12 +235,8 @@ absl::Status Trainer::FinishIteration(const std::vector<Fragment>& fragments, co
   // A checkpoint needs as much as the update's activations and what it could have been undone with.
   PooledBuffer::FreeUnused(kMuchFreeMemory);
   ReleaseFreeMemory();
-  const auto on_tick = [this] {
-    checkpoints_.ServeRequests(counters_.iteration);
-    return !CheckContinues().ok();
-  };
   meter_.Switch(Activity::kIdle);
-  parts_.evaluations->OnIteration(steps_before, counters_.env_steps, parts_.updater->ShareWeights(), on_tick);
+  parts_.evaluations->OnIteration(steps_before, counters_.env_steps, parts_.updater->ShareWeights(), OnWait());
   meter_.Switch(Activity::kOther);
   checkpoints_.ServeRequests(counters_.iteration);
   // The last checkpoint is written after the final evaluation.

@@ -5,6 +5,7 @@
 
 #include <atomic>
 #include <cstdint>
+#include <functional>
 #include <memory>
 #include <optional>
 #include <string>
@@ -62,7 +63,7 @@ class Trainer {
     ProgressPrinter* progress;
     CheckpointRequests* checkpoints;
     Clock* clock;
-    // Whether actors elsewhere ask for weights: their bytes are then made before a GPU begins the next update.
+    // Whether actors want the bytes of weights that a GPU has: they are then made before it begins the next update.
     bool sends_weights = false;
   };
   enum class Phase {
@@ -74,11 +75,11 @@ class Trainer {
   // Continues after `checkpoint`, whose weights and optimiser are already in the updater.
   Trainer(const v1::RunConfig& config, const Checkpoint& checkpoint, const Parts& parts);
 
-  // Trains until the configured steps are done and then evaluates, unless Stop is called first. In all cases a
-  // checkpoint of the last finished iteration is written, and phase() shows how far the run got.
-  //   Errors: the update failed twice in a row, after which a checkpoint of the last finished iteration is written; the
-  //   last checkpoint can't be written; or another rank is lost (RankLeader::lost), after which a checkpoint is written
-  //   likewise.
+  // Trains until the configured steps are done and then evaluates, unless Stop is called first. In all cases but that
+  // of a GPU that failed, a checkpoint of the last finished iteration is written; phase() shows how far the run got.
+  //   Errors: a GPU failed; the update failed twice in a row, after which a checkpoint of the last finished iteration
+  //   is written; the last checkpoint can't be written; or another rank is lost (RankLeader::lost), after which a
+  //   checkpoint is written likewise.
   absl::Status Run();
   // Ends Run after the current minibatch, or at once during the final evaluation. An unfinished iteration is dropped;
   // unfinished evaluations are stored in the checkpoint, and the next start continues them. Idempotent.
@@ -104,6 +105,8 @@ class Trainer {
   int64_t LastFragment(int64_t iteration) const;
   // Cancelled: Stop was called.   As RankLeader::lost.
   absl::Status CheckContinues() const;
+  // What waits for evaluations call: serves requests for checkpoints, and returns whether the run is to end.
+  std::function<bool()> OnWait();
   // Runs one iteration.   Cancelled: Stop was called.
   absl::Status RunIteration();
   // Opens the iteration's permits, unless they are open.

@@ -171,6 +171,30 @@ TEST_F(WorkerRegistryTest, APermitForAResetLaneRequiresItsSnapshot) {
   EXPECT_TRUE(granted[0].reload);
 }
 
+// With max_staleness it may have a game of its own at that fragment, which it played with older weights.
+TEST_F(WorkerRegistryTest, AnActorTakesALaneOverFromItsSnapshot) {
+  TestRegistry registry({1}, std::vector<LaneRecord>(1), &clock_);
+  registry.OpenIteration(8, 1);
+  const auto ask = [&](const std::string& actor) {
+    const auto reply = registry.GetPermits(actor, {}, 1, absl::ZeroDuration());
+    return reply.ok() ? reply->granted : std::vector<Permit>();
+  };
+  registry.Join("a", "");
+  std::vector<Permit> granted = ask("a");
+  ASSERT_THAT(granted, SizeIs(1));
+  EXPECT_FALSE(granted[0].reload);
+  ASSERT_EQ(registry.Accept("a", granted[0], {"before 1", {0}}).value(), LaneScheduler::Verdict::kAccepted);
+  granted = ask("a");
+  ASSERT_THAT(granted, SizeIs(1));
+  EXPECT_FALSE(granted[0].reload) << "its own game";
+  clock_.Advance(absl::Minutes(1));
+  registry.Join("b", "");
+  granted = ask("b");
+  ASSERT_THAT(granted, SizeIs(1));
+  EXPECT_EQ(granted[0].fragment, 1);
+  EXPECT_TRUE(granted[0].reload);
+}
+
 TEST_F(WorkerRegistryTest, ALapsedNameHasNoStateOfItsFormerOwner) {
   EXPECT_THAT(registry().Join({"one"}, "a", "host:1", {}), IsOk());
   registry_.OpenIteration(2, 1);

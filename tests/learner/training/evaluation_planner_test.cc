@@ -312,6 +312,29 @@ TEST_F(EvaluationPlannerTest, TrainingWaitsForTheOldestOfTwoBeforeAThird) {
   EXPECT_EQ(start->Pending()[1].number, 3);
 }
 
+// Each start that is stopped in its wait would otherwise leave one more, until the checkpoint holds too many to be
+// read.
+TEST_F(EvaluationPlannerTest, AStartWithTooManyPendingWaitsBeforeItTrains) {
+  const auto stopped = Begin();
+  stopped->Train(kEvery);
+  stopped->Train(kEvery);
+  stopped->planner.OnIteration(2 * kEvery, 3 * kEvery, Weights("third"), [] { return true; });
+  const auto start = Begin(stopped->Save(3 * kEvery));
+  ASSERT_EQ(start->planner.pending(), 3u);
+  std::atomic<bool> begun{false};
+  std::thread training([&] {
+    start->planner.OnStart(NeverStop);
+    begun = true;
+  });
+  EXPECT_FALSE(WaitUntil([&] { return begun.load(); }, absl::Milliseconds(300)));
+  const std::vector<Task> tasks = start->TakeAll();
+  start->Finish(tasks[0], 10);
+  start->Finish(tasks[1], 20);
+  training.join();
+  EXPECT_EQ(start->planner.pending(), 2u);
+  start->planner.OnStart([] { return true; });  // does not wait
+}
+
 // A checkpoint that is requested then must not lose the evaluation.
 TEST_F(EvaluationPlannerTest, ACheckpointDuringTheWaitHasTheEvaluationThatIsDue) {
   const auto start = Begin();

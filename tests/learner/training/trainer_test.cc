@@ -30,6 +30,7 @@
 #include "learner/learner.h"
 #include "learner/run/checkpoint.h"
 #include "learner/run/checkpoint_store.h"
+#include "tests/agent/stand_in_device.h"
 #include "tests/fakes/no_tensor_memory.h"
 #include "tests/fakes/play_once.h"
 #include "tests/fakes/status_matchers.h"
@@ -55,6 +56,7 @@ struct Variant {
   int epochs = 1;
   int iterations = 1000;
   bool evaluates = false;  // after each iteration, and at the end
+  bool on_gpu = false;     // updates on the stand-in for one
 };
 
 v1::RunConfig Config(const Variant& variant) {
@@ -74,6 +76,7 @@ v1::RunConfig Config(const Variant& variant) {
   config.mutable_checkpoint()->set_every_iterations(100);
   config.set_overlap(variant.overlap);
   config.set_max_staleness(variant.max_staleness);
+  if (variant.on_gpu) config.set_device(v1::RunConfig::CUDA_UPDATES);
   return config;
 }
 
@@ -113,6 +116,7 @@ class Training {
     options.logdir = logdir;
     options.resume = variant.resume;
     options.texture_dir = DefaultTextureDir().value();
+    if (variant.on_gpu) options.device = kStandInDevice;
     learner_ = Learner::Create(options).value();
     stub_ = v1::LearnerService::NewStub(learner_->InProcess().channel);
     thread_ = std::thread([this] { status_ = learner_->Run(); });
@@ -319,6 +323,28 @@ TEST_F(TrainerTest, TheSecondFailureInARowEndsTheLearnerAndItResumes) {
   EXPECT_EQ(training->Metric("iteration"), 1) << "although the next checkpoint was only due after 100";
   training->Play("a", kPerIteration);
   EXPECT_TRUE(training->Weights(2) == quiet);
+}
+
+// Its weights are lost, so that nothing could be learned from fragments that are played again.
+TEST_F(TrainerTest, AGpuThatFailsEndsTheRunAtOnce) {
+  Variant variant;
+  variant.on_gpu = true;
+  auto training = Begin("gpu", variant);
+  training->Play("a", kPerIteration);
+  ASSERT_FALSE(training->Weights(1).empty());
+  testing::internal::CaptureStderr();
+  ObserveComputations([](auto&&...) { throw std::runtime_error("CUDA error: an illegal memory access"); });
+  training->Play("a", kPerIteration);
+  const absl::Status status = training->Wait();
+  ObserveComputations(nullptr);
+  EXPECT_THAT(status, StatusIs(absl::StatusCode::kUnavailable, HasSubstr("start again with --resume")));
+  const std::string log = testing::internal::GetCapturedStderr();
+  EXPECT_THAT(log, AllOf(HasSubstr("the update of iteration 2 failed"), HasSubstr("; training ends"),
+                         HasSubstr("undoing an update: the GPU or its driver failed")));
+  EXPECT_THAT(log, testing::Not(HasSubstr("played again")));
+  training.reset();
+  variant.resume = true;
+  EXPECT_EQ(Begin("gpu", variant)->Metric("iteration"), 0) << "the last checkpoint";
 }
 
 TEST_F(TrainerTest, ALaneResetWithinAnIterationDoesNotChangeTheResult) {
