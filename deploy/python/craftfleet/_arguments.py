@@ -72,7 +72,7 @@ def texture_folder(textures: str | os.PathLike[str] | None) -> str:
 def setup(env: str, area: Any, view: Any, size: Any, length: Any, textures: Any) -> _engine.Setup:
   """The engine's setup. ValueError, TypeError or FileNotFoundError: an argument is refused."""
   check_env_name(env)
-  steps = integer("length", length or 0, 0, 10**9)
+  steps = integer("length", 0 if length is None else length, 0, 10**9)
   return _shared_setup(env, pair("area", area), pair("view", view), pair("size", size), steps, texture_folder(textures))
 
 

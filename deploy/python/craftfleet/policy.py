@@ -7,19 +7,21 @@ import json
 import os
 import subprocess
 import tempfile
+import threading
 from typing import Any
 
 import numpy as np
 
 from craftfleet import _programs
 
+_MOST_GAMES = 4096
 
 class Policy:
   """The policy of a run's newest checkpoint, or of a checkpoint: `action = craftfleet.Policy("runs/first")(observation)`.
 
   It follows the games from call to call, because agents may have a state: pass every observation of each game in turn. It runs a
-  process of its own until close(), which an interrupted call does. Use an object from one thread at a time. ValueError and
-  RuntimeError carry the program's message.
+  process of its own until close(), which an interrupted call does. Use an object from one thread at a time: a call while another
+  thread is in one raises RuntimeError. So does a call in a forked process. ValueError and RuntimeError carry the program's message.
 
   Attributes:
     agent: its name. env_steps: steps of training. frame_size: pixels of observations. has_memory: whether it needs rewards.
@@ -27,6 +29,7 @@ class Policy:
 
   def __init__(self, checkpoint: str | os.PathLike[str], *, deterministic: bool = False, seed: int = 0) -> None:
     self._games = 0
+    self._owner, self._busy = os.getpid(), threading.Lock()
     self._errors = tempfile.TemporaryFile()  # pylint: disable=consider-using-with  # close() closes it
     self._process = _programs.start(
         "policy", _programs.flags(checkpoint=_programs.absolute(checkpoint), deterministic=deterministic, seed=seed),
@@ -49,6 +52,16 @@ class Policy:
       starts: whether an episode begins with the observation; in the first call it does. For VectorEnv with SAME_STEP it is
         `terminated | truncated` of the step.
     """
+    if os.getpid() != self._owner:
+      raise RuntimeError(f"its program is that of process {self._owner}, want a Policy of this process's own")
+    if not self._busy.acquire(blocking=False):
+      raise RuntimeError("another thread is in a call of this Policy, want one at a time")
+    try:
+      return self._act(observations, rewards, starts)
+    finally:
+      self._busy.release()
+
+  def _act(self, observations: Any, rewards: Any, starts: Any) -> Any:
     frames = np.ascontiguousarray(observations)
     size = self.frame_size
     if frames.dtype != np.uint8 or frames.ndim not in (3, 4) or frames.shape[-3:] != (size, size, 3):
@@ -57,6 +70,8 @@ class Policy:
     first = self._games == 0
     if games < 1 or (not first and games != self._games):
       raise ValueError(f"observations of {games} games, want {self._games or 'one or more'}")
+    if games > _MOST_GAMES:
+      raise ValueError(f"observations of {games} games, want at most {_MOST_GAMES}")
     if rewards is None and self.has_memory and not first:
       raise ValueError(f"{self.agent} remembers achievements: pass the rewards that came with the observations")
     rewards = self._each("rewards", 0 if rewards is None else rewards, games, "<f4")
@@ -67,12 +82,17 @@ class Policy:
     return actions if frames.ndim == 4 else int(actions[0])
 
   def close(self) -> None:
-    """Ends the process."""
+    """Ends the process, unless it is that of the process that forked this one."""
+    if os.getpid() != self._owner:
+      return
     self._process.kill()
     self._process.wait()
     for stream in (self._process.stdin, self._process.stdout, self._errors):
       with contextlib.suppress(BrokenPipeError):  # of a request that is not sent
         stream.close()
+
+  def __reduce__(self) -> Any:
+    raise TypeError("a Policy has a process and cannot be copied or pickled, want a new one with the same arguments")
 
   def __enter__(self) -> Policy:
     return self

@@ -114,7 +114,7 @@ class _Files:
     if self._video is not None:
       self._video.begin(self._folder)
     if self._save_stats or self._save_table or self._video is not None:
-      self._first, self._length, self._reward = observation, 0, 0.0
+      self._first, self._length, self._reward = np.array(observation), 0, 0.0
       self._rows: list[dict[str, Any]] = []
 
   def add(self, action: Any, observation: np.ndarray, done: bool, info: dict[str, Any]) -> None:
@@ -192,6 +192,9 @@ class _Video:
     self._env, self._size = env, size
     self._file = self._path = None
 
+  def __reduce__(self) -> Any:
+    raise TypeError("a recorder of videos cannot be copied or pickled, want a new one, or save_video=False")
+
   def begin(self, folder: pathlib.Path) -> None:
     self._path = _unfinished(folder, ".mp4")
     self._remove = weakref.finalize(self, _remove, self._path, os.getpid())  # programs for crafter close no recorder
@@ -224,7 +227,7 @@ class _Video:
 def _row(action: Any, observation: np.ndarray, done: bool, info: dict[str, Any]) -> dict[str, Any]:
   """What the table has of a step."""
   row = {"image": np.array(observation), "action": action, "reward": info["reward"], "done": done}
-  row.update((name, info[name]) for name in ("discount", "semantic", "player_pos"))
+  row.update((name, np.array(info[name])) for name in ("discount", "semantic", "player_pos"))
   row.update((f"achievement_{name}", count) for name, count in info["achievements"].items())
   row.update((f"ainventory_{name}", count) for name, count in info["inventory"].items())
   return row

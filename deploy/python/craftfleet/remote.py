@@ -57,8 +57,9 @@ class RemoteVectorEnv(gymnasium.vector.VectorEnv[np.ndarray, np.ndarray, np.ndar
   Args:
     addresses: "host:port" of a server, or several, which share the lanes.
     num_envs: number of games.
-    env, size, length, reward: as of craftfleet.Env; a server's worlds have 64x64 cells, and pictures are square.
-    details: whether infos have inventory, achievements, semantic and player_pos, at 17 KB per lane and step.
+    env, size, reward: as of craftfleet.Env; a server's worlds have 64x64 cells, and pictures are square. length: at least 1.
+    details: whether infos have inventory, achievements, semantic and player_pos, at 17 KB per lane and step. Lanes that have just
+      ended have them in final_info alone.
     tls: files for TLS; None: none, for loopback and trusted networks.
     timeout: seconds that a server may take to answer, from 0.1.
 

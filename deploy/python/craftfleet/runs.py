@@ -71,18 +71,29 @@ def load_weights(run: str | os.PathLike[str]) -> dict[str, np.ndarray]:
 def load_curves(run: str | os.PathLike[str]) -> pandas.DataFrame:
   """The curves of a run: a row for each number of environment steps, a column for each tag of TensorBoard. Needs pandas.
 
-  The tags are those of learner/run/FORMATS.md, section 6, such as "rollout/crafter_score". FileNotFoundError: there are none.
+  The tags are those of learner/run/FORMATS.md, section 6, such as "rollout/crafter_score". FileNotFoundError: there are none; ValueError: the
+  file is damaged.
   """
   import pandas  # pylint: disable=import-outside-toplevel  # takes half a second, and only this needs it
   rows: dict[int, dict[str, float]] = {}
-  for event in _records((pathlib.Path(run).expanduser() / "events.out.tfevents.craftfleet").read_bytes()):
-    fields = list(_fields(event))
-    step = next((value for number, value in fields if number == 2), 0)
-    values = [dict(_fields(value)) for number, summary in fields if number == 5 for _, value in _fields(summary)]
-    # A value's field 1 is its tag, field 2 a number; histograms and pictures have others.
-    rows.setdefault(step, {}).update((value[1].decode(), struct.unpack("<f", value[2])[0]) for value in values if 2 in value)
+  path = pathlib.Path(run).expanduser() / "events.out.tfevents.craftfleet"
+  for event in _records(path.read_bytes()):
+    try:
+      step, values = _numbers(event)
+    except (IndexError, KeyError, TypeError, UnicodeDecodeError, struct.error):
+      raise ValueError(f"{path}: damaged, want the events of a run") from None
+    rows.setdefault(step, {}).update(values)
   steps = sorted(step for step, row in rows.items() if row)
   return pandas.DataFrame([rows[step] for step in steps], index=pandas.Index(steps, name="env_steps"))
+
+
+def _numbers(event: bytes) -> tuple[int, dict[str, float]]:
+  """The step of an event, and its number of each tag."""
+  fields = list(_fields(event))
+  step = next((value for number, value in fields if number == 2), 0)
+  values = [dict(_fields(value)) for number, summary in fields if number == 5 for _, value in _fields(summary)]
+  # A value's field 1 is its tag, field 2 a number; histograms and pictures have others.
+  return step, {value[1].decode(): struct.unpack("<f", value[2])[0] for value in values if 2 in value}
 
 
 def _records(content: bytes) -> Iterator[bytes]:

@@ -71,6 +71,8 @@ def evaluate(
 
   Other flags of `craftfleet eval --help` are taken too, such as `video="videos"`. Stops and fails as train().
   """
+  if "checkpoint" in flags:
+    raise ValueError("checkpoint: evaluate() plays the newest of `run`, which may also be the folder of a checkpoint")
   if "protocol" in flags:
     raise ValueError("protocol: it may have several results, and evaluate() returns one; run `craftfleet eval --protocol=final`")
   run = run if isinstance(run, Run) else Run(run)

@@ -59,15 +59,18 @@ class VectorEnv(gymnasium.vector.VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
     self.metadata = {"render_modes": ["rgb_array"], "render_fps": 10, "autoreset_mode": self.autoreset_mode}
     if max_episode_steps is not None:
       most = _arguments.integer("max_episode_steps", max_episode_steps, 1, 10**9)
-      length = min(_arguments.integer("length", length or 0, 0, 10**9) or most, most)
+      length = min(_arguments.integer("length", 0 if length is None else length, 0, 10**9) or most, most)
     setup = _arguments.setup(env, area, view, size, length, textures)
+    self._arguments["textures"] = setup.arguments[5] or None  # a copy may be made in another folder
     width, height = setup.arguments[3]
     self._render_size = (width, height) if render_size is None else _arguments.pair("render_size", render_size)
     self._copy = bool(copy)
     self._batch = _engine.Batch(
         setup, self.num_envs, _arguments.integer("threads", threads, 1, MAX_THREADS), _AUTORESET[self.autoreset_mode],
         bool(reward), bool(semantic))
-    self._observations, self._infos = _named(self._batch.rows, np.ones(self.num_envs, np.bool_))
+    everyone = np.ones(self.num_envs, np.bool_)
+    everyone.flags.writeable = False  # all masks of all calls are this array
+    self._observations, self._infos = _named(self._batch.rows, everyone)
     self._ends = (self._batch.rewards, self._batch.terminated, self._batch.truncated)
     self.single_observation_space = gymnasium.spaces.Box(0, 255, (height, width, 3), np.uint8)
     self.single_action_space = gymnasium.spaces.Discrete(len(_engine.ACTIONS))
@@ -156,7 +159,7 @@ class VectorEnv(gymnasium.vector.VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
   def _current(self) -> tuple[np.ndarray, dict[str, Any]]:
     if self._copy:
       return self._observations.copy(), copy.deepcopy(self._infos)
-    return self._observations, dict(self._infos)
+    return self._observations, {name: dict(info) if isinstance(info, dict) else info for name, info in self._infos.items()}
 
   def _final(self, ended: np.ndarray) -> dict[str, Any]:
     """What infos have of the lanes that ended in a step with SAME_STEP."""

@@ -213,6 +213,24 @@ class Results(package.Case):
                      f"collect.py: cannot collect {self.folder}/run: {self.folder}/kept: Directory not empty\n")
     self.assertEqual(sorted(path.name for path in self.folder.iterdir()), ["kept", "run"])
 
+  def test_a_run_that_is_refused_leaves_no_weights(self):
+    write_run(self.folder / "run", 1)
+    (self.folder / "run/checkpoints/iter-00000001").mkdir(parents=True)
+    for file in ("run.json", "checkpoints/iter-00000001/weights.safetensors"):
+      (self.folder / "run" / file).write_text("")
+    with contextlib.redirect_stderr(io.StringIO()) as errors:
+      self.assertEqual(collect.main(["--weights", f"{self.folder}/run", f"{self.folder}/kept"]), 1)
+    self.assertIn('run.json: no "texture_digest"', errors.getvalue())
+    self.assertEqual([path.name for path in self.folder.iterdir()], ["run"])
+
+  def test_notebooks_compare_runs_and_take_one_without_episodes(self):
+    write_run(self.folder / "a", 1)
+    write_run(self.folder / "b", 1)
+    (self.folder / "b/stats.jsonl").write_text("")
+    table = analysis.load(str(self.folder))
+    self.assertEqual((table["run"].nunique(), table["run"][0] == table["run"][1]), (2, False))
+    self.assertTrue(math.isnan(table["unlocked"][1]))
+
   def test_notebooks_get_tables(self):
     write_run(self.folder / "a", 1)
     table = analysis.load(str(self.folder))
@@ -401,7 +419,8 @@ class Curves(package.Case):
     names = "episodes,steps,ep_rew_mean100,crafter_score_cum\n"
     for text, message in (("", 'table.csv:1: no column "episodes"'), ("episodes,steps,reward\n", 'no column "ep_rew_mean100"'),
                           (names, "no line after"), (names + "1,2,3,4\n1,2,x,4\n", ':3: ep_rew_mean100 is "x", want a number'),
-                          (names + "1,2,3\n", ':2: crafter_score_cum is ""')):
+                          (names + "1,2,3\n", ':2: crafter_score_cum is ""'), (names + "nan,2,3,4\n", ':2: episodes is "nan", want'),
+                          (names + "1,1e30,3,4\n", ':2: steps is "1e30", want a number')):
       self.assertIn(message, self.refusal(self.reference, text))
 
   @staticmethod
@@ -555,6 +574,13 @@ class CommandLine(package.Case):
     ended = subprocess.run([sys.executable, "-m", "analysis", "curve", self.folder / os.fsdecode(b"caf\xe9")],
                            capture_output=True, check=True, env=os.environ | environment)
     self.assertIn(b"\ncaf\xe9 ", ended.stdout)
+
+  def test_an_encoding_without_a_names_letters_gets_their_numbers(self):
+    write_run(self.folder / "日本", 1)
+    environment = {"PYTHONPATH": f"{SOURCE}/deploy/python/craftfleet", "PYTHONIOENCODING": "latin-1"}
+    ended = subprocess.run([sys.executable, "-m", "analysis", "curve", self.folder / "日本"], capture_output=True, check=True,
+                           env=os.environ | environment)
+    self.assertIn(rb"\u65e5\u672c ", ended.stdout)
 
   def test_programs_that_need_torch_say_only_that(self):
     (self.folder / "craftfleet_programs.py").write_text("def command(*_):\n  raise ModuleNotFoundError('needs torch 2.11', name='torch')\n")

@@ -94,6 +94,22 @@ class Recorder(FolderCase):
     play(craftfleet.Recorder(recorded, self.folder, save_video=False), 2)
     self.assertEqual(plain.snapshot(), recorded.snapshot())
 
+  def test_a_table_keeps_what_it_was_given(self):
+    plain, written = (craftfleet.Recorder(craftfleet.Env(**ARGUMENTS), self.folder / name, save_video=False) for name in "ab")
+    for recorder in (plain, written):
+      observation = recorder.reset()
+      done = False
+      while not done:
+        if recorder is written:
+          observation[...] = 0
+        observation, _, done, info = recorder.step(0)
+        if recorder is written:
+          info["player_pos"][...] = -1
+          info["semantic"][...] = 0
+    tables = [np.load(next((self.folder / name).glob("*.npz"))) for name in "ab"]
+    for name in ("image", "player_pos", "semantic"):
+      self.assertEqual(tables[0][name].tobytes(), tables[1][name].tobytes(), name)
+
   def recorded(self, **named):
     return craftfleet.Recorder(gymnasium.make("CraftFleet/Crafter-v1", length=15), self.folder, **named)
 
@@ -228,6 +244,9 @@ class Runs(FolderCase):
     (self.folder / "checkpoints/iter-00000010.bak").mkdir()
     self.assert_refused(FileNotFoundError, "no checkpoint, want folders like iter-", craftfleet.load_weights, self.folder)
     whole = next((self.trained / "checkpoints").glob("*/weights.safetensors")).read_bytes()
+    events = self.folder / "events.out.tfevents.craftfleet"
+    events.write_bytes(b"\x01" + bytes(11) + b"\x80" + bytes(4))  # a field that goes on behind its record
+    self.assert_refused(ValueError, "tfevents.craftfleet: damaged", craftfleet.load_curves, self.folder)
     for content in (b"", b"garbage!" * 9, whole[:200], whole[:-4]):
       (self.folder / "bad.safetensors").write_bytes(content)
       self.assert_refused(ValueError, "not the weights of a checkpoint", craftfleet.load_weights, self.folder / "bad.safetensors")

@@ -1,10 +1,12 @@
 """craftfleet.train, evaluate, Run and Policy: Python starts the real programs and gets what they make."""
 
 import contextlib
+import copy
 import importlib
 import io
 import json
 import os
+import pickle
 import signal
 import subprocess
 import sys
@@ -261,6 +263,32 @@ class Policy(Case):
       policy(frame)
     with self.assertRaisesRegex(RuntimeError, "the policy is closed"):
       policy(frame)
+
+  def test_a_second_thread_a_fork_and_a_copy_are_refused_and_the_games_go_on(self):
+    run, frame = self.finished_run(), np.zeros((64, 64, 3), np.uint8)
+    policy = run.policy(seed=3)
+    with run.policy(seed=3) as alone:
+      expected = [alone(frame) for _ in range(3)]
+    actions = [policy(frame)]
+    with policy._busy:  # pylint: disable=protected-access  # as in a call of another thread
+      with self.assertRaisesRegex(RuntimeError, "another thread is in a call of this Policy"):
+        policy(frame)
+    if (child := os.fork()) == 0:
+      try:
+        policy(frame)
+      except RuntimeError:
+        policy.close()
+        os._exit(7)
+      os._exit(1)
+    self.assertEqual(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]), 7)
+    for clone in (copy.copy, copy.deepcopy, pickle.dumps):
+      with self.assertRaisesRegex(TypeError, "a Policy has a process"):
+        clone(policy)
+    actions += [policy(frame), policy(frame)]
+    self.assertEqual(actions, expected)
+    policy.close()
+    with run.policy() as policy, self.assertRaisesRegex(ValueError, "observations of 4097 games, want at most 4096"):
+      policy(np.zeros((4097, 64, 64, 3), np.uint8))
 
   def test_a_policy_ends_with_its_program(self):
     policy = self.finished_run().policy()

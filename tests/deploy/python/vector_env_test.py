@@ -1,12 +1,15 @@
 """craftfleet.VectorEnv: the games of Gymnasium's own vector, on threads, in arrays that are allocated once."""
 
+import contextlib
 import copy
 import ctypes.util
 import multiprocessing
 import os
 import pickle
+import shutil
 import subprocess
 import sys
+import tempfile
 import threading
 import unittest
 import warnings
@@ -202,6 +205,22 @@ class Lanes(package.PackageCase):
       self.assertEqual(clone(envs).spec, envs.spec)
       self.assertEqual(clone(envs).action_space.sample().tolist(), copy.deepcopy(envs.action_space).sample().tolist())
       self.assertEqual((clone(named).name, clone(named).closed), ("mine", True))
+
+  def test_copies_draw_with_the_textures_of_a_relative_folder(self):
+    with tempfile.TemporaryDirectory() as folder:
+      shutil.copytree(python_case.SOURCE / "envserver/textures", f"{folder}/art")
+      with contextlib.chdir(folder):
+        envs = craftfleet.VectorEnv(2, textures="art")
+      observations = envs.reset(seed=0)[0].copy()
+      self.assertEqual(copy.copy(envs).reset(seed=0)[0].tobytes(), observations.tobytes())
+
+  def test_masks_of_infos_cannot_be_written(self):
+    envs = started()
+    infos = envs.step(np.zeros(5, int))[4]
+    with self.assertRaises(ValueError):
+      infos["_reward"][0] = False
+    infos["inventory"]["mine"] = 1
+    self.assertNotIn("mine", envs.step(np.zeros(5, int))[4]["inventory"])
 
   def test_copies_have_the_games_of_the_lanes_that_have_begun(self):
     envs = craftfleet.VectorEnv(3)

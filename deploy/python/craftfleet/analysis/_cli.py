@@ -173,7 +173,8 @@ def run(program: str, usage: str, flags: list[Flag], arguments: list[str],
   """Runs `body` and returns the exit code: 0, its own, or 1 after an error on standard error."""
   code, error = 0, ""
   if getattr(sys.stdout, "errors", "") == "strict":
-    sys.stdout.reconfigure(errors="surrogateescape")  # names of files that are no text leave as they came
+    # Names of files that are no text leave as they came; encodings that lack a letter get its number.
+    sys.stdout.reconfigure(errors="surrogateescape" if sys.stdout.encoding.lower() == "utf-8" else "backslashreplace")
   try:
     asked = next((word for word in arguments if word in ("-h", "-help", "--help", "--helpfull", "--version")), "")
     if asked == "--version":

@@ -45,7 +45,12 @@ def _run(flags, paths: list[str]) -> int:
     result.parent.mkdir(parents=True, exist_ok=True)
     if flags.weights:
       _copy_weights(run, result)
-    runs.save_result(str(run), f"{result}{runs.SUFFIX}")
+    try:
+      runs.save_result(str(run), f"{result}{runs.SUFFIX}")
+    except (OSError, Refusal):
+      if flags.weights:  # half a result would be in the way of the next call
+        shutil.rmtree(result, ignore_errors=True)
+      raise
   except OSError as error:
     raise Refusal(f"cannot collect {run}: {reason(error)}") from None
   return 0

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import dataclasses
+import math
 import os
 import sys
 from collections.abc import Callable
@@ -24,6 +25,7 @@ FLAGS = [
     Flag("reference", "list", [], "CSV files with runs of other programs to compare with, joined by commas\n"
          "columns: episodes, steps, ep_rew_mean100 and crafter_score_cum"),
 ]
+_MOST = 1e12  # of a number in a reference
 REFERENCE_COLUMNS = ("episodes", "steps", "ep_rew_mean100", "crafter_score_cum")
 
 
@@ -47,7 +49,9 @@ def read_reference(path: str):
       try:
         rows.append(float(line[column] or ""))
       except ValueError:
-        raise Refusal(f'{path}:{lines.line_num}: {column} is "{line[column] or ""}", want a number') from None
+        rows.append(math.nan)
+      if not abs(rows[-1]) <= _MOST:
+        raise Refusal(f'{path}:{lines.line_num}: {column} is "{line[column] or ""}", want a number')
   if not rows:
     raise Refusal(f"{path}: no line after the column names")
   episodes, steps, reward, score = np.array(rows).reshape(-1, len(REFERENCE_COLUMNS)).T

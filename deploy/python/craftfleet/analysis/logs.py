@@ -28,7 +28,7 @@ def crafter_score(rates: np.ndarray) -> np.ndarray:
   return np.expm1(np.log1p(rates).mean(axis=-1))
 
 
-@dataclasses.dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True, eq=False)
 class Curve:
   """A learning curve, with a point after each episode."""
 
@@ -45,7 +45,7 @@ class Curve:
     return int(np.searchsorted(self.steps, steps, side="right")) - 1
 
 
-@dataclasses.dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True, eq=False)
 class Episodes:
   """Episodes in the order of their log; n is their number, which may be 0."""
 

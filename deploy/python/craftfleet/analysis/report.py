@@ -38,7 +38,8 @@ _READING = """How to read it:
   ablations and asymptotic table are evaluation figures. It does not say how their actions were chosen, so both of ours are shown.
 - Numbers are means ± sample standard deviations (n - 1) over n seeds; a single seed has no deviation. The paper's have n = 10.
   In brackets: 95% intervals of the mean by bootstrap, over seeds where there are three or more. With fewer they are over
-  episodes, which says how exactly these runs were measured, not how others would do.
+  episodes, which says how exactly these runs were measured, not how others would do. They are too narrow where n is small: of
+  normal scores they hold the mean in 75% of cases with three seeds, 84% with five, 90% with nine; over 100 episodes in 89%.
 - p is that of Welch's test. "Within two deviations" counts rows whose figure is within two of the paper's deviations;
   "to expect" is the count if our runs were further seeds of the paper's, with and without allowance for its n.
 - Unfinished runs are listed but not averaged. "no run" marks a cell without a run.
@@ -167,7 +168,7 @@ def _run(flags, folders: list[str]) -> int:
   more = f"{len(unreadable)} more cannot be read; " if unreadable else ""
   place = "standard output" if is_standard_output else flags.out
   where = f"report.md written to {place}" if written == 1 else f"{written} files in {flags.out}, begin with report.md"
-  print(f"{len(runs)} runs, {sum(run.complete for run in runs)} complete; {more}{where}", file=people)
+  print(f"{len(runs)} run{'' if len(runs) == 1 else 's'}, {sum(run.complete for run in runs)} complete; {more}{where}", file=people)
   return 0
 
 

@@ -11,7 +11,6 @@ import dataclasses
 import functools
 import io
 import json
-import lzma
 import math
 import os
 import pathlib
@@ -22,6 +21,11 @@ import zlib
 
 import numpy as np
 
+try:
+  from lzma import LZMAError
+except ImportError:  # a Python without it can read no results, but play
+  LZMAError = RuntimeError
+
 from . import programs
 from ._cli import Refusal, read_text, reason, replace_file
 from .logs import ACHIEVEMENTS, NO_EPISODES, Curve, Episodes, find_log, read_log
@@ -30,11 +34,11 @@ LOGS = ("stats", "eval_argmax", "eval_sampled", "final_argmax", "final_sampled")
 SUFFIX = ".npz"
 _VERSION = 1
 # What NumPy and zipfile raise; RuntimeError: an entry that seems to be encrypted, or of a method that they don't have.
-_DAMAGED = (OSError, ValueError, KeyError, EOFError, RuntimeError, lzma.LZMAError, zlib.error, zipfile.BadZipFile)
+_DAMAGED = (OSError, ValueError, KeyError, EOFError, RuntimeError, LZMAError, zlib.error, zipfile.BadZipFile)
 _FIRST_ENTRY = "craftfleet_run.npy"  # its name is in the first bytes, too
 
 
-@dataclasses.dataclass
+@dataclasses.dataclass(eq=False)  # compared by identity, as pandas wants it
 class Run:
   """A run; `folder` is that of its files, or the path of its result file without .npz."""
 
@@ -329,7 +333,7 @@ def load(*folders: str | os.PathLike[str]):
       "folder": run.folder, "agent": run.agent, "env": run.env, "eval_env": run.eval_env or run.env, "seed": run.seed,
       "steps": run.steps, "complete": run.complete, "train": value(run, "train"), "eval": value(run, "eval"),
       "eval_argmax": value(run, "eval_argmax"), "reward": value(run, "reward"), "reward_last100": value(run, "reward_last100"),
-      "unlocked": run.training.unlocked, "run": run} for run in runs]
+      "unlocked": value(run, "unlocked"), "run": run} for run in runs]
   return pd.DataFrame(table, columns=_COLUMNS)
 
 

@@ -81,6 +81,7 @@ class Sweep:
     self._out, self._look_again = out, look_again
     self._stages = {job.name: "left" for job in jobs}  # or running, done, failed
     self._first_steps: dict[str, int] = {}  # done when the sweep began
+    self._started: set[str] = set()
     self._children: dict[str, subprocess.Popen] = {}
     self._stopping = threading.Event()
     self._output_error = ""
@@ -184,6 +185,7 @@ class Sweep:
     except OSError as error:
       raise Refusal(f"cannot start {self._train[0]}: {error.strerror}") from None
     self._children[job.name] = child
+    self._started.add(job.name)
     self._print(f"{'resumes' if resumes else 'starts'}: {job.name}")
     if self._stopping.is_set():  # a signal came while it was started
       child.terminate()
@@ -195,9 +197,9 @@ class Sweep:
     return list(self._stages.values()).count(stage)
 
   def _progress(self, begun: float) -> str:
-    running = [job for job in self._jobs if self._stages[job.name] == "running"]
+    asked = [job for job in self._jobs if job.name in self._started and self._stages[job.name] != "done"]
     try:
-      now = {job.name: state.steps for job, state in zip(running, states(running)) if isinstance(state, State)}
+      now = {job.name: state.steps for job, state in zip(asked, states(asked)) if isinstance(state, State)}
     except OSError:
       now = {}  # no reason to stop runs
     total = reached = gained = 0
