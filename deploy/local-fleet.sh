@@ -99,6 +99,7 @@ stop() {
 
 clean_up() {
   trap '' INT TERM HUP
+  exec 2>/dev/null  # bash names the jobs that a signal ended
   stop "${learner:-}" "${!names[@]}"
   rm -rf "$sockets"
 }
@@ -141,7 +142,7 @@ for ((i = 1; i <= actors; i++)); do
   start_worker "actor-$i" "$bin/craftfleet-actor" --listen="unix:$sockets/actor-$i" --learner="unix:$sockets/learner" \
     --envservers="${servers#,}" --threads="$((threads > 0 ? threads : 1))"
 done
-say "$learners learners, $actors actors, $envservers environment servers; watch: craftfleet status --address=$(printf %q "unix:$sockets/learner")"
+say "learners: $learners, actors: $actors, environment servers: $envservers; watch: craftfleet status --address=$(printf %q "unix:$sockets/learner")"
 
 # Argument: a kind of worker, such as actor. True while one of them runs.
 any_left() {

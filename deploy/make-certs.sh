@@ -29,8 +29,15 @@ if [ $# -lt 2 ]; then
   usage >&2
   exit 2
 fi
+refuse() { echo "make-certs.sh: $*" >&2; exit 2; }
+[[ $days =~ ^[1-9][0-9]{0,4}$ ]] || refuse "--days=$days, want 1..99999"
 dir=$1
 shift
+for argument in "$@"; do
+  name=${argument%%=*}
+  [[ $name =~ ^[A-Za-z0-9_.*][A-Za-z0-9_.*-]*$ && $name != ca ]] ||
+    refuse "'$argument', want NAME[=HOST,...] of letters, digits and ._*-, other than ca; options come before DIR"
+done
 
 umask 077
 mkdir -p "$dir"

@@ -25,8 +25,8 @@ ABSL_FLAG(std::string, advertise, "",
 ABSL_FLAG(int32_t, max_session_games, 4096, "most games of one session, which is a thread of an actor, 1..4096");
 ABSL_FLAG(int32_t, max_games, 16384, "most games of all sessions together, --max_session_games..1000000");
 ABSL_FLAG(int32_t, max_session_mb, 512,
-          "memory in MB for the games of one session with their pictures, 1..1000000; more is refused");
-ABSL_FLAG(int32_t, max_games_mb, 2048, "memory in MB for the games of all sessions, --max_session_mb..1000000");
+          "memory in MiB for the games of one session with their pictures, 1..1000000; more is refused");
+ABSL_FLAG(int32_t, max_games_mb, 2048, "memory in MiB for the games of all sessions, --max_session_mb..1000000");
 ABSL_FLAG(int32_t, max_client_percent, 50,
           "part of --max_games and --max_games_mb for all sessions of one client, in percent, 1..100\n"
           "at least the limits of one session; a client is a certificate or token and, without either, a host");

@@ -121,11 +121,10 @@ absl::Status Server::Options::Validate() const {
                         address));
   }
   if (!insecure && !tls && !IsLoopback(address)) {
-    return absl::InvalidArgumentError(
-        absl::StrFormat("--listen=%s reaches beyond this host, where anyone could connect: listen on 127.0.0.1, give a "
-                        "certificate (--tls_cert, --tls_key; --tls_ca to want one of clients), or add --insecure if "
-                        "the network is trusted",
-                        address));
+    return absl::InvalidArgumentError(absl::StrFormat(
+        "--listen=%s reaches beyond this host, where anyone could connect: listen on 127.0.0.1, use TLS "
+        "(--tls_cert, --tls_key and --tls_ca), or add --insecure if the network is trusted",
+        address));
   }
   return absl::OkStatus();
 }

@@ -9,6 +9,7 @@ set -euo pipefail
 
 usage() { sed -n '2,/^$/s/^# \{0,1\}//p' "$0"; }
 case "${1:-}" in
+  -h | --help) usage; exit 0 ;;
   "" | -*) usage >&2; exit 2 ;;
 esac
 dir=$1

@@ -43,6 +43,9 @@ build-fuzz/bin/fuzz_replay --write_seeds "$known"
 cp -r "$archived"/. tests/fuzz/regressions/. "$known"
 if [ ${#targets[@]} -eq 0 ]; then mapfile -t targets < <(ls "$known"); fi
 
+for target in "${targets[@]}"; do
+  [ -d "$known/$target" ] || { echo "fuzz.sh: no target '$target', want one of: $(cd "$known" && echo *)" >&2; exit 2; }
+done
 sound=0
 broken=0
 for target in "${targets[@]}"; do
