@@ -34,8 +34,9 @@ constexpr char kUsage[] =
   craftfleet admin --address=127.0.0.1:50051 checkpoint    write a checkpoint now
   craftfleet admin --address=127.0.0.1:50051 pause         stop playing
   craftfleet admin --address=127.0.0.1:50051 resume        continue playing after a pause
-  craftfleet admin --address=127.0.0.1:50051 drain NAME    give an actor or an environment server no more work, so that
-                                                           it can be stopped; its name or address is in craftfleet status
+  craftfleet admin --address=127.0.0.1:50051 drain NAME    give an actor, or an environment server that registered with
+                                                           --learner, no more work, so that it can be stopped; its name
+                                                           or address is in craftfleet status
   craftfleet admin --address=127.0.0.1:50051 undrain NAME  give a drained worker work again
   craftfleet admin --address=127.0.0.1:50051 stop          stop the learner, with a checkpoint; --resume continues the run
 
